@@ -600,7 +600,7 @@ WRONG: dict[str, Wrong] = {
     ),
     "dispersion of about 4 batches": with_robust_firmware("first estimates", "DISPERSION_SHIFT = {3 => 2}"),
     "one batch of all observations": with_robust_firmware(
-        "first estimates", "    {begin_batch(robust, t, n) => pass}\n\n    # Units"
+        "first estimates", "    {begin_batch(robust, t, n) => pass}\n\n    share"
     ),
     "the batch goes on at a halving": with_firmware(
         "test of a wide spread",
@@ -615,7 +615,7 @@ WRONG: dict[str, Wrong] = {
     ),
     "tests against the median": with_robust_firmware("first estimates", "HUBER_STEPS = {3 => 0}"),
     "mean of all estimates": with_robust_firmware(
-        "first estimates", "sum({max(-spread, min(spread, difference)) => difference} for"
+        "first estimates", "[{max(-spread, min(spread, difference)) => difference} for"
     ),
     "tests against the centre of the votes": with_robust_firmware(
         "first estimates",

@@ -203,6 +203,17 @@ def confidence_at_end(accuracy: Accuracy, t: int, rare_count: int) -> tuple[int,
     return weight >> excess_bits, exponent + excess_bits
 
 
+def upper_31_bits(number: int) -> tuple[int, int]:
+    """Return the upper 31 bits of a number above 0, and their exponent: the number of bits below them.
+
+    The number is upper * 2**exponent, rounded down. A number of fewer than 31 bits gets zeros as its lowest
+    bits, and the exponent is negative.
+    """
+    exponent = number.bit_length() - 31
+    upper = number >> exponent if exponent >= 0 else number << -exponent
+    return upper, exponent
+
+
 def confidence_inside(accuracy: Accuracy, total: int, rarer: int, scale: int, shift: int) -> tuple[int, int]:
     """Return alpha, the confidence, where 0 < x_hat < 1 (eq. 4, last case), as mantissa and exponent.
 
@@ -217,17 +228,13 @@ def confidence_inside(accuracy: Accuracy, total: int, rarer: int, scale: int, sh
     square = multiply_high(scale, scale)  # (g t)**2 without its lower 32 bits
     numerator = multiply_high(square, total)  # (g t)**2 t without its lower 64 bits
     denominator = rarer * (total - rarer)  # n (t - n), a number of up to 64 bits
-    # The numerator is shifted up to 32 bits and the denominator to 64. The upper 31 bits of each are divided.
-    numerator_shift = leading_zeros(numerator)
-    denominator_shift = 64 - denominator.bit_length()
-    upper_numerator = (numerator << numerator_shift) >> 1
-    upper_denominator = (denominator << denominator_shift) >> 33
+    upper_numerator, numerator_exponent = upper_31_bits(numerator)
+    upper_denominator, denominator_exponent = upper_31_bits(denominator)
     quotient = divide_24(upper_numerator, upper_denominator)  # in units of 2**-24, as alpha; 24 or 25 bits
-    # The exponent undoes all shifts. Bits lost by the numerator, 64 and 1, make the quotient too small, and
-    # those lost by the denominator, 33, too large. Of the factors 2**shift, three above the fraction and two
-    # below, one is left.
-    lost_bits = 64 + 1 - 33
-    exponent = lost_bits + denominator_shift - numerator_shift - 2 * accuracy.g_shift - shift
+    # The exponent makes up for all shifts: the 64 bits that the numerator has lost, those of g, which is
+    # squared, and those of the counts. Of these the numerator has three and the denominator two.
+    lost_bits = 64
+    exponent = lost_bits + numerator_exponent - denominator_exponent - 2 * accuracy.g_shift - shift
     # The mantissa has 24 bits, so a quotient of 25 loses the lowest one.
     excess_bits = quotient >> MANTISSA_BITS
     return quotient >> excess_bits, exponent + excess_bits

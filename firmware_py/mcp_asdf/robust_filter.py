@@ -256,24 +256,36 @@ def end_batch(robust: RobustFilter, t: int, n: int) -> None:
     black_count = n - robust.batch_n
     begin_batch(robust, t, n)
 
-    # Units: share, expected number and variance have 2**-32; ratios have 2**-8, as the dispersion; squares of
-    # deviations have 2**-22, so that they fit 64 bits in the C.
     share = q32_quotient(n, t)
-    variance = count * multiply_high(share, Q32_ONE - share)
-    largest_ratio = REJECTED_SIGMAS_SQUARED * robust.dispersion
-    largest_square = q22_from_q40(largest_ratio * variance)  # 2**-8 times 2**-32 is 2**-40
-    if largest_square == 0:
-        return  # no variance, so that the ratio is not defined
-    expected_black_count = count * share
-    deviation = q11_from_q32(abs(black_count * Q32_ONE - expected_black_count))
-    square = min(deviation * deviation, largest_square)
-    # The ratio is square / variance. As the variance is largest_square / largest_ratio, this is
-    # largest_ratio times a quotient that is at most 1.
-    ratio = multiply_high(largest_ratio, q32_quotient(square, largest_square))
-
+    ratio = ratio_of_batch(robust, count, black_count, share)
+    if ratio is None:
+        return
+    # The weights of 7/8 and 1/8 are 7 and 1 before the division.
     old_weight = (1 << DISPERSION_SHIFT) - 1
     average = (old_weight * robust.dispersion + ratio) >> DISPERSION_SHIFT
     robust.dispersion = min(max(average, DISPERSION_MIN), DISPERSION_MAX)
+
+
+def ratio_of_batch(robust: RobustFilter, count: int, black_count: int, share: int) -> int | None:
+    """Return deviation**2 / variance of a batch of observations, at most 12 times the dispersion.
+
+    ``black_count`` of the batch's ``count`` observations are black, where count * share are expected, and the
+    deviation is the difference. The variance is count * share * (1 - share). ``share`` is in units of
+    2**-32, and the result, as the dispersion, in units of 2**-8. It is None where the variance is 0, in a batch
+    without observations or for a share of 0, and where it is so small that it is rounded to 0.
+    """
+    variance = count * multiply_high(share, Q32_ONE - share)  # units of 2**-32
+    largest_ratio = REJECTED_SIGMAS_SQUARED * robust.dispersion  # units of 2**-8
+    # Squares of deviations are in units of 2**-22, so that they fit 64 bits in the C.
+    largest_square = q22_from_q40(largest_ratio * variance)  # 2**-8 times 2**-32 is 2**-40
+    if largest_square == 0:
+        return None
+    expected_black_count = count * share  # units of 2**-32
+    deviation = q11_from_q32(abs(black_count * Q32_ONE - expected_black_count))
+    square = min(deviation * deviation, largest_square)
+    # The variance is largest_square / largest_ratio. So square / variance is largest_ratio times a quotient
+    # that is at most 1.
+    return multiply_high(largest_ratio, q32_quotient(square, largest_square))
 
 
 # ---- The test ----
@@ -334,8 +346,10 @@ def centre_after_huber_step(estimates: Sequence[int], centre: int, spread: int) 
     limited. All are in units of 2**-24. The result is within 0 and the largest estimate that a slot holds.
     """
     differences = [estimate - centre for estimate in estimates]
-    balance = sum(max(-spread, min(spread, difference)) for difference in differences)
-    # The balance falls by 1 for each of these where the centre moves up by 1: it is the derivative.
+    limited_differences = [max(-spread, min(spread, difference)) for difference in differences]
+    balance = sum(limited_differences)
+    # Where the centre moves up by 1, the balance falls by 1 for each estimate whose difference is not
+    # limited.
     inside_count = sum(abs(difference) <= spread for difference in differences)
     divisor = max(inside_count, 1) << 24  # in units of 2**-24, as the balance
     # Limited, so that the quotient fits a word of the C: a step is 1.0 at most.
