@@ -270,8 +270,8 @@ def ratio_of_batch(robust: RobustFilter, count: int, black_count: int, share: in
     """Return deviation**2 / variance of a batch of observations, at most 12 times the dispersion.
 
     ``black_count`` of the batch's ``count`` observations are black, where count * share are expected, and the
-    deviation is the difference. The variance is count * share * (1 - share). ``share`` is in units of
-    2**-32, and the result, as the dispersion, in units of 2**-8. It is None where the variance is 0, in a batch
+    deviation is the difference. The variance is count * share * (1 - share). ``share`` is in units of 2**-32,
+    and the result, as the dispersion, in units of 2**-8. It is None where the variance is 0, in a batch
     without observations or for a share of 0, and where it is so small that it is rounded to 0.
     """
     variance = count * multiply_high(share, Q32_ONE - share)  # units of 2**-32
