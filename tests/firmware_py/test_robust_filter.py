@@ -130,6 +130,7 @@ def test_a_robot_remembers_its_neighbours_while_it_hears_nobody(firmware: FixedP
 def test_an_estimate_is_rounded_to_the_nearest_that_a_slot_can_hold(
     firmware: FixedPointFirmware, x_hat: int, slot_estimate: int
 ) -> None:
+    """x_hat is in units of 2**-23, and a slot has 16 bits: multiples of 2**-16, the largest below 1."""
     robot = firmware(ROBUST, OWN_ID, b_hat=0.95)
     robot.receive_raw(1, x_hat, ALPHA_ONE)
     assert filled_slots(robot) == {1: slot_estimate}
@@ -197,8 +198,12 @@ def test_before_the_first_vote_a_robot_believes_its_own_estimate(firmware: Fixed
 # design: R36
 @for_fixed_point_firmwares
 def test_x_and_x_bar_are_the_centre_of_the_votes(firmware: FixedPointFirmware) -> None:
-    robot = restore_robust_robot(firmware, estimates=[0], votes=1, centre=(3 << 28) + 127)
-    assert (robot.x_raw, robot.x_bar_raw) == (3 << 21, 3 << 21)
+    """The centre, 3/4, is in units of 2**-30, and x and x_bar are in units of 2**-23, rounded down."""
+    three_quarters = 3 * 2**28
+    robot = restore_robust_robot(firmware, estimates=[0], votes=1, centre=three_quarters + 127)
+
+    assert robot.x_raw == 3 * 2**21
+    assert robot.x_bar_raw == 3 * 2**21
 
 
 @for_fixed_point_firmwares
@@ -601,6 +606,7 @@ def test_a_robot_keeps_its_accuracy_at_the_very_limit_of_its_test(
 def test_a_robot_tests_itself_once_in_each_filter_period(
     firmware: FixedPointFirmware, filter_period: int, tests: int
 ) -> None:
+    """The period is a number of rounds; here three rounds end."""
     robot = firmware(replace(ROBUST, filter_period=filter_period), OWN_ID, b_hat=0.95)
     observe_tiles(robot, black=9, white=1)
     receive_estimates(robot, *[0.9] * 5)
@@ -620,34 +626,48 @@ def test_a_robot_tests_itself_once_in_each_filter_period(
 def test_the_median_of_an_even_number_is_the_mean_of_the_middle_two_rounded_down(
     values: list[int], median: int
 ) -> None:
+    """And that of an odd number is the middle one. The values are in ascending order."""
     assert median_of(values) == median
 
 
+SIXTEENTH = 2**20
+"""An estimate of 1/16 in units of 2**-24."""
+
+
 @pytest.mark.parametrize(
-    ("estimates", "spread"),
+    ("sixteenths", "spread"),
     [
-        ([1 << 20, 2 << 20, 4 << 20, 5 << 20, 15 << 20], 2 << 20),
-        ([4 << 20] * 5, 1 << 12),
-        ([0, 0, 4 << 20, 15 << 20, 15 << 20], 4 << 20),
-        ([0, 0, 8 << 20, 15 << 20, 15 << 20], 4 << 20),  # 7 << 20, but at most 1/4
+        ([1, 2, 4, 5, 15], 2 * SIXTEENTH),
+        ([0, 0, 4, 15, 15], 4 * SIXTEENTH),
+        pytest.param([4, 4, 4, 4, 4], 2**12, id="all distances are 0, and the spread is at least 2**-12"),
+        pytest.param([0, 0, 8, 15, 15], 4 * SIXTEENTH, id="the median distance is 7/16, but 1/4 is the most"),
     ],
 )
 def test_the_spread_is_the_median_distance_from_the_median_within_limits(
-    estimates: list[int], spread: int
+    sixteenths: list[int], spread: int
 ) -> None:
+    """Estimates and spread are in units of 2**-24. The third of five ascending estimates is the median."""
+    estimates = [number * SIXTEENTH for number in sixteenths]
     assert spread_of(estimates, median=estimates[2]) == spread
+
+
+def slot_estimates(*numbers: int) -> list[int]:
+    """Return estimates in the units of a slot, 2**-16, as the filter computes with them: units of 2**-24."""
+    return [number * 2**8 for number in numbers]
 
 
 def test_an_estimate_far_away_counts_as_one_at_the_distance_of_the_spread() -> None:
     """Two lie below by a spread or more, and two above: they balance, however far one of them is."""
-    estimates = [value << 8 for value in (1000, 2000, 3000, 4000, 60000)]
-    assert huber_centre(estimates, median=3000 << 8, spread=1000 << 8) == 3000 << 8
+    estimates = slot_estimates(1000, 2000, 3000, 4000, 60000)
+    [median, spread] = slot_estimates(3000, 1000)
+    assert huber_centre(estimates, median, spread) == median
 
 
 def test_the_centre_of_estimates_within_the_spread_is_their_mean() -> None:
-    estimates = [value << 8 for value in (1000, 2000, 6000)]
-    centre = huber_centre(estimates, median=2000 << 8, spread=5000 << 8)
-    assert centre == pytest.approx(3000 << 8, abs=2)
+    """It is found step by step, and may be wrong by two units of 2**-24."""
+    estimates = slot_estimates(1000, 2000, 6000)
+    [median, mean, spread] = slot_estimates(2000, 3000, 5000)
+    assert huber_centre(estimates, median, spread) == pytest.approx(mean, abs=2)
 
 
 @pytest.mark.parametrize(
@@ -680,6 +700,7 @@ def dispersion_after_batch(robot: FixedPoint, black: int, white: int) -> int:
 
 @for_fixed_point_firmwares
 def test_batches_with_equal_shares_of_black_keep_the_dispersion_at_1(firmware: FixedPointFirmware) -> None:
+    """The dispersion says how much more batches vary than independent tiles would; it is at least 1."""
     robot = firmware(ROBUST, OWN_ID, b_hat=0.95)
     assert [dispersion_after_batch(robot, black=60, white=40) for _ in range(3)] == [INDEPENDENT] * 3
 
@@ -721,6 +742,10 @@ def test_a_batch_that_is_far_off_counts_as_12_times_the_dispersion(firmware: Fix
 def test_the_dispersion_falls_by_an_eighth_with_each_batch_that_is_as_expected(
     firmware: FixedPointFirmware,
 ) -> None:
+    """It says how much more batches of tiles vary than independent ones would, in units of 2**-8.
+
+    Half of 100 tiles were black so far, and of each further batch it is half, too.
+    """
     robot = restore_robust_robot(firmware, t=100, n=50, batch_t=100, batch_n=50, dispersion=1000)
 
     dispersions = [dispersion_after_batch(robot, black=50, white=50) for _ in range(3)]
@@ -749,6 +774,7 @@ def test_a_batch_without_observations_does_not_change_the_dispersion(firmware: F
 
 @for_fixed_point_firmwares
 def test_white_observations_alone_do_not_change_the_dispersion(firmware: FixedPointFirmware) -> None:
+    """As many black tiles are expected as were seen, none, so there is no deviation to be measured."""
     robot = restore_robust_robot(firmware, t=100, n=0, batch_t=50, batch_n=0, dispersion=1000)
     assert dispersion_after_batch(robot, black=0, white=10) == 1000
 
@@ -886,6 +912,10 @@ OTHER_B_HAT = 3 << 30
     ],
 )
 def test_an_image_at_a_limit_is_accepted(firmware: FixedPointFirmware, members: dict[str, Any]) -> None:
+    """An image is a saved robot. Each case has members of its robust filter at an end of their range.
+
+    Accuracies are in units of 2**-32, centre and spread in units of 2**-30, the dispersion in units of 2**-8.
+    """
     assert status_of_restore(firmware, members) == Status.OK
 
 
@@ -919,4 +949,8 @@ def test_an_image_at_a_limit_is_accepted(firmware: FixedPointFirmware, members: 
     ],
 )
 def test_an_image_beyond_a_limit_is_refused(firmware: FixedPointFirmware, members: dict[str, Any]) -> None:
+    """An image is a saved robot. Each case has members of its robust filter that no robot can have.
+
+    Accuracies are in units of 2**-32, centre and spread in units of 2**-30, the dispersion in units of 2**-8.
+    """
     assert status_of_restore(firmware, members) == Status.ERR_IMAGE

@@ -30,31 +30,45 @@ ULP = Fraction(1, 2**53)
 
 
 def test_a_vote_at_the_spread_moves_the_centre_up_and_narrows_the_spread() -> None:
-    votes = votes_after(Votes(0.5, 0.25, 0), 0.75)
+    """The centre of the votes is at 0.5, and the spread, their usual distance from it, is 0.25.
+
+    The centre moves by an eighth of the spread, and the spread shrinks by a sixteenth.
+    """
+    votes = votes_after(Votes(centre=0.5, spread=0.25, count=0), 0.75)
     assert votes == Votes(centre=0.5 + 0.25 / 8, spread=0.25 - 0.25 / 16, count=1)
 
 
 def test_a_vote_beyond_the_spread_moves_the_centre_by_the_spread_alone_and_widens_the_spread() -> None:
-    votes = votes_after(Votes(0.5, 0.125, 0), 0.0)
-    assert (votes.centre, votes.spread) == (0.5 - 0.125 / 8, 0.125 + 0.125 / 16)
+    """The vote, 0.0, is four spreads below the centre, and counts as if it were one spread below."""
+    votes = votes_after(Votes(centre=0.5, spread=0.125, count=0), 0.0)
+    assert votes.centre == 0.5 - 0.125 / 8
+    assert votes.spread == 0.125 + 0.125 / 16
 
 
 @pytest.mark.parametrize(
     ("count", "gain"), [(0, 2**-3), (62, 2**-3), (63, 2**-4), (126, 2**-4), (127, 2**-5), (511, 2**-7)]
 )
 def test_the_gain_falls_with_the_number_of_votes(count: int, gain: float) -> None:
-    votes = votes_after(Votes(0.5, 0.25, count), 0.75)
-    assert (votes.centre, votes.spread) == (0.5 + 0.25 * gain, 0.25 * (1 - gain / 2))
+    """The gain is the part of the spread by which a vote moves the centre; the spread changes by half of it.
+
+    ``count`` is the number of votes before this one, which is a spread above the centre.
+    """
+    votes = votes_after(Votes(centre=0.5, spread=0.25, count=count), 0.75)
+    assert votes.centre == 0.5 + 0.25 * gain
+    assert votes.spread == 0.25 - 0.25 * gain / 2
 
 
 def test_votes_are_counted_up_to_512() -> None:
-    assert votes_after(Votes(0.5, 0.25, 511), 0.5).count == 512
-    assert votes_after(Votes(0.5, 0.25, 512), 0.5).count == 512
+    """So the last votes always count something, since the gain falls with their number."""
+    assert votes_after(Votes(centre=0.5, spread=0.25, count=511), 0.5).count == 512
+    assert votes_after(Votes(centre=0.5, spread=0.25, count=512), 0.5).count == 512
 
 
-@pytest.mark.parametrize(("spread", "x_hat"), [(0.25, 1.0), (2**-12, 0.5)])
-def test_the_spread_of_votes_stays_within_its_limits(spread: float, x_hat: float) -> None:
-    assert votes_after(Votes(0.5, spread, 0), x_hat).spread == spread
+@pytest.mark.parametrize(("limit", "vote"), [(0.25, 1.0), (2**-12, 0.5)], ids=["largest", "smallest"])
+def test_the_spread_of_votes_stays_within_its_limits(limit: float, vote: float) -> None:
+    """A vote far from the centre, 0.5, would widen a spread of 1/4, and one at the centre narrow 2**-12."""
+    votes = votes_after(Votes(centre=0.5, spread=limit, count=0), vote)
+    assert votes.spread == limit
 
 
 def test_votes_in_float64_are_right_to_the_last_bits() -> None:
@@ -86,30 +100,41 @@ def test_neighbours_vote_in_the_order_of_their_slots_and_the_robot_itself_after_
 
 
 def test_the_robot_s_own_estimate_is_a_vote_like_the_others() -> None:
+    """It votes, as there is no estimate in a slot from 10, whose turn it is, to 31."""
     robust = RobustReference(0.75, estimates={9: 1.0}, turn=10)
     robust.take_vote(own_x_hat=0.75, has_confidence=True)
     assert robust.votes == Votes(centre=0.5 + 0.25 / 8, spread=0.25 - 0.25 / 16, count=1)
 
 
 def test_the_slot_whose_turn_it_is_votes() -> None:
+    """The estimate in slot 2, 0.5, does not move the centre, which begins at 0.5; that in slot 9 would."""
     robust = RobustReference(0.75, estimates={2: 0.5, 9: 1.0}, turn=2)
+
     robust.take_vote(own_x_hat=0.5, has_confidence=True)
-    assert (robust.turn, robust.votes.centre) == (3, 0.5)
+
+    assert robust.votes.centre == 0.5
+    assert robust.turn == 3
 
 
 def test_a_robot_without_confidence_does_not_vote() -> None:
+    """It would be its turn after slot 9, but slot 2 votes again: 0.0, which is below the centre, 0.5."""
     robust = RobustReference(0.75, estimates={9: 1.0, 2: 0.0}, turn=10)
+
     robust.take_vote(own_x_hat=0.5, has_confidence=False)
-    assert (robust.turn, robust.votes.centre) == (3, 0.5 - 0.25 / 8)
+
+    assert robust.votes.centre == 0.5 - 0.25 / 8
+    assert robust.turn == 3
 
 
 def test_nobody_votes_before_the_first_message() -> None:
+    """Not even the robot itself: nothing in the filter's memory changes."""
     robust = RobustReference(0.75)
     robust.take_vote(own_x_hat=1.0, has_confidence=True)
     assert robust == RobustReference(0.75)
 
 
 def test_senders_with_ids_equal_modulo_32_share_a_slot() -> None:
+    """A robot keeps an estimate in each of 32 slots; senders 1 and 33 have slot 1, and the last one stays."""
     robust = RobustReference(0.75)
 
     robust.keep_estimate(1, 0.25)
@@ -130,21 +155,31 @@ def test_senders_with_ids_equal_modulo_32_share_a_slot() -> None:
     ],
 )
 def test_a_batch_moves_the_dispersion_by_an_eighth(batch_black_count: int, dispersion: float) -> None:
-    """The batch has 100 observations, so that their standard deviation is 5."""
-    assert dispersion_after_batch(Observations(500, 1000, 2.0), batch_black_count, 100) == dispersion
+    """The dispersion says how much more batches of tiles vary than independent ones would; here it is 2.
+
+    Half of 1000 tiles are black. The batch is the last 100 of them, so that their standard deviation is 5.
+    """
+    observations = Observations(n=500, t=1000, dispersion=2.0)
+    assert dispersion_after_batch(observations, batch_black_count, 100) == dispersion
 
 
 def test_the_dispersion_does_not_fall_below_1() -> None:
-    assert dispersion_after_batch(Observations(500, 1000, 1.0), 50, 100) == 1
+    """Of the last 100 tiles 50 are black, exactly as many as of all 1000."""
+    observations = Observations(n=500, t=1000, dispersion=1.0)
+    assert dispersion_after_batch(observations, 50, 100) == 1
 
 
 def test_the_dispersion_does_not_rise_above_16_bits_of_the_firmware() -> None:
-    assert dispersion_after_batch(Observations(500, 1000, 250.0), 500, 500) == 256 - 1 / 256
+    """There it is in units of 1/256. Here the last 500 tiles are black, and the 500 before them white."""
+    observations = Observations(n=500, t=1000, dispersion=250.0)
+    assert dispersion_after_batch(observations, 500, 500) == (2**16 - 1) / 256
 
 
 @pytest.mark.parametrize(("n", "batch_count"), [(0, 100), (1000, 100), (500, 0)])
 def test_a_batch_without_deviation_leaves_the_dispersion(n: int, batch_count: int) -> None:
-    assert dispersion_after_batch(Observations(n, 1000, 3.0), 0, batch_count) == 3
+    """Where all tiles so far have one colour, or the batch is empty, there is no deviation to be measured."""
+    observations = Observations(n=n, t=1000, dispersion=3.0)
+    assert dispersion_after_batch(observations, 0, batch_count) == 3
 
 
 def test_the_dispersion_is_computed_from_the_observations_since_the_last_batch() -> None:
@@ -165,11 +200,13 @@ def test_the_dispersion_is_computed_from_the_observations_since_the_last_batch()
 
 
 def test_the_spread_of_estimates_is_their_median_distance() -> None:
+    """From 1/2 the estimates are 0, 1/8, 1/4, 0 and 1/2 away."""
     assert spread_around([0.5, 0.625, 0.25, 0.5, 1.0], 0.5) == 0.125
 
 
 @pytest.mark.parametrize(("estimates", "spread"), [([0.5] * 5, 2**-12), ([0.0, 0.0, 0.5, 1.0, 1.0], 0.25)])
 def test_the_spread_of_estimates_stays_within_its_limits(estimates: list[float], spread: float) -> None:
+    """Median distances of 0 and 1/2 count as 2**-12 and 1/4."""
     assert spread_around(estimates, 0.5) == spread
 
 
@@ -180,14 +217,17 @@ def test_an_outlier_moves_the_centre_by_the_spread_alone() -> None:
 
 
 def test_the_centre_of_estimates_without_an_outlier_is_their_mean() -> None:
+    """All of them are within a spread of the middle, from which the search for the centre begins."""
     assert huber_centre([0.25, 0.375, 0.5, 0.625], middle=0.4375, spread=0.25) == 0.4375
 
 
 def test_an_estimate_at_the_distance_of_the_spread_is_inside() -> None:
+    """The step is the sum of the distances, 0.125 and 0, divided by the number of estimates inside, 2."""
     assert huber_step([0.625, 0.5], centre=0.5, spread=0.125) == 0.125 / 2
 
 
 def test_a_step_of_which_nobody_is_inside_is_not_divided() -> None:
+    """The only estimate is two spreads away, and counts as one spread."""
     assert huber_step([0.75], centre=0.5, spread=0.125) == 0.125
 
 
@@ -224,7 +264,12 @@ def test_the_sides_of_the_test_are_a_squared_deviation_and_12_variances() -> Non
     [(1, 1.0, 1 / 4), (2, 0.5, 1 / 4)],  # v of the share, as p is 3/4; and of p, as the share is 1
 )
 def test_the_larger_variance_counts(n: int, centre: float, v: float) -> None:
-    _, limit = robust_test_sides(Observations(n, 2, 1.0), 0.75, centre, spread=0.0)
+    """A share s of black has the variance s (1 - s). Two shares are compared, after t = 2 observations.
+
+    They are the one that the robot has observed, n / t, and p, which it should observe by the centre.
+    """
+    observations = Observations(n=n, t=2, dispersion=1.0)
+    _squared_deviation, limit = robust_test_sides(observations, 0.75, centre, spread=0.0)
     assert limit == 12 * v / 2
 
 
@@ -240,8 +285,15 @@ def test_observations_at_the_limit_of_the_test_contradict_nothing() -> None:
 
 
 def test_the_spread_widens_the_limit_of_the_test() -> None:
-    sides = robust_test_sides(Observations(512, 1024, 1.0), 0.75, centre=0.5, spread=2**-5)
-    assert sides == (0.0, 12 * (0.25 / 1024 + (0.5 / 32) ** 2))
+    """To the variance of 1024 tiles, half of them black, it adds that of the share of black to be expected.
+
+    With b = 3/4 that share changes by 2 b - 1 = 1/2 of a change of the centre.
+    """
+    observations = Observations(n=512, t=1024, dispersion=1.0)
+    squared_deviation, limit = robust_test_sides(observations, 0.75, centre=0.5, spread=1 / 32)
+
+    assert squared_deviation == 0.0
+    assert limit == 12 * (0.25 / 1024 + (0.5 / 32) ** 2)
 
 
 def test_the_robust_test_in_float64_decides_as_in_exact_fractions() -> None:
@@ -275,6 +327,7 @@ def test_the_robust_test_in_float64_decides_as_in_exact_fractions() -> None:
 def test_more_than_two_of_five_estimates_are_a_party(
     supporter_count: int, count: int, is_party: bool
 ) -> None:
+    """The robot sees 3/4 of the tiles black, as it should by an estimate of 1.0; the centre is 0.0."""
     estimates = [1.0] * supporter_count + [0.0] * (count - supporter_count)
     assert is_supported(Observations(3, 4, 1.0), 0.75, estimates, centre=0.0) == is_party
 

@@ -232,28 +232,44 @@ def posterior_b_hat(prior_mean: float, prior_variance: float) -> float:
 
 
 def test_bayescpf_updates_b_by_bayes_rule() -> None:
-    assert bayescpf_robot().reestimate_b_hat() == pytest.approx(posterior_b_hat(0.8, 0.04))
+    """Before its first update it assumes the accuracy of its start, 0.8, with a standard deviation of 0.2."""
+    b_hat = bayescpf_robot().reestimate_b_hat()
+    assert b_hat == pytest.approx(posterior_b_hat(prior_mean=0.8, prior_variance=0.2**2))
 
 
 def test_bayescpf_is_less_uncertain_after_an_update() -> None:
+    """The precision, 1 / variance, of b grows by what 100 readings with x = 0.6 say about it.
+
+    With the formulas of ``posterior_b_hat``, where 2 b - 1 is 0.6 for the prior mean, 0.8.
+    """
     robot = bayescpf_robot()
+
     robot.reestimate_b_hat()
-    slope, noise = 100 * 0.2, 100 * (0.36 * (0.6 - 0.36 - 0.25) + 0.25)
-    assert robot._variance == pytest.approx(1 / (1 / 0.04 + slope**2 / noise))
+
+    x = 0.6
+    slope = 100 * (2 * x - 1)
+    noise = 100 * (0.6**2 * (x - x**2 - 0.25) + 0.25)
+    prior_variance = 0.04
+    assert robot._variance == pytest.approx(1 / (1 / prior_variance + slope**2 / noise))
 
 
 def test_bayescpf_measures_only_what_came_since_the_last_update() -> None:
+    """A robot of ``bayescpf_robot`` updates its accuracy at the end of each round, which uses up the counts."""
     robot = bayescpf_robot()
     robot.reestimate_b_hat()
     robot.observe(Observation.BLACK)
+
     robot.settle()
 
-    assert (robot._n_since_update, robot._t_since_update, robot._x_since_update) == (0, 0, [])
+    assert robot._n_since_update == 0
+    assert robot._t_since_update == 0
+    assert robot._x_since_update == []
 
 
 def test_bayescpf_does_not_measure_few_observations() -> None:
+    """The number of readings that the sensor gets wrong has to be 5 at least: here it is 24 x (1 - 0.8)."""
     robot = bayescpf_robot()
-    robot._t_since_update = 24  # 24 x 0.2 is below 5
+    robot._t_since_update = 24
     assert robot.reestimate_b_hat() is None
 
 
@@ -270,24 +286,31 @@ def test_bayescpf_updates_at_every_filter_step_unless_the_filter_is_off(
 
 @pytest.mark.parametrize("mean", [0.4, 0.49, 0.5, 1.0, 1.02, 1.3])
 def test_bayescpf_cuts_its_estimate_as_a_truncated_normal_distribution(mean: float) -> None:
+    """It is the mean of a normal distribution of which only the possible accuracies, 0.5 to 1, are left."""
     robot = bayescpf_robot()
-    robot._mean, robot._variance = mean, 0.01
-    expected = truncnorm.mean((0.5 - mean) / 0.1, (1 - mean) / 0.1, mean, 0.1)
+    deviation = 0.1
+    robot._mean, robot._variance = mean, deviation**2
+
+    lowest, highest = (0.5 - mean) / deviation, (1 - mean) / deviation
+    expected = truncnorm.mean(lowest, highest, loc=mean, scale=deviation)
     assert robot._truncated_mean() == pytest.approx(expected)
 
 
 def test_bayescpf_does_not_cut_an_estimate_far_outside_the_possible_range() -> None:
+    """A mean of 3 with a deviation of 0.01: next to nothing of the distribution is between 0.5 and 1."""
     robot = bayescpf_robot()
     robot._mean, robot._variance = 3.0, 1e-4
     assert robot._truncated_mean() == 3.0
 
 
 def test_bayescpf_for_ageing_sensors_moves_its_estimate_by_the_drift() -> None:
+    """Its accuracy falls by 1e-5 with each of the 100 readings before the update."""
     robot = bayescpf_robot(peers.DriftingBayesCpfRobot)
     assert robot.reestimate_b_hat() == pytest.approx(posterior_b_hat(0.8 - 100 * 1e-5, 0.04))
 
 
 def test_bayescpf_for_wandering_sensors_is_less_certain_of_its_estimate() -> None:
+    """With each of 100 readings the accuracy changes at random, with a standard deviation of 0.001."""
     robot = bayescpf_robot(peers.WanderingBayesCpfRobot)
     assert robot.reestimate_b_hat() == pytest.approx(posterior_b_hat(0.8, 0.04 + 100 * 0.001**2))
 
@@ -567,11 +590,18 @@ def test_a_liar_broadcasts_no_black_with_the_largest_confidence() -> None:
 
 
 def test_a_changing_floor_looks_as_if_0_95_were_black_from_the_middle_on() -> None:
+    """The tiles stay as they are: 0.55 are black. The sensors' accuracy on white tiles falls after 50 steps.
+
+    So they read as many tiles black as sensors with an accuracy of 0.9 would on a floor of 0.95.
+    """
     settings = Experiment(robots=2, flawed=0, steps=100, filter_period=50, fill_ratio=0.55, true_accuracy=0.9)
     floor = peers.ChangingFloor(settings, 0)
-    black, white = (np.concatenate(parts) for parts in zip(floor.advance(30), floor.advance(70), strict=True))
-    assert set(black.ravel()) == {0.9}
-    black_readings = 0.55 * 0.9 + 0.45 * (1 - white.ravel())
+    black_of_30_steps, white_of_30_steps = floor.advance(30)
+    black_of_70_steps, white_of_70_steps = floor.advance(70)
+    accuracies_on_black = np.concatenate([black_of_30_steps, black_of_70_steps])
+    accuracies_on_white = np.concatenate([white_of_30_steps, white_of_70_steps]).ravel()
 
-    assert black_readings[:50] == pytest.approx(0.55 * 0.9 + 0.45 * 0.1)
-    assert black_readings[50:] == pytest.approx(0.95 * 0.9 + 0.05 * 0.1)
+    assert set(accuracies_on_black.ravel()) == {0.9}
+    share_of_black_readings = 0.55 * 0.9 + 0.45 * (1 - accuracies_on_white)
+    assert share_of_black_readings[:50] == pytest.approx(0.55 * 0.9 + 0.45 * 0.1)
+    assert share_of_black_readings[50:] == pytest.approx(0.95 * 0.9 + 0.05 * 0.1)

@@ -54,22 +54,36 @@ def test_more_bits_of_alpha_change_nothing_for_the_robust_filter() -> None:
 # --- Ratios ----------------------------------------------------------------------------------------------
 
 
+def resampled(value: float, resamples: list[float]) -> Resampled:
+    """Return a value, and those that come out of resampled trials, which show how uncertain it is."""
+    return Resampled(value, np.array(resamples, np.float32))
+
+
 def test_a_ratio_divides_values_and_resamples_in_pairs() -> None:
-    ratio = Resampled(3.0, np.array([2.0, 8.0], np.float32)) / Resampled(
-        2.0, np.array([1.0, 2.0], np.float32)
-    )
-    assert (ratio.value, ratio.resamples.tolist()) == (1.5, [2.0, 4.0])
+    ratio = resampled(3.0, [2.0, 8.0]) / resampled(2.0, [1.0, 2.0])
+
+    assert ratio.value == 3.0 / 2.0
+    assert ratio.resamples.tolist() == [2.0 / 1.0, 8.0 / 2.0]
 
 
 def test_the_ratio_of_a_code_is_that_of_the_worst_swarm(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A ratio compares the error of a swarm with that of the same swarm with exact messages.
+
+    Here one kind of swarm has three times the error with the code 4+1, and all other errors are equal. A
+    ratio comes with the ends of its interval.
+    """
+    short_code, long_code = MessageCode(4, 1), MessageCode(16, 9)
+
     def planted_error(rows: object, message_bits: str, swarm: str) -> Resampled:
         is_worst = swarm == "moving, overconfident" and message_bits == "4+1"
-        return Resampled(0.3 if is_worst else 0.1, np.full(100, 0.3 if is_worst else 0.1, np.float32))
+        error = 0.3 if is_worst else 0.1
+        return resampled(error, [error] * 100)
 
     monkeypatch.setattr(small_messages, "late_error", planted_error)
-    ratios = small_messages.worst_ratios({}, [MessageCode(4, 1), MessageCode(16, 9)])
-    assert ratios[MessageCode(4, 1)] == pytest.approx((3.0, 3.0, 3.0))
-    assert ratios[MessageCode(16, 9)] == pytest.approx((1.0, 1.0, 1.0))
+    ratios = small_messages.worst_ratios({}, [short_code, long_code])
+
+    assert ratios[short_code] == pytest.approx((3.0, 3.0, 3.0))
+    assert ratios[long_code] == pytest.approx((1.0, 1.0, 1.0))
 
 
 @pytest.mark.parametrize(

@@ -59,35 +59,61 @@ def series_ending_in(*last_values: Sequence[float], length: int = 9) -> Any:
 
 
 def test_the_late_error_is_that_of_the_last_quarter() -> None:
+    """A quarter of nine samples is two. The error is the mean distance of four robots' x from f = 0.5.
+
+    Both trials are equal, so they have the same error.
+    """
     trials = trials_of_four_robots(series_ending_in([0.4, 0.6, 0.8, 0.0], [0.5, 0.7, 0.6, 0.0]))
-    mean_of_two_samples = (0.1 + 0.1 + 0.3 + 0.5 + 0.0 + 0.2 + 0.1 + 0.5) / 8  # a quarter of nine is two
-    assert study_program.late_errors(trials) == pytest.approx([mean_of_two_samples, mean_of_two_samples])
+    errors_of_last_but_one_sample = [0.1, 0.1, 0.3, 0.5]
+    errors_of_last_sample = [0.0, 0.2, 0.1, 0.5]
+    mean_error = sum(errors_of_last_but_one_sample + errors_of_last_sample) / 8
+
+    assert study_program.late_errors(trials) == pytest.approx([mean_error, mean_error])
 
 
 def test_the_late_error_of_three_samples_is_that_of_the_last_one() -> None:
+    """A quarter of three is none, but at least one sample counts."""
     trials = trials_of_four_robots(series_ending_in([0.4, 0.6, 0.8, 0.0], length=3))
-    assert study_program.late_errors(trials) == pytest.approx([0.25, 0.25])
+    errors_of_last_sample = [0.1, 0.1, 0.3, 0.5]
+    mean_error = sum(errors_of_last_sample) / 4
+
+    assert study_program.late_errors(trials) == pytest.approx([mean_error, mean_error])
+
+
+X_AT_THE_SHARE_OF_BLACK = series_ending_in([0.5, 0.5, 0.5, 0.5])
+"""Estimates of two trials that end at the right one, for tests of something else."""
 
 
 def test_healthy_robots_are_harmed_if_b_hat_ends_more_than_0_05_off() -> None:
-    b_hat = np.array([[[0.5, 0.9, 0.9, 0.9]], [[0.5, 0.84, 0.94, 0.9]]])
-    trials = trials_of_four_robots(series_ending_in([0.5] * 4), b_hat)
+    """Their accuracy is 0.9. In the second trial one of three healthy robots, with 0.84, is harmed.
+
+    The first of the four robots is flawed, and does not count.
+    """
+    b_hat_of_first_trial = [0.5, 0.9, 0.9, 0.9]
+    b_hat_of_second_trial = [0.5, 0.84, 0.94, 0.9]
+    one_filter_step = np.array([[b_hat_of_first_trial], [b_hat_of_second_trial]])
+    trials = trials_of_four_robots(X_AT_THE_SHARE_OF_BLACK, b_hat=one_filter_step)
+
     assert study_program.harmed_percents(trials) == pytest.approx([0, 100 / 3])
 
 
 def test_only_the_last_filter_step_says_who_is_harmed() -> None:
-    b_hat = np.array([[[0.5, 0.6, 0.6, 0.6], [0.5, 0.9, 0.9, 0.9]]] * 2)
-    trials = trials_of_four_robots(series_ending_in([0.5] * 4), b_hat)
+    """After the first step the healthy robots' b_hat is 0.6, which is wrong, and after the second 0.9."""
+    two_filter_steps = [[0.5, 0.6, 0.6, 0.6], [0.5, 0.9, 0.9, 0.9]]
+    b_hat_of_two_trials = np.array([two_filter_steps, two_filter_steps])
+    trials = trials_of_four_robots(X_AT_THE_SHARE_OF_BLACK, b_hat=b_hat_of_two_trials)
+
     assert study_program.harmed_percents(trials).tolist() == [0, 0]
 
 
 def test_a_trial_that_ends_before_the_first_filter_step_harms_nobody() -> None:
-    trials = trials_of_four_robots(series_ending_in([0.5] * 4), b_hat=np.empty((2, 0, 4)))
+    no_filter_steps = np.empty((2, 0, 4))  # by trial, filter step and robot
+    trials = trials_of_four_robots(X_AT_THE_SHARE_OF_BLACK, b_hat=no_filter_steps)
     assert study_program.harmed_percents(trials).tolist() == [0, 0]
 
 
 def test_swarms_without_healthy_robots_have_no_percentage_of_harmed_ones() -> None:
-    trials = trials_of_four_robots(series_ending_in([0.5] * 4), flawed=4)
+    trials = trials_of_four_robots(X_AT_THE_SHARE_OF_BLACK, flawed=4)
     assert np.isnan(study_program.harmed_percents(trials)).all()
 
 
@@ -97,6 +123,7 @@ def measured_numbers(trials: Any) -> Any:
 
 
 def test_medians_are_averaged_over_experiments() -> None:
+    """Each experiment has nine trials; the medians are 4 and 104. The interval is about their mean, 54."""
     experiments: Any = [range(9), range(100, 109)]
     value, low, high = study_program.mean_over_experiments(measured_numbers, experiments)
     assert value == 54
@@ -104,6 +131,7 @@ def test_medians_are_averaged_over_experiments() -> None:
 
 
 def test_measures_that_are_rarely_above_0_are_averaged_by_means() -> None:
+    """Their medians would be 0. One of 40 numbers is 1 here; the others are 0."""
     experiments: Any = [[1] + [0] * 19, [0] * 20]
     interval = study_program.mean_over_experiments(measured_numbers, experiments, resample_mean)
     # The one is drawn up to three times in the resamples within the interval.
@@ -128,7 +156,9 @@ def test_errors_have_two_or_three_significant_digits(error: float, text: str) ->
     ],
 )
 def test_an_interval_is_shown_if_it_reaches_beyond_the_tolerance(interval: Interval, text: str) -> None:
-    assert study_program.format_interval(interval, study_program.format_tenths, 0.5) == text
+    """An interval is a value with a lower and an upper end; the tolerance is 0.5 on either side."""
+    tolerance = 0.5
+    assert study_program.format_interval(interval, study_program.format_tenths, tolerance) == text
 
 
 def test_an_interval_that_rounds_to_one_number_is_not_shown() -> None:
@@ -136,30 +166,39 @@ def test_an_interval_that_rounds_to_one_number_is_not_shown() -> None:
     assert study_program.format_interval(interval, study_program.format_tenths, 0.01) == "50.0"
 
 
-def test_an_error_shows_its_interval_from_a_tenth_on() -> None:
-    narrow = trials_of_four_robots(np.array([[[0.61]], [[0.6]]]) * np.ones((2, 1, 4)))
-    wide = trials_of_four_robots(np.array([[[0.7]], [[0.6]]]) * np.ones((2, 1, 4)))
+def two_trials_with_x(first: float, second: float) -> Trials:
+    """Make two trials in each of which all four robots have the same x; the right one is f = 0.5."""
+    return trials_of_four_robots([[[first] * 4], [[second] * 4]])
+
+
+def test_an_error_shows_its_interval_if_that_is_as_wide_as_a_tenth_of_the_error() -> None:
+    """The errors of the trials are 0.11 and 0.1, and then 0.2 and 0.1."""
+    narrow = two_trials_with_x(0.61, 0.6)
+    wide = two_trials_with_x(0.7, 0.6)
     assert study_program.late_error_text([narrow]) == "0.105"
     assert study_program.late_error_text([wide]) == "0.150 (0.100..0.200)"
 
 
 def test_a_plain_error_has_no_interval() -> None:
-    wide = trials_of_four_robots(np.array([[[0.7]], [[0.6]]]) * np.ones((2, 1, 4)))
+    wide = two_trials_with_x(0.7, 0.6)
     assert study_program.plain_error_text([wide]) == "0.150"
 
 
 def test_a_score_has_one_decimal() -> None:
-    trials = trials_of_four_robots(series_ending_in([0.5] * 4))  # converged at step 0, without an error
+    """These trials have converged at step 0, without an error, which is worth 100 points."""
+    trials = trials_of_four_robots(X_AT_THE_SHARE_OF_BLACK)
     assert study_program.score_text([trials]) == "100.0"
 
 
 def test_the_error_of_underconfident_swarms_stands_before_that_of_overconfident_ones() -> None:
+    """Underconfident ones have an accuracy of 0.95 here, and x is 0.75 where 0.55 of the tiles are black."""
     overconfident = trials_of_four_robots(np.full((2, 1, 4), 0.9), fill_ratio=0.95, true_accuracy=0.55)
     underconfident = trials_of_four_robots(np.full((2, 1, 4), 0.75), fill_ratio=0.55, true_accuracy=0.95)
     assert study_program.under_and_over_text([overconfident, underconfident]) == "0.200, 0.050"
 
 
 def test_a_cell_of_one_kind_of_swarm_has_one_error() -> None:
+    """x is 0.9 where 0.95 of the tiles are black."""
     overconfident = trials_of_four_robots(np.full((2, 1, 4), 0.9), fill_ratio=0.95, true_accuracy=0.55)
     assert study_program.under_and_over_text([overconfident]) == "0.050"
 
