@@ -439,6 +439,7 @@ def init_status(firmware: Firmware, **settings: Any) -> Status:
 def test_settings_are_valid_up_to_the_ends_of_their_ranges(
     firmware: Firmware, name: str, status: Status, invalid: Sequence[Any], valid: Sequence[Any]
 ) -> None:
+    """The invalid values of the setting ``name`` are refused with this status, and the others are taken."""
     for value in invalid:
         assert init_status(firmware, **{name: value}) == status, value
     for value in valid:

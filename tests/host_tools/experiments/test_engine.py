@@ -371,6 +371,10 @@ def test_robots_move_in_vectors_as_one_by_one(tmp_path: Path, monkeypatch: pytes
 def test_the_fast_engine_in_c_computes_what_robots_in_python_do_message_by_message(
     experiment: Experiment,
 ) -> None:
+    """The engine simulates a whole experiment at once; the robots in Python send and receive each message.
+
+    Both compute with the integers of the firmware, so all results are equal, bit for bit.
+    """
     check_that_the_engine_is_the_mirror(experiment)
 
 

@@ -54,9 +54,20 @@ def test_scores_by_hand() -> None:
 
 
 def test_quartiles_are_values_where_they_can_be() -> None:
-    result = score([[0, 100, 200, 300, 400]], [[0.0, 0.1, 0.2, 0.3, 0.4]], 1000, 0.5)
-    assert result["h_K"][0] == pytest.approx(80 * math.exp(-0.2))
-    assert result["h_e"][0] == pytest.approx(60 * math.exp(-0.4))
+    """Of five robots the second, third and fourth are the quartiles. A score has a maximum of 100.
+
+    It falls with the median, and exponentially with the distance of the quartiles, both as parts of a limit.
+    The limits are 1000 steps for convergence and 0.5 for errors.
+    """
+    convergence_steps, errors = [0, 100, 200, 300, 400], [0.0, 0.1, 0.2, 0.3, 0.4]
+    result = score([convergence_steps], [errors], 1000, 0.5)
+
+    median_step, quartile_distance_of_steps = 200 / 1000, (300 - 100) / 1000
+    median_error, quartile_distance_of_errors = 0.2 / 0.5, (0.3 - 0.1) / 0.5
+    assert result["h_K"][0] == pytest.approx(100 * (1 - median_step) * math.exp(-quartile_distance_of_steps))
+    assert result["h_e"][0] == pytest.approx(
+        100 * (1 - median_error) * math.exp(-quartile_distance_of_errors)
+    )
 
 
 def test_an_error_that_is_nan_counts_as_the_worst() -> None:

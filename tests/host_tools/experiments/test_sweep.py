@@ -79,6 +79,7 @@ def test_every_trial_of_a_sweep_is_in_one_job(output: Path) -> None:
 def test_jobs_have_more_trials_the_shorter_these_are(
     changes: dict[str, Any], trials_of_jobs: list[int]
 ) -> None:
+    """A job is what a worker process runs at once: one trial at least, and more where they are short."""
     experiment = replace(GRID[0], **changes)
     jobs = sweep.jobs_of_experiment(experiment, range(experiment.trials), sampling_interval=0)
     assert [job.count for job in jobs] == trials_of_jobs
@@ -560,12 +561,17 @@ def one_experiment(tmp_path: Path) -> Path:
 def test_simulate_takes_options_over_a_file(
     one_experiment: Path, run_for_json: Callable[..., dict[str, Any]]
 ) -> None:
+    """The file's experiment has 100 steps, for which there is no option here, and other robots and trials."""
     options = ["--robots", "6", "--flawed", "50%", "--trials", "4", "--omega", "0.1"]
     answer = run_for_json("simulate", one_experiment, *options)
     parameters = answer["parameters"]
 
-    assert [parameters[name] for name in ("steps", "robots", "flawed", "omega")] == [100, 6, 3, 0.1]
-    assert (answer["trials"], answer["limits"]) == (4, {"k_max": 100, "e_max": 0.45})
+    assert parameters["steps"] == 100
+    assert parameters["robots"] == 6
+    assert parameters["flawed"] == 3  # 50 % of 6
+    assert parameters["omega"] == 0.1
+    assert answer["trials"] == 4
+    assert answer["limits"] == {"k_max": 100, "e_max": 0.45}
 
 
 def test_simulate_writes_results_if_it_is_asked_to(

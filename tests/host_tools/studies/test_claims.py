@@ -170,12 +170,13 @@ def test_two_names_of_the_same_experiment_are_compared_once() -> None:
 
 
 def test_the_next_lower_share_of_flawed_robots_is_the_next_that_the_study_runs() -> None:
+    """P is the percentage of flawed robots. Each cell of the study is compared with a reference cell."""
     plans = plan(flawed_percents=[10, 30, 50, 100], flawed_accuracies=0.95, than="next lower P")
-    percents = [
+    percents_and_those_of_references = [
         (plan.cell.flawed_percent, plan.reference and plan.reference.flawed_percent) for plan in plans
     ]
 
-    assert percents == [(10, 0), (30, 10), (50, 30), (100, 50)]
+    assert percents_and_those_of_references == [(10, 0), (30, 10), (50, 30), (100, 50)]
 
 
 @pytest.mark.parametrize(

@@ -254,7 +254,7 @@ def test_bayescpf_is_less_uncertain_after_an_update() -> None:
 
 
 def test_bayescpf_measures_only_what_came_since_the_last_update() -> None:
-    """A robot of ``bayescpf_robot`` updates its accuracy at the end of each round, which uses up the counts."""
+    """The robot updates its accuracy at the end of each round, too, which uses up the counts."""
     robot = bayescpf_robot()
     robot.reestimate_b_hat()
     robot.observe(Observation.BLACK)

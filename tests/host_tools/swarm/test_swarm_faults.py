@@ -195,15 +195,22 @@ class Broadcasts(NamedTuple):
 def test_replay_tells_which_broadcasts_a_fault_has_changed(
     fault: str, expected: Broadcasts, tmp_path: Path
 ) -> None:
+    """A run writes its events, by which replay computes all broadcasts again.
+
+    Those that a fault has falsified, sent under another robot's id or injected are counted, and the others
+    are reproduced.
+    """
     path, events = tmp_path / "run.events", list[str]()
-    _, frames = record(small(fault), events=events)
+    _run, frames = record(small(fault), events=events)
     path.write_text("".join(events))
+
     with EventsReader(path) as reader:
         verdict = verify(frames, reader)
     with EventsReader(path) as reader:
         injected = sum(isinstance(entry, InjectedFrame) for entry in reader.entries())
 
-    assert (verdict.difference, verdict.not_logged) == (None, 0)
+    assert verdict.difference is None
+    assert verdict.not_logged == 0
     assert Broadcasts(verdict.reproduced, verdict.falsified, verdict.foreign, injected) == expected
 
 

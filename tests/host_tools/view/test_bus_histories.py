@@ -82,6 +82,7 @@ def test_robots_of_a_bus_are_in_the_order_of_their_first_values(bus: ScriptedBus
 
 
 def test_states_of_a_bus_have_what_its_robots_sent_before(bus: ScriptedBus) -> None:
+    """Each row is a state, and each column one of two robots; NAN is what the robot has not sent so far."""
     states = record(bus, 0.5).history.states_since().states
     x, x_hat, b_hat, b = np.stack([state.values for state in states], axis=1)
 
@@ -166,8 +167,10 @@ def test_a_log_has_ten_states_a_second(frame_history: FrameLogHistory) -> None:
 def test_states_of_a_log_have_what_its_robots_sent_before(
     frame_history: FrameLogHistory, tick: int, column: int, values: list[float]
 ) -> None:
+    """The values of a robot are its x, x_hat, b_hat and b; NAN is what it has not sent, or not for long."""
     state = frame_history.history.states_since().states[tick]
-    assert np.array_equal(state.values[:, column], values, equal_nan=True)
+    values_of_robot = state.values[:, column]
+    assert np.array_equal(values_of_robot, values, equal_nan=True)
 
 
 def test_a_log_has_a_report_and_has_ended(frame_history: FrameLogHistory) -> None:

@@ -78,4 +78,8 @@ def test_a_run_without_an_end_keeps_at_most_a_hundred_states(monkeypatch: pytest
     ],
 )
 def test_the_spacing_of_states_keeps_a_page_small(steps: int, robots: int, spacing: int) -> None:
+    """``spacing`` is the number of steps from one state that a page keeps to the next.
+
+    It is 1 where all states together are small enough, and grows with the steps and robots of a run.
+    """
     assert steps_between_states(steps, robots) == spacing

@@ -208,6 +208,11 @@ def test_rows_are_in_the_order_of_the_ids(roster: RosterOfRobot3) -> None:
 def test_two_nodes_with_one_id_are_distinguished_from_one_that_restarts(
     roster: RosterOfRobot3, uptimes_and_transfer_ids: list[tuple[int, int]], conflicts: int
 ) -> None:
+    """Heartbeats of one node count its seconds (uptime) and its heartbeats (transfer id) up together.
+
+    A restarted node counts from 0 again. A heartbeat that comes twice, or that continues not the latest one
+    but the one before it, is a conflict: a second node sends under this id.
+    """
     for uptime, transfer_id in uptimes_and_transfer_ids:
         roster.receive_heartbeat(uptime, transfer_id)
     assert roster.row(now=0.0)["conflicts"] == conflicts

@@ -229,7 +229,9 @@ def test_a_pixel_of_the_floor_is_the_tile_that_robots_observe_there(
     arena = Arena(settings, 0)
     rows, columns = floor.shape
     width, height = settings.sides
-    for row, column in ((0, 0), (0, columns - 1), (rows - 1, 0), (17, 31)):
+    some_pixels = ((0, 0), (0, columns - 1), (rows - 1, 0), (17, 31))
+    for row, column in some_pixels:
+        # The centre of the pixel in metres: (0, 0) is the middle of the floor, and y grows upwards.
         x = ((column + 0.5) / columns - 0.5) * width
         y = (0.5 - (row + 0.5) / rows) * height
         assert floor[row, column] == arena.is_black(x, y)
@@ -332,13 +334,18 @@ def trials_of_the_authors(tmp_path: Path) -> Trials:
 
 
 def test_a_trial_of_another_program_has_the_states_that_are_recorded(trials_of_the_authors: Trials) -> None:
+    """The values of a state are x, x_hat, b_hat and the true accuracy b, each of all robots.
+
+    The first three were recorded every 20 steps; the last follows from the experiment.
+    """
     states = states_of(recorded_trial_history(trials_of_the_authors, trial=2))
     assert [state.tick for state in states] == [0, 20, 40, 60]
     for index, name in enumerate(("x", "x_hat", "b_hat")):
         recorded_values = trials_of_the_authors.records[name][0]
         assert np.array_equal([state.values[index] for state in states], recorded_values)
 
-    assert (states[0].values[3] == FIXED.true_accuracy).all()
+    *_, true_accuracies = states[0].values
+    assert (true_accuracies == FIXED.true_accuracy).all()
 
 
 def test_a_trial_of_another_program_has_neither_places_nor_neighbours(trials_of_the_authors: Trials) -> None:
