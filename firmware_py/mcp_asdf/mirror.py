@@ -305,8 +305,9 @@ def informed_estimate(closed: Closed, x_hat: int, alpha: int) -> int:
 
         x = (alpha x_hat + sum alpha_j x_hat_j) / (alpha + sum alpha_j)
 
-    ``x_hat`` and the result are in units of 2**-23, and ``alpha``, its confidence, is an alpha word. The
-    result is ``x_hat`` if all confidences are 0. For an own alpha of 0 it is x_bar (eq. 5).
+    ``x_hat`` and the result are in units of 2**-23. ``alpha``, its confidence, is an alpha word: a mantissa
+    in bits 8 to 31 and a shift in bits 0 to 4. The result is ``x_hat`` if all confidences are 0. For an own
+    alpha of 0 it is x_bar (eq. 5).
     """
     own_alpha = alpha_units(alpha)  # units of 2**-24, as the sum of alpha
     if closed.alpha + own_alpha == 0:
@@ -787,8 +788,9 @@ class MirrorRobot(FixedPointView):
     def _social_or_informed_estimate(self, x_hat: int, alpha: int) -> int:
         """Return the weighted mean of the last closed round's x_hat and ``x_hat``, in units of 2**-23.
 
-        ``alpha``, an alpha word, is the weight of ``x_hat``. The result is the social estimate if it is 0,
-        and the informed estimate if both are the robot's own. With the robust filter it is the centre of the
+        ``alpha``, a word of 32 bits with a mantissa (bits 8 to 31) and a shift (bits 0 to 4), is the weight
+        of ``x_hat``. The result is the social estimate if ``alpha`` is 0, and the informed estimate if both
+        are the robot's own. With the robust filter it is the centre of the
         votes, or ``x_hat`` before the first.
         """
         if not self.is_robust:
@@ -803,7 +805,7 @@ class MirrorRobot(FixedPointView):
         return Counters(s.accepted, s.repeated, s.rejected, s.tests, s.updates)
 
     def state(self) -> dict[str, int]:
-        """Return all numbers of the state by name, to compare two firmwares.
+        """Return all numbers of the robot's state by name, to compare two firmwares.
 
         Members of a nested object are named as in ``open_alpha``, and elements of a list as in ``heard_0``.
         """

@@ -91,8 +91,8 @@ def decode_alpha(code: int, bits: int) -> int:
 def encode_message(sender: int, x_hat: int, alpha: int) -> bytes:
     """Return a robot's broadcast as a message of 4 bytes.
 
-    ``x_hat`` is in units of 2**-23, and ``alpha``, its confidence, an alpha word. Raises ValueError for a
-    sender above 127 or an x_hat above 2**23.
+    ``x_hat`` is in units of 2**-23. ``alpha``, its confidence, is an alpha word: a mantissa in bits 8 to 31
+    and a shift in bits 0 to 4. Raises ValueError for a sender above 127 or an x_hat above 2**23.
     """
     if not 0 <= sender <= MAX_ID:
         raise ValueError(f"sender is {sender}; give an id from 0 to {MAX_ID}")
@@ -106,8 +106,8 @@ def encode_message(sender: int, x_hat: int, alpha: int) -> bytes:
 def decode_message(message: bytes) -> tuple[int, int, int]:
     """Return sender, x_hat and alpha of a message, which may be any 4 bytes.
 
-    x_hat is in units of 2**-23, and alpha, its confidence, an alpha word. Raises ValueError for another
-    number of bytes.
+    x_hat is in units of 2**-23. alpha, its confidence, is an alpha word: a mantissa in bits 8 to 31 and a
+    shift in bits 0 to 4. Raises ValueError for another number of bytes.
     """
     if len(message) != MESSAGE_BYTES:
         raise ValueError(f"the message has {len(message)} bytes; a small message has {MESSAGE_BYTES}")

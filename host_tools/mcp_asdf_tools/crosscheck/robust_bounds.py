@@ -55,8 +55,9 @@ def round_towards_0(value: Fraction, unit: Fraction) -> Fraction:
 def rounded_votes_after(votes: Votes[Fraction], x_hat: Fraction) -> Votes[Fraction]:
     """Return the summary of the votes that the firmware must have after one more vote, ``x_hat``.
 
-    A vote moves centre and spread as `votes_after` says. Before it both were multiples of 2**-30, and their
-    changes are rounded towards 0 to such multiples.
+    A vote pulls the centre of all votes towards itself, and widens or narrows their spread; `votes_after`
+    says exactly by how much. The firmware's centre and spread are multiples of 2**-30, and it rounds their
+    changes towards 0 to such multiples.
     """
     exact = votes_after(votes, x_hat)
     # The firmware shifts distances, which are not negative, and applies the sign afterwards.
