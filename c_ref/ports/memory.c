@@ -6,10 +6,10 @@
 void *memcpy(void *restrict to, const void *restrict from, size_t size);
 void *memset(void *to, int value, size_t size);
 
-/* Copy `size` bytes, byte by byte, between areas that do not overlap. Returns `to`. See the C standard. */
+/* Copy `size` bytes, byte by byte, between areas that do not overlap. Returns `to`. See the C standard. The
+ * target is volatile, so that the compiler makes each write itself, and no call of memcpy() of the loop. */
 void *memcpy(void *restrict to, const void *restrict from, size_t size)
 {
-    /* The compiler must make each write to a volatile byte itself, and so keeps the loop. */
     volatile unsigned char *target = to;
     for (const unsigned char *source = from; size > 0; --size) {
         *target++ = *source++;
@@ -17,10 +17,10 @@ void *memcpy(void *restrict to, const void *restrict from, size_t size)
     return to;
 }
 
-/* Fill `size` bytes with the lowest 8 bits of a value. Returns `to`. See the C standard. */
+/* Fill `size` bytes with the lowest 8 bits of a value. Returns `to`. See the C standard. The target is
+ * volatile, so that the compiler keeps the loop and makes no call of memset() of it. */
 void *memset(void *to, int value, size_t size)
 {
-    /* Volatile, so that the compiler keeps the loop and does not make a call of memset() of it. */
     for (volatile unsigned char *target = to; size > 0; --size) {
         *target++ = (unsigned char)value;
     }

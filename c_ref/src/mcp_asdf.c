@@ -38,10 +38,10 @@ ASSERT(b_hat_mirrors, MCP_ASDF_B_HAT_MIN + MCP_ASDF_B_HAT_MAX == 0); /* modulo 2
 
 /* ---- The local estimate: eq. 3 and 4 ---- */
 
-/* Returns (g / p)^2 as Q30, for two numbers in [2^31, 2^32) of one format. */
+/* Returns (g / p)^2 as Q30, for two numbers in [2^31, 2^32) of one format. Both are halved for divide_24(),
+ * which takes a divisor of at most 2^31; their quotient stays g / p. */
 static uint32_t square_of_ratio(uint32_t g, uint32_t p)
 {
-    /* Both are halved for divide_24(), which takes a divisor of at most 2^31; the quotient stays g / p. */
     const uint32_t ratio = divide_24(g >> 1, p >> 1) << 7; /* Q24 to Q31: (2^30, 2^32) */
     return multiply_high(ratio, ratio);                    /* Q31 Q31 = Q62, to Q30: [2^28, 2^32) */
 }
@@ -94,10 +94,10 @@ HOT uint32_t alpha_word_from_mantissa(uint32_t mantissa, uint32_t exponent)
 
 /* Returns `sum`, which is above 0, as a confidence: the 24 bits from its highest bit down are the mantissa,
  * and bits below these are lost. `exponent` is the exponent of a sum whose highest bit is bit 63, and the
- * result has one less for every bit by which the sum has to be shifted left to be such a sum. */
+ * result has one less for every bit by which the sum has to be shifted left to be such a sum: by a whole word
+ * first, where the upper one is 0, and then by the rest. */
 ALWAYS_INLINE confidence_t confidence_of_sum(uint64_t sum, uint32_t exponent)
 {
-    /* By a whole word first, where the upper one is 0. */
     if (high_word(sum) == 0U) {
         sum = join(low_word(sum), 0);
         exponent -= 32U;
@@ -152,13 +152,14 @@ ALWAYS_INLINE confidence_t confidence_at_end(uint32_t t, uint32_t rare_observati
  *   rarer     p t 2^shift                  [2^11, total / 2]
  *   scale     g t 2^(shift + g_shift)      [2^30, 2^32)
  *   g_shift   by how much g was shifted    at most 31
- *   shift     by how much t was shifted    at most 31 */
+ *   shift     by how much t was shifted    at most 31
+ *
+ * With t^2 above and below, alpha = (g t)^2 t / (p t (1 - p) t), of which `square` is the dividend and
+ * `spread` the divisor. The dividend is a product of three words: each multiply_high() leaves out the lower
+ * 32 bits, and the upper word of the three is what is left. Of the divisor both words are formed. */
 ALWAYS_INLINE confidence_t confidence_inside(uint32_t total, uint32_t rarer, uint32_t scale, uint32_t g_shift,
                                              uint32_t shift)
 {
-    /* With t^2 above and below, alpha = (g t)^2 t / (p t (1 - p) t). The dividend is a product of three
-     * words: each multiply_high() leaves out the lower 32 bits, and the upper word of the three is what is
-     * left. Of the divisor both words are formed. */
     const uint32_t square = multiply_high(multiply_high(scale, scale), total); /* [2^27, 2^32) */
     const uint64_t spread = multiply(rarer, total - rarer);                    /* [2^41, 2^62] */
     /* Both are shifted until their highest bit is set, and of the divisor the upper word is taken, so that
@@ -291,11 +292,11 @@ HOT void add_estimate(mcp_asdf_t *robot, uint32_t x_hat, uint32_t alpha)
  * alpha_x_low. */
 HOT uint32_t round_mean(uint64_t alpha, uint64_t alpha_x_low, uint64_t alpha_x_high)
 {
-    /* The sum of alpha x_hat in units of 2^-23 of a unit of alpha: 2^32 upper_sum + lower_sum. */
     const uint64_t upper_sum = alpha_x_high + high_word(alpha_x_low); /* < 2^53 + 2^30 */
     const uint32_t lower_sum = low_word(alpha_x_low);
-    /* Without its 23 bits behind the point, in whole units of alpha like the divisor: <= alpha < 2^62. The
-     * upper part goes 32 - 23 bits to the left, the lower word 23 to the right. */
+    /* These are the sum of alpha x_hat in units of 2^-23 of a unit of alpha: 2^32 upper_sum + lower_sum. The
+     * dividend is this sum without its 23 bits behind the point, in whole units of alpha like the divisor: <=
+     * alpha < 2^62. The upper part goes 32 - 23 bits to the left, the lower word 23 to the right. */
     uint64_t dividend = (upper_sum << 9) | (lower_sum >> 23);
     if (high_word(alpha) == 0U) {
         /* In so small sums those 23 bits count. Dividend and alpha fit in a word, and are multiplied by 2^32
@@ -562,8 +563,8 @@ NOINLINE mcp_asdf_status_t update_b_hat(mcp_asdf_t *robot)
  * between. Returns UPDATED if it has re-estimated b_hat, else OK. */
 HOT_PUBLIC mcp_asdf_status_t mcp_asdf_settle(mcp_asdf_t *robot)
 {
-    /* The constant spares a build without the robust filter a load of robot->config. */
     const bool is_robust = MCP_ASDF_WITH_ROBUST && mcp_asdf_is_robust(robot->config);
+    /* The constant spares a build without the robust filter a load of robot->config. */
     mcp_asdf_status_t status = MCP_ASDF_OK;
     if (is_robust) {
         take_vote(robot);

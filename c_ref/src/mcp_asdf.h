@@ -357,8 +357,9 @@ MCP_ASDF_INLINE mcp_asdf_counters_t mcp_asdf_counters(const mcp_asdf_t *robot) {
  */
 MCP_ASDF_INLINE uint16_t mcp_asdf_thousandths(uint32_t x)
 {
+    const uint32_t half = UINT32_C(1) << 19; /* of 2^20, to round to nearest */
     /* 1000 x / 2^23 is 125 x / 2^20, and 125 2^23 + 2^19 < 2^30. */
-    return (uint16_t)((x * 125U + (UINT32_C(1) << 19)) >> 20);
+    return (uint16_t)((x * 125U + half) >> 20);
 }
 
 #ifdef __cplusplus

@@ -66,10 +66,10 @@ ALWAYS_INLINE word_pair_t shift_left_wide(uint32_t value, uint32_t count)
     return shifted;
 }
 
-/* Returns the upper word of value 2^count modulo 2^64, count in [0, 31]. Lemma upper. */
+/* Returns the upper word of value 2^count modulo 2^64, count in [0, 31]: the highest `count` bits of the
+ * lower word cross into the bottom of the upper one. Lemma upper. */
 ALWAYS_INLINE uint32_t upper(uint64_t value, uint32_t count)
 {
-    /* The highest `count` bits of the lower word cross into the bottom of the upper one. */
     return shift_left(high_word(value), count) | highest_bits_to_bottom(low_word(value), count);
 }
 
@@ -85,10 +85,10 @@ ALWAYS_INLINE void add(uint64_t *sum, uint64_t term)
 
 /* Returns a dividend and a divisor of 32 bits for divide_31(), for 0 <= a <= d, d > 0: the upper 32 bits of
  * a, and half of those of d, rounded up, which is in [2^30, 2^31]. Half of their quotient is at most 2^-31 +
- * 2^-30 a / d less than a / d, and never more. Lemma ratio. */
+ * 2^-30 a / d less than a / d, and never more. Before that both are shifted alike until the highest bit of d
+ * is set, by a whole word first. Lemma ratio. */
 ALWAYS_INLINE word_pair_t ratio(uint64_t a, uint64_t d)
 {
-    /* Both are shifted alike until the highest bit of d is set, by a whole word first. */
     if (high_word(d) == 0U) {
         a = join(low_word(a), 0);
         d = join(low_word(d), 0);

@@ -150,8 +150,8 @@ static bool is_finite_and_positive(uint32_t binary32) { return binary32 < BINARY
  * 2^shift (bits 0 to 4) in units of 2^-24. Exact for every word. */
 static uint32_t binary32_from_alpha_word(uint32_t alpha)
 {
-    /* ALPHA_SHIFT_MAX is also the mask of the bits that hold the shift. */
     uint32_t mantissa = alpha >> 8, exponent = BINARY32_UNIT_EXPONENT + (alpha & ALPHA_SHIFT_MAX);
+    /* ALPHA_SHIFT_MAX, 31, is also the mask of the 5 bits that hold the shift. */
     if (mantissa == 0U) {
         return 0;
     }
@@ -236,9 +236,9 @@ mcp_asdf_frame_status_t mcp_asdf_decode_estimate(mcp_asdf_estimate_t *message, u
 mcp_asdf_frame_status_t mcp_asdf_encode_heartbeat(mcp_asdf_frame_t *frame, uint8_t priority,
                                                   const mcp_asdf_heartbeat_t *message)
 {
+    const mcp_asdf_frame_format_t format = {0, priority};
     /* check_sender_and_format() checks a subject, too, but the one of heartbeats is no argument that could be
      * wrong. So it gets subject 0, which is always valid, and what it finds concerns node and priority. */
-    const mcp_asdf_frame_format_t format = {0, priority};
     const status_t status = check_sender_and_format(&format, message->node);
     if (status != MCP_ASDF_FRAME_OK) {
         return status;

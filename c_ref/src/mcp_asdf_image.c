@@ -54,13 +54,11 @@ static bool has_same_accuracy(const mcp_asdf_accuracy_t *accuracy, const mcp_asd
  * not known, and may be any that a robot can form.
  *
  * The caller lends *fresh, memory for a robot that is computed to compare with: a small stack may have no
- * room for another one. */
+ * room for another one. That robot never settles, so that its filter does not matter: it has one that needs
+ * no t-table, which is OFF or, where only the robust filter is built, this one. */
 static bool is_valid_estimate(const mcp_asdf_t *robot, mcp_asdf_t *fresh)
 {
-    /* The robot to compare with never settles, so that its filter does not matter: it has one that needs no
-     * t-table. That is OFF or, where only the robust filter is built, this one. A constant config would take
-     * RAM on an AVR. */
-    mcp_asdf_config_t config = *robot->config;
+    mcp_asdf_config_t config = *robot->config; /* a constant one would take RAM on an AVR */
     config.filter = MCP_ASDF_WITH_ASDF ? MCP_ASDF_OFF : MCP_ASDF_ROBUST;
     /* recompute_estimate() fails for an id or b_hat out of range, and for n > t. */
     if (robot->t >= config.memory || !recompute_estimate(robot, &config, fresh) ||
@@ -87,19 +85,19 @@ static bool is_valid_estimate(const mcp_asdf_t *robot, mcp_asdf_t *fresh)
  *     alpha_x_high   (2^23 - 1) 2^23          the upper word: alpha is below 2^55 units
  *
  * and 127 messages, which is less than 2^7, give the limits below, of which the last two are rounded up to
- * powers of two. */
+ * powers of two.
+ *
+ * Where the mean is 1.0, the sum of alpha x_hat is 2^23 alpha. Neither fits in 64 bits, so that both are
+ * compared in two pieces:
+ *
+ *                      from bit 32 up                      bits 31 to 0
+ *     sum              alpha_x_high + alpha_x_low / 2^32   those of alpha_x_low
+ *     2^23 alpha       alpha / 2^9                         the lowest 9 bits of alpha, times 2^23 */
 static bool is_valid_mean(uint64_t alpha, uint64_t alpha_x_low, uint64_t alpha_x_high)
 {
-    /* Where the mean is 1.0, the sum of alpha x_hat is 2^23 alpha. Neither fits in 64 bits, so that both are
-     * compared in two pieces:
-     *
-     *                      from bit 32 up                      bits 31 to 0
-     *     sum              alpha_x_high + alpha_x_low / 2^32   those of alpha_x_low
-     *     2^23 alpha       alpha / 2^9                         the lowest 9 bits of alpha, times 2^23
-     *
-     * upper_sum wraps only if alpha_x_high is at least 2^64 - 2^32, which is out of its range: this is
-     * checked first. */
     const uint64_t upper_sum = alpha_x_high + (alpha_x_low >> 32);
+    /* upper_sum wraps only if alpha_x_high is at least 2^64 - 2^32, which is out of its range: this is
+     * checked before upper_sum is used. */
     const uint64_t upper_limit = alpha >> 9; /* 2^23 alpha / 2^32 */
     /* MCP_ASDF_MAX_ID, 127, is also the number of messages: a robot has 127 others. */
     return alpha <= (MCP_ASDF_MAX_ID * ALPHA_MANTISSA) << 31 && alpha_x_low < (UINT64_C(1) << 62) &&

@@ -232,12 +232,12 @@ static uint32_t sort_estimates(const mcp_asdf_t *robot, uint16_t sorted[MCP_ASDF
 }
 
 /* Returns the median distance of sorted estimates (Q16) from their median (Q24), as Q24 and within the limits
- * of a spread. */
+ * of a spread. Estimates are passed in the order of their distances, from the middle outwards, each time the
+ * nearer of the next ones on either side, up to the one whose distance is the median. */
 static uint32_t median_distance(const uint16_t *sorted, uint32_t count, uint32_t median)
 {
-    /* From the middle outwards, the nearer of the next estimates on either side: in the order of their
-     * distances. Estimates `below` to `above` - 1 are passed. */
     uint32_t below = count / 2U, above = below, distance = 0, last_distance = 0;
+    /* Estimates `below` to `above` - 1 are passed. */
     for (uint32_t rank = 0; rank <= count / 2U; ++rank) { /* at most 17 turns */
         const uint32_t distance_below = below > 0U ? median - q24_from_q16(sorted[below - 1U]) : UINT32_MAX;
         const uint32_t distance_above = above < count ? q24_from_q16(sorted[above]) - median : UINT32_MAX;

@@ -24,12 +24,13 @@ uint32_t mcp_asdf_x_hat_to_code(uint32_t x_hat, uint32_t bits)
     return high_word(product + (UINT64_C(1) << 31)); /* 1/2 is added to round to nearest */
 }
 
-/* Returns the x_hat nearest to a code of 1 to 23 bits divided by the largest such code, as Q23. */
+/* Returns the x_hat nearest to a code of 1 to 23 bits divided by the largest such code, as Q23.
+ *
+ * The digits of code / (2^bits - 1) behind the binary point are those of the code, again and again, just as
+ * 37 / 99 is 0.373737... in the decimal system. So the code is copied behind itself until there are 24
+ * digits: the copies double in each turn. */
 uint32_t mcp_asdf_x_hat_from_code(uint32_t code, uint32_t bits)
 {
-    /* The digits of code / (2^bits - 1) behind the binary point are those of the code, again and again, just
-     * as 37 / 99 is 0.373737... The copies double in each turn, of which there are 5 at most, until there are
-     * 24 digits. */
     uint32_t digits = code << (32U - bits);
     for (uint32_t length = bits; length < 24U; length *= 2U) { /* at most 5 turns */
         digits |= digits >> length;
@@ -46,8 +47,8 @@ uint32_t mcp_asdf_x_hat_from_code(uint32_t code, uint32_t bits)
  */
 static uint32_t long_code_from_alpha(uint32_t alpha)
 {
-    /* ALPHA_SHIFT_MAX is also the mask of the bits that hold the shift. */
     uint32_t mantissa = alpha >> 8, length = 24U + (alpha & ALPHA_SHIFT_MAX);
+    /* ALPHA_SHIFT_MAX, 31, is also the mask of the 5 bits that hold the shift. */
     /* Shift until the highest of 24 bits is set; the value's length in bits follows. */
     while (mantissa >> 23 == 0U) { /* at most 23 turns, so the length stays above 0 */
         mantissa <<= 1;

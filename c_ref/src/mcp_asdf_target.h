@@ -181,11 +181,10 @@ SHARED uint32_t divide_24(uint32_t a, uint32_t d)
     return (first << 12) + second + (uint32_t)(a >= d);
 }
 
-/* Returns floor(2^31 a / d), the quotient a / d as Q31, for a < 2 d and 2^30 <= d <= 2^31: below 2^32. Lemma
- * divide_31. */
+/* Returns floor(2^31 a / d), the quotient a / d as Q31, for a < 2 d and 2^30 <= d <= 2^31: below 2^32. It has
+ * digits of 12, 12 and 7 bits, and is one more if the rest is not below d. Lemma divide_31. */
 ALWAYS_INLINE uint32_t divide_31(uint32_t a, uint32_t d)
 {
-    /* Digits of 12, 12 and 7 bits, and one more if the rest is not below d. */
     const uint32_t prepared = prepare(d), first = take_digit(&a, d, prepared, 12);
     const uint32_t second = take_digit(&a, d, prepared, 12), third = take_digit(&a, d, prepared, 7);
     return (first << 19) + (second << 7) + third + (uint32_t)(a >= d);

@@ -246,8 +246,9 @@ static slcan_event_t handle_command(slcan_link_t *link)
 
 /* ---- Receiving -------------------------------------------------------------------------------------- */
 
-/* Handle a line that is complete: a frame, which is written to *frame, or a command. Damaged lines are
- * dropped; frames on a closed bus are refused. */
+/* Handle a line that is complete. Returns SLCAN_FRAME, with the frame in *frame, if it is a frame;
+ * SLCAN_OPENED if it is the command that opens the bus; else SLCAN_NOTHING. A damaged line is dropped, and a
+ * frame is refused, with a bell as the answer, while the bus is closed. */
 static slcan_event_t handle_line(slcan_link_t *link, mcp_asdf_frame_t *frame)
 {
     if (link->is_line_damaged) {

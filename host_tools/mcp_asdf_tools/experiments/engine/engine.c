@@ -169,8 +169,7 @@ static void receive_along_links(const run_t *run)
  * sums, as in such a swarm all robots have the same x; its own message is left out, as settling adds it. */
 FOR_EACH_TARGET static void sum_all_messages(lanes_t *rows, uint32_t robots)
 {
-    /* Those of row 0, which are 0 since its last round was closed. The three sums are all that x needs. */
-    lanes_sums_t all = rows->round_sums;
+    lanes_sums_t all = rows->round_sums; /* of row 0: all 0 since its last round was closed */
     for (const lanes_t *row = rows + 1; row < rows + robots; ++row) { /* from robot 1 on */
         for (uint32_t l = 0; l < LANES; ++l) {
             all.alpha[l] += row->message_sums.alpha[l];

@@ -14,12 +14,13 @@
 #endif
 
 /* Returns the number of leading zeros of value > 0, or 31 for 0. They follow from the exponent of the value
- * as a binary32 number: this takes no instruction that AVX2 lacks. */
+ * as a binary32 number: this takes no instruction that AVX2 lacks.
+ *
+ * A float has 24 significant bits: a longer number may be rounded up to the next power of two, which has one
+ * leading zero less. So in `sparse` each bit whose upper neighbour is set is cleared. That leaves the highest
+ * set bit as it is, and no carry can reach it. The OR makes a value of 0 a 1, which has 31 leading zeros. */
 LANES_INLINE uint32_t leading_zeros(uint32_t value)
 {
-    /* A float has 24 significant bits: a longer number may be rounded up to the next power of two, which has
-     * one leading zero less. So each bit whose upper neighbour is set is cleared. That leaves the highest set
-     * bit as it is, and no carry can reach it. The OR makes a value of 0 a 1, which has 31 leading zeros. */
     const uint32_t sparse = (value | 1U) & ~(value >> 1);
     const union {
         float number;

@@ -60,9 +60,9 @@ static bool pixel_is_black(const mcp_asdf_arena_config_t *config, double x, doub
  * the limit. */
 IN_LOOPS bool tile_is_black(const mcp_asdf_arena_t *arena, double x, double y)
 {
-    /* Doubles are converted by way of signed numbers, for which processors have an instruction. */
     const uint64_t column = (uint64_t)(int64_t)((x + arena->config.width / 2) * arena->tiles_per_metre);
     const uint64_t row = (uint64_t)(int64_t)((y + arena->config.height / 2) * arena->tiles_per_metre);
+    /* Doubles are converted by way of signed numbers, for which processors have an instruction. */
     const uint64_t hash = splitmix(arena->colour_seed + ((column << 32) | row));
     return (double)(int64_t)(hash >> 11) < arena->black_limit;
 }

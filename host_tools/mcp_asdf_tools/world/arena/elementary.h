@@ -52,10 +52,10 @@ IN_LOOPS double arc_tangent(double z)
 }
 
 /* Returns the angle between (x, y), not both 0, and straight ahead, which is along x: [0, pi], for both
- * sides. */
+ * sides. An angle up to 45 degrees is the arc tangent of the smaller of |x| and |y| over the larger; the
+ * others follow by symmetry. */
 IN_LOOPS double arena_bearing(double x, double y)
 {
-    /* The first octant by the arc tangent of the smaller over the larger, the rest by symmetry. */
     const double along = fabs(x), across = fabs(y);
     const double angle = arc_tangent(across < along ? across / along : along / across);
     const double acute = across < along ? angle : PI / 2 - angle;

@@ -13,7 +13,8 @@ static const double SENSOR_AHEAD[SENSORS] = {1, HALF_ROOT, 0, -HALF_ROOT, -1, -H
 static const double SENSOR_LEFT[SENSORS] = {0, HALF_ROOT, 1, HALF_ROOT, 0, -HALF_ROOT, -1, -HALF_ROOT};
 
 /* Returns the component along x of the direction on the floor in which sensor k looks, for a robot with the
- * heading (cx, cy). Called with (cy, -cx), the heading turned by 90 degrees, it returns that along y. */
+ * heading (cx, cy), cosine and sine. To get the component along y, call it with (cy, -cx): this is the
+ * heading turned to the right by 90 degrees, which brings the y axis to where the x axis was. */
 IN_LOOPS double ray_component(double cx, double cy, uint32_t k)
 {
     return cx * SENSOR_AHEAD[k] - cy * SENSOR_LEFT[k];
@@ -121,10 +122,10 @@ IN_LOOPS double inner_speed(uint8_t wheels, double speed, double angle)
  * (m/s) and target_spin (rad/s, counterclockwise) of the robot. */
 IN_LOOPS void steer(mcp_asdf_arena_t *arena, uint32_t robot, double ahead, double left, double away)
 {
-    /* Short, and straight ahead: |left| <= ahead tan 5 degrees holds for no vector that points backwards. The
-     * null vector is weak, too. */
     const bool is_weak =
         ahead * ahead + left * left < WEAK_OBSTACLE * WEAK_OBSTACLE && fabs(left) <= ahead * TAN_5_DEGREES;
+    /* That is short, and straight ahead: |left| <= ahead tan 5 degrees holds for no vector that points
+     * backwards. The null vector is weak, too. */
     const double angle = is_weak ? 0 : away;
     const uint8_t wheels = next_wheels(arena->wheels[robot], angle);
     const double outer_speed = arena->config.speed;
@@ -219,8 +220,9 @@ FOR_EACH_TARGET static void steer_batch(steered_t *batch)
     batch->count = 0;
 }
 
-/* Set the wheels of all robots, in batches. Robots that drive straight on with nothing near keep theirs,
- * which are set already. */
+/* Set the wheels of the robots of `count` arenas, so that they turn away from obstacles that they sense. Only
+ * robots marked in needs_steering are computed, in batches, which may have robots of several arenas: the
+ * others drive straight on with nothing near, and their wheels are set already. */
 void arena_set_wheels(mcp_asdf_arena_t *arenas, uint32_t count)
 {
     steered_t batch;
