@@ -35,7 +35,7 @@ SEARCH_BOOSTS = {"internals": 1e-2, "api": 1e-4, "cli": 1e-4, "headers": 1e-4}
 """Weights of pages in the search by how their names begin, where guides have 1: a word in a heading counts
 1000 times."""
 
-_CODE = re.compile(r"(^```.*?^```$|`[^`\n]+`)", re.DOTALL | re.MULTILINE)
+_CODE = re.compile(r"(^```.*?^```$|``[^`\n]+``|`[^`\n]+`)", re.DOTALL | re.MULTILINE)
 _FORMULA = re.compile(r"\$\$(.+?)\$\$|\$([^$\s](?:[^$\n]*[^$\s])?)\$", re.DOTALL)
 _FILE = re.compile(r"<!-- file: (\S+) -->")
 _INLINE_CODE = re.compile(r"(?<=<code>)[^<\n]+(?=</code>)")
