@@ -42,14 +42,18 @@ _INLINE_CODE = re.compile(r"(?<=<code>)[^<\n]+(?=</code>)")
 _WORD = re.compile(r"[^ ]{2,}")
 _LONGEST_UNBROKEN_WORD = 26
 _LINES_OF_A_LISTING = 50
-_SEPARATOR = re.compile(r"(?<=\w[_/:,])(?=\w)")
-_OPTION = re.compile(r"(?<![\w&-])--?\w[\w-]{0,24}(?![\w-])")
+_SEPARATOR = re.compile(r"(?<=\w[/:,])(?=\w)|(?<=[a-z]\.)(?=[A-Za-z_]{5})")
+_UNDERSCORE = re.compile(r"(?<=\w_)(?<!\btest_)(?=\w)")
+_HYPHENATED = re.compile(r"(?<![\w.&;-])(?:--?\w[\w.]*|\w[\w.]*(?=-\w))(?:-\w[\w.]*)*(?![\w-])(?![^<>]*>)")
+_LONG_OPTION = re.compile(r"(?<![\w-])--\w[\w-]*")
+_JSON_MEMBER = re.compile(r'(?<=[^ ],)(?="|&quot;)')
 _OPENING = re.compile(r'<span class="[op]">[.(\[]+</span>')
-_LAST_COLUMN = re.compile(r"(?<= {3})[^ <][^<]{0,25}$")
+_LAST_COLUMN = re.compile(r"(?<= {3})[^ <][^<]{0,34}$")
 _INDENT = re.compile(r"^((?:<[^<>]+>)*)( +)")
-_NUMBER = re.compile(r"[\d.,]+")
+_NUMBER = re.compile(r"(?=.*\d)(?!.*[a-z]{2})[a-z\d.,+ -]+")
+_VALUE = re.compile(r"(?!.*[^\W\d_]{2})[^<>]+")
 _BLOCK = re.compile(r'<div class="highlight"><pre><span></span><code>(.*?)</code></pre></div>', re.DOTALL)
-_TABLE = re.compile(r"^(?:<[^<>]+>)*\||[\u2502\u2503]", re.MULTILINE)
+_TABLE = re.compile(r"^(?:<[^<>]+>)*\|.*\|(?:<[^<>]+>)*$|[\u2502\u2503]", re.MULTILINE)
 _TAG = re.compile(r"<[^<>]+>")
 _OPTIMISATION = re.compile(r"(?<= )-O[0-3s]\b(?=[^<>]*<)")
 _POWER = re.compile(r"(?<=[\w)])\*\*(-?\w+|\([^)]*\))")
@@ -121,8 +125,12 @@ def on_page_content(content: str, page: Any, **_: Any) -> str:
 def _breakable(word: re.Match[str]) -> str:
     """A short word in code stays in one piece, and a long one may break behind its separators."""
     pieces = [word[0]]
-    if len(word[0]) > _LONGEST_UNBROKEN_WORD:
-        pieces = _SEPARATOR.split(word[0])
+    for separator in (_SEPARATOR, _UNDERSCORE):
+        pieces = [
+            part
+            for piece in pieces
+            for part in (separator.split(piece) if len(piece) > _LONGEST_UNBROKEN_WORD else [piece])
+        ]
     return "<wbr>".join(
         _unbroken(piece) if len(piece) <= _LONGEST_UNBROKEN_WORD else piece for piece in pieces
     )
@@ -130,6 +138,10 @@ def _breakable(word: re.Match[str]) -> str:
 
 def _unbroken(text: str) -> str:
     return f'<span class="word">{text}</span>'
+
+
+def _unbroken_if_short(word: re.Match[str]) -> str:
+    return _unbroken(word[0]) if len(word[0]) <= _LONGEST_UNBROKEN_WORD else word[0]
 
 
 def _wrapped(block: re.Match[str]) -> str:
@@ -145,9 +157,10 @@ def _wrapped(block: re.Match[str]) -> str:
 def _hanging(line: str) -> str:
     text = _TAG.sub("", line)
     indent = len(text) - len(text.lstrip(" "))
-    line = _OPTION.sub(lambda option: _unbroken(option[0]), line)
     line = _LAST_COLUMN.sub(lambda column: _unbroken(column[0]), line)
+    line = _HYPHENATED.sub(_unbroken_if_short, line)
     line = _OPENING.sub(r"\g<0><wbr>", line)
+    line = _JSON_MEMBER.sub("<wbr>", line)
     line = _INDENT.sub(r'\1<span class="indent">\2</span>', line)
     return f'<span class="line" style="--indent: {indent}">{line}</span>'
 
@@ -175,14 +188,28 @@ def _command(name: str) -> str:
         if actions:
             rows = "\n".join(_option(parser, action) for action in actions)
             parts.append(f"\n**{_escaped(group.title)}**\n\n| option | meaning |\n|---|---|\n{rows}\n")
-    return "".join(parts) + f"\n```text\n{parser.epilog}\n```\n"
+    return "".join(parts) + _epilog(parser.epilog or "")
+
+
+def _epilog(text: str) -> str:
+    """The examples as code, and as paragraphs what follows them: sentences, and what the exit codes mean."""
+    lines = text.splitlines()
+    examples = [line for line in lines[1:] if line.startswith("  ")]
+    sentences, start, codes = " ".join(lines[1 + len(examples) :]).partition("exit code:")
+    paragraphs = "\n\n".join(_sentences(paragraph) for paragraph in (sentences.strip(), start + codes))
+    return "\n```text\n" + "\n".join([lines[0], *examples]) + f"\n```\n\n{paragraphs}\n\n"
 
 
 def _option(parser: argparse.ArgumentParser, action: argparse.Action) -> str:
     formatter = parser._get_formatter()
     words = _cell(formatter._format_action_invocation(action))
     meaning = formatter._expand_help(action) if action.help else ""
-    return f"| `{words}` | {_escaped(_cell(meaning))} |"
+    return f"| `{words}` | {_sentences(_cell(meaning))} |"
+
+
+def _sentences(text: str) -> str:
+    """Sentences of the help in Markdown, with options as code."""
+    return _LONG_OPTION.sub(r"`\g<0>`", _escaped(text))
 
 
 def _escaped(text: str | None) -> str:
@@ -235,7 +262,8 @@ def _labelled(table: re.Match[str]) -> str:
     def row(found: re.Match[str]) -> str:
         cells = iter(titles)
         labelled = re.sub(r"<td", lambda _: f'<td data-label="{next(cells)}"', found[0])
-        return re.sub(r"<td(.*?)>(.*?)</td>", _first_cell, labelled, count=1, flags=re.DOTALL)
+        labelled = re.sub(r"<td(.*?)>(.*?)</td>", _first_cell, labelled, count=1, flags=re.DOTALL)
+        return re.sub(r"<td( data.*?)>(.*?)</td>", _value, labelled, flags=re.DOTALL)
 
     without_blanks = re.sub(r"<td>\s+</td>", "<td></td>", table[0])
     return re.sub(r"<tr[ >].*?</tr>", row, without_blanks, flags=re.DOTALL)
@@ -245,8 +273,16 @@ def _first_cell(cell: re.Match[str]) -> str:
     """The name of a row stays on one line if it is short, and a number needs the name of its column."""
     text = html.unescape(_TAG.sub("", cell[2]))
     if _NUMBER.fullmatch(text):
-        return f'<td class="number"{cell[1]}>{cell[2]}</td>'
+        return f'<td class="short number"{cell[1]}>{cell[2]}</td>'
     if len(text) <= _LONGEST_UNBROKEN_WORD:
+        return f'<td class="short"{cell[1]}>{cell[2]}</td>'
+    return cell[0]
+
+
+def _value(cell: re.Match[str]) -> str:
+    """A short cell without words, such as a range of numbers, stays on one line."""
+    text = html.unescape(_TAG.sub("", cell[2]))
+    if len(text) <= _LONGEST_UNBROKEN_WORD and _VALUE.fullmatch(text):
         return f'<td class="short"{cell[1]}>{cell[2]}</td>'
     return cell[0]
 

@@ -5,11 +5,14 @@ from __future__ import annotations
 import html
 import json
 import re
+import runpy
 import shlex
 import shutil
 import subprocess
 import sys
+from importlib import import_module
 from pathlib import Path
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -20,7 +23,7 @@ from support import PAGES, ROOT, TABLE, block_with, blocks, require, run, versio
 from targets.c_node import SANITIZED_BUILD, node_command
 
 if TYPE_CHECKING:
-    from playwright.sync_api import Browser
+    from playwright.sync_api import Browser, Page
 
 COMMANDS_AND_OUTPUT = re.compile(r"^```sh\n(.*?)^```\n\n```text\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 LINK = re.compile(r"\]\((?!https?:)([^)#\s]+)")
@@ -381,6 +384,94 @@ def test_the_search_of_the_built_docs_works_without_a_server_and_shows_guides_fi
         first_addresses = browser.evaluate(links)[:3]
 
     assert not any("/api/" in address for address in first_addresses)
+
+
+COMMANDS_WITH_OPTIONS = """\
+# In sh and in a text; the indent and the second column stand apart.
+mcp-asdf swarm --topology dynamic --flawed-accuracy 0.55 --filter-period 1000 --true-accuracy=0.95
+    cmake -S c_ref -DCMAKE_BUILD_TYPE=MinSizeRel -DCMAKE_TOOLCHAIN_FILE=$PWD/cortex-a8.cmake   # for ARM
+
+{"3000":{"_meta_":{"source_node_id":0,"priority":"nominal"},"x_q23":7689558}}
+if (alpha > 0 && x_hat <= ONE) { receive(robot, sender, (estimate_t){.x_hat = x_hat}); } /* "<b>" */
+"""
+
+HEIGHTS_OF_CHARACTERS = """() => {
+    const nodes = document.createTreeWalker(document.querySelector("main"), NodeFilter.SHOW_TEXT);
+    const range = new Range();
+    const found = [];
+    while (nodes.nextNode()) {
+        const node = nodes.currentNode;
+        for (let i = 0; i < node.length; i++) {
+            range.setStart(node, i);
+            range.setEnd(node, i + 1);
+            found.push([node.data[i], range.getBoundingClientRect().bottom]);
+        }
+    }
+    return found;
+}"""
+"""The characters that a page shows, and where they stand: those of one line have the same height."""
+
+
+def as_on_the_site(text: str) -> str:
+    """Return a text in Markdown as HTML, as the build of the documentation makes it."""
+    on_page_content = runpy.run_path(str(ROOT / ".ci/docs_hooks.py"))["on_page_content"]
+    extensions = ["tables", "pymdownx.highlight", "pymdownx.superfences"]
+    made = import_module("markdown").markdown(text, extensions=extensions)
+    return str(on_page_content(made, page=SimpleNamespace(formulas=[])))
+
+
+def show_as_on_the_site(text: str, browser: Page) -> None:
+    """Show a text in Markdown with the style of the site, without that of its theme."""
+    style = (ROOT / "docs/stylesheets/site.css").read_text(encoding="utf-8")
+    page = as_on_the_site(text)
+    browser.set_content(f"<style>{style}</style><main class=md-typeset>{page}</main>")
+
+
+@pytest.mark.parametrize("language", ["sh", "text"])
+def test_no_option_in_code_of_the_site_is_broken_at_its_hyphens(language: str, browser: Page) -> None:
+    """At no width, from that of a phone on; nor in code within a sentence."""
+    sentence = "A sentence with `mcp-asdf swarm --flawed-accuracy 0.55 --filter-period 1000` in it."
+    show_as_on_the_site(f"```{language}\n{COMMANDS_WITH_OPTIONS}```\n\n{sentence}", browser)
+    lines_by_width = {}
+    for width in range(300, 900, 50):
+        browser.set_viewport_size({"width": width, "height": 900})
+        characters = browser.evaluate(HEIGHTS_OF_CHARACTERS)
+        shown = "".join(character for character, _height in characters)
+
+        options = list(re.finditer("--?[a-zA-Z][a-zA-Z_-]*", shown))
+        assert {"--flawed-accuracy", "--true-accuracy", "-DCMAKE_BUILD_TYPE"} <= {each[0] for each in options}
+        for option in options:
+            heights = {round(height) for _character, height in characters[slice(*option.span())]}
+            assert len(heights) == 1, f"{option[0]} at {width}"
+        lines_by_width[width] = len({round(height) for _character, height in characters})
+    assert lines_by_width[300] > lines_by_width[850], "the lines break"
+
+
+@pytest.mark.parametrize("language", ["sh", "c", "python", "json", "text"])
+def test_code_of_the_site_is_copied_as_the_page_has_it(language: str, browser: Page) -> None:
+    """By the button, which takes the text, and by hand."""
+    show_as_on_the_site(f"```{language}\n{COMMANDS_WITH_OPTIONS}```", browser)
+    code = "document.querySelector('pre > code')"
+
+    by_button = browser.evaluate(f"{code}.innerText")
+    by_hand = browser.evaluate(f"getSelection().selectAllChildren({code}), getSelection().toString()")
+
+    assert by_button.rstrip("\n") == by_hand.rstrip("\n") == COMMANDS_WITH_OPTIONS.rstrip("\n")
+
+
+def test_a_table_of_output_on_the_site_does_not_break() -> None:
+    """A formula that begins with a bar is no table."""
+    assert 'class="columns highlight"' in as_on_the_site("```text\n| filter | H |\n| none   | 3 |\n```")
+    assert 'class="wrapped highlight"' in as_on_the_site("```text\n|x - f| > t (s + 1)\n```")
+
+
+def test_a_cell_of_the_site_has_the_name_of_its_column_and_a_number_is_shown_with_it() -> None:
+    row = as_on_the_site(
+        "| bits | content | range |\n|---|---|---|\n| 22-21 | subject, **fixed** | 0 .. 2^12 |\n"
+    )
+    assert '<td class="short number" data-label="bits">22-21</td>' in row
+    assert '<td data-label="content">subject, <strong>fixed</strong></td>' in row
+    assert '<td class="short" data-label="range">0 .. 2^12</td>' in row
 
 
 def test_links_of_the_readme_lead_somewhere() -> None:

@@ -171,7 +171,8 @@ class Playground {
       choice.checked = choice.value === job.filter;
     }
     const [, code, copyButton] = findElement("command").children;
-    code.textContent = formatCommand(this.settings);
+    const words = formatCommand(this.settings).split(" ");
+    code.replaceChildren(...words.flatMap((word) => [" ", createElement("span", word)]).slice(1));
     copyButton.textContent = "copy";
     findElement("liars").hidden = job.liars === 0;
     const isDefault =

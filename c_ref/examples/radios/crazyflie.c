@@ -15,7 +15,7 @@ static QueueHandle_t received_messages;
 static void queue_message(P2PPacket *packet)
 {
     if (packet->port == P2P_PORT && packet->size == MESSAGE_SIZE) {
-        (void)xQueueSend(received_messages, packet->data, 0); /* if the queue is full, the message is lost */
+        (void)xQueueSend(received_messages, packet->data, 0); /* a full queue loses it */
     }
 }
 

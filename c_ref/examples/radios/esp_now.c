@@ -1,5 +1,5 @@
-/* Estimates over ESP-NOW on an ESP32. Wi-Fi has to be started first, in station mode and on all robots on one
- * channel. For ESP-IDF 5.0 and later. */
+/* Estimates over ESP-NOW on an ESP32. Wi-Fi has to be started first, in station mode
+ * and on all robots on one channel. For ESP-IDF 5.0 and later. */
 #include "nine_bytes.h"
 #include "robot_radio.h"
 
@@ -17,7 +17,7 @@ static void queue_message(const esp_now_recv_info_t *info, const uint8_t *data, 
 {
     (void)info;
     if (length == MESSAGE_SIZE) {
-        (void)xQueueSend(received_messages, data, 0); /* if the queue is full, the message is lost */
+        (void)xQueueSend(received_messages, data, 0); /* a full queue loses it */
     }
 }
 
