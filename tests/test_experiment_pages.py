@@ -156,10 +156,11 @@ def test_a_command_of_the_table_makes_the_pictures_of_the_paper(
 
 @pytest.mark.slow
 def test_the_quick_study_prints_what_the_page_shows(tmp_path: Path) -> None:
-    """The command and its output are the first blocks of their kind on the page."""
+    """The command is a block of its own on the page, and its output the block below it."""
     page = REPRODUCE.read_text("utf-8")
-    pairs = re.findall(r"^```sh\n(.*)\n```\n\n```text\n(.*?)^```$", page, re.MULTILINE | re.DOTALL)
-    command, shown = pairs[0]
+    command_and_output = re.search(r"^```sh\n(.*)\n```\n\n```text\n([^`]*)^```$", page, re.MULTILINE)
+    assert command_and_output is not None
+    command, shown = command_and_output.groups()
 
     printed = run(*shlex.split(command), cwd=tmp_path, **ENVIRONMENT)
 

@@ -201,7 +201,7 @@ static bool are_valid_votes(const mcp_asdf_robust_t *robust)
 /* Returns how many of t observations were white, if n of them were black. */
 static uint32_t white_observations(uint32_t t, uint32_t n) { return t - n; }
 
-/* Whether calls of the firmware can have led to what the robust filter keeps of batches. A batch is the
+/* Whether calls of the firmware can have led to what the robust filter keeps of batches. A batch is the set of
  * observations since the filter last ran or t was last halved, whichever was later; batch_t and batch_n are
  * the counts of all and of black observations when it began, and t and n those of now.
  *

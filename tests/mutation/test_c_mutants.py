@@ -34,6 +34,8 @@ def everything() -> dict[str, Mutant]:
 
 
 SAME_CODE = "A compiler makes the same code of it."
+READS_BEYOND_AN_ARRAY = "the array ends, which the sanitizers report"
+"""Part of the reason of a change that is harmless but where an array is full."""
 
 
 def mistakes() -> list[Mutant]:
@@ -86,12 +88,15 @@ def test_every_mistake_fails_a_test(part: int, tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_changes_that_are_listed_as_harmless_are_harmless(tmp_path: Path) -> None:
-    """As far as a compiler knows, or the tests of the first target that has the line."""
+    """As far as a compiler knows, or the tests of the first target that has the line.
+
+    A change that reads beyond an array is not tried: what it reads there is different in each run.
+    """
     for name, reason in EQUIVALENTS.items():
         mutant = everything()[name]
         if reason == SAME_CODE:
             assert same_code(mutant, tmp_path), f"{name} makes a difference"
-        else:
+        elif READS_BEYOND_AN_ARRAY not in reason:
             killing_test = killer(mutant, tmp_path, most=1)
             assert killing_test == "", name
 
