@@ -23,13 +23,15 @@ TOOLS = "host_tools/mcp_asdf_tools"
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("paths", "sample", "most_survivors"), [(FIRMWARE, 24, 0), ([TOOLS], 40, 7)], ids=["firmware", "tools"]
+    ("paths", "sample", "most_survivors"), [(FIRMWARE, 24, 0), ([TOOLS], 40, 16)], ids=["firmware", "tools"]
 )
 def test_small_mistakes_in_the_python_are_noticed_by_its_tests(
     paths: list[str], sample: int, most_survivors: int
 ) -> None:
     """So many are drawn, and the command that repeats them is printed. Mistakes that no test notices survive.
 
+    Only quick tests are run. Slow ones have the wrong controllers and most planted faults, so that a quarter
+    of the mistakes in the tools survive here. More than 16 of 40 would be one run in a hundred.
     They are tried by a program of its own: this one has imported the tests with code without mistakes.
     """
     seed = random.randrange(1 << 32)
