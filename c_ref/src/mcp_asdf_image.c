@@ -201,9 +201,9 @@ static bool are_valid_votes(const mcp_asdf_robust_t *robust)
 /* Returns how many of t observations were white, if n of them were black. */
 static uint32_t white_observations(uint32_t t, uint32_t n) { return t - n; }
 
-/* Whether calls of the firmware can have led to what the robust filter keeps of batches. A batch is the set of
- * observations since the filter last ran or t was last halved, whichever was later; batch_t and batch_n are
- * the counts of all and of black observations when it began, and t and n those of now.
+/* Whether calls of the firmware can have led to what the robust filter keeps of batches. A batch is the set
+ * of observations since the filter last ran or t was last halved, whichever was later; batch_t and batch_n
+ * are the counts of all and of black observations when it began, and t and n those of now.
  *
  * Within a batch no count ever falls, neither that of black observations nor that of white ones (t - n). The
  * first batch begins at t = 0. In it the dispersion and b_hat are those of a new robot: the dispersion
