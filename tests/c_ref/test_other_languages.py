@@ -105,6 +105,7 @@ def test_a_generator_of_bindings_finds_no_type_without_a_name(syntax_tree: str) 
         assert "anonymous" not in type_name
 
 
+@pytest.mark.slow
 def test_rust_s_bindgen_finds_only_functions_that_the_library_has(library: Path) -> None:
     """And all inline ones. Without rustfmt there is a space before the bracket."""
     require("bindgen", "bindgen")
@@ -118,6 +119,7 @@ def test_rust_s_bindgen_finds_only_functions_that_the_library_has(library: Path)
     assert functions <= symbols_in(library, "--dynamic", "--defined-only")
 
 
+@pytest.mark.slow
 def test_rust_agrees_with_bindgen_on_the_layout_of_a_robot(library: Path) -> None:
     """bindgen writes tests into its bindings, which compare sizes and offsets with those that clang finds."""
     require("bindgen", "bindgen")
