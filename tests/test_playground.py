@@ -247,7 +247,7 @@ def test_settings_of_an_address_that_are_impossible_have_their_defaults(small_br
 
 @pytest.mark.slow
 def test_a_slider_changes_the_address_and_the_command_that_is_shown(small_browser: Page) -> None:
-    """That of the liars from none to one; then the page also says that there is one."""
+    """The slider of the liars moves from none to one. The page then also says that one robot lies."""
     small_browser.locator("#more").click()
     small_browser.locator("[name=liars]").focus()
 

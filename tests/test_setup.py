@@ -47,7 +47,7 @@ FAILURE = 1
 
 
 def history(clone: Path, purpose: str, exit_code: int = 0) -> list[str]:
-    """Run the set-up, which has to end with this exit code.
+    """Run the set-up, and check that it ends with this exit code.
 
     Returns the lines that it prints and those of the programs that it calls, which write down their words.
     """
@@ -103,7 +103,7 @@ def test_a_set_up_without_root_names_the_packages_that_are_missing_and_goes_on(c
 
 @pytest.mark.slow
 def test_a_set_up_without_a_network_says_so_in_one_line(clone: Path) -> None:
-    """Nothing answers pip, whose own message, many lines, is not shown."""
+    """No server answers pip. Its own message of many lines is not shown."""
     nowhere = "-qq --isolated --retries 1 --index-url http://127.0.0.1:1/simple mcp-asdf-of-nowhere"
     pip_without_network = (
         f'[ "$5" != install ] || exec {shlex.quote(sys.executable)} -m pip download {nowhere}\n'

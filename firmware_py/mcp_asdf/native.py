@@ -302,7 +302,7 @@ def _numbers_in_struct(c_struct: Any, prefix: str = "") -> dict[str, int]:
         if field.type == _COUNTERS_TYPE:
             numbers.update(_numbers_in_struct(member))
         elif field.type == _SENDERS_TYPE:
-            # They have one bit for each of the 128 ids.
+            # A set of senders has 128 bits, one an id.
             sender_words = struct.unpack("<4I", ffi.buffer(ffi.addressof(member)))
             numbers.update(_numbers_in_array(name, sender_words))
         elif field.type.kind == "struct":

@@ -202,7 +202,7 @@ PYTHON_TYPES = {"uint8": "int", "uint16": "int", "uint32": "int", "float64": "fl
 
 @pytest.mark.parametrize("path", sorted(PACKAGE.glob("msg/*.msg")), ids=lambda path: path.name)
 def test_the_messages_of_these_tests_have_the_fields_of_those_in_ros(path: Path) -> None:
-    """A file of ROS has a line such as ``uint8 sender`` for each field; here are dataclasses instead."""
+    """ROS has a line such as ``uint8 sender`` for each field. The tests have dataclasses instead."""
     lines = re.findall(r"^(\w+) (\w+) ", path.read_text(encoding="utf-8"), re.MULTILINE)
     fields_in_ros = [(name, PYTHON_TYPES[ros_type]) for ros_type, name in lines]
 

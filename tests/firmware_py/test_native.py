@@ -65,7 +65,7 @@ def test_the_default_config_is_that_of_the_header() -> None:
     "name", ["VOTES_OF_MAX_GAIN", "HUBER_STEPS", "REJECTED_SIGMAS_SQUARED", "DISPERSION_SHIFT"]
 )
 def test_the_robust_filter_has_the_same_constants_in_c_and_python(name: str) -> None:
-    """Those of a header that users do not include."""
+    """They stand in a header that users do not include, so Python cannot read them from C."""
     source = (ROOT / "c_ref/src/mcp_asdf_robust.h").read_text(encoding="utf-8")
 
     match = re.search(rf"^#define {name} (?:UINT32_C\()?(\d+)U?\)?$", source, re.MULTILINE)

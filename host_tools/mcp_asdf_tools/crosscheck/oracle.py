@@ -248,7 +248,7 @@ def _check_no_test(old_state: State, new_state: State, is_updated: bool) -> list
 
 
 def _check_means(state: State, is_robust: bool) -> list[str]:
-    """Return a line for each of x_bar and x that is wrong. Both are quotients of whole numbers, rounded down.
+    """Return what is wrong with x_bar and x, a line each. Both are quotients of integers, rounded down.
 
     x_bar is the mean of the neighbours' x_hat, weighted by their alpha, and x that mean with the robot's own
     x_hat among them. With the robust filter both are the centre of the votes, and beta must be 0. Without any

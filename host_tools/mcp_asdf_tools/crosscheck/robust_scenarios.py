@@ -291,7 +291,7 @@ class RobustScenarioWriter(ScenarioWriter):
         return self._draw_robot_after(t, n, initial_b_hat)
 
     def _draw_robot_after(self, t: int, n: int, initial_b_hat: int) -> DrawnRobot:
-        """Draw a robot with these counts and this b_hat, whose filter remembers anything that it may.
+        """Draw a robot with these counts and this b_hat, and what its filter remembers, within its limits.
 
         ``n`` of its ``t`` observations were black. The initial b_hat is also the present one. Drawn are which
         slots for neighbours' estimates are filled, and with what; the number of votes so far, and where there
@@ -314,7 +314,7 @@ class RobustScenarioWriter(ScenarioWriter):
         return DrawnRobot(t, n, initial_b_hat, robust, self._draw_estimates(robust))
 
     def _draw_filled_slots(self) -> int:
-        """Draw the mask of the filled slots, with a bit for each: none, one, about five, any number, or all.
+        """Draw which slots are filled, as a mask of a bit a slot: none, one, about five, any number, all.
 
         Five are just enough for a test.
         """

@@ -231,7 +231,7 @@ def read_metadata(table: pa.Table) -> dict[str, Any]:
 
 
 def trials_to_table(trials: Trials) -> pa.Table:
-    """Return trials as a table with a row for each of them.
+    """Return trials as a table with one row a trial.
 
     The columns are the parameters of the experiment, the number of the trial, its scores, and lists of the
     robots' values. The metadata have, as JSON, versions, units and meanings of the columns, and how often

@@ -329,8 +329,8 @@ def _draw_sender(bench: Bench, slot: int) -> int:
 def _set_slots(bench: Bench, estimates: Sequence[int]) -> None:
     """Play a round of messages after which the controller keeps these estimates, in units of 2**-16.
 
-    There is one message for each estimate. Their senders are chosen so that the controller keeps them in the
-    first slots of ``_FILLING_ORDER``; the other slots keep what they have.
+    Each estimate comes in a message of its own. The controller keeps it in the slot of the sender's id, and
+    the ids are chosen to fill the first slots of ``_FILLING_ORDER``. The other slots keep what they have.
     """
     messages = [
         NeighbourEstimate(_draw_x_hat(bench, estimate), draw_normal_alpha(bench.rng))

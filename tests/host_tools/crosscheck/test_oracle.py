@@ -217,7 +217,7 @@ def test_nothing_is_expected_of_a_call_with_an_error() -> None:
 
 
 def test_errors_keep_the_largest() -> None:
-    """The one against exact numbers and the one against floats, each without its sign."""
+    """One error is against exact numbers, the other against floats. Their signs do not count."""
     errors = Errors()
     errors.add(Fraction(-3, 4), 0.25)
     errors.add(Fraction(1, 4), -0.5)

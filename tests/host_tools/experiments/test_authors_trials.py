@@ -47,14 +47,19 @@ def test_a_trial_has_its_experiment_number_and_source(experiment: Experiment, tm
     assert trials.source == SOURCE
 
 
+def read_and_run(experiment: Experiment, path: Path) -> tuple[Trials, Trials]:
+    """Return trial 1 of an experiment as read from a file at ``path``, and as these tools run it.
+
+    ``write_trial`` runs it in the same way, and writes it as the authors' programs would.
+    """
+    return read_trial(write_trial(path, experiment, number=1)), run_trials(experiment, first=1, trials=1)
+
+
 @KINDS
 def test_a_trial_from_a_file_has_the_convergence_and_errors_that_were_written(
     experiment: Experiment, tmp_path: Path
 ) -> None:
-    """``write_trial`` runs trial 1 as ``run_trials`` does, and writes it as the authors' programs would."""
-    path = write_trial(tmp_path / "trial.json", experiment, number=1)
-    trials = read_trial(path)
-    expected_trials = run_trials(experiment, first=1, trials=1)
+    trials, expected_trials = read_and_run(experiment, tmp_path / "trial.json")
 
     assert np.array_equal(trials.convergence_steps, expected_trials.convergence_steps)
     assert trials.errors == pytest.approx(expected_trials.errors, abs=ROUNDING)
@@ -64,18 +69,14 @@ def test_a_trial_from_a_file_has_the_convergence_and_errors_that_were_written(
 def test_a_trial_from_a_file_has_the_accuracies_that_were_written(
     experiment: Experiment, tmp_path: Path
 ) -> None:
-    """``write_trial`` runs trial 1 as ``run_trials`` does, and writes it as the authors' programs would."""
-    path = write_trial(tmp_path / "trial.json", experiment, number=1)
-    trials = read_trial(path)
-    expected_trials = run_trials(experiment, first=1, trials=1)
+    trials, expected_trials = read_and_run(experiment, tmp_path / "trial.json")
 
     assert trials.b_hat == pytest.approx(expected_trials.b_hat, abs=ROUNDING)
 
 
 def test_updates_are_the_filter_steps_that_changed_b_hat(tmp_path: Path) -> None:
     """The authors' files have b_hat in each step, but not how often the filter has updated it."""
-    trials = read_trial(write_trial(tmp_path / "trial.json", FIXED, number=1))
-    expected_trials = run_trials(FIXED, first=1, trials=1)
+    trials, expected_trials = read_and_run(FIXED, tmp_path / "trial.json")
 
     assert np.array_equal(trials.updates, expected_trials.updates)
     assert expected_trials.updates.sum() > 0

@@ -80,7 +80,7 @@ def test_intervals_of_medians_have_the_ranks_that_books_print(trials: int, rank:
 
 
 def test_an_interval_of_equal_values_has_no_width() -> None:
-    """Of 30 values 28 are 5, so all ranks near the middle are."""
+    """28 of the 30 values are 5, so the median and both ends of its interval are 5, too."""
     assert median_interval(np.repeat([0.0, 5, 9], [1, 28, 1])) == (5, 5, 5)
 
 

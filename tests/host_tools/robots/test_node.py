@@ -378,7 +378,7 @@ def test_a_node_warns_once_of_each_kind_of_suspicious_estimates_and_each_sender(
 
 
 def test_a_node_drops_the_estimates_of_ids_that_are_not_allowed(capsys: pytest.CaptureFixture[str]) -> None:
-    """Those of its own id, one in each of 70 ticks, reach the firmware, which refuses them."""
+    """In each of 70 ticks one estimate has the node's own id. It reaches the firmware, which refuses it."""
     report, _ = run_among_suspicious_neighbours(capsys)
 
     estimates_of_allowed = sum(map(len, ALPHA_BITS_BY_SENDER.values()))

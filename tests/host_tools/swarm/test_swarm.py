@@ -399,7 +399,7 @@ def test_an_estimate_of_another_program_under_the_id_of_a_robot_is_a_conflict() 
 # One seed for a mean above the share of black tiles, and one for a mean below it.
 @pytest.mark.parametrize(("seed", "is_low"), [(11, False), (15, True)])
 def test_results_have_the_mean_estimate_its_error_and_its_spread(seed: int, is_low: bool) -> None:
-    """Of five robots' estimates x on a floor of which 0.55 is black. Exact fractions are the expectation.
+    """Five robots estimate a floor with a share of 0.55 black. The expected results are exact fractions.
 
     With the two seeds the mean estimate is above 0.55 and below it.
     """
