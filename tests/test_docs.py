@@ -475,7 +475,7 @@ def test_a_cell_of_the_site_has_the_name_of_its_column_and_a_number_is_shown_wit
 
 
 def test_links_of_the_readme_lead_somewhere() -> None:
-    """Those of the pages, and their anchors, are checked where the documentation is built."""
+    """Links of the pages, and their anchors, are checked where the documentation is built."""
     for name in LINK.findall((ROOT / "README.md").read_text(encoding="utf-8")):
         assert (ROOT / name).exists(), name
 

@@ -144,7 +144,7 @@ def test_the_table_of_commands_for_figures_has_only_commands_that_reproduce() ->
 def test_a_command_of_the_table_makes_the_pictures_of_the_paper(
     figures: tuple[str, ...], tmp_path: Path
 ) -> None:
-    """Of all that come from the same trials: the command for figure 5 also makes those of 3, 4 and 6."""
+    """One command makes all figures that come from the same trials: that for figure 5 also 3, 4 and 6."""
     rows = paper_figures()
     command = rows["5" if "5" in figures else "8"].command
 

@@ -293,7 +293,7 @@ def test_another_filter_can_be_shown(small_browser: Page) -> None:
 def test_floor_figures_and_controls_fit_on_a_screen(
     chromium: Browser, playground: Path, width: int, height: int, is_open: bool
 ) -> None:
-    """Of a computer, a tablet and a telephone, with further settings closed or open."""
+    """The screens are those of a computer, a tablet and a phone. Further settings are closed or open."""
     parts_of_page = ["#about", "#beliefs", "#arena"]
     controls = ["#play", "#miscalibrate", "#add-liar", "#more", "#time"]
     settings = ["#settings"] if is_open else []

@@ -27,7 +27,7 @@ PRESETS = json.loads((ROOT / "CMakePresets.json").read_text(encoding="utf-8"))
 STUBS = f"{ROOT}/tests/c_ref"
 """Folder with the headers of the boards that examples are for."""
 WARNINGS = PRESETS["configurePresets"][0]["environment"]["WARNINGS"].split()
-"""Those that the C tests are built with, as errors."""
+"""Warnings with which the C tests are built, as errors."""
 
 
 @dataclass(frozen=True)

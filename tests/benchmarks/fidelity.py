@@ -82,7 +82,7 @@ def simulate(experiment: Experiment, trials: int) -> Floats:
 
 
 def p_values(ours: Floats, theirs: Floats) -> list[float]:
-    """Of each score, that both samples come from one distribution."""
+    """Return for each score the p-value of the claim that both samples come from one distribution."""
     pairs = zip(np.round(ours, _DIGITS).T, np.round(theirs, _DIGITS).T, strict=True)
     return [float(ks_2samp(own, other, method="exact").pvalue) for own, other in pairs]
 

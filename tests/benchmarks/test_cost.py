@@ -263,7 +263,7 @@ def program(target: Target, folder: Path, code: str) -> Image:
 def test_instructions_cycles_and_stack_are_counted_as_in_the_processor_s_manual(
     name: str, tmp_path: Path
 ) -> None:
-    """Of a function in assembly, on a processor of that name; KNOWN adds them up from the manual."""
+    """The processor runs a function in assembly, whose counts KNOWN adds up from the manual."""
     lines, counts_of_the_manual = KNOWN[name]
     target = usable(next(target for target in TARGETS if target.name == name))
     text = "\\n".join((".globl known", ".type known, %function", "known:", *lines))

@@ -339,7 +339,7 @@ def test_updated_accuracies_in_float64_are_right_to_the_last_bits(seed: int) -> 
 
 @four_seeds
 def test_means_of_estimates_in_float64_are_right_to_the_last_bits(seed: int) -> None:
-    """Of the neighbours' alone, which is the social estimate, and with the robot's own, the informed one.
+    """The social estimate is the mean of the neighbours' alone, the informed one has the robot's own, too.
 
     Both are weighted by confidence.
     """

@@ -31,7 +31,7 @@ PARAMETERS: dict[str, Any] = {
     "topology": "dynamic",
     "seed": 3,
 }
-"""Of a swarm, and of an experiment whose trial 0 is the same run."""
+"""Parameters of a swarm, and of an experiment whose trial 0 is the same run."""
 
 
 def write_log(path: Path, *options: str) -> Path:

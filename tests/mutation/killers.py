@@ -47,9 +47,9 @@ CALLS = 1_000_000
 PATIENT_CALLS = 8_000_000
 """The same for a mutant that has passed all tests: some mistakes show in one of many million calls."""
 SECONDS = 10
-"""Of processor for one test, over ten times what it needs; a mutant that hangs costs no more."""
+"""Processor time that one test may take, over ten times what it needs. A mutant that hangs costs no more."""
 PATIENT_SECONDS = 80
-"""The same for so many calls."""
+"""Processor time that PATIENT_CALLS may take."""
 
 
 def passes(folder: Path, test: str, variant: Variant, calls: int = CALLS, seconds: int = SECONDS) -> bool:

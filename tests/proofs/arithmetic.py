@@ -270,7 +270,7 @@ def _upper_bits(found: Any, a: Any, d: Any) -> Any:
 
 
 def ratio_requires(a: Any, d: Any) -> Any:
-    """Of whole numbers, and of words wide enough to be like them."""
+    """Return what a ratio a / d requires, for whole numbers and for words wide enough to be like them."""
     return z3.And(d > 0, a <= d)
 
 

@@ -383,5 +383,5 @@ CONTRACTS = {
 
 
 def contracts(variant: Variant) -> dict[str, Contract]:
-    """Of all functions that have one, for one variant."""
+    """Return the contracts of all functions that have one, for one variant."""
     return {**arithmetic.contracts(variant), **formulas.CONTRACTS, **robust.CONTRACTS, **CONTRACTS}

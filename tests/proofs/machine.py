@@ -494,7 +494,7 @@ class Machine:
         raise NotImplementedError(f"{type(node).__name__} as a place")
 
     def _place_of_element(self, node: Any) -> Place:
-        """Of an array, or counted from the element that a pointer points to."""
+        """Return the place of an element: of an array, or counted from where a pointer points to."""
         index = self.value(node.subscript)
         if isinstance(node.name, c_ast.StructRef) and node.name.field.name == "all":
             return self._place(node.name).below(str(known(index.term)))

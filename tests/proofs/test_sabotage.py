@@ -21,7 +21,7 @@ from proofs.source import HERE, program
 
 CALLS = Path(__file__).with_name("few_calls.c")
 PRIME = 16769023
-"""Of which it takes long to see that it is one."""
+"""It takes long to see that this number is a prime."""
 NEVER = z3.BoolVal(False)
 
 

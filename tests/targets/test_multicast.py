@@ -173,7 +173,7 @@ def assert_unpacked_to(raw_frame: Any, frame: can.Message) -> None:
 
 
 def test_the_c_node_and_the_tools_unpack_the_same_datagrams_to_the_same_frames(library: ctypes.CDLL) -> None:
-    """Of a list of odd ones, and of frames of all kinds."""
+    """The datagrams are a list of odd ones, and frames of all kinds."""
     raw_frame = (ctypes.c_uint8 * 72)()
     for datagram in odd_datagrams():
         frame = unpack_data_frame(datagram)

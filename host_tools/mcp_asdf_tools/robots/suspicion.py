@@ -44,7 +44,7 @@ class AlphaWatch:
 
     def __init__(self) -> None:
         self._last_alpha_and_count: dict[int, tuple[int, int]] = {}
-        """Of each sender: its last alpha in units of 2^-24, and its estimates since it began."""
+        """By sender: its last alpha in units of 2^-24, and the number of its estimates since it began."""
 
     def is_jump(self, sender: int, alpha_word: int) -> bool:
         """Count the next estimate of ``sender``, and return whether its alpha is a jump. O(1).

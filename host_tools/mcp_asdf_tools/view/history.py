@@ -21,7 +21,7 @@ MAX_STATES = 10_000
 _MAX_HISTORY_BITS = 4_000_000
 """Bits of links between robots in all states, which bound the size of a page."""
 _BITS_PER_ROBOT_OF_MANY = 16
-"""Of the values and links of a robot among more than MAX_ON_BUS, whose links are stored as pairs."""
+"""Bits for a robot's values and links where more than MAX_ON_BUS robots have their links stored as pairs."""
 
 
 @dataclass(frozen=True)

@@ -37,7 +37,7 @@ PAPER = Build(("-DMCP_ASDF_WITH_ROBUST=0",), Filter.ADAPTIVE, samples=40)
 ROBUST = Build(("-DMCP_ASDF_WITH_ASDF=0",))
 """The robust filter alone."""
 BUILDS = (Build(filter=Filter.ADAPTIVE), Build(), ROBUST)
-"""Those compared: robots with the paper's filter and with the robust one, where both are built, and alone."""
+"""Builds that are compared: each filter where both are built, and the robust one alone."""
 
 
 @dataclass

@@ -14,7 +14,7 @@ FLASH, RAM = 32 * 1024, 2 * 1024
 CHIPS = {"ATmega328P": 8, "Cortex-M0+": 48, "Cortex-M4": 64}
 """The targets of the README's table, and the megahertz at which it has their times."""
 NEIGHBOURS = 10
-"""Of how many neighbours a robot of the README's table hears in a round."""
+"""How many neighbours a robot of the README's table hears in a round."""
 CYCLES_PER_INSTRUCTION = 2
 """Assumed for a Cortex-M, whose instructions alone are counted."""
 Cells = dict[tuple[str, str], tuple[Figures, ...]]

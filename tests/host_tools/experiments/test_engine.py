@@ -163,7 +163,7 @@ def test_trials_with_the_robust_filter_computed_at_once_equal_the_firmware_to_th
 def test_extreme_swarms_with_the_robust_filter_computed_at_once_equal_the_firmware_to_the_bit(
     changes: dict[str, Any],
 ) -> None:
-    """Of one robot, of two, of forty, and of robots whose sensors age."""
+    """The swarms have one robot, two, forty, or robots whose sensors age."""
     assert_equal_to_the_bit(replace(ROBUST, **changes), first=4, trials=TRIALS_BEYOND_LANES)
 
 
@@ -181,7 +181,7 @@ def test_moving_robots_with_the_robust_filter_computed_at_once_equal_the_firmwar
 def test_extreme_moving_swarms_with_the_robust_filter_equal_the_firmware_to_the_bit(
     changes: dict[str, Any], latency: int
 ) -> None:
-    """Of one robot, of two, of forty, and of robots whose sensors age; all are computed at once."""
+    """The swarms have one robot, two, forty, or robots whose sensors age. All are computed at once."""
     experiment = replace(ROBUST_MOVING, **changes, latency=latency)
     assert_equal_to_the_bit(experiment, first=4, trials=MOVING_TRIALS)
 
@@ -403,7 +403,7 @@ def test_robots_round_what_they_send_and_not_their_own_estimates() -> None:
 
 
 def test_robots_that_calculate_in_floats_receive_rounded_messages() -> None:
-    """Of two robots each receives one estimate, x_bar, which a code of one bit rounds to 0 or 1."""
+    """Each of two robots receives one estimate, rounded by a code of one bit to 0 or 1: its x_bar."""
     two_robots = replace(SHORT, robots=2, flawed=0, filter="none", steps=20)
     experiment = replace(two_robots, message_bits="1+1", firmware="reference")
     x_bar = run_trials(experiment, 0, 1, sampling_interval=1).records["x_bar"]

@@ -514,7 +514,7 @@ DIFFERENCES = {
 
 
 LATE_DIFFERENCES = ["rejects its own estimate"]
-"""Those that come in a late phase, after seconds."""
+"""Differences that come in a late phase, after seconds."""
 
 
 @pytest.mark.parametrize("name", [*sorted(DIFFERENCES.keys() - LATE_DIFFERENCES), *slow(LATE_DIFFERENCES)])

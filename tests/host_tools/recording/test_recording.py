@@ -370,7 +370,7 @@ def test_a_new_log_without_events_removes_the_events_of_the_old_one(tmp_path: Pa
 
 
 def test_a_full_disk_and_a_run_that_fails_give_one_warning(tmp_path: Path) -> None:
-    """That of the disk, on which no byte can be written."""
+    """The warning is about the disk, on which no byte can be written."""
     with limited_file_size(0):
         warnings = record_and_fail(tmp_path / "run.log")
     assert len(warnings) == 1

@@ -98,7 +98,7 @@ def test_telemetry_has_the_number_of_updates_modulo_256() -> None:
 def test_an_estimate_has_the_same_effect_alone_as_in_an_array(
     firmware: str, allow: frozenset[int] | None
 ) -> None:
-    """Of senders 6, again 6, 5 (the robot's own id) and 7, of which ``allow`` may admit but one."""
+    """The senders are 6, again 6, 5 (the robot's own id) and 7. ``allow`` may admit only one of them."""
     setup = replace(record(5, firmware), allow=allow)
     lines_of_one, lines_of_array = list[str](), list[str]()
     one = BusRobot(setup, ESTIMATES, EventRecorder(5, lines_of_one.append))
