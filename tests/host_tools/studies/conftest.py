@@ -1,32 +1,46 @@
-"""What tests of the studies share: fewer resamples, planted results, and short trials."""
+"""What tests of the studies share: fewer resamples, planted results, short trials, and tables of pages."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator
+import re
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
 import mcp_asdf_tools as m
+from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.results import Trials
 from mcp_asdf_tools.experiments.trials import run_trials
 from mcp_asdf_tools.studies import bootstrap
 from mcp_asdf_tools.studies.bootstrap import Sample
 from mcp_asdf_tools.studies.cells import Cell, StudyPart, cells_of
 from mcp_asdf_tools.studies.study_results import SAMPLES, StudyResults
+from support import ROOT
 
 PLANTED_TRIALS = 30
 STUDY_CELLS = {cell for study_part in StudyPart for cell in cells_of(study_part)}
 
 
-@pytest.fixture
-def few_resamples(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+@contextmanager
+def rare_resampling() -> Iterator[None]:
     """Draw 100 resamples instead of 20,000: enough where results are far from any limit."""
-    monkeypatch.setattr(bootstrap, "RESAMPLES", 100)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(bootstrap, "RESAMPLES", 100)
+        bootstrap.resample_indices.cache_clear()
+        yield
     bootstrap.resample_indices.cache_clear()
-    yield
-    bootstrap.resample_indices.cache_clear()
+
+
+@pytest.fixture
+def few_resamples() -> Iterator[None]:
+    """Draw 100 resamples instead of 20,000: enough where results are far from any limit."""
+    with rare_resampling():
+        yield
 
 
 class PlantedResults(StudyResults):
@@ -66,6 +80,9 @@ class PlantedResults(StudyResults):
         return np.asarray(median + 2 * spread * (order / (PLANTED_TRIALS - 1) - 0.5))
 
 
+# --- Trials ----------------------------------------------------------------------------------------------
+
+
 def short_trials(**parameters: Any) -> list[Trials]:
     """Run the experiments of a grid for two short trials, recorded every 100 steps."""
     settings: dict[str, Any] = {"robots": 4, "flawed": 1, "steps": 400, "filter_period": 100, "trials": 2}
@@ -73,3 +90,76 @@ def short_trials(**parameters: Any) -> list[Trials]:
         run_trials(experiment, first=0, trials=2, sampling_interval=100)
         for experiment in m.grid(**settings | parameters)
     ]
+
+
+def trials_with(*, x: Any = 0.5, b_hat: Any = 0.9, **changes: Any) -> Trials:
+    """Make two trials with these values of x and b_hat, without running them: f = 0.5 and b = 0.9.
+
+    There are four robots, the first of them flawed. ``x`` is a number, a list of one for each robot, a list
+    of such lists for each sample, or a list of those for each trial; likewise ``b_hat``, by filter steps.
+    All robots have converged at step 0, without an error.
+    """
+    settings = {"robots": 4, "flawed": 1, "steps": 4000, "fill_ratio": 0.5, "true_accuracy": 0.9, "trials": 2}
+    experiment = Experiment(**settings | changes)
+    robots = experiment.robots
+    return Trials(
+        experiment=experiment,
+        numbers=[0, 1],
+        convergence_steps=np.zeros((2, robots), np.int64),
+        errors=np.zeros((2, robots)),
+        b_hat=_of_two_trials(b_hat, robots),
+        tests=np.zeros((2, robots), np.int64),
+        updates=np.zeros((2, robots), np.int64),
+        records={"x": _of_two_trials(x, robots)},
+    )
+
+
+def _of_two_trials(values: Any, robots: int) -> Sample:
+    """Return values by trial, sample and robot; what is missing of these axes is repeated."""
+    array = np.asarray(values, np.float64)
+    samples = array.shape[-2] if array.ndim >= 2 else 1
+    return np.broadcast_to(array, (2, samples, robots)).copy()
+
+
+# --- Experiments of a study's rows -----------------------------------------------------------------------
+
+
+def values_of(experiments: Iterable[Experiment], parameter: str) -> set[Any]:
+    """Return the different values that experiments have for a parameter."""
+    return {getattr(experiment, parameter) for experiment in experiments}
+
+
+def all_experiments(*tables: Mapping[str, Sequence[Experiment]]) -> list[Experiment]:
+    """Return the experiments of all rows of tables."""
+    return [experiment for rows in tables for experiments in rows.values() for experiment in experiments]
+
+
+# --- Tables in Markdown ----------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table in Markdown: the heads of its columns, and the cells of its rows by their labels."""
+
+    columns: list[str]
+    rows: dict[str, list[str]]
+
+
+def tables_in(path: Path) -> dict[str, Table]:
+    """Return the tables of a Markdown file that stand between marks, by these."""
+    text = path.read_text(encoding="utf-8")
+    marked_tables = re.findall(r"<!-- (\w+) -->\n(\|.*?)\n<!-- end -->", text, re.DOTALL)
+    return {mark: parse_table(table) for mark, table in marked_tables}
+
+
+def parse_table(markdown: str) -> Table:
+    """Read a table: a line with the heads of its columns, a line that only separates, and lines with rows."""
+    head, _separator, *rows = [
+        [cell.strip() for cell in line.strip("|").split("|")] for line in markdown.splitlines()
+    ]
+    return Table(columns=head[1:], rows={label: cells for label, *cells in rows})
+
+
+def page_path(name: str) -> Path:
+    """Return the path of a page of docs/internals/."""
+    return ROOT / f"docs/internals/{name}.md"

@@ -5,93 +5,101 @@ from __future__ import annotations
 import pytest
 
 from host_tools.experiments.drawn_figures import legend_of, titles_of
-from host_tools.studies.conftest import short_trials
+from host_tools.studies.conftest import all_experiments, short_trials, trials_with, values_of
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.studies import peers, related_work
-
-
-def all_experiments() -> list[Experiment]:
-    rows = [*related_work.resilience_rows().values(), *related_work.colour_rows().values()]
-    return [experiment for row in rows for experiment in row]
 
 
 def columns_of(experiments: list[Experiment]) -> list[str]:
     return [peers.column_label(experiment) for experiment in experiments]
 
 
-def test_swarms_with_liars_have_rules_that_trim_beside_two_filters() -> None:
+def test_each_rule_that_trims_and_two_filters_run_in_swarms_with_five_liars_and_no_flawed_robots() -> None:
+    """W-MSR and the trimmed mean leave out extreme estimates, so they need no filter."""
     experiments = related_work.resilience_rows()["fully connected, 5 liars, underconfident"]
+
     assert columns_of(experiments) == ["no filter", "robust", "W-MSR", "trimmed mean"]
-    assert {peers.LIARS[peers.firmware_name(experiment)] for experiment in experiments} == {5}
-    assert {experiment.flawed for experiment in experiments} == {0}
+    assert values_of(experiments, "robots") == {20}
+    assert values_of(experiments, "flawed") == {0}
+    for experiment in experiments:
+        assert peers.firmware_name(experiment).endswith("five_liars")
 
 
-def test_flawed_swarms_have_rules_that_trim_beside_three_filters() -> None:
+def test_each_rule_that_trims_and_three_filters_run_in_swarms_with_six_flawed_robots() -> None:
     experiments = related_work.resilience_rows()["moving, 6 flawed, overconfident"]
+
     assert columns_of(experiments) == ["no filter", "ASDF-", "robust", "W-MSR", "trimmed mean"]
-    assert {experiment.flawed for experiment in experiments} == {6}
+    assert values_of(experiments, "flawed") == {6}
 
 
 @pytest.mark.parametrize(
     ("row", "topology", "density"),
     [
-        ("fully connected, 5 liars", "fully-connected", 1.0),
-        ("moving, dense, 5 liars", "dynamic", 12.0),
-        ("moving, 5 liars", "dynamic", 1.0),
+        ("fully connected, 5 liars, overconfident", "fully-connected", 1.0),
+        ("moving, dense, 5 liars, overconfident", "dynamic", 12.0),
+        ("moving, 5 liars, overconfident", "dynamic", 1.0),
     ],
 )
-def test_a_row_has_the_topology_that_it_says(row: str, topology: str, density: float) -> None:
-    experiments = related_work.resilience_rows()[f"{row}, overconfident"]
-    assert {(experiment.topology, experiment.density) for experiment in experiments} == {(topology, density)}
+def test_a_row_with_liars_has_the_topology_and_density_of_its_label(
+    row: str, topology: str, density: float
+) -> None:
+    experiments = related_work.resilience_rows()[row]
+
+    assert values_of(experiments, "topology") == {topology}
+    assert values_of(experiments, "density") == {density}
 
 
-def test_a_vote_on_the_colour_stands_beside_the_filters() -> None:
-    rows = related_work.colour_rows()
-    assert columns_of(rows["moving, 6 flawed, underconfident"]) == ["no filter", "ASDF-", "robust", "DMMD"]
-    assert columns_of(rows["moving, 5 liars, underconfident"]) == ["no filter", "robust", "DMMD"]
+@pytest.mark.parametrize(
+    ("row", "columns"),
+    [
+        ("moving, 6 flawed, underconfident", ["no filter", "ASDF-", "robust", "DMMD"]),
+        ("moving, 5 liars, underconfident", ["no filter", "robust", "DMMD"]),
+    ],
+)
+def test_a_vote_on_the_prevailing_colour_runs_in_the_same_swarms_as_filters(
+    row: str, columns: list[str]
+) -> None:
+    """DMMD is such a vote."""
+    assert columns_of(related_work.colour_rows()[row]) == columns
 
 
-def test_black_prevails_in_all_worlds() -> None:
-    assert all(experiment.fill_ratio > 0.5 for experiment in all_experiments())
+def test_more_than_half_of_the_floor_is_black_in_all_swarms_that_name_the_prevailing_colour() -> None:
+    for experiment in all_experiments(related_work.colour_rows()):
+        assert experiment.fill_ratio > 0.5
 
 
-def test_the_study_has_six_trials_of_20_robots_and_a_seed_of_its_own() -> None:
-    sizes = {(experiment.robots, experiment.trials, experiment.seed) for experiment in all_experiments()}
-    assert sizes == {(20, 6, 4714)}
+def test_the_early_error_is_the_mean_distance_from_f_in_the_first_quarter_without_step_0() -> None:
+    """There are eight samples after step 0, so the first quarter has two. All robots estimate f = 0.5."""
+    step_0 = [0.9] * 4
+    first_quarter = [[0.6] * 4, [0.8] * 4]  # 0.1 and 0.3 from f
+    later = [[0.9] * 4] * 6
+    trials = trials_with(x=[step_0, *first_quarter, *later])
+
+    mean_distance = (0.1 + 0.3) / 2
+    assert related_work.early_errors(trials) == pytest.approx([mean_distance, mean_distance])
 
 
-def test_the_early_error_is_that_of_the_first_quarter_without_step_0() -> None:
-    """There are eight samples after step 0, so the first quarter has two, with errors of 0.1 and 0.3.
-
-    x has the shape (trials, samples, robots), and 0.5 would be right. Both trials are equal.
-    """
-    (trials,) = short_trials(filter="none", fill_ratio=0.5, steps=800)
-    x = trials.records["x"]
-    x[:] = 0.9
-    x[:, 1, :] = 0.6
-    x[:, 2, :] = 0.8
-
-    assert related_work.early_errors(trials) == pytest.approx([0.2, 0.2])
+def test_only_robots_whose_estimate_is_above_one_half_answer_rightly_that_black_prevails() -> None:
+    """0.55 of the floor is black. Two of four robots, with 0.9 and 0.51, are right in both trials."""
+    trials = trials_with(fill_ratio=0.55, x=[0.9, 0.51, 0.5, 0.2])
+    assert related_work.right_percents(trials).tolist() == [50, 50]
 
 
-def test_an_answer_is_right_if_it_is_on_the_side_of_the_fill_ratio() -> None:
-    (trials,) = short_trials(filter="none", fill_ratio=0.55)
-    trials.records["x"][:, -1, :] = [0.9, 0.51, 0.5, 0.2]
-    assert related_work.right_percents(trials) == pytest.approx([50, 50])
-
-
-def test_answers_have_one_decimal(few_resamples: None) -> None:
-    (trials,) = short_trials(filter="none", fill_ratio=0.55)
-    trials.records["x"][:, -1, :] = [0.9, 0.9, 0.9, 0.2]
+def test_the_percentage_of_right_answers_has_one_decimal(few_resamples: None) -> None:
+    """Three of four robots are right that black prevails where it has 0.55 of the floor."""
+    trials = trials_with(fill_ratio=0.55, x=[0.9, 0.9, 0.9, 0.2])
     assert related_work.right_text([trials]) == "75.0"
 
 
-def test_the_picture_has_three_swarms_of_each_kind_and_a_line_for_each_rule() -> None:
-    (trials,) = short_trials(filter="none")
-    rules = [peers.WmsrRobot, peers.TrimmedMeanRobot]
-    all_trials = [trials, *short_trials(filter="robust"), *short_trials(filter="none", firmware=rules)]
-    rows = {label: all_trials for label in related_work.resilience_rows()}
-    figure = related_work.draw_errors(rows)
+def test_the_picture_has_a_line_for_each_rule_in_three_swarms_of_both_kinds_of_flaws() -> None:
+    (unfiltered,) = short_trials(filter="none")
+    results = [
+        unfiltered,
+        *short_trials(filter="robust"),
+        *short_trials(filter="none", firmware=[peers.WmsrRobot, peers.TrimmedMeanRobot]),
+    ]
+
+    figure = related_work.draw_errors(dict.fromkeys(related_work.resilience_rows(), results))
 
     assert titles_of(figure) == [
         "fully connected, 5 liars, underconfident",
@@ -102,4 +110,5 @@ def test_the_picture_has_three_swarms_of_each_kind_and_a_line_for_each_rule() ->
         "moving, 6 flawed, overconfident",
     ]
     assert legend_of(figure) == ["no filter", "W-MSR", "trimmed mean", "robust"]
-    assert all(len(axes.lines) == 4 for axes in figure.axes)
+    for axes in figure.axes:
+        assert len(axes.lines) == 4

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -10,21 +11,11 @@ import pytest
 from matplotlib.figure import Figure
 
 import mcp_asdf_tools as m
-from host_tools.studies.conftest import short_trials
-from mcp_asdf_tools.experiments.experiment import Experiment
+from host_tools.studies.conftest import page_path, parse_table, trials_with, values_of
 from mcp_asdf_tools.experiments.results import Trials
 from mcp_asdf_tools.experiments.trials import run_trials
 from mcp_asdf_tools.studies import peers, robust_filter, study_program
 from mcp_asdf_tools.studies.study_program import BOTH_FLAWS, FLAWS
-from support import ROOT
-
-MOVING: dict[str, Any] = {"topology": "dynamic", "latency": 1, "robots": 20, "flawed": 6}
-
-
-def parameters_of(experiments: list[Experiment], *names: str) -> set[tuple[Any, ...]]:
-    """Return the different values of some parameters that experiments have."""
-    return {tuple(getattr(experiment, name) for name in names) for experiment in experiments}
-
 
 # --- Experiments -----------------------------------------------------------------------------------------
 
@@ -34,82 +25,86 @@ def parameters_of(experiments: list[Experiment], *names: str) -> set[tuple[Any, 
     [("moving, 10 % flawed", 20, 2), ("fully connected, 30 % flawed", 10, 3), ("moving, 0 % flawed", 20, 0)],
 )
 def test_the_grid_has_swarms_of_the_papers_sizes(row: str, robots: int, flawed: int) -> None:
+    """The grid is the table of the paper's swarms; its rows say how many percent of the robots are flawed."""
     experiments = robust_filter.grid_rows()[row]
-    assert parameters_of(experiments, "robots", "flawed") == {(robots, flawed)}
+
+    assert values_of(experiments, "robots") == {robots}
+    assert values_of(experiments, "flawed") == {flawed}
 
 
-def test_the_grid_has_eight_kinds_of_flawed_swarms_with_each_filter() -> None:
+def test_the_grid_has_eight_kinds_of_flawed_swarms_with_each_of_four_filters() -> None:
+    """Two shares of black floor, two accuracies of the sensors, and two that flawed robots assume instead."""
     experiments = robust_filter.grid_rows()["moving, 30 % flawed"]
-    worlds = parameters_of(experiments, "fill_ratio", "true_accuracy", "flawed_accuracy")
-    assert len(worlds) == 8
-    assert len(experiments) == 8 * 4
 
-
-def test_the_grid_has_30_trials_as_long_as_the_papers() -> None:
-    (size,) = parameters_of(robust_filter.grid_rows()["moving, 10 % flawed"], "trials", "steps", "seed")
-    assert size == (30, 40_000, 4711)
+    assert values_of(experiments, "fill_ratio") == {0.55, 0.95}
+    assert values_of(experiments, "true_accuracy") == {0.55, 0.95}
+    assert values_of(experiments, "flawed_accuracy") == {0.55, 0.75, 0.95}
+    assert len(set(experiments)) == 2 * 2 * 2 * 4
 
 
 @pytest.mark.parametrize(
     ("row", "parameter", "value"),
     [
-        ("moving", "density", 1),
         ("moving", "latency", 1),
         ("moving, latency 0", "latency", 0),
         ("moving, density 0.25", "density", 0.25),
-        ("moving, 3 robots", "robots", 3),
         ("moving, b -0.1 on white", "white_offset", -0.1),
         ("moving slowly", "speed", 0.007),
         ("moving slowly, 0 % flawed", "flawed", 0),
         ("static ring", "topology", "graph"),
         ("moving, sensors age alike", "drift_rate", -1e-5),
+        ("moving, 3 robots", "robots", 3),
+        ("moving, 5 robots", "robots", 5),
+        ("moving, 10 robots", "robots", 10),
+        ("moving, 127 robots", "robots", 127),
+        ("fully connected, 3 robots", "robots", 3),
         ("fully connected, 5 robots", "robots", 5),
+        ("fully connected, 127 robots", "robots", 127),
     ],
 )
-def test_a_row_beyond_the_grid_is_named_after_what_is_different(
+def test_a_row_of_other_swarms_than_the_papers_has_what_its_label_says(
     row: str, parameter: str, value: float
 ) -> None:
-    assert parameters_of(robust_filter.beyond_rows()[row], parameter) == {(value,)}
-
-
-def test_a_row_beyond_the_grid_has_as_many_robots_as_it_says() -> None:
-    """The label of a row, such as "moving, 3 robots", stands in the table of a page."""
-    rows = robust_filter.beyond_rows()
-    stated_robots = []
-    for row, experiments in rows.items():
-        match = re.search(r"(\d+) robots", row)
-        if match is not None:
-            robots = int(match[1])
-            stated_robots.append(robots)
-            assert parameters_of(experiments, "robots") == {(robots,)}
-
-    assert sorted(stated_robots) == [3, 3, 5, 5, 10, 127, 127]
+    experiments = robust_filter.beyond_rows()[row]
+    assert values_of(experiments, parameter) == {value}
 
 
 @pytest.mark.parametrize("row", ["static ring", "static grid"])
 def test_each_of_20_robots_has_four_neighbours_in_a_static_graph(row: str) -> None:
     for experiment in robust_filter.beyond_rows()[row]:
-        receivers = [receiver for _, receiver in experiment.graph.links]
-        assert [receivers.count(robot) for robot in range(20)] == [4] * 20
+        receivers = [receiver for _sender, receiver in experiment.graph.links]
+        for robot in range(20):
+            assert receivers.count(robot) == 4
 
 
-def test_robots_of_a_graph_hear_those_some_places_away() -> None:
-    edges = [set(edge.split()) for edge in robust_filter.static_graph((3,)).split("; ")]
-    # A circle in steps of 3 of 20 passes each robot once.
+def edges_of_static_graph(steps_to_neighbours: Sequence[int]) -> list[tuple[int, int]]:
+    """Return the pairs of robots that hear each other: text such as "3 5; 5 7" as numbers."""
+    edges = []
+    for edge in robust_filter.static_graph(steps_to_neighbours).split("; "):
+        first_robot, second_robot = edge.split()
+        edges.append((int(first_robot), int(second_robot)))
+    return edges
+
+
+def test_every_third_place_on_a_circle_of_20_joins_all_robots_with_20_edges() -> None:
+    """Since 3 and 20 have no common divisor, steps of three places pass each robot."""
+    edges = edges_of_static_graph([3])
+
     assert len(edges) == 20
-    assert {robot for edge in edges for robot in edge} == {str(robot) for robot in range(20)}
+    assert {first_robot for first_robot, _ in edges} == set(range(20))
+    assert {second_robot for _, second_robot in edges} == set(range(20))
 
 
-def test_flawed_robots_are_not_all_together_in_a_static_graph() -> None:
-    edges = [tuple(map(int, edge.split())) for edge in robust_filter.static_graph((1,)).split("; ")]
-    flawed_beside_flawed = [edge for edge in edges if max(edge) < 6]
-    assert len(flawed_beside_flawed) < 5
+def test_the_six_flawed_robots_do_not_all_stand_side_by_side_on_a_circle() -> None:
+    """Robots 0 to 5 are flawed. Side by side they would have five edges among each other."""
+    flawed_robots = range(6)
+    edges_among_flawed_robots = [
+        (first_robot, second_robot)
+        for first_robot, second_robot in edges_of_static_graph([1])
+        if first_robot in flawed_robots and second_robot in flawed_robots
+    ]
 
-
-def test_large_fully_connected_swarms_have_fewer_trials() -> None:
-    rows = robust_filter.beyond_rows()
-    assert parameters_of(rows["fully connected, 127 robots"], "trials", "steps") == {(12, 20_000)}
-    assert parameters_of(rows["fully connected"], "trials", "steps") == {(30, 20_000)}
+    assert len(edges_among_flawed_robots) < 5
 
 
 @pytest.mark.parametrize(
@@ -120,120 +115,158 @@ def test_large_fully_connected_swarms_have_fewer_trials() -> None:
         ("fully connected, 30 % flawed, 10,000 steps", 10_000, 3),
     ],
 )
-def test_peers_share_three_worlds_with_the_usual_filters(row: str, steps: int, flawed: int) -> None:
+def test_filters_of_others_run_in_three_worlds_beside_the_usual_ones(
+    row: str, steps: int, flawed: int
+) -> None:
+    """Three of others, and four usual ones, each with underconfident and with overconfident robots."""
     experiments = robust_filter.peer_rows()[row]
-    assert parameters_of(experiments, "steps", "flawed", "trials") == {(steps, flawed, 8)}
-    assert len(experiments) == 2 * 7  # two kinds of flaws, seven columns of the table
+
+    assert values_of(experiments, "steps") == {steps}
+    assert values_of(experiments, "flawed") == {flawed}
+    assert len(experiments) == (3 + 4) * 2
 
 
-def test_fully_connected_swarms_with_liars_have_12_trials() -> None:
-    experiments = robust_filter.world_rows()["fully connected, 1 liar"]
-    assert parameters_of(experiments, "trials", "flawed", "latency") == {(12, 6, 0)}
-
-
-def test_moving_swarms_with_liars_have_eight_trials_of_20_000_steps() -> None:
-    experiments = robust_filter.world_rows()["moving, 1 liar"]
-    assert parameters_of(experiments, "trials", "steps", "flawed", "latency") == {(8, 20_000, 6, 1)}
-
-
-def test_the_floor_changes_for_robots_with_a_short_memory() -> None:
-    experiments = robust_filter.world_rows()["moving, the floor changes, 5 liars"]
-    assert parameters_of(experiments, "memory", "steps", "trials") == {(4096, 40_000, 8)}
+@pytest.mark.parametrize(
+    ("row", "parameter", "value"),
+    [
+        ("fully connected, 1 liar", "trials", 12),
+        ("fully connected, 1 liar", "latency", 0),
+        ("fully connected, 1 liar", "robots", 20),
+        ("moving, 1 liar", "latency", 1),
+        ("moving, 1 liar", "flawed", 6),
+        ("moving, 5 liars, 0 % flawed", "flawed", 0),
+        ("moving, the floor changes, 5 liars", "memory", 4096),
+        ("moving, the floor changes, 5 liars", "steps", 40_000),
+    ],
+)
+def test_a_row_of_hard_worlds_has_the_parameters_of_its_world(row: str, parameter: str, value: float) -> None:
+    experiments = robust_filter.world_rows()[row]
+    assert values_of(experiments, parameter) == {value}
 
 
 # --- Cells -----------------------------------------------------------------------------------------------
 
-
-def test_liars_are_not_counted_in_the_error() -> None:
-    (trials,) = short_trials(robots=20, flawed=0, firmware=peers.five_liars, filter="none")
-    trials.records["x"][:, :, :15] = trials.experiment.fill_ratio
-    seen = robust_filter.as_honest_robots_see_it(trials)
-    assert study_program.late_errors(seen).tolist() == [0, 0]
+SWARM_WITH_LIARS: dict[str, Any] = {"robots": 20, "flawed": 0, "firmware": peers.five_liars}
+"""Parameters of a swarm of 20 robots of which the last five lie."""
 
 
-def test_all_robots_are_counted_where_none_lies() -> None:
-    (trials,) = short_trials(robots=20, flawed=0, firmware=peers.LossyRobot, filter="none")
-    assert robust_filter.as_honest_robots_see_it(trials).records["x"].shape[2] == 20
+def test_estimates_of_liars_are_not_counted_in_the_error_of_a_swarm() -> None:
+    """15 honest robots estimate the share of black, 0.5, rightly; the last five robots, which lie, say 0."""
+    x = [0.5] * 15 + [0.0] * 5
+    trials = robust_filter.as_honest_robots_see_it(trials_with(**SWARM_WITH_LIARS, x=x))
+    assert study_program.late_errors(trials).tolist() == [0, 0]  # of two trials
 
 
-def test_the_error_after_the_floor_changes_is_that_of_the_new_floor() -> None:
-    (trials,) = short_trials(sensor=peers.ChangingFloor, filter="none")
-    trials.records["x"][:] = 0.95
-    seen = robust_filter.as_honest_robots_see_it(trials)
-    assert study_program.late_errors(seen).tolist() == [0, 0]
+def test_liars_whose_b_hat_ends_wrong_do_not_count_as_harmed_by_the_filter() -> None:
+    """A robot is harmed if its b_hat ends far from the accuracy of its sensor: 0.5 is far from 0.9."""
+    b_hat = [0.9] * 15 + [0.5] * 5
+    trials = robust_filter.as_honest_robots_see_it(trials_with(**SWARM_WITH_LIARS, b_hat=b_hat))
+    assert study_program.harmed_percents(trials).tolist() == [0, 0]  # of two trials
 
 
-def test_a_cell_of_the_grid_has_score_errors_and_harm(few_resamples: None) -> None:
-    (trials,) = short_trials(filter="robust")
-    cell = robust_filter.grid_text([trials])
-    number = r"[\d.]+( \([\d.]+\.\.[\d.]+\))?"
-    assert re.fullmatch(rf"{number}, 0\.\d+( \(.*\))?, 0\.\d+, {number} %", cell)
+def test_all_robots_are_counted_in_a_swarm_without_liars() -> None:
+    """One of ten robots estimates 0 instead of 0.5; messages are lost, but no robot lies."""
+    x = [0.5] * 9 + [0.0]
+    lossy_trials = trials_with(robots=10, flawed=0, firmware=peers.LossyRobot, x=x)
+    trials = robust_filter.as_honest_robots_see_it(lossy_trials)
+    assert study_program.late_errors(trials) == pytest.approx([0.5 / 10, 0.5 / 10])  # of two trials
 
 
-def test_a_cell_of_other_tables_has_errors_and_harm(few_resamples: None) -> None:
-    trials = short_trials(filter="robust", sensors=BOTH_FLAWS)
-    cell = robust_filter.errors_text(trials)
-    assert re.fullmatch(r"0\.\d+( \(.*\))?, 0\.\d+( \(.*\))?, [\d.]+( \([\d.]+\.\.[\d.]+\))? %", cell)
+def test_the_error_on_a_floor_that_changes_is_measured_against_its_share_of_black_at_the_end() -> None:
+    """The floor is 0.55 black at first and 0.95 in the end, which is what all robots estimate."""
+    trials = trials_with(sensor=peers.ChangingFloor, fill_ratio=0.55, x=0.95)
+    trials_with_final_floor = robust_filter.as_honest_robots_see_it(trials)
+    assert study_program.late_errors(trials_with_final_floor).tolist() == [0, 0]  # of two trials
 
 
-def test_liars_do_not_count_as_harmed(few_resamples: None) -> None:
-    (trials,) = short_trials(robots=20, flawed=0, firmware=peers.five_liars, filter="none")
-    trials.b_hat[:, -1, 15:] = 0.5
-    seen = robust_filter.as_honest_robots_see_it(trials)
-    assert study_program.harmed_percents(seen).tolist() == [0, 0]
+def test_a_cell_of_the_grid_has_score_late_error_error_at_convergence_and_harm(few_resamples: None) -> None:
+    """All robots converged at once without an error, worth 100 points, and later left 0.5 for 0.6.
+
+    None of the healthy robots was harmed.
+    """
+    trials = trials_with(x=0.6, b_hat=0.9)
+    assert robust_filter.grid_text([trials]) == "100.0, 0.100, 0.0000, 0.0 %"
 
 
-def test_harm_is_a_percentage(few_resamples: None) -> None:
-    (trials,) = short_trials(filter="robust")
-    trials.b_hat[:, -1, :] = trials.experiment.true_accuracy
-    trials.b_hat[:, -1, 3] = 0.5  # one of the three healthy robots
-    assert robust_filter.grid_text([trials]).endswith(", 33.3 %")
+def test_a_cell_of_other_tables_has_both_errors_and_the_percentage_of_harmed_robots(
+    few_resamples: None,
+) -> None:
+    """Underconfident robots estimate 0.65 for 0.55, overconfident ones 0.75 for 0.95. None is harmed."""
+    underconfident = trials_with(**FLAWS["underconfident"], x=0.65, b_hat=0.95)
+    overconfident = trials_with(**FLAWS["overconfident"], x=0.75, b_hat=0.55)
+    assert robust_filter.errors_text([overconfident, underconfident]) == "0.100, 0.200, 0.0 %"
 
 
-def test_a_cell_without_healthy_robots_has_no_harm(few_resamples: None) -> None:
-    (trials,) = short_trials(filter="robust", flawed=4)
-    assert not robust_filter.grid_text([trials]).endswith("%")
+def test_a_cell_ends_with_33_percent_if_one_of_three_healthy_robots_is_harmed(few_resamples: None) -> None:
+    """The first of four robots is flawed. The last one's b_hat ends at 0.5 instead of 0.9."""
+    trials = trials_with(b_hat=[0.9, 0.9, 0.9, 0.5])
+    assert robust_filter.grid_text([trials]) == "100.0, 0.0000, 0.0000, 33.3 %"
+
+
+def test_a_cell_has_no_percentage_of_harmed_robots_if_none_is_healthy(few_resamples: None) -> None:
+    trials = trials_with(robots=4, flawed=4)
+    assert robust_filter.grid_text([trials]) == "100.0, 0.0000, 0.0000"
+
+
+def late_error_on_page(flaw: str, column: str) -> float:
+    """Return what docs/internals/robust.md has for 30 % flawed robots in moving swarms."""
+    page = page_path("robust").read_text(encoding="utf-8")
+    [markdown] = re.findall(r"^\| case \| swarm \|.*?\n\n", page, re.DOTALL | re.MULTILINE)
+    lines = markdown.splitlines()
+    [row] = [line for line in lines if line.startswith(f"| moving, .3 flawed | {flaw} |")]
+    table = parse_table("\n".join([*lines[:2], row]))
+    [[_flaw, *errors]] = table.rows.values()
+    return float(dict(zip(table.columns[1:], errors, strict=True))[column])
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("flaw", ["underconfident", "overconfident"])
-@pytest.mark.parametrize(("filter_name", "column"), [("none", 0), ("asdf-minus", 1), ("robust", 2)])
-def test_the_page_has_about_what_ten_trials_of_another_seed_give(
-    flaw: str, filter_name: str, column: int
+@pytest.mark.parametrize(
+    ("filter_name", "column"), [("none", "no filter"), ("asdf-minus", "ASDF-"), ("robust", "robust")]
+)
+def test_ten_trials_of_another_seed_give_about_the_errors_on_the_page_of_the_robust_filter(
+    flaw: str, filter_name: str, column: str
 ) -> None:
-    page = (ROOT / "docs/internals/robust.md").read_text(encoding="utf-8")
-    row = re.search(rf"^\| moving, \.3 flawed \| {flaw} \|(.*)\|$", page, re.MULTILINE)
-    assert row is not None
-    (experiment,) = m.grid(**MOVING, **FLAWS[flaw], filter=filter_name, steps=40_000, trials=10, seed=5)
+    swarm: dict[str, Any] = {"topology": "dynamic", "latency": 1, "robots": 20, "flawed": 6}
+    (experiment,) = m.grid(**swarm, **FLAWS[flaw], filter=filter_name, steps=40_000, trials=10, seed=5)
     trials = run_trials(experiment, first=0, trials=10, sampling_interval=1000)
-    error = float(np.median(study_program.late_errors(trials)))
 
-    assert error == pytest.approx(float(row[1].split("|")[column]), rel=0.5)
+    median_error = float(np.median(study_program.late_errors(trials)))
+
+    assert median_error == pytest.approx(late_error_on_page(flaw, column), rel=0.5)
 
 
 # --- Picture ---------------------------------------------------------------------------------------------
 
 
-def test_the_picture_has_a_panel_for_each_swarm_and_kind_of_flaw(monkeypatch: pytest.MonkeyPatch) -> None:
-    experiments_by_panel: dict[str, list[Trials]] = {}
+@pytest.fixture
+def drawn_panels(monkeypatch: pytest.MonkeyPatch) -> dict[str, list[Trials]]:
+    """Collect, instead of drawing, the results of each panel of a picture by the panel's title."""
+    drawn_panels: dict[str, list[Trials]] = {}
 
     def record_panels(panels: dict[str, list[Trials]]) -> Figure:
-        experiments_by_panel.update(panels)
+        drawn_panels.update(panels)
         return Figure()
 
     monkeypatch.setattr(robust_filter, "plot_errors_over_time", record_panels)
-    trials = short_trials(**MOVING, filter="none", sensors=BOTH_FLAWS)
-    grid = {"moving, 30 % flawed": trials, "moving, 50 % flawed": trials}
-    figure = robust_filter.draw_errors(grid, {"moving, 5 liars": trials})
+    return drawn_panels
+
+
+def test_the_picture_of_the_robust_filter_has_a_panel_for_each_swarm_and_kind_of_flaw(
+    drawn_panels: dict[str, list[Trials]],
+) -> None:
+    underconfident, overconfident = (trials_with(**sensors) for sensors in BOTH_FLAWS)
+    both = [underconfident, overconfident]
+    grid = {"moving, 30 % flawed": both, "moving, 50 % flawed": both}
+
+    figure = robust_filter.draw_errors(grid, worlds={"moving, 5 liars": both})
+
+    assert drawn_panels == {
+        "30 % flawed, underconfident": [underconfident],
+        "30 % flawed and 5 liars, underconfident": [underconfident],
+        "50 % flawed, underconfident": [underconfident],
+        "30 % flawed, overconfident": [overconfident],
+        "30 % flawed and 5 liars, overconfident": [overconfident],
+        "50 % flawed, overconfident": [overconfident],
+    }
     assert figure.get_supxlabel() == "step"
-    fill_ratios = {
-        title: [each.experiment.fill_ratio for each in panel] for title, panel in experiments_by_panel.items()
-    }
-    assert fill_ratios == {
-        "30 % flawed, underconfident": [0.55],
-        "30 % flawed and 5 liars, underconfident": [0.55],
-        "50 % flawed, underconfident": [0.55],
-        "30 % flawed, overconfident": [0.95],
-        "30 % flawed and 5 liars, overconfident": [0.95],
-        "50 % flawed, overconfident": [0.95],
-    }

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import argparse
-import re
-from collections.abc import Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -13,9 +12,15 @@ import pytest
 from matplotlib.figure import Figure
 
 import mcp_asdf_tools as m
-from host_tools.studies.conftest import short_trials
+from host_tools.studies.conftest import (
+    all_experiments,
+    page_path,
+    rare_resampling,
+    tables_in,
+    trials_with,
+    values_of,
+)
 from mcp_asdf_tools.experiments.experiment import Experiment
-from mcp_asdf_tools.experiments.results import Trials
 from mcp_asdf_tools.studies import (
     ageing,
     peers,
@@ -27,113 +32,83 @@ from mcp_asdf_tools.studies import (
 )
 from mcp_asdf_tools.studies.bootstrap import Interval, resample_mean
 from mcp_asdf_tools.studies.study_program import FLAWS
-from support import ROOT
 
 # --- Measures ------------------------------------------------------------------------------------------
 
 
-def trials_of_four_robots(x: Any, b_hat: Any = None, **changes: Any) -> Trials:
-    """Make two trials of four robots, the first of them flawed, with f = 0.5, b = 0.9 and these values of x.
+def test_the_late_error_is_the_mean_distance_from_f_in_the_last_quarter() -> None:
+    """A quarter of nine samples is two. Four robots estimate f, which is 0.5, in two equal trials."""
+    first_seven_samples = [[0.7, 0.7, 0.7, 0.7]] * 7
+    last_two_samples = [[0.4, 0.6, 0.8, 0.0], [0.5, 0.7, 0.6, 0.0]]
+    trials = trials_with(x=first_seven_samples + last_two_samples)
 
-    ``x`` has the shape (trials, samples, robots), and b_hat (trials, filter steps, robots); None stands for
-    a b_hat of 0.9.
-    """
-    settings = {"robots": 4, "flawed": 1, "steps": 4000, "fill_ratio": 0.5, "true_accuracy": 0.9, "trials": 2}
-    return Trials(
-        experiment=Experiment(**settings | changes),
-        numbers=[0, 1],
-        convergence_steps=np.zeros((2, 4), np.int64),
-        errors=np.zeros((2, 4)),
-        b_hat=np.full((2, 1, 4), 0.9) if b_hat is None else b_hat,
-        tests=np.zeros((2, 4), np.int64),
-        updates=np.zeros((2, 4), np.int64),
-        records={"x": np.asarray(x)},
-    )
-
-
-def series_ending_in(*last_values: Sequence[float], length: int = 9) -> Any:
-    """Return x of two equal trials that is 0.7 but for the last values: a list over the robots for each."""
-    x = np.full((2, length, 4), 0.7)
-    x[:, -len(last_values) :] = last_values
-    return x
-
-
-def test_the_late_error_is_that_of_the_last_quarter() -> None:
-    """A quarter of nine samples is two. The error is the mean distance of four robots' x from f = 0.5.
-
-    Both trials are equal, so they have the same error.
-    """
-    trials = trials_of_four_robots(series_ending_in([0.4, 0.6, 0.8, 0.0], [0.5, 0.7, 0.6, 0.0]))
-    errors_of_last_but_one_sample = [0.1, 0.1, 0.3, 0.5]
-    errors_of_last_sample = [0.0, 0.2, 0.1, 0.5]
-    mean_error = sum(errors_of_last_but_one_sample + errors_of_last_sample) / 8
-
-    assert study_program.late_errors(trials) == pytest.approx([mean_error, mean_error])
+    distances_in_last_quarter = [0.1, 0.1, 0.3, 0.5, 0.0, 0.2, 0.1, 0.5]
+    mean_distance = sum(distances_in_last_quarter) / 8
+    assert study_program.late_errors(trials) == pytest.approx([mean_distance, mean_distance])
 
 
 def test_the_late_error_of_three_samples_is_that_of_the_last_one() -> None:
-    """A quarter of three is none, but at least one sample counts."""
-    trials = trials_of_four_robots(series_ending_in([0.4, 0.6, 0.8, 0.0], length=3))
-    errors_of_last_sample = [0.1, 0.1, 0.3, 0.5]
-    mean_error = sum(errors_of_last_sample) / 4
+    """A quarter of three samples is none, but at least one counts. Four robots estimate f, which is 0.5."""
+    first_two_samples = [[0.7, 0.7, 0.7, 0.7]] * 2
+    trials = trials_with(x=[*first_two_samples, [0.4, 0.6, 0.8, 0.0]])
 
-    assert study_program.late_errors(trials) == pytest.approx([mean_error, mean_error])
-
-
-X_AT_THE_SHARE_OF_BLACK = series_ending_in([0.5, 0.5, 0.5, 0.5])
-"""Estimates of two trials that end at the right one, for tests of something else."""
+    mean_distance = (0.1 + 0.1 + 0.3 + 0.5) / 4
+    assert study_program.late_errors(trials) == pytest.approx([mean_distance, mean_distance])
 
 
-def test_healthy_robots_are_harmed_if_b_hat_ends_more_than_0_05_off() -> None:
-    """Their accuracy is 0.9. In the second trial one of three healthy robots, with 0.84, is harmed.
+def test_healthy_robots_are_harmed_if_b_hat_ends_more_than_0_05_from_their_accuracy() -> None:
+    """Their accuracy is 0.9. The first of four robots is flawed, and does not count.
 
-    The first of the four robots is flawed, and does not count.
+    In the second trial one of three healthy robots, with 0.84, is harmed.
     """
     b_hat_of_first_trial = [0.5, 0.9, 0.9, 0.9]
     b_hat_of_second_trial = [0.5, 0.84, 0.94, 0.9]
-    one_filter_step = np.array([[b_hat_of_first_trial], [b_hat_of_second_trial]])
-    trials = trials_of_four_robots(X_AT_THE_SHARE_OF_BLACK, b_hat=one_filter_step)
+    trials = trials_with(b_hat=[[b_hat_of_first_trial], [b_hat_of_second_trial]])
 
     assert study_program.harmed_percents(trials) == pytest.approx([0, 100 / 3])
 
 
-def test_only_the_last_filter_step_says_who_is_harmed() -> None:
-    """After the first step the healthy robots' b_hat is 0.6, which is wrong, and after the second 0.9."""
-    two_filter_steps = [[0.5, 0.6, 0.6, 0.6], [0.5, 0.9, 0.9, 0.9]]
-    b_hat_of_two_trials = np.array([two_filter_steps, two_filter_steps])
-    trials = trials_of_four_robots(X_AT_THE_SHARE_OF_BLACK, b_hat=b_hat_of_two_trials)
+def test_robots_whose_b_hat_is_wrong_only_before_the_last_filter_step_are_not_harmed() -> None:
+    """The first of four robots is flawed; the others should assume 0.9, and do so in the end."""
+    b_hat_after_first_step = [0.5, 0.6, 0.6, 0.6]
+    b_hat_after_last_step = [0.5, 0.9, 0.9, 0.9]
+    trials = trials_with(b_hat=[b_hat_after_first_step, b_hat_after_last_step])
 
+    assert study_program.harmed_percents(trials).tolist() == [0, 0]  # of two trials
+
+
+def test_a_trial_that_ends_before_the_first_filter_step_harms_no_robot() -> None:
+    b_hat_of_no_filter_steps = np.empty((2, 0, 4))  # two trials, no steps, four robots
+    trials = trials_with(b_hat=b_hat_of_no_filter_steps)
     assert study_program.harmed_percents(trials).tolist() == [0, 0]
 
 
-def test_a_trial_that_ends_before_the_first_filter_step_harms_nobody() -> None:
-    no_filter_steps = np.empty((2, 0, 4))  # by trial, filter step and robot
-    trials = trials_of_four_robots(X_AT_THE_SHARE_OF_BLACK, b_hat=no_filter_steps)
-    assert study_program.harmed_percents(trials).tolist() == [0, 0]
-
-
-def test_swarms_without_healthy_robots_have_no_percentage_of_harmed_ones() -> None:
-    trials = trials_of_four_robots(X_AT_THE_SHARE_OF_BLACK, flawed=4)
+def test_the_percentage_of_harmed_robots_is_nan_in_swarms_without_healthy_robots() -> None:
+    trials = trials_with(robots=4, flawed=4)
     assert np.isnan(study_program.harmed_percents(trials)).all()
 
 
-def measured_numbers(trials: Any) -> Any:
+def numbers_themselves(trials: Any) -> Any:
     """Measure lists of numbers, which stand for the trials of experiments."""
     return np.asarray(trials, float)
 
 
-def test_medians_are_averaged_over_experiments() -> None:
-    """Each experiment has nine trials; the medians are 4 and 104. The interval is about their mean, 54."""
+def test_a_measure_of_two_experiments_is_the_mean_of_their_medians_with_an_interval() -> None:
+    """Each experiment has nine trials with the numbers 0 to 8, or 100 to 108."""
     experiments: Any = [range(9), range(100, 109)]
-    value, low, high = study_program.mean_over_experiments(measured_numbers, experiments)
-    assert value == 54
+
+    value, low, high = study_program.mean_over_experiments(numbers_themselves, experiments)
+
+    assert value == (4 + 104) / 2
     assert 50 < low < 54 < high < 58
 
 
-def test_measures_that_are_rarely_above_0_are_averaged_by_means() -> None:
-    """Their medians would be 0. One of 40 numbers is 1 here; the others are 0."""
+def test_a_measure_that_is_rarely_above_0_can_be_averaged_by_means_instead_of_medians() -> None:
+    """One of the 40 numbers of two experiments is 1, and the others are 0, so that medians would be 0."""
     experiments: Any = [[1] + [0] * 19, [0] * 20]
-    interval = study_program.mean_over_experiments(measured_numbers, experiments, resample_mean)
+
+    interval = study_program.mean_over_experiments(numbers_themselves, experiments, resample_mean)
+
     # The one is drawn up to three times in the resamples within the interval.
     assert interval == pytest.approx((1 / 40, 0, 3 / 40))
 
@@ -142,73 +117,71 @@ def test_measures_that_are_rarely_above_0_are_averaged_by_means() -> None:
 
 
 @pytest.mark.parametrize(("error", "text"), [(0.00994, "0.0099"), (0.01, "0.010"), (0.1, "0.100")])
-def test_errors_have_two_or_three_significant_digits(error: float, text: str) -> None:
+def test_errors_have_four_decimals_below_0_01_and_otherwise_three(error: float, text: str) -> None:
     assert study_program.format_error(error) == text
 
 
 @pytest.mark.parametrize(
-    ("interval", "text"),
+    ("low", "high", "text"),
     [
-        (Interval(50, 49.5, 50.5), "50.0"),
-        (Interval(50, 49, 50), "50.0 (49.0..50.0)"),
-        (Interval(50, 50, 51), "50.0 (50.0..51.0)"),
-        (Interval(50, 49.98, 50.01), "50.0"),
+        (49.5, 50.5, "50.0"),
+        (49.0, 50.0, "50.0 (49.0..50.0)"),
+        (50.0, 51.0, "50.0 (50.0..51.0)"),
     ],
 )
-def test_an_interval_is_shown_if_it_reaches_beyond_the_tolerance(interval: Interval, text: str) -> None:
-    """An interval is a value with a lower and an upper end; the tolerance is 0.5 on either side."""
-    tolerance = 0.5
-    assert study_program.format_interval(interval, study_program.format_tenths, tolerance) == text
+def test_an_interval_is_shown_if_an_end_is_farther_from_the_value_than_the_tolerance(
+    low: float, high: float, text: str
+) -> None:
+    interval = Interval(value=50, low=low, high=high)
+    assert study_program.format_interval(interval, study_program.format_tenths, tolerance=0.5) == text
 
 
-def test_an_interval_that_rounds_to_one_number_is_not_shown() -> None:
-    interval = Interval(50, 49.96, 50.04)
-    assert study_program.format_interval(interval, study_program.format_tenths, 0.01) == "50.0"
+def test_an_interval_whose_ends_round_to_the_same_text_is_not_shown() -> None:
+    interval = Interval(value=50, low=49.96, high=50.04)
+    assert study_program.format_interval(interval, study_program.format_tenths, tolerance=0.01) == "50.0"
 
 
-def two_trials_with_x(first: float, second: float) -> Trials:
-    """Make two trials in each of which all four robots have the same x; the right one is f = 0.5."""
-    return trials_of_four_robots([[[first] * 4], [[second] * 4]])
+@pytest.mark.parametrize(
+    ("x_of_second_trial", "text"), [(0.61, "0.105"), (0.7, "0.150 (0.100..0.200)")], ids=["narrow", "wide"]
+)
+def test_an_error_shows_its_interval_if_an_end_is_more_than_a_tenth_of_the_error_off(
+    x_of_second_trial: float, text: str
+) -> None:
+    """Two trials differ. All robots of the first estimate 0.6 for f = 0.5, so that its error is 0.1."""
+    trials = trials_with(x=[[[0.6] * 4], [[x_of_second_trial] * 4]])
+    assert study_program.late_error_text([trials]) == text
 
 
-def test_an_error_shows_its_interval_if_that_is_as_wide_as_a_tenth_of_the_error() -> None:
-    """The errors of the trials are 0.11 and 0.1, and then 0.2 and 0.1."""
-    narrow = two_trials_with_x(0.61, 0.6)
-    wide = two_trials_with_x(0.7, 0.6)
-    assert study_program.late_error_text([narrow]) == "0.105"
-    assert study_program.late_error_text([wide]) == "0.150 (0.100..0.200)"
+def test_a_plain_error_has_no_interval_even_if_trials_differ() -> None:
+    """All robots estimate 0.6 for f = 0.5 in one trial, and 0.7 in the other."""
+    trials = trials_with(x=[[[0.6] * 4], [[0.7] * 4]])
+    assert study_program.plain_error_text([trials]) == "0.150"
 
 
-def test_a_plain_error_has_no_interval() -> None:
-    wide = two_trials_with_x(0.7, 0.6)
-    assert study_program.plain_error_text([wide]) == "0.150"
+UNDERCONFIDENT_WITH_ERROR_0_2 = trials_with(**FLAWS["underconfident"], x=0.75)
+"""Trials on a floor that is 0.55 black."""
 
-
-def test_a_score_has_one_decimal() -> None:
-    """These trials have converged at step 0, without an error, which is worth 100 points."""
-    trials = trials_of_four_robots(X_AT_THE_SHARE_OF_BLACK)
-    assert study_program.score_text([trials]) == "100.0"
+OVERCONFIDENT_WITH_ERROR_0_05 = trials_with(**FLAWS["overconfident"], x=0.9)
+"""Trials on a floor that is 0.95 black."""
 
 
 def test_the_error_of_underconfident_swarms_stands_before_that_of_overconfident_ones() -> None:
-    """Underconfident ones have an accuracy of 0.95 here, and x is 0.75 where 0.55 of the tiles are black."""
-    overconfident = trials_of_four_robots(np.full((2, 1, 4), 0.9), fill_ratio=0.95, true_accuracy=0.55)
-    underconfident = trials_of_four_robots(np.full((2, 1, 4), 0.75), fill_ratio=0.55, true_accuracy=0.95)
-    assert study_program.under_and_over_text([overconfident, underconfident]) == "0.200, 0.050"
+    in_the_other_order = [OVERCONFIDENT_WITH_ERROR_0_05, UNDERCONFIDENT_WITH_ERROR_0_2]
+    assert study_program.under_and_over_text(in_the_other_order) == "0.200, 0.050"
 
 
-def test_a_cell_of_one_kind_of_swarm_has_one_error() -> None:
-    """x is 0.9 where 0.95 of the tiles are black."""
-    overconfident = trials_of_four_robots(np.full((2, 1, 4), 0.9), fill_ratio=0.95, true_accuracy=0.55)
-    assert study_program.under_and_over_text([overconfident]) == "0.050"
+def test_a_cell_with_overconfident_swarms_only_has_one_error() -> None:
+    assert study_program.under_and_over_text([OVERCONFIDENT_WITH_ERROR_0_05]) == "0.050"
 
 
-def test_a_table_has_labelled_rows_and_a_column_for_each_filter() -> None:
-    rows = {
-        "4 robots": short_trials(filter=["none", "robust"]),
-        "8 robots": short_trials(robots=8, filter="asdf-minus", fill_ratio=[0.5, 0.6]),
-    }
-    table = study_program.markdown_table("experiments", rows, lambda group: str(len(group)))
+def test_a_table_has_labelled_rows_and_a_column_for_each_filter_that_a_row_needs() -> None:
+    """Each cell has the number of its experiments, and is empty where there are none."""
+    no_filter, robust, asdf_minus = (
+        trials_with(filter=filter_name) for filter_name in ("none", "robust", "asdf-minus")
+    )
+    rows = {"4 robots": [no_filter, robust], "8 robots": [asdf_minus, asdf_minus]}
+
+    table = study_program.markdown_table("experiments", rows, text_of=lambda trials: str(len(trials)))
 
     assert table.splitlines() == [
         "| experiments | no filter | robust | ASDF- |",
@@ -218,130 +191,143 @@ def test_a_table_has_labelled_rows_and_a_column_for_each_filter() -> None:
     ]
 
 
-def test_tables_are_written_between_their_marks(tmp_path: Path) -> None:
-    study_program.write_tables(tmp_path / "a.md", "A study", {"first": "| 1 |", "second": "| 2 |"})
-    text = (tmp_path / "a.md").read_text(encoding="utf-8")
-    assert text.startswith("# A study\n\nMedians over trials.")
-    assert text.endswith("<!-- first -->\n| 1 |\n<!-- end -->\n\n<!-- second -->\n| 2 |\n<!-- end -->\n")
+def test_the_tables_of_a_study_are_written_between_their_marks_below_a_title_and_a_note(
+    tmp_path: Path,
+) -> None:
+    tables = {"first": "| 1 |", "second": "| 2 |"}
+    study_program.write_tables(tmp_path / "a.md", "A study", tables, note="Means.")
 
-
-def test_a_note_of_the_study_stands_above_its_tables(tmp_path: Path) -> None:
-    study_program.write_tables(tmp_path / "a.md", "A study", {"first": "| 1 |"}, note="Means.")
-    assert (tmp_path / "a.md").read_text(encoding="utf-8").startswith("# A study\n\nMeans.\n\n<!-- first -->")
+    assert (tmp_path / "a.md").read_text() == (
+        "# A study\n\nMeans.\n\n<!-- first -->\n| 1 |\n<!-- end -->\n\n<!-- second -->\n| 2 |\n<!-- end -->\n"
+    )
 
 
 # --- Programs ------------------------------------------------------------------------------------------
 
 
-def arguments_for(folder: Path, *, quick: bool = False, workers: int = 1) -> argparse.Namespace:
-    return argparse.Namespace(folder=folder, workers=workers, quick=quick)
+def run_row(folder: Path, *experiments: Experiment, **options: Any) -> list[Any]:
+    """Run the experiments of a table with one row as a study's program does, and return the row's results."""
+    arguments = argparse.Namespace(folder=folder, **{"workers": 1, "quick": False, **options})
+    return study_program.run_rows("a", {"row": experiments}, arguments, record=50)["row"]
 
 
-def test_the_quick_form_has_two_trials_of_4000_steps(tmp_path: Path) -> None:
-    rows = {"three robots": m.grid(robots=3, flawed=1, steps=9000, trials=30)}
-    (trials,) = study_program.run_rows("a", rows, arguments_for(tmp_path, quick=True))["three robots"]
-    assert (trials.experiment.trials, trials.experiment.steps) == (2, 4000)
+THREE_ROBOTS = Experiment(robots=3, flawed=1, steps=400, filter_period=100, trials=3)
 
 
-def test_the_quick_form_lengthens_no_trial(tmp_path: Path) -> None:
-    rows = {"three robots": m.grid(robots=3, flawed=1, steps=1000)}
-    (trials,) = study_program.run_rows("a", rows, arguments_for(tmp_path, quick=True))["three robots"]
-    assert trials.experiment.steps == 1000
+@pytest.mark.parametrize(("steps", "quick_steps"), [(9000, 4000), (400, 400)])
+def test_the_quick_form_of_a_study_has_two_trials_of_at_most_4000_steps(
+    steps: int, quick_steps: int, tmp_path: Path
+) -> None:
+    long_experiment = Experiment(robots=3, flawed=1, steps=steps, filter_period=100, trials=30)
+    [trials] = run_row(tmp_path, long_experiment, quick=True)
+
+    assert trials.experiment.trials == len(trials.numbers) == 2
+    assert trials.experiment.steps == quick_steps
 
 
-def test_results_are_returned_by_row_and_written_to_a_file(tmp_path: Path) -> None:
-    common = {"flawed": 1, "steps": 400, "filter_period": 100, "trials": 3}
-    rows = {"three robots": m.grid(robots=3, **common), "four robots": m.grid(robots=4, **common)}
-    results = study_program.run_rows("a", rows, arguments_for(tmp_path / "new folder"), record=50)
-    experiments = {label: [trials.experiment for trials in row] for label, row in results.items()}
+def test_the_results_of_a_row_are_recorded_and_written_to_a_file_in_a_new_folder(tmp_path: Path) -> None:
+    [trials] = run_row(tmp_path / "new folder", THREE_ROBOTS)
 
-    assert experiments == rows
-    assert results["four robots"][0].sampling_interval == 50
+    assert trials.experiment == THREE_ROBOTS
+    assert trials.sampling_interval == 50
     assert (tmp_path / "new folder/a.parquet").exists()
 
 
 @pytest.mark.slow
-def test_robots_of_a_study_run_the_same_in_several_processes(tmp_path: Path) -> None:
-    rows = {"peers": m.grid(robots=3, flawed=1, steps=1000, firmware=peers.RememberingRobot)}
-    (parallel,) = study_program.run_rows("a", rows, arguments_for(tmp_path, quick=True, workers=2))["peers"]
-    (alone,) = study_program.run_rows("b", rows, arguments_for(tmp_path, quick=True))["peers"]
-    assert parallel.errors.tolist() == alone.errors.tolist()
+def test_robots_of_a_study_have_the_same_results_in_one_process_and_in_two(tmp_path: Path) -> None:
+    [experiment] = m.grid(robots=3, flawed=1, steps=1000, firmware=peers.RememberingRobot)
+
+    [trials_of_one_process] = run_row(tmp_path / "one", experiment, quick=True, workers=1)
+    [trials_of_two_processes] = run_row(tmp_path / "two", experiment, quick=True, workers=2)
+
+    assert trials_of_two_processes.errors.tolist() == trials_of_one_process.errors.tolist()
 
 
-STUDIES = [
-    pytest.param(robust_filter, "robust", id="robust"),
-    pytest.param(ageing, "ageing", id="ageing"),
-    pytest.param(swarm_sizes, "scale", id="scale"),
-    pytest.param(related_work, "related_work", id="related_work"),
-    pytest.param(two_readings, "two_readings", id="two_readings"),
-]
-"""The programs, and the name of the page's tables and picture that each writes."""
+STUDIES = {
+    "robust": robust_filter,
+    "ageing": ageing,
+    "scale": swarm_sizes,
+    "related_work": related_work,
+    "two_readings": two_readings,
+}
+"""The programs, by the name of the tables and of the picture that each writes."""
 
 
-def run_tiny_program(study: Any, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def run_tiny_program(name: str, folder: Path) -> None:
     """Run a study's program with two short experiments in place of each of its tables, and without plots."""
-    tiny = m.grid(robots=3, flawed=1, steps=1000, filter_period=100, trials=2, filter=["none", "robust"])
-    names = [name for name in vars(study) if name.endswith("_rows") and not name.startswith("_")]
-    names.remove("run_rows")
-    assert names
-    for function in names:
-        monkeypatch.setattr(study, function, lambda: {"a row": tiny})
-    for function in ("draw_errors", "draw_sizes"):
-        monkeypatch.setattr(study, function, lambda *rows: Figure(), raising=False)
-    monkeypatch.setattr(swarm_sizes, "TIMED_ROBOT_STEPS", 1000)
-    monkeypatch.setattr("sys.argv", ["study", str(folder)])
-    study.main()
+    study = STUDIES[name]
+    tiny = m.grid(robots=3, flawed=1, steps=1000, filter_period=500, trials=2, filter=["none", "robust"])
+    functions_of_rows = [
+        function for function in vars(study) if function.endswith("_rows") and function != "run_rows"
+    ]
+    with rare_resampling(), pytest.MonkeyPatch.context() as patch:
+        for function in functions_of_rows:
+            patch.setattr(study, function, lambda: {"a row": tiny})
+        for function in ("draw_errors", "draw_sizes"):
+            patch.setattr(study, function, lambda *rows: Figure(), raising=False)
+        patch.setattr(swarm_sizes, "TIMED_ROBOT_STEPS", 1000)
+        patch.setattr("sys.argv", ["study", str(folder)])
+        study.main()
 
 
-@pytest.mark.parametrize(("study", "name"), STUDIES)
-def test_a_program_writes_its_tables_and_its_picture(
-    study: Any, name: str, few_resamples: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    run_tiny_program(study, tmp_path, monkeypatch)
-    marks = {
-        "robust": ["grid", "beyond", "peers", "worlds"],
-        "ageing": ["filters", "peers"],
-        "related_work": ["early", "late", "colour"],
-        "two_readings": ["errors", "harm"],
-    }
-    text = (tmp_path / f"{name}.md").read_text(encoding="utf-8")
-    tables = re.findall(r"<!-- (\w+) -->\n(\|.*?)\n<!-- end -->", text, re.DOTALL)
-
-    assert [mark for mark, _ in tables] == marks.get(name, [name])
-    assert all(table.splitlines()[0].endswith("| no filter | robust |") for _, table in tables)
-    assert (tmp_path / f"{name}.png").read_bytes().startswith(b"\x89PNG")
+@pytest.fixture(scope="module")
+def folders_of_tiny_programs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """Run the program of each study, with "a row" of two experiments in each table; return its folder."""
+    folders = {name: tmp_path_factory.mktemp(name) for name in STUDIES}
+    for name, folder in folders.items():
+        run_tiny_program(name, folder)
+    return folders
 
 
 @pytest.mark.parametrize(
-    ("study", "intervals"),
+    ("study", "marks"),
     [
-        (
-            robust_filter,
-            {"robust_grid": 1000, "robust_beyond": 1000, "robust_peers": 500, "robust_worlds": 500},
-        ),
-        (ageing, {"ageing": 1000, "ageing_peers": 1000}),
-        (swarm_sizes, {"scale": 1000}),
-        (related_work, {"related_resilience": 100, "related_colour": 500}),
-        (two_readings, {"two_readings": 500}),
+        ("robust", ["grid", "beyond", "peers", "worlds"]),
+        ("ageing", ["filters", "peers"]),
+        ("scale", ["scale"]),
+        ("related_work", ["early", "late", "colour"]),
+        ("two_readings", ["errors", "harm"]),
     ],
 )
-def test_a_program_keeps_its_results_with_values_over_time(
-    study: Any,
-    intervals: dict[str, int],
-    few_resamples: None,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
+def test_the_program_of_a_study_writes_its_tables_and_its_picture(
+    study: str, marks: list[str], folders_of_tiny_programs: dict[str, Path]
 ) -> None:
-    run_tiny_program(study, tmp_path, monkeypatch)
-    assert {path.stem: sampling_interval(path) for path in tmp_path.glob("*.parquet")} == intervals
+    folder = folders_of_tiny_programs[study]
 
-
-def sampling_interval(path: Path) -> int:
-    return m.experiments_in(m.read_table(path))[0].sampling_interval
+    tables = tables_in(folder / f"{study}.md")
+    assert list(tables) == marks
+    for table in tables.values():
+        assert table.columns == ["no filter", "robust"]
+        assert list(table.rows) == ["a row"]
+    assert (folder / f"{study}.png").read_bytes().startswith(b"\x89PNG")
 
 
 @pytest.mark.parametrize(
-    ("rows_of", "page", "mark"),
+    ("study", "intervals_by_file"),
+    [
+        (
+            "robust",
+            {"robust_grid": 1000, "robust_beyond": 1000, "robust_peers": 500, "robust_worlds": 500},
+        ),
+        ("ageing", {"ageing": 1000, "ageing_peers": 1000}),
+        ("scale", {"scale": 1000}),
+        ("related_work", {"related_resilience": 100, "related_colour": 500}),
+        ("two_readings", {"two_readings": 500}),
+    ],
+)
+def test_the_program_of_a_study_keeps_its_results_with_values_so_many_steps_apart(
+    study: str, intervals_by_file: dict[str, int], folders_of_tiny_programs: dict[str, Path]
+) -> None:
+    sampling_intervals = {}
+    for path in folders_of_tiny_programs[study].glob("*.parquet"):
+        first_trials, *_ = m.experiments_in(m.read_table(path))
+        sampling_intervals[path.stem] = first_trials.sampling_interval
+
+    assert sampling_intervals == intervals_by_file
+
+
+@pytest.mark.parametrize(
+    ("rows_of_study", "page", "mark"),
     [
         (ageing.ageing_rows, "ageing", "filters"),
         (ageing.peer_rows, "ageing", "peers"),
@@ -351,51 +337,84 @@ def sampling_interval(path: Path) -> int:
         (two_readings.two_readings_rows, "two_readings", "harm"),
     ],
 )
-def test_a_page_shows_rows_of_its_study(rows_of: Any, page: str, mark: str) -> None:
-    page_rows = rows_of_page(page, mark)
-    assert page_rows
-    assert set(page_rows) <= set(rows_of())
+def test_the_rows_in_a_table_of_a_page_are_rows_of_its_study(
+    rows_of_study: Callable[[], dict[str, Any]], page: str, mark: str
+) -> None:
+    rows_on_page = tables_in(page_path(page))[mark].rows
+
+    assert rows_on_page
+    assert rows_on_page.keys() <= rows_of_study().keys()
 
 
-def test_the_page_of_ageing_fills_the_cells_of_which_there_are_experiments() -> None:
-    filled_cells = {
-        row: len(cells) - cells.count("") for row, cells in rows_of_page("ageing", "peers").items()
-    }
-    columns = {
-        row: len({peers.column_label(experiment) for experiment in experiments})
-        for row, experiments in ageing.peer_rows().items()
-    }
+def test_the_page_about_ageing_has_a_number_for_each_robot_that_knows_how_sensors_age() -> None:
+    """Its table "peers" has a row for each kind of ageing; cells are empty where no such robot ran."""
+    rows_on_page = tables_in(page_path("ageing"))["peers"].rows
+    experiments_by_row = ageing.peer_rows()
 
-    assert filled_cells and filled_cells == {row: columns[row] for row in filled_cells}  # it shows some rows
-
-
-def rows_of_page(page: str, mark: str) -> dict[str, list[str]]:
-    """Return the cells of each row of a table in a page of docs/internals/, by the row's label."""
-    text = (ROOT / f"docs/internals/{page}.md").read_text(encoding="utf-8")
-    table = text.partition(f"<!-- {mark} -->\n")[2].partition("\n<!-- end -->")[0]
-    rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in table.splitlines()[2:]]
-    return {label: cells for label, *cells in rows}
+    assert rows_on_page
+    for label, cells in rows_on_page.items():
+        numbers = [cell for cell in cells if cell != ""]
+        assert len(numbers) == len(experiments_by_row[label])
 
 
-@pytest.mark.parametrize("rows", [robust_filter.peer_rows(), robust_filter.world_rows()])
-def test_peers_and_hard_worlds_have_a_seed_that_no_tuning_has_seen(rows: Any) -> None:
-    assert {experiment.seed for experiments in rows.values() for experiment in experiments} == {4713}
+@pytest.mark.parametrize(
+    ("rows_of_study", "trials", "steps"),
+    [
+        (ageing.ageing_rows, 30, 40_000),
+        (ageing.peer_rows, 4, 40_000),
+        (robust_filter.grid_rows, 30, 40_000),
+        (related_work.resilience_rows, 6, 4000),
+        (related_work.colour_rows, 6, 10_000),
+        (two_readings.two_readings_rows, 6, 20_000),
+    ],
+)
+def test_the_experiments_of_a_study_have_as_many_trials_and_steps_as_its_page_says(
+    rows_of_study: Callable[[], dict[str, Any]], trials: int, steps: int
+) -> None:
+    experiments = all_experiments(rows_of_study())
+
+    assert values_of(experiments, "trials") == {trials}
+    assert values_of(experiments, "steps") == {steps}
+
+
+@pytest.mark.parametrize(
+    ("rows_of_study", "seed"),
+    [
+        (ageing.ageing_rows, 90125),
+        (ageing.peer_rows, 90126),
+        (robust_filter.grid_rows, 4711),
+        (robust_filter.beyond_rows, 4712),
+        (robust_filter.peer_rows, 4713),
+        (robust_filter.world_rows, 4713),
+        (related_work.resilience_rows, 4714),
+        (related_work.colour_rows, 4714),
+        (two_readings.two_readings_rows, 4715),
+        (swarm_sizes.size_rows, 65536),
+    ],
+)
+def test_the_experiments_of_a_study_have_a_seed_by_which_no_filter_was_tuned(
+    rows_of_study: Callable[[], dict[str, Any]], seed: int
+) -> None:
+    assert values_of(all_experiments(rows_of_study()), "seed") == {seed}
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("study", "name"), STUDIES)
-def test_the_quick_form_of_a_program_runs_all_its_experiments(
-    study: Any, name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("name", STUDIES)
+def test_the_quick_form_of_a_program_measures_something_in_all_its_experiments(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """A measure without results would be "nan" in a table."""
     monkeypatch.setattr(study_program, "QUICK_STEPS", 1000)
-    monkeypatch.setattr("sys.argv", ["study", str(tmp_path), "--quick", "--workers", "2"])
     monkeypatch.setattr(swarm_sizes, "TIMED_ROBOT_STEPS", 1000)
-    study.main()
+    monkeypatch.setattr("sys.argv", ["study", str(tmp_path), "--quick", "--workers", "2"])
+
+    STUDIES[name].main()
 
     assert "nan" not in (tmp_path / f"{name}.md").read_text(encoding="utf-8")
     assert (tmp_path / f"{name}.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_both_kinds_of_flaws_are_wrong_by_0_4() -> None:
-    offsets = {flaw: sensors["flawed_accuracy"] - sensors["true_accuracy"] for flaw, sensors in FLAWS.items()}
-    assert offsets == pytest.approx({"underconfident": -0.4, "overconfident": 0.4})
+@pytest.mark.parametrize(("flaw", "difference"), [("underconfident", -0.4), ("overconfident", 0.4)])
+def test_flawed_robots_assume_an_accuracy_that_is_wrong_by_0_4(flaw: str, difference: float) -> None:
+    sensors = FLAWS[flaw]
+    assert sensors["flawed_accuracy"] - sensors["true_accuracy"] == pytest.approx(difference)

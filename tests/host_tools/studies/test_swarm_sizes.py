@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
+from matplotlib.axes import Axes
 
-from host_tools.studies.conftest import short_trials
+from host_tools.studies.conftest import all_experiments, trials_with, values_of
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.results import Trials
-from mcp_asdf_tools.studies import study_program, swarm_sizes
+from mcp_asdf_tools.studies import swarm_sizes
 from mcp_asdf_tools.studies.study_program import FLAWS
 
-SHORT_EXPERIMENT = Experiment(robots=2, steps=10, filter_period=10, seed=77)
+# --- Experiments -----------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -24,135 +25,153 @@ SHORT_EXPERIMENT = Experiment(robots=2, steps=10, filter_period=10, seed=77)
         ("10,000 robots, overconfident", 10_000, 3000, 3),
     ],
 )
-def test_the_largest_swarms_have_fewer_trials(row: str, robots: int, flawed: int, trials: int) -> None:
+def test_swarms_of_all_sizes_have_30_percent_flawed_robots_and_the_largest_fewer_trials(
+    row: str, robots: int, flawed: int, trials: int
+) -> None:
     experiments = swarm_sizes.size_rows()[row]
-    sizes = {(experiment.robots, experiment.flawed, experiment.trials) for experiment in experiments}
-    assert sizes == {(robots, flawed, trials)}
-    assert [experiment.filter for experiment in experiments] == ["none", "robust"]
+
+    assert values_of(experiments, "robots") == {robots}
+    assert values_of(experiments, "flawed") == {flawed}
+    assert values_of(experiments, "trials") == {trials}
 
 
-def test_density_and_world_are_the_same_at_every_size() -> None:
-    experiments = [experiment for row in swarm_sizes.size_rows().values() for experiment in row]
-    worlds = {
-        (experiment.density, experiment.latency, experiment.steps, experiment.seed)
-        for experiment in experiments
-    }
+def test_swarms_of_all_sizes_have_the_same_density_latency_and_filters() -> None:
+    experiments = all_experiments(swarm_sizes.size_rows())
 
-    assert worlds == {(1, 1, 10_000, 65536)}
+    assert values_of(experiments, "density") == {1}
+    assert values_of(experiments, "latency") == {1}
+    assert values_of(experiments, "filter") == {"none", "robust"}
 
 
-def test_processor_time_is_the_shortest_of_three_measurements(monkeypatch: pytest.MonkeyPatch) -> None:
-    clock = iter([0.0, 5.0, 7.0, 14.0, 14.0, 16.0])  # trials of 5, 7 and 2 seconds
-    monkeypatch.setattr(swarm_sizes, "process_time", lambda: next(clock))
+# --- Costs -----------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def trials_take(monkeypatch: pytest.MonkeyPatch) -> list[float]:
+    """Return a list of seconds to be filled: how long each trial takes that is run from then on."""
+    seconds_of_trials: list[float] = []
+    clock = 0.0
+
+    def let_time_pass(*arguments: Any, **options: Any) -> None:
+        nonlocal clock
+        clock += seconds_of_trials.pop(0)
+
+    monkeypatch.setattr(swarm_sizes, "run_trials", let_time_pass)
+    monkeypatch.setattr(swarm_sizes, "process_time", lambda: clock)
     swarm_sizes.processor_seconds.cache_clear()
-    assert swarm_sizes.processor_seconds(SHORT_EXPERIMENT) == 2
+    return seconds_of_trials
 
 
-def test_the_first_trial_is_not_measured(monkeypatch: pytest.MonkeyPatch) -> None:
-    events: list[str] = []
-    monkeypatch.setattr(swarm_sizes, "run_trials", lambda *arguments, **options: events.append("trial"))
-
-    def record_clock() -> float:
-        events.append("clock")
-        return 0.0
-
-    monkeypatch.setattr(swarm_sizes, "process_time", record_clock)
-    swarm_sizes.processor_seconds.cache_clear()
-    swarm_sizes.processor_seconds(SHORT_EXPERIMENT)
-    assert events == ["trial", *["clock", "trial", "clock"] * 3]
-
-
-@pytest.fixture(scope="module")
-def rows_of_two_sizes() -> dict[str, list[Trials]]:
-    return {
-        f"{robots} robots, {flaw}": short_trials(
-            **sensors, robots=robots, flawed="33.4%", filter=["none", "robust"]
-        )
-        for flaw, sensors in FLAWS.items()
-        for robots in (3, 9)
-    }
-
-
-@pytest.fixture(autouse=True)
-def known_costs(monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest) -> None:
-    """Let a trial take 3 s and 2 ns for each robot and step, in tests of finished trials."""
-    if "rows_of_two_sizes" in request.fixturenames:
-        monkeypatch.setattr(
-            swarm_sizes,
-            "processor_seconds",
-            lambda experiment: 3 + 2e-9 * experiment.robots * experiment.steps,
-        )
-
-
-def test_the_cost_of_a_step_leaves_out_the_start_of_a_trial(
-    rows_of_two_sizes: dict[str, list[Trials]],
+def test_the_processor_time_of_a_trial_is_the_shortest_of_three_after_a_first_one_that_does_not_count(
+    trials_take: list[float],
 ) -> None:
-    (trials, _) = rows_of_two_sizes["9 robots, overconfident"]
-    assert swarm_sizes.step_cost(trials) == pytest.approx([2, 2])
+    trials_take += [1.0, 5.0, 7.0, 2.0]
+    assert swarm_sizes.processor_seconds(Experiment(robots=2)) == 2.0
 
 
-@pytest.mark.parametrize(("robots", "steps"), [(3, [333_333, 666_666]), (20_000, [100, 200])])
-def test_small_swarms_are_measured_for_more_steps(
-    robots: int, steps: list[int], rows_of_two_sizes: dict[str, list[Trials]], monkeypatch: pytest.MonkeyPatch
+def test_the_cost_of_a_robot_s_step_leaves_out_what_a_trial_takes_before_its_first_step(
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """A trial and one of twice as many steps are measured, the longer the fewer robots there are."""
-    measured_steps: list[int] = []
+    """Here a trial takes 3 s to start, and 2 ns for each step of each robot."""
+    monkeypatch.setattr(
+        swarm_sizes,
+        "processor_seconds",
+        lambda experiment: 3 + 2e-9 * experiment.robots * experiment.steps,
+    )
+    costs_of_two_trials = swarm_sizes.step_cost(trials_with(robots=9))
+    assert costs_of_two_trials == pytest.approx([2, 2])
+
+
+@pytest.mark.parametrize(("robots", "steps"), [(3, {333_333, 666_666}), (20_000, {100, 200})])
+def test_the_fewer_robots_a_swarm_has_the_more_steps_are_measured(
+    robots: int, steps: set[int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A trial and one of twice as many steps are measured: of a million robot-steps, or of 100 steps."""
+    measured_steps = set()
 
     def record_steps(experiment: Experiment) -> float:
-        measured_steps.append(experiment.steps)
+        measured_steps.add(experiment.steps)
         return 0.0
 
     monkeypatch.setattr(swarm_sizes, "processor_seconds", record_steps)
-    (trials, _) = rows_of_two_sizes["3 robots, overconfident"]
-    moving = Experiment(topology="dynamic", latency=1, robots=robots)
-    swarm_sizes.step_cost(replace(trials, experiment=moving))
-    assert sorted(measured_steps) == steps
+    swarm_sizes.step_cost(trials_with(topology="dynamic", latency=1, robots=robots))
+
+    assert measured_steps == steps
 
 
-def test_a_cell_has_score_error_and_cost(
-    rows_of_two_sizes: dict[str, list[Trials]], few_resamples: None
+# --- Table and picture -----------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def step_costs_2_ns(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let a robot's step cost 2 ns, without a measurement."""
+    monkeypatch.setattr(swarm_sizes, "step_cost", lambda trials: np.full(2, 2.0))
+
+
+def test_a_cell_has_the_score_the_late_error_and_the_nanoseconds_of_a_robot_s_step(
+    step_costs_2_ns: None, few_resamples: None
 ) -> None:
-    (trials, _) = rows_of_two_sizes["9 robots, overconfident"]
-    score, error = study_program.score_text([trials]), study_program.late_error_text([trials])
-    assert swarm_sizes.size_text([trials]) == f"{score}, {error}, 2"
+    """All robots converge at once without an error, worth 100 points, and estimate 0.6 for 0.5 later."""
+    trials = trials_with(x=0.6)
+    assert swarm_sizes.size_text([trials]) == "100.0, 0.100, 2"
 
 
-def test_the_picture_has_score_error_and_cost_of_both_flaws(
-    rows_of_two_sizes: dict[str, list[Trials]],
+def rows_of_two_sizes() -> dict[str, list[Trials]]:
+    """Return results of swarms of 3 and of 9 robots with errors of 0.3 and of 0.1, of both kinds of flaws."""
+    rows = {}
+    for flaw, sensors in FLAWS.items():
+        for robots, error in ((3, 0.3), (9, 0.1)):
+            rows[f"{robots} robots, {flaw}"] = [
+                trials_with(
+                    **sensors,
+                    robots=robots,
+                    flawed=robots // 3,
+                    filter=filter_name,
+                    x=sensors["fill_ratio"] - error,
+                )
+                for filter_name in ("none", "robust")
+            ]
+    return rows
+
+
+@pytest.fixture
+def panels(step_costs_2_ns: None) -> list[Axes]:
+    """The six panels of the picture of ``rows_of_two_sizes``."""
+    return swarm_sizes.draw_sizes(rows_of_two_sizes()).axes
+
+
+def test_the_picture_of_swarm_sizes_has_score_error_and_cost_of_both_kinds_of_flaws(
+    panels: list[Axes],
 ) -> None:
-    axes = swarm_sizes.draw_sizes(rows_of_two_sizes).axes
-    assert [each.get_title() for each in axes] == ["underconfident"] * 3 + ["overconfident"] * 3
-    assert [each.get_ylabel() for each in axes[:3]] == [
-        "score H",
-        "error of the last quarter",
-        "ns, robot and step",
-    ]
+    titles = [panel.get_title() for panel in panels]
+    assert titles == ["underconfident"] * 3 + ["overconfident"] * 3
+    quantities = ["score H", "error of the last quarter", "ns, robot and step"]
+    assert [panel.get_ylabel() for panel in panels] == quantities + quantities
 
 
-def test_the_picture_has_logarithmic_axes_of_robots_and_errors(
-    rows_of_two_sizes: dict[str, list[Trials]],
-) -> None:
-    score_axes, error_axes, cost_axes = swarm_sizes.draw_sizes(rows_of_two_sizes).axes[:3]
-    assert {axes.get_xscale() for axes in (score_axes, error_axes, cost_axes)} == {"log"}
-    assert (score_axes.get_yscale(), error_axes.get_yscale()) == ("linear", "log")
-    assert score_axes.get_ylim() == (0, 100)
-    assert cost_axes.get_ylim()[0] == 0
+def test_the_picture_of_swarm_sizes_has_logarithmic_axes_of_robots_and_errors(panels: list[Axes]) -> None:
+    score_panel, error_panel, cost_panel, *_overconfident = panels
+
+    for panel in (score_panel, error_panel, cost_panel):
+        assert panel.get_xscale() == "log"
+    assert score_panel.get_yscale() == "linear"
+    assert error_panel.get_yscale() == "log"
 
 
-def test_the_picture_draws_costs_of_both_filters(rows_of_two_sizes: dict[str, list[Trials]]) -> None:
-    cost_axes = swarm_sizes.draw_sizes(rows_of_two_sizes).axes[2]
-    costs = np.concatenate([np.asarray(line.get_ydata()) for line in cost_axes.lines])
-    assert costs == pytest.approx([2] * 4)
+def test_scores_are_drawn_from_0_to_100_and_costs_from_0_on(panels: list[Axes]) -> None:
+    score_panel, _error_panel, cost_panel, *_overconfident = panels
+    lowest_cost, _highest_cost = cost_panel.get_ylim()
+
+    assert score_panel.get_ylim() == (0, 100)
+    assert lowest_cost == 0
 
 
-def test_the_picture_draws_medians_of_errors(rows_of_two_sizes: dict[str, list[Trials]]) -> None:
-    error_axes = swarm_sizes.draw_sizes(rows_of_two_sizes).axes[1]
-    unfiltered_medians = [
-        float(np.median(study_program.late_errors(unfiltered)))
-        for unfiltered, _robust in (
-            rows_of_two_sizes["3 robots, underconfident"],
-            rows_of_two_sizes["9 robots, underconfident"],
-        )
-    ]
+def test_the_picture_draws_the_error_of_each_size_and_the_measured_cost(panels: list[Axes]) -> None:
+    """Swarms of 3 robots have an error of 0.3, those of 9 one of 0.1. A robot's step costs 2 ns."""
+    _score_panel, error_panel, cost_panel, *_overconfident = panels
+    unfiltered_errors, _robust_errors = error_panel.lines
+    unfiltered_costs, robust_costs = cost_panel.lines
 
-    assert error_axes.lines[0].get_ydata() == pytest.approx(unfiltered_medians)
+    assert unfiltered_errors.get_ydata() == pytest.approx([0.3, 0.1])
+    assert unfiltered_costs.get_ydata() == pytest.approx([2, 2])
+    assert robust_costs.get_ydata() == pytest.approx([2, 2])
