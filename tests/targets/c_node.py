@@ -192,18 +192,17 @@ def without_repeated_greetings(frames: Iterable[can.Message]) -> list[can.Messag
     return remaining_frames
 
 
-def assert_same_robot(figures: dict[str, Any], node: RobotNode) -> None:
-    """Check that the C node's summary has every number of the Python node."""
+def numbers_of_robot(node: RobotNode) -> dict[str, int]:
+    """Return the numbers of a Python node that are also in the C node's summary, by their names there."""
     robot = node.robot
     assert isinstance(robot, MirrorRobot)
-    numbers = {
+    return {
         **{name: getattr(robot, f"{name}_raw") for name in ("b_hat", "x_hat", "alpha", "x_bar", "beta", "x")},
         **{name: getattr(node, name) for name in ("ticks", "obeyed", "disobeyed", "unsettled")},
         **{"t": robot.t, "n": robot.n, "heard": node.reception.delivered},
         **vars(robot.counters),
         **vars(node.sent),
     }
-    assert {name: figures[name] for name in numbers} == numbers
 
 
 def assert_same_run(log: Iterable[can.Message], figures: dict[str, Any], node: RobotNode) -> None:
@@ -222,7 +221,7 @@ def assert_same_run(log: Iterable[can.Message], figures: dict[str, Any], node: R
         else:
             expected_frames += node.receive_frame(frame)
     assert candump_lines(without_repeated_greetings(frames_of_c_node)) == candump_lines(expected_frames)
-    assert_same_robot(figures, node)
+    assert numbers_of_robot(node).items() <= figures.items()
 
 
 def run_lockstep(bus: can.BusABC, robots: Collection[int], ticks: int, seed: int) -> list[can.Message]:

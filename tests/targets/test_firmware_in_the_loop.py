@@ -8,11 +8,13 @@ import shlex
 import shutil
 import subprocess
 from collections.abc import Callable
-from contextlib import ExitStack, closing
+from contextlib import closing
+from dataclasses import dataclass
 from decimal import Decimal
 from functools import partial
 from pathlib import Path
 from socket import create_server
+from subprocess import PIPE
 from typing import Any
 
 import can
@@ -33,7 +35,6 @@ from targets.c_node import SANITIZERS, WARNINGS
 from targets.test_node import any_frame, command_frame
 
 IMAGE_ID, B_HAT, FILTER_PERIOD = 3, 0.55, 5
-SEED = 20261121
 SLCAN = ROOT / "c_ref/ports/slcan"
 PAGE = ROOT / "docs/radio.md"
 QEMU = {
@@ -42,33 +43,39 @@ QEMU = {
     "rv32imc": "qemu-system-riscv32 -bios none -M virt",
 }
 """Names of toolchain files, and the boards that run their code."""
-Builder = Callable[[str, Filter], Path]
+BuildImage = Callable[[str, Filter], Path]
 
 
 @pytest.fixture(scope="module")
-def image_of(tmp_path_factory: pytest.TempPathFactory) -> Builder:
-    """Builds the image for a target once, or with sanitizers for this computer, where it speaks on standard
-    input and output; skips the test if that is impossible here."""
+def build_image(tmp_path_factory: pytest.TempPathFactory) -> BuildImage:
+    """A function that builds the robot's program, once for each target and filter.
 
-    def build(target: str, filters: Filter, folder: Path) -> None:
-        chosen = {"ID": IMAGE_ID, "B_HAT": B_HAT, "FILTER": filters.name, "FILTER_PERIOD": FILTER_PERIOD}
-        settings = [f"-DROBOT_{name}={value}" for name, value in chosen.items()]
+    For the target "host", this computer, it has sanitizers, and its serial line is standard input and output.
+    """
+
+    def build(target: str, firmware_filter: Filter, folder: Path) -> None:
+        settings = [
+            f"-DROBOT_ID={IMAGE_ID}",
+            f"-DROBOT_B_HAT={B_HAT}",
+            f"-DROBOT_FILTER={firmware_filter.name}",
+            f"-DROBOT_FILTER_PERIOD={FILTER_PERIOD}",
+        ]
         if target != "host":
             settings.append(f"-DCMAKE_TOOLCHAIN_FILE={ROOT / 'c_ref/cmake'}/{target}.cmake")
         flags = WARNINGS + SANITIZERS * (target == "host")
         run("cmake", "-G", "Ninja", "-S", SLCAN, "-B", folder, *settings, CFLAGS=flags)
         run("cmake", "--build", folder)
 
-    def image(target: str, filters: Filter) -> Path:
+    def build_once(target: str, firmware_filter: Filter) -> Path:
         require_target(target)
-        name = f"loop {target} {filters.name}"
-        return made_once(tmp_path_factory, name, partial(build, target, filters)) / "slcan_robot"
+        name = f"loop {target} {firmware_filter.name}"
+        return made_once(tmp_path_factory, name, partial(build, target, firmware_filter)) / "slcan_robot"
 
-    return image
+    return build_once
 
 
 def require_target(name: str) -> None:
-    """Skips the test where the compiler or the emulator of a target is missing."""
+    """Skip the test where the compiler or the emulator of a target is missing."""
     require("ninja", "ninja-build")
     if name in QEMU:
         require(QEMU[name].split()[0], "qemu-system-arm qemu-system-misc")
@@ -79,9 +86,9 @@ def require_target(name: str) -> None:
 TABLE = generate(Decimal("0.05"), 30)
 
 
-def switched_on(filters: Filter) -> RobotNode:
-    """The image's robot, in plain integers."""
-    return RobotNode(RobotSetup(IMAGE_ID, "mirror", B_HAT, Config(TABLE, filters, FILTER_PERIOD)))
+def new_robot(firmware_filter: Filter) -> RobotNode:
+    """Return the robot in Python with the settings of the image, as it is when it is switched on."""
+    return RobotNode(RobotSetup(IMAGE_ID, "mirror", B_HAT, Config(TABLE, firmware_filter, FILTER_PERIOD)))
 
 
 # ---- The image once more, from the documents: the tools' server reads lines, the robot is the mirror ----
@@ -92,23 +99,23 @@ _COMMAND = re.compile(rb"|[OCVNF]|S.|s....", re.DOTALL)
 
 
 class Model:
-    """The program at the other end of the serial line.
+    """The program at the robot's end of the serial line, written again in Python.
 
     Attributes:
         node: The robot.
-        dropped: Lines that were neither a frame nor a command.
-        is_open: Whether the bus is.
+        dropped: Number of lines that were neither a frame nor a command.
+        is_open: Whether the host has opened the bus.
     """
 
-    def __init__(self, filters: Filter) -> None:
-        self._filters = filters
-        self.node = switched_on(filters)
+    def __init__(self, firmware_filter: Filter) -> None:
+        self._firmware_filter = firmware_filter
+        self.node = new_robot(firmware_filter)
         self.dropped = 0
         self.is_open = False
         self._line = b""
 
-    def take(self, text: bytes) -> bytes:
-        """The program's answer to ``text``."""
+    def answer(self, text: bytes) -> bytes:
+        """Return the program's answer to bytes that need not end where a line does."""
         sent = b""
         for piece in re.findall(rb"[^\r\a]*[\r\a]|[^\r\a]+", text):
             self._line += piece
@@ -138,7 +145,7 @@ class Model:
         answer = {b"V": b"V1001\r", b"N": b"NASDF\r", b"F": flags}.get(command, b"\r")
         self.is_open = command == b"O" or (self.is_open and command != b"C")
         if command == b"O":
-            self.node = switched_on(self._filters)
+            self.node = new_robot(self._firmware_filter)
             answer += b"".join(map(format_frame_line, self.node.start()))
         return answer
 
@@ -153,19 +160,24 @@ REQUESTS = (b"\r", b"V\r", b"N\r", b"F\r", b"S8\r", b"s031C\r", b"z\r", b"Z\r", 
 """Lines of hosts that are no frames, or that no host sends."""
 
 
-def any_line(draw: random.Random) -> bytes:
-    """A frame's, or one that is said twice, cut or spoilt, or garbage; no opening."""
+def draw_line(draw: random.Random) -> bytes:
+    """Draw the line of a frame; 3 of 10 are two in one, cut, spoilt, or garbage. None opens the bus."""
     line = format_frame_line(any_frame(draw, IMAGE_ID, Subjects()))
-    at = draw.randrange(len(line) - 1)
-    spoilt = line[:at] + bytes([line[at] ^ 1 << draw.randrange(8)]) + line[at + 1 :]
-    cut, garbage = line[: max(at, 2)] + b"\r", draw.randbytes(draw.randrange(60)) + b"?\r"
-    return line if draw.random() < 0.7 else draw.choice((line[:-1] + line, cut, spoilt, garbage))
+    if draw.random() < 0.7:
+        return line
+    place = draw.randrange(len(line) - 1)
+    two_in_one = line[:-1] + line
+    cut = line[: max(place, 2)] + b"\r"
+    spoilt = bytearray(line)
+    spoilt[place] ^= 1 << draw.randrange(8)
+    garbage = draw.randbytes(draw.randrange(60)) + b"?\r"
+    return draw.choice((two_in_one, cut, bytes(spoilt), garbage))
 
 
 def draw_conversation(draw: random.Random) -> list[bytes]:
-    """Return what a host says, piece by piece: commands of eleven ticks, before and after it opens the bus.
+    """Draw what a host sends, piece by piece: commands of eleven ticks, before and after it opens the bus.
 
-    Then noise and further requests; for a while only the ends of ticks get lost, or only lines were.
+    Later the commands that end ticks get lost, and noise and requests of other hosts come.
     """
     ticks = [
         format_frame_line(command_frame(tick, IMAGE_ID, action, Subjects()))
@@ -173,7 +185,7 @@ def draw_conversation(draw: random.Random) -> list[bytes]:
         for action in (Action.OBSERVE_BLACK, Action.SETTLE)
     ]
     without_ends_of_ticks = ticks[::2]
-    noise = [b"".join(any_line(draw) for _ in range(draw.choice((1, 10, 30)))) for _ in range(100)]
+    noise = [b"".join(draw_line(draw) for _ in range(draw.choice((1, 10, 30)))) for _ in range(100)]
     before_opening, opening = ticks[0], b"S8\rO\r"
     pieces = [
         before_opening,
@@ -201,53 +213,105 @@ def command_of_image(target: str, image: Path) -> list[str]:
     return [*time_limit, *QEMU[target].split(), *with_serial_line, "-kernel", str(image)]
 
 
-@pytest.mark.parametrize(
-    ("target", "number", "filters"),
-    [
-        *slow([("host", 6, Filter.ROBUST), ("host", 0, Filter.ADAPTIVE), ("host", 1, Filter.ADAPTIVE)]),
-        *slow([("cortex-m3", 2, Filter.ADAPTIVE), ("cortex-m3", 7, Filter.ROBUST)]),
-        *slow([("rv32imc", 3, Filter.ADAPTIVE), ("cortex-m4", 5, Filter.ADAPTIVE)]),
-    ],
-)
-def test_whatever_comes_in_the_robot_answers_what_its_model_in_python_answers(
-    target: str, number: int, filters: Filter, image_of: Builder
-) -> None:
-    """Byte by byte, on a serial line. ``number`` makes another conversation of each case."""
-    image, model = image_of(target, filters), Model(filters)
-    seed = SEED + number
-    pieces = draw_conversation(random.Random(seed))
-    pipes: dict[str, Any] = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.PIPE)
+@dataclass(frozen=True)
+class SerialTalk:
+    """What a program has answered on its serial line.
 
-    with subprocess.Popen(command_of_image(target, image), **pipes) as robot, ExitStack() as end:
-        end.callback(robot.terminate)
+    Attributes:
+        answers: Its answer to each piece.
+        rest: What it has sent after its last answer, until its input has ended.
+        exit_code: Its exit code, or that of the emulator, which is stopped.
+    """
+
+    answers: list[bytes]
+    rest: bytes
+    exit_code: int
+
+
+def talk_to(command: list[str], pieces: list[bytes], lengths_of_answers: list[int]) -> SerialTalk:
+    """Run a program, send it the pieces, and read an answer of the given length after each."""
+    answers = []
+    with subprocess.Popen(command, stdin=PIPE, stdout=PIPE, stderr=PIPE) as robot:
         assert robot.stdin and robot.stdout
         # Before it has started, what it is sent may be lost.
         assert robot.stdout.read(len(GREETING)) == GREETING
-        for place, piece in enumerate(pieces):
+        for piece, length in zip(pieces, lengths_of_answers, strict=True):
             robot.stdin.write(piece)
             robot.stdin.flush()
-            expected = model.take(piece)
-            assert robot.stdout.read(len(expected)) == expected, f"random.Random({seed}), piece {place}"
-        if target == "host":
-            nothing_more = (b"", b"")
-            assert robot.communicate() == nothing_more
-            assert robot.returncode == 0
+            answers.append(robot.stdout.read(length))
+            if len(answers[-1]) < length:  # it has ended
+                break
+        if "-kernel" in command:  # a board, which does not end with its input
+            robot.terminate()
+        rest, _ = robot.communicate()
+    return SerialTalk(answers, rest, robot.returncode)
+
+
+CONVERSATIONS = [
+    ("host", Filter.ROBUST, 20261127),
+    ("host", Filter.ADAPTIVE, 20261121),
+    ("cortex-m3", Filter.ADAPTIVE, 20261123),
+    ("rv32imc", Filter.ADAPTIVE, 20261124),
+    ("cortex-m4", Filter.ADAPTIVE, 20261126),
+]
+"""Target, filter, and seed of what the host sends."""
+
+
+@pytest.mark.parametrize(("target", "firmware_filter", "seed"), slow(CONVERSATIONS))
+def test_a_robot_on_a_serial_line_answers_every_line_as_its_model_in_python_does(
+    target: str, firmware_filter: Filter, seed: int, build_image: BuildImage
+) -> None:
+    """The host sends frames, commands, damaged lines and noise. A seed draws them.
+
+    The robot is the firmware with the port that speaks slcan, the text format of serial CAN adapters. It runs
+    here (target "host") or on an emulated board. ``Model`` is the same program, written again in Python.
+    """
+    pieces = draw_conversation(random.Random(seed))
+    model = Model(firmware_filter)
+    expected_answers = [model.answer(piece) for piece in pieces]
+
+    command = command_of_image(target, build_image(target, firmware_filter))
+    talk = talk_to(command, pieces, [len(answer) for answer in expected_answers])
+
+    assert talk.answers == expected_answers, f"random.Random({seed})"
+    assert talk.rest == b""
+
+
+@pytest.mark.slow
+def test_a_robot_on_a_serial_line_of_this_computer_ends_with_its_input(build_image: BuildImage) -> None:
+    command = command_of_image("host", build_image("host", Filter.ROBUST))
+    talk = talk_to(command, pieces=[b"V\r"], lengths_of_answers=[len(b"V1001\r")])
+    assert talk == SerialTalk(answers=[b"V1001\r"], rest=b"", exit_code=0)
+
+
+@pytest.mark.parametrize(("target", "firmware_filter", "seed"), slow(CONVERSATIONS))
+def test_each_conversation_on_a_serial_line_has_many_damaged_lines_and_lost_commands(
+    target: str, firmware_filter: Filter, seed: int
+) -> None:
+    """So the test above tries what is rare. A tick is unsettled if the command that ends it gets lost."""
+    model = Model(firmware_filter)
+    for piece in draw_conversation(random.Random(seed)):
+        model.answer(piece)
 
     assert model.dropped > 30, "lines that are neither a frame nor a command"
-    assert model.node.unsettled > 30, "ticks whose end was lost"
+    assert model.node.unsettled > 30
     assert model.node.obeyed > 30
-    assert model.node.robot.counters.tests > 0
+    assert model.node.robot.counters.tests > 0, "runs of the filter"
 
 
 @pytest.mark.parametrize(
     ("name", "value"), [("ROBOT_ID", 126), ("ROBOT_FILTER_PERIOD", 0), ("ROBOT_FILTER_PERIOD", 2**32)]
 )
-def test_the_compiler_refuses_a_setting(name: str, value: int) -> None:
+def test_the_compiler_refuses_a_setting_that_no_robot_can_have(name: str, value: int) -> None:
+    """Settings are macros. An id is at most 125 here: 126 and 127 are those of tools on the bus."""
     with pytest.raises(AssertionError, match=f"{name} has to be"):
         run("cc", "-fsyntax-only", f"-I{CORE.parent}", f"-D{name}={value}", SLCAN / "slcan_robot.c")
 
 
 # ---- In a swarm ----
+
+
+TEN_ROBOTS_IN_60_TICKS = 10 * 60
 
 
 def copy_sources(target: str, folder: Path) -> None:
@@ -273,15 +337,12 @@ def replace_each(text: str, replacements: dict[str, str]) -> str:
     return text
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("target", ["cortex-m3", "cortex-m4", "rv32imc"])
-def test_the_commands_of_docs_radio_run_a_swarm_with_an_emulated_board(target: str, tmp_path: Path) -> None:
-    """All 600 broadcasts, of ten robots in 60 ticks, are those of the robots in Python.
+def commands_for_a_swarm(target: str) -> tuple[list[str], str]:
+    """Return the commands of docs/radio.md that run a swarm with a board, and the one that stops the board.
 
-    The commands are those of the page but for the board, the port, and a filter that runs soon. The verdict
-    takes minutes, so it is left out.
+    They are the page's but for the board, the port, 60 ticks, and a filter that runs soon. The command that
+    takes minutes for a verdict is left out.
     """
-    copy_sources(target, tmp_path)
     [block] = [block for block in blocks(PAGE, "sh") if "build/loop" in block]
     block = replace_each(
         block,
@@ -294,13 +355,25 @@ def test_the_commands_of_docs_radio_run_a_swarm_with_an_emulated_board(target: s
         },
     )
     *commands, stop_the_board = [command for command in block.splitlines() if "--verify" not in command]
+    return commands, stop_the_board
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("target", ["cortex-m3", "cortex-m4", "rv32imc"])
+def test_the_commands_of_docs_radio_run_a_swarm_with_an_emulated_board(target: str, tmp_path: Path) -> None:
+    """In a swarm of ten robots one is the board. All broadcasts are those of ten robots in Python.
+
+    The firmware is smaller than 8 KB, and has less than 1 KB of variables.
+    """
+    copy_sources(target, tmp_path)
+    commands, stop_the_board = commands_for_a_swarm(target)
 
     try:
         outputs = [run("sh", "-c", command, cwd=tmp_path) for command in commands]
     finally:
         run("sh", "-c", stop_the_board, cwd=tmp_path)
 
-    assert re.search(r"\b600 +broadcasts reproduced bit for bit", outputs[-1])
+    assert re.search(rf"\b{TEN_ROBOTS_IN_60_TICKS} +broadcasts reproduced bit for bit", outputs[-1])
     bytes_of_flash, bytes_of_variables = Image(TARGETS[-1], tmp_path / "build/loop/slcan_robot").sizes()
     assert bytes_of_flash < 8 * 1024
     assert bytes_of_variables < 1024
@@ -323,11 +396,10 @@ def step_named(name: str, steps: list[dict[str, str]]) -> str:
 
 @pytest.mark.slow
 def test_the_workflow_of_docs_radio_fails_on_a_wrong_image_and_leaves_a_report(tmp_path: Path) -> None:
-    """Its job "emulated" builds the firmware, starts it on an emulated board, and verifies what it sends.
+    """It builds the firmware, starts it on an emulated board, and verifies what it sends.
 
-    Here the firmware is built for a sensor with an accuracy of 0.6, and is verified as one with 0.55. So the
-    verification fails soon, and leaves a report, and a log that can be replayed. All other commands are the
-    page's, but for the port; the step that installs tools, as root, is left out.
+    The firmware is built for a sensor with an accuracy of 0.6, and is verified as one with 0.55. All other
+    commands are the page's, but for the port; the step that installs tools, as root, is left out.
     """
     copy_sources("cortex-m3", tmp_path)
     replacements = {"20001": find_free_port(), "-B build ": "-B build -DROBOT_B_HAT=0.6 "}
@@ -342,7 +414,7 @@ def test_the_workflow_of_docs_radio_fails_on_a_wrong_image_and_leaves_a_report(t
         run("sh", "-c", stop_the_board, cwd=tmp_path)
 
     assert "expected" in (tmp_path / "verdict.md").read_text()
-    assert (tmp_path / "verdict.log.events").exists()
+    assert (tmp_path / "verdict.log.events").exists(), "so the log can be replayed"
 
 
 def test_the_workflow_of_docs_radio_uploads_the_report_also_of_a_failure() -> None:
@@ -352,11 +424,13 @@ def test_the_workflow_of_docs_radio_uploads_the_report_also_of_a_failure() -> No
     assert upload["with"]["path"] == "verdict.*"
 
 
-def test_the_workflow_of_docs_radio_has_a_command_for_a_real_board_that_is_understood() -> None:
-    """The last line of the second step of its job "board" is a ``mcp-asdf radio`` command."""
+def test_the_tools_accept_the_command_for_a_real_board_in_the_workflow_of_docs_radio() -> None:
+    """It is a ``mcp-asdf radio`` command, the last line of the second step of the job "board"."""
     _, second_step, *_ = read_workflow()["board"]["steps"]
     command = second_step["run"].splitlines()[-1]
-    _program, _radio, *options = shlex.split(command)
+    program, subcommand, *options = shlex.split(command)
+    assert (program, subcommand) == ("mcp-asdf", "radio")
 
-    # The private functions make the parser of a command's options, as the program does.
-    cli._parser_for("radio", cli._load("radio")).parse_args(options)
+    # As the program does; this ends the test with SystemExit if it does not accept the options.
+    parser = cli._parser_for("radio", cli._load("radio"))
+    parser.parse_args(options)
