@@ -249,7 +249,7 @@ def talk_to(command: list[str], pieces: list[bytes], lengths_of_answers: list[in
 
 CONVERSATIONS = [
     ("host", Filter.ROBUST, 20261127),
-    ("host", Filter.ADAPTIVE, 20261121),
+    ("host", Filter.ADAPTIVE, 20261122),
     ("cortex-m3", Filter.ADAPTIVE, 20261123),
     ("rv32imc", Filter.ADAPTIVE, 20261124),
     ("cortex-m4", Filter.ADAPTIVE, 20261126),
@@ -284,7 +284,7 @@ def test_a_robot_on_a_serial_line_of_this_computer_ends_with_its_input(build_ima
     assert talk == SerialTalk(answers=[b"V1001\r"], rest=b"", exit_code=0)
 
 
-@pytest.mark.parametrize(("target", "firmware_filter", "seed"), slow(CONVERSATIONS))
+@pytest.mark.parametrize(("target", "firmware_filter", "seed"), CONVERSATIONS)
 def test_each_conversation_on_a_serial_line_has_many_damaged_lines_and_lost_commands(
     target: str, firmware_filter: Filter, seed: int
 ) -> None:

@@ -9,6 +9,9 @@ import os
 import random
 import subprocess
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +24,7 @@ from datagrams import odd_datagrams
 from mcp_asdf_tools.bus.datagrams import unpack_data_frame
 from mcp_asdf_tools.bus.frame_layout import Action
 from mcp_asdf_tools.cli.main import main
+from mcp_asdf_tools.robots.node import RobotNode
 from multicast import multicast
 from support import PATIENCE, require, run
 from targets.c_node import (
@@ -30,9 +34,9 @@ from targets.c_node import (
     SOURCES,
     CNode,
     NodeBuild,
-    assert_same_robot,
     candump_lines,
     node_command,
+    numbers_of_robot,
     python_node,
     without_repeated_greetings,
 )
@@ -47,13 +51,16 @@ NODE = (
 )
 
 
-def join(address: str) -> Group:
+@contextmanager
+def joined(address: str) -> Iterator[Group]:
     """Join a multicast group, also to receive own datagrams. Skips the test where there is no multicast."""
     multicast(91)
     try:
-        return Group(address, PORT, 0)
+        group = Group(address, PORT, 0)
     except can.CanError as error:
         pytest.skip(f"no multicast to {address}: {error}")
+    yield group
+    group.shutdown()
 
 
 def interface(address: str) -> str:
@@ -81,6 +88,58 @@ def datagrams_on_wifi(
     return arrivals
 
 
+@dataclass
+class NodesInGroup:
+    """The robot's program in C in a multicast group, and its twin in Python, which gets the same frames.
+
+    Attributes:
+        group: This test's connection to the group.
+        twin: The Python robot.
+        expected_answers: What the twin has answered, its first heartbeat included.
+        received_frames: What the C program has answered.
+        sent_count: Number of datagrams that were sent to the group.
+        odd_count: Those of them that have no frame of classic CAN.
+    """
+
+    group: Group
+    twin: RobotNode
+    expected_answers: list[can.Message] = field(default_factory=list)
+    received_frames: list[can.Message] = field(default_factory=list)
+    sent_count: int = 0
+    odd_count: int = 0
+
+    def __post_init__(self) -> None:
+        self.expected_answers += self.twin.start()
+        self.wait_for_answers()
+
+    def send(self, frame: can.Message | None, datagram: bytes) -> None:
+        """Send a datagram to the C program, and the frame that it has, if any, to the twin."""
+        self.group.send(datagram)
+        self.sent_count += 1
+        if frame is not None and is_classic(frame):
+            self.expected_answers += self.twin.receive_frame(frame)
+        else:
+            self.odd_count += 1
+        if self.sent_count % 20 == 0:  # more answers might overflow the socket
+            self.wait_for_answers()
+
+    def send_commands_that_are_answered(self) -> None:
+        """Send commands of which the last is answered for certain: then all that came before was handled."""
+        for action in (Action.SETTLE, Action.OBSERVE_BLACK, Action.SETTLE):
+            command = command_frame(self.twin._tick_of_command or 0, ID, action)
+            self.send(command, pack_message(command))
+        self.wait_for_answers()
+
+    def wait_for_answers(self) -> None:
+        """Receive until the C program has answered as often as the twin."""
+        receive_until(self.group, self.received_frames, len(self.expected_answers))
+
+    def expected_numbers(self) -> dict[str, int]:
+        """Return numbers that the C program has to print when it ends."""
+        numbers_of_datagrams = {"received": self.sent_count, "odd_packets": self.odd_count}
+        return {**numbers_of_robot(self.twin), **numbers_of_datagrams, "overflowed": 0, "downs": 0}
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("address", [IPV4, IPV6])
 @pytest.mark.parametrize("kind", [SANITIZED_BUILD, CORTEX_A8], ids=lambda kind: kind.name)
@@ -89,50 +148,23 @@ def test_c_and_python_node_answer_the_datagrams_of_a_bad_network_alike(
 ) -> None:
     """They send the same frames, and end with the same state and counters.
 
-    The C node gets all datagrams, of which some are lost, repeated, late or garbage, and its twin in Python
-    their frames. Now and then the test waits for all answers, as they overflow a socket otherwise.
+    Of 600 datagrams to the C node some are lost, repeated, late or garbage. Its twin in Python gets their
+    frames.
     """
-    rng, group = random.Random(address), join(address)
-    twin = python_node(ID, 0.75, SUBJECTS, 3, filter_period=4)
-    expected_answers = twin.start()
-    received_frames: list[can.Message] = []
-    odd_datagram_count = 0
-
-    def send_to_both_nodes(frame: can.Message | None, datagram: bytes) -> None:
-        nonlocal odd_datagram_count
-        group.send(datagram)
-        if frame is not None and is_classic(frame):
-            expected_answers.extend(twin.receive_frame(frame))
-        else:
-            odd_datagram_count += 1
-
+    rng = random.Random(address)
     arrivals = datagrams_on_wifi([any_frame(rng) for _ in range(600)], rng)
-    with CNode(node_command(kind, tmp_path_factory), interface(address), ID, *NODE) as node:
-        receive_until(group, received_frames, len(expected_answers))
-        for number, (frame, datagram) in enumerate(arrivals, start=1):
-            send_to_both_nodes(frame, datagram)
-            if number % 20 == 0:
-                receive_until(group, received_frames, len(expected_answers))
-        # The last of these commands is answered for certain, which shows that all before was handled.
-        last_actions = (Action.SETTLE, Action.OBSERVE_BLACK, Action.SETTLE)
-        for action in last_actions:
-            command = command_frame(twin._tick_of_command or 0, ID, action)
-            send_to_both_nodes(command, pack_message(command))
-        receive_until(group, received_frames, len(expected_answers))
+    command = node_command(kind, tmp_path_factory)
+    with joined(address) as group, CNode(command, interface(address), ID, *NODE) as node:
+        nodes = NodesInGroup(group, python_node(ID, 0.75, SUBJECTS, 3, filter_period=4))
+        for frame, datagram in arrivals:
+            nodes.send(frame, datagram)
+        nodes.send_commands_that_are_answered()
         summary = node.stop()
-    group.shutdown()
 
-    assert candump_lines(received_frames) == candump_lines(expected_answers)
-    assert_same_robot(summary, twin)
-    assert summary["refused"] + summary["others"] == twin.reception.rejected.total()
-    # None of them is its own or another group's.
-    assert summary["received"] == len(arrivals) + len(last_actions)
-    assert summary["odd_packets"] == odd_datagram_count
-    assert summary["overflowed"] == 0
-    assert summary["downs"] == 0
-    assert odd_datagram_count > 10
-    for counter in ("repeated", "collisions", "obeyed"):
-        assert summary[counter] > 10, counter
+    assert candump_lines(nodes.received_frames) == candump_lines(nodes.expected_answers)
+    assert nodes.expected_numbers().items() <= summary.items()
+    assert summary["refused"] + summary["others"] == nodes.twin.reception.rejected.total()
+    assert min(summary[name] for name in ("odd_packets", "repeated", "collisions", "obeyed")) > 10
 
 
 def is_classic(frame: can.Message) -> bool:
@@ -164,25 +196,39 @@ def library(tmp_path_factory: pytest.TempPathFactory) -> ctypes.CDLL:
     return ctypes.CDLL(str(path))
 
 
-def assert_unpacked_to(raw_frame: Any, frame: can.Message) -> None:
-    """Check that what the C has unpacked, a ``struct canfd_frame`` of Linux, is this frame."""
-    identifier = int.from_bytes(bytes(raw_frame[:4]), "little")
-    length = raw_frame[4]
-    assert identifier == frame.arbitration_id | frame.is_extended_id << 31
-    assert bytes(raw_frame[8 : 8 + length]) == frame.data
+@dataclass(frozen=True)
+class RawFrame:
+    """A data frame as Linux has it in C.
+
+    Attributes:
+        identifier: Its bits, and in bit 31 whether it has 29.
+        data: Its bytes.
+    """
+
+    identifier: int
+    data: bytes
+
+
+def unpack_by_c(library: ctypes.CDLL, datagram: bytes) -> RawFrame | None:
+    """Return the frame that the C node finds in a datagram, or None if it refuses it."""
+    memory = (ctypes.c_uint8 * 72)()  # a struct canfd_frame
+    if library.multicast_unpack(memory, datagram, len(datagram)) & 1 == 0:  # C's bool is a byte
+        return None
+    length = memory[4]
+    return RawFrame(int.from_bytes(bytes(memory[:4]), "little"), bytes(memory[8 : 8 + length]))
+
+
+def to_raw(frame: can.Message | None) -> RawFrame | None:
+    """Return a frame as Linux has it in C, and None for one that classic CAN does not have."""
+    if frame is None or not is_classic(frame):
+        return None
+    return RawFrame(frame.arbitration_id | frame.is_extended_id << 31, bytes(frame.data))
 
 
 def test_the_c_node_and_the_tools_unpack_the_same_datagrams_to_the_same_frames(library: ctypes.CDLL) -> None:
     """The datagrams are a list of odd ones, and frames of all kinds."""
-    raw_frame = (ctypes.c_uint8 * 72)()
     for datagram in odd_datagrams():
-        frame = unpack_data_frame(datagram)
-
-        is_unpacked = library.multicast_unpack(raw_frame, datagram, len(datagram)) & 1  # C's bool is a byte
-
-        assert is_unpacked == (frame is not None), datagram
-        if frame is not None:
-            assert_unpacked_to(raw_frame, frame)
+        assert unpack_by_c(library, datagram) == to_raw(unpack_data_frame(datagram)), datagram
 
 
 def unpack_by_python_can(datagram: bytes) -> can.Message | None:
@@ -199,43 +245,41 @@ def unpack_by_python_can(datagram: bytes) -> can.Message | None:
 
 
 def test_the_c_node_unpacks_each_ordinary_frame_that_python_can_packs(library: ctypes.CDLL) -> None:
-    """And none of CAN FD, no remote frame and no error frame."""
-    raw_frame = (ctypes.c_uint8 * 72)()
+    """It refuses frames of CAN FD, remote frames and error frames, of which ``to_raw`` makes None."""
     rng = random.Random(8)
     unpacked_count = 0
     for _ in range(3000):
-        datagram = pack_message(any_message(rng))
-        frame = unpack_by_python_can(datagram)
-        assert frame is not None
+        frame = any_message(rng)
 
-        is_unpacked = library.multicast_unpack(raw_frame, datagram, len(datagram)) & 1  # C's bool is a byte
+        raw_frame = unpack_by_c(library, pack_message(frame))
 
-        assert is_unpacked == is_classic(frame), datagram
-        if is_unpacked:
-            assert_unpacked_to(raw_frame, frame)
-            unpacked_count += 1
+        assert raw_frame == to_raw(frame), frame
+        unpacked_count += raw_frame is not None
     assert unpacked_count > 1500
 
 
 def test_the_c_node_unpacks_no_damaged_datagram_that_python_can_refuses(library: ctypes.CDLL) -> None:
     """One bit of each is flipped. Of those that python-can accepts the C node may refuse some."""
-    raw_frame = (ctypes.c_uint8 * 72)()
     rng = random.Random(8)
     unpacked_count = 0
     for _ in range(3000):
-        datagram = bytearray(pack_message(any_message(rng)))
-        datagram[rng.randrange(len(datagram))] ^= 1 << rng.randrange(8)
+        datagram = flip_random_bit(pack_message(any_message(rng)), rng)
+        raw_frame = unpack_by_c(library, datagram)
         try:
-            frame = unpack_by_python_can(bytes(datagram))
+            frame = unpack_by_python_can(datagram)
         except UnicodeDecodeError:
             continue
-
-        if library.multicast_unpack(raw_frame, bytes(datagram), len(datagram)) & 1:  # C's bool is a byte
-            assert frame is not None, datagram.hex()
-            assert is_classic(frame), datagram.hex()
-            assert_unpacked_to(raw_frame, frame)
+        if raw_frame is not None:
+            assert raw_frame == to_raw(frame), datagram.hex()
             unpacked_count += 1
     assert unpacked_count > 200
+
+
+def flip_random_bit(datagram: bytes, rng: random.Random) -> bytes:
+    """Return a datagram with one bit that differs."""
+    damaged = bytearray(datagram)
+    damaged[rng.randrange(len(damaged))] ^= 1 << rng.randrange(8)
+    return bytes(damaged)
 
 
 def any_message(rng: random.Random) -> can.Message:
@@ -254,28 +298,44 @@ def any_message(rng: random.Random) -> can.Message:
     )
 
 
-@pytest.mark.slow
-def test_the_node_asks_the_system_for_no_memory_once_it_sends(
-    tmp_path: Path, tmp_path_factory: pytest.TempPathFactory
-) -> None:
-    """strace lists its calls that send, and those about memory: there is none between those that send."""
-    join(IPV4).shutdown()  # skips where there is no multicast
-    tiles, trace = tmp_path / "tiles", tmp_path / "trace"
+@pytest.fixture(scope="module")
+def calls_of_sending_node(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
+    """The system calls of a node that sends an estimate for each of 80 tiles, as strace writes them.
+
+    They are those that send, those about memory, and those that set an option of the socket.
+    """
+    with joined(IPV4):  # skips where there is no multicast
+        pass
+    folder = tmp_path_factory.mktemp("strace")
+    tiles, trace = folder / "tiles", folder / "trace"
     tiles.write_text("10" * 40, encoding="ascii")
     strace = [require("strace", "strace"), "-o", str(trace), "-e", "trace=%memory,sendto,setsockopt"]
-    command = [*strace, *node_command(PLAIN_BUILD, tmp_path_factory)]
     options = ("--network", "lo", "--hop-limit", 0, "--observations", tiles, "--steps-per-second", 1000)
 
+    command = [*strace, *node_command(PLAIN_BUILD, tmp_path_factory)]
     with CNode(command, interface(IPV4), ID, *options) as node:
         summary = node.summary()
-
-    calls = trace.read_text(encoding="utf-8").splitlines()
-    numbers_of_sending_calls = [number for number, call in enumerate(calls) if call.startswith("sendto(")]
-    first, last = numbers_of_sending_calls[0], numbers_of_sending_calls[-1]
-    assert numbers_of_sending_calls == list(range(first, last + 1))
-    assert len(numbers_of_sending_calls) >= 80, "an estimate for each tile"
     assert summary["unsent"] == 0
-    assert any("IP_MULTICAST_TTL, [0]" in call for call in calls), "--hop-limit"
+    return trace.read_text(encoding="utf-8").splitlines()
+
+
+@pytest.mark.slow
+def test_a_node_asks_the_system_for_memory_only_before_it_sends_or_after(
+    calls_of_sending_node: list[str],
+) -> None:
+    """From the first call of sendto to the last there is none about memory. It sends for each of 80 tiles."""
+    is_sending = [call.startswith("sendto(") for call in calls_of_sending_node]
+    first = is_sending.index(True)
+    last = max(index for index, sends in enumerate(is_sending) if sends)
+
+    assert all(is_sending[first : last + 1])
+    assert sum(is_sending) >= 80
+
+
+@pytest.mark.slow
+def test_the_hop_limit_of_the_command_line_is_set_for_the_socket(calls_of_sending_node: list[str]) -> None:
+    """It is 0 here, so no router passes the node's datagrams on."""
+    assert any("IP_MULTICAST_TTL, [0]" in call for call in calls_of_sending_node)
 
 
 COMMANDS_THAT_LOSE_THE_NETWORK = """\
@@ -289,25 +349,30 @@ kill %1 %2; wait
 """
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("address", [IPV4, IPV6])
-def test_nodes_hear_each_other_again_when_their_network_comes_back(
-    address: str, tmp_path: Path, tmp_path_factory: pytest.TempPathFactory
-) -> None:
-    """Two nodes run while the network is taken down and comes back with another address.
-
-    Each ticks on meanwhile, and hears the other, but never itself, before and after.
-    """
+def run_nodes_that_lose_their_network(folder: Path, command: list[str]) -> list[dict[str, Any]]:
+    """Run two nodes while their network is taken down and comes back, and return their summaries."""
     if subprocess.run(["unshare", "-rn", "ip", "link"], capture_output=True, check=False).returncode:
         pytest.skip("no network namespaces: unshare -rn fails here")
-    sensor = tmp_path / "sensor"
+    sensor = folder / "sensor"
     sensor.write_text("1", encoding="ascii")
-    node = [*node_command(PLAIN_BUILD, tmp_path_factory), "--network", "wlan0", "--steps-per-second", "100"]
-    node += ["--interface", interface(address), "--sensor", str(sensor)]
-
+    node = [*command, "--network", "wlan0", "--steps-per-second", "100", "--sensor", str(sensor)]
     printed = run("unshare", "-rn", "bash", "-m", "-c", COMMANDS_THAT_LOSE_THE_NETWORK, "robots", *node)
+    return [json.loads(line) for line in printed.splitlines()]
 
-    summaries = [json.loads(line) for line in printed.splitlines()]
+
+@pytest.mark.slow
+@pytest.mark.parametrize("address", [IPV4, IPV6])
+def test_nodes_receive_each_other_again_when_their_network_comes_back(
+    address: str, tmp_path: Path, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    """Two nodes tick 100 times a second, and receive each other, but never themselves.
+
+    After a second the network goes down for half a second, and comes back with another address for three.
+    """
+    command = [*node_command(PLAIN_BUILD, tmp_path_factory), "--interface", interface(address)]
+
+    summaries = run_nodes_that_lose_their_network(tmp_path, command)
+
     assert len(summaries) == 2
     for summary in summaries:
         assert summary["downs"] == 1
