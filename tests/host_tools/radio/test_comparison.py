@@ -66,31 +66,41 @@ def difference(received: list[can.Message], expected: list[can.Message]) -> Diff
 
 
 def test_an_x_hat_with_reversed_bytes_gets_that_hint() -> None:
-    assert difference([estimate(0x563412)], [estimate(0x123456)]).hint == "its 3 bytes are in reverse order"
+    """x_hat, a robot's own estimate, has three bytes in a frame."""
+    assert (
+        difference(received=[estimate(0x563412)], expected=[estimate(0x123456)]).hint
+        == "its 3 bytes are in reverse order"
+    )
 
 
 def test_a_doubled_x_hat_gets_the_factor_as_a_hint() -> None:
-    assert difference([estimate(2 * X_HAT)], [estimate()]).hint == "it is 2 times what it should be"
+    assert (
+        difference(received=[estimate(2 * X_HAT)], expected=[estimate()]).hint
+        == "it is 2 times what it should be"
+    )
 
 
 def test_a_halved_x_hat_gets_the_factor_as_a_hint() -> None:
-    assert difference([estimate(X_HAT // 2)], [estimate()]).hint == "it is 0.5 times what it should be"
+    assert (
+        difference(received=[estimate(X_HAT // 2)], expected=[estimate()]).hint
+        == "it is 0.5 times what it should be"
+    )
 
 
 def test_an_alpha_with_a_wrong_shift_gets_the_factor_as_a_hint() -> None:
     """The confidence alpha is a mantissa and a shift; a shift by 3 more makes it 8 times as large."""
     received = estimate(alpha_word=ALPHA_WORD + 3)
-    assert difference([received], [estimate()]).hint == "it is 8 times what it should be"
+    assert difference(received=[received], expected=[estimate()]).hint == "it is 8 times what it should be"
 
 
 @pytest.mark.parametrize("x_hat", [X_HAT + 1, 3 * X_HAT, 0])
 def test_an_x_hat_that_is_off_by_no_power_of_two_gets_no_hint(x_hat: int) -> None:
-    assert difference([estimate(x_hat)], [estimate()]).hint == ""
+    assert difference(received=[estimate(x_hat)], expected=[estimate()]).hint == ""
 
 
 @pytest.mark.parametrize("alpha_word", [ALPHA_WORD + 256, 0])
 def test_an_alpha_with_another_mantissa_gets_no_hint(alpha_word: int) -> None:
-    assert difference([estimate(alpha_word=alpha_word)], [estimate()]).hint == ""
+    assert difference(received=[estimate(alpha_word=alpha_word)], expected=[estimate()]).hint == ""
 
 
 @pytest.mark.parametrize(
@@ -108,33 +118,35 @@ def test_only_normal_numbers_get_a_factor_as_a_hint(
     """The exponents of two float32 numbers, which 127 less is a power of two; the mantissa is the same."""
     received = estimate_with_alpha_bits((received_exponent << 23) | 0x345678)
     expected = estimate_with_alpha_bits((expected_exponent << 23) | 0x345678)
-    assert difference([received], [expected]).hint == hint
+    assert difference(received=[received], expected=[expected]).hint == hint
 
 
 def test_a_value_with_few_significant_digits_gets_no_hint() -> None:
     """Ten bits that agree may do so by accident."""
-    assert difference([estimate(0x402)], [estimate(0x804)]).hint == ""
+    assert difference(received=[estimate(0x402)], expected=[estimate(0x804)]).hint == ""
 
 
-def test_a_short_field_gets_no_hint() -> None:
-    found_difference = difference([telemetry(updates=2)], [telemetry(updates=4)])
+def test_a_number_of_updates_that_is_half_of_the_expected_one_gets_no_hint() -> None:
+    """A field of few bits is half of another too easily."""
+    found_difference = difference(received=[telemetry(updates=2)], expected=[telemetry(updates=4)])
     assert (found_difference.field, found_difference.hint) == ("updates", "")
 
 
 def test_the_hint_is_about_the_first_frame_that_differs() -> None:
+    """The first of the received frames is right, the second has twice the x_hat, and the third four times."""
     received = [estimate(), estimate(2 * X_HAT), estimate(4 * X_HAT)]
-    found_difference = difference(received, [estimate(), estimate()])
+    found_difference = difference(received=received, expected=[estimate(), estimate()])
     assert found_difference.hint == "it is 2 times what it should be"
 
 
 def test_a_hint_stands_at_the_end_of_the_text() -> None:
-    text = str(difference([estimate(2 * X_HAT)], [estimate()]))
+    text = str(difference(received=[estimate(2 * X_HAT)], expected=[estimate()]))
     assert text.startswith("estimate, x_hat: expected 106BB805 transfer_id 0, x_hat 0x123456 (0.1422222), ")
     assert text.endswith("; it is 2 times what it should be")
 
 
 def test_a_text_without_a_hint_ends_with_the_received_frames() -> None:
-    found_difference = difference([estimate(X_HAT + 1)], [estimate()])
+    found_difference = difference(received=[estimate(X_HAT + 1)], expected=[estimate()])
     assert str(found_difference).endswith(f", got {found_difference.received}")
 
 
@@ -142,7 +154,7 @@ def test_a_text_without_a_hint_ends_with_the_received_frames() -> None:
 
 
 def test_a_b_hat_is_described_as_a_fraction() -> None:
-    found_difference = difference([telemetry(b_hat=0xC00000)], [telemetry()])
+    found_difference = difference(received=[telemetry(b_hat=0xC00000)], expected=[telemetry()])
     assert found_difference.field == "b_hat"
     assert "b_hat 0xc00000 (0.7500000)" in found_difference.received
 
@@ -155,21 +167,23 @@ def test_equal_frames_are_counted_by_kind() -> None:
 
 
 def test_more_than_three_frames_are_described_by_their_number() -> None:
-    found_difference = difference([telemetry(updates) for updates in range(5)], [])
+    found_difference = difference(received=[telemetry(updates) for updates in range(5)], expected=[])
     assert (found_difference.field, found_difference.expected) == ("extra", "nothing")
     assert found_difference.received.endswith(" and 2 more")
 
 
 def test_a_remote_frame_is_described_by_its_raw_data() -> None:
     remote_frame = can.Message(arbitration_id=estimate().arbitration_id, is_remote_frame=True)
-    found_difference = difference([remote_frame], [estimate()])
+    found_difference = difference(received=[remote_frame], expected=[estimate()])
     assert (found_difference.field, found_difference.received) == ("frame", "106BB805#R")
 
 
 def test_the_order_of_kinds_counts_once_telemetry_was_received() -> None:
     """The expected order is heartbeat, estimate; the controller sends them the other way round."""
     comparison = comparison_after_a_tick()
-    found_difference = comparison.check([estimate(), heartbeat(1)], [heartbeat(1), estimate()])
+    found_difference = comparison.check(
+        received=[estimate(), heartbeat(1)], expected=[heartbeat(1), estimate()]
+    )
 
     assert str(found_difference) == (
         "estimate, order: expected the heartbeat first, got it before the heartbeat"
@@ -178,16 +192,19 @@ def test_the_order_of_kinds_counts_once_telemetry_was_received() -> None:
 
 def test_the_order_of_kinds_does_not_count_before_telemetry_was_received() -> None:
     comparison = new_comparison()
-    assert comparison.check([estimate(), heartbeat(1)], [heartbeat(1), estimate()]) is None
+    assert comparison.check(received=[estimate(), heartbeat(1)], expected=[heartbeat(1), estimate()]) is None
 
 
 def test_a_first_heartbeat_may_come_several_times_at_the_start() -> None:
     """A controller that was reset sends it again."""
-    assert new_comparison().check([heartbeat(), heartbeat(), telemetry()], [telemetry()]) is None
+    assert (
+        new_comparison().check(received=[heartbeat(), heartbeat(), telemetry()], expected=[telemetry()])
+        is None
+    )
 
 
 def test_a_first_heartbeat_is_a_difference_later() -> None:
-    found_difference = comparison_after_a_tick().check([heartbeat()], [])
+    found_difference = comparison_after_a_tick().check(received=[heartbeat()], expected=[])
     assert found_difference is not None and found_difference.field == "extra"
 
 

@@ -13,7 +13,6 @@ from unittest.mock import Mock
 import can
 import pytest
 
-from host_tools.swarm.test_swarm_faults import REJOINING
 from mcp_asdf.robot import FixedPointRobot
 from mcp_asdf_tools.bus.frames import Estimate, FrameFormat, Heartbeat, decode_heartbeat, encode_estimate
 from mcp_asdf_tools.cli.main import main
@@ -36,9 +35,10 @@ pytestmark = pytest.mark.usefixtures("private_setup")
 
 
 CRASHES = "crash,robots={},from=30,to=35 crash,robots={},from=40,to=60,rejoin=restored"
+"""Crashes of two robots, whose ids are filled in: one comes back as a new robot, the other restored."""
 POPULATION: dict[str, Any] = {"robots": 5, "flawed": 0.6, "filter_period": 20, "steps": 120}
-IDS = (3, 10, 11, 40, 90)
-"""Ids of the controller, and of its neighbours in place of 1 to 4."""
+CONTROLLER_ID, *NEIGHBOUR_IDS = IDS = (3, 10, 11, 40, 90)
+"""Ids of a controller and its neighbours, in place of the ids 0 to 4 of a swarm."""
 
 
 def state_of(robot: object) -> dict[str, int]:
@@ -47,59 +47,88 @@ def state_of(robot: object) -> dict[str, int]:
     return robot.state() | vars(robot.counters) | {"id": 0}
 
 
-@pytest.mark.parametrize(
-    ("changes", "estimates_received"), [({}, 480 - 25), ({"topology": "dynamic", "density": 4}, 192)]
-)
-def test_a_controller_among_its_neighbours_is_a_robot_in_a_swarm(
-    changes: dict[str, Any], estimates_received: int
-) -> None:
-    """All five end with the same bits as an emulated swarm of other ids, in which some crash."""
-    world = SwarmSettings(
-        **POPULATION | {"seed": 4, "fill_ratio": 0.9} | changes, faults=CRASHES.format(1, 2).split()
-    )
+def states_in_a_swarm(world: SwarmSettings) -> list[dict[str, int]]:
+    """Return the states in which the robots of an emulated swarm end."""
     with Swarm(world, Wiring()) as swarm:
-        swarm_states = [state_of(node.robot) for node in run_swarm(swarm).nodes]
+        return [state_of(node.robot) for node in run_swarm(swarm).nodes]
 
-    setup, *neighbour_setups = (replace(setup, id=IDS[setup.id]) for setup in world.robot_setups())
-    faults = tuple(map(parse_fault, CRASHES.format(10, 11).split()))
-    neighbourhood = Neighbourhood(RadioSettings(setup, tuple(neighbour_setups), world, Subjects(), faults))
-    controller = RobotNode(setup)
+
+def states_around_a_controller(world: SwarmSettings, faults: str) -> list[dict[str, int]]:
+    """Run 120 ticks of a controller and its neighbours, and return the states in which they end."""
+    controller_setup, *neighbour_setups = (replace(setup, id=IDS[setup.id]) for setup in world.robot_setups())
+    parsed_faults = tuple(map(parse_fault, faults.split()))
+    neighbourhood = Neighbourhood(
+        RadioSettings(controller_setup, tuple(neighbour_setups), world, Subjects(), parsed_faults)
+    )
+    controller = RobotNode(controller_setup)
     for _ in range(120):
         for frame in neighbourhood.finish(controller.observe(neighbourhood.begin())):
             controller.receive_frame(frame)
         controller.settle()
     robots = (controller.bus_robot, *neighbourhood.nodes.values())
-    states = [state_of(node.robot) for node in robots]
+    return [state_of(node.robot) for node in robots]
 
-    assert states == swarm_states
+
+@pytest.mark.parametrize(
+    ("topology", "estimates_received"),
+    [
+        # All are in range: 4 others send an estimate in each of 120 ticks, but for 5 + 20 while two are dead.
+        ({}, 4 * 120 - (5 + 20)),
+        # The robots move, and receive from those in range alone.
+        ({"topology": "dynamic", "density": 4}, 192),
+    ],
+)
+def test_a_controller_and_its_neighbours_compute_what_an_emulated_swarm_of_as_many_robots_computes(
+    topology: dict[str, Any], estimates_received: int
+) -> None:
+    """All five end with the same bits, although their ids differ from those of the swarm, and two crash."""
+    world = SwarmSettings(**POPULATION, seed=4, fill_ratio=0.9, **topology)
+    crashing_world = replace(world, faults=CRASHES.format(1, 2).split())
+
+    states = states_around_a_controller(world, CRASHES.format(10, 11))
+
+    assert states == states_in_a_swarm(crashing_world)
     assert any(state["updates"] for state in states)
-    assert states[0]["accepted"] == estimates_received
-    # Those that crash miss observations.
-    assert states[1]["t"] < states[2]["t"] < states[0]["t"]
+    controller, new_since_tick_35, dead_for_20_ticks, *_ = states
+    assert controller["accepted"] == estimates_received
+    assert new_since_tick_35["t"] == 120 - 35, "observations"
+    assert dead_for_20_ticks["t"] == 120 - 20, "observations"
 
 
 def test_frames_of_neighbours_are_stamped_with_the_time_of_their_tick() -> None:
+    """There are 10 ticks in a second."""
     neighbourhood = Neighbourhood(surroundings())
     for tick in range(20):
         neighbourhood.begin()
         assert {frame.timestamp for frame in neighbourhood.finish([])} == {tick / 10}
 
 
-@pytest.mark.parametrize(("rejoin", "expected_heartbeats"), REJOINING.items())
-def test_a_neighbour_that_rejoins_sends_heartbeats_as_a_robot_of_a_swarm_does(
-    rejoin: str, expected_heartbeats: list[tuple[int, int]]
-) -> None:
+def heartbeats_of_crashing_robot_1(rejoin: str) -> list[tuple[int, int]]:
+    """Return tick and uptime of each heartbeat in 60 ticks of a neighbour that is dead in ticks 45 and 46."""
     crash = parse_fault(f"crash,robots=1,from=45,to=47,rejoin={rejoin}")
     neighbourhood = Neighbourhood(replace(surroundings(), faults=(crash,)))
-    heartbeats = []
+    ticks_and_uptimes = []
     for tick in range(60):
         neighbourhood.begin()
         for frame in neighbourhood.finish([]):
             heartbeat = decode_heartbeat(frame)
             if isinstance(heartbeat, Heartbeat) and heartbeat.sender == 1:
-                heartbeats.append((tick, heartbeat.uptime))
+                ticks_and_uptimes.append((tick, heartbeat.uptime))
+    return ticks_and_uptimes
 
-    assert heartbeats == expected_heartbeats
+
+EVERY_TENTH_TICK = [(0, 0), (10, 1), (20, 2), (30, 3), (40, 4)]
+"""Ticks of heartbeats, and the uptimes in seconds that they have."""
+
+
+def test_a_neighbour_that_rejoins_as_a_new_robot_begins_with_uptime_0() -> None:
+    """It is dead in ticks 45 and 46; an uptime is in seconds of 10 ticks."""
+    assert heartbeats_of_crashing_robot_1("new") == [*EVERY_TENTH_TICK, (47, 0), (57, 1)]
+
+
+def test_the_uptime_of_a_neighbour_that_rejoins_restored_goes_on_where_it_was() -> None:
+    """It is dead in ticks 45 and 46, so that its heartbeats come two ticks later from then on."""
+    assert heartbeats_of_crashing_robot_1("restored") == [*EVERY_TENTH_TICK, (52, 5)]
 
 
 @pytest.mark.parametrize(
@@ -128,7 +157,8 @@ def test_neighbours_have_the_lowest_ids_but_the_controllers(
         (1, -1, "first-id is -1"),
     ],
 )
-def test_too_few_ids_for_neighbours_are_refused(count: int, first: int, complaint: str) -> None:
+def test_more_neighbours_than_there_are_ids_are_refused(count: int, first: int, complaint: str) -> None:
+    """Ids are those from ``first`` to 125 but the controller's, as 126 and 127 are for tools."""
     with pytest.raises(UsageError, match=complaint):
         choose_ids(3, count, first)
 
@@ -136,25 +166,28 @@ def test_too_few_ids_for_neighbours_are_refused(count: int, first: int, complain
 # --- Neighbours in real time ---
 
 
-def test_emulated_neighbours_go_on_when_the_bus_fails_and_count_what_was_lost() -> None:
+def test_neighbours_in_real_time_go_on_when_the_bus_fails_and_count_the_frames_that_were_lost() -> None:
+    """The bus refuses every other frame, as if a cable had been pulled."""
     bus = Mock()
     bus.send.side_effect = cycle([can.CanOperationError("cable pulled"), None])
     bus.recv.return_value = None
-    settings = surroundings(steps_per_second=1000)
-    run = RadioRun(Neighbourhood(settings), BusLink(bus, endures=True), ticks=20)
+    neighbourhood = Neighbourhood(surroundings(steps_per_second=1000))
+    run = RadioRun(neighbourhood, BusLink(bus, endures=True), ticks=20)
     run.run()
     figures = run.figures()
 
     assert figures["steps"] == 20
     assert figures["ending"] == "all ticks done"
-    # Every other frame fails: 4 robots send an estimate in each of 20 ticks, and a heartbeat.
-    assert figures["bus_failures"] == figures["frames_sent"] == 4 * (20 + 1) // 2
-    assert all(node.robot.t == 20 for node in run.neighbours.nodes.values())
+    frames = 4 * (20 + 1)  # 4 robots send an estimate in each of 20 ticks, and one heartbeat
+    assert figures["bus_failures"] == figures["frames_sent"] == frames // 2
 
 
 @pytest.fixture(params=[BusLink.catch_up, lambda link, take: None], ids=["at ticks", "between ticks"])
 def run_beside_others(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> RadioRun:
-    """A run of 5 ticks in which estimates of robots 1, 5, 6 and 100 and of the controller arrive."""
+    """A run of 5 ticks in which estimates of robots 1, 5, 6 and 100 and of the controller arrive.
+
+    They are read at the beginning of a tick, or else, where nothing is read then, between two ticks.
+    """
     monkeypatch.setattr(BusLink, "catch_up", request.param)
     frames = [encode_estimate(Estimate(ID, 9, 0, 0), FrameFormat(17))]  # of another subject
     frames += [encode_estimate(Estimate(sender, 9, 0, 0), FrameFormat()) for sender in (ID, 1, 1, 100, 5, 6)]
@@ -173,8 +206,8 @@ def test_estimates_are_counted_as_the_controllers_a_strangers_or_a_conflict(
 ) -> None:
     """Robot 1 is one of the emulated neighbours, so two estimates of another robot 1 are a conflict."""
     figures = run_beside_others.figures()
-    assert figures["estimates_heard"] == 1  # of the controller, robot 3
-    assert figures["strangers"] == 3  # robots 5, 6 and 100
+    assert figures["estimates_heard"] == 1, "estimates of the controller, robot 3"
+    assert figures["strangers"] == 3, "estimates of robots 5, 6 and 100"
     assert figures["id_conflicts"] == {"1": 2}
     assert figures["bus_failures"] == 0
 
@@ -185,45 +218,64 @@ def test_neighbours_receive_the_controllers_estimate_and_their_own(run_beside_ot
     assert [node.counters.accepted for node in nodes] == [3 * 5 + 1] * 4
 
 
-def test_the_figures_have_the_mean_and_the_range_of_x(run_beside_others: RadioRun) -> None:
-    x = [node.robot.x for node in run_beside_others.neighbours.nodes.values()]
-    figures = run_beside_others.figures()
-    assert (figures["mean_x"], figures["spread_x"]) == (sum(x) / 4, max(x) - min(x))
+def test_the_figures_of_a_run_have_the_mean_and_the_range_of_the_neighbours_x() -> None:
+    """x is a robot's estimate with those of the others; it differs from robot to robot if some are lost."""
+    settings = surroundings(faults="loss=0.5", steps_per_second=1000)
+    run = RadioRun(Neighbourhood(settings), BusLink(Wire()), ticks=5)
+    run.run()
+    x_of_neighbours = [node.robot.x for node in run.neighbours.nodes.values()]
+
+    figures = run.figures()
+    assert figures["mean_x"] == sum(x_of_neighbours) / 4
+    assert figures["spread_x"] == max(x_of_neighbours) - min(x_of_neighbours) > 0
 
 
 @pytest.mark.parametrize(("ticks", "is_interrupted"), [(None, False), (1000, True)])
 def test_neighbours_stop_when_asked_to(ticks: int | None, is_interrupted: bool) -> None:
     """In tick 3. It is an interruption if more ticks were asked for, and else the end of an endless run."""
-    link = BusLink(Wire(), lambda: run.neighbours.tick >= 3)
-    run = RadioRun(Neighbourhood(surroundings(steps_per_second=1000)), link, ticks)
+    neighbourhood = Neighbourhood(surroundings(steps_per_second=1000))
+    link = BusLink(Wire(), should_stop=lambda: neighbourhood.tick >= 3)
+    run = RadioRun(neighbourhood, link, ticks)
     run.run()
 
-    assert run.neighbours.tick == 3
-    assert (run.outcome.ending, run.outcome.is_interrupted) == ("stopped", is_interrupted)
-    assert run.outcome.lateness is not None
+    assert neighbourhood.tick == 3
+    assert run.outcome.ending == "stopped"
+    assert run.outcome.is_interrupted == is_interrupted
 
 
 # --- The command ---
 
 
 def radio(options: str) -> int:
+    """Run ``mcp-asdf radio`` on the virtual bus, and return its exit code."""
     return main(["radio", "--interface", "virtual", *shlex.split(options)])
 
 
-def test_neighbours_in_real_time_send_frames_and_leave_a_report(
+def receive_waiting_frames(bus: can.BusABC) -> list[can.Message]:
+    """Return the frames that have arrived on a bus."""
+    return list(iter(lambda: bus.recv(0), None))
+
+
+def test_neighbours_in_real_time_send_the_frames_that_a_fault_spares_and_leave_a_report(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    log_path, options = tmp_path / "run.log", "--steps 20 --steps-per-second 100 --fault loss=0.5,receivers=3"
+    """The report is printed as JSON, and is beside the log, too."""
+    log_path, options = (
+        tmp_path / "run.log",
+        "--steps 20 --steps-per-second 1000 --fault loss=0.5,receivers=3",
+    )
     with join() as bus:
         assert radio(f"--id 3 --robots 5 {options} --json --log '{log_path}'") == 0
-        frames = list(iter(lambda: bus.recv(0), None))
+        frames = receive_waiting_frames(bus)
     report = json.loads(capsys.readouterr().out)
-    assert json.loads(Path(f"{log_path}.json").read_text()) == report
-    results = report["results"]
 
-    assert (results["steps"], results["frames_sent"]) == (20, len(frames))
-    assert len(frames) + results["faults"][0]["injected"] == 4 * (20 + 1)  # with a heartbeat each
-    assert {frame.arbitration_id & 0x7F for frame in frames} == {0, 1, 2, 4}
+    assert json.loads(Path(f"{log_path}.json").read_text()) == report
+    assert report["results"]["steps"] == 20
+    assert report["results"]["frames_sent"] == len(frames)
+    (loss,) = report["results"]["faults"]
+    # Each of 4 robots sends an estimate in each of 20 ticks, and one heartbeat.
+    assert len(frames) + loss["injected"] == 4 * (20 + 1)
+    assert {frame.arbitration_id & 0x7F for frame in frames} == {0, 1, 2, 4}, "senders"
 
 
 COMPLAINTS = {
@@ -243,14 +295,21 @@ COMPLAINTS = {
 }
 
 
-@pytest.mark.parametrize("arguments", COMPLAINTS)
-def test_wrong_arguments_are_refused_before_the_first_tick(
-    arguments: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+@pytest.mark.parametrize(("arguments", "complaint"), COMPLAINTS.items())
+def test_wrong_arguments_of_radio_are_refused_before_the_first_tick(
+    arguments: str,
+    complaint: str,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
 ) -> None:
-    monkeypatch.setattr(RadioRun, "_take_tick", lambda self: pytest.fail("it ran"))
-    monkeypatch.setattr(Bench, "settle", lambda self: pytest.fail("it ran"))
+    """No tick is taken, neither in real time nor in lockstep, and no file is written."""
+    ticks = Mock()
+    monkeypatch.setattr(RadioRun, "_take_tick", ticks)
+    monkeypatch.setattr(Bench, "settle", ticks)
     monkeypatch.chdir(tmp_path)
 
     assert radio(arguments) == 2
-    assert COMPLAINTS[arguments] in capsys.readouterr().err
+    assert complaint in capsys.readouterr().err
+    assert ticks.call_count == 0
     assert list(tmp_path.iterdir()) == []
