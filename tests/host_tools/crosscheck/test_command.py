@@ -6,7 +6,10 @@ import json
 import re
 import shlex
 import signal
-from typing import Any, cast
+from collections.abc import Iterator
+from contextlib import redirect_stderr, redirect_stdout
+from io import StringIO
+from typing import Any, NamedTuple, cast
 
 import pytest
 
@@ -24,87 +27,145 @@ COUNTS: Counts = {
     "x": {axis: {1: 58, 2: 58} for axis in AXES},
     "x, robust": {"t": {1: 9, 2: 9}, "m": {1: 9, 2: 9}, "q": {}},
 }
+"""Instructions by call, by axis (observations t, messages m, entries q of the table) and by value there."""
 STORAGE = {"tables": {30: 132}, "images": {0: 124, 127: 124}, "robust_images": {0: 156, 127: 156}}
+"""Bytes of a table by its number of entries, and of a saved robot (an image) by its number of messages."""
+SLOW_PART = "mcp_asdf_tools.crosscheck.operation_count"
 
 
-@pytest.fixture(autouse=True)
-def skip_counting(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.fixture(scope="module", autouse=True)
+def skip_counting() -> Iterator[None]:
     """Replace counting, which takes seconds, by what it may return."""
-    monkeypatch.setattr("mcp_asdf_tools.crosscheck.operation_count.count_operations", lambda: COUNTS)
-    monkeypatch.setattr("mcp_asdf_tools.crosscheck.operation_count.measure_storage", lambda: STORAGE)
+    with pytest.MonkeyPatch.context() as monkeypatch:
+        monkeypatch.setattr(f"{SLOW_PART}.count_operations", lambda: COUNTS)
+        monkeypatch.setattr(f"{SLOW_PART}.measure_storage", lambda: STORAGE)
+        yield
 
 
 def use_mirror(monkeypatch: pytest.MonkeyPatch, mirror: Firmware) -> None:
-    """Let the command load another mirror."""
+    """Let the command compare the C with this firmware in place of the Python one, the mirror."""
     firmwares = {"native": NativeRobot, "mirror": mirror}
     monkeypatch.setattr("mcp_asdf_tools.robots.firmwares.load_firmware", firmwares.__getitem__)
 
 
-def main(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str, str]:
-    """Run the command, and return its exit code, output and errors."""
-    code = cli.main(["crosscheck", *arguments])
-    output = capsys.readouterr()
-    return code, output.out, output.err
+class CommandResult(NamedTuple):
+    """How a command has ended, and what it has printed."""
+
+    exit_code: int
+    output: str
+    errors: str
 
 
-def json_report(capsys: pytest.CaptureFixture[str], *arguments: str) -> dict[str, Any]:
+def run_crosscheck_command(*arguments: str) -> CommandResult:
+    """Run ``mcp-asdf crosscheck``, which compares the robots in C and in Python call by call."""
+    with redirect_stdout(StringIO()) as output, redirect_stderr(StringIO()) as errors:
+        exit_code = cli.main(["crosscheck", *arguments])
+    return CommandResult(exit_code, output.getvalue(), errors.getvalue())
+
+
+def json_report(*arguments: str) -> dict[str, Any]:
     """Run the command with --json, and return its report."""
-    _, output, _ = main(capsys, *arguments, "--json")
-    report: dict[str, Any] = json.loads(output)
+    report: dict[str, Any] = json.loads(run_crosscheck_command(*arguments, "--json").output)
     return report
 
 
 # --- The whole check -------------------------------------------------------------------------------------
 
 
+@pytest.fixture(scope="module")
+def report_of_6000_calls() -> dict[str, Any]:
+    """The report in JSON of a check of 6000 calls, which finds no difference."""
+    return json_report("--steps", "6000")
+
+
 @pytest.mark.slow
-def test_the_report_has_all_results(capsys: pytest.CaptureFixture[str]) -> None:
-    report = json_report(capsys, "--steps", "6000")
-    errors, tests, robust = report.pop("errors"), report.pop("tests"), report.pop("robust")
+def test_the_json_report_of_a_check_without_a_difference_says_ok_and_has_no_problems(
+    report_of_6000_calls: dict[str, Any],
+) -> None:
+    expected = {"ok": True, "seed": SEED, "steps": 6000, "interrupted": False, "failure": None, "problems": []}
+    assert {name: report_of_6000_calls[name] for name in expected} == expected
 
-    assert report.pop("scenarios") > 10
-    assert report == {
-        "ok": True,
-        "seed": SEED,
-        "steps": 6000,
-        "interrupted": False,
-        "failure": None,
-        "problems": [],
-        "operations": json.loads(json.dumps(COUNTS)),
-        "storage": json.loads(json.dumps(STORAGE)),
-    }
-    assert tests > 20
-    assert robust.keys() >= {"vote", "own vote", "too few", "accepted", "rejected", "returned"}
+
+@pytest.mark.slow
+def test_the_json_report_has_the_measured_instructions_and_bytes(
+    report_of_6000_calls: dict[str, Any],
+) -> None:
+    as_read_from_json = json.loads(json.dumps({"operations": COUNTS, "storage": STORAGE}))
+    assert report_of_6000_calls["operations"] == as_read_from_json["operations"]
+    assert report_of_6000_calls["storage"] == as_read_from_json["storage"]
+
+
+@pytest.mark.slow
+def test_the_json_report_counts_scenarios_tests_and_events_of_the_robust_filter(
+    report_of_6000_calls: dict[str, Any],
+) -> None:
+    """A scenario is a robot and its calls; a vote, for one, is an estimate that the filter has weighed."""
+    events = {"vote", "own vote", "too few", "accepted", "rejected", "returned"}
+    assert report_of_6000_calls["scenarios"] > 10
+    assert report_of_6000_calls["tests"] > 20
+    assert report_of_6000_calls["robust"].keys() >= events
+
+
+@pytest.mark.slow
+def test_the_json_report_has_errors_below_a_thousandth_for_every_quantity(
+    report_of_6000_calls: dict[str, Any],
+) -> None:
+    """The errors are against exact arithmetic and against 64-bit floats."""
+    errors = report_of_6000_calls["errors"]
     assert {row["quantity"] for row in errors} == set(oracle.QUANTITIES)
-    assert all(row["exact"] < 1e-3 and row["float64"] < 1e-3 for row in errors)
+    assert all(row["exact"] < 1e-3 for row in errors)
+    assert all(row["float64"] < 1e-3 for row in errors)
 
 
-def test_the_verdict_says_what_was_compared_and_how_to_repeat_it(capsys: pytest.CaptureFixture[str]) -> None:
-    code, output, errors = main(capsys, "--steps", "2000", "--seed", "4")
-    assert (code, errors) == (0, "")
-    memory, robust, calls, verdict, repeat = output.splitlines()[-5:]
-    expected_memory = "memory: 12 + 4 q bytes for a table, 124 for a saved robot, 156 with the robust filter"
+@pytest.fixture(scope="module")
+def check_of_500_calls() -> CommandResult:
+    """The result of a check of 500 calls with seed 4, which finds no difference."""
+    return run_crosscheck_command("--steps", "500", "--seed", "4")
 
-    assert memory == expected_memory
-    assert re.fullmatch(r"the robust filter: (\d+ [a-z ]+(, |$))+", robust)
-    assert re.fullmatch(r"calls made and compared: 2000 in \d+ scenarios, seed 4", calls)
+
+def test_a_check_without_a_difference_ends_with_the_verdict_and_how_to_repeat_it(
+    check_of_500_calls: CommandResult,
+) -> None:
+    assert check_of_500_calls.exit_code == 0
+    assert check_of_500_calls.errors == ""
+    *_, calls_line, verdict, repeat = check_of_500_calls.output.splitlines()
+    assert re.fullmatch(r"calls made and compared: 500 in \d+ scenarios, seed 4", calls_line)
     assert verdict == "native and mirror agree in every bit"
-    assert repeat == "again: mcp-asdf crosscheck --steps 2000 --seed 4"
+    assert repeat == "again: mcp-asdf crosscheck --steps 500 --seed 4"
 
 
-def test_errors_and_instructions_are_shown_in_tables(capsys: pytest.CaptureFixture[str]) -> None:
-    _, output, _ = main(capsys, "--steps", "2000", "--seed", "4")
-    lines = output.splitlines()[:-5]
+def test_a_check_prints_the_bytes_that_tables_and_saved_robots_take(check_of_500_calls: CommandResult) -> None:
+    """They are those of STORAGE: 124 bytes, or 156 with the robust filter. q is the size of a table."""
+    expected = "memory: 12 + 4 q bytes for a table, 124 for a saved robot, 156 with the robust filter"
+    assert expected in check_of_500_calls.output.splitlines()
 
-    assert (lines[0], lines[2]) == ("", "              region  samples    exact  float64")
-    assert re.search(r"x_hat +0.999 to 1 +\d+ +[\d.e-]+ +[\d.e-]+\n", output)
-    assert lines[-5:] == [
-        "",
-        "instructions of Python's interpreter per call, at most",
-        "           over t  over m  over q",
-        "x              58      58      58",
-        "x, robust       9       9       -",
-    ]
+
+def test_a_check_prints_how_often_each_event_of_the_robust_filter_happened(
+    check_of_500_calls: CommandResult,
+) -> None:
+    """For example "the robust filter: 17 vote, 4 own vote"."""
+    events = r"(\d+ [a-z ]+, )*\d+ [a-z ]+"
+    assert re.search(rf"^the robust filter: {events}$", check_of_500_calls.output, re.MULTILINE)
+
+
+def test_a_check_prints_a_table_of_errors_by_the_size_of_the_value(check_of_500_calls: CommandResult) -> None:
+    """A region is a range of values: here one of x_hat, the estimate of a robot."""
+    number_of_samples, error = r"\d+", r"[\d.e-]+"
+    assert "              region  samples    exact  float64\n" in check_of_500_calls.output
+    row = rf"x_hat +0.999 to 1 +{number_of_samples} +{error} +{error}\n"
+    assert re.search(row, check_of_500_calls.output)
+
+
+def test_a_check_prints_a_table_of_the_most_instructions_of_each_call(check_of_500_calls: CommandResult) -> None:
+    """They are those of COUNTS; with the robust filter there is no table, so nothing grows with its size q."""
+    table = (
+        "\n"
+        "instructions of Python's interpreter per call, at most\n"
+        "           over t  over m  over q\n"
+        "x              58      58      58\n"
+        "x, robust       9       9       -\n"
+    )
+    assert table in check_of_500_calls.output
 
 
 @pytest.mark.parametrize(
@@ -130,17 +191,20 @@ def test_a_claim_about_time_or_memory_that_does_not_hold_fails_the_check(
     storage: dict[str, dict[int, int]],
     problem: str,
     monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """In place of what is measured there are counts that grow with observations t, messages m or table q."""
-    monkeypatch.setattr("mcp_asdf_tools.crosscheck.operation_count.count_operations", lambda: operations)
-    monkeypatch.setattr("mcp_asdf_tools.crosscheck.operation_count.measure_storage", lambda: storage)
-    code, output, _ = main(capsys, "--steps", "1", "--seed", "0", "--json")
-    assert (code, json.loads(output)["problems"]) == (1, [problem])
+    """Neither time nor memory of a robot may grow with its observations t, messages m or the table's size q.
+
+    The counts of instructions and bytes, which the command would measure, are replaced by some that grow.
+    """
+    monkeypatch.setattr(f"{SLOW_PART}.count_operations", lambda: operations)
+    monkeypatch.setattr(f"{SLOW_PART}.measure_storage", lambda: storage)
+    result = run_crosscheck_command("--steps", "1", "--json")
+    assert result.exit_code == 1
+    assert json.loads(result.output)["problems"] == [problem]
 
 
 class InterruptedRobot(MirrorRobot):
-    """Is interrupted by Ctrl-C at its 51st observation."""
+    """Is interrupted by Ctrl-C at the 51st observation of all such robots together."""
 
     observations = 0
 
@@ -151,80 +215,98 @@ class InterruptedRobot(MirrorRobot):
         return super().observe(z)
 
 
-def test_an_interrupted_check_reports_what_was_done(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+def test_a_check_that_ctrl_c_interrupts_reports_the_calls_that_it_has_compared(
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    """Ctrl-C comes at the 51st observation, one of the first hundreds of calls."""
     use_mirror(monkeypatch, InterruptedRobot)
-    code, output, _ = main(capsys, "--steps", "100000")
-    assert code == 128 + signal.SIGINT
-    assert re.search(r"compared: \d{1,3} in \d+ scenarios, seed 1, interrupted\n", output)
+    result = run_crosscheck_command("--steps", "100000")
+    assert result.exit_code == 128 + signal.SIGINT
+    assert re.search(r"compared: \d{1,3} in \d+ scenarios, seed 1, interrupted\n", result.output)
 
 
 # --- A failure and its replay ----------------------------------------------------------------------------
 
 
+@pytest.fixture(scope="module")
+def failed_check() -> Iterator[CommandResult]:
+    """A check of a mirror that rounds wrongly when it halves its counts, of which it makes up to 30,000 calls.
+
+    That mirror is still in place afterwards, so that a test can replay the failure.
+    """
+    with pytest.MonkeyPatch.context() as monkeypatch:
+        use_mirror(monkeypatch, mirror_with(FAULTS["halving: ties to even"]))
+        yield run_crosscheck_command("--steps", "30000")
+
+
 def failing_scenario(output: str) -> Scenario:
-    """Return the scenario that the last line of the command's output replays."""
+    """Return the scenario in the last line of the command's output, such as "replay: mcp-asdf ... 'robot:2'"."""
     *command, scenario = shlex.split(output.splitlines()[-1])
     assert command == ["replay:", "mcp-asdf", "crosscheck", "--replay"]
     return parse_scenario(scenario)
 
 
-def test_a_failure_is_shown_by_the_fewest_calls_and_a_line_that_replays_it(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """A robot that rounds wrongly is to be shown by three calls, of some of the 30,000 made."""
-    use_mirror(monkeypatch, mirror_with(FAULTS["halving: ties to even"]))
-
-    code, output, _ = main(capsys, "--steps", "30000")
-
-    assert code == 1
-    assert [call.name for call in failing_scenario(output).calls] == ["restore", "observe", "observe"]
+def test_a_failure_is_shown_by_the_fewest_calls_that_lead_to_it(failed_check: CommandResult) -> None:
+    """A robot that rounds wrongly as it halves its counts needs three of the thousands of calls made."""
+    assert failed_check.exit_code == 1
+    calls = failing_scenario(failed_check.output).calls
+    assert [call.name for call in calls] == ["restore", "observe", "observe"]
 
 
-def test_the_line_that_replays_a_failure_shows_the_failure_again(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    use_mirror(monkeypatch, mirror_with(FAULTS["halving: ties to even"]))
-    _, output, _ = main(capsys, "--steps", "30000")
-    scenario = failing_scenario(output)
+def test_the_line_that_replays_a_failure_prints_the_failure_again(failed_check: CommandResult) -> None:
+    scenario = failing_scenario(failed_check.output)
+    replayed = run_crosscheck_command("--replay", str(scenario))
+    assert replayed.exit_code == 1
+    assert failed_check.output.endswith(replayed.output)
 
-    code, replay_output, _ = main(capsys, "--replay", str(scenario))
 
-    assert code == 1
-    assert output.endswith(replay_output)
-    failure = json_report(capsys, "--replay", str(scenario))["failure"]
+def test_a_replay_in_json_has_the_calls_and_the_problem_of_the_failure(failed_check: CommandResult) -> None:
+    """The problem is in n, the number of black tiles, which the robot rounds wrongly as it halves it."""
+    scenario = failing_scenario(failed_check.output)
+    failure = json_report("--replay", str(scenario))["failure"]
     assert failure["replay"] == str(scenario)
     assert failure["calls"] == [str(call) for call in scenario.calls]
-    assert failure["problems"][0].startswith("n: ")  # the number of black tiles
+    assert failure["problems"][0].startswith("n: ")
 
 
-def test_a_replay_without_a_difference_says_so(capsys: pytest.CaptureFixture[str]) -> None:
+TWO_CALLS_AND_A_WRONG_ONE = f"{ROBOT},observe:1,settle,observe:9"
+"""The last call is an observation that is neither black, 1, nor white, 0: a robot refuses it by its status."""
+
+
+def test_a_replay_without_a_difference_says_that_both_robots_agree() -> None:
+    """Of the three calls both refuse the last one, an observation of 9, by the same status."""
+    result = run_crosscheck_command("--replay", TWO_CALLS_AND_A_WRONG_ONE)
     expected = "native and mirror agree in every bit over 3 calls\n"
-    replay = f"{ROBOT},observe:1,settle,observe:9"
-    assert main(capsys, "--replay", replay) == (0, expected, "")
-    report = json_report(capsys, "--replay", replay)
+    assert result == CommandResult(exit_code=0, output=expected, errors="")
 
+
+def test_a_replay_without_a_difference_has_no_failure_in_its_json() -> None:
+    report = json_report("--replay", TWO_CALLS_AND_A_WRONG_ONE)
     assert report == {"ok": True, "status": "OK", "calls": 3, "failure": None}
 
 
-def test_a_replay_of_a_robot_that_both_refuse_makes_no_call(capsys: pytest.CaptureFixture[str]) -> None:
-    replay = "robot:9:1:64:0:3221225472,observe:1,observe:1"
-    expected = "native and mirror both refuse to make this robot (ERR_CONFIG); no call was made\n"
-    assert main(capsys, "--replay", replay) == (0, expected, "")
-    report = json_report(capsys, "--replay", replay)
+ROBOT_WITH_UNKNOWN_FILTER = "robot:9:1:64:0:3221225472"
+"""Filters have the numbers 0 to 3, so no robot has filter 9."""
 
+
+def test_a_replay_of_a_robot_that_both_firmwares_refuse_makes_no_call() -> None:
+    result = run_crosscheck_command("--replay", f"{ROBOT_WITH_UNKNOWN_FILTER},observe:1,observe:1")
+    expected = "native and mirror both refuse to make this robot (ERR_CONFIG); no call was made\n"
+    assert result == CommandResult(exit_code=0, output=expected, errors="")
+
+
+def test_a_replay_of_a_robot_that_both_firmwares_refuse_has_their_status_in_its_json() -> None:
+    report = json_report("--replay", f"{ROBOT_WITH_UNKNOWN_FILTER},observe:1,observe:1")
     assert report == {"ok": True, "status": "ERR_CONFIG", "calls": 0, "failure": None}
 
 
-def test_a_replay_with_a_difference_counts_the_calls_up_to_it(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_replay_with_a_difference_counts_the_calls_up_to_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """BrokenRobot raises an exception in ``settle``, the second of three calls."""
     use_mirror(monkeypatch, cast(Firmware, BrokenRobot))
-    report = json_report(capsys, "--replay", f"{ROBOT},observe:1,settle,observe:9")
+    report = json_report("--replay", f"{ROBOT},observe:1,settle,observe:1")
     assert not report["ok"]
     assert report["status"] == "OK"
-    assert report["calls"] == 2  # the robot fails in the second, settle
+    assert report["calls"] == 2
 
 
 # --- Bad usage -------------------------------------------------------------------------------------------
@@ -240,9 +322,10 @@ def test_a_replay_with_a_difference_counts_the_calls_up_to_it(
         (["--replay", ROBOT, "--seed", "5"], "--replay runs one scenario"),
     ],
 )
-def test_a_wrong_option_is_refused(
-    arguments: list[str], complaint: str, capsys: pytest.CaptureFixture[str]
+def test_a_wrong_option_is_refused_with_exit_code_2_and_the_reason(
+    arguments: list[str], complaint: str
 ) -> None:
-    code, output, errors = main(capsys, *arguments)
-    assert (code, output) == (2, "")
-    assert complaint in errors
+    result = run_crosscheck_command(*arguments)
+    assert result.exit_code == 2
+    assert result.output == ""
+    assert complaint in result.errors

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from crosschecks import ROBOT, SEED, BrokenRobot, find_failure
@@ -27,14 +27,15 @@ from mcp_asdf_tools.crosscheck.scenario import Call, Scenario, parse_scenario
 def test_the_c_and_the_python_robot_agree_in_every_bit_and_with_exact_arithmetic() -> None:
     """NativeRobot calls the C; MirrorRobot computes the same in Python.
 
-    Scenarios are drawn with a fixed seed.
+    Both make thousands of random calls, drawn with a fixed seed, and are compared after each.
     """
-    assert find_failure(NativeRobot, MirrorRobot, max_calls=10_000) is None
+    assert find_failure(NativeRobot, MirrorRobot, max_calls=6_000) is None
 
 
 def test_the_c_and_the_python_robot_agree_next_to_the_threshold_of_the_robust_filter() -> None:
-    for index in range(40):
-        scenario = robust_scenario(23, index)
+    """Robust scenarios are calls by which the filter's test just rejects, or just does not."""
+    for index in range(20):
+        scenario = robust_scenario(seed=23, index=index)
         assert compare_firmwares(scenario, MirrorRobot, NativeRobot) is None, str(scenario)
 
 
@@ -62,8 +63,10 @@ class RobotWithAWrongField(MirrorRobot):
 @pytest.mark.parametrize(
     ("first", "second", "call_count", "problem"),
     [
+        # BrokenRobot raises an error in settle, the second call.
         (NativeRobot, BrokenRobot, 2, "status: OK, ZeroDivisionError: in settle"),
         (BrokenRobot, BrokenRobot, 2, "both: ZeroDivisionError: in settle"),
+        # The others differ before the first call.
         (RobotThatCannotBeMade, RobotThatCannotBeMade, 0, "both: ZeroDivisionError: in init"),
         (NativeRobot, RobotWithAWrongField, 0, "updated: 0, 7"),
         (NativeRobot, RobotThatRefusesEveryId, 0, "status: OK, ERR_ID"),
@@ -72,18 +75,23 @@ class RobotWithAWrongField(MirrorRobot):
 def test_a_difference_or_an_exception_is_reported_with_the_calls_up_to_it(
     first: Firmware, second: Firmware, call_count: int, problem: str
 ) -> None:
+    """A scenario is a robot and its calls; that of the failure has ``call_count`` of the three calls."""
     scenario = parse_scenario(f"{ROBOT},observe:1,settle,settle")
-    expected = Failure(scenario.with_calls(scenario.calls[:call_count]), (problem,))
-    assert compare_firmwares(scenario, first, second) == expected
+    failure = compare_firmwares(scenario, first, second)
+
+    assert failure is not None
+    assert failure.scenario.calls == scenario.calls[:call_count]
+    assert failure.problems == (problem,)
 
 
-def test_differences_name_fields_results_and_words_of_the_saved_robot() -> None:
+def test_differences_of_two_robots_are_listed_by_field_result_and_word_of_the_saved_robot() -> None:
+    """The second robot is restored from its saved words, changed in words 2 (its count t) and 29."""
     setup = parse_scenario(ROBOT).setup
     first, second = RobotUnderTest(MirrorRobot, setup), RobotUnderTest(MirrorRobot, setup)
-    # Restore the second robot with word 2 of its saved state, the count t, as 5, and bit 16 of word 29 set.
-    second.apply(Call("restore", (2, 5, 29, 1 << 16)))
+    second.apply(parse_scenario(f"{ROBOT},restore:2:5:29:{0x10000}").calls[0])
     *lines, checksum_line = differences(first.last_result, second.last_result)
 
+    # Each line has the first robot's value and the second's.
     assert lines == [
         "t: 0, 5",
         "updated: 0, 1",
@@ -94,60 +102,73 @@ def test_differences_name_fields_results_and_words_of_the_saved_robot() -> None:
     assert checksum_line.startswith("save(), word 30: ")
 
 
-@settings(deadline=None, database=None, derandomize=True)
-@given(st.lists(st.integers(0, 2), max_size=30), st.sets(st.integers(0, 29), min_size=1, max_size=4))
-def test_shrinking_leaves_exactly_the_calls_and_words_that_the_failure_needs(
-    extra_words: list[int], needed: set[int]
-) -> None:
-    """So a report is short. The check fails once the calls of the ``needed`` numbers were made.
+def scenario_of_restores(*pairs_of_calls: tuple[int, ...]) -> Scenario:
+    """Return a scenario that restores a robot again and again, each time with these words changed.
 
-    Each call writes its number into word 1, and other values into words 2 and 3, which are not needed.
+    Words are changed by pairs of a word's index and its new value.
     """
-    assume(max(needed) < len(extra_words))
-    calls = tuple(Call("restore", (1, number, 2, word, 3, word)) for number, word in enumerate(extra_words))
+    setup = parse_scenario(ROBOT).setup
+    return Scenario(setup, tuple(Call("restore", pairs) for pairs in pairs_of_calls))
 
-    def check_scenario(scenario: Scenario) -> Failure | None:
-        missing = set(needed)
-        for call_count, call in enumerate(scenario.calls, start=1):
-            missing.discard(dict(call.pairs).get(1, -1))
-            if not missing:
-                return Failure(scenario.with_calls(scenario.calls[:call_count]), ("all needed calls",))
-        return None
 
-    shortest = shrink(Failure(Scenario(parse_scenario(ROBOT).setup, calls), ()), check_scenario)
-    assert shortest.scenario.calls == tuple(Call("restore", (1, number)) for number in sorted(needed))
+@settings(max_examples=25, deadline=None, database=None, derandomize=True)
+@given(needed=st.sets(st.integers(0, 29), min_size=1, max_size=4), call_count=st.integers(30, 40))
+def test_shrinking_leaves_exactly_the_calls_and_words_that_the_failure_needs(
+    needed: set[int], call_count: int
+) -> None:
+    """So that a report is short: of 30 to 40 calls it keeps those whose number is ``needed`` for the failure.
+
+    Each call writes its number into word 1, by which the check knows it, and a value into words 2 and 3.
+    """
+
+    def fail_if_all_needed_calls_were_made(scenario: Scenario) -> Failure | None:
+        numbers = {dict(call.pairs).get(1) for call in scenario.calls}
+        return Failure(scenario, ("all needed calls",)) if needed <= numbers else None
+
+    scenario = scenario_of_restores(*((1, number, 2, 7, 3, number % 3) for number in range(call_count)))
+    shortest = shrink(Failure(scenario, ()), fail_if_all_needed_calls_were_made)
+
+    assert shortest.scenario == scenario_of_restores(*((1, number) for number in sorted(needed)))
+
+
+def ignore_progress(calls_made: int) -> None:
+    """Take the number of calls of a scenario, which the cross-check reports, and do nothing."""
 
 
 @pytest.mark.parametrize("failing_call", [0, 1, 5])
-def test_a_run_counts_the_calls_up_to_the_failure(failing_call: int) -> None:
-    calls_made: list[int] = []
+def test_a_crosscheck_that_fails_has_counted_the_calls_up_to_the_failing_one(failing_call: int) -> None:
+    """The first three scenarios, that is robots and their calls, pass; the fourth fails in a call."""
+    calls_of_scenarios: list[int] = []
 
     def check_scenario(scenario: Scenario) -> Failure | None:
-        if sum(calls_made) > 100 and len(scenario.calls) > failing_call:
+        if len(calls_of_scenarios) == 3:
             return Failure(scenario.with_calls(scenario.calls[:failing_call]), ("wrong",))
-        calls_made.append(len(scenario.calls))
+        calls_of_scenarios.append(len(scenario.calls))
         return None
 
-    result = run_crosscheck(check_scenario, SEED, 5000, lambda calls: None)
+    result = run_crosscheck(check_scenario, SEED, 5000, ignore_progress)
     assert result.failure is not None
-    assert result.calls == sum(calls_made) + failing_call
-    assert result.scenarios == len(calls_made) + 1
+    assert result.calls == sum(calls_of_scenarios) + failing_call
+    assert result.scenarios == 4
 
 
-def test_a_run_ends_after_exactly_the_calls_asked_for() -> None:
+def test_a_crosscheck_without_a_failure_ends_after_exactly_the_calls_asked_for() -> None:
+    def find_nothing_wrong(scenario: Scenario) -> None:
+        return None
+
     reported_calls: list[int] = []
-    result = run_crosscheck(lambda scenario: None, SEED, 1234, reported_calls.append)
-    assert result.calls == 1234
+    result = run_crosscheck(find_nothing_wrong, SEED, 1234, reported_calls.append)
     assert result.failure is None
     assert not result.interrupted
-    assert sum(reported_calls) == 1234
+    assert result.calls == sum(reported_calls) == 1234
 
 
-def test_every_fourth_scenario_is_of_a_robot_with_the_robust_filter() -> None:
+def test_every_fourth_scenario_of_a_crosscheck_has_a_robot_with_the_robust_filter() -> None:
     is_robust: list[bool] = []
 
-    def check_scenario(scenario: Scenario) -> None:
+    def note_filter(scenario: Scenario) -> None:
         is_robust.append(scenario.setup.filter == Filter.ROBUST)
 
-    run_crosscheck(check_scenario, SEED, 1234, lambda calls: None)
-    assert is_robust[:8] == [False, False, False, True] * 2
+    run_crosscheck(note_filter, SEED, 1234, ignore_progress)
+    first_eight = is_robust[:8]
+    assert first_eight == [False, False, False, True] * 2

@@ -21,7 +21,7 @@ from mcp_asdf_tools.crosscheck.bounds import (
     is_update_expected,
     x_hat_bounds,
 )
-from mcp_asdf_tools.crosscheck.oracle import REGIONS, Audit, Errors, region_of
+from mcp_asdf_tools.crosscheck.oracle import Audit, Errors, region_of
 
 LIMIT = Fraction(INFORMATIVE_G)
 
@@ -29,16 +29,22 @@ LIMIT = Fraction(INFORMATIVE_G)
 
 
 def test_the_exact_confidence_alpha_is_the_fisher_information_of_the_observations() -> None:
-    """t (2b - 1)^2 / (h (1 - h)), h = n/t = 1/2 the share of black: 2 / 4 / (1/4) = 2."""
+    """It is t (2b - 1)^2 / (h (1 - h)) for t observations with accuracy b, of which a share h is black.
+
+    Here h is 1/2, so it is 2 / 4 / (1/4) = 2.
+    """
     assert exact_alpha(n=1, t=2, b=Fraction(3, 4)) == 2
 
 
 def test_the_firmware_s_largest_alpha_limits_the_exact_one() -> None:
-    assert exact_alpha(n=2**11, t=2**31, b=1 - Fraction(1, 2**20)) == 2**31 - 2**7
+    """Unlimited, it would be about 2**31 / 2**-20, as a share of 2**-20 of all observations is black."""
+    largest_alpha = 2**31 - 2**7  # of 24 bits, as many as an alpha word has
+    assert exact_alpha(n=2**11, t=2**31, b=1 - Fraction(1, 2**20)) == largest_alpha
 
 
 def test_an_estimate_from_a_sensor_that_guesses_is_exactly_one_half() -> None:
-    assert x_hat_bounds(3, 7, HALF) == (HALF, HALF)
+    """A sensor of accuracy 1/2 guesses, so three black tiles of seven say nothing."""
+    assert x_hat_bounds(n=3, t=7, b=HALF) == (HALF, HALF)
 
 
 @dataclass
@@ -87,10 +93,11 @@ def test_errors_of_alpha_are_those_of_the_design(case: AccuracyCase) -> None:
 
 @pytest.mark.parametrize("case", ACCURACY_CASES)
 def test_bounds_of_alpha_have_room_for_an_alpha_word(case: AccuracyCase) -> None:
+    """A robot sends its confidence alpha as a word of 24 bits, or in units of 2**-24, rounded down."""
     exact = exact_alpha(case.n, 10**6, case.b)
     too_small, too_large = alpha_error(case.n, 10**6, case.b)
-    # A word has 24 bits of mantissa, or units of 2**-24, and what does not fit is cut off.
-    smallest_in_word = exact * (1 - too_small) * (1 - Fraction(1, 2**23)) - Fraction(1, 2**24)
+    cut_off_mantissa, unit_of_small_words = Fraction(1, 2**23), Fraction(1, 2**24)
+    smallest_in_word = exact * (1 - too_small) * (1 - cut_off_mantissa) - unit_of_small_words
 
     assert alpha_bounds(case.n, 10**6, case.b) == (smallest_in_word, exact * (1 + too_large))
 
@@ -108,13 +115,19 @@ def test_the_error_of_b_hat_is_that_of_the_design(x_bar: Fraction, units: int) -
 @pytest.mark.parametrize("side", [1, -1])
 @pytest.mark.parametrize(("errors", "is_expected"), [(-1.7, False), (2.01, True)])
 def test_an_update_is_expected_from_an_informative_x_bar(side: int, errors: float, is_expected: bool) -> None:
-    """``errors`` is the distance from the limit in units of 1.25 * 2**-30, the largest error of x_bar."""
+    """x_bar, the mean of the estimates, is informative if |2 x_bar - 1| is above a limit.
+
+    ``errors`` is its distance from the limit in units of 1.25 * 2**-30, the largest error of 2 x_bar.
+    """
     distance = LIMIT + Fraction(errors) * Fraction(5, 4) / 2**30
-    assert is_update_expected(HALF + side * distance / 2) is is_expected
+    x_bar = HALF + side * distance / 2
+    assert is_update_expected(x_bar) is is_expected
 
 
-def test_either_is_right_so_near_to_the_limit_that_rounding_decides() -> None:
-    assert is_update_expected(HALF + LIMIT / 2 + Fraction(1, 2**31)) is None
+def test_an_x_bar_so_near_to_the_limit_that_rounding_decides_may_lead_to_an_update_or_not() -> None:
+    """None says that both are right. An x_bar farther than the limit from 1/2 leads to an update."""
+    rounding = Fraction(1, 2**31)
+    assert is_update_expected(HALF + LIMIT / 2 + rounding) is None
 
 
 # --- What is found wrong in a call -----------------------------------------------------------------------
@@ -130,7 +143,10 @@ UPDATE = "robot:1:1:64:0:3221225472,step:1,step:0,receive:1:3000000:2147483649,s
 
 
 def problems_with_excess(name: str, excess: int) -> list[str]:
-    """Return the problems of a call that updates b_hat, after which a value is larger than it was."""
+    """Return what the audit finds wrong in a call that updates b_hat, if a value after it is this much larger.
+
+    The audit checks the call by exact arithmetic.
+    """
     audit = Audit()
     update = last_call(UPDATE, audit)
     assert update.after.outcome == "UPDATED"
@@ -153,16 +169,18 @@ def problems_with_excess(name: str, excess: int) -> list[str]:
     ],
 )
 def test_a_value_out_of_bounds_is_reported(name: str, excess: int, problem: str) -> None:
-    assert any(line.startswith(problem) for line in problems_with_excess(name, excess))
+    """After a call of a robot, one value is larger than it was by more than rounding explains."""
+    problems = problems_with_excess(name, excess)
+    assert any(line.startswith(problem) for line in problems)
 
 
 def test_a_value_that_follows_from_no_equation_is_not_checked() -> None:
-    """It is compared between the firmwares."""
-    assert problems_with_excess("open_x", 1) == []
+    """open_x, a sum of messages, is compared between the firmwares alone."""
+    assert problems_with_excess("open_x", excess=1) == []
 
 
-def settle_with_messages(mode: Filter, message_count: int, audit: Audit) -> CheckedCall:
-    """Return a step at which the filter runs after that many messages of different x_hat."""
+def step_after_messages(mode: Filter, message_count: int, audit: Audit) -> CheckedCall:
+    """Return a call of ``step`` in which the filter runs after that many messages of different x_hat."""
     messages = "".join(
         f"receive:{sender}:{3_000_000 + sender}:2147483649," for sender in range(1, message_count + 1)
     )
@@ -175,40 +193,42 @@ def settle_with_messages(mode: Filter, message_count: int, audit: Audit) -> Chec
 def test_an_update_without_cause_is_reported(mode: Filter, message_count: int) -> None:
     """The filter is off, has no message, or has too few for a test; the call says that b_hat has changed."""
     audit = Audit()
-    step = settle_with_messages(mode, message_count, audit)
+    step = step_after_messages(mode, message_count, audit)
     wrong = replace(step.after, outcome="UPDATED")
+    problems = audit.check_call(step.setup, step.call, step.before, wrong)
 
-    assert audit.check_call(step.setup, step.call, step.before, wrong) == ["b_hat is re-estimated, wrongly"]
+    assert problems == ["b_hat is re-estimated, wrongly"]
     assert audit.tests == 0
 
 
 @pytest.mark.parametrize(("mode", "message_count", "tests"), [(Filter.ALWAYS, 1, 0), (Filter.ADAPTIVE, 2, 2)])
 def test_a_missing_update_is_reported(mode: Filter, message_count: int, tests: int) -> None:
-    """Messages contradict the robot, or it needs no test; the call says that b_hat has not changed."""
-    audit = Audit()
-    step = settle_with_messages(mode, message_count, audit)
-    wrong = replace(step.after, outcome="OK")
+    """Messages contradict the robot, or it needs no test; the call says that b_hat has not changed.
 
-    assert audit.check_call(step.setup, step.call, step.before, wrong) == [
-        "b_hat is not re-estimated, wrongly"
-    ]
+    The audit has counted a test in the right call and one in the wrong call, if the filter makes any.
+    """
+    audit = Audit()
+    step = step_after_messages(mode, message_count, audit)
+    wrong = replace(step.after, outcome="OK")
+    problems = audit.check_call(step.setup, step.call, step.before, wrong)
+
+    assert problems == ["b_hat is not re-estimated, wrongly"]
     assert audit.tests == tests
 
 
 def test_an_update_before_the_filter_period_has_passed_is_reported() -> None:
-    """There are two rounds left until the filter runs, in place of one."""
+    """The filter runs every so many rounds; the state before the call says that two are left, not one."""
     audit = Audit()
-    step = settle_with_messages(Filter.ALWAYS, 1, audit)
+    step = step_after_messages(Filter.ALWAYS, message_count=1, audit=audit)
     too_early = with_value(step.before, "filter_left", 2)
+    problems = audit.check_call(step.setup, step.call, too_early, step.after)
 
-    assert audit.check_call(step.setup, step.call, too_early, step.after) == [
-        "b_hat is re-estimated, wrongly"
-    ]
+    assert problems == ["b_hat is re-estimated, wrongly"]
 
 
-def test_nothing_is_expected_of_a_call_with_an_error() -> None:
+def test_no_update_is_expected_of_a_call_that_the_robot_refuses() -> None:
     audit = Audit()
-    step = settle_with_messages(Filter.ALWAYS, 1, audit)
+    step = step_after_messages(Filter.ALWAYS, message_count=1, audit=audit)
     refused = replace(step.after, outcome="ERR_OBSERVATION")
     assert audit.check_call(step.setup, step.call, step.before, refused) == []
 
@@ -216,8 +236,8 @@ def test_nothing_is_expected_of_a_call_with_an_error() -> None:
 # --- What is counted -------------------------------------------------------------------------------------
 
 
-def test_errors_keep_the_largest() -> None:
-    """One error is against exact numbers, the other against floats. Their signs do not count."""
+def test_of_several_errors_the_largest_is_kept_whatever_its_sign() -> None:
+    """Of each value there is an error against exact numbers and one against floats."""
     errors = Errors()
     errors.add(Fraction(-3, 4), 0.25)
     errors.add(Fraction(1, 4), -0.5)
@@ -225,12 +245,20 @@ def test_errors_keep_the_largest() -> None:
 
 
 @pytest.mark.parametrize(
-    ("value", "region_index"), [(0, 0), (2**-12, 1), (-0.02, 2), (0.2, 3), (0.9, 4), (0.999, 5), (1, 5)]
+    ("value", "region"),
+    [
+        (0, "below 2^-12"),
+        (2**-12, "2^-12 to 0.02"),
+        (-0.02, "0.02 to 0.2"),
+        (0.2, "0.2 to 0.9"),
+        (0.9, "0.9 to 0.999"),
+        (0.999, "0.999 to 1"),
+        (1, "0.999 to 1"),
+    ],
 )
-def test_regions_cover_the_whole_range(value: float, region_index: int) -> None:
-    """Errors are reported by how large the value is, without its sign."""
-    _, name = REGIONS[region_index]
-    assert region_of(Fraction(value)) == name
+def test_a_value_is_in_the_region_of_its_size(value: float, region: str) -> None:
+    """A region is a range of values, without their sign, for which the largest error is reported."""
+    assert region_of(Fraction(value)) == region
 
 
 @dataclass
@@ -242,7 +270,7 @@ class CollectedErrors:
 
 
 def errors_of_third_step(b_hat: int, x_bar: int) -> CollectedErrors:
-    """Return what an audit collects in a step that observes a white tile and re-estimates b_hat.
+    """Return the errors that an audit collects in a step that observes a white tile and re-estimates b_hat.
 
     Before, the robot has observed two black tiles and received an estimate of ``x_bar`` with alpha 1.
     """
@@ -279,17 +307,22 @@ X_BAR_09, X_BAR_0505 = 7549747, 4236247
 def test_an_error_of_each_quantity_is_collected_in_its_region(
     b_hat: int, x_bar: int, quantities_and_regions: list[tuple[str, str]]
 ) -> None:
+    """A region is a range of values, for which one error of each quantity is reported."""
     rows = errors_of_third_step(b_hat, x_bar).rows
     assert [(row["quantity"], row["region"]) for row in rows] == quantities_and_regions
     assert all(row["samples"] == 1 for row in rows)
 
 
-def check_collected_error(collected: CollectedErrors, quantity: str, error: Fraction) -> None:
-    """Check that the row of a quantity has this error, and nearly the same one against floats."""
-    rows = [row for row in collected.rows if row["quantity"] == quantity]
-    assert len(rows) == 1
-    assert rows[0]["exact"] == abs(float(error))
-    assert abs(rows[0]["float64"] - rows[0]["exact"]) < 2**-24
+def collected_error(collected: CollectedErrors, quantity: str) -> float:
+    """Return the error of a quantity against exact arithmetic, which must be nearly that against floats."""
+    [row] = [row for row in collected.rows if row["quantity"] == quantity]
+    assert abs(row["float64"] - row["exact"]) < 2**-24
+    error: float = row["exact"]
+    return error
+
+
+T, N = 3, 2
+"""Observations of the robot whose errors are collected, and the black ones among them."""
 
 
 in_all_regions = pytest.mark.parametrize(
@@ -299,24 +332,26 @@ in_all_regions = pytest.mark.parametrize(
 
 @in_all_regions
 def test_the_error_of_x_hat_is_its_distance_from_the_exact_one(b_hat: int, x_bar: int) -> None:
+    """x_hat is the estimate of a robot that has observed three tiles, two of them black."""
     collected = errors_of_third_step(b_hat, x_bar)
-    exact_x_hat = local_estimate(2, 3, Fraction(b_hat, 2**32))
+    exact_x_hat = local_estimate(N, T, Fraction(b_hat, 2**32))
     error = Fraction(collected.state["x_hat"], ONE) - exact_x_hat
-    check_collected_error(collected, "x_hat", error)
+    assert collected_error(collected, "x_hat") == abs(float(error))
 
 
-@pytest.mark.parametrize("x_bar", [X_BAR_09, X_BAR_0505])
-def test_the_error_of_alpha_is_relative_to_the_exact_one(x_bar: int) -> None:
-    collected = errors_of_third_step(B_HAT_099, x_bar)
+def test_the_error_of_alpha_is_relative_to_the_exact_one() -> None:
+    """alpha is the confidence of a robot that has observed three tiles, two of them black."""
+    collected = errors_of_third_step(B_HAT_099, X_BAR_09)
     alpha = Fraction(alpha_from_word(collected.state["alpha"]))
-    error = alpha / exact_alpha(2, 3, Fraction(B_HAT_099, 2**32)) - 1
-    check_collected_error(collected, "alpha", error)
+    error = alpha / exact_alpha(N, T, Fraction(B_HAT_099, 2**32)) - 1
+    assert collected_error(collected, "alpha") == abs(float(error))
 
 
 @in_all_regions
 def test_the_error_of_b_hat_is_its_distance_from_that_of_eq_8(b_hat: int, x_bar: int) -> None:
+    """Equation 8 re-estimates b_hat from the black tiles, two of three, and x_bar, the others' estimate."""
     collected = errors_of_third_step(b_hat, x_bar)
-    exact_b_hat = assumed_accuracy_update(2, 3, Fraction(x_bar, ONE))
+    exact_b_hat = assumed_accuracy_update(N, T, Fraction(x_bar, ONE))
     assert exact_b_hat is not None
     error = Fraction(collected.state["b_hat()"], 2**32) - exact_b_hat
-    check_collected_error(collected, "b_hat", error)
+    assert collected_error(collected, "b_hat") == abs(float(error))

@@ -27,6 +27,10 @@ SLOW_FAULTS = tuple(fault for fault in FAULTS if fault not in QUICK_FAULTS)
 
 @pytest.mark.parametrize("fault", [*QUICK_FAULTS, *slow(SLOW_FAULTS)])
 def test_random_scenarios_show_a_fault_that_only_one_firmware_has(fault: str) -> None:
+    """The fault is one wrong place in the source of the mirror, which is the firmware in Python.
+
+    Random calls of it and of the C give different results; with the right mirror they do not.
+    """
     faulty_mirror = mirror_with(FAULTS[fault])
     failure = find_failure(NativeRobot, faulty_mirror)
     assert failure is not None
@@ -57,6 +61,7 @@ def test_random_scenarios_show_a_fault_that_only_one_firmware_has(fault: str) ->
     ],
 )
 def test_exact_arithmetic_shows_a_fault_that_both_firmwares_have(fault: str) -> None:
+    """Two robots with the same fault agree with each other, so only exact arithmetic can show it."""
     faulty_mirror = mirror_with(FAULTS[fault])
     failure = find_failure(faulty_mirror, faulty_mirror)
     assert failure is not None

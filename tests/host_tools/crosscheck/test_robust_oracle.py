@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Iterator
 from dataclasses import replace
 from fractions import Fraction
 
 import pytest
 
-from crosschecks import check_calls, with_value
+from crosschecks import CheckedCall, check_calls, with_value
 from mcp_asdf.fixed_point import ONE
 from mcp_asdf.robust_reference import Observations, Votes
 from mcp_asdf_tools.crosscheck.bounds import HALF
@@ -49,18 +49,25 @@ def test_a_robot_remembers_the_nearest_estimate_that_has_16_bits(x_hat: int, est
     ],
 )
 def test_a_vote_moves_centre_and_spread_by_whole_units(x_hat: int, centre: int, spread: int) -> None:
-    """Before the vote, which is the first, the centre is 1/2 and the spread 2**18; units are 2**-30."""
-    before = Votes(HALF, Fraction(2**18, 2**30), 0)
+    """A vote weighs one estimate, x_hat: the centre of all estimates moves towards it, by at most a spread.
+
+    Before this vote, the first, the centre is 1/2 and the spread 2**18 units of 2**-30.
+    """
+    before = Votes(centre=HALF, spread=Fraction(2**18, 2**30), count=0)
     after = rounded_votes_after(before, Fraction(x_hat, ONE))
     assert after.centre * 2**30 == centre
     assert after.spread * 2**30 == spread
 
 
-def test_changes_of_less_than_a_unit_are_rounded_away() -> None:
-    """The gain is 2**-7, so a distance of a little less than 3 * 2**7 units moves the centre by 2."""
-    before = Votes(HALF, Fraction(2**18, 2**30), 512)
-    after = rounded_votes_after(before, HALF - Fraction(3 * 2**7 - 1, 2**30))
-    assert after.centre == HALF - Fraction(2, 2**30)
+def test_a_vote_moves_the_centre_by_whole_units_and_less_than_a_unit_is_rounded_away() -> None:
+    """After 512 votes the gain is 2**-7: the centre goes a part in 2**7 of the way to a neighbour's estimate.
+
+    That estimate is one unit less than 3 * 2**7 units away, so the centre moves by two units, and not three.
+    """
+    unit = Fraction(1, 2**30)
+    before = Votes(centre=HALF, spread=2**18 * unit, count=512)
+    after = rounded_votes_after(before, HALF - (3 * 2**7 - 1) * unit)
+    assert after.centre == HALF - 2 * unit
 
 
 @pytest.mark.parametrize(
@@ -78,25 +85,41 @@ def test_the_running_dispersion_of_observations_has_one_right_value_or_two(
 
     The batch is of 500 observations, and half of all 1000 are black; units are 2**-8.
     """
-    smallest, largest = dispersion_bounds(Observations(500, 1000, Fraction(2)), batch_black_count, 500)
-    assert smallest * 256 <= dispersion <= largest * 256
-    assert largest - smallest <= Fraction(1, 256)
+    observations = Observations(n=500, t=1000, dispersion=Fraction(2))
+    smallest, largest = dispersion_bounds(observations, batch_black_count, batch_count=500)
+    unit = Fraction(1, 256)
+    assert smallest <= dispersion * unit <= largest
+    assert largest - smallest <= unit
 
 
 @pytest.mark.parametrize(("n", "batch_count"), [(0, 500), (500, 0)])
 def test_a_batch_without_deviation_leaves_the_dispersion(n: int, batch_count: int) -> None:
-    bounds = dispersion_bounds(Observations(n, 1000, Fraction(3)), 0, batch_count)
-    assert bounds == (Fraction(3), Fraction(3))
+    """Dispersion is how much more observations vary than independent ones; it is 3 before this batch.
+
+    All observations are white, or the batch has none, so both bounds of the new dispersion are 3.
+    """
+    observations = Observations(n, t=1000, dispersion=Fraction(3))
+    bounds = dispersion_bounds(observations, batch_black_count=0, batch_count=batch_count)
+    assert bounds == (3, 3)
 
 
 def test_the_dispersion_has_wide_bounds_where_the_variance_is_a_rounding_error() -> None:
-    """One of 2**31 observations is black: the variance of a batch is of the size of its rounding."""
-    bounds = dispersion_bounds(Observations(1, 2**31, Fraction(8)), 1, 2**20)
-    assert bounds == (Fraction(7), Fraction(19))
+    """One of 2**31 observations is black: the variance of a batch is of the size of its rounding.
+
+    The new dispersion is 7/8 of 8, which is 7, and 1/8 of a ratio between 0 and its limit of 12 * 8.
+    """
+    observations = Observations(n=1, t=2**31, dispersion=Fraction(8))
+    smallest, largest = dispersion_bounds(observations, batch_black_count=1, batch_count=2**20)
+    assert smallest == 7
+    assert largest == 7 + Fraction(12 * 8, 8)
 
 
-def test_the_centre_of_estimates_falls_one_unit_short_of_a_whole_number() -> None:
-    """The mean of the three estimates within 100 of the median is 2 above it, and the outer ones balance."""
+def test_the_centre_of_five_estimates_falls_one_unit_of_the_firmware_short_of_the_exact_one() -> None:
+    """The spread is the median distance, 106, from the median, 300.
+
+    Of the estimates within a spread, 200, 300 and 406, the mean is 302, and the outer two balance each other.
+    The firmware rounds down by one of its units, of which each of the units here has 2**8.
+    """
     estimates = [Fraction(estimate, 2**16) for estimate in (0, 200, 300, 406, 600)]
     centre, spread = rounded_centre_and_spread(estimates)
     assert spread == Fraction(106, 2**16)
@@ -107,8 +130,13 @@ def test_the_centre_of_estimates_falls_one_unit_short_of_a_whole_number() -> Non
 def test_a_decision_of_the_robust_test_that_hangs_on_rounding_is_left_open(
     n: int, outcome: bool | None
 ) -> None:
-    observations = Observations(n, 10**6, INDEPENDENT)
-    assert robust_test_outcome(observations, Fraction(3, 4), HALF, Fraction(1, 32)) is outcome
+    """The test rejects b_hat, 3/4, if too many of a million observations are black; 1/2 would be expected.
+
+    Of n = 554,154 black ones exact arithmetic cannot say whether the rounding firmware rejects: it is None.
+    """
+    observations = Observations(n, t=10**6, dispersion=INDEPENDENT)
+    rejects = robust_test_outcome(observations, Fraction(3, 4), centre=HALF, spread=Fraction(1, 32))
+    assert rejects is outcome
 
 
 @pytest.mark.parametrize(
@@ -122,8 +150,12 @@ def test_a_decision_of_the_robust_test_that_hangs_on_rounding_is_left_open(
 def test_supporters_are_more_than_two_of_five_unless_one_is_in_the_middle(
     estimates: list[Fraction], outcome: bool | None
 ) -> None:
-    observations = Observations(3, 4, INDEPENDENT)
-    fractions = list(map(Fraction, estimates))
+    """A supporter's estimate predicts the robot's share of black tiles, here 3/4, better than the centre, 0.
+
+    With an accuracy of 3/4, an estimate of 1 predicts 3/4, and one of 0 predicts 1/4.
+    """
+    observations = Observations(n=3, t=4, dispersion=INDEPENDENT)
+    fractions = [Fraction(estimate) for estimate in estimates]
     assert support_outcome(observations, Fraction(3, 4), fractions, centre=Fraction(0)) is outcome
 
 
@@ -160,23 +192,35 @@ def wrong_results(event: str, after: CallResult) -> Iterator[CallResult]:
         yield replace(after, outcome="UPDATED" if after.outcome == "OK" else "OK")
 
 
+@pytest.fixture(scope="module")
+def calls_by_event() -> dict[str, list[CheckedCall]]:
+    """The right calls of 40 random scenarios, by the events of the robust filter in them and by their names."""
+    calls: dict[str, list[CheckedCall]] = defaultdict(list)
+    audit = Audit()
+    for index in range(40):
+        for checked_call in check_calls(str(robust_scenario(1, index)), audit):
+            for event in (*audit.robust, checked_call.call.name):
+                calls[event].append(checked_call)
+            audit.robust.clear()
+    return calls
+
+
 # design: R35, R37, R38
 @pytest.mark.slow
-def test_a_wrong_result_of_any_event_of_the_robust_filter_is_reported() -> None:
-    """In 40 random scenarios, in which each event happens at least three times; the first ten are checked."""
-    audit, events = Audit(), Counter[str]()
-    for number in range(40):
-        for checked in check_calls(str(robust_scenario(1, number)), audit):
-            for event in (*audit.robust, checked.call.name):
-                events[event] += 1
-                if events[event] > 10:
-                    continue
-                for wrong in wrong_results(event, checked.after):
-                    problems = Audit().check_call(checked.setup, checked.call, checked.before, wrong)
-                    assert problems, f"{event}: {checked.call}"
-            audit.robust.clear()
-    for event in DEVIATIONS_BY_EVENT:
-        assert events[event] >= 3, event
+@pytest.mark.parametrize("event", DEVIATIONS_BY_EVENT)
+def test_a_wrong_result_of_any_event_of_the_robust_filter_is_reported(
+    event: str, calls_by_event: dict[str, list[CheckedCall]]
+) -> None:
+    """An event is, for one, that an estimate is weighed, or that the filter's test rejects b_hat.
+
+    After up to ten right calls with the event, one value at a time is made wrong by a unit.
+    """
+    calls = calls_by_event[event]
+    assert len(calls) >= 3
+    for right in calls[:10]:
+        for wrong_after in wrong_results(event, right.after):
+            problems = Audit().check_call(right.setup, right.call, right.before, wrong_after)
+            assert problems, f"{right.call} may give {wrong_after}"
 
 
 ROBOT = "robot:3:1:64:0:3221225472"
@@ -184,9 +228,10 @@ ROBOT = "robot:3:1:64:0:3221225472"
 
 
 def test_a_dispersion_out_of_bounds_is_reported() -> None:
-    calls = list(check_calls(f"{ROBOT},observe:1,observe:0,settle", Audit()))[-1]
-    wrong = with_value(calls.after, "robust_dispersion", calls.after.state["robust_dispersion"] + 2)
-    problems = Audit().check_call(calls.setup, calls.call, calls.before, wrong)
+    """After two observations it is 1, which is 256 units; two more are too many."""
+    *_, settle = check_calls(f"{ROBOT},observe:1,observe:0,settle", Audit())
+    wrong = with_value(settle.after, "robust_dispersion", 256 + 2)
+    problems = Audit().check_call(settle.setup, settle.call, settle.before, wrong)
     assert problems == ["dispersion is 1.0078125, outside 1 to 1"]
 
 
@@ -200,22 +245,32 @@ def count_robust_events(text: str) -> tuple[Counter[str], int]:
     return audit.robust, audit.tests
 
 
+def receive(sender: int, x_hat: float) -> str:
+    """Return the call by which a robot receives an estimate with a confidence of 1."""
+    alpha_word_of_1 = 0x80000001
+    return f"receive:{sender}:{round(x_hat * 2**23)}:{alpha_word_of_1}"
+
+
 def test_votes_and_a_filter_that_has_too_few_estimates_are_counted() -> None:
-    calls = "receive:1:99:2147483649,observe:1,settle,settle,settle"
-    events, tests = count_robust_events(f"{ROBOT},{calls}")
+    """A vote weighs one estimate; each of three rounds has one: of robot 1, of the robot itself, of robot 1.
+
+    The filter runs at the end of each round, with fewer estimates than its test needs.
+    """
+    events, tests = count_robust_events(f"{ROBOT},{receive(1, x_hat=0)},observe:1,settle,settle,settle")
     assert events == {"vote": 2, "own vote": 1, "too few": 3}
     assert tests == 0
 
 
 def test_a_filter_without_an_observation_is_not_counted() -> None:
-    events, tests = count_robust_events(f"{ROBOT},receive:1:99:2147483649,settle")
+    """The robot weighs the estimate that it receives, but it has no observations to test."""
+    events, tests = count_robust_events(f"{ROBOT},{receive(1, x_hat=0)},settle")
     assert events == {"vote": 1}
     assert tests == 0
 
 
 def test_a_test_that_five_estimates_pass_is_counted() -> None:
-    """Each is 1/2, in units of 2**-23, and five are the fewest for a test."""
-    messages = ",".join(f"receive:{sender}:4194304:2147483649" for sender in range(1, 6))
+    """Five estimates are the fewest for a test, and any agree with a robot that has observed one tile."""
+    messages = ",".join(receive(sender, x_hat=0.5) for sender in range(1, 6))
     events, tests = count_robust_events(f"{ROBOT},{messages},observe:1,settle")
     assert events == {"vote": 1, "accepted": 1}
     assert tests == 1
