@@ -82,7 +82,8 @@ def report_of_6000_calls() -> dict[str, Any]:
 def test_the_json_report_of_a_check_without_a_difference_says_ok_and_has_no_problems(
     report_of_6000_calls: dict[str, Any],
 ) -> None:
-    expected = {"ok": True, "seed": SEED, "steps": 6000, "interrupted": False, "failure": None, "problems": []}
+    expected: dict[str, Any] = {"ok": True, "problems": [], "failure": None, "interrupted": False}
+    expected |= {"seed": SEED, "steps": 6000}
     assert {name: report_of_6000_calls[name] for name in expected} == expected
 
 
@@ -134,7 +135,9 @@ def test_a_check_without_a_difference_ends_with_the_verdict_and_how_to_repeat_it
     assert repeat == "again: mcp-asdf crosscheck --steps 500 --seed 4"
 
 
-def test_a_check_prints_the_bytes_that_tables_and_saved_robots_take(check_of_500_calls: CommandResult) -> None:
+def test_a_check_prints_the_bytes_that_tables_and_saved_robots_take(
+    check_of_500_calls: CommandResult,
+) -> None:
     """They are those of STORAGE: 124 bytes, or 156 with the robust filter. q is the size of a table."""
     expected = "memory: 12 + 4 q bytes for a table, 124 for a saved robot, 156 with the robust filter"
     assert expected in check_of_500_calls.output.splitlines()
@@ -156,8 +159,10 @@ def test_a_check_prints_a_table_of_errors_by_the_size_of_the_value(check_of_500_
     assert re.search(row, check_of_500_calls.output)
 
 
-def test_a_check_prints_a_table_of_the_most_instructions_of_each_call(check_of_500_calls: CommandResult) -> None:
-    """They are those of COUNTS; with the robust filter there is no table, so nothing grows with its size q."""
+def test_a_check_prints_a_table_of_the_most_instructions_of_each_call(
+    check_of_500_calls: CommandResult,
+) -> None:
+    """They are those of COUNTS. The robust filter has no table, and so no size q of it."""
     table = (
         "\n"
         "instructions of Python's interpreter per call, at most\n"
@@ -230,7 +235,7 @@ def test_a_check_that_ctrl_c_interrupts_reports_the_calls_that_it_has_compared(
 
 @pytest.fixture(scope="module")
 def failed_check() -> Iterator[CommandResult]:
-    """A check of a mirror that rounds wrongly when it halves its counts, of which it makes up to 30,000 calls.
+    """A check of up to 30,000 calls of a mirror that rounds wrongly when it halves its counts.
 
     That mirror is still in place afterwards, so that a test can replay the failure.
     """
@@ -240,7 +245,7 @@ def failed_check() -> Iterator[CommandResult]:
 
 
 def failing_scenario(output: str) -> Scenario:
-    """Return the scenario in the last line of the command's output, such as "replay: mcp-asdf ... 'robot:2'"."""
+    """Return the scenario in the last line of an output, "replay: mcp-asdf crosscheck --replay robot:..."."""
     *command, scenario = shlex.split(output.splitlines()[-1])
     assert command == ["replay:", "mcp-asdf", "crosscheck", "--replay"]
     return parse_scenario(scenario)
@@ -270,7 +275,7 @@ def test_a_replay_in_json_has_the_calls_and_the_problem_of_the_failure(failed_ch
 
 
 TWO_CALLS_AND_A_WRONG_ONE = f"{ROBOT},observe:1,settle,observe:9"
-"""The last call is an observation that is neither black, 1, nor white, 0: a robot refuses it by its status."""
+"""The last call observes a colour, 9, that is neither black, 1, nor white, 0, so a robot refuses it."""
 
 
 def test_a_replay_without_a_difference_says_that_both_robots_agree() -> None:

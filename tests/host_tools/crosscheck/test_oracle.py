@@ -143,9 +143,9 @@ UPDATE = "robot:1:1:64:0:3221225472,step:1,step:0,receive:1:3000000:2147483649,s
 
 
 def problems_with_excess(name: str, excess: int) -> list[str]:
-    """Return what the audit finds wrong in a call that updates b_hat, if a value after it is this much larger.
+    """Return what an audit finds wrong in a call that updates b_hat if a value after it is so much larger.
 
-    The audit checks the call by exact arithmetic.
+    An audit checks calls by exact arithmetic.
     """
     audit = Audit()
     update = last_call(UPDATE, audit)

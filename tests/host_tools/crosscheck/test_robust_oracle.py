@@ -100,7 +100,7 @@ def test_a_batch_without_deviation_leaves_the_dispersion(n: int, batch_count: in
     """
     observations = Observations(n, t=1000, dispersion=Fraction(3))
     bounds = dispersion_bounds(observations, batch_black_count=0, batch_count=batch_count)
-    assert bounds == (3, 3)
+    assert bounds == (Fraction(3), Fraction(3))
 
 
 def test_the_dispersion_has_wide_bounds_where_the_variance_is_a_rounding_error() -> None:
@@ -194,7 +194,7 @@ def wrong_results(event: str, after: CallResult) -> Iterator[CallResult]:
 
 @pytest.fixture(scope="module")
 def calls_by_event() -> dict[str, list[CheckedCall]]:
-    """The right calls of 40 random scenarios, by the events of the robust filter in them and by their names."""
+    """The right calls of 40 random scenarios, by the events of the robust filter in them and by name."""
     calls: dict[str, list[CheckedCall]] = defaultdict(list)
     audit = Audit()
     for index in range(40):

@@ -30,7 +30,7 @@ def outcomes_of(scenarios: Iterable[Scenario]) -> set[str]:
 
 
 def test_random_scenarios_bring_about_every_result_of_every_call() -> None:
-    """A scenario is a robot and its calls; here are those of 20. What else they reach, planted faults show."""
+    """A scenario is a robot and its calls; here are 20. What else they reach, planted faults show."""
     assert outcomes_of(random_scenario(SEED, index) for index in range(20)) == {
         *("observe OK", "observe ERR_OBSERVATION", "step OK", "step UPDATED", "step ERR_OBSERVATION"),
         *("receive OK", "receive REPEATED", "receive ERR_SENDER", "receive ERR_X_HAT"),
