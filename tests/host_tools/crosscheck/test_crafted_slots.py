@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from copy import deepcopy
 from random import Random
+from unittest.mock import Mock
 
 import pytest
 
@@ -69,11 +70,12 @@ for_pairs = pytest.mark.parametrize(
 """Number of estimates, how far they are from their middle in units of 2**-16, and the seed of the draw."""
 
 
-# Each pair: estimates by which the robot just keeps its b_hat, and others by which it just does not.
-
-
 @for_pairs
 def test_the_estimates_of_a_pair_differ_by_one_unit_in_one_slot(count: int, width: int, seed: int) -> None:
+    """By the first estimates of a pair a robot just keeps its b_hat, by the second ones it just does not.
+
+    A slot holds the estimate of one neighbour, in units of 2**-16.
+    """
     kept, rejected = draw_pair(robot_that_observed(black=300, white=200), count, width, seed)
     distances = [abs(a - b) for a, b in zip(kept.estimates, rejected.estimates, strict=True)]
     assert sorted(distances) == [0] * (count - 1) + [1]
@@ -81,6 +83,7 @@ def test_the_estimates_of_a_pair_differ_by_one_unit_in_one_slot(count: int, widt
 
 @for_pairs
 def test_a_robot_keeps_its_b_hat_by_the_first_estimates_of_a_pair(count: int, width: int, seed: int) -> None:
+    """b_hat is the accuracy that it assumes of its sensor; the second ones differ from these by a unit."""
     robot = robot_that_observed(black=300, white=200)
     kept, _ = draw_pair(robot, count, width, seed)
     settled_robot = settle_with(robot, kept.estimates)
@@ -93,6 +96,7 @@ def test_a_robot_keeps_its_b_hat_by_the_first_estimates_of_a_pair(count: int, wi
 def test_a_robot_re_estimates_b_hat_by_the_second_estimates_of_a_pair(
     count: int, width: int, seed: int
 ) -> None:
+    """b_hat is the accuracy that it assumes of its sensor; the first ones differ from these by a unit."""
     robot = robot_that_observed(black=300, white=200)
     _, rejected = draw_pair(robot, count, width, seed)
     settled_robot = settle_with(robot, rejected.estimates)
@@ -126,7 +130,10 @@ def test_a_draw_does_not_change_the_robot() -> None:
 
 
 def test_a_robot_re_estimates_b_hat_if_only_two_of_five_neighbours_agree_with_it() -> None:
-    """Two of five are two fifths; it takes more supporters to keep b_hat."""
+    """Two of five are two fifths; it takes more supporters to keep b_hat, the accuracy that it assumes.
+
+    The 300 black tiles of 500 agree with an estimate of 2/3, SUPPORTER, and contradict OPPONENT, 0.
+    """
     robot = robot_that_observed(black=300, white=200)
     slots = slots_with_supporters(robot, count=5, supporter_count=2)
     assert slots is not None
@@ -137,7 +144,10 @@ def test_a_robot_re_estimates_b_hat_if_only_two_of_five_neighbours_agree_with_it
 
 
 def test_a_robot_keeps_b_hat_if_three_of_seven_neighbours_agree_with_it() -> None:
-    """The test rejects b_hat, but three of seven are more than two fifths."""
+    """The test rejects b_hat, the accuracy that it assumes, but three of seven are more than two fifths.
+
+    The 300 black tiles of 500 agree with an estimate of 2/3, SUPPORTER, and contradict OPPONENT, 0.
+    """
     robot = robot_that_observed(black=300, white=200)
     slots = slots_with_supporters(robot, count=7, supporter_count=3)
     assert slots is not None
@@ -171,21 +181,24 @@ def test_no_neighbours_can_contradict_a_robot_with_a_b_hat_of_one_half() -> None
 def test_the_estimate_that_explains_a_share_of_black_follows_from_b_hat(
     b_hat: float, share_of_black: float, estimate: int
 ) -> None:
+    """A sensor of accuracy b sees x b + (1 - x) (1 - b) of a floor black of which the share x is black."""
     robust = RobustFilter(initial_b_hat=round(b_hat * 2**32))
     assert estimate_that_predicts(robust, share_of_black) == estimate
 
 
 def test_the_filter_at_the_test_has_the_dispersion_of_the_robot_after_it() -> None:
-    """A batch of 100 black tiles after a mixed one is rare by chance, so the dispersion rises above 1."""
+    """Dispersion is how much more observations vary from batch to batch than independent ones.
+
+    A batch of 100 black tiles after a mixed one is rare by chance, so it rises above 1.
+    """
     robot = settle_with(robot_that_observed(black=50, white=50), estimates=[])
     for _ in range(100):
         robot.observe(Observation.BLACK)
-    filter_before_test = filter_at_test(robot.s)
-    robot.settle()
-    dispersion_of_independent_observations = 256  # 1 in units of 2**-8
+    dispersion_at_test = filter_at_test(robot.s).dispersion
+    robot.settle()  # makes the test
 
-    assert filter_before_test.dispersion == robot.s.robust.dispersion
-    assert filter_before_test.dispersion > dispersion_of_independent_observations
+    assert dispersion_at_test == robot.s.robust.dispersion
+    assert dispersion_at_test > 256  # 1 in units of 2**-8
 
 
 def test_asking_for_the_filter_at_the_test_does_not_end_the_robot_s_batch() -> None:
@@ -195,16 +208,17 @@ def test_asking_for_the_filter_at_the_test_does_not_end_the_robot_s_batch() -> N
     assert robot.s.robust.batch_t == 0
 
 
-def test_another_test_gets_counts_centre_and_spread_of_the_estimates() -> None:
-    slots = SlotsAtTest((16384,) * 3 + (32768,) * 2, RobustFilter(), t=500, n=300)
-    arguments: list[tuple[int, ...]] = []
+def test_a_test_in_place_of_the_filter_s_own_gets_counts_centre_and_spread_of_the_estimates() -> None:
+    """Three estimates are 1/4, the median, and two are 1/2; the spread is the least one, 2**-12.
 
-    def other_test(robust: RobustFilter, *other_arguments: int) -> bool:
-        arguments.append(other_arguments)
-        return True
+    The two at 1/2 move the centre by two thirds of a spread in the first step; then three at -2/3 balance two
+    that count with a spread each. Centre and spread are in units of 2**-24, estimates in units of 2**-16.
+    """
+    quarter, half = 2**16 // 4, 2**16 // 2
+    slots = SlotsAtTest((quarter, quarter, quarter, half, half), RobustFilter(), t=500, n=300)
+    other_test = Mock(return_value=True)
 
     assert slots.is_rejected(other_test)
-    # The median is 1/4, and the spread the least one, 2**-12. The two estimates of 1/2 move the centre by two
-    # thirds of a spread in the first step; then three at -2/3 balance two that count with a spread each.
-    centre = (1 << 22) + 4096 * 2 // 3
-    assert arguments == [(500, 300, centre, 4096)]
+    spread = 2**24 // 2**12
+    centre = 2**24 // 4 + spread * 2 // 3
+    other_test.assert_called_once_with(slots.robust, 500, 300, centre, spread)
