@@ -13,64 +13,75 @@ from support import ROOT
 
 PAGE = ROOT / "docs/platforms/argos.md"
 EXAMPLE = ROOT / "c_ref/examples/argos3"
-LEVEL = 0.01
-"""p-value below which two samples are not taken for one distribution."""
-FILTERS_WITH_TABLE = ("none", "asdf-minus", "asdf-plus")
 
 
 def shown_table() -> str:
-    """Return the table of the page."""
+    """Return the table in docs/platforms/argos.md that compares ARGoS3 with ``mcp-asdf simulate``."""
     text = PAGE.read_text(encoding="utf-8")
-    return text.split("<!-- argos -->\n")[1].split("\n<!-- end -->")[0]
+    _before, _mark, after = text.partition("<!-- argos -->\n")
+    table, _end, _after = after.partition("\n<!-- end -->")
+    return table
 
 
-def test_results_of_argos_are_of_40_seeds_for_each_filter() -> None:
-    """Three figures of each seed are kept, for the comparison with ``simulate``."""
+def shown_medians_in_argos() -> list[tuple[str, str, str]]:
+    """Return a filter, a quantity and its median in ARGoS3 for each row of the page's table."""
+    _heading, _rule, *lines = shown_table().splitlines()
+    rows = []
+    for line in lines:
+        # A line begins and ends with the separator, so its first and last cell are empty.
+        _, filter_name, quantity, median_in_argos, _simulated, _p_value, _ = line.split("|")
+        rows.append((filter_name.strip(), quantity.strip(), median_in_argos.strip()))
+    return rows
+
+
+def test_the_stored_results_of_argos_have_three_errors_of_40_seeds_for_each_filter() -> None:
+    """tests/data/argos_results.csv keeps what trials in the simulator ARGoS3 gave, which is seldom run."""
     results = argos.read_results()
-    assert set(results) >= set(FILTERS_WITH_TABLE)
-    for errors in results.values():
-        assert [len(values) for values in errors.values()] == [40, 40, 40]
+
+    assert set(results) >= {"none", "asdf-minus", "asdf-plus"}
+    for errors_by_quantity in results.values():
+        assert [len(errors) for errors in errors_by_quantity.values()] == [40, 40, 40]
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("filter_name", FILTERS_WITH_TABLE)
-def test_errors_in_argos_and_here_have_one_distribution(filter_name: str) -> None:
+@pytest.mark.parametrize("filter_name", ["none", "asdf-minus", "asdf-plus"])
+def test_errors_in_argos_and_in_mcp_asdf_simulate_have_one_distribution(filter_name: str) -> None:
+    """Of each quantity, a test asks how probable so large a difference is: at least 1 % is wanted."""
     simulated = argos.simulate(filter_name, trials=50)
     p_by_quantity = argos.p_values(simulated, argos.read_results()[filter_name])
-    assert min(p_by_quantity.values()) >= LEVEL, p_by_quantity
+    assert min(p_by_quantity.values()) >= 0.01, p_by_quantity
 
 
 @pytest.mark.slow
-def test_the_comparison_notices_swarms_with_another_filter_period() -> None:
+def test_the_comparison_with_argos_notices_swarms_with_another_filter_period() -> None:
+    """In ARGoS the filter ran every 1000 ticks. The same comparison with a period of 3000 has to fail."""
     simulated = argos.simulate("asdf-minus", trials=50, filter_period=3000)
     p_by_quantity = argos.p_values(simulated, argos.read_results()["asdf-minus"])
     assert p_by_quantity["error_in_second_half"] < 1e-4
 
 
-def test_the_page_has_the_medians_of_the_results() -> None:
-    rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in shown_table().splitlines()[2:]]
-    expected_rows = [
-        [filter_name, meaning, f"{np.median(errors[quantity]):.4f}"]
-        for filter_name, errors in argos.read_results().items()
-        for quantity, meaning in argos.QUANTITIES.items()
-    ]
+def test_the_documentation_of_argos_shows_the_medians_of_the_stored_results() -> None:
+    """A row of its table has a filter, a quantity, and the median of this quantity over 40 seeds."""
+    expected_rows = []
+    for filter_name, errors_by_quantity in argos.read_results().items():
+        for quantity, meaning in argos.QUANTITIES.items():
+            median = np.median(errors_by_quantity[quantity])
+            expected_rows.append((filter_name, meaning, f"{median:.4f}"))
 
-    assert [row[:3] for row in rows] == expected_rows
+    assert shown_medians_in_argos() == expected_rows
 
 
 @pytest.mark.slow
-def test_the_page_has_the_table_of_the_comparison() -> None:
+def test_the_documentation_of_argos_shows_the_table_that_the_comparison_prints() -> None:
+    """Beside ARGoS's medians it has those of ``mcp-asdf simulate``, which are computed again here."""
     assert shown_table() == argos.format_table()
 
 
 # --- The program that runs ARGoS -------------------------------------------------------------------------
 
 
-def test_a_table_of_estimates_is_summed_up_as_means_over_robots(tmp_path: Path) -> None:
-    """The fill ratio is 0.55, and b_hat should be 0.95.
-
-    The rows of ticks 150 and 200 are of the second half of 200 ticks.
-    """
+def test_the_table_of_a_trial_in_argos_is_summed_up_as_mean_errors_of_its_robots(tmp_path: Path) -> None:
+    """The true fill ratio is 0.55, the true accuracy 0.95. Of 200 ticks, 150 and 200 are the second half."""
     table = tmp_path / "results.csv"
     table.write_text(
         "tick,robot,x,b_hat\n"
@@ -81,33 +92,48 @@ def test_a_table_of_estimates_is_summed_up_as_means_over_robots(tmp_path: Path) 
     summary = argos.summarise(table)
 
     assert summary["error_in_second_half"] == pytest.approx((0.1 + 0.1 + 0.0 + 0.2) / 4)
-    assert summary["error_at_end"] == pytest.approx(0.1)
-    assert summary["b_hat_error_at_end"] == pytest.approx(0.1)
+    assert summary["error_at_end"] == pytest.approx((0.0 + 0.2) / 2)
+    assert summary["b_hat_error_at_end"] == pytest.approx((0.0 + 0.2) / 2)
 
 
-def test_a_trial_has_the_filters_and_the_seed_that_it_is_about(tmp_path: Path) -> None:
-    configuration = tmp_path / "trial.argos"
-    argos.write_configuration(configuration, EXAMPLE, "asdf-plus", 7, tmp_path / "trial.csv")
-    root = ElementTree.parse(configuration).getroot()
-    parameters = [node.attrib for node in root.iterfind("controllers/*/params")]
-    assert [(node["filter"], node["b_hat"], node["log_folder"]) for node in parameters] == [
-        ("asdf", "0.95", ""),
-        ("asdf", "0.55", ""),
-    ]
-    [experiment] = root.iterfind("framework/experiment")
+@pytest.fixture
+def configuration_of_a_trial(tmp_path: Path) -> ElementTree.Element:
+    """The file from which ARGoS runs the trial of seed 7 with ASDF+, written for the tests and parsed."""
+    path = tmp_path / "trial.argos"
+    argos.write_configuration(path, EXAMPLE, "asdf-plus", seed=7, results=tmp_path / "trial.csv")
+    return ElementTree.parse(path).getroot()
+
+
+def test_both_kinds_of_robots_get_the_filter_of_a_trial_in_argos(
+    configuration_of_a_trial: ElementTree.Element,
+) -> None:
+    """Sound robots assume the true accuracy, 0.95, and flawed ones 0.55."""
+    sound, flawed = configuration_of_a_trial.iterfind("controllers/*/params")
+
+    assert (sound.attrib["filter"], sound.attrib["b_hat"]) == ("asdf", "0.95")
+    assert (flawed.attrib["filter"], flawed.attrib["b_hat"]) == ("asdf", "0.55")
+
+
+def test_a_trial_in_argos_gets_its_seed_and_the_file_of_its_results(
+    configuration_of_a_trial: ElementTree.Element, tmp_path: Path
+) -> None:
+    [experiment] = configuration_of_a_trial.iterfind("framework/experiment")
+    [loop_functions] = configuration_of_a_trial.iterfind("loop_functions")
+
     assert experiment.attrib["random_seed"] == "7"
-    [loop_functions] = root.iterfind("loop_functions")
-
     assert loop_functions.attrib["results"] == str(tmp_path / "trial.csv")
 
 
-def test_the_world_of_the_example_is_that_of_the_comparison() -> None:
-    """Walls 0.1 m thick around a square whose density is 1, as ``simulate`` has it."""
+def test_the_arena_of_the_example_for_argos_has_the_robot_density_of_simulate() -> None:
+    """The density is the number of robots in the circle of 0.7 m that a robot hears; ``simulate`` has 1.
+
+    The eastern wall of the square arena stands around its middle, and is 0.1 m thick.
+    """
     root = ElementTree.parse(EXAMPLE / "swarm.argos").getroot()
-    [wall] = [node for node in root.iterfind("arena/box") if node.attrib["id"] == "wall_east"]
-    body = wall.find("body")
-    assert body is not None
-    side = 2 * float(body.attrib["position"].split(",")[0]) - 0.1
+    [east_wall] = root.iterfind("arena/box[@id='wall_east']/body")
+    x_of_east_wall = float(east_wall.attrib["position"].split(",")[0])
+    side = 2 * x_of_east_wall - 0.1
     robot_count = sum(int(node.attrib["quantity"]) for node in root.iterfind("arena/distribute/entity"))
 
-    assert robot_count * np.pi * 0.7**2 / side**2 == pytest.approx(1, abs=1e-4)
+    area_heard = np.pi * 0.7**2
+    assert robot_count * area_heard / side**2 == pytest.approx(1, abs=1e-4)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
@@ -39,11 +38,17 @@ def read_trial(path: Path, sampling_interval: int = 0) -> Trials:
 
 
 @KINDS
-def test_a_trial_has_its_experiment_number_and_source(experiment: Experiment, tmp_path: Path) -> None:
-    """The source says that the trial was not run by these tools."""
+def test_a_trial_read_from_the_authors_format_has_its_parameters_and_number(
+    experiment: Experiment, tmp_path: Path
+) -> None:
     trials = read_trial(write_trial(tmp_path / "trial.json", experiment, number=2))
     assert trials.experiment == experiment
     assert trials.numbers == [2]
+
+
+def test_the_source_of_a_trial_says_that_the_authors_programs_have_run_it(tmp_path: Path) -> None:
+    """So results of other programs are never taken for those of this one."""
+    trials = read_trial(write_trial(tmp_path / "trial.json", FIXED, number=2))
     assert trials.source == SOURCE
 
 
@@ -74,7 +79,7 @@ def test_a_trial_from_a_file_has_the_accuracies_that_were_written(
     assert trials.b_hat == pytest.approx(expected_trials.b_hat, abs=ROUNDING)
 
 
-def test_updates_are_the_filter_steps_that_changed_b_hat(tmp_path: Path) -> None:
+def test_the_filter_steps_that_changed_b_hat_are_counted_as_updates(tmp_path: Path) -> None:
     """The authors' files have b_hat in each step, but not how often the filter has updated it."""
     trials, expected_trials = read_and_run(FIXED, tmp_path / "trial.json")
 
@@ -100,44 +105,62 @@ def test_a_trial_from_a_file_has_records_of_every_25th_step_if_asked_for(
         assert trials.records[name] == pytest.approx(expected_trials.records[name], abs=ROUNDING), name
 
 
-def test_without_recording_there_are_no_records(tmp_path: Path) -> None:
-    assert read_trial(write_trial(tmp_path / "trial.json", FIXED, number=0)).records == {}
+def test_a_trial_from_a_file_has_no_records_unless_they_are_asked_for(tmp_path: Path) -> None:
+    path = write_trial(tmp_path / "trial.json", FIXED, number=0)
+    assert read_trial(path, sampling_interval=0).records == {}
 
 
-def test_a_trial_of_their_version_of_june_2024_is_read(tmp_path: Path) -> None:
-    data_str = trial_content(MOVING, 0)["data_str"]
-    ten_numbers = [[",".join(text.split(",")[:10]) for text in texts] for texts in data_str]
-    path = write_trial(tmp_path / "trial.json", MOVING, 0, data_str=ten_numbers, obs_queue_size=None)
+def first_ten_numbers(text: str) -> str:
+    """Return the beginning of a step's text: ten numbers, separated by commas."""
+    return ",".join(text.split(",")[:10])
+
+
+def test_a_trial_of_the_authors_version_of_june_2024_is_read(tmp_path: Path) -> None:
+    """It wrote ten numbers for each robot and step, and did not know the parameter obs_queue_size."""
+    texts_by_robot = trial_content(MOVING, 0)["data_str"]
+    short_texts = [[first_ten_numbers(text) for text in texts] for texts in texts_by_robot]
+    path = write_trial(tmp_path / "trial.json", MOVING, 0, data_str=short_texts, obs_queue_size=None)
     assert read_trial(path).experiment == MOVING
 
 
-def test_a_filter_period_beyond_the_end_is_no_filter(tmp_path: Path) -> None:
+def test_a_trial_that_ends_before_its_filter_is_due_has_no_filter(tmp_path: Path) -> None:
+    """The trial has 60 steps, and the filter would have run for the first time in step 61."""
     trials = read_trial(write_trial(tmp_path / "trial.json", FIXED, 0, sensor_filter_period=61))
     assert trials.experiment.filter == "none"
-    assert trials.b_hat.shape == (1, 0, 5)
+    trial_count, filter_steps, robots = trials.b_hat.shape
+    assert (trial_count, filter_steps, robots) == (1, 0, 5)
 
 
-def test_the_method_alpha_is_a_filter_without_a_test(tmp_path: Path) -> None:
+def test_the_method_alpha_of_the_authors_is_a_filter_that_is_always_active(tmp_path: Path) -> None:
+    """It re-estimates b_hat without a test, so it has no omega, the probability of that test's error."""
     path = write_trial(tmp_path / "trial.json", FIXED, 0, method="ALPHA", filter_specific_params=[-1.0])
     experiment = read_trial(path).experiment
     assert experiment.activation == "always"
     assert experiment.omega == Experiment().omega
 
 
-def test_a_b_hat_that_became_nan_scores_as_in_results_of_the_reference(tmp_path: Path) -> None:
+def test_a_robot_whose_b_hat_became_nan_has_a_nan_as_its_error_and_the_swarm_a_score(
+    tmp_path: Path,
+) -> None:
+    """The authors' files have healthy robots first, so the last of five is the second of the results.
+
+    Its estimates are lost in the last step, 60, as can happen in their programs and in our float reference.
+    """
     content = trial_content(FIXED, 0)
-    content["data_str"][4][60] = "-1,30,60,nan,nan,0.5,1.0,nan,nan,nan,"
+    last_robot = content["data_str"][-1]
+    last_robot[60] = "-1,30,60,nan,nan,0.5,1.0,nan,nan,nan,"
     trials = read_trial(write_trial(tmp_path / "trial.json", FIXED, 0, data_str=content["data_str"]))
 
-    # The last of their robots is the second of ours.
-    assert np.isnan(trials.errors[0]).tolist() == [False, True, False, False, False]
+    [errors_by_robot] = trials.errors
+    assert np.isnan(errors_by_robot).tolist() == [False, True, False, False, False]
     assert np.isfinite(trials.scores()["H"]).all()
 
 
 # --- Files and folders -----------------------------------------------------------------------------------
 
 
-def test_all_json_files_of_a_folder_and_below_are_found(tmp_path: Path) -> None:
+def test_all_json_files_of_a_folder_and_below_are_found_once(tmp_path: Path) -> None:
+    """One of the two files is named a second time, besides the folder that has it."""
     (tmp_path / "flw2").mkdir()
     for name in ("flw2/t1.json", "flw2/t0.json", "notes.txt"):
         (tmp_path / name).touch()
@@ -146,34 +169,40 @@ def test_all_json_files_of_a_folder_and_below_are_found(tmp_path: Path) -> None:
     assert [path.name for path in files] == ["t0.json", "t1.json"]
 
 
-def test_a_folder_without_trials_is_refused(tmp_path: Path) -> None:
+def test_a_folder_without_any_json_file_is_refused(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match=r"there is no \.json file in .* or below"):
         find_trial_files([tmp_path])
 
 
 @pytest.mark.parametrize("path", ["no/such.json", "/dev/zero"])
-def test_what_is_no_file_is_refused(path: str) -> None:
+def test_a_missing_file_and_a_device_are_refused_as_no_files(path: str) -> None:
     with pytest.raises(UsageError, match=f"{path} is no file; give files, or folders"):
         find_trial_files([Path(path)])
 
 
-def test_a_trial_that_is_there_twice_is_refused(tmp_path: Path) -> None:
-    paths = [write_trial(tmp_path / name, FIXED, 1) for name in ("a.json", "b.json")]
+def test_two_files_of_one_trial_are_refused_by_their_names(tmp_path: Path) -> None:
+    paths = [write_trial(tmp_path / name, FIXED, number=1) for name in ("a.json", "b.json")]
     with pytest.raises(UsageError, match=r"b\.json and .*a\.json are both trial 1 of an experiment"):
-        list(read_trials(paths, 0))
+        list(read_trials(paths, sampling_interval=0))
 
 
-def test_a_sweep_does_not_take_them_for_its_own(tmp_path: Path) -> None:
-    output = tmp_path / "theirs.parquet"
-    write_tables(output, [trials_to_table(read_trial(write_trial(tmp_path / "trial.json", FIXED, 0)))])
+@pytest.fixture
+def authors_results(tmp_path: Path) -> Path:
+    """A file of results with one trial that was read from the authors' format."""
+    path = tmp_path / "theirs.parquet"
+    trials = read_trial(write_trial(tmp_path / "trial.json", FIXED, number=0))
+    write_tables(path, [trials_to_table(trials)])
+    return path
+
+
+def test_a_sweep_does_not_take_results_of_the_authors_programs_for_its_own(authors_results: Path) -> None:
+    """The file has a trial of the same experiment, which a sweep into this file would leave out."""
     with pytest.raises(UsageError, match="hold results of other experiments"):
-        Store(output, [FIXED])
+        Store(authors_results, [FIXED])
 
 
-def test_the_source_is_kept_in_a_file_of_results(tmp_path: Path) -> None:
-    output = tmp_path / "theirs.parquet"
-    write_tables(output, [trials_to_table(read_trial(write_trial(tmp_path / "trial.json", FIXED, 0)))])
-    [trials] = stream_experiments(output)
+def test_a_file_of_results_keeps_that_the_authors_programs_have_run_them(authors_results: Path) -> None:
+    [trials] = stream_experiments(authors_results)
     assert trials.source == SOURCE
 
 
@@ -186,7 +215,8 @@ def test_the_source_is_kept_in_a_file_of_results(tmp_path: Path) -> None:
         ({"num_robots": None}, "it has no num_robots; give a trial of"),
         ({"num_robots": "5"}, "num_robots is '5'; it must be a whole number"),
         ({"num_robots": 6}, "data_str must be 6 lists, one of each robot"),
-        ({"num_flawed_robots": 9}, "flawed is 9; .* (their num_flawed_robots)"),
+        ({"num_flawed_robots": 9}, "flawed is 9;"),
+        ({"num_flawed_robots": 9}, " (their num_flawed_robots)"),
         ({"num_steps": 61}, "data_str of robot 0: it must be a list of 62 texts"),
         ({"tfr": 1.5}, "fill_ratio is 1.5; it must be 0 to 1 (their tfr)"),
         ({"tfr": 10**400}, "it must be a smaller number"),
@@ -203,15 +233,15 @@ def test_the_source_is_kept_in_a_file_of_results(tmp_path: Path) -> None:
         ({"data_str": 5}, "data_str must be 5 lists, one of each robot"),
     ],
 )
-def test_a_parameter_that_no_experiment_has_is_refused_by_its_name(
+def test_a_trial_with_a_parameter_that_cannot_be_run_is_refused_with_its_name(
     changes: dict[str, Any], message: str, tmp_path: Path
 ) -> None:
+    """The keys are those of the authors' files. One of a valid trial is changed; None leaves it out."""
     path = write_trial(tmp_path / "trial.json", FIXED, 0, **changes)
     with pytest.raises(UsageError) as refusal:
         read_trial(path)
     assert str(refusal.value).startswith(f"{path}: ")
-    for part in message.split(".*"):
-        assert part in str(refusal.value)
+    assert message in str(refusal.value)
 
 
 @pytest.mark.parametrize(
@@ -223,9 +253,10 @@ def test_a_parameter_that_no_experiment_has_is_refused_by_its_name(
         ("speed", "fast", "speed is 'fast'; it must be a number"),
     ],
 )
-def test_a_parameter_that_no_moving_swarm_has_is_refused_by_its_name(
+def test_a_trial_with_a_parameter_that_moving_robots_cannot_have_is_refused_with_its_name(
     key: str, value: object, message: str, tmp_path: Path
 ) -> None:
+    """The keys are those of the authors' files; the message has our names, such as radio_range."""
     path = write_trial(tmp_path / "trial.json", MOVING, 0, **{key: value})
     with pytest.raises(UsageError) as refusal:
         read_trial(path)
@@ -249,11 +280,14 @@ def test_a_parameter_that_no_moving_swarm_has_is_refused_by_its_name(
         ("-1,3,7,0.5,1,0.5,1,0.5,0.95,0.9", "b_hat on white is 0.9 in step 7"),
     ],
 )
-def test_a_step_that_no_robot_makes_is_refused_by_its_number(
+def test_values_that_no_robot_can_have_are_refused_with_their_robot_and_step(
     text: object, message: str, tmp_path: Path
 ) -> None:
+    """Step 7 of robot 3 is replaced. Its ten numbers are -1, n, t, x_hat, alpha, x_bar, beta, x, and b_hat
+    on black and on white."""
+    robot, step = 3, 7
     data_str = trial_content(FIXED, 0)["data_str"]
-    data_str[3][7] = text
+    data_str[robot][step] = text
     path = write_trial(tmp_path / "trial.json", FIXED, 0, data_str=data_str)
 
     with pytest.raises(UsageError) as refusal:
@@ -267,11 +301,12 @@ def test_a_step_that_no_robot_makes_is_refused_by_its_number(
     [
         ("", "Expecting value"),
         ("[1, 2]", "it is no trial but list"),
-        (json.dumps({"sim_type": "static_topo_static_degrad_1d"})[:-1], "Expecting ',' delimiter"),
+        ('{"sim_type": "static_topo_static_degrad_1d"', "Expecting ',' delimiter"),
         ("[" * 100_000, "recursion"),
     ],
+    ids=["empty", "a list", "cut off", "nested too deeply"],
 )
-def test_a_file_without_an_object_is_refused(content: str, message: str, tmp_path: Path) -> None:
+def test_a_file_without_a_json_object_is_refused(content: str, message: str, tmp_path: Path) -> None:
     path = tmp_path / "trial.json"
     path.write_text(content, encoding="utf-8")
 

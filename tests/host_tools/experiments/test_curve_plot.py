@@ -7,7 +7,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
 from host_tools.experiments.drawn_figures import (
     GREEN,
@@ -30,7 +32,21 @@ from mcp_asdf_tools.experiments.results import Trials
 
 MOVING: dict[str, Any] = {"robots": 6, "steps": 200, "trials": 7, "filter_period": 50, "topology": "dynamic"}
 
-GRAPHS = [[(0, 1)], [(0, 1), (0, 2), (0, 10), (0, 11)], [(a, b) for a in range(4) for b in range(a)]]
+COMPLETE_GRAPH_OF_FOUR = [(a, b) for a in range(4) for b in range(a)]
+GRAPHS = [[(0, 1)], [(0, 1), (0, 2), (0, 10), (0, 11)], COMPLETE_GRAPH_OF_FOUR]
+"""Networks, as lists of the pairs of robots that are connected."""
+
+
+def x_positions(axes: Axes) -> list[Any]:
+    """Return where the points of a panel's first line stand along the x axis."""
+    positions: list[Any] = np.asarray(axes.lines[0].get_xdata()).tolist()
+    return positions
+
+
+def y_positions(line: Line2D) -> list[float]:
+    """Return the heights of a line's points."""
+    heights: list[float] = np.asarray(line.get_ydata()).tolist()
+    return heights
 
 
 # --- Medians and bands -----------------------------------------------------------------------------------
@@ -46,42 +62,54 @@ def densities_and_omegas() -> dict[tuple[float, float], Trials]:
 
 
 @pytest.mark.parametrize("measure", MEASURES)
-def test_curves_are_medians_in_their_intervals(
+def test_each_curve_goes_through_the_medians_of_trials_in_a_band_of_their_intervals(
     measure: str, densities_and_omegas: dict[tuple[float, float], Trials]
 ) -> None:
+    """There is a curve for each density, in the order of densities, over the three values of omega."""
     (axes,) = plot_curve([*densities_and_omegas.values()], "omega", measure, hue="density").axes
     for line, band, density in zip(axes.lines, axes.collections, (0.5, 2.0), strict=True):
-        samples = {
-            omega: densities_and_omegas[density, omega].measures()[measure] for omega in (0.02, 0.05, 0.9)
-        }
-        assert_medians(line, band, samples)
+        samples_by_omega = {}
+        for omega in (0.02, 0.05, 0.9):
+            samples_by_omega[omega] = densities_and_omegas[density, omega].measures()[measure]
+        assert_medians(line, band, samples_by_omega)
 
 
-def test_curves_have_a_legend_of_their_values(
+def test_the_legend_of_curves_has_the_values_of_the_parameter_that_they_differ_in(
     densities_and_omegas: dict[tuple[float, float], Trials],
 ) -> None:
     figure = plot_curve([*densities_and_omegas.values()], "omega", hue="density")
     assert legend_of(figure) == ["density 0.5", "density 2"]
 
 
-def test_curves_without_panels_have_one_large_one(
+def test_curves_are_drawn_into_one_large_panel_with_the_score_over_the_parameter(
     densities_and_omegas: dict[tuple[float, float], Trials],
 ) -> None:
     figure = plot_curve([*densities_and_omegas.values()], "omega", hue="density")
     assert_panels(figure, rows=1, columns=1, panel_height=3.8)
-    assert (figure.get_supylabel(), caption_of(figure).split()[0]) == ("H", "omega")
+    assert figure.get_supylabel() == "H"
+    assert caption_of(figure).startswith("omega ")
 
 
 @pytest.mark.parametrize(("trials", "rank"), [(5, 1), (6, 1), (30, 10), (100, 40)])
-def test_intervals_of_medians_have_the_ranks_that_books_print(trials: int, rank: int) -> None:
-    """The interval reaches from the value of this rank to that of the same rank from above."""
+def test_the_95_percent_interval_of_a_median_has_the_ranks_that_statistics_books_print(
+    trials: int, rank: int
+) -> None:
+    """Of the sorted values it reaches from that of this rank to that of the same rank from above.
+
+    Values are 0, 1, 2 and so on in random order, so the value of rank 1 is 0.
+    """
     values = np.random.default_rng(trials).permutation(trials).astype(float)
-    assert median_interval(values) == (np.median(values), rank - 1, trials - rank)
+    median, lower_end, upper_end = median_interval(values)
+
+    assert median == np.median(values)
+    assert (lower_end, upper_end) == (rank - 1, trials - rank)
 
 
-def test_an_interval_of_equal_values_has_no_width() -> None:
+def test_the_interval_of_a_median_has_no_width_where_nearly_all_values_are_equal() -> None:
     """28 of the 30 values are 5, so the median and both ends of its interval are 5, too."""
-    assert median_interval(np.repeat([0.0, 5, 9], [1, 28, 1])) == (5, 5, 5)
+    values = np.array([0.0, *[5.0] * 28, 9.0])
+    median, lower_end, upper_end = median_interval(values)
+    assert (median, lower_end, upper_end) == (5, 5, 5)
 
 
 # --- Panels and axes of the user -------------------------------------------------------------------------
@@ -89,7 +117,10 @@ def test_an_interval_of_equal_values_has_no_width() -> None:
 
 @pytest.fixture(scope="module")
 def swarms_of_four_sizes() -> list[Trials]:
-    """Run 4 to 7 robots with two filters and two shares: 6 without the robust filter, 7 for more trials."""
+    """Run swarms of 4 to 7 robots, of which 1 or 2 are flawed, with two filters.
+
+    Those of 6 robots have not been run with the robust filter. Those of 7 have 7 trials, the others 2.
+    """
     varied: dict[str, Any] = {"flawed": [1, 2], "filter": ["none", "robust"], "steps": 60}
     experiments = grid(robots=[4, 5, 6], trials=2, **varied) + grid(robots=7, trials=7, **varied)
     return [
@@ -100,62 +131,89 @@ def swarms_of_four_sizes() -> list[Trials]:
 
 
 @pytest.fixture(scope="module")
+def swarms_of_four_robots(swarms_of_four_sizes: list[Trials]) -> list[Trials]:
+    """The four of these swarms that have 4 robots: two filters with 1 and with 2 flawed robots."""
+    return [trials for trials in swarms_of_four_sizes if trials.experiment.robots == 4]
+
+
+@pytest.fixture(scope="module")
 def curves_in_panels(swarms_of_four_sizes: list[Trials]) -> Figure:
     return plot_curve(swarms_of_four_sizes, "flawed", hue="filter", facet="robots")
 
 
-def test_each_value_of_a_facet_has_a_panel(curves_in_panels: Figure) -> None:
+def test_curves_have_a_panel_for_each_value_of_the_parameter_given_as_facet(curves_in_panels: Figure) -> None:
     assert titles_of(curves_in_panels) == ["robots 4", "robots 5", "robots 6", "robots 7"]
     assert_panels(curves_in_panels, rows=2, columns=3, panel_height=2.6)
 
 
-@pytest.mark.parametrize(("panel", "robots", "curves"), [(0, 4, 2), (2, 6, 1), (3, 7, 2)])
-def test_a_panel_has_the_curves_of_its_experiments(
-    panel: int, robots: int, curves: int, curves_in_panels: Figure, swarms_of_four_sizes: list[Trials]
+@pytest.mark.parametrize(
+    ("panel", "robots", "filters"),
+    [(0, 4, ["none", "robust"]), (2, 6, ["none"]), (3, 7, ["none", "robust"])],
+)
+def test_a_panel_has_a_curve_of_median_scores_for_each_filter_that_its_swarms_have(
+    panel: int, robots: int, filters: list[str], curves_in_panels: Figure, swarms_of_four_sizes: list[Trials]
 ) -> None:
-    drawn = [np.asarray(line.get_ydata()).tolist() for line in curves_in_panels.axes[panel].lines]
-    medians = {
-        (trials.experiment.filter, trials.experiment.flawed): float(np.median(trials.scores()["H"]))
-        for trials in swarms_of_four_sizes
-        if trials.experiment.robots == robots
-    }
-    expected = [[medians[name, 1], medians[name, 2]] for name in ("none", "robust")[:curves]]
+    """A curve has two points: the medians of H with one and with two flawed robots."""
+    medians = {}
+    for trials in swarms_of_four_sizes:
+        if trials.experiment.robots == robots:
+            medians[trials.experiment.filter, trials.experiment.flawed] = np.median(trials.scores()["H"])
 
-    assert drawn == expected
+    curves = [y_positions(line) for line in curves_in_panels.axes[panel].lines]
+    assert curves == [[medians[name, 1], medians[name, 2]] for name in filters]
 
 
-def test_panels_share_a_legend(curves_in_panels: Figure) -> None:
+def test_all_panels_of_curves_share_one_legend(curves_in_panels: Figure) -> None:
     assert legend_of(curves_in_panels) == ["filter none", "filter robust"]
 
 
-def test_the_caption_counts_trials_and_says_when_a_band_is_no_interval(curves_in_panels: Figure) -> None:
+def test_the_caption_of_curves_counts_trials_and_says_where_bands_are_no_intervals(
+    curves_in_panels: Figure,
+) -> None:
+    """Fewer than 6 trials have no 95 % interval of their median."""
     assert "2 to 7 trials of each" in caption_of(curves_in_panels)
     assert "bands all trials where there are fewer than 6, else 95 %" in caption_of(curves_in_panels)
 
 
-def test_one_value_of_a_facet_has_one_large_panel(swarms_of_four_sizes: list[Trials]) -> None:
-    figure = plot_curve(swarms_of_four_sizes[:4], "flawed", hue="filter", facet="robots")
+def test_a_facet_with_a_single_value_gives_one_large_panel(swarms_of_four_robots: list[Trials]) -> None:
+    figure = plot_curve(swarms_of_four_robots, "flawed", hue="filter", facet="robots")
     assert titles_of(figure) == ["robots 4"]
     assert_panels(figure, rows=1, columns=1, panel_height=3.8)
 
 
-def test_a_curve_can_be_of_a_function_in_axes_of_the_user(swarms_of_four_sizes: list[Trials]) -> None:
-    def error_of_first_robot(trials: Trials) -> Any:
-        return trials.errors[:, 0]
+def error_of_first_robot(trials: Trials) -> Any:
+    """Return a value of each trial, as a user's own function may."""
+    return trials.errors[:, 0]
 
+
+@pytest.fixture(scope="module")
+def unfiltered_swarms(swarms_of_four_robots: list[Trials]) -> list[Trials]:
+    """Two swarms of 4 robots without a filter: 1 and 2 of them are flawed, and they have two trials each."""
+    return [trials for trials in swarms_of_four_robots if trials.experiment.filter == "none"]
+
+
+def test_a_curve_can_be_of_a_function_of_the_user(unfiltered_swarms: list[Trials]) -> None:
+    (axes,) = plot_curve(unfiltered_swarms, "flawed", y=error_of_first_robot).axes
+
+    medians = [np.median(trials.errors[:, 0]) for trials in unfiltered_swarms]
+    assert y_positions(axes.lines[0]) == medians
+
+
+def test_a_curve_can_be_drawn_into_axes_of_the_user(unfiltered_swarms: list[Trials]) -> None:
+    """They get labels, and no legend, as there is one curve; their figure is returned."""
     figure: Any = Figure()
     axes = figure.subfigures().subplots()
-    unfiltered = swarms_of_four_sizes[:4:2]
-    assert plot_curve(unfiltered, "flawed", y=error_of_first_robot, ax=axes) is figure
-    medians = [np.median(trials.errors[:, 0]) for trials in unfiltered]
-    assert axes.lines[0].get_ydata().tolist() == medians
+
+    assert plot_curve(unfiltered_swarms, "flawed", y=error_of_first_robot, ax=axes) is figure
     assert (axes.get_xlabel(), axes.get_ylabel()) == ("share of flawed robots", "error_of_first_robot")
     assert axes.get_legend() is None
 
 
-def test_axes_of_the_user_get_a_legend_of_several_curves(swarms_of_four_sizes: list[Trials]) -> None:
+def test_axes_of_the_user_get_a_legend_if_several_curves_are_drawn(
+    swarms_of_four_robots: list[Trials],
+) -> None:
     axes = Figure().subplots()
-    plot_curve(swarms_of_four_sizes[:4], "flawed", hue="filter", ax=axes)
+    plot_curve(swarms_of_four_robots, "flawed", hue="filter", ax=axes)
     legend = axes.get_legend()
 
     assert legend is not None
@@ -163,21 +221,22 @@ def test_axes_of_the_user_get_a_legend_of_several_curves(swarms_of_four_sizes: l
     assert not legend.get_frame_on()
 
 
-def test_panels_do_not_go_into_axes_of_the_user(swarms_of_four_sizes: list[Trials]) -> None:
+def test_a_facet_makes_several_panels_so_axes_of_the_user_are_refused(
+    swarms_of_four_robots: list[Trials],
+) -> None:
     axes = Figure().subplots()
     with pytest.raises(UsageError, match="give one of them"):
-        plot_curve(swarms_of_four_sizes[:4], "flawed", hue="filter", facet="robots", ax=axes)
+        plot_curve(swarms_of_four_robots, "flawed", hue="filter", facet="robots", ax=axes)
 
 
 # --- Parameters ------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
-    ("x", "values", "positions"),
+    ("parameter", "values", "positions"),
     [
         ("filter_period", [50, 100, 150], [50, 100, 150]),
         ("flawed", ["0%", "50%", "100%"], [0, 0.5, 1]),
-        ("filter", ["none", "asdf-plus"], ["none", "asdf-plus"]),
         (
             "filter",
             ["robust", "asdf-plus", "asdf-minus", "none"],
@@ -185,49 +244,60 @@ def test_panels_do_not_go_into_axes_of_the_user(swarms_of_four_sizes: list[Trial
         ),
     ],
 )
-def test_any_parameter_can_be_along_the_axis(x: str, values: list[Any], positions: list[Any]) -> None:
-    experiments = [results_of(experiment) for experiment in grid(**MOVING | {x: values})]
-    (axes,) = plot_curve(experiments, x).axes
-    assert np.asarray(axes.lines[0].get_xdata()).tolist() == positions
+def test_numbers_shares_and_names_can_be_along_the_x_axis(
+    parameter: str, values: list[Any], positions: list[Any]
+) -> None:
+    """Names of filters stand in their usual order, whatever the order of the experiments."""
+    experiments = grid(**MOVING | {parameter: values})
+    (axes,) = plot_curve([results_of(experiment) for experiment in experiments], parameter).axes
+    assert x_positions(axes) == positions
 
 
-def test_long_values_stand_side_by_side_with_short_labels() -> None:
-    graphs = grid(**{**MOVING, "topology": "graph", "robots": 12}, graph=GRAPHS)
-    (axes,) = plot_curve([results_of(experiment) for experiment in graphs], "graph").axes
-    assert np.asarray(axes.lines[0].get_xdata()).tolist() == [0, 1, 2]
+def test_graphs_stand_side_by_side_on_the_x_axis_with_shortened_labels() -> None:
+    """A label has the pairs of connected robots, as many as fit."""
+    experiments = grid(**{**MOVING, "topology": "graph", "robots": 12}, graph=GRAPHS)
+    (axes,) = plot_curve([results_of(experiment) for experiment in experiments], "graph").axes
     labels = [label.get_text() for label in axes.get_xticklabels()]
 
+    assert x_positions(axes) == [0, 1, 2]
     assert labels == ["0 1", "0 1; 0 2; 0 10; 0 11", "0 1; 0 2; 0 3; 1 2;  ..."]
 
 
-def test_curves_of_filters_have_their_colours(results_by_filter: dict[str, Trials]) -> None:
+def test_curves_of_the_four_filters_have_the_colours_of_all_pictures(
+    results_by_filter: dict[str, Trials],
+) -> None:
+    """They are, in this order: none, ASDF-, ASDF+ and the robust filter."""
     (axes,) = plot_curve([*results_by_filter.values()], "flawed", hue="filter").axes
-    assert [line.get_color() for line in axes.lines] == [GREY, COLOURS[0], COLOURS[1], GREEN]
+    asdf_minus_colour, asdf_plus_colour, *_ = COLOURS
+    assert [line.get_color() for line in axes.lines] == [GREY, asdf_minus_colour, asdf_plus_colour, GREEN]
 
 
 def with_other_omega(trials: Trials) -> Trials:
+    """Return the results as those of an experiment whose omega is 0.1 in place of 0.05."""
     return replace(trials, experiment=replace(trials.experiment, omega=0.1))
 
 
-def test_a_parameter_without_effect_may_differ(results_by_filter: dict[str, Trials]) -> None:
+def test_a_curve_may_be_of_swarms_that_differ_in_a_parameter_without_effect(
+    results_by_filter: dict[str, Trials],
+) -> None:
     """The swarm with the robust filter has another omega, which that filter does not use."""
     experiments = [results_by_filter["asdf-plus"], with_other_omega(results_by_filter["robust"])]
     (axes,) = visible_axes(plot_curve(experiments, "filter"))
     assert len(axes.lines) == 1
 
 
-def test_a_parameter_that_is_not_shown_may_not_differ(results_by_filter: dict[str, Trials]) -> None:
+def test_a_curve_of_swarms_that_differ_in_a_second_parameter_is_refused(
+    results_by_filter: dict[str, Trials],
+) -> None:
     """Both filters use omega, so the curve would show the effect of two parameters as that of one."""
     experiments = [results_by_filter["asdf-minus"], with_other_omega(results_by_filter["asdf-plus"])]
     with pytest.raises(UsageError, match="the results differ in omega too"):
         plot_curve(experiments, "filter")
 
 
-def test_equal_shares_of_swarms_of_two_sizes_do_not_differ() -> None:
-    experiments = [
-        results_of(replace(SHORT_EXPERIMENT, robots=robots, flawed=flawed, trials=1))
-        for robots, flawed in ((4, 2), (8, 4))
-    ]
-    (axes,) = plot_curve(experiments, "robots").axes
-
-    assert np.asarray(axes.lines[0].get_xdata()).tolist() == [4, 8]
+def test_swarms_of_two_sizes_with_the_same_share_of_flawed_robots_can_be_on_one_curve() -> None:
+    """2 of 4 and 4 of 8 robots are flawed: these numbers differ, and the shares do not."""
+    small_swarm = replace(SHORT_EXPERIMENT, robots=4, flawed=2, trials=1)
+    large_swarm = replace(SHORT_EXPERIMENT, robots=8, flawed=4, trials=1)
+    (axes,) = plot_curve([results_of(small_swarm), results_of(large_swarm)], "robots").axes
+    assert x_positions(axes) == [4, 8]

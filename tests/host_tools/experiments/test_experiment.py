@@ -14,7 +14,7 @@ from mcp_asdf_tools.common.parameters import parameters_of
 from mcp_asdf_tools.experiments.experiment import MAX_EXPERIMENTS, Experiment, combinations, grid
 from mcp_asdf_tools.experiments.experiment_files import STUDIES, read_experiments
 from mcp_asdf_tools.world.graph import MAX_ON_BUS
-from support import ROOT, blocks
+from support import ROOT, block_with
 
 # --- Values ----------------------------------------------------------------------------------------------
 
@@ -26,27 +26,29 @@ def test_an_experiment_is_made_again_from_the_parameters_that_its_results_keep()
     assert Experiment(**experiment.parameters()) == experiment
 
 
-def test_numbers_without_a_decimal_point_are_the_same_parameters() -> None:
-    assert repr(Experiment(true_accuracy=1, fill_ratio=0)) == repr(
-        Experiment(true_accuracy=1.0, fill_ratio=0.0)
-    )
+def test_parameters_given_without_a_decimal_point_make_the_same_experiment() -> None:
+    """The texts of both experiments are compared, as they show whether a number is a float."""
+    with_whole_numbers = Experiment(true_accuracy=1, fill_ratio=0)
+    with_floats = Experiment(true_accuracy=1.0, fill_ratio=0.0)
+    assert repr(with_whole_numbers) == repr(with_floats)
 
 
-def test_a_firmware_in_python_is_named_as_what_the_engine_in_c_lacks() -> None:
-    """It runs the experiment message by message, which is limited to the ids of a bus."""
+def test_an_experiment_says_that_the_engine_in_c_lacks_its_firmware_in_python() -> None:
+    """So it is run message by message, which is limited to as many robots as a bus has ids."""
     assert Experiment(robots=MAX_ON_BUS, firmware="mirror").parameter_lacking_in_c == "firmware"
 
 
 def test_the_largest_grid_of_experiments_is_accepted() -> None:
-    values = {"seed": [7] * MAX_EXPERIMENTS}
-    assert next(combinations(values)) == {"seed": 7}
+    """One with more is refused, as test_an_error_in_a_file_of_experiments... shows."""
+    first_combination, *_ = combinations({"seed": [7] * MAX_EXPERIMENTS})
+    assert first_combination == {"seed": 7}
 
 
 # --- TOML ------------------------------------------------------------------------------------------------
 
 
 def experiments_of(folder: Path, text: str) -> list[Experiment]:
-    """Write a text to a file, and return the experiments that it describes."""
+    """Write a text to the file ``grid.toml``, and return the experiments that it describes."""
     path = folder / "grid.toml"
     path.write_text(text, encoding="utf-8")
     return read_experiments(path)
@@ -56,7 +58,7 @@ def test_a_study_that_comes_with_the_program_is_read_by_its_name() -> None:
     assert read_experiments("physical") == read_experiments(STUDIES / "physical.toml")
 
 
-def test_lists_of_values_in_a_file_make_all_their_combinations(tmp_path: Path) -> None:
+def test_lists_of_values_in_a_file_describe_experiments_of_all_their_combinations(tmp_path: Path) -> None:
     experiments = experiments_of(tmp_path, 'steps = 1e3\nflawed = [1, 3]\nfilter = ["none", "asdf-plus"]\n')
 
     flawed_and_filters = [(experiment.flawed, experiment.filter) for experiment in experiments]
@@ -64,7 +66,7 @@ def test_lists_of_values_in_a_file_make_all_their_combinations(tmp_path: Path) -
     assert {experiment.steps for experiment in experiments} == {1000}
 
 
-def test_each_grid_of_a_file_begins_with_the_keys_above_the_first(tmp_path: Path) -> None:
+def test_each_grid_of_a_file_takes_the_keys_above_the_first_grid_and_may_change_them(tmp_path: Path) -> None:
     text = 'trials = 2\nflawed = 1\n[[grid]]\nfill_ratio = 0.9\n[[grid]]\nflawed = "50%"\ntrials = 3\n'
     first, second = experiments_of(tmp_path, text)
 
@@ -73,26 +75,33 @@ def test_each_grid_of_a_file_begins_with_the_keys_above_the_first(tmp_path: Path
     assert second.fill_ratio == Experiment().fill_ratio
 
 
-TABLES_IN_A_FILE = (
-    "who = [{flawed = 1, seed = [5, 6]}, {flawed = 2, more = [{seed = 7}]}]\nseed = 4\nsteps = [8, 9]\n"
-)
+TABLES_IN_A_FILE = """\
+who = [{flawed = 1, seed = [5, 6]}, {flawed = 2, more = [{seed = 7}]}]
+seed = 4
+steps = [8, 9]
+"""
+"""Tables of values that belong together, under names that do not matter."""
 
 
-def test_tables_in_a_file_have_values_that_belong_together(tmp_path: Path) -> None:
-    """One flawed robot with seeds 5 and 6, two with seed 7, and each with 8 and with 9 steps."""
+def test_tables_in_a_file_give_values_that_are_not_combined_with_those_of_other_tables(
+    tmp_path: Path,
+) -> None:
+    """One flawed robot has the seeds 5 and 6, two have seed 7, and each of these 8 and 9 steps."""
     experiments = experiments_of(tmp_path, TABLES_IN_A_FILE)
 
-    values = [(experiment.flawed, experiment.seed, experiment.steps) for experiment in experiments]
-    assert values == [(1, 5, 8), (1, 5, 9), (1, 6, 8), (1, 6, 9), (2, 7, 8), (2, 7, 9)]
+    flawed_seed_and_steps = [
+        (experiment.flawed, experiment.seed, experiment.steps) for experiment in experiments
+    ]
+    assert flawed_seed_and_steps == [(1, 5, 8), (1, 5, 9), (1, 6, 8), (1, 6, 9), (2, 7, 8), (2, 7, 9)]
 
 
-def test_the_library_makes_the_same_grid_as_a_file(tmp_path: Path) -> None:
-    experiments = grid(who=[{"flawed": 1, "seed": [5, 6]}, {"flawed": 2, "seed": 7}], seed=4, steps=[8, 9])
-    assert experiments == experiments_of(tmp_path, TABLES_IN_A_FILE)
+def test_the_library_s_grid_makes_the_same_experiments_as_a_file_of_equal_values(tmp_path: Path) -> None:
+    who = [{"flawed": 1, "seed": [5, 6]}, {"flawed": 2, "seed": 7}]
+    assert grid(who=who, seed=4, steps=[8, 9]) == experiments_of(tmp_path, TABLES_IN_A_FILE)
 
 
 def test_a_graph_is_looked_for_in_the_folder_of_the_file_that_names_it(tmp_path: Path) -> None:
-    """A graph is a file that says which robots are neighbours. Here it stands beside that of the experiment.
+    """A graph is a file that says which robots are neighbours. Here it stands beside grid.toml.
 
     An experiment keeps the edges of its graph, so it is compared with one that got the file's whole path.
     """
@@ -125,7 +134,6 @@ def test_a_graph_that_is_no_regular_file_is_refused_and_not_opened(graph: str, t
         ("memory = 63\n", "line 1: memory is 63; it must be 64 to 2147483648"),
         ("conventions = 'authors'\n", "line 1: .*choose firmware reference"),
         ("grid = 3\n", r"write \[\[grid\]\]"),
-        ("grid = []\n", r"write \[\[grid\]\]"),
         ("steps = 5\ngrid = []\n", r"write \[\[grid\]\]"),
         ("grid = [{}, 3]\n", r"write \[\[grid\]\]"),
         ("steps = [[1]]\n", "line 1: steps is"),
@@ -134,7 +142,9 @@ def test_a_graph_that_is_no_regular_file_is_refused_and_not_opened(graph: str, t
         (f"seed = {list(range(400))}\nsteps = {list(range(1, 400))}\n", "line 2: steps makes 159600"),
     ],
 )
-def test_an_error_in_a_file_of_experiments_names_file_and_line(tmp_path: Path, text: str, words: str) -> None:
+def test_an_error_in_a_file_of_experiments_is_reported_with_file_line_and_key(
+    tmp_path: Path, text: str, words: str
+) -> None:
     with pytest.raises(UsageError, match=words) as error:
         experiments_of(tmp_path, text)
     assert str(tmp_path / "grid.toml") in str(error.value)
@@ -144,33 +154,42 @@ PAGE_OF_AUTHORS = ROOT / "docs/platforms/authors.md"
 """The page on how to run the experiments of the paper's authors here."""
 
 
-def test_the_page_translates_the_authors_template(tmp_path: Path) -> None:
-    (text,) = (block for block in blocks(PAGE_OF_AUTHORS, "toml") if block.startswith("robots = 10"))
-    experiments = experiments_of(tmp_path, text)
+def test_docs_platforms_authors_md_translates_the_four_experiments_of_the_authors_template(
+    tmp_path: Path,
+) -> None:
+    """Their programs come with a file of four experiments. The page has it as one of ours, in TOML."""
+    translation = block_with(PAGE_OF_AUTHORS, "robots = 10", "toml")
+    assert experiments_of(tmp_path, translation) == grid(
+        robots=10,
+        flawed=[1, 2, 3, 4],
+        flawed_accuracy=0.75,
+        filter="asdf-minus",
+        omega="0.1",
+        comms_period=10,
+        filter_period=250,
+        steps=1000,
+        trials=2,
+    )
 
-    values = [(experiment.robots, experiment.flawed, experiment.comms_period) for experiment in experiments]
-    assert values == [(10, flawed, 10) for flawed in (1, 2, 3, 4)]
-    for experiment in experiments:
-        assert (experiment.filter, str(experiment.omega), experiment.steps) == ("asdf-minus", "0.1", 1000)
 
-
-def test_the_page_translates_the_authors_keys_into_parameters_that_exist() -> None:
+def test_docs_platforms_authors_md_translates_the_authors_keys_into_parameters_that_exist() -> None:
+    """A row of its table has their keys in YAML and for ARGoS; its third cell begins with our parameter."""
     page = PAGE_OF_AUTHORS.read_text(encoding="utf-8")
     (table,) = re.findall(r"\| theirs, YAML .*\n((?:\|.*\n)+)", page)
-    our_cells = [row.split("|")[3] for row in table.splitlines()]
-    names = {name for cell in our_cells for name in re.findall(r"^ `(\w+)", cell)}
+    our_parameters = re.findall(r"^\|[^|]*\|[^|]*\| `(\w+)", table, re.MULTILINE)
 
-    assert len(names) > 15
-    assert names <= set(parameters_of(Experiment))
+    assert len(our_parameters) > 15
+    assert set(our_parameters) <= set(parameters_of(Experiment))
 
 
 @pytest.mark.parametrize("text", ["", "\n# steps = 10\n", "[[grid]]\n", "[[grid]]\n[[grid]]\n"])
-def test_a_file_that_names_no_parameter_is_refused(text: str, tmp_path: Path) -> None:
+def test_a_file_of_experiments_without_any_parameter_is_refused(text: str, tmp_path: Path) -> None:
     with pytest.raises(UsageError, match=r"grid\.toml names no parameter; give at least one, such as trials"):
         experiments_of(tmp_path, text)
 
 
-def test_a_file_may_begin_with_a_byte_order_mark(tmp_path: Path) -> None:
+def test_a_file_of_experiments_may_begin_with_a_byte_order_mark(tmp_path: Path) -> None:
+    """Some editors write one, the character FEFF, at the beginning of a text."""
     assert experiments_of(tmp_path, "\ufeffsteps = 5\n") == [Experiment(steps=5)]
 
 
@@ -182,6 +201,6 @@ def test_a_file_may_begin_with_a_byte_order_mark(tmp_path: Path) -> None:
         ("studio", "no file studio; those that come with the program are .*physical"),
     ],
 )
-def test_a_file_of_another_kind_or_that_is_not_there_is_refused(name: str, words: str) -> None:
+def test_a_file_of_experiments_that_is_missing_or_not_toml_is_refused(name: str, words: str) -> None:
     with pytest.raises(UsageError, match=words):
         read_experiments(Path(name))

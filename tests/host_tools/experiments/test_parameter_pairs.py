@@ -12,6 +12,8 @@ from typing import Any
 import numpy as np
 import pyarrow as pa  # type: ignore[import-untyped]
 import pytest
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from host_tools.experiments.drawn_figures import results_of, titles_of
 from mcp_asdf_tools.common.errors import UsageError
@@ -107,11 +109,12 @@ def results_of_pair(name: str) -> list[Trials]:
     ]
 
 
-def test_every_parameter_is_varied() -> None:
+def test_every_parameter_of_an_experiment_has_two_values_in_these_tests() -> None:
+    """But for ``sensor``, of which there is one where no extension is installed."""
     assert {*PAIRS, "sensor"} == set(PARAMETER_NAMES)
 
 
-def are_equal(first: Trials, second: Trials) -> bool:
+def have_equal_records(first: Trials, second: Trials) -> bool:
     """Return whether all robots have had the same values in the trials that both experiments have."""
     count = min(len(first.numbers), len(second.numbers))
     return all(
@@ -120,15 +123,20 @@ def are_equal(first: Trials, second: Trials) -> bool:
 
 
 @pytest.mark.parametrize("name", PAIRS)
-def test_a_parameter_changes_the_results(name: str) -> None:
-    assert are_equal(*results_of_pair(name)) == (name in WITHOUT_EFFECT)
+def test_another_value_of_a_parameter_changes_what_the_robots_compute(name: str) -> None:
+    """But for the three parameters in WITHOUT_EFFECT, which says why."""
+    first, second = results_of_pair(name)
+    assert have_equal_records(first, second) == (name in WITHOUT_EFFECT)
 
 
 @pytest.mark.parametrize("name", PAIRS)
-def test_a_table_keeps_experiments_apart(name: str) -> None:
+def test_a_table_of_results_keeps_experiments_apart_that_differ_in_one_parameter(name: str) -> None:
     first, second = results_of_pair(name)
     table = pa.concat_tables([trials_to_table(first), trials_to_table(second)])
-    assert [trials.experiment for trials in experiments_in(table)] == [first.experiment, second.experiment]
+    first_read, second_read = experiments_in(table)
+
+    assert first_read.experiment == first.experiment
+    assert second_read.experiment == second.experiment
 
 
 # --- Pictures --------------------------------------------------------------------------------------------
@@ -140,47 +148,67 @@ DRAWN_CASES = [*DRAWN_QUICKLY, *slow(name for name in DRAWN if name not in DRAWN
 
 
 @pytest.mark.parametrize("name", DRAWN)
-def test_a_curve_of_another_parameter_is_refused(name: str) -> None:
-    x = "seed" if name == "comms_period" else "comms_period"
+def test_a_curve_of_experiments_that_differ_in_a_parameter_not_shown_is_refused(name: str) -> None:
+    parameter_shown = "seed" if name == "comms_period" else "comms_period"
     with pytest.raises(UsageError, match=rf"the results differ in {name} too"):
-        plot_curve(results_of_pair(name), x)
+        plot_curve(results_of_pair(name), parameter_shown)
 
 
 @pytest.mark.parametrize("name", DRAWN_CASES)
-def test_a_curve_over_the_parameter_has_a_point_for_each_value(name: str) -> None:
+def test_a_curve_over_a_parameter_has_a_point_at_the_median_error_for_each_value(name: str) -> None:
     first, second = results_of_pair(name)
     (axes,) = plot_curve([first, second], name, "e").axes
-    medians = [float(np.median(trials.measures()["e"])) for trials in (first, second)]
-    assert sorted(np.asarray(axes.lines[0].get_ydata()).tolist()) == sorted(medians)
+    (line,) = axes.lines
+
+    heights = np.asarray(line.get_ydata())
+    medians = [np.median(first.measures()["e"]), np.median(second.measures()["e"])]
+    assert sorted(heights) == sorted(medians)
+
+
+@dataclass(frozen=True)
+class Points:
+    """Points of an experiment's trials in a picture, with all that tells them apart from those of others."""
+
+    axes: Axes
+    colour: Any
+    marker: Any
+    mean_x: float
+    count: int
+
+
+def points_in(figure: Figure, marker: str | None = None) -> list[Points]:
+    """Return the groups of points in all panels; with a marker, only those that have it."""
+    groups = []
+    for axes in figure.axes:
+        for line in axes.lines:
+            if marker is None or line.get_marker() == marker:
+                x = np.asarray(line.get_xdata())
+                groups.append(Points(axes, line.get_color(), line.get_marker(), float(x.mean()), len(x)))
+    return groups
 
 
 @pytest.mark.parametrize("name", DRAWN_CASES)
-def test_boxes_are_of_one_experiment_each(name: str) -> None:
-    """Two boxes with the points of three trials each: in two panels, in two colours or side by side."""
-    figure = plot_boxes(results_of_pair(name))
-    points = [(axes, line) for axes in figure.axes for line in axes.lines if line.get_marker() == "."]
-    assert [len(np.asarray(line.get_xdata())) for _, line in points] == [3, 3]
-    places = [
-        (axes, line.get_color(), np.mean(np.asarray(line.get_xdata())).round(2)) for axes, line in points
-    ]
+def test_boxes_of_experiments_that_differ_in_one_parameter_can_be_told_apart(name: str) -> None:
+    """They are in two panels, in two colours, or side by side. A box has a point for each of three trials."""
+    first, second = points_in(plot_boxes(results_of_pair(name)), marker=".")
 
-    assert places[0] != places[1]
+    assert (first.count, second.count) == (3, 3)
+    is_another_place = abs(first.mean_x - second.mean_x) > 0.01
+    assert first.axes != second.axes or first.colour != second.colour or is_another_place
 
 
 @pytest.mark.parametrize("name", DRAWN_CASES)
-def test_points_of_scores_differ_between_experiments(name: str) -> None:
-    """In their panel, colour or marker."""
-    figure = plot_scatter(results_of_pair(name))
-    points = [(axes, line) for axes in figure.axes for line in axes.lines]
-    assert [len(np.asarray(line.get_xdata())) for _, line in points] == [3, 3]
-    first, second = [(axes, line.get_color(), line.get_marker()) for axes, line in points]
+def test_points_of_experiments_that_differ_in_one_parameter_can_be_told_apart(name: str) -> None:
+    """They are in two panels, in two colours, or have two markers. Each of three trials is a point."""
+    first, second = points_in(plot_scatter(results_of_pair(name)))
 
-    assert first != second
+    assert (first.count, second.count) == (3, 3)
+    assert (first.axes, first.colour, first.marker) != (second.axes, second.colour, second.marker)
 
 
 @pytest.mark.parametrize("name", DRAWN_CASES)
-def test_bands_have_titles_that_differ_between_experiments(name: str) -> None:
-    """Also without their last lines, which say how many robots have been harmed."""
+def test_bands_of_experiments_that_differ_in_one_parameter_have_different_titles(name: str) -> None:
+    """Their last lines, which say how many robots have been harmed, are left out: they may differ anyway."""
     titles = titles_of(plot_bands(results_of_pair(name)))
     first_title, second_title = [title.rpartition("\n")[0] for title in titles]
     assert first_title != second_title

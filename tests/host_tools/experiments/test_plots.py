@@ -31,43 +31,47 @@ from support import slow
         (65537, "65537"),
     ],
 )
-def test_labels_have_numbers_in_words(value: float | str, text: str) -> None:
+def test_a_legend_has_no_underlines_and_writes_large_powers_of_two_as_powers(
+    value: float | str, text: str
+) -> None:
     assert format_for_legend(value) == text
 
 
 @pytest.fixture(scope="module")
 def unfiltered() -> Trials:
+    """Run five trials of four robots without a filter; nothing is recorded over time."""
     return results_of(SHORT_EXPERIMENT)
 
 
 @pytest.fixture(scope="module")
 def filtered() -> Trials:
+    """Run the same swarm with the filter ASDF+."""
     return results_of(replace(SHORT_EXPERIMENT, filter="asdf-plus"))
 
 
 @pytest.fixture(scope="module")
 def flawed() -> Trials:
+    """Run the same swarm without a filter; two of its robots assume another accuracy."""
     return results_of(replace(SHORT_EXPERIMENT, flawed=2, flawed_accuracy=0.75))
 
 
-def test_series_of_two_experiments_are_refused(unfiltered: Trials, filtered: Trials) -> None:
+def test_plot_series_refuses_two_experiments_and_says_how_to_choose_one(
+    unfiltered: Trials, filtered: Trials
+) -> None:
+    """It draws one trial over time."""
     with pytest.raises(UsageError, match="2 experiments match; choose one with where filter="):
         library.plot_series([unfiltered, filtered])
 
 
-def test_series_without_records_are_refused(unfiltered: Trials) -> None:
+def test_plot_series_refuses_results_without_values_recorded_over_time(unfiltered: Trials) -> None:
     with pytest.raises(UsageError, match="nothing was recorded over time"):
         library.plot_series([unfiltered])
 
 
-def test_curves_that_differ_in_what_is_not_shown_are_refused(unfiltered: Trials, filtered: Trials) -> None:
-    with pytest.raises(UsageError, match="the results differ in filter too"):
-        library.plot_curve([unfiltered, filtered], "omega")
-
-
-def test_curves_that_differ_in_the_share_of_flawed_robots_are_refused(
+def test_plot_curve_names_all_parameters_in_which_results_differ_and_that_are_not_shown(
     unfiltered: Trials, flawed: Trials
 ) -> None:
+    """It would show the effect of several parameters as that of omega alone."""
     with pytest.raises(UsageError, match="the results differ in flawed_accuracy, flawed too"):
         library.plot_curve([unfiltered, flawed], "omega")
 
@@ -83,27 +87,36 @@ def test_curves_that_differ_in_the_share_of_flawed_robots_are_refused(
         ({"x": "omega", "facet": "flawed", "ax": object()}, "facet makes panels and ax is one"),
     ],
 )
-def test_a_curve_of_bad_options_is_refused(options: dict[str, Any], message: str, unfiltered: Trials) -> None:
+def test_plot_curve_refuses_options_that_it_cannot_draw(
+    options: dict[str, Any], message: str, unfiltered: Trials
+) -> None:
+    """A function given as y has to return a value of each of the 5 trials, not one of each of 4 robots."""
     with pytest.raises(UsageError, match=message):
         library.plot_curve([unfiltered], **options)
 
 
-def test_a_picture_of_nothing_is_refused() -> None:
+def test_a_picture_of_no_experiment_is_refused() -> None:
     with pytest.raises(UsageError, match="there is no experiment to draw"):
         library.plot_boxes([])
 
 
-@pytest.mark.parametrize(
-    ("suffix", "start"), [("svg", b"<?xml"), *slow([("pdf", b"%PDF"), ("png", b"\x89PNG")])]
-)
-def test_equal_results_give_equal_files(
-    suffix: str, start: bytes, tmp_path: Path, unfiltered: Trials
-) -> None:
-    results, picture = tmp_path / "run.parquet", tmp_path / f"picture.{suffix}"
-    write_tables(results, [trials_to_table(unfiltered)])
-    assert cli.main(["plot", str(results), str(picture)]) == 0
-    first_bytes = picture.read_bytes()
+@pytest.fixture
+def results_file(unfiltered: Trials, tmp_path: Path) -> Path:
+    """A file of results of one experiment."""
+    path = tmp_path / "run.parquet"
+    write_tables(path, [trials_to_table(unfiltered)])
+    return path
 
-    assert cli.main(["plot", str(results), str(picture)]) == 0
-    assert picture.read_bytes() == first_bytes
-    assert first_bytes.startswith(start)
+
+@pytest.mark.parametrize(
+    ("suffix", "first_bytes"), [("svg", b"<?xml"), *slow([("pdf", b"%PDF"), ("png", b"\x89PNG")])]
+)
+def test_the_command_plot_writes_the_same_bytes_each_time_in_the_format_of_the_suffix(
+    suffix: str, first_bytes: bytes, results_file: Path, tmp_path: Path
+) -> None:
+    first_picture, second_picture = tmp_path / f"1.{suffix}", tmp_path / f"2.{suffix}"
+    for picture in (first_picture, second_picture):
+        assert cli.main(["plot", str(results_file), str(picture)]) == 0
+
+    assert first_picture.read_bytes() == second_picture.read_bytes()
+    assert first_picture.read_bytes().startswith(first_bytes)

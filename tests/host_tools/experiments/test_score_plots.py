@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -31,7 +31,7 @@ from mcp_asdf_tools.experiments.plots.scatter import plot_scatter
 from mcp_asdf_tools.experiments.results import Trials
 from mcp_asdf_tools.experiments.scores import Limits
 
-LIMITS = Limits(200, 0.4)
+LIMITS = Limits(k_max=200, e_max=0.4)
 FLAWED_AND_ACCURACIES = ((0, 0.95), (2, 0.55), (2, 0.75), (4, 0.55))
 FILTERS_AND_PERIODS: tuple[tuple[str, int], ...] = (("none", 100), ("asdf-plus", 100), ("asdf-plus", 150))
 
@@ -67,68 +67,91 @@ def boxes(results: list[Trials]) -> Figure:
     return plot_boxes(results, limits=LIMITS)
 
 
-def points_by_position(axes: Axes) -> list[tuple[np.ndarray, np.ndarray, str]]:
-    """Return x, y and colour of each box's points, from left to right."""
-    points = [
-        (np.asarray(line.get_xdata()), np.asarray(line.get_ydata()), str(line.get_color()))
-        for line in axes.lines
-        if line.get_marker() == "." and not line.get_markeredgewidth()
-    ]
-    return sorted(points, key=lambda box: float(box[0].mean()))
+@dataclass(frozen=True)
+class BoxPoints:
+    """The points of a box, one for each trial: where they are drawn, and in which colour."""
+
+    x: np.ndarray
+    scores: list[float]
+    colour: str
 
 
-def trials_by_position(results: list[Trials], fill_ratio: float) -> list[Trials]:
-    """Return the experiments of a panel from left to right: by flawed robots, offset of b_hat and series."""
+def points_by_position(axes: Axes) -> list[BoxPoints]:
+    """Return the points of each box of a panel, from left to right."""
+    boxes = []
+    for line in axes.lines:
+        if line.get_marker() == "." and not line.get_markeredgewidth():
+            scores = np.asarray(line.get_ydata()).tolist()
+            boxes.append(BoxPoints(np.asarray(line.get_xdata()), scores, str(line.get_color())))
+    return sorted(boxes, key=lambda box: float(box.x.mean()))
+
+
+def scores_by_position(results: list[Trials], fill_ratio: float) -> list[list[float]]:
+    """Return H of the trials of each experiment with a fill ratio, in the order of boxes from left to right.
+
+    Boxes are ordered by flawed robots and what these assume, and then by filter as the experiments are.
+    """
     panel = [trials for trials in results if trials.experiment.fill_ratio == fill_ratio]
-    return sorted(panel, key=lambda trials: (trials.experiment.flawed, trials.experiment.flawed_accuracy))
+    panel.sort(key=lambda trials: (trials.experiment.flawed, trials.experiment.flawed_accuracy))
+    return [trials.scores(LIMITS)["H"].tolist() for trials in panel]
 
 
-def test_boxes_have_a_panel_for_each_fill_ratio(boxes: Figure) -> None:
+def test_boxes_of_scores_have_a_panel_for_each_fill_ratio(boxes: Figure) -> None:
+    """A title has the fill ratio, f, and the true accuracy of the sensors, b."""
     assert titles_of(boxes) == ["$f = 0.55$, $b = 0.95$", "$f = 0.95$, $b = 0.95$"]
     assert_panels(boxes, rows=2, columns=1, panel_height=2.6)
 
 
-def test_boxes_have_a_legend_of_filters_and_what_else_differs(boxes: Figure) -> None:
+def test_the_legend_of_boxes_has_filters_and_periods_where_these_differ(boxes: Figure) -> None:
     assert legend_of(boxes) == ["no filter", "ASDF+, filter period 100", "ASDF+, filter period 150"]
 
 
-def test_boxes_can_have_series_of_other_names(results: list[Trials]) -> None:
-    assert legend_of(plot_boxes(results, series_name=lambda experiment: "all of them")) == ["all of them"]
+def test_a_user_can_give_the_series_of_boxes_other_names(unfiltered: Trials) -> None:
+    figure = plot_boxes([unfiltered], series_name=lambda experiment: f"{experiment.robots} robots")
+    assert legend_of(figure) == ["4 robots"]
 
 
 @pytest.mark.parametrize(("panel", "fill_ratio"), [(0, 0.55), (1, 0.95)])
-def test_points_of_a_box_are_the_scores_of_its_trials(
+def test_the_points_of_each_box_are_the_scores_of_its_five_trials(
     panel: int, fill_ratio: float, boxes: Figure, results: list[Trials]
 ) -> None:
-    drawn_scores = [y.tolist() for _, y, _ in points_by_position(boxes.axes[panel])]
-    scores = [trials.scores(LIMITS)["H"].tolist() for trials in trials_by_position(results, fill_ratio)]
-    assert drawn_scores == scores
+    drawn_scores = [box.scores for box in points_by_position(boxes.axes[panel])]
+    assert drawn_scores == scores_by_position(results, fill_ratio)
 
 
-def test_boxes_of_a_slot_stand_side_by_side(boxes: Figure) -> None:
-    for box_index, (x, _, _) in enumerate(points_by_position(boxes.axes[0])):
-        slot, series_index = divmod(box_index, SERIES_COUNT)
-        assert x.mean() == pytest.approx(slot + (series_index - 1) * BOX_WIDTH, abs=0.05)
+def test_the_three_boxes_of_one_kind_of_swarm_stand_side_by_side(boxes: Figure) -> None:
+    """Kinds of swarms stand at 0, 1, 2 and 3. Boxes of filters are to the left, there, and to the right.
+
+    The points are spread at random around the middle of their box.
+    """
+    for box_index, box in enumerate(points_by_position(boxes.axes[0])):
+        kind_of_swarm, series_index = divmod(box_index, SERIES_COUNT)
+        middle_of_box = kind_of_swarm + (series_index - 1) * BOX_WIDTH
+        assert box.x.mean() == pytest.approx(middle_of_box, abs=0.05)
 
 
-def test_points_are_spread_over_the_width_of_their_box(boxes: Figure) -> None:
-    for x, _, _ in points_by_position(boxes.axes[0]):
-        assert len(set(x)) == len(x)
-        assert 0.1 < np.ptp(x) < BOX_WIDTH
+def test_no_two_points_of_a_box_lie_in_one_column_and_all_are_within_its_width(boxes: Figure) -> None:
+    for box in points_by_position(boxes.axes[0]):
+        assert len(set(box.x)) == len(box.x)
+        assert 0.1 < np.ptp(box.x) < BOX_WIDTH
 
 
 def test_boxes_are_grey_without_a_filter_and_else_in_the_colour_of_their_series(boxes: Figure) -> None:
-    colours = [colour for _, _, colour in points_by_position(boxes.axes[0])]
-    assert colours == [GREY, COLOURS[0], COLOURS[1]] * len(FLAWED_AND_ACCURACIES)
+    """For each kind of swarm there are boxes without a filter and with ASDF+ of two filter periods."""
+    colours = [box.colour for box in points_by_position(boxes.axes[0])]
+    colours_of_series = [GREY, COLOURS[0], COLOURS[1]]
+    assert colours == colours_of_series * len(FLAWED_AND_ACCURACIES)
 
 
-def test_a_box_has_a_line_at_the_median(boxes: Figure, results: list[Trials]) -> None:
-    heights = [
-        set(np.asarray(line.get_ydata()).tolist()) for line in boxes.axes[0].lines if line.get_color() == INK
-    ]
-    medians = [{float(np.median(trials.scores(LIMITS)["H"]))} for trials in trials_by_position(results, 0.55)]
+def test_each_box_has_a_horizontal_line_at_the_median_of_its_scores(
+    boxes: Figure, results: list[Trials]
+) -> None:
+    """The lines at medians are drawn in the colour INK; each has a left and a right end."""
+    median_lines = [line for line in boxes.axes[0].lines if line.get_color() == INK]
+    heights_of_ends = sorted(np.asarray(line.get_ydata()).tolist() for line in median_lines)
 
-    assert sorted(map(sorted, heights)) == sorted(map(sorted, medians))
+    medians = sorted(float(np.median(scores)) for scores in scores_by_position(results, fill_ratio=0.55))
+    assert heights_of_ends == [[median, median] for median in medians]
 
 
 def test_no_box_is_drawn_twice(boxes: Figure) -> None:
@@ -136,7 +159,8 @@ def test_no_box_is_drawn_twice(boxes: Figure) -> None:
     assert len(boxes.axes[0].lines) == (lines_of_box + 1) * SERIES_COUNT * len(FLAWED_AND_ACCURACIES)
 
 
-def test_boxes_are_labelled_by_offset_of_b_hat_and_share_of_flawed_robots(boxes: Figure) -> None:
+def test_boxes_are_labelled_by_how_wrong_flawed_robots_are_and_how_many_there_are(boxes: Figure) -> None:
+    """Flawed robots assume the accuracy 0.95, 0.55 or 0.75, and 0.95 is true. There are 0, 2 or 4 of 4."""
     labels = [label.get_text() for label in boxes.axes[0].get_xticklabels()]
     assert labels == ["+0\n0%", "-0.4\n50%", "-0.2\n50%", "-0.4\n100%"]
 
@@ -146,22 +170,25 @@ def test_each_panel_of_boxes_shows_scores_from_0_to_100_with_a_margin_above(boxe
     assert {axes.get_ylim() for axes in boxes.axes} == {(0, 100 + margin)}
 
 
-def test_each_panel_of_boxes_shows_four_slots_around_0_to_3(boxes: Figure) -> None:
-    last_slot = len(FLAWED_AND_ACCURACIES) - 1
-    assert {axes.get_xlim() for axes in boxes.axes} == {(-0.5, last_slot + 0.5)}
+def test_each_panel_of_boxes_is_as_wide_as_its_four_kinds_of_swarms(boxes: Figure) -> None:
+    """They stand at 0, 1, 2 and 3, with half a unit to the left and to the right."""
+    assert {axes.get_xlim() for axes in boxes.axes} == {(-0.5, 3.5)}
 
 
-def test_the_score_and_the_labels_of_slots_are_named_beside_the_boxes(boxes: Figure) -> None:
+def test_boxes_have_the_score_beside_them_and_the_meaning_of_their_labels_below(boxes: Figure) -> None:
     assert boxes.get_supylabel() == "score $H$"
     assert caption_of(boxes).startswith(r"$\hat{b} - b$ of flawed robots")
 
 
-def test_the_caption_has_what_all_experiments_have_in_common(boxes: Figure) -> None:
+def test_the_caption_of_boxes_has_the_parameters_that_all_experiments_share(boxes: Figure) -> None:
     common = "robots 4, topology fully-connected, steps 300, seed 1, omega 0.05, 5 trials of each experiment"
     assert common in caption_of(boxes)
 
 
-def test_the_caption_has_the_limits_and_explains_the_marks(boxes: Figure) -> None:
+def test_the_caption_of_boxes_has_the_limits_of_scores_and_says_that_a_point_is_a_trial(
+    boxes: Figure,
+) -> None:
+    """Scores are relative to limits, which were given: 200 steps until convergence and an error of 0.4."""
     assert "$K_{max}$ = 200, $e_{max}$ = 0.4; a point is a trial" in caption_of(boxes)
 
 
@@ -176,12 +203,27 @@ def scatter(results: list[Trials]) -> Figure:
 
 
 def panel_titled(figure: Figure, title: str) -> Axes:
+    """Return the panel of a figure that has this title."""
     (axes,) = [axes for axes in figure.axes if axes.get_title() == title]
     return axes
 
 
-def test_points_have_a_row_for_each_series_and_f_and_a_column_for_each_p(scatter: Figure) -> None:
-    assert_panels(scatter, rows=SERIES_COUNT * 2, columns=3, panel_height=1.7)
+@pytest.fixture(scope="module")
+def half_flawed_panel(scatter: Figure) -> Axes:
+    """The panel of swarms without a filter in which half of the robots are flawed, on a floor 55 % black.
+
+    It has the points of three experiments: flawed robots assume 0.55 or 0.75 where 0.95 is true, so they are
+    underconfident; or 0.95 where 0.55 is true, so they are overconfident.
+    """
+    return panel_titled(scatter, "no filter\n$f = 0.55$, $P$ = 50%")
+
+
+def test_points_of_scores_have_a_row_for_each_filter_and_floor_and_a_column_for_each_share(
+    scatter: Figure,
+) -> None:
+    """f is the fill ratio of the floor, and P the share of flawed robots. These are the first four titles."""
+    fill_ratios = 2
+    assert_panels(scatter, rows=SERIES_COUNT * fill_ratios, columns=3, panel_height=1.7)
     assert titles_of(scatter)[:4] == [
         "no filter\n$f = 0.55$, $P$ = 0%",
         "no filter\n$f = 0.55$, $P$ = 50%",
@@ -190,51 +232,64 @@ def test_points_have_a_row_for_each_series_and_f_and_a_column_for_each_p(scatter
     ]
 
 
-@pytest.mark.parametrize(("flawed", "percent", "count"), [(0, 0, 1), (2, 50, 2), (4, 100, 1)])
-def test_points_are_the_two_scores_of_the_trials(
-    flawed: int, percent: int, count: int, scatter: Figure, results: list[Trials]
+@pytest.mark.parametrize(("flawed", "percent", "experiments"), [(0, 0, 1), (2, 50, 2), (4, 100, 1)])
+def test_points_are_the_scores_for_convergence_and_error_of_the_trials_of_a_panel(
+    flawed: int, percent: int, experiments: int, scatter: Figure, results: list[Trials]
 ) -> None:
-    axes = panel_titled(scatter, f"no filter\n$f = 0.95$, $P$ = {percent}%")
-    drawn = [np.asarray(line.get_xydata()).tolist() for line in axes.lines]
-    panel = [
-        trials
-        for trials in results
-        if (trials.experiment.fill_ratio, trials.experiment.filter) == (0.95, "none")
-        and trials.experiment.flawed == flawed
-    ]
-    scores = [trials.scores(LIMITS) for trials in panel]
+    """In a panel there are swarms of 4 robots of which 0, 2 or 4 are flawed, without a filter."""
+    expected_points = []
+    for trials in results:
+        experiment = trials.experiment
+        if (experiment.flawed, experiment.fill_ratio, experiment.filter) == (flawed, 0.95, "none"):
+            scores = trials.scores(LIMITS)
+            expected_points.append(np.stack([scores["h_K"], scores["h_e"]], axis=1).tolist())
+    assert len(expected_points) == experiments
 
-    assert drawn == [np.stack([score["h_K"], score["h_e"]], axis=1).tolist() for score in scores]
-    assert len(drawn) == count
+    panel = panel_titled(scatter, f"no filter\n$f = 0.95$, $P$ = {percent}%")
+    assert [np.asarray(line.get_xydata()).tolist() for line in panel.lines] == expected_points
 
 
-def test_underconfident_swarms_are_red_and_overconfident_ones_blue(scatter: Figure) -> None:
-    lines = panel_titled(scatter, "no filter\n$f = 0.55$, $P$ = 50%").lines
-    is_red = [to_rgb(line.get_color())[0] > to_rgb(line.get_color())[2] for line in lines]
+def test_points_of_underconfident_swarms_are_red_and_those_of_overconfident_ones_blue(
+    half_flawed_panel: Axes,
+) -> None:
+    """Underconfident robots assume that their sensors are worse than they are; two of three swarms are so."""
+    is_red = []
+    for line in half_flawed_panel.lines:
+        red, _green, blue = to_rgb(line.get_color())
+        is_red.append(red > blue)
     assert is_red == [True, True, False]
 
 
-def test_points_are_darker_the_farther_b_hat_is_off(scatter: Figure) -> None:
-    far, near, _overconfident = panel_titled(scatter, "no filter\n$f = 0.55$, $P$ = 50%").lines
+def test_points_are_darker_the_farther_the_assumed_accuracy_is_from_the_true_one(
+    half_flawed_panel: Axes,
+) -> None:
+    far, near, _overconfident = half_flawed_panel.lines
     assert sum(to_rgb(far.get_color())) < sum(to_rgb(near.get_color()))
 
 
-def test_each_true_accuracy_has_a_marker(scatter: Figure) -> None:
-    far, near, overconfident = panel_titled(scatter, "no filter\n$f = 0.55$, $P$ = 50%").lines
-    assert far.get_marker() == near.get_marker() != overconfident.get_marker()
+def test_points_have_one_marker_for_each_true_accuracy(half_flawed_panel: Axes) -> None:
+    """The true accuracy is 0.95 in the first two experiments, and 0.55 in the overconfident one."""
+    far, near, overconfident = half_flawed_panel.lines
+    assert far.get_marker() == near.get_marker()
+    assert far.get_marker() != overconfident.get_marker()
 
 
-def test_points_without_flawed_robots_are_black(scatter: Figure) -> None:
+def test_points_of_swarms_without_flawed_robots_are_black(scatter: Figure) -> None:
+    """INK is the black of all pictures."""
     (line,) = panel_titled(scatter, "no filter\n$f = 0.55$, $P$ = 0%").lines
     assert line.get_color() == INK
 
 
-def test_points_have_the_axes_of_scores(scatter: Figure) -> None:
-    limits = {(axes.get_xlim(), axes.get_ylim()) for axes in visible_axes(scatter)}
-    assert limits == {((-4, 104), (-4, 104))}
+def test_both_axes_of_points_show_scores_from_0_to_100_with_a_margin(scatter: Figure) -> None:
+    for axes in visible_axes(scatter):
+        assert axes.get_xlim() == (-4, 104)
+        assert axes.get_ylim() == (-4, 104)
 
 
-def test_the_legend_of_points_has_b_and_b_hat(scatter: Figure) -> None:
+def test_the_legend_of_points_has_the_true_and_the_assumed_accuracy_of_flawed_robots(
+    scatter: Figure,
+) -> None:
+    r"""They are b and \hat{b}."""
     assert legend_of(scatter) == [
         r"$b$ = 0.55, $\hat{b}$ = 0.95",
         r"$b$ = 0.95, $\hat{b}$ = 0.55",
@@ -247,53 +302,82 @@ def test_the_legend_of_points_has_b_and_b_hat(scatter: Figure) -> None:
 
 
 def with_parameters(trials: Trials, **parameters: Any) -> Trials:
-    """Return the results as those of another experiment."""
+    """Return the results as those of an experiment with other parameters."""
     return replace(trials, experiment=replace(trials.experiment, **parameters))
 
 
-@pytest.mark.parametrize(
-    "plot", [plot_boxes, plot_scatter, lambda experiments: plot_curve(experiments, "omega", hue="seed")]
-)
-def test_nine_series_do_not_fit_a_picture(plot: Any, results: list[Trials]) -> None:
-    experiments = [with_parameters(results[0], seed=seed) for seed in range(9)]
+@pytest.fixture(scope="module")
+def unfiltered(results: list[Trials]) -> Trials:
+    """Results of one experiment without a filter."""
+    return results[0]
+
+
+def plot_curves_by_seed(experiments: list[Trials]) -> Figure:
+    """Draw a curve for each seed."""
+    return plot_curve(experiments, "omega", hue="seed")
+
+
+@pytest.mark.parametrize("plot", [plot_boxes, plot_scatter, plot_curves_by_seed])
+def test_nine_series_are_too_many_for_a_picture_and_are_refused(plot: Any, unfiltered: Trials) -> None:
+    """There are eight colours."""
+    experiments = [with_parameters(unfiltered, seed=seed) for seed in range(9)]
     with pytest.raises(UsageError, match="with 9 series do not fit a picture"):
         plot(experiments)
 
 
-def test_eight_series_fit_a_picture(results: list[Trials]) -> None:
-    experiments = [with_parameters(results[0], seed=seed) for seed in range(8)]
+def test_eight_series_fit_a_picture(unfiltered: Trials) -> None:
+    experiments = [with_parameters(unfiltered, seed=seed) for seed in range(8)]
     assert len(legend_of(plot_boxes(experiments))) == 8
 
 
-@pytest.mark.slow
-def test_32_panels_fit_a_picture_and_33_do_not(results: list[Trials]) -> None:
-    experiments = [with_parameters(results[0], fill_ratio=index / 40) for index in range(33)]
-    assert len(plot_boxes(experiments[:32]).axes) == 32
+def test_33_panels_are_too_many_for_a_picture_and_are_refused(unfiltered: Trials) -> None:
+    """There is a panel for each fill ratio."""
+    experiments = [with_parameters(unfiltered, fill_ratio=index / 40) for index in range(33)]
     with pytest.raises(UsageError, match="33 panels"):
         plot_boxes(experiments)
 
 
-def test_series_are_in_the_order_of_filters(results_by_filter: dict[str, Trials]) -> None:
+@pytest.mark.slow
+def test_32_panels_fit_a_picture(unfiltered: Trials) -> None:
+    experiments = [with_parameters(unfiltered, fill_ratio=index / 40) for index in range(32)]
+    assert len(plot_boxes(experiments).axes) == 32
+
+
+def test_the_legend_has_filters_in_their_usual_order_whatever_that_of_the_experiments(
+    results_by_filter: dict[str, Trials],
+) -> None:
+    """The fixture has the last filter first."""
     figure = plot_boxes([*results_by_filter.values()])
     assert legend_of(figure) == ["no filter", "ASDF\N{MINUS SIGN}", "ASDF+", "robust"]
 
 
-def test_a_filter_has_its_colour_once(results_by_filter: dict[str, Trials]) -> None:
-    robust = results_by_filter["robust"]
-    figure = plot_boxes([with_parameters(robust, filter_period=50), *results_by_filter.values()])
-    colours = [handle.get_color() for handle in figure.legends[0].get_lines()]
+def test_a_second_series_of_the_robust_filter_gets_a_colour_that_no_filter_has(
+    results_by_filter: dict[str, Trials],
+) -> None:
+    """GREEN is the robust filter's; of its two series the one with the shorter filter period has it."""
+    second_robust = with_parameters(results_by_filter["robust"], filter_period=50)
+    figure = plot_boxes([second_robust, *results_by_filter.values()])
+    *_, shorter_period, longer_period = legend_of(figure)
+    (legend,) = figure.legends
+    colours = [handle.get_color() for handle in legend.get_lines()]
 
-    assert legend_of(figure)[-2:] == ["robust, filter period 50", "robust, filter period 100"]
+    assert (shorter_period, longer_period) == ("robust, filter period 50", "robust, filter period 100")
     assert colours == [GREY, COLOURS[0], COLOURS[1], GREEN, COLOURS[3]]
 
 
-def test_series_of_one_filter_can_be_told_apart_by_colour() -> None:
+def test_several_series_of_one_filter_have_different_colours() -> None:
+    """The first series without a filter is grey, and the first with the robust filter green."""
     colours = colours_of_filters(["none", "none", "asdf-plus", "robust", "robust"])
-    assert (colours[0], colours[3]) == (GREY, GREEN)
+    first_unfiltered, _, _, first_robust, _ = colours
+
+    assert (first_unfiltered, first_robust) == (GREY, GREEN)
     assert len(set(colours)) == 5
 
 
-def test_the_caption_leaves_out_parameters_that_no_filter_uses(results_by_filter: dict[str, Trials]) -> None:
-    assert "omega 0.05" in caption_of(plot_boxes([*results_by_filter.values()]))
-    without_omega = [results_by_filter["robust"], results_by_filter["none"]]
-    assert "omega" not in caption_of(plot_boxes(without_omega))
+def test_the_caption_has_omega_only_if_a_filter_uses_it(results_by_filter: dict[str, Trials]) -> None:
+    """The paper's filters use it, and the robust one does not."""
+    with_asdf = [results_by_filter["asdf-plus"], results_by_filter["robust"]]
+    without_asdf = [results_by_filter["none"], results_by_filter["robust"]]
+
+    assert "omega 0.05" in caption_of(plot_boxes(with_asdf))
+    assert "omega" not in caption_of(plot_boxes(without_asdf))

@@ -17,74 +17,92 @@ from mcp_asdf_tools.experiments.scores import Limits, convergence_step, score
 
 
 def convergence_step_by_definition(series: NDArray[np.float64], delta: float) -> int:
-    """The least K with abs(x[K] - x[k]) < delta for every k >= K, tried one after the other."""
-    return next(k for k in range(len(series)) if all(abs(series[k] - later) < delta for later in series[k:]))
+    """Return the least K with abs(x[K] - x[k]) < delta for every k >= K, tried one after the other."""
+    for k in range(len(series)):
+        if (abs(series[k] - series[k:]) < delta).all():
+            return k
+    raise AssertionError("the last value does not differ from itself")
 
 
-@given(st.lists(st.integers(97, 104), min_size=1, max_size=60), st.sampled_from([1, 3, 7, 4096]))
-def test_the_step_of_convergence_is_the_one_of_its_definition(values: list[int], chunk: int) -> None:
-    """The definition tries each step. Values are whole, so that differences meet the threshold, 3.
+@given(
+    values=st.lists(st.integers(97, 104), min_size=1, max_size=60),
+    values_at_once=st.sampled_from([1, 3, 7, 4096]),
+)
+def test_the_step_of_convergence_is_the_first_from_which_on_no_value_differs_by_a_threshold(
+    values: list[int], values_at_once: int
+) -> None:
+    """Values are whole, so that differences meet the threshold, 3, exactly. They are integers or floats.
 
-    They may be integers or floats, and are searched in chunks of any size.
+    A long series is searched in chunks; their size is set to ``values_at_once``, so that short ones are, too.
     """
-    expected = convergence_step_by_definition(np.array(values, float), 3.0)
+    expected_step = convergence_step_by_definition(np.array(values, float), delta=3.0)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(scores, "_CHUNK", chunk)
-        for kind in (np.uint32, np.float64):
-            assert convergence_step(np.array(values, kind), 3.0) == expected  # type: ignore[arg-type]
+        patch.setattr(scores, "_CHUNK", values_at_once)
+        assert convergence_step(np.array(values, np.uint32), 3.0) == expected_step
+        assert convergence_step(np.array(values, np.float64), 3.0) == expected_step
 
 
 @pytest.mark.parametrize("series", [[0.5, math.nan, 0.5], [0.5, 0.5, math.nan]])
-def test_a_series_with_a_nan_converges_at_its_end(series: list[float]) -> None:
+def test_a_series_with_a_nan_converges_only_in_its_last_step(series: list[float]) -> None:
+    """That is step 2, as the first one is 0."""
     assert convergence_step(np.array(series), 0.25) == 2
 
 
-def test_scores_by_hand() -> None:
-    """A score is 100 (1 - mean / limit), less by the factor exp(-(upper - lower quartile) / limit).
+def test_a_score_falls_with_the_mean_and_with_the_distance_of_the_quartiles() -> None:
+    """It is 100 (1 - mean / limit) exp(-(upper - lower quartile) / limit), here with a limit of 1000 steps.
 
-    Means are 150 of 1000 and 0.15 of 0.5; quartiles lie between two values: 50 and 250, and 0.1 and 0.2.
+    Of four robots, the quartiles lie between two values: they are 50 and 250.
     """
-    convergence_steps = np.array([[0, 100, 200, 300]])
-    errors = np.array([[0.1, 0.1, 0.1, 0.3]])
-    result = score(convergence_steps, errors, 1000, 0.5)
+    convergence_steps = [0, 100, 200, 300]
+    scores_of_trials = score([convergence_steps], [[0.0] * 4], k_max=1000, e_max=0.5)
 
-    assert result["h_K"][0] == pytest.approx(85 * math.exp(-0.2))
-    assert result["h_e"][0] == pytest.approx(70 * math.exp(-0.2))
-    assert result["H"][0] == pytest.approx((result["h_K"][0] + result["h_e"][0]) / 2)
-
-
-def test_quartiles_are_values_where_they_can_be() -> None:
-    """Of five robots the second, third and fourth are the quartiles. A score has a maximum of 100.
-
-    It falls with the median, and exponentially with the distance of the quartiles, both as parts of a limit.
-    The limits are 1000 steps for convergence and 0.5 for errors.
-    """
-    convergence_steps, errors = [0, 100, 200, 300, 400], [0.0, 0.1, 0.2, 0.3, 0.4]
-    result = score([convergence_steps], [errors], 1000, 0.5)
-
-    median_step, quartile_distance_of_steps = 200 / 1000, (300 - 100) / 1000
-    median_error, quartile_distance_of_errors = 0.2 / 0.5, (0.3 - 0.1) / 0.5
-    assert result["h_K"][0] == pytest.approx(100 * (1 - median_step) * math.exp(-quartile_distance_of_steps))
-    assert result["h_e"][0] == pytest.approx(
-        100 * (1 - median_error) * math.exp(-quartile_distance_of_errors)
-    )
+    [h_k] = scores_of_trials["h_K"]
+    mean, quartile_distance = 150, 250 - 50
+    assert h_k == pytest.approx(100 * (1 - mean / 1000) * math.exp(-quartile_distance / 1000))
 
 
-def test_an_error_that_is_nan_counts_as_the_worst() -> None:
-    assert score([[1, 1]], [[math.nan, math.nan]], 10, 0.5)["h_e"][0] == 0
+def test_the_score_of_errors_has_a_limit_of_its_own() -> None:
+    """The mean of the errors is 0.15, and the quartiles 0.1 and 0.2."""
+    errors = [0.1, 0.1, 0.1, 0.3]
+    scores_of_trials = score([[0] * 4], [errors], k_max=1000, e_max=0.5)
+
+    [h_e] = scores_of_trials["h_e"]
+    assert h_e == pytest.approx(100 * (1 - 0.15 / 0.5) * math.exp(-(0.2 - 0.1) / 0.5))
 
 
-def test_limits_are_the_papers_unless_given() -> None:
-    """Figures 4 to 7 of the paper: K_max = 40000 = T, e_max = 0.45 for every fill ratio."""
+def test_the_score_h_is_the_mean_of_those_for_convergence_and_for_errors() -> None:
+    scores_of_trials = score([[0, 100, 200, 300]], [[0.1, 0.1, 0.1, 0.3]], k_max=1000, e_max=0.5)
+
+    [h_k], [h_e], [h] = (scores_of_trials[name] for name in ("h_K", "h_e", "H"))
+    assert h == pytest.approx((h_k + h_e) / 2)
+
+
+def test_the_quartiles_of_five_robots_are_the_values_of_the_second_and_the_fourth() -> None:
+    """A score is 100 (1 - mean / limit) exp(-(upper - lower quartile) / limit). The limit is 1000 steps."""
+    convergence_steps = [0, 100, 200, 300, 500]
+    scores_of_trials = score([convergence_steps], [[0.0] * 5], k_max=1000, e_max=0.5)
+
+    [h_k] = scores_of_trials["h_K"]
+    mean, quartile_distance = 220, 300 - 100
+    assert h_k == pytest.approx(100 * (1 - mean / 1000) * math.exp(-quartile_distance / 1000))
+
+
+def test_a_trial_whose_errors_are_nan_has_a_score_of_0_for_errors() -> None:
+    scores_of_trials = score([[1, 1]], [[math.nan, math.nan]], k_max=10, e_max=0.5)
+    assert scores_of_trials["h_e"] == [0]
+
+
+def test_limits_of_scores_are_the_paper_s_unless_the_user_gives_others() -> None:
+    """In figures 4 to 7 of the paper K_max is T, the number of steps, and e_max 0.45 for every fill ratio."""
     experiment = Experiment(steps=40_000, fill_ratio=0.95)
     assert Limits().of(experiment) == (40_000, 0.45)
-    assert Limits(7).of(experiment) == (7, 0.45)
+    assert Limits(k_max=7).of(experiment) == (7, 0.45)
     assert Limits(e_max=0.3).of(experiment) == (40_000, 0.3)
 
 
-@pytest.mark.parametrize("wrong", [0, -1, math.inf, math.nan])
-def test_limits_that_are_none_are_refused(wrong: float) -> None:
-    with pytest.raises(UsageError, match=f"K_max is {wrong}; it must be above 0"):
-        Limits(wrong, 0.3)
-    with pytest.raises(UsageError, match=f"e_max is {wrong}; it must be above 0"):
-        Limits(None, wrong)
+@pytest.mark.parametrize("value", [0, -1, math.inf, math.nan])
+def test_limits_of_scores_that_are_not_above_0_and_finite_are_refused(value: float) -> None:
+    with pytest.raises(UsageError, match=f"K_max is {value}; it must be above 0"):
+        Limits(k_max=value)
+    with pytest.raises(UsageError, match=f"e_max is {value}; it must be above 0"):
+        Limits(e_max=value)

@@ -32,53 +32,51 @@ def trials() -> Trials:
 
 @pytest.fixture(scope="module")
 def tidy(trials: Trials) -> pa.Table:
-    """The tidy table of these trials."""
+    """The table of these trials with a row for each trial, recorded step and robot."""
     return tidy_results(trials_to_table(trials))
 
 
 # --- Rows and columns ------------------------------------------------------------------------------------
 
 
-def test_a_table_of_one_experiment_has_no_parameters(tidy: pa.Table) -> None:
+def test_a_tidy_table_of_one_experiment_has_no_columns_of_parameters(tidy: pa.Table) -> None:
     """They would be the same in all rows."""
     assert tidy.column_names == ["trial", "step", "robot", "is_flawed", *QUANTITIES]
 
 
-def test_rows_are_in_the_order_of_trials_steps_and_robots(tidy: pa.Table) -> None:
+def test_rows_of_a_tidy_table_are_in_the_order_of_trials_steps_and_robots(tidy: pa.Table) -> None:
+    """Two trials of three robots were recorded at three steps."""
     assert tidy["trial"].to_pylist() == [0] * 9 + [1] * 9
     assert tidy["step"].to_pylist() == [0, 0, 0, 20, 20, 20, 40, 40, 40] * 2
     assert tidy["robot"].to_pylist() == [0, 1, 2] * 6
 
 
-def test_the_first_robots_are_the_flawed_ones(tidy: pa.Table) -> None:
+def test_a_tidy_table_says_in_each_row_whether_the_robot_is_flawed(tidy: pa.Table) -> None:
+    """The first of three robots is, in the six pairs of a trial and a recorded step."""
     assert tidy["is_flawed"].to_pylist() == [True, False, False] * 6
 
 
 @pytest.mark.parametrize("name", QUANTITIES)
-def test_a_row_has_the_recorded_values_of_its_trial_step_and_robot(
+def test_a_row_of_a_tidy_table_has_what_was_recorded_of_its_robot(
     name: str, tidy: pa.Table, trials: Trials
 ) -> None:
-    """Rows are ordered by trial, then by the three recorded steps, then by the three robots."""
+    """Rows are in the order of trials, steps and robots, as values are in the array of the records."""
     assert tidy[name].type == pa.float64()
-    trial, sample, robot = 1, 2, 1
-    row_index = trial * 3 * 3 + sample * 3 + robot
-
-    assert tidy[name][row_index].as_py() == trials.records[name][trial, sample, robot]
+    assert tidy[name].to_pylist() == trials.records[name].ravel().tolist()
 
 
-def test_parameters_that_vary_have_columns_behind_the_trial(trials: Trials) -> None:
-    other = replace(SHORT, filter="none", robots=2)
-    other_trials = run_trials(other, 0, 1, sampling_interval=20)
+def test_parameters_that_differ_between_experiments_have_columns_behind_the_trial(trials: Trials) -> None:
+    other_trials = run_trials(replace(SHORT, filter="none", robots=2), 0, 1, sampling_interval=20)
     tidy = tidy_results(pa.concat_tables([trials_to_table(trials), trials_to_table(other_trials)]))
 
     assert tidy.column_names[:5] == ["trial", "robots", "filter", "step", "robot"]
-    assert tidy.slice(17, 2).select(["robots", "filter"]).to_pylist() == [
-        {"robots": 3, "filter": "asdf-plus"},
-        {"robots": 2, "filter": "none"},
-    ]
+    rows_of_first_experiment, rows_of_other = 18, 6  # trials * recorded steps * robots: 2 * 3 * 3, 1 * 3 * 2
+    assert tidy["robots"].to_pylist() == [3] * rows_of_first_experiment + [2] * rows_of_other
+    assert tidy["filter"].to_pylist() == ["asdf-plus"] * rows_of_first_experiment + ["none"] * rows_of_other
 
 
-def test_every_column_has_a_unit_and_a_meaning(tidy: pa.Table) -> None:
+def test_every_column_of_a_tidy_table_has_a_unit_and_a_meaning(tidy: pa.Table) -> None:
+    """Parquet keeps them as bytes in the metadata of a column. The unit is 1 where a number has none."""
     for field in tidy.schema:
         assert field.metadata[b"unit"] == (b"step" if field.name == "step" else b"1")
         assert field.metadata[b"meaning"]
@@ -91,13 +89,13 @@ def test_results_without_records_are_refused_with_the_option_that_records() -> N
 
 
 def test_results_of_an_earlier_version_become_tidy_tables() -> None:
-    """Two trials of 3 robots and two of 2, recorded after 0, 10 and 20 observations of each robot."""
+    """The file has two trials of 3 robots and two of 2, recorded after 0, 10 and 20 observations, t."""
     tidy = pa.concat_tables(stream_tidy_results(FORMAT_5_FILE))
 
-    rows_of_3_robots, rows_of_2_robots = 2 * 3 * 3, 2 * 3 * 2
+    rows_of_3_robots, rows_of_2_robots = 2 * 3 * 3, 2 * 3 * 2  # trials * recorded steps * robots
     assert tidy["robots"].to_pylist() == [3] * rows_of_3_robots + [2] * rows_of_2_robots
-    first_trial_of_2_robots = tidy.slice(rows_of_3_robots, 6)
-    assert first_trial_of_2_robots["t"].to_pylist() == [0, 0, 10, 10, 20, 20]
+    t_of_2_robots = tidy["t"].to_pylist()[rows_of_3_robots:]
+    assert t_of_2_robots == [0, 0, 10, 10, 20, 20] * 2
 
 
 # --- Streams ---------------------------------------------------------------------------------------------
@@ -115,50 +113,55 @@ def folder_of_two(trials: Trials, tmp_path: Path) -> Path:
     return folder
 
 
-def test_files_of_a_folder_have_columns_for_parameters_that_differ_between_them(folder_of_two: Path) -> None:
+def test_tables_of_a_folder_s_files_have_a_column_for_a_parameter_that_differs_between_files(
+    folder_of_two: Path,
+) -> None:
+    """In each file alone there is one seed."""
     first_table, second_table = stream_tidy_results(folder_of_two)
     assert set(first_table["seed"].to_pylist()) == {1}
     assert set(second_table["seed"].to_pylist()) == {2}
 
 
-def test_files_of_results_are_read_one_by_one_as_their_rows_are_needed(
+def test_a_file_of_results_is_not_read_before_its_rows_are_needed(
     folder_of_two: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """So results may be larger than the memory.
-
-    The first table is asked for, and the second file is not read.
-    """
-    complete_reads = []
+    """So results may be larger than the memory. Only the first of two files has been read completely here."""
+    files_read = []
     read = RowGroup.read
 
-    def read_and_note(row_group: RowGroup, columns: object = None) -> pa.Table:
-        if columns is None:
-            complete_reads.append(row_group.path.name)
+    def read_and_record(row_group: RowGroup, columns: object = None) -> pa.Table:
+        if columns is None:  # all of them: the columns of parameters are read first
+            files_read.append(row_group.path.name)
         return read(row_group, columns)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(RowGroup, "read", read_and_note)
+    monkeypatch.setattr(RowGroup, "read", read_and_record)
     next(stream_tidy_results(folder_of_two))
-    assert complete_reads == ["1.parquet"]
+    assert files_read == ["1.parquet"]
 
 
 # --- Files -----------------------------------------------------------------------------------------------
 
 
-def test_parquet_keeps_values_types_and_meanings(tidy: pa.Table, tmp_path: Path) -> None:
+def test_a_tidy_table_written_as_parquet_keeps_values_types_and_meanings(
+    tidy: pa.Table, tmp_path: Path
+) -> None:
     write_tidy_tables(tmp_path / "robots.parquet", [tidy])
-    read_back = pq.read_table(tmp_path / "robots.parquet")
-    assert read_back.equals(tidy)
-    assert read_back.schema.field("x").metadata == tidy.schema.field("x").metadata
+    table_read = pq.read_table(tmp_path / "robots.parquet")
+    assert table_read.equals(tidy)
+    assert table_read.schema.field("x").metadata == tidy.schema.field("x").metadata
 
 
-def test_csv_keeps_every_bit_of_the_values(tidy: pa.Table, tmp_path: Path) -> None:
+def test_a_tidy_table_written_as_csv_keeps_every_bit_of_the_values(tidy: pa.Table, tmp_path: Path) -> None:
     write_tidy_tables(tmp_path / "robots.csv", [tidy])
-    read_back = pyarrow.csv.read_csv(tmp_path / "robots.csv")
-    assert read_back["alpha"].to_pylist() == tidy["alpha"].to_pylist()
-    assert read_back["b_hat"].to_pylist() == tidy["b_hat"].to_pylist()
+    table_read = pyarrow.csv.read_csv(tmp_path / "robots.csv")
+    assert table_read["alpha"].to_pylist() == tidy["alpha"].to_pylist()
+    assert table_read["b_hat"].to_pylist() == tidy["b_hat"].to_pylist()
 
 
-def test_csv_has_a_header_and_numbers_for_truth_values(tidy: pa.Table, tmp_path: Path) -> None:
+def test_a_tidy_table_as_csv_has_a_header_and_writes_true_and_false_as_1_and_0(
+    tidy: pa.Table, tmp_path: Path
+) -> None:
+    """The first two rows are those of a flawed and a healthy robot; ``is_flawed`` is the fourth column."""
     write_tidy_tables(tmp_path / "robots.csv", [tidy.slice(0, 2)])
     header, flawed_row, healthy_row = (tmp_path / "robots.csv").read_text(encoding="utf-8").splitlines()
 
@@ -167,12 +170,15 @@ def test_csv_has_a_header_and_numbers_for_truth_values(tidy: pa.Table, tmp_path:
     assert healthy_row.startswith("0,0,1,0,0,0,0.5,")
 
 
-def test_the_number_of_rows_written_is_returned(tidy: pa.Table, tmp_path: Path) -> None:
-    assert len(tidy) == 2 * 3 * 3  # trials, steps and robots
-    assert write_tidy_tables(tmp_path / "robots.csv", [tidy, tidy]) == 2 * len(tidy)
+def test_writing_tidy_tables_returns_the_number_of_rows(tidy: pa.Table, tmp_path: Path) -> None:
+    rows_of_a_table = 2 * 3 * 3  # trials * recorded steps * robots
+    assert write_tidy_tables(tmp_path / "robots.csv", [tidy, tidy]) == 2 * rows_of_a_table
 
 
-def test_many_small_tables_become_one_row_group(tidy: pa.Table, tmp_path: Path) -> None:
+def test_many_small_tidy_tables_become_one_row_group_of_a_parquet_file(
+    tidy: pa.Table, tmp_path: Path
+) -> None:
+    """A file of many row groups, which are its units of reading, would be slow to read."""
     write_tidy_tables(tmp_path / "robots.parquet", [tidy] * 20)
     assert pq.ParquetFile(tmp_path / "robots.parquet").num_row_groups == 1
 
@@ -191,7 +197,9 @@ def test_an_exported_table_does_not_replace_a_file_of_results(tidy: pa.Table, tm
     assert results.read_bytes() == FORMAT_5_FILE.read_bytes()
 
 
-def test_a_table_replaces_an_earlier_table(tidy: pa.Table, tmp_path: Path) -> None:
+def test_a_tidy_table_replaces_the_one_that_an_earlier_export_has_written(
+    tidy: pa.Table, tmp_path: Path
+) -> None:
     write_tidy_tables(tmp_path / "robots.parquet", [tidy])
     write_tidy_tables(tmp_path / "robots.parquet", [tidy.slice(0, 1)])
     assert len(pq.read_table(tmp_path / "robots.parquet")) == 1
@@ -199,9 +207,10 @@ def test_a_table_replaces_an_earlier_table(tidy: pa.Table, tmp_path: Path) -> No
 
 @pytest.mark.parametrize("suffix", [".csv", ".parquet"])
 @pytest.mark.parametrize("max_bytes", [0, 2000])
-def test_a_full_disk_leaves_the_earlier_file_alone(
+def test_an_export_to_a_full_disk_fails_and_leaves_the_earlier_file_alone(
     max_bytes: int, suffix: str, tidy: pa.Table, tmp_path: Path
 ) -> None:
+    """The disk is full at once, or in the middle of the new file."""
     path = tmp_path / f"robots{suffix}"
     path.write_bytes(b"earlier")
     with limited_file_size(max_bytes), pytest.raises(UsageError, match=f"cannot write {path}: .*make room"):
@@ -212,9 +221,11 @@ def test_a_full_disk_leaves_the_earlier_file_alone(
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".parquet"])
-def test_an_interruption_leaves_no_file(
+def test_ctrl_c_while_a_tidy_table_is_written_leaves_no_file(
     suffix: str, tidy: pa.Table, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """It comes after the first table, which is written at once, as the least number of rows is set to 1."""
+
     def tables_until_ctrl_c() -> Iterator[pa.Table]:
         yield tidy
         raise KeyboardInterrupt
