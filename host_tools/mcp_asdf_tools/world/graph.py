@@ -10,7 +10,7 @@ from operator import index
 from pathlib import Path
 from typing import Any
 
-from mcp_asdf.robot import MAX_ID
+from mcp_asdf.robot import MAX_ID, MAX_ROUND_SIZE
 from mcp_asdf_tools.common.errors import UsageError
 
 _EDGES_IN_ONE_LINE = re.compile(r"[0-9>;\s]*")
@@ -28,8 +28,6 @@ MAX_ROBOTS = 2**16
 """Largest number of robots without a bus: ids have 16 bits."""
 MAX_ON_BUS = MAX_ID + 1
 """Largest number of robots on a bus, and of those that can all receive from each other."""
-_MAX_NEIGHBOURS = MAX_ON_BUS - 1
-"""Largest number of robots that one can receive from: a round of the firmware holds a message of each."""
 
 
 @dataclass(frozen=True)
@@ -72,10 +70,10 @@ class Graph:
         # The firmware limits from how many others a robot receives, but not how many receive from it.
         neighbour_counts = Counter(receiver for _, receiver in self.links)
         for receiver, count in sorted(neighbour_counts.items()):
-            if count > _MAX_NEIGHBOURS:
+            if count > MAX_ROUND_SIZE:
                 raise UsageError(
                     f"in {self.source} robot {receiver} hears {count} others, but a round of the firmware "
-                    f"holds {_MAX_NEIGHBOURS}; remove edges"
+                    f"holds {MAX_ROUND_SIZE}; remove edges"
                 )
 
 

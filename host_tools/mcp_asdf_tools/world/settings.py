@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal, Self
 
+from mcp_asdf.robot import MAX_ROUND_SIZE
 from mcp_asdf_tools.common import extensions
 from mcp_asdf_tools.common.errors import did_you_mean
 from mcp_asdf_tools.common.parameters import (
@@ -266,7 +267,7 @@ def _check_neighbours_of_many(settings: WorldSettings) -> None:
             raise ParameterError(
                 "radio_range",
                 f"robots is {settings.robots}, but with radio_range {settings.radio_range:g} some could hear "
-                f"more than {MAX_ON_BUS - 1} others; give at most {_MAX_RANGE_OF_MANY}",
+                f"more than {MAX_ROUND_SIZE} others; give at most {_MAX_RANGE_OF_MANY}",
             )
         return
     if settings.topology == "graph":
@@ -274,7 +275,7 @@ def _check_neighbours_of_many(settings: WorldSettings) -> None:
     if settings.topology == "fully-connected":
         neighbour_count = settings.robots - 1
         reason = (
-            f"each would hear {neighbour_count} others, and a round of the firmware holds {MAX_ON_BUS - 1}"
+            f"each would hear {neighbour_count} others, and a round of the firmware holds {MAX_ROUND_SIZE}"
         )
     else:
         reason = "an extension says who hears whom by a matrix of them for every step"
