@@ -1,11 +1,11 @@
-"""The page in a real browser: it shows a history, has controls, and follows a run as it goes."""
+"""The web page of a swarm in a real browser: it shows a history, has controls, and follows a swarm as it runs."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import can
 import numpy as np
@@ -14,19 +14,15 @@ import pytest
 from browser import new_page, until
 from mcp_asdf_tools.bus.frame_layout import Health
 from mcp_asdf_tools.bus.frames import Estimate, Heartbeat
-from mcp_asdf_tools.experiments.experiment import Experiment
-from mcp_asdf_tools.experiments.trials import run_trials
 from mcp_asdf_tools.swarm.carrier import Wiring
 from mcp_asdf_tools.swarm.run import run_swarm
 from mcp_asdf_tools.swarm.settings import SwarmSettings
 from mcp_asdf_tools.swarm.swarm import Swarm
-from mcp_asdf_tools.view.history import QUANTITIES, History, RunDescription, State
+from mcp_asdf_tools.view.history import History, RunDescription, State
 from mcp_asdf_tools.view.page import make_page
 from mcp_asdf_tools.view.roster import Roster
 from mcp_asdf_tools.view.server import serve_page
 from mcp_asdf_tools.view.swarm_recorder import SwarmRecorder
-from mcp_asdf_tools.view.trial_history import recompute_trial_history
-from mcp_asdf_tools.world.arena import Arena
 from support import ROOT
 
 if TYPE_CHECKING:
@@ -34,8 +30,15 @@ if TYPE_CHECKING:
 
 pytestmark = pytest.mark.slow
 
+STEPS, STEPS_PER_FILTER = 300, 50
 SETTINGS = SwarmSettings(
-    robots=8, flawed="50%", steps=300, filter="asdf-minus", filter_period=50, topology="dynamic", density=4
+    robots=8,
+    flawed="50%",
+    steps=STEPS,
+    filter="asdf-minus",
+    filter_period=STEPS_PER_FILTER,
+    topology="dynamic",
+    density=4,
 )
 IS_DRAWN = "window.view && view.arena.centres.length > 0 && view.charts.drawnStateCount > 0"
 ALL_STATES = """[...Array(view.history.stateCount).keys()].map((state) => {
@@ -47,10 +50,7 @@ ALL_STATES = """[...Array(view.history.stateCount).keys()].map((state) => {
             history.links(state, receiver).some(([linked]) => linked === sender))),
         positions: robots.map((robot) => history.position(robot, state)),
     }; })"""
-X, X_HAT, B_HAT = (QUANTITIES.index(name) for name in ("x", "x_hat", "b_hat"))
-"""Rows of a state's values."""
 PIXELS = "view.arena.context.getImageData(0, 0, view.arena.canvas.width, view.arena.canvas.height).data"
-FRAME_LINES = "document.getElementById('frames').textContent"
 
 
 @pytest.fixture(scope="module")
@@ -63,116 +63,72 @@ def history() -> History:
 
 
 @pytest.fixture(scope="module")
-def file(history: History, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The page of the history, as a file."""
+def page_file(history: History, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The web page of the history, as a file."""
     file = tmp_path_factory.mktemp("browser") / "run.html"
     file.write_text(make_page(history))
     return file
 
 
 def open_file(browser: Page, file: Path, address: str = "") -> None:
-    """Open a page from a file, and wait until it is drawn."""
+    """Open a web page from a file, and wait until it is drawn."""
     browser.goto(f"{file.as_uri()}{address}")
     until(browser, IS_DRAWN)
 
 
-def open_file_paused(browser: Page, file: Path) -> None:
-    """Open a page from a file, and pause it at the start."""
+def open_paused_at_start(browser: Page, file: Path) -> None:
+    """Open a web page from a file, and pause it at step 0."""
     open_file(browser, file)
     browser.evaluate("view.player.pause()")
     browser.evaluate("view.player.seek(0)")
 
 
+def text_of(browser: Page, element_id: str) -> str:
+    """Return the text that a user sees in an element of the web page."""
+    return browser.locator(f"#{element_id}").inner_text()
+
+
+def wait_for_text(browser: Page, element_id: str, beginning: str) -> None:
+    """Wait until the text of an element begins with these words."""
+    until(browser, f"document.getElementById('{element_id}').textContent.startsWith('{beginning}')")
+
+
 # --- A recording --------------------------------------------------------------------------------------
 
 
-def test_the_page_has_the_values_links_and_positions_of_all_states(
-    browser: Page, file: Path, history: History
+def read_states(browser: Page) -> list[Any]:
+    """Return values, neighbours and positions of all states, as the scripts of the web page decode them."""
+    states: list[Any] = browser.evaluate(ALL_STATES)
+    return states
+
+
+def test_the_browser_decodes_the_values_links_and_positions_of_all_states(
+    browser: Page, page_file: Path, history: History
 ) -> None:
-    open_file(browser, file)
-    smallest_step = 1 / 65534
+    """An exported web page holds values as 16-bit numbers, so they differ by one part in 65534 at most."""
+    open_file(browser, page_file)
+    longest_side = max(SETTINGS.sides)
     states = history.states_since().states
-    for shown, state in zip(browser.evaluate(ALL_STATES), states, strict=True):
+
+    for shown, state in zip(read_states(browser), states, strict=True):
         assert state.positions is not None
-        assert np.abs(np.array(shown["values"]) - state.values).max() <= smallest_step
         assert np.array_equal(shown["neighbours"], state.neighbours)
-        longest_side = max(SETTINGS.sides)
-        assert np.abs(shown["positions"] - state.positions).max() <= smallest_step * longest_side
+        assert np.abs(np.array(shown["values"]) - state.values).max() <= 1 / 65534
+        assert np.abs(shown["positions"] - state.positions).max() <= longest_side / 65534
 
 
-def test_the_page_has_the_links_of_a_trial_with_more_robots_than_fit_a_bus(
-    browser: Page, tmp_path: Path
+def test_the_arena_is_drawn_in_many_colours(browser: Page, page_file: Path) -> None:
+    """The colours of floor, links and eight robots blend at their edges into more than 50."""
+    open_file(browser, page_file)
+    colour_count = browser.evaluate(f"new Set(new Uint32Array({PIXELS}.buffer)).size")
+    assert colour_count > 50
+
+
+def test_the_header_explains_the_swarm_and_links_to_the_paper_that_is_to_be_cited(
+    browser: Page, page_file: Path
 ) -> None:
-    """A history of up to 128 robots has links as a matrix of bits, and one of more robots as pairs of ids."""
-    experiment = Experiment(topology="dynamic", robots=140, steps=40, trials=1)
-    history = recompute_trial_history(run_trials(experiment, 0, 1), 0)
-    (tmp_path / "many.html").write_text(make_page(history))
-    last_adjacency = Arena(experiment).record(experiment.steps).adjacency[-1]
-    expected_links = [
-        [sender, receiver]
-        for receiver, is_heard in enumerate(last_adjacency)
-        for sender in np.flatnonzero(is_heard).tolist()
-    ]
-    first_receiver = expected_links[0][1]
-    expected_links_to_first = [link for link in expected_links if link[1] == first_receiver]
-
-    open_file(browser, tmp_path / "many.html")
-    last_state = browser.evaluate("view.history.stateCount - 1")
-    assert browser.evaluate(f"view.history.links({last_state})") == expected_links
-    links_to_first = browser.evaluate(f"view.history.links({last_state}, {first_receiver})")
-    assert links_to_first == expected_links_to_first
-
-
-def read_figure(browser: Page, name: str) -> float:
-    """Return a figure of the swarm as the page shows it."""
-    return float(browser.locator(f"#{name}").inner_text())
-
-
-def test_the_figures_are_those_of_the_state_that_is_shown(
-    browser: Page, file: Path, history: History
-) -> None:
-    open_file(browser, file, "#step=120")
-    until(browser, "document.getElementById('clock').textContent.startsWith('step 120 ')")
-    (state,) = [state for state in history.states_since().states if state.tick == 120]
-    values = dict(zip(QUANTITIES, state.values, strict=True))
-    x = values["x"]
-    b_hat_errors = np.abs(values["b_hat"] - values["b"])
-    half_digit = 0.00055  # three digits are shown, of values that the page has rounded before
-    assert read_figure(browser, "mean-x") == pytest.approx(x.mean(), abs=half_digit)
-    assert read_figure(browser, "spread") == pytest.approx(np.ptp(x), abs=half_digit)
-    mean_error = np.abs(x - SETTINGS.fill_ratio).mean()
-    assert read_figure(browser, "mean-error") == pytest.approx(mean_error, abs=half_digit)
-    wrong_count = np.count_nonzero(b_hat_errors > 0.1)
-
-    assert browser.locator("#wrong").inner_text() == f"{wrong_count} of 8"
-
-
-def test_the_charts_draw_the_values_of_the_history(browser: Page, file: Path, history: History) -> None:
-    """Each of the 300 states is in the lines of robots twice, and in that of the mean error once."""
-    open_file(browser, file)
-    states = history.states_since().states
-    # A chart has its times first, and those of robots have the line of the true value last.
-    error_chart, *robot_charts = browser.evaluate(
-        "view.charts.views.map(({ plot }) => plot.data.map((series) => [...series]))"
-    )
-    mean_errors = [np.abs(state.values[X] - SETTINGS.fill_ratio).mean() for state in states]
-    assert error_chart[1] == pytest.approx(mean_errors, abs=1e-4)
-    for quantity, chart in zip((B_HAT, X_HAT, X), robot_charts, strict=True):
-        lines = np.array(chart[1:-1])
-        first_values, second_values = lines[:, ::2], lines[:, 1::2]
-        expected = np.stack([state.values[quantity] for state in states], axis=1)
-        assert np.abs(first_values - expected).max() < 1e-4
-        assert np.array_equal(first_values, second_values)
-
-
-def test_the_arena_is_drawn_in_many_colours(browser: Page, file: Path) -> None:
-    open_file(browser, file)
-    assert browser.evaluate(f"new Set(new Uint32Array({PIXELS}.buffer)).size") > 50
-
-
-def test_a_page_explains_itself_and_leads_to_the_method(browser: Page, file: Path) -> None:
-    open_file(browser, file)
-    assert browser.locator("#about").inner_text() == (
+    open_file(browser, page_file)
+    assert text_of(browser, "about") == (
         "Each robot guesses the share of black tiles. Half of them misjudge their sensor (orange). "
         "Watch them find out. The truth is 55\N{NO-BREAK SPACE}%. How it works: the paper"
     )
@@ -181,47 +137,65 @@ def test_a_page_explains_itself_and_leads_to_the_method(browser: Page, file: Pat
     assert f"url: {paper}\n" in (ROOT / "CITATION.cff").read_text(encoding="utf-8")
 
 
-def test_nothing_comes_from_a_network(browser: Page, file: Path) -> None:
-    schemes = set[str]()
-    browser.on("request", lambda request: schemes.add(request.url.partition(":")[0]))
-    open_file(browser, file)
-    assert schemes <= {"file", "data", "blob"}
+def test_an_exported_page_loads_nothing_from_a_network(browser: Page, page_file: Path) -> None:
+    """All that the browser requests is the file itself or data inside it."""
+    requested_schemes = set[str]()
+    browser.on("request", lambda request: requested_schemes.add(request.url.partition(":")[0]))
+    open_file(browser, page_file)
+    assert requested_schemes <= {"file", "data", "blob"}
+
+
+PARTS_OF_PAGE = ("arena", "charts", "figures", "events", "play", "time")
 
 
 @pytest.mark.parametrize(("width", "height"), [(1920, 1080), (1024, 700), (420, 900)])
-def test_everything_fits_on_the_screen(chromium: Browser, file: Path, width: int, height: int) -> None:
+def test_arena_charts_and_controls_all_fit_into_the_width_of_a_large_a_small_and_a_phone_s_screen(
+    chromium: Browser, page_file: Path, width: int, height: int
+) -> None:
+    """There is no need to scroll sideways, and nothing is squeezed below ten pixels."""
     with new_page(chromium, width, height) as browser:
-        open_file(browser, file)
+        open_file(browser, page_file)
         assert browser.evaluate("document.documentElement.scrollWidth") <= width
-        for name in ("#arena", "#charts", "#figures", "#events", "#play", "#time"):
-            box = browser.locator(name).bounding_box()
-            assert box is not None and min(box["width"], box["height"]) > 10, name
-        assert browser.evaluate("view.charts.views.every(({ plot }) => plot.over.clientHeight > 40)")
+        for part in PARTS_OF_PAGE:
+            box = browser.locator(f"#{part}").bounding_box()
+            assert box is not None, part
+            assert min(box["width"], box["height"]) > 10, part
+
+
+@pytest.mark.parametrize(("width", "height"), [(1920, 1080), (1024, 700), (420, 900)])
+def test_each_chart_is_higher_than_40_pixels_on_a_large_a_small_and_a_phone_s_screen(
+    chromium: Browser, page_file: Path, width: int, height: int
+) -> None:
+    with new_page(chromium, width, height) as browser:
+        open_file(browser, page_file)
+        chart_heights = browser.evaluate("view.charts.views.map(({ plot }) => plot.over.clientHeight)")
+    assert min(chart_heights) > 40
 
 
 @pytest.mark.parametrize(("scheme", "is_dark"), [("light", False), ("dark", True)])
-def test_the_page_has_the_colours_of_the_system(
-    browser: Page, file: Path, scheme: str, is_dark: bool
+def test_the_background_is_dark_where_the_user_prefers_dark_colours(
+    browser: Page, page_file: Path, scheme: str, is_dark: bool
 ) -> None:
-    open_file(browser, file)
+    """The browser reports the background as "rgb(16, 20, 26)", from 0 (black) to 255."""
+    open_file(browser, page_file)
     browser.emulate_media(color_scheme=scheme)  # type: ignore[arg-type]
     background = browser.evaluate("getComputedStyle(document.body).backgroundColor")
-    red_channel = int(re.findall(r"\d+", background)[0])
+    red, _green, _blue = re.findall(r"\d+", background)
 
-    assert (red_channel < 128) == is_dark
+    assert (int(red) < 128) == is_dark
 
 
 # --- Controls -----------------------------------------------------------------------------------------
 
 
-def test_a_recording_plays_to_its_end(browser: Page, file: Path) -> None:
-    open_file(browser, file)
+def test_a_recording_plays_until_its_last_step_and_stops(browser: Page, page_file: Path) -> None:
+    open_file(browser, page_file)
     browser.locator("#speed").select_option("1000")
-    until(browser, "view.player.tick === view.player.end && !view.player.isPlaying")
+    until(browser, f"view.player.tick === {STEPS} && !view.player.isPlaying")
 
 
-def test_the_button_pauses_and_plays(browser: Page, file: Path) -> None:
-    open_file(browser, file)
+def test_the_play_button_pauses_a_recording_and_continues_it(browser: Page, page_file: Path) -> None:
+    open_file(browser, page_file)
     browser.locator("#play").click()
     assert not browser.evaluate("view.player.isPlaying")
     browser.locator("#play").click()
@@ -229,87 +203,112 @@ def test_the_button_pauses_and_plays(browser: Page, file: Path) -> None:
     assert browser.evaluate("view.player.isPlaying")
 
 
-def test_the_time_line_leads_to_a_step(browser: Page, file: Path) -> None:
-    open_file_paused(browser, file)
+def test_moving_the_time_slider_to_200_shows_step_200(browser: Page, page_file: Path) -> None:
+    """The clock shows the time as well: robots take ten steps a second."""
+    open_paused_at_start(browser, page_file)
     browser.locator("#time").fill("200")
-    until(browser, "document.getElementById('clock').textContent === 'step 200 of 300, 20.0 s'")
+    wait_for_text(browser, "clock", "step 200 of 300, 20.0 s")
 
 
-def test_a_click_follows_a_robot(browser: Page, file: Path) -> None:
-    open_file_paused(browser, file)
+def test_a_click_on_robot_2_in_the_arena_shows_the_values_of_robot_2(browser: Page, page_file: Path) -> None:
+    open_paused_at_start(browser, page_file)
     x, y = until(browser, "view.arena.centres[2].map((pixel) => pixel / view.arena.pixelRatio)")
     browser.locator("#arena").click(position={"x": x, "y": y})
-    assert until(browser, "view.followedRobot") == 2
+    until(browser, "view.followedRobot === 2")
     until(browser, "document.querySelector('#robot h2').textContent === 'Robot 2, flawed at the start'")
 
 
-def test_the_arrow_keys_follow_one_robot_after_the_other(browser: Page, file: Path) -> None:
-    open_file_paused(browser, file)
+def test_arrow_keys_select_the_next_or_the_previous_of_eight_robots(browser: Page, page_file: Path) -> None:
+    """Right and down select the next robot, left the previous one; before robot 0 comes robot 7."""
+    open_paused_at_start(browser, page_file)
     browser.locator("#arena").focus()
-    followed_robots = []
+    selected_robots = []
     for key in ("ArrowRight", "ArrowLeft", "ArrowLeft", "ArrowDown"):
         browser.keyboard.press(key)
-        followed_robots.append(browser.evaluate("view.followedRobot"))
+        selected_robots.append(browser.evaluate("view.followedRobot"))
 
-    assert followed_robots == [0, 7, 6, 7]
+    assert selected_robots == [0, 7, 6, 7]
 
 
-def test_escape_follows_no_robot(browser: Page, file: Path) -> None:
-    open_file_paused(browser, file)
+def test_escape_ends_the_selection_of_a_robot(browser: Page, page_file: Path) -> None:
+    open_paused_at_start(browser, page_file)
     browser.evaluate("view.followRobot(2)")
     browser.keyboard.press("Escape")
     assert browser.evaluate("view.followedRobot") is None
 
 
-def test_keys_and_buttons_lead_from_event_to_event(browser: Page, file: Path) -> None:
-    open_file_paused(browser, file)
+def test_the_keys_n_and_p_go_to_the_next_and_the_previous_event(browser: Page, page_file: Path) -> None:
+    """An event is, for example, that a robot corrects its estimated accuracy in a step."""
+    open_paused_at_start(browser, page_file)
     first, second, *_ = browser.evaluate("[...new Set(view.history.events.map(({ tick }) => tick))]")
-    ticks = []
+    shown_steps = []
     for key in ("n", "n", "p"):
         browser.keyboard.press(key)
-        ticks.append(browser.evaluate("view.player.tick"))
+        shown_steps.append(browser.evaluate("view.player.tick"))
+
+    assert shown_steps == [first, second, first]
+
+
+def test_the_button_for_later_events_goes_to_the_next_event(browser: Page, page_file: Path) -> None:
+    open_paused_at_start(browser, page_file)
+    step_of_first_event = browser.evaluate("view.history.events[0].tick")
     browser.locator("#later").click()
-    ticks.append(browser.evaluate("view.player.tick"))
-
-    assert ticks == [first, second, first, second]
+    assert browser.evaluate("view.player.tick") == step_of_first_event
 
 
-def test_a_click_on_an_event_leads_to_its_time_and_robot(browser: Page, file: Path) -> None:
-    open_file_paused(browser, file)
+def test_a_click_in_the_list_of_events_goes_to_the_event_s_step_and_selects_its_robot(
+    browser: Page, page_file: Path
+) -> None:
+    """Robots correct their accuracies every 50 steps, so the events of a swarm are in such steps."""
+    open_paused_at_start(browser, page_file)
     browser.evaluate("view.player.seek(300)")
     until(browser, "document.querySelectorAll('#events button').length > 0")
     browser.locator("#events button").last.click()
 
     assert browser.evaluate("view.followedRobot !== null")
-    assert browser.evaluate("view.player.tick") % SETTINGS.filter_period == 0
+    assert browser.evaluate("view.player.tick") % STEPS_PER_FILTER == 0
 
 
-def test_the_address_has_step_and_robot(browser: Page, file: Path) -> None:
-    open_file_paused(browser, file)
+def test_the_address_in_the_browser_holds_the_shown_step_and_the_selected_robot(
+    browser: Page, page_file: Path
+) -> None:
+    open_paused_at_start(browser, page_file)
     browser.evaluate("view.player.seek(120)")
     browser.evaluate("view.followRobot(5)")
     until(browser, "location.hash === '#step=120&robot=5'")
 
 
-def test_an_address_leads_to_its_step_and_robot(browser: Page, file: Path) -> None:
-    open_file(browser, file, "#step=120&robot=5")
+def test_a_page_opened_at_step_120_and_robot_5_shows_them_and_is_paused(
+    browser: Page, page_file: Path
+) -> None:
+    open_file(browser, page_file, "#step=120&robot=5")
     until(browser, "view.player.tick === 120 && view.followedRobot === 5")
-    assert not browser.evaluate("view.player.isPlaying")
     until(browser, "document.getElementById('time').value === '120'")
+    assert not browser.evaluate("view.player.isPlaying")
+
+
+def test_each_chart_has_a_vertical_line_at_the_shown_step(browser: Page, page_file: Path) -> None:
+    """The line is within a pixel of where the chart draws values of step 120."""
+    open_file(browser, page_file, "#step=120")
     until(browser, "view.charts.drawnStateCount === view.history.stateCount")
-    lines_are_right = """view.charts.views.every(({ plot }) => {
-        const { m41 } = new DOMMatrix(getComputedStyle(plot.over.querySelector(".now")).transform);
-        return Math.abs(m41 - plot.valToPos(120, "x")) < 1;
+    is_each_line_at_step_120 = """view.charts.views.every(({ plot }) => {
+        const line = plot.over.querySelector(".now");
+        const pixelsFromLeft = new DOMMatrix(getComputedStyle(line).transform).m41;
+        return Math.abs(pixelsFromLeft - plot.valToPos(120, "x")) < 1;
     })"""
-    until(browser, lines_are_right)
+    until(browser, is_each_line_at_step_120)
 
 
 # --- Faults and deaths --------------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
-def file_with_faults(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The page of a run of robots 3 and 8 with two faults, in which robot 8 is dead from tick 4 to 6."""
+def page_with_faults(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The web page of robots 3 and 8, which run ten steps with two faults.
+
+    The fill ratio is 0.5, and so are all values, but that x of robot 3 is 0.75 in step 5. Robot 8 is dead from
+    step 4 to 6. Frames are lost all the time, and a robot lies from step 2 to 8.
+    """
     states = [State(tick, np.full((4, 2), 0.5), np.eye(2) > 1, None) for tick in range(11)]
     for state in states[4:7]:
         state.values[:3, 1] = np.nan
@@ -321,37 +320,55 @@ def file_with_faults(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return file
 
 
-def test_faults_stand_in_the_header(browser: Page, file_with_faults: Path) -> None:
-    open_file(browser, file_with_faults)
-    assert browser.locator("#faults").inner_text() == "loss=0.2; liar=1.0"
+def test_the_header_lists_the_faults_of_a_swarm(browser: Page, page_with_faults: Path) -> None:
+    open_file(browser, page_with_faults)
+    assert text_of(browser, "faults") == "loss=0.2; liar=1.0"
 
 
-def test_dead_robots_are_in_no_figure(browser: Page, file_with_faults: Path) -> None:
-    open_file(browser, file_with_faults, "#step=5")
-    figures = [browser.locator(f"#{name}").inner_text() for name in ("mean-x", "spread", "wrong")]
-    assert figures == ["0.750", "0.000", "0 of 1"]
+def test_the_figures_at_a_step_leave_out_a_robot_that_is_dead(browser: Page, page_with_faults: Path) -> None:
+    """In step 5 one of two robots is dead, and the other estimates 0.75 of a floor that is half black."""
+    open_file(browser, page_with_faults, "#step=5")
+    assert text_of(browser, "mean-x") == "0.750"
+    assert text_of(browser, "mean-error") == "0.250"
+    assert text_of(browser, "spread") == "0.000"
+    assert text_of(browser, "wrong") == "0 of 1"
 
 
-def test_faults_deaths_and_returns_are_events(browser: Page, file_with_faults: Path) -> None:
-    open_file(browser, file_with_faults)
+def test_the_first_chart_draws_the_mean_error_in_each_step(browser: Page, page_with_faults: Path) -> None:
+    """In step 5 the only living robot estimates 0.75 of a floor that is half black; all else is right."""
+    open_file(browser, page_with_faults)
+    steps, mean_errors = browser.evaluate(
+        "view.charts.views[0].plot.data.slice(0, 2).map((series) => [...series])"
+    )
+    assert steps == [0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10]
+    assert mean_errors == pytest.approx([0, 0, 0, 0, 0, 0.25, 0, 0, 0, 0, 0], abs=1e-4)
+
+
+def test_faults_deaths_and_returns_of_robots_are_events(browser: Page, page_with_faults: Path) -> None:
+    open_file(browser, page_with_faults)
     events = browser.evaluate("view.history.events.map(({ tick, text }) => `${tick} ${text}`)")
     assert events == ["1 fault: loss=0.2", "2 fault: liar=1.0", "4 dead", "7 back", "9 fault over: liar=1.0"]
 
 
-def test_events_are_marked_on_the_time_line(browser: Page, file_with_faults: Path) -> None:
-    open_file(browser, file_with_faults, "#step=5")
+def test_events_are_marked_on_the_time_line(browser: Page, page_with_faults: Path) -> None:
+    """They are in the steps 1, 2, 4, 7 and 9 of ten, and each mark is two pixels wide."""
+    open_file(browser, page_with_faults, "#step=5")
     width = browser.evaluate("document.getElementById('marks').width")
     row = f"document.getElementById('marks').getContext('2d').getImageData(0, 0, {width}, 1).data"
     opacities = browser.evaluate(f"[...{row}].filter((_, index) => index % 4 === 3)")
-    first_pixels = np.flatnonzero(opacities)[::2]  # each mark is two pixels wide
+    marked_pixels = np.flatnonzero(opacities)
+    left_pixels = marked_pixels[::2]
 
-    assert first_pixels / (width - 2) == pytest.approx([0.1, 0.2, 0.4, 0.7, 0.9], abs=0.01)
-
-
-# --- A run as it goes ---------------------------------------------------------------------------------
+    assert left_pixels / (width - 2) == pytest.approx([0.1, 0.2, 0.4, 0.7, 0.9], abs=0.01)
 
 
-def test_the_page_follows_a_run(browser: Page, history: History) -> None:
+# --- A swarm as it runs -------------------------------------------------------------------------------
+
+
+def test_an_open_page_shows_steps_that_a_running_swarm_takes_meanwhile(
+    browser: Page, history: History
+) -> None:
+    """The page is opened after 50 of 300 steps."""
     update = history.states_since()
     live = History(update.description)
     with serve_page(live) as url:
@@ -361,35 +378,34 @@ def test_the_page_follows_a_run(browser: Page, history: History) -> None:
         until(browser, f"{IS_DRAWN} && view.history.stateCount === 50")
         for state in update.states[50:]:
             live.add(state)
-        until(browser, f"view.history.stateCount === {len(update.states)} && view.player.tick > 250")
+        until(browser, "view.history.stateCount === 300 && view.player.tick > 250")
 
 
-def test_the_page_says_when_a_run_has_ended(browser: Page) -> None:
+def test_an_open_page_reports_that_a_swarm_has_ended_without_any_data(browser: Page) -> None:
     live = History(RunDescription("one robot", [0]))
     with serve_page(live) as url:
         browser.goto(url)
         live.has_ended = True
-        until(browser, "document.getElementById('state').textContent === 'the run has ended'")
-        assert browser.locator("#waiting").inner_text() == "the run has ended without any data"
+        wait_for_text(browser, "state", "the run has ended")
+        assert text_of(browser, "waiting") == "the run has ended without any data"
 
 
-def test_a_run_that_has_just_ended_is_shown_at_its_end(browser: Page, history: History) -> None:
+def test_a_swarm_that_has_just_ended_is_shown_at_its_last_step(browser: Page, history: History) -> None:
+    """So the user does not have to watch it from the start; the button offers to play it."""
     update = history.states_since()
-    live = History(update.description)
-    for state in update.states:
-        live.add(state)
+    live = History(update.description, update.states)
     live.has_ended = True
     with serve_page(live) as url:
         browser.goto(url)
-        until(browser, "document.getElementById('clock').textContent.startsWith('step 300 of 300')")
-        assert browser.locator("#play").inner_text() == "▶ play"
+        wait_for_text(browser, "clock", "step 300 of 300")
+        assert text_of(browser, "play") == "▶ play"
 
 
-def test_the_page_of_a_bus_waits_for_it(browser: Page) -> None:
+def test_the_page_of_a_silent_bus_waits_until_a_robot_sends(browser: Page) -> None:
     live = History(RunDescription("a bus", []))
     with serve_page(live) as url:
         browser.goto(url)
-        until(browser, "document.getElementById('waiting').textContent.startsWith('waiting for the bus')")
+        wait_for_text(browser, "waiting", "waiting for the bus")
         live.add_robot(5)
         live.add(State(1, np.full((4, 1), 0.5), np.eye(1) > 1, None))
         until(browser, "view.history.stateCount === 1 && document.getElementById('waiting').hidden")
@@ -397,7 +413,10 @@ def test_the_page_of_a_bus_waits_for_it(browser: Page) -> None:
 
 @pytest.fixture
 def bus_browser(browser: Page) -> Iterator[Page]:
-    """The page of a bus: robot 5 has sent values, robot 9 comes later, and both are in the table."""
+    """The web page of a bus at 10 s: robot 9 sent two frames at 0 s, and robot 5 at 9 s.
+
+    The page was opened when only robot 5 had sent values.
+    """
     live = History(RunDescription("a bus", [5]))
     live.add(State(1, np.full((4, 1), 0.5), np.eye(1) > 1, None))
     roster = Roster()
@@ -413,12 +432,14 @@ def bus_browser(browser: Page) -> Iterator[Page]:
         yield browser
 
 
-def test_a_robot_that_joins_has_no_values_before(bus_browser: Page) -> None:
+def test_a_robot_that_joins_a_bus_has_no_values_before(bus_browser: Page) -> None:
+    """Its values of earlier states are unknown, which is NaN in the scripts of the web page."""
     until(bus_browser, "view.history.robotCount === 2 && view.history.stateCount === 1")
     assert bus_browser.evaluate("Number.isNaN(view.history.value('x', 1, 0))")
 
 
-def test_the_table_has_a_row_for_each_robot(bus_browser: Page) -> None:
+def test_the_table_of_robots_has_a_row_for_each_robot_of_a_bus(bus_browser: Page) -> None:
+    """Columns: id, seconds since its last frame, health, mode, frames a second, loss, and four that are empty."""
     rows = [" ".join(row.split()) for row in bus_browser.locator("#roster tbody tr").all_inner_texts()]
     assert rows == [
         "5 1.0 s warning operational 1.0/s 0.0 % 0 – – – 0",  # noqa: RUF001
@@ -426,23 +447,34 @@ def test_the_table_has_a_row_for_each_robot(bus_browser: Page) -> None:
     ]
 
 
-def test_the_row_of_a_silent_robot_is_grey(bus_browser: Page) -> None:
+def test_the_table_of_robots_has_a_robot_in_grey_that_was_silent_for_ten_seconds(bus_browser: Page) -> None:
+    """Robot 9 sent its last frame ten seconds ago, and robot 5 one second ago."""
     assert bus_browser.locator("#roster tr.silent button").all_inner_texts() == ["9"]
 
 
-def test_the_button_of_a_row_follows_its_robot(bus_browser: Page) -> None:
+def test_the_button_in_a_row_of_the_table_selects_its_robot(bus_browser: Page) -> None:
+    """The last of the two rows is that of robot 9."""
     until(bus_browser, "view.history.robotCount === 2")
     bus_browser.locator("#roster button").last.press("Enter")
     assert bus_browser.evaluate("view.history.description.robots[view.followedRobot]") == 9
 
 
-def test_frames_are_listed_with_the_latest_first(bus_browser: Page) -> None:
-    lines = bus_browser.evaluate(FRAME_LINES).splitlines()
-    assert lines[0].strip() == "9.000 s  5  heartbeat 4: warning, operational, up 60 s"
-    assert [line.split()[:3] for line in lines] == [["9.000", "s", "5"]] * 2 + [["0.000", "s", "9"]] * 2
+def listed_frames(browser: Page) -> list[str]:
+    """Return the lines of the list of frames, without the spaces around them."""
+    text = browser.evaluate("document.getElementById('frames').textContent")
+    return [line.strip() for line in text.splitlines()]
 
 
-def test_the_filter_shows_frames_that_have_all_its_words(bus_browser: Page) -> None:
+def test_the_list_of_frames_begins_with_the_latest(bus_browser: Page) -> None:
+    """Robot 5 sent an estimate and then a heartbeat at 9 s, and robot 9 did so at 0 s."""
+    assert listed_frames(bus_browser) == [
+        "9.000 s  5  heartbeat 4: warning, operational, up 60 s",
+        "9.000 s  5  estimate 3: x_hat 0.0000, alpha 0",
+        "0.000 s  9  heartbeat 4: warning, operational, up 60 s",
+        "0.000 s  9  estimate 3: x_hat 0.0000, alpha 0",
+    ]
+
+
+def test_words_typed_as_a_filter_leave_the_frames_that_have_all_of_them(bus_browser: Page) -> None:
     bus_browser.locator("#filter").fill("9 heartbeat")
-    line = bus_browser.evaluate(FRAME_LINES)
-    assert line.strip() == "0.000 s  9  heartbeat 4: warning, operational, up 60 s"
+    assert listed_frames(bus_browser) == ["0.000 s  9  heartbeat 4: warning, operational, up 60 s"]
