@@ -1,4 +1,4 @@
-"""The web page of a swarm in a real browser: it shows a history, has controls, and follows a swarm as it runs."""
+"""The web page of a swarm in a real browser: it shows a history, has controls, and follows a running swarm."""
 
 from __future__ import annotations
 
@@ -306,8 +306,8 @@ def test_each_chart_has_a_vertical_line_at_the_shown_step(browser: Page, page_fi
 def page_with_faults(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The web page of robots 3 and 8, which run ten steps with two faults.
 
-    The fill ratio is 0.5, and so are all values, but that x of robot 3 is 0.75 in step 5. Robot 8 is dead from
-    step 4 to 6. Frames are lost all the time, and a robot lies from step 2 to 8.
+    The fill ratio is 0.5, and so are all values, but that x of robot 3 is 0.75 in step 5. Robot 8 is dead in
+    the steps 4 to 6. Frames are lost all the time, and a robot lies from step 2 to 8.
     """
     states = [State(tick, np.full((4, 2), 0.5), np.eye(2) > 1, None) for tick in range(11)]
     for state in states[4:7]:
@@ -439,7 +439,7 @@ def test_a_robot_that_joins_a_bus_has_no_values_before(bus_browser: Page) -> Non
 
 
 def test_the_table_of_robots_has_a_row_for_each_robot_of_a_bus(bus_browser: Page) -> None:
-    """Columns: id, seconds since its last frame, health, mode, frames a second, loss, and four that are empty."""
+    """Id, time since its last frame, health, mode, frames a second, loss, jumps, x, b_hat, updates, conflicts."""
     rows = [" ".join(row.split()) for row in bus_browser.locator("#roster tbody tr").all_inner_texts()]
     assert rows == [
         "5 1.0 s warning operational 1.0/s 0.0 % 0 – – – 0",  # noqa: RUF001

@@ -22,7 +22,7 @@ from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.view import bus_recorder
 from mcp_asdf_tools.view.bus_recorder import BusRecorder
 from mcp_asdf_tools.view.frame_log_history import FrameLogHistory, read_frame_history
-from mcp_asdf_tools.view.history import MAX_STATES
+from mcp_asdf_tools.view.history import MAX_STATES, History
 
 NAN = np.nan
 HALF_ESTIMATE = Estimate(7, x_hat=1 << 22, alpha=1, transfer_id=0)
@@ -30,6 +30,7 @@ HALF_ESTIMATE = Estimate(7, x_hat=1 << 22, alpha=1, transfer_id=0)
 
 
 def encode(content: Estimate | Telemetry) -> can.Message:
+    """Return the frame in which a robot broadcasts an estimate or telemetry."""
     if isinstance(content, Estimate):
         return encode_estimate(content, FrameFormat())
     return encode_telemetry(content)
@@ -57,12 +58,15 @@ class ScriptedBus:
 
 @pytest.fixture
 def bus(monkeypatch: pytest.MonkeyPatch) -> ScriptedBus:
-    """A bus with robots 7 and 3, of which a history has a state every 1/8 s; frames come between."""
+    """A bus with robots 7 and 3, of which a history has a state every 1/8 s; frames come between.
+
+    Robot 7 sends x = b_hat = 0.5 at 0 s and x_hat = 0.25 at 0.1875 s; robot 3 sends x = b_hat = 0.25 at 0.3125 s.
+    """
     bus = ScriptedBus(
         {
-            0.0: encode(Telemetry(7, 1 << 22, 1 << 23, 0, 0)),  # x = 0.5, b_hat = 0.5
-            0.1875: encode(Estimate(7, 1 << 21, 1, 0)),  # x_hat = 0.25
-            0.3125: encode(Telemetry(3, 1 << 21, 1 << 22, 0, 0)),  # x = 0.25, b_hat = 0.25
+            0.0: encode(Telemetry(7, 1 << 22, 1 << 23, 0, 0)),
+            0.1875: encode(Estimate(7, 1 << 21, 1, 0)),
+            0.3125: encode(Telemetry(3, 1 << 21, 1 << 22, 0, 0)),
         }
     )
     monkeypatch.setattr(time, "monotonic", lambda: 1000 + bus.now)
@@ -78,45 +82,66 @@ def record(bus: Any, seconds: float) -> BusRecorder:
 
 
 def test_robots_of_a_bus_are_in_the_order_of_their_first_values(bus: ScriptedBus) -> None:
-    assert record(bus, 0.5).history.description.robots == [7, 3]
+    """Robot 7 is the first to send, and robot 3 the second."""
+    assert record(bus, seconds=0.5).history.description.robots == [7, 3]
 
 
-def test_states_of_a_bus_have_what_its_robots_sent_before(bus: ScriptedBus) -> None:
-    """Each row is a state, and each column one of two robots; NAN is what the robot has not sent so far."""
-    states = record(bus, 0.5).history.states_since().states
-    x, x_hat, b_hat, b = np.stack([state.values for state in states], axis=1)
+def test_the_last_state_of_a_bus_has_the_latest_values_that_each_robot_sent(bus: ScriptedBus) -> None:
+    """Robot 7 has sent x = b_hat = 0.5 and x_hat = 0.25, and robot 3 has sent x = b_hat = 0.25, but no x_hat.
 
-    assert [state.tick for state in states] == [0, 1, 2, 3]
-    assert np.array_equal(x, [[0.5, NAN], [0.5, NAN], [0.5, NAN], [0.5, 0.25]], equal_nan=True)
-    assert np.array_equal(x_hat, [[NAN, NAN], [NAN, NAN], [0.25, NAN], [0.25, NAN]], equal_nan=True)
-    assert np.array_equal(b_hat, [[0.5, NAN], [0.5, NAN], [0.5, NAN], [0.5, 0.25]], equal_nan=True)
-    assert np.array_equal(b, [[0.9, NAN], [0.9, NAN], [0.9, NAN], [0.9, 0.9]], equal_nan=True)
+    The true accuracy is 0.9. A value that no frame has had is unknown, NAN.
+    """
+    last_state = record(bus, seconds=0.5).history.states_since().states[-1]
+    x, x_hat, b_hat, true_accuracy = last_state.values
 
-
-def test_each_robot_that_joins_a_bus_makes_open_pages_load_all_states_again(bus: ScriptedBus) -> None:
-    """A page that has followed the bus loads all states again when the generation changes."""
-    assert record(bus, 0.5).history.generation == 2
+    assert x.tolist() == [0.5, 0.25]
+    assert np.array_equal(x_hat, [0.25, NAN], equal_nan=True)
+    assert b_hat.tolist() == [0.5, 0.25]
+    assert true_accuracy.tolist() == [0.9, 0.9]
 
 
-def test_a_recorder_knows_whether_there_was_telemetry(bus: ScriptedBus) -> None:
-    assert record(bus, 0.5).has_telemetry
+def test_a_robot_has_no_values_in_states_before_its_first_frame_on_the_bus(bus: ScriptedBus) -> None:
+    """There is a state every 1/8 s. Robot 3 sends at 0.3125 s, so it has x = 0.25 in the last of four states."""
+    states = record(bus, seconds=0.5).history.states_since().states
+    x_of_robot_3 = []
+    for state in states:
+        x_of_robot_7_and_3, _x_hat, _b_hat, _true_accuracy = state.values
+        x_of_robot_3.append(x_of_robot_7_and_3[1])
+
+    assert np.array_equal(x_of_robot_3, [NAN, NAN, NAN, 0.25], equal_nan=True)
 
 
-def test_a_bus_has_a_report_on_its_robots(bus: ScriptedBus) -> None:
-    report = record(bus, 0.5).history.report
+def test_each_of_two_robots_that_join_a_bus_makes_open_pages_load_all_states_again(bus: ScriptedBus) -> None:
+    """A web page that shows the bus loads all states again when the history's generation changes."""
+    assert record(bus, seconds=0.5).history.generation == 2
+
+
+def test_a_recorder_of_a_bus_knows_that_a_robot_sent_telemetry(bus: ScriptedBus) -> None:
+    assert record(bus, seconds=0.5).has_telemetry
+
+
+def test_the_report_on_a_bus_has_a_row_for_each_robot_once_a_second(bus: ScriptedBus) -> None:
+    """It is made at 0 s, when robot 7 has just been seen, and not again before 1 s."""
+    report = record(bus, seconds=0.5).history.report
     assert report is not None
-    assert [(row["robot"], row["seen"]) for row in report["robots"]] == [(7, 0.0)]
+    (row,) = report["robots"]
+    assert (row["robot"], row["seen"]) == (7, 0.0)
 
 
-def test_robots_that_fall_silent_lose_their_values(bus: ScriptedBus) -> None:
-    """After 3 s without a frame; only the true accuracy of their sensors, 0.9, is still known."""
-    history = record(bus, 4.5).history
-    x, x_hat, b_hat, true_accuracy = history.states_since().states[-1].values
+def test_robots_that_were_silent_for_3_s_have_no_values_but_their_true_accuracy(bus: ScriptedBus) -> None:
+    """The last frame of the bus came at 0.3125 s. The accuracy, 0.9, is known from the command line."""
+    last_state = record(bus, seconds=4.5).history.states_since().states[-1]
+    x, x_hat, b_hat, true_accuracy = last_state.values
 
     assert np.isnan([x, x_hat, b_hat]).all()
-    assert (true_accuracy == 0.9).all()
-    assert history.report is not None
-    assert [row["silent"] for row in history.report["robots"]] == [True, True]
+    assert true_accuracy.tolist() == [0.9, 0.9]
+
+
+def test_the_report_on_a_bus_marks_robots_that_were_silent_for_3_s(bus: ScriptedBus) -> None:
+    """The last frame of the bus came at 0.3125 s."""
+    report = record(bus, seconds=4.5).history.report
+    assert report is not None
+    assert [row["silent"] for row in report["robots"]] == [True, True]
 
 
 # --- A log without events -----------------------------------------------------------------------------
@@ -131,61 +156,78 @@ def write_log(path: Path, frames: dict[float, can.Message], comment: str = "") -
 
 @pytest.fixture
 def frame_history(tmp_path: Path) -> FrameLogHistory:
-    """The history of a log of 3.5 s: robot 7 comes first and falls silent, robot 3 sends telemetry."""
+    """The history of a log of 3.5 s: robot 7 sends x_hat = 0.25 at the start, and then nothing more.
+
+    Robot 3 sends telemetry: x = b_hat = 0.25 after 0.25 s, and x = b_hat = 0.5 after 3.5 s.
+    """
     frames = {
-        1000.0: encode(Estimate(7, 1 << 21, 1, 0)),  # x_hat = 0.25
-        1000.25: encode(Telemetry(3, 1 << 21, 1 << 22, 0, 0)),  # x = 0.25, b_hat = 0.25
-        1003.5: encode(Telemetry(3, 1 << 22, 1 << 23, 0, 1)),  # x = 0.5, b_hat = 0.5
+        1000.0: encode(Estimate(7, 1 << 21, 1, 0)),
+        1000.25: encode(Telemetry(3, 1 << 21, 1 << 22, 0, 0)),
+        1003.5: encode(Telemetry(3, 1 << 22, 1 << 23, 0, 1)),
     }
     log = write_log(tmp_path / "real.log", frames, comment="# of Tuesday\n")
     return read_frame_history(log, FrameFormat(), fill_ratio=0.4, true_accuracy=0.9)
 
 
-def test_the_description_of_a_log_has_its_name_and_robots(frame_history: FrameLogHistory) -> None:
+def values_in(history: History, tick: int) -> tuple[list[float], list[float]]:
+    """Return x, x_hat, b_hat and true accuracy of the two robots in one state."""
+    first_robot, second_robot = history.states_since().states[tick].values.T.tolist()
+    return first_robot, second_robot
+
+
+def test_the_description_of_a_log_has_its_file_name_and_robots(frame_history: FrameLogHistory) -> None:
+    """Robot 7 is the first to send, and the user has given the fill ratio, 0.4."""
     description = frame_history.history.description
     assert description.title == "real.log"
     assert description.robots == [7, 3]
     assert description.fill_ratio == 0.4
 
 
-def test_a_log_has_ten_states_a_second(frame_history: FrameLogHistory) -> None:
-    ticks = [state.tick for state in frame_history.history.states_since().states]
-    assert ticks == [*range(37)]
+def test_a_log_of_frames_is_shown_with_ten_states_a_second(frame_history: FrameLogHistory) -> None:
+    """The log is 3.5 s long, and one state follows its last frame."""
+    states = frame_history.history.states_since().states
+    assert [state.tick for state in states] == list(range(37))
 
 
-@pytest.mark.parametrize(
-    ("tick", "column", "values"),
-    [
-        (1, 0, [NAN, 0.25, NAN, 0.9]),
-        (1, 1, [NAN, NAN, NAN, 0.9]),
-        (4, 1, [0.25, NAN, 0.25, 0.9]),
-        (36, 0, [NAN, NAN, NAN, 0.9]),
-        (36, 1, [0.5, NAN, 0.5, 0.9]),
-    ],
-    ids=["estimate", "not yet a frame", "telemetry", "silent", "second telemetry"],
-)
-def test_states_of_a_log_have_what_its_robots_sent_before(
-    frame_history: FrameLogHistory, tick: int, column: int, values: list[float]
-) -> None:
-    """The values of a robot are its x, x_hat, b_hat and b; NAN is what it has not sent, or not for long."""
-    state = frame_history.history.states_since().states[tick]
-    values_of_robot = state.values[:, column]
-    assert np.array_equal(values_of_robot, values, equal_nan=True)
+def test_a_robot_that_has_sent_an_estimate_has_its_x_hat_alone(frame_history: FrameLogHistory) -> None:
+    """Robot 7 sends x_hat = 0.25 at the start; robot 3 has sent nothing in the first tenth of a second.
+
+    Values are x, x_hat, b_hat and the true accuracy, which the user has given. NAN is what no frame has had.
+    """
+    robot_7, robot_3 = values_in(frame_history.history, tick=1)
+    assert np.array_equal(robot_7, [NAN, 0.25, NAN, 0.9], equal_nan=True)
+    assert np.array_equal(robot_3, [NAN, NAN, NAN, 0.9], equal_nan=True)
 
 
-def test_a_log_has_a_report_and_has_ended(frame_history: FrameLogHistory) -> None:
+def test_a_robot_has_the_values_of_its_last_telemetry(frame_history: FrameLogHistory) -> None:
+    """Robot 3 sends x = b_hat = 0.25 after 0.25 s, and 0.5 after 3.5 s; values are x, x_hat, b_hat and accuracy."""
+    _, robot_3_after_first = values_in(frame_history.history, tick=4)
+    _, robot_3_after_second = values_in(frame_history.history, tick=36)
+    assert np.array_equal(robot_3_after_first, [0.25, NAN, 0.25, 0.9], equal_nan=True)
+    assert np.array_equal(robot_3_after_second, [0.5, NAN, 0.5, 0.9], equal_nan=True)
+
+
+def test_a_robot_of_a_log_that_was_silent_for_3_s_has_no_values(frame_history: FrameLogHistory) -> None:
+    """Robot 7 sent its only estimate 3.6 s before; the true accuracy, 0.9, is known without frames."""
+    robot_7, _ = values_in(frame_history.history, tick=36)
+    assert np.array_equal(robot_7, [NAN, NAN, NAN, 0.9], equal_nan=True)
+
+
+def test_a_log_of_frames_has_ended_and_has_a_report_on_its_robots(frame_history: FrameLogHistory) -> None:
     assert frame_history.history.report is not None
     assert frame_history.history.has_ended
 
 
-def test_a_log_without_events_tells_of_telemetry_and_of_lines_that_were_left_out(
+def test_a_reader_of_a_log_knows_of_telemetry_and_of_lines_that_hold_no_frame(
     frame_history: FrameLogHistory,
 ) -> None:
+    """The log begins with a comment, "# of Tuesday"; two robots' frames follow, some of telemetry."""
     assert frame_history.has_telemetry
     assert frame_history.summary.skipped_lines == 1
 
 
-def test_a_log_of_months_has_a_limited_number_of_states(tmp_path: Path) -> None:
+def test_a_log_of_eight_months_is_shown_with_a_limited_number_of_states(tmp_path: Path) -> None:
+    """With ten states a second there would be 200 million of them."""
     frame = encode(HALF_ESTIMATE)
     log = write_log(tmp_path / "real.log", {0.0: frame, 2e7: frame})
     history = read_frame_history(log, FrameFormat()).history
@@ -201,7 +243,10 @@ def test_a_log_of_months_has_a_limited_number_of_states(tmp_path: Path) -> None:
     ],
     ids=["no robot", "no times", "no frame"],
 )
-def test_a_log_that_cannot_be_shown_is_refused(text: str, reason: str, tmp_path: Path) -> None:
+def test_a_log_without_robots_without_times_or_without_frames_is_refused_with_the_reason(
+    text: str, reason: str, tmp_path: Path
+) -> None:
+    """For example "(1.0) can0 123#00", a frame of no robot: "has no estimate and no telemetry of a robot"."""
     log = tmp_path / "real.log"
     log.write_text(text)
     with pytest.raises(UsageError, match=reason):
