@@ -60,7 +60,8 @@ class ScriptedBus:
 def bus(monkeypatch: pytest.MonkeyPatch) -> ScriptedBus:
     """A bus with robots 7 and 3, of which a history has a state every 1/8 s; frames come between.
 
-    Robot 7 sends x = b_hat = 0.5 at 0 s and x_hat = 0.25 at 0.1875 s; robot 3 sends x = b_hat = 0.25 at 0.3125 s.
+    Robot 7 sends x = b_hat = 0.5 at 0 s and x_hat = 0.25 at 0.1875 s; robot 3 sends x = b_hat = 0.25 at
+    0.3125 s.
     """
     bus = ScriptedBus(
         {
@@ -101,7 +102,10 @@ def test_the_last_state_of_a_bus_has_the_latest_values_that_each_robot_sent(bus:
 
 
 def test_a_robot_has_no_values_in_states_before_its_first_frame_on_the_bus(bus: ScriptedBus) -> None:
-    """There is a state every 1/8 s. Robot 3 sends at 0.3125 s, so it has x = 0.25 in the last of four states."""
+    """There is a state every 1/8 s.
+
+    Robot 3 sends at 0.3125 s, so it has x = 0.25 in the last of four states.
+    """
     states = record(bus, seconds=0.5).history.states_since().states
     x_of_robot_3 = []
     for state in states:
@@ -200,7 +204,10 @@ def test_a_robot_that_has_sent_an_estimate_has_its_x_hat_alone(frame_history: Fr
 
 
 def test_a_robot_has_the_values_of_its_last_telemetry(frame_history: FrameLogHistory) -> None:
-    """Robot 3 sends x = b_hat = 0.25 after 0.25 s, and 0.5 after 3.5 s; values are x, x_hat, b_hat and accuracy."""
+    """Robot 3 sends x = b_hat = 0.25 after 0.25 s, and 0.5 after 3.5 s.
+
+    Values are x, x_hat, b_hat and accuracy.
+    """
     _, robot_3_after_first = values_in(frame_history.history, tick=4)
     _, robot_3_after_second = values_in(frame_history.history, tick=36)
     assert np.array_equal(robot_3_after_first, [0.25, NAN, 0.25, 0.9], equal_nan=True)

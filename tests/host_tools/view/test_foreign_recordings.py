@@ -80,7 +80,10 @@ def remove_optional_settings_of_robots(header: Header) -> None:
 
 
 def test_a_log_whose_robots_lack_optional_settings_is_replayed_with_defaults(log: Path) -> None:
-    """The settings are periods, memory and firmware. A replay with other settings would not come out equal."""
+    """The settings are periods, memory and firmware.
+
+    A replay with other settings would not come out equal.
+    """
     change_header(log, remove_optional_settings_of_robots)
     assert main(["replay", str(log)]) == 0
 
@@ -131,7 +134,10 @@ def test_a_log_that_names_a_file_as_its_graph_is_refused_and_the_file_is_not_ope
 def test_a_log_whose_first_line_has_an_impossible_entry_is_refused_with_the_entry(
     change: Callable[[Header], object], message: str, log: Path
 ) -> None:
-    """For example, the number of robots is set to 8 where 20 are listed: "it is of 8 robots, but lists 20"."""
+    """For example, the number of robots is set to 8 where 20 are listed:
+
+    "it is of 8 robots, but lists 20".
+    """
     change_header(log, change)
     with pytest.raises(UsageError, match=message):
         recompute_swarm_history(log)
