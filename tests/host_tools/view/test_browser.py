@@ -439,7 +439,7 @@ def test_a_robot_that_joins_a_bus_has_no_values_before(bus_browser: Page) -> Non
 
 
 def test_the_table_of_robots_has_a_row_for_each_robot_of_a_bus(bus_browser: Page) -> None:
-    """A row shows id, time since the last frame, health, mode, frames a second, loss and five further values."""
+    """A row has id, time since the last frame, health, mode, frames a second, loss and five other values."""
     rows = [" ".join(row.split()) for row in bus_browser.locator("#roster tbody tr").all_inner_texts()]
     assert rows == [
         "5 1.0 s warning operational 1.0/s 0.0 % 0 – – – 0",  # noqa: RUF001

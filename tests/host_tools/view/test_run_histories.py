@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from authors_files import FIXED, write_trial
 from mcp_asdf_tools.cli.main import main
@@ -76,13 +77,24 @@ def states_of(history: History) -> list[State]:
     return history.states_since().states
 
 
-def check_equal_states(actual: list[State], expected: list[State]) -> None:
-    """Check that states have equal ticks, values, neighbours and positions."""
-    assert [state.tick for state in actual] == [state.tick for state in expected]
-    for actual_state, expected_state in zip(actual, expected, strict=True):
-        assert np.array_equal(actual_state.values, expected_state.values, equal_nan=True)
-        assert np.array_equal(actual_state.neighbours, expected_state.neighbours)
-        assert np.array_equal(actual_state.positions, expected_state.positions)  # type: ignore[arg-type]
+def ticks_of(history: History) -> list[int]:
+    return [state.tick for state in states_of(history)]
+
+
+def is_equal(first: State, second: State) -> bool:
+    """Return whether two states have equal ticks, values, neighbours and positions."""
+    return (
+        first.tick == second.tick
+        and np.array_equal(first.values, second.values, equal_nan=True)
+        and np.array_equal(first.neighbours, second.neighbours)
+        and np.array_equal(first.positions, second.positions)  # type: ignore[arg-type]
+    )
+
+
+def differing_ticks(actual: list[State], expected: list[State]) -> list[int]:
+    """Return the ticks of states that differ from those expected; fails if there are not as many."""
+    pairs = zip(actual, expected, strict=True)
+    return [expected_state.tick for state, expected_state in pairs if not is_equal(state, expected_state)]
 
 
 class Recordings(NamedTuple):
@@ -99,6 +111,7 @@ SLOW_WORLDS = [name for name in WORLDS if name not in QUICK_WORLDS]
 
 @pytest.fixture(scope="module", params=[*QUICK_WORLDS, *slow(SLOW_WORLDS)])
 def recordings(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Recordings:
+    """One run of 110 steps of seven robots, in three forms."""
     world = WORLDS[request.param]
     log = write_log(tmp_path_factory.mktemp("log") / "run.log", **world)
     return Recordings(record_swarm(**world), log, run_experiment(**world))
@@ -107,49 +120,67 @@ def recordings(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPath
 # --- Equal states -------------------------------------------------------------------------------------
 
 
+def test_the_history_of_a_running_swarm_has_a_state_after_each_of_its_110_steps(
+    recordings: Recordings,
+) -> None:
+    assert ticks_of(recordings.live) == list(range(1, 111))
+
+
 def test_a_log_is_shown_with_the_same_states_as_the_running_swarm(recordings: Recordings) -> None:
-    logged = states_of(recompute_swarm_history(recordings.log))
-    assert [state.tick for state in logged] == [*range(111)]
-    check_equal_states(states_of(recordings.live), logged[1:])
+    """The log has a state before the first step as well; the running swarm has one after each step."""
+    initial_state, *logged_states = states_of(recompute_swarm_history(recordings.log))
+    assert initial_state.tick == 0
+    assert differing_ticks(logged_states, states_of(recordings.live)) == []
 
 
 def test_a_simulated_trial_is_shown_with_the_same_states_as_the_running_swarm(recordings: Recordings) -> None:
-    trial_states = states_of(recompute_trial_history(recordings.trials, trial=0))
-    assert [state.tick for state in trial_states] == [*range(111)]
-    check_equal_states(states_of(recordings.live), trial_states[1:])
+    """The trial has a state before the first step as well; the running swarm has one after each step."""
+    initial_state, *trial_states = states_of(recompute_trial_history(recordings.trials, trial=0))
+    assert initial_state.tick == 0
+    assert differing_ticks(trial_states, states_of(recordings.live)) == []
 
 
-def test_log_and_trial_are_described_on_the_page_as_the_running_swarm_is(recordings: Recordings) -> None:
+def test_a_log_and_a_trial_have_the_same_title_and_parameters_as_the_running_swarm(
+    recordings: Recordings,
+) -> None:
+    """Title and parameters are compared in JSON, as the web page of the swarm gets them."""
     live = encode_description(recordings.live.description)
     logged = encode_description(recompute_swarm_history(recordings.log).description)
     trial = encode_description(recompute_trial_history(recordings.trials, trial=0).description)
     assert live == logged == trial
 
 
-def test_a_recording_has_ended_and_a_running_swarm_has_not(recordings: Recordings) -> None:
-    assert recompute_swarm_history(recordings.log).has_ended
-    assert recompute_trial_history(recordings.trials, trial=0).has_ended
-    assert not recordings.live.has_ended
-
-
-def test_a_long_recording_has_every_fourth_state(
-    recordings: Recordings, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """So its page stays small: of 111 states at most 28 are kept here."""
-    every_state = states_of(recompute_swarm_history(recordings.log))
-    monkeypatch.setattr(history_module, "MAX_STATES", 28)
-    check_equal_states(states_of(recompute_swarm_history(recordings.log)), every_state[::4])
-    check_equal_states(states_of(recompute_trial_history(recordings.trials, trial=0)), every_state[::4])
-
-
-def test_estimates_and_accuracies_of_the_compared_swarm_change_by_more_than_a_tenth() -> None:
-    """Without changes in x and b_hat, equal states would be no evidence."""
-    x, _, b_hat, _ = np.stack(
-        [state.values for state in states_of(record_swarm(**WORLDS["dynamic"]))], axis=1
-    )
+def test_robots_estimates_and_accuracies_change_by_more_than_a_tenth_in_the_compared_swarm() -> None:
+    """Without changes in x and b_hat, equal states of log, trial and swarm would be no evidence."""
+    states = states_of(record_swarm(**WORLDS["dynamic"]))
+    x, _x_hat, b_hat, _true_accuracy = np.stack([state.values for state in states], axis=1)
 
     assert np.ptp(x, axis=0).max() > 0.1
     assert np.ptp(b_hat, axis=0).max() > 0.1
+
+
+def test_a_simulated_trial_has_ended() -> None:
+    assert recompute_trial_history(run_experiment(), trial=0).has_ended
+
+
+def test_a_long_trial_is_shown_with_every_fourth_state(monkeypatch: pytest.MonkeyPatch) -> None:
+    """So its web page stays small: of 111 states, at most 28 are kept here. The real limit is 10,000."""
+    trials = run_experiment()
+    every_state = states_of(recompute_trial_history(trials, trial=0))
+    monkeypatch.setattr(history_module, "MAX_STATES", 28)
+    kept_states = states_of(recompute_trial_history(trials, trial=0))
+
+    assert differing_ticks(kept_states, every_state[::4]) == []
+
+
+def test_links_between_more_robots_than_fit_a_bus_are_pairs_of_receiver_and_sender() -> None:
+    """A bus has ids for 128 robots. A trial may have more, here 140 that move for 40 steps."""
+    experiment = Experiment(topology="dynamic", robots=140, steps=40, trials=1)
+    last_state = states_of(recompute_trial_history(run_trials(experiment, 0, 1), trial=0))[-1]
+    is_received_from = Arena(experiment).record(experiment.steps).adjacency[-1]
+
+    assert last_state.neighbours.tolist() == np.argwhere(is_received_from).tolist()
+    assert len(last_state.neighbours) > 0
 
 
 # --- Descriptions -------------------------------------------------------------------------------------
@@ -166,29 +197,38 @@ def test_estimates_and_accuracies_of_the_compared_swarm_change_by_more_than_a_te
         ),
     ],
 )
-def test_the_title_has_the_main_parameters(parameters: dict[str, Any], title: str) -> None:
+def test_the_title_of_a_swarm_has_robots_filter_topology_and_seed(
+    parameters: dict[str, Any], title: str
+) -> None:
+    """For example: "7 robots, 4 flawed, no filter, fully connected, seed 3"."""
     settings = SwarmSettings(**PARAMETERS | parameters)
     assert SwarmRecorder(settings).history.description.title == title
 
 
-def test_the_title_of_a_later_trial_has_its_number() -> None:
+def test_the_title_of_a_trial_but_the_first_ends_with_its_number() -> None:
     history = recompute_trial_history(run_experiment(), trial=1)
     assert history.description.title.endswith(", seed 3, trial 1")
 
 
-def test_the_chart_shows_the_errors_of_the_same_run_without_a_filter() -> None:
-    """The chart shows them beside the errors of the run, whose fill ratio is 0.55."""
-    description = record_swarm(topology="dynamic", steps=60).description
-    unfiltered = record_swarm(topology="dynamic", steps=60, filter="none")
-    x = np.stack([state.values[0] for state in states_of(unfiltered)])
-    expected = np.round(abs(x - 0.55).mean(axis=1), 5)
+def test_the_chart_of_errors_also_has_the_errors_of_the_same_swarm_without_a_filter() -> None:
+    """An error is the distance of a robot's estimate x from the fill ratio, 0.55; the chart has their means.
 
-    assert description.unfiltered_errors[1:] == expected.tolist()
+    A recorder of a running swarm has no state before the first step, so the first point is not compared.
+    """
+    _first_error, *errors_in_chart = record_swarm(steps=60).description.unfiltered_errors
+    states_without_filter = states_of(record_swarm(steps=60, filter="none"))
+    mean_errors = []
+    for state in states_without_filter:
+        x, _x_hat, _b_hat, _true_accuracy = state.values
+        mean_errors.append(abs(x - 0.55).mean())
+
+    assert errors_in_chart == np.round(mean_errors, 5).tolist()
 
 
 def test_the_line_of_errors_without_a_filter_has_a_limited_number_of_points(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    """The limit is four points here, for a swarm of 60 steps."""
     monkeypatch.setattr(run_description, "_MAX_ERROR_POINTS", 4)
     assert len(record_swarm(steps=60).description.unfiltered_errors) == 4
 
@@ -198,43 +238,70 @@ def test_the_line_of_errors_without_a_filter_has_a_limited_number_of_points(
     [{"filter": "none"}, {"faults": ("loss=0.1",)}, {"allow": "0-6"}, {"latency": 1}],
     ids=["no filter", "faults", "allow", "latency"],
 )
-def test_the_chart_shows_no_errors_without_a_filter_where_they_would_be_no_fair_comparison(
+def test_the_chart_lacks_errors_without_a_filter_where_they_would_be_no_fair_comparison(
     parameters: dict[str, Any],
 ) -> None:
+    """They are simulated without faults, latency and acceptance lists, so a swarm with these differs."""
     settings = SwarmSettings(**PARAMETERS | parameters)
     assert len(SwarmRecorder(settings).history.description.unfiltered_errors) == 0
 
 
-def test_a_swarm_of_a_billion_steps_is_not_run_a_second_time_for_its_chart() -> None:
+def test_a_swarm_of_a_billion_steps_is_not_run_a_second_time_without_a_filter_for_its_chart() -> None:
     recorder = SwarmRecorder(SwarmSettings(steps=10**9))
     assert len(recorder.history.description.unfiltered_errors) == 0
 
 
+def centre_of_pixel(floor: NDArray[np.bool_], row: int, column: int, settings: SwarmSettings) -> Any:
+    """Return x and y of a pixel's centre in metres:
+
+    (0, 0) is the middle of the floor, and y grows upwards.
+    """
+    rows, columns = floor.shape
+    width, height = settings.sides
+    x = ((column + 0.5) / columns - 0.5) * width
+    y = (0.5 - (row + 0.5) / rows) * height
+    return x, y
+
+
 @pytest.mark.parametrize(
-    ("parameters", "shape"),
+    "parameters",
     [
-        ({"floor": "tiles", "width": 1.0, "height": 0.5}, (50, 100)),
-        ({"floor": "tiles", "width": 1.0, "height": 0.5, "tile": 0.0005}, (800, 800)),
-        ({"floor": "code"}, None),
+        {"floor": "tiles", "width": 1.0, "height": 0.5},
+        {"floor": "tiles", "width": 1.0, "height": 0.5, "tile": 0.0005},
+        {"floor": "code"},
     ],
     ids=["a pixel for each tile", "more tiles than pixels", "code"],
 )
-def test_a_pixel_of_the_floor_is_the_tile_that_robots_observe_there(
-    parameters: dict[str, Any], shape: tuple[int, int] | None
+def test_a_pixel_of_the_drawn_floor_is_black_where_a_robot_would_observe_black(
+    parameters: dict[str, Any],
 ) -> None:
     settings = SwarmSettings(robots=3, topology="dynamic", steps=1, **parameters)
     floor = SwarmRecorder(settings).history.description.floor
     assert floor is not None
-    assert shape is None or floor.shape == shape
     arena = Arena(settings, 0)
-    rows, columns = floor.shape
-    width, height = settings.sides
-    some_pixels = ((0, 0), (0, columns - 1), (rows - 1, 0), (17, 31))
-    for row, column in some_pixels:
-        # The centre of the pixel in metres: (0, 0) is the middle of the floor, and y grows upwards.
-        x = ((column + 0.5) / columns - 0.5) * width
-        y = (0.5 - (row + 0.5) / rows) * height
+    last_row, last_column = floor.shape[0] - 1, floor.shape[1] - 1
+
+    for row, column in ((0, 0), (0, last_column), (last_row, 0), (17, 31)):
+        x, y = centre_of_pixel(floor, row, column, settings)
         assert floor[row, column] == arena.is_black(x, y)
+
+
+@pytest.mark.parametrize(("side_of_tile", "shape"), [(0.01, (50, 100)), (0.0005, (800, 800))])
+def test_the_drawn_floor_has_a_pixel_for_each_tile_but_no_more_than_800_a_side(
+    side_of_tile: float, shape: tuple[int, int]
+) -> None:
+    """The floor is half a metre high and one metre wide; tiles are squares of one centimetre or half a mm."""
+    arena: dict[str, Any] = {
+        "topology": "dynamic",
+        "floor": "tiles",
+        "width": 1.0,
+        "height": 0.5,
+        "tile": side_of_tile,
+    }
+    settings = SwarmSettings(robots=3, steps=1, **arena)
+    floor = SwarmRecorder(settings).history.description.floor
+    assert floor is not None
+    assert floor.shape == shape
 
 
 # --- Faults -------------------------------------------------------------------------------------------
@@ -243,68 +310,105 @@ CRASH = "crash=1.0,from=20,to=21,robots=2,ticks=15"
 
 
 @pytest.fixture(scope="module")
-def crash_histories(tmp_path_factory: pytest.TempPathFactory) -> tuple[History, History]:
-    """Histories of a swarm whose robot 2 is dead for 15 ticks: as it went, and from the log."""
-    log = write_log(tmp_path_factory.mktemp("crash") / "run.log", fault=CRASH)
-    return record_swarm(faults=(CRASH,)), recompute_swarm_history(log)
+def crash_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The log of a swarm of 110 steps whose robot 2 crashes in step 21 and is dead for 15 steps."""
+    return write_log(tmp_path_factory.mktemp("crash") / "run.log", fault=CRASH)
 
 
-def test_a_dead_robot_has_no_values(crash_histories: tuple[History, History]) -> None:
-    _, logged = crash_histories
-    ticks_without_values = [state.tick for state in states_of(logged) if np.isnan(state.values[:3, 2]).all()]
-    assert ticks_without_values == [*range(21, 36)]
+def test_a_robot_has_no_estimates_in_the_15_steps_in_which_it_is_dead(crash_log: Path) -> None:
+    """Robot 2 crashes in step 21 of the log. Only the true accuracy of its sensor remains known."""
+    steps_without_estimates = []
+    for state in states_of(recompute_swarm_history(crash_log)):
+        x, x_hat, b_hat, _true_accuracy = state.values
+        if np.isnan([x[2], x_hat[2], b_hat[2]]).all():
+            steps_without_estimates.append(state.tick)
+
+    assert steps_without_estimates == list(range(21, 21 + 15))
 
 
-def test_robots_that_live_have_values(crash_histories: tuple[History, History]) -> None:
-    _, logged = crash_histories
+def test_robots_that_live_have_all_values_while_another_one_is_dead(crash_log: Path) -> None:
+    """Of seven robots, only robot 2 crashes."""
     living_robots = [0, 1, 3, 4, 5, 6]
-    assert all(np.isfinite(state.values[:, living_robots]).all() for state in states_of(logged))
+    for state in states_of(recompute_swarm_history(crash_log)):
+        assert np.isfinite(state.values[:, living_robots]).all(), state.tick
 
 
-def test_a_log_with_a_crash_has_the_states_that_the_swarm_had(
-    crash_histories: tuple[History, History],
+def test_a_log_with_a_crash_is_shown_with_the_states_that_the_running_swarm_had(crash_log: Path) -> None:
+    running_swarm = record_swarm(faults=(CRASH,))
+    _initial_state, *logged_states = states_of(recompute_swarm_history(crash_log))
+    assert differing_ticks(logged_states, states_of(running_swarm)) == []
+
+
+def test_a_log_and_a_running_swarm_have_a_fault_with_its_first_and_last_step(crash_log: Path) -> None:
+    """A fault is shown as its text, the step from which it may occur, and the step in which it ends."""
+    logged, live = recompute_swarm_history(crash_log), record_swarm(faults=(CRASH,))
+    assert list(logged.description.faults) == [("crash=1.0,from=20,to=21,robots=2,ticks=15", 20, 21)]
+    assert list(live.description.faults) == list(logged.description.faults)
+
+
+def test_the_history_of_a_log_has_ended_and_that_of_a_running_swarm_has_not(crash_log: Path) -> None:
+    assert recompute_swarm_history(crash_log).has_ended
+    assert not record_swarm(steps=10).has_ended
+
+
+def test_a_long_log_is_shown_with_every_fourth_state(
+    crash_log: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    live, logged = crash_histories
-    check_equal_states(states_of(live), states_of(logged)[1:])
+    """So its web page stays small: of 111 states, at most 28 are kept here. The real limit is 10,000."""
+    every_state = states_of(recompute_swarm_history(crash_log))
+    monkeypatch.setattr(history_module, "MAX_STATES", 28)
+    kept_states = states_of(recompute_swarm_history(crash_log))
+
+    assert differing_ticks(kept_states, every_state[::4]) == []
 
 
-def test_the_description_names_faults_with_their_time(crash_histories: tuple[History, History]) -> None:
-    for history in crash_histories:
-        assert list(history.description.faults) == [(CRASH, 20, 21)]
+# --- A swarm as it runs -------------------------------------------------------------------------------
 
 
-# --- A swarm as it goes -------------------------------------------------------------------------------
+class FakeClock:
+    """A clock that only moves when somebody sleeps, or when a test adds the time of some work."""
+
+    def __init__(self) -> None:
+        self.now = 50.0
+        self.sleeps: list[float] = []
+
+    def sleep(self, seconds: float) -> None:
+        self.sleeps.append(seconds)
+        self.now += seconds
 
 
-def test_a_swarm_that_is_viewed_is_slowed_to_its_pace(monkeypatch: pytest.MonkeyPatch) -> None:
-    """At 100 steps a second each step has 10 ms. A slow step of 50 ms is not made up for."""
-    now = [50.0]
-    slept = list[float]()
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> FakeClock:
+    """A clock in place of the one by which a recorder waits."""
+    clock = FakeClock()
+    monkeypatch.setattr(time, "monotonic", lambda: clock.now)
+    monkeypatch.setattr(time, "sleep", clock.sleep)
+    return clock
 
-    def sleep(seconds: float) -> None:
-        slept.append(seconds)
-        now[0] += seconds
 
-    monkeypatch.setattr(time, "monotonic", lambda: now[0])
-    monkeypatch.setattr(time, "sleep", sleep)
+def test_a_swarm_of_100_steps_a_second_sleeps_in_each_step_until_10_ms_have_passed(clock: FakeClock) -> None:
+    """The steps take 2 ms, no time and 50 ms. The 40 ms too many are not made up for by later steps."""
     recorder = SwarmRecorder(SwarmSettings(**PARAMETERS | {"steps": 20_000}), pace=100)
     swarm_between_states: Any = SimpleNamespace(ticks=1)
     for seconds_of_work in (0.002, 0.0, 0.05, 0.0):
         recorder(swarm_between_states)
-        now[0] += seconds_of_work
-    assert slept == pytest.approx([0.0, 0.008, 0.01, 0.0])
+        clock.now += seconds_of_work
+
+    assert clock.sleeps == pytest.approx([0.0, 0.008, 0.01, 0.0])
 
 
 @pytest.mark.parametrize("pace", [-1, float("nan")])
-def test_a_pace_below_zero_is_refused(pace: float) -> None:
-    with pytest.raises(UsageError, match=r"--pace is (-1|nan); give steps a second"):
+def test_a_pace_that_is_negative_or_no_number_is_refused(pace: float) -> None:
+    """The pace is the number of steps a second at which a viewed swarm runs."""
+    with pytest.raises(UsageError, match=f"--pace is {pace}; give steps a second"):
         SwarmRecorder(SwarmSettings(**PARAMETERS), pace)
 
 
 # --- Results that do not fit --------------------------------------------------------------------------
 
 
-def test_results_that_do_not_come_out_again_are_refused() -> None:
+def test_a_trial_whose_simulation_has_other_errors_than_the_results_is_not_shown() -> None:
+    """Results hold no states, so the trial is simulated again. Its errors must be equal to the last bit."""
     trials = run_experiment()
     changed = replace(trials, errors=trials.errors + 1e-9)
     with pytest.raises(UsageError, match="trial 1 does not come out again"):
@@ -316,7 +420,7 @@ def test_a_trial_that_is_not_among_the_results_is_refused() -> None:
         recompute_trial_history(run_experiment(), trial=2)
 
 
-def test_a_trial_of_a_billion_steps_is_refused() -> None:
+def test_a_trial_of_a_billion_steps_is_not_simulated_again_to_be_shown() -> None:
     trials = run_experiment(robots=2, steps=10, filter="none")
     long_trials = replace(trials, experiment=replace(trials.experiment, steps=10**9))
     with pytest.raises(UsageError, match=r"too long to be run again, .* at most 100000000 steps"):
@@ -333,49 +437,62 @@ def trials_of_the_authors(tmp_path: Path) -> Trials:
     return trials
 
 
-def test_a_trial_of_another_program_has_the_states_that_are_recorded(trials_of_the_authors: Trials) -> None:
-    """The values of a state are x, x_hat, b_hat and the true accuracy b, each of all robots.
-
-    The first three were recorded every 20 steps; the last follows from the experiment.
-    """
-    states = states_of(recorded_trial_history(trials_of_the_authors, trial=2))
-    assert [state.tick for state in states] == [0, 20, 40, 60]
-    for index, name in enumerate(("x", "x_hat", "b_hat")):
-        recorded_values = trials_of_the_authors.records[name][0]
-        assert np.array_equal([state.values[index] for state in states], recorded_values)
-
-    *_, true_accuracies = states[0].values
-    assert (true_accuracies == FIXED.true_accuracy).all()
+@pytest.fixture
+def authors_history(trials_of_the_authors: Trials) -> History:
+    """The history of the authors' trial, whose number is 2."""
+    return recorded_trial_history(trials_of_the_authors, trial=2)
 
 
-def test_a_trial_of_another_program_has_neither_places_nor_neighbours(trials_of_the_authors: Trials) -> None:
-    history = recorded_trial_history(trials_of_the_authors, trial=2)
-    assert history.description.sides is None
-    assert all(state.positions is None and not state.neighbours.any() for state in states_of(history))
+def test_a_trial_of_the_paper_s_authors_has_a_state_for_each_recorded_step(authors_history: History) -> None:
+    """Every 20th of its 60 steps is recorded."""
+    assert ticks_of(authors_history) == [0, 20, 40, 60]
 
 
-def test_a_trial_of_another_program_is_named_by_it(trials_of_the_authors: Trials) -> None:
-    title = recorded_trial_history(trials_of_the_authors, trial=2).description.title
+def test_a_state_of_the_authors_trial_has_the_recorded_values_of_all_robots(
+    trials_of_the_authors: Trials, authors_history: History
+) -> None:
+    """The file has x, x_hat and b_hat of each robot; the true accuracy is a parameter of the experiment."""
+    records = trials_of_the_authors.records
+    last_state = states_of(authors_history)[-1]
+    x, x_hat, b_hat, true_accuracy = last_state.values
+
+    assert np.array_equal(x, records["x"][0, -1])
+    assert np.array_equal(x_hat, records["x_hat"][0, -1])
+    assert np.array_equal(b_hat, records["b_hat"][0, -1])
+    assert (true_accuracy == FIXED.true_accuracy).all()
+
+
+def test_a_trial_of_the_paper_s_authors_has_neither_positions_nor_links(authors_history: History) -> None:
+    """Their files do not record where robots are, nor which of them receive each other."""
+    assert authors_history.description.sides is None
+    for state in states_of(authors_history):
+        assert state.positions is None
+        assert not state.neighbours.any()
+
+
+def test_the_title_of_the_authors_trial_names_their_program(authors_history: History) -> None:
+    title = authors_history.description.title
     assert title.startswith("5 robots, 2 flawed, ")
     assert title.endswith(", trial 2 of NESTLab/sensor-degradation-filter")
 
 
-def test_a_long_trial_of_another_program_has_some_of_its_states(
+def test_a_long_trial_of_the_paper_s_authors_is_shown_with_every_second_recorded_state(
     trials_of_the_authors: Trials, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """The states 0, 20, 40 and 60 are recorded, and at most two are shown here. The real limit is 10,000."""
     monkeypatch.setattr(history_module, "MAX_STATES", 2)
-    states = states_of(recorded_trial_history(trials_of_the_authors, trial=2))
-    assert [state.tick for state in states] == [0, 40]
+    assert ticks_of(recorded_trial_history(trials_of_the_authors, trial=2)) == [0, 40]
 
 
-def test_a_trial_of_another_program_without_records_is_refused(trials_of_the_authors: Trials) -> None:
+def test_a_trial_of_the_paper_s_authors_that_was_converted_without_records_cannot_be_shown(
+    trials_of_the_authors: Trials,
+) -> None:
     unrecorded = replace(trials_of_the_authors, records={}, sampling_interval=0)
-    with pytest.raises(
-        UsageError, match=r"nothing is recorded .* run mcp-asdf convert again, without --record 0"
-    ):
+    message = r"nothing is recorded .* run mcp-asdf convert again, without --record 0"
+    with pytest.raises(UsageError, match=message):
         recorded_trial_history(unrecorded, trial=2)
 
 
-def test_a_trial_that_another_program_has_not_run_is_refused(trials_of_the_authors: Trials) -> None:
+def test_a_trial_that_is_not_among_those_of_the_authors_is_refused(trials_of_the_authors: Trials) -> None:
     with pytest.raises(UsageError, match="there is no trial 0; choose one of 2 to 2"):
         recorded_trial_history(trials_of_the_authors, trial=0)
