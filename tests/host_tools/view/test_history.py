@@ -23,63 +23,90 @@ def history() -> History:
     return history
 
 
-def test_a_reader_gets_the_states_that_it_does_not_have(history: History) -> None:
+def test_a_reader_that_has_two_of_three_states_gets_the_third(history: History) -> None:
+    """The states are those after 0, 1 and 2 steps."""
     update = history.states_since(generation=0, index=2)
     assert [state.tick for state in update.states] == [2]
 
 
-def test_a_reader_of_all_states_gets_none(history: History) -> None:
+def test_a_reader_that_has_all_three_states_gets_none(history: History) -> None:
     assert history.states_since(generation=0, index=3).states == []
 
 
-def test_a_reader_that_missed_the_joining_of_a_robot_gets_all_states(history: History) -> None:
-    """It names another generation, a number that goes up when a robot joins or states are thinned out."""
+def test_a_reader_of_another_generation_gets_all_three_states_again(history: History) -> None:
+    """The generation is a number that goes up when a robot joins or when states are thinned out."""
     assert len(history.states_since(generation=7, index=3).states) == 3
 
 
-def test_a_robot_that_joins_has_no_values_and_no_links_before(history: History) -> None:
+def test_a_robot_that_joins_has_unknown_values_in_earlier_states(history: History) -> None:
+    history.add_robot(7)
+    last_state = history.states_since().states[-1]
+    _robot_0, _robot_1, robot_7 = last_state.values.T
+
+    assert history.description.robots == [0, 1, 7]
+    assert np.isnan(robot_7).all()
+
+
+def test_a_robot_that_joins_has_no_links_in_earlier_states(history: History) -> None:
+    """Robots 0 and 1 receive from each other (and are marked as receiving from themselves)."""
     history.add_robot(7)
     last_state = history.states_since().states[-1]
 
-    assert history.description.robots == [0, 1, 7]
-    assert np.isnan(last_state.values[:, 2]).all()
-    assert last_state.neighbours.tolist() == [[True, True, False], [True, True, False], [False] * 3]
+    assert last_state.neighbours.tolist() == [
+        [True, True, False],
+        [True, True, False],
+        [False, False, False],
+    ]
 
 
 def test_a_robot_that_joins_begins_a_new_generation_of_states(history: History) -> None:
+    """The generation begins at 0. A reader that has another one reads all states again."""
     history.add_robot(7)
     assert history.states_since(generation=0, index=3).generation == 1
 
 
-def test_a_run_without_an_end_keeps_at_most_a_hundred_states(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Every second one is left out whenever there are more; the real limit is larger."""
+def test_a_swarm_without_an_end_keeps_at_most_a_hundred_states(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The limit is set to 100 here. At 101 states, every second one is left out."""
     monkeypatch.setattr(history_module, "MAX_STATES", 100)
     history = History(RunDescription("endless", [0, 1]))
-    largest_count = 0
+    counts = []
     for tick in range(1000):
         history.add(make_state(tick))
-        largest_count = max(largest_count, len(history.states_since().states))
+        counts.append(len(history.states_since().states))
 
-    assert largest_count == 100
+    assert max(counts) == 100
+
+
+def test_states_that_are_thinned_out_four_times_are_those_of_every_16th_step(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Of 1000 states at most 100 are kept, so every second one is left out four times."""
+    monkeypatch.setattr(history_module, "MAX_STATES", 100)
+    history = History(RunDescription("endless", [0, 1]))
+    for tick in range(1000):
+        history.add(make_state(tick))
+
+    assert history.generation == 4
     assert [state.tick for state in history.states_since().states] == list(range(0, 1000, 16))
-    assert history.generation == 4, "its states were thinned out four times"
 
 
 @pytest.mark.parametrize(
     ("steps", "robots", "spacing"),
     [
+        (1, 128, 1),
         (10_000, 20, 1),
         (40_000, 20, 4),
         (20_000, 60, 19),
-        (1, 128, 1),
         (10**6, 128, 4099),
         (10**9, 1, 100_000),
         (10_000, 2000, 80),
     ],
 )
-def test_the_spacing_of_states_keeps_a_page_small(steps: int, robots: int, spacing: int) -> None:
-    """``spacing`` is the number of steps from one state that a page keeps to the next.
+def test_a_web_page_keeps_fewer_states_of_a_swarm_with_more_steps_and_robots(
+    steps: int, robots: int, spacing: int
+) -> None:
+    """``spacing`` is the number of steps from one kept state to the next.
 
-    It is 1 where all states together are small enough, and grows with the steps and robots of a run.
+    Of 10,000 steps of 20 robots each is kept, for example, and of 40,000 steps every fourth.
     """
     assert steps_between_states(steps, robots) == spacing

@@ -1,4 +1,4 @@
-"""The page of a history as its scripts read it, and in a notebook."""
+"""The web page of a history: the bytes that its scripts decode, and how a notebook shows it."""
 
 from __future__ import annotations
 
@@ -25,8 +25,18 @@ def decompress(text: str) -> bytes:
     return zlib.decompress(base64.b64decode(text))
 
 
-def decode_data(block: dict[str, Any]) -> bytes:
+def data_of(states: list[State], robots: int, **fields: Any) -> bytes:
+    """Return the bytes that the web page holds of states; ``fields`` are those of their description."""
+    block = encode_states(states, RunDescription("a run", list(range(robots)), **fields))
     return decompress(block["data"])
+
+
+BYTES_PER_TICK, BYTES_PER_VALUE = 4, 2
+
+
+def first_values(data: bytes, count: int, states: int = 1) -> list[int]:
+    """Return the first 16-bit values in the bytes of states, which stand behind the ticks of all states."""
+    return np.frombuffer(data, "<u2", count, offset=states * BYTES_PER_TICK).tolist()
 
 
 def make_state(tick: int, values: Any, neighbours: Any = None, positions: Any = None) -> State:
@@ -42,7 +52,8 @@ def make_state(tick: int, values: Any, neighbours: Any = None, positions: Any = 
 # --- Descriptions and states as JSON ------------------------------------------------------------------
 
 
-def test_a_description_has_the_names_of_its_attributes() -> None:
+def test_a_description_becomes_a_json_object_with_the_names_of_its_attributes() -> None:
+    """The scripts of the web page read it; "quantities" are the values that each state has of a robot."""
     description = RunDescription("a run", [3, 8], flawed=range(1), fill_ratio=0.5, unfiltered_errors=[0.1])
     assert encode_description(description) == {
         "title": "a run",
@@ -61,69 +72,79 @@ def test_a_description_has_the_names_of_its_attributes() -> None:
     }
 
 
-def test_each_row_of_the_floor_begins_at_a_byte() -> None:
+def test_a_floor_is_encoded_as_a_bit_for_each_pixel_and_each_row_begins_at_a_byte() -> None:
+    """Two rows of nine pixels take two bytes each, and 1 is black."""
     floor = np.array([[1, 0, 0, 0, 0, 0, 0, 0, 1], [0, 1, 0, 0, 0, 0, 0, 0, 0]], np.bool_)
     encoded = encode_description(RunDescription("a run", [0], floor=floor))["floor"]
     assert (encoded["rows"], encoded["columns"]) == (2, 9)
     assert decompress(encoded["bits"]) == bytes([0b10000000, 0b10000000, 0b01000000, 0])
 
 
-def test_the_data_of_states_begin_with_their_ticks() -> None:
+def test_the_bytes_of_states_begin_with_their_numbers_of_steps() -> None:
+    """Each number has four bytes, the lowest first: 300 = 44 + 1 * 256."""
+    data = data_of([make_state(5, [0]), make_state(300, [0])], robots=1)
+    assert data.startswith(bytes([5, 0, 0, 0]) + bytes([44, 1, 0, 0]))
+
+
+def test_states_are_encoded_with_their_number() -> None:
     block = encode_states([make_state(5, [0]), make_state(300, [0])], RunDescription("a run", [0]))
     assert block["count"] == 2
-    two_ticks = decode_data(block)[: 2 * 4]  # four bytes each, the lowest first
-    assert two_ticks == bytes([5, 0, 0, 0]) + bytes([300 - 256, 1, 0, 0])
 
 
-def test_values_are_differences_along_each_robots_series() -> None:
-    """They compress better. Robot 0 has x = 0.5, 1, 1 and robot 1 has 0, 0, 0.25, where 1 is 65534."""
+def test_each_robot_s_values_are_encoded_as_differences_to_the_state_before() -> None:
+    """Differences compress better. Robot 0 has x = 0.5, 1, 1 and robot 1 has 0, 0, 0.25, where 1 is 65534."""
     states = [make_state(0, [0.5, 0]), make_state(1, [1, 0]), make_state(2, [1, 0.25])]
-    data = decode_data(encode_states(states, RunDescription("a run", [0, 1])))
+    data = data_of(states, robots=2)
 
-    bytes_of_ticks = 3 * 4
-    series_of_x = np.frombuffer(data, "<u2", count=3 * 2, offset=bytes_of_ticks)
-    assert series_of_x.tolist() == [32767, 32767, 0, 0, 0, 16384]
-
-
-def test_a_value_that_is_unknown_is_65535() -> None:
-    data = decode_data(encode_states([make_state(0, [np.nan])], RunDescription("a run", [0])))
-    assert np.frombuffer(data, "<u2", count=1, offset=4).tolist() == [65535]
+    differences_of_robot_0 = [32767, 32767, 0]
+    differences_of_robot_1 = [0, 0, 16384]
+    assert first_values(data, count=6, states=3) == differences_of_robot_0 + differences_of_robot_1
 
 
-def test_values_are_limited_to_0_and_1() -> None:
-    data = decode_data(encode_states([make_state(0, [-0.1, 1.1])], RunDescription("a run", [0, 1])))
-    assert np.frombuffer(data, "<u2", count=2, offset=4).tolist() == [0, 65534]
+def test_an_unknown_value_is_encoded_as_65535() -> None:
+    data = data_of([make_state(0, [np.nan])], robots=1)
+    assert first_values(data, count=1) == [65535]
 
 
-def test_positions_are_shares_of_the_sides_after_the_quantities() -> None:
-    """A robot at the east end of an arena of 4 m x 2 m, half a metre south of the middle."""
+def test_values_below_0_and_above_1_are_encoded_as_0_and_1() -> None:
+    """A value of 1 is encoded as 65534."""
+    data = data_of([make_state(0, [-0.1, 1.1])], robots=2)
+    assert first_values(data, count=2) == [0, 65534]
+
+
+def test_a_position_is_encoded_as_shares_of_the_arena_s_width_and_height() -> None:
+    """A robot is at the east end of an arena of 4 m x 2 m, half a metre south of the middle.
+
+    So it has all of the width, which is encoded as 65534, and a quarter of the height.
+    """
     state = make_state(0, [0], positions=np.array([[2.0, -0.5]]))
-    description = RunDescription("a run", [0], sides=(4.0, 2.0))
-    data = decode_data(encode_states([state], description))
-    assert np.frombuffer(data, "<u2", count=2, offset=4 + 4 * 2).tolist() == [65534, 16384]
+    data = data_of([state], robots=1, sides=(4.0, 2.0))
+
+    _x, _x_hat, _b_hat, _true_accuracy, share_of_width, share_of_height = first_values(data, count=6)
+    assert (share_of_width, share_of_height) == (65534, 16384)
 
 
-def test_links_are_a_bit_for_each_pair_of_robots() -> None:
-    """Robot 0 receives from 1, and 2 from 0: bits 1 and 6, and each state begins at a byte."""
+def test_links_are_encoded_as_a_bit_for_each_pair_of_robots() -> None:
+    """Robot 0 receives from 1, which is bit 1, and robot 2 from 0, bit 6.
+
+    Nine bits of a state take two bytes.
+    """
     neighbours = [[False, True, False], [False, False, False], [True, False, False]]
-    states = [make_state(tick, [0, 0, 0], neighbours) for tick in (0, 1)]
-    data = decode_data(encode_states(states, RunDescription("a run", [0, 1, 2])))
-    assert data[-4:] == bytes([0b01000010, 0, 0b01000010, 0])
+    data = data_of([make_state(tick, [0, 0, 0], neighbours) for tick in (0, 1)], robots=3)
+
+    bytes_of_a_state = bytes([0b01000010, 0])
+    assert data.endswith(bytes_of_a_state + bytes_of_a_state)
 
 
-def test_links_of_more_than_128_robots_are_pairs() -> None:
-    """A state with two links, receiver and sender of each, and one with a single link."""
-    robots = list(range(129))
-    states = [make_state(0, [0] * 129, [[0, 1], [128, 5]]), make_state(1, [0] * 129, [[7, 0]])]
-    data = decode_data(encode_states(states, RunDescription("a run", robots)))
+def test_links_between_more_than_128_robots_are_encoded_as_pairs_of_receiver_and_sender() -> None:
+    """The last bytes are the numbers of links in the two states, and the ids of all receivers and senders."""
+    two_links, one_link = [[0, 1], [128, 5]], [[7, 0]]
+    states = [make_state(0, [0] * 129, two_links), make_state(1, [0] * 129, one_link)]
+    data = data_of(states, robots=129)
 
-    # At the end stand the number of links of each state, of 4 bytes, and then all ids, of 2 bytes each.
-    bytes_of_ids = 2 * 6
-    bytes_of_counts = 4 * 2
-    counts = np.frombuffer(data[-bytes_of_counts - bytes_of_ids : -bytes_of_ids], "<u4")
-    ids = np.frombuffer(data[-bytes_of_ids:], "<u2")
-    assert counts.tolist() == [2, 1]
-    assert ids.tolist() == [0, 1, 128, 5, 7, 0]
+    counts = np.array([2, 1], "<u4").tobytes()
+    ids = np.array([0, 1, 128, 5, 7, 0], "<u2").tobytes()
+    assert data.endswith(counts + ids)
 
 
 # --- The page -----------------------------------------------------------------------------------------
@@ -141,49 +162,56 @@ def read_content(text: str) -> Any:
     return json.loads(content)
 
 
-def test_an_exported_page_holds_the_history(exported_page: str) -> None:
+def test_an_exported_page_holds_the_history_even_if_its_title_has_an_end_tag(exported_page: str) -> None:
+    """The title contains "</script>", which would end the script element that holds the history."""
     content = read_content(exported_page)
     assert content["description"]["title"] == "a </script> run"
     assert content["block"]["count"] == 1
 
 
-def test_a_page_that_is_served_holds_no_history() -> None:
+def test_a_served_page_holds_no_history() -> None:
+    """It gets the states as events from the server."""
     assert read_content(make_page()) is None
 
 
-def test_a_page_has_no_placeholder_left(exported_page: str) -> None:
+def test_no_placeholder_of_the_template_is_left_in_an_exported_page(exported_page: str) -> None:
+    """Placeholders are words such as __STYLE__, in place of which scripts and styles are put."""
     assert re.findall("__[A-Z_]+__", exported_page) == []
 
 
-def test_a_page_has_the_licence_of_the_library_in_it(exported_page: str) -> None:
+def test_an_exported_page_contains_the_licence_of_its_chart_library(exported_page: str) -> None:
     assert "Permission is hereby granted" in exported_page
 
 
 # --- In a notebook ------------------------------------------------------------------------------------
 
-MOVING = Experiment(topology="dynamic", robots=4, steps=50, filter_period=20, trials=2, density=0.5)
+EXPERIMENT = Experiment(topology="dynamic", robots=4, steps=50, filter_period=20, trials=2, density=0.5)
 
 
-def test_a_notebook_shows_the_page_in_a_frame() -> None:
-    shown = show(MOVING, trial=1)
-    assert shown._repr_html_().startswith("<iframe srcdoc=")
-    assert html.escape(shown.page) in shown._repr_html_()
+def test_a_notebook_shows_a_trial_as_a_web_page_in_a_frame() -> None:
+    """A notebook displays the HTML that the method ``_repr_html_`` of a cell's last value returns."""
+    shown = show(EXPERIMENT, trial=1)
+    displayed_html = shown._repr_html_()
+    assert displayed_html.startswith("<iframe srcdoc=")
+    assert html.escape(shown.page) in displayed_html
 
 
-def test_a_page_of_a_notebook_can_be_saved(tmp_path: Path) -> None:
-    shown = show(MOVING)
+def test_the_web_page_that_a_notebook_shows_can_be_saved(tmp_path: Path) -> None:
+    shown = show(EXPERIMENT)
     shown.save(str(tmp_path / "run.html"))
     assert (tmp_path / "run.html").read_text(encoding="utf-8") == shown.page
 
 
-def test_results_and_experiment_have_the_same_page() -> None:
-    assert show(simulate(MOVING), trial=1, where={"robots": "4"}).page == show(MOVING, trial=1).page
+def test_a_trial_in_results_is_shown_as_the_same_page_as_that_trial_of_the_experiment() -> None:
+    results = simulate(EXPERIMENT)
+    shown_results = show(results, trial=1, where={"robots": "4"})
+    assert shown_results.page == show(EXPERIMENT, trial=1).page
 
 
-def test_each_trial_has_a_page_of_its_own() -> None:
-    assert show(MOVING, trial=1).page != show(MOVING).page
+def test_trial_1_is_not_shown_as_trial_0() -> None:
+    assert show(EXPERIMENT, trial=1).page != show(EXPERIMENT, trial=0).page
 
 
-def test_a_trial_below_0_is_refused() -> None:
+def test_a_notebook_cannot_show_a_trial_below_0() -> None:
     with pytest.raises(UsageError, match="trial is -1; give 0 or more"):
-        show(MOVING, trial=-1)
+        show(EXPERIMENT, trial=-1)

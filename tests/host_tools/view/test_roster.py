@@ -1,4 +1,4 @@
-"""The roster of a bus: what the page's table and list show of each robot, from its frames."""
+"""The roster of a bus: what the tables of its web page show of each robot, from the robot's frames."""
 
 from __future__ import annotations
 
@@ -46,28 +46,41 @@ def roster() -> RosterOfRobot3:
 # --- Lost frames --------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("transfer_ids", "loss"),
-    [
-        ([5, 6, 7], 0),
-        ([30, 31, 0, 1], 0),
-        ([5, 7], 1 / 3),
-        ([30, 1], 2 / 4),
-        ([7, 7, 8], 0),
-        ([8, 7], 30 / 32),
-    ],
-    ids=["none", "none at 32", "one", "two at 32", "received twice", "a gap of 30"],
-)
-def test_loss_is_counted_by_gaps_of_transfer_ids_modulo_32(
-    roster: RosterOfRobot3, transfer_ids: list[int], loss: float
-) -> None:
-    """A robot numbers its frames from 0 to 31 and then from 0 again; loss is the share of missing numbers."""
+def loss_after(roster: RosterOfRobot3, transfer_ids: list[int]) -> Any:
+    """Return the share of lost frames after estimates of robot 3 with these transfer ids."""
     for transfer_id in transfer_ids:
         roster.receive_estimate(transfer_id, now=0.0)
-    assert roster.row(now=1.0)["loss"] == loss
+    return roster.row(now=1.0)["loss"]
 
 
-def test_each_kind_of_frame_has_transfer_ids_of_its_own(roster: RosterOfRobot3) -> None:
+def test_a_missing_transfer_id_between_two_others_is_a_lost_frame(roster: RosterOfRobot3) -> None:
+    """A robot numbers its frames; loss is the share of missing numbers, here 6 of 5, 6 and 7."""
+    assert loss_after(roster, transfer_ids=[5, 7]) == 1 / 3
+
+
+@pytest.mark.parametrize("transfer_ids", [[5, 6, 7], [30, 31, 0, 1]])
+def test_transfer_ids_without_a_gap_are_no_loss_also_where_0_follows_31(
+    roster: RosterOfRobot3, transfer_ids: list[int]
+) -> None:
+    """For example 30, 31, 0, 1: a robot numbers its frames from 0 to 31 and then from 0 again."""
+    assert loss_after(roster, transfer_ids) == 0
+
+
+def test_missing_transfer_ids_31_and_0_between_30_and_1_are_two_lost_frames(roster: RosterOfRobot3) -> None:
+    assert loss_after(roster, transfer_ids=[30, 1]) == 2 / 4
+
+
+def test_a_frame_that_is_received_twice_is_no_loss(roster: RosterOfRobot3) -> None:
+    assert loss_after(roster, transfer_ids=[7, 7, 8]) == 0
+
+
+def test_a_transfer_id_below_the_one_before_stands_for_a_gap_of_30_frames(roster: RosterOfRobot3) -> None:
+    """From 8 to 7 are missing 9 to 31 and 0 to 6, 30 of 32 numbers."""
+    assert loss_after(roster, transfer_ids=[8, 7]) == 30 / 32
+
+
+def test_estimates_heartbeats_and_telemetry_are_numbered_separately(roster: RosterOfRobot3) -> None:
+    """Nothing is lost: the heartbeat's number 2 lies between the estimates with the numbers 9 and 10."""
     roster.receive_estimate(9, now=0.0)
     roster.receive_heartbeat(100, transfer_id=2)
     roster.receive_telemetry(now=0.0)
@@ -76,7 +89,8 @@ def test_each_kind_of_frame_has_transfer_ids_of_its_own(roster: RosterOfRobot3) 
     assert roster.row(now=1.0)["loss"] == 0
 
 
-def test_each_robot_has_transfer_ids_of_its_own(roster: RosterOfRobot3) -> None:
+def test_frames_of_two_robots_are_numbered_separately(roster: RosterOfRobot3) -> None:
+    """Robot 3 has lost nothing: number 20 between its numbers 9 and 10 is of robot 2."""
     roster.receive_estimate(9, now=0.0)
     roster.receive_estimate(20, now=0.0, robot=2)
     roster.receive_estimate(10, now=0.0)
@@ -84,10 +98,10 @@ def test_each_robot_has_transfer_ids_of_its_own(roster: RosterOfRobot3) -> None:
 
 
 @pytest.mark.parametrize(("silence", "loss"), [(2.99, 9 / 11), (3.0, 0)])
-def test_a_gap_after_a_silence_of_3_s_counts_no_loss(
+def test_missing_transfer_ids_after_a_silence_of_3_s_are_no_loss(
     roster: RosterOfRobot3, silence: float, loss: float
 ) -> None:
-    """The robot may have sent any number of frames meanwhile."""
+    """The robot may have sent any number of frames meanwhile. After 2.99 s, nine of eleven are lost."""
     roster.receive_estimate(10, now=1.0)
     roster.receive_estimate(20, now=1.0 + silence)
     assert roster.row(now=4.0)["loss"] == loss
@@ -104,31 +118,39 @@ def regular_roster(roster: RosterOfRobot3) -> RosterOfRobot3:
     return roster
 
 
-def test_the_rate_of_a_robot_that_has_just_begun_is_over_one_second(roster: RosterOfRobot3) -> None:
+def test_two_frames_in_the_first_tenth_of_a_second_are_a_rate_of_two_frames_a_second(
+    roster: RosterOfRobot3,
+) -> None:
+    """A rate is the number of frames divided by the time in which they came, but by one second at least."""
     roster.receive_estimate(0, now=50.0)
     roster.receive_estimate(1, now=50.1)
     assert roster.row(now=50.1)["rate"] == 2.0
 
 
-def test_a_rate_is_over_the_time_since_the_first_frame(roster: RosterOfRobot3) -> None:
+def test_the_rate_of_a_new_robot_is_that_since_its_first_frame(roster: RosterOfRobot3) -> None:
+    """It sends 21 frames in two seconds."""
     for tick in range(21):
         roster.receive_estimate(tick, now=50 + tick / 10)
     assert roster.row(now=52.0)["rate"] == 21 / 2.0
 
 
-def test_a_rate_is_over_5_s_at_most(regular_roster: RosterOfRobot3) -> None:
+def test_the_rate_of_a_robot_is_that_of_the_last_five_seconds(regular_roster: RosterOfRobot3) -> None:
+    """It sends ten frames a second until 59.9 s. At 62.9 s it has sent 20 or 21 frames in the last five."""
     assert regular_roster.row(now=59.9)["rate"] == 10.0
-    # Of the last 5 s before 62.9 s the robot has sent for 2 s: 20 or 21 frames.
-    assert regular_roster.row(now=62.9)["rate"] == pytest.approx(4.0, abs=0.21)
+    assert regular_roster.row(now=62.9)["rate"] == pytest.approx(20.5 / 5, abs=0.11)
     assert regular_roster.row(now=70.0)["rate"] == 0
 
 
 @pytest.mark.parametrize(("now", "is_silent"), [(62.89, False), (62.9, True)])
-def test_a_robot_is_silent_after_3_s(regular_roster: RosterOfRobot3, now: float, is_silent: bool) -> None:
+def test_a_robot_is_silent_three_seconds_after_its_last_frame(
+    regular_roster: RosterOfRobot3, now: float, is_silent: bool
+) -> None:
+    """It sends its last frame at 59.9 s, so it is silent from 62.9 s on."""
     assert regular_roster.row(now)["silent"] == is_silent
 
 
-def test_a_row_says_how_long_ago_a_robot_was_seen(regular_roster: RosterOfRobot3) -> None:
+def test_the_table_shows_how_many_seconds_ago_a_robot_was_seen(regular_roster: RosterOfRobot3) -> None:
+    """It sends its last frame at 59.9 s."""
     assert regular_roster.row(now=62.9)["seen"] == 3.0
 
 
@@ -147,30 +169,35 @@ def test_a_row_says_how_long_ago_a_robot_was_seen(regular_roster: RosterOfRobot3
     ],
     ids=["doubled", "less than doubled", "too early", "halved", "anew, too early", "anew, doubled"],
 )
-def test_the_page_counts_the_jumps_that_a_node_counts(
+def test_an_alpha_that_doubles_after_32_estimates_is_a_jump_in_the_table_as_in_a_robot(
     roster: RosterOfRobot3, alphas: list[int], jumps: int
 ) -> None:
-    """A jump is a confidence alpha that is suddenly twice as large, from the 33rd estimate of a sender on."""
-    listener = node(5)
-    for tick, alpha in enumerate(alphas):
-        estimate = Estimate(3, 1 << 22, alpha << 8, tick % 32)
-        roster.receive(FRAME, estimate, 0.0)
-        listener.receive_frame(encode_estimate(estimate, FrameFormat()))
+    """A robot sends its confidence alpha with each estimate. Tables and robots count suspicious jumps of it.
 
-    assert listener.reception.events[Suspicion.JUMP, 3] == jumps
+    For example, 32 times 100 and then 200 is a jump, while 31 times 100 and then 200 comes too early.
+    """
+    listening_robot = node(5)
+    for tick, alpha in enumerate(alphas):
+        estimate = Estimate(sender=3, x_hat=1 << 22, alpha=alpha << 8, transfer_id=tick % 32)
+        roster.receive(FRAME, estimate, now=0.0)
+        listening_robot.receive_frame(encode_estimate(estimate, FrameFormat()))
+
     assert roster.row(now=0.0)["jumps"] == jumps
+    assert listening_robot.reception.events[Suspicion.JUMP, 3] == jumps
 
 
 # --- States and values --------------------------------------------------------------------------------
 
 
-def test_health_and_mode_are_those_of_the_last_heartbeat(roster: RosterOfRobot3) -> None:
+def test_the_table_shows_health_and_mode_of_a_robot_s_last_heartbeat(roster: RosterOfRobot3) -> None:
+    """The heartbeats of this roster have the mode "maintenance"."""
     roster.receive_heartbeat(100, transfer_id=2, health=Health.ADVISORY)
     row = roster.row(now=0.0)
     assert (row["health"], row["mode"]) == ("advisory", "maintenance")
 
 
-def test_values_are_those_of_the_last_telemetry(roster: RosterOfRobot3) -> None:
+def test_the_table_shows_the_values_of_a_robot_s_last_telemetry(roster: RosterOfRobot3) -> None:
+    """Telemetry of this roster has x = 0.25, b_hat = 0.75 and 7 updates."""
     roster.receive_telemetry(now=0.0)
     row = roster.row(now=0.0)
     assert row["x"] == 0.25
@@ -178,13 +205,15 @@ def test_values_are_those_of_the_last_telemetry(roster: RosterOfRobot3) -> None:
     assert row["updates"] == 7
 
 
-@pytest.mark.parametrize("name", ["health", "mode", "x", "b_hat", "updates"])
-def test_what_no_frame_has_shown_is_unknown(roster: RosterOfRobot3, name: str) -> None:
+def test_a_robot_that_has_only_sent_an_estimate_has_unknown_state_and_values(roster: RosterOfRobot3) -> None:
+    """They would come with heartbeats and telemetry. None stands for what is unknown."""
     roster.receive_estimate(0, now=0.0)
-    assert roster.row(now=0.0)[name] is None
+    row = roster.row(now=0.0)
+    for name in ("health", "mode", "x", "b_hat", "updates"):
+        assert row[name] is None, name
 
 
-def test_rows_are_in_the_order_of_the_ids(roster: RosterOfRobot3) -> None:
+def test_robots_are_in_the_table_in_the_order_of_their_ids(roster: RosterOfRobot3) -> None:
     for robot in (9, 2, 5):
         roster.receive_estimate(0, now=0.0, robot=robot)
     assert [row["robot"] for row in roster.report(0.0)["robots"]] == [2, 5, 9]
@@ -205,13 +234,13 @@ def test_rows_are_in_the_order_of_the_ids(roster: RosterOfRobot3) -> None:
     ],
     ids=["one node", "a restart", "restarts in a row", "two nodes", "a continuation by chance", "in step"],
 )
-def test_two_nodes_with_one_id_are_distinguished_from_one_that_restarts(
+def test_heartbeats_of_two_robots_with_one_id_are_conflicts_and_those_of_a_restarted_one_are_not(
     roster: RosterOfRobot3, uptimes_and_transfer_ids: list[tuple[int, int]], conflicts: int
 ) -> None:
-    """Heartbeats of one node count its seconds (uptime) and its heartbeats (transfer id) up together.
+    """Heartbeats of a robot count its seconds (uptime) and its heartbeats (transfer id) up together.
 
-    A restarted node counts from 0 again. A heartbeat that comes twice, or that continues not the latest one
-    but the one before it, is a conflict: a second node sends under this id.
+    A restarted robot counts from 0 again. A heartbeat that comes twice, or that continues not the latest one
+    but the one before it, is a conflict. For example, with uptimes of 100, 5, 101, 6 and 102 two are.
     """
     for uptime, transfer_id in uptimes_and_transfer_ids:
         roster.receive_heartbeat(uptime, transfer_id)
@@ -227,35 +256,40 @@ def list_frames(roster: Roster) -> list[list[Any]]:
     return frames
 
 
-def test_an_estimate_is_listed_with_its_values(roster: RosterOfRobot3) -> None:
+def test_an_estimate_is_listed_with_its_time_sender_and_values(roster: RosterOfRobot3) -> None:
+    """Robot 3 sends it. All estimates of this roster have x_hat = 0.5 and alpha = 0.25."""
     roster.receive_estimate(8, now=1.0)
     assert list_frames(roster) == [[1.0, 3, "estimate 8: x_hat 0.5000, alpha 0.25"]]
 
 
-def test_a_heartbeat_is_listed_with_its_state(roster: RosterOfRobot3) -> None:
-    roster.receive_heartbeat(100, transfer_id=2, now=250.0)
+def test_a_heartbeat_is_listed_with_its_time_sender_and_state(roster: RosterOfRobot3) -> None:
+    """Robot 3 sends it."""
+    roster.receive_heartbeat(uptime=100, transfer_id=2, now=250.0)
     assert list_frames(roster) == [[250.0, 3, "heartbeat 2: nominal, maintenance, up 100 s"]]
 
 
-def test_telemetry_is_listed_with_its_values(roster: RosterOfRobot3) -> None:
+def test_telemetry_is_listed_with_its_time_sender_and_values(roster: RosterOfRobot3) -> None:
+    """Robot 3 sends it, with x = 0.25, b_hat = 0.75 and 7 updates."""
     roster.receive_telemetry(now=251.0)
     assert list_frames(roster) == [[251.0, 3, "telemetry 30: x 0.2500, b_hat 0.7500, updates 7"]]
 
 
 def test_a_rejected_frame_is_listed_with_the_reason_and_without_a_sender(roster: RosterOfRobot3) -> None:
+    """Robots send frames with extended identifiers, so one with a standard identifier, 0x123, is rejected."""
     frame = can.Message(arbitration_id=0x123, is_extended_id=False, data=b"\1")
-    roster.receive(frame, Rejection.STANDARD_ID, 252.0)
+    roster.receive(frame, Rejection.STANDARD_ID, now=252.0)
     assert list_frames(roster) == [[252.0, None, "refused, standard id: 123#01"]]
 
 
-def test_a_report_lists_the_last_4000_frames(roster: RosterOfRobot3) -> None:
+def test_a_report_on_5000_frames_lists_the_last_4000(roster: RosterOfRobot3) -> None:
+    """The frames come at 0, 1, 2, ... 4999 seconds."""
     for tick in range(5000):
-        roster.receive_estimate(tick % 32, now=tick / 1000)
-    seconds = [frame[0] for frame in list_frames(roster)]
-    assert seconds == [tick / 1000 for tick in range(1000, 5000)]
+        roster.receive_estimate(tick % 32, now=float(tick))
+    times = [time for time, _robot, _text in list_frames(roster)]
+    assert times == list(range(1000, 5000))
 
 
-def test_each_frame_is_in_one_report(roster: RosterOfRobot3) -> None:
+def test_a_frame_that_was_in_a_report_is_not_in_the_next_one(roster: RosterOfRobot3) -> None:
     roster.receive_estimate(8, now=1.0)
     assert len(list_frames(roster)) == 1
     assert list_frames(roster) == []
