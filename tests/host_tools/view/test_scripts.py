@@ -1,4 +1,4 @@
-"""The scripts of the page without a browser: the tests in the folder ``scripts``, which node runs."""
+"""The scripts of the web pages without a browser: the tests in the folder ``scripts``, which Node.js runs."""
 
 from __future__ import annotations
 
@@ -33,9 +33,13 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
-@pytest.mark.parametrize("name", [path.name for path in matching_files(FOLDER, "*.test.js")])
-def test_the_scripts_of_the_page_compute_what_they_show(name: str, folder: Path) -> None:
-    output = run(require("node", "nodejs"), "--test", "--test-reporter=tap", name, cwd=folder)
-    stated_tests = re.findall(r"^test\(", (folder / name).read_text(encoding="utf-8"), re.MULTILINE)
-    passed_tests = re.findall(r"^ *ok \d+ - (?!\S*\.test\.js$)", output, re.MULTILINE)
+def test_all_tests_of_the_scripts_pass_in_node_js(folder: Path) -> None:
+    """A test in JavaScript begins with ``test(``. Its result is a line such as "ok 3 - a value has three digits"."""
+    test_files = sorted(folder.glob("*.test.js"))
+    (folder / "all.js").write_text("".join(f'import "./{file.name}";\n' for file in test_files))
+    output = run(require("node", "nodejs"), "--test-reporter=tap", "all.js", cwd=folder)
+
+    source_text = "".join(file.read_text(encoding="utf-8") for file in test_files)
+    stated_tests = re.findall(r"^test\(", source_text, re.MULTILINE)
+    passed_tests = re.findall(r"^ok \d+ - ", output, re.MULTILINE)
     assert len(passed_tests) == len(stated_tests) > 0

@@ -1,4 +1,4 @@
-"""The server of the page: whom it answers, the events that it sends, how it ends, and its port."""
+"""The server of a swarm's web page: whom it answers, the events that it sends, how it ends, and its port."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def test_server_ignores_the_query_of_an_address(url: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "value"),
+    ("header", "value"),
     [
         ("Host", "localhost:PORT"),
         ("Origin", "http://127.0.0.1:PORT"),
@@ -89,15 +89,17 @@ def test_server_ignores_the_query_of_an_address(url: str) -> None:
         ("Sec-Fetch-Site", "none"),
     ],
 )
-def test_server_answers_its_own_page(url: str, name: str, value: str) -> None:
+def test_server_answers_requests_that_a_browser_makes_for_its_own_page(
+    url: str, header: str, value: str
+) -> None:
+    """For example with the header "Origin: http://localhost:PORT", where PORT is the server's port."""
     port = str(urlsplit(url).port)
-    status, _ = get(url, **{name: value.replace("PORT", port)})
+    status, _ = get(url, **{header: value.replace("PORT", port)})
     assert status == 200
 
 
-@pytest.mark.parametrize("path", ["/", "/events"])
 @pytest.mark.parametrize(
-    ("name", "value"),
+    ("header", "value"),
     [
         ("Host", "evil.example"),
         ("Host", "evil.example:PORT"),
@@ -111,11 +113,19 @@ def test_server_answers_its_own_page(url: str, name: str, value: str) -> None:
         ("Sec-Fetch-Site", "same-site"),
     ],
 )
-def test_server_refuses_requests_of_other_sites(url: str, path: str, name: str, value: str) -> None:
+def test_server_refuses_requests_that_a_browser_makes_for_another_site(
+    url: str, header: str, value: str
+) -> None:
+    """For example with the header "Origin: http://evil.example": a site must not read a user's swarm."""
     port = str(urlsplit(url).port)
-    status, text = get(url, path, **{name: value.replace("PORT", port)})
+    status, text = get(url, "/events", **{header: value.replace("PORT", port)})
     assert status == 403
     assert "This page is for this computer alone." in text
+
+
+def test_server_refuses_to_send_its_page_to_another_site(url: str) -> None:
+    status, _ = get(url, "/", Origin="http://evil.example")
+    assert status == 403
 
 
 def test_server_refuses_a_request_without_a_host(url: str) -> None:
@@ -123,32 +133,43 @@ def test_server_refuses_a_request_without_a_host(url: str) -> None:
         assert client.makefile().readline() == "HTTP/1.0 403 Forbidden\n"
 
 
-def test_server_has_no_other_files(url: str) -> None:
+def test_server_sends_no_files_of_the_computer(url: str) -> None:
     status, _ = get(url, "/etc/passwd")
     assert status == 404
 
 
-def test_server_listens_on_one_address_alone(url: str) -> None:
+def test_server_listens_on_the_address_127_0_0_1_alone(url: str) -> None:
     with socket.socket() as client, pytest.raises(ConnectionRefusedError):
         client.connect(("127.0.0.2", urlsplit(url).port))
 
 
 @pytest.mark.parametrize("path", ["/", "/events", "/none"])
-def test_answers_are_neither_cached_nor_embedded_by_other_sites(url: str, path: str) -> None:
+def test_the_head_of_an_answer_forbids_to_cache_it_and_to_embed_it_in_other_sites(
+    url: str, path: str
+) -> None:
+    """This holds for the page, for its events, and for the error about an address without anything."""
     with connect(url, request_for(url, path)) as client:
-        head = client.makefile().read().partition("\n\n")[0] + "\n"
+        head, _, _content = client.makefile().read().partition("\n\n")
 
-    assert "Cache-Control: no-store\n" in head
-    assert "Cross-Origin-Resource-Policy: same-origin\n" in head
-    assert "X-Content-Type-Options: nosniff\n" in head
-    assert "X-Frame-Options: DENY\n" in head
+    assert {
+        "Cache-Control: no-store",
+        "Cross-Origin-Resource-Policy: same-origin",
+        "X-Content-Type-Options: nosniff",
+        "X-Frame-Options: DENY",
+    } <= set(head.splitlines())
 
 
 # --- Events -------------------------------------------------------------------------------------------
 
 
+Event = tuple[str, Any]
+
+
 class ScriptedHistory(History):
-    """A live history of robots 0 and 1 that changes each time after the server has read its states."""
+    """A history of robots 0 and 1 that changes each time after the server has read its states.
+
+    It has one state at first. Then come a second one, a report, robot 7, and the end.
+    """
 
     def __init__(self) -> None:
         super().__init__(DESCRIPTION)
@@ -170,60 +191,77 @@ class ScriptedHistory(History):
 
 
 @pytest.fixture(scope="module")
-def live_events() -> list[tuple[str, Any]]:
+def live_events() -> list[Event]:
+    """All events of a swarm that takes a step, gets a report and robot 7, and ends."""
     with serve_page(ScriptedHistory()) as url:
         return read_events(url)
 
 
-def test_events_follow_a_run_in_the_order_in_which_it_goes(live_events: list[tuple[str, Any]]) -> None:
-    names = [name for name, _ in live_events]
+def test_the_server_sends_the_events_of_a_running_swarm_in_the_order_of_its_changes(
+    live_events: list[Event],
+) -> None:
+    """The swarm has a state at first. Then come a second one, a report, a robot that joins, and the end.
+
+    A block holds states. A new robot needs a new description, and a block with all states so far.
+    """
+    names = [name for name, _content in live_events]
     assert names == ["description", "block", "block", "report", "description", "block", "end"]
 
 
-def test_a_robot_that_joins_begins_the_history_anew(live_events: list[tuple[str, Any]]) -> None:
-    robots = [content["robots"] for name, content in live_events if name == "description"]
-    counts = [content["count"] for name, content in live_events if name == "block"]
-    assert robots == [[0, 1], [0, 1, 7]]
-    assert counts == [1, 1, 2]
+def test_after_a_robot_has_joined_the_server_sends_a_new_description(live_events: list[Event]) -> None:
+    """Robot 7 joins the robots 0 and 1."""
+    lists_of_robots = [content["robots"] for name, content in live_events if name == "description"]
+    assert lists_of_robots == [[0, 1], [0, 1, 7]]
 
 
-def test_events_have_the_latest_report(live_events: list[tuple[str, Any]]) -> None:
-    assert dict(live_events)["report"] == {"robots": [], "frames": []}
+def test_after_a_robot_has_joined_the_server_sends_all_states_again(live_events: list[Event]) -> None:
+    """A block holds states: one, then a second one, and after the robot has joined both together."""
+    numbers_of_states = [content["count"] for name, content in live_events if name == "block"]
+    assert numbers_of_states == [1, 1, 2]
 
 
-def test_a_run_that_has_ended_comes_in_one_block(url: str) -> None:
+def test_the_server_sends_the_latest_report_on_the_robots(live_events: list[Event]) -> None:
+    (report,) = [content for name, content in live_events if name == "report"]
+    assert report == {"robots": [], "frames": []}
+
+
+def test_the_server_sends_all_states_of_a_swarm_that_has_ended_in_one_block(url: str) -> None:
+    """The swarm has five states."""
     (_, description), (_, block), end = read_events(url)
     assert description["title"] == "two </script> robots"
     assert block["count"] == 5
     assert end == ("end", None)
 
 
+def test_two_open_pages_both_get_the_states_of_a_swarm() -> None:
+    """The second page is opened after the only state has been added, and the first one before."""
+    history = History(DESCRIPTION)
+    with serve_page(history) as url, connect(url, request_for(url, "/events")) as first_page:
+        history.add(STATES[0])
+        with connect(url, request_for(url, "/events")) as second_page:
+            history.has_ended = True
+            first_text = first_page.makefile().read()
+            second_text = second_page.makefile().read()
+
+    assert first_text.count("event: block") == 1
+    assert second_text.count("event: block") == 1
+
+
 # --- Clients that break off, stay silent or do not read ------------------------------------------------
 
 
-def test_two_pages_follow_one_run() -> None:
-    history = History(DESCRIPTION)
-    with serve_page(history) as url, connect(url, request_for(url, "/events")) as first:
-        history.add(STATES[0])
-        with connect(url, request_for(url, "/events")) as second:
-            history.has_ended = True
-            texts = [client.makefile().read() for client in (first, second)]
-
-    assert [text.count("event: block") for text in texts] == [1, 1]
-
-
-def test_server_ends_the_stream_of_a_page_that_was_closed() -> None:
-    """Or it would have one thread more for each page that was ever open."""
+def test_the_server_ends_its_thread_for_a_page_that_was_closed() -> None:
+    """Otherwise it would have one thread more for each page that was ever open."""
     threads_before = threading.active_count()
     with serve_page(History(DESCRIPTION)) as url:
         with connect(url, request_for(url, "/events")) as client:
             read_to(client, "\n\n")
-            assert threading.active_count() == threads_before + 2  # the server's own, and that of the stream
+            assert threading.active_count() == threads_before + 2  # the server's own, and that of the page
 
         wait_until(lambda: threading.active_count() == threads_before + 1)
 
 
-def test_a_client_that_breaks_off_leaves_no_message(capfd: pytest.CaptureFixture[str]) -> None:
+def test_a_client_that_resets_its_connection_causes_no_message(capfd: pytest.CaptureFixture[str]) -> None:
     with serve_page(History(DESCRIPTION, STATES * 1000)) as url:
         client = connect(url, request_for(url, "/events"))
         # Without lingering, closing a connection resets it, which fails the server's next write.
@@ -234,15 +272,27 @@ def test_a_client_that_breaks_off_leaves_no_message(capfd: pytest.CaptureFixture
     assert capfd.readouterr() == ("", "")
 
 
-def test_server_gives_up_a_client_that_completes_no_request() -> None:
+def test_the_server_closes_a_connection_whose_request_has_no_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The client sends one line and no more.
+
+    The server waits for a tenth of a second here, and then closes.
+    """
+    monkeypatch.setattr(server._PageRequestHandler, "timeout", 0.1)
     with serve_page(History(DESCRIPTION)) as url, connect(url, "GET / HTTP/1.0\r\n") as client:
-        assert get(url)[0] == 200
-        client.makefile().read()  # until the server closes the connection
+        everything_until_it_closes = client.makefile().read()
+    assert everything_until_it_closes == ""
 
 
-def test_server_gives_up_a_client_that_does_not_read(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(server, "_ANSWER_TIMEOUT", 0.1)
+@pytest.fixture
+def page_too_large_for_a_buffer(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let the server send a page of 20 MB, which it cannot send to a client that does not read."""
     monkeypatch.setattr(server, "make_page", lambda: "x" * 20_000_000)
+
+
+@pytest.mark.usefixtures("page_too_large_for_a_buffer")
+def test_the_server_ends_its_thread_for_a_client_that_does_not_read(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The client reads one byte of a large page. The server waits for a tenth of a second here."""
+    monkeypatch.setattr(server, "_ANSWER_TIMEOUT", 0.1)
     with serve_page(History(DESCRIPTION)) as url:
         threads_without_clients = set(threading.enumerate())
         with connect(url, request_for(url, "/")) as client:
@@ -250,10 +300,13 @@ def test_server_gives_up_a_client_that_does_not_read(monkeypatch: pytest.MonkeyP
             wait_until(lambda: set(threading.enumerate()) <= threads_without_clients)
 
 
-def test_the_end_does_not_wait_for_a_client_that_does_not_read(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.usefixtures("page_too_large_for_a_buffer")
+def test_the_server_ends_without_waiting_long_for_a_client_that_does_not_read(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The client reads one byte of a large page. The server waits 50 ms for it to read the rest, and ends."""
     monkeypatch.setattr(server, "_SHUTDOWN_SECONDS", 0.05)
     monkeypatch.setattr(server, "_ANSWER_TIMEOUT", PATIENCE)
-    monkeypatch.setattr(server, "make_page", lambda: "x" * 20_000_000)
     start_time = time.monotonic()
     with serve_page(History(DESCRIPTION)) as url:
         client = connect(url, request_for(url, "/"))
@@ -262,7 +315,7 @@ def test_the_end_does_not_wait_for_a_client_that_does_not_read(monkeypatch: pyte
         assert time.monotonic() - start_time < PATIENCE / 2
 
 
-def test_the_end_of_the_server_is_the_last_event_of_an_open_page() -> None:
+def test_when_the_server_ends_an_open_page_gets_the_event_that_the_swarm_has_ended() -> None:
     with serve_page(History(DESCRIPTION)) as url:
         client = connect(url, request_for(url, "/events"))
         client.recv(1)
@@ -270,9 +323,8 @@ def test_the_end_of_the_server_is_the_last_event_of_an_open_page() -> None:
         assert client.makefile().read().endswith("event: end\ndata: null\n\n")
 
 
-def test_the_end_of_the_server_waits_until_open_pages_have_the_last_event(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_the_server_does_not_end_before_the_threads_of_open_pages(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The thread of a page looks for new states every 0.2 s here, so it takes a while to notice the end."""
     monkeypatch.setattr(server, "_SECONDS_BETWEEN_BLOCKS", 0.2)
     threads_before = set(threading.enumerate())  # some may be of earlier tests and end meanwhile
     with serve_page(History(DESCRIPTION)) as url:
@@ -285,22 +337,24 @@ def test_the_end_of_the_server_waits_until_open_pages_have_the_last_event(
 # --- Ports --------------------------------------------------------------------------------------------
 
 
-def test_a_port_is_free_again_at_once() -> None:
+def test_a_second_server_can_have_the_port_of_one_that_has_just_ended() -> None:
+    """The first server closes a connection itself, so the system would keep its port for a minute."""
     with serve_page(History(DESCRIPTION), 65535) as url, connect(url, "GET / HTTP/1.0\r\n\r\n") as client:
-        client.makefile().read()  # the server closes first, so that its port is in TIME_WAIT
+        client.makefile().read()
     with serve_page(History(DESCRIPTION), 65535) as url:
         assert url == "http://127.0.0.1:65535/"
 
 
-def test_a_port_that_is_taken_is_named() -> None:
-    with socket.create_server(("127.0.0.1", 0)) as taken:
-        port = taken.getsockname()[1]
-        expected = rf"127.0.0.1:{port}: Address already in use; choose another --port"
-        with pytest.raises(UsageError, match=expected):
-            serve_page(History(DESCRIPTION), port).__enter__()
+def test_a_port_that_another_program_uses_is_refused() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as other_server:
+        _, port = other_server.getsockname()
+        message = rf"127.0.0.1:{port}: Address already in use; choose another --port"
+        with pytest.raises(UsageError, match=message), serve_page(History(DESCRIPTION), port):
+            pass
 
 
 @pytest.mark.parametrize("port", [-1, 65536])
 def test_a_port_out_of_range_is_refused(port: int) -> None:
-    with pytest.raises(UsageError, match=f"--port is {port}; choose 1 to 65535"):
-        serve_page(History(DESCRIPTION), port).__enter__()
+    message = f"--port is {port}; choose 1 to 65535"
+    with pytest.raises(UsageError, match=message), serve_page(History(DESCRIPTION), port):
+        pass
