@@ -34,7 +34,7 @@ def folder(tmp_path: Path) -> Path:
 
 
 def test_all_tests_of_the_scripts_pass_in_node_js(folder: Path) -> None:
-    """A test in JavaScript begins with ``test(``. Its result is a line such as "ok 3 - a value has three digits"."""
+    """Each begins with ``test(``, and its result is a line such as "ok 3 - a value has three digits"."""
     test_files = sorted(folder.glob("*.test.js"))
     (folder / "all.js").write_text("".join(f'import "./{file.name}";\n' for file in test_files))
     output = run(require("node", "nodejs"), "--test-reporter=tap", "all.js", cwd=folder)
