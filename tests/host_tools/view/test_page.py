@@ -31,12 +31,13 @@ def data_of(states: list[State], robots: int, **fields: Any) -> bytes:
     return decompress(block["data"])
 
 
-BYTES_PER_TICK, BYTES_PER_VALUE = 4, 2
+BYTES_PER_TICK = 4
 
 
 def first_values(data: bytes, count: int, states: int = 1) -> list[int]:
     """Return the first 16-bit values in the bytes of states, which stand behind the ticks of all states."""
-    return np.frombuffer(data, "<u2", count, offset=states * BYTES_PER_TICK).tolist()
+    values: list[int] = np.frombuffer(data, "<u2", count, offset=states * BYTES_PER_TICK).tolist()
+    return values
 
 
 def make_state(tick: int, values: Any, neighbours: Any = None, positions: Any = None) -> State:
