@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from mcp_asdf_tools.swarm.carrier import Wiring
     from mcp_asdf_tools.swarm.run import SwarmRun
     from mcp_asdf_tools.swarm.swarm import Swarm
+    from mcp_asdf_tools.view.history import History
     from mcp_asdf_tools.view.swarm_recorder import SwarmRecorder
 
 EPILOG = """\
@@ -306,10 +307,15 @@ def run(args: argparse.Namespace) -> int:
     recording = recording_for("swarm", args.log, events_header, plan.choice)
     try:
         with ExitStack() as at_end:
-            # Callbacks run in reverse order: first the results are printed, then the page stays until Ctrl-C.
+            # Callbacks run in reverse order: first the results are printed, then the page stays until Ctrl-C,
+            # unless that has ended the run already.
             recorder = _start_view(plan, at_end)
             with recording as log_outputs:
                 result = _emulate(plan, log_outputs, recorder)
+                if recorder is not None and not result.outcome.interrupted:
+                    history = recorder.history
+                    # Pushed and not a callback, which would not get to know whether an error follows.
+                    at_end.push(lambda error_type, *_: _keep_page(history) if error_type is None else None)
                 # Printed even if a file cannot be completed.
                 at_end.callback(_print_result, plan, result)
             if results_path is not None:
@@ -397,19 +403,16 @@ def _start_view(plan: _RunPlan, at_end: ExitStack) -> SwarmRecorder | None:
     recorder = SwarmRecorder(plan.settings, _DEFAULT_PACE if plan.args.pace is None else plan.args.pace)
     url = at_end.enter_context(serve_page(recorder.history, plan.args.port))
     announce_page(url, plan.args.json)
-    # Pushed and not a callback, which would not get to know whether an error has ended the run.
-    at_end.push(lambda error_type, error, traceback: _end_view(recorder, error_type is None))
     return recorder
 
 
-def _end_view(recorder: SwarmRecorder, is_regular: bool) -> None:
-    """Mark the run on the page as over, and wait for Ctrl-C, unless an error ended the run."""
-    recorder.history.has_ended = True
+def _keep_page(history: History) -> None:
+    """Mark the run on the page as over, and wait for Ctrl-C."""
+    history.has_ended = True
     # Who reads the results through a pipe should not wait until the page is closed.
     sys.stdout.flush()
-    if is_regular:
-        with stopping() as should_stop:
-            sleep_until(should_stop)
+    with stopping() as should_stop:
+        sleep_until(should_stop)
 
 
 def _serve_slcan(plan: _RunPlan, stack: ExitStack) -> int | None:

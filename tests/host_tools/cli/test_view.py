@@ -20,6 +20,7 @@ from mcp_asdf_tools.bus.interfaces import BusChoice
 from mcp_asdf_tools.cli import view
 from mcp_asdf_tools.cli.main import main
 from mcp_asdf_tools.cli.output import sleep_until
+from mcp_asdf_tools.common.signals import INTERRUPTED
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.result_files import write_tables
 from mcp_asdf_tools.experiments.result_tables import trials_to_table
@@ -197,6 +198,16 @@ def test_swarm_does_not_keep_the_page_of_a_bus_that_fails(
 
     assert main(["swarm", "--robots", "4", "--steps", "20", "--view"]) == 1
     assert "mcp-asdf swarm: it is off" in capsys.readouterr().err
+
+
+def test_ctrl_c_that_ends_a_swarm_ends_its_page_too(monkeypatch: pytest.MonkeyPatch, capsys: Capture) -> None:
+    """As the printed line with the address says: the command does not wait for a second Ctrl-C."""
+    monkeypatch.setattr("mcp_asdf_tools.cli.swarm.stopping", lambda: nullcontext(lambda: True))
+    waiting = Mock(side_effect=AssertionError("it waits for Ctrl-C"))
+    monkeypatch.setattr("mcp_asdf_tools.cli.swarm.sleep_until", waiting)
+
+    assert main(["swarm", "--robots", "4", "--steps", "20", "--view"]) == INTERRUPTED
+    assert "(Ctrl-C ends it)" in capsys.readouterr().err
 
 
 # --- Wrong usage -----------------------------------------------------------------------------------------
