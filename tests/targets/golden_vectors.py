@@ -55,7 +55,7 @@ _LAYOUTS = {"observe": "<B", "step": "<B", "settle": "<", "receive": "<BII", "da
 
 
 def mix(digest: int, word: int) -> int:
-    """Take a 32-bit word into a digest."""
+    """Return a digest into which a further 32-bit word is taken."""
     digest = (digest ^ word) * 0x9E3779B1 & MASK
     return digest ^ digest >> 15
 
@@ -117,8 +117,10 @@ class Player:
 
 @cache
 def played(name: str) -> list[tuple[Scenario, bytes]]:
-    """Scenarios of a file, and each as it stands there: those that an image can play, as far as they have
-    room."""
+    """Return the scenarios of a file, each with its bytes there.
+
+    They are those that an image can play, as far as they have room.
+    """
     source, seed, tried, room = FILES[name]
     chosen, room = list[tuple[Scenario, bytes]](), room - _HEAD.size
     for scenario in (_playable(source(seed, number)) for number in range(tried)):
@@ -130,7 +132,7 @@ def played(name: str) -> list[tuple[Scenario, bytes]]:
 
 
 def _playable(scenario: Scenario) -> Scenario:
-    """The scenario with observations of a byte."""
+    """Return the scenario with observations of a byte."""
     return scenario.with_calls(
         tuple(
             Call(call.name, (min(call.numbers[0], 255),)) if call.name in ("observe", "step") else call
@@ -155,24 +157,24 @@ def _encode_call(call: Call) -> bytes:
 
 
 def content(name: str) -> bytes:
-    """A file, made anew."""
+    """Return the content of a file, made anew."""
     return _HEAD.pack(MAGIC, len(played(name))) + b"".join(written for _, written in played(name))
 
 
 def scenarios(*names: str) -> list[Scenario]:
-    """Scenarios of these files, or of all, in the order in which targets play them."""
+    """Return the scenarios of these files, or of all, in the order in which targets play them."""
     return [scenario for name in names or FILES for scenario, _ in played(name)]
 
 
 def verdict(names: list[str]) -> str:
-    """Expected output of an image that plays these files; every call counts, and a scenario's two ends."""
+    """Return the output of an image that plays these files. Calls are counted, and a scenario's two ends."""
     calls = [call.name for scenario in scenarios(*names) for call in scenario.calls]
     ticks, number = calls.count("observe") + calls.count("step"), len(scenarios(*names))
     return f"PASS scenarios {number} calls {2 * number + len(calls)} ticks {ticks}"
 
 
 def main() -> None:
-    """The command line."""
+    """Run the command line."""
     parser = argparse.ArgumentParser(prog="python -m targets.golden_vectors")
     job = parser.add_mutually_exclusive_group(required=True)
     job.add_argument("--output", metavar="DIR", type=Path, help="write the vectors into this folder")

@@ -102,18 +102,20 @@ class ImageBuild:
         compiler: gcc or clang.
         level: Key of ``LEVELS``.
         choice: Key of ``CHOICES``.
+        files: Names of the files with recorded calls.
     """
 
     target: Target
     compiler: str = "gcc"
     level: str = "-O2"
     choice: str = "own"
+    files: tuple[str, ...] = tuple(FILES)
 
     def __str__(self) -> str:
         return " ".join([self.target.name, self.compiler, self.level, self.choice])
 
     def require_tools(self) -> None:
-        """Skips the test where it cannot be built or run."""
+        """Skip the test where the image cannot be built or run."""
         for tool in self.target.tools:
             require(tool, self.target.packages)
         require("ninja")
@@ -122,13 +124,13 @@ class ImageBuild:
             require("ld.lld", "clang lld")
 
     def images(self) -> list[list[str]]:
-        """The files of vectors that each of its images plays; an ATmega328P's flash holds one small file."""
+        """Return the files that each of its images plays; an ATmega328P's flash holds one small file."""
         if self.target == AVR:
-            return [[name] for name in FILES if name != "golden_many.bin"]
-        return [list(FILES)]
+            return [[name] for name in self.files if name != "golden_many.bin"]
+        return [list(self.files)]
 
     def settings(self) -> Iterator[str]:
-        """CMake's settings for its image but for the files."""
+        """Return CMake's settings for its image but for the files."""
         kind, optimising_linker = LEVELS[self.level]
         yield f"CMAKE_BUILD_TYPE={kind}"
         yield f"CMAKE_INTERPROCEDURAL_OPTIMIZATION={optimising_linker}"
@@ -142,16 +144,19 @@ class ImageBuild:
             yield "MCP_ASDF_AVR=atmega1284p"  # 32 KB hold the core and the vectors at -Os alone
 
 
-def quick_build(target: Target) -> ImageBuild:
-    """What ``make test`` plays of a target."""
+def usual_build(target: Target) -> ImageBuild:
+    """Return the usual way to build the image of a target."""
     if target == WASM:
         return ImageBuild(target, "clang")
     return ImageBuild(target, level="-Os" if target.name in ("avr", "cortex-m0") else "-O2")
 
 
-def slow_builds() -> Iterator[ImageBuild]:
-    """What ``make verify`` adds: every level, by one of the compilers at least, and every choice of the
-    arithmetic, on either order of bytes. Clang 14 runs out of registers on an AVR."""
+def further_builds() -> Iterator[ImageBuild]:
+    """Return the other ways to build images.
+
+    They have every level, by one of the compilers at least, and every choice of the arithmetic, on either
+    order of bytes. Clang 14 runs out of registers on an AVR.
+    """
     yield from (ImageBuild(WASM, "clang", level) for level in ("-O0", "-Os", "-O3"))
     for target in TARGETS:
         if target == WASM:
@@ -165,7 +170,7 @@ def slow_builds() -> Iterator[ImageBuild]:
 
 
 def play(build: ImageBuild, folder: Path, *files: Path) -> str:
-    """Build the image in ``folder`` and let its emulator play these files; returns what it printed."""
+    """Build the image in ``folder``, let its emulator play these files, and return what it prints."""
     vectors = f"GOLDEN_VECTORS={';'.join(map(str, files))}"
     settings = (f"-D{setting}" for setting in (vectors, *build.settings()))
     run("cmake", "--preset", build.target.name, "-B", folder, *settings, cwd=HERE)
@@ -180,7 +185,7 @@ def play(build: ImageBuild, folder: Path, *files: Path) -> str:
 
 
 def core_objects(folder: Path) -> list[Path]:
-    """The core as it was compiled in ``folder``: the method, and saving and restoring."""
+    """Return the object files of the core in a folder: the method, and saving and restoring."""
     found = [
         path for name in ("mcp_asdf.c", "mcp_asdf_image.c") for path in folder.glob(f"core/**/{name}.o*")
     ]
@@ -189,7 +194,7 @@ def core_objects(folder: Path) -> list[Path]:
 
 
 def needed_symbols(objects: list[Path]) -> set[str]:
-    """Symbols that objects use and none of them has."""
+    """Return the symbols that objects use and none of them has."""
     used, own = set[str](), set[str]()
     for elf in objects:
         with elf.open("rb") as stream:
@@ -201,7 +206,7 @@ def needed_symbols(objects: list[Path]) -> set[str]:
 
 
 def variables(elf: Path) -> int:
-    """Bytes of every writable section; on an AVR of constants, too, which are copied there."""
+    """Return the bytes of all writable sections; on an AVR of constants, too, which are copied there."""
     with elf.open("rb") as stream:
         file = ELFFile(stream)
         return sum(

@@ -8,14 +8,15 @@ import json
 import random
 import re
 import shutil
-import subprocess
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from mcp_asdf_tools.bus.frames import Estimate, FrameFormat, decode_estimate
 from multicast import multicast
-from support import PATIENCE, ROOT, blocks, made_once, require, run
+from support import ROOT, blocks, made_once, require, run
 from targets.c_node import CORTEX_A8
 
 PAGE = ROOT / "docs/platforms/khepera.md"
@@ -47,16 +48,20 @@ static int kh4_proximity_ir(char *bytes, FILE *ground)
 """
 
 
-def put_on_floor(folder: Path, brightness: int, readings: int) -> list[int]:
+def put_on_floor(folder: Path, brightness: int, reading_count: int) -> list[int]:
     """Let the next run of the sensor be over a floor of this brightness, and return its readings.
 
     The file "ground" has what the two sensors of the robot read, whose mean is a reading.
     """
-    draw = random.Random(brightness)
-    pairs = [(round(draw.gauss(brightness, 120)), draw.randrange(-9, 10)) for _ in range(readings)]
-    pairs = [(max(left, 20), max(left, 20) + 2 * more) for left, more in pairs]
-    (folder / "ground").write_text("".join(f"{left} {right}\n" for left, right in pairs), encoding="ascii")
-    return [(left + right) // 2 for left, right in pairs]
+    rng = random.Random(brightness)
+    lines, readings = "", []
+    for _ in range(reading_count):
+        left = max(round(rng.gauss(brightness, 120)), 20)
+        right = left + 2 * rng.randrange(-9, 10)
+        lines += f"{left} {right}\n"
+        readings.append((left + right) // 2)
+    (folder / "ground").write_text(lines, encoding="ascii")
+    return readings
 
 
 BUILD_NODE, BUILD_SENSOR, CALIBRATE, *_ = blocks(PAGE, "sh")
@@ -80,10 +85,7 @@ def build_programs(folder: Path) -> None:
         "-L $LIBPATH -lkhepera": "-static",
         "$INCPATH": ".",
     }
-    build_sensor = BUILD_SENSOR
-    for old, new in replacements.items():
-        build_sensor = build_sensor.replace(old, new)
-    run("sh", "-exc", build_sensor, cwd=folder)
+    run("sh", "-exc", replace_each(BUILD_SENSOR, replacements), cwd=folder)
     for program in (folder / "build/khepera/mcp_asdf_node", folder / "tile_sensor"):
         emulated = program.rename(f"{program}.arm")
         script = folder / program.name
@@ -100,8 +102,18 @@ def robot(tmp_path: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return Path(shutil.copytree(built, tmp_path / "robot", symlinks=True))
 
 
+def replace_each(text: str, replacements: dict[str, str]) -> str:
+    """Replace texts by others."""
+    for old, new in replacements.items():
+        text = text.replace(old, new)
+    return text
+
+
 def service_command() -> str:
-    """Return the command by which the page's service starts the robot."""
+    """Return the command by which the page's service starts the robot.
+
+    It runs a sensor that compares readings with a threshold, and pipes 0 or 1 to the node.
+    """
     service = configparser.ConfigParser(interpolation=None)
     service.read_string(blocks(PAGE, "ini")[0])
     return service["Service"]["ExecStart"]
@@ -118,60 +130,89 @@ def test_the_node_for_a_khepera_runs_on_its_linux_whatever_libraries_are_there(r
     assert f"Linux {kernel} or later" in PAGE.read_text(encoding="utf-8")
 
 
+def record_floor(robot: Path, command: str, brightness: int) -> None:
+    """Let the sensor write what it reads over a floor to a file. It has to be what the floor is like."""
+    readings = put_on_floor(robot, brightness, 600)
+    run("sh", "-exc", command, cwd=robot)
+    *_, file_name = command.split()
+    written = (robot / file_name).read_text(encoding="ascii").split()
+    assert [int(line) for line in written] == readings
+
+
 @pytest.mark.slow
 def test_the_calibration_of_a_khepera_prints_what_the_page_shows(robot: Path) -> None:
-    """From readings over a black and over a white floor, which the sensor writes to files."""
-    over_black, over_white, *calibrate = CALIBRATE.splitlines(keepends=True)
-    for command, brightness in ((over_black, 300), (over_white, 700)):
-        readings = put_on_floor(robot, brightness, 600)
-        run("sh", "-exc", command, cwd=robot)
-        *_, file_name = command.split()
-        written = (robot / file_name).read_text(encoding="ascii").split()
-        assert [int(line) for line in written] == readings
+    """From readings over a black and over a white floor it computes the threshold and the accuracy."""
+    command_over_black, command_over_white, *calibration = CALIBRATE.splitlines(keepends=True)
+    record_floor(robot, command_over_black, brightness=300)
+    record_floor(robot, command_over_white, brightness=700)
 
-    assert run("sh", "-exc", "".join(calibrate), cwd=robot) == CALIBRATION_OUTPUT
+    printed = run("sh", "-exc", "".join(calibration), cwd=robot)
+
+    assert printed == CALIBRATION_OUTPUT
 
 
 def test_the_service_of_a_khepera_has_the_threshold_and_the_accuracy_of_the_calibration() -> None:
+    """Both stand in docs/platforms/khepera.md; the accuracy is the node's option --b-hat."""
     [threshold] = re.findall(r"tile_sensor (\d+) ", service_command())
     assert f"threshold {threshold}:" in CALIBRATION_OUTPUT
     accuracies = re.findall("--b-hat [0-9.]+", service_command())
     assert accuracies == re.findall("--b-hat [0-9.]+", CALIBRATION_OUTPUT)
 
 
+@dataclass(frozen=True)
+class Khepera:
+    """A Khepera that has run as its service says, until its sensor had no more readings.
+
+    Attributes:
+        summary: What its node has printed.
+        estimates: What it has broadcast.
+        folder: The folder in which it has run.
+    """
+
+    summary: dict[str, Any]
+    estimates: list[Estimate]
+    folder: Path
+
+
+def run_as_service_says(folder: Path) -> Khepera:
+    """Run the service's command, but on a bus of this test and ten times as fast."""
+    choice = multicast(93)
+    command = replace_each(
+        service_command(),
+        {
+            "udp:239.74.163.2:43113": f"udp:{choice.settings['channel']}:{choice.settings['port']}",
+            "--network wlan0": "--hop-limit 0",
+            "--observations": "--steps-per-second 100 --observations",
+        },
+    )
+    with choice.open() as bus:
+        printed = run("sh", "-c", command, cwd=folder)
+        contents = []
+        while (frame := bus.recv(1)) is not None:
+            contents.append(decode_estimate(frame, FrameFormat()))
+    estimates = [content for content in contents if isinstance(content, Estimate)]
+    return Khepera(json.loads(printed), estimates, folder)
+
+
 @pytest.mark.slow
 def test_a_khepera_that_runs_as_its_service_says_observes_and_broadcasts(robot: Path) -> None:
-    """200 tiles of a grey floor, those below the threshold black. The bus is one of this test."""
-    choice = multicast(93)
-    readings = put_on_floor(robot, 500, 200)
-    command = service_command()
-    [threshold] = re.findall(r"tile_sensor (\d+) ", command)
-    replacements = {
-        "udp:239.74.163.2:43113": f"udp:{choice.settings['channel']}:{choice.settings['port']}",
-        "--network wlan0": "--hop-limit 0",
-        "--observations": "--steps-per-second 100 --observations",
-    }
-    for old, new in replacements.items():
-        command = command.replace(old, new)
+    """It moves over 200 tiles, of which those below the service's threshold are black. Its id is 7."""
+    readings = put_on_floor(robot, brightness=500, reading_count=200)
+    [threshold] = re.findall(r"tile_sensor (\d+) ", service_command())
 
-    with choice.open() as bus:
-        done = subprocess.run(
-            command, shell=True, cwd=robot, capture_output=True, text=True, timeout=PATIENCE, check=True
-        )
-        contents = [decode_estimate(frame, FrameFormat()) for frame in iter(lambda: bus.recv(1), None)]
+    khepera = run_as_service_says(robot)
 
-    summary = json.loads(done.stdout)
-    assert summary["ended"] == "observations"
-    assert summary["t"] == 200
-    assert summary["n"] == sum(reading < int(threshold) for reading in readings)
-    estimates = [content for content in contents if isinstance(content, Estimate)]
-    assert [estimate.sender for estimate in estimates] == [7] * summary["estimates"]
-    assert estimates[-1].x_hat == summary["x_hat"]
-    assert (robot / "robot.state").exists()
+    assert khepera.summary["ended"] == "observations"
+    assert khepera.summary["t"] == 200
+    assert khepera.summary["n"] == sum(reading < int(threshold) for reading in readings)
+    assert {estimate.sender for estimate in khepera.estimates} == {7}
+    assert len(khepera.estimates) == khepera.summary["estimates"]
+    assert khepera.estimates[-1].x_hat == khepera.summary["x_hat"]
+    assert (khepera.folder / "robot.state").exists()
 
 
 def test_a_dynamic_link_would_want_the_c_library_that_the_page_names(tmp_path: Path) -> None:
-    """Which a Khepera's Linux does not have, so its node is linked statically."""
+    """A Khepera's Linux does not have that version, so its node is linked statically."""
     require(*CORTEX_A8.compiler)
     (tmp_path / "main.c").write_text("int main(void) { return 0; }\n", encoding="ascii")
 

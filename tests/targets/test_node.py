@@ -7,7 +7,6 @@ The bus is a Unix socket here, so that the tests need no CAN; ``tests/socketcan`
 from __future__ import annotations
 
 import fcntl
-import json
 import os
 import random
 import re
@@ -49,7 +48,6 @@ from support import PATIENCE, interruptible, names_in, require, slow
 from targets.c_node import (
     CORTEX_A8,
     COVERAGE_BUILD,
-    PLAIN_BUILD,
     SANITIZED_BUILD,
     TABLE,
     CNode,
@@ -336,7 +334,7 @@ WRONG_OPTIONS = [
     (ON_A_BUS + "--lockstep", "--id is missing; see --help"),
     *(
         (f"{ON_A_BUS}{LOCKSTEP} --allow {ids}", f"--allow is {ids}; give ids, 0 to 127, such as 0-19+30")
-        for ids in ("x", "5-3", "0-", "+1", "1+", "128", "-1", "0-1-2", "1,2")
+        for ids in ("x", "5-3", "0-", "1+", "128", "1,2")
     ),
     (ON_A_BUS + "--id 1", "choose one of --lockstep, --observations, --sensor"),
     (ON_A_BUS + f"{LOCKSTEP} --b-hat nan", "--b-hat is nan; choose 2^-20 to 1 - 2^-20"),
@@ -604,11 +602,18 @@ ERROR_FRAMES = (
 """Error frames of a bus that gets worse, better, and worse again, and is restarted in the end."""
 
 
-def play_tick(lockstep: Lockstep) -> None:
-    """Let the node observe a black tile, broadcast its estimate, and end the tick."""
-    lockstep.observe({ID: Observation.BLACK})
-    lockstep.estimates([ID])
-    lockstep.settle([ID])
+def play_ticks_with_error_frames(bus: UnixBus, error_frames: Sequence[ErrorFrame]) -> None:
+    """Send the node an error frame at the begin of each tick.
+
+    In a tick it observes a black tile and broadcasts its estimate. A heartbeat may follow.
+    """
+    lockstep = Lockstep(bus, timeout=PATIENCE)
+    lockstep.wait_until_up([ID], PATIENCE)
+    for error_frame in error_frames:
+        bus.send(error_frame.to_message())
+        lockstep.observe({ID: Observation.BLACK})
+        lockstep.estimates([ID])
+        lockstep.settle([ID])
 
 
 def test_the_node_s_heartbeat_says_how_the_bus_is(start_node: StartNode, bus: UnixBus) -> None:
@@ -619,32 +624,29 @@ def test_the_node_s_heartbeat_says_how_the_bus_is(start_node: StartNode, bus: Un
     error_frame_by_tick = [PROTOCOL_ERROR, *ERROR_FRAMES]
     tick_count = len(error_frame_by_tick)
     node = start_node("--lockstep", "--steps-per-second", 1, "--steps", tick_count)
-    lockstep = Lockstep(bus, timeout=PATIENCE)
-    lockstep.wait_until_up([ID], PATIENCE)
 
-    for error_frame in error_frame_by_tick:
-        bus.send(error_frame.to_message())
-        play_tick(lockstep)
+    play_ticks_with_error_frames(bus, error_frame_by_tick)
     summary = node.summary()
 
     _first_heartbeat, *heartbeats = heartbeats_in(bus.received_frames)
     expected_health = [error_frame.node_health for error_frame in ERROR_FRAMES]
     assert [heartbeat.health for heartbeat in heartbeats] == expected_health
     assert summary["error_frames"] == tick_count
-    assert summary["bus_off"] == ERROR_FRAMES.count(BUS_OFF) == 1
-    assert summary["ended"] == "ticks"
+    assert summary["bus_off"] == 1
 
 
 def test_a_bus_that_closes_ends_the_run_with_a_failure(start_node: StartNode, bus: UnixBus) -> None:
+    """The node's summary says why it has ended."""
     node = start_node("--lockstep")
     bus.node.close()
-    assert node.summary(status=1)["ended"] == "bus closed"
+    assert node.summary(status=FAILED_RUN)["ended"] == "bus closed"
 
 
 @pytest.mark.slow
 def test_a_node_whose_frames_nobody_takes_loses_them_but_no_tick(
     start_node: StartNode, bus: UnixBus, options_for_400_black_tiles: tuple[object, ...]
 ) -> None:
+    """The test receives no frame until the node has observed 400 tiles and has ended: the socket is full."""
     node = start_node(*FAST_CLOCK, *options_for_400_black_tiles)
 
     summary = node.summary()  # waits until the node has ended
@@ -686,17 +688,17 @@ def test_a_node_that_is_started_again_goes_on_with_its_saved_state(
     start_node: StartNode, bus: UnixBus, tmp_path: Path, firmware_filter: Filter
 ) -> None:
     """Three runs of three ticks each end in the state of one robot that has made nine."""
-    file, state = tmp_path / "observations", tmp_path / "state"
-    robot_of_nine_ticks = python_node(ID, filter_period=10, filter=firmware_filter)
+    observations, state = tmp_path / "observations", tmp_path / "state"
     options = (*FAST_CLOCK, "--filter-period", 10, *FILTERS[firmware_filter].split())
-    for symbols in ("011", "100", "111"):
-        file.write_text(symbols, encoding="ascii")
-        node = start_node(*options, "--state", state, "--observations", file)
+    for tiles in ("011", "100", "111"):
+        observations.write_text(tiles, encoding="ascii")
+        node = start_node(*options, "--state", state, "--observations", observations)
         bus.receive_until_node_ends()
         assert node.summary()["ticks"] == 3
-        for symbol in symbols:
-            robot_of_nine_ticks.robot.step(Observation(int(symbol)))
 
+    robot_of_nine_ticks = python_node(ID, filter_period=10, filter=firmware_filter)
+    for tile in "011100111":
+        robot_of_nine_ticks.robot.step(Observation(int(tile)))
     assert state.read_bytes() == saved_state(robot_of_nine_ticks)
     assert not draft_of(state).exists()
 
@@ -741,6 +743,7 @@ def refuse_state(command: list[str], bus: UnixBus) -> RefuseState:
 
 
 def test_a_folder_in_place_of_the_state_is_refused(refuse_state: RefuseState, tmp_path: Path) -> None:
+    """The node does not start, and its message has the name of the folder."""
     assert str(tmp_path) in refuse_state(tmp_path)
 
 
@@ -765,12 +768,13 @@ def command_under_strace(trace: Path, tmp_path_factory: pytest.TempPathFactory) 
 
     def make_command(paths: Sequence[Path], *settings: str) -> list[str]:
         """Take the files, and settings such as ``inject=read:error=EIO:when=2`` for the second read."""
-        strace = [require("strace", "strace"), "-o", str(trace)]
+        # The sanitizer's search for leaks does not work under strace.
+        strace = ["env", "ASAN_OPTIONS=detect_leaks=0", require("strace", "strace"), "-o", str(trace)]
         for path in paths:
             strace += ["-P", str(path)]
         for setting in settings:
             strace += ["-e", setting]
-        return [*strace, *node_command(PLAIN_BUILD, tmp_path_factory)]
+        return [*strace, *node_command(SANITIZED_BUILD, tmp_path_factory)]
 
     return make_command
 
@@ -780,7 +784,10 @@ def command_under_strace(trace: Path, tmp_path_factory: pytest.TempPathFactory) 
 def test_a_read_of_observations_that_fails_for_the_moment_is_repeated(
     bus: UnixBus, tmp_path: Path, command_under_strace: Callable[..., list[str]], error: str
 ) -> None:
-    """Of 600 observations none is lost, although every second read fails, the first one included."""
+    """Of 600 observations none is lost, although every second read fails, the first one included.
+
+    strace lets the reads fail, as the system may if a signal comes or nothing is there yet.
+    """
     file = tmp_path / "observations"
     file.write_text("1" * 600, encoding="ascii")
     command = command_under_strace([file], f"inject=read:error={error}:when=1+2")
@@ -804,12 +811,7 @@ def refusal_of_file(file: Path, reason: str) -> str:
     ("failing_call", "reason"),
     [
         ("openat:error=EACCES", "Permission denied"),
-        *slow(
-            [
-                ("read:error=EIO", "Input/output error"),
-                ("read:error=EIO:when=2", "Input/output error"),
-            ]
-        ),
+        *slow([("read:error=EIO:when=2", "Input/output error")]),
     ],
 )
 def test_a_state_that_cannot_be_read_is_refused_and_kept(
@@ -819,7 +821,7 @@ def test_a_state_that_cannot_be_read_is_refused_and_kept(
     tmp_path: Path,
     command_under_strace: Callable[..., list[str]],
 ) -> None:
-    """The node does not start, and leaves no other file in the folder. strace lets the call fail."""
+    """The node does not start, and leaves no other file in the folder. strace lets the system call fail."""
     state = tmp_path / "state"
     image = saved_state(python_node(ID))
     state.write_bytes(image)
@@ -830,23 +832,6 @@ def test_a_state_that_cannot_be_read_is_refused_and_kept(
     assert re.fullmatch(refusal_of_file(state, reason), message)
     assert state.read_bytes() == image
     assert names_in(tmp_path) == ["bus", "state", "trace"]
-
-
-def test_observations_that_cannot_be_opened_are_refused_before_the_run(
-    bus: UnixBus, tmp_path: Path, command_under_strace: Callable[..., list[str]]
-) -> None:
-    """strace lets the system refuse to open them."""
-    file = tmp_path / "observations"
-    file.write_bytes(b"1" * 256)
-    command = command_under_strace([file], "inject=openat:error=EACCES")
-
-    process = CNode(command, bus.channel_info, ID, *FAST_CLOCK, "--observations", file).process
-    _, message = process.communicate(timeout=PATIENCE)
-
-    assert process.returncode == WRONG_USAGE
-    assert re.fullmatch(refusal_of_file(file, "Permission denied"), message)
-    assert file.read_bytes() == b"1" * 256
-    assert names_in(tmp_path) == ["bus", "observations", "trace"]
 
 
 @pytest.mark.parametrize(
@@ -863,30 +848,26 @@ def test_a_run_ends_with_a_failure_where_observations_cannot_be_read(
     tmp_path: Path,
     command_under_strace: Callable[..., list[str]],
 ) -> None:
-    """strace lets a read fail; what was read before counts."""
+    """The file has 256 observations. strace lets the first read fail, or the second: t observations count."""
     file = tmp_path / "observations"
     file.write_bytes(b"1" * 256)
     command = command_under_strace([file], f"inject={failing_read}")
 
-    process = CNode(command, bus.channel_info, ID, *FAST_CLOCK, "--observations", file).process
-    output, message = process.communicate(timeout=PATIENCE)
+    with CNode(command, bus.channel_info, ID, *FAST_CLOCK, "--observations", file) as node:
+        summary = node.summary(status=FAILED_RUN)
 
-    failed_run = 1
-    assert process.returncode == failed_run
-    assert re.fullmatch(refusal_of_file(file, "Input/output error"), message)
-    summary = json.loads(output)
+    [error_line] = node.error_lines
+    assert re.fullmatch(refusal_of_file(file, "Input/output error"), error_line + "\n")
     assert summary["ended"] == "observations not readable"
     assert summary["t"] == observation_count
-    assert file.read_bytes() == b"1" * 256
-    assert names_in(tmp_path) == ["bus", "observations", "trace"]
 
 
 def test_a_state_that_can_only_be_read_in_pieces_is_complete(
     command: list[str], bus: UnixBus, tmp_path: Path
 ) -> None:
-    """The state is a pipe, and each piece is written when the node has read the one before.
+    """The file of the state is a pipe, which is read byte by byte. The robot has observed one tile.
 
-    It is that of a robot with one observation; after the node's run the file is an ordinary one with it.
+    When the node ends, it saves its state, which is the same, in an ordinary file of that name.
     """
     robot = python_node(ID)
     robot.robot.step(Observation.BLACK)
@@ -895,16 +876,21 @@ def test_a_state_that_can_only_be_read_in_pieces_is_complete(
     os.mkfifo(state)
 
     with CNode(command, bus.channel_info, ID, "--lockstep", "--state", state) as node:
-        with state.open("wb", buffering=0) as pipe:
-            for piece in (image[:50], image[50:51], image[51:]):
-                pipe.write(piece)
-                while unread_bytes(pipe) > 0:
-                    time.sleep(0.001)
+        write_byte_by_byte(state, image)
         bus.accept_node()
         summary = node.stop()
 
     assert summary["t"] == 1
     assert state.read_bytes() == image
+
+
+def write_byte_by_byte(path: Path, content: bytes) -> None:
+    """Write into a pipe, each byte when the reader has read the one before."""
+    with path.open("wb", buffering=0) as pipe:
+        for byte in content:
+            pipe.write(bytes([byte]))
+            while unread_bytes(pipe) > 0:
+                time.sleep(0.001)
 
 
 def unread_bytes(pipe: FileIO) -> int:
@@ -918,12 +904,6 @@ CALLS_OF_SAVE = ("openat", "write", "fsync", "close", "rename", "openat", "fsync
 Whenever the power fails, the name stands for all of the old state or all of the new, and in the end for the
 new.
 """
-CALLS_OF_TWO_SAVES = [
-    (call, number)
-    for call in sorted(set(CALLS_OF_SAVE))
-    for number in range(1, 2 * CALLS_OF_SAVE.count(call) + 1)
-]
-"""Each system call of two saves: its name, and its number among those of that name, from 1."""
 TRACE_CALLS_OF_SAVE = "trace=openat,write,fsync,close,rename"
 
 
@@ -987,7 +967,7 @@ def test_a_save_writes_a_draft_to_the_disk_before_it_gets_the_name_of_the_state(
     state: Path,
     states: list[bytes],
 ) -> None:
-    """So the old state is there whenever the power fails. strace lists the calls of two saves."""
+    """So the old state is there if the power fails. strace lists the system calls of two saves."""
     *_, state_after_the_run = states
     command = command_under_strace([draft_of(state), state.parent], TRACE_CALLS_OF_SAVE)
 
@@ -995,8 +975,13 @@ def test_a_save_writes_a_draft_to_the_disk_before_it_gets_the_name_of_the_state(
 
     assert error_lines == []
     assert state.read_bytes() == state_after_the_run
-    *calls, _exit = [line.partition("(")[0] for line in trace.read_text(encoding="utf-8").splitlines()]
-    assert calls == [*CALLS_OF_SAVE, *CALLS_OF_SAVE]
+    assert traced_calls(trace) == [*CALLS_OF_SAVE, *CALLS_OF_SAVE]
+
+
+def traced_calls(trace: Path) -> list[str]:
+    """Return the names of the calls that strace has listed; its last line says how the program ended."""
+    *calls, _exit = trace.read_text(encoding="utf-8").splitlines()
+    return [call.partition("(")[0] for call in calls]
 
 
 def test_the_old_state_is_kept_if_all_saves_are_cut_off(
@@ -1007,39 +992,73 @@ def test_the_old_state_is_kept_if_all_saves_are_cut_off(
 ) -> None:
     """strace lets each write take 50 bytes only. The node goes on, and fails in the end."""
     old_state, *_ = states
-    paths = [draft_of(state), state.parent]
-    command = command_under_strace(paths, TRACE_CALLS_OF_SAVE, "inject=write:retval=50")
+    files_of_save = [draft_of(state), state.parent]
+    command = command_under_strace(files_of_save, TRACE_CALLS_OF_SAVE, "inject=write:retval=50")
 
-    error_lines = run_with_two_saves(command, 1)
+    error_lines = run_with_two_saves(command, FAILED_RUN)
 
     assert error_lines == [save_failure(state)]
     assert state.read_bytes() == old_state
 
 
+@dataclass(frozen=True)
+class FailingCall:
+    """A system call of two saves, which fails.
+
+    Attributes:
+        name: Its name.
+        number: Its number among those of that name in both saves, from 1.
+    """
+
+    name: str
+    number: int
+
+    @property
+    def is_in_second_save(self) -> bool:
+        return self.number > CALLS_OF_SAVE.count(self.name)
+
+    @property
+    def is_about_draft(self) -> bool:
+        """Of two calls of a name in a save the first is about the draft, and the second about the folder."""
+        return CALLS_OF_SAVE.count(self.name) == 1 or self.number % 2 == 1
+
+    @property
+    def is_reported(self) -> bool:
+        """Nothing is lost if only the folder cannot be closed."""
+        return self.is_about_draft or self.name != "close"
+
+    def __str__(self) -> str:
+        return f"{self.name}-{self.number}"
+
+
+CALLS_OF_TWO_SAVES = [
+    FailingCall(name, number)
+    for name in sorted(set(CALLS_OF_SAVE))
+    for number in range(1, 2 * CALLS_OF_SAVE.count(name) + 1)
+]
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("failing_call", CALLS_OF_TWO_SAVES, ids=str)
+@pytest.mark.parametrize("call", CALLS_OF_TWO_SAVES, ids=str)
 def test_the_state_is_the_last_or_the_one_before_whichever_call_of_a_save_fails(
-    failing_call: tuple[str, int],
+    call: FailingCall,
     command_under_strace: Callable[..., list[str]],
     run_with_two_saves: Callable[[list[str], int], list[str]],
     state: Path,
     states: list[bytes],
 ) -> None:
-    """The robot goes on, and says once that a save has failed, unless only the folder could not be closed."""
+    """The robot goes on, and says once that a save has failed, unless only the folder could not be closed.
+
+    The state before is there if the second save fails while it writes a draft of the new one.
+    """
     _, state_of_first_save, state_of_second_save = states
-    call, number = failing_call
-    calls_in_save = CALLS_OF_SAVE.count(call)
-    is_in_second_save = number > calls_in_save
-    # Of two calls of a name in a save the first is about the draft, and the second about the folder.
-    is_about_draft = calls_in_save == 1 or number % 2 == 1
-    is_reported = is_about_draft or call != "close"
+    failure = f"inject={call.name}:error=ENOSPC:when={call.number}"
+    command = command_under_strace([draft_of(state), state.parent], TRACE_CALLS_OF_SAVE, failure)
 
-    paths = [draft_of(state), state.parent]
-    command = command_under_strace(paths, TRACE_CALLS_OF_SAVE, f"inject={call}:error=ENOSPC:when={number}")
-    error_lines = run_with_two_saves(command, 1 if is_reported else 0)
+    error_lines = run_with_two_saves(command, FAILED_RUN if call.is_reported else 0)
 
-    assert error_lines == ([save_failure(state)] if is_reported else [])
-    if is_in_second_save and is_about_draft:
+    assert error_lines == ([save_failure(state)] if call.is_reported else [])
+    if call.is_in_second_save and call.is_about_draft:
         assert state.read_bytes() == state_of_first_save
     else:
         assert state.read_bytes() == state_of_second_save
@@ -1071,13 +1090,11 @@ NOT_EXECUTED = {
 """What a verification leaves out of the core, and why: patterns of "file: text of a line"."""
 
 
-@pytest.mark.slow
-def test_the_radio_command_s_verdict_executes_every_line_and_branch_of_the_firmware(
-    bus: UnixBus, tmp_path_factory: pytest.TempPathFactory
-) -> None:
-    """So a robot that passes has no untried code, but the lines that NOT_EXECUTED above lists with reasons.
+@pytest.fixture
+def folder_of_verified_node(bus: UnixBus, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a coverage build of the node that has passed two verifications, with either filter.
 
-    The C node is judged with the paper's filter and with the robust one, at their default settings.
+    They are those of ``mcp-asdf radio --verify``, and all other settings are the default ones.
     """
     command = node_command(COVERAGE_BUILD, tmp_path_factory)
     for filter_name, config in (("asdf-plus", Config(TABLE)), ("robust", Config(filter=Filter.ROBUST))):
@@ -1087,12 +1104,21 @@ def test_the_radio_command_s_verdict_executes_every_line_and_branch_of_the_firmw
             verdict = Verification(surroundings(setup), BenchOptions(bus, 25, PATIENCE)).run()
             assert verdict.has_passed, verdict.headline
             node.stop()
+    return Path(command[-1]).parent
 
-    lines_without_reason, used_reasons = [], set[str]()
-    for line in unexecuted_lines(Path(command[-1]).parent):
-        reasons = [reason for reason, pattern in NOT_EXECUTED.items() if re.fullmatch(pattern, line)]
+
+@pytest.mark.slow
+def test_the_radio_command_s_verdict_executes_every_line_and_branch_of_the_firmware(
+    folder_of_verified_node: Path,
+) -> None:
+    """So a robot that passes has no untried code but the lines that NOT_EXECUTED lists with reasons."""
+    lines_without_reason = []
+    used_reasons = set()
+    for line in unexecuted_lines(folder_of_verified_node):
+        reasons = {reason for reason, pattern in NOT_EXECUTED.items() if re.fullmatch(pattern, line)}
+        used_reasons |= reasons
         if not reasons:
             lines_without_reason.append(line)
-        used_reasons.update(reasons)
+
     assert lines_without_reason == []
     assert used_reasons == set(NOT_EXECUTED), "a reason that is not needed any more is to be removed"

@@ -162,7 +162,10 @@ def sections_of_variables(elf: ELFFile) -> dict[str, Any]:
 @pytest.mark.parametrize("level", ["-Os", *slow(["-O0", "-O3"])])
 @pytest.mark.parametrize("board", BOARDS, ids=lambda board: board.name)
 def test_variables_have_their_values_when_main_starts(board: Board, level: str, tmp_path: Path) -> None:
-    """In one section they have values of the program, in another one they are 0, whatever was in memory."""
+    """Those in one section have values of the program, those in another one are 0, whatever RAM held before.
+
+    The port's start-up code does that, before main(), on an emulated processor.
+    """
     with build(board, level, tmp_path).open("rb") as stream:
         elf = ELFFile(stream)
         sections = sections_of_variables(elf)
