@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 
+import can
 import pytest
 
 from mcp_asdf_tools.bus.frames import format_frame
@@ -11,6 +12,13 @@ from mcp_asdf_tools.recording.candump_lines import parse_line
 from support import require
 
 FRAME = "186BB92A#0000603333F307E5"
+
+
+def parse_frame(line: str) -> can.Message:
+    """Return the frame in a line, which must hold one."""
+    frame = parse_line(line)
+    assert frame is not None
+    return frame
 
 
 @pytest.mark.parametrize(
@@ -29,47 +37,42 @@ FRAME = "186BB92A#0000603333F307E5"
     ],
 )
 def test_all_forms_in_which_candump_prints_a_frame_give_the_same_frame(line: str) -> None:
-    frame = parse_line(line)
-    assert frame is not None
+    """Each line has the frame with FRAME's identifier and data, received on vcan0 at 1.5 s."""
+    frame = parse_frame(line)
     assert (frame.timestamp, frame.channel, format_frame(frame)) == (1.5, "vcan0", FRAME)
-    assert frame.is_extended_id and frame.is_rx and not frame.is_fd
+    assert (frame.is_extended_id, frame.is_rx, frame.is_fd) == (True, True, False)
 
 
 def test_a_line_without_a_time_stamp_has_time_zero() -> None:
-    frame = parse_line("  can1  123   [2]  01 FF")
-    assert frame is not None
+    """Candump prints none unless it is asked for one."""
+    frame = parse_frame("  can1  123   [2]  01 FF")
     assert (frame.timestamp, frame.channel, format_frame(frame)) == (0.0, "can1", "123#01FF")
 
 
 def test_an_identifier_of_three_digits_is_a_standard_one() -> None:
-    frame = parse_line("(1.5) can1 123#01FF")
-    assert frame is not None
-    assert not frame.is_extended_id
+    """A standard identifier has 11 bits; an extended one has 29, and candump writes it in eight digits."""
+    assert not parse_frame("(1.5) can1 123#01FF").is_extended_id
 
 
 @pytest.mark.parametrize("line", ["(1.5) can0 123#00 T", "(1.5)  can0  TX - -  123   [1]  00"])
 def test_a_frame_that_this_computer_sent_is_marked_as_sent(line: str) -> None:
-    frame = parse_line(line)
-    assert frame is not None
-    assert not frame.is_rx
+    """Candump marks it with T or TX; python-can's ``is_rx`` is true for frames that others sent."""
+    assert not parse_frame(line).is_rx
 
 
 @pytest.mark.parametrize("line", ["(1.5) can0 123##3AB", "(1.5)  can0  RX B E  123  [01]  AB"])
 def test_flags_of_a_can_fd_frame_are_read(line: str) -> None:
     """The 3 behind ## (or B and E) stands for a switch of the bit rate, and an error state of the sender."""
-    frame = parse_line(line)
-    assert frame is not None
-    assert frame.is_fd and frame.bitrate_switch and frame.error_state_indicator
+    frame = parse_frame(line)
+    assert (frame.is_fd, frame.bitrate_switch, frame.error_state_indicator) == (True, True, True)
     assert frame.data == b"\xab"
 
 
 @pytest.mark.parametrize("line", ["(1.5) can0 123#R5", "(1.5)  can0  123   [5]  remote request"])
 def test_a_remote_frame_has_the_length_that_it_asks_for(line: str) -> None:
-    frame = parse_line(line)
-    assert frame is not None
-    assert frame.is_remote_frame
-    assert frame.dlc == 5
-    assert frame.data == b""
+    """A remote frame has no data, but asks another node for so many bytes."""
+    frame = parse_frame(line)
+    assert (frame.is_remote_frame, frame.dlc, frame.data) == (True, 5, b"")
 
 
 @pytest.mark.parametrize(
@@ -91,6 +94,7 @@ def test_a_remote_frame_has_the_length_that_it_asks_for(line: str) -> None:
     ],
 )
 def test_a_line_without_a_complete_and_possible_frame_gives_none(line: str) -> None:
+    """The caller can skip such a line: it is of another kind, or was cut, or has too large a number."""
     assert parse_line(line) is None
 
 
@@ -106,12 +110,12 @@ def test_a_line_without_a_complete_and_possible_frame_gives_none(line: str) -> N
     ],
 )
 def test_a_line_of_a_log_is_read_as_the_same_frame_as_candumps_output_on_a_console(text: str) -> None:
-    """log2long, which comes with candump, writes a line of a log as the console shows it."""
+    """The program log2long, which comes with candump, writes a line of a log as the console shows it."""
     log2long = require("log2long", "can-utils")
     log_line = f"(2.500000) can0 {text}"
     result = subprocess.run([log2long], input=f"{log_line}\n", capture_output=True, text=True, check=True)
-    log_frame, console_frame = parse_line(log_line), parse_line(result.stdout)
-    assert log_frame is not None and console_frame is not None
-    console_frame.bitrate_switch = log_frame.bitrate_switch  # which log2long leaves out
+    console_line = result.stdout
 
+    log_frame, console_frame = parse_frame(log_line), parse_frame(console_line)
+    console_frame.bitrate_switch = log_frame.bitrate_switch  # log2long leaves it out
     assert console_frame.equals(log_frame, timestamp_delta=None)

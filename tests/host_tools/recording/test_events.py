@@ -259,7 +259,7 @@ def test_a_file_of_a_killed_run_that_happens_to_be_complete_gives_all_events(tmp
 
 
 def test_an_incomplete_last_line_of_a_killed_run_is_ignored(tmp_path: Path) -> None:
-    """The line of robot 0 lacks its end. The file is not compressed here, as somebody may have unpacked it."""
+    """The line of robot 0 lacks its end. Somebody has decompressed the file."""
     (tmp_path / "x.part").write_text(f"{FIRST_LINE}[7,1,3]\n[0,1")
     assert read_entries(tmp_path / "x.part") == [RobotEvents(7, [BLACK, END_OF_TICK])]
 

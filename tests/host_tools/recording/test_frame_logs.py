@@ -19,35 +19,39 @@ def read_times(log: Path, summary: LogSummary | None = None) -> list[float]:
     return [frame.timestamp for frame in read_log(log, None, summary)]
 
 
-def write_odd_log(log: Path) -> None:
-    """Write a log with a byte order mark, two frames, an empty line, a comment and a line that was cut."""
+@pytest.fixture
+def odd_log(tmp_path: Path) -> Path:
+    """A log with a byte order mark, two frames, an empty line, a comment in line 3 and a cut line."""
+    log = tmp_path / "run.log"
     log.write_text(
         f"\ufeff(1.0) vcan0 {FRAME}\n\n# a break\n(2.0) vcan1 {FRAME}\n(3.0) vcan0 186BB9", encoding="utf-8"
     )
+    return log
 
 
-def test_frames_are_read_around_lines_that_are_no_frames(tmp_path: Path) -> None:
-    write_odd_log(tmp_path / "run.log")
-    assert read_times(tmp_path / "run.log") == [1.0, 2.0]
+def test_frames_are_read_around_lines_that_are_no_frames(odd_log: Path) -> None:
+    """The log has frames at 1 s and 2 s, between them a comment, and behind them a line that was cut."""
+    assert read_times(odd_log) == [1.0, 2.0]
 
 
-def test_the_summary_counts_the_frames_of_each_channel(tmp_path: Path) -> None:
+def test_the_summary_counts_the_frames_of_each_channel(odd_log: Path) -> None:
+    """Beside lines that are no frames the log has one frame of vcan0 and one of vcan1."""
     summary = LogSummary()
-    write_odd_log(tmp_path / "run.log")
-    read_times(tmp_path / "run.log", summary)
+    read_times(odd_log, summary)
 
     assert summary.channels == {"vcan0": 1, "vcan1": 1}
     assert summary.channel_names == "vcan0 and vcan1"
 
 
-def test_the_summary_warns_of_lines_that_are_no_frames(tmp_path: Path) -> None:
+def test_the_summary_warns_of_lines_that_are_no_frames(odd_log: Path) -> None:
+    """The log has a comment in line 3 and a line that was cut; empty lines are not counted."""
     summary = LogSummary()
-    write_odd_log(tmp_path / "run.log")
-    read_times(tmp_path / "run.log", summary)
+    read_times(odd_log, summary)
     assert summary.warning == "2 lines are no frames and were left out; the first is line 3, '# a break'"
 
 
 def test_the_summary_names_the_only_line_that_is_no_frame(tmp_path: Path) -> None:
+    """Its two bytes are no UTF-8 and are shown as escapes."""
     log, summary = tmp_path / "run.log", LogSummary()
     log.write_bytes(b"(1.0) vcan0 123#00\n\xff\xfe\n")
     assert read_times(log, summary) == [1.0]
@@ -55,6 +59,7 @@ def test_the_summary_names_the_only_line_that_is_no_frame(tmp_path: Path) -> Non
 
 
 def test_a_log_without_frames_is_refused_with_its_first_line(tmp_path: Path) -> None:
+    """The suffix .log stands for candump's format, but the contents are of another one."""
     log = tmp_path / "run.log"
     log.write_text("timestamp,arbitration_id\n1.0,0x123\n")
     message = "holds no frame: line 1, 'timestamp,arbitration_id', is none of candump's; does its suffix"
@@ -64,29 +69,32 @@ def test_a_log_without_frames_is_refused_with_its_first_line(tmp_path: Path) -> 
 
 
 def test_a_missing_log_is_refused_and_not_created(tmp_path: Path) -> None:
+    """Python-can's reader of .db files, which are databases, would make an empty one."""
     with pytest.raises(UsageError, match=r"cannot read the log .*absent\.db: No such file"):
         read_times(tmp_path / "absent.db")
     assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize("suffix", [".asc", ".csv", ".trc"])
-def test_a_malformed_line_of_another_format_is_named(suffix: str, tmp_path: Path) -> None:
+def test_a_malformed_line_of_another_format_is_refused_with_its_number(suffix: str, tmp_path: Path) -> None:
+    """A log of python-can gets a second line with a frame, in which the identifier 123 is no number."""
     log = tmp_path / f"run{suffix}"
     with can.Logger(log) as write_frame:
         write_frame(can.Message(timestamp=1.0, arbitration_id=0x123, data=b"\1"))
     lines = log.read_text().replace("End TriggerBlock\n", "").splitlines()
     malformed_line = lines[-1].replace("123", "xyz")
     log.write_text("\n".join([*lines, malformed_line]))
-    shown_line = " ".join(malformed_line.split())
 
     with pytest.raises(UsageError) as caught:
         read_times(log)
+    shown_line = " ".join(malformed_line.split())  # white space is shortened to single spaces
     assert f"is malformed in line {len(lines) + 1}, '{shown_line}'" in str(caught.value)
 
 
 def test_a_log_in_mf4_is_refused_with_the_package_that_would_read_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """The package is not part of the tools; here it counts as not installed, whether it is or not."""
     monkeypatch.setattr(frame_logs, "find_spec", lambda _: None)
     log = tmp_path / "run.mf4"
     log.write_bytes(b"MDF     4.10    ")
@@ -104,38 +112,33 @@ def test_a_line_of_a_million_characters_is_skipped(tmp_path: Path) -> None:
     assert summary.skipped_lines == 1
 
 
-def test_a_line_of_sixty_characters_is_shown_completely(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("line", "shown_line"), [("x" * 60, "x" * 60), ("x" * 61, "x" * 60 + "...")], ids=["60", "61"]
+)
+def test_of_a_line_of_more_than_60_characters_the_first_60_are_shown(
+    line: str, shown_line: str, tmp_path: Path
+) -> None:
+    """The line is no frame, and the summary of the log quotes it."""
     log, summary = tmp_path / "run.log", LogSummary()
-    log.write_text(f"{'x' * 60}\n(2.0) vcan0 123#00\n")
+    log.write_text(f"{line}\n(2.0) vcan0 123#00\n")
     read_times(log, summary)
-    assert summary.first_skipped == f"line 1, '{'x' * 60}'"
+    assert summary.first_skipped == f"line 1, '{shown_line}'"
 
 
-def test_only_the_beginning_of_a_long_line_is_shown(tmp_path: Path) -> None:
-    log, summary = tmp_path / "run.log", LogSummary()
-    log.write_text(f"(1.0) vcan0 123#{'0' * 1_000_000}\n(2.0) vcan0 123#00\n")
-    read_times(log, summary)
-    first_60_characters = f"(1.0) vcan0 123#{'0' * 44}"
-    assert summary.first_skipped == f"line 1, '{first_60_characters}...'"
-
-
-THREE_LINES = b"(1.0) vcan0 123#0011\n(2.0) vcan0 123#0022\n(3.0) vcan0 123#0033\n"
-FIRST_LINE_LENGTH = THREE_LINES.index(b"\n") + 1
-
-
-def test_the_log_of_a_killed_run_is_read_up_to_its_last_complete_line(tmp_path: Path) -> None:
-    """Its name ends in ``.part``. It is cut after each of its bytes from the first complete line on."""
+@pytest.mark.parametrize(
+    "cut_line", ["", "(", "(3.0) vcan0 123", "(3.0) vcan0 123#00", "(3.0) vcan0 123#0033"]
+)
+def test_the_log_of_a_killed_run_is_read_up_to_its_last_complete_line(cut_line: str, tmp_path: Path) -> None:
+    """Its name ends in ``.part``. A last line without an end may be cut, even if it looks like a frame."""
     part = tmp_path / "run.log.part"
-    for size in range(FIRST_LINE_LENGTH, len(THREE_LINES) + 1):
-        part.write_bytes(THREE_LINES[:size])
-        complete_lines = THREE_LINES[:size].count(b"\n")
-        assert read_times(part) == [1.0, 2.0, 3.0][:complete_lines], f"cut after {size} bytes"
+    part.write_text(f"(1.0) vcan0 123#0011\n(2.0) vcan0 123#0022\n{cut_line}")
+    assert read_times(part) == [1.0, 2.0]
 
 
-def test_the_log_of_a_killed_run_without_a_complete_line_is_refused(tmp_path: Path) -> None:
-    """Its name ends in ``.part``, and it is cut after each byte of the first line."""
+@pytest.mark.parametrize("cut_line", ["(1.0) vcan0 123", "(1.0) vcan0 123#0011"])
+def test_the_log_of_a_killed_run_without_a_complete_line_is_refused(cut_line: str, tmp_path: Path) -> None:
+    """Its name ends in ``.part``. A last line without an end may be cut, even if it looks like a frame."""
     part = tmp_path / "run.log.part"
-    for size in range(1, FIRST_LINE_LENGTH):
-        part.write_bytes(THREE_LINES[:size])
-        with pytest.raises(UsageError, match="holds no frame"):
-            read_times(part)
+    part.write_text(cut_line)
+    with pytest.raises(UsageError, match="holds no frame"):
+        read_times(part)

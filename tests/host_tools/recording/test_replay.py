@@ -31,6 +31,7 @@ from wire import record
 pytestmark = pytest.mark.usefixtures("no_bus_is_left")
 
 Capture = pytest.CaptureFixture[str]
+HEADER_OF_ROBOT_5 = EventsHeader([record(5)], seed=None, frames=FrameFormat())
 BROADCASTS = 4 * 40
 """Frames with an estimate in the log of the small swarm: one of each of 4 robots in each of 40 ticks."""
 HEARTBEATS = 16
@@ -57,16 +58,20 @@ def all_reproduced() -> dict[str, Any]:
 # --- Logs that are reproduced -------------------------------------------------------------------------
 
 
+def convert(log: Path, converted_log: Path) -> None:
+    """Write the frames of a log into another one, in the format of its suffix, as can_logconvert does."""
+    with can.LogReader(log) as frames, can.Logger(converted_log) as write_frame:
+        for frame in frames:
+            write_frame(frame)
+
+
 @pytest.mark.parametrize("suffix", [".log", ".asc", ".blf", ".csv", ".trc"])
 def test_replay_reproduces_a_log_in_any_format(
     suffix: str, swarm_log: Path, tmp_path: Path, capsys: Capture
 ) -> None:
-    """A log that can_logconvert has converted: replay computes all its broadcasts again, bit for bit."""
+    """Replay computes all broadcasts of a converted log again, bit for bit; the suffix gives the format."""
     log = tmp_path / f"run{suffix}"
-    with can.LogReader(swarm_log) as frames, can.Logger(log) as write_frame:
-        for frame in frames:
-            write_frame(frame)
-
+    convert(swarm_log, log)
     assert main(["replay", str(log), "--events", str(events_path(swarm_log)), "--json"]) == 0
 
     report = json.loads(capsys.readouterr().out)
@@ -88,30 +93,39 @@ def test_replay_reproduces_a_log_in_any_format(
 def test_replay_reproduces_robots_of_any_firmware_filter_and_period(
     options: str, broadcasts: int, tmp_path: Path
 ) -> None:
+    """A robot's broadcasts depend on what its events file says of it: firmware, filter and period.
+
+    Of the 4 robots each broadcasts in each of 40 ticks, or in each fifth of them with ``--comms-period 5``.
+    """
     frames = record_swarm(tmp_path / "run.log", options)
     verdict = replay(frames, tmp_path / "run.log")
     assert verdict == ReplayVerdict(reproduced=broadcasts, other=HEARTBEATS)
 
 
-def test_frames_that_a_log_lacks_are_counted_and_no_difference(swarm_log: Path) -> None:
-    """Of all frames 30 % are left, drawn with a fixed seed."""
+def test_broadcasts_that_a_log_lacks_are_counted_and_are_no_difference(swarm_log: Path) -> None:
+    """A receiver may miss frames. Of all frames 30 % are left, drawn with a fixed seed."""
     draw = random.Random(8)
     frames = [frame for frame in read_log(swarm_log) if draw.random() < 0.3]
+    broadcasts_left = len(indices_of_estimates(frames))
     verdict = replay(frames, swarm_log)
 
-    assert verdict.difference is None
-    assert verdict.reproduced + verdict.not_logged == BROADCASTS
-    assert BROADCASTS / 5 < verdict.reproduced < BROADCASTS / 2
+    assert verdict == ReplayVerdict(
+        difference=None,
+        reproduced=broadcasts_left,
+        not_logged=BROADCASTS - broadcasts_left,
+        other=len(frames) - broadcasts_left,
+    )
 
 
 FURTHER_OPTIONS_OF_FAULT = {
     "collide": ",id=2",
     "sybil": ",ids=2+100",
-    "crash": ",rejoin=restored --fault crash=0.01",
+    "crash": ",rejoin=restored --fault crash=0.03",
 }
 ALL_FAULTS = " ".join(
     f"--fault {kind.name}=0.3{FURTHER_OPTIONS_OF_FAULT.get(kind.name, '')}" for kind in FAULT_KINDS
 )
+"""Options for a fault of each kind, of which about 30 % of the ticks or frames are hit."""
 
 
 @pytest.mark.parametrize(
@@ -119,8 +133,12 @@ ALL_FAULTS = " ".join(
     ["--seed 1", "--seed 4 --comms-period 5", "--topology dynamic --density 2 --channel 'bus{robot}'"],
 )
 def test_what_injected_faults_did_is_not_reported_as_a_difference(options: str, tmp_path: Path) -> None:
-    """Faults of all kinds send so many frames that some equal a broadcast which is still to come."""
-    frames = record_swarm(tmp_path / "run.log", f"--steps 120 {options} {ALL_FAULTS}")
+    """Faults of all kinds send so many frames that some equal a broadcast which is still to come.
+
+    So each frame of the log is counted as a broadcast, as one with false values, as one of another sender
+    under a robot's id (foreign), or as none of these.
+    """
+    frames = record_swarm(tmp_path / "run.log", f"--steps 60 {options} {ALL_FAULTS}")
     results = json.loads((tmp_path / "run.log.json").read_text())["results"]
     assert all(fault["injected"] > 0 for fault in results["faults"])
 
@@ -137,21 +155,27 @@ def test_what_injected_faults_did_is_not_reported_as_a_difference(options: str, 
 def test_the_events_of_many_robots_are_hardly_larger_than_the_log(
     options: str, ratio: float, tmp_path: Path
 ) -> None:
-    """The ratios are those of docs/internals/emulation.md."""
+    """The largest ratios of the two sizes are those of docs/internals/emulation.md."""
     log = tmp_path / "run.log"
-    settings = ["--robots", "100", "--steps", "12", *options.split()]
-    assert main(["swarm", *settings, "--quiet", "--log", str(log)]) == 0
+    frames = record_swarm(log, f"--robots 100 --steps 12 {options}")
 
-    assert ratio - 0.2 < events_path(log).stat().st_size / log.stat().st_size < ratio
-    assert replay(list(read_log(log)), log).reproduced == 100 * 12
+    size_of_log, size_of_events = log.stat().st_size, events_path(log).stat().st_size
+    assert ratio - 0.2 < size_of_events / size_of_log < ratio
+    assert replay(frames, log).reproduced == 100 * 12
 
 
 def test_rerun_yields_each_robot_at_the_end_of_each_of_its_ticks(swarm_log: Path) -> None:
-    """A robot observes once in each of the 40 ticks, so its number of observations, t, is that of ticks."""
-    with EventsReader(events_path(swarm_log)) as reader:
-        observation_counts = [(robot_id, robot.t) for robot_id, robot in rerun(reader)]
+    """``rerun`` computes the robots of a recorded run again: here four robots in 40 ticks.
 
-    assert observation_counts == [(robot_id, tick) for tick in range(1, 41) for robot_id in range(4)]
+    A robot observes once in each tick, so its number of observations, t, is that of its ticks.
+    """
+    with EventsReader(events_path(swarm_log)) as reader:
+        robots_and_ticks = [(robot_id, robot.t) for robot_id, robot in rerun(reader)]
+
+    first_tick, last_tick = [(robot, 1) for robot in range(4)], [(robot, 40) for robot in range(4)]
+    assert robots_and_ticks[:4] == first_tick
+    assert robots_and_ticks[-4:] == last_tick
+    assert len(robots_and_ticks) == 4 * 40
 
 
 # --- Logs with another value --------------------------------------------------------------------------
@@ -174,48 +198,67 @@ def flip_bit(frame: can.Message, bit: int) -> can.Message:
     return flipped_frame
 
 
+HIGHEST_BIT_OF_X_HAT = 23
 LOWEST_BIT_OF_ALPHA = 24
 """It comes behind the 24 bits of x_hat. The firmware ignores it, but replay does not."""
 BITS_OF_ESTIMATE = 55
 """24 bits of x_hat, and the 31 of alpha below its sign."""
 
 
-@pytest.mark.parametrize("seed", range(20))
-def test_replay_finds_one_wrong_bit_in_one_frame_of_a_log(seed: int, swarm_log: Path) -> None:
-    """The bit may make the frame one that is no estimate any more; then the log lacks a broadcast.
+ESTIMATE = 50
+"""Index of a frame in the log of the swarm that is an estimate."""
 
-    Frame and bit are drawn, but for seed 0: that flips the bit which the firmware ignores.
+
+@pytest.mark.parametrize("bit", [0, 21, LOWEST_BIT_OF_ALPHA, BITS_OF_ESTIMATE - 1])
+def test_replay_finds_one_wrong_bit_in_one_frame_of_a_log(bit: int, swarm_log: Path) -> None:
+    """The difference names the frame, its sender and the tick in which that makes another estimate.
+
+    A robot broadcasts once in each tick, so the tick is the number of its frames up to the wrong one. The
+    bits are the lowest and a high one of x_hat, and the lowest and the highest one of alpha.
     """
-    draw, frames = random.Random(seed), list(read_log(swarm_log))
-    index = draw.choice(indices_of_estimates(frames))
-    bit = draw.randrange(BITS_OF_ESTIMATE) if seed else LOWEST_BIT_OF_ALPHA
-    frames[index] = flip_bit(frames[index], bit)
+    frames = list(read_log(swarm_log))
+    frames[ESTIMATE] = flip_bit(frames[ESTIMATE], bit)
+    estimate = decode_estimate(frames[ESTIMATE], FrameFormat())
+    assert isinstance(estimate, Estimate)
 
     verdict = replay(frames, swarm_log)
 
-    estimate = decode_estimate(frames[index], FrameFormat())
-    if isinstance(estimate, Estimate):
-        earlier_ids = [frame.arbitration_id for frame in frames[:index]]
-        tick = 1 + earlier_ids.count(frames[index].arbitration_id)  # one broadcast in each tick
-        assert verdict.difference is not None
-        assert verdict.difference.startswith(f"frame {index + 1} at ")
-        assert f"robot {estimate.sender} broadcast x_hat {estimate.x_hat:#08x}" in verdict.difference
-        assert f"but in tick {tick} it makes x_hat" in verdict.difference
-    else:
-        assert (verdict.difference, verdict.not_logged) == (None, 1)
+    ids_until_wrong_frame = [frame.arbitration_id for frame in frames[: ESTIMATE + 1]]
+    tick = ids_until_wrong_frame.count(frames[ESTIMATE].arbitration_id)
+    assert verdict.difference is not None
+    assert verdict.difference.startswith(f"frame {ESTIMATE + 1} at ")
+    assert f"robot {estimate.sender} broadcast x_hat {estimate.x_hat:#08x}" in verdict.difference
+    assert f"but in tick {tick} it makes x_hat" in verdict.difference
 
 
-def log_of_one_broadcast(log: Path) -> can.Message:
-    """Write events of robot 5, which observes black once, and return its broadcast."""
-    with events_file(events_path(log), EventsHeader([record(5)], None, FrameFormat())) as writer:
+def test_an_estimate_that_a_wrong_bit_makes_illegal_counts_as_missing(swarm_log: Path) -> None:
+    """Its x_hat is larger than 1. A frame that is no estimate may be of another program: no difference."""
+    frames = list(read_log(swarm_log))
+    frames[ESTIMATE] = flip_bit(frames[ESTIMATE], bit=HIGHEST_BIT_OF_X_HAT)
+    assert not isinstance(decode_estimate(frames[ESTIMATE], FrameFormat()), Estimate)
+
+    verdict = replay(frames, swarm_log)
+
+    assert (verdict.difference, verdict.not_logged) == (None, 1)
+
+
+def write_events_of_one_broadcast(log: Path, foreign_frame: can.Message | None = None) -> can.Message:
+    """Write the file of events beside a log: robot 5 observes black once. Return its broadcast.
+
+    A foreign frame is one that another node sent under the id of the robot.
+    """
+    with events_file(events_path(log), HEADER_OF_ROBOT_5) as writer:
         writer.recorders[5].record_observation(Observation.BLACK)
+        if foreign_frame is not None:
+            writer.recorders[5].record_foreign_frame(foreign_frame)
     robot = BusRobot(record(5), FrameFormat())
     robot.observe(Observation.BLACK)
     return robot.broadcast(0)
 
 
 def test_a_difference_is_described_with_both_values(tmp_path: Path) -> None:
-    frame = log_of_one_broadcast(tmp_path / "x")
+    """The only frame of the log, an estimate of robot 5, has a wrong bit: the lowest one of alpha."""
+    frame = write_events_of_one_broadcast(tmp_path / "x")
     frame.timestamp = 12.5
     verdict = replay([flip_bit(frame, LOWEST_BIT_OF_ALPHA)], tmp_path / "x")
 
@@ -227,7 +270,8 @@ def test_a_difference_is_described_with_both_values(tmp_path: Path) -> None:
 
 
 def test_a_broadcast_that_is_twice_in_a_log_is_a_difference(tmp_path: Path) -> None:
-    frame = log_of_one_broadcast(tmp_path / "x")
+    """Robot 5 has observed once, and so makes one broadcast."""
+    frame = write_events_of_one_broadcast(tmp_path / "x")
     verdict = replay([frame, frame], tmp_path / "x")
 
     assert verdict.reproduced == 1
@@ -235,44 +279,25 @@ def test_a_broadcast_that_is_twice_in_a_log_is_a_difference(tmp_path: Path) -> N
     assert verdict.difference.endswith(", but makes no more broadcasts")
 
 
-def test_a_broadcast_that_the_log_lacks_is_counted(tmp_path: Path) -> None:
-    log_of_one_broadcast(tmp_path / "x")
-    assert replay([], tmp_path / "x") == ReplayVerdict(not_logged=1)
-
-
 # --- Frames under a robot's id that it did not send ---------------------------------------------------
 
 FOREIGN_FRAME = encode_estimate(Estimate(5, 77, ALPHA_ONE, 1), FrameFormat())
+"""Frame of another node under the id of robot 5, with an x_hat of 77, or 0x4d."""
 
 
-def log_with_foreign_frame(log: Path) -> can.Message:
-    """Write events of robot 5, which observes black once while another node sends FOREIGN_FRAME.
-
-    Returns the robot's broadcast.
-    """
-    with events_file(events_path(log), EventsHeader([record(5)], None, FrameFormat())) as writer:
-        writer.recorders[5].record_observation(Observation.BLACK)
-        writer.recorders[5].record_foreign_frame(FOREIGN_FRAME)
-    robot = BusRobot(record(5), FrameFormat())
-    robot.observe(Observation.BLACK)
-    return robot.broadcast(0)
-
-
-def test_a_foreign_frame_may_come_after_the_robots_broadcast(tmp_path: Path) -> None:
+@pytest.mark.parametrize("is_foreign_first", [False, True])
+def test_a_foreign_frame_may_come_before_or_after_the_robots_broadcast(
+    is_foreign_first: bool, tmp_path: Path
+) -> None:
     """Foreign is a frame that another node sent under the id of the robot; the order on a bus is open."""
-    broadcast = log_with_foreign_frame(tmp_path / "x")
-    assert replay([broadcast, FOREIGN_FRAME], tmp_path / "x") == ReplayVerdict(reproduced=1, foreign=1)
-
-
-def test_a_foreign_frame_may_come_before_the_robots_broadcast(tmp_path: Path) -> None:
-    """Foreign is a frame that another node sent under the id of the robot; the order on a bus is open."""
-    broadcast = log_with_foreign_frame(tmp_path / "x")
-    assert replay([FOREIGN_FRAME, broadcast], tmp_path / "x") == ReplayVerdict(reproduced=1, foreign=1)
+    broadcast = write_events_of_one_broadcast(tmp_path / "x", FOREIGN_FRAME)
+    frames = [FOREIGN_FRAME, broadcast] if is_foreign_first else [broadcast, FOREIGN_FRAME]
+    assert replay(frames, tmp_path / "x") == ReplayVerdict(reproduced=1, foreign=1)
 
 
 def test_a_foreign_frame_that_the_events_do_not_know_is_a_difference(tmp_path: Path) -> None:
     """The events know of one frame that another node sent under the id of the robot; the log has two."""
-    broadcast = log_with_foreign_frame(tmp_path / "x")
+    broadcast = write_events_of_one_broadcast(tmp_path / "x", FOREIGN_FRAME)
     verdict = replay([FOREIGN_FRAME, FOREIGN_FRAME, broadcast], tmp_path / "x")
 
     assert verdict.foreign == 1
@@ -281,14 +306,15 @@ def test_a_foreign_frame_that_the_events_do_not_know_is_a_difference(tmp_path: P
 
 
 def test_rerun_yields_no_robot_in_a_tick_that_has_not_ended(tmp_path: Path) -> None:
-    log_with_foreign_frame(tmp_path / "x")
+    """The events tell of an observation and a foreign frame, but not of the end of the tick."""
+    write_events_of_one_broadcast(tmp_path / "x", FOREIGN_FRAME)
     with EventsReader(events_path(tmp_path / "x")) as reader:
         assert list(rerun(reader)) == []
 
 
 def test_broadcasts_after_the_events_were_cut_off_are_no_difference(tmp_path: Path) -> None:
     """The name of the events ends in ``.part``: the run was killed. The log has three frames more."""
-    broadcast = log_of_one_broadcast(tmp_path / "x")
+    broadcast = write_events_of_one_broadcast(tmp_path / "x")
     events_path(tmp_path / "x").rename(events_path(tmp_path / "x.part"))
     later_frames = [encode_estimate(Estimate(5, 0, 0, number), FrameFormat()) for number in (1, 2, 3)]
     verdict = replay([broadcast, *later_frames], tmp_path / "x.part")
@@ -297,26 +323,29 @@ def test_broadcasts_after_the_events_were_cut_off_are_no_difference(tmp_path: Pa
 
 
 @pytest.mark.parametrize("event", ['"silent"', "[5,7]"])
-def test_a_false_or_missing_broadcast_before_the_first_broadcast_is_refused(
+def test_events_with_a_false_or_missing_broadcast_before_the_first_broadcast_are_refused(
     event: str, tmp_path: Path
 ) -> None:
-    """Such an event tells what became of a broadcast; the 3 in the lines is the end of a tick."""
-    log = tmp_path / "x"
-    header = EventsHeader([record(5)], None, FrameFormat())
-    events_path(log).write_text(f"{header.to_line()}[5,3]\n[5,3,{event}]")
+    """A fault can only hold back a broadcast that was made ("silent"), or change it ([x_hat, alpha]).
+
+    In line 2 robot 5 ends a tick (3). In line 3 it ends another, in which it has not broadcast before the
+    fault.
+    """
+    events_path(tmp_path / "x").write_text(f"{HEADER_OF_ROBOT_5.to_line()}[5,3]\n[5,3,{event}]")
 
     with pytest.raises(UsageError, match=r"x\.events, line 3: robot 5 has a broadcast .* before it made one"):
-        replay([], log)
+        replay([], tmp_path / "x")
 
 
 # --- The command --------------------------------------------------------------------------------------
 
 
 def test_replay_prints_the_number_of_frames_of_each_kind(swarm_log: Path, capsys: Capture) -> None:
+    """The log has 160 estimates and 16 heartbeats of four robots in 40 steps."""
     assert main(["replay", str(swarm_log)]) == 0
-    lines = [line.rstrip() for line in capsys.readouterr().out.splitlines()]
+    output = capsys.readouterr().out
 
-    assert lines == [
+    assert [line.rstrip() for line in output.splitlines()] == [
         " 160  broadcasts reproduced bit for bit",
         "   0  broadcasts that a fault had given other values",
         "   0  frames under a robot's id that it did not send",
@@ -328,38 +357,44 @@ def test_replay_prints_the_number_of_frames_of_each_kind(swarm_log: Path, capsys
     ]
 
 
-def test_replay_reports_the_events_of_another_run(swarm_log: Path, tmp_path: Path, capsys: Capture) -> None:
+def test_replay_reports_a_difference_if_the_events_are_of_another_run(
+    swarm_log: Path, tmp_path: Path, capsys: Capture
+) -> None:
+    """The other run has another seed, so its robots observe other tiles; replay ends with exit code 1."""
     record_swarm(tmp_path / "other.log", "--seed 4")
     assert main(["replay", str(swarm_log), "--events", str(tmp_path / "other.log.events")]) == 1
     assert capsys.readouterr().err.startswith("mcp-asdf replay: not reproduced: frame ")
 
 
-def write_log_of_two_buses(swarm_log: Path, log: Path) -> None:
-    """Write a log as ``candump any`` does where every frame passes on two buses."""
+@pytest.fixture(scope="module")
+def log_of_two_buses(swarm_log: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The log, and its events, of a swarm whose 176 frames passed on vcan0 and on vcan1: ``candump any``."""
+    log = tmp_path_factory.mktemp("two_buses") / "any.log"
     with log.open("w") as file:
         for line in swarm_log.read_text().splitlines(keepends=True):
             file.write(line)
             file.write(line.replace(" vcan0 ", " vcan1 "))
+    events_path(log).write_bytes(events_path(swarm_log).read_bytes())
+    return log
 
 
-def test_replay_names_the_buses_of_a_log_that_has_every_frame_twice(
-    swarm_log: Path, tmp_path: Path, capsys: Capture
+def test_replay_advises_to_choose_a_bus_if_a_log_has_every_frame_twice(
+    log_of_two_buses: Path, capsys: Capture
 ) -> None:
-    log = tmp_path / "any.log"
-    write_log_of_two_buses(swarm_log, log)
-    assert main(["replay", str(log), "--events", str(events_path(swarm_log))]) == 1
-    hint = f"{log} has frames of vcan0 and vcan1: if it has the same frames of each, choose one by --channel"
-
-    assert f"mcp-asdf replay: {hint}\n" in capsys.readouterr().err
+    """The second copy of a frame is a difference, as a robot makes each broadcast once."""
+    assert main(["replay", str(log_of_two_buses)]) == 1
+    assert (
+        f"mcp-asdf replay: {log_of_two_buses} has frames of vcan0 and vcan1: if it has the same frames of "
+        "each, choose one by --channel\n"
+    ) in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("channel", ["vcan0", "vcan1"])
-def test_replay_checks_one_bus_of_a_log(
-    channel: str, swarm_log: Path, tmp_path: Path, capsys: Capture
+def test_replay_reproduces_the_frames_of_the_bus_that_is_chosen(
+    channel: str, log_of_two_buses: Path, capsys: Capture
 ) -> None:
-    log, events = tmp_path / "any.log", str(events_path(swarm_log))
-    write_log_of_two_buses(swarm_log, log)
-    assert main(["replay", str(log), "--events", events, "--channel", channel, "--json"]) == 0
+    """The report counts the frames of both buses, but the verdict is on those of one."""
+    assert main(["replay", str(log_of_two_buses), "--channel", channel, "--json"]) == 0
     report = json.loads(capsys.readouterr().out)
 
     frames_of_each_bus = BROADCASTS + HEARTBEATS
@@ -369,28 +404,34 @@ def test_replay_checks_one_bus_of_a_log(
 
 
 def test_replay_refuses_a_bus_that_the_log_lacks(swarm_log: Path, capsys: Capture) -> None:
+    """The error offers the buses of the log. Exit code 2 stands for a wrong use."""
     assert main(["replay", str(swarm_log), "--channel", "vcan7"]) == 2
     assert "has no frame of vcan7, but of vcan0; choose one of them" in capsys.readouterr().err
 
 
-def test_replay_counts_the_lines_that_are_no_frames(swarm_log: Path, tmp_path: Path, capsys: Capture) -> None:
-    log, events = tmp_path / "odd.log", str(events_path(swarm_log))
-    comment_and_half_a_byte = "# the end\n(1.0) vcan0 186BB92A#0\n"
-    log.write_text(f"\ufeff{swarm_log.read_text()}{comment_and_half_a_byte}")
-    assert main(["replay", str(log), "--events", events, "--json"]) == 0
-    captured = capsys.readouterr()
-    report = json.loads(captured.out)
-    assert report["skipped_lines"] == 2
-    assert report["verdict"]["reproduced"] == BROADCASTS
-    first_line = BROADCASTS + HEARTBEATS + 1
-    warning = f"2 lines are no frames and were left out; the first is line {first_line}, '# the end'"
+def test_replay_warns_of_lines_that_are_no_frames(swarm_log: Path, tmp_path: Path, capsys: Capture) -> None:
+    """Behind the frames of the log there are a comment and a frame with half a byte."""
+    frame_lines, comment, cut_line = swarm_log.read_text(), "# the end\n", "(1.0) vcan0 186BB92A#0\n"
+    log = tmp_path / "odd.log"
+    log.write_text(frame_lines + comment + cut_line)
+    assert main(["replay", str(log), "--events", str(events_path(swarm_log)), "--json"]) == 0
+    output, errors = capsys.readouterr()
 
-    assert captured.err == f"mcp-asdf replay: of {log} {warning}\n"
+    assert json.loads(output)["skipped_lines"] == 2
+    line_of_comment = BROADCASTS + HEARTBEATS + 1
+    assert errors == (
+        f"mcp-asdf replay: of {log} 2 lines are no frames and were left out; the first is line "
+        f"{line_of_comment}, '# the end'\n"
+    )
 
 
 @pytest.fixture
 def folder_of_odd_files(swarm_log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Make the working directory one with a log, its events, and files that cannot be replayed."""
+    """Make the working directory one with a log, its events, and files that cannot be replayed.
+
+    run.log and run.log.events are of a swarm, lone.log has no events beside it, run.xyz has a suffix of no
+    format, and late.log and other.log have one frame: with a time beyond 3000 years, and of another sender.
+    """
     monkeypatch.chdir(tmp_path)
     Path("run.log.events").write_bytes(events_path(swarm_log).read_bytes())
     for name in ("run.log", "lone.log", "run.xyz"):
@@ -417,5 +458,6 @@ def folder_of_odd_files(swarm_log: Path, tmp_path: Path, monkeypatch: pytest.Mon
 )
 @pytest.mark.usefixtures("folder_of_odd_files")
 def test_replay_names_the_file_that_it_cannot_use(arguments: str, message: str, capsys: Capture) -> None:
+    """Only run.log and its events can be replayed; each other file is missing, empty or of another kind."""
     assert main(["replay", *arguments.split()]) == 2
     assert message in capsys.readouterr().err
