@@ -37,7 +37,8 @@ def receive(bus: can.BusABC) -> can.Message:
 
 
 @pytest.mark.parametrize("line", DAMAGED_LINES)
-def test_a_damaged_line_is_one_error_frame_and_what_follows_is_heard(line: bytes) -> None:
+def test_a_damaged_line_is_one_error_frame_and_the_frame_behind_it_is_received(line: bytes) -> None:
+    """A serial adapter sends frames as lines of text: here a damaged one, then an estimate."""
     with serial_adapter([line, GOOD_LINE]) as choice, choice.open() as bus:
         error_frame, frame = receive(bus), receive(bus)
     assert error_frame.is_error_frame
@@ -45,16 +46,18 @@ def test_a_damaged_line_is_one_error_frame_and_what_follows_is_heard(line: bytes
 
 
 def test_a_line_without_an_end_is_dropped() -> None:
+    """The 3000 characters give some error frames, and maybe cost the next line; the last one is read."""
     with serial_adapter([b"T" * 3000, GOOD_LINE, GOOD_LINE]) as choice, choice.open() as bus:
-        frames = [receive(bus)]
-        while frames[-1].is_error_frame:
-            frames.append(receive(bus))
+        first_frame = frame = receive(bus)
+        while frame.is_error_frame:
+            frame = receive(bus)
 
-    assert len(frames) > 1
-    assert isinstance(decode_estimate(frames[-1], FrameFormat()), Estimate)
+    assert first_frame.is_error_frame
+    assert isinstance(decode_estimate(frame, FrameFormat()), Estimate)
 
 
-def test_an_adapter_that_closes_is_a_bus_that_is_gone() -> None:
+def test_reading_from_an_adapter_that_has_closed_raises_that_the_bus_is_gone() -> None:
+    """A serial adapter at a TCP port sends a line and closes the connection."""
     with serial_adapter([GOOD_LINE], stays_open=False) as choice, choice.open() as bus:
         receive(bus)
         with pytest.raises(BusGoneError, match="socket disconnected"):
@@ -62,6 +65,7 @@ def test_an_adapter_that_closes_is_a_bus_that_is_gone() -> None:
 
 
 def test_the_socket_of_an_adapter_that_has_closed_is_closed() -> None:
+    """Leaving the bus closes it here, too: pyserial leaves it open if the other end has closed first."""
     with serial_adapter([], stays_open=False) as choice:
         bus = choice.open()
         assert isinstance(bus, SerialAdapter)
@@ -71,11 +75,16 @@ def test_the_socket_of_an_adapter_that_has_closed_is_closed() -> None:
         bus.shutdown()
 
     assert connection is not None
-    assert connection.fileno() == -1
+    descriptor_of_a_closed_socket = -1
+    assert connection.fileno() == descriptor_of_a_closed_socket
+
+
+CLOSED = -1
+"""What stands in place of the file descriptor of a bus that is closed."""
 
 
 def failing_connection(error: Exception, descriptor: int = 5) -> Connection:
-    """Return a connection to a bus that raises ``error`` whenever it is used."""
+    """Return a connection to a bus with this file descriptor that raises ``error`` whenever it is used."""
     bus = Mock(channel_info="can0", protocol=can.CanProtocol.CAN_20)
     bus._recv_internal.side_effect = bus.send.side_effect = error
     bus.fileno.return_value = descriptor
@@ -83,7 +92,7 @@ def failing_connection(error: Exception, descriptor: int = 5) -> Connection:
 
 
 def caused_by(cause: Exception) -> can.CanOperationError:
-    """Return what python-can makes of an exception."""
+    """Return what python-can makes of an exception of a driver or the system."""
     error = can.CanOperationError("could not read")
     error.__cause__ = cause
     return error
@@ -102,11 +111,12 @@ GONE: list[Exception] = [
 def test_a_bus_whose_device_was_unplugged_or_whose_driver_crashed_is_reported_as_gone(
     error: Exception,
 ) -> None:
+    """Neither reading nor sending will work again, whatever the driver raised."""
     connection = failing_connection(error)
     with pytest.raises(BusGoneError):
-        connection.recv(0)
+        connection.recv(timeout=0)
     with pytest.raises(BusGoneError):
-        connection.send(can.Message(), 0)
+        connection.send(can.Message(), timeout=0)
 
 
 PASSING: list[Exception] = [
@@ -119,34 +129,41 @@ PASSING: list[Exception] = [
 
 
 @pytest.mark.parametrize("error", PASSING, ids=str)
-def test_a_failure_that_may_pass_is_no_bus_that_is_gone(error: Exception) -> None:
+def test_a_failure_that_may_pass_is_not_reported_as_a_bus_that_is_gone(error: Exception) -> None:
     """So a program that runs for long goes on and tries again."""
     with pytest.raises(can.CanError) as raised:
-        failing_connection(error).recv(0)
+        failing_connection(error).recv(timeout=0)
     assert not isinstance(raised.value, BusGoneError)
 
 
 NO_TEXT = UnicodeDecodeError("utf-8", b"", 0, 1, "")
+DECODING_ERRORS: list[Exception] = [ValueError("no number"), caused_by(NO_TEXT)]
 
 
-@pytest.mark.parametrize("error", [ValueError("no number"), caused_by(NO_TEXT)], ids=str)
-def test_a_decoding_error_is_undecodable_input_only_while_the_connection_is_open(error: Exception) -> None:
-    frame = failing_connection(error).recv(0)
+@pytest.mark.parametrize("error", DECODING_ERRORS, ids=str)
+def test_input_that_cannot_be_decoded_is_received_as_an_error_frame(error: Exception) -> None:
+    """To its receivers it is like a frame that was damaged on its way."""
+    frame = failing_connection(error).recv(timeout=0)
     assert frame is not None
     assert frame.is_error_frame
+
+
+@pytest.mark.parametrize("error", DECODING_ERRORS, ids=str)
+def test_a_decoding_error_of_a_bus_that_is_closed_is_reported_as_a_bus_that_is_gone(error: Exception) -> None:
+    """Some drivers decode nothing as if it were input when their device is gone."""
     with pytest.raises(BusGoneError):
-        failing_connection(error, descriptor=-1).recv(0)
+        failing_connection(error, descriptor=CLOSED).recv(timeout=0)
 
 
-def test_an_interface_that_always_fails_does_not_keep_the_processor_busy(
+def test_a_connection_pauses_between_failures_of_an_interface_that_always_fails(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """It fails ten times, and the connection pauses between them."""
+    """So it does not keep the processor busy. Between ten failures there are nine pauses, of 1 ms each."""
     pauses: list[float] = []
     monkeypatch.setattr("mcp_asdf_tools.bus.interfaces.time.sleep", pauses.append)
     connection = failing_connection(IndexError("always"))
     for _ in range(10):
-        connection.recv(0)
+        connection.recv(timeout=0)
 
     assert pauses == [0.001] * 9
 
@@ -161,6 +178,7 @@ COMMANDS = ["view", "radio --id 0 --robots 3", "node --id 3", "swarm --robots 2 
 def test_a_command_reports_in_json_that_its_bus_is_gone(
     line: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    """Its bus is a serial adapter that sends damaged lines and closes; the exit code for that is 1."""
     with serial_adapter(DAMAGED_LINES, stays_open=False) as choice:
         assert main([*line.split(), "--json", *bus_arguments(choice, line)]) == 1
     failure = json.loads(capsys.readouterr().err)
@@ -171,7 +189,8 @@ def test_a_command_reports_in_json_that_its_bus_is_gone(
     assert "serial device" in failure["error"]
 
 
-def test_a_verdict_names_a_bus_that_is_gone(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_verdict_on_a_controller_says_that_the_bus_is_gone(capsys: pytest.CaptureFixture[str]) -> None:
+    """``radio --verify`` checks a controller at a bus, here a serial adapter that closes the connection."""
     line = "radio --id 0 --robots 3 --verify --json"
     with serial_adapter(DAMAGED_LINES, stays_open=False) as choice:
         assert main([*line.split(), *bus_arguments(choice, line)]) == 1
@@ -181,22 +200,18 @@ def test_a_verdict_names_a_bus_that_is_gone(capsys: pytest.CaptureFixture[str]) 
 
 
 @pytest.mark.parametrize("line", COMMANDS)
-def test_a_bus_that_is_gone_ends_a_command_within_a_second(line: str) -> None:
-    """Counted in waits for the bus, of which the longest takes a tenth of a second."""
-    waits: list[float | None] = []
+def test_a_bus_that_is_gone_ends_a_command_within_a_second(
+    line: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The command waits for the bus at most ten times, and the longest wait takes a tenth of a second."""
     connection = failing_connection(OSError(errno.ENODEV, "No such device"))
-    receive_from_connection = connection.recv
+    waits = Mock(wraps=connection.recv)
+    monkeypatch.setattr(connection, "recv", waits)
+    monkeypatch.setattr(BusChoice, "open", lambda *_, **__: connection)
+    arguments = bus_arguments(BusChoice("slcan", {"channel": "/dev/ttyACM0"}), line)
 
-    def count_waits(timeout: float | None = None) -> can.Message | None:
-        waits.append(timeout)
-        return receive_from_connection(timeout)
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(connection, "recv", count_waits)
-        patch.setattr(BusChoice, "open", lambda *_, **__: connection)
-        arguments = bus_arguments(BusChoice("slcan", {"channel": "/dev/ttyACM0"}), line)
-        assert main([*line.split(), *arguments]) == 1
-    assert len(waits) <= 10
+    assert main([*line.split(), *arguments]) == 1
+    assert waits.call_count <= 10
 
 
 def bus_arguments(choice: BusChoice, line: str) -> list[str]:
@@ -206,9 +221,15 @@ def bus_arguments(choice: BusChoice, line: str) -> list[str]:
     return ["-i", "slcan", "-c", str(choice.channel), "--bus-kwargs", "sleep_after_open=0"]
 
 
-def test_real_time_neighbours_end_when_the_bus_is_gone() -> None:
-    link = BusLink(failing_connection(OSError(errno.ENODEV, "No such device")), endures=True)
-    run = RadioRun(Neighbourhood(surroundings(steps_per_second=1000)), link, ticks=20)
+def radio_run_on(bus: can.BusABC) -> RadioRun:
+    """Return a run of 20 ticks of 1 ms with emulated robots as neighbours of a controller on a bus."""
+    neighbours = Neighbourhood(surroundings(steps_per_second=1000))
+    return RadioRun(neighbours, BusLink(bus, endures=True), ticks=20)
+
+
+def test_neighbours_in_real_time_end_before_their_first_tick_when_the_bus_is_gone() -> None:
+    """Robots are emulated as neighbours of a controller, whose adapter has been unplugged."""
+    run = radio_run_on(failing_connection(OSError(errno.ENODEV, "No such device")))
     run.run()
 
     assert run.outcome.has_failed
@@ -216,12 +237,12 @@ def test_real_time_neighbours_end_when_the_bus_is_gone() -> None:
     assert run.neighbours.tick == 0
 
 
-def test_real_time_neighbours_that_end_on_a_bus_that_fails_have_failed() -> None:
-    """The emulated neighbours of a controller take all 20 ticks, but the bus fails in each of them."""
+def test_neighbours_in_real_time_take_all_ticks_on_a_bus_that_fails_and_may_come_back() -> None:
+    """The bus takes no frame in any of the 20 ticks, so the run ends with that failure."""
     bus: Any = Mock()
     bus.recv.return_value = None
     bus.send.side_effect = can.CanOperationError("bus-off")
-    run = RadioRun(Neighbourhood(surroundings(steps_per_second=1000)), BusLink(bus, endures=True), ticks=20)
+    run = radio_run_on(bus)
     run.run()
 
     assert run.outcome.ending == "the bus failed: bus-off"
@@ -229,12 +250,10 @@ def test_real_time_neighbours_that_end_on_a_bus_that_fails_have_failed() -> None
 
 
 def test_an_error_of_the_driver_keeps_the_cause_that_the_driver_gave_it() -> None:
+    """A traceback shows both: what could not be done, and why."""
     cause = RuntimeError("bus-off")
-    error = can.CanOperationError("cannot receive")
-    error.__cause__ = cause
-    bus = failing_connection(error)
-
+    error = caused_by(cause)
     with pytest.raises(can.CanOperationError) as caught:
-        bus.recv(0.01)
+        failing_connection(error).recv(timeout=0)
     assert caught.value is error
     assert error.__cause__ is cause

@@ -10,7 +10,7 @@ from typing import Any
 
 import can
 import pytest
-from hypothesis import example, given, settings
+from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 
 from mcp_asdf.fixed_point import ALPHA_MAX, alpha_from_word
@@ -35,6 +35,14 @@ pythoncan = importlib.import_module("pycyphal.transport.can.media.pythoncan")
 cyphal_can = importlib.import_module("pycyphal.transport.can")
 
 fixed_examples = settings(derandomize=True, deadline=None, max_examples=draws(200))
+
+
+@pytest.fixture(autouse=True, scope="module")
+def pycyphal_closes_a_bus_at_once() -> Iterator[None]:
+    """Shorten the steps of 0.1 s in which pycyphal waits for frames, also when its node closes."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(pythoncan.PythonCANMedia, "_MAXIMAL_TIMEOUT_SEC", 0.005)
+        yield
 
 
 @pytest.fixture(scope="module")
@@ -127,27 +135,32 @@ def contents_of_dsdl_object(dsdl_object: Any) -> list[Any]:
 @example(Telemetry(127, 2**23, MAX_B_HAT, 255, 31))
 @example(Command(127, 2**32 - 1, EVERY_ROBOT, Action.SETTLE, 31))
 def test_pycyphal_reads_our_frames(dsdl_types: dict[type, Any], message: Any) -> None:
+    """It finds the sender, the transfer id and all contents of any message, by our DSDL files.
+
+    The subject is the kind of a message, and DSDL is Cyphal's language for the layout of its contents.
+    """
     transfer = read_with_pycyphal(encoded(message))
     assert transfer is not None
-    assert transfer.subject == KINDS[type(message)].subject
-    assert transfer.sender == message.sender
+    expected_subject = KINDS[type(message)].subject
+    assert (transfer.subject, transfer.sender) == (expected_subject, message.sender)
     assert transfer.transfer_id == message.transfer_id
     dsdl_object = pycyphal.dsdl.deserialize(dsdl_types[type(message)], transfer.payload)
-
     assert contents_of_dsdl_object(dsdl_object) == contents_in_dsdl(message)
 
 
-def test_actions_of_the_dsdl_are_ours(dsdl_types: dict[type, Any]) -> None:
-    command_type = dsdl_types[Command]
-    for action in Action:
-        assert getattr(command_type, action.name) == action.value
+@pytest.mark.parametrize("action", Action)
+def test_an_action_has_the_same_number_in_our_dsdl_file(dsdl_types: dict[type, Any], action: Action) -> None:
+    """The file describes a command to other programs of Cyphal, and an action is what it asks for."""
+    assert getattr(dsdl_types[Command], action.name) == action.value
 
 
-def test_the_dsdl_s_target_for_every_robot_is_ours(dsdl_types: dict[type, Any]) -> None:
+def test_every_robot_has_the_same_number_as_a_target_in_our_dsdl_file(dsdl_types: dict[type, Any]) -> None:
+    """The file describes a command to other programs of Cyphal; its target is a robot, or every one."""
     assert dsdl_types[Command].EVERY_ROBOT == EVERY_ROBOT
 
 
-def test_the_dsdl_states_the_units_of_our_frames(dsdl_types: dict[type, Any]) -> None:
+def test_our_dsdl_files_state_the_units_of_our_frames(dsdl_types: dict[type, Any]) -> None:
+    """Frames hold ratios as integers; a constant of each file is the value of the lowest bit (LSB)."""
     assert dsdl_types[Estimate].X_LSB == 2**-23
     assert dsdl_types[Telemetry].X_LSB == 2**-23
     assert dsdl_types[Telemetry].B_HAT_LSB == 2**-24
@@ -167,18 +180,34 @@ def flip_bit(frame: can.Message, bit: int) -> None:
 def test_we_and_pycyphal_agree_whether_a_frame_with_a_flipped_bit_is_an_estimate(
     message: Estimate, bit: int
 ) -> None:
-    """Only we look at the content, so a frame that we reject for its content is a transfer for pycyphal."""
+    """Only we look at the content, so a frame that we reject for its content is a transfer for pycyphal.
+
+    The default subject of estimates is 3000; anonymous nodes, which have no id, send none.
+    """
     frame = frames.encode_estimate(message, DEFAULT)
     flip_bit(frame, bit)
+
     decoded = frames.decode_estimate(frame, DEFAULT)
     is_ours = isinstance(decoded, Estimate) or decoded in (Rejection.X_HAT, Rejection.ALPHA)
     transfer = read_with_pycyphal(frame)
-    # The default subject of estimates is 3000; anonymous nodes, which have no id, send none.
     is_theirs = transfer is not None and transfer.subject == 3000 and transfer.sender is not None
     assert is_ours == is_theirs
-    if isinstance(decoded, Estimate):
-        assert transfer is not None
-        assert (decoded.sender, decoded.transfer_id) == (transfer.sender, transfer.transfer_id)
+
+
+@fixed_examples
+@given(estimates, st.integers(0, 29 + 64 - 1))
+def test_we_and_pycyphal_read_the_same_sender_and_transfer_id_of_a_frame_with_a_flipped_bit(
+    message: Estimate, bit: int
+) -> None:
+    """The bit is one of the identifier's 29 or the data's 64, and the frame is still an estimate."""
+    frame = frames.encode_estimate(message, DEFAULT)
+    flip_bit(frame, bit)
+    decoded = frames.decode_estimate(frame, DEFAULT)
+    assume(isinstance(decoded, Estimate))
+
+    transfer = read_with_pycyphal(frame)
+    assert transfer is not None
+    assert (decoded.sender, decoded.transfer_id) == (transfer.sender, transfer.transfer_id)
 
 
 # --- We read what pycyphal sends -------------------------------------------------------------------------
@@ -216,7 +245,16 @@ def frames_of_estimates(
     return asyncio.run(frames_sent_by_pycyphal(3000, dsdl_objects))
 
 
+def decode_estimates(received_frames: Sequence[can.Message]) -> list[Estimate]:
+    """Return the estimates that our decoder reads in frames, each of which must hold one."""
+    decoded = [frames.decode_estimate(frame, DEFAULT) for frame in received_frames]
+    estimates_of_frames = [estimate for estimate in decoded if isinstance(estimate, Estimate)]
+    assert len(estimates_of_frames) == len(received_frames)
+    return estimates_of_frames
+
+
 def test_we_decode_the_estimates_of_pycyphal(dsdl_types: dict[type, Any]) -> None:
+    """Node 42 sends estimates with the largest, a small and the smallest x_hat."""
     frames_of_pycyphal = frames_of_estimates(dsdl_types, [(2**23, 0.0), (5, 2.0**-24), (0, 1.0)])
     assert [frames.decode_estimate(frame, DEFAULT) for frame in frames_of_pycyphal] == [
         Estimate(sender=42, x_hat=2**23, alpha=0, transfer_id=0),
@@ -225,42 +263,41 @@ def test_we_decode_the_estimates_of_pycyphal(dsdl_types: dict[type, Any]) -> Non
     ]
 
 
-@pytest.mark.parametrize(
-    ("alpha", "alpha_word"),
-    [
-        (alpha_from_word(ALPHA_MAX), ALPHA_MAX),
-        (float32_value(0x7F7FFFFF), ALPHA_MAX),  # the largest binary32 number
-        (float32_value(1), 0),  # the smallest one
-        (1.5 * 2.0**-24, ALPHA_MIN),
-    ],
-)
-def test_an_alpha_of_pycyphal_that_robots_cannot_have_is_rounded_down(
-    dsdl_types: dict[type, Any], alpha: float, alpha_word: int
-) -> None:
+def test_an_alpha_of_pycyphal_that_robots_cannot_have_is_rounded_down(dsdl_types: dict[type, Any]) -> None:
     """Robots have multiples of 2**-24 up to a largest alpha; pycyphal may send any binary32 number."""
-    frame = frames_of_estimates(dsdl_types, [(5, alpha)])[0]
-    assert frames.decode_estimate(frame, DEFAULT) == Estimate(42, 5, alpha_word, transfer_id=0)
+    largest_float, smallest_float = float32_value(0x7F7FFFFF), float32_value(1)
+    alpha_words_by_alpha = {
+        alpha_from_word(ALPHA_MAX): ALPHA_MAX,
+        largest_float: ALPHA_MAX,
+        smallest_float: 0,
+        1.5 * 2.0**-24: ALPHA_MIN,
+    }
+    received_frames = frames_of_estimates(dsdl_types, [(5, alpha) for alpha in alpha_words_by_alpha])
 
-
-def test_the_frames_of_pycyphal_have_our_identifiers(dsdl_types: dict[type, Any]) -> None:
-    frame = frames_of_estimates(dsdl_types, [(5, 1.0)])[0]
-    assert frame.arbitration_id == encoded(Estimate(42, 5, ALPHA_ONE, 0)).arbitration_id
+    received_words = [estimate.alpha for estimate in decode_estimates(received_frames)]
+    assert received_words == list(alpha_words_by_alpha.values())
 
 
 def test_the_transfer_ids_of_pycyphal_wrap_as_ours_do(dsdl_types: dict[type, Any]) -> None:
-    transfer_ids = []
-    for frame in frames_of_estimates(dsdl_types, [(5, 1.0)] * 35):
-        estimate = frames.decode_estimate(frame, DEFAULT)
-        assert isinstance(estimate, Estimate)
-        transfer_ids.append(estimate.transfer_id)
-
+    """Transfers are numbered modulo 32."""
+    transfers = 35
+    received_frames = frames_of_estimates(dsdl_types, [(5, 1.0)] * transfers)
+    transfer_ids = [estimate.transfer_id for estimate in decode_estimates(received_frames)]
     assert transfer_ids == [*range(32), 0, 1, 2]
 
 
+def test_the_frames_of_pycyphal_have_our_identifiers(dsdl_types: dict[type, Any]) -> None:
+    """A message of node 42 with the same subject and priority has all 29 bits alike."""
+    (frame,) = frames_of_estimates(dsdl_types, [(5, 1.0)])
+    our_frame = encoded(Estimate(sender=42, x_hat=5, alpha=ALPHA_ONE, transfer_id=0))
+    assert frame.arbitration_id == our_frame.arbitration_id
+
+
 def test_we_decode_the_heartbeat_of_pycyphal(dsdl_types: dict[type, Any]) -> None:
-    health, mode = dsdl_types[Health](2), dsdl_types[Mode](1)
-    heartbeat = dsdl_types[Heartbeat](12345, health, mode, 77)
-    frame = asyncio.run(frames_sent_by_pycyphal(7509, [heartbeat]))[0]
+    """Node 42 sends one with health 2 and mode 1, which Cyphal calls CAUTION and INITIALIZATION."""
+    health, mode = dsdl_types[Health](value=2), dsdl_types[Mode](value=1)
+    heartbeat = dsdl_types[Heartbeat](uptime=12345, health=health, mode=mode, vendor_specific_status_code=77)
+    (frame,) = asyncio.run(frames_sent_by_pycyphal(7509, [heartbeat]))
 
     assert frames.decode_heartbeat(frame) == Heartbeat(
         sender=42,
@@ -273,14 +310,16 @@ def test_we_decode_the_heartbeat_of_pycyphal(dsdl_types: dict[type, Any]) -> Non
 
 
 def test_we_decode_the_telemetry_of_pycyphal(dsdl_types: dict[type, Any]) -> None:
-    telemetry = dsdl_types[Telemetry](5, 2**23, 9)
-    frame = asyncio.run(frames_sent_by_pycyphal(3001, [telemetry]))[0]
+    """Node 42 sends x and b_hat as integers, and 9 updates."""
+    telemetry = dsdl_types[Telemetry](x_q23=5, b_hat_q24=2**23, updates=9)
+    (frame,) = asyncio.run(frames_sent_by_pycyphal(3001, [telemetry]))
     assert frames.decode_telemetry(frame) == Telemetry(sender=42, x=5, b_hat=2**23, updates=9, transfer_id=0)
 
 
 def test_we_decode_the_command_of_pycyphal(dsdl_types: dict[type, Any]) -> None:
-    command = dsdl_types[Command](7, 255, 3)
-    frame = asyncio.run(frames_sent_by_pycyphal(3002, [command]))[0]
+    """Node 42 asks every robot (255) to end tick 7 (action 3, settle)."""
+    command = dsdl_types[Command](tick=7, target=255, action=3)
+    (frame,) = asyncio.run(frames_sent_by_pycyphal(3002, [command]))
 
     assert frames.decode_command(frame) == Command(
         sender=42, tick=7, target=EVERY_ROBOT, action=Action.SETTLE, transfer_id=0

@@ -96,6 +96,7 @@ LARGEST_COMMAND = Command(127, tick=2**32 - 1, target=EVERY_ROBOT, action=Action
 @example(LARGEST_HEARTBEAT)
 @example(LARGEST_COMMAND)
 def test_cantools_decodes_our_frames(database: Any, message: Any) -> None:
+    """By our DBC file cantools finds all values of a message that our encoder has put into a frame."""
     frame = encoded(message)
     entry = database.get_message_by_frame_id(frame.arbitration_id & ANY_NODE_MASK)
     assert entry.is_extended_frame
@@ -109,6 +110,7 @@ def test_cantools_decodes_our_frames(database: Any, message: Any) -> None:
 @example(LARGEST_HEARTBEAT)
 @example(LARGEST_COMMAND)
 def test_we_decode_the_frames_of_cantools(database: Any, message: Any) -> None:
+    """By our DBC file cantools encodes values, and our decoder returns the message that has them."""
     values = physical_values(message)
     assert decode_what_cantools_encodes(database, type(message), values, message.sender) == message
 
@@ -150,6 +152,7 @@ def all_signals(database: Any) -> dict[tuple[str, str], Any]:
 
 
 def test_the_file_states_the_range_of_every_signal(database: Any) -> None:
+    """A signal is a field of a frame; programs show the smallest and the largest value that it may have."""
     stated_ranges = {
         names: (signal.minimum, signal.maximum) for names, signal in all_signals(database).items()
     }
@@ -172,20 +175,27 @@ def decode_with_value(database: Any, message: str, signal: str, value: float) ->
 
 
 @pytest.mark.parametrize(("message", "signal"), RANGES)
-def test_the_minimum_of_a_range_is_decoded(database: Any, message: str, signal: str) -> None:
+def test_the_smallest_value_that_the_file_states_for_a_signal_is_decoded(
+    database: Any, message: str, signal: str
+) -> None:
+    """A signal is a field of a frame; the values of the message's other fields are legal."""
     minimum, _ = RANGES[message, signal]
     decoded = decode_with_value(database, message, signal, minimum)
     assert physical_values(decoded)[signal] == minimum
 
 
 @pytest.mark.parametrize(("message", "signal"), [names for names in RANGES if names != ("Estimate", "alpha")])
-def test_the_maximum_of_a_range_is_decoded(database: Any, message: str, signal: str) -> None:
+def test_the_largest_value_that_the_file_states_for_a_signal_is_decoded(
+    database: Any, message: str, signal: str
+) -> None:
+    """A signal is a field of a frame; the values of the message's other fields are legal."""
     _, maximum = RANGES[message, signal]
     decoded = decode_with_value(database, message, signal, maximum)
     assert physical_values(decoded)[signal] == maximum
 
 
 def test_an_alpha_beyond_the_firmware_s_largest_is_decoded_as_the_largest(database: Any) -> None:
+    """A frame may hold any finite float as alpha, the confidence of an estimate; robots have smaller ones."""
     decoded = decode_with_value(database, "Estimate", "alpha", MAX_FLOAT32)
     assert decoded.alpha == ALPHA_MAX
 
@@ -211,10 +221,12 @@ ILLEGAL_VALUES = [
 def test_a_value_beyond_a_stated_range_is_rejected_by_name(
     database: Any, message: str, signal: str, value: float, rejection: Rejection
 ) -> None:
+    """The values of the message's other fields are legal, so the rejection says which one is wrong."""
     assert decode_with_value(database, message, signal, value) is rejection
 
 
-def test_all_bit_patterns_of_the_other_signals_are_in_their_ranges(database: Any) -> None:
+def test_a_signal_without_illegal_values_has_a_range_of_all_that_its_bits_can_hold(database: Any) -> None:
+    """So no value of it can be out of the range that the file states."""
     names_with_illegal_values = {(message, signal) for message, signal, _, _ in ILLEGAL_VALUES}
     for names, signal in all_signals(database).items():
         if names not in names_with_illegal_values:
@@ -225,9 +237,10 @@ def test_all_bit_patterns_of_the_other_signals_are_in_their_ranges(database: Any
     ("message", "signal", "enum"),
     [("Heartbeat", "health", Health), ("Heartbeat", "mode", Mode), ("Command", "action", Action)],
 )
-def test_enumerated_values_have_their_names(
+def test_the_file_names_the_numbers_of_health_mode_and_action(
     database: Any, message: str, signal: str, enum: type[Enum]
 ) -> None:
+    """Programs show such a name in place of the number in a frame."""
     choices = database.get_message_by_name(message).get_signal_by_name(signal).choices
     names_by_number = {number: str(name) for number, name in choices.items()}
     assert names_by_number == {member.value: member.name for member in enum}
@@ -236,25 +249,35 @@ def test_enumerated_values_have_their_names(
 # The command mcp-asdf dbc
 
 
-def test_dbc_prints_the_file(capsys: pytest.CaptureFixture[str]) -> None:
+def test_dbc_prints_the_dbc_file(capsys: pytest.CaptureFixture[str]) -> None:
+    """A DBC file describes the frames to other programs; ``dbc`` is the command that makes it."""
     assert main(["dbc"]) == 0
     assert capsys.readouterr().out == dbc_text(DEFAULT)
 
 
-def test_dbc_writes_the_file_and_names_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_dbc_writes_the_dbc_file_to_the_path_of_the_option_output(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A DBC file describes the frames to other programs; ``dbc`` is the command that makes it."""
     file = tmp_path / "swarm.dbc"
     assert main(["dbc", "--output", str(file)]) == 0
     assert capsys.readouterr().out == f"wrote {file}\n"
     assert file.read_text() == dbc_text(DEFAULT)
 
 
-def test_dbc_reports_the_file_as_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_dbc_reports_the_path_and_the_text_of_its_file_as_json(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """With ``--output`` the file is written, and the report has its path."""
     file = str(tmp_path / "swarm.dbc")
     assert main(["dbc", "--json", "--output", file]) == 0
     assert json.loads(capsys.readouterr().out) == {"file": file, "dbc": dbc_text(DEFAULT)}
 
 
-def test_dbc_prints_its_text_as_json(capsys: pytest.CaptureFixture[str]) -> None:
+def test_dbc_reports_only_the_text_of_the_file_as_json_if_none_is_written(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """Without ``--output`` no file is written."""
     assert main(["dbc", "--json"]) == 0
     assert json.loads(capsys.readouterr().out) == {"file": None, "dbc": dbc_text(DEFAULT)}
 
@@ -266,12 +289,16 @@ def database_per_node(capsys: pytest.CaptureFixture[str]) -> Any:
     return load_database(capsys.readouterr().out)
 
 
-def test_dbc_per_node_has_four_messages_for_each_node(database_per_node: Any) -> None:
+def test_dbc_for_three_nodes_has_four_messages_for_each_of_them(database_per_node: Any) -> None:
+    """Programs that cannot mask the id of the node in an identifier need them: an estimate, and three more."""
     assert len(database_per_node.messages) == 4 * 3
 
 
 @pytest.mark.parametrize("node", [0, 7, 127])
-def test_dbc_per_node_decodes_a_node_s_estimates_without_a_mask(database_per_node: Any, node: int) -> None:
+def test_dbc_for_each_node_decodes_its_estimates_by_their_whole_identifier(
+    database_per_node: Any, node: int
+) -> None:
+    """The entry is found by all bits of the identifier, the id of the node among them."""
     estimate = Estimate(node, x_hat=5, alpha=0x600, transfer_id=7)
     frame = encode_estimate(estimate, FrameFormat(subject=1234, priority=1))
     entry = database_per_node.get_message_by_frame_id(frame.arbitration_id)
@@ -282,7 +309,8 @@ def test_dbc_per_node_decodes_a_node_s_estimates_without_a_mask(database_per_nod
 
 
 @pytest.mark.parametrize("node", [0, 7, 127])
-def test_dbc_per_node_knows_a_node_s_heartbeat(database_per_node: Any, node: int) -> None:
+def test_dbc_for_each_node_has_an_entry_for_its_heartbeats(database_per_node: Any, node: int) -> None:
+    """The entry is found by all bits of the identifier, the id of the node among them."""
     identifier = encoded(Heartbeat(node, uptime=1, transfer_id=2)).arbitration_id
     assert database_per_node.get_message_by_frame_id(identifier).name == f"Heartbeat_{node}"
 
@@ -296,6 +324,9 @@ def test_dbc_per_node_knows_a_node_s_heartbeat(database_per_node: Any, node: int
         ("--subject 3002", "subject 3002 is that of telemetry or commands"),
     ],
 )
-def test_dbc_names_the_wrong_argument(arguments: str, error: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_dbc_refuses_a_wrong_node_or_subject_by_its_number(
+    arguments: str, error: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A node has an id up to 127, once, and other messages have the subjects 3001 and 3002."""
     assert main(["dbc", *arguments.split()]) == 2
     assert error in capsys.readouterr().err

@@ -47,7 +47,6 @@ from mcp_asdf_tools.bus.frames import (
     FrameFormat,
     Heartbeat,
     Telemetry,
-    alpha_float32_bits,
     decode_command,
     decode_estimate,
     decode_frame,
@@ -179,50 +178,65 @@ def c_codec(tmp_path_factory: pytest.TempPathFactory) -> CCodec:
 # The documented example: robot 42, x_hat 1/2, alpha 1, its first broadcast
 
 
+DOCUMENTED_ESTIMATE = Estimate(sender=42, x_hat=2**22, alpha=ALPHA_ONE, transfer_id=0)
+
+
 def test_the_documented_estimate_has_the_documented_identifier_and_bytes() -> None:
-    estimate = Estimate(sender=42, x_hat=2**22, alpha=ALPHA_ONE, transfer_id=0)
-    frame = encode_estimate(estimate, DEFAULT)
+    """The example of README and specification: robot 42 estimates 1/2 with a confidence of 1."""
+    frame = encode_estimate(DOCUMENTED_ESTIMATE, DEFAULT)
     assert frame.arbitration_id == 0x106BB82A
     assert frame.data.hex() == "0000400000803fe0"
 
 
 def test_the_example_frames_of_the_specification_are_what_robots_send() -> None:
-    """x is in units of 2**-23, and b_hat in units of 2**-24."""
-    page = (ROOT / "docs/design.md").read_text(encoding="utf-8")
-    estimate = encode_estimate(Estimate(42, 2**22, ALPHA_ONE, transfer_id=0), DEFAULT)
-    telemetry = encode_telemetry(
-        Telemetry(42, x=3 * 2**21, b_hat=0xF33333, updates=7, transfer_id=5), TELEMETRY_FORMAT
-    )
+    """The page docs/design.md has one frame with an estimate and one with telemetry, as candump shows them.
 
-    assert f"`{format_frame(estimate)}`; x = 0.75, b_hat = 0.95, 7 updates" in page
-    assert f"transfer id 5: `{format_frame(telemetry)}`." in page
+    x is in units of 2**-23, and b_hat in units of 2**-24.
+    """
+    page = (ROOT / "docs/design.md").read_text(encoding="utf-8")
+    telemetry = Telemetry(42, x=int(0.75 * 2**23), b_hat=int(0.95 * 2**24), updates=7, transfer_id=5)
+    estimate_frame = encode_estimate(DOCUMENTED_ESTIMATE, DEFAULT)
+    telemetry_frame = encode_telemetry(telemetry, TELEMETRY_FORMAT)
+
+    assert f"`{format_frame(estimate_frame)}`; x = 0.75, b_hat = 0.95, 7 updates" in page
+    assert f"transfer id 5: `{format_frame(telemetry_frame)}`." in page
 
 
 def test_the_specification_lists_the_codes_of_the_header_in_their_order() -> None:
+    """A code, such as -23, is a reason to refuse a frame; the C header defines them."""
     page = (ROOT / "docs/design.md").read_text(encoding="utf-8")
-    section = page.partition("### What a receiver refuses\n")[2].partition("###")[0]
-    header = (ROOT / "c_ref/src/mcp_asdf_frame.h").read_text(encoding="utf-8")
-    assert re.findall(r"-\d\d\b", section) == re.findall(r"= (-\d\d)\b", header)
+    _, _, behind_heading = page.partition("### What a receiver refuses\n")
+    section, _, _ = behind_heading.partition("###")
+    assert re.findall(r"-\d\d\b", section) == re.findall(r"= (-\d\d)\b", C_HEADER)
 
 
 def test_an_estimate_is_a_classic_data_frame_with_an_extended_identifier() -> None:
-    frame = encode_estimate(Estimate(42, 2**22, ALPHA_ONE, 0), DEFAULT, timestamp=1.5)
-    assert frame.timestamp == 1.5
-    assert frame.dlc == 8
-    assert frame.is_extended_id
-    assert not frame.is_fd
-    assert not frame.is_remote_frame
-    assert not frame.is_error_frame
-    assert not frame.is_rx
+    """No other kind of frame has 29 bits of identifier and at most 8 bytes of data."""
+    frame = encode_estimate(DOCUMENTED_ESTIMATE, DEFAULT)
+    assert (frame.is_extended_id, frame.dlc) == (True, 8)
+    assert not (frame.is_fd or frame.is_remote_frame or frame.is_error_frame)
 
 
-def test_a_format_s_subject_and_priority_are_in_the_identifier() -> None:
-    assert FrameFormat(subject=3000, priority=4).identifier(42) == 0x106BB82A
-    assert FrameFormat(subject=6143, priority=7).identifier(127) == 0x1C77FF7F
+def test_an_encoded_estimate_is_a_frame_that_this_computer_sends_at_the_given_time() -> None:
+    """Python-can's ``is_rx`` is true for frames that others sent."""
+    frame = encode_estimate(DOCUMENTED_ESTIMATE, DEFAULT, timestamp=1.5)
+    assert (frame.timestamp, frame.is_rx) == (1.5, False)
+
+
+@pytest.mark.parametrize(
+    ("subject", "priority", "node", "identifier"),
+    [(3000, 4, 42, 0x106BB82A), (6143, 7, 127, 0x1C77FF7F)],
+)
+def test_the_identifier_of_a_frame_holds_subject_priority_and_node(
+    subject: int, priority: int, node: int, identifier: int
+) -> None:
+    """The subject, here the default and the largest one, is the kind of the message in Cyphal."""
+    assert FrameFormat(subject, priority).identifier(node) == identifier
 
 
 @pytest.mark.parametrize("text", FRAMES)
 def test_a_frame_is_written_as_candump_writes_it(text: str) -> None:
+    """FRAMES has frames of four kinds by the texts that candump writes for them."""
     assert format_frame(FRAMES[text]) == text
 
 
@@ -250,7 +264,8 @@ def test_c_and_python_encode_the_same_frame_or_both_refuse(c_codec: CCodec, mess
 @fixed_examples
 @given(any_command(beyond=3))
 @example(Command(127, 2**32 - 1, EVERY_ROBOT, Action.SETTLE, 31))
-def test_a_command_is_encoded_exactly_if_its_ids_are_of_robots(command: Command) -> None:
+def test_a_command_is_encoded_if_and_only_if_its_ids_are_of_robots(command: Command) -> None:
+    """Robots have the ids 0 to 127, and as a target every robot has the number 255."""
     is_legal = command.sender <= 127 and (command.target <= 127 or command.target == EVERY_ROBOT)
     assert (encode_in_python(command) is not None) == is_legal
 
@@ -267,13 +282,15 @@ def test_decoding_returns_what_was_encoded(message: Any) -> None:
 
 @fixed_examples
 @given(any_message_of_robots())
-def test_any_frame_that_robots_send_is_decoded_as_what_it_is(message: Any) -> None:
+def test_a_frame_is_decoded_as_the_kind_of_message_that_its_subject_says(message: Any) -> None:
+    """``decode_frame`` is not told the kind: an estimate, a heartbeat or telemetry."""
     assert decode_frame(encoded(message), DEFAULT) == as_decoded(message)
 
 
 @fixed_examples
 @given(any_command())
 def test_a_command_is_not_taken_for_a_frame_of_a_robot(command: Command) -> None:
+    """Its subject, the number of its kind, is none of those that robots send."""
     assert decode_frame(encoded(command), DEFAULT) is Rejection.SUBJECT
 
 
@@ -290,6 +307,7 @@ def test_a_command_is_not_taken_for_a_frame_of_a_robot(command: Command) -> None
     ],
 )
 def test_a_value_that_no_frame_can_hold_is_refused_by_name(message: Any, field: str, value: int) -> None:
+    """The other values of the message are legal."""
     with pytest.raises(ValueError, match=f"{field} is {value}; it must be 0 to "):
         encoded(replace(message, **{field: value}))
 
@@ -298,6 +316,7 @@ def test_a_value_that_no_frame_can_hold_is_refused_by_name(message: Any, field: 
     ("field", "value"), [("subject", 6144), ("subject", -1), ("priority", 8), ("priority", -1)]
 )
 def test_a_format_that_cyphal_forbids_is_refused_by_name(field: str, value: int) -> None:
+    """A subject has 13 bits, of which numbers above 6143 are reserved, and a priority has 3."""
     with pytest.raises(ValueError, match=f"{field} is {value}; it must be 0 to "):
         FrameFormat(**{field: value})
 
@@ -348,41 +367,42 @@ def random_change(frame: can.Message, rng: random.Random) -> dict[str, Any]:
     return rng.choice(changes)
 
 
-def check_same_verdict(c_codec: CCodec, frame: can.Message) -> list[str]:
-    """Check that C and Python decode a frame alike as each kind of message, and return Python's verdicts.
-
-    A verdict is the name of a rejection, or of the kind if the frame holds a message of it.
-    """
-    verdicts = []
-    for message_type, kind in KINDS.items():
-        message = kind.decode(frame)
-        if isinstance(message, Rejection):
-            verdict: str = message.name
-            expected_of_c: Any = message.name
-        else:
-            verdict = kind.name
-            expected_of_c = tuple(as_number(value) for value in astuple(message))
-        if message_type in TYPES_THAT_C_DECODES:
-            assert c_codec.decode(message_type, frame) == expected_of_c, (kind.name, frame)
-        verdicts.append(verdict)
-    return verdicts
+def decode_in_python(message_type: type, frame: can.Message) -> str | tuple[int, ...]:
+    """Return the values of a message of this type, or the name of the rejection."""
+    message = KINDS[message_type].decode(frame)
+    if isinstance(message, Rejection):
+        return message.name
+    return tuple(as_number(value) for value in astuple(message))
 
 
-def test_c_and_python_take_or_refuse_damaged_frames_alike_for_every_reason(c_codec: CCodec) -> None:
-    """Up to three changes of a frame lead to every reason to refuse it, and to every kind of message."""
-    verdicts: set[str] = set()
+def damaged_frame(number: int) -> can.Message:
+    """Return the damaged frame with this number: the same one each time."""
+    return mutated(random.Random(f"{SEED}.{number}"))
+
+
+@pytest.mark.parametrize("message_type", TYPES_THAT_C_DECODES)
+def test_c_and_python_decode_or_refuse_damaged_frames_alike(c_codec: CCodec, message_type: type) -> None:
+    """Both return the same values of a message, or the same reason to refuse the frame."""
     for number in range(draws(20_000)):
-        seed = f"{SEED}.{number}"
-        damaged_frame = mutated(random.Random(seed))
-        try:
-            verdicts.update(check_same_verdict(c_codec, damaged_frame))
-        except AssertionError as error:
-            replay = f"check_same_verdict(c_codec, mutated(random.Random({seed!r})))"
-            raise AssertionError(f"replay: {replay}") from error
+        frame = damaged_frame(number)
+        result_of_c = c_codec.decode(message_type, frame)
+        assert result_of_c == decode_in_python(message_type, frame), f"replay: damaged_frame({number})"
 
-    reasons = {rejection.name for rejection in Rejection}
-    kinds = {kind.name for kind in KINDS.values()}
-    assert verdicts == reasons | kinds, "the frames must reach every verdict"
+
+def test_damaged_frames_are_refused_for_every_reason_and_taken_for_every_kind_of_message() -> None:
+    """So the comparison of C and Python reaches everything that a decoder can return."""
+    rejections, message_types = set(), set()
+    for number in range(draws(20_000)):
+        frame = damaged_frame(number)
+        for kind in KINDS.values():
+            result = kind.decode(frame)
+            if isinstance(result, Rejection):
+                rejections.add(result)
+            else:
+                message_types.add(type(result))
+
+    assert rejections == set(Rejection)
+    assert message_types == set(KINDS)
 
 
 def flipped(frame: can.Message, bit_flips: int) -> can.Message:
@@ -411,40 +431,59 @@ def estimate_frame(x_hat: int, alpha_bits: int) -> can.Message:
     return altered(LEGAL_ESTIMATE_FRAME, data=data)
 
 
-def check_decoded_like_single_frames(frames: list[can.Message], bit_flips: list[int]) -> None:
-    """Check that frames decoded as arrays, with some bits flipped, are what each is by itself."""
+EstimateRow = list[int] | None
+"""Sender, x_hat and alpha of an estimate; None for a frame that holds none."""
+
+
+def decode_together(frames: list[can.Message], bit_flips: list[int]) -> list[EstimateRow]:
+    """Decode frames, in which these bits of the data are flipped, as one array."""
     decoded = decode_estimates(frames, DEFAULT, np.array(bit_flips, np.uint64))
-    assert decoded.rows.shape == (len(frames), 3)
-    for index, (frame, flips) in enumerate(zip(frames, bit_flips, strict=True)):
+    return [
+        row if is_estimate else None
+        for row, is_estimate in zip(decoded.rows.tolist(), decoded.is_estimate, strict=True)
+    ]
+
+
+def decode_alone(frames: list[can.Message], bit_flips: list[int]) -> list[EstimateRow]:
+    """Decode frames, in which these bits of the data are flipped, one after the other."""
+    rows: list[EstimateRow] = []
+    for frame, flips in zip(frames, bit_flips, strict=True):
         estimate = decode_estimate(flipped(frame, flips), DEFAULT)
-        assert decoded.is_estimate[index] == isinstance(estimate, Estimate), (index, frame)
-        if isinstance(estimate, Estimate):
-            assert decoded.rows[index].tolist() == [estimate.sender, estimate.x_hat, estimate.alpha]
+        is_estimate = isinstance(estimate, Estimate)
+        rows.append([estimate.sender, estimate.x_hat, estimate.alpha] if is_estimate else None)
+    return rows
 
 
 @pytest.mark.parametrize("x_hat", [2**23, 2**23 + 1])
 def test_estimates_with_the_largest_values_are_decoded_the_same_in_an_array_and_alone(x_hat: int) -> None:
+    """An x_hat of 2**23, which is 1, is legal, and a larger one is not; some values of alpha are illegal."""
     frames = [estimate_frame(x_hat, alpha_bits) for alpha_bits in LIMITS_OF_ALPHA]
-    check_decoded_like_single_frames(frames, bit_flips=[0] * len(frames))
+    no_bit_flips = [0] * len(frames)
+    assert decode_together(frames, no_bit_flips) == decode_alone(frames, no_bit_flips)
 
 
 def test_damaged_frames_are_decoded_the_same_in_an_array_and_alone() -> None:
+    """In half of the frames one or some bits are flipped besides, as a fault on the bus does it."""
     rng = random.Random(SEED)
     frames = [mutated(rng) for _ in range(draws(4000))]
     bit_flips = []
     for _ in frames:
         one_bit, some_bits = 1 << rng.randrange(64), rng.getrandbits(64)
-        bit_flips.append(rng.choice((0, 0, one_bit, some_bits)))  # half of the frames stay as they are
-    check_decoded_like_single_frames(frames, bit_flips)
+        bit_flips.append(rng.choice((0, 0, one_bit, some_bits)))
+
+    assert decode_together(frames, bit_flips) == decode_alone(frames, bit_flips)
 
 
 @pytest.mark.parametrize("alpha_bits", LIMITS_OF_ALPHA)
 def test_an_estimate_with_any_bit_flipped_is_decoded_the_same_in_an_array_and_alone(alpha_bits: int) -> None:
+    """Of 64 equal frames each has another one of its 64 bits flipped, as a fault on the bus does it."""
     frames = [estimate_frame(2**23, alpha_bits)] * 64
-    check_decoded_like_single_frames(frames, bit_flips=[1 << bit for bit in range(64)])
+    bit_flips = [1 << bit for bit in range(64)]
+    assert decode_together(frames, bit_flips) == decode_alone(frames, bit_flips)
 
 
 def test_an_empty_array_of_frames_is_decoded_to_an_empty_array() -> None:
+    """It has no rows, but the three columns sender, x_hat and alpha."""
     decoded = decode_estimates([], DEFAULT, np.zeros(0, np.uint64))
     assert decoded.rows.shape == (0, 3)
     assert decoded.is_estimate.shape == (0,)
@@ -466,11 +505,6 @@ def test_any_confidence_of_a_robot_is_sent_without_rounding(word: int) -> None:
     bits = float32_bits_from_alpha_word(word)
     assert Fraction(float32_value(bits)) == value_of_word(word)
     assert Fraction(alpha_from_word(word)) == value_of_word(word)
-
-
-def test_a_frame_holds_a_confidence_of_1_as_a_float() -> None:
-    frame = encode_estimate(Estimate(42, 2**22, ALPHA_ONE, 0), DEFAULT)
-    assert alpha_float32_bits(frame) == 0x3F800000, "1.0 in binary32"
 
 
 # design: R16
@@ -511,6 +545,7 @@ def test_a_float_becomes_the_nearest_binary32_number_ties_to_even() -> None:
 
 
 def test_a_float_beyond_binary32_is_an_error() -> None:
+    """The largest number is a little below 2**128."""
     with pytest.raises(OverflowError):
         float32_bits(2.0**128)
 
@@ -519,6 +554,7 @@ def test_a_float_beyond_binary32_is_an_error() -> None:
 
 
 def test_reasons_to_refuse_a_frame_have_the_same_numbers_in_c_and_python(c_codec: CCodec) -> None:
+    """C has three further statuses, for which Python raises UsageError, and OK."""
     without_rejection = {"OK", "ERR_NODE", "ERR_FORMAT", "ERR_HEALTH"}  # Python raises UsageError for these
     c_codes = {name: code for name, code in c_codec.statuses.items() if name not in without_rejection}
     assert c_codes == {f"ERR_{rejection.name}": rejection.value for rejection in Rejection}
@@ -531,6 +567,7 @@ def test_reasons_to_refuse_a_frame_have_the_same_numbers_in_c_and_python(c_codec
 def test_health_mode_and_action_have_the_same_numbers_in_c_and_python(
     c_codec: CCodec, c_enum: str, prefix: str, python_enum: type[Enum]
 ) -> None:
+    """These enumerated values are part of a heartbeat or a command."""
     c_numbers = c_codec.ffi.typeof(f"mcp_asdf_{c_enum}_t").relements
     assert c_numbers == {f"MCP_ASDF_{prefix}{member.name}": member.value for member in python_enum}
 
@@ -542,11 +579,13 @@ def test_health_mode_and_action_have_the_same_numbers_in_c_and_python(
 def test_c_and_python_send_by_default_with_the_same_subjects_and_priorities(
     macro: str, frame_format: FrameFormat
 ) -> None:
+    """A macro of the C header holds both, such as {3000, 4} for estimates."""
     macros = dict(re.findall(r"^#define MCP_ASDF_(\w+) (.*?)\s*(?:/\*.*)?$", C_HEADER, re.MULTILINE))
     assert macros[f"FORMAT_{macro}"] == f"{{{frame_format.subject}, {frame_format.priority}}}"
 
 
 def test_a_command_to_every_robot_is_decoded_by_c_with_the_target_255(c_codec: CCodec) -> None:
+    """Its action, to settle, has the number 3."""
     frame = encoded(Command(42, 7, EVERY_ROBOT, Action.SETTLE, 0))
     command = decode_command(frame)
     assert isinstance(command, Command)

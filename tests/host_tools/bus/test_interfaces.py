@@ -9,6 +9,8 @@ import random
 import signal
 import socket
 import struct
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from itertools import count
 from pathlib import Path
 from typing import Any
@@ -33,26 +35,58 @@ from robots import ALPHA_ONE
 from support import PATIENCE, wait_until
 from wire import meanwhile, node_in_a_thread
 
+ESTIMATE_OF_ROBOT_8 = Estimate(8, 1, ALPHA_ONE, 3)
+"""The estimate in the datagram ``packed(sender=8)``."""
 
-def test_a_malformed_datagram_is_one_error_frame_and_the_next_frame_is_received() -> None:
-    choice, next_estimate = multicast(30), Estimate(8, 1, ALPHA_ONE, 3)
-    with choice.open() as bus, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
-        stranger.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_TTL, struct.pack("@I", 0))
-        stranger.connect((str(choice.channel), int(choice.settings["port"])))
+
+def receive_up_to_robot_8(bus: can.BusABC) -> list[Estimate | Rejection]:
+    """Return what the next frames hold, up to the estimate of robot 8, or why they are refused."""
+    contents: list[Estimate | Rejection] = []
+    while ESTIMATE_OF_ROBOT_8 not in contents:
+        frame = bus.recv(PATIENCE)
+        assert frame is not None
+        contents.append(decode_estimate(frame, FrameFormat()))
+    return contents
+
+
+@contextmanager
+def foreign_program(choice: BusChoice) -> Iterator[Callable[[bytes], object]]:
+    """Yield a function with which a program sends any datagrams to a multicast group."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as program:
+        program.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_TTL, struct.pack("@I", 0))
+        program.connect((str(choice.channel), int(choice.settings["port"])))
+        yield program.send
+
+
+def test_each_malformed_datagram_is_one_error_frame_and_the_next_frame_is_received() -> None:
+    """Behind each of 850 odd datagrams, few of which are legal, come a frame of robot 8 and its estimate.
+
+    The estimate passes the filters of a robot, and so does an error frame; the frame before does not.
+    """
+    choice = multicast(group=30)
+    with choice.open() as bus, foreign_program(choice) as send_datagram:
         bus.set_filters(filters_for(FrameFormat()))
         for datagram in odd_datagrams():
-            stranger.send(datagram)
-            stranger.send(packed(8, arbitration_id=5))  # a frame that the filters leave out
-            stranger.send(packed(8))
-            contents: list[Estimate | Rejection] = []
-            while next_estimate not in contents:
-                frame = bus.recv(PATIENCE)
-                assert frame is not None
-                assert (frame.dlc, frame.channel) == (len(frame.data), choice.channel)
-                contents.append(decode_estimate(frame, FrameFormat()))
+            send_datagram(datagram)
+            send_datagram(packed(sender=8, arbitration_id=5))
+            send_datagram(packed(sender=8))
+            *contents_before, _ = receive_up_to_robot_8(bus)
+
             is_malformed = unpack_data_frame(datagram) is None
-            assert len(contents) <= 2
-            assert (contents[0] is Rejection.ERROR_FRAME) == is_malformed, datagram
+            assert len(contents_before) <= 1
+            assert (contents_before == [Rejection.ERROR_FRAME]) == is_malformed, datagram
+
+
+@pytest.mark.parametrize("datagram", [packed(sender=8), b"garbage"])
+def test_a_frame_of_a_multicast_group_has_the_channel_and_the_length_of_its_data(datagram: bytes) -> None:
+    """This is true of an estimate (8 bytes), and of the error frame for a malformed datagram (none)."""
+    choice = multicast(group=31)
+    with choice.open() as bus, foreign_program(choice) as send_datagram:
+        send_datagram(datagram)
+        frame = bus.recv(PATIENCE)
+
+    assert frame is not None
+    assert (frame.dlc, frame.channel) == (len(frame.data), choice.channel)
 
 
 def test_a_burst_of_four_estimates_from_each_robot_waits_in_the_socket_of_a_multicast_group() -> None:
@@ -80,50 +114,57 @@ def receive_all(bus: can.BusABC) -> list[IdentifierAndData]:
 
 
 def test_a_connection_to_a_multicast_group_does_not_return_what_it_has_sent() -> None:
-    frame = can.Message(arbitration_id=1, data=b"a")
-    choice = multicast(33)
+    """The group returns each datagram to its sender, too; on a CAN bus nobody receives its own frames."""
+    choice = multicast(group=33)
     with choice.open() as bus, choice.open() as other:
-        bus.send(frame)
+        bus.send(can.Message(arbitration_id=1, data=b"a"))
         assert other.recv(PATIENCE) is not None
-        assert bus.recv(0) is None
+        assert bus.recv(timeout=0) is None
 
 
 def test_a_connection_that_returns_its_own_frames_does_so_once() -> None:
-    frame = can.Message(arbitration_id=1, data=b"a")
-    with multicast(34).open(returns_own=True) as bus:
-        bus.send(frame)
+    """A program asks for it that logs what has been on the bus, with the time of each frame."""
+    with multicast(group=34).open(returns_own=True) as bus:
+        bus.send(can.Message(arbitration_id=1, data=b"a"))
         returned_frame = bus.recv(PATIENCE)
         assert returned_frame is not None
         assert identifier_and_data(returned_frame) == (1, b"a")
         assert returned_frame.timestamp > 0
-        assert bus.recv(0) is None
+        assert bus.recv(timeout=0) is None
 
 
 def test_equal_frames_of_several_senders_reach_all_others() -> None:
-    """Two contents and two ids come again and again, also from others at the same time.
+    """Two equal frames of each of three connections: two receive those of the others, and one its own, too.
 
-    Only the third connection returns the frames that it has sent itself.
+    A connection takes the first datagram that equals one of its own for that, so counts must be right.
     """
-    choice = multicast(35)
-    rng = random.Random(2)
-    connections = [choice.open(), choice.open(), choice.open(returns_own=True)]
-    received: list[list[IdentifierAndData]] = [[], [], []]
-    expected: list[list[IdentifierAndData]] = [[], [], []]
-    for _ in range(700):
-        sender = rng.randrange(3)
-        if rng.random() < 0.5:
-            frame = can.Message(arbitration_id=rng.randrange(2), data=bytes([rng.randrange(2)]))
-            connections[sender].send(frame, timeout=1)
-            others = {0, 1, 2} - {sender}
-            for receiver in others | {2}:
-                expected[receiver].append(identifier_and_data(frame))
-        received[sender] += receive_all(connections[sender])
-    for receiver in (0, 1, 2, 0, 1, 2):
-        received[receiver] += receive_all(connections[receiver])
-    for connection in connections:
-        connection.shutdown()
+    frame = can.Message(arbitration_id=1, data=b"a")
+    choice = multicast(group=35)
+    with choice.open() as bus_0, choice.open() as bus_1, choice.open(returns_own=True) as bus_2:
+        for sender in (bus_0, bus_1, bus_2, bus_0, bus_1, bus_2):
+            sender.send(frame, timeout=1)
+        received_counts = [len(receive_all(bus)) for bus in (bus_0, bus_1, bus_2)]
 
-    assert [sorted(frames) for frames in received] == [sorted(frames) for frames in expected]
+    assert received_counts == [4, 4, 6]
+
+
+def test_what_others_send_while_an_own_frame_is_under_way_is_received() -> None:
+    """Connections send equal and other frames in any order and read in between; nothing is lost or doubled."""
+    choice, rng = multicast(group=36), random.Random(2)
+    with choice.open() as bus_0, choice.open() as bus_1:
+        sent: dict[can.BusABC, list[IdentifierAndData]] = {bus_0: [], bus_1: []}
+        received: dict[can.BusABC, list[IdentifierAndData]] = {bus_0: [], bus_1: []}
+        for _ in range(300):
+            bus, frame = rng.choice([bus_0, bus_1]), can.Message(arbitration_id=rng.randrange(2))
+            bus.send(frame, timeout=1)
+            sent[bus].append(identifier_and_data(frame))
+            reader = rng.choice([bus_0, bus_1])
+            received[reader] += receive_all(reader)
+        received[bus_0] += receive_all(bus_0)
+        received[bus_1] += receive_all(bus_1)
+
+    assert received[bus_0] == sent[bus_1]
+    assert received[bus_1] == sent[bus_0]
 
 
 def socketcan_bus() -> Mock:
@@ -134,27 +175,28 @@ def socketcan_bus() -> Mock:
 
 
 def test_frames_of_other_programs_of_this_computer_are_marked_as_received() -> None:
-    connection = Connection(socketcan_bus())
-    frame = connection.recv(0)
-
+    """Python-can marks them as sent on SocketCAN, which lets the programs of a computer share a bus."""
+    frame = Connection(socketcan_bus()).recv(timeout=0)
     assert frame is not None
     assert frame.is_rx
-    assert connection.recv(0) is None
 
 
 def test_filters_of_a_socketcan_bus_are_given_to_the_kernel() -> None:
+    """So the kernel wakes a program only for frames that it wants."""
     bus = socketcan_bus()
     Connection(bus).set_filters(filters_for(FrameFormat()))
     bus.set_filters.assert_called_with(filters_for(FrameFormat()))
 
 
 def test_a_connection_has_the_protocol_and_the_name_of_its_bus() -> None:
+    """A connection wraps one of python-can's, and passes for it."""
     connection = Connection(socketcan_bus())
     assert connection.protocol is can.CanProtocol.CAN_20
     assert connection.channel_info == "can0"
 
 
 def test_leaving_a_bus_whose_adapter_is_unplugged_is_no_error() -> None:
+    """The driver raises an error, but the bus has been left anyway."""
     bus = socketcan_bus()
     bus.shutdown.side_effect = can.CanOperationError("unplugged")
     Connection(bus).shutdown()
@@ -162,38 +204,51 @@ def test_leaving_a_bus_whose_adapter_is_unplugged_is_no_error() -> None:
 
 
 def radio(options: str) -> int:
+    """Run ``mcp-asdf radio`` on the virtual bus of this process, and return its exit code."""
     return main(["radio", "--interface", "virtual", *options.split()])
 
 
-def set_clock_back(monkeypatch: pytest.MonkeyPatch) -> list[float]:
-    """Let every look at the time of day find it three days earlier.
+@pytest.fixture
+def set_clock_back(monkeypatch: pytest.MonkeyPatch) -> Callable[[], list[float]]:
+    """Function that lets every look at the time of day find it three days earlier.
 
-    Returns the seconds that connections wait for a bus from now on.
+    It returns a list to which the seconds of each wait for a bus are added from now on.
     """
-    days, waits = count(step=3 * 86400), list[float]()
-    receive = VirtualBus._recv_internal
 
-    def record_wait(bus: Any, timeout: float | None) -> Any:
-        assert timeout is not None and timeout <= 1, "it would wait for days"
-        waits.append(timeout)
-        return receive(bus, timeout)
+    def set_back() -> list[float]:
+        days, waits = count(step=3 * 86400), list[float]()
+        receive = VirtualBus._recv_internal
 
-    monkeypatch.setattr("can.bus.time", lambda: -next(days))
-    monkeypatch.setattr(VirtualBus, "_recv_internal", record_wait)
-    return waits
+        def record_wait(bus: Any, timeout: float | None) -> Any:
+            assert timeout is not None and timeout <= 1, "it would wait for days"
+            waits.append(timeout)
+            return receive(bus, timeout)
+
+        monkeypatch.setattr("can.bus.time", lambda: -next(days))
+        monkeypatch.setattr(VirtualBus, "_recv_internal", record_wait)
+        return waits
+
+    return set_back
 
 
 def test_node_and_radio_answer_each_other_while_the_clock_is_set_back(
-    monkeypatch: pytest.MonkeyPatch,
+    set_clock_back: Callable[[], list[float]],
 ) -> None:
+    """``radio --verify`` checks a node at the bus, which has another b_hat: the exit code for that is 1.
+
+    Python-can waits by the time of day, which here goes back by three days at each look.
+    """
     with node_in_a_thread("--id 5 --b-hat 0.55 --activation always"):
-        waits = set_clock_back(monkeypatch)
+        waits = set_clock_back()
         assert radio("--id 5 --b-hat 0.56 --activation always --verify --timeout 60") == 1
     assert waits, "no connection has waited since the clock was set back"
 
 
-def test_a_signal_ends_a_wait_while_the_clock_is_set_back(monkeypatch: pytest.MonkeyPatch) -> None:
-    waits = set_clock_back(monkeypatch)
+def test_a_signal_ends_a_command_while_the_clock_is_set_back(
+    set_clock_back: Callable[[], list[float]],
+) -> None:
+    """The command ``radio`` waits for frames that do not come, until SIGTERM ends it with exit code 0."""
+    waits = set_clock_back()
 
     def stop_once_it_waits() -> None:
         wait_until(lambda: bool(waits))
@@ -203,10 +258,11 @@ def test_a_signal_ends_a_wait_while_the_clock_is_set_back(monkeypatch: pytest.Mo
         assert radio("--id 5 --robots 3 --channel another") == 0
 
 
-def test_a_wait_ends_in_time_while_the_clock_is_set_back(monkeypatch: pytest.MonkeyPatch) -> None:
-    waits = set_clock_back(monkeypatch)
+def test_a_wait_ends_in_time_while_the_clock_is_set_back(set_clock_back: Callable[[], list[float]]) -> None:
+    """Nothing comes within 10 ms. Python-can itself would wait until the time of day has caught up."""
+    waits = set_clock_back()
     with bus_from_options("--channel", "mine").open() as bus:
-        assert bus.recv(0.01) is None
+        assert bus.recv(timeout=0.01) is None
     assert waits
 
 
@@ -222,6 +278,7 @@ A_GROUP_FOR_EACH_ROBOT = ("-i", "udp_multicast", "-c", "239.1.1.{robot}", "--bus
 
 
 def test_the_id_of_a_robot_is_put_into_its_group_and_added_to_its_port() -> None:
+    """The options are those of a multicast group 239.1.1.{robot} at port 9."""
     bus_of_all = bus_from_options(*A_GROUP_FOR_EACH_ROBOT)
     bus_of_robot_7 = bus_of_all.of_robot(7)
     assert bus_of_robot_7.settings == {"hop_limit": 0, "channel": "239.1.1.7", "port": 9 + 7, "a": "b"}
@@ -229,17 +286,20 @@ def test_the_id_of_a_robot_is_put_into_its_group_and_added_to_its_port() -> None
 
 
 def test_the_id_of_a_robot_is_added_to_python_can_s_port_where_no_port_is_chosen() -> None:
+    """Linux hands the frames of all groups to every socket of a port, so each robot needs one for itself."""
     bus_of_all = bus_from_options("-i", "udp_multicast", "-c", "g{robot}")
     default_port = 43113
     assert bus_of_all.of_robot(2).settings["port"] == default_port + 2
 
 
 def test_robots_on_socketcan_have_no_ports() -> None:
+    """The bus of a robot has its id in the name, and no further settings."""
     bus_of_all = bus_from_options("-i", "socketcan", "-c", "vcan{robot}")
     assert bus_of_all.of_robot(2).settings == {"channel": "vcan2"}
 
 
 def test_a_bus_with_a_place_for_the_id_has_a_channel_for_each_robot() -> None:
+    """The place is {robot} in the name of the channel."""
     bus_of_all = bus_from_options(*A_GROUP_FOR_EACH_ROBOT)
     assert bus_of_all.has_channels
 
@@ -260,25 +320,30 @@ def test_the_arguments_of_a_bus_choose_the_same_bus_again() -> None:
 
 
 def test_a_bus_without_settings_needs_no_further_arguments() -> None:
+    """With these arguments a command in another process joins the same bus."""
     assert bus_from_options("-i", "socketcan").arguments() == ["--interface=socketcan"]
 
 
 def test_the_arguments_of_a_bus_inside_this_process_are_refused() -> None:
+    """A command in another process could not join it."""
     with pytest.raises(UsageError, match="the bus virtual vcan0 is inside this process, so no other can"):
         bus_from_options().arguments()
 
 
 def test_a_bus_of_this_process_is_private_by_default_and_with_another_name() -> None:
+    """Private means that no other program can be on the bus, and that the user has given at most its name."""
     assert bus_from_options().is_private
     assert bus_from_options("--channel", "mine").is_private
 
 
 @pytest.mark.parametrize("options", ["--bus-kwargs preserve_timestamps=True", "-i socketcan -c vcan0"])
 def test_a_bus_with_settings_or_of_another_kind_is_not_private(options: str) -> None:
+    """Private means that no other program can be on the bus, and that the user has given at most its name."""
     assert not bus_from_options(*options.split()).is_private
 
 
 def test_a_setting_without_a_value_is_refused() -> None:
+    """The parser of the options ends the command, as it does for any wrong option."""
     with pytest.raises(SystemExit):
         bus_from_options("--bus-kwargs", "no value")
 
@@ -302,6 +367,7 @@ CREATE_REAL_BUS = "as root, create it with: modprobe can-raw && ip link set can0
 def test_the_failure_to_open_a_bus_is_reported_with_its_fix(
     options: str, error_number: int, fix: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """The fix is a command if SocketCAN has no such bus, and otherwise a look at the options."""
     bus = bus_from_options(*options.split())
     monkeypatch.setattr(can, "Bus", Mock(side_effect=OSError(error_number, "no way")))
 
@@ -311,11 +377,13 @@ def test_the_failure_to_open_a_bus_is_reported_with_its_fix(
 
 
 def test_the_failure_to_open_a_bus_that_does_not_exist_says_how_to_create_it() -> None:
+    """No driver is replaced here: SocketCAN itself says that it has no such bus."""
     with pytest.raises(UsageError, match=r"vcan97 up$"):
         bus_from_options("-i", "socketcan", "-c", "vcan97").open()
 
 
 def test_an_interface_that_python_can_does_not_have_is_refused_with_those_that_it_has() -> None:
+    """The user has mistyped the name of a kind of bus."""
     with pytest.raises(UsageError, match=r"there is no such interface; choose one of .*, socketcan, "):
         BusChoice("gremlin", {}).open()
 
@@ -336,6 +404,7 @@ def test_a_bus_is_chosen_by_options_before_rc_before_variables_before_files(
 def test_a_variable_of_python_can_that_cannot_be_read_is_a_usage_error(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    """Python-can reads settings from the environment, here from CAN_CONFIG, which must hold JSON."""
     monkeypatch.setenv("CAN_CONFIG", "no JSON")
     with pytest.raises(UsageError, match="variables or configuration files are not valid"):
         bus_from_options()
@@ -352,6 +421,7 @@ def test_a_variable_of_python_can_that_cannot_be_read_is_a_usage_error(
 def test_a_bus_has_the_name_that_its_driver_gives_or_that_of_its_channel_or_interface(
     driver_name: str, settings: dict[str, Any], name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """Python-can says so if the driver has given none; a driver of Kvaser's is replaced by one without hardware."""
     monkeypatch.setattr(can, "Bus", Mock(return_value=Mock(channel_info=driver_name)))
     assert BusChoice("kvaser", settings).open().channel_info == name
 
@@ -360,7 +430,7 @@ def test_a_bus_has_the_name_that_its_driver_gives_or_that_of_its_channel_or_inte
 def test_a_driver_returns_the_frames_that_a_connection_sends_only_where_they_are_wanted(
     returns_own: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """python-can's setting for that, which is off by default, is receive_own_messages."""
+    """Python-can's setting for that, which is off by default, is receive_own_messages."""
     open_bus = Mock(return_value=Mock(channel_info="Leaf"))
     monkeypatch.setattr(can, "Bus", open_bus)
 

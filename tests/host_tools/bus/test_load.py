@@ -25,37 +25,35 @@ MOST_STUFFED_BITS = "00000" + "11110000" * 20
 """Bits of which as many as possible are followed by a stuffed one: each of these begins a new run."""
 
 
+@pytest.mark.parametrize("is_extended_id", [False, True])
 @pytest.mark.parametrize("length", range(9))
-def test_the_worst_length_of_a_frame_with_a_29_bit_identifier_has_the_most_stuffed_bits(length: int) -> None:
+def test_the_worst_length_of_a_frame_is_that_with_the_most_stuffed_bits(
+    length: int, is_extended_id: bool
+) -> None:
     """Behind five bits alike CAN sends one of the other value, so the length depends on the data.
 
-    It does so in the start, the identifier with its flags, the length, the data and the checksum.
+    An identifier has 29 bits, or 11, and further ones around it.
     """
-    stuffable_bits = 1 + 32 + 6 + 8 * length + 15
-    frame = can.Message(arbitration_id=1, data=bytes(length))
-    assert worst_case_bits(frame) == len(stuff(MOST_STUFFED_BITS[:stuffable_bits])) + UNSTUFFED_BITS
+    frame = can.Message(arbitration_id=1, is_extended_id=is_extended_id, data=bytes(length))
+    start, identifier, length_field, checksum = 1, 32 if is_extended_id else 12, 6, 15
+    stuffable_bits = start + identifier + length_field + 8 * length + checksum
 
-
-@pytest.mark.parametrize("length", range(9))
-def test_the_worst_length_of_a_frame_with_an_11_bit_identifier_has_the_most_stuffed_bits(length: int) -> None:
-    """Behind five bits alike CAN sends one of the other value, so the length depends on the data.
-
-    It does so in the start, the identifier with its flags, the length, the data and the checksum.
-    """
-    stuffable_bits = 1 + 12 + 6 + 8 * length + 15
-    frame = can.Message(arbitration_id=1, is_extended_id=False, data=bytes(length))
-    assert worst_case_bits(frame) == len(stuff(MOST_STUFFED_BITS[:stuffable_bits])) + UNSTUFFED_BITS
+    stuffed_bits = stuff(MOST_STUFFED_BITS[:stuffable_bits])
+    assert worst_case_bits(frame) == len(stuffed_bits) + UNSTUFFED_BITS
 
 
 def test_a_frame_of_a_robot_takes_160_bits_at_most() -> None:
+    """It has an identifier of 29 bits and 8 bytes of data."""
     assert worst_case_bits(can.Message(arbitration_id=0x106BB82A, data=bytes(8))) == 160
 
 
 def test_an_error_frame_is_two_flags_a_delimiter_and_the_gap() -> None:
+    """Its data, in which python-can describes the error, are not on the bus."""
     error_frame = can.Message(is_error_frame=True, dlc=8, data=bytes(8))
     flags, delimiter, gap = 12, 8, 3
     assert worst_case_bits(error_frame) == flags + delimiter + gap
 
 
 def test_the_load_of_a_bus_is_the_share_of_its_time_that_the_bits_take() -> None:
-    assert bus_load(160 * 250, seconds=2.0, bit_rate=500_000) == 0.04
+    """In two seconds 40,000 of the bus's 1,000,000 bits are of frames."""
+    assert bus_load(40_000, seconds=2.0, bit_rate=500_000) == 0.04

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import socket
 from collections.abc import Iterator
-from contextlib import suppress
 from functools import partial
 from typing import Any
 
@@ -23,11 +22,13 @@ CHANNEL = "slcan test"
 
 
 def join() -> can.BusABC:
+    """Return a new connection to the bus that the server opens to other programs."""
     return can.Bus(interface="virtual", channel=CHANNEL, ignore_config=True)
 
 
 @pytest.fixture
 def server() -> Iterator[SlcanServer]:
+    """A server at a free TCP port; it has ended when the test has."""
     with SlcanServer(join()) as running:
         yield running
     assert not running._server_thread.is_alive()
@@ -70,6 +71,7 @@ def client(server: SlcanServer) -> Iterator[can.BusABC]:
 
 @pytest.mark.parametrize("frame", FRAMES)
 def test_python_can_s_client_receives_a_frame_of_the_bus(frame: can.Message, client: can.BusABC) -> None:
+    """The client is a program that uses the server as a serial adapter (slcan) to the bus."""
     with join() as bus:
         bus.send(frame)
         assert fields_on_the_wire(receive(client)) == fields_on_the_wire(frame)
@@ -77,6 +79,7 @@ def test_python_can_s_client_receives_a_frame_of_the_bus(frame: can.Message, cli
 
 @pytest.mark.parametrize("frame", FRAMES)
 def test_the_bus_receives_a_frame_of_python_can_s_client(frame: can.Message, client: can.BusABC) -> None:
+    """The client is a program that uses the server as a serial adapter (slcan) to the bus."""
     with join() as bus:
         client.send(frame)
         assert fields_on_the_wire(receive(bus)) == fields_on_the_wire(frame)
@@ -85,8 +88,10 @@ def test_the_bus_receives_a_frame_of_python_can_s_client(frame: can.Message, cli
 @pytest.mark.parametrize(
     "frame", [can.Message(arbitration_id=1, is_fd=True, data=bytes(12)), can.Message(is_error_frame=True)]
 )
-def test_frames_that_slcan_does_not_have_stay_on_the_bus(frame: can.Message, client: can.BusABC) -> None:
-    """The next frame is the first that the client receives."""
+def test_a_frame_of_can_fd_and_an_error_frame_are_not_forwarded(
+    frame: can.Message, client: can.BusABC
+) -> None:
+    """The lines of slcan have no form for them. The next frame is the first that the client receives."""
     with join() as bus:
         bus.send(frame)
         bus.send(FRAMES[0])
@@ -94,6 +99,7 @@ def test_frames_that_slcan_does_not_have_stay_on_the_bus(frame: can.Message, cli
 
 
 def connect(server: SlcanServer) -> socket.socket:
+    """Return a new connection to the server's port."""
     return socket.create_connection(("127.0.0.1", server.port), PATIENCE)
 
 
@@ -105,57 +111,82 @@ def answers_to(lines: bytes, server: SlcanServer) -> bytes:
         return b"".join(iter(partial(program.recv, 100), b""))
 
 
+ANSWER_OK, ANSWER_ERROR = b"\r", b"\a"
+SENT_WITH_11_BITS, SENT_WITH_29_BITS = b"z\r", b"Z\r"
+"""Answers to a line with a frame, by the length of the frame's identifier."""
+
+
 @pytest.mark.parametrize(
     ("lines", "answers"),
     [
-        (b"S8\rO\r", b"\r\r"),
-        (b"\rV\rN\rF\r", b"\rV1013\rN0001\rF00\r"),
-        (b"O\rT106BB82A0\rt7FF0\r", b"\rZ\rz\r"),
-        (b"T106BB82A0\rO\r", b"\a\r"),  # the adapter is closed at first
-        (b"O\rC\rt1230\r", b"\r\r\a"),
-        (b"O\r?\rt12\rt8000\rT200000000\rt1239\rt1231\rt12310\rtxyz0\r", b"\r" + 8 * b"\a"),
-        (b"O\r" + 33 * b"x", b"\r\a"),
+        (b"S8\rO\r", [ANSWER_OK, ANSWER_OK]),
+        (b"\rV\rN\rF\r", [ANSWER_OK, b"V1013\r", b"N0001\r", b"F00\r"]),
+        (b"O\rT106BB82A0\rt7FF0\r", [ANSWER_OK, SENT_WITH_29_BITS, SENT_WITH_11_BITS]),
+        (b"T106BB82A0\rO\r", [ANSWER_ERROR, ANSWER_OK]),  # the adapter is closed at first
+        (b"O\rC\rt1230\r", [ANSWER_OK, ANSWER_OK, ANSWER_ERROR]),
+        (b"O\r?\rt12\rt8000\rT200000000\rt1239\rt1231\rt12310\rtxyz0\r", [ANSWER_OK, *8 * [ANSWER_ERROR]]),
+        (b"O\r" + 33 * b"x", [ANSWER_OK, ANSWER_ERROR]),
     ],
 )
 def test_each_line_has_its_answer_success_or_failure(
-    server: SlcanServer, lines: bytes, answers: bytes
+    server: SlcanServer, lines: bytes, answers: list[bytes]
 ) -> None:
-    assert answers_to(lines, server) == answers
+    """A line is a command: O opens the adapter, C closes it, t and T send a frame with 11 or 29 bits."""
+    assert answers_to(lines, server) == b"".join(answers)
 
 
-def test_a_second_program_finds_the_adapter_as_the_first_did(server: SlcanServer) -> None:
-    for _ in range(2):
-        assert answers_to(b"t1230\rO\rt1230\r", server) == b"\a\r" + b"z\r"
+def test_a_second_program_finds_the_adapter_closed_as_the_first_did(server: SlcanServer) -> None:
+    """Neither can send a frame (t1230) before it has opened the adapter (O)."""
+    answers_to_first_program = answers_to(b"t1230\rO\rt1230\r", server)
+    answers_to_second_program = answers_to(b"t1230\rO\rt1230\r", server)
+
+    assert answers_to_first_program == ANSWER_ERROR + ANSWER_OK + SENT_WITH_11_BITS
+    assert answers_to_second_program == answers_to_first_program
 
 
-def test_a_program_that_connects_while_the_server_closes_does_not_keep_it_open() -> None:
+def test_a_server_that_closes_ends_its_thread_though_a_program_connects_just_then() -> None:
+    """The program connects when the server has decided to close, but does not listen to that yet."""
     with SlcanServer(join()) as server:
-        server._is_closing = True
+        server._is_closing = True  # the first thing that the server does at the end of the block
         with connect(server):
             server._server_thread.join(PATIENCE)
             assert not server._server_thread.is_alive()
 
 
-def test_a_slow_program_loses_whole_frames_and_the_bus_goes_on(server: SlcanServer) -> None:
-    with join() as bus, socket.socket() as program:
+@pytest.fixture
+def slow_program(server: SlcanServer) -> Iterator[socket.socket]:
+    """A program that has opened the adapter but reads nothing; there is room for few lines that wait."""
+    with socket.socket() as program:
         program.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
         program.connect(("127.0.0.1", server.port))
         program.sendall(b"O\r")
         wait_until(lambda: server._is_channel_open)
+        yield program
 
-        def has_dropped_frames() -> bool:
-            for _ in range(1000):
-                bus.send(FRAMES[0])
-            return server.dropped > 0
 
-        wait_until(has_dropped_frames)
-        program.settimeout(0.5)
-        text = b""
-        with suppress(TimeoutError):
-            while True:
-                text += program.recv(1 << 20)
-    lines = set(text.removeprefix(b"\r").split(b"\r"))
-    assert lines == {format_frame_line(FRAMES[0]).removesuffix(b"\r"), b""}
+def read_to_the_end(program: socket.socket) -> bytes:
+    """Return all that a program receives until the server has ended."""
+    return b"".join(iter(partial(program.recv, 1 << 20), b""))
+
+
+def test_a_slow_program_loses_whole_frames_and_the_bus_goes_on(
+    server: SlcanServer, slow_program: socket.socket
+) -> None:
+    """The server drops and counts frames that find no room; of those that it sends each line is complete."""
+
+    def has_dropped_frames_after_a_thousand_more() -> bool:
+        for _ in range(1000):
+            bus.send(FRAMES[0])
+        return server.dropped > 0
+
+    with join() as bus:
+        wait_until(has_dropped_frames_after_a_thousand_more)
+    slow_program.shutdown(socket.SHUT_WR)  # by which the server notices that the program leaves
+
+    answer_to_opening, line_of_frame = ANSWER_OK, format_frame_line(FRAMES[0])
+    text = read_to_the_end(slow_program)
+    line_count = text.count(line_of_frame)
+    assert text == answer_to_opening + line_count * line_of_frame
 
 
 @settings(derandomize=True, max_examples=draws(300), deadline=None)
@@ -164,19 +195,22 @@ def test_a_slow_program_loses_whole_frames_and_the_bus_goes_on(server: SlcanServ
 @example(b"+1230")
 @example(b"t 120")
 @example(b"t1231 7 ")
-def test_any_line_is_a_frame_or_none(line: bytes) -> None:
-    """A line that is read as a frame is what the server would write for it; all others are refused."""
+def test_a_line_that_is_read_as_a_frame_is_what_the_server_writes_for_that_frame(line: bytes) -> None:
+    """All other lines are refused. The case of the first letter has a meaning, that of digits has none."""
     frame = parse_frame(line)
     if frame is not None:
-        assert format_frame_line(frame)[:-1] == line[:1] + line[1:].upper()
+        command, digits = line[:1], line[1:]
+        assert format_frame_line(frame) == command + digits.upper() + b"\r"
 
 
 def test_a_port_that_is_in_use_is_refused_by_name(server: SlcanServer) -> None:
+    """A second server cannot listen at the port of the first one."""
     with pytest.raises(UsageError, match=f"cannot serve slcan at port {server.port}: .*another port"):
         SlcanServer(join(), server.port)
 
 
 def test_a_server_that_cannot_listen_closes_its_bus(server: SlcanServer) -> None:
+    """A server owns the connection to the bus that it is given, and its port is in use here."""
     bus = join()
     with pytest.raises(UsageError):
         SlcanServer(bus, server.port)
@@ -185,5 +219,6 @@ def test_a_server_that_cannot_listen_closes_its_bus(server: SlcanServer) -> None
 
 @pytest.mark.parametrize("port", [-1, 65536])
 def test_a_number_that_is_no_port_is_refused(port: int) -> None:
+    """TCP has ports up to 65535."""
     with pytest.raises(UsageError, match=f"slcan port is {port}; it must be 1 to 65535"):
         SlcanServer(join(), port)

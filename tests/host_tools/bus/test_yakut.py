@@ -8,70 +8,81 @@ import re
 import shlex
 import signal
 import subprocess
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-import can
 import pytest
 
 from mcp_asdf.fixed_point import alpha_word_from_float
 from mcp_asdf_tools.bus import frames
 from mcp_asdf_tools.bus.frames import Estimate
+from mcp_asdf_tools.recording.frame_logs import read_log
 from messages import DEFAULT, write_regulated_types
 from support import PATH, PATIENCE, ROOT, interruptible, require
 
-ROBOTS = 3
 PAGE = (ROOT / "docs/platforms/can_tools.md").read_text(encoding="utf-8")
 
 
 @pytest.mark.slow
 def test_yakut_prints_what_the_robots_of_a_running_swarm_broadcast(tmp_path: Path) -> None:
-    """Every estimate that it shows is in the swarm's own log, member by member."""
+    """Each of 30 estimates that it shows is in the swarm's own log, and all three robots are among them."""
     require("yakut")
     write_regulated_types(tmp_path)
     types = f"{ROOT / 'host_tools/mcp_asdf_tools/bus/dsdl'}{os.pathsep}{tmp_path}"
     environment = {**os.environ, "PATH": PATH, "CYPHAL_PATH": types, "HOME": str(tmp_path)}
-    log, wanted = tmp_path / "run.log", ["sub", "3000:mcp_asdf_messages.estimate"]
-    assert " ".join(["yakut", *wanted]) in PAGE
-    running = f"--robots {ROBOTS} --steps 100000000 --clock real-time --steps-per-second 200"
-    settings = "--comms-period 20 --filter-period 1000"
-    command = f"{require('mcp-asdf')} swarm {running} {settings} --slcan 0 --log {log}"
-    quiet, told = subprocess.DEVNULL, subprocess.PIPE
+    subscribe = "sub 3000:mcp_asdf_messages.estimate"
+    assert f"yakut {subscribe}" in PAGE
+
+    log = tmp_path / "run.log"
+    with running_swarm(f"--robots 3 --log {log}", environment) as port:
+        command = [*documented_command(port), *subscribe.split(), "--count", "30", "+M"]
+        output = subprocess.check_output(command, env=environment, timeout=PATIENCE)
+    shown = {estimate_in_line(line) for line in output.splitlines()}
+
+    assert {estimate.sender for estimate in shown} == {0, 1, 2}
+    assert shown <= estimates_in_log(log)
+
+
+@contextmanager
+def running_swarm(options: str, environment: dict[str, str]) -> Iterator[str]:
+    """Run a swarm in real time, and yield the port at which it serves its bus as an slcan adapter."""
+    endless = "--steps 100000000 --clock real-time --steps-per-second 200 --comms-period 20"
+    command = f"{require('mcp-asdf')} swarm {endless} --filter-period 1000 --slcan 0 {options}"
     with interruptible():
-        started = subprocess.Popen(command.split(), env=environment, stdout=quiet, stderr=told, text=True)
-    with started as swarm:
+        swarm = subprocess.Popen(
+            command.split(), env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
+        )
+    with swarm:
         try:
             assert swarm.stderr
-            where = re.search(r"socket://\S+:(\d+)", swarm.stderr.readline())
-            assert where
-            yakut, *options = documented(where[1])
-            words = [yakut, "--json", *options, *wanted, "--count", "30", "+M"]
-            shown = subprocess.check_output(words, env=environment, stderr=told, timeout=PATIENCE)
+            address = re.search(r"socket://\S+:(\d+)", swarm.stderr.readline())
+            assert address
+            yield address[1]
         finally:
             swarm.send_signal(signal.SIGINT)
             swarm.communicate()
-    estimates = [json.loads(line)["3000"] for line in shown.splitlines()]
-
-    assert {estimate["_meta_"]["source_node_id"] for estimate in estimates} == set(range(ROBOTS))
-    assert {message_of(estimate) for estimate in estimates} <= logged(log)
 
 
-def documented(port: str) -> list[str]:
-    """The page's command for port 20000, for another port, without what it is to do."""
+def documented_command(port: str) -> list[str]:
+    """Return the page's command for an slcan adapter, at another port, without what it is to do."""
     line = next(line for line in PAGE.splitlines() if line.startswith("yakut") and "slcan" in line)
-    *command, monitor = shlex.split(line.replace("20000", port))
+    yakut, *options, monitor = shlex.split(line.replace("20000", port))
     assert monitor == "monitor"
-    return command
+    return [yakut, "--json", *options]
 
 
-def message_of(estimate: dict[str, Any]) -> Estimate:
-    meta = estimate["_meta_"]
+def estimate_in_line(line: bytes) -> Estimate:
+    """Return the estimate that a line of yakut shows in JSON."""
+    fields: dict[str, Any] = json.loads(line)["3000"]
+    meta = fields["_meta_"]
     assert meta["dtype"] == "mcp_asdf_messages.Estimate.1.0"
-    alpha = alpha_word_from_float(estimate["alpha"])
-    return Estimate(meta["source_node_id"], estimate["x_q23"], alpha, meta["transfer_id"] % 32)
+    alpha = alpha_word_from_float(fields["alpha"])
+    return Estimate(meta["source_node_id"], fields["x_q23"], alpha, meta["transfer_id"] % 32)
 
 
-def logged(log: Path) -> set[Estimate]:
-    with can.LogReader(log) as reader:
-        found = (frames.decode_estimate(frame, DEFAULT) for frame in reader)
-        return {message for message in found if isinstance(message, Estimate)}
+def estimates_in_log(log: Path) -> set[Estimate]:
+    """Return all estimates in a log."""
+    decoded = [frames.decode_estimate(frame, DEFAULT) for frame in read_log(log)]
+    return {estimate for estimate in decoded if isinstance(estimate, Estimate)}
