@@ -290,7 +290,7 @@ def database_per_node(capsys: pytest.CaptureFixture[str]) -> Any:
 
 
 def test_dbc_for_three_nodes_has_four_messages_for_each_of_them(database_per_node: Any) -> None:
-    """Programs that cannot mask the id of the node in an identifier need them: an estimate, and three more."""
+    """Programs that cannot mask the id of the node in an identifier need an entry for each kind and node."""
     assert len(database_per_node.messages) == 4 * 3
 
 
