@@ -10,7 +10,7 @@ from typing import Any
 
 import can
 import pytest
-from hypothesis import assume, example, given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from mcp_asdf.fixed_point import ALPHA_MAX, alpha_from_word
@@ -203,11 +203,10 @@ def test_we_and_pycyphal_read_the_same_sender_and_transfer_id_of_a_frame_with_a_
     frame = frames.encode_estimate(message, DEFAULT)
     flip_bit(frame, bit)
     decoded = frames.decode_estimate(frame, DEFAULT)
-    assume(isinstance(decoded, Estimate))
-
     transfer = read_with_pycyphal(frame)
-    assert transfer is not None
-    assert (decoded.sender, decoded.transfer_id) == (transfer.sender, transfer.transfer_id)
+    if isinstance(decoded, Estimate):
+        assert transfer is not None
+        assert (decoded.sender, decoded.transfer_id) == (transfer.sender, transfer.transfer_id)
 
 
 # --- We read what pycyphal sends -------------------------------------------------------------------------

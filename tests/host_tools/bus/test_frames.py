@@ -449,8 +449,10 @@ def decode_alone(frames: list[can.Message], bit_flips: list[int]) -> list[Estima
     rows: list[EstimateRow] = []
     for frame, flips in zip(frames, bit_flips, strict=True):
         estimate = decode_estimate(flipped(frame, flips), DEFAULT)
-        is_estimate = isinstance(estimate, Estimate)
-        rows.append([estimate.sender, estimate.x_hat, estimate.alpha] if is_estimate else None)
+        if isinstance(estimate, Estimate):
+            rows.append([estimate.sender, estimate.x_hat, estimate.alpha])
+        else:
+            rows.append(None)
     return rows
 
 
