@@ -27,7 +27,7 @@ from mcp_asdf_tools.studies.claims import (
     parts_needed,
 )
 from mcp_asdf_tools.studies.equations import EQUATIONS
-from mcp_asdf_tools.studies.study_results import MEASURES, StudyResults, final_b_hat_of_healthy_robots
+from mcp_asdf_tools.studies.study_results import MEASURES, StudyResults
 from mcp_asdf_tools.studies.verdicts import Expectation, Verdict
 
 pytestmark = pytest.mark.usefixtures("few_resamples")
@@ -36,8 +36,6 @@ PLANTED: dict[str, list[str]] = tomllib.loads(
     Path(__file__).with_name("planted.toml").read_text(encoding="utf-8")
 )
 """For each claim an expression by which it agrees, and one by which it disagrees."""
-
-PLACE_IN_PAPER = r"(abstract|[IV]+(-[A-E])?|)(, )?(figure \d[ab]?|table I|)"
 
 
 def decide_one(study_results: StudyResults, claim: Claim, study_part: StudyPart | None) -> Decision:
@@ -55,216 +53,286 @@ def claim_named(name: str) -> Claim:
 # --- Every claim -----------------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
+QUICK_CLAIMS = (
+    "flawed_robots_harm",
+    "plus_spreads_wider",
+    "connected_overconfident_score_higher",
+    "short_runs_are_accurate",
+)
+"""Claims about a score, about its spread, about two parts of the study, and about a level."""
+
+
 @pytest.mark.parametrize(
     ("claim", "study_part"),
     [
-        pytest.param(claim, study_part, id=f"{claim.name}-{study_part.value}")
+        pytest.param(
+            claim,
+            study_part,
+            id=f"{claim.name}-{study_part.value}",
+            marks=() if claim.name in QUICK_CLAIMS else pytest.mark.slow,
+        )
         for claim in CLAIMS
         if claim.name != IDENTICAL_ROBOTS
         for study_part in claim.parts
         if study_part is not None
     ],
 )
-@pytest.mark.parametrize(("index", "verdict"), [(0, Verdict.AGREE), (1, Verdict.DISAGREE)])
-def test_a_claim_of_the_paper_agrees_or_disagrees_as_planted_results_do(
-    claim: Claim, study_part: StudyPart, index: int, verdict: Verdict
+def test_a_claim_of_the_paper_agrees_and_disagrees_with_the_results_planted_for_that(
+    claim: Claim, study_part: StudyPart
 ) -> None:
     """PLANTED has two expressions for each claim: results that agree with it, and results that do not."""
-    study_results = PlantedResults(PLANTED[claim.name][index], parts_needed(claim, study_part))
-    decision = decide_one(study_results, claim, study_part)
-    shown = [f"{each.label}: {each.interval} {each.holds}" for each in decision.comparisons]
-    assert decision.verdict is verdict, "\n".join(shown)
+    parts = parts_needed(claim, study_part)
+    agreeing_expression, disagreeing_expression = PLANTED[claim.name]
+
+    agreement = decide_one(PlantedResults(agreeing_expression, parts), claim, study_part)
+    disagreement = decide_one(PlantedResults(disagreeing_expression, parts), claim, study_part)
+
+    assert agreement.verdict is Verdict.AGREE, agreement.comparisons
+    assert disagreement.verdict is Verdict.DISAGREE, disagreement.comparisons
 
 
-def test_every_claim_has_planted_results_or_a_function() -> None:
-    assert {claim.name for claim in CLAIMS} == {*PLANTED, *EQUATIONS, IDENTICAL_ROBOTS}
+def test_every_claim_is_tested_with_planted_results_or_decided_by_equations_or_about_single_robots() -> None:
+    claim_names = {claim.name for claim in CLAIMS}
+    assert claim_names == {*PLANTED, *EQUATIONS, IDENTICAL_ROBOTS}
 
 
-def test_the_paper_has_97_claims_about_110_parts() -> None:
+def test_the_paper_has_97_claims_that_are_about_110_parts_of_the_study() -> None:
     assert len(CLAIMS) == 97
     assert sum(len(claim.parts) for claim in CLAIMS) == 110
 
 
-def test_each_question_of_a_user_is_about_a_claim_that_exists() -> None:
+def test_each_question_of_a_user_is_answered_by_a_claim_that_exists() -> None:
     assert set(QUESTIONS) <= {claim.name for claim in CLAIMS}
 
 
-def test_sizes_and_levels_are_those_of_the_page() -> None:
+def test_words_for_sizes_and_levels_are_the_points_that_the_page_about_the_study_says() -> None:
     assert list(SIZES.values()) == [2, 5, 10, 20, 0.2, 0.05]
     assert LEVELS == {"almost perfect": 95, "excellent": 90, "quite high": 80, "poor": 50}
 
 
-@pytest.mark.parametrize("claim", CLAIMS, ids=lambda claim: claim.name)
-def test_a_claim_quotes_one_sentence_of_one_place(claim: Claim) -> None:
-    assert claim.quote.strip() == claim.quote != ""
-    assert not re.search(r"[.?!] [A-Z]", claim.quote.replace("[...]", ""))
-    assert re.fullmatch(PLACE_IN_PAPER, claim.where)
+def test_each_claim_quotes_one_sentence_of_the_paper() -> None:
+    """Dots in brackets stand for what is left out of a sentence."""
+    for claim in CLAIMS:
+        assert claim.quote.strip() == claim.quote != ""
+        end_of_sentence_within_quote = re.search(r"[.?!] [A-Z]", claim.quote.replace("[...]", ""))
+        assert end_of_sentence_within_quote is None, claim.name
 
 
-PLANS = [
-    pytest.param(claim.plan(study_part), study_part, id=f"{claim.name}-{study_part.value}")
+def test_each_claim_says_in_which_section_figure_or_table_the_paper_has_it() -> None:
+    """Examples are "III-A", "abstract", "V, figure 3a" and "table I"."""
+    place_in_paper = r"(abstract|[IV]+(-[A-E])?|)(, )?(figure \d[ab]?|table I|)"
+    for claim in CLAIMS:
+        assert re.fullmatch(place_in_paper, claim.where), claim.name
+
+
+PLANS_BY_CLAIM = {
+    (claim.name, study_part.value): claim.plan(study_part)
     for claim in CLAIMS
     if claim.contrasts
     for study_part in claim.parts
     if study_part is not None
-]
+}
+"""The comparisons by which a claim is decided in a part of the study."""
 
 
-@pytest.mark.parametrize(("plans", "study_part"), PLANS)
-def test_a_claim_compares_experiments_that_the_study_runs_and_each_pair_once(
-    plans: list[PlannedComparison], study_part: StudyPart
-) -> None:
-    cells = {plan.cell for plan in plans} | {plan.reference for plan in plans if plan.reference}
-    assert cells <= STUDY_CELLS
-    assert study_part in {cell.study_part for cell in cells}
-    questions = {(plan.cell, plan.reference, plan.contrast.measure, plan.contrast.expected) for plan in plans}
-
-    assert len(questions) == len(plans) > 0
+def test_claims_compare_only_cells_that_the_study_runs_and_some_of_their_own_part() -> None:
+    """A cell is a kind of swarm in a part of the study."""
+    for (_claim_name, part), plans in PLANS_BY_CLAIM.items():
+        cells = {plan.cell for plan in plans}
+        references = {plan.reference for plan in plans if plan.reference is not None}
+        assert cells | references <= STUDY_CELLS
+        assert part in {cell.study_part.value for cell in cells | references}
 
 
-@pytest.mark.parametrize(("plans", "study_part"), PLANS)
-def test_comparisons_in_claims_toml_are_of_measures_and_expectations_that_exist(
-    plans: list[PlannedComparison], study_part: StudyPart
-) -> None:
+def test_no_claim_makes_the_same_comparison_twice() -> None:
+    for claim, plans in PLANS_BY_CLAIM.items():
+        comparisons = {
+            (plan.cell, plan.reference, plan.contrast.measure, plan.contrast.expected) for plan in plans
+        }
+        assert len(comparisons) == len(plans) > 0, claim
+
+
+def test_comparisons_in_claims_toml_are_of_measures_and_expectations_that_exist() -> None:
     """A misspelt word of the file would be a comparison that nobody makes."""
     known_expectations = {expectation.value for expectation in Expectation}
-    for plan in plans:
-        assert plan.contrast.measure in MEASURES
-        assert plan.contrast.expected in known_expectations
+    for plans in PLANS_BY_CLAIM.values():
+        for plan in plans:
+            assert plan.contrast.measure in MEASURES
+            assert plan.contrast.expected in known_expectations
 
 
-@pytest.mark.parametrize(("plans", "study_part"), PLANS)
-def test_differences_that_count_in_claims_toml_are_above_0(
-    plans: list[PlannedComparison], study_part: StudyPart
-) -> None:
-    for plan in plans:
-        assert plan.contrast.size_in_points > 0
+def test_differences_that_count_in_claims_toml_are_above_0() -> None:
+    for plans in PLANS_BY_CLAIM.values():
+        for plan in plans:
+            assert plan.contrast.size_in_points > 0
 
 
 # --- Contrasts -------------------------------------------------------------------------------------------
 
 
 def plan(**row: Any) -> list[PlannedComparison]:
-    """Plan a contrast of dynamic swarms with f = 0.95 and b = 0.55."""
+    """List the comparisons of a row in the dynamic swarms with f = 0.95 and b = 0.55."""
     return Contrast(**{"expected": "above", "panels": "over_clear", **row}).plan(StudyPart.DYNAMIC)
 
 
-def test_lists_in_a_comparison_make_all_their_combinations() -> None:
+def test_lists_in_a_row_of_a_claim_make_all_their_combinations() -> None:
+    """b_hat is what flawed robots assume: 0.75 or 0.95, as 0.55 would be right."""
     plans = plan(flawed_percents=[10, 30], filters="asdf-plus", than="no filter")
-    pairs = [(plan.cell, plan.reference) for plan in plans]
 
-    assert pairs == [
-        (
-            Cell(StudyPart.DYNAMIC, 0.95, 0.55, b_hat, percent, "asdf-plus"),
-            Cell(StudyPart.DYNAMIC, 0.95, 0.55, b_hat, percent, "none"),
-        )
-        for b_hat in (0.75, 0.95)  # 0.55 is right
-        for percent in (10, 30)
+    compared = [
+        (plan.cell.flawed_accuracy, plan.cell.flawed_percent, plan.cell.filter, plan.reference.filter)
+        for plan in plans
+        if plan.reference is not None
     ]
+    assert compared == [
+        (0.75, 10, "asdf-plus", "none"),
+        (0.75, 30, "asdf-plus", "none"),
+        (0.95, 10, "asdf-plus", "none"),
+        (0.95, 30, "asdf-plus", "none"),
+    ]
+
+
+def test_a_reference_differs_from_its_cell_only_in_what_the_row_of_the_claim_changes() -> None:
+    first_plan, *_others = plan(flawed_percents=10, filters="asdf-plus", than="no filter")
+
+    assert first_plan.cell == Cell(StudyPart.DYNAMIC, 0.95, 0.55, 0.75, 10, "asdf-plus")
+    assert first_plan.reference == Cell(StudyPart.DYNAMIC, 0.95, 0.55, 0.75, 10, "none")
 
 
 def test_two_names_of_the_same_experiment_are_compared_once() -> None:
     """Without flawed robots their accuracies of 0.75 and 0.95 make no difference."""
-    assert len(plan(flawed_percents=0, filters="asdf-plus", than="no filter")) == 1
+    plans = plan(flawed_percents=0, flawed_accuracies=[0.75, 0.95], filters="asdf-plus", than="no filter")
+    assert len(plans) == 1
 
 
-def test_the_next_lower_share_of_flawed_robots_is_the_next_that_the_study_runs() -> None:
-    """P is the percentage of flawed robots. Each cell of the study is compared with a reference cell."""
+def test_next_lower_p_is_the_next_lower_percentage_of_flawed_robots_that_the_study_runs() -> None:
     plans = plan(flawed_percents=[10, 30, 50, 100], flawed_accuracies=0.95, than="next lower P")
-    percents_and_those_of_references = [
-        (plan.cell.flawed_percent, plan.reference and plan.reference.flawed_percent) for plan in plans
-    ]
 
-    assert percents_and_those_of_references == [(10, 0), (30, 10), (50, 30), (100, 50)]
+    percent_and_reference = {
+        plan.cell.flawed_percent: plan.reference.flawed_percent for plan in plans if plan.reference
+    }
+    assert percent_and_reference == {10: 0, 30: 10, 50: 30, 100: 50}
 
 
 @pytest.mark.parametrize(
     ("row", "expected"),
     [
-        ({"filters": "asdf-plus", "than": "no filter"}, 20),
-        ({"filters": "asdf-plus", "than": "asdf-minus"}, 5),
-        ({"filters": "asdf-minus", "than": "flawless"}, 12),
-        ({"level": "quite high"}, -23),
-        ({"level": 50.0}, 7),
+        ({"filters": "asdf-plus", "than": "no filter"}, 77 - 57),
+        ({"filters": "asdf-plus", "than": "asdf-minus"}, 77 - 72),
+        ({"filters": "asdf-minus", "than": "flawless"}, 72 - 60),
+        ({"level": "quite high"}, 57 - 80),
+        ({"level": 50.0}, 57 - 50),
         ({}, 57),
-        ({"measure": "loss of H", "than": {"flawed_percent": 50}}, -2),
-        ({"than": "fully connected"}, -4),
-        ({"measure": "spread of H", "filters": "asdf-plus", "than": "no filter"}, 1),
-        ({"than_measure": "best H of 30", "than": {"flawed_percent": 50}}, 2 - 0.955),
+        ({"than": "fully connected"}, 57 - 61),
+        ({"measure": "loss of H", "than": {"flawed_percent": 50}}, 3 - 5),
     ],
 )
-def test_a_comparison_is_the_first_cell_less_the_other(row: dict[str, Any], expected: float) -> None:
-    median = "{'none': 60, 'asdf-minus': 75, 'asdf-plus': 80}[filter] - P / 10 + 4 * (part != 'dynamic')"
-    study_results = PlantedResults(f"({median}, 1 + (filter == 'asdf-plus'))")
-    values = [plan.compare(study_results, 0.9).interval.value for plan in plan(flawed_percents=30, **row)]
-    assert values == pytest.approx([expected] * len(values), abs=0.02)
+def test_a_comparison_is_the_measure_of_the_first_cell_less_that_of_the_other(
+    row: dict[str, Any], expected: float
+) -> None:
+    """With 30 % flawed robots H is 57 without a filter, 72 with ASDF- and 77 with ASDF+.
+
+    Without flawed robots it is 3 higher, and in fully connected swarms 4 higher than in dynamic ones.
+    """
+    h = "{'none': 60, 'asdf-minus': 75, 'asdf-plus': 80}[filter] - P / 10 + 4 * (part != 'dynamic')"
+    for planned_comparison in plan(flawed_percents=30, **row):
+        comparison = planned_comparison.compare(PlantedResults(h), confidence=0.9)
+        assert comparison.interval.value == pytest.approx(expected, abs=0.02)
 
 
 @pytest.mark.parametrize(
-    ("row", "place"),
+    ("row", "expected"),
+    [
+        ({"measure": "spread of H", "filters": "asdf-plus", "than": "no filter"}, 2 - 1),
+        # Of numbers that spread evenly by 1 between the quartiles, this quantile is 0.955 above the median.
+        ({"than_measure": "best H of 30", "than": {"flawed_percent": 30}}, -0.955),
+    ],
+)
+def test_a_comparison_can_be_of_how_trials_spread_or_with_the_best_of_them(
+    row: dict[str, Any], expected: float
+) -> None:
+    """H is 70 on average. Half of the trials are within 1 with no filter, and within 2 with ASDF+."""
+    results = PlantedResults("(70, 1 + (filter == 'asdf-plus'))")
+    for planned_comparison in plan(flawed_percents=30, **row):
+        comparison = planned_comparison.compare(results, confidence=0.9)
+        assert comparison.interval.value == pytest.approx(expected, abs=0.02)
+
+
+@pytest.mark.parametrize(
+    ("row", "row_label", "column_label"),
     [
         (
             {"filters": "asdf-plus", "than": "no filter"},
-            ("f 0.95, b 0.55, b_hat 0.75", "H, P 10 %, ASDF+, tau 1000 less no filter"),
+            "f 0.95, b 0.55, b_hat 0.75",
+            "H, P 10 %, ASDF+, tau 1000 less no filter",
         ),
         (
             {"flawed_percents": 0, "level": "excellent"},
-            ("f 0.95, b 0.55", "H less 90, P 0 %, no filter"),
+            "f 0.95, b 0.55",
+            "H less 90, P 0 %, no filter",
         ),
         (
             {"than": "fully connected"},
-            ("f 0.95, b 0.55, b_hat 0.75", "H, dynamic, P 10 %, no filter less fully connected"),
+            "f 0.95, b 0.55, b_hat 0.75",
+            "H, dynamic, P 10 %, no filter less fully connected",
         ),
     ],
 )
-def test_a_comparison_is_labelled_by_what_differs(row: dict[str, Any], place: tuple[str, str]) -> None:
+def test_a_comparison_is_labelled_by_its_swarm_and_by_what_is_subtracted_from_what(
+    row: dict[str, Any], row_label: str, column_label: str
+) -> None:
     (only_plan,) = plan(**{"flawed_percents": 10, "flawed_accuracies": 0.75, **row})
-    comparison = only_plan.compare(PlantedResults("70"), 0.9)
-    assert (comparison.row, comparison.column) == place
+    comparison = only_plan.compare(PlantedResults("70"), confidence=0.9)
+
+    assert comparison.row == row_label
+    assert comparison.column == column_label
 
 
 @pytest.mark.parametrize(("size", "is_strong"), [("much", True), (10, False), ("similar", False)])
-def test_much_is_a_strong_word(size: str | float, is_strong: bool) -> None:
+def test_the_whole_interval_must_reach_the_size_where_the_paper_says_much(
+    size: str | float, is_strong: bool
+) -> None:
     (only_plan,) = plan(size=size, than="flawless", flawed_percents=30, flawed_accuracies=0.75)
-    assert only_plan.compare(PlantedResults("70"), 0.9).is_strong is is_strong
+    comparison = only_plan.compare(PlantedResults("70"), confidence=0.9)
+    assert comparison.is_strong is is_strong
 
 
 # --- Decisions -------------------------------------------------------------------------------------------
 
 
-def test_intervals_allow_for_the_number_of_comparisons() -> None:
-    study_results = PlantedResults("(70, 8)")
-    decision = decide_one(study_results, claim_named("flawed_robots_harm"), StudyPart.DYNAMIC)
-    first_plan = claim_named("flawed_robots_harm").plan(StudyPart.DYNAMIC)[0]
-    error_probability = 0.05 / 24  # of each of 24 comparisons, so that it is 0.05 for all together
-    assert len(decision.comparisons) == 24
-    assert (
-        decision.comparisons[0].interval == first_plan.compare(study_results, 1 - error_probability).interval
-    )
+def test_the_intervals_of_24_comparisons_are_so_wide_that_all_together_are_right_with_95_percent() -> None:
+    results = PlantedResults("(70, 8)")  # median and spread
+    claim = claim_named("flawed_robots_harm")
+
+    decision = decide_one(results, claim, StudyPart.DYNAMIC)
+
+    first_plan, *_others = claim.plan(StudyPart.DYNAMIC)
+    first_comparison, *other_comparisons = decision.comparisons
+    error_probability = 0.05 / 24
+    assert len(other_comparisons) == 23
+    assert first_comparison.interval == first_plan.compare(results, 1 - error_probability).interval
 
 
-def test_a_claim_is_left_out_where_a_part_that_it_needs_has_not_been_run() -> None:
-    claim = claim_named("connected_overconfident_score_higher")  # compares with the dynamic swarm
-    assert decide(PlantedResults("70", [StudyPart.FULLY_CONNECTED]), [claim]) == []
+def test_a_claim_is_left_out_where_a_part_of_the_study_that_it_needs_has_not_been_run() -> None:
+    """The claim is about the fully connected swarm, and compares it with the dynamic one."""
+    claim = claim_named("connected_overconfident_score_higher")
+    results_of_one_part = PlantedResults("70", [StudyPart.FULLY_CONNECTED])
+    assert decide(results_of_one_part, [claim]) == []
 
 
-@pytest.mark.parametrize(("excess", "verdict"), [(0, Verdict.AGREE), (1, Verdict.DISAGREE)])
-def test_robots_of_a_connected_swarm_are_compared_with_each_other(
-    excess: int, verdict: Verdict, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(("difference", "verdict"), [(0, Verdict.AGREE), (1, Verdict.DISAGREE)])
+def test_robots_of_a_connected_swarm_must_converge_in_the_same_step_with_the_same_error(
+    difference: int, verdict: Verdict, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    convergence_steps, errors = np.full((3, 4), 100), np.full((3, 4), 0.25)
-    convergence_steps[2, 1] += excess
-    errors[0, 3] += 1e-6 * excess
+    """There are three trials of four robots, and in each of two trials one robot that may differ."""
+    convergence_steps = np.full((3, 4), 100)
+    convergence_steps[2, 1] += difference
+    errors = np.full((3, 4), 0.25)
+    errors[0, 3] += 1e-6 * difference
     trials = SimpleNamespace(convergence_steps=convergence_steps, errors=errors)
-    study_results = PlantedResults("70")
-    monkeypatch.setattr(study_results, "trials_of", lambda study_part: [trials])
-    decision = decide_one(study_results, claim_named(IDENTICAL_ROBOTS), StudyPart.FULLY_CONNECTED)
+    results = PlantedResults("70")
+    monkeypatch.setattr(results, "trials_of", lambda study_part: [trials])
+
+    decision = decide_one(results, claim_named(IDENTICAL_ROBOTS), StudyPart.FULLY_CONNECTED)
 
     assert decision.verdict is verdict
-
-
-def test_the_final_b_hat_is_that_of_the_robots_that_started_with_the_right_one() -> None:
-    b_hat = np.array([[[0.9, 0.9, 0.5, 0.5], [0.1, 0.2, 0.6, 0.8]]])
-    trials: Any = SimpleNamespace(b_hat=b_hat, experiment=SimpleNamespace(flawed=2))
-    assert final_b_hat_of_healthy_robots(trials) == pytest.approx([0.7])
