@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import pytest
@@ -12,29 +12,10 @@ import pytest
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.plots import bands, boxes, scatter, series
 from mcp_asdf_tools.studies.cells import StudyPart, StudySize, cells_of, experiment_of, own_experiments_of
-from mcp_asdf_tools.studies.figures import draw_pictures
+from mcp_asdf_tools.studies.figures import Picture, draw_pictures
 from mcp_asdf_tools.studies.study_results import StudyResults
-from support import slow
 
-
-class ResultsWithoutTrials(StudyResults):
-    """Results of parts of the study that have experiments, but nothing measured."""
-
-    def __init__(self, parts: Collection[StudyPart], firmware: str, own_filter: str | None) -> None:
-        own: dict[StudyPart, Any] = {}
-        if (firmware, own_filter) != ("native", None):
-            for study_part in parts:
-                experiments = own_experiments_of(study_part, StudySize(2, 4000), firmware, own_filter)
-                own[study_part] = [ExperimentOnly(experiment) for experiment in experiments]
-        super().__init__({}, own)
-        self._parts = [study_part for study_part in StudyPart if study_part in parts]
-
-    @property
-    def parts(self) -> list[StudyPart]:
-        return self._parts
-
-    def trials_of(self, study_part: StudyPart) -> list[Any]:
-        return [ExperimentOnly(experiment_of(cell, StudySize())) for cell in cells_of(study_part)]
+SHORT_STUDY = StudySize(trials=2, steps=100)
 
 
 @dataclass
@@ -44,48 +25,93 @@ class ExperimentOnly:
     experiment: Experiment
 
 
+class ResultsWithoutTrials(StudyResults):
+    """Results of parts of the study that have experiments, but nothing measured."""
+
+    def __init__(self, parts: Collection[StudyPart], firmware: str, own_filter: str | None) -> None:
+        own: dict[StudyPart, Any] = {}
+        if (firmware, own_filter) != ("native", None):
+            for study_part in parts:
+                experiments = own_experiments_of(study_part, SHORT_STUDY, firmware, own_filter)
+                own[study_part] = [ExperimentOnly(experiment) for experiment in experiments]
+        super().__init__({}, own)
+        self._parts = [study_part for study_part in StudyPart if study_part in parts]
+
+    @property
+    def parts(self) -> list[StudyPart]:
+        return self._parts
+
+    def trials_of(self, study_part: StudyPart) -> list[Any]:
+        return [ExperimentOnly(experiment) for experiment in papers_experiments_of(study_part)]
+
+
+@cache
+def papers_experiments_of(study_part: StudyPart) -> list[Experiment]:
+    return [experiment_of(cell, StudySize()) for cell in cells_of(study_part)]
+
+
 @dataclass
 class DrawnSwarms:
-    """The parameters of the swarms that a plot was asked to draw, in place of the picture."""
+    """What a plot was asked to draw, in place of the drawing.
 
+    Attributes:
+        results: The trials of the swarms.
+        legend: The names of the swarms in the legend.
+        filters: Which robots filter.
+        periods: Steps from one filter step to the next.
+        percents: Percentages of flawed robots.
+        filters_and_percents: Pairs of them that a swarm has.
+    """
+
+    results: Sequence[Any]
+    legend: set[str]
     filters: set[str]
     periods: set[int]
     percents: set[int]
-    names: set[str]
     filters_and_percents: set[tuple[str, int]]
 
 
 def record_drawn_swarms(
-    experiments: Sequence[Any],
+    results: Sequence[Any],
     trial: int = 0,
     series_name: Callable[[Experiment], str] = lambda experiment: "",
 ) -> DrawnSwarms:
-    swarms = [trials.experiment for trials in experiments]
+    swarms = [trials.experiment for trials in results]
     percents = [round(100 * swarm.flawed / swarm.robots) for swarm in swarms]
     filters = [swarm.filter for swarm in swarms]
     return DrawnSwarms(
-        set(filters),
-        {swarm.filter_period for swarm in swarms},
-        set(percents),
-        {series_name(swarm) for swarm in swarms},
-        set(zip(filters, percents, strict=True)),
+        results=results,
+        legend={series_name(swarm) for swarm in swarms},
+        filters=set(filters),
+        periods={swarm.filter_period for swarm in swarms},
+        percents=set(percents),
+        filters_and_percents=set(zip(filters, percents, strict=True)),
     )
 
 
-@pytest.fixture(autouse=True)
-def plots_that_record_swarms(monkeypatch: pytest.MonkeyPatch) -> None:
-    for module, function in (
-        (boxes, "plot_boxes"),
-        (scatter, "plot_scatter"),
-        (bands, "plot_bands"),
-        (series, "plot_runs"),
-    ):
-        monkeypatch.setattr(module, function, record_drawn_swarms)
-
-
-def pictures_of(*parts: StudyPart, firmware: str = "native", own_filter: str | None = None) -> dict[str, Any]:
+@cache
+def pictures_of(
+    *parts: StudyPart, firmware: str = "native", own_filter: str | None = None
+) -> dict[str, Picture]:
+    """Return the pictures of parts of the study by name; in place of its figure each has DrawnSwarms."""
     results = ResultsWithoutTrials(parts, firmware, own_filter)
-    return {picture.name: picture for picture in draw_pictures(results, StudySize(2, 4000))}
+    with pytest.MonkeyPatch.context() as patch:
+        for module, function in (
+            (boxes, "plot_boxes"),
+            (scatter, "plot_scatter"),
+            (bands, "plot_bands"),
+            (series, "plot_runs"),
+        ):
+            patch.setattr(module, function, record_drawn_swarms)
+        return {picture.name: picture for picture in draw_pictures(results, SHORT_STUDY)}
+
+
+def drawn_swarms(name: str, firmware: str = "native", own_filter: str | None = None) -> Any:
+    """Return what a picture of the whole study shows, also with a firmware or a filter of the user's."""
+    return pictures_of(*StudyPart, firmware=firmware, own_filter=own_filter)[name].figure
+
+
+# --- The paper's figures ---------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -97,26 +123,30 @@ def pictures_of(*parts: StudyPart, firmware: str = "native", own_filter: str | N
         (list(StudyPart), 13),
     ],
 )
-def test_pictures_are_of_the_parts_that_were_run(parts: list[StudyPart], count: int) -> None:
+def test_a_study_of_some_parts_of_the_papers_has_the_pictures_of_these_parts(
+    parts: list[StudyPart], count: int
+) -> None:
+    """Two pictures need two parts, the fully connected and the dynamic swarm."""
     assert len(pictures_of(*parts)) == count
 
 
-def test_titles_have_the_numbers_of_the_papers_figures() -> None:
-    numbers = {
-        name: re.findall(r"figure (\w+)\)$", picture.title)
-        for name, picture in pictures_of(*StudyPart).items()
-    }
-
-    assert {name: number[0] for name, number in numbers.items() if number} == {
-        "dynamic_asdf-minus": "3a",
-        "dynamic_asdf-plus": "3b",
-        "dynamic_scatter": "4",
-        "topologies_asdf-minus": "5a",
-        "topologies_asdf-plus": "5b",
-        "series": "6",
-        "physical_asdf-plus": "8a",
-        "physical_scatter": "8b",
-    }
+@pytest.mark.parametrize(
+    ("name", "figure"),
+    [
+        ("dynamic_asdf-minus", "3a"),
+        ("dynamic_asdf-plus", "3b"),
+        ("dynamic_scatter", "4"),
+        ("topologies_asdf-minus", "5a"),
+        ("topologies_asdf-plus", "5b"),
+        ("series", "6"),
+        ("physical_asdf-plus", "8a"),
+        ("physical_scatter", "8b"),
+    ],
+)
+def test_the_title_of_a_picture_ends_with_the_number_of_the_papers_figure_that_shows_the_same(
+    name: str, figure: str
+) -> None:
+    assert pictures_of(*StudyPart)[name].title.endswith(f" (the paper's figure {figure})")
 
 
 ANY_PERIOD = {1000, 2000, 4000}
@@ -128,26 +158,25 @@ SHORTEST = {1000}
     [
         ("dynamic_asdf-minus", {"none", "asdf-minus"}, ANY_PERIOD, {0, 10, 30, 50}),
         ("fully_connected_bands", {"asdf-plus"}, SHORTEST, {10, 30, 50}),
-        *slow(
-            [
-                ("dynamic_asdf-plus", {"none", "asdf-plus"}, ANY_PERIOD, {0, 10, 30, 50, 100}),
-                ("dynamic_scatter", {"none", "asdf-minus", "asdf-plus"}, SHORTEST, {0, 10, 30, 50, 100}),
-                ("topologies_asdf-minus", {"none", "asdf-minus"}, SHORTEST, {0, 10, 30, 50, 100}),
-                ("series", {"none", "asdf-plus"}, SHORTEST, {50}),
-                ("physical_asdf-plus", {"none", "asdf-plus"}, SHORTEST, {0, 25, 50, 100}),
-            ]
-        ),
+        ("dynamic_asdf-plus", {"none", "asdf-plus"}, ANY_PERIOD, {0, 10, 30, 50, 100}),
+        ("dynamic_scatter", {"none", "asdf-minus", "asdf-plus"}, SHORTEST, {0, 10, 30, 50, 100}),
+        ("topologies_asdf-minus", {"none", "asdf-minus"}, SHORTEST, {0, 10, 30, 50, 100}),
+        ("series", {"none", "asdf-plus"}, SHORTEST, {50}),
+        ("physical_asdf-plus", {"none", "asdf-plus"}, SHORTEST, {0, 25, 50, 100}),
     ],
 )
-def test_a_picture_shows_the_swarms_of_the_papers_figure(
+def test_a_picture_shows_the_filters_periods_and_percentages_of_flawed_robots_of_the_papers_figure(
     name: str, filters: set[str], periods: set[int], percents: set[int]
 ) -> None:
-    drawn = pictures_of(*StudyPart)[name].figure
-    assert (drawn.filters, drawn.periods, drawn.percents) == (filters, periods, percents)
+    drawn = drawn_swarms(name)
+
+    assert drawn.filters == filters
+    assert drawn.periods == periods
+    assert drawn.percents == percents
 
 
-def test_topologies_and_filters_are_named_in_the_legend() -> None:
-    assert pictures_of(*StudyPart)["topologies_asdf-plus"].figure.names == {
+def test_the_legend_names_topology_and_filter_where_a_picture_shows_both_topologies() -> None:
+    assert drawn_swarms("topologies_asdf-plus").legend == {
         "dynamic, no filter",
         "dynamic, ASDF+",
         "fully connected, no filter",
@@ -155,90 +184,102 @@ def test_topologies_and_filters_are_named_in_the_legend() -> None:
     }
 
 
-@pytest.mark.parametrize("name", ["dynamic_scatter", *slow(["topologies_asdf-minus"])])
-def test_asdf_minus_is_also_shown_where_it_is_another_filter(name: str) -> None:
-    drawn = pictures_of(*StudyPart)[name].figure
+@pytest.mark.parametrize("name", ["dynamic_scatter", "topologies_asdf-minus"])
+def test_a_picture_also_shows_asdf_minus_where_no_robot_is_flawed_or_all_are(name: str) -> None:
+    """The study does not run these twice: ASDF- is no filter at 0 % flawed robots, and ASDF+ at 100 %."""
+    drawn = drawn_swarms(name)
     assert {("asdf-minus", 0), ("asdf-minus", 100)} <= drawn.filters_and_percents
 
 
-def test_trials_drawn_over_time_are_run_again_with_recorded_values(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The results of a study have no values over time. Trial 0 is drawn without a filter, and with ASDF+."""
-    recorded: list[Any] = []
-    monkeypatch.setattr(series, "plot_runs", lambda runs, trial: recorded.extend(runs))
-    pictures_of(StudyPart.FULLY_CONNECTED)
+def test_trial_0_runs_again_with_recorded_values_to_be_drawn_over_time() -> None:
+    """The results of a study have no values over time. One trial is without a filter, one with ASDF+."""
+    without_filter, with_filter = drawn_swarms("series").results
 
-    without_filter, with_filter = recorded
-    assert sorted(without_filter.records) == sorted(with_filter.records)
-    assert without_filter.numbers == with_filter.numbers == [0]
+    assert without_filter.numbers == [0]
+    assert with_filter.numbers == [0]
+    assert "x" in without_filter.records
+    assert "x" in with_filter.records
 
 
-def test_the_title_has_the_filters_typeset_name() -> None:
-    title = pictures_of(StudyPart.DYNAMIC)["dynamic_asdf-minus"].title
+def test_the_title_of_a_picture_has_the_name_of_its_filter_with_a_minus_sign() -> None:
+    title = pictures_of(*StudyPart)["dynamic_asdf-minus"].title
     assert title.startswith("H of dynamic swarms without filter and with ASDF\N{MINUS SIGN}")
 
 
 # --- A firmware or filter of the user's ------------------------------------------------------------------
 
-NO_FILTER, MINUS, PLUS = "no filter", "ASDF\N{MINUS SIGN}", "ASDF+"
-
 
 @pytest.mark.parametrize(
-    ("name", "own_filter", "names"),
+    ("name", "legend"),
     [
-        *slow(
-            [
-                (
-                    "dynamic_asdf-minus",
-                    None,
-                    {
-                        NO_FILTER,
-                        *(f"{MINUS}, filter period {period}" for period in ANY_PERIOD),
-                        f"reference, {MINUS}, filter period 1000",
-                    },
-                ),
-                (
-                    "topologies_asdf-plus",
-                    None,
-                    {
-                        f"{topology}, {name}"
-                        for topology in ("dynamic", "fully connected")
-                        for name in (NO_FILTER, PLUS, f"reference, {PLUS}")
-                    },
-                ),
-                (
-                    "topologies_asdf-minus",
-                    "robust",
-                    {
-                        f"{topology}, {name}"
-                        for topology in ("dynamic", "fully connected")
-                        for name in (NO_FILTER, MINUS, "robust")
-                    },
-                ),
-            ]
+        (
+            "dynamic_asdf-minus",
+            {
+                "no filter",
+                "ASDF\N{MINUS SIGN}, filter period 1000",
+                "ASDF\N{MINUS SIGN}, filter period 2000",
+                "ASDF\N{MINUS SIGN}, filter period 4000",
+                "reference, ASDF\N{MINUS SIGN}, filter period 1000",
+            },
         ),
         (
-            "physical_asdf-plus",
-            "robust",
-            {NO_FILTER, f"{PLUS}, filter period 1000", "robust, filter period 1000"},
+            "topologies_asdf-plus",
+            {
+                "dynamic, no filter",
+                "dynamic, ASDF+",
+                "dynamic, reference, ASDF+",
+                "fully connected, no filter",
+                "fully connected, ASDF+",
+                "fully connected, reference, ASDF+",
+            },
         ),
     ],
 )
-def test_the_users_filter_stands_beside_the_papers(
-    name: str, own_filter: str | None, names: set[str]
+def test_a_firmware_of_the_user_s_is_drawn_beside_the_filter_of_the_paper_with_which_it_ran(
+    name: str, legend: set[str]
 ) -> None:
-    firmware = "reference" if own_filter is None else "native"
-    assert pictures_of(*StudyPart, firmware=firmware, own_filter=own_filter)[name].figure.names == names
+    assert drawn_swarms(name, firmware="reference").legend == legend
 
 
-@pytest.mark.slow
-def test_a_firmware_where_all_are_flawed_is_shown_with_asdf_minus_too() -> None:
-    drawn = pictures_of(*StudyPart, firmware="reference")["topologies_asdf-minus"].figure
+@pytest.mark.parametrize(
+    ("name", "legend"),
+    [
+        (
+            "topologies_asdf-minus",
+            {
+                "dynamic, no filter",
+                "dynamic, ASDF\N{MINUS SIGN}",
+                "dynamic, robust",
+                "fully connected, no filter",
+                "fully connected, ASDF\N{MINUS SIGN}",
+                "fully connected, robust",
+            },
+        ),
+        (
+            "physical_asdf-plus",
+            {"no filter", "ASDF+, filter period 1000", "robust, filter period 1000"},
+        ),
+    ],
+)
+def test_a_filter_of_the_user_s_is_drawn_beside_each_of_the_paper_s(name: str, legend: set[str]) -> None:
+    assert drawn_swarms(name, own_filter="robust").legend == legend
+
+
+def test_a_firmware_of_the_user_s_in_swarms_that_are_all_flawed_is_shown_with_asdf_minus_too() -> None:
+    drawn = drawn_swarms("topologies_asdf-minus", firmware="reference")
     assert ("asdf-minus", 100) in drawn.filters_and_percents
     assert ("asdf-plus", 100) not in drawn.filters_and_percents
 
 
-def test_the_users_filter_has_points_and_a_trial_for_itself() -> None:
-    pictures = pictures_of(*StudyPart, own_filter="robust")
-    assert pictures["dynamic_scatter_robust"].figure.filters == {"robust"}
-    assert pictures["dynamic_scatter"].figure.filters == {"none", "asdf-minus", "asdf-plus"}
-    assert pictures["series"].figure.filters == {"none", "asdf-plus", "robust"}
+@pytest.mark.parametrize(
+    ("name", "filters"),
+    [
+        ("dynamic_scatter_robust", {"robust"}),
+        ("dynamic_scatter", {"none", "asdf-minus", "asdf-plus"}),
+        ("series", {"none", "asdf-plus", "robust"}),
+    ],
+)
+def test_a_filter_of_the_user_s_has_a_scatter_plot_for_itself_and_a_trial_over_time(
+    name: str, filters: set[str]
+) -> None:
+    assert drawn_swarms(name, own_filter="robust").filters == filters

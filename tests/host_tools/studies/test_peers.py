@@ -558,7 +558,7 @@ def test_a_lossy_radio_loses_about_three_messages_in_ten() -> None:
 def test_the_last_robots_of_a_swarm_of_20_are_the_liars(
     make_robot: RobotMaker, liars: int, honest_class: type
 ) -> None:
-    swarm = [make_robot(WITHOUT_FILTER, robot_id, b_hat=0.9) for robot_id in range(20)]
+    swarm = [make_robot(WITHOUT_FILTER, robot_id, 0.9) for robot_id in range(20)]
 
     classes = [type(robot) for robot in swarm]
     assert classes == [honest_class] * (20 - liars) + [peers.Liar] * liars
