@@ -18,45 +18,58 @@ from mcp_asdf_tools.studies.ageing_sensors import (
 from mcp_asdf_tools.world.philox import SENSOR_STREAM, Stream
 from mcp_asdf_tools.world.settings import WorldSettings
 
-SETTINGS: dict[str, Any] = {"robots": 100, "true_accuracy": 0.75, "seed": 1}
+TWENTY_ROBOTS: dict[str, Any] = {"robots": 20, "true_accuracy": 0.75, "seed": 1}
 
 
-def accuracies_of(kind: type[AgeingSensors], steps: int, trial: int = 0, **changes: Any) -> NDArray[Any]:
-    on_black, on_white = kind(WorldSettings(**SETTINGS | changes), trial).advance(steps)
+def accuracies_of(sensors: type[AgeingSensors], steps: int, **changes: Any) -> NDArray[Any]:
+    """Return the accuracies of 20 robots that begin with 0.75, on black and on white tiles alike, by step."""
+    on_black, on_white = sensors(WorldSettings(**TWENTY_ROBOTS | changes), trial=3).advance(steps)
     assert on_white is on_black
     return on_black
 
 
-def normal_draws(steps: int, first_step: int, trial: int) -> NDArray[Any]:
-    stream = Stream(SENSOR_STREAM, SETTINGS["seed"], trial, SETTINGS["robots"])
+def normal_draws(steps: int, first_step: int) -> NDArray[Any]:
+    """Return the normally distributed numbers that are drawn for each robot in these steps."""
+    stream = Stream(SENSOR_STREAM, TWENTY_ROBOTS["seed"], trial=3, robots=TWENTY_ROBOTS["robots"])
     draws: NDArray[Any] = ndtri(stream.draw_uniforms(steps, first_step))
     return draws
 
 
-def test_sensors_that_are_suddenly_worse_lose_a_fifth_at_step_20_000() -> None:
-    accuracies = accuracies_of(SuddenlyWorseSensors, 20_002)
-    assert accuracies[[0, 19_999, 20_000, 20_001], 0] == pytest.approx([0.75, 0.75, 0.55, 0.55])
+def test_sensors_that_are_suddenly_worse_lose_0_2_of_their_accuracy_at_step_20_000() -> None:
+    accuracies_of_first_robot = accuracies_of(SuddenlyWorseSensors, steps=20_002)[:, 0]
+
+    assert accuracies_of_first_robot[19_999] == accuracies_of_first_robot[0] == 0.75
+    assert accuracies_of_first_robot[20_000] == accuracies_of_first_robot[20_001] == pytest.approx(0.55)
 
 
-def test_each_robot_ages_at_a_rate_of_its_own_around_a_common_one() -> None:
-    accuracies = accuracies_of(UnequallyAgeingSensors, 201)
-    rates = -5e-6 + 5e-6 * normal_draws(1, 0, trial=0)[0]
-    assert accuracies[0].tolist() == [0.75] * 100
+def test_unequally_ageing_sensors_lose_accuracy_at_a_normally_distributed_rate_for_each_robot() -> None:
+    """The rates have a mean of -5e-6 in a step, and a standard deviation as large."""
+    accuracies = accuracies_of(UnequallyAgeingSensors, steps=201)
+
+    [normal_draw_of_each_robot] = normal_draws(steps=1, first_step=0)
+    rates = -5e-6 + 5e-6 * normal_draw_of_each_robot
+    assert accuracies[0].tolist() == [0.75] * 20
     assert accuracies[200] == pytest.approx(0.75 + 200 * rates)
 
 
-def test_a_wandering_accuracy_is_the_sum_of_normal_changes() -> None:
-    accuracies = accuracies_of(WanderingSensors, 400, trial=3)
-    assert accuracies[0].tolist() == [0.75] * 100
-    assert np.diff(accuracies, axis=0) == pytest.approx(0.001 * normal_draws(399, 1, trial=3))
+def test_a_wandering_accuracy_changes_by_a_normally_distributed_number_in_each_step() -> None:
+    """The changes have a standard deviation of 0.001."""
+    accuracies = accuracies_of(WanderingSensors, steps=100)
+
+    changes = np.diff(accuracies, axis=0)
+    assert accuracies[0].tolist() == [0.75] * 20
+    assert changes == pytest.approx(0.001 * normal_draws(steps=99, first_step=1))
 
 
-def test_accuracies_stay_above_the_lowest_one() -> None:
-    assert accuracies_of(WanderingSensors, 400, lowest_accuracy=0.74).min() == 0.74
+def test_wandering_accuracies_stay_above_the_lowest_one_that_is_allowed() -> None:
+    accuracies = accuracies_of(WanderingSensors, steps=400, lowest_accuracy=0.74)
+    assert accuracies.min() == 0.74
 
 
-@pytest.mark.parametrize("kind", [SuddenlyWorseSensors, UnequallyAgeingSensors, WanderingSensors])
-def test_accuracies_are_the_same_however_many_steps_are_taken_at_once(kind: type[AgeingSensors]) -> None:
-    sensors = kind(WorldSettings(**SETTINGS), 0)
-    parts = [sensors.advance(steps)[0] for steps in (1, 7, 130, 62)]
-    assert np.array_equal(np.concatenate(parts), accuracies_of(kind, 200))
+@pytest.mark.parametrize("sensors", [SuddenlyWorseSensors, UnequallyAgeingSensors, WanderingSensors])
+def test_accuracies_do_not_depend_on_how_many_steps_are_taken_at_once(sensors: type[AgeingSensors]) -> None:
+    in_parts = sensors(WorldSettings(**TWENTY_ROBOTS), trial=3)
+    accuracies_of_parts = [in_parts.advance(steps)[0] for steps in (1, 7, 130, 62)]
+
+    accuracies_at_once = accuracies_of(sensors, steps=200)
+    assert np.concatenate(accuracies_of_parts).tolist() == accuracies_at_once.tolist()

@@ -1,4 +1,4 @@
-"""The paper's experiments as cells."""
+"""The paper's experiments as cells: a cell is one combination of what the paper varies."""
 
 from __future__ import annotations
 
@@ -10,8 +10,6 @@ import pytest
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.studies.cells import Cell, StudyPart, StudySize, cells_of, experiment_of
 
-ASDF_MINUS_CELL = Cell(StudyPart.DYNAMIC, 0.55, 0.95, 0.55, 50, "asdf-minus", 2000)
-
 
 def first_experiment(study_part: StudyPart) -> Experiment:
     return experiment_of(cells_of(study_part)[0], StudySize())
@@ -21,20 +19,17 @@ def first_experiment(study_part: StudyPart) -> Experiment:
     ("study_part", "count"),
     [
         # for each f and b: 4 without flawed robots, 2 x 3 x 7 partly flawed, 2 x 4 entirely flawed
-        (StudyPart.FULLY_CONNECTED, 4 * (4 + 42 + 8)),
-        (StudyPart.DYNAMIC, 4 * (4 + 42 + 8)),
+        (StudyPart.FULLY_CONNECTED, 4 * (4 + 2 * 3 * 7 + 2 * 4)),
+        (StudyPart.DYNAMIC, 4 * (4 + 2 * 3 * 7 + 2 * 4)),
         (StudyPart.PHYSICAL, 2 + 3 * 3 * 2),
     ],
 )
-def test_the_study_has_each_experiment_of_the_paper_once(study_part: StudyPart, count: int) -> None:
-    experiments = {experiment_of(cell, StudySize()) for cell in cells_of(study_part)}
-    assert len(cells_of(study_part)) == len(experiments) == count
+def test_a_part_of_the_study_has_each_experiment_of_the_paper_once(study_part: StudyPart, count: int) -> None:
+    cells = cells_of(study_part)
+    experiments = {experiment_of(cell, StudySize()) for cell in cells}
 
-
-@pytest.mark.parametrize("study_part", StudyPart)
-def test_each_experiment_of_the_study_has_the_one_name_that_is_its_normal_form(study_part: StudyPart) -> None:
-    """Some have several: without flawed robots ASDF- is no filter."""
-    assert all(cell.normal == cell for cell in cells_of(study_part))
+    assert len(cells) == count
+    assert len(experiments) == count
 
 
 @pytest.mark.parametrize(
@@ -45,56 +40,89 @@ def test_each_experiment_of_the_study_has_the_one_name_that_is_its_normal_form(s
         (StudyPart.PHYSICAL, 8, 10_000),
     ],
 )
-def test_swarms_are_as_large_and_trials_as_long_as_the_papers(
+def test_a_part_of_the_study_has_as_many_robots_and_steps_and_trials_as_the_paper(
     study_part: StudyPart, robots: int, steps: int
 ) -> None:
     experiment = first_experiment(study_part)
-    assert (experiment.robots, experiment.steps, experiment.trials) == (robots, steps, 30)
+
+    assert experiment.robots == robots
+    assert experiment.steps == steps
+    assert experiment.trials == 30
 
 
-def test_the_dynamic_swarm_has_density_1() -> None:
-    assert first_experiment(StudyPart.DYNAMIC).sides[0] == pytest.approx(0.7 * np.sqrt(20 * np.pi))
+def test_the_dynamic_swarm_of_20_robots_with_a_radio_range_of_0_7_m_has_density_1() -> None:
+    """Density is N pi r^2 by the area of the square floor."""
+    area = 20 * np.pi * 0.7**2
+    width, _height = first_experiment(StudyPart.DYNAMIC).sides
+    assert width == pytest.approx(np.sqrt(area))
 
 
-def test_the_physical_experiment_has_the_papers_platform_and_rates() -> None:
+def test_the_physical_experiment_has_the_papers_platform_speed_and_two_observations_in_a_second() -> None:
     experiment = first_experiment(StudyPart.PHYSICAL)
-    assert (experiment.sides, experiment.floor, experiment.speed) == ((3.0353, 3.0226), "code", 0.1)
+
+    assert experiment.sides == (3.0353, 3.0226)
+    assert experiment.floor == "code"
+    assert experiment.speed == 0.1
     assert experiment.steps_per_second / experiment.observation_period == 2
 
 
-def test_the_physical_robots_see_perfectly() -> None:
-    cells = cells_of(StudyPart.PHYSICAL)
-    assert {(cell.fill_ratio, cell.true_accuracy) for cell in cells} == {(0.448, 1.0)}
-    assert {experiment_of(cell, StudySize()).flawed for cell in cells} == {0, 2, 4, 8}
+def test_physical_robots_have_perfect_sensors_on_a_floor_of_0_448_black() -> None:
+    for cell in cells_of(StudyPart.PHYSICAL):
+        assert cell.fill_ratio == 0.448
+        assert cell.true_accuracy == 1.0
 
 
-def test_without_flawed_robots_asdf_minus_is_no_filter() -> None:
-    cell = replace(ASDF_MINUS_CELL, flawed_percent=0)
-    assert cell.normal == Cell(StudyPart.DYNAMIC, 0.55, 0.95, 0.95, 0, "none", 1000)
+def test_none_two_four_or_all_eight_physical_robots_are_flawed() -> None:
+    experiments = [experiment_of(cell, StudySize()) for cell in cells_of(StudyPart.PHYSICAL)]
+    assert {experiment.flawed for experiment in experiments} == {0, 2, 4, 8}
 
 
-def test_with_flawed_robots_alone_asdf_minus_is_asdf_plus() -> None:
-    cell = replace(ASDF_MINUS_CELL, flawed_percent=100)
+# --- Normal form -----------------------------------------------------------------------------------------
+
+HALF_FLAWED_CELL = Cell(
+    study_part=StudyPart.DYNAMIC,
+    fill_ratio=0.55,
+    true_accuracy=0.95,
+    flawed_accuracy=0.55,
+    flawed_percent=50,
+    filter="asdf-minus",
+    filter_period=2000,
+)
+"""With ASDF- only the flawed robots filter, here half of them."""
+
+
+def test_the_normal_form_of_a_cell_with_asdf_minus_and_no_flawed_robots_is_one_without_a_filter() -> None:
+    """What flawed robots would assume, and how often a filter would run, makes no difference then."""
+    normal_cell = replace(HALF_FLAWED_CELL, flawed_percent=0).normal
+
+    assert normal_cell.filter == "none"
+    assert normal_cell.flawed_accuracy == 0.95  # the true one
+    assert normal_cell.filter_period == 1000  # the first choice
+
+
+def test_the_normal_form_of_a_cell_with_asdf_minus_and_flawed_robots_alone_is_one_with_asdf_plus() -> None:
+    cell = replace(HALF_FLAWED_CELL, flawed_percent=100)
     assert cell.normal == replace(cell, filter="asdf-plus")
 
 
-def test_a_partly_flawed_swarm_with_a_filter_stays_as_it_is() -> None:
-    assert ASDF_MINUS_CELL.normal == ASDF_MINUS_CELL
+def test_a_partly_flawed_swarm_with_a_filter_is_its_own_normal_form() -> None:
+    assert HALF_FLAWED_CELL.normal == HALF_FLAWED_CELL
 
 
-def test_a_size_shortens_trials_but_never_lengthens_them() -> None:
-    physical = cells_of(StudyPart.PHYSICAL)[0]
-    assert experiment_of(physical, StudySize(steps=4000)).steps == 4000
-    assert experiment_of(physical, StudySize(steps=40_000)).steps == 10_000
+# --- Size ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("steps_of_size", "steps"), [(4000, 4000), (40_000, 10_000)])
+def test_a_size_of_the_study_shortens_trials_but_never_lengthens_them(steps_of_size: int, steps: int) -> None:
+    """Physical trials have 10,000 steps in the paper."""
+    physical_cell, *_others = cells_of(StudyPart.PHYSICAL)
+    assert experiment_of(physical_cell, StudySize(steps=steps_of_size)).steps == steps
 
 
 @pytest.mark.parametrize(
-    ("study_size", "allows_verdicts"),
-    [
-        (StudySize(30, 40_000), True),
-        (StudySize(29, 40_000), False),
-        (StudySize(30, 39_999), False),
-    ],
+    ("trials", "steps", "allows_verdicts"), [(30, 40_000, True), (29, 40_000, False), (30, 39_999, False)]
 )
-def test_verdicts_need_the_papers_trials_and_steps(study_size: StudySize, allows_verdicts: bool) -> None:
-    assert study_size.allows_verdicts is allows_verdicts
+def test_claims_get_verdicts_only_if_trials_are_as_many_and_as_long_as_the_papers(
+    trials: int, steps: int, allows_verdicts: bool
+) -> None:
+    assert StudySize(trials, steps).allows_verdicts is allows_verdicts
