@@ -8,9 +8,11 @@ import re
 import signal
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager, redirect_stdout
 from dataclasses import replace
+from io import StringIO
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -34,7 +36,7 @@ from mcp_asdf_tools.experiments.store import Store
 from mcp_asdf_tools.experiments.sweep import jobs_of, run_sweep
 from mcp_asdf_tools.experiments.trials import Job
 from mcp_asdf_tools.robots.filters import FILTERS
-from support import PATIENCE, ROOT, interruptible, slow, wait_until
+from support import PATIENCE, ROOT, interruptible, wait_until
 from trials import record_jobs
 
 GRID = [
@@ -42,6 +44,7 @@ GRID = [
     for flawed in (1, 2)
     for filter_name in FILTERS
 ]
+"""Eight experiments of 40 trials. A job, which a worker runs at once, is 32 trials or the last 8 of these."""
 
 
 @pytest.fixture
@@ -58,11 +61,19 @@ def jobs_run(monkeypatch: pytest.MonkeyPatch) -> list[Job]:
 # --- Jobs ------------------------------------------------------------------------------------------------
 
 
-def test_every_trial_of_a_sweep_is_in_one_job(output: Path) -> None:
+def trials_of(jobs: Iterable[Job]) -> list[tuple[Experiment, int]]:
+    """Return experiment and number of each trial that jobs run, in their order."""
+    trials = []
+    for job in jobs:
+        trials += [(job.experiment, job.first + index) for index in range(job.count)]
+    return trials
+
+
+def test_every_trial_of_a_sweep_is_in_exactly_one_job(output: Path) -> None:
     """A job is a number of trials that a worker process runs together."""
     jobs = list(jobs_of(Store(output, GRID, sampling_interval=7)))
-    trials = [(job.experiment, job.first + index) for job in jobs for index in range(job.count)]
-    assert trials == [(experiment, trial) for experiment in GRID for trial in range(40)]
+
+    assert trials_of(jobs) == [(experiment, trial) for experiment in GRID for trial in range(40)]
     assert {job.sampling_interval for job in jobs} == {7}
 
 
@@ -76,7 +87,7 @@ def test_every_trial_of_a_sweep_is_in_one_job(output: Path) -> None:
         ({"steps": 2_500_000, "trials": 3}, [2, 1]),
     ],
 )
-def test_jobs_have_more_trials_the_shorter_these_are(
+def test_a_job_has_more_trials_the_shorter_these_are(
     changes: dict[str, Any], trials_of_jobs: list[int]
 ) -> None:
     """A job is what a worker process runs at once: one trial at least, and more where they are short."""
@@ -85,15 +96,16 @@ def test_jobs_have_more_trials_the_shorter_these_are(
     assert [job.count for job in jobs] == trials_of_jobs
 
 
-def test_jobs_leave_out_the_trials_between_missing_ones() -> None:
+def test_jobs_leave_out_finished_trials_between_missing_ones() -> None:
     missing_trials = [0, 1, 5, 7, 8, 9]
     jobs = sweep.jobs_of_experiment(GRID[0], missing_trials, sampling_interval=0)
     assert [(job.first, job.count) for job in jobs] == [(0, 2), (5, 1), (7, 3)]
 
 
-def test_a_job_of_another_version_is_refused() -> None:
+def test_a_worker_with_another_version_than_its_job_is_refused() -> None:
+    job = Job(GRID[0], first=0, count=1, version="9.9.9")
     with pytest.raises(UsageError, match=r"a worker has mcp-asdf .*, this is 9\.9\.9; install the same"):
-        Job(GRID[0], 0, 1, version="9.9.9").run()
+        job.run()
 
 
 # --- Nothing lost, nothing twice ---------------------------------------------------------------------------
@@ -101,61 +113,69 @@ def test_a_job_of_another_version_is_refused() -> None:
 
 @pytest.fixture
 def interrupted_sweep(output: Path, jobs_run: list[Job]) -> Store:
-    """A sweep of three experiments whose last job was interrupted, opened again."""
+    """A sweep of three experiments, opened again after an interrupt: the last 8 trials of 40 are missing."""
     with pytest.raises(KeyboardInterrupt):
         run_sweep(Store(output, GRID[:3]), 1)
     jobs_run.clear()
     return Store(output, GRID[:3])
 
 
-def test_the_parts_of_an_interrupted_sweep_can_be_scored(
+def test_the_folder_of_parts_of_an_interrupted_sweep_can_be_scored(
     interrupted_sweep: Store, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """It had run 32 trials of the third experiment when Ctrl-C came."""
+    """Parts are files of the results so far. Of the third experiment 32 trials had been run."""
     assert cli.main(["score", str(interrupted_sweep.parts)]) == 0
     assert "32 of 40" in capsys.readouterr().out
 
 
-def test_the_missing_output_of_an_interrupted_sweep_is_explained(
+def test_an_attempt_to_score_an_interrupted_sweep_is_answered_with_where_its_data_is(
     interrupted_sweep: Store, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert cli.main(["score", str(interrupted_sweep.output)]) == 2
+    exit_code = cli.main(["score", str(interrupted_sweep.output)])
+    assert exit_code == EXIT_CODE_OF_USAGE_ERROR
     parts = interrupted_sweep.parts
     assert f"its sweep is not finished, partial data is in {parts}" in capsys.readouterr().err
 
 
-def test_an_interrupted_sweep_runs_only_what_is_missing(
+def test_an_interrupted_sweep_that_goes_on_runs_only_the_missing_trials(
     interrupted_sweep: Store, jobs_run: list[Job]
 ) -> None:
-    """Of its last experiment 32 of 40 trials were run: those from 32 on are missing."""
+    """Of its last experiment 32 of 40 trials had been run."""
     run_sweep(interrupted_sweep, 1)
-
     assert [(job.first, job.count) for job in jobs_run] == [(32, 8)]
+
+
+def test_an_interrupted_sweep_that_goes_on_gives_the_results_of_one_without_an_interrupt(
+    interrupted_sweep: Store,
+) -> None:
+    run_sweep(interrupted_sweep, 1)
     experiments = experiments_in(read_table(interrupted_sweep.output))
+
     for trials, experiment in zip(experiments, GRID[:3], strict=True):
         assert trials.experiment == experiment
         assert (trials.errors == Job(experiment, first=0, count=40).run().errors).all()
 
 
-def test_a_finished_sweep_leaves_its_output_alone_in_the_folder(
-    interrupted_sweep: Store, tmp_path: Path
-) -> None:
-    """Neither parts nor the draft of a file, which a killed process left there."""
-    cut_off_draft = interrupted_sweep.parts / ".0123abcd.tmp"
-    cut_off_draft.write_bytes(b"PAR1")
+def test_a_finished_sweep_leaves_nothing_but_its_output(interrupted_sweep: Store, tmp_path: Path) -> None:
+    """It removes its parts, and the beginning of a file there that a killed process has left."""
+    cut_off_file = interrupted_sweep.parts / ".0123abcd.tmp"
+    cut_off_file.write_bytes(b"PAR1")
     run_sweep(interrupted_sweep, 1)
     assert [path.name for path in tmp_path.iterdir()] == ["grid.parquet"]
 
 
-def test_a_sweep_with_gaps_runs_the_trials_in_the_gaps(output: Path, jobs_run: list[Job]) -> None:
-    """Trials 2 to 4 and 7 of 10 are there."""
-    store = Store(output, GRID[:1])
-    store.add(Job(GRID[0], first=2, count=3).run())
-    store.add(Job(GRID[0], first=7, count=1).run())
+def test_a_sweep_that_lacks_trials_between_finished_ones_runs_these(
+    output: Path, jobs_run: list[Job]
+) -> None:
+    """Trials 2 to 4 and 7 of 10 are there; 0 and 1, 5 and 6, and 8 and 9 are missing."""
+    experiment = replace(GRID[0], trials=10)
+    store = Store(output, [experiment])
+    store.add(Job(experiment, first=2, count=3).run())
+    store.add(Job(experiment, first=7, count=1).run())
     store.flush()
     jobs_run.clear()
 
-    run_sweep(Store(output, [replace(GRID[0], trials=10)]), 1)
+    run_sweep(Store(output, [experiment]), 1)
 
     assert [(job.first, job.count) for job in jobs_run] == [(0, 2), (5, 2), (8, 2)]
 
@@ -170,15 +190,18 @@ def test_a_finished_sweep_is_not_run_again(output: Path, jobs_run: list[Job]) ->
     assert read_table(output).equals(table)
 
 
-def test_a_larger_sweep_runs_only_new_trials_and_experiments(output: Path, jobs_run: list[Job]) -> None:
+def test_a_sweep_that_was_enlarged_runs_only_new_trials_and_experiments(
+    output: Path, jobs_run: list[Job]
+) -> None:
     """Ten trials of one experiment are there; then 15 are wanted, and 33 of another one."""
-    run_sweep(Store(output, [replace(GRID[0], trials=10)]), 1)
+    first_experiment, second_experiment, *_ = GRID
+    run_sweep(Store(output, [replace(first_experiment, trials=10)]), 1)
     jobs_run.clear()
-    larger = [replace(GRID[0], trials=15), replace(GRID[1], trials=33)]
-    run_sweep(Store(output, larger), 1)
+    enlarged = [replace(first_experiment, trials=15), replace(second_experiment, trials=33)]
+    run_sweep(Store(output, enlarged), 1)
 
     assert [(job.first, job.count) for job in jobs_run] == [(10, 5), (0, 32), (32, 1)]
-    assert [trials.experiment for trials in experiments_in(read_table(output))] == larger
+    assert [trials.experiment for trials in experiments_in(read_table(output))] == enlarged
 
 
 @pytest.mark.parametrize(
@@ -191,39 +214,41 @@ def test_a_larger_sweep_runs_only_new_trials_and_experiments(output: Path, jobs_
     ],
     ids=["fewer experiments", "another seed", "fewer trials", "with records"],
 )
-def test_results_of_another_sweep_are_never_overwritten(
+def test_a_sweep_into_the_results_of_another_one_is_refused_and_leaves_them_alone(
     experiments: list[Experiment], sampling_interval: int, output: Path
 ) -> None:
+    """The output has the results of two experiments of 40 trials, with nothing recorded over time."""
     run_sweep(Store(output, GRID[:2]), 1)
-    before = output.read_bytes()
+    content_before = output.read_bytes()
 
     with pytest.raises(UsageError, match="choose another name"):
         Store(output, experiments, sampling_interval)
-    assert output.read_bytes() == before
+    assert output.read_bytes() == content_before
 
 
-def test_results_of_another_version_are_never_overwritten(
+def test_a_sweep_into_results_of_another_version_of_the_program_is_refused(
     output: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    run_sweep(Store(output, GRID[:2]), 1)
+    run_sweep(Store(output, GRID[:1]), 1)
     monkeypatch.setattr(store_module, "software_versions", lambda: {"mcp-asdf": "9.9.9"})
     with pytest.raises(UsageError, match="other experiments, recordings or versions"):
-        Store(output, GRID[:2])
+        Store(output, GRID[:1])
 
 
 def test_worker_processes_started_from_a_thread_give_the_results_of_one_process(
     output: Path, tmp_path: Path
 ) -> None:
+    """Programs with a window or a server start sweeps from threads. All 2 * 40 trials are reported."""
     reported_trials: list[int] = []
     with ThreadPoolExecutor(1) as thread:
-        thread.submit(run_sweep, Store(output, GRID), workers=2, report=reported_trials.append).result()
-    run_sweep(Store(tmp_path / "one.parquet", GRID), workers=1)
+        thread.submit(run_sweep, Store(output, GRID[:2]), workers=2, report=reported_trials.append).result()
+    run_sweep(Store(tmp_path / "one.parquet", GRID[:2]), workers=1)
 
     assert read_table(output).equals(read_table(tmp_path / "one.parquet"))
-    assert sum(reported_trials) == 40 * len(GRID)
+    assert sum(reported_trials) == 80
 
 
-def test_results_in_memory_are_those_of_a_file(output: Path) -> None:
+def test_a_sweep_in_memory_gives_the_table_that_one_into_a_file_gives(output: Path) -> None:
     run_sweep(Store(output, GRID[:2]), 1)
     tables = [trials_to_table(trials) for trials in sweep.run_in_memory(GRID[:2])]
     assert pa.concat_tables(tables).combine_chunks().equals(read_table(output).combine_chunks())
@@ -237,112 +262,169 @@ class DeadlyJob(Job):
         raise AssertionError
 
 
-def test_a_worker_that_is_killed_ends_the_sweep_with_an_error(output: Path) -> None:
-    deadly_jobs = (DeadlyJob(job.experiment, job.first, job.count) for job in jobs_of(Store(output, GRID)))
+def test_a_worker_process_that_is_killed_ends_the_sweep_with_an_error() -> None:
+    """An operating system that is out of memory kills processes."""
+    deadly_jobs = [DeadlyJob(GRID[0], first=0, count=1), DeadlyJob(GRID[0], first=1, count=1)]
     with pytest.raises(UsageError, match="a worker process was killed"):
-        list(sweep.run_jobs(deadly_jobs, workers=2))
+        list(sweep.run_jobs(iter(deadly_jobs), workers=2))
 
 
 # --- The store -------------------------------------------------------------------------------------------
 
 
+# Parts of a sweep are files of the results so far, in a folder beside the output that there will be.
+
+
 def row_counts(folder: Path) -> list[int]:
-    """Return the number of rows of each file of results in a folder."""
+    """Return the number of rows, each of which is a trial, of each file of results in a folder."""
     return [pq.read_metadata(path).num_rows for path in sorted(folder.glob("*.parquet"))]
 
 
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[float], None]]:
+    """A function that sets the time, in seconds, that the store reads; it is 0 at first."""
+    now = Mock(return_value=0.0)
+    monkeypatch.setattr(store_module, "time", SimpleNamespace(monotonic=now))
+
+    def set_time(seconds: float) -> None:
+        now.return_value = seconds
+
+    return set_time
+
+
 def test_a_short_sweep_writes_its_output_and_no_parts(output: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Parts keep what is finished of a long one; none is due here before the end."""
-    written: list[str] = []
+    """The time between parts is set so long that none is due before the end."""
+    files_written: list[str] = []
     write_tables = result_files.write_tables
 
     def record_and_write(path: Path, tables: Any) -> None:
-        written.append(path.name)
+        files_written.append(path.name)
         write_tables(path, tables)
 
     monkeypatch.setattr(store_module, "write_tables", record_and_write)
     monkeypatch.setattr(store_module, "_SECONDS_BETWEEN_PARTS", 1e9)
     run_sweep(Store(output, GRID[:2]), 1)
-    assert written == ["grid.parquet"]
+    assert files_written == ["grid.parquet"]
 
 
 def test_a_part_is_written_when_the_last_one_is_a_second_old(
-    output: Path, monkeypatch: pytest.MonkeyPatch
+    output: Path, clock: Callable[[float], None]
 ) -> None:
-    """The clock begins at 100 s. A part is a file of the results so far, and its count that of its rows."""
-    now = 100.0
-    monkeypatch.setattr(store_module, "time", SimpleNamespace(monotonic=lambda: now))
+    """A trial is finished at each of four times. A part has all trials since the last part."""
     store = Store(output, GRID[:1])
-    counts = []
-    for trial, now in enumerate((100.9, 101.0, 101.9, 102.0)):  # noqa: B007 (the clock)
-        store.add(Job(GRID[0], trial, 1).run())
-        counts.append(row_counts(store.parts))
+    row_counts_of_parts = []
+    for trial, seconds in enumerate((0.9, 1.0, 1.9, 2.0)):
+        clock(seconds)
+        store.add(Job(GRID[0], first=trial, count=1).run())
+        row_counts_of_parts.append(row_counts(store.parts))
 
-    assert counts == [[], [2], [2], [2, 2]]
+    assert row_counts_of_parts == [[], [2], [2], [2, 2]]
 
 
 def test_parts_of_a_long_sweep_are_a_hundredth_of_its_time_apart(
+    output: Path, clock: Callable[[float], None]
+) -> None:
+    """After 1000 s that is 10 s, so that writing takes little time in comparison with the work.
+
+    A trial is finished at each of three times. A part has all trials since the last part.
+    """
+    store = Store(output, GRID[:1])
+    row_counts_of_parts = []
+    for trial, seconds in enumerate((1000.0, 1009.0, 1011.0)):
+        clock(seconds)
+        store.add(Job(GRID[0], first=trial, count=1).run())
+        row_counts_of_parts.append(row_counts(store.parts))
+
+    assert row_counts_of_parts == [[1], [1], [1, 2]]
+
+
+def test_a_part_is_written_when_as_many_rows_wait_as_a_part_may_have(
     output: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """After 1000 s that is 10 s, so that writing never takes long beside the work."""
-    now = 0.0
-    monkeypatch.setattr(store_module, "time", SimpleNamespace(monotonic=lambda: now))
-    store = Store(output, GRID[:1])
-    counts = []
-    for trial, now in enumerate((1000.0, 1009.0, 1011.0)):  # noqa: B007 (the clock)
-        store.add(Job(GRID[0], trial, 1).run())
-        counts.append(row_counts(store.parts))
-
-    assert counts == [[1], [1], [1, 2]]
-
-
-def test_a_part_is_written_when_ten_rows_wait(output: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The limit, which bounds the memory, is set to 10, and time to never."""
+    """This bounds the memory. The limit is set to 10 rows, and the time between parts to never."""
     monkeypatch.setattr(store_module, "_SECONDS_BETWEEN_PARTS", 1e9)
     monkeypatch.setattr(store_module, "_MAX_ROWS", 10)
     store = Store(output, GRID[:1])
-    store.add(Job(GRID[0], 0, 9).run())
+    store.add(Job(GRID[0], first=0, count=9).run())
     assert row_counts(store.parts) == []
-    store.add(Job(GRID[0], 9, 1).run())
+    store.add(Job(GRID[0], first=9, count=1).run())
 
     assert row_counts(store.parts) == [10]
 
 
-def test_the_output_has_row_groups_in_the_order_of_the_experiments(
-    output: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.fixture(scope="module")
+def output_of_mixed_jobs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The output of two experiments of 40 trials, whose jobs of 10 trials have ended in turns.
+
+    A part was written after each job. The output has its rows in groups of at most 50.
+    """
+    output = tmp_path_factory.mktemp("mixed") / "grid.parquet"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(store_module, "_MAX_ROWS", 50)
+        patch.setattr(store_module, "_SECONDS_BETWEEN_PARTS", 0.0)
+        store = Store(output, GRID[:2])
+        for first_trial in (0, 10, 20, 30):
+            for experiment in GRID[:2]:
+                store.add(Job(experiment, first_trial, count=10).run())
+        store.finish()
+    return output
+
+
+def test_the_output_has_the_trials_of_each_experiment_in_order_whatever_the_order_of_jobs(
+    output_of_mixed_jobs: Path,
 ) -> None:
-    """The jobs of two experiments come in turn, and their parts are of other sizes."""
-    monkeypatch.setattr(store_module, "_MAX_ROWS", 50)
-    monkeypatch.setattr(store_module, "_SECONDS_BETWEEN_PARTS", 0.0)
-    store = Store(output, GRID[:2])
-    for first in range(0, 40, 10):
-        for experiment in GRID[:2]:
-            store.add(Job(experiment, first, 10).run())
-    store.finish()
-    metadata = pq.read_metadata(output)
-    assert [metadata.row_group(i).num_rows for i in range(metadata.num_row_groups)] == [50, 30]
-    table = read_table(output)
-    assert table["trial"].to_pylist() == [*range(40), *range(40)]
-    for streamed, at_once in zip(stream_experiments(output), experiments_in(table), strict=True):
-        assert (streamed.experiment, streamed.numbers) == (at_once.experiment, at_once.numbers)
-        assert (streamed.errors == at_once.errors).all()
+    first, second = experiments_in(read_table(output_of_mixed_jobs))
+
+    assert read_table(output_of_mixed_jobs)["trial"].to_pylist() == [*range(40), *range(40)]
+    assert [first.experiment, second.experiment] == GRID[:2]
+    assert (first.errors == Job(GRID[0], first=0, count=40).run().errors).all()
+    assert (second.errors == Job(GRID[1], first=0, count=40).run().errors).all()
+
+
+def test_the_output_has_as_many_rows_in_a_group_as_it_may(output_of_mixed_jobs: Path) -> None:
+    """Of 80 rows, 50 are in the first group. A reader has one group in memory at a time."""
+    metadata = pq.read_metadata(output_of_mixed_jobs)
+    row_groups = [metadata.row_group(index) for index in range(metadata.num_row_groups)]
+    assert [row_group.num_rows for row_group in row_groups] == [50, 30]
+
+
+def test_experiments_are_read_one_by_one_from_row_groups_that_do_not_end_with_them(
+    output_of_mixed_jobs: Path,
+) -> None:
+    """The first 10 trials of the second experiment are in the row group of the first one."""
+    first, second = stream_experiments(output_of_mixed_jobs)
+
+    assert (first.experiment, second.experiment) == (GRID[0], GRID[1])
+    assert first.numbers == second.numbers == [*range(40)]
+    assert (second.errors == Job(GRID[1], first=0, count=40).run().errors).all()
+
+
+def bytes_of_lists(experiment: Experiment, sampling_interval: int) -> int:
+    """Return the bytes that the lists in the row of a trial take: eight for each value."""
+    trials = Job(experiment, 0, 1, sampling_interval).run()
+    (row,) = trials_to_table(trials).to_pylist()
+    return 8 * sum(np.size(values) for values in row.values() if isinstance(values, list))
 
 
 def test_a_part_has_fewer_rows_the_longer_their_lists_are(
     output: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The limit is set to the bytes of a thousand rows here: each value takes eight."""
-    (row,) = trials_to_table(Job(GRID[0], 0, 1, 400).run()).to_pylist()
-    value_count = sum(np.size(values) for values in row.values() if isinstance(values, list))
-    monkeypatch.setattr(store_module, "ROW_GROUP_BYTES", 1000 * 8 * value_count)
+    """The limit is set to the bytes of a thousand rows, with values recorded every 400 of 8,000 steps.
 
-    assert Store(output, GRID[:1], 400)._rows_per_part == 1000
-    assert Store(output, [replace(GRID[0], steps=10**7)], 400)._rows_per_part == 1
+    Of 10 million steps, a single trial has more. A part has one row at least.
+    """
+    experiment = GRID[0]
+    monkeypatch.setattr(store_module, "ROW_GROUP_BYTES", 1000 * bytes_of_lists(experiment, 400))
+    long_experiment = replace(experiment, steps=10**7)
+
+    # Parts are written by rows, so the limit of bytes is converted when a store is made.
+    assert Store(output, [experiment], sampling_interval=400)._rows_per_part == 1000
+    assert Store(output, [long_experiment], sampling_interval=400)._rows_per_part == 1
 
 
-@pytest.fixture
-def other_process(output: Path) -> Iterator[int]:
-    """A process that works on the output until this fixture ends."""
+@contextmanager
+def process_at_work_on(output: Path) -> Iterator[int]:
+    """Let another process work on an output until the context ends; gives its id."""
     (is_ready, report_ready), (released, release) = os.pipe(), os.pipe()
     child = os.fork()
     if child == 0:
@@ -352,37 +434,37 @@ def other_process(output: Path) -> Iterator[int]:
         os.read(released, 1)
         os._exit(0)
     os.read(is_ready, 1)
-    yield child
-    os.close(release)
-    os.waitpid(child, 0)
+    try:
+        yield child
+    finally:
+        os.close(release)
+        os.waitpid(child, 0)
 
 
-def test_a_second_process_on_one_output_is_refused(output: Path, other_process: int) -> None:
-    with pytest.raises(UsageError, match=rf"process {other_process} is at work on {output}; wait for it"):
+def test_a_sweep_into_an_output_on_which_another_process_works_is_refused(output: Path) -> None:
+    with process_at_work_on(output) as process, pytest.raises(UsageError) as refusal:
         Store(output, GRID)
+    assert f"process {process} is at work on {output}; wait for it" in str(refusal.value)
 
 
-def test_an_output_can_be_continued_when_the_other_process_has_ended(output: Path) -> None:
+def test_a_sweep_goes_on_with_an_output_when_the_other_process_has_ended(output: Path) -> None:
     """A process that works on an output locks it, and leaves a folder of parts if it ends too early.
 
     The lock ends with the process. The next sweep finishes the output, and removes the folder.
     """
-    child = os.fork()
-    if child == 0:
-        Store(output, GRID).reserve()
-        os._exit(0)
-    os.waitpid(child, 0)
+    with process_at_work_on(output):
+        pass
+    assert Store(output, GRID).parts.exists()
 
-    one_experiment = GRID[:1]
-    run_sweep(Store(output, one_experiment), workers=1)
+    run_sweep(Store(output, GRID[:1]), workers=1)
 
-    files_that_are_left = [path.name for path in output.parent.iterdir()]
-    assert files_that_are_left == ["grid.parquet"]
+    assert [path.name for path in output.parent.iterdir()] == ["grid.parquet"]
 
 
 def test_a_process_does_not_lock_itself_out_of_its_output(output: Path) -> None:
+    """It works on an output, and opens it a second time: all 8 * 40 trials are missing."""
     Store(output, GRID).reserve()
-    assert Store(output, GRID).missing_count == 40 * len(GRID)
+    assert Store(output, GRID).missing_count == 320
 
 
 # --- Progress --------------------------------------------------------------------------------------------
@@ -397,28 +479,31 @@ def test_a_process_does_not_lock_itself_out_of_its_output(output: Path) -> None:
         (0, 9, 3.0, ""),
     ],
 )
-def test_progress_is_a_rate_and_the_time_left(finished: int, total: int, seconds: float, text: str) -> None:
+def test_progress_has_a_rate_and_the_time_left_once_something_is_finished(
+    finished: int, total: int, seconds: float, text: str
+) -> None:
     assert progress_bar.format_rate(finished, total, seconds) == text
 
 
-def test_a_bar_shows_the_rate() -> None:
+def test_a_progress_bar_shows_the_rate_and_the_time_left() -> None:
+    """rich, which draws the bar, gives its column a task with these attributes."""
     task: Any = SimpleNamespace(completed=30, total=120, elapsed=60.0)
     assert progress_bar._Rate().render(task).plain == "0.5/s, 0:03:00 left"
 
 
 def report_slow_progress(monkeypatch: pytest.MonkeyPatch, *, quiet: bool) -> None:
-    """Report six of eight trials in two minutes, from 30 s on."""
-    now = [100.0]
-    monkeypatch.setattr(progress_bar, "time", SimpleNamespace(monotonic=lambda: now[0]))
+    """Report 1.5 of eight trials after 30, 60, 119 and 120 s: six in two minutes."""
+    now = Mock(return_value=0.0)
+    monkeypatch.setattr(progress_bar, "time", SimpleNamespace(monotonic=now))
     with progress_bar.progress("trials", 8, quiet) as report:
-        for seconds in (130.0, 160.0, 219.0, 220.0):
-            now[0] = seconds
+        for now.return_value in (30.0, 60.0, 119.0, 120.0):
             report(1.5)
 
 
 def test_progress_is_a_line_a_minute_where_there_is_no_terminal(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    """Of eight trials, three are finished after a minute, and six after two."""
     monkeypatch.setenv("FORCE_COLOR", "")
     report_slow_progress(monkeypatch, quiet=False)
 
@@ -431,13 +516,14 @@ def test_progress_is_a_line_a_minute_where_there_is_no_terminal(
 def test_progress_is_a_bar_in_a_terminal_and_is_erased_in_the_end(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setenv("FORCE_COLOR", "1")  # which rich takes for a terminal
+    """FORCE_COLOR makes rich, which draws the bar, take any output for a terminal. Six of 8 are finished."""
+    monkeypatch.setenv("FORCE_COLOR", "1")
     report_slow_progress(monkeypatch, quiet=False)
-    errors = capsys.readouterr().err
+    output = capsys.readouterr().err
     erase_line = "\x1b[2K"
 
-    assert "6/8" in errors
-    assert errors.endswith(erase_line)
+    assert "6/8" in output
+    assert output.endswith(erase_line)
 
 
 def test_quiet_progress_is_not_shown(
@@ -451,67 +537,76 @@ def test_quiet_progress_is_not_shown(
 # --- Commands --------------------------------------------------------------------------------------------
 
 
-GRID_OF_TWO = "robots = 4\nsteps = 300\nfilter_period = 100\ntrials = 3\nflawed = [1, 2]\n"
+EXIT_CODE_OF_USAGE_ERROR = 2
 
 
-@pytest.fixture
-def grid_file(tmp_path: Path) -> Path:
-    """A file that describes two experiments of three trials."""
-    path = tmp_path / "grid.toml"
-    path.write_text(GRID_OF_TWO)
+@pytest.fixture(scope="module")
+def grid_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A file that describes two experiments of three trials, with 1 and with 2 flawed robots."""
+    path = tmp_path_factory.mktemp("sweep") / "grid.toml"
+    path.write_text("robots = 4\nsteps = 300\nfilter_period = 100\ntrials = 3\nflawed = [1, 2]\n")
     return path
 
 
-@pytest.fixture
-def run_for_json(capsys: pytest.CaptureFixture[str]) -> Callable[..., dict[str, Any]]:
-    """A function that runs a command, which must succeed, and returns its answer in JSON."""
-
-    def run(*arguments: str | Path) -> dict[str, Any]:
+def run_for_json(*arguments: str | Path) -> dict[str, Any]:
+    """Run a command, which must succeed, and return its answer in JSON."""
+    with redirect_stdout(StringIO()) as output:
         assert cli.main([*map(str, arguments), "--json"]) == 0
-        answer: dict[str, Any] = json.loads(capsys.readouterr().out)
-        return answer
-
-    return run
+    answer: dict[str, Any] = json.loads(output.getvalue())
+    return answer
 
 
-def test_sweep_runs_a_file_into_results_beside_it(
-    grid_file: Path, run_for_json: Callable[..., dict[str, Any]]
+@pytest.fixture(scope="module")
+def sweep_answer(grid_file: Path) -> dict[str, Any]:
+    """What ``sweep grid.toml`` answers that has run these experiments."""
+    return run_for_json("sweep", grid_file, "--workers", "1")
+
+
+@pytest.fixture(scope="module")
+def results_file(grid_file: Path, sweep_answer: dict[str, Any]) -> Path:
+    """The file of results of this sweep."""
+    return grid_file.with_suffix(".parquet")
+
+
+@pytest.fixture(scope="module")
+def sweep_text(grid_file: Path, results_file: Path) -> str:
+    """What ``sweep grid.toml`` prints for people; all trials have been run before."""
+    assert results_file.exists()
+    with redirect_stdout(StringIO()) as output:
+        assert cli.main(["sweep", str(grid_file), "--workers", "1"]) == 0
+    return output.getvalue()
+
+
+def test_the_command_sweep_runs_the_experiments_of_a_file_into_results_beside_it(
+    grid_file: Path, sweep_answer: dict[str, Any]
 ) -> None:
-    answer = run_for_json("sweep", grid_file, "--workers", "1")
-    assert answer["run"] == 2 * 3  # trials
-    assert answer["output"] == str(grid_file.with_suffix(".parquet"))
+    """They are two experiments of three trials."""
+    assert sweep_answer["run"] == 6
+    assert sweep_answer["output"] == str(grid_file.with_suffix(".parquet"))
+    assert grid_file.with_suffix(".parquet").exists()
 
 
-def test_sweep_of_finished_results_runs_nothing(
-    grid_file: Path, run_for_json: Callable[..., dict[str, Any]]
-) -> None:
-    run_for_json("sweep", grid_file, "--workers", "1")
+@pytest.mark.usefixtures("results_file")
+def test_the_command_sweep_runs_no_trial_whose_results_are_there(grid_file: Path) -> None:
     assert run_for_json("sweep", grid_file, "--workers", "1")["run"] == 0
 
 
-def test_score_reports_what_sweep_does(grid_file: Path, run_for_json: Callable[..., dict[str, Any]]) -> None:
-    answer = run_for_json("sweep", grid_file, "--workers", "1")
-    scored = run_for_json("score", grid_file.with_suffix(".parquet"))
-    assert scored["experiments"] == answer["experiments"]
-
-
-def test_score_writes_a_line_of_csv_for_each_trial(
-    grid_file: Path, run_for_json: Callable[..., dict[str, Any]]
+def test_the_command_score_reports_the_scores_that_sweep_does(
+    results_file: Path, sweep_answer: dict[str, Any]
 ) -> None:
-    run_for_json("sweep", grid_file, "--workers", "1")
-    csv_file = grid_file.with_suffix(".csv")
-    run_for_json("score", grid_file.with_suffix(".parquet"), "--csv", csv_file)
+    assert run_for_json("score", results_file)["experiments"] == sweep_answer["experiments"]
+
+
+def test_the_command_score_writes_a_line_of_csv_for_each_trial(results_file: Path, tmp_path: Path) -> None:
+    run_for_json("score", results_file, "--csv", tmp_path / "grid.csv")
     header, trials = 1, 6
-    assert len(csv_file.read_text().splitlines()) == header + trials
+    assert len((tmp_path / "grid.csv").read_text().splitlines()) == header + trials
 
 
-def test_score_takes_other_limits(grid_file: Path, run_for_json: Callable[..., dict[str, Any]]) -> None:
-    run_for_json("sweep", grid_file, "--workers", "1")
-    results = grid_file.with_suffix(".parquet")
-    scored = run_for_json("score", results, "--k-max", "300", "--e-max", "0.5")
-    limits = [experiment["limits"] for experiment in scored["experiments"]]
-
-    assert limits == [{"k_max": 300, "e_max": 0.5}] * 2
+def test_the_command_score_takes_limits_that_the_user_chooses(results_file: Path) -> None:
+    answer = run_for_json("score", results_file, "--k-max", "300", "--e-max", "0.5")
+    for experiment in answer["experiments"]:
+        assert experiment["limits"] == {"k_max": 300, "e_max": 0.5}
 
 
 def table_of(output: str) -> list[list[str]]:
@@ -520,34 +615,43 @@ def table_of(output: str) -> list[list[str]]:
     return [re.split(" *[│┃] *", line)[1:-1] for line in lines]
 
 
-def test_sweep_prints_what_its_table_is_of(grid_file: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(["sweep", str(grid_file), "--workers", "1"]) == 0
-    output = capsys.readouterr().out
-    assert "K_max 300, e_max 0.45; medians over the trials, H with quartiles" in output
-    assert "again:" in output
-
-
-def test_sweep_prints_medians_of_each_experiment(
-    grid_file: Path, run_for_json: Callable[..., dict[str, Any]], capsys: pytest.CaptureFixture[str]
+def test_the_command_sweep_prints_limits_the_meaning_of_its_table_and_how_to_see_it_again(
+    sweep_text: str,
 ) -> None:
-    experiments = run_for_json("sweep", grid_file, "--workers", "1")["experiments"]
-    cli.main(["sweep", str(grid_file), "--workers", "1"])
-    head, *rows = table_of(capsys.readouterr().out)
+    assert "K_max 300, e_max 0.45; medians over the trials, H with quartiles" in sweep_text
+    assert "again:" in sweep_text
+
+
+def test_the_command_sweep_prints_medians_over_the_trials_of_each_experiment(
+    sweep_text: str, sweep_answer: dict[str, Any]
+) -> None:
+    """The same medians are in its answer in JSON. The score H, with its quartiles, has a test of its own."""
+    head, *rows = table_of(sweep_text)
     assert head == ["flawed", "trials", "H", "h_K", "h_e", "K", "e", "updates"]
-    for experiment, row in zip(experiments, rows, strict=True):
-        h_k, h_e, k, e, updates = (experiment[name]["median"] for name in ("h_K", "h_e", "K", "e", "updates"))
-        assert row[3:] == [f"{h_k:.2f}", f"{h_e:.2f}", f"{k:g}", f"{e:.5f}", f"{updates:g}"]
+    for experiment, row in zip(sweep_answer["experiments"], rows, strict=True):
+        _flawed, _trials, _h, h_k, h_e, k, e, updates = row
+        assert h_k == f"{experiment['h_K']['median']:.2f}"
+        assert h_e == f"{experiment['h_e']['median']:.2f}"
+        assert k == f"{experiment['K']['median']:g}"
+        assert e == f"{experiment['e']['median']:.5f}"
+        assert updates == f"{experiment['updates']['median']:g}"
 
 
-def test_sweep_prints_the_score_with_its_quartiles(
-    grid_file: Path, capsys: pytest.CaptureFixture[str]
+def test_the_command_sweep_prints_the_score_h_of_each_experiment_with_its_quartiles(
+    sweep_text: str, results_file: Path
 ) -> None:
-    cli.main(["sweep", str(grid_file), "--workers", "1"])
-    _, *rows = table_of(capsys.readouterr().out)
-    scores = np.split(read_table(grid_file.with_suffix(".parquet"))["H"].to_numpy(), 2)
-    for flawed, row, h in zip((1, 2), rows, scores, strict=True):
-        lower_quartile, median, upper_quartile = np.percentile(h, (25, 50, 75))
-        assert row[:3] == [str(flawed), "3", f"{median:.2f} [{lower_quartile:.2f}, {upper_quartile:.2f}]"]
+    """The file of results has H of the three trials with 1 flawed robot, and then of those with 2."""
+    _head, *rows = table_of(sweep_text)
+    scores = read_table(results_file)["H"].to_numpy()
+    for row, scores_of_experiment in zip(rows, (scores[:3], scores[3:]), strict=True):
+        _flawed, trials, h, *_ = row
+        lower_quartile, median, upper_quartile = np.percentile(scores_of_experiment, (25, 50, 75))
+        assert (trials, h) == ("3", f"{median:.2f} [{lower_quartile:.2f}, {upper_quartile:.2f}]")
+
+
+def test_the_command_sweep_prints_the_parameter_in_which_experiments_differ(sweep_text: str) -> None:
+    _head, (first_flawed, *_), (second_flawed, *_) = table_of(sweep_text)
+    assert (first_flawed, second_flawed) == ("1", "2")
 
 
 @pytest.fixture
@@ -558,10 +662,8 @@ def one_experiment(tmp_path: Path) -> Path:
     return path
 
 
-def test_simulate_takes_options_over_a_file(
-    one_experiment: Path, run_for_json: Callable[..., dict[str, Any]]
-) -> None:
-    """The file's experiment has 100 steps, for which there is no option here, and other robots and trials."""
+def test_options_of_the_command_simulate_change_the_experiment_of_a_file(one_experiment: Path) -> None:
+    """The file's experiment has 100 steps, for which no option is given, and other robots and trials."""
     options = ["--robots", "6", "--flawed", "50%", "--trials", "4", "--omega", "0.1"]
     answer = run_for_json("simulate", one_experiment, *options)
     parameters = answer["parameters"]
@@ -571,14 +673,21 @@ def test_simulate_takes_options_over_a_file(
     assert parameters["flawed"] == 3  # 50 % of 6
     assert parameters["omega"] == 0.1
     assert answer["trials"] == 4
+
+
+def test_the_command_simulate_scores_with_the_paper_s_limits(one_experiment: Path) -> None:
+    """They are the length of a trial, here 100 steps, and an error of 0.45."""
+    answer = run_for_json("simulate", one_experiment, "--trials", "1")
     assert answer["limits"] == {"k_max": 100, "e_max": 0.45}
 
 
-def test_simulate_writes_results_if_it_is_asked_to(
-    one_experiment: Path, tmp_path: Path, run_for_json: Callable[..., dict[str, Any]]
+def test_the_command_simulate_writes_results_only_if_it_is_given_an_output(
+    one_experiment: Path, tmp_path: Path
 ) -> None:
+    """There are 30 trials by default."""
     run_for_json("simulate", one_experiment)
     assert list(tmp_path.iterdir()) == [one_experiment]
+
     run_for_json("simulate", one_experiment, "--output", tmp_path / "one.parquet", "--record", "100")
     assert len(read_table(tmp_path / "one.parquet")) == 30
 
@@ -591,59 +700,52 @@ def workers_used(monkeypatch: pytest.MonkeyPatch, options: str) -> int:
     simulate = Mock(side_effect=UsageError("the command ends here"))
     monkeypatch.setattr("mcp_asdf_tools.library.simulate", simulate)
     exit_code = cli.main(["simulate", "--robots=20", "--trials=5", "--workers=1024", *options.split()])
-    exit_code_of_usage_error = 2
-    assert exit_code == exit_code_of_usage_error
+    assert exit_code == EXIT_CODE_OF_USAGE_ERROR
     workers: int = simulate.call_args.kwargs["workers"]
     return workers
 
 
-def test_simulate_runs_a_short_experiment_in_its_own_process(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_command_simulate_runs_a_short_experiment_in_its_own_process(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """Short is less than 10**8 steps of robots: 20 robots * 5 trials * 999,999 steps."""
     assert workers_used(monkeypatch, "--steps 999999") == 1
 
 
-def test_simulate_runs_a_long_experiment_on_as_many_processes_as_it_is_asked_to(
+def test_the_command_simulate_runs_a_long_experiment_on_as_many_processes_as_it_is_asked_to(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """20 robots * 5 trials * 1,000,000 steps are 10**8 steps of robots."""
     assert workers_used(monkeypatch, "--steps 1000000") == 1024
 
 
-def test_simulate_runs_even_a_short_experiment_of_the_mirror_on_processes(
+def test_the_command_simulate_runs_even_a_short_experiment_of_the_mirror_on_processes(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """The mirror runs in Python, which takes far longer than starting a process."""
+    """The mirror is the firmware in Python, which takes far longer than starting a process."""
     assert workers_used(monkeypatch, "--steps 1000 --firmware mirror") == 1024
 
 
 A_THOUSAND_ROBOTS = "--robots 1000 --trials 1 --steps 20"
 
 
-def test_a_thousand_robots_are_simulated_where_they_move(
-    run_for_json: Callable[..., dict[str, Any]],
-) -> None:
-    answer = run_for_json(
-        "simulate", *A_THOUSAND_ROBOTS.split(), "--topology", "dynamic", "--filter-period", "20"
-    )
+@pytest.fixture
+def ring_of_a_thousand(tmp_path: Path) -> Path:
+    """A file with a graph in which each of 1000 robots is connected to the next one."""
+    path = tmp_path / "ring"
+    path.write_text("".join(f"{robot} {(robot + 1) % 1000}\n" for robot in range(1000)))
+    return path
+
+
+def test_the_command_simulate_runs_a_thousand_robots_that_move() -> None:
+    command = f"simulate {A_THOUSAND_ROBOTS} --topology dynamic --filter-period 20"
+    answer = run_for_json(*command.split())
     assert (answer["parameters"]["robots"], answer["trials"]) == (1000, 1)
 
 
-def test_a_thousand_robots_are_simulated_in_a_graph(
-    tmp_path: Path, run_for_json: Callable[..., dict[str, Any]]
-) -> None:
-    ring = tmp_path / "ring"
-    ring.write_text("".join(f"{robot} {(robot + 1) % 1000}\n" for robot in range(1000)))
-    answer = run_for_json(
-        "simulate",
-        *A_THOUSAND_ROBOTS.split(),
-        "--topology",
-        "graph",
-        "--graph",
-        ring,
-        "--filter-period",
-        "20",
-    )
-
+def test_the_command_simulate_runs_a_thousand_robots_in_a_graph(ring_of_a_thousand: Path) -> None:
+    command = f"simulate {A_THOUSAND_ROBOTS} --topology graph --filter-period 20 --graph"
+    answer = run_for_json(*command.split(), ring_of_a_thousand)
     assert (answer["parameters"]["robots"], answer["trials"]) == (1000, 1)
 
 
@@ -679,8 +781,10 @@ def test_a_thousand_robots_are_simulated_in_a_graph(
         ("plot absent.parquet x.gif", "ends in"),
     ],
 )
-def test_bad_usage_is_reported(arguments: str, message: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(arguments.split()) == 2
+def test_commands_on_experiments_refuse_bad_options_and_say_what_is_wrong(
+    arguments: str, message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main(arguments.split()) == EXIT_CODE_OF_USAGE_ERROR
     assert message in capsys.readouterr().err
 
 
@@ -688,11 +792,12 @@ def test_bad_usage_is_reported(arguments: str, message: str, capsys: pytest.Capt
 
 SHORT_SWEEP = Experiment(firmware="mirror", steps=20, trials=100, robots=4)
 LONG_SWEEP = Experiment(firmware="mirror", steps=400, trials=400, robots=4)
+"""The experiment of the fixture ``slow_sweep``."""
 
 
 @pytest.fixture
 def slow_sweep(tmp_path: Path) -> Iterator[subprocess.Popen[str]]:
-    """A sweep that takes long, in a process group of its own as in a terminal."""
+    """The command ``sweep`` on two worker processes, which takes long, as a terminal starts it."""
     (tmp_path / "slow.toml").write_text("firmware = 'mirror'\nsteps = 400\ntrials = 400\nrobots = 4\n")
     command = [sys.executable, "-m", "mcp_asdf_tools.cli.main", "sweep", str(tmp_path / "slow.toml")]
     with interruptible():
@@ -722,35 +827,43 @@ def is_worker(process: str) -> bool:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("number", [signal.SIGTERM, *slow([signal.SIGINT])])
-def test_a_signal_keeps_what_is_finished(
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_a_signal_ends_a_sweep_with_advice_and_keeps_the_finished_trials(
     number: signal.Signals, slow_sweep: subprocess.Popen[str], tmp_path: Path
 ) -> None:
+    """Ctrl-C and SIGTERM reach all processes of the sweep. It has written a part before."""
     parts = tmp_path / "slow.parquet.parts"
     wait_until(lambda: any(parts.glob("*.parquet")))
     os.killpg(slow_sweep.pid, number)
     _, errors = slow_sweep.communicate(timeout=PATIENCE)
+
     assert slow_sweep.returncode == 128 + number
     assert "the same command goes on" in errors
     assert "Traceback" not in errors
-
-    finished_trials = sum(len(read_table(path)) for path in parts.glob("*.parquet"))
-    missing_trials = Store(tmp_path / "slow.parquet", [LONG_SWEEP]).missing_count
+    finished_trials = sum(row_counts(parts))
     assert finished_trials > 0
+    missing_trials = Store(tmp_path / "slow.parquet", [LONG_SWEEP]).missing_count
     assert finished_trials + missing_trials == LONG_SWEEP.trials
 
 
-def test_ctrl_c_while_a_part_is_written_loses_nothing(output: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    store = Store(output, [SHORT_SWEEP])
+@pytest.fixture
+def ctrl_c_in_the_first_part(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let Ctrl-C come while the first part of a sweep is written; a part is due after each job."""
     write_tables = result_files.write_tables
 
     def write_and_interrupt(path: Path, tables: Any) -> None:
         write_tables(path, tables)
-        if path != output and len(row_counts(store.parts)) == 1:
+        if len(row_counts(path.parent)) == 1:
             signal.raise_signal(signal.SIGINT)
 
     monkeypatch.setattr(store_module, "_SECONDS_BETWEEN_PARTS", 0.0)
     monkeypatch.setattr(store_module, "write_tables", write_and_interrupt)
+
+
+@pytest.mark.usefixtures("ctrl_c_in_the_first_part")
+def test_ctrl_c_while_a_part_of_the_results_is_written_loses_no_finished_trial(output: Path) -> None:
+    """As many trials are missing on the disk as the sweep itself takes for missing."""
+    store = Store(output, [SHORT_SWEEP])
     with interruptible(), pytest.raises(KeyboardInterrupt):
         run_sweep(store, workers=1)
 
@@ -760,7 +873,9 @@ def test_ctrl_c_while_a_part_is_written_loses_nothing(output: Path, monkeypatch:
 
 
 @pytest.mark.slow
-def test_ctrl_c_does_not_disturb_workers_that_start(slow_sweep: subprocess.Popen[str]) -> None:
+def test_ctrl_c_while_worker_processes_start_ends_a_sweep_without_a_traceback(
+    slow_sweep: subprocess.Popen[str],
+) -> None:
     """Ctrl-C in a terminal reaches all processes of a group, also those that are still importing."""
     wait_until(lambda: bool(workers_of(slow_sweep)))
     os.killpg(slow_sweep.pid, signal.SIGINT)
@@ -771,7 +886,7 @@ def test_ctrl_c_does_not_disturb_workers_that_start(slow_sweep: subprocess.Popen
 
 
 @pytest.mark.slow
-def test_workers_end_with_a_sweep_that_is_killed(slow_sweep: subprocess.Popen[str]) -> None:
+def test_worker_processes_end_with_a_sweep_that_is_killed(slow_sweep: subprocess.Popen[str]) -> None:
     wait_until(lambda: len(workers_of(slow_sweep)) == 2)
     workers = workers_of(slow_sweep)
     slow_sweep.kill()
