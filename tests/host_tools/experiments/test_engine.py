@@ -124,7 +124,7 @@ EDGES_OF_THE_ROBUST_FILTER: dict[str, dict[str, Any]] = {
 }
 
 
-def varied(experiment: Experiment, edges: Mapping[str, dict[str, Any]]) -> Any:
+def varied(experiment: Experiment, edges: Mapping[str, dict[str, Any]]) -> pytest.MarkDecorator:
     """Return a parametrisation over an experiment with each of these changes, by their names."""
     experiments = [replace(experiment, **changes) for changes in edges.values()]
     return pytest.mark.parametrize("experiment", experiments, ids=edges)

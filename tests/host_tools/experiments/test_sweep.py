@@ -281,7 +281,7 @@ def row_counts(folder: Path) -> list[int]:
 
 
 @pytest.fixture
-def clock(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[float], None]]:
+def clock(monkeypatch: pytest.MonkeyPatch) -> Callable[[float], None]:
     """A function that sets the time, in seconds, that the store reads; it is 0 at first."""
     now = Mock(return_value=0.0)
     monkeypatch.setattr(store_module, "time", SimpleNamespace(monotonic=now))
