@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -19,6 +19,7 @@ from mcp_asdf.table import MAX_OMEGA_WORD, Table, TableError, checksum
 from mcp_asdf_tools.crosscheck.scenario import Call, edited_image, unpack_image
 from robots import (
     ALPHA_MAX,
+    ALPHA_ONE,
     HALF,
     IMAGE_SIZE,
     NO_FILTER,
@@ -53,55 +54,79 @@ def visible_state(robot: Robot) -> dict[str, object]:
 # --- Messages --------------------------------------------------------------------------------------------
 
 
-def check_rejection(firmware: Firmware, sender: int, x_hat: float, status: Status, message: str) -> None:
-    """Check that a robot rejects and counts a message, with this error, and that nothing else changes."""
+def make_robot_with_memory(firmware: Firmware) -> Robot:
+    """Make a robot that has seen three tiles and received a message, which an error must not change."""
     robot = make_robot(firmware)
     observe_tiles(robot, black=2, white=1)
     robot.receive(sender=1, x_hat=0.25, alpha=4.0)
-    state_before = visible_state(robot)
-
-    with pytest.raises(FirmwareError, match=re.escape(message)) as error:
-        robot.receive(sender, x_hat, alpha=1.0)
-
-    assert error.value.status == status
-    assert visible_state(robot) == state_before
-    assert robot.counters.rejected == 1
+    return robot
 
 
 # design: R5
 @for_every_firmware
-@pytest.mark.parametrize("sender", [OWN_ID, 128, -1, 256 + 4, 300])
+@pytest.mark.parametrize("sender", [OWN_ID, 128, -1, 256 + 4])
 def test_a_message_of_an_invalid_sender_is_rejected(firmware: Firmware, sender: int) -> None:
-    check_rejection(firmware, sender, 0.5, Status.ERR_SENDER, f"sender is {sender};")
+    """Ids are 0 to 127, and a robot receives no message of its own."""
+    robot = make_robot(firmware)
+
+    with pytest.raises(FirmwareError, match=f"sender is {sender};") as error:
+        robot.receive(sender, x_hat=0.5, alpha=1.0)
+
+    assert error.value.status == Status.ERR_SENDER
 
 
 @for_every_firmware
 @pytest.mark.parametrize("sender", [0, 127])
 def test_the_smallest_and_the_largest_id_may_send(firmware: Firmware, sender: int) -> None:
-    assert make_robot(firmware).receive(sender=sender, x_hat=0.5, alpha=1.0) == Status.OK
+    assert make_robot(firmware).receive(sender, x_hat=0.5, alpha=1.0) == Status.OK
 
 
 # design: R5
 @for_every_firmware
-@pytest.mark.parametrize("x_hat", [ABOVE_1, BELOW_0, math.nan, math.inf, 2.0])
-def test_a_message_with_an_invalid_x_hat_is_rejected(firmware: Firmware, x_hat: float) -> None:
-    check_rejection(firmware, 1, x_hat, Status.ERR_X_HAT, f"x_hat is {x_hat};")
+@pytest.mark.parametrize("x_hat", [ABOVE_1, BELOW_0, math.nan, math.inf])
+def test_a_message_with_an_estimate_beyond_0_and_1_is_rejected(firmware: Firmware, x_hat: float) -> None:
+    robot = make_robot(firmware)
+
+    with pytest.raises(FirmwareError, match=re.escape(f"x_hat is {x_hat};")) as error:
+        robot.receive(sender=1, x_hat=x_hat, alpha=1.0)
+
+    assert error.value.status == Status.ERR_X_HAT
 
 
 @for_every_firmware
-def test_the_sender_of_a_message_is_checked_first(firmware: Firmware) -> None:
-    check_rejection(firmware, 128, 2.0, Status.ERR_SENDER, "sender is 128;")
+def test_of_a_wrong_sender_and_a_wrong_estimate_the_sender_is_reported(firmware: Firmware) -> None:
+    robot = make_robot(firmware)
+    with pytest.raises(FirmwareError, match="sender is 128;"):
+        robot.receive(sender=128, x_hat=2.0, alpha=1.0)
+
+
+# design: R5
+@for_every_firmware
+@pytest.mark.parametrize(("sender", "x_hat"), [(128, 0.5), (1, 2.0)], ids=["wrong sender", "wrong x_hat"])
+def test_a_rejected_message_is_counted_and_changes_nothing_else(
+    firmware: Firmware, sender: int, x_hat: float
+) -> None:
+    robot = make_robot_with_memory(firmware)
+    state_before = visible_state(robot)
+
+    with pytest.raises(FirmwareError):
+        robot.receive(sender, x_hat, alpha=1.0)
+
+    assert robot.counters.rejected == 1
+    assert visible_state(robot) == state_before
 
 
 @for_every_firmware
-@pytest.mark.parametrize("alpha", [-0.0, -1.0, -5e-324, math.nan, math.inf, -math.inf])
-@pytest.mark.parametrize(("sender", "x_hat"), [(1, 0.5), (OWN_ID, 2.0)])
+@pytest.mark.parametrize("alpha", [-0.0, -5e-324, math.nan, math.inf])
+@pytest.mark.parametrize(("sender", "x_hat"), [(2, 0.5), (OWN_ID, 2.0)], ids=["valid", "wrong sender"])
 def test_an_alpha_that_is_no_confidence_raises_and_changes_nothing(
     firmware: Firmware, alpha: float, sender: int, x_hat: float
 ) -> None:
-    """Whether or not sender and x_hat are valid: no bus brings it, so it is the fault of a program."""
-    robot = make_robot(firmware)
-    observe_tiles(robot, black=2, white=1)
+    """A confidence is finite and not negative. No bus can bring another one: it is the fault of a program.
+
+    So the message is not counted as rejected, whether or not its sender and its x_hat are valid.
+    """
+    robot = make_robot_with_memory(firmware)
     state_before, counters_before = visible_state(robot), robot.counters
 
     with pytest.raises(ValueError, match="alpha is"):
@@ -109,8 +134,8 @@ def test_an_alpha_that_is_no_confidence_raises_and_changes_nothing(
 
     assert visible_state(robot) == state_before
     assert robot.counters == counters_before
-    # REPEATED would show that sender 1 had been received.
-    assert robot.receive(sender=1, x_hat=0.5, alpha=1.0) == Status.OK
+    # REPEATED would show that the robot had received a message of sender 2.
+    assert robot.receive(sender=2, x_hat=0.5, alpha=1.0) == Status.OK
 
 
 @for_fixed_point_firmwares
@@ -118,7 +143,7 @@ def test_an_alpha_that_is_no_confidence_raises_and_changes_nothing(
 def test_a_raw_message_of_a_sender_that_no_c_type_holds_is_rejected(
     firmware: FixedPointFirmware, sender: int
 ) -> None:
-    """A conversion to C's byte would make 256 + 4 a valid id."""
+    """A raw message has whole numbers, as on a bus. In a byte of C 256 + 4 would be the valid id 4."""
     robot = firmware(NO_FILTER, OWN_ID, b_hat=0.75)
     state_before = robot.state()
 
@@ -133,11 +158,11 @@ def test_a_raw_message_of_a_sender_that_no_c_type_holds_is_rejected(
 def test_a_raw_message_with_an_x_hat_that_no_c_type_holds_is_rejected(
     firmware: FixedPointFirmware, x_hat: int
 ) -> None:
-    """A conversion to C's 32 bits would make 2**32 + 5 a valid estimate."""
+    """A raw x_hat is a whole number from 0 to ONE. In 32 bits of C 2**32 + 5 would be the valid 5."""
     robot = firmware(NO_FILTER, OWN_ID, b_hat=0.75)
     state_before = robot.state()
 
-    status = robot.receive_raw(4, x_hat, alpha=0)
+    status = robot.receive_raw(sender=4, x_hat=x_hat, alpha=0)
 
     assert status == Status.ERR_X_HAT
     assert robot.state() == {**state_before, "rejected": 1}
@@ -146,24 +171,27 @@ def test_a_raw_message_with_an_x_hat_that_no_c_type_holds_is_rejected(
 @for_fixed_point_firmwares
 @pytest.mark.parametrize("alpha", [-1, 2**32])
 def test_a_raw_alpha_that_has_not_32_bits_raises(firmware: FixedPointFirmware, alpha: int) -> None:
-    robot = firmware(NO_FILTER, OWN_ID, 0.75)
+    robot = firmware(NO_FILTER, OWN_ID, b_hat=0.75)
     with pytest.raises(ValueError, match=f"alpha is {alpha}; the firmware's word has 32 bits"):
-        robot.receive_raw(4, 0, alpha)
-
-
-MESSAGES = [(1, HALF, 0x80000001), (1, ONE, 0x80000003), (OWN_ID, 0, 0x80000001), (2, ONE + 1, 0), (3, 5, 0)]
-"""Raw messages: two are accepted, one is repeated, two are rejected."""
+        robot.receive_raw(sender=4, x_hat=0, alpha=alpha)
 
 
 @for_fixed_point_firmwares
 def test_messages_in_an_array_are_received_in_order(firmware: FixedPointFirmware) -> None:
-    """As one by one: the robots are equal in the end, and count alike."""
+    """Each row has sender, x_hat and alpha. The robot becomes the one that receives them one by one."""
+    messages = [
+        (1, HALF, ALPHA_ONE),  # accepted
+        (1, ONE, ALPHA_ONE),  # repeated
+        (OWN_ID, 0, ALPHA_ONE),  # rejected: the robot's own id
+        (2, ONE + 1, 0),  # rejected: above 1
+        (3, 5, 0),  # accepted
+    ]
     robot, other_robot = (firmware(NO_FILTER, OWN_ID, b_hat=0.7) for _ in range(2))
 
-    accepted = robot.receive_all(np.array(MESSAGES, np.uint32))
-    receive_raw_messages(other_robot, MESSAGES)
+    accepted_count = robot.receive_all(np.array(messages, np.uint32))
+    receive_raw_messages(other_robot, messages)
 
-    assert accepted == 2
+    assert accepted_count == 2
     assert robot.save() == other_robot.save()
     assert robot.counters == Counters(accepted=2, repeated=1, rejected=2)
 
@@ -172,15 +200,16 @@ def test_messages_in_an_array_are_received_in_order(firmware: FixedPointFirmware
 @pytest.mark.parametrize(
     "array",
     [
-        pytest.param(np.array(MESSAGES, np.int64), id="another type"),
-        pytest.param(np.array(MESSAGES, np.uint32)[:, :2].copy(), id="two columns"),
-        pytest.param(np.array(MESSAGES, np.uint32)[:, 0].copy(), id="one dimension"),
-        pytest.param(np.array(MESSAGES, np.uint32)[::2, ::-1], id="another order in memory"),
+        pytest.param(np.zeros((4, 3), np.int64), id="another type"),
+        pytest.param(np.zeros((4, 2), np.uint32), id="two columns"),
+        pytest.param(np.zeros(3, np.uint32), id="one dimension"),
+        pytest.param(np.zeros((3, 4), np.uint32).T, id="another order in memory"),
     ],
 )
 def test_an_array_of_another_type_shape_or_order_is_refused(
     firmware: FixedPointFirmware, array: np.ndarray[Any, Any]
 ) -> None:
+    """It would have to have 32 unsigned bits, three columns, and its rows one after the other in memory."""
     robot = firmware(NO_FILTER, OWN_ID, b_hat=0.7)
 
     with pytest.raises(ValueError, match="give a C-contiguous one"):
@@ -213,7 +242,10 @@ def test_an_observation_that_is_neither_black_nor_white_changes_nothing(
 # design: R1, R11
 @for_every_firmware
 def test_a_step_with_an_invalid_observation_does_not_end_the_round(firmware: Firmware) -> None:
-    """Ended twice, the round would lose its message, and the robot its confidence in others, beta."""
+    """If the round ended there, its end below would be that of an empty round, with a beta of 0.
+
+    beta is the sum of the confidences that were received in the last round.
+    """
     robot = make_robot(firmware, ADAPTIVE)
     robot.receive(sender=1, x_hat=0.25, alpha=1.0)
     neither_black_nor_white: Any = 2
@@ -236,8 +268,8 @@ def saved_image(firmware: FixedPointFirmware) -> bytes:
     return restore_robot(firmware, replace(NO_FILTER, filter_period=8), t=80, filter_left=8).save()
 
 
-def restore_status(firmware: FixedPointFirmware, config: Config, image: bytes) -> Status:
-    """Return the error with which an image is refused, or OK."""
+def status_of_restore(firmware: FixedPointFirmware, config: Config, image: bytes) -> Status:
+    """Restore a robot from an image, and return OK, or the error with which the image is refused."""
     try:
         firmware.restore(config, image)
     except FirmwareError as error:
@@ -247,17 +279,15 @@ def restore_status(firmware: FixedPointFirmware, config: Config, image: bytes) -
 
 @for_fixed_point_firmwares
 def test_a_robot_is_restored_from_any_bytes_like_object(firmware: FixedPointFirmware) -> None:
+    """An image is the bytes of a saved robot. The annotation allows bytes alone, and views work, too."""
     image = saved_image(firmware)
-    assert len(image) == IMAGE_SIZE
-
     robot = firmware.restore(FITTING, memoryview(image))  # type: ignore[arg-type]
-
     assert robot.save() == image
 
 
 @for_fixed_point_firmwares
 def test_restoring_a_robot_from_a_number_raises(firmware: FixedPointFirmware) -> None:
-    """Python itself would make so many zeros of it."""
+    """``bytes(124)`` are 124 zeros: a conversion would take the size of an image for an image."""
     with pytest.raises(TypeError):
         firmware.restore(FITTING, IMAGE_SIZE)  # type: ignore[arg-type]
 
@@ -265,14 +295,13 @@ def test_restoring_a_robot_from_a_number_raises(firmware: FixedPointFirmware) ->
 # design: R31
 @for_fixed_point_firmwares
 def test_no_robot_is_restored_from_bytes_that_no_robot_saved(firmware: FixedPointFirmware) -> None:
-    """Damaged images of all kinds are tried by the cross-check, and by tests/third."""
+    """An image is the bytes of a saved robot. Here it is too short, too long, all zeros, or backwards."""
     image = saved_image(firmware)
-    too_short = [image[:size] for size in (0, 4, 120, 123)]
-    too_long = [image + b"\0", image * 8]
-    of_the_right_size = [bytes(IMAGE_SIZE), image[::-1]]
+    without_last_byte, with_a_byte_more = image[:-1], image + b"\0"
+    all_zeros, backwards = bytes(IMAGE_SIZE), bytes(reversed(image))
 
-    for wrong_image in [*too_short, *too_long, *of_the_right_size]:
-        assert restore_status(firmware, FITTING, wrong_image) == Status.ERR_IMAGE, wrong_image.hex()
+    for wrong_image in (b"", without_last_byte, with_a_byte_more, all_zeros, backwards):
+        assert status_of_restore(firmware, FITTING, wrong_image) == Status.ERR_IMAGE, wrong_image.hex()
 
 
 # design: R31
@@ -280,32 +309,32 @@ def test_no_robot_is_restored_from_bytes_that_no_robot_saved(firmware: FixedPoin
 @pytest.mark.parametrize(
     ("config", "status"),
     [
-        (FITTING, Status.OK),
-        (replace(NO_FILTER, filter_period=8, memory=80), Status.ERR_IMAGE),
-        (replace(NO_FILTER, filter_period=7), Status.ERR_IMAGE),
-        (Config(filter=Filter.ROBUST), Status.ERR_IMAGE),
-        (replace(NO_FILTER, memory=1), Status.ERR_CONFIG),
-        (Config(table=None), Status.ERR_TABLE),
+        pytest.param(FITTING, Status.OK, id="it fits"),
+        pytest.param(replace(FITTING, memory=80), Status.ERR_IMAGE, id="t has to be below the memory"),
+        pytest.param(
+            replace(FITTING, filter_period=7), Status.ERR_IMAGE, id="more rounds left than a period"
+        ),
+        pytest.param(Config(filter=Filter.ROBUST), Status.ERR_IMAGE, id="saved with another filter"),
+        pytest.param(replace(FITTING, memory=1), Status.ERR_CONFIG, id="no robot has this memory"),
+        pytest.param(Config(table=None), Status.ERR_TABLE, id="this filter needs a table"),
     ],
 )
 def test_an_image_is_refused_by_a_config_that_it_does_not_fit(
     firmware: FixedPointFirmware, config: Config, status: Status
 ) -> None:
-    assert restore_status(firmware, config, saved_image(firmware)) == status
-
-
-V2_IMAGE = bytes.fromhex("0253434d") + bytes(120)
-"""An image of version 2: its first word, and 30 more."""
-V2_ROBUST_IMAGE = bytes.fromhex("8253434d") + bytes(120)
+    """The image is that of a robot with 80 observations and 8 rounds left until its filter runs."""
+    assert status_of_restore(firmware, config, saved_image(firmware)) == status
 
 
 @for_fixed_point_firmwares
 @pytest.mark.parametrize(
-    ("mode", "image"), [(Filter.OFF, V2_IMAGE), (Filter.ROBUST, V2_ROBUST_IMAGE), (Filter.ROBUST, V2_IMAGE)]
+    ("mode", "first_byte"), [(Filter.OFF, 2), (Filter.ROBUST, 128 + 2)], ids=["no filter", "robust"]
 )
-def test_an_image_of_an_older_version_is_refused_by_name(
-    firmware: FixedPointFirmware, mode: Filter, image: bytes
+def test_the_error_for_an_image_of_an_older_version_names_both_versions(
+    firmware: FixedPointFirmware, mode: Filter, first_byte: int
 ) -> None:
+    """The first byte is the version, and 128 more with the robust filter. "SCM" and 30 more words follow."""
+    image = bytes([first_byte]) + b"SCM" + bytes(4 * 30)
     with pytest.raises(FirmwareError, match="the image is of version 2, and this firmware reads version 3"):
         firmware.restore(Config(filter=mode), image)
 
@@ -319,10 +348,11 @@ def test_an_image_of_an_older_version_is_refused_by_name(
         (Filter.OFF, Filter.ROBUST, "is that of a robot with a filter other than the robust one"),
     ],
 )
-def test_an_image_of_another_filter_is_refused_by_name(
+def test_the_error_for_an_image_of_another_filter_names_the_filter(
     firmware: FixedPointFirmware, saved_with: Filter, restored_with: Filter, message: str
 ) -> None:
-    image = firmware(Config(filter=saved_with), OWN_ID, 0.75).save()
+    """An image is the bytes of a saved robot; the robust filter needs longer ones."""
+    image = firmware(Config(filter=saved_with), OWN_ID, b_hat=0.75).save()
     with pytest.raises(FirmwareError, match=message):
         firmware.restore(Config(filter=restored_with), image)
 
@@ -357,31 +387,41 @@ def state_or_error(firmware: FixedPointFirmware, config: Config, image: bytes) -
         return error.status
 
 
+def image_of_used_robot(config: Config) -> bytes:
+    """Return the image of a robot that has observed, received messages and run its filter."""
+    robot = MirrorRobot(config, OWN_ID, b_hat=0.7)
+    for z in [Observation.WHITE, Observation.BLACK, Observation.WHITE] * 3:
+        receive_estimates(robot, 0.4, 0.5, 0.6, 0.4, 0.5, 0.6)
+        robot.step(z)
+    robot.receive_raw(sender=1, x_hat=1, alpha=ALPHA_MAX)
+    return robot.save()
+
+
+def images_with_one_changed_word(image: bytes) -> Iterator[bytes]:
+    """Yield images of which one word is another one, and the checksum fits.
+
+    The word is at an end of the range that a word may have, or differs little from the image's own.
+    """
+    *words, _checksum = unpack_image(image)
+    for index, word in enumerate(words):
+        ends_of_ranges = (0, 1, 2**12, 2**18, 2**23, 2**28, 2**30, 2**31, 2**32)
+        with_another_bit = (word, word ^ 1 << 16, word ^ 1 << 24)
+        for value, offset in itertools.product((*ends_of_ranges, *with_another_bit), (-1, 0, 1)):
+            yield edited_image(image, Call("restore", (index, (value + offset) % 2**32)))
+
+
 # design: R30
 @pytest.mark.parametrize("mode", [Filter.OFF, Filter.ROBUST])
-def test_the_c_and_the_python_robot_refuse_the_same_changed_images(mode: Filter) -> None:
-    """And of those that they accept they restore the same robot.
-
-    Each word of a saved robot takes values at the ends of ranges and beside its own; the checksum fits.
-    """
+def test_the_c_and_the_python_robot_refuse_the_same_images_and_restore_the_same_robots(mode: Filter) -> None:
+    """An image is the 31 or 39 words of a saved robot. Here each word is replaced by 36 others in turn."""
     config = Config(filter=mode, filter_period=4)
-    robot = MirrorRobot(config, OWN_ID, b_hat=0.7)
-    for tick in range(9):
-        receive_estimates(robot, 0.4, 0.5, 0.6, 0.4, 0.5, 0.6)
-        robot.step(Observation(tick % 3 == 1))
-    robot.receive_raw(1, 1, ALPHA_MAX)
-    image = robot.save()
-    *words, _checksum = unpack_image(image)
 
     outcomes = set[str]()
-    for word_index, word in enumerate(words):
-        ends = (0, 1, 2**12, 2**18, 2**23, 2**28, 2**30, 2**31, 2**32, word, word ^ 1 << 16, word ^ 1 << 24)
-        for end, offset in itertools.product(ends, (-1, 0, 1)):
-            value = (end + offset) % 2**32
-            changed_image = edited_image(image, Call("restore", (word_index, value)))
-            outcome = state_or_error(MirrorRobot, config, changed_image)
-            assert outcome == state_or_error(NativeRobot, config, changed_image), (word_index, value)
-            outcomes.add(str(outcome))
+    for image in images_with_one_changed_word(image_of_used_robot(config)):
+        outcome = state_or_error(MirrorRobot, config, image)
+        assert outcome == state_or_error(NativeRobot, config, image), image.hex()
+        outcomes.add(str(outcome))
+
     assert len(outcomes) > 100, "robots and errors of many kinds"
 
 
@@ -405,8 +445,8 @@ INVALID_MEMORY = (0, -64, 60, 62, 65, 66, 2**31 - 2, 2**31 + 4, 2**32 - 4, 2**32
 INVALID_B_HAT = (EPSILON - 2.0**-33, 1 - EPSILON + 2.0**-53, 0.0, 1.0, -0.5, math.nan, math.inf)
 
 
-def init_status(firmware: Firmware, **settings: Any) -> Status:
-    """Return the status with which a robot of these settings, and others that are valid, is made.
+def status_of_init(firmware: Firmware, **settings: Any) -> Status:
+    """Make a robot with these settings, and others that are valid; return OK, or the status of the error.
 
     An error message must name the wrong value, or the status.
     """
@@ -441,9 +481,9 @@ def test_settings_are_valid_up_to_the_ends_of_their_ranges(
 ) -> None:
     """The invalid values of the setting ``name`` are refused with this status, and the others are taken."""
     for value in invalid:
-        assert init_status(firmware, **{name: value}) == status, value
+        assert status_of_init(firmware, **{name: value}) == status, value
     for value in valid:
-        assert init_status(firmware, **{name: value}) == Status.OK, value
+        assert status_of_init(firmware, **{name: value}) == Status.OK, value
 
 
 # design: R14
@@ -452,16 +492,18 @@ def test_of_several_wrong_settings_the_first_is_reported(firmware: Firmware) -> 
     """The order is: config, table, id, b_hat."""
     wrong_table_id_and_b_hat = {"table": None, "robot_id": 200, "b_hat": 0.0}
 
-    assert init_status(firmware, memory=1, **wrong_table_id_and_b_hat) == Status.ERR_CONFIG
-    assert init_status(firmware, **wrong_table_id_and_b_hat) == Status.ERR_TABLE
-    assert init_status(firmware, robot_id=200, b_hat=0.0) == Status.ERR_ID
+    assert status_of_init(firmware, memory=1, **wrong_table_id_and_b_hat) == Status.ERR_CONFIG
+    assert status_of_init(firmware, **wrong_table_id_and_b_hat) == Status.ERR_TABLE
+    assert status_of_init(firmware, robot_id=200, b_hat=0.0) == Status.ERR_ID
 
 
 @for_every_firmware
 @pytest.mark.parametrize("mode", [Filter.ALWAYS, Filter.OFF])
-def test_only_the_hypothesis_test_needs_a_table(firmware: Firmware, mode: Filter) -> None:
-    assert init_status(firmware, filter=mode, table=None) == Status.OK
-    assert init_status(firmware, filter=mode, entries=(3 << 26, 3 << 26)) == Status.OK
+def test_filters_without_a_hypothesis_test_ignore_the_table(firmware: Firmware, mode: Filter) -> None:
+    """A table has the thresholds of the test. It may be missing, or invalid: the entries should fall."""
+    equal_entries = (3 << 26, 3 << 26)
+    assert status_of_init(firmware, filter=mode, table=None) == Status.OK
+    assert status_of_init(firmware, filter=mode, entries=equal_entries) == Status.OK
 
 
 # --- Tables ----------------------------------------------------------------------------------------------
@@ -469,10 +511,11 @@ def test_only_the_hypothesis_test_needs_a_table(firmware: Firmware, mode: Filter
 
 # design: R28
 def test_a_table_with_any_flipped_bit_is_refused() -> None:
+    """A table is words of 32 bits, of which the last one is a checksum."""
     words = VALID_TABLE.words()
-    for word_index, bit in itertools.product(range(len(words)), range(32)):
+    for damaged_index, bit in itertools.product(range(len(words)), range(32)):
         damaged_words = list(words)
-        damaged_words[word_index] ^= 1 << bit
+        damaged_words[damaged_index] ^= 1 << bit
 
         with pytest.raises(TableError):
             Table.from_words(tuple(damaged_words))
@@ -480,9 +523,19 @@ def test_a_table_with_any_flipped_bit_is_refused() -> None:
 
 # design: R28
 @pytest.mark.parametrize(
-    "magic_and_q", [0x4D435303, 0x4D435503, 3, 0x4D435404, 0x4D435402, 0x4D4354FF, 0x4D435400]
+    "first_word",
+    [
+        pytest.param(0x4D435303, id="MCS instead of MCT"),
+        pytest.param(0x00000003, id="no MCT"),
+        pytest.param(0x4D435404, id="4 entries, and 3 are there"),
+        pytest.param(0x4D435402, id="2 entries, and 3 are there"),
+        pytest.param(0x4D4354FF, id="255 entries"),
+        pytest.param(0x4D435400, id="no entries"),
+    ],
 )
-def test_a_table_of_another_format_or_q_is_refused_whatever_its_checksum(magic_and_q: int) -> None:
-    words = (magic_and_q, *VALID_TABLE.words()[1:-1])
+def test_a_table_whose_first_word_is_wrong_is_refused_although_its_checksum_is_right(first_word: int) -> None:
+    """The first word of a table is "MCT" and the number of its entries, here 3."""
+    _right_first_word, *others, _right_checksum = VALID_TABLE.words()
+    words = (first_word, *others)
     with pytest.raises(TableError):
         Table.from_words((*words, checksum(words)))

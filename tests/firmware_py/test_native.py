@@ -57,7 +57,7 @@ def test_constants_are_those_of_the_header(name: str, value: int) -> None:
 
 
 def test_the_default_config_is_that_of_the_header() -> None:
-    """MCP_ASDF_CONFIG_ASDF, which test_core.c checks."""
+    """The header's is the macro MCP_ASDF_CONFIG_ASDF, and tests/c_ref/test_core.c checks its members."""
     assert Config() == Config(None, Filter.ADAPTIVE, filter_period=1000, memory=lib.MCP_ASDF_MEMORY_MAX)
 
 
@@ -65,13 +65,13 @@ def test_the_default_config_is_that_of_the_header() -> None:
     "name", ["VOTES_OF_MAX_GAIN", "HUBER_STEPS", "REJECTED_SIGMAS_SQUARED", "DISPERSION_SHIFT"]
 )
 def test_the_robust_filter_has_the_same_constants_in_c_and_python(name: str) -> None:
-    """They stand in a header that users do not include, so Python cannot read them from C."""
-    source = (ROOT / "c_ref/src/mcp_asdf_robust.h").read_text(encoding="utf-8")
+    """They are macros of a private header, which the compiled module does not show: so its text is read."""
+    header = (ROOT / "c_ref/src/mcp_asdf_robust.h").read_text(encoding="utf-8")
 
-    match = re.search(rf"^#define {name} (?:UINT32_C\()?(\d+)U?\)?$", source, re.MULTILINE)
+    # A number stands there as 12, 12U or UINT32_C(12).
+    [value_in_c] = re.findall(rf"^#define {name} (?:UINT32_C\()?(\d+)U?\)?$", header, re.MULTILINE)
 
-    assert match is not None
-    assert int(match[1]) == getattr(robust_filter, name)
+    assert int(value_in_c) == getattr(robust_filter, name)
 
 
 @pytest.mark.parametrize(
@@ -91,11 +91,13 @@ def test_the_robust_filter_has_the_same_constants_in_c_and_python(name: str) -> 
         ("DISPERSION_SHIFT", 1),
     ],
 )
-def test_mirror_and_reference_have_the_same_robust_filter(name: str, unit: float) -> None:
+def test_the_robust_filter_has_the_same_constants_in_integers_and_in_floats(name: str, unit: float) -> None:
+    """The mirror computes with integers, whose unit is ``unit``, and the reference with floats."""
     assert getattr(robust_filter, name) * unit == getattr(robust_reference, name)
 
 
-def test_an_accuracy_carries_no_information_at_the_same_limit_in_mirror_and_reference() -> None:
+def test_an_accuracy_carries_no_information_at_the_same_limit_in_integers_and_in_floats() -> None:
+    """The limit of |2 b_hat - 1|, which the mirror has in units of 2**-32."""
     assert mirror.INFORMATIVE_G / 2**32 == reference.INFORMATIVE_G
 
 
@@ -110,18 +112,20 @@ def overwrite_freed_memory() -> None:
 
 def test_the_settings_of_a_c_robot_are_not_freed_while_it_lives() -> None:
     """The C robot has a pointer to them, which Python's garbage collector does not see."""
-    robot = NativeRobot(Config(replace(TABLE), filter_period=7), OWN_ID, 0.8)
+    robot = NativeRobot(Config(replace(TABLE), filter_period=7), OWN_ID, b_hat=0.8)
 
     overwrite_freed_memory()
 
-    assert robot.pointer.config.filter_period == 7
-    words_in_c = list(robot._c_config._table)
-    assert words_in_c[: len(TABLE.words())] == list(TABLE.words())
+    config_in_c = robot.pointer.config
+    words_in_c = ffi.unpack(config_in_c.table, len(TABLE.words()))
+    assert config_in_c.filter_period == 7
+    assert tuple(words_in_c) == TABLE.words()
 
 
 def test_the_settings_of_a_c_robot_are_freed_with_it() -> None:
-    robot = NativeRobot(Config(replace(TABLE), filter_period=7), OWN_ID, 0.8)
-    settings_in_c = weakref.ref(robot._c_config)
+    """Otherwise a swarm that makes many robots would need more and more memory."""
+    robot = NativeRobot(Config(replace(TABLE), filter_period=7), OWN_ID, b_hat=0.8)
+    settings_in_c = weakref.ref(robot._c_config)  # the private owner of the memory
 
     del robot
     gc.collect()
@@ -131,13 +135,11 @@ def test_the_settings_of_a_c_robot_are_freed_with_it() -> None:
 
 def test_behind_a_table_in_c_are_zeros_up_to_the_longest_table() -> None:
     """If the table's length is damaged, the C may read as many words as the longest table has."""
-    robot = NativeRobot(Config(TABLE), OWN_ID, 0.8)
+    robot = NativeRobot(Config(TABLE), OWN_ID, b_hat=0.8)
 
-    words = robot._c_config._table
+    words_in_c = ffi.unpack(robot.pointer.config.table, EXTRA_WORDS + MAX_Q)
 
-    assert robot.pointer.config.table == words
-    assert len(words) == EXTRA_WORDS + MAX_Q
-    assert list(words) == [*TABLE.words(), *[0] * (MAX_Q - TABLE.q)]
+    assert words_in_c == [*TABLE.words(), *[0] * (MAX_Q - TABLE.q)]
 
 
 # --- The package -----------------------------------------------------------------------------------------

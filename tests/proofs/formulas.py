@@ -1,6 +1,5 @@
 """Functions of the C as formulas of the functions that they call, whatever those compute; and the lemmas of
-alpha's form. ``accuracy`` and ``sums`` show what the core's other functions compute, and that they keep what
-they owe those they call."""
+alpha's form. ``sums`` and ``robust`` say with them what functions of the core compute."""
 
 from __future__ import annotations
 
@@ -17,13 +16,10 @@ from proofs.source import SOURCES, Program
 
 CORE = SOURCES / "mcp_asdf.c"
 ONE = 2**23
-C_MOST = (1 << 31) - (1 << 19)
-"""The largest c that says something."""
 RESULTS = {
-    **dict.fromkeys(("multiply", "shift_right_64", "join"), 64),
-    **dict.fromkeys(("leading_zeros", "shift_left", "upper", "high_word", "low_word", "multiply_high"), 32),
-    **dict.fromkeys(("divide_24", "alpha_word_from_mantissa", "square_of_ratio", "round_mean"), 32),
-    **dict.fromkeys(("quotient", "reestimate", "next_slot", "run_robust_filter"), 32),
+    **dict.fromkeys(("multiply", "join"), 64),
+    **dict.fromkeys(("high_word", "low_word", "multiply_high", "round_mean", "quotient"), 32),
+    **dict.fromkeys(("reestimate", "next_slot", "run_robust_filter"), 32),
     **dict.fromkeys(("asdf_test_rejects", "robust_test_rejects"), 1),
 }
 """Called functions, of which nothing is known here, and bits of their results."""
@@ -103,7 +99,7 @@ def formed(program: Program, name: str, opaque: Iterable[str] = RESULTS) -> tupl
     """Terms of a function's unknown arguments, members of structures by their own names; and what it returns,
     with what its first argument then points to, if it is a pointer that it may write to."""
     called = BY_LEMMA | {each: _stands_in(each) for each in opaque if each != name}
-    machine = Machine(program, Words, called | ({"set_b_hat": _keep_b_hat} if name != "set_b_hat" else {}))
+    machine = Machine(program, Words, called | {"set_b_hat": _keep_b_hat})
     given: dict[str, Any] = {}
     values = [machine.unknown_of(each.type, each.name) for each in program.parameters(name)]
     for parameter, value in zip(program.parameters(name), values, strict=True):

@@ -238,7 +238,7 @@ They stand for the results of robust_test_rejects() and is_supported(), of which
 NEW_B_HAT = z3.BitVec("new_b_hat", 32)
 """The re-estimated b_hat, or 0 if there is none. It stands for the result of reestimate().
 
-Its range is what accuracy.of_reestimate() proves.
+Its range is what ``REESTIMATE`` proves.
 """
 
 
@@ -293,6 +293,15 @@ def _result_named(name: str, term: Any) -> Summary:
 
     return summary
 
+
+def _gives_b_hat_or_zero(b_hat: Any, *_: Any) -> Any:
+    return _is_b_hat_or_zero(b_hat)
+
+
+REESTIMATE = Contract(
+    _gives_b_hat_or_zero,
+    instead={name: any_result(name) for name in ("multiply", "quotient")},
+)
 
 # design: R37
 RUN = Contract(
@@ -474,7 +483,12 @@ def of_the_formed() -> Iterator[Claim]:
     yield "below", formed_d * formed_d < formed, [*below, d * d + lost < limit]
 
 
-CONTRACTS = {"next_slot": NEXT_SLOT, "take_vote": VOTE, "run_robust_filter": RUN}
+CONTRACTS = {
+    "next_slot": NEXT_SLOT,
+    "take_vote": VOTE,
+    "reestimate": REESTIMATE,
+    "run_robust_filter": RUN,
+}
 OF_THE_CODE = (of_robust_test,)
 OF_THE_NUMBERS = (
     of_integers,

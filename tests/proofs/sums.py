@@ -1,8 +1,8 @@
 """x and x_bar are the exact quotients of their sums, rounded down, and the mean of eq. 8 is less than 8 units
 of 2^-32 too small: for sums of messages that can have been sent.
 
-S is the sum of alpha x_hat, which two words stand for: 2^32 H + L. As in ``accuracy``, formulas of the C come
-first, and what follows from them for numbers.
+S is the sum of alpha x_hat, which two words stand for: 2^32 H + L. Formulas of the C come first, then claims
+about the numbers in them.
 """
 
 from __future__ import annotations

@@ -12,7 +12,7 @@ import pytest
 import z3
 from pycparser import c_ast
 
-from proofs import calls, formulas, images, robust
+from proofs import calls, formulas, robust
 from proofs.formulas import CORE
 from proofs.machine import Machine
 from proofs.numbers import Words
@@ -31,18 +31,17 @@ from support import slow
 FIRMWARE = (CORE, SOURCES / "mcp_asdf_image.c", SOURCES / "mcp_asdf_frame.c", SOURCES / "mcp_asdf_small.c")
 
 
-LEMMAS = [*formulas.CONTRACTS, *robust.CONTRACTS, *calls.CONTRACTS, *images.CONTRACTS]
-LONG = ("take_vote", "asdf_test_rejects", "mcp_asdf_receive", "mcp_asdf_save", "mcp_asdf_restore")
+LEMMAS = [*formulas.CONTRACTS, *robust.CONTRACTS, *calls.CONTRACTS]
+LONG = ("take_vote", "asdf_test_rejects", "mcp_asdf_receive")
 """Functions whose proofs take so long that only the slow tests have them."""
 CORTEX_M4 = VARIANTS[0]
 
 
 def prove_lemma_in(variants: Iterable[Variant], name: str) -> None:
     """Prove the lemma of a function in these variants of the core; equal texts are proved once."""
-    path = images.IMAGE if name in images.CONTRACTS else CORE
     proved = set[Any]()
     for variant in variants:
-        prove_lemma(program(variant, path), name, {**calls.contracts(variant), **images.CONTRACTS}, proved)
+        prove_lemma(program(variant, CORE), name, calls.contracts(variant), proved)
     assert proved
 
 
@@ -59,10 +58,6 @@ def test_a_function_keeps_its_contract_in_every_variant(name: str) -> None:
 
 def test_sums_of_a_round_stay_possible() -> None:
     prove_all(calls.of_a_message())
-
-
-def test_a_restored_robot_is_the_saved_one() -> None:
-    prove_all(images.of_the_way_back(program(VARIANTS[0], images.IMAGE)))
 
 
 # --- Loops -------------------------------------------------------------------------------------------------

@@ -1,0 +1,62 @@
+"""x and x_bar are exact, no sum or product wraps, and the robust filter decides as exact arithmetic does but
+for a margin: for all inputs. The limits of x_hat, alpha and b_hat are tried by ``mcp-asdf crosscheck``."""
+
+from __future__ import annotations
+
+import pytest
+
+from proofs import calls, robust, sums
+from proofs.formulas import BY_LEMMA, CORE, RESULTS, Claims
+from proofs.prove import prove_all
+from proofs.source import VARIANTS, Variant, program
+from support import slow
+
+CLAIMS_OF_THE_CODE = (*sums.OF_THE_CODE, *robust.OF_THE_CODE, *calls.OF_THE_CODE)
+CLAIMS_OF_NUMBERS = (*sums.OF_THE_NUMBERS, *robust.OF_THE_NUMBERS)
+SLOW_CLAIMS = (robust.of_the_decision,)
+
+CALLEES_BY_FUNCTION = {
+    "round_mean": ("quotient",),
+    "informed_estimate": ("round_mean", "multiply"),
+    "update_b_hat": tuple(RESULTS),
+    "robust_test_rejects": tuple(RESULTS),
+}
+"""The functions that claims of the code are about, each with the callees that may compute anything there."""
+
+
+def prove_claims_of_the_code(variants: tuple[Variant, ...]) -> int:
+    """Prove all claims of the code in these variants, and return how many different texts they have.
+
+    Variants whose functions have the same text need one proof.
+    """
+    proved_texts = set[str]()
+    for variant in variants:
+        code = program(variant, CORE)
+        text = "\n".join(
+            code.text(name, {*callees, *BY_LEMMA}) for name, callees in CALLEES_BY_FUNCTION.items()
+        )
+        if text not in proved_texts:
+            for claims in CLAIMS_OF_THE_CODE:
+                prove_all(claims(code))
+        proved_texts.add(text)
+    return len(proved_texts)
+
+
+def test_the_c_for_a_cortex_m4_computes_the_documented_integers() -> None:
+    """A claim is a formula that z3 proves for every argument; it raises UnprovenError if one is broken."""
+    cortex_m4 = VARIANTS[0]
+    prove_claims_of_the_code((cortex_m4,))
+
+
+@pytest.mark.slow
+def test_the_c_of_every_target_computes_the_documented_integers() -> None:
+    """A target chooses how to divide, multiply and shift; some choices change the text of these functions."""
+    assert prove_claims_of_the_code(VARIANTS) > 1
+
+
+@pytest.mark.parametrize(
+    "claims", [*(claims for claims in CLAIMS_OF_NUMBERS if claims not in SLOW_CLAIMS), *slow(SLOW_CLAIMS)]
+)
+def test_the_documented_integers_are_as_near_to_exact_numbers_as_stated(claims: Claims) -> None:
+    """Each of ``claims`` is a formula about all integers in a range; one that is broken raises an error."""
+    prove_all(claims())

@@ -1,0 +1,86 @@
+"""The prover refuses what is not proved: a broken claim, one that it cannot settle, and one that is empty."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+import z3
+
+from proofs import prove as prover
+from proofs.prove import Contract, UnprovenError, always, prove, prove_all, prove_lemma, require_possible
+from proofs.source import VARIANTS, program
+
+NEVER = z3.BoolVal(False)
+
+
+@pytest.fixture(autouse=True)
+def _give_up_soon(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(prover, "EFFORTS", (10**5,))
+
+
+def factors_of_a_large_prime() -> tuple[Any, list[Any]]:
+    """Return that the product of two numbers is a prime, and that both exceed 1, which is impossible."""
+    p, q = z3.Ints("p q")
+    return p * q == 16769023, [p > 1, q > 1]
+
+
+def test_a_claim_that_some_number_breaks_is_not_proved() -> None:
+    with pytest.raises(UnprovenError, match="broken by"):
+        prove(z3.Int("p") > 0)
+
+
+def test_a_claim_that_the_solver_cannot_settle_is_not_proved() -> None:
+    """It is true: a prime has no factors. But the solver gives up before it has tried all numbers."""
+    is_product, exceed_1 = factors_of_a_large_prime()
+    with pytest.raises(UnprovenError, match="not settled"):
+        prove(z3.Not(is_product), *exceed_1)
+
+
+def test_premises_that_the_solver_cannot_satisfy_prove_nothing() -> None:
+    is_product, exceed_1 = factors_of_a_large_prime()
+    with pytest.raises(UnprovenError, match="nothing is found"):
+        require_possible([is_product, *exceed_1], about="factors of a prime")
+
+
+def test_premises_that_contradict_each_other_prove_nothing() -> None:
+    """From a contradiction everything follows. A real number may be between 0 and 1, and no integer is."""
+    real, integer = z3.Real("p"), z3.Int("p")
+    claims = [
+        ("of reals", real * real < 1, [real > 0, real < 1]),
+        ("of integers", NEVER, [integer > 0, integer < 1]),
+    ]
+
+    with pytest.raises(UnprovenError, match="of integers: nothing is found"):
+        prove_all(claims)
+
+
+def test_an_empty_list_of_claims_proves_nothing() -> None:
+    with pytest.raises(UnprovenError, match="nothing is claimed"):
+        prove_all([])
+
+
+def test_a_contract_that_no_argument_meets_has_no_proof() -> None:
+    """What a function does for all arguments of an empty set says nothing about the function."""
+    no_argument = Contract(always, requires=lambda *_: NEVER)
+    with pytest.raises(UnprovenError, match="nothing is found"):
+        prove_lemma(program(VARIANTS[0]), "add", {"add": no_argument}, set())
+
+
+def test_a_call_that_breaks_what_the_called_function_requires_has_no_proof() -> None:
+    """multiply_high() calls multiply() with any numbers, and multiply() must here have a number above 7."""
+    contracts = {
+        "multiply_high": Contract(always, uses=("multiply",)),
+        "multiply": Contract(always, requires=lambda a, b: z3.UGT(a, 7)),
+    }
+
+    with pytest.raises(UnprovenError, match="what multiply requires"):
+        prove_lemma(program(VARIANTS[0]), "multiply_high", contracts, set())
+
+
+def test_a_function_that_was_proved_for_one_contract_is_not_taken_as_proved_for_another() -> None:
+    code, proved = program(VARIANTS[0]), set[Any]()
+    prove_lemma(code, "add", {"add": Contract(always)}, proved)
+
+    with pytest.raises(UnprovenError):
+        prove_lemma(code, "add", {"add": Contract(lambda *_: NEVER)}, proved)
