@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import json
+import logging
 import os
 import re
 import shlex
@@ -19,6 +20,7 @@ from unittest.mock import Mock
 import pytest
 from rich.console import Console
 
+from mcp_asdf_tools import SwarmSettings, emulate
 from mcp_asdf_tools.cli import main as cli
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.extras import install_instruction
@@ -38,7 +40,10 @@ def python(*arguments: str, cwd: Path = ROOT) -> subprocess.CompletedProcess[str
 def fake_command(
     monkeypatch: pytest.MonkeyPatch, work: Mock | Callable[[], int], libraries: tuple[str, ...] = ()
 ) -> None:
-    """Let ``mcp-asdf table`` import ``libraries``, and then call ``work``, which returns its exit code."""
+    """Replace the command ``mcp-asdf table``: it imports ``libraries``, and then does ``work``.
+
+    ``work`` returns the exit code of the command.
+    """
     command = SimpleNamespace(
         EPILOG="", LIBRARIES=libraries, add_arguments=lambda parser: None, run=lambda args: work()
     )
@@ -52,13 +57,13 @@ def test_help_lists_every_command_with_its_purpose(capsys: Capture) -> None:
         assert f"\n  {name:10}  {purpose}\n" in f"{text}\n"
 
 
-def test_help_groups_commands_by_purpose(capsys: Capture) -> None:
-    assert cli.main(["--help"]) == 0
+def test_help_lists_commands_under_three_titles(capsys: Capture) -> None:
+    cli.main(["--help"])
     titles = re.findall("^([A-Z].*):$", capsys.readouterr().out, re.MULTILINE)
     assert titles == ["See a swarm calibrate itself", "Put the firmware into robots", "Experiments"]
 
 
-def test_no_arguments_at_all_print_the_overview_as_an_error(capsys: Capture) -> None:
+def test_mcp_asdf_without_arguments_prints_the_list_of_commands_as_an_error(capsys: Capture) -> None:
     assert cli.main([]) == 2
     out, err = capsys.readouterr()
 
@@ -67,7 +72,8 @@ def test_no_arguments_at_all_print_the_overview_as_an_error(capsys: Capture) -> 
     assert "See a swarm calibrate itself:" in err
 
 
-def test_version_prints_program_and_version(capsys: Capture) -> None:
+def test_version_prints_the_program_and_three_numbers(capsys: Capture) -> None:
+    """For example "mcp-asdf 1.2.3"."""
     assert cli.main(["--version"]) == 0
     assert re.fullmatch(r"mcp-asdf \d+\.\d+\.\d+\S*\n", capsys.readouterr().out)
 
@@ -98,29 +104,48 @@ def program_of(line: str) -> str:
 
 
 @pytest.mark.parametrize(("line", "message_end"), SLIPS)
-def test_bad_usage_is_reported_in_two_lines(line: str, message_end: str, capsys: Capture) -> None:
+def test_a_mistake_in_a_command_line_is_reported_in_two_lines(
+    line: str, message_end: str, capsys: Capture
+) -> None:
+    """For example, of ``swarm --fault los=0.1``.
+
+    mcp-asdf swarm: error: fault 'los=0.1': no kind is called 'los'; did you mean loss?
+    See 'mcp-asdf swarm --help'.
+    """
     assert cli.main(line.split()) == 2
     out, err = capsys.readouterr()
-    first, second = err.splitlines()
+    first_line, second_line = err.splitlines()
 
     assert out == ""
-    assert first.startswith(f"{program_of(line)}: error: ")
-    assert first.endswith(message_end)
-    assert second == f"See '{program_of(line)} --help'."
+    assert first_line.startswith(f"{program_of(line)}: error: ")
+    assert first_line.endswith(message_end)
+    assert second_line == f"See '{program_of(line)} --help'."
 
 
-@pytest.mark.parametrize("line", [line for line, _ in SLIPS])
-def test_bad_usage_is_the_same_message_in_one_line_of_json_if_asked_for(line: str, capsys: Capture) -> None:
-    cli.main(line.split())
-    first_line = capsys.readouterr().err.splitlines()[0]
-    message = first_line.removeprefix(f"{program_of(line)}: error: ")
+@pytest.mark.parametrize(
+    ("line", "program", "message"),
+    [
+        ("tabel", "mcp-asdf", "no command is called 'tabel'; did you mean table?"),
+        ("swarm --robtos=3", "mcp-asdf swarm", "no such option: --robtos=3; did you mean --robots?"),
+        ("replay x.log.events", "mcp-asdf replay", "x.log.events is what happened to the robots of a log"),
+    ],
+    ids=["no command", "no option", "refused by the command"],
+)
+def test_a_mistake_in_a_command_line_is_reported_in_one_line_of_json_if_asked_for(
+    line: str, program: str, message: str, capsys: Capture
+) -> None:
+    """For example ``{"command": "mcp-asdf", "error": "no command is called 'tabel' ...", "exit_code":
 
+    2}``.
+    """
     assert cli.main([*line.split(), "--json"]) == 2
     out, err = capsys.readouterr()
+    report = json.loads(err)
 
     assert out == ""
     assert err.count("\n") == 1
-    assert json.loads(err) == {"command": program_of(line), "error": message, "exit_code": 2}
+    assert report == {"command": program, "error": report["error"], "exit_code": 2}
+    assert report["error"].startswith(message)
 
 
 @pytest.mark.parametrize(
@@ -132,101 +157,90 @@ def test_bad_usage_is_the_same_message_in_one_line_of_json_if_asked_for(line: st
         (KeyboardInterrupt(), 128 + signal.SIGINT, "interrupted\n"),
     ],
 )
-def test_an_error_of_a_command_becomes_an_exit_code_and_a_message(
+def test_an_error_that_a_command_raises_becomes_an_exit_code_and_a_message(
     error: BaseException,
     exit_code: int,
     message: str,
     monkeypatch: pytest.MonkeyPatch,
     capsys: Capture,
 ) -> None:
+    """For example, UsageError("the value is 7") becomes exit code 2 and the message "error: the value is 7".
+
+    The command ``table`` is replaced by one that raises the error.
+    """
     fake_command(monkeypatch, Mock(side_effect=error))
     assert cli.main(["table"]) == exit_code
     assert capsys.readouterr().err.startswith(f"mcp-asdf table: {message}")
 
 
 @pytest.mark.parametrize("exit_code", [0, 1])
-def test_a_command_that_ends_by_itself_decides_on_its_exit_code(
+def test_the_exit_code_that_a_command_returns_is_that_of_the_program(
     exit_code: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """The command ``table`` is replaced by one that only returns the exit code."""
     fake_command(monkeypatch, lambda: exit_code)
     assert cli.main(["table"]) == exit_code
 
 
 @pytest.mark.parametrize("error", [ZeroDivisionError(), ImportError("no", name="of_nowhere")])
-def test_an_error_of_the_program_itself_is_raised(error: Exception, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_error_that_is_a_mistake_of_the_program_is_raised(
+    error: Exception, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The user cannot mend it, so Python shows where it happened. Here the command ``table`` raises it."""
     fake_command(monkeypatch, Mock(side_effect=error))
     with pytest.raises(type(error)):
         cli.main(["table"])
 
 
 @pytest.mark.parametrize(("line", "program"), [(CHECK, "mcp-asdf table"), ("--help", "mcp-asdf")])
-def test_output_to_a_full_disk_is_an_error(
+def test_a_command_whose_output_goes_to_a_full_disk_fails_with_the_reason(
     line: str, program: str, monkeypatch: pytest.MonkeyPatch, capsys: Capture
 ) -> None:
+    """Linux's device /dev/full stands for the full disk."""
     reason = "cannot write to standard output: No space left on device; send it elsewhere"
     with open("/dev/full", "w") as full, monkeypatch.context() as patch:
         patch.setattr(sys, "stdout", full)
         assert cli.main(line.split()) == 2
 
-    assert capsys.readouterr().err.splitlines()[0] == f"{program}: error: {reason}"
+    assert capsys.readouterr().err.startswith(f"{program}: error: {reason}\n")
 
 
-def test_a_command_whose_output_nobody_reads_any_more_ends_as_if_by_sigpipe(
+def test_an_operating_system_error_without_a_file_is_reported_with_its_text(
     monkeypatch: pytest.MonkeyPatch, capsys: Capture
 ) -> None:
-    read_end, write_end = os.pipe()
-    os.close(read_end)
-    with open(write_end, "w") as stream, monkeypatch.context() as patch:
-        patch.setattr(sys, "stdout", stream)
-        assert cli.main(CHECK.split()) == EXIT_CODE_OF_BROKEN_PIPE
-
-    assert capsys.readouterr().err == ""
-
-
-def test_a_usage_error_has_its_exit_code_without_a_standard_error(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sys, "stderr", None)
-    assert cli.main(["tabel"]) == 2
-
-
-def test_a_usage_error_has_its_exit_code_if_standard_error_is_full(monkeypatch: pytest.MonkeyPatch) -> None:
-    with open("/dev/full", "w") as full, monkeypatch.context() as patch:
-        patch.setattr(sys, "stderr", full)
-        assert cli.main(["tabel"]) == 2
-
-
-def test_an_operating_system_error_without_a_file_is_reported_as_such(
-    monkeypatch: pytest.MonkeyPatch, capsys: Capture
-) -> None:
+    """Here the command ``table`` raises the error of a process that has too many files open."""
     fake_command(monkeypatch, Mock(side_effect=OSError(errno.EMFILE, "Too many open files")))
     assert cli.main(["table"]) == 2
     reason = "the operating system reports: Too many open files; resolve that and run the command again"
-    assert capsys.readouterr().err.splitlines()[0] == f"mcp-asdf table: error: {reason}"
+    assert capsys.readouterr().err.startswith(f"mcp-asdf table: error: {reason}\n")
 
 
-def test_a_broken_pipe_that_is_not_standard_output_is_an_error(
+def test_a_broken_pipe_that_is_not_standard_output_is_reported_as_an_error(
     monkeypatch: pytest.MonkeyPatch, capsys: Capture
 ) -> None:
+    """Here the command ``table`` raises the error, as if a pipe to another program had been closed."""
     fake_command(monkeypatch, Mock(side_effect=BrokenPipeError(errno.EPIPE, "Broken pipe")))
     assert cli.main(["table"]) == 2
     assert "the operating system reports: Broken pipe" in capsys.readouterr().err
 
 
-def print_a_table() -> int:
-    """Print with rich, which would end the program on a broken pipe by itself; return exit code 0."""
+def print_with_rich() -> int:
+    """Print with the library rich, which would end the program on a broken pipe by itself."""
     Console().print("a table")
     return 0
 
 
-def write_a_line() -> int:
-    """Write to standard output directly, as ``dbc`` does; return exit code 0."""
+def write_to_standard_output() -> int:
+    """Write directly, as ``mcp-asdf dbc`` does."""
     sys.stdout.write("a line\n")
     return 0
 
 
-@pytest.mark.parametrize("work", [print_a_table, write_a_line])
-def test_a_reader_that_leaves_ends_the_command_however_it_prints(
+@pytest.mark.parametrize("work", [print_with_rich, write_to_standard_output])
+def test_a_command_ends_silently_when_the_program_that_reads_its_output_has_ended(
     work: Callable[[], int], monkeypatch: pytest.MonkeyPatch, capsys: Capture
 ) -> None:
+    """The reader may be ``head``. Here standard output is a pipe whose reading end is closed."""
     read_end, write_end = os.pipe()
     os.close(read_end)
     fake_command(monkeypatch, work)
@@ -237,32 +251,31 @@ def test_a_reader_that_leaves_ends_the_command_however_it_prints(
     assert capsys.readouterr().err == ""
 
 
-@pytest.mark.parametrize("line", ["dbc", "--help", CHECK, "swarm --robots 3 --steps 5"])
-def test_a_command_succeeds_without_a_standard_output(line: str) -> None:
-    """The shell closes it (>&-); the command goes on as if its output were thrown away."""
+def exit_code_and_errors(shell_command: str) -> tuple[int, str]:
+    """Run a command of the shell, in which mcp-asdf is the program of this project."""
     program = shlex.join([sys.executable, "-m", "mcp_asdf_tools.cli.main"])
-    result = subprocess.run(
-        ["sh", "-c", f"{program} {line} >&-"], cwd=ROOT, capture_output=True, check=False, text=True
-    )
-
-    assert result.returncode == 0
-    assert result.stderr == ""
+    script = shell_command.replace("mcp-asdf", program)
+    result = subprocess.run(["sh", "-c", script], cwd=ROOT, capture_output=True, check=False, text=True)
+    return result.returncode, result.stderr
 
 
-@pytest.mark.parametrize("target", ["&-", "/dev/full"])
-def test_a_usage_error_has_its_exit_code_even_if_it_cannot_be_printed(target: str) -> None:
-    """The shell closes standard error (2>&-), or sends it to a full disk."""
-    program = shlex.join([sys.executable, "-m", "mcp_asdf_tools.cli.main"])
-    result = subprocess.run(
-        ["sh", "-c", f"{program} tabel 2>{target}"],
-        cwd=ROOT,
-        stdout=subprocess.PIPE,
-        check=False,
-        text=True,
-    )
+@pytest.mark.parametrize("options", ["--help", *slow(["dbc", "swarm --robots 3 --steps 5"])])
+def test_a_command_whose_standard_output_is_closed_succeeds(options: str) -> None:
+    """The shell closes it by ``>&-``. What the command would print is thrown away."""
+    assert exit_code_and_errors(f"mcp-asdf {options} >&-") == (0, "")
 
-    assert result.returncode == 2
-    assert result.stdout == ""
+
+def test_a_mistake_in_a_command_line_has_exit_code_2_without_a_standard_error(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Python sets ``sys.stderr`` to None if it is closed. No command is called "tabel"."""
+    monkeypatch.setattr(sys, "stderr", None)
+    assert cli.main(["tabel"]) == 2
+
+
+def test_a_mistake_in_a_command_line_has_exit_code_2_if_its_message_goes_to_a_full_disk() -> None:
+    """No command is called "tabel". Linux's device /dev/full stands for the full disk."""
+    assert exit_code_and_errors("mcp-asdf tabel 2>/dev/full") == (2, "")
 
 
 def run_without_extras(lines: Iterable[str], folder: Path) -> tuple[list[int], list[str]]:
@@ -281,24 +294,34 @@ def run_without_extras(lines: Iterable[str], folder: Path) -> tuple[list[int], l
     return [int(exit_code) for exit_code in exit_codes.split()], result.stderr.splitlines()
 
 
-@pytest.mark.parametrize("name", cli.COMMANDS)
-def test_help_has_every_option_and_all_examples(name: str, capsys: Capture) -> None:
+def help_of(name: str, capsys: Capture) -> str:
+    """Return what a command prints if it is called with --help."""
     assert cli.main([name, "--help"]) == 0
-    text = capsys.readouterr().out
+    return capsys.readouterr().out
+
+
+def options_of(name: str) -> list[str]:
+    """Return the long names of all options that a command's parser accepts."""
     parser = cli._parser_for(name, cli._load(name))
-    options = [action.option_strings[-1] for action in parser._actions if action.option_strings]
-    shown_options = re.findall(r"^  (?:-\w.*?, )?(--[\w-]+)", text, re.MULTILINE)
-
-    assert sorted(shown_options) == sorted(options)
-    assert text.endswith(f"\n{parser.epilog}\n")
+    return [action.option_strings[-1] for action in parser._actions if action.option_strings]
 
 
-def test_help_begins_with_what_the_command_cannot_do_without(capsys: Capture) -> None:
-    usages = []
-    for name in ("table", "radio", "plot", "swarm"):
-        cli.main([name, "--help"])
-        usages.append(capsys.readouterr().out.splitlines()[0])
+@pytest.mark.parametrize("name", cli.COMMANDS)
+def test_the_help_of_a_command_lists_every_option_that_it_accepts(name: str, capsys: Capture) -> None:
+    """An option stands in a line of its own, such as "  -v, --verbose  log on standard error ..."."""
+    listed_options = re.findall(r"^  (?:-\w.*?, )?(--[\w-]+)", help_of(name, capsys), re.MULTILINE)
+    assert sorted(listed_options) == sorted(options_of(name))
 
+
+@pytest.mark.parametrize("name", cli.COMMANDS)
+def test_the_help_of_a_command_ends_with_its_examples(name: str, capsys: Capture) -> None:
+    examples = cli._load(name).EPILOG
+    assert help_of(name, capsys).endswith(f"\n{examples}\n")
+
+
+def test_the_help_of_a_command_begins_with_the_options_and_files_that_it_needs(capsys: Capture) -> None:
+    """``table`` needs one of two options, ``radio`` an id, ``plot`` two files, and ``swarm`` nothing."""
+    usages = [help_of(name, capsys).splitlines()[0] for name in ("table", "radio", "plot", "swarm")]
     assert usages == [
         "usage: mcp-asdf table (--output DIR | --check FILE [FILE ...]) [OPTION ...]",
         "usage: mcp-asdf radio --id ID [OPTION ...]",
@@ -307,21 +330,20 @@ def test_help_begins_with_what_the_command_cannot_do_without(capsys: Capture) ->
     ]
 
 
-def test_help_has_common_parameters_before_all_others(capsys: Capture) -> None:
-    cli.main(["swarm", "--help"])
-    text = capsys.readouterr().out
+def test_help_lists_the_common_parameters_of_a_swarm_before_further_ones(capsys: Capture) -> None:
+    """The number of robots, for example, is common, and the threshold omega is not."""
+    text = help_of("swarm", capsys)
     assert text.index("\n  --robots") < text.index("\nfurther parameters:") < text.index("\n  --omega")
 
 
-def test_help_shows_the_firmwares_of_the_project_and_that_there_may_be_more(capsys: Capture) -> None:
-    cli.main(["simulate", "--help"])
-    assert "--firmware {native,mirror,reference,...}" in capsys.readouterr().out
+def test_help_lists_three_firmwares_and_an_ellipsis_for_those_of_extensions(capsys: Capture) -> None:
+    assert "--firmware {native,mirror,reference,...}" in help_of("simulate", capsys)
 
 
-def test_commands_for_robots_and_all_helps_need_no_libraries_of_the_studies(tmp_path: Path) -> None:
+def test_commands_for_swarms_and_robots_need_no_library_of_the_extra_study(tmp_path: Path) -> None:
+    """The libraries of the extra, such as pyarrow, are needed for experiments and pictures only."""
     lines = [
-        "swarm --robots 4 --steps 30 --filter-period 10 --quiet --log run.log",
-        "swarm --robots 4 --steps 5 --topology dynamic --quiet",
+        "swarm --robots 4 --steps 10 --topology dynamic --quiet --log run.log",
         "replay run.log",
         "view run.log --export run.html",
         "table --output tables --neighbours 4",
@@ -329,7 +351,6 @@ def test_commands_for_robots_and_all_helps_need_no_libraries_of_the_studies(tmp_
         "firmware vendor",
         "dbc --output mcp_asdf.dbc",
         "crosscheck --replay robot:2:1:64:0:2147483648,step:1",
-        *(f"{name} --help" for name in cli.COMMANDS),
     ]
     exit_codes, errors = run_without_extras(lines, tmp_path)
 
@@ -349,48 +370,46 @@ LINES_AND_MISSING_MODULES = [
 
 
 @pytest.mark.slow
-def test_a_command_that_lacks_a_library_names_it_before_it_writes_anything(tmp_path: Path) -> None:
-    lines = [line for line, _ in LINES_AND_MISSING_MODULES]
-    exit_codes, errors = run_without_extras(lines, tmp_path)
-    exit_code_of_usage_error = 2
-    assert exit_codes == [exit_code_of_usage_error] * len(lines)
+@pytest.mark.parametrize(("line", "module"), LINES_AND_MISSING_MODULES)
+def test_a_command_whose_library_is_not_installed_says_how_to_install_it_and_writes_no_file(
+    line: str, module: str, tmp_path: Path
+) -> None:
+    """For example ``simulate``, which needs pyarrow. The library belongs to the extra "study"."""
+    [exit_code], [message, _line_about_help] = run_without_extras([line], tmp_path)
+    how_to_install = install_instruction("study")
+
+    assert exit_code == 2
+    assert message.endswith(f"this needs {module}, which is not installed; {how_to_install}")
     assert list(tmp_path.iterdir()) == []
-    messages = errors[::2]  # each error has two lines, and the second one names --help
-    for message, (_, module) in zip(messages, LINES_AND_MISSING_MODULES, strict=True):
-        assert message.endswith(
-            f"this needs {module}, which is not installed; {install_instruction('study')}"
-        )
 
 
 @pytest.mark.slow
-def test_a_function_that_lacks_a_library_names_it_as_the_command_does(tmp_path: Path) -> None:
-    calls = (
+@pytest.mark.parametrize(
+    "call",
+    [
         "m.simulate(m.Experiment(steps=1000, trials=1))",
         "m.plot_boxes([])",
         "m.read_table('x.parquet')",
         "m.to_frame('x.parquet')",
         "m.emulate(m.SwarmSettings(firmware='reference', steps=10))",
-    )
-    script = (
-        f"{HIDING}\n"
-        "import mcp_asdf_tools as m\n"
-        f"for call in {calls}:\n"
-        "    try:\n"
-        "        eval(call)\n"
-        "    except m.UsageError as error:\n"
-        "        print(error)\n"
-    )
-    messages = python("-c", script, cwd=tmp_path).stdout.splitlines()
+    ],
+)
+def test_a_function_whose_library_is_not_installed_raises_an_error_that_says_how_to_install_it(
+    call: str,
+) -> None:
+    """For example ``read_table``, which needs pyarrow. The error is the last line that Python prints."""
+    result = python("-c", f"{HIDING}\nimport mcp_asdf_tools as m\n{call}\n")
+    last_line = result.stderr.splitlines()[-1]
 
-    assert len(messages) == len(calls)
-    assert all(message.endswith(install_instruction("study")) for message in messages)
+    assert "UsageError: " in last_line
+    assert last_line.endswith(install_instruction("study"))
 
 
 SLOW_LIBRARIES = ["can", "cffi", "matplotlib", "mpmath", "numpy", "pyarrow", "rich", "scipy"]
 """Libraries of which each takes longer to import than all that a help needs."""
 
 
-def libraries_loaded_by(lines: Iterable[str]) -> list[list[str]]:
+def libraries_loaded_by(lines: Iterable[str]) -> dict[str, list[str]]:
     """Run commands one by one in a new Python; return the slow libraries loaded after each, sorted."""
     script = (
         "import sys; from mcp_asdf_tools.cli.main import main\n"
@@ -400,59 +419,81 @@ def libraries_loaded_by(lines: Iterable[str]) -> list[list[str]]:
     )
     output = python("-c", script).stdout.splitlines()
     lists_of_libraries = [line.removeprefix("LOADED") for line in output if line.startswith("LOADED")]
-    return [names.split() for names in lists_of_libraries]
+    return {line: names.split() for line, names in zip(lines, lists_of_libraries, strict=True)}
 
 
-def test_no_help_loads_a_slow_library() -> None:
-    lines = ["--help", *(f"{name} --help" for name in cli.COMMANDS)]
-    assert libraries_loaded_by(lines) == [[]] * len(lines)
+HELPS = ["--help", *(f"{name} --help" for name in cli.COMMANDS)]
 
 
-def test_a_name_that_is_no_command_loads_no_slow_library() -> None:
-    assert libraries_loaded_by(["tabel"]) == [[]]
+@pytest.fixture(scope="module")
+def loaded_libraries() -> dict[str, list[str]]:
+    """Command lines, and the slow libraries that one Python has loaded when it has run them one by one."""
+    return libraries_loaded_by(["tabel", *HELPS, CHECK])
 
 
-def test_the_check_of_a_table_loads_mpmath_alone() -> None:
-    assert libraries_loaded_by([CHECK]) == [["mpmath"]]
+@pytest.mark.parametrize("line", ["tabel", *HELPS])
+def test_neither_a_help_nor_a_word_that_is_no_command_loads_a_slow_library(
+    line: str, loaded_libraries: dict[str, list[str]]
+) -> None:
+    """Slow libraries are, for example, numpy and matplotlib. No command is called "tabel"."""
+    assert loaded_libraries[line] == []
+
+
+def test_the_check_of_a_table_loads_no_slow_library_but_mpmath(
+    loaded_libraries: dict[str, list[str]],
+) -> None:
+    """It is ``mcp-asdf table --check``, and mpmath calculates with any number of digits."""
+    assert loaded_libraries[CHECK] == ["mpmath"]
 
 
 @pytest.mark.slow
 def test_a_swarm_loads_neither_matplotlib_nor_pyarrow_nor_scipy() -> None:
-    assert libraries_loaded_by(["swarm --steps 1 --quiet"]) == [["can", "mpmath", "numpy", "rich"]]
+    line = "swarm --steps 1 --quiet"
+    assert libraries_loaded_by([line]) == {line: ["can", "mpmath", "numpy", "rich"]}
+
+
+def is_accepted(command: str, options: list[str]) -> bool:
+    """Return whether a command's parser accepts options; a parser that refuses ends the program."""
+    try:
+        cli._parser_for(command, cli._load(command)).parse_all(options)
+    except SystemExit:
+        return False
+    return True
 
 
 @pytest.mark.parametrize("name", cli.COMMANDS)
-def test_every_command_has_examples_that_it_accepts(name: str) -> None:
-    commands = examples_of(name)
-    assert any(command == name for command, _ in commands)
-    for command, options in commands:
-        cli._parser_for(command, cli._load(command)).parse_all(options)
+def test_the_examples_below_a_help_are_accepted_by_their_commands(name: str) -> None:
+    """Some of them show other commands that go with this one."""
+    for command, options in examples_of(name):
+        assert is_accepted(command, options), f"{command} {options}"
 
 
+@pytest.mark.parametrize("name", cli.COMMANDS)
+def test_a_help_ends_with_an_example_of_its_command_at_least(name: str) -> None:
+    commands = [command for command, _options in examples_of(name)]
+    assert name in commands
+
+
+@pytest.fixture
+def folder_with_readings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Work in a folder with readings.csv, which an example reads: 20 over black tiles and 20 over white ones."""
+    monkeypatch.chdir(tmp_path)
+    lines = [f"{200 + 7 * number},black\n{400 + 13 * number},white\n" for number in range(1, 21)]
+    Path("readings.csv").write_text("".join(lines))
+
+
+@pytest.mark.usefixtures("folder_with_readings")
 @pytest.mark.parametrize(
     "name", [*sorted(cli.COMMANDS.keys() - {"node", "radio", "crosscheck"}), *slow(["crosscheck"])]
 )
-def test_examples_print_what_the_help_shows(
-    name: str, capsys: Capture, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+def test_examples_below_a_help_print_the_lines_that_the_help_shows_below_them(
+    name: str, capsys: Capture
 ) -> None:
-    """Not those of node and radio, which want a second program."""
-    monkeypatch.chdir(tmp_path)
-    write_readings(tmp_path / "readings.csv")  # which an example reads
-
-    examples = examples_with_output(name)
-    # The last ones may show nothing; the first ones may make the files that a later one reads.
-    while examples and not examples[-1].shown_lines:
-        examples.pop()
-    for example in examples:
+    """Those of node and radio are left out: they need a second program."""
+    for example in examples_up_to_the_last_output(name):
         assert cli.main(shlex.split(example.command, comments=True)) == 0
         printed_lines = [line.strip() for line in capsys.readouterr().out.splitlines()]
         assert set(example.shown_lines) <= set(printed_lines), example.command
-
-
-def write_readings(path: Path) -> None:
-    """Write readings of a sensor over 20 black and 20 white tiles."""
-    lines = [f"{200 + 7 * number},black\n{400 + 13 * number},white\n" for number in range(1, 21)]
-    path.write_text("".join(lines))
 
 
 class Example(NamedTuple):
@@ -462,10 +503,18 @@ class Example(NamedTuple):
     shown_lines: list[str]
 
 
-def examples_with_output(name: str) -> list[Example]:
-    """Return the examples below a command's help; what they print stands further to the right below them."""
+def examples_up_to_the_last_output(name: str) -> list[Example]:
+    """Return the examples below a command's help; what they print stands further to the right below them.
+
+    Those behind the last one with output are left out. Earlier ones may make files that a later one reads.
+    """
     matches = re.findall(r"^  mcp-asdf (.*)\n((?:      .*\n)*)", cli._load(name).EPILOG, re.MULTILINE)
-    return [Example(command, [line.strip() for line in output.splitlines()]) for command, output in matches]
+    examples = [
+        Example(command, [line.strip() for line in output.splitlines()]) for command, output in matches
+    ]
+    while examples and not examples[-1].shown_lines:
+        examples.pop()
+    return examples
 
 
 def examples_of(name: str) -> list[tuple[str, list[str]]]:
@@ -484,22 +533,20 @@ def examples_of(name: str) -> list[tuple[str, list[str]]]:
 
 SHORT = "--robots 4 --steps 30 --filter-period 10"
 EXPERIMENT = "robots = 3\nsteps = 20\nfilter_period = 10\ntrials = 2\n"
+SHORT_RADIO = "radio --id 3 --interface virtual --robots 3 --steps 2 --steps-per-second 500"
 
 
 REPEATABLE = [
     (f"swarm {SHORT} --flawed 50% --fault 'loss=0.5,robots=0+2' --fault liar,robots=3,x=1", "--seed=1"),
     (f"swarm {SHORT} --seed=7 --true-accuracy=0.30000000000000004 --latency=1 --compare", ""),
-    (
-        "radio --id 3 --interface virtual --robots 3 --steps 2 --steps-per-second 500 --fault loss=0.3",
-        "--seed=1",
-    ),
+    (f"{SHORT_RADIO} --fault loss=0.3", "--seed=1"),
     (f"simulate {SHORT} --trials 2 --drift linear --drift-rate=-1e-5", "--seed=1"),
     ("simulate --output results.parquet one.toml --seed 3", ""),
-    ("sweep grid.toml --output 'two words.parquet'", "--seed=1"),
+    ("sweep grid.toml --workers 1 --output 'two words.parquet'", "--seed=1"),
     ("table --output tables --omega 0.10 --neighbours 3", ""),
     ("table --output tables", "--omega=0.05 --neighbours=127"),
 ]
-"""Command lines, and the options that the line for the same run has in front of what was typed."""
+"""Command lines, and the options that the line for the same results has in front of what was typed."""
 
 
 def with_settled_options(line: str, settled_options: str) -> list[str]:
@@ -516,33 +563,34 @@ def experiment_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     Path("grid.toml").write_text(f'{EXPERIMENT}[[grid]]\nfilter = ["none", "asdf-plus"]\n')
 
 
-@pytest.mark.usefixtures("experiment_files")
-@pytest.mark.parametrize(("line", "settled_options"), REPEATABLE)
-def test_a_run_ends_with_the_line_for_the_same_run(line: str, settled_options: str, capsys: Capture) -> None:
+def line_for_same_results(line: str, capsys: Capture) -> str:
+    """Run a command and return the command line behind "again:" in its output, of which there is one."""
     assert cli.main(shlex.split(line)) == 0
-    lines_for_the_same_run = [
-        output_line
-        for output_line in capsys.readouterr().out.splitlines()
-        if output_line.startswith("again: ")
-    ]
-    same_run = with_settled_options(line, settled_options)
-
-    assert lines_for_the_same_run == [f"again: mcp-asdf {shlex.join(same_run)}"]
+    output_lines = capsys.readouterr().out.splitlines()
+    (again,) = [output_line for output_line in output_lines if output_line.startswith("again: ")]
+    return again.removeprefix("again: mcp-asdf ")
 
 
 @pytest.mark.usefixtures("experiment_files")
 @pytest.mark.parametrize(("line", "settled_options"), REPEATABLE)
-def test_the_printed_line_for_the_same_run_prints_itself_again(
+def test_a_command_prints_the_line_that_gives_the_same_results_again(
     line: str, settled_options: str, capsys: Capture
 ) -> None:
-    same_run = with_settled_options(line, settled_options)
-    assert cli.main(same_run) == 0
-    assert f"again: mcp-asdf {shlex.join(same_run)}\n" in capsys.readouterr().out
+    """It is the typed line with options in front whose values were chosen by default, such as ``--seed=1``."""
+    expected_line = shlex.join(with_settled_options(line, settled_options))
+    assert line_for_same_results(line, capsys) == expected_line
 
 
 @pytest.mark.usefixtures("experiment_files")
-@pytest.mark.parametrize(("line", "settled_options"), REPEATABLE)
-def test_a_run_prints_json_alone_if_asked_to(line: str, settled_options: str, capsys: Capture) -> None:
+@pytest.mark.parametrize("line", [f"{SHORT_RADIO} --seed=1", "sweep --seed=1 grid.toml --workers 1"])
+def test_a_line_with_a_seed_is_printed_as_it_was_typed(line: str, capsys: Capture) -> None:
+    assert line_for_same_results(line, capsys) == line
+
+
+@pytest.mark.usefixtures("experiment_files")
+@pytest.mark.parametrize("line", [SHORT_RADIO, "sweep grid.toml --workers 1", "table --output tables"])
+def test_a_command_with_the_option_json_prints_json_and_nothing_else(line: str, capsys: Capture) -> None:
+    """``radio``, ``sweep`` and ``table`` are tried."""
     assert cli.main([*shlex.split(line), "--json"]) == 0
     assert isinstance(json.loads(capsys.readouterr().out), dict)
 
@@ -559,90 +607,87 @@ def messages_of(err: str) -> list[str]:
     return [line.split(maxsplit=2)[2] for line in logged_lines]
 
 
-def test_a_command_logs_nothing_unless_asked_to(capsys: Capture) -> None:
-    assert cli.main([*QUIET_SWARM, "--slcan", "0"]) == 0
-    assert messages_of(capsys.readouterr().err) == []
+def messages_of_swarm(*options: str, capsys: Capture) -> list[str]:
+    """Run a swarm of three robots for five steps with further options, and return what it logs."""
+    assert cli.main([*QUIET_SWARM, *options]) == 0
+    return messages_of(capsys.readouterr().err)
+
+
+def test_a_command_logs_nothing_without_the_option_v(capsys: Capture) -> None:
+    assert messages_of_swarm("--slcan", "0", capsys=capsys) == []
 
 
 def test_v_logs_versions_first_then_the_command_line_and_at_last_the_exit_code(capsys: Capture) -> None:
-    assert cli.main([*QUIET_SWARM, "-v"]) == 0
-    messages = messages_of(capsys.readouterr().err)
+    """For example "INFO mcp_asdf_tools.cli: exit code 0 after 0.1 s"."""
+    versions, command_line, *_, exit_code = messages_of_swarm("-v", capsys=capsys)
+    assert versions.startswith("INFO mcp_asdf_tools.cli: mcp-asdf ")
+    assert command_line.startswith("INFO mcp_asdf_tools.cli: command line: mcp-asdf swarm --robots 3")
+    assert exit_code.startswith("INFO mcp_asdf_tools.cli: exit code 0 after ")
 
-    assert messages[0].startswith("INFO mcp_asdf_tools.cli: mcp-asdf ")
-    assert messages[1].startswith("INFO mcp_asdf_tools.cli: command line: mcp-asdf swarm --robots 3")
-    assert messages[-1].startswith("INFO mcp_asdf_tools.cli: exit code 0 after ")
 
-
-def test_v_logs_each_bus_that_is_opened(capsys: Capture) -> None:
-    assert cli.main([*QUIET_SWARM, "--channel", "v{robot}", "-v"]) == 0
-    messages = messages_of(capsys.readouterr().err)
+def test_v_logs_each_bus_that_a_swarm_opens(capsys: Capture) -> None:
+    """Each of three robots has a bus, whose channel has the robot's id."""
+    messages = messages_of_swarm("--channel", "v{robot}", "-v", capsys=capsys)
     for channel in ("v0", "v1", "v2"):
         assert f"INFO mcp_asdf_tools.bus.interfaces: opened the bus virtual {channel}" in messages
 
 
-def test_v_logs_the_robots_that_are_up_and_the_files_that_are_written(
-    tmp_path: Path, capsys: Capture
-) -> None:
-    log = tmp_path / "run.log"
-    assert cli.main([*QUIET_SWARM, "--log", str(log), "-v"]) == 0
-    messages = messages_of(capsys.readouterr().err)
-
+def test_v_logs_how_many_robots_of_a_swarm_have_started(capsys: Capture) -> None:
+    messages = messages_of_swarm("-v", capsys=capsys)
     assert "INFO mcp_asdf_tools.cli.swarm: 3 robots are up, 0 of them elsewhere" in messages
+
+
+def test_v_logs_the_files_that_a_command_writes(tmp_path: Path, capsys: Capture) -> None:
+    """A swarm with a log writes a summary of its results in JSON as well."""
+    log = tmp_path / "run.log"
+    messages = messages_of_swarm("--log", str(log), "-v", capsys=capsys)
     assert f"INFO mcp_asdf_tools.common.files: wrote {log}.json" in messages
 
 
-def test_vv_logs_all_options_too(capsys: Capture) -> None:
-    assert cli.main([*QUIET_SWARM, "-vv"]) == 0
-    options = [line for line in messages_of(capsys.readouterr().err) if " options: " in line]
-    assert len(options) == 1
-    assert "'filter_period': 1," in options[0]
+def test_vv_also_logs_the_values_of_all_options(capsys: Capture) -> None:
+    """The swarm is started with ``--filter-period 1``."""
+    messages = messages_of_swarm("-vv", capsys=capsys)
+    (options,) = [message for message in messages if " options: " in message]
+    assert "'filter_period': 1," in options
 
 
-def test_vv_logs_each_batch_of_trials(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
-) -> None:
-    """Two experiments of two trials each; trials as short as these make one batch for each experiment."""
-    monkeypatch.chdir(tmp_path)
-    Path("grid.toml").write_text(
-        'robots = 3\nsteps = 20\nfilter_period = 10\ntrials = 2\n[[grid]]\nfilter = ["none", "asdf-plus"]\n'
-    )
+@pytest.mark.usefixtures("experiment_files")
+def test_vv_logs_each_batch_of_trials_that_a_sweep_has_finished(capsys: Capture) -> None:
+    """grid.toml has two experiments of two trials each, and each experiment is run in one batch."""
     assert cli.main(["sweep", "grid.toml", "--workers", "1", "-vv"]) == 0
+    messages = messages_of(capsys.readouterr().err)
+    start, first_batch, second_batch = [message for message in messages if "experiments.sweep: " in message]
 
-    logger = "mcp_asdf_tools.experiments.sweep"
-    messages = [message for message in messages_of(capsys.readouterr().err) if logger in message]
-    first_message, *messages_of_batches = messages
-    assert first_message == f"INFO {logger}: 4 trials to run on this process"
-    assert len(messages_of_batches) == 2
-    batch_of_first_experiment = messages_of_batches[0]
-    assert batch_of_first_experiment.startswith(
-        f"DEBUG {logger}: finished trials 0 to 1 of Experiment(robots=3, "
-    )
+    assert start.endswith("4 trials to run on this process")
+    assert "finished trials 0 to 1 of Experiment(robots=3, " in first_batch
+    assert "finished trials 0 to 1 of Experiment(robots=3, " in second_batch
 
 
 def test_vv_logs_where_an_error_was_raised(capsys: Capture) -> None:
+    """The folder "nowhere" does not exist. The message for the user remains at the end."""
     assert cli.main(["table", "--output", "nowhere/tables", "--omega", "3", "-vv"]) == 2
     err = capsys.readouterr().err
     assert "ended by UsageError\nTraceback (most recent call last):" in err
-    assert err.splitlines()[-1] == "See 'mcp-asdf table --help'."
+    assert err.endswith("\nSee 'mcp-asdf table --help'.\n")
 
 
-def test_logging_does_not_disturb_the_json_of_a_result(capsys: Capture) -> None:
+def test_a_result_in_json_has_no_logged_lines_in_it(capsys: Capture) -> None:
+    """Logged lines go to standard error, and the result to standard output."""
     assert cli.main(["table", "--check", "tables/t_table_omega05_q30.c", "-v", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["ok"] is True
 
 
-def test_logging_is_off_again_in_the_next_command(capsys: Capture) -> None:
-    """Both commands run in this process."""
-    assert cli.main([*QUIET_SWARM, "-v"]) == 0
-    capsys.readouterr()
-    assert cli.main(QUIET_SWARM) == 0
-    assert capsys.readouterr().err == ""
+def test_a_command_with_v_does_not_make_the_next_command_in_the_same_process_log(capsys: Capture) -> None:
+    assert messages_of_swarm("-v", capsys=capsys) != []
+    assert messages_of_swarm(capsys=capsys) == []
 
 
-def test_the_library_is_silent_where_logging_is_not_configured() -> None:
-    code = "import mcp_asdf_tools as m; m.emulate(m.SwarmSettings(robots=3, steps=5, filter_period=1))"
-    result = python("-c", code)
+def test_a_program_that_uses_the_library_gets_no_output_of_it(
+    capfd: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture
+) -> None:
+    """Python shows warnings of programs that configure no logging, so the library logs nothing as severe."""
+    with caplog.at_level(logging.DEBUG, "mcp_asdf_tools"):
+        emulate(SwarmSettings(robots=3, steps=5, filter_period=1))
 
-    assert result.returncode == 0
-    assert result.stdout == ""
-    assert result.stderr == ""
+    assert capfd.readouterr() == ("", "")
+    assert all(record.levelno < logging.WARNING for record in caplog.records)
