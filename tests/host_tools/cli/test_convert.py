@@ -27,6 +27,7 @@ def trials_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def test_convert_prints_the_scores_of_a_folder_of_the_authors_trials(capsys: Capture) -> None:
+    """Of three trials in the folder, two are of a fully connected swarm, and one is of a moving swarm."""
     assert main(["convert", "data", "--output", "theirs.parquet"]) == 0
     output = capsys.readouterr().out
 
@@ -35,52 +36,64 @@ def test_convert_prints_the_scores_of_a_folder_of_the_authors_trials(capsys: Cap
     assert "1 of 3" in output
 
 
-def test_a_converted_folder_is_read_back_in_one_piece() -> None:
-    """A row group for each trial would make reading slow: its time grows with the square of their number."""
+def test_convert_writes_all_trials_into_one_row_group() -> None:
+    """With a row group for each trial, reading would take time that grows with the square of their number."""
     main(["convert", "data", "--output", "theirs.parquet"])
     metadata = pq.read_metadata("theirs.parquet")
-    assert (metadata.num_rows, metadata.num_row_groups) == (3, 1)
+    assert metadata.num_rows == 3
+    assert metadata.num_row_groups == 1
 
 
-def test_convert_reports_experiments_and_where_they_come_from_in_json(capsys: Capture) -> None:
+def test_convert_with_json_reports_the_authors_program_the_file_and_the_number_of_trials(
+    capsys: Capture,
+) -> None:
     assert main(["convert", "data/flw2_t1.json", "--output", "theirs.parquet", "--json"]) == 0
     report = json.loads(capsys.readouterr().out)
+    (experiment,) = report["experiments"]
 
     assert report["source"] == "NESTLab/sensor-degradation-filter"
     assert report["output"] == "theirs.parquet"
-    assert [row["trials"] for row in report["experiments"]] == [1]
+    assert experiment["trials"] == 1
 
 
-def test_converted_results_are_scored_like_others(capsys: Capture) -> None:
+def test_score_prints_of_converted_results_what_convert_has_printed(capsys: Capture) -> None:
     main(["convert", "data", "--output", "theirs.parquet"])
-    converted = capsys.readouterr().out
+    printed_by_convert = capsys.readouterr().out
+    assert main(["score", "theirs.parquet"]) == 0
+    assert capsys.readouterr().out == printed_by_convert
 
-    assert main(["score", "theirs.parquet", "--csv", "theirs.csv"]) == 0
-    assert capsys.readouterr().out == converted
-    assert len(Path("theirs.csv").read_text(encoding="utf-8").splitlines()) == 1 + 3
+
+def test_score_writes_converted_results_as_csv() -> None:
+    """The file has a line of titles and one for each of three trials."""
+    main(["convert", "data", "--output", "theirs.parquet"])
+    main(["score", "theirs.parquet", "--csv", "theirs.csv"])
+    lines = Path("theirs.csv").read_text(encoding="utf-8").splitlines()
+    assert len(lines) == 1 + 3
 
 
 @pytest.mark.parametrize("kind", ["boxes", *slow(["bands", "series"])])
-def test_converted_results_are_drawn_like_others(kind: str) -> None:
+def test_plot_draws_converted_results_as_a_picture(kind: str) -> None:
+    """The picture is a PNG file, which begins with the byte 0x89 and these letters."""
     main(["convert", "data/flw2_t0.json", "--output", "theirs.parquet"])
     assert main(["plot", "theirs.parquet", "picture.png", "--kind", kind]) == 0
     assert Path("picture.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_a_converted_trial_is_shown_like_others() -> None:
+def test_view_exports_a_converted_trial_as_a_web_page_that_names_the_authors_program() -> None:
     main(["convert", "data", "--output", "theirs.parquet"])
     view = ["view", "theirs.parquet", "--where", "topology=dynamic", "--trial", "2"]
     assert main([*view, "--export", "page.html"]) == 0
     assert "trial 2 of NESTLab/sensor-degradation-filter" in Path("page.html").read_text(encoding="utf-8")
 
 
-def test_a_converted_trial_without_recorded_values_cannot_be_shown(capsys: Capture) -> None:
+def test_view_refuses_a_trial_that_was_converted_without_recorded_values(capsys: Capture) -> None:
     main(["convert", "data/moving.json", "--output", "theirs.parquet", "--record", "0"])
     assert main(["view", "theirs.parquet", "--trial", "2", "--export", "page.html"]) == 2
     assert "nothing is recorded" in capsys.readouterr().err
 
 
 def test_convert_writes_nothing_if_one_of_the_files_is_damaged(trials_folder: Path, capsys: Capture) -> None:
+    """The last file of the folder, zzz.json, holds nothing but an opening brace."""
     (trials_folder / "data/zzz.json").write_text("{", encoding="utf-8")
     assert main(["convert", "data", "--output", "theirs.parquet"]) == 2
     assert "data/zzz.json" in capsys.readouterr().err
@@ -97,6 +110,9 @@ def test_convert_writes_nothing_if_one_of_the_files_is_damaged(trials_folder: Pa
         ("data", "--output"),
     ],
 )
-def test_what_cannot_be_converted_is_refused(options: str, message: str, capsys: Capture) -> None:
+def test_convert_refuses_wrong_files_and_options_with_the_reason(
+    options: str, message: str, capsys: Capture
+) -> None:
+    """For example ``--output theirs.csv``: "choose a name that ends in .parquet"."""
     assert main(["convert", *options.split()]) == 2
     assert message in capsys.readouterr().err

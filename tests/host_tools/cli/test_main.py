@@ -357,30 +357,34 @@ def test_commands_for_swarms_and_robots_need_no_library_of_the_extra_study(tmp_p
     assert exit_codes == [0] * len(lines), errors
 
 
-LINES_AND_MISSING_MODULES = [
-    ("simulate --steps 1000 --trials 1", "pyarrow"),
-    ("sweep physical --output physical.parquet", "pyarrow"),
-    ("score x.parquet", "pyarrow"),
-    ("plot x.parquet x.png", "matplotlib"),
-    ("export x.parquet x.csv", "pyarrow"),
-    ("reproduce --quick", "matplotlib"),
-    ("swarm --firmware reference --log reference.log", "scipy"),
-]
+MODULES_NEEDED_BY_LINES = {
+    "simulate --steps 1000 --trials 1": "pyarrow",
+    "sweep physical --output physical.parquet": "pyarrow",
+    "score x.parquet": "pyarrow",
+    "plot x.parquet x.png": "matplotlib",
+    "export x.parquet x.csv": "pyarrow",
+    "reproduce --quick": "matplotlib",
+    "swarm --firmware reference --log reference.log": "scipy",
+}
 """Command lines that need the extra "study", each with the module of it that is missing."""
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("line", "module"), LINES_AND_MISSING_MODULES)
-def test_a_command_whose_library_is_not_installed_says_how_to_install_it_and_writes_no_file(
-    line: str, module: str, tmp_path: Path
+def test_commands_whose_libraries_are_not_installed_say_how_to_install_them_and_write_no_file(
+    tmp_path: Path,
 ) -> None:
-    """For example ``simulate``, which needs pyarrow. The library belongs to the extra "study"."""
-    [exit_code], [message, _line_about_help] = run_without_extras([line], tmp_path)
+    """For example ``simulate`` needs pyarrow. The libraries belong to the extra "study".
+
+    Each command prints two lines, and the second one names --help.
+    """
+    exit_codes, error_lines = run_without_extras(MODULES_NEEDED_BY_LINES, tmp_path)
+    messages = error_lines[::2]
     how_to_install = install_instruction("study")
 
-    assert exit_code == 2
-    assert message.endswith(f"this needs {module}, which is not installed; {how_to_install}")
+    assert set(exit_codes) == {2}
     assert list(tmp_path.iterdir()) == []
+    for module, message in zip(MODULES_NEEDED_BY_LINES.values(), messages, strict=True):
+        assert message.endswith(f"this needs {module}, which is not installed; {how_to_install}")
 
 
 @pytest.mark.slow
@@ -390,7 +394,6 @@ def test_a_command_whose_library_is_not_installed_says_how_to_install_it_and_wri
         "m.simulate(m.Experiment(steps=1000, trials=1))",
         "m.plot_boxes([])",
         "m.read_table('x.parquet')",
-        "m.to_frame('x.parquet')",
         "m.emulate(m.SwarmSettings(firmware='reference', steps=10))",
     ],
 )
@@ -476,7 +479,10 @@ def test_a_help_ends_with_an_example_of_its_command_at_least(name: str) -> None:
 
 @pytest.fixture
 def folder_with_readings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Work in a folder with readings.csv, which an example reads: 20 over black tiles and 20 over white ones."""
+    """Work in a folder with readings.csv, which an example reads:
+
+    20 over black tiles and 20 over white ones.
+    """
     monkeypatch.chdir(tmp_path)
     lines = [f"{200 + 7 * number},black\n{400 + 13 * number},white\n" for number in range(1, 21)]
     Path("readings.csv").write_text("".join(lines))
@@ -576,7 +582,7 @@ def line_for_same_results(line: str, capsys: Capture) -> str:
 def test_a_command_prints_the_line_that_gives_the_same_results_again(
     line: str, settled_options: str, capsys: Capture
 ) -> None:
-    """It is the typed line with options in front whose values were chosen by default, such as ``--seed=1``."""
+    """It is the typed line with options in front whose values are chosen by default, such as ``--seed=1``."""
     expected_line = shlex.join(with_settled_options(line, settled_options))
     assert line_for_same_results(line, capsys) == expected_line
 

@@ -13,6 +13,8 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
+from unittest.mock import Mock
 
 import pytest
 
@@ -90,10 +92,13 @@ def end_by_signal(process: subprocess.Popen[str], number: signal.Signals) -> str
     ],
 )
 @interruptible()
-def test_a_signal_ends_a_process_whenever_it_comes(
+def test_a_signal_at_any_time_ends_a_command_with_the_exit_code_of_the_signal_or_of_success(
     line: str, number: signal.Signals, code_at_work: int | None, tmp_path: Path
 ) -> None:
-    """A command that goes on until it is asked to end has an exit code of its own for that, once at work."""
+    """For example ``node``, which succeeds when it is asked to end, unless it is still starting.
+
+    The signal comes at random in the first half second in which the command handles it.
+    """
     with start_command(line, tmp_path) as process:
         wait_until(process, lambda: handles_signal(process, number))
         errors = end_by_signal(process, number)
@@ -111,26 +116,49 @@ def has_frames(log: Path) -> bool:
     return log.exists() and log.stat().st_size > 0
 
 
+def end_while_it_logs(line: str, number: signal.Signals, folder: Path) -> tuple[int, str]:
+    """Start a command that writes run.log, and end it by a signal when the log has frames.
+
+    Returns its exit code and what it wrote to standard error. Until it ends, the log is called run.log.part.
+    """
+    part = folder / "run.log.part"
+    with start_command(line, folder) as process:
+        wait_until(process, lambda: handles_signal(process, number) and has_frames(part))
+        errors = end_by_signal(process, number)
+    return process.returncode, errors
+
+
+def replay(log: Path, capsys: Capture) -> Any:
+    """Replay a log, which must succeed, and return the report."""
+    assert cli.main(["replay", str(log), "--json"]) == 0
+    return json.loads(capsys.readouterr().out)
+
+
+BUS_OF_PROCESSES = shlex.join(multicast(31).arguments())
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("options", "number"),
-    [("--robots 4", signal.SIGTERM), *slow([("--robots 2 --processes", signal.SIGHUP)])],
+    [
+        ("--robots 4", signal.SIGTERM),
+        *slow([(f"--robots 2 --processes {BUS_OF_PROCESSES}", signal.SIGHUP)]),
+    ],
 )
 @interruptible()
-def test_a_swarm_that_a_signal_ends_leaves_a_complete_log_that_can_be_replayed(
+def test_a_swarm_that_is_ended_by_a_signal_leaves_a_complete_log(
     options: str, number: signal.Signals, tmp_path: Path, capsys: Capture
 ) -> None:
-    bus = shlex.join(multicast(31).arguments()) if "--processes" in options else ""
-    log, part = tmp_path / "run.log", tmp_path / "run.log.part"
-    with start_command(f"{LONG_SWARM} {options} {bus}", tmp_path) as process:
-        wait_until(process, lambda: handles_signal(process, number) and has_frames(part))
-        errors = end_by_signal(process, number)
-    assert process.returncode == exit_code_of(number), errors
-    assert "Traceback" not in errors
-    assert not part.exists()
-    assert cli.main(["replay", str(log), "--json"]) == 0
-    report = json.loads(capsys.readouterr().out)
+    """The swarm of 100 million steps gets SIGTERM or SIGHUP while it writes its log.
 
+    A replay calculates all steps of the log again, and finds no difference.
+    """
+    exit_code, errors = end_while_it_logs(f"{LONG_SWARM} {options}", number, tmp_path)
+    report = replay(tmp_path / "run.log", capsys)
+
+    assert exit_code == exit_code_of(number), errors
+    assert "Traceback" not in errors
+    assert not (tmp_path / "run.log.part").exists()
     assert report["incomplete"] is False
     assert report["verdict"]["reproduced"] > 0
     assert report["verdict"]["difference"] is None
@@ -138,29 +166,33 @@ def test_a_swarm_that_a_signal_ends_leaves_a_complete_log_that_can_be_replayed(
 
 @pytest.mark.slow
 @interruptible()
-def test_emulated_neighbours_that_a_signal_ends_leave_a_complete_log(tmp_path: Path) -> None:
-    log, part = tmp_path / "run.log", tmp_path / "run.log.part"
+def test_emulated_neighbours_that_are_ended_by_a_signal_leave_a_complete_log(tmp_path: Path) -> None:
+    """``mcp-asdf radio`` emulates neighbours of a robot until it is asked to end, which is a success."""
     line = "radio --id 3 --robots 4 --interface virtual --log run.log"
-    with start_command(line, tmp_path) as process:
-        wait_until(process, lambda: handles_signal(process, signal.SIGTERM) and has_frames(part))
-        errors = end_by_signal(process, signal.SIGTERM)
+    exit_code, errors = end_while_it_logs(line, signal.SIGTERM, tmp_path)
 
-    assert process.returncode == 0, errors
-    assert has_frames(log)
-    assert not part.exists()
+    assert exit_code == 0, errors
+    assert has_frames(tmp_path / "run.log")
+    assert not (tmp_path / "run.log.part").exists()
 
 
-@pytest.mark.slow
-@interruptible()
-def test_a_swarm_that_is_killed_leaves_a_part_of_its_log_that_can_be_replayed(
-    tmp_path: Path, capsys: Capture
-) -> None:
+@pytest.fixture
+def log_of_killed_swarm(tmp_path: Path) -> Path:
+    """The unfinished log of a swarm with faults that was killed by SIGKILL while it ran."""
     part = tmp_path / "run.log.part"
     with start_command(f"{LONG_SWARM} --robots 5 {FAULTS}", tmp_path) as process:
         wait_until(process, lambda: has_frames(part) and has_frames(events_path(part)))
         end_by_signal(process, signal.SIGKILL)
-    assert not (tmp_path / "run.log").exists()
-    assert cli.main(["replay", str(part), "--json"]) == 0
+    return part
+
+
+@pytest.mark.slow
+@interruptible()
+def test_the_unfinished_log_of_a_killed_swarm_can_be_replayed_as_far_as_it_goes(
+    log_of_killed_swarm: Path, capsys: Capture
+) -> None:
+    """A replay calculates the steps of the log again, and finds no difference but that the end is missing."""
+    assert cli.main(["replay", str(log_of_killed_swarm), "--json"]) == 0
     output, errors = capsys.readouterr()
     report = json.loads(output)
 
@@ -168,6 +200,7 @@ def test_a_swarm_that_is_killed_leaves_a_part_of_its_log_that_can_be_replayed(
     assert "is incomplete: its run was cut off" in errors
     assert report["verdict"]["reproduced"] > 0
     assert report["verdict"]["difference"] is None
+    assert not log_of_killed_swarm.with_name("run.log").exists()
 
 
 # --- In this process -------------------------------------------------------------------------------------
@@ -189,9 +222,10 @@ def wait_for_signal(number: signal.Signals) -> int:
 
 @pytest.mark.parametrize("number", ENDING_SIGNALS)
 @interruptible()
-def test_a_signal_that_asks_to_end_interrupts_a_command_as_ctrl_c_does(
+def test_a_command_that_is_interrupted_by_a_signal_says_so_and_has_the_exit_code_of_the_signal(
     number: signal.Signals, monkeypatch: pytest.MonkeyPatch, capsys: Capture
 ) -> None:
+    """SIGTERM and SIGHUP do the same as SIGINT, which Ctrl-C sends. Here the command ``table`` gets them."""
     fake_command(monkeypatch, lambda: wait_for_signal(number))
     assert cli.main(["table"]) == exit_code_of(number)
     assert capsys.readouterr().err == "mcp-asdf table: interrupted\n"
@@ -201,23 +235,27 @@ def test_a_signal_that_asks_to_end_interrupts_a_command_as_ctrl_c_does(
 def test_a_second_signal_does_not_interrupt_a_command_that_saves_its_results(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    saved: list[str] = []
+    """Service managers and terminals send several. Here they come while the interrupted command saves."""
+    steps: list[str] = []
 
     def work() -> int:
         try:
             return wait_for_signal(signal.SIGTERM)
         finally:
-            signal.raise_signal(signal.SIGTERM)  # as service managers and terminals send them
+            steps.append("begins to save")
+            signal.raise_signal(signal.SIGTERM)
             signal.raise_signal(signal.SIGHUP)
-            saved.append("all")
+            steps.append("has saved")
 
     fake_command(monkeypatch, work)
     assert cli.main(["table"]) == exit_code_of(signal.SIGTERM)
-    assert saved == ["all"]
+    assert steps == ["begins to save", "has saved"]
 
 
 @interruptible()
-def test_a_command_leaves_the_handlers_of_signals_as_they_were(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_after_an_interrupted_command_the_handlers_of_signals_are_those_from_before(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     handlers = [signal.getsignal(number) for number in ENDING_SIGNALS]
     fake_command(monkeypatch, lambda: wait_for_signal(signal.SIGTERM))
     cli.main(["table"])
@@ -225,23 +263,29 @@ def test_a_command_leaves_the_handlers_of_signals_as_they_were(monkeypatch: pyte
 
 
 @interruptible()
-def test_a_command_that_notices_a_signal_and_ends_by_itself_has_it_in_its_exit_code(
+def test_a_command_that_ends_by_itself_after_a_signal_has_the_exit_code_of_the_signal(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    """Within ``stopping()`` a signal interrupts nothing; the command asks whether it should stop."""
+    answers = []
+
     def work() -> int:
-        with stopping() as is_requested:
-            assert not is_requested()
+        with stopping() as should_stop:
+            answers.append(should_stop())
             signal.raise_signal(signal.SIGTERM)
-            assert is_requested()
+            answers.append(should_stop())
         return INTERRUPTED
 
     fake_command(monkeypatch, work)
     assert cli.main(["table"]) == exit_code_of(signal.SIGTERM)
+    assert answers == [False, True]
 
 
 @interruptible()
-def test_ctrl_c_interrupts_a_command_that_does_not_end_by_itself(monkeypatch: pytest.MonkeyPatch) -> None:
-    """It has been asked twice by SIGTERM, which it only notices."""
+def test_ctrl_c_interrupts_a_command_that_has_not_ended_after_two_signals(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Within ``stopping()`` a SIGTERM is only noticed, and so is a second one."""
 
     def work() -> int:
         with stopping():
@@ -255,22 +299,29 @@ def test_ctrl_c_interrupts_a_command_that_does_not_end_by_itself(monkeypatch: py
     assert cli.main(["table"]) == exit_code_of(signal.SIGTERM)
 
 
-def test_a_signal_that_the_program_was_started_to_ignore_stays_ignored(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+@pytest.fixture
+def hangups_ignored() -> Iterator[None]:
+    """Ignore the signal SIGHUP, as the program ``nohup`` does for a command that it starts."""
+    handler = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    yield
+    signal.signal(signal.SIGHUP, handler)
+
+
+@pytest.mark.usefixtures("hangups_ignored")
+def test_a_command_that_was_started_by_nohup_ignores_hangups(monkeypatch: pytest.MonkeyPatch) -> None:
+    """They neither interrupt it nor, within ``stopping()``, ask it to stop."""
+    answers = []
+
     def work() -> int:
         signal.raise_signal(signal.SIGHUP)
-        with stopping() as is_requested:
+        with stopping() as should_stop:
             signal.raise_signal(signal.SIGHUP)
-            assert not is_requested()
+            answers.append(should_stop())
         return 0
 
     fake_command(monkeypatch, work)
-    handler = signal.signal(signal.SIGHUP, signal.SIG_IGN)  # as by nohup
-    try:
-        assert cli.main(["table"]) == 0
-    finally:
-        signal.signal(signal.SIGHUP, handler)
+    assert cli.main(["table"]) == 0
+    assert answers == [False]
 
 
 @pytest.fixture
@@ -287,21 +338,22 @@ def finished_imports(monkeypatch: pytest.MonkeyPatch) -> list[str]:
 
 
 @interruptible()
-def test_ctrl_c_during_the_import_of_a_command_waits_for_its_end(
+def test_ctrl_c_while_a_command_is_imported_interrupts_it_when_the_import_has_ended(
     finished_imports: list[str], capsys: Capture
 ) -> None:
+    """In the middle of an import it could become any error. Here Ctrl-C comes during each import."""
     assert cli.main(["swarm"]) == exit_code_of(signal.SIGINT)
     assert capsys.readouterr() == ("", "mcp-asdf swarm: interrupted\n")
     assert finished_imports == ["mcp_asdf_tools.cli.swarm"]
 
 
 @interruptible()
-def test_ctrl_c_during_the_import_of_a_library_waits_for_its_end_and_runs_nothing(
+def test_ctrl_c_while_a_command_imports_numpy_interrupts_it_after_the_import_and_before_its_work(
     finished_imports: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def work() -> int:
-        pytest.fail("the command ran")
-
+    """Here Ctrl-C comes during each import."""
+    work = Mock(return_value=0)
     fake_command(monkeypatch, work, libraries=("numpy",))
     assert cli.main(["table"]) == exit_code_of(signal.SIGINT)
     assert finished_imports == ["numpy"]
+    work.assert_not_called()

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import re
 import shutil
-from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
@@ -62,45 +61,60 @@ def work_beside_the_recordings(recordings: Path, monkeypatch: pytest.MonkeyPatch
 ONE_EXPERIMENT = "--where filter=none --where fill_ratio=.950"
 
 
-@pytest.mark.parametrize(
-    ("options", "count"),
-    [
-        ("", 4),
-        ("--where fill_ratio=0.95", 2),
-        (f"--kind series {ONE_EXPERIMENT} --where robots=5", 1),
-    ],
-)
-def test_plot_draws_the_experiments_that_meet_all_conditions(
-    options: str, count: int, tmp_path: Path, capsys: Capture
+def test_plot_draws_only_the_experiments_that_meet_all_conditions_of_where(
+    tmp_path: Path, capsys: Capture
 ) -> None:
-    assert main(["plot", "grid.parquet", str(tmp_path / "x.svg"), "--json", *options.split()]) == 0
-    assert json.loads(capsys.readouterr().out)["experiments"] == count
+    """grid.parquet has four experiments, with two filters and two fill ratios; two conditions leave one."""
+    picture = str(tmp_path / "x.svg")
+    conditions = "--where filter=none --where fill_ratio=.950"
+    line = f"plot grid.parquet {picture} --kind series {conditions} --json"
+    assert main(line.split()) == 0
+    assert json.loads(capsys.readouterr().out)["experiments"] == 1
 
 
-@pytest.mark.parametrize(
-    ("recording", "filter_term"),
-    [("run.log", "ASDF+"), (f"grid.parquet {ONE_EXPERIMENT} --trial 1", "no filter")],
-)
-def test_view_exports_a_log_or_a_trial_as_one_page(
-    recording: str, filter_term: str, tmp_path: Path, capsys: Capture
-) -> None:
+def test_view_exports_a_log_of_60_steps_as_a_web_page_with_61_states(tmp_path: Path, capsys: Capture) -> None:
+    """With ``--json`` it reports the page's file, size and number of states."""
     page = tmp_path / "run.html"
-    assert main(["view", *recording.split(), "--export", str(page), "--json"]) == 0
+    assert main(["view", "run.log", "--export", str(page), "--json"]) == 0
     report = json.loads(capsys.readouterr().out)
 
     assert report == {"export": str(page), "bytes": page.stat().st_size, "states": 61}
-    assert f"5 robots, 2 flawed, {filter_term}" in page.read_text()
+    assert "5 robots, 2 flawed, ASDF+" in page.read_text()
 
 
-def test_view_of_a_log_without_events_shows_what_its_frames_say(tmp_path: Path, capsys: Capture) -> None:
+def test_view_exports_a_trial_of_the_experiment_that_is_chosen_by_where(tmp_path: Path) -> None:
+    page = tmp_path / "run.html"
+    line = f"view grid.parquet --where filter=none --where fill_ratio=.950 --trial 1 --export {page}"
+    assert main(line.split()) == 0
+    assert "5 robots, 2 flawed, no filter, fully connected, seed 1, trial 1" in page.read_text()
+
+
+@pytest.fixture
+def log_without_events(tmp_path: Path) -> Path:
+    """The frames of a swarm's run of 60 steps, as if another program had recorded them."""
     log = tmp_path / "real.log"
     shutil.copy("run.log", log)
-    assert main(["view", str(log), "--export", str(tmp_path / "run.html"), "--json"]) == 0
-    output, errors = capsys.readouterr()
+    return log
 
-    assert json.loads(output)["states"] == 61
-    assert f"mcp-asdf view: there is no {log}.events, which swarm, radio and node write" in errors
-    assert "no robot sent telemetry" in errors
+
+def test_view_shows_61_states_of_a_log_without_events(
+    log_without_events: Path, tmp_path: Path, capsys: Capture
+) -> None:
+    """It shows what the frames of 60 steps say, ten states a second."""
+    command = ["view", str(log_without_events), "--export", str(tmp_path / "run.html"), "--json"]
+    assert main(command) == 0
+    assert json.loads(capsys.readouterr().out)["states"] == 61
+
+
+def test_view_of_a_log_without_events_warns_that_events_and_telemetry_are_missing(
+    log_without_events: Path, tmp_path: Path, capsys: Capture
+) -> None:
+    """Frames show x and b_hat of a robot only if it sends telemetry."""
+    main(["view", str(log_without_events), "--export", str(tmp_path / "run.html")])
+    warnings = capsys.readouterr().err
+    events = f"{log_without_events}.events"
+    assert f"mcp-asdf view: there is no {events}, which swarm, radio and node write" in warnings
+    assert "no robot sent telemetry" in warnings
 
 
 @pytest.fixture
@@ -112,7 +126,7 @@ def log_of_two_buses(tmp_path: Path) -> Path:
     return log
 
 
-def test_view_of_a_log_of_two_buses_asks_to_choose_one(
+def test_view_warns_that_a_log_has_frames_of_two_buses_and_asks_to_choose_one(
     log_of_two_buses: Path, tmp_path: Path, capsys: Capture
 ) -> None:
     assert main(["view", str(log_of_two_buses), "--export", str(tmp_path / "all.html")]) == 0
@@ -120,7 +134,7 @@ def test_view_of_a_log_of_two_buses_asks_to_choose_one(
     assert expected in capsys.readouterr().err
 
 
-def test_view_of_one_bus_of_a_log_asks_for_nothing(
+def test_view_warns_of_nothing_if_one_of_two_buses_is_chosen_by_channel(
     log_of_two_buses: Path, tmp_path: Path, capsys: Capture
 ) -> None:
     command = ["view", str(log_of_two_buses), "--channel", "can3", "--export", str(tmp_path / "one.html")]
@@ -131,31 +145,44 @@ def test_view_of_one_bus_of_a_log_asks_for_nothing(
 # --- Pages that are served -------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("line", ["view run.log", "swarm --robots 4 --steps 20 --quiet --view"])
-def test_a_page_is_served_until_ctrl_c(line: str, monkeypatch: pytest.MonkeyPatch, capsys: Capture) -> None:
-    served: list[str] = []
-
-    def read_page(should_stop: Callable[[], bool]) -> None:
-        assert not should_stop()
-        url = re.search(r"http://127\.0\.0\.1:\d+/", capsys.readouterr().err)
-        assert url is not None
-        served.append(urlopen(f"{url[0]}events").read().decode())
-
-    command = line.split(maxsplit=1)[0]
-    monkeypatch.setattr(f"mcp_asdf_tools.cli.{command}.sleep_until", read_page)
-    assert main(line.split()) == 0
-    assert served[0].startswith("event: description\n")
-    assert served[0].endswith("event: end\ndata: null\n\n")
+def events_served_at_the_printed_address(capsys: Capture) -> str:
+    """Return all events of the web page whose address has been printed on standard error."""
+    url = re.search(r"http://127\.0\.0\.1:\d+/", capsys.readouterr().err)
+    assert url is not None
+    with urlopen(f"{url[0]}events") as answer:
+        events: bytes = answer.read()
+    return events.decode()
 
 
-def test_a_command_sleeps_until_it_is_asked_to_stop(monkeypatch: pytest.MonkeyPatch) -> None:
-    naps: list[float] = []
-    monkeypatch.setattr("time.sleep", naps.append)
-    answers = iter([False, False, True])
-    sleep_until(lambda: next(answers))
+@pytest.mark.parametrize(
+    ("command", "options"), [("view", "run.log"), ("swarm", "--robots 4 --steps 20 --quiet --view")]
+)
+def test_a_command_serves_the_states_of_a_swarm_while_it_waits_for_ctrl_c(
+    command: str, options: str, monkeypatch: pytest.MonkeyPatch, capsys: Capture
+) -> None:
+    """The commands are ``view run.log`` and ``swarm --view``. Here the page is read in place of the wait."""
+    texts: list[str] = []
+    monkeypatch.setattr(
+        f"mcp_asdf_tools.cli.{command}.sleep_until",
+        lambda should_stop: texts.append(events_served_at_the_printed_address(capsys)),
+    )
+    assert main([command, *options.split()]) == 0
+    (served_events,) = texts
 
-    between_questions = 0.2  # seconds
-    assert naps == [between_questions, between_questions]
+    assert served_events.startswith("event: description\n")
+    assert served_events.endswith("event: end\ndata: null\n\n")
+
+
+def test_a_waiting_command_looks_five_times_a_second_whether_it_should_stop(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """It is asked to stop when it looks for the third time, so it sleeps twice for a fifth of a second."""
+    slept_seconds: list[float] = []
+    monkeypatch.setattr("time.sleep", slept_seconds.append)
+    should_stop = Mock(side_effect=[False, False, True])
+    sleep_until(should_stop)
+
+    assert slept_seconds == [0.2, 0.2]
 
 
 WATCH_A_BUS = ["view", "--interface", "udp_multicast", "--channel", "239.74.163.77"]
@@ -168,11 +195,12 @@ def bus_without_network(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("bus_without_network")
-def test_view_of_a_bus_prints_its_address_and_that_nobody_sent_telemetry(
+def test_view_of_a_silent_bus_prints_the_page_s_address_and_that_no_robot_sent_telemetry(
     monkeypatch: pytest.MonkeyPatch, capsys: Capture
 ) -> None:
-    answers = iter([False, True])
-    monkeypatch.setattr(view, "stopping", lambda: nullcontext(lambda: next(answers)))
+    """Ctrl-C ends it when it looks for the second time whether it should stop."""
+    is_ctrl_c_pressed = Mock(side_effect=[False, True])
+    monkeypatch.setattr(view, "stopping", lambda: nullcontext(is_ctrl_c_pressed))
     assert main([*WATCH_A_BUS, "--json"]) == 0
     output, errors = capsys.readouterr()
 
@@ -181,16 +209,19 @@ def test_view_of_a_bus_prints_its_address_and_that_nobody_sent_telemetry(
 
 
 @pytest.mark.usefixtures("bus_without_network")
-def test_view_reports_a_bus_that_fails(monkeypatch: pytest.MonkeyPatch, capsys: Capture) -> None:
+def test_view_ends_with_exit_code_1_and_the_reason_when_the_bus_fails(
+    monkeypatch: pytest.MonkeyPatch, capsys: Capture
+) -> None:
+    """A bus fails, for example, when its adapter is unplugged; here "it is off"."""
     monkeypatch.setattr(BusRecorder, "record", Mock(side_effect=can.CanOperationError("it is off")))
     assert main(WATCH_A_BUS) == 1
     assert "mcp-asdf view: the bus failed: it is off" in capsys.readouterr().err
 
 
-def test_swarm_does_not_keep_the_page_of_a_bus_that_fails(
+def test_swarm_with_a_web_page_ends_with_an_error_and_does_not_wait_when_the_bus_fails(
     monkeypatch: pytest.MonkeyPatch, capsys: Capture
 ) -> None:
-    """After a run that succeeds it serves the page until Ctrl-C; here it must end, and with an error."""
+    """Only after a swarm that succeeds does the command serve the page until Ctrl-C."""
     failure = Mock(side_effect=can.CanOperationError("it is off"))
     monkeypatch.setattr("mcp_asdf_tools.swarm.run.run_swarm", failure)
     waiting = Mock(side_effect=AssertionError("it waits for Ctrl-C"))
@@ -260,7 +291,10 @@ DIFFERENCES = "fill_ratio=0.55|0.95, filter=asdf-plus|none"
         (f"{PLOT} --kind series --where filter=none", "choose one with where fill_ratio=0.55|0.95"),
     ],
 )
-def test_what_cannot_be_shown_is_refused_in_two_lines(line: str, reason: str, capsys: Capture) -> None:
+def test_view_plot_and_swarm_refuse_what_they_cannot_show_in_two_lines_and_write_no_file(
+    line: str, reason: str, capsys: Capture
+) -> None:
+    """For example ``view run.log --export out.pdf``: "choose a name that ends in .html"."""
     assert main(line.split()) == 2
     output, errors = capsys.readouterr()
 
