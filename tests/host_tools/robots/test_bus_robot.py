@@ -7,12 +7,14 @@ from __future__ import annotations
 
 import json
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import replace
 from decimal import Decimal
 from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from mcp_asdf.mirror import MirrorRobot
 from mcp_asdf.robot import Config, Counters, Filter, FirmwareError, Observation
@@ -46,83 +48,107 @@ def robot_with_counters(comms_period: int, **counters: int) -> BusRobot:
     return BusRobot(record(5, comms_period=comms_period), ESTIMATES, make_firmware=lambda: firmware)
 
 
+def estimates_of(*senders: int) -> NDArray[np.uint32]:
+    """Return an array of estimates, with a row of sender, x_hat and alpha for each; x_hat is 0, alpha 1."""
+    return np.array([[sender, 0, ALPHA_ONE] for sender in senders], np.uint32)
+
+
 def test_a_broadcast_stays_due_until_its_tick_has_ended() -> None:
     """A robot that broadcasts in every third tick; ``observe`` returns whether a broadcast is due."""
     robot = robot_with_counters(comms_period=3)
 
     is_due = [robot.observe(None) for _ in range(5)]
     robot.settle()  # ends the tick
-    is_due_later = [robot.observe(None) for _ in range(3)]
+    is_due_in_next_round = [robot.observe(None) for _ in range(3)]
 
     assert is_due == [False, False, True, True, True]
-    assert is_due_later == [False, False, True]
+    assert is_due_in_next_round == [False, False, True]
 
 
 def test_counts_in_reports_go_on_where_the_firmware_s_16_bits_end() -> None:
-    """In each of 300 ticks come 998 estimates under the robot's own id and one each of robots 6 and 7.
-
-    The firmware rejects the first, and takes the others: 2 in the first tick, and then as repeated ones.
-    """
-    counters = Counters(accepted=65_000, repeated=65_533, rejected=1, tests=65_534, updates=65_535)
-    robot = robot_with_counters(10**6, **vars(counters))
-    # In a round of so many messages a counter of the firmware wraps several times.
-    senders = [5] * 998 + [6, 7]
-    estimates = np.array([[sender, 0, ALPHA_ONE] for sender in senders], np.uint32)
-    for _ in range(300):
+    """The firmware refuses all estimates under the robot's own id: here more than 2^16 of them in a round."""
+    robot = robot_with_counters(comms_period=10**6, rejected=7)
+    for _ in range(70):
         robot.observe(None)
-        robot.receive_all(estimates)
+        robot.receive_all(estimates_of(*[5] * 1000))
         robot.settle()
 
+    assert robot.counters.rejected == 7 + 70 * 1000
+
+
+def test_each_count_in_reports_goes_on_where_the_firmware_s_16_bits_end() -> None:
+    """Of robots 6 and 7 come two estimates each, of which the firmware takes the first in a round."""
+    counters = Counters(accepted=65_535, repeated=65_534, rejected=65_535, tests=65_534, updates=65_535)
+    robot = robot_with_counters(comms_period=10**6, **vars(counters))
+    robot.observe(None)
+    robot.receive_all(estimates_of(6, 7, 6, 7, 5))
+
     assert robot.counters == Counters(
-        accepted=65_002, repeated=65_533 + 2 * 299, rejected=1 + 998 * 300, tests=65_534, updates=65_535
+        accepted=65_535 + 2, repeated=65_534 + 2, rejected=65_535 + 1, tests=65_534, updates=65_535
     )
 
 
 def test_estimates_under_the_robot_s_own_id_are_refused_and_counted_as_conflicts() -> None:
+    """The robot has the id 5."""
     robot = robot_with_counters(comms_period=1)
-    robot.receive_all(np.array([[5, 0, ALPHA_ONE], [5, 0, ALPHA_ONE], [6, 0, ALPHA_ONE]], np.uint32))
+    robot.receive_all(estimates_of(5, 5, 6))
     conflicts = Counter({(Suspicion.CONFLICT, 5): 2})
     assert robot.reception == Reception(delivered=3, refused=2, events=conflicts)
 
 
 def test_telemetry_has_the_number_of_updates_modulo_256() -> None:
+    """A robot that has observed nothing has an x of 1/2; its b_hat, the accuracy it assumes, is 3/4."""
     robot = robot_with_counters(comms_period=1, updates=65_535)
 
-    # x is 1/2 in units of 2**-23, and b_hat 3/4 in units of 2**-24.
-    expected = Telemetry(sender=5, x=1 << 22, b_hat=3 << 22, updates=65_535 % 256, transfer_id=0)
-    assert robot.telemetry(0.0).data == encoded(expected).data
+    telemetry = Telemetry(sender=5, x=2**23 // 2, b_hat=2**24 * 3 // 4, updates=65_535 % 256, transfer_id=0)
+    assert robot.telemetry(now=0.0).data == encoded(telemetry).data
 
 
-@pytest.mark.parametrize("firmware", ["native", "mirror", "reference"])
-@pytest.mark.parametrize("allow", [None, frozenset({6})])
-def test_an_estimate_has_the_same_effect_alone_as_in_an_array(
+def robot_that_received(setup: RobotSetup, senders: Sequence[int], *, as_array: bool) -> tuple[BusRobot, str]:
+    """Return a robot that has received estimates of 1/2 in a tick, one by one or not, and its events."""
+    lines: list[str] = []
+    robot = BusRobot(setup, ESTIMATES, EventRecorder(setup.id, lines.append))
+    if as_array:
+        robot.receive_all(np.array([[sender, 1 << 22, ALPHA_ONE] for sender in senders], np.uint32))
+    else:
+        for sender in senders:
+            robot.receive(Estimate(sender, 1 << 22, ALPHA_ONE, transfer_id=0))
+    robot.observe(Observation.BLACK)
+    robot.settle()
+    return robot, "".join(lines)
+
+
+@pytest.mark.parametrize(
+    ("firmware", "allow"),
+    [("native", None), ("mirror", None), ("reference", None), ("native", frozenset({6}))],
+)
+def test_estimates_have_the_same_effect_one_by_one_as_in_an_array(
     firmware: str, allow: frozenset[int] | None
 ) -> None:
-    """The senders are 6, again 6, 5 (the robot's own id) and 7. ``allow`` may admit only one of them."""
+    """``allow`` may admit only robot 6; number 5 is the robot's own id."""
     setup = replace(record(5, firmware), allow=allow)
-    lines_of_one, lines_of_array = list[str](), list[str]()
-    one = BusRobot(setup, ESTIMATES, EventRecorder(5, lines_of_one.append))
-    array = BusRobot(setup, ESTIMATES, EventRecorder(5, lines_of_array.append))
-    for sender in (6, 6, 5, 7):
-        one.receive(Estimate(sender, 1 << 22, ALPHA_ONE, 0))
-        array.receive_all(np.array([[sender, 1 << 22, ALPHA_ONE]], np.uint32))
-    for robot in (one, array):
-        robot.observe(Observation.BLACK)
-        robot.settle()
+    robot, events = robot_that_received(setup, senders=(6, 6, 5, 7), as_array=False)
+    other_robot, other_events = robot_that_received(setup, senders=(6, 6, 5, 7), as_array=True)
 
-    assert one.reception == array.reception
-    assert one.counters == array.counters
-    assert one.robot.x == array.robot.x
-    assert lines_of_one == lines_of_array
+    assert robot.reception == other_robot.reception
+    assert robot.counters == other_robot.counters
+    assert robot.robot.x == other_robot.robot.x
+    assert events == other_events
+
+
+ESTIMATE_OF_6 = Estimate(sender=6, x_hat=9, alpha=0, transfer_id=0)
+ESTIMATE_OF_5 = replace(ESTIMATE_OF_6, sender=5)
+HEARTBEAT_OF_8 = Heartbeat(sender=8, uptime=1, transfer_id=0)
 
 
 def test_a_robot_that_has_crashed_receives_nothing() -> None:
+    """Neither an estimate of robot 6, nor one under its own id, 5, nor a heartbeat."""
     robot = BusRobot(record(5), ESTIMATES)
     robot.crash(loses_state=False)
-    for content in (Estimate(6, 9, 0, 0), Estimate(5, 9, 0, 0), Heartbeat(8, 1, 0)):
+    for content in (ESTIMATE_OF_6, ESTIMATE_OF_5, HEARTBEAT_OF_8):
         robot.receive_frames([encoded(content)])
         robot.count_foreign_frame(encoded(content))
-    robot.receive(Estimate(6, 9, 0, 0))
+    robot.receive(ESTIMATE_OF_6)
 
     assert robot.reception == Reception()
 
@@ -138,53 +164,65 @@ def robot_that_rejoins(*, loses_state: bool) -> BusRobot:
 
 
 def test_a_robot_that_rejoins_goes_on_where_it_was_if_the_crash_kept_its_state() -> None:
+    """Before the crash it has made one observation in one tick."""
     robot = robot_that_rejoins(loses_state=False)
     assert robot.is_alive
     assert robot.ticks == 1
-    assert robot.robot.t == 1
+    assert robot.robot.t == 1, "observations"
 
 
 def test_a_robot_that_rejoins_begins_anew_if_the_crash_lost_its_state() -> None:
+    """Before the crash it has made one observation in one tick."""
     robot = robot_that_rejoins(loses_state=True)
     assert robot.is_alive
     assert robot.ticks == 0
-    assert robot.robot.t == 0
+    assert robot.robot.t == 0, "observations"
 
 
 def test_a_line_of_events_has_all_that_a_robot_did_in_a_tick() -> None:
-    """1 is a black tile, 2 no observation, 3 the end of the tick; a triple is sender, x_hat and alpha."""
+    """The robot's id, 1 for a black tile, each estimate as [sender, x_hat, alpha], and 3 for the tick's end.
+
+    A heartbeat is no event.
+    """
     lines: list[str] = []
     robot = BusRobot(record(5), ESTIMATES, EventRecorder(5, lines.append))
-    estimates = [encoded(Estimate(sender, 9, 0, 0)) for sender in (6, 7, 8)]
     robot.observe(Observation.BLACK)
-    robot.receive_frames([estimates[0], encoded(Heartbeat(8, 1, 0)), estimates[1]])
-    robot.receive_frames([estimates[2]] * 2)
+    robot.receive_frames([encoded(ESTIMATE_OF_6), encoded(HEARTBEAT_OF_8)])
+    robot.receive_frames([encoded(ESTIMATE_OF_6)])
     robot.settle()
+
+    assert lines == ["[5,1,[6,9,0],[6,9,0],3]\n"]
+
+
+def test_the_first_line_of_events_after_a_crash_that_lost_the_state_begins_with_a_restart() -> None:
+    """2 is a tick without an observation, and 3 its end."""
+    lines: list[str] = []
+    robot = BusRobot(record(5), ESTIMATES, EventRecorder(5, lines.append))
     robot.crash(loses_state=True)
     robot.rejoin()
     robot.observe(None)
     robot.receive_frames([])
     robot.settle()
 
-    assert lines == ["[5,1,[6,9,0],[7,9,0],[8,9,0],[8,9,0],3]\n", '[5,"restart",2,3]\n']
+    assert lines == ['[5,"restart",2,3]\n']
 
 
 def test_frames_without_an_estimate_are_counted_by_their_kind() -> None:
     """Each content comes three times; Rejection lists the reasons why a frame can be refused."""
     robot = BusRobot(record(5), ESTIMATES)
-    for content in (Heartbeat(8, 1, 0), Telemetry(8, 9, 1 << 23, 1, 0), Estimate(6, 9, 0, 0), *Rejection):
+    telemetry = Telemetry(sender=8, x=9, b_hat=1 << 23, updates=1, transfer_id=0)
+    for content in (HEARTBEAT_OF_8, telemetry, ESTIMATE_OF_6, *Rejection):
         robot.count_content(content, 3)
-    rejections = [reason for reason in Rejection if reason is not Rejection.ERROR_FRAME]
 
-    assert robot.reception == Reception(
-        heartbeats=3, telemetry=3, errors=3, rejected=Counter(dict.fromkeys(rejections, 3))
-    )
+    rejections = Counter(dict.fromkeys(Rejection, 3))
+    error_frames = rejections.pop(Rejection.ERROR_FRAME)
+    assert robot.reception == Reception(heartbeats=3, telemetry=3, errors=error_frames, rejected=rejections)
 
 
 def test_estimates_from_outside_the_swarm_are_counted_as_strays() -> None:
-    """Such frames come from other nodes on the bus; one of them has the id of the robot itself."""
+    """Such frames come from other nodes on the bus; one of them has the id of the robot itself, 5."""
     robot = BusRobot(record(5), ESTIMATES)
-    for content in (Estimate(5, 9, 0, 0), Estimate(6, 9, 0, 0), Heartbeat(8, 1, 0)):
+    for content in (ESTIMATE_OF_5, ESTIMATE_OF_6, HEARTBEAT_OF_8):
         robot.count_foreign_frame(encoded(content))
     conflicts = Counter({(Suspicion.CONFLICT, 5): 1})
 
@@ -215,16 +253,20 @@ def test_a_setup_in_json_has_the_allowed_ids_as_ranges() -> None:
 
 def test_a_table_that_was_not_made_here_cannot_be_put_into_json() -> None:
     """JSON has only the numbers from which a table is computed, and this table follows from none."""
-    table = Table(3, TABLE.entries)
+    table = Table(omega_word=3, entries=TABLE.entries)
     with pytest.raises(UsageError, match=r"omega is .*make one with mcp-asdf table"):
         record(5, table=table).plain()
 
 
 def test_a_setup_makes_a_robot_with_its_configuration() -> None:
-    setup = record(5, "mirror", 0.55, comms_period=2, filter_period=10, memory=64)
+    """The mirror is the firmware in Python. Its filter period counts rounds, here of 2 ticks."""
+    setup = record(5, "mirror", b_hat=0.55, comms_period=2, filter_period=10, memory=64)
+    config = Config(TABLE, Filter.ADAPTIVE, filter_period=10 // 2, memory=64)
+
     robot = setup.make_robot()
+
     assert isinstance(robot, MirrorRobot)
-    assert robot.state() == MirrorRobot(Config(TABLE, Filter.ADAPTIVE, 5, 64), 5, 0.55).state()
+    assert robot.state() == MirrorRobot(config, 5, b_hat=0.55).state()
 
 
 @pytest.mark.parametrize(
@@ -256,12 +298,12 @@ def test_a_setup_with_a_wrong_value_is_refused_by_name(changes: dict[str, Any], 
     ("flawed", "count"),
     [(6, 6), ("6", 6), (np.int64(4), 4), (0, 0), (10, 10), (0.0, 0), (1.0, 10), ("30%", 3), ("0.5", 5)],
 )
-def test_flawed_robots_are_a_count_or_a_share(flawed: Any, count: int) -> None:
+def test_the_flawed_robots_are_given_as_a_count_or_as_a_share_of_ten_robots(flawed: Any, count: int) -> None:
     assert Population(robots=10, flawed=flawed).flawed == count
 
 
 @pytest.mark.parametrize(("share", "count"), [("44.9%", 4), ("45%", 5), (0.25, 3)])
-def test_a_share_of_flawed_robots_is_rounded_to_the_nearest_count_halves_up(share: Any, count: int) -> None:
+def test_a_share_of_ten_robots_is_rounded_to_the_nearest_count_halves_up(share: Any, count: int) -> None:
     assert Population(robots=10, flawed=share).flawed == count
 
 
@@ -281,10 +323,11 @@ FOUR_ROBOTS: dict[str, Any] = {
     "memory": 64,
     "omega": "0.1",
 }
-OFF = Config(None, Filter.OFF, 2, 64)
-ADAPTIVE = Config(generate(Decimal("0.1"), 3), Filter.ADAPTIVE, 2, 64)
-ALWAYS = Config(None, Filter.ALWAYS, 2, 64)
-ROBUST = Config(None, Filter.ROBUST, 2, 64)
+OFF = Config(None, Filter.OFF, filter_period=2, memory=64)
+ADAPTIVE = replace(OFF, filter=Filter.ADAPTIVE, table=generate(Decimal("0.1"), q=3))
+ALWAYS = replace(OFF, filter=Filter.ALWAYS)
+ROBUST = replace(OFF, filter=Filter.ROBUST)
+"""Parameters of the firmware of these robots; their filter period counts rounds of 2 ticks."""
 
 
 @pytest.mark.parametrize(
@@ -300,19 +343,17 @@ ROBUST = Config(None, Filter.ROBUST, 2, 64)
         ("robust", "always", ROBUST, ROBUST),
     ],
 )
-def test_a_swarm_s_filter_decides_on_the_filter_of_flawed_and_of_other_robots(
+def test_the_filter_of_a_swarm_decides_on_the_filter_of_flawed_and_of_other_robots(
     filters: str, activation: Activation, flawed_config: Config, other_config: Config
 ) -> None:
     """Robots 0 and 1 are flawed: they assume an accuracy of 0.3, the others nearly 1."""
     population = Population(**FOUR_ROBOTS, filter=filters, activation=activation)
-    largest_b_hat = 1 - 2**-20
+    setups = [population.setup_of(robot) for robot in range(4)]
 
-    assert [population.setup_of(robot) for robot in range(4)] == [
-        RobotSetup(0, "native", 0.3, flawed_config, 2),
-        RobotSetup(1, "native", 0.3, flawed_config, 2),
-        RobotSetup(2, "native", largest_b_hat, other_config, 2),
-        RobotSetup(3, "native", largest_b_hat, other_config, 2),
-    ]
+    largest_b_hat = 1 - 2**-20
+    flawed = RobotSetup(0, "native", b_hat=0.3, config=flawed_config, comms_period=2)
+    other = RobotSetup(2, "native", b_hat=largest_b_hat, config=other_config, comms_period=2)
+    assert setups == [flawed, replace(flawed, id=1), other, replace(other, id=3)]
 
 
 @pytest.mark.parametrize(
@@ -324,7 +365,7 @@ def test_a_swarm_s_filter_decides_on_the_filter_of_flawed_and_of_other_robots(
         ("asdf-plus", "always", {"omega"}),
     ],
 )
-def test_a_population_knows_which_parameters_its_filter_does_not_use(
+def test_a_population_lists_the_parameters_that_its_filter_does_not_use(
     filters: str, activation: Activation, unused: set[str]
 ) -> None:
     """So the commands can refuse an option that would do nothing."""
@@ -337,7 +378,8 @@ def test_a_population_is_made_again_from_its_parameters() -> None:
     assert Population(**population.parameters()) == population
 
 
-def test_only_the_sensors_of_flawed_robots_drift_if_they_alone_are_to() -> None:
+def test_the_sensors_of_the_flawed_robots_or_of_all_drift() -> None:
+    """Two of four robots are flawed."""
     assert Population(**FOUR_ROBOTS, drift="linear", drift_of="flawed").drifting == 2
     assert Population(**FOUR_ROBOTS, drift="linear").drifting == 4
 
@@ -356,7 +398,7 @@ def test_a_memory_that_is_no_multiple_of_4_is_refused() -> None:
 def test_the_table_of_thresholds_is_for_as_many_neighbours_as_a_robot_can_hear(
     robots: int, neighbours: int
 ) -> None:
-    """At least 2, and at most 127: that many estimates the firmware takes between two broadcasts."""
+    """That is one less than there are robots, but at least 2, and at most 127, as there are 128 ids."""
     table = Population(robots=robots, topology="dynamic", filter="asdf-plus").config(0).table
     assert table is not None
     assert table.q == neighbours
