@@ -35,8 +35,8 @@ class Watch:
         return RealTimeClock(STEPS_PER_SECOND, lambda: self.now, self.sleep)
 
 
-def begin_ticks(watch: Watch, clock: RealTimeClock, periods_of_work: list[float]) -> list[float]:
-    """Begin ticks that take so many periods each, and return when each has begun, in periods."""
+def begin_ticks(watch: Watch, clock: RealTimeClock, *, periods_of_work: list[float]) -> list[float]:
+    """Begin ticks whose work takes so many periods each, and return when each has begun, in periods."""
     beginnings = []
     for tick, periods in enumerate(periods_of_work, start=5):
         clock.begin(tick)
@@ -47,33 +47,33 @@ def begin_ticks(watch: Watch, clock: RealTimeClock, periods_of_work: list[float]
 
 def test_ticks_that_are_done_in_time_begin_at_multiples_of_the_period() -> None:
     watch = Watch()
-    assert begin_ticks(watch, watch.clock(), [0.5, 0, 1, 0.25, 0]) == [0, 1, 2, 3, 4]
+    beginnings = begin_ticks(watch, watch.clock(), periods_of_work=[0.5, 0, 1, 0.25, 0])
+    assert beginnings == [0, 1, 2, 3, 4]
 
 
 def test_ticks_after_a_long_one_begin_at_once_until_they_have_caught_up() -> None:
-    """Work of 2, 0.5, 0.5 and 0.5 periods: the ticks begin when the work is done, until one is in time."""
+    """They begin when the work of the tick before is done, until one is in time again."""
     watch = Watch()
-    assert begin_ticks(watch, watch.clock(), [2, 0.5, 0.5, 0.5, 0]) == [0, 2, 2.5, 3, 4]
+    beginnings = begin_ticks(watch, watch.clock(), periods_of_work=[2, 0.5, 0.5, 0.5, 0])
+    assert beginnings == [0, 2, 2.5, 3, 4]
 
 
 def test_ticks_that_take_longer_than_the_period_begin_when_the_last_is_over() -> None:
     watch = Watch()
-    assert begin_ticks(watch, watch.clock(), [1.5, 1.5, 1.5, 1.5]) == [0, 1.5, 3, 4.5]
+    beginnings = begin_ticks(watch, watch.clock(), periods_of_work=[1.5, 1.5, 1.5, 1.5])
+    assert beginnings == [0, 1.5, 3, 4.5]
 
 
-def test_a_clock_has_no_figures_before_the_first_tick() -> None:
+def test_a_clock_has_no_figures_of_lateness_before_the_first_tick() -> None:
     assert Watch().clock().figures() is None
 
 
 def test_figures_say_in_seconds_how_late_ticks_have_begun() -> None:
-    """Five ticks, whose work takes so many periods, begin 0, 1, 0.5, 0 and 0 periods late.
-
-    Only one of them is late by more than half of a period.
-    """
+    """Five ticks begin 0, 1, 0.5, 0 and 0 periods late, so only one is late by more than half of a period."""
     watch = Watch()
     clock = watch.clock()
 
-    begin_ticks(watch, clock, [2, 0.5, 0.5, 0.5, 0])
+    begin_ticks(watch, clock, periods_of_work=[2, 0.5, 0.5, 0.5, 0])
 
     assert clock.figures() == {
         "mean_lateness": (1 + 0.5) / 5 * PERIOD,
@@ -84,10 +84,10 @@ def test_figures_say_in_seconds_how_late_ticks_have_begun() -> None:
 
 
 def test_the_drift_is_the_lateness_of_the_last_tick() -> None:
-    """Four ticks that take 1.5 periods each: the last one, due after 3 periods, begins after 4.5."""
+    """The last of four ticks is due after 3 periods, and begins after 4.5."""
     watch = Watch()
     clock = watch.clock()
-    begin_ticks(watch, clock, [1.5, 1.5, 1.5, 1.5])
+    begin_ticks(watch, clock, periods_of_work=[1.5, 1.5, 1.5, 1.5])
     figures = clock.figures()
 
     assert figures is not None
@@ -95,10 +95,11 @@ def test_the_drift_is_the_lateness_of_the_last_tick() -> None:
 
 
 def test_a_tick_does_not_begin_early_when_a_sleep_ends_early() -> None:
-    watch = Watch(missing_sleep=0.03125)
+    """Every sleep ends a quarter of a period too early."""
+    watch = Watch(missing_sleep=PERIOD / 4)
     clock = watch.clock()
-    clock.begin(0)
-    clock.begin(1)
+    clock.begin(tick=0)
+    clock.begin(tick=1)
 
     assert watch.now >= START + PERIOD
 

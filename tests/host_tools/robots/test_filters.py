@@ -11,10 +11,12 @@ from mcp_asdf_tools.swarm.settings import SwarmSettings
 
 
 def test_filters_are_listed_from_fewer_recalibrating_robots_to_more() -> None:
+    """With no filter no robot recalibrates, with ASDF- the flawed ones do, and with the others all."""
     assert [*FILTERS] == ["none", "asdf-minus", "asdf-plus", "robust"]
 
 
 def test_asdf_minus_is_on_for_flawed_robots_only() -> None:
+    """Flawed robots assume a wrong accuracy of their sensor at the start."""
     asdf_minus = FILTERS["asdf-minus"]
     assert asdf_minus.firmware_filter_of(is_flawed=True, activation="adaptive") is Filter.ADAPTIVE
     assert asdf_minus.firmware_filter_of(is_flawed=False, activation="adaptive") is Filter.OFF
@@ -25,7 +27,8 @@ def test_the_paper_s_filters_can_recalibrate_without_a_test() -> None:
         assert FILTERS[name].firmware_filter_of(is_flawed=True, activation="always") is Filter.ALWAYS
 
 
-def test_the_robust_filter_always_tests() -> None:
+def test_the_robust_filter_tests_even_if_the_paper_s_filters_are_not_to() -> None:
+    """The activation "always" lets the paper's filters recalibrate without a test."""
     assert FILTERS["robust"].firmware_filter_of(is_flawed=False, activation="always") is Filter.ROBUST
 
 
@@ -42,6 +45,7 @@ def test_pictures_and_pages_have_a_minus_sign_in_asdf_minus() -> None:
 
 
 def test_the_first_series_of_a_filter_has_its_colour_and_the_next_one_another() -> None:
+    """Of the filters of three series in a picture the first two are the same."""
     colours = colours_of_filters(["none", "none", "robust"])
     assert colours == ["#999999", "#0072b2", "#009e73"]
 
@@ -55,17 +59,16 @@ def test_the_first_series_of_a_filter_has_its_colour_and_the_next_one_another() 
         (Filter.ROBUST, "robust"),
     ],
 )
-def test_a_robot_alone_is_started_with_the_filter_of_all_robots(firmware_filter: Filter, name: str) -> None:
+def test_the_filter_of_one_robot_has_the_name_of_the_swarm_s_filter_that_gives_it_to_all_robots(
+    firmware_filter: Filter, name: str
+) -> None:
+    """ASDF- gives its filter to flawed robots alone, so its name is none of them."""
     assert filter_of_one_robot(firmware_filter).name == name
 
 
-def test_every_filter_of_the_firmware_has_a_name_on_the_command_line() -> None:
-    assert {filter_of_one_robot(value).name for value in Filter} == {"none", "asdf-plus", "robust"}
-
-
 def test_robots_with_two_filters_are_described_by_both() -> None:
-    mixture = describe_filters([Filter.ROBUST, Filter.ADAPTIVE])
-    assert mixture == "mixed: robots with the filters adaptive, robust"
+    description = describe_filters([Filter.ROBUST, Filter.ADAPTIVE])
+    assert description == "mixed: robots with the filters adaptive, robust"
 
 
 def test_a_swarm_with_an_unknown_filter_is_refused() -> None:

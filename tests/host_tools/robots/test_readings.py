@@ -24,6 +24,7 @@ from mcp_asdf_tools.robots.readings import Readings, parse_readings
     ],
 )
 def test_readings_of_any_program_are_parsed(program: str, text: str) -> None:
+    """A row has the reading, and whether it was over a black tile."""
     assert parse_readings(text, "x.csv") == Readings([(300.0, True), (700.5, False)]), program
 
 
@@ -42,7 +43,9 @@ def test_a_word_in_place_of_a_number_is_left_out_and_counted(word: str) -> None:
 
 
 def test_comments_and_repeated_headers_are_left_out_and_counted() -> None:
-    readings = parse_readings("reading,colour\n# bright\n300,black\nreading,colour\n7,white\n", "x.csv")
+    """The first header is not counted: it belongs to the file."""
+    lines = ["reading,colour", "# bright", "300,black", "reading,colour", "7,white"]
+    readings = parse_readings("\n".join(lines), "x.csv")
     assert readings.rows == [(300.0, True), (7.0, False)]
     assert readings.left_out == {"comment": 1, "header": 1}
 
