@@ -67,9 +67,9 @@ ROBUST_PROGRAM = PROGRAM.replace(
 STRICT = ("-pedantic-errors", "-Wall", "-Wextra", "-Werror")
 
 
-def fail_to_compile_with(macro: str) -> str:
-    """Return C code that stops the compiler where a macro is not 0."""
-    return f"#if {macro}\n#error it is there\n#endif\n"
+STOP_IF_THERE_IS_A_ROBUST_FILTER = "#if MCP_ASDF_WITH_ROBUST\n#error it is there\n#endif\n"
+STOP_IF_THERE_IS_A_FILTER_OF_THE_PAPER = "#if MCP_ASDF_WITH_ASDF\n#error it is there\n#endif\n"
+"""C code that stops the compiler if the library's header offers a filter."""
 
 
 @pytest.fixture
@@ -83,27 +83,28 @@ def project(tmp_path: Path) -> Path:
 # --- Copied files ----------------------------------------------------------------------------------------
 
 
-def compile_copied_core(project: Path) -> None:
-    """Copy the core into a project, and compile it there with nothing beyond C99."""
-    for path in CORE.parent.iterdir():
-        shutil.copy(path, project)
-    for path in (*CORE.parent.glob("*.c"), TABLE):
-        run(require("gcc", "gcc"), "-std=c99", *STRICT, "-c", path.name, cwd=project)
+@pytest.fixture(scope="module")
+def copied_core(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a copy of the core and a table, compiled with nothing beyond C99."""
+    folder = tmp_path_factory.mktemp("copied")
+    for path in (*CORE.parent.iterdir(), TABLE):
+        shutil.copy(path, folder)
+    names = [path.name for path in folder.glob("*.c")]
+    run(require("gcc", "gcc"), "-std=c99", *STRICT, "-c", *names, cwd=folder)
+    return folder
 
 
-def test_a_c_program_builds_with_copied_files(project: Path) -> None:
-    compile_copied_core(project)
-    run(require("clang", "clang"), *STRICT, "main.c", *project.glob("*.o"), "-o", "program", cwd=project)
-    run(project / "program")
+@pytest.mark.parametrize(("compiler", "source"), [("clang", "main.c"), ("g++", "main.cpp")])
+def test_a_program_in_c_or_cpp_builds_with_copied_files(
+    compiler: str, source: str, copied_core: Path
+) -> None:
+    """A user may copy the core's files into a project, and compile them as C for a program in either."""
+    (copied_core / source).write_text(PROGRAM)
+    objects = copied_core.glob("*.o")
 
+    run(require(compiler, compiler), *STRICT, source, *objects, "-o", "program", cwd=copied_core)
 
-def test_a_cpp_program_builds_with_copied_files(project: Path) -> None:
-    compile_copied_core(project)
-    (project / "main.c").rename(project / "main.cpp")
-
-    run(require("g++", "g++"), *STRICT, "main.cpp", *project.glob("*.o"), "-o", "program", cwd=project)
-
-    run(project / "program")
+    run(copied_core / "program")
 
 
 # --- CMake -----------------------------------------------------------------------------------------------
@@ -154,60 +155,73 @@ def install_library(folder: Path, *options: str) -> Path:
     return (folder / "first").rename(folder / "second")
 
 
+@pytest.fixture(scope="module")
+def installed_library(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder with the library as it is installed without further options."""
+    return install_library(tmp_path_factory.mktemp("library"))
+
+
+@pytest.fixture
+def pkg_config_path(installed_library: Path) -> str:
+    """The folder in which pkg-config finds the description of the installed library."""
+    [description] = installed_library.rglob("mcp_asdf.pc")
+    return str(description.parent)
+
+
 def test_a_project_adds_the_folder_of_the_library(project: Path) -> None:
+    """With CMake's add_subdirectory. Its program finds no mistake in the library."""
     run(build_with_cmake(project, ADD_SUBDIRECTORY))
 
 
 @pytest.mark.slow
 def test_a_project_fetches_the_whole_repository(project: Path) -> None:
+    """With CMake's FetchContent, from this folder. Its program finds no mistake in the library."""
     run(build_with_cmake(project, FETCH_CONTENT))
 
 
 @pytest.mark.slow
-def test_cmake_finds_the_installed_version(project: Path) -> None:
-    prefix = install_library(project / "library")
+def test_cmake_finds_the_installed_version(project: Path, installed_library: Path) -> None:
+    """find_package gets the version of the header, and the program that is linked to it runs."""
     command = f"find_package(mcp_asdf {version_of_header()} EXACT REQUIRED)"
-    run(build_with_cmake(project, command, f"-DCMAKE_PREFIX_PATH={prefix}"))
+    run(build_with_cmake(project, command, f"-DCMAKE_PREFIX_PATH={installed_library}"))
 
 
 @pytest.mark.slow
-def test_library_headers_and_descriptions_are_installed_and_nothing_else(tmp_path: Path) -> None:
-    files = {path.name for path in install_library(tmp_path).rglob("*") if path.is_file()}
+def test_library_headers_and_descriptions_are_installed_and_nothing_else(installed_library: Path) -> None:
+    """The descriptions are those for CMake and for pkg-config."""
+    files = {path.name for path in installed_library.rglob("*") if path.is_file()}
     cmake_files = {f"mcp_asdf-config{kind}.cmake" for kind in ("", "-noconfig", "-version")}
     assert files == {"libmcp_asdf.a", "mcp_asdf.pc"} | HEADERS | cmake_files
 
 
 @pytest.mark.slow
-def test_pkg_config_has_the_version_of_the_installed_library(tmp_path: Path) -> None:
-    [description] = install_library(tmp_path).rglob("mcp_asdf.pc")
+def test_pkg_config_has_the_version_of_the_installed_library(pkg_config_path: str) -> None:
+    """It reads a description that is installed with the library."""
     pkg_config = require("pkg-config", "pkgconf")
-
-    version = run(pkg_config, "mcp_asdf", "--modversion", PKG_CONFIG_PATH=str(description.parent))
-
+    version = run(pkg_config, "mcp_asdf", "--modversion", PKG_CONFIG_PATH=pkg_config_path)
     assert version.strip() == version_of_header()
 
 
 @pytest.mark.slow
-def test_a_program_builds_with_the_flags_of_pkg_config(project: Path) -> None:
-    [description] = install_library(project / "library").rglob("mcp_asdf.pc")
+def test_a_program_builds_with_the_flags_of_pkg_config(project: Path, pkg_config_path: str) -> None:
+    """pkg-config knows the flags from a description that is installed with the library."""
     pkg_config = require("pkg-config", "pkgconf")
 
-    flags = run(pkg_config, "mcp_asdf", "--cflags", "--libs", PKG_CONFIG_PATH=str(description.parent))
+    flags = run(pkg_config, "mcp_asdf", "--cflags", "--libs", PKG_CONFIG_PATH=pkg_config_path)
 
     run("cc", *STRICT, "main.c", TABLE.name, *shlex.split(flags), "-o", "program", cwd=project)
     run(project / "program")
 
 
 @pytest.mark.slow
-def test_meson_finds_the_installed_library(project: Path) -> None:
+def test_meson_finds_the_installed_library(project: Path, pkg_config_path: str) -> None:
     """By pkg-config, with the lines of docs/platforms/elsewhere.md."""
     require("meson")
     require("ninja")
-    [description] = install_library(project / "library").rglob("mcp_asdf.pc")
     [page_s_lines] = blocks(ROOT / "docs/platforms/elsewhere.md", "meson")
     (project / "meson.build").write_text(page_s_lines)
 
-    run("meson", "setup", "--werror", "build", cwd=project, PKG_CONFIG_PATH=str(description.parent))
+    run("meson", "setup", "--werror", "build", cwd=project, PKG_CONFIG_PATH=pkg_config_path)
     run("meson", "compile", "-C", "build", cwd=project)
 
     run(project / "build/robot")
@@ -215,14 +229,20 @@ def test_meson_finds_the_installed_library(project: Path) -> None:
 
 @pytest.mark.slow
 def test_a_library_without_the_robust_filter_hides_it_from_the_program(project: Path) -> None:
-    (project / "main.c").write_text(PROGRAM + fail_to_compile_with("MCP_ASDF_WITH_ROBUST"))
+    """An option of CMake leaves the filter out. The program compiles only if the header hides it."""
+    (project / "main.c").write_text(PROGRAM + STOP_IF_THERE_IS_A_ROBUST_FILTER)
     run(build_with_cmake(project, ADD_SUBDIRECTORY, "-DMCP_ASDF_WITH_ROBUST=OFF"))
 
 
 @pytest.mark.slow
-def test_an_installed_library_without_the_papers_filter_hides_it_from_the_program(project: Path) -> None:
-    """The program does not compile if the header still offers that filter."""
-    (project / "main.c").write_text(ROBUST_PROGRAM + fail_to_compile_with("MCP_ASDF_WITH_ASDF"))
+def test_an_installed_library_without_the_filter_of_the_paper_hides_it_from_the_program(
+    project: Path,
+) -> None:
+    """A robot has one of two filters, and only the robust one is left.
+
+    The program compiles only if the header hides the other one; a flag of pkg-config does so for its users.
+    """
+    (project / "main.c").write_text(ROBUST_PROGRAM + STOP_IF_THERE_IS_A_FILTER_OF_THE_PAPER)
 
     prefix = install_library(project / "library", "-DMCP_ASDF_WITH_ASDF=OFF")
 
@@ -255,15 +275,19 @@ def read_manifest(path: Path) -> dict[str, Any]:
     ids=lambda path: path.name,
 )
 def test_a_manifest_has_the_version_of_the_header_and_the_licence(path: Path) -> None:
+    """Arduino, PlatformIO, ESP-IDF and those who cite read it; the version stands in the C header."""
     manifest = read_manifest(path)
-    assert (manifest["version"], manifest["license"]) == (version_of_header(), "MIT")
+    assert manifest["version"] == version_of_header()
+    assert manifest["license"] == "MIT"
 
 
 def test_the_python_package_has_the_version_of_the_header() -> None:
+    """The header of the firmware in C has it in three macros."""
     assert metadata.version("mcp-asdf") == version_of_header()
 
 
 def test_platformio_is_told_where_sources_and_headers_are() -> None:
+    """Its manifest library.json names the headers for users, and the folder of all files."""
     manifest = read_manifest(PACKAGE / "library.json")
     assert set(manifest["headers"]) == HEADERS
     assert manifest["build"] == {"srcDir": "src", "includeDir": "src"}
@@ -290,7 +314,7 @@ def files_in(archive: Path) -> set[str]:
 
 
 def test_platformio_packs_sources_example_manifests_and_licence(tmp_path: Path) -> None:
-    """And a note of its own, .piopm."""
+    """Its own packer makes the archive, and puts a note of its own, .piopm, into it."""
     pytest.importorskip("platformio", reason="platformio is not installed: make setup")
     archive = tmp_path / "packed.tar.gz"
 
@@ -303,6 +327,7 @@ def test_platformio_packs_sources_example_manifests_and_licence(tmp_path: Path) 
 
 @pytest.mark.slow
 def test_esp_idf_packs_sources_build_file_manifest_and_licence(tmp_path: Path) -> None:
+    """ESP-IDF's own tool compote checks the manifest, and makes the archive."""
     compote = require("compote")
     run(compote, "manifest", "lint", PACKAGE / "idf_component.yml")
 
@@ -313,6 +338,7 @@ def test_esp_idf_packs_sources_build_file_manifest_and_licence(tmp_path: Path) -
 
 
 def test_esp_idf_builds_all_sources() -> None:
+    """It reads their names in CMakeLists.txt, in a call of idf_component_register."""
     commands = (PACKAGE / "CMakeLists.txt").read_text(encoding="utf-8")
     [sources] = re.findall(r"idf_component_register\(\s*SRCS (.*?)\s+INCLUDE_DIRS src\)", commands)
     assert set(sources.split()) == {name for name in FILES if name.endswith(".c")}
@@ -342,13 +368,14 @@ def test_zephyr_has_the_optional_parts_with_the_firmware_unless_they_are_left_ou
 
     kconfig.load_config(str(tmp_path / "prj.conf"))
 
+    chosen_parts = [symbol.name.lower() for symbol in kconfig.unique_defined_syms if symbol.str_value == "y"]
+    assert sorted(chosen_parts) == sorted(parts)
+    assert len(kconfig.unique_defined_syms) == len(PARTS)
     assert kconfig.warnings == []
-    options = {symbol.name: symbol.str_value for symbol in kconfig.unique_defined_syms}
-    assert options == {part.upper(): "y" if part in parts else "n" for part in PARTS}
 
 
 def test_zephyr_builds_the_parts_that_its_options_choose() -> None:
-    """The firmware always, once it is chosen, and each other part if its option is y."""
+    """It builds the method once the firmware is chosen, and each other part if its option is y."""
     commands = (PACKAGE / zephyr_module()["cmake"] / "CMakeLists.txt").read_text(encoding="utf-8")
 
     assert "zephyr_library_sources(../src/mcp_asdf.c ../src/mcp_asdf_accessors.c)" in commands
