@@ -11,7 +11,7 @@ from benchmarks import pages
 
 PAGE = """Words.
 
-<!-- grid -->
+<!-- filters -->
 | H | no filter |
 |---|---|
 | moving | old |
@@ -20,39 +20,57 @@ PAGE = """Words.
 
 More words."""
 
+UPDATED_PAGE = PAGE.replace("| moving | old |", "| moving | new |")
+
+TABLES_OF_STUDY = """<!-- filters -->
+| H | no filter |
+|---|---|
+| moving | new |
+| not on the page | new |
+<!-- end -->"""
+
+
+def test_rows_of_a_table_on_a_page_are_replaced_by_those_of_the_study_and_no_other_row_is_added() -> None:
+    assert pages.update_tables(PAGE, TABLES_OF_STUDY) == UPDATED_PAGE
+
+
+def test_a_table_on_a_page_that_the_study_does_not_have_stays_as_it_is() -> None:
+    tables_of_study = TABLES_OF_STUDY.replace("<!-- filters -->", "<!-- other -->")
+    assert pages.update_tables(PAGE, tables_of_study) == PAGE
+
 
 @pytest.fixture
-def root(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Make a folder with pages, in place of the project's."""
+def project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder with empty folders for pages, pictures and data, which stands for the project's."""
     for folder in ("docs/images", "docs/internals", "tests/data"):
         (tmp_path / folder).mkdir(parents=True)
     monkeypatch.setattr(pages, "ROOT", tmp_path)
     return tmp_path
 
 
-def put(study: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> int:
-    monkeypatch.setattr("sys.argv", ["pages.py", study, str(folder)])
-    return pages.main()
+def exit_code_of_tool(study: str, folder_of_results: Path) -> int:
+    """Run the tool for a study, and return its exit code."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("sys.argv", ["pages.py", study, str(folder_of_results)])
+        return pages.main()
 
 
-def test_rows_of_the_page_are_replaced_and_others_left_out() -> None:
-    study = "<!-- grid -->\n| H | no filter |\n|---|---|\n| moving | new |\n| not shown | new |\n<!-- end -->"
-    assert pages.update_tables(PAGE, study) == PAGE.replace("| moving | old |", "| moving | new |")
+def test_the_tool_puts_the_tables_of_a_study_into_its_page_and_its_picture_beside_the_others(
+    project: Path,
+) -> None:
+    """The study of ageing sensors has written ageing.md and ageing.png into a folder of results."""
+    (project / "docs/internals/ageing.md").write_text(PAGE)
+    (project / "ageing.md").write_text(TABLES_OF_STUDY)
+    Image.new("RGB", (4, 4)).save(project / "ageing.png")
+
+    assert exit_code_of_tool("ageing", folder_of_results=project) == 0
+
+    assert (project / "docs/internals/ageing.md").read_text() == UPDATED_PAGE
+    with Image.open(project / "docs/images/ageing.webp") as picture:
+        assert picture.format == "WEBP"
 
 
-def test_a_table_that_the_study_has_not_stays() -> None:
-    assert pages.update_tables(PAGE, "<!-- other -->\n| moving | new |\n<!-- end -->") == PAGE
-
-
-def test_tables_and_picture_of_a_study_go_into_its_page(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (root / "docs/internals/ageing.md").write_text(PAGE.replace("grid", "filters"))
-    (root / "ageing.md").write_text("<!-- filters -->\n| moving | new |\n<!-- end -->")
-    Image.new("RGB", (4, 4)).save(root / "ageing.png")
-
-    assert put("ageing", root, monkeypatch) == 0
-    assert "| moving | new |" in (root / "docs/internals/ageing.md").read_text()
-    assert (root / "docs/images/ageing.webp").read_bytes()[8:12] == b"WEBP"
-
+# --- The paper's study -----------------------------------------------------------------------------------
 
 REPORT = """# The study
 
@@ -69,6 +87,17 @@ REPORT = """# The study
 ## Claims
 
 Many."""
+
+OVERVIEW_OF_REPORT = """1 of 2 claims hold.
+
+| for a user | dynamic |
+|---|---|
+| Is it 1 of 2? | yes |
+
+### What was run
+
+30 trials"""
+
 COMPARISONS = """claim,part,verdict,holds
 first,dynamic,agree,yes
 second,dynamic,mixed,yes
@@ -76,40 +105,45 @@ second,dynamic,mixed,no
 """
 
 
+def study_page(results: str) -> str:
+    """Return the page of the paper's study with these results."""
+    return f"Words.\n\n<!-- results -->\n{results}\n<!-- end -->\n\nMore words."
+
+
 @pytest.fixture
-def study_folder(root: Path) -> Path:
-    """Make a page and the report of a study for it."""
-    (root / "docs/internals/study.md").write_text(
-        "Words.\n\n<!-- results -->\nold\n<!-- end -->\n\nMore words."
-    )
-    (root / "report.md").write_text(REPORT)
-    (root / "comparisons.csv").write_text(COMPARISONS)
-    return root
+def reported_study(project: Path) -> Path:
+    """The project with a page of the paper's study, and the report of a study in the same folder."""
+    (project / "docs/internals/study.md").write_text(study_page(results="old"))
+    (project / "report.md").write_text(REPORT)
+    (project / "comparisons.csv").write_text(COMPARISONS)
+    return project
 
 
-def test_the_overview_of_the_study_goes_into_its_page(
-    study_folder: Path, monkeypatch: pytest.MonkeyPatch
+def test_the_tool_puts_the_beginning_of_a_report_without_its_links_into_the_page_of_the_study(
+    reported_study: Path,
 ) -> None:
-    assert put("study", study_folder, monkeypatch) == 0
-    table = "| for a user | dynamic |\n|---|---|\n| Is it 1 of 2? | yes |"
-    overview = f"1 of 2 claims hold.\n\n{table}\n\n### What was run\n\n30 trials"
-    expected = f"Words.\n\n<!-- results -->\n{overview}\n<!-- end -->\n\nMore words."
-    assert (study_folder / "docs/internals/study.md").read_text() == expected
+    assert exit_code_of_tool("study", folder_of_results=reported_study) == 0
+
+    page = (reported_study / "docs/internals/study.md").read_text()
+    assert page == study_page(results=OVERVIEW_OF_REPORT)
 
 
-def test_the_verdicts_of_the_study_are_recorded(study_folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The tool counts how many comparisons of each claim hold, and keeps that for a test of the page."""
-    put("study", study_folder, monkeypatch)
-    assert (study_folder / "tests/data/study_verdicts.csv").read_text().splitlines() == [
+def test_the_tool_records_for_each_claim_its_verdict_and_how_many_comparisons_hold(
+    reported_study: Path,
+) -> None:
+    """It counts the lines of comparisons.csv."""
+    exit_code_of_tool("study", folder_of_results=reported_study)
+
+    assert (reported_study / "tests/data/study_verdicts.csv").read_text().splitlines() == [
         "claim,part,verdict,holds,of",
         "first,dynamic,agree,1,1",
         "second,dynamic,mixed,1,2",
     ]
 
 
-def test_a_study_without_verdicts_changes_no_page(
-    study_folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    (study_folder / "report.md").write_text("# The study\n\n**Too short for verdicts**")
-    assert put("study", study_folder, monkeypatch) == 1
-    assert "old" in (study_folder / "docs/internals/study.md").read_text()
+def test_the_tool_changes_no_page_by_a_study_that_is_too_short_for_verdicts(reported_study: Path) -> None:
+    (reported_study / "report.md").write_text("# The study\n\n**Too short for verdicts**")
+
+    assert exit_code_of_tool("study", folder_of_results=reported_study) == 1
+
+    assert (reported_study / "docs/internals/study.md").read_text() == study_page(results="old")

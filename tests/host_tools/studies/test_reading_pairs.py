@@ -23,64 +23,80 @@ from robots import ROBUST
 
 # --- Sensors ---------------------------------------------------------------------------------------------
 
+Readings = NDArray[np.bool_]
+"""Whether a reading is black, by tile and robot."""
 
-def readings_of(sensor: type[IndependentReadings], tiles: int = 20_000) -> NDArray[np.bool_]:
-    """Return whether readings of two robots are black, with f = 0.7 and b = 0.9, shape (tiles, 2, robots)."""
+
+def first_and_second_readings(sensors: type[IndependentReadings]) -> tuple[Readings, Readings]:
+    """Return both readings of 20,000 tiles by two robots: 0.7 are black, and a reading is right with 0.9."""
     settings = Experiment(robots=2, flawed=0, fill_ratio=0.7, true_accuracy=0.9)
-    on_black, _ = sensor(settings, 0).advance(2 * tiles)
-    is_black: NDArray[np.bool_] = on_black.reshape(tiles, 2, 2) == 1
-    return is_black
+    on_black, _on_white = sensors(settings, trial=0).advance(steps=2 * 20_000)
+    is_black = on_black == 1
+    return is_black[0::2], is_black[1::2]
 
 
-def test_both_readings_are_black_as_often_as_the_accuracy_says() -> None:
-    black_rates = readings_of(IndependentReadings).mean(axis=0)
-    assert black_rates == pytest.approx(0.7 * 0.9 + 0.3 * 0.1, abs=0.015)
+def test_both_readings_of_a_tile_are_black_as_often_as_the_floor_and_the_accuracy_say() -> None:
+    """Of 0.7 black tiles 0.9 are read rightly, and of 0.3 white ones 0.1 wrongly."""
+    first, second = first_and_second_readings(IndependentReadings)
+
+    black_rate = 0.7 * 0.9 + 0.3 * 0.1
+    assert first.mean() == pytest.approx(black_rate, abs=0.015)
+    assert second.mean() == pytest.approx(black_rate, abs=0.015)
 
 
 @pytest.mark.parametrize(
-    ("sensor", "rate"),
-    [(IndependentReadings, 0.18), (TenthRepeated, 0.9 * 0.18), (HalfRepeated, 0.5 * 0.18)],
+    ("sensors", "repeated_share"), [(IndependentReadings, 0.0), (TenthRepeated, 0.1), (HalfRepeated, 0.5)]
 )
-def test_readings_of_a_tile_disagree_as_often_as_errors_and_repetitions_say(
-    sensor: type[IndependentReadings], rate: float
+def test_two_readings_of_a_tile_disagree_if_one_is_wrong_and_the_second_does_not_repeat_the_first(
+    sensors: type[IndependentReadings], repeated_share: float
 ) -> None:
-    first, second = readings_of(sensor).swapaxes(0, 1)
-    assert (first != second).mean() == pytest.approx(rate, abs=0.01)
+    first, second = first_and_second_readings(sensors)
+
+    one_is_wrong = 2 * 0.9 * 0.1
+    assert (first != second).mean() == pytest.approx((1 - repeated_share) * one_is_wrong, abs=0.01)
 
 
 def test_readings_of_successive_tiles_are_independent() -> None:
-    first_readings = readings_of(HalfRepeated)[:, 0, 0].astype(float)
-    correlation = np.corrcoef(first_readings[:-1], first_readings[1:])[0, 1]
-    assert correlation == pytest.approx(0, abs=0.03)
+    first, _second = first_and_second_readings(HalfRepeated)
+    readings_of_robot_0 = first[:, 0].astype(float)
+
+    correlation_matrix = np.corrcoef(readings_of_robot_0[:-1], readings_of_robot_0[1:])
+
+    assert correlation_matrix[0, 1] == pytest.approx(0, abs=0.03)
 
 
-def test_a_reading_does_not_depend_on_the_colour_of_the_floor() -> None:
-    settings = Experiment(robots=3, flawed=0)
-    on_black, on_white = IndependentReadings(settings, 0).advance(50)
+THREE_ROBOTS = Experiment(robots=3, flawed=0)
+
+
+def test_a_sensor_with_two_readings_gives_the_same_reading_on_black_and_on_white_tiles() -> None:
+    """An accuracy of 1 on black is a black reading there, and so is an accuracy of 0 on white."""
+    on_black, on_white = IndependentReadings(THREE_ROBOTS, trial=0).advance(steps=50)
+
     assert set(on_black.ravel()) == {0.0, 1.0}
-    assert (on_white == 1 - on_black).all()
+    assert on_white.tolist() == (1 - on_black).tolist()
 
 
 def test_readings_do_not_depend_on_how_many_steps_are_taken_at_once() -> None:
-    settings = Experiment(robots=3, flawed=0)
-    sensor = HalfRepeated(settings, 4)
-    in_parts = np.concatenate([sensor.advance(steps)[0] for steps in (1, 2, 5, 1, 4)])
-    assert (in_parts == HalfRepeated(settings, 4).advance(13)[0]).all()
+    sensors = HalfRepeated(THREE_ROBOTS, trial=4)
+    readings_of_parts = [sensors.advance(steps)[0] for steps in (1, 2, 5, 1, 4)]
+
+    readings_at_once, _ = HalfRepeated(THREE_ROBOTS, trial=4).advance(steps=1 + 2 + 5 + 1 + 4)
+    assert np.concatenate(readings_of_parts).tolist() == readings_at_once.tolist()
 
 
-def test_trials_have_different_readings() -> None:
-    settings = Experiment(robots=3, flawed=0)
-    readings = [IndependentReadings(settings, trial).advance(50)[0] for trial in (0, 1)]
-    assert (readings[0] != readings[1]).any()
+def test_two_trials_have_different_readings() -> None:
+    readings_of_trial_0, _ = IndependentReadings(THREE_ROBOTS, trial=0).advance(steps=50)
+    readings_of_trial_1, _ = IndependentReadings(THREE_ROBOTS, trial=1).advance(steps=50)
+    assert readings_of_trial_0.tolist() != readings_of_trial_1.tolist()
 
 
 # --- Test and accuracy -----------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
-    ("disagreements", "is_rejected"), [(62, True), (63, False), (95, False), (127, False), (128, True)]
+    ("disagreements", "is_rejected"), [(62, True), (63, False), (127, False), (128, True)]
 )
-def test_counts_beyond_sqrt_12_standard_deviations_are_rejected(
+def test_an_assumed_accuracy_is_rejected_if_disagreements_are_beyond_sqrt_12_standard_deviations(
     disagreements: int, is_rejected: bool
 ) -> None:
     """With an accuracy of 0.95, 95 of 1000 pairs of readings should disagree: 2 x 0.95 x 0.05 of them.
@@ -91,85 +107,101 @@ def test_counts_beyond_sqrt_12_standard_deviations_are_rejected(
     assert disagreement_test_rejects(disagreements, pairs=1000, b_hat=0.95) is is_rejected
 
 
-def test_without_pairs_nothing_is_rejected() -> None:
-    assert disagreement_test_rejects(0, pairs=0, b_hat=0.95) is False
+def test_no_accuracy_is_rejected_without_pairs_of_readings() -> None:
+    assert disagreement_test_rejects(disagreements=0, pairs=0, b_hat=0.95) is False
 
 
 @pytest.mark.parametrize(
     ("disagreements", "accuracy"), [(18, 0.9), (32, 0.8), (50, 0.5), (60, 0.5), (0, 1 - B_HAT_MARGIN)]
 )
-def test_the_accuracy_is_the_one_at_which_as_many_pairs_disagree(disagreements: int, accuracy: float) -> None:
+def test_the_accuracy_is_the_one_at_which_as_many_of_100_pairs_of_readings_disagree(
+    disagreements: int, accuracy: float
+) -> None:
+    """With an accuracy of 0.9 these are 2 x 0.9 x 0.1 of them. It is never below 0.5, nor quite 1."""
     assert accuracy_of_disagreements(disagreements, pairs=100) == pytest.approx(accuracy)
 
 
 # --- Robot -----------------------------------------------------------------------------------------------
 
 
-def robot_after(agreeing_pairs: int, disagreeing_pairs: int, b_hat: float) -> TwoReadingsRobot:
-    """Make a robot, and let it read so many tiles twice, with a run of the filter at the end."""
-    robot = TwoReadingsRobot(ROBUST, 0, b_hat)
-    for _ in range(agreeing_pairs):
+def read_pairs(robot: TwoReadingsRobot, agreeing: int, disagreeing: int) -> Status:
+    """Let a robot read so many tiles twice; return what it says at the end of the round, when it filters."""
+    for _ in range(agreeing):
         robot.observe(Observation.BLACK)
         robot.observe(Observation.BLACK)
-    for _ in range(disagreeing_pairs):
+    for _ in range(disagreeing):
         robot.observe(Observation.WHITE)
         robot.observe(Observation.BLACK)
-    robot.settle()
-    return robot
+    return robot.settle()
 
 
-def test_only_the_first_reading_of_a_tile_is_an_observation() -> None:
-    robot = robot_after(agreeing_pairs=3, disagreeing_pairs=2, b_hat=0.9)
-    assert (robot.t, robot.n) == (5, 3)
+def two_readings_robot(b_hat: float) -> TwoReadingsRobot:
+    return TwoReadingsRobot(ROBUST, robot_id=0, b_hat=b_hat)
 
 
-def test_a_wrong_b_hat_is_replaced_by_the_accuracy_of_the_disagreements() -> None:
-    robot = robot_after(agreeing_pairs=820, disagreeing_pairs=180, b_hat=0.55)
+def test_only_the_first_reading_of_a_tile_counts_as_an_observation() -> None:
+    robot = two_readings_robot(b_hat=0.9)
+    read_pairs(robot, agreeing=3, disagreeing=2)  # whose first readings are black, and white
+
+    assert robot.t == 5  # observations
+    assert robot.n == 3  # black ones
+
+
+def test_an_accuracy_that_disagreements_contradict_is_replaced_by_the_one_that_fits_them() -> None:
+    """Of 1000 pairs 180 disagree, as many as with an accuracy of 0.9: 2 x 0.9 x 0.1."""
+    robot = two_readings_robot(b_hat=0.55)
+
+    status = read_pairs(robot, agreeing=820, disagreeing=180)
+
+    assert status is Status.UPDATED
     assert robot.b_hat == pytest.approx(0.9)
 
 
-def test_a_right_b_hat_stays_exactly_as_it_was() -> None:
-    robot = robot_after(agreeing_pairs=823, disagreeing_pairs=177, b_hat=0.9)
+def test_an_accuracy_that_disagreements_do_not_contradict_stays_exactly_as_it_was() -> None:
+    """Of 1000 pairs 177 disagree; 180 are expected."""
+    robot = two_readings_robot(b_hat=0.9)
+
+    status = read_pairs(robot, agreeing=823, disagreeing=177)
+
+    assert status is Status.OK
     assert robot.b_hat == 0.9
 
 
-def test_b_hat_returns_when_the_disagreements_no_longer_contradict_it() -> None:
-    robot = robot_after(agreeing_pairs=100, disagreeing_pairs=60, b_hat=0.9)
+def test_a_robot_returns_to_its_first_accuracy_when_disagreements_no_longer_contradict_it() -> None:
+    """60 of 160 pairs are too many for 0.9, and 60 of 410 are not."""
+    robot = two_readings_robot(b_hat=0.9)
+    read_pairs(robot, agreeing=100, disagreeing=60)
     assert robot.b_hat == pytest.approx(0.75)
-    for _ in range(250):
-        robot.observe(Observation.BLACK)
-        robot.observe(Observation.BLACK)
-    robot.settle()
+
+    read_pairs(robot, agreeing=250, disagreeing=0)
 
     assert robot.b_hat == 0.9
-
-
-@pytest.mark.parametrize(("b_hat", "status"), [(0.9, Status.OK), (0.55, Status.UPDATED)])
-def test_settle_reports_an_update_where_b_hat_is_rejected(b_hat: float, status: Status) -> None:
-    robot = TwoReadingsRobot(ROBUST, 0, b_hat)
-    robot._pairs, robot._disagreements = 1000, 180
-    assert robot.settle() is status
 
 
 def test_a_robot_with_two_readings_combines_estimates_as_the_robust_filter_does() -> None:
-    robot = TwoReadingsRobot(ROBUST, 0, 0.9)
-    ordinary_robot = ReferenceRobot(ROBUST, 0, 0.9)
+    robot = two_readings_robot(b_hat=0.9)
+    robust_robot = ReferenceRobot(ROBUST, robot_id=0, b_hat=0.9)
     robot.observe(Observation.BLACK)
-    robot.observe(Observation.BLACK)
-    ordinary_robot.observe(Observation.BLACK)
-    for swarm_member in (robot, ordinary_robot):
-        swarm_member.receive(1, 0.25, 8.0)
-        swarm_member.settle()
+    robot.observe(Observation.BLACK)  # of the same tile
+    robust_robot.observe(Observation.BLACK)
 
-    assert robot.x == ordinary_robot.x != robot.x_hat
+    for either_robot in (robot, robust_robot):
+        either_robot.receive(sender=1, x_hat=0.25, alpha=8.0)
+        either_robot.settle()
+
+    assert robot.x == robust_robot.x
+    assert robot.x != robot.x_hat  # the estimate before any message
 
 
 @pytest.mark.parametrize("readings_before", [0, 1])
-def test_a_reading_that_is_no_colour_is_refused(readings_before: int) -> None:
-    robot = TwoReadingsRobot(ROBUST, 0, 0.9)
+def test_a_reading_that_is_no_colour_is_refused_and_not_counted(readings_before: int) -> None:
+    """It would be the first reading of a tile, or the second one."""
+    robot = two_readings_robot(b_hat=0.9)
     for _ in range(readings_before):
         robot.observe(Observation.BLACK)
     no_colour: Any = 2
 
     assert robot.observe(no_colour) is Status.ERR_OBSERVATION
-    assert (robot.t, robot._pairs) == (readings_before, 0)
+
+    assert robot.t == readings_before
+    assert robot._pairs == 0

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import re
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,17 +12,18 @@ from pathlib import Path
 import pytest
 from matplotlib.figure import Figure
 
-from host_tools.studies.conftest import PlantedResults
-from mcp_asdf_tools.studies import bootstrap, report
+from host_tools.studies.conftest import PlantedResults, rare_resampling
+from mcp_asdf_tools.studies import report
 from mcp_asdf_tools.studies.bootstrap import Interval
 from mcp_asdf_tools.studies.cells import StudyPart, StudySize
-from mcp_asdf_tools.studies.claims import CLAIMS, IDENTICAL_ROBOTS, Decision, decide
+from mcp_asdf_tools.studies.claims import CLAIMS, IDENTICAL_ROBOTS, Claim, Decision, decide
 from mcp_asdf_tools.studies.figures import Picture
 from mcp_asdf_tools.studies.verdicts import Comparison, Expectation, Verdict, exact_comparison
 
 PAPER_SIZE = StudySize()
-SHORT_SIZE = StudySize(trials=10)
+TOO_FEW_TRIALS = StudySize(trials=10)
 TRIED_CLAIMS = [claim for claim in CLAIMS if claim.name != IDENTICAL_ROBOTS]  # it needs real trials
+MINUS = "\N{MINUS SIGN}"
 
 
 @dataclass(frozen=True)
@@ -45,55 +47,71 @@ class WrittenReport:
         return self.markdown.partition(f'<a id="{decision.anchor}"></a>')[2].partition("<a id")[0]
 
 
-def write_planted_report(folder: Path, study_size: StudySize) -> WrittenReport:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(bootstrap, "RESAMPLES", 50)
-        bootstrap.resample_indices.cache_clear()
-        picture = Picture("one", "What it shows", Figure())
+def write_planted_report(folder: Path, study_size: StudySize, claims: Sequence[Claim]) -> WrittenReport:
+    """Write a report on claims, with one picture, of results in which scores fall with the flawed robots."""
+    picture = Picture(name="one", title="What it shows", figure=Figure())
+    with rare_resampling(), pytest.MonkeyPatch.context() as patch:
         patch.setattr(report, "draw_pictures", lambda study_results, study_size: [picture])
         study_results = PlantedResults("90 - P / 2", [StudyPart.DYNAMIC, StudyPart.PHYSICAL])
-        decisions = decide(study_results, TRIED_CLAIMS)
+        decisions = decide(study_results, claims)
         report.write_report(folder, study_results, decisions, study_size)
-    bootstrap.resample_indices.cache_clear()
     markdown, page = ((folder / f"report.{kind}").read_text(encoding="utf-8") for kind in ("md", "html"))
     return WrittenReport(folder, decisions, markdown, page)
 
 
 @pytest.fixture(scope="module")
 def written(tmp_path_factory: pytest.TempPathFactory) -> WrittenReport:
-    return write_planted_report(tmp_path_factory.mktemp("report"), PAPER_SIZE)
+    return write_planted_report(tmp_path_factory.mktemp("report"), PAPER_SIZE, TRIED_CLAIMS)
 
 
-def test_the_report_begins_with_how_many_claims_agree(written: WrittenReport) -> None:
-    agreeing = sum(decision.verdict is Verdict.AGREE for decision in written.decisions)
-    total = len(written.decisions)
-    assert f"\n{agreeing} of {total} claims hold as the paper puts them.\n" in written.markdown
+# --- Overview --------------------------------------------------------------------------------------------
 
 
-def test_the_report_counts_verdicts_for_each_part(written: WrittenReport) -> None:
+def test_the_report_begins_with_how_many_claims_of_the_paper_hold(written: WrittenReport) -> None:
+    verdicts = [decision.verdict for decision in written.decisions]
+    sentence = f"{verdicts.count(Verdict.AGREE)} of {len(verdicts)} claims hold as the paper puts them."
+    assert f"\n{sentence}\n" in written.markdown
+
+
+def test_the_report_counts_the_verdicts_on_the_claims_that_equations_decide(written: WrittenReport) -> None:
+    """Of eight claims seven agree, one is mixed, none disagrees and none is undecided."""
     assert "| equations | 7 | 1 | 0 | 0 |\n" in written.markdown
-    dynamic = [decision.verdict for decision in written.decisions if decision.study_part is StudyPart.DYNAMIC]
-    counts = " | ".join(str(dynamic.count(verdict)) for verdict in Verdict)
-    assert f"| dynamic | {counts} |\n" in written.markdown
 
 
-def test_questions_of_a_user_are_answered_with_a_link(written: WrittenReport) -> None:
-    answer = "[yes](#dynamic-flawed_robots_harm), 24 of 24"
+def test_the_report_counts_the_verdicts_on_the_claims_about_dynamic_swarms(written: WrittenReport) -> None:
+    counts = Counter(
+        decision.verdict for decision in written.decisions if decision.study_part is StudyPart.DYNAMIC
+    )
+    agree, mixed = counts[Verdict.AGREE], counts[Verdict.MIXED]
+    disagree, undecided = counts[Verdict.DISAGREE], counts[Verdict.UNDECIDED]
+
+    assert f"| dynamic | {agree} | {mixed} | {disagree} | {undecided} |\n" in written.markdown
+
+
+def test_the_report_answers_a_question_of_a_user_with_a_link_to_the_claim(written: WrittenReport) -> None:
+    answer = "[yes](#dynamic-flawed_robots_harm), 24 of 24"  # comparisons that hold
     assert f"where f = b = 0.55? | {answer} |  |\n" in written.markdown
 
 
-def test_the_report_says_what_was_run(written: WrittenReport) -> None:
+def test_the_report_says_how_many_experiments_robots_steps_and_trials_with_which_seed_were_run(
+    written: WrittenReport,
+) -> None:
     assert "| dynamic | 216 | 20 | 40000 | 30 | 1 |\n" in written.markdown
     assert "| physical | 20 | 8 | 10000 | 30 | 1 |\n" in written.markdown
 
 
-def test_each_claim_has_its_verdict_in_its_heading(written: WrittenReport) -> None:
+# --- Claims ----------------------------------------------------------------------------------------------
+
+
+def test_the_heading_of_each_claim_in_the_report_has_its_verdict(written: WrittenReport) -> None:
     for decision in written.decisions:
-        heading = f"#### {report.heading_of(decision.claim.name)}: {decision.verdict.value}\n"
-        assert heading in written.section_of(decision)
+        heading = report.heading_of(decision.claim.name)
+        assert f"#### {heading}: {decision.verdict.value}\n" in written.section_of(decision)
 
 
-def test_each_claim_has_the_papers_words_and_ours(written: WrittenReport) -> None:
+def test_the_section_of_each_claim_has_the_papers_words_what_was_compared_and_a_summary(
+    written: WrittenReport,
+) -> None:
     for decision in written.decisions:
         section = written.section_of(decision)
         assert f'"{decision.claim.quote}" ({decision.claim.where})' in section
@@ -101,36 +119,53 @@ def test_each_claim_has_the_papers_words_and_ours(written: WrittenReport) -> Non
         assert report.summarize(decision) in section
 
 
-def test_each_claim_has_a_mark_for_every_comparison(written: WrittenReport) -> None:
+def test_the_table_of_each_claim_has_a_mark_for_every_comparison(written: WrittenReport) -> None:
+    """A tick stands for one that holds, a cross for one that fails, a question mark for one that is open."""
     for decision in written.decisions:
-        marks = [written.section_of(decision).count(f"| {mark} ") for mark in "✓✗?"]
-        assert marks == [decision.count(holds) for holds in (True, False, None)]
+        section = written.section_of(decision)
+        assert section.count("| ✓ ") == decision.count(True)
+        assert section.count("| ✗ ") == decision.count(False)
+        assert section.count("| ? ") == decision.count(None)
 
 
-def test_every_link_has_its_target(written: WrittenReport) -> None:
+# --- Files -----------------------------------------------------------------------------------------------
+
+
+def test_every_link_within_the_report_has_a_target_and_every_target_a_link(written: WrittenReport) -> None:
     links = set(re.findall(r"\]\(#([^)]+)\)", written.markdown))
-    assert links == set(re.findall(r'<a id="([^"]+)">', written.markdown))
+    targets = set(re.findall(r'<a id="([^"]+)">', written.markdown))
+    assert links == targets
 
 
-def test_no_line_of_the_markdown_ends_in_a_space(written: WrittenReport) -> None:
+def test_no_line_of_the_report_in_markdown_ends_in_a_space(written: WrittenReport) -> None:
     assert " \n" not in written.markdown
 
 
-def test_pictures_are_files_beside_the_markdown(written: WrittenReport) -> None:
+def test_the_report_in_markdown_links_to_its_pictures_which_are_files(written: WrittenReport) -> None:
     assert "![What it shows](figures/one.png)" in written.markdown
     assert (written.folder / "figures/one.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_the_page_needs_no_other_file(written: WrittenReport) -> None:
-    assert re.findall(r'src="([^,"]*,iVBOR)', written.page) == ["data:image/png;base64,iVBOR"]
-    assert not re.search(r"(src|href)=\"(?!data:|#)", written.page)
+def test_the_report_in_html_contains_its_picture_and_needs_no_other_file(written: WrittenReport) -> None:
+    first_letters_of_a_png = "iVBOR"  # in base64
+    links_to_other_files = re.findall(r'(?:src|href)="(?!data:|#)[^"]*"', written.page)
+
+    assert written.page.count(f'src="data:image/png;base64,{first_letters_of_a_png}') == 1
+    assert links_to_other_files == []
 
 
-def test_the_csv_has_a_line_for_every_comparison(written: WrittenReport) -> None:
+def test_comparisons_csv_has_a_line_for_every_comparison_of_every_claim(written: WrittenReport) -> None:
     with (written.folder / "comparisons.csv").open(encoding="utf-8", newline="") as file:
         rows = list(csv.DictReader(file))
-    assert len(rows) == sum(len(decision.comparisons) for decision in written.decisions)
-    row = next(row for row in rows if row["claim"] == "confidence_increases_with_b_hat")
+
+    comparisons = [comparison for decision in written.decisions for comparison in decision.comparisons]
+    assert [row["cells"] for row in rows] == [comparison.label for comparison in comparisons]
+
+
+def test_a_line_of_comparisons_csv_has_claim_verdict_expectation_and_interval(written: WrittenReport) -> None:
+    with (written.folder / "comparisons.csv").open(encoding="utf-8", newline="") as file:
+        rows = csv.DictReader(file)
+        row = next(row for row in rows if row["claim"] == "confidence_increases_with_b_hat")
 
     assert row == {
         "seed": "1",
@@ -141,78 +176,83 @@ def test_the_csv_has_a_line_for_every_comparison(written: WrittenReport) -> None
         "cells": "n/t 0.505: least ratio of alpha to that of a b_hat 0.005 lower, less 1",
         "expected": "above",
         "size": "1e-09",
-        **dict.fromkeys(("value", "low", "high"), "0.0205123"),
+        "value": "0.0205123",
+        "low": "0.0205123",
+        "high": "0.0205123",
         "holds": "yes",
     }
 
 
-def test_claims_are_plain_values_for_programs(written: WrittenReport) -> None:
-    values = report.decisions_as_json(written.decisions, PAPER_SIZE)
-    value = next(value for value in values if value["claim"] == "confidence_increases_with_b_hat")
+def test_decisions_for_json_have_claim_part_verdict_and_a_summary(written: WrittenReport) -> None:
+    """The part of the study is None for a claim that equations decide."""
+    decisions = report.decisions_as_json(written.decisions, PAPER_SIZE)
+    decision = next(each for each in decisions if each["claim"] == "confidence_increases_with_b_hat")
 
-    assert value == {
+    assert decision == {
         "claim": "confidence_increases_with_b_hat",
         "part": None,
         "verdict": "agree",
         "numbers": "3 of 3 hold; best 0.0205, worst 0.0205",
     }
-    assert {value["part"] for value in values} == {None, "dynamic", "physical"}
+    assert {each["part"] for each in decisions} == {None, "dynamic", "physical"}
 
 
-def test_trials_that_are_too_few_get_no_verdict(tmp_path: Path) -> None:
-    short = write_planted_report(tmp_path, SHORT_SIZE)
-    assert "Too short for verdicts" in short.page
-    assert ": agree" not in short.markdown
-    verdicts = {value["verdict"] for value in report.decisions_as_json(short.decisions, SHORT_SIZE)}
+def test_the_report_gives_no_verdicts_by_fewer_trials_than_the_papers(tmp_path: Path) -> None:
+    short_report = write_planted_report(tmp_path, TOO_FEW_TRIALS, claims=CLAIMS[:5])
 
-    assert verdicts == {None}
+    assert "Too short for verdicts" in short_report.page
+    assert ": agree" not in short_report.markdown
+    for decision in report.decisions_as_json(short_report.decisions, TOO_FEW_TRIALS):
+        assert decision["verdict"] is None
+
+
+# --- Text of a claim -------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
     ("name", "heading"),
     [
         ("low_b_hat_is_slow", "Low b_hat is slow"),
-        ("minus_holds_the_level", "ASDF\N{MINUS SIGN} holds the level"),
+        ("minus_holds_the_level", f"ASDF{MINUS} holds the level"),
         ("short_runs_do_not_depend_on_p", "Short runs do not depend on P"),
         ("plus_and_surplus", "ASDF+ and surplus"),
     ],
 )
-def test_a_heading_has_the_papers_symbols(name: str, heading: str) -> None:
+def test_the_heading_of_a_claim_is_its_name_with_the_papers_symbols(name: str, heading: str) -> None:
     assert report.heading_of(name) == heading
 
 
-# --- Numbers ---------------------------------------------------------------------------------------------
+def exactly(value: float, expectation: Expectation = Expectation.ABOVE, size: float = 2) -> Comparison:
+    """Compare a value that is not subject to chance."""
+    return exact_comparison("row", "column", value, expectation, size)
 
 
-def exact(value: float, expectation: Expectation = Expectation.ABOVE, study_size: float = 2) -> Comparison:
-    return exact_comparison("row", "column", value, expectation, study_size)
-
-
-OPEN = Comparison("row", "column", Interval(0.1, -0.25, 3), Expectation.NOT_BELOW, 0.2)
-BELOW = exact(-4, Expectation.BELOW)
-SAME = exact(1, Expectation.SAME)
+OPEN = Comparison("row", "column", Interval(0.1, -0.25, 3), Expectation.NOT_BELOW, size=0.2)
+BELOW = exactly(-4, Expectation.BELOW)
+SAME = exactly(1, Expectation.SAME)
 
 
 @pytest.mark.parametrize(
     ("comparisons", "summary"),
     [
-        ([exact(9), exact(-9), BELOW, SAME], "3 of 4 hold, 1 fail; best 9.0, worst -9.0"),
-        ([exact(-9), BELOW, SAME], "2 of 3 hold, 1 fail; best -4.0, worst -9.0"),
-        ([OPEN], "0 of 1 hold, 1 open; 0.1 [-0.25, 3]"),
-        ([exact(9), exact(3, study_size=0.2)], "2 of 2 hold; best 3, worst 9.0"),
-        ([OPEN, SAME], "1 of 2 hold, 1 open; best 0.1 [-0.25, 3], worst 1.0"),
+        ([exactly(9), exactly(-9), BELOW, SAME], f"3 of 4 hold, 1 fail; best 9.0, worst {MINUS}9.0"),
+        ([exactly(-9), BELOW, SAME], f"2 of 3 hold, 1 fail; best {MINUS}4.0, worst {MINUS}9.0"),
+        ([OPEN], f"0 of 1 hold, 1 open; 0.1 [{MINUS}0.25, 3]"),
+        ([exactly(9, size=2), exactly(3, size=0.2)], "2 of 2 hold; best 3, worst 9.0"),
+        ([OPEN, SAME], f"1 of 2 hold, 1 open; best 0.1 [{MINUS}0.25, 3], worst 1.0"),
     ],
 )
-def test_a_summary_has_the_most_and_the_least_favourable_comparison(
+def test_the_summary_of_a_claim_counts_what_holds_and_has_its_best_and_its_worst_difference(
     comparisons: list[Comparison], summary: str
 ) -> None:
+    """The best one is farthest on the expected side, in multiples of the smallest one that counts."""
     decision = Decision(CLAIMS[0], StudyPart.DYNAMIC, tuple(comparisons))
-    assert report.summarize(decision).replace("\N{MINUS SIGN}", "-") == summary
+    assert report.summarize(decision) == summary
 
 
-def test_a_table_has_a_row_for_each_swarm_and_a_column_for_each_contrast() -> None:
-    decision = Decision(CLAIMS[0], StudyPart.DYNAMIC, (exact(9), BELOW))
+def test_the_table_of_a_claim_has_a_row_for_each_swarm_and_a_column_for_each_expectation() -> None:
+    decision = Decision(CLAIMS[0], StudyPart.DYNAMIC, (exactly(9), BELOW))
     assert report.comparison_table(decision) == [
-        ["", "column: at least 2", "column: at most \N{MINUS SIGN}2"],
-        ["row", "✓ 9.0", "✓ \N{MINUS SIGN}4.0"],
+        ["", "column: at least 2", f"column: at most {MINUS}2"],
+        ["row", "✓ 9.0", f"✓ {MINUS}4.0"],
     ]
