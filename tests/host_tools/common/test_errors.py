@@ -8,24 +8,30 @@ from mcp_asdf_tools.common.errors import UsageError, did_you_mean
 
 
 def test_white_space_in_a_message_becomes_single_spaces() -> None:
+    """A UsageError is a message to the user: one line, whatever it quotes."""
     assert str(UsageError("cannot read a\n\t file; fix it")) == "cannot read a file; fix it"
 
 
 def test_characters_that_do_not_print_are_escaped() -> None:
+    """What a file or an argument holds must not control the user's terminal."""
     assert str(UsageError("cannot read \x1b[2J\ud800")) == "cannot read \\x1b[2J\\ud800"
 
 
 def test_a_message_of_800_characters_is_kept() -> None:
+    """A longer one is shortened, so that the fix at its end stays in sight."""
     assert str(UsageError("9" * 800)) == "9" * 800
 
 
 def test_the_middle_of_a_longer_message_is_left_out() -> None:
+    """Of 800 characters the first 400 and the last 400 are shown, around three points."""
     message = str(UsageError("cannot read a" + "9" * 5000 + "; fix it"))
-    assert message == "cannot read a" + "9" * 387 + " ... " + "9" * 392 + "; fix it"
+    first_400, last_400 = "cannot read a".ljust(400, "9"), "; fix it".rjust(400, "9")
+    assert message == f"{first_400} ... {last_400}"
 
 
 @pytest.mark.parametrize(
     ("word", "hint"), [("robot", "; did you mean robots?"), ("speeed", "; did you mean speed?"), ("xyz", "")]
 )
 def test_the_nearest_known_word_is_offered(word: str, hint: str) -> None:
+    """The user has mistyped one of the words robots and speed, or none."""
     assert did_you_mean(word, ["robots", "speed"]) == hint

@@ -10,6 +10,7 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import pytest
 
@@ -32,34 +33,40 @@ from support import names_in
 
 
 def test_a_file_of_the_maximum_size_is_read(tmp_path: Path) -> None:
+    """The caller says how many bytes the file may have, here 5."""
     (tmp_path / "file").write_bytes(b"12345")
     assert read_at_most(tmp_path / "file", 5) == b"12345"
 
 
-def test_a_larger_file_is_refused(tmp_path: Path) -> None:
+def test_a_file_that_is_larger_than_the_maximum_size_is_refused(tmp_path: Path) -> None:
+    """The caller says how many bytes the file may have, here 5, so that none fills the memory."""
     (tmp_path / "file").write_bytes(b"123456")
     with pytest.raises(ValueError, match="it has more than 5 bytes"):
         read_at_most(tmp_path / "file", 5)
 
 
 def test_a_file_without_an_end_is_refused() -> None:
+    """A text may have 16 MiB; the system's file of zeros never ends."""
     with pytest.raises(UsageError, match="cannot read /dev/zero: it has more than 16777216 bytes; give a sh"):
         read_text("/dev/zero")
 
 
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16"])
 def test_a_text_may_have_a_byte_order_mark(encoding: str, tmp_path: Path) -> None:
+    """Programs of Windows write one, and some write UTF-16."""
     (tmp_path / "file").write_text("k_m ≥ 1", encoding=encoding)
     assert read_text(tmp_path / "file") == "k_m ≥ 1"
 
 
 def test_a_file_that_is_no_text_is_refused_with_the_place(tmp_path: Path) -> None:
+    """The place is that of the first byte that is no UTF-8."""
     (tmp_path / "file").write_bytes(b"abc\xff")
     with pytest.raises(UsageError, match=r"cannot read .*file: it is no text in UTF-8 \(byte 3\)"):
         read_text(tmp_path / "file")
 
 
-def test_a_missing_text_is_named(tmp_path: Path) -> None:
+def test_a_text_that_is_missing_is_refused_by_its_path(tmp_path: Path) -> None:
+    """The error has the reason that the system gives."""
     with pytest.raises(UsageError, match=r"cannot read .*missing: No such file or directory"):
         read_text(tmp_path / "missing")
 
@@ -74,6 +81,7 @@ def test_a_missing_text_is_named(tmp_path: Path) -> None:
     ("data", "content"), [("k_m ≥ 1\n", b"k_m \xe2\x89\xa5 1\n"), (b"\0\xff", b"\0\xff")]
 )
 def test_a_written_file_replaces_a_longer_one(data: str | bytes, content: bytes, tmp_path: Path) -> None:
+    """Nothing of the longer file is left, and no other file is in the folder. A text is written as UTF-8."""
     path = tmp_path / "file"
     path.write_bytes(b"something much longer than what comes next")
     write_atomically(path, data)
@@ -83,6 +91,7 @@ def test_a_written_file_replaces_a_longer_one(data: str | bytes, content: bytes,
 
 
 def test_a_write_through_a_symbolic_link_replaces_the_file_behind_it(tmp_path: Path) -> None:
+    """The link stays a link; the file behind it is in another folder."""
     (tmp_path / "folder").mkdir()
     (tmp_path / "link").symlink_to(tmp_path / "folder/file")
     write_atomically(tmp_path / "link", "new")
@@ -92,12 +101,14 @@ def test_a_write_through_a_symbolic_link_replaces_the_file_behind_it(tmp_path: P
 
 
 def test_a_written_file_has_the_usual_permissions(tmp_path: Path) -> None:
+    """They are those of any new file, though it was written under another name first."""
     write_atomically(tmp_path / "written", "x")
     (tmp_path / "usual").touch()
     assert (tmp_path / "written").stat().st_mode == (tmp_path / "usual").stat().st_mode
 
 
 def test_an_error_while_a_draft_is_written_leaves_the_old_file(tmp_path: Path) -> None:
+    """A draft is the name under which a file is written until it is complete; it is removed."""
     path = tmp_path / "file"
     path.write_text("old")
 
@@ -109,6 +120,7 @@ def test_an_error_while_a_draft_is_written_leaves_the_old_file(tmp_path: Path) -
 
 
 def test_two_programs_that_write_one_file_do_not_mix_their_data(tmp_path: Path) -> None:
+    """Each has a draft under another name, so the file is that of the one which is ready last."""
     path = tmp_path / "file"
     with drafts_for([path]) as [first_draft]:
         first_draft.write_text("first")
@@ -130,12 +142,13 @@ with drafts_for([Path("file")]) as [draft]:
 
 
 def test_a_kill_leaves_the_old_file_and_a_draft_that_can_be_removed(tmp_path: Path) -> None:
+    """The process that writes is killed when it has written half of the new file under another name."""
     (tmp_path / "file").write_text("old")
     subprocess.run([sys.executable, "-c", WRITER_THAT_IS_KILLED], cwd=tmp_path, check=False)
     assert (tmp_path / "file").read_text() == "old"
     assert len(names_in(tmp_path)) == 2
-    remove_abandoned_drafts(tmp_path)
 
+    remove_abandoned_drafts(tmp_path)
     assert names_in(tmp_path) == ["file"]
 
 
@@ -226,63 +239,80 @@ def contents_of(folder: Path) -> dict[str, str]:
 
 
 def test_two_files_are_written_with_these_system_calls(tmp_path: Path) -> None:
+    """CALLS lists them; the other tests let each of them fail."""
     system_calls = replace_old_files(tmp_path)
     assert [name for name, _ in system_calls.calls] == CALLS
     assert contents_of(tmp_path) == {"a": "new", "b": "new"}
 
 
-@pytest.mark.parametrize("index", range(FIRST_REPLACE + 1))
-def test_a_full_disk_leaves_both_old_files(index: int, tmp_path: Path) -> None:
+with_each_failing_call = pytest.mark.parametrize("failing_index", range(FIRST_REPLACE + 1))
+"""Let each system call fail, one at a time, up to the one that renames the first file."""
+
+
+@with_each_failing_call
+def test_a_full_disk_leaves_both_old_files(failing_index: int, tmp_path: Path) -> None:
+    """One of the system calls fails that write the files "a" and "b" or give the first one its name."""
     with pytest.raises(UsageError, match=r"cannot write .*/[ab]: No space left on device; choose a folder"):
-        replace_old_files(tmp_path, index, DISK_IS_FULL)
+        replace_old_files(tmp_path, failing_index, DISK_IS_FULL)
     assert contents_of(tmp_path) == {"a": "old", "b": "old"}
 
 
-@pytest.mark.parametrize("index", range(FIRST_REPLACE + 1))
-def test_ctrl_c_leaves_both_old_files(index: int, tmp_path: Path) -> None:
+@with_each_failing_call
+def test_ctrl_c_leaves_both_old_files(failing_index: int, tmp_path: Path) -> None:
+    """It comes in one of the system calls that write the files "a" and "b" or give the first one its name."""
     with pytest.raises(KeyboardInterrupt):
-        replace_old_files(tmp_path, index, KeyboardInterrupt())
+        replace_old_files(tmp_path, failing_index, KeyboardInterrupt())
     assert contents_of(tmp_path) == {"a": "old", "b": "old"}
 
 
 def test_a_failure_between_the_renamings_leaves_two_complete_files(tmp_path: Path) -> None:
+    """The file "a" has got its name, and then the disk refuses that of "b"."""
+    second_replace = FIRST_REPLACE + 1
     with pytest.raises(UsageError, match=r"cannot write .*/b: No space left on device"):
-        replace_old_files(tmp_path, FIRST_REPLACE + 1, DISK_IS_FULL)
+        replace_old_files(tmp_path, second_replace, DISK_IS_FULL)
     assert contents_of(tmp_path) == {"a": "new", "b": "old"}
 
 
 def test_a_folder_that_cannot_be_synced_is_no_error(tmp_path: Path) -> None:
+    """Not every file system can wait until the names in a folder are on the disk."""
     replace_old_files(tmp_path, FOLDER_SYNC, DISK_IS_FULL)
     assert contents_of(tmp_path) == {"a": "new", "b": "new"}
 
 
 def test_output_files_get_their_names_only_when_their_contents_are_on_disk(tmp_path: Path) -> None:
-    """So whenever the power fails, a name stands for the old content or for all of the new one."""
+    """So whenever the power fails, a name stands for the old content or for all of the new one.
+
+    A sync waits until the disk has what was written into a draft, or, at the end, the names in the folder.
+    """
     calls = replace_old_files(tmp_path).calls
-    calls_after_writing = calls[len([*WRITE_ONE, *WRITE_ONE]) :]
-    first_sync, second_sync, *renamings, folder_sync = calls_after_writing
-    (_, first_draft), (_, second_draft) = first_sync, second_sync
-    assert renamings == [("replace", first_draft), ("replace", second_draft)]
-    assert folder_sync == ("fsync", tmp_path.name)
+    drafts = [file for name, file in calls if name == "open"]
+    syncs_and_renamings = [(name, file) for name, file in calls if name in ("fsync", "replace")]
+
+    sync_both = [("fsync", draft) for draft in drafts]
+    rename_both = [("replace", draft) for draft in drafts]
+    assert syncs_and_renamings == [*sync_both, *rename_both, ("fsync", tmp_path.name)]
 
 
 def test_obsolete_files_are_removed_before_the_first_renaming(tmp_path: Path) -> None:
-    for name in ("draft", "obsolete"):
-        (tmp_path / name).touch()
+    """The renaming of the draft fails, and the obsolete file is gone by then."""
+    (tmp_path / "draft").touch()
+    (tmp_path / "obsolete").touch()
     with pytest.MonkeyPatch.context() as patch, pytest.raises(UsageError):
-        SystemCalls(patch, failing_index=1, failure=DISK_IS_FULL)  # index 0 is the sync of the draft
+        patch.setattr(os, "replace", Mock(side_effect=DISK_IS_FULL))
         rename_drafts({tmp_path / "file": tmp_path / "draft"}, obsolete=[tmp_path / "obsolete"])
 
     assert names_in(tmp_path) == ["draft"]
 
 
-def test_a_file_that_is_to_be_removed_may_be_missing(tmp_path: Path) -> None:
+def test_an_obsolete_file_that_is_missing_is_no_error(tmp_path: Path) -> None:
+    """It is to be removed before the draft gets its name."""
     (tmp_path / "draft").write_text("new")
     rename_drafts({tmp_path / "file": tmp_path / "draft"}, obsolete=[tmp_path / "obsolete"])
     assert contents_of(tmp_path) == {"file": "new"}
 
 
 def test_writing_files_leaves_no_file_descriptor_open(tmp_path: Path) -> None:
+    """A program that writes many files would run out of them; /dev/fd lists those that are open."""
     open_before = len(os.listdir("/dev/fd"))
     write_together({tmp_path / "a": "x", tmp_path / "b": "x"})
     assert len(os.listdir("/dev/fd")) == open_before
@@ -292,64 +322,75 @@ def test_writing_files_leaves_no_file_descriptor_open(tmp_path: Path) -> None:
 
 
 def test_a_folder_is_made_with_those_above_it(tmp_path: Path) -> None:
+    """Neither a nor b is there before."""
     make_folder(tmp_path / "a/b")
     assert (tmp_path / "a/b").is_dir()
 
 
 def test_a_folder_that_exists_is_kept(tmp_path: Path) -> None:
+    """The file in it stays."""
     (tmp_path / "file").touch()
     make_folder(tmp_path)
     assert names_in(tmp_path) == ["file"]
 
 
 def test_a_folder_in_place_of_a_file_is_refused(tmp_path: Path) -> None:
+    """The error names the path, the reason of the system and a fix."""
     (tmp_path / "file").touch()
     with pytest.raises(UsageError, match=r"cannot write .*/file: File exists; choose a folder that takes it"):
         make_folder(tmp_path / "file")
 
 
-def test_a_folder_is_no_output_file(tmp_path: Path) -> None:
+def test_writing_a_file_in_place_of_a_folder_is_refused(tmp_path: Path) -> None:
+    """The error names the path and a fix."""
     with pytest.raises(UsageError, match=f"cannot write {tmp_path}: it is not a regular file; choose"):
         write_atomically(tmp_path, "x")
 
 
-def test_a_pipe_is_no_output_file(tmp_path: Path) -> None:
+def test_writing_a_file_in_place_of_a_pipe_is_refused(tmp_path: Path) -> None:
+    """The program at its other end would get nothing, as a new file would take its name."""
     os.mkfifo(tmp_path / "pipe")
     with pytest.raises(UsageError, match=r"pipe: it is not a regular file; choose another name"):
         write_atomically(tmp_path / "pipe", "x")
 
 
-def test_an_output_file_needs_a_folder(tmp_path: Path) -> None:
+def test_writing_a_file_into_a_folder_that_does_not_exist_is_refused(tmp_path: Path) -> None:
+    """The user may have mistyped the folder, so it is not made."""
     with pytest.raises(UsageError, match=r"missing/file: its folder does not exist; make it first"):
         write_atomically(tmp_path / "missing/file", "x")
 
 
 def test_a_path_below_a_file_is_refused_by_its_name(tmp_path: Path) -> None:
+    """A file stands where a folder should be, and the error names the path."""
     (tmp_path / "file").touch()
     with pytest.raises(UsageError, match=f"cannot write {tmp_path}/file/below: "):
         write_atomically(tmp_path / "file/below", "x")
 
 
-def test_an_output_file_needs_a_folder_that_may_be_written_to(
+def test_writing_a_file_into_a_folder_without_permission_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """``os.access`` is replaced, since tests may run as root, who may write to every folder."""
-    needed_permissions = os.W_OK | os.X_OK
-    monkeypatch.setattr(os, "access", lambda path, mode: path != tmp_path or mode != needed_permissions)
+    may_access = Mock(return_value=False)
+    monkeypatch.setattr(os, "access", may_access)
     with pytest.raises(UsageError, match="you may not write to its folder; choose another"):
         check_target(tmp_path / "file")
+    may_access.assert_called_once_with(tmp_path, os.W_OK | os.X_OK)
 
 
 def test_the_results_of_an_output_file_stand_beside_it(tmp_path: Path) -> None:
+    """They are those of a run, in JSON, and the output file is its log."""
     assert results_beside(tmp_path / "run.log") == tmp_path / "run.log.json"
 
 
 def test_results_are_refused_if_the_output_file_cannot_be_written(tmp_path: Path) -> None:
+    """The user learns before the run that one of its two files cannot be written."""
     with pytest.raises(UsageError, match=f"cannot write {tmp_path}: it is not a regular file"):
         results_beside(tmp_path)
 
 
 def test_results_are_refused_if_their_own_file_cannot_be_written(tmp_path: Path) -> None:
+    """The user learns before the run that one of its two files cannot be written: here a folder has its name."""
     (tmp_path / "run.log.json").mkdir()
     with pytest.raises(UsageError, match=r"run\.log\.json: it is not a regular file"):
         results_beside(tmp_path / "run.log")

@@ -60,38 +60,61 @@ def build(
     run("cmake", "--build", project / "build")
 
 
-def test_a_project_builds_the_folder_and_a_robot_starts(tmp_path: Path) -> None:
-    write_folder(tmp_path / "vendor/mcp_asdf", "--omega", "0.1", "--neighbours", "30")
+TABLE_OF_PROGRAM = ("--omega", "0.1", "--neighbours", "30")
+"""Options for the table that PROGRAM uses, mcp_asdf_t_table_omega10_q30."""
+
+
+def test_a_compiler_makes_a_robot_that_starts_of_all_sources_in_the_folder(tmp_path: Path) -> None:
+    """The program uses the table in the folder, and ends with exit code 0 if the firmware accepts it."""
+    write_folder(tmp_path / "mcp_asdf", *TABLE_OF_PROGRAM)
+    (tmp_path / "robot.c").write_text(PROGRAM)
+    sources = sorted((tmp_path / "mcp_asdf").glob("*.c"))
+    run("gcc", "-std=c99", f"-I{tmp_path}/mcp_asdf", tmp_path / "robot.c", *sources, "-o", tmp_path / "robot")
+    run(tmp_path / "robot")
+
+
+@pytest.mark.slow
+def test_a_project_builds_the_folder_with_cmake_and_a_robot_starts(tmp_path: Path) -> None:
+    """The program uses the table in the folder, and ends with exit code 0 if the firmware accepts it."""
+    write_folder(tmp_path / "vendor/mcp_asdf", *TABLE_OF_PROGRAM)
     build(tmp_path, PROGRAM)
     run(tmp_path / "build/robot")
 
 
 def test_the_folder_has_all_sources_of_the_core_unchanged(tmp_path: Path) -> None:
+    """The core is the C firmware without its ports."""
     write_folder(tmp_path)
     for source in matching_files(ROOT / "c_ref/src", "*.[ch]"):
         assert (tmp_path / source.name).read_bytes() == source.read_bytes()
 
 
 def test_firmware_names_the_array_of_the_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    write_folder(tmp_path, "--omega", "0.1", "--neighbours", "30")
+    """The user declares this array of C in a program, and gives it to the firmware."""
+    write_folder(tmp_path, *TABLE_OF_PROGRAM)
     assert "The table is: extern const uint32_t mcp_asdf_t_table_omega10_q30[];" in capsys.readouterr().out
 
 
 def test_firmware_reports_files_and_array_in_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    write_folder(tmp_path, "--omega", "0.1", "--neighbours", "30", "--json")
+    """The array, called symbol, is that of the table in C."""
+    write_folder(tmp_path, *TABLE_OF_PROGRAM, "--json")
     report = json.loads(capsys.readouterr().out)
-    assert sorted(report["files"]) == sorted(str(path) for path in tmp_path.rglob("*") if path.is_file())
+
+    files_in_folder = [str(path) for path in tmp_path.rglob("*") if path.is_file()]
+    assert sorted(report["files"]) == sorted(files_in_folder)
     assert report["symbol"] == "mcp_asdf_t_table_omega10_q30"
 
 
-def test_firmware_prints_a_line_for_each_filter(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_firmware_prints_the_lines_of_c_that_use_the_folder(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """There is a configuration for each filter, and a line that shows the robot's estimate."""
     write_folder(tmp_path / "mcp_asdf", "--neighbours", "30")
-    printed = capsys.readouterr().out
+    output = capsys.readouterr().out
 
-    assert "static const mcp_asdf_config_t config = MCP_ASDF_CONFIG_ROBUST;" in printed
-    assert "MCP_ASDF_CONFIG_ASDF(mcp_asdf_t_table_omega05_q30)" in printed
-    assert "MCP_ASDF_CONFIG_OFF" in printed
-    assert "mcp_asdf_thousandths(mcp_asdf_x(&robot))" in printed
+    assert "static const mcp_asdf_config_t config = MCP_ASDF_CONFIG_ROBUST;" in output
+    assert "MCP_ASDF_CONFIG_ASDF(mcp_asdf_t_table_omega05_q30)" in output
+    assert "MCP_ASDF_CONFIG_OFF" in output
+    assert "mcp_asdf_thousandths(mcp_asdf_x(&robot))" in output
 
 
 TWO_TABLES = """\
@@ -111,7 +134,7 @@ int main(void)
 @pytest.mark.slow
 def test_two_folders_of_one_project_share_the_library(tmp_path: Path) -> None:
     """Each folder has the library and a table; built twice, its functions would clash."""
-    write_folder(tmp_path / "one", "--omega", "0.1", "--neighbours", "30")
+    write_folder(tmp_path / "one", *TABLE_OF_PROGRAM)
     write_folder(tmp_path / "two")
     write_folder(tmp_path / "three")  # the table of the second one again
     build(tmp_path, TWO_TABLES, folders=("one", "two", "three"))
@@ -119,88 +142,89 @@ def test_two_folders_of_one_project_share_the_library(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "folders",
-    [
-        ("core", "vendor/mcp_asdf"),
-        pytest.param(("vendor/mcp_asdf", "core"), marks=pytest.mark.slow),
-    ],
-)
+@pytest.mark.parametrize("folders", [("core", "vendor/mcp_asdf"), ("vendor/mcp_asdf", "core")])
 def test_a_folder_and_the_package_share_the_library(folders: tuple[str, ...], tmp_path: Path) -> None:
     """A project has the firmware as a CMake package and as a folder; built twice, functions would clash."""
     (tmp_path / "core").symlink_to(ROOT / "c_ref")
-    write_folder(tmp_path / "vendor/mcp_asdf", "--omega", "0.1", "--neighbours", "30")
+    write_folder(tmp_path / "vendor/mcp_asdf", *TABLE_OF_PROGRAM)
     build(tmp_path, PROGRAM, folders=folders)
     run(tmp_path / "build/robot")
 
 
-def test_folders_of_two_versions_are_refused(tmp_path: Path) -> None:
-    for name in ("one", "two"):
-        write_folder(tmp_path / name)
-    lists = tmp_path / "two/CMakeLists.txt"
-    lists.write_text(lists.read_text().replace(own_version(), "9.8.7"))
+def test_cmake_refuses_a_project_with_folders_of_two_versions(tmp_path: Path) -> None:
+    """They would share one library, of which only one version can be right; the second folder is of 9.8.7."""
+    write_folder(tmp_path / "one")
+    write_folder(tmp_path / "two")
+    cmake_file = tmp_path / "two/CMakeLists.txt"
+    cmake_file.write_text(cmake_file.read_text().replace(own_version(), "9.8.7"))
+
     with pytest.raises(AssertionError) as error:
         configure(tmp_path, TWO_TABLES, folders=("one", "two"))
-    message = " ".join(str(error.value).split())
+    output_of_cmake = " ".join(str(error.value).split())
+    assert f"another version ({own_version()}) than this folder (9.8.7)" in output_of_cmake
 
-    assert f"another version ({own_version()}) than this folder (9.8.7)" in message
+
+FAIL_TO_COMPILE_UNLESS = "#if {}\n#else\n#error the filters are others\n#endif\n"
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("setting", "code"),
+    ("setting", "condition", "config", "config_of_missing_filter"),
     [
-        ("MCP_ASDF_WITH_ROBUST", "#if MCP_ASDF_WITH_ROBUST || !MCP_ASDF_WITH_ASDF"),
-        pytest.param(
+        (
+            "MCP_ASDF_WITH_ROBUST",
+            "MCP_ASDF_WITH_ASDF && !MCP_ASDF_WITH_ROBUST",
+            "MCP_ASDF_CONFIG_OFF",
+            "{0, 1, 64, MCP_ASDF_ROBUST}",
+        ),
+        (
             "MCP_ASDF_WITH_ASDF",
-            "#if MCP_ASDF_WITH_ASDF || !MCP_ASDF_WITH_ROBUST",
-            marks=pytest.mark.slow,
+            "MCP_ASDF_WITH_ROBUST && !MCP_ASDF_WITH_ASDF",
+            "MCP_ASDF_CONFIG_ROBUST",
+            "{0, 1, 64, MCP_ASDF_OFF}",
         ),
     ],
 )
-def test_a_filter_that_is_switched_off_is_left_out_everywhere(
-    setting: str, code: str, tmp_path: Path
+def test_a_filter_that_is_switched_off_is_left_out_of_header_and_library(
+    setting: str, condition: str, config: str, config_of_missing_filter: str, tmp_path: Path
 ) -> None:
-    """It is left out of the header, so that the program fails to compile if it is there, and of the library.
-
-    A library without a filter refuses to start a robot that has it.
-    """
-    write_folder(tmp_path / "vendor/mcp_asdf", "--omega", "0.1", "--neighbours", "30")
-    config = "MCP_ASDF_CONFIG_ROBUST" if setting == "MCP_ASDF_WITH_ASDF" else "MCP_ASDF_CONFIG_OFF"
+    """The program fails to compile if the header has it, and a robot that needs it does not start."""
+    write_folder(tmp_path / "vendor/mcp_asdf", *TABLE_OF_PROGRAM)
     program = PROGRAM.replace("MCP_ASDF_CONFIG_ASDF(mcp_asdf_t_table_omega10_q30)", config)
-    build(tmp_path, f"{program}{code}\n#error it is there\n#endif\n", f"-D{setting}=OFF")
+    build(tmp_path, program + FAIL_TO_COMPILE_UNLESS.format(condition), f"-D{setting}=OFF")
     run(tmp_path / "build/robot")
-    missing_filter = "MCP_ASDF_OFF" if setting == "MCP_ASDF_WITH_ASDF" else "MCP_ASDF_ROBUST"
-    (tmp_path / "robot.c").write_text(program.replace(config, f"{{0, 1, 64, {missing_filter}}}"))
-    run("cmake", "--build", tmp_path / "build")
 
+    (tmp_path / "robot.c").write_text(program.replace(config, config_of_missing_filter))
+    run("cmake", "--build", tmp_path / "build")
     assert subprocess.run([tmp_path / "build/robot"], check=False).returncode == 1
 
 
 @pytest.mark.slow
-def test_build_shared_libs_makes_a_shared_library(tmp_path: Path) -> None:
-    write_folder(tmp_path / "vendor/mcp_asdf", "--omega", "0.1", "--neighbours", "30")
+def test_cmake_makes_a_shared_library_if_it_is_asked_for_one(tmp_path: Path) -> None:
+    """Its symbols are functions (T) and the read-only table (R), and the program runs with it."""
+    write_folder(tmp_path / "vendor/mcp_asdf", *TABLE_OF_PROGRAM)
     build(tmp_path, PROGRAM, "-DBUILD_SHARED_LIBS=ON")
     [library] = (tmp_path / "build").rglob("libmcp_asdf.so")
     symbols = run("nm", "--dynamic", "--defined-only", library)
-    assert " T mcp_asdf_alpha\n" in symbols and " R mcp_asdf_t_table_omega10_q30\n" in symbols
+
+    assert " T mcp_asdf_alpha\n" in symbols
+    assert " R mcp_asdf_t_table_omega10_q30\n" in symbols
     run(tmp_path / "build/robot")
 
 
 @pytest.mark.slow
-def test_cmake_can_be_asked_for_position_independent_code(tmp_path: Path) -> None:
-    write_folder(tmp_path / "vendor/mcp_asdf", "--omega", "0.1", "--neighbours", "30")
-    configure(
-        tmp_path,
-        PROGRAM,
-        "-DCMAKE_POSITION_INDEPENDENT_CODE=ON",
-        "-DCMAKE_EXPORT_COMPILE_COMMANDS=ON",
-    )
+def test_cmake_compiles_all_sources_as_position_independent_code_if_it_is_asked_for_it(
+    tmp_path: Path,
+) -> None:
+    """A shared library of the project can contain the firmware then."""
+    folder = tmp_path / "vendor/mcp_asdf"
+    write_folder(folder, *TABLE_OF_PROGRAM)
+    settings = ("-DCMAKE_POSITION_INDEPENDENT_CODE=ON", "-DCMAKE_EXPORT_COMPILE_COMMANDS=ON")
+    configure(tmp_path, PROGRAM, *settings)
     entries = json.loads((tmp_path / "build/compile_commands.json").read_text())
-    library_commands = [entry["command"] for entry in entries if "vendor/mcp_asdf" in entry["file"]]
 
-    assert len(library_commands) == len(list((tmp_path / "vendor/mcp_asdf").glob("*.c")))
-    assert all("-fPIC" in command for command in library_commands)
+    independent_sources = {entry["file"] for entry in entries if "-fPIC" in entry["command"]}
+    assert {str(source) for source in folder.glob("*.c")} <= independent_sources
 
 
 # --- Other build systems --------------------------------------------------------------------------------
@@ -229,7 +253,8 @@ target_link_libraries(robot PRIVATE module)
 
 @pytest.mark.slow
 def test_the_commands_for_zephyr_build_a_robot(tmp_path: Path) -> None:
-    write_folder(tmp_path / "modules/mcp_asdf", "--omega", "0.1", "--neighbours", "30")
+    """Zephyr's functions are replaced by some of plain CMake that do the same."""
+    write_folder(tmp_path / "modules/mcp_asdf", *TABLE_OF_PROGRAM)
     (tmp_path / "robot.c").write_text(PROGRAM)
     (tmp_path / "CMakeLists.txt").write_text(ZEPHYR_PROJECT)
     run(require("cmake", "cmake"), "-S", tmp_path, "-B", tmp_path / "build")
@@ -238,6 +263,7 @@ def test_the_commands_for_zephyr_build_a_robot(tmp_path: Path) -> None:
 
 
 def test_zephyr_finds_the_build_commands_that_module_yml_names(tmp_path: Path) -> None:
+    """Zephyr reads module.yml, which says in which folder of ours the commands are."""
     write_folder(tmp_path)
     module = yaml.safe_load((tmp_path / "zephyr/module.yml").read_text(encoding="utf-8"))
     assert module["name"] == "mcp_asdf"
@@ -245,6 +271,7 @@ def test_zephyr_finds_the_build_commands_that_module_yml_names(tmp_path: Path) -
 
 
 def test_zephyr_finds_the_option_of_the_library_in_the_file_that_module_yml_names(tmp_path: Path) -> None:
+    """Kconfig, Zephyr's reader of options, finds one: whether to build the library."""
     kconfiglib = pytest.importorskip("kconfiglib", reason="kconfiglib is not installed: make setup")
     write_folder(tmp_path)
     module = yaml.safe_load((tmp_path / "zephyr/module.yml").read_text(encoding="utf-8"))
@@ -252,28 +279,42 @@ def test_zephyr_finds_the_option_of_the_library_in_the_file_that_module_yml_name
     assert [symbol.name for symbol in options.unique_defined_syms] == ["MCP_ASDF"]
 
 
-def test_platformio_reads_both_manifests_and_builds_for_any_framework(tmp_path: Path) -> None:
+def test_the_manifests_of_platformio_and_arduino_have_our_name_and_version(tmp_path: Path) -> None:
+    """PlatformIO reads library.json, whose * stands for any framework, and Arduino library.properties."""
+    write_folder(tmp_path)
+    manifest_of_platformio = json.loads((tmp_path / "library.json").read_text())
+    assert manifest_of_platformio["name"] == "mcp_asdf"
+    assert manifest_of_platformio["version"] == own_version()
+    assert manifest_of_platformio["frameworks"] == "*"
+
+    lines_of_arduino = (tmp_path / "library.properties").read_text().splitlines()
+    assert {"name=mcp_asdf", f"version={own_version()}"} <= set(lines_of_arduino)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("manifest_name", ["library.json", "library.properties"])
+def test_platformio_accepts_the_manifest_for_itself_and_that_for_arduino(
+    manifest_name: str, tmp_path: Path
+) -> None:
+    """PlatformIO's own reader finds name and version in both, and its schema refuses neither."""
     pytest.importorskip("platformio", reason="platformio is not installed: make setup")
     write_folder(tmp_path)
-    printed = run(sys.executable, "-c", PLATFORMIO, tmp_path, PLATFORMIO_CORE_DIR=str(tmp_path / "home"))
-    for_platformio, for_arduino = map(json.loads, printed.splitlines())
-    for manifest in (for_platformio, for_arduino):
-        assert (manifest["name"], manifest["version"]) == ("mcp_asdf", own_version())
-
-    assert for_platformio["frameworks"] == ["*"]
+    manifest = tmp_path / manifest_name
+    output = run(sys.executable, "-c", PLATFORMIO, manifest, PLATFORMIO_CORE_DIR=str(tmp_path / "home"))
+    values = json.loads(output)
+    assert (values["name"], values["version"]) == ("mcp_asdf", own_version())
 
 
-# PlatformIO's own reader and schema; the schema would fetch the list of licences.
 PLATFORMIO = """
 import json, sys
 from platformio.package.manifest.parser import ManifestParserFactory
 from platformio.package.manifest.schema import ManifestSchema
 ManifestSchema.load_spdx_licenses = staticmethod(lambda: {"licenses": [{"licenseId": "MIT"}]})
-for name in ("library.json", "library.properties"):
-    found = ManifestParserFactory.new_from_file(f"{sys.argv[1]}/{name}").as_dict()
-    ManifestSchema().load_manifest(found)
-    print(json.dumps(found))
+values = ManifestParserFactory.new_from_file(sys.argv[1]).as_dict()
+ManifestSchema().load_manifest(values)
+print(json.dumps(values))
 """
+"""Program that reads a manifest as PlatformIO does; its schema would fetch the list of licences."""
 
 
 # --- Writing into a folder that has files already -------------------------------------------------------
@@ -292,15 +333,18 @@ def tables_in(folder: Path) -> list[str]:
 
 
 def test_sha256sum_finds_the_files_as_they_were_written(folder: Path) -> None:
+    """The folder has a file with the checksums of all others, in the format of that program."""
     assert run("sha256sum", "--check", "--quiet", "sha256sums.txt", cwd=folder) == ""
 
 
 def test_another_table_takes_the_place_of_the_first(folder: Path) -> None:
+    """The first one was for 127 neighbours."""
     write_folder(folder, "--neighbours", "30")
     assert tables_in(folder) == ["t_table_omega05_q30.c"]
 
 
 def test_a_changed_file_is_not_replaced(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Somebody has edited a file of the firmware. The command is refused, with exit code 2."""
     core = folder / "mcp_asdf.c"
     core.write_text("/* ours */")
 
@@ -322,6 +366,7 @@ def test_a_file_of_an_earlier_version_is_replaced(folder: Path) -> None:
 
 
 def test_a_table_of_somebody_else_is_not_deleted(folder: Path) -> None:
+    """The command would delete another table of its own; it is refused, with exit code 2."""
     (folder / "t_table_ours.c").write_text("/* ours */")
     assert main(["firmware", str(folder)]) == 2
     assert "t_table_ours.c" in tables_in(folder)
