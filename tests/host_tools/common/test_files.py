@@ -390,7 +390,7 @@ def test_results_are_refused_if_the_output_file_cannot_be_written(tmp_path: Path
 
 
 def test_results_are_refused_if_their_own_file_cannot_be_written(tmp_path: Path) -> None:
-    """The user learns before the run that one of its two files cannot be written: here a folder has its name."""
+    """The user learns before the run that one of two files cannot be written; a folder has its name."""
     (tmp_path / "run.log.json").mkdir()
     with pytest.raises(UsageError, match=r"run\.log\.json: it is not a regular file"):
         results_beside(tmp_path / "run.log")
