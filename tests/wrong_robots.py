@@ -127,11 +127,6 @@ def with_robust_firmware(phase: str, *changes: str) -> Wrong:
     return with_firmware(phase, *changes, config=VOTES)
 
 
-def with_testless_firmware(phase: str, *changes: str) -> Wrong:
-    """Return a controller that re-estimates without a test, and has changes in its firmware."""
-    return with_firmware(phase, *changes, config=ALWAYS)
-
-
 def with_robust_test_in_float32(phase: str) -> Wrong:
     """Return a controller whose robust filter tests in float32."""
     return with_robust_firmware(
@@ -512,8 +507,10 @@ WRONG: dict[str, Wrong] = {
     "tests though it should not": with_setup(
         "re-estimates without a test", ALWAYS, filter=Filter.ADAPTIVE, table=DEFAULT["table"]
     ),
-    "needs two messages without a test": with_testless_firmware(
-        "re-estimates without a test", "messages_needed = 2 if config.filter == Filter.ADAPTIVE else {1 => 2}"
+    "needs two messages without a test": with_firmware(
+        "re-estimates without a test",
+        "messages_needed = 2 if config.filter == Filter.ADAPTIVE else {1 => 2}",
+        config=ALWAYS,
     ),
     **{
         f"{most} messages in a tick": with_node("a crowded tick", receive_frame=taking_at_most(most))

@@ -65,42 +65,32 @@ def difference(received: list[can.Message], expected: list[can.Message]) -> Diff
 # --- Hints ---
 
 
+def hint_of(received: can.Message, expected: can.Message) -> str:
+    """Return the hint at the cause of the difference between two frames."""
+    return difference([received], [expected]).hint
+
+
 def test_an_x_hat_with_reversed_bytes_gets_that_hint() -> None:
     """x_hat, a robot's own estimate, has three bytes in a frame."""
-    assert (
-        difference(received=[estimate(0x563412)], expected=[estimate(0x123456)]).hint
-        == "its 3 bytes are in reverse order"
-    )
+    hint = hint_of(received=estimate(x_hat=0x563412), expected=estimate(x_hat=0x123456))
+    assert hint == "its 3 bytes are in reverse order"
 
 
-def test_a_doubled_x_hat_gets_the_factor_as_a_hint() -> None:
-    assert (
-        difference(received=[estimate(2 * X_HAT)], expected=[estimate()]).hint
-        == "it is 2 times what it should be"
-    )
-
-
-def test_a_halved_x_hat_gets_the_factor_as_a_hint() -> None:
-    assert (
-        difference(received=[estimate(X_HAT // 2)], expected=[estimate()]).hint
-        == "it is 0.5 times what it should be"
-    )
-
-
-def test_an_alpha_with_a_wrong_shift_gets_the_factor_as_a_hint() -> None:
-    """The confidence alpha is a mantissa and a shift; a shift by 3 more makes it 8 times as large."""
-    received = estimate(alpha_word=ALPHA_WORD + 3)
-    assert difference(received=[received], expected=[estimate()]).hint == "it is 8 times what it should be"
+@pytest.mark.parametrize(("x_hat", "factor"), [(2 * X_HAT, "2"), (X_HAT // 2, "0.5")])
+def test_a_doubled_or_halved_x_hat_gets_the_factor_as_a_hint(x_hat: int, factor: str) -> None:
+    hint = hint_of(received=estimate(x_hat), expected=estimate(X_HAT))
+    assert hint == f"it is {factor} times what it should be"
 
 
 @pytest.mark.parametrize("x_hat", [X_HAT + 1, 3 * X_HAT, 0])
 def test_an_x_hat_that_is_off_by_no_power_of_two_gets_no_hint(x_hat: int) -> None:
-    assert difference(received=[estimate(x_hat)], expected=[estimate()]).hint == ""
+    assert hint_of(received=estimate(x_hat), expected=estimate(X_HAT)) == ""
 
 
 @pytest.mark.parametrize("alpha_word", [ALPHA_WORD + 256, 0])
 def test_an_alpha_with_another_mantissa_gets_no_hint(alpha_word: int) -> None:
-    assert difference(received=[estimate(alpha_word=alpha_word)], expected=[estimate()]).hint == ""
+    """The firmware has alpha as a word of a mantissa in the upper 24 bits and a shift in the lower 8."""
+    assert hint_of(received=estimate(alpha_word=alpha_word), expected=estimate(alpha_word=ALPHA_WORD)) == ""
 
 
 @pytest.mark.parametrize(
@@ -112,24 +102,25 @@ def test_an_alpha_with_another_mantissa_gets_no_hint(alpha_word: int) -> None:
         (255, 254, ""),  # not a number
     ],
 )
-def test_only_normal_numbers_get_a_factor_as_a_hint(
+def test_an_alpha_that_is_off_by_a_power_of_two_gets_the_factor_as_a_hint_if_both_are_normal_numbers(
     received_exponent: int, expected_exponent: int, hint: str
 ) -> None:
-    """The exponents of two float32 numbers, which 127 less is a power of two; the mantissa is the same."""
+    """alpha is a float32: its exponent, 127 less, is a power of two. The mantissa is the same in both."""
     received = estimate_with_alpha_bits((received_exponent << 23) | 0x345678)
     expected = estimate_with_alpha_bits((expected_exponent << 23) | 0x345678)
-    assert difference(received=[received], expected=[expected]).hint == hint
+    assert hint_of(received, expected) == hint
 
 
 def test_a_value_with_few_significant_digits_gets_no_hint() -> None:
-    """Ten bits that agree may do so by accident."""
-    assert difference(received=[estimate(0x402)], expected=[estimate(0x804)]).hint == ""
+    """One x_hat is half of the other, but ten bits that agree may do so by accident."""
+    assert hint_of(received=estimate(x_hat=0x402), expected=estimate(x_hat=0x804)) == ""
 
 
 def test_a_number_of_updates_that_is_half_of_the_expected_one_gets_no_hint() -> None:
     """A field of few bits is half of another too easily."""
     found_difference = difference(received=[telemetry(updates=2)], expected=[telemetry(updates=4)])
-    assert (found_difference.field, found_difference.hint) == ("updates", "")
+    assert found_difference.field == "updates"
+    assert found_difference.hint == ""
 
 
 def test_the_hint_is_about_the_first_frame_that_differs() -> None:
@@ -139,13 +130,14 @@ def test_the_hint_is_about_the_first_frame_that_differs() -> None:
     assert found_difference.hint == "it is 2 times what it should be"
 
 
-def test_a_hint_stands_at_the_end_of_the_text() -> None:
+def test_the_text_of_a_difference_ends_with_the_hint() -> None:
     text = str(difference(received=[estimate(2 * X_HAT)], expected=[estimate()]))
     assert text.startswith("estimate, x_hat: expected 106BB805 transfer_id 0, x_hat 0x123456 (0.1422222), ")
     assert text.endswith("; it is 2 times what it should be")
 
 
-def test_a_text_without_a_hint_ends_with_the_received_frames() -> None:
+def test_the_text_of_a_difference_without_a_hint_ends_with_the_received_frames() -> None:
+    """An x_hat that is too large by 1 gets no hint."""
     found_difference = difference(received=[estimate(X_HAT + 1)], expected=[estimate()])
     assert str(found_difference).endswith(f", got {found_difference.received}")
 
@@ -154,6 +146,7 @@ def test_a_text_without_a_hint_ends_with_the_received_frames() -> None:
 
 
 def test_a_b_hat_is_described_as_a_fraction() -> None:
+    """b_hat, the accuracy that a robot assumes, is in units of 2**-24: 0xC00000 is 3/4."""
     found_difference = difference(received=[telemetry(b_hat=0xC00000)], expected=[telemetry()])
     assert found_difference.field == "b_hat"
     assert "b_hat 0xc00000 (0.7500000)" in found_difference.received
@@ -168,18 +161,20 @@ def test_equal_frames_are_counted_by_kind() -> None:
 
 def test_more_than_three_frames_are_described_by_their_number() -> None:
     found_difference = difference(received=[telemetry(updates) for updates in range(5)], expected=[])
-    assert (found_difference.field, found_difference.expected) == ("extra", "nothing")
+    assert found_difference.field == "extra"
+    assert found_difference.expected == "nothing"
     assert found_difference.received.endswith(" and 2 more")
 
 
 def test_a_remote_frame_is_described_by_its_raw_data() -> None:
     remote_frame = can.Message(arbitration_id=estimate().arbitration_id, is_remote_frame=True)
     found_difference = difference(received=[remote_frame], expected=[estimate()])
-    assert (found_difference.field, found_difference.received) == ("frame", "106BB805#R")
+    assert found_difference.field == "frame"
+    assert found_difference.received == "106BB805#R"
 
 
-def test_the_order_of_kinds_counts_once_telemetry_was_received() -> None:
-    """The expected order is heartbeat, estimate; the controller sends them the other way round."""
+def test_an_estimate_before_the_heartbeat_is_a_difference_once_telemetry_was_received() -> None:
+    """The expected order is the other way round."""
     comparison = comparison_after_a_tick()
     found_difference = comparison.check(
         received=[estimate(), heartbeat(1)], expected=[heartbeat(1), estimate()]
@@ -190,26 +185,30 @@ def test_the_order_of_kinds_counts_once_telemetry_was_received() -> None:
     )
 
 
-def test_the_order_of_kinds_does_not_count_before_telemetry_was_received() -> None:
+def test_an_estimate_before_the_heartbeat_is_no_difference_before_telemetry_was_received() -> None:
+    """The expected order is the other way round, but the controller may be starting."""
     comparison = new_comparison()
     assert comparison.check(received=[estimate(), heartbeat(1)], expected=[heartbeat(1), estimate()]) is None
 
 
-def test_a_first_heartbeat_may_come_several_times_at_the_start() -> None:
+def test_the_heartbeat_with_which_a_controller_starts_may_come_several_times_before_telemetry() -> None:
     """A controller that was reset sends it again."""
-    assert (
-        new_comparison().check(received=[heartbeat(), heartbeat(), telemetry()], expected=[telemetry()])
-        is None
-    )
+    received = [heartbeat(uptime=0), heartbeat(uptime=0), telemetry()]
+    assert new_comparison().check(received, expected=[telemetry()]) is None
 
 
-def test_a_first_heartbeat_is_a_difference_later() -> None:
+def test_the_heartbeat_with_which_a_controller_starts_is_a_difference_after_telemetry() -> None:
+    """The controller has started anew meanwhile."""
     found_difference = comparison_after_a_tick().check(received=[heartbeat()], expected=[])
-    assert found_difference is not None and found_difference.field == "extra"
+    assert found_difference is not None
+    assert found_difference.field == "extra"
 
 
 @pytest.mark.parametrize("is_advisory_allowed", [False, True])
-def test_an_advisory_health_is_a_difference_unless_it_is_allowed(is_advisory_allowed: bool) -> None:
+def test_a_heartbeat_with_the_health_advisory_is_a_difference_unless_it_is_allowed(
+    is_advisory_allowed: bool,
+) -> None:
+    """From good to bad, health is nominal, advisory, caution or warning; nominal is expected."""
     comparison = comparison_after_a_tick()
     comparison.is_advisory_allowed = is_advisory_allowed
     found_difference = comparison.check(
@@ -219,8 +218,8 @@ def test_an_advisory_health_is_a_difference_unless_it_is_allowed(is_advisory_all
     assert (found_difference is None) == is_advisory_allowed
 
 
-def test_health_caution_in_a_heartbeat_is_a_difference_even_if_advisory_is_allowed() -> None:
-    """From good to bad: nominal, advisory, caution, warning."""
+def test_a_heartbeat_with_the_health_caution_is_a_difference_even_if_advisory_is_allowed() -> None:
+    """From good to bad, health is nominal, advisory, caution or warning; nominal is expected."""
     comparison = comparison_after_a_tick()
     comparison.is_advisory_allowed = True
     found_difference = comparison.check(

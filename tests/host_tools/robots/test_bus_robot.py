@@ -273,7 +273,6 @@ def test_a_setup_makes_a_robot_with_its_configuration() -> None:
     ("changes", "complaint"),
     [
         ({"comms_period": 0}, "comms_period is 0"),
-        ({"comms_period": 20}, "filter_period is 10; choose a multiple of comms_period 20"),
         ({"filter_period": 0}, "filter_period is 0; choose a multiple of comms_period 1"),
         ({"filter_period": 2**32}, "filter_period is 4294967296"),
         ({"comms_period": 3}, "filter_period is 10; choose a multiple of comms_period 3"),
@@ -334,13 +333,11 @@ ROBUST = replace(OFF, filter=Filter.ROBUST)
     ("filters", "activation", "flawed_config", "other_config"),
     [
         ("none", "adaptive", OFF, OFF),
-        ("none", "always", OFF, OFF),
         ("asdf-minus", "adaptive", ADAPTIVE, OFF),
         ("asdf-minus", "always", ALWAYS, OFF),
         ("asdf-plus", "adaptive", ADAPTIVE, ADAPTIVE),
         ("asdf-plus", "always", ALWAYS, ALWAYS),
         ("robust", "adaptive", ROBUST, ROBUST),
-        ("robust", "always", ROBUST, ROBUST),
     ],
 )
 def test_the_filter_of_a_swarm_decides_on_the_filter_of_flawed_and_of_other_robots(
@@ -394,7 +391,7 @@ def test_a_memory_that_is_no_multiple_of_4_is_refused() -> None:
         Population(memory=66)
 
 
-@pytest.mark.parametrize(("robots", "neighbours"), [(1, 2), (3, 2), (4, 3), (128, 127), (129, 127)])
+@pytest.mark.parametrize(("robots", "neighbours"), [(1, 2), (4, 3), (128, 127), (129, 127)])
 def test_the_table_of_thresholds_is_for_as_many_neighbours_as_a_robot_can_hear(
     robots: int, neighbours: int
 ) -> None:

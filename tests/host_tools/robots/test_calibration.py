@@ -280,7 +280,7 @@ def test_a_missing_file_of_readings_is_refused(tmp_path: Path, capsys: Capture) 
 # --- Encodings and standard input ---------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16"])
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16"])
 def test_readings_may_have_the_encodings_of_excel(
     encoding: str, readings_file: Path, capsys: Capture
 ) -> None:
