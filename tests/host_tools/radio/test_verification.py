@@ -71,25 +71,22 @@ def controller_with(**methods: Any) -> RobotNode:
     return with_node("", **methods).make(QUICK)
 
 
-def run_verification(
+def verify(
     controller: RobotNode | Wire,
     settings: RadioSettings | None = None,
     phases: Sequence[Phase] = PHASES,
     **options: Any,
-) -> Verification:
-    """Verify a controller, which is alone or on a wire, and return the verification when it is over."""
+) -> ControllerVerdict:
+    """Return the verdict on a controller, which is alone or on a wire."""
     wire = controller if isinstance(controller, Wire) else Wire(controller)
+    bench_options = BenchOptions(wire, TICKS, timeout=0.05, **options)
     with still():
-        verification = Verification(
-            settings or surroundings(), BenchOptions(wire, TICKS, timeout=0.05, **options), phases
-        )
-        verification.run()
-    return verification
+        return Verification(settings or surroundings(), bench_options, phases).run()
 
 
-def verify(*arguments: Any, **options: Any) -> ControllerVerdict:
-    """Verify a controller as ``run_verification`` does, and return the verdict."""
-    return run_verification(*arguments, **options).verdict
+def verify_right(config: dict[str, Any], phases: Sequence[Phase], faults: str = "") -> ControllerVerdict:
+    """Return the verdict on a right controller with this configuration."""
+    return verify(right_controller(**config), surroundings(right(**config), faults=faults), phases)
 
 
 def verify_wrong(wrong: Wrong, seed: int = 6, config: dict[str, Any] = QUICK) -> ControllerVerdict:
@@ -278,7 +275,9 @@ CONFIGS: list[dict[str, Any]] = [
 @pytest.mark.slow
 @pytest.mark.parametrize("config", CONFIGS, ids=str)
 def test_a_right_controller_of_another_configuration_passes(config: dict[str, Any]) -> None:
-    setup, seed = record(**{"robot": ID, "b_hat": B_HAT, **config}), random.randrange(2**32)
+    """The seed, from which the observations and the neighbours are drawn, is another one each time."""
+    seed = random.randrange(2**32)
+    setup = record(**{"robot": ID, "b_hat": B_HAT, **config})
     verdict = verify(RobotNode(setup), surroundings(setup, seed=seed))
     assert verdict.has_passed, (seed, verdict.headline)
 
@@ -313,12 +312,14 @@ def test_phases_that_do_not_apply_to_a_controller_are_left_out(
     config: dict[str, Any], omitted_phases: set[str]
 ) -> None:
     """A phase may be for one filter alone. "halvings" is for a short memory, "long run" for a long one."""
-    phases, _ = plan_phases(surroundings(right(**config)), PHASES, TICKS)
+    planned_phases, _ = plan_phases(surroundings(right(**config)), PHASES, TICKS)
 
-    assert {phase.name for phase in PHASES} - {phase.name for phase in phases} == omitted_phases
+    planned_names = {phase.name for phase in planned_phases}
+    assert {phase.name for phase in PHASES} - planned_names == omitted_phases
 
 
 def test_each_fault_that_the_user_asks_for_is_one_more_phase() -> None:
+    """The phase "liar" has a fault of its own, of one of the neighbours 0, 1, 2 and 4."""
     settings = surroundings(faults="loss=0.7,receivers=3 liar,robots=1,x=0")
     phases, _ = plan_phases(settings, phases_named("alone", "liar"), TICKS)
 
@@ -332,10 +333,8 @@ def test_each_fault_that_the_user_asks_for_is_one_more_phase() -> None:
 
 def test_a_phase_with_a_fault_has_two_broadcasts_of_a_controller_that_broadcasts_in_every_40th_tick() -> None:
     """The phase "liar" has a fault of its own, and the user asks for a phase with another one."""
-    config: dict[str, Any] = {"comms_period": 40, "filter_period": 600}
-    settings = surroundings(right(**config), faults="loss=0.7,receivers=3")
-
-    liar, loss = verify(right_controller(**config), settings, phases_named("liar")).phases
+    config = {"comms_period": 40, "filter_period": 600}
+    liar, loss = verify_right(config, phases_named("liar"), faults="loss=0.7,receivers=3").phases
 
     assert liar.ticks == loss.ticks == 2 * 40
     assert liar.outcome == loss.outcome == "passed"
@@ -354,8 +353,7 @@ def test_a_controller_does_not_pass_if_something_was_never_put_to_the_test(
     config: dict[str, Any], faults: str, missing: str
 ) -> None:
     """Such are a fault that never strikes, as its rate is 0, and a filter that runs too rarely."""
-    settings = surroundings(right(**config), faults=faults)
-    verdict = verify(right_controller(**config), settings, phases_named("nothing seen", "alone"))
+    verdict = verify_right(config, phases_named("nothing seen", "alone"), faults)
 
     assert not verdict.has_passed
     assert verdict.headline.startswith("NOT EXERCISED: ")
@@ -369,9 +367,7 @@ def test_a_verification_waits_for_a_filter_for_20_000_ticks_at_most() -> None:
 
 def test_a_phase_does_not_wait_for_a_filter_that_runs_too_rarely() -> None:
     """The filter runs in every 20,001st tick, so the phase would else have as many ticks."""
-    config: dict[str, Any] = {"filter_period": 20_001}
-    (phase,) = verify(right_controller(**config), surroundings(right(**config)), NOTHING_SEEN).phases
-
+    (phase,) = verify_right({"filter_period": 20_001}, NOTHING_SEEN).phases
     assert phase.ticks < 1000
 
 
@@ -381,7 +377,7 @@ def test_situations_of_the_robust_filter_that_no_observations_lead_to_are_listed
     """The user learns what the verdict does not cover."""
     monkeypatch.setattr(robust_phases, "_MAX_BURSTS", 0)  # as if all attempts had been in vain
     phases = phases_named("first estimates", "test of a wide spread", "many rejections")
-    verdict = verify(right_controller(**VOTES), surroundings(right(**VOTES)), phases)
+    verdict = verify_right(VOTES, phases)
 
     assert verdict.difference is None
     # Before each test two kinds of observations are searched for.
@@ -456,7 +452,7 @@ ALWAYS_OPEN = [
 )
 def test_a_verdict_lists_what_was_not_checked(config: dict[str, Any], lines_of_config: list[str]) -> None:
     """First what is not checked of this configuration, and then what no verification checks."""
-    verdict = verify(right_controller(**config), surroundings(right(**config)), NOTHING_SEEN)
+    verdict = verify_right(config, NOTHING_SEEN)
 
     lines = [line for line in verdict.not_checked if not line.startswith("whether it ")]
     for line, beginning in zip(lines, lines_of_config + ALWAYS_OPEN, strict=True):
@@ -536,14 +532,14 @@ def test_a_verdict_names_the_known_mistake_that_a_controller_makes(mistake: Know
 
 def test_a_verdict_lists_the_mistakes_that_no_frame_would_have_shown() -> None:
     """Without estimates of others the robust filter does not test, in float32 or otherwise."""
-    verdict = verify(right_controller(**VOTES), surroundings(right(**VOTES)), phases_named("alone"))
+    verdict = verify_right(VOTES, phases_named("alone"))
     line = "whether it tests in float32: no frame of this run would have shown it"
     assert line in verdict.not_checked
 
 
 @pytest.mark.slow
 def test_a_run_of_all_phases_would_have_shown_every_known_mistake_of_the_robust_filter() -> None:
-    verdict = verify(right_controller(**VOTES), surroundings(right(**VOTES)))
+    verdict = verify_right(VOTES, PHASES)
     assert not [line for line in verdict.not_checked if line.startswith("whether it ")]
 
 
