@@ -18,8 +18,6 @@ WARNINGS = SETTINGS["configurePresets"][0]["environment"]["WARNINGS"].split()
 PRESETS = [preset["name"] for preset in SETTINGS["workflowPresets"]]
 TESTED_CHOICES = re.findall(r"\b\d{4}\b", (ROOT / "tests/c_ref/CMakeLists.txt").read_text(encoding="utf-8"))
 """Choices of targets that white-box tests are built for."""
-CHOICES = {"DIVIDE": range(1, 4), "SPLIT_MULTIPLY": range(2), "SHIFT_BYTES": range(2), "HAS_CLZ": range(2)}
-"""Values that a target can choose for MCP_ASDF_DIVIDE and so on."""
 
 COMPILERS = {
     "gcc": ("gcc", "gcc"),
@@ -51,15 +49,16 @@ QUICK_PRESETS = ("gcc",)
     "preset", [*QUICK_PRESETS, *slow(name for name in PRESETS if name not in QUICK_PRESETS)]
 )
 def test_the_c_tests_pass_with_the_settings_of_a_preset(preset: str) -> None:
-    """Without optimisation, for the arithmetic of one target, and with fewer calls, as it has to be quick.
+    """A preset is a compiler with flags, in CMakePresets.json. CMake builds the C tests, and ctest runs them.
 
-    The next test leaves nothing out.
+    It is quick: without optimisation, for the arithmetic of one target, another one for each preset, and
+    with fewer calls. The next test leaves nothing out.
     """
     skip_without_tools(preset)
     folder = ROOT / "build/quick" / preset
     report = ROOT / f"build/reports/ctest-{preset}.xml"
-    arithmetic_of_a_target = TESTED_CHOICES[PRESETS.index(preset)]  # of another one for each preset
-    less_work = [f"-DTEST_VARIANTS={arithmetic_of_a_target}", "-DTEST_WITHOUT=", "-DTEST_CALLS=200000"]
+    target = TESTED_CHOICES[PRESETS.index(preset)]
+    less_work = [f"-DTEST_VARIANTS={target}", "-DTEST_WITHOUT=", "-DTEST_CALLS=200000"]
     debug = ["-DCMAKE_BUILD_TYPE=Debug", "-DCMAKE_C_FLAGS_DEBUG=-O0 -g1"]
 
     run(require("cmake"), "--preset", preset, "-B", folder, *less_work, *debug)
@@ -70,20 +69,26 @@ def test_the_c_tests_pass_with_the_settings_of_a_preset(preset: str) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("preset", PRESETS)
 def test_all_c_tests_pass_for_the_arithmetic_of_every_target(preset: str) -> None:
+    """With each preset, which is a compiler with flags, CMake builds all C tests, and ctest runs them."""
     skip_without_tools(preset)
     run(require("cmake"), "--workflow", "--preset", preset)
+
+
+def copy_of_c_sources(clone: Path) -> Path:
+    """Copy all that is needed to build C into a new folder, and return it."""
+    for name in ("c_ref", "tables", "tests/c_ref", "tests/third", "host_tools/mcp_asdf_tools/experiments"):
+        shutil.copytree(ROOT / name, clone / name)
+    for name in ("CMakeLists.txt", "CMakePresets.json"):
+        shutil.copy(ROOT / name, clone / name)
+    return clone
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("preset", PRESETS)
 def test_a_preset_builds_in_a_clone_whose_folder_has_a_space(preset: str, tmp_path: Path) -> None:
-    """CMake compiles small programs with the preset's flags before it writes the build's rules."""
+    """The preset's flags have to be quoted: CMake also compiles small programs with them."""
     skip_without_tools(preset)
-    clone = tmp_path / "a clone"
-    for name in ("c_ref", "tables", "tests/c_ref", "tests/third", "host_tools/mcp_asdf_tools/experiments"):
-        shutil.copytree(ROOT / name, clone / name)
-    for name in ("CMakeLists.txt", "CMakePresets.json"):
-        shutil.copy(ROOT / name, clone / name)
+    clone = copy_of_c_sources(tmp_path / "a clone")
 
     run(require("cmake"), "--preset", preset, cwd=clone)
     run("cmake", "--build", "--preset", preset, "--target", "test_frame", cwd=clone)
@@ -97,8 +102,13 @@ def test_the_firmware_compiles_without_a_warning_for_any_target_s_choices(
     """A target chooses how it divides, multiplies and shifts, by macros; these are all combinations."""
     compiler, *flags = command.split()
     require(compiler, compiler)
-    for values in product(*CHOICES.values()):
-        definitions = [f"-DMCP_ASDF_{name}={value}" for name, value in zip(CHOICES, values, strict=True)]
+    for divide, split_multiply, shift_bytes, has_clz in product(range(1, 4), range(2), range(2), range(2)):
+        definitions = [
+            f"-DMCP_ASDF_DIVIDE={divide}",
+            f"-DMCP_ASDF_SPLIT_MULTIPLY={split_multiply}",
+            f"-DMCP_ASDF_SHIFT_BYTES={shift_bytes}",
+            f"-DMCP_ASDF_HAS_CLZ={has_clz}",
+        ]
         run(compiler, "-std=c99", *flags, *WARNINGS, *definitions, CORE, cwd=tmp_path)
 
 
@@ -112,6 +122,7 @@ def compiler_errors(definition: str) -> str:
 
 @pytest.mark.parametrize("value", [0, 5])
 def test_the_core_does_not_compile_with_an_unknown_way_to_divide(value: int) -> None:
+    """A macro chooses one of the ways 1 to 4; the compiler's message says so."""
     errors = compiler_errors(f"-DMCP_ASDF_DIVIDE={value}")
     assert "MCP_ASDF_DIVIDE is out of range: choose " in errors
 
@@ -120,4 +131,5 @@ def test_the_core_does_not_compile_with_an_unknown_way_to_divide(value: int) -> 
     "macro", ["ROM=", "READ_WORD(address)=(*(address))", "READ_BYTE(address)=(*(address))"]
 )
 def test_the_core_does_not_compile_with_one_of_the_macros_for_read_only_memory_alone(macro: str) -> None:
+    """A target whose tables are in flash defines three macros; the compiler's message asks for all."""
     assert "define all of MCP_ASDF_ROM" in compiler_errors(f"-DMCP_ASDF_{macro}")

@@ -24,7 +24,6 @@ WARNINGS = "-Wall -Wextra -Wpedantic -Wconversion -Wsign-conversion -Wshadow -Wu
 CONFIG = Config(filter=Filter.OFF)
 ROBOT_ID = 7
 ALPHA = alpha_word_from_float(100.0)
-QUEUE_LENGTH = 20
 
 
 class RadioRobot:
@@ -86,15 +85,15 @@ def message_of(estimate: Estimate) -> bytes:
 
 
 def test_the_robot_broadcasts_the_same_bytes_as_the_robot_in_python(radio_robot: RadioRobot) -> None:
-    """After each of three tiles. Messages are numbered."""
+    """Both observe three tiles, and broadcast after each. Messages are numbered."""
     robot_in_python = MirrorRobot(CONFIG, ROBOT_ID, 0.95)
     for message_number, is_black in enumerate([True, False, True]):
         radio_robot.robot.step(is_black)
-        message = radio_robot.broadcast()
-
         robot_in_python.step(Observation(is_black))
+
         x_hat, alpha = robot_in_python.x_hat_raw, robot_in_python.alpha_raw
-        assert message == message_of(Estimate(ROBOT_ID, x_hat, alpha, message_number))
+        expected_message = message_of(Estimate(ROBOT_ID, x_hat, alpha, message_number))
+        assert radio_robot.broadcast() == expected_message
 
 
 def test_the_robot_receives_the_messages_of_two_others(radio_robot: RadioRobot) -> None:
@@ -128,23 +127,29 @@ def test_the_robot_receives_the_messages_of_two_others(radio_robot: RadioRobot) 
     ],
 )
 def test_the_robot_ignores_what_is_no_message_of_another(radio_robot: RadioRobot, message: bytes) -> None:
+    """beta, the sum of its confidences in those that it has received, stays 0."""
     radio_robot.receive(message)
     radio_robot.robot.step(True)
     assert radio_robot.beta() == 0
 
 
 def test_the_robot_loses_only_messages_that_find_the_queue_full(radio_robot: RadioRobot) -> None:
-    """Five come too many. beta is the sum of the senders' confidences, each of them 100 units of 2**24."""
-    senders = range(10, 10 + QUEUE_LENGTH + 5)
+    """Its queue has room for 20 messages, and 25 come, each of another sender.
 
-    radio_robot.receive(*[message_of(Estimate(sender, 2**22, ALPHA, 0)) for sender in senders])
+    beta is the sum of the confidences in those that it has received, of 100 units of 2**24 each.
+    """
+    senders = range(10, 35)
+    messages = [message_of(Estimate(sender, 2**22, ALPHA, 0)) for sender in senders]
+
+    radio_robot.receive(*messages)
     radio_robot.robot.step(True)
 
-    assert radio_robot.beta() == QUEUE_LENGTH * 100 * 2**24
+    assert radio_robot.beta() == 20 * 100 * 2**24
 
 
 @pytest.mark.parametrize("radio_robot", ["crazyflie"], indirect=True)
 def test_a_crazyflie_ignores_messages_to_another_port(radio_robot: RadioRobot) -> None:
+    """A message is delivered to port 3. beta is the sum of confidences in those that it has received."""
     another_port = 3
     ctypes.c_uint8.in_dll(radio_robot.library, "air_port").value = another_port
 
