@@ -25,7 +25,7 @@ def test_no_package_imports_one_that_stands_above_it() -> None:
 
 
 def test_help_is_shown_without_loading_the_large_libraries() -> None:
-    """It takes a twentieth of a second, since numpy, python-can and cffi stay on the disk."""
+    """They are numpy, python-can and cffi. Without them the help is there in a twentieth of a second."""
     program = (
         "import sys; from mcp_asdf_tools.cli.main import main; main(['--help']); "
         "assert not {'numpy', 'can', 'cffi'} & set(sys.modules)"
@@ -33,34 +33,43 @@ def test_help_is_shown_without_loading_the_large_libraries() -> None:
     run(sys.executable, "-c", program, cwd=Path.cwd())
 
 
-def test_the_library_offers_what_it_says() -> None:
+def test_every_name_that_the_library_lists_can_be_imported_from_it() -> None:
+    """The list is ``__all__``, and the names are loaded when they are first used."""
     assert len(mcp_asdf_tools.__all__) > 10
     for name in mcp_asdf_tools.__all__:
         assert getattr(mcp_asdf_tools, name).__name__ == name
 
 
+def first_line_of_docstring(package: str) -> str:
+    """Return the first line of the docstring of a package of the tools."""
+    docstring = import_module(f"mcp_asdf_tools.{package}").__doc__
+    assert docstring is not None
+    first_line, *_ = docstring.splitlines()
+    return first_line
+
+
 def test_the_page_about_the_architecture_lists_every_package_with_its_first_sentence() -> None:
-    """The first line of a package's docstring is its row in the page's table."""
-    sentences = {}
-    for package in PACKAGES:
-        doc = import_module(f"mcp_asdf_tools.{package}").__doc__
-        assert doc is not None
-        sentences[package] = doc.splitlines()[0]
+    """A row of its table has a package, which it calls a room, and the first line of its docstring."""
+    _before, _head, rest = PAGE.partition("| room | what is in it |")
+    table, *_ = rest.split("\n\n")
+    sentences_by_package = dict(re.findall(r"^\| `(\w+)` \| (.*) \|$", table, re.MULTILINE))
 
-    table = PAGE.partition("| room | what is in it |")[2].partition("\n\n")[0]
-
-    assert dict(re.findall(r"^\| `(\w+)` \| (.*) \|$", table, re.MULTILINE)) == sentences
+    assert sentences_by_package == {package: first_line_of_docstring(package) for package in PACKAGES}
 
 
 def test_the_page_about_the_architecture_has_the_order_of_the_packages() -> None:
-    """Which pyproject.toml states for ``lint-imports``; packages between bars do not import each other."""
-    settings = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["importlinter"]
-    layers = settings["contracts"][0]["layers"]
-    assert " > ".join(layers) in " ".join(PAGE.split())
+    """It is the one that pyproject.toml states, from which ``lint-imports`` checks what they import."""
+    assert " > ".join(layers_of_packages()) in " ".join(PAGE.split())
 
 
 def test_the_order_of_the_packages_has_all_of_them() -> None:
-    settings = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["importlinter"]
-    layers = settings["contracts"][0]["layers"]
-    names = [name.strip() for layer in layers for name in layer.split("|")]
+    """Packages in one layer stand between bars, and do not import each other."""
+    names = re.findall(r"\w+", " ".join(layers_of_packages()))
     assert sorted(names) == sorted([*PACKAGES, "library"])
+
+
+def layers_of_packages() -> list[str]:
+    """Return the layers of the first contract for ``lint-imports``, the highest first."""
+    settings = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["importlinter"]
+    first_contract, *_ = settings["contracts"]
+    return list(first_contract["layers"])

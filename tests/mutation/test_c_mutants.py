@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 from functools import cache
 from pathlib import Path
@@ -49,17 +50,18 @@ def survivors(chosen: list[Mutant], folder: Path) -> list[str]:
 
 
 def test_each_change_that_is_listed_as_harmless_is_one_that_is_tried() -> None:
-    """A list that is about code of the past would hide mistakes of the future."""
+    """The list of C is equivalent_c.toml. An entry about code of the past would hide a mistake later."""
     assert set(EQUIVALENTS) <= set(everything())
 
 
 def test_few_changes_are_listed_as_harmless_and_each_with_a_reason() -> None:
+    """Harmless is less than one in twenty, such as a comparison that no value decides otherwise."""
     assert len(EQUIVALENTS) < len(everything()) / 20
     for name, reason in EQUIVALENTS.items():
         assert len(reason) > 20, name
 
 
-def test_the_page_states_about_how_many_mistakes_are_tried() -> None:
+def test_the_page_about_trust_states_to_a_hundred_how_many_mistakes_are_tried() -> None:
     page = (ROOT / "docs/internals/trust.md").read_text("utf-8")
 
     [stated_count] = re.findall(r"Each of some ([\d,]+) small ones", page)
@@ -69,13 +71,15 @@ def test_the_page_states_about_how_many_mistakes_are_tried() -> None:
 
 @pytest.mark.slow
 def test_the_firmware_without_a_mistake_passes_the_tests_that_find_mistakes() -> None:
-    """In every variant of its arithmetic, and they build nothing among its sources."""
-    files_before = set(SOURCES.iterdir())
-    codec_tests = [test for tests in CODEC_TESTS.values() for test in tests]
+    """It does in every variant of its arithmetic: otherwise a test would fail whatever is planted.
 
-    for variant in VARIANTS:
-        for test in (*CORE_TESTS, *codec_tests):
-            assert passes(SOURCES, test, variant), f"{test} {variant}"
+    What is built for the tests does not stand among the sources.
+    """
+    files_before = set(SOURCES.iterdir())
+    codec_tests = list(itertools.chain.from_iterable(CODEC_TESTS.values()))
+
+    for variant, test in itertools.product(VARIANTS, (*CORE_TESTS, *codec_tests)):
+        assert passes(SOURCES, test, variant), f"{test} {variant}"
 
     assert set(SOURCES.iterdir()) == files_before
 
@@ -83,21 +87,28 @@ def test_the_firmware_without_a_mistake_passes_the_tests_that_find_mistakes() ->
 @pytest.mark.slow
 @pytest.mark.parametrize("part", range(PARTS))
 def test_every_mistake_fails_a_test(part: int, tmp_path: Path) -> None:
-    assert survivors(mistakes()[part::PARTS], tmp_path) == []
+    """A mistake is, say, a < that becomes a <=. They are tried in eight parts, at the same time."""
+    mistakes_of_part = mistakes()[part::PARTS]
+    assert survivors(mistakes_of_part, tmp_path) == []
 
 
 @pytest.mark.slow
-def test_changes_that_are_listed_as_harmless_are_harmless(tmp_path: Path) -> None:
-    """As far as a compiler knows, or the tests of the first target that has the line.
+def test_a_compiler_makes_the_same_code_of_changes_of_which_the_list_says_so(tmp_path: Path) -> None:
+    """The list has the changes that are harmless, by name, each with its reason."""
+    for name, reason in EQUIVALENTS.items():
+        if reason == SAME_CODE:
+            assert same_code(everything()[name], tmp_path), f"{name} makes a difference"
+
+
+@pytest.mark.slow
+def test_changes_that_are_listed_as_harmless_fail_no_test(tmp_path: Path) -> None:
+    """They are tried by the tests of the first target that has the line.
 
     A change that reads beyond an array is not tried: what it reads there is different in each run.
     """
     for name, reason in EQUIVALENTS.items():
-        mutant = everything()[name]
-        if reason == SAME_CODE:
-            assert same_code(mutant, tmp_path), f"{name} makes a difference"
-        elif READS_BEYOND_AN_ARRAY not in reason:
-            killing_test = killer(mutant, tmp_path, most=1)
+        if reason != SAME_CODE and READS_BEYOND_AN_ARRAY not in reason:
+            killing_test = killer(everything()[name], tmp_path, most=1)
             assert killing_test == "", name
 
 
@@ -110,14 +121,16 @@ HARMLESS_CHANGE = (
 )
 
 
-def test_a_mistake_is_killed_by_a_test_that_is_named(tmp_path: Path) -> None:
+def test_a_mistake_in_a_mask_of_the_frame_codec_fails_the_tests_of_the_node(tmp_path: Path) -> None:
+    """``killer`` returns the first test that fails, and the variant of the arithmetic in which it does."""
     assert killer(everything()[MISTAKE], tmp_path) == "node 1001"
 
 
-def test_a_harmless_change_survives(tmp_path: Path) -> None:
-    """What kills every mutant would find all tests perfect."""
+def test_a_harmless_change_fails_no_test(tmp_path: Path) -> None:
+    """Tests that failed with every change would look perfect. ``killer`` returns no test here."""
     assert killer(everything()[HARMLESS_CHANGE], tmp_path) == ""
 
 
 def test_a_mistake_has_another_machine_code(tmp_path: Path) -> None:
+    """So it is not among the changes of which a compiler makes the same code, which are harmless."""
     assert not same_code(everything()[MISTAKE], tmp_path)

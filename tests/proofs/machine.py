@@ -41,15 +41,6 @@ class Place:
         return Place(self.variable, self.path[:-1])
 
 
-@dataclass(frozen=True)
-class Either:
-    """A pointer that depends on a condition."""
-
-    condition: Any
-    first: Any
-    second: Any
-
-
 Fields = dict[str, Any]
 """A structure or an array: values by the names of its members, or by the numbers of its elements. A union has
 its first member."""
@@ -171,8 +162,6 @@ class Machine:
         """The solver's terms in a value and in what its pointers point to, by name."""
         if isinstance(value, Place):
             return self.seen(self.load(value.whole() if value.path[-1:] == ("0",) else value))
-        if isinstance(value, Either):
-            return chosen(value.condition, self.seen(value.first), self.seen(value.second))
         if isinstance(value, dict):
             return {name: self.seen(each) for name, each in value.items()}
         return value.term if isinstance(value, Number) else value
@@ -273,8 +262,6 @@ class Machine:
             value = self._initialised(self._resolve(node.type), node.init)
         elif node.init is not None:
             value = self.value(node.init)
-            if isinstance(node.type, c_ast.PtrDecl) and isinstance(value, dict):
-                value = self._place(node.init).below("0")  # an array, to whose first element this points
         elif isinstance(node.type, c_ast.ArrayDecl):
             value = self.unknown_of(node.type, node.name)
         self._declare(node.name, node.type, value)
@@ -379,8 +366,6 @@ class Machine:
             return z3.Not(self.truth(node.expr))
         if isinstance(node, c_ast.BinaryOp) and node.op in _COMPARISONS:
             left, right = self.value(node.left), self.value(node.right)
-            if isinstance(left, Place) or isinstance(right, Place):
-                return z3.BoolVal((left == right) == (node.op == "=="))
             return self.arithmetic.compare(node.op, *self._common(left, right))
         return self.value(node).term != 0
 
@@ -521,8 +506,6 @@ class Machine:
         before = self.load(place)
         if isinstance(before, Number):
             value = self._converted(value, before.type)
-        elif before is None and not place.path:
-            value = self._converted(value, self._resolve(self._frames[-1].types[place.variable[1]]))
         self._memory[place.variable] = self._replaced(self._memory[place.variable], place.path, value)
         return value
 
@@ -538,9 +521,7 @@ class Machine:
         }
 
     def _changed(self, target: Any, operator: str, by: Number) -> Any:
-        place, value = self._place(target), self.value(target)
-        if isinstance(value, Place):
-            return self.store(place, value.whole().below(str(int(str(value.path[-1])) + known(by.term))))
+        place = self._place(target)
         return self.store(place, self._combined(operator, self.load(place), by))
 
     def _combined(self, operator: str, left: Number, right: Number) -> Number:
@@ -636,7 +617,8 @@ def _merged(condition: Any, first: Any, second: Any) -> Any:
         return first if same else Number(z3.If(condition, first.term, second.term), first.type)
     if isinstance(first, dict):
         return {name: _merged(condition, first[name], second[name]) for name in first}
-    return first if first == second else Either(condition, first, second)
+    assert first == second, "a pointer that depends on a condition"
+    return first
 
 
 def chosen(condition: Any, first: Any, second: Any) -> Any:

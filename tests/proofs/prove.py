@@ -87,8 +87,8 @@ class Contract:
             is what it pointed to, and what it then points to stands behind the result.
         arithmetic: In which integers this is shown.
         requires: What a caller owes for it.
-        cases: The values of a parameter that is a constant wherever the function is called; or of a member,
-            as ``robot.config.filter``, each of which is proved by itself.
+        cases: The values of a parameter that is a constant wherever the function is called, each of which is
+            proved by itself.
         uses: Called functions that are known by their lemmas in the proof of ``ensures``.
         instead: What stands for other called functions there.
         steps: What leads to ``ensures``, each proved with what was proved before.
@@ -181,25 +181,11 @@ def _run(
         else machine.parameter_of(each)
         for each in parameters
     ]
-    arguments_by_name = {each.name: argument for each, argument in zip(parameters, arguments, strict=True)}
-    for path, value in constants.items():
-        if "." in path:
-            _set_member(machine, arguments_by_name, path, value)
     before = [machine.seen(each) for each in arguments]
     machine.given = {each.name: term for each, term in zip(parameters, before, strict=True)}
     machine.facts.append(requires(*before))
     result = machine.call(name, *arguments)
     return before, _results(machine, result, arguments)
-
-
-def _set_member(machine: Machine, arguments: Mapping[str, Any], path: str, value: int) -> None:
-    """Set a member of what an argument points to, as ``robot.config.filter``, to a constant."""
-    name, *pointers, member = path.split(".")
-    structure = arguments[name]
-    for pointer in pointers:
-        structure = machine.load(structure.below(pointer))
-    place = structure.below(member)
-    machine.store(place, machine.arithmetic.constant(value, machine.load(place).type))
 
 
 def _results(machine: Machine, result: Any, arguments: Iterable[Any]) -> list[Any]:

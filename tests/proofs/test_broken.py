@@ -50,7 +50,7 @@ MISTAKES = (
     Mistake("quotient", "divide_31(words.high", "divide_31(words.high / 2"),
     Mistake("alpha_units", "alpha >> 8, alpha)", "alpha >> 7, alpha)"),
     Mistake("alpha_word_from_mantissa", "(0U - exponent) & 31U", "(1U - exponent) & 31U"),
-    Mistake("reestimate", "b_hat < MCP_ASDF_B_HAT_MAX ? b_hat", "b_hat <= MCP_ASDF_B_HAT_MIN ? b_hat"),
+    Mistake("reestimate", "b_hat > MCP_ASDF_B_HAT_MIN ? b_hat", "b_hat > 0U ? b_hat"),
     Mistake("next_slot", "shift_left(UINT32_MAX, turn)", "shift_left(UINT32_MAX, turn + 1U)"),
     Mistake("take_vote", "if (distance > spread)", "if (distance >= spread)"),
     Mistake("take_vote", "new_spread > MCP_ASDF_SPREAD_MIN ? new_spread", "new_spread > 0U ? new_spread"),
