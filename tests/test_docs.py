@@ -10,6 +10,7 @@ import shlex
 import shutil
 import subprocess
 import sys
+from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 from types import SimpleNamespace
@@ -155,8 +156,8 @@ def is_run(page: Path, command: str) -> bool:
 
 
 def test_every_page_of_the_docs_is_in_the_navigation() -> None:
-    """But those in folders, to which other pages lead, and the README, which is the first of PAGES."""
-    navigation = (ROOT / ".ci/mkdocs.yml").read_text(encoding="utf-8").partition("\nnav:\n")[2]
+    """Pages in folders are left out, as other pages lead to them, and so is the README."""
+    _settings, _nav, navigation = (ROOT / ".ci/mkdocs.yml").read_text(encoding="utf-8").partition("\nnav:\n")
     names_in_navigation = re.findall(r"[\w/]+\.md$", navigation, re.MULTILINE)
 
     pages = [page.name for page in PAGES if page.parent == ROOT / "docs"]
@@ -164,8 +165,8 @@ def test_every_page_of_the_docs_is_in_the_navigation() -> None:
     assert sorted(names_in_navigation) == sorted(pages)
 
 
-def test_the_pages_have_commands_and_programs_that_tests_run() -> None:
-    """A test of each of them is no test where none is found. So many are there today."""
+def test_as_many_commands_and_programs_are_found_in_the_pages_as_there_are_today() -> None:
+    """The tests below run each that is found: if none were found, nothing would be tested."""
     commands = [(page, command) for page in PAGES for command in all_commands(page)]
     commands_run_here = [command for page, command in commands if is_run(page, command)]
     commands_of_experiments = [
@@ -227,6 +228,7 @@ def test_the_commands_of_a_page_work_and_print_what_it_shows(page: Path, workpla
     ),
 )
 def test_a_command_of_the_docs_that_no_test_runs_has_options_that_are_there(command: str) -> None:
+    """Such a command wants a network or minutes. An unknown option would end this test by SystemExit."""
     _program, name, *options = shlex.split(command)
     # The private functions make the parser of a command's options, as the program does.
     cli._parser_for(name, cli._load(name)).parse_args(options)
@@ -266,8 +268,10 @@ def test_the_c_node_understands_the_commands_of_the_docs(
 @pytest.mark.parametrize(
     "command", sorted({c for page in PAGES for c in all_commands(page) if c.startswith("make ")})
 )
-def test_make_knows_the_target(command: str) -> None:
-    run(require("make", "make"), "-n", *command.split()[1:])
+def test_make_knows_the_targets_that_the_docs_name(command: str) -> None:
+    """With -n it says what it would do, and fails for a target that the Makefile does not have."""
+    _make, *targets = command.split()
+    run(require("make", "make"), "-n", *targets)
 
 
 @pytest.fixture(scope="module")
@@ -372,7 +376,10 @@ def test_each_cell_of_a_table_names_its_column_on_a_phone(site: Path, chromium: 
 def test_the_search_of_the_built_docs_works_without_a_server_and_shows_guides_first(
     page: str, words: str, found: str, site: Path, chromium: Browser
 ) -> None:
-    """Before pages of the Python API. ``words`` are searched on a page, and have to lead to another one."""
+    """A reader types ``words`` on a page, and the page ``found`` has to be among the results.
+
+    Those of the Python API, which are in the folder api, come later.
+    """
     links = "[...document.querySelectorAll('.md-search-result__link')].map((link) => link.href)"
     with new_page(chromium) as browser:
         browser.goto((site / f"{page}.html").as_uri())
@@ -381,9 +388,9 @@ def test_the_search_of_the_built_docs_works_without_a_server_and_shows_guides_fi
         browser.locator(".md-search__input").press_sequentially(words[-1])
         until(browser, f"{links}.some((address) => address.includes('/{found}.html'))")
 
-        first_addresses = browser.evaluate(links)[:3]
+        first, second, third, *_ = browser.evaluate(links)
 
-    assert not any("/api/" in address for address in first_addresses)
+    assert "/api/" not in first + second + third
 
 
 COMMANDS_WITH_OPTIONS = """\
@@ -427,42 +434,64 @@ def show_as_on_the_site(text: str, browser: Page) -> None:
     browser.set_content(f"<style>{style}</style><main class=md-typeset>{page}</main>")
 
 
+@dataclass(frozen=True)
+class ShownText:
+    """What a browser shows of a page: the text, and at which height each of its characters ends."""
+
+    text: str
+    heights: list[int]
+
+    def lines_of(self, start: int = 0, end: int | None = None) -> int:
+        """Return on how many lines a part of the text stands; that of one line has one height."""
+        return len(set(self.heights[start:end]))
+
+
+def text_at_width(browser: Page, width: int) -> ShownText:
+    """Show the page that is open in a window of another width, and return its text."""
+    browser.set_viewport_size({"width": width, "height": 900})
+    characters = browser.evaluate(HEIGHTS_OF_CHARACTERS)
+    text = "".join(character for character, _height in characters)
+    return ShownText(text, [round(height) for _character, height in characters])
+
+
 @pytest.mark.parametrize("language", ["sh", "text"])
 def test_no_option_in_code_of_the_site_is_broken_at_its_hyphens(language: str, browser: Page) -> None:
-    """At no width, from that of a phone on; nor in code within a sentence."""
+    """An option such as --filter-period stands on one line, in a block of code and within a sentence.
+
+    That is so at any width from that of a phone on, although the lines break.
+    """
     sentence = "A sentence with `mcp-asdf swarm --flawed-accuracy 0.55 --filter-period 1000` in it."
     show_as_on_the_site(f"```{language}\n{COMMANDS_WITH_OPTIONS}```\n\n{sentence}", browser)
-    lines_by_width = {}
-    for width in range(300, 900, 50):
-        browser.set_viewport_size({"width": width, "height": 900})
-        characters = browser.evaluate(HEIGHTS_OF_CHARACTERS)
-        shown = "".join(character for character, _height in characters)
 
-        options = list(re.finditer("--?[a-zA-Z][a-zA-Z_-]*", shown))
-        assert {"--flawed-accuracy", "--true-accuracy", "-DCMAKE_BUILD_TYPE"} <= {each[0] for each in options}
+    for width in (300, 350, 400, 500, 600, 700):
+        shown = text_at_width(browser, width)
+        options = list(re.finditer("--?[a-zA-Z][a-zA-Z_-]*", shown.text))
+        assert len(options) == 12, "all that are in both"
         for option in options:
-            heights = {round(height) for _character, height in characters[slice(*option.span())]}
-            assert len(heights) == 1, f"{option[0]} at {width}"
-        lines_by_width[width] = len({round(height) for _character, height in characters})
-    assert lines_by_width[300] > lines_by_width[850], "the lines break"
+            assert shown.lines_of(*option.span()) == 1, f"{option[0]} at {width}"
+
+    assert text_at_width(browser, 300).lines_of() > text_at_width(browser, 850).lines_of()
 
 
 @pytest.mark.parametrize("language", ["sh", "c", "python", "json", "text"])
 def test_code_of_the_site_is_copied_as_the_page_has_it(language: str, browser: Page) -> None:
-    """By the button, which takes the text, and by hand."""
+    """A reader copies it by a button, which takes the text of the element, or selects it by hand."""
     show_as_on_the_site(f"```{language}\n{COMMANDS_WITH_OPTIONS}```", browser)
     code = "document.querySelector('pre > code')"
 
     by_button = browser.evaluate(f"{code}.innerText")
     by_hand = browser.evaluate(f"getSelection().selectAllChildren({code}), getSelection().toString()")
 
-    assert by_button.rstrip("\n") == by_hand.rstrip("\n") == COMMANDS_WITH_OPTIONS.rstrip("\n")
+    assert by_button.rstrip("\n") == COMMANDS_WITH_OPTIONS.rstrip("\n")
+    assert by_hand.rstrip("\n") == COMMANDS_WITH_OPTIONS.rstrip("\n")
 
 
-def test_a_table_of_output_on_the_site_does_not_break() -> None:
-    """A formula that begins with a bar is no table."""
-    assert 'class="columns highlight"' in as_on_the_site("```text\n| filter | H |\n| none   | 3 |\n```")
-    assert 'class="wrapped highlight"' in as_on_the_site("```text\n|x - f| > t (s + 1)\n```")
+def test_lines_of_a_table_in_a_block_of_text_do_not_break_on_the_site_and_others_do() -> None:
+    """A formula that begins with a bar is no table. The style sheet has a rule for each class."""
+    table = as_on_the_site("```text\n| filter | H |\n| none   | 3 |\n```")
+    formula = as_on_the_site("```text\n|x - f| > t (s + 1)\n```")
+    assert 'class="columns highlight"' in table
+    assert 'class="wrapped highlight"' in formula
 
 
 def test_a_cell_of_the_site_has_the_name_of_its_column_and_a_number_is_shown_with_it() -> None:
@@ -485,6 +514,7 @@ README_OUTPUT = block_with(README, "share of black 0.685", "text")
 
 
 def test_the_commands_of_the_readme_build_and_run_its_c_program_in_an_empty_folder(tmp_path: Path) -> None:
+    """The three commands get the firmware, compile the program, and start it."""
     [program] = blocks(README, "c")
     (tmp_path / "robot.c").write_text(program)
     get_firmware, build, start = block_with(README, "robot.c", "sh").splitlines()
@@ -495,7 +525,7 @@ def test_the_commands_of_the_readme_build_and_run_its_c_program_in_an_empty_fold
 
 
 def test_the_c_program_of_the_readme_builds_with_firmware_that_was_copied_by_hand(tmp_path: Path) -> None:
-    """Without a warning."""
+    """No compiler warning stops the build, which treats all of them as errors."""
     [program] = blocks(README, "c")
     (tmp_path / "robot.c").write_text(program)
     shutil.copytree(ROOT / "c_ref/src", tmp_path / "vendor/mcp_asdf")
@@ -508,18 +538,28 @@ def test_the_c_program_of_the_readme_builds_with_firmware_that_was_copied_by_han
 
 
 def test_the_output_in_the_readme_is_what_the_paper_s_equation_gives() -> None:
-    """Two of three tiles were black, and the sensor is right in 0.95."""
+    """Two of three tiles were black, and the sensor is right in 0.95 (eq. 3: (n/t + b - 1) / (2 b - 1))."""
     share_of_black = (2 / 3 + 0.95 - 1) / (2 * 0.95 - 1)
     assert f"{share_of_black:.3f}" in README_OUTPUT
 
 
+RUN_FILES = """
+import runpy, sys
+for name in sys.argv[1:]:
+    runpy.run_path(name, run_name="__main__")
+"""
+
+
 @pytest.mark.parametrize("page", CASES[1:])
 def test_the_python_programs_of_a_page_run(page: Path, tmp_path: Path) -> None:
-    """One after the other in one process, which loads libraries once, but each in a module of its own."""
+    """They run one after the other in one process, so that libraries are loaded once."""
     programs = [] if page.name in PROGRAMS_RUN_ELSEWHERE else blocks(page, "python")
-    script = f'for code in {programs!r}: exec(compile(code, "example", "exec"), {{"__name__": "__main__"}})'
+    names = [f"program_{index}.py" for index in range(len(programs))]
+    for name, program in zip(names, programs, strict=True):
+        (tmp_path / name).write_text(program)
+
     if programs:
-        run(sys.executable, "-c", script, cwd=tmp_path)
+        run(sys.executable, "-c", RUN_FILES, *names, cwd=tmp_path)
 
 
 def code_cells_of_notebook() -> list[dict[str, Any]]:
@@ -541,6 +581,7 @@ def test_the_notebook_prints_what_it_shows(tmp_path: Path) -> None:
 
 
 def test_the_notebook_has_a_picture() -> None:
+    """A cell of code may have it among its outputs, in the format PNG."""
     outputs = [output for cell in code_cells_of_notebook() for output in cell["outputs"]]
     assert any("image/png" in output.get("data", {}) for output in outputs)
 

@@ -181,15 +181,17 @@ def test_biome_finds_nothing_in_the_javascript_and_it_is_formatted() -> None:
     run(require("biome"), "check", "--config-path=.ci", "--error-on-warnings", *folders)
 
 
-def test_c_is_formatted() -> None:
+def test_c_and_cpp_are_formatted() -> None:
+    """clang-format would change nothing in C, C++ and the sketches for Arduino."""
     sketches = (ROOT / "c_ref/examples").rglob("*.ino")
     cpp_files = [*(ROOT / "c_ref").rglob("*.cpp"), *(ROOT / "tests").rglob("*.cpp")]
     run(require("clang-format"), "--dry-run", "-Werror", *C_FILES, *sketches, *cpp_files)
 
 
-def test_all_c_is_in_a_room() -> None:
-    rooms = {path for room in (*ROOMS, TESTS) for path in room.sources}
-    assert rooms == {path for path in C_FILES if path.suffix == ".c"}
+def test_every_c_file_is_among_those_that_are_analysed() -> None:
+    """A room is a group of C files that are compiled in one way; each analyser is run on each room."""
+    files_in_rooms = {path for room in (*ROOMS, TESTS) for path in room.sources}
+    assert files_in_rooms == {path for path in C_FILES if path.suffix == ".c"}
 
 
 TIDIED_QUICKLY = ("mcp_asdf_image.c", "mcp_asdf_frame.c", "mcp_asdf_small.c", "mcp_asdf_accessors.c")
@@ -209,11 +211,13 @@ TIDIED_QUICKLY = ("mcp_asdf_image.c", "mcp_asdf_frame.c", "mcp_asdf_small.c", "m
         for path in room.sources
     ],
 )
-def test_clang_tidy_finds_nothing(room: Room, path: Path) -> None:
+def test_clang_tidy_finds_nothing_in_a_file(room: Room, path: Path) -> None:
+    """A room is a group of C files that are compiled in one way. Findings fail the test."""
     analyse_by_clang_tidy(room, path)
 
 
 def analyse_by_clang_tidy(room: Room, path: Path) -> None:
+    """Analyse a file of a room by clang-tidy; raises AssertionError with what it finds."""
     checks = [f"--checks=-{room.not_clang_tidy}"] if room.not_clang_tidy else []
     run(require("clang-tidy"), "--quiet", *checks, path, "--", *room.flags(), *room.clang)
 
@@ -223,25 +227,30 @@ CPPCHECK = ("--enable=warning,style,performance,portability", "--std=c99", "--in
 NOT_CPPCHECK = ("shadowFunction", "knownConditionTrueFalse")
 
 
-def cppcheck(room: Room, *choices: str) -> None:
+def analyse_by_cppcheck(room: Room, *choices: str) -> None:
+    """Analyse a room by cppcheck; raises AssertionError with what it finds."""
     left_out = [f"--suppress={name}" for name in (*NOT_CPPCHECK, *room.not_cppcheck)]
-    given = [*INCLUDES, *room.definitions, *choices]
-    run(require("cppcheck", "cppcheck"), *CPPCHECK, *left_out, *given, "--error-exitcode=1", *room.sources)
+    options = [*INCLUDES, *room.definitions, *choices]
+    run(require("cppcheck", "cppcheck"), *CPPCHECK, *left_out, *options, "--error-exitcode=1", *room.sources)
 
 
 @pytest.mark.parametrize("variant", [HERE[0], *slow(HERE[1:])], ids=str)
-def test_cppcheck_finds_nothing_in_the_core(variant: Variant) -> None:
-    """Under the choices of each target."""
-    cppcheck(ROOMS[0], *(flag for flag in variant.flags() if flag.startswith("-DMCP")))
+def test_cppcheck_finds_nothing_in_the_core_as_a_target_compiles_it(variant: Variant) -> None:
+    """A variant is how a target divides, multiplies and shifts, which macros choose."""
+    core, *_ = ROOMS
+    choices = [flag for flag in variant.flags() if flag.startswith("-DMCP")]
+    analyse_by_cppcheck(core, *choices)
 
 
 @pytest.mark.parametrize("room", quick_for(("tables", "ports"), ROOMS[1:]))
-def test_cppcheck_finds_nothing(room: Room) -> None:
-    cppcheck(room)
+def test_cppcheck_finds_nothing_in_a_room(room: Room) -> None:
+    """A room is a group of C files that are compiled in one way. Findings fail the test."""
+    analyse_by_cppcheck(room)
 
 
 @pytest.mark.parametrize("room", quick_for(("core", "tables", "tests"), (*ROOMS, TESTS)))
-def test_gcc_and_its_analyser_find_nothing(room: Room, tmp_path: Path) -> None:
+def test_gcc_and_its_analyser_find_nothing_in_a_room(room: Room, tmp_path: Path) -> None:
+    """A room is a group of C files that are compiled in one way. Findings fail the test."""
     analyse_by_gcc(room, tmp_path)
 
 
@@ -258,11 +267,13 @@ def analyse_by_gcc(room: Room, folder: Path) -> None:
 
 
 @each_of((*ROOMS, TESTS))
-def test_clang_warns_of_nothing(room: Room) -> None:
-    check_by_clang(room)
+def test_clang_warns_of_nothing_in_a_room(room: Room) -> None:
+    """A room is a group of C files that are compiled in one way. A warning fails the test."""
+    analyse_by_clang(room)
 
 
-def check_by_clang(room: Room) -> None:
+def analyse_by_clang(room: Room) -> None:
+    """Let clang look for warnings in a room; raises AssertionError with what it finds."""
     run(require("clang", "clang"), *room.flags(), *WARNINGS, *room.clang, "-fsyntax-only", *room.sources)
 
 
@@ -312,8 +323,8 @@ def room_with_mistakes() -> Iterator[PlantedRoom]:
 @pytest.mark.parametrize(
     ("analyse", "finding"),
     [
-        (cppcheck, "uninitvar"),
-        (check_by_clang, "-Wsometimes-uninitialized"),
+        (analyse_by_cppcheck, "uninitvar"),
+        (analyse_by_clang, "-Wsometimes-uninitialized"),
         (lambda room: analyse_by_gcc(room, room.path.parent), "analyzer-null-dereference"),
         (lambda room: analyse_by_clang_tidy(room, room.path), "clang-analyzer-core"),
     ],
@@ -322,11 +333,14 @@ def room_with_mistakes() -> Iterator[PlantedRoom]:
 def test_an_analyser_finds_a_mistake(
     analyse: Callable[[PlantedRoom], None], finding: str, room_with_mistakes: PlantedRoom
 ) -> None:
-    """An analyser that is called wrongly finds nothing either."""
+    """The room has a C file with a variable that may have no value and a pointer that may lead nowhere.
+
+    ``analyse`` raises an error with the analyser's report. One that is called wrongly would find nothing.
+    """
     with pytest.raises(AssertionError, match=finding):
         analyse(room_with_mistakes)
 
 
 @pytest.mark.parametrize("script", [".ci/setup", ".ci/run", ".ci/newest", "tests/release/evidence.sh"])
-def test_shell_scripts_are_sound(script: str) -> None:
+def test_shellcheck_finds_nothing_in_a_script(script: str) -> None:
     run(require("shellcheck", "shellcheck"), ROOT / script)
