@@ -125,7 +125,10 @@ def extra_of_experiment_tutorial() -> str:
 def test_the_experiment_of_the_tutorial_says_which_extra_it_lacks(
     newcomer: Newcomer, experiment_programs: list[str]
 ) -> None:
-    printed = newcomer.run_python(experiment_programs[0], "2>&1 || echo exit code $?")
+    """The base alone is installed; the page names the extra, a set of packages that its programs need."""
+    first_program, *_ = experiment_programs
+
+    printed = newcomer.run_python(first_program, "2>&1 || echo exit code $?")
 
     *_, message, exit_code = printed.splitlines()
     assert message.endswith(install_instruction(extra_of_experiment_tutorial())), "as the page says"

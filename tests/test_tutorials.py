@@ -71,19 +71,25 @@ def test_the_first_robot_of_the_tutorial_is_built_and_runs(tmp_path: Path) -> No
 @pytest.mark.slow
 def test_the_second_robot_of_the_tutorial_learns_its_accuracy_from_the_swarm(tmp_path: Path) -> None:
     """It prints both now and then: nine of ten tiles are black, and its sensor is right in 95 % of cases."""
-    require("bash")
-    build_first_robot(tmp_path)
-    write_file(blocks(PAGE, "c")[1], tmp_path)
-    *_, build_and_start = blocks(PAGE, "sh")
+    printed = run_second_robot(tmp_path)
 
-    with running_swarm() as port:
-        command = ["sh", "-exc", build_and_start.replace(PORT_OF_THE_PAGE, port)]
-        robot = subprocess.run(
-            command, cwd=tmp_path, capture_output=True, text=True, check=True, timeout=PATIENCE
-        )
-
-    states = re.findall(r"share of black (\S+), my sensor is right (\d+) times in 1000", robot.stderr)
-    assert len(states) > 0, robot.stderr
+    states = re.findall(r"share of black (\S+), my sensor is right (\d+) times in 1000", printed)
+    assert len(states) > 0, printed
     for share_of_black, thousandths in states:
         assert 0.75 < float(share_of_black) < 1
         assert 800 <= int(thousandths) <= 1000
+
+
+def run_second_robot(folder: Path) -> str:
+    """Build the page's second robot, run it in the page's swarm, and return what it prints."""
+    require("bash")
+    build_first_robot(folder)
+    _first_program, second_program = blocks(PAGE, "c")
+    write_file(second_program, folder)
+    *_, build_and_start = blocks(PAGE, "sh")
+    with running_swarm() as port:
+        command = ["sh", "-exc", build_and_start.replace(PORT_OF_THE_PAGE, port)]
+        robot = subprocess.run(
+            command, cwd=folder, capture_output=True, text=True, check=True, timeout=PATIENCE
+        )
+    return robot.stderr

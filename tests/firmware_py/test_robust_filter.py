@@ -6,7 +6,7 @@ docs/design.md, section 13, specifies it. Slot i keeps the estimate of the sende
 from __future__ import annotations
 
 import struct
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import pytest
@@ -855,9 +855,12 @@ def test_an_image_has_39_words_with_the_robust_filter_and_31_with_another(
 
 # design: R29
 def test_a_saved_robot_has_the_memory_of_its_filter_in_the_documented_order() -> None:
-    """docs/design.md lists its 39 words of 32 bits; in another order, older images could not be restored."""
+    """docs/design.md lists its 39 words of 32 bits; in another order, older images could not be restored.
+
+    Here each member of the memory has another value, to which no calls lead, and is set from outside.
+    """
     robot = MirrorRobot(ROBUST, OWN_ID, b_hat=0.95)
-    memory = RobustFilter(
+    robot.s.robust = RobustFilter(
         centre=21,
         spread=22,
         initial_b_hat=23,
@@ -868,33 +871,49 @@ def test_a_saved_robot_has_the_memory_of_its_filter_in_the_documented_order() ->
         dispersion=28,
         turn=29,
     )
-    # Set from outside: no calls lead to a robot that has another value in each member.
-    robot.s.robust = memory
 
-    words = words_of_image(robot.save())
+    image = split_image(robot.save())
 
-    assert words[0] == 0x4D435383, '"MCS" and, as there is a robust filter, 128 + version 3'
     votes_and_dispersion = 28 << 16 | 27
-    assert words[7:15] == [21, 22, 23, 24, 25, 26, votes_and_dispersion, 29]
+    assert image.filter_words == [21, 22, 23, 24, 25, 26, votes_and_dispersion, 29]
 
 
-def words_of_image(image: bytes) -> list[int]:
-    """Return the words of a saved robot, which has 4 bytes a word, the lowest first."""
-    return list(struct.unpack(f"<{len(image) // 4}I", image))
+# design: R29
+def test_a_saved_robot_begins_with_a_mark_of_the_robust_filter_and_the_version() -> None:
+    """The first word is "MCS" and a byte: the version of images, 3, and 128 for the robust filter."""
+    robot = MirrorRobot(ROBUST, OWN_ID, b_hat=0.95)
+    *mcs, filter_and_version = split_image(robot.save()).first_word.to_bytes(4, "big")
+    assert bytes(mcs) == b"MCS"
+    assert filter_and_version == 128 + 3
+
+
+@dataclass(frozen=True)
+class SplitImage:
+    """Words of a saved robot by what they hold: by docs/design.md word 0, words 7 to 14, and 15 to 30."""
+
+    first_word: int
+    filter_words: list[int]
+    estimate_words: list[int]
+
+
+def split_image(image: bytes) -> SplitImage:
+    """Split the bytes of a saved robot with the robust filter; a word has 4 of them, the lowest first."""
+    words = list(struct.unpack("<39I", image))
+    return SplitImage(words[0], filter_words=words[7:15], estimate_words=words[15:31])
 
 
 # design: R29
 def test_a_saved_robot_has_the_estimates_of_two_slots_in_each_word() -> None:
-    """There are 32 slots. By docs/design.md words 15 to 30 have them, the lower slot in the lower half."""
+    """There are 32 slots, one for each neighbour, and the lower one of two is in the lower half of a word."""
     robot = MirrorRobot(ROBUST, OWN_ID, b_hat=0.95)
     robot.receive(sender=0, x_hat=0.25, alpha=1.0)
     robot.receive(sender=1, x_hat=0.5, alpha=1.0)
     robot.receive(sender=2, x_hat=0.75, alpha=1.0)
 
-    words = words_of_image(robot.save())
+    image = split_image(robot.save())
 
-    quarter = 2**16 // 4
-    assert words[15:31] == [2 * quarter << 16 | quarter, 3 * quarter, *[0] * 14]
+    quarter, half, three_quarters = 1 << 14, 2 << 14, 3 << 14  # in units of 2**-16
+    assert image.estimate_words == [half << 16 | quarter, three_quarters, *[0] * 14]
 
 
 def status_of_restore(firmware: FixedPointFirmware, members: dict[str, Any]) -> Status:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import random
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +30,8 @@ C_SOURCE = CORE.with_name("mcp_asdf_small.c")
 # --- Messages --------------------------------------------------------------------------------------------
 
 
-def test_a_message_has_the_bytes_that_the_page_shows() -> None:
+def test_a_message_has_the_bytes_that_the_specification_shows() -> None:
+    """It is 32 bits: an id of 7, an x_hat of 16 and an alpha of 9."""
     assert encode_message(42, ONE, alpha_word_from_float(1.0)) == bytes.fromhex("50FEFF55")
 
 
@@ -38,6 +40,7 @@ def test_a_message_is_decoded_to_sender_x_hat_and_alpha() -> None:
 
 
 def test_encoding_what_was_decoded_gives_the_same_bytes() -> None:
+    """So a message loses nothing where a gateway decodes it and encodes it again."""
     source = random.Random(1)
     for _ in range(20_000):
         message = source.randbytes(4)
@@ -69,20 +72,29 @@ def test_a_message_of_another_length_is_refused(length: int) -> None:
 
 
 @pytest.mark.parametrize("bits", range(1, MAX_X_HAT_BITS + 1))
-def test_both_ends_of_x_hat_have_codes_of_their_own(bits: int) -> None:
-    assert [decode_x_hat(0, bits), decode_x_hat((1 << bits) - 1, bits)] == [0, ONE]
+def test_the_smallest_and_the_largest_code_of_x_hat_stand_for_exactly_0_and_1(bits: int) -> None:
+    """x_hat is a share of black tiles, and ONE is 1.0 in its units."""
+    assert decode_x_hat(0, bits) == 0
+    assert decode_x_hat((1 << bits) - 1, bits) == ONE
 
 
 def test_x_hat_is_rounded_to_the_nearest_of_four_numbers() -> None:
     """In 2 bits these are 0, 1/3, 2/3 and 1, so the boundaries between them are 1/6, 1/2 and 5/6."""
-    boundaries = [ONE // 6, HALF - 1, ONE - ONE // 6 - 1]
-    assert [encode_x_hat(x_hat, 2) for x_hat in boundaries] == [0, 1, 2]
-    assert [encode_x_hat(x_hat + 1, 2) for x_hat in boundaries] == [1, 2, 3]
+    last_of_code_0, last_of_code_1, last_of_code_2 = ONE // 6, HALF - 1, ONE - ONE // 6 - 1
+
+    assert encode_x_hat(last_of_code_0, bits=2) == 0
+    assert encode_x_hat(last_of_code_0 + 1, bits=2) == 1
+    assert encode_x_hat(last_of_code_1, bits=2) == 1
+    assert encode_x_hat(last_of_code_1 + 1, bits=2) == 2
+    assert encode_x_hat(last_of_code_2, bits=2) == 2
+    assert encode_x_hat(last_of_code_2 + 1, bits=2) == 3
 
 
 @pytest.mark.parametrize("x_hat", [0, 1, HALF - 1, 1_234_567, ONE])
-def test_exchanged_colours_have_the_opposite_code(x_hat: int) -> None:
-    assert encode_x_hat(ONE - x_hat, 16) == 0xFFFF - encode_x_hat(x_hat, 16)
+def test_the_share_of_white_has_the_code_that_mirrors_that_of_the_share_of_black(x_hat: int) -> None:
+    """Codes of 16 bits go from 0 to 0xFFFF. Otherwise one colour would be rounded in its favour."""
+    share_of_white = ONE - x_hat
+    assert encode_x_hat(share_of_white, bits=16) == 0xFFFF - encode_x_hat(x_hat, bits=16)
 
 
 def test_an_estimate_in_16_bits_is_wrong_by_half_a_step_at_most() -> None:
@@ -90,7 +102,7 @@ def test_an_estimate_in_16_bits_is_wrong_by_half_a_step_at_most() -> None:
     half_step = ONE / 0xFFFF / 2
     rounding_to_whole_units = 0.5
     for x_hat in random.Random(2).sample(range(ONE + 1), 20_000):
-        decoded = decode_x_hat(encode_x_hat(x_hat, 16), 16)
+        decoded = decode_x_hat(encode_x_hat(x_hat, bits=16), bits=16)
 
         assert abs(decoded - x_hat) <= half_step + rounding_to_whole_units, x_hat
 
@@ -102,8 +114,15 @@ def test_an_estimate_in_16_bits_is_wrong_by_half_a_step_at_most() -> None:
     ("code", "alpha"),
     [(0, 0.0), (1, 2**-8), (15, 15 * 2**-8), (16, 2**-4), (17, 17 * 2**-8), (80, 1.0), (511, 31 * 2.0**22)],
 )
-def test_codes_of_9_bits_stand_for_these_confidences(code: int, alpha: float) -> None:
-    assert alpha_from_word(decode_alpha(code, 9)) == alpha
+def test_a_code_of_9_bits_stands_for_the_confidence_that_the_specification_states(
+    code: int, alpha: float
+) -> None:
+    """Up to 16 by steps of 2**-8, and from then on 16 codes for each power of two.
+
+    An alpha word is a confidence in 32 bits, as the firmware has it.
+    """
+    alpha_word = decode_alpha(code, bits=9)
+    assert alpha_from_word(alpha_word) == alpha
 
 
 def test_codes_of_4_bits_are_powers_of_four() -> None:
@@ -122,6 +141,7 @@ def test_only_a_confidence_of_0_has_the_code_0(bits: int) -> None:
 
 @pytest.mark.parametrize("bits", range(1, MAX_ALPHA_BITS + 1))
 def test_the_largest_confidence_has_the_largest_code(bits: int) -> None:
+    """All bits of the code are set."""
     assert encode_alpha(ALPHA_MAX, bits) == (1 << bits) - 1
 
 
@@ -166,15 +186,21 @@ def c_code_function(c_library: Any, name: str) -> Any:
         ("alpha_from_code", "decode_alpha", MAX_ALPHA_BITS),
     ],
 )
-def test_c_and_python_decode_alike(c_library: Any, c_name: str, python_name: str, max_bits: int) -> None:
-    """Every code of up to 9 bits, and 1000 of each other length."""
+def test_c_and_python_decode_codes_alike(
+    c_library: Any, c_name: str, python_name: str, max_bits: int
+) -> None:
+    """Tried are every code of up to 9 bits, and 1000 of each other length."""
     c_function = c_code_function(c_library, c_name)
     python_function = getattr(small_messages, python_name)
-    source = random.Random(4)
     for bits in range(1, max_bits + 1):
-        codes = range(1 << bits) if bits <= 9 else [source.getrandbits(bits) for _ in range(1000)]
-        for code in codes:
+        for code in some_codes(bits):
             assert c_function(code, bits) == python_function(code, bits), (code, bits)
+
+
+def some_codes(bits: int) -> Sequence[int]:
+    """Return all codes of so many bits, or 1000 random ones if they are more than 9 bits."""
+    rng = random.Random(bits)
+    return range(1 << bits) if bits <= 9 else [rng.getrandbits(bits) for _ in range(1000)]
 
 
 def test_c_and_python_encode_x_hat_alike(c_library: Any) -> None:
@@ -205,6 +231,7 @@ EVERY_WORD = Path(__file__).with_name("every_small_message.c")
 
 @pytest.mark.slow
 def test_every_word_of_32_bits_is_decoded_and_encoded_to_itself(tmp_path: Path) -> None:
+    """A small message has 32 bits, and a program in C tries all of them."""
     include = f"-I{CORE.parent}"
     run(require("gcc", "gcc"), "-std=c99", "-O2", include, EVERY_WORD, C_SOURCE, "-o", tmp_path / "every")
     assert run(tmp_path / "every") == "4294967296 words, 0 wrong\n"
