@@ -31,20 +31,26 @@ def own_bus(robot: int) -> can.BusABC:
 ON_ONE_BUS, ON_OWN_BUSES = Wiring(one_bus), Wiring(own_bus, is_shared=False)
 
 
-def small(*faults: str, **changes: Any) -> SwarmSettings:
-    """Settings of a short run with several filter periods, in which these faults strike."""
+def small_swarm(*faults: str, **changes: Any) -> SwarmSettings:
+    """Return settings of five robots and 60 ticks, three filter periods, in which these faults strike.
+
+    The first two robots are flawed: they assume a wrong accuracy of their sensor.
+    """
     plain: dict[str, Any] = {"robots": 5, "flawed": 0.4, "filter": "asdf-plus", "steps": 60}
     plain |= {"filter_period": 20, "seed": 11}
     return SwarmSettings(**(plain | changes), faults=faults)
 
 
-def record(
+def run_and_record(
     settings: SwarmSettings,
     wiring: Wiring = ON_ONE_BUS,
     hooks: Sequence[SwarmHook] = (),
     events: list[str] | None = None,
 ) -> tuple[SwarmRun, list[can.Message]]:
-    """A run that nothing ended early, and the frames it sent; ``events`` gets the lines of its events."""
+    """Run a swarm that nothing may end early, and return the run and the frames that were sent.
+
+    ``hooks`` are called after each tick, and ``events`` gets the lines of the file of events.
+    """
     frames: list[can.Message] = []
     header = EventsHeader(settings.robot_setups(), settings.seed, settings.frames)
     lines = [] if events is None else events
@@ -57,11 +63,11 @@ def record(
     return run, frames
 
 
-def content(frames: Sequence[can.Message]) -> list[IdentifierAndData]:
-    """Identity of frames, without time and place."""
+def identifiers_and_data(frames: Sequence[can.Message]) -> list[IdentifierAndData]:
+    """Return the identifier and the data of each frame, but not its time and its channel."""
     return [identifier_and_data(frame) for frame in frames]
 
 
-def states(nodes: Sequence[BusRobot]) -> list[bytes]:
-    """All that the firmwares of robots hold."""
+def saved_robots(nodes: Sequence[BusRobot]) -> list[bytes]:
+    """Return the saved state of each robot, which is all that its firmware holds."""
     return [node.robot.save() for node in nodes if isinstance(node.robot, FixedPointRobot)]

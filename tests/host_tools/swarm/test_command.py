@@ -18,7 +18,7 @@ import pytest
 from can.interfaces import virtual
 from rich.console import Console
 
-from host_tools.swarm.swarms import content, record, small
+from host_tools.swarm.swarms import identifiers_and_data, run_and_record, small_swarm
 from mcp_asdf_tools.cli.main import main
 from mcp_asdf_tools.common.parameters import parameters_of
 from mcp_asdf_tools.experiments.engine import native
@@ -68,12 +68,12 @@ def test_the_file_beside_a_log_has_the_report(tmp_path: Path, capsys: Capture) -
 
 
 def test_the_log_has_every_frame_with_channel_and_time(tmp_path: Path) -> None:
-    _, sent_frames = record(SMALL_SETTINGS)
+    _, sent_frames = run_and_record(SMALL_SETTINGS)
     log = tmp_path / "my.run.log"
     assert run_swarm_command("--quiet", "--log", log, "--channel", "mine") == 0
     with can.LogReader(log) as reader:
         logged_frames = list(reader)
-    assert content(logged_frames) == content(sent_frames)
+    assert identifiers_and_data(logged_frames) == identifiers_and_data(sent_frames)
     assert {frame.channel for frame in logged_frames} == {"mine"}
     start = logged_frames[0].timestamp
     logged_times = [round(frame.timestamp - start, 3) for frame in logged_frames]
@@ -152,14 +152,18 @@ bus load\t125 kbit/s 4.2% (peak 8%), 250 kbit/s 2.1% (peak 4%), 500 kbit/s 1.1% 
 
 
 def test_a_summary_has_faults_conflicts_the_clock_and_robots_in_trouble() -> None:
-    run, _ = record(small("corrupt=0.5,bits=5,receivers=0", "collide,robots=2,id=1", robots=3, flawed=0))
+    run, _ = run_and_record(
+        small_swarm("corrupt=0.5,bits=5,receivers=0", "collide,robots=2,id=1", robots=3, flawed=0)
+    )
     run.results |= RESULTS_IN_REAL_TIME
     run.interrupted = True
     assert ["\t".join(row) for row in summary(run, "vcan0", 1.26)] == SUMMARY.split("\n")
 
 
 def test_the_summary_in_one_line_says_that_the_run_was_interrupted() -> None:
-    run, _ = record(small("corrupt=0.5,bits=5,receivers=0", "collide,robots=2,id=1", robots=3, flawed=0))
+    run, _ = run_and_record(
+        small_swarm("corrupt=0.5,bits=5,receivers=0", "collide,robots=2,id=1", robots=3, flawed=0)
+    )
     run.interrupted = True
 
     assert (
@@ -168,13 +172,13 @@ def test_the_summary_in_one_line_says_that_the_run_was_interrupted() -> None:
 
 
 def test_a_summary_says_what_failed() -> None:
-    run, _ = record(small(robots=3))
+    run, _ = run_and_record(small_swarm(robots=3))
     run.failure = "tick 41: bus off"
     assert dict(summary(run, "vcan0", 1.26))["run"] == "60 of 60 steps in 1.3 s; failed in tick 41: bus off"
 
 
 def test_a_summary_of_a_run_without_faults_has_no_lines_about_faults() -> None:
-    run, _ = record(small(robots=3))
+    run, _ = run_and_record(small_swarm(robots=3))
     names = [name for name, _ in summary(run, "vcan0", 1.26)]
     assert names == ["run", "estimate", "b_hat, flawed", "b_hat, other", "filter", "frames", "bus load"]
 

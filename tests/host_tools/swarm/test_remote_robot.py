@@ -15,7 +15,14 @@ import can
 import pytest
 from can.interfaces import virtual
 
-from host_tools.swarm.swarms import ON_OWN_BUSES, content, own_bus, record, small, states
+from host_tools.swarm.swarms import (
+    ON_OWN_BUSES,
+    identifiers_and_data,
+    own_bus,
+    run_and_record,
+    saved_robots,
+    small_swarm,
+)
 from host_tools.swarm.test_swarm_faults import MIX
 from mcp_asdf_tools.bus.frames import Estimate, FrameFormat, decode_estimate
 from mcp_asdf_tools.cli import swarm
@@ -104,7 +111,7 @@ def compare_runs(settings: SwarmSettings, wiring: Wiring) -> Comparison:
         driven_swarm.wait_until_up(10)
         run = run_swarm(driven_swarm)
     assert run.failure is None
-    local_run, local_frames = record(settings, ON_OWN_BUSES)
+    local_run, local_frames = run_and_record(settings, ON_OWN_BUSES)
     return Comparison(run, frames, nodes, local_run, local_frames)
 
 
@@ -121,12 +128,12 @@ LOSSLESS: dict[str, tuple[Wiring, int, str]] = {
 @pytest.fixture(scope="module", params=list(LOSSLESS.values()), ids=list(LOSSLESS))
 def lossless(request: pytest.FixtureRequest) -> Comparison:
     wiring, comms_period, swarm_filter = request.param
-    return compare_runs(small(robots=4, comms_period=comms_period, filter=swarm_filter), wiring)
+    return compare_runs(small_swarm(robots=4, comms_period=comms_period, filter=swarm_filter), wiring)
 
 
 def test_robots_in_other_programs_end_in_the_same_bits_as_robots_in_this_one(lossless: Comparison) -> None:
     for robot, node in lossless.remote_nodes.items():
-        assert states([node.bus_robot]) == states([lossless.local_run.nodes[robot]])
+        assert saved_robots([node.bus_robot]) == saved_robots([lossless.local_run.nodes[robot]])
 
 
 def estimates_among(frames: list[can.Message]) -> list[can.Message]:
@@ -139,7 +146,9 @@ def test_remote_robots_broadcast_the_same_estimates_as_robots_in_this_process(lo
     estimates_with_remote_robots = estimates_among(lossless.frames)
     estimates_of_local_robots = estimates_among(lossless.local_frames)
 
-    assert sorted(content(estimates_with_remote_robots)) == sorted(content(estimates_of_local_robots))
+    assert sorted(identifiers_and_data(estimates_with_remote_robots)) == sorted(
+        identifiers_and_data(estimates_of_local_robots)
+    )
 
 
 @pytest.mark.parametrize("count", ["sent", "heartbeats_sent", "delivered"])
@@ -173,10 +182,10 @@ def test_what_is_known_of_a_robot_in_another_program_comes_from_its_telemetry(lo
 def test_remote_robots_end_in_the_same_state_among_faults(
     wiring: Wiring, faults: tuple[str, ...], comms_period: int, swarm_filter: str
 ) -> None:
-    settings = small(*faults, robots=4, comms_period=comms_period, filter=swarm_filter)
+    settings = small_swarm(*faults, robots=4, comms_period=comms_period, filter=swarm_filter)
     comparison = compare_runs(settings, wiring)
     for robot, node in comparison.remote_nodes.items():
-        assert states([node.bus_robot]) == states([comparison.local_run.nodes[robot]])
+        assert saved_robots([node.bus_robot]) == saved_robots([comparison.local_run.nodes[robot]])
 
     assert [node.robot.x for node in comparison.run.nodes] == [
         node.robot.x for node in comparison.local_run.nodes
@@ -185,13 +194,13 @@ def test_remote_robots_end_in_the_same_state_among_faults(
 
 def test_the_local_estimate_of_a_remote_robot_is_known_from_its_broadcasts() -> None:
     """Here it broadcasts in each tick; between broadcasts it is not known."""
-    comparison = compare_runs(small(robots=4), bus_for_each(1))
+    comparison = compare_runs(small_swarm(robots=4), bus_for_each(1))
     assert comparison.run.nodes[1].robot.x_hat == comparison.local_run.nodes[1].robot.x_hat
 
 
 def test_126_robots_with_one_in_another_program_are_accepted() -> None:
     """They have ids 0 to 125, which leaves 126 for the program that drives them."""
-    remote_robot.check_remote(small(robots=126), bus_for_each(1))
+    remote_robot.check_remote(small_swarm(robots=126), bus_for_each(1))
 
 
 @contextmanager
@@ -200,7 +209,7 @@ def swarm_with_a_silent_robot(
 ) -> Iterator[Swarm]:
     """A swarm after its first tick, with a remote robot that is gone since then."""
     monkeypatch.setattr(remote_robot, "ANSWER_TIMEOUT", 0.1)
-    settings = small()
+    settings = small_swarm()
     with Swarm(settings, bus_for_each(1)) as driven_swarm, own_bus(1) as bus:
         with remote_robot_in_a_thread(RobotNode(settings.robot_setups()[1]), bus):
             driven_swarm.wait_until_up(10, check)

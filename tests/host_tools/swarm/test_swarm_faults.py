@@ -13,7 +13,15 @@ import can
 import pytest
 from can.interfaces import virtual
 
-from host_tools.swarm.swarms import ON_ONE_BUS, ON_OWN_BUSES, content, own_bus, record, small, states
+from host_tools.swarm.swarms import (
+    ON_ONE_BUS,
+    ON_OWN_BUSES,
+    identifiers_and_data,
+    own_bus,
+    run_and_record,
+    saved_robots,
+    small_swarm,
+)
 from mcp_asdf_tools.bus.frames import Estimate, FrameFormat, Heartbeat, decode_estimate, decode_heartbeat
 from mcp_asdf_tools.bus.interfaces import BusChoice
 from mcp_asdf_tools.cli.main import main
@@ -79,13 +87,13 @@ def hit_counts(run: SwarmRun) -> list[int]:
 def test_swarms_without_a_bus_or_with_several_run_as_on_one_that_all_share(
     medium: str, faults: tuple[str, ...], world: dict[str, Any]
 ) -> None:
-    settings = small(*faults, **world)
+    settings = small_swarm(*faults, **world)
     events_on_one_bus, events = list[str](), list[str]()
-    run_on_one_bus, frames_on_one_bus = record(settings, events=events_on_one_bus)
-    run, frames = record(settings, MEDIA[medium], events=events)
+    run_on_one_bus, frames_on_one_bus = run_and_record(settings, events=events_on_one_bus)
+    run, frames = run_and_record(settings, MEDIA[medium], events=events)
 
-    assert content(frames) == content(frames_on_one_bus)
-    assert states(run.nodes) == states(run_on_one_bus.nodes)
+    assert identifiers_and_data(frames) == identifiers_and_data(frames_on_one_bus)
+    assert saved_robots(run.nodes) == saved_robots(run_on_one_bus.nodes)
     assert run.results == run_on_one_bus.results
     assert events == events_on_one_bus
     assert all(hit_counts(run))
@@ -94,19 +102,19 @@ def test_swarms_without_a_bus_or_with_several_run_as_on_one_that_all_share(
 @pytest.mark.parametrize("medium", ["no bus", "a bus for each"])
 def test_frames_have_the_same_times_on_several_buses_as_on_one(medium: str) -> None:
     """Multicast groups keep no time stamps of the sender."""
-    _, frames_on_one_bus = record(small())
-    _, frames = record(small(), MEDIA[medium])
+    _, frames_on_one_bus = run_and_record(small_swarm())
+    _, frames = run_and_record(small_swarm(), MEDIA[medium])
     assert [frame.timestamp for frame in frames] == [frame.timestamp for frame in frames_on_one_bus]
 
 
 def test_frames_of_a_swarm_without_a_bus_have_a_channel_for_the_log() -> None:
-    _, frames = record(small(), Wiring(channel="none"))
+    _, frames = run_and_record(small_swarm(), Wiring(channel="none"))
     assert {frame.channel for frame in frames} == {"none"}
 
 
 def test_the_bus_of_a_robot_has_its_frames_and_those_that_reach_it() -> None:
     """Here those of robot 1 are lost on their way."""
-    with Swarm(small("loss,robots=1", steps=5), ON_OWN_BUSES) as swarm, own_bus(0) as listener:
+    with Swarm(small_swarm("loss,robots=1", steps=5), ON_OWN_BUSES) as swarm, own_bus(0) as listener:
         run_swarm(swarm)
         frames = list(iter(lambda: listener.recv(0), None))
     contents = [decode_estimate(frame, FrameFormat()) for frame in frames]
@@ -146,14 +154,14 @@ def test_a_fault_hits_as_many_frames_as_its_options_say_with_its_effect(
     fault: str, hits: int, expected_counts: dict[str, Any]
 ) -> None:
     """Five robots run for 60 ticks, and each frame has four receivers, which together are 20 paths."""
-    run, frames = record(small(fault))
+    run, frames = run_and_record(small_swarm(fault))
     assert hit_counts(run) == [hits]
     assert {name: frame_counts(run)[name] for name in expected_counts} == expected_counts
     assert frame_counts(run)["on_the_bus"] == len(frames)
 
 
 def test_robots_whose_frames_are_all_lost_know_their_own_estimates_alone() -> None:
-    run, _ = record(small("loss"))
+    run, _ = run_and_record(small_swarm("loss"))
     assert all(node.robot.x == node.robot.x_hat for node in run.nodes)
 
 
@@ -201,7 +209,7 @@ def test_replay_tells_which_broadcasts_a_fault_has_changed(
     are reproduced.
     """
     path, events = tmp_path / "run.events", list[str]()
-    _run, frames = record(small(fault), events=events)
+    _run, frames = run_and_record(small_swarm(fault), events=events)
     path.write_text("".join(events))
 
     with EventsReader(path) as reader:
@@ -219,41 +227,43 @@ without_and_with_buses = pytest.mark.parametrize("medium", ["no bus", "a bus for
 
 @without_and_with_buses
 def test_estimates_under_ids_that_are_not_allowed_change_nothing(medium: str) -> None:
-    undisturbed_run, _ = record(small())
-    run, _ = record(small("sybil,robots=1,ids=5-9+127", allow="0-4"), MEDIA[medium])
-    assert states(run.nodes) == states(undisturbed_run.nodes)
+    undisturbed_run, _ = run_and_record(small_swarm())
+    run, _ = run_and_record(small_swarm("sybil,robots=1,ids=5-9+127", allow="0-4"), MEDIA[medium])
+    assert saved_robots(run.nodes) == saved_robots(undisturbed_run.nodes)
     assert frame_counts(run)["delivered"] == frame_counts(undisturbed_run)["delivered"]
 
 
 @without_and_with_buses
 def test_estimates_under_ids_that_are_not_allowed_are_counted_as_unknown(medium: str) -> None:
-    run, _ = record(small("sybil,robots=1,ids=5-9+127", allow="0-4"), MEDIA[medium])
+    run, _ = run_and_record(small_swarm("sybil,robots=1,ids=5-9+127", allow="0-4"), MEDIA[medium])
     ticks, made_up_ids, receivers = 60, 6, 4
     assert frame_counts(run)["unknown"] == ticks * made_up_ids * receivers
 
 
 @without_and_with_buses
 def test_estimates_under_the_id_of_a_robot_that_is_allowed_are_conflicts(medium: str) -> None:
-    run, _ = record(small("sybil,robots=1,ids=0", allow="0-4"), MEDIA[medium])
+    run, _ = run_and_record(small_swarm("sybil,robots=1,ids=0", allow="0-4"), MEDIA[medium])
     assert frame_counts(run)["unknown"] == 0
     assert frame_counts(run)["id_conflicts"] == {"0": 60}  # one in each tick
 
 
 @without_and_with_buses
 def test_robots_that_allow_no_id_of_the_swarm_know_their_own_estimates_alone(medium: str) -> None:
-    run, _ = record(small(allow="127"), MEDIA[medium])
+    run, _ = run_and_record(small_swarm(allow="127"), MEDIA[medium])
     assert all(node.robot.x == node.robot.x_hat for node in run.nodes)
 
 
 def crash_in_two_ticks(rejoin: str) -> SwarmSettings:
     """Settings of a run of 60 ticks in which robot 0 is dead in ticks 45 and 46."""
-    return small(f"crash,robots=0,from=45,to=47,rejoin={rejoin}", seed=3, fill_ratio=0.95)
+    return small_swarm(f"crash,robots=0,from=45,to=47,rejoin={rejoin}", seed=3, fill_ratio=0.95)
 
 
 def b_hat_around_the_crash(rejoin: str) -> tuple[float, float]:
     """Return the assumed accuracy of that robot before and after its crash; it began with 0.55."""
     b_hat_by_tick: list[float] = []
-    record(crash_in_two_ticks(rejoin), hooks=[lambda swarm: b_hat_by_tick.append(swarm.nodes[0].robot.b_hat)])
+    run_and_record(
+        crash_in_two_ticks(rejoin), hooks=[lambda swarm: b_hat_by_tick.append(swarm.nodes[0].robot.b_hat)]
+    )
     last_tick_before, first_tick_after = 44, 47
     return b_hat_by_tick[last_tick_before], b_hat_by_tick[first_tick_after]
 
@@ -275,7 +285,7 @@ def test_a_robot_that_rejoins_has_its_observations_only_if_it_is_restored(
     rejoin: str, observations: int
 ) -> None:
     """It is dead in ticks 45 and 46 of 60, and makes an observation in each of the others."""
-    run, _ = record(crash_in_two_ticks(rejoin))
+    run, _ = run_and_record(crash_in_two_ticks(rejoin))
     assert run.nodes[0].robot.t == observations
 
 
@@ -285,7 +295,7 @@ def test_a_robot_that_rejoins_has_its_observations_only_if_it_is_restored(
 def test_a_robot_that_rejoins_numbers_its_estimates_anew_unless_it_is_restored(
     rejoin: str, numbers: list[int]
 ) -> None:
-    _, frames = record(crash_in_two_ticks(rejoin))
+    _, frames = run_and_record(crash_in_two_ticks(rejoin))
     contents = [decode_estimate(frame, FrameFormat()) for frame in frames]
     transfer_ids = [
         estimate.transfer_id
@@ -307,7 +317,7 @@ REJOINING = {
 def test_a_robot_that_rejoins_sends_heartbeats_in_its_own_seconds(
     rejoin: str, expected: list[tuple[int, int]]
 ) -> None:
-    _, frames = record(small(f"crash,robots=0,from=45,to=47,rejoin={rejoin}"))
+    _, frames = run_and_record(small_swarm(f"crash,robots=0,from=45,to=47,rejoin={rejoin}"))
     heartbeats = [(frame, decode_heartbeat(frame)) for frame in frames]
     found = [
         (round(10 * frame.timestamp), heartbeat.uptime)
@@ -321,7 +331,10 @@ def test_a_robot_that_rejoins_sends_heartbeats_in_its_own_seconds(
 @pytest.fixture
 def run_with_a_late_tick(monkeypatch: pytest.MonkeyPatch) -> SwarmRun:
     """A run of 3 robots in real time in which the frames of tick 5 arrive in tick 6."""
-    settings, receive = small(robots=3, clock="real-time", steps_per_second=1000), virtual.VirtualBus.recv
+    settings, receive = (
+        small_swarm(robots=3, clock="real-time", steps_per_second=1000),
+        virtual.VirtualBus.recv,
+    )
     with Swarm(settings, ON_ONE_BUS) as swarm:
         monkeypatch.setattr(
             virtual.VirtualBus,
@@ -353,7 +366,9 @@ def test_a_run_in_real_time_reports_how_late_ticks_have_begun(run_with_a_late_ti
 @pytest.mark.parametrize("medium", ["one bus", "a group for each", *slow(["one group"])])
 def test_no_frame_is_lost_when_a_robot_floods_the_bus(medium: str) -> None:
     """There are more frames than a socket holds, so that they have to be read while they are sent."""
-    run, frames = record(small("babble,frames=900,robots=0,from=1,to=2", steps=3), MEDIA[medium])
+    run, frames = run_and_record(
+        small_swarm("babble,frames=900,robots=0,from=1,to=2", steps=3), MEDIA[medium]
+    )
     estimates_and_heartbeats = (3 + 1) * 5
     assert len(frames) == estimates_and_heartbeats + 900
     assert frame_counts(run)["arrived"] == 4 * len(frames)  # receivers
