@@ -11,6 +11,7 @@ from dataclasses import replace
 from io import StringIO
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import can
 import numpy as np
@@ -25,8 +26,9 @@ from mcp_asdf_tools.experiments.engine import native
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.swarm import carrier
 from mcp_asdf_tools.swarm.live_view import LiveView
+from mcp_asdf_tools.swarm.run import SwarmRun
 from mcp_asdf_tools.swarm.settings import SwarmSettings
-from mcp_asdf_tools.swarm.summary import one_line, summary, summary_table
+from mcp_asdf_tools.swarm.summary import comparison, one_line, summary, summary_table
 from mcp_asdf_tools.swarm.swarm import Swarm
 from support import ROOT, block_with, interruptible
 
@@ -53,67 +55,81 @@ def json_report(capsys: Capture, *arguments: str | Path) -> dict[str, Any]:
 # --- Files and reports -----------------------------------------------------------------------------------
 
 
-def test_the_report_has_parameters_bus_and_results(capsys: Capture) -> None:
+def test_the_json_report_of_a_swarm_has_its_parameters_and_its_bus(capsys: Capture) -> None:
+    """The seed and the format of the frames are the default ones."""
     report = json_report(capsys, "--channel", "mine")
     assert report["parameters"]["seed"] == 1
     assert report["parameters"]["frames"] == {"subject": 3000, "priority": 4}
     assert report["bus"] == {"interface": "virtual", "channel": "mine", "slcan": None}
-    ticks, robots, receivers = 30, 4, 3
-    assert report["results"]["frames"]["delivered"] == ticks * robots * receivers
 
 
-def test_the_file_beside_a_log_has_the_report(tmp_path: Path, capsys: Capture) -> None:
+def test_the_json_report_of_a_swarm_counts_the_delivered_estimates(capsys: Capture) -> None:
+    """The options of the small swarm are four robots and 30 steps; each estimate has three receivers."""
+    report = json_report(capsys)
+    steps, robots, receivers = 30, 4, 3
+    assert report["results"]["frames"]["delivered"] == steps * robots * receivers
+
+
+def test_the_file_beside_a_log_has_the_json_report(tmp_path: Path, capsys: Capture) -> None:
     report = json_report(capsys, "--log", tmp_path / "my.run.log")
     assert json.loads((tmp_path / "my.run.log.json").read_text()) == report
 
 
-def test_the_log_has_every_frame_with_channel_and_time(tmp_path: Path) -> None:
-    _, sent_frames = run_and_record(SMALL_SETTINGS)
-    log = tmp_path / "my.run.log"
+def logged_frames_of_command(folder: Path) -> list[can.Message]:
+    """Return the frames in the log of a command whose bus has the channel "mine"."""
+    log = folder / "my.run.log"
     assert run_swarm_command("--quiet", "--log", log, "--channel", "mine") == 0
     with can.LogReader(log) as reader:
-        logged_frames = list(reader)
+        return list(reader)
+
+
+def test_the_log_of_a_swarm_has_every_frame_with_its_channel(tmp_path: Path) -> None:
+    """The frames are compared with those that the same swarm sends without the command."""
+    _, sent_frames = run_and_record(SMALL_SETTINGS)
+    logged_frames = logged_frames_of_command(tmp_path)
     assert identifiers_and_data(logged_frames) == identifiers_and_data(sent_frames)
     assert {frame.channel for frame in logged_frames} == {"mine"}
+
+
+def test_the_log_of_a_swarm_has_the_time_of_every_frame(tmp_path: Path) -> None:
+    """Times are compared in milliseconds since the first frame."""
+    _, sent_frames = run_and_record(SMALL_SETTINGS)
+    logged_frames = logged_frames_of_command(tmp_path)
     start = logged_frames[0].timestamp
     logged_times = [round(frame.timestamp - start, 3) for frame in logged_frames]
-
     assert logged_times == [round(frame.timestamp, 3) for frame in sent_frames]
 
 
-def test_the_same_command_writes_the_same_files(tmp_path: Path) -> None:
-    contents = []
-    for _ in range(2):
-        assert run_swarm_command("--quiet", "--log", tmp_path / "run.log") == 0
-        contents.append({path.name: path.read_bytes() for path in tmp_path.iterdir()})
+def files_of_command(folder: Path) -> dict[str, bytes]:
+    """Run the command with a log in a folder, and return the contents of all files there, by name."""
+    folder.mkdir()
+    assert run_swarm_command("--quiet", "--log", folder / "run.log") == 0
+    return {path.name: path.read_bytes() for path in folder.iterdir()}
 
-    assert contents[0].keys() == {"run.log", "run.log.events", "run.log.json"}
-    assert contents[0] == contents[1]
+
+def test_the_same_command_writes_the_same_files_again(tmp_path: Path) -> None:
+    files = files_of_command(tmp_path / "first")
+    assert files.keys() == {"run.log", "run.log.events", "run.log.json"}
+    assert files_of_command(tmp_path / "second") == files
 
 
 # --- Summaries -------------------------------------------------------------------------------------------
 
 
-def test_a_piped_summary_has_a_name_and_a_tab_in_each_line(capsys: Capture) -> None:
+def test_a_piped_output_has_lines_that_begin_with_step_robot_or_the_name_of_a_result(
+    capsys: Capture,
+) -> None:
+    """Lines with "step" and "robot" come while the run goes on, the results in the end."""
     assert run_swarm_command("--seed", "42") == 0
-    *lines, _ = capsys.readouterr().out.splitlines()
-    names = [line.split("\t")[0] for line in lines]
+    *lines, _line_to_repeat_the_run = capsys.readouterr().out.splitlines()
+    first_fields = [line.partition("\t")[0] for line in lines]
+    names_of_results = [field for field in first_fields if field not in ("step", "robot")]
 
-    # Lines while the run goes on, and then those of the summary
-    start_of_summary = names.index("run")
-    assert set(names[:start_of_summary]) <= {"step", "robot"}
-    assert names[start_of_summary:] == [
-        "run",
-        "estimate",
-        "b_hat, flawed",
-        "b_hat, other",
-        "filter",
-        "frames",
-        "bus load",
-    ]
+    assert names_of_results == NAMES_WITHOUT_FAULTS
+    assert first_fields[-len(names_of_results) :] == names_of_results
 
 
-def test_a_summary_ends_with_the_line_for_the_same_run(capsys: Capture) -> None:
+def test_the_last_line_of_the_output_repeats_the_run(capsys: Capture) -> None:
     assert run_swarm_command("--seed", "42") == 0
     last_line = capsys.readouterr().out.splitlines()[-1]
     assert last_line == f"again: mcp-asdf swarm {' '.join(SMALL)} --seed 42"
@@ -126,6 +142,8 @@ def test_quiet_prints_one_line(capsys: Capture) -> None:
     assert output.count("\n") == 1
 
 
+NAMES_WITHOUT_FAULTS = ["run", "estimate", "b_hat, flawed", "b_hat, other", "filter", "frames", "bus load"]
+"""The names of the lines of a summary if nothing went wrong."""
 RESULTS_IN_REAL_TIME: dict[str, Any] = {
     "tests": None,
     "clock": {"mean_lateness": 0.001, "max_lateness": 0.02, "drift": -0.0005, "late_ticks": 3},
@@ -151,46 +169,50 @@ bus load\t125 kbit/s 4.2% (peak 8%), 250 kbit/s 2.1% (peak 4%), 500 kbit/s 1.1% 
 (peak 1%)"""
 
 
-def test_a_summary_has_faults_conflicts_the_clock_and_robots_in_trouble() -> None:
-    run, _ = run_and_record(
-        small_swarm("corrupt=0.5,bits=5,receivers=0", "collide,robots=2,id=1", robots=3, flawed=0)
-    )
-    run.results |= RESULTS_IN_REAL_TIME
+def interrupted_run_with_faults() -> SwarmRun:
+    """Run three robots of which robot 0 receives damaged frames, and robot 2 sends as robot 1."""
+    faults = ("corrupt=0.5,bits=5,receivers=0", "collide,robots=2,id=1")
+    run, _ = run_and_record(small_swarm(*faults, robots=3, flawed=0))
     run.interrupted = True
-    assert ["\t".join(row) for row in summary(run, "vcan0", 1.26)] == SUMMARY.split("\n")
+    return run
+
+
+def test_a_summary_has_faults_conflicts_the_clock_and_robots_in_trouble() -> None:
+    """The results of the run are completed by those that only a swarm in real time has."""
+    run = interrupted_run_with_faults()
+    run.results |= RESULTS_IN_REAL_TIME
+    lines = ["\t".join(row) for row in summary(run, bus="vcan0", seconds=1.26)]
+    assert lines == SUMMARY.split("\n")
 
 
 def test_the_summary_in_one_line_says_that_the_run_was_interrupted() -> None:
-    run, _ = run_and_record(
-        small_swarm("corrupt=0.5,bits=5,receivers=0", "collide,robots=2,id=1", robots=3, flawed=0)
-    )
-    run.interrupted = True
-
-    assert (
-        one_line(run) == "seed 11: 3 robots, ASDF+, 60 steps, mean error 0.04922, spread 0.05334; interrupted"
-    )
+    line = one_line(interrupted_run_with_faults())
+    assert line == "seed 11: 3 robots, ASDF+, 60 steps, mean error 0.04922, spread 0.05334; interrupted"
 
 
 def test_a_summary_says_what_failed() -> None:
     run, _ = run_and_record(small_swarm(robots=3))
     run.failure = "tick 41: bus off"
-    assert dict(summary(run, "vcan0", 1.26))["run"] == "60 of 60 steps in 1.3 s; failed in tick 41: bus off"
+    text_by_name = dict(summary(run, bus="vcan0", seconds=1.26))
+    assert text_by_name["run"] == "60 of 60 steps in 1.3 s; failed in tick 41: bus off"
 
 
 def test_a_summary_of_a_run_without_faults_has_no_lines_about_faults() -> None:
     run, _ = run_and_record(small_swarm(robots=3))
-    names = [name for name, _ in summary(run, "vcan0", 1.26)]
-    assert names == ["run", "estimate", "b_hat, flawed", "b_hat, other", "filter", "frames", "bus load"]
+    names = [name for name, _text in summary(run, bus="vcan0", seconds=1.26)]
+    assert names == NAMES_WITHOUT_FAULTS
 
 
 def test_a_summary_is_a_table_with_bold_names() -> None:
+    """It is shown on a terminal of 31 columns, by whose escape sequences bold text begins and ends."""
     output = StringIO()
     console = Console(width=31, file=output, force_terminal=True, color_system="standard", _environ={})
     console.print(summary_table([("node-id conflict", "another node [b]")]))
 
+    bold, end = "\x1b[1m", "\x1b[0m"
     assert output.getvalue() == (
-        "\x1b[1m \x1b[0m\x1b[1mnode-id conflict\x1b[0m\x1b[1m \x1b[0m another     \n"
-        "\x1b[1m                  \x1b[0m node [b]    \n"
+        f"{bold} {end}{bold}node-id conflict{end}{bold} {end} another     \n"
+        f"{bold}                  {end} node [b]    \n"
     )
 
 
@@ -203,19 +225,23 @@ def test_swarm_has_an_option_for_every_parameter(capsys: Capture) -> None:
     assert {f"--{name.replace('_', '-')}" for name in parameters_of(SwarmSettings)} <= set(options)
 
 
-def test_swarm_reports_the_parameters_that_its_options_set(capsys: Capture) -> None:
+def test_the_json_report_has_the_parameters_that_options_set(capsys: Capture) -> None:
     report = json_report(capsys, "--latency", "1", "--flawed-accuracy", "0.5", "--activation=always")
     assert report["parameters"]["latency"] == 1
     assert report["parameters"]["flawed_accuracy"] == 0.5
     assert report["parameters"]["activation"] == "always"
 
 
-def test_swarm_sends_estimates_in_the_format_that_its_options_set(capsys: Capture) -> None:
+def test_the_json_report_has_the_format_of_frames_that_options_set(capsys: Capture) -> None:
+    """A subject says what a frame contains, and a priority which one is sent first."""
     report = json_report(capsys, "--subject", "17", "--priority", "6")
     assert report["parameters"]["frames"] == {"subject": 17, "priority": 6}
 
 
-def test_the_port_of_the_slcan_adapter_is_printed_beside_the_json(capsys: Capture) -> None:
+def test_the_address_of_the_slcan_adapter_is_printed_as_an_error_output_not_in_the_json(
+    capsys: Capture,
+) -> None:
+    """With --slcan 0 the bus can be joined by a serial protocol, at a free port that the system chooses."""
     assert run_swarm_command("--slcan", "0", "--json") == 0
     output, errors = capsys.readouterr()
     port = json.loads(output)["bus"]["slcan"]
@@ -225,12 +251,14 @@ def test_the_port_of_the_slcan_adapter_is_printed_beside_the_json(capsys: Captur
 
 
 def test_swarm_warns_of_a_bus_that_would_be_busy(capsys: Capture) -> None:
+    """Ten robots send 3000 estimates a second, each a frame of some 150 bits: 450 kbit/s."""
     assert run_swarm_command("--robots", "10", "--steps-per-second", "300") == 0
     warning = "a real bus at 500 kbit/s or less would be busy for more than 70% of the time"
     assert warning in capsys.readouterr().err
 
 
 def test_swarm_does_not_warn_of_a_bus_with_room(capsys: Capture) -> None:
+    """Ten robots send 300 estimates a second, each a frame of some 150 bits: 45 kbit/s."""
     assert run_swarm_command("--robots", "10", "--steps-per-second", "30") == 0
     assert "would be busy" not in capsys.readouterr().err
 
@@ -275,6 +303,7 @@ WRONG_OPTIONS = {
 def test_swarm_refuses_wrong_options_and_writes_nothing(
     options: str, message: str, capsys: Capture, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
+    """The exit code of wrong usage is 2, and the reason is printed as an error."""
     monkeypatch.chdir(tmp_path)
     assert run_swarm_command(*shlex.split(options)) == 2
     output, errors = capsys.readouterr()
@@ -288,13 +317,16 @@ def test_swarm_refuses_wrong_options_and_writes_nothing(
 def test_swarm_refuses_a_file_that_it_cannot_write_before_the_first_tick(
     name: str, capsys: Capture, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    monkeypatch.setattr(Swarm, "tick", lambda self: pytest.fail("the swarm took a step"))
+    """In the place of the log or of a file that belongs to it there is a folder."""
+    tick = Mock()
+    monkeypatch.setattr(Swarm, "tick", tick)
     obstacle = tmp_path / name
     obstacle.mkdir()
 
     assert run_swarm_command("--log", tmp_path / "run.log") == 2
     assert f"cannot write {obstacle}: it is not a regular file" in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == [obstacle]
+    tick.assert_not_called()
 
 
 # --- Ends before the last step ---------------------------------------------------------------------------
@@ -306,11 +338,9 @@ def frames_of_small_swarm(ticks: int) -> int:
     return robots * (heartbeats + estimates)
 
 
-@interruptible()
-def test_a_signal_ends_the_run_after_a_whole_tick_and_saves_log_and_results(
-    capsys: Capture, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    """The signal comes during the seventh tick of 30, of a swarm of four robots."""
+@pytest.fixture
+def signal_in_tick_7(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Send SIGTERM to this process in the seventh tick of a swarm."""
 
     def send_signal_in_tick_7(view: LiveView, swarm: Swarm) -> None:
         if swarm.ticks == 7:
@@ -318,6 +348,14 @@ def test_a_signal_ends_the_run_after_a_whole_tick_and_saves_log_and_results(
 
     # The swarm calls its live view in each tick, so that is where the signal can be sent.
     monkeypatch.setattr(LiveView, "__call__", send_signal_in_tick_7)
+
+
+@interruptible()
+@pytest.mark.usefixtures("signal_in_tick_7")
+def test_a_signal_ends_the_run_after_a_whole_tick_and_saves_log_and_results(
+    capsys: Capture, tmp_path: Path
+) -> None:
+    """SIGTERM comes during the seventh tick of 30, of a swarm of four robots."""
     log = tmp_path / "run.log"
     assert run_swarm_command("--json", "--log", log) == 128 + signal.SIGTERM
     report = json.loads(capsys.readouterr().out)
@@ -327,17 +365,23 @@ def test_a_signal_ends_the_run_after_a_whole_tick_and_saves_log_and_results(
     assert len(log.read_text().splitlines()) == frames_of_small_swarm(ticks=7)
 
 
-def test_a_failing_bus_gives_exit_code_1_and_saves_what_is_done(
-    capsys: Capture, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+@pytest.fixture
+def bus_that_fails_after_tick_8(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let each virtual bus raise an error at frames of tick 9, which is at 0.8 s, and later."""
     send = virtual.VirtualBus.send
 
     def fail_after_tick_8(bus: virtual.VirtualBus, frame: can.Message, timeout: float) -> None:
-        if frame.timestamp > 0.75:  # tick 8 is at 0.7 s, and tick 9 at 0.8 s
+        if frame.timestamp > 0.75:  # tick 8 is at 0.7 s
             raise can.CanOperationError("bus off")
         send(bus, frame, timeout)
 
     monkeypatch.setattr(virtual.VirtualBus, "send", fail_after_tick_8)
+
+
+@pytest.mark.usefixtures("bus_that_fails_after_tick_8")
+def test_a_failing_bus_gives_exit_code_1_and_saves_the_frames_until_then(
+    capsys: Capture, tmp_path: Path
+) -> None:
     log = tmp_path / "run.log"
     assert run_swarm_command("--bus-kwargs", "preserve_timestamps=True", "--log", log) == 1
     assert "failed in tick 9: bus off" in capsys.readouterr().err
@@ -347,27 +391,43 @@ def test_a_failing_bus_gives_exit_code_1_and_saves_what_is_done(
 def test_a_bus_that_takes_no_more_frames_fails_after_a_time_limit(
     capsys: Capture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """Nobody reads two frames from the queue of the bus, which is full then."""
     monkeypatch.setattr(carrier, "FRAME_TIMEOUT", 0.05)
     assert run_swarm_command("--bus-kwargs", "rx_queue_size=2") == 1
     assert "failed in tick 1: Could not send" in capsys.readouterr().err
 
 
-def test_results_that_cannot_be_written_cost_neither_the_summary_nor_the_log(
-    capsys: Capture, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+@pytest.fixture
+def folder_in_place_of_results(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
+    """A folder that appears while a swarm runs, with the name of the file for its results, run.log.json."""
+    folder = tmp_path / "run.log.json"
+
+    def make_folder(view: LiveView, swarm: Swarm) -> None:
+        folder.mkdir(exist_ok=True)
+
+    # The swarm calls its live view in each tick, so that is where something can happen during its run.
+    monkeypatch.setattr(LiveView, "__call__", make_folder)
+    return folder
+
+
+def test_summary_and_log_are_there_even_if_the_file_of_results_cannot_be_written(
+    folder_in_place_of_results: Path, capsys: Capture, tmp_path: Path
 ) -> None:
-    obstacle = tmp_path / "run.log.json"
-    monkeypatch.setattr(LiveView, "__call__", lambda self, swarm: obstacle.mkdir(exist_ok=True))
+    """A folder with the name of that file has appeared while the swarm ran."""
     assert run_swarm_command("--quiet", "--log", tmp_path / "run.log") == 2
     output, errors = capsys.readouterr()
 
+    assert f"cannot write {folder_in_place_of_results}" in errors
     assert output.startswith("seed 1: 4 robots, ASDF-, 30 steps")
-    assert f"cannot write {obstacle}" in errors
-    assert {path.name for path in tmp_path.iterdir()} == {"run.log", "run.log.events", "run.log.json"}
+    log_lines = (tmp_path / "run.log").read_text().splitlines()
+    estimates, heartbeats = 4 * 30, 4 * 3  # of four robots in 30 ticks, which are three seconds
+    assert len(log_lines) == estimates + heartbeats
+    assert (tmp_path / "run.log.events").is_file()
 
 
 # --- The same swarm with other filters -------------------------------------------------------------------
 
-COMPARED = ["swarm", "--robots", "8", "--steps", "600", "--filter-period", "100", "--flawed", "50%"]
+COMPARED = ["swarm", "--robots", "8", "--steps", "300", "--filter-period", "50", "--flawed", "50%"]
 
 
 def results_of_filter(capsys: Capture, filter_name: str) -> dict[str, Any]:
@@ -382,6 +442,7 @@ def results_of_filter(capsys: Capture, filter_name: str) -> dict[str, Any]:
 def test_compared_results_are_those_of_the_same_swarm_with_each_filter_alone(
     filter_name: str, capsys: Capture
 ) -> None:
+    """The filter that is chosen is in the results, the others are among the compared ones."""
     assert main([*COMPARED, "--filter", filter_name, "--compare", "--json"]) == 0
     report = json.loads(capsys.readouterr().out)
     results_by_filter = report["compared"] | {filter_name: report["results"]}
@@ -390,51 +451,80 @@ def test_compared_results_are_those_of_the_same_swarm_with_each_filter_alone(
         assert results == results_of_filter(capsys, other_name)
 
 
-def test_a_comparison_ends_with_the_error_and_b_hat_of_each_filter(capsys: Capture) -> None:
-    assert main([*COMPARED, "--filter", "asdf-plus", "--compare", "--quiet"]) == 0
+def results_with(mean_error: float, b_hat_of_flawed: float) -> dict[str, Any]:
+    """Return what a comparison needs of a swarm's results; its flawed robots began with a b_hat of 0.55."""
+    return {"mean_error": mean_error, "b_hat": {"flawed": {"before": 0.55, "after": b_hat_of_flawed}}}
+
+
+RESULTS_BY_FILTER = {
+    "none": results_with(mean_error=0.0251, b_hat_of_flawed=0.55),
+    "asdf-plus": results_with(mean_error=0.0459, b_hat_of_flawed=0.801),
+    "robust": results_with(mean_error=0.153, b_hat_of_flawed=0.64),
+}
+
+
+def test_a_comparison_has_the_mean_error_of_the_swarm_with_each_filter() -> None:
+    sentences = comparison(RESULTS_BY_FILTER, SMALL_SETTINGS)
+    assert sentences.startswith("Mean error on the same seed: no filter 0.025, ASDF+ 0.046, robust 0.153. ")
+
+
+def test_a_comparison_has_the_accuracy_that_flawed_robots_assume_in_the_end_with_each_filter() -> None:
+    """The true accuracy of sensors is 0.95; without a filter the assumed one never changes."""
+    sentences = comparison(RESULTS_BY_FILTER, SMALL_SETTINGS)
+    expected = (
+        "The flawed robots first assumed an accuracy of 0.55 (true: 0.95), now: ASDF+ 0.80, robust 0.64."
+    )
+    assert expected in sentences
+
+
+def test_the_last_line_of_a_comparison_is_that_of_its_results(capsys: Capture) -> None:
+    """The command compares the chosen filter with none, ASDF-minus and the robust one."""
+    options = [*COMPARED, "--steps", "100", "--filter", "asdf-plus", "--compare"]
+    assert main([*options, "--json"]) == 0
+    report = json.loads(capsys.readouterr().out)
+    assert main([*options, "--quiet"]) == 0
     last_line = capsys.readouterr().out.splitlines()[-1]
 
-    assert last_line.startswith(
-        "Mean error on the same seed: no filter 0.025, ASDF- 0.030, ASDF+ 0.046, robust 0.153. "
-        "The flawed robots first assumed an accuracy of 0.55 (true: 0.95), now: "
-        "ASDF- 0.84, ASDF+ 0.80, robust 0.64. "
-    )
+    results_by_filter = report["compared"] | {"asdf-plus": report["results"]}
+    assert results_by_filter.keys() == {"none", "asdf-minus", "asdf-plus", "robust"}
+    assert last_line == comparison(results_by_filter, SMALL_SETTINGS)
 
 
 def test_the_log_of_a_comparison_is_that_of_the_chosen_filter(tmp_path: Path) -> None:
+    """It is the same log as that of a run with this filter and without a comparison."""
     options = ["--filter", "asdf-plus", "--steps", "100", "--quiet", "--log"]
     assert main([*COMPARED, *options, str(tmp_path / "alone.log")]) == 0
     assert main([*COMPARED, "--compare", *options, str(tmp_path / "compared.log")]) == 0
     assert (tmp_path / "compared.log").read_bytes() == (tmp_path / "alone.log").read_bytes()
 
 
-WITHOUT_FLAWED = [*COMPARED, "--omega", "0.1", "--flawed", "0", "--compare", "--steps", "100"]
-
-
 def test_a_comparison_without_flawed_robots_says_nothing_of_them(capsys: Capture) -> None:
-    assert main([*WITHOUT_FLAWED, "--quiet"]) == 0
+    """Without them there is no filter for flawed robots alone, ASDF-minus, to compare with, either."""
+    without_flawed = [*COMPARED, "--omega", "0.1", "--flawed", "0", "--steps", "20", "--compare"]
+    assert main([*without_flawed, "--quiet"]) == 0
     assert "flawed" not in capsys.readouterr().out.splitlines()[-1]
-
-
-def test_a_comparison_without_flawed_robots_has_results_of_other_filters(capsys: Capture) -> None:
-    assert main([*WITHOUT_FLAWED, "--json"]) == 0
+    assert main([*without_flawed, "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["compared"].keys() == {"none", "robust"}
 
 
+NEEDS_NO_FILTER = "This swarm needs no filter"
+
+
+def test_a_comparison_says_that_a_connected_swarm_with_underconfident_robots_needs_no_filter() -> None:
+    """By default all robots receive from all others, and flawed ones assume 0.55, less than the true 0.95."""
+    assert NEEDS_NO_FILTER in comparison(RESULTS_BY_FILTER, SwarmSettings())
+
+
 @pytest.mark.parametrize(
-    ("options", "needs_none"),
-    [
-        ("", True),
-        ("--topology dynamic", False),
-        ("--true-accuracy 0.55 --flawed-accuracy 0.9", False),
-    ],
+    "settings",
+    [SwarmSettings(topology="dynamic"), SwarmSettings(true_accuracy=0.55, flawed_accuracy=0.9)],
+    ids=["robots move", "flawed robots are overconfident"],
 )
-def test_a_comparison_says_that_a_connected_underconfident_swarm_needs_no_filter(
-    options: str, needs_none: bool, capsys: Capture
+def test_a_comparison_of_robots_that_move_or_are_overconfident_does_not_say_that_they_need_no_filter(
+    settings: SwarmSettings,
 ) -> None:
-    """As docs/advice.md has it: neither robots that move nor overconfident ones can do without."""
-    assert main([*COMPARED, "--steps", "100", *options.split(), "--compare", "--quiet"]) == 0
-    assert ("This swarm needs no filter" in capsys.readouterr().out) == needs_none
+    """docs/advice.md says why they cannot do without."""
+    assert NEEDS_NO_FILTER not in comparison(RESULTS_BY_FILTER, settings)
 
 
 def final_error(filter_name: str) -> float:
@@ -445,16 +535,22 @@ def final_error(filter_name: str) -> float:
     return float(np.abs(x - experiment.fill_ratio).mean())
 
 
-def test_the_figures_of_the_readme_are_those_of_its_first_command() -> None:
+def test_the_errors_that_the_readme_shows_are_those_of_its_first_command() -> None:
+    """They are computed anew by the engine of experiments, which is faster than the command."""
     readme = " ".join((ROOT / "README.md").read_text(encoding="utf-8").split())
-    without_filter, with_filter, robust = map(final_error, ("none", "asdf-minus", "robust"))
-    line = f"no filter {without_filter:.3f}, ASDF- {with_filter:.3f}, robust {robust:.3f}."
+    line = (
+        f"no filter {final_error('none'):.3f}, ASDF- {final_error('asdf-minus'):.3f}, "
+        f"robust {final_error('robust'):.3f}."
+    )
     assert f"Mean error on the same seed: {line}" in readme
 
 
 @pytest.mark.slow
 def test_the_first_command_of_the_readme_ends_as_it_shows(capsys: Capture) -> None:
-    command = re.search(r"^\t@\$\(BIN\)/mcp-asdf (swarm .*)$", (ROOT / "Makefile").read_text(), re.MULTILINE)
-    assert command is not None and main(command[1].split()) == 0
+    """The command, ``make swarm``, runs a swarm whose options are in the Makefile."""
+    makefile = (ROOT / "Makefile").read_text()
+    swarm_command = re.search(r"^\t@\$\(BIN\)/mcp-asdf (swarm .*)$", makefile, re.MULTILINE)
+    assert swarm_command is not None
+    assert main(swarm_command[1].split()) == 0
     *_, last_line = capsys.readouterr().out.splitlines()
     assert f"{last_line}\n" == block_with(ROOT / "README.md", "Mean error", "text")
