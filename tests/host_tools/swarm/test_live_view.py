@@ -35,17 +35,22 @@ class ViewedRun:
 
     Attributes:
         output: All that was written on the console.
-        mean_errors: Mean error of the swarm, then of each baseline, after each tick; by tick, from 1.
+        mean_errors: Mean error of the swarm, after each tick; by tick, from 1.
+        mean_errors_of_baselines: Mean error of each baseline after the last tick.
         b_hat: Assumed accuracies of the robots, at the start and after each tick.
     """
 
     output: str = ""
-    mean_errors: dict[int, list[float]] = field(default_factory=dict)
+    mean_errors: dict[int, float] = field(default_factory=dict)
+    mean_errors_of_baselines: list[float] = field(default_factory=list)
     b_hat: list[list[float]] = field(default_factory=list)
 
 
 def view_run(steps: int, compare: bool, **console_options: Any) -> ViewedRun:
-    """Run a swarm on a console, with baselines beside it if ``compare``, and return what was shown."""
+    """Run a swarm of eight robots, and return what its view has shown on a console.
+
+    If ``compare``, the same swarm without a filter and with the robust one run with it, as baselines.
+    """
     settings = replace(MOVING, steps=steps)
     baselines = Baselines(settings) if compare else None
     console_file = io.StringIO()
@@ -54,10 +59,11 @@ def view_run(steps: int, compare: bool, **console_options: Any) -> ViewedRun:
 
     def record(swarm: Swarm) -> None:
         """Keep the present errors and accuracies; called after each tick."""
-        mean_errors = [mean_error(swarm)]
+        viewed_run.mean_errors[swarm.ticks] = mean_error(swarm)
         if baselines is not None:
-            mean_errors += [mean_error(baseline) for baseline in baselines.swarms.values()]
-        viewed_run.mean_errors[swarm.ticks] = mean_errors
+            viewed_run.mean_errors_of_baselines = [
+                mean_error(baseline) for baseline in baselines.swarms.values()
+            ]
         viewed_run.b_hat.append([node.robot.b_hat for node in swarm.nodes])
 
     with Swarm(settings, Wiring()) as swarm, LiveView(console, baselines) as view:
@@ -75,25 +81,28 @@ def lines_that_begin_with(word: str, output: str) -> list[str]:
     return [line for line in output.splitlines() if line.startswith(word)]
 
 
-def test_a_pipe_gets_the_mean_error_twenty_times_in_a_run() -> None:
-    viewed_run = view_run(400, compare=False)
+def test_a_pipe_gets_the_mean_error_of_the_swarm_twenty_times_in_a_run() -> None:
+    """A run of 100 steps has a line after step 5, 10, 15 and so on to 100."""
+    viewed_run = view_run(100, compare=False)
     expected_lines = []
-    for tick in range(20, 401, 20):  # 20, 40, ..., 400
-        swarm_error = viewed_run.mean_errors[tick][0]
-        expected_lines.append(f"step\t{tick}\tmean_error\t{swarm_error:.5f}")
+    for step in range(5, 101, 5):
+        expected_lines.append(f"step\t{step}\tmean_error\t{viewed_run.mean_errors[step]:.5f}")
 
     assert lines_that_begin_with("step", viewed_run.output) == expected_lines
 
 
 def test_a_pipe_gets_no_mean_error_at_the_end_of_an_incomplete_twentieth() -> None:
-    lines = lines_that_begin_with("step", view_run(390, compare=False).output)
-    steps = [int(line.split("\t")[1]) for line in lines]
-    assert steps == list(range(20, 390, 20))
+    """A twentieth of 98 steps is rounded up to 5 steps, so the last line is that of step 95."""
+    viewed_run = view_run(98, compare=False)
+    last_line = lines_that_begin_with("step", viewed_run.output)[-1]
+    assert last_line.startswith("step\t95\t")
 
 
 def test_a_pipe_gets_the_mean_errors_of_baselines_behind_that_of_the_swarm() -> None:
+    """Baselines are the same swarm without a filter and with the robust one."""
     viewed_run = view_run(20, compare=True)
-    swarm_error, error_without_filter, error_with_robust_filter = viewed_run.mean_errors[20]
+    swarm_error = viewed_run.mean_errors[20]
+    error_without_filter, error_with_robust_filter = viewed_run.mean_errors_of_baselines
 
     assert viewed_run.output.splitlines()[-1] == (
         f"step\t20\tmean_error\t{swarm_error:.5f}\tnone\t{error_without_filter:.5f}"
@@ -102,14 +111,13 @@ def test_a_pipe_gets_the_mean_errors_of_baselines_behind_that_of_the_swarm() -> 
 
 
 def test_a_pipe_gets_each_change_of_b_hat_that_is_more_than_a_correction() -> None:
-    """b_hat is the accuracy that a robot assumes of its sensor; changes below 0.002 are corrections."""
+    """b_hat is the accuracy that a robot assumes of its sensor; changes up to 0.002 are corrections."""
     viewed_run = view_run(390, compare=False)
     expected_lines = []
-    for tick in range(1, 391):
-        for robot in range(8):
-            before, after = viewed_run.b_hat[tick - 1][robot], viewed_run.b_hat[tick][robot]
+    for step, (b_hat_before, b_hat_after) in enumerate(itertools.pairwise(viewed_run.b_hat), start=1):
+        for robot, (before, after) in enumerate(zip(b_hat_before, b_hat_after, strict=True)):
             if abs(after - before) > 0.002:
-                expected_lines.append(f"robot\t{robot}\tstep\t{tick}\tb_hat\t{before:.4f}\t{after:.4f}")
+                expected_lines.append(f"robot\t{robot}\tstep\t{step}\tb_hat\t{before:.4f}\t{after:.4f}")
 
     assert expected_lines, "some changes are large enough"
     assert lines_that_begin_with("robot", viewed_run.output) == expected_lines
@@ -127,53 +135,64 @@ def pictures(output: str) -> list[str]:
 TERMINAL: dict[str, Any] = {"force_terminal": True, "color_system": None}
 
 
-def test_a_terminal_gets_a_bar_that_is_drawn_now_and_then_from_the_first_step_to_the_last() -> None:
-    drawn = pictures(view_run(200, compare=False, width=80, **TERMINAL).output)
-    assert drawn[0].startswith("1/200 ")
-    assert drawn[-1].startswith("200/200 ")
-    assert drawn[-1].count("━") == 10
-    assert len(drawn) < 200
-
-
-def test_a_bar_has_the_present_mean_error_beside_it() -> None:
+def test_a_terminal_gets_a_progress_bar_from_the_first_step_to_the_last() -> None:
+    """It is drawn over itself again and again; a full bar has ten marks."""
     viewed_run = view_run(200, compare=False, width=80, **TERMINAL)
-    swarm_error = viewed_run.mean_errors[200][0]
-    assert f"mean error {swarm_error:.4f}" in pictures(viewed_run.output)[-1]
+    first_picture, *_, last_picture = pictures(viewed_run.output)
+    assert first_picture.startswith("1/200 ")
+    assert last_picture.startswith("200/200 ")
+    assert last_picture.count("━") == 10
+
+
+def test_a_progress_bar_is_not_drawn_anew_in_each_of_200_steps() -> None:
+    viewed_run = view_run(200, compare=False, width=80, **TERMINAL)
+    assert len(pictures(viewed_run.output)) < 200
+
+
+def test_the_progress_bar_of_a_swarm_without_baselines_ends_with_its_mean_error_alone() -> None:
+    """Baselines, the same swarm with other filters, would follow, as in "no filter 0.0300"."""
+    viewed_run = view_run(20, compare=False, width=80, **TERMINAL)
+    last_picture = pictures(viewed_run.output)[-1]
+    assert f"mean error {viewed_run.mean_errors[20]:.4f}" in last_picture
     assert "no filter" not in viewed_run.output
 
 
-def test_a_bar_has_the_mean_errors_of_baselines_beside_it() -> None:
-    viewed_run = view_run(200, compare=True, width=200, **TERMINAL)
-    swarm_error, error_without_filter, error_with_robust_filter = viewed_run.mean_errors[200]
+def test_the_progress_bar_of_a_swarm_with_baselines_ends_with_the_mean_error_of_each() -> None:
+    """Baselines are the same swarm without a filter and with the robust one."""
+    viewed_run = view_run(20, compare=True, width=200, **TERMINAL)
+    error_without_filter, error_with_robust_filter = viewed_run.mean_errors_of_baselines
+    last_picture = pictures(viewed_run.output)[-1]
 
     assert (
-        f"mean error {swarm_error:.4f}, no filter {error_without_filter:.4f}, "
+        f"mean error {viewed_run.mean_errors[20]:.4f}, no filter {error_without_filter:.4f}, "
         f"robust {error_with_robust_filter:.4f}"
-    ) in pictures(viewed_run.output)[-1]
+    ) in last_picture
 
 
-def test_a_narrow_terminal_gets_as_much_as_fits_and_the_error_of_the_swarm_first() -> None:
-    viewed_run = view_run(200, compare=True, width=60, **TERMINAL)
+def test_a_progress_bar_on_a_narrow_terminal_is_cut_off_behind_the_mean_error_of_the_swarm() -> None:
+    """The errors of the baselines, the same swarm with other filters, have no room in 60 columns."""
+    viewed_run = view_run(20, compare=True, width=60, **TERMINAL)
     drawn = pictures(viewed_run.output)
-    swarm_error = viewed_run.mean_errors[200][0]
-
-    assert all(cell_len(picture) <= 60 for picture in drawn)
-    assert f"mean error {swarm_error:.4f}" in drawn[-1]
+    assert max(cell_len(picture) for picture in drawn) <= 60
+    assert f"mean error {viewed_run.mean_errors[20]:.4f}" in drawn[-1]
 
 
 @pytest.mark.parametrize("is_terminal", [False, True])
 def test_a_quiet_console_stays_empty(is_terminal: bool) -> None:
-    assert view_run(20, compare=True, quiet=True, force_terminal=is_terminal).output == ""
+    """Neither a pipe nor a terminal gets anything of a run with baselines."""
+    viewed_run = view_run(20, compare=True, quiet=True, force_terminal=is_terminal)
+    assert viewed_run.output == ""
 
 
-def test_baselines_are_the_same_swarm_with_other_filters_in_lockstep() -> None:
-    swarms = Baselines(replace(MOVING, clock="real-time")).swarms
-    assert list(swarms) == ["none", "robust"]
-    assert [swarm.clock for swarm in swarms.values()] == [None, None]
+def test_the_baselines_of_a_swarm_with_asdf_minus_have_no_filter_and_the_robust_one() -> None:
+    """Baselines are the same swarm with other filters, which run with it for comparison."""
+    assert list(Baselines(MOVING).swarms) == ["none", "robust"]
 
 
-def test_baselines_have_taken_no_time_before_the_run() -> None:
-    assert Baselines(MOVING).seconds == 0
+def test_the_baselines_of_a_swarm_in_real_time_have_no_clock() -> None:
+    """They go on whenever the swarm does."""
+    baselines = Baselines(replace(MOVING, clock="real-time"))
+    assert [swarm.clock for swarm in baselines.swarms.values()] == [None, None]
 
 
 def test_baselines_measure_the_seconds_that_they_take_of_a_run(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -182,6 +201,7 @@ def test_baselines_measure_the_seconds_that_they_take_of_a_run(monkeypatch: pyte
     monkeypatch.setattr(run_module, "time", SimpleNamespace(monotonic=lambda: next(clock_readings)))
     settings = replace(MOVING, steps=5)
     baselines = Baselines(settings)
+    assert baselines.seconds == 0
     with Swarm(settings, Wiring()) as swarm:
         run_swarm(swarm, [baselines])
 

@@ -6,9 +6,11 @@ import json
 import os
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, redirect_stdout
 from dataclasses import dataclass
+from io import StringIO
 from pathlib import Path
+from typing import Any
 from unittest.mock import Mock
 
 import can
@@ -68,7 +70,7 @@ def bus_for_each(*remote_robots: int) -> Wiring:
 
 @contextmanager
 def remote_robot_in_a_thread(node: RobotNode, bus: can.BusABC) -> Iterator[None]:
-    """Run a robot that knows nothing but its bus, until the block ends."""
+    """Run a robot that knows nothing but its bus, as one in another program, until the block ends."""
     is_over = threading.Event()
     with meanwhile(lambda: run_node(node, BusLink(bus, is_over.is_set))):
         try:
@@ -82,18 +84,30 @@ class Comparison:
     """A run with remote robots, and the same swarm with all robots in this process.
 
     Attributes:
-        run: The run with remote robots, which are in threads.
-        frames: The frames of that run.
-        remote_nodes: The remote robots, by id.
+        remote_run: The run with remote robots, as the program that drives them knows it.
+        remote_frames: The frames of that run.
+        remote_nodes: The remote robots themselves, which are in threads, by id.
         local_run: The run with all robots in this process.
         local_frames: Its frames.
     """
 
-    run: SwarmRun
-    frames: list[can.Message]
+    remote_run: SwarmRun
+    remote_frames: list[can.Message]
     remote_nodes: dict[int, RobotNode]
     local_run: SwarmRun
     local_frames: list[can.Message]
+
+    @property
+    def saved_remote_robots(self) -> dict[int, bytes]:
+        """The saved state of each remote robot itself, by id."""
+        nodes = [node.bus_robot for node in self.remote_nodes.values()]
+        return dict(zip(self.remote_nodes, saved_robots(nodes), strict=True))
+
+    @property
+    def saved_local_robots(self) -> dict[int, bytes]:
+        """The saved state of the robots with the same ids in the run without remote ones."""
+        nodes = [self.local_run.nodes[robot] for robot in self.remote_nodes]
+        return dict(zip(self.remote_nodes, saved_robots(nodes), strict=True))
 
 
 def compare_runs(settings: SwarmSettings, wiring: Wiring) -> Comparison:
@@ -126,14 +140,15 @@ LOSSLESS: dict[str, tuple[Wiring, int, str]] = {
 
 
 @pytest.fixture(scope="module", params=list(LOSSLESS.values()), ids=list(LOSSLESS))
-def lossless(request: pytest.FixtureRequest) -> Comparison:
+def comparison(request: pytest.FixtureRequest) -> Comparison:
+    """Runs of four robots, one or all remote, and of the same robots in this process, without faults."""
     wiring, comms_period, swarm_filter = request.param
     return compare_runs(small_swarm(robots=4, comms_period=comms_period, filter=swarm_filter), wiring)
 
 
-def test_robots_in_other_programs_end_in_the_same_bits_as_robots_in_this_one(lossless: Comparison) -> None:
-    for robot, node in lossless.remote_nodes.items():
-        assert saved_robots([node.bus_robot]) == saved_robots([lossless.local_run.nodes[robot]])
+def test_robots_in_other_programs_end_in_the_same_bits_as_robots_in_this_one(comparison: Comparison) -> None:
+    """A remote robot knows nothing but its bus; compared is all that its firmware holds in the end."""
+    assert comparison.saved_remote_robots == comparison.saved_local_robots
 
 
 def estimates_among(frames: list[can.Message]) -> list[can.Message]:
@@ -141,33 +156,41 @@ def estimates_among(frames: list[can.Message]) -> list[can.Message]:
     return [frame for frame in frames if isinstance(decode_estimate(frame, FrameFormat()), Estimate)]
 
 
-def test_remote_robots_broadcast_the_same_estimates_as_robots_in_this_process(lossless: Comparison) -> None:
+def test_remote_robots_broadcast_the_same_estimates_as_robots_in_this_process(comparison: Comparison) -> None:
     """Only their order may differ, as any robot may be the first in a tick; so both are sorted."""
-    estimates_with_remote_robots = estimates_among(lossless.frames)
-    estimates_of_local_robots = estimates_among(lossless.local_frames)
+    estimates_with_remote_robots = estimates_among(comparison.remote_frames)
+    estimates_of_local_robots = estimates_among(comparison.local_frames)
 
     assert sorted(identifiers_and_data(estimates_with_remote_robots)) == sorted(
         identifiers_and_data(estimates_of_local_robots)
     )
 
 
-@pytest.mark.parametrize("count", ["sent", "heartbeats_sent", "delivered"])
-def test_the_frames_of_remote_robots_are_counted_alike(lossless: Comparison, count: str) -> None:
-    assert lossless.run.results["frames"][count] == lossless.local_run.results["frames"][count]
+def test_the_frames_of_remote_robots_are_counted_like_those_of_robots_in_this_process(
+    comparison: Comparison,
+) -> None:
+    counts = comparison.remote_run.results["frames"]
+    local_counts = comparison.local_run.results["frames"]
+    for name in ("sent", "heartbeats_sent", "delivered"):
+        assert counts[name] == local_counts[name], name
 
 
-def test_the_tests_of_remote_robots_are_not_known(lossless: Comparison) -> None:
-    """How often a filter made its test stands in no frame, so it cannot be reported of robots elsewhere."""
-    assert lossless.run.results["tests"] is None
+def test_how_often_filters_of_remote_robots_made_their_test_is_reported_as_unknown(
+    comparison: Comparison,
+) -> None:
+    """It stands in no frame."""
+    assert comparison.remote_run.results["tests"] is None
 
 
-def test_what_is_known_of_a_robot_in_another_program_comes_from_its_telemetry(lossless: Comparison) -> None:
-    for robot in lossless.remote_nodes:
-        known_robot = lossless.run.nodes[robot].robot
-        local_robot = lossless.local_run.nodes[robot].robot
-        assert (known_robot.t, known_robot.x) == (local_robot.t, local_robot.x)
-        assert known_robot.counters.updates == local_robot.counters.updates
-        assert known_robot.b_hat == int(local_robot.b_hat * 2**24) / 2**24
+def test_what_is_reported_of_a_remote_robot_comes_from_its_telemetry(comparison: Comparison) -> None:
+    """Telemetry has observations t, estimate x and updates as they are, but b_hat in units of 2**-24."""
+    for robot_id in comparison.remote_nodes:
+        reported_robot = comparison.remote_run.nodes[robot_id].robot
+        local_robot = comparison.local_run.nodes[robot_id].robot
+        assert reported_robot.t == local_robot.t
+        assert reported_robot.x == local_robot.x
+        assert reported_robot.counters.updates == local_robot.counters.updates
+        assert reported_robot.b_hat == int(local_robot.b_hat * 2**24) / 2**24
 
 
 @pytest.mark.slow
@@ -182,25 +205,27 @@ def test_what_is_known_of_a_robot_in_another_program_comes_from_its_telemetry(lo
 def test_remote_robots_end_in_the_same_state_among_faults(
     wiring: Wiring, faults: tuple[str, ...], comms_period: int, swarm_filter: str
 ) -> None:
+    """Frames are lost, damaged and late, and robots lie, or fall silent for some ticks."""
     settings = small_swarm(*faults, robots=4, comms_period=comms_period, filter=swarm_filter)
     comparison = compare_runs(settings, wiring)
-    for robot, node in comparison.remote_nodes.items():
-        assert saved_robots([node.bus_robot]) == saved_robots([comparison.local_run.nodes[robot]])
+    x_with_remote_robots = [node.robot.x for node in comparison.remote_run.nodes]
 
-    assert [node.robot.x for node in comparison.run.nodes] == [
-        node.robot.x for node in comparison.local_run.nodes
-    ]
+    assert comparison.saved_remote_robots == comparison.saved_local_robots
+    assert x_with_remote_robots == [node.robot.x for node in comparison.local_run.nodes]
 
 
 def test_the_local_estimate_of_a_remote_robot_is_known_from_its_broadcasts() -> None:
     """Here it broadcasts in each tick; between broadcasts it is not known."""
     comparison = compare_runs(small_swarm(robots=4), bus_for_each(1))
-    assert comparison.run.nodes[1].robot.x_hat == comparison.local_run.nodes[1].robot.x_hat
+    reported_robot = comparison.remote_run.nodes[1].robot
+    local_robot = comparison.local_run.nodes[1].robot
+    assert reported_robot.x_hat == local_robot.x_hat
 
 
 def test_126_robots_with_one_in_another_program_are_accepted() -> None:
-    """They have ids 0 to 125, which leaves 126 for the program that drives them."""
-    remote_robot.check_remote(small_swarm(robots=126), bus_for_each(1))
+    """They have ids 0 to 125, which leaves 126 for the program that drives them; 127 are refused."""
+    wiring_of_remote_robot_1 = bus_for_each(1)
+    remote_robot.check_remote(small_swarm(robots=126), wiring_of_remote_robot_1)
 
 
 @contextmanager
@@ -218,6 +243,7 @@ def swarm_with_a_silent_robot(
 
 
 def test_a_remote_robot_that_falls_silent_ends_the_run(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It is gone after the first tick; the run ends with a failure, and raises no error."""
     with swarm_with_a_silent_robot(monkeypatch) as driven_swarm:
         run = run_swarm(driven_swarm)
 
@@ -227,61 +253,122 @@ def test_a_remote_robot_that_falls_silent_ends_the_run(monkeypatch: pytest.Monke
 
 
 def test_a_wait_for_a_silent_robot_can_be_ended_by_the_caller(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Its function ``check`` is called meanwhile, and may raise an error."""
-    calls: list[bool] = []
-    with swarm_with_a_silent_robot(monkeypatch, check=lambda: calls.append(True)) as driven_swarm:
-        calls.clear()
-        run_swarm(driven_swarm)
-
-    assert calls
-
-
-SMALL = ["swarm", "--robots", "3", "--steps", "25", "--filter-period", "10", "--seed", "5", "--json"]
+    """The function ``check`` of the caller is called again and again meanwhile, and may raise an error."""
+    check = Mock()
+    with swarm_with_a_silent_robot(monkeypatch, check) as driven_swarm:
+        check.side_effect = KeyboardInterrupt
+        with pytest.raises(KeyboardInterrupt):
+            driven_swarm.tick()
 
 
-@pytest.mark.parametrize("swarm_filter", ["robust", *slow(["asdf-plus"])])
-def test_robots_in_processes_report_and_log_what_robots_in_this_process_do(
-    swarm_filter: str, capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
-    """Also with faults between them, which both runs have."""
+STEPS = 25
+SMALL = ["swarm", "--robots", "3", "--steps", str(STEPS), "--filter-period", "10", "--seed", "5", "--json"]
+
+
+@dataclass(frozen=True)
+class ProcessesAndThisProcess:
+    """The reports and logs of three robots in processes of their own, and of the same robots in this process.
+
+    Both runs lose and damage some frames, and allow estimates under the ids 0 and 2 alone.
+    """
+
+    report: dict[str, Any]
+    log: Path
+    local_report: dict[str, Any]
+    local_log: Path
+
+    @property
+    def reports_of_processes(self) -> list[dict[str, Any]]:
+        """What each process has reported of its robot, by id."""
+        return [self.report["processes"][str(robot)]["results"] for robot in range(3)]
+
+    @property
+    def local_robots(self) -> list[dict[str, Any]]:
+        """What is reported of each robot in this process, by id."""
+        robots: list[dict[str, Any]] = self.local_report["results"]["robots"]
+        return robots
+
+
+@pytest.fixture(scope="module", params=["robust", *slow(["asdf-plus"])])
+def two_runs(
+    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
+) -> ProcessesAndThisProcess:
+    """Run three robots with this filter in processes, on multicast groups, and in this process."""
     multicast(251)
-    log, local_log = tmp_path / "run.log", tmp_path / "local.log"
-    bus = ["--interface", "udp_multicast", "--channel", "239.74.163.{robot}"]
-    bus += ["--bus-kwargs", f"port={UDP_PORT}", "--processes", "--log", str(log)]
-    faults = ("--fault", "loss=0.2", "--fault", "corrupt=0.1", "--filter", swarm_filter, "--allow", "0+2")
-    assert main([*SMALL, *bus, *faults]) == 0
-    report = json.loads(capsys.readouterr().out)
-    assert main([*SMALL, *faults, "--log", str(local_log)]) == 0
-    local_report = json.loads(capsys.readouterr().out)
-    for robot, local_robot in enumerate(local_report["results"]["robots"]):
-        process_report = report["processes"][str(robot)]["results"]
-        assert process_report["steps"] == 25
+    folder = tmp_path_factory.mktemp("runs")
+    log, local_log = folder / "run.log", folder / "local.log"
+    options = [*SMALL, "--fault", "loss=0.2", "--fault", "corrupt=0.1", "--allow", "0+2"]
+    options += ["--filter", request.param]
+    groups = ["--interface", "udp_multicast", "--channel", "239.74.163.{robot}"]
+    groups += ["--bus-kwargs", f"port={UDP_PORT}"]
+    report = json_report([*options, *groups, "--processes", "--log", str(log)])
+    local_report = json_report([*options, "--log", str(local_log)])
+    return ProcessesAndThisProcess(report, log, local_report, local_log)
+
+
+def json_report(command: list[str]) -> dict[str, Any]:
+    """Run a command, which has to succeed, and return what it prints."""
+    with redirect_stdout(StringIO()) as output:
+        assert main(command) == 0
+    report: dict[str, Any] = json.loads(output.getvalue())
+    return report
+
+
+def test_robots_in_processes_report_what_robots_in_this_process_do(two_runs: ProcessesAndThisProcess) -> None:
+    """Compared are the assumed accuracy b_hat, the estimate x, and how often the filter made its test."""
+    for process_report, local_robot in zip(two_runs.reports_of_processes, two_runs.local_robots, strict=True):
+        assert process_report["steps"] == STEPS
         assert process_report["robot"]["b_hat"] == local_robot["b_hat"]
-        assert process_report["robot"]["x"] == local_robot["x"] == report["results"]["robots"][robot]["x"]
+        assert process_report["robot"]["x"] == local_robot["x"]
         assert process_report["robot"]["counters"]["tests"] == local_robot["tests"]
-        # Robot 1 is the only one that is not allowed.
-        unknown_senders = [
-            event["sender"] for event in process_report["frames"]["events"] if event["event"] == "unknown"
-        ]
-        assert unknown_senders == ([] if robot == 1 else [1])
-    assert main(["replay", str(log)]) == 0
-    with EventsReader(events_path(log)) as reader, EventsReader(events_path(local_log)) as local_reader:
-        assert list(reader.entries()) == list(local_reader.entries())
 
 
-def test_a_robot_on_a_device_that_does_not_answer_is_named(
+def test_the_program_that_drives_robots_in_processes_reports_their_estimates(
+    two_runs: ProcessesAndThisProcess,
+) -> None:
+    x_of_robots = [robot["x"] for robot in two_runs.report["results"]["robots"]]
+    assert x_of_robots == [local_robot["x"] for local_robot in two_runs.local_robots]
+
+
+def test_robots_in_processes_report_the_sender_that_is_not_allowed(two_runs: ProcessesAndThisProcess) -> None:
+    """Robot 1 is the only one; the others receive its estimates as those of an unknown sender."""
+    unknown_senders = []
+    for process_report in two_runs.reports_of_processes:
+        events = process_report["frames"]["events"]
+        unknown_senders.append([event["sender"] for event in events if event["event"] == "unknown"])
+    assert unknown_senders == [[1], [], [1]]
+
+
+def test_the_log_of_robots_in_processes_can_be_replayed(two_runs: ProcessesAndThisProcess) -> None:
+    """A replay computes each broadcast again, and fails if one differs."""
+    assert main(["replay", str(two_runs.log)]) == 0
+
+
+def test_the_events_of_robots_in_processes_are_those_of_robots_in_this_process(
+    two_runs: ProcessesAndThisProcess,
+) -> None:
+    """Events are, for example, observations and lost frames, in a file beside the log."""
+    with EventsReader(events_path(two_runs.log)) as reader:
+        entries = list(reader.entries())
+    with EventsReader(events_path(two_runs.local_log)) as local_reader:
+        assert entries == list(local_reader.entries())
+
+
+def test_a_robot_on_a_device_that_sends_no_heartbeat_fails_the_run_with_its_id_and_the_time(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """Robot 1 is to be on the virtual bus v1, where nothing is; the robots here are on v0 and v2."""
     monkeypatch.setattr(swarm, "_STARTING_TIMEOUT", 0.05)
     assert main([*SMALL, "--channel", "v{robot}", "--device", "1=virtual:v1"]) == 1
     failure = json.loads(capsys.readouterr().err)
     assert failure["error"].startswith("robot 1 did not send a heartbeat within 0.05 s")
 
 
-def test_an_error_frame_is_counted_and_is_no_robot_s_frame() -> None:
-    """The identifier of an error frame, 8 for damaged input, is no node id."""
+def test_an_error_frame_is_counted_and_is_no_frame_of_a_robot() -> None:
+    """Its identifier, here 8 for damaged input, is no id of a robot, though there is a robot 8."""
     robot = remote_robot.remote_robot(robot_record(8), FrameFormat())
     driver = remote_robot.Driver(Mock(), [robot], FrameFormat())
+    # A bus has no error frames unless its hardware reports some, so one is handed to the driver.
     driver._handle_frame(can.Message(arbitration_id=8, is_error_frame=True))
 
     assert driver._frames_for_next_tick == []
