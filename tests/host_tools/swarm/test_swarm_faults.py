@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import os
 from collections import Counter
+from collections.abc import Sequence
 from pathlib import Path
 from statistics import fmean
 from typing import Any, NamedTuple
@@ -22,6 +23,7 @@ from host_tools.swarm.swarms import (
     saved_robots,
     small_swarm,
 )
+from mcp_asdf.robot import Robot
 from mcp_asdf_tools.bus.frames import Estimate, FrameFormat, Heartbeat, decode_estimate, decode_heartbeat
 from mcp_asdf_tools.bus.interfaces import BusChoice
 from mcp_asdf_tools.cli.main import main
@@ -87,8 +89,10 @@ def hit_counts(run: SwarmRun) -> list[int]:
 def test_swarms_without_a_bus_or_with_several_run_as_on_one_that_all_share(
     medium: str, faults: tuple[str, ...], world: dict[str, Any]
 ) -> None:
+    """Compared are the frames sent, the robots in the end, the results and the file of events."""
     settings = small_swarm(*faults, **world)
-    events_on_one_bus, events = list[str](), list[str]()
+    events_on_one_bus: list[str] = []
+    events: list[str] = []
     run_on_one_bus, frames_on_one_bus = run_and_record(settings, events=events_on_one_bus)
     run, frames = run_and_record(settings, MEDIA[medium], events=events)
 
@@ -96,7 +100,7 @@ def test_swarms_without_a_bus_or_with_several_run_as_on_one_that_all_share(
     assert saved_robots(run.nodes) == saved_robots(run_on_one_bus.nodes)
     assert run.results == run_on_one_bus.results
     assert events == events_on_one_bus
-    assert all(hit_counts(run))
+    assert all(hit_counts(run)), "each fault has hit at least once"
 
 
 @pytest.mark.parametrize("medium", ["no bus", "a bus for each"])
@@ -107,24 +111,39 @@ def test_frames_have_the_same_times_on_several_buses_as_on_one(medium: str) -> N
     assert [frame.timestamp for frame in frames] == [frame.timestamp for frame in frames_on_one_bus]
 
 
-def test_frames_of_a_swarm_without_a_bus_have_a_channel_for_the_log() -> None:
+def test_frames_of_a_swarm_without_a_bus_have_the_chosen_channel_in_the_log() -> None:
     _, frames = run_and_record(small_swarm(), Wiring(channel="none"))
     assert {frame.channel for frame in frames} == {"none"}
 
 
+def waiting_frames(bus: can.BusABC) -> list[can.Message]:
+    """Return the frames that have arrived on a bus."""
+    frames = []
+    while (frame := bus.recv(0)) is not None:
+        frames.append(frame)
+    return frames
+
+
+def estimates_among(frames: Sequence[can.Message]) -> list[Estimate]:
+    """Return the estimates that frames carry, in their order."""
+    contents = [decode_estimate(frame, FrameFormat()) for frame in frames]
+    return [estimate for estimate in contents if isinstance(estimate, Estimate)]
+
+
 def test_the_bus_of_a_robot_has_its_frames_and_those_that_reach_it() -> None:
-    """Here those of robot 1 are lost on their way."""
+    """Each of five robots has a bus of its own. In five ticks all frames of robot 1 are lost on their way."""
     with Swarm(small_swarm("loss,robots=1", steps=5), ON_OWN_BUSES) as swarm, own_bus(0) as listener:
         run_swarm(swarm)
-        frames = list(iter(lambda: listener.recv(0), None))
-    contents = [decode_estimate(frame, FrameFormat()) for frame in frames]
-    senders = Counter(estimate.sender for estimate in contents if isinstance(estimate, Estimate))
+        frames = waiting_frames(listener)
+    senders = Counter(estimate.sender for estimate in estimates_among(frames))
 
     assert senders == {0: 5, 2: 5, 3: 5, 4: 5}
 
 
 SENT = 60 + 6
 """Frames of a robot in 60 ticks: an estimate in each, a heartbeat in each of 6 seconds."""
+PATHS = 5 * 4
+"""Pairs of a sender and a receiver among five robots."""
 NOTHING_WRONG: dict[str, Any] = {"refused": 0, "strays": 0, "rejected": {}, "id_conflicts": {}}
 
 
@@ -132,20 +151,25 @@ NOTHING_WRONG: dict[str, Any] = {"refused": 0, "strays": 0, "rejected": {}, "id_
     ("fault", "hits", "expected_counts"),
     [
         ("loss=0", 0, {"sent": 300, "delivered": 1200, "heartbeats_heard": 120, **NOTHING_WRONG}),
-        ("loss", SENT * 20, {"delivered": 0, "heartbeats_heard": 0, "arrived": 0, "in_range": SENT * 20}),
+        (
+            "loss",
+            SENT * PATHS,
+            {"delivered": 0, "heartbeats_heard": 0, "arrived": 0, "in_range": SENT * PATHS},
+        ),
         # All messages come three ticks late, and those of the last three rounds never.
-        ("delay,ticks=3", SENT * 20, {"delivered": (60 - 3) * 20, "refused": 0}),
-        ("duplicate,ticks=0", SENT * 20, {"delivered": 2 * 60 * 20, "refused": 60 * 20}),
+        ("delay,ticks=3", SENT * PATHS, {"delivered": (60 - 3) * PATHS, "refused": 0}),
+        ("duplicate,ticks=0", SENT * PATHS, {"delivered": 2 * 60 * PATHS, "refused": 60 * PATHS}),
         # The copy of the last round comes first, so it is the new message that is a repetition.
-        ("duplicate,ticks=1", SENT * 20, {"delivered": (60 + 59) * 20, "refused": 59 * 20}),
-        ("corrupt,bits=64", SENT * 20, {"delivered": 0, "arrived": SENT * 20}),
+        ("duplicate,ticks=1", SENT * PATHS, {"delivered": (60 + 59) * PATHS, "refused": 59 * PATHS}),
+        ("corrupt,bits=64", SENT * PATHS, {"delivered": 0, "arrived": SENT * PATHS}),
         ("babble,frames=4,robots=3,from=10,to=20", 40, {"arrived": (SENT * 5 + 40) * 4}),
-        ("crash,robots=1,from=20,to=35", 15, {"sent": 60 * 5 - 15, "delivered": 1080}),
-        ("busoff,robots=1,from=20,to=35", 15, {"sent": 60 * 5, "delivered": 1080}),
-        ("freeze,robots=1,from=30", 30, {"delivered": 60 * 20, "refused": 0}),
-        ("liar,robots=2", 60, {"delivered": 60 * 20, "refused": 0}),
+        # For 15 ticks one robot neither sends on its four paths nor receives on them.
+        ("crash,robots=1,from=20,to=35", 15, {"sent": 60 * 5 - 15, "delivered": 60 * PATHS - 15 * 8}),
+        ("busoff,robots=1,from=20,to=35", 15, {"sent": 60 * 5, "delivered": 60 * PATHS - 15 * 8}),
+        ("freeze,robots=1,from=30", 30, {"delivered": 60 * PATHS, "refused": 0}),
+        ("liar,robots=2", 60, {"delivered": 60 * PATHS, "refused": 0}),
         ("liar,robots=1,from=10,to=20,alpha=1e-9", 10, {"refused": 0}),
-        ("collide,robots=3,id=3", SENT, {"delivered": 60 * 20, **NOTHING_WRONG}),
+        ("collide,robots=3,id=3", SENT, {"delivered": 60 * PATHS, **NOTHING_WRONG}),
         # Robot 2 refuses its own id; the other three receive from 2 twice, robot 3 once.
         ("collide,robots=3,id=2", SENT, {"id_conflicts": {"2": 60}, "refused": 240}),
     ],
@@ -155,14 +179,20 @@ def test_a_fault_hits_as_many_frames_as_its_options_say_with_its_effect(
 ) -> None:
     """Five robots run for 60 ticks, and each frame has four receivers, which together are 20 paths."""
     run, frames = run_and_record(small_swarm(fault))
+    counts = {name: frame_counts(run)[name] for name in expected_counts}
     assert hit_counts(run) == [hits]
-    assert {name: frame_counts(run)[name] for name in expected_counts} == expected_counts
+    assert counts == expected_counts
     assert frame_counts(run)["on_the_bus"] == len(frames)
+
+
+def knows_own_estimate_alone(robot: Robot) -> bool:
+    """Return whether the estimate that a robot makes of all, x, is x_hat, that of its own observations."""
+    return robot.x == robot.x_hat
 
 
 def test_robots_whose_frames_are_all_lost_know_their_own_estimates_alone() -> None:
     run, _ = run_and_record(small_swarm("loss"))
-    assert all(node.robot.x == node.robot.x_hat for node in run.nodes)
+    assert all(knows_own_estimate_alone(node.robot) for node in run.nodes)
 
 
 class Broadcasts(NamedTuple):
@@ -208,18 +238,23 @@ def test_replay_tells_which_broadcasts_a_fault_has_changed(
     Those that a fault has falsified, sent under another robot's id or injected are counted, and the others
     are reproduced.
     """
-    path, events = tmp_path / "run.events", list[str]()
+    events: list[str] = []
     _run, frames = run_and_record(small_swarm(fault), events=events)
+    path = tmp_path / "run.events"
     path.write_text("".join(events))
-
     with EventsReader(path) as reader:
         verdict = verify(frames, reader)
-    with EventsReader(path) as reader:
-        injected = sum(isinstance(entry, InjectedFrame) for entry in reader.entries())
 
     assert verdict.difference is None
     assert verdict.not_logged == 0
+    injected = number_of_injected_frames(path)
     assert Broadcasts(verdict.reproduced, verdict.falsified, verdict.foreign, injected) == expected
+
+
+def number_of_injected_frames(path: Path) -> int:
+    """Return how many frames a file of events names that no robot sends."""
+    with EventsReader(path) as reader:
+        return sum(isinstance(entry, InjectedFrame) for entry in reader.entries())
 
 
 without_and_with_buses = pytest.mark.parametrize("medium", ["no bus", "a bus for each"])
@@ -227,6 +262,7 @@ without_and_with_buses = pytest.mark.parametrize("medium", ["no bus", "a bus for
 
 @without_and_with_buses
 def test_estimates_under_ids_that_are_not_allowed_change_nothing(medium: str) -> None:
+    """The ids of the five robots are allowed; robot 1 sends under six others, too (a Sybil attack)."""
     undisturbed_run, _ = run_and_record(small_swarm())
     run, _ = run_and_record(small_swarm("sybil,robots=1,ids=5-9+127", allow="0-4"), MEDIA[medium])
     assert saved_robots(run.nodes) == saved_robots(undisturbed_run.nodes)
@@ -235,22 +271,25 @@ def test_estimates_under_ids_that_are_not_allowed_change_nothing(medium: str) ->
 
 @without_and_with_buses
 def test_estimates_under_ids_that_are_not_allowed_are_counted_as_unknown(medium: str) -> None:
+    """Robot 1 of five sends under six such ids (a Sybil attack), which each other robot receives."""
     run, _ = run_and_record(small_swarm("sybil,robots=1,ids=5-9+127", allow="0-4"), MEDIA[medium])
     ticks, made_up_ids, receivers = 60, 6, 4
     assert frame_counts(run)["unknown"] == ticks * made_up_ids * receivers
 
 
 @without_and_with_buses
-def test_estimates_under_the_id_of_a_robot_that_is_allowed_are_conflicts(medium: str) -> None:
+def test_estimates_under_the_id_of_a_robot_that_is_allowed_are_counted_as_conflicts(medium: str) -> None:
+    """In each of 60 ticks robot 1 sends an estimate as robot 0, too."""
     run, _ = run_and_record(small_swarm("sybil,robots=1,ids=0", allow="0-4"), MEDIA[medium])
     assert frame_counts(run)["unknown"] == 0
-    assert frame_counts(run)["id_conflicts"] == {"0": 60}  # one in each tick
+    assert frame_counts(run)["id_conflicts"] == {"0": 60}
 
 
 @without_and_with_buses
 def test_robots_that_allow_no_id_of_the_swarm_know_their_own_estimates_alone(medium: str) -> None:
+    """They allow 127 alone, and are robots 0 to 4."""
     run, _ = run_and_record(small_swarm(allow="127"), MEDIA[medium])
-    assert all(node.robot.x == node.robot.x_hat for node in run.nodes)
+    assert all(knows_own_estimate_alone(node.robot) for node in run.nodes)
 
 
 def crash_in_two_ticks(rejoin: str) -> SwarmSettings:
@@ -259,7 +298,7 @@ def crash_in_two_ticks(rejoin: str) -> SwarmSettings:
 
 
 def b_hat_around_the_crash(rejoin: str) -> tuple[float, float]:
-    """Return the assumed accuracy of that robot before and after its crash; it began with 0.55."""
+    """Return the assumed accuracy of robot 0 just before and just after its crash; it began with 0.55."""
     b_hat_by_tick: list[float] = []
     run_and_record(
         crash_in_two_ticks(rejoin), hooks=[lambda swarm: b_hat_by_tick.append(swarm.nodes[0].robot.b_hat)]
@@ -268,13 +307,15 @@ def b_hat_around_the_crash(rejoin: str) -> tuple[float, float]:
     return b_hat_by_tick[last_tick_before], b_hat_by_tick[first_tick_after]
 
 
-def test_a_robot_that_rejoins_new_begins_with_the_accuracy_of_its_start() -> None:
+def test_a_robot_that_rejoins_as_a_new_one_begins_with_the_accuracy_of_its_start() -> None:
+    """That is 0.55; until its crash it has learnt that its sensor is better."""
     before, after = b_hat_around_the_crash("new")
     assert before > 0.9
     assert after == pytest.approx(0.55, abs=1e-6)
 
 
-def test_a_robot_that_rejoins_restored_has_the_accuracy_that_it_had() -> None:
+def test_a_robot_that_rejoins_from_its_saved_state_has_the_accuracy_that_it_had() -> None:
+    """It began with 0.55, and has learnt until its crash that its sensor is better."""
     before, after = b_hat_around_the_crash("restored")
     assert before > 0.9
     assert after == before
@@ -295,15 +336,11 @@ def test_a_robot_that_rejoins_has_its_observations_only_if_it_is_restored(
 def test_a_robot_that_rejoins_numbers_its_estimates_anew_unless_it_is_restored(
     rejoin: str, numbers: list[int]
 ) -> None:
+    """It is dead in ticks 45 and 46 of 60, and sends an estimate, numbered modulo 32, in the others."""
     _, frames = run_and_record(crash_in_two_ticks(rejoin))
-    contents = [decode_estimate(frame, FrameFormat()) for frame in frames]
-    transfer_ids = [
-        estimate.transfer_id
-        for estimate in contents
-        if isinstance(estimate, Estimate) and estimate.sender == 0
-    ]
-
-    assert transfer_ids == [number % 32 for number in numbers]
+    estimates_of_robot_0 = [estimate for estimate in estimates_among(frames) if estimate.sender == 0]
+    numbers_sent = [estimate.transfer_id for estimate in estimates_of_robot_0]
+    assert numbers_sent == [number % 32 for number in numbers]
 
 
 REJOINING = {
@@ -317,15 +354,18 @@ REJOINING = {
 def test_a_robot_that_rejoins_sends_heartbeats_in_its_own_seconds(
     rejoin: str, expected: list[tuple[int, int]]
 ) -> None:
-    _, frames = run_and_record(small_swarm(f"crash,robots=0,from=45,to=47,rejoin={rejoin}"))
-    heartbeats = [(frame, decode_heartbeat(frame)) for frame in frames]
-    found = [
-        (round(10 * frame.timestamp), heartbeat.uptime)
-        for frame, heartbeat in heartbeats
-        if isinstance(heartbeat, Heartbeat) and heartbeat.sender == 0
-    ]
+    """It is dead in ticks 45 and 46. A heartbeat has its uptime in seconds, of 10 ticks each.
 
-    assert found == expected
+    A new robot counts its uptime from tick 47 on; that of a restored one has stood still for two ticks.
+    """
+    _, frames = run_and_record(crash_in_two_ticks(rejoin))
+    ticks_and_uptimes = []
+    for frame in frames:
+        heartbeat = decode_heartbeat(frame)
+        if isinstance(heartbeat, Heartbeat) and heartbeat.sender == 0:
+            ticks_and_uptimes.append((round(10 * frame.timestamp), heartbeat.uptime))
+
+    assert ticks_and_uptimes == expected
 
 
 @pytest.fixture
@@ -345,6 +385,7 @@ def run_with_a_late_tick(monkeypatch: pytest.MonkeyPatch) -> SwarmRun:
 
 
 def test_frames_that_come_too_late_in_real_time_are_counted(run_with_a_late_tick: SwarmRun) -> None:
+    """Those of one tick do, which are the estimates of three robots, but the run goes on to its end."""
     assert run_with_a_late_tick.results["steps"] == 60
     assert frame_counts(run_with_a_late_tick)["missed"] == 3
 
@@ -352,10 +393,11 @@ def test_frames_that_come_too_late_in_real_time_are_counted(run_with_a_late_tick
 def test_frames_that_come_too_late_in_real_time_are_received_in_the_next_tick(
     run_with_a_late_tick: SwarmRun,
 ) -> None:
+    """There a robot refuses the second of two messages of a neighbour, as in one round it is a repetition."""
     ticks, robots, receivers = 60, 3, 2
-    assert frame_counts(run_with_a_late_tick)["delivered"] == ticks * robots * receivers
-    # Of two messages of a neighbour in one round the second is a repetition.
-    assert frame_counts(run_with_a_late_tick)["refused"] == 3 * 2
+    counts = frame_counts(run_with_a_late_tick)
+    assert counts["delivered"] == ticks * robots * receivers
+    assert counts["refused"] == robots * receivers  # in one tick
 
 
 def test_a_run_in_real_time_reports_how_late_ticks_have_begun(run_with_a_late_tick: SwarmRun) -> None:
@@ -365,13 +407,16 @@ def test_a_run_in_real_time_reports_how_late_ticks_have_begun(run_with_a_late_ti
 
 @pytest.mark.parametrize("medium", ["one bus", "a group for each", *slow(["one group"])])
 def test_no_frame_is_lost_when_a_robot_floods_the_bus(medium: str) -> None:
-    """There are more frames than a socket holds, so that they have to be read while they are sent."""
+    """There are more frames, 900, than a socket holds, so that they have to be read while they are sent.
+
+    Besides, each of five robots sends an estimate in each of three ticks, and a heartbeat.
+    """
     run, frames = run_and_record(
         small_swarm("babble,frames=900,robots=0,from=1,to=2", steps=3), MEDIA[medium]
     )
-    estimates_and_heartbeats = (3 + 1) * 5
-    assert len(frames) == estimates_and_heartbeats + 900
-    assert frame_counts(run)["arrived"] == 4 * len(frames)  # receivers
+    receivers = 4
+    assert len(frames) == 5 * (3 + 1) + 900
+    assert frame_counts(run)["arrived"] == receivers * len(frames)
 
 
 # The figures of docs/internals/threats.csv, and the table of docs/threats.md
@@ -407,41 +452,85 @@ def figures_of_run(faults: list[str], settings: dict[str, Any]) -> list[str]:
 
 
 def test_the_table_of_threats_begins_with_a_swarm_without_faults() -> None:
+    """It has 27 attacks, of which 7 are words and cannot be run, in docs/internals/threats.csv."""
     assert len(ATTACKS) == 27
     assert len(RUNS) == 20
-    assert RUNS[0] == ATTACKS[0] and RUNS[0]["faults"] == ""
+    assert RUNS[0] == ATTACKS[0]
+    assert RUNS[0]["faults"] == ""
 
 
-@pytest.mark.parametrize("row", [RUNS[1], *slow([RUNS[0], *RUNS[2:]])])
-def test_the_table_of_threats_has_the_figures_of_these_runs(row: dict[str, str]) -> None:
-    columns = {run: [f"{run}_{figure}" for figure in FIGURES] for run in SETTINGS}
-    written = {run: [row[name] for name in names] for run, names in columns.items() if row[names[0]]}
-    assert len(written) == (3 if "sybil" in row["faults"] else 2)
-    faults = row["faults"].split()
-
-    assert written == {run: figures_of_run(faults, SETTINGS[run]) for run in written}
+def figures_in_table(attack: dict[str, str], run: str) -> list[str]:
+    """Return the figures that a row of the table has of one of its runs, a key of SETTINGS."""
+    return [attack[f"{run}_{figure}"] for figure in FIGURES]
 
 
-def test_the_page_of_threats_puts_six_of_them_in_words() -> None:
-    """Its words stand for the errors in the table, by the limits that it names."""
+def runs_with_figures(attacks: list[dict[str, str]]) -> list[tuple[dict[str, str], str]]:
+    """Return each attack with the settings, a key of SETTINGS, for which the table has figures."""
+    return [(attack, run) for attack in attacks for run in SETTINGS if attack[f"{run}_error"]]
 
-    def in_a_word(error: str) -> str:
-        return "safe" if float(error) < 0.05 else "wrong" if float(error) < 0.2 else "lost"
 
-    page = (ROOT / "docs/threats.md").read_text(encoding="utf-8")
+@pytest.mark.parametrize(
+    ("attack", "run"),
+    [*runs_with_figures([RUNS[1]]), *slow(runs_with_figures([RUNS[0], *RUNS[2:]]))],
+)
+def test_the_table_of_threats_has_the_figures_of_these_runs(attack: dict[str, str], run: str) -> None:
+    """A row of docs/internals/threats.csv has an attack as faults of a swarm, and how the swarm ends."""
+    faults = attack["faults"].split()
+    assert figures_in_table(attack, run) == figures_of_run(faults, SETTINGS[run])
+
+
+def test_the_table_of_threats_has_figures_with_allowed_ids_only_for_made_up_ids() -> None:
+    """Robots that allow ids 0 to 19 alone are of interest where a node makes up ids, the fault sybil."""
+    with_allowed_ids = [attack["attack"] for attack in RUNS if attack["asdf_plus_allow_0_19_error"]]
+    assert with_allowed_ids == [attack["attack"] for attack in RUNS if "sybil" in attack["faults"]]
+
+
+def test_the_table_of_threats_has_figures_with_asdf_plus_and_the_robust_filter_for_all_runs() -> None:
+    for attack in RUNS:
+        assert attack["asdf_plus_error"], attack["attack"]
+        assert attack["robust_error"], attack["attack"]
+
+
+THREATS_PAGE = ROOT / "docs/threats.md"
+
+
+def error_in_a_word(error: str) -> str:
+    """Return how the page of threats calls a mean error."""
+    if float(error) < 0.05:
+        return "safe"
+    return "wrong" if float(error) < 0.2 else "lost"
+
+
+def rows_of_threats_page() -> list[list[str]]:
+    """Return the cells of each row of the table in the page, without the last column, which is text."""
+    page = THREATS_PAGE.read_text(encoding="utf-8")
+    _, _, after_heading = page.partition("|---|---|---|---|---|\n")
+    table, _, _ = after_heading.partition("\n\n")
+    rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in table.splitlines()]
+    return [row[:-1] for row in rows]
+
+
+def test_the_page_of_threats_puts_the_errors_of_six_attacks_in_words() -> None:
+    """Its table has the attack, the errors of ASDF and of the robust filter in words, and the latter."""
+    error_by_attack = {row["attack"]: (row["asdf_plus_error"], row["robust_error"]) for row in RUNS}
+    rows = rows_of_threats_page()
+    assert len(rows) == 6
+    for attack, *cells in rows:
+        error_asdf, error_robust = error_by_attack[attack]
+        assert cells == [error_in_a_word(error_asdf), error_in_a_word(error_robust), error_robust]
+
+
+def test_the_page_of_threats_says_which_errors_its_words_stand_for() -> None:
+    """The last one is that of a swarm without faults, to compare with."""
+    page = THREATS_PAGE.read_text(encoding="utf-8")
     assert "ends below 0.05, *wrong* if below 0.2" in page
-    by_name = {row["attack"]: row for row in RUNS}
-    lines = page.partition("|---|---|---|---|---|\n")[2].partition("\n\n")[0].splitlines()
-    assert len(lines) == 6
-    for line in lines:
-        name, *cells, _ = [cell.strip() for cell in line.strip("|").split("|")]
-        error_asdf, error_robust = (by_name[name][f"{run}_error"] for run in ("asdf_plus", "robust"))
-        assert cells == [in_a_word(error_asdf), in_a_word(error_robust), error_robust]
-    assert f"the robust filter ends at {RUNS[0]['robust_error']}." in page
+    error_without_faults = RUNS[0]["robust_error"]
+    assert f"the robust filter ends at {error_without_faults}." in page
 
 
 def test_the_page_of_threats_shows_what_its_commands_print(capsys: pytest.CaptureFixture[str]) -> None:
-    page = ROOT / "docs/threats.md"
-    for command in block_with(page, "--filter robust", "sh").splitlines():
-        assert main(command.split()[1:]) == 0
-    assert capsys.readouterr().out == block_with(page, "seed 1", "text")
+    """One block of the page has commands, of which each begins with mcp-asdf, and another their output."""
+    for command in block_with(THREATS_PAGE, "--filter robust", "sh").splitlines():
+        _mcp_asdf, *arguments = command.split()
+        assert main(arguments) == 0
+    assert capsys.readouterr().out == block_with(THREATS_PAGE, "seed 1", "text")
