@@ -32,7 +32,7 @@ EXAMPLES = [Example(*groups) for groups in PROGRAM_AND_OUTPUT.findall(TEXT)]
 
 
 @pytest.fixture(scope="module")
-def tables(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder_of_sweep(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with what the page's commands for a sweep have written; its programs leave that alone."""
     return made_once(tmp_path_factory, "tables", run_commands_for_a_sweep)
 
@@ -67,39 +67,52 @@ def run_example(example: Example, folder: Path) -> str:
     return run(sys.executable, "-c", example.code, cwd=folder)
 
 
-def test_every_program_of_the_page_has_its_output_below_it() -> None:
+def test_each_of_the_seven_programs_on_the_page_about_data_frames_has_its_output_below_it() -> None:
     assert len(EXAMPLES) == len(blocks(PAGE, "python", "r", "octave")) == 7
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("example", EXAMPLES, ids=lambda example: example.language)
-def test_a_program_of_the_page_prints_what_the_page_shows(example: Example, tables: Path) -> None:
-    assert run_example(example, tables) == example.output
+def test_a_program_in_python_r_or_octave_prints_what_the_page_about_data_frames_shows(
+    example: Example, folder_of_sweep: Path
+) -> None:
+    """It reads tables that the commands of the page have written."""
+    assert run_example(example, folder_of_sweep) == example.output
 
 
 @pytest.mark.slow
-def test_the_commands_for_a_sweep_end_with_what_the_page_shows(tables: Path) -> None:
-    shown_for_sweep, *_ = blocks(PAGE, "text")
-    assert (tables / "printed.txt").read_text().endswith(shown_for_sweep.removeprefix("...\n"))
+def test_the_commands_of_a_sweep_print_at_the_end_what_the_page_about_data_frames_shows(
+    folder_of_sweep: Path,
+) -> None:
+    """The page shows dots for what comes before."""
+    shown_for_sweep, *_others = blocks(PAGE, "text")
+    printed = (folder_of_sweep / "printed.txt").read_text()
+    assert printed.endswith(shown_for_sweep.removeprefix("...\n"))
 
 
 @pytest.mark.slow
-def test_the_commands_for_a_log_end_with_what_the_page_shows(tmp_path: Path) -> None:
-    _, commands_for_log = blocks(PAGE, "sh")
-    _, shown_for_log, *_ = blocks(PAGE, "text")
-    assert run("sh", "-ec", commands_for_log, cwd=tmp_path).endswith(shown_for_log)
+def test_the_commands_that_export_a_log_print_at_the_end_what_the_page_about_data_frames_shows(
+    tmp_path: Path,
+) -> None:
+    _commands_for_sweep, commands_for_log = blocks(PAGE, "sh")
+    _shown_for_sweep, shown_for_log, *_others = blocks(PAGE, "text")
+
+    printed = run("sh", "-ec", commands_for_log, cwd=tmp_path)
+
+    assert printed.endswith(shown_for_log)
 
 
 @pytest.mark.slow
-def test_the_page_lists_the_columns_of_a_sweep_with_their_units_and_meanings(tables: Path) -> None:
-    """As the file has them; "filter", which the example varies, is a column only there."""
-    schema = m.to_frame(tables / "grid.parquet").schema
+def test_the_page_about_data_frames_lists_each_column_of_a_sweep_with_the_unit_and_meaning_in_its_file(
+    folder_of_sweep: Path,
+) -> None:
+    """The column "filter" is not listed: the example varies the filter, and only that makes it a column."""
+    schema = m.to_frame(folder_of_sweep / "grid.parquet").schema
     expected_rows = []
     for field in schema:
         if field.name != "filter":
             unit, meaning = field.metadata[b"unit"].decode(), field.metadata[b"meaning"].decode()
             expected_rows.append(f"| `{field.name}` | {unit} | {meaning} |")
 
-    rows = re.findall(r"^\| `.*$", TEXT, re.MULTILINE)
-
-    assert rows == expected_rows
+    rows_on_page = re.findall(r"^\| `.*$", TEXT, re.MULTILINE)
+    assert rows_on_page == expected_rows

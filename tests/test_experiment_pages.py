@@ -36,13 +36,27 @@ ENVIRONMENT = {
 }
 
 
-def follow(page: Path, folder: Path) -> int:
-    """Do in a folder what a page shows, and compare what it prints; return how many outputs were compared.
+@dataclass(frozen=True)
+class Output:
+    """What a page says that a program prints, and what it has printed."""
 
-    A block of text below a block of commands, or below a program without a name, is what that prints; dots
-    stand for what is left out.
+    shown: str
+    printed: str
+
+    @property
+    def is_as_shown(self) -> bool:
+        """Whether these are the same lines; dots stand for what is left out of the page."""
+        pattern = re.escape(self.shown).replace(re.escape("..."), ".*?")
+        printed = re.sub(" +$", "", self.printed, flags=re.MULTILINE)
+        return re.fullmatch(pattern, printed, re.DOTALL) is not None
+
+
+def follow(page: Path, folder: Path) -> list[Output]:
+    """Do in a folder what a page shows, and return each output that it shows with what was printed.
+
+    A block of text below a block of commands, or below a program without a name, is what that prints.
     """
-    compared, printed = 0, ""
+    outputs, printed = [], ""
     for language, code in FENCED.findall(page.read_text(encoding="utf-8")):
         first_line = code.split("\n", 1)[0]
         if name := re.fullmatch(r"# (\S+\.\w+)", first_line):
@@ -54,42 +68,51 @@ def follow(page: Path, folder: Path) -> int:
         elif language == "sh":
             printed = "" if CLUSTER.search(code) else run("sh", "-ec", code, cwd=folder, **ENVIRONMENT)
         elif language == "text":
-            assert_shown(printed, code)
-            compared, printed = compared + 1, ""
-    return compared
+            outputs.append(Output(code, printed))
+            printed = ""
+    return outputs
 
 
-def assert_shown(printed: str, shown: str) -> None:
-    """Fail unless the lines that a page shows are those that were printed."""
-    pattern = re.escape(shown).replace(re.escape("..."), ".*?")
-    assert re.fullmatch(pattern, re.sub(" +$", "", printed, flags=re.MULTILINE), re.DOTALL), printed
+def commands(page: Path) -> list[str]:
+    """Return the lines of all blocks of commands of a page."""
+    return [
+        line
+        for language, code in FENCED.findall(page.read_text("utf-8"))
+        if language == "sh"
+        for line in code.splitlines()
+    ]
 
 
 @pytest.mark.slow
 def test_the_tutorial_of_an_experiment_prints_what_it_shows_and_draws_its_pictures(tmp_path: Path) -> None:
-    outputs_compared = follow(TUTORIAL, tmp_path)
+    """Its programs and commands are run one after the other in an empty folder."""
+    outputs = follow(TUTORIAL, tmp_path)
 
-    assert outputs_compared == 3
+    assert len(outputs) == 3
+    for output in outputs:
+        assert output.is_as_shown
     assert {"one_trial.png", "comparison.png", "question.png"} <= set(names_in(tmp_path))
 
 
 @pytest.mark.slow
-def test_the_guide_of_experiments_prints_what_it_shows_with_a_filter_of_the_reader_s(tmp_path: Path) -> None:
-    """And draws the reader's filter, beta, beside the paper's; the second command below uses it, too.
-
-    Without trials to spare that gets no farther, but it has understood the page's options.
-    """
+def test_the_guide_of_experiments_prints_what_it_shows_and_draws_the_reader_s_own_filter(
+    tmp_path: Path,
+) -> None:
+    """The reader writes a filter called beta, which is drawn beside the paper's."""
     pytest.importorskip("hatchling", reason="hatchling is not installed: make setup")
 
-    outputs_compared = follow(GUIDE, tmp_path)
+    outputs = follow(GUIDE, tmp_path)
 
-    assert outputs_compared == 6
+    assert len(outputs) == 6
+    for output in outputs:
+        assert output.is_as_shown
     assert (tmp_path / "beside.png").exists()
     figures = {"physical_asdf-plus.png", "physical_scatter.png", "physical_scatter_beta.png"}
     assert set(names_in(tmp_path / "mine/figures")) == figures
 
+    # Another page runs the same filter. Without trials to spare its command gets no farther than its options.
     [command] = [line for line in commands(REPRODUCE) if "beta" in line]
-    done = subprocess.run(
+    completed = subprocess.run(
         [*shlex.split(command), "--trials", "1"],
         cwd=tmp_path,
         env={"PATH": PATH, **ENVIRONMENT},
@@ -97,19 +120,10 @@ def test_the_guide_of_experiments_prints_what_it_shows_with_a_filter_of_the_read
         text=True,
         check=False,
     )
-    assert "--trials is 1; give at least 2" in done.stderr
+    assert "--trials is 1; give at least 2" in completed.stderr
 
 
 # --- The paper's figures ---------------------------------------------------------------------------------
-
-
-def commands(page: Path) -> list[str]:
-    return [
-        line
-        for language, code in FENCED.findall(page.read_text("utf-8"))
-        if language == "sh"
-        for line in code.splitlines()
-    ]
 
 
 @dataclass(frozen=True)
@@ -120,7 +134,7 @@ class PaperFigures:
     pictures: set[str]
 
 
-def paper_figures() -> dict[str, PaperFigures]:
+def rows_by_figure_of_the_paper() -> dict[str, PaperFigures]:
     """Return the rows of the page's table, by the number of the paper's figure or "all"."""
     page = REPRODUCE.read_text("utf-8")
     rows = re.findall(r"^\| ([^|]+) \| `([^`]+)` \| ([^|]+) \|", page, re.MULTILINE)
@@ -130,32 +144,33 @@ def paper_figures() -> dict[str, PaperFigures]:
     }
 
 
-def test_the_table_of_commands_has_a_row_for_each_figure_of_the_paper() -> None:
-    assert set(paper_figures()) == {"3", "4", "5", "6", "8", "all"}
+def test_the_page_about_the_paper_s_figures_has_a_command_for_each_of_them_and_for_all() -> None:
+    rows = rows_by_figure_of_the_paper()
 
-
-def test_the_table_of_commands_for_figures_has_only_commands_that_reproduce() -> None:
-    for row in paper_figures().values():
+    assert set(rows) == {"3", "4", "5", "6", "8", "all"}
+    for row in rows.values():
         assert row.command.startswith("mcp-asdf reproduce")
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("figures", [("3", "4", "5", "6"), ("8",)])
-def test_a_command_of_the_table_makes_the_pictures_of_the_paper(
-    figures: tuple[str, ...], tmp_path: Path
+@pytest.mark.parametrize(
+    ("figure_of_command", "figures"), [("5", ["3", "4", "5", "6"]), ("8", ["8"])], ids=["5", "8"]
+)
+def test_the_command_for_a_figure_of_the_paper_makes_all_pictures_that_come_from_the_same_trials(
+    figure_of_command: str, figures: list[str], tmp_path: Path
 ) -> None:
-    """One command makes all figures that come from the same trials: that for figure 5 also 3, 4 and 6."""
-    rows = paper_figures()
-    command = rows["5" if "5" in figures else "8"].command
+    """The page has the names of the pictures; the command for figure 5 also makes 3, 4 and 6."""
+    rows = rows_by_figure_of_the_paper()
 
-    run(*shlex.split(command), *SHORT, cwd=tmp_path, **ENVIRONMENT)
+    run(*shlex.split(rows[figure_of_command].command), *SHORT, cwd=tmp_path, **ENVIRONMENT)
 
-    pictures = set[str]().union(*(rows[figure].pictures for figure in figures))
-    assert pictures <= set(names_in(tmp_path / "reproduction/figures"))
+    made_pictures = set(names_in(tmp_path / "reproduction/figures"))
+    for figure in figures:
+        assert rows[figure].pictures <= made_pictures
 
 
 @pytest.mark.slow
-def test_the_quick_study_prints_what_the_page_shows(tmp_path: Path) -> None:
+def test_the_quick_study_prints_what_the_page_about_the_paper_s_figures_shows(tmp_path: Path) -> None:
     """The command is a block of its own on the page, and its output the block below it."""
     page = REPRODUCE.read_text("utf-8")
     command_and_output = re.search(r"^```sh\n(.*)\n```\n\n```text\n([^`]*)^```$", page, re.MULTILINE)
@@ -164,16 +179,20 @@ def test_the_quick_study_prints_what_the_page_shows(tmp_path: Path) -> None:
 
     printed = run(*shlex.split(command), cwd=tmp_path, **ENVIRONMENT)
 
-    assert_shown(printed, shown)
+    assert Output(shown, printed).is_as_shown
 
 
 @pytest.mark.slow
-def test_the_robust_filter_is_drawn_into_figure_5(tmp_path: Path) -> None:
+def test_the_command_with_the_robust_filter_prints_what_the_page_shows_and_draws_the_filter(
+    tmp_path: Path,
+) -> None:
+    """The page shows the beginning of the output, and the command that repeats the study at its end."""
     [command] = [line for line in commands(REPRODUCE) if "--filter robust" in line]
 
     printed = run(*shlex.split(command), *SHORT, cwd=tmp_path, **ENVIRONMENT)
 
     shown = block_with(REPRODUCE, "--filter robust", "text").removesuffix("\n...\n")
-    assert_shown(printed, f"{shown} {' '.join(SHORT)}\n")
+    shown_with_short_options = f"{shown} {' '.join(SHORT)}\n"
+    assert Output(shown_with_short_options, printed).is_as_shown
     pictures = {"topologies_asdf-minus.png", "dynamic_scatter_robust.png"}
     assert pictures <= set(names_in(tmp_path / "mine/figures"))

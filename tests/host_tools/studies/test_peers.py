@@ -11,7 +11,6 @@ import pytest
 from scipy.stats import truncnorm  # type: ignore[import-untyped]
 
 import mcp_asdf_tools as m
-from host_tools.studies.conftest import all_experiments
 from mcp_asdf import Config, Filter, Status
 from mcp_asdf.fixed_point import ALPHA_MAX
 from mcp_asdf.native import NativeRobot
@@ -20,7 +19,7 @@ from mcp_asdf.robot import B_HAT_MARGIN, Observation
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.trials import run_trials
 from mcp_asdf_tools.robots.firmwares import RobotMaker
-from mcp_asdf_tools.studies import ageing, peers, robust_filter
+from mcp_asdf_tools.studies import peers
 from mcp_asdf_tools.studies.ageing_sensors import DRIFT_RATE
 from mcp_asdf_tools.studies.study_program import FLAWS
 
@@ -120,19 +119,6 @@ def test_a_robot_that_knows_the_accuracy_of_its_sensor_at_one_moment_only_has_a_
 def test_a_robot_that_knows_the_mean_accuracy_of_what_it_counted_has_a_small_error(memory: int) -> None:
     """The sensor ages; at so many observations as its memory has the robot halves its counts."""
     assert ageing_error_of(peers.KnownMeanAccuracyRobot, memory) < 0.03
-
-
-def test_experiments_with_filters_of_others_have_columns_that_are_named_after_these() -> None:
-    experiments = all_experiments(robust_filter.peer_rows(), ageing.peer_rows())
-    columns = {peers.column_label(each) for each in experiments if each.firmware != "native"}
-
-    assert columns == {
-        "no filter with memory",
-        "ASDF- with memory",
-        "BayesCPF",
-        "knows b now",
-        "knows its mean",
-    }
 
 
 # --- Memory ----------------------------------------------------------------------------------------------

@@ -5,67 +5,8 @@ from __future__ import annotations
 import pytest
 
 from host_tools.experiments.drawn_figures import legend_of, titles_of
-from host_tools.studies.conftest import all_experiments, short_trials, trials_with, values_of
-from mcp_asdf_tools.experiments.experiment import Experiment
+from host_tools.studies.conftest import short_trials, trials_with
 from mcp_asdf_tools.studies import peers, related_work
-
-
-def columns_of(experiments: list[Experiment]) -> list[str]:
-    return [peers.column_label(experiment) for experiment in experiments]
-
-
-def test_each_rule_that_trims_and_two_filters_run_in_swarms_with_five_liars_and_no_flawed_robots() -> None:
-    """W-MSR and the trimmed mean leave out extreme estimates, so they need no filter."""
-    experiments = related_work.resilience_rows()["fully connected, 5 liars, underconfident"]
-
-    assert columns_of(experiments) == ["no filter", "robust", "W-MSR", "trimmed mean"]
-    assert values_of(experiments, "robots") == {20}
-    assert values_of(experiments, "flawed") == {0}
-    for experiment in experiments:
-        assert peers.firmware_name(experiment).endswith("five_liars")
-
-
-def test_each_rule_that_trims_and_three_filters_run_in_swarms_with_six_flawed_robots() -> None:
-    experiments = related_work.resilience_rows()["moving, 6 flawed, overconfident"]
-
-    assert columns_of(experiments) == ["no filter", "ASDF-", "robust", "W-MSR", "trimmed mean"]
-    assert values_of(experiments, "flawed") == {6}
-
-
-@pytest.mark.parametrize(
-    ("row", "topology", "density"),
-    [
-        ("fully connected, 5 liars, overconfident", "fully-connected", 1.0),
-        ("moving, dense, 5 liars, overconfident", "dynamic", 12.0),
-        ("moving, 5 liars, overconfident", "dynamic", 1.0),
-    ],
-)
-def test_a_row_with_liars_has_the_topology_and_density_of_its_label(
-    row: str, topology: str, density: float
-) -> None:
-    experiments = related_work.resilience_rows()[row]
-
-    assert values_of(experiments, "topology") == {topology}
-    assert values_of(experiments, "density") == {density}
-
-
-@pytest.mark.parametrize(
-    ("row", "columns"),
-    [
-        ("moving, 6 flawed, underconfident", ["no filter", "ASDF-", "robust", "DMMD"]),
-        ("moving, 5 liars, underconfident", ["no filter", "robust", "DMMD"]),
-    ],
-)
-def test_a_vote_on_the_prevailing_colour_runs_in_the_same_swarms_as_filters(
-    row: str, columns: list[str]
-) -> None:
-    """DMMD is such a vote."""
-    assert columns_of(related_work.colour_rows()[row]) == columns
-
-
-def test_more_than_half_of_the_floor_is_black_in_all_swarms_that_name_the_prevailing_colour() -> None:
-    for experiment in all_experiments(related_work.colour_rows()):
-        assert experiment.fill_ratio > 0.5
 
 
 def test_the_early_error_is_the_mean_distance_from_f_in_the_first_quarter_without_step_0() -> None:

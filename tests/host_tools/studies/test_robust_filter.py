@@ -11,62 +11,13 @@ import pytest
 from matplotlib.figure import Figure
 
 import mcp_asdf_tools as m
-from host_tools.studies.conftest import page_path, parse_table, trials_with, values_of
+from host_tools.studies.conftest import page_path, parse_table, trials_with
 from mcp_asdf_tools.experiments.results import Trials
 from mcp_asdf_tools.experiments.trials import run_trials
 from mcp_asdf_tools.studies import peers, robust_filter, study_program
 from mcp_asdf_tools.studies.study_program import BOTH_FLAWS, FLAWS
 
 # --- Experiments -----------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("row", "robots", "flawed"),
-    [("moving, 10 % flawed", 20, 2), ("fully connected, 30 % flawed", 10, 3), ("moving, 0 % flawed", 20, 0)],
-)
-def test_the_grid_has_swarms_of_the_papers_sizes(row: str, robots: int, flawed: int) -> None:
-    """The grid is the table of the paper's swarms; its rows say how many percent of the robots are flawed."""
-    experiments = robust_filter.grid_rows()[row]
-
-    assert values_of(experiments, "robots") == {robots}
-    assert values_of(experiments, "flawed") == {flawed}
-
-
-def test_the_grid_has_eight_kinds_of_flawed_swarms_with_each_of_four_filters() -> None:
-    """Two shares of black floor, two accuracies of the sensors, and two that flawed robots assume instead."""
-    experiments = robust_filter.grid_rows()["moving, 30 % flawed"]
-
-    assert values_of(experiments, "fill_ratio") == {0.55, 0.95}
-    assert values_of(experiments, "true_accuracy") == {0.55, 0.95}
-    assert values_of(experiments, "flawed_accuracy") == {0.55, 0.75, 0.95}
-    assert len(set(experiments)) == 2 * 2 * 2 * 4
-
-
-@pytest.mark.parametrize(
-    ("row", "parameter", "value"),
-    [
-        ("moving", "latency", 1),
-        ("moving, latency 0", "latency", 0),
-        ("moving, density 0.25", "density", 0.25),
-        ("moving, b -0.1 on white", "white_offset", -0.1),
-        ("moving slowly", "speed", 0.007),
-        ("moving slowly, 0 % flawed", "flawed", 0),
-        ("static ring", "topology", "graph"),
-        ("moving, sensors age alike", "drift_rate", -1e-5),
-        ("moving, 3 robots", "robots", 3),
-        ("moving, 5 robots", "robots", 5),
-        ("moving, 10 robots", "robots", 10),
-        ("moving, 127 robots", "robots", 127),
-        ("fully connected, 3 robots", "robots", 3),
-        ("fully connected, 5 robots", "robots", 5),
-        ("fully connected, 127 robots", "robots", 127),
-    ],
-)
-def test_a_row_of_other_swarms_than_the_papers_has_what_its_label_says(
-    row: str, parameter: str, value: float
-) -> None:
-    experiments = robust_filter.beyond_rows()[row]
-    assert values_of(experiments, parameter) == {value}
 
 
 @pytest.mark.parametrize("row", ["static ring", "static grid"])
@@ -105,43 +56,6 @@ def test_the_six_flawed_robots_do_not_all_stand_side_by_side_on_a_circle() -> No
     ]
 
     assert len(edges_among_flawed_robots) < 5
-
-
-@pytest.mark.parametrize(
-    ("row", "steps", "flawed"),
-    [
-        ("moving, 0 % flawed", 20_000, 0),
-        ("moving, 30 % flawed", 20_000, 6),
-        ("fully connected, 30 % flawed, 10,000 steps", 10_000, 3),
-    ],
-)
-def test_filters_of_others_run_in_three_worlds_beside_the_usual_ones(
-    row: str, steps: int, flawed: int
-) -> None:
-    """Three of others, and four usual ones, each with underconfident and with overconfident robots."""
-    experiments = robust_filter.peer_rows()[row]
-
-    assert values_of(experiments, "steps") == {steps}
-    assert values_of(experiments, "flawed") == {flawed}
-    assert len(experiments) == (3 + 4) * 2
-
-
-@pytest.mark.parametrize(
-    ("row", "parameter", "value"),
-    [
-        ("fully connected, 1 liar", "trials", 12),
-        ("fully connected, 1 liar", "latency", 0),
-        ("fully connected, 1 liar", "robots", 20),
-        ("moving, 1 liar", "latency", 1),
-        ("moving, 1 liar", "flawed", 6),
-        ("moving, 5 liars, 0 % flawed", "flawed", 0),
-        ("moving, the floor changes, 5 liars", "memory", 4096),
-        ("moving, the floor changes, 5 liars", "steps", 40_000),
-    ],
-)
-def test_a_row_of_hard_worlds_has_the_parameters_of_its_world(row: str, parameter: str, value: float) -> None:
-    experiments = robust_filter.world_rows()[row]
-    assert values_of(experiments, parameter) == {value}
 
 
 # --- Cells -----------------------------------------------------------------------------------------------

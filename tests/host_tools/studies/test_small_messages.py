@@ -133,7 +133,7 @@ def folder_of_short_study(tmp_path_factory: pytest.TempPathFactory) -> Path:
         patch.setattr(small_messages, "ALPHA_BITS", {"asdf-minus": (4, 9), "robust": (1,)})
         patch.setattr(small_messages, "FILL_RATIOS", [0.55])
         patch.setattr(small_messages, "CLOSE_CODES", (MessageCode(7, 4),))
-        patch.setattr(study_program, "QUICK_STEPS", 1000)
+        patch.setattr(study_program, "QUICK_STEPS", 500)
         patch.setattr("sys.argv", ["study", str(folder), "--quick"])
         small_messages.main()
     return folder

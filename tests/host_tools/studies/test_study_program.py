@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,13 +12,12 @@ import pytest
 from matplotlib.figure import Figure
 
 import mcp_asdf_tools as m
+from golden import assert_equals_golden_file
 from host_tools.studies.conftest import (
-    all_experiments,
     page_path,
     rare_resampling,
     tables_in,
     trials_with,
-    values_of,
 )
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.studies import (
@@ -357,47 +356,6 @@ def test_the_page_about_ageing_has_a_number_for_each_robot_that_knows_how_sensor
         assert len(numbers) == len(experiments_by_row[label])
 
 
-@pytest.mark.parametrize(
-    ("rows_of_study", "trials", "steps"),
-    [
-        (ageing.ageing_rows, 30, 40_000),
-        (ageing.peer_rows, 4, 40_000),
-        (robust_filter.grid_rows, 30, 40_000),
-        (related_work.resilience_rows, 6, 4000),
-        (related_work.colour_rows, 6, 10_000),
-        (two_readings.two_readings_rows, 6, 20_000),
-    ],
-)
-def test_the_experiments_of_a_study_have_as_many_trials_and_steps_as_its_page_says(
-    rows_of_study: Callable[[], dict[str, Any]], trials: int, steps: int
-) -> None:
-    experiments = all_experiments(rows_of_study())
-
-    assert values_of(experiments, "trials") == {trials}
-    assert values_of(experiments, "steps") == {steps}
-
-
-@pytest.mark.parametrize(
-    ("rows_of_study", "seed"),
-    [
-        (ageing.ageing_rows, 90125),
-        (ageing.peer_rows, 90126),
-        (robust_filter.grid_rows, 4711),
-        (robust_filter.beyond_rows, 4712),
-        (robust_filter.peer_rows, 4713),
-        (robust_filter.world_rows, 4713),
-        (related_work.resilience_rows, 4714),
-        (related_work.colour_rows, 4714),
-        (two_readings.two_readings_rows, 4715),
-        (swarm_sizes.size_rows, 65536),
-    ],
-)
-def test_the_experiments_of_a_study_have_a_seed_by_which_no_filter_was_tuned(
-    rows_of_study: Callable[[], dict[str, Any]], seed: int
-) -> None:
-    assert values_of(all_experiments(rows_of_study()), "seed") == {seed}
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("name", STUDIES)
 def test_the_quick_form_of_a_program_measures_something_in_all_its_experiments(
@@ -414,7 +372,38 @@ def test_the_quick_form_of_a_program_measures_something_in_all_its_experiments(
     assert (tmp_path / f"{name}.png").read_bytes().startswith(b"\x89PNG")
 
 
-@pytest.mark.parametrize(("flaw", "difference"), [("underconfident", -0.4), ("overconfident", 0.4)])
-def test_flawed_robots_assume_an_accuracy_that_is_wrong_by_0_4(flaw: str, difference: float) -> None:
-    sensors = FLAWS[flaw]
-    assert sensors["flawed_accuracy"] - sensors["true_accuracy"] == pytest.approx(difference)
+# --- Experiments -----------------------------------------------------------------------------------------
+
+TABLES_OF_STUDIES = (
+    ageing.ageing_rows,
+    ageing.peer_rows,
+    related_work.resilience_rows,
+    related_work.colour_rows,
+    robust_filter.grid_rows,
+    robust_filter.beyond_rows,
+    robust_filter.peer_rows,
+    robust_filter.world_rows,
+    swarm_sizes.size_rows,
+    two_readings.two_readings_rows,
+)
+
+
+def line_about(label: str, experiments: Sequence[Experiment]) -> str:
+    """Describe a row of a study's table: its columns, and the parameters that do not have their defaults."""
+    columns = dict.fromkeys(peers.column_label(experiment) for experiment in experiments)
+    descriptions = [f"{label}: {len(experiments)} experiments", "/".join(columns)]
+    for name in Experiment().parameters():
+        values = dict.fromkeys(str(getattr(experiment, name)) for experiment in experiments)
+        if list(values) != [str(getattr(Experiment(), name))]:
+            descriptions.append(f"{name} {'/'.join(values)}")
+    return ", ".join(descriptions)
+
+
+def test_the_experiments_of_each_study_are_those_by_which_its_page_was_made() -> None:
+    """The file has the columns and the parameters of each row: robots, trials, seed and so on."""
+    lines = [
+        line_about(label, experiments)
+        for rows_of_table in TABLES_OF_STUDIES
+        for label, experiments in rows_of_table().items()
+    ]
+    assert_equals_golden_file("experiments_of_studies.txt", lines)

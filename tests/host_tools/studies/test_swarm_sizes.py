@@ -8,39 +8,13 @@ import numpy as np
 import pytest
 from matplotlib.axes import Axes
 
-from host_tools.studies.conftest import all_experiments, trials_with, values_of
+from host_tools.studies.conftest import trials_with
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.results import Trials
 from mcp_asdf_tools.studies import swarm_sizes
 from mcp_asdf_tools.studies.study_program import FLAWS
 
 # --- Experiments -----------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("row", "robots", "flawed", "trials"),
-    [
-        ("20 robots, underconfident", 20, 6, 12),
-        ("1,000 robots, overconfident", 1000, 300, 12),
-        ("10,000 robots, overconfident", 10_000, 3000, 3),
-    ],
-)
-def test_swarms_of_all_sizes_have_30_percent_flawed_robots_and_the_largest_fewer_trials(
-    row: str, robots: int, flawed: int, trials: int
-) -> None:
-    experiments = swarm_sizes.size_rows()[row]
-
-    assert values_of(experiments, "robots") == {robots}
-    assert values_of(experiments, "flawed") == {flawed}
-    assert values_of(experiments, "trials") == {trials}
-
-
-def test_swarms_of_all_sizes_have_the_same_density_latency_and_filters() -> None:
-    experiments = all_experiments(swarm_sizes.size_rows())
-
-    assert values_of(experiments, "density") == {1}
-    assert values_of(experiments, "latency") == {1}
-    assert values_of(experiments, "filter") == {"none", "robust"}
 
 
 # --- Costs -----------------------------------------------------------------------------------------------

@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import pytest
 
-from host_tools.experiments.drawn_figures import titles_of
-from host_tools.studies.conftest import all_experiments, short_trials, trials_with, values_of
-from mcp_asdf_tools.common.extensions import name_object
+from host_tools.studies.conftest import trials_with
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.results import Trials
 from mcp_asdf_tools.experiments.trials import run_trials
 from mcp_asdf_tools.studies import study_program, two_readings
 from mcp_asdf_tools.studies.peers import column_label
-from mcp_asdf_tools.studies.reading_pairs import HalfRepeated, IndependentReadings, TenthRepeated
 
 
 def experiment_of(row: str, column: str) -> Experiment:
@@ -23,47 +20,6 @@ def experiment_of(row: str, column: str) -> Experiment:
         if column_label(experiment) == column
     ]
     return experiment
-
-
-def test_each_row_has_three_filters_with_one_reading_of_a_tile_and_robots_with_two_readings() -> None:
-    for experiments in two_readings.two_readings_rows().values():
-        columns = [column_label(experiment) for experiment in experiments]
-        assert columns == ["no filter", "ASDF-", "robust", "two readings"]
-
-
-@pytest.mark.parametrize(
-    ("row", "flawed", "sensor"),
-    [
-        ("none flawed, underconfident", 0, IndependentReadings),
-        ("half flawed, underconfident", 10, IndependentReadings),
-        ("all flawed, underconfident", 20, IndependentReadings),
-        ("none flawed, tenth repeated, underconfident", 0, TenthRepeated),
-        ("none flawed, half repeated, underconfident", 0, HalfRepeated),
-    ],
-)
-def test_a_row_has_the_flawed_robots_and_the_share_of_repeated_readings_of_its_label(
-    row: str, flawed: int, sensor: type[IndependentReadings]
-) -> None:
-    experiments = two_readings.two_readings_rows()[row]
-
-    assert values_of(experiments, "flawed") == {flawed}
-    assert values_of(experiments, "sensor") == {name_object(sensor)}
-
-
-@pytest.mark.parametrize(("column", "observation_period"), [("two readings", 1), ("robust", 2)])
-def test_a_robot_reads_each_tile_in_both_of_its_two_steps_or_in_every_second_one(
-    column: str, observation_period: int
-) -> None:
-    experiment = experiment_of("none flawed, overconfident", column)
-    assert experiment.observation_period == observation_period
-
-
-def test_all_robots_get_10_000_tiles_of_two_steps_and_broadcast_once_for_each() -> None:
-    experiments = all_experiments(two_readings.two_readings_rows())
-
-    assert values_of(experiments, "steps") == {2 * 10_000}
-    assert values_of(experiments, "comms_period") == {2}
-    assert values_of(experiments, "filter_period") == {2 * 1000}
 
 
 def test_the_table_of_harm_has_the_percentage_of_healthy_robots_that_were_harmed(few_resamples: None) -> None:
@@ -105,17 +61,3 @@ def test_two_readings_harm_healthy_robots_only_if_sensors_repeat_their_readings(
     """A sensor that repeats half of its readings disagrees less often with itself, and seems better."""
     trials = trial_with_two_readings(row)
     assert study_program.harmed_percents(trials).tolist() == [percent_harmed]
-
-
-def test_the_picture_of_two_readings_has_three_swarms_of_both_kinds_of_flaws() -> None:
-    any_trials = short_trials()
-    figure = two_readings.draw_errors(dict.fromkeys(two_readings.two_readings_rows(), any_trials))
-
-    assert titles_of(figure) == [
-        "half flawed, underconfident",
-        "all flawed, underconfident",
-        "none flawed, half repeated, underconfident",
-        "half flawed, overconfident",
-        "all flawed, overconfident",
-        "none flawed, half repeated, overconfident",
-    ]
