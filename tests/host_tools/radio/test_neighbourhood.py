@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import shlex
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import cycle
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,14 @@ import can
 import pytest
 
 from mcp_asdf.robot import FixedPointRobot
-from mcp_asdf_tools.bus.frames import Estimate, FrameFormat, Heartbeat, decode_heartbeat, encode_estimate
+from mcp_asdf_tools.bus.frames import (
+    Estimate,
+    FrameFormat,
+    Heartbeat,
+    decode_heartbeat,
+    encode_estimate,
+    sender_of,
+)
 from mcp_asdf_tools.cli.main import main
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.radio.bench import Bench
@@ -256,26 +263,47 @@ def receive_waiting_frames(bus: can.BusABC) -> list[can.Message]:
     return list(iter(lambda: bus.recv(0), None))
 
 
-def test_neighbours_in_real_time_send_the_frames_that_a_fault_spares_and_leave_a_report(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
-    """The report is printed as JSON, and is beside the log, too."""
-    log_path, options = (
-        tmp_path / "run.log",
-        "--steps 20 --steps-per-second 1000 --fault loss=0.5,receivers=3",
-    )
-    with join() as bus:
-        assert radio(f"--id 3 --robots 5 {options} --json --log '{log_path}'") == 0
-        frames = receive_waiting_frames(bus)
-    report = json.loads(capsys.readouterr().out)
+@dataclass(frozen=True)
+class RealTimeRun:
+    """A run of 20 ticks of four neighbours of robot 3, which loses half of the frames to the controller.
 
-    assert json.loads(Path(f"{log_path}.json").read_text()) == report
-    assert report["results"]["steps"] == 20
-    assert report["results"]["frames_sent"] == len(frames)
-    (loss,) = report["results"]["faults"]
-    # Each of 4 robots sends an estimate in each of 20 ticks, and one heartbeat.
-    assert len(frames) + loss["injected"] == 4 * (20 + 1)
-    assert {frame.arbitration_id & 0x7F for frame in frames} == {0, 1, 2, 4}, "senders"
+    Attributes:
+        frames: The frames that the neighbours have sent.
+        report: The report in JSON that the command has printed.
+        report_in_file: The report beside the log.
+    """
+
+    frames: list[can.Message]
+    report: dict[str, Any]
+    report_in_file: dict[str, Any]
+
+
+@pytest.fixture
+def real_time_run(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> RealTimeRun:
+    options = "--id 3 --robots 5 --steps 20 --steps-per-second 1000 --fault loss=0.5,receivers=3 --json"
+    with join() as bus:
+        assert radio(f"{options} --log '{tmp_path}/run.log'") == 0
+        frames = receive_waiting_frames(bus)
+    report_in_file = (tmp_path / "run.log.json").read_text()
+    return RealTimeRun(frames, json.loads(capsys.readouterr().out), json.loads(report_in_file))
+
+
+def test_neighbours_in_real_time_send_the_frames_that_a_fault_spares(real_time_run: RealTimeRun) -> None:
+    """Each of 4 robots makes an estimate in each of 20 ticks, and one heartbeat; half of them are lost."""
+    results = real_time_run.report["results"]
+    (loss,) = results["faults"]
+
+    assert results["frames_sent"] == len(real_time_run.frames)
+    assert len(real_time_run.frames) + loss["injected"] == 4 * (20 + 1)
+    senders = {sender_of(frame) for frame in real_time_run.frames}
+    assert senders == {0, 1, 2, 4}
+
+
+def test_the_report_of_neighbours_in_real_time_is_printed_and_is_beside_the_log(
+    real_time_run: RealTimeRun,
+) -> None:
+    assert real_time_run.report["results"]["steps"] == 20
+    assert real_time_run.report_in_file == real_time_run.report
 
 
 COMPLAINTS = {

@@ -77,15 +77,19 @@ def test_counts_in_reports_go_on_where_the_firmware_s_16_bits_end() -> None:
 
 
 def test_each_count_in_reports_goes_on_where_the_firmware_s_16_bits_end() -> None:
-    """Of robots 6 and 7 come two estimates each, of which the firmware takes the first in a round."""
-    counters = Counters(accepted=65_535, repeated=65_534, rejected=65_535, tests=65_534, updates=65_535)
-    robot = robot_with_counters(comms_period=10**6, **vars(counters))
+    """The firmware takes the first estimate of a robot in a round, and refuses those of its own id, 5."""
+    largest = 2**16 - 1
+    counters = Counters(accepted=largest, repeated=largest, rejected=largest, tests=largest, updates=largest)
+    robot = robot_with_counters(comms_period=10, **vars(counters))
     robot.observe(None)
     robot.receive_all(estimates_of(6, 7, 6, 7, 5))
 
-    assert robot.counters == Counters(
-        accepted=65_535 + 2, repeated=65_534 + 2, rejected=65_535 + 1, tests=65_534, updates=65_535
-    )
+    accepted, repeated, refused = 2, 2, 1
+    assert robot.counters.accepted == largest + accepted
+    assert robot.counters.repeated == largest + repeated
+    assert robot.counters.rejected == largest + refused
+    assert robot.counters.tests == largest
+    assert robot.counters.updates == largest
 
 
 def test_estimates_under_the_robot_s_own_id_are_refused_and_counted_as_conflicts() -> None:

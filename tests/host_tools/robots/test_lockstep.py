@@ -8,7 +8,8 @@ from __future__ import annotations
 import argparse
 import os
 import random
-from collections import Counter, deque
+import subprocess
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -125,6 +126,11 @@ class DrivenTick:
     estimates: dict[int, Estimate]
     telemetry: dict[int, Telemetry]
 
+    def numbers_answered_by(self, robot: int) -> tuple[int, ...]:
+        """Return the numbers in the frames of a robot, as ``numbers_in_frames_of`` does."""
+        estimate, telemetry = self.estimates[robot], self.telemetry[robot]
+        return estimate.x_hat, estimate.alpha, telemetry.x, telemetry.b_hat, telemetry.updates
+
 
 def drive_four_robots(lockstep: Lockstep, ticks: int) -> Iterator[DrivenTick]:
     """Drive four robots, which observe colours that are drawn with a fixed seed, and yield each tick."""
@@ -134,6 +140,12 @@ def drive_four_robots(lockstep: Lockstep, ticks: int) -> Iterator[DrivenTick]:
         lockstep.observe(observations)
         estimates = lockstep.estimates((0, 1)) | lockstep.estimates((2, 3))
         yield DrivenTick(observations, estimates, lockstep.settle(FOUR_ROBOTS))
+
+
+def run_four_robots(lockstep: Lockstep, ticks: int) -> None:
+    """Drive four robots as ``drive_four_robots`` does."""
+    for _ in drive_four_robots(lockstep, ticks):
+        pass
 
 
 def step_by_calls(robots: Sequence[Robot], tick: DrivenTick) -> None:
@@ -149,39 +161,40 @@ def step_by_calls(robots: Sequence[Robot], tick: DrivenTick) -> None:
         receiver.settle()
 
 
+def numbers_in_frames_of(robot: Robot) -> tuple[int, ...]:
+    """Return x_hat and alpha of an estimate, and x, b_hat and the count of updates of telemetry of a robot.
+
+    Frames have x_hat and x in units of 2**-23, b_hat in units of 2**-24, and the count modulo 256.
+    """
+    telemetry = (int(robot.x * 2**23), int(robot.b_hat * 2**24), robot.counters.updates % 256)
+    return round(robot.x_hat * 2**23), alpha_word_from_float(robot.alpha), *telemetry
+
+
 @pytest.mark.parametrize("firmware", ["native", "reference"])
 @still()
 def test_robots_commanded_over_a_bus_compute_what_the_same_robots_do_when_called(firmware: str) -> None:
-    """Also when commands are lost: robots that have not answered get them again.
-
-    Frames have x_hat and x in units of 2**-23, b_hat in units of 2**-24, and the counter modulo 256.
-    """
+    """Also when commands are lost: robots that have not answered get them again."""
     lockstep = Lockstep(LossyWire(*make_four_nodes(firmware), is_lost=is_lost_once), timeout=0.02)
     called_robots = [called_node.robot for called_node in make_four_nodes(firmware)]
 
     for tick in drive_four_robots(lockstep, ticks=60):
         step_by_calls(called_robots, tick)
         for robot in called_robots:
-            estimate, telemetry = tick.estimates[robot.id], tick.telemetry[robot.id]
-            assert estimate.x_hat == round(robot.x_hat * 2**23)
-            assert estimate.alpha == alpha_word_from_float(robot.alpha)
-            assert telemetry.x == int(robot.x * 2**23)
-            assert telemetry.b_hat == int(robot.b_hat * 2**24)
-            assert telemetry.updates == robot.counters.updates % 256
+            assert tick.numbers_answered_by(robot.id) == numbers_in_frames_of(robot)
 
-    assert sum(robot.counters.updates for robot in called_robots) > 0
+    assert any(robot.counters.updates > 0 for robot in called_robots)
 
 
 @still()
 def test_a_lost_command_is_sent_once_more_to_the_robots_that_have_not_answered() -> None:
-    """Each of 4 robots gets two commands in each of 25 ticks: to observe, and to settle."""
+    """Each of 4 robots gets two commands in each of 25 ticks, and eight of them are lost at first."""
     wire = LossyWire(*make_four_nodes("native"), is_lost=is_lost_once)
     lockstep = Lockstep(wire, timeout=0.02)
 
-    deque(drive_four_robots(lockstep, ticks=25))
+    run_four_robots(lockstep, ticks=25)
 
-    assert lockstep.repeated == len(LOST_COMMANDS)
-    assert len(wire.sent) == 25 * 4 * 2 + len(LOST_COMMANDS)
+    assert lockstep.repeated == 8
+    assert len(wire.sent) == 25 * 4 * 2 + 8
     for robot in wire.nodes:
         assert robot.unsettled == 0, "ticks without a command to settle"
         assert robot.disobeyed == 0, "commands that came in vain"
@@ -191,7 +204,7 @@ def test_a_lost_command_is_sent_once_more_to_the_robots_that_have_not_answered()
 def test_the_transfer_ids_of_commands_count_modulo_32() -> None:
     """Each of 4 robots gets two commands in each of 20 ticks."""
     wire = Wire(*make_four_nodes("native"))
-    deque(drive_four_robots(Lockstep(wire), ticks=20))
+    run_four_robots(Lockstep(wire), ticks=20)
 
     transfer_ids = [decode(frame).transfer_id for frame in wire.sent]
     assert transfer_ids == [number % 32 for number in range(4 * 2 * 20)]
@@ -200,8 +213,9 @@ def test_the_transfer_ids_of_commands_count_modulo_32() -> None:
 @still()
 def test_the_driver_reports_all_frames_that_it_sends_and_receives() -> None:
     """A frame that was received is marked so (``is_rx``)."""
-    wire, reported_frames = Wire(*make_four_nodes("native")), list[can.Message]()
-    deque(drive_four_robots(Lockstep(wire, on_frame=reported_frames.append), ticks=10))
+    wire = Wire(*make_four_nodes("native"))
+    reported_frames: list[can.Message] = []
+    run_four_robots(Lockstep(wire, on_frame=reported_frames.append), ticks=10)
 
     assert [frame for frame in reported_frames if frame.is_rx] == wire.told
     assert [frame for frame in reported_frames if not frame.is_rx] == wire.sent
@@ -216,6 +230,7 @@ def drive_robot_1(lockstep: Lockstep, ticks: int) -> None:
 
 @still()
 def test_robots_that_send_no_heartbeat_are_named_in_the_error() -> None:
+    """Robots 0 and 2 are on the bus; "wire" is its name."""
     lockstep = Lockstep(Wire(node(0), node(2)))
     with pytest.raises(LockstepError, match=r"robot 4, 5 did not send a heartbeat within 0.01 s on wire"):
         lockstep.wait_until_up({0, 2, 4, 5}, timeout=0.01)
@@ -236,19 +251,21 @@ def lockstep_without_robot_1() -> Lockstep:
 
 @still()
 def test_a_robot_that_does_not_broadcast_is_named_in_the_error() -> None:
+    """Robots 0 and 2 have broadcast their estimates."""
     with pytest.raises(LockstepError, match=r"robot 1 did not broadcast its estimate within 0.02 s"):
         lockstep_without_robot_1().estimates(range(3))
 
 
 @still()
 def test_a_robot_that_does_not_end_its_tick_is_named_in_the_error() -> None:
+    """Robots 0 and 2 have settled: they have ended their tick, and answered with telemetry."""
     with pytest.raises(LockstepError, match=r"robot 1 did not settle within 0.02 s"):
         lockstep_without_robot_1().settle(range(3))
 
 
 @still()
 def test_an_estimate_that_has_come_while_another_robot_was_waited_for_is_not_lost() -> None:
-    """Robot 0 has answered before robot 2, for which the driver waits first."""
+    """Robot 0 has sent its estimate before robot 2, for which the driver waits first."""
     lockstep = lockstep_without_robot_1()
     assert lockstep.estimates({2}).keys() == {2}
     assert lockstep.estimates({0}).keys() == {0}
@@ -324,18 +341,17 @@ def test_a_wait_ends_after_twice_the_time_on_a_bus_that_is_never_quiet() -> None
 THREE_ROBOTS = (1, 2, 3)
 
 
-def is_command(command: Command, action: str, tick: int, robot: int) -> bool:
-    """Return whether a command is for a robot and a tick, and its action has a name that begins so."""
-    return command.tick == tick and command.target == robot and command.action.name.startswith(action)
+def is_for_robot_2_in_tick_7(command: Command, action: str) -> bool:
+    """Return whether a command is for robot 2 and tick 7, and its action has a name that begins so."""
+    return command.tick == 7 and command.target == 2 and command.action.name.startswith(action)
 
 
-def wire_that_loses_commands(action: str, tick: int, robot: int) -> LossyWire:
-    """Return a wire to three robots that loses such a command each time it is sent."""
-
-    def is_lost(command: Command, times_sent: int) -> bool:
-        return is_command(command, action, tick, robot)
-
-    return LossyWire(*map(node, THREE_ROBOTS), is_lost=is_lost)
+def wire_that_loses_commands_to_robot_2_in_tick_7(action: str) -> LossyWire:
+    """Return a wire to three robots that loses commands with this action each time they are sent."""
+    return LossyWire(
+        *map(node, THREE_ROBOTS),
+        is_lost=lambda command, times_sent: is_for_robot_2_in_tick_7(command, action),
+    )
 
 
 def wire_that_loses_eighth_answers() -> LossyWire:
@@ -363,20 +379,19 @@ def drive_three_robots(wire: Wire) -> None:
 def test_a_command_that_is_lost_is_sent_twice_before_the_robot_is_named_in_the_error(
     action: str, message: str
 ) -> None:
-    """The commands to robot 2 in tick 7 are lost each time."""
-    wire = wire_that_loses_commands(action, tick=7, robot=2)
+    wire = wire_that_loses_commands_to_robot_2_in_tick_7(action)
 
     with pytest.raises(LockstepError, match=message):
         drive_three_robots(wire)
 
-    sent_commands = [decode(frame) for frame in wire.sent]
-    assert [is_command(command, action, tick=7, robot=2) for command in sent_commands].count(True) == 2
+    lost_frames = [frame for frame in wire.sent if is_for_robot_2_in_tick_7(decode(frame), action)]
+    assert len(lost_frames) == 2
 
 
 @still()
 def test_the_driver_waits_for_an_answer_instead_of_reading_again_and_again() -> None:
     """The clock stands still but for waits, and the driver waits 0.02 s for an answer."""
-    wire, start = wire_that_loses_commands("SETTLE", tick=7, robot=2), CLOCK.now
+    wire, start = wire_that_loses_commands_to_robot_2_in_tick_7("SETTLE"), CLOCK.now
 
     with pytest.raises(LockstepError, match="robot 2 did not settle"):
         drive_three_robots(wire)
@@ -428,6 +443,7 @@ def test_a_robot_with_the_id_of_the_driver_is_refused() -> None:
 
 
 def test_two_kinds_of_messages_with_the_same_subject_number_are_refused() -> None:
+    """Telemetry has the subject 3001, so estimates cannot have it, too."""
     with pytest.raises(UsageError, match=r"subjects \[3001, 3001, 3002\]; choose three different"):
         Subjects(estimates=FrameFormat(3001))
 
@@ -473,14 +489,18 @@ def processes_that_run(command: list[str]) -> NodeProcesses:
     return nodes
 
 
+def process_of_robot_3(nodes: NodeProcesses) -> subprocess.Popen[str]:
+    return nodes._processes[3]
+
+
 def test_a_robot_s_process_that_ends_is_named_with_its_exit_code_and_what_it_printed_as_error() -> None:
-    nodes = processes_that_run(["sh", "-c", "echo memory is 63 >&2; exit 2"])
-    with nodes:
-        nodes._processes[3].wait()
+    """A shell stands for a robot that refuses its memory, prints so, and ends with the exit code 2."""
+    with processes_that_run(["sh", "-c", "echo memory is 63 >&2; exit 2"]) as nodes:
+        process_of_robot_3(nodes).wait()
         with pytest.raises(LockstepError, match="robot 3 ended with exit code 2: memory is 63"):
             nodes.check()
 
-    assert nodes.reports == {}
+    assert nodes.reports == {}, "JSON that the process has printed"
 
 
 def test_a_robot_s_process_that_does_not_end_when_it_is_asked_to_is_killed(
@@ -489,16 +509,16 @@ def test_a_robot_s_process_that_does_not_end_when_it_is_asked_to_is_killed(
     """The process prints a report, ``{}``, and then ignores that it is asked to end."""
     monkeypatch.setattr(processes, "_EXIT_TIMEOUT", 0.1)
     script = f"trap '' TERM; echo '{{}}'; touch '{tmp_path}/up'; exec sleep 1000"
-    nodes = processes_that_run(["sh", "-c", script])
-    with nodes:
+    with processes_that_run(["sh", "-c", script]) as nodes:
         wait_until((tmp_path / "up").exists)
 
     assert nodes.reports == {3: {}}
 
 
 def test_the_report_that_a_robot_s_process_prints_is_kept() -> None:
+    """In place of a robot a command prints one."""
     with processes_that_run(["echo", '{"steps": 1}']) as nodes:
-        nodes._processes[3].wait()
+        process_of_robot_3(nodes).wait()
 
     assert nodes.reports == {3: {"steps": 1}}
 
@@ -507,7 +527,7 @@ def test_ctrl_c_in_a_terminal_does_not_reach_the_robots_processes() -> None:
     """It reaches all processes of a session, so they are in another one; this process ends them in order."""
     this_process = 0
     with processes_that_run(["sleep", "1000"]) as nodes:
-        assert os.getsid(nodes._processes[3].pid) != os.getsid(this_process)
+        assert os.getsid(process_of_robot_3(nodes).pid) != os.getsid(this_process)
 
 
 @pytest.fixture
