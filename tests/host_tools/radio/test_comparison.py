@@ -70,20 +70,22 @@ def hint_of(received: can.Message, expected: can.Message) -> str:
     return difference([received], [expected]).hint
 
 
-def test_an_x_hat_with_reversed_bytes_gets_that_hint() -> None:
-    """x_hat, a robot's own estimate, has three bytes in a frame."""
+def test_a_difference_in_x_hat_whose_bytes_are_reversed_gets_that_as_a_hint() -> None:
+    """x_hat, a robot's own estimate of the share of black tiles, has three bytes in a frame."""
     hint = hint_of(received=estimate(x_hat=0x563412), expected=estimate(x_hat=0x123456))
     assert hint == "its 3 bytes are in reverse order"
 
 
 @pytest.mark.parametrize(("x_hat", "factor"), [(2 * X_HAT, "2"), (X_HAT // 2, "0.5")])
 def test_a_doubled_or_halved_x_hat_gets_the_factor_as_a_hint(x_hat: int, factor: str) -> None:
+    """The hint is at the cause of a difference between a received and an expected frame."""
     hint = hint_of(received=estimate(x_hat), expected=estimate(X_HAT))
     assert hint == f"it is {factor} times what it should be"
 
 
 @pytest.mark.parametrize("x_hat", [X_HAT + 1, 3 * X_HAT, 0])
 def test_an_x_hat_that_is_off_by_no_power_of_two_gets_no_hint(x_hat: int) -> None:
+    """The hint of a difference is an empty text if nothing is known about its cause."""
     assert hint_of(received=estimate(x_hat), expected=estimate(X_HAT)) == ""
 
 
@@ -153,13 +155,15 @@ def test_a_b_hat_is_described_as_a_fraction() -> None:
 
 
 def test_equal_frames_are_counted_by_kind() -> None:
+    """Two estimates and one telemetry frame are received as expected."""
     comparison = new_comparison()
     frames = [estimate(), estimate(), telemetry()]
     assert comparison.check(frames, frames) is None
     assert comparison.equal_frames == {"estimate": 2, "telemetry": 1, "heartbeat": 0}
 
 
-def test_more_than_three_frames_are_described_by_their_number() -> None:
+def test_of_more_than_three_frames_too_many_the_others_are_described_by_their_number() -> None:
+    """Five frames are received where none is expected, so the text names three "and 2 more"."""
     found_difference = difference(received=[telemetry(updates) for updates in range(5)], expected=[])
     assert found_difference.field == "extra"
     assert found_difference.expected == "nothing"
@@ -167,6 +171,7 @@ def test_more_than_three_frames_are_described_by_their_number() -> None:
 
 
 def test_a_remote_frame_is_described_by_its_raw_data() -> None:
+    """A remote frame asks for data and has none, so it is described by its identifier and an R."""
     remote_frame = can.Message(arbitration_id=estimate().arbitration_id, is_remote_frame=True)
     found_difference = difference(received=[remote_frame], expected=[estimate()])
     assert found_difference.field == "frame"
@@ -234,9 +239,11 @@ def test_a_heartbeat_with_the_health_caution_is_a_difference_even_if_advisory_is
 
 
 def test_a_frame_is_from_the_robot_in_its_identifier() -> None:
+    """The estimate has been sent by robot 5."""
     assert is_from(estimate(), robot=5)
     assert not is_from(estimate(), robot=6)
 
 
 def test_a_frame_with_an_11_bit_identifier_is_from_no_robot() -> None:
+    """Robots send frames with identifiers of 29 bits, in which the lowest 7 bits are the sender."""
     assert not is_from(can.Message(arbitration_id=5, is_extended_id=False), robot=5)

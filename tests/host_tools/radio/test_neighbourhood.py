@@ -147,7 +147,7 @@ def test_the_uptime_of_a_neighbour_that_rejoins_restored_goes_on_where_it_was() 
         (127, 126, 0, tuple(range(126))),
     ],
 )
-def test_neighbours_have_the_lowest_ids_but_the_controllers(
+def test_emulated_neighbours_have_the_lowest_ids_from_the_first_allowed_on_but_the_controllers(
     controller: int, count: int, first: int, ids: tuple[int, ...]
 ) -> None:
     """Emulated robots around a real controller have ids from ``first`` on, and not that of the controller."""
@@ -208,10 +208,10 @@ def run_beside_others(request: pytest.FixtureRequest, monkeypatch: pytest.Monkey
     return run
 
 
-def test_estimates_are_counted_as_the_controllers_a_strangers_or_a_conflict(
+def test_estimates_on_the_bus_are_counted_as_those_of_the_controller_of_strangers_or_of_a_conflict(
     run_beside_others: RadioRun,
 ) -> None:
-    """Robot 1 is one of the emulated neighbours, so two estimates of another robot 1 are a conflict."""
+    """Robot 1 is one of the emulated neighbours, so estimates of another robot 1 are a conflict of ids."""
     figures = run_beside_others.figures()
     assert figures["estimates_heard"] == 1, "estimates of the controller, robot 3"
     assert figures["strangers"] == 3, "estimates of robots 5, 6 and 100"
@@ -219,8 +219,10 @@ def test_estimates_are_counted_as_the_controllers_a_strangers_or_a_conflict(
     assert figures["bus_failures"] == 0
 
 
-def test_neighbours_receive_the_controllers_estimate_and_their_own(run_beside_others: RadioRun) -> None:
-    """Each of 4 neighbours takes an estimate of 3 others in each of 5 ticks, and one of the controller."""
+def test_each_neighbour_receives_the_estimates_of_the_controller_and_of_the_other_neighbours(
+    run_beside_others: RadioRun,
+) -> None:
+    """In 5 ticks each of 4 neighbours takes 5 estimates of 3 others, and one of the controller."""
     nodes = run_beside_others.neighbours.nodes.values()
     assert [node.counters.accepted for node in nodes] == [3 * 5 + 1] * 4
 
@@ -238,8 +240,10 @@ def test_the_figures_of_a_run_have_the_mean_and_the_range_of_the_neighbours_x() 
 
 
 @pytest.mark.parametrize(("ticks", "is_interrupted"), [(None, False), (1000, True)])
-def test_neighbours_stop_when_asked_to(ticks: int | None, is_interrupted: bool) -> None:
-    """In tick 3. It is an interruption if more ticks were asked for, and else the end of an endless run."""
+def test_neighbours_in_real_time_that_are_asked_to_stop_end_in_that_tick(
+    ticks: int | None, is_interrupted: bool
+) -> None:
+    """It is an interruption if more ticks were asked for, and else the end of an endless run."""
     neighbourhood = Neighbourhood(surroundings(steps_per_second=1000))
     link = BusLink(Wire(), should_stop=lambda: neighbourhood.tick >= 3)
     run = RadioRun(neighbourhood, link, ticks)
@@ -302,6 +306,7 @@ def test_neighbours_in_real_time_send_the_frames_that_a_fault_spares(real_time_r
 def test_the_report_of_neighbours_in_real_time_is_printed_and_is_beside_the_log(
     real_time_run: RealTimeRun,
 ) -> None:
+    """The command ``mcp-asdf radio --json`` has emulated four neighbours of a controller for 20 ticks."""
     assert real_time_run.report["results"]["steps"] == 20
     assert real_time_run.report_in_file == real_time_run.report
 
@@ -331,7 +336,7 @@ def test_wrong_arguments_of_radio_are_refused_before_the_first_tick(
     monkeypatch: pytest.MonkeyPatch,
     tmp_path: Path,
 ) -> None:
-    """No tick is taken, neither in real time nor in lockstep, and no file is written."""
+    """The command ``mcp-asdf radio`` takes no tick, in real time or in lockstep, and writes no file."""
     ticks = Mock()
     monkeypatch.setattr(RadioRun, "_take_tick", ticks)
     monkeypatch.setattr(Bench, "settle", ticks)

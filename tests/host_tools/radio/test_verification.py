@@ -170,6 +170,7 @@ def run_of_all_phases(request: pytest.FixtureRequest) -> ObservedRun:
 
 
 def test_a_right_controller_passes_every_phase(run: ObservedRun) -> None:
+    """A verification compares a controller's frames with those of a model, in phases of one purpose each."""
     verdict = run.verification.verdict
     assert verdict.has_passed, verdict.headline
     assert verdict.repeated == 0, "commands sent again because the controller had not answered"
@@ -188,16 +189,16 @@ def test_each_phase_reports_its_ticks_and_the_faults_that_it_injected(
         assert (result.injected > 0) == bool(phase.fault)
 
 
-def test_each_phase_reports_one_or_two_equal_frames_a_tick(
+def test_each_phase_reports_one_or_two_frames_a_tick_that_equal_those_of_the_model(
     run: ObservedRun,
 ) -> None:
-    """An estimate in every tick, telemetry in most of them, and a heartbeat in every tenth."""
+    """A controller sends an estimate in every tick, telemetry in most, and a heartbeat in every tenth."""
     for result in run.verification.verdict.phases:
         assert 0 < result.ticks < result.equal <= 2.1 * result.ticks + 1
 
 
-def test_all_frames_of_a_right_controller_are_compared(run: ObservedRun) -> None:
-    """An estimate in each tick, a heartbeat in every tenth, and telemetry whenever a tick is done."""
+def test_all_frames_of_a_right_controller_are_compared_with_those_of_the_model(run: ObservedRun) -> None:
+    """It sends an estimate in each tick, a heartbeat in every tenth, and telemetry when it ends a tick."""
     ticks = run.controller.ticks
 
     assert ticks == sum(result.ticks for result in run.verification.verdict.phases)
@@ -211,7 +212,7 @@ def test_all_frames_of_a_right_controller_are_compared(run: ObservedRun) -> None
 def test_the_model_of_a_verification_ends_in_the_state_of_the_controller(
     run: ObservedRun,
 ) -> None:
-    """The model is a robot in Python that gets the same messages; both have re-estimated often by then."""
+    """The model is a robot in Python that gets the same messages; both have re-estimated b_hat by then."""
     robot, model = run.controller.robot, run.verification.bench.firmware
     assert isinstance(robot, FixedPointRobot)
     assert robot.state() == model.state()
@@ -222,7 +223,7 @@ def test_the_model_of_a_verification_ends_in_the_state_of_the_controller(
 def test_a_run_of_all_phases_sends_the_same_frames_as_at_an_earlier_commit(
     run: ObservedRun,
 ) -> None:
-    """So the seed in a report is enough to repeat a run."""
+    """A golden file has what the tool sent then. So the seed in a report is enough to repeat a run."""
     assert_equals_golden_file(f"verification_{run.name}.txt", [*describe_run(run)])
 
 
@@ -249,7 +250,7 @@ def test_a_run_of_all_phases_sends_the_same_frames_as_at_an_earlier_commit(
 def test_a_run_of_some_phases_sends_the_same_frames_as_at_an_earlier_commit(
     name: str, config: dict[str, Any], phases: Sequence[Phase]
 ) -> None:
-    """So the seed in a report is enough to repeat a run."""
+    """A golden file has what the tool sent then. So the seed in a report is enough to repeat a run."""
     run = observe_run(name, config, phases)
     assert run.verification.verdict.difference is None
     assert_equals_golden_file(f"verification_{name}.txt", [*describe_run(run)])
@@ -360,21 +361,22 @@ def test_a_controller_does_not_pass_if_something_was_never_put_to_the_test(
     assert verdict.headline.endswith(f", no difference, but never put to the test: {missing}")
 
 
-def test_a_verification_waits_for_a_filter_for_20_000_ticks_at_most() -> None:
+def test_a_verification_waits_for_the_next_test_of_a_filter_for_20_000_ticks_at_most() -> None:
+    """``filter_period`` is the number of ticks from one test of a controller's filter to the next."""
     assert can_wait_for_tests(right(filter_period=20_000))
     assert not can_wait_for_tests(right(filter_period=20_001))
 
 
 def test_a_phase_does_not_wait_for_a_filter_that_runs_too_rarely() -> None:
-    """The filter runs in every 20,001st tick, so the phase would else have as many ticks."""
+    """The filter runs in every 20,001st tick. A phase that waited for it would have as many ticks."""
     (phase,) = verify_right({"filter_period": 20_001}, NOTHING_SEEN).phases
     assert phase.ticks < 1000
 
 
-def test_situations_of_the_robust_filter_that_no_observations_lead_to_are_listed(
+def test_a_verdict_lists_the_observations_before_a_test_of_the_robust_filter_that_were_not_found(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """The user learns what the verdict does not cover."""
+    """The tool searches for observations after which a test rejects, or nearly does; here it finds none."""
     monkeypatch.setattr(robust_phases, "_MAX_BURSTS", 0)  # as if all attempts had been in vain
     phases = phases_named("first estimates", "test of a wide spread", "many rejections")
     verdict = verify_right(VOTES, phases)
@@ -392,10 +394,10 @@ def test_situations_of_the_robust_filter_that_no_observations_lead_to_are_listed
     ]
 
 
-def test_re_estimates_of_the_accuracy_that_no_messages_lead_to_are_listed(
+def test_a_verdict_lists_the_results_of_a_re_estimate_for_which_no_messages_were_found(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """The user learns what the verdict does not cover: the five results that a re-estimate can have."""
+    """The tool searches for messages after which b_hat, the accuracy of a robot, gets one of five values; none are found."""
     monkeypatch.setattr(crafted_rounds, "_MAX_DRAWS_FOR_UPDATE", 0)  # as if all attempts had been in vain
 
     verdict = verify(right_controller(), phases=phases_named("first black tiles", "re-estimates"))
@@ -451,7 +453,7 @@ ALWAYS_OPEN = [
     ],
 )
 def test_a_verdict_lists_what_was_not_checked(config: dict[str, Any], lines_of_config: list[str]) -> None:
-    """First what is not checked of this configuration, and then what no verification checks."""
+    """The list has first what is not checked of this configuration, and then what no verification checks."""
     verdict = verify_right(config, NOTHING_SEEN)
 
     lines = [line for line in verdict.not_checked if not line.startswith("whether it ")]
@@ -488,6 +490,7 @@ b_hat of 0.55 few observations do not contradict four estimates."""
 
 @pytest.mark.slow
 def test_a_wrong_controller_is_found_with_any_seed() -> None:
+    """Each controller that is wrong in one way differs from its model in some phase, whatever is drawn."""
     seed = random.randrange(2**32)
     for name, wrong in WRONG.items():
         config = DEFAULT if name in ONLY_BY_DEFAULT else QUICK
@@ -539,6 +542,7 @@ def test_a_verdict_lists_the_mistakes_that_no_frame_would_have_shown() -> None:
 
 @pytest.mark.slow
 def test_a_run_of_all_phases_would_have_shown_every_known_mistake_of_the_robust_filter() -> None:
+    """For a mistake that no frame would have shown, the verdict has a line that begins with "whether it"."""
     verdict = verify_right(VOTES, PHASES)
     assert not [line for line in verdict.not_checked if line.startswith("whether it ")]
 
@@ -615,7 +619,7 @@ def test_a_controller_passes_beside_a_node_that_does_not_concern_it(message: Any
 def test_a_verdict_names_another_node_that_the_controller_acts_on_and_does_not_blame_the_controller(
     message: Any, kind: str
 ) -> None:
-    """Node 40 sends estimates, or commands to this robot or to all."""
+    """Node 40 sends estimates, or commands to this robot or to all, which the model does not get."""
     verdict = verify_beside(message)
     assert verdict.difference is None
     assert verdict.phases[0].outcome == "disturbed"
@@ -648,6 +652,7 @@ def test_a_controller_may_report_the_health_advisory_after_a_tick_that_was_left_
 
 
 def test_a_controller_must_not_report_the_health_advisory_before_a_tick_was_left_open() -> None:
+    """Its heartbeats have the health advisory from tick 30 on, and nominal is expected."""
     controller = controller_with_health(Health.ADVISORY, from_tick=30)
     verdict = verify(controller, phases=phases_named("alone"))
     assert controller.unsettled == 0
@@ -655,6 +660,7 @@ def test_a_controller_must_not_report_the_health_advisory_before_a_tick_was_left
 
 
 def test_a_controller_must_not_report_the_health_caution_after_a_tick_that_was_left_open() -> None:
+    """Only advisory, the next health after nominal, is allowed then."""
     verdict = verify(controller_with_health(Health.CAUTION), phases=phases_named("nothing seen", "alone"))
     assert "heartbeat, health: expected" in str(verdict.difference)
 
@@ -687,7 +693,7 @@ class WireWithLateFrame(Wire):
 
 
 def test_telemetry_that_a_controller_sends_once_more_after_its_last_answer_is_a_difference() -> None:
-    """The phase "alone" has 72 ticks."""
+    """The phase "alone" has 72 ticks; the controller ends the last of them twice."""
     wire = WireWithLateFrame(right_controller(), last_tick=72)
     verdict = verify(wire, phases=phases_named("alone"))
     assert "telemetry, extra: expected nothing" in str(verdict.difference)
@@ -720,7 +726,8 @@ def test_a_verification_that_is_stopped_after_75_ticks_reports_the_phases_until_
     assert controller.is_settled
 
 
-def test_a_verification_that_is_stopped_has_no_verdict() -> None:
+def test_a_verification_that_is_stopped_at_once_neither_passes_nor_fails() -> None:
+    """It is interrupted, and has found no difference between the controller and the model."""
     verdict = verify(right_controller(), should_stop=lambda: True)
 
     assert verdict.is_interrupted
@@ -731,7 +738,7 @@ def test_a_verification_that_is_stopped_has_no_verdict() -> None:
 
 @pytest.mark.parametrize("wire_class", [Wire, EndlessWire])
 def test_a_verification_may_be_stopped_while_it_waits_for_a_controller(wire_class: type[Wire]) -> None:
-    """The controller is not there, on a quiet bus or on one on which another node sends without end."""
+    """The bus without a controller is quiet, or another node sends on it without end."""
     verdict = verify(wire_class(), wait=1e9, should_stop=lambda: True)
     assert verdict.is_interrupted
     assert verdict.difference is None
@@ -751,7 +758,7 @@ class WireThatLosesFrames(Wire):
             super().send(msg, timeout)
 
 
-def test_commands_that_the_bus_loses_are_repeated_and_counted() -> None:
+def test_commands_that_the_bus_loses_are_repeated_and_counted_in_the_headline() -> None:
     """Of the frames that the tool sends, number 11 is a command to observe, and number 21 one to settle."""
     wire = WireThatLosesFrames(right_controller(), lost_numbers={11, 21})
     verdict = verify(wire, phases=phases_named("alone"))
@@ -760,6 +767,7 @@ def test_commands_that_the_bus_loses_are_repeated_and_counted() -> None:
 
 
 def test_a_bus_that_fails_is_not_blamed_on_the_controller(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The first frame cannot be sent, as if a cable had been pulled."""
     wire = Wire(right_controller())
     monkeypatch.setattr(wire, "send", Mock(side_effect=can.CanOperationError("cable pulled")))
     headline = verify(wire).headline
@@ -768,12 +776,13 @@ def test_a_bus_that_fails_is_not_blamed_on_the_controller(monkeypatch: pytest.Mo
     assert "cable pulled" in headline
 
 
-def test_a_controller_that_starts_while_it_is_waited_for_passes() -> None:
+def test_a_controller_passes_whose_first_heartbeat_is_waited_for() -> None:
+    """The tool waits up to 0.05 s for it."""
     assert verify(right_controller(), phases=NOTHING_SEEN, wait=0.05).has_passed
 
 
 def test_a_controller_that_does_not_start_fails_in_the_first_phase() -> None:
-    """It is on the bus, but has sent no heartbeat."""
+    """The tool waits for its first heartbeat, but the controller, robot 3, has sent none."""
     silent_wire = Wire()
     silent_wire.nodes.append(right_controller())
     verdict = verify(silent_wire, phases=phases_named("nothing seen", "alone"), wait=0.05)
@@ -800,7 +809,7 @@ def test_a_controller_fails_if_the_heartbeat_with_which_it_starts_has_another_mo
 
 @pytest.mark.parametrize("resets", [0, 1, 3])
 def test_a_controller_passes_after_any_number_of_resets(resets: int) -> None:
-    """After each reset it has sent its first heartbeat; these wait to be received when the tool begins."""
+    """After each reset a controller sends its first heartbeat again; they wait when the tool begins."""
     wire = Wire(right_controller())
     (first_heartbeat,) = wire.told
     wire._waiting.clear()
@@ -836,6 +845,7 @@ def verification_of_two_phases(
 def test_the_json_of_a_verification_has_the_verdict_and_the_parameters(
     verification_of_two_phases: dict[str, Any],
 ) -> None:
+    """The command ``mcp-asdf radio --verify --json`` has verified a right controller in two phases."""
     verdict, parameters = verification_of_two_phases["verdict"], verification_of_two_phases["parameters"]
     assert verdict["passed"]
     assert [phase["name"] for phase in verdict["phases"]] == ["alone", "loss"]
@@ -847,7 +857,7 @@ def test_the_json_of_a_verification_has_the_verdict_and_the_parameters(
 def test_the_report_of_a_verification_has_the_headline_the_details_and_the_parameters(
     verification_of_two_phases: dict[str, Any], tmp_path: Path
 ) -> None:
-    """The parameters are in a block of JSON."""
+    """The report is a page of Markdown, at whose end the parameters are in a block of JSON."""
     report = (tmp_path / "report.md").read_text()
     _, _, from_json = report.partition("```json\n")
     json_block, _, _ = from_json.partition("```")
@@ -867,6 +877,7 @@ def test_the_log_of_a_verification_can_be_replayed(
 
 
 def test_a_report_has_a_table_of_the_phases_and_lists_of_what_was_not_checked() -> None:
+    """One of the two phases has passed; the other, which has a fault, is not run."""
     phases = [
         PhaseResult("alone", fault=None, ticks=72, injected=0, equal=144, outcome="passed"),
         PhaseResult("loss", fault="loss=0.5,receivers=3"),
@@ -882,10 +893,10 @@ def test_a_report_has_a_table_of_the_phases_and_lists_of_what_was_not_checked() 
     ]
 
 
-def test_radio_fails_on_a_wrong_controller_and_prints_the_first_difference(
+def test_the_command_radio_fails_on_a_wrong_controller_and_prints_the_first_difference(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """The controller assumes an accuracy of 0.56, and 0.55 is expected."""
+    """The controller assumes an accuracy of 0.56 where 0.55 is expected, so its first telemetry differs."""
     options = f"--id {ID} --filter-period 10 --neighbours 20"
     with node_in_a_thread(f"{options} --b-hat 0.56"):
         assert radio(f"{options} --b-hat 0.55 --verify --timeout 20") == 1

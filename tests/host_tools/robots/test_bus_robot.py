@@ -54,7 +54,7 @@ def estimates_of(*senders: int) -> NDArray[np.uint32]:
 
 
 def test_a_broadcast_stays_due_until_its_tick_has_ended() -> None:
-    """A robot that broadcasts in every third tick; ``observe`` returns whether a broadcast is due."""
+    """A robot broadcasts in every third tick; ``observe`` begins a tick, and returns whether it is due."""
     robot = robot_with_counters(comms_period=3)
 
     is_due = [robot.observe(None) for _ in range(5)]
@@ -65,8 +65,8 @@ def test_a_broadcast_stays_due_until_its_tick_has_ended() -> None:
     assert is_due_in_next_round == [False, False, True]
 
 
-def test_counts_in_reports_go_on_where_the_firmware_s_16_bits_end() -> None:
-    """The firmware refuses all estimates under the robot's own id: here more than 2^16 of them in a round."""
+def test_a_count_in_reports_goes_on_after_more_than_2_16_refusals_in_a_round() -> None:
+    """The counters of the firmware have 16 bits. It refuses all estimates under the robot's own id, 5."""
     robot = robot_with_counters(comms_period=10**6, rejected=7)
     for _ in range(70):
         robot.observe(None)
@@ -76,7 +76,7 @@ def test_counts_in_reports_go_on_where_the_firmware_s_16_bits_end() -> None:
     assert robot.counters.rejected == 7 + 70 * 1000
 
 
-def test_each_count_in_reports_goes_on_where_the_firmware_s_16_bits_end() -> None:
+def test_every_count_in_reports_goes_on_where_the_16_bits_of_the_firmware_s_counter_end() -> None:
     """The firmware takes the first estimate of a robot in a round, and refuses those of its own id, 5."""
     largest = 2**16 - 1
     counters = Counters(accepted=largest, repeated=largest, rejected=largest, tests=largest, updates=largest)
@@ -146,7 +146,7 @@ HEARTBEAT_OF_8 = Heartbeat(sender=8, uptime=1, transfer_id=0)
 
 
 def test_a_robot_that_has_crashed_receives_nothing() -> None:
-    """Neither an estimate of robot 6, nor one under its own id, 5, nor a heartbeat."""
+    """It gets an estimate of robot 6, one under its own id, 5, and a heartbeat, and counts none of them."""
     robot = BusRobot(record(5), ESTIMATES)
     robot.crash(loses_state=False)
     for content in (ESTIMATE_OF_6, ESTIMATE_OF_5, HEARTBEAT_OF_8):
@@ -184,10 +184,8 @@ def test_a_robot_that_rejoins_begins_anew_if_the_crash_lost_its_state() -> None:
 
 
 def test_a_line_of_events_has_all_that_a_robot_did_in_a_tick() -> None:
-    """The robot's id, 1 for a black tile, each estimate as [sender, x_hat, alpha], and 3 for the tick's end.
-
-    A heartbeat is no event.
-    """
+    """A line is the robot's id, 1 for a black tile, each estimate as [sender, x_hat, alpha], and 3 for the
+    tick's end. A heartbeat is no event."""
     lines: list[str] = []
     robot = BusRobot(record(5), ESTIMATES, EventRecorder(5, lines.append))
     robot.observe(Observation.BLACK)
@@ -199,7 +197,7 @@ def test_a_line_of_events_has_all_that_a_robot_did_in_a_tick() -> None:
 
 
 def test_the_first_line_of_events_after_a_crash_that_lost_the_state_begins_with_a_restart() -> None:
-    """2 is a tick without an observation, and 3 its end."""
+    """In a line of events 2 is a tick without an observation, and 3 its end; 5 is the robot's id."""
     lines: list[str] = []
     robot = BusRobot(record(5), ESTIMATES, EventRecorder(5, lines.append))
     robot.crash(loses_state=True)
@@ -246,11 +244,12 @@ def test_estimates_from_outside_the_swarm_are_counted_as_strays() -> None:
     ],
 )
 def test_a_robot_s_setup_written_as_json_is_read_as_the_same_setup(setup: RobotSetup) -> None:
+    """A setup is all that a robot has at its start: id, firmware, assumed accuracy b_hat and parameters."""
     assert RobotSetup.from_plain(json.loads(json.dumps(setup.plain()))) == setup
 
 
 def test_a_setup_in_json_has_the_allowed_ids_as_ranges() -> None:
-    """Robots whose estimates the robot takes: 0, 2 to 3, and 127."""
+    """The robot takes estimates of robots 0, 2 to 3, and 127."""
     setup = replace(record(5), allow=frozenset((0, 2, 3, 127)))
     assert setup.plain()["allow"] == "0+2-3+127"
 
@@ -292,7 +291,10 @@ def test_a_setup_makes_a_robot_with_its_configuration() -> None:
         ({"table": {"omega": "0.05", "q": 20, "checksum": 1}}, "has checksum 1"),
     ],
 )
-def test_a_setup_with_a_wrong_value_is_refused_by_name(changes: dict[str, Any], complaint: str) -> None:
+def test_a_robot_s_setup_in_json_with_a_wrong_value_is_refused_by_the_name_of_the_value(
+    changes: dict[str, Any], complaint: str
+) -> None:
+    """Each case changes one value of a right setup."""
     with pytest.raises((UsageError, FirmwareError), match=complaint):
         RobotSetup.from_plain(record(5).plain() | changes)
 
@@ -302,16 +304,21 @@ def test_a_setup_with_a_wrong_value_is_refused_by_name(changes: dict[str, Any], 
     [(6, 6), ("6", 6), (np.int64(4), 4), (0, 0), (10, 10), (0.0, 0), (1.0, 10), ("30%", 3), ("0.5", 5)],
 )
 def test_the_flawed_robots_are_given_as_a_count_or_as_a_share_of_ten_robots(flawed: Any, count: int) -> None:
+    """Flawed robots assume a wrong accuracy of their sensor."""
     assert Population(robots=10, flawed=flawed).flawed == count
 
 
 @pytest.mark.parametrize(("share", "count"), [("44.9%", 4), ("45%", 5), (0.25, 3)])
-def test_a_share_of_ten_robots_is_rounded_to_the_nearest_count_halves_up(share: Any, count: int) -> None:
+def test_a_share_of_flawed_robots_is_rounded_to_the_nearest_count_with_halves_up(
+    share: Any, count: int
+) -> None:
+    """The swarm has ten robots."""
     assert Population(robots=10, flawed=share).flawed == count
 
 
 @pytest.mark.parametrize("flawed", [11, -1, -0.01, 1.01, "150%", True, "x", "nan", None])
-def test_what_is_neither_a_count_nor_a_share_of_robots_is_refused(flawed: Any) -> None:
+def test_a_number_of_flawed_robots_that_is_neither_a_count_nor_a_share_is_refused(flawed: Any) -> None:
+    """The swarm has ten robots."""
     with pytest.raises(UsageError, match="; give a count, 0 to 10, or a share such as"):
         Population(robots=10, flawed=flawed)
 
@@ -374,23 +381,26 @@ def test_a_population_lists_the_parameters_that_its_filter_does_not_use(
     assert set(population.unused_parameters()) == unused
 
 
-def test_a_population_is_made_again_from_its_parameters() -> None:
+def test_a_population_can_be_made_again_from_its_parameters() -> None:
+    """They are what a report says about the robots of a swarm."""
     population = Population(**FOUR_ROBOTS, drift="linear", drift_of="flawed")
     assert Population(**population.parameters()) == population
 
 
-def test_the_sensors_of_the_flawed_robots_or_of_all_drift() -> None:
-    """Two of four robots are flawed."""
+def test_the_sensors_of_all_robots_drift_unless_only_those_of_the_flawed_ones_are_to() -> None:
+    """Two of four robots are flawed. A drift makes a sensor less accurate with time."""
     assert Population(**FOUR_ROBOTS, drift="linear", drift_of="flawed").drifting == 2
     assert Population(**FOUR_ROBOTS, drift="linear").drifting == 4
 
 
-def test_a_drift_of_some_robots_without_a_drift_is_refused() -> None:
+def test_the_choice_of_robots_whose_sensors_drift_is_refused_without_a_drift() -> None:
+    """A user might think that the sensors of the flawed robots drift."""
     with pytest.raises(ParameterError, match="drift_of is flawed but drift is none"):
         Population(drift_of="flawed")
 
 
 def test_a_memory_that_is_no_multiple_of_4_is_refused() -> None:
+    """The memory of a robot is a number of observations."""
     with pytest.raises(ParameterError, match="memory is 66; it must be a multiple of 4"):
         Population(memory=66)
 

@@ -95,11 +95,13 @@ def test_the_accuracies_of_a_sensor_that_reads_high_over_black_are_its_shares_of
 
 
 def test_a_threshold_lies_in_the_middle_of_the_gap_between_the_colours() -> None:
+    """A sensor reads 7.5 over all black tiles and 21.0 over all white ones."""
     readings = [(7.5, BLACK), (21.0, WHITE)] * 40
     assert calibrate(readings).threshold == (7.5 + 21) / 2
 
 
 def test_the_threshold_of_whole_readings_is_a_whole_number() -> None:
+    """Half-way from 7 to 20 is 13.5; a threshold of 14 separates the same readings."""
     readings = [(7.0, BLACK), (20.0, WHITE)] * 40
     assert calibrate(readings).threshold == 14
 
@@ -137,7 +139,10 @@ def test_the_uncertainty_covers_the_true_mean_accuracy(unequal: Calibration) -> 
     assert abs(unequal.b_hat - mean_accuracy) < unequal.uncertainty < 0.01
 
 
-def test_half_as_many_readings_are_less_certain_by_the_square_root_of_two(unequal: Calibration) -> None:
+def test_half_as_many_readings_give_an_accuracy_less_certain_by_the_square_root_of_two(
+    unequal: Calibration,
+) -> None:
+    """The uncertainty is that of the mean accuracy."""
     every_second_row = UNEQUAL_ROWS[::2]
     uncertainty = calibrate(every_second_row).uncertainty
     assert uncertainty == pytest.approx(unequal.uncertainty * 2**0.5, rel=0.01)
@@ -156,6 +161,7 @@ def test_the_bias_is_the_error_of_a_robot_with_such_a_sensor(unequal: Calibratio
 
 
 def test_a_bias_of_more_than_two_hundredths_gives_a_warning(unequal: Calibration) -> None:
+    """A sensor with accuracies of 0.97 over black and 0.87 over white sees too many black tiles."""
     assert unequal.warning is not None
     assert "x_hat is off by +0.060 on every floor" in unequal.warning
 
@@ -171,6 +177,7 @@ def test_a_sensor_without_a_wrong_reading_is_not_taken_for_perfect() -> None:
 
 @pytest.mark.parametrize("readings", [(5.0,), (5.0, 6.0)])
 def test_readings_that_are_the_same_over_both_colours_are_refused(readings: tuple[float, ...]) -> None:
+    """No threshold tells black from white then."""
     with pytest.raises(UsageError, match="the readings do not tell black from white"):
         calibrate([*product(readings, (BLACK, WHITE))] * 10)
 
@@ -183,6 +190,7 @@ def test_readings_that_are_the_same_over_both_colours_are_refused(readings: tupl
     ],
 )
 def test_too_few_readings_over_a_colour_are_refused(rows: Rows, message: str) -> None:
+    """A calibration needs ten readings over each colour."""
     with pytest.raises(UsageError, match=message):
         calibrate(rows)
 
@@ -203,13 +211,16 @@ def run_calibrate(path: Path, *options: str) -> int:
     return main(["calibrate", str(path), *options])
 
 
-def test_calibrate_prints_threshold_and_accuracy(readings_file: Path, capsys: Capture) -> None:
+def test_the_command_calibrate_prints_threshold_and_accuracy(readings_file: Path, capsys: Capture) -> None:
+    """The file has 90 readings of 300 over black, and as many of 700 over white."""
     assert run_calibrate(readings_file) == 0
     expected = "threshold 500: below it a tile is black\naccuracy on black 1.0000 (90 readings)\n"
     assert expected in capsys.readouterr().out
 
 
-def test_calibrate_reports_threshold_and_accuracy_in_json(readings_file: Path, capsys: Capture) -> None:
+def test_the_command_calibrate_reports_threshold_and_accuracy_in_json(
+    readings_file: Path, capsys: Capture
+) -> None:
     """The file has readings of 300 over black, and of 700 over white."""
     assert run_calibrate(readings_file, "--json") == 0
     report = json.loads(capsys.readouterr().out)
@@ -217,9 +228,10 @@ def test_calibrate_reports_threshold_and_accuracy_in_json(readings_file: Path, c
     assert report["accuracy"] == {"black": 1.0, "white": 1.0}
 
 
-def test_calibrate_ends_with_the_accuracy_as_the_option_b_hat_of_a_robot(
+def test_the_output_of_calibrate_ends_with_the_accuracy_as_an_option_for_a_robot(
     readings_file: Path, capsys: Capture
 ) -> None:
+    """The option is ``--b-hat``, the accuracy that a robot assumes; its uncertainty follows."""
     run_calibrate(readings_file, "--json")
     report = json.loads(capsys.readouterr().out)
     run_calibrate(readings_file)
@@ -228,7 +240,7 @@ def test_calibrate_ends_with_the_accuracy_as_the_option_b_hat_of_a_robot(
     assert capsys.readouterr().out.endswith(f"{option} (+- {uncertainty}, 95 %)\n")
 
 
-def test_calibrate_warns_of_a_bias(readings_file: Path, capsys: Capture) -> None:
+def test_the_command_calibrate_warns_of_a_bias(readings_file: Path, capsys: Capture) -> None:
     """Ten of 100 readings over white tiles are like those over black, so white is often taken for black."""
     readings_file.write_text(readings_file.read_text() + "300,white\n" * 10)
     assert run_calibrate(readings_file) == 0
@@ -240,20 +252,28 @@ def append_readings_without_an_answer(path: Path) -> None:
     path.write_text(path.read_text() + "-1,white\n-1,black\n" * 5)
 
 
-def test_calibrate_counts_the_lines_that_it_leaves_out(readings_file: Path, capsys: Capture) -> None:
+def test_the_command_calibrate_prints_how_many_lines_it_leaves_out(
+    readings_file: Path, capsys: Capture
+) -> None:
+    """A reading of -1 stands for a sensor that did not answer."""
     append_readings_without_an_answer(readings_file)
     assert run_calibrate(readings_file) == 0
     assert "left out 10 lines: reading -1 10\n" in capsys.readouterr().out
 
 
-def test_calibrate_reports_the_lines_that_it_leaves_out_in_json(readings_file: Path, capsys: Capture) -> None:
+def test_the_command_calibrate_reports_in_json_how_many_lines_it_leaves_out(
+    readings_file: Path, capsys: Capture
+) -> None:
+    """A reading of -1 stands for a sensor that did not answer."""
     append_readings_without_an_answer(readings_file)
     assert run_calibrate(readings_file, "--json") == 0
     assert json.loads(capsys.readouterr().out)["left_out"] == {"reading -1": 10}
 
 
-def test_lines_that_are_left_out_change_nothing_else(readings_file: Path, capsys: Capture) -> None:
-    """All other lines of the output are the same without them."""
+def test_lines_that_are_left_out_change_nothing_else_in_the_output(
+    readings_file: Path, capsys: Capture
+) -> None:
+    """A reading of -1 is left out."""
     run_calibrate(readings_file)
     lines_before = capsys.readouterr().out.splitlines()
     append_readings_without_an_answer(readings_file)
@@ -263,9 +283,10 @@ def test_lines_that_are_left_out_change_nothing_else(readings_file: Path, capsys
     assert [line for line in lines_after if not line.startswith("left out")] == lines_before
 
 
-def test_too_few_readings_are_refused_with_the_lines_that_were_left_out(
+def test_an_error_about_too_few_readings_says_how_many_lines_were_left_out(
     readings_file: Path, capsys: Capture
 ) -> None:
+    """All 30 readings are -1, which stands for a sensor that did not answer."""
     readings_file.write_text("-1,black\n" * 30)
     assert run_calibrate(readings_file) == 2
     message = "0 readings over black tiles; take 10 or more, better 1000 (left out 30 lines"
@@ -273,6 +294,7 @@ def test_too_few_readings_are_refused_with_the_lines_that_were_left_out(
 
 
 def test_a_missing_file_of_readings_is_refused(tmp_path: Path, capsys: Capture) -> None:
+    """The exit code is 2, and the error names the file."""
     assert run_calibrate(tmp_path / "absent.csv") == 2
     assert "absent.csv: No such file or directory" in capsys.readouterr().err
 
@@ -284,30 +306,35 @@ def test_a_missing_file_of_readings_is_refused(tmp_path: Path, capsys: Capture) 
 def test_readings_may_have_the_encodings_of_excel(
     encoding: str, readings_file: Path, capsys: Capture
 ) -> None:
+    """Excel saves text as UTF-8 with a mark at its beginning, or as UTF-16."""
     readings_file.write_text("reading\tcolour\n" + "700\twhite\n300\tblack\n" * 90, encoding=encoding)
     assert run_calibrate(readings_file) == 0
     assert "threshold 500" in capsys.readouterr().out
 
 
-def test_a_file_that_is_no_text_is_refused(readings_file: Path, capsys: Capture) -> None:
+def test_a_file_of_readings_that_is_no_text_is_refused(readings_file: Path, capsys: Capture) -> None:
+    """Its byte 10 is é in Latin-1, which is no character in UTF-8."""
     readings_file.write_bytes(b"512,black\n\xe9")
     assert run_calibrate(readings_file) == 2
     assert "it is no text in UTF-8 (byte 10)" in capsys.readouterr().err
 
 
 def test_readings_may_come_from_standard_input(monkeypatch: pytest.MonkeyPatch, capsys: Capture) -> None:
+    """A dash in place of the file stands for standard input."""
     monkeypatch.setattr("sys.stdin", TextIOWrapper(BytesIO(b"700,white\n300,black\n" * 90)))
     assert run_calibrate(Path("-")) == 0
     assert "threshold 500: below it a tile is black\n" in capsys.readouterr().out
 
 
 def test_a_wrong_line_of_standard_input_is_named(monkeypatch: pytest.MonkeyPatch, capsys: Capture) -> None:
+    """The colour is neither black nor white."""
     monkeypatch.setattr("sys.stdin", TextIOWrapper(BytesIO(b"700,grey\n")))
     assert run_calibrate(Path("-")) == 2
     assert "standard input, line 1: '700,grey' has the colour" in capsys.readouterr().err
 
 
-def test_closed_standard_input_is_refused(monkeypatch: pytest.MonkeyPatch, capsys: Capture) -> None:
+def test_a_closed_standard_input_is_refused(monkeypatch: pytest.MonkeyPatch, capsys: Capture) -> None:
+    """Python has None for a standard input that is closed."""
     monkeypatch.setattr("sys.stdin", None)
     assert run_calibrate(Path("-")) == 2
     assert "cannot read standard input: it is closed" in capsys.readouterr().err

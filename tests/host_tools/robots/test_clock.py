@@ -46,6 +46,7 @@ def begin_ticks(watch: Watch, clock: RealTimeClock, *, periods_of_work: list[flo
 
 
 def test_ticks_that_are_done_in_time_begin_at_multiples_of_the_period() -> None:
+    """The clock of a swarm in real time begins a tick in each period, of 1/8 s here."""
     watch = Watch()
     beginnings = begin_ticks(watch, watch.clock(), periods_of_work=[0.5, 0, 1, 0.25, 0])
     assert beginnings == [0, 1, 2, 3, 4]
@@ -59,12 +60,14 @@ def test_ticks_after_a_long_one_begin_at_once_until_they_have_caught_up() -> Non
 
 
 def test_ticks_that_take_longer_than_the_period_begin_when_the_last_is_over() -> None:
+    """The work of each tick takes 1.5 periods."""
     watch = Watch()
     beginnings = begin_ticks(watch, watch.clock(), periods_of_work=[1.5, 1.5, 1.5, 1.5])
     assert beginnings == [0, 1.5, 3, 4.5]
 
 
 def test_a_clock_has_no_figures_of_lateness_before_the_first_tick() -> None:
+    """The figures say how late ticks have begun."""
     assert Watch().clock().figures() is None
 
 

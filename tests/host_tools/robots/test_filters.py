@@ -23,6 +23,7 @@ def test_asdf_minus_is_on_for_flawed_robots_only() -> None:
 
 
 def test_the_paper_s_filters_can_recalibrate_without_a_test() -> None:
+    """The paper's filters are ASDF- and ASDF+; with the activation "always" they recalibrate without it."""
     for name in ("asdf-minus", "asdf-plus"):
         assert FILTERS[name].firmware_filter_of(is_flawed=True, activation="always") is Filter.ALWAYS
 
@@ -32,15 +33,18 @@ def test_the_robust_filter_tests_even_if_the_paper_s_filters_are_not_to() -> Non
     assert FILTERS["robust"].firmware_filter_of(is_flawed=False, activation="always") is Filter.ROBUST
 
 
-def test_no_filter_leaves_flawed_robots_as_they_are() -> None:
+def test_with_no_filter_the_filter_of_flawed_robots_is_off() -> None:
+    """Not even the activation "always", which is for other filters, lets them recalibrate."""
     assert FILTERS["none"].firmware_filter_of(is_flawed=True, activation="always") is Filter.OFF
 
 
 def test_only_the_robust_filter_is_marked_as_depending_on_the_order_of_messages() -> None:
+    """It measures each message from a centre that the message before has moved."""
     assert [name for name, swarm_filter in FILTERS.items() if swarm_filter.order_matters] == ["robust"]
 
 
 def test_pictures_and_pages_have_a_minus_sign_in_asdf_minus() -> None:
+    """The command line has a hyphen."""
     assert FILTERS["asdf-minus"].typeset_term == "ASDF\N{MINUS SIGN}"
 
 
@@ -66,12 +70,14 @@ def test_the_filter_of_one_robot_has_the_name_of_the_swarm_s_filter_that_gives_i
     assert filter_of_one_robot(firmware_filter).name == name
 
 
-def test_robots_with_two_filters_are_described_by_both() -> None:
+def test_robots_with_two_filters_are_described_by_the_names_of_both() -> None:
+    """The robots of a log need not have the filters of one swarm."""
     description = describe_filters([Filter.ROBUST, Filter.ADAPTIVE])
     assert description == "mixed: robots with the filters adaptive, robust"
 
 
 def test_a_swarm_with_an_unknown_filter_is_refused() -> None:
+    """The error lists the filters that there are."""
     with pytest.raises(
         ValueError, match="filter is 'asdf'; choose one of none, asdf-minus, asdf-plus, robust"
     ):

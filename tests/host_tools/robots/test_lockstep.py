@@ -173,7 +173,7 @@ def numbers_in_frames_of(robot: Robot) -> tuple[int, ...]:
 @pytest.mark.parametrize("firmware", ["native", "reference"])
 @still()
 def test_robots_commanded_over_a_bus_compute_what_the_same_robots_do_when_called(firmware: str) -> None:
-    """Also when commands are lost: robots that have not answered get them again."""
+    """Some commands are lost, and robots that have not answered get them again."""
     lockstep = Lockstep(LossyWire(*make_four_nodes(firmware), is_lost=is_lost_once), timeout=0.02)
     called_robots = [called_node.robot for called_node in make_four_nodes(firmware)]
 
@@ -202,7 +202,7 @@ def test_a_lost_command_is_sent_once_more_to_the_robots_that_have_not_answered()
 
 @still()
 def test_the_transfer_ids_of_commands_count_modulo_32() -> None:
-    """Each of 4 robots gets two commands in each of 20 ticks."""
+    """The driver numbers its commands. Each of 4 robots gets two of them in each of 20 ticks."""
     wire = Wire(*make_four_nodes("native"))
     run_four_robots(Lockstep(wire), ticks=20)
 
@@ -238,6 +238,7 @@ def test_robots_that_send_no_heartbeat_are_named_in_the_error() -> None:
 
 @still()
 def test_an_error_about_many_silent_robots_names_the_first_eight() -> None:
+    """Ten robots are waited for, and none is on the bus."""
     with pytest.raises(LockstepError, match=r"robot 10, 11, 12, 13, 14, 15, 16, 17, ... did not send"):
         Lockstep(Wire()).wait_until_up(range(10, 20), timeout=0.01)
 
@@ -284,6 +285,7 @@ def test_an_estimate_of_the_last_tick_is_not_taken_for_one_of_this_tick() -> Non
 
 @still()
 def test_a_robot_can_be_driven_by_a_second_driver_without_a_restart() -> None:
+    """Each driver counts its ticks from 0; the robot has taken part in three of each."""
     robot = node(1)
     drive_robot_1(Lockstep(Wire(robot), timeout=0.02), ticks=3)
     drive_robot_1(Lockstep(Wire(robot), timeout=0.02), ticks=3)
@@ -379,6 +381,7 @@ def drive_three_robots(wire: Wire) -> None:
 def test_a_command_that_is_lost_is_sent_twice_before_the_robot_is_named_in_the_error(
     action: str, message: str
 ) -> None:
+    """The commands to robot 2 in tick 7, to observe or to end the tick, are lost each time."""
     wire = wire_that_loses_commands_to_robot_2_in_tick_7(action)
 
     with pytest.raises(LockstepError, match=message):
@@ -390,7 +393,7 @@ def test_a_command_that_is_lost_is_sent_twice_before_the_robot_is_named_in_the_e
 
 @still()
 def test_the_driver_waits_for_an_answer_instead_of_reading_again_and_again() -> None:
-    """The clock stands still but for waits, and the driver waits 0.02 s for an answer."""
+    """The clock goes on only while the driver waits, which it does for 0.02 s."""
     wire, start = wire_that_loses_commands_to_robot_2_in_tick_7("SETTLE"), CLOCK.now
 
     with pytest.raises(LockstepError, match="robot 2 did not settle"):
@@ -438,6 +441,7 @@ def test_a_robot_ends_a_tick_that_was_left_open_when_it_observes_again() -> None
 
 
 def test_a_robot_with_the_id_of_the_driver_is_refused() -> None:
+    """The simulator, which drives robots, has the id 126."""
     with pytest.raises(UsageError, match="robot 126 has the id of the simulator"):
         Lockstep(Wire()).observe({126: Observation.WHITE})
 
@@ -516,7 +520,7 @@ def test_a_robot_s_process_that_does_not_end_when_it_is_asked_to_is_killed(
 
 
 def test_the_report_that_a_robot_s_process_prints_is_kept() -> None:
-    """In place of a robot a command prints one."""
+    """In place of the robot a command prints a report in JSON and ends."""
     with processes_that_run(["echo", '{"steps": 1}']) as nodes:
         process_of_robot_3(nodes).wait()
 
@@ -562,5 +566,6 @@ def test_robots_processes_run_on_the_first_processor_alone_if_a_robot_is_on_sock
 def test_robots_processes_run_on_any_processor_if_no_robot_is_on_socketcan(
     processor_restrictions: list[set[int]],
 ) -> None:
+    """Both robots are on multicast; only SocketCAN needs one processor to keep the order of frames."""
     prepare_processes_of_two_robots("udp_multicast", "udp_multicast")
     assert processor_restrictions == []

@@ -39,6 +39,7 @@ ESTIMATE_IDENTIFIER = 0x106BB82A
 
 
 def test_the_specification_states_the_mask_by_which_a_receiver_filters_frames() -> None:
+    """The mask says which bits of an identifier must be those of an estimate."""
     page = (ROOT / "docs/design.md").read_text(encoding="utf-8")
     (frame_filter,) = filters_for(ESTIMATE_FORMAT)
     assert f"mask `0x{frame_filter['can_mask']:08X}`" in page
@@ -154,6 +155,7 @@ def test_frames_do_not_wait_for_a_bus_that_is_down(pauses: list[float]) -> None:
 
 
 def test_frames_do_not_wait_longer_than_the_timeout_for_a_bus_that_stays_full(pauses: list[float]) -> None:
+    """The timeout is 0 s, so the second attempt comes too late."""
     with pytest.raises(can.CanTimeoutError, match="the bus took no frame for 0 s"):
         send_all(bus_whose_sends_end_with(FULL), [FRAME], timeout=0)
 
@@ -167,7 +169,7 @@ def test_a_link_that_survives_failures_counts_the_frames_that_it_could_not_send(
 
 
 def test_a_link_that_survives_failures_pauses_when_it_cannot_receive(pauses: list[float]) -> None:
-    """Or it would ask a bus that is down without end."""
+    """Without the pause it would ask a bus that is down again and again."""
     link = BusLink(bus_that_receives(can.CanOperationError("down", DOWN)), endures=True)
 
     assert link.receive(9) is None
@@ -230,9 +232,10 @@ def test_a_bus_that_fails_ends_the_run_of_a_node() -> None:
 # The command
 
 
-def test_the_command_of_a_node_fails_with_the_reason_if_its_bus_fails(
+def test_the_command_node_fails_with_the_reason_if_its_bus_fails(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    """The exit code is 1, and nothing is printed but the reason."""
     failure = RunOutcome("the bus failed: no luck", has_failed=True)
     monkeypatch.setattr("mcp_asdf_tools.robots.node.run_node", Mock(return_value=failure))
     assert main(["node", "--id", "5", "--quiet"]) == 1
@@ -349,20 +352,23 @@ def test_an_alpha_that_doubles_after_32_estimates_counts_as_a_jump() -> None:
 
 
 def test_an_alpha_that_less_than_doubles_counts_as_no_jump() -> None:
+    """alpha is the confidence of an estimate."""
     assert count_jumps([40.0] * 32 + [79.999]) == 0
 
 
-def test_the_first_32_alphas_of_a_robot_may_double() -> None:
+def test_the_first_32_alphas_of_a_robot_count_as_no_jump_even_if_one_doubles() -> None:
+    """alpha is the confidence of an estimate."""
     assert count_jumps([40.0] * 31 + [80.0]) == 0
 
 
-def test_the_first_33_alphas_from_one_that_has_fallen_by_half_may_double() -> None:
+def test_the_first_33_alphas_from_one_that_has_fallen_by_half_on_count_as_no_jump() -> None:
     """A robot whose alpha falls by half has begun anew."""
     assert count_jumps([80.0] * 33 + [40.0] * 32 + [80.0]) == 0
     assert count_jumps([80.0] * 33 + [40.0] * 33 + [80.0]) == 1
 
 
 def test_an_alpha_of_0_counts_as_no_jump() -> None:
+    """An alpha of 0, no confidence, is not taken for twice the last one."""
     assert count_jumps([0.0] * 100) == 0
 
 
@@ -407,6 +413,8 @@ def test_a_node_counts_suspicious_estimates_by_kind_and_sender(capsys: pytest.Ca
 def test_a_node_warns_once_of_each_kind_of_suspicious_estimates_and_each_sender(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
+    """Robot 5 gets estimates under its own id, of robot 30, which is not allowed, and of robot 6, whose
+    confidence alpha jumps."""
     _, errors = run_among_suspicious_neighbours(capsys)
     warnings = [line for line in errors.splitlines() if ": node " in line]
 
@@ -483,6 +491,7 @@ def test_a_node_that_is_asked_to_end_stops_after_its_tick_and_its_log_can_be_rep
 def test_a_node_that_has_ended_says_how_to_run_it_again_and_has_restored_the_handlers_of_signals(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
+    """It is asked to end by Ctrl-C, SIGINT."""
     handlers = [signal.getsignal(number) for number in ENDING_SIGNALS]
     run_robot_3_until_it_is_asked_to_end(["--b-hat", "0.7"], signal.SIGINT)
 
@@ -508,13 +517,14 @@ MESSAGES_BY_WRONG_OPTIONS = {
 
 
 @pytest.mark.parametrize(("arguments", "message"), MESSAGES_BY_WRONG_OPTIONS.items())
-def test_a_wrong_option_of_a_node_is_reported_and_nothing_is_written(
+def test_a_wrong_option_of_the_command_node_is_reported_and_no_file_is_written(
     arguments: str,
     message: str,
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
     tmp_path: Path,
 ) -> None:
+    """The exit code is 2, and the message says what is wrong."""
     monkeypatch.chdir(tmp_path)
     assert main(["node", *shlex.split(arguments)]) == 2
     output = capsys.readouterr()

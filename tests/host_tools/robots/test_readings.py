@@ -23,7 +23,7 @@ from mcp_asdf_tools.robots.readings import Readings, parse_readings
         ("write.table of R", '"reading" "colour"\n"1" 300 "black"\n"2" 700.5 "white"\n'),
     ],
 )
-def test_readings_of_any_program_are_parsed(program: str, text: str) -> None:
+def test_readings_are_parsed_in_the_forms_that_common_programs_write(program: str, text: str) -> None:
     """A row has the reading, and whether it was over a black tile."""
     assert parse_readings(text, "x.csv") == Readings([(300.0, True), (700.5, False)]), program
 
@@ -36,7 +36,8 @@ def test_readings_of_minus_one_are_left_out_and_counted() -> None:
 
 
 @pytest.mark.parametrize("word", ["NA", "nan", "", "timeout"])
-def test_a_word_in_place_of_a_number_is_left_out_and_counted(word: str) -> None:
+def test_a_reading_that_is_a_word_in_place_of_a_number_is_left_out_and_counted(word: str) -> None:
+    """A program may write it where the sensor did not answer."""
     readings = parse_readings(f"300,black\n{word},black\n", "x.csv")
     assert readings.rows == [(300.0, True)]
     assert readings.left_out == {"no number": 1}
@@ -67,7 +68,8 @@ def test_comments_and_repeated_headers_are_left_out_and_counted() -> None:
         ("wert;farbe\n512;black", "line 1: 'wert;farbe' is a header without the columns reading and colour"),
     ],
 )
-def test_a_line_of_another_form_is_refused_by_its_number(text: str, message: str) -> None:
+def test_a_line_that_is_no_reading_with_a_colour_is_refused_by_its_number(text: str, message: str) -> None:
+    """The error names the file, the line, what it has, and how it should be."""
     with pytest.raises(UsageError) as caught:
         parse_readings(text, "readings.csv")
     assert str(caught.value).startswith(f"readings.csv, {message}")
