@@ -184,8 +184,10 @@ def test_a_robot_that_rejoins_begins_anew_if_the_crash_lost_its_state() -> None:
 
 
 def test_a_line_of_events_has_all_that_a_robot_did_in_a_tick() -> None:
-    """A line is the robot's id, 1 for a black tile, each estimate as [sender, x_hat, alpha], and 3 for the
-    tick's end. A heartbeat is no event."""
+    """It has the robot's id, 1 for a black tile, each estimate, and 3 for the end of the tick.
+
+    An estimate is [sender, x_hat, alpha]. A heartbeat is no event.
+    """
     lines: list[str] = []
     robot = BusRobot(record(5), ESTIMATES, EventRecorder(5, lines.append))
     robot.observe(Observation.BLACK)

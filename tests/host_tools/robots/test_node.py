@@ -155,7 +155,7 @@ def test_frames_do_not_wait_for_a_bus_that_is_down(pauses: list[float]) -> None:
 
 
 def test_frames_do_not_wait_longer_than_the_timeout_for_a_bus_that_stays_full(pauses: list[float]) -> None:
-    """The timeout is 0 s, so the second attempt comes too late."""
+    """The timeout is 0 s, and the queue of the bus stays full."""
     with pytest.raises(can.CanTimeoutError, match="the bus took no frame for 0 s"):
         send_all(bus_whose_sends_end_with(FULL), [FRAME], timeout=0)
 
@@ -413,8 +413,10 @@ def test_a_node_counts_suspicious_estimates_by_kind_and_sender(capsys: pytest.Ca
 def test_a_node_warns_once_of_each_kind_of_suspicious_estimates_and_each_sender(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """Robot 5 gets estimates under its own id, of robot 30, which is not allowed, and of robot 6, whose
-    confidence alpha jumps."""
+    """Robot 5 gets estimates under its own id, of robot 30, which is not allowed, and of robot 6.
+
+    The confidence alpha of robot 6 jumps.
+    """
     _, errors = run_among_suspicious_neighbours(capsys)
     warnings = [line for line in errors.splitlines() if ": node " in line]
 
