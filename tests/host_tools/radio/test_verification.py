@@ -397,7 +397,7 @@ def test_a_verdict_lists_the_observations_before_a_test_of_the_robust_filter_tha
 def test_a_verdict_lists_the_results_of_a_re_estimate_for_which_no_messages_were_found(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Messages are searched after which b_hat, a robot's accuracy, gets each of five values; none are found."""
+    """Messages are drawn after which b_hat, a robot's accuracy, gets each of five values; none is found."""
     monkeypatch.setattr(crafted_rounds, "_MAX_DRAWS_FOR_UPDATE", 0)  # as if all attempts had been in vain
 
     verdict = verify(right_controller(), phases=phases_named("first black tiles", "re-estimates"))
