@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-import mcp_asdf_tools as m
+from mcp_asdf_tools import Experiment, grid, simulate
 from support import ROOT
 
 FIGURES = ROOT / "docs/internals/filters.csv"
@@ -45,12 +45,12 @@ def test_published_figures_of_the_advice_are_what_the_experiments_give(
 ) -> None:
     published = FIGURES.read_text(encoding="utf-8").splitlines()
     for filter_name in ("none", "asdf-minus", "robust"):
-        trials = m.simulate(m.grid(**given, filter=filter_name)).to_pylist()
+        trials = simulate(grid(**given, filter=filter_name)).to_pylist()
         assert f"{case},{filter_name},{row_end(trials)}" in published
 
 
 def test_the_defaults_of_the_tools_are_those_that_the_page_advises() -> None:
-    default = m.Experiment()
+    default = Experiment()
     assert default.filter_period == 1000
     assert float(default.omega) == 0.05
     assert default.memory == 2**31

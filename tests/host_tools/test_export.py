@@ -12,9 +12,8 @@ import pyarrow.csv  # type: ignore[import-untyped]
 import pyarrow.parquet as pq  # type: ignore[import-untyped]
 import pytest
 
-import mcp_asdf_tools as m
 from events_files import lines_of
-from mcp_asdf_tools import library
+from mcp_asdf_tools import Experiment, UsageError, library, read_table, simulate, to_frame
 from mcp_asdf_tools.cli.main import main
 from mcp_asdf_tools.recording.events import events_path
 
@@ -51,7 +50,7 @@ def swarm_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Results of trial 0 with the values of every step; only to be read."""
     path = tmp_path_factory.mktemp("results") / "run.parquet"
-    m.simulate(m.Experiment(**PARAMETERS, trials=1), path, record=1)
+    simulate(Experiment(**PARAMETERS, trials=1), path, record=1)
     return path
 
 
@@ -59,18 +58,18 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_a_log_gives_the_same_table_as_the_trial_with_its_parameters(swarm_log: Path, results: Path) -> None:
-    assert m.to_frame(swarm_log).equals(m.to_frame(results))
+    assert to_frame(swarm_log).equals(to_frame(results))
 
 
 def test_a_table_in_memory_gives_the_same_as_its_file(results: Path) -> None:
-    assert m.to_frame(m.read_table(results)).equals(m.to_frame(str(results)))
+    assert to_frame(read_table(results)).equals(to_frame(str(results)))
 
 
 def test_some_rows_of_results_give_a_table_of_these_trials() -> None:
-    table = m.simulate(m.Experiment(**PARAMETERS, trials=3), record=30)
+    table = simulate(Experiment(**PARAMETERS, trials=3), record=30)
     second_row = table.slice(1, 1)  # trial 1 of four robots, recorded at the steps 0, 30 and 60
 
-    tidy = m.to_frame(second_row)
+    tidy = to_frame(second_row)
 
     assert tidy["trial"].to_pylist() == [1] * (3 * 4)
     assert tidy["step"].to_pylist() == [0] * 4 + [30] * 4 + [60] * 4
@@ -79,17 +78,17 @@ def test_some_rows_of_results_give_a_table_of_these_trials() -> None:
 def test_a_log_that_is_replayed_in_pieces_gives_the_same_table(
     swarm_log: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    table_at_once = m.to_frame(swarm_log)
+    table_at_once = to_frame(swarm_log)
     monkeypatch.setattr(library, "_ROWS_AT_ONCE", 7)
     states = 1 + 60  # at the start, and after each step; each has rows of four robots
     assert len(list(library.stream_tidy_tables(swarm_log))) == states
-    assert m.to_frame(swarm_log).equals(table_at_once)
+    assert to_frame(swarm_log).equals(table_at_once)
 
 
 def test_a_dead_robot_has_no_values(tmp_path: Path) -> None:
     """Robot 2 crashes in step 21, and is dead for 15 steps."""
     log = write_log(tmp_path / "run.log", "--fault", "crash=1.0,from=20,to=21,robots=2,ticks=15")
-    tidy = m.to_frame(log)
+    tidy = to_frame(log)
     rows_without_values = tidy.filter(pa.compute.is_null(tidy["x"]))
 
     assert rows_without_values["step"].to_pylist() == [*range(21, 36)]
@@ -104,12 +103,12 @@ def test_a_log_that_was_cut_off_is_exported_as_far_as_it_goes(swarm_log: Path, t
     with gzip.open(events_path(log), "wt") as file:
         file.write(header_and_nine_steps + "[0,1,")
 
-    assert m.to_frame(log)["step"].to_pylist()[-4:] == [9] * 4
+    assert to_frame(log)["step"].to_pylist()[-4:] == [9] * 4
 
 
 def test_a_log_without_events_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(m.UsageError, match=r"there is no .*/run\.log\.events, .* give results \(\.parquet\)"):
-        m.to_frame(tmp_path / "run.log")
+    with pytest.raises(UsageError, match=r"there is no .*/run\.log\.events, .* give results \(\.parquet\)"):
+        to_frame(tmp_path / "run.log")
 
 
 def test_a_log_of_a_node_is_refused(swarm_log: Path, tmp_path: Path) -> None:
@@ -118,8 +117,8 @@ def test_a_log_of_a_node_is_refused(swarm_log: Path, tmp_path: Path) -> None:
     with gzip.open(tmp_path / "node.log.events", "wt") as file:
         file.write("".join([json.dumps(header_of_node) + "\n", *lines]))
 
-    with pytest.raises(m.UsageError, match=r"node\.log is not the log of a swarm; give one of"):
-        m.to_frame(tmp_path / "node.log")
+    with pytest.raises(UsageError, match=r"node\.log is not the log of a swarm; give one of"):
+        to_frame(tmp_path / "node.log")
 
 
 # --- The command -----------------------------------------------------------------------------------------
@@ -129,13 +128,13 @@ def test_export_writes_the_values_of_a_log_as_csv(swarm_log: Path, tmp_path: Pat
     path = tmp_path / "robots.csv"
     assert main(["export", str(swarm_log), str(path)]) == 0
     assert capsys.readouterr().out == f"wrote 244 rows to {path}\n"
-    assert pyarrow.csv.read_csv(path)["x"].to_pylist() == m.to_frame(swarm_log)["x"].to_pylist()
+    assert pyarrow.csv.read_csv(path)["x"].to_pylist() == to_frame(swarm_log)["x"].to_pylist()
 
 
 def test_export_writes_the_values_of_results_as_parquet(results: Path, tmp_path: Path) -> None:
     path = tmp_path / "robots.parquet"
     assert main(["export", str(results), str(path)]) == 0
-    assert pq.read_table(path).equals(m.to_frame(results))
+    assert pq.read_table(path).equals(to_frame(results))
 
 
 @pytest.mark.parametrize("name", ["run.pq", "run.PARQUET"])
@@ -165,7 +164,7 @@ def test_export_does_not_replace_what_it_exports(swarm_log: Path, tmp_path: Path
 
 
 def test_export_of_results_without_records_leaves_no_file(tmp_path: Path, capsys: Capture) -> None:
-    m.simulate(m.Experiment(**PARAMETERS, trials=1), tmp_path / "run.parquet")
+    simulate(Experiment(**PARAMETERS, trials=1), tmp_path / "run.parquet")
     assert main(["export", str(tmp_path / "run.parquet"), str(tmp_path / "robots.csv")]) == 2
     assert "run simulate or sweep again with --record 100" in capsys.readouterr().err
     assert [path.name for path in tmp_path.iterdir()] == ["run.parquet"]

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-import mcp_asdf_tools as m
 from mcp_asdf.robot import Config, Filter
+from mcp_asdf_tools import Experiment, SwarmSettings, experiments_in, grid, plot_curve, simulate
 from mcp_asdf_tools.cli.main import main
 from mcp_asdf_tools.cli.radio import add_arguments as add_radio_arguments
 from mcp_asdf_tools.cli.radio import settings_of
@@ -34,15 +34,15 @@ def printed_by(command: str, capsys: pytest.CaptureFixture[str]) -> str:
     return capsys.readouterr().out
 
 
-@pytest.mark.parametrize("kind", [m.Experiment, m.SwarmSettings])
-def test_by_default_only_the_flawed_robots_recalibrate(kind: type[m.Experiment | m.SwarmSettings]) -> None:
+@pytest.mark.parametrize("kind", [Experiment, SwarmSettings])
+def test_by_default_only_the_flawed_robots_recalibrate(kind: type[Experiment | SwarmSettings]) -> None:
     settings = kind(robots=4, flawed=1)
     assert [settings.config(robot).filter for robot in range(4)] == [Filter.ADAPTIVE, *[Filter.OFF] * 3]
 
 
 def test_without_flawed_robots_no_estimated_accuracy_changes_by_default() -> None:
-    experiment = m.Experiment(robots=6, flawed=0, steps=2000, filter_period=100, trials=4)
-    (trials,) = m.experiments_in(m.simulate(experiment))
+    experiment = Experiment(robots=6, flawed=0, steps=2000, filter_period=100, trials=4)
+    (trials,) = experiments_in(simulate(experiment))
     assert (trials.b_hat == trials.b_hat[:, :1]).all()
 
 
@@ -87,7 +87,7 @@ def test_scores_name_the_filter_of_each_experiment(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     filters = ["none", "asdf-minus", "asdf-plus"]
-    m.simulate(m.grid(robots=4, flawed=1, steps=40, trials=1, filter=filters), tmp_path / "grid.parquet")
+    simulate(grid(robots=4, flawed=1, steps=40, trials=1, filter=filters), tmp_path / "grid.parquet")
     text = printed_by(f"score '{tmp_path}/grid.parquet'", capsys)
     for description in ("no filter: no robot", ASDF_MINUS, "ASDF+: all robots recalibrate"):
         assert description in text
@@ -139,6 +139,6 @@ def test_the_neighbours_that_radio_emulates_filter_only_if_asdf_plus_is_chosen(
 
 
 def test_a_picture_of_curves_names_the_filter() -> None:
-    table = m.simulate(m.grid(robots=4, flawed=1, steps=40, trials=1, density=[1.0, 2.0], topology="dynamic"))
-    figure = m.plot_curve(table, "density")
+    table = simulate(grid(robots=4, flawed=1, steps=40, trials=1, density=[1.0, 2.0], topology="dynamic"))
+    figure = plot_curve(table, "density")
     assert any("ASDF\N{MINUS SIGN}" in text.get_text() for text in figure.texts)

@@ -13,11 +13,24 @@ import pytest
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-import mcp_asdf_tools as m
+import mcp_asdf_tools
 from mcp_asdf.mirror import MirrorRobot
 from mcp_asdf.reference import ReferenceRobot
 from mcp_asdf.robot import Config
-from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools import (
+    Experiment,
+    SwarmSettings,
+    UsageError,
+    emulate,
+    experiments_in,
+    grid,
+    plot_boxes,
+    plot_curve,
+    read_table,
+    score,
+    simulate,
+    start_swarm,
+)
 from mcp_asdf_tools.common.figures import add_legend, empty_figure
 from mcp_asdf_tools.experiments.result_tables import trials_to_table
 from mcp_asdf_tools.experiments.results import Trials
@@ -25,11 +38,11 @@ from mcp_asdf_tools.experiments.trials import run_trials
 from mcp_asdf_tools.swarm.swarm import Swarm
 from support import ROOT, run
 
-UNTYPED: Any = m
+UNTYPED: Any = mcp_asdf_tools
 """The library without its types, as in a notebook: type checkers let wrong arguments pass."""
 
 
-def small_experiment(**changes: Any) -> m.Experiment:
+def small_experiment(**changes: Any) -> Experiment:
     """Return an experiment of 120 steps with a flawed robot among four; ``changes`` replace parameters."""
     parameters: dict[str, Any] = {
         "robots": 4,
@@ -39,10 +52,10 @@ def small_experiment(**changes: Any) -> m.Experiment:
         "steps": 120,
         "trials": 3,
     }
-    return m.Experiment(**parameters | changes)
+    return Experiment(**parameters | changes)
 
 
-def small_swarm(**changes: Any) -> m.SwarmSettings:
+def small_swarm(**changes: Any) -> SwarmSettings:
     """Return settings of a swarm that runs 60 steps, like ``small_experiment``."""
     parameters: dict[str, Any] = {
         "robots": 4,
@@ -51,12 +64,12 @@ def small_swarm(**changes: Any) -> m.SwarmSettings:
         "filter_period": 20,
         "steps": 60,
     }
-    return m.SwarmSettings(**parameters | changes)
+    return SwarmSettings(**parameters | changes)
 
 
-def simulate_one(experiment: m.Experiment) -> Trials:
+def simulate_one(experiment: Experiment) -> Trials:
     """Run the trials of an experiment, and return them instead of the table that has them."""
-    all_trials = list(m.experiments_in(m.simulate(experiment)))
+    all_trials = list(experiments_in(simulate(experiment)))
     assert len(all_trials) == 1, "a table of one experiment has the trials of one"
     return all_trials[0]
 
@@ -64,22 +77,23 @@ def simulate_one(experiment: m.Experiment) -> Trials:
 # --- Names -----------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", m.__all__)
+@pytest.mark.parametrize("name", mcp_asdf_tools.__all__)
 def test_every_name_of_the_library_is_on_its_page_and_has_a_docstring(name: str) -> None:
     page = (ROOT / "docs/api.md").read_text(encoding="utf-8")
     assert f"m.{name}" in page or f"`{name}`" in page
-    assert getattr(m, name).__doc__
+    assert getattr(mcp_asdf_tools, name).__doc__
 
 
-def test_a_name_that_the_library_does_not_have_is_an_attribute_error() -> None:
+def test_a_name_that_the_library_does_not_have_raises_an_attribute_error() -> None:
     with pytest.raises(AttributeError, match="module mcp_asdf_tools has no attribute emulat"):
-        _ = m.emulat
+        _ = mcp_asdf_tools.emulat
 
 
-def test_a_star_imports_every_name_of_the_library() -> None:
+def test_import_star_imports_every_name_of_the_library() -> None:
+    """The names are loaded when they are first used, which ``from mcp_asdf_tools import *`` must cause."""
     names: dict[str, object] = {}
     exec("from mcp_asdf_tools import *", names)
-    assert set(m.__all__) <= names.keys()
+    assert set(mcp_asdf_tools.__all__) <= names.keys()
 
 
 def test_importing_the_library_loads_neither_matplotlib_nor_pyarrow() -> None:
@@ -105,40 +119,45 @@ def expected_table() -> Any:
 def results_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A file with the results of the small experiment."""
     path = tmp_path_factory.mktemp("results") / "grid.parquet"
-    m.simulate(small_experiment(), path)
+    simulate(small_experiment(), path)
     return path
 
 
 def test_simulate_returns_the_table_of_an_experiment_s_trials(expected_table: Any) -> None:
-    assert m.simulate(small_experiment()).equals(expected_table)
+    """The expected table is made by the functions behind the library."""
+    assert simulate(small_experiment()).equals(expected_table)
 
 
-def test_simulate_returns_the_same_table_with_a_file_and_worker_processes(
+@pytest.mark.slow
+def test_simulate_returns_the_same_table_with_a_file_and_two_worker_processes(
     expected_table: Any, tmp_path: Path
 ) -> None:
-    table = m.simulate([small_experiment()], tmp_path / "grid.parquet", workers=2)
+    table = simulate([small_experiment()], tmp_path / "grid.parquet", workers=2)
     assert table.equals(expected_table)
 
 
-def test_results_are_read_and_scored_without_change(expected_table: Any, results_file: Path) -> None:
-    assert m.score(m.read_table(results_file)).equals(expected_table)
+def test_results_that_are_read_from_a_file_and_scored_again_are_the_same_table(
+    expected_table: Any, results_file: Path
+) -> None:
+    """A table of results has the scores already, and the file was written by ``simulate``."""
+    assert score(read_table(results_file)).equals(expected_table)
 
 
 def test_results_that_were_read_can_be_plotted(results_file: Path) -> None:
-    assert isinstance(m.plot_boxes(m.read_table(results_file)), Figure)
+    assert isinstance(plot_boxes(read_table(results_file)), Figure)
 
 
-def test_simulate_takes_finished_trials_from_the_file(
+def test_simulate_takes_trials_that_are_in_its_file_already_from_there(
     expected_table: Any, results_file: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Without jobs no trial can be run, so all that is returned must come from the file."""
+    """No trial can be run here, since there are no jobs, so all that is returned must come from the file."""
     monkeypatch.setattr("mcp_asdf_tools.experiments.sweep.jobs_of", lambda store: iter([]))
-    assert m.simulate(small_experiment(), str(results_file)).equals(expected_table)
+    assert simulate(small_experiment(), str(results_file)).equals(expected_table)
 
 
 def test_simulate_refuses_a_file_with_results_of_other_experiments(results_file: Path) -> None:
-    with pytest.raises(m.UsageError, match="results of other experiments"):
-        m.simulate(m.grid(robots=3, steps=50, trials=1), results_file)
+    with pytest.raises(UsageError, match="results of other experiments"):
+        simulate(grid(robots=3, steps=50, trials=1), results_file)
 
 
 # --- Swarms ----------------------------------------------------------------------------------------------
@@ -157,7 +176,7 @@ def images_of_robots(swarm: Swarm) -> list[bytes]:
 
 def test_a_program_that_listens_on_a_swarm_s_channel_gets_frames_with_simulated_times() -> None:
     """The time of a simulated swarm begins at 0. The clock's time, in seconds since 1970, is much later."""
-    with m.start_swarm(small_swarm(), "times") as swarm, can.Bus("times", "virtual") as listener:
+    with start_swarm(small_swarm(), "times") as swarm, can.Bus("times", "virtual") as listener:
         swarm.tick()
         frame = listener.recv(timeout=0)
 
@@ -165,22 +184,24 @@ def test_a_program_that_listens_on_a_swarm_s_channel_gets_frames_with_simulated_
     assert frame.timestamp < 1
 
 
-def test_a_swarm_on_a_channel_ends_in_the_same_bits_as_one_without() -> None:
+def test_robots_whose_frames_are_published_on_a_channel_end_in_the_same_state_as_without_it() -> None:
+    """Other programs may listen on the channel. A fifth of the frames are lost, at random but repeatably."""
     settings = small_swarm(faults=("loss=0.2",))
-    with m.start_swarm(settings) as swarm, m.start_swarm(settings, "same bits") as swarm_on_channel:
+    with start_swarm(settings) as swarm, start_swarm(settings, "a channel") as swarm_on_channel:
         run_to_end(swarm)
         run_to_end(swarm_on_channel)
         assert images_of_robots(swarm) == images_of_robots(swarm_on_channel)
 
 
-def test_emulate_reports_the_estimates_at_the_end_of_the_swarm() -> None:
+def test_emulate_reports_the_estimate_x_of_each_robot_at_the_end() -> None:
+    """The same swarm is also run tick by tick. A fifth of the frames are lost, at random but repeatably."""
     settings = small_swarm(faults=("loss=0.2",))
-    with m.start_swarm(settings) as swarm:
+    with start_swarm(settings) as swarm:
         run_to_end(swarm)
         estimates = [node.robot.x for node in swarm.nodes]
-    rows = m.emulate(settings).results["robots"]
+    reported_robots = emulate(settings).results["robots"]
 
-    assert [row["x"] for row in rows] == estimates
+    assert [robot["x"] for robot in reported_robots] == estimates
 
 
 # --- Objects in place of names: graphs -------------------------------------------------------------------
@@ -222,7 +243,11 @@ NEIGHBOUR_MATRIX = np.array(
     ],
     ids=["pairs", "numpy integers", "array of pairs", "undirected", "directed", "matrix"],
 )
-def test_a_graph_may_be_any_of_its_usual_objects(graph: Any, edges: str) -> None:
+def test_a_graph_may_be_given_as_pairs_as_arrays_or_as_an_object_of_networkx(graph: Any, edges: str) -> None:
+    """For example ``[(0, 1), (1, 2)]``, which becomes the text "0 1; 1 2".
+
+    "0 > 1" is a link of one direction.
+    """
     assert str(small_experiment(topology="graph", graph=graph).graph) == edges
 
 
@@ -231,8 +256,9 @@ def test_a_graph_may_be_any_of_its_usual_objects(graph: Any, edges: str) -> None
     [5, [(0, 1, 2)], [("a", "b")], np.ones((2, 3), np.bool_), [(0, 200)]],
     ids=["number", "triple", "letters", "matrix that is not square", "id of no robot"],
 )
-def test_an_object_that_is_no_graph_of_the_swarm_is_refused(graph: Any) -> None:
-    with pytest.raises(m.UsageError):
+def test_an_object_that_is_no_graph_of_four_robots_is_refused(graph: Any) -> None:
+    """For example the number 5, or a link to robot 200."""
+    with pytest.raises(UsageError):
         small_experiment(topology="graph", graph=graph)
 
 
@@ -259,16 +285,22 @@ in_either_order = pytest.mark.parametrize("firmware", [make_mirror_for_even_ids,
 
 
 @in_either_order
-def test_a_simulated_swarm_may_mix_robots_of_integers_and_of_floats(firmware: Any) -> None:
+def test_robots_of_integers_and_of_floats_in_one_simulated_swarm_get_the_accuracies_of_native_ones(
+    firmware: Any,
+) -> None:
+    """Every second robot calculates with the firmware's integers, and the others with floats."""
     mixed = simulate_one(small_experiment(trials=1, firmware=firmware))
     native = simulate_one(small_experiment(trials=1))
     assert np.allclose(mixed.b_hat, native.b_hat, atol=MAX_ERROR_OF_FIRMWARE)
 
 
 @in_either_order
-def test_a_swarm_on_a_bus_may_mix_robots_of_integers_and_of_floats(firmware: Any) -> None:
-    mixed = m.emulate(small_swarm(firmware=firmware)).results["mean_error"]
-    native = m.emulate(small_swarm()).results["mean_error"]
+def test_robots_of_integers_and_of_floats_on_one_bus_have_the_mean_error_of_native_ones(
+    firmware: Any,
+) -> None:
+    """Every second robot calculates with the firmware's integers, and the others with floats."""
+    mixed = emulate(small_swarm(firmware=firmware)).results["mean_error"]
+    native = emulate(small_swarm()).results["mean_error"]
     assert mixed == pytest.approx(native, abs=MAX_ERROR_OF_FIRMWARE)
 
 
@@ -277,19 +309,18 @@ def make_robot_without_estimates(config: Config, robot_id: int, b_hat: float) ->
     return SimpleNamespace(id=robot_id, observe=lambda z: None, settle=lambda: None)
 
 
-MISSING_ATTRIBUTES = "SimpleNamespace without alpha, b_hat, beta, .* x_hat"
-
-
-def test_simulate_refuses_robots_that_lack_attributes() -> None:
+def test_simulate_refuses_robots_that_lack_attributes_and_names_these() -> None:
+    """The robots can observe and settle, but have no estimates."""
     experiment = small_experiment(firmware=make_robot_without_estimates)
-    with pytest.raises(UsageError, match=MISSING_ATTRIBUTES):
-        m.simulate(experiment)
+    with pytest.raises(UsageError, match=r"SimpleNamespace without alpha, b_hat, beta, .* x_hat"):
+        simulate(experiment)
 
 
-def test_emulate_refuses_robots_that_lack_attributes() -> None:
+def test_emulate_refuses_robots_that_lack_attributes_and_names_these() -> None:
+    """The robots can observe and settle, but have no estimates."""
     settings = small_swarm(firmware=make_robot_without_estimates)
-    with pytest.raises(UsageError, match=MISSING_ATTRIBUTES):
-        m.emulate(settings)
+    with pytest.raises(UsageError, match=r"SimpleNamespace without alpha, b_hat, beta, .* x_hat"):
+        emulate(settings)
 
 
 class RobotWithOneRawMethod(ReferenceRobot):
@@ -299,11 +330,11 @@ class RobotWithOneRawMethod(ReferenceRobot):
         return len(messages)
 
 
-def test_a_robot_with_some_of_the_raw_values_is_refused() -> None:
+def test_a_robot_that_has_one_method_of_fixed_point_robots_but_not_the_others_is_refused() -> None:
+    """Like robots that calculate with integers it has ``receive_all``, but it lacks, for example, ``alpha_raw``."""
     settings = small_swarm(firmware=RobotWithOneRawMethod)
-    message = r"a RobotWithOneRawMethod without alpha_raw, .*give it all that mcp_asdf.Fixed"
-    with pytest.raises(UsageError, match=message):
-        m.emulate(settings)
+    with pytest.raises(UsageError, match="a RobotWithOneRawMethod without alpha_raw, "):
+        emulate(settings)
 
 
 class DataSheetRobot(ReferenceRobot):
@@ -326,32 +357,34 @@ def robot_class_with_b_hat(accuracy: float) -> Any:
     return RobotOfOneAccuracy
 
 
-@pytest.mark.parametrize("accuracy", [0.7, 0.9])
-def test_a_class_of_the_user_s_can_be_the_firmware_of_an_experiment(accuracy: float) -> None:
-    """A user may give a class of their own as the firmware; here it assumes one accuracy once it filters."""
-    firmware = robot_class_with_b_hat(accuracy)
-    experiment = small_experiment(trials=1, activation="always", firmware=firmware)
-    trials = simulate_one(experiment)
-
-    assert trials.experiment == experiment
-    assert trials.b_hat[0, -1].tolist() == [accuracy] * 4
+def final_accuracies(experiment: Experiment) -> Any:
+    """Run the only trial of an experiment, and return b_hat of its four robots at the end."""
+    first_trial = 0
+    last_step = -1
+    return simulate_one(experiment).b_hat[first_trial, last_step].tolist()
 
 
-def test_experiments_with_different_firmware_classes_of_one_name_are_different() -> None:
+def test_an_experiment_can_have_a_robot_class_of_the_user_as_its_firmware() -> None:
+    """The class assumes an accuracy of 0.7 as soon as it filters, and the other parameters make it filter."""
+    experiment = small_experiment(trials=1, activation="always", firmware=robot_class_with_b_hat(0.7))
+    assert final_accuracies(experiment) == [0.7, 0.7, 0.7, 0.7]
+
+
+def test_experiments_with_different_robot_classes_of_one_name_are_different() -> None:
     """Both classes are called RobotOfOneAccuracy."""
     low, high = robot_class_with_b_hat(0.7), robot_class_with_b_hat(0.9)
     assert small_experiment(firmware=low) != small_experiment(firmware=high)
     assert small_experiment(firmware=low) == small_experiment(firmware=low)
 
 
-def test_an_experiment_runs_its_own_firmware_class_after_another_of_the_same_name_was_given() -> None:
+def test_two_experiments_with_robot_classes_of_one_name_are_each_run_with_their_own_class() -> None:
+    """Both classes are called RobotOfOneAccuracy; one assumes an accuracy of 0.7, and the other of 0.9."""
     low, high = robot_class_with_b_hat(0.7), robot_class_with_b_hat(0.9)
-    first, second = [
-        small_experiment(trials=1, activation="always", firmware=firmware) for firmware in (low, high)
-    ]
+    first = small_experiment(trials=1, activation="always", firmware=low)
+    second = small_experiment(trials=1, activation="always", firmware=high)
 
-    assert simulate_one(second).b_hat[0, -1].tolist() == [0.9] * 4
-    assert simulate_one(first).b_hat[0, -1].tolist() == [0.7] * 4
+    assert final_accuracies(second) == [0.9, 0.9, 0.9, 0.9]
+    assert final_accuracies(first) == [0.7, 0.7, 0.7, 0.7]
 
 
 def make_sensors_that_see_black(settings: object, trial: int) -> Any:
@@ -360,70 +393,78 @@ def make_sensors_that_see_black(settings: object, trial: int) -> Any:
     return SimpleNamespace(advance=lambda steps: (accuracy_on_black, accuracy_on_white))
 
 
-def test_a_function_of_the_user_s_can_make_the_sensors_of_an_experiment() -> None:
-    experiment = small_experiment(trials=3, sensor=make_sensors_that_see_black)
+def test_an_experiment_can_have_sensors_that_a_function_of_the_user_makes() -> None:
+    """These sensors always read black, so at the end robots believe in a black floor. In fact 55 % are black."""
+    experiment = small_experiment(trials=1, filter="none", sensor=make_sensors_that_see_black)
     assert experiment.sensor.endswith("make_sensors_that_see_black")
-    assert len(m.simulate(experiment)) == 3
+    first_trial, last_step = 0, -1
+    mean_error = simulate_one(experiment).errors[first_trial, last_step]
+    assert mean_error == pytest.approx(1 - 0.55)
 
 
-def test_two_classes_of_one_name_are_refused_in_one_table() -> None:
+def test_two_experiments_with_robot_classes_of_one_name_are_refused_in_one_table() -> None:
     """A table has only the name of an experiment's firmware, so it could not tell the two apart."""
-    experiments = [
-        small_experiment(firmware=robot_class_with_b_hat(0.7)),
-        small_experiment(firmware=robot_class_with_b_hat(0.9)),
-    ]
+    low, high = robot_class_with_b_hat(0.7), robot_class_with_b_hat(0.9)
+    experiments = [small_experiment(firmware=low), small_experiment(firmware=high)]
     message = r"two objects are called .*RobotOfOneAccuracy; give them different names"
 
     with pytest.raises(UsageError, match=message):
-        m.simulate(experiments)
+        simulate(experiments)
 
 
-def test_a_firmware_class_that_workers_cannot_import_is_refused() -> None:
-    """A class inside a function is no attribute of its module, so other processes cannot find it there."""
+def test_a_robot_class_inside_a_function_is_refused_with_two_worker_processes() -> None:
+    """It is no attribute of its module, so other processes cannot find it there."""
     experiment = small_experiment(firmware=robot_class_with_b_hat(0.7))
     message = r"RobotOfOneAccuracy cannot be sent to worker processes: .*take one worker"
     with pytest.raises(UsageError, match=message):
-        m.simulate(experiment, workers=2)
+        simulate(experiment, workers=2)
 
 
-def test_a_class_of_a_notebook_is_refused_for_workers(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Worker processes would have to import it, and a notebook is no module that can be imported."""
+@pytest.fixture
+def class_of_notebook(monkeypatch: pytest.MonkeyPatch) -> Any:
+    """A robot class as if it had been defined in a notebook: of the module __main__, which has no file."""
 
     class ClassOfNotebook(ReferenceRobot):
         pass
 
-    # A notebook's classes are attributes of __main__, which has no file that workers could import.
     ClassOfNotebook.__module__ = "__main__"
     ClassOfNotebook.__qualname__ = "ClassOfNotebook"
     monkeypatch.setattr(sys.modules["__main__"], "ClassOfNotebook", ClassOfNotebook, raising=False)
     monkeypatch.delattr(sys.modules["__main__"], "__file__", raising=False)
-    experiment = small_experiment(firmware=ClassOfNotebook)
+    return ClassOfNotebook
+
+
+def test_a_robot_class_of_a_notebook_is_refused_with_two_worker_processes(class_of_notebook: Any) -> None:
+    """Worker processes would have to import it, and a notebook is no module that can be imported."""
+    experiment = small_experiment(firmware=class_of_notebook)
     with pytest.raises(UsageError, match="ClassOfNotebook exists in this session only"):
-        m.simulate(experiment, workers=2)
+        simulate(experiment, workers=2)
 
 
 @pytest.mark.slow
-def test_a_class_of_a_module_is_sent_to_workers() -> None:
-    """Two worker processes run its trials, with the results that this process computes alone."""
+def test_two_worker_processes_run_a_robot_class_of_a_module_with_the_results_of_one_process() -> None:
+    """Worker processes import the class from its module."""
     experiment = small_experiment(firmware=ReferenceRobot)
-    assert m.simulate(experiment, workers=2).equals(m.simulate(experiment))
+    assert simulate(experiment, workers=2).equals(simulate(experiment))
 
 
 @pytest.fixture(scope="module")
 def trials_of_extension() -> Trials:
-    """Trials of a class that is no installed extension, as they are read from a table."""
+    """Trials of a class that is no installed extension, as they are read from a table, which has its name."""
     return simulate_one(small_experiment(firmware=DataSheetRobot))
 
 
-def test_results_of_an_extension_that_is_not_installed_can_be_read(trials_of_extension: Trials) -> None:
+def test_results_of_a_robot_class_that_is_not_installed_can_be_read_with_its_name(
+    trials_of_extension: Trials,
+) -> None:
     assert trials_of_extension.experiment.firmware.endswith("test_library.DataSheetRobot")
 
 
-def test_an_experiment_of_an_extension_that_is_not_installed_cannot_be_run(
+def test_an_experiment_whose_robot_class_is_not_installed_cannot_be_run_from_its_results(
     trials_of_extension: Trials,
 ) -> None:
     with pytest.raises(UsageError, match=r"no extension '.*DataSheetRobot' is installed"):
-        m.simulate(trials_of_extension.experiment)
+        simulate(trials_of_extension.experiment)
 
 
 # --- Wrong arguments are one kind of error ---------------------------------------------------------------
@@ -432,58 +473,62 @@ def test_an_experiment_of_an_extension_that_is_not_installed_cannot_be_run(
 @pytest.fixture(scope="module")
 def recorded_table() -> Any:
     """The table of the small experiment, with values recorded at its last step, 120."""
-    return m.simulate(small_experiment(), record=120)
+    return simulate(small_experiment(), record=120)
 
 
-def test_grid_refuses_an_unknown_parameter() -> None:
-    with pytest.raises(m.UsageError):
+def test_grid_refuses_a_parameter_that_experiments_do_not_have() -> None:
+    """It is called ``robots``."""
+    with pytest.raises(UsageError):
         UNTYPED.grid(robot=3)
 
 
 def test_an_experiment_refuses_a_number_as_firmware() -> None:
-    with pytest.raises(m.UsageError):
+    with pytest.raises(UsageError):
         UNTYPED.Experiment(firmware=7)
 
 
 def test_simulate_refuses_a_number_as_experiment() -> None:
-    with pytest.raises(m.UsageError):
+    with pytest.raises(UsageError):
         UNTYPED.simulate([7])
 
 
 @pytest.mark.parametrize("options", [{"workers": 0}, {"record": 121}, {"record": -1}], ids=str)
-def test_simulate_refuses_an_option_out_of_its_range(options: dict[str, int]) -> None:
-    """The experiment has 120 steps, so none can be recorded every 121."""
-    with pytest.raises(m.UsageError):
+def test_simulate_refuses_no_workers_and_a_distance_of_records_beyond_the_length_of_trials(
+    options: dict[str, int],
+) -> None:
+    """The options are ``workers=0``, ``record=121`` of 120 steps, and ``record=-1``."""
+    with pytest.raises(UsageError):
         UNTYPED.simulate(small_experiment(), **options)
 
 
 def test_plot_boxes_refuses_an_empty_list() -> None:
-    with pytest.raises(m.UsageError):
+    with pytest.raises(UsageError):
         UNTYPED.plot_boxes([])
 
 
-def test_plot_boxes_refuses_an_unknown_parameter_to_choose_by(recorded_table: Any) -> None:
-    with pytest.raises(m.UsageError):
+def test_plot_boxes_refuses_to_choose_experiments_by_an_unknown_parameter(recorded_table: Any) -> None:
+    """It is called ``filter``."""
+    with pytest.raises(UsageError):
         UNTYPED.plot_boxes(recorded_table, where={"filtr": "none"})
 
 
 def test_plot_curve_refuses_a_function_that_returns_one_value_for_three_trials(recorded_table: Any) -> None:
-    with pytest.raises(m.UsageError):
+    with pytest.raises(UsageError):
         UNTYPED.plot_curve(recorded_table, "flawed", lambda trials: [1.0])
 
 
 def test_show_refuses_a_trial_that_the_table_does_not_have(recorded_table: Any) -> None:
-    with pytest.raises(m.UsageError):
+    with pytest.raises(UsageError):
         UNTYPED.show(recorded_table, trial=99)
 
 
 def test_show_refuses_a_negative_trial() -> None:
-    with pytest.raises(m.UsageError):
+    with pytest.raises(UsageError):
         UNTYPED.show(small_experiment(), where={"robots": 99}, trial=-1)
 
 
 def test_read_experiments_refuses_a_file_that_does_not_exist() -> None:
-    with pytest.raises(m.UsageError):
+    with pytest.raises(UsageError):
         UNTYPED.read_experiments("none.toml")
 
 
@@ -494,58 +539,79 @@ def test_read_experiments_refuses_a_file_that_does_not_exist() -> None:
     ("label_length", "entries", "columns"),
     [(1, 8, 6), (12, 8, 3), (20, 8, 2), (28, 8, 1), (200, 8, 1), (1, 2, 2)],
 )
-def test_a_legend_has_as_many_columns_as_fit(label_length: int, entries: int, columns: int) -> None:
+def test_a_legend_below_a_figure_has_as_many_columns_as_fit_its_width(
+    label_length: int, entries: int, columns: int
+) -> None:
+    """Of eight labels of 12 letters, for example, three fit into a line of six inches.
+
+    Of 28 letters, one does.
+    """
     figure = empty_figure(6, 3)
     add_legend(figure, [Line2D([], [], label="m" * label_length) for _ in range(entries)])
-    assert len(figure.legends) == 1
-    assert cast(Any, figure.legends[0])._ncols == columns
+    (legend,) = figure.legends
+    assert cast(Any, legend)._ncols == columns
 
 
 @pytest.fixture(scope="module")
 def grid_table() -> Any:
     """The table of four experiments: with one and two flawed robots, without a filter and with one."""
-    return m.simulate(m.grid(flawed=[1, 2], filter=["none", "asdf-plus"], robots=4, steps=60, trials=2))
+    return simulate(grid(flawed=[1, 2], filter=["none", "asdf-plus"], robots=4, steps=60, trials=2))
 
 
-def test_a_curve_is_of_the_chosen_experiments_and_drawn_into_the_caller_s_axes(grid_table: Any) -> None:
+def first_error(trials: Trials) -> Any:
+    """Return the mean error of each trial before the first step."""
+    return trials.errors[:, 0]
+
+
+def test_plot_curve_draws_one_line_for_the_experiments_without_a_filter(grid_table: Any) -> None:
+    """Half of the four experiments have a filter, and the others are chosen."""
+    figure = plot_curve(grid_table, "flawed", first_error, where={"filter": "none"})
+    (axes,) = figure.axes
+    assert len(axes.lines) == 1
+
+
+def test_plot_curve_draws_into_axes_of_the_caller_and_returns_their_figure(grid_table: Any) -> None:
     figure = Figure()
-    returned_figure = m.plot_curve(
-        grid_table,
-        "flawed",
-        lambda trials: trials.errors[:, 0],
-        where={"filter": "none"},
-        ax=figure.subplots(),
-    )
+    axes = figure.subplots()
+    returned_figure = plot_curve(grid_table, "flawed", first_error, hue="filter", ax=axes)
 
     assert returned_figure is figure
-    assert len(figure.axes[0].lines) == 1
+    assert len(axes.lines) == 2, "one for each filter"
 
 
 @pytest.fixture(scope="module")
 def figure_of_facets(grid_table: Any) -> Any:
     """A figure of curves with axes for each filter."""
-    return m.plot_curve(grid_table, "flawed", facet="filter")
+    return plot_curve(grid_table, "flawed", facet="filter")
 
 
-def test_facets_are_titled_with_their_parameter(figure_of_facets: Any) -> None:
+def test_a_figure_has_axes_for_each_filter_titled_with_the_filter(figure_of_facets: Any) -> None:
+    """The figure is made by ``plot_curve(..., facet="filter")`` of experiments with two filters."""
     titles = [axes.get_title() for axes in figure_of_facets.axes]
     assert titles == ["filter none", "filter asdf-plus"]
 
 
-def test_a_plot_has_grid_lines_behind_its_curves(figure_of_facets: Any) -> None:
-    axes = figure_of_facets.axes[0]
+def test_a_figure_has_grid_lines_behind_its_curves(figure_of_facets: Any) -> None:
+    axes, _ = figure_of_facets.axes
+    first_line, *_ = axes.yaxis.get_gridlines()
+    assert first_line.get_visible()
     assert axes.get_axisbelow()
-    assert axes.yaxis.get_gridlines()[0].get_visible()
 
 
-def test_a_plot_has_small_figures_and_no_frame(figure_of_facets: Any) -> None:
-    axes = figure_of_facets.axes[0]
-    assert axes.yaxis.get_ticklabels()[0].get_fontsize() == 8
+def test_numbers_at_an_axis_have_a_size_of_8_points(figure_of_facets: Any) -> None:
+    axes, _ = figure_of_facets.axes
+    first_number, *_ = axes.yaxis.get_ticklabels()
+    assert first_number.get_fontsize() == 8
+
+
+def test_a_figure_has_no_line_at_the_top_of_its_axes(figure_of_facets: Any) -> None:
+    axes, _ = figure_of_facets.axes
     assert not axes.spines["top"].get_visible()
 
 
 def test_a_notebook_shows_a_figure_with_150_pixels_an_inch(figure_of_facets: Any) -> None:
+    """It shows the PNG file that ``_repr_png_`` returns, which has its width in the bytes 16 to 19."""
     picture = figure_of_facets._repr_png_()
-    width_in_pixels = int.from_bytes(picture[16:20], "big")  # the first value of the header of a PNG
+    width_in_pixels = int.from_bytes(picture[16:20], "big")
     assert picture.startswith(b"\x89PNG")
     assert width_in_pixels == 150 * figure_of_facets.get_figwidth()
