@@ -57,61 +57,65 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
 # --- The library -----------------------------------------------------------------------------------------
 
 
-def test_a_log_gives_the_same_table_as_the_trial_with_its_parameters(swarm_log: Path, results: Path) -> None:
+def test_a_log_of_a_swarm_gives_the_same_table_as_a_simulated_trial_with_the_same_parameters(
+    swarm_log: Path, results: Path
+) -> None:
+    """The table has a row for each robot and step, with the robot's values."""
     assert to_frame(swarm_log).equals(to_frame(results))
 
 
-def test_a_table_in_memory_gives_the_same_as_its_file(results: Path) -> None:
+def test_results_in_memory_give_the_same_table_as_their_file(results: Path) -> None:
     assert to_frame(read_table(results)).equals(to_frame(str(results)))
 
 
-def test_some_rows_of_results_give_a_table_of_these_trials() -> None:
-    table = simulate(Experiment(**PARAMETERS, trials=3), record=30)
-    second_row = table.slice(1, 1)  # trial 1 of four robots, recorded at the steps 0, 30 and 60
+def test_one_of_three_trials_gives_a_table_of_its_robots_and_recorded_steps() -> None:
+    """Trial 1 has four robots, which are recorded at the steps 0, 30 and 60."""
+    results_of_three_trials = simulate(Experiment(**PARAMETERS, trials=3), record=30)
+    results_of_trial_1 = results_of_three_trials.slice(offset=1, length=1)
+    table = to_frame(results_of_trial_1)
 
-    tidy = to_frame(second_row)
-
-    assert tidy["trial"].to_pylist() == [1] * (3 * 4)
-    assert tidy["step"].to_pylist() == [0] * 4 + [30] * 4 + [60] * 4
+    assert table["trial"].to_pylist() == [1] * 12
+    assert table["step"].to_pylist() == [0, 0, 0, 0, 30, 30, 30, 30, 60, 60, 60, 60]
 
 
 def test_a_log_that_is_replayed_in_pieces_gives_the_same_table(
     swarm_log: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """A piece has at most seven rows here, so each of 61 states, with rows of four robots, is a piece."""
     table_at_once = to_frame(swarm_log)
     monkeypatch.setattr(library, "_ROWS_AT_ONCE", 7)
-    states = 1 + 60  # at the start, and after each step; each has rows of four robots
-    assert len(list(library.stream_tidy_tables(swarm_log))) == states
+    assert len(list(library.stream_tidy_tables(swarm_log))) == 61
     assert to_frame(swarm_log).equals(table_at_once)
 
 
-def test_a_dead_robot_has_no_values(tmp_path: Path) -> None:
+def test_a_dead_robot_has_rows_without_values(tmp_path: Path) -> None:
     """Robot 2 crashes in step 21, and is dead for 15 steps."""
     log = write_log(tmp_path / "run.log", "--fault", "crash=1.0,from=20,to=21,robots=2,ticks=15")
-    tidy = to_frame(log)
-    rows_without_values = tidy.filter(pa.compute.is_null(tidy["x"]))
+    table = to_frame(log)
+    rows_without_values = table.filter(pa.compute.is_null(table["x"]))
 
-    assert rows_without_values["step"].to_pylist() == [*range(21, 36)]
-    assert set(rows_without_values["robot"].to_pylist()) == {2}
+    assert rows_without_values["step"].to_pylist() == list(range(21, 36))
+    assert rows_without_values["robot"].to_pylist() == [2] * 15
     assert rows_without_values["b_hat"].null_count == 15
 
 
 def test_a_log_that_was_cut_off_is_exported_as_far_as_it_goes(swarm_log: Path, tmp_path: Path) -> None:
-    """The last line, of a robot in step 10, has no end."""
-    log = tmp_path / "run.log.part"
-    header_and_nine_steps = "".join(lines_of(events_path(swarm_log))[: 1 + 9 * 4])
-    with gzip.open(events_path(log), "wt") as file:
-        file.write(header_and_nine_steps + "[0,1,")
+    """Its events are a header, nine steps of four robots with a line each, and the beginning of a line."""
+    cut_off_log = tmp_path / "run.log.part"
+    header, *lines_of_robots = lines_of(events_path(swarm_log))
+    with gzip.open(events_path(cut_off_log), "wt") as file:
+        file.write("".join([header, *lines_of_robots[: 9 * 4], "[0,1,"]))
 
-    assert to_frame(log)["step"].to_pylist()[-4:] == [9] * 4
+    assert max(to_frame(cut_off_log)["step"].to_pylist()) == 9
 
 
-def test_a_log_without_events_is_refused(tmp_path: Path) -> None:
+def test_a_log_without_events_cannot_be_exported(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match=r"there is no .*/run\.log\.events, .* give results \(\.parquet\)"):
         to_frame(tmp_path / "run.log")
 
 
-def test_a_log_of_a_node_is_refused(swarm_log: Path, tmp_path: Path) -> None:
+def test_a_log_of_a_single_robot_cannot_be_exported(swarm_log: Path, tmp_path: Path) -> None:
+    """``mcp-asdf node`` writes it, with a header that has no parameters of a swarm."""
     first_line, *lines = lines_of(events_path(swarm_log))
     header_of_node = json.loads(first_line) | {"parameters": {}}
     with gzip.open(tmp_path / "node.log.events", "wt") as file:
@@ -138,7 +142,10 @@ def test_export_writes_the_values_of_results_as_parquet(results: Path, tmp_path:
 
 
 @pytest.mark.parametrize("name", ["run.pq", "run.PARQUET"])
-def test_results_are_exported_under_any_suffix_of_parquet(name: str, results: Path, tmp_path: Path) -> None:
+def test_export_reads_results_whose_file_has_another_suffix_of_parquet(
+    name: str, results: Path, tmp_path: Path
+) -> None:
+    """The files are called run.pq and run.PARQUET."""
     path = tmp_path / name
     path.write_bytes(results.read_bytes())
     assert main(["export", str(path), str(tmp_path / "robots.csv")]) == 0
@@ -152,7 +159,9 @@ def test_export_reports_the_files_and_the_number_of_rows_as_json(
     assert json.loads(capsys.readouterr().out) == {"source": str(results), "table": str(path), "rows": 244}
 
 
-def test_export_does_not_replace_what_it_exports(swarm_log: Path, tmp_path: Path, capsys: Capture) -> None:
+def test_export_refuses_to_write_its_table_over_the_log(
+    swarm_log: Path, tmp_path: Path, capsys: Capture
+) -> None:
     """The log of a swarm may be a CSV file itself."""
     log = tmp_path / "run.csv"
     log.write_bytes(b"frames")
@@ -170,6 +179,7 @@ def test_export_of_results_without_records_leaves_no_file(tmp_path: Path, capsys
     assert [path.name for path in tmp_path.iterdir()] == ["run.parquet"]
 
 
-def test_export_refuses_a_suffix_before_anything_is_read(tmp_path: Path, capsys: Capture) -> None:
+def test_export_refuses_a_table_called_xlsx_before_it_reads_the_log(tmp_path: Path, capsys: Capture) -> None:
+    """The log does not even exist."""
     assert main(["export", str(tmp_path / "missing.log"), str(tmp_path / "robots.xlsx")]) == 2
     assert "choose a name that ends in .csv or .parquet" in capsys.readouterr().err

@@ -8,7 +8,7 @@ import sys
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 import pytest
@@ -52,7 +52,7 @@ def package(tmp_path: Path) -> Path:
 def write_package_information(folder: Path, project: dict[str, Any]) -> None:
     """Write the folder by which Python knows a package as installed, with its entry points."""
     name, version = project["name"], project["version"]
-    information = folder / f"my_swarm-{version}.dist-info"
+    information = folder / f"{name.replace('-', '_')}-{version}.dist-info"
     information.mkdir()
     (information / "METADATA").write_text(f"Name: {name}\nVersion: {version}\n")
     lines = []
@@ -75,13 +75,14 @@ def installed(package: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
 
 @pytest.mark.usefixtures("installed")
-def test_a_name_that_two_packages_offer_is_refused(package: Path) -> None:
-    their_information = package / "their_swarm-1.0.dist-info"
-    their_information.mkdir()
-    (their_information / "METADATA").write_text("Name: their-swarm\nVersion: 1.0\n")
-    (their_information / "entry_points.txt").write_text(
-        "[mcp_asdf.firmwares]\nbeta = their_swarm:Robot\n"  # the page's package offers a firmware beta, too
-    )
+def test_a_firmware_whose_name_two_installed_packages_offer_is_refused(package: Path) -> None:
+    """The documentation's package my-swarm, which is installed here, offers a firmware "beta", too."""
+    project: Any = {
+        "name": "their-swarm",
+        "version": "1.0",
+        "entry-points": {"mcp_asdf.firmwares": {"beta": "their_swarm:Robot"}},
+    }
+    write_package_information(package, project)
     message = "'beta' is offered by .*swarm .* and .*swarm .*; uninstall all but"
 
     with pytest.raises(UsageError, match=message):
@@ -91,13 +92,18 @@ def test_a_name_that_two_packages_offer_is_refused(package: Path) -> None:
 # --- The commands of the page ----------------------------------------------------------------------------
 
 
-def command_lines_of_page() -> list[str]:
-    """Return the four commands of the page, which stand in one block; each has a test below."""
-    scripts = blocks(PAGE, "sh")
-    assert len(scripts) == 1
-    lines = scripts[0].splitlines()
-    assert len(lines) == 4
-    return lines
+class CommandLines(NamedTuple):
+    """The four commands of the page, which stand in one block."""
+
+    simulate_firmware: str
+    simulate_topology_and_sensor: str
+    swarm: str
+    sweep: str
+
+
+def command_lines_of_page() -> CommandLines:
+    (script,) = blocks(PAGE, "sh")
+    return CommandLines(*script.splitlines())
 
 
 def run_in_package(command_line: str, package: Path) -> Any:
@@ -107,23 +113,26 @@ def run_in_package(command_line: str, package: Path) -> Any:
 
 
 @pytest.mark.slow
-def test_the_commands_of_the_page_print_what_it_shows(package: Path) -> None:
-    [commands], [shown] = blocks(PAGE, "sh"), blocks(PAGE, "text")
-    printed = run("sh", "-ec", commands, cwd=package, PYTHONPATH=str(package))
-    pattern = re.escape(shown).replace(re.escape("..."), ".*?")
-    assert re.fullmatch(pattern, printed, re.DOTALL), printed
+def test_the_commands_of_the_documentation_of_extensions_print_what_it_shows(package: Path) -> None:
+    """The documentation shows all commands in one block and their output in another, with "..." for gaps."""
+    [commands], [shown_output] = blocks(PAGE, "sh"), blocks(PAGE, "text")
+    printed_output = run("sh", "-ec", commands, cwd=package, PYTHONPATH=str(package))
+    pattern = re.escape(shown_output).replace(re.escape("..."), ".*?")
+    assert re.fullmatch(pattern, printed_output, re.DOTALL), printed_output
 
 
 @pytest.mark.slow
-def test_the_page_simulates_its_firmware(package: Path) -> None:
-    line = command_lines_of_page()[0]
+def test_the_documented_command_simulates_the_firmware_of_the_documented_package(package: Path) -> None:
+    line = command_lines_of_page().simulate_firmware
     assert line.startswith("mcp-asdf simulate ")
     assert run_in_package(line, package)["parameters"]["firmware"] == "beta"
 
 
 @pytest.mark.slow
-def test_the_page_simulates_its_topology_and_sensor(package: Path) -> None:
-    line = command_lines_of_page()[1]
+def test_the_documented_command_simulates_the_topology_and_the_sensor_of_the_documented_package(
+    package: Path,
+) -> None:
+    line = command_lines_of_page().simulate_topology_and_sensor
     assert line.startswith("mcp-asdf simulate ")
     parameters = run_in_package(line, package)["parameters"]
 
@@ -132,26 +141,28 @@ def test_the_page_simulates_its_topology_and_sensor(package: Path) -> None:
 
 
 @pytest.mark.slow
-def test_the_page_runs_a_swarm_to_its_end(package: Path) -> None:
-    line = command_lines_of_page()[2]
+def test_the_documented_command_runs_a_swarm_with_extensions_for_200_steps(package: Path) -> None:
+    line = command_lines_of_page().swarm
     assert line.startswith("mcp-asdf swarm ")
     assert run_in_package(line, package)["results"]["steps"] == 200
 
 
 @pytest.mark.slow
-def test_the_page_sweeps_all_eight_combinations_of_its_extensions_with_workers(package: Path) -> None:
-    line = command_lines_of_page()[3]
+def test_the_documented_sweep_has_eight_experiments_with_all_combinations_of_the_extensions(
+    package: Path,
+) -> None:
+    """Each extension makes a difference: the median scores, called H, of the eight experiments differ."""
+    line = command_lines_of_page().sweep
     assert line.startswith("mcp-asdf sweep ")
     assert "--workers 2" in line
-    experiments = run_in_package(line, package)["experiments"]
-    extension_points = ("firmware", "topology", "sensor")
-    combinations = {
-        tuple(experiment["parameters"][point] for point in extension_points) for experiment in experiments
-    }
-    median_scores = {experiment["H"]["median"] for experiment in experiments}
+    combinations, median_scores = set(), set()
+    for experiment in run_in_package(line, package)["experiments"]:
+        parameters = experiment["parameters"]
+        combinations.add((parameters["firmware"], parameters["topology"], parameters["sensor"]))
+        median_scores.add(experiment["H"]["median"])
 
     assert len(combinations) == 8
-    assert len(median_scores) == 8, "each extension makes a difference"
+    assert len(median_scores) == 8
 
 
 # --- In this process -------------------------------------------------------------------------------------
@@ -165,28 +176,25 @@ def changes_of_wandering_accuracies(robots: int, steps: int) -> Any:
 
 
 @pytest.mark.usefixtures("installed")
-def test_a_swarm_with_extensions_ends_in_the_same_bits_as_the_same_simulated_experiment() -> None:
-    parameters: dict[str, Any] = {
-        "robots": 6,
-        "steps": 300,
-        "filter_period": 50,
-        "seed": 3,
-        "firmware": "mirror",
-        "topology": "geometric",
-        "sensor": "wandering",
-    }
-    with Swarm(SwarmSettings(**parameters), Wiring()) as swarm:
-        for _ in range(300):
-            swarm.tick()
-        robots = [cast(MirrorRobot, node.robot) for node in swarm.nodes]
-    images = [robot.save() for robot in robots]
+def test_robots_with_an_installed_topology_and_sensor_end_in_the_same_state_on_a_bus_as_simulated() -> None:
+    """The documentation shows how to write the topology "geometric" and the sensor "wandering".
 
-    assert images == images_by_message(Experiment(**parameters, trials=1), 0)
+    Robots are compared by their images, in which the firmware saves its state.
+    """
+    extensions_of_page = {"topology": "geometric", "sensor": "wandering"}
+    parameters: Any = {"robots": 6, "steps": 100, "filter_period": 50, "firmware": "mirror"}
+    with Swarm(SwarmSettings(**parameters, **extensions_of_page), Wiring()) as swarm:
+        for _ in range(100):
+            swarm.tick()
+        images_on_bus = [cast(MirrorRobot, node.robot).save() for node in swarm.nodes]
+    experiment = Experiment(**parameters, **extensions_of_page, trials=1)
+
+    assert images_on_bus == images_by_message(experiment, trial=0)
 
 
 @pytest.mark.usefixtures("installed")
-def test_accuracies_of_the_page_s_sensors_walk_at_random_in_steps_of_a_thousandth() -> None:
-    """The page docs/platforms/extending.md shows how to write sensors, which it calls "wandering".
+def test_accuracies_of_wandering_sensors_change_at_random_by_a_thousandth_in_each_step() -> None:
+    """The documentation shows how to write these sensors.
 
     In each step every accuracy changes by a random number with a standard deviation of 0.001.
     """
@@ -195,25 +203,22 @@ def test_accuracies_of_the_page_s_sensors_walk_at_random_in_steps_of_a_thousandt
 
 
 @pytest.mark.usefixtures("installed")
-def test_accuracies_of_the_page_s_sensors_walk_independently_of_each_other() -> None:
-    """The steps of two robots are not correlated."""
-    changes_by_step_and_robot = changes_of_wandering_accuracies(robots=100, steps=400)
-    first_robot, second_robot = changes_by_step_and_robot[:, 0], changes_by_step_and_robot[:, 1]
-    matrix = np.corrcoef(first_robot, second_robot)
-    correlation = matrix[0, 1]
-
+def test_accuracies_of_two_wandering_sensors_change_independently_of_each_other() -> None:
+    """The documentation shows how to write these sensors. The changes of two robots are not correlated."""
+    changes_by_step_and_robot = changes_of_wandering_accuracies(robots=2, steps=400)
+    ((_, correlation), _) = np.corrcoef(changes_by_step_and_robot, rowvar=False)
     assert abs(correlation) < 0.2
 
 
 @pytest.mark.usefixtures("installed")
-def test_the_page_s_sensors_are_the_same_however_many_steps_are_taken_at_once() -> None:
-    """100 steps at once, and 1, 7 and 92 steps of sensors with the same seed."""
+def test_wandering_sensors_have_the_same_accuracies_whether_100_steps_are_taken_at_once_or_in_parts() -> None:
+    """The documentation shows how to write these sensors. Here they take 100 steps, or 1, 7 and 92."""
     settings = WorldSettings(robots=6, seed=3, sensor="wandering")
     accuracies_at_once, _accuracies_on_white = make_sensor_model(settings, 0).advance(100)
     sensors = make_sensor_model(settings, 0)
     accuracies_of_parts = []
     for steps in (1, 7, 92):
-        accuracy_on_black, _ = sensors.advance(steps)
-        accuracies_of_parts.append(accuracy_on_black)
+        accuracies_on_black, _accuracies_on_white = sensors.advance(steps)
+        accuracies_of_parts.append(accuracies_on_black)
 
     assert np.array_equal(np.concatenate(accuracies_of_parts), accuracies_at_once)

@@ -6,6 +6,7 @@ import argparse
 import json
 import os
 import shlex
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -18,7 +19,7 @@ from mcp_asdf_tools.cli.radio import settings_of
 from mcp_asdf_tools.robots.filters import describe_filters
 from mcp_asdf_tools.tables.thresholds import generate, parse_omega
 
-SWARM = "--robots 4 --steps 40 --filter-period 10 --flawed 50%"
+SWARM = "--robots 4 --steps 20 --filter-period 10 --flawed 50%"
 ASDF_MINUS = "ASDF-: only the flawed robots recalibrate"
 TABLE = generate(parse_omega("0.05"), 4)
 OFF, ADAPTIVE = Config(filter=Filter.OFF), Config(TABLE)
@@ -35,15 +36,21 @@ def printed_by(command: str, capsys: pytest.CaptureFixture[str]) -> str:
 
 
 @pytest.mark.parametrize("kind", [Experiment, SwarmSettings])
-def test_by_default_only_the_flawed_robots_recalibrate(kind: type[Experiment | SwarmSettings]) -> None:
+def test_by_default_only_the_flawed_robots_of_an_experiment_or_a_swarm_recalibrate(
+    kind: type[Experiment | SwarmSettings],
+) -> None:
+    """Robot 0 is flawed: it has the paper's filter, Filter.ADAPTIVE, and the other three have none."""
     settings = kind(robots=4, flawed=1)
-    assert [settings.config(robot).filter for robot in range(4)] == [Filter.ADAPTIVE, *[Filter.OFF] * 3]
+    filters = [settings.config(robot).filter for robot in range(4)]
+    assert filters == [Filter.ADAPTIVE, Filter.OFF, Filter.OFF, Filter.OFF]
 
 
-def test_without_flawed_robots_no_estimated_accuracy_changes_by_default() -> None:
+def test_without_flawed_robots_no_robot_changes_its_estimated_accuracy_by_default() -> None:
+    """Each of four trials has 20 filter steps. Accuracies b_hat are compared with those at the start."""
     experiment = Experiment(robots=6, flawed=0, steps=2000, filter_period=100, trials=4)
     (trials,) = experiments_in(simulate(experiment))
-    assert (trials.b_hat == trials.b_hat[:, :1]).all()
+    b_hat_at_start = trials.b_hat[:, :1]
+    assert (trials.b_hat == b_hat_at_start).all()
 
 
 @pytest.mark.parametrize(
@@ -59,64 +66,98 @@ def test_without_flawed_robots_no_estimated_accuracy_changes_by_default() -> Non
     ],
 )
 def test_robots_are_described_by_the_filters_they_have(configs: list[Config], description: str) -> None:
+    """For example two robots that both have the filter OFF: "no filter: no robot recalibrates"."""
     assert describe_filters(config.filter for config in configs) == description
 
 
 @pytest.mark.parametrize("command", [f"swarm {SWARM}", f"simulate --trials 2 {SWARM}"])
-def test_the_text_of_a_run_names_the_filter(command: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert ASDF_MINUS in printed_by(command, capsys)
+def test_swarm_and_simulate_print_that_only_the_flawed_robots_recalibrate(
+    command: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert "ASDF-: only the flawed robots recalibrate" in printed_by(command, capsys)
 
 
-def test_a_quiet_swarm_names_the_filter(capsys: pytest.CaptureFixture[str]) -> None:
-    assert "4 robots, ASDF-, 40 steps" in printed_by(f"swarm {SWARM} --quiet", capsys)
+def test_swarm_with_quiet_prints_the_name_of_its_filter(capsys: pytest.CaptureFixture[str]) -> None:
+    assert "4 robots, ASDF-, 20 steps" in printed_by(f"swarm {SWARM} --quiet", capsys)
 
 
-def test_the_json_of_a_swarm_names_the_filter_of_each_run(capsys: pytest.CaptureFixture[str]) -> None:
+def test_swarm_with_compare_and_json_reports_the_filter_of_each_compared_swarm(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """``--compare`` also runs the same robots without a filter and with the robust one."""
     report = json.loads(printed_by(f"swarm {SWARM} --compare --json", capsys))
-    assert report["results"]["filter"] == ASDF_MINUS
+    assert report["results"]["filter"] == "ASDF-: only the flawed robots recalibrate"
     assert report["compared"]["none"]["filter"] == "no filter: no robot recalibrates"
     assert report["compared"]["robust"]["filter"].startswith("robust: all robots")
 
 
-def test_the_json_of_simulate_names_the_filter(capsys: pytest.CaptureFixture[str]) -> None:
+def test_simulate_with_json_reports_that_only_the_flawed_robots_recalibrate(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     report = json.loads(printed_by(f"simulate --trials 2 {SWARM} --json", capsys))
-    assert report["filter"] == ASDF_MINUS
+    assert report["filter"] == "ASDF-: only the flawed robots recalibrate"
 
 
-def test_scores_name_the_filter_of_each_experiment(
+@pytest.fixture(scope="module")
+def results_of_two_filters(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Results of an experiment without a filter and of one with ASDF-."""
+    path = tmp_path_factory.mktemp("results") / "grid.parquet"
+    simulate(grid(robots=4, flawed=1, steps=20, trials=1, filter=["none", "asdf-minus"]), path)
+    return path
+
+
+def test_score_prints_the_filter_of_each_experiment(
+    results_of_two_filters: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = printed_by(f"score '{results_of_two_filters}'", capsys)
+    assert "no filter: no robot" in text
+    assert "ASDF-: only the flawed robots recalibrate" in text
+
+
+def test_score_with_json_reports_the_filter_of_each_experiment(
+    results_of_two_filters: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    report = json.loads(printed_by(f"score '{results_of_two_filters}' --json", capsys))
+    assert [experiment["filter"] for experiment in report["experiments"]] == [
+        "no filter: no robot recalibrates",
+        "ASDF-: only the flawed robots recalibrate",
+    ]
+
+
+def test_replay_prints_and_reports_the_filter_of_a_logged_swarm(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    filters = ["none", "asdf-minus", "asdf-plus"]
-    simulate(grid(robots=4, flawed=1, steps=40, trials=1, filter=filters), tmp_path / "grid.parquet")
-    text = printed_by(f"score '{tmp_path}/grid.parquet'", capsys)
-    for description in ("no filter: no robot", ASDF_MINUS, "ASDF+: all robots recalibrate"):
-        assert description in text
-    rows = json.loads(printed_by(f"score '{tmp_path}/grid.parquet' --json", capsys))["experiments"]
-
-    assert [row["filter"].partition(":")[0] for row in rows] == ["no filter", "ASDF-", "ASDF+"]
-
-
-def test_a_replay_names_the_filter(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     printed_by(f"swarm {SWARM} --quiet --log '{tmp_path}/run.log'", capsys)
-    assert ASDF_MINUS in printed_by(f"replay '{tmp_path}/run.log'", capsys)
-    assert json.loads(printed_by(f"replay '{tmp_path}/run.log' --json", capsys))["filter"] == ASDF_MINUS
+    text = printed_by(f"replay '{tmp_path}/run.log'", capsys)
+    report = json.loads(printed_by(f"replay '{tmp_path}/run.log' --json", capsys))
+
+    assert "ASDF-: only the flawed robots recalibrate" in text
+    assert report["filter"] == "ASDF-: only the flawed robots recalibrate"
 
 
-@pytest.mark.parametrize("output", ["", "--json"])
-def test_a_node_names_its_filter(
-    output: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Its standard input is at its end, so it stops at once."""
+@pytest.fixture
+def standard_input_at_its_end(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Let ``mcp-asdf node --until-eof`` stop at once, as its standard input is empty."""
     with Path(os.devnull).open("rb") as empty:
         monkeypatch.setattr("mcp_asdf_tools.cli.node.standard_input_descriptor", empty.fileno)
-        text = printed_by(f"node --id 3 --filter robust --until-eof {output}", capsys)
+        yield
+
+
+@pytest.mark.usefixtures("standard_input_at_its_end")
+@pytest.mark.parametrize("output", ["", "--json"])
+def test_node_prints_the_filter_of_its_robot_as_text_and_in_json(
+    output: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = printed_by(f"node --id 3 --filter robust --until-eof {output}", capsys)
     assert "robust: the robot recalibrates, by this project's own filter" in text
 
 
 @pytest.mark.parametrize("output", ["", "--json"])
-def test_neighbours_in_real_time_name_the_filter(output: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_radio_prints_the_filter_of_the_neighbours_that_it_emulates_as_text_and_in_json(
+    output: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     command = f"radio --interface virtual --id 3 --robots 3 --steps 2 --steps-per-second 1000 {output}"
-    assert ASDF_MINUS in printed_by(command, capsys)
+    assert "ASDF-: only the flawed robots recalibrate" in printed_by(command, capsys)
 
 
 @pytest.mark.parametrize(
@@ -138,7 +179,9 @@ def test_the_neighbours_that_radio_emulates_filter_only_if_asdf_plus_is_chosen(
     assert {neighbour.config.filter for neighbour in settings.neighbours} == {filter_of_neighbours}
 
 
-def test_a_picture_of_curves_names_the_filter() -> None:
-    table = simulate(grid(robots=4, flawed=1, steps=40, trials=1, density=[1.0, 2.0], topology="dynamic"))
+def test_a_figure_of_curves_has_the_filter_in_a_text() -> None:
+    """ASDF- is the default; a figure shows it with a minus sign in place of a hyphen."""
+    table = simulate(grid(robots=4, flawed=1, steps=20, trials=1, density=[1.0, 2.0], topology="dynamic"))
     figure = plot_curve(table, "density")
-    assert any("ASDF\N{MINUS SIGN}" in text.get_text() for text in figure.texts)
+    text_in_figure = " ".join(text.get_text() for text in figure.texts)
+    assert "ASDF\N{MINUS SIGN}" in text_in_figure

@@ -331,7 +331,7 @@ class RobotWithOneRawMethod(ReferenceRobot):
 
 
 def test_a_robot_that_has_one_method_of_fixed_point_robots_but_not_the_others_is_refused() -> None:
-    """Like robots that calculate with integers it has ``receive_all``, but it lacks, for example, ``alpha_raw``."""
+    """It has ``receive_all``, as robots that calculate with integers do, but lacks, for example, ``alpha_raw``."""
     settings = small_swarm(firmware=RobotWithOneRawMethod)
     with pytest.raises(UsageError, match="a RobotWithOneRawMethod without alpha_raw, "):
         emulate(settings)
@@ -394,7 +394,10 @@ def make_sensors_that_see_black(settings: object, trial: int) -> Any:
 
 
 def test_an_experiment_can_have_sensors_that_a_function_of_the_user_makes() -> None:
-    """These sensors always read black, so at the end robots believe in a black floor. In fact 55 % are black."""
+    """These sensors always read black, so at the end robots believe in a black floor.
+
+    In fact 55 % are black.
+    """
     experiment = small_experiment(trials=1, filter="none", sensor=make_sensors_that_see_black)
     assert experiment.sensor.endswith("make_sensors_that_see_black")
     first_trial, last_step = 0, -1
