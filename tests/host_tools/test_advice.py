@@ -20,7 +20,7 @@ CONNECTED = {
     "true_accuracy": 0.55,
     "flawed_accuracy": 0.95,
 }
-SOME: list[tuple[str, dict[str, Any]]] = [
+SOME_ROWS: list[tuple[str, dict[str, Any]]] = [
     ("dynamic,underconfident,50%,", DYNAMIC | {"flawed": "50%"}),
     ("fully-connected,overconfident,10%,", CONNECTED | {"flawed": "10%"}),
     (
@@ -39,25 +39,27 @@ def row_end(trials: list[dict[str, Any]]) -> str:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("case", "given"), SOME)
-def test_published_figures_of_the_advice_are_what_the_experiments_give(
-    case: str, given: dict[str, Any]
+@pytest.mark.parametrize(("case", "parameters"), SOME_ROWS)
+@pytest.mark.parametrize("filter_name", ["none", "asdf-minus", "robust"])
+def test_rows_of_the_figures_behind_the_advice_are_what_their_experiments_give(
+    case: str, parameters: dict[str, Any], filter_name: str
 ) -> None:
-    published = FIGURES.read_text(encoding="utf-8").splitlines()
-    for filter_name in ("none", "asdf-minus", "robust"):
-        trials = simulate(grid(**given, filter=filter_name)).to_pylist()
-        assert f"{case},{filter_name},{row_end(trials)}" in published
+    """A row of docs/internals/filters.csv is a case, as "dynamic,underconfident,50%,", and its results."""
+    published_rows = FIGURES.read_text(encoding="utf-8").splitlines()
+    trials = simulate(grid(**parameters, filter=filter_name)).to_pylist()
+    assert f"{case},{filter_name},{row_end(trials)}" in published_rows
 
 
-def test_the_defaults_of_the_tools_are_those_that_the_page_advises() -> None:
+def test_the_defaults_of_the_tools_are_those_that_the_documentation_advises() -> None:
+    """docs/advice.md advises 1000 steps from filter to filter, a threshold omega of 5 % and all memory."""
     default = Experiment()
     assert default.filter_period == 1000
     assert float(default.omega) == 0.05
     assert default.memory == 2**31
 
 
-def test_the_defaults_of_robots_in_c_are_those_that_the_page_advises() -> None:
-    """A table (or none), a filter period of 1000, the largest memory, and the filter."""
+def test_the_default_configurations_in_c_are_those_that_the_documentation_advises() -> None:
+    """They have a table (or none), a filter period of 1000 steps, the largest memory, and a filter."""
     header = (ROOT / "c_ref/src/mcp_asdf.h").read_text(encoding="utf-8")
     configurations = re.findall(r"#define MCP_ASDF_CONFIG_(\w+)\S* \{(.*)\}", header)
     assert configurations == [

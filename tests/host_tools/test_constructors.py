@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from decimal import Decimal
 from fractions import Fraction
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -14,60 +15,87 @@ from mcp_asdf_tools.common.parameters import parameters_of
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.swarm.settings import SwarmSettings
 
-WRONG: list[Any] = [
+VALUES: list[Any] = [
     *(None, True, False, -1, 0, 1, 2, 3.0, 2.5, 10**30, -(10**400), 1j, Fraction(1, 3)),
     *(float("nan"), float("inf"), -float("inf"), Decimal("NaN"), Decimal("sNaN"), Decimal("0.25")),
     *("", "x", "\0", "0.5", "²", "30%", "nan%", "1e999%", "none", "dynamic", "0 0", "3 >", b"x"),
     *([], [1], (), {}, {"a": 1}, {1, 200}, object(), int, np.float32(0.5), np.zeros(3)),
 ]
-PLACES = [(kind, name) for kind in (Experiment, SwarmSettings) for name in parameters_of(kind)]
+"""Values of many types and forms, most of which no user would give on purpose."""
+PARAMETERS = [(kind, name) for kind in (Experiment, SwarmSettings) for name in parameters_of(kind)]
 
 
-def attempt(kind: Any, name: str, value: Any) -> None:
-    """Make an instance with a value of the right type and in range, or raise a UsageError that explains."""
-    declared = parameters_of(kind)[name]
-    try:
-        made = getattr(kind(**{name: value}), name)
-    except UsageError as error:
-        assert name in str(error)
-        assert ";" in str(error) or ":" in str(error), f"no fix: {error}"
-        return
-    if declared.kind in (int, float):
-        assert type(made) is declared.kind
-        assert made == declared.kind(value)
-        assert declared.minimum <= made <= declared.maximum
-    if declared.choices:
-        assert made in declared.choices
+@cache
+def values_and_refusals(kind: Any, name: str) -> tuple[list[tuple[Any, Any]], list[str]]:
+    """Give a parameter all of VALUES, one after the other.
+
+    Returns the values that were accepted, each with what it was converted to, and the messages of refusals.
+    """
+    accepted_values: list[tuple[Any, Any]] = []
+    refusals: list[str] = []
+    for value in VALUES:
+        try:
+            instance = kind(**{name: value})
+        except UsageError as error:
+            refusals.append(str(error))
+        else:
+            accepted_values.append((value, getattr(instance, name)))
+    return accepted_values, refusals
 
 
 for_every_parameter = pytest.mark.parametrize(
-    ("kind", "name"), PLACES, ids=lambda each: getattr(each, "__name__", each)
+    ("kind", "name"), PARAMETERS, ids=lambda value: getattr(value, "__name__", value)
+)
+for_every_number = pytest.mark.parametrize(
+    ("kind", "name"),
+    [(kind, name) for kind, name in PARAMETERS if parameters_of(kind)[name].kind in (int, float)],
+    ids=lambda value: getattr(value, "__name__", value),
 )
 
 
 @for_every_parameter
-def test_a_wrong_value_of_a_parameter_is_converted_or_refused_with_a_fix(kind: Any, name: str) -> None:
-    """Values of many types and forms, most of which no user would give on purpose."""
-    for value in WRONG:
-        attempt(kind, name, value)
+def test_an_impossible_value_is_refused_with_the_parameter_s_name_and_a_fix(kind: Any, name: str) -> None:
+    """``kind`` is Experiment or SwarmSettings. A message has the fix behind a colon or a semicolon."""
+    _, refusals = values_and_refusals(kind, name)
+    for refusal in refusals:
+        assert name in refusal
+        assert ";" in refusal or ":" in refusal
 
 
-for_every_number = pytest.mark.parametrize(
+@pytest.mark.parametrize(
     ("kind", "name"),
-    [(kind, name) for kind, name in PLACES if parameters_of(kind)[name].kind in (int, float)],
-    ids=lambda each: getattr(each, "__name__", each),
+    [(kind, name) for kind, name in PARAMETERS if parameters_of(kind)[name].choices],
+    ids=lambda value: getattr(value, "__name__", value),
 )
+def test_a_parameter_with_choices_accepts_nothing_else(kind: Any, name: str) -> None:
+    """``kind`` is Experiment or SwarmSettings. For example, ``topology`` must be one of the known ones."""
+    accepted_values, _ = values_and_refusals(kind, name)
+    for _, converted_value in accepted_values:
+        assert converted_value in parameters_of(kind)[name].choices
 
 
 @for_every_number
-def test_the_ends_of_a_parameter_s_range_are_accepted(kind: Any, name: str) -> None:
+def test_a_number_that_is_accepted_is_converted_to_the_type_of_its_parameter(kind: Any, name: str) -> None:
+    """``kind`` is Experiment or SwarmSettings. For example, 3.0 robots become the integer 3."""
     parameter = parameters_of(kind)[name]
-    for value in (parameter.minimum, parameter.maximum):
-        assert parameter.convert(value) == value
+    accepted_values, _ = values_and_refusals(kind, name)
+    for value, converted_value in accepted_values:
+        assert type(converted_value) is parameter.kind
+        assert converted_value == parameter.kind(value)
+        assert parameter.minimum <= converted_value <= parameter.maximum
 
 
 @for_every_number
-def test_numbers_beyond_a_parameter_s_range_are_refused_with_the_range(kind: Any, name: str) -> None:
+def test_the_smallest_and_the_largest_value_of_a_parameter_are_accepted(kind: Any, name: str) -> None:
+    """``kind`` is Experiment or SwarmSettings."""
+    parameter = parameters_of(kind)[name]
+    assert parameter.convert(parameter.minimum) == parameter.minimum
+    assert parameter.convert(parameter.maximum) == parameter.maximum
+
+
+@for_every_number
+def test_a_number_below_or_above_a_parameter_s_range_is_refused_with_the_range(kind: Any, name: str) -> None:
+    """``kind`` is Experiment or SwarmSettings."""
     parameter = parameters_of(kind)[name]
     for value in (parameter.minimum - 1, 2 * parameter.maximum + 1):
         with pytest.raises(UsageError, match=f"{name} is .*; it must be .* to "):

@@ -115,27 +115,33 @@ DESCRIPTIONS: dict[str, Callable[[], str]] = {
 
 
 @pytest.mark.parametrize("name", DESCRIPTIONS)
-def test_help_and_defaults_are_as_they_stand_in_the_text(name: str) -> None:
+def test_a_description_of_options_and_defaults_is_that_of_its_file(name: str) -> None:
+    """For example command_swarm.txt, with the help and the default of each option of ``mcp-asdf swarm``.
+
+    Whoever changes a default sees it in the file, and looks for pages that state it.
+    """
     path = FOLDER / name
-    expected_text = path.read_text(encoding="utf-8") if path.exists() else ""
-    assert DESCRIPTIONS[name]() == expected_text, RENEW
+    text_in_file = path.read_text(encoding="utf-8") if path.exists() else ""
+    assert DESCRIPTIONS[name]() == text_in_file, RENEW
 
 
-def test_there_is_no_text_of_a_command_that_has_gone() -> None:
+def test_no_file_describes_a_command_that_no_longer_exists() -> None:
+    """The folder ``defaults`` has a file for each command, such as command_swarm.txt."""
     assert {path.name for path in FOLDER.iterdir()} <= set(DESCRIPTIONS), RENEW
 
 
 @pytest.mark.parametrize("name", cli.COMMANDS)
-def test_help_states_the_default_that_an_option_has(name: str) -> None:
-    stated_defaults = {}
+def test_the_default_in_the_help_of_an_option_is_the_option_s_default(name: str) -> None:
+    """A help may end with "(default 20)", or with "(default %(default)s)", which argparse replaces by 20."""
+    defaults_in_help = {}
     defaults = {}
-    for action in cli._parser_for(name, cli._load(name))._actions:
-        statement = re.search(r"\(default ([^():,;]+)\)$", action.help or "")
-        if statement is not None and action.default is not None:
-            stated_defaults[action.dest] = statement[1].replace("%(default)s", str(action.default))
-            defaults[action.dest] = str(action.default)
+    for option in cli._parser_for(name, cli._load(name))._actions:
+        statement = re.search(r"\(default ([^():,;]+)\)$", option.help or "")
+        if statement is not None and option.default is not None:
+            defaults_in_help[option.dest] = statement[1].replace("%(default)s", str(option.default))
+            defaults[option.dest] = str(option.default)
 
-    assert stated_defaults == defaults
+    assert defaults_in_help == defaults
 
 
 def renew() -> None:

@@ -331,7 +331,7 @@ class RobotWithOneRawMethod(ReferenceRobot):
 
 
 def test_a_robot_that_has_one_method_of_fixed_point_robots_but_not_the_others_is_refused() -> None:
-    """It has ``receive_all``, as robots that calculate with integers do, but lacks, for example, ``alpha_raw``."""
+    """It has the method ``receive_all``, but not, for example, the attribute ``alpha_raw``."""
     settings = small_swarm(firmware=RobotWithOneRawMethod)
     with pytest.raises(UsageError, match="a RobotWithOneRawMethod without alpha_raw, "):
         emulate(settings)

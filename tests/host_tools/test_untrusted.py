@@ -5,9 +5,7 @@ from __future__ import annotations
 import gzip
 import json
 import resource
-import subprocess
-import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from decimal import Decimal
 from functools import cache, partial
@@ -41,7 +39,7 @@ from mcp_asdf_tools.recording.frame_logs import read_log
 from mcp_asdf_tools.swarm.fault_injection.parsing import parse_fault
 from mcp_asdf_tools.tables.table_files import check_file, format_c_source, format_json
 from mcp_asdf_tools.world.graph import parse_graph
-from support import PATIENCE, draws
+from support import draws
 from wire import record
 
 OMEGA, NEIGHBOURS = Decimal("0.05"), 4
@@ -184,103 +182,122 @@ def damaged(draw: st.DrawFn, valid_data: bytes) -> bytes:
     return data
 
 
-def try_to_read(parser: Parser, path: Path, data: bytes) -> str:
-    """Write data to a file and read it; return the message of a refusal, or an empty text if it is read.
+def read_or_refuse(parser: Parser, path: Path, data: bytes) -> str | None:
+    """Write data to a file and read it; return the message of a refusal, or None if it is read.
 
-    Fails if the message is not one short line, and if anything but a UsageError is raised.
+    A refusal is a UsageError; other errors are raised.
     """
     path.write_bytes(data)
     try:
         parser.read(path)
     except UsageError as error:
-        message = str(error)
-        assert message and message.isprintable() and len(message) < 1000, message
-        return message
-    return ""
+        return str(error)
+    return None
+
+
+def is_one_short_line(message: str) -> bool:
+    """Return whether a message has 1 to 999 characters, none of which ends a line or controls a terminal."""
+    return message.isprintable() and 0 < len(message) < 1000
 
 
 @pytest.mark.parametrize("name", PARSERS)
-def test_a_valid_file_is_read(name: str, tmp_path: Path) -> None:
+def test_a_valid_file_of_every_format_is_read(name: str, tmp_path: Path) -> None:
+    """For example a table, a log, results or a file of experiments."""
     parser = PARSERS[name]
-    assert try_to_read(parser, tmp_path / f"file{parser.suffix}", parser.make_valid()) == ""
+    refusal = read_or_refuse(parser, tmp_path / f"file{parser.suffix}", parser.make_valid())
+    assert refusal is None
+
+
+SOME_DAMAGES = settings(
+    max_examples=draws(120), deadline=None, suppress_health_check=list(HealthCheck), database=None
+)
 
 
 @pytest.mark.random
 @pytest.mark.parametrize("name", PARSERS)
-def test_a_damaged_file_is_read_or_refused_in_a_line(name: str, tmp_path: Path) -> None:
+def test_a_file_with_random_damage_is_read_or_refused_in_one_short_line(name: str, tmp_path: Path) -> None:
+    """Files of every format are tried, for example a table, a log, results or a file of experiments.
+
+    A refusal is a UsageError; any other error fails the test.
+    """
     parser = PARSERS[name]
     path = tmp_path / f"file{parser.suffix}"
 
-    @settings(max_examples=draws(120), deadline=None, suppress_health_check=list(HealthCheck), database=None)
+    @SOME_DAMAGES
     @given(st.one_of(damaged(parser.make_valid()), st.binary(max_size=40)))
-    def read_damaged_data(data: bytes) -> None:
-        try_to_read(parser, path, data)
+    def read_damaged_file(data: bytes) -> None:
+        refusal = read_or_refuse(parser, path, data)
+        assert refusal is None or is_one_short_line(refusal)
 
-    read_damaged_data()
+    read_damaged_file()
 
 
 # --- Results whose two schemas differ -----------------------------------------------------------------
 
 
-# A file has a schema for Parquet, and one for Arrow in base64. Only the former is changed here.
-
-
 def test_results_with_a_column_whose_name_is_no_text_are_refused(tmp_path: Path) -> None:
+    """A file of results has two schemas with the names of its columns, and only one of them is changed."""
     data = valid_results().replace(b"robots", b"\xffobots")
-    message = try_to_read(PARSERS["results"], tmp_path / "run.parquet", data)
-    assert message.startswith(f"cannot read {tmp_path / 'run.parquet'}: ")
+    refusal = read_or_refuse(PARSERS["results"], tmp_path / "run.parquet", data)
+    assert refusal is not None
+    assert refusal.startswith(f"cannot read {tmp_path / 'run.parquet'}: ")
+    assert is_one_short_line(refusal)
 
 
-def test_results_whose_metadata_stand_only_in_the_schema_of_arrow_are_read(tmp_path: Path) -> None:
+def test_results_that_lack_the_metadata_of_parquet_are_read_by_those_of_arrow(tmp_path: Path) -> None:
+    """A file of results has two schemas, each with metadata called "mcp-asdf". Only Parquet's are renamed."""
     data = valid_results().replace(b"mcp-asdf", b"mcp-asdg")
-    assert try_to_read(PARSERS["results"], tmp_path / "run.parquet", data) == ""
+    assert read_or_refuse(PARSERS["results"], tmp_path / "run.parquet", data) is None
 
 
 # --- Values and files without an end ------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("time", ["nan", "inf", "1e308", "-1e300"])
-def test_a_frame_with_an_impossible_time_is_no_frame(time: str, tmp_path: Path) -> None:
+def test_a_line_of_a_log_with_an_impossible_time_holds_no_frame(time: str, tmp_path: Path) -> None:
+    """A line of a log has a time in seconds, a bus and a frame; "nan" and "1e308" are impossible times."""
     line = f"({time}) vcan0 186BB92A#00"
-    message = try_to_read(PARSERS["log .log"], tmp_path / "run.log", f"{line}\n".encode())
-    assert f"holds no frame: line 1, '{line}', is none of candump's" in message
+    refusal = read_or_refuse(PARSERS["log .log"], tmp_path / "run.log", f"{line}\n".encode())
+    assert refusal is not None
+    assert f"holds no frame: line 1, '{line}', is none of candump's" in refusal
 
 
-def limit_memory() -> None:
-    """Limit the memory of this process to 4 GiB."""
-    resource.setrlimit(resource.RLIMIT_AS, (2**32, 2**32))
+@pytest.fixture
+def limited_memory() -> Iterator[None]:
+    """Let this process have 4 GiB more than it has by now, so that reading without an end fails soon."""
+    pages_in_use = int(Path("/proc/self/statm").read_text().split(maxsplit=1)[0])
+    limit, hard_limit = resource.getrlimit(resource.RLIMIT_AS)
+    resource.setrlimit(resource.RLIMIT_AS, (pages_in_use * resource.getpagesize() + 2**32, hard_limit))
+    yield
+    resource.setrlimit(resource.RLIMIT_AS, (limit, hard_limit))
 
 
-def refusal_of(*arguments: str) -> str:
-    """Return what ``mcp-asdf`` prints when it refuses a request, which must not need much memory."""
-    command = [sys.executable, "-m", "mcp_asdf_tools.cli.main", *arguments]
-    result = subprocess.run(
-        command, capture_output=True, text=True, preexec_fn=limit_memory, timeout=PATIENCE, check=False
-    )
-    assert result.returncode == 2, result.stderr
-    assert result.stderr.count("\n") == 2
-    return result.stderr
+@pytest.mark.usefixtures("limited_memory")
+def test_a_device_without_an_end_is_refused_as_a_graph() -> None:
+    """Linux's device /dev/zero has zeros without an end; at most 16 MiB are read."""
+    with pytest.raises(UsageError, match="than 16777216 bytes"):
+        Experiment(topology="graph", graph=Path("/dev/zero"))
 
 
-def test_a_device_without_an_end_is_no_graph() -> None:
-    message = refusal_of("swarm", "--topology", "graph", "--graph", "/dev/zero")
-    assert "than 16777216 bytes" in message
-
-
-def test_a_link_to_a_device_without_an_end_is_no_table(tmp_path: Path) -> None:
-    (tmp_path / "endless.c").symlink_to("/dev/zero")
-    assert "than 16777216 bytes" in refusal_of("table", "--check", str(tmp_path / "endless.c"))
+@pytest.mark.usefixtures("limited_memory")
+def test_a_link_to_a_device_without_an_end_is_refused_as_a_table(tmp_path: Path) -> None:
+    """Linux's device /dev/zero has zeros without an end; at most 16 MiB are read."""
+    link = tmp_path / "endless.c"
+    link.symlink_to("/dev/zero")
+    with pytest.raises(UsageError, match="than 16777216 bytes"):
+        check_file(link)
 
 
 @pytest.mark.slow
-def test_a_file_with_100001_grids_is_refused(tmp_path: Path) -> None:
+@pytest.mark.usefixtures("limited_memory")
+def test_a_file_with_100001_grids_of_one_experiment_each_is_refused(tmp_path: Path) -> None:
     grid = tmp_path / "grid.toml"
     grid.write_text("steps = 9\n" + "[[grid]]\n" * 100_001)
-    message = refusal_of("sweep", str(grid), "--output", str(tmp_path / "run.parquet"))
-    assert "more than 100000 experiments" in message
+    with pytest.raises(UsageError, match="more than 100000 experiments"):
+        read_experiments(grid)
 
 
-def test_a_file_whose_grids_together_make_too_many_experiments_is_refused(
+def test_a_file_whose_grids_together_make_more_experiments_than_are_allowed_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Two grids of three seeds each, where five experiments are allowed."""
