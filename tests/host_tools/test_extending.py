@@ -181,7 +181,7 @@ def test_robots_with_an_installed_topology_and_sensor_end_in_the_same_state_on_a
 
     Robots are compared by their images, in which the firmware saves its state.
     """
-    extensions_of_page = {"topology": "geometric", "sensor": "wandering"}
+    extensions_of_page: Any = {"topology": "geometric", "sensor": "wandering"}
     parameters: Any = {"robots": 6, "steps": 100, "filter_period": 50, "firmware": "mirror"}
     with Swarm(SwarmSettings(**parameters, **extensions_of_page), Wiring()) as swarm:
         for _ in range(100):
