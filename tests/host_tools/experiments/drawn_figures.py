@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import pytest
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
@@ -50,15 +50,22 @@ def caption_of(figure: Figure) -> str:
     return " ".join(text.split())
 
 
-def assert_panels(figure: Figure, rows: int, columns: int, panel_height: float) -> None:
-    """Assert that panels have these rows and columns, share a y axis and fit a page, in inches."""
-    width = 9 if columns > 1 else 6.3
-    assert tuple(figure.get_size_inches()) == pytest.approx((width, 1.4 + rows * panel_height))
-    first_axes, *other_axes = visible_axes(figure)
-    for axes in (first_axes, *other_axes):
-        assert axes.get_subplotspec().get_geometry()[:2] == (rows, columns)  # type: ignore[union-attr]
-        assert not axes.spines["top"].get_visible()
-    assert all(axes.get_shared_y_axes().joined(axes, first_axes) for axes in other_axes)
+@dataclass(frozen=True)
+class Layout:
+    """How many panels a figure has, its width in inches, and the height that it gives a row of them."""
+
+    rows: int
+    columns: int
+    width: float
+    panel_height: float
+
+
+def layout_of(figure: Figure) -> Layout:
+    """Return the layout of a figure; 1.4 inches of its height are for title, legend and caption."""
+    subplot: Any = figure.axes[0].get_subplotspec()
+    rows, columns, *_ = subplot.get_geometry()
+    width, height = figure.get_size_inches()
+    return Layout(rows, columns, round(width, 6), round((height - 1.4) / rows, 6))
 
 
 def band_edges(band: Any, x: float) -> tuple[float, float]:
@@ -68,9 +75,14 @@ def band_edges(band: Any, x: float) -> tuple[float, float]:
     return float(heights.min()), float(heights.max())
 
 
-def assert_medians(line: Any, band: Any, samples_by_x: Mapping[float, NDArray[Any]]) -> None:
-    """Assert that a line goes through the medians of samples, in a band of their 95 % intervals."""
-    assert line.get_xdata().tolist() == [*samples_by_x]
-    for (x, sample), y in zip(samples_by_x.items(), line.get_ydata(), strict=True):
-        assert (y, *band_edges(band, x)) == median_interval(sample)
-    assert not band.get_edgecolor().size
+def curve_of(line: Any, band: Any) -> dict[float, tuple[float, float, float]]:
+    """Return the heights of a line and of the lower and the upper edge of its band, by x."""
+    points = zip(line.get_xdata(), line.get_ydata(), strict=True)
+    return {float(x): (float(y), *band_edges(band, x)) for x, y in points}
+
+
+def medians_with_intervals(
+    samples_by_x: Mapping[float, NDArray[Any]],
+) -> dict[float, tuple[float, float, float]]:
+    """Return the median of each sample, and the ends of its 95 % interval."""
+    return {x: median_interval(sample) for x, sample in samples_by_x.items()}

@@ -15,10 +15,12 @@ from host_tools.experiments.drawn_figures import (
     GREEN,
     GREY,
     SHORT_EXPERIMENT,
-    assert_medians,
-    assert_panels,
+    Layout,
     caption_of,
+    curve_of,
+    layout_of,
     legend_of,
+    medians_with_intervals,
     results_of,
     titles_of,
     visible_axes,
@@ -71,7 +73,7 @@ def test_each_curve_goes_through_the_medians_of_trials_in_a_band_of_their_interv
         samples_by_omega = {}
         for omega in (0.02, 0.05, 0.9):
             samples_by_omega[omega] = densities_and_omegas[density, omega].measures()[measure]
-        assert_medians(line, band, samples_by_omega)
+        assert curve_of(line, band) == medians_with_intervals(samples_by_omega)
 
 
 def test_the_legend_of_curves_has_the_values_of_the_parameter_that_they_differ_in(
@@ -85,7 +87,7 @@ def test_curves_are_drawn_into_one_large_panel_with_the_score_over_the_parameter
     densities_and_omegas: dict[tuple[float, float], Trials],
 ) -> None:
     figure = plot_curve([*densities_and_omegas.values()], "omega", hue="density")
-    assert_panels(figure, rows=1, columns=1, panel_height=3.8)
+    assert layout_of(figure) == Layout(rows=1, columns=1, width=6.3, panel_height=3.8)
     assert figure.get_supylabel() == "H"
     assert caption_of(figure).startswith("omega ")
 
@@ -143,7 +145,7 @@ def curves_in_panels(swarms_of_four_sizes: list[Trials]) -> Figure:
 
 def test_curves_have_a_panel_for_each_value_of_the_parameter_given_as_facet(curves_in_panels: Figure) -> None:
     assert titles_of(curves_in_panels) == ["robots 4", "robots 5", "robots 6", "robots 7"]
-    assert_panels(curves_in_panels, rows=2, columns=3, panel_height=2.6)
+    assert layout_of(curves_in_panels) == Layout(rows=2, columns=3, width=9, panel_height=2.6)
 
 
 @pytest.mark.parametrize(
@@ -163,6 +165,20 @@ def test_a_panel_has_a_curve_of_median_scores_for_each_filter_that_its_swarms_ha
     assert curves == [[medians[name, 1], medians[name, 2]] for name in filters]
 
 
+def test_all_panels_of_a_picture_share_their_y_axis_and_have_no_line_above(curves_in_panels: Figure) -> None:
+    """The lines around a panel are called spines."""
+    first_axes, *other_axes = visible_axes(curves_in_panels)
+    for axes in other_axes:
+        assert axes.get_shared_y_axes().joined(axes, first_axes)
+    for axes in (first_axes, *other_axes):
+        assert not axes.spines["top"].get_visible()
+
+
+def test_bands_around_curves_have_no_edges(curves_in_panels: Figure) -> None:
+    [first_band, *_] = curves_in_panels.axes[0].collections
+    assert first_band.get_edgecolor().size == 0  # type: ignore[union-attr]
+
+
 def test_all_panels_of_curves_share_one_legend(curves_in_panels: Figure) -> None:
     assert legend_of(curves_in_panels) == ["filter none", "filter robust"]
 
@@ -178,7 +194,7 @@ def test_the_caption_of_curves_counts_trials_and_says_where_bands_are_no_interva
 def test_a_facet_with_a_single_value_gives_one_large_panel(swarms_of_four_robots: list[Trials]) -> None:
     figure = plot_curve(swarms_of_four_robots, "flawed", hue="filter", facet="robots")
     assert titles_of(figure) == ["robots 4"]
-    assert_panels(figure, rows=1, columns=1, panel_height=3.8)
+    assert layout_of(figure) == Layout(rows=1, columns=1, width=6.3, panel_height=3.8)
 
 
 def error_of_first_robot(trials: Trials) -> Any:

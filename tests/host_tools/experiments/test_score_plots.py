@@ -15,8 +15,9 @@ from host_tools.experiments.drawn_figures import (
     GREEN,
     GREY,
     SHORT_EXPERIMENT,
-    assert_panels,
+    Layout,
     caption_of,
+    layout_of,
     legend_of,
     results_of,
     titles_of,
@@ -99,7 +100,7 @@ def scores_by_position(results: list[Trials], fill_ratio: float) -> list[list[fl
 def test_boxes_of_scores_have_a_panel_for_each_fill_ratio(boxes: Figure) -> None:
     """A title has the fill ratio, f, and the true accuracy of the sensors, b."""
     assert titles_of(boxes) == ["$f = 0.55$, $b = 0.95$", "$f = 0.95$, $b = 0.95$"]
-    assert_panels(boxes, rows=2, columns=1, panel_height=2.6)
+    assert layout_of(boxes) == Layout(rows=2, columns=1, width=6.3, panel_height=2.6)
 
 
 def test_the_legend_of_boxes_has_filters_and_periods_where_these_differ(boxes: Figure) -> None:
@@ -223,7 +224,7 @@ def test_points_of_scores_have_a_row_for_each_filter_and_floor_and_a_column_for_
 ) -> None:
     """f is the fill ratio of the floor, and P the share of flawed robots. These are the first four titles."""
     fill_ratios = 2
-    assert_panels(scatter, rows=SERIES_COUNT * fill_ratios, columns=3, panel_height=1.7)
+    assert layout_of(scatter) == Layout(rows=SERIES_COUNT * fill_ratios, columns=3, width=9, panel_height=1.7)
     assert titles_of(scatter)[:4] == [
         "no filter\n$f = 0.55$, $P$ = 0%",
         "no filter\n$f = 0.55$, $P$ = 50%",

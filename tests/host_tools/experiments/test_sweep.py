@@ -35,16 +35,14 @@ from mcp_asdf_tools.experiments.results import Trials
 from mcp_asdf_tools.experiments.store import Store
 from mcp_asdf_tools.experiments.sweep import jobs_of, run_sweep
 from mcp_asdf_tools.experiments.trials import Job
-from mcp_asdf_tools.robots.filters import FILTERS
 from support import PATIENCE, ROOT, interruptible, wait_until
 from trials import record_jobs
 
-GRID = [
-    Experiment(robots=4, flawed=flawed, filter=filter_name, steps=8000, trials=40)
-    for flawed in (1, 2)
-    for filter_name in FILTERS
-]
-"""Eight experiments of 40 trials. A job, which a worker runs at once, is 32 trials or the last 8 of these."""
+EXPERIMENT = Experiment(robots=4, flawed=1, filter="none", steps=8000, trials=40)
+OTHER_EXPERIMENT = replace(EXPERIMENT, filter="asdf-plus")
+TWO_EXPERIMENTS = [EXPERIMENT, OTHER_EXPERIMENT]
+THREE_EXPERIMENTS = [EXPERIMENT, OTHER_EXPERIMENT, replace(EXPERIMENT, filter="robust")]
+"""Each has 40 trials. A job, which a worker runs at once, is the first 32 or the last 8 of these."""
 
 
 @pytest.fixture
@@ -71,9 +69,9 @@ def trials_of(jobs: Iterable[Job]) -> list[tuple[Experiment, int]]:
 
 def test_every_trial_of_a_sweep_is_in_exactly_one_job(output: Path) -> None:
     """A job is a number of trials that a worker process runs together."""
-    jobs = list(jobs_of(Store(output, GRID, sampling_interval=7)))
+    jobs = list(jobs_of(Store(output, THREE_EXPERIMENTS, sampling_interval=7)))
 
-    assert trials_of(jobs) == [(experiment, trial) for experiment in GRID for trial in range(40)]
+    assert trials_of(jobs) == [(experiment, trial) for experiment in THREE_EXPERIMENTS for trial in range(40)]
     assert {job.sampling_interval for job in jobs} == {7}
 
 
@@ -91,19 +89,19 @@ def test_a_job_has_more_trials_the_shorter_these_are(
     changes: dict[str, Any], trials_of_jobs: list[int]
 ) -> None:
     """A job is what a worker process runs at once: one trial at least, and more where they are short."""
-    experiment = replace(GRID[0], **changes)
+    experiment = replace(EXPERIMENT, **changes)
     jobs = sweep.jobs_of_experiment(experiment, range(experiment.trials), sampling_interval=0)
     assert [job.count for job in jobs] == trials_of_jobs
 
 
 def test_jobs_leave_out_finished_trials_between_missing_ones() -> None:
     missing_trials = [0, 1, 5, 7, 8, 9]
-    jobs = sweep.jobs_of_experiment(GRID[0], missing_trials, sampling_interval=0)
+    jobs = sweep.jobs_of_experiment(EXPERIMENT, missing_trials, sampling_interval=0)
     assert [(job.first, job.count) for job in jobs] == [(0, 2), (5, 1), (7, 3)]
 
 
 def test_a_worker_with_another_version_than_its_job_is_refused() -> None:
-    job = Job(GRID[0], first=0, count=1, version="9.9.9")
+    job = Job(EXPERIMENT, first=0, count=1, version="9.9.9")
     with pytest.raises(UsageError, match=r"a worker has mcp-asdf .*, this is 9\.9\.9; install the same"):
         job.run()
 
@@ -115,9 +113,9 @@ def test_a_worker_with_another_version_than_its_job_is_refused() -> None:
 def interrupted_sweep(output: Path, jobs_run: list[Job]) -> Store:
     """A sweep of three experiments, opened again after an interrupt: the last 8 trials of 40 are missing."""
     with pytest.raises(KeyboardInterrupt):
-        run_sweep(Store(output, GRID[:3]), 1)
+        run_sweep(Store(output, THREE_EXPERIMENTS), 1)
     jobs_run.clear()
-    return Store(output, GRID[:3])
+    return Store(output, THREE_EXPERIMENTS)
 
 
 def test_the_folder_of_parts_of_an_interrupted_sweep_can_be_scored(
@@ -151,7 +149,7 @@ def test_an_interrupted_sweep_that_goes_on_gives_the_results_of_one_without_an_i
     run_sweep(interrupted_sweep, 1)
     experiments = experiments_in(read_table(interrupted_sweep.output))
 
-    for trials, experiment in zip(experiments, GRID[:3], strict=True):
+    for trials, experiment in zip(experiments, THREE_EXPERIMENTS, strict=True):
         assert trials.experiment == experiment
         assert (trials.errors == Job(experiment, first=0, count=40).run().errors).all()
 
@@ -168,7 +166,7 @@ def test_a_sweep_that_lacks_trials_between_finished_ones_runs_these(
     output: Path, jobs_run: list[Job]
 ) -> None:
     """Trials 2 to 4 and 7 of 10 are there; 0 and 1, 5 and 6, and 8 and 9 are missing."""
-    experiment = replace(GRID[0], trials=10)
+    experiment = replace(EXPERIMENT, trials=10)
     store = Store(output, [experiment])
     store.add(Job(experiment, first=2, count=3).run())
     store.add(Job(experiment, first=7, count=1).run())
@@ -181,10 +179,10 @@ def test_a_sweep_that_lacks_trials_between_finished_ones_runs_these(
 
 
 def test_a_finished_sweep_is_not_run_again(output: Path, jobs_run: list[Job]) -> None:
-    run_sweep(Store(output, GRID[:1]), 1)
+    run_sweep(Store(output, [EXPERIMENT]), 1)
     table = read_table(output)
     jobs_run.clear()
-    run_sweep(Store(output, GRID[:1]), 1)
+    run_sweep(Store(output, [EXPERIMENT]), 1)
 
     assert jobs_run == []
     assert read_table(output).equals(table)
@@ -194,10 +192,9 @@ def test_a_sweep_that_was_enlarged_runs_only_new_trials_and_experiments(
     output: Path, jobs_run: list[Job]
 ) -> None:
     """Ten trials of one experiment are there; then 15 are wanted, and 33 of another one."""
-    first_experiment, second_experiment, *_ = GRID
-    run_sweep(Store(output, [replace(first_experiment, trials=10)]), 1)
+    run_sweep(Store(output, [replace(EXPERIMENT, trials=10)]), 1)
     jobs_run.clear()
-    enlarged = [replace(first_experiment, trials=15), replace(second_experiment, trials=33)]
+    enlarged = [replace(EXPERIMENT, trials=15), replace(OTHER_EXPERIMENT, trials=33)]
     run_sweep(Store(output, enlarged), 1)
 
     assert [(job.first, job.count) for job in jobs_run] == [(10, 5), (0, 32), (32, 1)]
@@ -207,10 +204,10 @@ def test_a_sweep_that_was_enlarged_runs_only_new_trials_and_experiments(
 @pytest.mark.parametrize(
     ("experiments", "sampling_interval"),
     [
-        (GRID[:1], 0),
-        ([replace(experiment, seed=2) for experiment in GRID[:2]], 0),
-        ([replace(GRID[0], trials=39), GRID[1]], 0),
-        (GRID[:2], 5),
+        ([EXPERIMENT], 0),
+        ([replace(experiment, seed=2) for experiment in TWO_EXPERIMENTS], 0),
+        ([replace(EXPERIMENT, trials=39), OTHER_EXPERIMENT], 0),
+        (TWO_EXPERIMENTS, 5),
     ],
     ids=["fewer experiments", "another seed", "fewer trials", "with records"],
 )
@@ -218,7 +215,7 @@ def test_a_sweep_into_the_results_of_another_one_is_refused_and_leaves_them_alon
     experiments: list[Experiment], sampling_interval: int, output: Path
 ) -> None:
     """The output has the results of two experiments of 40 trials, with nothing recorded over time."""
-    run_sweep(Store(output, GRID[:2]), 1)
+    run_sweep(Store(output, TWO_EXPERIMENTS), 1)
     content_before = output.read_bytes()
 
     with pytest.raises(UsageError, match="choose another name"):
@@ -229,10 +226,10 @@ def test_a_sweep_into_the_results_of_another_one_is_refused_and_leaves_them_alon
 def test_a_sweep_into_results_of_another_version_of_the_program_is_refused(
     output: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    run_sweep(Store(output, GRID[:1]), 1)
+    run_sweep(Store(output, [EXPERIMENT]), 1)
     monkeypatch.setattr(store_module, "software_versions", lambda: {"mcp-asdf": "9.9.9"})
     with pytest.raises(UsageError, match="other experiments, recordings or versions"):
-        Store(output, GRID[:1])
+        Store(output, [EXPERIMENT])
 
 
 def test_worker_processes_started_from_a_thread_give_the_results_of_one_process(
@@ -241,16 +238,18 @@ def test_worker_processes_started_from_a_thread_give_the_results_of_one_process(
     """Programs with a window or a server start sweeps from threads. All 2 * 40 trials are reported."""
     reported_trials: list[int] = []
     with ThreadPoolExecutor(1) as thread:
-        thread.submit(run_sweep, Store(output, GRID[:2]), workers=2, report=reported_trials.append).result()
-    run_sweep(Store(tmp_path / "one.parquet", GRID[:2]), workers=1)
+        thread.submit(
+            run_sweep, Store(output, TWO_EXPERIMENTS), workers=2, report=reported_trials.append
+        ).result()
+    run_sweep(Store(tmp_path / "one.parquet", TWO_EXPERIMENTS), workers=1)
 
     assert read_table(output).equals(read_table(tmp_path / "one.parquet"))
     assert sum(reported_trials) == 80
 
 
 def test_a_sweep_in_memory_gives_the_table_that_one_into_a_file_gives(output: Path) -> None:
-    run_sweep(Store(output, GRID[:2]), 1)
-    tables = [trials_to_table(trials) for trials in sweep.run_in_memory(GRID[:2])]
+    run_sweep(Store(output, TWO_EXPERIMENTS), 1)
+    tables = [trials_to_table(trials) for trials in sweep.run_in_memory(TWO_EXPERIMENTS)]
     assert pa.concat_tables(tables).combine_chunks().equals(read_table(output).combine_chunks())
 
 
@@ -264,7 +263,7 @@ class DeadlyJob(Job):
 
 def test_a_worker_process_that_is_killed_ends_the_sweep_with_an_error() -> None:
     """An operating system that is out of memory kills processes."""
-    deadly_jobs = [DeadlyJob(GRID[0], first=0, count=1), DeadlyJob(GRID[0], first=1, count=1)]
+    deadly_jobs = [DeadlyJob(EXPERIMENT, first=0, count=1), DeadlyJob(EXPERIMENT, first=1, count=1)]
     with pytest.raises(UsageError, match="a worker process was killed"):
         list(sweep.run_jobs(iter(deadly_jobs), workers=2))
 
@@ -303,7 +302,7 @@ def test_a_short_sweep_writes_its_output_and_no_parts(output: Path, monkeypatch:
 
     monkeypatch.setattr(store_module, "write_tables", record_and_write)
     monkeypatch.setattr(store_module, "_SECONDS_BETWEEN_PARTS", 1e9)
-    run_sweep(Store(output, GRID[:2]), 1)
+    run_sweep(Store(output, TWO_EXPERIMENTS), 1)
     assert files_written == ["grid.parquet"]
 
 
@@ -311,11 +310,11 @@ def test_a_part_is_written_when_the_last_one_is_a_second_old(
     output: Path, clock: Callable[[float], None]
 ) -> None:
     """A trial is finished at each of four times. A part has all trials since the last part."""
-    store = Store(output, GRID[:1])
+    store = Store(output, [EXPERIMENT])
     row_counts_of_parts = []
     for trial, seconds in enumerate((0.9, 1.0, 1.9, 2.0)):
         clock(seconds)
-        store.add(Job(GRID[0], first=trial, count=1).run())
+        store.add(Job(EXPERIMENT, first=trial, count=1).run())
         row_counts_of_parts.append(row_counts(store.parts))
 
     assert row_counts_of_parts == [[], [2], [2], [2, 2]]
@@ -328,11 +327,11 @@ def test_parts_of_a_long_sweep_are_a_hundredth_of_its_time_apart(
 
     A trial is finished at each of three times. A part has all trials since the last part.
     """
-    store = Store(output, GRID[:1])
+    store = Store(output, [EXPERIMENT])
     row_counts_of_parts = []
     for trial, seconds in enumerate((1000.0, 1009.0, 1011.0)):
         clock(seconds)
-        store.add(Job(GRID[0], first=trial, count=1).run())
+        store.add(Job(EXPERIMENT, first=trial, count=1).run())
         row_counts_of_parts.append(row_counts(store.parts))
 
     assert row_counts_of_parts == [[1], [1], [1, 2]]
@@ -344,10 +343,10 @@ def test_a_part_is_written_when_as_many_rows_wait_as_a_part_may_have(
     """This bounds the memory. The limit is set to 10 rows, and the time between parts to never."""
     monkeypatch.setattr(store_module, "_SECONDS_BETWEEN_PARTS", 1e9)
     monkeypatch.setattr(store_module, "_MAX_ROWS", 10)
-    store = Store(output, GRID[:1])
-    store.add(Job(GRID[0], first=0, count=9).run())
+    store = Store(output, [EXPERIMENT])
+    store.add(Job(EXPERIMENT, first=0, count=9).run())
     assert row_counts(store.parts) == []
-    store.add(Job(GRID[0], first=9, count=1).run())
+    store.add(Job(EXPERIMENT, first=9, count=1).run())
 
     assert row_counts(store.parts) == [10]
 
@@ -362,9 +361,9 @@ def output_of_mixed_jobs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(store_module, "_MAX_ROWS", 50)
         patch.setattr(store_module, "_SECONDS_BETWEEN_PARTS", 0.0)
-        store = Store(output, GRID[:2])
+        store = Store(output, TWO_EXPERIMENTS)
         for first_trial in (0, 10, 20, 30):
-            for experiment in GRID[:2]:
+            for experiment in TWO_EXPERIMENTS:
                 store.add(Job(experiment, first_trial, count=10).run())
         store.finish()
     return output
@@ -376,9 +375,9 @@ def test_the_output_has_the_trials_of_each_experiment_in_order_whatever_the_orde
     first, second = experiments_in(read_table(output_of_mixed_jobs))
 
     assert read_table(output_of_mixed_jobs)["trial"].to_pylist() == [*range(40), *range(40)]
-    assert [first.experiment, second.experiment] == GRID[:2]
-    assert (first.errors == Job(GRID[0], first=0, count=40).run().errors).all()
-    assert (second.errors == Job(GRID[1], first=0, count=40).run().errors).all()
+    assert (first.experiment, second.experiment) == (EXPERIMENT, OTHER_EXPERIMENT)
+    assert (first.errors == Job(EXPERIMENT, first=0, count=40).run().errors).all()
+    assert (second.errors == Job(OTHER_EXPERIMENT, first=0, count=40).run().errors).all()
 
 
 def test_the_output_has_as_many_rows_in_a_group_as_it_may(output_of_mixed_jobs: Path) -> None:
@@ -394,9 +393,9 @@ def test_experiments_are_read_one_by_one_from_row_groups_that_do_not_end_with_th
     """The first 10 trials of the second experiment are in the row group of the first one."""
     first, second = stream_experiments(output_of_mixed_jobs)
 
-    assert (first.experiment, second.experiment) == (GRID[0], GRID[1])
+    assert (first.experiment, second.experiment) == (EXPERIMENT, OTHER_EXPERIMENT)
     assert first.numbers == second.numbers == [*range(40)]
-    assert (second.errors == Job(GRID[1], first=0, count=40).run().errors).all()
+    assert (second.errors == Job(OTHER_EXPERIMENT, first=0, count=40).run().errors).all()
 
 
 def bytes_of_lists(experiment: Experiment, sampling_interval: int) -> int:
@@ -413,12 +412,11 @@ def test_a_part_has_fewer_rows_the_longer_their_lists_are(
 
     Of 10 million steps, a single trial has more. A part has one row at least.
     """
-    experiment = GRID[0]
-    monkeypatch.setattr(store_module, "ROW_GROUP_BYTES", 1000 * bytes_of_lists(experiment, 400))
-    long_experiment = replace(experiment, steps=10**7)
+    monkeypatch.setattr(store_module, "ROW_GROUP_BYTES", 1000 * bytes_of_lists(EXPERIMENT, 400))
+    long_experiment = replace(EXPERIMENT, steps=10**7)
 
     # Parts are written by rows, so the limit of bytes is converted when a store is made.
-    assert Store(output, [experiment], sampling_interval=400)._rows_per_part == 1000
+    assert Store(output, [EXPERIMENT], sampling_interval=400)._rows_per_part == 1000
     assert Store(output, [long_experiment], sampling_interval=400)._rows_per_part == 1
 
 
@@ -428,7 +426,7 @@ def process_at_work_on(output: Path) -> Iterator[int]:
     (is_ready, report_ready), (released, release) = os.pipe(), os.pipe()
     child = os.fork()
     if child == 0:
-        Store(output, GRID).reserve()
+        Store(output, THREE_EXPERIMENTS).reserve()
         os.write(report_ready, b"x")
         os.close(release)
         os.read(released, 1)
@@ -443,7 +441,7 @@ def process_at_work_on(output: Path) -> Iterator[int]:
 
 def test_a_sweep_into_an_output_on_which_another_process_works_is_refused(output: Path) -> None:
     with process_at_work_on(output) as process, pytest.raises(UsageError) as refusal:
-        Store(output, GRID)
+        Store(output, THREE_EXPERIMENTS)
     assert f"process {process} is at work on {output}; wait for it" in str(refusal.value)
 
 
@@ -454,17 +452,17 @@ def test_a_sweep_goes_on_with_an_output_when_the_other_process_has_ended(output:
     """
     with process_at_work_on(output):
         pass
-    assert Store(output, GRID).parts.exists()
+    assert Store(output, THREE_EXPERIMENTS).parts.exists()
 
-    run_sweep(Store(output, GRID[:1]), workers=1)
+    run_sweep(Store(output, [EXPERIMENT]), workers=1)
 
     assert [path.name for path in output.parent.iterdir()] == ["grid.parquet"]
 
 
 def test_a_process_does_not_lock_itself_out_of_its_output(output: Path) -> None:
-    """It works on an output, and opens it a second time: all 8 * 40 trials are missing."""
-    Store(output, GRID).reserve()
-    assert Store(output, GRID).missing_count == 320
+    """It works on an output, and opens it a second time: all 3 * 40 trials are missing."""
+    Store(output, THREE_EXPERIMENTS).reserve()
+    assert Store(output, THREE_EXPERIMENTS).missing_count == 120
 
 
 # --- Progress --------------------------------------------------------------------------------------------

@@ -28,7 +28,7 @@ pytestmark = pytest.mark.slow
 SLOW = Experiment(firmware="mirror", robots=4, flawed=1, steps=200, filter_period=50, trials=12)
 """Its jobs are single trials."""
 
-CLUSTER = """\
+PROGRAM_OF_A_CLUSTER = """\
 import sys
 from distributed import LocalCluster
 
@@ -38,14 +38,14 @@ if __name__ == "__main__":
         print(cluster.scheduler_address, flush=True)
         sys.stdin.read()
 """
-"""Worker processes, until the input ends."""
+"""A scheduler and its worker processes, which end with the program's input."""
 
 
 @contextmanager
 def cluster_of(workers: int, folder: Path) -> Iterator[tuple[str, IO[str]]]:
-    """A cluster of this many processes; gives the scheduler's address and what ends it when closed."""
-    (folder / "cluster_module.py").write_text(CLUSTER, encoding="utf-8")
-    command = [sys.executable, str(folder / "cluster_module.py"), str(workers)]
+    """Run a cluster of worker processes; gives the scheduler's address, and an input whose end ends it."""
+    (folder / "cluster.py").write_text(PROGRAM_OF_A_CLUSTER, encoding="utf-8")
+    command = [sys.executable, str(folder / "cluster.py"), str(workers)]
     pipe, quiet = subprocess.PIPE, subprocess.DEVNULL
     with subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=quiet, text=True, cwd=ROOT) as process:
         assert process.stdin is not None and process.stdout is not None
@@ -56,66 +56,72 @@ def cluster_of(workers: int, folder: Path) -> Iterator[tuple[str, IO[str]]]:
 
 
 @pytest.fixture
+def scheduler(tmp_path: Path) -> Iterator[str]:
+    """The address of a scheduler that has one worker process."""
+    with cluster_of(1, tmp_path) as (address, _):
+        yield address
+
+
+@pytest.fixture
 def store(tmp_path: Path) -> Store:
+    """A sweep of 12 jobs, none of which has been run."""
     pytest.importorskip("distributed", reason="distributed is not installed: make setup")
     return Store(tmp_path / "x.parquet", [SLOW])
 
 
 def run_sweep_command(trials: int, output: Path, *options: str) -> None:
-    """Run ``mcp-asdf sweep`` on a file of one experiment with so many trials."""
+    """Run ``mcp-asdf sweep`` on a file of one experiment with so many trials; it must succeed."""
     path = output.with_suffix(".toml")
     path.write_text(f"robots = 4\nsteps = 300\nfilter_period = 100\ntrials = {trials}\n")
     assert cli.main(["sweep", str(path), "--output", str(output), *options]) == 0
 
 
 @pytest.mark.usefixtures("store")
-def test_a_cluster_goes_on_with_a_sweep_and_gives_the_same_bits_as_this_computer(tmp_path: Path) -> None:
+def test_a_sweep_that_goes_on_on_a_cluster_gives_the_results_of_this_computer(
+    scheduler: str, tmp_path: Path
+) -> None:
+    """The first 20 of 50 trials were run on this computer."""
     here, there = tmp_path / "here.parquet", tmp_path / "there.parquet"
-    with cluster_of(1, tmp_path) as (address, _):
-        run_sweep_command(20, there, "--workers", "1")
-        run_sweep_command(50, there, "--scheduler", address)
+    run_sweep_command(20, there, "--workers", "1")
+    run_sweep_command(50, there, "--scheduler", scheduler)
     run_sweep_command(50, here, "--workers", "1")
 
     assert read_table(there).equals(read_table(here))
 
 
-def test_a_cluster_with_another_version_is_refused(
-    tmp_path: Path, store: Store, monkeypatch: pytest.MonkeyPatch
+def test_a_cluster_whose_workers_have_another_version_is_refused(
+    store: Store, scheduler: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """This program takes itself for version 9.9.9, which the workers are not."""
-    with cluster_of(1, tmp_path) as (address, _):
-        monkeypatch.setattr(versions, "metadata", SimpleNamespace(version=lambda name: "9.9.9"))
-        assert next(jobs_of(store)).run().experiment == SLOW
+    """This program takes itself for version 9.9.9, which the workers are not. It can run the jobs itself."""
+    monkeypatch.setattr(versions, "metadata", SimpleNamespace(version=lambda name: "9.9.9"))
+    assert next(jobs_of(store)).run().experiment == SLOW
 
-        with pytest.raises(UsageError, match="install the same on all"):
-            run_sweep(store, 1, scheduler=address)
+    with pytest.raises(UsageError, match="install the same on all"):
+        run_sweep(store, 1, scheduler=scheduler)
 
 
-def test_what_a_cluster_has_finished_is_kept_when_it_is_lost(tmp_path: Path, store: Store) -> None:
+def test_trials_that_a_cluster_has_finished_are_kept_if_it_is_lost(tmp_path: Path, store: Store) -> None:
     """The cluster ends when the first trials have come back."""
-    long = replace(SLOW, trials=500)
-    long_sweep = Store(tmp_path / "long.parquet", [long])
+    experiment = replace(SLOW, trials=500)
+    sweep = Store(tmp_path / "long.parquet", [experiment])
     with (
-        cluster_of(1, tmp_path) as (address, end),
+        cluster_of(1, tmp_path) as (address, cluster_input),
         pytest.raises(UsageError, match="what was finished is kept"),
     ):
-        run_sweep(long_sweep, 1, report=lambda _: end.close(), scheduler=address)
+        run_sweep(sweep, 1, report=lambda _: cluster_input.close(), scheduler=address)
 
-    missing_count = Store(long_sweep.output, [long]).missing_count
-    assert 0 < missing_count < long.trials
-    assert missing_count == long_sweep.missing_count
+    missing_on_disk = Store(sweep.output, [experiment]).missing_count
+    assert missing_on_disk == sweep.missing_count
+    assert 0 < missing_on_disk < experiment.trials
 
 
 @pytest.mark.parametrize("error", [OSError("Timed out trying to connect"), TimeoutError("no answer")])
-def test_a_scheduler_that_does_not_answer_any_more_is_a_lost_cluster(
-    error: OSError, store: Store, tmp_path: Path
+def test_a_scheduler_that_does_not_answer_any_more_is_reported_as_a_usage_error(
+    error: OSError, store: Store, scheduler: str
 ) -> None:
-    """Dask raises these where it asks a scheduler that is gone for its number of threads."""
-    with (
-        cluster_of(1, tmp_path) as (address, _),
-        pytest.raises(UsageError, match="what was finished is kept"),
-        cluster_module.connect_cluster(address),
-    ):
+    """Dask raises these errors where a sweep asks a scheduler that is gone for its number of threads."""
+    is_refused = pytest.raises(UsageError, match="what was finished is kept")
+    with is_refused, cluster_module.connect_cluster(scheduler):
         raise error
 
 
@@ -123,9 +129,10 @@ def test_a_scheduler_that_does_not_answer_any_more_is_a_lost_cluster(
     "address",
     ["tcp://127.0.0.1:1", "nonsense://x", "", "127.0.0.1:b", "tls://127.0.0.1:1", "inproc://x"],
 )
-def test_an_address_without_a_scheduler_is_refused(
+def test_an_address_at_which_there_is_no_scheduler_is_refused(
     address: str, store: Store, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """The program waits for an answer, here only for a second."""
     monkeypatch.setattr(cluster_module, "_TIMEOUT", 1)
     with pytest.raises(UsageError, match="no Dask scheduler at"):
         run_sweep(store, 1, scheduler=address)
@@ -134,8 +141,8 @@ def test_an_address_without_a_scheduler_is_refused(
 def test_a_cluster_without_workers_is_refused_with_the_command_that_starts_some(
     store: Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """The program waits for workers, here only for a second."""
     monkeypatch.setattr(cluster_module, "_TIMEOUT", 1)
-    with cluster_of(0, tmp_path) as (address, _):
-        words = f"at {address} has no workers; start some: dask worker {address}"
-        with pytest.raises(UsageError, match=words):
-            run_sweep(store, 1, scheduler=address)
+    with cluster_of(0, tmp_path) as (address, _), pytest.raises(UsageError) as refusal:
+        run_sweep(store, 1, scheduler=address)
+    assert f"at {address} has no workers; start some: dask worker {address}" in str(refusal.value)

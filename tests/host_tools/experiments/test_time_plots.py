@@ -14,11 +14,13 @@ from host_tools.experiments.drawn_figures import (
     GREEN,
     GREY,
     SHORT_EXPERIMENT,
-    assert_medians,
-    assert_panels,
+    Layout,
     band_edges,
     caption_of,
+    curve_of,
+    layout_of,
     legend_of,
+    medians_with_intervals,
     results_of,
     titles_of,
     visible_axes,
@@ -68,7 +70,7 @@ def test_errors_of_all_experiments_to_which_the_user_gives_one_name_are_in_one_l
 
 def test_errors_over_time_have_a_panel_for_each_title_that_the_user_gives(errors_over_time: Figure) -> None:
     assert titles_of(errors_over_time) == ["both", "none", "robust", "one experiment"]
-    assert_panels(errors_over_time, rows=2, columns=3, panel_height=1.9)
+    assert layout_of(errors_over_time) == Layout(rows=2, columns=3, width=9, panel_height=1.9)
 
 
 def mean_errors_by_step(experiments: list[Trials]) -> dict[float, NDArray[np.float64]]:
@@ -91,7 +93,8 @@ def test_the_line_of_a_filter_has_the_median_over_trials_of_the_swarm_s_mean_err
     """It lies in a band of the medians' 95 % intervals. Trials of both floors count."""
     axes = errors_over_time.axes[0]
     samples_by_step = mean_errors_by_step(recorded_swarms[filter_name])
-    assert_medians(axes.lines[line_index], axes.collections[line_index], samples_by_step)
+    line, band = axes.lines[line_index], axes.collections[line_index]
+    assert curve_of(line, band) == medians_with_intervals(samples_by_step)
 
 
 def test_errors_over_time_have_the_colours_of_their_filters(errors_over_time: Figure) -> None:
@@ -194,11 +197,11 @@ def test_healthy_robots_are_off_if_they_end_far_from_what_they_assumed_at_first(
 def test_five_experiments_have_a_row_of_three_panels_of_bands_and_one_of_two(five_bands: Figure) -> None:
     """The sixth place is empty."""
     assert [axes.axison for axes in five_bands.axes] == [True] * 5 + [False]
-    assert_panels(five_bands, rows=2, columns=3, panel_height=2.1)
+    assert layout_of(five_bands) == Layout(rows=2, columns=3, width=9, panel_height=2.1)
 
 
 def test_four_experiments_have_two_rows_of_two_panels_of_bands(half_flawed: Trials) -> None:
-    assert_panels(plot_bands([half_flawed] * 4), rows=2, columns=2, panel_height=2.1)
+    assert layout_of(plot_bands([half_flawed] * 4)) == Layout(rows=2, columns=2, width=9, panel_height=2.1)
 
 
 def test_a_swarm_without_healthy_robots_has_one_band_and_a_dash_for_their_share(half_flawed: Trials) -> None:
