@@ -13,48 +13,60 @@ from multicast import multicast
 pytestmark = pytest.mark.slow
 
 
-def test_all_are_known() -> None:
-    """The table of ``argos`` and ``robust_judge`` have tests of their own."""
+def test_each_benchmark_has_a_test() -> None:
+    """``argos`` and ``pages`` have theirs beside what they are about, in tests/host_tools."""
     scripts = {path.stem for path in Path(__file__).parent.glob("*.py") if not path.stem.startswith("test_")}
     assert scripts == {"argos", "engine", "fidelity", "pages", "shared_bus"}
 
 
-def test_the_benchmark_of_the_engine_prints_a_table_of_rates_for_each_world(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """Five tables, each with a title and four rows; two have one row more, and two three rows more."""
+@pytest.fixture
+def short_worlds(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let the benchmark of the engine measure once, in trials of 1000 steps."""
     monkeypatch.setattr(engine, "REPEATS", 1)
-    for name in ("FULL", "MOVING"):
-        monkeypatch.setattr(engine, name, replace(getattr(engine, name), steps=1000))
+    monkeypatch.setattr(engine, "FULL", replace(engine.FULL, steps=1000))
+    monkeypatch.setattr(engine, "MOVING", replace(engine.MOVING, steps=1000))
 
+
+@pytest.mark.usefixtures("short_worlds")
+def test_the_benchmark_of_the_engine_prints_positive_rates_of_each_program_in_five_worlds(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """A rate is the number of steps of robots in a second. A line that begins a table names its unit."""
     engine.main()
 
     lines = capsys.readouterr().out.splitlines()
     titles = [line for line in lines if "robot-steps/s" in line]
+    rates = [float(line.split()[-1]) for line in lines if "/s" not in line]
     assert len(titles) == 5
-    assert len(lines) == 5 + 5 * 4 + 2 * 1 + 2 * 3
+    # Four programs run in each world; besides them plain C where all hear all, and three where robots move.
+    assert len(rates) == 5 * 4 + 2 * 1 + 2 * 3
+    assert min(rates) > 0
     assert any(engine.SIMULATOR in line for line in lines)
-    for line in lines:
-        if "/s" not in line:
-            assert float(line.split()[-1]) > 0, line
 
 
-def test_one_connection_for_a_swarm_is_compared_with_one_for_each(capsys: pytest.CaptureFixture[str]) -> None:
-    """Their robots end in the same bits, or it fails."""
+def test_the_benchmark_of_a_bus_compares_one_connection_for_a_swarm_with_one_for_each_robot(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """It fails if robots end in other states. For each of two sizes it prints how much faster one is."""
     multicast(249)
     shared_bus.main(["--robots", "3", "20", "--steps", "12"])
     assert capsys.readouterr().out.count(" times\n") == 2
 
 
-def test_the_benchmark_of_fidelity_compares_distributions(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """With one case of each of the two parts of the study, and four trials."""
-    cases = {path: fidelity.read_cells(path)[:1] for path, _trials in fidelity.PARTS.values()}
+@pytest.fixture
+def short_fidelity(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let the benchmark of fidelity compare one experiment of each of its two parts, with four trials."""
+    cells = {path: fidelity.read_cells(path)[:1] for path, _trials in fidelity.PARTS.values()}
     parts = {part: (path, 4) for part, (path, _trials) in fidelity.PARTS.items()}
     monkeypatch.setattr(fidelity, "PARTS", parts)
-    monkeypatch.setattr(fidelity, "read_cells", lambda path: cases[path])
+    monkeypatch.setattr(fidelity, "read_cells", cells.__getitem__)
 
+
+@pytest.mark.usefixtures("short_fidelity")
+def test_the_benchmark_of_fidelity_compares_three_scores_of_each_experiment(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """It finds no difference, and prints a line of each part with the least probability."""
     exit_code = fidelity.main()
 
     assert exit_code == 0

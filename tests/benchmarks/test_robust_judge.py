@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import csv
+from collections.abc import Iterable
 from pathlib import Path
 
 import pytest
@@ -19,69 +19,78 @@ from benchmarks.robust_judge.__main__ import (
 from benchmarks.robust_judge.variants import VARIANTS, write_variant
 from support import ROOT
 
+Row = dict[str, str]
 STUDY = ROOT / "docs/robust_study.csv"
 """Table of the cases' results: a row for each case, flaw and filter."""
 VARIANT_STUDY = ROOT / "docs/robust_variants.csv"
 """Table of some cases' results with the variants of the robust filter, each of which changes its source."""
 
 
-def test_the_table_has_every_case_with_each_filter() -> None:
-    """There are three filters: none, ASDF- and the robust one."""
-    rows = read_rows(STUDY)
-    cases = {(case.group, case.name, case.flaw) for case in ALL_CASES}
-    assert {(row["group"], row["case"], row["flaw"]) for row in rows} == cases
-    assert len(rows) == 3 * len(cases)
+def test_docs_robust_study_csv_has_every_case_with_each_of_three_filters() -> None:
+    """A case is a kind of swarm and a flaw of sensors. The filters are none, ASDF- and the robust one."""
+    expected_rows = {
+        (case.group, case.name, case.flaw, filter_name)
+        for case in ALL_CASES
+        for filter_name in ("none", "asdf-minus", "robust")
+    }
+    rows = [(row["group"], row["case"], row["flaw"], row["filter"]) for row in read_rows(STUDY)]
+    assert sorted(rows) == sorted(expected_rows)
+
+
+def rows_like(rows: Iterable[Row], **values: str) -> list[Row]:
+    """Return the rows of a table that have these values in these columns."""
+    return [row for row in rows if values.items() <= row.items()]
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["moving, 5 robots, .3 flawed", "ring, .3 flawed"])
-def test_a_case_run_again_gives_the_rows_of_the_table(name: str, tmp_path: Path) -> None:
-    """A case is a kind of swarm, simulated with each filter. docs/robust_study.csv has its results.
-
-    Swarms of one name differ in their flaw: what is wrong with some of their sensors.
-    """
-    program = compile_judge(tmp_path)
-    rows_of_study = read_rows(STUDY)
-    cases = [case for case in ALL_CASES if case.name == name]
-    assert cases
-
-    for case in cases:
-        results = run_case(program, case, case.trials)
-        expected_rows = [row for row in rows_of_study if row["case"] == name and row["flaw"] == case.flaw]
-        assert list(rows_of(case, results)) == expected_rows
+@pytest.mark.parametrize("flaw", ["underconfident", "overconfident"])
+def test_a_case_that_is_simulated_again_gives_its_rows_of_docs_robust_study_csv(
+    flaw: str, name: str, tmp_path: Path
+) -> None:
+    """A case is a kind of swarm and a flaw of some sensors. It has a row for each of three filters."""
+    [case] = [case for case in ALL_CASES if (case.name, case.flaw) == (name, flaw)]
+    results = run_case(compile_judge(tmp_path), case, case.trials)
+    assert list(rows_of(case, results)) == rows_like(read_rows(STUDY), case=name, flaw=flaw)
 
 
-def test_the_page_shows_figures_of_the_table() -> None:
-    """docs/internals/robust.md shows ten rows of errors with each filter, rounded to 3 or 4 decimals."""
-    errors_by_row = {
-        (row["case"], row["flaw"], row["filter"]): float(row["error"]) for row in read_rows(STUDY)
-    }
+def cells_of_page(first_line: str) -> list[list[str]]:
+    """Return the cells of a table of docs/internals/robust.md, row by row, without its titles."""
     page = (ROOT / "docs/internals/robust.md").read_text(encoding="utf-8")
-    table = page[page.index("| case | swarm |") :].split("\n\n")[0]
-    _heading, _rule, *lines = table.splitlines()
-    shown_rows = list(csv.reader(lines, delimiter="|"))
+    _before, _first_line, after = page.partition(first_line)
+    table = after.partition("\n\n")[0].removesuffix("\n<!-- end -->")
+    _rest_of_titles, _rule, *lines = table.splitlines()
+    return [[cell.strip() for cell in line.strip("|").split("|")] for line in lines]
+
+
+def test_docs_internals_robust_md_shows_errors_of_ten_cases_as_docs_robust_study_csv_has_them() -> None:
+    """They are rounded to 3 decimals, and those below 0.0095 to 4."""
+    rows = read_rows(STUDY)
+    shown_rows = cells_of_page("| case | swarm |")
     assert len(shown_rows) == 10
-    # A line begins and ends with the separator, so its first and last cell are empty.
-    for _, case, flaw, *errors, _ in shown_rows:
-        for filter_name, error in zip(("none", "asdf-minus", "robust"), errors, strict=True):
-            exact_error = errors_by_row[case.strip(), flaw.strip(), filter_name]
-            # Half of the last decimal, and a little: errors below 0.0095 have four decimals.
-            rounding = 0.00051 if exact_error >= 0.0095 else 0.000051
-            assert float(error) == pytest.approx(exact_error, abs=rounding)
+
+    for case, flaw, *shown_errors in shown_rows:
+        for filter_name, shown_error in zip(("none", "asdf-minus", "robust"), shown_errors, strict=True):
+            [row] = rows_like(rows, case=case, flaw=flaw, filter=filter_name)
+            error = float(row["error"])
+            half_of_last_decimal = 0.0005 if error >= 0.0095 else 0.00005
+            assert float(shown_error) == pytest.approx(error, abs=1.02 * half_of_last_decimal)
 
 
 # --- Variants of the filter ------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("variant", VARIANTS)
-def test_a_variant_is_a_change_of_today_s_firmware(variant: str, tmp_path: Path) -> None:
-    """``write_variant`` copies the firmware into a folder, with lines of one file or more replaced."""
+def test_the_changes_of_each_variant_of_the_filter_can_still_be_made_to_the_firmware(
+    variant: str, tmp_path: Path
+) -> None:
+    """A variant is the firmware with some lines replaced, as was considered when the filter was made."""
     write_variant(CORE, tmp_path, variant)
     is_changed = [path.read_bytes() != (CORE / path.name).read_bytes() for path in tmp_path.iterdir()]
     assert any(is_changed)
 
 
-def test_the_table_of_variants_has_every_case_with_each_variant() -> None:
+def test_docs_robust_variants_csv_has_every_case_with_each_variant_of_the_filter() -> None:
     expected_rows = {(case.name, case.flaw, variant) for case in VARIANT_CASES for variant in VARIANTS}
     rows = [(row["case"], row["flaw"], row["filter"]) for row in read_rows(VARIANT_STUDY)]
     assert sorted(rows) == sorted(expected_rows)
@@ -89,37 +98,31 @@ def test_the_table_of_variants_has_every_case_with_each_variant() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("variant", VARIANTS)
-def test_a_variant_run_again_gives_the_row_of_the_table(variant: str, tmp_path: Path) -> None:
-    """The judge is compiled with the variant of the firmware, and simulates one case again.
-
-    The judge calls the filter "robust", and the table calls it by the variant's name.
-    """
+def test_a_variant_that_is_simulated_again_gives_its_row_of_docs_robust_variants_csv(
+    variant: str, tmp_path: Path
+) -> None:
+    """The simulator is compiled with the changed firmware. It takes the variant for the robust filter."""
     case = next(case for case in VARIANT_CASES if case.name == "moving, 5 robots, .3 flawed")
     write_variant(CORE, tmp_path, variant)
-    program = compile_judge(tmp_path, tmp_path)
+    simulator = compile_judge(tmp_path, tmp_path)
 
-    results = run_case(program, case, case.trials, ["robust"])
+    results = run_case(simulator, case, case.trials, ["robust"])
 
-    expected_rows = [
-        row
-        for row in read_rows(VARIANT_STUDY)
-        if row["case"] == case.name and row["flaw"] == case.flaw and row["filter"] == variant
-    ]
-    assert list(rows_of(case, results, labels={"robust": variant})) == expected_rows
+    rows = rows_of(case, results, labels={"robust": variant})
+    assert list(rows) == rows_like(read_rows(VARIANT_STUDY), case=case.name, flaw=case.flaw, filter=variant)
 
 
-def test_the_page_compares_variants_by_figures_of_the_tables() -> None:
-    """Each row of the page's table has a quantity with the filter as it is, and with a variant of it."""
-    rows_by_key = {
-        (f"{row['case']}, {row['flaw']}", row["filter"]): row
-        for row in [*read_rows(STUDY), *read_rows(VARIANT_STUDY)]
-    }
-    page = (ROOT / "docs/internals/robust.md").read_text(encoding="utf-8")
-    table = page.split("<!-- variants -->\n")[1].split("<!-- end -->")[0]
-    _heading, _rule, *lines = table.splitlines()
-    shown_rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines]
+def test_docs_internals_robust_md_compares_each_variant_with_the_filter_by_figures_of_the_tables() -> None:
+    """A row has a variant, a case, a quantity, and its value with the filter as it is and the variant."""
+    rows = [*read_rows(STUDY), *read_rows(VARIANT_STUDY)]
+    columns = {"harmed, %": "harmed", "error": "error"}
+    shown_rows = cells_of_page("<!-- variants -->\n")
     assert {variant for variant, *_ in shown_rows} == set(VARIANTS)
-    for variant, case, quantity, as_it_is, changed in shown_rows:
-        column = {"harmed, %": "harmed", "error": "error"}[quantity]
-        for filter_name, shown in (("robust", as_it_is), (variant, changed)):
-            assert f"{float(rows_by_key[case, filter_name][column]):.2g}" == shown
+
+    for variant, case_and_flaw, quantity, value_as_it_is, value_of_variant in shown_rows:
+        case, _, flaw = case_and_flaw.rpartition(", ")
+        [row_as_it_is] = rows_like(rows, case=case, flaw=flaw, filter="robust")
+        [row_of_variant] = rows_like(rows, case=case, flaw=flaw, filter=variant)
+        column = columns[quantity]
+        assert value_as_it_is == f"{float(row_as_it_is[column]):.2g}"
+        assert value_of_variant == f"{float(row_of_variant[column]):.2g}"

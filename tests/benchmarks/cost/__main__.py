@@ -17,7 +17,7 @@ from tempfile import TemporaryDirectory
 from mcp_asdf_tools.common.files import write_together
 
 from .images import LEVELS, TARGETS
-from .measurement import BUILDS, PAPER, ROBUST, Build, kilobot, measure
+from .measurement import PAPER, ROBUST, Build, kilobot, measure_builds
 from .report import fill, sections
 
 
@@ -30,17 +30,14 @@ def main() -> int:
             )
             return 2
     with TemporaryDirectory() as name, ProcessPoolExecutor() as pool:
-        parts = {
-            (target.name, level): [
-                pool.submit(measure, target, level, Path(name, target.name, level, str(number)), of)
-                for number, of in enumerate((PAPER, *BUILDS))
-            ]
+        measurements = {
+            (target.name, level): pool.submit(measure_builds, target, level, Path(name, target.name, level))
             for target in TARGETS
             for level in LEVELS
         }
-        figures = {cell: tuple(part.result() for part in of) for cell, of in parts.items()}
+        cells = {cell: measurement.result() for cell, measurement in measurements.items()}
         robots = [kilobot(Path(name, f"kilobot{n}"), of) for n, of in enumerate((PAPER, Build(), ROBUST))]
-        written = sections(figures, tuple(robots))
+        written = sections(cells, tuple(robots))
     write_together({path: fill(path.read_text(encoding="utf-8"), each) for path, each in written.items()})
     return 0
 

@@ -36,8 +36,6 @@ PAPER = Build(("-DMCP_ASDF_WITH_ROBUST=0",), Filter.ADAPTIVE, samples=40)
 """The paper's filter alone: what all figures are that name no other build."""
 ROBUST = Build(("-DMCP_ASDF_WITH_ASDF=0",))
 """The robust filter alone."""
-BUILDS = (Build(filter=Filter.ADAPTIVE), Build(), ROBUST)
-"""Builds that are compared: each filter where both are built, and the robust one alone."""
 
 
 @dataclass
@@ -72,6 +70,26 @@ class Figures:
     def tick_stack(self) -> int:
         """Bytes of stack that a tick needs: the deepest of its calls."""
         return max(self.stack[name] for name in TICK_CALLS)
+
+
+@dataclass
+class Cost:
+    """What a target at a level costs: builds with one filter alone, and one with both that runs either."""
+
+    paper_alone: Figures
+    robust_alone: Figures
+    paper: Figures
+    robust: Figures
+
+
+def measure_builds(target: Target, level: str, folder: Path) -> Cost:
+    """Measure all builds of a target at a level, in a new folder."""
+    return Cost(
+        paper_alone=measure(target, level, folder / "paper_alone", PAPER),
+        robust_alone=measure(target, level, folder / "robust_alone", ROBUST),
+        paper=measure(target, level, folder / "paper", Build(filter=Filter.ADAPTIVE)),
+        robust=measure(target, level, folder / "robust", Build()),
+    )
 
 
 def robot_image(target: Target, level: str, folder: Path, of: Build) -> Image:

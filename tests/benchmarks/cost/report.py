@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
-from .images import AVR, KILOBOT_CLOCK, LEVELS, ROOT, TARGETS
-from .measurement import Figures
+from .images import AVR, KILOBOT_CLOCK, ROOT, TARGETS
+from .measurement import Cost, Figures
 from .robots import UPDATED
 
 README, PAGE = ROOT / "README.md", ROOT / "docs/internals/cost.md"
@@ -17,8 +18,8 @@ NEIGHBOURS = 10
 """How many neighbours a robot of the README's table hears in a round."""
 CYCLES_PER_INSTRUCTION = 2
 """Assumed for a Cortex-M, whose instructions alone are counted."""
-Cells = dict[tuple[str, str], tuple[Figures, ...]]
-"""Measurements by target and level: of the paper's filter alone, then of BUILDS."""
+Cells = dict[tuple[str, str], Cost]
+"""Measurements by the names of target and level."""
 Kilobots = tuple[tuple[int, int], ...]
 """Bytes of flash and of RAM: with the paper's filter alone, with both, with the robust one alone."""
 Row = dict[str, str]
@@ -26,34 +27,48 @@ Row = dict[str, str]
 
 
 def fill(text: str, sections: dict[str, str]) -> str:
-    """The text with new sections between ``<!-- NAME -->`` and ``<!-- end of NAME -->``.
+    """Return the text with new sections between ``<!-- NAME -->`` and ``<!-- end of NAME -->``.
 
     Raises ValueError if a section has no such lines.
     """
     for name, section in sections.items():
-        start, end = f"<!-- {name} -->", f"<!-- end of {name} -->"
-        if text.count(start) != 1 or text.count(end) != 1:
-            raise ValueError(f"there is no {start} or {end}, or more than one")
-        head, rest = text.split(start)
-        text = f"{head}{start}\n{section}\n{end}{rest.split(end)[1]}"
+        before, mark, after = text.partition(f"<!-- {name} -->\n")
+        text = before + mark + section + after.removeprefix(section_in(text, name))
     return text
 
 
+def section_in(text: str, name: str) -> str:
+    """Return what stands between ``<!-- NAME -->`` and ``<!-- end of NAME -->``, which must be there once."""
+    start, end = f"<!-- {name} -->\n", f"\n<!-- end of {name} -->"
+    if text.count(start) != 1 or text.count(end) != 1:
+        raise ValueError(f"there is no {start} or {end}, or more than one")
+    return text.partition(start)[2].partition(end)[0]
+
+
 def sections(cells: Cells, kilobots: Kilobots) -> dict[Path, dict[str, str]]:
-    """For every page what stands between its markers."""
-    names = [target.name for target in TARGETS]
-    short = [short_row(name, cells[name, "-O2"][0]) for name in names]
-    shown = [(name, level) for name in names for level in LEVELS if is_in_page(name, level)]
-    every = [(" ".join(each), cells[each]) for each in shown]
+    """Return for each page what stands between its markers, from measurements of all targets and levels."""
+    texts = {name: table(rows) for name, rows in rows_by_table(cells).items()}
+    texts["targets"] += f"\n\n{_kilobot(cells[AVR.name, '-Os'].paper_alone, kilobots)}"
+    return {README: {"cost table": texts.pop("cost table")}, PAGE: texts}
+
+
+def rows_by_table(cells: Cells) -> dict[str, list[Row]]:
+    """Return the rows that measurements give in each table of the pages, by the names of the tables."""
+
+    def rows(row: Callable[[str, Cost], Row]) -> list[Row]:
+        return [
+            row(f"{name} {level}", cost) for (name, level), cost in cells.items() if is_in_page(name, level)
+        ]
+
+    chips = {name: cost for (name, level), cost in cells.items() if level == "-Os" and name in CHIPS}
+    fast = {name: cost for (name, level), cost in cells.items() if level == "-O2"}
     return {
-        README: {"cost table": table([chip_row(name, cells[name, "-Os"][2]) for name in CHIPS])},
-        PAGE: {
-            "targets": f"{table(short)}\n\n{_kilobot(cells[AVR.name, '-Os'][0], kilobots)}",
-            "calls": table([call_row("paper's filter", name, found[0]) for name, found in every]),
-            "memory": table([memory_row(name, found[0]) for name, found in every]),
-            "robust calls": table([call_row("robust filter", name, found[-1]) for name, found in every]),
-            "robust memory": table([filter_memory_row(name, *found[2:]) for name, found in every]),
-        },
+        "cost table": [chip_row(name, cost.robust) for name, cost in chips.items()],
+        "targets": [short_row(name, cost.paper_alone) for name, cost in fast.items()],
+        "calls": rows(lambda name, cost: call_row("paper's filter", name, cost.paper_alone)),
+        "memory": rows(lambda name, cost: memory_row(name, cost.paper_alone)),
+        "robust calls": rows(lambda name, cost: call_row("robust filter", name, cost.robust_alone)),
+        "robust memory": rows(lambda name, cost: filter_memory_row(name, cost.robust, cost.robust_alone)),
     }
 
 
