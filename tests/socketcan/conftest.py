@@ -25,9 +25,9 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         config.hook.pytest_deselected(items=ours)
 
 
-@pytest.fixture(autouse=True)
+@pytest.fixture(autouse=True, scope="module")
 def one_cpu() -> Iterator[None]:
-    """Keep the test and all that it starts on one CPU.
+    """Keep the tests and all that they start on one CPU.
 
     A virtual interface delivers on the sender's CPU, so that of frames from two CPUs receivers may see
     either first. Lockstep needs a bus that keeps the order.

@@ -18,8 +18,8 @@ from mcp_asdf.robot import Observation
 from mcp_asdf_tools.bus.frames import Estimate, FrameFormat, encode_estimate
 from mcp_asdf_tools.robots.lockstep import Lockstep
 from robots import ALPHA_ONE
-from socketcan.test_socketcan import ESTIMATE, wait_for
-from socketcan.vcan import connect, ip
+from socketcan.test_socketcan import ESTIMATE
+from socketcan.vcan import connect, ip, wait_for_frames
 from support import PATIENCE
 from targets.c_node import PLAIN_BUILD, CNode, assert_same_run, node_command, python_node
 
@@ -42,56 +42,68 @@ def wire() -> Iterator[can.BusABC]:
 
 
 def details(name: str) -> dict[str, Any]:
-    """What the kernel says of a controller."""
+    """Return what the kernel says of a controller."""
     done = subprocess.run(["ip", "-details", "-json", "link", "show", name], capture_output=True, check=True)
     found: dict[str, Any] = json.loads(done.stdout)[0]["linkinfo"]["info_data"]
     return found
 
 
+def drive_robot_3(wire: can.BusABC, ticks: int) -> list[can.Message]:
+    """Command robot 3 through so many ticks, in each of which robots 0, 1 and 2 send an estimate.
+
+    Observations and estimates are drawn with a fixed seed. Returns all frames on the wire, in order.
+    """
+    draw, frames = random.Random(5), list[can.Message]()
+    lockstep = Lockstep(wire, timeout=PATIENCE, on_frame=frames.append)
+    lockstep.wait_until_up([3], PATIENCE)
+    for tick in range(ticks):
+        lockstep.observe({3: Observation(draw.randrange(2))})
+        for robot in (0, 1, 2):
+            estimate = Estimate(robot, draw.randrange(2**23), ALPHA_ONE, tick % 32)
+            frames.append(encode_estimate(estimate, FrameFormat()))
+            wire.send(frames[-1], timeout=PATIENCE)
+        lockstep.estimates([3])
+        lockstep.settle([3])
+    return frames
+
+
 def test_a_node_on_a_controller_has_the_bits_of_a_python_node(
     wire: can.BusABC, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
-    draw, frames = random.Random(5), list[can.Message]()
+    """It hears three robots in each of 25 ticks, and neither loses a frame nor meets an error."""
     options = ("--lockstep", "--b-hat", 0.75, "--filter-period", 5, "--steps", 25)
     with CNode(node_command(PLAIN_BUILD, tmp_path_factory), "can0", 3, *options) as node:
-        lockstep = Lockstep(wire, timeout=PATIENCE, on_frame=frames.append)
-        lockstep.wait_until_up([3], PATIENCE)
-        for tick in range(25):
-            lockstep.observe({3: Observation(draw.randrange(2))})
-            for robot in (0, 1, 2):
-                frames.append(
-                    encode_estimate(
-                        Estimate(robot, draw.randrange(2**23), ALPHA_ONE, tick % 32), FrameFormat()
-                    )
-                )
-                wire.send(frames[-1], timeout=PATIENCE)
-            lockstep.estimates([3])
-            lockstep.settle([3])
-        figures = node.summary()
-    expected = python_node(3, 0.75, filter_period=5)
-    assert_same_run(frames, figures, expected)
-    assert figures["updates"] > 0
-    assert (figures["ticks"], figures["heard"], figures["filtered_by"]) == (25, 75, "kernel")
-    assert (figures["unsent"], figures["error_frames"], figures["overflowed"]) == (0, 0, 0)
+        frames = drive_robot_3(wire, ticks=25)
+        summary = node.summary()
+
+    assert_same_run(frames, summary, python_node(3, b_hat=0.75, filter_period=5))
+    assert summary["updates"] > 0
+    assert (summary["ticks"], summary["heard"], summary["filtered_by"]) == (25, 3 * 25, "kernel")
+    assert (summary["unsent"], summary["error_frames"], summary["overflowed"]) == (0, 0, 0)
 
 
-def test_a_controller_may_be_restarted_at_another_bit_rate(
+def test_a_controller_has_the_documented_bit_rate_and_restarts_by_itself(wire: can.BusABC) -> None:
+    """The kernel says so of a controller that is set up by the documented command."""
+    assert details("can0")["bittiming"]["bitrate"] == 500_000
+    assert details("can0")["restart_ms"] == 100
+
+
+def test_a_node_goes_on_when_its_controller_is_restarted_at_another_bit_rate(
     wire: can.BusABC, tmp_path: Path, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
     """The node ticks on meanwhile, and afterwards sends and hears again."""
     (tmp_path / "value").write_text("1", encoding="ascii")
     options = ("--sensor", tmp_path / "value", "--steps-per-second", 50)
-    assert details("can0")["bittiming"]["bitrate"] == 500_000
-    assert details("can0")["restart_ms"] == 100
     with CNode(node_command(PLAIN_BUILD, tmp_path_factory), "can0", 0, *options) as node:
-        wait_for(wire, 5)
+        wait_for_frames(wire, 5)
         ip("link set can0 down")
         time.sleep(2)
         ip("link set can0 type can bitrate 250000", "link set can0 up")
-        wait_for(wire, 5)
+        wait_for_frames(wire, 5)
         wire.send(ESTIMATE)
-        wait_for(wire, 5)
-        figures = node.stop()
+        wait_for_frames(wire, 5)
+        summary = node.stop()
+
     assert details("can0")["bittiming"]["bitrate"] == 250_000
-    assert (figures["downs"], figures["heard"]) == (1, 1)
-    assert figures["unsent"] > 0
+    assert (summary["downs"], summary["heard"]) == (1, 1)
+    assert summary["unsent"] > 0

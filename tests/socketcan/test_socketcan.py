@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import can
 import pytest
@@ -15,7 +18,7 @@ from mcp_asdf_tools.bus.frames import Command, Estimate, FrameFormat, decode_com
 from mcp_asdf_tools.robots.lockstep import DRIVER_ID
 from robots import ALPHA_ONE
 from socketcan.candump import Candump
-from socketcan.vcan import connect, ip, making
+from socketcan.vcan import connect, interfaces, ip, making, wait_for_frames
 from support import PATIENCE
 from targets.c_node import (
     CORTEX_A8,
@@ -33,58 +36,104 @@ from targets.c_node import (
 pytestmark = pytest.mark.socketcan
 
 NODE_BITS = 0x7F
-
-
-@pytest.fixture
-def start(vcan: str, tmp_path_factory: pytest.TempPathFactory) -> Iterator[StartNode]:
-    """Starts C nodes on the interface, and stops those that are left."""
-    with ExitStack() as started:
-
-        def start_node(robot_id: int, *options: object, kind: NodeBuild = PLAIN_BUILD) -> CNode:
-            return started.enter_context(
-                CNode(node_command(kind, tmp_path_factory), vcan, robot_id, *options)
-            )
-
-        yield start_node
+"""Bits of an identifier that hold the id of the sender."""
 
 
 # ---- Robots together ----
 
+TICKS = 25
+FILTER_PERIOD = 5
+B_HATS = (0.55, 0.95, 0.75)
+"""Initial assumed accuracies of the robots 0, 1 and 2."""
 
-@pytest.mark.parametrize("kind", [PLAIN_BUILD, CORTEX_A8], ids=lambda kind: kind.name)
-def test_c_nodes_have_the_bits_of_python_nodes_that_hear_the_same(
-    kind: NodeBuild, start: StartNode, vcan: str, tmp_path: Path
+
+@dataclass
+class ThreeNodes:
+    """What three C nodes did in 25 ticks on one bus.
+
+    Attributes:
+        kind: Build of robot 0; the others are of the plain one.
+        summaries: What each node prints at its end, by the robot's id.
+        frames: All frames on the bus, as candump has recorded them.
+        frames_of_robots: Those of the robots, as python-can has received them.
+    """
+
+    kind: NodeBuild
+    summaries: list[dict[str, Any]]
+    frames: list[can.Message]
+    frames_of_robots: list[can.Message]
+
+
+@pytest.fixture(scope="module", params=[PLAIN_BUILD, CORTEX_A8], ids=lambda kind: kind.name)
+def three_nodes(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> ThreeNodes:
+    """Three C nodes on one bus in lockstep: robot 0 of either build, robots 1 and 2 of the plain one."""
+    kind: NodeBuild = request.param
+    vcan = f"three{os.getpid() % 10000}"
+    options = ("--lockstep", "--filter-period", FILTER_PERIOD, "--steps", TICKS)
+    commands = [node_command(build, tmp_path_factory) for build in (kind, PLAIN_BUILD, PLAIN_BUILD)]
+    with (
+        interfaces(vcan),
+        Candump(vcan, tmp_path_factory.mktemp("candump")) as candump,
+        connect(vcan) as bus,
+        ExitStack() as running,
+    ):
+        nodes = [
+            running.enter_context(CNode(command, vcan, robot, *options, "--b-hat", b_hat))
+            for robot, (command, b_hat) in enumerate(zip(commands, B_HATS, strict=True))
+        ]
+        frames_of_robots = run_lockstep(bus, robots=range(3), ticks=TICKS, seed=5)
+        return ThreeNodes(kind, [node.summary() for node in nodes], candump.frames(), frames_of_robots)
+
+
+@pytest.mark.parametrize("robot", range(3))
+def test_a_c_node_has_the_bits_of_a_python_node_that_receives_the_same(
+    robot: int, three_nodes: ThreeNodes
 ) -> None:
-    ticks, options = 25, ("--lockstep", "--filter-period", 5, "--steps", 25, "--b-hat")
-    nodes = {0: (0.55, kind), 1: (0.95, PLAIN_BUILD), 2: (0.75, PLAIN_BUILD)}
-    with Candump(vcan, tmp_path) as candump, connect(vcan) as bus:
-        started = [start(robot, *options, b_hat, kind=kind) for robot, (b_hat, kind) in nodes.items()]
-        seen = run_lockstep(bus, nodes, ticks, seed=5)
-        figures = [node.summary() for node in started]
-        log = candump.frames()
-    for robot, (b_hat, _) in nodes.items():
-        expected = python_node(robot, b_hat, filter_period=5)
-        assert_same_run(log, figures[robot], expected)
-        assert figures[robot]["heard"] == 2 * ticks
-    assert figures[0]["updates"] > 0
-    by_others = [frame for frame in log if frame.arbitration_id & NODE_BITS != DRIVER_ID]
-    assert candump_lines(by_others) == candump_lines(seen), "candump and python-can saw the same"
-    needed = [frame for frame in log if is_needed(frame)]
-    last = max(number for number, frame in enumerate(needed) if is_command_to(0, frame))
-    assert figures[0]["filtered_by"] == ("kernel" if kind is PLAIN_BUILD else "node")
-    assert figures[0]["received"] - figures[0]["others"] == last + 1
-    assert figures[0]["others"] == 0 or kind is CORTEX_A8
+    """Frames and final state are compared. In each tick it hears its two neighbours, and b_hat is updated."""
+    summary = three_nodes.summaries[robot]
+    expected_node = python_node(robot, B_HATS[robot], filter_period=FILTER_PERIOD)
+    assert_same_run(three_nodes.frames, summary, expected_node)
+    assert summary["heard"] == 2 * TICKS
+    if robot == 0:  # whose accuracy is the least right at the start
+        assert summary["updates"] > 0
 
 
-def is_needed(frame: can.Message) -> bool:
-    """True for estimates of other robots than 0, and for commands."""
+def test_candump_and_python_can_receive_the_same_frames_of_robots(three_nodes: ThreeNodes) -> None:
+    """The other frames on the bus are the commands of python-can's program, which drives the robots."""
+    frames_of_robots = [
+        frame for frame in three_nodes.frames if frame.arbitration_id & NODE_BITS != DRIVER_ID
+    ]
+    assert candump_lines(frames_of_robots) == candump_lines(three_nodes.frames_of_robots)
+
+
+def test_a_node_receives_only_what_it_needs_or_counts_the_others(three_nodes: ThreeNodes) -> None:
+    """The kernel filters for the plain build. The emulator of the other one has no filters: the node does it.
+
+    A node needs commands and the estimates of other robots, up to the last command to itself.
+    """
+    summary = three_nodes.summaries[0]
+    needed_frames = [frame for frame in three_nodes.frames if is_needed_by_robot_0(frame)]
+    commands = [index for index, frame in enumerate(needed_frames) if is_command_to_robot_0(frame)]
+    last_command = max(commands)
+
+    assert summary["received"] - summary["others"] == last_command + 1
+    if three_nodes.kind is PLAIN_BUILD:
+        assert (summary["filtered_by"], summary["others"]) == ("kernel", 0)
+    else:
+        assert summary["filtered_by"] == "node"
+
+
+def is_needed_by_robot_0(frame: can.Message) -> bool:
+    """Return whether a frame is an estimate of another robot than 0, or a command."""
+    estimates, commands = 3000, 3002
     subject, sender = frame.arbitration_id >> 8 & 0x1FFF, frame.arbitration_id & NODE_BITS
-    return subject == 3002 or (subject == 3000 and sender != 0)
+    return subject == commands or (subject == estimates and sender != 0)
 
 
-def is_command_to(robot: int, frame: can.Message) -> bool:
+def is_command_to_robot_0(frame: can.Message) -> bool:
+    """Return whether a frame is a command to robot 0."""
     command = decode_command(frame)
-    return isinstance(command, Command) and command.target == robot
+    return isinstance(command, Command) and command.target == 0
 
 
 # ---- What the kernel is asked for ----
@@ -94,60 +143,67 @@ ESTIMATE = encode_estimate(Estimate(3, 2**22, ALPHA_ONE, 0), FrameFormat())
 
 
 @pytest.fixture
-def sensor(tmp_path: Path) -> Path:
-    """A sensor that sees black."""
-    (tmp_path / "value").write_text("1", encoding="ascii")
-    return tmp_path / "value"
+def start(vcan: str, tmp_path: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[StartNode]:
+    """Function that starts robot 0, whose sensor sees black, as a C node; it is stopped after the test."""
+    sensor = tmp_path / "value"
+    sensor.write_text("1", encoding="ascii")
+    command = node_command(PLAIN_BUILD, tmp_path_factory)
+    with ExitStack() as running:
+
+        def start_node(*options: object) -> CNode:
+            return running.enter_context(CNode(command, vcan, 0, "--sensor", sensor, *options))
+
+        yield start_node
 
 
-def test_frames_that_overflow_the_receive_buffer_are_counted(
-    start: StartNode, sensor: Path, vcan: str
+def test_a_node_counts_the_frames_that_its_receive_buffer_has_no_room_for(
+    start: StartNode, vcan: str
 ) -> None:
-    node = start(0, "--sensor", sensor, "--receive-buffer", 4096)
+    """While the node is stopped 500 frames come. The kernel reports those that are lost with the next one."""
+    node = start("--receive-buffer", 4096)
     with connect(vcan) as bus:
-        assert bus.recv(PATIENCE) is not None
+        wait_for_frames(bus, 1)
         node.process.send_signal(signal.SIGSTOP)
         for _ in range(500):
             bus.send(ESTIMATE, timeout=PATIENCE)
         node.process.send_signal(signal.SIGCONT)
-        wait_for(bus, 3)
-        bus.send(ESTIMATE, timeout=PATIENCE)  # the kernel reports lost frames with the next one
-        wait_for(bus, 3)
-    figures = node.stop()
-    assert figures["overflowed"] > 400
-    assert figures["overflowed"] + figures["heard"] == 501
-    assert figures["received"] == figures["heard"]
+        wait_for_frames(bus, 3)
+        bus.send(ESTIMATE, timeout=PATIENCE)
+        wait_for_frames(bus, 3)
+    summary = node.stop()
 
-
-def wait_for(bus: can.BusABC, frames: int) -> None:
-    for _ in range(frames):
-        assert bus.recv(PATIENCE) is not None
+    assert summary["overflowed"] > 400
+    assert summary["overflowed"] + summary["heard"] == 500 + 1
+    assert summary["received"] == summary["heard"]
 
 
 # ---- Faults ----
 
 
-_ABSENCE = 3.0
-"""Seconds: 150 ticks of the node, of which an emulated guest on a busy machine leaves some."""
+ABSENCE_SECONDS = 3.0
+"""The time of 150 ticks of the node, of which an emulated guest on a busy machine leaves some."""
 
 
 @pytest.mark.parametrize("does_vanish", [False, True])
-def test_an_interface_may_go_and_come_back(
-    does_vanish: bool, start: StartNode, sensor: Path, vcan: str
+def test_a_node_goes_on_when_its_interface_has_gone_and_come_back(
+    does_vanish: bool, start: StartNode, vcan: str
 ) -> None:
-    """The node ticks on meanwhile, and afterwards sends and hears again."""
-    node = start(0, "--sensor", sensor, "--steps-per-second", 50)
+    """The interface is down for three seconds, or is deleted and made again.
+
+    The node ticks on meanwhile, and afterwards sends and hears again.
+    """
+    node = start("--steps-per-second", 50)
     with connect(vcan) as bus:
-        wait_for(bus, 5)
+        wait_for_frames(bus, 5)
     ip(f"link del dev {vcan}" if does_vanish else f"link set {vcan} down")
-    time.sleep(_ABSENCE)
+    time.sleep(ABSENCE_SECONDS)
     ip(*(making(vcan) if does_vanish else [f"link set {vcan} up"]))
     with connect(vcan) as bus:
-        wait_for(bus, 5)
+        wait_for_frames(bus, 5)
         bus.send(ESTIMATE, timeout=PATIENCE)
-        wait_for(bus, 5)
-    figures = node.stop()
-    assert figures["downs"] == 1
-    assert figures["unsent"] > 0
-    assert figures["heard"] == 1
-    assert figures["t"] == figures["ticks"] >= 20
+        wait_for_frames(bus, 5)
+    summary = node.stop()
+
+    assert (summary["downs"], summary["heard"]) == (1, 1)
+    assert summary["unsent"] > 0
+    assert summary["t"] == summary["ticks"] >= 20

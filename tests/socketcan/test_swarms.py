@@ -25,12 +25,12 @@ SWARM = ("swarm", "--robots", "20", "--steps", "5", *PERIODS, *FAULTS, "--quiet"
 
 @pytest.fixture(scope="module")
 def simulated(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
-    """The log of the swarm without a bus."""
+    """The log of the swarm without a bus, as candump writes it."""
     return logged(tmp_path_factory.mktemp("simulated"))
 
 
 def logged(folder: Path, *bus: str) -> list[str]:
-    """The swarm's log on a bus."""
+    """Run the swarm on a bus, and return the frames in its log as candump writes them."""
     assert main([*SWARM, *bus, "--log", str(folder / "run.log")]) == 0
     return candump_lines(read_log(folder / "run.log"))
 
@@ -38,37 +38,47 @@ def logged(folder: Path, *bus: str) -> list[str]:
 def test_twenty_robots_on_one_interface_leave_the_log_that_candump_and_any_bus_have(
     vcan: str, tmp_path: Path, simulated: list[str]
 ) -> None:
+    """The swarm has link faults and liars, which do the same on every bus.
+
+    In five steps each robot sends five estimates, a heartbeat and telemetry in every fourth step.
+    """
     with Candump(vcan, tmp_path) as candump:
-        real = logged(tmp_path, "--interface", "socketcan", "--channel", vcan)
-        told = candump_lines(candump.frames())
-    assert told == real == simulated
-    assert len(told) == 20 * (5 + 1 + 2)
+        log_of_swarm = logged(tmp_path, "--interface", "socketcan", "--channel", vcan)
+        log_of_candump = candump_lines(candump.frames())
+
+    assert log_of_swarm == simulated
+    assert log_of_candump == simulated
+    estimates_of_robot, heartbeats, telemetry = 5, 1, 2
+    assert len(simulated) == 20 * (estimates_of_robot + heartbeats + telemetry)
 
 
-def test_the_c_node_is_a_robot_of_an_emulated_swarm(
+SMALL_SWARM = ("swarm", "--robots", "4", "--steps", "12", "--filter-period", "4", "--quiet")
+
+
+def test_a_swarm_with_a_c_node_as_robot_0_sends_the_estimates_of_an_emulated_swarm(
     tmp_path: Path, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
-    settings = ("swarm", "--robots", "4", "--steps", "12", "--filter-period", "4", "--quiet", "--log")
-    real, one, name = tmp_path / "real.log", tmp_path / "one.log", f"v{os.getpid()}d"
+    """Each robot has an interface of its own, and the swarm leaves that of robot 0 to a C node."""
+    log, log_of_emulation = tmp_path / "run.log", tmp_path / "emulation.log"
+    name = f"v{os.getpid()}d"
     bus = ("--interface", "socketcan", "--channel", f"{name}{{robot}}", "--device", f"0=socketcan:{name}0")
-    with interfaces(*(f"{name}{robot}" for robot in range(4))):
-        command = node_command(PLAIN_BUILD, tmp_path_factory)
-        flawed = ("--lockstep", "--filter-period", 4, "--b-hat", 0.55)
-        with ThreadPoolExecutor() as pool:
-            starting = pool.submit(start_when_heard, command, f"{name}0", *flawed)
-            assert main([*settings, str(real), *bus]) == 0
-            with starting.result() as node:
-                assert node.stop()["updates"] > 0
-    assert main([*settings, str(one), "--interface", "virtual"]) == 0
-    assert estimates(real) == estimates(one)
+    command = node_command(PLAIN_BUILD, tmp_path_factory)
+    with interfaces(*(f"{name}{robot}" for robot in range(4))), ThreadPoolExecutor() as pool:
+        starting = pool.submit(start_when_awaited, command, f"{name}0")
+        assert main([*SMALL_SWARM, *bus, "--log", str(log)]) == 0
+        with starting.result() as node:
+            assert node.stop()["updates"] > 0
+
+    assert main([*SMALL_SWARM, "--interface", "virtual", "--log", str(log_of_emulation)]) == 0
+    assert sorted_estimates(log) == sorted_estimates(log_of_emulation)
 
 
-def start_when_heard(command: list[str], interface: str, *options: object) -> CNode:
-    """Start robot 0 when somebody waits for its first heartbeat."""
+def start_when_awaited(command: list[str], interface: str) -> CNode:
+    """Start robot 0, which is flawed, when the swarm waits for its first heartbeat."""
     wait_until(lambda: listeners(interface) > 0)
-    return CNode(command, interface, 0, *options)
+    return CNode(command, interface, 0, "--lockstep", "--filter-period", 4, "--b-hat", 0.55)
 
 
-def estimates(log: Path) -> list[str]:
-    """The broadcasts of a log, sorted."""
+def sorted_estimates(log: Path) -> list[str]:
+    """Return the frames with estimates in a log as candump writes them, sorted."""
     return sorted(line for line in candump_lines(read_log(log)) if line.startswith("106BB8"))

@@ -9,6 +9,7 @@ from contextlib import contextmanager
 import can
 
 from mcp_asdf_tools.bus.interfaces import choose_bus
+from support import PATIENCE
 
 
 def ip(*commands: str) -> None:
@@ -34,3 +35,9 @@ def making(name: str) -> tuple[str, str]:
 def connect(name: str) -> can.BusABC:
     """A connection to an interface, as every command opens it."""
     return choose_bus({"interface": "socketcan", "channel": name}).open()
+
+
+def wait_for_frames(bus: can.BusABC, count: int) -> None:
+    """Wait until so many frames have come. Fails if one takes longer than PATIENCE seconds."""
+    for _ in range(count):
+        assert bus.recv(PATIENCE) is not None

@@ -194,21 +194,6 @@ def test_we_and_pycyphal_agree_whether_a_frame_with_a_flipped_bit_is_an_estimate
     assert is_ours == is_theirs
 
 
-@fixed_examples
-@given(estimates, st.integers(0, 29 + 64 - 1))
-def test_we_and_pycyphal_read_the_same_sender_and_transfer_id_of_a_frame_with_a_flipped_bit(
-    message: Estimate, bit: int
-) -> None:
-    """The bit is one of the identifier's 29 or the data's 64, and the frame is still an estimate."""
-    frame = frames.encode_estimate(message, DEFAULT)
-    flip_bit(frame, bit)
-    decoded = frames.decode_estimate(frame, DEFAULT)
-    transfer = read_with_pycyphal(frame)
-    if isinstance(decoded, Estimate):
-        assert transfer is not None
-        assert (decoded.sender, decoded.transfer_id) == (transfer.sender, transfer.transfer_id)
-
-
 # --- We read what pycyphal sends -------------------------------------------------------------------------
 
 
@@ -305,21 +290,4 @@ def test_we_decode_the_heartbeat_of_pycyphal(dsdl_types: dict[type, Any]) -> Non
         health=Health.CAUTION,
         mode=Mode.INITIALIZATION,
         vendor_status=77,
-    )
-
-
-def test_we_decode_the_telemetry_of_pycyphal(dsdl_types: dict[type, Any]) -> None:
-    """Node 42 sends x and b_hat as integers, and 9 updates."""
-    telemetry = dsdl_types[Telemetry](x_q23=5, b_hat_q24=2**23, updates=9)
-    (frame,) = asyncio.run(frames_sent_by_pycyphal(3001, [telemetry]))
-    assert frames.decode_telemetry(frame) == Telemetry(sender=42, x=5, b_hat=2**23, updates=9, transfer_id=0)
-
-
-def test_we_decode_the_command_of_pycyphal(dsdl_types: dict[type, Any]) -> None:
-    """Node 42 asks every robot (255) to end tick 7 (action 3, settle)."""
-    command = dsdl_types[Command](tick=7, target=255, action=3)
-    (frame,) = asyncio.run(frames_sent_by_pycyphal(3002, [command]))
-
-    assert frames.decode_command(frame) == Command(
-        sender=42, tick=7, target=EVERY_ROBOT, action=Action.SETTLE, transfer_id=0
     )

@@ -47,7 +47,6 @@ from mcp_asdf_tools.bus.frames import (
     FrameFormat,
     Heartbeat,
     Telemetry,
-    decode_command,
     decode_estimate,
     decode_frame,
     encode_estimate,
@@ -584,13 +583,3 @@ def test_c_and_python_send_by_default_with_the_same_subjects_and_priorities(
     """A macro of the C header holds both, such as {3000, 4} for estimates."""
     macros = dict(re.findall(r"^#define MCP_ASDF_(\w+) (.*?)\s*(?:/\*.*)?$", C_HEADER, re.MULTILINE))
     assert macros[f"FORMAT_{macro}"] == f"{{{frame_format.subject}, {frame_format.priority}}}"
-
-
-def test_a_command_to_every_robot_is_decoded_by_c_with_the_target_255(c_codec: CCodec) -> None:
-    """Its action, to settle, has the number 3."""
-    frame = encoded(Command(42, 7, EVERY_ROBOT, Action.SETTLE, 0))
-    command = decode_command(frame)
-    assert isinstance(command, Command)
-
-    sender, tick, target, action, transfer_id = 42, 7, 255, 3, 0
-    assert c_codec.decode(Command, frame) == (sender, tick, target, action, transfer_id)

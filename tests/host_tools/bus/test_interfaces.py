@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import errno
 import os
-import random
 import signal
 import socket
 import struct
@@ -113,15 +112,6 @@ def receive_all(bus: can.BusABC) -> list[IdentifierAndData]:
     return frames
 
 
-def test_a_connection_to_a_multicast_group_does_not_return_what_it_has_sent() -> None:
-    """The group returns each datagram to its sender, too; on a CAN bus nobody receives its own frames."""
-    choice = multicast(group=33)
-    with choice.open() as bus, choice.open() as other:
-        bus.send(can.Message(arbitration_id=1, data=b"a"))
-        assert other.recv(PATIENCE) is not None
-        assert bus.recv(timeout=0) is None
-
-
 def test_a_connection_that_returns_its_own_frames_does_so_once() -> None:
     """A program asks for it that logs what has been on the bus, with the time of each frame."""
     with multicast(group=34).open(returns_own=True) as bus:
@@ -134,40 +124,19 @@ def test_a_connection_that_returns_its_own_frames_does_so_once() -> None:
 
 
 def test_equal_frames_of_several_senders_reach_all_others() -> None:
-    """Two equal frames of each of three connections: two receive those of the others, and one its own, too.
+    """Each of three connections sends three frames, two of them alike, which all others send, too.
 
-    A connection takes the first datagram that equals one of its own for that, so counts must be right.
+    The group returns each datagram to its sender, who takes the first equal one for it. So two connections
+    receive the six frames of the others, and the third one, which wants its own, all nine.
     """
-    frame = can.Message(arbitration_id=1, data=b"a")
     choice = multicast(group=35)
     with choice.open() as bus_0, choice.open() as bus_1, choice.open(returns_own=True) as bus_2:
-        for sender in (bus_0, bus_1, bus_2, bus_0, bus_1, bus_2):
-            sender.send(frame, timeout=1)
+        for identifier in (1, 2, 1):
+            for sender in (bus_0, bus_1, bus_2):
+                sender.send(can.Message(arbitration_id=identifier), timeout=1)
         received_counts = [len(receive_all(bus)) for bus in (bus_0, bus_1, bus_2)]
 
-    assert received_counts == [4, 4, 6]
-
-
-def test_what_others_send_while_an_own_frame_is_under_way_is_received() -> None:
-    """Two connections send equal and other frames, and read in between: nothing is lost or doubled.
-
-    An equal frame of the other may pass for the own one that is under way, so the order may differ.
-    """
-    choice, rng = multicast(group=36), random.Random(2)
-    with choice.open() as bus_0, choice.open() as bus_1:
-        sent: dict[can.BusABC, list[IdentifierAndData]] = {bus_0: [], bus_1: []}
-        received: dict[can.BusABC, list[IdentifierAndData]] = {bus_0: [], bus_1: []}
-        for _ in range(300):
-            bus, frame = rng.choice([bus_0, bus_1]), can.Message(arbitration_id=rng.randrange(2))
-            bus.send(frame, timeout=1)
-            sent[bus].append(identifier_and_data(frame))
-            reader = rng.choice([bus_0, bus_1])
-            received[reader] += receive_all(reader)
-        received[bus_0] += receive_all(bus_0)
-        received[bus_1] += receive_all(bus_1)
-
-    assert sorted(received[bus_0]) == sorted(sent[bus_1])
-    assert sorted(received[bus_1]) == sorted(sent[bus_0])
+    assert received_counts == [6, 6, 9]
 
 
 def socketcan_bus() -> Mock:

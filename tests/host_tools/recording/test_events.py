@@ -193,17 +193,6 @@ def test_robots_with_an_earlier_robust_filter_are_refused_by_their_ids(version: 
         EventsReader(tmp_path / "x")
 
 
-def test_robots_with_the_present_robust_filter_are_read(tmp_path: Path) -> None:
-    """Only files of versions 3 and 4 are refused for it; the header here is of version 5, the present one."""
-    robots = (record(0, filter=Filter.ROBUST),)
-    header = EventsHeader(robots, seed=5, frames=FrameFormat())
-    assert '"version": 5' in header.to_line()
-    (tmp_path / "x").write_text(header.to_line())
-
-    with EventsReader(tmp_path / "x") as reader:
-        assert reader.header.robots == robots
-
-
 # --- Files that were cut or damaged -------------------------------------------------------------------
 
 

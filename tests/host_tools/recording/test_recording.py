@@ -180,13 +180,6 @@ def test_a_run_that_fails_leaves_what_it_recorded_in_part_files(tmp_path: Path) 
     assert frame_numbers(tmp_path / "run.log.part") == [1]
 
 
-def test_a_run_that_fails_keeps_the_old_log(tmp_path: Path) -> None:
-    log = tmp_path / "run.log"
-    log.write_text("of yesterday")
-    record_and_fail(log)
-    assert log.read_text() == "of yesterday"
-
-
 def test_a_recording_of_a_run_that_fails_warns_that_its_log_is_not_complete(tmp_path: Path) -> None:
     """A command prints this warning as an error."""
     log = tmp_path / "run.log"
@@ -426,6 +419,7 @@ def test_the_part_file_of_a_log_that_a_full_disk_cut_off_can_be_replayed(
 
 
 def test_replay_names_the_part_of_a_log_that_is_not_there(unfinished_log: Path, capsys: Capture) -> None:
+    """The disk was full in that run, so the log has only a partial file, with .part behind its name."""
     assert main(["replay", str(unfinished_log)]) == 2
     assert f"its run was cut off, partial data is in {unfinished_log}.part" in capsys.readouterr().err
 
