@@ -212,7 +212,7 @@ def test_a_khepera_that_runs_as_its_service_says_observes_and_broadcasts(robot: 
 
 
 def test_a_dynamic_link_would_want_the_c_library_that_the_page_names(tmp_path: Path) -> None:
-    """A Khepera's Linux does not have that version, so its node is linked statically."""
+    """A Khepera's Linux does not have that version of glibc, so its node is linked statically."""
     require(*CORTEX_A8.compiler)
     (tmp_path / "main.c").write_text("int main(void) { return 0; }\n", encoding="ascii")
 
