@@ -461,7 +461,7 @@ def test_a_log_that_python_repeats_to_the_bit_passes(
     assert ": 1 ticks, 0 messages, 0 updates of b_hat: all bits are equal\n" in capsys.readouterr().out
 
 
-def test_a_log_with_a_changed_bit_is_told_by_line_and_tick(
+def test_a_log_with_a_changed_bit_is_reported_with_line_and_tick(
     check_log: ModuleType, short_log: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """The first tick ends in line 3, ``settle,x,...``."""
@@ -475,7 +475,7 @@ def test_a_log_with_a_changed_bit_is_told_by_line_and_tick(
     assert f"line 3 in tick 1 differs: settle gave {wrong_x}," in capsys.readouterr().out
 
 
-def test_a_log_that_lacks_the_received_messages_differs(
+def test_a_log_that_lacks_the_received_messages_does_not_pass(
     check_log: ModuleType, short_log: str, tmp_path: Path
 ) -> None:
     """check_log.py computes the log again, without the messages, and ends with the code 1."""

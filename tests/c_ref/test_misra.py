@@ -92,19 +92,21 @@ def all_findings(tmp_path_factory: pytest.TempPathFactory) -> Findings:
 
 
 @pytest.mark.slow
-def test_required_rules_are_broken_at_the_recorded_places_and_nowhere_else(all_findings: Findings) -> None:
+def test_required_misra_rules_are_broken_at_the_recorded_places_and_nowhere_else(
+    all_findings: Findings,
+) -> None:
     """cppcheck looks for them in all targets' choices. misra.toml records each place with a reason."""
     found = {rule: places for rule, places in all_findings.items() if rule not in ADVISORY_RULES}
     assert found == recorded_places()
 
 
 @pytest.mark.slow
-def test_the_recorded_advisory_rules_and_no_others_are_broken(all_findings: Findings) -> None:
+def test_the_recorded_advisory_misra_rules_and_no_others_are_broken(all_findings: Findings) -> None:
     """MISRA advises to follow them. misra.toml gives a reason for each that the firmware breaks."""
     assert all_findings.keys() & ADVISORY_RULES == recorded_advisory_rules()
 
 
-def test_the_page_names_the_required_rules_that_are_broken() -> None:
+def test_docs_trust_names_the_required_misra_rules_that_are_broken() -> None:
     """In docs/internals/trust.md, in the section "MISRA"."""
     page = (ROOT / "docs/internals/trust.md").read_text(encoding="utf-8")
     _, _, from_section_on = page.partition("## MISRA")

@@ -53,8 +53,8 @@ def test_every_inline_function_is_a_symbol_of_the_library(library: Path) -> None
     assert inline_functions() <= symbols_in(library, "--dynamic", "--defined-only")
 
 
-def test_no_function_of_the_header_is_inline_but_by_the_macro() -> None:
-    """Whoever defines the macro otherwise makes symbols of all these functions."""
+def test_every_inline_function_of_the_header_is_inline_by_the_macro() -> None:
+    """The macro is MCP_ASDF_INLINE; defined as ``extern`` it makes symbols of all these functions."""
     text = HEADER.read_text(encoding="utf-8").replace("MCP_ASDF_INLINE static inline", "")
     assert "static inline" not in text
 
@@ -62,7 +62,7 @@ def test_no_function_of_the_header_is_inline_but_by_the_macro() -> None:
 @pytest.mark.parametrize(
     ("filter_name", "function"), [("ASDF", "mcp_asdf_beta"), ("ROBUST", "mcp_asdf_robust")]
 )
-def test_a_library_without_a_filter_lacks_the_symbol_of_that_filter_alone(
+def test_a_library_without_a_filter_lacks_only_the_symbol_of_that_filter(
     filter_name: str, function: str, tmp_path: Path
 ) -> None:
     """Functions that the header defines inline become symbols in mcp_asdf_accessors.c.
@@ -177,14 +177,16 @@ def test_a_robot_that_ctypes_steps_has_the_bits_of_the_robot_in_python(library: 
     assert robot.read("beta", ctypes.c_uint64) == in_python.beta_raw
 
 
-def test_the_paper_s_filter_runs_where_ctypes_passes_the_table(library: Path) -> None:
+def test_a_robot_with_the_paper_s_filter_raises_its_accuracy_if_ctypes_passes_the_table(
+    library: Path,
+) -> None:
     """It raises the accuracy b_hat from 0.55; units of b_hat are 2^-32."""
     robot = step_by_ctypes(library, PAPERS)
     assert robot.read("b_hat") / 2**32 == pytest.approx(0.874, abs=0.01)
 
 
 def test_the_rust_program_reserves_a_robot_s_memory() -> None:
-    """It cannot ask the header, so a robot that grows has to grow there, too."""
+    """It cannot read the C header, so a robot that needs more memory in C has to get it there, too."""
     assert f"const ROBOT_SIZE: usize = {robot_size()};" in RUST_PROGRAM.read_text(encoding="utf-8")
 
 
@@ -197,11 +199,11 @@ def output_of_rust(library: Path) -> str:
 
 
 def test_a_robot_that_rust_steps_has_the_bits_of_the_robot_in_python(output_of_rust: str) -> None:
-    """The Rust program makes a robot like those above, with the same tiles and messages, and prints it."""
+    """The program prints the integers of a robot that gets the tiles and messages of ``step_in_python``."""
     robot = step_in_python(ROBUST)
     assert output_of_rust == f"x_hat {robot.x_hat_raw} x {robot.x_raw} b_hat {robot.b_hat_raw}\n"
 
 
-def test_the_rust_program_prints_what_the_page_shows(output_of_rust: str) -> None:
-    """The page is docs/platforms/elsewhere.md, whose commands have built it."""
+def test_the_rust_program_prints_what_docs_elsewhere_shows(output_of_rust: str) -> None:
+    """The commands of docs/platforms/elsewhere.md have built and run it, and the output stands there."""
     assert output_of_rust == block_with(PAGE, "x_hat 8388608", "text")

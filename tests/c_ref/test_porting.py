@@ -261,7 +261,9 @@ def cells_of(line: str) -> list[str]:
     return [cell.strip() for cell in line.strip("|").split("|")]
 
 
-def test_each_part_of_the_firmware_takes_the_flash_that_the_page_states(compiled_part: CompiledPart) -> None:
+def test_each_part_of_the_firmware_takes_the_flash_that_docs_porting_states(
+    compiled_part: CompiledPart,
+) -> None:
     """The page states how many KB a part takes at most; it takes not less than four fifths of that."""
     budget_in_kb = flash_budgets()[PARTS[compiled_part.part], compiled_part.target]
     bytes_of_code, *_ = compiled_part.sizes
@@ -276,7 +278,7 @@ def test_each_part_of_the_firmware_takes_the_flash_that_the_page_states(compiled
         *slow(("paper's filter", target) for target in COMPILERS),
     ],
 )
-def test_a_firmware_with_one_filter_takes_the_flash_that_the_page_states(
+def test_a_firmware_with_one_filter_takes_the_flash_that_docs_porting_states(
     filter_name: str, target: str, tmp_path: Path
 ) -> None:
     """The other filter is left out by a macro. It takes at most that, and not less than four fifths of it."""
@@ -441,7 +443,7 @@ def test_the_robot_of_docs_porting_builds_as_a_component_of_esp_idf(tmp_path: Pa
     assert run(tmp_path / "build/main/robot") == output_of_robot_in_python()
 
 
-def test_the_commands_of_docs_porting_for_tables_print_what_the_page_shows(tmp_path: Path) -> None:
+def test_the_commands_for_tables_print_what_docs_porting_shows(tmp_path: Path) -> None:
     """They also write C files. One defines the array that the page declares in C."""
     printed = run("sh", "-ec", block_with(PAGE, "mcp-asdf table", "sh"), cwd=tmp_path)
 

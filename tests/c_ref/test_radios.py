@@ -85,7 +85,7 @@ def message_of(estimate: Estimate) -> bytes:
 
 
 def test_the_robot_broadcasts_the_same_bytes_as_the_robot_in_python(radio_robot: RadioRobot) -> None:
-    """Both observe three tiles, and broadcast after each. Messages are numbered."""
+    """Its radio, ESP-NOW or a Crazyflie's, is a stub. Both observe three tiles, and number their messages."""
     robot_in_python = MirrorRobot(CONFIG, ROBOT_ID, 0.95)
     for message_number, is_black in enumerate([True, False, True]):
         radio_robot.robot.step(is_black)
@@ -98,7 +98,7 @@ def test_the_robot_broadcasts_the_same_bytes_as_the_robot_in_python(radio_robot:
 
 def test_the_robot_receives_the_messages_of_two_others(radio_robot: RadioRobot) -> None:
     """They change what it believes, x, and its confidence in others, beta, as in the robot in Python."""
-    quarter, half = 2**21, 2**22
+    quarter, half = 2**21, 2**22  # x_hat is in units of 2^-23
     robot_in_python = MirrorRobot(CONFIG, ROBOT_ID, 0.95)
     robot_in_python.receive_raw(1, quarter, ALPHA)
     robot_in_python.receive_raw(2, half, ALPHA)
@@ -126,7 +126,9 @@ def test_the_robot_receives_the_messages_of_two_others(radio_robot: RadioRobot) 
         pytest.param(message_of(Estimate(ROBOT_ID, 0, ALPHA, 0)), id="its own id"),
     ],
 )
-def test_the_robot_ignores_what_is_no_message_of_another(radio_robot: RadioRobot, message: bytes) -> None:
+def test_the_robot_ignores_what_is_no_message_of_another_robot(
+    radio_robot: RadioRobot, message: bytes
+) -> None:
     """beta, the sum of its confidences in those that it has received, stays 0."""
     radio_robot.receive(message)
     radio_robot.robot.step(True)

@@ -51,7 +51,7 @@ def test_none_of_300_000_more_inputs_makes_a_port_crash_or_break_a_promise(
     assert tried_inputs(capfd) >= MORE
 
 
-def test_the_page_lists_the_harnesses() -> None:
+def test_docs_trust_lists_the_harnesses_of_fuzzing() -> None:
     """docs/internals/trust.md has a table with a row for each, and the number of inputs that are tried."""
     page = (ROOT / "docs/internals/trust.md").read_text(encoding="utf-8").partition("## Fuzzing")[2]
     assert re.findall(r"^\| `(\w+)` \|", page, re.MULTILINE) == list(HARNESSES)

@@ -31,6 +31,9 @@ def printed_checks(tmp_path: Path) -> str:
     return run("sh", "-c", "./faults || :", cwd=tmp_path)
 
 
-def test_the_node_sets_its_socket_and_counts_its_ticks_rightly(printed_checks: str) -> None:
-    """The kernel's filter and a clock that is late. The program prints how many checks failed."""
+def test_no_check_of_the_node_with_a_replaced_system_fails(printed_checks: str) -> None:
+    """faults.c takes the system's place: it checks what the node asks of a CAN socket, and delays its clock.
+
+    Its last line has the number of checks that failed.
+    """
     assert printed_checks.endswith(" 0 failed\n"), printed_checks

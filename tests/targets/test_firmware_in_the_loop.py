@@ -279,6 +279,7 @@ def test_a_robot_on_a_serial_line_answers_every_line_as_its_model_in_python_does
 
 @pytest.mark.slow
 def test_a_robot_on_a_serial_line_of_this_computer_ends_with_its_input(build_image: BuildImage) -> None:
+    """It has answered the host's question V, for its version, and ends with the exit code 0."""
     command = command_of_image("host", build_image("host", Filter.ROBUST))
     talk = talk_to(command, pieces=[b"V\r"], lengths_of_answers=[len(b"V1001\r")])
     assert talk == SerialTalk(answers=[b"V1001\r"], rest=b"", exit_code=0)

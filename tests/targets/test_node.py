@@ -297,6 +297,7 @@ def heartbeats_in(frames: list[can.Message]) -> list[Heartbeat]:
 def test_a_node_repeats_its_first_heartbeat_each_second_until_it_is_commanded(
     start_node: StartNode, bus: UnixBus
 ) -> None:
+    """After a command for one tick it is silent for more than a second."""
     start_node("--lockstep")
     start_time = time.monotonic()
     while bus.greeting_count < 2:
@@ -381,6 +382,7 @@ FAILED_RUN = 1
 def test_the_node_refuses_wrong_options_and_says_what_to_give_instead(
     tmp_path_factory: pytest.TempPathFactory, options: str, message: str
 ) -> None:
+    """It does not start, ends with exit code 2, and prints to standard error alone."""
     command = [*node_command(SANITIZED_BUILD, tmp_path_factory), *options.split()]
 
     result = subprocess.run(command, capture_output=True, text=True, check=False, timeout=PATIENCE)
@@ -687,19 +689,19 @@ def saved_state(node: RobotNode) -> bytes:
 def test_a_node_that_is_started_again_goes_on_with_its_saved_state(
     start_node: StartNode, bus: UnixBus, tmp_path: Path, firmware_filter: Filter
 ) -> None:
-    """Three runs of three ticks each end in the state of one robot that has made nine."""
+    """Two runs of three tiles each end in the state of one robot that has observed all six."""
     observations, state = tmp_path / "observations", tmp_path / "state"
-    options = (*FAST_CLOCK, "--filter-period", 10, *FILTERS[firmware_filter].split())
-    for tiles in ("011", "100", "111"):
+    for tiles in ("011", "100"):
         observations.write_text(tiles, encoding="ascii")
-        node = start_node(*options, "--state", state, "--observations", observations)
+        options = ("--state", state, "--observations", observations, *FILTERS[firmware_filter].split())
+        node = start_node(*FAST_CLOCK, *options)
         bus.receive_until_node_ends()
         assert node.summary()["ticks"] == 3
 
-    robot_of_nine_ticks = python_node(ID, filter_period=10, filter=firmware_filter)
-    for tile in "011100111":
-        robot_of_nine_ticks.robot.step(Observation(int(tile)))
-    assert state.read_bytes() == saved_state(robot_of_nine_ticks)
+    robot_of_six_ticks = python_node(ID, filter=firmware_filter)
+    for tile in "011100":
+        robot_of_six_ticks.robot.step(Observation(int(tile)))
+    assert state.read_bytes() == saved_state(robot_of_six_ticks)
     assert not draft_of(state).exists()
 
 
@@ -723,7 +725,7 @@ def state_with_a_flipped_bit() -> bytes:
 def test_a_state_that_is_damaged_or_of_another_configuration_is_refused_and_kept(
     content: bytes, options: tuple[object, ...], reason: str, refuse_state: RefuseState, tmp_path: Path
 ) -> None:
-    """The node does not start with it, and says why."""
+    """The node, with id 101 and the paper's filter, does not start, says why, and leaves the file alone."""
     state = tmp_path / "state"
     state.write_bytes(content)
 
@@ -984,7 +986,7 @@ def traced_calls(trace: Path) -> list[str]:
     return [call.partition("(")[0] for call in calls]
 
 
-def test_the_old_state_is_kept_if_all_saves_are_cut_off(
+def test_the_old_state_is_kept_if_every_save_writes_only_a_part(
     command_under_strace: Callable[..., list[str]],
     run_with_two_saves: Callable[[list[str], int], list[str]],
     state: Path,
@@ -1040,7 +1042,7 @@ CALLS_OF_TWO_SAVES = [
 
 @pytest.mark.slow
 @pytest.mark.parametrize("call", CALLS_OF_TWO_SAVES, ids=str)
-def test_the_state_is_the_last_or_the_one_before_whichever_call_of_a_save_fails(
+def test_the_saved_state_is_the_last_or_the_one_before_whichever_call_of_a_save_fails(
     call: FailingCall,
     command_under_strace: Callable[..., list[str]],
     run_with_two_saves: Callable[[list[str], int], list[str]],
