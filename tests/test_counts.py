@@ -57,6 +57,7 @@ def count(folder: Path, *options: str) -> Count:
 
 
 def test_reports_of_all_listed_tests_pass(folder: Path) -> None:
+    """The fixture's list expects 100 tests of tests/bus and 50 of tests/proofs."""
     write_report(folder, "tests.bus.test_dbc", 100)
     write_report(folder, "tests.proofs.test_sums", 50)
     assert count(folder, "--strict") == Count(0, ["150 passed, 0 failed, 0 skipped"])
@@ -165,4 +166,5 @@ def test_the_list_names_every_folder_that_has_tests() -> None:
 
 
 def test_continuous_integration_counts_strictly() -> None:
+    """Without the option it would end with success, whatever was skipped."""
     assert "count.py --strict build/reports" in (ROOT / ".ci/run").read_text(encoding="utf-8")

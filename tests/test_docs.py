@@ -315,6 +315,7 @@ def test_the_built_docs_list_the_functions_of_the_c_headers(site: Path) -> None:
     ],
 )
 def test_the_built_docs_have_what_comes_from_other_files(page: str, content: str, site: Path) -> None:
+    """The page is built from Markdown, in which a plain reference stands in its place."""
     [path] = site.rglob(f"{page}.html")
     assert content in path.read_text(encoding="utf-8")
 
@@ -327,11 +328,13 @@ def test_the_built_docs_have_formulas_that_a_browser_shows(site: Path) -> None:
 
 @pytest.mark.slow
 def test_the_built_docs_have_the_playground(site: Path) -> None:
+    """It is a page that simulates a swarm in the browser, and has its program in it."""
     assert (site / "play.html").stat().st_size > 100_000, "bytes, with its program"
 
 
 @pytest.mark.slow
 def test_a_page_of_the_built_docs_leads_to_the_one_before_and_the_next(site: Path) -> None:
+    """At its foot are two links, which the theme makes."""
     page = (site / "advice.html").read_text(encoding="utf-8")
     assert "md-footer__link--prev" in page
     assert "md-footer__link--next" in page
@@ -339,6 +342,7 @@ def test_a_page_of_the_built_docs_leads_to_the_one_before_and_the_next(site: Pat
 
 @pytest.mark.slow
 def test_the_built_docs_load_nothing_from_elsewhere_and_have_no_diagram_as_text(site: Path) -> None:
+    """A diagram would be left as text if its program were not loaded."""
     for path in sorted(site.rglob("*.html")):
         page = path.read_text(encoding="utf-8")
         assert not re.search(r'<script[^>]*src="https?:', page), path
@@ -495,6 +499,7 @@ def test_lines_of_a_table_in_a_block_of_text_do_not_break_on_the_site_and_others
 
 
 def test_a_cell_of_the_site_has_the_name_of_its_column_and_a_number_is_shown_with_it() -> None:
+    """The style sheet puts the name before the cell on a phone, where columns do not fit."""
     row = as_on_the_site(
         "| bits | content | range |\n|---|---|---|\n| 22-21 | subject, **fixed** | 0 .. 2^12 |\n"
     )
@@ -570,6 +575,7 @@ def code_cells_of_notebook() -> list[dict[str, Any]]:
 
 @pytest.mark.slow
 def test_the_notebook_prints_what_it_shows(tmp_path: Path) -> None:
+    """All of its cells run in one process, in their order."""
     shown, program = "", ""
     for cell in code_cells_of_notebook():
         program += "".join(cell["source"]) + "\n"
@@ -643,5 +649,6 @@ def test_the_readme_and_the_advice_lead_to_the_page_with_their_figures() -> None
 
 @pytest.mark.parametrize("page", ["README.md", ".github/CONTRIBUTING.md", "Makefile"])
 def test_all_state_the_same_time_for_the_tests(page: str) -> None:
+    """It is what ``make test`` takes once everything is installed."""
     text = (ROOT / page).read_text(encoding="utf-8")
     assert re.findall(r"(\d+) minutes once set up", text) == ["2"]

@@ -70,16 +70,19 @@ def newcomer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Newcomer:
 
 @pytest.mark.slow
 def test_the_page_installs_all_extras() -> None:
+    """An extra is a set of further packages. The line is the one of docs/installing.md."""
     assert re.fullmatch(r"\.venv/bin/python -m pip install '\.\[all\]'", INSTALL)
 
 
 @pytest.mark.slow
 def test_the_first_command_of_the_page_runs(newcomer: Newcomer) -> None:
+    """It is a swarm, made shorter here, and needs none of the extras."""
     newcomer.enter(f"{FIRST_COMMAND} --steps 300 --quiet")
 
 
 @pytest.mark.slow
 def test_the_c_program_of_the_readme_prints_what_it_shows_in_a_new_environment(newcomer: Newcomer) -> None:
+    """It needs a C compiler and the base alone, without any extra."""
     (newcomer.folder / "robot.c").write_text(blocks(README, "c")[0])
 
     printed = newcomer.enter(block_with(README, "robot.c", "sh"))
@@ -91,6 +94,7 @@ def test_the_c_program_of_the_readme_prints_what_it_shows_in_a_new_environment(n
 def test_the_first_program_of_the_python_api_prints_what_it_shows_in_a_new_environment(
     newcomer: Newcomer,
 ) -> None:
+    """It needs the base alone, without any extra."""
     page = ROOT / "docs/api.md"
     printed = newcomer.run_python(block_with(page, "random.seed", "python"))
     assert printed == block_with(page, "tick 1000", "text")
@@ -100,6 +104,7 @@ def test_the_first_program_of_the_python_api_prints_what_it_shows_in_a_new_envir
 def test_the_robot_of_the_tutorial_needs_no_extra(
     newcomer: Newcomer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """It is built with the base alone: ``mcp-asdf firmware`` copies its C."""
     monkeypatch.setattr("support.PATH", f"{newcomer.folder}/.venv/bin:{SYSTEM_PATH}")
     assert test_tutorials.build_first_robot(newcomer.folder).endswith("share of black 1.000\n")
 

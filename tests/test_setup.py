@@ -171,6 +171,7 @@ def make_newest(folder: Path, available: str) -> Newest:
 
 
 def test_the_newest_python_that_can_be_had_is_taken_and_others_are_named(tmp_path: Path) -> None:
+    """The project supports 3.9 to 3.11, and 3.11 cannot be had."""
     newest = make_newest(tmp_path, available="3.10")
 
     assert newest.exit_code == 0
@@ -178,6 +179,7 @@ def test_the_newest_python_that_can_be_had_is_taken_and_others_are_named(tmp_pat
 
 
 def test_where_no_supported_python_can_be_had_the_run_with_the_newest_fails(tmp_path: Path) -> None:
+    """The project supports 3.9 to 3.11, and only 2.7 can be had."""
     newest = make_newest(tmp_path, available="2.7")
 
     assert newest.exit_code == 1

@@ -64,6 +64,7 @@ def running_swarm() -> Iterator[str]:
 
 
 def test_the_first_robot_of_the_tutorial_is_built_and_runs(tmp_path: Path) -> None:
+    """Its program prints what the page shows, whose first lines are left out there."""
     shown = block_with(PAGE, "share of black 1.000", "text").removeprefix("...\n")
     assert build_first_robot(tmp_path).endswith(shown)
 

@@ -85,6 +85,7 @@ def test_the_smallest_and_the_largest_id_may_send(firmware: Firmware, sender: in
 @for_every_firmware
 @pytest.mark.parametrize("x_hat", [ABOVE_1, BELOW_0, math.nan, math.inf])
 def test_a_message_with_an_estimate_beyond_0_and_1_is_rejected(firmware: Firmware, x_hat: float) -> None:
+    """x_hat is the share of black tiles that the sender estimates."""
     robot = make_robot(firmware)
 
     with pytest.raises(FirmwareError, match=re.escape(f"x_hat is {x_hat};")) as error:
@@ -95,6 +96,7 @@ def test_a_message_with_an_estimate_beyond_0_and_1_is_rejected(firmware: Firmwar
 
 @for_every_firmware
 def test_of_a_wrong_sender_and_a_wrong_estimate_the_sender_is_reported(firmware: Firmware) -> None:
+    """Ids are 0 to 127, and estimates 0 to 1."""
     robot = make_robot(firmware)
     with pytest.raises(FirmwareError, match="sender is 128;"):
         robot.receive(sender=128, x_hat=2.0, alpha=1.0)
@@ -106,6 +108,7 @@ def test_of_a_wrong_sender_and_a_wrong_estimate_the_sender_is_reported(firmware:
 def test_a_rejected_message_is_counted_and_changes_nothing_else(
     firmware: Firmware, sender: int, x_hat: float
 ) -> None:
+    """It has an id above 127 or an estimate above 1."""
     robot = make_robot_with_memory(firmware)
     state_before = visible_state(robot)
 
@@ -228,6 +231,7 @@ def test_an_array_of_another_type_shape_or_order_is_refused(
 def test_an_observation_that_is_neither_black_nor_white_changes_nothing(
     firmware: Firmware, method: str, z: Any
 ) -> None:
+    """White is 0 and black is 1. ``step`` observes and ends the round, ``observe`` observes alone."""
     robot = make_robot(firmware, ADAPTIVE)
     robot.receive(sender=1, x_hat=0.25, alpha=1.0)
     robot.observe(Observation.BLACK)
@@ -361,6 +365,7 @@ def test_the_error_for_an_image_of_another_filter_names_the_filter(
 def test_the_error_for_a_saved_robot_with_a_wrong_bit_says_that_it_is_damaged(
     firmware: FixedPointFirmware,
 ) -> None:
+    """The last byte belongs to its checksum."""
     image = bytearray(saved_image(firmware))
     image[-1] ^= 1
 

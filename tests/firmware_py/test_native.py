@@ -26,6 +26,7 @@ from support import ROOT
     [("mcp_asdf_status_t", Status), ("mcp_asdf_filter_t", Filter), ("mcp_asdf_observation_t", Observation)],
 )
 def test_enums_are_those_of_the_header(c_type: str, enum: type[IntEnum]) -> None:
+    """They are the results of calls, the filters and the two colours, with the same names and numbers."""
     c_members = {name: value for value, name in ffi.typeof(c_type).elements.items()}
     assert c_members == {f"MCP_ASDF_{member.name}": member.value for member in enum}
 
@@ -146,9 +147,11 @@ def test_behind_a_table_in_c_are_zeros_up_to_the_longest_table() -> None:
 
 
 def test_the_package_offers_the_compiled_firmware() -> None:
+    """It is loaded when it is first used, so that the package works where nothing could be compiled."""
     assert mcp_asdf.NativeRobot is NativeRobot
 
 
 def test_the_package_has_no_other_attributes() -> None:
+    """What loads NativeRobot is asked for every name that the package does not have."""
     with pytest.raises(AttributeError, match="module 'mcp_asdf' has no attribute 'NoRobot'"):
         mcp_asdf.NoRobot  # noqa: B018

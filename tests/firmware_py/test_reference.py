@@ -639,6 +639,7 @@ def test_a_missing_scipy_is_noticed_when_the_robot_is_made(monkeypatch: pytest.M
 
 @pytest.mark.parametrize("omega", [0.0, -0.1, 0.91, math.nan])
 def test_an_omega_out_of_range_is_refused(omega: float) -> None:
+    """omega is a probability of the hypothesis test: above 0 and at most 0.9."""
     with pytest.raises(FirmwareError, match="omega is") as error:
         ReferenceRobot(Config(), 0, 0.75, omega=omega)
     assert error.value.status == Status.ERR_TABLE

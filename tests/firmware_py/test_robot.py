@@ -11,6 +11,7 @@ from mcp_asdf.reference import ReferenceRobot
 from mcp_asdf.robot import Config, Counters, Filter, FixedPointRobot, Observation, Robot, Status
 from robots import (
     OWN_ID,
+    ROBUST,
     TABLE,
     Firmware,
     for_every_firmware,
@@ -53,6 +54,7 @@ def test_a_robot_that_has_observed_and_received_nothing_guesses_a_half(
 # design: R2, R18
 @for_every_firmware
 def test_a_new_robot_has_its_id_its_accuracy_and_counts_of_zero(firmware: Firmware) -> None:
+    """It has observed t tiles, n of them black, and its counters are those of messages and tests."""
     robot = make_robot(firmware, b_hat=0.75, robot_id=OWN_ID)
 
     assert robot.id == OWN_ID
@@ -183,16 +185,16 @@ def test_a_robot_re_estimates_its_accuracy_after_enough_informative_messages(
 
 
 @for_every_firmware
-@pytest.mark.parametrize("config", [ADAPTIVE, ALWAYS])
+@pytest.mark.parametrize("config", [ADAPTIVE, ALWAYS, ROBUST], ids=["adaptive", "always", "robust"])
 def test_a_robot_that_has_observed_nothing_keeps_its_accuracy(firmware: Firmware, config: Config) -> None:
-    """There is nothing that its neighbours could contradict, so it neither tests nor updates."""
+    """There is nothing that its five neighbours could contradict, so it neither tests nor updates."""
     robot = make_robot(firmware, config)
-    receive_estimates(robot, 0.9, 0.9)
+    receive_estimates(robot, 0.9, 0.9, 0.9, 0.9, 0.9)
 
     status = robot.settle()  # ends the round, in which the filter runs
 
     assert status == Status.OK
-    assert robot.counters == Counters(accepted=2, tests=0, updates=0)
+    assert robot.counters == Counters(accepted=5, tests=0, updates=0)
 
 
 def run_round(swarm: list[Robot], rng: random.Random) -> None:

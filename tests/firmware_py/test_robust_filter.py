@@ -70,6 +70,7 @@ def filled_slots(robot: FixedPoint) -> dict[int, int]:
 def test_an_estimate_is_kept_in_the_slot_of_its_sender_modulo_32(
     firmware: FixedPointFirmware, sender: int, slot: int
 ) -> None:
+    """A robot with the robust filter has 32 slots for the latest estimates of its neighbours."""
     robot = firmware(ROBUST, OWN_ID, b_hat=0.95)
 
     robot.receive(sender, x_hat=0.25, alpha=1.0)
@@ -91,6 +92,7 @@ def test_senders_with_ids_equal_modulo_32_share_a_slot(firmware: FixedPointFirmw
 
 @for_fixed_point_firmwares
 def test_a_neighbour_s_newer_estimate_replaces_its_older_one(firmware: FixedPointFirmware) -> None:
+    """A robot keeps the latest estimate of neighbour 1 in slot 1, in units of 2**-16."""
     robot = firmware(ROBUST, OWN_ID, b_hat=0.95)
     robot.receive(sender=1, x_hat=0.25, alpha=1.0)
     robot.settle()  # ends the round: after it a sender may be received again
@@ -102,6 +104,7 @@ def test_a_neighbour_s_newer_estimate_replaces_its_older_one(firmware: FixedPoin
 
 @for_fixed_point_firmwares
 def test_a_second_message_of_a_neighbour_in_the_same_round_is_ignored(firmware: FixedPointFirmware) -> None:
+    """A robot keeps the first estimate of neighbour 1 in a round, in slot 1 and in units of 2**-16."""
     robot = firmware(ROBUST, OWN_ID, b_hat=0.95)
     robot.receive(sender=1, x_hat=0.25, alpha=1.0)
 
@@ -113,6 +116,7 @@ def test_a_second_message_of_a_neighbour_in_the_same_round_is_ignored(firmware: 
 
 @for_fixed_point_firmwares
 def test_a_robot_remembers_its_neighbours_while_it_hears_nobody(firmware: FixedPointFirmware) -> None:
+    """It keeps the latest estimate of neighbour 1 in slot 1, in units of 2**-16."""
     robot = firmware(ROBUST, OWN_ID, b_hat=0.95)
     robot.receive(sender=1, x_hat=0.25, alpha=1.0)
     robot.settle()  # ends the round of the message
@@ -220,6 +224,7 @@ def test_x_and_x_bar_are_the_centre_of_the_votes(firmware: FixedPointFirmware) -
 
 @for_fixed_point_firmwares
 def test_a_round_has_one_vote_however_many_neighbours_were_received(firmware: FixedPointFirmware) -> None:
+    """The next round has that of the next neighbour: so a call takes the same time in any swarm."""
     robot = firmware(ROBUST, OWN_ID, b_hat=0.95)
     receive_estimates(robot, 0.25, 0.5, 0.75)
 
@@ -458,17 +463,6 @@ def test_a_robot_tests_itself_only_against_five_neighbours_or_more(
     assert robot.counters.tests == tests
 
 
-@for_fixed_point_firmwares
-def test_a_robot_that_has_observed_nothing_does_not_test_itself(firmware: FixedPointFirmware) -> None:
-    robot = firmware(ROBUST, OWN_ID, b_hat=0.95)
-    receive_estimates(robot, *[0.25] * 5)
-
-    status = robot.settle()  # ends the round, in which the filter runs
-
-    assert status == Status.OK
-    assert robot.counters.tests == 0
-
-
 # design: R37
 @for_fixed_point_firmwares
 def test_a_robot_whose_observations_contradict_the_others_estimates_its_accuracy_anew(
@@ -492,22 +486,6 @@ def test_a_robot_whose_observations_contradict_the_others_estimates_its_accuracy
     assert robot.counters.updates == 1
 
 
-@for_fixed_point_firmwares
-def test_a_robot_that_agrees_with_the_others_trusts_its_sensor(
-    firmware: FixedPointFirmware,
-) -> None:
-    """It sees 0.905 of the tiles black: what a sensor that is right in 0.95 sees where 0.95 are black."""
-    robot = firmware(ROBUST, OWN_ID, b_hat=0.95)
-    observe_tiles(robot, black=905, white=95)
-    receive_estimates(robot, *[0.95] * 5)
-
-    status = robot.settle()  # ends the round, in which the filter runs
-
-    assert status == Status.OK
-    assert robot.counters.tests == 1
-    assert robot.b_hat_raw == ROBUST_B_HAT
-
-
 # design: R37
 @for_fixed_point_firmwares
 def test_a_robot_that_was_misled_trusts_its_sensor_again_when_the_others_agree_with_it(
@@ -516,14 +494,15 @@ def test_a_robot_that_was_misled_trusts_its_sensor_again_when_the_others_agree_w
     """It sees 0.905 of the tiles black: what a sensor that is right in 0.95 sees where 0.95 are black."""
     robot = firmware(ROBUST, OWN_ID, b_hat=0.95)
     observe_tiles(robot, black=905, white=95)
-    receive_estimates(robot, *[0.25] * 5)
+    misleading_estimate = 0.25
+    receive_estimates(robot, *[misleading_estimate] * 5)
     assert robot.settle() == Status.UPDATED
+    assert robot.b_hat_raw != ROBUST_B_HAT
 
     receive_estimates(robot, *[0.95] * 5)
     assert robot.settle() == Status.UPDATED
 
     assert robot.b_hat_raw == ROBUST_B_HAT
-    assert robot.counters.updates == 2
 
 
 @for_fixed_point_firmwares
@@ -561,7 +540,12 @@ def test_others_that_estimate_a_half_say_nothing_about_a_robot_s_accuracy(
 
 @for_fixed_point_firmwares
 @pytest.mark.parametrize(
-    ("supporters", "opponents", "status"), [(2, 3, Status.UPDATED), (3, 4, Status.OK), (3, 5, Status.UPDATED)]
+    ("supporters", "opponents", "status"),
+    [
+        pytest.param(2, 3, Status.UPDATED, id="2 of 5 are two fifths"),
+        pytest.param(3, 4, Status.OK, id="3 of 7 are more"),
+        pytest.param(3, 5, Status.UPDATED, id="3 of 8 are fewer"),
+    ],
 )
 def test_a_robot_that_more_than_two_fifths_support_keeps_its_accuracy(
     firmware: FixedPointFirmware, supporters: int, opponents: int, status: Status
@@ -850,6 +834,7 @@ def test_a_robot_whose_observations_vary_more_than_chance_forgives_a_larger_devi
 def test_an_image_has_39_words_with_the_robust_filter_and_31_with_another(
     firmware: FixedPointFirmware, mode: Filter, size: int
 ) -> None:
+    """An image is a saved robot, and a word has 4 bytes."""
     assert len(firmware(Config(filter=mode), OWN_ID, 0.95).save()) == size
 
 

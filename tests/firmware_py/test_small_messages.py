@@ -36,6 +36,7 @@ def test_a_message_has_the_bytes_that_the_specification_shows() -> None:
 
 
 def test_a_message_is_decoded_to_sender_x_hat_and_alpha() -> None:
+    """ONE is 1.0 in the units of x_hat, and alpha is a word as the firmware has it."""
     assert decode_message(bytes.fromhex("50FEFF55")) == (42, ONE, alpha_word_from_float(1.0))
 
 
@@ -58,6 +59,7 @@ def test_a_sender_without_an_id_of_7_bits_is_refused(sender: int) -> None:
 
 @pytest.mark.parametrize("x_hat", [-1, ONE + 1])
 def test_an_estimate_beyond_0_and_1_is_refused(x_hat: int) -> None:
+    """In the units of x_hat 1.0 is ONE, which is 8388608."""
     with pytest.raises(ValueError, match=f"x_hat is {x_hat}; give 0 to 8388608"):
         encode_message(0, x_hat, 0)
 

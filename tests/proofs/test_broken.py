@@ -53,7 +53,6 @@ MISTAKES = (
     Mistake("reestimate", "b_hat > MCP_ASDF_B_HAT_MIN ? b_hat", "b_hat > 0U ? b_hat"),
     Mistake("next_slot", "shift_left(UINT32_MAX, turn)", "shift_left(UINT32_MAX, turn + 1U)"),
     Mistake("take_vote", "if (distance > spread)", "if (distance >= spread)"),
-    Mistake("take_vote", "new_spread > MCP_ASDF_SPREAD_MIN ? new_spread", "new_spread > 0U ? new_spread"),
     Mistake("run_robust_filter", "!is_supported(robot", "is_supported(robot"),
     Mistake(
         "mcp_asdf_observe",

@@ -82,11 +82,13 @@ def test_messages_name_only_extras_that_there_are() -> None:
 
 
 def test_the_workflow_for_users_installs_as_the_messages_say() -> None:
+    """docs/radio.md proposes it for the users' own projects."""
     page = (ROOT / "docs/radio.md").read_text(encoding="utf-8")
     assert f"          .venv/bin/python -m {install_command()}\n" in page
 
 
 def test_a_message_says_where_to_run_the_command() -> None:
+    """It does so for an extra, a set of further packages, and for the project without any."""
     assert install_instruction("study") == "in a clone of mcp-asdf run: pip install '.[study]'"
     assert install_instruction() == "in a clone of mcp-asdf run: pip install ."
 
@@ -116,6 +118,7 @@ def test_workflows_pin_actions_and_containers_by_hash() -> None:
     "pin", ["actions/checkout@v4", "debian:12", "debian@sha256:813017f3 # 12", "a/b@main"]
 )
 def test_what_is_pinned_by_a_tag_or_half_a_hash_is_refused(pin: str) -> None:
+    """A full hash has 40 or 64 digits, and the tag stands behind it in a comment."""
     assert not PINNED_BY_HASH.fullmatch(pin)
 
 

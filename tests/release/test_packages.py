@@ -171,6 +171,7 @@ def test_every_package_that_is_imported_is_a_stated_dependency() -> None:
 
 
 def test_the_commands_that_are_run_from_the_wheel_are_all() -> None:
+    """A command that is not run from it could lack a file without a failing test."""
     program_lines = [line.split() for line in COMMANDS.splitlines()]
     commands = {words[1] for words in program_lines}
     assert commands - {"--version"} == set(cli.COMMANDS)
@@ -200,6 +201,7 @@ def test_the_packages_are_imported_from_the_wheel_in_these_tests(environment: Pa
 
 @pytest.mark.slow
 def test_the_wheel_passes_the_commands_that_test_a_release(environment: Path, tmp_path: Path) -> None:
+    """They stand in pyproject.toml, for the program that builds the wheels of a release."""
     for command in PYPROJECT["tool"]["cibuildwheel"]["test-command"]:
         program, *words = shlex.split(command.replace("{project}", shlex.quote(str(ROOT))))
         run(environment / "bin" / program, *words, cwd=tmp_path)

@@ -103,6 +103,7 @@ def bill_of_materials() -> dict[str, Any]:
 
 @pytest.mark.slow
 def test_the_bill_of_materials_is_a_valid_one(bill_of_materials: dict[str, Any]) -> None:
+    """Other programs read it: it follows the schema 1.6 of CycloneDX."""
     validator = pytest.importorskip("cyclonedx.validation.json")
     schema = pytest.importorskip("cyclonedx.schema").SchemaVersion.V1_6
 
@@ -152,6 +153,7 @@ def test_no_two_components_of_the_bill_of_materials_have_the_same_hash(
 
 @pytest.mark.slow
 def test_the_bill_of_materials_has_the_version_of_the_header(bill_of_materials: dict[str, Any]) -> None:
+    """The C header has the version of the whole project."""
     assert bill_of_materials["metadata"]["component"]["version"] == version_of_header()
 
 
@@ -161,6 +163,7 @@ EVIDENCE = ROOT / "tests/release/evidence.sh"
 
 @pytest.mark.slow
 def test_without_reports_there_is_no_archive_of_evidence(tmp_path: Path) -> None:
+    """The archive would prove nothing. Its program ends with an error that says what to run first."""
     with pytest.raises(AssertionError, match=r"no reports in .*; run make test and make verify first"):
         run(EVIDENCE, tmp_path, tmp_path / "evidence.tar.gz")
 
