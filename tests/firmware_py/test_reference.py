@@ -658,15 +658,15 @@ class Tick:
 
 
 def draw_life() -> Iterator[Tick]:
-    """Draw 4000 ticks of a robot with an accuracy of 0.9.
+    """Draw 2500 ticks of a robot with an accuracy of 0.9.
 
     It is alone, then among two senders whose ids are equal modulo 32, then among ten that are wrong at
-    first, so that b_hat is rejected and may return. After 2500 ticks the floor changes. Messages are
+    first, so that b_hat is rejected and may return. After 1500 ticks the floor changes. Messages are
     repeated, have the robot's own id, or no confidence.
     """
     rng = random.Random(7)
-    for tick in range(4000):
-        fill_ratio = 0.3 if tick < 2500 else 0.8
+    for tick in range(2500):
+        fill_ratio = 0.3 if tick < 1500 else 0.8
         x_hats = [0.7 if tick < 300 else min(max(rng.gauss(fill_ratio, 0.02), 0), 1) for _ in range(5)]
         z = Observation(rng.random() < 0.9 * fill_ratio + 0.1 * (1 - fill_ratio))
         late_senders = (rng.randrange(1, 4), rng.randrange(30, 37), rng.randrange(30, 37), 3, OWN_ID)
@@ -689,7 +689,7 @@ def assert_same_values(reference: ReferenceRobot, mirror: MirrorRobot) -> None:
 @pytest.mark.random
 @pytest.mark.parametrize("mode", [Filter.ADAPTIVE, Filter.ROBUST, *slow([Filter.OFF, Filter.ALWAYS])])
 def test_the_equations_in_float64_and_the_firmware_give_the_same_robot(mode: Filter) -> None:
-    """Both get the same observations and messages through 4000 ticks, and are compared in each of them.
+    """Both get the same observations and messages through 2500 ticks, and are compared in each of them.
 
     The robot in float64 computes the paper's equations as they stand, and the other one, MirrorRobot, the
     integers of the firmware. In this time the filter has to change the accuracy, unless it is off.
