@@ -43,7 +43,16 @@ pytestmark = pytest.mark.usefixtures("private_setup")
 
 CRASHES = "crash,robots={},from=30,to=35 crash,robots={},from=40,to=60,rejoin=restored"
 """Crashes of two robots, whose ids are filled in: one comes back as a new robot, the other restored."""
-POPULATION: dict[str, Any] = {"robots": 5, "flawed": 0.6, "filter_period": 20, "steps": 120}
+POPULATION: dict[str, Any] = {
+    "robots": 5,
+    "flawed": 0.6,
+    "fill_ratio": 0.9,
+    "filter_period": 20,
+    "steps": 120,
+    "seed": 4,
+}
+MOVING: dict[str, Any] = {"topology": "dynamic", "density": 4}
+"""Settings with which robots move, and receive from those in range alone."""
 CONTROLLER_ID, *NEIGHBOUR_IDS = IDS = (3, 10, 11, 40, 90)
 """Ids of a controller and its neighbours, in place of the ids 0 to 4 of a swarm."""
 
@@ -76,30 +85,34 @@ def states_around_a_controller(world: SwarmSettings, faults: str) -> list[dict[s
     return [state_of(node.robot) for node in robots]
 
 
-@pytest.mark.parametrize(
-    ("topology", "estimates_received"),
-    [
-        # All are in range: 4 others send an estimate in each of 120 ticks, but for 5 + 20 while two are dead.
-        ({}, 4 * 120 - (5 + 20)),
-        # The robots move, and receive from those in range alone.
-        ({"topology": "dynamic", "density": 4}, 192),
-    ],
-)
+@pytest.mark.parametrize("topology", [{}, MOVING])
 def test_a_controller_and_its_neighbours_compute_what_an_emulated_swarm_of_as_many_robots_computes(
-    topology: dict[str, Any], estimates_received: int
+    topology: dict[str, Any],
 ) -> None:
     """All five end with the same bits, although their ids differ from those of the swarm, and two crash."""
-    world = SwarmSettings(**POPULATION, seed=4, fill_ratio=0.9, **topology)
+    world = SwarmSettings(**POPULATION, **topology)
     crashing_world = replace(world, faults=CRASHES.format(1, 2).split())
 
     states = states_around_a_controller(world, CRASHES.format(10, 11))
 
     assert states == states_in_a_swarm(crashing_world)
-    assert any(state["updates"] for state in states)
+    assert any(state["updates"] > 0 for state in states), "no robot has re-estimated its accuracy"
+
+
+def test_neighbours_that_crash_miss_observations_and_send_no_estimates() -> None:
+    """Of four neighbours one is dead for 5 ticks, and begins anew in tick 35; one is dead for 20 ticks."""
+    states = states_around_a_controller(SwarmSettings(**POPULATION), CRASHES.format(10, 11))
+
     controller, new_since_tick_35, dead_for_20_ticks, *_ = states
-    assert controller["accepted"] == estimates_received
+    assert controller["accepted"] == 4 * 120 - (5 + 20), "estimates of others"
     assert new_since_tick_35["t"] == 120 - 35, "observations"
     assert dead_for_20_ticks["t"] == 120 - 20, "observations"
+
+
+def test_a_controller_receives_only_from_neighbours_in_range() -> None:
+    """Its four neighbours move, and broadcast in each of 120 ticks."""
+    controller, *_ = states_around_a_controller(SwarmSettings(**POPULATION, **MOVING), faults="")
+    assert 120 < controller["accepted"] < 4 * 120
 
 
 def test_frames_of_neighbours_are_stamped_with_the_time_of_their_tick() -> None:

@@ -37,6 +37,7 @@ from mcp_asdf_tools.radio.verification import (
     plan_phases,
 )
 from mcp_asdf_tools.robots.node import RobotNode
+from mcp_asdf_tools.robots.robot_setup import RobotSetup
 from messages import encoded
 from support import slow
 from wire import CLOCK, EndlessWire, Wire, node_in_a_thread, record, still
@@ -513,21 +514,24 @@ SHOWN_BY_A_PHASE = [mistake for mistake in KNOWN_MISTAKES if mistake.name in PHA
 SHOWN_BY_ALL_PHASES = [mistake for mistake in KNOWN_MISTAKES if mistake.name not in PHASE_BY_MISTAKE]
 
 
+def phases_that_show(mistake: KnownMistake) -> Sequence[Phase]:
+    phase = PHASE_BY_MISTAKE.get(mistake.name)
+    return PHASES if phase is None else phases_named(phase)
+
+
+def controller_that_makes(mistake: KnownMistake, setup: RobotSetup) -> RobotNode:
+    wrong_robot = mistake.make_model(MirrorRobot(setup.config, setup.id, setup.b_hat))
+    return RobotNode(setup, make=lambda: wrong_robot)
+
+
 @pytest.mark.parametrize(
     "mistake", [*SHOWN_BY_A_PHASE, *slow(SHOWN_BY_ALL_PHASES)], ids=lambda mistake: mistake.name
 )
 def test_a_verdict_names_the_known_mistake_that_a_controller_makes(mistake: KnownMistake) -> None:
     """The tools know some common mistakes, and which frames a controller with each of them would send."""
-    config = QUICK if Filter.ADAPTIVE in mistake.filters else QUICK | VOTES
-    setup = record(**{"robot": ID, "firmware": "mirror", **config})
-    wrong_robot = mistake.make_model(MirrorRobot(setup.config, setup.id, setup.b_hat))
-    phase = PHASE_BY_MISTAKE.get(mistake.name)
+    setup = right() if Filter.ADAPTIVE in mistake.filters else right(**VOTES)
 
-    verdict = verify(
-        RobotNode(setup, make=lambda: wrong_robot),
-        surroundings(right(**config)),
-        PHASES if phase is None else phases_named(phase),
-    )
+    verdict = verify(controller_that_makes(mistake, setup), surroundings(setup), phases_that_show(mistake))
 
     _, _, named_mistakes = str(verdict.difference).partition("so would answer a controller that ")
     assert mistake.name in named_mistakes.split(", or one that ")
@@ -667,8 +671,8 @@ def test_a_controller_must_not_report_the_health_caution_after_a_tick_that_was_l
 
 def test_a_controller_that_sends_frames_of_another_subject_too_passes() -> None:
     """Subject 7510 is none of those of estimates, telemetry, commands and heartbeats."""
-    identifier = 4 << 26 | 3 << 21 | 7510 << 8 | ID  # priority, reserved bits, subject and sender
-    frame = can.Message(arbitration_id=identifier, data=b"any")
+    priority, reserved_bits, subject, sender = 4 << 26, 3 << 21, 7510 << 8, ID
+    frame = can.Message(arbitration_id=priority | reserved_bits | subject | sender, data=b"any")
     controller = controller_with(settle=lambda node, usual: [*usual(), frame])
     assert verify(controller, phases=NOTHING_SEEN).has_passed
 
@@ -718,10 +722,9 @@ def test_a_verification_that_is_stopped_after_75_ticks_reports_the_phases_until_
 
     verdict = verify(controller, progress=settled_ticks.append, should_stop=lambda: len(settled_ticks) == 75)
 
-    first, second, third, *_ = verdict.phases
-    assert (first.ticks, first.outcome) == (20, "passed")
-    assert (second.ticks, second.outcome) == (60, "not run")
-    assert (third.ticks, third.outcome) == (0, "not run")
+    ticks_and_outcomes = [(phase.ticks, phase.outcome) for phase in verdict.phases]
+    later_phase_count = len(verdict.phases) - 2
+    assert ticks_and_outcomes == [(20, "passed"), (60, "not run")] + [(0, "not run")] * later_phase_count
     assert controller.ticks == 20 + 60
     assert controller.is_settled
 
@@ -847,6 +850,7 @@ def test_the_json_of_a_verification_has_the_verdict_and_the_parameters(
 ) -> None:
     """The command ``mcp-asdf radio --verify --json`` has verified a right controller in two phases."""
     verdict, parameters = verification_of_two_phases["verdict"], verification_of_two_phases["parameters"]
+
     assert verdict["passed"]
     assert [phase["name"] for phase in verdict["phases"]] == ["alone", "loss"]
     assert parameters["controller"] == record(ID, "mirror", B_HAT).plain()
