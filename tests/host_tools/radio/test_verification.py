@@ -587,8 +587,8 @@ def test_a_difference_names_the_field_with_the_expected_and_the_received_value(n
 # --- Other nodes on the bus ---
 
 
-def verify_beside(message: Any) -> ControllerVerdict:
-    """Verify a right controller beside a node that answers every command with a message."""
+def verify_beside_a_node_that_answers_with(message: Any) -> ControllerVerdict:
+    """Verify a right controller beside a node that answers every command with this message."""
 
     def receive_frame(frame: can.Message) -> list[can.Message]:
         return [encoded(message)] if isinstance(decode_command(frame), Command) else []
@@ -609,7 +609,7 @@ def verify_beside(message: Any) -> ControllerVerdict:
 )
 def test_a_controller_passes_beside_a_node_that_does_not_concern_it(message: Any) -> None:
     """Node 40 answers each command with a heartbeat, telemetry, or a command to robot 77."""
-    assert verify_beside(message).has_passed
+    assert verify_beside_a_node_that_answers_with(message).has_passed
 
 
 @pytest.mark.parametrize(
@@ -624,7 +624,7 @@ def test_a_verdict_names_another_node_that_the_controller_acts_on_and_does_not_b
     message: Any, kind: str
 ) -> None:
     """Node 40 sends estimates, or commands to this robot or to all, which the model does not get."""
-    verdict = verify_beside(message)
+    verdict = verify_beside_a_node_that_answers_with(message)
     assert verdict.difference is None
     assert verdict.phases[0].outcome == "disturbed"
     assert verdict.headline.startswith("DISTURBED, no verdict: 0 of")

@@ -52,12 +52,12 @@ def draw_frames_near_estimates(count: int) -> list[can.Message]:
     for _ in range(count):
         near_an_estimate = ESTIMATE_IDENTIFIER ^ (1 << draw.randrange(29))
         identifier = draw.choice([draw.randrange(1 << 29), near_an_estimate])
+        needs_more_than_11_bits = identifier > 0x7FF
         tail_byte_of_single_frames = 0xE0
-        frame = can.Message(arbitration_id=identifier, data=[0] * 7 + [tail_byte_of_single_frames])
-        frame.is_extended_id = (
-            identifier > 0x7FF
-        )  # smaller ones fit into the 11 bits of a standard identifier
-        frames.append(frame)
+        data = [0] * 7 + [tail_byte_of_single_frames]
+        frames.append(
+            can.Message(arbitration_id=identifier, data=data, is_extended_id=needs_more_than_11_bits)
+        )
     return frames
 
 
@@ -78,38 +78,43 @@ def test_a_robot_s_filters_pass_the_frames_that_it_can_decode_and_no_others() ->
     assert len(passed_frames) > 100, "too few of the drawn frames pass"
 
 
-def frames_of_200_ticks(subject: int) -> list[tuple[int, float]]:
-    """Return transfer_id and time of a node's frames of a subject.
+HEARTBEATS, ESTIMATES, TELEMETRY = 7509, 3000, 3001
+"""Subjects of the kinds of frames that a node sends."""
 
-    Its robot broadcasts in every second tick, and a second of its time has 3 ticks.
-    """
+
+def frames_of_200_ticks(subject: int) -> list[can.Message]:
+    """Return a node's frames of a subject; it broadcasts in every second tick, and a second has 3 ticks."""
     node = RobotNode(record(5, comms_period=2), steps_per_second=3)
     frames = node.start()
     for _ in range(200):
         frames += node.observe(None) + node.settle()
-    return [
-        (frame.data[-1] % 32, frame.timestamp)  # a transfer_id is in the low bits of the last byte
-        for frame in frames
-        if (frame.arbitration_id >> 8) & 0x1FFF == subject
-    ]
+    return [frame for frame in frames if (frame.arbitration_id >> 8) & 0x1FFF == subject]
 
 
 def test_a_node_sends_a_heartbeat_at_the_beginning_of_each_second() -> None:
-    """200 ticks, of which three are a second, begin 67 seconds. A transfer_id counts modulo 32."""
-    heartbeats = frames_of_200_ticks(subject=7509)
-    assert heartbeats == [(second % 32, second) for second in range(67)]
+    """A second has three ticks, so 200 ticks begin 67 seconds."""
+    times = [frame.timestamp for frame in frames_of_200_ticks(HEARTBEATS)]
+    assert times == list(range(67))
 
 
 def test_a_node_sends_estimates_in_the_last_tick_of_each_round_with_the_time_of_its_beginning() -> None:
-    """A round has two ticks, and a second three. A transfer_id counts modulo 32."""
-    estimates = frames_of_200_ticks(subject=3000)
-    assert estimates == [(index % 32, (2 * index + 1) / 3) for index in range(100)]
+    """A round has two ticks, and a second three, so estimates are sent at 1/3 s, 3/3 s, 5/3 s and so on."""
+    times = [frame.timestamp for frame in frames_of_200_ticks(ESTIMATES)]
+    assert times == [tick / 3 for tick in range(1, 200, 2)]
 
 
 def test_a_node_sends_telemetry_at_the_end_of_each_tick() -> None:
-    """A second has three ticks. A transfer_id counts modulo 32."""
-    telemetry = frames_of_200_ticks(subject=3001)
-    assert telemetry == [(tick % 32, (tick + 1) / 3) for tick in range(200)]
+    """A second has three ticks."""
+    times = [frame.timestamp for frame in frames_of_200_ticks(TELEMETRY)]
+    assert times == [ticks_ended / 3 for ticks_ended in range(1, 201)]
+
+
+@pytest.mark.parametrize("subject", [HEARTBEATS, ESTIMATES, TELEMETRY])
+def test_the_transfer_ids_of_a_node_s_frames_of_a_subject_count_modulo_32(subject: int) -> None:
+    """A transfer_id is in the lowest five bits of the last byte."""
+    frames = frames_of_200_ticks(subject)
+    transfer_ids = [frame.data[-1] % 32 for frame in frames]
+    assert transfer_ids == [index % 32 for index in range(len(frames))]
 
 
 FRAME = encode_estimate(Estimate(9, 1, 0, 0), FrameFormat())
@@ -239,7 +244,9 @@ def test_the_command_node_fails_with_the_reason_if_its_bus_fails(
     failure = RunOutcome("the bus failed: no luck", has_failed=True)
     monkeypatch.setattr("mcp_asdf_tools.robots.node.run_node", Mock(return_value=failure))
     assert main(["node", "--id", "5", "--quiet"]) == 1
-    assert capsys.readouterr() == ("", "mcp-asdf node: the bus failed: no luck\n")
+    output = capsys.readouterr()
+    assert output.out == ""
+    assert output.err == "mcp-asdf node: the bus failed: no luck\n"
 
 
 ROBOT_5 = "node --id 5 --b-hat 0.7 --comms-period 2 --filter-period 10 --neighbours 20 --steps 40 --json"
