@@ -9,7 +9,7 @@ import shlex
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, NamedTuple
 from uuid import uuid4
 
 import numpy as np
@@ -74,29 +74,39 @@ def read_records(browser: Page) -> NDArray[np.uint32]:
 # --- The page without a browser -----------------------------------------------------------------------
 
 
-def test_the_page_that_shows_a_run_has_nothing_of_the_playground() -> None:
-    text = make_page()
-    assert "playground" not in text
-    assert "wasm" not in text.partition("<style>")[0]
+def build_playground(program: bytes) -> str:
+    """Return the page of the playground with a program in WebAssembly."""
+    script = runpy.run_path(str(ROOT / ".ci/playground.py"))
+    page: str = script["build_page"](program)
+    return page
 
 
-def test_only_the_playground_may_compile_and_start_a_worker() -> None:
-    """The policy in a page's head says what its scripts may do; the page that shows a run needs neither."""
-    build_page = runpy.run_path(str(ROOT / ".ci/playground.py"))["build_page"]
-
-    playground = build_page(b"\0asm")
-
-    assert "script-src 'unsafe-inline' data: 'wasm-unsafe-eval'; worker-src data:;" in playground
-    assert "worker-src" not in make_page().partition("<style>")[0]
+def head_of(page: str) -> str:
+    """Return the beginning of a page, which states what its scripts may do, up to its styles."""
+    head, _, _ = page.partition("<style>")
+    return head
 
 
-def test_the_page_of_the_playground_holds_its_compiled_program() -> None:
-    """So it works as a single file. WebAssembly begins with the bytes 0asm, which are AGFzbQ== in base 64."""
-    build_page = runpy.run_path(str(ROOT / ".ci/playground.py"))["build_page"]
+def test_the_page_of_mcp_asdf_view_contains_nothing_of_the_playground() -> None:
+    assert "playground" not in make_page()
+    assert "wasm" not in head_of(make_page())
 
-    playground = build_page(b"\0asm")
 
-    assert '<script id="history" type="application/json">{"module": "AGFzbQ=="}</script>' in playground
+def test_the_playground_may_compile_webassembly_and_start_a_worker() -> None:
+    """The policy in the head of a page states what its scripts may do."""
+    policy = "script-src 'unsafe-inline' data: 'wasm-unsafe-eval'; worker-src data:;"
+    assert policy in head_of(build_playground(b"\0asm"))
+
+
+def test_the_page_of_mcp_asdf_view_may_not_start_a_worker() -> None:
+    """The policy in the head of a page states what its scripts may do, and "worker-src" allows workers."""
+    assert "worker-src" not in head_of(make_page())
+
+
+def test_the_playground_is_a_single_file_with_its_compiled_program_in_it() -> None:
+    """A program in WebAssembly begins with the bytes 0asm, which are AGFzbQ== in base 64."""
+    page = build_playground(b"\0asm")
+    assert '<script id="history" type="application/json">{"module": "AGFzbQ=="}</script>' in page
 
 
 # --- Bits ---------------------------------------------------------------------------------------------
@@ -113,26 +123,31 @@ ADDRESSES = (
 """Settings of the playground, as they stand in its address."""
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("address", ADDRESSES)
-def test_the_playground_computes_and_draws_what_the_command_below_it_computes(
-    browser: Page, playground: Path, address: str
-) -> None:
-    """To the last bit in what it computes, and to 16 bits in what it draws.
+class Computed(NamedTuple):
+    """A page of the playground, the experiment of the command that it shows, and what the command computes.
 
-    The page shows a command with the same settings; here the engine that this command uses computes its
-    experiment.
+    Attributes:
+        page: The page, when it has computed two trials of all filters.
+        experiment: The experiment of the command, which has the page's settings.
+        records: All that the native engine records of its first trial.
     """
-    open_playground(browser, playground, address)
-    [experiment] = experiments_of(parse_command(browser))
-    records = native_records(experiment)
 
-    assert np.array_equal(read_records(browser), records)
-    check_last_values(browser, experiment, records[-experiment.robots :])
-    check_last_positions(browser, experiment)
-    check_final_errors(browser)
-    for index, filter_name in enumerate(FILTERS):
-        check_errors(browser, index, experiment, filter_name)
+    page: Page
+    experiment: Experiment
+    records: NDArray[np.uint32]
+
+    @property
+    def last_records(self) -> NDArray[np.uint32]:
+        """The records of all robots after the last step."""
+        return self.records[-self.experiment.robots :]
+
+
+@pytest.fixture(scope="module", params=ADDRESSES)
+def computed(request: pytest.FixtureRequest, chromium: Browser, playground: Path) -> Iterator[Computed]:
+    with new_page(chromium) as page:
+        open_playground(page, playground, request.param)
+        [experiment] = experiments_of(parse_command(page))
+        yield Computed(page, experiment, native_records(experiment))
 
 
 def native_records(experiment: Experiment) -> NDArray[np.uint32]:
@@ -142,70 +157,112 @@ def native_records(experiment: Experiment) -> NDArray[np.uint32]:
     return records
 
 
-def check_last_values(browser: Page, experiment: Experiment, last_records: NDArray[np.uint32]) -> None:
-    """Check what a page draws of x_hat, x and b_hat at the end, to the precision of its 16 bits."""
-    shown = browser.evaluate(
-        "['x_hat', 'x', 'b_hat'].map((name) => view.history.description.robots.map((_, robot) => "
-        f"view.history.value(name, robot, view.history.stateAt({experiment.steps}))))"
+@pytest.mark.slow
+def test_the_playground_computes_the_command_that_it_shows_to_the_last_bit(computed: Computed) -> None:
+    """The page shows an ``mcp-asdf simulate`` with its settings, whose engine computes the same here."""
+    assert np.array_equal(read_records(computed.page), computed.records)
+
+
+def read_drawn_values(page: Page, name: str, step: int) -> Any:
+    """Return the values of all robots that the page draws at a step."""
+    return page.evaluate(
+        "view.history.description.robots.map((_, robot) => "
+        f"view.history.value('{name}', robot, view.history.stateAt({step})))"
     )
-    expected = last_records[:, [X_HAT_WORD, X_WORD, B_HAT_WORD]] / [2.0**23, 2.0**23, 2.0**32]
-    assert np.abs(np.array(shown).T - expected).max() <= 1 / 65534
 
 
-def check_final_errors(browser: Page) -> None:
-    """Check that the page writes the middle one of the errors so far at the end of each filter's trials."""
-    errors_and_texts = browser.evaluate(
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "word", "one"),
+    [("x_hat", X_HAT_WORD, 2**23), ("x", X_WORD, 2**23), ("b_hat", B_HAT_WORD, 2**32)],
+)
+def test_the_playground_draws_the_computed_values_of_the_last_step(
+    computed: Computed, name: str, word: int, one: int
+) -> None:
+    """``one`` is the word of a record that stands for 1. The page rounds values to a 65534th."""
+    drawn_values = read_drawn_values(computed.page, name, step=computed.experiment.steps)
+    computed_values = computed.last_records[:, word] / one
+    assert np.abs(drawn_values - computed_values).max() <= 1 / 65534
+
+
+@pytest.mark.slow
+def test_the_playground_draws_robots_where_they_are_in_the_arena_after_the_last_step(
+    computed: Computed,
+) -> None:
+    """The page rounds a position to a 65534th of the arena's side. Some swarms do not move, and have none."""
+    experiment = computed.experiment
+    if not experiment.is_dynamic:
+        return
+    last_positions = Arena(experiment, 0).record(experiment.steps).position[-1]
+    drawn_positions = computed.page.evaluate(
+        f"view.history.description.robots.map((_, robot) => view.history.position(robot, {experiment.steps}))"
+    )
+    assert np.abs(drawn_positions - last_positions).max() <= max(experiment.sides) / 65534
+
+
+@pytest.mark.slow
+def test_the_playground_writes_the_median_of_each_filter_s_final_errors_in_percent(
+    computed: Computed,
+) -> None:
+    """It has computed some of 30 trials of each of four filters.
+
+    Of an even number it takes the upper median.
+    """
+    errors_and_texts = computed.page.evaluate(
         "view.playground.comparison.filters.map(({ trials }, index) => "
         "[trials.map((errors) => errors.at(-1)), "
         "document.querySelectorAll('#filters output')[index].textContent])"
     )
+    assert len(errors_and_texts) == 4
     for errors, text in errors_and_texts:
-        assert text == f"{100 * sorted(errors)[len(errors) // 2]:.1f}"
+        upper_median = sorted(errors)[len(errors) // 2]
+        assert text == f"{100 * upper_median:.1f}"
 
 
-def check_last_positions(browser: Page, experiment: Experiment) -> None:
-    """Check where the robots of a page are at the end, if they move, to the precision of its 16 bits."""
-    if not experiment.is_dynamic:
-        return
-    motion = Arena(experiment, 0).record(experiment.steps)
-    position = f"view.history.position(robot, {experiment.steps})"
-    positions = browser.evaluate(f"view.history.description.robots.map((_, robot) => {position})")
-    assert np.abs(positions - motion.position[-1]).max() <= max(experiment.sides) / 65534
-
-
-def check_errors(browser: Page, filter_index: int, experiment: Experiment, filter_name: str) -> None:
-    """Check a page's errors of a filter in the first two trials, which are means of 8 steps each."""
+def native_errors(experiment: Experiment, filter_name: str) -> Any:
+    """Return the mean error of all robots in each step of two trials, computed by the native engine."""
     filtered = Experiment(**experiment.parameters() | {"filter": filter_name})
     x = native.run(filtered, 0, 2).x / 2.0**23
     errors = abs(x - experiment.fill_ratio).mean(axis=1)
-    errors_by_step = np.broadcast_to(errors, (2, experiment.steps + 1))  # alike if all robots have one x
-    trials = f"view.playground.comparison.filters[{filter_index}].trials.slice(0, 2)"
-    shown = np.array(browser.evaluate(f"{trials}.map((errors) => [...errors])"))
-    blocks = errors_by_step[:, : 8 * shown.shape[1]].reshape(*shown.shape, 8)
-    assert np.abs(shown - blocks.mean(axis=2)).max() < 1e-12
+    return np.broadcast_to(errors, (2, experiment.steps + 1))  # alike if all robots have one x
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("index", "filter_name"), [*enumerate(FILTERS)])
+def test_a_point_of_the_chart_of_errors_is_the_mean_error_of_eight_steps(
+    computed: Computed, index: int, filter_name: str
+) -> None:
+    """The first two trials of each filter are compared with those of the native engine."""
+    trials = f"view.playground.comparison.filters[{index}].trials.slice(0, 2)"
+    points = np.array(computed.page.evaluate(f"{trials}.map((errors) => [...errors])"))
+    _, point_count = points.shape
+    errors_by_step = native_errors(computed.experiment, filter_name)[:, : 8 * point_count]
+    expected_points = errors_by_step.reshape(2, point_count, 8).mean(axis=2)
+
+    assert np.abs(points - expected_points).max() < 1e-12
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("topology", ["everybody=1", "density=4"])
 @pytest.mark.parametrize("filter_name", ["asdf-plus", "robust"])
-def test_liars_lie_in_the_playground_as_in_a_swarm_on_an_emulated_bus(
+def test_nine_robots_with_two_liars_end_in_the_playground_as_in_a_swarm_on_an_emulated_bus(
     browser: Page, playground: Path, topology: str, filter_name: str
 ) -> None:
-    """All nine robots end with the same estimate of their own, x_hat, and believe the same, x.
+    """The swarm has the settings of the command that the page shows.
 
-    The swarm has the settings of the command that the page shows.
+    Robots are compared by their own estimate, x_hat, and by the one with those of others, x.
     """
     address = f"{topology}&robots=9&liars=2&flawed=35&steps=60&filter={filter_name}"
     open_playground(browser, playground, address)
     last_records = read_records(browser)[-9:]
+    x_hat_of_page, x_of_page = last_records[:, X_HAT_WORD] / 2**23, last_records[:, X_WORD] / 2**23
 
-    settings = swarm_command.settings_of(parse_command(browser))
-    with Swarm(settings, Wiring()) as swarm:
+    with Swarm(swarm_command.settings_of(parse_command(browser)), Wiring()) as swarm:
         run_swarm(swarm, [])
         robots = [node.robot for node in swarm.nodes]
 
-    assert [robot.x_hat for robot in robots] == (last_records[:, X_HAT_WORD] / 2**23).tolist()
-    assert [robot.x for robot in robots] == (last_records[:, X_WORD] / 2**23).tolist()
+    assert [robot.x_hat for robot in robots] == x_hat_of_page.tolist()
+    assert [robot.x for robot in robots] == x_of_page.tolist()
 
 
 # --- Controls -----------------------------------------------------------------------------------------
@@ -220,8 +277,8 @@ def small_browser(chromium: Browser, playground: Path) -> Iterator[Page]:
 
 
 @pytest.mark.slow
-def test_the_playground_has_the_settings_of_its_address(small_browser: Page) -> None:
-    """It was opened with #flawed=20&filter=robust&steps=100."""
+def test_the_playground_opens_with_the_settings_in_its_address(small_browser: Page) -> None:
+    """The address ends with #flawed=20&filter=robust&steps=100."""
     settings = small_browser.evaluate("view.playground.settings")
     assert settings["flawed"] == 20
     assert settings["filter"] == "robust"
@@ -229,16 +286,16 @@ def test_the_playground_has_the_settings_of_its_address(small_browser: Page) -> 
 
 
 @pytest.mark.slow
-def test_another_address_runs_the_playground_with_other_settings(small_browser: Page) -> None:
+def test_a_change_of_the_address_runs_a_swarm_with_the_new_settings(small_browser: Page) -> None:
     small_browser.evaluate("location.hash = '#steps=40&robots=4'")
     until(small_browser, f"view.history.robotCount === 4 && {HAS_TWO_TRIALS}")
 
 
 @pytest.mark.slow
-def test_settings_of_an_address_that_are_impossible_have_their_defaults(small_browser: Page) -> None:
+def test_impossible_settings_in_the_address_are_replaced_by_defaults(small_browser: Page) -> None:
+    """The defaults are the filter ASDF-, a density of 1 and 20 robots; 127 robots are the most."""
     small_browser.evaluate("location.hash = '#density=nonsense&robots=500&filter=best'")
     until(small_browser, "view.playground.settings.filter === 'asdf-minus'")
-
     settings = small_browser.evaluate("view.playground.settings")
 
     assert settings["density"] == 1
@@ -259,8 +316,8 @@ def test_a_slider_changes_the_address_and_the_command_that_is_shown(small_browse
 
 
 @pytest.mark.slow
-def test_the_space_bar_on_a_slider_does_not_pause(small_browser: Page) -> None:
-    """Elsewhere it does."""
+def test_the_space_bar_does_not_pause_the_swarm_while_a_slider_has_the_focus(small_browser: Page) -> None:
+    """Elsewhere on the page it does."""
     until(small_browser, "view.history !== null")
     small_browser.locator("#more").click()
     small_browser.evaluate("view.player.isPlaying = true")
@@ -271,8 +328,9 @@ def test_the_space_bar_on_a_slider_does_not_pause(small_browser: Page) -> None:
 
 
 @pytest.mark.slow
-def test_an_example_that_is_chosen_is_marked_and_has_a_story(small_browser: Page) -> None:
-    """A story is a text that ends with a full stop."""
+def test_each_button_of_an_example_is_marked_when_it_is_pressed_and_shows_sentences_about_it(
+    small_browser: Page,
+) -> None:
     for index, button in enumerate(small_browser.locator("#presets button").all()):
         button.press("Enter")
 
@@ -281,7 +339,10 @@ def test_an_example_that_is_chosen_is_marked_and_has_a_story(small_browser: Page
 
 
 @pytest.mark.slow
-def test_another_filter_can_be_shown(small_browser: Page) -> None:
+def test_a_filter_that_is_chosen_on_the_page_stands_in_the_title_and_in_the_address(
+    small_browser: Page,
+) -> None:
+    """The page was opened with the robust filter, and "no filter" is chosen."""
     small_browser.locator("[name=filter][value=none]").check()
     until(small_browser, "view.history.description.title.endsWith('no filter')")
     until(small_browser, "location.hash.includes('filter=none')")
@@ -290,10 +351,10 @@ def test_another_filter_can_be_shown(small_browser: Page) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize(("width", "height"), [(1400, 900), (800, 600), (390, 844)])
 @pytest.mark.parametrize("is_open", [False, True], ids=["closed", "open"])
-def test_floor_figures_and_controls_fit_on_a_screen(
+def test_floor_figures_and_buttons_fit_on_the_screen_of_a_computer_a_tablet_and_a_phone(
     chromium: Browser, playground: Path, width: int, height: int, is_open: bool
 ) -> None:
-    """The screens are those of a computer, a tablet and a phone. Further settings are closed or open."""
+    """Nobody has to scroll, whether further settings are closed or open."""
     parts_of_page = ["#about", "#beliefs", "#arena"]
     controls = ["#play", "#miscalibrate", "#add-liar", "#more", "#time"]
     settings = ["#settings"] if is_open else []
@@ -310,64 +371,91 @@ def test_floor_figures_and_controls_fit_on_a_screen(
             assert box["y"] + box["height"] <= height, name
 
 
-@pytest.mark.slow
-def test_the_first_line_says_how_many_robots_are_flawed_or_lie(small_browser: Page) -> None:
-    """Four are flawed at first; the buttons make two more so, add a liar, and start over."""
-    text = "document.getElementById('about').textContent"
-    assert small_browser.evaluate(text).startswith("Each robot guesses the share of black tiles. 4 of them")
+INTRODUCTION = "document.getElementById('about').textContent"
 
+
+@pytest.mark.slow
+def test_the_introduction_has_how_many_of_20_robots_misjudge_their_sensors(small_browser: Page) -> None:
+    """Four do at first, which is 20 %.
+
+    A button lets a tenth of the robots more do so, and another starts over.
+    """
+    text = small_browser.evaluate(INTRODUCTION)
+    assert text.startswith("Each robot guesses the share of black tiles. 4 of them")
     small_browser.locator("#miscalibrate").click()
-    until(small_browser, f"{text}.includes('6 of them misjudge their sensor (orange).')")
-    small_browser.locator("#add-liar").click()
-    until(small_browser, f"{text}.includes('One claims that no tile is black.')")
+    until(small_browser, f"{INTRODUCTION}.includes('6 of them misjudge their sensor (orange).')")
     small_browser.locator("#start-over").click()
-    until(small_browser, f"{text}.includes('Half of them')")
+    until(small_browser, f"{INTRODUCTION}.includes('Half of them')")
 
 
 @pytest.mark.slow
-def test_a_run_that_has_ended_starts_again_with_other_settings(small_browser: Page) -> None:
+def test_the_introduction_says_that_a_robot_lies_when_the_button_has_added_a_liar(
+    small_browser: Page,
+) -> None:
+    small_browser.locator("#add-liar").click()
+    until(small_browser, f"{INTRODUCTION}.includes('One claims that no tile is black.')")
+
+
+@pytest.mark.slow
+def test_a_swarm_that_was_played_to_its_end_plays_from_the_start_when_settings_change(
+    small_browser: Page,
+) -> None:
     small_browser.evaluate("view.player.seek(view.player.end)")
     small_browser.evaluate("location.hash = '#steps=100&robots=4'")
     until(small_browser, "view.history.robotCount === 4 && view.player.isPlaying")
 
 
-FIRST_RESULT = "([...document.querySelectorAll('#beliefs .result')[0].children])"
-"""The first filter's large figure: its title, its error and a note that says of how many runs it is."""
+def part_of_first_result(child: int) -> str:
+    """Return a JavaScript expression for a part of the first filter's result in large figures.
+
+    Its children are a title, the error, and a note that says of how many trials the error is.
+    """
+    return f"document.querySelector('#beliefs .result').children[{child}]"
+
+
+ERROR_OF_FIRST_RESULT, NOTE_OF_FIRST_RESULT = part_of_first_result(1), part_of_first_result(2)
 
 
 @pytest.mark.slow
-def test_a_large_figure_is_grey_until_all_30_runs_are_in(browser: Page, playground: Path) -> None:
-    """If the browser is quick all are in when the test looks."""
+def test_the_error_in_large_figures_is_grey_until_all_30_trials_have_been_computed(
+    browser: Page, playground: Path
+) -> None:
+    """If the browser is quick, all have been computed when the test looks for the first time."""
     open_playground(browser, playground, "steps=3000")
-    class_and_note = f"(([title, error, note]) => [error.className, note.textContent]){FIRST_RESULT}"
-
-    class_name, note = browser.evaluate(class_and_note)
-
+    style, note = browser.evaluate(f"[{ERROR_OF_FIRST_RESULT}.className, {NOTE_OF_FIRST_RESULT}.textContent]")
     if note != "points, 30 runs":
-        assert class_name == "unfinished"
+        assert style == "unfinished"
         assert re.fullmatch(r"points, \d+ of 30 runs", note)
-    until(browser, f"{class_and_note}.join() === ',points, 30 runs'")
+
+    until(browser, f"{NOTE_OF_FIRST_RESULT}.textContent === 'points, 30 runs'")
+    until(browser, f"{ERROR_OF_FIRST_RESULT}.className === ''")
 
 
 @pytest.mark.slow
-def test_a_large_figure_is_the_median_error_of_30_runs_in_percent(browser: Page, playground: Path) -> None:
+def test_the_error_in_large_figures_is_the_median_of_30_trials_in_percent(
+    browser: Page, playground: Path
+) -> None:
+    """Of the two values in the middle it is the upper one."""
     open_playground(browser, playground, "steps=3000")
-    until(browser, f"{FIRST_RESULT}[2].textContent === 'points, 30 runs'")
-
-    text = browser.evaluate(f"{FIRST_RESULT}[1].textContent")
-
+    until(browser, f"{NOTE_OF_FIRST_RESULT}.textContent === 'points, 30 runs'")
+    text = browser.evaluate(f"{ERROR_OF_FIRST_RESULT}.textContent")
     errors = browser.evaluate("view.playground.comparison.filters[0].trials.map((errors) => errors.at(-1))")
+
     assert len(errors) == 30
-    upper_median = sorted(errors)[30 // 2]
+    upper_median = sorted(errors)[15]
     assert text == f"off by {100 * upper_median:.1f}"
 
 
 @pytest.mark.slow
-def test_the_swarm_believes_the_mean_of_its_20_robots_in_percent(small_browser: Page) -> None:
+def test_the_large_figure_above_the_floor_is_the_mean_estimate_of_all_robots_in_percent(
+    small_browser: Page,
+) -> None:
+    """The estimates are those of the last step, 100, which the page is asked to show."""
     small_browser.evaluate("view.player.seek(100)")
-    beliefs = "view.history.description.robots.map((_, robot) => view.history.value('x', robot, 100))"
-    percent = f"Math.round(100 / 20 * {beliefs}.reduce((sum, value) => sum + value))"
-    until(small_browser, f"document.getElementById('belief').textContent === `${{{percent}}} %`")
+    estimates = read_drawn_values(small_browser, "x", step=100)
+    percent = 100 * np.mean(estimates)
+
+    until(small_browser, f"document.getElementById('belief').textContent === '{percent:.0f} %'")
 
 
 @dataclass(frozen=True)
@@ -393,35 +481,51 @@ def framed(browser: Page, playground: Path) -> Framed:
 
 @pytest.mark.slow
 def test_a_framed_playground_has_the_settings_of_the_outer_address(framed: Framed) -> None:
+    """A page of the documentation frames the playground, and its own address ends with #robots=5&steps=40."""
     assert framed.inner.evaluate("view.history.robotCount") == 5
 
 
 @pytest.mark.slow
-def test_the_address_of_the_outer_page_follows_the_settings_of_a_framed_playground(framed: Framed) -> None:
+def test_settings_that_are_chosen_in_a_framed_playground_stand_in_the_outer_address(framed: Framed) -> None:
+    """A page of the documentation frames the playground; here all robots are set to receive each other."""
     framed.inner.locator("#more").click()
     framed.inner.locator("[name=everybody]").check()
-
     until(framed.outer, "location.hash === '#robots=5&everybody=1&steps=40'")
-    assert framed.outer.evaluate("document.getElementById('playground').offsetHeight") > 300
 
 
 @pytest.mark.slow
-def test_a_framed_playground_is_as_high_as_the_outer_page_s_window(framed: Framed) -> None:
-    """Below the page's margin of 8 pixels: 800 - 8 at first."""
-    height = "document.documentElement.style.getPropertyValue('--screen')"
-    until(framed.inner, f"{height} === '792px'")
+def test_the_frame_of_the_playground_is_higher_than_300_pixels_when_further_settings_are_open(
+    framed: Framed,
+) -> None:
+    framed.inner.locator("#more").click()
+    until(framed.outer, "document.getElementById('playground').offsetHeight > 300")
 
+
+HEIGHT_OF_SCREEN = "document.documentElement.style.getPropertyValue('--screen')"
+
+
+@pytest.mark.slow
+def test_a_framed_playground_fills_the_window_of_the_outer_page_below_the_text_above_it(
+    framed: Framed,
+) -> None:
+    """The window is 800 pixels high, and above the frame is nothing but a margin of 8 pixels."""
+    until(framed.inner, f"{HEIGHT_OF_SCREEN} === '792px'")
+
+
+@pytest.mark.slow
+def test_a_framed_playground_is_as_high_as_a_window_of_less_than_600_pixels(framed: Framed) -> None:
+    """In so small a window a visitor has to scroll to the frame, and then sees nothing else."""
     framed.outer.set_viewport_size({"width": 800, "height": 590})
-
-    until(framed.inner, f"{height} === '590px'")
+    until(framed.inner, f"{HEIGHT_OF_SCREEN} === '590px'")
 
 
 @pytest.mark.slow
-def test_a_framed_playground_has_the_colours_of_the_outer_page(framed: Framed) -> None:
+def test_a_framed_playground_becomes_light_when_the_outer_page_changes_from_dark_to_light(
+    framed: Framed,
+) -> None:
+    """A page of the documentation frames it. Material for MkDocs calls its dark colours "slate"."""
     background = "getComputedStyle(document.body).backgroundColor"
     dark, light = "rgb(16, 20, 26)", "rgb(246, 247, 249)"
     until(framed.inner, f"{background} === '{dark}'")
-
     framed.outer.evaluate("document.body.dataset.mdColorScheme = 'default'")
-
     until(framed.inner, f"{background} === '{light}'")
