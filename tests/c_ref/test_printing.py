@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import json
 import re
 import subprocess
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 from mcp_asdf_tools.bus.frames import Estimate, FrameFormat, encode_estimate
 from support import CORE, PAGES, PATIENCE, ROOT, TABLE, block_with, blocks, made_once, run
-from targets.c_node import CORTEX_A8, PLAIN_BUILD, NodeBuild, node_command
 from targets.test_khepera import LIBRARY
 
 README, TUTORIAL = ROOT / "README.md", ROOT / "docs/robot_tutorial.md"
@@ -145,33 +142,6 @@ def test_the_sensor_of_the_khepera_prints_the_mean_of_each_line(
     output = build_and_run(WITH_32_BITS, program, tmp_path_factory)
 
     assert output.stdout == "250\n1011\n-1\n"
-
-
-# --- The node of the Linux port --------------------------------------------------------------------------
-
-NODE_OPTIONS = "--interface udp:239.74.163.99:43199 --hop-limit 0 --id 7 --b-hat 0.95 --steps-per-second 1000"
-
-
-def state_that_node_prints(build: NodeBuild, tiles: Path, factory: pytest.TempPathFactory) -> dict[str, Any]:
-    """Let a node observe the tiles in a file, and return the state of its robot, which it prints."""
-    options = [*NODE_OPTIONS.split(), "--observations", str(tiles)]
-    summary = json.loads(run(*node_command(build, factory), *options))
-    return {name: summary[name] for name in ("t", "n", "b_hat", "x_hat", "alpha", "x", "x_bar")}
-
-
-@pytest.mark.slow
-def test_the_node_for_linux_prints_the_same_state_on_32_bits_as_on_this_computer(
-    tmp_path: Path, tmp_path_factory: pytest.TempPathFactory
-) -> None:
-    """A Cortex-A8 has 32 bits. The node observes ``t`` tiles, 50, of which nine of ten are black."""
-    tiles = tmp_path / "tiles"
-    tiles.write_text("1101111111" * 5)
-
-    state_here = state_that_node_prints(PLAIN_BUILD, tiles, tmp_path_factory)
-    state_on_32_bits = state_that_node_prints(CORTEX_A8, tiles, tmp_path_factory)
-
-    assert state_here["t"] == 50
-    assert state_on_32_bits == state_here
 
 
 # --- Programs that are not tested ------------------------------------------------------------------------

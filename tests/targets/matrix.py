@@ -112,7 +112,8 @@ class ImageBuild:
     files: tuple[str, ...] = tuple(FILES)
 
     def __str__(self) -> str:
-        return " ".join([self.target.name, self.compiler, self.level, self.choice])
+        name = " ".join([self.target.name, self.compiler, self.level, self.choice])
+        return name if self.files == tuple(FILES) else f"{name}, {len(self.files)} files"
 
     def require_tools(self) -> None:
         """Skip the test where the image cannot be built or run."""

@@ -61,7 +61,7 @@ def play_images(build: ImageBuild, folder: Path) -> None:
 def played_images(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> PlayedImages:
     build: ImageBuild = request.param
     build.require_tools()
-    folder = made_once(tmp_path_factory, f"image {build} {len(build.files)}", partial(play_images, build))
+    folder = made_once(tmp_path_factory, f"image {build}", partial(play_images, build))
     outputs = [
         (files, (folder / f"printed_{number}.txt").read_text(encoding="utf-8"))
         for number, files in enumerate(build.images())
