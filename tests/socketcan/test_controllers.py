@@ -82,12 +82,6 @@ def test_a_node_on_a_controller_has_the_bits_of_a_python_node(
     assert (summary["unsent"], summary["error_frames"], summary["overflowed"]) == (0, 0, 0)
 
 
-def test_a_controller_has_the_documented_bit_rate_and_restarts_by_itself(wire: can.BusABC) -> None:
-    """The kernel says so of a controller that is set up by the documented command."""
-    assert details("can0")["bittiming"]["bitrate"] == 500_000
-    assert details("can0")["restart_ms"] == 100
-
-
 def test_a_node_goes_on_when_its_controller_is_restarted_at_another_bit_rate(
     wire: can.BusABC, tmp_path: Path, tmp_path_factory: pytest.TempPathFactory
 ) -> None:

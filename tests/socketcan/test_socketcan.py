@@ -107,9 +107,10 @@ def test_candump_and_python_can_receive_the_same_frames_of_robots(three_nodes: T
 
 
 def test_a_node_receives_only_what_it_needs_or_counts_the_others(three_nodes: ThreeNodes) -> None:
-    """The kernel filters for the plain build. The emulator of the other one has no filters: the node does it.
+    """A node needs commands and the estimates of other robots, up to the last command to itself.
 
-    A node needs commands and the estimates of other robots, up to the last command to itself.
+    For the plain build the kernel filters. The emulator of the other build knows no filters of the kernel, so
+    there the node does it.
     """
     summary = three_nodes.summaries[0]
     needed_frames = [frame for frame in three_nodes.frames if is_needed_by_robot_0(frame)]

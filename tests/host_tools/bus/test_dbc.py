@@ -96,7 +96,7 @@ LARGEST_COMMAND = Command(127, tick=2**32 - 1, target=EVERY_ROBOT, action=Action
 @example(LARGEST_HEARTBEAT)
 @example(LARGEST_COMMAND)
 def test_cantools_decodes_our_frames(database: Any, message: Any) -> None:
-    """By our DBC file cantools finds all values of a message that our encoder has put into a frame."""
+    """A DBC file describes frames: by ours cantools finds all values that our encoder has put into a frame."""
     frame = encoded(message)
     entry = database.get_message_by_frame_id(frame.arbitration_id & ANY_NODE_MASK)
     assert entry.is_extended_frame
@@ -110,7 +110,7 @@ def test_cantools_decodes_our_frames(database: Any, message: Any) -> None:
 @example(LARGEST_HEARTBEAT)
 @example(LARGEST_COMMAND)
 def test_we_decode_the_frames_of_cantools(database: Any, message: Any) -> None:
-    """By our DBC file cantools encodes values, and our decoder returns the message that has them."""
+    """A DBC file describes frames: by ours cantools encodes values, and our decoder returns them as a message."""
     values = physical_values(message)
     assert decode_what_cantools_encodes(database, type(message), values, message.sender) == message
 
@@ -152,7 +152,7 @@ def all_signals(database: Any) -> dict[tuple[str, str], Any]:
 
 
 def test_the_file_states_the_range_of_every_signal(database: Any) -> None:
-    """A signal is a field of a frame; programs show the smallest and the largest value that it may have."""
+    """A signal is a field of a frame, and a DBC file says of each which values it may have."""
     stated_ranges = {
         names: (signal.minimum, signal.maximum) for names, signal in all_signals(database).items()
     }

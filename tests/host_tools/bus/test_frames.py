@@ -251,7 +251,7 @@ def encode_in_python(message: Any) -> tuple[int, bytes] | None:
     return frame.arbitration_id, bytes(frame.data)
 
 
-@settings(fixed_examples, max_examples=draws(1500))
+@settings(fixed_examples, max_examples=draws(800))
 @given(any_message_of_robots(beyond=3))
 @example(Estimate(127, 2**23, ALPHA_MAX, 31))
 @example(Telemetry(0, 0, MIN_B_HAT, 0, 0))
@@ -269,7 +269,7 @@ def test_a_command_is_encoded_if_and_only_if_its_ids_are_of_robots(command: Comm
     assert (encode_in_python(command) is not None) == is_legal
 
 
-@settings(fixed_examples, max_examples=draws(1500))
+@settings(fixed_examples, max_examples=draws(800))
 @given(any_message())
 @example(Estimate(127, 2**23, ALPHA_MAX, 31))
 @example(Command(127, 2**32 - 1, EVERY_ROBOT, Action.SETTLE, 31))

@@ -18,6 +18,7 @@ from typing import Any
 from unittest.mock import Mock
 
 import can
+import can.logconvert
 import pytest
 
 from events_files import read_entries
@@ -501,7 +502,8 @@ def output_of_tshark(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
     swarm_options, converter_options, tshark_options = commands.groups()
     monkeypatch.chdir(tmp_path)
     assert main(shlex.split(swarm_options)) == 0
-    run(sys.executable, "-m", "can.logconvert", *shlex.split(converter_options), cwd=tmp_path)
+    monkeypatch.setattr(sys, "argv", ["can_logconvert", *shlex.split(converter_options)])
+    can.logconvert.main()
     return run(tshark, *shlex.split(tshark_options), cwd=tmp_path)
 
 

@@ -99,15 +99,17 @@ def test_table_writes_the_shipped_files_again(tmp_path: Path) -> None:
     assert (folder / JSON_FILE.name).read_bytes() == JSON_FILE.read_bytes()
 
 
-def test_table_prints_size_error_and_files(tmp_path: Path, capsys: Capture) -> None:
+def test_table_prints_the_size_of_a_table_its_errors_and_the_files_that_it_writes(
+    tmp_path: Path, capsys: Capture
+) -> None:
     """The errors are those of thresholds, by rounding and where there are more neighbours than entries."""
     run_table("--omega", "0.050", "--neighbours", 30, "--output", tmp_path)
-    printed = capsys.readouterr().out
+    output = capsys.readouterr().out
 
-    assert printed.startswith("omega 0.05, q 30: 132 bytes (12 + 4 q)\nworst threshold error: ")
-    assert " by rounding, 1.83% for 30 < m <= 127\n" in printed
-    assert f"wrote {tmp_path / C_FILE.name}\n" in printed
-    assert f"wrote {tmp_path / JSON_FILE.name}\n" in printed
+    assert output.startswith("omega 0.05, q 30: 132 bytes (12 + 4 q)\nworst threshold error: ")
+    assert " by rounding, 1.83% for 30 < m <= 127\n" in output
+    assert f"wrote {tmp_path / C_FILE.name}\n" in output
+    assert f"wrote {tmp_path / JSON_FILE.name}\n" in output
 
 
 def test_table_reports_its_default_table_in_json(tmp_path: Path, capsys: Capture) -> None:
@@ -141,7 +143,7 @@ def test_table_refuses_a_value_out_of_range_and_writes_nothing(
 
 
 def test_check_accepts_the_shipped_files(capsys: Capture) -> None:
-    """The output has a line for each file."""
+    """``mcp-asdf table --check`` compares files with what the generator of tables makes, and prints a line for each."""
     assert run_table("--check", C_FILE, JSON_FILE) == 0
     assert capsys.readouterr().out.splitlines() == [
         f"{C_FILE}: omega 0.05, q 30: ok",
@@ -159,7 +161,10 @@ def is_noticed(path: Path) -> bool:
 
 @pytest.mark.parametrize("file", [C_FILE, JSON_FILE], ids=["C", "JSON"])
 def test_check_notices_a_changed_character_anywhere(file: Path, tmp_path: Path) -> None:
-    """Every 97th character of a file is replaced by a 7, or by an 8 if it is one, one at a time."""
+    """``mcp-asdf table --check`` compares a file with what it should be.
+
+    Every 97th character is replaced by a 7, or by an 8 if it is one, one at a time.
+    """
     text, path = file.read_text(), tmp_path / file.name
     for index in range(0, len(text), 97):
         other_character = "8" if text[index] == "7" else "7"

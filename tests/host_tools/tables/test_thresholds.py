@@ -131,14 +131,14 @@ def omegas() -> list[Decimal]:
     return [Decimal(number).scaleb(-9) for number in billionths]
 
 
-def test_an_omega_is_found_again_from_the_32_bits_that_a_table_has_of_it() -> None:
-    """A table has omega in units of 2**-32, which are finer than nine decimal places."""
+def test_an_omega_is_found_again_from_the_word_that_a_table_stores_of_it() -> None:
+    """Omega has at most nine decimal places, and the word is in units of 2**-32, which are finer."""
     for omega in omegas():
         assert omega_from_word(omega_word(omega)) == omega
 
 
-def test_bits_next_to_those_of_an_omega_are_of_none_or_of_the_next_with_nine_decimal_places() -> None:
-    """A table has omega in units of 2**-32, of which four or five lie between two omegas."""
+def test_a_word_next_to_that_of_an_omega_has_no_omega_or_the_next_with_nine_decimal_places() -> None:
+    """A table stores omega in units of 2**-32, of which four or five lie between two omegas."""
     billionth = Decimal("1e-9")
     for omega in omegas():
         possible_omegas = (None, omega - billionth, omega + billionth)
@@ -147,8 +147,11 @@ def test_bits_next_to_those_of_an_omega_are_of_none_or_of_the_next_with_nine_dec
 
 
 @pytest.mark.parametrize("word", [0, 1, round(Decimal("0.900000001") * 2**32), 2**32 - 1])
-def test_bits_that_no_omega_gives_are_of_no_omega(word: int) -> None:
-    """Omega is above 0, at most 0.9 and has at most nine decimal places."""
+def test_a_word_to_which_no_omega_is_rounded_has_no_omega(word: int) -> None:
+    """A table stores omega in units of 2**-32.
+
+    Omega is above 0, at most 0.9 and has at most nine decimal places.
+    """
     assert omega_from_word(word) is None
 
 
