@@ -96,7 +96,10 @@ LARGEST_COMMAND = Command(127, tick=2**32 - 1, target=EVERY_ROBOT, action=Action
 @example(LARGEST_HEARTBEAT)
 @example(LARGEST_COMMAND)
 def test_cantools_decodes_our_frames(database: Any, message: Any) -> None:
-    """A DBC file describes frames: by ours cantools finds all values that our encoder has put into a frame."""
+    """By our DBC file cantools finds the values that we have encoded in a frame.
+
+    A DBC file describes frames to other programs.
+    """
     frame = encoded(message)
     entry = database.get_message_by_frame_id(frame.arbitration_id & ANY_NODE_MASK)
     assert entry.is_extended_frame
@@ -110,7 +113,10 @@ def test_cantools_decodes_our_frames(database: Any, message: Any) -> None:
 @example(LARGEST_HEARTBEAT)
 @example(LARGEST_COMMAND)
 def test_we_decode_the_frames_of_cantools(database: Any, message: Any) -> None:
-    """A DBC file describes frames: by ours cantools encodes values, and our decoder returns them as a message."""
+    """By our DBC file cantools encodes values, and we decode them as a message.
+
+    A DBC file describes frames to other programs.
+    """
     values = physical_values(message)
     assert decode_what_cantools_encodes(database, type(message), values, message.sender) == message
 

@@ -143,7 +143,10 @@ def test_table_refuses_a_value_out_of_range_and_writes_nothing(
 
 
 def test_check_accepts_the_shipped_files(capsys: Capture) -> None:
-    """``mcp-asdf table --check`` compares files with what the generator of tables makes, and prints a line for each."""
+    """``mcp-asdf table --check`` compares files with what they should be.
+
+    It prints a line for each.
+    """
     assert run_table("--check", C_FILE, JSON_FILE) == 0
     assert capsys.readouterr().out.splitlines() == [
         f"{C_FILE}: omega 0.05, q 30: ok",
