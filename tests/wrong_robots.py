@@ -355,6 +355,88 @@ def as_estimate_if_equal_in(mask: int) -> Callable[[can.Message], None]:
 
 # --- The wrong controllers ---
 
+ROBUST_CHANGES: dict[str, str] = {
+    # Slots
+    "keeps estimates of alpha = 0": "elif {has_confidence => True}:",
+    "slots modulo 16": "slot = sender % {SLOTS => 16}\n",
+    "estimates in the next slot": "slot = {sender => (sender + 1)} % SLOTS\n    estimates",
+    "rounds slots down": "min((x_hat{ + 64 => }) >> 7, SLOT",
+    "1.0 becomes 0 in a slot": (
+        "return {min((x_hat + 64) >> 7, SLOT_ESTIMATE_MAX) => (x_hat + 64) >> 7 & 0xFFFF}"
+    ),
+    "keeps the first estimate of a sender": (
+        "estimates[slot] = {slot => estimates[slot] or slot}_estimate(x_hat)\n"
+    ),
+    "averages the estimates of a sender": (
+        "estimates[slot] = slot_estimate({x_hat) => x_hat) if not robust.is_filled(slot) else "
+        "(estimates[slot] + slot_estimate(x_hat)) // 2}\n"
+    ),
+    # Votes
+    "its own estimate does not vote": (
+        "return {OWN_ESTIMATE if has_confidence else => } lowest_bit(filled_slots)"
+    ),
+    "takes every message for a vote": "robust.filled_slots |= 1 << slot{ => ; count_vote(robust, x_hat)}",
+    "the turn stays": "robust.turn = voter + {1 => 0}\n",
+    "the turn does not go back to 0": "robust.turn = {0 => 1}\n",
+    "no vote in the round of a test": (
+        "            { => if s.filter_left > 1: }take_vote(s.robust, s.estimates"
+    ),
+    "does not clamp": "step = {min(distance, robust.spread) => distance} >> gain_shift",
+    "clamps at 2 s": "min(distance, {robust.spread => 2 * robust.spread}) >> gain_shift",
+    "constant gain": "gain_shift = {max(robust.votes, VOTES_OF_MAX_GAIN).bit_length() - 3 => 3}",
+    "gain without end": "VOTES_MAX = 1 << {9 => 14}",
+    "gain down to 1/64": "VOTES_MAX = 1 << {9 => 8}",
+    "starts at the first vote": (
+        "position = q30_from_q23(x_hat){ => \n    if robust.votes == 1: robust.centre = position}"
+    ),
+    "s never shrinks": "if distance > robust.spread else {-spread_step => 0})",
+    "s grows at equality": "spread_step if distance {> => >=} robust.spread",
+    "s without a floor": "max(new_spread, {SPREAD_MIN => 0}), SPREAD",
+    "s without a ceiling": "max(new_spread, SPREAD_MIN), {SPREAD_MAX => 1 << 30})",
+    "sends its centre as x_hat": "return {self.s.x_hat => self.x_raw}\n",
+    # Dispersion of its own observations
+    "assumes independent observations": (
+        "robust.dispersion = {min(max(average, DISPERSION_MIN), DISPERSION_MAX) => DISPERSION_MIN}"
+    ),
+    "dispersion below 1": "max(average, {DISPERSION_MIN => 0})",
+    "dispersion of about 4 batches": "DISPERSION_SHIFT = {3 => 2}",
+    "one batch of all observations": "    {begin_batch(robust, t, n) => pass}\n\n    share",
+    # Its test
+    "four estimates are enough": "TESTED_ESTIMATES_MIN = {5 => 4}",
+    "five estimates are too few": "TESTED_ESTIMATES_MIN = {5 => 6}",
+    "the lower median": "return (lower_middle + {upper_middle => lower_middle}) // 2",
+    "tests against the median": "HUBER_STEPS = {3 => 0}",
+    "mean of all estimates": "[{max(-spread, min(spread, difference)) => difference} for",
+    "tests against the centre of the votes": (
+        "self._rejects_initial_b_hat({centre => min(robust.centre >> 6, 0xFFFF00)}, spread)"
+    ),
+    "spread of the votes in the test": "self._rejects_initial_b_hat(centre, {spread => robust.spread >> 6})",
+    "rejects at 3 sigma": "SIGMAS_SQUARED = {12 => 9}",
+    "forgets the spread in its test": "{g_spread**2 => 0}",
+    "spread without a floor in the test": "smallest, largest = {q24_from_q30(SPREAD_MIN) => 0}",
+    "variance of the prediction alone": "variance = max({multiply_high(share, Q32_ONE - share) => 0},",
+    "variance of the count alone": "share), {multiply_high(p, Q32_ONE - p) => 0})",
+    "tests the present b_hat": (
+        "return robust_test_rejects({self.s.robust => "
+        "RobustFilter(**vars(self.s.robust) | {'initial_b_hat': self.s.accuracy.b_hat})}, self.s.t"
+    ),
+    "n/t of 23 bits": "b_hat = robust.initial_b_hat\n    share = q32_quotient(n, t){ =>  >> 9 << 9}",
+    "p of 23 bits": (
+        "return {black_observed_as_black + white_observed_as_black => "
+        "(black_observed_as_black + white_observed_as_black) >> 9 << 9}"
+    ),
+    # What follows a rejection
+    "eq. 8 from its own estimate": "s.n, {q32_from_q24(centre) => s.x_hat << 9})",
+    "eq. 8 from the centre of the votes": (
+        "s.n, {q32_from_q24(centre) => min(robust.centre << 2, 0xFFFFFFFF)})"
+    ),
+    "no way back": "return None if is_initial else {robust.initial_b_hat => None}",
+    "no party": "return 5 * supporter_count > {2 => 5} * len(estimates)",
+    "half is a party": "return {5 * => 4 *} supporter_count > 2 * len(estimates)",
+    "two fifths are a party": "supporter_count {> => >=} 2 * len",
+}
+"""Mistakes in the robust filter that the phase "first estimates" finds: names, and changes of the mirror."""
+
 WRONG: dict[str, Wrong] = {
     "a buffer of 4 commands": with_node("nothing seen", _follow_command=buffer_4_commands),
     "drops older transfer ids": with_node("among neighbours", _receive=drop_older_transfer_ids),
@@ -516,159 +598,32 @@ WRONG: dict[str, Wrong] = {
         f"{most} messages in a tick": with_node("a crowded tick", receive_frame=taking_at_most(most))
         for most in (200, 256, 500)
     },
-    # The robust filter: slots
-    "keeps estimates of alpha = 0": with_robust_firmware("first estimates", "elif {has_confidence => True}:"),
+    # The robust filter
+    **{name: with_robust_firmware("first estimates", change) for name, change in ROBUST_CHANGES.items()},
     "keeps later estimates of a sender in a round": with_robust_firmware(
         "a crowded tick",
         "            { => keep_estimate(s.robust, s.estimates, sender, x_hat); }return Status.REPEATED",
-    ),
-    "slots modulo 16": with_robust_firmware("first estimates", "slot = sender % {SLOTS => 16}\n"),
-    "estimates in the next slot": with_robust_firmware(
-        "first estimates", "slot = {sender => (sender + 1)} % SLOTS\n    estimates"
-    ),
-    "rounds slots down": with_robust_firmware("first estimates", "min((x_hat{ + 64 => }) >> 7, SLOT"),
-    "1.0 becomes 0 in a slot": with_robust_firmware(
-        "first estimates",
-        "return {min((x_hat + 64) >> 7, SLOT_ESTIMATE_MAX) => (x_hat + 64) >> 7 & 0xFFFF}",
-    ),
-    "keeps the first estimate of a sender": with_robust_firmware(
-        "first estimates", "estimates[slot] = {slot => estimates[slot] or slot}_estimate(x_hat)\n"
-    ),
-    "averages the estimates of a sender": with_robust_firmware(
-        "first estimates",
-        "estimates[slot] = slot_estimate({x_hat) => x_hat) if not robust.is_filled(slot) else "
-        "(estimates[slot] + slot_estimate(x_hat)) // 2}\n",
-    ),
-    # The robust filter: votes
-    "its own estimate does not vote": with_robust_firmware(
-        "first estimates", "return {OWN_ESTIMATE if has_confidence else => } lowest_bit(filled_slots)"
     ),
     "votes without confidence of its own": with_robust_firmware(
         "no confidence of its own",
         "return {OWN_ESTIMATE if has_confidence else lowest_bit(filled_slots) => OWN_ESTIMATE}",
     ),
-    "takes every message for a vote": with_robust_firmware(
-        "first estimates", "robust.filled_slots |= 1 << slot{ => ; count_vote(robust, x_hat)}"
-    ),
-    "the turn stays": with_robust_firmware("first estimates", "robust.turn = voter + {1 => 0}\n"),
-    "the turn does not go back to 0": with_robust_firmware("first estimates", "robust.turn = {0 => 1}\n"),
-    "no vote in the round of a test": with_robust_firmware(
-        "first estimates", "            { => if s.filter_left > 1: }take_vote(s.robust, s.estimates"
-    ),
-    "does not clamp": with_robust_firmware(
-        "first estimates", "step = {min(distance, robust.spread) => distance} >> gain_shift"
-    ),
-    "clamps at 2 s": with_robust_firmware(
-        "first estimates", "min(distance, {robust.spread => 2 * robust.spread}) >> gain_shift"
-    ),
-    "constant gain": with_robust_firmware(
-        "first estimates", "gain_shift = {max(robust.votes, VOTES_OF_MAX_GAIN).bit_length() - 3 => 3}"
-    ),
-    "gain without end": with_robust_firmware("first estimates", "VOTES_MAX = 1 << {9 => 14}"),
-    "gain down to 1/64": with_robust_firmware("first estimates", "VOTES_MAX = 1 << {9 => 8}"),
-    "starts at the first vote": with_robust_firmware(
-        "first estimates",
-        "position = q30_from_q23(x_hat){ => \n    if robust.votes == 1: robust.centre = position}",
-    ),
-    "s never shrinks": with_robust_firmware(
-        "first estimates", "if distance > robust.spread else {-spread_step => 0})"
-    ),
-    "s grows at equality": with_robust_firmware(
-        "first estimates", "spread_step if distance {> => >=} robust.spread"
-    ),
-    "s without a floor": with_robust_firmware(
-        "first estimates", "max(new_spread, {SPREAD_MIN => 0}), SPREAD"
-    ),
-    "s without a ceiling": with_robust_firmware(
-        "first estimates", "max(new_spread, SPREAD_MIN), {SPREAD_MAX => 1 << 30})"
-    ),
-    "sends its centre as x_hat": with_robust_firmware(
-        "first estimates", "return {self.s.x_hat => self.x_raw}\n"
-    ),
     "x is 1/2 before the first vote": with_robust_firmware("alone", "estimate({self.s.x_hat => HALF}, self"),
-    # The robust filter: dispersion of its own observations
-    "assumes independent observations": with_robust_firmware(
-        "first estimates",
-        "robust.dispersion = {min(max(average, DISPERSION_MIN), DISPERSION_MAX) => DISPERSION_MIN}",
-    ),
-    "dispersion below 1": with_robust_firmware("first estimates", "max(average, {DISPERSION_MIN => 0})"),
     "dispersion counts outliers up to 24 times": with_robust_firmware(
         "test of a wide spread", "largest_ratio = {REJECTED_SIGMAS_SQUARED => 24} * robust.dispersion"
-    ),
-    "dispersion of about 4 batches": with_robust_firmware("first estimates", "DISPERSION_SHIFT = {3 => 2}"),
-    "one batch of all observations": with_robust_firmware(
-        "first estimates", "    {begin_batch(robust, t, n) => pass}\n\n    share"
     ),
     "the batch goes on at a halving": with_firmware(
         "test of a wide spread",
         "{begin_batch(s.robust, s.t, s.n) => pass}",
         config=VOTES | HALVED | {"b_hat": B_HAT, "filter_period": 50},
     ),
-    # The robust filter: its test
-    "four estimates are enough": with_robust_firmware("first estimates", "TESTED_ESTIMATES_MIN = {5 => 4}"),
-    "five estimates are too few": with_robust_firmware("first estimates", "TESTED_ESTIMATES_MIN = {5 => 6}"),
-    "the lower median": with_robust_firmware(
-        "first estimates", "return (lower_middle + {upper_middle => lower_middle}) // 2"
-    ),
-    "tests against the median": with_robust_firmware("first estimates", "HUBER_STEPS = {3 => 0}"),
-    "mean of all estimates": with_robust_firmware(
-        "first estimates", "[{max(-spread, min(spread, difference)) => difference} for"
-    ),
-    "tests against the centre of the votes": with_robust_firmware(
-        "first estimates",
-        "self._rejects_initial_b_hat({centre => min(robust.centre >> 6, 0xFFFF00)}, spread)",
-    ),
-    "spread of the votes in the test": with_robust_firmware(
-        "first estimates", "self._rejects_initial_b_hat(centre, {spread => robust.spread >> 6})"
-    ),
-    "rejects at 3 sigma": with_robust_firmware("first estimates", "SIGMAS_SQUARED = {12 => 9}"),
-    "forgets the spread in its test": with_robust_firmware("first estimates", "{g_spread**2 => 0}"),
-    "spread without a floor in the test": with_robust_firmware(
-        "first estimates", "smallest, largest = {q24_from_q30(SPREAD_MIN) => 0}"
-    ),
     "spread without a ceiling in the test": with_firmware(
         "estimates far apart", "{q24_from_q30(SPREAD_MAX) => 1 << 24}", config=VOTES | {"b_hat": B_HAT}
     ),
-    "variance of the prediction alone": with_robust_firmware(
-        "first estimates", "variance = max({multiply_high(share, Q32_ONE - share) => 0},"
-    ),
-    "variance of the count alone": with_robust_firmware(
-        "first estimates", "share), {multiply_high(p, Q32_ONE - p) => 0})"
-    ),
-    "tests the present b_hat": with_robust_firmware(
-        "first estimates",
-        "return robust_test_rejects({self.s.robust => "
-        "RobustFilter(**vars(self.s.robust) | {'initial_b_hat': self.s.accuracy.b_hat})}, self.s.t",
-    ),
     "robust test in float32": with_robust_test_in_float32("first estimates"),
-    "n/t of 23 bits": with_robust_firmware(
-        "first estimates", "b_hat = robust.initial_b_hat\n    share = q32_quotient(n, t){ =>  >> 9 << 9}"
-    ),
-    "p of 23 bits": with_robust_firmware(
-        "first estimates",
-        "return {black_observed_as_black + white_observed_as_black => "
-        "(black_observed_as_black + white_observed_as_black) >> 9 << 9}",
-    ),
     "t of 14 bits in the test": with_robust_firmware(
         "test of the least spread", "scaled_excess = ({t => t % (1 << 14)} * excess) >> 32"
     ),
-    # The robust filter: what follows a rejection
-    "eq. 8 from its own estimate": with_robust_firmware(
-        "first estimates", "s.n, {q32_from_q24(centre) => s.x_hat << 9})"
-    ),
-    "eq. 8 from the centre of the votes": with_robust_firmware(
-        "first estimates", "s.n, {q32_from_q24(centre) => min(robust.centre << 2, 0xFFFFFFFF)})"
-    ),
-    "no way back": with_robust_firmware(
-        "first estimates", "return None if is_initial else {robust.initial_b_hat => None}"
-    ),
-    "no party": with_robust_firmware(
-        "first estimates", "return 5 * supporter_count > {2 => 5} * len(estimates)"
-    ),
-    "half is a party": with_robust_firmware(
-        "first estimates", "return {5 * => 4 *} supporter_count > 2 * len(estimates)"
-    ),
-    "two fifths are a party": with_robust_firmware("first estimates", "supporter_count {> => >=} 2 * len"),
     "a centre is uninformative up to 2^-11": with_robust_firmware(
         "estimates of 1/2", "minus_one < {INFORMATIVE_G => INFORMATIVE_G << 1}:"
     ),
