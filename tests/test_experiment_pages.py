@@ -94,32 +94,55 @@ def test_the_tutorial_of_an_experiment_prints_what_it_shows_and_draws_its_pictur
     assert {"one_trial.png", "comparison.png", "question.png"} <= set(names_in(tmp_path))
 
 
-@pytest.mark.slow
-def test_the_guide_of_experiments_prints_what_it_shows_and_draws_the_reader_s_own_filter(
-    tmp_path: Path,
-) -> None:
-    """The reader writes a filter called beta, which is drawn beside the paper's."""
+@dataclass(frozen=True)
+class FollowedGuide:
+    """The folder in which the guide of experiments was followed, and the outputs that the guide shows."""
+
+    folder: Path
+    outputs: list[Output]
+
+
+@pytest.fixture(scope="module")
+def followed_guide(tmp_path_factory: pytest.TempPathFactory) -> FollowedGuide:
+    """Follow the guide of experiments, in which the reader writes a filter called beta and installs it."""
     pytest.importorskip("hatchling", reason="hatchling is not installed: make setup")
+    folder = tmp_path_factory.mktemp("guide")
+    return FollowedGuide(folder, follow(GUIDE, folder))
 
-    outputs = follow(GUIDE, tmp_path)
 
-    assert len(outputs) == 6
-    for output in outputs:
+@pytest.mark.slow
+def test_the_guide_of_experiments_prints_what_it_shows(followed_guide: FollowedGuide) -> None:
+    assert len(followed_guide.outputs) == 6
+    for output in followed_guide.outputs:
         assert output.is_as_shown
-    assert (tmp_path / "beside.png").exists()
-    figures = {"physical_asdf-plus.png", "physical_scatter.png", "physical_scatter_beta.png"}
-    assert set(names_in(tmp_path / "mine/figures")) == figures
 
-    # Another page runs the same filter. Without trials to spare its command gets no farther than its options.
+
+@pytest.mark.slow
+def test_the_guide_of_experiments_draws_the_reader_s_own_filter_beside_the_paper_s(
+    followed_guide: FollowedGuide,
+) -> None:
+    figures = names_in(followed_guide.folder / "mine/figures")
+
+    assert (followed_guide.folder / "beside.png").exists()
+    assert set(figures) == {"physical_asdf-plus.png", "physical_scatter.png", "physical_scatter_beta.png"}
+
+
+@pytest.mark.slow
+def test_the_command_with_the_reader_s_own_filter_on_the_page_about_the_paper_s_figures_is_understood(
+    followed_guide: FollowedGuide,
+) -> None:
+    """With a single trial, which is refused, it gets no farther than its options."""
     [command] = [line for line in commands(REPRODUCE) if "beta" in line]
+
     completed = subprocess.run(
         [*shlex.split(command), "--trials", "1"],
-        cwd=tmp_path,
+        cwd=followed_guide.folder,
         env={"PATH": PATH, **ENVIRONMENT},
         capture_output=True,
         text=True,
         check=False,
     )
+
     assert "--trials is 1; give at least 2" in completed.stderr
 
 

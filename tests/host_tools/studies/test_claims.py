@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import re
 import tomllib
+from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
-from host_tools.studies.conftest import STUDY_CELLS, PlantedResults
+from host_tools.studies.conftest import STUDY_CELLS, PlantedResults, trials_with
 from mcp_asdf_tools.studies.cells import Cell, StudyPart
 from mcp_asdf_tools.studies.claims import (
     CLAIMS,
@@ -193,10 +193,10 @@ def test_lists_in_a_row_of_a_claim_make_all_their_combinations() -> None:
 
 
 def test_a_reference_differs_from_its_cell_only_in_what_the_row_of_the_claim_changes() -> None:
-    first_plan, *_others = plan(flawed_percents=10, filters="asdf-plus", than="no filter")
+    first_plan, *_others = plan(filters="asdf-plus", than="no filter")
 
-    assert first_plan.cell == Cell(StudyPart.DYNAMIC, 0.95, 0.55, 0.75, 10, "asdf-plus")
-    assert first_plan.reference == Cell(StudyPart.DYNAMIC, 0.95, 0.55, 0.75, 10, "none")
+    assert first_plan.cell.filter == "asdf-plus"
+    assert first_plan.reference == replace(first_plan.cell, filter="none")
 
 
 def test_two_names_of_the_same_experiment_are_compared_once() -> None:
@@ -206,12 +206,13 @@ def test_two_names_of_the_same_experiment_are_compared_once() -> None:
 
 
 def test_next_lower_p_is_the_next_lower_percentage_of_flawed_robots_that_the_study_runs() -> None:
+    """It is what a cell is compared with whose row says "next lower P"."""
     plans = plan(flawed_percents=[10, 30, 50, 100], flawed_accuracies=0.95, than="next lower P")
 
-    percent_and_reference = {
+    percent_of_reference_by_percent = {
         plan.cell.flawed_percent: plan.reference.flawed_percent for plan in plans if plan.reference
     }
-    assert percent_and_reference == {10: 0, 30: 10, 50: 30, 100: 50}
+    assert percent_of_reference_by_percent == {10: 0, 30: 10, 50: 30, 100: 50}
 
 
 @pytest.mark.parametrize(
@@ -320,19 +321,23 @@ def test_a_claim_is_left_out_where_a_part_of_the_study_that_it_needs_has_not_bee
     assert decide(results_of_one_part, [claim]) == []
 
 
-@pytest.mark.parametrize(("difference", "verdict"), [(0, Verdict.AGREE), (1, Verdict.DISAGREE)])
+@pytest.mark.parametrize(
+    ("step_of_last_robot", "error_of_last_robot", "verdict"),
+    [(100, 0.25, Verdict.AGREE), (101, 0.25, Verdict.MIXED), (101, 0.251, Verdict.DISAGREE)],
+)
 def test_robots_of_a_connected_swarm_must_converge_in_the_same_step_with_the_same_error(
-    difference: int, verdict: Verdict, monkeypatch: pytest.MonkeyPatch
+    step_of_last_robot: int, error_of_last_robot: float, verdict: Verdict
 ) -> None:
-    """There are three trials of four robots, and in each of two trials one robot that may differ."""
-    convergence_steps = np.full((3, 4), 100)
-    convergence_steps[2, 1] += difference
-    errors = np.full((3, 4), 0.25)
-    errors[0, 3] += 1e-6 * difference
-    trials = SimpleNamespace(convergence_steps=convergence_steps, errors=errors)
-    results = PlantedResults("70")
-    monkeypatch.setattr(results, "trials_of", lambda study_part: [trials])
+    """In a trial three robots converge at step 100 with an error of 0.25. The fourth may differ."""
+    cell = Cell(StudyPart.FULLY_CONNECTED, 0.95, 0.55, 0.95, flawed_percent=30)
+    trials = replace(
+        trials_with(robots=4),
+        convergence_steps=np.array([[100, 100, 100, step_of_last_robot]]),
+        errors=np.array([[0.25, 0.25, 0.25, error_of_last_robot]]),
+    )
 
-    decision = decide_one(results, claim_named(IDENTICAL_ROBOTS), StudyPart.FULLY_CONNECTED)
+    decision = decide_one(
+        StudyResults({cell: trials}), claim_named(IDENTICAL_ROBOTS), StudyPart.FULLY_CONNECTED
+    )
 
     assert decision.verdict is verdict

@@ -179,10 +179,14 @@ def test_a_study_with_another_seed_is_refused_in_the_folder_of_one_and_leaves_it
 
 
 def test_a_firmware_of_the_user_s_runs_in_the_60_swarms_of_asdf_minus_and_asdf_plus() -> None:
-    experiments = own_experiments_of(StudyPart.DYNAMIC, StudySize(), firmware="mirror", filter_name=None)
+    """It runs as many trials and steps as the study, and with the shortest filter period."""
+    size = StudySize(trials=2, steps=4000)
+    experiments = own_experiments_of(StudyPart.DYNAMIC, size, firmware="mirror", filter_name=None)
 
     assert len(set(experiments)) == len(experiments) == 60
     assert values_of(experiments, "firmware") == {"mirror"}
+    assert values_of(experiments, "trials") == {2}
+    assert values_of(experiments, "steps") == {4000}
     assert values_of(experiments, "filter") == {"asdf-minus", "asdf-plus"}
     assert values_of(experiments, "filter_period") == {1000}
 
@@ -192,14 +196,6 @@ def test_a_filter_of_the_user_s_runs_once_where_asdf_minus_and_asdf_plus_are_two
 
     assert len(set(experiments)) == len(experiments) == 36
     assert values_of(experiments, "filter") == {"robust"}
-
-
-def test_a_firmware_of_the_user_s_runs_as_many_trials_and_steps_as_the_study() -> None:
-    study_size = StudySize(trials=2, steps=4000)
-    experiments = own_experiments_of(StudyPart.DYNAMIC, study_size, firmware="mirror", filter_name=None)
-
-    assert values_of(experiments, "trials") == {2}
-    assert values_of(experiments, "steps") == {4000}
 
 
 @pytest.mark.slow

@@ -141,6 +141,7 @@ def late_error_on_page(flaw: str, column: str) -> float:
 def test_ten_trials_of_another_seed_give_about_the_errors_on_the_page_of_the_robust_filter(
     flaw: str, filter_name: str, column: str
 ) -> None:
+    """The page has medians over 40 trials of moving swarms with 30 % flawed robots."""
     swarm: dict[str, Any] = {"topology": "dynamic", "latency": 1, "robots": 20, "flawed": 6}
     (experiment,) = m.grid(**swarm, **FLAWS[flaw], filter=filter_name, steps=40_000, trials=10, seed=5)
     trials = run_trials(experiment, first=0, trials=10, sampling_interval=1000)
@@ -169,6 +170,7 @@ def drawn_panels(monkeypatch: pytest.MonkeyPatch) -> dict[str, list[Trials]]:
 def test_the_picture_of_the_robust_filter_has_a_panel_for_each_swarm_and_kind_of_flaw(
     drawn_panels: dict[str, list[Trials]],
 ) -> None:
+    """The results of a row are of underconfident and of overconfident swarms, which get a panel each."""
     underconfident, overconfident = (trials_with(**sensors) for sensors in BOTH_FLAWS)
     both = [underconfident, overconfident]
     grid = {"moving, 30 % flawed": both, "moving, 50 % flawed": both}

@@ -40,11 +40,12 @@ def test_each_of_four_swarms_runs_with_thirty_codes_and_with_exact_messages() ->
 
 
 def test_each_swarm_of_the_study_of_small_messages_has_floors_of_five_shares_of_black() -> None:
+    """Six of the 20 robots are flawed."""
     experiments = small_messages.experiments_of("robust")["16+1, moving, underconfident"]
 
     assert [experiment.fill_ratio for experiment in experiments] == [0.55, 0.65, 0.75, 0.85, 0.95]
     assert values_of(experiments, "filter") == {"robust"}
-    assert values_of(experiments, "flawed") == {6}  # of 20 robots
+    assert values_of(experiments, "flawed") == {6}
 
 
 def test_the_robust_filter_runs_with_one_bit_of_alpha_only() -> None:
@@ -94,10 +95,11 @@ def test_the_error_ratio_of_a_code_is_that_of_the_swarm_that_suffers_most(
     interval, which are the ratio itself where trials do not differ.
     """
 
+    larger_errors = {("4+1", "moving, overconfident"): 0.3}
+
     def planted_error(rows: object, message_bits: str, swarm: str) -> Resampled:
-        suffers = swarm == "moving, overconfident" and message_bits == "4+1"
-        error = 0.3 if suffers else 0.1
-        return Resampled(error, np.full(100, error, np.float32))
+        error = larger_errors.get((message_bits, swarm), 0.1)
+        return Resampled(error, resamples=np.full(100, error, np.float32))
 
     monkeypatch.setattr(small_messages, "late_error", planted_error)
 
