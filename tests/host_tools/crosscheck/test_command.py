@@ -82,6 +82,7 @@ def report_of_6000_calls() -> dict[str, Any]:
 def test_the_json_report_of_a_check_without_a_difference_says_ok_and_has_no_problems(
     report_of_6000_calls: dict[str, Any],
 ) -> None:
+    """The fixture is the report of a check of 6000 calls of the robots in C and in Python."""
     expected: dict[str, Any] = {"ok": True, "problems": [], "failure": None, "interrupted": False}
     expected |= {"seed": SEED, "steps": 6000}
     assert {name: report_of_6000_calls[name] for name in expected} == expected
@@ -91,6 +92,7 @@ def test_the_json_report_of_a_check_without_a_difference_says_ok_and_has_no_prob
 def test_the_json_report_has_the_measured_instructions_and_bytes(
     report_of_6000_calls: dict[str, Any],
 ) -> None:
+    """In JSON, numbers that are keys become texts."""
     as_read_from_json = json.loads(json.dumps({"operations": COUNTS, "storage": STORAGE}))
     assert report_of_6000_calls["operations"] == as_read_from_json["operations"]
     assert report_of_6000_calls["storage"] == as_read_from_json["storage"]
@@ -127,6 +129,7 @@ def check_of_500_calls() -> CommandResult:
 def test_a_check_without_a_difference_ends_with_the_verdict_and_how_to_repeat_it(
     check_of_500_calls: CommandResult,
 ) -> None:
+    """The check is ``mcp-asdf crosscheck --steps 500 --seed 4``; native is the robot in C."""
     assert check_of_500_calls.exit_code == 0
     assert check_of_500_calls.errors == ""
     *_, calls_line, verdict, repeat = check_of_500_calls.output.splitlines()
@@ -259,6 +262,7 @@ def test_a_failure_is_shown_by_the_fewest_calls_that_lead_to_it(failed_check: Co
 
 
 def test_the_line_that_replays_a_failure_prints_the_failure_again(failed_check: CommandResult) -> None:
+    """The output of the check that failed ends with what the replay prints."""
     scenario = failing_scenario(failed_check.output)
     replayed = run_crosscheck_command("--replay", str(scenario))
     assert replayed.exit_code == 1
@@ -286,6 +290,7 @@ def test_a_replay_without_a_difference_says_that_both_robots_agree() -> None:
 
 
 def test_a_replay_without_a_difference_has_no_failure_in_its_json() -> None:
+    """Of the three calls both robots refuse the last one, an observation of 9, by the same status."""
     report = json_report("--replay", TWO_CALLS_AND_A_WRONG_ONE)
     assert report == {"ok": True, "status": "OK", "calls": 3, "failure": None}
 

@@ -144,6 +144,7 @@ def test_no_estimates_are_drawn_if_they_would_differ_by_less_than_a_unit() -> No
 def test_fractions_around_a_value_are_the_nearest_on_either_side(
     value: Fraction, max_denominator: int
 ) -> None:
+    """The one below may be the value itself; their denominators are at most the given one."""
     denominators = range(1, max_denominator + 1)
     # The nearest fractions with each denominator: floor(value * denominator) of its parts, and one more.
     fractions_below = [Fraction(floor(value * denominator), denominator) for denominator in denominators]

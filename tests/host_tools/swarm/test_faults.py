@@ -85,6 +85,7 @@ def test_the_text_of_a_fault_may_have_spaces_after_commas() -> None:
 
 
 def test_the_text_of_a_fault_has_its_rate_and_the_options_that_are_not_the_default() -> None:
+    """A Sybil fault sends estimates under made-up ids, here 30 and 31."""
     fault = Sybil(rate=0.1, start=5, robots=frozenset({4}), x=0.0, ids=frozenset({30, 31}))
     assert str(fault) == "sybil=0.1,from=5,robots=4,x=0.0,ids=30-31"
 

@@ -145,6 +145,7 @@ def test_a_terminal_gets_a_progress_bar_from_the_first_step_to_the_last() -> Non
 
 
 def test_a_progress_bar_is_not_drawn_anew_in_each_of_200_steps() -> None:
+    """It is drawn at most some times a second."""
     viewed_run = view_run(200, compare=False, width=80, **TERMINAL)
     assert len(pictures(viewed_run.output)) < 200
 

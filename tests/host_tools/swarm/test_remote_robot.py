@@ -169,6 +169,7 @@ def test_remote_robots_broadcast_the_same_estimates_as_robots_in_this_process(co
 def test_the_frames_of_remote_robots_are_counted_like_those_of_robots_in_this_process(
     comparison: Comparison,
 ) -> None:
+    """Two runs of the same swarm are compared, one with remote robots and one without."""
     counts = comparison.remote_run.results["frames"]
     local_counts = comparison.local_run.results["frames"]
     for name in ("sent", "heartbeats_sent", "delivered"):
@@ -326,6 +327,7 @@ def test_robots_in_processes_report_what_robots_in_this_process_do(two_runs: Pro
 def test_the_program_that_drives_robots_in_processes_reports_their_estimates(
     two_runs: ProcessesAndThisProcess,
 ) -> None:
+    """They are those of the same robots in a run in this process."""
     x_of_robots = [robot["x"] for robot in two_runs.report["results"]["robots"]]
     assert x_of_robots == [local_robot["x"] for local_robot in two_runs.local_robots]
 

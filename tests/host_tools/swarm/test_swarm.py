@@ -56,7 +56,6 @@ CASES: dict[str, dict[str, Any]] = {
     "dynamic, rare observations": {"topology": "dynamic", "observation_period": 3, "memory": 64},
     "two sensors' accuracies": {"topology": "dynamic", "white_offset": -0.1, "filter": "asdf-minus"},
     "graph": {"topology": "graph", "graph": "0 1; 1 2; 2 > 3; 4 > 0"},
-    "late": {"latency": 1},
     "alone": {"robots": 1, "flawed": 0},
     "robust": {"filter": "robust"},
     "robust, dynamic, late, rare broadcasts": {
@@ -229,6 +228,7 @@ def telemetry_of(robot: Robot) -> TelemetryOfRobot:
 
 @pytest.mark.parametrize("firmware", ["native", "reference"])
 def test_robots_with_and_without_telemetry_end_with_the_same_estimates(firmware: str) -> None:
+    """Telemetry is what a robot sends of its state; here in every seventh tick, or never."""
     run_with_telemetry, _ = run_and_record(small_swarm(firmware=firmware, telemetry_period=7, steps=36))
     run_without, _ = run_and_record(small_swarm(firmware=firmware, steps=36))
     x_with_telemetry = [node.robot.x for node in run_with_telemetry.nodes]
@@ -274,6 +274,7 @@ def test_estimates_may_have_the_subject_of_telemetry_if_none_is_sent() -> None:
 
 
 def test_allowed_ids_are_in_rising_order() -> None:
+    """They are written as single ids and ranges, such as 0-3."""
     assert small_swarm(allow="3+0-2+5").allow == "0-3+5"
 
 
@@ -368,6 +369,7 @@ def test_frames_are_received_in_the_order_in_which_they_are_expected(pair: Pair)
 
 
 def test_the_received_frame_is_that_of_the_bus_and_not_the_expected_one(pair: Pair) -> None:
+    """The frame that came over the bus is marked as received."""
     bus, connection, _ = pair
     sent_frame = estimate(sender=1, tick=0)
     bus.send(sent_frame.frame)
@@ -439,17 +441,19 @@ def run_with_foreign_frames() -> tuple[SwarmRun, list[can.Message]]:
 
 
 def test_frames_of_another_program_are_recorded_in_their_place_after_tick_5() -> None:
-    """Frames are compared by identifier and data. All others are those of the swarm, in their order."""
+    """Frames are compared by identifier and data; before and after are those of the swarm of five robots.
+
+    In five ticks each robot sends a heartbeat and five estimates.
+    """
     _, frames = run_with_foreign_frames()
     _, frames_of_swarm = run_and_record(small_swarm())
-    sent_by_tick_5 = 5 * (1 + 5)  # each of five robots sends a heartbeat, and an estimate in each tick
-
-    assert identifiers_and_data(frames) == identifiers_and_data(
-        [*frames_of_swarm[:sent_by_tick_5], *FOREIGN_FRAMES, *frames_of_swarm[sent_by_tick_5:]]
-    )
+    sent_in_5_ticks = 5 * (1 + 5)
+    before, after = frames_of_swarm[:sent_in_5_ticks], frames_of_swarm[sent_in_5_ticks:]
+    assert identifiers_and_data(frames) == identifiers_and_data([*before, *FOREIGN_FRAMES, *after])
 
 
 def test_frames_of_another_program_are_recorded_as_received() -> None:
+    """They are recorded among the frames of the swarm, which are marked as received, too."""
     _, frames = run_with_foreign_frames()
     assert all(frame.is_rx for frame in frames)
 

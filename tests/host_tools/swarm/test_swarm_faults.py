@@ -191,6 +191,7 @@ def knows_own_estimate_alone(robot: Robot) -> bool:
 
 
 def test_robots_whose_frames_are_all_lost_know_their_own_estimates_alone() -> None:
+    """The fault loses each frame on its way to each receiver."""
     run, _ = run_and_record(small_swarm("loss"))
     assert all(knows_own_estimate_alone(node.robot) for node in run.nodes)
 
@@ -214,17 +215,13 @@ class Broadcasts(NamedTuple):
 @pytest.mark.parametrize(
     ("fault", "expected"),
     [
-        ("loss=0", Broadcasts(300)),
+        # Nothing that happens to frames on their way changes what is broadcast.
         ("loss", Broadcasts(300)),
-        ("delay,ticks=3", Broadcasts(300)),
-        ("duplicate,ticks=0", Broadcasts(300)),
-        ("duplicate,ticks=1", Broadcasts(300)),
         ("corrupt,bits=64", Broadcasts(300)),
         ("babble,frames=4,robots=3,from=10,to=20", Broadcasts(300, injected=40)),
         ("crash,robots=1,from=20,to=35", Broadcasts(285)),
         ("busoff,robots=1,from=20,to=35", Broadcasts(285)),
         ("freeze,robots=1,from=30", Broadcasts(270, falsified=30)),
-        ("liar,robots=2", Broadcasts(240, falsified=60)),
         ("liar,robots=1,from=10,to=20,alpha=1e-9", Broadcasts(290, falsified=10)),
         ("collide,robots=3,id=3", Broadcasts(300)),
         ("collide,robots=3,id=2", Broadcasts(240, foreign=60, injected=SENT)),
@@ -401,6 +398,7 @@ def test_frames_that_come_too_late_in_real_time_are_received_in_the_next_tick(
 
 
 def test_a_run_in_real_time_reports_how_late_ticks_have_begun(run_with_a_late_tick: SwarmRun) -> None:
+    """They are seconds: the mean over all ticks, and the largest."""
     clock = run_with_a_late_tick.results["clock"]
     assert 0 <= clock["mean_lateness"] <= clock["max_lateness"]
 
@@ -486,9 +484,9 @@ def test_the_table_of_threats_has_figures_with_allowed_ids_only_for_made_up_ids(
 
 
 def test_the_table_of_threats_has_figures_with_asdf_plus_and_the_robust_filter_for_all_runs() -> None:
-    for attack in RUNS:
-        assert attack["asdf_plus_error"], attack["attack"]
-        assert attack["robust_error"], attack["attack"]
+    """A figure is empty in the table if there is no such run."""
+    assert all(attack["asdf_plus_error"] for attack in RUNS)
+    assert all(attack["robust_error"] for attack in RUNS)
 
 
 THREATS_PAGE = ROOT / "docs/threats.md"

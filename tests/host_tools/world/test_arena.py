@@ -161,6 +161,7 @@ def test_no_body_is_faster_than_its_wheels(settings: WorldSettings, trial: int) 
 
 @ARENAS
 def test_directions_of_robots_stay_vectors_of_length_one(settings: WorldSettings, trial: int) -> None:
+    """A direction has a cosine and a sine, and robots turn in 2000 ticks again and again."""
     heading = motion_in_2000_ticks(settings, trial=trial).heading
     lengths = np.linalg.norm(heading, axis=2)
     assert np.abs(lengths - 1).max() < 1e-9
@@ -267,6 +268,7 @@ def test_a_search_in_a_grid_finds_the_same_pairs_of_robots_as_comparing_all(dens
 def test_hundreds_of_robots_hear_each_other_if_they_are_in_range_and_no_third_stands_between(
     density: float,
 ) -> None:
+    """With more than 128 robots the arena searches for pairs in neighbouring squares only."""
     arena = random_large_arena(density)
     motion = arena.record(27)
     position, is_linked = motion.position[-1], motion.adjacency[-1]
