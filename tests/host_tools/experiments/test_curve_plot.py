@@ -302,15 +302,6 @@ def test_a_curve_may_be_of_swarms_that_differ_in_a_parameter_without_effect(
     assert len(axes.lines) == 1
 
 
-def test_a_curve_of_swarms_that_differ_in_a_second_parameter_is_refused(
-    results_by_filter: dict[str, Trials],
-) -> None:
-    """Both filters use omega, so the curve would show the effect of two parameters as that of one."""
-    experiments = [results_by_filter["asdf-minus"], with_other_omega(results_by_filter["asdf-plus"])]
-    with pytest.raises(UsageError, match="the results differ in omega too"):
-        plot_curve(experiments, "filter")
-
-
 def test_swarms_of_two_sizes_with_the_same_share_of_flawed_robots_can_be_on_one_curve() -> None:
     """2 of 4 and 4 of 8 robots are flawed: these numbers differ, and the shares do not."""
     small_swarm = replace(SHORT_EXPERIMENT, robots=4, flawed=2, trials=1)
