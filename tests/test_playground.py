@@ -17,6 +17,7 @@ import pytest
 from numpy.typing import NDArray
 
 from browser import new_page, until
+from mcp_asdf.robot import Robot
 from mcp_asdf_tools.cli import main as cli
 from mcp_asdf_tools.cli import swarm as swarm_command
 from mcp_asdf_tools.cli.options import experiments_of
@@ -24,6 +25,7 @@ from mcp_asdf_tools.experiments.engine import native
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.swarm.carrier import Wiring
 from mcp_asdf_tools.swarm.run import run_swarm
+from mcp_asdf_tools.swarm.settings import SwarmSettings
 from mcp_asdf_tools.swarm.swarm import Swarm
 from mcp_asdf_tools.view.page import make_page
 from mcp_asdf_tools.world.arena import Arena
@@ -242,6 +244,19 @@ def test_a_point_of_the_chart_of_errors_is_the_mean_error_of_eight_steps(
     assert np.abs(points - expected_points).max() < 1e-12
 
 
+def final_estimates(browser: Page, robots: int) -> list[tuple[float, float]]:
+    """Return x_hat and x of each robot of the page after the last step."""
+    last_records = read_records(browser)[-robots:]
+    return [(record[X_HAT_WORD] / 2**23, record[X_WORD] / 2**23) for record in last_records]
+
+
+def robots_at_the_end(settings: SwarmSettings) -> list[Robot]:
+    """Run a swarm on an emulated bus, and return its robots."""
+    with Swarm(settings, Wiring()) as swarm:
+        run_swarm(swarm, [])
+        return [node.robot for node in swarm.nodes]
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("topology", ["everybody=1", "density=4"])
 @pytest.mark.parametrize("filter_name", ["asdf-plus", "robust"])
@@ -254,15 +269,9 @@ def test_nine_robots_with_two_liars_end_in_the_playground_as_in_a_swarm_on_an_em
     """
     address = f"{topology}&robots=9&liars=2&flawed=35&steps=60&filter={filter_name}"
     open_playground(browser, playground, address)
-    last_records = read_records(browser)[-9:]
-    x_hat_of_page, x_of_page = last_records[:, X_HAT_WORD] / 2**23, last_records[:, X_WORD] / 2**23
+    robots = robots_at_the_end(swarm_command.settings_of(parse_command(browser)))
 
-    with Swarm(swarm_command.settings_of(parse_command(browser)), Wiring()) as swarm:
-        run_swarm(swarm, [])
-        robots = [node.robot for node in swarm.nodes]
-
-    assert [robot.x_hat for robot in robots] == x_hat_of_page.tolist()
-    assert [robot.x for robot in robots] == x_of_page.tolist()
+    assert [(robot.x_hat, robot.x) for robot in robots] == final_estimates(browser, robots=9)
 
 
 # --- Controls -----------------------------------------------------------------------------------------

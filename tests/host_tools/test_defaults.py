@@ -130,18 +130,23 @@ def test_no_file_describes_a_command_that_no_longer_exists() -> None:
     assert {path.name for path in FOLDER.iterdir()} <= set(DESCRIPTIONS), RENEW
 
 
-@pytest.mark.parametrize("name", cli.COMMANDS)
-def test_the_default_in_the_help_of_an_option_is_the_option_s_default(name: str) -> None:
-    """A help may end with "(default 20)", or with "(default %(default)s)", which argparse replaces by 20."""
-    defaults_in_help = {}
-    defaults = {}
-    for option in cli._parser_for(name, cli._load(name))._actions:
+def defaults_stated_in_help(command: str) -> Iterator[tuple[str, str, str]]:
+    """Yield options whose help states a default: the name, the default in the help, and the real one.
+
+    A help ends with "(default 20)", for example, or with "(default %(default)s)", which argparse replaces.
+    """
+    for option in cli._parser_for(command, cli._load(command))._actions:
         statement = re.search(r"\(default ([^():,;]+)\)$", option.help or "")
         if statement is not None and option.default is not None:
-            defaults_in_help[option.dest] = statement[1].replace("%(default)s", str(option.default))
-            defaults[option.dest] = str(option.default)
+            real_default = str(option.default)
+            yield option.dest, statement[1].replace("%(default)s", real_default), real_default
 
-    assert defaults_in_help == defaults
+
+@pytest.mark.parametrize("command", cli.COMMANDS)
+def test_the_default_in_the_help_of_an_option_is_the_option_s_default(command: str) -> None:
+    """For example, the help of ``swarm --robots`` ends with "(default 20)"."""
+    for option, default_in_help, real_default in defaults_stated_in_help(command):
+        assert default_in_help == real_default, option
 
 
 def renew() -> None:

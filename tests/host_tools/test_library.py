@@ -504,11 +504,6 @@ def test_simulate_refuses_no_workers_and_a_distance_of_records_beyond_the_length
         UNTYPED.simulate(small_experiment(), **options)
 
 
-def test_plot_boxes_refuses_an_empty_list() -> None:
-    with pytest.raises(UsageError):
-        UNTYPED.plot_boxes([])
-
-
 def test_plot_boxes_refuses_to_choose_experiments_by_an_unknown_parameter(recorded_table: Any) -> None:
     """It is called ``filter``."""
     with pytest.raises(UsageError):
@@ -518,16 +513,6 @@ def test_plot_boxes_refuses_to_choose_experiments_by_an_unknown_parameter(record
 def test_plot_curve_refuses_a_function_that_returns_one_value_for_three_trials(recorded_table: Any) -> None:
     with pytest.raises(UsageError):
         UNTYPED.plot_curve(recorded_table, "flawed", lambda trials: [1.0])
-
-
-def test_show_refuses_a_trial_that_the_table_does_not_have(recorded_table: Any) -> None:
-    with pytest.raises(UsageError):
-        UNTYPED.show(recorded_table, trial=99)
-
-
-def test_show_refuses_a_negative_trial() -> None:
-    with pytest.raises(UsageError):
-        UNTYPED.show(small_experiment(), where={"robots": 99}, trial=-1)
 
 
 def test_read_experiments_refuses_a_file_that_does_not_exist() -> None:

@@ -193,16 +193,6 @@ def test_a_log_of_frames_is_shown_with_ten_states_a_second(frame_history: FrameL
     assert [state.tick for state in states] == list(range(37))
 
 
-def test_a_robot_that_has_sent_an_estimate_has_its_x_hat_alone(frame_history: FrameLogHistory) -> None:
-    """Robot 7 sends x_hat = 0.25 at the start; robot 3 has sent nothing in the first tenth of a second.
-
-    Values are x, x_hat, b_hat and the true accuracy, which the user has given. NAN is what no frame has had.
-    """
-    robot_7, robot_3 = values_in(frame_history.history, tick=1)
-    assert np.array_equal(robot_7, [NAN, 0.25, NAN, 0.9], equal_nan=True)
-    assert np.array_equal(robot_3, [NAN, NAN, NAN, 0.9], equal_nan=True)
-
-
 def test_a_robot_has_the_values_of_its_last_telemetry(frame_history: FrameLogHistory) -> None:
     """Robot 3 sends x = b_hat = 0.25 after 0.25 s, and 0.5 after 3.5 s.
 
