@@ -194,7 +194,10 @@ def run_as_service_says(folder: Path) -> Khepera:
 
 @pytest.mark.slow
 def test_a_khepera_that_runs_as_its_service_says_observes_and_broadcasts(robot: Path) -> None:
-    """It moves over 200 tiles, of which those below the service's threshold are black. Its id is 7."""
+    """It moves over 200 tiles, of which those below the service's threshold are black. Its id is 7.
+
+    t is the number of tiles that its node has observed, n that of the black ones, x_hat its estimate.
+    """
     readings = put_on_floor(robot, brightness=500, reading_count=200)
     [threshold] = re.findall(r"tile_sensor (\d+) ", service_command())
 

@@ -158,7 +158,8 @@ def test_c_and_python_node_answer_the_datagrams_of_a_bad_network_alike(
     arrivals = datagrams_on_wifi([any_frame(rng) for _ in range(600)], rng)
     command = node_command(kind, tmp_path_factory)
     with joined(address) as group, CNode(command, interface(address), ID, *NODE) as node:
-        nodes = NodesInGroup(group, python_node(ID, 0.75, SUBJECTS, 3, filter_period=4))
+        twin = python_node(ID, b_hat=0.75, subjects=SUBJECTS, steps_per_second=3, filter_period=4)
+        nodes = NodesInGroup(group, twin)
         for frame, datagram in arrivals:
             nodes.send(frame, datagram)
         nodes.send_commands_that_are_answered()
@@ -166,7 +167,7 @@ def test_c_and_python_node_answer_the_datagrams_of_a_bad_network_alike(
 
     assert candump_lines(nodes.received_frames) == candump_lines(nodes.expected_answers)
     assert nodes.expected_numbers().items() <= summary.items()
-    assert summary["refused"] + summary["others"] == nodes.twin.reception.rejected.total()
+    assert summary["refused"] + summary["others"] == twin.reception.rejected.total()
     assert min(summary[name] for name in ("odd_packets", "repeated", "collisions", "obeyed")) > 10
 
 

@@ -476,9 +476,9 @@ def test_a_node_does_not_wait_for_its_observations(start_node: StartNode, bus: U
 
     summary = node.stop()
 
-    assert summary["t"] == 4
-    assert summary["n"] == 3
-    assert summary["missing"] == summary["ticks"] - 4
+    assert summary["t"] == 4, "observations"
+    assert summary["n"] == 3, "black tiles"
+    assert summary["missing"] == summary["ticks"] - 4, "ticks without an observation"
 
 
 def wait_for_ticks(bus: UnixBus, count: int) -> None:
