@@ -1,13 +1,15 @@
-"""The inputs that fuzzing kept find nothing, nor does a little more fuzzing."""
+"""The inputs that fuzzing kept find nothing, nor does a little more fuzzing; a planted mistake is found."""
 
 from __future__ import annotations
 
 import re
+import subprocess
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from fuzz.harnesses import CHECKED, FAST, HARNESSES
+from fuzz.harnesses import CHECKED, FAST, HARNESSES, PORTS
 from support import ROOT, slow
 
 MORE = 300_000
@@ -56,3 +58,17 @@ def test_docs_trust_lists_the_harnesses_of_fuzzing() -> None:
     page = (ROOT / "docs/internals/trust.md").read_text(encoding="utf-8").partition("## Fuzzing")[2]
     assert re.findall(r"^\| `(\w+)` \|", page, re.MULTILINE) == list(HARNESSES)
     assert f"tries {MORE:,} more of each" in page
+
+
+@pytest.mark.slow
+def test_fuzzing_finds_a_radio_that_sends_a_wrong_identifier(tmp_path: Path) -> None:
+    """The inputs that earlier fuzzing has kept find it. The mistake is planted into a copy of the source."""
+    right, wrong = "frame->id >> (8 * i)", "frame->id >> (7 * i)"
+    text = (PORTS / "packet_radio.c").read_text(encoding="utf-8")
+    assert text.count(right) == 1
+    (tmp_path / "packet_radio.c").write_text(text.replace(right, wrong), encoding="utf-8")
+    harness = replace(HARNESSES["radio"], sources=(tmp_path / "packet_radio.c",))
+    inputs = harness.unpack(tmp_path / "inputs")
+
+    with pytest.raises(subprocess.CalledProcessError):
+        harness.run(inputs, CHECKED, "-runs=0")
