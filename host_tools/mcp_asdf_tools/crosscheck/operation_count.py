@@ -161,7 +161,7 @@ def _workloads_along_t() -> Iterator[Workload]:
     for t, robust in product(t_values, (False, True)):
         # Both limits, 1/2, which carries no information, and 0.95
         for b_hat in (B_HAT_MIN, 1 << 31, round(0.95 * 2**32), B_HAT_MAX):
-            for n in sorted({0, 2 * t // 5, t}):
+            for n in sorted({0, 2 * t // 5, t}):  # no, some and all observations are black
                 yield Workload(t=t, n=n, b_hat=b_hat, robust=robust)
         is_legal_memory = t >= MIN_MEMORY and t % 4 == 0
         if is_legal_memory:

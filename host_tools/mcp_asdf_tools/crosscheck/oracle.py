@@ -108,13 +108,13 @@ class Audit:
             problems += check_filter(setup, old_state, new_state, after.outcome == "UPDATED")
         return problems
 
-    def _check_estimate(self, raw_b_hat: int, state: State) -> list[str]:
+    def _check_estimate(self, units_of_b_hat: int, state: State) -> list[str]:
         """Collect the errors of x_hat and alpha after an observation, and return a line for each wrong one.
 
-        ``raw_b_hat`` is the accuracy with which they were computed, in units of 2**-32.
+        ``units_of_b_hat`` is b_hat, the accuracy with which they were computed, in units of 2**-32.
         """
         n, t = state["n"], state["t"]
-        b_hat = Fraction(raw_b_hat, 2**32)
+        b_hat = Fraction(units_of_b_hat, 2**32)
         x_hat = Fraction(state["x_hat"], ONE)
         alpha = Fraction(_alpha_units(state["alpha"]), 2**24)
         region = region_of(2 * b_hat - 1)
@@ -260,8 +260,10 @@ def _check_means(state: State, is_robust: bool) -> list[str]:
         x = centre if has_votes else state["x_hat"]
         x_bar = centre if has_votes else HALF
         return check_exact(state, {"x()": x, "x_bar()": x_bar, "beta()": 0})
-    beta, alpha_x = state["closed_alpha"], _closed_alpha_x(state)  # sums over the messages
-    alpha, x_hat = _alpha_units(state["alpha"]), state["x_hat"]  # of the robot itself
+    # Sums over the messages of the last closed round: of alpha, which is called beta, and of alpha x_hat
+    beta, alpha_x = state["closed_alpha"], _closed_alpha_x(state)
+    # The robot's own. Each alpha is in units of 2**-24, each x_hat in units of 2**-23.
+    alpha, x_hat = _alpha_units(state["alpha"]), state["x_hat"]
     x = (alpha * x_hat + alpha_x) // (alpha + beta) if alpha + beta > 0 else x_hat
     x_bar = alpha_x // beta if beta > 0 else HALF
     return check_exact(state, {"x()": x, "x_bar()": x_bar})

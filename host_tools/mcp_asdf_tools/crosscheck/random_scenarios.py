@@ -143,14 +143,15 @@ class ScenarioWriter:
         self._add_call("receive", self._draw_sender(), self._draw_x_hat(), draw_alpha(self._rng))
 
     def _add_tick(self) -> None:
-        """Append up to ten messages, and then observations and ends of rounds in one of five orders.
+        """Append up to ten messages, and then the calls of a tick: observations and the end of the round.
 
         A caller may observe and end rounds by timers of its own. So there may be an observation and the end
-        of the round, only one of these, or two observations.
+        of the round, only one of these, or two observations and the end.
         """
         rng = self._rng
         for _ in range(rng.choice([0, 0, 1, 2, 3, 10])):
             self._add_receive()
+        # settle ends a round, and step is an observation followed by that.
         orders = (["step"], ["observe", "settle"], ["observe"], ["settle"], ["observe", "observe", "settle"])
         for name in rng.choice(orders):
             if name == "settle":
@@ -159,9 +160,10 @@ class ScenarioWriter:
                 self._add_call(name, self._draw_observation())
 
     def _add_observation_in_any_state(self) -> None:
-        """Restore the robot with any t, n and b_hat, and observe once.
+        """Restore the robot from an image with any t, n and b_hat, and let it observe one tile.
 
-        Often the share of black, n / t, is one where x_hat just reaches 0 or 1, and eq. 3 changes its case.
+        n of its t observations are black. Often n / t is a share at which x_hat, which eq. 3 limits to 0 and
+        1, just reaches one of these.
         """
         rng, setup = self._rng, self._setup
         if rng.random() < 0.5:
@@ -171,8 +173,8 @@ class ScenarioWriter:
         # The image must be legal: x_hat and alpha have to follow from t, n and b_hat ...
         x_hat, alpha = estimate(t, n, accuracy_of(self._b_hat)) if t else (HALF, 0)
         updates = rng.choice([0, 0, 1, MAX_16_BITS])
-        is_newer_b_hat = rng.random() < 0.3
-        if is_newer_b_hat:
+        is_b_hat_newer = rng.random() < 0.3
+        if is_b_hat_newer:
             # ... unless b_hat was re-estimated after they were computed.
             x_hat, alpha = self._draw_x_hat(), draw_alpha(rng)
         words = {
@@ -181,10 +183,12 @@ class ScenarioWriter:
             N_WORD: n,
             X_HAT_WORD: x_hat,
             ALPHA_WORD: alpha,
-            self._layout.updates_and_id_word: self._pack_updates(int(is_newer_b_hat), updates),
+            self._layout.updates_and_id_word: self._pack_updates(int(is_b_hat_newer), updates=updates),
         }
         self._add_restore(words | self._draw_filter_words(t, n))
-        self._add_call(rng.choice(["step", "observe"]), rng.randrange(2))
+        call_name = rng.choice(["step", "observe"])
+        colour = rng.randrange(2)  # white (0) or black (1)
+        self._add_call(call_name, colour)
 
     def _draw_filter_words(self, t: int, n: int) -> dict[int, int]:
         """Return no words, since an image with counts t and n needs no others with the paper's filters.
@@ -229,7 +233,7 @@ class ScenarioWriter:
         }
         word_index = rng.randint(B_HAT_WORD, self._layout.updates_and_id_word)
         one_bit = 1 << rng.randrange(32)
-        any_word = {word_index: rng.choice([0, 1, one_bit, MAX_32_BITS])}
+        any_word = {word_index: rng.choice([0, 1, one_bit, MAX_32_BITS])}  # from b_hat to the last counter
         changes: list[dict[int, int]] = [
             {},  # An image that was not changed must be restored.
             filter_left,

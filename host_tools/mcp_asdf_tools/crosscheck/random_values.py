@@ -24,7 +24,7 @@ from mcp_asdf.fixed_point import (
     SHIFT_MAX,
 )
 from mcp_asdf.mirror import INFORMATIVE_G
-from mcp_asdf.robot import MAX_ID, Sums
+from mcp_asdf.robot import MAX_ROUND_SIZE, Sums
 from mcp_asdf_tools.crosscheck.crafted_rounds import ALPHA_ONE, draw_normal_alpha
 from mcp_asdf_tools.crosscheck.image_words import MAX_32_BITS
 
@@ -158,12 +158,14 @@ def draw_extreme_sums(rng: Random) -> Sums:
     """Draw sums over a round that messages might have: each at one of its limits, or anywhere between them.
 
     The sums depend on each other, so the limits of each are those that the ones drawn before it leave. Their
-    order is count, x, alpha, alpha_x and x_squared.
+    order is the count of messages, the sum of x_hat (x), the sum of alpha, the sum of alpha times x_hat, and
+    that of the squares of x_hat. The last but one is kept in two parts, alpha_x_low and alpha_x_high.
     """
-    m = rng.choice([1, 2, 3, MAX_ID, rng.randint(1, MAX_ID)])
-    x = rng.choice([0, 1, rng.randint(0, m * ONE), m * ONE - 1, m * ONE])
-    smallest_alpha = m  # one unit for every message
-    largest_alpha = m * LARGEST_ALPHA_UNITS
+    count = rng.choice([1, 2, 3, MAX_ROUND_SIZE, rng.randint(1, MAX_ROUND_SIZE)])
+    largest_x = count * ONE  # where all x_hat are 1
+    x = rng.choice([0, 1, rng.randint(0, largest_x), largest_x - 1, largest_x])
+    smallest_alpha = count  # one unit for every message
+    largest_alpha = count * LARGEST_ALPHA_UNITS
     alpha = rng.choice(
         [smallest_alpha, rng.randint(smallest_alpha, largest_alpha), largest_alpha, largest_alpha]
     )
@@ -173,14 +175,15 @@ def draw_extreme_sums(rng: Random) -> Sums:
     # As much as fits goes into the upper one; what is left there is cut to the lower one's limits.
     alpha_x_high = min(x * (LARGEST_ALPHA_UNITS >> 32), alpha_x >> 32)
     alpha_x_left = alpha_x - (alpha_x_high << 32)
+    largest_sum_of_62_bits = (1 << 62) - 1  # more than this alpha_x_low must not be
     # The squares are smallest where all x_hat are alike, and largest where each is 0 or 1.
-    smallest_x_squared = -(-x * x // m)  # x * x / m, rounded up
+    smallest_x_squared = (x * x + count - 1) // count  # the quotient, rounded up
     largest_x_squared = x * ONE
     return Sums(
         alpha=alpha,
-        alpha_x_low=min(x * MAX_32_BITS, alpha_x_left, (1 << 62) - 1),
+        alpha_x_low=min(x * MAX_32_BITS, alpha_x_left, largest_sum_of_62_bits),
         alpha_x_high=alpha_x_high,
         x_squared=rng.choice([smallest_x_squared, largest_x_squared]),
         x=x,
-        count=m,
+        count=count,
     )

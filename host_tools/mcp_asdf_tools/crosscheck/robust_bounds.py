@@ -171,13 +171,18 @@ def rounded_centre_and_spread(estimates: Sequence[Fraction]) -> tuple[Fraction, 
 def robust_test_outcome(
     observations: Observations[Fraction], b: Fraction, centre: Fraction, spread: Fraction
 ) -> bool | None:
-    """Return whether the robust filter's test rejects ``b``, or None if rounding may decide.
+    """Return whether the robust filter's test rejects ``b``, or None if rounding in the firmware may decide.
 
-    With g = 2 b - 1 both sides are at least 12 2**-33 where they are alike: t < 2**31, v >= (1 - g**2) / 4,
-    dispersion >= 1 and spread >= 2**-12. So n/t - p is at least 160,000 units of 2**-32, of which p lacks
-    less than 4, and n/t less than 5: its square is off by 2**-13.9 of itself. The product of g and the
-    spread, rounded down, takes 2**-15.5 from the other side. There v lacks at most 6 units: if it is below
-    2**-10, g is near 1, n/t - p is at least sqrt(12) 2**-12, and v has at least 350,000 units.
+    With g = 2 b - 1, the test rejects if (n/t - p)**2 is above 12 (dispersion v/t + g**2 spread**2). There p
+    is the probability of black by ``b`` and the centre, and v the larger of p (1 - p) and n/t (1 - n/t).
+    Rounding may decide if these sides differ by no more than UNDECIDED, 2**-13 of the larger one. Where they
+    are alike, rounding changes them by less:
+
+    Both are at least 12 2**-33, since t < 2**31, v >= (1 - g**2) / 4, dispersion >= 1 and spread >= 2**-12.
+    So n/t - p is at least 160,000 units of 2**-32, of which p lacks less than 4, and n/t less than 5: its
+    square is off by 2**-13.9 of itself. The product of g and the spread, rounded down, takes 2**-15.5 from
+    the other side. There v lacks at most 6 units: if it is below 2**-10, g is near 1, n/t - p is at least
+    sqrt(12) 2**-12, and v has at least 350,000 units.
     """
     difference_squared, limit = robust_test_sides(observations, b, centre, spread)
     if abs(difference_squared - limit) <= UNDECIDED * max(difference_squared, limit):

@@ -382,17 +382,18 @@ class RobustScenarioWriter(ScenarioWriter):
         return rng.choice([centre, centre // _SLOT_UNIT * _SLOT_UNIT])
 
     def _draw_spread(self) -> int:
-        """Draw a spread of the votes in units of 2**-30, often next to a power of two.
+        """Draw a spread of the votes in units of 2**-30, in half of the cases next to a power of two.
 
-        The firmware shifts the spread to change it, and rounds otherwise where it has one bit less. Slots
-        have multiples of 2**-16.
+        The firmware shifts the spread to change it, and rounds otherwise where it has one bit less. One of
+        three draws is a multiple of 2**-16, as the estimates in slots are.
         """
         rng = self._rng
         power_of_two = 1 << rng.randrange(18, 29)  # from SPREAD_MIN to SPREAD_MAX
-        distance_above = rng.randrange(power_of_two)
-        spread = power_of_two + rng.choice([-1, 0, 1, distance_above])
-        as_slot = distance_above // _SLOT_UNIT * _SLOT_UNIT
-        return clamp(rng.choice([spread, spread, as_slot]), SPREAD_MIN, SPREAD_MAX)
+        any_smaller = rng.randrange(power_of_two)
+        around_power = power_of_two + rng.choice([-1, 0, 1, any_smaller])
+        multiple_of_slot_unit = any_smaller // _SLOT_UNIT * _SLOT_UNIT
+        spread = rng.choice([around_power, around_power, multiple_of_slot_unit])
+        return clamp(spread, SPREAD_MIN, SPREAD_MAX)
 
     def _draw_estimates(self, robust: RobustFilter) -> list[int]:
         """Draw the estimates of the filled slots; some lie at the distance of the spread from the centre."""
@@ -416,6 +417,7 @@ class RobustScenarioWriter(ScenarioWriter):
     def _draw_sender(self) -> int:
         """Draw the id of a sender, in one of four cases one that shares its slot with another."""
         rng = self._rng
+        # Ids that are SLOTS apart share a slot. Here they are those of the first ten slots.
         of_same_slot = rng.randrange(10) + SLOTS * rng.randrange((MAX_ID + 1) // SLOTS)
         return of_same_slot if rng.random() < 0.25 else super()._draw_sender()
 

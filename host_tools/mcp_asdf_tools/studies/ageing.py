@@ -73,7 +73,7 @@ PEERS_BY_KIND: dict[str, list[dict[str, Any]]] = {
 
 
 def ageing_rows() -> dict[str, list[Experiment]]:
-    """Return the experiments of all kinds of ageing, each with the longest and with a short memory.
+    """Return the experiments of each row by its label: a kind of ageing, with the longest or a short memory.
 
     Each row has three shares of black floor, and all filters that make a difference.
     """
@@ -94,9 +94,9 @@ def ageing_rows() -> dict[str, list[Experiment]]:
 
 
 def peer_rows() -> dict[str, list[Experiment]]:
-    """Return experiments with robots that know how their sensors age, of two kinds of ageing.
+    """Return the experiments, by row, with robots that know how their sensors age: of two kinds of ageing.
 
-    Each is there with the longest and with a short memory.
+    Each kind is there with the longest and with a short memory.
     """
     return {
         kind + memory_label: m.grid(

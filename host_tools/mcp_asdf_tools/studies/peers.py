@@ -130,7 +130,7 @@ class BayesCpfRobot(ReferenceRobot):
     def __init__(self, config: Config, robot_id: int, b_hat: float) -> None:
         """Start with b_hat as the estimate of b, and with nothing measured."""
         super().__init__(config, robot_id, b_hat)
-        self._mean, self._variance = b_hat, 0.04  # of the estimate of b
+        self._mean, self._variance = b_hat, 0.04  # of the estimate of b: a standard deviation of 0.2
         self._n_since_update, self._t_since_update = 0, 0
         self._x_since_update: list[float] = []
 
@@ -160,7 +160,7 @@ class BayesCpfRobot(ReferenceRobot):
 
         All that was counted since the last step is used up by this one.
         """
-        n, t = self._n_since_update, self._t_since_update
+        n, t = self._n_since_update, self._t_since_update  # black readings, and all readings
         # The oldest of the informed estimates weighs most, the newest has the weight 1.
         weights = range(len(self._x_since_update), 0, -1)
         x = float(np.average(self._x_since_update, weights=weights))

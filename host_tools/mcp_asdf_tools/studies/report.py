@@ -122,7 +122,7 @@ def render_markdown(
         versions=", ".join(f"{name} {version}" for name, version in software_versions().items()),
         pictures=pictures,
         own_name=study_results.own_name,
-        own_period=SHORTEST_PERIOD,
+        own_period=SHORTEST_PERIOD,  # that of a filter or firmware of the user's
         # Functions and constants that the template uses: how claims are shown, and the limits of verdicts
         Verdict=Verdict,
         heading_of=heading_of,

@@ -67,10 +67,15 @@ SLOW = 0.007
 ROBOTS_OF_STATIC_GRAPHS = 20
 
 # --- Experiments -----------------------------------------------------------------------------------------
+# m.grid makes experiments of all combinations of the values in lists. The dictionaries in a list, as in
+# "sensors", hold parameters that vary together.
 
 
 def grid_rows() -> dict[str, list[Experiment]]:
-    """Return the experiments of the paper's grid: two topologies with each share of flawed robots."""
+    """Return the experiments of the paper's grid by the label of their row, such as "moving, 10 % flawed".
+
+    There are two topologies, each with five shares of flawed robots.
+    """
     healthy: dict[str, Any] = {
         "flawed": "0%",
         "true_accuracy": [0.55, 0.95],
@@ -86,19 +91,20 @@ def grid_rows() -> dict[str, list[Experiment]]:
         for percent in (10, 30, 50, 100)
     }
     swarms["0 % flawed"] = healthy
+    topologies: dict[str, dict[str, Any]] = {"moving": MOVING, "fully connected": {"robots": 10}}
     return {
         f"{topology}, {label}": m.grid(
             **parameters, **swarm, fill_ratio=[0.55, 0.95], steps=40_000, trials=30, seed=4711
         )
-        for topology, parameters in (("moving", MOVING), ("fully connected", {"robots": 10}))
+        for topology, parameters in topologies.items()
         for label, swarm in swarms.items()
     }
 
 
 def beyond_rows() -> dict[str, list[Experiment]]:
-    """Return experiments with swarms, worlds and sensors that the paper's grid does not have.
+    """Return experiments, by the label of their row, of swarms, worlds and sensors beyond the paper's grid.
 
-    Their labels name what is not as in the paper's moving swarms.
+    Each label names what is not as in the paper's moving swarms.
     """
     flawed: dict[str, Any] = {"flawed": "30%", "sensors": BOTH_FLAWS, "filter": ALL_FILTERS}
     healthy: dict[str, Any] = {"flawed": "0%", "fill_ratio": 0.75, "filter": FILTERS_OF_HEALTHY_SWARMS}
@@ -155,7 +161,7 @@ def static_graph(steps_to_neighbours: Sequence[int]) -> str:
 
 
 def peer_rows() -> dict[str, list[Experiment]]:
-    """Return experiments with peers, and with the usual filters in the same worlds.
+    """Return experiments, by the label of their row, with peers and with the usual filters.
 
     A peer is a robot class with another filter than the project's; it stands in place of the firmware.
     BayesCPF runs with any filter but none; with asdf-plus it runs in all robots.
@@ -177,17 +183,18 @@ def peer_rows() -> dict[str, list[Experiment]]:
 
 
 def world_rows() -> dict[str, list[Experiment]]:
-    """Return experiments with robots that lie, with messages that are lost, and with a floor that changes.
+    """Return experiments, by the label of their row, with liars, lost messages, and a floor that changes.
 
-    In a fully connected swarm one liar misleads everybody, so a few experiments show enough.
+    In a fully connected swarm one liar misleads everybody, so a few experiments show enough. Firmware such as
+    ``one_liar`` makes the last robots of a swarm lie.
     """
-    connected: dict[str, Any] = {
+    connected_swarm: dict[str, Any] = {
         "sensors": [FLAWS["underconfident"]],
         "filter": FILTERS_OF_HEALTHY_SWARMS,
         "trials": 12,
     }
     # With the longest memory the old floor would be forgotten too slowly to see anything.
-    changing: dict[str, Any] = {
+    changing_floor: dict[str, Any] = {
         **MOVING,
         "sensors": [FLAWS["underconfident"]],
         "sensor": ChangingFloor,
@@ -195,25 +202,26 @@ def world_rows() -> dict[str, list[Experiment]]:
         "steps": 40_000,
         "filter": ["none", "robust"],
     }
-    moving: dict[str, Any] = {**MOVING, "sensors": BOTH_FLAWS, "filter": ALL_FILTERS}
+    moving_swarm: dict[str, Any] = {**MOVING, "sensors": BOTH_FLAWS, "filter": ALL_FILTERS}
     worlds: dict[str, dict[str, Any]] = {
-        "fully connected, 1 liar": {**connected, "firmware": one_liar},
-        "fully connected, 5 liars": {**connected, "firmware": five_liars},
-        "moving, the floor changes": {**changing, "filter": FILTERS_OF_HEALTHY_SWARMS},
-        "moving, the floor changes, 2 liars": {**changing, "firmware": two_liars},
-        "moving, the floor changes, 5 liars": {**changing, "firmware": five_liars},
-        "moving, 3 messages of 10 lost": {**moving, "firmware": LossyRobot},
-        "moving, 1 liar": {**moving, "firmware": one_liar},
-        "moving, 2 liars": {**moving, "firmware": two_liars},
-        "moving, 5 liars": {**moving, "firmware": five_liars},
+        "fully connected, 1 liar": {**connected_swarm, "firmware": one_liar},
+        "fully connected, 5 liars": {**connected_swarm, "firmware": five_liars},
+        "moving, the floor changes": {**changing_floor, "filter": FILTERS_OF_HEALTHY_SWARMS},
+        "moving, the floor changes, 2 liars": {**changing_floor, "firmware": two_liars},
+        "moving, the floor changes, 5 liars": {**changing_floor, "firmware": five_liars},
+        "moving, 3 messages of 10 lost": {**moving_swarm, "firmware": LossyRobot},
+        "moving, 1 liar": {**moving_swarm, "firmware": one_liar},
+        "moving, 2 liars": {**moving_swarm, "firmware": two_liars},
+        "moving, 5 liars": {**moving_swarm, "firmware": five_liars},
         "moving, 5 liars, 0 % flawed": {
-            **moving,
+            **moving_swarm,
             "firmware": five_liars,
             "flawed": "0%",
             "filter": FILTERS_OF_HEALTHY_SWARMS,
         },
     }
     common = {"flawed": "30%", "steps": 20_000, "trials": 8, "seed": 4713}
+    # Of two values for a parameter the row's own holds.
     return {label: m.grid(**{**common, **world}) for label, world in worlds.items()}
 
 
@@ -300,8 +308,9 @@ def make_tables(grid: Rows, beyond: Rows, peers: Rows, worlds: Rows) -> dict[str
 def draw_errors(grid: Rows, worlds: Rows) -> Figure:
     """Draw |x - f|, the error of estimates, over time in moving swarms whose floor does not change.
 
-    The panels of a row have the same kind of flawed robots: underconfident, then overconfident ones. The
-    columns have 30 % flawed robots, 30 % flawed robots with 5 liars, and 50 % flawed robots.
+    ``grid`` and ``worlds`` are the results of ``grid_rows`` and ``world_rows``. The upper panels have
+    underconfident flawed robots, the lower ones overconfident ones. The columns have 30 % flawed robots, 30 %
+    flawed robots with 5 liars, and 50 % flawed robots.
     """
     columns = {
         "30 % flawed": grid["moving, 30 % flawed"],
@@ -309,8 +318,8 @@ def draw_errors(grid: Rows, worlds: Rows) -> Figure:
         "50 % flawed": grid["moving, 50 % flawed"],
     }
     panels = {
-        f"{column}, {flaw}": select_experiments(experiments, sensors)
-        for flaw, sensors in FLAWS.items()
+        f"{column}, {flaw}": select_experiments(experiments, where=sensor_parameters)
+        for flaw, sensor_parameters in FLAWS.items()
         for column, experiments in columns.items()
     }
     figure = plot_errors_over_time(panels)

@@ -35,7 +35,7 @@ from mcp_asdf_tools.studies.study_program import (
     write_tables,
 )
 
-SIZES_AND_TRIALS = {20: 12, 100: 12, 300: 12, 1000: 12, 3000: 3, 10_000: 3}
+TRIALS_BY_SIZE = {20: 12, 100: 12, 300: 12, 1000: 12, 3000: 3, 10_000: 3}
 """Trials by the number of robots: a few trials of many robots show as much as many of a few."""
 
 TIMED_ROBOT_STEPS = 1_000_000
@@ -45,10 +45,14 @@ TABLE_HEAD = "H, error of the last quarter, ns of processor time for each robot 
 
 
 def size_rows() -> dict[str, list[Experiment]]:
-    """Return moving swarms of six sizes, 30 % of them flawed, on a seed that no tuning has seen."""
+    """Return the experiments of each row of the table by its label, such as "20 robots, underconfident".
+
+    A row has moving swarms of one of six sizes, without a filter and with the robust one. 30 % of the robots
+    are flawed.
+    """
     rows: dict[str, list[Experiment]] = {}
     for flaw, sensors in FLAWS.items():
-        for robots, trials in SIZES_AND_TRIALS.items():
+        for robots, trials in TRIALS_BY_SIZE.items():
             rows[f"{robots:,} robots, {flaw}"] = m.grid(
                 **MOVING,
                 **sensors,
@@ -57,7 +61,7 @@ def size_rows() -> dict[str, list[Experiment]]:
                 filter=["none", "robust"],
                 steps=10_000,
                 trials=trials,
-                seed=65536,
+                seed=65536,  # which no tuning has seen
             )
     return rows
 

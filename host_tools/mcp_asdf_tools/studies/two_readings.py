@@ -56,10 +56,10 @@ DRAWN_SWARMS = ("half flawed", "all flawed", "none flawed, half repeated")
 
 
 def two_readings_rows() -> dict[str, list[Experiment]]:
-    """Return moving swarms of SWARMS with each kind of flawed robots, under- and overconfident ones.
+    """Return the experiments of each row by its label: swarms of SWARMS with one kind of flawed robots.
 
-    In each, robots with two readings stand beside robots with the usual filters, which have one reading of
-    each tile.
+    In each row, robots with two readings stand beside robots with the usual filters, which read each tile
+    once.
     """
     robots: list[dict[str, Any]] = [
         # These observe in every second step: the second reading of each tile, and not the first.

@@ -30,15 +30,16 @@ COUNTS: Counts = {
 """Instructions by call, by axis (observations t, messages m, entries q of the table) and by value there."""
 STORAGE = {"tables": {30: 132}, "images": {0: 124, 127: 124}, "robust_images": {0: 156, 127: 156}}
 """Bytes of a table by its number of entries, and of a saved robot (an image) by its number of messages."""
-SLOW_PART = "mcp_asdf_tools.crosscheck.operation_count"
+COUNTING_MODULE = "mcp_asdf_tools.crosscheck.operation_count"
+"""Module that counts instructions and bytes for the command, which takes seconds."""
 
 
 @pytest.fixture(scope="module", autouse=True)
 def skip_counting() -> Iterator[None]:
     """Replace counting, which takes seconds, by what it may return."""
     with pytest.MonkeyPatch.context() as monkeypatch:
-        monkeypatch.setattr(f"{SLOW_PART}.count_operations", lambda: COUNTS)
-        monkeypatch.setattr(f"{SLOW_PART}.measure_storage", lambda: STORAGE)
+        monkeypatch.setattr(f"{COUNTING_MODULE}.count_operations", lambda: COUNTS)
+        monkeypatch.setattr(f"{COUNTING_MODULE}.measure_storage", lambda: STORAGE)
         yield
 
 
@@ -141,7 +142,7 @@ def test_a_check_without_a_difference_ends_with_the_verdict_and_how_to_repeat_it
 def test_a_check_prints_the_bytes_that_tables_and_saved_robots_take(
     check_of_500_calls: CommandResult,
 ) -> None:
-    """They are those of STORAGE: 124 bytes, or 156 with the robust filter. q is the size of a table."""
+    """They are those of STORAGE: 124 bytes, or 156 with the robust filter. A table has q entries."""
     expected = "memory: 12 + 4 q bytes for a table, 124 for a saved robot, 156 with the robust filter"
     assert expected in check_of_500_calls.output.splitlines()
 
@@ -202,10 +203,11 @@ def test_a_claim_about_time_or_memory_that_does_not_hold_fails_the_check(
 ) -> None:
     """Neither time nor memory of a robot may grow with its observations t, messages m or the table's size q.
 
-    The counts of instructions and bytes, which the command would measure, are replaced by some that grow.
+    The counts of instructions and bytes, which the command would measure, are replaced by some that grow. The
+    command prints the problem and ends with exit code 1; one call of a robot (--steps 1) is enough for that.
     """
-    monkeypatch.setattr(f"{SLOW_PART}.count_operations", lambda: operations)
-    monkeypatch.setattr(f"{SLOW_PART}.measure_storage", lambda: storage)
+    monkeypatch.setattr(f"{COUNTING_MODULE}.count_operations", lambda: operations)
+    monkeypatch.setattr(f"{COUNTING_MODULE}.measure_storage", lambda: storage)
     result = run_crosscheck_command("--steps", "1", "--json")
     assert result.exit_code == 1
     assert json.loads(result.output)["problems"] == [problem]

@@ -47,7 +47,7 @@ class RobotThatCannotBeMade(MirrorRobot):
 
 
 class RobotThatRefusesEveryId(MirrorRobot):
-    """Adds 128 to its id."""
+    """Adds 128 to its id, which makes it too large."""
 
     def __init__(self, config: Config, robot_id: int, b_hat: float) -> None:
         super().__init__(config, robot_id + 128, b_hat)
@@ -85,7 +85,10 @@ def test_a_difference_or_an_exception_is_reported_with_the_calls_up_to_it(
 
 
 def test_differences_of_two_robots_are_listed_by_field_result_and_word_of_the_saved_robot() -> None:
-    """The second robot is restored from its saved words, changed in words 2 (its count t) and 29."""
+    """The second robot is restored from its saved words, of which two are changed.
+
+    Its count t of observations, word 2, becomes 5. Bit 16 of word 29 says that b_hat was updated after x_hat.
+    """
     setup = parse_scenario(ROBOT).setup
     first, second = RobotUnderTest(MirrorRobot, setup), RobotUnderTest(MirrorRobot, setup)
     second.apply(parse_scenario(f"{ROBOT},restore:2:5:29:{0x10000}").calls[0])

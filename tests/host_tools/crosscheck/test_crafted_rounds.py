@@ -83,9 +83,9 @@ def x_hats_of(estimates: Sequence[NeighbourEstimate]) -> list[int]:
 def test_estimates_just_inside_the_filter_s_threshold_pass_and_those_just_outside_are_rejected(
     omega: str, own_x_hat: int, m: int, seed: int
 ) -> None:
-    """The cross-check sends m messages so near the threshold k that a robot with a wrong one shows.
+    """The cross-check sends m estimates so near the threshold k that a robot with a wrong threshold shows.
 
-    Already a threshold that is wrong by a millionth is decided differently.
+    With a threshold that is wrong by a millionth the test decides differently.
     """
     rounds = draw_rounds_at_threshold(robot_with_test(own_x_hat, omega), m, Update.ABOVE, Random(seed))
     inside, outside = x_hats_of(rounds.inside), x_hats_of(rounds.outside)
@@ -113,9 +113,10 @@ def test_most_drawn_estimates_are_decided_by_the_last_bits_of_the_threshold(omeg
         pair = draw_x_hats_at_threshold(own_x_hat, table_of(omega).entry(m), m, rng, gap_share=1)
         if pair is not None:
             inside, outside = pair
-            k = threshold_of(omega, m)
-            inside_count += is_rejected(inside, own_x_hat, k - k / 2**24)
-            outside_count += not is_rejected(outside, own_x_hat, k + k / 2**24)
+            threshold = threshold_of(omega, m)
+            change = threshold / 2**24
+            inside_count += is_rejected(inside, own_x_hat, threshold - change)
+            outside_count += not is_rejected(outside, own_x_hat, threshold + change)
 
     assert inside_count > 50
     assert outside_count > 50
@@ -135,7 +136,7 @@ def test_drawn_estimates_are_fill_ratios_between_0_and_1(own_x_hat: int, m: int,
 
 
 def test_no_estimates_are_drawn_if_they_would_differ_by_less_than_a_unit() -> None:
-    """They are to fill so small a share, 2**-30, of the room beside the robot's own x_hat of 1/2."""
+    """The estimates may fill only a share of 2**-30 of the room beside the robot's own x_hat of 1/2."""
     assert draw_x_hats_at_threshold(HALF, TABLE.entry(5), 5, Random(1), gap_share=2**-30) is None
 
 

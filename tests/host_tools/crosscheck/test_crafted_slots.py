@@ -119,7 +119,7 @@ def test_there_is_no_pair_if_all_estimates_contradict_the_robot() -> None:
 
 
 def test_a_draw_does_not_change_the_robot() -> None:
-    """For which estimates are drawn; the cross-check goes on with it."""
+    """Estimates are drawn for the robot's test, and the cross-check goes on with the same robot."""
     robot = robot_that_observed(black=300, white=200)
     state_before = robot.state()
     draw_pair(robot, count=5, width=4, seed=1)
@@ -211,8 +211,9 @@ def test_asking_for_the_filter_at_the_test_does_not_end_the_robot_s_batch() -> N
 def test_a_test_in_place_of_the_filter_s_own_gets_counts_centre_and_spread_of_the_estimates() -> None:
     """Three estimates are 1/4, the median, and two are 1/2; the spread is the least one, 2**-12.
 
-    The two at 1/2 move the centre by two thirds of a spread in the first step; then three at -2/3 balance two
-    that count with a spread each. Centre and spread are in units of 2**-24, estimates in units of 2**-16.
+    The two at 1/2 count as if they were one spread above the centre. So the centre ends 2/3 of a spread above
+    1/4, where the three at 1/4, each 2/3 below it, balance these two. Centre and spread are in units of
+    2**-24, estimates in units of 2**-16.
     """
     quarter, half = 2**16 // 4, 2**16 // 2
     slots = SlotsAtTest((quarter, quarter, quarter, half, half), RobustFilter(), t=500, n=300)

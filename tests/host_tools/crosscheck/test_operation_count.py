@@ -41,8 +41,8 @@ def test_each_turn_of_a_loop_takes_as_many_instructions_as_the_others() -> None:
 
 
 def test_a_call_without_end_is_cut_short_after_20_000_instructions() -> None:
-    """They are more than any call of a robot may take."""
-    assert count_instructions(partial(loop, times=10**9)) == 20_001
+    """So many are more than any call of a robot may take; the count ends with the next one."""
+    assert count_instructions(partial(loop, times=10**9)) == 20_000 + 1
 
 
 def test_a_debugger_is_in_its_place_again_after_counting() -> None:
@@ -91,9 +91,10 @@ def workloads_at(axis: str, value: int) -> list[Workload]:
 def test_workloads_with_64_observations_have_all_kinds_of_accuracies_and_counts(robust: bool) -> None:
     """A workload is a robot whose calls are counted. Its b_hat is in units of 2**-32, and n tiles are black.
 
-    The accuracies b_hat are the least, 1/2, 0.95 and the largest.
+    The accuracies b_hat are the least, 1/2, 0.95 and the largest. The last workload halves its memory.
     """
-    accuracies = (2**12, 2**31, round(0.95 * 2**32), 2**32 - 2**12)
+    one = 2**32
+    accuracies = (2**12, one // 2, round(0.95 * one), one - 2**12)
     expected = []
     for b_hat in accuracies:
         for n in (0, 25, 64):
@@ -117,11 +118,12 @@ def test_workloads_have_a_power_of_two_of_observations_or_one_less() -> None:
 
 
 def test_workloads_with_9_messages_have_tests_of_both_outcomes_and_the_largest_sums() -> None:
-    """The test of the filter rejects unless the workload agrees; 0xFFFFFF1F is the largest confidence."""
+    """The filter's test rejects, unless the messages agree with the robot, and so the workload ``agrees``."""
+    largest_confidence = 0xFFFFFF1F  # as a message has it
     assert workloads_at("m", 9) == [
         Workload(m=9),
         Workload(m=9, agrees=True),
-        Workload(m=9, alpha=0xFFFFFF1F),
+        Workload(m=9, alpha=largest_confidence),
         Workload(m=9, n=500, robust=True),
         Workload(m=9, n=500, agrees=True, robust=True),
     ]
@@ -141,21 +143,25 @@ def test_a_workload_is_a_robot_in_the_last_round_before_its_filter_runs() -> Non
     assert robot.config.table is not None
     assert robot.config.table.q == 30
     assert robot.config.filter_period == 1
-    assert robot.s.filter_left == 1
+    assert robot.s.filter_left == 1  # the present round
 
 
 def test_a_workload_is_a_robot_before_its_last_observation() -> None:
-    """It has observed all tiles but one, and estimates 1 for sure: x_hat is in units of 2**-23."""
-    robot = Workload(t=1000, n=400, b_hat=3 << 30).make_robot(MirrorRobot)
+    """It has observed all of its t tiles but one. Its x_hat, in units of 2**-23, and its confidence are 1."""
+    b_hat = 3 * 2**30  # 3/4 in units of 2**-32
+    robot = Workload(t=1000, n=400, b_hat=b_hat).make_robot(MirrorRobot)
     assert robot.s.t == 999
     assert robot.s.n == 400
-    assert robot.s.accuracy.b_hat == 3 << 30
+    assert robot.s.accuracy.b_hat == b_hat
     assert robot.s.x_hat == 2**23
     assert alpha_from_word(robot.s.alpha) == 1
 
 
 def test_a_workload_has_messages_in_its_open_round_and_the_same_sum_in_the_round_before() -> None:
-    """Three robots other than this one, 127, estimate 1/3, which is 2**23 / 3 units, and slightly more."""
+    """Robots 0, 1 and 2 estimate 1/3, which is 2**23 / 3 units, and 0, 1000 and 2000 units more.
+
+    The sum that the round before, the closed one, has in common with the open one is that of confidences.
+    """
     robot = Workload(m=3).make_robot(MirrorRobot)
     assert robot.id == 127
     assert robot.s.open.count == 3
@@ -165,13 +171,16 @@ def test_a_workload_has_messages_in_its_open_round_and_the_same_sum_in_the_round
 
 
 def test_a_workload_without_messages_has_an_x_hat_of_1() -> None:
-    """x_hat is in units of 2**-23."""
+    """x_hat, what the robot estimates, is in units of 2**-23."""
     robot = Workload(m=0, agrees=True).make_robot(MirrorRobot)
     assert robot.s.x_hat == 2**23
 
 
 def test_a_robust_workload_has_an_estimate_of_each_message_in_a_slot() -> None:
-    """The messages of robots 0, 1 and 2 are 0, 1000 and 2000 units of 2**-23; slots have units of 2**-16."""
+    """Robots 0, 1 and 2 send 0, 1000 and 2000 units of 2**-23. A slot keeps one estimate, in units of 2**-16.
+
+    Its units are 2**7 times as large.
+    """
     robot = Workload(m=3, robust=True).make_robot(MirrorRobot)
     assert robot.s.robust.filled_slots == 0b111
     assert robot.s.estimates[:4] == [0, round(1000 / 2**7), round(2000 / 2**7), 0]
@@ -216,17 +225,25 @@ def operations() -> Counts:
 def test_no_call_of_a_robot_takes_longer_with_more_observations_messages_or_neighbours(
     operations: Counts,
 ) -> None:
-    """A problem is a line about a call that takes more instructions in the later half of a range."""
+    """``find_growth`` returns a line for each call that takes more instructions in the later half of a range.
+
+    A range is that of the observations t, of the messages m or of the table's entries q.
+    """
     assert find_growth(operations) == []
     assert operations.keys() == CALLS.keys() | {f"{name}, robust" for name in CALLS}
 
 
 @pytest.mark.slow
 def test_calls_are_counted_over_the_ranges_of_t_m_and_q(operations: Counts) -> None:
-    """Observations t, messages m of a tick, and entries q of the table, which the robust filter has not."""
+    """The instructions of each call are counted with 1 to 2**31 observations t, and with 0 to 127 messages m.
+
+    They are counted with tables of 2 to 127 entries q, too, but a robot with the robust filter has no table.
+    """
+    largest_t = 2**31
     for name, count_by_axis in operations.items():
-        q_values = set() if "robust" in name else set(range(2, 128))
-        assert {1, 2, 2**31 - 1, 2**31} <= count_by_axis["t"].keys()
+        has_table = "robust" not in name  # the names are "settle", "settle, robust" and so on
+        q_values = set(range(2, 128)) if has_table else set()
+        assert {1, 2, largest_t - 1, largest_t} <= count_by_axis["t"].keys()
         assert count_by_axis["m"].keys() == set(range(128))
         assert count_by_axis["q"].keys() == q_values
 
@@ -241,7 +258,7 @@ def largest_count(operations: Counts, name: str) -> int:
     ("name", "limit"), [("step", 1000), ("step, robust", 10_000), ("receive, robust", 240)]
 )
 def test_calls_take_few_instructions(operations: Counts, name: str, limit: int) -> None:
-    """The robust filter takes more, as its test goes through 32 slots about six times."""
+    """The robust filter takes more: its test goes through 32 slots, which keep estimates, about six times."""
     assert 0 < largest_count(operations, name) < limit
 
 

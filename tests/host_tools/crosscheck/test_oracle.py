@@ -67,10 +67,11 @@ class AccuracyCase:
 
 
 ACCURACY_CASES = [
-    AccuracyCase(0, Fraction(19, 20), 66, 2, (0, 0)),
-    AccuracyCase(300_000, Fraction(19, 20), 3.125, 6.444, (2330168, 2330168)),
-    AccuracyCase(500_100, Fraction(1025, 2048), 3.125, 4098.002, (5053297, 5053298)),
-    AccuracyCase(499_900, Fraction(1025, 2048), 3.125, 4098.002, (3335310, 3335311)),
+    # First come the number of black tiles, the accuracy and ``too_small``.
+    AccuracyCase(0, Fraction(19, 20), 66, too_large=2, x_hat=(0, 0)),
+    AccuracyCase(300_000, Fraction(19, 20), 3.125, too_large=6.444, x_hat=(2330168, 2330168)),
+    AccuracyCase(500_100, Fraction(1025, 2048), 3.125, too_large=4098.002, x_hat=(5053297, 5053298)),
+    AccuracyCase(499_900, Fraction(1025, 2048), 3.125, too_large=4098.002, x_hat=(3335310, 3335311)),
 ]
 
 
@@ -117,15 +118,16 @@ def test_the_error_of_b_hat_is_that_of_the_design(x_bar: Fraction, units: int) -
 def test_an_update_is_expected_from_an_informative_x_bar(side: int, errors: float, is_expected: bool) -> None:
     """x_bar, the mean of the estimates, is informative if |2 x_bar - 1| is above a limit.
 
-    ``errors`` is its distance from the limit in units of 1.25 * 2**-30, the largest error of 2 x_bar.
+    ``errors`` is how far it is above the limit, in multiples of the largest error of 2 x_bar.
     """
-    distance = LIMIT + Fraction(errors) * Fraction(5, 4) / 2**30
-    x_bar = HALF + side * distance / 2
+    largest_error = Fraction(5, 4) / 2**30
+    twice_the_distance_from_half = LIMIT + Fraction(errors) * largest_error
+    x_bar = HALF + side * twice_the_distance_from_half / 2
     assert is_update_expected(x_bar) is is_expected
 
 
 def test_an_x_bar_so_near_to_the_limit_that_rounding_decides_may_lead_to_an_update_or_not() -> None:
-    """None says that both are right. An x_bar farther than the limit from 1/2 leads to an update."""
+    """``is_update_expected`` says None, as both are right. An x_bar beyond the limit leads to an update."""
     rounding = Fraction(1, 2**31)
     assert is_update_expected(HALF + LIMIT / 2 + rounding) is None
 
@@ -138,7 +140,7 @@ def last_call(text: str, audit: Audit) -> CheckedCall:
     return list(check_calls(text, audit))[-1]
 
 
-UPDATE = "robot:1:1:64:0:3221225472,step:1,step:0,receive:1:3000000:2147483649,step:0"
+SCENARIO_WITH_UPDATE = "robot:1:1:64:0:3221225472,step:1,step:0,receive:1:3000000:2147483649,step:0"
 """A scenario whose last call updates b_hat, which is 3/4 at the start, from an x_hat of 0.36 with alpha 1."""
 
 
@@ -148,7 +150,7 @@ def problems_with_excess(name: str, excess: int) -> list[str]:
     An audit checks calls by exact arithmetic.
     """
     audit = Audit()
-    update = last_call(UPDATE, audit)
+    update = last_call(SCENARIO_WITH_UPDATE, audit)
     assert update.after.outcome == "UPDATED"
     wrong = with_value(update.after, name, update.after.state[name] + excess)
     return audit.check_call(update.setup, update.call, update.before, wrong)
@@ -160,7 +162,7 @@ def problems_with_excess(name: str, excess: int) -> list[str]:
     [
         ("x_hat", 2, "x_hat is"),
         ("x_hat", -2, "x_hat is"),
-        ("alpha", 16 << 8, "alpha is"),
+        ("alpha", 16 << 8, "alpha is"),  # 16 units of the mantissa, which begins at bit 8
         ("b_hat()", 50, "b_hat is"),
         ("b_hat()", -50, "b_hat is"),
         ("x()", 1, "x() is"),
@@ -169,13 +171,16 @@ def problems_with_excess(name: str, excess: int) -> list[str]:
     ],
 )
 def test_a_value_out_of_bounds_is_reported(name: str, excess: int, problem: str) -> None:
-    """After a call of a robot, one value is larger than it was by more than rounding explains."""
+    """One value after a call of a robot is changed by more than rounding explains.
+
+    What the oracle returns has a line that begins with the name of the value.
+    """
     problems = problems_with_excess(name, excess)
     assert any(line.startswith(problem) for line in problems)
 
 
 def test_a_value_that_follows_from_no_equation_is_not_checked() -> None:
-    """open_x, a sum of messages, is compared between the firmwares alone."""
+    """The oracle does not know open_x, a sum of messages; only the two firmwares are compared in it."""
     assert problems_with_excess("open_x", excess=1) == []
 
 

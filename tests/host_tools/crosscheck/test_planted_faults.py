@@ -29,7 +29,8 @@ SLOW_FAULTS = tuple(fault for fault in FAULTS if fault not in QUICK_FAULTS)
 def test_random_scenarios_show_a_fault_that_only_one_firmware_has(fault: str) -> None:
     """The fault is one wrong place in the source of the mirror, which is the firmware in Python.
 
-    Random calls of it and of the C give different results; with the right mirror they do not.
+    The failure that is found has random calls of which the C and this mirror give different results. With the
+    right mirror the same calls give equal results.
     """
     faulty_mirror = mirror_with(FAULTS[fault])
     failure = find_failure(NativeRobot, faulty_mirror)
@@ -61,7 +62,7 @@ def test_random_scenarios_show_a_fault_that_only_one_firmware_has(fault: str) ->
     ],
 )
 def test_exact_arithmetic_shows_a_fault_that_both_firmwares_have(fault: str) -> None:
-    """Two robots with the same fault agree with each other, so only exact arithmetic can show it."""
+    """Two robots with the same fault agree with each other, so only exact arithmetic can find a failure."""
     faulty_mirror = mirror_with(FAULTS[fault])
     failure = find_failure(faulty_mirror, faulty_mirror)
     assert failure is not None

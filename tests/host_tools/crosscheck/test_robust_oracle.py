@@ -49,9 +49,10 @@ def test_a_robot_remembers_the_nearest_estimate_that_has_16_bits(x_hat: int, est
     ],
 )
 def test_a_vote_moves_centre_and_spread_by_whole_units(x_hat: int, centre: int, spread: int) -> None:
-    """A vote weighs one estimate, x_hat: the centre of all estimates moves towards it, by at most a spread.
+    """A vote weighs one estimate, x_hat: the centre goes 1/8 of the way to it, but at most 1/8 of a spread.
 
-    Before this vote, the first, the centre is 1/2 and the spread 2**18 units of 2**-30.
+    The centre and the spread are in units of 2**-30, and x_hat is in units of 2**-23. Before this vote, the
+    first, the centre is 1/2, which is 2**29 units, and the spread has 2**18 units.
     """
     before = Votes(centre=HALF, spread=Fraction(2**18, 2**30), count=0)
     after = rounded_votes_after(before, Fraction(x_hat, ONE))
@@ -73,9 +74,9 @@ def test_a_vote_moves_the_centre_by_whole_units_and_less_than_a_unit_is_rounded_
 @pytest.mark.parametrize(
     ("batch_black_count", "dispersion"),
     [
-        (250, 448),  # as many as expected: 7/8 of 2
-        (260, 473),  # a ratio of 0.8: 7/8 of 2, and 1/8 of 0.8
-        (500, 1216),  # an outlier, which counts 12 * 2
+        (250, 448),  # as many as expected: 7/8 of 2, which is 1.75
+        (260, 473),  # a ratio of 0.8: 7/8 of 2, and 1/8 of 0.8, which is 1.85
+        (500, 1216),  # an outlier, which counts as a ratio of 12 * 2: 7/8 of 2, and 1/8 of 24, which is 4.75
     ],
 )
 def test_the_running_dispersion_of_observations_has_one_right_value_or_two(
@@ -104,26 +105,29 @@ def test_a_batch_without_deviation_leaves_the_dispersion(n: int, batch_count: in
 
 
 def test_the_dispersion_has_wide_bounds_where_the_variance_is_a_rounding_error() -> None:
-    """One of 2**31 observations is black: the variance of a batch is of the size of its rounding.
+    """One of 2**31 observations is black, so the variance of a batch is no larger than its rounding error.
 
-    The new dispersion is 7/8 of 8, which is 7, and 1/8 of a ratio between 0 and its limit of 12 * 8.
+    The new dispersion is 7/8 of the old one, 8, and 1/8 of a ratio between 0 and 12 times the old one.
     """
     observations = Observations(n=1, t=2**31, dispersion=Fraction(8))
     smallest, largest = dispersion_bounds(observations, batch_black_count=1, batch_count=2**20)
+    largest_ratio = 12 * 8
     assert smallest == 7
-    assert largest == 7 + Fraction(12 * 8, 8)
+    assert largest == 7 + Fraction(largest_ratio, 8)
 
 
 def test_the_centre_of_five_estimates_falls_one_unit_of_the_firmware_short_of_the_exact_one() -> None:
     """The spread is the median distance, 106, from the median, 300.
 
-    Of the estimates within a spread, 200, 300 and 406, the mean is 302, and the outer two balance each other.
-    The firmware rounds down by one of its units, of which each of the units here has 2**8.
+    Three estimates are within a spread: the mean of 200, 300 and 406 is 302. The outer two, 0 and 600, count
+    as a spread below and a spread above, and so balance each other. The firmware's quotient of a step from
+    300 to 302 is a little too small even though it needs no rounding, so the step ends a unit before 302.
     """
-    estimates = [Fraction(estimate, 2**16) for estimate in (0, 200, 300, 406, 600)]
+    unit_of_estimates, unit_of_firmware = Fraction(1, 2**16), Fraction(1, 2**24)
+    estimates = [estimate * unit_of_estimates for estimate in (0, 200, 300, 406, 600)]
     centre, spread = rounded_centre_and_spread(estimates)
-    assert spread == Fraction(106, 2**16)
-    assert centre == Fraction(302 * 2**8 - 1, 2**24)
+    assert spread == 106 * unit_of_estimates
+    assert centre == 302 * unit_of_estimates - unit_of_firmware
 
 
 @pytest.mark.parametrize(("n", "outcome"), [(554_100, False), (554_154, None), (554_200, True)])
@@ -132,7 +136,7 @@ def test_a_decision_of_the_robust_test_that_hangs_on_rounding_is_left_open(
 ) -> None:
     """The test rejects b_hat, 3/4, if too many of a million observations are black; 1/2 would be expected.
 
-    Of n = 554,154 black ones exact arithmetic cannot say whether the rounding firmware rejects: it is None.
+    With n = 554,154 black ones a firmware that rounds may reject or not: ``robust_test_outcome`` says None.
     """
     observations = Observations(n, t=10**6, dispersion=INDEPENDENT)
     rejects = robust_test_outcome(observations, Fraction(3, 4), centre=HALF, spread=Fraction(1, 32))
@@ -211,24 +215,25 @@ def calls_by_event() -> dict[str, list[CheckedCall]]:
 def test_a_wrong_result_of_any_event_of_the_robust_filter_is_reported(
     event: str, calls_by_event: dict[str, list[CheckedCall]]
 ) -> None:
-    """An event is, for one, that an estimate is weighed, or that the filter's test rejects b_hat.
+    """The oracle returns a line for each problem if a value after a right call is made wrong by a unit.
 
-    After up to ten right calls with the event, one value at a time is made wrong by a unit.
+    An event is, for one, that an estimate is weighed, or that the filter's test rejects b_hat. Up to ten
+    calls with the event are checked, each with one wrong value after the other.
     """
     calls = calls_by_event[event]
     assert len(calls) >= 3
-    for right in calls[:10]:
-        for wrong_after in wrong_results(event, right.after):
-            problems = Audit().check_call(right.setup, right.call, right.before, wrong_after)
-            assert problems, f"{right.call} may give {wrong_after}"
+    for right_call in calls[:10]:
+        for wrong_after in wrong_results(event, right_call.after):
+            problems = Audit().check_call(right_call.setup, right_call.call, right_call.before, wrong_after)
+            assert problems, f"{right_call.call} may give {wrong_after}"
 
 
 ROBOT = "robot:3:1:64:0:3221225472"
-"""A robot with the robust filter that assumes 3/4 and tests itself in every round."""
+"""A robot with the robust filter that assumes 3/4, in units of 2**-32, and tests itself in every round."""
 
 
 def test_a_dispersion_out_of_bounds_is_reported() -> None:
-    """After two observations it is 1, which is 256 units; two more are too many."""
+    """After two observations it is 1, which is 256 units of 2**-8; two more units are too many."""
     *_, settle = check_calls(f"{ROBOT},observe:1,observe:0,settle", Audit())
     wrong = with_value(settle.after, "robust_dispersion", 256 + 2)
     problems = Audit().check_call(settle.setup, settle.call, settle.before, wrong)

@@ -18,9 +18,12 @@ def first_experiment(study_part: StudyPart) -> Experiment:
 @pytest.mark.parametrize(
     ("study_part", "count"),
     [
-        # for each f and b: 4 without flawed robots, 2 x 3 x 7 partly flawed, 2 x 4 entirely flawed
+        # For each of 4 pairs of f and b there are 4 filters without flawed robots: none, and ASDF+ with three
+        # periods. With 2 wrong b_hat there are 7 filters for each of 3 percentages of flawed robots, as ASDF-
+        # has three periods, too, and 4 filters where all robots are flawed.
         (StudyPart.FULLY_CONNECTED, 4 * (4 + 2 * 3 * 7 + 2 * 4)),
         (StudyPart.DYNAMIC, 4 * (4 + 2 * 3 * 7 + 2 * 4)),
+        # 2 filters without flawed robots, and with 3 percentages of robots that assume one of 3 b_hat
         (StudyPart.PHYSICAL, 2 + 3 * 3 * 2),
     ],
 )
@@ -51,7 +54,7 @@ def test_a_part_of_the_study_has_as_many_robots_and_steps_and_trials_as_the_pape
 
 
 def test_the_dynamic_swarm_of_20_robots_with_a_radio_range_of_0_7_m_has_density_1() -> None:
-    """Density is N pi r^2 by the area of the square floor."""
+    """Density is N pi r^2 by the area of the square floor, so this area is 20 pi 0.7^2 square metres."""
     area = 20 * np.pi * 0.7**2
     width, _height = first_experiment(StudyPart.DYNAMIC).sides
     assert width == pytest.approx(np.sqrt(area))

@@ -39,6 +39,7 @@ PLANTED: dict[str, list[str]] = tomllib.loads(
 
 
 def decide_one(study_results: StudyResults, claim: Claim, study_part: StudyPart | None) -> Decision:
+    """Return the decision on a claim about one part of the study."""
     (decision,) = [
         decision for decision in decide(study_results, [claim]) if decision.study_part is study_part
     ]
@@ -136,7 +137,7 @@ PLANS_BY_CLAIM = {
 
 
 def test_claims_compare_only_cells_that_the_study_runs_and_some_of_their_own_part() -> None:
-    """A cell is a kind of swarm in a part of the study."""
+    """A cell is a kind of swarm in a part of the study; a reference is the cell that it is compared with."""
     for (_claim_name, part), plans in PLANS_BY_CLAIM.items():
         cells = {plan.cell for plan in plans}
         references = {plan.reference for plan in plans if plan.reference is not None}
@@ -171,12 +172,16 @@ def test_differences_that_count_in_claims_toml_are_above_0() -> None:
 
 
 def plan(**row: Any) -> list[PlannedComparison]:
-    """List the comparisons of a row in the dynamic swarms with f = 0.95 and b = 0.55."""
+    """List the comparisons that a row of claims.toml makes in dynamic swarms with f = 0.95 and b = 0.55.
+
+    ``row`` says of which swarms, and ``than`` with which others. Each comparison has the one swarm as its
+    ``cell``, and the other, which may be missing, as its ``reference``.
+    """
     return Contrast(**{"expected": "above", "panels": "over_clear", **row}).plan(StudyPart.DYNAMIC)
 
 
 def test_lists_in_a_row_of_a_claim_make_all_their_combinations() -> None:
-    """b_hat is what flawed robots assume: 0.75 or 0.95, as 0.55 would be right."""
+    """The row lists two percentages of flawed robots. These assume a b_hat of 0.75 or 0.95; 0.55 is right."""
     plans = plan(flawed_percents=[10, 30], filters="asdf-plus", than="no filter")
 
     compared = [
@@ -185,6 +190,7 @@ def test_lists_in_a_row_of_a_claim_make_all_their_combinations() -> None:
         if plan.reference is not None
     ]
     assert compared == [
+        # b_hat and percentage of flawed robots, filter, and filter of the swarm compared with
         (0.75, 10, "asdf-plus", "none"),
         (0.75, 30, "asdf-plus", "none"),
         (0.95, 10, "asdf-plus", "none"),
@@ -192,7 +198,8 @@ def test_lists_in_a_row_of_a_claim_make_all_their_combinations() -> None:
     ]
 
 
-def test_a_reference_differs_from_its_cell_only_in_what_the_row_of_the_claim_changes() -> None:
+def test_a_swarm_is_compared_with_one_that_differs_only_in_what_the_row_of_the_claim_changes() -> None:
+    """The row compares swarms with ASDF+ with "no filter", which is the filter "none" of a swarm."""
     first_plan, *_others = plan(filters="asdf-plus", than="no filter")
 
     assert first_plan.cell.filter == "asdf-plus"
@@ -206,7 +213,7 @@ def test_two_names_of_the_same_experiment_are_compared_once() -> None:
 
 
 def test_next_lower_p_is_the_next_lower_percentage_of_flawed_robots_that_the_study_runs() -> None:
-    """It is what a cell is compared with whose row says "next lower P"."""
+    """A row that says "next lower P" compares a swarm with one that has this percentage of flawed robots."""
     plans = plan(flawed_percents=[10, 30, 50, 100], flawed_accuracies=0.95, than="next lower P")
 
     percent_of_reference_by_percent = {
@@ -233,7 +240,8 @@ def test_a_comparison_is_the_measure_of_the_first_cell_less_that_of_the_other(
 ) -> None:
     """With 30 % flawed robots H is 57 without a filter, 72 with ASDF- and 77 with ASDF+.
 
-    Without flawed robots it is 3 higher, and in fully connected swarms 4 higher than in dynamic ones.
+    Without flawed robots ("flawless") it is 3 higher, and in fully connected swarms 4 higher than in dynamic
+    ones. H is compared with a level if the row has one; "quite high" is a level of 80.
     """
     h = "{'none': 60, 'asdf-minus': 75, 'asdf-plus': 80}[filter] - P / 10 + 4 * (part != 'dynamic')"
     for planned_comparison in plan(flawed_percents=30, **row):
@@ -302,6 +310,7 @@ def test_the_whole_interval_must_reach_the_size_where_the_paper_says_much(
 
 
 def test_the_intervals_of_24_comparisons_are_so_wide_that_all_together_are_right_with_95_percent() -> None:
+    """So each of the 24 may be wrong with only a 24th of 5 percent."""
     results = PlantedResults("(70, 8)")  # median and spread
     claim = claim_named("flawed_robots_harm")
 
@@ -329,7 +338,8 @@ def test_robots_of_a_connected_swarm_must_converge_in_the_same_step_with_the_sam
     step_of_last_robot: int, error_of_last_robot: float, verdict: Verdict
 ) -> None:
     """In a trial three robots converge at step 100 with an error of 0.25. The fourth may differ."""
-    cell = Cell(StudyPart.FULLY_CONNECTED, 0.95, 0.55, 0.95, flawed_percent=30)
+    swarm: dict[str, Any] = {"fill_ratio": 0.95, "true_accuracy": 0.55, "flawed_accuracy": 0.95}
+    cell = Cell(StudyPart.FULLY_CONNECTED, **swarm, flawed_percent=30)
     trials = replace(
         trials_with(robots=4),
         convergence_steps=np.array([[100, 100, 100, step_of_last_robot]]),

@@ -20,8 +20,9 @@ def test_all_numbers_of_the_papers_table_1_are_right_to_their_three_printed_digi
     differences = differences_of(claim)
 
     assert len(differences) == count
-    assert max(differences) <= 0.0005 + 1e-9
-    assert min(differences) >= -0.0005 - 1e-9
+    half_of_last_digit = 0.0005 + 1e-9
+    assert max(differences) <= half_of_last_digit
+    assert min(differences) >= -half_of_last_digit
 
 
 def test_confidence_grows_least_at_the_largest_assumed_accuracy() -> None:

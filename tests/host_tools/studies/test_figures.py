@@ -126,7 +126,7 @@ def drawn_swarms(name: str, firmware: str = "native", own_filter: str | None = N
 def test_a_study_of_some_parts_of_the_papers_has_the_pictures_of_these_parts(
     parts: list[StudyPart], count: int
 ) -> None:
-    """Two pictures need two parts, the fully connected and the dynamic swarm."""
+    """Two of the 13 pictures compare fully connected swarms with dynamic ones, so they need both parts."""
     assert len(pictures_of(*parts)) == count
 
 
@@ -149,25 +149,26 @@ def test_the_title_of_a_picture_ends_with_the_number_of_the_papers_figure_that_s
     assert pictures_of(*StudyPart)[name].title.endswith(f" (the paper's figure {figure})")
 
 
-ANY_PERIOD = {1000, 2000, 4000}
-SHORTEST = {1000}
+ALL_PERIODS = {1000, 2000, 4000}
+SHORTEST_PERIOD = {1000}
 
 
 @pytest.mark.parametrize(
     ("name", "filters", "periods", "percents"),
     [
-        ("dynamic_asdf-minus", {"none", "asdf-minus"}, ANY_PERIOD, {0, 10, 30, 50}),
-        ("fully_connected_bands", {"asdf-plus"}, SHORTEST, {10, 30, 50}),
-        ("dynamic_asdf-plus", {"none", "asdf-plus"}, ANY_PERIOD, {0, 10, 30, 50, 100}),
-        ("dynamic_scatter", {"none", "asdf-minus", "asdf-plus"}, SHORTEST, {0, 10, 30, 50, 100}),
-        ("topologies_asdf-minus", {"none", "asdf-minus"}, SHORTEST, {0, 10, 30, 50, 100}),
-        ("series", {"none", "asdf-plus"}, SHORTEST, {50}),
-        ("physical_asdf-plus", {"none", "asdf-plus"}, SHORTEST, {0, 25, 50, 100}),
+        ("dynamic_asdf-minus", {"none", "asdf-minus"}, ALL_PERIODS, {0, 10, 30, 50}),
+        ("fully_connected_bands", {"asdf-plus"}, SHORTEST_PERIOD, {10, 30, 50}),
+        ("dynamic_asdf-plus", {"none", "asdf-plus"}, ALL_PERIODS, {0, 10, 30, 50, 100}),
+        ("dynamic_scatter", {"none", "asdf-minus", "asdf-plus"}, SHORTEST_PERIOD, {0, 10, 30, 50, 100}),
+        ("topologies_asdf-minus", {"none", "asdf-minus"}, SHORTEST_PERIOD, {0, 10, 30, 50, 100}),
+        ("series", {"none", "asdf-plus"}, SHORTEST_PERIOD, {50}),
+        ("physical_asdf-plus", {"none", "asdf-plus"}, SHORTEST_PERIOD, {0, 25, 50, 100}),
     ],
 )
 def test_a_picture_shows_the_filters_periods_and_percentages_of_flawed_robots_of_the_papers_figure(
     name: str, filters: set[str], periods: set[int], percents: set[int]
 ) -> None:
+    """It is drawn of swarms with these filters, with these periods and with these percentages."""
     drawn = drawn_swarms(name)
 
     assert drawn.filters == filters

@@ -158,7 +158,7 @@ def test_a_memory_weighs_messages_by_their_confidence_and_older_ones_seven_eight
 def test_the_64th_message_counts_only_half_as_much_in_a_memory_as_those_before(
     messages_before: int, share: float
 ) -> None:
-    """Each message counts an eighth of the mean, from the 64th on a sixteenth. All but the last say 0.0."""
+    """Each message counts as 1/8 of the mean, and from the 64th on as 1/16. All but the last say 0.0."""
     robot = remembering_robot(observations=1)
     for sender in range(messages_before):
         robot.receive(sender, x_hat=0.0, alpha=1.0)
@@ -169,7 +169,7 @@ def test_the_64th_message_counts_only_half_as_much_in_a_memory_as_those_before(
 
 
 def test_messages_without_confidence_do_not_count_in_a_memory() -> None:
-    """A 64th message would count less, but 63 are ignored: the older of two others weighs 7/8 still."""
+    """After 63 ignored messages two others are the first ones, so the older weighs 7/8 of the newer."""
     robot = remembering_robot(observations=1)
     for sender in range(63):
         robot.receive(sender, x_hat=0.9, alpha=0.0)
@@ -248,7 +248,7 @@ def test_bayescpf_uses_up_its_counts_in_the_update_at_the_end_of_each_round() ->
 
 
 def test_bayescpf_does_not_update_its_accuracy_if_fewer_than_5_readings_are_expected_to_be_wrong() -> None:
-    """Of 24 readings with an accuracy of 0.8 these are 4.8."""
+    """Of 24 readings with an accuracy of 0.8 a fifth should be wrong, 4.8 of them. The result is None."""
     robot = bayescpf_robot_after_100_readings()
     robot._t_since_update = 24  # readings since the last update
     assert robot.reestimate_b_hat() is None
@@ -455,7 +455,10 @@ def test_a_voter_has_confidence_in_its_opinion_only_while_it_broadcasts_it() -> 
 def test_a_voter_adopts_the_opinion_of_the_majority_and_keeps_its_own_in_a_tie(
     received: list[float], opinion: float
 ) -> None:
-    """Opinions are 1.0 for black and 0.0 for white. The robot's own one is white, and counts too."""
+    """Opinions are 1.0 for black and 0.0 for white. The robot's own one is white, and counts too.
+
+    It adopts an opinion at the end of its last round of broadcasting, which is this one.
+    """
     robot = voter_for_white_that_broadcasts(rounds_left=1)
 
     receive_from_neighbours(robot, received)
@@ -524,7 +527,7 @@ def test_a_lossy_radio_loses_about_three_messages_in_ten() -> None:
     robot = peers.LossyRobot(WITHOUT_FILTER, robot_id=0, b_hat=0.9)
     for _ in range(1000):
         status = robot.receive_raw(sender=1, x_hat=2**22, alpha=2**31)  # half black, and confident
-        assert status >= Status.OK
+        assert status >= Status.OK  # errors are negative
         robot.settle()
 
     assert 660 < robot.counters.accepted < 740

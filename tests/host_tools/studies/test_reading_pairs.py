@@ -79,6 +79,7 @@ def test_a_sensor_with_two_readings_gives_the_same_reading_on_black_and_on_white
 
 
 def test_readings_do_not_depend_on_how_many_steps_are_taken_at_once() -> None:
+    """``advance`` returns readings on black tiles and readings on white ones; the first are compared."""
     sensors = HalfRepeated(THREE_ROBOTS, trial=4)
     readings_of_parts = [sensors.advance(steps)[0] for steps in (1, 2, 5, 1, 4)]
 
@@ -127,7 +128,10 @@ def test_the_accuracy_is_the_one_at_which_as_many_of_100_pairs_of_readings_disag
 
 
 def read_pairs(robot: TwoReadingsRobot, agreeing: int, disagreeing: int) -> Status:
-    """Let a robot read so many tiles twice; return what it says at the end of the round, when it filters."""
+    """Let a robot read so many tiles twice; return its status at the end of the round, when it filters.
+
+    Readings that agree are both black, and of two that disagree the first is white.
+    """
     for _ in range(agreeing):
         robot.observe(Observation.BLACK)
         robot.observe(Observation.BLACK)
@@ -142,8 +146,9 @@ def two_readings_robot(b_hat: float) -> TwoReadingsRobot:
 
 
 def test_only_the_first_reading_of_a_tile_counts_as_an_observation() -> None:
+    """Three tiles are read as black twice. Two are read as white first, and then as black."""
     robot = two_readings_robot(b_hat=0.9)
-    read_pairs(robot, agreeing=3, disagreeing=2)  # whose first readings are black, and white
+    read_pairs(robot, agreeing=3, disagreeing=2)
 
     assert robot.t == 5  # observations
     assert robot.n == 3  # black ones
@@ -170,7 +175,7 @@ def test_an_accuracy_that_disagreements_do_not_contradict_stays_exactly_as_it_wa
 
 
 def test_a_robot_returns_to_its_first_accuracy_when_disagreements_no_longer_contradict_it() -> None:
-    """60 of 160 pairs are too many for 0.9, and 60 of 410 are not."""
+    """60 of 160 pairs of readings that disagree are too many for 0.9, and 60 of 410 are not."""
     robot = two_readings_robot(b_hat=0.9)
     read_pairs(robot, agreeing=100, disagreeing=60)
     assert robot.b_hat == pytest.approx(0.75)
@@ -181,6 +186,7 @@ def test_a_robot_returns_to_its_first_accuracy_when_disagreements_no_longer_cont
 
 
 def test_a_robot_with_two_readings_combines_estimates_as_the_robust_filter_does() -> None:
+    """It ends with the same x as a robot that has the robust filter and has read the tile once."""
     robot = two_readings_robot(b_hat=0.9)
     robust_robot = ReferenceRobot(ROBUST, robot_id=0, b_hat=0.9)
     robot.observe(Observation.BLACK)
@@ -197,7 +203,7 @@ def test_a_robot_with_two_readings_combines_estimates_as_the_robust_filter_does(
 
 @pytest.mark.parametrize("readings_before", [0, 1])
 def test_a_reading_that_is_no_colour_is_refused_and_not_counted(readings_before: int) -> None:
-    """It would be the first reading of a tile, or the second one."""
+    """It would be the first reading of a tile, or the second one. So there is no pair of readings yet."""
     robot = two_readings_robot(b_hat=0.9)
     for _ in range(readings_before):
         robot.observe(Observation.BLACK)
@@ -206,4 +212,4 @@ def test_a_reading_that_is_no_colour_is_refused_and_not_counted(readings_before:
     assert robot.observe(no_colour) is Status.ERR_OBSERVATION
 
     assert robot.t == readings_before
-    assert robot._pairs == 0
+    assert robot._pairs == 0  # tiles that were read twice

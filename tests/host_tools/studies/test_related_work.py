@@ -33,7 +33,7 @@ def test_the_percentage_of_right_answers_has_one_decimal(few_resamples: None) ->
 
 
 def test_the_picture_has_a_line_for_each_rule_in_three_swarms_of_both_kinds_of_flaws() -> None:
-    """The same results are drawn in all six panels, which have the titles of their rows."""
+    """Each of the six panels has the label of a table's row as its title; here all draw the same results."""
     (unfiltered,) = short_trials(filter="none")
     results = [
         unfiltered,

@@ -227,7 +227,7 @@ def exactly(value: float, expectation: Expectation = Expectation.ABOVE, size: fl
     return exact_comparison("row", "column", value, expectation, size)
 
 
-OPEN = Comparison("row", "column", Interval(0.1, -0.25, 3), Expectation.NOT_BELOW, size=0.2)
+OPEN = Comparison("row", "column", Interval(0.1, low=-0.25, high=3), Expectation.NOT_BELOW, size=0.2)
 BELOW = exactly(-4, Expectation.BELOW)
 SAME = exactly(1, Expectation.SAME)
 

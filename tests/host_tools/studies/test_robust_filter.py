@@ -15,13 +15,14 @@ from host_tools.studies.conftest import page_path, parse_table, trials_with
 from mcp_asdf_tools.experiments.results import Trials
 from mcp_asdf_tools.experiments.trials import run_trials
 from mcp_asdf_tools.studies import peers, robust_filter, study_program
-from mcp_asdf_tools.studies.study_program import BOTH_FLAWS, FLAWS
+from mcp_asdf_tools.studies.study_program import FLAWS
 
 # --- Experiments -----------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("row", ["static ring", "static grid"])
 def test_each_of_20_robots_has_four_neighbours_in_a_static_graph(row: str) -> None:
+    """The study's table has a row of experiments with each graph; four links end at each robot."""
     for experiment in robust_filter.beyond_rows()[row]:
         receivers = [receiver for _sender, receiver in experiment.graph.links]
         for robot in range(20):
@@ -123,7 +124,7 @@ def test_a_cell_has_no_percentage_of_harmed_robots_if_none_is_healthy(few_resamp
 
 
 def late_error_on_page(flaw: str, column: str) -> float:
-    """Return what docs/internals/robust.md has for 30 % flawed robots in moving swarms."""
+    """Return the late error that docs/internals/robust.md has for 30 % flawed robots in moving swarms."""
     page = page_path("robust").read_text(encoding="utf-8")
     [markdown] = re.findall(r"^\| case \| swarm \|.*?\n\n", page, re.DOTALL | re.MULTILINE)
     lines = markdown.splitlines()
@@ -170,12 +171,17 @@ def drawn_panels(monkeypatch: pytest.MonkeyPatch) -> dict[str, list[Trials]]:
 def test_the_picture_of_the_robust_filter_has_a_panel_for_each_swarm_and_kind_of_flaw(
     drawn_panels: dict[str, list[Trials]],
 ) -> None:
-    """The results of a row are of underconfident and of overconfident swarms, which get a panel each."""
-    underconfident, overconfident = (trials_with(**sensors) for sensors in BOTH_FLAWS)
-    both = [underconfident, overconfident]
-    grid = {"moving, 30 % flawed": both, "moving, 50 % flawed": both}
+    """It has three swarms; two have only flawed robots, and the one with 5 liars has 30 % flawed robots, too.
 
-    figure = robust_filter.draw_errors(grid, worlds={"moving, 5 liars": both})
+    Each swarm has run with underconfident and with overconfident flawed robots, which get a panel each.
+    """
+    underconfident = trials_with(**FLAWS["underconfident"])
+    overconfident = trials_with(**FLAWS["overconfident"])
+    both_results = [underconfident, overconfident]
+    swarms_without_liars = {"moving, 30 % flawed": both_results, "moving, 50 % flawed": both_results}
+    swarms_with_liars = {"moving, 5 liars": both_results}
+
+    figure = robust_filter.draw_errors(grid=swarms_without_liars, worlds=swarms_with_liars)
 
     assert drawn_panels == {
         "30 % flawed, underconfident": [underconfident],

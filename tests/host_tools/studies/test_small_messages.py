@@ -22,6 +22,7 @@ from host_tools.studies.conftest import (
     values_of,
 )
 from mcp_asdf_tools.experiments.message_codes import EXACT, MessageCode
+from mcp_asdf_tools.experiments.results import Trials
 from mcp_asdf_tools.experiments.trials import run_trials
 from mcp_asdf_tools.studies import small_messages, study_program
 from mcp_asdf_tools.studies.bootstrap import Interval, Resampled
@@ -54,7 +55,7 @@ def test_the_robust_filter_runs_with_one_bit_of_alpha_only() -> None:
 
 
 def test_more_bits_of_alpha_change_nothing_for_the_robust_filter() -> None:
-    """The filter asks only whether a sender has any confidence alpha; 7+1 has one bit of it, 7+9 has nine."""
+    """The filter asks only whether a sender has any confidence alpha. 7+1 has one bit of it, 7+9 has nine."""
     experiment, *_ = small_messages.experiments_of("robust")["7+1, moving, overconfident"]
     short_experiment = replace(experiment, steps=1500, trials=1)
 
@@ -102,7 +103,8 @@ def test_the_error_ratio_of_a_code_is_that_of_the_swarm_that_suffers_most(
 
     monkeypatch.setattr(small_messages, "late_error", planted_error)
 
-    ratios = small_messages.worst_ratios({}, [MessageCode(4, 1), MessageCode(16, 9)])
+    no_results: dict[str, list[Trials]] = {}  # as the errors are planted
+    ratios = small_messages.worst_ratios(no_results, [MessageCode(4, 1), MessageCode(16, 9)])
 
     assert ratios[MessageCode(4, 1)] == pytest.approx(Interval(value=3, low=2, high=4))
     assert ratios[MessageCode(16, 9)] == pytest.approx(Interval(value=1, low=1, high=1))

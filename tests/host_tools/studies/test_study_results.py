@@ -17,7 +17,14 @@ from mcp_asdf_tools.studies.study_results import StudyResults
 
 pytestmark = pytest.mark.usefixtures("few_resamples")
 
-FLAWED_CELL = Cell(StudyPart.FULLY_CONNECTED, 0.95, 0.55, 0.95, 30, "asdf-plus")
+FLAWED_CELL = Cell(
+    StudyPart.FULLY_CONNECTED,
+    fill_ratio=0.95,
+    true_accuracy=0.55,
+    flawed_accuracy=0.95,
+    flawed_percent=30,
+    filter="asdf-plus",
+)
 FLAWLESS_CELL = FLAWED_CELL.without_flawed_robots.normal
 
 
@@ -72,6 +79,7 @@ def test_a_measure_that_is_asked_for_twice_is_computed_once() -> None:
 
 
 def test_results_without_flawed_robots_are_found_whatever_these_would_assume() -> None:
+    """The study runs one swarm without flawed robots, and not one for each accuracy that they may assume."""
     cell_with_another_assumption = replace(FLAWLESS_CELL, flawed_accuracy=0.75)
     h = RESULTS.sample(cell_with_another_assumption, "H")
     assert h.tolist() == RESULTS.sample(FLAWLESS_CELL, "H").tolist()

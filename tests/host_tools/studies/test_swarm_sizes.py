@@ -14,9 +14,6 @@ from mcp_asdf_tools.experiments.results import Trials
 from mcp_asdf_tools.studies import swarm_sizes
 from mcp_asdf_tools.studies.study_program import FLAWS
 
-# --- Experiments -----------------------------------------------------------------------------------------
-
-
 # --- Costs -----------------------------------------------------------------------------------------------
 
 
@@ -46,7 +43,7 @@ def test_the_processor_time_of_a_trial_is_the_shortest_of_three_after_a_first_on
 def test_the_cost_of_a_robot_s_step_leaves_out_what_a_trial_takes_before_its_first_step(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Here a trial takes 3 s to start, and 2 ns for each step of each robot."""
+    """Here a trial takes 3 s to start, and 2 ns for each step of each robot. The cost is in nanoseconds."""
     monkeypatch.setattr(
         swarm_sizes,
         "processor_seconds",

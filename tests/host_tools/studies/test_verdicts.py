@@ -78,7 +78,7 @@ def outcomes(interval: Interval) -> Outcomes:
 def test_a_comparison_holds_if_its_interval_is_on_the_expected_side_and_the_difference_large_enough(
     interval: Interval, expected_outcomes: Outcomes
 ) -> None:
-    """An interval is a difference with its lower and its upper end; from a difference of 2 on it counts."""
+    """An interval has a difference, a lower and an upper end. A difference below 2 is too small to count."""
     assert outcomes(interval) == expected_outcomes
 
 
@@ -167,7 +167,7 @@ def verdicts_of(holding: int, failing: int, open_count: int) -> Verdicts:
 def test_the_verdict_follows_from_how_many_comparisons_hold_and_from_how_many_the_claim_says(
     holding: int, failing: int, open_count: int, verdicts: Verdicts
 ) -> None:
-    """For "most", three quarters must hold. It is undecided if open comparisons could change the verdict."""
+    """For "most", three quarters must hold. UNDECIDED means that open comparisons may change the verdict."""
     assert verdicts_of(holding, failing, open_count) == verdicts
 
 
