@@ -18,6 +18,7 @@ TEXT = PAGE.read_text(encoding="utf-8")
 PROGRAM_AND_OUTPUT = re.compile(
     r"^```(python|r|octave)\n(.*?)^```\n\n```text\n(.*?)^```$", re.DOTALL | re.MULTILINE
 )
+"""A block with a program, and below it the block of text that the program prints."""
 
 
 class Example(NamedTuple):
@@ -84,7 +85,7 @@ def test_a_program_in_python_r_or_octave_prints_what_the_page_about_data_frames_
 def test_the_commands_of_a_sweep_print_at_the_end_what_the_page_about_data_frames_shows(
     folder_of_sweep: Path,
 ) -> None:
-    """The page shows dots for what comes before."""
+    """The page shows dots for what they print before."""
     shown_for_sweep, *_others = blocks(PAGE, "text")
     printed = (folder_of_sweep / "printed.txt").read_text()
     assert printed.endswith(shown_for_sweep.removeprefix("...\n"))

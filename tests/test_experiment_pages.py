@@ -22,8 +22,8 @@ TUTORIAL, GUIDE, REPRODUCE = (
 CLUSTER = re.compile("dask|tcp://")
 """A cluster's commands want several machines: tests/host_tools/experiments/test_sweep_cluster.py."""
 
-SHORT = ("--trials", "2", "--steps", "4000")
-"""Options by which a command of the study is run in a short form."""
+SHORT_RUN_OPTIONS = ("--trials", "2", "--steps", "4000")
+"""What is appended to a command of the study, so that it does not take long."""
 
 ENVIRONMENT = {
     "MPLBACKEND": "Agg",
@@ -58,7 +58,7 @@ def follow(page: Path, folder: Path) -> list[Output]:
     """
     outputs, printed = [], ""
     for language, code in FENCED.findall(page.read_text(encoding="utf-8")):
-        first_line = code.split("\n", 1)[0]
+        first_line = code.split("\n", 1)[0]  # of a block that is a file: a comment with its name
         if name := re.fullmatch(r"# (\S+\.\w+)", first_line):
             path = folder / name[1]
             path.parent.mkdir(exist_ok=True)
@@ -131,7 +131,7 @@ def test_the_guide_of_experiments_draws_the_reader_s_own_filter_beside_the_paper
 def test_the_command_with_the_reader_s_own_filter_on_the_page_about_the_paper_s_figures_is_understood(
     followed_guide: FollowedGuide,
 ) -> None:
-    """With a single trial, which is refused, it gets no farther than its options."""
+    """It is run with a single trial: the error about that shows that all other options were understood."""
     [command] = [line for line in commands(REPRODUCE) if "beta" in line]
 
     completed = subprocess.run(
@@ -158,7 +158,10 @@ class PaperFigures:
 
 
 def rows_by_figure_of_the_paper() -> dict[str, PaperFigures]:
-    """Return the rows of the page's table, by the number of the paper's figure or "all"."""
+    """Return the rows of the page's table, by the number of the paper's figure or "all".
+
+    A row is a line: | figure | `command` | `picture`, `picture` |.
+    """
     page = REPRODUCE.read_text("utf-8")
     rows = re.findall(r"^\| ([^|]+) \| `([^`]+)` \| ([^|]+) \|", page, re.MULTILINE)
     return {
@@ -185,7 +188,7 @@ def test_the_command_for_a_figure_of_the_paper_makes_all_pictures_that_come_from
     """The page has the names of the pictures; the command for figure 5 also makes 3, 4 and 6."""
     rows = rows_by_figure_of_the_paper()
 
-    run(*shlex.split(rows[figure_of_command].command), *SHORT, cwd=tmp_path, **ENVIRONMENT)
+    run(*shlex.split(rows[figure_of_command].command), *SHORT_RUN_OPTIONS, cwd=tmp_path, **ENVIRONMENT)
 
     made_pictures = set(names_in(tmp_path / "reproduction/figures"))
     for figure in figures:
@@ -212,10 +215,10 @@ def test_the_command_with_the_robust_filter_prints_what_the_page_shows_and_draws
     """The page shows the beginning of the output, and the command that repeats the study at its end."""
     [command] = [line for line in commands(REPRODUCE) if "--filter robust" in line]
 
-    printed = run(*shlex.split(command), *SHORT, cwd=tmp_path, **ENVIRONMENT)
+    printed = run(*shlex.split(command), *SHORT_RUN_OPTIONS, cwd=tmp_path, **ENVIRONMENT)
 
     shown = block_with(REPRODUCE, "--filter robust", "text").removesuffix("\n...\n")
-    shown_with_short_options = f"{shown} {' '.join(SHORT)}\n"
+    shown_with_short_options = f"{shown} {' '.join(SHORT_RUN_OPTIONS)}\n"
     assert Output(shown_with_short_options, printed).is_as_shown
     pictures = {"topologies_asdf-minus.png", "dynamic_scatter_robust.png"}
     assert pictures <= set(names_in(tmp_path / "mine/figures"))

@@ -45,17 +45,17 @@ Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Cell:
+class StoredExperiment:
     """A configuration, run natively, and the scores of its reference, shape (trials, 3)."""
 
     experiment: Experiment
     scores: Floats
 
 
-def read_cells(path: Path = REFERENCE) -> list[Cell]:
-    """The cells of a reference in its order; the physics simulation has the setup of the authors' scripts."""
+def read_stored_experiments(path: Path = REFERENCE) -> list[StoredExperiment]:
+    """The experiments of a reference in its order; the simulation has the setup of the authors' scripts."""
     world: Any = {"robots": 10} if path == REFERENCE else {"topology": "dynamic", "robots": 20, "latency": 1}
-    cells = []
+    stored_experiments = []
     with path.open(encoding="utf-8", newline="") as file:
         for row in csv.DictReader(file):
             mode: Any = row["mode"].replace("_", "-")
@@ -70,8 +70,10 @@ def read_cells(path: Path = REFERENCE) -> list[Cell]:
                 filter_period=int(row["tau"]) or 1000,  # 0 without a filter
             )
             h_k, h_e = (np.array(row[name].split(), float) for name in ("h_K", "h_e"))
-            cells.append(Cell(experiment, np.stack([h_k, h_e, (h_k + h_e) / 2], axis=1)))
-    return cells
+            stored_experiments.append(
+                StoredExperiment(experiment, np.stack([h_k, h_e, (h_k + h_e) / 2], axis=1))
+            )
+    return stored_experiments
 
 
 def simulate(experiment: Experiment, trials: int) -> Floats:
@@ -95,17 +97,19 @@ def smallest(values: Sequence[Sequence[float]]) -> float:
 def agrees(part: str) -> bool:
     """Print a part as a table; whether all its tests pass."""
     path, trials = PARTS[part]
-    cells = read_cells(path)
+    stored_experiments = read_stored_experiments(path)
     with ProcessPoolExecutor(len(os.sched_getaffinity(0))) as pool:
-        samples = list(pool.map(partial(simulate, trials=trials), [cell.experiment for cell in cells]))
+        samples = list(
+            pool.map(partial(simulate, trials=trials), [stored.experiment for stored in stored_experiments])
+        )
     print(f"\n{part}: medians of H, ours and the other; p-values of {', '.join(SCORES)}")
-    values = [p_values(own, cell.scores) for own, cell in zip(samples, cells, strict=True)]
-    for cell, own, ps in zip(cells, samples, values, strict=True):
-        e, medians = cell.experiment, [np.median(sample[:, 2]) for sample in (own, cell.scores)]
+    values = [p_values(own, stored.scores) for own, stored in zip(samples, stored_experiments, strict=True)]
+    for stored, own, ps in zip(stored_experiments, samples, values, strict=True):
+        e, medians = stored.experiment, [np.median(sample[:, 2]) for sample in (own, stored.scores)]
         place = (e.robots, e.fill_ratio, e.true_accuracy, e.flawed_accuracy, e.flawed, e.filter_period)
         print(*place, e.filter, *(f"{each:8.3g}" for each in (*medians, *ps)))
     least = smallest(values)
-    print(f"smallest p by Holm's correction over {3 * len(cells)} tests: {least:.3g}")
+    print(f"smallest p by Holm's correction over {3 * len(stored_experiments)} tests: {least:.3g}")
     return least >= LEVEL
 
 

@@ -10,7 +10,11 @@ from benchmarks.cost.loops import Bound, Graph, LongestPath, bounds_in
 
 
 def cost_of(graph: Graph, places: dict[int, str], bounds: dict[str, Bound]) -> int:
-    """Return the cost of the longest path from instruction 0 on, if each instruction costs 1."""
+    """Return the cost of the longest path from instruction 0 on, if each instruction costs 1.
+
+    ``graph`` has for each instruction those that may follow it, and ``places`` the lines of source of those
+    that belong to a loop statement, such as "a.c:7". ``bounds`` says how often the loop there turns.
+    """
     return LongestPath(graph, dict.fromkeys(graph, 1), places, bounds).cost(0)
 
 
@@ -25,49 +29,65 @@ def test_bounds_are_read_from_the_comments_beside_loops(tmp_path: Path) -> None:
 
     bounds_by_line = bounds_in([source])
 
-    assert bounds_by_line == {"sort.c:1": Bound(32, None), "sort.c:2": Bound(31, 496)}
+    assert bounds_by_line == {
+        "sort.c:1": Bound(turns=32, in_all=None),
+        "sort.c:2": Bound(turns=31, in_all=496),
+    }
 
 
 def test_without_a_loop_the_longer_branch_counts() -> None:
-    assert cost_of({0: [1, 3], 1: [2], 2: [3], 3: []}, {}, {}) == 4
+    """After instruction 0, the longer branch has the instructions 1 and 2. Both branches end at 3."""
+    assert cost_of({0: [1, 3], 1: [2], 2: [3], 3: []}, places={}, bounds={}) == 4
+
+
+TEN_TURNS = {"a.c:7": Bound(turns=10, in_all=None)}
+"""Bound of the only loop of a function."""
 
 
 def test_a_loop_that_is_left_at_its_end_counts_as_often_as_it_turns() -> None:
+    """Instruction 2 goes back to 1 or leaves the loop, so ten turns are 20 instructions."""
     graph = {0: [1], 1: [2], 2: [1, 3], 3: []}
-    assert cost_of(graph, {2: "a.c:7"}, {"a.c:7": Bound(10, None)}) == 1 + 10 * 2 + 1
+    before, after = 1, 1
+    assert cost_of(graph, {2: "a.c:7"}, TEN_TURNS) == before + 10 * 2 + after
 
 
 def test_a_loop_that_is_left_at_its_beginning_tests_once_more_than_it_turns() -> None:
+    """Instruction 1 is the test, which goes on to 2 or leaves the loop."""
     graph = {0: [1], 1: [2, 3], 2: [1], 3: []}
-    assert cost_of(graph, {1: "a.c:7"}, {"a.c:7": Bound(10, None)}) == 1 + 10 * 2 + 1 + 1
+    before, last_test, after = 1, 1, 1
+    assert cost_of(graph, {1: "a.c:7"}, TEN_TURNS) == before + 10 * 2 + last_test + after
 
 
 NESTED_LOOPS = {0: [1], 1: [2], 2: [2, 3], 3: [1, 4], 4: []}
 """Instruction 2 repeats itself within the loop of instructions 1 to 3."""
 PLACES_OF_NESTED_LOOPS = {2: "a.c:8", 3: "a.c:7"}
+"""The statement of the inner loop is in line 8, that of the outer one in line 7."""
 
 
 def test_an_inner_loop_turns_in_every_turn_of_the_outer_one() -> None:
-    bounds = {"a.c:7": Bound(10, None), "a.c:8": Bound(5, None)}
-    assert cost_of(NESTED_LOOPS, PLACES_OF_NESTED_LOOPS, bounds) == 1 + 10 * (1 + 5 + 1) + 1
+    bounds = {"a.c:7": Bound(turns=10, in_all=None), "a.c:8": Bound(turns=5, in_all=None)}
+    turn_of_outer_loop = 1 + 5 + 1  # the inner loop is one instruction
+    assert cost_of(NESTED_LOOPS, PLACES_OF_NESTED_LOOPS, bounds) == 1 + 10 * turn_of_outer_loop + 1
 
 
 def test_an_inner_loop_whose_turns_are_counted_in_all_adds_these_once() -> None:
-    bounds = {"a.c:7": Bound(10, None), "a.c:8": Bound(5, 20)}
-    assert cost_of(NESTED_LOOPS, PLACES_OF_NESTED_LOOPS, bounds) == 1 + 10 * (1 + 1 + 1) + 20 + 1
+    """These are 20 turns, beside one instruction of the inner loop in each turn of the outer one."""
+    bounds = {"a.c:7": Bound(turns=10, in_all=None), "a.c:8": Bound(turns=5, in_all=20)}
+    turn_of_outer_loop = 1 + 1 + 1
+    assert cost_of(NESTED_LOOPS, PLACES_OF_NESTED_LOOPS, bounds) == 1 + 10 * turn_of_outer_loop + 20 + 1
 
 
 def test_a_loop_with_two_entries_is_bounded_by_turns_that_come_to_both() -> None:
     """The bound is less tight there. Instruction 0 jumps to either of the loop's instructions 1 and 2."""
     graph = {0: [1, 2], 1: [2, 3], 2: [1], 3: []}
-    ten_turns = {"a.c:7": Bound(10, None)}
 
-    cost = cost_of(graph, {1: "a.c:7", 2: "a.c:7"}, ten_turns)
+    cost = cost_of(graph, {1: "a.c:7", 2: "a.c:7"}, TEN_TURNS)
 
-    longest_walk = 1 + 10 * 2 + 1 + 1
+    before, last_test, after = 1, 1, 1
+    longest_walk = before + 10 * 2 + last_test + after
     assert longest_walk <= cost <= 2 * longest_walk
 
 
 def test_a_loop_without_a_bound_in_the_source_is_refused() -> None:
     with pytest.raises(ValueError, match=r"without a bound in the source: \['a.c:7'\]"):
-        cost_of({0: [1], 1: [1, 2], 2: []}, {1: "a.c:7"}, {})
+        cost_of({0: [1], 1: [1, 2], 2: []}, places={1: "a.c:7"}, bounds={})

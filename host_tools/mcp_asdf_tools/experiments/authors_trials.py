@@ -129,8 +129,8 @@ def _read_trial(path: Path, sampling_interval: int) -> Trials:
     number = file.whole_number("trial_ind")
     if not 0 <= number < experiment.trials:
         raise file.error("trial_ind", f"it must be 0 to {experiment.trials - 1}, as num_trials says")
-    # Each series has the shape (N, steps + 1). ``Trials`` has the trial as its first axis, here of length 1:
-    # that is what [np.newaxis] adds.
+    # A series has the shape (N, steps + 1). In ``Trials`` steps come before robots: .T swaps these two axes.
+    # The first axis there is the trial: [np.newaxis] adds it, with the length 1.
     series = _read_series(file, experiment)
     convergence_steps, errors = convergence_and_errors(experiment, series["x"][np.newaxis], unit=1.0)
     b_hat_at_filter_steps = series["b_hat"][:, :: experiment.filter_period]
@@ -138,6 +138,7 @@ def _read_trial(path: Path, sampling_interval: int) -> Trials:
     b_hat_after = b_hat_at_filter_steps[:, 1:]
     # NaN, where their programs have divided by 0, is no update.
     is_update = (b_hat_after != b_hat_before) & ~np.isnan(b_hat_after)
+    updates_by_robot = is_update.sum(axis=1)  # is_update has the shape (N, filter steps)
     records = {}
     if sampling_interval:
         records = {name: series[name][:, ::sampling_interval].T[np.newaxis] for name in QUANTITIES}
@@ -148,7 +149,7 @@ def _read_trial(path: Path, sampling_interval: int) -> Trials:
         errors=errors,
         b_hat=b_hat_after.T[np.newaxis],
         tests=np.zeros((1, experiment.robots), np.int64),  # their files do not say
-        updates=is_update.sum(axis=1)[np.newaxis],
+        updates=updates_by_robot[np.newaxis],
         records=records,
         sampling_interval=sampling_interval,
         source=SOURCE,
@@ -333,7 +334,8 @@ def _parse_texts(texts: Any, steps: int) -> NDArray[np.float64]:
             raise ValueError(f"step {step} is {text!r}, and must be a line of numbers")
     columns_without_seed = range(1, 1 + len(_COLUMNS))
     numbers = np.loadtxt(texts, delimiter=",", usecols=columns_without_seed, comments=None, ndmin=2)
-    _check_numbers(dict(zip(_COLUMNS, numbers.T, strict=True)))
+    values_by_column = numbers.T  # a row for each column, with a value of each step
+    _check_numbers(dict(zip(_COLUMNS, values_by_column, strict=True)))
     return numbers
 
 

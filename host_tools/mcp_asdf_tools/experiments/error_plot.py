@@ -82,14 +82,15 @@ def _draw_errors(axes: Axes, experiments: Sequence[Trials], colour: str) -> None
     """
     if not experiments:
         return
-    robot_axis = 2
+    robot_axis = 2  # of the shape (trials, samples, N)
     errors = [
         abs(trials.records["x"] - trials.experiment.fill_ratio).mean(axis=robot_axis)
         for trials in experiments
     ]
     error_by_trial_and_sample = np.concatenate(errors)
-    # A median over the trials is wanted for each sample, so samples come first.
-    band = median_intervals(error_by_trial_and_sample.T)
+    # A median over the trials is wanted for each sample, so samples come first: shape (samples, trials).
+    error_by_sample_and_trial = error_by_trial_and_sample.T
+    band = median_intervals(error_by_sample_and_trial)
     sample_count = error_by_trial_and_sample.shape[1]
     steps = np.arange(sample_count) * experiments[0].sampling_interval
     draw_band(axes, steps, band, colour)

@@ -219,7 +219,8 @@ def median_intervals(samples: Iterable[NDArray[np.float64]]) -> NDArray[np.float
 
     The intervals are those of ``median_interval``.
     """
-    return np.array([median_interval(sample) for sample in samples]).T
+    intervals = np.array([median_interval(sample) for sample in samples])  # shape (samples, 3)
+    return intervals.T
 
 
 def describe_intervals(experiments: Sequence[Trials]) -> str:

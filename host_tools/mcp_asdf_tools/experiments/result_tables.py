@@ -292,11 +292,12 @@ def rows_by_experiment(table: pa.Table) -> dict[Experiment, NDArray[np.int64]]:
     """
     parameters = table.select(PARAMETER_NAMES)
     numbered_rows = parameters.append_column("row", pa.array(np.arange(len(table))))
-    # With threads, pyarrow returns groups in any order; without, in that of their first rows.
+    # A group has the rows of equal parameters, with their indices under "row_list". With threads, pyarrow
+    # returns groups in any order; without, in that of their first rows.
     groups = numbered_rows.group_by([*PARAMETER_NAMES], use_threads=False).aggregate([("row", "list")])
     rows: dict[Experiment, list[NDArray[np.int64]]] = {}
     for group in groups.to_pylist():
-        # Groups that differ in the sign of a zero are one experiment.
+        # pyarrow tells 0.0 from -0.0, which are equal parameters: so two groups may be one experiment.
         experiment = Experiment.from_recording(group)
         rows.setdefault(experiment, []).append(np.array(group["row_list"]))
     return {experiment: np.concatenate(row_lists) for experiment, row_lists in rows.items()}
@@ -310,10 +311,13 @@ def trials_from_rows(experiment: Experiment, table: pa.Table) -> Trials:
     _check_list_lengths(experiment, table)
     table = table.sort_by("trial")
 
-    def read_lists(column: str, *shape: int) -> NDArray[Any]:
-        """Return a column of lists as an array with the axes trial, and then ``shape``."""
+    robots = experiment.robots
+    filter_steps = experiment.steps // experiment.filter_period
+
+    def read_lists(column: str, *shape_of_trial: int) -> NDArray[Any]:
+        """Return the values in a column of lists, shape (trials, *shape_of_trial)."""
         flat_values: NDArray[Any] = pc.list_flatten(table[column]).to_numpy()
-        return flat_values.reshape(len(table), *shape)
+        return flat_values.reshape(len(table), *shape_of_trial)
 
     records = {}
     for name, column in RECORD_COLUMNS.items():
@@ -321,16 +325,16 @@ def trials_from_rows(experiment: Experiment, table: pa.Table) -> Trials:
         sample_count = len(table[column][0])
         if sample_count > 0:
             values: NDArray[Any] = pc.list_flatten(pc.list_flatten(table[column])).to_numpy()
-            records[name] = values.reshape(len(table), sample_count, experiment.robots)
+            records[name] = values.reshape(len(table), sample_count, robots)
     metadata = read_metadata(table)
     return Trials(
         experiment,
         table["trial"].to_pylist(),
-        convergence_steps=read_lists("k", -1),
-        errors=read_lists("e", -1),
-        b_hat=read_lists("b_hat", -1, experiment.robots),
-        tests=read_lists("tests", -1),
-        updates=read_lists("updates", -1),
+        convergence_steps=read_lists("k", robots),
+        errors=read_lists("e", robots),
+        b_hat=read_lists("b_hat", filter_steps, robots),
+        tests=read_lists("tests", robots),
+        updates=read_lists("updates", robots),
         records=records,
         sampling_interval=metadata["sampling_interval"],
         source=metadata.get("source", ""),

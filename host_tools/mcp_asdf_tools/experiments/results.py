@@ -75,7 +75,7 @@ class Trials:
         The names are those of the scores, "K" and "e" for the means of convergence steps and errors over the
         robots, and "updates" for the sum of the robots' re-estimates of b_hat.
         """
-        robot_axis = 1
+        robot_axis = 1  # of the shape (trials, N)
         return {
             **self.scores(limits),
             "K": self.convergence_steps.mean(axis=robot_axis),
@@ -94,7 +94,9 @@ class Trials:
         initial_b_hat = self.experiment.b_hat(self.experiment.robots - 1)
         # The slice has only the last filter step, or none: then ``any`` of nothing is False.
         final_b_hat = b_hat_of_healthy_robots[:, -1:, :]
-        return np.asarray((abs(final_b_hat - initial_b_hat) > HARM_LIMIT).any(axis=1))
+        is_far_off = abs(final_b_hat - initial_b_hat) > HARM_LIMIT
+        filter_step_axis = 1
+        return np.asarray(is_far_off.any(axis=filter_step_axis))
 
 
 def select_experiments(experiments: Sequence[Trials], where: Mapping[str, Any]) -> list[Trials]:
@@ -190,7 +192,7 @@ def _csv_results(trials: Trials, limits: Limits) -> dict[str, NDArray[Any]]:
     """
     k_max, e_max = limits.of(trials.experiment)
     trial_count = len(trials.numbers)
-    robot_axis = 1
+    robot_axis = 1  # of the shape (trials, N)
     measures = trials.measures(limits)
     return {
         **measures,
@@ -210,6 +212,7 @@ def _mean_final_b_hat(trials: Trials) -> NDArray[np.float64]:
     if filter_step_count == 0:
         return np.full(trial_count, np.nan)
     last_filter_step = filter_step_count - 1
-    final_b_hat = trials.b_hat[:, last_filter_step, :]
-    means: NDArray[np.float64] = final_b_hat.mean(axis=1)
+    final_b_hat = trials.b_hat[:, last_filter_step, :]  # shape (trials, N)
+    robot_axis = 1
+    means: NDArray[np.float64] = final_b_hat.mean(axis=robot_axis)
     return means

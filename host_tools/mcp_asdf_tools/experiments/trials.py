@@ -198,34 +198,39 @@ def _run_by_message(experiment: Experiment, number: int, sampling_interval: int)
     snapshots = [swarm.snapshot()]
     for step in swarm.steps():
         x_by_step.append(swarm.values_of("x"))
-        if step % experiment.filter_period == 0:
+        if step % experiment.filter_period == 0:  # the filter has run in this step
             b_hat_by_filter_step.append(swarm.values_of("b_hat"))
         if sampling_interval and step % sampling_interval == 0:
             snapshots.append(swarm.snapshot())
-    # All arrays have the trial as their first axis, here of length 1: hence the lists around one element.
-    x_by_robot = np.transpose(x_by_step)  # shape (N, steps + 1)
+    # The first axis of all arrays is the trial. There is one here, so its values are an array's only element.
+    x_by_robot = np.transpose(x_by_step)  # a row for each robot in place of each step: shape (N, steps + 1)
     x_series = np.array([x_by_robot])
     convergence_steps, errors = convergence_and_errors(experiment, x_series, unit=1.0)
-    # Shape (1, filter steps, N), also where a trial is too short for a filter step.
-    b_hat = np.reshape(b_hat_by_filter_step, (1, len(b_hat_by_filter_step), experiment.robots))
-    counters = [robot.counters for robot in swarm.robots]
+    # The shape is given, as the list of a trial without a filter step does not tell the number of robots.
+    b_hat_shape = (1, len(b_hat_by_filter_step), experiment.robots)
+    b_hat = np.reshape(b_hat_by_filter_step, b_hat_shape)
+    tests_by_robot = [robot.counters.tests for robot in swarm.robots]
+    updates_by_robot = [robot.counters.updates for robot in swarm.robots]
     return Trials(
         experiment=experiment,
         numbers=[number],
         convergence_steps=convergence_steps,
         errors=errors,
         b_hat=b_hat,
-        tests=np.array([[robot_counters.tests for robot_counters in counters]]),
-        updates=np.array([[robot_counters.updates for robot_counters in counters]]),
+        tests=np.array([tests_by_robot]),
+        updates=np.array([updates_by_robot]),
         records=_records_of_snapshots(snapshots) if sampling_interval else {},
         sampling_interval=sampling_interval,
     )
 
 
 def _records_of_snapshots(snapshots: list[list[list[float]]]) -> dict[str, Floats]:
-    """Return the records of one trial by quantity, shape (1, samples, N) each."""
-    values = np.array(snapshots)  # shape (samples, quantities, N)
-    return {name: values[np.newaxis, :, index] for index, name in enumerate(QUANTITIES)}
+    """Return the records of one trial by quantity, shape (1, samples, N) each.
+
+    A snapshot has a list for each of QUANTITIES, with a value of each robot.
+    """
+    values = np.array([snapshots])  # shape (1, samples, quantities, N): the first axis is the trial
+    return {name: values[:, :, index, :] for index, name in enumerate(QUANTITIES)}
 
 
 class MessageSwarm:
@@ -315,9 +320,13 @@ class MessageSwarm:
 
 
 def _make_robots(experiment: Experiment) -> list[Robot]:
-    """Make the robots of an experiment, by id. Raises UsageError if the firmware cannot be loaded."""
+    """Return the robots of an experiment in a list, where the index of a robot is its id.
+
+    Robots of the firmware "reference" also get the experiment's conventions and omega. Raises UsageError if
+    the firmware cannot be loaded.
+    """
     make_robot: RobotMaker = load_firmware(experiment.firmware)
-    # Robots of the reference need what no config has: the reading of the equations, and omega itself.
+    # No config says which conventions the reference follows, nor the exact omega.
     if experiment.firmware == "reference":
         conventions = AUTHORS if experiment.conventions == "authors" else PAPER
         make_robot = partial(ReferenceRobot, conventions=conventions, omega=float(experiment.omega))

@@ -66,7 +66,8 @@ class DriftingSensors:
         if settings.drift == "none":
             return np.full((1, 1), settings.true_accuracy)
         # A column, shape (steps, 1): all drifting sensors have the same accuracy in a step.
-        step_numbers = np.arange(self._next_step, self._next_step + steps, dtype=np.float64)[:, np.newaxis]
+        end_step = self._next_step + steps
+        step_numbers = np.arange(self._next_step, end_step, dtype=np.float64)[:, np.newaxis]
         # Step 0 has the true accuracy: the drift starts there.
         drifted_accuracies = settings.true_accuracy + settings.drift_rate * step_numbers
         drifted_accuracies = np.clip(drifted_accuracies, settings.lowest_accuracy, 1.0)

@@ -59,7 +59,8 @@ class CheckedTopology:
                 f"topology {self._name} gives {neighbours.dtype} of shape {neighbours.shape}; "
                 f"return bool of {shape}"
             )
-        if neighbours.diagonal(axis1=1, axis2=2).any():
+        receiver_axis, sender_axis = 1, 2
+        if neighbours.diagonal(axis1=receiver_axis, axis2=sender_axis).any():
             raise UsageError(f"in topology {self._name} a robot hears itself; clear the diagonal")
         return neighbours
 

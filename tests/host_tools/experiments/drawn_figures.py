@@ -23,8 +23,8 @@ GREY, GREEN = "#999999", "#009e73"
 
 
 def results_of(experiment: Experiment, sampling_interval: int = 0) -> Trials:
-    """Run all trials of an experiment."""
-    return run_trials(experiment, 0, experiment.trials, sampling_interval)
+    """Run all trials of an experiment, recorded every ``sampling_interval`` steps; 0 means never."""
+    return run_trials(experiment, first=0, trials=experiment.trials, sampling_interval=sampling_interval)
 
 
 def visible_axes(figure: Figure) -> list[Axes]:
@@ -70,19 +70,19 @@ def layout_of(figure: Figure) -> Layout:
 
 def band_edges(band: Any, x: float) -> tuple[float, float]:
     """Return the lower and the upper edge of a band at one of its x values."""
-    corners = np.asarray(band.get_paths()[0].vertices)
+    corners = np.asarray(band.get_paths()[0].vertices)  # a row for each corner, with its x and its height
     heights = corners[corners[:, 0] == x, 1]
     return float(heights.min()), float(heights.max())
 
 
-def curve_of(line: Any, band: Any) -> dict[float, tuple[float, float, float]]:
-    """Return the heights of a line and of the lower and the upper edge of its band, by x."""
+def line_and_band_by_x(line: Any, band: Any) -> dict[float, tuple[float, float, float]]:
+    """Return by x the heights of a line, of the lower edge of its band, and of the upper edge."""
     points = zip(line.get_xdata(), line.get_ydata(), strict=True)
     return {float(x): (float(y), *band_edges(band, x)) for x, y in points}
 
 
-def medians_with_intervals(
+def medians_and_intervals_by_x(
     samples_by_x: Mapping[float, NDArray[Any]],
 ) -> dict[float, tuple[float, float, float]]:
-    """Return the median of each sample, and the ends of its 95 % interval."""
+    """Return by x the median of a sample, the lower end of its 95 % interval, and the upper end."""
     return {x: median_interval(sample) for x, sample in samples_by_x.items()}

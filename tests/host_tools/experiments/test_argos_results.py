@@ -46,7 +46,7 @@ def test_the_stored_results_of_argos_have_three_errors_of_40_seeds_for_each_filt
 @pytest.mark.slow
 @pytest.mark.parametrize("filter_name", ["none", "asdf-minus", "asdf-plus"])
 def test_errors_in_argos_and_in_mcp_asdf_simulate_have_one_distribution(filter_name: str) -> None:
-    """Of each quantity, a test asks how probable so large a difference is: at least 1 % is wanted."""
+    """So large a difference of a quantity has a probability of at least 1 % if there is one distribution."""
     simulated = argos.simulate(filter_name, trials=50)
     p_by_quantity = argos.p_values(simulated, argos.read_results()[filter_name])
     assert min(p_by_quantity.values()) >= 0.01, p_by_quantity
@@ -54,7 +54,7 @@ def test_errors_in_argos_and_in_mcp_asdf_simulate_have_one_distribution(filter_n
 
 @pytest.mark.slow
 def test_the_comparison_with_argos_notices_swarms_with_another_filter_period() -> None:
-    """In ARGoS the filter ran every 1000 ticks. The same comparison with a period of 3000 has to fail."""
+    """In ARGoS the filter ran every 1000 ticks. With a period of 3000 the probability falls below 0.0001."""
     simulated = argos.simulate("asdf-minus", trials=50, filter_period=3000)
     p_by_quantity = argos.p_values(simulated, argos.read_results()["asdf-minus"])
     assert p_by_quantity["error_in_second_half"] < 1e-4
@@ -81,7 +81,10 @@ def test_the_documentation_of_argos_shows_the_table_that_the_comparison_prints()
 
 
 def test_the_table_of_a_trial_in_argos_is_summed_up_as_mean_errors_of_its_robots(tmp_path: Path) -> None:
-    """The true fill ratio is 0.55, the true accuracy 0.95. Of 200 ticks, 150 and 200 are the second half."""
+    """Errors are distances of x from the true fill ratio, 0.55, and of b_hat from the true accuracy, 0.95.
+
+    Of the 200 ticks, the second half has the lines of ticks 150 and 200.
+    """
     table = tmp_path / "results.csv"
     table.write_text(
         "tick,robot,x,b_hat\n"
@@ -125,15 +128,16 @@ def test_a_trial_in_argos_gets_its_seed_and_the_file_of_its_results(
 
 
 def test_the_arena_of_the_example_for_argos_has_the_robot_density_of_simulate() -> None:
-    """The density is the number of robots in the circle of 0.7 m that a robot hears; ``simulate`` has 1.
+    """The density is the number of robots in a circle with the radius of their radio; ``simulate`` has 1.
 
-    The eastern wall of the square arena stands around its middle, and is 0.1 m thick.
+    The file has the x coordinate of the middle of the eastern wall. The square arena ends at its inner face.
     """
+    radio_range, wall_thickness = 0.7, 0.1  # metres
     root = ElementTree.parse(EXAMPLE / "swarm.argos").getroot()
     [east_wall] = root.iterfind("arena/box[@id='wall_east']/body")
-    x_of_east_wall = float(east_wall.attrib["position"].split(",")[0])
-    side = 2 * x_of_east_wall - 0.1
+    x_of_middle_of_wall = float(east_wall.attrib["position"].split(",")[0])
+    side = 2 * (x_of_middle_of_wall - wall_thickness / 2)
     robot_count = sum(int(node.attrib["quantity"]) for node in root.iterfind("arena/distribute/entity"))
 
-    area_heard = np.pi * 0.7**2
+    area_heard = np.pi * radio_range**2
     assert robot_count * area_heard / side**2 == pytest.approx(1, abs=1e-4)

@@ -18,11 +18,13 @@ from mcp_asdf_tools.experiments.results import QUANTITIES, Trials
 from mcp_asdf_tools.experiments.store import Store
 from mcp_asdf_tools.experiments.trials import run_trials
 
-KINDS = pytest.mark.parametrize("experiment", [FIXED, MOVING], ids=["fixed", "moving"])
+with_fixed_and_with_moving_robots = pytest.mark.parametrize(
+    "experiment", [FIXED, MOVING], ids=["fixed", "moving"]
+)
 DECIMALS = 6
 """Decimal places in the authors' files."""
 ROUNDING = 10**-DECIMALS
-"""Largest difference of a number in such a file from the one that was computed."""
+"""Difference that a number in such a file may have from the one that was computed."""
 
 
 def read_trial(path: Path, sampling_interval: int = 0) -> Trials:
@@ -37,7 +39,7 @@ def read_trial(path: Path, sampling_interval: int = 0) -> Trials:
 # --- What is read ----------------------------------------------------------------------------------------
 
 
-@KINDS
+@with_fixed_and_with_moving_robots
 def test_a_trial_read_from_the_authors_format_has_its_parameters_and_number(
     experiment: Experiment, tmp_path: Path
 ) -> None:
@@ -60,7 +62,7 @@ def read_and_run(experiment: Experiment, path: Path) -> tuple[Trials, Trials]:
     return read_trial(write_trial(path, experiment, number=1)), run_trials(experiment, first=1, trials=1)
 
 
-@KINDS
+@with_fixed_and_with_moving_robots
 def test_a_trial_from_a_file_has_the_convergence_and_errors_that_were_written(
     experiment: Experiment, tmp_path: Path
 ) -> None:
@@ -70,7 +72,7 @@ def test_a_trial_from_a_file_has_the_convergence_and_errors_that_were_written(
     assert trials.errors == pytest.approx(expected_trials.errors, abs=ROUNDING)
 
 
-@KINDS
+@with_fixed_and_with_moving_robots
 def test_a_trial_from_a_file_has_the_accuracies_that_were_written(
     experiment: Experiment, tmp_path: Path
 ) -> None:
@@ -87,7 +89,7 @@ def test_the_filter_steps_that_changed_b_hat_are_counted_as_updates(tmp_path: Pa
     assert expected_trials.updates.sum() > 0
 
 
-@KINDS
+@with_fixed_and_with_moving_robots
 def test_a_trial_from_a_file_has_records_of_every_25th_step_if_asked_for(
     experiment: Experiment, tmp_path: Path
 ) -> None:
@@ -145,6 +147,7 @@ def test_a_robot_whose_b_hat_became_nan_has_a_nan_as_its_error_and_the_swarm_a_s
     """The authors' files have healthy robots first, so the last of five is the second of the results.
 
     Its estimates are lost in the last step, 60, as can happen in their programs and in our float reference.
+    The numbers of a step are -1, n, t, x_hat, alpha, x_bar, beta, x, and b_hat on black and on white.
     """
     content = trial_content(FIXED, 0)
     last_robot = content["data_str"][-1]

@@ -17,10 +17,10 @@ from host_tools.experiments.drawn_figures import (
     SHORT_EXPERIMENT,
     Layout,
     caption_of,
-    curve_of,
     layout_of,
     legend_of,
-    medians_with_intervals,
+    line_and_band_by_x,
+    medians_and_intervals_by_x,
     results_of,
     titles_of,
     visible_axes,
@@ -34,7 +34,7 @@ from mcp_asdf_tools.experiments.results import Trials
 
 MOVING: dict[str, Any] = {"robots": 6, "steps": 200, "trials": 7, "filter_period": 50, "topology": "dynamic"}
 
-COMPLETE_GRAPH_OF_FOUR = [(a, b) for a in range(4) for b in range(a)]
+COMPLETE_GRAPH_OF_FOUR = [(robot, other) for robot in range(4) for other in range(robot)]
 GRAPHS = [[(0, 1)], [(0, 1), (0, 2), (0, 10), (0, 11)], COMPLETE_GRAPH_OF_FOUR]
 """Networks, as lists of the pairs of robots that are connected."""
 
@@ -67,13 +67,17 @@ def densities_and_omegas() -> dict[tuple[float, float], Trials]:
 def test_each_curve_goes_through_the_medians_of_trials_in_a_band_of_their_intervals(
     measure: str, densities_and_omegas: dict[tuple[float, float], Trials]
 ) -> None:
-    """There is a curve for each density, in the order of densities, over the three values of omega."""
+    """There is a curve for each density over the three values of omega.
+
+    The band of a curve reaches at each omega over the 95 % interval of the median there.
+    """
+    densities, omegas = (0.5, 2.0), (0.02, 0.05, 0.9)  # ascending, as they are drawn
     (axes,) = plot_curve([*densities_and_omegas.values()], "omega", measure, hue="density").axes
-    for line, band, density in zip(axes.lines, axes.collections, (0.5, 2.0), strict=True):
+    for line, band, density in zip(axes.lines, axes.collections, densities, strict=True):
         samples_by_omega = {}
-        for omega in (0.02, 0.05, 0.9):
+        for omega in omegas:
             samples_by_omega[omega] = densities_and_omegas[density, omega].measures()[measure]
-        assert curve_of(line, band) == medians_with_intervals(samples_by_omega)
+        assert line_and_band_by_x(line, band) == medians_and_intervals_by_x(samples_by_omega)
 
 
 def test_the_legend_of_curves_has_the_values_of_the_parameter_that_they_differ_in(
@@ -96,15 +100,16 @@ def test_curves_are_drawn_into_one_large_panel_with_the_score_over_the_parameter
 def test_the_95_percent_interval_of_a_median_has_the_ranks_that_statistics_books_print(
     trials: int, rank: int
 ) -> None:
-    """Of the sorted values it reaches from that of this rank to that of the same rank from above.
+    """It reaches from the value of this rank among the smallest to that of the same rank among the largest.
 
-    Values are 0, 1, 2 and so on in random order, so the value of rank 1 is 0.
+    Values are 0, 1, 2 and so on in random order, so the smallest one, which has rank 1, is 0.
     """
     values = np.random.default_rng(trials).permutation(trials).astype(float)
     median, lower_end, upper_end = median_interval(values)
 
     assert median == np.median(values)
-    assert (lower_end, upper_end) == (rank - 1, trials - rank)
+    value_from_below, value_from_above = rank - 1, trials - rank
+    assert (lower_end, upper_end) == (value_from_below, value_from_above)
 
 
 def test_the_interval_of_a_median_has_no_width_where_nearly_all_values_are_equal() -> None:
@@ -199,7 +204,7 @@ def test_a_facet_with_a_single_value_gives_one_large_panel(swarms_of_four_robots
 
 def error_of_first_robot(trials: Trials) -> Any:
     """Return a value of each trial, as a user's own function may."""
-    return trials.errors[:, 0]
+    return trials.errors[:, 0]  # errors are by trial and robot
 
 
 @pytest.fixture(scope="module")
@@ -211,7 +216,7 @@ def unfiltered_swarms(swarms_of_four_robots: list[Trials]) -> list[Trials]:
 def test_a_curve_can_be_of_a_function_of_the_user(unfiltered_swarms: list[Trials]) -> None:
     (axes,) = plot_curve(unfiltered_swarms, "flawed", y=error_of_first_robot).axes
 
-    medians = [np.median(trials.errors[:, 0]) for trials in unfiltered_swarms]
+    medians = [np.median(error_of_first_robot(trials)) for trials in unfiltered_swarms]
     assert y_positions(axes.lines[0]) == medians
 
 

@@ -90,7 +90,7 @@ RARE_WHITE: dict[str, Any] = {
     "steps": 200_000,
     "filter_period": 200_000,
 }
-EDGES: dict[str, dict[str, Any]] = {
+EXTREMES: dict[str, dict[str, Any]] = {
     "128 robots": {"robots": 128, "flawed": 40, "steps": 60},
     "only black": {"fill_ratio": 1.0, "true_accuracy": 1.0},
     "barely informative": {"flawed_accuracy": 0.5 + 2**-13},
@@ -104,19 +104,20 @@ EDGES: dict[str, dict[str, Any]] = {
     "sensors that age each in its own way": {"sensor": WanderingSensors},
     "sensors that age at rates of their own": {"sensor": UnequallyAgeingSensors},
 }
-LONG_EDGES: dict[str, dict[str, Any]] = {
+"""Parameters at the ends of their ranges, or in rare combinations, by a name for each."""
+EXTREMES_OF_LONG_TRIALS: dict[str, dict[str, Any]] = {
     "confidence at its largest": RARE_WHITE,
     "rare white under a nearly perfect sensor": {**RARE_WHITE, "flawed_accuracy": 1 - 2**-17, "flawed": 3},
     "long": {"robots": 2, "flawed": 1, "fill_ratio": 0.5, "steps": 2**18 + 100, "filter_period": 2**18},
 }
-MOVING_EDGES: dict[str, dict[str, Any]] = {
+EXTREMES_OF_MOVING_ROBOTS: dict[str, dict[str, Any]] = {
     "everybody in range": {"width": 3.0, "height": 2.0, "density": 1.0, "radio_range": 20.0},
     "seldom heard": {"density": 0.05},
     "code": {"floor": "code", "fill_ratio": 0.448},
 }
 
 
-EDGES_OF_THE_ROBUST_FILTER: dict[str, dict[str, Any]] = {
+EXTREMES_OF_THE_ROBUST_FILTER: dict[str, dict[str, Any]] = {
     "most votes": {"robots": 40, "steps": 600},
     "a floor that seems to change": {"drift": "linear", "drift_rate": -2e-3},
     "two robots, too few for a test": {"robots": 2, "flawed": 1},
@@ -124,10 +125,10 @@ EDGES_OF_THE_ROBUST_FILTER: dict[str, dict[str, Any]] = {
 }
 
 
-def varied(experiment: Experiment, edges: Mapping[str, dict[str, Any]]) -> pytest.MarkDecorator:
+def varied(experiment: Experiment, changes_by_name: Mapping[str, dict[str, Any]]) -> pytest.MarkDecorator:
     """Return a parametrisation over an experiment with each of these changes, by their names."""
-    experiments = [replace(experiment, **changes) for changes in edges.values()]
-    return pytest.mark.parametrize("experiment", experiments, ids=edges)
+    experiments = [replace(experiment, **changes) for changes in changes_by_name.values()]
+    return pytest.mark.parametrize("experiment", experiments, ids=changes_by_name)
 
 
 TRIALS_BEYOND_LANES = 17
@@ -137,19 +138,19 @@ TRIALS_BEYOND_LANES = 17
 with_each_latency = pytest.mark.parametrize("latency", [0, 1])
 
 
-@varied(SHORT, EDGES)
+@varied(SHORT, EXTREMES)
 def test_many_trials_computed_at_once_equal_the_firmware_to_the_bit(experiment: Experiment) -> None:
     assert not results_that_differ(experiment, first=4, trials=TRIALS_BEYOND_LANES)
 
 
 @pytest.mark.slow
-@varied(SHORT, LONG_EDGES)
+@varied(SHORT, EXTREMES_OF_LONG_TRIALS)
 def test_long_trials_computed_at_once_equal_the_firmware_to_the_bit(experiment: Experiment) -> None:
     assert not results_that_differ(experiment, first=4, trials=TRIALS_BEYOND_LANES)
 
 
 @with_each_latency
-@varied(MOVING, EDGES | MOVING_EDGES)
+@varied(MOVING, EXTREMES | EXTREMES_OF_MOVING_ROBOTS)
 def test_moving_robots_computed_at_once_equal_the_firmware_to_the_bit(
     experiment: Experiment, latency: int
 ) -> None:
@@ -157,7 +158,7 @@ def test_moving_robots_computed_at_once_equal_the_firmware_to_the_bit(
     assert not results_that_differ(replace(experiment, latency=latency), first=4, trials=3)
 
 
-@varied(ROBUST, EDGES | EDGES_OF_THE_ROBUST_FILTER)
+@varied(ROBUST, EXTREMES | EXTREMES_OF_THE_ROBUST_FILTER)
 def test_trials_with_the_robust_filter_computed_at_once_equal_the_firmware_to_the_bit(
     experiment: Experiment,
 ) -> None:
@@ -165,7 +166,7 @@ def test_trials_with_the_robust_filter_computed_at_once_equal_the_firmware_to_th
 
 
 @with_each_latency
-@varied(ROBUST_MOVING, EDGES | MOVING_EDGES | EDGES_OF_THE_ROBUST_FILTER)
+@varied(ROBUST_MOVING, EXTREMES | EXTREMES_OF_MOVING_ROBOTS | EXTREMES_OF_THE_ROBUST_FILTER)
 def test_moving_robots_with_the_robust_filter_computed_at_once_equal_the_firmware_to_the_bit(
     experiment: Experiment, latency: int
 ) -> None:
@@ -210,7 +211,8 @@ def random_experiments(seed: int, count: int) -> Iterator[Experiment]:
 def test_random_experiments_computed_at_once_equal_the_firmware_to_the_bit(count: int) -> None:
     """They have values from the whole range of each parameter; about half of the swarms move."""
     for experiment in random_experiments(seed=20241, count=count):
-        assert not results_that_differ(experiment, first=0, trials=2 if experiment.is_dynamic else 18)
+        trials = 2 if experiment.is_dynamic else TRIALS_BEYOND_LANES + 1
+        assert not results_that_differ(experiment, first=0, trials=trials)
 
 
 class Mixed(Experiment):
@@ -226,7 +228,7 @@ MIXED = Mixed(**SHORT.parameters())
 
 def has_lanes(experiment: Experiment, sampling_interval: int = 0) -> bool:
     """Return whether the engine calculates the experiment in lanes; an interval of 0 records nothing."""
-    call = native.EngineTrials(experiment, 0, 1, sampling_interval)
+    call = native.EngineTrials(experiment, first=0, trials=1, sampling_interval=sampling_interval)
     return bool(_engine.lib.mcp_asdf_engine_has_lanes(call.experiment))
 
 
@@ -288,7 +290,7 @@ def test_an_engine_built_for_each_size_of_vectors_equals_the_firmware_to_the_bit
     if not processor_has(flag):
         pytest.skip(f"this processor has no vectors of {architecture}")
     monkeypatch.setattr(native, "_engine", engine_for(architecture, tmp_path))
-    for changes in EDGES.values():
+    for changes in EXTREMES.values():
         for swarm in (SHORT, ROBUST, LATE):
             assert not results_that_differ(replace(swarm, **changes), first=4, trials=TRIALS_BEYOND_LANES)
     for experiment in random_experiments(seed=20242, count=60):
@@ -379,9 +381,9 @@ def test_the_engine_in_c_measures_and_records_what_robots_in_python_compute(expe
 
 def change_of_estimates(experiment: Experiment, message_bits: str) -> float:
     """Return the largest change of any robot's x in trial 0 that messages of fewer bits make."""
-    exact_x = run_trials(experiment, 0, 1, sampling_interval=10).records["x"]
+    exact_x = run_trials(experiment, first=0, trials=1, sampling_interval=10).records["x"]
     rounded = replace(experiment, message_bits=message_bits)
-    rounded_x = run_trials(rounded, 0, 1, sampling_interval=10).records["x"]
+    rounded_x = run_trials(rounded, first=0, trials=1, sampling_interval=10).records["x"]
     return float(np.abs(exact_x - rounded_x).max())
 
 
@@ -396,11 +398,16 @@ def test_messages_of_three_bits_change_estimates_by_more_than_a_tenth() -> None:
     assert change_of_estimates(LATE, message_bits="2+1") > 0.1
 
 
-def test_robots_round_what_they_send_and_not_their_own_estimates() -> None:
-    """x_hat is a robot's own estimate, and alpha its confidence in it."""
+def test_a_robot_s_own_estimate_and_confidence_are_not_rounded_with_its_messages() -> None:
+    """x_hat, its own estimate, and alpha, its confidence in it, are the same whatever messages have.
+
+    Rounded messages have one bit of each, which is "1+1". There is no filter that would react to them.
+    """
     experiment = replace(SHORT, filter="none", steps=20)
-    exact = run_trials(experiment, 0, 1, sampling_interval=1).records
-    rounded = run_trials(replace(experiment, message_bits="1+1"), 0, 1, sampling_interval=1).records
+    exact = run_trials(experiment, first=0, trials=1, sampling_interval=1).records
+    rounded = run_trials(
+        replace(experiment, message_bits="1+1"), first=0, trials=1, sampling_interval=1
+    ).records
 
     assert np.array_equal(exact["x_hat"], rounded["x_hat"])
     assert np.array_equal(exact["alpha"], rounded["alpha"])
@@ -410,7 +417,7 @@ def test_robots_that_calculate_in_floats_receive_rounded_messages() -> None:
     """Each of two robots receives one estimate, x_bar, which a code of one bit rounds to 0 or 1."""
     two_robots = replace(SHORT, robots=2, flawed=0, filter="none", steps=20)
     experiment = replace(two_robots, message_bits="1+1", firmware="reference")
-    x_bar = run_trials(experiment, 0, 1, sampling_interval=1).records["x_bar"]
+    x_bar = run_trials(experiment, first=0, trials=1, sampling_interval=1).records["x_bar"]
 
     x_bar_after_first_step = x_bar[:, 1:]
     assert set(x_bar_after_first_step.ravel()) <= {0.0, 1.0}
@@ -419,7 +426,7 @@ def test_robots_that_calculate_in_floats_receive_rounded_messages() -> None:
 @cache
 def reference_trial(experiment: Experiment) -> Trials:
     """Return trial 0 of the reference, which calculates in floats, with values recorded in each step."""
-    return run_trials(replace(experiment, firmware="reference"), 0, 1, sampling_interval=1)
+    return run_trials(replace(experiment, firmware="reference"), first=0, trials=1, sampling_interval=1)
 
 
 @pytest.mark.parametrize(
@@ -433,7 +440,7 @@ def reference_trial(experiment: Experiment) -> Trials:
 )
 def test_the_reference_in_floats_stays_near_the_firmware_in_every_step(experiment: Experiment) -> None:
     """The firmware computes in integers. Both test and re-estimate b_hat in the same steps."""
-    integer_trials = run_trials(experiment, 0, 1, sampling_interval=1)
+    integer_trials = run_trials(experiment, first=0, trials=1, sampling_interval=1)
     float_trials = reference_trial(experiment)
 
     assert np.array_equal(integer_trials.updates, float_trials.updates)
@@ -444,7 +451,9 @@ def test_the_reference_in_floats_stays_near_the_firmware_in_every_step(experimen
 
 def b_hat_by_the_authors(experiment: Experiment) -> Any:
     """Return b_hat in trial 0 of the reference by the conventions of the paper's authors."""
-    return run_trials(replace(experiment, firmware="reference", conventions="authors"), 0, 1).b_hat
+    return run_trials(
+        replace(experiment, firmware="reference", conventions="authors"), first=0, trials=1
+    ).b_hat
 
 
 @pytest.mark.parametrize(
@@ -468,8 +477,11 @@ def test_the_conventions_of_the_paper_s_authors_change_nothing_without_the_test(
 def test_a_trial_has_the_same_results_alone_and_among_others_and_with_recorded_values(
     experiment: Experiment, first: int, trials: int, sampling_interval: int
 ) -> None:
-    """So a sweep may be cut into jobs of any size. A sampling interval of 0 records nothing."""
-    all_trials = native.run(experiment, 0, 20)
+    """Some of 20 trials are run again, alone. So a sweep may be cut into jobs of any size.
+
+    x and b_hat of these trials are the same to the bit. A sampling interval of 0 records nothing.
+    """
+    all_trials = native.run(experiment, first=0, trials=20)
     some_trials = native.run(experiment, first, trials, sampling_interval)
     same_trials = slice(first, first + trials)
     assert np.array_equal(some_trials.x, all_trials.x[same_trials])
@@ -484,13 +496,13 @@ def test_the_engine_in_c_refuses_robots_in_python_and_late_messages_of_fully_con
     changes: dict[str, Any],
 ) -> None:
     with pytest.raises(UsageError, match="the engine in C lacks this"):
-        native.run(replace(SHORT, **changes), 0, 1)
+        native.run(replace(SHORT, **changes), first=0, trials=1)
 
 
 def test_a_trial_whose_robots_find_no_room_in_their_arena_is_refused() -> None:
     corridor = replace(MOVING, robots=128, flawed=0, width=20.0, height=0.25, density=1.0, steps=1)
     with pytest.raises(UsageError, match=r"128 robots found no room in 20.0 x 0.25 m"):
-        run_trials(corridor, 0, 1)
+        run_trials(corridor, first=0, trials=1)
 
 
 class ExperimentWithIllegalBHat(Experiment):
@@ -504,7 +516,7 @@ class ExperimentWithIllegalBHat(Experiment):
 def test_the_engine_raises_the_error_of_a_firmware_that_refuses_an_accuracy(lanes: bool) -> None:
     """It does so whether it computes robots one by one or in lanes, many at once."""
     with pytest.raises(FirmwareError, match="ERR_B_HAT"):
-        native.run(ExperimentWithIllegalBHat(steps=10), 0, 1, lanes=lanes)
+        native.run(ExperimentWithIllegalBHat(steps=10), first=0, trials=1, lanes=lanes)
 
 
 # --- Robots that lie --------------------------------------------------------------------------------------
@@ -512,7 +524,7 @@ def test_the_engine_raises_the_error_of_a_firmware_that_refuses_an_accuracy(lane
 
 def call_with_two_liars(experiment: Experiment) -> native.EngineTrials:
     """Return a call of the engine in which the last two robots broadcast x_hat 0 with an alpha of 10^6."""
-    call = native.EngineTrials(experiment, 0, 1, 0)
+    call = native.EngineTrials(experiment, first=0, trials=1, sampling_interval=0)
     call.experiment.liars = 2
     alpha_word = (16_000_000 << 8) | 20  # mantissa 16 * 10^6 and shift 20, in units of 2^-24: 10^6
     call.experiment.lie = [0, alpha_word]
@@ -548,7 +560,7 @@ def test_robots_that_lie_have_the_same_effect_in_the_engine_as_on_a_bus(experime
 
 @with_liars
 def test_trials_are_computed_one_by_one_if_robots_lie(experiment: Experiment) -> None:
-    """A liar receives other estimates than the robots around it, as it knows the truth about itself."""
+    """A liar computes with its own true estimate, and the robots around it compute with its lie."""
     assert not _engine.lib.mcp_asdf_engine_has_lanes(call_with_two_liars(experiment).experiment)
 
 
@@ -578,9 +590,9 @@ def test_hundreds_of_robots_computed_at_once_equal_the_firmware_to_the_bit(exper
 
 @pytest.mark.parametrize("filter_name", ["robust", "asdf-plus"])
 def test_127_robots_end_in_the_states_that_earlier_versions_gave_them(filter_name: Any) -> None:
-    """A golden file has b_hat and the saved state of every sixth robot after 600 steps."""
+    """A golden file, which an earlier version wrote, has b_hat and the saved state of every sixth robot."""
     experiment = replace(LATE, robots=127, flawed=38, density=1, steps=600, filter_period=100, seed=5)
-    trials = native.run(replace(experiment, filter=filter_name), 0, 1)
+    trials = native.run(replace(experiment, filter=filter_name), first=0, trials=1)
     states = trials.images()
     b_hat_at_end = trials.b_hat[0, -1]  # of trial 0, by robot
 
@@ -617,7 +629,8 @@ def run_with_ids_that_differ(experiment: Experiment) -> list[NativeRobot]:
         for robot, senders_of_robot in zip(robots, senders, strict=True):
             for neighbour_index, sender in enumerate(senders_of_robot):
                 x_hat, alpha = broadcasts[sender]
-                sender_id = 32 * (neighbour_index % 3 + 1) + sender % 32
+                number_of_neighbour = neighbour_index % 3 + 1
+                sender_id = 32 * number_of_neighbour + sender % 32
                 robot.receive_raw(sender_id, x_hat, alpha)
             robot.settle()
     return robots
@@ -639,7 +652,7 @@ def test_neighbours_whose_ids_have_the_same_7_bits_are_told_apart_in_a_graph(fil
         filter_period=20,
     )
     robots = run_with_ids_that_differ(experiment)
-    trials = run_trials(experiment, 0, 1, sampling_interval=60)
+    trials = run_trials(experiment, first=0, trials=1, sampling_interval=60)
 
     [(_x_at_start, x_at_end)] = trials.records["x"].tolist()
     [(*_, b_hat_at_end)] = trials.b_hat.tolist()
@@ -650,7 +663,7 @@ def test_neighbours_whose_ids_have_the_same_7_bits_are_told_apart_in_a_graph(fil
 def engine_bytes_per_robot(robots: int) -> float:
     """Return the memory that the engine needs for each robot of a trial."""
     experiment = replace(MANY, robots=robots, density=1, steps=10)
-    call = native.EngineTrials(experiment, 0, 1, 0)
+    call = native.EngineTrials(experiment, first=0, trials=1, sampling_interval=0)
     return float(_engine.lib.mcp_asdf_engine_bytes(call.experiment)) / robots
 
 

@@ -15,30 +15,35 @@ from benchmarks import fidelity
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.scores import score
 
-CONNECTED, PHYSICS = fidelity.read_cells(), fidelity.read_cells(fidelity.PHYSICS)
+FLOAT64_EXPERIMENTS = fidelity.read_stored_experiments()
+AUTHORS_EXPERIMENTS = fidelity.read_stored_experiments(fidelity.PHYSICS)
 
 
-def smallest_p_value(cells: list[fidelity.Cell], trials: int) -> float:
+def smallest_p_value(stored_experiments: list[fidelity.StoredExperiment], trials: int) -> float:
     """Return the least probability of so large a difference by chance, over all scores of experiments.
 
-    Each experiment is simulated with so many trials, whose scores are compared with those in its cell. The
+    Each experiment is simulated with so many trials, whose scores are compared with those stored. The
     probability is corrected for the number of comparisons, by Holm's method.
     """
-    p_values = [fidelity.p_values(fidelity.simulate(cell.experiment, trials), cell.scores) for cell in cells]
+    p_values = [
+        fidelity.p_values(fidelity.simulate(stored.experiment, trials), stored.scores)
+        for stored in stored_experiments
+    ]
     return fidelity.smallest(p_values)
 
 
 def test_the_stored_scores_of_the_float64_program_are_of_46_experiments_with_30_trials() -> None:
-    assert [len(cell.scores) for cell in CONNECTED] == [30] * 46
+    assert [len(stored.scores) for stored in FLOAT64_EXPERIMENTS] == [30] * 46
 
 
 def test_the_stored_scores_of_the_float64_program_follow_our_definition_of_scores() -> None:
-    """All its robots have one estimate, so quartiles do not differ, and h_K and h_e give the step and error.
+    """All ten robots have the same estimate, so their quartiles are equal, and h_K is 100 (1 - K / 40,000).
 
-    Their limits are 40,000 steps and 0.45. Scores are computed again from step and error of ten equal robots.
+    K is the step of convergence. Likewise h_e is 100 (1 - e / 0.45), where e is the error in that step. So K
+    and e of each trial follow from its stored scores, which are then computed again.
     """
-    for cell in CONNECTED:
-        h_k, h_e, h = cell.scores.transpose()
+    for stored in FLOAT64_EXPERIMENTS:
+        h_k, h_e, h = stored.scores.transpose()  # the scores have a row for each trial
         steps = np.rint(40_000 * (1 - h_k / 100))
         errors = 0.45 * (1 - h_e / 100)
         steps_of_robots, errors_of_robots = np.stack([steps] * 10, axis=1), np.stack([errors] * 10, axis=1)
@@ -50,27 +55,29 @@ def test_the_stored_scores_of_the_float64_program_follow_our_definition_of_score
 
 def test_the_stored_scores_of_the_authors_simulation_are_of_11_experiments_with_three_filters() -> None:
     """Three of them have 12 trials, the others 30."""
-    assert sorted(len(cell.scores) for cell in PHYSICS) == [12] * 3 + [30] * 8
-    assert {cell.experiment.filter for cell in PHYSICS} == {"none", "asdf-minus", "asdf-plus"}
+    assert sorted(len(stored.scores) for stored in AUTHORS_EXPERIMENTS) == [12] * 3 + [30] * 8
+    assert {stored.experiment.filter for stored in AUTHORS_EXPERIMENTS} == {"none", "asdf-minus", "asdf-plus"}
 
 
 def test_experiments_compared_with_the_authors_simulation_have_its_square_of_5_5486_m() -> None:
-    for cell in PHYSICS:
-        assert cell.experiment.sides == pytest.approx((5.5486, 5.5486), abs=1e-4)
+    for stored in AUTHORS_EXPERIMENTS:
+        assert stored.experiment.sides == pytest.approx((5.5486, 5.5486), abs=1e-4)
 
 
 @pytest.mark.slow
 def test_scores_of_simulate_have_the_distribution_of_those_of_an_independent_float64_program() -> None:
-    assert smallest_p_value(CONNECTED, trials=32) >= fidelity.LEVEL
+    """So large a difference of any score has a probability of at least 1 %, for all comparisons together."""
+    assert smallest_p_value(FLOAT64_EXPERIMENTS, trials=32) >= fidelity.LEVEL
 
 
 @pytest.mark.slow
 def test_scores_of_simulate_have_the_distribution_of_those_of_the_authors_simulation() -> None:
-    assert smallest_p_value(PHYSICS, trials=20) >= fidelity.LEVEL
+    """So large a difference of any score has a probability of at least 1 %, for all comparisons together."""
+    assert smallest_p_value(AUTHORS_EXPERIMENTS, trials=20) >= fidelity.LEVEL
 
 
 @pytest.fixture(scope="module")
-def overconfident_cell() -> fidelity.Cell:
+def overconfident_experiment() -> fidelity.StoredExperiment:
     """The scores of the float64 program for 10 robots, half of which assume 0.95 where 0.55 is true."""
     wanted = Experiment(
         robots=10,
@@ -81,20 +88,20 @@ def overconfident_cell() -> fidelity.Cell:
         flawed=5,
         flawed_accuracy=0.95,
     )
-    (cell,) = [cell for cell in CONNECTED if cell.experiment == wanted]
-    return cell
+    (found,) = [stored for stored in FLOAT64_EXPERIMENTS if stored.experiment == wanted]
+    return found
 
 
 def test_scores_of_simulate_have_the_distribution_of_those_that_are_stored_of_one_experiment(
-    overconfident_cell: fidelity.Cell,
+    overconfident_experiment: fidelity.StoredExperiment,
 ) -> None:
-    assert smallest_p_value([overconfident_cell], trials=48) >= fidelity.LEVEL
+    assert smallest_p_value([overconfident_experiment], trials=48) >= fidelity.LEVEL
 
 
 @pytest.mark.parametrize("change", [{"true_accuracy": 0.75}, {"filter_period": 2000}, {"flawed": 1}])
 def test_the_comparison_of_scores_notices_an_experiment_with_another_parameter(
-    change: dict[str, Any], overconfident_cell: fidelity.Cell
+    change: dict[str, Any], overconfident_experiment: fidelity.StoredExperiment
 ) -> None:
     """The probability that scores of such an experiment have the stored distribution is below 1 in 10,000."""
-    scores = fidelity.simulate(replace(overconfident_cell.experiment, **change), trials=48)
-    assert min(fidelity.p_values(scores, overconfident_cell.scores)) < 1e-4
+    scores = fidelity.simulate(replace(overconfident_experiment.experiment, **change), trials=48)
+    assert min(fidelity.p_values(scores, overconfident_experiment.scores)) < 1e-4

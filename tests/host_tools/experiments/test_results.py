@@ -45,7 +45,7 @@ from mcp_asdf_tools.experiments.trials import run_trials
 from support import draws
 
 SHORT = Experiment(robots=4, flawed=1, filter="asdf-plus", steps=300, filter_period=100, trials=3)
-OTHER = replace(SHORT, filter="none", seed=2**64 - 1)
+OTHER_EXPERIMENT = replace(SHORT, filter="none", seed=2**64 - 1)
 
 
 @pytest.fixture(scope="module")
@@ -56,9 +56,9 @@ def results_path(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """
     path = tmp_path_factory.mktemp("results") / "results.parquet"
     tables = [
-        trials_to_table(run_trials(SHORT, 2, 1, sampling_interval=10)),
-        trials_to_table(run_trials(SHORT, 0, 2, sampling_interval=10)),
-        trials_to_table(run_trials(OTHER, 0, 3, sampling_interval=10)),
+        trials_to_table(run_trials(SHORT, first=2, trials=1, sampling_interval=10)),
+        trials_to_table(run_trials(SHORT, first=0, trials=2, sampling_interval=10)),
+        trials_to_table(run_trials(OTHER_EXPERIMENT, first=0, trials=3, sampling_interval=10)),
     ]
     write_tables(path, [pa.concat_tables(tables)])
     return path
@@ -73,7 +73,10 @@ def experiments(results_path: Path) -> list[Trials]:
 @pytest.fixture(scope="module")
 def measured() -> list[Trials]:
     """The same experiments, as they were run before they were written."""
-    return [run_trials(experiment, 0, 3, sampling_interval=10) for experiment in (SHORT, OTHER)]
+    return [
+        run_trials(experiment, first=0, trials=3, sampling_interval=10)
+        for experiment in (SHORT, OTHER_EXPERIMENT)
+    ]
 
 
 @pytest.fixture
@@ -89,7 +92,7 @@ def test_a_file_of_results_gives_back_its_experiments_with_their_trials_in_order
     experiments: list[Trials],
 ) -> None:
     """The rows of the first experiment are those of the trials 2, 0 and 1."""
-    assert [trials.experiment for trials in experiments] == [SHORT, OTHER]
+    assert [trials.experiment for trials in experiments] == [SHORT, OTHER_EXPERIMENT]
     assert [trials.numbers for trials in experiments] == [[0, 1, 2], [0, 1, 2]]
 
 
@@ -120,25 +123,25 @@ def test_a_file_of_results_gives_back_how_often_values_were_recorded(experiments
 def test_results_of_one_robot_without_recorded_values_are_read_from_their_file(path: Path) -> None:
     """Such results have the shortest lists, which must not be taken for missing ones."""
     experiment = replace(SHORT, robots=1)
-    write_tables(path, [trials_to_table(run_trials(experiment, 0, 1))])
+    write_tables(path, [trials_to_table(run_trials(experiment, first=0, trials=1))])
     [trials] = experiments_in(read_table(path))
     assert (trials.experiment, trials.records) == (experiment, {})
 
 
 def test_the_trials_of_an_experiment_may_be_spread_over_the_files_of_a_folder(tmp_path: Path) -> None:
     """The first and the third of three files have the same experiment. Experiments are read one by one."""
-    for trial, experiment in enumerate((SHORT, OTHER, SHORT)):
+    for trial, experiment in enumerate((SHORT, OTHER_EXPERIMENT, SHORT)):
         table = trials_to_table(run_trials(experiment, first=trial, trials=1))
         write_tables(tmp_path / f"{trial}.parquet", [table])
     first, second = stream_experiments(tmp_path)
 
     assert (first.experiment, first.numbers) == (SHORT, [0, 2])
-    assert (second.experiment, second.numbers) == (OTHER, [1])
+    assert (second.experiment, second.numbers) == (OTHER_EXPERIMENT, [1])
 
 
 def test_small_tables_are_joined_until_they_have_enough_bytes() -> None:
     """There are five tables of one row. Two of them have enough bytes, so the last one stays alone."""
-    table = trials_to_table(run_trials(SHORT, 0, 1))
+    table = trials_to_table(run_trials(SHORT, first=0, trials=1))
     larger_tables = collect_rows([table] * 5, min_bytes=2 * table.nbytes)
     assert [len(larger_table) for larger_table in larger_tables] == [2, 2, 1]
 
@@ -277,7 +280,7 @@ def test_results_from_before_a_parameter_existed_are_read_with_its_default(name:
     """They have no column of this parameter."""
     default = Experiment().parameters()[name]
     experiment = replace(SHORT, **{"trials": 1, "robots": 20, "flawed": 6, name: default})
-    table = trials_to_table(run_trials(experiment, 0, 1)).drop_columns([name])
+    table = trials_to_table(run_trials(experiment, first=0, trials=1)).drop_columns([name])
     pq.write_table(table, path)
     [trials] = stream_experiments(path)
     [trials_read_at_once] = experiments_in(read_table(path))
@@ -287,14 +290,14 @@ def test_results_from_before_a_parameter_existed_are_read_with_its_default(name:
 
 
 def test_results_from_before_a_parameter_existed_can_be_scored_again() -> None:
-    table = trials_to_table(run_trials(SHORT, 0, 2))
+    table = trials_to_table(run_trials(SHORT, first=0, trials=2))
     table_scored_again = score_table(table.drop_columns(["latency"]), Limits())
     assert table_scored_again["H"].equals(table["H"])
 
 
 def test_results_from_before_a_parameter_existed_are_read_together_with_newer_ones(tmp_path: Path) -> None:
     """Each of two files has two trials; the first has no latency, whose default is 0."""
-    table = trials_to_table(run_trials(SHORT, 0, 2))
+    table = trials_to_table(run_trials(SHORT, first=0, trials=2))
     pq.write_table(table.drop_columns(["latency"]), tmp_path / "1.parquet")
     pq.write_table(table, tmp_path / "2.parquet")
     assert read_table(tmp_path)["latency"].to_pylist() == [0, 0, 0, 0]
@@ -309,7 +312,7 @@ Values of 20 steps are recorded every 10 steps. In format 5 each record is one f
 
 def test_results_in_the_earlier_format_5_give_back_their_records_by_step_and_robot() -> None:
     """Each of 3 robots had observed 0, 10 and 20 times, t, when its values were recorded."""
-    three_robots, two_robots = stream_experiments(FORMAT_5_FILE)
+    three_robots, two_robots = stream_experiments(FORMAT_5_FILE)  # experiments of so many robots
     first_trial, second_trial = three_robots.records["t"].tolist()
     assert first_trial == second_trial == [[0, 0, 0], [10, 10, 10], [20, 20, 20]]
 
@@ -320,7 +323,7 @@ def test_results_in_the_earlier_format_5_give_back_their_records_by_step_and_rob
 def test_results_in_the_earlier_format_5_are_read_as_a_table_of_the_present_format() -> None:
     """The last two rows are trials of 2 robots, which had observed 0, 10 and 20 times when recorded."""
     table = read_table(FORMAT_5_FILE)
-    new_table = trials_to_table(run_trials(SHORT, 0, 1, sampling_interval=10))
+    new_table = trials_to_table(run_trials(SHORT, first=0, trials=1, sampling_interval=10))
     *_, first_trial_of_two_robots, _ = table["record_t"].to_pylist()
 
     assert table.schema.equals(new_table.schema)
@@ -406,14 +409,15 @@ def tables_with_damaged_column(table: pa.Table, name: str) -> Iterator[tuple[pa.
 
 @pytest.mark.random
 def test_a_file_of_results_with_one_thing_wrong_is_refused_with_its_name(path: Path) -> None:
-    """The first four damages are always tried, and of more than a hundred others a tenth in the quick run.
+    """The error is one short line with the words that are expected for the damage.
 
-    No words are expected of a few, which may as well be read, but must not crash.
+    The first four damages are always tried, and of more than a hundred others a tenth in the quick run. For a
+    few no words are expected: these may as well be read without an error.
     """
     damages = list(damaged_tables())
     assert len(damages) > 100
     first_damages, other_damages = damages[:4], damages[4:]
-    interval = len(damages) // draws(len(damages))
+    interval = len(damages) // draws(len(damages))  # from one damage that is tried to the next
     for table, expected_words in [*first_damages, *other_damages[::interval]]:
         pq.write_table(table, path)
         refusal = read_or_refuse(PARSERS["results"], path, path.read_bytes())
@@ -434,7 +438,7 @@ def test_a_missing_file_of_results_is_refused(tmp_path: Path) -> None:
 
 def results_with_drift_spread(value: float) -> Any:
     """Return results of an earlier version, which had the parameter drift_spread."""
-    table = trials_to_table(run_trials(SHORT, 0, 2))
+    table = trials_to_table(run_trials(SHORT, first=0, trials=2))
     return table.append_column("drift_spread", pa.array([value] * len(table)))
 
 
@@ -457,7 +461,7 @@ def test_results_that_name_a_file_as_their_graph_are_refused_and_it_is_not_opene
     """Results have to hold the edges. The file is a pipe: to open it would wait for ever for a writer."""
     os.mkfifo(tmp_path / "pipe")
     experiment = replace(SHORT, topology="graph", graph="0 1", trials=1)
-    table = trials_to_table(run_trials(experiment, 0, 1))
+    table = trials_to_table(run_trials(experiment, first=0, trials=1))
     graphs = pa.array([str(tmp_path / "pipe")])
     pq.write_table(table.set_column(table.column_names.index("graph"), "graph", graphs), path)
 
@@ -482,8 +486,9 @@ def test_scores_in_a_table_are_computed_again_for_limits_that_the_user_chooses(
 
     scores = score_table(table, OTHER_LIMITS)[name].to_pylist()
 
-    assert scores[-3:] == second_experiment.scores(OTHER_LIMITS)[name].tolist()
-    assert scores[-3:] != table[name].to_pylist()[-3:]
+    scores_of_second = scores[-3:]
+    assert scores_of_second == second_experiment.scores(OTHER_LIMITS)[name].tolist()
+    assert scores_of_second != table[name].to_pylist()[-3:]
 
 
 def test_limits_that_the_user_chooses_change_no_column_but_the_scores(results_path: Path) -> None:
@@ -508,6 +513,7 @@ def csv_rows(experiments: list[Trials], tmp_path: Path) -> list[dict[str, str]]:
 
 
 def test_csv_has_a_line_for_every_trial_with_its_parameters(csv_rows: list[dict[str, str]]) -> None:
+    """The seed of the second experiment is 2^64 - 1, which has 20 digits."""
     assert [(row["filter"], row["trial"], row["seed"]) for row in csv_rows] == [
         ("asdf-plus", "0", "1"),
         ("asdf-plus", "1", "1"),

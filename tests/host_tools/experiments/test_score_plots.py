@@ -34,10 +34,12 @@ from mcp_asdf_tools.experiments.scores import Limits
 
 LIMITS = Limits(k_max=200, e_max=0.4)
 FLAWED_AND_ACCURACIES = ((0, 0.95), (2, 0.55), (2, 0.75), (4, 0.55))
+"""How many of 4 robots are flawed, and the accuracy that these assume, where 0.95 is true."""
 FILTERS_AND_PERIODS: tuple[tuple[str, int], ...] = (("none", 100), ("asdf-plus", 100), ("asdf-plus", 150))
 
 SERIES_COUNT = 3
 BOX_WIDTH = 0.86 / SERIES_COUNT
+"""Width of a box, where kinds of swarms are 1 apart along the x axis."""
 
 
 @pytest.fixture(scope="module")
@@ -78,7 +80,7 @@ class BoxPoints:
 
 
 def points_by_position(axes: Axes) -> list[BoxPoints]:
-    """Return the points of each box of a panel, from left to right."""
+    """Return the points of each box of a panel, which are dots without an edge, from left to right."""
     boxes = []
     for line in axes.lines:
         if line.get_marker() == "." and not line.get_markeredgewidth():
@@ -264,8 +266,10 @@ def test_points_of_underconfident_swarms_are_red_and_those_of_overconfident_ones
 def test_points_are_darker_the_farther_the_assumed_accuracy_is_from_the_true_one(
     half_flawed_panel: Axes,
 ) -> None:
+    """0.55 is far from the true accuracy of 0.95, and 0.75 is near."""
     far, near, _overconfident = half_flawed_panel.lines
-    assert sum(to_rgb(far.get_color())) < sum(to_rgb(near.get_color()))
+    brightness_of_far, brightness_of_near = sum(to_rgb(far.get_color())), sum(to_rgb(near.get_color()))
+    assert brightness_of_far < brightness_of_near
 
 
 def test_points_have_one_marker_for_each_true_accuracy(half_flawed_panel: Axes) -> None:

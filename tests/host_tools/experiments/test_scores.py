@@ -48,30 +48,33 @@ def test_a_series_with_a_nan_converges_only_in_its_last_step(series: list[float]
     assert convergence_step(np.array(series), 0.25) == 2
 
 
-def test_a_score_falls_with_the_mean_and_with_the_distance_of_the_quartiles() -> None:
+def test_the_score_of_convergence_comes_from_the_mean_and_the_quartiles_of_the_robots_steps() -> None:
     """It is 100 (1 - mean / limit) exp(-(upper - lower quartile) / limit), here with a limit of 1000 steps.
 
-    Of four robots, the quartiles lie between two values: they are 50 and 250.
+    The lower quartile of the four steps is in the middle of 0 and 100, the upper one in that of 200 and 300.
     """
-    convergence_steps = [0, 100, 200, 300]
-    scores_of_trials = score([convergence_steps], [[0.0] * 4], k_max=1000, e_max=0.5)
+    steps_of_trial = [0, 100, 200, 300]
+    scores_of_trials = score(convergence_steps=[steps_of_trial], errors=[[0.0] * 4], k_max=1000, e_max=0.5)
 
     [h_k] = scores_of_trials["h_K"]
-    mean, quartile_distance = 150, 250 - 50
+    mean, lower_quartile, upper_quartile = 150, 50, 250
+    quartile_distance = upper_quartile - lower_quartile
     assert h_k == pytest.approx(100 * (1 - mean / 1000) * math.exp(-quartile_distance / 1000))
 
 
 def test_the_score_of_errors_has_a_limit_of_its_own() -> None:
-    """The mean of the errors is 0.15, and the quartiles 0.1 and 0.2."""
-    errors = [0.1, 0.1, 0.1, 0.3]
-    scores_of_trials = score([[0] * 4], [errors], k_max=1000, e_max=0.5)
+    """It is 0.5 here. The mean of the errors is 0.15, and the quartiles are 0.1 and 0.2."""
+    errors_of_trial = [0.1, 0.1, 0.1, 0.3]
+    scores_of_trials = score(convergence_steps=[[0] * 4], errors=[errors_of_trial], k_max=1000, e_max=0.5)
 
     [h_e] = scores_of_trials["h_e"]
-    assert h_e == pytest.approx(100 * (1 - 0.15 / 0.5) * math.exp(-(0.2 - 0.1) / 0.5))
+    mean, quartile_distance = 0.15, 0.2 - 0.1
+    assert h_e == pytest.approx(100 * (1 - mean / 0.5) * math.exp(-quartile_distance / 0.5))
 
 
 def test_the_score_h_is_the_mean_of_those_for_convergence_and_for_errors() -> None:
-    scores_of_trials = score([[0, 100, 200, 300]], [[0.1, 0.1, 0.1, 0.3]], k_max=1000, e_max=0.5)
+    steps_of_trial, errors_of_trial = [0, 100, 200, 300], [0.1, 0.1, 0.1, 0.3]
+    scores_of_trials = score([steps_of_trial], [errors_of_trial], k_max=1000, e_max=0.5)
 
     [h_k], [h_e], [h] = (scores_of_trials[name] for name in ("h_K", "h_e", "H"))
     assert h == pytest.approx((h_k + h_e) / 2)
@@ -79,16 +82,17 @@ def test_the_score_h_is_the_mean_of_those_for_convergence_and_for_errors() -> No
 
 def test_the_quartiles_of_five_robots_are_the_values_of_the_second_and_the_fourth() -> None:
     """A score is 100 (1 - mean / limit) exp(-(upper - lower quartile) / limit). The limit is 1000 steps."""
-    convergence_steps = [0, 100, 200, 300, 500]
-    scores_of_trials = score([convergence_steps], [[0.0] * 5], k_max=1000, e_max=0.5)
+    steps_of_trial = [0, 100, 200, 300, 500]
+    scores_of_trials = score(convergence_steps=[steps_of_trial], errors=[[0.0] * 5], k_max=1000, e_max=0.5)
 
     [h_k] = scores_of_trials["h_K"]
-    mean, quartile_distance = 220, 300 - 100
+    mean, lower_quartile, upper_quartile = 220, 100, 300
+    quartile_distance = upper_quartile - lower_quartile
     assert h_k == pytest.approx(100 * (1 - mean / 1000) * math.exp(-quartile_distance / 1000))
 
 
 def test_a_trial_whose_errors_are_nan_has_a_score_of_0_for_errors() -> None:
-    scores_of_trials = score([[1, 1]], [[math.nan, math.nan]], k_max=10, e_max=0.5)
+    scores_of_trials = score(convergence_steps=[[1, 1]], errors=[[math.nan, math.nan]], k_max=10, e_max=0.5)
     assert scores_of_trials["h_e"] == [0]
 
 

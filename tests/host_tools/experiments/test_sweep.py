@@ -78,17 +78,20 @@ def test_every_trial_of_a_sweep_is_in_exactly_one_job(output: Path) -> None:
 @pytest.mark.parametrize(
     ("changes", "trials_of_jobs"),
     [
-        ({}, [32, 8]),  # 40 trials of 8,000 steps
+        ({}, [32, 8]),  # 40 trials of 8,000 steps of 4 robots
         ({"firmware": "mirror", "trials": 2}, [1, 1]),  # slow, as it runs in Python
         ({"steps": 10**7, "trials": 2}, [1, 1]),
-        ({"steps": 300, "filter_period": 100, "trials": 1200}, [833, 367]),  # 833 * 300 are 250,000 steps
-        ({"steps": 2_500_000, "trials": 3}, [2, 1]),
+        ({"steps": 300, "filter_period": 100, "trials": 1200}, [833, 367]),  # nearly 10^6 steps of 4 robots
+        ({"steps": 2_500_000, "trials": 3}, [2, 1]),  # 10^7 steps of robots in a trial, 2 * 10^7 in a job
     ],
 )
 def test_a_job_has_more_trials_the_shorter_these_are(
     changes: dict[str, Any], trials_of_jobs: list[int]
 ) -> None:
-    """A job is what a worker process runs at once: one trial at least, and more where they are short."""
+    """A job, which a worker process runs at once, has a million steps of robots if its trials are short.
+
+    It has up to 32 longer trials if these are at most 20 million steps of robots together, and one at least.
+    """
     experiment = replace(EXPERIMENT, **changes)
     jobs = sweep.jobs_of_experiment(experiment, range(experiment.trials), sampling_interval=0)
     assert [job.count for job in jobs] == trials_of_jobs
@@ -113,7 +116,7 @@ def test_a_worker_with_another_version_than_its_job_is_refused() -> None:
 def interrupted_sweep(output: Path, jobs_run: list[Job]) -> Store:
     """A sweep of three experiments, opened again after an interrupt: the last 8 trials of 40 are missing."""
     with pytest.raises(KeyboardInterrupt):
-        run_sweep(Store(output, THREE_EXPERIMENTS), 1)
+        run_sweep(Store(output, THREE_EXPERIMENTS), workers=1)
     jobs_run.clear()
     return Store(output, THREE_EXPERIMENTS)
 
@@ -139,14 +142,14 @@ def test_an_interrupted_sweep_that_goes_on_runs_only_the_missing_trials(
     interrupted_sweep: Store, jobs_run: list[Job]
 ) -> None:
     """Of its last experiment 32 of 40 trials had been run."""
-    run_sweep(interrupted_sweep, 1)
+    run_sweep(interrupted_sweep, workers=1)
     assert [(job.first, job.count) for job in jobs_run] == [(32, 8)]
 
 
 def test_an_interrupted_sweep_that_goes_on_gives_the_results_of_one_without_an_interrupt(
     interrupted_sweep: Store,
 ) -> None:
-    run_sweep(interrupted_sweep, 1)
+    run_sweep(interrupted_sweep, workers=1)
     experiments = experiments_in(read_table(interrupted_sweep.output))
 
     for trials, experiment in zip(experiments, THREE_EXPERIMENTS, strict=True):
@@ -158,7 +161,7 @@ def test_a_finished_sweep_leaves_nothing_but_its_output(interrupted_sweep: Store
     """It removes its parts, and the beginning of a file there that a killed process has left."""
     cut_off_file = interrupted_sweep.parts / ".0123abcd.tmp"
     cut_off_file.write_bytes(b"PAR1")
-    run_sweep(interrupted_sweep, 1)
+    run_sweep(interrupted_sweep, workers=1)
     assert [path.name for path in tmp_path.iterdir()] == ["grid.parquet"]
 
 
@@ -173,16 +176,16 @@ def test_a_sweep_that_lacks_trials_between_finished_ones_runs_these(
     store.flush()
     jobs_run.clear()
 
-    run_sweep(Store(output, [experiment]), 1)
+    run_sweep(Store(output, [experiment]), workers=1)
 
     assert [(job.first, job.count) for job in jobs_run] == [(0, 2), (5, 2), (8, 2)]
 
 
 def test_a_finished_sweep_is_not_run_again(output: Path, jobs_run: list[Job]) -> None:
-    run_sweep(Store(output, [EXPERIMENT]), 1)
+    run_sweep(Store(output, [EXPERIMENT]), workers=1)
     table = read_table(output)
     jobs_run.clear()
-    run_sweep(Store(output, [EXPERIMENT]), 1)
+    run_sweep(Store(output, [EXPERIMENT]), workers=1)
 
     assert jobs_run == []
     assert read_table(output).equals(table)
@@ -192,10 +195,10 @@ def test_a_sweep_that_was_enlarged_runs_only_new_trials_and_experiments(
     output: Path, jobs_run: list[Job]
 ) -> None:
     """Ten trials of one experiment are there; then 15 are wanted, and 33 of another one."""
-    run_sweep(Store(output, [replace(EXPERIMENT, trials=10)]), 1)
+    run_sweep(Store(output, [replace(EXPERIMENT, trials=10)]), workers=1)
     jobs_run.clear()
     enlarged = [replace(EXPERIMENT, trials=15), replace(OTHER_EXPERIMENT, trials=33)]
-    run_sweep(Store(output, enlarged), 1)
+    run_sweep(Store(output, enlarged), workers=1)
 
     assert [(job.first, job.count) for job in jobs_run] == [(10, 5), (0, 32), (32, 1)]
     assert [trials.experiment for trials in experiments_in(read_table(output))] == enlarged
@@ -215,7 +218,7 @@ def test_a_sweep_into_the_results_of_another_one_is_refused_and_leaves_them_alon
     experiments: list[Experiment], sampling_interval: int, output: Path
 ) -> None:
     """The output has the results of two experiments of 40 trials, with nothing recorded over time."""
-    run_sweep(Store(output, TWO_EXPERIMENTS), 1)
+    run_sweep(Store(output, TWO_EXPERIMENTS), workers=1)
     content_before = output.read_bytes()
 
     with pytest.raises(UsageError, match="choose another name"):
@@ -226,7 +229,7 @@ def test_a_sweep_into_the_results_of_another_one_is_refused_and_leaves_them_alon
 def test_a_sweep_into_results_of_another_version_of_the_program_is_refused(
     output: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    run_sweep(Store(output, [EXPERIMENT]), 1)
+    run_sweep(Store(output, [EXPERIMENT]), workers=1)
     monkeypatch.setattr(store_module, "software_versions", lambda: {"mcp-asdf": "9.9.9"})
     with pytest.raises(UsageError, match="other experiments, recordings or versions"):
         Store(output, [EXPERIMENT])
@@ -248,7 +251,7 @@ def test_worker_processes_started_from_a_thread_give_the_results_of_one_process(
 
 
 def test_a_sweep_in_memory_gives_the_table_that_one_into_a_file_gives(output: Path) -> None:
-    run_sweep(Store(output, TWO_EXPERIMENTS), 1)
+    run_sweep(Store(output, TWO_EXPERIMENTS), workers=1)
     tables = [trials_to_table(trials) for trials in sweep.run_in_memory(TWO_EXPERIMENTS)]
     assert pa.concat_tables(tables).combine_chunks().equals(read_table(output).combine_chunks())
 
@@ -280,7 +283,7 @@ def row_counts(folder: Path) -> list[int]:
 
 
 @pytest.fixture
-def clock(monkeypatch: pytest.MonkeyPatch) -> Callable[[float], None]:
+def set_clock(monkeypatch: pytest.MonkeyPatch) -> Callable[[float], None]:
     """A function that sets the time, in seconds, that the store reads; it is 0 at first."""
     now = Mock(return_value=0.0)
     monkeypatch.setattr(store_module, "time", SimpleNamespace(monotonic=now))
@@ -302,18 +305,18 @@ def test_a_short_sweep_writes_its_output_and_no_parts(output: Path, monkeypatch:
 
     monkeypatch.setattr(store_module, "write_tables", record_and_write)
     monkeypatch.setattr(store_module, "_SECONDS_BETWEEN_PARTS", 1e9)
-    run_sweep(Store(output, TWO_EXPERIMENTS), 1)
+    run_sweep(Store(output, TWO_EXPERIMENTS), workers=1)
     assert files_written == ["grid.parquet"]
 
 
 def test_a_part_is_written_when_the_last_one_is_a_second_old(
-    output: Path, clock: Callable[[float], None]
+    output: Path, set_clock: Callable[[float], None]
 ) -> None:
     """A trial is finished at each of four times. A part has all trials since the last part."""
     store = Store(output, [EXPERIMENT])
     row_counts_of_parts = []
     for trial, seconds in enumerate((0.9, 1.0, 1.9, 2.0)):
-        clock(seconds)
+        set_clock(seconds)
         store.add(Job(EXPERIMENT, first=trial, count=1).run())
         row_counts_of_parts.append(row_counts(store.parts))
 
@@ -321,7 +324,7 @@ def test_a_part_is_written_when_the_last_one_is_a_second_old(
 
 
 def test_parts_of_a_long_sweep_are_a_hundredth_of_its_time_apart(
-    output: Path, clock: Callable[[float], None]
+    output: Path, set_clock: Callable[[float], None]
 ) -> None:
     """After 1000 s that is 10 s, so that writing takes little time in comparison with the work.
 
@@ -330,7 +333,7 @@ def test_parts_of_a_long_sweep_are_a_hundredth_of_its_time_apart(
     store = Store(output, [EXPERIMENT])
     row_counts_of_parts = []
     for trial, seconds in enumerate((1000.0, 1009.0, 1011.0)):
-        clock(seconds)
+        set_clock(seconds)
         store.add(Job(EXPERIMENT, first=trial, count=1).run())
         row_counts_of_parts.append(row_counts(store.parts))
 
@@ -400,7 +403,7 @@ def test_experiments_are_read_one_by_one_from_row_groups_that_do_not_end_with_th
 
 def bytes_of_lists(experiment: Experiment, sampling_interval: int) -> int:
     """Return the bytes that the lists in the row of a trial take: eight for each value."""
-    trials = Job(experiment, 0, 1, sampling_interval).run()
+    trials = Job(experiment, first=0, count=1, sampling_interval=sampling_interval).run()
     (row,) = trials_to_table(trials).to_pylist()
     return 8 * sum(np.size(values) for values in row.values() if isinstance(values, list))
 
@@ -623,16 +626,20 @@ def test_the_command_sweep_prints_limits_the_meaning_of_its_table_and_how_to_see
 def test_the_command_sweep_prints_medians_over_the_trials_of_each_experiment(
     sweep_text: str, sweep_answer: dict[str, Any]
 ) -> None:
-    """The same medians are in its answer in JSON. The score H, with its quartiles, has a test of its own."""
+    """The same medians are in its answer in JSON. The score H, with its quartiles, has a test of its own.
+
+    h_K and h_e are the scores of convergence and of accuracy, K is the step of convergence and e the error in
+    that step, and updates are how often robots have updated b_hat.
+    """
     head, *rows = table_of(sweep_text)
     assert head == ["flawed", "trials", "H", "h_K", "h_e", "K", "e", "updates"]
     for experiment, row in zip(sweep_answer["experiments"], rows, strict=True):
-        _flawed, _trials, _h, h_k, h_e, k, e, updates = row
-        assert h_k == f"{experiment['h_K']['median']:.2f}"
-        assert h_e == f"{experiment['h_e']['median']:.2f}"
-        assert k == f"{experiment['K']['median']:g}"
-        assert e == f"{experiment['e']['median']:.5f}"
-        assert updates == f"{experiment['updates']['median']:g}"
+        printed = dict(zip(head, row, strict=True))
+        assert printed["h_K"] == f"{experiment['h_K']['median']:.2f}"
+        assert printed["h_e"] == f"{experiment['h_e']['median']:.2f}"
+        assert printed["K"] == f"{experiment['K']['median']:g}"
+        assert printed["e"] == f"{experiment['e']['median']:.5f}"
+        assert printed["updates"] == f"{experiment['updates']['median']:g}"
 
 
 def test_the_command_sweep_prints_the_score_h_of_each_experiment_with_its_quartiles(
@@ -641,7 +648,8 @@ def test_the_command_sweep_prints_the_score_h_of_each_experiment_with_its_quarti
     """The file of results has H of the three trials with 1 flawed robot, and then of those with 2."""
     _head, *rows = table_of(sweep_text)
     scores = read_table(results_file)["H"].to_numpy()
-    for row, scores_of_experiment in zip(rows, (scores[:3], scores[3:]), strict=True):
+    scores_by_experiment = (scores[:3], scores[3:])
+    for row, scores_of_experiment in zip(rows, scores_by_experiment, strict=True):
         _flawed, trials, h, *_ = row
         lower_quartile, median, upper_quartile = np.percentile(scores_of_experiment, (25, 50, 75))
         assert (trials, h) == ("3", f"{median:.2f} [{lower_quartile:.2f}, {upper_quartile:.2f}]")
@@ -825,17 +833,20 @@ def is_worker(process: str) -> bool:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+@pytest.mark.parametrize("sent_signal", [signal.SIGTERM, signal.SIGINT])
 def test_a_signal_ends_a_sweep_with_advice_and_keeps_the_finished_trials(
-    number: signal.Signals, slow_sweep: subprocess.Popen[str], tmp_path: Path
+    sent_signal: signal.Signals, slow_sweep: subprocess.Popen[str], tmp_path: Path
 ) -> None:
-    """Ctrl-C and SIGTERM reach all processes of the sweep. It has written a part before."""
+    """The advice is that the same command goes on with the sweep, which has written a part before.
+
+    Each of its 400 trials is either in a part, or is missing when the sweep is opened again.
+    """
     parts = tmp_path / "slow.parquet.parts"
     wait_until(lambda: any(parts.glob("*.parquet")))
-    os.killpg(slow_sweep.pid, number)
+    os.killpg(slow_sweep.pid, sent_signal)
     _, errors = slow_sweep.communicate(timeout=PATIENCE)
 
-    assert slow_sweep.returncode == 128 + number
+    assert slow_sweep.returncode == 128 + sent_signal  # as shells report the end by a signal
     assert "the same command goes on" in errors
     assert "Traceback" not in errors
     finished_trials = sum(row_counts(parts))

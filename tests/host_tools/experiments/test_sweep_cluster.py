@@ -25,8 +25,8 @@ from support import ROOT
 
 pytestmark = pytest.mark.slow
 
-SLOW = Experiment(firmware="mirror", robots=4, flawed=1, steps=200, filter_period=50, trials=12)
-"""Its jobs are single trials."""
+SLOW_EXPERIMENT = Experiment(firmware="mirror", robots=4, flawed=1, steps=200, filter_period=50, trials=12)
+"""Each of its trials is a job of its own, as robots of the mirror, which is in Python, take long."""
 
 PROGRAM_OF_A_CLUSTER = """\
 import sys
@@ -58,7 +58,7 @@ def cluster_of(workers: int, folder: Path) -> Iterator[tuple[str, IO[str]]]:
 @pytest.fixture
 def scheduler(tmp_path: Path) -> Iterator[str]:
     """The address of a scheduler that has one worker process."""
-    with cluster_of(1, tmp_path) as (address, _):
+    with cluster_of(workers=1, folder=tmp_path) as (address, _):
         yield address
 
 
@@ -66,7 +66,7 @@ def scheduler(tmp_path: Path) -> Iterator[str]:
 def store(tmp_path: Path) -> Store:
     """A sweep of 12 jobs, none of which has been run."""
     pytest.importorskip("distributed", reason="distributed is not installed: make setup")
-    return Store(tmp_path / "x.parquet", [SLOW])
+    return Store(tmp_path / "x.parquet", [SLOW_EXPERIMENT])
 
 
 def run_sweep_command(trials: int, output: Path, *options: str) -> None:
@@ -94,21 +94,21 @@ def test_a_cluster_whose_workers_have_another_version_is_refused(
 ) -> None:
     """This program takes itself for version 9.9.9, which the workers are not. It can run the jobs itself."""
     monkeypatch.setattr(versions, "metadata", SimpleNamespace(version=lambda name: "9.9.9"))
-    assert next(jobs_of(store)).run().experiment == SLOW
+    assert next(jobs_of(store)).run().experiment == SLOW_EXPERIMENT
 
     with pytest.raises(UsageError, match="install the same on all"):
-        run_sweep(store, 1, scheduler=scheduler)
+        run_sweep(store, workers=1, scheduler=scheduler)
 
 
 def test_trials_that_a_cluster_has_finished_are_kept_if_it_is_lost(tmp_path: Path, store: Store) -> None:
     """The cluster ends when the first trials have come back."""
-    experiment = replace(SLOW, trials=500)
+    experiment = replace(SLOW_EXPERIMENT, trials=500)
     sweep = Store(tmp_path / "long.parquet", [experiment])
     with (
-        cluster_of(1, tmp_path) as (address, cluster_input),
+        cluster_of(workers=1, folder=tmp_path) as (address, cluster_input),
         pytest.raises(UsageError, match="what was finished is kept"),
     ):
-        run_sweep(sweep, 1, report=lambda _: cluster_input.close(), scheduler=address)
+        run_sweep(sweep, workers=1, report=lambda _: cluster_input.close(), scheduler=address)
 
     missing_on_disk = Store(sweep.output, [experiment]).missing_count
     assert missing_on_disk == sweep.missing_count
@@ -135,7 +135,7 @@ def test_an_address_at_which_there_is_no_scheduler_is_refused(
     """The program waits for an answer, here only for a second."""
     monkeypatch.setattr(cluster_module, "_TIMEOUT", 1)
     with pytest.raises(UsageError, match="no Dask scheduler at"):
-        run_sweep(store, 1, scheduler=address)
+        run_sweep(store, workers=1, scheduler=address)
 
 
 def test_a_cluster_without_workers_is_refused_with_the_command_that_starts_some(
@@ -143,6 +143,6 @@ def test_a_cluster_without_workers_is_refused_with_the_command_that_starts_some(
 ) -> None:
     """The program waits for workers, here only for a second."""
     monkeypatch.setattr(cluster_module, "_TIMEOUT", 1)
-    with cluster_of(0, tmp_path) as (address, _), pytest.raises(UsageError) as refusal:
-        run_sweep(store, 1, scheduler=address)
+    with cluster_of(workers=0, folder=tmp_path) as (address, _), pytest.raises(UsageError) as refusal:
+        run_sweep(store, workers=1, scheduler=address)
     assert f"at {address} has no workers; start some: dask worker {address}" in str(refusal.value)

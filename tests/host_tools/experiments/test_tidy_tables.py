@@ -27,7 +27,7 @@ FORMAT_5_FILE = Path(__file__).with_name("results_format_5.parquet")
 @pytest.fixture(scope="module")
 def trials() -> Trials:
     """Two trials of three robots, recorded at the steps 0, 20 and 40."""
-    return run_trials(SHORT, 0, 2, sampling_interval=20)
+    return run_trials(SHORT, first=0, trials=2, sampling_interval=20)
 
 
 @pytest.fixture(scope="module")
@@ -66,7 +66,9 @@ def test_a_row_of_a_tidy_table_has_what_was_recorded_of_its_robot(
 
 
 def test_parameters_that_differ_between_experiments_have_columns_behind_the_trial(trials: Trials) -> None:
-    other_trials = run_trials(replace(SHORT, filter="none", robots=2), 0, 1, sampling_interval=20)
+    other_trials = run_trials(
+        replace(SHORT, filter="none", robots=2), first=0, trials=1, sampling_interval=20
+    )
     tidy = tidy_results(pa.concat_tables([trials_to_table(trials), trials_to_table(other_trials)]))
 
     assert tidy.column_names[:5] == ["trial", "robots", "filter", "step", "robot"]
@@ -83,7 +85,7 @@ def test_every_column_of_a_tidy_table_has_a_unit_and_a_meaning(tidy: pa.Table) -
 
 
 def test_results_without_records_are_refused_with_the_option_that_records() -> None:
-    table = trials_to_table(run_trials(SHORT, 0, 1))
+    table = trials_to_table(run_trials(SHORT, first=0, trials=1))
     with pytest.raises(UsageError, match=r"no values of robots .* were recorded; run .* --record 100"):
         tidy_results(table)
 
@@ -105,7 +107,7 @@ def test_results_of_an_earlier_version_become_tidy_tables() -> None:
 def folder_of_two(trials: Trials, tmp_path: Path) -> Path:
     """A folder with two files of results, whose experiments differ in their seed."""
     table = trials_to_table(trials)
-    other_table = trials_to_table(run_trials(replace(SHORT, seed=2), 0, 2, sampling_interval=20))
+    other_table = trials_to_table(run_trials(replace(SHORT, seed=2), first=0, trials=2, sampling_interval=20))
     folder = tmp_path / "parts"
     folder.mkdir()
     write_tables(folder / "1.parquet", [table])

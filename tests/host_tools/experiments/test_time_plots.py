@@ -17,10 +17,10 @@ from host_tools.experiments.drawn_figures import (
     Layout,
     band_edges,
     caption_of,
-    curve_of,
     layout_of,
     legend_of,
-    medians_with_intervals,
+    line_and_band_by_x,
+    medians_and_intervals_by_x,
     results_of,
     titles_of,
     visible_axes,
@@ -40,7 +40,10 @@ def recorded_swarms() -> dict[str, list[Trials]]:
     """Run swarms on two floors with each of two filters, recorded every 50 of 290 steps: lists by filter."""
     common = replace(SHORT_EXPERIMENT, flawed=2, steps=290, trials=6)
     return {
-        name: [results_of(replace(common, filter=name, fill_ratio=f), 50) for f in (0.55, 0.95)]
+        name: [
+            results_of(replace(common, filter=name, fill_ratio=fill_ratio), sampling_interval=50)
+            for fill_ratio in (0.55, 0.95)
+        ]
         for name in ("none", "robust")
     }
 
@@ -80,7 +83,8 @@ def mean_errors_by_step(experiments: list[Trials]) -> dict[float, NDArray[np.flo
         [abs(trials.records["x"] - trials.experiment.fill_ratio).mean(robot_axis) for trials in experiments]
     )
     recorded_steps = range(0, 290, 50)
-    return {float(step): errors for step, errors in zip(recorded_steps, mean_errors.T, strict=True)}
+    errors_by_step = mean_errors.T  # a row for each step in place of each trial
+    return {float(step): errors for step, errors in zip(recorded_steps, errors_by_step, strict=True)}
 
 
 @pytest.mark.parametrize(("line_index", "filter_name"), [(0, "none"), (1, "robust")])
@@ -94,7 +98,7 @@ def test_the_line_of_a_filter_has_the_median_over_trials_of_the_swarm_s_mean_err
     axes = errors_over_time.axes[0]
     samples_by_step = mean_errors_by_step(recorded_swarms[filter_name])
     line, band = axes.lines[line_index], axes.collections[line_index]
-    assert curve_of(line, band) == medians_with_intervals(samples_by_step)
+    assert line_and_band_by_x(line, band) == medians_and_intervals_by_x(samples_by_step)
 
 
 def test_errors_over_time_have_the_colours_of_their_filters(errors_over_time: Figure) -> None:
@@ -113,6 +117,10 @@ def test_errors_over_time_have_a_logarithmic_axis_and_a_caption(errors_over_time
 # --- Assumed accuracies ----------------------------------------------------------------------------------
 
 
+FLAWED_ROBOTS, HEALTHY_ROBOTS = slice(0, 2), slice(2, 4)
+"""Robots of ``half_flawed``, along the last axis of its b_hat; the other two are trial and filter step."""
+
+
 @pytest.fixture(scope="module")
 def half_flawed() -> Trials:
     """Run four robots, the first two of which are flawed: they assume an accuracy of 0.55, and it is 0.95."""
@@ -120,43 +128,43 @@ def half_flawed() -> Trials:
 
 
 @pytest.fixture(scope="module")
-def five_bands(half_flawed: Trials) -> Figure:
+def bands_figure(half_flawed: Trials) -> Figure:
     """Draw the same results in five panels."""
     return plot_bands([half_flawed] * 5)
 
 
 def test_a_panel_of_assumed_accuracies_has_the_medians_of_flawed_and_of_healthy_robots(
-    five_bands: Figure, half_flawed: Trials
+    bands_figure: Figure, half_flawed: Trials
 ) -> None:
     """The filter ran in the steps 100, 200 and 300. Medians are over all trials and robots of a kind."""
-    flawed_line, healthy_line, _true_accuracy = five_bands.axes[0].lines
-    trial_axis, robot_axis = 0, 2  # b_hat has the axes trial, filter step and robot
-    flawed_medians = np.median(half_flawed.b_hat[:, :, :2], axis=(trial_axis, robot_axis))
-    healthy_medians = np.median(half_flawed.b_hat[:, :, 2:], axis=(trial_axis, robot_axis))
+    flawed_line, healthy_line, _true_accuracy = bands_figure.axes[0].lines
+    trial_axis, robot_axis = 0, 2
+    flawed_medians = np.median(half_flawed.b_hat[:, :, FLAWED_ROBOTS], axis=(trial_axis, robot_axis))
+    healthy_medians = np.median(half_flawed.b_hat[:, :, HEALTHY_ROBOTS], axis=(trial_axis, robot_axis))
 
     assert np.asarray(flawed_line.get_xdata()).tolist() == [100, 200, 300]
     assert np.asarray(flawed_line.get_ydata()).tolist() == flawed_medians.tolist()
     assert np.asarray(healthy_line.get_ydata()).tolist() == healthy_medians.tolist()
 
 
-def test_the_line_of_flawed_robots_has_a_colour_that_others_have_not(five_bands: Figure) -> None:
-    flawed_line, healthy_line, _true_accuracy = five_bands.axes[0].lines
+def test_the_line_of_flawed_robots_has_a_colour_that_others_have_not(bands_figure: Figure) -> None:
+    flawed_line, healthy_line, _true_accuracy = bands_figure.axes[0].lines
     assert (flawed_line.get_color(), healthy_line.get_color()) == (FLAWED, OTHER)
 
 
-def test_a_dashed_line_shows_the_true_accuracy_among_the_assumed_ones(five_bands: Figure) -> None:
-    _flawed, _healthy, true_accuracy = five_bands.axes[0].lines
+def test_a_dashed_line_shows_the_true_accuracy_among_the_assumed_ones(bands_figure: Figure) -> None:
+    _flawed, _healthy, true_accuracy = bands_figure.axes[0].lines
     assert set(np.asarray(true_accuracy.get_ydata()).tolist()) == {0.95}
     assert (true_accuracy.get_color(), true_accuracy.get_linestyle()) == (INK, "--")
 
 
 @pytest.mark.parametrize(("filter_step", "step"), [(0, 100), (1, 200), (2, 300)])
 def test_the_band_of_flawed_robots_holds_the_middle_90_percent_of_what_they_assume(
-    filter_step: int, step: int, five_bands: Figure, half_flawed: Trials
+    filter_step: int, step: int, bands_figure: Figure, half_flawed: Trials
 ) -> None:
-    """Robots 0 and 1 of all trials are flawed; b_hat has the axes trial, filter step and robot."""
-    flawed_band, _healthy_band = five_bands.axes[0].collections
-    percentiles = np.percentile(half_flawed.b_hat[:, filter_step, :2], [5, 95])
+    """It reaches from the 5th to the 95th percentile of b_hat of these robots in all trials."""
+    flawed_band, _healthy_band = bands_figure.axes[0].collections
+    percentiles = np.percentile(half_flawed.b_hat[:, filter_step, FLAWED_ROBOTS], [5, 95])
     assert band_edges(flawed_band, step) == pytest.approx(percentiles)
 
 
@@ -167,37 +175,40 @@ def first_title_of(figure: Figure) -> str:
 
 
 def test_a_title_of_assumed_accuracies_has_fill_ratio_accuracies_and_share_of_flawed_robots(
-    five_bands: Figure,
+    bands_figure: Figure,
 ) -> None:
     r"""They are f, b, which is true, \hat{b}, which flawed robots assume, and P."""
     parameters = r"$f$ = 0.55, $b$ = 0.95, $\hat{b}$ = 0.55, $P$ = 50%"
-    assert first_title_of(five_bands).startswith(f"{parameters} ")
+    assert first_title_of(bands_figure).startswith(f"{parameters} ")
 
 
 def test_a_title_of_assumed_accuracies_has_the_share_of_healthy_robots_that_end_wrong(
-    five_bands: Figure, half_flawed: Trials
+    bands_figure: Figure, half_flawed: Trials
 ) -> None:
-    """Robots 2 and 3 of four are healthy, with a true accuracy of 0.95; b_hat is by trial, step and robot."""
-    b_hat_at_end = half_flawed.b_hat[:, -1, 2:]
+    """Wrong is more than 0.05 from the true accuracy, 0.95, which they assume at first."""
+    last_filter_step = -1
+    b_hat_at_end = half_flawed.b_hat[:, last_filter_step, HEALTHY_ROBOTS]
     share = np.mean(abs(b_hat_at_end - 0.95) > 0.05)
-    assert first_title_of(five_bands).endswith(f" more than 0.05 off: {share:.0%} of healthy robots")
+    assert first_title_of(bands_figure).endswith(f" more than 0.05 off: {share:.0%} of healthy robots")
 
 
 def test_healthy_robots_are_off_if_they_end_far_from_what_they_assumed_at_first(half_flawed: Trials) -> None:
     """They assume 0.8 at first and 0.84 in the end, which is less than 0.05 from 0.8, but not from 0.95."""
     experiment = replace(half_flawed.experiment, unflawed_accuracy=0.8)
     b_hat = half_flawed.b_hat.copy()
-    last_filter_step, healthy_robots = -1, slice(2, None)
-    b_hat[:, last_filter_step, healthy_robots] = 0.84
+    last_filter_step = -1
+    b_hat[:, last_filter_step, HEALTHY_ROBOTS] = 0.84
     figure = plot_bands([replace(half_flawed, experiment=experiment, b_hat=b_hat)])
 
     assert first_title_of(figure).endswith("off: 0% of healthy robots")
 
 
-def test_five_experiments_have_a_row_of_three_panels_of_bands_and_one_of_two(five_bands: Figure) -> None:
+def test_five_experiments_have_a_row_of_three_panels_of_bands_and_one_of_two(
+    bands_figure: Figure,
+) -> None:
     """The sixth place is empty."""
-    assert [axes.axison for axes in five_bands.axes] == [True] * 5 + [False]
-    assert layout_of(five_bands) == Layout(rows=2, columns=3, width=9, panel_height=2.1)
+    assert [axes.axison for axes in bands_figure.axes] == [True] * 5 + [False]
+    assert layout_of(bands_figure) == Layout(rows=2, columns=3, width=9, panel_height=2.1)
 
 
 def test_four_experiments_have_two_rows_of_two_panels_of_bands(half_flawed: Trials) -> None:
@@ -213,7 +224,7 @@ def test_a_swarm_without_healthy_robots_has_one_band_and_a_dash_for_their_share(
 def test_panels_of_bands_begin_with_the_name_of_their_filter_and_are_ordered_by_it(
     half_flawed: Trials,
 ) -> None:
-    """ASDF+ is given first, and no filter is drawn first."""
+    """The swarm without a filter is given last and drawn first."""
     unfiltered = results_of(replace(half_flawed.experiment, filter="none"))
     first_title, second_title = titles_of(plot_bands([half_flawed, unfiltered]))
     assert first_title.startswith("no filter\n")
@@ -254,9 +265,9 @@ def recorded_runs() -> list[Trials]:
 
 
 @pytest.fixture(scope="module")
-def series(recorded_runs: list[Trials]) -> Figure:
+def runs_figure(recorded_runs: list[Trials]) -> Figure:
     """Draw the two runs in two columns, with a row of panels for b_hat, x_hat and x."""
-    return plot_runs(recorded_runs, 0)
+    return plot_runs(recorded_runs, trial_number=0)
 
 
 def panel_of(figure: Figure, row: int, column: int) -> Axes:
@@ -267,11 +278,11 @@ def panel_of(figure: Figure, row: int, column: int) -> Axes:
 @pytest.mark.parametrize(("run", "recorded_steps"), [(0, range(0, 293, 2)), (1, range(0, 200, 30))])
 @pytest.mark.parametrize("row", [0, 1, 2])
 def test_a_panel_of_a_trial_has_a_line_of_what_was_recorded_of_each_robot(
-    run: int, recorded_steps: range, row: int, series: Figure, recorded_runs: list[Trials]
+    run: int, recorded_steps: range, row: int, runs_figure: Figure, recorded_runs: list[Trials]
 ) -> None:
     """The lines of four robots are drawn from the last robot to the first."""
-    *robot_lines, _true_value = panel_of(series, row, run).lines
-    quantity = ("b_hat", "x_hat", "x")[row]
+    *robot_lines, _true_value = panel_of(runs_figure, row, run).lines
+    quantity = ("b_hat", "x_hat", "x")[row]  # as the rows are drawn
     [values_by_step] = recorded_runs[run].records[quantity]  # of the only trial, by step and robot
 
     for robot, line in zip((3, 2, 1, 0), robot_lines, strict=True):
@@ -279,18 +290,18 @@ def test_a_panel_of_a_trial_has_a_line_of_what_was_recorded_of_each_robot(
         assert np.asarray(line.get_ydata()).tolist() == values_by_step[:, robot].tolist()
 
 
-def test_lines_of_flawed_robots_lie_on_top_of_those_of_healthy_ones(series: Figure) -> None:
+def test_lines_of_flawed_robots_lie_on_top_of_those_of_healthy_ones(runs_figure: Figure) -> None:
     """A panel has three healthy robots, a flawed one, and the true value; what is drawn later lies on top."""
-    for axes in series.axes:
+    for axes in runs_figure.axes:
         assert [line.get_color() for line in axes.lines] == [OTHER] * 3 + [FLAWED, INK]
 
 
 @pytest.mark.parametrize(("row", "letter", "true_value"), [(0, "b", 0.95), (1, "f", 0.55), (2, "f", 0.55)])
 def test_a_panel_of_a_trial_has_a_line_at_the_true_value_and_its_letter_at_the_right(
-    row: int, letter: str, true_value: float, series: Figure
+    row: int, letter: str, true_value: float, runs_figure: Figure
 ) -> None:
     """It is the accuracy b in the row of assumed accuracies, and the fill ratio f in those of estimates."""
-    axes = panel_of(series, row, column=1)
+    axes = panel_of(runs_figure, row, column=1)
     *_robot_lines, true_line = axes.lines
     assert np.asarray(true_line.get_ydata()).tolist() == [true_value, true_value]
 
@@ -300,51 +311,54 @@ def test_a_panel_of_a_trial_has_a_line_at_the_true_value_and_its_letter_at_the_r
     assert text.get_position() == (right_edge, true_value)
 
 
-def test_all_panels_of_trials_have_the_time_axis_of_the_longest_one(series: Figure) -> None:
-    assert {axes.get_xlim() for axes in series.axes} == {(0, 292)}
+def test_all_panels_of_trials_have_the_time_axis_of_the_longest_one(runs_figure: Figure) -> None:
+    assert {axes.get_xlim() for axes in runs_figure.axes} == {(0, 292)}
 
 
 @pytest.mark.parametrize(
     ("row", "quantity", "true_value"), [(0, "b_hat", 0.95), (1, "x_hat", 0.55), (2, "x", 0.55)]
 )
 def test_an_axis_of_recorded_values_has_room_for_all_but_those_of_the_first_moments(
-    row: int, quantity: str, true_value: float, series: Figure, recorded_runs: list[Trials]
+    row: int, quantity: str, true_value: float, runs_figure: Figure, recorded_runs: list[Trials]
 ) -> None:
-    """It holds the values of both runs and the true one, with a margin; the first ones may be far outside."""
+    """It reaches over the values of both runs and the true one, and a margin of 6 % of their range or 0.01.
+
+    The values of the first moments do not count, as they may be far outside.
+    """
     [first_run], [second_run] = [trials.records[quantity] for trials in recorded_runs]
     first_moments = 2  # a fiftieth of the first run's 147 samples; the second run has too few
     values = [*first_run[first_moments:].ravel(), *second_run.ravel(), true_value]
     margin = max(0.06 * np.ptp(values), 0.01)
     limits = pytest.approx((min(values) - margin, max(values) + margin))
 
-    assert panel_of(series, row, column=0).get_ylim() == limits
-    assert panel_of(series, row, column=1).get_ylim() == limits
+    assert panel_of(runs_figure, row, column=0).get_ylim() == limits
+    assert panel_of(runs_figure, row, column=1).get_ylim() == limits
 
 
-def test_assumed_accuracies_are_drawn_as_steps_and_estimates_as_curves(series: Figure) -> None:
+def test_assumed_accuracies_are_drawn_as_steps_and_estimates_as_curves(runs_figure: Figure) -> None:
     """An accuracy that a robot assumes changes only when its filter runs."""
-    styles = [panel_of(series, row, column=0).lines[0].get_drawstyle() for row in range(3)]
+    styles = [panel_of(runs_figure, row, column=0).lines[0].get_drawstyle() for row in range(3)]
     assert styles == ["steps-post", "default", "default"]
 
 
-def test_the_upper_panel_of_a_trial_has_filter_swarm_and_trial_as_its_title(series: Figure) -> None:
+def test_the_upper_panel_of_a_trial_has_filter_swarm_and_trial_as_its_title(runs_figure: Figure) -> None:
     swarm = "4 robots, 1 flawed,\nfully-connected, seed 1, trial 0"
-    upper_left, upper_right, *other_titles = [axes.get_title("left") for axes in series.axes]
+    upper_left, upper_right, *other_titles = [axes.get_title("left") for axes in runs_figure.axes]
 
     assert upper_left == f"no filter: {swarm}"
     assert upper_right == f"ASDF+, $\\tau$ = 100: {swarm}"
     assert other_titles == ["", "", "", ""]
 
 
-def test_axes_of_trials_are_named_on_the_left_and_at_the_bottom(series: Figure) -> None:
+def test_axes_of_trials_are_named_on_the_left_and_at_the_bottom(runs_figure: Figure) -> None:
     """There are three rows of two panels. A symbol, such as b_hat, follows each name on the left."""
-    y_labels = [axes.get_ylabel().partition(" $")[0] for axes in series.axes]
+    y_labels = [axes.get_ylabel().partition(" $")[0] for axes in runs_figure.axes]
     assert y_labels == ["assumed accuracy", "", "local estimate", "", "informed estimate", ""]
-    assert [axes.get_xlabel() for axes in series.axes] == ["", "", "", "", "step", "step"]
+    assert [axes.get_xlabel() for axes in runs_figure.axes] == ["", "", "", "", "step", "step"]
 
 
-def test_the_legend_of_trials_has_flawed_robots_healthy_ones_and_the_true_value(series: Figure) -> None:
-    assert legend_of(series) == ["flawed robots", "healthy robots", "true value"]
+def test_the_legend_of_trials_has_flawed_robots_healthy_ones_and_the_true_value(runs_figure: Figure) -> None:
+    assert legend_of(runs_figure) == ["flawed robots", "healthy robots", "true value"]
 
 
 def test_a_single_trial_is_drawn_in_three_panels(recorded_runs: list[Trials]) -> None:

@@ -142,7 +142,7 @@ class EngineTrials:
         for name in COUNTERS:
             # The robots of the first trial come first, then those of the second, and so on.
             values = [getattr(robot.counters, name) for robot in self.robots]
-            counters[name] = np.array(values).reshape(trial_count, -1)
+            counters[name] = np.array(values).reshape(trial_count, self.experiment.robots)
         return counters
 
     def images(self) -> list[bytes]:

@@ -125,7 +125,7 @@ def _draw_accuracy_bands(axes: Axes, trials: Trials) -> None:
     flawed, healthy = _flawed_and_healthy(trials)
     for colour, b_hat in ((FLAWED, flawed), (OTHER, healthy)):
         if b_hat.size:
-            trial_axis, robot_axis = 0, 2
+            trial_axis, robot_axis = 0, 2  # of the shape (trials, filter steps, robots)
             band = np.percentile(b_hat, _MEDIAN_AND_BAND_PERCENTILES, axis=(trial_axis, robot_axis))
             draw_band(axes, steps, band, colour)
     axes.axhline(experiment.true_accuracy, color=INK, linewidth=1.2, linestyle="--")

@@ -111,10 +111,11 @@ def _series_by_hue(experiments: Sequence[Trials], hue: str) -> list[Series]:
     hue_values = _sorted_axis_values(experiments, hue)
     # Values of other parameters have an order, which their colours show.
     colours = colours_of_filters(hue_values) if hue == "filter" else ordered_colours(len(hue_values))
-    return [
-        _select_value(Series(parameter_with_value(hue, value), colour, list(experiments)), hue, value)
-        for value, colour in zip(hue_values, colours, strict=True)
-    ]
+    all_series = []
+    for value, colour in zip(hue_values, colours, strict=True):
+        series_of_all = Series(parameter_with_value(hue, value), colour, list(experiments))
+        all_series.append(_select_value(series_of_all, hue, value))
+    return all_series
 
 
 def _split_into_panels(

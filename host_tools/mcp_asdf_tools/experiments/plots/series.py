@@ -83,7 +83,8 @@ def plot_runs(runs: Sequence[Trials], trial_number: int) -> Figure:
         leftmost_axes = row[0]
         leftmost_axes.set(xlim=(0, last_step), ylim=_limits_of_quantity(runs, trial_number, quantity))
         leftmost_axes.set_ylabel(quantity.label, fontsize=MEDIUM)
-    for trials, column in zip(runs, grid.T, strict=True):
+    columns_of_panels = grid.T  # shape (runs, quantities)
+    for trials, column in zip(runs, columns_of_panels, strict=True):
         top_axes, bottom_axes = column[0], column[-1]
         top_axes.set_title(_series_title(trials.experiment, trial_number), fontsize=SMALL, loc="left")
         bottom_axes.set_xlabel("step", fontsize=MEDIUM)

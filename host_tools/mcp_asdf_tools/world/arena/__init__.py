@@ -108,7 +108,7 @@ class Arena:
             self.step()
             for name, rows in rows_by_member.items():
                 rows[tick] = current_values[name]
-            # Robots in range of each other receive both ways.
+            # The columns of the pairs. Robots in range of each other receive both ways.
             lower_ids, higher_ids = self._linked_pairs().T
             adjacency[tick, lower_ids, higher_ids] = True
             adjacency[tick, higher_ids, lower_ids] = True
