@@ -121,8 +121,8 @@ def re_estimate_from_ends(bench: Bench) -> None:
         alphas = draw_alphas_of_one_scale(bench.rng, _ROUND_SIZE)
         _play_test_round(bench, [NeighbourEstimate(end, alpha) for alpha in alphas])
         bench.activity = f"tiles of one colour, then of the other, after estimates of {end // ONE}"
-        for z in 2 * (3 * [Observation.WHITE] + 3 * [Observation.BLACK]):
-            bench.play_tick(z)
+        for observation in 2 * (3 * [Observation.WHITE] + 3 * [Observation.BLACK]):
+            bench.play_tick(observation)
 
 
 def test_large_sums(bench: Bench) -> None:

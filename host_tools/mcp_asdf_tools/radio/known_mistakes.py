@@ -120,18 +120,21 @@ class RobotThatTestsInFloat64(MirrorRobot):
 def rejects_in_float64(table: Table, sums: Sums, x_hat: int) -> bool:
     """Return whether the paper's test rejects x_hat (eq. 12), computed in float64 from the exact sums.
 
-    ``sums`` are those of the round, and ``x_hat`` is in units of 2**-23.
+    ``sums`` are those of the estimates of the round, and ``x_hat`` is in units of 2**-23.
     """
-    m = sums.count
-    difference = float(sums.x - m * x_hat)
-    scatter = float(m * sums.x_squared - sums.x * sums.x)
-    factor: float = table.entry(m) / 2**FRACTION_BITS
+    count = sums.count
+    difference = float(sums.x - count * x_hat)
+    scatter = float(count * sums.x_squared - sums.x * sums.x)
+    factor: float = table.entry(count) / 2**FRACTION_BITS
     return difference * difference > factor * scatter
 
 
 def copy_as(model_class: type[MirrorRobot], robot: MirrorRobot, config: Config | None = None) -> MirrorRobot:
-    """Return a robot of this class with a copy of the state of ``robot``, and by default its settings."""
-    model = model_class.__new__(model_class)
+    """Return a robot of this class with a copy of the state of ``robot``, which is its attribute ``s``.
+
+    It has the settings ``config``, or those of ``robot`` by default.
+    """
+    model = model_class.__new__(model_class)  # without __init__, whose new state would be replaced
     model.config = robot.config if config is None else config
     model.s = deepcopy(robot.s)
     return model

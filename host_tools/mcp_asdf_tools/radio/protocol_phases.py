@@ -268,9 +268,9 @@ def observe_alone(bench: Bench) -> None:
     So its x_hat is 0, or 1 for a b_hat below 1/2. In each ninth tick it has no observation.
     """
     for tick in range(_ALONE_TICKS):
-        z = None if tick % 9 == 8 else Observation.WHITE
-        bench.activity = "no observation" if z is None else "white tiles"
-        bench.play_tick(z)
+        observation = None if tick % 9 == 8 else Observation.WHITE
+        bench.activity = "no observation" if observation is None else "white tiles"
+        bench.play_tick(observation)
 
 
 def observe_first_black(bench: Bench) -> None:

@@ -235,10 +235,10 @@ def test_estimates_far_apart(bench: Bench) -> None:
     b_hat is far from 1/2 there are no such observations, and with a short memory too few. If it is next to
     1/2, estimates cannot decide the test. In these three cases no test is played.
     """
-    g = _initial_information(bench)
+    information = _initial_information(bench)
     # Many observations are rejected if their share of black deviates from the prediction by more than
-    # sqrt(12) g spread: 0.87 g with a spread of 1/4, and 1.3 g with one of 3/8.
-    black_share = _predict_black_share(bench, fill_ratio=3 / 8) + 1.1 * g
+    # sqrt(12) g spread, with g the information: 0.87 g with a spread of 1/4, 1.3 g with one of 3/8.
+    black_share = _predict_black_share(bench, fill_ratio=3 / 8) + 1.1 * information
     if not _can_estimates_decide_test(bench) or black_share >= 1:
         return
     bench.activity = "observations that estimates far apart contradict"
@@ -503,11 +503,11 @@ def _can_contradict_extreme_estimate(bench: Bench) -> bool:
     The share of black is taken to be one that the initial b_hat predicts from some fill ratio. Then the test
     needs 12 / g**2 observations, with g = |2 b_hat - 1|, and more if they depend on each other.
     """
-    g = _initial_information(bench)
+    information = _initial_information(bench)
     # A full memory is halved, so that a test is sure to have only half of it.
     possible_observations = min(bench.config.memory // 2, _MAX_BURSTS * BURST)
     # Twice as many as independent observations would take.
-    return possible_observations * g**2 >= 2 * REJECTED_SIGMAS_SQUARED
+    return possible_observations * information**2 >= 2 * REJECTED_SIGMAS_SQUARED
 
 
 def _predict_black_share(bench: Bench, fill_ratio: float) -> float:

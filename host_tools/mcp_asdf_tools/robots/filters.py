@@ -16,7 +16,7 @@ from typing import Literal
 from mcp_asdf.robot import Filter
 
 Activation = Literal["adaptive", "always"]
-"""When a robot re-estimates, every ``filter_period`` steps: if the test rejects (eq. 12), or always."""
+"""When a robot re-estimates b_hat, every ``filter_period`` steps: if the test rejects (eq. 12), or always."""
 
 _WITHOUT_TEST = ", in every filter step without a test"
 """What a description adds if ``activation`` is always."""
@@ -78,7 +78,10 @@ class SwarmFilter:
 
     @property
     def active_firmware_filters(self) -> set[Filter]:
-        """What the firmware of a robot that re-estimates b_hat may be set to, a value for each activation."""
+        """Firmware filters that a robot which re-estimates b_hat may have: one or two.
+
+        The second one re-estimates without a test. Only the paper's filters have it.
+        """
         values = {self.firmware_filter}
         if self.firmware_filter_without_test is not None:
             values.add(self.firmware_filter_without_test)
@@ -106,7 +109,10 @@ class SwarmFilter:
         return self.firmware_filter
 
     def unused_parameters_with(self, activation: Activation) -> dict[str, str]:
-        """Return the parameters of filters that have no effect with this activation, with the reason."""
+        """Return the parameters that have no effect with this filter: the reason, for errors, by their name.
+
+        With the ``activation`` "always" the paper's filters make no test, so omega has no effect, either.
+        """
         unused_parameters = dict(self.unused_parameters)
         if activation == "always" and self.firmware_filter_without_test is not None:
             # Omega is the tolerance of the test that is left out.
@@ -114,7 +120,10 @@ class SwarmFilter:
         return unused_parameters
 
     def describe(self, activation: Activation) -> str:
-        """Return the filter's line for reports, which says so if it re-estimates without a test."""
+        """Return the filter's line for reports, which says so if it re-estimates without a test.
+
+        It does if ``activation`` is "always", and it is one of the paper's filters.
+        """
         has_no_test = activation == "always" and self.firmware_filter_without_test is not None
         return self.description + _WITHOUT_TEST if has_no_test else self.description
 
@@ -178,7 +187,7 @@ FILTERS: dict[str, SwarmFilter] = {
 def filter_of_one_robot(firmware_filter: Filter) -> SwarmFilter:
     """Return the filter of a swarm that sets the firmware of every robot to this value.
 
-    Raises ValueError if there is none.
+    That is never ASDF-, which leaves some robots without a filter. Raises ValueError if there is none.
     """
     for swarm_filter in FILTERS.values():
         # With ASDF- the robots that are not flawed have Filter.OFF: it has no value for every robot.

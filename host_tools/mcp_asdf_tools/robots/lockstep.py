@@ -116,7 +116,10 @@ class Lockstep:
         if DRIVER_ID in observations:
             raise UsageError(f"robot {DRIVER_ID} has the id of the simulator; give it another")
         self._estimates.clear()
-        self._last_actions = {robot: Action.to_observe(z) for robot, z in observations.items()}
+        # Kept so that a command can be repeated if no answer comes.
+        self._last_actions = {
+            robot: Action.to_observe(observation) for robot, observation in observations.items()
+        }
         self._send_commands(self._last_actions)
 
     def estimates(self, robots: Collection[int]) -> dict[int, Estimate]:

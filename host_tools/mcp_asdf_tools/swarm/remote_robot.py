@@ -228,9 +228,9 @@ class Driver:
         """
         self._lockstep.observe(observations)
         broadcasting_robots = []
-        for robot, z in observations.items():
+        for robot, observation in observations.items():
             # The counterpart in this process counts the robot's ticks, so it knows when a broadcast is due.
-            is_broadcast_due = self.nodes[robot].observe(z)
+            is_broadcast_due = self.nodes[robot].observe(observation)
             if is_broadcast_due:
                 broadcasting_robots.append(robot)
         for robot, estimate in self._lockstep.estimates(broadcasting_robots).items():

@@ -43,7 +43,10 @@ class Traffic:
     peak_bits: int = 0
 
     def add(self, frames: Sequence[can.Message]) -> None:
-        """Count the frames that got onto the bus in one tick, and their bits."""
+        """Count the frames that got onto the bus in one tick, and their bits.
+
+        Bits are counted with as many stuff bits as possible. Those of the busiest tick are ``peak_bits``.
+        """
         bits = sum(worst_case_bits(frame) for frame in frames)
         self.on_the_bus += len(frames)
         self.bits += bits

@@ -24,7 +24,7 @@ ALPHA_WORD = 0x9ABCDE05
 
 
 def estimate(x_hat: int = X_HAT, alpha_word: int = ALPHA_WORD) -> can.Message:
-    return encode_estimate(Estimate(5, x_hat, alpha_word, 0), FrameFormat())
+    return encode_estimate(Estimate(5, x_hat, alpha_word, transfer_id=0), FrameFormat())
 
 
 def estimate_with_alpha_bits(bits: int) -> can.Message:
@@ -35,12 +35,12 @@ def estimate_with_alpha_bits(bits: int) -> can.Message:
 
 
 def telemetry(updates: int = 0, b_hat: int = 0xABCDEF) -> can.Message:
-    return encode_telemetry(Telemetry(5, X_HAT, b_hat, updates, 0), Subjects().telemetry)
+    return encode_telemetry(Telemetry(5, X_HAT, b_hat, updates, transfer_id=0), Subjects().telemetry)
 
 
 def heartbeat(uptime: int = 0, health: Health = Health.NOMINAL) -> can.Message:
-    frame = encode_heartbeat(Heartbeat(5, uptime, 0))
-    frame.data[4] = health.value
+    frame = encode_heartbeat(Heartbeat(5, uptime, transfer_id=0))
+    frame.data[4] = health.value  # byte 4 is the health
     return frame
 
 
@@ -71,27 +71,27 @@ def hint_of(received: can.Message, expected: can.Message) -> str:
 
 
 def test_a_difference_in_x_hat_whose_bytes_are_reversed_gets_that_as_a_hint() -> None:
-    """x_hat, a robot's own estimate of the share of black tiles, has three bytes in a frame."""
+    """The hint says that the three bytes of x_hat, a robot's own estimate, are in reverse order."""
     hint = hint_of(received=estimate(x_hat=0x563412), expected=estimate(x_hat=0x123456))
     assert hint == "its 3 bytes are in reverse order"
 
 
 @pytest.mark.parametrize(("x_hat", "factor"), [(2 * X_HAT, "2"), (X_HAT // 2, "0.5")])
 def test_a_doubled_or_halved_x_hat_gets_the_factor_as_a_hint(x_hat: int, factor: str) -> None:
-    """The hint is at the cause of a difference between a received and an expected frame."""
+    """The received x_hat is 2 or 0.5 times the expected one, and the hint says which."""
     hint = hint_of(received=estimate(x_hat), expected=estimate(X_HAT))
     assert hint == f"it is {factor} times what it should be"
 
 
 @pytest.mark.parametrize("x_hat", [X_HAT + 1, 3 * X_HAT, 0])
 def test_an_x_hat_that_is_off_by_no_power_of_two_gets_no_hint(x_hat: int) -> None:
-    """The hint of a difference is an empty text if nothing is known about its cause."""
+    """The hint is empty then. Here x_hat is larger by 1, three times as large, or 0."""
     assert hint_of(received=estimate(x_hat), expected=estimate(X_HAT)) == ""
 
 
 @pytest.mark.parametrize("alpha_word", [ALPHA_WORD + 256, 0])
 def test_an_alpha_with_another_mantissa_gets_no_hint(alpha_word: int) -> None:
-    """The firmware has alpha as a word of a mantissa in the upper 24 bits and a shift in the lower 8."""
+    """The hint is empty. The mantissa is in the upper 24 bits of the firmware's word, so 256 is its unit."""
     assert hint_of(received=estimate(alpha_word=alpha_word), expected=estimate(alpha_word=ALPHA_WORD)) == ""
 
 
@@ -107,26 +107,27 @@ def test_an_alpha_with_another_mantissa_gets_no_hint(alpha_word: int) -> None:
 def test_an_alpha_that_is_off_by_a_power_of_two_gets_the_factor_as_a_hint_if_both_are_normal_numbers(
     received_exponent: int, expected_exponent: int, hint: str
 ) -> None:
-    """alpha is a float32: its exponent, 127 less, is a power of two. The mantissa is the same in both."""
-    received = estimate_with_alpha_bits((received_exponent << 23) | 0x345678)
-    expected = estimate_with_alpha_bits((expected_exponent << 23) | 0x345678)
+    """alpha is a float32. Its exponent is one higher or lower than expected, and its mantissa is the same."""
+    mantissa = 0x345678
+    received = estimate_with_alpha_bits((received_exponent << 23) | mantissa)
+    expected = estimate_with_alpha_bits((expected_exponent << 23) | mantissa)
     assert hint_of(received, expected) == hint
 
 
 def test_a_value_with_few_significant_digits_gets_no_hint() -> None:
-    """One x_hat is half of the other, but ten bits that agree may do so by accident."""
+    """The received x_hat is half of the expected one, but so few bits may agree by accident."""
     assert hint_of(received=estimate(x_hat=0x402), expected=estimate(x_hat=0x804)) == ""
 
 
 def test_a_number_of_updates_that_is_half_of_the_expected_one_gets_no_hint() -> None:
-    """A field of few bits is half of another too easily."""
+    """The hint is empty, as a value of few bits is half of another too easily."""
     found_difference = difference(received=[telemetry(updates=2)], expected=[telemetry(updates=4)])
     assert found_difference.field == "updates"
     assert found_difference.hint == ""
 
 
 def test_the_hint_is_about_the_first_frame_that_differs() -> None:
-    """The first of the received frames is right, the second has twice the x_hat, and the third four times."""
+    """The first received frame is right. The second has twice the x_hat, as the hint says."""
     received = [estimate(), estimate(2 * X_HAT), estimate(4 * X_HAT)]
     found_difference = difference(received=received, expected=[estimate(), estimate()])
     assert found_difference.hint == "it is 2 times what it should be"
@@ -139,7 +140,7 @@ def test_the_text_of_a_difference_ends_with_the_hint() -> None:
 
 
 def test_the_text_of_a_difference_without_a_hint_ends_with_the_received_frames() -> None:
-    """An x_hat that is too large by 1 gets no hint."""
+    """The received x_hat is too large by 1, for which there is no hint."""
     found_difference = difference(received=[estimate(X_HAT + 1)], expected=[estimate()])
     assert str(found_difference).endswith(f", got {found_difference.received}")
 
@@ -148,14 +149,14 @@ def test_the_text_of_a_difference_without_a_hint_ends_with_the_received_frames()
 
 
 def test_a_b_hat_is_described_as_a_fraction() -> None:
-    """b_hat, the accuracy that a robot assumes, is in units of 2**-24: 0xC00000 is 3/4."""
+    """The b_hat 0xC00000, in units of 2**-24, is described as 0.75."""
     found_difference = difference(received=[telemetry(b_hat=0xC00000)], expected=[telemetry()])
     assert found_difference.field == "b_hat"
     assert "b_hat 0xc00000 (0.7500000)" in found_difference.received
 
 
 def test_equal_frames_are_counted_by_kind() -> None:
-    """Two estimates and one telemetry frame are received as expected."""
+    """Two estimates and one telemetry frame are received as expected. ``equal_frames`` has these numbers."""
     comparison = new_comparison()
     frames = [estimate(), estimate(), telemetry()]
     assert comparison.check(frames, frames) is None
@@ -179,7 +180,7 @@ def test_a_remote_frame_is_described_by_its_raw_data() -> None:
 
 
 def test_an_estimate_before_the_heartbeat_is_a_difference_once_telemetry_was_received() -> None:
-    """The expected order is the other way round."""
+    """The difference says that the heartbeat was expected first."""
     comparison = comparison_after_a_tick()
     found_difference = comparison.check(
         received=[estimate(), heartbeat(1)], expected=[heartbeat(1), estimate()]
@@ -191,19 +192,19 @@ def test_an_estimate_before_the_heartbeat_is_a_difference_once_telemetry_was_rec
 
 
 def test_an_estimate_before_the_heartbeat_is_no_difference_before_telemetry_was_received() -> None:
-    """The expected order is the other way round, but the controller may be starting."""
+    """The heartbeat was expected first, but a controller that is starting may send it at any time."""
     comparison = new_comparison()
     assert comparison.check(received=[estimate(), heartbeat(1)], expected=[heartbeat(1), estimate()]) is None
 
 
 def test_the_heartbeat_with_which_a_controller_starts_may_come_several_times_before_telemetry() -> None:
-    """A controller that was reset sends it again."""
+    """It comes twice in place of never, but there is no difference, as each reset sends it again."""
     received = [heartbeat(uptime=0), heartbeat(uptime=0), telemetry()]
     assert new_comparison().check(received, expected=[telemetry()]) is None
 
 
 def test_the_heartbeat_with_which_a_controller_starts_is_a_difference_after_telemetry() -> None:
-    """The controller has started anew meanwhile."""
+    """It is reported as "extra": the controller has started anew meanwhile."""
     found_difference = comparison_after_a_tick().check(received=[heartbeat()], expected=[])
     assert found_difference is not None
     assert found_difference.field == "extra"
@@ -213,7 +214,7 @@ def test_the_heartbeat_with_which_a_controller_starts_is_a_difference_after_tele
 def test_a_heartbeat_with_the_health_advisory_is_a_difference_unless_it_is_allowed(
     is_advisory_allowed: bool,
 ) -> None:
-    """From good to bad, health is nominal, advisory, caution or warning; nominal is expected."""
+    """Nominal is expected. Advisory is the next worse health."""
     comparison = comparison_after_a_tick()
     comparison.is_advisory_allowed = is_advisory_allowed
     found_difference = comparison.check(
@@ -224,7 +225,7 @@ def test_a_heartbeat_with_the_health_advisory_is_a_difference_unless_it_is_allow
 
 
 def test_a_heartbeat_with_the_health_caution_is_a_difference_even_if_advisory_is_allowed() -> None:
-    """From good to bad, health is nominal, advisory, caution or warning; nominal is expected."""
+    """Nominal is expected, and advisory is allowed. Caution is worse than both, and is reported."""
     comparison = comparison_after_a_tick()
     comparison.is_advisory_allowed = True
     found_difference = comparison.check(
@@ -239,11 +240,11 @@ def test_a_heartbeat_with_the_health_caution_is_a_difference_even_if_advisory_is
 
 
 def test_a_frame_is_from_the_robot_in_its_identifier() -> None:
-    """The estimate has been sent by robot 5."""
+    """``is_from`` is true for robot 5, which has sent the estimate, and false for robot 6."""
     assert is_from(estimate(), robot=5)
     assert not is_from(estimate(), robot=6)
 
 
 def test_a_frame_with_an_11_bit_identifier_is_from_no_robot() -> None:
-    """Robots send frames with identifiers of 29 bits, in which the lowest 7 bits are the sender."""
+    """The lowest 7 bits of the identifier are 5, but robots send frames with identifiers of 29 bits."""
     assert not is_from(can.Message(arbitration_id=5, is_extended_id=False), robot=5)

@@ -41,9 +41,9 @@ pytestmark = pytest.mark.usefixtures("private_setup")
 # --- Neighbours in lockstep ---
 
 
-CRASHES = "crash,robots={},from=30,to=35 crash,robots={},from=40,to=60,rejoin=restored"
+CRASHES_OF_TWO_ROBOTS = "crash,robots={},from=30,to=35 crash,robots={},from=40,to=60,rejoin=restored"
 """Crashes of two robots, whose ids are filled in: one comes back as a new robot, the other restored."""
-POPULATION: dict[str, Any] = {
+FIVE_ROBOTS: dict[str, Any] = {
     "robots": 5,
     "flawed": 0.6,
     "fill_ratio": 0.9,
@@ -51,7 +51,7 @@ POPULATION: dict[str, Any] = {
     "steps": 120,
     "seed": 4,
 }
-MOVING: dict[str, Any] = {"topology": "dynamic", "density": 4}
+MOVING_ROBOTS: dict[str, Any] = {"topology": "dynamic", "density": 4}
 """Settings with which robots move, and receive from those in range alone."""
 CONTROLLER_ID, *NEIGHBOUR_IDS = IDS = (3, 10, 11, 40, 90)
 """Ids of a controller and its neighbours, in place of the ids 0 to 4 of a swarm."""
@@ -85,23 +85,26 @@ def states_around_a_controller(world: SwarmSettings, faults: str) -> list[dict[s
     return [state_of(node.robot) for node in robots]
 
 
-@pytest.mark.parametrize("topology", [{}, MOVING])
+@pytest.mark.parametrize("topology", [{}, MOVING_ROBOTS])
 def test_a_controller_and_its_neighbours_compute_what_an_emulated_swarm_of_as_many_robots_computes(
     topology: dict[str, Any],
 ) -> None:
-    """All five end with the same bits, although their ids differ from those of the swarm, and two crash."""
-    world = SwarmSettings(**POPULATION, **topology)
-    crashing_world = replace(world, faults=CRASHES.format(1, 2).split())
+    """All five end in the same states as in the swarm, where they have other ids. Two of them crash."""
+    world = SwarmSettings(**FIVE_ROBOTS, **topology)
+    crashing_world = replace(world, faults=CRASHES_OF_TWO_ROBOTS.format(1, 2).split())
 
-    states = states_around_a_controller(world, CRASHES.format(10, 11))
+    states = states_around_a_controller(world, CRASHES_OF_TWO_ROBOTS.format(10, 11))
 
     assert states == states_in_a_swarm(crashing_world)
     assert any(state["updates"] > 0 for state in states), "no robot has re-estimated its accuracy"
 
 
 def test_neighbours_that_crash_miss_observations_and_send_no_estimates() -> None:
-    """Of four neighbours one is dead for 5 ticks, and begins anew in tick 35; one is dead for 20 ticks."""
-    states = states_around_a_controller(SwarmSettings(**POPULATION), CRASHES.format(10, 11))
+    """One is dead for 5 ticks, and begins anew in tick 35. Another is dead for 20 ticks, and goes on.
+
+    The controller has missed 25 of the estimates of its four neighbours in 120 ticks.
+    """
+    states = states_around_a_controller(SwarmSettings(**FIVE_ROBOTS), CRASHES_OF_TWO_ROBOTS.format(10, 11))
 
     controller, new_since_tick_35, dead_for_20_ticks, *_ = states
     assert controller["accepted"] == 4 * 120 - (5 + 20), "estimates of others"
@@ -110,13 +113,13 @@ def test_neighbours_that_crash_miss_observations_and_send_no_estimates() -> None
 
 
 def test_a_controller_receives_only_from_neighbours_in_range() -> None:
-    """Its four neighbours move, and broadcast in each of 120 ticks."""
-    controller, *_ = states_around_a_controller(SwarmSettings(**POPULATION, **MOVING), faults="")
+    """Its four neighbours move, and broadcast in each of 120 ticks. It receives some of the 480 estimates."""
+    controller, *_ = states_around_a_controller(SwarmSettings(**FIVE_ROBOTS, **MOVING_ROBOTS), faults="")
     assert 120 < controller["accepted"] < 4 * 120
 
 
 def test_frames_of_neighbours_are_stamped_with_the_time_of_their_tick() -> None:
-    """There are 10 ticks in a second."""
+    """Their times are 0.0 s, 0.1 s and so on, as a second has 10 ticks."""
     neighbourhood = Neighbourhood(surroundings())
     for tick in range(20):
         neighbourhood.begin()
@@ -137,18 +140,18 @@ def heartbeats_of_crashing_robot_1(rejoin: str) -> list[tuple[int, int]]:
     return ticks_and_uptimes
 
 
-EVERY_TENTH_TICK = [(0, 0), (10, 1), (20, 2), (30, 3), (40, 4)]
-"""Ticks of heartbeats, and the uptimes in seconds that they have."""
+HEARTBEATS_BEFORE_CRASH = [(0, 0), (10, 1), (20, 2), (30, 3), (40, 4)]
+"""Ticks of a robot's heartbeats until it crashes in tick 45, each with its uptime in seconds of 10 ticks."""
 
 
 def test_a_neighbour_that_rejoins_as_a_new_robot_begins_with_uptime_0() -> None:
-    """It is dead in ticks 45 and 46; an uptime is in seconds of 10 ticks."""
-    assert heartbeats_of_crashing_robot_1("new") == [*EVERY_TENTH_TICK, (47, 0), (57, 1)]
+    """It is dead in ticks 45 and 46. The next heartbeats, in ticks 47 and 57, have uptimes 0 s and 1 s."""
+    assert heartbeats_of_crashing_robot_1("new") == [*HEARTBEATS_BEFORE_CRASH, (47, 0), (57, 1)]
 
 
 def test_the_uptime_of_a_neighbour_that_rejoins_restored_goes_on_where_it_was() -> None:
-    """It is dead in ticks 45 and 46, so that its heartbeats come two ticks later from then on."""
-    assert heartbeats_of_crashing_robot_1("restored") == [*EVERY_TENTH_TICK, (52, 5)]
+    """It is dead in ticks 45 and 46. Its next heartbeat, of uptime 5 s, comes in tick 52 in place of 50."""
+    assert heartbeats_of_crashing_robot_1("restored") == [*HEARTBEATS_BEFORE_CRASH, (52, 5)]
 
 
 @pytest.mark.parametrize(
@@ -163,7 +166,7 @@ def test_the_uptime_of_a_neighbour_that_rejoins_restored_goes_on_where_it_was() 
 def test_emulated_neighbours_have_the_lowest_ids_from_the_first_allowed_on_but_the_controllers(
     controller: int, count: int, first: int, ids: tuple[int, ...]
 ) -> None:
-    """Emulated robots around a real controller have ids from ``first`` on, and not that of the controller."""
+    """``first`` is the first allowed id, and ``count`` is the number of neighbours."""
     assert choose_ids(controller, count, first) == ids
 
 
@@ -178,7 +181,7 @@ def test_emulated_neighbours_have_the_lowest_ids_from_the_first_allowed_on_but_t
     ],
 )
 def test_more_neighbours_than_there_are_ids_are_refused(count: int, first: int, complaint: str) -> None:
-    """Ids are those from ``first`` to 125 but the controller's, as 126 and 127 are for tools."""
+    """The error says how many there is room for. Ids 126 and 127 are for tools, and 3 is the controller."""
     with pytest.raises(UsageError, match=complaint):
         choose_ids(3, count, first)
 
@@ -187,7 +190,7 @@ def test_more_neighbours_than_there_are_ids_are_refused(count: int, first: int, 
 
 
 def test_neighbours_in_real_time_go_on_when_the_bus_fails_and_count_the_frames_that_were_lost() -> None:
-    """The bus refuses every other frame, as if a cable had been pulled."""
+    """The bus refuses every other frame. All 20 ticks are done, and half of the frames count as failures."""
     bus = Mock()
     bus.send.side_effect = cycle([can.CanOperationError("cable pulled"), None])
     bus.recv.return_value = None
@@ -224,7 +227,7 @@ def run_beside_others(request: pytest.FixtureRequest, monkeypatch: pytest.Monkey
 def test_estimates_on_the_bus_are_counted_as_those_of_the_controller_of_strangers_or_of_a_conflict(
     run_beside_others: RadioRun,
 ) -> None:
-    """Robot 1 is one of the emulated neighbours, so estimates of another robot 1 are a conflict of ids."""
+    """Robot 1 is one of the emulated neighbours, so two estimates under its id are conflicts."""
     figures = run_beside_others.figures()
     assert figures["estimates_heard"] == 1, "estimates of the controller, robot 3"
     assert figures["strangers"] == 3, "estimates of robots 5, 6 and 100"
@@ -235,13 +238,13 @@ def test_estimates_on_the_bus_are_counted_as_those_of_the_controller_of_stranger
 def test_each_neighbour_receives_the_estimates_of_the_controller_and_of_the_other_neighbours(
     run_beside_others: RadioRun,
 ) -> None:
-    """In 5 ticks each of 4 neighbours takes 5 estimates of 3 others, and one of the controller."""
+    """In 5 ticks each of 4 neighbours accepts 5 estimates of each other one, and one of the controller."""
     nodes = run_beside_others.neighbours.nodes.values()
     assert [node.counters.accepted for node in nodes] == [3 * 5 + 1] * 4
 
 
 def test_the_figures_of_a_run_have_the_mean_and_the_range_of_the_neighbours_x() -> None:
-    """x is a robot's estimate with those of the others; it differs from robot to robot if some are lost."""
+    """``spread_x`` is the largest x less the smallest. It is above 0, as half of the messages are lost."""
     settings = surroundings(faults="loss=0.5", steps_per_second=1000)
     run = RadioRun(Neighbourhood(settings), BusLink(Wire()), ticks=5)
     run.run()
@@ -256,7 +259,7 @@ def test_the_figures_of_a_run_have_the_mean_and_the_range_of_the_neighbours_x() 
 def test_neighbours_in_real_time_that_are_asked_to_stop_end_in_that_tick(
     ticks: int | None, is_interrupted: bool
 ) -> None:
-    """It is an interruption if more ticks were asked for, and else the end of an endless run."""
+    """They end in tick 3. That is an interruption if 1000 ticks were asked for, and not in an endless run."""
     neighbourhood = Neighbourhood(surroundings(steps_per_second=1000))
     link = BusLink(Wire(), should_stop=lambda: neighbourhood.tick >= 3)
     run = RadioRun(neighbourhood, link, ticks)
@@ -306,7 +309,7 @@ def real_time_run(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> RealTim
 
 
 def test_neighbours_in_real_time_send_the_frames_that_a_fault_spares(real_time_run: RealTimeRun) -> None:
-    """Each of 4 robots makes an estimate in each of 20 ticks, and one heartbeat; half of them are lost."""
+    """Each of 4 robots makes an estimate in each of 20 ticks, and a heartbeat. The fault takes some."""
     results = real_time_run.report["results"]
     (loss,) = results["faults"]
 
@@ -319,7 +322,7 @@ def test_neighbours_in_real_time_send_the_frames_that_a_fault_spares(real_time_r
 def test_the_report_of_neighbours_in_real_time_is_printed_and_is_beside_the_log(
     real_time_run: RealTimeRun,
 ) -> None:
-    """The command ``mcp-asdf radio --json`` has emulated four neighbours of a controller for 20 ticks."""
+    """``mcp-asdf radio --json`` has done 20 ticks, and has printed what is in the file beside the log."""
     assert real_time_run.report["results"]["steps"] == 20
     assert real_time_run.report_in_file == real_time_run.report
 
@@ -349,7 +352,7 @@ def test_wrong_arguments_of_radio_are_refused_before_the_first_tick(
     monkeypatch: pytest.MonkeyPatch,
     tmp_path: Path,
 ) -> None:
-    """The command ``mcp-asdf radio`` takes no tick, in real time or in lockstep, and writes no file."""
+    """The exit code is 2, and the error is printed. There is no tick and no file."""
     ticks = Mock()
     monkeypatch.setattr(RadioRun, "_take_tick", ticks)
     monkeypatch.setattr(Bench, "settle", ticks)

@@ -40,16 +40,20 @@ from mcp_asdf_tools.robots.node import RobotNode
 from mcp_asdf_tools.robots.robot_setup import RobotSetup
 from messages import encoded
 from support import slow
-from wire import CLOCK, EndlessWire, Wire, node_in_a_thread, record, still
-from wrong_robots import ALWAYS, B_HAT, DEFAULT, ID, VOTES, WRONG, Wrong, right, surroundings, with_node
+from wire import CLOCK, EndlessWire, Wire, node_in_a_thread, still
+from wire import record as setup_of_robot
+from wrong_robots import ALWAYS as FILTER_WITHOUT_TEST
+from wrong_robots import B_HAT, DEFAULT, ID, WRONG, Wrong, surroundings, with_node
+from wrong_robots import VOTES as ROBUST_FILTER
+from wrong_robots import right as right_setup
 
 pytestmark = pytest.mark.usefixtures("private_setup")
 
 TICKS = 25
 """Ticks of a phase among neighbours."""
-QUICK: dict[str, Any] = {"b_hat": B_HAT}
-"""A configuration with which a verification is short."""
-OFF: dict[str, Any] = {"filter": Filter.OFF, "table": None}
+SHORT_RUN_CONFIG: dict[str, Any] = {"b_hat": B_HAT}
+"""A configuration with which a verification has few ticks."""
+NO_FILTER: dict[str, Any] = {"filter": Filter.OFF, "table": None}
 
 CRAFTED_PHASES = tuple(phase for phase in PHASES if phase.play is not None)
 """Phases written for their purpose, round by round; the others are among neighbours."""
@@ -59,17 +63,17 @@ def phases_named(*names: str) -> list[Phase]:
     return [phase for phase in PHASES if phase.name in names]
 
 
-NOTHING_SEEN = phases_named("nothing seen")
+FIRST_PHASE = phases_named("nothing seen")
 """The first phase alone."""
 
 
 def right_controller(firmware: str = "native", **config: Any) -> RobotNode:
-    return RobotNode(right(**{"firmware": firmware, **config}))
+    return RobotNode(right_setup(**{"firmware": firmware, **config}))
 
 
 def controller_with(**methods: Any) -> RobotNode:
     """Return a controller with other methods; each gets the node, the right method and its arguments."""
-    return with_node("", **methods).make(QUICK)
+    return with_node("", **methods).make(SHORT_RUN_CONFIG)
 
 
 def verify(
@@ -85,14 +89,18 @@ def verify(
         return Verification(settings or surroundings(), bench_options, phases).run()
 
 
-def verify_right(config: dict[str, Any], phases: Sequence[Phase], faults: str = "") -> ControllerVerdict:
+def verify_right_controller(
+    config: dict[str, Any], phases: Sequence[Phase], faults: str = ""
+) -> ControllerVerdict:
     """Return the verdict on a right controller with this configuration."""
-    return verify(right_controller(**config), surroundings(right(**config), faults=faults), phases)
+    return verify(right_controller(**config), surroundings(right_setup(**config), faults=faults), phases)
 
 
-def verify_wrong(wrong: Wrong, seed: int = 6, config: dict[str, Any] = QUICK) -> ControllerVerdict:
+def verify_wrong_controller(
+    wrong: Wrong, seed: int = 6, config: dict[str, Any] = SHORT_RUN_CONFIG
+) -> ControllerVerdict:
     """Return the verdict on a wrong controller, with other settings that by default make it short."""
-    settings = surroundings(right(**config | wrong.config), seed=seed)
+    settings = surroundings(right_setup(**config | wrong.config), seed=seed)
     return verify(wrong.make(config), settings)
 
 
@@ -133,7 +141,7 @@ def observe_run(name: str, config: dict[str, Any], phases: Sequence[Phase]) -> O
 
     options = BenchOptions(wire, TICKS, timeout=0.05, progress=progress)
     with still():
-        verification = Verification(surroundings(right(**config)), options, phases)
+        verification = Verification(surroundings(right_setup(**config)), options, phases)
         verification.run()
     return ObservedRun(name, controller, wire, verification, settled_ticks, activities)
 
@@ -156,7 +164,7 @@ def describe_run(run: ObservedRun) -> Iterator[str]:
 
 ALL_PHASES_CONFIGS: dict[str, dict[str, Any]] = {
     "all_phases_memory_64": {"memory": 64},
-    "all_phases_robust": VOTES,
+    "all_phases_robust": ROBUST_FILTER,
     "all_phases": {},
 }
 """Configurations of right controllers by the name of the golden file that has the frames of their run."""
@@ -171,7 +179,7 @@ def run_of_all_phases(request: pytest.FixtureRequest) -> ObservedRun:
 
 
 def test_a_right_controller_passes_every_phase(run: ObservedRun) -> None:
-    """A verification compares a controller's frames with those of a model, in phases of one purpose each."""
+    """Its frames equal those of the model in each phase, and it has answered to each command at once."""
     verdict = run.verification.verdict
     assert verdict.has_passed, verdict.headline
     assert verdict.repeated == 0, "commands sent again because the controller had not answered"
@@ -180,7 +188,7 @@ def test_a_right_controller_passes_every_phase(run: ObservedRun) -> None:
 def test_each_phase_reports_its_ticks_and_the_faults_that_it_injected(
     run: ObservedRun,
 ) -> None:
-    """A phase that has faults must have injected some. Phases among neighbours have the ticks asked for."""
+    """``injected`` is above 0 in each phase that has faults. Phases among neighbours have TICKS ticks."""
     phase_by_name = {phase.name: phase for phase in PHASES}
     for result in run.verification.verdict.phases:
         phase = phase_by_name[result.name]
@@ -193,13 +201,13 @@ def test_each_phase_reports_its_ticks_and_the_faults_that_it_injected(
 def test_each_phase_reports_one_or_two_frames_a_tick_that_equal_those_of_the_model(
     run: ObservedRun,
 ) -> None:
-    """A controller sends an estimate in every tick, telemetry in most, and a heartbeat in every tenth."""
+    """``equal`` counts an estimate in every tick, telemetry in most, and a heartbeat in every tenth."""
     for result in run.verification.verdict.phases:
         assert 0 < result.ticks < result.equal <= 2.1 * result.ticks + 1
 
 
 def test_all_frames_of_a_right_controller_are_compared_with_those_of_the_model(run: ObservedRun) -> None:
-    """It sends an estimate in each tick, a heartbeat in every tenth, and telemetry when it ends a tick."""
+    """``equal_frames`` has an estimate a tick, a heartbeat each tenth tick, and telemetry for each settle."""
     ticks = run.controller.ticks
 
     assert ticks == sum(result.ticks for result in run.verification.verdict.phases)
@@ -213,7 +221,7 @@ def test_all_frames_of_a_right_controller_are_compared_with_those_of_the_model(r
 def test_the_model_of_a_verification_ends_in_the_state_of_the_controller(
     run: ObservedRun,
 ) -> None:
-    """The model is a robot in Python that gets the same messages; both have re-estimated b_hat by then."""
+    """The model is a robot in Python that gets the same messages. It has re-estimated b_hat often."""
     robot, model = run.controller.robot, run.verification.bench.firmware
     assert isinstance(robot, FixedPointRobot)
     assert robot.state() == model.state()
@@ -231,18 +239,22 @@ def test_a_run_of_all_phases_sends_the_same_frames_as_at_an_earlier_commit(
 @pytest.mark.parametrize(
     ("name", "config", "phases"),
     [
-        ("no_filter", OFF, phases_named("first black tiles", "no filter")),
+        ("no_filter", NO_FILTER, phases_named("first black tiles", "no filter")),
         ("memory_80", {"memory": 80}, phases_named("alone", "messages and silence", "halvings")),
         ("memory_76", {"memory": 76}, phases_named("first black tiles", "halvings")),
         *slow(
             [
-                ("always", {"comms_period": 5, "filter_period": 20, "memory": 512, **ALWAYS}, CRAFTED_PHASES),
+                (
+                    "always",
+                    {"comms_period": 5, "filter_period": 20, "memory": 512, **FILTER_WITHOUT_TEST},
+                    CRAFTED_PHASES,
+                ),
                 (
                     "robust_first_phases",
-                    {"b_hat": 0.4, **VOTES},
+                    {"b_hat": 0.4, **ROBUST_FILTER},
                     phases_named("first black tiles", "first estimates", "test of a wide spread"),
                 ),
-                ("crafted_phases_no_filter", OFF, CRAFTED_PHASES),
+                ("crafted_phases_no_filter", NO_FILTER, CRAFTED_PHASES),
             ]
         ),
     ],
@@ -263,15 +275,20 @@ PERIODS = [
     {"comms_period": 40, "filter_period": 600},
 ]
 CONFIGS: list[dict[str, Any]] = [
-    *(OFF, ALWAYS, ALWAYS | {"comms_period": 5}, {"filter_period": 997, "memory": 2048}),
+    *(
+        NO_FILTER,
+        FILTER_WITHOUT_TEST,
+        FILTER_WITHOUT_TEST | {"comms_period": 5},
+        {"filter_period": 997, "memory": 2048},
+    ),
     *({"robot": robot} for robot in (0, 1, 125, 127)),
     *PERIODS,
     *({"comms_period": 10, "filter_period": 10}, {"comms_period": 1, "filter_period": 2}),
     *({"b_hat": b_hat} for b_hat in (2**-20, 0.02, 0.4999, 0.5, 0.75, 0.95, 1 - 2**-20)),
     # With the robust filter a verification takes half a minute, so there are fewer.
-    *(VOTES | periods for periods in PERIODS),
-    *(VOTES | {"b_hat": b_hat} for b_hat in (0.02, 0.5, 1 - 2**-20)),
-    VOTES | {"memory": 64},
+    *(ROBUST_FILTER | periods for periods in PERIODS),
+    *(ROBUST_FILTER | {"b_hat": b_hat} for b_hat in (0.02, 0.5, 1 - 2**-20)),
+    ROBUST_FILTER | {"memory": 64},
 ]
 
 
@@ -280,7 +297,7 @@ CONFIGS: list[dict[str, Any]] = [
 def test_a_right_controller_of_another_configuration_passes(config: dict[str, Any]) -> None:
     """The seed, from which the observations and the neighbours are drawn, is another one each time."""
     seed = random.randrange(2**32)
-    setup = record(**{"robot": ID, "b_hat": B_HAT, **config})
+    setup = setup_of_robot(**{"robot": ID, "b_hat": B_HAT, **config})
     verdict = verify(RobotNode(setup), surroundings(setup, seed=seed))
     assert verdict.has_passed, (seed, verdict.headline)
 
@@ -306,23 +323,23 @@ TEST_PHASES = {name for name in ASDF_PHASES if name.startswith("threshold of")} 
     [
         ({"memory": 64}, {"no filter", "re-estimates without a test", "long run"} | ROBUST_PHASES),
         ({}, {"no filter", "re-estimates without a test", "halvings"} | ROBUST_PHASES),
-        (ALWAYS, {"no filter", "halvings"} | TEST_PHASES | ROBUST_PHASES),
-        (VOTES, {"no filter", "halvings"} | ASDF_PHASES),
-        (OFF, {"halvings"} | ASDF_PHASES | ROBUST_PHASES),
+        (FILTER_WITHOUT_TEST, {"no filter", "halvings"} | TEST_PHASES | ROBUST_PHASES),
+        (ROBUST_FILTER, {"no filter", "halvings"} | ASDF_PHASES),
+        (NO_FILTER, {"halvings"} | ASDF_PHASES | ROBUST_PHASES),
     ],
 )
 def test_phases_that_do_not_apply_to_a_controller_are_left_out(
     config: dict[str, Any], omitted_phases: set[str]
 ) -> None:
-    """A phase may be for one filter alone. "halvings" is for a short memory, "long run" for a long one."""
-    planned_phases, _ = plan_phases(surroundings(right(**config)), PHASES, TICKS)
+    """Such are the phases of other filters, "halvings" for a long memory, or "long run" for a short one."""
+    planned_phases, _ = plan_phases(surroundings(right_setup(**config)), PHASES, TICKS)
 
     planned_names = {phase.name for phase in planned_phases}
     assert {phase.name for phase in PHASES} - planned_names == omitted_phases
 
 
 def test_each_fault_that_the_user_asks_for_is_one_more_phase() -> None:
-    """The phase "liar" has a fault of its own, of one of the neighbours 0, 1, 2 and 4."""
+    """The user's two faults follow the phases. The phase "liar" has its own fault, of the first neighbour."""
     settings = surroundings(faults="loss=0.7,receivers=3 liar,robots=1,x=0")
     phases, _ = plan_phases(settings, phases_named("alone", "liar"), TICKS)
 
@@ -335,9 +352,9 @@ def test_each_fault_that_the_user_asks_for_is_one_more_phase() -> None:
 
 
 def test_a_phase_with_a_fault_has_two_broadcasts_of_a_controller_that_broadcasts_in_every_40th_tick() -> None:
-    """The phase "liar" has a fault of its own, and the user asks for a phase with another one."""
+    """So it has 80 ticks, and its fault hits. The phase "loss" is one that the user asks for."""
     config = {"comms_period": 40, "filter_period": 600}
-    liar, loss = verify_right(config, phases_named("liar"), faults="loss=0.7,receivers=3").phases
+    liar, loss = verify_right_controller(config, phases_named("liar"), faults="loss=0.7,receivers=3").phases
 
     assert liar.ticks == loss.ticks == 2 * 40
     assert liar.outcome == loss.outcome == "passed"
@@ -355,8 +372,8 @@ def test_a_phase_with_a_fault_has_two_broadcasts_of_a_controller_that_broadcasts
 def test_a_controller_does_not_pass_if_something_was_never_put_to_the_test(
     config: dict[str, Any], faults: str, missing: str
 ) -> None:
-    """Such are a fault that never strikes, as its rate is 0, and a filter that runs too rarely."""
-    verdict = verify_right(config, phases_named("nothing seen", "alone"), faults)
+    """The headline names a fault that never hits, as its rate is 0, or a filter that runs too rarely."""
+    verdict = verify_right_controller(config, phases_named("nothing seen", "alone"), faults)
 
     assert not verdict.has_passed
     assert verdict.headline.startswith("NOT EXERCISED: ")
@@ -364,24 +381,27 @@ def test_a_controller_does_not_pass_if_something_was_never_put_to_the_test(
 
 
 def test_a_verification_waits_for_the_next_test_of_a_filter_for_20_000_ticks_at_most() -> None:
-    """``filter_period`` is the number of ticks from one test of a controller's filter to the next."""
-    assert can_wait_for_tests(right(filter_period=20_000))
-    assert not can_wait_for_tests(right(filter_period=20_001))
+    """``filter_period`` is the number of ticks from one test to the next. A verification needs 20 tests."""
+    assert can_wait_for_tests(right_setup(filter_period=20_000))
+    assert not can_wait_for_tests(right_setup(filter_period=20_001))
 
 
 def test_a_phase_does_not_wait_for_a_filter_that_runs_too_rarely() -> None:
     """The filter runs in every 20,001st tick. A phase that waited for it would have as many ticks."""
-    (phase,) = verify_right({"filter_period": 20_001}, NOTHING_SEEN).phases
+    (phase,) = verify_right_controller({"filter_period": 20_001}, FIRST_PHASE).phases
     assert phase.ticks < 1000
 
 
 def test_a_verdict_lists_the_observations_before_a_test_of_the_robust_filter_that_were_not_found(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """The tool searches for observations after which a test rejects, or nearly does; here it finds none."""
+    """The tool searches for observations after which a test just rejects, or just does not.
+
+    Here it finds none, and ``not_exercised`` has an entry for each search.
+    """
     monkeypatch.setattr(robust_phases, "_MAX_BURSTS", 0)  # as if all attempts had been in vain
     phases = phases_named("first estimates", "test of a wide spread", "many rejections")
-    verdict = verify_right(VOTES, phases)
+    verdict = verify_right_controller(ROBUST_FILTER, phases)
 
     assert verdict.difference is None
     # Before each test two kinds of observations are searched for.
@@ -399,7 +419,7 @@ def test_a_verdict_lists_the_observations_before_a_test_of_the_robust_filter_tha
 def test_a_verdict_lists_the_results_of_a_re_estimate_for_which_no_messages_were_found(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Messages are drawn after which b_hat, a robot's accuracy, gets each of five values; none is found."""
+    """Messages are drawn that lead b_hat to each of five values. No draw succeeds, and all are listed."""
     monkeypatch.setattr(crafted_rounds, "_MAX_DRAWS_FOR_UPDATE", 0)  # as if all attempts had been in vain
 
     verdict = verify(right_controller(), phases=phases_named("first black tiles", "re-estimates"))
@@ -443,9 +463,9 @@ ALWAYS_OPEN = [
                 *OPEN_ABOUT_RE_ESTIMATES,
             ],
         ),
-        (OFF | {"memory": 64, "comms_period": 5}, ["the test and re-estimates: it does not"]),
+        (NO_FILTER | {"memory": 64, "comms_period": 5}, ["the test and re-estimates: it does not"]),
         (
-            ALWAYS | {"memory": 20_000},
+            FILTER_WITHOUT_TEST | {"memory": 20_000},
             ["the test: it re-estimates always", "rounds longer", *OPEN_ABOUT_RE_ESTIMATES],
         ),
         (
@@ -455,8 +475,8 @@ ALWAYS_OPEN = [
     ],
 )
 def test_a_verdict_lists_what_was_not_checked(config: dict[str, Any], lines_of_config: list[str]) -> None:
-    """The list has first what is not checked of this configuration, and then what no verification checks."""
-    verdict = verify_right(config, NOTHING_SEEN)
+    """First are the lines of this configuration, and then those of every one. Known mistakes are left out."""
+    verdict = verify_right_controller(config, FIRST_PHASE)
 
     lines = [line for line in verdict.not_checked if not line.startswith("whether it ")]
     for line, beginning in zip(lines, lines_of_config + ALWAYS_OPEN, strict=True):
@@ -469,8 +489,8 @@ def test_a_verdict_lists_what_was_not_checked(config: dict[str, Any], lines_of_c
 @pytest.mark.slow
 @pytest.mark.parametrize("name", WRONG)
 def test_a_wrong_controller_fails_in_the_phase_that_is_about_its_mistake(name: str) -> None:
-    """The phases before it have passed, and those after it are not run."""
-    verdict = verify_wrong(WRONG[name], config=DEFAULT)
+    """The verdict names this phase. The phases before it have passed, and those after it are not run."""
+    verdict = verify_wrong_controller(WRONG[name], config=DEFAULT)
 
     assert str(verdict.difference).startswith(f'phase "{WRONG[name].phase}'), verdict
     outcomes = [phase.outcome for phase in verdict.phases]
@@ -479,7 +499,7 @@ def test_a_wrong_controller_fails_in_the_phase_that_is_about_its_mistake(name: s
     assert outcomes == ["passed"] * passed_count + ["failed"] + ["not run"] * not_run_count
 
 
-ONLY_BY_DEFAULT = {
+SHOWN_WITH_DEFAULTS_ALONE = {
     "variance of the prediction alone",
     "t of 14 bits in eq. 8",
     "four estimates are enough",
@@ -492,11 +512,11 @@ b_hat of 0.55 few observations do not contradict four estimates."""
 
 @pytest.mark.slow
 def test_a_wrong_controller_is_found_with_any_seed() -> None:
-    """Each controller that is wrong in one way differs from its model in some phase, whatever is drawn."""
+    """The verdict on each controller has a difference, whatever observations and neighbours are drawn."""
     seed = random.randrange(2**32)
     for name, wrong in WRONG.items():
-        config = DEFAULT if name in ONLY_BY_DEFAULT else QUICK
-        assert verify_wrong(wrong, seed, config).difference is not None, (seed, name)
+        config = DEFAULT if name in SHOWN_WITH_DEFAULTS_ALONE else SHORT_RUN_CONFIG
+        assert verify_wrong_controller(wrong, seed, config).difference is not None, (seed, name)
 
 
 # --- Known mistakes ---
@@ -529,8 +549,8 @@ def controller_that_makes(mistake: KnownMistake, setup: RobotSetup) -> RobotNode
     "mistake", [*SHOWN_BY_A_PHASE, *slow(SHOWN_BY_ALL_PHASES)], ids=lambda mistake: mistake.name
 )
 def test_a_verdict_names_the_known_mistake_that_a_controller_makes(mistake: KnownMistake) -> None:
-    """The tools know some common mistakes, and which frames a controller with each of them would send."""
-    setup = right() if Filter.ADAPTIVE in mistake.filters else right(**VOTES)
+    """The text of the difference ends with the known mistakes that would lead to the same frames."""
+    setup = right_setup() if Filter.ADAPTIVE in mistake.filters else right_setup(**ROBUST_FILTER)
 
     verdict = verify(controller_that_makes(mistake, setup), surroundings(setup), phases_that_show(mistake))
 
@@ -539,8 +559,8 @@ def test_a_verdict_names_the_known_mistake_that_a_controller_makes(mistake: Know
 
 
 def test_a_verdict_lists_the_mistakes_that_no_frame_would_have_shown() -> None:
-    """Without estimates of others the robust filter does not test, in float32 or otherwise."""
-    verdict = verify_right(VOTES, phases_named("alone"))
+    """``not_checked`` has a line for a test in float32, since a controller that is alone makes no test."""
+    verdict = verify_right_controller(ROBUST_FILTER, phases_named("alone"))
     line = "whether it tests in float32: no frame of this run would have shown it"
     assert line in verdict.not_checked
 
@@ -548,7 +568,7 @@ def test_a_verdict_lists_the_mistakes_that_no_frame_would_have_shown() -> None:
 @pytest.mark.slow
 def test_a_run_of_all_phases_would_have_shown_every_known_mistake_of_the_robust_filter() -> None:
     """For a mistake that no frame would have shown, the verdict has a line that begins with "whether it"."""
-    verdict = verify_right(VOTES, PHASES)
+    verdict = verify_right_controller(ROBUST_FILTER, PHASES)
     assert not [line for line in verdict.not_checked if line.startswith("whether it ")]
 
 
@@ -572,15 +592,17 @@ DIFFERENCES = {
     "estimate before heartbeat": "estimate, order: expected the heartbeat first, got it before the ",
     "hangs": "robot 3 did not ",
 }
-"""How the difference of a wrong controller is described, by its mistake, after phase and tick."""
+"""Regular expressions for the text of a difference after phase and tick, by the mistake of the controller.
+
+A frame is an identifier, such as 106BB803 for an estimate of robot 3, and its fields."""
 LATE_DIFFERENCES = ["rejects its own estimate"]
 """Differences that come in a late phase, after seconds."""
 
 
 @pytest.mark.parametrize("name", [*sorted(DIFFERENCES.keys() - LATE_DIFFERENCES), *slow(LATE_DIFFERENCES)])
 def test_a_difference_names_the_field_with_the_expected_and_the_received_value(name: str) -> None:
-    """It begins with the phase and the tick, and then has the kind of frame and the field."""
-    difference = str(verify_wrong(WRONG[name]).difference)
+    """Before these it has the phase, the tick and the kind of frame."""
+    difference = str(verify_wrong_controller(WRONG[name]).difference)
     phase_and_tick = r'phase "[^"]+"( \(.*?\))?, tick \d+: '
     assert re.match(phase_and_tick + DIFFERENCES[name], difference), difference
 
@@ -597,7 +619,7 @@ def verify_beside_a_node_that_answers_with(message: Any) -> ControllerVerdict:
     other_node = Mock()
     other_node.start.return_value = []
     other_node.receive_frame.side_effect = receive_frame
-    return verify(Wire(right_controller(), other_node), phases=NOTHING_SEEN)
+    return verify(Wire(right_controller(), other_node), phases=FIRST_PHASE)
 
 
 @pytest.mark.parametrize(
@@ -609,7 +631,7 @@ def verify_beside_a_node_that_answers_with(message: Any) -> ControllerVerdict:
     ],
 )
 def test_a_controller_passes_beside_a_node_that_does_not_concern_it(message: Any) -> None:
-    """Node 40 answers each command with a heartbeat, telemetry, or a command to robot 77."""
+    """The controller ignores what node 40 answers to each command: a heartbeat, or a command to robot 77."""
     assert verify_beside_a_node_that_answers_with(message).has_passed
 
 
@@ -624,7 +646,7 @@ def test_a_controller_passes_beside_a_node_that_does_not_concern_it(message: Any
 def test_a_verdict_names_another_node_that_the_controller_acts_on_and_does_not_blame_the_controller(
     message: Any, kind: str
 ) -> None:
-    """Node 40 sends estimates, or commands to this robot or to all, which the model does not get."""
+    """The phase is "disturbed". The headline names node 40 and what it sends. The model does not get it."""
     verdict = verify_beside_a_node_that_answers_with(message)
     assert verdict.difference is None
     assert verdict.phases[0].outcome == "disturbed"
@@ -638,44 +660,47 @@ def test_a_verdict_names_another_node_that_the_controller_acts_on_and_does_not_b
 def controller_with_health(health: Health, from_tick: int | None = None) -> RobotNode:
     """Return a controller whose heartbeats have this health after a tick left open, or from some tick on."""
 
-    def observe(node: RobotNode, usual: Any, z: Observation | None) -> Any:
-        *heartbeats, estimate = usual(z)
+    def observe(node: RobotNode, usual_observe: Any, observation: Observation | None) -> Any:
+        *heartbeats, estimate = usual_observe(observation)
         is_from_tick = from_tick is not None and node.ticks >= from_tick
         for frame in heartbeats:
             has_health = node.unsettled > 0 or is_from_tick
-            frame.data[4] = (health if has_health else Health.NOMINAL).value
+            frame.data[4] = (health if has_health else Health.NOMINAL).value  # byte 4 is the health
         return [*heartbeats, estimate]
 
     return controller_with(observe=observe)
 
 
 def test_a_controller_may_report_the_health_advisory_after_a_tick_that_was_left_open() -> None:
-    """In the first phase some commands that end a tick are left out."""
+    """In the first phase some commands that end a tick are left out. The verdict has no difference."""
     controller = controller_with_health(Health.ADVISORY)
     assert verify(controller, phases=phases_named("nothing seen", "alone")).difference is None
     assert controller.unsettled > 0, "ticks left open"
 
 
 def test_a_controller_must_not_report_the_health_advisory_before_a_tick_was_left_open() -> None:
-    """Its heartbeats have the health advisory from tick 30 on, and nominal is expected."""
+    """Its heartbeats have it from tick 30 on, where those of the model are nominal. The difference says so.
+
+    In the phase "alone" no tick is left open.
+    """
     controller = controller_with_health(Health.ADVISORY, from_tick=30)
     verdict = verify(controller, phases=phases_named("alone"))
-    assert controller.unsettled == 0
+    assert controller.unsettled == 0, "ticks left open"
     assert "heartbeat, health: expected" in str(verdict.difference)
 
 
 def test_a_controller_must_not_report_the_health_caution_after_a_tick_that_was_left_open() -> None:
-    """Only advisory, the next health after nominal, is allowed then."""
+    """The verdict has a difference. Only advisory, the next health after nominal, is allowed then."""
     verdict = verify(controller_with_health(Health.CAUTION), phases=phases_named("nothing seen", "alone"))
     assert "heartbeat, health: expected" in str(verdict.difference)
 
 
 def test_a_controller_that_sends_frames_of_another_subject_too_passes() -> None:
-    """Subject 7510 is none of those of estimates, telemetry, commands and heartbeats."""
+    """The subject 7510 is that of no estimate, telemetry, command or heartbeat, so the frame is ignored."""
     priority, reserved_bits, subject, sender = 4 << 26, 3 << 21, 7510 << 8, ID
     frame = can.Message(arbitration_id=priority | reserved_bits | subject | sender, data=b"any")
-    controller = controller_with(settle=lambda node, usual: [*usual(), frame])
-    assert verify(controller, phases=NOTHING_SEEN).has_passed
+    controller = controller_with(settle=lambda node, usual_settle: [*usual_settle(), frame])
+    assert verify(controller, phases=FIRST_PHASE).has_passed
 
 
 class WireWithLateFrame(Wire):
@@ -692,13 +717,14 @@ class WireWithLateFrame(Wire):
         is_over = self._controller.ticks == self._last_tick and self._controller.is_settled
         if frame is None and timeout and is_over and not self._has_sent_late:
             self._has_sent_late = True
-            self.say(self._controller, self._controller.settle()[:1])
+            (telemetry,) = self._controller.settle()
+            self.say(self._controller, [telemetry])
             frame = super().recv(timeout)
         return frame
 
 
 def test_telemetry_that_a_controller_sends_once_more_after_its_last_answer_is_a_difference() -> None:
-    """The phase "alone" has 72 ticks; the controller ends the last of them twice."""
+    """The phase "alone" has 72 ticks. The controller ends the last twice. The second telemetry is "extra"."""
     wire = WireWithLateFrame(right_controller(), last_tick=72)
     verdict = verify(wire, phases=phases_named("alone"))
     assert "telemetry, extra: expected nothing" in str(verdict.difference)
@@ -707,7 +733,7 @@ def test_telemetry_that_a_controller_sends_once_more_after_its_last_answer_is_a_
 def test_other_nodes_delay_the_verdict_by_a_tenth_of_a_second_at_most(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Node 40 sends heartbeats without end, so the bus is never quiet. Each takes 0.01 s."""
+    """At the end the tool reads for 0.1 s. As node 40 sends a heartbeat each 0.01 s, it reads about ten."""
     monkeypatch.setattr(controller_link, "time", CLOCK)
     wire = EndlessWire()
     assert verify(wire, phases=[Phase("nothing", lambda bench: None)]).has_passed
@@ -742,7 +768,7 @@ def test_a_verification_that_is_stopped_at_once_neither_passes_nor_fails() -> No
 
 @pytest.mark.parametrize("wire_class", [Wire, EndlessWire])
 def test_a_verification_may_be_stopped_while_it_waits_for_a_controller(wire_class: type[Wire]) -> None:
-    """The bus without a controller is quiet, or another node sends on it without end."""
+    """The verdict is interrupted. The bus is quiet, or another node sends on it without end."""
     verdict = verify(wire_class(), wait=1e9, should_stop=lambda: True)
     assert verdict.is_interrupted
     assert verdict.difference is None
@@ -763,7 +789,7 @@ class WireThatLosesFrames(Wire):
 
 
 def test_commands_that_the_bus_loses_are_repeated_and_counted_in_the_headline() -> None:
-    """Of the frames that the tool sends, number 11 is a command to observe, and number 21 one to settle."""
+    """The bus loses the frames 11 and 21 of the tool, a command to observe and one to settle."""
     wire = WireThatLosesFrames(right_controller(), lost_numbers={11, 21})
     verdict = verify(wire, phases=phases_named("alone"))
     assert verdict.has_passed
@@ -771,7 +797,7 @@ def test_commands_that_the_bus_loses_are_repeated_and_counted_in_the_headline() 
 
 
 def test_a_bus_that_fails_is_not_blamed_on_the_controller(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The first frame cannot be sent, as if a cable had been pulled."""
+    """The headline begins with DISTURBED and has the error of the bus, on which no frame can be sent."""
     wire = Wire(right_controller())
     monkeypatch.setattr(wire, "send", Mock(side_effect=can.CanOperationError("cable pulled")))
     headline = verify(wire).headline
@@ -781,12 +807,12 @@ def test_a_bus_that_fails_is_not_blamed_on_the_controller(monkeypatch: pytest.Mo
 
 
 def test_a_controller_passes_whose_first_heartbeat_is_waited_for() -> None:
-    """The tool waits up to 0.05 s for it."""
-    assert verify(right_controller(), phases=NOTHING_SEEN, wait=0.05).has_passed
+    """The tool waits up to 0.05 s for it, and then verifies the controller as usual."""
+    assert verify(right_controller(), phases=FIRST_PHASE, wait=0.05).has_passed
 
 
 def test_a_controller_that_does_not_start_fails_in_the_first_phase() -> None:
-    """The tool waits for its first heartbeat, but the controller, robot 3, has sent none."""
+    """The difference says that robot 3 has sent no heartbeat. The next phase is not run."""
     silent_wire = Wire()
     silent_wire.nodes.append(right_controller())
     verdict = verify(silent_wire, phases=phases_named("nothing seen", "alone"), wait=0.05)
@@ -798,14 +824,14 @@ def test_a_controller_that_does_not_start_fails_in_the_first_phase() -> None:
 
 
 def test_a_controller_fails_if_the_heartbeat_with_which_it_starts_has_another_mode() -> None:
-    """The heartbeat has the mode "maintenance", where a controller that works has "operational"."""
+    """The difference names the mode, which is "maintenance" in place of "operational"."""
 
     def start_in_maintenance(node: RobotNode, usual_start: Any) -> list[can.Message]:
         (heartbeat,) = usual_start()
         heartbeat.data[5] = Mode.MAINTENANCE.value  # byte 5 is the mode
         return [heartbeat]
 
-    verdict = verify(controller_with(start=start_in_maintenance), phases=NOTHING_SEEN)
+    verdict = verify(controller_with(start=start_in_maintenance), phases=FIRST_PHASE)
 
     assert "heartbeat, mode: expected " in str(verdict.difference)
     assert verdict.phases[0].outcome == "failed"
@@ -813,12 +839,12 @@ def test_a_controller_fails_if_the_heartbeat_with_which_it_starts_has_another_mo
 
 @pytest.mark.parametrize("resets", [0, 1, 3])
 def test_a_controller_passes_after_any_number_of_resets(resets: int) -> None:
-    """After each reset a controller sends its first heartbeat again; they wait when the tool begins."""
+    """The first heartbeat waits as often when the tool begins, since each reset sends it again."""
     wire = Wire(right_controller())
     (first_heartbeat,) = wire.told
     wire._waiting.clear()
     wire._waiting.extend([first_heartbeat] * resets)
-    assert verify(wire, phases=NOTHING_SEEN).has_passed
+    assert verify(wire, phases=FIRST_PHASE).has_passed
 
 
 # --- The command ---
@@ -849,12 +875,12 @@ def verification_of_two_phases(
 def test_the_json_of_a_verification_has_the_verdict_and_the_parameters(
     verification_of_two_phases: dict[str, Any],
 ) -> None:
-    """The command ``mcp-asdf radio --verify --json`` has verified a right controller in two phases."""
+    """The command is ``mcp-asdf radio --verify --json``, and the controller has passed both phases."""
     verdict, parameters = verification_of_two_phases["verdict"], verification_of_two_phases["parameters"]
 
     assert verdict["passed"]
     assert [phase["name"] for phase in verdict["phases"]] == ["alone", "loss"]
-    assert parameters["controller"] == record(ID, "mirror", B_HAT).plain()
+    assert parameters["controller"] == setup_of_robot(ID, "mirror", B_HAT).plain()
     assert parameters["seed"] == 1
     assert parameters["steps"] == 10
 
@@ -876,13 +902,13 @@ def test_the_report_of_a_verification_has_the_headline_the_details_and_the_param
 def test_the_log_of_a_verification_can_be_replayed(
     verification_of_two_phases: dict[str, Any], capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    """The controller broadcasts once in each tick: 72 of the phase "alone", and 10 with losses."""
+    """The replay reproduces a broadcast for each tick: 72 of the phase "alone", and 10 with losses."""
     assert main(["replay", f"{tmp_path}/run.log"]) == 0
     assert f"{72 + 10}  broadcasts reproduced" in capsys.readouterr().out
 
 
 def test_a_report_has_a_table_of_the_phases_and_lists_of_what_was_not_checked() -> None:
-    """One of the two phases has passed; the other, which has a fault, is not run."""
+    """The table is in Markdown. One phase has passed, and the other, which has a fault, is not run."""
     phases = [
         PhaseResult("alone", fault=None, ticks=72, injected=0, equal=144, outcome="passed"),
         PhaseResult("loss", fault="loss=0.5,receivers=3"),
@@ -901,7 +927,7 @@ def test_a_report_has_a_table_of_the_phases_and_lists_of_what_was_not_checked() 
 def test_the_command_radio_fails_on_a_wrong_controller_and_prints_the_first_difference(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """The controller assumes an accuracy of 0.56 where 0.55 is expected, so its first telemetry differs."""
+    """The exit code is 1. The controller assumes an accuracy of 0.56 where 0.55 is expected."""
     options = f"--id {ID} --filter-period 10 --neighbours 20"
     with node_in_a_thread(f"{options} --b-hat 0.56"):
         assert radio(f"{options} --b-hat 0.55 --verify --timeout 20") == 1

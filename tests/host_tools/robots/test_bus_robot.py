@@ -32,9 +32,10 @@ from mcp_asdf_tools.robots.suspicion import Suspicion
 from mcp_asdf_tools.tables.thresholds import generate
 from messages import encoded
 from robots import ALPHA_ONE
-from wire import TABLE, record
+from wire import TABLE
+from wire import record as setup_of_robot
 
-ESTIMATES = FrameFormat()
+ESTIMATE_FORMAT = FrameFormat()
 
 
 # Ticks, numbers, crashes
@@ -45,7 +46,9 @@ def robot_with_counters(comms_period: int, **counters: int) -> BusRobot:
     firmware = MirrorRobot(Config(filter=Filter.OFF), 5, 0.75)
     for name, value in counters.items():
         setattr(firmware.s, name, value)
-    return BusRobot(record(5, comms_period=comms_period), ESTIMATES, make_firmware=lambda: firmware)
+    return BusRobot(
+        setup_of_robot(5, comms_period=comms_period), ESTIMATE_FORMAT, make_firmware=lambda: firmware
+    )
 
 
 def estimates_of(*senders: int) -> NDArray[np.uint32]:
@@ -54,11 +57,14 @@ def estimates_of(*senders: int) -> NDArray[np.uint32]:
 
 
 def test_a_broadcast_stays_due_until_its_tick_has_ended() -> None:
-    """A robot broadcasts in every third tick; ``observe`` begins a tick, and returns whether it is due."""
+    """A robot broadcasts in every third tick. ``observe`` returns whether a broadcast is due.
+
+    From the third observation on it returns True, until ``settle`` ends the tick.
+    """
     robot = robot_with_counters(comms_period=3)
 
     is_due = [robot.observe(None) for _ in range(5)]
-    robot.settle()  # ends the tick
+    robot.settle()
     is_due_in_next_round = [robot.observe(None) for _ in range(3)]
 
     assert is_due == [False, False, True, True, True]
@@ -66,7 +72,10 @@ def test_a_broadcast_stays_due_until_its_tick_has_ended() -> None:
 
 
 def test_a_count_in_reports_goes_on_after_more_than_2_16_refusals_in_a_round() -> None:
-    """The counters of the firmware have 16 bits. It refuses all estimates under the robot's own id, 5."""
+    """The reported count is the sum, although the firmware's counters have 16 bits.
+
+    The firmware refuses 70,000 estimates under the robot's own id, 5, all in one round.
+    """
     robot = robot_with_counters(comms_period=10**6, rejected=7)
     for _ in range(70):
         robot.observe(None)
@@ -77,7 +86,10 @@ def test_a_count_in_reports_goes_on_after_more_than_2_16_refusals_in_a_round() -
 
 
 def test_every_count_in_reports_goes_on_where_the_16_bits_of_the_firmware_s_counter_end() -> None:
-    """The firmware takes the first estimate of a robot in a round, and refuses those of its own id, 5."""
+    """The counters of the firmware begin at their largest value. What it counts then is added in the report.
+
+    It takes the first estimate of a robot in a round, and refuses those under its own id, 5.
+    """
     largest = 2**16 - 1
     counters = Counters(accepted=largest, repeated=largest, rejected=largest, tests=largest, updates=largest)
     robot = robot_with_counters(comms_period=10, **vars(counters))
@@ -93,7 +105,7 @@ def test_every_count_in_reports_goes_on_where_the_16_bits_of_the_firmware_s_coun
 
 
 def test_estimates_under_the_robot_s_own_id_are_refused_and_counted_as_conflicts() -> None:
-    """The robot has the id 5."""
+    """The robot has the id 5. Of three estimates two are under this id."""
     robot = robot_with_counters(comms_period=1)
     robot.receive_all(estimates_of(5, 5, 6))
     conflicts = Counter({(Suspicion.CONFLICT, 5): 2})
@@ -101,7 +113,7 @@ def test_estimates_under_the_robot_s_own_id_are_refused_and_counted_as_conflicts
 
 
 def test_telemetry_has_the_number_of_updates_modulo_256() -> None:
-    """A robot that has observed nothing has an x of 1/2; its b_hat, the accuracy it assumes, is 3/4."""
+    """The count 65,535 is sent as 255. x is 1/2, and b_hat, the accuracy that the robot assumes, is 3/4."""
     robot = robot_with_counters(comms_period=1, updates=65_535)
 
     telemetry = Telemetry(sender=5, x=2**23 // 2, b_hat=2**24 * 3 // 4, updates=65_535 % 256, transfer_id=0)
@@ -109,14 +121,15 @@ def test_telemetry_has_the_number_of_updates_modulo_256() -> None:
 
 
 def robot_that_received(setup: RobotSetup, senders: Sequence[int], *, as_array: bool) -> tuple[BusRobot, str]:
-    """Return a robot that has received estimates of 1/2 in a tick, one by one or not, and its events."""
+    """Return a robot that has received estimates of 1/2 in a tick, and the lines of its events."""
     lines: list[str] = []
-    robot = BusRobot(setup, ESTIMATES, EventRecorder(setup.id, lines.append))
+    half = 2**23 // 2  # in units of 2**-23
+    robot = BusRobot(setup, ESTIMATE_FORMAT, EventRecorder(setup.id, lines.append))
     if as_array:
-        robot.receive_all(np.array([[sender, 1 << 22, ALPHA_ONE] for sender in senders], np.uint32))
+        robot.receive_all(np.array([[sender, half, ALPHA_ONE] for sender in senders], np.uint32))
     else:
         for sender in senders:
-            robot.receive(Estimate(sender, 1 << 22, ALPHA_ONE, transfer_id=0))
+            robot.receive(Estimate(sender, half, ALPHA_ONE, transfer_id=0))
     robot.observe(Observation.BLACK)
     robot.settle()
     return robot, "".join(lines)
@@ -129,8 +142,11 @@ def robot_that_received(setup: RobotSetup, senders: Sequence[int], *, as_array: 
 def test_estimates_have_the_same_effect_one_by_one_as_in_an_array(
     firmware: str, allow: frozenset[int] | None
 ) -> None:
-    """``allow`` may admit only robot 6; number 5 is the robot's own id."""
-    setup = replace(record(5, firmware), allow=allow)
+    """The counts, the estimate x and the lines of events are the same.
+
+    One of the estimates is under the robot's own id, 5. ``allow`` may let only those of robot 6 through.
+    """
+    setup = replace(setup_of_robot(5, firmware), allow=allow)
     robot, events = robot_that_received(setup, senders=(6, 6, 5, 7), as_array=False)
     other_robot, other_events = robot_that_received(setup, senders=(6, 6, 5, 7), as_array=True)
 
@@ -147,7 +163,7 @@ HEARTBEAT_OF_8 = Heartbeat(sender=8, uptime=1, transfer_id=0)
 
 def test_a_robot_that_has_crashed_receives_nothing() -> None:
     """It gets an estimate of robot 6, one under its own id, 5, and a heartbeat, and counts none of them."""
-    robot = BusRobot(record(5), ESTIMATES)
+    robot = BusRobot(setup_of_robot(5), ESTIMATE_FORMAT)
     robot.crash(loses_state=False)
     for content in (ESTIMATE_OF_6, ESTIMATE_OF_5, HEARTBEAT_OF_8):
         robot.receive_frames([encoded(content)])
@@ -159,7 +175,7 @@ def test_a_robot_that_has_crashed_receives_nothing() -> None:
 
 def robot_that_rejoins(*, loses_state: bool) -> BusRobot:
     """Return a robot that has made one observation in one tick, has crashed and has rejoined."""
-    robot = BusRobot(record(5), ESTIMATES)
+    robot = BusRobot(setup_of_robot(5), ESTIMATE_FORMAT)
     robot.observe(Observation.BLACK)
     robot.settle()
     robot.crash(loses_state)
@@ -184,12 +200,12 @@ def test_a_robot_that_rejoins_begins_anew_if_the_crash_lost_its_state() -> None:
 
 
 def test_a_line_of_events_has_all_that_a_robot_did_in_a_tick() -> None:
-    """It has the robot's id, 1 for a black tile, each estimate, and 3 for the end of the tick.
+    """The line is a list in JSON: the robot's id, 1 for a black tile, each estimate, and 3 for the end.
 
     An estimate is [sender, x_hat, alpha]. A heartbeat is no event.
     """
     lines: list[str] = []
-    robot = BusRobot(record(5), ESTIMATES, EventRecorder(5, lines.append))
+    robot = BusRobot(setup_of_robot(5), ESTIMATE_FORMAT, EventRecorder(5, lines.append))
     robot.observe(Observation.BLACK)
     robot.receive_frames([encoded(ESTIMATE_OF_6), encoded(HEARTBEAT_OF_8)])
     robot.receive_frames([encoded(ESTIMATE_OF_6)])
@@ -199,11 +215,11 @@ def test_a_line_of_events_has_all_that_a_robot_did_in_a_tick() -> None:
 
 
 def test_the_first_line_of_events_after_a_crash_that_lost_the_state_begins_with_a_restart() -> None:
-    """In a line of events 2 is a tick without an observation, and 3 its end; 5 is the robot's id."""
+    """The line has the robot's id, 5, "restart", 2 for a tick without an observation, and 3 for its end."""
     lines: list[str] = []
-    robot = BusRobot(record(5), ESTIMATES, EventRecorder(5, lines.append))
+    robot = BusRobot(setup_of_robot(5), ESTIMATE_FORMAT, EventRecorder(5, lines.append))
     robot.crash(loses_state=True)
-    robot.rejoin()
+    robot.rejoin()  # records the restart
     robot.observe(None)
     robot.receive_frames([])
     robot.settle()
@@ -212,11 +228,11 @@ def test_the_first_line_of_events_after_a_crash_that_lost_the_state_begins_with_
 
 
 def test_frames_without_an_estimate_are_counted_by_their_kind() -> None:
-    """Each content comes three times; Rejection lists the reasons why a frame can be refused."""
-    robot = BusRobot(record(5), ESTIMATES)
+    """Heartbeats, telemetry, error frames and each other reason for a rejection come three times."""
+    robot = BusRobot(setup_of_robot(5), ESTIMATE_FORMAT)
     telemetry = Telemetry(sender=8, x=9, b_hat=1 << 23, updates=1, transfer_id=0)
     for content in (HEARTBEAT_OF_8, telemetry, ESTIMATE_OF_6, *Rejection):
-        robot.count_content(content, 3)
+        robot.count_content(content, frame_count=3)
 
     rejections = Counter(dict.fromkeys(Rejection, 3))
     error_frames = rejections.pop(Rejection.ERROR_FRAME)
@@ -224,8 +240,8 @@ def test_frames_without_an_estimate_are_counted_by_their_kind() -> None:
 
 
 def test_estimates_from_outside_the_swarm_are_counted_as_strays() -> None:
-    """Such frames come from other nodes on the bus; one of them has the id of the robot itself, 5."""
-    robot = BusRobot(record(5), ESTIMATES)
+    """One of the two estimates is under the id of the robot itself, 5, and is a conflict, too."""
+    robot = BusRobot(setup_of_robot(5), ESTIMATE_FORMAT)
     for content in (ESTIMATE_OF_5, ESTIMATE_OF_6, HEARTBEAT_OF_8):
         robot.count_foreign_frame(encoded(content))
     conflicts = Counter({(Suspicion.CONFLICT, 5): 1})
@@ -239,33 +255,33 @@ def test_estimates_from_outside_the_swarm_are_counted_as_strays() -> None:
 @pytest.mark.parametrize(
     "setup",
     [
-        record(5, "mirror", 0.55, comms_period=2, filter_period=10, memory=64),
-        record(5, comms_period=1, filter_period=1),
-        record(5, comms_period=2**32 - 1, filter_period=2**32 - 1),
-        replace(record(5, table=None, filter=Filter.ALWAYS), allow=frozenset((0, 2, 3, 127))),
+        setup_of_robot(5, "mirror", 0.55, comms_period=2, filter_period=10, memory=64),
+        setup_of_robot(5, comms_period=1, filter_period=1),
+        setup_of_robot(5, comms_period=2**32 - 1, filter_period=2**32 - 1),
+        replace(setup_of_robot(5, table=None, filter=Filter.ALWAYS), allow=frozenset((0, 2, 3, 127))),
     ],
 )
 def test_a_robot_s_setup_written_as_json_is_read_as_the_same_setup(setup: RobotSetup) -> None:
-    """A setup is all that a robot has at its start: id, firmware, assumed accuracy b_hat and parameters."""
+    """A setup has the id of a robot, its firmware, its b_hat at the start and its parameters."""
     assert RobotSetup.from_plain(json.loads(json.dumps(setup.plain()))) == setup
 
 
 def test_a_setup_in_json_has_the_allowed_ids_as_ranges() -> None:
-    """The robot takes estimates of robots 0, 2 to 3, and 127."""
-    setup = replace(record(5), allow=frozenset((0, 2, 3, 127)))
+    """The ids 0, 2, 3 and 127 are written as "0+2-3+127"."""
+    setup = replace(setup_of_robot(5), allow=frozenset((0, 2, 3, 127)))
     assert setup.plain()["allow"] == "0+2-3+127"
 
 
 def test_a_table_that_was_not_made_here_cannot_be_put_into_json() -> None:
-    """JSON has only the numbers from which a table is computed, and this table follows from none."""
+    """JSON has only the numbers from which a table is computed, and this table is computed from none."""
     table = Table(omega_word=3, entries=TABLE.entries)
     with pytest.raises(UsageError, match=r"omega is .*make one with mcp-asdf table"):
-        record(5, table=table).plain()
+        setup_of_robot(5, table=table).plain()
 
 
 def test_a_setup_makes_a_robot_with_its_configuration() -> None:
-    """The mirror is the firmware in Python. Its filter period counts rounds, here of 2 ticks."""
-    setup = record(5, "mirror", b_hat=0.55, comms_period=2, filter_period=10, memory=64)
+    """The mirror is the firmware in Python. Its filter period counts rounds, and 10 ticks are 5 rounds."""
+    setup = setup_of_robot(5, "mirror", b_hat=0.55, comms_period=2, filter_period=10, memory=64)
     config = Config(TABLE, Filter.ADAPTIVE, filter_period=10 // 2, memory=64)
 
     robot = setup.make_robot()
@@ -296,9 +312,9 @@ def test_a_setup_makes_a_robot_with_its_configuration() -> None:
 def test_a_robot_s_setup_in_json_with_a_wrong_value_is_refused_by_the_name_of_the_value(
     changes: dict[str, Any], complaint: str
 ) -> None:
-    """Each case changes one value of a right setup."""
+    """Each case changes one value of a right setup. The error says what is wrong with it."""
     with pytest.raises((UsageError, FirmwareError), match=complaint):
-        RobotSetup.from_plain(record(5).plain() | changes)
+        RobotSetup.from_plain(setup_of_robot(5).plain() | changes)
 
 
 @pytest.mark.parametrize(
@@ -306,7 +322,7 @@ def test_a_robot_s_setup_in_json_with_a_wrong_value_is_refused_by_the_name_of_th
     [(6, 6), ("6", 6), (np.int64(4), 4), (0, 0), (10, 10), (0.0, 0), (1.0, 10), ("30%", 3), ("0.5", 5)],
 )
 def test_the_flawed_robots_are_given_as_a_count_or_as_a_share_of_ten_robots(flawed: Any, count: int) -> None:
-    """Flawed robots assume a wrong accuracy of their sensor."""
+    """A whole number is a count. A number with a point or a percent sign is a share."""
     assert Population(robots=10, flawed=flawed).flawed == count
 
 
@@ -314,13 +330,13 @@ def test_the_flawed_robots_are_given_as_a_count_or_as_a_share_of_ten_robots(flaw
 def test_a_share_of_flawed_robots_is_rounded_to_the_nearest_count_with_halves_up(
     share: Any, count: int
 ) -> None:
-    """The swarm has ten robots."""
+    """Of ten robots, 44.9 % are 4 and 45 % are 5."""
     assert Population(robots=10, flawed=share).flawed == count
 
 
 @pytest.mark.parametrize("flawed", [11, -1, -0.01, 1.01, "150%", True, "x", "nan", None])
 def test_a_number_of_flawed_robots_that_is_neither_a_count_nor_a_share_is_refused(flawed: Any) -> None:
-    """The swarm has ten robots."""
+    """The error says what counts and shares ten robots may have."""
     with pytest.raises(UsageError, match="; give a count, 0 to 10, or a share such as"):
         Population(robots=10, flawed=flawed)
 
@@ -335,28 +351,31 @@ FOUR_ROBOTS: dict[str, Any] = {
     "memory": 64,
     "omega": "0.1",
 }
-OFF = Config(None, Filter.OFF, filter_period=2, memory=64)
-ADAPTIVE = replace(OFF, filter=Filter.ADAPTIVE, table=generate(Decimal("0.1"), q=3))
-ALWAYS = replace(OFF, filter=Filter.ALWAYS)
-ROBUST = replace(OFF, filter=Filter.ROBUST)
+OFF_CONFIG = Config(None, Filter.OFF, filter_period=2, memory=64)
+ADAPTIVE_CONFIG = replace(OFF_CONFIG, filter=Filter.ADAPTIVE, table=generate(Decimal("0.1"), q=3))
+ALWAYS_CONFIG = replace(OFF_CONFIG, filter=Filter.ALWAYS)
+ROBUST_CONFIG = replace(OFF_CONFIG, filter=Filter.ROBUST)
 """Parameters of the firmware of these robots; their filter period counts rounds of 2 ticks."""
 
 
 @pytest.mark.parametrize(
     ("filters", "activation", "flawed_config", "other_config"),
     [
-        ("none", "adaptive", OFF, OFF),
-        ("asdf-minus", "adaptive", ADAPTIVE, OFF),
-        ("asdf-minus", "always", ALWAYS, OFF),
-        ("asdf-plus", "adaptive", ADAPTIVE, ADAPTIVE),
-        ("asdf-plus", "always", ALWAYS, ALWAYS),
-        ("robust", "adaptive", ROBUST, ROBUST),
+        ("none", "adaptive", OFF_CONFIG, OFF_CONFIG),
+        ("asdf-minus", "adaptive", ADAPTIVE_CONFIG, OFF_CONFIG),
+        ("asdf-minus", "always", ALWAYS_CONFIG, OFF_CONFIG),
+        ("asdf-plus", "adaptive", ADAPTIVE_CONFIG, ADAPTIVE_CONFIG),
+        ("asdf-plus", "always", ALWAYS_CONFIG, ALWAYS_CONFIG),
+        ("robust", "adaptive", ROBUST_CONFIG, ROBUST_CONFIG),
     ],
 )
 def test_the_filter_of_a_swarm_decides_on_the_filter_of_flawed_and_of_other_robots(
     filters: str, activation: Activation, flawed_config: Config, other_config: Config
 ) -> None:
-    """Robots 0 and 1 are flawed: they assume an accuracy of 0.3, the others nearly 1."""
+    """Robots 0 and 1 are flawed: they assume an accuracy of 0.3, the others nearly 1.
+
+    The parameter ``activation`` is "always" for a filter that re-estimates without a test.
+    """
     population = Population(**FOUR_ROBOTS, filter=filters, activation=activation)
     setups = [population.setup_of(robot) for robot in range(4)]
 
@@ -378,31 +397,31 @@ def test_the_filter_of_a_swarm_decides_on_the_filter_of_flawed_and_of_other_robo
 def test_a_population_lists_the_parameters_that_its_filter_does_not_use(
     filters: str, activation: Activation, unused: set[str]
 ) -> None:
-    """So the commands can refuse an option that would do nothing."""
+    """The commands refuse such options. ``activation`` "always" leaves out the test that omega is for."""
     population = Population(**FOUR_ROBOTS, filter=filters, activation=activation, drift="linear")
     assert set(population.unused_parameters()) == unused
 
 
 def test_a_population_can_be_made_again_from_its_parameters() -> None:
-    """They are what a report says about the robots of a swarm."""
+    """``parameters`` returns what a report says of the robots, from which an equal population is made."""
     population = Population(**FOUR_ROBOTS, drift="linear", drift_of="flawed")
     assert Population(**population.parameters()) == population
 
 
 def test_the_sensors_of_all_robots_drift_unless_only_those_of_the_flawed_ones_are_to() -> None:
-    """Two of four robots are flawed. A drift makes a sensor less accurate with time."""
+    """Two of four robots are flawed. ``drifting`` is the number of robots whose sensors drift."""
     assert Population(**FOUR_ROBOTS, drift="linear", drift_of="flawed").drifting == 2
     assert Population(**FOUR_ROBOTS, drift="linear").drifting == 4
 
 
 def test_the_choice_of_robots_whose_sensors_drift_is_refused_without_a_drift() -> None:
-    """A user might think that the sensors of the flawed robots drift."""
+    """The error names both parameters, as a user might think that these sensors drift."""
     with pytest.raises(ParameterError, match="drift_of is flawed but drift is none"):
         Population(drift_of="flawed")
 
 
 def test_a_memory_that_is_no_multiple_of_4_is_refused() -> None:
-    """The memory of a robot is a number of observations."""
+    """The memory is the number of observations at which a robot halves its counts."""
     with pytest.raises(ParameterError, match="memory is 66; it must be a multiple of 4"):
         Population(memory=66)
 

@@ -15,9 +15,9 @@ from mcp_asdf.robot import Observation
 from mcp_asdf_tools.cli.main import main
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.robots.calibration import Calibration, calibrate
-from wire import record
+from wire import record as setup_of_robot
 
-Rows = list[tuple[float, bool]]
+ReadingsWithColours = list[tuple[float, bool]]
 """Readings of a sensor, each with whether it was over a black tile."""
 BLACK, WHITE = True, False
 Capture = pytest.CaptureFixture[str]
@@ -26,29 +26,32 @@ Capture = pytest.CaptureFixture[str]
 # --- The threshold and the accuracy -------------------------------------------------------------------
 
 
-def draw_readings(black_centre: float, *, are_whole: bool) -> Rows:
+def draw_readings(black_centre: float, *, are_whole: bool) -> ReadingsWithColours:
     """Draw 60 readings over each colour, which overlap, with a fixed seed.
 
     Those over black are around ``black_centre``, those over white around 1000 less that.
     """
     draw = random.Random(f"{black_centre} {are_whole}")
-    rows: Rows = []
+    readings: ReadingsWithColours = []
     for _ in range(60):
         for centre, colour in ((black_centre, BLACK), (1000 - black_centre, WHITE)):
             reading = draw.gauss(centre, 250)
-            rows.append((float(round(reading)) if are_whole else reading, colour))
-    return rows
+            readings.append((float(round(reading)) if are_whole else reading, colour))
+    return readings
 
 
-def share_below(rows: Rows, colour: bool, threshold: float) -> float:
+def share_below(readings: ReadingsWithColours, colour: bool, threshold: float) -> float:
     """Return the share of the readings over a colour that are below a threshold."""
-    readings = [reading for reading, reading_colour in rows if reading_colour == colour]
-    return sum(reading < threshold for reading in readings) / len(readings)
+    readings_of_colour = [reading for reading, reading_colour in readings if reading_colour == colour]
+    return sum(reading < threshold for reading in readings_of_colour) / len(readings_of_colour)
 
 
-def worse_accuracies(rows: Rows, threshold: float) -> tuple[float, float]:
-    """Return the accuracy over the worse recognised colour if black is below a threshold, and if above."""
-    black_below, white_below = share_below(rows, BLACK, threshold), share_below(rows, WHITE, threshold)
+def worse_accuracies(readings: ReadingsWithColours, threshold: float) -> tuple[float, float]:
+    """Return the smaller of both accuracies if black is below the threshold, and if black is above it."""
+    black_below, white_below = (
+        share_below(readings, BLACK, threshold),
+        share_below(readings, WHITE, threshold),
+    )
     return min(black_below, 1 - white_below), min(1 - black_below, white_below)
 
 
@@ -57,45 +60,45 @@ def worse_accuracies(rows: Rows, threshold: float) -> tuple[float, float]:
 def test_no_threshold_recognises_the_worse_colour_better_than_that_of_the_calibration(
     black_centre: int, are_whole: bool
 ) -> None:
-    """The threshold is compared with each of the readings as one, with black below it and above it."""
-    rows = draw_readings(black_centre, are_whole=are_whole)
-    calibration = calibrate(rows)
+    """Each of the readings is tried as a threshold, with black below it and above it."""
+    readings = draw_readings(black_centre, are_whole=are_whole)
+    calibration = calibrate(readings)
 
-    for reading, _ in rows:
-        best_accuracy = max(worse_accuracies(rows, threshold=reading))
+    for reading, _ in readings:
+        best_accuracy = max(worse_accuracies(readings, threshold=reading))
         assert min(calibration.accuracy.values()) >= best_accuracy - 1e-12
 
 
 def test_the_accuracies_of_a_sensor_that_reads_low_over_black_are_its_shares_of_right_readings() -> None:
     """A reading over black is right below the threshold, and one over white above it."""
-    rows = draw_readings(black_centre=300, are_whole=False)
-    calibration = calibrate(rows)
+    readings = draw_readings(black_centre=300, are_whole=False)
+    calibration = calibrate(readings)
 
     assert calibration.black_is == "below"
     assert calibration.accuracy == pytest.approx(
         {
-            "black": share_below(rows, BLACK, calibration.threshold),
-            "white": 1 - share_below(rows, WHITE, calibration.threshold),
+            "black": share_below(readings, BLACK, calibration.threshold),
+            "white": 1 - share_below(readings, WHITE, calibration.threshold),
         }
     )
 
 
 def test_the_accuracies_of_a_sensor_that_reads_high_over_black_are_its_shares_of_right_readings() -> None:
     """A reading over black is right above the threshold, and one over white below it."""
-    rows = draw_readings(black_centre=700, are_whole=False)
-    calibration = calibrate(rows)
+    readings = draw_readings(black_centre=700, are_whole=False)
+    calibration = calibrate(readings)
 
     assert calibration.black_is == "above"
     assert calibration.accuracy == pytest.approx(
         {
-            "black": 1 - share_below(rows, BLACK, calibration.threshold),
-            "white": share_below(rows, WHITE, calibration.threshold),
+            "black": 1 - share_below(readings, BLACK, calibration.threshold),
+            "white": share_below(readings, WHITE, calibration.threshold),
         }
     )
 
 
 def test_a_threshold_lies_in_the_middle_of_the_gap_between_the_colours() -> None:
-    """A sensor reads 7.5 over all black tiles and 21.0 over all white ones."""
+    """A sensor reads 7.5 over all black tiles and 21.0 over all white ones, so the threshold is 14.25."""
     readings = [(7.5, BLACK), (21.0, WHITE)] * 40
     assert calibrate(readings).threshold == (7.5 + 21) / 2
 
@@ -112,7 +115,7 @@ def test_of_equal_thresholds_the_one_in_the_widest_gap_is_taken() -> None:
     assert calibrate(readings).threshold == 4
 
 
-UNEQUAL_ROWS: Rows = [
+UNEQUAL_READINGS: ReadingsWithColours = [
     *[(0.0, BLACK)] * 3880,
     *[(1.0, BLACK)] * 120,
     *[(1.0, WHITE)] * 3480,
@@ -122,52 +125,52 @@ UNEQUAL_ROWS: Rows = [
 
 
 @pytest.fixture(scope="module")
-def unequal() -> Calibration:
-    """The calibration of a sensor whose accuracy depends on the colour."""
-    return calibrate(UNEQUAL_ROWS)
+def unequal_calibration() -> Calibration:
+    """The calibration of a sensor that is right on 0.97 of black tiles, and on 0.87 of white ones."""
+    return calibrate(UNEQUAL_READINGS)
 
 
-def test_each_colour_has_an_accuracy(unequal: Calibration) -> None:
-    """Of the readings over black 0.97 are 0, and 0.87 of those over white are 1."""
-    assert unequal.threshold == 1
-    assert unequal.accuracy == {"black": 0.97, "white": 0.87}
+def test_each_colour_has_an_accuracy(unequal_calibration: Calibration) -> None:
+    """The share of right readings is 0.97 over black tiles, and 0.87 over white ones."""
+    assert unequal_calibration.threshold == 1
+    assert unequal_calibration.accuracy == {"black": 0.97, "white": 0.87}
 
 
-def test_the_uncertainty_covers_the_true_mean_accuracy(unequal: Calibration) -> None:
-    """The accuracies over black and white are 0.97 and 0.87."""
+def test_the_uncertainty_covers_the_true_mean_accuracy(unequal_calibration: Calibration) -> None:
+    """The assumed accuracy b_hat is off by less than the uncertainty, which is below 0.01."""
     mean_accuracy = (0.97 + 0.87) / 2
-    assert abs(unequal.b_hat - mean_accuracy) < unequal.uncertainty < 0.01
+    assert abs(unequal_calibration.b_hat - mean_accuracy) < unequal_calibration.uncertainty < 0.01
 
 
 def test_half_as_many_readings_give_an_accuracy_less_certain_by_the_square_root_of_two(
-    unequal: Calibration,
+    unequal_calibration: Calibration,
 ) -> None:
-    """The uncertainty is that of the mean accuracy."""
-    every_second_row = UNEQUAL_ROWS[::2]
-    uncertainty = calibrate(every_second_row).uncertainty
-    assert uncertainty == pytest.approx(unequal.uncertainty * 2**0.5, rel=0.01)
+    """The uncertainty is larger by that factor, to within 1 %."""
+    every_second_reading = UNEQUAL_READINGS[::2]
+    uncertainty = calibrate(every_second_reading).uncertainty
+    assert uncertainty == pytest.approx(unequal_calibration.uncertainty * 2**0.5, rel=0.01)
 
 
-def test_the_bias_is_the_error_of_a_robot_with_such_a_sensor(unequal: Calibration) -> None:
-    """The robot looks at 1000 tiles, of which 400 are black; its accuracies are 0.97 and 0.87."""
+def test_the_bias_is_the_error_of_a_robot_with_such_a_sensor(unequal_calibration: Calibration) -> None:
+    """The robot looks at 1000 tiles, of which 400 are black. Its estimate x_hat is too large by the bias."""
     black_observations = round(0.97 * 400 + (1 - 0.87) * 600)
-    robot = record(1, "native", unequal.b_hat).make_robot()
+    robot = setup_of_robot(1, "native", unequal_calibration.b_hat).make_robot()
     for _ in range(black_observations):
         robot.observe(Observation.BLACK)
     for _ in range(1000 - black_observations):
         robot.observe(Observation.WHITE)
 
-    assert robot.x_hat == pytest.approx(0.4 + unequal.bias, abs=0.001)
+    assert robot.x_hat == pytest.approx(0.4 + unequal_calibration.bias, abs=0.001)
 
 
-def test_a_bias_of_more_than_two_hundredths_gives_a_warning(unequal: Calibration) -> None:
-    """A sensor with accuracies of 0.97 over black and 0.87 over white sees too many black tiles."""
-    assert unequal.warning is not None
-    assert "x_hat is off by +0.060 on every floor" in unequal.warning
+def test_a_bias_of_more_than_two_hundredths_gives_a_warning(unequal_calibration: Calibration) -> None:
+    """The bias is half of the difference of the accuracies, 0.97 and 0.87, divided by their sum less 1."""
+    assert unequal_calibration.warning is not None
+    assert "x_hat is off by +0.060 on every floor" in unequal_calibration.warning
 
 
 def test_a_sensor_without_a_wrong_reading_is_not_taken_for_perfect() -> None:
-    """By the rule of succession, forty right readings over a colour make (40 + 1) / (40 + 2)."""
+    """b_hat is (40 + 1) / (40 + 2) after forty right readings over each colour, by the rule of succession."""
     calibration = calibrate([(7.0, BLACK), (21.0, WHITE)] * 40)
     assert calibration.b_hat == (40 + 1) / (40 + 2)
     assert 1 - calibration.b_hat < calibration.uncertainty < 0.04
@@ -177,22 +180,22 @@ def test_a_sensor_without_a_wrong_reading_is_not_taken_for_perfect() -> None:
 
 @pytest.mark.parametrize("readings", [(5.0,), (5.0, 6.0)])
 def test_readings_that_are_the_same_over_both_colours_are_refused(readings: tuple[float, ...]) -> None:
-    """No threshold tells black from white then."""
+    """The error says so, since no threshold tells black from white."""
     with pytest.raises(UsageError, match="the readings do not tell black from white"):
         calibrate([*product(readings, (BLACK, WHITE))] * 10)
 
 
 @pytest.mark.parametrize(
-    ("rows", "message"),
+    ("readings", "message"),
     [
         ([], "0 readings over black tiles; take 10 or more"),
         ([(5.0, BLACK)] * 10 + [(4.0, WHITE)] * 9, "9 readings over white tiles; take 10 or more"),
     ],
 )
-def test_too_few_readings_over_a_colour_are_refused(rows: Rows, message: str) -> None:
-    """A calibration needs ten readings over each colour."""
+def test_too_few_readings_over_a_colour_are_refused(readings: ReadingsWithColours, message: str) -> None:
+    """A calibration needs ten readings over each colour. The error has their number and the colour."""
     with pytest.raises(UsageError, match=message):
-        calibrate(rows)
+        calibrate(readings)
 
 
 # --- The command --------------------------------------------------------------------------------------
@@ -212,7 +215,7 @@ def run_calibrate(path: Path, *options: str) -> int:
 
 
 def test_the_command_calibrate_prints_threshold_and_accuracy(readings_file: Path, capsys: Capture) -> None:
-    """The file has 90 readings of 300 over black, and as many of 700 over white."""
+    """The threshold is 500, as the file has 90 readings of 300 over black, and as many of 700 over white."""
     assert run_calibrate(readings_file) == 0
     expected = "threshold 500: below it a tile is black\naccuracy on black 1.0000 (90 readings)\n"
     assert expected in capsys.readouterr().out
@@ -221,7 +224,7 @@ def test_the_command_calibrate_prints_threshold_and_accuracy(readings_file: Path
 def test_the_command_calibrate_reports_threshold_and_accuracy_in_json(
     readings_file: Path, capsys: Capture
 ) -> None:
-    """The file has readings of 300 over black, and of 700 over white."""
+    """The threshold is 500, as the file has readings of 300 over black, and of 700 over white."""
     assert run_calibrate(readings_file, "--json") == 0
     report = json.loads(capsys.readouterr().out)
     assert report["threshold"] == 500
@@ -241,7 +244,7 @@ def test_the_output_of_calibrate_ends_with_the_accuracy_as_an_option_for_a_robot
 
 
 def test_the_command_calibrate_warns_of_a_bias(readings_file: Path, capsys: Capture) -> None:
-    """Ten of 100 readings over white tiles are like those over black, so white is often taken for black."""
+    """Of 100 readings over white ten are as over black. The bias is (1 - 0.9) / 2 / (1 + 0.9 - 1) = 0.056."""
     readings_file.write_text(readings_file.read_text() + "300,white\n" * 10)
     assert run_calibrate(readings_file) == 0
     assert "x_hat is off by +0.056 on every floor" in capsys.readouterr().err
@@ -334,14 +337,14 @@ def test_a_wrong_line_of_standard_input_is_named(monkeypatch: pytest.MonkeyPatch
 
 
 def test_a_closed_standard_input_is_refused(monkeypatch: pytest.MonkeyPatch, capsys: Capture) -> None:
-    """Python has None for a standard input that is closed."""
+    """Python has None for such an input. The exit code is 2, and the error says that it is closed."""
     monkeypatch.setattr("sys.stdin", None)
     assert run_calibrate(Path("-")) == 2
     assert "cannot read standard input: it is closed" in capsys.readouterr().err
 
 
 def test_standard_input_without_an_end_is_refused(monkeypatch: pytest.MonkeyPatch, capsys: Capture) -> None:
-    """At most 16 MiB of it are read."""
+    """The exit code is 2, and the error says that at most 16 MiB are read."""
     endless_input = Mock(buffer=Mock(read=lambda size: b"5" * size))  # it has as many bytes as are asked for
     monkeypatch.setattr("sys.stdin", endless_input)
     assert run_calibrate(Path("-")) == 2

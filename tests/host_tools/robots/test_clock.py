@@ -46,14 +46,14 @@ def begin_ticks(watch: Watch, clock: RealTimeClock, *, periods_of_work: list[flo
 
 
 def test_ticks_that_are_done_in_time_begin_at_multiples_of_the_period() -> None:
-    """The clock of a swarm in real time begins a tick in each period, of 1/8 s here."""
+    """The work of each tick takes at most a period, so each begins one period after the last."""
     watch = Watch()
     beginnings = begin_ticks(watch, watch.clock(), periods_of_work=[0.5, 0, 1, 0.25, 0])
     assert beginnings == [0, 1, 2, 3, 4]
 
 
 def test_ticks_after_a_long_one_begin_at_once_until_they_have_caught_up() -> None:
-    """They begin when the work of the tick before is done, until one is in time again."""
+    """The first takes two periods. The next ones begin when the one before is done, until one is in time."""
     watch = Watch()
     beginnings = begin_ticks(watch, watch.clock(), periods_of_work=[2, 0.5, 0.5, 0.5, 0])
     assert beginnings == [0, 2, 2.5, 3, 4]
@@ -67,7 +67,7 @@ def test_ticks_that_take_longer_than_the_period_begin_when_the_last_is_over() ->
 
 
 def test_a_clock_has_no_figures_of_lateness_before_the_first_tick() -> None:
-    """The figures say how late ticks have begun."""
+    """``figures`` returns None in place of how late ticks have begun."""
     assert Watch().clock().figures() is None
 
 
@@ -113,7 +113,7 @@ def test_a_tick_does_not_begin_early_when_a_sleep_ends_early() -> None:
 def test_a_tick_s_frames_are_waited_for_in_the_first_half_of_its_period(
     periods_since_tick_0: float, periods_left: float
 ) -> None:
-    """Tick 1 begins one period after tick 0. Half a period later no time is left for its frames."""
+    """Tick 1 begins one period after tick 0. The time left falls to 0 in half a period, and then stays 0."""
     watch = Watch()
     clock = watch.clock()
     clock.begin(tick=0)

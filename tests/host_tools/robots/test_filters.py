@@ -16,25 +16,25 @@ def test_filters_are_listed_from_fewer_recalibrating_robots_to_more() -> None:
 
 
 def test_asdf_minus_is_on_for_flawed_robots_only() -> None:
-    """Flawed robots assume a wrong accuracy of their sensor at the start."""
+    """Flawed robots get the filter with a test, as ``activation`` is "adaptive", and others get none."""
     asdf_minus = FILTERS["asdf-minus"]
     assert asdf_minus.firmware_filter_of(is_flawed=True, activation="adaptive") is Filter.ADAPTIVE
     assert asdf_minus.firmware_filter_of(is_flawed=False, activation="adaptive") is Filter.OFF
 
 
 def test_the_paper_s_filters_can_recalibrate_without_a_test() -> None:
-    """The paper's filters are ASDF- and ASDF+; with the activation "always" they recalibrate without it."""
+    """With ``activation`` "always" ASDF- and ASDF+ let robots recalibrate whatever a test would say."""
     for name in ("asdf-minus", "asdf-plus"):
         assert FILTERS[name].firmware_filter_of(is_flawed=True, activation="always") is Filter.ALWAYS
 
 
 def test_the_robust_filter_tests_even_if_the_paper_s_filters_are_not_to() -> None:
-    """The activation "always" lets the paper's filters recalibrate without a test."""
+    """The parameter ``activation``, here "always", has no effect on the robust filter."""
     assert FILTERS["robust"].firmware_filter_of(is_flawed=False, activation="always") is Filter.ROBUST
 
 
 def test_with_no_filter_the_filter_of_flawed_robots_is_off() -> None:
-    """Not even the activation "always", which is for other filters, lets them recalibrate."""
+    """The parameter ``activation``, here "always", has no effect without a filter."""
     assert FILTERS["none"].firmware_filter_of(is_flawed=True, activation="always") is Filter.OFF
 
 
@@ -44,12 +44,12 @@ def test_only_the_robust_filter_is_marked_as_depending_on_the_order_of_messages(
 
 
 def test_pictures_and_pages_have_a_minus_sign_in_asdf_minus() -> None:
-    """The command line has a hyphen."""
+    """On the command line and in reports the name has a hyphen."""
     assert FILTERS["asdf-minus"].typeset_term == "ASDF\N{MINUS SIGN}"
 
 
 def test_the_first_series_of_a_filter_has_its_colour_and_the_next_one_another() -> None:
-    """Of the filters of three series in a picture the first two are the same."""
+    """Of three series in a picture the first two are of no filter. The first is grey, and the second blue."""
     colours = colours_of_filters(["none", "none", "robust"])
     assert colours == ["#999999", "#0072b2", "#009e73"]
 
@@ -66,12 +66,12 @@ def test_the_first_series_of_a_filter_has_its_colour_and_the_next_one_another() 
 def test_the_filter_of_one_robot_has_the_name_of_the_swarm_s_filter_that_gives_it_to_all_robots(
     firmware_filter: Filter, name: str
 ) -> None:
-    """ASDF- gives its filter to flawed robots alone, so its name is none of them."""
+    """The name is never asdf-minus, as ASDF- gives its filter to flawed robots alone."""
     assert filter_of_one_robot(firmware_filter).name == name
 
 
 def test_robots_with_two_filters_are_described_by_the_names_of_both() -> None:
-    """The robots of a log need not have the filters of one swarm."""
+    """One robot has the robust filter and one that of the paper, which no swarm would have together."""
     description = describe_filters([Filter.ROBUST, Filter.ADAPTIVE])
     assert description == "mixed: robots with the filters adaptive, robust"
 

@@ -40,7 +40,8 @@ from mcp_asdf_tools.robots.processes import NodeProcesses
 from mcp_asdf_tools.robots.robot_setup import RobotSetup, parse_ids
 from mcp_asdf_tools.tables.thresholds import generate, parse_omega
 from support import wait_until
-from wire import CLOCK, EndlessWire, Wire, node, record, still
+from wire import CLOCK, EndlessWire, Wire, node, still
+from wire import record as setup_of_robot
 
 COLOURS = (*Observation, None)
 """The possible observations of a tick."""
@@ -151,9 +152,9 @@ def run_four_robots(lockstep: Lockstep, ticks: int) -> None:
 def step_by_calls(robots: Sequence[Robot], tick: DrivenTick) -> None:
     """Let robots observe what driven ones have observed, receive the estimates of all others, and settle."""
     for robot in robots:
-        z = tick.observations[robot.id]
-        if z is not None:
-            robot.observe(z)
+        observation = tick.observations[robot.id]
+        if observation is not None:
+            robot.observe(observation)
     for receiver in robots:
         for sender, estimate in tick.estimates.items():
             if sender != receiver.id:
@@ -173,7 +174,10 @@ def numbers_in_frames_of(robot: Robot) -> tuple[int, ...]:
 @pytest.mark.parametrize("firmware", ["native", "reference"])
 @still()
 def test_robots_commanded_over_a_bus_compute_what_the_same_robots_do_when_called(firmware: str) -> None:
-    """Some commands are lost, and robots that have not answered get them again."""
+    """x_hat, alpha, x, b_hat and the number of updates in their frames are equal in each tick.
+
+    Some commands are lost, and are repeated.
+    """
     lockstep = Lockstep(LossyWire(*make_four_nodes(firmware), is_lost=is_lost_once), timeout=0.02)
     called_robots = [called_node.robot for called_node in make_four_nodes(firmware)]
 
@@ -187,8 +191,8 @@ def test_robots_commanded_over_a_bus_compute_what_the_same_robots_do_when_called
 
 @still()
 def test_a_lost_command_is_sent_once_more_to_the_robots_that_have_not_answered() -> None:
-    """Each of 4 robots gets two commands in each of 25 ticks, and eight of them are lost at first."""
-    wire = LossyWire(*make_four_nodes("native"), is_lost=is_lost_once)
+    """Each of 4 robots gets two commands in each of 25 ticks. Eight are lost, and are sent once more."""
+    wire = LossyWire(*make_four_nodes(firmware="native"), is_lost=is_lost_once)
     lockstep = Lockstep(wire, timeout=0.02)
 
     run_four_robots(lockstep, ticks=25)
@@ -202,8 +206,8 @@ def test_a_lost_command_is_sent_once_more_to_the_robots_that_have_not_answered()
 
 @still()
 def test_the_transfer_ids_of_commands_count_modulo_32() -> None:
-    """The driver numbers its commands. Each of 4 robots gets two of them in each of 20 ticks."""
-    wire = Wire(*make_four_nodes("native"))
+    """One count runs through the commands to all robots. Each of 4 gets two of them in each of 20 ticks."""
+    wire = Wire(*make_four_nodes(firmware="native"))
     run_four_robots(Lockstep(wire), ticks=20)
 
     transfer_ids = [decode(frame).transfer_id for frame in wire.sent]
@@ -212,8 +216,8 @@ def test_the_transfer_ids_of_commands_count_modulo_32() -> None:
 
 @still()
 def test_the_driver_reports_all_frames_that_it_sends_and_receives() -> None:
-    """A frame that was received is marked so (``is_rx``)."""
-    wire = Wire(*make_four_nodes("native"))
+    """``on_frame`` gets them in their order. Received ones are marked (``is_rx``), and sent ones are not."""
+    wire = Wire(*make_four_nodes(firmware="native"))
     reported_frames: list[can.Message] = []
     run_four_robots(Lockstep(wire, on_frame=reported_frames.append), ticks=10)
 
@@ -230,7 +234,7 @@ def drive_robot_1(lockstep: Lockstep, ticks: int) -> None:
 
 @still()
 def test_robots_that_send_no_heartbeat_are_named_in_the_error() -> None:
-    """Robots 0 and 2 are on the bus; "wire" is its name."""
+    """Robots 4 and 5 are not on the bus. The error has the time and the name of the bus, "wire", too."""
     lockstep = Lockstep(Wire(node(0), node(2)))
     with pytest.raises(LockstepError, match=r"robot 4, 5 did not send a heartbeat within 0.01 s on wire"):
         lockstep.wait_until_up({0, 2, 4, 5}, timeout=0.01)
@@ -238,7 +242,7 @@ def test_robots_that_send_no_heartbeat_are_named_in_the_error() -> None:
 
 @still()
 def test_an_error_about_many_silent_robots_names_the_first_eight() -> None:
-    """Ten robots are waited for, and none is on the bus."""
+    """None of ten robots is on the bus. The error names eight, and "..." stands for the others."""
     with pytest.raises(LockstepError, match=r"robot 10, 11, 12, 13, 14, 15, 16, 17, ... did not send"):
         Lockstep(Wire()).wait_until_up(range(10, 20), timeout=0.01)
 
@@ -252,21 +256,21 @@ def lockstep_without_robot_1() -> Lockstep:
 
 @still()
 def test_a_robot_that_does_not_broadcast_is_named_in_the_error() -> None:
-    """Robots 0 and 2 have broadcast their estimates."""
+    """Robots 0 and 2 have broadcast, and robot 1 has not. LockstepError names robot 1 and the time limit."""
     with pytest.raises(LockstepError, match=r"robot 1 did not broadcast its estimate within 0.02 s"):
         lockstep_without_robot_1().estimates(range(3))
 
 
 @still()
 def test_a_robot_that_does_not_end_its_tick_is_named_in_the_error() -> None:
-    """Robots 0 and 2 have settled: they have ended their tick, and answered with telemetry."""
+    """Robots 0 and 2 have answered to the command to settle, and robot 1 has not. LockstepError names it."""
     with pytest.raises(LockstepError, match=r"robot 1 did not settle within 0.02 s"):
         lockstep_without_robot_1().settle(range(3))
 
 
 @still()
 def test_an_estimate_that_has_come_while_another_robot_was_waited_for_is_not_lost() -> None:
-    """Robot 0 has sent its estimate before robot 2, for which the driver waits first."""
+    """The driver waits for robot 2 while robot 0 sends. The next call returns the estimate of robot 0."""
     lockstep = lockstep_without_robot_1()
     assert lockstep.estimates({2}).keys() == {2}
     assert lockstep.estimates({0}).keys() == {0}
@@ -274,7 +278,7 @@ def test_an_estimate_that_has_come_while_another_robot_was_waited_for_is_not_los
 
 @still()
 def test_an_estimate_of_the_last_tick_is_not_taken_for_one_of_this_tick() -> None:
-    """The robot broadcasts in every second tick, so in the second tick and not in the third."""
+    """The robot broadcasts in the second tick and not in the third, for which LockstepError is raised."""
     lockstep = Lockstep(Wire(node(1, comms_period=2)), timeout=0.02)
     drive_robot_1(lockstep, ticks=2)
     lockstep.observe({1: Observation.WHITE})
@@ -285,7 +289,7 @@ def test_an_estimate_of_the_last_tick_is_not_taken_for_one_of_this_tick() -> Non
 
 @still()
 def test_a_robot_can_be_driven_by_a_second_driver_without_a_restart() -> None:
-    """Each driver counts its ticks from 0; the robot has taken part in three of each."""
+    """Each driver counts its ticks from 0. The robot has done all six ticks of both."""
     robot = node(1)
     drive_robot_1(Lockstep(Wire(robot), timeout=0.02), ticks=3)
     drive_robot_1(Lockstep(Wire(robot), timeout=0.02), ticks=3)
@@ -294,7 +298,7 @@ def test_a_robot_can_be_driven_by_a_second_driver_without_a_restart() -> None:
 
 @still()
 def test_a_robot_that_restarts_while_it_is_driven_is_an_error() -> None:
-    """The transfer_id of its answers counts from 0 again."""
+    """LockstepError says that the transfer_id of its answer, which is 0 again, is not the next one."""
     wire = Wire(node(1))
     lockstep = Lockstep(wire, timeout=0.02)
     drive_robot_1(lockstep, ticks=3)
@@ -315,7 +319,7 @@ def stop_waiting() -> None:
 @pytest.mark.parametrize("kind_of_wire", [Wire, EndlessWire])
 @still()
 def test_the_caller_can_end_the_wait_for_heartbeats(kind_of_wire: type[Wire]) -> None:
-    """Robot 3 is missing, on a quiet bus and on one on which another node sends without end."""
+    """The error of its ``check`` ends the wait. Robot 3 is missing, on a quiet bus or on a busy one."""
     lockstep = Lockstep(kind_of_wire(node(1)), timeout=1e9, check=stop_waiting)
     with pytest.raises(StopWaitingError):
         lockstep.wait_until_up({3}, timeout=1e9)
@@ -324,7 +328,7 @@ def test_the_caller_can_end_the_wait_for_heartbeats(kind_of_wire: type[Wire]) ->
 @pytest.mark.parametrize("kind_of_wire", [Wire, EndlessWire])
 @still()
 def test_the_caller_can_end_the_wait_for_answers(kind_of_wire: type[Wire]) -> None:
-    """Robot 2 is missing, on a quiet bus and on one on which another node sends without end."""
+    """The error of its ``check`` ends the wait. Robot 2 is missing, on a quiet bus or on a busy one."""
     lockstep = Lockstep(kind_of_wire(node(1)), timeout=1e9, check=stop_waiting)
     lockstep.observe({1: Observation.WHITE, 2: Observation.WHITE})
     with pytest.raises(StopWaitingError):
@@ -333,7 +337,7 @@ def test_the_caller_can_end_the_wait_for_answers(kind_of_wire: type[Wire]) -> No
 
 @still()
 def test_a_wait_ends_after_twice_the_time_on_a_bus_that_is_never_quiet() -> None:
-    """Another node sends a frame every 0.01 s without end."""
+    """The time limit is 1 s, and the error comes after 2 s. Another node sends every 0.01 s without end."""
     start = CLOCK.now
     with pytest.raises(LockstepError, match="robot 3 did not send a heartbeat within 1 s"):
         Lockstep(EndlessWire(node(1))).wait_until_up({3}, timeout=1.0)
@@ -381,7 +385,7 @@ def drive_three_robots(wire: Wire) -> None:
 def test_a_command_that_is_lost_is_sent_twice_before_the_robot_is_named_in_the_error(
     action: str, message: str
 ) -> None:
-    """The commands to robot 2 in tick 7, to observe or to end the tick, are lost each time."""
+    """Both commands to robot 2 in tick 7 are lost. Then LockstepError names robot 2."""
     wire = wire_that_loses_commands_to_robot_2_in_tick_7(action)
 
     with pytest.raises(LockstepError, match=message):
@@ -393,7 +397,7 @@ def test_a_command_that_is_lost_is_sent_twice_before_the_robot_is_named_in_the_e
 
 @still()
 def test_the_driver_waits_for_an_answer_instead_of_reading_again_and_again() -> None:
-    """The clock goes on only while the driver waits, which it does for 0.02 s."""
+    """It waits for 0.02 s in all, with fewer than 1000 reads. The clock goes on only while it waits."""
     wire, start = wire_that_loses_commands_to_robot_2_in_tick_7("SETTLE"), CLOCK.now
 
     with pytest.raises(LockstepError, match="robot 2 did not settle"):
@@ -405,7 +409,7 @@ def test_the_driver_waits_for_an_answer_instead_of_reading_again_and_again() -> 
 
 @still()
 def test_an_answer_that_is_lost_is_an_error_and_does_not_make_a_robot_settle_twice() -> None:
-    """The robots get the command to end tick 7 again, and do not obey; nor do they answer again."""
+    """They get the command to end tick 7 again, but do not answer again. LockstepError names all three."""
     wire = wire_that_loses_eighth_answers()
 
     with pytest.raises(LockstepError, match="robot 1, 2, 3 did not settle within"):
@@ -433,21 +437,21 @@ def test_a_robot_ends_a_tick_that_was_left_open_when_it_observes_again() -> None
     lockstep.leave_open(distance=7)
     drive_robot_1(lockstep, ticks=1)
 
-    assert [decode(frame).tick for frame in wire.sent] == [0, 1, 8, 8]  # the last one is to end the tick
+    assert [decode(frame).tick for frame in wire.sent] == [0, 1, 8, 8]  # three to observe, one to settle
     assert lockstep.tick == 9
-    assert robot.unsettled == 2
+    assert robot.unsettled == 2, "ticks that ended without a command"
     assert robot.robot.t == 3, "observations"
     assert robot.sent.estimates == 1
 
 
 def test_a_robot_with_the_id_of_the_driver_is_refused() -> None:
-    """The simulator, which drives robots, has the id 126."""
+    """The simulator, which drives robots, has the id 126. The error names it."""
     with pytest.raises(UsageError, match="robot 126 has the id of the simulator"):
         Lockstep(Wire()).observe({126: Observation.WHITE})
 
 
 def test_two_kinds_of_messages_with_the_same_subject_number_are_refused() -> None:
-    """Telemetry has the subject 3001, so estimates cannot have it, too."""
+    """Telemetry has the subject 3001. The error lists the subjects of estimates, telemetry and commands."""
     with pytest.raises(UsageError, match=r"subjects \[3001, 3001, 3002\]; choose three different"):
         Subjects(estimates=FrameFormat(3001))
 
@@ -457,10 +461,14 @@ def test_two_kinds_of_messages_with_the_same_subject_number_are_refused() -> Non
 
 SUBJECTS = Subjects(FrameFormat(7, 1), FrameFormat(8, 6), FrameFormat(9, 3))
 SETUPS = (
-    record(0, b_hat=0.1 + 0.2, table=generate(parse_omega("0.3"), 3)),
-    record(7, "mirror", filter=Filter.ALWAYS, table=None, comms_period=2, memory=64),
-    record(8, filter=Filter.ROBUST, table=None),
-    replace(record(9, "reference", b_hat=2**-20, filter=Filter.OFF, table=None), allow=frozenset((0, 2, 3))),
+    # 0.1 + 0.2 is 0.30000000000000004, which is the same again only with all its digits.
+    setup_of_robot(0, b_hat=0.1 + 0.2, table=generate(parse_omega("0.3"), 3)),
+    setup_of_robot(7, "mirror", filter=Filter.ALWAYS, table=None, comms_period=2, memory=64),
+    setup_of_robot(8, filter=Filter.ROBUST, table=None),
+    replace(
+        setup_of_robot(9, "reference", b_hat=2**-20, filter=Filter.OFF, table=None),
+        allow=frozenset((0, 2, 3)),
+    ),
 )
 
 
@@ -472,7 +480,7 @@ def parse_node_command(command: list[str]) -> argparse.Namespace:
 
 @pytest.mark.parametrize("setup", SETUPS)
 def test_the_command_line_of_a_robot_s_process_has_all_settings_of_the_robot(setup: RobotSetup) -> None:
-    """Parsed again, it gives the same robot on the same bus. With the end of its input the process ends."""
+    """Parsed again, it gives the same robot on the same bus. It ends with its input and reports in JSON."""
     bus_choice = BusChoice("udp_multicast", {"channel": "239.1.1.1"})
     nodes = NodeProcesses([setup], lambda robot: bus_choice, SUBJECTS, steps_per_second=3)
     arguments = parse_node_command(nodes._commands[setup.id])
@@ -488,7 +496,7 @@ def test_the_command_line_of_a_robot_s_process_has_all_settings_of_the_robot(set
 
 def processes_that_run(command: list[str]) -> NodeProcesses:
     """Return the process of robot 3, which runs this command in place of the robot's own."""
-    nodes = NodeProcesses([record(3)], lambda robot: BusChoice("udp_multicast", {}), Subjects(), 10)
+    nodes = NodeProcesses([setup_of_robot(3)], lambda robot: BusChoice("udp_multicast", {}), Subjects(), 10)
     nodes._commands = {3: command}
     return nodes
 
@@ -498,7 +506,7 @@ def process_of_robot_3(nodes: NodeProcesses) -> subprocess.Popen[str]:
 
 
 def test_a_robot_s_process_that_ends_is_named_with_its_exit_code_and_what_it_printed_as_error() -> None:
-    """A shell stands for a robot that refuses its memory, prints so, and ends with the exit code 2."""
+    """A shell in its place prints an error and ends with exit code 2. ``check`` raises LockstepError."""
     with processes_that_run(["sh", "-c", "echo memory is 63 >&2; exit 2"]) as nodes:
         process_of_robot_3(nodes).wait()
         with pytest.raises(LockstepError, match="robot 3 ended with exit code 2: memory is 63"):
@@ -510,7 +518,7 @@ def test_a_robot_s_process_that_ends_is_named_with_its_exit_code_and_what_it_pri
 def test_a_robot_s_process_that_does_not_end_when_it_is_asked_to_is_killed(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    """The process prints a report, ``{}``, and then ignores that it is asked to end."""
+    """It ignores SIGTERM. It is killed after 0.1 s, and the report that it has printed, ``{}``, is kept."""
     monkeypatch.setattr(processes, "_EXIT_TIMEOUT", 0.1)
     script = f"trap '' TERM; echo '{{}}'; touch '{tmp_path}/up'; exec sleep 1000"
     with processes_that_run(["sh", "-c", script]) as nodes:
@@ -520,7 +528,7 @@ def test_a_robot_s_process_that_does_not_end_when_it_is_asked_to_is_killed(
 
 
 def test_the_report_that_a_robot_s_process_prints_is_kept() -> None:
-    """In place of the robot a command prints a report in JSON and ends."""
+    """``reports`` has what a command prints in JSON in place of the robot."""
     with processes_that_run(["echo", '{"steps": 1}']) as nodes:
         process_of_robot_3(nodes).wait()
 
@@ -528,7 +536,7 @@ def test_the_report_that_a_robot_s_process_prints_is_kept() -> None:
 
 
 def test_ctrl_c_in_a_terminal_does_not_reach_the_robots_processes() -> None:
-    """It reaches all processes of a session, so they are in another one; this process ends them in order."""
+    """It reaches all processes of a session. The process of robot 3 is in another session than this one."""
     this_process = 0
     with processes_that_run(["sleep", "1000"]) as nodes:
         assert os.getsid(process_of_robot_3(nodes).pid) != os.getsid(this_process)
@@ -549,7 +557,9 @@ def processor_restrictions(monkeypatch: pytest.MonkeyPatch) -> list[set[int]]:
 def prepare_processes_of_two_robots(first_interface: str, second_interface: str) -> None:
     """Prepare processes of two robots, which are on buses of these kinds."""
     bus_by_robot = {10: BusChoice(first_interface, {}), 11: BusChoice(second_interface, {})}
-    NodeProcesses([record(10), record(11)], bus_by_robot.__getitem__, Subjects(), steps_per_second=10)
+    NodeProcesses(
+        [setup_of_robot(10), setup_of_robot(11)], bus_by_robot.__getitem__, Subjects(), steps_per_second=10
+    )
 
 
 def test_robots_processes_run_on_the_first_processor_alone_if_a_robot_is_on_socketcan(

@@ -26,7 +26,8 @@ from mcp_asdf_tools.robots.lockstep import Lockstep
 from mcp_asdf_tools.robots.node import BusLink, RobotNode, RunOutcome, filters_for, run_node, send_all
 from mcp_asdf_tools.robots.suspicion import MEANINGS, AlphaWatch, Suspicion
 from support import PATIENCE, ROOT, interruptible
-from wire import join, meanwhile, node, record
+from wire import join, meanwhile, node
+from wire import record as setup_of_robot
 
 pytestmark = pytest.mark.usefixtures("private_setup")
 
@@ -68,7 +69,7 @@ def can_decode(frame: can.Message) -> bool:
 
 
 def test_a_robot_s_filters_pass_the_frames_that_it_can_decode_and_no_others() -> None:
-    """The filters are those that the driver of a bus applies, by identifier alone."""
+    """They are filters for the driver of a bus, which looks at identifiers alone. 5000 frames are drawn."""
     frames = draw_frames_near_estimates(5000)
     with can.Bus(interface="virtual", channel="filters", ignore_config=True) as bus:
         bus.set_filters(filters_for(ESTIMATE_FORMAT, COMMAND_FORMAT))
@@ -84,15 +85,16 @@ HEARTBEATS, ESTIMATES, TELEMETRY = 7509, 3000, 3001
 
 def frames_of_200_ticks(subject: int) -> list[can.Message]:
     """Return a node's frames of a subject; it broadcasts in every second tick, and a second has 3 ticks."""
-    node = RobotNode(record(5, comms_period=2), steps_per_second=3)
+    node = RobotNode(setup_of_robot(5, comms_period=2), steps_per_second=3)
     frames = node.start()
     for _ in range(200):
         frames += node.observe(None) + node.settle()
-    return [frame for frame in frames if (frame.arbitration_id >> 8) & 0x1FFF == subject]
+    subject_mask = 0x1FFF  # the 13 bits above the lowest 8
+    return [frame for frame in frames if (frame.arbitration_id >> 8) & subject_mask == subject]
 
 
 def test_a_node_sends_a_heartbeat_at_the_beginning_of_each_second() -> None:
-    """A second has three ticks, so 200 ticks begin 67 seconds."""
+    """The 67 heartbeats are at 0 s, 1 s and so on, since a second has three of the 200 ticks."""
     times = [frame.timestamp for frame in frames_of_200_ticks(HEARTBEATS)]
     assert times == list(range(67))
 
@@ -104,26 +106,26 @@ def test_a_node_sends_estimates_in_the_last_tick_of_each_round_with_the_time_of_
 
 
 def test_a_node_sends_telemetry_at_the_end_of_each_tick() -> None:
-    """A second has three ticks."""
+    """The first is at 1/3 s, as a second has three ticks."""
     times = [frame.timestamp for frame in frames_of_200_ticks(TELEMETRY)]
     assert times == [ticks_ended / 3 for ticks_ended in range(1, 201)]
 
 
 @pytest.mark.parametrize("subject", [HEARTBEATS, ESTIMATES, TELEMETRY])
 def test_the_transfer_ids_of_a_node_s_frames_of_a_subject_count_modulo_32(subject: int) -> None:
-    """A transfer_id is in the lowest five bits of the last byte."""
+    """The transfer_id, in the lowest five bits of the last byte, begins at 0 for each subject."""
     frames = frames_of_200_ticks(subject)
     transfer_ids = [frame.data[-1] % 32 for frame in frames]
     assert transfer_ids == [index % 32 for index in range(len(frames))]
 
 
 FRAME = encode_estimate(Estimate(9, 1, 0, 0), FrameFormat())
-FULL, DOWN = errno.ENOBUFS, errno.ENETDOWN
-"""Error codes of Linux for a bus whose queue is full, and for one that is switched off."""
+SUCCESS, QUEUE_FULL, BUS_DOWN = 0, errno.ENOBUFS, errno.ENETDOWN
+"""Error codes of Linux: for a frame that is sent, a bus whose queue is full, and one that is switched off."""
 
 
 def bus_whose_sends_end_with(*codes: int) -> Mock:
-    """Return a bus on which sending frames ends with these error codes of Linux, 0 for success, in turn."""
+    """Return a bus on which sending frames ends with these error codes of Linux, in turn, again and again."""
     bus = Mock()
     bus.send.side_effect = cycle(can.CanOperationError("no luck", code) if code else None for code in codes)
     return bus
@@ -143,9 +145,9 @@ def pauses(monkeypatch: pytest.MonkeyPatch) -> list[float]:
 
 
 def test_a_frame_is_sent_again_until_the_bus_has_room_for_it(pauses: list[float]) -> None:
-    """The queue of the bus is full for two attempts at each frame; after each of them is a pause."""
+    """Each of two frames is tried three times, as the queue is full twice. A pause follows each failure."""
     first, second = can.Message(arbitration_id=1), can.Message(arbitration_id=2)
-    bus = bus_whose_sends_end_with(FULL, FULL, 0)
+    bus = bus_whose_sends_end_with(QUEUE_FULL, QUEUE_FULL, SUCCESS)
     send_all(bus, [first, second], timeout=10)
 
     tried_frames = [sending.args[0] for sending in bus.send.call_args_list]
@@ -154,28 +156,28 @@ def test_a_frame_is_sent_again_until_the_bus_has_room_for_it(pauses: list[float]
 
 
 def test_frames_do_not_wait_for_a_bus_that_is_down(pauses: list[float]) -> None:
-    """Its queue is full at the first attempt, and it is down at the second."""
+    """The queue is full at the first attempt. At the second the bus is down, and its error is raised."""
     with pytest.raises(can.CanOperationError, match="no luck"):
-        send_all(bus_whose_sends_end_with(FULL, DOWN), [FRAME], timeout=10)
+        send_all(bus_whose_sends_end_with(QUEUE_FULL, BUS_DOWN), [FRAME], timeout=10)
 
 
 def test_frames_do_not_wait_longer_than_the_timeout_for_a_bus_that_stays_full(pauses: list[float]) -> None:
-    """The timeout is 0 s, and the queue of the bus stays full."""
+    """The timeout of 0 s is over after an attempt, and CanTimeoutError is raised."""
     with pytest.raises(can.CanTimeoutError, match="the bus took no frame for 0 s"):
-        send_all(bus_whose_sends_end_with(FULL), [FRAME], timeout=0)
+        send_all(bus_whose_sends_end_with(QUEUE_FULL), [FRAME], timeout=0)
 
 
 def test_a_link_that_survives_failures_counts_the_frames_that_it_could_not_send() -> None:
-    """Of four frames the bus takes the first and the last; ``send`` returns whether it took one."""
-    link = BusLink(bus_whose_sends_end_with(0, DOWN, DOWN, 0), endures=True)
+    """The bus takes the first and the last of four frames, as ``send`` returns, and ``failures`` is 2."""
+    link = BusLink(bus_whose_sends_end_with(SUCCESS, BUS_DOWN, BUS_DOWN, SUCCESS), endures=True)
 
     assert [link.send(FRAME) for _ in range(4)] == [True, False, False, True]
     assert link.failures == 2
 
 
 def test_a_link_that_survives_failures_pauses_when_it_cannot_receive(pauses: list[float]) -> None:
-    """Without the pause it would ask a bus that is down again and again."""
-    link = BusLink(bus_that_receives(can.CanOperationError("down", DOWN)), endures=True)
+    """It returns None after 0.1 s, so that it does not ask a bus that is down again and again."""
+    link = BusLink(bus_that_receives(can.CanOperationError("down", BUS_DOWN)), endures=True)
 
     assert link.receive(9) is None
     assert link.failures == 1
@@ -183,14 +185,14 @@ def test_a_link_that_survives_failures_pauses_when_it_cannot_receive(pauses: lis
 
 
 def test_a_link_waits_at_most_a_tenth_of_a_second_for_a_frame() -> None:
-    """So a signal to end is noticed soon, also if the caller would wait for 9 s."""
+    """The caller would wait for 9 s, but a signal to end must be noticed soon."""
     bus = bus_that_receives(None)
     BusLink(bus).receive(9)
     assert bus.recv.call_args == call(0.1)
 
 
 def test_a_link_does_not_receive_its_own_frames() -> None:
-    """A driver that returns them marks them as sent."""
+    """A driver may return a frame that was sent here, with ``is_rx`` false. None is received in its place."""
     sent_frame, received_frame = can.Message(is_rx=False), can.Message(is_rx=True)
     link = BusLink(bus_that_receives(sent_frame, received_frame))
 
@@ -199,10 +201,10 @@ def test_a_link_does_not_receive_its_own_frames() -> None:
 
 
 def test_a_link_logs_what_was_sent_and_received_and_the_time_of_sending() -> None:
-    """Of two attempts to send the second fails, so it is not in the log."""
+    """The log has the frame that was sent, not the second one, which failed, and then the received one."""
     log: list[can.Message] = []
     received_frame = can.Message(is_rx=True)
-    bus = bus_whose_sends_end_with(0, DOWN)
+    bus = bus_whose_sends_end_with(SUCCESS, BUS_DOWN)
     bus.recv.return_value = received_frame
     link = BusLink(bus, endures=True, log=log.append)
 
@@ -216,7 +218,7 @@ def test_a_link_logs_what_was_sent_and_received_and_the_time_of_sending() -> Non
 
 
 def test_a_late_node_catches_up_with_all_frames_that_wait() -> None:
-    """Two frames wait; then there is none, and it does not wait for the next."""
+    """Two frames wait, and are passed on. The timeout is 0, so that a third one is not waited for."""
     frame = can.Message(is_rx=True)
     bus = bus_that_receives(frame, frame, None, frame)
     received_frames: list[can.Message] = []
@@ -227,9 +229,9 @@ def test_a_late_node_catches_up_with_all_frames_that_wait() -> None:
 
 
 def test_a_bus_that_fails_ends_the_run_of_a_node() -> None:
-    """The node can send its first heartbeat, but then nothing can be received; 100 is the code for that."""
-    bus = bus_whose_sends_end_with(0)
-    bus.recv.side_effect = can.CanOperationError("no luck", DOWN)
+    """``run_node`` raises nothing. The outcome has the error, with the code 100 of a bus that is down."""
+    bus = bus_whose_sends_end_with(SUCCESS)
+    bus.recv.side_effect = can.CanOperationError("no luck", BUS_DOWN)
     outcome = run_node(node(5), BusLink(bus))
     assert outcome == RunOutcome("the bus failed: no luck [Error Code 100]", has_failed=True)
 
@@ -261,9 +263,9 @@ def drive_robot_5(model: RobotNode, bus: can.BusABC) -> None:
     lockstep = Lockstep(bus, timeout=PATIENCE)
     lockstep.wait_until_up({5}, PATIENCE)
     for tick in range(40):
-        z = (WHITE, BLACK, None)[tick * tick % 3]
-        lockstep.observe({5: z})
-        model.observe(z)
+        observation = WHITE if tick % 3 == 0 else BLACK
+        lockstep.observe({5: observation})
+        model.observe(observation)
         if tick in (7, 8, 9):
             estimate = encode_estimate(Estimate(5, tick, 0, tick), FrameFormat())
             short_frame = can.Message(arbitration_id=estimate.arbitration_id, data=estimate.data[:7])
@@ -285,7 +287,7 @@ def run_robot_5(*options: str) -> RobotNode:
 def test_a_robot_that_a_driver_commands_over_the_bus_ends_in_the_state_of_its_model(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """The model is the same robot, computed in Python, which gets the same frames by calls."""
+    """The node reports the same integers and counters as its model, a robot in Python that is called."""
     model = run_robot_5().robot
     reported_robot = json.loads(capsys.readouterr().out)["results"]["robot"]
 
@@ -326,11 +328,11 @@ def test_a_node_that_a_driver_commands_for_40_ticks_reports_the_frames_that_it_s
 
 
 def test_a_node_reports_its_setup_and_why_it_ended(capsys: pytest.CaptureFixture[str]) -> None:
-    """The node is robot 5, which is driven for 40 ticks."""
+    """The report has the setup of robot 5, and that it ended after its 40 ticks."""
     run_robot_5()
     report = json.loads(capsys.readouterr().out)
 
-    assert report["parameters"]["robot"] == record(5, "native", 0.7, comms_period=2).plain()
+    assert report["parameters"]["robot"] == setup_of_robot(5, "native", 0.7, comms_period=2).plain()
     assert report["results"]["ending"] == "all ticks done"
     assert report["results"]["steps"] == 40
 
@@ -338,7 +340,7 @@ def test_a_node_reports_its_setup_and_why_it_ended(capsys: pytest.CaptureFixture
 def test_the_log_of_a_node_is_replayed_with_the_frames_that_others_sent_under_its_id(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    """Three estimates came under the id of the node, robot 5."""
+    """The replay counts three estimates that came under the id of the node, robot 5."""
     run_robot_5("--log", f"{tmp_path}/run.log")
     assert main(["replay", f"{tmp_path}/run.log"]) == 0
     assert "3  frames under a robot's id that it did not send" in capsys.readouterr().out
@@ -348,34 +350,34 @@ def test_the_log_of_a_node_is_replayed_with_the_frames_that_others_sent_under_it
 
 
 def count_jumps(alphas: list[float]) -> int:
-    """Return how many of the alphas that a robot sends one after the other count as jumps."""
+    """Return how many alphas of a robot are jumps, if it sends these one after the other."""
     watch = AlphaWatch()
     return [watch.is_jump(6, alpha_word_from_float(alpha)) for alpha in alphas].count(True)
 
 
 def test_an_alpha_that_doubles_after_32_estimates_counts_as_a_jump() -> None:
-    """alpha, the confidence of an estimate, grows slowly in an honest robot once it has observed for long."""
+    """The 33rd alpha, the confidence of an estimate, is twice as large as the 32 before it."""
     assert count_jumps([40.0] * 32 + [80.0]) == 1
 
 
 def test_an_alpha_that_less_than_doubles_counts_as_no_jump() -> None:
-    """alpha is the confidence of an estimate."""
+    """The 33rd alpha is a little less than twice as large as the 32 before it."""
     assert count_jumps([40.0] * 32 + [79.999]) == 0
 
 
 def test_the_first_32_alphas_of_a_robot_count_as_no_jump_even_if_one_doubles() -> None:
-    """alpha is the confidence of an estimate."""
+    """The 32nd alpha is twice as large as the 31 before it."""
     assert count_jumps([40.0] * 31 + [80.0]) == 0
 
 
 def test_the_first_33_alphas_from_one_that_has_fallen_by_half_on_count_as_no_jump() -> None:
-    """A robot whose alpha falls by half has begun anew."""
+    """A robot whose alpha falls by half has begun anew. The 34th from there on may count as a jump."""
     assert count_jumps([80.0] * 33 + [40.0] * 32 + [80.0]) == 0
     assert count_jumps([80.0] * 33 + [40.0] * 33 + [80.0]) == 1
 
 
 def test_an_alpha_of_0_counts_as_no_jump() -> None:
-    """An alpha of 0, no confidence, is not taken for twice the last one."""
+    """0 is twice 0, but does not count as a doubled alpha."""
     assert count_jumps([0.0] * 100) == 0
 
 
@@ -411,7 +413,10 @@ def run_among_suspicious_neighbours(capsys: pytest.CaptureFixture[str]) -> tuple
 
 
 def test_a_node_counts_suspicious_estimates_by_kind_and_sender(capsys: pytest.CaptureFixture[str]) -> None:
-    """Suspicious are the robot's own id, ids that are not allowed, and a confidence alpha that jumps."""
+    """The report counts those under the robot's own id, under ids that are not allowed, and with a jump.
+
+    A jump is a confidence alpha that doubles.
+    """
     report, _ = run_among_suspicious_neighbours(capsys)
     events = report["results"]["frames"]["events"]
     assert {(event["event"], event["sender"]): event["estimates"] for event in events} == SUSPICIONS
@@ -420,9 +425,9 @@ def test_a_node_counts_suspicious_estimates_by_kind_and_sender(capsys: pytest.Ca
 def test_a_node_warns_once_of_each_kind_of_suspicious_estimates_and_each_sender(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """Robot 5 gets estimates under its own id, of robot 30, which is not allowed, and of robot 6.
+    """A line of the error output names the sender and what is suspicious about its estimates.
 
-    The confidence alpha of robot 6 jumps.
+    They are under the id of the node itself, 5, or of robot 30, which is not allowed, or jump, of robot 6.
     """
     _, errors = run_among_suspicious_neighbours(capsys)
     warnings = [line for line in errors.splitlines() if ": node " in line]
@@ -489,7 +494,7 @@ def test_a_node_that_is_asked_to_end_stops_after_its_tick_and_its_log_can_be_rep
     capsys: pytest.CaptureFixture[str],
     tmp_path: Path,
 ) -> None:
-    """It is asked by a signal, or by the end of its input."""
+    """It is asked by a signal or the end of its input, and reports one tick. ``replay`` accepts its log."""
     arguments = [*options, "--log", f"{tmp_path}/run.log"]
     assert run_robot_3_until_it_is_asked_to_end(arguments, ending_signal) == exit_code
     assert "1 ticks as robot 3; stopped" in " ".join(capsys.readouterr().out.split())
@@ -500,7 +505,7 @@ def test_a_node_that_is_asked_to_end_stops_after_its_tick_and_its_log_can_be_rep
 def test_a_node_that_has_ended_says_how_to_run_it_again_and_has_restored_the_handlers_of_signals(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """It is asked to end by Ctrl-C, SIGINT."""
+    """It ends by SIGINT, and prints its command. Then signals have the handlers that they had before."""
     handlers = [signal.getsignal(number) for number in ENDING_SIGNALS]
     run_robot_3_until_it_is_asked_to_end(["--b-hat", "0.7"], signal.SIGINT)
 

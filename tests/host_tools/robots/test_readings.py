@@ -24,12 +24,12 @@ from mcp_asdf_tools.robots.readings import Readings, parse_readings
     ],
 )
 def test_readings_are_parsed_in_the_forms_that_common_programs_write(program: str, text: str) -> None:
-    """A row has the reading, and whether it was over a black tile."""
+    """Each text has a reading of 300 over a black tile, and one of 700.5 over a white tile."""
     assert parse_readings(text, "x.csv") == Readings([(300.0, True), (700.5, False)]), program
 
 
 def test_readings_of_minus_one_are_left_out_and_counted() -> None:
-    """They are what tile_sensor of docs/platforms/khepera.md prints if the sensor did not answer."""
+    """tile_sensor of docs/platforms/khepera.md prints -1 if the sensor did not answer."""
     readings = parse_readings("300,black\n-1,black\n-1.0,white\n700,white\n", "x.csv")
     assert readings.rows == [(300.0, True), (700.0, False)]
     assert readings.left_out == {"reading -1": 2}
@@ -37,14 +37,14 @@ def test_readings_of_minus_one_are_left_out_and_counted() -> None:
 
 @pytest.mark.parametrize("word", ["NA", "nan", "", "timeout"])
 def test_a_reading_that_is_a_word_in_place_of_a_number_is_left_out_and_counted(word: str) -> None:
-    """A program may write it where the sensor did not answer."""
+    """A program may write such a word if the sensor did not answer. It counts as "no number"."""
     readings = parse_readings(f"300,black\n{word},black\n", "x.csv")
     assert readings.rows == [(300.0, True)]
     assert readings.left_out == {"no number": 1}
 
 
 def test_comments_and_repeated_headers_are_left_out_and_counted() -> None:
-    """The first header is not counted: it belongs to the file."""
+    """A second header counts as "header". The first one is not counted."""
     lines = ["reading,colour", "# bright", "300,black", "reading,colour", "7,white"]
     readings = parse_readings("\n".join(lines), "x.csv")
     assert readings.rows == [(300.0, True), (7.0, False)]

@@ -32,7 +32,7 @@ ON_ONE_BUS, ON_OWN_BUSES = Wiring(one_bus), Wiring(own_bus, is_shared=False)
 
 
 def small_swarm(*faults: str, **changes: Any) -> SwarmSettings:
-    """Return settings of five robots and 60 ticks, three filter periods, in which these faults strike.
+    """Return settings of five robots and 60 ticks, three filter periods, with these faults.
 
     The first two robots are flawed: they assume a wrong accuracy of their sensor.
     """

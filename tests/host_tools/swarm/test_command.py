@@ -35,14 +35,14 @@ from support import ROOT, block_with, interruptible
 pytestmark = pytest.mark.usefixtures("private_setup")
 
 Capture = pytest.CaptureFixture[str]
-SMALL = ("--robots", "4", "--steps", "30", "--filter-period", "10")
+SMALL_OPTIONS = ("--robots", "4", "--steps", "30", "--filter-period", "10")
 SMALL_SETTINGS = SwarmSettings(robots=4, steps=30, filter_period=10)
-"""The swarm of these options."""
+"""The settings of the swarm that these options describe."""
 
 
 def run_swarm_command(*arguments: str | Path) -> int:
     """Run ``mcp-asdf swarm`` with a small swarm; return its exit code."""
-    return main(["swarm", *SMALL, *map(str, arguments)])
+    return main(["swarm", *SMALL_OPTIONS, *map(str, arguments)])
 
 
 def json_report(capsys: Capture, *arguments: str | Path) -> dict[str, Any]:
@@ -64,7 +64,7 @@ def test_the_json_report_of_a_swarm_has_its_parameters_and_its_bus(capsys: Captu
 
 
 def test_the_json_report_of_a_swarm_counts_the_delivered_estimates(capsys: Capture) -> None:
-    """The options of the small swarm are four robots and 30 steps; each estimate has three receivers."""
+    """Each of four robots sends an estimate in each of 30 steps, and the other three receive it."""
     report = json_report(capsys)
     steps, robots, receivers = 30, 4, 3
     assert report["results"]["frames"]["delivered"] == steps * robots * receivers
@@ -75,26 +75,26 @@ def test_the_file_beside_a_log_has_the_json_report(tmp_path: Path, capsys: Captu
     assert json.loads((tmp_path / "my.run.log.json").read_text()) == report
 
 
-def logged_frames_of_command(folder: Path) -> list[can.Message]:
-    """Return the frames in the log of a command whose bus has the channel "mine"."""
+def logged_frames_of_command(folder: Path, *, channel: str) -> list[can.Message]:
+    """Run the command on the bus of this channel, and return the frames in its log."""
     log = folder / "my.run.log"
-    assert run_swarm_command("--quiet", "--log", log, "--channel", "mine") == 0
+    assert run_swarm_command("--quiet", "--log", log, "--channel", channel) == 0
     with can.LogReader(log) as reader:
         return list(reader)
 
 
 def test_the_log_of_a_swarm_has_every_frame_with_its_channel(tmp_path: Path) -> None:
-    """The frames are compared with those that the same swarm sends without the command."""
+    """They are the frames that the same swarm sends without the command, in the same order."""
     _, sent_frames = run_and_record(SMALL_SETTINGS)
-    logged_frames = logged_frames_of_command(tmp_path)
+    logged_frames = logged_frames_of_command(tmp_path, channel="mine")
     assert identifiers_and_data(logged_frames) == identifiers_and_data(sent_frames)
     assert {frame.channel for frame in logged_frames} == {"mine"}
 
 
 def test_the_log_of_a_swarm_has_the_time_of_every_frame(tmp_path: Path) -> None:
-    """Times are compared in milliseconds since the first frame."""
+    """They are the times of the same swarm without the command, rounded to milliseconds."""
     _, sent_frames = run_and_record(SMALL_SETTINGS)
-    logged_frames = logged_frames_of_command(tmp_path)
+    logged_frames = logged_frames_of_command(tmp_path, channel="mine")
     start = logged_frames[0].timestamp
     logged_times = [round(frame.timestamp - start, 3) for frame in logged_frames]
     assert logged_times == [round(frame.timestamp, 3) for frame in sent_frames]
@@ -120,20 +120,20 @@ def test_the_same_command_writes_the_same_files_again(tmp_path: Path) -> None:
 def test_a_piped_output_has_lines_that_begin_with_step_robot_or_the_name_of_a_result(
     capsys: Capture,
 ) -> None:
-    """Lines with "step" and "robot" come while the run goes on, the results in the end."""
+    """Lines of "step" and "robot" come while the run goes on, and the results follow in the end."""
     assert run_swarm_command("--seed", "42") == 0
     *lines, _line_to_repeat_the_run = capsys.readouterr().out.splitlines()
     first_fields = [line.partition("\t")[0] for line in lines]
     start_of_results = first_fields.index("run")
 
     assert set(first_fields[:start_of_results]) <= {"step", "robot"}
-    assert first_fields[start_of_results:] == NAMES_WITHOUT_FAULTS
+    assert first_fields[start_of_results:] == USUAL_RESULT_NAMES
 
 
 def test_the_last_line_of_the_output_repeats_the_run(capsys: Capture) -> None:
     assert run_swarm_command("--seed", "42") == 0
     last_line = capsys.readouterr().out.splitlines()[-1]
-    assert last_line == f"again: mcp-asdf swarm {' '.join(SMALL)} --seed 42"
+    assert last_line == f"again: mcp-asdf swarm {' '.join(SMALL_OPTIONS)} --seed 42"
 
 
 def test_quiet_prints_one_line(capsys: Capture) -> None:
@@ -144,7 +144,7 @@ def test_quiet_prints_one_line(capsys: Capture) -> None:
     assert output.count("\n") == 1
 
 
-NAMES_WITHOUT_FAULTS = ["run", "estimate", "b_hat, flawed", "b_hat, other", "filter", "frames", "bus load"]
+USUAL_RESULT_NAMES = ["run", "estimate", "b_hat, flawed", "b_hat, other", "filter", "frames", "bus load"]
 """The names of the lines of a summary if nothing went wrong."""
 RESULTS_IN_REAL_TIME: dict[str, Any] = {
     "tests": None,
@@ -180,7 +180,7 @@ def interrupted_run_with_faults() -> SwarmRun:
 
 
 def test_a_summary_has_faults_conflicts_the_clock_and_robots_in_trouble() -> None:
-    """The results of the run are completed by those that only a swarm in real time has."""
+    """The summary of an interrupted run with faults is SUMMARY. Results of real time are added to the run."""
     run = interrupted_run_with_faults()
     run.results |= RESULTS_IN_REAL_TIME
     lines = ["\t".join(row) for row in summary(run, bus="vcan0", seconds=1.26)]
@@ -188,12 +188,13 @@ def test_a_summary_has_faults_conflicts_the_clock_and_robots_in_trouble() -> Non
 
 
 def test_the_summary_in_one_line_says_that_the_run_was_interrupted() -> None:
-    """The run is of three robots with seed 11."""
+    """The last word of the line is "interrupted". The run has three robots and seed 11."""
     line = one_line(interrupted_run_with_faults())
     assert line == "seed 11: 3 robots, ASDF+, 60 steps, mean error 0.04922, spread 0.05334; interrupted"
 
 
 def test_a_summary_says_what_failed() -> None:
+    """The line "run" ends with the tick and the error."""
     run, _ = run_and_record(small_swarm(robots=3))
     run.failure = "tick 41: bus off"
     text_by_name = dict(summary(run, bus="vcan0", seconds=1.26))
@@ -203,11 +204,14 @@ def test_a_summary_says_what_failed() -> None:
 def test_a_summary_of_a_run_without_faults_has_no_lines_about_faults() -> None:
     run, _ = run_and_record(small_swarm(robots=3))
     names = [name for name, _text in summary(run, bus="vcan0", seconds=1.26)]
-    assert names == NAMES_WITHOUT_FAULTS
+    assert names == USUAL_RESULT_NAMES
 
 
 def test_a_summary_is_a_table_with_bold_names() -> None:
-    """It is shown on a terminal of 31 columns, by whose escape sequences bold text begins and ends."""
+    """On a terminal of 31 columns a long text goes on in the next line, behind an empty name.
+
+    Escape sequences of the terminal begin and end bold text.
+    """
     output = StringIO()
     console = Console(width=31, file=output, force_terminal=True, color_system="standard", _environ={})
     console.print(summary_table([("node-id conflict", "another node [b]")]))
@@ -230,6 +234,7 @@ def test_swarm_has_an_option_for_every_parameter(capsys: Capture) -> None:
 
 
 def test_the_json_report_has_the_parameters_that_options_set(capsys: Capture) -> None:
+    """None of the three options has its default value."""
     report = json_report(capsys, "--latency", "1", "--flawed-accuracy", "0.5", "--activation=always")
     assert report["parameters"]["latency"] == 1
     assert report["parameters"]["flawed_accuracy"] == 0.5
@@ -245,7 +250,7 @@ def test_the_json_report_has_the_format_of_frames_that_options_set(capsys: Captu
 def test_the_address_of_the_slcan_adapter_is_printed_as_an_error_output_not_in_the_json(
     capsys: Capture,
 ) -> None:
-    """With --slcan 0 the bus can be joined by a serial protocol, at a free port that the system chooses."""
+    """With --slcan 0 other programs can join the bus at a free port. The report has the port's number."""
     assert run_swarm_command("--slcan", "0", "--json") == 0
     output, errors = capsys.readouterr()
     port = json.loads(output)["bus"]["slcan"]
@@ -255,14 +260,14 @@ def test_the_address_of_the_slcan_adapter_is_printed_as_an_error_output_not_in_t
 
 
 def test_swarm_warns_of_a_bus_that_would_be_busy(capsys: Capture) -> None:
-    """Ten robots send 3000 estimates a second, each a frame of some 150 bits: 450 kbit/s."""
+    """The error output has it. Ten robots send 3000 frames a second of some 150 bits: 450 kbit/s."""
     assert run_swarm_command("--robots", "10", "--steps-per-second", "300") == 0
     warning = "a real bus at 500 kbit/s or less would be busy for more than 70% of the time"
     assert warning in capsys.readouterr().err
 
 
 def test_swarm_does_not_warn_of_a_bus_with_room(capsys: Capture) -> None:
-    """Ten robots send 300 estimates a second, each a frame of some 150 bits: 45 kbit/s."""
+    """Ten robots send 300 frames a second of some 150 bits: 45 kbit/s."""
     assert run_swarm_command("--robots", "10", "--steps-per-second", "30") == 0
     assert "would be busy" not in capsys.readouterr().err
 
@@ -320,7 +325,7 @@ def test_swarm_refuses_wrong_options_and_writes_nothing(
 def test_swarm_refuses_a_file_that_it_cannot_write_before_the_first_tick(
     name: str, capsys: Capture, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    """In the place of the log or of a file that belongs to it there is a folder."""
+    """A folder has the name of the log or of a file beside it. The error names it, and no tick is run."""
     tick = Mock()
     monkeypatch.setattr(Swarm, "tick", tick)
     obstacle = tmp_path / name
@@ -358,7 +363,10 @@ def signal_in_tick_7(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_signal_ends_the_run_after_a_whole_tick_and_saves_log_and_results(
     capsys: Capture, tmp_path: Path
 ) -> None:
-    """SIGTERM comes during the seventh tick of 30, of a swarm of four robots."""
+    """SIGTERM comes in the seventh of 30 ticks. The log has the frames of all seven.
+
+    The exit code is 128 plus the number of the signal, as in a shell.
+    """
     log = tmp_path / "run.log"
     assert run_swarm_command("--json", "--log", log) == 128 + signal.SIGTERM
     report = json.loads(capsys.readouterr().out)
@@ -385,9 +393,10 @@ def bus_that_fails_after_tick_8(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_failing_bus_gives_exit_code_1_and_saves_the_frames_until_then(
     capsys: Capture, tmp_path: Path
 ) -> None:
-    """The bus raises an error in tick 9, so there are the frames of eight ticks in the log."""
+    """The fixture makes the bus fail in tick 9. The error names the tick, and the log has eight ticks."""
     log = tmp_path / "run.log"
-    assert run_swarm_command("--bus-kwargs", "preserve_timestamps=True", "--log", log) == 1
+    keep_times = ("--bus-kwargs", "preserve_timestamps=True")  # by which the fixture knows tick 9
+    assert run_swarm_command(*keep_times, "--log", log) == 1
     assert "failed in tick 9: bus off" in capsys.readouterr().err
     assert len(log.read_text().splitlines()) == frames_of_small_swarm(ticks=8)
 
@@ -395,7 +404,7 @@ def test_a_failing_bus_gives_exit_code_1_and_saves_the_frames_until_then(
 def test_a_bus_that_takes_no_more_frames_fails_after_a_time_limit(
     capsys: Capture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Nobody reads two frames from the queue of the bus, which is full then."""
+    """The queue of the bus holds two frames, and nobody reads them. The error names the first tick."""
     monkeypatch.setattr(carrier, "FRAME_TIMEOUT", 0.05)
     assert run_swarm_command("--bus-kwargs", "rx_queue_size=2") == 1
     assert "failed in tick 1: Could not send" in capsys.readouterr().err
@@ -417,7 +426,7 @@ def folder_in_place_of_results(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) 
 def test_summary_and_log_are_there_even_if_the_file_of_results_cannot_be_written(
     folder_in_place_of_results: Path, capsys: Capture, tmp_path: Path
 ) -> None:
-    """A folder with the name of that file has appeared while the swarm ran."""
+    """A folder with the name of that file appears while the swarm runs. The exit code is 2."""
     assert run_swarm_command("--quiet", "--log", tmp_path / "run.log") == 2
     output, errors = capsys.readouterr()
 
@@ -431,12 +440,12 @@ def test_summary_and_log_are_there_even_if_the_file_of_results_cannot_be_written
 
 # --- The same swarm with other filters -------------------------------------------------------------------
 
-COMPARED = ["swarm", "--robots", "8", "--steps", "300", "--filter-period", "50", "--flawed", "50%"]
+COMPARED_SWARM = ["swarm", "--robots", "8", "--steps", "300", "--filter-period", "50", "--flawed", "50%"]
 
 
 def results_of_filter(capsys: Capture, filter_name: str) -> dict[str, Any]:
-    """Run the swarm of ``COMPARED`` with a filter alone, and return its results."""
-    assert main([*COMPARED, "--filter", filter_name, "--json"]) == 0
+    """Run the swarm of ``COMPARED_SWARM`` with a filter alone, and return its results."""
+    assert main([*COMPARED_SWARM, "--filter", filter_name, "--json"]) == 0
     results: dict[str, Any] = json.loads(capsys.readouterr().out)["results"]
     return results
 
@@ -446,8 +455,8 @@ def results_of_filter(capsys: Capture, filter_name: str) -> dict[str, Any]:
 def test_compared_results_are_those_of_the_same_swarm_with_each_filter_alone(
     filter_name: str, capsys: Capture
 ) -> None:
-    """The filter that is chosen is in the results, the others are among the compared ones."""
-    assert main([*COMPARED, "--filter", filter_name, "--compare", "--json"]) == 0
+    """The report has the chosen filter under "results", and the others under "compared"."""
+    assert main([*COMPARED_SWARM, "--filter", filter_name, "--compare", "--json"]) == 0
     report = json.loads(capsys.readouterr().out)
     results_by_filter = report["compared"] | {filter_name: report["results"]}
     assert results_by_filter.keys() == {"none", "asdf-minus", "robust", filter_name}
@@ -468,13 +477,13 @@ RESULTS_BY_FILTER = {
 
 
 def test_a_comparison_has_the_mean_error_of_the_swarm_with_each_filter() -> None:
-    """They are 0.0251, 0.0459 and 0.153, and are rounded."""
+    """The errors 0.0251, 0.0459 and 0.153 are rounded to three decimal places."""
     sentences = comparison(RESULTS_BY_FILTER, SMALL_SETTINGS)
     assert sentences.startswith("Mean error on the same seed: no filter 0.025, ASDF+ 0.046, robust 0.153. ")
 
 
 def test_a_comparison_has_the_accuracy_that_flawed_robots_assume_in_the_end_with_each_filter() -> None:
-    """The true accuracy of sensors is 0.95; without a filter the assumed one never changes."""
+    """The second sentence has them, but not that of "none": without a filter it stays 0.55."""
     sentences = comparison(RESULTS_BY_FILTER, SMALL_SETTINGS)
     expected = (
         "The flawed robots first assumed an accuracy of 0.55 (true: 0.95), now: ASDF+ 0.80, robust 0.64."
@@ -483,8 +492,8 @@ def test_a_comparison_has_the_accuracy_that_flawed_robots_assume_in_the_end_with
 
 
 def test_the_last_line_of_a_comparison_is_that_of_its_results(capsys: Capture) -> None:
-    """The command compares the chosen filter with none, ASDF-minus and the robust one."""
-    options = [*COMPARED, "--steps", "100", "--filter", "asdf-plus", "--compare"]
+    """The sentences are made from the report of the same command in JSON, which has four filters."""
+    options = [*COMPARED_SWARM, "--steps", "100", "--filter", "asdf-plus", "--compare"]
     assert main([*options, "--json"]) == 0
     report = json.loads(capsys.readouterr().out)
     assert main([*options, "--quiet"]) == 0
@@ -498,14 +507,14 @@ def test_the_last_line_of_a_comparison_is_that_of_its_results(capsys: Capture) -
 def test_the_log_of_a_comparison_is_that_of_the_chosen_filter(tmp_path: Path) -> None:
     """It is the same log as that of a run with this filter and without a comparison."""
     options = ["--filter", "asdf-plus", "--steps", "100", "--quiet", "--log"]
-    assert main([*COMPARED, *options, str(tmp_path / "alone.log")]) == 0
-    assert main([*COMPARED, "--compare", *options, str(tmp_path / "compared.log")]) == 0
+    assert main([*COMPARED_SWARM, *options, str(tmp_path / "alone.log")]) == 0
+    assert main([*COMPARED_SWARM, "--compare", *options, str(tmp_path / "compared.log")]) == 0
     assert (tmp_path / "compared.log").read_bytes() == (tmp_path / "alone.log").read_bytes()
 
 
 def test_a_comparison_without_flawed_robots_says_nothing_of_them(capsys: Capture) -> None:
     """Without them there is no filter for flawed robots alone, ASDF-minus, to compare with, either."""
-    without_flawed = [*COMPARED, "--omega", "0.1", "--flawed", "0", "--steps", "20", "--compare"]
+    without_flawed = [*COMPARED_SWARM, "--omega", "0.1", "--flawed", "0", "--steps", "20", "--compare"]
     assert main([*without_flawed, "--quiet"]) == 0
     assert "flawed" not in capsys.readouterr().out.splitlines()[-1]
     assert main([*without_flawed, "--json"]) == 0
@@ -516,7 +525,7 @@ NEEDS_NO_FILTER = "This swarm needs no filter"
 
 
 def test_a_comparison_says_that_a_connected_swarm_with_underconfident_robots_needs_no_filter() -> None:
-    """By default all robots receive from all others, and flawed ones assume 0.55, less than the true 0.95."""
+    """By default all robots receive from all, and flawed ones assume 0.55, less than the true 0.95."""
     assert NEEDS_NO_FILTER in comparison(RESULTS_BY_FILTER, SwarmSettings())
 
 
@@ -528,7 +537,7 @@ def test_a_comparison_says_that_a_connected_swarm_with_underconfident_robots_nee
 def test_a_comparison_of_robots_that_move_or_are_overconfident_does_not_say_that_they_need_no_filter(
     settings: SwarmSettings,
 ) -> None:
-    """docs/advice.md says why they cannot do without."""
+    """Such robots do need one, as docs/advice.md explains."""
     assert NEEDS_NO_FILTER not in comparison(RESULTS_BY_FILTER, settings)
 
 
@@ -536,12 +545,13 @@ def final_error(filter_name: str) -> float:
     """Return the mean error of all robots at the end of the README's first swarm with a filter."""
     experiment = Experiment(topology="dynamic", filter="asdf-minus", flawed="50%", trials=1)
     # A swarm is trial 0 of the experiment with the same parameters, which the engine runs faster.
-    x = native.run(replace(experiment, filter=filter_name), 0, 1).x[0, :, -1] / 2**23
-    return float(np.abs(x - experiment.fill_ratio).mean())
+    trials = native.run(replace(experiment, filter=filter_name), first=0, trials=1)
+    final_x = trials.x[0, :, -1] / 2**23  # from (trials, robots, steps), in units of 2**-23
+    return float(np.abs(final_x - experiment.fill_ratio).mean())
 
 
 def test_the_errors_that_the_readme_shows_are_those_of_its_first_command() -> None:
-    """They are computed anew by the engine of experiments, which is faster than the command."""
+    """The README has them rounded to three places. They are computed anew by the engine of experiments."""
     readme = " ".join((ROOT / "README.md").read_text(encoding="utf-8").split())
     line = (
         f"no filter {final_error('none'):.3f}, ASDF- {final_error('asdf-minus'):.3f}, "
@@ -552,7 +562,7 @@ def test_the_errors_that_the_readme_shows_are_those_of_its_first_command() -> No
 
 @pytest.mark.slow
 def test_the_first_command_of_the_readme_ends_as_it_shows(capsys: Capture) -> None:
-    """The command, ``make swarm``, runs a swarm whose options are in the Makefile."""
+    """It is ``make swarm``. Its options are read from the Makefile, and its last line is compared."""
     makefile = (ROOT / "Makefile").read_text()
     swarm_command = re.search(r"^\t@\$\(BIN\)/mcp-asdf (swarm .*)$", makefile, re.MULTILINE)
     assert swarm_command is not None

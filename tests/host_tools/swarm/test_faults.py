@@ -74,7 +74,7 @@ def test_a_fault_has_the_options_of_its_text() -> None:
 
 
 def test_a_fault_without_a_rate_hits_every_time() -> None:
-    """A rate is the probability with which a fault hits."""
+    """Its rate, the probability with which it hits, is 1."""
     assert parse_fault("loss") == Loss(rate=1.0)
 
 
@@ -85,7 +85,7 @@ def test_the_text_of_a_fault_may_have_spaces_after_commas() -> None:
 
 
 def test_the_text_of_a_fault_has_its_rate_and_the_options_that_are_not_the_default() -> None:
-    """A Sybil fault sends estimates under made-up ids, here 30 and 31."""
+    """The fault sends estimates under made-up ids, here 30 and 31. Its alpha is the default."""
     fault = Sybil(rate=0.1, start=5, robots=frozenset({4}), x=0.0, ids=frozenset({30, 31}))
     assert str(fault) == "sybil=0.1,from=5,robots=4,x=0.0,ids=30-31"
 
@@ -195,7 +195,11 @@ class Reference:
         self.last_regular: dict[tuple[int, int], Estimate] = {}
 
     def random_word(self, fault_index: int, word_index: int, *key: int) -> int:
-        """Return 64 random bits of a fault: a word of the SHAKE-128 hash of seed, fault and key."""
+        """Return 64 random bits of a fault: a word of the SHAKE-128 hash of seed, fault and key.
+
+        The key is tick, repetition, identifier, sender or node, copy number, purpose and 0. The purpose is 0
+        for a node, 2 for a frame, and 3 for its receivers.
+        """
         name = f"{self.faults[fault_index].name} {self.fault_numbers[fault_index]}".encode()
         hashed = self.seed.to_bytes(16, "little") + name + struct.pack("<IIIBBBB", *key)
         first_byte = 8 * word_index
@@ -245,7 +249,7 @@ class Reference:
                 frames = [(FORMAT.identifier(node), word.to_bytes(8, "little")) for word in words]
             else:
                 assert isinstance(fault, Sybil) and fault.ids is not None
-                data = estimate_data(fault.x, fault.alpha, 224 + tick)
+                data = estimate_data(fault.x, fault.alpha, tail_byte=0xE0 | tick)  # E0: a single frame
                 frames = [(FORMAT.identifier(robot), data) for robot in range(128) if robot in fault.ids]
             all_frames += frames
             self.hit_counts[index] += len(frames)
@@ -257,14 +261,15 @@ class Reference:
         ``repetition`` is the number of frames with this identifier that the node has sent in the tick before.
         """
         for index, fault in enumerate(self.faults):
-            word = self.random_word(index, 0, tick, repetition, frame[0], node, 0, 2, 0)
+            identifier, data = frame
+            word = self.random_word(index, 0, tick, repetition, identifier, node, 0, 2, 0)
             is_hit = self.is_hit(index, tick, node, word)
-            estimate = decode_estimate(can.Message(arbitration_id=frame[0], data=frame[1]), FORMAT)
+            estimate = decode_estimate(can.Message(arbitration_id=identifier, data=data), FORMAT)
             if isinstance(fault, Collide) and is_hit:
                 assert fault.id is not None
-                frame = (frame[0] // 128 * 128 + fault.id, frame[1])
+                frame = (identifier // 128 * 128 + fault.id, data)  # the lowest 7 bits are the sender
             elif isinstance(fault, Liar) and is_hit and isinstance(estimate, Estimate):
-                frame = (frame[0], estimate_data(fault.x, fault.alpha, frame[1][7]))
+                frame = (identifier, estimate_data(fault.x, fault.alpha, tail_byte=data[7]))
             elif isinstance(fault, Freeze) and isinstance(estimate, Estimate):
                 last_regular = self.last_regular.get((index, node))
                 if is_hit and last_regular is not None:
@@ -420,7 +425,7 @@ def test_faults_disturb_frames_as_a_plain_program_of_the_same_rules_does(
 
 
 def test_a_swarm_with_faults_of_all_kinds_shows_each_of_them() -> None:
-    """It is an example of those that are compared with the plain program; each fault hits some frame."""
+    """No fault has a hit count of 0 in the swarm of all kinds that is compared with the plain program."""
     swarms = TwoDisturbedSwarms([parse_fault(text) for text in ALL_KINDS], seed=7, has_latency=False)
     for _ in range(TICKS):
         swarms.send()
@@ -541,11 +546,11 @@ def send_estimate(texts: Sequence[str], x_hat: int = 5) -> SentFrame | None:
     """Return what faults make of an estimate of robot 3 with alpha 0; None if it stays off the bus."""
     faults = Faults([parse_fault(text) for text in texts], seed=1, frame_format=FORMAT)
     faults.begin_tick(0, range(ROBOTS))
-    return faults.on_send(encode_estimate(Estimate(3, x_hat, 0, 0), FORMAT), 3)
+    return faults.on_send(encode_estimate(Estimate(3, x_hat, alpha=0, transfer_id=0), FORMAT), sender=3)
 
 
 def test_a_false_estimate_is_marked_as_falsified() -> None:
-    """The fault makes robot 3 lie about its estimate, but under its own id."""
+    """Robot 3 lies about its estimate. The frame is marked as falsified, and is under its own id."""
     sent_frame = send_estimate(["liar"])
     assert sent_frame is not None
     assert sent_frame.is_falsified
@@ -553,26 +558,26 @@ def test_a_false_estimate_is_marked_as_falsified() -> None:
 
 
 def test_a_lie_that_happens_to_be_the_truth_is_not_marked_as_falsified() -> None:
-    """The estimate is x = 0 with a confidence alpha of 0, and the fault makes the robot say just that."""
+    """The estimate is x = 0 with a confidence alpha of 0, and the fault makes the robot send just that."""
     sent_frame = send_estimate(["liar,x=0,alpha=0"], x_hat=0)
     assert sent_frame is not None
     assert not sent_frame.is_falsified
 
 
 def test_a_frame_under_the_id_of_another_robot_is_marked_as_such() -> None:
-    """The fault makes robot 3 send as robot 2."""
+    """The fault makes robot 3 send as robot 2, so the frame is not under its own id."""
     sent_frame = send_estimate(["collide,id=2"])
     assert sent_frame is not None
     assert not sent_frame.is_under_own_id
 
 
 def test_a_robot_whose_bus_is_off_sends_nothing() -> None:
-    """The bus controller of a robot switches itself off after many errors."""
+    """None stands for a frame that has not got onto the bus."""
     assert send_estimate(["busoff"]) is None
 
 
 def test_a_robot_whose_bus_is_off_goes_on_observing() -> None:
-    """None says that the robot itself has no outage, as it would after a crash."""
+    """The robot is off the bus, but has no outage of its own, as it would have after a crash."""
     faults = Faults([BusOff()], seed=1, frame_format=FORMAT)
     faults.begin_tick(0, [3])
     assert faults.is_off_bus(3)

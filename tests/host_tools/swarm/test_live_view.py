@@ -24,7 +24,7 @@ from mcp_asdf_tools.swarm.run import Baselines, mean_error, run_swarm
 from mcp_asdf_tools.swarm.settings import SwarmSettings
 from mcp_asdf_tools.swarm.swarm import Swarm
 
-MOVING = SwarmSettings(
+MOVING_SWARM = SwarmSettings(
     robots=8, flawed="50%", steps=400, filter="asdf-minus", filter_period=50, topology="dynamic", density=4
 )
 
@@ -51,7 +51,7 @@ def view_run(steps: int, compare: bool, **console_options: Any) -> ViewedRun:
 
     If ``compare``, the same swarm without a filter and with the robust one run with it, as baselines.
     """
-    settings = replace(MOVING, steps=steps)
+    settings = replace(MOVING_SWARM, steps=steps)
     baselines = Baselines(settings) if compare else None
     console_file = io.StringIO()
     console = Console(file=console_file, **console_options)
@@ -83,7 +83,7 @@ def lines_that_begin_with(word: str, output: str) -> list[str]:
 
 def test_a_pipe_gets_the_mean_error_of_the_swarm_twenty_times_in_a_run() -> None:
     """A run of 100 steps has a line after step 5, 10, 15 and so on to 100."""
-    viewed_run = view_run(100, compare=False)
+    viewed_run = view_run(steps=100, compare=False)
     expected_lines = []
     for step in range(5, 101, 5):
         expected_lines.append(f"step\t{step}\tmean_error\t{viewed_run.mean_errors[step]:.5f}")
@@ -93,14 +93,14 @@ def test_a_pipe_gets_the_mean_error_of_the_swarm_twenty_times_in_a_run() -> None
 
 def test_a_pipe_gets_no_mean_error_at_the_end_of_an_incomplete_twentieth() -> None:
     """A twentieth of 98 steps is rounded up to 5 steps, so the last line is that of step 95."""
-    viewed_run = view_run(98, compare=False)
+    viewed_run = view_run(steps=98, compare=False)
     last_line = lines_that_begin_with("step", viewed_run.output)[-1]
     assert last_line.startswith("step\t95\t")
 
 
 def test_a_pipe_gets_the_mean_errors_of_baselines_behind_that_of_the_swarm() -> None:
     """Baselines are the same swarm without a filter and with the robust one."""
-    viewed_run = view_run(20, compare=True)
+    viewed_run = view_run(steps=20, compare=True)
     swarm_error = viewed_run.mean_errors[20]
     error_without_filter, error_with_robust_filter = viewed_run.mean_errors_of_baselines
 
@@ -112,7 +112,7 @@ def test_a_pipe_gets_the_mean_errors_of_baselines_behind_that_of_the_swarm() -> 
 
 def test_a_pipe_gets_each_change_of_b_hat_that_is_more_than_a_correction() -> None:
     """b_hat is the accuracy that a robot assumes of its sensor; changes up to 0.002 are corrections."""
-    viewed_run = view_run(390, compare=False)
+    viewed_run = view_run(steps=390, compare=False)
     expected_lines = []
     for step, (b_hat_before, b_hat_after) in enumerate(itertools.pairwise(viewed_run.b_hat), start=1):
         for robot, (before, after) in enumerate(zip(b_hat_before, b_hat_after, strict=True)):
@@ -137,7 +137,7 @@ TERMINAL: dict[str, Any] = {"force_terminal": True, "color_system": None}
 
 def test_a_terminal_gets_a_progress_bar_from_the_first_step_to_the_last() -> None:
     """It is drawn over itself again and again; a full bar has ten marks."""
-    viewed_run = view_run(200, compare=False, width=80, **TERMINAL)
+    viewed_run = view_run(steps=200, compare=False, width=80, **TERMINAL)
     first_picture, *_, last_picture = pictures(viewed_run.output)
     assert first_picture.startswith("1/200 ")
     assert last_picture.startswith("200/200 ")
@@ -145,14 +145,14 @@ def test_a_terminal_gets_a_progress_bar_from_the_first_step_to_the_last() -> Non
 
 
 def test_a_progress_bar_is_not_drawn_anew_in_each_of_200_steps() -> None:
-    """It is drawn at most some times a second."""
-    viewed_run = view_run(200, compare=False, width=80, **TERMINAL)
+    """It is drawn at most four times a second, so there are fewer than 200 pictures."""
+    viewed_run = view_run(steps=200, compare=False, width=80, **TERMINAL)
     assert len(pictures(viewed_run.output)) < 200
 
 
 def test_the_progress_bar_of_a_swarm_without_baselines_ends_with_its_mean_error_alone() -> None:
     """Baselines, the same swarm with other filters, would follow, as in "no filter 0.0300"."""
-    viewed_run = view_run(20, compare=False, width=80, **TERMINAL)
+    viewed_run = view_run(steps=20, compare=False, width=80, **TERMINAL)
     last_picture = pictures(viewed_run.output)[-1]
     assert f"mean error {viewed_run.mean_errors[20]:.4f}" in last_picture
     assert "no filter" not in viewed_run.output
@@ -160,7 +160,7 @@ def test_the_progress_bar_of_a_swarm_without_baselines_ends_with_its_mean_error_
 
 def test_the_progress_bar_of_a_swarm_with_baselines_ends_with_the_mean_error_of_each() -> None:
     """Baselines are the same swarm without a filter and with the robust one."""
-    viewed_run = view_run(20, compare=True, width=200, **TERMINAL)
+    viewed_run = view_run(steps=20, compare=True, width=200, **TERMINAL)
     error_without_filter, error_with_robust_filter = viewed_run.mean_errors_of_baselines
     last_picture = pictures(viewed_run.output)[-1]
 
@@ -172,7 +172,7 @@ def test_the_progress_bar_of_a_swarm_with_baselines_ends_with_the_mean_error_of_
 
 def test_a_progress_bar_on_a_narrow_terminal_is_cut_off_behind_the_mean_error_of_the_swarm() -> None:
     """The errors of the baselines, the same swarm with other filters, have no room in 60 columns."""
-    viewed_run = view_run(20, compare=True, width=60, **TERMINAL)
+    viewed_run = view_run(steps=20, compare=True, width=60, **TERMINAL)
     drawn = pictures(viewed_run.output)
     assert max(cell_len(picture) for picture in drawn) <= 60
     assert f"mean error {viewed_run.mean_errors[20]:.4f}" in drawn[-1]
@@ -181,26 +181,26 @@ def test_a_progress_bar_on_a_narrow_terminal_is_cut_off_behind_the_mean_error_of
 @pytest.mark.parametrize("is_terminal", [False, True])
 def test_a_quiet_console_stays_empty(is_terminal: bool) -> None:
     """Neither a pipe nor a terminal gets anything of a run with baselines."""
-    viewed_run = view_run(20, compare=True, quiet=True, force_terminal=is_terminal)
+    viewed_run = view_run(steps=20, compare=True, quiet=True, force_terminal=is_terminal)
     assert viewed_run.output == ""
 
 
 def test_the_baselines_of_a_swarm_with_asdf_minus_have_no_filter_and_the_robust_one() -> None:
-    """Baselines are the same swarm with other filters, which run with it for comparison."""
-    assert list(Baselines(MOVING).swarms) == ["none", "robust"]
+    """Baselines are the same swarm with other filters. They are listed by the names of their filters."""
+    assert list(Baselines(MOVING_SWARM).swarms) == ["none", "robust"]
 
 
 def test_the_baselines_of_a_swarm_in_real_time_have_no_clock() -> None:
-    """They go on whenever the swarm does."""
-    baselines = Baselines(replace(MOVING, clock="real-time"))
+    """A baseline takes a tick whenever the swarm has taken one, so it needs no clock."""
+    baselines = Baselines(replace(MOVING_SWARM, clock="real-time"))
     assert [swarm.clock for swarm in baselines.swarms.values()] == [None, None]
 
 
 def test_baselines_measure_the_seconds_that_they_take_of_a_run(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The clock goes on by 10 s from one reading to the next, and each of 5 ticks is between two."""
+    """Each of 5 ticks takes 10 s: the clock is read before and after it, and goes on by 10 s a reading."""
     clock_readings = itertools.count(start=1000.0, step=10.0)
     monkeypatch.setattr(run_module, "time", SimpleNamespace(monotonic=lambda: next(clock_readings)))
-    settings = replace(MOVING, steps=5)
+    settings = replace(MOVING_SWARM, steps=5)
     baselines = Baselines(settings)
     assert baselines.seconds == 0
     with Swarm(settings, Wiring()) as swarm:

@@ -25,7 +25,7 @@ from host_tools.swarm.swarms import (
     saved_robots,
     small_swarm,
 )
-from host_tools.swarm.test_swarm_faults import MIX
+from host_tools.swarm.test_swarm_faults import MIXED_FAULTS
 from mcp_asdf_tools.bus.frames import Estimate, FrameFormat, decode_estimate
 from mcp_asdf_tools.cli import swarm
 from mcp_asdf_tools.cli.main import main
@@ -44,8 +44,8 @@ from wire import record as robot_record
 pytestmark = pytest.mark.usefixtures("no_bus_is_left")
 
 UDP_PORT = 10_030 + os.getpid() % 500 * 40
-"""And some more: of this process, for tests in others run at the same time."""
-FAULTS = tuple(fault for fault in MIX if not fault.startswith("crash"))
+"""The first of the ports of this process. Tests that run in other processes at the same time have others."""
+FAULTS = tuple(fault for fault in MIXED_FAULTS if not fault.startswith("crash"))
 
 
 class OrderlyBus(virtual.VirtualBus):
@@ -63,7 +63,7 @@ ONE_BUS = Wiring(
 )
 
 
-def bus_for_each(*remote_robots: int) -> Wiring:
+def wiring_with_remote_robots(*remote_robots: int) -> Wiring:
     """Return a wiring in which each robot has its own bus, and these robots are remote."""
     return Wiring(own_bus, is_shared=False, remote=frozenset(remote_robots))
 
@@ -130,16 +130,16 @@ def compare_runs(settings: SwarmSettings, wiring: Wiring) -> Comparison:
 
 
 FAULTS_AND_CRASHES = (*FAULTS, "crash=0.05,ticks=4,robots=0+2-3")
-LOSSLESS: dict[str, tuple[Wiring, int, str]] = {
+SWARMS_WITHOUT_FAULTS: dict[str, tuple[Wiring, int, str]] = {
     "one bus": (ONE_BUS, 4, "asdf-plus"),
     "one bus, robust": (ONE_BUS, 1, "robust"),
-    "all remote": (bus_for_each(*range(4)), 1, "asdf-plus"),
-    "one remote": (bus_for_each(1), 4, "robust"),
+    "all remote": (wiring_with_remote_robots(*range(4)), 1, "asdf-plus"),
+    "one remote": (wiring_with_remote_robots(1), 4, "robust"),
 }
 """Wirings of four robots, with their comms_period and their filter."""
 
 
-@pytest.fixture(scope="module", params=list(LOSSLESS.values()), ids=list(LOSSLESS))
+@pytest.fixture(scope="module", params=list(SWARMS_WITHOUT_FAULTS.values()), ids=list(SWARMS_WITHOUT_FAULTS))
 def comparison(request: pytest.FixtureRequest) -> Comparison:
     """Runs of four robots, one or all remote, and of the same robots in this process, without faults."""
     wiring, comms_period, swarm_filter = request.param
@@ -147,7 +147,7 @@ def comparison(request: pytest.FixtureRequest) -> Comparison:
 
 
 def test_robots_in_other_programs_end_in_the_same_bits_as_robots_in_this_one(comparison: Comparison) -> None:
-    """A remote robot knows nothing but its bus; compared is all that its firmware holds in the end."""
+    """The saved state, which is all that a firmware holds, is the same in the end."""
     assert comparison.saved_remote_robots == comparison.saved_local_robots
 
 
@@ -157,7 +157,7 @@ def estimates_among(frames: list[can.Message]) -> list[can.Message]:
 
 
 def test_remote_robots_broadcast_the_same_estimates_as_robots_in_this_process(comparison: Comparison) -> None:
-    """Only their order may differ, as any robot may be the first in a tick; so both are sorted."""
+    """Their order may differ, as any robot may be the first in a tick. So both lists are sorted."""
     estimates_with_remote_robots = estimates_among(comparison.remote_frames)
     estimates_of_local_robots = estimates_among(comparison.local_frames)
 
@@ -169,7 +169,7 @@ def test_remote_robots_broadcast_the_same_estimates_as_robots_in_this_process(co
 def test_the_frames_of_remote_robots_are_counted_like_those_of_robots_in_this_process(
     comparison: Comparison,
 ) -> None:
-    """Two runs of the same swarm are compared, one with remote robots and one without."""
+    """Estimates sent and delivered, and heartbeats, are counted as in the run without remote robots."""
     counts = comparison.remote_run.results["frames"]
     local_counts = comparison.local_run.results["frames"]
     for name in ("sent", "heartbeats_sent", "delivered"):
@@ -179,12 +179,15 @@ def test_the_frames_of_remote_robots_are_counted_like_those_of_robots_in_this_pr
 def test_how_often_filters_of_remote_robots_made_their_test_is_reported_as_unknown(
     comparison: Comparison,
 ) -> None:
-    """It stands in no frame."""
+    """The result is None, as no frame of a robot has this number."""
     assert comparison.remote_run.results["tests"] is None
 
 
 def test_what_is_reported_of_a_remote_robot_comes_from_its_telemetry(comparison: Comparison) -> None:
-    """Telemetry has observations t, estimate x and updates as they are, but b_hat in units of 2**-24."""
+    """x and the number of updates are exact, and b_hat is rounded down to units of 2**-24.
+
+    The number of observations, t, is counted here.
+    """
     for robot_id in comparison.remote_nodes:
         reported_robot = comparison.remote_run.nodes[robot_id].robot
         local_robot = comparison.local_run.nodes[robot_id].robot
@@ -198,15 +201,15 @@ def test_what_is_reported_of_a_remote_robot_comes_from_its_telemetry(comparison:
 @pytest.mark.parametrize(
     ("wiring", "faults", "comms_period", "swarm_filter"),
     [
-        (bus_for_each(*range(4)), FAULTS, 4, "robust"),
-        (bus_for_each(1), FAULTS_AND_CRASHES, 1, "asdf-plus"),
+        (wiring_with_remote_robots(*range(4)), FAULTS, 4, "robust"),
+        (wiring_with_remote_robots(1), FAULTS_AND_CRASHES, 1, "asdf-plus"),
     ],
     ids=["all remote", "one remote, others crash"],
 )
 def test_remote_robots_end_in_the_same_state_among_faults(
     wiring: Wiring, faults: tuple[str, ...], comms_period: int, swarm_filter: str
 ) -> None:
-    """Frames are lost, damaged and late, and robots lie, or fall silent for some ticks."""
+    """The saved states and the known estimates equal those of the run without remote robots."""
     settings = small_swarm(*faults, robots=4, comms_period=comms_period, filter=swarm_filter)
     comparison = compare_runs(settings, wiring)
     x_with_remote_robots = [node.robot.x for node in comparison.remote_run.nodes]
@@ -216,16 +219,16 @@ def test_remote_robots_end_in_the_same_state_among_faults(
 
 
 def test_the_local_estimate_of_a_remote_robot_is_known_from_its_broadcasts() -> None:
-    """Here it broadcasts in each tick; between broadcasts it is not known."""
-    comparison = compare_runs(small_swarm(robots=4), bus_for_each(1))
+    """It broadcasts x_hat, its local estimate, in each tick, so the last one is known here."""
+    comparison = compare_runs(small_swarm(robots=4), wiring_with_remote_robots(1))
     reported_robot = comparison.remote_run.nodes[1].robot
     local_robot = comparison.local_run.nodes[1].robot
     assert reported_robot.x_hat == local_robot.x_hat
 
 
 def test_126_robots_with_one_in_another_program_are_accepted() -> None:
-    """They have ids 0 to 125, which leaves 126 for the program that drives them; 127 are refused."""
-    wiring_of_remote_robot_1 = bus_for_each(1)
+    """No error is raised. They have ids 0 to 125, which leaves 126 for the program that drives them."""
+    wiring_of_remote_robot_1 = wiring_with_remote_robots(1)
     remote_robot.check_remote(small_swarm(robots=126), wiring_of_remote_robot_1)
 
 
@@ -236,7 +239,7 @@ def swarm_with_a_silent_robot(
     """A swarm after its first tick, with a remote robot that is gone since then."""
     monkeypatch.setattr(remote_robot, "ANSWER_TIMEOUT", 0.1)
     settings = small_swarm()
-    with Swarm(settings, bus_for_each(1)) as driven_swarm, own_bus(1) as bus:
+    with Swarm(settings, wiring_with_remote_robots(1)) as driven_swarm, own_bus(1) as bus:
         with remote_robot_in_a_thread(RobotNode(settings.robot_setups()[1]), bus):
             driven_swarm.wait_until_up(10, check)
             driven_swarm.tick()
@@ -244,7 +247,7 @@ def swarm_with_a_silent_robot(
 
 
 def test_a_remote_robot_that_falls_silent_ends_the_run(monkeypatch: pytest.MonkeyPatch) -> None:
-    """It is gone after the first tick; the run ends with a failure, and raises no error."""
+    """It is gone after tick 1. The failure of the run names tick 2 and robot 1, and no error is raised"""
     with swarm_with_a_silent_robot(monkeypatch) as driven_swarm:
         run = run_swarm(driven_swarm)
 
@@ -254,7 +257,7 @@ def test_a_remote_robot_that_falls_silent_ends_the_run(monkeypatch: pytest.Monke
 
 
 def test_a_wait_for_a_silent_robot_can_be_ended_by_the_caller(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The function ``check`` of the caller is called again and again meanwhile, and may raise an error."""
+    """The caller's function ``check`` is called while the tick waits. Its error ends the tick."""
     check = Mock()
     with swarm_with_a_silent_robot(monkeypatch, check) as driven_swarm:
         check.side_effect = KeyboardInterrupt
@@ -263,7 +266,18 @@ def test_a_wait_for_a_silent_robot_can_be_ended_by_the_caller(monkeypatch: pytes
 
 
 STEPS = 25
-SMALL = ["swarm", "--robots", "3", "--steps", str(STEPS), "--filter-period", "10", "--seed", "5", "--json"]
+THREE_ROBOTS = [
+    "swarm",
+    "--robots",
+    "3",
+    "--steps",
+    str(STEPS),
+    "--filter-period",
+    "10",
+    "--seed",
+    "5",
+    "--json",
+]
 
 
 @dataclass(frozen=True)
@@ -298,7 +312,7 @@ def two_runs(
     multicast(251)
     folder = tmp_path_factory.mktemp("runs")
     log, local_log = folder / "run.log", folder / "local.log"
-    options = [*SMALL, "--fault", "loss=0.2", "--fault", "corrupt=0.1", "--allow", "0+2"]
+    options = [*THREE_ROBOTS, "--fault", "loss=0.2", "--fault", "corrupt=0.1", "--allow", "0+2"]
     options += ["--filter", request.param]
     groups = ["--interface", "udp_multicast", "--channel", "239.74.163.{robot}"]
     groups += ["--bus-kwargs", f"port={UDP_PORT}"]
@@ -316,7 +330,7 @@ def json_report(command: list[str]) -> dict[str, Any]:
 
 
 def test_robots_in_processes_report_what_robots_in_this_process_do(two_runs: ProcessesAndThisProcess) -> None:
-    """Compared are the assumed accuracy b_hat, the estimate x, and how often the filter made its test."""
+    """They have the same assumed accuracy b_hat, the same estimate x and the same number of tests."""
     for process_report, local_robot in zip(two_runs.reports_of_processes, two_runs.local_robots, strict=True):
         assert process_report["steps"] == STEPS
         assert process_report["robot"]["b_hat"] == local_robot["b_hat"]
@@ -327,13 +341,13 @@ def test_robots_in_processes_report_what_robots_in_this_process_do(two_runs: Pro
 def test_the_program_that_drives_robots_in_processes_reports_their_estimates(
     two_runs: ProcessesAndThisProcess,
 ) -> None:
-    """They are those of the same robots in a run in this process."""
+    """Each x equals that of the same robot in a run in this process."""
     x_of_robots = [robot["x"] for robot in two_runs.report["results"]["robots"]]
     assert x_of_robots == [local_robot["x"] for local_robot in two_runs.local_robots]
 
 
 def test_robots_in_processes_report_the_sender_that_is_not_allowed(two_runs: ProcessesAndThisProcess) -> None:
-    """Robot 1 is the only one; the others receive its estimates as those of an unknown sender."""
+    """Robot 1 is not allowed. Robots 0 and 2 report an event "unknown" with this sender, and robot 1 none."""
     unknown_senders = []
     for process_report in two_runs.reports_of_processes:
         events = process_report["frames"]["events"]
@@ -342,14 +356,14 @@ def test_robots_in_processes_report_the_sender_that_is_not_allowed(two_runs: Pro
 
 
 def test_the_log_of_robots_in_processes_can_be_replayed(two_runs: ProcessesAndThisProcess) -> None:
-    """A replay computes each broadcast again, and fails if one differs."""
+    """The replay computes each broadcast again, and ends with exit code 0, as none differs."""
     assert main(["replay", str(two_runs.log)]) == 0
 
 
 def test_the_events_of_robots_in_processes_are_those_of_robots_in_this_process(
     two_runs: ProcessesAndThisProcess,
 ) -> None:
-    """Events are, for example, observations and lost frames, in a file beside the log."""
+    """The files of events beside both logs have the same entries, such as observations."""
     with EventsReader(events_path(two_runs.log)) as reader:
         entries = list(reader.entries())
     with EventsReader(events_path(two_runs.local_log)) as local_reader:
@@ -359,15 +373,15 @@ def test_the_events_of_robots_in_processes_are_those_of_robots_in_this_process(
 def test_a_robot_on_a_device_that_sends_no_heartbeat_fails_the_run_with_its_id_and_the_time(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Robot 1 is to be on the virtual bus v1, where nothing is; the robots here are on v0 and v2."""
+    """Nothing is on the bus of robot 1, v1. The exit code is 1, and the error is printed in JSON."""
     monkeypatch.setattr(swarm, "_STARTING_TIMEOUT", 0.05)
-    assert main([*SMALL, "--channel", "v{robot}", "--device", "1=virtual:v1"]) == 1
+    assert main([*THREE_ROBOTS, "--channel", "v{robot}", "--device", "1=virtual:v1"]) == 1
     failure = json.loads(capsys.readouterr().err)
     assert failure["error"].startswith("robot 1 did not send a heartbeat within 0.05 s")
 
 
 def test_an_error_frame_is_counted_and_is_no_frame_of_a_robot() -> None:
-    """Its identifier, here 8 for damaged input, is no id of a robot, though there is a robot 8."""
+    """Robot 8 counts it, and keeps no frame: the 8 in an error frame is a kind of error, and no sender."""
     robot = remote_robot.remote_robot(robot_record(8), FrameFormat())
     driver = remote_robot.Driver(Mock(), [robot], FrameFormat())
     # A bus has no error frames unless its hardware reports some, so one is handed to the driver.

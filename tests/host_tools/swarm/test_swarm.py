@@ -72,7 +72,10 @@ CASES: dict[str, dict[str, Any]] = {
 def test_a_swarm_on_a_bus_ends_in_the_same_bits_as_the_same_simulated_experiment(
     case: str, firmware: str
 ) -> None:
-    """It is trial 0 of the experiment: message by message in Python, and by the engine in C where it can."""
+    """The saved states are those of trial 0 of the experiment, computed message by message in Python.
+
+    The engine in C computes it, too, unless it lacks one of the parameters.
+    """
     parameters = COMMON | CASES[case] | {"firmware": firmware}
     experiment = Experiment(**parameters, trials=1)
     run, _ = run_and_record(SwarmSettings(**parameters))
@@ -80,7 +83,7 @@ def test_a_swarm_on_a_bus_ends_in_the_same_bits_as_the_same_simulated_experiment
 
     assert robots_on_the_bus == images_by_message(experiment, trial=0)
     if not experiment.parameter_lacking_in_c:
-        assert robots_on_the_bus == native.run(experiment, 0, 1).images()
+        assert robots_on_the_bus == native.run(experiment, first=0, trials=1).images()
 
 
 FrameOrder = list[tuple[int, int, int]]
@@ -133,7 +136,7 @@ def test_recorded_frames_are_marked_as_received() -> None:
 
 
 def test_heartbeats_come_before_the_estimates_of_a_tick() -> None:
-    """Five robots run for a tick."""
+    """The five heartbeats of a tick are sent before its five estimates."""
     _, frames = run_and_record(small_swarm(steps=1))
     kinds = [type(decode_frame(frame, FrameFormat())) for frame in frames]
     assert kinds == [Heartbeat] * 5 + [Estimate] * 5
@@ -141,9 +144,9 @@ def test_heartbeats_come_before_the_estimates_of_a_tick() -> None:
 
 @pytest.mark.parametrize("firmware", ["native", "mirror"])
 def test_each_robot_s_estimate_is_the_weighted_mean_of_all_estimates_on_the_bus(firmware: str) -> None:
-    """It is the paper's equation 7, computed exactly and rounded to 23 bits.
+    """All five robots receive from each other, so that all have the same estimate x in each round.
 
-    All five robots hear each other, so in each round they have the same estimate x.
+    It is the paper's equation 7, computed exactly and rounded down to 23 bits.
     """
     different_x_by_round: list[set[int]] = []
 
@@ -181,7 +184,8 @@ def telemetry_in(frames: Sequence[can.Message]) -> list[tuple[int, Telemetry]]:
     for frame in frames:
         content_of_frame = decode_telemetry(frame)
         if isinstance(content_of_frame, Telemetry):
-            telemetry.append((round(10 * frame.timestamp), content_of_frame))
+            tick = round(10 * frame.timestamp)  # a second has 10 ticks
+            telemetry.append((tick, content_of_frame))
     return telemetry
 
 
@@ -197,38 +201,38 @@ def test_each_robot_sends_telemetry_in_every_telemetry_period() -> None:
 
 @pytest.mark.parametrize("firmware", ["native", "reference"])
 def test_telemetry_is_the_state_of_the_robot_before_the_tick(firmware: str) -> None:
-    """Frames have x in units of 2**-23 and b_hat in units of 2**-24."""
-    robots_by_tick: list[list[TelemetryOfRobot]] = []
+    """A robot reports its estimate x, its assumed accuracy b_hat, and how often it has re-estimated b_hat."""
+    states_by_ticks_done: list[list[ReportedState]] = []
 
-    def record_robots(swarm: Swarm) -> None:
-        robots_by_tick.append([telemetry_of(node.robot) for node in swarm.nodes])
+    def record_states(swarm: Swarm) -> None:
+        states_by_ticks_done.append([state_to_report(node.robot) for node in swarm.nodes])
 
     settings = small_swarm(firmware=firmware, telemetry_period=7, steps=36)
     with Swarm(settings, Wiring()) as new_swarm:
-        record_robots(new_swarm)  # before tick 0
-    _, frames = run_and_record(settings, hooks=[record_robots])  # after each tick
+        record_states(new_swarm)  # those before tick 0 have the index 0
+    _, frames = run_and_record(settings, hooks=[record_states])  # those after tick 0 have the index 1
 
     for tick, telemetry in telemetry_in(frames):
-        expected = robots_by_tick[tick][telemetry.sender]
-        assert TelemetryOfRobot(telemetry.x, telemetry.b_hat, telemetry.updates) == expected
+        expected = states_by_ticks_done[tick][telemetry.sender]
+        assert ReportedState(telemetry.x, telemetry.b_hat, telemetry.updates) == expected
 
 
-class TelemetryOfRobot(NamedTuple):
-    """What telemetry says of the state of a robot."""
+class ReportedState(NamedTuple):
+    """What telemetry says of a robot: x in units of 2**-23, b_hat in units of 2**-24, and its updates."""
 
     x: int
     b_hat: int
     updates: int
 
 
-def telemetry_of(robot: Robot) -> TelemetryOfRobot:
-    """Return what telemetry has to say of a robot, in the units of its frames."""
-    return TelemetryOfRobot(int(robot.x * 2**23), int(robot.b_hat * 2**24), robot.counters.updates)
+def state_to_report(robot: Robot) -> ReportedState:
+    """Return what telemetry has to say of a robot."""
+    return ReportedState(int(robot.x * 2**23), int(robot.b_hat * 2**24), robot.counters.updates)
 
 
 @pytest.mark.parametrize("firmware", ["native", "reference"])
 def test_robots_with_and_without_telemetry_end_with_the_same_estimates(firmware: str) -> None:
-    """Telemetry is what a robot sends of its state; here in every seventh tick, or never."""
+    """Telemetry, which is sent in every seventh tick or never, must not change the state that it reports."""
     run_with_telemetry, _ = run_and_record(small_swarm(firmware=firmware, telemetry_period=7, steps=36))
     run_without, _ = run_and_record(small_swarm(firmware=firmware, steps=36))
     x_with_telemetry = [node.robot.x for node in run_with_telemetry.nodes]
@@ -236,7 +240,7 @@ def test_robots_with_and_without_telemetry_end_with_the_same_estimates(firmware:
 
 
 def test_telemetry_is_counted_and_not_rejected() -> None:
-    """Five robots send it in 9 of 60 ticks, and each robot receives it from four others."""
+    """Five robots send it in 9 of 60 ticks, and each robot counts that of the four others."""
     run, _ = run_and_record(small_swarm(telemetry_period=7))
     frame_counts = run.results["frames"]
     assert frame_counts["telemetry_sent"] == 9 * 5
@@ -294,7 +298,7 @@ def run_that_loses_all_frames_after_tick_2(robots: int, monkeypatch: pytest.Monk
 def test_a_bus_that_loses_frames_ends_the_run_and_their_identifiers_are_reported(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """The identifiers end in the ids of the robots, 0 to 2."""
+    """The failure names tick 3 and the three lost frames. Their identifiers end in the robots' ids."""
     run = run_that_loses_all_frames_after_tick_2(robots=3, monkeypatch=monkeypatch)
     frames = "frame 106BB800, frame 106BB801, frame 106BB802"
     assert run.failure is not None
@@ -307,21 +311,25 @@ def test_a_bus_that_loses_frames_ends_the_run_and_their_identifiers_are_reported
 def test_of_more_than_eight_lost_frames_eight_are_reported(
     robots: int, last_frames: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Each robot has sent a frame in the tick; the identifiers end in the ids of the robots, from 0."""
+    """The failure names the frames of robots 0 to 7, whose identifiers end in the id, and then has "..."."""
     run = run_that_loses_all_frames_after_tick_2(robots, monkeypatch)
     assert run.failure is not None
     assert f"frame 106BB806, {last_frames} within" in run.failure
 
 
 def estimate(sender: int, tick: int) -> SentFrame:
-    """Return an estimate that a robot has sent in a tick; in other ticks it has another number."""
-    return SentFrame(encode_estimate(Estimate(sender, 0, tick, tick % 32), FrameFormat()), sender, tick)
+    """Return an estimate that a robot has sent in a tick. Those of different ticks differ."""
+    return SentFrame(
+        encode_estimate(Estimate(sender, x_hat=0, alpha=tick, transfer_id=tick % 32), FrameFormat()),
+        sender,
+        tick,
+    )
 
 
 def test_a_wait_for_frames_ends_on_a_bus_that_is_never_quiet(monkeypatch: pytest.MonkeyPatch) -> None:
     """A frame of robot 1 is expected for 0.02 s, but the bus has frames of robot 9 whenever it is read.
 
-    After that time the connection still reads, without waiting, what a receive buffer may have kept.
+    After that time the connection still reads, without waiting, 4096 frames that a buffer may have kept.
     """
     timeouts: list[float] = []
 
@@ -340,74 +348,86 @@ def test_a_wait_for_frames_ends_on_a_bus_that_is_never_quiet(monkeypatch: pytest
     assert timeouts.count(0) == 4096
 
 
-Pair = tuple[can.BusABC, ExpectingConnection, list[can.Message]]
+BusAndConnection = tuple[can.BusABC, ExpectingConnection, list[can.Message]]
 
 
 @pytest.fixture
-def pair() -> Iterator[Pair]:
+def bus_and_connection() -> Iterator[BusAndConnection]:
     """A bus, a connection to it that expects frames, and the frames that it did not expect."""
     unexpected: list[can.Message] = []
     with virtual.VirtualBus("pair") as other, virtual.VirtualBus("pair") as bus:
         yield other, ExpectingConnection(bus, "robot 7", unexpected.append), unexpected
 
 
-def received(connection: ExpectingConnection, expected: Sequence[SentFrame]) -> list[tuple[int, bytes]]:
-    """Return identifier and data of the expected frames that a connection receives within 10 ms."""
+def receive_within_10_ms(
+    connection: ExpectingConnection, expected: Sequence[SentFrame]
+) -> list[tuple[int, bytes]]:
+    """Return identifier and data of each expected frame that a connection receives within 10 ms."""
     return identifiers_and_data(
-        [sent_frame.frame for sent_frame in connection.receive_expected(expected, 0.01)]
+        [sent_frame.frame for sent_frame in connection.receive_expected(expected, timeout=0.01)]
     )
 
 
-def test_frames_are_received_in_the_order_in_which_they_are_expected(pair: Pair) -> None:
-    """A bus may deliver them in another one."""
-    bus, connection, _ = pair
+def test_frames_are_received_in_the_order_in_which_they_are_expected(
+    bus_and_connection: BusAndConnection,
+) -> None:
+    """The bus delivers the second frame first, and the connection returns it last."""
+    bus, connection, _ = bus_and_connection
     first, second = estimate(sender=1, tick=0), estimate(sender=2, tick=0)
     bus.send(second.frame)
     bus.send(first.frame)
 
-    assert received(connection, [first, second]) == identifiers_and_data([first.frame, second.frame])
+    assert receive_within_10_ms(connection, [first, second]) == identifiers_and_data(
+        [first.frame, second.frame]
+    )
 
 
-def test_the_received_frame_is_that_of_the_bus_and_not_the_expected_one(pair: Pair) -> None:
-    """The frame that came over the bus is marked as received."""
-    bus, connection, _ = pair
+def test_the_received_frame_is_that_of_the_bus_and_not_the_expected_one(
+    bus_and_connection: BusAndConnection,
+) -> None:
+    """The returned frame is another object, and is marked as received (``is_rx``)."""
+    bus, connection, _ = bus_and_connection
     sent_frame = estimate(sender=1, tick=0)
     bus.send(sent_frame.frame)
-    (received_frame,) = connection.receive_expected([sent_frame], 0.01)
+    (received_frame,) = connection.receive_expected([sent_frame], timeout=0.01)
 
     assert received_frame.frame is not sent_frame.frame
     assert received_frame.frame.is_rx
 
 
-def test_a_late_frame_is_received_with_the_next_ones_and_counted_once(pair: Pair) -> None:
-    """In two ticks nothing comes, though a frame was expected; then it comes with the following one."""
-    bus, connection, unexpected = pair
+def test_a_late_frame_is_received_with_the_next_ones_and_counted_once(
+    bus_and_connection: BusAndConnection,
+) -> None:
+    """A frame is expected in the first tick, and comes in the third. It counts as missed once."""
+    bus, connection, unexpected = bus_and_connection
     late, following = estimate(sender=1, tick=0), estimate(sender=1, tick=1)
-    assert received(connection, [late]) == []
-    assert received(connection, []) == []
+    assert receive_within_10_ms(connection, [late]) == []
+    assert receive_within_10_ms(connection, []) == []
     bus.send(following.frame)
     bus.send(late.frame)
 
-    assert received(connection, [following]) == identifiers_and_data([late.frame, following.frame])
+    assert receive_within_10_ms(connection, [following]) == identifiers_and_data(
+        [late.frame, following.frame]
+    )
     assert connection.missed_count == 1
     assert unexpected == []
 
 
-def test_of_frames_that_are_alike_each_is_received_once(pair: Pair) -> None:
+def test_of_frames_that_are_alike_each_is_received_once(bus_and_connection: BusAndConnection) -> None:
     """Three come of which two were expected; the third is reported as one that nobody expected."""
-    bus, connection, unexpected = pair
+    bus, connection, unexpected = bus_and_connection
     sent_frame = estimate(sender=1, tick=0)
     for _ in range(3):
         bus.send(sent_frame.frame)
-    assert len(received(connection, [sent_frame, sent_frame])) == 2
+    assert len(receive_within_10_ms(connection, [sent_frame, sent_frame])) == 2
     connection.discard_echoes()  # reads the rest
 
     assert identifiers_and_data(unexpected) == identifiers_and_data([sent_frame.frame])
 
 
-def test_a_frame_that_nobody_expects_is_reported(pair: Pair) -> None:
+def test_a_frame_that_nobody_expects_is_reported(bus_and_connection: BusAndConnection) -> None:
     """It is reported once, and not again when the bus is read again."""
-    bus, connection, unexpected = pair
+    bus, connection, unexpected = bus_and_connection
     sent_frame = estimate(sender=1, tick=0)
     bus.send(sent_frame.frame)
     connection.discard_echoes()  # reads all that has come
@@ -417,15 +437,17 @@ def test_a_frame_that_nobody_expects_is_reported(pair: Pair) -> None:
 
 
 FOREIGN_FRAMES = [
-    can.Message(arbitration_id=0x123, is_extended_id=False, data=b"1234"),
+    can.Message(arbitration_id=0x123, is_extended_id=False, data=b"1234"),  # an identifier of 11 bits
     can.Message(arbitration_id=0x106BB82A, is_remote_frame=True, dlc=8),
-    can.Message(arbitration_id=0x106BB801, data=b"\xff" * 8),
-    can.Message(arbitration_id=0x106BB801, data=b"\0" * 7),
-    encode_estimate(Estimate(99, Q23_ONE, 0x4F000000, 5), FrameFormat()),
-    encode_estimate(Estimate(1, Q23_ONE, 0x4F000000, 4), FrameFormat()),
+    can.Message(arbitration_id=0x106BB801, data=b"\xff" * 8),  # x_hat is above 1
+    can.Message(arbitration_id=0x106BB801, data=b"\0" * 7),  # a byte is missing
+    encode_estimate(Estimate(sender=99, x_hat=Q23_ONE, alpha=0x4F000000, transfer_id=5), FrameFormat()),
+    encode_estimate(Estimate(sender=1, x_hat=Q23_ONE, alpha=0x4F000000, transfer_id=4), FrameFormat()),
     can.Message(arbitration_id=8, is_error_frame=True),
 ]
-"""Malformed frames, and estimates from outside the swarm, one of them under the id of robot 1."""
+"""Four malformed frames, two estimates from outside the swarm, one of them as robot 1, and an error frame.
+
+The identifiers 0x106BB8.. are those of estimates, and end in the sender."""
 
 
 def run_with_foreign_frames() -> tuple[SwarmRun, list[can.Message]]:
@@ -441,7 +463,7 @@ def run_with_foreign_frames() -> tuple[SwarmRun, list[can.Message]]:
 
 
 def test_frames_of_another_program_are_recorded_in_their_place_after_tick_5() -> None:
-    """Frames are compared by identifier and data; before and after are those of the swarm of five robots.
+    """Before and after them are the frames that the swarm of five robots sends when it is alone.
 
     In five ticks each robot sends a heartbeat and five estimates.
     """
@@ -459,7 +481,7 @@ def test_frames_of_another_program_are_recorded_as_received() -> None:
 
 
 def test_frames_of_another_program_change_nothing_for_the_robots() -> None:
-    """They are malformed, of another swarm, or under the id of a robot whose estimate has come already."""
+    """The robots end in the same state as without these frames."""
     disturbed_run, _ = run_with_foreign_frames()
     undisturbed_run, _ = run_and_record(small_swarm())
     assert saved_robots(disturbed_run.nodes) == saved_robots(undisturbed_run.nodes)
@@ -475,7 +497,7 @@ def test_frames_of_another_program_are_counted_by_each_of_five_robots() -> None:
 
 
 def test_an_estimate_of_another_program_under_the_id_of_a_robot_is_a_conflict() -> None:
-    """It sends one estimate as robot 1, which is in the swarm."""
+    """It sends one estimate as robot 1. The results count it under this id."""
     run, _ = run_with_foreign_frames()
     assert run.results["frames"]["id_conflicts"] == {"1": 1}
 
@@ -488,7 +510,7 @@ def run_of_disagreeing_robots(seed: int = 11) -> SwarmRun:
 
 @pytest.mark.parametrize(("seed", "is_low"), [(11, False), (15, True)])
 def test_results_have_the_mean_estimate_and_its_error(seed: int, is_low: bool) -> None:
-    """Five robots estimate a floor of which a share of 0.55 is black; the error is the mean of theirs.
+    """Five robots estimate the share of black, which is 0.55. Their errors are averaged, too.
 
     With one seed the mean estimate is above 0.55, with the other below it.
     """
@@ -503,7 +525,7 @@ def test_results_have_the_mean_estimate_and_its_error(seed: int, is_low: bool) -
 
 @pytest.mark.parametrize("name", ["x", "x_hat"])
 def test_results_have_the_spread_of_estimates(name: str) -> None:
-    """The spread is the largest less the smallest; x is made from all estimates, x_hat is a robot's own."""
+    """It is the largest less the smallest. x is made from all estimates, x_hat from own observations."""
     run = run_of_disagreeing_robots()
     estimates = [getattr(node.robot, name) for node in run.nodes]
     assert run.results[f"spread_{name}"] == max(estimates) - min(estimates) > 0
@@ -515,7 +537,7 @@ def test_results_have_the_spread_of_estimates(name: str) -> None:
 def test_results_have_mean_and_limits_of_b_hat_of_flawed_and_of_other_robots(
     group: str, robots: list[int], b_hat_at_start: float
 ) -> None:
-    """b_hat is the accuracy that a robot assumes of its sensor: at first, and at the end of the run."""
+    """b_hat, the accuracy that a robot assumes, begins with 0.55 if it is flawed, and else with 0.95."""
     run = run_of_disagreeing_robots()
     b_hat = [run.nodes[robot].robot.b_hat for robot in robots]
     result = run.results["b_hat"][group]

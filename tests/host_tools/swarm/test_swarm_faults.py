@@ -39,8 +39,8 @@ from support import ROOT, block_with, slow
 pytestmark = pytest.mark.usefixtures("no_bus_is_left")
 
 UDP_PORT = 10_000 + os.getpid() % 500 * 40
-"""And some more: of this process, for tests in others run at the same time."""
-MIX = (
+"""The first of the ports of this process. Tests that run in other processes at the same time have others."""
+MIXED_FAULTS = (
     *("loss=0.1", "corrupt=0.1,bits=2", "delay=0.2,ticks=3", "duplicate=0.2,ticks=1", "babble=0.1,frames=3"),
     *("crash=0.01,ticks=6", "crash=0.01,ticks=4,rejoin=restored", "busoff=0.01,ticks=3"),
     *("freeze=0.05", "liar=0.05,x=1,alpha=1e5", "collide=0.05,id=2", "sybil=0.05,ids=1+9,alpha=0"),
@@ -53,7 +53,7 @@ def udp(port: int, returns_own: bool = False) -> can.BusABC:
     return BusChoice("udp_multicast", {"port": port, "hop_limit": 0, "ignore_config": True}).open(returns_own)
 
 
-MEDIA = {
+WIRINGS = {
     "one bus": ON_ONE_BUS,
     "no bus": Wiring(channel="none"),
     "a bus for each": ON_OWN_BUSES,
@@ -72,29 +72,29 @@ def hit_counts(run: SwarmRun) -> list[int]:
     return [fault["injected"] for fault in run.results["faults"]]
 
 
-@pytest.mark.parametrize("medium", list(MEDIA)[1:])
+@pytest.mark.parametrize("wiring", list(WIRINGS)[1:])
 @pytest.mark.parametrize(
     ("faults", "world"),
     [
         pytest.param((), {}, marks=pytest.mark.slow),
-        (MIX, {"telemetry_period": 7, "comms_period": 4}),
+        (MIXED_FAULTS, {"telemetry_period": 7, "comms_period": 4}),
         pytest.param(
-            MIX,
+            MIXED_FAULTS,
             {"topology": "dynamic", "density": 2.0, "latency": 1, "firmware": "mirror"},
             marks=pytest.mark.slow,
         ),
     ],
     ids=["lossless", "mix", "moving"],
 )
-def test_swarms_without_a_bus_or_with_several_run_as_on_one_that_all_share(
-    medium: str, faults: tuple[str, ...], world: dict[str, Any]
+def test_a_swarm_runs_the_same_way_on_any_buses_as_on_one_virtual_bus(
+    wiring: str, faults: tuple[str, ...], world: dict[str, Any]
 ) -> None:
-    """Compared are the frames sent, the robots in the end, the results and the file of events."""
+    """With no bus, or one for each robot, too, frames, final states, results and events are the same."""
     settings = small_swarm(*faults, **world)
-    events_on_one_bus: list[str] = []
+    events_on_one_bus: list[str] = []  # filled by the run, like the next
     events: list[str] = []
     run_on_one_bus, frames_on_one_bus = run_and_record(settings, events=events_on_one_bus)
-    run, frames = run_and_record(settings, MEDIA[medium], events=events)
+    run, frames = run_and_record(settings, WIRINGS[wiring], events=events)
 
     assert identifiers_and_data(frames) == identifiers_and_data(frames_on_one_bus)
     assert saved_robots(run.nodes) == saved_robots(run_on_one_bus.nodes)
@@ -103,11 +103,11 @@ def test_swarms_without_a_bus_or_with_several_run_as_on_one_that_all_share(
     assert all(hit_counts(run)), "each fault has hit at least once"
 
 
-@pytest.mark.parametrize("medium", ["no bus", "a bus for each"])
-def test_frames_have_the_same_times_on_several_buses_as_on_one(medium: str) -> None:
-    """Multicast groups keep no time stamps of the sender."""
+@pytest.mark.parametrize("wiring", ["no bus", "a bus for each"])
+def test_frames_have_the_same_times_on_several_buses_as_on_one(wiring: str) -> None:
+    """Multicast groups are left out, as they do not keep the time stamps of the sender."""
     _, frames_on_one_bus = run_and_record(small_swarm())
-    _, frames = run_and_record(small_swarm(), MEDIA[medium])
+    _, frames = run_and_record(small_swarm(), WIRINGS[wiring])
     assert [frame.timestamp for frame in frames] == [frame.timestamp for frame in frames_on_one_bus]
 
 
@@ -131,7 +131,7 @@ def estimates_among(frames: Sequence[can.Message]) -> list[Estimate]:
 
 
 def test_the_bus_of_a_robot_has_its_frames_and_those_that_reach_it() -> None:
-    """Each of five robots has a bus of its own. In five ticks all frames of robot 1 are lost on their way."""
+    """The bus of robot 0 has its five estimates, and those of three others. Robot 1's are all lost."""
     with Swarm(small_swarm("loss,robots=1", steps=5), ON_OWN_BUSES) as swarm, own_bus(0) as listener:
         run_swarm(swarm)
         frames = waiting_frames(listener)
@@ -140,7 +140,7 @@ def test_the_bus_of_a_robot_has_its_frames_and_those_that_reach_it() -> None:
     assert senders == {0: 5, 2: 5, 3: 5, 4: 5}
 
 
-SENT = 60 + 6
+FRAMES_OF_ROBOT = 60 + 6
 """Frames of a robot in 60 ticks: an estimate in each, a heartbeat in each of 6 seconds."""
 PATHS = 5 * 4
 """Pairs of a sender and a receiver among five robots."""
@@ -150,34 +150,45 @@ NOTHING_WRONG: dict[str, Any] = {"refused": 0, "strays": 0, "rejected": {}, "id_
 @pytest.mark.parametrize(
     ("fault", "hits", "expected_counts"),
     [
-        ("loss=0", 0, {"sent": 300, "delivered": 1200, "heartbeats_heard": 120, **NOTHING_WRONG}),
+        (
+            "loss=0",
+            0,
+            {"sent": 60 * 5, "delivered": 60 * PATHS, "heartbeats_heard": 6 * PATHS, **NOTHING_WRONG},
+        ),
         (
             "loss",
-            SENT * PATHS,
-            {"delivered": 0, "heartbeats_heard": 0, "arrived": 0, "in_range": SENT * PATHS},
+            FRAMES_OF_ROBOT * PATHS,
+            {"delivered": 0, "heartbeats_heard": 0, "arrived": 0, "in_range": FRAMES_OF_ROBOT * PATHS},
         ),
         # All messages come three ticks late, and those of the last three rounds never.
-        ("delay,ticks=3", SENT * PATHS, {"delivered": (60 - 3) * PATHS, "refused": 0}),
-        ("duplicate,ticks=0", SENT * PATHS, {"delivered": 2 * 60 * PATHS, "refused": 60 * PATHS}),
+        ("delay,ticks=3", FRAMES_OF_ROBOT * PATHS, {"delivered": (60 - 3) * PATHS, "refused": 0}),
+        ("duplicate,ticks=0", FRAMES_OF_ROBOT * PATHS, {"delivered": 2 * 60 * PATHS, "refused": 60 * PATHS}),
         # The copy of the last round comes first, so it is the new message that is a repetition.
-        ("duplicate,ticks=1", SENT * PATHS, {"delivered": (60 + 59) * PATHS, "refused": 59 * PATHS}),
-        ("corrupt,bits=64", SENT * PATHS, {"delivered": 0, "arrived": SENT * PATHS}),
-        ("babble,frames=4,robots=3,from=10,to=20", 40, {"arrived": (SENT * 5 + 40) * 4}),
-        # For 15 ticks one robot neither sends on its four paths nor receives on them.
+        (
+            "duplicate,ticks=1",
+            FRAMES_OF_ROBOT * PATHS,
+            {"delivered": (60 + 59) * PATHS, "refused": 59 * PATHS},
+        ),
+        ("corrupt,bits=64", FRAMES_OF_ROBOT * PATHS, {"delivered": 0, "arrived": FRAMES_OF_ROBOT * PATHS}),
+        ("babble,frames=4,robots=3,from=10,to=20", 4 * 10, {"arrived": (FRAMES_OF_ROBOT * 5 + 4 * 10) * 4}),
+        # For 15 ticks one robot neither sends to the four others nor receives from them: 8 paths.
         ("crash,robots=1,from=20,to=35", 15, {"sent": 60 * 5 - 15, "delivered": 60 * PATHS - 15 * 8}),
         ("busoff,robots=1,from=20,to=35", 15, {"sent": 60 * 5, "delivered": 60 * PATHS - 15 * 8}),
         ("freeze,robots=1,from=30", 30, {"delivered": 60 * PATHS, "refused": 0}),
         ("liar,robots=2", 60, {"delivered": 60 * PATHS, "refused": 0}),
         ("liar,robots=1,from=10,to=20,alpha=1e-9", 10, {"refused": 0}),
-        ("collide,robots=3,id=3", SENT, {"delivered": 60 * PATHS, **NOTHING_WRONG}),
+        ("collide,robots=3,id=3", FRAMES_OF_ROBOT, {"delivered": 60 * PATHS, **NOTHING_WRONG}),
         # Robot 2 refuses its own id; the other three receive from 2 twice, robot 3 once.
-        ("collide,robots=3,id=2", SENT, {"id_conflicts": {"2": 60}, "refused": 240}),
+        ("collide,robots=3,id=2", FRAMES_OF_ROBOT, {"id_conflicts": {"2": 60}, "refused": 60 * (1 + 3)}),
     ],
 )
 def test_a_fault_hits_as_many_frames_as_its_options_say_with_its_effect(
     fault: str, hits: int, expected_counts: dict[str, Any]
 ) -> None:
-    """Five robots run for 60 ticks, and each frame has four receivers, which together are 20 paths."""
+    """The results count the hits of the fault, and what the robots have received.
+
+    Five robots run for 60 ticks. Each frame has four receivers, so there are 20 paths.
+    """
     run, frames = run_and_record(small_swarm(fault))
     counts = {name: frame_counts(run)[name] for name in expected_counts}
     assert hit_counts(run) == [hits]
@@ -191,13 +202,13 @@ def knows_own_estimate_alone(robot: Robot) -> bool:
 
 
 def test_robots_whose_frames_are_all_lost_know_their_own_estimates_alone() -> None:
-    """The fault loses each frame on its way to each receiver."""
+    """So their estimate x stays the one from their own observations."""
     run, _ = run_and_record(small_swarm("loss"))
     assert all(knows_own_estimate_alone(node.robot) for node in run.nodes)
 
 
 class Broadcasts(NamedTuple):
-    """Numbers of broadcasts that a replay knows; a run without faults has 5 robots * 60 ticks = 300.
+    """Numbers of broadcasts that a replay counts; a run without faults has 5 robots * 60 ticks = 300.
 
     Attributes:
         reproduced: Those of robots, as they were sent.
@@ -218,24 +229,24 @@ class Broadcasts(NamedTuple):
         # Nothing that happens to frames on their way changes what is broadcast.
         ("loss", Broadcasts(300)),
         ("corrupt,bits=64", Broadcasts(300)),
-        ("babble,frames=4,robots=3,from=10,to=20", Broadcasts(300, injected=40)),
-        ("crash,robots=1,from=20,to=35", Broadcasts(285)),
-        ("busoff,robots=1,from=20,to=35", Broadcasts(285)),
-        ("freeze,robots=1,from=30", Broadcasts(270, falsified=30)),
-        ("liar,robots=1,from=10,to=20,alpha=1e-9", Broadcasts(290, falsified=10)),
+        ("babble,frames=4,robots=3,from=10,to=20", Broadcasts(300, injected=4 * 10)),
+        ("crash,robots=1,from=20,to=35", Broadcasts(300 - 15)),
+        ("busoff,robots=1,from=20,to=35", Broadcasts(300 - 15)),
+        ("freeze,robots=1,from=30", Broadcasts(300 - 30, falsified=30)),
+        ("liar,robots=1,from=10,to=20,alpha=1e-9", Broadcasts(300 - 10, falsified=10)),
         ("collide,robots=3,id=3", Broadcasts(300)),
-        ("collide,robots=3,id=2", Broadcasts(240, foreign=60, injected=SENT)),
+        ("collide,robots=3,id=2", Broadcasts(300 - 60, foreign=60, injected=FRAMES_OF_ROBOT)),
     ],
 )
 def test_replay_tells_which_broadcasts_a_fault_has_changed(
     fault: str, expected: Broadcasts, tmp_path: Path
 ) -> None:
-    """A run writes its events, by which replay computes all broadcasts again.
+    """Replay computes all broadcasts again from the events of a run.
 
-    Those that a fault has falsified, sent under another robot's id or injected are counted, and the others
-    are reproduced.
+    It counts those that a fault has falsified, or sent under another robot's id, and reproduces the others.
+    The frames that a fault has injected are in the events.
     """
-    events: list[str] = []
+    events: list[str] = []  # filled by the run
     _run, frames = run_and_record(small_swarm(fault), events=events)
     path = tmp_path / "run.events"
     path.write_text("".join(events))
@@ -249,43 +260,43 @@ def test_replay_tells_which_broadcasts_a_fault_has_changed(
 
 
 def number_of_injected_frames(path: Path) -> int:
-    """Return how many frames a file of events names that no robot sends."""
+    """Return how many frames a file of events has that faults have injected."""
     with EventsReader(path) as reader:
         return sum(isinstance(entry, InjectedFrame) for entry in reader.entries())
 
 
-without_and_with_buses = pytest.mark.parametrize("medium", ["no bus", "a bus for each"])
+without_and_with_buses = pytest.mark.parametrize("wiring", ["no bus", "a bus for each"])
 
 
 @without_and_with_buses
-def test_estimates_under_ids_that_are_not_allowed_change_nothing(medium: str) -> None:
-    """The ids of the five robots are allowed; robot 1 sends under six others, too (a Sybil attack)."""
+def test_estimates_under_ids_that_are_not_allowed_change_nothing(wiring: str) -> None:
+    """Robot 1 sends under six such ids, too (a Sybil attack). All robots end as in a run without it."""
     undisturbed_run, _ = run_and_record(small_swarm())
-    run, _ = run_and_record(small_swarm("sybil,robots=1,ids=5-9+127", allow="0-4"), MEDIA[medium])
+    run, _ = run_and_record(small_swarm("sybil,robots=1,ids=5-9+127", allow="0-4"), WIRINGS[wiring])
     assert saved_robots(run.nodes) == saved_robots(undisturbed_run.nodes)
     assert frame_counts(run)["delivered"] == frame_counts(undisturbed_run)["delivered"]
 
 
 @without_and_with_buses
-def test_estimates_under_ids_that_are_not_allowed_are_counted_as_unknown(medium: str) -> None:
-    """Robot 1 of five sends under six such ids (a Sybil attack), which each other robot receives."""
-    run, _ = run_and_record(small_swarm("sybil,robots=1,ids=5-9+127", allow="0-4"), MEDIA[medium])
+def test_estimates_under_ids_that_are_not_allowed_are_counted_as_unknown(wiring: str) -> None:
+    """Robot 1 of five sends under six such ids (a Sybil attack). Each of the others counts them."""
+    run, _ = run_and_record(small_swarm("sybil,robots=1,ids=5-9+127", allow="0-4"), WIRINGS[wiring])
     ticks, made_up_ids, receivers = 60, 6, 4
     assert frame_counts(run)["unknown"] == ticks * made_up_ids * receivers
 
 
 @without_and_with_buses
-def test_estimates_under_the_id_of_a_robot_that_is_allowed_are_counted_as_conflicts(medium: str) -> None:
-    """In each of 60 ticks robot 1 sends an estimate as robot 0, too."""
-    run, _ = run_and_record(small_swarm("sybil,robots=1,ids=0", allow="0-4"), MEDIA[medium])
+def test_estimates_under_the_id_of_a_robot_that_is_allowed_are_counted_as_conflicts(wiring: str) -> None:
+    """In each of 60 ticks robot 1 sends an estimate as robot 0, too. The results count them under id 0."""
+    run, _ = run_and_record(small_swarm("sybil,robots=1,ids=0", allow="0-4"), WIRINGS[wiring])
     assert frame_counts(run)["unknown"] == 0
     assert frame_counts(run)["id_conflicts"] == {"0": 60}
 
 
 @without_and_with_buses
-def test_robots_that_allow_no_id_of_the_swarm_know_their_own_estimates_alone(medium: str) -> None:
-    """They allow 127 alone, and are robots 0 to 4."""
-    run, _ = run_and_record(small_swarm(allow="127"), MEDIA[medium])
+def test_robots_that_allow_no_id_of_the_swarm_know_their_own_estimates_alone(wiring: str) -> None:
+    """Robots 0 to 4 allow the id 127 alone. Their estimate x stays the one from their own observations."""
+    run, _ = run_and_record(small_swarm(allow="127"), WIRINGS[wiring])
     assert all(knows_own_estimate_alone(node.robot) for node in run.nodes)
 
 
@@ -382,7 +393,7 @@ def run_with_a_late_tick(monkeypatch: pytest.MonkeyPatch) -> SwarmRun:
 
 
 def test_frames_that_come_too_late_in_real_time_are_counted(run_with_a_late_tick: SwarmRun) -> None:
-    """Those of one tick do, which are the estimates of three robots, but the run goes on to its end."""
+    """The three estimates of one tick come too late, and are missed. The run goes on to its end."""
     assert run_with_a_late_tick.results["steps"] == 60
     assert frame_counts(run_with_a_late_tick)["missed"] == 3
 
@@ -390,7 +401,7 @@ def test_frames_that_come_too_late_in_real_time_are_counted(run_with_a_late_tick
 def test_frames_that_come_too_late_in_real_time_are_received_in_the_next_tick(
     run_with_a_late_tick: SwarmRun,
 ) -> None:
-    """There a robot refuses the second of two messages of a neighbour, as in one round it is a repetition."""
+    """There a robot receives two estimates of each neighbour, and refuses the second one as a repetition."""
     ticks, robots, receivers = 60, 3, 2
     counts = frame_counts(run_with_a_late_tick)
     assert counts["delivered"] == ticks * robots * receivers
@@ -398,19 +409,19 @@ def test_frames_that_come_too_late_in_real_time_are_received_in_the_next_tick(
 
 
 def test_a_run_in_real_time_reports_how_late_ticks_have_begun(run_with_a_late_tick: SwarmRun) -> None:
-    """They are seconds: the mean over all ticks, and the largest."""
+    """The results have the mean over all ticks and the largest, in seconds."""
     clock = run_with_a_late_tick.results["clock"]
     assert 0 <= clock["mean_lateness"] <= clock["max_lateness"]
 
 
-@pytest.mark.parametrize("medium", ["one bus", "a group for each", *slow(["one group"])])
-def test_no_frame_is_lost_when_a_robot_floods_the_bus(medium: str) -> None:
-    """There are more frames, 900, than a socket holds, so that they have to be read while they are sent.
+@pytest.mark.parametrize("wiring", ["one bus", "a group for each", *slow(["one group"])])
+def test_no_frame_is_lost_when_a_robot_floods_the_bus(wiring: str) -> None:
+    """Its 900 frames are more than a socket holds, and yet the four other robots receive each of them.
 
     Besides, each of five robots sends an estimate in each of three ticks, and a heartbeat.
     """
     run, frames = run_and_record(
-        small_swarm("babble,frames=900,robots=0,from=1,to=2", steps=3), MEDIA[medium]
+        small_swarm("babble,frames=900,robots=0,from=1,to=2", steps=3), WIRINGS[wiring]
     )
     receivers = 4
     assert len(frames) == 5 * (3 + 1) + 900
@@ -424,14 +435,14 @@ SETTINGS: dict[str, dict[str, Any]] = {
     "robust": {"filter": "robust"},
     "asdf_plus_allow_0_19": {"filter": "asdf-plus", "allow": "0-19"},
 }
-"""Settings of a row's runs, by how their columns begin. Only rows of made-up ids use the last ones."""
+"""Settings with which an attack is run, by how their columns begin. The last are for made-up ids only."""
 
 FIGURES = ("error", "flawed_b_hat", "healthy_b_hat")
 """How the columns of a run end: what `figures_of_run` returns."""
 
 ATTACKS = list(csv.DictReader((ROOT / "docs/internals/threats.csv").read_text(encoding="utf-8").splitlines()))
-RUNS = [attack for attack in ATTACKS if attack["robust_error"]]
-"""The attacks and faults that can be run; the others are words."""
+RUNNABLE_ATTACKS = [attack for attack in ATTACKS if attack["robust_error"]]
+"""The attacks and faults that can be run; the others are only described."""
 
 
 def figures_of_run(faults: list[str], settings: dict[str, Any]) -> list[str]:
@@ -450,15 +461,15 @@ def figures_of_run(faults: list[str], settings: dict[str, Any]) -> list[str]:
 
 
 def test_the_table_of_threats_begins_with_a_swarm_without_faults() -> None:
-    """It has 27 attacks, of which 7 are words and cannot be run, in docs/internals/threats.csv."""
+    """docs/internals/threats.csv has 27 attacks. Seven of them are only described, and cannot be run."""
     assert len(ATTACKS) == 27
-    assert len(RUNS) == 20
-    assert RUNS[0] == ATTACKS[0]
-    assert RUNS[0]["faults"] == ""
+    assert len(RUNNABLE_ATTACKS) == 20
+    assert RUNNABLE_ATTACKS[0] == ATTACKS[0]
+    assert RUNNABLE_ATTACKS[0]["faults"] == ""
 
 
 def figures_in_table(attack: dict[str, str], run: str) -> list[str]:
-    """Return the figures that a row of the table has of one of its runs, a key of SETTINGS."""
+    """Return the figures that the table has of an attack with some settings; ``run`` is a key of SETTINGS."""
     return [attack[f"{run}_{figure}"] for figure in FIGURES]
 
 
@@ -469,24 +480,31 @@ def runs_with_figures(attacks: list[dict[str, str]]) -> list[tuple[dict[str, str
 
 @pytest.mark.parametrize(
     ("attack", "run"),
-    [*runs_with_figures([RUNS[1]]), *slow(runs_with_figures([RUNS[0], *RUNS[2:]]))],
+    [
+        *runs_with_figures([RUNNABLE_ATTACKS[1]]),
+        *slow(runs_with_figures([RUNNABLE_ATTACKS[0], *RUNNABLE_ATTACKS[2:]])),
+    ],
 )
 def test_the_table_of_threats_has_the_figures_of_these_runs(attack: dict[str, str], run: str) -> None:
-    """A row of docs/internals/threats.csv has an attack as faults of a swarm, and how the swarm ends."""
+    """docs/internals/threats.csv has the faults of each attack, and the figures with which a swarm ends."""
     faults = attack["faults"].split()
     assert figures_in_table(attack, run) == figures_of_run(faults, SETTINGS[run])
 
 
 def test_the_table_of_threats_has_figures_with_allowed_ids_only_for_made_up_ids() -> None:
-    """Robots that allow ids 0 to 19 alone are of interest where a node makes up ids, the fault sybil."""
-    with_allowed_ids = [attack["attack"] for attack in RUNS if attack["asdf_plus_allow_0_19_error"]]
-    assert with_allowed_ids == [attack["attack"] for attack in RUNS if "sybil" in attack["faults"]]
+    """These are the attacks with the fault sybil. For such figures robots allow ids 0 to 19 alone."""
+    with_allowed_ids = [
+        attack["attack"] for attack in RUNNABLE_ATTACKS if attack["asdf_plus_allow_0_19_error"]
+    ]
+    assert with_allowed_ids == [
+        attack["attack"] for attack in RUNNABLE_ATTACKS if "sybil" in attack["faults"]
+    ]
 
 
 def test_the_table_of_threats_has_figures_with_asdf_plus_and_the_robust_filter_for_all_runs() -> None:
-    """A figure is empty in the table if there is no such run."""
-    assert all(attack["asdf_plus_error"] for attack in RUNS)
-    assert all(attack["robust_error"] for attack in RUNS)
+    """Without such a run the figure would be empty."""
+    assert all(attack["asdf_plus_error"] for attack in RUNNABLE_ATTACKS)
+    assert all(attack["robust_error"] for attack in RUNNABLE_ATTACKS)
 
 
 THREATS_PAGE = ROOT / "docs/threats.md"
@@ -509,8 +527,10 @@ def rows_of_threats_page() -> list[list[str]]:
 
 
 def test_the_page_of_threats_puts_the_errors_of_six_attacks_in_words() -> None:
-    """Its table has the attack, the errors of ASDF and of the robust filter in words, and the latter."""
-    error_by_attack = {row["attack"]: (row["asdf_plus_error"], row["robust_error"]) for row in RUNS}
+    """For each attack it has two words, for ASDF and for the robust filter, and the error of the latter."""
+    error_by_attack = {
+        row["attack"]: (row["asdf_plus_error"], row["robust_error"]) for row in RUNNABLE_ATTACKS
+    }
     rows = rows_of_threats_page()
     assert len(rows) == 6
     for attack, *cells in rows:
@@ -519,15 +539,15 @@ def test_the_page_of_threats_puts_the_errors_of_six_attacks_in_words() -> None:
 
 
 def test_the_page_of_threats_says_which_errors_its_words_stand_for() -> None:
-    """The last one is that of a swarm without faults, to compare with."""
+    """The page has the limits of the words "safe" and "wrong", and the error of a swarm without faults."""
     page = THREATS_PAGE.read_text(encoding="utf-8")
     assert "ends below 0.05, *wrong* if below 0.2" in page
-    error_without_faults = RUNS[0]["robust_error"]
+    error_without_faults = RUNNABLE_ATTACKS[0]["robust_error"]
     assert f"the robust filter ends at {error_without_faults}." in page
 
 
 def test_the_page_of_threats_shows_what_its_commands_print(capsys: pytest.CaptureFixture[str]) -> None:
-    """One block of the page has commands, of which each begins with mcp-asdf, and another their output."""
+    """One block of the page has the commands, and another the output that all of them print together."""
     for command in block_with(THREATS_PAGE, "--filter robust", "sh").splitlines():
         _mcp_asdf, *arguments = command.split()
         assert main(arguments) == 0

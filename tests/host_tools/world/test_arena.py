@@ -48,7 +48,7 @@ def distances(position: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def test_robots_without_room_are_refused() -> None:
-    """The settings would refuse so small a floor at once, so that they are changed behind their back."""
+    """The error names the size of the floor. The settings would refuse it, so it is set later."""
     settings = moving(robots=60, width=3, height=3)
     object.__setattr__(settings, "width", 0.6)
     object.__setattr__(settings, "height", 0.6)
@@ -78,7 +78,7 @@ def describe_motion(motion: Motion) -> Iterator[str]:
     [(PAPER, "paper"), (CROWD, "crowd"), (moving(127, density=4.0), "largest_round")],
 )
 def test_a_seed_gives_the_same_bits_everywhere(settings: WorldSettings, name: str) -> None:
-    """The arena uses only operations that IEEE 754 rounds correctly, so all machines agree on every bit.
+    """Positions and headings equal those of a golden file. Each operation is rounded as IEEE 754 says.
 
     A difference in any tick changes all later positions, as robots meet and turn.
     """
@@ -93,7 +93,7 @@ def test_robots_of_another_trial_start_elsewhere() -> None:
 
 
 def test_robots_move_the_same_way_however_many_ticks_are_taken_at_once() -> None:
-    """Of 500 ticks the first 100 are taken in four parts, and all that the others show is compared."""
+    """The first 100 of 500 ticks are taken in four parts. The last 400 ticks are the same in all arrays."""
     motion = Arena(CROWD, trial=7).record(500)
     arena = Arena(CROWD, trial=7)
     for ticks in (0, 1, 2, 97):
@@ -118,7 +118,7 @@ FAST_CROWD = replace(CROWD, speed=0.8)
 
 @cache
 def motion_in_2000_ticks(settings: WorldSettings, trial: int) -> Motion:
-    """Return the motion of robots in 2000 ticks, which are 200 seconds."""
+    """Return the motion of robots in 2000 ticks, 200 s. Positions and headings are (ticks, robots, 2)."""
     return Arena(settings, trial).record(2000)
 
 
@@ -136,7 +136,7 @@ ARENAS = pytest.mark.parametrize(
 
 @ARENAS
 def test_bodies_stay_inside_the_walls(settings: WorldSettings, trial: int) -> None:
-    """The origin is in the middle of the floor, whose sides are in metres like the radius of a body."""
+    """No centre is nearer to a wall than a radius. The origin is in the middle of the floor."""
     position = motion_in_2000_ticks(settings, trial=trial).position
     farthest_from_middle = np.array(settings.sides) / 2 - RADIUS
     rounding = 1e-6
@@ -145,37 +145,38 @@ def test_bodies_stay_inside_the_walls(settings: WorldSettings, trial: int) -> No
 
 @ARENAS
 def test_bodies_of_robots_overlap_by_less_than_half_a_millimetre(settings: WorldSettings, trial: int) -> None:
-    """The centres of two robots that touch are two radii apart."""
+    """The nearest centres are at least two radii less 0.5 mm apart."""
     half_a_millimetre = 5e-4
     assert nearest_distances(settings, trial=trial).min() >= 2 * RADIUS - half_a_millimetre
 
 
 @ARENAS
 def test_no_body_is_faster_than_its_wheels(settings: WorldSettings, trial: int) -> None:
-    """The wheels have the speed of the settings, in metres a second."""
+    """No centre moves farther in a tick than the wheels, which have the speed of the settings in m/s."""
     position = motion_in_2000_ticks(settings, trial=trial).position
-    distances_in_tick = np.linalg.norm(np.diff(position, axis=0), axis=2)
+    moves = np.diff(position, axis=0)  # by tick, robot and coordinate
+    distances_in_tick = np.linalg.norm(moves, axis=2)
     rounding = 1e-9
     assert distances_in_tick.max() <= settings.speed * TICK * (1 + rounding)
 
 
 @ARENAS
 def test_directions_of_robots_stay_vectors_of_length_one(settings: WorldSettings, trial: int) -> None:
-    """A direction has a cosine and a sine, and robots turn in 2000 ticks again and again."""
+    """The length is 1 to within 1e-9 after each of 2000 ticks. A direction is a cosine and a sine."""
     heading = motion_in_2000_ticks(settings, trial=trial).heading
-    lengths = np.linalg.norm(heading, axis=2)
+    lengths = np.linalg.norm(heading, axis=2)  # by tick and robot
     assert np.abs(lengths - 1).max() < 1e-9
 
 
 def test_robots_in_a_crowd_touch_each_other() -> None:
-    """In more than twenty ticks two of them are less than a millimetre apart."""
+    """In more than twenty of 500 ticks the two nearest are less than a millimetre apart."""
     millimetre = 1e-3
     is_touching = nearest_distances(CROWD, trial=4) < 2 * RADIUS + millimetre  # by tick
     assert is_touching.sum() > 20
 
 
 def test_robots_in_a_crowd_go_on() -> None:
-    """In the last minute, 600 ticks, half of them get farther than 0.1 m."""
+    """In the last minute, 600 ticks, the median of their distances is above 0.1 m."""
     position = motion_in_2000_ticks(CROWD, trial=4).position
     position_at_end, position_a_minute_before = position[-1], position[-600]
     distances_in_a_minute = np.linalg.norm(position_at_end - position_a_minute_before, axis=1)
@@ -205,7 +206,7 @@ def links_by_definition(position: NDArray[np.float64], settings: WorldSettings) 
 def test_robots_hear_each_other_if_they_are_in_range_and_no_third_stands_between(
     settings: WorldSettings,
 ) -> None:
-    """The links of pairs are compared in 14 ticks one after the other, and then in 5 that are far apart.
+    """The links equal those by definition in 14 ticks one after the other, and in 5 that are far apart.
 
     The arena searches for pairs that may be linked every 13 ticks, so this is before and after searches.
     """
@@ -222,7 +223,7 @@ def test_robots_hear_each_other_if_they_are_in_range_and_no_third_stands_between
 
 
 def test_robots_in_between_cut_more_than_a_fifth_of_the_links_in_a_crowd() -> None:
-    """The links after 200 ticks are compared with the pairs that are in range of each other's radio."""
+    """After 200 ticks fewer than 0.8 of the pairs in range of each other's radio are linked."""
     motion = Arena(CROWD, trial=11).record(200)
     position, is_linked = motion.position[-1], motion.adjacency[-1]
     is_in_range = distances(position) < CROWD.radio_range
@@ -257,7 +258,7 @@ def candidates_of(arena: Arena) -> list[list[int]]:
 
 @pytest.mark.parametrize("density", [0.02, 0.3, 1.0, 4.0, 10.0])
 def test_a_search_in_a_grid_finds_the_same_pairs_of_robots_as_comparing_all(density: float) -> None:
-    """With more than 128 robots the arena searches in neighbouring squares only, every 13 ticks."""
+    """They are the pairs that could be linked soon. More than 128 robots are searched in a grid."""
     arena = random_large_arena(density)
     assert candidates_of(arena) == candidates_by_definition(arena), arena.settings
     arena.step(13)
@@ -268,7 +269,7 @@ def test_a_search_in_a_grid_finds_the_same_pairs_of_robots_as_comparing_all(dens
 def test_hundreds_of_robots_hear_each_other_if_they_are_in_range_and_no_third_stands_between(
     density: float,
 ) -> None:
-    """With more than 128 robots the arena searches for pairs in neighbouring squares only."""
+    """The links equal those by definition. Those of more than 128 robots are searched in a grid."""
     arena = random_large_arena(density)
     motion = arena.record(27)
     position, is_linked = motion.position[-1], motion.adjacency[-1]
@@ -277,7 +278,7 @@ def test_hundreds_of_robots_hear_each_other_if_they_are_in_range_and_no_third_st
 
 @pytest.mark.parametrize(("size", "allocated"), [(1, 8), (8, 8), (9, 16)])
 def test_memory_is_allocated_in_whole_units_of_8_bytes(size: int, allocated: int) -> None:
-    """So that what the C puts there is aligned."""
+    """A size is rounded up to a multiple of 8, so that what the C puts there is aligned."""
     assert allocate_memory(size).nbytes == allocated
 
 
@@ -289,7 +290,7 @@ def bytes_per_robot(robots: int) -> float:
 
 
 def test_an_arena_needs_as_much_memory_for_each_of_10000_robots_as_for_each_of_1000() -> None:
-    """If it kept something of each pair, ten times as many robots would need a hundred times as much."""
+    """It is between 1000 and 2000 bytes a robot. It would grow with the number if pairs were kept."""
     assert 1000 < bytes_per_robot(10_000) < 2000
     assert bytes_per_robot(1000) == pytest.approx(bytes_per_robot(10_000), rel=0.01)
 
@@ -341,7 +342,7 @@ class WheelsInC:
         self._arena = self._owner._arena
 
     def steer(self, ahead: float, left: float) -> tuple[float, float]:
-        """Return speed and spin for a vector of obstacles."""
+        """Return speed and spin for a vector of obstacles, at the default speed of the wheels."""
         _arena.lib.mcp_asdf_arena_steer(self._arena, 0, ahead, left)
         return self._arena.target_speed[0], self._arena.target_spin[0]
 
@@ -365,11 +366,15 @@ def random_vectors(count: int) -> Iterator[tuple[float, float]]:
 
 
 def test_robots_turn_away_from_obstacles_as_the_authors_controller_does() -> None:
-    """For random obstacles, speed and spin are those of the rules in the authors' source, in every state."""
+    """Speed, spin and state in C equal those by the rules of the authors' source, for 4000 random obstacles.
+
+    A vector to the obstacles points so far ahead of the robot, and so far to its left.
+    """
+    default_speed = 0.1414  # metres a second, which the arena in C has, too
     wheels, rules = WheelsInC(), Wheels()
     states = set()
     for ahead, left in random_vectors(4000):
-        expected_speed_and_spin = rules.steer(ahead, left, speed=0.1414)
+        expected_speed_and_spin = rules.steer(ahead, left, default_speed)
         assert wheels.steer(ahead, left) == pytest.approx(expected_speed_and_spin, abs=1e-12), (ahead, left)
         assert wheels.state == rules.state
         states.add(rules.state)
@@ -401,7 +406,7 @@ def tile_colours(fill_ratio: float) -> NDArray[np.bool_]:
 
 @pytest.mark.parametrize("fill_ratio", [0.0, 0.05, 0.55, 0.95, 1.0])
 def test_a_share_of_the_tiles_as_large_as_the_fill_ratio_is_black(fill_ratio: float) -> None:
-    """The colour of each of 200 x 150 tiles is random; the share may be off by four standard deviations."""
+    """Each of 200 x 150 tiles has a random colour. The share is off by at most four standard deviations."""
     black = tile_colours(fill_ratio)
     deviation = math.sqrt(fill_ratio * (1 - fill_ratio) / black.size)
     assert abs(black.mean() - fill_ratio) <= 4 * deviation
@@ -409,7 +414,7 @@ def test_a_share_of_the_tiles_as_large_as_the_fill_ratio_is_black(fill_ratio: fl
 
 @pytest.mark.parametrize("fill_ratio", [0.05, 0.55, 0.95])
 def test_the_colour_of_a_tile_does_not_depend_on_its_neighbours(fill_ratio: float) -> None:
-    """So two neighbours are both black with the square of the fill ratio, within five standard deviations."""
+    """The share of black pairs is the square of the fill ratio, to within five standard deviations."""
     black = tile_colours(fill_ratio)
     to_the_right, above, both = (1, 0), (0, 1), (1, 1)
     tolerance = 5 * math.sqrt(fill_ratio * (1 - fill_ratio) / black.size)
@@ -432,7 +437,7 @@ def test_a_tile_has_one_colour() -> None:
 
 
 def test_floors_of_two_trials_have_the_same_colour_in_half_of_the_places() -> None:
-    """Both are half black, so that is what independent colours have in common."""
+    """The share of equal colours is between 0.45 and 0.55. Both floors are half black."""
     colours_of_trial_3 = colours(Arena(MIXED_FLOOR, trial=3), SOME_MIDDLES)
     colours_of_trial_4 = colours(Arena(MIXED_FLOOR, trial=4), SOME_MIDDLES)
     is_equal = colours_of_trial_3 == colours_of_trial_4
@@ -444,13 +449,13 @@ CODE_FLOOR = moving(1, 3, 2, floor="code", fill_ratio=0.448)
 
 
 def test_a_picture_of_a_floor_like_a_qr_code_is_the_code() -> None:
-    """Both have their first row in the north."""
+    """A pixel for each module, first row in the north, gives the same array."""
     rows, columns = CODE.shape
     assert np.array_equal(Arena(CODE_FLOOR).pixels(columns, rows), CODE)
 
 
 def test_a_floor_like_a_qr_code_lies_with_its_first_row_in_the_north() -> None:
-    """The floor is 3 m wide and 2 m high with its origin in the middle; the code has 100 x 100 modules."""
+    """The floor has the colour of each of 100 x 100 modules at its middle. y grows to the north."""
     width, height = 3, 2
     rows, columns = np.indices(CODE.shape)
     x = (columns + 0.5) / 100 * width - width / 2  # of the middle of each module
@@ -472,7 +477,7 @@ def test_a_corner_of_the_floor_has_the_colour_of_the_nearest_module(
 
 @pytest.mark.parametrize("floor", [{"fill_ratio": 0.4, "tile": 0.02}, {"fill_ratio": 0.448, "floor": "code"}])
 def test_the_ground_sensor_is_in_the_right_front_of_a_robot(floor: dict[str, Any]) -> None:
-    """It sees the colour 61.4 mm ahead of a robot's centre, and 10 mm to the right."""
+    """In each tick it sees the colour 61.4 mm ahead of a robot's centre, and 10 mm to the right."""
     arena = Arena(moving(20, 3, 2, **floor), trial=9)
     motion = arena.record(100)
     for position, ahead, black in zip(motion.position, motion.heading, motion.black, strict=True):
@@ -577,9 +582,9 @@ NOT_COMPARED = {
 def test_robots_move_and_meet_as_often_as_in_the_authors_simulation(
     name: str, statistics_of_trials: list[dict[str, float]]
 ) -> None:
-    """The mean of twelve trials is within 5 % of the authors' figure.
+    """The mean of twelve trials is within 5 % of the figure of the authors' simulation.
 
-    Added to this are the sampling error of short trials, and half of the last digit of that figure.
+    It may be off by three sampling errors of short trials, and half of the last digit of that figure, more.
     """
     expected = STATISTICS[name]
     values = np.array([statistics[name] for statistics in statistics_of_trials])

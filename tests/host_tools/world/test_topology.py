@@ -75,7 +75,7 @@ def test_an_object_or_a_text_without_edges_is_refused(nothing: object) -> None:
     ],
 )
 def test_edge_lists_of_other_tools_are_read(text: str, tmp_path: Path) -> None:
-    """They have attributes or a weight behind each edge, or list an edge in both directions."""
+    """The graph is 0 1; 1 2. What follows an edge, and an edge in the other direction, have no effect."""
     graph = parse_file(text, tmp_path)
     assert str(graph) == "0 1; 1 2"
 
@@ -92,7 +92,7 @@ def test_a_weight_may_follow_an_edge_of_one_direction(tmp_path: Path) -> None:
     )
 )
 def test_any_graph_is_the_same_when_it_is_written_and_parsed_again(links: frozenset[tuple[int, int]]) -> None:
-    """A link is a pair of a sender and a receiver."""
+    """The links, pairs of a sender and a receiver, are the same after each step."""
     graph = parse_graph("; ".join(f"{sender} > {receiver}" for sender, receiver in links))
     assert graph.links == links
     assert parse_graph(str(graph)) == graph
@@ -131,7 +131,7 @@ def test_a_file_that_is_no_text_is_refused(tmp_path: Path) -> None:
 
 
 def test_a_graph_that_names_robots_outside_the_swarm_is_refused() -> None:
-    """It names robot 7, which there is among eight robots, but not among seven."""
+    """It names robot 7. Eight robots have one, and for seven the error says which ids there are."""
     graph = parse_graph("0 1; 1 7")
     graph.check(robots=8)
     with pytest.raises(UsageError, match="names robot 7, but the ids of 7 robots are 0 to 6"):
@@ -144,13 +144,13 @@ def graph_with_neighbours(count: int) -> Graph:
 
 
 def test_a_robot_may_have_as_many_neighbours_as_a_round_holds() -> None:
-    """The firmware takes at most 127 estimates between two broadcasts."""
-    graph_with_neighbours(127).check(128)
+    """The firmware takes at most 127 estimates between two broadcasts, and 127 neighbours raise no error."""
+    graph_with_neighbours(127).check(robots=128)
 
 
 def test_a_robot_with_more_neighbours_than_a_round_holds_is_refused() -> None:
     with pytest.raises(UsageError, match="robot 0 hears 128 others, but a round of the firmware holds 127"):
-        graph_with_neighbours(128).check(129)
+        graph_with_neighbours(128).check(robots=129)
 
 
 # --- Objects in Python -----------------------------------------------------------------------------------
@@ -165,13 +165,13 @@ def networkx_graph(is_directed: bool) -> Mock:
 
 
 def test_robots_of_a_pair_in_a_list_receive_from_each_other() -> None:
-    """The pairs are (1, 3) and (3, 65535)."""
+    """Each of the pairs (1, 3) and (3, 65535) becomes two links, one in each direction."""
     assert parse_graph(PAIRS).links == BOTH_DIRECTIONS
 
 
 def test_an_array_of_neighbours_has_a_row_for_each_receiver() -> None:
-    """Robot 3 receives from robot 1, and robot 0 from robot 3; a link is a sender and a receiver."""
-    neighbours = np.zeros((4, 4), np.bool_)
+    """In row 3 robot 1 is marked as a sender, so the link is (1, 3). Row 0 has the sender 3."""
+    neighbours = np.zeros((4, 4), np.bool_)  # by receiver and sender
     neighbours[3, 1] = True
     neighbours[0, 3] = True
     assert parse_graph(neighbours).links == {(1, 3), (3, 0)}

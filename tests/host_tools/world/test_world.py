@@ -50,12 +50,14 @@ def make_world(**changes: Any) -> World:
 # --- Draws -----------------------------------------------------------------------------------------------
 
 KEY = (0xA4093822, 0x299F31D0)
+"""A key of the generator, from the digits of pi: the low word and the high one."""
 
 
 def philox_words(counter: tuple[int, int, int, int], key: tuple[int, int]) -> list[int]:
     """Return the four random words of one counter, by the function that calculates those of many."""
-    c0, c1, c2, c3 = [np.array([word], np.uint64) for word in counter]
-    return [int(words[0]) for words in philox((c0, c1, c2, c3), key)]
+    first, second, third, fourth = [np.array([word], np.uint64) for word in counter]
+    arrays_of_one_word = philox((first, second, third, fourth), key)
+    return [int(word) for (word,) in arrays_of_one_word]
 
 
 @pytest.mark.parametrize(
@@ -72,22 +74,23 @@ def philox_words(counter: tuple[int, int, int, int], key: tuple[int, int]) -> li
 def test_random_numbers_are_those_of_the_generator_philox_4x32_10(
     counter: tuple[int, int, int, int], key: tuple[int, int], words: list[int]
 ) -> None:
-    """It turns a counter and a key into four words; the known ones are those of its authors (Random123)."""
+    """It turns a counter and a key into four words, here those that its authors state (Random123)."""
     assert philox_words(counter, key) == words
 
 
 def test_a_random_number_depends_on_step_robot_trial_and_purpose_alone() -> None:
-    """The generator turns a counter (step // 4, robot, trial, purpose) into the numbers of four steps."""
+    """The generator makes the numbers of four steps from the counter (step // 4, robot, trial, purpose)."""
     low_word, high_word = KEY
     purpose, trial, robot = 1, 7, 2
     stream = Stream(purpose, seed=(high_word << 32) | low_word, trial=trial, robots=3)
     words_by_robot = stream.draw_words(4).T
-    assert words_by_robot[robot].tolist() == philox_words((0, robot, trial, purpose), KEY)
+    counter_of_steps_0_to_3 = (0, robot, trial, purpose)
+    assert words_by_robot[robot].tolist() == philox_words(counter_of_steps_0_to_3, KEY)
 
 
 @pytest.mark.parametrize("first_step", [0, 1, 3, 4, 6])
 def test_random_numbers_of_a_step_do_not_depend_on_the_first_step_asked_for(first_step: int) -> None:
-    """Nine steps have the same numbers as among all twenty; numbers are made for four steps at once."""
+    """Nine steps have the same numbers as among all twenty, although they are made for four steps at once."""
     stream = Stream(OBSERVATION_STREAM, SEED, trial=0, robots=3)
     words_of_20_steps = stream.draw_words(20)
     words_of_9_steps = stream.draw_words(9, first_step)
@@ -95,7 +98,7 @@ def test_random_numbers_of_a_step_do_not_depend_on_the_first_step_asked_for(firs
 
 
 def test_uniform_draws_are_the_middles_of_equal_intervals() -> None:
-    """So none of the 2**32 numbers is 0 or 1."""
+    """A draw is (word + 1/2) / 2**32, so that none is 0 or 1."""
     stream = Stream(SENSOR_STREAM, SEED, trial=0, robots=3)
     assert np.array_equal(stream.draw_uniforms(5) * 2.0**32, stream.draw_words(5) + 0.5)
 
@@ -110,12 +113,16 @@ def draws_of_31_bits() -> NDArray[np.uint32]:
 
 
 @pytest.mark.parametrize(
-    ("white_offset", "accuracy_on_white"), [(0.0, Fraction(7, 10)), (-0.125, Fraction(23, 40))]
+    ("white_offset", "accuracy_on_white"),
+    [(0.0, Fraction(7, 10)), (-0.125, Fraction(7, 10) - Fraction(1, 8))],
 )
 def test_each_random_number_becomes_black_with_the_probability_of_the_paper_s_equation_1(
     white_offset: float, accuracy_on_white: Fraction
 ) -> None:
-    """A robot observes black on black tiles, 2/5 of the floor, and by mistake on white ones, 3/5."""
+    """A robot observes black on black tiles, 2/5 of the floor, and by mistake on white ones, 3/5.
+
+    A number of 31 bits becomes black if it is below this probability times 2**31.
+    """
     world = make_world(fill_ratio=0.4, true_accuracy=0.7, white_offset=white_offset)
     probability_of_black = Fraction(2, 5) * Fraction(7, 10) + Fraction(3, 5) * (1 - accuracy_on_white)
     is_below_limit = draws_of_31_bits() < float(probability_of_black * 2**31)
@@ -130,7 +137,7 @@ def test_the_reported_accuracy_of_a_sensor_is_the_mean_of_those_on_black_and_on_
 
 
 def test_moving_robots_observe_the_colour_under_them_with_the_accuracy_of_their_sensor() -> None:
-    """Black is observed with probability 0.75, and white, with an accuracy of 0.875, taken for black."""
+    """They observe black with probability 0.75 on black tiles, and 1 - 0.875 on white ones."""
     settings = make_settings(topology="dynamic", fill_ratio=0.4, true_accuracy=0.75, white_offset=0.125)
     is_black_floor = Arena(settings, trial=0).record(200).black.astype(bool)
     probability_of_black = np.where(is_black_floor, 0.75, 1 - 0.875)
@@ -152,7 +159,7 @@ def draws_of_three_quarters(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.usefixtures("draws_of_three_quarters")
 @pytest.mark.parametrize("topology", ["fully-connected", "dynamic"])
 def test_a_draw_equal_to_the_probability_of_black_is_observed_as_white(topology: str) -> None:
-    """All draws are 3/4, and so is the accuracy of the sensor on a floor that is black."""
+    """The floor is black. All draws are 3/4, and so is the accuracy of the sensor."""
     world = make_world(topology=topology, fill_ratio=1.0, true_accuracy=0.75)
     assert not world.advance(20).black.any()
 
@@ -160,13 +167,13 @@ def test_a_draw_equal_to_the_probability_of_black_is_observed_as_white(topology:
 @pytest.mark.usefixtures("draws_of_three_quarters")
 @pytest.mark.parametrize("topology", ["fully-connected", "dynamic"])
 def test_a_draw_one_unit_below_the_probability_of_black_is_observed_as_black(topology: str) -> None:
-    """All draws are 3/4, and the accuracy of the sensor is a little higher, on a floor that is black."""
+    """The floor is black. All draws are 3/4, and the accuracy of the sensor is higher by a unit, 2**-31."""
     world = make_world(topology=topology, fill_ratio=1.0, true_accuracy=0.75 + 2**-31)
     assert world.advance(20).black.all()
 
 
 def test_robots_of_other_trials_and_seeds_observe_differently() -> None:
-    """Twelve robots, four in each of three worlds, have twelve different observations in 200 steps."""
+    """Twelve robots, four in each of three worlds, have twelve different sequences of observations."""
     black = World(make_settings(), trial=0).advance(200).black
     black_in_other_trial = World(make_settings(), trial=1).advance(200).black
     black_with_other_seed = World(make_settings(seed=SEED + 1), trial=0).advance(200).black
@@ -194,7 +201,7 @@ def test_robots_observe_in_the_last_step_of_each_observation_period(period: int)
 
 @in_each_world
 def test_a_world_is_the_same_however_many_steps_are_taken_at_once(changes: dict[str, Any]) -> None:
-    """200 steps are taken at once, and in four parts."""
+    """Four arrays of 200 steps are the same as those of four parts, joined."""
     scene = make_world(**changes).advance(200)
     world = make_world(**changes)
     parts = [world.advance(steps) for steps in (7, 1, 130, 62)]
@@ -207,7 +214,7 @@ def test_a_world_is_the_same_however_many_steps_are_taken_at_once(changes: dict[
 def test_observations_after_skipped_steps_are_the_same_as_if_these_had_been_taken(
     changes: dict[str, Any],
 ) -> None:
-    """Of 200 steps, the first 137 are skipped in two parts."""
+    """The last 63 of 200 steps have the same observations. The first 137 are skipped in two parts."""
     scene = make_world(**changes).advance(200)
     world = make_world(**changes)
     world.skip(7)
@@ -232,7 +239,7 @@ def observations_in(scene: Scene) -> list[list[Observation | None]]:
 def test_a_world_taken_step_by_step_has_the_observations_of_all_steps_at_once(
     changes: dict[str, Any],
 ) -> None:
-    """An observation is black or white, or None in a step without one."""
+    """The observations of 200 steps are equal. In a step without one it is None."""
     scene = make_world(**changes).advance(200)
     stepped_world = SteppedWorld(make_settings(**changes))
     observations_by_step = [list(stepped_world.step()) for _ in range(200)]
@@ -252,7 +259,7 @@ def test_a_world_taken_step_by_step_has_the_neighbours_and_accuracies_of_all_ste
 
 
 def test_a_world_taken_step_by_step_has_the_positions_of_all_steps_at_once() -> None:
-    """Robots have positions if they move."""
+    """The positions of moving robots are equal in each of 200 steps."""
     scene = make_world(topology="dynamic").advance(200)
     stepped_world = SteppedWorld(make_settings(topology="dynamic"))
     assert scene.positions is not None
@@ -264,7 +271,7 @@ def test_a_world_taken_step_by_step_has_the_positions_of_all_steps_at_once() -> 
 
 @pytest.mark.parametrize("topology", [{}, {"topology": "graph", "graph": "0 1; 1 > 2"}])
 def test_robots_that_do_not_move_have_no_positions(topology: dict[str, str]) -> None:
-    """The world is taken by 200 steps at once, and step by step."""
+    """``positions`` is None if 200 steps are taken at once, and step by step."""
     scene = make_world(**topology).advance(200)
     stepped_world = SteppedWorld(make_settings(**topology))
     stepped_world.step()
@@ -275,8 +282,8 @@ def test_robots_that_do_not_move_have_no_positions(topology: dict[str, str]) -> 
 
 # --- Settings that are refused ---------------------------------------------------------------------------
 
-MOVING_SWARM: dict[str, Any] = {"robots": 9, "topology": "dynamic", "density": 3}
-CODE: dict[str, Any] = {**MOVING_SWARM, "floor": "code"}
+MOVING_ROBOTS: dict[str, Any] = {"robots": 9, "topology": "dynamic", "density": 3}
+CODE_FLOOR: dict[str, Any] = {**MOVING_ROBOTS, "floor": "code"}
 
 
 @pytest.mark.parametrize(
@@ -299,36 +306,40 @@ CODE: dict[str, Any] = {**MOVING_SWARM, "floor": "code"}
             "lowest_accuracy",
             "lowest_accuracy is 0.7; it must be at most true_accuracy, 0.6",
         ),
-        ({**MOVING_SWARM, "density": 60}, "density", "9 robots of 0.1408 m are too many for 0.4"),
-        ({**MOVING_SWARM, "density": 1e-6, "radio_range": 100.0}, "density", "may be up to 1000 m"),
-        ({**MOVING_SWARM, "width": 3.0}, "density", "give one of them"),
-        ({**MOVING_SWARM, "width": 3.0, "density": 1}, "height", "give width and height"),
-        ({**MOVING_SWARM, "height": 3.0, "density": 1}, "width", "give width and height"),
-        ({**MOVING_SWARM, "width": 0.1408, "height": 9.0, "density": 1}, "width", "too many"),
-        ({**MOVING_SWARM, "speed": 0.9}, "speed", "1e-06 to 0.814"),
-        ({**MOVING_SWARM, "speed": 0.8, "steps_per_second": 9}, "steps_per_second", "must be 10 or more"),
-        ({**MOVING_SWARM, "density": 1, "width": 5.0, "height": 1.0, "tile": 2e-5}, "tile", "at most 100000"),
-        ({**CODE, "tile": 0.02}, "tile", "without tiles"),
-        ({**CODE, "fill_ratio": 0.44801}, "fill_ratio", "multiple of 0.0001"),
-        ({**CODE, "fill_ratio": 0.88}, "fill_ratio", "can have 0.0183 to 0.8799"),
-        ({**CODE, "fill_ratio": 0.0182}, "fill_ratio", "can have 0.0183 to"),
+        ({**MOVING_ROBOTS, "density": 60}, "density", "9 robots of 0.1408 m are too many for 0.4"),
+        ({**MOVING_ROBOTS, "density": 1e-6, "radio_range": 100.0}, "density", "may be up to 1000 m"),
+        ({**MOVING_ROBOTS, "width": 3.0}, "density", "give one of them"),
+        ({**MOVING_ROBOTS, "width": 3.0, "density": 1}, "height", "give width and height"),
+        ({**MOVING_ROBOTS, "height": 3.0, "density": 1}, "width", "give width and height"),
+        ({**MOVING_ROBOTS, "width": 0.1408, "height": 9.0, "density": 1}, "width", "too many"),
+        ({**MOVING_ROBOTS, "speed": 0.9}, "speed", "1e-06 to 0.814"),
+        ({**MOVING_ROBOTS, "speed": 0.8, "steps_per_second": 9}, "steps_per_second", "must be 10 or more"),
+        (
+            {**MOVING_ROBOTS, "density": 1, "width": 5.0, "height": 1.0, "tile": 2e-5},
+            "tile",
+            "at most 100000",
+        ),
+        ({**CODE_FLOOR, "tile": 0.02}, "tile", "without tiles"),
+        ({**CODE_FLOOR, "fill_ratio": 0.44801}, "fill_ratio", "multiple of 0.0001"),
+        ({**CODE_FLOOR, "fill_ratio": 0.88}, "fill_ratio", "can have 0.0183 to 0.8799"),
+        ({**CODE_FLOOR, "fill_ratio": 0.0182}, "fill_ratio", "can have 0.0183 to"),
         (
             {"robots": 129},
             "robots",
             "robots is 129, but each would hear 128 others, and a round of the firmw",
         ),
         (
-            {**MOVING_SWARM, "robots": 129, "radio_range": 1.43},
+            {**MOVING_ROBOTS, "robots": 129, "radio_range": 1.43},
             "radio_range",
             "robots is 129, but with radio_range 1.43 some could hear more than 127 others",
         ),
-        ({**MOVING_SWARM, "width": 0.591, "height": 0.591, "density": 1}, "width", "too many for 0.591 x"),
+        ({**MOVING_ROBOTS, "width": 0.591, "height": 0.591, "density": 1}, "width", "too many for 0.591 x"),
     ],
 )
 def test_settings_of_a_world_that_contradict_each_other_are_refused(
     changes: dict[str, Any], parameter: str, message: str
 ) -> None:
-    """The error knows the parameter that is wrong, and says what would be right."""
+    """The ``key`` of the error is the parameter that is wrong, and the text says what would be right."""
     with pytest.raises(ParameterError) as caught:
         WorldSettings(**{"robots": 4} | changes)
     assert caught.value.key == parameter
@@ -341,15 +352,15 @@ def test_settings_of_a_world_that_contradict_each_other_are_refused(
         {"robots": 128},
         {"robots": 129, "topology": "graph", "graph": "0 128"},
         {"robots": 129, "topology": "dynamic", "radio_range": 1.42},
-        {**MOVING_SWARM, "density": 1, "width": 0.593, "height": 0.593},
-        {**MOVING_SWARM, "density": 1, "width": 1000.0, "height": 1000.0},
-        {**MOVING_SWARM, "speed": 0.8, "steps_per_second": 10},
-        {**CODE, "fill_ratio": 0.0183},
-        {**CODE, "fill_ratio": 0.8799},
+        {**MOVING_ROBOTS, "density": 1, "width": 0.593, "height": 0.593},
+        {**MOVING_ROBOTS, "density": 1, "width": 1000.0, "height": 1000.0},
+        {**MOVING_ROBOTS, "speed": 0.8, "steps_per_second": 10},
+        {**CODE_FLOOR, "fill_ratio": 0.0183},
+        {**CODE_FLOOR, "fill_ratio": 0.8799},
     ],
 )
 def test_settings_at_a_limit_are_accepted(changes: dict[str, Any]) -> None:
-    """Each set is next to one that is refused."""
+    """They are kept as they are, but for a graph. Values just beyond are refused."""
     settings = WorldSettings(**changes)
     accepted = {name: getattr(settings, name) for name in changes if name != "graph"}
     assert accepted == {name: value for name, value in changes.items() if name != "graph"}
@@ -369,13 +380,13 @@ def test_a_name_that_resembles_no_parameter_is_refused_with_all_of_them() -> Non
 
 
 def test_a_recording_with_former_parameters_that_had_no_effect_opens() -> None:
-    """Earlier versions had more parameters of drifting sensors; here there is no drift."""
+    """The former parameters of drifting sensors are dropped, as there is no drift."""
     recorded = {"robots": 4, "drift_spread": 0.0, "drift_period": 1000, "drift_diffusion": 0.0}
     assert WorldSettings.from_recording(recorded) == WorldSettings(robots=4)
 
 
 def test_a_recording_with_a_former_parameter_that_had_an_effect_is_refused() -> None:
-    """Earlier versions had a spread of the drifts of sensors, which is unknown today."""
+    """The error names drift_spread, which made sensors drift differently in earlier versions."""
     recorded = {"drift": "linear", "drift_rate": -1e-5, "drift_spread": 1e-6}
     with pytest.raises(ParameterError, match="drift_spread is 1e-06, a parameter of earlier versions"):
         WorldSettings.from_recording(recorded)
@@ -397,19 +408,19 @@ def test_the_density_of_robots_makes_the_floor_a_square() -> None:
 
 
 def test_the_default_density_of_20_robots_makes_the_floor_a_square_of_5_55_m() -> None:
-    """It is that of the paper."""
+    """It is the density of the paper."""
     settings = WorldSettings(topology="dynamic", robots=20)
     assert settings.sides == pytest.approx((5.5486, 5.5486), abs=1e-4)
 
 
 def test_a_width_and_a_height_make_the_floor_a_rectangle() -> None:
-    """They take the place of a density other than the default one."""
+    """Its sides are the width and the height, whatever the density is."""
     settings = WorldSettings(topology="dynamic", robots=20, density=1.0, width=3.0, height=2.0)
     assert settings.sides == (3.0, 2.0)
 
 
 def test_every_setting_of_moving_robots_reaches_their_simulation_in_c() -> None:
-    """Most have the same name there; a tick is the seconds of a step, and the seed is one of the trial."""
+    """Most have the same name there. A tick is a step in seconds, and the seed is derived for the trial."""
     same_in_c = {"robots": 2, "width": 2.0, "height": 1.5, "speed": 0.1, "tile": 0.02, "fill_ratio": 0.4}
     settings = make_settings(**same_in_c, topology="dynamic", radio_range=0.5, steps_per_second=20)
 
@@ -419,7 +430,7 @@ def test_every_setting_of_moving_robots_reaches_their_simulation_in_c() -> None:
 
 
 LEAST_FILL_RATIO_OF_CODES = 3 * 33e-4 + 2 * 42e-4
-"""What three finder patterns and two timing lines have of black, in a code of 10^4 modules."""
+"""Share of black in three finder patterns, of 33 modules, and two timing lines, of 42, among 10^4 modules."""
 FINDER_PATTERN_SIDE = 7
 BLACK_IN_FINDER_PATTERN = 24 + 9
 """Black modules of a finder pattern: those of its frame, and a square of 3 x 3 in its middle."""
@@ -428,7 +439,7 @@ FILL_RATIOS_OF_CODES = [0.448, 0.5001, 0.8, LEAST_FILL_RATIO_OF_CODES]
 
 @pytest.mark.parametrize("fill_ratio", FILL_RATIOS_OF_CODES)
 def test_a_floor_like_a_qr_code_has_exactly_the_chosen_share_of_black(fill_ratio: float) -> None:
-    """It is a square of 100 x 100 modules, which are black or white."""
+    """So many of its 100 x 100 modules, which are black or white, are black."""
     code = make_floor_code(fill_ratio)
     assert code.shape == (100, 100)
     assert code.sum() == round(fill_ratio * 100 * 100)
@@ -436,14 +447,14 @@ def test_a_floor_like_a_qr_code_has_exactly_the_chosen_share_of_black(fill_ratio
 
 @pytest.mark.parametrize("fill_ratio", FILL_RATIOS_OF_CODES)
 def test_the_middle_of_a_floor_like_a_qr_code_is_white_for_a_logo(fill_ratio: float) -> None:
-    """Of 100 x 100 modules there are 32 x 32 in the middle."""
+    """The 32 x 32 modules in the middle of 100 x 100 are all white."""
     middle = slice(34, 66)
     assert not make_floor_code(fill_ratio)[middle, middle].any()
 
 
 @pytest.mark.parametrize("fill_ratio", FILL_RATIOS_OF_CODES)
 def test_a_floor_like_a_qr_code_has_finder_patterns_in_three_corners(fill_ratio: float) -> None:
-    """A finder pattern is the square of 7 x 7 modules by which a reader of QR codes finds the corner."""
+    """The squares of 7 x 7 modules there, by which a reader finds the corners, have 33 black modules."""
     code = make_floor_code(fill_ratio)
     first, last = slice(0, FINDER_PATTERN_SIDE), slice(-FINDER_PATTERN_SIDE, None)
     assert code[first, first].sum() == BLACK_IN_FINDER_PATTERN
@@ -453,7 +464,7 @@ def test_a_floor_like_a_qr_code_has_finder_patterns_in_three_corners(fill_ratio:
 
 @pytest.mark.parametrize("fill_ratio", FILL_RATIOS_OF_CODES)
 def test_a_floor_like_a_qr_code_has_two_lines_of_black_and_white_in_turn(fill_ratio: float) -> None:
-    """A row and a column by which readers of QR codes count modules, from one finder pattern to another."""
+    """They are the row and the column from one finder pattern to another, by which readers count modules."""
     code = make_floor_code(fill_ratio)
     line = FINDER_PATTERN_SIDE - 1  # the last row and column of the first pattern
     margin = FINDER_PATTERN_SIDE + 1  # a pattern and a white module beside it
@@ -465,7 +476,7 @@ def test_a_floor_like_a_qr_code_has_two_lines_of_black_and_white_in_turn(fill_ra
 
 
 def test_a_floor_like_a_qr_code_is_always_the_same() -> None:
-    """So results on it can be repeated. Each character is a module: # is black."""
+    """It equals the golden file, in which each character is a module: # is black."""
     rows = ["".join("#" if is_black else "." for is_black in row) for row in make_floor_code(0.448)]
     assert_equals_golden_file("floor_code.txt", rows)
 
@@ -485,7 +496,7 @@ VALID_ACCURACIES = np.full((1, 1), 0.5)
 def test_accuracies_of_an_extension_may_be_alike_for_all_steps_or_robots(
     accuracies: NDArray[np.float64],
 ) -> None:
-    """An extension of the user's may return one row or column in place of 5 steps and 4 robots."""
+    """One row stands for all 5 steps, and one column for all 4 robots. They are returned as they are."""
     extension = extension_that_answers((VALID_ACCURACIES, accuracies))
     sensors = CheckedSensors(extension, make_settings())
     on_black, on_white = sensors.advance(5)
@@ -498,7 +509,7 @@ def test_accuracies_of_an_extension_may_be_alike_for_all_steps_or_robots(
 def test_accuracies_of_an_extension_of_a_wrong_shape_are_refused(
     shape: tuple[int, ...], is_on_white: bool
 ) -> None:
-    """For 5 steps and 4 robots they may have 5 rows or one, and 4 columns or one."""
+    """The error says that 5 steps and 4 robots need 5 rows or one, and 4 columns or one."""
     accuracies = np.full(shape, 0.5)
     answer = (VALID_ACCURACIES, accuracies) if is_on_white else (accuracies, VALID_ACCURACIES)
     sensors = CheckedSensors(extension_that_answers(answer), make_settings())
@@ -510,7 +521,7 @@ def test_accuracies_of_an_extension_of_a_wrong_shape_are_refused(
 @pytest.mark.parametrize("is_on_white", [False, True])
 @pytest.mark.parametrize("accuracy", [1.01, -0.01, math.nan])
 def test_accuracies_of_an_extension_outside_0_to_1_are_refused(accuracy: float, is_on_white: bool) -> None:
-    """An extension is a sensor model of the user's, which gives accuracies on black and on white tiles."""
+    """A sensor model of the user's gives them for black or white tiles. The error advises to clip them."""
     accuracies = np.full((5, 4), accuracy)
     answer = (VALID_ACCURACIES, accuracies) if is_on_white else (accuracies, VALID_ACCURACIES)
     sensors = CheckedSensors(extension_that_answers(answer), make_settings())
@@ -520,7 +531,7 @@ def test_accuracies_of_an_extension_outside_0_to_1_are_refused(accuracy: float, 
 
 
 def test_a_sensor_model_of_the_user_takes_the_place_of_the_built_in_one() -> None:
-    """It gives an accuracy of 1/4 on black tiles and 3/4 on white ones, in all steps for all robots."""
+    """Its accuracies, 1/4 on black tiles and 3/4 on white ones, are returned."""
     accuracies = (np.full((1, 1), 0.25), np.full((1, 1), 0.75))
 
     def make_extension(settings: WorldSettings, trial: int) -> Any:
@@ -531,7 +542,7 @@ def test_a_sensor_model_of_the_user_takes_the_place_of_the_built_in_one() -> Non
 
 
 def test_a_sensor_that_breaks_its_promise_of_one_accuracy_is_refused() -> None:
-    """It says that it has one accuracy for both colours, by which the fast engine goes, and returns two."""
+    """It says that it has one accuracy for both colours, and returns two. The error names the attribute."""
 
     class Sensors:
         has_one_accuracy = True
@@ -551,7 +562,7 @@ NO_NEIGHBOURS = np.zeros((5, 4, 4), np.bool_)
 
 
 def test_neighbours_of_an_extension_are_taken_as_they_are() -> None:
-    """A topology of the user's says which robots receive from which, by step, receiver and sender."""
+    """The array of a user's topology, by step, receiver and sender, is returned itself."""
     topology = CheckedTopology(extension_that_answers(NO_NEIGHBOURS), "mine", robots=4)
     assert topology.advance(5) is NO_NEIGHBOURS
 
@@ -566,7 +577,7 @@ def test_neighbours_of_an_extension_are_taken_as_they_are() -> None:
     ids=["4 steps in place of 5", "numbers", "each robot its own neighbour"],
 )
 def test_wrong_neighbours_of_an_extension_are_refused(neighbours: NDArray[Any], message: str) -> None:
-    """A topology of the user's is to give truth values by step, receiver and sender, for 5 steps."""
+    """A topology gives truth values by step, receiver and sender. The error says what is wrong."""
     topology = CheckedTopology(extension_that_answers(neighbours), "mine", robots=4)
     with pytest.raises(UsageError, match=message):
         topology.advance(5)
@@ -587,7 +598,7 @@ def test_without_drift_the_accuracy_is_one_number_for_all_steps_and_robots() -> 
 
 
 def test_a_linear_drift_ends_at_the_lowest_accuracy() -> None:
-    """It begins at 0.95 and loses a thousandth in each step, so it would be below 0.6 after step 350."""
+    """It begins at 0.95, loses a thousandth in each step, and stays 0.6 from step 350 on."""
     settings = WorldSettings(steps=1000, drift="linear", drift_rate=-1e-3, lowest_accuracy=0.6)
     [accuracy_by_step] = true_accuracies(settings).T  # the same for all robots
 
@@ -606,14 +617,14 @@ ACCURACY_AFTER_99_STEPS = 0.95 - 99 * 1e-3
 
 
 def test_sensors_may_drift_in_flawed_robots_alone() -> None:
-    """Of four robots, which begin with 0.95, the first is flawed."""
+    """After 99 steps the first robot, which is flawed, has lost 99 thousandths, and the others none."""
     settings = Population(**DRIFTING_POPULATION, drift_of="flawed", steps=100)
     *_, accuracy_in_last_step = true_accuracies(settings)  # by robot
     assert accuracy_in_last_step.tolist() == pytest.approx([ACCURACY_AFTER_99_STEPS, 0.95, 0.95, 0.95])
 
 
 def test_sensors_drift_in_all_robots_by_default() -> None:
-    """So there is one accuracy for all robots; the first is flawed."""
+    """There is one accuracy for all robots, flawed or not. After 99 steps it has lost 99 thousandths."""
     settings = Population(**DRIFTING_POPULATION, steps=100)
     *_, accuracy_in_last_step = true_accuracies(settings)
     assert accuracy_in_last_step.tolist() == pytest.approx([ACCURACY_AFTER_99_STEPS])

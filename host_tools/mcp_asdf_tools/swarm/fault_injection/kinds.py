@@ -196,11 +196,12 @@ class OutageFault(Fault, ABC):
         """State of a node that is hit."""
 
     def on_tick(self, node: int, tick: int, run: FaultRun) -> Outage | None:
-        """Return the outage while one lasts or if one begins, and count the tick as a hit.
+        """Return the outage of a node that is off the bus in this tick; None for one that is on it.
 
-        Returns None, and counts nothing, for a node that is on the bus.
+        An outage lasts for ``ticks`` ticks. While it lasts the node cannot be hit again, but each of its
+        ticks counts as a hit of the fault.
         """
-        ticks_left_before = run.memory.get(node, 0)  # of an outage at the last tick, that tick included
+        ticks_left_before = run.memory.get(node, 0)  # of its outage, counted from the last tick on
         ticks_left = max(ticks_left_before - 1, 0)
         # A node that is off the bus already is not hit again.
         if ticks_left == 0 and run.hits_node(node, tick):
