@@ -39,6 +39,11 @@ HAS_TWO_TRIALS = """window.view?.playground?.comparison.filters.every(
     ({ trials }) => trials.length >= 2 && trials[0])"""
 COMMAND = "document.querySelector('#command code').textContent"
 RECORDS = "Array.from(view.playground.records)"
+"""These three are expressions of JavaScript, which the web page evaluates."""
+MAX_ROUNDING_ERROR = 1 / 65534
+"""The page keeps a value from 0 to 1 as a number from 0 to 65534."""
+STEPS_PER_POINT = 8
+"""A point of the chart of errors is the mean of so many steps."""
 WORDS_PER_RECORD = 10
 X_HAT_WORD, X_WORD, B_HAT_WORD, PADDING_WORD = 4, 7, 8, 9
 """Words of ``mcp_asdf_record_t``, what the engine records of a robot in a step."""
@@ -154,7 +159,8 @@ def computed(request: pytest.FixtureRequest, chromium: Browser, playground: Path
 
 def native_records(experiment: Experiment) -> NDArray[np.uint32]:
     """Return the records of the first trial by the native engine, as ``read_records`` does."""
-    records = native.run(experiment, 0, 1, 1).records.view(np.uint32).reshape(-1, WORDS_PER_RECORD).copy()
+    native_trial = native.run(experiment, first=0, trials=1, sampling_interval=1)
+    records = native_trial.records.view(np.uint32).reshape(-1, WORDS_PER_RECORD).copy()
     records[:, PADDING_WORD] = 0
     return records
 
@@ -181,10 +187,10 @@ def read_drawn_values(page: Page, name: str, step: int) -> Any:
 def test_the_playground_draws_the_computed_values_of_the_last_step(
     computed: Computed, name: str, word: int, one: int
 ) -> None:
-    """``one`` is the word of a record that stands for 1. The page rounds values to a 65534th."""
+    """The values are compared with those that the native engine records, in which ``one`` stands for 1."""
     drawn_values = read_drawn_values(computed.page, name, step=computed.experiment.steps)
     computed_values = computed.last_records[:, word] / one
-    assert np.abs(drawn_values - computed_values).max() <= 1 / 65534
+    assert np.abs(drawn_values - computed_values).max() <= MAX_ROUNDING_ERROR
 
 
 @pytest.mark.slow
@@ -199,7 +205,7 @@ def test_the_playground_draws_robots_where_they_are_in_the_arena_after_the_last_
     drawn_positions = computed.page.evaluate(
         f"view.history.description.robots.map((_, robot) => view.history.position(robot, {experiment.steps}))"
     )
-    assert np.abs(drawn_positions - last_positions).max() <= max(experiment.sides) / 65534
+    assert np.abs(drawn_positions - last_positions).max() <= max(experiment.sides) * MAX_ROUNDING_ERROR
 
 
 @pytest.mark.slow
@@ -208,7 +214,7 @@ def test_the_playground_writes_the_median_of_each_filter_s_final_errors_in_perce
 ) -> None:
     """It has computed some of 30 trials of each of four filters.
 
-    Of an even number it takes the upper median.
+    Of an even number of errors, the larger of the two in the middle is taken for the median.
     """
     errors_and_texts = computed.page.evaluate(
         "view.playground.comparison.filters.map(({ trials }, index) => "
@@ -224,7 +230,7 @@ def test_the_playground_writes_the_median_of_each_filter_s_final_errors_in_perce
 def native_errors(experiment: Experiment, filter_name: str) -> Any:
     """Return the mean error of all robots in each step of two trials, computed by the native engine."""
     filtered = Experiment(**experiment.parameters() | {"filter": filter_name})
-    x = native.run(filtered, 0, 2).x / 2.0**23
+    x = native.run(filtered, first=0, trials=2).x / 2.0**23
     errors = abs(x - experiment.fill_ratio).mean(axis=1)
     return np.broadcast_to(errors, (2, experiment.steps + 1))  # alike if all robots have one x
 
@@ -238,8 +244,8 @@ def test_a_point_of_the_chart_of_errors_is_the_mean_error_of_eight_steps(
     trials = f"view.playground.comparison.filters[{index}].trials.slice(0, 2)"
     points = np.array(computed.page.evaluate(f"{trials}.map((errors) => [...errors])"))
     _, point_count = points.shape
-    errors_by_step = native_errors(computed.experiment, filter_name)[:, : 8 * point_count]
-    expected_points = errors_by_step.reshape(2, point_count, 8).mean(axis=2)
+    errors_by_step = native_errors(computed.experiment, filter_name)[:, : STEPS_PER_POINT * point_count]
+    expected_points = errors_by_step.reshape(2, point_count, STEPS_PER_POINT).mean(axis=2)
 
     assert np.abs(points - expected_points).max() < 1e-12
 
@@ -296,6 +302,7 @@ def test_the_playground_opens_with_the_settings_in_its_address(small_browser: Pa
 
 @pytest.mark.slow
 def test_a_change_of_the_address_runs_a_swarm_with_the_new_settings(small_browser: Page) -> None:
+    """The new swarm has four robots, and is run for 40 steps with each filter."""
     small_browser.evaluate("location.hash = '#steps=40&robots=4'")
     until(small_browser, f"view.history.robotCount === 4 && {HAS_TWO_TRIALS}")
 
@@ -326,7 +333,7 @@ def test_a_slider_changes_the_address_and_the_command_that_is_shown(small_browse
 
 @pytest.mark.slow
 def test_the_space_bar_does_not_pause_the_swarm_while_a_slider_has_the_focus(small_browser: Page) -> None:
-    """Elsewhere on the page it does."""
+    """The space bar is pressed at the slider of the liars, and the swarm goes on playing."""
     until(small_browser, "view.history !== null")
     small_browser.locator("#more").click()
     small_browser.evaluate("view.player.isPlaying = true")
@@ -340,6 +347,7 @@ def test_the_space_bar_does_not_pause_the_swarm_while_a_slider_has_the_focus(sma
 def test_each_button_of_an_example_is_marked_when_it_is_pressed_and_shows_sentences_about_it(
     small_browser: Page,
 ) -> None:
+    """A button sets up a swarm, such as one with liars. The sentences below it end with a full stop."""
     for index, button in enumerate(small_browser.locator("#presets button").all()):
         button.press("Enter")
 
@@ -351,7 +359,7 @@ def test_each_button_of_an_example_is_marked_when_it_is_pressed_and_shows_senten
 def test_a_filter_that_is_chosen_on_the_page_stands_in_the_title_and_in_the_address(
     small_browser: Page,
 ) -> None:
-    """The page was opened with the robust filter, and "no filter" is chosen."""
+    """The page was opened with the robust filter. The setting "no filter" is chosen on it."""
     small_browser.locator("[name=filter][value=none]").check()
     until(small_browser, "view.history.description.title.endsWith('no filter')")
     until(small_browser, "location.hash.includes('filter=none')")
@@ -409,6 +417,7 @@ def test_the_introduction_says_that_a_robot_lies_when_the_button_has_added_a_lia
 def test_a_swarm_that_was_played_to_its_end_plays_from_the_start_when_settings_change(
     small_browser: Page,
 ) -> None:
+    """The address is changed while the last step is shown. The swarm with four robots then plays."""
     small_browser.evaluate("view.player.seek(view.player.end)")
     small_browser.evaluate("location.hash = '#steps=100&robots=4'")
     until(small_browser, "view.history.robotCount === 4 && view.player.isPlaying")
@@ -444,14 +453,14 @@ def test_the_error_in_large_figures_is_grey_until_all_30_trials_have_been_comput
 def test_the_error_in_large_figures_is_the_median_of_30_trials_in_percent(
     browser: Page, playground: Path
 ) -> None:
-    """Of the two values in the middle it is the upper one."""
+    """Of the two errors in the middle the larger one is taken."""
     open_playground(browser, playground, "steps=3000")
     until(browser, f"{NOTE_OF_FIRST_RESULT}.textContent === 'points, 30 runs'")
     text = browser.evaluate(f"{ERROR_OF_FIRST_RESULT}.textContent")
     errors = browser.evaluate("view.playground.comparison.filters[0].trials.map((errors) => errors.at(-1))")
 
     assert len(errors) == 30
-    upper_median = sorted(errors)[15]
+    upper_median = sorted(errors)[30 // 2]
     assert text == f"off by {100 * upper_median:.1f}"
 
 
@@ -523,7 +532,7 @@ def test_a_framed_playground_fills_the_window_of_the_outer_page_below_the_text_a
 
 @pytest.mark.slow
 def test_a_framed_playground_is_as_high_as_a_window_of_less_than_600_pixels(framed: Framed) -> None:
-    """In so small a window a visitor has to scroll to the frame, and then sees nothing else."""
+    """The window is 590 pixels high. A visitor has to scroll to the frame, and then sees nothing else."""
     framed.outer.set_viewport_size({"width": 800, "height": 590})
     until(framed.inner, f"{HEIGHT_OF_SCREEN} === '590px'")
 

@@ -20,7 +20,7 @@ CONNECTED = {
     "true_accuracy": 0.55,
     "flawed_accuracy": 0.95,
 }
-SOME_ROWS: list[tuple[str, dict[str, Any]]] = [
+CASES_AND_PARAMETERS: list[tuple[str, dict[str, Any]]] = [
     ("dynamic,underconfident,50%,", DYNAMIC | {"flawed": "50%"}),
     ("fully-connected,overconfident,10%,", CONNECTED | {"flawed": "10%"}),
     (
@@ -29,17 +29,18 @@ SOME_ROWS: list[tuple[str, dict[str, Any]]] = [
     ),
     ("dynamic,underconfident,30%,density=4.0", DYNAMIC | {"flawed": "30%", "density": 4.0}),
 ]
+"""Beginnings of rows of the figures, each with the parameters of the experiment that the row is about."""
 
 
 def row_end(trials: list[dict[str, Any]]) -> str:
     """Return median score, median error, and the error that one trial in ten exceeds, as a row has them."""
     errors = [np.mean(trial["e"]) for trial in trials]
-    score = np.median([trial["H"] for trial in trials])
-    return f"{score:.0f},{np.median(errors):.3f},{np.quantile(errors, 0.9):.3f}"
+    median_score = np.median([trial["H"] for trial in trials])
+    return f"{median_score:.0f},{np.median(errors):.3f},{np.quantile(errors, 0.9):.3f}"
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("case", "parameters"), SOME_ROWS)
+@pytest.mark.parametrize(("case", "parameters"), CASES_AND_PARAMETERS)
 @pytest.mark.parametrize("filter_name", ["none", "asdf-minus", "robust"])
 def test_rows_of_the_figures_behind_the_advice_are_what_their_experiments_give(
     case: str, parameters: dict[str, Any], filter_name: str
@@ -51,7 +52,7 @@ def test_rows_of_the_figures_behind_the_advice_are_what_their_experiments_give(
 
 
 def test_the_defaults_of_the_tools_are_those_that_the_documentation_advises() -> None:
-    """docs/advice.md advises 1000 steps from filter to filter, a threshold omega of 5 % and all memory."""
+    """docs/advice.md advises 1000 steps from filter to filter, an omega of 5 %, and the largest memory."""
     default = Experiment()
     assert default.filter_period == 1000
     assert float(default.omega) == 0.05
@@ -59,7 +60,7 @@ def test_the_defaults_of_the_tools_are_those_that_the_documentation_advises() ->
 
 
 def test_the_default_configurations_in_c_are_those_that_the_documentation_advises() -> None:
-    """They have a table (or none), a filter period of 1000 steps, the largest memory, and a filter."""
+    """Each macro has a table (or none), a filter period of 1000 steps, the largest memory, and a filter."""
     header = (ROOT / "c_ref/src/mcp_asdf.h").read_text(encoding="utf-8")
     configurations = re.findall(r"#define MCP_ASDF_CONFIG_(\w+)\S* \{(.*)\}", header)
     assert configurations == [

@@ -55,7 +55,7 @@ for_every_number = pytest.mark.parametrize(
 
 @for_every_parameter
 def test_an_impossible_value_is_refused_with_the_parameter_s_name_and_a_fix(kind: Any, name: str) -> None:
-    """``kind`` is Experiment or SwarmSettings. A message has the fix behind a colon or a semicolon."""
+    """``kind`` is Experiment or SwarmSettings. The fix stands behind a colon or semicolon of the message."""
     _, refusals = values_and_refusals(kind, name)
     for refusal in refusals:
         assert name in refusal
@@ -87,7 +87,7 @@ def test_a_number_that_is_accepted_is_converted_to_the_type_of_its_parameter(kin
 
 @for_every_number
 def test_the_smallest_and_the_largest_value_of_a_parameter_are_accepted(kind: Any, name: str) -> None:
-    """``kind`` is Experiment or SwarmSettings."""
+    """``kind`` is Experiment or SwarmSettings. The values are returned unchanged."""
     parameter = parameters_of(kind)[name]
     assert parameter.convert(parameter.minimum) == parameter.minimum
     assert parameter.convert(parameter.maximum) == parameter.maximum
@@ -95,7 +95,7 @@ def test_the_smallest_and_the_largest_value_of_a_parameter_are_accepted(kind: An
 
 @for_every_number
 def test_a_number_below_or_above_a_parameter_s_range_is_refused_with_the_range(kind: Any, name: str) -> None:
-    """``kind`` is Experiment or SwarmSettings."""
+    """``kind`` is Experiment or SwarmSettings. The error says "it must be" and the two limits."""
     parameter = parameters_of(kind)[name]
     for value in (parameter.minimum - 1, 2 * parameter.maximum + 1):
         with pytest.raises(UsageError, match=f"{name} is .*; it must be .* to "):

@@ -100,22 +100,27 @@ def test_a_dead_robot_has_rows_without_values(tmp_path: Path) -> None:
 
 
 def test_a_log_that_was_cut_off_is_exported_as_far_as_it_goes(swarm_log: Path, tmp_path: Path) -> None:
-    """Its events are a header, nine steps of four robots with a line each, and the beginning of a line."""
+    """Its events are a header, a line for each of four robots in nine steps, and the beginning of a line.
+
+    The last step in the table is 9. Values are computed from the events, so there is no file of frames.
+    """
     cut_off_log = tmp_path / "run.log.part"
     header, *lines_of_robots = lines_of(events_path(swarm_log))
+    lines_of_nine_steps = lines_of_robots[: 9 * 4]
     with gzip.open(events_path(cut_off_log), "wt") as file:
-        file.write("".join([header, *lines_of_robots[: 9 * 4], "[0,1,"]))
+        file.write("".join([header, *lines_of_nine_steps, "[0,1,"]))
 
     assert max(to_frame(cut_off_log)["step"].to_pylist()) == 9
 
 
 def test_a_log_without_events_cannot_be_exported(tmp_path: Path) -> None:
+    """The error says that the events are missing, and that results can be given instead."""
     with pytest.raises(UsageError, match=r"there is no .*/run\.log\.events, .* give results \(\.parquet\)"):
         to_frame(tmp_path / "run.log")
 
 
 def test_a_log_of_a_single_robot_cannot_be_exported(swarm_log: Path, tmp_path: Path) -> None:
-    """``mcp-asdf node`` writes it, with a header that has no parameters of a swarm."""
+    """``mcp-asdf node`` writes it, with a header that has no parameters of a swarm. The error says so."""
     first_line, *lines = lines_of(events_path(swarm_log))
     header_of_node = json.loads(first_line) | {"parameters": {}}
     with gzip.open(tmp_path / "node.log.events", "wt") as file:
@@ -129,6 +134,7 @@ def test_a_log_of_a_single_robot_cannot_be_exported(swarm_log: Path, tmp_path: P
 
 
 def test_export_writes_the_values_of_a_log_as_csv(swarm_log: Path, tmp_path: Path, capsys: Capture) -> None:
+    """The file has 244 rows: four robots at the start and after each of 60 steps."""
     path = tmp_path / "robots.csv"
     assert main(["export", str(swarm_log), str(path)]) == 0
     assert capsys.readouterr().out == f"wrote 244 rows to {path}\n"
@@ -162,7 +168,7 @@ def test_export_reports_the_files_and_the_number_of_rows_as_json(
 def test_export_refuses_to_write_its_table_over_the_log(
     swarm_log: Path, tmp_path: Path, capsys: Capture
 ) -> None:
-    """The log of a swarm may be a CSV file itself."""
+    """The log of a swarm may be a CSV file itself. The command is refused, and the log stays as it is."""
     log = tmp_path / "run.csv"
     log.write_bytes(b"frames")
     events_path(log).write_bytes(events_path(swarm_log).read_bytes())
@@ -173,6 +179,7 @@ def test_export_refuses_to_write_its_table_over_the_log(
 
 
 def test_export_of_results_without_records_leaves_no_file(tmp_path: Path, capsys: Capture) -> None:
+    """Results have values of robots only if they were recorded. The error says how to record them."""
     simulate(Experiment(**PARAMETERS, trials=1), tmp_path / "run.parquet")
     assert main(["export", str(tmp_path / "run.parquet"), str(tmp_path / "robots.csv")]) == 2
     assert "run simulate or sweep again with --record 100" in capsys.readouterr().err
@@ -180,6 +187,6 @@ def test_export_of_results_without_records_leaves_no_file(tmp_path: Path, capsys
 
 
 def test_export_refuses_a_table_called_xlsx_before_it_reads_the_log(tmp_path: Path, capsys: Capture) -> None:
-    """The log does not even exist."""
+    """The log does not even exist, but the error is about the name of the table."""
     assert main(["export", str(tmp_path / "missing.log"), str(tmp_path / "robots.xlsx")]) == 2
     assert "choose a name that ends in .csv or .parquet" in capsys.readouterr().err

@@ -142,6 +142,7 @@ def test_the_documented_command_simulates_the_topology_and_the_sensor_of_the_doc
 
 @pytest.mark.slow
 def test_the_documented_command_runs_a_swarm_with_extensions_for_200_steps(package: Path) -> None:
+    """It is the third of four commands in the documentation of extensions."""
     line = command_lines_of_page().swarm
     assert line.startswith("mcp-asdf swarm ")
     assert run_in_package(line, package)["results"]["steps"] == 200
@@ -171,7 +172,7 @@ def test_the_documented_sweep_has_eight_experiments_with_all_combinations_of_the
 def changes_of_wandering_accuracies(robots: int, steps: int) -> Any:
     """Return how much accuracies on black tiles change: an array of shape (steps - 1, robots)."""
     settings = WorldSettings(robots=robots, true_accuracy=0.75, seed=3, sensor="wandering")
-    accuracy_on_black, _accuracy_on_white = make_sensor_model(settings, 0).advance(steps)
+    accuracy_on_black, _accuracy_on_white = make_sensor_model(settings, trial=0).advance(steps)
     return np.diff(accuracy_on_black, axis=0)
 
 
@@ -214,8 +215,8 @@ def test_accuracies_of_two_wandering_sensors_change_independently_of_each_other(
 def test_wandering_sensors_have_the_same_accuracies_whether_100_steps_are_taken_at_once_or_in_parts() -> None:
     """The documentation shows how to write these sensors. Here they take 100 steps, or 1, 7 and 92."""
     settings = WorldSettings(robots=6, seed=3, sensor="wandering")
-    accuracies_at_once, _accuracies_on_white = make_sensor_model(settings, 0).advance(100)
-    sensors = make_sensor_model(settings, 0)
+    accuracies_at_once, _accuracies_on_white = make_sensor_model(settings, trial=0).advance(100)
+    sensors = make_sensor_model(settings, trial=0)
     accuracies_of_parts = []
     for steps in (1, 7, 92):
         accuracies_on_black, _accuracies_on_white = sensors.advance(steps)

@@ -109,6 +109,7 @@ def results_of_two_filters(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_score_prints_the_filter_of_each_experiment(
     results_of_two_filters: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    """One experiment has no filter, and the other has ASDF-."""
     text = printed_by(f"score '{results_of_two_filters}'", capsys)
     assert "no filter: no robot" in text
     assert "ASDF-: only the flawed robots recalibrate" in text
@@ -127,6 +128,7 @@ def test_score_with_json_reports_the_filter_of_each_experiment(
 def test_replay_prints_and_reports_the_filter_of_a_logged_swarm(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    """The swarm has the default filter, ASDF-, which is printed as text and in JSON."""
     printed_by(f"swarm {SWARM} --quiet --log '{tmp_path}/run.log'", capsys)
     text = printed_by(f"replay '{tmp_path}/run.log'", capsys)
     report = json.loads(printed_by(f"replay '{tmp_path}/run.log' --json", capsys))

@@ -97,6 +97,7 @@ def test_import_star_imports_every_name_of_the_library() -> None:
 
 
 def test_importing_the_library_loads_neither_matplotlib_nor_pyarrow() -> None:
+    """A new Python imports the library and uses one of its names."""
     program = (
         "import sys, mcp_asdf_tools as m\n"
         "m.Experiment\n"
@@ -124,7 +125,7 @@ def results_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_simulate_returns_the_table_of_an_experiment_s_trials(expected_table: Any) -> None:
-    """The expected table is made by the functions behind the library."""
+    """The expected table is made by other functions, which the library calls, too."""
     assert simulate(small_experiment()).equals(expected_table)
 
 
@@ -156,6 +157,7 @@ def test_simulate_takes_trials_that_are_in_its_file_already_from_there(
 
 
 def test_simulate_refuses_a_file_with_results_of_other_experiments(results_file: Path) -> None:
+    """The file has results of the small experiment. A UsageError says so."""
     with pytest.raises(UsageError, match="results of other experiments"):
         simulate(grid(robots=3, steps=50, trials=1), results_file)
 
@@ -257,7 +259,7 @@ def test_a_graph_may_be_given_as_pairs_as_arrays_or_as_an_object_of_networkx(gra
     ids=["number", "triple", "letters", "matrix that is not square", "id of no robot"],
 )
 def test_an_object_that_is_no_graph_of_four_robots_is_refused(graph: Any) -> None:
-    """For example the number 5, or a link to robot 200."""
+    """For example the number 5, or a link to robot 200, raises a UsageError."""
     with pytest.raises(UsageError):
         small_experiment(topology="graph", graph=graph)
 
@@ -394,15 +396,16 @@ def make_sensors_that_see_black(settings: object, trial: int) -> Any:
 
 
 def test_an_experiment_can_have_sensors_that_a_function_of_the_user_makes() -> None:
-    """These sensors always read black, so at the end robots believe in a black floor.
+    """These sensors always read black, so at the end robots estimate that 100 % of the tiles are black.
 
-    In fact 55 % are black.
+    In fact 55 % are.
     """
     experiment = small_experiment(trials=1, filter="none", sensor=make_sensors_that_see_black)
     assert experiment.sensor.endswith("make_sensors_that_see_black")
     first_trial, last_step = 0, -1
     mean_error = simulate_one(experiment).errors[first_trial, last_step]
-    assert mean_error == pytest.approx(1 - 0.55)
+    estimate, fill_ratio = 1.0, 0.55
+    assert mean_error == pytest.approx(estimate - fill_ratio)
 
 
 def test_two_experiments_with_robot_classes_of_one_name_are_refused_in_one_table() -> None:
@@ -416,7 +419,7 @@ def test_two_experiments_with_robot_classes_of_one_name_are_refused_in_one_table
 
 
 def test_a_robot_class_inside_a_function_is_refused_with_two_worker_processes() -> None:
-    """It is no attribute of its module, so other processes cannot find it there."""
+    """The error says to take one worker: other processes cannot find the class in its module."""
     experiment = small_experiment(firmware=robot_class_with_b_hat(0.7))
     message = r"RobotOfOneAccuracy cannot be sent to worker processes: .*take one worker"
     with pytest.raises(UsageError, match=message):
@@ -438,7 +441,7 @@ def class_of_notebook(monkeypatch: pytest.MonkeyPatch) -> Any:
 
 
 def test_a_robot_class_of_a_notebook_is_refused_with_two_worker_processes(class_of_notebook: Any) -> None:
-    """Worker processes would have to import it, and a notebook is no module that can be imported."""
+    """Worker processes would have to import it, and cannot import a notebook. A UsageError says so."""
     experiment = small_experiment(firmware=class_of_notebook)
     with pytest.raises(UsageError, match="ClassOfNotebook exists in this session only"):
         simulate(experiment, workers=2)
@@ -460,12 +463,14 @@ def trials_of_extension() -> Trials:
 def test_results_of_a_robot_class_that_is_not_installed_can_be_read_with_its_name(
     trials_of_extension: Trials,
 ) -> None:
+    """The firmware of the experiment is then a text, the path of the class."""
     assert trials_of_extension.experiment.firmware.endswith("test_library.DataSheetRobot")
 
 
 def test_an_experiment_whose_robot_class_is_not_installed_cannot_be_run_from_its_results(
     trials_of_extension: Trials,
 ) -> None:
+    """The table has only the name of the class, by which no installed extension is found."""
     with pytest.raises(UsageError, match=r"no extension '.*DataSheetRobot' is installed"):
         simulate(trials_of_extension.experiment)
 
@@ -480,7 +485,7 @@ def recorded_table() -> Any:
 
 
 def test_grid_refuses_a_parameter_that_experiments_do_not_have() -> None:
-    """It is called ``robots``."""
+    """The parameter ``robot`` is refused by a UsageError: it is called ``robots``."""
     with pytest.raises(UsageError):
         UNTYPED.grid(robot=3)
 
@@ -505,7 +510,7 @@ def test_simulate_refuses_no_workers_and_a_distance_of_records_beyond_the_length
 
 
 def test_plot_boxes_refuses_to_choose_experiments_by_an_unknown_parameter(recorded_table: Any) -> None:
-    """It is called ``filter``."""
+    """The parameter ``filtr`` is refused by a UsageError: it is called ``filter``."""
     with pytest.raises(UsageError):
         UNTYPED.plot_boxes(recorded_table, where={"filtr": "none"})
 
@@ -600,6 +605,7 @@ def test_a_figure_has_no_line_at_the_top_of_its_axes(figure_of_facets: Any) -> N
 def test_a_notebook_shows_a_figure_with_150_pixels_an_inch(figure_of_facets: Any) -> None:
     """It shows the PNG file that ``_repr_png_`` returns, which has its width in the bytes 16 to 19."""
     picture = figure_of_facets._repr_png_()
-    width_in_pixels = int.from_bytes(picture[16:20], "big")
+    bytes_of_width = picture[16:20]
+    width_in_pixels = int.from_bytes(bytes_of_width, "big")
     assert picture.startswith(b"\x89PNG")
     assert width_in_pixels == 150 * figure_of_facets.get_figwidth()

@@ -68,7 +68,8 @@ class Parser(NamedTuple):
 
 def valid_events() -> bytes:
     """Return a file of events with a line of each kind, without compression."""
-    header = EventsHeader((record(0, "native", 0.95), record(7, "mirror")), 5, FrameFormat(17, 2), {"a": 1})
+    robots = (record(0, "native", b_hat=0.95), record(7, "mirror"))
+    header = EventsHeader(robots, seed=5, frames=FrameFormat(subject=17, priority=2), parameters={"a": 1})
     line_of_robot_0 = "[0,1,[7,5000,2147483649],3]\n"
     line_of_frame = '"186BB92A#0000603333F307E5"\n'
     return (header.to_line() + line_of_robot_0 + line_of_frame).encode()
@@ -80,8 +81,8 @@ def valid_log(suffix: str) -> bytes:
         path = Path(folder) / f"run{suffix}"
         with can.Logger(path) as write_frame:
             for sender in range(5):
-                estimate = Estimate(sender, 0x200000, 0x80000001, 3)
-                write_frame(encode_estimate(estimate, FrameFormat(), sender * 0.1))
+                estimate = Estimate(sender, x_hat=0x200000, alpha=0x80000001, transfer_id=3)
+                write_frame(encode_estimate(estimate, FrameFormat(), timestamp=sender * 0.1))
         return path.read_bytes()
 
 
@@ -123,7 +124,7 @@ def read_results(path: Path) -> object:
 def valid_authors_trial() -> bytes:
     """Return a trial file of the paper's authors."""
     experiment = replace(FIXED, steps=6, filter_period=2)
-    return json.dumps(trial_content(experiment, 0)).encode()
+    return json.dumps(trial_content(experiment, number=0)).encode()
 
 
 def read_authors_trial(path: Path) -> object:
@@ -202,7 +203,7 @@ def is_one_short_line(message: str) -> bool:
 
 @pytest.mark.parametrize("name", PARSERS)
 def test_a_valid_file_of_every_format_is_read(name: str, tmp_path: Path) -> None:
-    """For example a table, a log, results or a file of experiments."""
+    """For example a table, a log, results or a file of experiments, which is read without an error."""
     parser = PARSERS[name]
     refusal = read_or_refuse(parser, tmp_path / f"file{parser.suffix}", parser.make_valid())
     assert refusal is None
@@ -274,14 +275,14 @@ def limited_memory() -> Iterator[None]:
 
 @pytest.mark.usefixtures("limited_memory")
 def test_a_device_without_an_end_is_refused_as_a_graph() -> None:
-    """Linux's device /dev/zero has zeros without an end; at most 16 MiB are read."""
+    """Linux's device /dev/zero has zeros without an end. Reading is given up after 16777216 bytes, 16 MiB."""
     with pytest.raises(UsageError, match="than 16777216 bytes"):
         Experiment(topology="graph", graph=Path("/dev/zero"))
 
 
 @pytest.mark.usefixtures("limited_memory")
 def test_a_link_to_a_device_without_an_end_is_refused_as_a_table(tmp_path: Path) -> None:
-    """Linux's device /dev/zero has zeros without an end; at most 16 MiB are read."""
+    """Linux's device /dev/zero has zeros without an end. Reading is given up after 16777216 bytes, 16 MiB."""
     link = tmp_path / "endless.c"
     link.symlink_to("/dev/zero")
     with pytest.raises(UsageError, match="than 16777216 bytes"):
@@ -291,6 +292,7 @@ def test_a_link_to_a_device_without_an_end_is_refused_as_a_table(tmp_path: Path)
 @pytest.mark.slow
 @pytest.mark.usefixtures("limited_memory")
 def test_a_file_with_100001_grids_of_one_experiment_each_is_refused(tmp_path: Path) -> None:
+    """A file may make at most 100,000 experiments, which the error says."""
     grid = tmp_path / "grid.toml"
     grid.write_text("steps = 9\n" + "[[grid]]\n" * 100_001)
     with pytest.raises(UsageError, match="more than 100000 experiments"):
@@ -300,7 +302,7 @@ def test_a_file_with_100001_grids_of_one_experiment_each_is_refused(tmp_path: Pa
 def test_a_file_whose_grids_together_make_more_experiments_than_are_allowed_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Two grids of three seeds each, where five experiments are allowed."""
+    """Two grids of three seeds make six experiments, where five are allowed here. The error says so."""
     monkeypatch.setattr(experiment_files, "MAX_EXPERIMENTS", 5)
     (tmp_path / "grid.toml").write_text("seed = [1, 2, 3]\n[[grid]]\n[[grid]]\nrobots = 5\n")
     with pytest.raises(UsageError, match=r"grid.toml makes more than 5 experiments; give fewer"):

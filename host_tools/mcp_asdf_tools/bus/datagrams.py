@@ -85,7 +85,7 @@ def _read_data_frame(reader: _Reader) -> can.Message:
 
 @cache
 def _packed_name(name: str) -> bytes:
-    """Return a field's name, of less than 32 letters, as msgpack packs it: a byte with the length, and it."""
+    """Return a field's name, of less than 32 letters, as msgpack packs it, behind a byte with its length."""
     return bytes([_SHORT_TEXT | len(name)]) + name.encode("ascii")
 
 

@@ -61,7 +61,8 @@ def dbc_text(estimate_format: FrameFormat, nodes: Sequence[int] | None = None) -
             "choose another for estimates"
         )
     if nodes is None:
-        # Node 0 stands for any node: whoever reads the file leaves out the bits of the node (ANY_NODE_MASK).
+        # One entry for any node: it has the identifier of node 0, and names without the id of a node. Whoever
+        # reads the file leaves out the bits of the node (ANY_NODE_MASK).
         suffix_by_node = {0: ""}
     else:
         _check_unique(nodes)
@@ -76,8 +77,8 @@ def dbc_text(estimate_format: FrameFormat, nodes: Sequence[int] | None = None) -
     sections = ['VERSION ""\n', "NS_ :\n", "BS_:\n", f"BU_: {node_names}\n"]
     sections += [_message_section(entry) for entry in entries]
     # The format wants all comments first, then the names of values, then the signals that are floats.
-    for lines_of_entry in (_comments, _value_descriptions, _float_types):
-        lines = [line for entry in entries for line in lines_of_entry(entry)]
+    for make_lines in (_comment_lines, _value_name_lines, _float_type_lines):
+        lines = [line for entry in entries for line in make_lines(entry)]
         sections.append("".join(lines))
     return "\n".join(sections)
 
@@ -136,7 +137,7 @@ def _format_number(value: float) -> str:
     return repr(value).upper()
 
 
-def _comments(entry: _Entry) -> list[str]:
+def _comment_lines(entry: _Entry) -> list[str]:
     """Return the CM_ lines: the meaning of the message and of each signal."""
     message_comment = f'CM_ BO_ {entry.identifier} "{entry.kind.meaning}";\n'
     return [message_comment] + [
@@ -145,7 +146,7 @@ def _comments(entry: _Entry) -> list[str]:
     ]
 
 
-def _value_descriptions(entry: _Entry) -> list[str]:
+def _value_name_lines(entry: _Entry) -> list[str]:
     """Return the VAL_ lines: the names of values, for each signal whose values have names."""
     lines = []
     for field in entry.kind.fields:
@@ -155,7 +156,7 @@ def _value_descriptions(entry: _Entry) -> list[str]:
     return lines
 
 
-def _float_types(entry: _Entry) -> list[str]:
+def _float_type_lines(entry: _Entry) -> list[str]:
     """Return the SIG_VALTYPE_ lines: the signals that are binary32 numbers."""
     binary32 = 1  # DBC's number for this type
     return [

@@ -359,7 +359,7 @@ def _payload_of_subject(frame: can.Message, subject: int) -> int | Rejection:
 
 
 def _rejection_of_special_frame(frame: can.Message) -> Rejection:
-    """Return the reason why a frame that is no Cyphal message is none of any subject.
+    """Return the reason why a frame, which is known to be no Cyphal message, is none.
 
     The order of the checks is that of the C codec, as a frame may have several reasons.
     """

@@ -396,12 +396,11 @@ class Multicast(Connection):
 
 
 def choose_bus(typed_settings: Mapping[str, Any]) -> BusChoice:
-    """Return the bus that the user chooses, in this process if nothing says which.
+    """Return the bus that the user chooses. Without any setting it is one inside this process.
 
-    ``typed_settings`` are the arguments of ``can.Bus`` that the user has typed, such as interface and
-    channel. Where they leave it open, python-can's files, variables and ``can.rc`` decide. Raises UsageError
-    if these cannot be read. What the user has typed overrides python-can's settings, and those the defaults
-    of this program.
+    A setting is an argument of ``can.Bus``, such as interface or channel. Its value is that of the first of
+    these that states it: ``typed_settings``, which the user has typed; python-can's ``can.rc``, variables and
+    files; the defaults of this program. Raises UsageError if python-can's settings cannot be read.
     """
     settings = _load_python_can_settings() | dict(typed_settings)
     # "bustype" is the old name, which python-can's files may still have.

@@ -138,7 +138,11 @@ class SlcanServer:
         return b"Z\r" if frame.is_extended_id else b"z\r"
 
     def _forward_to_client(self, frame: can.Message) -> None:
-        """Write a frame of the bus to the client, or drop and count it if the client is too slow."""
+        """Write a frame of the bus to the client, or drop and count it if the client is too slow.
+
+        CAN FD and error frames are left out and not counted, and so are all frames while there is no client
+        or its channel is closed.
+        """
         client = self._client
         if client is None or not self._is_channel_open or frame.is_fd or frame.is_error_frame:
             return

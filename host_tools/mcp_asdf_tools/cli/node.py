@@ -136,16 +136,16 @@ def _run_on_bus(
 
 
 def _suspicion_printer(node: RobotNode, console: Console) -> Callable[[], None]:
-    """Return a function that prints new kinds of suspicious estimates, each once for each sender."""
+    """Return a function that prints what is suspicious in the estimates that the node has received.
+
+    A kind of suspicion is printed once for each sender, at the first call after it has come up.
+    """
     from mcp_asdf_tools.robots.suspicion import MEANINGS
 
     reported: set[tuple[Suspicion, int]] = set()
 
     def print_new_suspicions() -> None:
-        """Print those that have come since the last call.
-
-        The node counts events by kind and sender; only pairs that are new are printed.
-        """
+        """Print the pairs of kind and sender, by which the node counts, that have not been printed yet."""
         for kind, sender in node.reception.events.keys() - reported:
             reported.add((kind, sender))
             console.print(f"mcp-asdf node: node {sender}: {MEANINGS[kind]}", soft_wrap=True)

@@ -54,7 +54,7 @@ COMMON_PARAMETERS = (
 
 
 def add_common_parameters(parser: argparse.ArgumentParser, settings_class: Any, group_title: str) -> None:
-    """Add a group ``group_title`` of options for the common parameters of a class of settings."""
+    """Add a group ``group_title`` of options for those parameters of a class that are COMMON_PARAMETERS."""
     common_names = [
         parameter_name
         for parameter_name in parameters_of(settings_class)
@@ -64,7 +64,7 @@ def add_common_parameters(parser: argparse.ArgumentParser, settings_class: Any, 
 
 
 def add_further_parameters(parser: argparse.ArgumentParser, settings_class: Any) -> None:
-    """Add a group of options for those parameters of the class ``settings_class`` that are not common."""
+    """Add a group of options for those parameters of a class that are not COMMON_PARAMETERS."""
     further_names = [
         parameter_name
         for parameter_name in parameters_of(settings_class)
@@ -97,7 +97,7 @@ def add_parameters_to(
 
 
 def _describe_filters() -> str:
-    """Return a line on each filter, for the help."""
+    """Return lines for the help: a heading, and for each filter its name and which robots recalibrate."""
     from mcp_asdf_tools.robots.filters import FILTERS
 
     lines = [f"  {swarm_filter.name:11} {swarm_filter.meaning}" for swarm_filter in FILTERS.values()]

@@ -37,23 +37,22 @@ def json_report(report: object) -> str:
     return json.dumps(report, indent=2)
 
 
-def print_again(args: argparse.Namespace, **settled_parameters: object) -> None:
+def print_again(args: argparse.Namespace, **used_parameters: object) -> None:
     """Print the command line that makes the same run again.
 
-    It is the command, then options with the ``settled_parameters`` (such as the seed) that the user has not
-    typed, and then all arguments as typed. A later version may have other defaults, so those are
-    written out.
+    It is the command, then options for those ``used_parameters``, such as the seed, that the user has not
+    typed, and then all arguments as typed. The options are there as a later version may have other defaults.
     """
     program, *typed_arguments = args.command_line
     # An option may be typed as --seed 3 or as --seed=3.
     typed_options = {argument.partition("=")[0] for argument in typed_arguments}
-    settled_options = []
-    for name, value in settled_parameters.items():
+    added_options = []
+    for name, value in used_parameters.items():
         option = option_of(name)
         if option not in typed_options:
-            settled_options.append(f"{option}={value}")
+            added_options.append(f"{option}={value}")
     # The program's name has a space in it, as "mcp-asdf swarm", which must not be quoted.
-    print(f"again: {program} {shlex.join([*settled_options, *typed_arguments])}".rstrip())
+    print(f"again: {program} {shlex.join([*added_options, *typed_arguments])}".rstrip())
 
 
 def report_failure(command_title: str, message: str, as_json: bool, exit_code: int = 1) -> int:
@@ -114,7 +113,7 @@ def recording_for(
 def exit_code_with(recording: Recording | NoRecording, exit_code: int) -> int:
     """Return the exit code of a command that would end with ``exit_code`` if its recording were complete.
 
-    An incomplete recording gives 2, but a failure of the run itself, 1, is what matters more.
+    An incomplete recording gives 2, but a failure of the run itself, 1, matters more.
     """
     return exit_code if recording.failure is None or exit_code == 1 else 2
 

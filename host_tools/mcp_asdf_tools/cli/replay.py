@@ -55,7 +55,7 @@ def run(args: argparse.Namespace) -> int:
     from mcp_asdf_tools.recording.replay import verify
     from mcp_asdf_tools.robots.filters import describe_filters
 
-    events_path = _check_files(args)
+    events_path = _find_events(args)
     summary = LogSummary()
     # Frames are read one by one below, and the summary counts them then.
     frames = read_log(args.log, args.channel, summary)
@@ -86,10 +86,11 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _check_files(args: argparse.Namespace) -> Path:
-    """Return the path of the file of events, and warn if the log is incomplete.
+def _find_events(args: argparse.Namespace) -> Path:
+    """Return the path of the file of events: that of ``--events``, or else the one beside the log.
 
-    Raises UsageError if the log cannot be read, and if it has no events beside it where none are named.
+    Warns if the log is incomplete. Raises UsageError if the log cannot be read, or if ``--events`` was not
+    given and there is no file beside the log.
     """
     from mcp_asdf_tools.recording.events import events_path
     from mcp_asdf_tools.recording.frame_logs import PART_SUFFIX, check_log

@@ -230,14 +230,14 @@ class _RunPlan:
     Attributes:
         args: The parsed options, for what concerns output.
         settings: Settings of the swarm.
-        choice: The bus of all robots that have none of their own.
+        bus_choice: The bus of all robots that have none of their own.
         wiring: Which robots are on which bus.
         console: Where progress is shown; quiet with --quiet or --json.
     """
 
     args: argparse.Namespace
     settings: SwarmSettings
-    choice: BusChoice
+    bus_choice: BusChoice
     wiring: Wiring
     console: Console
 
@@ -304,7 +304,7 @@ def run(args: argparse.Namespace) -> int:
     settings = plan.settings
     results_path = None if args.log is None else results_beside(args.log)
     events_header = EventsHeader(settings.robot_setups(), settings.seed, settings.frames, settings.plain())
-    recording = recording_for("swarm", args.log, events_header, plan.choice)
+    recording = recording_for("swarm", args.log, events_header, plan.bus_choice)
     try:
         with ExitStack() as at_end:
             # Callbacks run in reverse order: first the results are printed, then the page stays until Ctrl-C,
@@ -330,11 +330,11 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _emulate(plan: _RunPlan, log_outputs: LogOutputs, recorder: SwarmRecorder | None) -> _RunResult:
-    """Run the swarm to its end or Ctrl-C, with its baselines beside it if --compare asks for them.
+    """Run the swarm to its end or Ctrl-C, and return how it has ended, with the report for JSON.
 
-    ``log_outputs`` and ``recorder``, if there is one, get what happens. Returns how the run has ended, with
-    the report that is also written as JSON. Raises LockstepError if robots elsewhere do not start,
-    can.CanError if their bus fails before they have.
+    With --compare the same swarm also runs with other filters, its baselines. ``log_outputs`` get frames and
+    events for the log, and ``recorder``, if there is one, states for the web page. Raises LockstepError if
+    robots in other processes or at devices do not start, can.CanError if their bus fails before they have.
     """
     from mcp_asdf_tools.robots.node import Subjects
     from mcp_asdf_tools.robots.processes import NodeProcesses
@@ -349,9 +349,12 @@ def _emulate(plan: _RunPlan, log_outputs: LogOutputs, recorder: SwarmRecorder | 
         slcan_port = _serve_slcan(plan, stack)
         swarm = stack.enter_context(Swarm(settings, plan.wiring, *log_outputs))
         process_robots = settings.robot_setups() if plan.args.processes else []
-        # Only processes use these subjects; without any, estimates may have a subject that would clash here.
+        # Numbers by which processes tell kinds of frames apart. The user's number for estimates must not be
+        # that of another kind, which is checked here, and does not matter without processes.
         subjects = Subjects(estimates=settings.frames) if process_robots else Subjects()
-        processes = NodeProcesses(process_robots, plan.choice.of_robot, subjects, settings.steps_per_second)
+        processes = NodeProcesses(
+            process_robots, plan.bus_choice.of_robot, subjects, settings.steps_per_second
+        )
         nodes = stack.enter_context(processes)
         _wait_for_robots(plan, swarm, nodes)
         # A signal counts between two ticks, so that log and results end on a whole one.
@@ -360,15 +363,15 @@ def _emulate(plan: _RunPlan, log_outputs: LogOutputs, recorder: SwarmRecorder | 
             hooks = [hook for hook in (baselines, recorder, live_view) if hook is not None]
             outcome = run_swarm(swarm, hooks, should_stop)
 
-    # The robots' processes have ended by now, so that their reports are there.
-    bus_choice = plan.choice
+    # A process reports when it ends, and all have ended by now.
+    bus_choice = plan.bus_choice
     report = outcome.report(
         {"interface": bus_choice.interface, "channel": bus_choice.channel, "slcan": slcan_port}
     )
     report["processes"] = {str(robot): node_report for robot, node_report in sorted(nodes.reports.items())}
     seconds = time.monotonic() - start_time
     if baselines is not None:
-        # They ran in this process, tick by tick between those of the swarm.
+        # The time of the baselines does not count, which took their ticks between those of the swarm.
         seconds -= baselines.seconds
         if outcome.failure is None:
             report["compared"] = {
@@ -421,7 +424,7 @@ def _serve_slcan(plan: _RunPlan, stack: ExitStack) -> int | None:
         return None
     from mcp_asdf_tools.bus.slcan_server import HOST, SlcanServer
 
-    server = stack.enter_context(SlcanServer(plan.choice.open(), plan.args.slcan))
+    server = stack.enter_context(SlcanServer(plan.bus_choice.open(), plan.args.slcan))
     # On standard error: with port 0 the user needs the number, and standard output may be JSON.
     print(f"the bus is an slcan adapter, too: socket://{HOST}:{server.port}", file=sys.stderr, flush=True)
     return server.port
@@ -444,7 +447,7 @@ def _print_result(plan: _RunPlan, result: _RunResult) -> None:
         return
     console = Console()  # unlike that of the plan it prints with --quiet, too
     settings, report = plan.settings, result.report
-    rows = summary(result.outcome, str(plan.choice), result.seconds)
+    rows = summary(result.outcome, str(plan.bus_choice), result.seconds)
     if plan.args.quiet:
         print(one_line(result.outcome))
     elif console.is_terminal:

@@ -138,9 +138,9 @@ class EventRecorder:
         self._write_line = write_line
         self._events: list[Event] = []
 
-    def record_observation(self, z: Observation | None) -> None:
-        """Record that a tick began, in which the robot observed the colour ``z``; None for no observation."""
-        self._events.append(Action.to_observe(z).value)
+    def record_observation(self, observation: Observation | None) -> None:
+        """Record that a tick began, in which the robot observed a colour; None for no observation."""
+        self._events.append(Action.to_observe(observation).value)
 
     def record_estimates(self, estimates: Sequence[list[int]]) -> None:
         """Record that the robot received estimates, each a list of sender, x_hat and alpha. O(estimates)."""

@@ -151,7 +151,7 @@ def _read_frames(path: Path, summary: LogSummary) -> Iterator[can.Message]:
 
 
 class _NumberedLines:
-    """Iterator over the lines of a text file, each cut to LONGEST_LINE + 1 characters: one too many shows it.
+    """Iterator over the lines of a text file. Of a longer one it yields LONGEST_LINE + 1 characters.
 
     Attributes:
         number: Number of the line read last, from 1.

@@ -151,9 +151,9 @@ class Recording:
     def __exit__(self, error_type: type[BaseException] | None, *_: object) -> None:
         if self._events is not None:
             self._events.finish()
-        self._attempt(self._close_files)
+        self._do_or_end_recording(self._close_files)
         if error_type is None:
-            self._attempt(self._rename_parts)
+            self._do_or_end_recording(self._rename_parts)
         elif self._is_empty:
             for part in self._part_by_path.values():
                 part.unlink(missing_ok=True)
@@ -180,7 +180,7 @@ class Recording:
         logged_frame = copy(frame)
         channel = str(frame.channel or self._channel)
         logged_frame.channel = "_".join(channel.split())  # in candump's format a channel has no spaces
-        self._attempt(lambda: self._log_writer.on_message_received(logged_frame))
+        self._do_or_end_recording(lambda: self._log_writer.on_message_received(logged_frame))
 
     def _write_events_line(self, line: str) -> None:
         """Record a line of the file of events, which is on disk after the next flush.
@@ -198,13 +198,13 @@ class Recording:
         It is time after _FLUSH_PERIOD seconds, or _MAX_UNFLUSHED entries if these come earlier. So events
         that led to a frame are on disk no later than the frame.
         """
-        self._is_empty = False
+        self._is_empty = False  # so that a run that fails keeps its part files
         self._unflushed_count += 1
         is_due = self._unflushed_count > _MAX_UNFLUSHED or time.monotonic() >= self._flush_time
         if is_due:
             self._unflushed_count = 0
             self._flush_time = time.monotonic() + _FLUSH_PERIOD
-            self._attempt(self._flush_files)
+            self._do_or_end_recording(self._flush_files)
 
     def _flush_files(self) -> None:
         """Flush the events, then the log. Raises OSError if the disk refuses one of them."""
@@ -214,7 +214,7 @@ class Recording:
         """Close the events, then the log. Raises OSError if the disk refuses one of them."""
         _call_all([file.close for file in reversed(self._files)])
 
-    def _attempt(self, action: Callable[[], object]) -> None:
+    def _do_or_end_recording(self, action: Callable[[], object]) -> None:
         """Call ``action`` unless the recording has ended; an OSError or UsageError in it ends that."""
         if self._is_over:
             return

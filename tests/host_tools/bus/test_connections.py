@@ -32,8 +32,8 @@ pytestmark = [
 ]
 
 
-GOOD_LINE = b"T106BB80180000400000803FE0\r"
-"""An estimate of robot 1."""
+LINE_OF_ESTIMATE = b"T106BB80180000400000803FE0\r"
+"""An estimate of robot 1 in slcan: T, identifier, number of bytes, data, and a carriage return."""
 
 DAMAGED_LINES = (
     *(b"T106BB8\r", b"TZZ\r", b"t\r", b"\xff\r", b"T106BB8018000040000080ZZE0\r", b"T106BB80180000\r"),
@@ -43,10 +43,11 @@ DAMAGED_LINES = (
 
 
 @contextmanager
-def serial_adapter(lines: Sequence[bytes], stays_open: bool = True) -> Iterator[BusChoice]:
-    """Send ``lines`` to the first program that connects; yields the bus that it has to join.
+def adapter_that_sends(lines: Sequence[bytes], stays_open: bool = True) -> Iterator[BusChoice]:
+    """Serve a serial adapter at a TCP port, and yield the choice of its bus, which a test opens.
 
-    The connection is closed afterwards, at once or when the block is left.
+    The adapter sends ``lines`` to the first program that opens the bus. Then it closes the connection: at
+    once, or if it ``stays_open``, when the block is left.
     """
     may_close = threading.Event()
     if not stays_open:
@@ -74,7 +75,7 @@ def serial_adapter(lines: Sequence[bytes], stays_open: bool = True) -> Iterator[
 
 
 def receive(bus: can.BusABC) -> can.Message:
-    """Return the next frame."""
+    """Return the next frame, which must come in time."""
     frame = bus.recv(PATIENCE)
     assert frame is not None
     return frame
@@ -83,16 +84,23 @@ def receive(bus: can.BusABC) -> can.Message:
 @pytest.mark.parametrize("line", DAMAGED_LINES)
 def test_a_damaged_line_is_one_error_frame_and_the_frame_behind_it_is_received(line: bytes) -> None:
     """A serial adapter sends frames as lines of text: here a damaged one, then an estimate."""
-    with serial_adapter([line, GOOD_LINE]) as choice, choice.open() as bus:
+    with adapter_that_sends([line, LINE_OF_ESTIMATE]) as adapter, adapter.open() as bus:
         error_frame, frame = receive(bus), receive(bus)
     assert error_frame.is_error_frame
     assert isinstance(decode_estimate(frame, FrameFormat()), Estimate)
 
 
 def test_a_line_without_an_end_is_dropped() -> None:
-    """The 3000 characters give some error frames, and maybe cost the next line; the last one is read."""
-    with serial_adapter([b"T" * 3000, GOOD_LINE, GOOD_LINE]) as choice, choice.open() as bus:
-        first_frame = frame = receive(bus)
+    """A serial adapter sends 3000 characters without the end of a line, and then the same estimate twice.
+
+    The characters become error frames and may cost the first estimate. The second one is received.
+    """
+    with (
+        adapter_that_sends([b"T" * 3000, LINE_OF_ESTIMATE, LINE_OF_ESTIMATE]) as adapter,
+        adapter.open() as bus,
+    ):
+        first_frame = receive(bus)
+        frame = first_frame
         while frame.is_error_frame:
             frame = receive(bus)
 
@@ -101,8 +109,8 @@ def test_a_line_without_an_end_is_dropped() -> None:
 
 
 def test_reading_from_an_adapter_that_has_closed_raises_that_the_bus_is_gone() -> None:
-    """A serial adapter at a TCP port sends a line and closes the connection."""
-    with serial_adapter([GOOD_LINE], stays_open=False) as choice, choice.open() as bus:
+    """A serial adapter at a TCP port sends an estimate and closes the connection."""
+    with adapter_that_sends([LINE_OF_ESTIMATE], stays_open=False) as adapter, adapter.open() as bus:
         receive(bus)
         with pytest.raises(BusGoneError, match="socket disconnected"):
             bus.recv(PATIENCE)
@@ -110,8 +118,8 @@ def test_reading_from_an_adapter_that_has_closed_raises_that_the_bus_is_gone() -
 
 def test_the_socket_of_an_adapter_that_has_closed_is_closed() -> None:
     """Leaving the bus closes it here, too: pyserial leaves it open if the other end has closed first."""
-    with serial_adapter([], stays_open=False) as choice:
-        bus = choice.open()
+    with adapter_that_sends([], stays_open=False) as adapter:
+        bus = adapter.open()
         assert isinstance(bus, SerialAdapter)
         with pytest.raises(BusGoneError):
             bus.recv(PATIENCE)
@@ -142,7 +150,7 @@ def caused_by(cause: Exception) -> can.CanOperationError:
     return error
 
 
-GONE: list[Exception] = [
+ERRORS_OF_A_BUS_THAT_IS_GONE: list[Exception] = [
     caused_by(serial.SerialException("device disconnected")),
     caused_by(OSError(errno.ENODEV, "No such device")),
     caused_by(OSError(errno.EIO, "Input/output error")),
@@ -151,11 +159,11 @@ GONE: list[Exception] = [
 ]
 
 
-@pytest.mark.parametrize("error", GONE, ids=str)
+@pytest.mark.parametrize("error", ERRORS_OF_A_BUS_THAT_IS_GONE, ids=str)
 def test_a_bus_whose_device_was_unplugged_or_whose_driver_crashed_is_reported_as_gone(
     error: Exception,
 ) -> None:
-    """Neither reading nor sending will work again, whatever the driver raised."""
+    """Whatever the driver raised, reading and sending raise BusGoneError, as neither will work again."""
     connection = failing_connection(error)
     with pytest.raises(BusGoneError):
         connection.recv(timeout=0)
@@ -163,7 +171,7 @@ def test_a_bus_whose_device_was_unplugged_or_whose_driver_crashed_is_reported_as
         connection.send(can.Message(), timeout=0)
 
 
-PASSING: list[Exception] = [
+FAILURES_THAT_MAY_PASS: list[Exception] = [
     caused_by(OSError(errno.ENETDOWN, "Network is down")),
     caused_by(serial.SerialTimeoutException("Write timeout")),
     can.CanOperationError("bus-off"),
@@ -172,16 +180,16 @@ PASSING: list[Exception] = [
 ]
 
 
-@pytest.mark.parametrize("error", PASSING, ids=str)
+@pytest.mark.parametrize("error", FAILURES_THAT_MAY_PASS, ids=str)
 def test_a_failure_that_may_pass_is_not_reported_as_a_bus_that_is_gone(error: Exception) -> None:
-    """So a program that runs for long goes on and tries again."""
+    """It raises another CanError than BusGoneError, and a program that runs for long tries again."""
     with pytest.raises(can.CanError) as raised:
         failing_connection(error).recv(timeout=0)
     assert not isinstance(raised.value, BusGoneError)
 
 
-NO_TEXT = UnicodeDecodeError("utf-8", b"", 0, 1, "")
-DECODING_ERRORS: list[Exception] = [ValueError("no number"), caused_by(NO_TEXT)]
+NOT_UTF_8 = UnicodeDecodeError("utf-8", b"", 0, 1, "")
+DECODING_ERRORS: list[Exception] = [ValueError("no number"), caused_by(NOT_UTF_8)]
 
 
 @pytest.mark.parametrize("error", DECODING_ERRORS, ids=str)
@@ -202,7 +210,7 @@ def test_a_decoding_error_of_a_bus_that_is_closed_is_reported_as_a_bus_that_is_g
 def test_a_connection_pauses_between_failures_of_an_interface_that_always_fails(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """So it does not keep the processor busy. Between ten failures there are nine pauses, of 1 ms each."""
+    """Between ten failures there are nine pauses of 1 ms, so that the processor is not kept busy."""
     pauses: list[float] = []
     monkeypatch.setattr("mcp_asdf_tools.bus.interfaces.time.sleep", pauses.append)
     connection = failing_connection(IndexError("always"))
@@ -223,8 +231,8 @@ def test_a_command_reports_in_json_that_its_bus_is_gone(
     line: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Its bus is a serial adapter that sends damaged lines and closes; the exit code for that is 1."""
-    with serial_adapter(DAMAGED_LINES, stays_open=False) as choice:
-        assert main([*line.split(), "--json", *bus_arguments(choice, line)]) == 1
+    with adapter_that_sends(DAMAGED_LINES, stays_open=False) as adapter:
+        assert main([*line.split(), "--json", *bus_arguments(adapter, line)]) == 1
     failure = json.loads(capsys.readouterr().err)
 
     command = line.split(maxsplit=1)[0]
@@ -236,8 +244,8 @@ def test_a_command_reports_in_json_that_its_bus_is_gone(
 def test_the_verdict_on_a_controller_says_that_the_bus_is_gone(capsys: pytest.CaptureFixture[str]) -> None:
     """``radio --verify`` checks a controller at a bus, here a serial adapter that closes the connection."""
     line = "radio --id 0 --robots 3 --verify --json"
-    with serial_adapter(DAMAGED_LINES, stays_open=False) as choice:
-        assert main([*line.split(), *bus_arguments(choice, line)]) == 1
+    with adapter_that_sends(DAMAGED_LINES, stays_open=False) as adapter:
+        assert main([*line.split(), *bus_arguments(adapter, line)]) == 1
     verdict = json.loads(capsys.readouterr().out)["verdict"]
 
     assert "serial device" in verdict["disturbance"]
@@ -258,11 +266,11 @@ def test_a_bus_that_is_gone_ends_a_command_within_a_second(
     assert waits.call_count <= 10
 
 
-def bus_arguments(choice: BusChoice, line: str) -> list[str]:
+def bus_arguments(bus_choice: BusChoice, line: str) -> list[str]:
     """Return the options with which a command joins the bus."""
     if line.startswith("swarm"):
-        return ["--channel", "v{robot}", "--device", f"0=slcan:{choice.channel}"]
-    return ["-i", "slcan", "-c", str(choice.channel), "--bus-kwargs", "sleep_after_open=0"]
+        return ["--channel", "v{robot}", "--device", f"0=slcan:{bus_choice.channel}"]
+    return ["-i", "slcan", "-c", str(bus_choice.channel), "--bus-kwargs", "sleep_after_open=0"]
 
 
 def radio_run_on(bus: can.BusABC) -> RadioRun:
@@ -272,7 +280,7 @@ def radio_run_on(bus: can.BusABC) -> RadioRun:
 
 
 def test_neighbours_in_real_time_end_before_their_first_tick_when_the_bus_is_gone() -> None:
-    """Robots are emulated as neighbours of a controller, whose adapter has been unplugged."""
+    """The adapter of the bus has been unplugged. The outcome of the run has the error as its ending."""
     run = radio_run_on(failing_connection(OSError(errno.ENODEV, "No such device")))
     run.run()
 
@@ -282,7 +290,7 @@ def test_neighbours_in_real_time_end_before_their_first_tick_when_the_bus_is_gon
 
 
 def test_neighbours_in_real_time_take_all_ticks_on_a_bus_that_fails_and_may_come_back() -> None:
-    """The bus takes no frame in any of the 20 ticks, so the run ends with that failure."""
+    """The bus takes no frame in any of the 20 ticks. The outcome of the run has the failure as its ending."""
     bus: Any = Mock()
     bus.recv.return_value = None
     bus.send.side_effect = can.CanOperationError("bus-off")

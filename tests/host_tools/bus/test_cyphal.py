@@ -129,11 +129,11 @@ def contents_of_dsdl_object(dsdl_object: Any) -> list[Any]:
 
 @fixed_examples
 @given(messages)
-@example(Estimate(0, 0, 0, 0))
-@example(Estimate(127, 2**23, ALPHA_MAX, 31))
-@example(Heartbeat(127, 2**32 - 1, 31, Health.WARNING, Mode.SOFTWARE_UPDATE, 255))
-@example(Telemetry(127, 2**23, MAX_B_HAT, 255, 31))
-@example(Command(127, 2**32 - 1, EVERY_ROBOT, Action.SETTLE, 31))
+@example(Estimate(sender=0, x_hat=0, alpha=0, transfer_id=0))
+@example(Estimate(sender=127, x_hat=2**23, alpha=ALPHA_MAX, transfer_id=31))
+@example(Heartbeat(127, 2**32 - 1, 31, Health.WARNING, Mode.SOFTWARE_UPDATE, vendor_status=255))
+@example(Telemetry(sender=127, x=2**23, b_hat=MAX_B_HAT, updates=255, transfer_id=31))
+@example(Command(127, tick=2**32 - 1, target=EVERY_ROBOT, action=Action.SETTLE, transfer_id=31))
 def test_pycyphal_reads_our_frames(dsdl_types: dict[type, Any], message: Any) -> None:
     """It finds the sender, the transfer id and all contents of any message, by our DSDL files.
 
@@ -180,7 +180,7 @@ def flip_bit(frame: can.Message, bit: int) -> None:
 def test_we_and_pycyphal_agree_whether_a_frame_with_a_flipped_bit_is_an_estimate(
     message: Estimate, bit: int
 ) -> None:
-    """Only we look at the content, so a frame that we reject for its content is a transfer for pycyphal.
+    """A frame that we reject for its content counts as an estimate here, as pycyphal does not look at that.
 
     The default subject of estimates is 3000; anonymous nodes, which have no id, send none.
     """
@@ -226,7 +226,7 @@ def frames_of_estimates(
 ) -> list[can.Message]:
     """Return the frames that pycyphal's node 42 sends for estimates with these x_hat and alpha."""
     dsdl_objects = [dsdl_types[Estimate](x_hat, alpha) for x_hat, alpha in contents]
-    return asyncio.run(frames_sent_by_pycyphal(3000, dsdl_objects))
+    return asyncio.run(frames_sent_by_pycyphal(subject=3000, dsdl_objects=dsdl_objects))
 
 
 def decode_estimates(received_frames: Sequence[can.Message]) -> list[Estimate]:
@@ -238,7 +238,7 @@ def decode_estimates(received_frames: Sequence[can.Message]) -> list[Estimate]:
 
 
 def test_we_decode_the_estimates_of_pycyphal(dsdl_types: dict[type, Any]) -> None:
-    """Node 42 sends estimates with the largest, a small and the smallest x_hat."""
+    """Pycyphal's node 42 sends three pairs of x_hat and alpha, and we read them again from its frames."""
     frames_of_pycyphal = frames_of_estimates(dsdl_types, [(2**23, 0.0), (5, 2.0**-24), (0, 1.0)])
     assert [frames.decode_estimate(frame, DEFAULT) for frame in frames_of_pycyphal] == [
         Estimate(sender=42, x_hat=2**23, alpha=0, transfer_id=0),
@@ -249,7 +249,7 @@ def test_we_decode_the_estimates_of_pycyphal(dsdl_types: dict[type, Any]) -> Non
 
 def test_an_alpha_of_pycyphal_that_robots_cannot_have_is_rounded_down(dsdl_types: dict[type, Any]) -> None:
     """Robots have multiples of 2**-24 up to a largest alpha; pycyphal may send any binary32 number."""
-    largest_float, smallest_float = float32_value(0x7F7FFFFF), float32_value(1)
+    largest_float, smallest_float = float32_value(0x7F7FFFFF), float32_value(1)  # by their bits
     alpha_words_by_alpha = {
         alpha_from_word(ALPHA_MAX): ALPHA_MAX,
         largest_float: ALPHA_MAX,
@@ -263,7 +263,7 @@ def test_an_alpha_of_pycyphal_that_robots_cannot_have_is_rounded_down(dsdl_types
 
 
 def test_the_transfer_ids_of_pycyphal_wrap_as_ours_do(dsdl_types: dict[type, Any]) -> None:
-    """Transfers are numbered modulo 32."""
+    """A sender numbers its transfers from 0 to 31, and then from 0 again. Here it sends 35."""
     transfers = 35
     received_frames = frames_of_estimates(dsdl_types, [(5, 1.0)] * transfers)
     transfer_ids = [estimate.transfer_id for estimate in decode_estimates(received_frames)]
@@ -278,10 +278,10 @@ def test_the_frames_of_pycyphal_have_our_identifiers(dsdl_types: dict[type, Any]
 
 
 def test_we_decode_the_heartbeat_of_pycyphal(dsdl_types: dict[type, Any]) -> None:
-    """Node 42 sends one with health 2 and mode 1, which Cyphal calls CAUTION and INITIALIZATION."""
+    """Health 2 and mode 1, which Cyphal calls CAUTION and INITIALIZATION, are read as our values."""
     health, mode = dsdl_types[Health](value=2), dsdl_types[Mode](value=1)
     heartbeat = dsdl_types[Heartbeat](uptime=12345, health=health, mode=mode, vendor_specific_status_code=77)
-    (frame,) = asyncio.run(frames_sent_by_pycyphal(7509, [heartbeat]))
+    (frame,) = asyncio.run(frames_sent_by_pycyphal(subject=7509, dsdl_objects=[heartbeat]))
 
     assert frames.decode_heartbeat(frame) == Heartbeat(
         sender=42,

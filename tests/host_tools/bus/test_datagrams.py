@@ -36,16 +36,16 @@ def test_a_remote_frame_an_error_frame_and_a_frame_of_can_fd_are_refused(kind: s
 
 
 def test_a_datagram_with_a_number_as_its_data_does_not_fill_the_memory() -> None:
-    """Python makes a buffer of as many zeros of a number, so a short datagram could fill a memory."""
+    """A short datagram has 2**30 in place of data; ``bytes`` would make 1 GiB of zeros of that number."""
     datagram = packed(data=2**30)
     tracemalloc.start()
     try:
         assert unpack_data_frame(datagram) is None
-        _, peak = tracemalloc.get_traced_memory()
+        _, peak_in_bytes = tracemalloc.get_traced_memory()
     finally:
         tracemalloc.stop()
 
-    assert peak < 10_000
+    assert peak_in_bytes < 10_000
 
 
 def test_a_datagram_of_more_than_400_bytes_is_refused() -> None:
@@ -82,7 +82,8 @@ def test_odd_datagrams_leave_nothing_in_memory() -> None:
     finally:
         tracemalloc.stop()
 
-    assert bytes_after - bytes_before < len(datagrams)
+    byte_for_each_datagram = len(datagrams)
+    assert bytes_after - bytes_before < byte_for_each_datagram
 
 
 def unpack_all(datagrams: Sequence[bytes]) -> None:

@@ -85,7 +85,9 @@ def decode_what_cantools_encodes(
 
 LARGEST_ESTIMATE = Estimate(sender=127, x_hat=2**23, alpha=ALPHA_MAX, transfer_id=31)
 LEAST_CONFIDENT_ESTIMATE = Estimate(sender=127, x_hat=2**23, alpha=0x100, transfer_id=31)
-LARGEST_HEARTBEAT = Heartbeat(127, 2**32 - 1, 31, Health.WARNING, Mode.SOFTWARE_UPDATE, vendor_status=255)
+LARGEST_HEARTBEAT = Heartbeat(
+    127, uptime=2**32 - 1, transfer_id=31, health=Health.WARNING, mode=Mode.SOFTWARE_UPDATE, vendor_status=255
+)
 LARGEST_TELEMETRY = Telemetry(127, x=2**23, b_hat=MAX_B_HAT, updates=255, transfer_id=31)
 SMALLEST_TELEMETRY = Telemetry(sender=0, x=0, b_hat=MIN_B_HAT, updates=0, transfer_id=0)
 LARGEST_COMMAND = Command(127, tick=2**32 - 1, target=EVERY_ROBOT, action=Action.SETTLE, transfer_id=31)
@@ -102,10 +104,11 @@ LARGEST_COMMAND = Command(127, tick=2**32 - 1, target=EVERY_ROBOT, action=Action
 def test_cantools_decodes_our_frames(database: Any, message: Any) -> None:
     """By our DBC file cantools finds the values that we have encoded in a frame.
 
-    A DBC file describes frames to other programs.
+    A DBC file describes frames to other programs. Its entry for a kind of frame serves all nodes.
     """
     frame = encoded(message)
-    entry = database.get_message_by_frame_id(frame.arbitration_id & ANY_NODE_MASK)
+    identifier_without_node = frame.arbitration_id & ANY_NODE_MASK
+    entry = database.get_message_by_frame_id(identifier_without_node)
     assert entry.is_extended_frame
     assert entry.decode(frame.data, decode_choices=False) == physical_values(message)
 
@@ -131,7 +134,7 @@ def test_we_decode_the_frames_of_cantools(database: Any, message: Any) -> None:
 
 MAX_FLOAT32 = 2.0**128 - 2.0**104
 """The largest finite binary32 number."""
-RANGES = {
+RANGES_BY_MESSAGE_AND_SIGNAL = {
     ("Estimate", "x_hat"): (0, 1),
     ("Estimate", "alpha"): (0, MAX_FLOAT32),
     ("Estimate", "transfer_id"): (0, 31),
@@ -153,7 +156,7 @@ RANGES = {
     ("Command", "transfer_id"): (0, 31),
     ("Command", "start_end_toggle"): (7, 7),
 }
-"""Smallest and largest value of each message's signals."""
+"""Smallest and largest value of each signal, by the names of its message and of the signal."""
 
 
 def all_signals(database: Any) -> dict[tuple[str, str], Any]:
@@ -164,11 +167,12 @@ def all_signals(database: Any) -> dict[tuple[str, str], Any]:
 
 
 def test_the_file_states_the_range_of_every_signal(database: Any) -> None:
-    """A signal is a field of a frame, and a DBC file says of each which values it may have."""
+    """A signal is a field of a frame, and the DBC file has the smallest and largest value of each."""
     stated_ranges = {
-        names: (signal.minimum, signal.maximum) for names, signal in all_signals(database).items()
+        message_and_signal: (signal.minimum, signal.maximum)
+        for message_and_signal, signal in all_signals(database).items()
     }
-    assert stated_ranges == RANGES
+    assert stated_ranges == RANGES_BY_MESSAGE_AND_SIGNAL
 
 
 LEGAL_MESSAGES = {
@@ -187,7 +191,7 @@ def decode_with_value(database: Any, message: str, signal: str, value: float) ->
 
 
 def test_an_alpha_beyond_the_firmware_s_largest_is_decoded_as_the_largest(database: Any) -> None:
-    """A frame may hold any finite float as alpha, the confidence of an estimate; robots have smaller ones."""
+    """A frame may hold any finite float as alpha, the confidence of an estimate. Robots have a largest."""
     decoded = decode_with_value(database, "Estimate", "alpha", MAX_FLOAT32)
     assert decoded.alpha == ALPHA_MAX
 
@@ -218,11 +222,12 @@ def test_a_value_beyond_a_stated_range_is_rejected_by_name(
 
 
 def test_a_signal_without_illegal_values_has_a_range_of_all_that_its_bits_can_hold(database: Any) -> None:
-    """So no value of it can be out of the range that the file states."""
-    names_with_illegal_values = {(message, signal) for message, signal, _, _ in ILLEGAL_VALUES}
-    for names, signal in all_signals(database).items():
-        if names not in names_with_illegal_values:
-            assert (signal.minimum, signal.maximum) == (0, 2**signal.length - 1), names
+    """The range begins at 0, so no value of the signal's bits is out of it."""
+    signals_with_illegal_values = {(message, signal) for message, signal, _, _ in ILLEGAL_VALUES}
+    for message_and_signal, signal in all_signals(database).items():
+        if message_and_signal not in signals_with_illegal_values:
+            largest_number_in_bits = 2**signal.length - 1
+            assert (signal.minimum, signal.maximum) == (0, largest_number_in_bits), message_and_signal
 
 
 @pytest.mark.parametrize(
@@ -232,7 +237,7 @@ def test_a_signal_without_illegal_values_has_a_range_of_all_that_its_bits_can_ho
 def test_the_file_names_the_numbers_of_health_mode_and_action(
     database: Any, message: str, signal: str, enum: type[Enum]
 ) -> None:
-    """Programs show such a name in place of the number in a frame."""
+    """By the DBC file other programs show such a name in place of the number in a frame."""
     choices = database.get_message_by_name(message).get_signal_by_name(signal).choices
     names_by_number = {number: str(name) for number, name in choices.items()}
     assert names_by_number == {member.value: member.name for member in enum}
@@ -250,7 +255,7 @@ def test_dbc_prints_the_dbc_file(capsys: pytest.CaptureFixture[str]) -> None:
 def test_dbc_writes_the_dbc_file_to_the_path_of_the_option_output(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A DBC file describes the frames to other programs; ``dbc`` is the command that makes it."""
+    """Nothing is printed then but the path."""
     file = tmp_path / "swarm.dbc"
     assert main(["dbc", "--output", str(file)]) == 0
     assert capsys.readouterr().out == f"wrote {file}\n"

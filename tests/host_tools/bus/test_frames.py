@@ -71,6 +71,8 @@ pytestmark = pytest.mark.random
 ALPHA_UNIT = Fraction(1, 2**24)
 """What 1 in the mantissa of an alpha word stands for, if its shift is 0."""
 SEED = 20260
+DAMAGED_FRAME_COUNT = draws(20_000)
+"""Number of damaged frames that are decoded: 20,000 in ``make verify``, and a tenth in ``make test``."""
 C_SOURCE = ROOT / "c_ref/src/mcp_asdf_frame.c"
 C_HEADER = C_SOURCE.with_suffix(".h").read_text(encoding="utf-8")
 TYPES_THAT_C_DECODES = (Estimate, Command)
@@ -183,8 +185,9 @@ DOCUMENTED_ESTIMATE = Estimate(sender=42, x_hat=2**22, alpha=ALPHA_ONE, transfer
 def test_the_documented_estimate_has_the_documented_identifier_and_bytes() -> None:
     """The example of README and specification: robot 42 estimates 1/2 with a confidence of 1."""
     frame = encode_estimate(DOCUMENTED_ESTIMATE, DEFAULT)
+    x_hat, alpha, tail_byte = "000040", "0000803f", "e0"  # 0x400000 and 0x3f800000, low bytes first
     assert frame.arbitration_id == 0x106BB82A
-    assert frame.data.hex() == "0000400000803fe0"
+    assert frame.data.hex() == x_hat + alpha + tail_byte
 
 
 def test_the_example_frames_of_the_specification_are_what_robots_send() -> None:
@@ -202,7 +205,7 @@ def test_the_example_frames_of_the_specification_are_what_robots_send() -> None:
 
 
 def test_the_specification_lists_the_codes_of_the_header_in_their_order() -> None:
-    """A code, such as -23, is a reason to refuse a frame; the C header defines them."""
+    """A code is a reason to refuse a frame. The C header defines it behind a sign, as in ``= -23``."""
     page = (ROOT / "docs/design.md").read_text(encoding="utf-8")
     _, _, behind_heading = page.partition("### What a receiver refuses\n")
     section, _, _ = behind_heading.partition("###")
@@ -229,7 +232,10 @@ def test_an_encoded_estimate_is_a_frame_that_this_computer_sends_at_the_given_ti
 def test_the_identifier_of_a_frame_holds_subject_priority_and_node(
     subject: int, priority: int, node: int, identifier: int
 ) -> None:
-    """The subject, here the default and the largest one, is the kind of the message in Cyphal."""
+    """It is priority * 2**26 + 0x600000 (two bits that are always 1) + subject * 2**8 + node.
+
+    The subject, here the default and the largest one, is the kind of the message in Cyphal.
+    """
     assert FrameFormat(subject, priority).identifier(node) == identifier
 
 
@@ -253,16 +259,19 @@ def encode_in_python(message: Any) -> tuple[int, bytes] | None:
 
 @settings(fixed_examples, max_examples=draws(800))
 @given(any_message_of_robots(beyond=3))
-@example(Estimate(127, 2**23, ALPHA_MAX, 31))
-@example(Telemetry(0, 0, MIN_B_HAT, 0, 0))
+@example(Estimate(sender=127, x_hat=2**23, alpha=ALPHA_MAX, transfer_id=31))
+@example(Telemetry(sender=0, x=0, b_hat=MIN_B_HAT, updates=0, transfer_id=0))
 def test_c_and_python_encode_the_same_frame_or_both_refuse(c_codec: CCodec, message: Any) -> None:
-    """Commands are not sent by robots, so C has no encoder for them."""
+    """Some values are up to 3 beyond their range, for which both encoders refuse the message.
+
+    Robots send no commands, so C has no encoder for them.
+    """
     assert c_codec.encode(message) == encode_in_python(message)
 
 
 @fixed_examples
 @given(any_command(beyond=3))
-@example(Command(127, 2**32 - 1, EVERY_ROBOT, Action.SETTLE, 31))
+@example(Command(127, tick=2**32 - 1, target=EVERY_ROBOT, action=Action.SETTLE, transfer_id=31))
 def test_a_command_is_encoded_if_and_only_if_its_ids_are_of_robots(command: Command) -> None:
     """Robots have the ids 0 to 127, and as a target every robot has the number 255."""
     is_legal = command.sender <= 127 and (command.target <= 127 or command.target == EVERY_ROBOT)
@@ -271,8 +280,8 @@ def test_a_command_is_encoded_if_and_only_if_its_ids_are_of_robots(command: Comm
 
 @settings(fixed_examples, max_examples=draws(800))
 @given(any_message())
-@example(Estimate(127, 2**23, ALPHA_MAX, 31))
-@example(Command(127, 2**32 - 1, EVERY_ROBOT, Action.SETTLE, 31))
+@example(Estimate(sender=127, x_hat=2**23, alpha=ALPHA_MAX, transfer_id=31))
+@example(Command(127, tick=2**32 - 1, target=EVERY_ROBOT, action=Action.SETTLE, transfer_id=31))
 def test_decoding_returns_what_was_encoded(message: Any) -> None:
     """Only the shift of an estimate's alpha is chosen anew: the smallest for the same value."""
     frame = encoded(message)
@@ -289,7 +298,7 @@ def test_a_frame_is_decoded_as_the_kind_of_message_that_its_subject_says(message
 @fixed_examples
 @given(any_command())
 def test_a_command_is_not_taken_for_a_frame_of_a_robot(command: Command) -> None:
-    """Its subject, the number of its kind, is none of those that robots send."""
+    """It is rejected for its subject, the number of its kind, as robots do not send that."""
     assert decode_frame(encoded(command), DEFAULT) is Rejection.SUBJECT
 
 
@@ -382,7 +391,7 @@ def damaged_frame(number: int) -> can.Message:
 @pytest.mark.parametrize("message_type", TYPES_THAT_C_DECODES)
 def test_c_and_python_decode_or_refuse_damaged_frames_alike(c_codec: CCodec, message_type: type) -> None:
     """Both return the same values of a message, or the same reason to refuse the frame."""
-    for number in range(draws(20_000)):
+    for number in range(DAMAGED_FRAME_COUNT):
         frame = damaged_frame(number)
         result_of_c = c_codec.decode(message_type, frame)
         assert result_of_c == decode_in_python(message_type, frame), f"replay: damaged_frame({number})"
@@ -391,7 +400,7 @@ def test_c_and_python_decode_or_refuse_damaged_frames_alike(c_codec: CCodec, mes
 def test_damaged_frames_are_refused_for_every_reason_and_taken_for_every_kind_of_message() -> None:
     """So the comparison of C and Python reaches everything that a decoder can return."""
     rejections, message_types = set(), set()
-    for number in range(draws(20_000)):
+    for number in range(DAMAGED_FRAME_COUNT):
         frame = damaged_frame(number)
         for kind in KINDS.values():
             result = kind.decode(frame)
@@ -421,7 +430,7 @@ LIMITS_OF_ALPHA = (
     MAX_FLOAT32_BITS,
     MAX_FLOAT32_BITS + 1,
 )
-"""The last legal values of alpha and the first illegal one, as float32 bits."""
+"""Alpha as bits: 0, the smallest and largest of robots, one above it, the largest float, and infinity."""
 
 
 def estimate_frame(x_hat: int, alpha_bits: int) -> can.Message:
@@ -464,7 +473,7 @@ def test_estimates_with_the_largest_values_are_decoded_the_same_in_an_array_and_
 
 
 def test_damaged_frames_are_decoded_the_same_in_an_array_and_alone() -> None:
-    """In half of the frames one or some bits are flipped besides, as a fault on the bus does it."""
+    """In half of the frames, one or some bits are flipped besides, as by a fault on the bus."""
     rng = random.Random(SEED)
     frames = [mutated(rng) for _ in range(draws(4000))]
     bit_flips = []
@@ -477,14 +486,14 @@ def test_damaged_frames_are_decoded_the_same_in_an_array_and_alone() -> None:
 
 @pytest.mark.parametrize("alpha_bits", LIMITS_OF_ALPHA)
 def test_an_estimate_with_any_bit_flipped_is_decoded_the_same_in_an_array_and_alone(alpha_bits: int) -> None:
-    """Of 64 equal frames each has another one of its 64 bits flipped, as a fault on the bus does it."""
+    """Each of 64 equal frames has another of its 64 bits flipped, as by a fault on the bus."""
     frames = [estimate_frame(2**23, alpha_bits)] * 64
     bit_flips = [1 << bit for bit in range(64)]
     assert decode_together(frames, bit_flips) == decode_alone(frames, bit_flips)
 
 
 def test_an_empty_array_of_frames_is_decoded_to_an_empty_array() -> None:
-    """It has no rows, but the three columns sender, x_hat and alpha."""
+    """The result has no rows, but the three columns sender, x_hat and alpha."""
     decoded = decode_estimates([], DEFAULT, np.zeros(0, np.uint64))
     assert decoded.rows.shape == (0, 3)
     assert decoded.is_estimate.shape == (0,)
@@ -513,8 +522,8 @@ def test_any_confidence_of_a_robot_is_sent_without_rounding(word: int) -> None:
 @given(st.integers(0, MAX_FLOAT32_BITS) | st.integers(float32_bits(2.0**-26), float32_bits(2.0**33)))
 @example(0)
 @example(1)
-@example(0x007FFFFF)
-@example(0x00800000)
+@example(0x007FFFFF)  # the largest subnormal number
+@example(0x00800000)  # the smallest normal number
 @example(MAX_FLOAT32_BITS)
 @example(float32_bits(2.0**31))
 @example(float32_bits(2.0**31) - 1)
@@ -541,8 +550,9 @@ def test_equal_confidences_are_decoded_to_equal_words(bits: int) -> None:
 
 def test_a_float_becomes_the_nearest_binary32_number_ties_to_even() -> None:
     """Next to 1, binary32 has steps of 2**-23; both floats lie in the middle between two of its numbers."""
-    assert float32_bits(1 + 2**-24) == 0x3F800000
-    assert float32_bits(1 + 3 * 2**-24) == 0x3F800002
+    bits_of_1 = 0x3F800000
+    assert float32_bits(1 + 2**-24) == bits_of_1
+    assert float32_bits(1 + 3 * 2**-24) == bits_of_1 + 2
 
 
 def test_a_float_beyond_binary32_is_an_error() -> None:
@@ -555,8 +565,8 @@ def test_a_float_beyond_binary32_is_an_error() -> None:
 
 
 def test_reasons_to_refuse_a_frame_have_the_same_numbers_in_c_and_python(c_codec: CCodec) -> None:
-    """C has three further statuses, for which Python raises UsageError, and OK."""
-    without_rejection = {"OK", "ERR_NODE", "ERR_FORMAT", "ERR_HEALTH"}  # Python raises UsageError for these
+    """C has three further errors, for which Python raises UsageError, and the status OK."""
+    without_rejection = {"OK", "ERR_NODE", "ERR_FORMAT", "ERR_HEALTH"}
     c_codes = {name: code for name, code in c_codec.statuses.items() if name not in without_rejection}
     assert c_codes == {f"ERR_{rejection.name}": rejection.value for rejection in Rejection}
 
@@ -581,5 +591,6 @@ def test_c_and_python_send_by_default_with_the_same_subjects_and_priorities(
     macro: str, frame_format: FrameFormat
 ) -> None:
     """A macro of the C header holds both, such as {3000, 4} for estimates."""
+    # A line has the name, the value and maybe a comment.
     macros = dict(re.findall(r"^#define MCP_ASDF_(\w+) (.*?)\s*(?:/\*.*)?$", C_HEADER, re.MULTILINE))
     assert macros[f"FORMAT_{macro}"] == f"{{{frame_format.subject}, {frame_format.priority}}}"

@@ -34,7 +34,7 @@ from robots import ALPHA_ONE
 from support import PATIENCE, wait_until
 from wire import meanwhile, node_in_a_thread
 
-ESTIMATE_OF_ROBOT_8 = Estimate(8, 1, ALPHA_ONE, 3)
+ESTIMATE_OF_ROBOT_8 = Estimate(sender=8, x_hat=1, alpha=ALPHA_ONE, transfer_id=3)
 """The estimate in the datagram ``packed(sender=8)``."""
 
 
@@ -124,7 +124,7 @@ def test_a_connection_that_returns_its_own_frames_does_so_once() -> None:
 
 
 def test_equal_frames_of_several_senders_reach_all_others() -> None:
-    """Each of three connections sends three frames, two of them alike, which all others send, too.
+    """Each of three connections sends the same three frames, two of which are alike.
 
     The group returns each datagram to its sender, who takes the first equal one for it. So two connections
     receive the six frames of the others, and the third one, which wants its own, all nine.
@@ -147,14 +147,14 @@ def socketcan_bus() -> Mock:
 
 
 def test_frames_of_other_programs_of_this_computer_are_marked_as_received() -> None:
-    """Python-can marks them as sent on SocketCAN, which lets the programs of a computer share a bus."""
+    """Python-can marks them as sent, since on SocketCAN the programs of a computer share a bus."""
     frame = Connection(socketcan_bus()).recv(timeout=0)
     assert frame is not None
     assert frame.is_rx
 
 
 def test_filters_of_a_socketcan_bus_are_given_to_the_kernel() -> None:
-    """So the kernel wakes a program only for frames that it wants."""
+    """The kernel then wakes a program only for frames that pass a filter."""
     bus = socketcan_bus()
     Connection(bus).set_filters(filters_for(FrameFormat()))
     bus.set_filters.assert_called_with(filters_for(FrameFormat()))
@@ -168,7 +168,7 @@ def test_a_connection_has_the_protocol_and_the_name_of_its_bus() -> None:
 
 
 def test_leaving_a_bus_whose_adapter_is_unplugged_is_no_error() -> None:
-    """The driver raises an error, but the bus has been left anyway."""
+    """The error that the driver raises is dropped, as the bus has been left anyway."""
     bus = socketcan_bus()
     bus.shutdown.side_effect = can.CanOperationError("unplugged")
     Connection(bus).shutdown()
@@ -182,23 +182,24 @@ def radio(options: str) -> int:
 
 @pytest.fixture
 def set_clock_back(monkeypatch: pytest.MonkeyPatch) -> Callable[[], list[float]]:
-    """Function that lets every look at the time of day find it three days earlier.
+    """Function that lets every look at the time of day find it three days earlier than the last one.
 
-    It returns a list to which the seconds of each wait for a bus are added from now on.
+    Python-can ends a wait by the time of day, so by itself it would wait for days. The function returns a
+    list to which the seconds of each wait for a bus are added from now on.
     """
 
     def set_back() -> list[float]:
-        days, waits = count(step=3 * 86400), list[float]()
+        seconds_set_back, seconds_of_waits = count(step=3 * 86400), list[float]()
         receive = VirtualBus._recv_internal
 
         def record_wait(bus: Any, timeout: float | None) -> Any:
             assert timeout is not None and timeout <= 1, "it would wait for days"
-            waits.append(timeout)
+            seconds_of_waits.append(timeout)
             return receive(bus, timeout)
 
-        monkeypatch.setattr("can.bus.time", lambda: -next(days))
+        monkeypatch.setattr("can.bus.time", lambda: -next(seconds_set_back))
         monkeypatch.setattr(VirtualBus, "_recv_internal", record_wait)
-        return waits
+        return seconds_of_waits
 
     return set_back
 
@@ -211,19 +212,19 @@ def test_node_and_radio_answer_each_other_while_the_clock_is_set_back(
     Python-can waits by the time of day, which here goes back by three days at each look.
     """
     with node_in_a_thread("--id 5 --b-hat 0.55 --activation always"):
-        waits = set_clock_back()
+        seconds_of_waits = set_clock_back()
         assert radio("--id 5 --b-hat 0.56 --activation always --verify --timeout 60") == 1
-    assert waits, "no connection has waited since the clock was set back"
+    assert seconds_of_waits, "no connection has waited since the clock was set back"
 
 
 def test_a_signal_ends_a_command_while_the_clock_is_set_back(
     set_clock_back: Callable[[], list[float]],
 ) -> None:
     """The command ``radio`` waits for frames that do not come, until SIGTERM ends it with exit code 0."""
-    waits = set_clock_back()
+    seconds_of_waits = set_clock_back()
 
     def stop_once_it_waits() -> None:
-        wait_until(lambda: bool(waits))
+        wait_until(lambda: bool(seconds_of_waits))
         os.kill(os.getpid(), signal.SIGTERM)
 
     with meanwhile(stop_once_it_waits):
@@ -231,11 +232,11 @@ def test_a_signal_ends_a_command_while_the_clock_is_set_back(
 
 
 def test_a_wait_ends_in_time_while_the_clock_is_set_back(set_clock_back: Callable[[], list[float]]) -> None:
-    """Nothing comes within 10 ms. Python-can itself would wait until the time of day has caught up."""
-    waits = set_clock_back()
-    with bus_from_options("--channel", "mine").open() as bus:
+    """Nothing comes within 10 ms, so None is received. Python-can itself would wait for days."""
+    seconds_of_waits = set_clock_back()
+    with bus_from_options("--channel", "silent").open() as bus:
         assert bus.recv(timeout=0.01) is None
-    assert waits
+    assert seconds_of_waits
 
 
 def bus_from_options(*options: str) -> BusChoice:
@@ -284,7 +285,7 @@ def test_the_bus_of_one_robot_has_no_further_buses_for_other_robots() -> None:
 
 
 def test_the_arguments_of_a_bus_choose_the_same_bus_again() -> None:
-    """So a command in another process joins it. All settings are texts there."""
+    """A command in another process joins the bus by them. All settings are texts there."""
     bus = bus_from_options(*A_GROUP_FOR_EACH_ROBOT, "-b", "500000").of_robot(7)
     same_bus = bus_from_options(*bus.arguments())
     assert same_bus.interface == bus.interface
@@ -305,7 +306,7 @@ def test_the_arguments_of_a_bus_inside_this_process_are_refused() -> None:
 def test_a_bus_of_this_process_is_private_by_default_and_with_another_name() -> None:
     """Private means that no other program can be on the bus, and that the user has given at most its name."""
     assert bus_from_options().is_private
-    assert bus_from_options("--channel", "mine").is_private
+    assert bus_from_options("--channel", "another").is_private
 
 
 @pytest.mark.parametrize("options", ["--bus-kwargs preserve_timestamps=True", "-i socketcan -c vcan0"])
@@ -363,14 +364,18 @@ def test_an_interface_that_python_can_does_not_have_is_refused_with_those_that_i
 def test_a_bus_is_chosen_by_options_before_rc_before_variables_before_files(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    """Each of them decides on what none of the later ones states."""
-    monkeypatch.setenv("HOME", str(tmp_path))
-    (tmp_path / ".canrc").write_text("[default]\ninterface=pcan\nchannel=file\nbitrate=5\nport=9\n")
-    monkeypatch.setenv("CAN_INTERFACE", "udp_multicast")
-    monkeypatch.setattr(can, "rc", {"bustype": "pcan", "channel": "rc", "bitrate": 6})
-    settings = {"channel": "mine", "bitrate": 6, "port": "9", "hop_limit": 0}
+    """Each of them decides on what none of those before it states.
 
-    assert bus_from_options("-c", "mine") == BusChoice("udp_multicast", settings)
+    The options decide on the channel here, ``can.rc`` on the bit rate, the variable on the interface, and the
+    file on the port. The hop limit is a default of ours.
+    """
+    monkeypatch.setenv("HOME", str(tmp_path))
+    (tmp_path / ".canrc").write_text("[default]\ninterface=pcan\nchannel=of_file\nbitrate=5\nport=9\n")
+    monkeypatch.setenv("CAN_INTERFACE", "udp_multicast")
+    monkeypatch.setattr(can, "rc", {"bustype": "pcan", "channel": "of_rc", "bitrate": 6})
+    settings = {"channel": "of_option", "bitrate": 6, "port": "9", "hop_limit": 0}
+
+    assert bus_from_options("-c", "of_option") == BusChoice("udp_multicast", settings)
 
 
 def test_a_variable_of_python_can_that_cannot_be_read_is_a_usage_error(
@@ -382,18 +387,22 @@ def test_a_variable_of_python_can_that_cannot_be_read_is_a_usage_error(
         bus_from_options()
 
 
+NO_NAME = can.BusABC.channel_info
+"""What python-can has as the name of a bus to which the driver gives none."""
+
+
 @pytest.mark.parametrize(
     ("driver_name", "settings", "name"),
     [
-        (can.BusABC.channel_info, {"channel": 3}, "3"),
-        (can.BusABC.channel_info, {}, "kvaser"),
+        (NO_NAME, {"channel": 3}, "3"),
+        (NO_NAME, {}, "kvaser"),
         ("Leaf", {"channel": 3}, "Leaf"),
     ],
 )
 def test_a_bus_has_the_name_that_its_driver_gives_or_that_of_its_channel_or_interface(
     driver_name: str, settings: dict[str, Any], name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A driver of Kvaser's is replaced by one without hardware, which has given the bus a name or not."""
+    """Kvaser's driver is replaced by one without hardware. Without its name, the channel's is taken first."""
     monkeypatch.setattr(can, "Bus", Mock(return_value=Mock(channel_info=driver_name)))
     assert BusChoice("kvaser", settings).open().channel_info == name
 

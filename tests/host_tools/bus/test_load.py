@@ -8,7 +8,7 @@ import pytest
 from mcp_asdf_tools.bus.load import bus_load, worst_case_bits
 
 UNSTUFFED_BITS = 13
-"""Bits at the end of a frame that are never stuffed."""
+"""Bits at the end of a frame that are never stuffed: 3 around the acknowledgement, 7 at the end, 3 of gap."""
 
 
 def stuff(bits: str) -> str:
@@ -32,10 +32,11 @@ def test_the_worst_length_of_a_frame_is_that_with_the_most_stuffed_bits(
 ) -> None:
     """Behind five bits alike CAN sends one of the other value, so the length depends on the data.
 
-    An identifier has 29 bits, or 11, and further ones around it.
+    An identifier has 29 bits and three flags, or 11 bits and one flag.
     """
     frame = can.Message(arbitration_id=1, is_extended_id=is_extended_id, data=bytes(length))
-    start, identifier, length_field, checksum = 1, 32 if is_extended_id else 12, 6, 15
+    identifier = 29 + 3 if is_extended_id else 11 + 1
+    start, length_field, checksum = 1, 6, 15
     stuffable_bits = start + identifier + length_field + 8 * length + checksum
 
     stuffed_bits = stuff(MOST_STUFFED_BITS[:stuffable_bits])
@@ -48,7 +49,7 @@ def test_a_frame_of_a_robot_takes_160_bits_at_most() -> None:
 
 
 def test_an_error_frame_is_two_flags_a_delimiter_and_the_gap() -> None:
-    """Its data, in which python-can describes the error, are not on the bus."""
+    """These have 12, 8 and 3 bits. The data, in which python-can describes the error, are not on the bus."""
     error_frame = can.Message(is_error_frame=True, dlc=8, data=bytes(8))
     flags, delimiter, gap = 12, 8, 3
     assert worst_case_bits(error_frame) == flags + delimiter + gap

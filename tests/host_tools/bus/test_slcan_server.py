@@ -34,8 +34,9 @@ def server() -> Iterator[SlcanServer]:
     assert not running._server_thread.is_alive()
 
 
+FRAME_OF_ROBOT = can.Message(arbitration_id=0x106BB82A, data=bytes.fromhex("0000400000803fe0"))
 FRAMES = [
-    can.Message(arbitration_id=0x106BB82A, data=bytes.fromhex("0000400000803fe0")),
+    FRAME_OF_ROBOT,
     can.Message(arbitration_id=0x1FFFFFFF, data=b""),
     can.Message(arbitration_id=0x7FF, is_extended_id=False, data=b"\r\a\0"),
     can.Message(arbitration_id=0, is_extended_id=False, data=b"12345678"),
@@ -91,11 +92,11 @@ def test_the_bus_receives_a_frame_of_python_can_s_client(frame: can.Message, cli
 def test_a_frame_of_can_fd_and_an_error_frame_are_not_forwarded(
     frame: can.Message, client: can.BusABC
 ) -> None:
-    """The lines of slcan have no form for them. The next frame is the first that the client receives."""
+    """The lines of slcan have no form for them. The frame sent next is the first that the client receives."""
     with join() as bus:
         bus.send(frame)
-        bus.send(FRAMES[0])
-        assert fields_on_the_wire(receive(client)) == fields_on_the_wire(FRAMES[0])
+        bus.send(FRAME_OF_ROBOT)
+        assert fields_on_the_wire(receive(client)) == fields_on_the_wire(FRAME_OF_ROBOT)
 
 
 def connect(server: SlcanServer) -> socket.socket:
@@ -119,13 +120,14 @@ SENT_WITH_11_BITS, SENT_WITH_29_BITS = b"z\r", b"Z\r"
 @pytest.mark.parametrize(
     ("lines", "answers"),
     [
-        (b"S8\rO\r", [ANSWER_OK, ANSWER_OK]),
-        (b"\rV\rN\rF\r", [ANSWER_OK, b"V1013\r", b"N0001\r", b"F00\r"]),
+        (b"S8\rO\r", [ANSWER_OK, ANSWER_OK]),  # S8 is a bit rate
+        (b"\rV\rN\rF\r", [ANSWER_OK, b"V1013\r", b"N0001\r", b"F00\r"]),  # version, serial number, flags
         (b"O\rT106BB82A0\rt7FF0\r", [ANSWER_OK, SENT_WITH_29_BITS, SENT_WITH_11_BITS]),
         (b"T106BB82A0\rO\r", [ANSWER_ERROR, ANSWER_OK]),  # the adapter is closed at first
         (b"O\rC\rt1230\r", [ANSWER_OK, ANSWER_OK, ANSWER_ERROR]),
+        # No command, and frames with a wrong identifier, number of bytes or digit.
         (b"O\r?\rt12\rt8000\rT200000000\rt1239\rt1231\rt12310\rtxyz0\r", [ANSWER_OK, *8 * [ANSWER_ERROR]]),
-        (b"O\r" + 33 * b"x", [ANSWER_OK, ANSWER_ERROR]),
+        (b"O\r" + 33 * b"x", [ANSWER_OK, ANSWER_ERROR]),  # longer than any line
     ],
 )
 def test_each_line_has_its_answer_success_or_failure(
@@ -145,7 +147,7 @@ def test_a_second_program_finds_the_adapter_closed_as_the_first_did(server: Slca
 
 
 def test_a_server_that_closes_ends_its_thread_though_a_program_connects_just_then() -> None:
-    """The program connects when the server has decided to close, but does not listen to that yet."""
+    """The server closes but still waits for programs, so it has to leave the one that connects."""
     with SlcanServer(join()) as server:
         server._is_closing = True  # the first thing that the server does at the end of the block
         with connect(server):
@@ -176,14 +178,14 @@ def test_a_slow_program_loses_whole_frames_and_the_bus_goes_on(
 
     def has_dropped_frames_after_a_thousand_more() -> bool:
         for _ in range(1000):
-            bus.send(FRAMES[0])
+            bus.send(FRAME_OF_ROBOT)
         return server.dropped > 0
 
     with join() as bus:
         wait_until(has_dropped_frames_after_a_thousand_more)
     slow_program.shutdown(socket.SHUT_WR)  # by which the server notices that the program leaves
 
-    answer_to_opening, line_of_frame = ANSWER_OK, format_frame_line(FRAMES[0])
+    answer_to_opening, line_of_frame = ANSWER_OK, format_frame_line(FRAME_OF_ROBOT)
     text = read_to_the_end(slow_program)
     line_count = text.count(line_of_frame)
     assert text == answer_to_opening + line_count * line_of_frame

@@ -20,9 +20,9 @@ def trials_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """The present folder, which has two trials of a fixed network and one of a moving swarm in data."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "data").mkdir()
-    write_trial(tmp_path / "data/flw2_t0.json", FIXED, 0)
-    write_trial(tmp_path / "data/flw2_t1.json", FIXED, 1)
-    write_trial(tmp_path / "data/moving.json", MOVING, 2)
+    write_trial(tmp_path / "data/flw2_t0.json", FIXED, number=0)
+    write_trial(tmp_path / "data/flw2_t1.json", FIXED, number=1)
+    write_trial(tmp_path / "data/moving.json", MOVING, number=2)
     return tmp_path
 
 
@@ -37,7 +37,7 @@ def test_convert_prints_the_scores_of_a_folder_of_the_authors_trials(capsys: Cap
 
 
 def test_convert_writes_all_trials_into_one_row_group() -> None:
-    """With a row group for each trial, reading would take time that grows with the square of their number."""
+    """A row group for each trial would let the time of reading grow with the square of their number."""
     main(["convert", "data", "--output", "theirs.parquet"])
     metadata = pq.read_metadata("theirs.parquet")
     assert metadata.num_rows == 3
@@ -47,6 +47,7 @@ def test_convert_writes_all_trials_into_one_row_group() -> None:
 def test_convert_with_json_reports_the_authors_program_the_file_and_the_number_of_trials(
     capsys: Capture,
 ) -> None:
+    """The source that it reports is the repository of the authors' program on GitHub."""
     assert main(["convert", "data/flw2_t1.json", "--output", "theirs.parquet", "--json"]) == 0
     report = json.loads(capsys.readouterr().out)
     (experiment,) = report["experiments"]
@@ -87,13 +88,14 @@ def test_view_exports_a_converted_trial_as_a_web_page_that_names_the_authors_pro
 
 
 def test_view_refuses_a_trial_that_was_converted_without_recorded_values(capsys: Capture) -> None:
+    """``--record 0`` keeps no values. The error says so, and the exit code for a wrong use is 2."""
     main(["convert", "data/moving.json", "--output", "theirs.parquet", "--record", "0"])
     assert main(["view", "theirs.parquet", "--trial", "2", "--export", "page.html"]) == 2
     assert "nothing is recorded" in capsys.readouterr().err
 
 
 def test_convert_writes_nothing_if_one_of_the_files_is_damaged(trials_folder: Path, capsys: Capture) -> None:
-    """The last file of the folder, zzz.json, holds nothing but an opening brace."""
+    """The last file of the folder, zzz.json, holds nothing but an opening brace. The error names it."""
     (trials_folder / "data/zzz.json").write_text("{", encoding="utf-8")
     assert main(["convert", "data", "--output", "theirs.parquet"]) == 2
     assert "data/zzz.json" in capsys.readouterr().err

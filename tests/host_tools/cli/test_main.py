@@ -27,7 +27,7 @@ from mcp_asdf_tools.common.extras import install_instruction
 from support import HIDING, ROOT, slow
 
 Capture = pytest.CaptureFixture[str]
-CHECK = "table --check tables/t_table_omega05_q30.c"
+CHECK_OF_TABLE = "table --check tables/t_table_omega05_q30.c"
 EXIT_CODE_OF_BROKEN_PIPE = 128 + signal.SIGPIPE
 """What a shell reports of a program whose reader, such as ``head``, has left."""
 
@@ -78,7 +78,7 @@ def test_version_prints_the_program_and_three_numbers(capsys: Capture) -> None:
     assert re.fullmatch(r"mcp-asdf \d+\.\d+\.\d+\S*\n", capsys.readouterr().out)
 
 
-SLIPS = [
+MISTAKES = [
     ("tabel", "no command is called 'tabel'; did you mean table?"),
     ("xyz", "no command is called 'xyz'"),
     ("swarm --fault los=0.1", "fault 'los=0.1': no kind is called 'los'; did you mean loss?"),
@@ -103,7 +103,7 @@ def program_of(line: str) -> str:
     return f"mcp-asdf {command}" if command in cli.COMMANDS else "mcp-asdf"
 
 
-@pytest.mark.parametrize(("line", "message_end"), SLIPS)
+@pytest.mark.parametrize(("line", "message_end"), MISTAKES)
 def test_a_mistake_in_a_command_line_is_reported_in_two_lines(
     line: str, message_end: str, capsys: Capture
 ) -> None:
@@ -134,10 +134,7 @@ def test_a_mistake_in_a_command_line_is_reported_in_two_lines(
 def test_a_mistake_in_a_command_line_is_reported_in_one_line_of_json_if_asked_for(
     line: str, program: str, message: str, capsys: Capture
 ) -> None:
-    """For example ``{"command": "mcp-asdf", "error": "no command is called 'tabel' ...", "exit_code":
-
-    2}``.
-    """
+    """The line goes to standard error, and has the keys "command", "error" and "exit_code"."""
     assert cli.main([*line.split(), "--json"]) == 2
     out, err = capsys.readouterr()
     report = json.loads(err)
@@ -177,7 +174,7 @@ def test_an_error_that_a_command_raises_becomes_an_exit_code_and_a_message(
 def test_the_exit_code_that_a_command_returns_is_that_of_the_program(
     exit_code: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The command ``table`` is replaced by one that only returns the exit code."""
+    """The command ``table`` is replaced by one that only returns the exit code, which ``main`` returns."""
     fake_command(monkeypatch, lambda: exit_code)
     assert cli.main(["table"]) == exit_code
 
@@ -186,13 +183,13 @@ def test_the_exit_code_that_a_command_returns_is_that_of_the_program(
 def test_an_error_that_is_a_mistake_of_the_program_is_raised(
     error: Exception, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The user cannot mend it, so Python shows where it happened. Here the command ``table`` raises it."""
+    """The user cannot mend it, so Python prints a traceback. Here the command ``table`` raises the error."""
     fake_command(monkeypatch, Mock(side_effect=error))
     with pytest.raises(type(error)):
         cli.main(["table"])
 
 
-@pytest.mark.parametrize(("line", "program"), [(CHECK, "mcp-asdf table"), ("--help", "mcp-asdf")])
+@pytest.mark.parametrize(("line", "program"), [(CHECK_OF_TABLE, "mcp-asdf table"), ("--help", "mcp-asdf")])
 def test_a_command_whose_output_goes_to_a_full_disk_fails_with_the_reason(
     line: str, program: str, monkeypatch: pytest.MonkeyPatch, capsys: Capture
 ) -> None:
@@ -320,7 +317,7 @@ def test_the_help_of_a_command_ends_with_its_examples(name: str, capsys: Capture
 
 
 def test_the_help_of_a_command_begins_with_the_options_and_files_that_it_needs(capsys: Capture) -> None:
-    """``table`` needs one of two options, ``radio`` an id, ``plot`` two files, and ``swarm`` nothing."""
+    """The first line names them: one of two options, an id, two files, or for ``swarm`` nothing."""
     usages = [help_of(name, capsys).splitlines()[0] for name in ("table", "radio", "plot", "swarm")]
     assert usages == [
         "usage: mcp-asdf table (--output DIR | --check FILE [FILE ...]) [OPTION ...]",
@@ -378,7 +375,7 @@ def test_commands_whose_libraries_are_not_installed_say_how_to_install_them_and_
     Each command prints two lines, and the second one names --help.
     """
     exit_codes, error_lines = run_without_extras(MODULES_NEEDED_BY_LINES, tmp_path)
-    messages = error_lines[::2]
+    messages = error_lines[::2]  # without the lines that name --help
     how_to_install = install_instruction("study")
 
     assert set(exit_codes) == {2}
@@ -431,22 +428,22 @@ HELPS = ["--help", *(f"{name} --help" for name in cli.COMMANDS)]
 @pytest.fixture(scope="module")
 def loaded_libraries() -> dict[str, list[str]]:
     """Command lines, and the slow libraries that one Python has loaded when it has run them one by one."""
-    return libraries_loaded_by(["tabel", *HELPS, CHECK])
+    return libraries_loaded_by(["tabel", *HELPS, CHECK_OF_TABLE])
 
 
 @pytest.mark.parametrize("line", ["tabel", *HELPS])
 def test_neither_a_help_nor_a_word_that_is_no_command_loads_a_slow_library(
     line: str, loaded_libraries: dict[str, list[str]]
 ) -> None:
-    """Slow libraries are, for example, numpy and matplotlib. No command is called "tabel"."""
+    """After each line, no slow library such as numpy is in ``sys.modules``. No command is called "tabel"."""
     assert loaded_libraries[line] == []
 
 
 def test_the_check_of_a_table_loads_no_slow_library_but_mpmath(
     loaded_libraries: dict[str, list[str]],
 ) -> None:
-    """It is ``mcp-asdf table --check``, and mpmath calculates with any number of digits."""
-    assert loaded_libraries[CHECK] == ["mpmath"]
+    """``mcp-asdf table --check`` calculates thresholds again with mpmath, which has any number of digits."""
+    assert loaded_libraries[CHECK_OF_TABLE] == ["mpmath"]
 
 
 @pytest.mark.slow
@@ -466,7 +463,7 @@ def is_accepted(command: str, options: list[str]) -> bool:
 
 @pytest.mark.parametrize("name", cli.COMMANDS)
 def test_the_examples_below_a_help_are_accepted_by_their_commands(name: str) -> None:
-    """Some of them show other commands that go with this one."""
+    """The parser of each command takes the options. Some examples show other commands than this one."""
     for command, options in examples_of(name):
         assert is_accepted(command, options), f"{command} {options}"
 
@@ -479,10 +476,7 @@ def test_a_help_ends_with_an_example_of_its_command_at_least(name: str) -> None:
 
 @pytest.fixture
 def folder_with_readings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Work in a folder with readings.csv, which an example reads:
-
-    20 over black tiles and 20 over white ones.
-    """
+    """Work in a folder with readings.csv, which an example reads: 20 over each colour of tiles."""
     monkeypatch.chdir(tmp_path)
     lines = [f"{200 + 7 * number},black\n{400 + 13 * number},white\n" for number in range(1, 21)]
     Path("readings.csv").write_text("".join(lines))
@@ -542,7 +536,7 @@ EXPERIMENT = "robots = 3\nsteps = 20\nfilter_period = 10\ntrials = 2\n"
 SHORT_RADIO = "radio --id 3 --interface virtual --robots 3 --steps 2 --steps-per-second 500"
 
 
-REPEATABLE = [
+LINES_AND_OPTIONS_IN_FRONT = [
     (f"swarm {SHORT} --flawed 50% --fault 'loss=0.5,robots=0+2' --fault liar,robots=3,x=1", "--seed=1"),
     (f"swarm {SHORT} --seed=7 --true-accuracy=0.30000000000000004 --latency=1 --compare", ""),
     (f"{SHORT_RADIO} --fault loss=0.3", "--seed=1"),
@@ -552,13 +546,13 @@ REPEATABLE = [
     ("table --output tables --omega 0.10 --neighbours 3", ""),
     ("table --output tables", "--omega=0.05 --neighbours=127"),
 ]
-"""Command lines, and the options that the line for the same results has in front of what was typed."""
+"""Command lines, each with the options that a command adds to it when it prints the line to run again."""
 
 
-def with_settled_options(line: str, settled_options: str) -> list[str]:
+def with_options_in_front(line: str, options_in_front: str) -> list[str]:
     """Return the words of a command line with options inserted behind the command."""
     command, *options = shlex.split(line)
-    return [command, *settled_options.split(), *options]
+    return [command, *options_in_front.split(), *options]
 
 
 @pytest.fixture
@@ -578,12 +572,12 @@ def line_for_same_results(line: str, capsys: Capture) -> str:
 
 
 @pytest.mark.usefixtures("experiment_files")
-@pytest.mark.parametrize(("line", "settled_options"), REPEATABLE)
+@pytest.mark.parametrize(("line", "options_in_front"), LINES_AND_OPTIONS_IN_FRONT)
 def test_a_command_prints_the_line_that_gives_the_same_results_again(
-    line: str, settled_options: str, capsys: Capture
+    line: str, options_in_front: str, capsys: Capture
 ) -> None:
     """It is the typed line with options in front whose values are chosen by default, such as ``--seed=1``."""
-    expected_line = shlex.join(with_settled_options(line, settled_options))
+    expected_line = shlex.join(with_options_in_front(line, options_in_front))
     assert line_for_same_results(line, capsys) == expected_line
 
 
@@ -620,6 +614,7 @@ def messages_of_swarm(*options: str, capsys: Capture) -> list[str]:
 
 
 def test_a_command_logs_nothing_without_the_option_v(capsys: Capture) -> None:
+    """The swarm opens a port for other programs (``--slcan``), which it would log with ``-v``."""
     assert messages_of_swarm("--slcan", "0", capsys=capsys) == []
 
 
@@ -632,7 +627,7 @@ def test_v_logs_versions_first_then_the_command_line_and_at_last_the_exit_code(c
 
 
 def test_v_logs_each_bus_that_a_swarm_opens(capsys: Capture) -> None:
-    """Each of three robots has a bus, whose channel has the robot's id."""
+    """Each of three robots has a bus of its own, whose channel, such as "v0", has the robot's id."""
     messages = messages_of_swarm("--channel", "v{robot}", "-v", capsys=capsys)
     for channel in ("v0", "v1", "v2"):
         assert f"INFO mcp_asdf_tools.bus.interfaces: opened the bus virtual {channel}" in messages

@@ -78,7 +78,7 @@ def end_by_signal(process: subprocess.Popen[str], number: signal.Signals) -> str
 
 
 @pytest.mark.parametrize(
-    ("line", "number", "code_at_work"),
+    ("line", "number", "exit_code_at_work"),
     [
         ("node --id 3", signal.SIGHUP, 0),
         *slow(
@@ -93,7 +93,7 @@ def end_by_signal(process: subprocess.Popen[str], number: signal.Signals) -> str
 )
 @interruptible()
 def test_a_signal_at_any_time_ends_a_command_with_the_exit_code_of_the_signal_or_of_success(
-    line: str, number: signal.Signals, code_at_work: int | None, tmp_path: Path
+    line: str, number: signal.Signals, exit_code_at_work: int | None, tmp_path: Path
 ) -> None:
     """For example ``node``, which succeeds when it is asked to end, unless it is still starting.
 
@@ -103,7 +103,7 @@ def test_a_signal_at_any_time_ends_a_command_with_the_exit_code_of_the_signal_or
         wait_until(process, lambda: handles_signal(process, number))
         errors = end_by_signal(process, number)
 
-    assert process.returncode in {code_at_work, exit_code_of(number)}, errors
+    assert process.returncode in {exit_code_at_work, exit_code_of(number)}, errors
     assert "Traceback" not in errors
 
 
@@ -134,7 +134,7 @@ def replay(log: Path, capsys: Capture) -> Any:
     return json.loads(capsys.readouterr().out)
 
 
-BUS_OF_PROCESSES = shlex.join(multicast(31).arguments())
+BUS_OF_PROCESSES = shlex.join(multicast(group=31).arguments())
 
 
 @pytest.mark.slow
@@ -256,6 +256,7 @@ def test_a_second_signal_does_not_interrupt_a_command_that_saves_its_results(
 def test_after_an_interrupted_command_the_handlers_of_signals_are_those_from_before(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    """The command ``table`` is interrupted by SIGTERM while it works."""
     handlers = [signal.getsignal(number) for number in ENDING_SIGNALS]
     fake_command(monkeypatch, lambda: wait_for_signal(signal.SIGTERM))
     cli.main(["table"])
@@ -266,7 +267,7 @@ def test_after_an_interrupted_command_the_handlers_of_signals_are_those_from_bef
 def test_a_command_that_ends_by_itself_after_a_signal_has_the_exit_code_of_the_signal(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Within ``stopping()`` a signal interrupts nothing; the command asks whether it should stop."""
+    """Within ``stopping()`` a signal interrupts nothing. The command asks whether it should stop."""
     answers = []
 
     def work() -> int:
@@ -285,7 +286,7 @@ def test_a_command_that_ends_by_itself_after_a_signal_has_the_exit_code_of_the_s
 def test_ctrl_c_interrupts_a_command_that_has_not_ended_after_two_signals(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Within ``stopping()`` a SIGTERM is only noticed, and so is a second one."""
+    """Within ``stopping()`` two SIGTERM are only noticed, but a SIGINT then raises KeyboardInterrupt."""
 
     def work() -> int:
         with stopping():
@@ -351,7 +352,7 @@ def test_ctrl_c_while_a_command_is_imported_interrupts_it_when_the_import_has_en
 def test_ctrl_c_while_a_command_imports_numpy_interrupts_it_after_the_import_and_before_its_work(
     finished_imports: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Here Ctrl-C comes during each import."""
+    """Ctrl-C comes during each import here, and the command, ``table``, never begins its work."""
     work = Mock(return_value=0)
     fake_command(monkeypatch, work, libraries=("numpy",))
     assert cli.main(["table"]) == exit_code_of(signal.SIGINT)

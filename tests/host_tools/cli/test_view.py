@@ -42,7 +42,10 @@ def recordings(tmp_path_factory: pytest.TempPathFactory) -> Path:
         for fill_ratio in (0.55, 0.95)
         for filter_name in ("none", "asdf-plus")
     ]
-    tables = [trials_to_table(run_trials(experiment, 0, 2, 20)) for experiment in experiments]
+    tables = [
+        trials_to_table(run_trials(experiment, first=0, trials=2, sampling_interval=20))
+        for experiment in experiments
+    ]
     write_tables(folder / "grid.parquet", [pa.concat_tables(tables)])
     swarm = "swarm --robots 5 --filter asdf-plus --steps 60 --filter-period 20 --quiet --log"
     assert main([*swarm.split(), str(folder / "run.log")]) == 0
@@ -83,6 +86,7 @@ def test_view_exports_a_log_of_60_steps_as_a_web_page_with_61_states(tmp_path: P
 
 
 def test_view_exports_a_trial_of_the_experiment_that_is_chosen_by_where(tmp_path: Path) -> None:
+    """The title of the web page has the parameters of that experiment, and the number of the trial."""
     page = tmp_path / "run.html"
     line = f"view grid.parquet --where filter=none --where fill_ratio=.950 --trial 1 --export {page}"
     assert main(line.split()) == 0
@@ -100,7 +104,7 @@ def log_without_events(tmp_path: Path) -> Path:
 def test_view_shows_61_states_of_a_log_without_events(
     log_without_events: Path, tmp_path: Path, capsys: Capture
 ) -> None:
-    """It shows what the frames of 60 steps say, ten states a second."""
+    """The 60 steps take 6 s, of which it shows ten states a second: one each 0.1 s from 0 to 6 s."""
     command = ["view", str(log_without_events), "--export", str(tmp_path / "run.html"), "--json"]
     assert main(command) == 0
     assert json.loads(capsys.readouterr().out)["states"] == 61
@@ -109,7 +113,7 @@ def test_view_shows_61_states_of_a_log_without_events(
 def test_view_of_a_log_without_events_warns_that_events_and_telemetry_are_missing(
     log_without_events: Path, tmp_path: Path, capsys: Capture
 ) -> None:
-    """Frames show x and b_hat of a robot only if it sends telemetry."""
+    """It prints a warning of each. Frames show x and b_hat of a robot only if it sends telemetry."""
     main(["view", str(log_without_events), "--export", str(tmp_path / "run.html")])
     warnings = capsys.readouterr().err
     events = f"{log_without_events}.events"

@@ -12,6 +12,7 @@ from mcp_asdf_tools.recording.candump_lines import parse_line
 from support import require
 
 FRAME = "186BB92A#0000603333F307E5"
+"""A frame as candump writes it: identifier and data in hexadecimal digits."""
 
 
 def parse_frame(line: str) -> can.Message:
@@ -44,7 +45,7 @@ def test_all_forms_in_which_candump_prints_a_frame_give_the_same_frame(line: str
 
 
 def test_a_line_without_a_time_stamp_has_time_zero() -> None:
-    """Candump prints none unless it is asked for one."""
+    """Candump prints time stamps only if it is asked for them; without one a frame is read as of 0 s."""
     frame = parse_frame("  can1  123   [2]  01 FF")
     assert (frame.timestamp, frame.channel, format_frame(frame)) == (0.0, "can1", "123#01FF")
 
@@ -95,7 +96,7 @@ def test_a_remote_frame_has_the_length_that_it_asks_for(line: str) -> None:
     ],
 )
 def test_a_line_without_a_complete_and_possible_frame_gives_none(line: str) -> None:
-    """The caller can skip such a line: it is of another kind, or was cut, or has too large a number."""
+    """The parser returns None, and raises nothing: logs have comments, cut lines and too large numbers."""
     assert parse_line(line) is None
 
 

@@ -31,7 +31,7 @@ from messages import FRAMES
 from wire import record
 
 ROBOTS = (
-    record(0, "native", 0.1 + 0.2),
+    record(0, "native", b_hat=0.1 + 0.2),
     record(7, "mirror", filter=Filter.ALWAYS, comms_period=5, memory=64),
     RobotSetup(127, "reference", 0.95, Config(None, Filter.OFF, filter_period=3)),
     RobotSetup(3, "native", 2.0**-20, Config(generate(Decimal("0.123456789"), 2))),
@@ -84,7 +84,10 @@ BLACK, WHITE, NO_OBSERVATION, END_OF_TICK = 1, 0, 2, 3
 
 
 def test_observations_and_received_estimates_are_read_as_they_were_recorded(tmp_path: Path) -> None:
-    """Robot 7 sees a black tile, receives estimates of the robots 3 and 127, and sees a white tile."""
+    """Robot 7 sees a black tile, receives two estimates, and sees a white tile in its next tick.
+
+    The file has an entry for each of the two ticks, with what happened in it.
+    """
     estimates = [[3, 2**23, 2**32 - 1], [127, 0, 0]]  # sender, x_hat and alpha: the largest and smallest ones
     with events_file(tmp_path / "x", HEADER) as writer:
         recorder = writer.recorders[7]
@@ -101,7 +104,7 @@ def test_observations_and_received_estimates_are_read_as_they_were_recorded(tmp_
 
 
 def test_injected_faults_are_read_as_they_were_recorded(tmp_path: Path) -> None:
-    """Robot 7 observes nothing, sends false values, misses a broadcast and starts again."""
+    """Robot 7 observes nothing, sends false values, misses a broadcast and starts again, all in one entry."""
     x_hat, alpha = 5, 2**31
     with events_file(tmp_path / "x", HEADER) as writer:
         recorder = writer.recorders[7]
@@ -126,9 +129,12 @@ def test_frames_injected_by_a_fault_are_recorded_as_candump_writes_them(tmp_path
 def test_a_flood_of_estimates_is_written_in_several_lines(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A line is written as soon as it has more than its maximum of events, so that memory does not grow."""
+    """A line is written once it has more than its maximum of events, here four, so memory does not grow.
+
+    Robot 7 receives three estimates four times. After the second and the fourth time it has six.
+    """
     monkeypatch.setattr(events_module, "_MAX_EVENTS_PER_LINE", 4)
-    three_estimates = [[3, 1, 2]] * 3
+    three_estimates = [[3, 1, 2]] * 3  # each with sender, x_hat and alpha
     with events_file(tmp_path / "x", HEADER) as writer:
         for _ in range(4):
             writer.recorders[7].record_estimates(three_estimates)
@@ -197,7 +203,7 @@ def test_robots_with_an_earlier_robust_filter_are_refused_by_their_ids(version: 
 
 
 def test_compressed_events_that_were_cut_are_refused_with_the_line(swarm_log: Path, tmp_path: Path) -> None:
-    """Only the first half of the file is there, and its name is not that of a run that was cut off."""
+    """The name of a file that is only half there must end in ``.part``; reading any other one is an error."""
     data = events_path(swarm_log).read_bytes()
     (tmp_path / "x").write_bytes(data[: len(data) // 2])
     with pytest.raises(UsageError, match=r"x, line \d+: the file ends here, in the middle; was it cut\?"):
@@ -205,7 +211,7 @@ def test_compressed_events_that_were_cut_are_refused_with_the_line(swarm_log: Pa
 
 
 def test_compressed_events_with_a_wrong_byte_are_refused(swarm_log: Path, tmp_path: Path) -> None:
-    """The bits of the byte in the middle of the file are inverted."""
+    """A byte in the middle of the file is inverted. The error names the file and the line."""
     data = bytearray(events_path(swarm_log).read_bytes())
     data[len(data) // 2] ^= 0xFF
     (tmp_path / "x").write_bytes(data)
@@ -228,7 +234,10 @@ def five_ticks(tmp_path: Path) -> Path:
 def test_the_events_of_a_killed_run_are_read_up_to_where_they_were_cut(
     cut_bytes: int, five_ticks: Path
 ) -> None:
-    """A file whose name ends in ``.part`` is of a run that did not end: 1 to 30 bytes are missing."""
+    """The last 1 to 30 bytes are missing. What is read are the first of all entries, unchanged.
+
+    The name of the file ends in ``.part``, as the run did not end.
+    """
     all_entries = read_entries(five_ticks)
     part = five_ticks.with_suffix(".events.part")
     part.write_bytes(five_ticks.read_bytes()[:-cut_bytes])
@@ -299,7 +308,7 @@ def changed_header(key: str, value: Any) -> str:
     ids=lambda text: text[-40:],
 )
 def test_a_malformed_header_is_refused(first_line: str, message: str, tmp_path: Path) -> None:
-    """The header is the first line of a file of events: a JSON object on the run and its robots."""
+    """The header is the first line, a JSON object on the run and its robots. The error says what is wrong."""
     (tmp_path / "x").write_text(first_line, encoding="latin-1")
     with pytest.raises(UsageError) as caught:
         read_entries(tmp_path / "x")
@@ -327,7 +336,7 @@ def test_a_malformed_header_is_refused(first_line: str, message: str, tmp_path: 
     ],
 )
 def test_a_malformed_line_is_refused_with_its_number(lines: str, message: str, tmp_path: Path) -> None:
-    """A line is a list of a robot's id and its events, or a text with a frame."""
+    """A line is a list of a robot's id and its events, or a text with a frame. The error quotes any other."""
     (tmp_path / "x").write_text(FIRST_LINE + lines)
     with pytest.raises(UsageError) as caught:
         read_entries(tmp_path / "x")

@@ -12,6 +12,7 @@ from mcp_asdf_tools.recording import frame_logs
 from mcp_asdf_tools.recording.frame_logs import LogSummary, read_log
 
 FRAME = "186BB92A#0000603333F307E5"
+"""A frame as candump writes it: identifier and data in hexadecimal digits."""
 
 
 def read_times(log: Path, summary: LogSummary | None = None) -> list[float]:
@@ -81,7 +82,8 @@ def test_a_malformed_line_of_another_format_is_refused_with_its_number(suffix: s
     log = tmp_path / f"run{suffix}"
     with can.Logger(log) as write_frame:
         write_frame(can.Message(timestamp=1.0, arbitration_id=0x123, data=b"\1"))
-    lines = log.read_text().replace("End TriggerBlock\n", "").splitlines()
+    text_without_end = log.read_text().replace("End TriggerBlock\n", "")  # the last line of an .asc file
+    lines = text_without_end.splitlines()
     malformed_line = lines[-1].replace("123", "xyz")
     log.write_text("\n".join([*lines, malformed_line]))
 
@@ -137,7 +139,7 @@ def test_the_log_of_a_killed_run_is_read_up_to_its_last_complete_line(cut_line: 
 
 @pytest.mark.parametrize("cut_line", ["(1.0) vcan0 123", "(1.0) vcan0 123#0011"])
 def test_the_log_of_a_killed_run_without_a_complete_line_is_refused(cut_line: str, tmp_path: Path) -> None:
-    """Its name ends in ``.part``. A last line without an end may be cut, even if it looks like a frame."""
+    """Its only line has no end, so it may be cut, even if it looks like a frame. No frame is left."""
     part = tmp_path / "run.log.part"
     part.write_text(cut_line)
     with pytest.raises(UsageError, match="holds no frame"):

@@ -36,7 +36,7 @@ from robots import ALPHA_ONE
 from support import ROOT, limited_file_size, names_in, require, run
 from wire import record
 
-HEADER = EventsHeader((record(5),), None, FrameFormat())
+HEADER = EventsHeader((record(robot=5),), seed=None, frames=FrameFormat())
 FIRST_TIME = 1e9
 """Time of the frame with number 0."""
 
@@ -45,7 +45,8 @@ Capture = pytest.CaptureFixture[str]
 
 def make_frame(number: int) -> can.Message:
     """Return an estimate of robot 5 with this number as x_hat, sent that many seconds after the first."""
-    frame = encode_estimate(Estimate(5, number, ALPHA_ONE, number % 32), FrameFormat())
+    estimate = Estimate(sender=5, x_hat=number, alpha=ALPHA_ONE, transfer_id=number % 32)
+    frame = encode_estimate(estimate, FrameFormat())
     frame.timestamp = FIRST_TIME + number
     return frame
 
@@ -84,7 +85,7 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
 def test_frames_are_on_disk_after_a_second(clock: SimpleNamespace, tmp_path: Path) -> None:
     """The first frame after a second lets those before it be written, and waits itself.
 
-    So a power cut loses the last second. While the run goes on, the log's name ends in ``.part``.
+    A power cut loses no more than the last second. While the run goes on, the log's name ends in ``.part``.
     """
     part = tmp_path / "run.log.part"
     with recording_frames(tmp_path / "run.log") as record_frame:
@@ -100,9 +101,9 @@ def test_frames_are_on_disk_after_a_second(clock: SimpleNamespace, tmp_path: Pat
 def test_four_frames_that_wait_are_written_when_a_fifth_comes_before_the_second_is_over(
     clock: SimpleNamespace, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """So the memory of a busy run does not grow. Then frames wait again: those on disk do not count.
+    """At most four frames wait in memory here, many more in a real run, so that memory does not grow.
 
-    The clock stands still, and the limit, which is larger in a real run, is four frames.
+    The clock stands still. The fifth frame waits in turn, and so do the three after it.
     """
     monkeypatch.setattr(recording_module, "_MAX_UNFLUSHED", 4)
     part = tmp_path / "run.log.part"
@@ -193,10 +194,18 @@ def test_a_recording_of_a_run_that_fails_warns_that_its_log_is_not_complete(tmp_
 
 
 def test_a_run_that_fails_leaves_the_events_of_its_last_tick(tmp_path: Path) -> None:
-    """Robot 5 observes black, and the run fails before the tick is over."""
-    with pytest.raises(ZeroDivisionError), Recording(tmp_path / "run.log", HEADER, print) as (_, events):
-        assert events is not None
-        events.recorders[5].record_observation(Observation.BLACK)
+    """Robot 5 observes black, and the run fails before the tick is over.
+
+    The file run.log.events.part has the observation as the number 1, which stands for black.
+    """
+    log = tmp_path / "run.log"
+    with (
+        pytest.raises(ZeroDivisionError),
+        Recording(log, HEADER, warn=print) as (_write_frame, events_writer),
+    ):
+        assert events_writer is not None
+        recorder_of_robot_5 = events_writer.recorders[5]
+        recorder_of_robot_5.record_observation(Observation.BLACK)
         raise ZeroDivisionError
 
     black = 1
@@ -224,7 +233,7 @@ def test_a_run_that_fails_before_its_first_frame_leaves_no_files(tmp_path: Path)
 
 
 def test_a_run_that_fails_raises_its_own_error_if_somebody_has_deleted_its_part_file(tmp_path: Path) -> None:
-    """A recording removes the part file of a run without frames, and finds that it is not there any more."""
+    """At the end the recording would remove the part file, as it has no frames, but it is not there."""
     with pytest.raises(ZeroDivisionError), recording_frames(tmp_path / "run.log"):
         (tmp_path / "run.log.part").unlink()
         raise ZeroDivisionError
@@ -415,8 +424,9 @@ def test_the_part_file_of_a_log_that_a_full_disk_cut_off_can_be_replayed(
     verdict = json.loads(capsys.readouterr().out)["verdict"]
     assert verdict["difference"] is None
     frames_in_part = verdict["reproduced"] + verdict["beyond"]
+    lines_with_room_at_least = FULL_DISK_BYTES // LOG_LINE_BYTES
 
-    assert frames_in_part > FULL_DISK_BYTES // LOG_LINE_BYTES
+    assert frames_in_part > lines_with_room_at_least
 
 
 def test_replay_names_the_part_of_a_log_that_is_not_there(unfinished_log: Path, capsys: Capture) -> None:
@@ -447,10 +457,10 @@ def disk_of_size(max_bytes: int, folder: Path) -> Iterator[None]:
 def record_16_broadcasts(log: Path) -> list[str]:
     """Record robot 5 as it observes 16 black tiles and broadcasts 16 estimates; return the warnings."""
     warnings: list[str] = []
-    with Recording(log, HEADER, warnings.append) as (write_frame, events):
-        assert write_frame is not None and events is not None
-        robot = BusRobot(record(5), FrameFormat())
-        robot.recorder = events.recorders[5]
+    with Recording(log, HEADER, warnings.append) as (write_frame, events_writer):
+        assert write_frame is not None and events_writer is not None
+        robot = BusRobot(record(robot=5), FrameFormat())
+        robot.recorder = events_writer.recorders[5]
         for tick in range(16):
             robot.observe(Observation.BLACK)
             write_frame(robot.broadcast(float(tick)))

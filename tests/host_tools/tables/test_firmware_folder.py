@@ -82,7 +82,7 @@ def test_a_project_builds_the_folder_with_cmake_and_a_robot_starts(tmp_path: Pat
 
 
 def test_the_folder_has_all_sources_of_the_core_unchanged(tmp_path: Path) -> None:
-    """The core is the C firmware without its ports."""
+    """The core is the C firmware without its ports. Each file is compared byte for byte."""
     write_folder(tmp_path)
     for source in matching_files(ROOT / "c_ref/src", "*.[ch]"):
         assert (tmp_path / source.name).read_bytes() == source.read_bytes()
@@ -253,7 +253,7 @@ target_link_libraries(robot PRIVATE module)
 
 @pytest.mark.slow
 def test_the_commands_for_zephyr_build_a_robot(tmp_path: Path) -> None:
-    """Zephyr's functions are replaced by some of plain CMake that do the same."""
+    """The robot's program is built and ends with exit code 0. Plain CMake replaces Zephyr's functions."""
     write_folder(tmp_path / "modules/mcp_asdf", *TABLE_OF_PROGRAM)
     (tmp_path / "robot.c").write_text(PROGRAM)
     (tmp_path / "CMakeLists.txt").write_text(ZEPHYR_PROJECT)
@@ -333,12 +333,12 @@ def tables_in(folder: Path) -> list[str]:
 
 
 def test_sha256sum_finds_the_files_as_they_were_written(folder: Path) -> None:
-    """The folder has a file with the checksums of all others, in the format of that program."""
+    """The folder has a file with the checksums of all others, and ``sha256sum`` prints no complaint."""
     assert run("sha256sum", "--check", "--quiet", "sha256sums.txt", cwd=folder) == ""
 
 
 def test_another_table_takes_the_place_of_the_first(folder: Path) -> None:
-    """The first one was for 127 neighbours."""
+    """The first one was for 127 neighbours. Only the one for 30 is left in the folder."""
     write_folder(folder, "--neighbours", "30")
     assert tables_in(folder) == ["t_table_omega05_q30.c"]
 

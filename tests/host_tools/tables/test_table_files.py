@@ -53,14 +53,14 @@ def test_no_two_tables_share_a_name() -> None:
 
 @pytest.mark.parametrize(("omega", "q"), SHIPPED_TABLES)
 def test_the_shipped_files_are_what_the_generator_makes(omega: Decimal, q: int) -> None:
-    """The folder tables has the files of a table in C and in JSON."""
+    """The folder tables has each table as a file in C and one in JSON, which are generated anew here."""
     path = ROOT / "tables" / table_name(omega, q)
     assert path.with_suffix(".c").read_text() == format_c_source(omega, q)
     assert path.with_suffix(".json").read_text() == format_json(omega, q)
 
 
 def test_no_other_tables_are_shipped() -> None:
-    """There are tables for an omega of 0.05 and for 127 or 30 neighbours."""
+    """Beside a README the folder has only the tables for omega 0.05 and for 127 or 30 neighbours."""
     names = {f"{table_name(omega, q)}{suffix}" for omega, q in SHIPPED_TABLES for suffix in (".c", ".json")}
     assert {path.name for path in (ROOT / "tables").iterdir()} == {"README.md", *names}
 
@@ -75,14 +75,15 @@ def test_the_json_file_has_all_words_of_the_table() -> None:
     assert content["sha256"] == hashlib.sha256(words_in_memory).hexdigest()
 
 
-def test_a_strict_compiler_makes_the_array_and_nothing_else_of_the_c_file(tmp_path: Path) -> None:
-    """The array has 3 words and 30 entries of 4 bytes, in read-only data (R)."""
+def test_a_strict_compiler_accepts_the_c_file_which_has_an_array_and_nothing_else(tmp_path: Path) -> None:
+    """The only symbol of the compiled file is an array of 33 words of 4 bytes, in read-only data (R)."""
     warnings = ["-pedantic-errors", "-Wall", "-Wextra", "-Werror", "-Wmissing-declarations"]
     object_file = tmp_path / "table.o"
     run("gcc", "-std=c99", "-O1", *warnings, f"-I{ROOT}/c_ref/src", "-c", C_FILE, "-o", object_file)
     _address, size, section, name = run("nm", "-S", object_file).split()
 
-    assert int(size, 16) == 12 + 4 * 30
+    header_words, entries = 3, 30
+    assert int(size, 16) == 4 * (header_words + entries)
     assert section == "R"
     assert name == "mcp_asdf_t_table_omega05_q30"
 

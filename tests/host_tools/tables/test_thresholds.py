@@ -26,6 +26,7 @@ from support import ROOT
 
 SHIPPED = [("0.05", 127), ("0.05", 30)]
 EDGES = [("0.9", 127), ("0.9", 2), ("0.000000001", 127), ("0.5", 3)]
+"""Omegas and numbers of neighbours q of tables."""
 
 
 def eq_12_multiple(omega: float, m: int) -> float:
@@ -53,7 +54,7 @@ def wrongly_rounded_entries(table: Table, omega: Decimal) -> list[int]:
 # design: R27
 @pytest.mark.parametrize(("omega", "q"), [*SHIPPED, *EDGES])
 def test_every_threshold_of_a_table_is_the_nearest_to_the_exact_one(omega: str, q: int) -> None:
-    """Omega 0.9 needs all 32 bits of its first entry."""
+    """Among them are the largest omega, 0.9, whose first entry needs all 32 bits, and the smallest one."""
     table = generate(Decimal(omega), q)
     assert table.q == q
     assert wrongly_rounded_entries(table, Decimal(omega)) == []
@@ -76,7 +77,7 @@ def test_a_table_has_omega_in_units_of_2_to_the_minus_32_rounded_to_nearest() ->
 @settings(max_examples=24)
 @given(st.integers(1000, 900_000_000), st.integers(2, 127))
 def test_every_threshold_of_any_table_is_the_nearest_to_the_exact_one(billionths: int, q: int) -> None:
-    """SciPy's quantiles are too coarse to judge the smallest omega, which are next to the median."""
+    """Omega is 10**-6 or more: for smaller ones SciPy's quantiles are too coarse to judge a table."""
     omega = Decimal(billionths).scaleb(-9)
     assert wrongly_rounded_entries(generate(omega, q), omega) == []
 
@@ -215,7 +216,7 @@ def test_the_page_t_tables_has_how_often_an_estimate_of_the_same_kind_is_rejecte
 
 @with_each_choice
 def test_the_page_t_tables_has_how_often_an_estimate_at_a_distance_is_rejected(row: dict[str, str]) -> None:
-    """The mean of m estimates minus an estimate at a distance, over their spread, has a noncentral t."""
+    """The mean of m estimates minus the distant one, over their spread, has a noncentral t distribution."""
     m, omega = int(row["m"]), float(row["omega"])
     limit = eq_12_multiple(omega, m) * math.sqrt(m)
     distances = [title for title in row if title.endswith(" sigma")]

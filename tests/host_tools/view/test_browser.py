@@ -30,13 +30,13 @@ if TYPE_CHECKING:
 
 pytestmark = pytest.mark.slow
 
-STEPS, STEPS_PER_FILTER = 300, 50
+STEPS, FILTER_PERIOD = 300, 50
 SETTINGS = SwarmSettings(
     robots=8,
     flawed="50%",
     steps=STEPS,
     filter="asdf-minus",
-    filter_period=STEPS_PER_FILTER,
+    filter_period=FILTER_PERIOD,
     topology="dynamic",
     density=4,
 )
@@ -50,7 +50,10 @@ ALL_STATES = """[...Array(view.history.stateCount).keys()].map((state) => {
             history.links(state, receiver).some(([linked]) => linked === sender))),
         positions: robots.map((robot) => history.position(robot, state)),
     }; })"""
-PIXELS = "view.arena.context.getImageData(0, 0, view.arena.canvas.width, view.arena.canvas.height).data"
+PIXELS_OF_ARENA = (
+    "view.arena.context.getImageData(0, 0, view.arena.canvas.width, view.arena.canvas.height).data"
+)
+"""These three are expressions of JavaScript, which the web page evaluates."""
 
 
 @pytest.fixture(scope="module")
@@ -120,7 +123,7 @@ def test_the_browser_decodes_the_values_links_and_positions_of_all_states(
 def test_the_arena_is_drawn_in_many_colours(browser: Page, page_file: Path) -> None:
     """The colours of floor, links and eight robots blend at their edges into more than 50."""
     open_file(browser, page_file)
-    colour_count = browser.evaluate(f"new Set(new Uint32Array({PIXELS}.buffer)).size")
+    colour_count = browser.evaluate(f"new Set(new Uint32Array({PIXELS_OF_ARENA}.buffer)).size")
     assert colour_count > 50
 
 
@@ -258,7 +261,7 @@ def test_a_click_in_the_list_of_events_goes_to_the_event_s_step_and_selects_its_
     browser.locator("#events button").last.click()
 
     assert browser.evaluate("view.followedRobot !== null")
-    assert browser.evaluate("view.player.tick") % STEPS_PER_FILTER == 0
+    assert browser.evaluate("view.player.tick") % FILTER_PERIOD == 0
 
 
 def test_the_address_in_the_browser_holds_the_shown_step_and_the_selected_robot(
@@ -301,10 +304,12 @@ def page_with_faults(tmp_path_factory: pytest.TempPathFactory) -> Path:
     The fill ratio is 0.5, and so are all values, but that x of robot 3 is 0.75 in step 5. Robot 8 is dead in
     the steps 4 to 6. Frames are lost all the time, and a robot lies from step 2 to 8.
     """
-    states = [State(tick, np.full((4, 2), 0.5), np.eye(2) > 1, None) for tick in range(11)]
+    no_links = np.zeros((2, 2), np.bool_)
+    states = [State(tick, np.full((4, 2), 0.5), no_links, positions=None) for tick in range(11)]
+    x, x_hat, b_hat, robot_3, robot_8 = 0, 1, 2, 0, 1  # indices in the values of a state
     for state in states[4:7]:
-        state.values[:3, 1] = np.nan
-    states[5].values[0, 0] = 0.75
+        state.values[[x, x_hat, b_hat], robot_8] = np.nan
+    states[5].values[x, robot_3] = 0.75
     faults = [("loss=0.2", 0, None), ("liar=1.0", 2, 9)]
     description = RunDescription("two", [3, 8], fill_ratio=0.5, steps=10, faults=faults)
     file = tmp_path_factory.mktemp("faults") / "faults.html"
@@ -343,15 +348,22 @@ def test_faults_deaths_and_returns_of_robots_are_events(browser: Page, page_with
 
 
 def test_events_are_marked_on_the_time_line(browser: Page, page_with_faults: Path) -> None:
-    """They are in the steps 1, 2, 4, 7 and 9 of ten, and each mark is two pixels wide."""
+    """The events are in the steps 1, 2, 4, 7 and 9 of ten, so their marks are at these tenths of the line.
+
+    A mark is two pixels wide, and between marks the line is transparent.
+    """
     open_file(browser, page_with_faults, "#step=5")
     width = browser.evaluate("document.getElementById('marks').width")
-    row = f"document.getElementById('marks').getContext('2d').getImageData(0, 0, {width}, 1).data"
-    opacities = browser.evaluate(f"[...{row}].filter((_, index) => index % 4 === 3)")
+    top_row = f"document.getElementById('marks').getContext('2d').getImageData(0, 0, {width}, 1).data"
+    # Four numbers stand for a pixel: red, green, blue and opacity.
+    opacities = browser.evaluate(f"[...{top_row}].filter((_, index) => index % 4 === 3)")
     marked_pixels = np.flatnonzero(opacities)
-    left_pixels = marked_pixels[::2]
+    left_pixels_of_marks = marked_pixels[::2]
+    left_pixel_of_last_step = width - 2
 
-    assert left_pixels / (width - 2) == pytest.approx([0.1, 0.2, 0.4, 0.7, 0.9], abs=0.01)
+    assert left_pixels_of_marks / left_pixel_of_last_step == pytest.approx(
+        [0.1, 0.2, 0.4, 0.7, 0.9], abs=0.01
+    )
 
 
 # --- A swarm as it runs -------------------------------------------------------------------------------
@@ -374,6 +386,7 @@ def test_an_open_page_shows_steps_that_a_running_swarm_takes_meanwhile(
 
 
 def test_an_open_page_reports_that_a_swarm_has_ended_without_any_data(browser: Page) -> None:
+    """The swarm ends after the page has been opened, and no state has been added."""
     live = History(RunDescription("one robot", [0]))
     with serve_page(live) as url:
         browser.goto(url)
@@ -394,12 +407,13 @@ def test_a_swarm_that_has_just_ended_is_shown_at_its_last_step(browser: Page, hi
 
 
 def test_the_page_of_a_silent_bus_waits_until_a_robot_sends(browser: Page) -> None:
+    """It shows "waiting for the bus", which disappears when robot 5 has joined with a state."""
     live = History(RunDescription("a bus", []))
     with serve_page(live) as url:
         browser.goto(url)
         wait_for_text(browser, "waiting", "waiting for the bus")
         live.add_robot(5)
-        live.add(State(1, np.full((4, 1), 0.5), np.eye(1) > 1, None))
+        live.add(State(1, np.full((4, 1), 0.5), np.zeros((1, 1), np.bool_), positions=None))
         until(browser, "view.history.stateCount === 1 && document.getElementById('waiting').hidden")
 
 
@@ -410,11 +424,12 @@ def bus_browser(browser: Page) -> Iterator[Page]:
     The page was opened when only robot 5 had sent values.
     """
     live = History(RunDescription("a bus", [5]))
-    live.add(State(1, np.full((4, 1), 0.5), np.eye(1) > 1, None))
+    live.add(State(1, np.full((4, 1), 0.5), np.zeros((1, 1), np.bool_), positions=None))
     roster = Roster()
     for robot, now in ((9, 0.0), (5, 9.0)):
-        roster.receive(can.Message(), Estimate(robot, 0, 0, 3), now)
-        roster.receive(can.Message(), Heartbeat(robot, 60, 4, Health.WARNING), now)
+        roster.receive(can.Message(), Estimate(robot, x_hat=0, alpha=0, transfer_id=3), now)
+        heartbeat = Heartbeat(robot, uptime=60, transfer_id=4, health=Health.WARNING)
+        roster.receive(can.Message(), heartbeat, now)
     with serve_page(live) as url:
         browser.goto(url)
         until(browser, f"{IS_DRAWN} && view.history.robotCount === 1")
@@ -468,5 +483,6 @@ def test_the_list_of_frames_begins_with_the_latest(bus_browser: Page) -> None:
 
 
 def test_words_typed_as_a_filter_leave_the_frames_that_have_all_of_them(bus_browser: Page) -> None:
+    """Of two frames of robot 9 and two of robot 5, "9 heartbeat" leaves the heartbeat of robot 9."""
     bus_browser.locator("#filter").fill("9 heartbeat")
     assert listed_frames(bus_browser) == ["0.000 s  9  heartbeat 4: warning, operational, up 60 s"]

@@ -25,7 +25,9 @@ from mcp_asdf_tools.view.frame_log_history import FrameLogHistory, read_frame_hi
 from mcp_asdf_tools.view.history import MAX_STATES, History
 
 NAN = np.nan
-HALF_ESTIMATE = Estimate(7, x_hat=1 << 22, alpha=1, transfer_id=0)
+X_ONE, B_HAT_ONE = 1 << 23, 1 << 24
+"""What stands for 1 in the x or x_hat of a frame, and in its b_hat."""
+HALF_ESTIMATE = Estimate(7, x_hat=X_ONE // 2, alpha=1, transfer_id=0)
 """Robot 7 estimates that half of the floor is black."""
 
 
@@ -65,9 +67,9 @@ def bus(monkeypatch: pytest.MonkeyPatch) -> ScriptedBus:
     """
     bus = ScriptedBus(
         {
-            0.0: encode(Telemetry(7, 1 << 22, 1 << 23, 0, 0)),
-            0.1875: encode(Estimate(7, 1 << 21, 1, 0)),
-            0.3125: encode(Telemetry(3, 1 << 21, 1 << 22, 0, 0)),
+            0.0: encode(Telemetry(7, x=X_ONE // 2, b_hat=B_HAT_ONE // 2, updates=0, transfer_id=0)),
+            0.1875: encode(Estimate(7, x_hat=X_ONE // 4, alpha=1, transfer_id=0)),
+            0.3125: encode(Telemetry(3, x=X_ONE // 4, b_hat=B_HAT_ONE // 4, updates=0, transfer_id=0)),
         }
     )
     monkeypatch.setattr(time, "monotonic", lambda: 1000 + bus.now)
@@ -121,11 +123,12 @@ def test_each_of_two_robots_that_join_a_bus_makes_open_pages_load_all_states_aga
 
 
 def test_a_recorder_of_a_bus_knows_that_a_robot_sent_telemetry(bus: ScriptedBus) -> None:
+    """``mcp-asdf view`` warns where no robot did, as x and b_hat are unknown then."""
     assert record(bus, seconds=0.5).has_telemetry
 
 
 def test_the_report_on_a_bus_has_a_row_for_each_robot_once_a_second(bus: ScriptedBus) -> None:
-    """It is made at 0 s, when robot 7 has just been seen, and not again before 1 s."""
+    """The report is made at 0 s, when robot 7 has just been seen, and not again before 1 s."""
     report = record(bus, seconds=0.5).history.report
     assert report is not None
     (row,) = report["robots"]
@@ -165,16 +168,16 @@ def frame_history(tmp_path: Path) -> FrameLogHistory:
     Robot 3 sends telemetry: x = b_hat = 0.25 after 0.25 s, and x = b_hat = 0.5 after 3.5 s.
     """
     frames = {
-        1000.0: encode(Estimate(7, 1 << 21, 1, 0)),
-        1000.25: encode(Telemetry(3, 1 << 21, 1 << 22, 0, 0)),
-        1003.5: encode(Telemetry(3, 1 << 22, 1 << 23, 0, 1)),
+        1000.0: encode(Estimate(7, x_hat=X_ONE // 4, alpha=1, transfer_id=0)),
+        1000.25: encode(Telemetry(3, x=X_ONE // 4, b_hat=B_HAT_ONE // 4, updates=0, transfer_id=0)),
+        1003.5: encode(Telemetry(3, x=X_ONE // 2, b_hat=B_HAT_ONE // 2, updates=0, transfer_id=1)),
     }
     log = write_log(tmp_path / "real.log", frames, comment="# of Tuesday\n")
     return read_frame_history(log, FrameFormat(), fill_ratio=0.4, true_accuracy=0.9)
 
 
 def values_in(history: History, tick: int) -> tuple[list[float], list[float]]:
-    """Return x, x_hat, b_hat and true accuracy of the two robots in one state."""
+    """Return the values of each of two robots in one state: x, x_hat, b_hat and true accuracy."""
     first_robot, second_robot = history.states_since().states[tick].values.T.tolist()
     return first_robot, second_robot
 
@@ -188,7 +191,7 @@ def test_the_description_of_a_log_has_its_file_name_and_robots(frame_history: Fr
 
 
 def test_a_log_of_frames_is_shown_with_ten_states_a_second(frame_history: FrameLogHistory) -> None:
-    """The log is 3.5 s long, and one state follows its last frame."""
+    """The log is 3.5 s long. The states 0 to 35 are from 0 to 3.5 s, and one follows its last frame."""
     states = frame_history.history.states_since().states
     assert [state.tick for state in states] == list(range(37))
 

@@ -11,7 +11,7 @@ from mcp_asdf_tools.view.history import History, RunDescription, State, steps_be
 
 def make_state(tick: int) -> State:
     """Return a state of two robots that receive each other."""
-    return State(tick, np.full((4, 2), 0.5), np.ones((2, 2), np.bool_), None)
+    return State(tick, np.full((4, 2), 0.5), np.ones((2, 2), np.bool_), positions=None)
 
 
 @pytest.fixture
@@ -39,6 +39,7 @@ def test_a_reader_of_another_generation_gets_all_three_states_again(history: His
 
 
 def test_a_robot_that_joins_has_unknown_values_in_earlier_states(history: History) -> None:
+    """Robot 7 joins the robots 0 and 1. Its unknown values are NaN."""
     history.add_robot(7)
     last_state = history.states_since().states[-1]
     _robot_0, _robot_1, robot_7 = last_state.values.T
@@ -80,7 +81,7 @@ def test_a_swarm_without_an_end_keeps_at_most_a_hundred_states(monkeypatch: pyte
 def test_states_that_are_thinned_out_four_times_are_those_of_every_16th_step(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Of 1000 states at most 100 are kept, so every second one is left out four times."""
+    """Of 1000 states at most 100 are kept, so every second one is left out four times: 2**4 is 16."""
     monkeypatch.setattr(history_module, "MAX_STATES", 100)
     history = History(RunDescription("endless", [0, 1]))
     for tick in range(1000):

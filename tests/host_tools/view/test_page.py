@@ -87,7 +87,7 @@ def test_the_bytes_of_states_begin_with_their_numbers_of_steps() -> None:
     assert data.startswith(bytes([5, 0, 0, 0]) + bytes([44, 1, 0, 0]))
 
 
-def test_states_are_encoded_with_their_number() -> None:
+def test_the_number_of_states_is_encoded_beside_their_bytes() -> None:
     block = encode_states([make_state(5, [0]), make_state(300, [0])], RunDescription("a run", [0]))
     assert block["count"] == 2
 
@@ -97,8 +97,8 @@ def test_each_robot_s_values_are_encoded_as_differences_to_the_state_before() ->
     states = [make_state(0, [0.5, 0]), make_state(1, [1, 0]), make_state(2, [1, 0.25])]
     data = data_of(states, robots=2)
 
-    differences_of_robot_0 = [32767, 32767, 0]
-    differences_of_robot_1 = [0, 0, 16384]
+    differences_of_robot_0 = [32767, 32767, 0]  # 0.5, another 0.5, nothing
+    differences_of_robot_1 = [0, 0, 16384]  # nothing, nothing, 0.25
     assert first_values(data, count=6, states=3) == differences_of_robot_0 + differences_of_robot_1
 
 
@@ -139,7 +139,7 @@ def test_links_are_encoded_as_a_bit_for_each_pair_of_robots() -> None:
 
 def test_links_between_more_than_128_robots_are_encoded_as_pairs_of_receiver_and_sender() -> None:
     """The last bytes are the numbers of links in the two states, and the ids of all receivers and senders."""
-    two_links, one_link = [[0, 1], [128, 5]], [[7, 0]]
+    two_links, one_link = [[0, 1], [128, 5]], [[7, 0]]  # each of a receiver and a sender
     states = [make_state(0, [0] * 129, two_links), make_state(1, [0] * 129, one_link)]
     data = data_of(states, robots=129)
 

@@ -21,7 +21,8 @@ class RosterOfRobot3(Roster):
     """A roster that receives frames of robot 3, or of another one."""
 
     def receive_estimate(self, transfer_id: int, now: float, robot: int = 3) -> None:
-        self.receive(FRAME, Estimate(robot, 1 << 22, 1 << 30, transfer_id), now)
+        """x_hat = 0.5 and alpha = 0.25."""
+        self.receive(FRAME, Estimate(robot, x_hat=1 << 22, alpha=1 << 30, transfer_id=transfer_id), now)
 
     def receive_heartbeat(
         self, uptime: int, transfer_id: int, now: float = 0.0, health: Health = Health.NOMINAL
@@ -30,7 +31,7 @@ class RosterOfRobot3(Roster):
 
     def receive_telemetry(self, now: float) -> None:
         """x = 0.25, b_hat = 0.75 and 7 updates."""
-        self.receive(FRAME, Telemetry(3, 1 << 21, 3 << 22, 7, 30), now)
+        self.receive(FRAME, Telemetry(3, x=1 << 21, b_hat=3 << 22, updates=7, transfer_id=30), now)
 
     def row(self, now: float, robot: int = 3) -> dict[str, Any]:
         """Return the row of a robot in a report."""
@@ -62,7 +63,7 @@ def test_a_missing_transfer_id_between_two_others_is_a_lost_frame(roster: Roster
 def test_transfer_ids_without_a_gap_are_no_loss_also_where_0_follows_31(
     roster: RosterOfRobot3, transfer_ids: list[int]
 ) -> None:
-    """For example 30, 31, 0, 1: a robot numbers its frames from 0 to 31 and then from 0 again."""
+    """For example 30, 31, 0, 1. A robot numbers its frames from 0 to 31 and then from 0 again."""
     assert loss_after(roster, transfer_ids) == 0
 
 
@@ -150,7 +151,7 @@ def test_a_robot_is_silent_three_seconds_after_its_last_frame(
 
 
 def test_the_table_shows_how_many_seconds_ago_a_robot_was_seen(regular_roster: RosterOfRobot3) -> None:
-    """It sends its last frame at 59.9 s."""
+    """It sends its last frame at 59.9 s, which is 3 s before 62.9 s."""
     assert regular_roster.row(now=62.9)["seen"] == 3.0
 
 
@@ -178,6 +179,7 @@ def test_an_alpha_that_doubles_after_32_estimates_is_a_jump_in_the_table_as_in_a
     """
     listening_robot = node(5)
     for tick, alpha in enumerate(alphas):
+        # The mantissa of alpha stands above the lowest 8 bits of its word.
         estimate = Estimate(sender=3, x_hat=1 << 22, alpha=alpha << 8, transfer_id=tick % 32)
         roster.receive(FRAME, estimate, now=0.0)
         listening_robot.receive_frame(encode_estimate(estimate, FrameFormat()))

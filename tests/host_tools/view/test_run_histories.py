@@ -69,7 +69,7 @@ def write_log(path: Path, **parameters: Any) -> Path:
 def run_experiment(**parameters: Any) -> Trials:
     """Run two trials of the same swarm, and return them as a table of results has them."""
     experiment = Experiment(**PARAMETERS | parameters, trials=2)
-    (trials,) = experiments_in(trials_to_table(run_trials(experiment, 0, 2)))
+    (trials,) = experiments_in(trials_to_table(run_trials(experiment, first=0, trials=2)))
     return trials
 
 
@@ -176,7 +176,7 @@ def test_a_long_trial_is_shown_with_every_fourth_state(monkeypatch: pytest.Monke
 def test_links_between_more_robots_than_fit_a_bus_are_pairs_of_receiver_and_sender() -> None:
     """A bus has ids for 128 robots. A trial may have more, here 140 that move for 40 steps."""
     experiment = Experiment(topology="dynamic", robots=140, steps=40, trials=1)
-    last_state = states_of(recompute_trial_history(run_trials(experiment, 0, 1), trial=0))[-1]
+    last_state = states_of(recompute_trial_history(run_trials(experiment, first=0, trials=1), trial=0))[-1]
     is_received_from = Arena(experiment).record(experiment.steps).adjacency[-1]
 
     assert last_state.neighbours.tolist() == np.argwhere(is_received_from).tolist()
@@ -252,10 +252,7 @@ def test_a_swarm_of_a_billion_steps_is_not_run_a_second_time_without_a_filter_fo
 
 
 def centre_of_pixel(floor: NDArray[np.bool_], row: int, column: int, settings: SwarmSettings) -> Any:
-    """Return x and y of a pixel's centre in metres:
-
-    (0, 0) is the middle of the floor, and y grows upwards.
-    """
+    """Return x and y of a pixel's centre in metres from the middle of the floor; y grows upwards."""
     rows, columns = floor.shape
     width, height = settings.sides
     x = ((column + 0.5) / columns - 0.5) * width
@@ -275,6 +272,7 @@ def centre_of_pixel(floor: NDArray[np.bool_], row: int, column: int, settings: S
 def test_a_pixel_of_the_drawn_floor_is_black_where_a_robot_would_observe_black(
     parameters: dict[str, Any],
 ) -> None:
+    """Four pixels are compared with the arena at their centres: three in corners, and one inside."""
     settings = SwarmSettings(robots=3, topology="dynamic", steps=1, **parameters)
     floor = SwarmRecorder(settings).history.description.floor
     assert floor is not None
@@ -320,7 +318,8 @@ def test_a_robot_has_no_estimates_in_the_15_steps_in_which_it_is_dead(crash_log:
     steps_without_estimates = []
     for state in states_of(recompute_swarm_history(crash_log)):
         x, x_hat, b_hat, _true_accuracy = state.values
-        if np.isnan([x[2], x_hat[2], b_hat[2]]).all():
+        robot = 2
+        if np.isnan([x[robot], x_hat[robot], b_hat[robot]]).all():
             steps_without_estimates.append(state.tick)
 
     assert steps_without_estimates == list(range(21, 21 + 15))
@@ -334,6 +333,7 @@ def test_robots_that_live_have_all_values_while_another_one_is_dead(crash_log: P
 
 
 def test_a_log_with_a_crash_is_shown_with_the_states_that_the_running_swarm_had(crash_log: Path) -> None:
+    """The log has a state before the first step as well; the running swarm has one after each step."""
     running_swarm = record_swarm(faults=(CRASH,))
     _initial_state, *logged_states = states_of(recompute_swarm_history(crash_log))
     assert differing_ticks(logged_states, states_of(running_swarm)) == []
@@ -416,11 +416,13 @@ def test_a_trial_whose_simulation_has_other_errors_than_the_results_is_not_shown
 
 
 def test_a_trial_that_is_not_among_the_results_is_refused() -> None:
+    """The error offers the two trials of the results, 0 and 1."""
     with pytest.raises(UsageError, match="there is no trial 2; choose one of 0 to 1"):
         recompute_trial_history(run_experiment(), trial=2)
 
 
 def test_a_trial_of_a_billion_steps_is_not_simulated_again_to_be_shown() -> None:
+    """A UsageError says that trials of at most 100 million steps are."""
     trials = run_experiment(robots=2, steps=10, filter="none")
     long_trials = replace(trials, experiment=replace(trials.experiment, steps=10**9))
     with pytest.raises(UsageError, match=r"too long to be run again, .* at most 100000000 steps"):
@@ -456,9 +458,10 @@ def test_a_state_of_the_authors_trial_has_the_recorded_values_of_all_robots(
     last_state = states_of(authors_history)[-1]
     x, x_hat, b_hat, true_accuracy = last_state.values
 
-    assert np.array_equal(x, records["x"][0, -1])
-    assert np.array_equal(x_hat, records["x_hat"][0, -1])
-    assert np.array_equal(b_hat, records["b_hat"][0, -1])
+    only_trial, last_record = 0, -1
+    assert np.array_equal(x, records["x"][only_trial, last_record])
+    assert np.array_equal(x_hat, records["x_hat"][only_trial, last_record])
+    assert np.array_equal(b_hat, records["b_hat"][only_trial, last_record])
     assert (true_accuracy == FIXED.true_accuracy).all()
 
 
@@ -487,6 +490,7 @@ def test_a_long_trial_of_the_paper_s_authors_is_shown_with_every_second_recorded
 def test_a_trial_of_the_paper_s_authors_that_was_converted_without_records_cannot_be_shown(
     trials_of_the_authors: Trials,
 ) -> None:
+    """The error says by which command the trial can be converted again with its values."""
     unrecorded = replace(trials_of_the_authors, records={}, sampling_interval=0)
     message = r"nothing is recorded .* run mcp-asdf convert again, without --record 0"
     with pytest.raises(UsageError, match=message):
@@ -494,5 +498,6 @@ def test_a_trial_of_the_paper_s_authors_that_was_converted_without_records_canno
 
 
 def test_a_trial_that_is_not_among_those_of_the_authors_is_refused(trials_of_the_authors: Trials) -> None:
+    """Their only trial has the number 2, which the error offers."""
     with pytest.raises(UsageError, match="there is no trial 0; choose one of 2 to 2"):
         recorded_trial_history(trials_of_the_authors, trial=0)

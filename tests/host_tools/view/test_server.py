@@ -24,7 +24,8 @@ from mcp_asdf_tools.view.server import serve_page
 from support import PATIENCE, wait_until
 
 DESCRIPTION = RunDescription("two </script> robots", [0, 1], fill_ratio=0.5)
-STATES = [State(tick, np.full((4, 2), 0.25), np.zeros((2, 2), np.bool_), None) for tick in range(5)]
+NO_LINKS = np.zeros((2, 2), np.bool_)
+STATES = [State(tick, np.full((4, 2), 0.25), NO_LINKS, positions=None) for tick in range(5)]
 
 
 @pytest.fixture(scope="module")
@@ -129,16 +130,19 @@ def test_server_refuses_to_send_its_page_to_another_site(url: str) -> None:
 
 
 def test_server_refuses_a_request_without_a_host(url: str) -> None:
+    """Its answer begins with the status 403, Forbidden."""
     with connect(url, "GET / HTTP/1.0\r\n\r\n") as client:
         assert client.makefile().readline() == "HTTP/1.0 403 Forbidden\n"
 
 
 def test_server_sends_no_files_of_the_computer(url: str) -> None:
+    """The answer to a request for /etc/passwd is that there is no such page: status 404."""
     status, _ = get(url, "/etc/passwd")
     assert status == 404
 
 
 def test_server_listens_on_the_address_127_0_0_1_alone(url: str) -> None:
+    """127.0.0.2 is an address of the same computer, but a connection to it is refused."""
     with socket.socket() as client, pytest.raises(ConnectionRefusedError):
         client.connect(("127.0.0.2", urlsplit(url).port))
 
@@ -316,6 +320,7 @@ def test_the_server_ends_without_waiting_long_for_a_client_that_does_not_read(
 
 
 def test_when_the_server_ends_an_open_page_gets_the_event_that_the_swarm_has_ended() -> None:
+    """The page has read one byte of the events when the server ends, and then reads the rest."""
     with serve_page(History(DESCRIPTION)) as url:
         client = connect(url, request_for(url, "/events"))
         client.recv(1)
