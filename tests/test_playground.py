@@ -95,6 +95,7 @@ def head_of(page: str) -> str:
 
 
 def test_the_page_of_mcp_asdf_view_contains_nothing_of_the_playground() -> None:
+    """The two pages have scripts in common, but those of the playground are left out."""
     assert "playground" not in make_page()
     assert "wasm" not in head_of(make_page())
 
@@ -409,6 +410,7 @@ def test_the_introduction_has_how_many_of_20_robots_misjudge_their_sensors(small
 def test_the_introduction_says_that_a_robot_lies_when_the_button_has_added_a_liar(
     small_browser: Page,
 ) -> None:
+    """A liar is a robot that always claims that no tile is black."""
     small_browser.locator("#add-liar").click()
     until(small_browser, f"{INTRODUCTION}.includes('One claims that no tile is black.')")
 

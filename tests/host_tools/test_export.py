@@ -160,6 +160,7 @@ def test_export_reads_results_whose_file_has_another_suffix_of_parquet(
 def test_export_reports_the_files_and_the_number_of_rows_as_json(
     results: Path, tmp_path: Path, capsys: Capture
 ) -> None:
+    """The file that is read is the source, and the one that is written the table."""
     path = tmp_path / "robots.csv"
     assert main(["export", str(results), str(path), "--json"]) == 0
     assert json.loads(capsys.readouterr().out) == {"source": str(results), "table": str(path), "rows": 244}

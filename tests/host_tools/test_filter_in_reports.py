@@ -78,6 +78,7 @@ def test_swarm_and_simulate_print_that_only_the_flawed_robots_recalibrate(
 
 
 def test_swarm_with_quiet_prints_the_name_of_its_filter(capsys: pytest.CaptureFixture[str]) -> None:
+    """With ``--quiet`` it prints one line, which begins with robots, filter and steps."""
     assert "4 robots, ASDF-, 20 steps" in printed_by(f"swarm {SWARM} --quiet", capsys)
 
 
@@ -150,6 +151,7 @@ def standard_input_at_its_end(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]
 def test_node_prints_the_filter_of_its_robot_as_text_and_in_json(
     output: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    """The robot ends at once, as its standard input is empty."""
     text = printed_by(f"node --id 3 --filter robust --until-eof {output}", capsys)
     assert "robust: the robot recalibrates, by this project's own filter" in text
 
@@ -158,6 +160,7 @@ def test_node_prints_the_filter_of_its_robot_as_text_and_in_json(
 def test_radio_prints_the_filter_of_the_neighbours_that_it_emulates_as_text_and_in_json(
     output: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    """It emulates two neighbours of robot 3, with the default filter, ASDF-."""
     command = f"radio --interface virtual --id 3 --robots 3 --steps 2 --steps-per-second 1000 {output}"
     assert "ASDF-: only the flawed robots recalibrate" in printed_by(command, capsys)
 

@@ -79,6 +79,7 @@ def simulate_one(experiment: Experiment) -> Trials:
 
 @pytest.mark.parametrize("name", mcp_asdf_tools.__all__)
 def test_every_name_of_the_library_is_on_its_page_and_has_a_docstring(name: str) -> None:
+    """The page is docs/api.md, and ``m`` is the library in its examples."""
     page = (ROOT / "docs/api.md").read_text(encoding="utf-8")
     assert f"m.{name}" in page or f"`{name}`" in page
     assert getattr(mcp_asdf_tools, name).__doc__
@@ -133,6 +134,7 @@ def test_simulate_returns_the_table_of_an_experiment_s_trials(expected_table: An
 def test_simulate_returns_the_same_table_with_a_file_and_two_worker_processes(
     expected_table: Any, tmp_path: Path
 ) -> None:
+    """The table also has the trials in the same order."""
     table = simulate([small_experiment()], tmp_path / "grid.parquet", workers=2)
     assert table.equals(expected_table)
 
@@ -491,11 +493,13 @@ def test_grid_refuses_a_parameter_that_experiments_do_not_have() -> None:
 
 
 def test_an_experiment_refuses_a_number_as_firmware() -> None:
+    """It raises a UsageError, as all wrong arguments do."""
     with pytest.raises(UsageError):
         UNTYPED.Experiment(firmware=7)
 
 
 def test_simulate_refuses_a_number_as_experiment() -> None:
+    """It raises a UsageError, as all wrong arguments do."""
     with pytest.raises(UsageError):
         UNTYPED.simulate([7])
 
@@ -516,11 +520,13 @@ def test_plot_boxes_refuses_to_choose_experiments_by_an_unknown_parameter(record
 
 
 def test_plot_curve_refuses_a_function_that_returns_one_value_for_three_trials(recorded_table: Any) -> None:
+    """It raises a UsageError, as the function has to return a value for each trial."""
     with pytest.raises(UsageError):
         UNTYPED.plot_curve(recorded_table, "flawed", lambda trials: [1.0])
 
 
 def test_read_experiments_refuses_a_file_that_does_not_exist() -> None:
+    """It raises a UsageError, not the FileNotFoundError of Python."""
     with pytest.raises(UsageError):
         UNTYPED.read_experiments("none.toml")
 
@@ -564,6 +570,7 @@ def test_plot_curve_draws_one_line_for_the_experiments_without_a_filter(grid_tab
 
 
 def test_plot_curve_draws_into_axes_of_the_caller_and_returns_their_figure(grid_table: Any) -> None:
+    """The axes get a line for each of the two filters."""
     figure = Figure()
     axes = figure.subplots()
     returned_figure = plot_curve(grid_table, "flawed", first_error, hue="filter", ax=axes)

@@ -58,6 +58,7 @@ def test_convert_with_json_reports_the_authors_program_the_file_and_the_number_o
 
 
 def test_score_prints_of_converted_results_what_convert_has_printed(capsys: Capture) -> None:
+    """Both print a table with the scores of each experiment."""
     main(["convert", "data", "--output", "theirs.parquet"])
     printed_by_convert = capsys.readouterr().out
     assert main(["score", "theirs.parquet"]) == 0

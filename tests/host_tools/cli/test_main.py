@@ -64,6 +64,7 @@ def test_help_lists_commands_under_three_titles(capsys: Capture) -> None:
 
 
 def test_mcp_asdf_without_arguments_prints_the_list_of_commands_as_an_error(capsys: Capture) -> None:
+    """It goes to standard error, and the exit code is 2."""
     assert cli.main([]) == 2
     out, err = capsys.readouterr()
 
@@ -448,6 +449,7 @@ def test_the_check_of_a_table_loads_no_slow_library_but_mpmath(
 
 @pytest.mark.slow
 def test_a_swarm_loads_neither_matplotlib_nor_pyarrow_nor_scipy() -> None:
+    """Of the slow libraries it loads only can, mpmath, numpy and rich."""
     line = "swarm --steps 1 --quiet"
     assert libraries_loaded_by([line]) == {line: ["can", "mpmath", "numpy", "rich"]}
 
@@ -584,6 +586,7 @@ def test_a_command_prints_the_line_that_gives_the_same_results_again(
 @pytest.mark.usefixtures("experiment_files")
 @pytest.mark.parametrize("line", [f"{SHORT_RADIO} --seed=1", "sweep --seed=1 grid.toml --workers 1"])
 def test_a_line_with_a_seed_is_printed_as_it_was_typed(line: str, capsys: Capture) -> None:
+    """No seed has to be added, so the line behind "again:" is the typed one."""
     assert line_for_same_results(line, capsys) == line
 
 
@@ -634,6 +637,7 @@ def test_v_logs_each_bus_that_a_swarm_opens(capsys: Capture) -> None:
 
 
 def test_v_logs_how_many_robots_of_a_swarm_have_started(capsys: Capture) -> None:
+    """None of the three runs elsewhere, which is in another process or at a device."""
     messages = messages_of_swarm("-v", capsys=capsys)
     assert "INFO mcp_asdf_tools.cli.swarm: 3 robots are up, 0 of them elsewhere" in messages
 
@@ -679,6 +683,7 @@ def test_a_result_in_json_has_no_logged_lines_in_it(capsys: Capture) -> None:
 
 
 def test_a_command_with_v_does_not_make_the_next_command_in_the_same_process_log(capsys: Capture) -> None:
+    """The same swarm is run with ``-v`` and then without it."""
     assert messages_of_swarm("-v", capsys=capsys) != []
     assert messages_of_swarm(capsys=capsys) == []
 

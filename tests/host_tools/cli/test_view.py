@@ -133,6 +133,7 @@ def log_of_two_buses(tmp_path: Path) -> Path:
 def test_view_warns_that_a_log_has_frames_of_two_buses_and_asks_to_choose_one(
     log_of_two_buses: Path, tmp_path: Path, capsys: Capture
 ) -> None:
+    """The page is exported in any case, and the warning goes to standard error."""
     assert main(["view", str(log_of_two_buses), "--export", str(tmp_path / "all.html")]) == 0
     expected = f"{log_of_two_buses} has frames of vcan0 and can3; choose one by --channel"
     assert expected in capsys.readouterr().err

@@ -184,12 +184,14 @@ def test_the_background_is_dark_where_the_user_prefers_dark_colours(
 
 
 def test_a_recording_plays_until_its_last_step_and_stops(browser: Page, page_file: Path) -> None:
+    """It has 300 steps and is played at the speed of 1000 steps a second."""
     open_file(browser, page_file)
     browser.locator("#speed").select_option("1000")
     until(browser, f"view.player.tick === {STEPS} && !view.player.isPlaying")
 
 
 def test_the_play_button_pauses_a_recording_and_continues_it(browser: Page, page_file: Path) -> None:
+    """A web page plays its recording as soon as it is opened; the button is clicked twice."""
     open_file(browser, page_file)
     browser.locator("#play").click()
     assert not browser.evaluate("view.player.isPlaying")
@@ -206,6 +208,7 @@ def test_moving_the_time_slider_to_200_shows_step_200(browser: Page, page_file: 
 
 
 def test_a_click_on_robot_2_in_the_arena_shows_the_values_of_robot_2(browser: Page, page_file: Path) -> None:
+    """The values stand in a part of the page with the title "Robot 2, flawed at the start"."""
     open_paused_at_start(browser, page_file)
     x, y = until(browser, "view.arena.centres[2].map((pixel) => pixel / view.arena.pixelRatio)")
     browser.locator("#arena").click(position={"x": x, "y": y})
@@ -245,6 +248,7 @@ def test_the_keys_n_and_p_go_to_the_next_and_the_previous_event(browser: Page, p
 
 
 def test_the_button_for_later_events_goes_to_the_next_event(browser: Page, page_file: Path) -> None:
+    """At step 0 this is the first event of the swarm."""
     open_paused_at_start(browser, page_file)
     step_of_first_event = browser.evaluate("view.history.events[0].tick")
     browser.locator("#later").click()
@@ -267,6 +271,7 @@ def test_a_click_in_the_list_of_events_goes_to_the_event_s_step_and_selects_its_
 def test_the_address_in_the_browser_holds_the_shown_step_and_the_selected_robot(
     browser: Page, page_file: Path
 ) -> None:
+    """At step 120 with robot 5 it ends with "#step=120&robot=5"."""
     open_paused_at_start(browser, page_file)
     browser.evaluate("view.player.seek(120)")
     browser.evaluate("view.followRobot(5)")
@@ -318,6 +323,7 @@ def page_with_faults(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_the_header_lists_the_faults_of_a_swarm(browser: Page, page_with_faults: Path) -> None:
+    """Frames are lost (loss=0.2) and a robot lies (liar=1.0)."""
     open_file(browser, page_with_faults)
     assert text_of(browser, "faults") == "loss=0.2; liar=1.0"
 
@@ -342,6 +348,7 @@ def test_the_first_chart_draws_the_mean_error_in_each_step(browser: Page, page_w
 
 
 def test_faults_deaths_and_returns_of_robots_are_events(browser: Page, page_with_faults: Path) -> None:
+    """The list of events has the step and a text of each, such as "4 dead"."""
     open_file(browser, page_with_faults)
     events = browser.evaluate("view.history.events.map(({ tick, text }) => `${tick} ${text}`)")
     assert events == ["1 fault: loss=0.2", "2 fault: liar=1.0", "4 dead", "7 back", "9 fault over: liar=1.0"]

@@ -214,6 +214,7 @@ def test_a_robot_of_a_log_that_was_silent_for_3_s_has_no_values(frame_history: F
 
 
 def test_a_log_of_frames_has_ended_and_has_a_report_on_its_robots(frame_history: FrameLogHistory) -> None:
+    """The report is the table of robots that a web page shows below the charts."""
     assert frame_history.history.report is not None
     assert frame_history.history.has_ended
 

@@ -103,6 +103,7 @@ def test_each_robot_s_values_are_encoded_as_differences_to_the_state_before() ->
 
 
 def test_an_unknown_value_is_encoded_as_65535() -> None:
+    """A state has NaN for what is unknown; known values take the numbers up to 65534."""
     data = data_of([make_state(0, [np.nan])], robots=1)
     assert first_values(data, count=1) == [65535]
 
@@ -198,18 +199,21 @@ def test_a_notebook_shows_a_trial_as_a_web_page_in_a_frame() -> None:
 
 
 def test_the_web_page_that_a_notebook_shows_can_be_saved(tmp_path: Path) -> None:
+    """The file has the text of the page in UTF-8."""
     shown = show(EXPERIMENT)
     shown.save(str(tmp_path / "run.html"))
     assert (tmp_path / "run.html").read_text(encoding="utf-8") == shown.page
 
 
 def test_a_trial_in_results_is_shown_as_the_same_page_as_that_trial_of_the_experiment() -> None:
+    """A trial of an experiment is simulated for the page, and so is one of results."""
     results = simulate(EXPERIMENT)
     shown_results = show(results, trial=1, where={"robots": "4"})
     assert shown_results.page == show(EXPERIMENT, trial=1).page
 
 
 def test_trial_1_is_not_shown_as_trial_0() -> None:
+    """The two trials have other random numbers, so their web pages differ."""
     assert show(EXPERIMENT, trial=1).page != show(EXPERIMENT, trial=0).page
 
 

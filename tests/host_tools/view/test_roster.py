@@ -68,10 +68,12 @@ def test_transfer_ids_without_a_gap_are_no_loss_also_where_0_follows_31(
 
 
 def test_missing_transfer_ids_31_and_0_between_30_and_1_are_two_lost_frames(roster: RosterOfRobot3) -> None:
+    """They are two of four, as a robot numbers its frames from 0 to 31 and then from 0 again."""
     assert loss_after(roster, transfer_ids=[30, 1]) == 2 / 4
 
 
 def test_a_frame_that_is_received_twice_is_no_loss(roster: RosterOfRobot3) -> None:
+    """Robot 3 has sent the numbers 7 and 8, and the one with 7 comes twice."""
     assert loss_after(roster, transfer_ids=[7, 7, 8]) == 0
 
 
@@ -216,6 +218,7 @@ def test_a_robot_that_has_only_sent_an_estimate_has_unknown_state_and_values(ros
 
 
 def test_robots_are_in_the_table_in_the_order_of_their_ids(roster: RosterOfRobot3) -> None:
+    """They send their first frames in the order 9, 2, 5."""
     for robot in (9, 2, 5):
         roster.receive_estimate(0, now=0.0, robot=robot)
     assert [row["robot"] for row in roster.report(0.0)["robots"]] == [2, 5, 9]

@@ -123,6 +123,7 @@ def recordings(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPath
 def test_the_history_of_a_running_swarm_has_a_state_after_each_of_its_110_steps(
     recordings: Recordings,
 ) -> None:
+    """The first state is that after step 1."""
     assert ticks_of(recordings.live) == list(range(1, 111))
 
 
@@ -206,6 +207,7 @@ def test_the_title_of_a_swarm_has_robots_filter_topology_and_seed(
 
 
 def test_the_title_of_a_trial_but_the_first_ends_with_its_number() -> None:
+    """The second trial of an experiment with seed 3 is trial 1."""
     history = recompute_trial_history(run_experiment(), trial=1)
     assert history.description.title.endswith(", seed 3, trial 1")
 
@@ -247,6 +249,7 @@ def test_the_chart_lacks_errors_without_a_filter_where_they_would_be_no_fair_com
 
 
 def test_a_swarm_of_a_billion_steps_is_not_run_a_second_time_without_a_filter_for_its_chart() -> None:
+    """The chart lacks the errors without a filter, which would take hours to compute."""
     recorder = SwarmRecorder(SwarmSettings(steps=10**9))
     assert len(recorder.history.description.unfiltered_errors) == 0
 
@@ -474,6 +477,7 @@ def test_a_trial_of_the_paper_s_authors_has_neither_positions_nor_links(authors_
 
 
 def test_the_title_of_the_authors_trial_names_their_program(authors_history: History) -> None:
+    """The program is named by its repository, NESTLab/sensor-degradation-filter."""
     title = authors_history.description.title
     assert title.startswith("5 robots, 2 flawed, ")
     assert title.endswith(", trial 2 of NESTLab/sensor-degradation-filter")

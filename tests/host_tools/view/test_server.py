@@ -125,6 +125,7 @@ def test_server_refuses_requests_that_a_browser_makes_for_another_site(
 
 
 def test_server_refuses_to_send_its_page_to_another_site(url: str) -> None:
+    """The answer to a request from http://evil.example has the status 403, Forbidden."""
     status, _ = get(url, "/", Origin="http://evil.example")
     assert status == 403
 
@@ -225,6 +226,7 @@ def test_after_a_robot_has_joined_the_server_sends_all_states_again(live_events:
 
 
 def test_the_server_sends_the_latest_report_on_the_robots(live_events: list[Event]) -> None:
+    """The only report of this swarm has neither robots nor frames."""
     (report,) = [content for name, content in live_events if name == "report"]
     assert report == {"robots": [], "frames": []}
 
@@ -266,6 +268,7 @@ def test_the_server_ends_its_thread_for_a_page_that_was_closed() -> None:
 
 
 def test_a_client_that_resets_its_connection_causes_no_message(capfd: pytest.CaptureFixture[str]) -> None:
+    """Nothing is printed, and the server answers the next request."""
     with serve_page(History(DESCRIPTION, STATES * 1000)) as url:
         client = connect(url, request_for(url, "/events"))
         # Without lingering, closing a connection resets it, which fails the server's next write.
@@ -351,6 +354,7 @@ def test_a_second_server_can_have_the_port_of_one_that_has_just_ended() -> None:
 
 
 def test_a_port_that_another_program_uses_is_refused() -> None:
+    """A UsageError has the address and advises to choose another port."""
     with socket.create_server(("127.0.0.1", 0)) as other_server:
         _, port = other_server.getsockname()
         message = rf"127.0.0.1:{port}: Address already in use; choose another --port"
