@@ -143,7 +143,7 @@ class Contrast:
         if self.than is None:
             return [None]
         if self.than == "next lower P":
-            # Which P that is depends on the cell, so no table of changes can describe it.
+            # Which percentage that is depends on the cell, so no table of changes can describe it.
             percent_index = FLAWED_PERCENTS.index(cell.flawed_percent)
             return [replace(cell, flawed_percent=FLAWED_PERCENTS[percent_index - 1])]
         if isinstance(self.than, str):

@@ -52,7 +52,7 @@ class IndependentReadings:
         first_tile, steps_to_skip = divmod(self._next_step, READINGS_OF_TILE)
         self._next_step += steps
         # The last tile may have only its first reading in these steps.
-        end_tile = -(-self._next_step // READINGS_OF_TILE)
+        end_tile = -(-self._next_step // READINGS_OF_TILE)  # rounded up
         readings = self._draw_readings(first_tile, end_tile - first_tile)
         is_black = readings[steps_to_skip : steps_to_skip + steps].astype(np.float64)
         # A sensor reads black if it is right on black tiles, and wrong on white ones.
@@ -60,7 +60,7 @@ class IndependentReadings:
 
     def _draw_readings(self, first_tile: int, tiles: int) -> NDArray[np.bool_]:
         """Return whether the readings of some tiles are black, in their order, shape (2 tiles, robots)."""
-        draws_of_tile = 4
+        draws_of_tile = 4  # for its colour, for an error of either reading, and for a repetition
         uniforms = self._draws.draw_uniforms(draws_of_tile * tiles, draws_of_tile * first_tile)
         colour, first_error, second_error, repetition = np.moveaxis(
             uniforms.reshape(tiles, draws_of_tile, self._settings.robots), 1, 0

@@ -228,7 +228,7 @@ class InterruptedRobot(MirrorRobot):
 def test_a_check_that_ctrl_c_interrupts_reports_the_calls_that_it_has_compared(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Ctrl-C comes at the 51st observation, one of the first hundreds of calls."""
+    """Ctrl-C comes at the 51st observation. The line with the number of calls ends with "interrupted"."""
     use_mirror(monkeypatch, InterruptedRobot)
     result = run_crosscheck_command("--steps", "100000")
     assert result.exit_code == 128 + signal.SIGINT

@@ -167,6 +167,7 @@ def test_a_crosscheck_without_a_failure_ends_after_exactly_the_calls_asked_for()
 
 
 def test_every_fourth_scenario_of_a_crosscheck_has_a_robot_with_the_robust_filter() -> None:
+    """The others have a robot with one of the paper's filters."""
     is_robust: list[bool] = []
 
     def note_filter(scenario: Scenario) -> None:

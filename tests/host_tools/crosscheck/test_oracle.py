@@ -232,6 +232,7 @@ def test_an_update_before_the_filter_period_has_passed_is_reported() -> None:
 
 
 def test_no_update_is_expected_of_a_call_that_the_robot_refuses() -> None:
+    """The call says that it has refused an observation, so the oracle does not look for an update."""
     audit = Audit()
     step = step_after_messages(Filter.ALWAYS, message_count=1, audit=audit)
     refused = replace(step.after, outcome="ERR_OBSERVATION")

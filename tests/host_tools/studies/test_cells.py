@@ -61,6 +61,7 @@ def test_the_dynamic_swarm_of_20_robots_with_a_radio_range_of_0_7_m_has_density_
 
 
 def test_the_physical_experiment_has_the_papers_platform_speed_and_two_observations_in_a_second() -> None:
+    """The sides of the platform are in metres, and the speed is in metres per second."""
     experiment = first_experiment(StudyPart.PHYSICAL)
 
     assert experiment.sides == (3.0353, 3.0226)

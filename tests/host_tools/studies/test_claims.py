@@ -146,6 +146,7 @@ def test_claims_compare_only_cells_that_the_study_runs_and_some_of_their_own_par
 
 
 def test_no_claim_makes_the_same_comparison_twice() -> None:
+    """A comparison is told from others by both swarms, by what is measured and by what is expected."""
     for claim, plans in PLANS_BY_CLAIM.items():
         comparisons = {
             (plan.cell, plan.reference, plan.contrast.measure, plan.contrast.expected) for plan in plans

@@ -181,6 +181,7 @@ def test_messages_without_confidence_do_not_count_in_a_memory() -> None:
 
 
 def test_a_robot_with_a_memory_ignores_a_second_message_of_a_sender_in_a_round() -> None:
+    """The robot returns REPEATED, and its x stays at the estimate of the first message."""
     robot = remembering_robot(observations=1)
     robot.receive(sender=1, x_hat=0.2, alpha=8.0)
 
@@ -237,6 +238,7 @@ def test_bayescpf_updates_its_accuracy_by_bayes_rule() -> None:
 
 
 def test_bayescpf_uses_up_its_counts_in_the_update_at_the_end_of_each_round() -> None:
+    """The counts of readings since the last update, and the estimates x of its rounds, are empty then."""
     robot = bayescpf_robot_after_100_readings()
     robot.observe(Observation.BLACK)
 
@@ -258,6 +260,7 @@ def test_bayescpf_does_not_update_its_accuracy_if_fewer_than_5_readings_are_expe
 def test_bayescpf_updates_its_accuracy_in_each_hundredth_step_unless_the_filter_is_off(
     filter_choice: Filter, updates: int
 ) -> None:
+    """The counter ``updates`` has the updates in 100 steps, of which the last one runs the filter."""
     config = Config(filter=filter_choice, filter_period=100)
     robot = peers.BayesCpfRobot(config, robot_id=0, b_hat=0.8)
 
@@ -327,6 +330,7 @@ def test_a_robot_that_knows_its_sensor_to_be_perfect_assumes_a_margin_less() -> 
 def test_a_robot_can_know_the_mean_accuracy_of_the_observations_that_it_counts(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    """Its b_hat is the mean of 0.9, 0.8 and 0.7, as its accuracy falls by 0.1 after each observation."""
     monkeypatch.setattr(peers, "DRIFT_RATE", -0.1)  # of the accuracy, with each observation
     robot = peers.KnownMeanAccuracyRobot(WITHOUT_FILTER, robot_id=0, b_hat=0.9)
 
@@ -467,6 +471,7 @@ def test_a_voter_adopts_the_opinion_of_the_majority_and_keeps_its_own_in_a_tie(
 
 
 def test_a_voter_listens_only_in_the_last_30_rounds_in_which_it_broadcasts() -> None:
+    """It keeps no opinion of a sender while 31 rounds are left, and keeps one while 30 are left."""
     robot = voter_for_white_that_broadcasts(rounds_left=31)
     robot.receive(sender=1, x_hat=1.0, alpha=1.0)
     opinions_with_31_rounds_left = dict(robot._opinion_by_sender)
@@ -512,6 +517,7 @@ def test_a_voter_broadcasts_longer_for_a_colour_that_it_reads_more_often(
 
 
 def test_a_voter_broadcasts_an_opinion_whose_colour_it_never_read_for_one_round() -> None:
+    """Its only reading is white, and its opinion is black."""
     robot = voter(robot_id=1)  # its opinion is black
     robot.observe(Observation.WHITE)
 
@@ -524,6 +530,7 @@ def test_a_voter_broadcasts_an_opinion_whose_colour_it_never_read_for_one_round(
 
 
 def test_a_lossy_radio_loses_about_three_messages_in_ten() -> None:
+    """A robot with it accepts about 700 of 1000 messages, and no call returns an error."""
     robot = peers.LossyRobot(WITHOUT_FILTER, robot_id=0, b_hat=0.9)
     for _ in range(1000):
         status = robot.receive_raw(sender=1, x_hat=2**22, alpha=2**31)  # half black, and confident
@@ -547,6 +554,7 @@ def test_a_lossy_radio_loses_about_three_messages_in_ten() -> None:
 def test_the_last_robots_of_a_swarm_of_20_are_the_liars(
     make_robot: RobotMaker, liars: int, honest_class: type
 ) -> None:
+    """Functions such as ``one_liar`` make a robot of the swarm by its id, an honest one or a liar."""
     swarm = [make_robot(WITHOUT_FILTER, robot_id, 0.9) for robot_id in range(20)]
 
     classes = [type(robot) for robot in swarm]
@@ -586,6 +594,7 @@ def test_a_floor_that_changes_looks_as_if_95_percent_were_black_in_the_second_ha
 
 
 def test_a_floor_that_changes_does_so_in_step_50_of_100_however_many_steps_are_taken_at_once() -> None:
+    """Accuracies on white tiles, which change with the floor, are compared step by step."""
     floor = peers.ChangingFloor(CHANGING_FLOOR, trial=0)
     _, accuracy_on_white_of_all_steps = peers.ChangingFloor(CHANGING_FLOOR, trial=0).advance(steps=100)
 

@@ -155,6 +155,7 @@ def test_the_report_in_html_contains_its_picture_and_needs_no_other_file(written
 
 
 def test_comparisons_csv_has_a_line_for_every_comparison_of_every_claim(written: WrittenReport) -> None:
+    """The column ``cells`` has the label of a comparison, which says which swarms are compared."""
     with (written.folder / "comparisons.csv").open(encoding="utf-8", newline="") as file:
         rows = list(csv.DictReader(file))
 
@@ -163,6 +164,7 @@ def test_comparisons_csv_has_a_line_for_every_comparison_of_every_claim(written:
 
 
 def test_a_line_of_comparisons_csv_has_claim_verdict_expectation_and_interval(written: WrittenReport) -> None:
+    """It is the first line of a claim that equations decide, so the interval is a single number."""
     with (written.folder / "comparisons.csv").open(encoding="utf-8", newline="") as file:
         rows = csv.DictReader(file)
         row = next(row for row in rows if row["claim"] == "confidence_increases_with_b_hat")
@@ -198,6 +200,7 @@ def test_decisions_for_json_have_claim_part_verdict_and_a_summary(written: Writt
 
 
 def test_the_report_gives_no_verdicts_by_fewer_trials_than_the_papers(tmp_path: Path) -> None:
+    """The page says why, no claim is said to agree, and the verdicts in JSON are None."""
     short_report = write_planted_report(tmp_path, TOO_FEW_TRIALS, claims=CLAIMS[:5])
 
     assert "Too short for verdicts" in short_report.page
@@ -251,6 +254,7 @@ def test_the_summary_of_a_claim_counts_what_holds_and_has_its_best_and_its_worst
 
 
 def test_the_table_of_a_claim_has_a_row_for_each_swarm_and_a_column_for_each_expectation() -> None:
+    """Two comparisons expect a difference of at least 2, and of at most -2. A tick says that they hold."""
     decision = Decision(CLAIMS[0], StudyPart.DYNAMIC, (exactly(9), BELOW))
     assert report.comparison_table(decision) == [
         ["", "column: at least 2", f"column: at most {MINUS}2"],

@@ -120,6 +120,7 @@ def interrupt_short_study_after_eight_jobs(folder: Path) -> int:
 def test_an_interrupted_study_says_how_many_trials_are_left_and_runs_only_these_the_next_time(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    """It prints the number to stderr and ends with the exit code of Ctrl-C; each job runs some trials."""
     assert interrupt_short_study_after_eight_jobs(tmp_path) == 128 + signal.SIGINT
     assert "24 of 40 trials left; the same command goes on" in capsys.readouterr().err
 
@@ -142,6 +143,7 @@ def test_an_interrupted_study_ends_in_the_same_files_as_one_that_was_not(
 def test_the_report_of_a_finished_study_is_made_again_without_running_trials(
     copied_study: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    """The report is deleted, and the command writes the same files as before."""
     files_before = files_in(copied_study)
     (copied_study / "report.html").unlink()
 
@@ -179,7 +181,7 @@ def test_a_study_with_another_seed_is_refused_in_the_folder_of_one_and_leaves_it
 
 
 def test_a_firmware_of_the_user_s_runs_in_the_60_swarms_of_asdf_minus_and_asdf_plus() -> None:
-    """It runs as many trials and steps as the study, and with the shortest filter period."""
+    """They are listed with the study's trials and steps, and with the shortest filter period."""
     size = StudySize(trials=2, steps=4000)
     experiments = own_experiments_of(StudyPart.DYNAMIC, size, firmware="mirror", filter_name=None)
 
@@ -200,6 +202,7 @@ def test_a_filter_of_the_user_s_runs_once_where_asdf_minus_and_asdf_plus_are_two
 
 @pytest.mark.slow
 def test_a_filter_of_the_user_s_adds_a_file_of_results_and_changes_no_claim(copied_study: Path) -> None:
+    """The results of the paper's filters and comparisons.csv, which has the claims, stay as they were."""
     files_before = files_in(copied_study)
 
     run_short_study(copied_study, "--filter", "robust")
@@ -239,6 +242,7 @@ def reported_results(monkeypatch: pytest.MonkeyPatch) -> list[StudyResults]:
 def test_the_report_is_made_with_the_trials_that_ran_with_a_filter_of_the_user_s(
     copied_study: Path, reported_results: list[StudyResults]
 ) -> None:
+    """The results that the report gets have the filter as ``own_name``, and trials of its experiments."""
     run_short_study(copied_study, "--filter", "robust")
 
     [results] = reported_results
@@ -337,6 +341,7 @@ def test_60_trials_lead_to_the_verdict_on_a_claim_that_is_recorded_of_more_trial
 def test_60_trials_give_about_the_gain_of_asdf_plus_that_the_page_about_the_study_says(
     decisions_of_60_trials: dict[str, Decision],
 ) -> None:
+    """The page has the lowest and the highest gain in points of H; those of 60 trials are within 4 points."""
     page = page_path("study").read_text(encoding="utf-8")
     sentence = re.search(r"helps overconfident swarms only at P = 10 %\*\*, by (\d+) to (\d+) points", page)
     assert sentence is not None

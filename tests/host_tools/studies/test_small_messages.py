@@ -66,6 +66,7 @@ def test_more_bits_of_alpha_change_nothing_for_the_robust_filter() -> None:
 
 
 def test_two_codes_about_which_30_trials_decide_nothing_can_run_with_600() -> None:
+    """The study is made for these codes alone, and for exact messages, with which they are compared."""
     close_codes = [MessageCode(7, 4), MessageCode(8, 4)]
     experiments = all_experiments(small_messages.experiments_of("asdf-minus", close_codes, trials=600))
 

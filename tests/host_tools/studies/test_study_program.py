@@ -291,6 +291,7 @@ def folders_of_tiny_programs(tmp_path_factory: pytest.TempPathFactory) -> dict[s
 def test_the_program_of_a_study_writes_its_tables_and_its_picture(
     study: str, marks: list[str], folders_of_tiny_programs: dict[str, Path]
 ) -> None:
+    """The Markdown file of the study has a table after each mark, such as <!-- grid -->."""
     folder = folders_of_tiny_programs[study]
 
     tables = tables_in(folder / f"{study}.md")
@@ -317,6 +318,7 @@ def test_the_program_of_a_study_writes_its_tables_and_its_picture(
 def test_the_program_of_a_study_keeps_its_results_with_values_so_many_steps_apart(
     study: str, intervals_by_file: dict[str, int], folders_of_tiny_programs: dict[str, Path]
 ) -> None:
+    """A file with an interval of 1000 has the estimates x at steps 0, 1000, 2000 and so on."""
     sampling_intervals = {}
     for path in folders_of_tiny_programs[study].glob("*.parquet"):
         first_trials, *_ = m.experiments_in(m.read_table(path))

@@ -121,6 +121,7 @@ def test_the_picture_of_swarm_sizes_has_score_error_and_cost_of_both_kinds_of_fl
 
 
 def test_the_picture_of_swarm_sizes_has_logarithmic_axes_of_robots_and_errors(panels: list[Axes]) -> None:
+    """The axis of the number of robots is the horizontal one of each panel."""
     score_panel, error_panel, cost_panel, *_overconfident = panels
 
     for panel in (score_panel, error_panel, cost_panel):

@@ -118,6 +118,7 @@ def comparisons(holding: int, failing: int, open_count: int) -> list[Comparison]
 
 
 def test_comparisons_are_counted_by_whether_they_hold_fail_or_are_open() -> None:
+    """``count_holding`` counts those of which ``holds`` is True, False or, if they are open, None."""
     nine_comparisons = comparisons(holding=4, failing=3, open_count=2)
 
     assert count_holding(nine_comparisons, True) == 4
