@@ -43,8 +43,9 @@ ALWAYS_INLINE uint32_t distance_between(uint32_t a, uint32_t b) { return a > b ?
  * complement -number is ~number + 1: the XOR with all ones is the ~, and subtracting all ones adds 1. */
 ALWAYS_INLINE uint32_t negate_if(uint32_t number, uint32_t mask) { return (number ^ mask) - mask; }
 
-/* Initialise what the robust filter of a new robot keeps; the rest of it is 0 already. With other filters the
- * initial b_hat is 0. */
+/* Set the members of a new robot's robust filter that are not 0, where the caller has set all to 0: the
+ * centre of the votes is 1/2, the spread the largest and the dispersion the least one. The initial b_hat,
+ * which the tests judge, is `b_hat` (Q32); with another filter it stays 0. */
 ALWAYS_INLINE void init_robust_filter(mcp_asdf_t *robot, uint32_t b_hat)
 {
     robot->robust.initial_b_hat = mcp_asdf_is_robust(robot->config) ? b_hat : 0U;
@@ -79,18 +80,21 @@ typedef struct {
     uint32_t votes;
 } vote_statistics_t;
 
-/* Returns the statistics after a vote for x_hat, Q23 and at most 1.0. The centre moves towards it, by at most
- * a spread times the gain and never beyond it. The spread is the median distance of the votes from the
- * centre. The gain falls from 1/8 to 1/128 as votes are counted (stochastic approximation). */
+/* Returns the statistics after a vote for x_hat, Q23 and at most 1.0. The centre moves towards the vote by
+ * gain times min(distance, spread). The spread grows by gain / 2 of itself if the vote is farther away, and
+ * else shrinks by as much, so that it follows the median distance of the votes from the centre. The gain
+ * falls from 1/8 to 1/128 as votes are counted (stochastic approximation). Centre, spread and distances are
+ * Q30. */
 ALWAYS_INLINE vote_statistics_t statistics_after_vote(vote_statistics_t statistics, uint32_t x_hat)
 {
     const uint32_t centre = statistics.centre, spread = statistics.spread;
     const uint32_t votes = statistics.votes + (statistics.votes < MCP_ASDF_VOTES_MAX ? 1U : 0U);
-    /* The gain is 2^-gain_shift. Only the highest bit of the number of votes counts for it; the OR sees to it
-     * that this is at least that of VOTES_OF_MAX_GAIN. */
-    const uint32_t gain_shift = 29U - leading_zeros(votes | VOTES_OF_MAX_GAIN); /* log2(votes) - 2: [3, 7] */
+    /* The gain is 2^-gain_shift. 31 - leading_zeros() is the index of the highest bit, log2(votes) rounded
+     * down, and the shift is 2 less: 3 for 32 votes, 4 for 64. The OR makes fewer votes count as 32. */
+    const uint32_t gain_shift = 29U - leading_zeros(votes | VOTES_OF_MAX_GAIN); /* [3, 7] */
     const uint32_t spread_step = shift_right(spread, gain_shift + 1U);          /* <= spread / 16 */
-    const uint32_t difference = centre - q30_from_q23(x_hat); /* modulo 2^32: within 2^30 of 0 */
+    /* Both are at most 2^30. So the difference, modulo 2^32, has bit 31 exactly if the vote is the larger. */
+    const uint32_t difference = centre - q30_from_q23(x_hat);
     const uint32_t is_up_mask =
         0U - (difference >> 31); /* all ones if the vote is above the centre, else 0 */
     const uint32_t distance = negate_if(difference, is_up_mask);
@@ -109,9 +113,9 @@ ALWAYS_INLINE vote_statistics_t statistics_after_vote(vote_statistics_t statisti
     return result;
 }
 
-/* Returns the slot that votes next, or MCP_ASDF_SLOTS for the robot's own estimate. Slots vote in ascending
- * order, from `turn` on. After the last filled one the robot's own estimate votes, unless it has no
- * confidence; then the first filled one again. `filled_slots` is not 0. */
+/* Returns the slot whose estimate is the next vote, or MCP_ASDF_SLOTS if the robot's own estimate is. That is
+ * the first filled slot from `turn` on. If there is none, it is the robot's own estimate; and if this has no
+ * confidence, the first of all filled slots. `filled_slots` is a mask of 32 bits and not 0. */
 ALWAYS_INLINE uint32_t next_slot(uint32_t filled_slots, uint32_t turn, bool has_confidence)
 {
     uint32_t remaining_slots =
@@ -122,12 +126,12 @@ ALWAYS_INLINE uint32_t next_slot(uint32_t filled_slots, uint32_t turn, bool has_
         }
         remaining_slots = filled_slots;
     }
-    /* slots & -slots is the lowest bit that is set, alone. */
+    /* slots & -slots is the lowest bit that is set, alone; 31 - leading_zeros() is its index. */
     return 31U - leading_zeros(remaining_slots & (0U - remaining_slots));
 }
 
-/* At the end of a round, let one estimate be a vote, if any was ever received: that of the next slot, or the
- * robot's own. */
+/* Count one estimate as a vote, at the end of a round: that of the next slot, or the robot's own. Nothing
+ * happens before the first message has filled a slot. */
 HOT void take_vote(mcp_asdf_t *robot)
 {
     mcp_asdf_robust_t *const robust = &robot->robust;
@@ -155,7 +159,8 @@ ALWAYS_INLINE uint32_t robust_estimate(const mcp_asdf_t *robot, uint32_t x_hat)
 
 /* ---- The test ---- */
 
-/* Begin a new batch of observations. */
+/* Begin a new batch of observations: keep t and n, from which its observations are counted. Without the
+ * robust filter nothing happens. */
 ALWAYS_INLINE void begin_batch(mcp_asdf_t *robot)
 {
     if (mcp_asdf_is_robust(robot->config)) {
@@ -173,11 +178,15 @@ ALWAYS_INLINE uint32_t times_half_word(uint32_t factor, uint16_t half_word)
 
 /* End a batch of observations: let it enter the dispersion, and begin the next batch. `share` is n / t, Q32.
  *
- * Of the batch's `count` independent observations, count share are expected to be black, with a variance of
- * count share (1 - share). A robot that takes several observations of one tile has a larger variance: the
- * dispersion is the factor (the phi of overdispersed binomial models). It is a moving average over batches of
- * the ratio between the squared deviation from the expected number and that variance. A ratio above 12 times
- * the dispersion so far counts as 12 times: it comes from a change of the floor. */
+ * Of the batch's `count` observations, count share are expected to be black. If they are independent, the
+ * square of the deviation from that is on average the variance, count share (1 - share). It is larger if the
+ * robot observes a tile several times: the dispersion says how many times (the phi of overdispersed binomial
+ * models). It is a moving average of the ratio deviation^2 / variance, in which a batch has a weight of 1/8
+ * and what was before it 7/8. A ratio above 12 times the dispersion counts as 12 times: it comes from a
+ * change of the floor.
+ *
+ * Formats: dispersion and ratios are Q8, the share, the variance and numbers of observations Q32; deviations
+ * are shifted to Q11, so that their squares, Q22, have 64 bits. */
 static void end_batch(mcp_asdf_t *robot, uint32_t share)
 {
     mcp_asdf_robust_t *const robust = &robot->robust;
@@ -218,7 +227,8 @@ static uint32_t sort_estimates(const mcp_asdf_t *robot, uint16_t sorted[MCP_ASDF
 {
     uint32_t count = 0;
     for (uint32_t slot = 0; slot < MCP_ASDF_SLOTS; ++slot) { /* at most 32 turns */
-        sorted[slot] = 0; /* so that all are written, also where `count` is less */
+        /* Entries from `count` on, which nothing was sorted into yet, become 0 so that all are written. */
+        sorted[slot] = 0;
         if ((robot->robust.filled_slots & shift_left(1, slot)) != 0U) {
             const uint16_t estimate = robot->received.estimates[slot];
             uint32_t i = count++;
@@ -232,12 +242,14 @@ static uint32_t sort_estimates(const mcp_asdf_t *robot, uint16_t sorted[MCP_ASDF
 }
 
 /* Returns the median distance of sorted estimates (Q16) from their median (Q24), as Q24 and within the limits
- * of a spread. Estimates are passed in the order of their distances, from the middle outwards, each time the
- * nearer of the next ones on either side, up to the one whose distance is the median. */
+ * of a spread. Sorted estimates that are passed from the middle outwards, each time the nearer of the next
+ * ones on either side, are passed in the order of their distances. So the distance with the rank of the
+ * median is found without sorting the distances. */
 static uint32_t median_distance(const uint16_t *sorted, uint32_t count, uint32_t median)
 {
     uint32_t below = count / 2U, above = below, distance = 0, last_distance = 0;
-    /* Estimates `below` to `above` - 1 are passed. */
+    /* Estimates `below` to `above` - 1 are passed: none at first. With an odd number the first one that is
+     * passed is the median itself, at a distance of 0. A side with no more estimates is farther than any. */
     for (uint32_t rank = 0; rank <= count / 2U; ++rank) { /* at most 17 turns */
         const uint32_t distance_below = below > 0U ? median - q24_from_q16(sorted[below - 1U]) : UINT32_MAX;
         const uint32_t distance_above = above < count ? q24_from_q16(sorted[above]) - median : UINT32_MAX;
@@ -256,8 +268,10 @@ static uint32_t median_distance(const uint16_t *sorted, uint32_t count, uint32_t
     return distance > MCP_ASDF_SPREAD_MIN >> 6 ? distance : MCP_ASDF_SPREAD_MIN >> 6;
 }
 
-/* Returns a step of Newton's method from `centre` towards the point where estimates above and below balance,
- * if none counts with a distance of more than `spread` (Huber's M-estimator). Centre and spread are Q24. */
+/* Returns the centre of the estimates (Q16) after one step of Newton's method from `centre`, by Huber's
+ * M-estimator. The step is the sum of the estimates' differences from `centre`, each limited to `spread` in
+ * either direction, divided by the number of estimates that are inside the spread, or by 1 if none is. Centre
+ * and spread are Q24. */
 static uint32_t huber_step(const uint16_t *estimates, uint32_t count, uint32_t centre, uint32_t spread)
 {
     uint32_t sum_above = 0, sum_below = 0, inside = 0; /* sums: <= 32 spreads < 2^28 */
@@ -270,7 +284,8 @@ static uint32_t huber_step(const uint16_t *estimates, uint32_t count, uint32_t c
         sum_below += estimate > centre ? 0U : limited_distance;
     }
     const uint32_t difference = distance_between(sum_above, sum_below);
-    const uint32_t divisor = (inside > 0U ? inside : 1U) << 24; /* <= 2^29: the step is at most 1.0 */
+    /* `inside` as Q24, as the difference is; <= 2^29. The quotient is a Q32, and the step at most 1.0. */
+    const uint32_t divisor = (inside > 0U ? inside : 1U) << 24;
     const uint32_t step = quotient(difference < divisor ? difference : divisor, divisor) >> 8; /* Q24 */
     if (sum_above < sum_below) {
         return centre > step ? centre - step : 0U;
@@ -308,8 +323,8 @@ static bool robust_test_rejects(const mcp_asdf_t *robot, uint32_t share, uint32_
     const uint32_t g = b_hat >> 31 == 0U ? 0U - 2U * b_hat : 2U * b_hat;
     const uint32_t g_spread = multiply_high(g, spread); /* < 2^30, as a spread is at most 1/4 */
     const uint64_t spread_limit = REJECTED_SIGMAS_SQUARED * multiply(g_spread, g_spread); /* < 12 2^60 */
-    /* By how much the left side exceeds what the spread allows, as Q64. It is used where it is positive: the
-     * rest must be more than 12 dispersion v / t. */
+    /* By how much the left side exceeds what the spread allows, as Q64. If it does not, `excess` wraps, and
+     * the first condition below is false whatever comes of it. */
     const uint64_t square = multiply(deviation, deviation), excess = square - spread_limit;
     /* Both sides are multiplied by t, so that v needs no division. t excess is formed as Q32: of the product
      * with the lower word of the Q64 only the upper word is kept. < 2^64 */
@@ -321,7 +336,7 @@ static bool robust_test_rejects(const mcp_asdf_t *robot, uint32_t share, uint32_
     return square > spread_limit && t_excess > variance_limit;
 }
 
-/* Whether more than two of five estimates support the robot, whose share of black observations is `share`. An
+/* Whether more than 2/5 of the estimates support the robot, whose share of black observations is `share`. An
  * estimate supports the robot if the share of black that it predicts is nearer to the robot's own share than
  * to the share that the centre predicts. Then these robots are a party of their own, and not outliers:
  * nothing can be said about who is right. Share and centre are Q32. */
@@ -338,10 +353,10 @@ static bool is_supported(const mcp_asdf_t *robot, const uint16_t *estimates, uin
 }
 
 /* Run the robust filter at the end of a round, for t > 0. Returns the new b_hat as Q32, or 0 if it stays.
- * Counts the test if there is one.
  *
- * With fewer than five estimates nothing is tested. Otherwise the initial b_hat is tested: if it is rejected,
- * b_hat is re-estimated from the centre of the estimates; if not, b_hat is the initial one again. So a robot
+ * The batch of observations ends. Then the initial b_hat is tested, unless there are fewer than five
+ * estimates; a test is counted. If the test rejects, and no more than 2/5 of the estimates support the robot,
+ * b_hat is re-estimated from the centre of the estimates. If not, b_hat is the initial one again. So a robot
  * that was misled by the others comes back. */
 static uint32_t run_robust_filter(mcp_asdf_t *robot)
 {
@@ -352,7 +367,8 @@ static uint32_t run_robust_filter(mcp_asdf_t *robot)
     if (count < MCP_ASDF_TESTED_ESTIMATES_MIN) {
         return 0;
     }
-    /* The median, Q24: the mean of the two in the middle, which are one where their number is odd. */
+    /* The median: the mean of the two in the middle, which are one where their number is odd. Their sum is a
+     * Q16; half of it as Q24 is the sum shifted by 8 - 1. */
     uint32_t centre = ((uint32_t)sorted[(count - 1U) / 2U] + sorted[count / 2U]) << 7;
     const uint32_t spread = median_distance(sorted, count, centre);
     for (uint32_t i = 0; i < HUBER_STEPS; ++i) { /* at most 3 turns */

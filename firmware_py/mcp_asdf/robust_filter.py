@@ -181,8 +181,9 @@ def take_vote(robust: RobustFilter, estimates: Sequence[int], x_hat: int, alpha:
 
     The robot keeps estimates of its neighbours in 32 slots, whose contents are ``estimates``, in units of
     2**-16. Filled slots vote one after the other, and after the last of them the robot's own estimate:
-    ``x_hat`` in units of 2**-23, if ``alpha``, its confidence, is not 0. ``robust``, the filter's memory,
-    changes: the vote moves the centre and the spread of all votes, and the turn goes to the next slot.
+    ``x_hat`` in units of 2**-23, if the alpha word ``alpha`` stands for a confidence above 0. ``robust``, the
+    filter's memory, changes: the vote moves the centre and the spread of all votes, as `count_vote` says, and
+    the turn goes to the next slot.
     Nothing happens while all slots are empty.
     """
     if robust.filled_slots == 0:
@@ -343,7 +344,8 @@ def centre_after_huber_step(estimates: Sequence[int], centre: int, spread: int) 
 
     That is the point at which the balance is 0: the sum of the estimates' differences from it, each limited
     to -spread .. spread. A step adds the balance divided by the number of estimates whose difference is not
-    limited. All are in units of 2**-24. The result is within 0 and the largest estimate that a slot holds.
+    limited, or by 1 if there is none. All are in units of 2**-24. The result is limited to what a slot can
+    hold: 0 .. SLOT_ESTIMATE_MAX.
     """
     differences = [estimate - centre for estimate in estimates]
     limited_differences = [max(-spread, min(spread, difference)) for difference in differences]
@@ -352,7 +354,7 @@ def centre_after_huber_step(estimates: Sequence[int], centre: int, spread: int) 
     # limited.
     inside_count = sum(abs(difference) <= spread for difference in differences)
     divisor = max(inside_count, 1) << 24  # in units of 2**-24, as the balance
-    # Limited, so that the quotient fits a word of the C: a step is 1.0 at most.
+    # Limited to a step of 1.0, so that the quotient fits 32 bits, as in the firmware in C.
     limited_balance = min(abs(balance), divisor)
     step = q32_quotient(limited_balance, divisor) >> 8  # from units of 2**-32 to 2**-24
     if balance < 0:
@@ -364,10 +366,10 @@ def probability_of_black(b_hat: int, fill_ratio: int) -> int:
     """Return the probability that a sensor of accuracy b_hat names a tile black (eq. 1).
 
     It is b_hat fill_ratio + (1 - b_hat) (1 - fill_ratio), where the fill ratio is the share of black tiles.
-    All are in units of 2**-32.
+    All are in units of 2**-32. In place of 1, which has 33 bits, stands the largest number of 32 bits, as in
+    the firmware in C.
     """
     black_observed_as_black = multiply_high(b_hat, fill_ratio)
-    # MAX_WORD stands for 1, so that either difference fits a word of the C.
     white_observed_as_black = multiply_high(MAX_WORD - b_hat, MAX_WORD - fill_ratio)
     return black_observed_as_black + white_observed_as_black
 
@@ -381,16 +383,14 @@ def robust_test_rejects(robust: RobustFilter, t: int, n: int, centre: int, sprea
 
         (n / t - p)**2 > 12 (dispersion * v / t + (g * spread)**2)
 
-    Here dispersion * v / t is the variance of n / t, where v = p (1 - p) is that of one observation. And
-    g * spread, with g = |2 b_hat - 1|, is the uncertainty of p, which changes by g where the centre changes
-    by 1.
+    Here dispersion * v / t is the variance of n / t, where v is that of one observation: the larger of
+    p (1 - p) and n / t (1 - n / t), as either may be 0. And g * spread, with g = |2 b_hat - 1|, is the
+    uncertainty of p, which changes by g where the centre changes by 1.
     """
     b_hat = robust.initial_b_hat
     share = q32_quotient(n, t)
     p = probability_of_black(b_hat, q32_from_q24(centre))
     # Shares and variances are in units of 2**-32, squares in units of 2**-64.
-    # v may be estimated from n / t as well as from p. The larger is taken, as either is 0 at a share of 0 or
-    # 1.
     variance = max(multiply_high(share, Q32_ONE - share), multiply_high(p, Q32_ONE - p))
 
     g = abs(2 * b_hat - Q32_ONE)
@@ -468,10 +468,10 @@ def is_valid_batch(robust: RobustFilter, t: int, n: int) -> bool:
 
 
 def is_valid_initial_b_hat(robust: RobustFilter, b_hat: int) -> bool:
-    """Return whether the initial b_hat is in its range and can have become ``b_hat``, the present one.
+    """Return whether the initial b_hat is in its range, and ``b_hat``, the present one, equals it if it must.
 
-    Both are in units of 2**-32. They are equal until a test was possible, which takes five estimates, and
-    observations before it.
+    Both are in units of 2**-32. Only a test makes them differ. A test takes five estimates, and it ends a
+    batch of observations, so that the next batch begins at a ``batch_t`` above 0.
     """
     has_enough_estimates = robust.filled_slots.bit_count() >= TESTED_ESTIMATES_MIN
     is_test_possible = has_enough_estimates and robust.batch_t > 0
