@@ -92,9 +92,9 @@ class Bench(ControllerLink):
 
     # --- Ticks ---
 
-    def play_tick(self, z: Observation | None = None, frames: Sequence[can.Message] = ()) -> None:
+    def play_tick(self, observation: Observation | None = None, frames: Sequence[can.Message] = ()) -> None:
         """Run a tick with this observation, or none, in which the controller receives these frames."""
-        self.observe(z)
+        self.observe(observation)
         self.send(frames)
         self.settle()
 

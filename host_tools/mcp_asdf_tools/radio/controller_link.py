@@ -140,25 +140,25 @@ class ControllerLink:
 
     # --- One tick ---
 
-    def observe(self, z: Observation | None) -> None:
+    def observe(self, observation: Observation | None) -> None:
         """Begin a tick with this observation, or none, and wait for the broadcast if one is due.
 
         Raises LockstepError if the broadcast does not come, and KeyboardInterrupt if asked to stop.
         """
         self._check_stop()
         self.tick_index = self.ticks
-        is_broadcast_due = self._command_observation(z)
+        is_broadcast_due = self._command_observation(observation)
         if is_broadcast_due:
             self.lockstep.estimates({self.setup.id})
 
-    def _command_observation(self, z: Observation | None) -> bool:
+    def _command_observation(self, observation: Observation | None) -> bool:
         """Command an observation, or none, and return whether the controller must broadcast in this tick.
 
         It must if its model does. Then what the models with a known mistake broadcast is kept, too, to be
         compared when the tick ends.
         """
         broadcasts_before = self.model.sent.estimates
-        self.lockstep.observe({self.setup.id: z})  # the model gets the command, too, by _take_frame
+        self.lockstep.observe({self.setup.id: observation})  # the model gets the command, too, by _take_frame
         is_broadcast_due = self.model.sent.estimates != broadcasts_before
         if is_broadcast_due:
             self.mistaken_models.keep_broadcasts(self.firmware)

@@ -219,17 +219,17 @@ class BusRobot:
 
     # --- A tick ---
 
-    def observe(self, z: Observation | None) -> bool:
+    def observe(self, observation: Observation | None) -> bool:
         """Begin a tick, with an observation or without, and return whether a broadcast is due.
 
         It is due in the last of the ``comms_period`` ticks of a round, and stays due until a tick has ended.
         """
         if self.recorder is not None:
             # Recorded first, as it begins the tick to which the events that follow belong.
-            self.recorder.record_observation(z)
+            self.recorder.record_observation(observation)
         self.ticks += 1
-        if z is not None:
-            self.robot.observe(z)
+        if observation is not None:
+            self.robot.observe(observation)
         # Not below 0, since the broadcast stays due until ``settle`` begins the next round.
         self._ticks_to_broadcast = max(self._ticks_to_broadcast - 1, 0)
         return self._ticks_to_broadcast == 0

@@ -109,7 +109,7 @@ class SwarmFilter:
         return self.firmware_filter
 
     def unused_parameters_with(self, activation: Activation) -> dict[str, str]:
-        """Return the parameters that have no effect with this filter: the reason, for errors, by their name.
+        """Return the parameters that have no effect with this filter: the reason, a text, by their name.
 
         With the ``activation`` "always" the paper's filters make no test, so omega has no effect, either.
         """

@@ -183,8 +183,8 @@ class RobotNode:
         """Return the heartbeat that announces the node."""
         return [self.bus_robot.heartbeat(self._now)]
 
-    def observe(self, z: Observation | None) -> list[can.Message]:
-        """Begin a tick, with the observation ``z`` or, if it is None, without one.
+    def observe(self, observation: Observation | None) -> list[can.Message]:
+        """Begin a tick, with this observation or, if it is None, without one.
 
         Returns a heartbeat if a second of ticks has passed since the last, then the robot's estimate if its
         round is over; an empty list if neither. A tick that is still open ends first, without telemetry, and
@@ -200,7 +200,7 @@ class RobotNode:
             frames.append(self.bus_robot.heartbeat(self._now))
         # Beginning a tick advances the node's time: frames of this tick are stamped with its start.
         time_before_tick = self._now
-        is_broadcast_due = self.bus_robot.observe(z)
+        is_broadcast_due = self.bus_robot.observe(observation)
         if is_broadcast_due:
             frames.append(self.bus_robot.broadcast(time_before_tick))
         return frames

@@ -90,7 +90,7 @@ class Population(WorldSettings):
             raise ParameterError("memory", f"memory is {self.memory}; it must be a multiple of 4")
 
     def unused_parameters(self) -> dict[str, str]:
-        """Return the names of the parameters that have no effect in this population, with the reason."""
+        """Return the parameters that have no effect in this population: the reason, a text, by their name."""
         return self._unused_of_drift() | self.swarm_filter.unused_parameters_with(self.activation)
 
     def _unused_of_drift(self) -> dict[str, str]:
