@@ -18,7 +18,7 @@ PAGE = (ROOT / "docs/internals/architecture.md").read_text(encoding="utf-8")
 
 
 def test_no_package_imports_one_that_stands_above_it() -> None:
-    """``lint-imports`` checks the order of the packages, which pyproject.toml states in two contracts."""
+    """``lint-imports`` checks the order of the packages, which two contracts in pyproject.toml state."""
     paths = os.pathsep.join(str(ROOT / folder) for folder in ("firmware_py", "host_tools"))
     output = run("lint-imports", "--no-cache", cwd=ROOT, PYTHONPATH=paths)
     assert "Contracts: 2 kept, 0 broken." in output

@@ -65,14 +65,14 @@ def test_reports_of_all_listed_tests_pass(folder: Path) -> None:
 
 @pytest.mark.parametrize("outcome", [FAILURE, ERROR])
 def test_a_failure_and_an_error_of_a_fixture_count_as_failed(folder: Path, outcome: str) -> None:
-    """pytest reports an error where what a test needs could not be made."""
+    """The program ends with the code 1. pytest reports an error where what a test needs could not be made."""
     write_report(folder, "tests.bus.test_dbc", 101, outcome)
     write_report(folder, "tests.proofs.test_sums", 50)
     assert count(folder, "--strict") == Count(1, ["strict: 1 failed", "150 passed, 1 failed, 0 skipped"])
 
 
 def test_a_skip_for_a_tool_that_is_not_installed_fails(folder: Path) -> None:
-    """The set-up of continuous integration has to be complete."""
+    """The set-up of continuous integration has to be complete. The program prints the reason of the skip."""
     write_report(folder, "tests.bus.test_dbc", 100)
     write_report(folder, "tests.proofs.test_sums", 50, SKIPPED_FOR_A_TOOL)
 

@@ -248,7 +248,7 @@ def test_a_command_of_the_docs_that_no_test_runs_has_options_that_are_there(comm
 def test_the_c_node_understands_the_commands_of_the_docs(
     command: str, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
-    """It gets as far as the CAN interface, the sensor or the file, of which none is there by that name."""
+    """It takes all options, and ends as the CAN interface, the sensor or the file is not there."""
     with_names_that_are_not_there = re.sub(r"v?can0", "none0", command).replace("/sys/", "/none/")
     program, *options = with_names_that_are_not_there.split()
     assert program == "mcp_asdf_node"
@@ -269,7 +269,7 @@ def test_the_c_node_understands_the_commands_of_the_docs(
     "command", sorted({c for page in PAGES for c in all_commands(page) if c.startswith("make ")})
 )
 def test_make_knows_the_targets_that_the_docs_name(command: str) -> None:
-    """With -n it says what it would do, and fails for a target that the Makefile does not have."""
+    """With -n make says what it would do, and fails for a target that the Makefile does not have."""
     _make, *targets = command.split()
     run(require("make", "make"), "-n", *targets)
 
@@ -322,7 +322,7 @@ def test_the_built_docs_have_what_comes_from_other_files(page: str, content: str
 
 @pytest.mark.slow
 def test_the_built_docs_have_formulas_that_a_browser_shows(site: Path) -> None:
-    """As MathML; dollars would be left of formulas that are not converted."""
+    """They are MathML. If a formula were not converted, its dollars would be left in the text."""
     assert "$" not in text_of(site / "method.html")
 
 
@@ -366,8 +366,9 @@ def test_no_page_of_the_built_docs_is_wider_than_a_phone(site: Path, chromium: B
 
 @pytest.mark.slow
 def test_each_cell_of_a_table_names_its_column_on_a_phone(site: Path, chromium: Browser) -> None:
-    """There each row of a table stands by itself."""
-    with new_page(chromium, width=390) as browser:
+    """There each row of a table stands by itself, and a style writes the column's name into a cell."""
+    phone_width = 390
+    with new_page(chromium, width=phone_width) as browser:
         browser.goto((site / "advice.html").as_uri())
         label_of_second_cell = "getComputedStyle(document.querySelectorAll('td')[1], '::before').content"
         assert "if yes" in browser.evaluate(label_of_second_cell)
@@ -384,17 +385,19 @@ def test_the_search_of_the_built_docs_works_without_a_server_and_shows_guides_fi
 
     Those of the Python API, which are in the folder api, come later.
     """
-    links = "[...document.querySelectorAll('.md-search-result__link')].map((link) => link.href)"
+    # JavaScript for the list of the addresses of the results.
+    addresses = "[...document.querySelectorAll('.md-search-result__link')].map((link) => link.href)"
     with new_page(chromium) as browser:
         browser.goto((site / f"{page}.html").as_uri())
         # The search begins when a key is pressed.
         browser.locator(".md-search__input").fill(words[:-1])
         browser.locator(".md-search__input").press_sequentially(words[-1])
-        until(browser, f"{links}.some((address) => address.includes('/{found}.html'))")
+        until(browser, f"{addresses}.some((address) => address.includes('/{found}.html'))")
 
-        first, second, third, *_ = browser.evaluate(links)
+        first, second, third, *_ = browser.evaluate(addresses)
 
-    assert "/api/" not in first + second + third
+    for address in (first, second, third):
+        assert "/api/" not in address
 
 
 COMMANDS_WITH_OPTIONS = """\
@@ -491,7 +494,10 @@ def test_code_of_the_site_is_copied_as_the_page_has_it(language: str, browser: P
 
 
 def test_lines_of_a_table_in_a_block_of_text_do_not_break_on_the_site_and_others_do() -> None:
-    """A formula that begins with a bar is no table. The style sheet has a rule for each class."""
+    """The build gives a block the class "columns", whose lines stay whole, or "wrapped", whose lines break.
+
+    A formula that begins with a bar is no table.
+    """
     table = as_on_the_site("```text\n| filter | H |\n| none   | 3 |\n```")
     formula = as_on_the_site("```text\n|x - f| > t (s + 1)\n```")
     assert 'class="columns highlight"' in table
@@ -613,7 +619,7 @@ def figures_of_how_much_it_helps() -> list[list[float]]:
 
 
 def test_the_readme_states_the_errors_that_a_program_of_the_docs_prints() -> None:
-    """These are errors of the estimated share; the second figure of each line is the median over worlds."""
+    """These are errors of the estimated share of black. The second figure of each line is their median."""
     no_filter, asdf_minus, robust_filter, *_lines_of_more_flawed_robots = figures_of_how_much_it_helps()
     none, minus, robust = no_filter[1], asdf_minus[1], robust_filter[1]
 

@@ -48,14 +48,14 @@ class Newcomer:
 
     folder: Path
 
-    def enter(self, *lines: str) -> str:
+    def run_in_shell(self, *lines: str) -> str:
         """Run lines in the shell, and return what they print."""
         return run("sh", "-ec", "\n".join((ACTIVATE, *lines)), cwd=self.folder, MPLBACKEND="Agg")
 
     def run_python(self, program: str, shell_ending: str = "") -> str:
         """Run a program in Python, and return what it prints."""
         (self.folder / "program.py").write_text(program)
-        return self.enter(f"python program.py {shell_ending}")
+        return self.run_in_shell(f"python program.py {shell_ending}")
 
 
 @pytest.fixture
@@ -77,15 +77,20 @@ def test_the_page_installs_all_extras() -> None:
 @pytest.mark.slow
 def test_the_first_command_of_the_page_runs(newcomer: Newcomer) -> None:
     """It is a swarm, made shorter here, and needs none of the extras."""
-    newcomer.enter(f"{FIRST_COMMAND} --steps 300 --quiet")
+    newcomer.run_in_shell(f"{FIRST_COMMAND} --steps 300 --quiet")
 
 
 @pytest.mark.slow
 def test_the_c_program_of_the_readme_prints_what_it_shows_in_a_new_environment(newcomer: Newcomer) -> None:
-    """It needs a C compiler and the base alone, without any extra."""
-    (newcomer.folder / "robot.c").write_text(blocks(README, "c")[0])
+    """It needs a C compiler and the base alone, without any extra.
 
-    printed = newcomer.enter(block_with(README, "robot.c", "sh"))
+    The README has the program, the commands that build and run it, and what it prints.
+    """
+    [program] = blocks(README, "c")
+    (newcomer.folder / "robot.c").write_text(program)
+
+    commands = block_with(README, "robot.c", "sh")
+    printed = newcomer.run_in_shell(commands)
 
     assert printed.endswith(block_with(README, "share of black 0.685", "text"))
 
@@ -145,11 +150,11 @@ def test_the_experiment_of_the_tutorial_says_which_extra_it_lacks(
 def test_the_experiment_of_the_tutorial_runs_with_the_extra_that_it_names(
     newcomer: Newcomer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """So does ``mcp-asdf view`` with its results."""
+    """It draws its pictures, and ``mcp-asdf view`` makes a page of its results."""
     monkeypatch.setenv("EXTRAS", extra_of_experiment_tutorial())
 
-    newcomer.enter(*blocks(EXPERIMENT_TUTORIAL, "sh"))
-    newcomer.enter(
+    newcomer.run_in_shell(*blocks(EXPERIMENT_TUTORIAL, "sh"))
+    newcomer.run_in_shell(
         "mcp-asdf view question.parquet --where density=0.5 --where filter=none --export page.html"
     )
 

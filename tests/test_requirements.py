@@ -50,7 +50,7 @@ def proofs_that_are_run() -> set[str]:
 
 
 def test_every_proof_that_is_named_beside_a_statement_is_run() -> None:
-    """By the tests that prove all claims and contracts, or by one of its own."""
+    """The tests that prove all claims and contracts run it, or one of its own does."""
     _statements, tests_by_statement = read_project()
     places = set(itertools.chain.from_iterable(tests_by_statement.values()))
     named_proofs = {place for place in places if place.startswith("proofs/") and ": test_" not in place}
@@ -72,7 +72,7 @@ def test_a_statement_begins_after_a_paragraph_an_item_or_a_number() -> None:
 
 
 def test_a_test_belongs_to_the_statements_whose_numbers_stand_in_the_comment_above_it(tmp_path: Path) -> None:
-    """Statements have numbers, R1 and so on. A comment without a test below it is in the result, too."""
+    """Statements have numbers, R1 and so on. A comment without a test below it is found as "no test"."""
     comment = "# " + "design:"  # in one piece, it would be a comment of this file
     (tmp_path / "a.py").write_text(
         f"{comment} R1, R4\n@mark\ndef test_it() -> None:\n    pass\n\n\n{comment} R2\nA = 1\n"

@@ -46,7 +46,7 @@ def program(path: Path, text: str) -> None:
 FAILURE = 1
 
 
-def history(clone: Path, purpose: str, exit_code: int = 0) -> list[str]:
+def lines_of_set_up(clone: Path, purpose: str, exit_code: int = 0) -> list[str]:
     """Run the set-up, and check that it ends with this exit code.
 
     Returns the lines that it prints and those of the programs that it calls, which write down their words.
@@ -61,7 +61,7 @@ def history(clone: Path, purpose: str, exit_code: int = 0) -> list[str]:
 
 def set_up(clone: Path, purpose: str) -> list[list[str]]:
     """Run the set-up, and return the words of Python's calls that make environments and install packages."""
-    words = [shlex.split(line) for line in history(clone, purpose) if not line.startswith("setup: ")]
+    words = [shlex.split(line) for line in lines_of_set_up(clone, purpose) if not line.startswith("setup: ")]
     return [call for call in words if "-m" in call and "--version" not in call]
 
 
@@ -79,7 +79,7 @@ def test_an_environment_that_lacks_pip_is_made_again(clone: Path) -> None:
 
 
 def test_an_environment_that_has_pip_is_kept(clone: Path) -> None:
-    """Only packages are installed into it again."""
+    """A second run of the set-up only installs packages into it again."""
     making, *installations = set_up(clone, "run")
     assert "venv" in making
 
@@ -92,7 +92,7 @@ def test_a_set_up_without_root_names_the_packages_that_are_missing_and_goes_on(c
     program(clone / "bin/avr-gcc", "#!/bin/sh\nexit 1\n")
     program(clone / "bin/apt-get", '#!/bin/sh\necho "apt-get $*" >>"$CALLS"\n')
 
-    lines = history(clone, "test")
+    lines = lines_of_set_up(clone, "test")
 
     message = next(line for line in lines if line.startswith("setup: "))
     assert "apt-get install" in message
@@ -110,7 +110,7 @@ def test_a_set_up_without_a_network_says_so_in_one_line(clone: Path) -> None:
     )
     program(clone / ".venv/bin/python", f"#!/bin/sh\n{pip_without_network}")
 
-    *_, line_before, last_line = history(clone, "run", exit_code=FAILURE)
+    *_, line_before, last_line = lines_of_set_up(clone, "run", exit_code=FAILURE)
 
     assert last_line.startswith(
         "setup: no connection to the index of Python packages; connect to the network"

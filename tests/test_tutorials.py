@@ -71,7 +71,10 @@ def test_the_first_robot_of_the_tutorial_is_built_and_runs(tmp_path: Path) -> No
 
 @pytest.mark.slow
 def test_the_second_robot_of_the_tutorial_learns_its_accuracy_from_the_swarm(tmp_path: Path) -> None:
-    """It prints both now and then: nine of ten tiles are black, and its sensor is right in 95 % of cases."""
+    """It prints now and then what it has learned, and the share of black tiles.
+
+    In the swarm nine of ten tiles are black, and its sensor is right in 95 % of cases.
+    """
     printed = run_second_robot(tmp_path)
 
     states = re.findall(r"share of black (\S+), my sensor is right (\d+) times in 1000", printed)

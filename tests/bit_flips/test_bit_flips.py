@@ -23,7 +23,7 @@ from mcp_asdf import Filter
 
 BITS = 8 * (16 + 1 + 1 + 10 + 24 + 20 + 29 + 64)
 """All members but the pointer: senders, id, updated, counters, accuracy, five words, robust, received."""
-COUNTED = {"t", "n", "filter_left"}
+MEMBERS_WITH_COUNTS = {"t", "n", "filter_left"}
 """Members whose change may alter the robot's counted data, and b_hat with it, and show nowhere else."""
 
 
@@ -68,10 +68,13 @@ def test_every_bit_of_a_robot_s_memory_flips_and_each_flip_has_one_effect(counte
 
 
 def test_no_flip_keeps_x_wrong_in_silence(counted: CountedFlips) -> None:
-    """x is what a robot believes. Only flips of what it has counted may keep it wrong, with other counts."""
+    """x is what a robot believes. Only flips of what it has counted may keep it wrong, with other counts.
+
+    "still" is the number of flips after which x is still wrong at the end of the run.
+    """
     members_that_keep_x_wrong = {name for name, effects in counted.members.items() if effects["still"] > 0}
 
-    assert members_that_keep_x_wrong <= COUNTED
+    assert members_that_keep_x_wrong <= MEMBERS_WITH_COUNTS
     assert sum_of_members(counted.members.values())["unexplained"] == 0
 
 
@@ -110,6 +113,7 @@ def test_no_flip_makes_the_firmware_do_what_c_leaves_open(filter_kind: Filter, t
     """Sanitizers would end the program where it does, and then its counts would differ."""
     sanitizers = ("-fsanitize=address,undefined", "-fno-sanitize-recover=all")
 
-    sanitized_counts = count_effects(tmp_path, 2, filter_kind, *sanitizers)
+    flips_per_bit = 2
+    sanitized_counts = count_effects(tmp_path, flips_per_bit, filter_kind, *sanitizers)
 
-    assert sanitized_counts == count_effects(tmp_path, 2, filter_kind)
+    assert sanitized_counts == count_effects(tmp_path, flips_per_bit, filter_kind)

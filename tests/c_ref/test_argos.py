@@ -214,6 +214,7 @@ def checked_logs(folder: Path) -> list[CheckedLog]:
     """Return what check_log.py says of the logs in a folder, all of which it has to pass."""
     result = check_logs(folder)
     assert result.returncode == 0, result.stdout
+    # A line is such as "logs/kiv0.csv: 300 ticks, 5700 messages, 4 updates of b_hat: all bits are equal".
     numbers = re.findall(r"^.*: (\d+) ticks, .* (\d+) updates .*$", result.stdout, re.MULTILINE)
     return [CheckedLog(int(ticks), int(updates)) for ticks, updates in numbers]
 
@@ -221,7 +222,10 @@ def checked_logs(folder: Path) -> list[CheckedLog]:
 def test_the_robots_of_a_swarm_compute_the_same_bits_as_robots_in_python(
     run_swarm: RunSwarm, swarm: Swarm, tmp_path: Path
 ) -> None:
-    """check_log.py repeats the logs of all 20 in Python; in some of them the filter changes the accuracy."""
+    """check_log.py computes the logs of all 20 again in Python, and says that every bit is equal.
+
+    In some of them the filter changes the accuracy.
+    """
     assert run_swarm(swarm).returncode == 0
 
     logs = checked_logs(tmp_path / "logs")
@@ -250,7 +254,7 @@ def test_robots_with_the_robust_filter_compute_the_same_bits_as_robots_in_python
 def test_after_a_reset_the_log_has_the_second_run_alone(
     run_swarm: RunSwarm, swarm: Swarm, tmp_path: Path
 ) -> None:
-    """A log begins with a line ``start``, and each tick ends with a line ``settle``."""
+    """The swarm runs twice. A log begins with a line ``start``, and each tick ends with a line ``settle``."""
     assert run_swarm(swarm, options="reset").returncode == 0
 
     log = (tmp_path / "logs/kiv0.csv").read_text(encoding="utf-8")
@@ -401,15 +405,18 @@ def floor_of(seed: int, built_folder: Path, tmp_path: Path) -> Floor:
 
 def test_a_floor_has_the_fill_ratio(built_folder: Path, tmp_path: Path) -> None:
     """swarm.argos asks for a floor of which a share of 0.55 is black."""
-    share_of_black = floor_of(1, built_folder, tmp_path).mean()
+    share_of_black = floor_of(seed=1, built_folder=built_folder, tmp_path=tmp_path).mean()
     five_standard_deviations = 0.025  # of the share of 10,000 tiles that are drawn
     assert share_of_black == pytest.approx(0.55, abs=five_standard_deviations)
 
 
 def test_floors_of_two_seeds_have_no_row_or_column_in_common(built_folder: Path, tmp_path: Path) -> None:
-    """A floor has 100 by 100 tiles. If two random streams overlapped, rows or columns would be the same."""
-    first = floor_of(1, built_folder, tmp_path)
-    second = floor_of(2, built_folder, tmp_path)
+    """A floor has 100 by 100 tiles, which a seed draws at random.
+
+    If the random numbers of two seeds overlapped, rows or columns would be the same.
+    """
+    first = floor_of(seed=1, built_folder=built_folder, tmp_path=tmp_path)
+    second = floor_of(seed=2, built_folder=built_folder, tmp_path=tmp_path)
 
     assert distinct_rows(first).isdisjoint(distinct_rows(second))
     assert distinct_rows(first.transpose()).isdisjoint(distinct_rows(second.transpose()))
@@ -435,7 +442,10 @@ start,7,4080218931,2,1000,2147483648
 observe,1
 settle,8388608,8388608,3854762496,4080218931,0
 """
-"""One tick of a robot that has observed a black tile, and assumes an accuracy of 0.95."""
+"""One tick of a robot that has observed a black tile, and assumes an accuracy of 0.95.
+
+The numbers of its start are its id, the accuracy in units of 2^-32, filter, its period, and memory.
+"""
 
 
 @pytest.fixture

@@ -65,9 +65,9 @@ def test_every_inline_function_of_the_header_is_inline_by_the_macro() -> None:
 def test_a_library_without_a_filter_lacks_only_the_symbol_of_that_filter(
     filter_name: str, function: str, tmp_path: Path
 ) -> None:
-    """Functions that the header defines inline become symbols in mcp_asdf_accessors.c.
+    """mcp_asdf_accessors.c makes symbols of the functions that the header defines inline.
 
-    A macro leaves one of the two filters out, and with it the accessor that belongs to it.
+    One of them reads what a filter remembers. A macro leaves that filter out, and only this function with it.
     """
     strict = ("-std=c99", "-Wall", "-Wextra", "-Wmissing-prototypes", "-Werror")
     source, compiled = CORE.with_name("mcp_asdf_accessors.c"), tmp_path / "accessors.o"
@@ -91,7 +91,10 @@ def syntax_tree(tmp_path_factory: pytest.TempPathFactory) -> str:
 
 
 def test_a_generator_of_bindings_finds_no_inline_function(syntax_tree: str) -> None:
-    """It would leave them out. It reads clang's tree of the header, with a line for each function."""
+    """It would leave them out. It reads clang's tree of the header, with a line for each function.
+
+    Such a line is "FunctionDecl 0x5b <place> mcp_asdf_x 'uint32_t (const mcp_asdf_t *)' extern".
+    """
     functions = re.findall(r"FunctionDecl .* mcp_asdf_\w+ .*", syntax_tree)
     inline = [function for function in functions if function.endswith((" inline", " static"))]
 
@@ -100,7 +103,10 @@ def test_a_generator_of_bindings_finds_no_inline_function(syntax_tree: str) -> N
 
 
 def test_a_generator_of_bindings_finds_no_type_without_a_name(syntax_tree: str) -> None:
-    """A generator fails at such a type. Clang's tree calls it "unnamed struct" or "anonymous union"."""
+    """A generator fails at such a type. Clang's tree calls it "unnamed struct" or "anonymous union".
+
+    A line of the tree about a member is, say, "FieldDecl 0x5b <place> x_hat 'uint32_t':'unsigned int'".
+    """
     types_of_members = re.findall(r"FieldDecl .* \w+ '([^']*)'", syntax_tree)
     nameless = [type_name for type_name in types_of_members if re.search("unnamed|anonymous", type_name)]
 
@@ -127,7 +133,9 @@ def test_rust_s_bindgen_finds_only_functions_that_the_library_has(library: Path)
 
 def estimate_at(tick: int, sender: int) -> tuple[int, int]:
     """Return x_hat and alpha, as the firmware's integers, that a neighbour broadcasts in a tick."""
-    return 7_000_000 + 1000 * sender + tick, 0x80000010
+    x_hat = 7_000_000 + 1000 * sender + tick  # about 0.83, in units of 2^-23
+    alpha = 0x80000010  # 2^15
+    return x_hat, alpha
 
 
 def is_black_at(tick: int) -> bool:

@@ -24,7 +24,7 @@ from support import CORE, ROOT, TABLE, blocks, require, run, version_of_header
 
 PACKAGE = ROOT / "c_ref"
 PARTS = ("mcp_asdf", "mcp_asdf_image", "mcp_asdf_frame", "mcp_asdf_small")
-FILES = {f"src/{path.name}" for path in CORE.parent.iterdir()}
+SOURCE_FILES = {f"src/{path.name}" for path in CORE.parent.iterdir()}
 HEADERS = {f"{name}.h" for name in (*PARTS, "mcp_asdf_rom")}
 """Headers that a user includes; the core's arithmetic has others."""
 
@@ -169,13 +169,13 @@ def pkg_config_path(installed_library: Path) -> str:
 
 
 def test_a_project_adds_the_folder_of_the_library(project: Path) -> None:
-    """With CMake's add_subdirectory. Its program finds no mistake in the library."""
+    """It does so with CMake's add_subdirectory. Its program calls the library, and ends with the code 0."""
     run(build_with_cmake(project, ADD_SUBDIRECTORY))
 
 
 @pytest.mark.slow
 def test_a_project_fetches_the_whole_repository(project: Path) -> None:
-    """With CMake's FetchContent, from this folder. Its program finds no mistake in the library."""
+    """It does so with CMake's FetchContent, from this folder. Its program ends with the code 0."""
     run(build_with_cmake(project, FETCH_CONTENT))
 
 
@@ -215,7 +215,7 @@ def test_a_program_builds_with_the_flags_of_pkg_config(project: Path, pkg_config
 
 @pytest.mark.slow
 def test_meson_finds_the_installed_library(project: Path, pkg_config_path: str) -> None:
-    """By pkg-config, with the lines of docs/platforms/elsewhere.md."""
+    """Meson asks pkg-config, with the lines of docs/platforms/elsewhere.md. The program ends with code 0."""
     require("meson")
     require("ninja")
     [page_s_lines] = blocks(ROOT / "docs/platforms/elsewhere.md", "meson")
@@ -322,7 +322,7 @@ def test_platformio_packs_sources_example_manifests_and_licence(tmp_path: Path) 
 
     example = {"examples/MinimalRobot/MinimalRobot.ino", "examples/MinimalRobot/t_table_omega05_q30.c"}
     others = {"library.json", "library.properties", "README.md", "LICENSE"}
-    assert files_in(archive) - {".piopm"} == FILES | example | others
+    assert files_in(archive) - {".piopm"} == SOURCE_FILES | example | others
 
 
 @pytest.mark.slow
@@ -334,14 +334,14 @@ def test_esp_idf_packs_sources_build_file_manifest_and_licence(tmp_path: Path) -
     run(compote, "component", "pack", "--name", "mcp_asdf", "--dest-dir", tmp_path, cwd=PACKAGE)
 
     files = files_in(tmp_path / f"mcp_asdf_{version_of_header()}.tgz")
-    assert files == FILES | {"CMakeLists.txt", "idf_component.yml", "README.md", "LICENSE"}
+    assert files == SOURCE_FILES | {"CMakeLists.txt", "idf_component.yml", "README.md", "LICENSE"}
 
 
 def test_esp_idf_builds_all_sources() -> None:
     """It reads their names in CMakeLists.txt, in a call of idf_component_register."""
     commands = (PACKAGE / "CMakeLists.txt").read_text(encoding="utf-8")
     [sources] = re.findall(r"idf_component_register\(\s*SRCS (.*?)\s+INCLUDE_DIRS src\)", commands)
-    assert set(sources.split()) == {name for name in FILES if name.endswith(".c")}
+    assert set(sources.split()) == {name for name in SOURCE_FILES if name.endswith(".c")}
 
 
 def zephyr_module() -> dict[str, Any]:

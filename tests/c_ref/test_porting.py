@@ -32,7 +32,7 @@ PAGE = ROOT / "docs/porting.md"
 KILOBOT_PAGE = ROOT / "docs/platforms/kilobot.md"
 TEXT = PAGE.read_text(encoding="utf-8")
 PORTS = ROOT / "c_ref/ports"
-ROBOT_ID, B_HAT = 7, 0xF3333333  # MCP_ASDF_PROBABILITY(95, 100)
+ROBOT_ID, B_HAT = 7, 0xF3333333  # MCP_ASDF_PROBABILITY(95, 100): 0.95 in units of 2^-32
 FORMAT = FrameFormat()
 RADIO_QUEUE = 8
 """Packets that the robot's radio keeps until the end of a tick."""
@@ -352,7 +352,7 @@ def output_of_robot_in_python() -> str:
             for i in range(1, 7):
                 robot.receive_raw(5 + i, max(x_hat - 9000 * i, 0), alpha)
             robot.settle()
-            output += f"{(robot.x_raw * 1000 + 2**22) >> 23}\n"
+            output += f"{(robot.x_raw * 1000 + 2**22) >> 23}\n"  # thousandths of 2^23, rounded
     return output
 
 
@@ -375,7 +375,7 @@ def project(tmp_path: Path) -> Path:
 def test_the_robot_of_docs_porting_builds_by_cmake_and_computes_what_the_robot_in_python_does(
     project: Path,
 ) -> None:
-    """With the lines of the page for CMake, and without a warning."""
+    """It builds without a warning, by the lines for CMake that the page shows."""
     page_s_lines = block_with(PAGE, "add_subdirectory(vendor/mcp_asdf)", "cmake")
     (project / "CMakeLists.txt").write_text(page_s_lines)
 
@@ -386,7 +386,7 @@ def test_the_robot_of_docs_porting_builds_by_cmake_and_computes_what_the_robot_i
 
 
 def test_the_robot_of_docs_porting_builds_without_a_build_system(project: Path) -> None:
-    """With the command of the page; it computes what the robot in Python does."""
+    """The page's command compiles it, and it computes what the robot in Python does."""
     run("sh", "-ec", block_with(PAGE, "-Ivendor/mcp_asdf", "sh"), cwd=project)
     assert run(project / "robot") == output_of_robot_in_python()
 
@@ -395,7 +395,7 @@ def test_the_robot_of_docs_porting_builds_without_a_build_system(project: Path) 
 def test_the_robot_of_docs_porting_builds_by_meson_and_computes_what_the_robot_in_python_does(
     project: Path,
 ) -> None:
-    """With the lines of the page for Meson, and without a warning of Meson's."""
+    """It builds without a warning of Meson's, by the lines for Meson that the page shows."""
     require("meson")
     require("ninja")
     page_s_lines = block_with(PAGE, "subdir(", "meson")
@@ -430,7 +430,10 @@ add_subdirectory(main)
 
 @pytest.mark.slow
 def test_the_robot_of_docs_porting_builds_as_a_component_of_esp_idf(tmp_path: Path) -> None:
-    """With the lines of the page, but a stand-in for the one function of ESP-IDF that they call."""
+    """It builds by the page's lines, and computes what the robot in Python does.
+
+    The one function of ESP-IDF that the lines call is a stand-in here.
+    """
     (tmp_path / "main").mkdir()
     begin_project(tmp_path / "main", vendor="../components/mcp_asdf")
     page_s_lines = block_with(PAGE, "idf_component_register", "cmake")
@@ -458,6 +461,7 @@ def ticks_until_a_swarm_agrees(filter_name: str, comms_period: int) -> float:
     [experiment] = m.grid(
         topology="dynamic", filter=filter_name, comms_period=comms_period, steps=20_000, trials=30
     )
+    # The column "k" has a list for each trial, with the tick from which on each robot agrees.
     ticks_by_robot_and_trial = m.simulate([experiment])["k"].to_pylist()
     return statistics.median(statistics.fmean(ticks) for ticks in ticks_by_robot_and_trial)
 
@@ -491,7 +495,7 @@ def robot_on_scripted_board(tmp_path: Path) -> Path:
 def test_the_robot_on_a_scripted_board_sends_what_the_robot_in_python_sends(
     robot_on_scripted_board: Path,
 ) -> None:
-    """Through 1500 ticks with packets of up to 15 others, of which some are damaged and some get lost."""
+    """In each of 1500 ticks it receives up to 15 packets, of which some are damaged and some get lost."""
     script = draw_script(seed=5, ticks=1500, tiles=(0, 1, 1, NO_TILE), most_packets=15)
 
     robot = subprocess.run(
@@ -691,13 +695,14 @@ class Kilobot:
 
     def broadcast(self) -> bytes:
         """Return the message that the robot sends now."""
-        address = self.machine.call("message_tx").value >> 16
+        address = self.machine.call("message_tx").value >> 16  # a pointer, in the upper half of 32 bits
         return bytes(self.machine.read(address, 12))
 
     def receive(self, message: bytes) -> None:
         """Let the robot receive a message from a robot nearby."""
         self.set_variable("kilo_heard", message)
-        self.machine.call("message_rx", (self.machine.image.address("kilo_heard"), 2), (0, 2))
+        message_pointer, no_distance = (self.machine.image.address("kilo_heard"), 2), (0, 2)  # of 2 bytes
+        self.machine.call("message_rx", message_pointer, no_distance)
 
     def run_loop(self, tick: int, light: int) -> int:
         """Run the robot's loop at a tick and in a light, and return x."""
@@ -710,7 +715,8 @@ class Kilobot:
 def kilobot_message(estimate: Estimate) -> bytes:
     """Return the message that a Kilobot makes of an estimate: node id, data, type and checksum."""
     frame = frames.encode_estimate(estimate, FORMAT)
-    return bytes([frame.arbitration_id & 0x7F, *frame.data, 0, 0x34, 0x12])
+    any_checksum = (0x34, 0x12)
+    return bytes([frame.arbitration_id & 0x7F, *frame.data, 0, *any_checksum])
 
 
 NOISE_MESSAGE = b"\xff" * 12
@@ -719,7 +725,8 @@ NOISE_MESSAGE = b"\xff" * 12
 def draw_messages(stream: random.Random) -> list[bytes]:
     """Draw the messages of no, one or nine robots that are not simulated, and one that is no estimate."""
     sender_ids = stream.sample(range(7, 40), stream.choice((0, 1, 9)))
-    estimates = [Estimate(sender, stream.randrange(2**23), 0x80000001, 0) for sender in sender_ids]
+    alpha = 0x80000001  # 1.0
+    estimates = [Estimate(sender, stream.randrange(2**23), alpha, transfer_id=0) for sender in sender_ids]
     return [*map(kilobot_message, estimates), NOISE_MESSAGE]
 
 
@@ -785,9 +792,9 @@ def kilobots(tmp_path: Path) -> list[KilobotWithTwin]:
 def test_two_kilobots_send_and_believe_what_their_twins_in_python_do(
     kilobots: list[KilobotWithTwin],
 ) -> None:
-    """In each of 40 rounds one receives the other's message, and some of robots that are not there.
+    """In each of 40 rounds each receives the other's message, and some of robots that are not simulated.
 
-    At the end of a round it measures the light: below 512 the floor is black, and sometimes there is none.
+    At the end of a round it measures the light, which sometimes fails; below 512 the floor is black.
     x is what a robot believes.
     """
     stream = random.Random(9)
@@ -806,9 +813,12 @@ def test_two_kilobots_send_and_believe_what_their_twins_in_python_do(
 
 @pytest.mark.slow
 def test_a_kilobot_ends_a_round_after_32_ticks(kilobots: list[KilobotWithTwin]) -> None:
-    """Only then it looks at the floor. x, what it believes, is 1/2 at first, and then the share of black."""
+    """Only then it looks at the floor. What it believes is 1/2 at first, and then the share of black so far.
+
+    ``run_loop`` returns it, in units of 2^-23.
+    """
     robot, _ = kilobots
-    half, one = 2**22, 2**23
+    half, one = 2**22, 2**23  # in units of 2^-23
     black, white = 0, 1023
 
     assert robot.kilobot.run_loop(tick=31, light=black) == half

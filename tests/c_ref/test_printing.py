@@ -12,7 +12,7 @@ import pytest
 
 from mcp_asdf_tools.bus.frames import Estimate, FrameFormat, encode_estimate
 from support import CORE, PAGES, PATIENCE, ROOT, TABLE, block_with, blocks, made_once, run
-from targets.test_khepera import LIBRARY
+from targets.test_khepera import STAND_IN_FOR_LIBRARY
 
 README, TUTORIAL = ROOT / "README.md", ROOT / "docs/robot_tutorial.md"
 KHEPERA = ROOT / "docs/platforms/khepera.md"
@@ -93,7 +93,8 @@ def bus_with_five_neighbours() -> str:
     """
     lines = ""
     for sender in range(5):
-        frame = encode_estimate(Estimate(sender, 7_549_747 + 999 * sender, 0x8000000A, 0), FrameFormat())
+        x_hat = 7_549_747 + 999 * sender  # 0.9 in units of 2^-23, and a bit more
+        frame = encode_estimate(Estimate(sender, x_hat, alpha=0x8000000A, transfer_id=0), FrameFormat())
         lines += f"T{frame.arbitration_id:08X}8{frame.data.hex().upper()}\\r"
     return REPLACED_BUS.format(lines=lines)
 
@@ -131,12 +132,13 @@ def test_the_second_robot_of_the_tutorial_prints_the_same_on_32_bits_as_on_this_
 def test_the_sensor_of_the_khepera_prints_the_mean_of_each_line(
     tmp_path: Path, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
-    """The library of its maker is replaced by one that reads a file, with two readings in each line.
+    """The sensor is a C program of docs/platforms/khepera.md, which prints the mean of two readings.
 
-    The third reading fails, for which the program prints -1.
+    In the place of its maker's library is one that reads a file, with two readings in each line. The third
+    line stands for a failure, for which the program prints -1.
     """
     (tmp_path / "ground").write_text("200 300\n1000 1023\n-1 0\n")
-    program = KHEPERA_SENSOR.replace("#include <khepera/khepera.h>", LIBRARY)
+    program = KHEPERA_SENSOR.replace("#include <khepera/khepera.h>", STAND_IN_FOR_LIBRARY)
     program = program.replace('"ground"', f'"{tmp_path}/ground"')
 
     output = build_and_run(WITH_32_BITS, program, tmp_path_factory)

@@ -146,7 +146,8 @@ def test_the_robot_loses_only_messages_that_find_the_queue_full(radio_robot: Rad
     radio_robot.receive(*messages)
     radio_robot.robot.step(True)
 
-    assert radio_robot.beta() == 20 * 100 * 2**24
+    room_in_queue, confidence_of_each = 20, 100 * 2**24
+    assert radio_robot.beta() == room_in_queue * confidence_of_each
 
 
 @pytest.mark.parametrize("radio_robot", ["crazyflie"], indirect=True)

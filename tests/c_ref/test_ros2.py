@@ -131,7 +131,10 @@ def test_a_node_publishes_its_state_after_each_round() -> None:
 
 
 def test_a_node_ignores_its_own_estimates() -> None:
-    """It subscribes to the topic to which it publishes, and the firmware would reject a message of itself."""
+    """It subscribes to the topic to which it publishes, so the stub of ROS brings it its own message.
+
+    If it passed that on, the firmware would reject it, and count it.
+    """
     node = start_node(3)
 
     end_round(node)
@@ -168,7 +171,7 @@ def test_a_node_with_the_paper_s_filter_re_estimates_its_accuracy() -> None:
     node = start_node(3, filter="adaptive", filter_period=1, initial_b_hat=0.55, omega=0.1, neighbours=2)
     for _ in range(20):
         environment.publish("/robot_3/black", Bool(True))
-    three_quarters = 3 * 2**23 // 4
+    three_quarters = 3 * 2**23 // 4  # x_hat is in units of 2^-23
     environment.publish("/estimates", Estimate(sender=1, x_hat=three_quarters, alpha=ALPHA))
     environment.publish("/estimates", Estimate(sender=2, x_hat=three_quarters, alpha=ALPHA))
 

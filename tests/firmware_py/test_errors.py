@@ -37,7 +37,8 @@ from robots import (
     restore_robot,
 )
 
-EPSILON = 2.0**-20
+B_HAT_MARGIN = 2.0**-20
+"""How far an accuracy has to be from 0 and 1."""
 ADAPTIVE = Config(table=TABLE, filter_period=1)
 
 BELOW_0 = -1e-9
@@ -66,7 +67,7 @@ def make_robot_with_memory(firmware: Firmware) -> Robot:
 @for_every_firmware
 @pytest.mark.parametrize("sender", [OWN_ID, 128, -1, 256 + 4])
 def test_a_message_of_an_invalid_sender_is_rejected(firmware: Firmware, sender: int) -> None:
-    """Ids are 0 to 127, and a robot receives no message of its own."""
+    """Ids are 0 to 127, and a robot receives no message of its own. The error names the sender."""
     robot = make_robot(firmware)
 
     with pytest.raises(FirmwareError, match=f"sender is {sender};") as error:
@@ -85,7 +86,7 @@ def test_the_smallest_and_the_largest_id_may_send(firmware: Firmware, sender: in
 @for_every_firmware
 @pytest.mark.parametrize("x_hat", [ABOVE_1, BELOW_0, math.nan, math.inf])
 def test_a_message_with_an_estimate_beyond_0_and_1_is_rejected(firmware: Firmware, x_hat: float) -> None:
-    """x_hat is the share of black tiles that the sender estimates."""
+    """x_hat is the share of black tiles that the sender estimates. The error names it."""
     robot = make_robot(firmware)
 
     with pytest.raises(FirmwareError, match=re.escape(f"x_hat is {x_hat};")) as error:
@@ -108,7 +109,7 @@ def test_of_a_wrong_sender_and_a_wrong_estimate_the_sender_is_reported(firmware:
 def test_a_rejected_message_is_counted_and_changes_nothing_else(
     firmware: Firmware, sender: int, x_hat: float
 ) -> None:
-    """It has an id above 127 or an estimate above 1."""
+    """It has an id above 127 or an estimate above 1, and raises an error."""
     robot = make_robot_with_memory(firmware)
     state_before = visible_state(robot)
 
@@ -125,7 +126,7 @@ def test_a_rejected_message_is_counted_and_changes_nothing_else(
 def test_an_alpha_that_is_no_confidence_raises_and_changes_nothing(
     firmware: Firmware, alpha: float, sender: int, x_hat: float
 ) -> None:
-    """A confidence is finite and not negative. No bus can bring another one: it is the fault of a program.
+    """A confidence is finite and has no minus sign. No bus can bring another one, only a wrong program.
 
     So the message is not counted as rejected, whether or not its sender and its x_hat are valid.
     """
@@ -181,7 +182,7 @@ def test_a_raw_alpha_that_has_not_32_bits_raises(firmware: FixedPointFirmware, a
 
 @for_fixed_point_firmwares
 def test_messages_in_an_array_are_received_in_order(firmware: FixedPointFirmware) -> None:
-    """Each row has sender, x_hat and alpha. The robot becomes the one that receives them one by one."""
+    """Each row has sender, x_hat and alpha. A robot that receives them one by one has the same memory."""
     messages = [
         (1, HALF, ALPHA_ONE),  # accepted
         (1, ONE, ALPHA_ONE),  # repeated
@@ -263,8 +264,8 @@ def test_a_step_with_an_invalid_observation_does_not_end_the_round(firmware: Fir
 # --- Images ----------------------------------------------------------------------------------------------
 
 
-FITTING = replace(NO_FILTER, filter_period=9, memory=84)
-"""A config that fits `saved_image`."""
+FITTING_CONFIG = replace(NO_FILTER, filter_period=9, memory=84)
+"""A config that fits `saved_image`, which has fewer observations than its memory and fewer rounds left."""
 
 
 def saved_image(firmware: FixedPointFirmware) -> bytes:
@@ -285,7 +286,7 @@ def status_of_restore(firmware: FixedPointFirmware, config: Config, image: bytes
 def test_a_robot_is_restored_from_any_bytes_like_object(firmware: FixedPointFirmware) -> None:
     """An image is the bytes of a saved robot. The annotation allows bytes alone, and views work, too."""
     image = saved_image(firmware)
-    robot = firmware.restore(FITTING, memoryview(image))  # type: ignore[arg-type]
+    robot = firmware.restore(FITTING_CONFIG, memoryview(image))  # type: ignore[arg-type]
     assert robot.save() == image
 
 
@@ -293,7 +294,7 @@ def test_a_robot_is_restored_from_any_bytes_like_object(firmware: FixedPointFirm
 def test_restoring_a_robot_from_a_number_raises(firmware: FixedPointFirmware) -> None:
     """``bytes(124)`` are 124 zeros: a conversion would take the size of an image for an image."""
     with pytest.raises(TypeError):
-        firmware.restore(FITTING, IMAGE_SIZE)  # type: ignore[arg-type]
+        firmware.restore(FITTING_CONFIG, IMAGE_SIZE)  # type: ignore[arg-type]
 
 
 # design: R31
@@ -305,7 +306,7 @@ def test_no_robot_is_restored_from_bytes_that_no_robot_saved(firmware: FixedPoin
     all_zeros, backwards = bytes(IMAGE_SIZE), bytes(reversed(image))
 
     for wrong_image in (b"", without_last_byte, with_a_byte_more, all_zeros, backwards):
-        assert status_of_restore(firmware, FITTING, wrong_image) == Status.ERR_IMAGE, wrong_image.hex()
+        assert status_of_restore(firmware, FITTING_CONFIG, wrong_image) == Status.ERR_IMAGE, wrong_image.hex()
 
 
 # design: R31
@@ -313,13 +314,13 @@ def test_no_robot_is_restored_from_bytes_that_no_robot_saved(firmware: FixedPoin
 @pytest.mark.parametrize(
     ("config", "status"),
     [
-        pytest.param(FITTING, Status.OK, id="it fits"),
-        pytest.param(replace(FITTING, memory=80), Status.ERR_IMAGE, id="t has to be below the memory"),
+        pytest.param(FITTING_CONFIG, Status.OK, id="it fits"),
+        pytest.param(replace(FITTING_CONFIG, memory=80), Status.ERR_IMAGE, id="t has to be below the memory"),
         pytest.param(
-            replace(FITTING, filter_period=7), Status.ERR_IMAGE, id="more rounds left than a period"
+            replace(FITTING_CONFIG, filter_period=7), Status.ERR_IMAGE, id="more rounds left than a period"
         ),
         pytest.param(Config(filter=Filter.ROBUST), Status.ERR_IMAGE, id="saved with another filter"),
-        pytest.param(replace(FITTING, memory=1), Status.ERR_CONFIG, id="no robot has this memory"),
+        pytest.param(replace(FITTING_CONFIG, memory=1), Status.ERR_CONFIG, id="no robot has this memory"),
         pytest.param(Config(table=None), Status.ERR_TABLE, id="this filter needs a table"),
     ],
 )
@@ -370,7 +371,7 @@ def test_the_error_for_a_saved_robot_with_a_wrong_bit_says_that_it_is_damaged(
     image[-1] ^= 1
 
     with pytest.raises(FirmwareError, match="the image is damaged"):
-        firmware.restore(FITTING, bytes(image))
+        firmware.restore(FITTING_CONFIG, bytes(image))
 
 
 @for_fixed_point_firmwares
@@ -381,7 +382,7 @@ def test_the_error_for_a_saved_robot_of_other_settings_says_that_it_does_not_fit
     image = saved_image(firmware)
 
     with pytest.raises(FirmwareError, match="does not fit the configuration"):
-        firmware.restore(replace(FITTING, filter_period=7), image)
+        firmware.restore(replace(FITTING_CONFIG, filter_period=7), image)
 
 
 def state_or_error(firmware: FixedPointFirmware, config: Config, image: bytes) -> object:
@@ -433,10 +434,11 @@ def test_the_c_and_the_python_robot_refuse_the_same_images_and_restore_the_same_
 # --- Settings --------------------------------------------------------------------------------------------
 
 VALID_TABLE = Table(omega_word=1 << 30, entries=(2**32 - 2, 3 << 26, (1 << 26) + 1))
+"""A table for an omega of 1/4, whose entries fall from nearly 64 to just above 1, in units of 2**-26."""
 
 
 def falling_entries(count: int) -> tuple[int, ...]:
-    """Return so many entries that fall strictly and are above 9."""
+    """Return so many entries that fall strictly and are above 9, in units of 2**-26."""
     return tuple(range((9 << 26) + count, 9 << 26, -1))
 
 
@@ -445,9 +447,11 @@ INVALID_ENTRIES = (
     *((3 << 26, (3 << 26) + 1), (3 << 26, 3 << 26), (4 << 26, 3 << 26, (3 << 26) + 1)),
     *((3 << 26, 1 << 26), (3 << 26, 1), (64 << 26, 2 << 26), (2**33 - 1, 2**31 + 1), (-1, 3 << 26), (-1, -2)),
 )
+"""Too few or too many entries, or such as do not fall, are not above 1, or have not 32 bits."""
 VALID_ENTRIES = (((1 << 26) + 2, (1 << 26) + 1), (2**32 - 1, 2**32 - 2), falling_entries(127))
 INVALID_MEMORY = (0, -64, 60, 62, 65, 66, 2**31 - 2, 2**31 + 4, 2**32 - 4, 2**32, 2**32 + 64)
-INVALID_B_HAT = (EPSILON - 2.0**-33, 1 - EPSILON + 2.0**-53, 0.0, 1.0, -0.5, math.nan, math.inf)
+"""A memory is a multiple of 4, from 64 to 2**31."""
+INVALID_B_HAT = (B_HAT_MARGIN - 2.0**-33, 1 - B_HAT_MARGIN + 2.0**-53, 0.0, 1.0, -0.5, math.nan, math.inf)
 
 
 def status_of_init(firmware: Firmware, **settings: Any) -> Status:
@@ -478,7 +482,7 @@ def status_of_init(firmware: Firmware, **settings: Any) -> Status:
         ("omega_word", Status.ERR_TABLE, (0, -1, MAX_OMEGA_WORD + 1, 2**32 + 5), (1, MAX_OMEGA_WORD)),
         ("entries", Status.ERR_TABLE, INVALID_ENTRIES, VALID_ENTRIES),
         ("robot_id", Status.ERR_ID, (-1, 128, 255, 256), (0, 127)),
-        ("b_hat", Status.ERR_B_HAT, INVALID_B_HAT, (EPSILON, 0.5, 1 - EPSILON)),
+        ("b_hat", Status.ERR_B_HAT, INVALID_B_HAT, (B_HAT_MARGIN, 0.5, 1 - B_HAT_MARGIN)),
     ],
 )
 def test_settings_are_valid_up_to_the_ends_of_their_ranges(

@@ -27,7 +27,8 @@ def test_the_limit_for_means_below_a_half_is_two_units_further_from_it() -> None
 
 
 def test_an_accuracy_is_damaged_if_a_value_kept_with_it_does_not_follow_from_it() -> None:
-    accuracy = accuracy_of(Q32_HALF + Q32_HALF // 2)
+    three_quarters = Q32_HALF + Q32_HALF // 2
+    accuracy = accuracy_of(three_quarters)
     assert is_valid_accuracy(accuracy)
 
     assert not is_valid_accuracy(replace(accuracy, rare=accuracy.rare + 1))

@@ -69,7 +69,7 @@ def test_the_robust_filter_has_the_same_constants_in_c_and_python(name: str) -> 
     """They are macros of a private header, which the compiled module does not show: so its text is read."""
     header = (ROOT / "c_ref/src/mcp_asdf_robust.h").read_text(encoding="utf-8")
 
-    # A number stands there as 12, 12U or UINT32_C(12).
+    # The line is "#define NAME 12", in which the number may also be 12U or UINT32_C(12).
     [value_in_c] = re.findall(rf"^#define {name} (?:UINT32_C\()?(\d+)U?\)?$", header, re.MULTILINE)
 
     assert int(value_in_c) == getattr(robust_filter, name)
@@ -113,6 +113,7 @@ def overwrite_freed_memory() -> None:
 
 def test_the_settings_of_a_c_robot_are_not_freed_while_it_lives() -> None:
     """The C robot has a pointer to them, which Python's garbage collector does not see."""
+    # A copy of the table, to which nothing else refers.
     robot = NativeRobot(Config(replace(TABLE), filter_period=7), OWN_ID, b_hat=0.8)
 
     overwrite_freed_memory()

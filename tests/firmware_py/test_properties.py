@@ -45,6 +45,7 @@ SPECIAL_ALPHA_WORDS = (
     *(0, 0x1F, ALPHA_MIN, 0x1E0, 0x101, 0x7FFFFF00, 0x80000000),
     *(ALPHA_ONE, 0xFFFFFF08, 0x80000009, ALPHA_MAX, 2**32 - 1),
 )
+"""Their mantissa, above 8 bits of a shift, is 0, small, nearly full or full. Some shifts are too large."""
 SPECIAL_X_HATS = (0, 1, HALF - 1, HALF, HALF + 1, ONE - 1, ONE)
 x_hats = st.sampled_from(SPECIAL_X_HATS) | st.integers(0, ONE)
 alpha_words = st.sampled_from(SPECIAL_ALPHA_WORDS) | st.integers(0, 2**32 - 1)
@@ -57,7 +58,9 @@ robust_message_lists = st.lists(
 )
 slot_estimates = st.sampled_from((0, 1, 2**15, 2**16 - 1)) | st.integers(0, 2**16 - 1)
 centres = st.sampled_from((0, 1, 2**29, 2**30)) | st.integers(0, 2**30)
-spreads = st.sampled_from((2**18, 2**28)) | st.integers(2**18, 2**28)
+LEAST_SPREAD, LARGEST_SPREAD = 2**30 // 2**12, 2**30 // 4
+"""2**-12 and 1/4 in units of 2**-30."""
+spreads = st.sampled_from((LEAST_SPREAD, LARGEST_SPREAD)) | st.integers(LEAST_SPREAD, LARGEST_SPREAD)
 
 
 def random_messages(count: int) -> list[RawMessage]:
@@ -82,6 +85,7 @@ call_lists = st.lists(
     max_size=200,
 )
 colours = st.sampled_from((Observation.WHITE, Observation.BLACK))
+# In units of 2**-32: the ends of the range, 1/4, 1/2 and 2**-13 beside it, 3/4, any, and those near 1.
 b_hats = (
     st.sampled_from((2**12, 2**30, 2**31 - 2**19, 2**31, 2**31 + 2**19, 3 << 30, 2**32 - 2**12))
     | st.integers(2**12, 2**32 - 2**12)
@@ -102,7 +106,7 @@ def test_a_confidence_becomes_the_largest_alpha_word_not_above_it(units: int) ->
     word = alpha_word_from_units(units)
 
     mantissa, shift = word >> 8, word & 0xFF
-    units_of_alpha_max = 2**55 - 2**31
+    units_of_alpha_max = (2**24 - 1) << 31  # the largest mantissa and the largest shift
     if units >= units_of_alpha_max:
         assert word == ALPHA_MAX
     else:
@@ -202,7 +206,7 @@ def test_a_neighbour_s_vote_moves_a_robot_towards_it_and_never_beyond(
 def test_a_neighbour_s_vote_changes_the_spread_by_at_most_a_sixteenth(
     firmware: FixedPointFirmware, vote: int, centre: int, spread: int, votes: int
 ) -> None:
-    """Property I25: and the spread of the votes stays between 2**-12 and 1/4.
+    """Property I25: the spread of the votes also stays between 2**-12 and 1/4.
 
     A vote is in units of 2**-16, centre and spread in units of 2**-30; ``votes`` is how many there were.
     """
@@ -211,7 +215,7 @@ def test_a_neighbour_s_vote_changes_the_spread_by_at_most_a_sixteenth(
     robot.settle()  # the neighbour votes
 
     new_spread = robot.state()["robust_spread"]
-    assert 2**18 <= new_spread <= 2**28
+    assert LEAST_SPREAD <= new_spread <= LARGEST_SPREAD
     assert abs(new_spread - spread) <= spread / 16
 
 

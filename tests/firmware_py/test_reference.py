@@ -44,6 +44,7 @@ from support import draws, slow
 TRACES = Path(__file__).parents[1] / "data" / "traces"
 OMEGA = 0.05
 ULP = Fraction(1, 2**53)
+"""The largest error of one rounding to float64, relative to the result."""
 QUANTITIES = ("x_hat", "alpha", "x_bar", "beta", "x", "b_hat")
 
 # --- The authors' own numbers ------------------------------------------------------------------------
@@ -125,7 +126,7 @@ def test_robots_compute_what_the_authors_programs_did_until_the_first_filter() -
     """
     data = load_trace(TRACE_A)
 
-    robots = repeat_run(data, "m-1", PAPER, steps=1001)
+    robots = repeat_run(data, block="m-1", conventions=PAPER, steps=1001)
 
     assert sum(robot.counters.tests for robot in robots) == 10, "one of each robot"
 
@@ -194,16 +195,20 @@ def test_a_robot_s_estimate_is_the_likeliest_share_of_black(n_and_t: tuple[int, 
 def test_a_robot_s_confidence_is_equation_4_as_the_paper_prints_it(
     n_and_t: tuple[int, int], b: Fraction
 ) -> None:
-    """The code has a shorter form. n of t observations were black, and the sensor's accuracy is b."""
+    """The code has shorter formulas, which must give the same fraction in all three cases of x_hat.
+
+    n of t observations were black, and the sensor's accuracy is b.
+    """
     n, t = n_and_t
+    white_count = t - n
     d = 2 * b - 1
     x_hat = local_estimate(n, t, b)
     if x_hat == 0:
-        printed = d**2 * (t * b**2 - d * (t - n)) / (b**2 * (b - 1) ** 2)
+        printed = d**2 * (t * b**2 - d * white_count) / (b**2 * (b - 1) ** 2)
     elif x_hat == 1:
         printed = d**2 * (t * b**2 - d * n) / (b**2 * (b - 1) ** 2)
     else:
-        printed = d**2 * Fraction(t**3, n * (t - n))
+        printed = d**2 * Fraction(t**3, n * white_count)
 
     assert local_confidence(n, t, b) == printed
 
@@ -284,7 +289,10 @@ four_seeds = pytest.mark.parametrize("seed", range(4))
 
 @four_seeds
 def test_estimates_in_float64_are_right_to_the_last_bits(seed: int) -> None:
-    """The same function computes them in exact fractions."""
+    """The same function computes them in exact fractions, from which they differ by four roundings at most.
+
+    Only where 2 b - 1 is small, by which the function divides, the errors may be larger.
+    """
     rng = random.Random(seed)
     for _ in range(500):
         n, t = draw_counts(rng)
@@ -304,9 +312,9 @@ def case_of_eq_4(x_hat: float | Fraction) -> str:
 
 @four_seeds
 def test_confidences_in_float64_are_right_to_the_last_bits(seed: int) -> None:
-    """The same function computes them in exact fractions.
+    """The same function computes them in exact fractions, from which they differ by eight roundings at most.
 
-    alpha is continuous where eq. 4 changes its case, but has a kink that the rounding of n / t feels.
+    An error may be larger where the rounding of n / t leads to another case of eq. 4: alpha has a kink there.
     """
     rng = random.Random(seed)
     for _ in range(500):
@@ -331,9 +339,9 @@ def draw_informative_x_bar(rng: random.Random) -> float:
 
 @four_seeds
 def test_updated_accuracies_in_float64_are_right_to_the_last_bits(seed: int) -> None:
-    """The same function computes them in exact fractions. x_bar is what the neighbours estimate.
+    """The same function computes them in exact fractions, from which they differ by four roundings at most.
 
-    The nearer it is to a half, the more of its last bits the difference 2 x_bar - 1 loses.
+    x_bar is what the neighbours estimate. Near a half the errors may be larger: 2 x_bar - 1 is small there.
     """
     rng = random.Random(seed)
     for _ in range(500):
@@ -523,7 +531,10 @@ def test_the_authors_programs_limit_the_results_of_divisions_by_zero(n: int, x_h
 
 @pytest.mark.parametrize(("conventions", "margin"), [(PAPER, 2**-20), (AUTHORS, 1e-6)])
 def test_an_updated_accuracy_stays_off_zero_and_one(conventions: Conventions, margin: float) -> None:
-    """A robot that always sees what its neighbours say would have an accuracy of 1, or else of 0."""
+    """A robot that always sees what its neighbours say would have an accuracy of 1, or else of 0.
+
+    Here all neighbours say that every tile is black. Its accuracy is off 1 or 0 by ``margin``.
+    """
     always_right = assumed_accuracy_update(n=6, t=6, x_bar=1.0, conventions=conventions)
     always_wrong = assumed_accuracy_update(n=0, t=6, x_bar=1.0, conventions=conventions)
     assert always_right == 1 - margin
@@ -532,16 +543,19 @@ def test_an_updated_accuracy_stays_off_zero_and_one(conventions: Conventions, ma
 
 @pytest.mark.parametrize("conventions", [PAPER, AUTHORS])
 def test_only_the_authors_robots_may_assume_an_accuracy_next_to_0_or_1(conventions: Conventions) -> None:
-    """Where all neighbours say that all is black, x_bar = 1, eq. 8 gives the share of black observations."""
-    rare, t = 1, 2**30
+    """Where all neighbours say that all is black, x_bar = 1, eq. 8 gives the share of black observations.
 
-    nearly_0 = assumed_accuracy_update(rare, t, x_bar=1.0, conventions=conventions)
-    nearly_1 = assumed_accuracy_update(t - rare, t, x_bar=1.0, conventions=conventions)
+    The robots of the paper keep off 0 and 1 by ``B_HAT_MARGIN``.
+    """
+    rare_count, t = 1, 2**30
+
+    nearly_0 = assumed_accuracy_update(rare_count, t, x_bar=1.0, conventions=conventions)
+    nearly_1 = assumed_accuracy_update(t - rare_count, t, x_bar=1.0, conventions=conventions)
 
     if conventions == PAPER:
         assert (nearly_0, nearly_1) == (B_HAT_MARGIN, 1 - B_HAT_MARGIN)
     else:
-        assert (nearly_0, nearly_1) == (rare / t, (t - rare) / t)
+        assert (nearly_0, nearly_1) == (rare_count / t, (t - rare_count) / t)
 
 
 @pytest.mark.parametrize(("n", "b"), [(0, 1.0), (5, 0.0), (0, 0.0), (5, 1.0)])
@@ -615,7 +629,7 @@ def test_omega_comes_from_the_table_or_is_given_beside_it(
 ) -> None:
     """omega decides how much a robot may deviate from its neighbours before it updates its accuracy.
 
-    This one deviates by 2.5 of their standard deviations; the limit is 1.06 of them, or 5.5 for omega = 0.9.
+    This one deviates by 2.1 of their standard deviations; the limit is 1.06 of them, or 5.5 for omega = 0.9.
     """
     if is_in_table:
         table = replace(TABLE, omega_word=round(omega * 2**32 - 0.5))
@@ -671,9 +685,9 @@ def draw_life() -> Iterator[Tick]:
         z = Observation(rng.random() < 0.9 * fill_ratio + 0.1 * (1 - fill_ratio))
         late_senders = (rng.randrange(1, 4), rng.randrange(30, 37), rng.randrange(30, 37), 3, OWN_ID)
         senders = () if tick < 60 else (1, 33) if tick < 120 else late_senders
-        on_grid = [math.floor(x_hat * 2**23) / 2**23 for x_hat in x_hats]
+        whole_units_of_messages = [math.floor(x_hat * 2**23) / 2**23 for x_hat in x_hats]
         alpha = 0.0 if tick % 50 == 5 else 1.0
-        yield Tick(z, list(zip(senders, on_grid, strict=False)), alpha)
+        yield Tick(z, list(zip(senders, whole_units_of_messages, strict=False)), alpha)
 
 
 def assert_same_values(reference: ReferenceRobot, mirror: MirrorRobot) -> None:

@@ -214,7 +214,10 @@ def run_round(swarm: list[Robot], rng: random.Random) -> None:
 def test_robots_that_all_receive_each_other_s_estimates_believe_the_same_to_the_last_bit(
     firmware: Firmware,
 ) -> None:
-    """They have different accuracies, observe different tiles, and receive in different orders."""
+    """They have different accuracies, observe different tiles, and receive in different orders.
+
+    After each round x, what a robot believes, is the same number in all of them.
+    """
     rng = random.Random(0)
     swarm = [make_robot(firmware, ALWAYS, rng.uniform(0.6, 0.99), robot_id) for robot_id in range(10)]
 

@@ -40,8 +40,8 @@ from robots import (
 ONLY_VOTES = replace(ROBUST, filter_period=1000)
 """Parameters of a robot whose rounds have votes, but no test of its accuracy in these short tests."""
 
-LARGEST_ESTIMATE = (1 << 24) - (1 << 8)
-"""The largest estimate of a slot in units of 2**-24."""
+LARGEST_ESTIMATE = (2**16 - 1) * 2**8
+"""The largest estimate of a slot, which has 16 bits, in units of 2**-24."""
 INDEPENDENT = 256
 """The dispersion of independent observations: 1 in units of 2**-8."""
 
@@ -134,7 +134,7 @@ def test_a_robot_remembers_its_neighbours_while_it_hears_nobody(firmware: FixedP
 def test_an_estimate_is_rounded_to_the_nearest_that_a_slot_can_hold(
     firmware: FixedPointFirmware, x_hat: int, slot_estimate: int
 ) -> None:
-    """A slot has units of 2**-16, of which the largest number is below 1; x_hat has units of 2**-23."""
+    """x_hat has units of 2**-23. A slot has units of 2**-16, which are 128 of these, up to 65535 of them."""
     robot = firmware(ROBUST, OWN_ID, b_hat=0.95)
     robot.receive_raw(sender=1, x_hat=x_hat, alpha=ALPHA_ONE)
     assert filled_slots(robot) == {1: slot_estimate}
@@ -284,12 +284,12 @@ def test_the_smallest_confidence_is_enough_for_a_robot_to_vote(
 ) -> None:
     """Slot 0 has voted, so it is the robot's own turn; without confidence slot 0 votes again.
 
-    The confidence is written into a saved robot. That its b_hat was re-estimated just now is written, too:
-    otherwise the confidence would have to follow from its observations, and the robot could not be restored.
+    The confidence is written into a saved robot, and so is a flag that its b_hat was re-estimated just now.
+    Without the flag such a robot could not be restored, as its confidence does not follow from its tiles.
     """
     image = restore_robust_robot(firmware, t=1, estimates=[0], turn=1, votes=1).save()
-    alpha_word, id_word, is_updated = 5, 37, 1 << 16
-    changes = (alpha_word, alpha, id_word, OWN_ID << 24 | is_updated)
+    index_of_alpha, index_of_id, flag_of_update = 5, 37, 1 << 16
+    changes = (index_of_alpha, alpha, index_of_id, OWN_ID << 24 | flag_of_update)
     robot = firmware.restore(ROBUST, edited_image(image, Call("restore", changes)))
 
     assert voters_of_rounds(robot, rounds=1) == [voter]
@@ -384,9 +384,9 @@ def test_the_more_votes_there_were_the_less_one_more_counts(
 @pytest.mark.parametrize(
     ("slot_estimate", "sixteenths"),
     [
-        (0x8000 + (1 << 12), 15),  # the distance is the spread
-        (0x8000 + (1 << 12) + 1, 17),
-        (0x8000 - (1 << 12) - 1, 17),
+        (2**15 + 2**12, 15),  # 1/2 + 1/16: the distance is the spread
+        (2**15 + 2**12 + 1, 17),
+        (2**15 - 2**12 - 1, 17),
     ],
 )
 def test_a_vote_outside_the_spread_widens_it_by_a_sixteenth_and_one_inside_narrows_it(
@@ -405,14 +405,14 @@ def test_a_vote_outside_the_spread_widens_it_by_a_sixteenth_and_one_inside_narro
 @pytest.mark.parametrize(
     ("limit", "slot_estimate"),
     [
-        pytest.param(2**18, 0x8000, id="narrowed by a vote in the middle"),
+        pytest.param(2**18, 2**15, id="narrowed by a vote in the middle"),
         pytest.param(2**28, 0, id="widened by a vote at the end"),
     ],
 )
 def test_no_vote_brings_the_spread_beyond_its_limits(
     firmware: FixedPointFirmware, limit: int, slot_estimate: int
 ) -> None:
-    """They are 2**-12 and 1/4, in units of 2**-30."""
+    """They are 2**-12 and 1/4, in units of 2**-30. An estimate of 1/2 in units of 2**-16 is 2**15."""
     robot = restore_robust_robot(firmware, estimates=[slot_estimate], votes=1, spread=limit)
 
     robot.settle()  # the neighbour votes
@@ -587,7 +587,7 @@ def test_a_robot_keeps_its_accuracy_at_the_very_limit_of_its_test(
 
     Counts for which both are equal are rare, so they were searched for: both sides are 43681824.
     """
-    largest_b_hat = 2**32 - 2**12
+    largest_b_hat = 2**32 - 2**12  # 1 - 2**-20 in units of 2**-32
     robot = restore_robust_robot(
         firmware,
         t=t,
@@ -812,14 +812,14 @@ def test_a_robot_whose_observations_vary_more_than_chance_forgives_a_larger_devi
 
     The status is UPDATED where the robot changes its accuracy, and OK where it does not.
     """
-    neighbours = [int(0.95 * 2**16)] * 5
+    estimates_of_neighbours = [int(0.95 * 2**16)] * 5
     robot = restore_robust_robot(
         firmware,
         t=1000,
         n=850,
         batch_t=1000,
         batch_n=850,
-        estimates=neighbours,
+        estimates=estimates_of_neighbours,
         dispersion=dispersion * INDEPENDENT,
     )
 
@@ -859,7 +859,7 @@ def test_a_saved_robot_has_the_memory_of_its_filter_in_the_documented_order() ->
 
     image = split_image(robot.save())
 
-    votes_and_dispersion = 28 << 16 | 27
+    votes_and_dispersion = 28 << 16 | 27  # the upper and the lower half of a word
     assert image.filter_words == [21, 22, 23, 24, 25, 26, votes_and_dispersion, 29]
 
 
@@ -957,28 +957,29 @@ def test_a_robot_with_members_at_an_end_of_their_range_is_restored(
 @pytest.mark.parametrize(
     "members",
     [
+        # b_hat is at least 2**-20, and at most 1 - 2**-20.
         {"initial_b_hat": 2**12 - 1, "b_hat": 2**12, "estimates": [0] * 5, "batch_t": 1},
         {"initial_b_hat": 2**32 - 2**12 + 1, "b_hat": 2**12, "estimates": [0] * 5, "batch_t": 1},
-        {"dispersion": 2**8 - 1, "batch_t": 1},
-        {"dispersion": 2**8 + 1, "batch_t": 0},
-        {"batch_t": 3, "batch_n": 4},
-        {"batch_t": 10, "batch_n": 5},
-        {"batch_t": 7, "batch_n": 0},
-        {"batch_t": 11, "batch_n": 4},
-        {"b_hat": OTHER_B_HAT, "estimates": [0] * 4, "batch_t": 1},
-        {"b_hat": OTHER_B_HAT, "estimates": [0] * 5, "batch_t": 0},
-        {"votes": 0, "centre": 2**29 + 1},
-        {"votes": 0, "spread": 2**28 - 1},
+        {"dispersion": 2**8 - 1, "batch_t": 1},  # below 1
+        {"dispersion": 2**8 + 1, "batch_t": 0},  # above 1 before the end of a batch
+        {"batch_t": 3, "batch_n": 4},  # more black observations than all
+        {"batch_t": 10, "batch_n": 5},  # more black ones than the 4 there are now
+        {"batch_t": 7, "batch_n": 0},  # more white ones than the 6 there are now
+        {"batch_t": 11, "batch_n": 4},  # more than the 10 there are now
+        {"b_hat": OTHER_B_HAT, "estimates": [0] * 4, "batch_t": 1},  # too few estimates for a test
+        {"b_hat": OTHER_B_HAT, "estimates": [0] * 5, "batch_t": 0},  # no run of the filter
+        {"votes": 0, "centre": 2**29 + 1},  # not 1/2 before the first vote
+        {"votes": 0, "spread": 2**28 - 1},  # not 1/4 before the first vote
         {"votes": 0, "turn": 1},
         {"votes": 1, "estimates": []},
         {"votes": 2**9 + 1},
-        {"centre": 2**30 + 1},
-        {"spread": 2**18 - 1},
-        {"spread": 2**28 + 1},
-        {"turn": 2},
-        {"turn": 33, "estimates": [0] * 32},
+        {"centre": 2**30 + 1},  # above 1
+        {"spread": 2**18 - 1},  # below 2**-12
+        {"spread": 2**28 + 1},  # above 1/4
+        {"turn": 2},  # after slot 1, which is empty
+        {"turn": 33, "estimates": [0] * 32},  # after slot 32, which is none
         {"turn": 256, "estimates": [0] * 32},
-        {"filled_slots": 0b10, "estimates": [1, 1]},
+        {"filled_slots": 0b10, "estimates": [1, 1]},  # an estimate in slot 0, which is not filled
     ],
 )
 def test_a_robot_with_members_that_no_calls_lead_to_is_not_restored(

@@ -24,6 +24,7 @@ from mcp_asdf.robust_reference import (
 from robots import OWN_ID, observe_tiles, receive_estimates
 
 ULP = Fraction(1, 2**53)
+"""The largest error of one rounding to float64, relative to the result."""
 
 # --- Votes -----------------------------------------------------------------------------------------------
 
@@ -76,7 +77,7 @@ def draw_votes(rng: random.Random) -> Votes[float]:
 
 
 def test_votes_in_float64_are_right_to_the_last_bits() -> None:
-    """The same function computes their centre and spread in exact fractions."""
+    """The same function computes their centre and spread in exact fractions, to one rounding."""
     rng = random.Random(23)
     for _ in range(500):
         before = draw_votes(rng)
@@ -104,7 +105,7 @@ def test_neighbours_vote_in_the_order_of_their_slots_and_the_robot_itself_after_
 
 
 def test_the_robot_s_own_estimate_is_a_vote_like_the_others() -> None:
-    """It votes, as there is no estimate in a slot from 10, whose turn it is, to 31."""
+    """It is the turn of slot 10. Slots 10 to 31 have no estimate, so the robot itself votes."""
     robust = RobustReference(initial_b_hat=0.75, estimates={9: 1.0}, turn=10)
     robust.take_vote(own_x_hat=0.75, has_confidence=True)
     assert robust.votes == Votes(centre=0.5 + 0.25 / 8, spread=0.25 - 0.25 / 16, count=1)
@@ -147,8 +148,8 @@ def test_senders_with_ids_equal_modulo_32_share_a_slot() -> None:
     ("batch_black_count", "dispersion"),
     [
         (50, 7 / 8 * 2),  # what was to be expected
-        (60, 7 / 8 * 2 + 4 / 8),  # two standard deviations more
-        (100, 7 / 8 * 2 + 24 / 8),  # ten standard deviations, which count as 12 times the dispersion
+        (60, 7 / 8 * 2 + 2**2 / 8),  # two standard deviations more
+        (100, 7 / 8 * 2 + 12 * 2 / 8),  # ten standard deviations, which count as 12 times the dispersion
     ],
 )
 def test_a_batch_moves_the_dispersion_by_an_eighth(batch_black_count: int, dispersion: float) -> None:
@@ -209,9 +210,10 @@ def test_the_spread_of_estimates_stays_within_its_limits(estimates: list[float],
 
 
 def test_an_outlier_moves_the_centre_by_the_spread_alone() -> None:
-    """Four estimates are inside, and balance the outlier's 0.0625 at a quarter of that."""
+    """The outlier, 0.9, moves the mean of the four others by a quarter of the spread."""
     estimates = [0.4375, 0.4375, 0.5, 0.5, 0.9]
-    assert huber_centre(estimates, middle=0.5, spread=0.0625) == 0.484375
+    mean_of_others = (0.4375 + 0.4375 + 0.5 + 0.5) / 4
+    assert huber_centre(estimates, middle=0.5, spread=0.0625) == mean_of_others + 0.0625 / 4
 
 
 def test_the_centre_of_estimates_without_an_outlier_is_their_mean() -> None:
@@ -231,12 +233,18 @@ def test_a_step_of_which_nobody_is_inside_is_not_divided() -> None:
 
 @pytest.mark.parametrize("estimate", [0.1, 0.9])
 def test_the_centre_of_estimates_stays_between_0_and_1(estimate: float) -> None:
-    """The first step, of 4 * 0.25, ends at 0 or 1; from 1/2 beyond the others would not lead back."""
+    """The first step is 4 * 0.25, and would lead from 1/2 to 3/2 or -1/2. It ends at 1 or 0 instead.
+
+    From there further steps lead back to the estimate of all.
+    """
     assert huber_centre([estimate] * 4, middle=0.5, spread=0.25) == pytest.approx(estimate)
 
 
 def test_the_centre_of_estimates_in_float64_is_right_to_the_last_bits() -> None:
-    """The same function computes it in exact fractions, from the estimates of 5 to 32 neighbours."""
+    """The same function computes it in exact fractions. It may differ by 16 roundings.
+
+    The estimates are those of 5 to 32 neighbours.
+    """
     rng = random.Random(23)
     for _ in range(100):
         estimates = [rng.random() for _ in range(rng.randint(5, 32))]
@@ -282,7 +290,8 @@ def test_the_limit_of_the_test_has_the_larger_variance_of_two_shares(n: int, cen
 def test_observations_at_the_limit_of_the_test_contradict_nothing() -> None:
     """Only beyond it a robot whose tiles were all black looks for an accuracy that explains them.
 
-    With an accuracy of 1/2 the squared deviation is 1/4 for every t, and the limit 12 / (4 t).
+    With an accuracy of 1/2 the squared deviation is 1/4 for every t, and the limit, 12 / (4 t), equals it for
+    12 tiles.
     """
     robust = RobustReference(0.5, estimates=dict.fromkeys(range(5), 0.5))
 
@@ -303,7 +312,7 @@ def test_the_spread_widens_the_limit_of_the_test() -> None:
 
 
 def test_the_sides_of_the_test_in_float64_are_right_to_the_last_bits() -> None:
-    """The same function computes them in exact fractions."""
+    """The same function computes them in exact fractions. They may differ by 8 and by 16 roundings."""
     rng = random.Random(23)
     for _ in range(500):
         t, dispersion = 10**6, rng.uniform(1, 256)

@@ -29,15 +29,18 @@ C_SOURCE = CORE.with_name("mcp_asdf_small.c")
 
 # --- Messages --------------------------------------------------------------------------------------------
 
+SHOWN_MESSAGE = bytes.fromhex("50FEFF55")
+"""The word 42 << 25 | 0xFFFF << 9 | 80, lowest byte first: id 42, x_hat = 1, and alpha = 1."""
+
 
 def test_a_message_has_the_bytes_that_the_specification_shows() -> None:
     """It is 32 bits: an id of 7, an x_hat of 16 and an alpha of 9."""
-    assert encode_message(42, ONE, alpha_word_from_float(1.0)) == bytes.fromhex("50FEFF55")
+    assert encode_message(42, ONE, alpha_word_from_float(1.0)) == SHOWN_MESSAGE
 
 
 def test_a_message_is_decoded_to_sender_x_hat_and_alpha() -> None:
     """ONE is 1.0 in the units of x_hat, and alpha is a word as the firmware has it."""
-    assert decode_message(bytes.fromhex("50FEFF55")) == (42, ONE, alpha_word_from_float(1.0))
+    assert decode_message(SHOWN_MESSAGE) == (42, ONE, alpha_word_from_float(1.0))
 
 
 def test_encoding_what_was_decoded_gives_the_same_bytes() -> None:
@@ -82,7 +85,9 @@ def test_the_smallest_and_the_largest_code_of_x_hat_stand_for_exactly_0_and_1(bi
 
 def test_x_hat_is_rounded_to_the_nearest_of_four_numbers() -> None:
     """In 2 bits these are 0, 1/3, 2/3 and 1, so the boundaries between them are 1/6, 1/2 and 5/6."""
-    last_of_code_0, last_of_code_1, last_of_code_2 = ONE // 6, HALF - 1, ONE - ONE // 6 - 1
+    last_of_code_0 = ONE // 6  # below 1/6, which is no whole number of units
+    last_of_code_1 = HALF - 1  # below 1/2, which is one, and is rounded up
+    last_of_code_2 = ONE - (last_of_code_0 + 1)  # mirrors the first number of code 1
 
     assert encode_x_hat(last_of_code_0, bits=2) == 0
     assert encode_x_hat(last_of_code_0 + 1, bits=2) == 1

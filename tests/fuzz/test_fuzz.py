@@ -12,7 +12,7 @@ import pytest
 from fuzz.harnesses import CHECKED, FAST, HARNESSES, PORTS
 from support import ROOT, slow
 
-MORE = 300_000
+MORE_INPUTS = 300_000
 """Inputs that the slow test tries with each harness."""
 QUICK_HARNESSES = ("multicast", "radio")
 SLOW_HARNESSES = [name for name in HARNESSES if name not in QUICK_HARNESSES]
@@ -49,15 +49,15 @@ def test_none_of_300_000_more_inputs_makes_a_port_crash_or_break_a_promise(
 ) -> None:
     """libFuzzer makes them from those that were kept. One that the harness does not survive ends the run."""
     inputs = HARNESSES[name].unpack(tmp_path / "inputs")
-    HARNESSES[name].run(inputs, FAST, f"-runs={MORE}")
-    assert tried_inputs(capfd) >= MORE
+    HARNESSES[name].run(inputs, FAST, f"-runs={MORE_INPUTS}")
+    assert tried_inputs(capfd) >= MORE_INPUTS
 
 
 def test_docs_trust_lists_the_harnesses_of_fuzzing() -> None:
     """docs/internals/trust.md has a table with a row for each, and the number of inputs that are tried."""
     page = (ROOT / "docs/internals/trust.md").read_text(encoding="utf-8").partition("## Fuzzing")[2]
     assert re.findall(r"^\| `(\w+)` \|", page, re.MULTILINE) == list(HARNESSES)
-    assert f"tries {MORE:,} more of each" in page
+    assert f"tries {MORE_INPUTS:,} more of each" in page
 
 
 @pytest.mark.slow

@@ -58,7 +58,7 @@ def test_each_change_that_is_listed_as_harmless_is_one_that_is_tried() -> None:
 
 
 def test_few_changes_are_listed_as_harmless_and_each_with_a_reason() -> None:
-    """Harmless is less than one in twenty, such as a comparison that no value decides otherwise."""
+    """Less than one change in twenty is, such as a comparison that no value decides otherwise."""
     assert len(EQUIVALENTS) < len(everything()) / 20
     for name, reason in EQUIVALENTS.items():
         assert len(reason) > 20, name
@@ -90,7 +90,7 @@ def test_the_firmware_without_a_mistake_passes_the_tests_that_find_mistakes() ->
 @pytest.mark.slow
 @pytest.mark.parametrize("part", range(PARTS))
 def test_every_mistake_fails_a_test(part: int, tmp_path: Path) -> None:
-    """A mistake is, say, a < that becomes a <=. They are tried in eight parts, at the same time."""
+    """A mistake is, say, a < that becomes a <=. The test runs eight times, with an eighth of them each."""
     mistakes_of_part = mistakes()[part::PARTS]
     assert survivors(mistakes_of_part, tmp_path) == []
 
@@ -115,7 +115,7 @@ def test_changes_that_are_listed_as_harmless_fail_no_test(tmp_path: Path) -> Non
         if reason != SAME_CODE and READS_BEYOND_AN_ARRAY not in reason
     ]
     for name in random.sample(names, DRAWN_HARMLESS_CHANGES):
-        killing_test = killer(everything()[name], tmp_path, most=1)
+        killing_test = killer(everything()[name], tmp_path, most=1)  # the first target alone
         assert killing_test == "", name
 
 

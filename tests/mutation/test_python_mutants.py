@@ -31,7 +31,7 @@ class Trial:
 
 
 def plant_mistakes(paths: list[str], sample: int) -> Trial:
-    """Plant so many random mistakes in files, and run the quick tests of each file's room.
+    """Plant so many random mistakes in files, and run the quick tests of each file's package.
 
     ``python -m mutation`` does it, in a process of its own: this one has imported the code without mistakes.
     The command that repeats the same mistakes is printed, with those that no test noticed.
@@ -62,7 +62,7 @@ def test_every_small_mistake_in_the_firmware_s_python_is_noticed_by_its_tests() 
 
 @pytest.mark.slow
 def test_most_small_mistakes_in_the_tools_are_noticed_by_their_quick_tests() -> None:
-    """A quarter is not, as it takes the slow tests. More than 16 of 40 would be one run in a hundred."""
+    """Only slow tests notice a quarter of them. So more than 16 of 40 are unnoticed in one of 100 runs."""
     trial = plant_mistakes([TOOLS], sample=40)
     assert trial.planted > 36
     assert trial.unnoticed <= 16

@@ -15,7 +15,8 @@ from proofs.source import ARITHMETIC, HEADER, HERE, LANES, LANES_HEADER, VARIANT
 from support import ROOT, require, run
 
 LEMMAS = sorted({name for variant in VARIANTS for name in contracts(variant)})
-LONG = ("divide_by_bits", "ratio", "shift_right_64")
+LONG_PROOFS = ("divide_by_bits", "ratio", "shift_right_64")
+"""Functions whose proofs only the slow tests have."""
 DEFINITION = re.compile(r"(?!#|typedef)[A-Za-z_].*?(\w+)\(.*\)( \{.*)?$")
 """The first line of one, which begins in the first column."""
 
@@ -27,7 +28,7 @@ def variants_to_prove(name: str) -> list[Variant]:
     ]
 
 
-@pytest.mark.parametrize("name", [name for name in LEMMAS if name not in LONG])
+@pytest.mark.parametrize("name", [name for name in LEMMAS if name not in LONG_PROOFS])
 def test_a_function_of_the_arithmetic_keeps_its_contract_in_a_variant(name: str) -> None:
     """A variant is how a target divides, multiplies and shifts. This is the first that has the function.
 
@@ -53,12 +54,12 @@ def build_every_divisor(divide: int, folder: Path) -> Path:
     Its exit code is 0 if all reciprocals are within the limits that the proofs assume. A sanitizer ends it
     at a conversion that does not fit.
     """
-    least, lost = PREPARED[divide]
+    least_divisor, lost_share = PREPARED[divide]
     definitions = {
         "MCP_ASDF_DIVIDE": divide,
-        "LEAST": least,
-        "LOST_TIMES": lost.numerator,
-        "LOST_OVER": lost.denominator,
+        "LEAST": least_divisor,
+        "LOST_TIMES": lost_share.numerator,
+        "LOST_OVER": lost_share.denominator,
     }
     flags = ["-std=c99", "-O2", "-fsanitize=undefined,float-cast-overflow", "-fno-sanitize-recover=all"]
     flags += [f"-D{name}={value}" for name, value in definitions.items()]
@@ -71,9 +72,9 @@ def build_every_divisor(divide: int, folder: Path) -> Path:
 
 @pytest.mark.parametrize("divide", PREPARED)
 def test_the_reciprocal_of_every_divisor_is_as_good_as_the_proofs_assume(divide: int, tmp_path: Path) -> None:
-    """The program tries all divisors, where reciprocals come from a table or from floats of 32 bits.
+    """A program tries all divisors, and ends with an error if a reciprocal is not as near as assumed.
 
-    They are too many operators for the solver, and not too many divisors for a computer.
+    Reciprocals come from a table or from floats of 32 bits, which are too hard for the solver.
     """
     run(build_every_divisor(divide, tmp_path))
 
@@ -112,7 +113,7 @@ def test_every_function_of_the_arithmetic_is_proved_in_some_variant() -> None:
 
 
 def test_the_page_about_trust_states_how_many_functions_and_targets_are_proved() -> None:
-    """``HERE`` has what targets choose that a compiler for this machine takes."""
+    """``HERE`` has what targets choose that a compiler for this machine takes. Eva analyses each choice."""
     definitions = written_definitions()
     names = {name for _path, _line, name in definitions}
     page = (ROOT / "docs/internals/trust.md").read_text(encoding="utf-8")
@@ -127,7 +128,7 @@ def line_count(name: str) -> int:
 
 
 def test_the_page_about_trust_states_how_long_the_code_is_that_gives_c_its_meaning() -> None:
-    """It does so to 50 lines: whoever does not trust the code knows how much to read."""
+    """The page rounds to 50 lines. Whoever does not trust the code knows how much to read."""
     page = (ROOT / "docs/internals/trust.md").read_text(encoding="utf-8")
     [stated_count] = re.findall(r"some (\d+) lines that give C its meaning", page)
     assert int(stated_count) == pytest.approx(line_count("machine.py") + line_count("numbers.py"), abs=50)

@@ -31,7 +31,7 @@ FIRMWARE = (CORE, SOURCES / "mcp_asdf_image.c", SOURCES / "mcp_asdf_frame.c", SO
 
 
 LEMMAS = [*formulas.CONTRACTS, *robust.CONTRACTS, *calls.CONTRACTS]
-LONG = ("take_vote", "asdf_test_rejects", "mcp_asdf_receive")
+LONG_PROOFS = ("take_vote", "asdf_test_rejects", "mcp_asdf_receive")
 """Functions whose proofs take so long that only the slow tests have them."""
 CORTEX_M4 = VARIANTS[0]
 
@@ -44,7 +44,7 @@ def prove_lemma_in(variants: Iterable[Variant], name: str) -> None:
     assert proved
 
 
-@pytest.mark.parametrize("name", [name for name in LEMMAS if name not in LONG])
+@pytest.mark.parametrize("name", [name for name in LEMMAS if name not in LONG_PROOFS])
 def test_a_function_keeps_its_contract_on_a_cortex_m4(name: str) -> None:
     """A contract says what a function promises for all arguments; one that is broken raises UnprovenError."""
     prove_lemma_in([CORTEX_M4], name)
@@ -80,8 +80,11 @@ The function's callers see to it.
 
 
 def prove_ends(code: Program, name: str, loop: Any) -> None:
-    """That a loop ends, whatever memory holds: a ``for`` by its counter alone, which rule 14.2 of MISRA keeps
-    its body from changing; another one with its function, on unknown arguments."""
+    """Prove that a loop ends, whatever memory holds.
+
+    Of a ``for`` the counter is enough, as its body does not change it (rule 14.2 of MISRA). A ``while`` needs
+    the whole function, with unknown arguments.
+    """
     if isinstance(loop, c_ast.While):
         prove_contract(code, name, {name: Contract(always, requires=REQUIREMENTS.get(name, always))})
         return
@@ -123,13 +126,13 @@ def test_no_function_calls_itself(path: Path, variant: Variant) -> None:
 
 
 def test_a_table_whose_length_is_accepted_has_at_most_129_words() -> None:
-    """The first word of a table is a constant plus its number of thresholds, q, and two more words follow.
+    """The first word of a table is "MCT" and its number of thresholds, q. Two more words follow these.
 
     The loop that reads it goes to the lowest byte of that word plus 2.
     """
-    constant = 0x4D435400
+    mct_without_q = 0x4D435400
     first_word = z3.BitVec("first_word", 32)
-    is_accepted = z3.And(z3.UGE(first_word, constant + 2), z3.ULE(first_word, constant + 127))
+    is_accepted = z3.And(z3.UGE(first_word, mct_without_q + 2), z3.ULE(first_word, mct_without_q + 127))
 
     last_index = z3.Extract(7, 0, first_word + 2)
 

@@ -12,6 +12,7 @@ from proofs.prove import Contract, UnprovenError, always, prove, prove_all, prov
 from proofs.source import VARIANTS, program
 
 NEVER = z3.BoolVal(False)
+LARGE_PRIME = 16769023
 
 
 @pytest.fixture(autouse=True)
@@ -22,7 +23,7 @@ def _give_up_soon(monkeypatch: pytest.MonkeyPatch) -> None:
 def factors_of_a_large_prime() -> tuple[Any, list[Any]]:
     """Return that the product of two numbers is a prime, and that both exceed 1, which is impossible."""
     p, q = z3.Ints("p q")
-    return p * q == 16769023, [p > 1, q > 1]
+    return p * q == LARGE_PRIME, [p > 1, q > 1]
 
 
 def test_a_claim_that_some_number_breaks_is_not_proved() -> None:

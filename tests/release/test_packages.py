@@ -111,7 +111,7 @@ build_wheel(sys.argv[1], {"wheel.cmake": "false"})
 
 @pytest.mark.slow
 def test_the_wheel_has_every_file_that_git_lists_of_the_packages(wheel: Path) -> None:
-    """And three compiled modules, and the firmware in C, which "mcp-asdf firmware" copies into projects."""
+    """It also has three compiled modules, and the firmware in C, which "mcp-asdf firmware" copies."""
     names_in_core = ["LICENSE", *names_in(CORE.parent)]
     firmware = {f"mcp_asdf/core/{name}" for name in names_in_core}
 
@@ -179,7 +179,10 @@ def test_the_commands_that_are_run_from_the_wheel_are_all() -> None:
 
 @pytest.mark.slow
 def test_every_command_runs_from_the_wheel(environment: Path, tmp_path: Path) -> None:
-    """With the files that two of them need; then files that are no Python are there, too."""
+    """None ends with an error, so the files of the wheel that are no Python are there, too.
+
+    Two commands read files that the test writes.
+    """
     (tmp_path / "readings.csv").write_text("100,black\n800,white\n" * 10)
     write_trial(tmp_path / "authors_trial.json", FIXED, 0)
 

@@ -55,14 +55,14 @@ def build(source: Path, out: Path) -> dict[str, str]:
     Returns the SHA-256 of each file that is built, by its path, and of those in the wheel.
     """
     copy_listed_files(source)
-    given = {"SOURCE_DATE_EPOCH": "1700000000", "CFLAGS": f"-g -ffile-prefix-map='{source}'=."}
+    environment = {"SOURCE_DATE_EPOCH": "1700000000", "CFLAGS": f"-g -ffile-prefix-map='{source}'=."}
     flags = ("-DCMAKE_BUILD_TYPE=RelWithDebInfo", "-DCMAKE_INSTALL_PREFIX=/usr")
-    run("cmake", "-S", source / "c_ref", "-B", source / "build", *flags, cwd=source, **given)
-    run("cmake", "--build", source / "build", cwd=source, **given)
-    run("cmake", "--install", source / "build", cwd=source, **given, DESTDIR=str(out / "library"))
+    run("cmake", "-S", source / "c_ref", "-B", source / "build", *flags, cwd=source, **environment)
+    run("cmake", "--build", source / "build", cwd=source, **environment)
+    run("cmake", "--install", source / "build", cwd=source, **environment, DESTDIR=str(out / "library"))
     options = ("--quiet", "--no-build-isolation", "--no-deps", "--no-index", "--wheel-dir", out)
     where = f"--config-settings=build-dir={source / 'build wheel'}"
-    run(sys.executable, "-m", "pip", "wheel", *options, where, source, cwd=source, **given)
+    run(sys.executable, "-m", "pip", "wheel", *options, where, source, cwd=source, **environment)
     [wheel] = out.glob("*.whl")
     zipfile.ZipFile(wheel).extractall(out / "contents")
     paths = sorted(path for path in out.rglob("*") if path.is_file())
@@ -71,7 +71,7 @@ def build(source: Path, out: Path) -> dict[str, str]:
 
 @pytest.mark.slow
 def test_two_builds_in_different_folders_give_the_same_bytes(tmp_path: Path) -> None:
-    """So that anybody can check that a published file comes from this source."""
+    """So anybody can check that a published file comes from this source: its hash is the same."""
     require("cmake")
 
     first = build(tmp_path / "first", tmp_path / "built first")

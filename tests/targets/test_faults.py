@@ -58,7 +58,7 @@ def test_no_check_of_the_node_with_a_replaced_system_fails(tmp_path: Path) -> No
     ],
 )
 def test_a_mistake_in_the_node_fails_a_check(file: str, right: str, wrong: str, tmp_path: Path) -> None:
-    """Checks that never fail would prove nothing. ``wrong`` takes the place of ``right``."""
+    """Checks that never fail would prove nothing. In a copy of the sources ``wrong`` replaces ``right``."""
     ports = tmp_path / "ports"
     shutil.copytree(PORTS, ports)
     source = ports / "linux" / file

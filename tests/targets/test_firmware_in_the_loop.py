@@ -141,7 +141,7 @@ class Model:
         return (b"Z\r" if frame.is_extended_id else b"z\r") + b"".join(map(format_frame_line, answers))
 
     def _command(self, command: bytes) -> bytes:
-        flags = b"F%02X\r" % (8 * (self.dropped > 0))
+        flags = b"F%02X\r" % (8 * (self.dropped > 0))  # bit 3 says that data were lost
         answer = {b"V": b"V1001\r", b"N": b"NASDF\r", b"F": flags}.get(command, b"\r")
         self.is_open = command == b"O" or (self.is_open and command != b"C")
         if command == b"O":
@@ -289,14 +289,17 @@ def test_a_robot_on_a_serial_line_of_this_computer_ends_with_its_input(build_ima
 def test_each_conversation_on_a_serial_line_has_many_damaged_lines_and_lost_commands(
     target: str, firmware_filter: Filter, seed: int
 ) -> None:
-    """So the test above tries what is rare. A tick is unsettled if the command that ends it gets lost."""
+    """So the test above tries what is rare. The model counts it.
+
+    A tick is unsettled if the command that ends it gets lost.
+    """
     model = Model(firmware_filter)
     for piece in draw_conversation(random.Random(seed)):
         model.answer(piece)
 
     assert model.dropped > 30, "lines that are neither a frame nor a command"
-    assert model.node.unsettled > 30
-    assert model.node.obeyed > 30
+    assert model.node.unsettled > 30, "ticks without their end"
+    assert model.node.obeyed > 30, "commands"
     assert model.node.robot.counters.tests > 0, "runs of the filter"
 
 
@@ -362,7 +365,7 @@ def commands_for_a_swarm(target: str) -> tuple[list[str], str]:
 @pytest.mark.slow
 @pytest.mark.parametrize("target", ["cortex-m3", "cortex-m4", "rv32imc"])
 def test_the_commands_of_docs_radio_run_a_swarm_with_an_emulated_board(target: str, tmp_path: Path) -> None:
-    """In a swarm of ten robots one is the board. All broadcasts are those of ten robots in Python.
+    """In a swarm of ten robots one is the board. The last command repeats all broadcasts in Python.
 
     The firmware is smaller than 8 KB, and has less than 1 KB of variables.
     """

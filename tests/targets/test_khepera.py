@@ -20,7 +20,7 @@ from support import ROOT, blocks, made_once, require, run
 from targets.c_node import CORTEX_A8
 
 PAGE = ROOT / "docs/platforms/khepera.md"
-LIBRARY = """\
+STAND_IN_FOR_LIBRARY = """\
 #include <stdio.h>
 #include <stdlib.h>
 #include <time.h>
@@ -46,6 +46,7 @@ static int kh4_proximity_ir(char *bytes, FILE *ground)
     return left < 0 ? -1 : 24;
 }
 """
+"""Takes the place of the Khepera's library: the readings of its two ground sensors come from a file."""
 
 
 def put_on_floor(folder: Path, brightness: int, reading_count: int) -> list[int]:
@@ -70,7 +71,7 @@ BUILD_NODE, BUILD_SENSOR, CALIBRATE, *_ = blocks(PAGE, "sh")
 
 
 def build_programs(folder: Path) -> None:
-    """Build node and sensor with the page's commands, but with Debian's compiler and the library above.
+    """Build node and sensor with the page's commands, but with Debian's compiler and STAND_IN_FOR_LIBRARY.
 
     Their names stand for scripts that run them in an emulator.
     """
@@ -78,7 +79,7 @@ def build_programs(folder: Path) -> None:
         (folder / name).symlink_to(ROOT / name)
     run("sh", "-exc", BUILD_NODE, cwd=folder)
     (folder / "khepera").mkdir()
-    (folder / "khepera/khepera.h").write_text(LIBRARY, encoding="ascii")
+    (folder / "khepera/khepera.h").write_text(STAND_IN_FOR_LIBRARY, encoding="ascii")
     (folder / "tile_sensor.c").write_text(blocks(PAGE, "c")[0], encoding="utf-8")
     replacements = {
         "arm-angstrom-linux-gnueabi-gcc": "arm-linux-gnueabihf-gcc -Wall -Wextra",
@@ -121,7 +122,7 @@ def service_command() -> str:
 
 @pytest.mark.slow
 def test_the_node_for_a_khepera_runs_on_its_linux_whatever_libraries_are_there(robot: Path) -> None:
-    """It has no dynamic section, uses float registers, and needs no later kernel than the page names."""
+    """readelf finds no dynamic section in it, float registers, and no later kernel than the page names."""
     notes = run("arm-linux-gnueabihf-readelf", "-ndA", robot / "build/khepera/mcp_asdf_node.arm")
 
     assert "There is no dynamic section" in notes
@@ -132,7 +133,7 @@ def test_the_node_for_a_khepera_runs_on_its_linux_whatever_libraries_are_there(r
 
 def record_floor(robot: Path, command: str, brightness: int) -> None:
     """Let the sensor write what it reads over a floor to a file. It has to be what the floor is like."""
-    readings = put_on_floor(robot, brightness, 600)
+    readings = put_on_floor(robot, brightness, reading_count=600)
     run("sh", "-exc", command, cwd=robot)
     *_, file_name = command.split()
     written = (robot / file_name).read_text(encoding="ascii").split()
@@ -174,7 +175,7 @@ class Khepera:
 
 def run_as_service_says(folder: Path) -> Khepera:
     """Run the service's command, but on a bus of this test and ten times as fast."""
-    choice = multicast(93)
+    choice = multicast(group=93)
     command = replace_each(
         service_command(),
         {
@@ -215,7 +216,10 @@ def test_a_khepera_that_runs_as_its_service_says_observes_and_broadcasts(robot: 
 
 
 def test_a_node_for_a_khepera_that_is_linked_dynamically_would_need_glibc_2_34(tmp_path: Path) -> None:
-    """Debian's compiler makes it so. A Khepera has an older C library, so its node is linked statically."""
+    """Debian's compiler makes it so, and docs/platforms/khepera.md names that version.
+
+    A Khepera has an older C library, so its node is linked statically.
+    """
     require(*CORTEX_A8.compiler)
     (tmp_path / "main.c").write_text("int main(void) { return 0; }\n", encoding="ascii")
 

@@ -45,7 +45,7 @@ from targets.test_node import ID, SUBJECTS, any_frame, command_frame
 PORT = 20000 + os.getpid() % 12000
 """Below those that the kernel gives senders. Other processes that run this have others."""
 IPV4, IPV6 = "239.74.163.91", "ff15:7079:7468:6f6e:6465:6d6f:6d63:91"
-NODE = (
+NODE_OPTIONS = (
     *("--lockstep", "--hop-limit", 0, "--steps-per-second", 3, "--b-hat", 0.75, "--filter-period", 4),
     *("--subject", 0, "--telemetry-subject", 8, "--command-subject", 9),
 )
@@ -54,7 +54,7 @@ NODE = (
 @contextmanager
 def joined(address: str) -> Iterator[Group]:
     """Join a multicast group, also to receive own datagrams. Skips the test where there is no multicast."""
-    multicast(91)
+    multicast(group=91)
     try:
         group = Group(address, PORT, 0)
     except can.CanError as error:
@@ -157,7 +157,7 @@ def test_c_and_python_node_answer_the_datagrams_of_a_bad_network_alike(
     rng = random.Random(address)
     arrivals = datagrams_on_wifi([any_frame(rng) for _ in range(600)], rng)
     command = node_command(kind, tmp_path_factory)
-    with joined(address) as group, CNode(command, interface(address), ID, *NODE) as node:
+    with joined(address) as group, CNode(command, interface(address), ID, *NODE_OPTIONS) as node:
         twin = python_node(ID, b_hat=0.75, subjects=SUBJECTS, steps_per_second=3, filter_period=4)
         nodes = NodesInGroup(group, twin)
         for frame, datagram in arrivals:
@@ -230,7 +230,7 @@ def to_raw(frame: can.Message | None) -> RawFrame | None:
 
 
 def test_the_c_node_and_the_tools_unpack_the_same_datagrams_to_the_same_frames(library: ctypes.CDLL) -> None:
-    """The datagrams are a list of odd ones, and frames of all kinds."""
+    """The datagrams are a list of odd ones, and frames of all kinds. Both refuse the same ones."""
     for datagram in odd_datagrams():
         assert unpack_by_c(library, datagram) == to_raw(unpack_data_frame(datagram)), datagram
 
@@ -250,7 +250,7 @@ def test_the_c_node_and_the_tools_unpack_random_and_damaged_datagrams_to_the_sam
             raw_frame = unpack_by_c(library, received)
             assert raw_frame == to_raw(unpack_data_frame(received)), received.hex()
             unpacked_count += raw_frame is not None
-    assert unpacked_count > 1700
+    assert unpacked_count > 1700, "of 6000 datagrams"
 
 
 def flip_random_bit(datagram: bytes, rng: random.Random) -> bytes:
@@ -301,12 +301,15 @@ def calls_of_sending_node(tmp_path_factory: pytest.TempPathFactory) -> list[str]
 def test_a_node_asks_the_system_for_memory_only_before_it_sends_or_after(
     calls_of_sending_node: list[str],
 ) -> None:
-    """From the first call of sendto to the last there is none about memory. It sends for each of 80 tiles."""
-    is_sending = [call.startswith("sendto(") for call in calls_of_sending_node]
-    first = is_sending.index(True)
-    last = max(index for index, sends in enumerate(is_sending) if sends)
+    """From the first call of sendto to the last there is no call about memory.
 
-    assert all(is_sending[first : last + 1])
+    The node sends at least an estimate for each of 80 tiles.
+    """
+    is_sending = [call.startswith("sendto(") for call in calls_of_sending_node]
+    first_send = is_sending.index(True)
+    last_send = max(index for index, sends in enumerate(is_sending) if sends)
+
+    assert all(is_sending[first_send : last_send + 1])
     assert sum(is_sending) >= 80
 
 
@@ -362,12 +365,13 @@ def test_nodes_receive_each_other_again_when_their_network_comes_back(
 
 @pytest.mark.slow
 def test_the_radio_command_passes_a_node_on_multicast(tmp_path_factory: pytest.TempPathFactory) -> None:
-    """It compares all that the node answers with the robot in Python of the same settings."""
-    choice = multicast(92)
+    """The command compares all that the node answers with a robot in Python, and ends with the code 0."""
+    choice = multicast(group=92)
     group = f"udp:{choice.settings['channel']}:{choice.settings['port']}"
     options = ("--lockstep", "--hop-limit", 0, "--b-hat", 0.75, "--filter-period", 4)
 
-    with CNode(node_command(PLAIN_BUILD, tmp_path_factory), group, 3, *options):
+    robot_id = 3
+    with CNode(node_command(PLAIN_BUILD, tmp_path_factory), group, robot_id, *options):
         robot = ("--id", "3", "--b-hat", "0.75", "--filter-period", "4", "--robots", "3", "--steps", "20")
         exit_code = main(["radio", "--verify", *robot, "--timeout", str(PATIENCE), *choice.arguments()])
 
