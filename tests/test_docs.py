@@ -637,7 +637,7 @@ def test_the_advice_states_how_many_times_smaller_the_error_is_as_a_program_of_t
 
 
 def test_the_readme_and_the_advice_state_how_often_the_robust_filter_harms() -> None:
-    """As the last line that a program of docs/experiments.md prints; it runs 200 trials."""
+    """The last line that a program of docs/experiments.md prints has the percentage, of 200 trials."""
     assert "trials=200" in words_of("docs/experiments.md")
     *_, last_line = block_with(ROOT / "docs/experiments.md", "6 flawed, none:", "text").splitlines()
     [harmed] = re.findall(r"larger in (\d+)%", last_line)

@@ -31,11 +31,11 @@ WARNINGS = PRESETS["configurePresets"][0]["environment"]["WARNINGS"].split()
 
 
 @dataclass(frozen=True)
-class Room:
+class FileGroup:
     """C files that are compiled in one way, whatever compiles or analyses them.
 
     Attributes:
-        name: Of the room.
+        name: Of the group.
         files: Patterns of its files' paths.
         definitions: Macros that its build sets.
         gcc: Its compiler with the flags that choose a processor.
@@ -80,18 +80,18 @@ CORTEX_M = ("-mcpu=cortex-m3", "-mthumb", "-mfloat-abi=soft", "-ffreestanding")
 NOT_FOR_AVR_LIBC = ("-Wno-gnu-zero-variadic-macro-arguments", "-Wno-unknown-attributes")
 WASM = ("--target=wasm32", "-ffreestanding")
 RISC_V = ("-march=rv32imc", "-mabi=ilp32", "-ffreestanding")
-ROOMS = (
-    Room("core", ("c_ref/src/*.c",)),
-    Room("tables", ("tables/*.c", "c_ref/examples/MinimalRobot/*.c")),
-    Room("arena and engine", (f"{ARENA}/*.c", f"{ENGINE}/*.c")),
-    Room("linux", ("c_ref/ports/linux/*.c",), ("-D_GNU_SOURCE", "-DMCP_ASDF_NODE_TABLE=some_table")),
-    Room(
+GROUPS = (
+    FileGroup("core", ("c_ref/src/*.c",)),
+    FileGroup("tables", ("tables/*.c", "c_ref/examples/MinimalRobot/*.c")),
+    FileGroup("arena and engine", (f"{ARENA}/*.c", f"{ENGINE}/*.c")),
+    FileGroup("linux", ("c_ref/ports/linux/*.c",), ("-D_GNU_SOURCE", "-DMCP_ASDF_NODE_TABLE=some_table")),
+    FileGroup(
         "ports",
         ("c_ref/ports/*.c", "c_ref/ports/node/*.c", "c_ref/ports/slcan/*.c"),
         ("-DROBOT_ID=0", "-DROBOT_B_HAT=0.55", "-DROBOT_FILTER_PERIOD=1000"),
         not_clang_tidy=COUNTS_BYTES,
     ),
-    Room(
+    FileGroup(
         "cortex_m",
         ("c_ref/ports/cortex_m/*.c",),
         gcc=("arm-none-eabi-gcc", *CORTEX_M),
@@ -99,7 +99,7 @@ ROOMS = (
         clang=("--target=arm-none-eabi", *CORTEX_M),
         not_cppcheck=ON_BARE_METAL,
     ),
-    Room(
+    FileGroup(
         "riscv",
         ("c_ref/ports/riscv/*.c",),
         gcc=("riscv64-unknown-elf-gcc", *RISC_V),
@@ -107,7 +107,7 @@ ROOMS = (
         clang=("--target=riscv32-unknown-elf", *RISC_V),
         not_cppcheck=ON_BARE_METAL,
     ),
-    Room(
+    FileGroup(
         "wasm",
         ("c_ref/ports/wasm/*.c", "docs/playground/*.c"),
         gcc=("clang", *WASM),
@@ -115,7 +115,7 @@ ROOMS = (
         clang=WASM,
         can_analyse=False,
     ),
-    Room(
+    FileGroup(
         "avr",
         ("c_ref/ports/avr/*.c",),
         gcc=("avr-gcc", "-mmcu=atmega328p"),
@@ -124,29 +124,29 @@ ROOMS = (
         headers=("/usr/lib/avr/include",),
         can_analyse=False,
     ),
-    Room("ESP-NOW", ("c_ref/examples/radios/esp_now.c",), headers=(STUBS, f"{STUBS}/esp_now")),
-    Room(
+    FileGroup("ESP-NOW", ("c_ref/examples/radios/esp_now.c",), headers=(STUBS, f"{STUBS}/esp_now")),
+    FileGroup(
         "Crazyflie",
         ("c_ref/examples/radios/crazyflie.c",),
         headers=(f"{STUBS}/freertos", f"{STUBS}/crazyflie"),
     ),
 )
-TESTS = Room("tests", ("tests/**/*.c",), ("-DREAL=double", "-D_GNU_SOURCE"))
+TESTS = FileGroup("tests", ("tests/**/*.c",), ("-DREAL=double", "-D_GNU_SOURCE"))
 """C of the tests, which compilers must not warn of; the analysers' rules are for code that is delivered."""
 
 
-def each_of(rooms: Iterable[Room]) -> pytest.MarkDecorator:
-    return pytest.mark.parametrize("room", rooms, ids=lambda room: room.name)
+def each_of(groups: Iterable[FileGroup]) -> pytest.MarkDecorator:
+    return pytest.mark.parametrize("group", groups, ids=lambda group: group.name)
 
 
-def quick_for(names: Collection[str], rooms: Iterable[Room]) -> list[ParameterSet]:
-    """Return the rooms as parameters of an analysis that make test does for the named rooms alone.
+def quick_for(names: Collection[str], groups: Iterable[FileGroup]) -> list[ParameterSet]:
+    """Return the groups as parameters of an analysis that make test does for the named groups alone.
 
     Of the others make test has the warnings of clang.
     """
     return [
-        pytest.param(room, id=room.name, marks=[] if room.name in names else [pytest.mark.slow])
-        for room in rooms
+        pytest.param(group, id=group.name, marks=[] if group.name in names else [pytest.mark.slow])
+        for group in groups
     ]
 
 
@@ -189,9 +189,9 @@ def test_c_and_cpp_are_formatted() -> None:
 
 
 def test_every_c_file_is_among_those_that_are_analysed() -> None:
-    """A room is a group of C files that are compiled in one way; each analyser is run on each room."""
-    files_in_rooms = {path for room in (*ROOMS, TESTS) for path in room.sources}
-    assert files_in_rooms == {path for path in C_FILES if path.suffix == ".c"}
+    """A group has C files that are compiled in one way; each analyser is run on each group."""
+    files_in_groups = {path for group in (*GROUPS, TESTS) for path in group.sources}
+    assert files_in_groups == {path for path in C_FILES if path.suffix == ".c"}
 
 
 TIDIED_QUICKLY = ("mcp_asdf_image.c", "mcp_asdf_frame.c", "mcp_asdf_small.c", "mcp_asdf_accessors.c")
@@ -199,27 +199,27 @@ TIDIED_QUICKLY = ("mcp_asdf_image.c", "mcp_asdf_frame.c", "mcp_asdf_small.c", "m
 
 
 @pytest.mark.parametrize(
-    ("room", "path"),
+    ("group", "path"),
     [
         pytest.param(
-            room,
+            group,
             path,
             id=str(path.relative_to(ROOT)),
             marks=[] if path.name in TIDIED_QUICKLY else [pytest.mark.slow],
         )
-        for room in ROOMS
-        for path in room.sources
+        for group in GROUPS
+        for path in group.sources
     ],
 )
-def test_clang_tidy_finds_nothing_in_a_file(room: Room, path: Path) -> None:
-    """A room is a group of C files that are compiled in one way. Findings fail the test."""
-    analyse_by_clang_tidy(room, path)
+def test_clang_tidy_finds_nothing_in_a_file(group: FileGroup, path: Path) -> None:
+    """A group has C files that are compiled in one way. Findings fail the test."""
+    analyse_by_clang_tidy(group, path)
 
 
-def analyse_by_clang_tidy(room: Room, path: Path) -> None:
-    """Analyse a file of a room by clang-tidy; raises AssertionError with what it finds."""
-    checks = [f"--checks=-{room.not_clang_tidy}"] if room.not_clang_tidy else []
-    run(require("clang-tidy"), "--quiet", *checks, path, "--", *room.flags(), *room.clang)
+def analyse_by_clang_tidy(group: FileGroup, path: Path) -> None:
+    """Analyse a file of a group by clang-tidy; raises AssertionError with what it finds."""
+    checks = [f"--checks=-{group.not_clang_tidy}"] if group.not_clang_tidy else []
+    run(require("clang-tidy"), "--quiet", *checks, path, "--", *group.flags(), *group.clang)
 
 
 CPPCHECK = ("--enable=warning,style,performance,portability", "--std=c99", "--inline-suppr", "--quiet")
@@ -227,59 +227,59 @@ CPPCHECK = ("--enable=warning,style,performance,portability", "--std=c99", "--in
 NOT_CPPCHECK = ("shadowFunction", "knownConditionTrueFalse")
 
 
-def analyse_by_cppcheck(room: Room, *choices: str) -> None:
-    """Analyse a room by cppcheck; raises AssertionError with what it finds."""
-    left_out = [f"--suppress={name}" for name in (*NOT_CPPCHECK, *room.not_cppcheck)]
-    options = [*INCLUDES, *room.definitions, *choices]
-    run(require("cppcheck", "cppcheck"), *CPPCHECK, *left_out, *options, "--error-exitcode=1", *room.sources)
+def analyse_by_cppcheck(group: FileGroup, *choices: str) -> None:
+    """Analyse a group by cppcheck; raises AssertionError with what it finds."""
+    left_out = [f"--suppress={name}" for name in (*NOT_CPPCHECK, *group.not_cppcheck)]
+    options = [*INCLUDES, *group.definitions, *choices]
+    run(require("cppcheck", "cppcheck"), *CPPCHECK, *left_out, *options, "--error-exitcode=1", *group.sources)
 
 
 @pytest.mark.parametrize("variant", [HERE[0], *slow(HERE[1:])], ids=str)
 def test_cppcheck_finds_nothing_in_the_core_as_a_target_compiles_it(variant: Variant) -> None:
     """A variant is how a target divides, multiplies and shifts, which macros choose."""
-    core, *_ = ROOMS
+    core, *_ = GROUPS
     choices = [flag for flag in variant.flags() if flag.startswith("-DMCP")]
     analyse_by_cppcheck(core, *choices)
 
 
-@pytest.mark.parametrize("room", quick_for(("tables", "ports"), ROOMS[1:]))
-def test_cppcheck_finds_nothing_in_a_room(room: Room) -> None:
-    """A room is a group of C files that are compiled in one way. Findings fail the test."""
-    analyse_by_cppcheck(room)
+@pytest.mark.parametrize("group", quick_for(("tables", "ports"), GROUPS[1:]))
+def test_cppcheck_finds_nothing_in_a_group_of_c_files(group: FileGroup) -> None:
+    """A group has C files that are compiled in one way. Findings fail the test."""
+    analyse_by_cppcheck(group)
 
 
-@pytest.mark.parametrize("room", quick_for(("core", "tables", "tests"), (*ROOMS, TESTS)))
-def test_gcc_and_its_analyser_find_nothing_in_a_room(room: Room, tmp_path: Path) -> None:
-    """A room is a group of C files that are compiled in one way. Findings fail the test."""
-    analyse_by_gcc(room, tmp_path)
+@pytest.mark.parametrize("group", quick_for(("core", "tables", "tests"), (*GROUPS, TESTS)))
+def test_gcc_and_its_analyser_find_nothing_in_a_group_of_c_files(group: FileGroup, tmp_path: Path) -> None:
+    """A group has C files that are compiled in one way. Findings fail the test."""
+    analyse_by_gcc(group, tmp_path)
 
 
-def analyse_by_gcc(room: Room, folder: Path) -> None:
-    """Compile a room with all warnings into a folder, and analyse it where its gcc can."""
-    require(room.gcc[0], room.packages)
-    if room == TESTS:
+def analyse_by_gcc(group: FileGroup, folder: Path) -> None:
+    """Compile a group with all warnings into a folder, and analyse it where its gcc can."""
+    require(group.gcc[0], group.packages)
+    if group == TESTS:
         mode = ["-fsyntax-only"]
-    elif room.can_analyse:
+    elif group.can_analyse:
         mode = ["-fanalyzer", "-O2", "-c"]
     else:
         mode = ["-O2", "-c"]
-    run(*room.gcc, *room.flags(), *WARNINGS, *mode, *room.sources, cwd=folder)
+    run(*group.gcc, *group.flags(), *WARNINGS, *mode, *group.sources, cwd=folder)
 
 
-@each_of((*ROOMS, TESTS))
-def test_clang_warns_of_nothing_in_a_room(room: Room) -> None:
-    """A room is a group of C files that are compiled in one way. A warning fails the test."""
-    analyse_by_clang(room)
+@each_of((*GROUPS, TESTS))
+def test_clang_warns_of_nothing_in_a_group_of_c_files(group: FileGroup) -> None:
+    """A group has C files that are compiled in one way. A warning fails the test."""
+    analyse_by_clang(group)
 
 
-def analyse_by_clang(room: Room) -> None:
-    """Let clang look for warnings in a room; raises AssertionError with what it finds."""
-    run(require("clang", "clang"), *room.flags(), *WARNINGS, *room.clang, "-fsyntax-only", *room.sources)
+def analyse_by_clang(group: FileGroup) -> None:
+    """Let clang look for warnings in a group; raises AssertionError with what it finds."""
+    run(require("clang", "clang"), *group.flags(), *WARNINGS, *group.clang, "-fsyntax-only", *group.sources)
 
 
 @dataclass(frozen=True)
-class PlantedRoom(Room):
-    """A room with one file, which need not be in this project."""
+class PlantedGroup(FileGroup):
+    """A group with one file, which need not be in this project."""
 
     path: Path = Path()
 
@@ -311,13 +311,13 @@ int value_at(const int *place, int count)
 
 
 @pytest.fixture
-def room_with_mistakes() -> Iterator[PlantedRoom]:
-    """A room with one file, inside the project, where analysers find their settings."""
+def group_with_mistakes() -> Iterator[PlantedGroup]:
+    """A group with one file, inside the project, where analysers find their settings."""
     (ROOT / "build").mkdir(exist_ok=True)
     with TemporaryDirectory(dir=ROOT / "build") as folder:
         path = Path(folder) / "mistakes.c"
         path.write_text(MISTAKES)
-        yield PlantedRoom("planted", (), path=path)
+        yield PlantedGroup("planted", (), path=path)
 
 
 @pytest.mark.parametrize(
@@ -325,20 +325,20 @@ def room_with_mistakes() -> Iterator[PlantedRoom]:
     [
         (analyse_by_cppcheck, "uninitvar"),
         (analyse_by_clang, "-Wsometimes-uninitialized"),
-        (lambda room: analyse_by_gcc(room, room.path.parent), "analyzer-null-dereference"),
-        (lambda room: analyse_by_clang_tidy(room, room.path), "clang-analyzer-core"),
+        (lambda group: analyse_by_gcc(group, group.path.parent), "analyzer-null-dereference"),
+        (lambda group: analyse_by_clang_tidy(group, group.path), "clang-analyzer-core"),
     ],
     ids=["cppcheck", "clang", "gcc", "clang-tidy"],
 )
 def test_an_analyser_finds_a_mistake(
-    analyse: Callable[[PlantedRoom], None], finding: str, room_with_mistakes: PlantedRoom
+    analyse: Callable[[PlantedGroup], None], finding: str, group_with_mistakes: PlantedGroup
 ) -> None:
-    """The room has a C file with a variable that may have no value and a pointer that may lead nowhere.
+    """The group has a C file with a variable that may have no value and a pointer that may lead nowhere.
 
     ``analyse`` raises an error with the analyser's report. One that is called wrongly would find nothing.
     """
     with pytest.raises(AssertionError, match=finding):
-        analyse(room_with_mistakes)
+        analyse(group_with_mistakes)
 
 
 @pytest.mark.parametrize("script", [".ci/setup", ".ci/run", ".ci/newest", "tests/release/evidence.sh"])

@@ -70,7 +70,7 @@ def test_every_bit_of_a_robot_s_memory_flips_and_each_flip_has_one_effect(counte
 def test_no_flip_keeps_x_wrong_in_silence(counted: CountedFlips) -> None:
     """x is what a robot believes. Only flips of what it has counted may keep it wrong, with other counts.
 
-    "still" is the number of flips after which x is still wrong at the end of the run.
+    "still" is the number of flips after which x is still off by 1 % at the end, after 1800 ticks.
     """
     members_that_keep_x_wrong = {name for name, effects in counted.members.items() if effects["still"] > 0}
 

@@ -117,7 +117,7 @@ def test_the_table_of_the_sketch_is_the_shipped_one() -> None:
 
 
 def test_the_sketch_builds_without_a_warning(built_sketch: Path) -> None:
-    """But for warnings about Debian's Arduino core, which is not ours."""
+    """Warnings about Debian's Arduino core, which is not ours, do not count."""
     output = (built_sketch / "output.txt").read_text(encoding="utf-8")
 
     complaints = re.findall(r"^.*(?:warning|error):.*$", output, re.MULTILINE)
@@ -146,7 +146,7 @@ def test_the_sketch_of_docs_porting_builds_with_the_library_that_the_command_wri
 def test_the_arduino_broadcasts_the_same_bytes_as_the_robot_in_python(
     robot: Board, packets: list[bytes]
 ) -> None:
-    """It moves over five tiles: 1 is black. Packets are numbered, and have its estimate in integers."""
+    """It moves over five tiles, of which 1 is black. A packet has a number, and the estimate in integers."""
     robot_in_python = same_robot_in_python()
     expected_packets = []
     for packet_number, tile in enumerate([1, 1, 0, 1, 0]):

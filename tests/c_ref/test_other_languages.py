@@ -169,7 +169,7 @@ PAPERS = Config(table=generate(Decimal("0.05"), 4), filter_period=100)
 
 @pytest.mark.parametrize("config", [ROBUST, PAPERS], ids=["robust", "the paper's"])
 def test_a_robot_that_ctypes_steps_has_the_bits_of_the_robot_in_python(library: Path, config: Config) -> None:
-    """With each filter, after 300 ticks with messages of three neighbours. t_count is the number of ticks."""
+    """Both run 300 ticks with each filter, and receive three neighbours. t_count is the number of ticks."""
     robot = step_by_ctypes(library, config)
     in_python = step_in_python(config)
 

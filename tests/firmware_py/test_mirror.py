@@ -27,6 +27,7 @@ def test_the_limit_for_means_below_a_half_is_two_units_further_from_it() -> None
 
 
 def test_an_accuracy_is_damaged_if_a_value_kept_with_it_does_not_follow_from_it() -> None:
+    """Kept are numbers that are computed from an accuracy, such as ``rare``, so as not to divide so often."""
     three_quarters = Q32_HALF + Q32_HALF // 2
     accuracy = accuracy_of(three_quarters)
     assert is_valid_accuracy(accuracy)

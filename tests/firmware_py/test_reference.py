@@ -170,7 +170,7 @@ exactly = settings(deadline=None, database=None, derandomize=True, max_examples=
 @exactly
 @given(counts, accuracies)
 def test_a_robot_s_estimate_is_the_likeliest_share_of_black(n_and_t: tuple[int, int], b: Fraction) -> None:
-    """After n black of t observations by a sensor that is right with probability b.
+    """The robot has seen n black of t tiles, by a sensor that is right with probability b.
 
     Where the likelihood is largest its slope is 0, or it falls from the end of the range on.
     """
@@ -429,7 +429,7 @@ def tolerated_distance(neighbours: Sequence[float], omega: float) -> float:
 def test_the_paper_s_test_rejects_an_estimate_just_beyond_the_distance_that_scipy_gives(
     omega: float, side: int
 ) -> None:
-    """And it does not reject one just within it. The neighbours' estimates are random."""
+    """It does not reject an estimate just within that distance. The neighbours' estimates are random."""
     rng = random.Random(0)
     for _ in range(100):
         neighbours = [rng.gauss(0.5, 0.1) for _ in range(rng.randint(2, 127))]
@@ -501,7 +501,7 @@ def test_an_accuracy_at_a_distance_of_2_to_the_minus_13_from_a_half_carries_info
 def test_before_the_first_observation_a_robot_guesses_a_half_without_confidence(
     conventions: Conventions,
 ) -> None:
-    """And it does not change its accuracy, whatever its neighbours estimate, here 0.9."""
+    """It does not change its accuracy either, whatever its neighbours estimate, here 0.9."""
     assert local_estimate(n=0, t=0, b=0.9, conventions=conventions) == 0.5
     assert local_confidence(n=0, t=0, b=0.9, conventions=conventions) == 0.0
     assert assumed_accuracy_update(n=0, t=0, x_bar=0.9, conventions=conventions) is None
@@ -513,15 +513,16 @@ def test_without_neighbours_their_estimate_is_a_half_and_their_confidence_0() ->
 
 
 def test_where_nobody_has_confidence_a_robot_believes_its_own_estimate() -> None:
+    """The mean of all estimates, weighted by their confidences alpha, would be 0 by 0."""
     own, neighbour = Estimate(x_hat=0.7, alpha=0.0), Estimate(x_hat=0.2, alpha=0.0)
     assert informed_estimate(own, [neighbour]) == 0.7
 
 
 @pytest.mark.parametrize(("n", "x_hat"), [(0, 0.0), (2, 0.0), (3, 0.5), (4, 1.0), (6, 1.0)])
 def test_the_authors_programs_limit_the_results_of_divisions_by_zero(n: int, x_hat: float) -> None:
-    """After n black of 6 tiles, by a sensor that is right in half of the cases, and so are the neighbours.
+    """n of 6 tiles are black. The sensor is right in half of the cases, and the neighbours estimate a half.
 
-    More black tiles than half give 1, fewer give 0, and only 0 by 0, which half of them are, is a half.
+    More black tiles than half give 1, and fewer give 0. Just half of them lead to 0 by 0, which gives a half.
     """
     assert local_estimate(n, t=6, b=0.5, conventions=AUTHORS) == x_hat
     assert local_confidence(n, t=6, b=0.5, conventions=AUTHORS) == 1e-6
@@ -600,7 +601,7 @@ VALID = Estimate(0.5, 1.0)
 def test_an_equation_outside_its_domain_raises_and_names_the_value(
     equation: Callable[..., object], arguments: tuple[object, ...]
 ) -> None:
-    """Such as 5 black of 3 tiles, or an accuracy below 0. The message has the number, or nan or inf."""
+    """It raises ValueError for, say, 5 black of 3 tiles. The message has the number, or nan or inf."""
     with pytest.raises(ValueError, match=r" (is|has) .*(nan|inf|\d)"):
         equation(*arguments)
 
@@ -643,7 +644,7 @@ def test_omega_comes_from_the_table_or_is_given_beside_it(
 
 
 def test_a_missing_scipy_is_noticed_when_the_robot_is_made(monkeypatch: pytest.MonkeyPatch) -> None:
-    """And not an hour later, when its filter needs it for the first time."""
+    """The error is not raised an hour later, when the robot's filter needs scipy for the first time."""
     monkeypatch.setitem(sys.modules, "scipy.special", None)  # importing it fails from here on
     t_score.cache_clear()
 

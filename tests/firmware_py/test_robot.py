@@ -65,7 +65,7 @@ def test_a_new_robot_has_its_id_its_accuracy_and_counts_of_zero(firmware: Firmwa
 
 @for_every_firmware
 def test_repr_shows_what_a_robot_has_counted_and_what_it_estimates(firmware: Firmware) -> None:
-    """By its sensor, which is right in 3 of 4 cases, 3 black of 4 tiles mean that all are black."""
+    """Its sensor is right in 3 of 4 cases. So 3 black of 4 tiles mean to it that all are black."""
     robot = make_robot(firmware, b_hat=0.75)
 
     observe_tiles(robot, black=3, white=1)
@@ -172,7 +172,10 @@ def test_a_counter_begins_at_0_again_after_65535(firmware: Firmware) -> None:
 def test_a_robot_re_estimates_its_accuracy_after_enough_informative_messages(
     firmware: Firmware, mode: Filter, neighbours: tuple[float, ...], tests: int, updates: int
 ) -> None:
-    """Its own estimate is 1. ``tests`` and ``updates`` say how often it tests and changes its accuracy."""
+    """It estimates 1, and its neighbours what ``neighbours`` says. Then its filter runs once.
+
+    ``tests`` and ``updates`` say how often it tests and how often it changes its accuracy.
+    """
     robot = make_robot(firmware, replace(ADAPTIVE, filter=mode), b_hat=0.75)
     observe_tiles(robot, black=4, white=0)
     receive_estimates(robot, *neighbours)

@@ -422,7 +422,7 @@ def test_no_vote_brings_the_spread_beyond_its_limits(
 
 @for_fixed_point_firmwares
 def test_no_more_than_512_votes_are_counted(firmware: FixedPointFirmware) -> None:
-    """The more there were, the less one more counts; so it always counts something."""
+    """The more were counted, the less one more weighs. So the weight of a vote never falls to 0."""
     robot = restore_robust_robot(firmware, estimates=[0], votes=511)
 
     robot.settle()  # the neighbour's estimate is vote 512
@@ -507,7 +507,7 @@ def test_a_robot_that_was_misled_trusts_its_sensor_again_when_the_others_agree_w
 
 @for_fixed_point_firmwares
 def test_a_robot_tests_the_accuracy_that_it_had_at_the_start(firmware: FixedPointFirmware) -> None:
-    """With its new accuracy it agrees with the others, which must not bring the old one back."""
+    """If it tested the new accuracy, with which it agrees with the others, it would return to the old one."""
     robot = firmware(ROBUST, OWN_ID, b_hat=0.95)
     observe_tiles(robot, black=545, white=455)
     receive_estimates(robot, *[0.95] * 5)
@@ -583,9 +583,9 @@ def test_one_liar_among_five_neighbours_does_not_make_a_robot_doubt_its_sensor(
 def test_a_robot_keeps_its_accuracy_at_the_very_limit_of_its_test(
     firmware: FixedPointFirmware, t: int, status: Status
 ) -> None:
-    """After one observation less it would change it. The test compares a deviation with a limit.
+    """The test compares a deviation with a limit. After one observation less the robot changes its accuracy.
 
-    Counts for which both are equal are rare, so they were searched for: both sides are 43681824.
+    Counts for which both are equal are rare, and were searched for. Here both are 43681824.
     """
     largest_b_hat = 2**32 - 2**12  # 1 - 2**-20 in units of 2**-32
     robot = restore_robust_robot(
@@ -770,7 +770,7 @@ def test_a_batch_without_observations_does_not_change_the_dispersion(firmware: F
 
 @for_fixed_point_firmwares
 def test_white_observations_alone_do_not_change_the_dispersion(firmware: FixedPointFirmware) -> None:
-    """As many black tiles are expected as were seen, none, so there is no deviation to be measured."""
+    """No black tile is expected, and none was seen, so there is no deviation to be measured."""
     robot = restore_robust_robot(firmware, t=100, n=0, batch_t=50, batch_n=0, dispersion=1000)
     assert dispersion_after_batch(robot, black=0, white=10) == 1000
 

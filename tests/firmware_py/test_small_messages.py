@@ -62,7 +62,7 @@ def test_a_sender_without_an_id_of_7_bits_is_refused(sender: int) -> None:
 
 @pytest.mark.parametrize("x_hat", [-1, ONE + 1])
 def test_an_estimate_beyond_0_and_1_is_refused(x_hat: int) -> None:
-    """In the units of x_hat 1.0 is ONE, which is 8388608."""
+    """x_hat is a share of black tiles, in units of which ONE, 8388608, is 1.0."""
     with pytest.raises(ValueError, match=f"x_hat is {x_hat}; give 0 to 8388608"):
         encode_message(0, x_hat, 0)
 

@@ -65,6 +65,7 @@ def test_few_changes_are_listed_as_harmless_and_each_with_a_reason() -> None:
 
 
 def test_the_page_about_trust_states_to_a_hundred_how_many_mistakes_are_tried() -> None:
+    """``everything`` has all changes of the C that are tried, one after the other."""
     page = (ROOT / "docs/internals/trust.md").read_text("utf-8")
 
     [stated_count] = re.findall(r"Each of some ([\d,]+) small ones", page)

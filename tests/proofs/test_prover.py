@@ -27,6 +27,7 @@ def factors_of_a_large_prime() -> tuple[Any, list[Any]]:
 
 
 def test_a_claim_that_some_number_breaks_is_not_proved() -> None:
+    """Not every integer is above 0. The error has a number that is not."""
     with pytest.raises(UnprovenError, match="broken by"):
         prove(z3.Int("p") > 0)
 
@@ -39,6 +40,7 @@ def test_a_claim_that_the_solver_cannot_settle_is_not_proved() -> None:
 
 
 def test_premises_that_the_solver_cannot_satisfy_prove_nothing() -> None:
+    """A prime has no factors, so no numbers fulfil these premises, and anything would follow."""
     is_product, exceed_1 = factors_of_a_large_prime()
     with pytest.raises(UnprovenError, match="nothing is found"):
         require_possible([is_product, *exceed_1], about="factors of a prime")
@@ -57,6 +59,7 @@ def test_premises_that_contradict_each_other_prove_nothing() -> None:
 
 
 def test_an_empty_list_of_claims_proves_nothing() -> None:
+    """Otherwise a loop over claims that has lost them all would look like a proof."""
     with pytest.raises(UnprovenError, match="nothing is claimed"):
         prove_all([])
 
@@ -80,6 +83,7 @@ def test_a_call_that_breaks_what_the_called_function_requires_has_no_proof() -> 
 
 
 def test_a_function_that_was_proved_for_one_contract_is_not_taken_as_proved_for_another() -> None:
+    """``prove_lemma`` notes in ``proved`` what it has proved. The second contract is never kept."""
     code, proved = program(VARIANTS[0]), set[Any]()
     prove_lemma(code, "add", {"add": Contract(always)}, proved)
 

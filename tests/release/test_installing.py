@@ -63,6 +63,7 @@ def test_only_two_pages_have_the_command_that_installs_the_project() -> None:
     ],
 )
 def test_each_form_of_the_command_is_recognised(text: str) -> None:
+    """The test above has to find the command however a page writes it."""
     assert INSTALLS_PROJECT.search(text)
 
 

@@ -32,7 +32,7 @@ def requirements() -> set[str]:
 
 
 def test_each_dependency_has_a_lower_bound() -> None:
-    """Such as numpy>=1.24: an older version, which no test has tried, would not be installed."""
+    """numpy>=1.24 is such a bound. An older version, which no test has tried, is not installed."""
     assert len(requirements()) > 8
     assert [requirement for requirement in requirements() if not BOUNDED.fullmatch(requirement)] == []
 
@@ -144,7 +144,7 @@ def hash_of_component(component: dict[str, Any]) -> str:
 def test_no_two_components_of_the_bill_of_materials_have_the_same_hash(
     bill_of_materials: dict[str, Any],
 ) -> None:
-    """By its hash, 64 hexadecimal digits, a user sees whether a component is the one that was released."""
+    """By its hash, of 64 hexadecimal digits, a user recognises the component that was released."""
     hashes = [hash_of_component(component) for component in bill_of_materials["components"]]
 
     assert all(re.fullmatch("[0-9a-f]{64}", digest) for digest in hashes)
