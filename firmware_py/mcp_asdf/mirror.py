@@ -626,10 +626,11 @@ class MirrorRobot(FixedPointView):
     def settle(self) -> Status:
         """End the open round, and run the filter if ``filter_period`` rounds have passed.
 
-        The ended round becomes the closed one, about which x_bar, beta and x are from now on, and an empty
-        round opens. With the robust filter one of the estimates that the robot keeps, or its own, becomes a
-        vote instead, which moves the robot's answer x. Returns UPDATED if the filter has re-estimated b_hat,
-        the assumed accuracy, and OK otherwise.
+        The ended round becomes the closed one, and an empty round opens. From the sums of the closed round
+        follow x_bar, the mean of the neighbours' estimates, beta, the sum of their confidences, and x, the
+        robot's answer. With the robust filter no sums are kept: one of the estimates that the robot keeps, or
+        its own, becomes a vote, which moves x. Returns UPDATED if the filter has re-estimated b_hat, the
+        assumed accuracy, and OK otherwise.
         """
         s = self.s
         is_updated = False

@@ -259,7 +259,7 @@ def asdf_test_rejects(
     m = len(neighbours)
     if m < 2:
         return False
-    # mean and stdev of `statistics` are exact before they are rounded: equal estimates have no deviation.
+    # mean and stdev of `statistics` are exact before they are rounded: the one of equal estimates is 0.
     deviation = abs(mean(neighbours) - x_hat)
     limit = (t_score(m, omega, conventions) / math.sqrt(m) + 1) * stdev(neighbours)
     if conventions.strict:

@@ -60,7 +60,7 @@ def start_swarm(settings: SwarmSettings, channel: str | None = None) -> Swarm:
     """Return a swarm before its first step: a context manager, in which its method ``tick`` takes a step.
 
     With a ``channel`` it is on python-can's virtual bus of that name, for others in this process to join.
-    Without, which is faster, frames go from robot to robot; the robots end in the same bits.
+    Without, which is faster, frames go from robot to robot, and every robot ends with the same numbers.
     """
     import can
 
@@ -69,8 +69,8 @@ def start_swarm(settings: SwarmSettings, channel: str | None = None) -> Swarm:
 
     if channel is None:
         return Swarm(settings, Wiring())
-    # Frames keep the time that their sender gives them, as on the bus of the command. All robots share one
-    # connection, so it has to return what they send.
+    # Frames keep the time that their sender gives them, as with the command ``mcp-asdf swarm``. All robots
+    # have the same bus, so the swarm opens one connection for all, which has to return what they send.
     options: dict[str, Any] = {"preserve_timestamps": True, "receive_own_messages": True}
     return Swarm(settings, Wiring(lambda robot: can.Bus(channel, "virtual", **options)))
 

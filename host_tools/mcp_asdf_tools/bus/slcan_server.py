@@ -110,7 +110,11 @@ class SlcanServer:
                 client.sendall(answer)
 
     def _handle_line(self, line: bytes) -> bytes:
-        """Do what a line without its end asks for, and return the answer."""
+        """Obey a client's command, a line without its carriage return, and return the answer.
+
+        The commands open and close the channel, send a frame, and ask for versions. The answer to a command
+        that is unknown, broken or too early is an error.
+        """
         command = line[:1]  # empty for an empty line, which has no first byte
         if command in (b"O", b"L", b"C"):  # open, open to listen only, close
             self._is_channel_open = command != b"C"

@@ -180,9 +180,9 @@ def _workloads_along_m() -> Iterator[Workload]:
 
 
 def _workloads_along_q() -> Iterator[Workload]:
-    """Yield workloads of every size of a table, with rounds that read different entries of it."""
+    """Yield workloads with t-tables of every size q, and rounds of m messages that read their ends."""
     for q in range(MIN_Q, MAX_Q + 1):
-        # The first entry of the table, that for q messages, and that for all larger numbers of messages
+        # The table has an entry for each m from 2 to q, and one for all larger m. MAX_ID is the largest m.
         for m in (2, q, min(q + 1, MAX_ID)):
             yield Workload(q=q, m=m)
 

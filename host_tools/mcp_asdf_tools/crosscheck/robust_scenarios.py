@@ -151,9 +151,11 @@ class RobustScenarioWriter(ScenarioWriter):
         """Run the filter on estimates with which the smallest mistake in its test or centre shows.
 
         With some of them a unit of one estimate decides whether the test rejects, or one estimate whether the
-        robot is supported. With others their centre is far from their median, or reached slowly.
+        robot is supported. With others their centre is far from their median, or reached slowly. If no such
+        estimates are found for the robots that are drawn, no calls are added.
         """
         rng = self._rng
+        # Most often the least and the largest numbers that are tested. What stands twice comes more often.
         count = rng.choice([5, 5, 6, 31, 32, rng.randint(TESTED_ESTIMATES_MIN, SLOTS)])
         draw_estimates = rng.choice(
             [
@@ -166,7 +168,6 @@ class RobustScenarioWriter(ScenarioWriter):
                 self._draw_slowly_centred_estimates,
             ]
         )
-        # Not for every robot there are such estimates. If none is drawn, no calls are added.
         for _ in range(_MAX_DRAWS):
             robot = self._draw_robot()
             estimates = draw_estimates(robot, count)

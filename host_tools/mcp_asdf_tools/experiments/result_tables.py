@@ -306,7 +306,9 @@ def rows_by_experiment(table: pa.Table) -> dict[Experiment, NDArray[np.int64]]:
 def trials_from_rows(experiment: Experiment, table: pa.Table) -> Trials:
     """Return the rows of a table as trials of an experiment, sorted by their numbers.
 
-    All rows must be of the experiment. Raises UsageError if a list has another length than it must have.
+    A row is a trial. In the columns "k", convergence steps, "e", errors, "tests" and "updates" it has a list
+    with a value for each robot. "b_hat" has such values for one filter step after the other. All rows must be
+    of the experiment. Raises UsageError if a list has another length than it must have.
     """
     _check_list_lengths(experiment, table)
     table = table.sort_by("trial")

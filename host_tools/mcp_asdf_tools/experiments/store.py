@@ -197,7 +197,10 @@ class Store:
         return now - self._last_write_time >= allowed_seconds
 
     def flush(self) -> None:
-        """Write the results that are only in memory as a part. Raises UsageError if that fails."""
+        """Write the results that are only in memory into a file of their own, a part of the results.
+
+        Raises UsageError if that fails.
+        """
         if self._unwritten:
             self.reserve()
             part_table = pa.concat_tables(self._unwritten)

@@ -221,10 +221,10 @@ def count_updates_to_check(setup: RobotSetup) -> int:
 
 
 def re_estimate_often(bench: Bench) -> None:
-    """Let the controller re-estimate b_hat so often that a counter of too few bits shows.
+    """Let the controller re-estimate b_hat so often that a counter of updates with too few bits shows.
 
-    The estimates have confidences of every size, one size a round. ``bench`` links the controller with a
-    model of it, and compares both after each tick.
+    The estimates have confidences (alpha) of every size, one size a round. ``bench`` links the controller
+    with a model of it, and compares both after each tick.
     """
     missing_updates = count_updates_to_check(bench.setup) - bench.firmware.s.updates
     for index in range(max(missing_updates, len(ALPHA_SCALES))):
@@ -258,10 +258,10 @@ def play_rounds_without_test(bench: Bench) -> None:
 
 
 def re_estimate_to_each_kind(bench: Bench) -> None:
-    """Let the controller re-estimate b_hat to each kind of value but 1/2 and almost 1/2.
+    """Let the controller re-estimate b_hat to every kind of value in ``Update`` but 1/2 and almost 1/2.
 
-    For those two as many tiles must be black as white; here more are black. ``bench`` links the controller
-    with a model of it, and compares both after each tick.
+    These two follow only if about half of the observed tiles are black; here more are. ``bench`` links the
+    controller with a model of it, and compares both after each tick.
     """
     state = bench.firmware.s
     bench.activity = "more black tiles, for a b_hat that is off 1/2"

@@ -172,9 +172,10 @@ def own_experiments_of(
 def experiment_of(cell: Cell, study_size: StudySize) -> Experiment:
     """Return the experiment of a cell with the trials, steps and seed of ``study_size``.
 
-    All other parameters are those of the shipped experiments of the cell's part of the study. Where these
-    have fewer steps than ``study_size``, theirs are taken. Raises ParameterError for trials, steps or a seed
-    out of range. All experiments of a part share what the cell does not say.
+    A cell says in what one experiment differs from the others of its part of the study. All other parameters
+    are those of the experiments that this package ships for the part. If these have fewer steps than
+    ``study_size``, their number of steps is taken. Raises ParameterError for trials, steps or a seed out of
+    range.
     """
     common = _shipped_experiments(cell.study_part)[0]
     parameters: dict[str, Any] = {

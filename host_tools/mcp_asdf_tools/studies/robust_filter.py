@@ -146,10 +146,11 @@ def beyond_rows() -> dict[str, list[Experiment]]:
 
 
 def static_graph(steps_to_neighbours: Sequence[int]) -> str:
-    """Return a graph in which robots stand on a circle and hear those so many places before and after them.
+    """Return a graph of 20 robots on a circle, who hear those at some distances before and after them.
 
-    The result has an edge such as "3 5" for each pair that hear each other, with "; " between edges. The
-    flawed robots of an experiment are its first ones, so robots stand in a random order, always the same one.
+    ``steps_to_neighbours`` are the distances, in places on the circle. The result has an edge such as "3 5"
+    for each pair that hear each other, with "; " between edges. The flawed robots of an experiment are its
+    first ones, so robots stand in a random order, always the same one.
     """
     circle = random.Random(1).sample(range(ROBOTS_OF_STATIC_GRAPHS), ROBOTS_OF_STATIC_GRAPHS)
     edges = []
