@@ -240,7 +240,7 @@ static bool unpack_kernel_frame(struct canfd_frame *raw, const uint8_t *packet, 
 }
 
 /* Decode a packet of `size` bytes, which is 0 for one that is longer than any frame. Returns BUS_FRAME and
- * writes *frame, or returns BUS_OTHER for error frames and for packets that are no frame, which are counted.
+ * writes *frame, or returns BUS_OTHER for error frames and for packets that are no frame. Both are counted.
  */
 static bus_event_t decode_packet(bus_t *bus, mcp_asdf_frame_t *frame, const uint8_t *packet, size_t size)
 {
@@ -317,8 +317,9 @@ static ssize_t try_send(const bus_t *bus, const struct can_frame *frame)
     return send(bus->group.send_fd, datagram, size, MSG_DONTWAIT | MSG_NOSIGNAL);
 }
 
-/* Send a frame; while the send queue is full, wait a millisecond and try again, until the timeout. Counts
- * each wait in queue_full, and closes a multicast group that cannot be reached. */
+/* Send a frame, and return whether it was sent. While the send queue is full, wait a millisecond and try
+ * again, until the timeout. Counts each wait in queue_full, and closes a multicast group that cannot be
+ * reached. */
 bool bus_send(void *context, const mcp_asdf_frame_t *frame)
 {
     bus_t *bus = context;

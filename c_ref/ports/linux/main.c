@@ -250,8 +250,8 @@ static void handle_frame(run_t *run, const mcp_asdf_frame_t *frame)
     handle_end_of_tick(run);
 }
 
-/* Receive and handle the packets that are waiting, and pass the health of the bus to the node. Ends the run
- * if the bus has been closed for good. */
+/* Receive and handle the packets that are waiting, PACKETS_IN_A_ROW at most, and pass the health of the bus
+ * to the node. Ends the run if the bus has been closed for good. */
 static void receive_frames(run_t *run)
 {
     mcp_asdf_frame_t frame;

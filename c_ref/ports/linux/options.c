@@ -186,8 +186,8 @@ static bool has_value(const option_texts_t texts, enum option_index option, cons
 }
 
 /* Returns the mcp_asdf_filter_t that --filter and --activation ask for. Ends the program if either is
- * unknown, or if they do not fit together: only the paper's filter, asdf-plus, can be active in every period.
- */
+ * unknown, and for the robust filter with the activation "always", which only the paper's filter, asdf-plus,
+ * has. Without a filter the activation makes no difference. */
 static uint8_t parse_filter(const option_texts_t texts)
 {
     const bool is_always_active = has_value(texts, ACTIVATION, "always");

@@ -191,8 +191,9 @@ static void check_alpha_jump(node_t *node, const mcp_asdf_estimate_t *estimate)
     sender->last_alpha = estimate->alpha;
 }
 
-/* Pass an estimate to the firmware, unless its sender is ignored. Counts it as received or ignored, and as a
- * jump or an id collision if it is one. */
+/* Pass an estimate to the firmware, unless its sender is ignored. Counts it as received or ignored, and as an
+ * id collision if another node sent it with this node's id. If the node has a list of senders, jumps of alpha
+ * are counted there, also those of ignored senders. */
 static void receive_estimate(node_t *node, const mcp_asdf_estimate_t *estimate)
 {
     const uint8_t sender = estimate->node;

@@ -42,7 +42,8 @@ void port_put(char byte)
     UART_DATA = (uint8_t)byte;
 }
 
-/* PORT_LOST once if bytes were lost, else the next byte if there is one. */
+/* Returns PORT_LOST once if bytes were lost, which read_state() notes in has_lost_bytes. Otherwise it returns
+ * the next byte, or PORT_NOTHING if there is none. */
 int port_get(void)
 {
     const bool has_byte = (read_state() & HAS_BYTE) != 0;

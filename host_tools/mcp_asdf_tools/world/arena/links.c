@@ -244,8 +244,9 @@ static bool blocks_line(const mcp_asdf_arena_t *arena, uint32_t i, uint32_t j, u
 }
 
 /* Whether a body is on the line between robots i and j. Bodies do not overlap, so one between two others is
- * closer to each than they are to each other, and in range of both. Sets without a common bit show that there
- * is none; with one, as a bit stands for several robots, each candidate is tried. */
+ * closer to each than they are to each other, and in range of both. in_range has a set of bits for each
+ * robot, which stand for the robots in its range. If two sets have no bit in common, there is no such body.
+ * If they have one, each candidate is tried, as a bit stands for several robots. */
 static bool is_blocked(const mcp_asdf_arena_t *arena, uint32_t i, uint32_t j)
 {
     if ((arena->in_range[i] & arena->in_range[j]) == 0) {
