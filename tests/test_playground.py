@@ -394,9 +394,9 @@ INTRODUCTION = "document.getElementById('about').textContent"
 
 @pytest.mark.slow
 def test_the_introduction_has_how_many_of_20_robots_misjudge_their_sensors(small_browser: Page) -> None:
-    """Four do at first, which is 20 %.
+    """Four do on this page, which is 20 % of 20 robots; a button lets a tenth more of the robots do so.
 
-    A button lets a tenth of the robots more do so, and another starts over.
+    Another button starts over with the settings that a reader first sees, in which half of the robots do.
     """
     text = small_browser.evaluate(INTRODUCTION)
     assert text.startswith("Each robot guesses the share of black tiles. 4 of them")

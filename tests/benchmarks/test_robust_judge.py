@@ -102,7 +102,10 @@ def test_docs_robust_variants_csv_has_every_case_with_each_variant_of_the_filter
 def test_a_variant_that_is_simulated_again_gives_its_row_of_docs_robust_variants_csv(
     variant: str, tmp_path: Path
 ) -> None:
-    """The simulator is compiled with the changed firmware. It takes the variant for the robust filter."""
+    """A variant is the robust filter with one rule changed. The simulator is compiled with that firmware.
+
+    It calls the variant "robust", as it knows of no change.
+    """
     case = next(case for case in VARIANT_CASES if case.name == "moving, 5 robots, .3 flawed")
     write_variant(CORE, tmp_path, variant)
     simulator = compile_judge(tmp_path, tmp_path)

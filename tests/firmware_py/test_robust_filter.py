@@ -491,7 +491,11 @@ def test_a_robot_whose_observations_contradict_the_others_estimates_its_accuracy
 def test_a_robot_that_was_misled_trusts_its_sensor_again_when_the_others_agree_with_it(
     firmware: FixedPointFirmware,
 ) -> None:
-    """It sees 0.905 of the tiles black: what a sensor that is right in 0.95 sees where 0.95 are black."""
+    """Estimates of 0.25 mislead it to another b_hat, and estimates of 0.95 bring the initial b_hat back.
+
+    0.905 of its observations are black. A sensor with an accuracy of 0.95 sees that where 0.95 of the tiles
+    are black: 0.95 * 0.95 + 0.05 * 0.05.
+    """
     robot = firmware(ROBUST, OWN_ID, b_hat=0.95)
     observe_tiles(robot, black=905, white=95)
     misleading_estimate = 0.25
@@ -840,9 +844,10 @@ def test_an_image_has_39_words_with_the_robust_filter_and_31_with_another(
 
 # design: R29
 def test_a_saved_robot_has_the_memory_of_its_filter_in_the_documented_order() -> None:
-    """docs/design.md lists its 39 words of 32 bits; in another order, older images could not be restored.
+    """An image, a saved robot, has 39 words of 32 bits, of which eight are this memory (docs/design.md).
 
-    Here each member of the memory has another value, to which no calls lead, and is set from outside.
+    In another order, older images could not be restored. Here each member of the memory has another value, to
+    which no calls lead, and is set from outside.
     """
     robot = MirrorRobot(ROBUST, OWN_ID, b_hat=0.95)
     robot.s.robust = RobustFilter(

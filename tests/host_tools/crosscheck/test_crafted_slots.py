@@ -187,9 +187,10 @@ def test_the_estimate_that_explains_a_share_of_black_follows_from_b_hat(
 
 
 def test_the_filter_at_the_test_has_the_dispersion_of_the_robot_after_it() -> None:
-    """Dispersion is how much more observations vary from batch to batch than independent ones.
+    """``filter_at_test`` returns the memory that a robust filter will have when it makes its next test.
 
-    A batch of 100 black tiles after a mixed one is rare by chance, so it rises above 1.
+    Its dispersion is how much more observations vary from batch to batch than independent ones. A batch of
+    100 black tiles after a mixed one is rare by chance, so the dispersion rises above 1.
     """
     robot = settle_with(robot_that_observed(black=50, white=50), estimates=[])
     for _ in range(100):

@@ -409,10 +409,10 @@ def tables_with_damaged_column(table: pa.Table, name: str) -> Iterator[tuple[pa.
 
 @pytest.mark.random
 def test_a_file_of_results_with_one_thing_wrong_is_refused_with_its_name(path: Path) -> None:
-    """The error is one short line with the words that are expected for the damage.
+    """The error is one short line with the words that name what is wrong.
 
-    The first four damages are always tried, and of more than a hundred others a tenth in the quick run. For a
-    few no words are expected: these may as well be read without an error.
+    The first four damages are always tried, and of more than a hundred others a tenth in the quick run. A few
+    damages have no such words, as the file may be read in spite of them.
     """
     damages = list(damaged_tables())
     assert len(damages) > 100
