@@ -54,18 +54,18 @@ def plant_mistakes(paths: list[str], sample: int) -> Trial:
 
 @pytest.mark.slow
 def test_every_small_mistake_in_the_firmware_s_python_is_noticed_by_its_tests() -> None:
-    """A mistake is, say, a + that becomes a -. Changes that are listed as harmless are not tried."""
+    """A mistake is, say, a + that becomes a -. Changes listed as harmless, one in 50, are not tried."""
     trial = plant_mistakes(FIRMWARE, sample=24)
-    assert trial.planted > 21
+    assert trial.planted > 18
     assert trial.unnoticed == 0
 
 
 @pytest.mark.slow
 def test_most_small_mistakes_in_the_tools_are_noticed_by_their_quick_tests() -> None:
-    """Only slow tests notice a quarter of them. So more than 16 of 40 are unnoticed in one of 100 runs."""
+    """Of 90 that were drawn they noticed 78. Even at four of five this test would fail once in 50 runs."""
     trial = plant_mistakes([TOOLS], sample=40)
     assert trial.planted > 36
-    assert trial.unnoticed <= 16
+    assert trial.unnoticed <= 13
 
 
 @pytest.mark.slow

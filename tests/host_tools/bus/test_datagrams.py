@@ -19,6 +19,7 @@ from mcp_asdf_tools.bus.datagrams import LONGEST_DATAGRAM, unpack_data_frame
         can.Message(arbitration_id=0x106BB82A, data=b"\0\0\x40\0\0\x80\x3f\xe0", timestamp=1.8e9),
         can.Message(arbitration_id=0x7FF, is_extended_id=False, channel="can0"),
         can.Message(arbitration_id=5, is_extended_id=False, data=b"1", channel=3, timestamp=300),
+        can.Message(arbitration_id=5, is_extended_id=False, channel=""),
     ],
 )
 def test_a_data_frame_that_python_can_packs_is_unpacked_as_it_was(frame: can.Message) -> None:
