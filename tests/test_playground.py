@@ -455,7 +455,7 @@ def test_the_error_in_large_figures_is_grey_until_all_30_trials_have_been_comput
 def test_the_error_in_large_figures_is_the_median_of_30_trials_in_percent(
     browser: Page, playground: Path
 ) -> None:
-    """Of the two errors in the middle the larger one is taken."""
+    """Of an even number of errors the page takes the larger one of the two in the middle."""
     open_playground(browser, playground, "steps=3000")
     until(browser, f"{NOTE_OF_FIRST_RESULT}.textContent === 'points, 30 runs'")
     text = browser.evaluate(f"{ERROR_OF_FIRST_RESULT}.textContent")

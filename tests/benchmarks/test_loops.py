@@ -12,8 +12,9 @@ from benchmarks.cost.loops import Bound, Graph, LongestPath, bounds_in
 def cost_of(graph: Graph, places: dict[int, str], bounds: dict[str, Bound]) -> int:
     """Return the cost of the longest path from instruction 0 on, if each instruction costs 1.
 
-    ``graph`` has for each instruction those that may follow it, and ``places`` the lines of source of those
-    that belong to a loop statement, such as "a.c:7". ``bounds`` says how often the loop there turns.
+    ``graph`` lists the instructions that may follow each instruction. ``places`` says which line of the
+    source an instruction comes from, such as "a.c:7", if that is the line of a loop. ``bounds`` says how
+    often the loop of a line turns.
     """
     return LongestPath(graph, dict.fromkeys(graph, 1), places, bounds).cost(0)
 

@@ -204,7 +204,7 @@ def check_logs(folder: Path) -> subprocess.CompletedProcess[str]:
 
 @dataclass(frozen=True)
 class CheckedLog:
-    """What check_log.py says of a log."""
+    """Verdict of check_log.py on a log."""
 
     ticks: int
     updates: int

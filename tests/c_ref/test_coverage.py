@@ -151,7 +151,7 @@ UNREACHABLE = GUARDS | {
 
 @pytest.fixture(scope="module")
 def coverage(tmp_path_factory: pytest.TempPathFactory) -> Coverage:
-    """What all C tests together have covered."""
+    """Coverage of all C tests together."""
     coverage = Coverage()
     for program in build_programs(tmp_path_factory.mktemp("coverage")):
         for function in run_and_export(program):

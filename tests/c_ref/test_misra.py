@@ -79,7 +79,7 @@ def recorded_advisory_rules() -> set[str]:
 
 @pytest.fixture(scope="module")
 def all_findings(tmp_path_factory: pytest.TempPathFactory) -> Findings:
-    """What is found for all targets together, and in builds of one filter for the first of them."""
+    """Findings for all targets together, and in builds of one filter for the first of them."""
     require("cppcheck", "cppcheck")
     # A copy, since cppcheck writes files beside what it reads.
     sources = Path(shutil.copytree(CORE.parent, tmp_path_factory.mktemp("misra") / "src"))

@@ -48,7 +48,7 @@ def symbols_in(path: Path, *options: str) -> set[str]:
 
 @pytest.mark.slow
 def test_every_inline_function_is_a_symbol_of_the_library(library: Path) -> None:
-    """Another language finds only symbols; the C header has eleven inline functions."""
+    """Another language can call only functions that are symbols. The C header has eleven inline functions."""
     assert len(inline_functions()) == 11
     assert inline_functions() <= symbols_in(library, "--dynamic", "--defined-only")
 
@@ -200,7 +200,7 @@ def test_the_rust_program_reserves_a_robot_s_memory() -> None:
 
 @pytest.fixture(scope="module")
 def output_of_rust(library: Path) -> str:
-    """What the Rust program prints that the page's commands build and run."""
+    """Output of the Rust program that the page's commands build and run."""
     require("rustc", "rustc")
     commands = block_with(PAGE, "rustc", "sh").replace("rustc ", "rustc -D warnings ")
     return run("sh", "-exc", commands, cwd=library.parents[2])

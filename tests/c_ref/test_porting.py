@@ -457,7 +457,10 @@ def test_the_commands_for_tables_print_what_docs_porting_shows(tmp_path: Path) -
 
 
 def ticks_until_a_swarm_agrees(filter_name: str, comms_period: int) -> float:
-    """Return the median over 30 trials of the ticks until robots agree that broadcast every so many ticks."""
+    """Return the ticks until the robots agree, if they broadcast in every ``comms_period``-th tick.
+
+    It is the mean over the robots of a trial, and the median of 30 trials.
+    """
     [experiment] = m.grid(
         topology="dynamic", filter=filter_name, comms_period=comms_period, steps=20_000, trials=30
     )

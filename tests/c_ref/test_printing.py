@@ -26,7 +26,7 @@ THIS_COMPUTER, WITH_32_BITS = ("gcc",), ("gcc", "-m32")
 
 @dataclass(frozen=True)
 class Output:
-    """What a program prints."""
+    """Output of a program."""
 
     stdout: str
     stderr: str

@@ -153,6 +153,6 @@ def test_the_package_offers_the_compiled_firmware() -> None:
 
 
 def test_the_package_has_no_other_attributes() -> None:
-    """What loads NativeRobot is asked for every name that the package does not have."""
+    """Python asks the function that loads NativeRobot for every name that the package does not have."""
     with pytest.raises(AttributeError, match="module 'mcp_asdf' has no attribute 'NoRobot'"):
         mcp_asdf.NoRobot  # noqa: B018

@@ -124,7 +124,7 @@ def test_a_sender_is_received_again_in_the_next_round(firmware: Firmware) -> Non
 # design: R15
 @for_every_firmware
 def test_a_robot_that_hears_nobody_believes_its_own_estimate_again(firmware: Firmware) -> None:
-    """What it heard in the round before counts no longer: those neighbours may be far away by now.
+    """Estimates of the round before count no longer: those neighbours may be far away by now.
 
     x_bar and beta are estimate and confidence of the neighbours; without any they are 0.5 and 0.
     """

@@ -81,7 +81,7 @@ def test_an_estimate_is_kept_in_the_slot_of_its_sender_modulo_32(
 # design: R35
 @for_fixed_point_firmwares
 def test_senders_with_ids_equal_modulo_32_share_a_slot(firmware: FixedPointFirmware) -> None:
-    """Of two such neighbours the robot remembers the one that was received last."""
+    """The robot remembers only the estimate that it received last from two such neighbours."""
     robot = firmware(ROBUST, OWN_ID, b_hat=0.95)
 
     robot.receive(sender=1, x_hat=0.25, alpha=1.0)
@@ -894,7 +894,7 @@ def split_image(image: bytes) -> SplitImage:
 
 # design: R29
 def test_a_saved_robot_has_the_estimates_of_two_slots_in_each_word() -> None:
-    """There are 32 slots, one for each neighbour, and the lower one of two is in the lower half of a word."""
+    """A robot has 32 slots for estimates. The lower half of a word has the slot with the lower number."""
     robot = MirrorRobot(ROBUST, OWN_ID, b_hat=0.95)
     robot.receive(sender=0, x_hat=0.25, alpha=1.0)
     robot.receive(sender=1, x_hat=0.5, alpha=1.0)

@@ -162,7 +162,7 @@ def test_a_batch_moves_the_dispersion_by_an_eighth(batch_black_count: int, dispe
 
 
 def test_the_dispersion_does_not_fall_below_1() -> None:
-    """Of the last 100 tiles 50 are black, exactly as many as of all 1000."""
+    """The last 100 tiles are half black, exactly as all 1000 are."""
     observations = Observations(n=500, t=1000, dispersion=1.0)
     assert dispersion_after_batch(observations, batch_black_count=50, batch_count=100) == 1
 
@@ -199,7 +199,7 @@ def test_the_dispersion_is_computed_from_the_observations_since_the_last_batch()
 
 
 def test_the_spread_of_estimates_is_their_median_distance() -> None:
-    """From 1/2 the estimates are 0, 1/8, 1/4, 0 and 1/2 away."""
+    """The estimates are 0, 1/8, 1/4, 0 and 1/2 away from their median, 1/2."""
     assert spread_around([0.5, 0.625, 0.25, 0.5, 1.0], 0.5) == 0.125
 
 

@@ -541,10 +541,7 @@ def test_read_experiments_refuses_a_file_that_does_not_exist() -> None:
 def test_a_legend_below_a_figure_has_as_many_columns_as_fit_its_width(
     label_length: int, entries: int, columns: int
 ) -> None:
-    """Of eight labels of 12 letters, for example, three fit into a line of six inches.
-
-    Of 28 letters, one does.
-    """
+    """The figure is six inches wide: three of eight labels of 12 letters fit into a line, or one of 28."""
     figure = empty_figure(6, 3)
     add_legend(figure, [Line2D([], [], label="m" * label_length) for _ in range(entries)])
     (legend,) = figure.legends

@@ -62,7 +62,7 @@ def test_every_small_mistake_in_the_firmware_s_python_is_noticed_by_its_tests() 
 
 @pytest.mark.slow
 def test_most_small_mistakes_in_the_tools_are_noticed_by_their_quick_tests() -> None:
-    """Of 90 that were drawn they noticed 78. Even at four of five this test would fail once in 50 runs."""
+    """They noticed 78 of 90 that were drawn. Even at four of five this test would fail once in 50 runs."""
     trial = plant_mistakes([TOOLS], sample=40)
     assert trial.planted > 36
     assert trial.unnoticed <= 13

@@ -137,7 +137,7 @@ class Remainder:
         self.facts: list[Any] = []
 
     def after_turn(self, machine: Machine) -> None:
-        """What follows knows nothing else of the turn."""
+        """The code after a turn may rely on nothing else that the turn did."""
         self.facts = self.facts or list(machine.facts)
         self.turns, self.turns_in_byte = self.turns + 1, self.turns_in_byte + 1
         machine.claim(self._holds(machine), f"turn {self.turns}")
@@ -257,7 +257,7 @@ def normalised(value: Any) -> tuple[Any, Any]:
 
 
 def _no_bit_is_lost(_: Any, a: Any, d: Any) -> Any:
-    """By shifting both until d has its highest bit set."""
+    """Claim that no bit is lost if both are shifted until d has its highest bit set."""
     divisor, shift = normalised(d)
     return z3.And(z3.LShR(a << shift, shift) == a, z3.LShR(divisor, shift) == d)
 
@@ -275,7 +275,7 @@ def ratio_requires(a: Any, d: Any) -> Any:
 
 
 def is_ratio(upper_a: Any, half_d: Any, long_a: Any, long_d: Any) -> Any:
-    """What ratio() gives of a and d times a power of two: likewise."""
+    """Return what is known of the result of ratio(): the upper parts of a and d, times a power of two."""
     return z3.And(
         *(long_a < 2**64, long_d >= 2**63, long_d < 2**64),
         *(2**32 * upper_a <= long_a, long_a < 2**32 * (upper_a + 1)),

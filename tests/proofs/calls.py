@@ -92,7 +92,7 @@ def _may_observe(robot: Any, _: Any) -> Any:
 
 
 def _observed(status: Any, after: Any, robot: Any, z: Any) -> Any:
-    """And I2 holds again."""
+    """The claim that I2 holds again after an observation."""
     is_colour = z3.Or(z == 0, z == 1)
     t, n = widen(robot["t"]) + 1, widen(robot["n"]) + widen(z)
     has_reached = t == widen(robot["config"]["memory"])

@@ -66,8 +66,10 @@ BY_LEMMA: dict[str, Summary] = {
 
 
 def same(after: Any, before: Any) -> Any:
-    """That a structure, and what its pointers point to, is as it was, as far as ``before`` has it. Of tables,
-    which may hold anything, the same one is sure to have the same first word."""
+    """Return the claim that a structure, and what its pointers point to, is as in ``before``.
+
+    Tables may hold anything; if one is the same, its first word is.
+    """
     if isinstance(before, dict) and isinstance(after, dict):
         return z3.And([same(after[name], each) for name, each in before.items()])
     if isinstance(before, Table):

@@ -56,7 +56,7 @@ class Words:
         return Number(z3.BitVec(name, type_.bits), type_), z3.BoolVal(True)
 
     def fits(self, _: Number) -> Any:
-        """That the number is one of its type."""
+        """The claim that the number is one of its type."""
         return z3.BoolVal(True)
 
     def convert(self, number: Number, type_: Type) -> Number:

@@ -25,7 +25,7 @@ class UnprovenError(AssertionError):
 
 
 def prove(claim: Any, *known: Any, about: str = "") -> None:
-    """That the claim holds for all values of which the rest is known."""
+    """Prove that the claim holds for all values for which the rest is known to hold."""
     answer, solver = _answer(*known, z3.Not(claim))
     if answer == z3.sat:
         raise UnprovenError(f"{about}: broken by {solver.model()}")
@@ -34,15 +34,18 @@ def prove(claim: Any, *known: Any, about: str = "") -> None:
 
 
 def _text(formulas: Iterable[Any]) -> str:
-    """What the solver reads: the formulas, and of which sort each name in them is."""
+    """Return the text that the solver reads: the formulas, and of which sort each name in them is."""
     query = z3.Solver()
     query.add(*formulas)
     return str(query.sexpr())
 
 
 def _answer(*formulas: Any) -> tuple[Any, Any]:
-    """Whether all of them can hold, and the solver that knows. Each attempt has a context of its own and
-    counts steps, not time, so the answer depends on the formulas' text alone: on no query before, no load."""
+    """Return whether all of the formulas can hold, and the solver that knows.
+
+    Each attempt has a context of its own and counts steps, not time. So the answer depends on the text of the
+    formulas alone, and not on queries before or on the load of the machine.
+    """
     text = _text(formulas)
     for seed, steps in enumerate(EFFORTS):
         for make in SOLVERS:
@@ -56,7 +59,7 @@ def _answer(*formulas: Any) -> tuple[Any, Any]:
 
 
 def require_possible(known: Iterable[Any], about: str) -> None:
-    """That something satisfies all that a proof takes for known: from a contradiction anything follows."""
+    """Require that something satisfies the premises of a proof: anything follows from a contradiction."""
     if _answer(*known)[0] != z3.sat:
         raise UnprovenError(f"{about}: nothing is found that satisfies what is taken for known")
 
@@ -123,7 +126,7 @@ Contracts = Mapping[str, Contract]
 
 
 def prove_contract(program: Program, name: str, contracts: Contracts) -> None:
-    """That the function keeps its contract, and what its code relies on."""
+    """Prove that the function keeps its contract, and what its code relies on."""
     contract = contracts[name]
     lemmas = {each: contracts[each].stands_in(each) for each in contract.uses}
     constant, values = contract.cases
@@ -143,8 +146,10 @@ def prove_contract(program: Program, name: str, contracts: Contracts) -> None:
 
 
 def prove_lemma(program: Program, name: str, contracts: Contracts, done: set[Any]) -> None:
-    """That the function keeps its contract, unless the same contract of the same text, with the same lemmas,
-    is among those done."""
+    """Prove that the function keeps its contract, unless that is among those ``done``.
+
+    A proof is done if the contract, the text of the function, and the lemmas that it relies on are the same.
+    """
     contract = contracts[name]
     text = program.text(name, {*contract.uses, *contract.instead})
     key = (text, contract, *(contracts[each] for each in contract.uses))

@@ -58,7 +58,7 @@ def of_informed_estimate(program: Program) -> Iterator[Claim]:
 
 
 def of_the_mean() -> Iterator[Claim]:
-    """By the lemma of quotient()."""
+    """Claim that the mean is at most 7 units too small, by the lemma of quotient()."""
     total, alpha, dividend, q = z3.Ints("S alpha dividend q")
     known = [total >= 0, alpha > 0, total <= ONE * alpha, q >= 0]
     is_mean = z3.And(q * ONE * alpha <= 2**32 * total, 2**32 * total < (q + 8) * ONE * alpha)

@@ -47,7 +47,7 @@ def test_premises_that_the_solver_cannot_satisfy_prove_nothing() -> None:
 
 
 def test_premises_that_contradict_each_other_prove_nothing() -> None:
-    """From a contradiction everything follows. A real number may be between 0 and 1, and no integer is."""
+    """Everything follows from a contradiction. A real number may be between 0 and 1, and no integer is."""
     real, integer = z3.Real("p"), z3.Int("p")
     claims = [
         ("of reals", real * real < 1, [real > 0, real < 1]),
@@ -65,7 +65,7 @@ def test_an_empty_list_of_claims_proves_nothing() -> None:
 
 
 def test_a_contract_that_no_argument_meets_has_no_proof() -> None:
-    """What a function does for all arguments of an empty set says nothing about the function."""
+    """A claim about all arguments of an empty set says nothing about a function."""
     no_argument = Contract(always, requires=lambda *_: NEVER)
     with pytest.raises(UnprovenError, match="nothing is found"):
         prove_lemma(program(VARIANTS[0]), "add", {"add": no_argument}, set())

@@ -51,7 +51,7 @@ def component(name: str, version: str, kind: str = "pypi", **more: Any) -> dict[
 
 
 def licences(about: metadata.PackageMetadata) -> list[dict[str, Any]]:
-    """As the package states them: an expression, classifiers, or the first line of a text."""
+    """Return the licences that a package states: an expression, classifiers, or the first line of a text."""
     if expressions := about.get_all("License-Expression"):
         return [{"expression": each} for each in expressions]
     stated = [each for each in about.get_all("Classifier") or () if each.startswith("License ::")]

@@ -96,7 +96,7 @@ def test_the_authors_data_are_those_whose_hashes_their_page_lists() -> None:
 
 @pytest.fixture(scope="module")
 def bill_of_materials() -> dict[str, Any]:
-    """What release/sbom.py writes for a release: the components that come with the project."""
+    """The list that release/sbom.py writes for a release: the components that come with the project."""
     pytest.importorskip("cyclonedx.schema", reason="cyclonedx-bom is not installed")
     return bill()
 
@@ -144,7 +144,7 @@ def hash_of_component(component: dict[str, Any]) -> str:
 def test_no_two_components_of_the_bill_of_materials_have_the_same_hash(
     bill_of_materials: dict[str, Any],
 ) -> None:
-    """By its hash, of 64 hexadecimal digits, a user recognises the component that was released."""
+    """A user recognises the component that was released by its hash of 64 hexadecimal digits."""
     hashes = [hash_of_component(component) for component in bill_of_materials["components"]]
 
     assert all(re.fullmatch("[0-9a-f]{64}", digest) for digest in hashes)

@@ -85,7 +85,7 @@ def count_in_summary(log: str, outcome: str) -> int:
 def test_the_last_line_of_a_log_says_how_many_tests_passed_and_were_skipped(
     summary: str, passed: int, skipped: int
 ) -> None:
-    """By these numbers the tests of a guest count as passed, as failed, or as skipped in part."""
+    """These numbers decide whether the tests of a guest count as passed, as failed, or as skipped in part."""
     log = f"tests/socketcan/test_socketcan.py::test_a PASSED\n{summary}\n"
     assert count_in_summary(log, "passed") == passed
     assert count_in_summary(log, "skipped") == skipped

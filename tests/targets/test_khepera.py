@@ -142,7 +142,7 @@ def record_floor(robot: Path, command: str, brightness: int) -> None:
 
 @pytest.mark.slow
 def test_the_calibration_of_a_khepera_prints_what_docs_khepera_shows(robot: Path) -> None:
-    """From readings over a black and over a white floor it computes the threshold and the accuracy."""
+    """It computes the threshold and the accuracy from readings over a black and over a white floor."""
     command_over_black, command_over_white, *calibration = CALIBRATE.splitlines(keepends=True)
     record_floor(robot, command_over_black, brightness=300)
     record_floor(robot, command_over_white, brightness=700)

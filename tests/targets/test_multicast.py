@@ -301,7 +301,7 @@ def calls_of_sending_node(tmp_path_factory: pytest.TempPathFactory) -> list[str]
 def test_a_node_asks_the_system_for_memory_only_before_it_sends_or_after(
     calls_of_sending_node: list[str],
 ) -> None:
-    """From the first call of sendto to the last there is no call about memory.
+    """There is no call about memory from the first call of sendto to the last.
 
     The node sends at least an estimate for each of 80 tiles.
     """

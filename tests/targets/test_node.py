@@ -795,7 +795,7 @@ def command_under_strace(trace: Path, tmp_path_factory: pytest.TempPathFactory) 
 def test_a_read_of_observations_that_fails_for_the_moment_is_repeated(
     bus: UnixBus, tmp_path: Path, command_under_strace: Callable[..., list[str]], error: str
 ) -> None:
-    """Of 600 observations none is lost, although every second read fails, the first one included.
+    """None of 600 observations is lost, although every second read fails, the first one included.
 
     strace lets the reads fail, as the system may if a signal comes or nothing is there yet.
     """

@@ -162,9 +162,9 @@ def sections_of_variables(elf: ELFFile) -> dict[str, Any]:
 @pytest.mark.parametrize("level", ["-Os", *slow(["-O0", "-O3"])])
 @pytest.mark.parametrize("board", BOARDS, ids=lambda board: board.name)
 def test_variables_have_their_values_when_main_starts(board: Board, level: str, tmp_path: Path) -> None:
-    """Those in one section have values of the program, those in another one are 0, whatever RAM held before.
+    """The variables of one section have the values of the program, those of another one are 0.
 
-    The port's start-up code does that, before main(), on an emulated processor.
+    The port's start-up code does that before main(), whatever RAM held before, on an emulated processor.
     """
     with build(board, level, tmp_path).open("rb") as stream:
         elf = ELFFile(stream)

@@ -20,7 +20,7 @@ from typing import Any
 
 from mcp_asdf.fixed_point import ALPHA_MAX, B_HAT_MAX, B_HAT_MIN, HALF, ONE
 from mcp_asdf.mirror import Closed, MirrorRobot
-from mcp_asdf.robot import DEFAULT_MEMORY, MAX_ID, MIN_MEMORY, Config, Filter, Observation
+from mcp_asdf.robot import DEFAULT_MEMORY, MAX_ROUND_SIZE, MIN_MEMORY, Config, Filter, Observation
 from mcp_asdf.robust_filter import VOTES_MAX
 from mcp_asdf.table import MAX_Q, MIN_Q, Table
 from mcp_asdf_tools.crosscheck.crafted_rounds import ALPHA_ONE
@@ -170,7 +170,7 @@ def _workloads_along_t() -> Iterator[Workload]:
 
 def _workloads_along_m() -> Iterator[Workload]:
     """Yield workloads of every number of messages in a round."""
-    for m in range(MAX_ID + 1):
+    for m in range(MAX_ROUND_SIZE + 1):
         yield Workload(m=m)
         yield Workload(m=m, agrees=True)
         yield Workload(m=m, alpha=ALPHA_MAX)
@@ -180,10 +180,12 @@ def _workloads_along_m() -> Iterator[Workload]:
 
 
 def _workloads_along_q() -> Iterator[Workload]:
-    """Yield workloads with t-tables of every size q, and rounds of m messages that read their ends."""
+    """Yield workloads with t-tables of every size q, and rounds of m messages that read their ends.
+
+    A table has an entry for each m from 2 to q, and one for all larger m.
+    """
     for q in range(MIN_Q, MAX_Q + 1):
-        # The table has an entry for each m from 2 to q, and one for all larger m. MAX_ID is the largest m.
-        for m in (2, q, min(q + 1, MAX_ID)):
+        for m in (2, q, min(q + 1, MAX_ROUND_SIZE)):
             yield Workload(q=q, m=m)
 
 
@@ -248,7 +250,7 @@ def measure_storage(firmware: type[MirrorRobot] = MirrorRobot) -> dict[str, dict
 
     def image_sizes(robust: bool) -> dict[int, int]:
         """Return the bytes of saved robots by m, with the robust filter or without it."""
-        workloads = (Workload(m=m, robust=robust) for m in range(MAX_ID + 1))
+        workloads = (Workload(m=m, robust=robust) for m in range(MAX_ROUND_SIZE + 1))
         return {workload.m: len(workload.make_robot(firmware).save()) for workload in workloads}
 
     return {

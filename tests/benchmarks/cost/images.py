@@ -124,7 +124,7 @@ class Image:
         return text + data, data + bss
 
     def _listed(self, tool: str, *options: str) -> str:
-        """What one of the target's tools prints of the image."""
+        """Return what one of the target's tools prints of the image."""
         command = [self.target.tools + tool, *options, str(self.path)]
         return subprocess.run(command, capture_output=True, text=True, check=True).stdout
 

@@ -100,7 +100,7 @@ def _microseconds(name: str, found: Figures, kind: str) -> float:
 
 
 def short_row(name: str, fast: Figures) -> Row:
-    """What a target takes on average with the paper's filter alone, and plain C in comparison."""
+    """Return the row of a target: its mean cost with the paper's filter alone, beside plain C."""
     titles = {"step": "step with 10 neighbours", "receive": "receive", "x": "x", UPDATED: UPDATED}
     times = {
         kind: f"{fast.times[kind]:.1f}" if kind in fast.times else "none" for kind in ("double", "float")
@@ -169,5 +169,5 @@ def _kilobot(avr: Figures, kilobots: Kilobots) -> str:
 
 
 def share(kilobot: tuple[int, int]) -> str:
-    """What a Kilobot takes of its memories."""
+    """Return the shares of its memories that a Kilobot's firmware takes."""
     return f"{kilobot[0] / FLASH:.0%} of its flash and {kilobot[1] / RAM:.0%} of its RAM"

@@ -122,7 +122,7 @@ def _between(least: int, value: int, most: int) -> int:
 
 
 def senders(count: int) -> list[int]:
-    """That many robots beside the own one; at most 127."""
+    """Return the ids of so many robots beside the own one; at most 127."""
     return [sender for sender in range(128) if sender != OWN_ID][:count]
 
 

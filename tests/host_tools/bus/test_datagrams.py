@@ -64,7 +64,7 @@ def test_a_datagram_of_more_than_400_bytes_is_refused() -> None:
 
 
 def test_most_odd_datagrams_are_refused() -> None:
-    """Of some 850 datagrams with a field of another type, size or order only a few are legal frames."""
+    """Some 850 datagrams have a field of another type, size or order. Only a few of them are legal frames."""
     datagrams = odd_datagrams()
     refused = [datagram for datagram in datagrams if unpack_data_frame(datagram) is None]
     assert len(datagrams) > 800

@@ -102,7 +102,7 @@ LARGEST_COMMAND = Command(127, tick=2**32 - 1, target=EVERY_ROBOT, action=Action
 @example(SMALLEST_TELEMETRY)
 @example(LARGEST_COMMAND)
 def test_cantools_decodes_our_frames(database: Any, message: Any) -> None:
-    """By our DBC file cantools finds the values that we have encoded in a frame.
+    """With our DBC file cantools finds the values that we have encoded in a frame.
 
     A DBC file describes frames to other programs. Its entry for a kind of frame serves all nodes.
     """
@@ -122,7 +122,7 @@ def test_cantools_decodes_our_frames(database: Any, message: Any) -> None:
 @example(SMALLEST_TELEMETRY)
 @example(LARGEST_COMMAND)
 def test_we_decode_the_frames_of_cantools(database: Any, message: Any) -> None:
-    """By our DBC file cantools encodes values, and we decode them as a message.
+    """Cantools encodes values with our DBC file, and we decode them as a message.
 
     A DBC file describes frames to other programs.
     """
@@ -237,7 +237,7 @@ def test_a_signal_without_illegal_values_has_a_range_of_all_that_its_bits_can_ho
 def test_the_file_names_the_numbers_of_health_mode_and_action(
     database: Any, message: str, signal: str, enum: type[Enum]
 ) -> None:
-    """By the DBC file other programs show such a name in place of the number in a frame."""
+    """Other programs that read the DBC file show such a name in place of the number in a frame."""
     choices = database.get_message_by_name(message).get_signal_by_name(signal).choices
     names_by_number = {number: str(name) for number, name in choices.items()}
     assert names_by_number == {member.value: member.name for member in enum}

@@ -232,7 +232,7 @@ def test_a_signal_ends_a_command_while_the_clock_is_set_back(
 
 
 def test_a_wait_ends_in_time_while_the_clock_is_set_back(set_clock_back: Callable[[], list[float]]) -> None:
-    """Nothing comes within 10 ms, so None is received. Python-can itself would wait for days."""
+    """No frame comes within 10 ms, so ``recv`` returns None. Python-can itself would wait for days."""
     seconds_of_waits = set_clock_back()
     with bus_from_options("--channel", "silent").open() as bus:
         assert bus.recv(timeout=0.01) is None

@@ -27,7 +27,7 @@ def trials_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def test_convert_prints_the_scores_of_a_folder_of_the_authors_trials(capsys: Capture) -> None:
-    """Of three trials in the folder, two are of a fully connected swarm, and one is of a moving swarm."""
+    """The folder has two trials of a fully connected swarm and one of a moving swarm."""
     assert main(["convert", "data", "--output", "theirs.parquet"]) == 0
     output = capsys.readouterr().out
 

@@ -449,7 +449,7 @@ def test_the_check_of_a_table_loads_no_slow_library_but_mpmath(
 
 @pytest.mark.slow
 def test_a_swarm_loads_neither_matplotlib_nor_pyarrow_nor_scipy() -> None:
-    """Of the slow libraries it loads only can, mpmath, numpy and rich."""
+    """It loads only four of the slow libraries: can, mpmath, numpy and rich."""
     line = "swarm --steps 1 --quiet"
     assert libraries_loaded_by([line]) == {line: ["can", "mpmath", "numpy", "rich"]}
 
@@ -491,7 +491,7 @@ def folder_with_readings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Non
 def test_examples_below_a_help_print_the_lines_that_the_help_shows_below_them(
     name: str, capsys: Capture
 ) -> None:
-    """Those of node and radio are left out: they need a second program."""
+    """Examples of node and radio are left out, as they need a second program."""
     for example in examples_up_to_the_last_output(name):
         assert cli.main(shlex.split(example.command, comments=True)) == 0
         printed_lines = [line.strip() for line in capsys.readouterr().out.splitlines()]

@@ -237,7 +237,7 @@ def test_swarm_with_a_web_page_ends_with_an_error_and_does_not_wait_when_the_bus
 
 
 def test_ctrl_c_that_ends_a_swarm_ends_its_page_too(monkeypatch: pytest.MonkeyPatch, capsys: Capture) -> None:
-    """As the printed line with the address says: the command does not wait for a second Ctrl-C."""
+    """The command does not wait for a second Ctrl-C, as the printed line with the address says."""
     monkeypatch.setattr("mcp_asdf_tools.cli.swarm.stopping", lambda: nullcontext(lambda: True))
     waiting = Mock(side_effect=AssertionError("it waits for Ctrl-C"))
     monkeypatch.setattr("mcp_asdf_tools.cli.swarm.sleep_until", waiting)

@@ -13,7 +13,7 @@ def test_white_space_in_a_message_becomes_single_spaces() -> None:
 
 
 def test_characters_that_do_not_print_are_escaped() -> None:
-    """What a file or an argument holds must not control the user's terminal."""
+    """The content of a file or an argument must not control the user's terminal."""
     assert str(UsageError("cannot read \x1b[2J\ud800")) == "cannot read \\x1b[2J\\ud800"
 
 
@@ -23,7 +23,7 @@ def test_a_message_of_800_characters_is_kept() -> None:
 
 
 def test_the_middle_of_a_longer_message_is_left_out() -> None:
-    """Of 800 characters the first 400 and the last 400 are shown, around three points."""
+    """The first 400 and the last 400 characters are shown, with three points between them."""
     message = str(UsageError("cannot read a" + "9" * 5000 + "; fix it"))
     first_400, last_400 = "cannot read a".ljust(400, "9"), "; fix it".rjust(400, "9")
     assert message == f"{first_400} ... {last_400}"

@@ -285,14 +285,14 @@ TWO_CALLS_AND_A_WRONG_ONE = f"{ROBOT},observe:1,settle,observe:9"
 
 
 def test_a_replay_without_a_difference_says_that_both_robots_agree() -> None:
-    """Of the three calls both refuse the last one, an observation of 9, by the same status."""
+    """Both refuse the last of three calls, an observation of 9, and return the same status."""
     result = run_crosscheck_command("--replay", TWO_CALLS_AND_A_WRONG_ONE)
     expected = "native and mirror agree in every bit over 3 calls\n"
     assert result == CommandResult(exit_code=0, output=expected, errors="")
 
 
 def test_a_replay_without_a_difference_has_no_failure_in_its_json() -> None:
-    """Of the three calls both robots refuse the last one, an observation of 9, by the same status."""
+    """Both robots refuse the last of three calls, an observation of 9, and return the same status."""
     report = json_report("--replay", TWO_CALLS_AND_A_WRONG_ONE)
     assert report == {"ok": True, "status": "OK", "calls": 3, "failure": None}
 

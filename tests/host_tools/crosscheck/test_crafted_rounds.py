@@ -102,7 +102,7 @@ def test_estimates_just_inside_the_filter_s_threshold_pass_and_those_just_outsid
 # design: R24
 @for_every_omega
 def test_most_drawn_estimates_are_decided_by_the_last_bits_of_the_threshold(omega: str) -> None:
-    """Of 100 drawn pairs, more than 50 are decided differently if the threshold changes by a part in 2**24.
+    """More than 50 of 100 drawn pairs are decided differently if the threshold changes by a part in 2**24.
 
     The first of a pair just passes the test, the second is just rejected.
     """
@@ -300,7 +300,7 @@ def test_estimates_drawn_for_a_new_b_hat_above_or_below_a_half_or_at_an_end_lead
 
 
 def test_estimates_drawn_to_keep_b_hat_have_a_mean_of_one_half() -> None:
-    """Of a floor that is half black any sensor sees half black, so nothing follows for its accuracy."""
+    """Any sensor sees half of the tiles black on such a floor, so nothing follows for its accuracy."""
     robot = RobotState(t=997, n=600, x_hat=ONE // 4, table=TABLE)
     estimates = draw_round_for_update(robot, Update.KEPT, Random(1))
     assert estimates is not None

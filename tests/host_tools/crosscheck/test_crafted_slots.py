@@ -72,7 +72,7 @@ for_pairs = pytest.mark.parametrize(
 
 @for_pairs
 def test_the_estimates_of_a_pair_differ_by_one_unit_in_one_slot(count: int, width: int, seed: int) -> None:
-    """By the first estimates of a pair a robot just keeps its b_hat, by the second ones it just does not.
+    """With the first estimates of a pair a robot just keeps its b_hat, with the second ones it just does not.
 
     A slot holds the estimate of one neighbour, in units of 2**-16.
     """

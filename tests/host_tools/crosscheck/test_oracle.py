@@ -243,7 +243,7 @@ def test_no_update_is_expected_of_a_call_that_the_robot_refuses() -> None:
 
 
 def test_of_several_errors_the_largest_is_kept_whatever_its_sign() -> None:
-    """Of each value there is an error against exact numbers and one against floats."""
+    """Each value has an error against exact numbers and one against floats."""
     errors = Errors()
     errors.add(Fraction(-3, 4), 0.25)
     errors.add(Fraction(1, 4), -0.5)

@@ -110,7 +110,7 @@ def results_of_pair(name: str) -> list[Trials]:
 
 
 def test_every_parameter_of_an_experiment_has_two_values_in_these_tests() -> None:
-    """But for ``sensor``, of which there is one where no extension is installed."""
+    """The exception is ``sensor``, which has only one value where no extension is installed."""
     assert {*PAIRS, "sensor"} == set(PARAMETER_NAMES)
 
 
@@ -124,7 +124,7 @@ def have_equal_records(first: Trials, second: Trials) -> bool:
 
 @pytest.mark.parametrize("name", PAIRS)
 def test_another_value_of_a_parameter_changes_what_the_robots_compute(name: str) -> None:
-    """But for the three parameters in WITHOUT_EFFECT, which says why."""
+    """The exceptions are the three parameters in WITHOUT_EFFECT, which says why."""
     first, second = results_of_pair(name)
     assert have_equal_records(first, second) == (name in WITHOUT_EFFECT)
 

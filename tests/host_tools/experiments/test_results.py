@@ -129,7 +129,7 @@ def test_results_of_one_robot_without_recorded_values_are_read_from_their_file(p
 
 
 def test_the_trials_of_an_experiment_may_be_spread_over_the_files_of_a_folder(tmp_path: Path) -> None:
-    """The first and the third of three files have the same experiment. Experiments are read one by one."""
+    """The first and the third of three files have trials of one experiment, which are read together."""
     for trial, experiment in enumerate((SHORT, OTHER_EXPERIMENT, SHORT)):
         table = trials_to_table(run_trials(experiment, first=trial, trials=1))
         write_tables(tmp_path / f"{trial}.parquet", [table])
@@ -176,7 +176,7 @@ def test_any_reader_of_parquet_finds_the_results_of_a_trial_in_its_row(
 
 @pytest.fixture(scope="module")
 def described_columns(results_path: Path) -> dict[str, dict[str, str]]:
-    """What the metadata of a file of results say about each column."""
+    """The entry of each column in the metadata of a file of results, such as its meaning, by name."""
     metadata = json.loads(pq.read_schema(results_path).metadata[b"mcp-asdf"])
     return dict(metadata["columns"])
 
@@ -541,14 +541,13 @@ def test_a_line_of_csv_has_means_over_the_robots_of_its_trial(
 ) -> None:
     """The second line is that of trial 1 of the first experiment. b_hat is that of the last filter step."""
     trials, _ = experiments
-    _, row, *_ = csv_rows
-    _, steps_of_trial_1, _ = trials.convergence_steps
-    _, errors_of_trial_1, _ = trials.errors
-    _, (*_, b_hat_at_end_of_trial_1), _ = trials.b_hat
+    trial = 1
+    row = csv_rows[trial]
+    last_filter_step = -1
 
-    assert float(row["mean_K"]) == pytest.approx(steps_of_trial_1.mean())
-    assert float(row["mean_e"]) == pytest.approx(errors_of_trial_1.mean())
-    assert float(row["mean_b_hat"]) == pytest.approx(b_hat_at_end_of_trial_1.mean())
+    assert float(row["mean_K"]) == pytest.approx(trials.convergence_steps[trial].mean())
+    assert float(row["mean_e"]) == pytest.approx(trials.errors[trial].mean())
+    assert float(row["mean_b_hat"]) == pytest.approx(trials.b_hat[trial, last_filter_step].mean())
 
 
 def test_a_line_of_csv_has_sums_of_tests_and_updates_over_the_robots_of_its_trial(
@@ -556,9 +555,8 @@ def test_a_line_of_csv_has_sums_of_tests_and_updates_over_the_robots_of_its_tria
 ) -> None:
     """The second line is that of trial 1 of the first experiment."""
     trials, _ = experiments
-    _, row, *_ = csv_rows
-    _, tests_of_trial_1, _ = trials.tests
-    _, updates_of_trial_1, _ = trials.updates
+    trial = 1
+    row = csv_rows[trial]
 
-    assert int(row["tests"]) == sum(tests_of_trial_1)
-    assert int(row["updates"]) == sum(updates_of_trial_1)
+    assert int(row["tests"]) == sum(trials.tests[trial])
+    assert int(row["updates"]) == sum(trials.updates[trial])

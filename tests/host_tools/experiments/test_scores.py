@@ -44,7 +44,7 @@ def test_the_step_of_convergence_is_the_first_from_which_on_no_value_differs_by_
 
 @pytest.mark.parametrize("series", [[0.5, math.nan, 0.5], [0.5, 0.5, math.nan]])
 def test_a_series_with_a_nan_converges_only_in_its_last_step(series: list[float]) -> None:
-    """That is step 2, as the first one is 0."""
+    """The last step is step 2, as the first one is step 0."""
     assert convergence_step(np.array(series), 0.25) == 2
 
 

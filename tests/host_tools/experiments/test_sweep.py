@@ -141,7 +141,7 @@ def test_an_attempt_to_score_an_interrupted_sweep_is_answered_with_where_its_dat
 def test_an_interrupted_sweep_that_goes_on_runs_only_the_missing_trials(
     interrupted_sweep: Store, jobs_run: list[Job]
 ) -> None:
-    """Of its last experiment 32 of 40 trials had been run."""
+    """It was interrupted after 32 of the 40 trials of its last experiment."""
     run_sweep(interrupted_sweep, workers=1)
     assert [(job.first, job.count) for job in jobs_run] == [(32, 8)]
 
@@ -384,7 +384,7 @@ def test_the_output_has_the_trials_of_each_experiment_in_order_whatever_the_orde
 
 
 def test_the_output_has_as_many_rows_in_a_group_as_it_may(output_of_mixed_jobs: Path) -> None:
-    """Of 80 rows, 50 are in the first group. A reader has one group in memory at a time."""
+    """The first group has 50 of 80 rows. A reader has one group in memory at a time."""
     metadata = pq.read_metadata(output_of_mixed_jobs)
     row_groups = [metadata.row_group(index) for index in range(metadata.num_row_groups)]
     assert [row_group.num_rows for row_group in row_groups] == [50, 30]
@@ -402,7 +402,7 @@ def test_experiments_are_read_one_by_one_from_row_groups_that_do_not_end_with_th
 
 
 def bytes_of_lists(experiment: Experiment, sampling_interval: int) -> int:
-    """Return the bytes that the lists in the row of a trial take: eight for each value."""
+    """Return how many bytes the lists of a trial take in a row of results: eight for each value."""
     trials = Job(experiment, first=0, count=1, sampling_interval=sampling_interval).run()
     (row,) = trials_to_table(trials).to_pylist()
     return 8 * sum(np.size(values) for values in row.values() if isinstance(values, list))
@@ -504,7 +504,7 @@ def report_slow_progress(monkeypatch: pytest.MonkeyPatch, *, quiet: bool) -> Non
 def test_progress_is_a_line_a_minute_where_there_is_no_terminal(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Of eight trials, three are finished after a minute, and six after two."""
+    """Three of the eight trials are finished after a minute, and six of them after two minutes."""
     monkeypatch.setenv("FORCE_COLOR", "")
     report_slow_progress(monkeypatch, quiet=False)
 
@@ -559,7 +559,7 @@ def run_for_json(*arguments: str | Path) -> dict[str, Any]:
 
 @pytest.fixture(scope="module")
 def sweep_answer(grid_file: Path) -> dict[str, Any]:
-    """What ``sweep grid.toml`` answers that has run these experiments."""
+    """Answer of ``sweep grid.toml`` after it has run these experiments."""
     return run_for_json("sweep", grid_file, "--workers", "1")
 
 
@@ -571,7 +571,7 @@ def results_file(grid_file: Path, sweep_answer: dict[str, Any]) -> Path:
 
 @pytest.fixture(scope="module")
 def sweep_text(grid_file: Path, results_file: Path) -> str:
-    """What ``sweep grid.toml`` prints for people; all trials have been run before."""
+    """Text that ``sweep grid.toml`` prints for people; all trials have been run before."""
     assert results_file.exists()
     with redirect_stdout(StringIO()) as output:
         assert cli.main(["sweep", str(grid_file), "--workers", "1"]) == 0
@@ -871,7 +871,7 @@ def ctrl_c_in_the_first_part(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.usefixtures("ctrl_c_in_the_first_part")
 def test_ctrl_c_while_a_part_of_the_results_is_written_loses_no_finished_trial(output: Path) -> None:
-    """As many trials are missing on the disk as the sweep itself takes for missing."""
+    """The trials that are missing on the disk are as many as the sweep itself takes for missing."""
     store = Store(output, [SHORT_SWEEP])
     with interruptible(), pytest.raises(KeyboardInterrupt):
         run_sweep(store, workers=1)

@@ -183,7 +183,7 @@ def test_events_of_version_4_are_read(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("version", [3, 4])
 def test_robots_with_an_earlier_robust_filter_are_refused_by_their_ids(version: int, tmp_path: Path) -> None:
-    """That filter computed otherwise, so a replay would report differences that are none.
+    """The earlier filter computed other numbers, so a replay would report differences that are no faults.
 
     The robots 3, 4 and 7 of the file have it.
     """

@@ -501,7 +501,7 @@ def test_the_frames_on_a_full_disk_are_explained_by_the_events_or_come_after_the
 
 @pytest.fixture
 def output_of_tshark(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
-    """What Wireshark's tshark prints of a swarm, by the three commands of docs/platforms/can_tools.md.
+    """Output of Wireshark's tshark on a swarm, by the three commands of docs/platforms/can_tools.md.
 
     One writes a log, one converts it, and tshark reads it.
     """

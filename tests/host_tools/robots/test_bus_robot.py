@@ -52,7 +52,7 @@ def robot_with_counters(comms_period: int, **counters: int) -> BusRobot:
 
 
 def estimates_of(*senders: int) -> NDArray[np.uint32]:
-    """Return an array of estimates, with a row of sender, x_hat and alpha for each; x_hat is 0, alpha 1."""
+    """Return an array with a row for each sender: its id, an x_hat of 0 and an alpha of 1."""
     return np.array([[sender, 0, ALPHA_ONE] for sender in senders], np.uint32)
 
 
@@ -330,7 +330,7 @@ def test_the_flawed_robots_are_given_as_a_count_or_as_a_share_of_ten_robots(flaw
 def test_a_share_of_flawed_robots_is_rounded_to_the_nearest_count_with_halves_up(
     share: Any, count: int
 ) -> None:
-    """Of ten robots, 44.9 % are 4 and 45 % are 5."""
+    """With ten robots, 44.9 % are 4 robots and 45 % are 5."""
     assert Population(robots=10, flawed=share).flawed == count
 
 
@@ -430,7 +430,7 @@ def test_a_memory_that_is_no_multiple_of_4_is_refused() -> None:
 def test_the_table_of_thresholds_is_for_as_many_neighbours_as_a_robot_can_hear(
     robots: int, neighbours: int
 ) -> None:
-    """That is one less than there are robots, but at least 2, and at most 127, as there are 128 ids."""
+    """A robot can hear all others. The table is for at least 2, and at most 127, as there are 128 ids."""
     table = Population(robots=robots, topology="dynamic", filter="asdf-plus").config(0).table
     assert table is not None
     assert table.q == neighbours

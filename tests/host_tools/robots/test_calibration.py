@@ -244,7 +244,7 @@ def test_the_output_of_calibrate_ends_with_the_accuracy_as_an_option_for_a_robot
 
 
 def test_the_command_calibrate_warns_of_a_bias(readings_file: Path, capsys: Capture) -> None:
-    """Of 100 readings over white ten are as over black. The bias is (1 - 0.9) / 2 / (1 + 0.9 - 1) = 0.056."""
+    """Ten of 100 readings over white are as over black. The bias is (1 - 0.9) / 2 / (1 + 0.9 - 1) = 0.056."""
     readings_file.write_text(readings_file.read_text() + "300,white\n" * 10)
     assert run_calibrate(readings_file) == 0
     assert "x_hat is off by +0.056 on every floor" in capsys.readouterr().err

@@ -49,7 +49,7 @@ def test_pictures_and_pages_have_a_minus_sign_in_asdf_minus() -> None:
 
 
 def test_the_first_series_of_a_filter_has_its_colour_and_the_next_one_another() -> None:
-    """Of three series in a picture the first two are of no filter. The first is grey, and the second blue."""
+    """Two of three series in a picture are of no filter. The first of them is grey, the second blue."""
     colours = colours_of_filters(["none", "none", "robust"])
     assert colours == ["#999999", "#0072b2", "#009e73"]
 

@@ -121,7 +121,7 @@ def make_four_nodes(firmware: str) -> list[RobotNode]:
 
 @dataclass(frozen=True)
 class DrivenTick:
-    """What four robots have observed in a tick, and what they have answered, by robot."""
+    """Observations of four robots in a tick, and the frames that they answered, by the id of the robot."""
 
     observations: dict[int, Observation | None]
     estimates: dict[int, Estimate]

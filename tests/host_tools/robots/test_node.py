@@ -440,7 +440,7 @@ def test_a_node_warns_once_of_each_kind_of_suspicious_estimates_and_each_sender(
 
 
 def test_a_node_drops_the_estimates_of_ids_that_are_not_allowed(capsys: pytest.CaptureFixture[str]) -> None:
-    """Of the 33 estimates of robot 6 in one round the firmware takes the first.
+    """Robot 6 sends 33 estimates in one round, of which the firmware takes the first.
 
     The node's own id is not dropped: its two estimates reach the firmware, which refuses them.
     """

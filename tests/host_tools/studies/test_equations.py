@@ -17,7 +17,7 @@ def differences_of(claim: str) -> list[float]:
 def test_all_numbers_of_the_papers_table_1_are_right_to_their_three_printed_digits(
     claim: str, count: int
 ) -> None:
-    """What the equations give differs from each number of the table by at most half of its last digit."""
+    """The results of the equations differ from each number of the table by at most half of its last digit."""
     differences = differences_of(claim)
 
     assert len(differences) == count

@@ -62,7 +62,7 @@ def test_two_liars_mislead_the_robust_filter_less_than_half_as_much_as_five_misl
 
 @pytest.mark.slow
 def test_a_swarm_on_a_floor_that_changes_ends_with_the_new_share_of_black() -> None:
-    """From the middle of the trial on 0.95 of the floor is black, and no longer 0.55."""
+    """0.55 of the floor is black in the first half of the trial, and 0.95 in the second half."""
     changing_floor = {"sensor": peers.ChangingFloor, "filter": "none", "flawed": 0, "memory": 1024}
 
     distance_from_new_share = error_of(0.95, **changing_floor)
@@ -250,7 +250,7 @@ def test_bayescpf_uses_up_its_counts_in_the_update_at_the_end_of_each_round() ->
 
 
 def test_bayescpf_does_not_update_its_accuracy_if_fewer_than_5_readings_are_expected_to_be_wrong() -> None:
-    """Of 24 readings with an accuracy of 0.8 a fifth should be wrong, 4.8 of them. The result is None."""
+    """With an accuracy of 0.8 a fifth of 24 readings should be wrong: 4.8 readings. The result is None."""
     robot = bayescpf_robot_after_100_readings()
     robot._t_since_update = 24  # readings since the last update
     assert robot.reestimate_b_hat() is None
@@ -307,7 +307,7 @@ def test_bayescpf_for_wandering_sensors_is_less_certain_of_its_estimate() -> Non
 
 
 def test_a_robot_that_knows_its_accuracy_assumes_1e_5_less_after_each_observation() -> None:
-    """That is how fast all sensors of the study lose accuracy. b_hat is what the robot assumes."""
+    """All sensors of the study lose accuracy that fast. b_hat is the accuracy that the robot assumes."""
     robot = peers.KnownAccuracyRobot(WITHOUT_FILTER, robot_id=0, b_hat=0.9)
     b_hats = []
     for _ in range(3):
@@ -416,7 +416,7 @@ def test_a_trimmed_mean_leaves_out_a_quarter_at_either_end(estimates: list[float
 
 
 def test_a_robot_with_a_trimmed_mean_counts_its_own_estimate_among_the_others() -> None:
-    """Of 0.2, 0.4, 0.6 and its own, 1.0, it leaves out a quarter at either end: 0.2 and 1.0."""
+    """It leaves out a quarter of the estimates 0.2, 0.4, 0.6 and its own, 1.0, at either end: 0.2 and 1.0."""
     robot = peers.TrimmedMeanRobot(WITHOUT_FILTER, robot_id=0, b_hat=0.9)
     robot.observe(Observation.BLACK)
 

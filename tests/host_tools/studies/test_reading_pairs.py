@@ -37,7 +37,7 @@ def first_and_second_readings(sensors: type[IndependentReadings]) -> tuple[Readi
 
 
 def test_both_readings_of_a_tile_are_black_as_often_as_the_floor_and_the_accuracy_say() -> None:
-    """Of 0.7 black tiles 0.9 are read rightly, and of 0.3 white ones 0.1 wrongly."""
+    """With 0.7 of the floor black and an accuracy of 0.9, that share is 0.7 * 0.9 + 0.3 * 0.1."""
     first, second = first_and_second_readings(IndependentReadings)
 
     black_rate = 0.7 * 0.9 + 0.3 * 0.1
@@ -155,7 +155,7 @@ def test_only_the_first_reading_of_a_tile_counts_as_an_observation() -> None:
 
 
 def test_an_accuracy_that_disagreements_contradict_is_replaced_by_the_one_that_fits_them() -> None:
-    """Of 1000 pairs 180 disagree, as many as with an accuracy of 0.9: 2 x 0.9 x 0.1."""
+    """180 of 1000 pairs disagree, as many as with an accuracy of 0.9: 2 x 0.9 x 0.1."""
     robot = two_readings_robot(b_hat=0.55)
 
     status = read_pairs(robot, agreeing=820, disagreeing=180)
@@ -165,7 +165,7 @@ def test_an_accuracy_that_disagreements_contradict_is_replaced_by_the_one_that_f
 
 
 def test_an_accuracy_that_disagreements_do_not_contradict_stays_exactly_as_it_was() -> None:
-    """Of 1000 pairs 177 disagree; 180 are expected."""
+    """177 of 1000 pairs disagree, where 180 are expected."""
     robot = two_readings_robot(b_hat=0.9)
 
     status = read_pairs(robot, agreeing=823, disagreeing=177)

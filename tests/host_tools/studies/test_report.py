@@ -74,7 +74,7 @@ def test_the_report_begins_with_how_many_claims_of_the_paper_hold(written: Writt
 
 
 def test_the_report_counts_the_verdicts_on_the_claims_that_equations_decide(written: WrittenReport) -> None:
-    """Of eight claims seven agree, one is mixed, none disagrees and none is undecided."""
+    """Equations decide eight claims: seven agree, one is mixed, none disagrees and none is undecided."""
     assert "| equations | 7 | 1 | 0 | 0 |\n" in written.markdown
 
 

@@ -43,7 +43,7 @@ def trial_with_two_readings(row: str) -> Trials:
 def test_robots_that_are_all_flawed_estimate_the_floor_well_if_they_read_each_tile_twice(
     flaw: str, limit: float
 ) -> None:
-    """From how often independent readings disagree they find the accuracy of their sensors."""
+    """They find the accuracy of their sensors from how often independent readings disagree."""
     trials = trial_with_two_readings(f"all flawed, {flaw}")
 
     [error] = study_program.late_errors(trials)

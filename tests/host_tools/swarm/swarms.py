@@ -30,6 +30,13 @@ def own_bus(robot: int) -> can.BusABC:
 
 ON_ONE_BUS, ON_OWN_BUSES = Wiring(one_bus), Wiring(own_bus, is_shared=False)
 
+MIXED_FAULTS = (
+    *("loss=0.1", "corrupt=0.1,bits=2", "delay=0.2,ticks=3", "duplicate=0.2,ticks=1", "babble=0.1,frames=3"),
+    *("crash=0.01,ticks=6", "crash=0.01,ticks=4,rejoin=restored", "busoff=0.01,ticks=3"),
+    *("freeze=0.05", "liar=0.05,x=1,alpha=1e5", "collide=0.05,id=2", "sybil=0.05,ids=1+9,alpha=0"),
+)
+"""A fault of every kind that a swarm may have, at rates at which each occurs in a short run."""
+
 
 def small_swarm(*faults: str, **changes: Any) -> SwarmSettings:
     """Return settings of five robots and 60 ticks, three filter periods, with these faults.

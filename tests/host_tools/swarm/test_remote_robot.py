@@ -18,6 +18,7 @@ import pytest
 from can.interfaces import virtual
 
 from host_tools.swarm.swarms import (
+    MIXED_FAULTS,
     ON_OWN_BUSES,
     identifiers_and_data,
     own_bus,
@@ -25,7 +26,6 @@ from host_tools.swarm.swarms import (
     saved_robots,
     small_swarm,
 )
-from host_tools.swarm.test_swarm_faults import MIXED_FAULTS
 from mcp_asdf_tools.bus.frames import Estimate, FrameFormat, decode_estimate
 from mcp_asdf_tools.cli import swarm
 from mcp_asdf_tools.cli.main import main
@@ -294,12 +294,12 @@ class ProcessesAndThisProcess:
 
     @property
     def reports_of_processes(self) -> list[dict[str, Any]]:
-        """What each process has reported of its robot, by id."""
+        """Report of each process on its robot, by id."""
         return [self.report["processes"][str(robot)]["results"] for robot in range(3)]
 
     @property
     def local_robots(self) -> list[dict[str, Any]]:
-        """What is reported of each robot in this process, by id."""
+        """Report on each robot in this process, by id."""
         robots: list[dict[str, Any]] = self.local_report["results"]["robots"]
         return robots
 

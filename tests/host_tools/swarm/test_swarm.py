@@ -488,7 +488,7 @@ def test_frames_of_another_program_change_nothing_for_the_robots() -> None:
 
 
 def test_frames_of_another_program_are_counted_by_each_of_five_robots() -> None:
-    """Of its seven frames, four are malformed, two are estimates from outside the swarm, and one an error."""
+    """The program sends four malformed frames, two estimates from outside the swarm, and an error frame."""
     run, _ = run_with_foreign_frames()
     frame_counts = run.results["frames"]
     assert frame_counts["strays"] == 2 * 5

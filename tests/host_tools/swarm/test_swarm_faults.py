@@ -15,6 +15,7 @@ import pytest
 from can.interfaces import virtual
 
 from host_tools.swarm.swarms import (
+    MIXED_FAULTS,
     ON_ONE_BUS,
     ON_OWN_BUSES,
     identifiers_and_data,
@@ -40,11 +41,6 @@ pytestmark = pytest.mark.usefixtures("no_bus_is_left")
 
 UDP_PORT = 10_000 + os.getpid() % 500 * 40
 """The first of the ports of this process. Tests that run in other processes at the same time have others."""
-MIXED_FAULTS = (
-    *("loss=0.1", "corrupt=0.1,bits=2", "delay=0.2,ticks=3", "duplicate=0.2,ticks=1", "babble=0.1,frames=3"),
-    *("crash=0.01,ticks=6", "crash=0.01,ticks=4,rejoin=restored", "busoff=0.01,ticks=3"),
-    *("freeze=0.05", "liar=0.05,x=1,alpha=1e5", "collide=0.05,id=2", "sybil=0.05,ids=1+9,alpha=0"),
-)
 
 
 def udp(port: int, returns_own: bool = False) -> can.BusABC:
@@ -316,7 +312,7 @@ def b_hat_around_the_crash(rejoin: str) -> tuple[float, float]:
 
 
 def test_a_robot_that_rejoins_as_a_new_one_begins_with_the_accuracy_of_its_start() -> None:
-    """That is 0.55; until its crash it has learnt that its sensor is better."""
+    """It started with 0.55, and had learnt until its crash that its sensor is better."""
     before, after = b_hat_around_the_crash("new")
     assert before > 0.9
     assert after == pytest.approx(0.55, abs=1e-6)

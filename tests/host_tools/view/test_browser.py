@@ -490,6 +490,6 @@ def test_the_list_of_frames_begins_with_the_latest(bus_browser: Page) -> None:
 
 
 def test_words_typed_as_a_filter_leave_the_frames_that_have_all_of_them(bus_browser: Page) -> None:
-    """Of two frames of robot 9 and two of robot 5, "9 heartbeat" leaves the heartbeat of robot 9."""
+    """Robots 9 and 5 have two frames each on the page. "9 heartbeat" leaves the heartbeat of robot 9."""
     bus_browser.locator("#filter").fill("9 heartbeat")
     assert listed_frames(bus_browser) == ["0.000 s  9  heartbeat 4: warning, operational, up 60 s"]

@@ -81,7 +81,7 @@ def test_a_swarm_without_an_end_keeps_at_most_a_hundred_states(monkeypatch: pyte
 def test_states_that_are_thinned_out_four_times_are_those_of_every_16th_step(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Of 1000 states at most 100 are kept, so every second one is left out four times: 2**4 is 16."""
+    """At most 100 of 1000 states are kept, so every second one is left out four times: 2**4 is 16."""
     monkeypatch.setattr(history_module, "MAX_STATES", 100)
     history = History(RunDescription("endless", [0, 1]))
     for tick in range(1000):

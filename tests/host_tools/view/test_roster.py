@@ -78,7 +78,7 @@ def test_a_frame_that_is_received_twice_is_no_loss(roster: RosterOfRobot3) -> No
 
 
 def test_a_transfer_id_below_the_one_before_stands_for_a_gap_of_30_frames(roster: RosterOfRobot3) -> None:
-    """From 8 to 7 are missing 9 to 31 and 0 to 6, 30 of 32 numbers."""
+    """After 8 comes 7: the numbers 9 to 31 and 0 to 6 are missing, 30 of 32."""
     assert loss_after(roster, transfer_ids=[8, 7]) == 30 / 32
 
 

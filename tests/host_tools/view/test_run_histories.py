@@ -329,7 +329,7 @@ def test_a_robot_has_no_estimates_in_the_15_steps_in_which_it_is_dead(crash_log:
 
 
 def test_robots_that_live_have_all_values_while_another_one_is_dead(crash_log: Path) -> None:
-    """Of seven robots, only robot 2 crashes."""
+    """Only robot 2 of seven robots crashes."""
     living_robots = [0, 1, 3, 4, 5, 6]
     for state in states_of(recompute_swarm_history(crash_log)):
         assert np.isfinite(state.values[:, living_robots]).all(), state.tick
