@@ -221,12 +221,16 @@ def test_all_frames_of_a_right_controller_are_compared_with_those_of_the_model(r
 def test_the_model_of_a_verification_ends_in_the_state_of_the_controller(
     run: ObservedRun,
 ) -> None:
-    """The model is a robot in Python that gets the same messages. It has re-estimated b_hat often."""
+    """The model is a robot in Python that gets the same messages.
+
+    By then it has re-estimated b_hat often and, unless its memory is short, has observed many tiles.
+    """
     robot, model = run.controller.robot, run.verification.bench.firmware
     assert isinstance(robot, FixedPointRobot)
     assert robot.state() == model.state()
     assert robot.counters == model.counters
     assert model.s.updates > 10
+    assert model.s.t > 10_000 or "memory" in ALL_PHASES_CONFIGS[run.name]
 
 
 def test_a_run_of_all_phases_sends_the_same_frames_as_at_an_earlier_commit(
