@@ -385,6 +385,23 @@ def test_the_robot_of_docs_porting_builds_by_cmake_and_computes_what_the_robot_i
     assert run(project / "build/robot") == output_of_robot_in_python()
 
 
+@pytest.mark.slow
+def test_the_robot_of_docs_porting_builds_by_cmake_for_a_cortex_m4(project: Path) -> None:
+    """It builds by the lines for CMake that the page shows. It does not run here."""
+    require("arm-none-eabi-gcc", "gcc-arm-none-eabi libnewlib-arm-none-eabi")
+    page_s_lines = block_with(PAGE, "add_subdirectory(vendor/mcp_asdf)", "cmake")
+    (project / "CMakeLists.txt").write_text(page_s_lines)
+    options = (
+        "-DCMAKE_SYSTEM_NAME=Generic",
+        "-DCMAKE_C_COMPILER=arm-none-eabi-gcc",
+        "-DCMAKE_C_FLAGS=-mcpu=cortex-m4 -mthumb",
+        "-DCMAKE_EXE_LINKER_FLAGS=--specs=nosys.specs",
+    )
+
+    run(require("cmake"), "-S", project, "-B", project / "build", *options)
+    run("cmake", "--build", project / "build")
+
+
 def test_the_robot_of_docs_porting_builds_without_a_build_system(project: Path) -> None:
     """The page's command compiles it, and it computes what the robot in Python does."""
     run("sh", "-ec", block_with(PAGE, "-Ivendor/mcp_asdf", "sh"), cwd=project)

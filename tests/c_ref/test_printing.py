@@ -160,3 +160,13 @@ def test_every_c_program_in_the_docs_that_prints_has_a_test_here() -> None:
             if PRINTING_CALL.search(code):
                 printing_programs.add(code)
     assert printing_programs == tested_programs
+
+
+def test_no_port_prints_but_the_hosted_one_and_the_node_for_linux() -> None:
+    """The hosted port sends single bytes, of which no long is a part. The node has tests of its own."""
+    ports = ROOT / "c_ref/ports"
+    sources = [path for path in ports.rglob("*.[ch]") if path.parent != ports / "linux"]
+
+    printing_files = {path.name for path in sources if PRINTING_CALL.search(path.read_text(encoding="utf-8"))}
+
+    assert printing_files == {"hosted.c"}

@@ -845,6 +845,24 @@ def test_a_state_that_cannot_be_read_is_refused_and_kept(
     assert names_in(tmp_path) == ["bus", "state", "trace"]
 
 
+@pytest.mark.slow
+def test_observations_that_cannot_be_opened_are_refused_before_the_run(
+    bus: UnixBus, tmp_path: Path, command_under_strace: Callable[..., list[str]]
+) -> None:
+    """The node does not start, and keeps the file. strace lets the system refuse to open it."""
+    file = tmp_path / "observations"
+    file.write_bytes(b"1" * 256)
+    command = command_under_strace([file], "inject=openat:error=EACCES")
+
+    process = CNode(command, bus.channel_info, ID, *FAST_CLOCK, "--observations", file).process
+    _, message = process.communicate(timeout=PATIENCE)
+
+    assert process.returncode == WRONG_USAGE
+    assert re.fullmatch(refusal_of_file(file, "Permission denied"), message)
+    assert file.read_bytes() == b"1" * 256
+    assert names_in(tmp_path) == ["bus", "observations", "trace"]
+
+
 @pytest.mark.parametrize(
     ("failing_read", "observation_count"),
     [
