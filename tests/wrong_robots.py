@@ -524,7 +524,7 @@ WRONG: dict[str, Wrong] = {
         "alone", "from_mantissa({mantissa => mantissa ^ (n == 0)}, exp"
     ),
     "alpha wrong where x_hat is clamped": with_firmware(
-        "no information", "accuracy.rare + {(weight => 0 * (weight} >> acc"
+        "no information", "rare_term + {(common_term => 0 * (common_term} >> acc"
     ),
     "alpha wrong there after 100 tiles": with_firmware(
         "all white", "at_end(accuracy, {t => t ^ (t > 100)}, rare_count)"

@@ -13,9 +13,9 @@ Q32_ONE = 1 << 32
 def leading_zeros(value: int) -> int:
     """Return by how many bits a word of 32 bits can be shifted up until its highest bit is set.
 
-    The result is 31 for 0, as for 1.
+    0, which has no such bit, is treated as 1, with the result 31.
     """
-    return 32 - max(value.bit_length(), 1)
+    return 32 - max(value, 1).bit_length()
 
 
 def multiply_high(a: int, b: int) -> int:
@@ -34,9 +34,8 @@ def divide_24(dividend: int, divisor: int) -> int:
 def q32_quotient(numerator: int, denominator: int) -> int:
     """Return numerator / denominator in units of 2**-32, or a little less, with the bits that the C computes.
 
-    In C this is ``quotient``. It divides by the upper 32 bits of the denominator, rounded up to an even
-    number so that the quotient is never too large, and drops as many lower bits of the numerator as of the
-    denominator.
+    In C this is ``quotient``. It keeps the upper 32 bits of the denominator, and drops as many lower bits of
+    the numerator. It divides by the next even number above them, so that the quotient is never too large.
     """
     shift = denominator.bit_length() - 32  # number of lower bits that are dropped
     if shift < 0:
@@ -45,7 +44,6 @@ def q32_quotient(numerator: int, denominator: int) -> int:
         denominator <<= 32
         shift += 32
     upper_numerator = numerator >> shift
-    # Half of the divisor, rounded up: one bit more is dropped, and 1 is added.
-    half_of_upper_denominator = (denominator >> (shift + 1)) + 1
-    # The quotient by one half is twice as large, so 31 bits more in the dividend make its unit 2**-32.
-    return (upper_numerator << 31) // half_of_upper_denominator
+    upper_denominator = denominator >> shift
+    next_even_number = (upper_denominator // 2 + 1) * 2
+    return (upper_numerator << 32) // next_even_number

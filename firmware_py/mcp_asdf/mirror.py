@@ -189,18 +189,21 @@ def confidence_at_end(accuracy: Accuracy, t: int, rare_count: int) -> tuple[int,
     g = 1 - 2 c. ``accuracy`` has both squares of ratios. The result stands for mantissa * 2**exponent units
     of 2**-24, with a mantissa of 24 bits.
     """
-    weight = (t - rare_count) * accuracy.common  # second term of the sum
-    # alpha is weight * 2**exponent in units of 2**-24. The squares of ratios are in units of 2**-30; g was
+    rare_term = rare_count * accuracy.rare
+    common_term = (t - rare_count) * accuracy.common
+    # A term times 2**exponent is in units of 2**-24. The squares of ratios are in units of 2**-30; g was
     # shifted up by g_shift, so that they are 2**(2 g_shift) times too large.
     exponent = 24 - 30 - 2 * accuracy.g_shift
-    if rare_count != 0:
-        # c was shifted up, too, so that ``rare`` is 2**rare_shift times too small. Before the terms are added
-        # the second one is made as small, and the exponent makes up for both.
-        weight = rare_count * accuracy.rare + (weight >> accuracy.rare_shift)
+    if rare_count == 0:
+        alpha = common_term
+    else:
+        # c was shifted up, too, so that the rare term is 2**rare_shift times too small. Before they are added
+        # the common term is made as small, and the exponent makes up for both.
+        alpha = rare_term + (common_term >> accuracy.rare_shift)
         exponent += accuracy.rare_shift
     # The upper 24 bits become the mantissa.
-    excess_bits = weight.bit_length() - MANTISSA_BITS
-    return weight >> excess_bits, exponent + excess_bits
+    excess_bits = alpha.bit_length() - MANTISSA_BITS
+    return alpha >> excess_bits, exponent + excess_bits
 
 
 def upper_31_bits(number: int) -> tuple[int, int]:
@@ -214,18 +217,20 @@ def upper_31_bits(number: int) -> tuple[int, int]:
     return upper, exponent
 
 
-def confidence_inside(accuracy: Accuracy, total: int, rarer: int, scale: int, shift: int) -> tuple[int, int]:
+def confidence_inside(
+    accuracy: Accuracy, total: int, rarer: int, g_total: int, count_shift: int
+) -> tuple[int, int]:
     """Return alpha, the confidence, where 0 < x_hat < 1 (eq. 4, last case), as mantissa and exponent.
 
     With d = g**2, and with n of t observations of the rarer colour, which changes nothing, that case is
 
         alpha = d t**3 / (n (t - n)) = (g t)**2 t / (n (t - n))
 
-    Here ``total`` is t 2**shift, ``rarer`` is n 2**shift, and ``scale`` is g total 2**g_shift: the caller has
-    shifted all three up, so that products keep their upper bits. The result stands for mantissa * 2**exponent
-    units of 2**-24, with a mantissa of 24 bits.
+    The caller has shifted all numbers up, so that products keep their upper bits: ``total`` is t, and
+    ``rarer`` n, times 2**count_shift, and ``g_total`` is g total times 2**g_shift. The result stands for
+    mantissa * 2**exponent units of 2**-24, with a mantissa of 24 bits.
     """
-    square = multiply_high(scale, scale)  # (g t)**2 without its lower 32 bits
+    square = multiply_high(g_total, g_total)  # (g t)**2 without its lower 32 bits
     numerator = multiply_high(square, total)  # (g t)**2 t without its lower 64 bits
     denominator = rarer * (total - rarer)  # n (t - n), a number of up to 64 bits
     upper_numerator, numerator_exponent = upper_31_bits(numerator)
@@ -234,7 +239,7 @@ def confidence_inside(accuracy: Accuracy, total: int, rarer: int, scale: int, sh
     # The exponent makes up for all shifts: the 64 bits that the numerator has lost, those of g, which is
     # squared, and those of the counts. Of these the numerator has three and the denominator two.
     lost_bits = 64
-    exponent = lost_bits + numerator_exponent - denominator_exponent - 2 * accuracy.g_shift - shift
+    exponent = lost_bits + numerator_exponent - denominator_exponent - 2 * accuracy.g_shift - count_shift
     # The mantissa has 24 bits, so a quotient of 25 loses the lowest one.
     excess_bits = quotient >> MANTISSA_BITS
     return quotient >> excess_bits, exponent + excess_bits
@@ -276,10 +281,10 @@ def estimate_of_rarer_colour(t: int, rare_count: int, accuracy: Accuracy) -> tup
     The result is the estimate in units of 2**-23, and the mantissa, a number of 24 bits, and the exponent of
     the confidence, which is mantissa * 2**exponent units of 2**-24.
     """
-    shift = leading_zeros(t)
+    count_shift = leading_zeros(t)
     # Both counts are shifted by as many bits, so that t has 32 bits and products keep their upper bits.
-    total = t << shift
-    rarer = rare_count << shift  # p total
+    total = t << count_shift
+    rarer = rare_count << count_shift  # p total
     # On a floor without the rarer colour so many observations would show it, by errors of the sensor.
     errors = multiply_high(accuracy.c, total)  # c total
     if rarer <= errors:
@@ -287,12 +292,12 @@ def estimate_of_rarer_colour(t: int, rare_count: int, accuracy: Accuracy) -> tup
         return 0, *confidence_at_end(accuracy, t, rare_count)
     # Dividend and divisor of (p - c) / g are multiplied by ``total``, and shifted as far as the divisor's
     # highest bit allows: it has 32 bits then.
-    dividend = (rarer - errors) << accuracy.g_shift  # (p - c) total
-    divisor = (total - 2 * errors) << accuracy.g_shift  # g total
+    excess_total = (rarer - errors) << accuracy.g_shift  # (p - c) total
+    g_total = (total - 2 * errors) << accuracy.g_shift  # g = 1 - 2 c
     # divide_24 takes numbers of 31 bits. By half of the divisor the quotient is twice the estimate.
-    doubled_estimate = divide_24(dividend, divisor >> 1)  # units of 2**-24
+    doubled_estimate = divide_24(excess_total, g_total >> 1)  # units of 2**-24
     x_hat_of_rarer = doubled_estimate >> 2  # one bit halves it, and one changes the unit to 2**-23
-    return x_hat_of_rarer, *confidence_inside(accuracy, total, rarer, divisor, shift)
+    return x_hat_of_rarer, *confidence_inside(accuracy, total, rarer, g_total, count_shift)
 
 
 # ---- The round: eq. 5 to 7, and 12 ----
@@ -791,8 +796,8 @@ class MirrorRobot(FixedPointView):
 
         ``alpha``, a word of 32 bits with a mantissa (bits 8 to 31) and a shift (bits 0 to 4), is the weight
         of ``x_hat``. The result is the social estimate if ``alpha`` is 0, and the informed estimate if both
-        are the robot's own. With the robust filter it is the centre of the
-        votes, or ``x_hat`` before the first.
+        are the robot's own. With the robust filter it is the centre of the votes, or ``x_hat`` before the
+        first.
         """
         if not self.is_robust:
             return informed_estimate(self.s.closed, x_hat, alpha)

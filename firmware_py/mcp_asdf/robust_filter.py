@@ -183,8 +183,7 @@ def take_vote(robust: RobustFilter, estimates: Sequence[int], x_hat: int, alpha:
     2**-16. Filled slots vote one after the other, and after the last of them the robot's own estimate:
     ``x_hat`` in units of 2**-23, if the alpha word ``alpha`` stands for a confidence above 0. ``robust``, the
     filter's memory, changes: the vote moves the centre and the spread of all votes, as `count_vote` says, and
-    the turn goes to the next slot.
-    Nothing happens while all slots are empty.
+    the turn goes to the next slot. Nothing happens while all slots are empty.
     """
     if robust.filled_slots == 0:
         return
@@ -277,16 +276,18 @@ def ratio_of_batch(robust: RobustFilter, count: int, black_count: int, share: in
     """
     variance = count * multiply_high(share, Q32_ONE - share)  # units of 2**-32
     largest_ratio = REJECTED_SIGMAS_SQUARED * robust.dispersion  # units of 2**-8
-    # Squares of deviations are in units of 2**-22, so that they fit 64 bits in the C.
+    # The square of the deviation at which the ratio is the largest. Squares are in units of 2**-22, so that
+    # they fit 64 bits in the C.
     largest_square = q22_from_q40(largest_ratio * variance)  # 2**-8 times 2**-32 is 2**-40
     if largest_square == 0:
         return None
     expected_black_count = count * share  # units of 2**-32
     deviation = q11_from_q32(abs(black_count * Q32_ONE - expected_black_count))
-    square = min(deviation * deviation, largest_square)
-    # The variance is largest_square / largest_ratio. So square / variance is largest_ratio times a quotient
-    # that is at most 1.
-    return multiply_high(largest_ratio, q32_quotient(square, largest_square))
+    limited_square = min(deviation * deviation, largest_square)
+    # The ratio grows in proportion to the square. Unlike limited_square / variance, this quotient is at most
+    # 1, as the C needs it.
+    fraction_of_largest = q32_quotient(limited_square, largest_square)
+    return multiply_high(largest_ratio, fraction_of_largest)
 
 
 # ---- The test ----
