@@ -24,10 +24,13 @@ from mcp_asdf_tools.robots.filters import FilteringRobots, describe_filters
 from mcp_asdf_tools.swarm.settings import SwarmSettings
 
 if TYPE_CHECKING:
+    import can
     from rich.console import Console
 
     from mcp_asdf_tools.bus.interfaces import BusChoice
     from mcp_asdf_tools.radio.neighbourhood import RadioSettings
+    from mcp_asdf_tools.radio.verification import ControllerVerdict
+    from mcp_asdf_tools.recording.recording import LogOutputs
 
 EPILOG = """\
 examples:
@@ -203,40 +206,58 @@ def _verify(
     That is 0 if it has passed, 1 if not, INTERRUPTED if a signal came, and 2 if the log is not complete.
     """
     from mcp_asdf_tools.common.files import write_atomically
-    from mcp_asdf_tools.radio.controller_link import BenchOptions
-    from mcp_asdf_tools.radio.verification import Verification, details, markdown
+    from mcp_asdf_tools.radio.verification import details, markdown
     from mcp_asdf_tools.recording.events import EventsHeader
 
     report = _make_report(args, settings, bus_choice)
-    controller, seed = settings.controller, settings.swarm.seed
-    events_header = EventsHeader([controller], seed, settings.subjects.estimates, report["parameters"])
+    events_header = EventsHeader(
+        [settings.controller], settings.swarm.seed, settings.subjects.estimates, report["parameters"]
+    )
     recording = recording_for("radio", args.log, events_header, bus_choice)
     with ExitStack() as at_end:
-        with recording as (log, events), bus_choice.open() as bus, stopping() as should_stop:
-            bench_options = BenchOptions(
-                bus,
-                # Neither can be 0, as _check_run_options has seen to it.
-                ticks=args.steps or _DEFAULT_PHASE_TICKS,
-                timeout=args.timeout or _DEFAULT_TIMEOUT,
-                wait=args.wait,
-                recorder=None if events is None else events.recorders[controller.id],
-                should_stop=should_stop,
-            )
-            if log is not None:
-                bench_options.log = log
-            verification = Verification(settings, bench_options)
-            with console.status("") as status:
-                bench_options.progress = lambda ticks: status.update(
-                    f"tick {ticks}   {verification.bench.activity}"
-                )
-                verdict = verification.run()
+        with recording as log_outputs, bus_choice.open() as bus:
+            verdict = _run_phases(args, settings, bus, log_outputs, console)
             report["verdict"] = verdict.plain()
             report_text = f"filter: {report['filter']}\n\n{details(verdict)}\n{verdict.headline}\n"
             at_end.callback(_print_report, args, report_text, report)  # even if a file cannot be completed
         if args.report is not None:
             write_atomically(args.report, markdown(verdict, report))
-    exit_code = INTERRUPTED if verdict.is_interrupted else int(not verdict.has_passed)
-    return exit_code_with(recording, exit_code)
+    if verdict.is_interrupted:
+        return exit_code_with(recording, INTERRUPTED)
+    return exit_code_with(recording, 0 if verdict.has_passed else 1)
+
+
+def _run_phases(
+    args: argparse.Namespace,
+    settings: RadioSettings,
+    bus: can.BusABC,
+    log_outputs: LogOutputs,
+    console: Console,
+) -> ControllerVerdict:
+    """Take the controller on ``bus`` through all phases, showing the progress, and return the verdict.
+
+    A signal ends the phases early, and the verdict says so. ``log_outputs`` get the frames and the
+    controller's events.
+    """
+    from mcp_asdf_tools.radio.controller_link import BenchOptions
+    from mcp_asdf_tools.radio.verification import Verification
+
+    log, events = log_outputs
+    with stopping() as should_stop, console.status("") as status:
+        bench_options = BenchOptions(
+            bus,
+            # Neither can be 0, as _check_run_options has seen to it.
+            ticks=args.steps or _DEFAULT_PHASE_TICKS,
+            timeout=args.timeout or _DEFAULT_TIMEOUT,
+            wait=args.wait,
+            recorder=None if events is None else events.recorders[settings.controller.id],
+            progress=lambda ticks: status.update(f"tick {ticks}   {verification.bench.activity}"),
+            should_stop=should_stop,
+        )
+        if log is not None:
+            bench_options.log = log
+        verification = Verification(settings, bench_options)
+        return verification.run()
 
 
 def _emulate_neighbours(

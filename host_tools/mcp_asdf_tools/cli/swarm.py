@@ -8,6 +8,7 @@ import sys
 import time
 from contextlib import ExitStack
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
 
 from mcp_asdf_tools.cli import options
@@ -32,7 +33,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from mcp_asdf_tools.bus.interfaces import BusChoice
-    from mcp_asdf_tools.recording.recording import LogOutputs
+    from mcp_asdf_tools.recording.recording import LogOutputs, NoRecording, Recording
     from mcp_asdf_tools.robots.processes import NodeProcesses
     from mcp_asdf_tools.swarm.carrier import Wiring
     from mcp_asdf_tools.swarm.run import SwarmRun
@@ -296,7 +297,7 @@ def run(args: argparse.Namespace) -> int:
     """
     from can import CanError
 
-    from mcp_asdf_tools.common.files import results_beside, write_atomically
+    from mcp_asdf_tools.common.files import results_beside
     from mcp_asdf_tools.recording.events import EventsHeader
     from mcp_asdf_tools.robots.lockstep import LockstepError
 
@@ -306,20 +307,12 @@ def run(args: argparse.Namespace) -> int:
     events_header = EventsHeader(settings.robot_setups(), settings.seed, settings.frames, settings.plain())
     recording = recording_for("swarm", args.log, events_header, plan.bus_choice)
     try:
-        with ExitStack() as at_end:
-            # Callbacks run in reverse order: first the results are printed, then the page stays until Ctrl-C,
-            # unless that has ended the run already.
-            recorder = _start_view(plan, at_end)
-            with recording as log_outputs:
-                result = _emulate(plan, log_outputs, recorder)
-                if recorder is not None and not result.outcome.interrupted:
-                    history = recorder.history
-                    # Pushed and not a callback, which would not get to know whether an error follows.
-                    at_end.push(lambda error_type, *_: _keep_page(history) if error_type is None else None)
-                # Printed even if a file cannot be completed.
-                at_end.callback(_print_result, plan, result)
-            if results_path is not None:
-                write_atomically(results_path, json_report(result.report) + "\n")
+        with ExitStack() as page_stack:
+            recorder = _start_view(plan, page_stack)
+            result = _run_and_record(plan, recording, results_path, recorder)
+            # The page stays until Ctrl-C, unless that has ended the run already.
+            if recorder is not None and not result.outcome.interrupted:
+                _keep_page(recorder.history)
     except (LockstepError, CanError) as error:
         # Robots elsewhere have not started, or their bus failed before they had.
         return report_failure("mcp-asdf swarm", str(error), args.json)
@@ -329,6 +322,27 @@ def run(args: argparse.Namespace) -> int:
     return exit_code_with(recording, INTERRUPTED if result.outcome.interrupted else 0)
 
 
+def _run_and_record(
+    plan: _RunPlan,
+    recording: Recording | NoRecording,
+    results_path: Path | None,
+    recorder: SwarmRecorder | None,
+) -> _RunResult:
+    """Run the swarm, write its log and results, print the results, and return how it has ended.
+
+    Raises UsageError if a file cannot be written, and what ``_emulate`` raises.
+    """
+    from mcp_asdf_tools.common.files import write_atomically
+
+    with ExitStack() as at_end:
+        with recording as log_outputs:
+            result = _emulate(plan, log_outputs, recorder)
+            at_end.callback(_print_result, plan, result)  # even if a file cannot be completed
+        if results_path is not None:
+            write_atomically(results_path, json_report(result.report) + "\n")
+    return result
+
+
 def _emulate(plan: _RunPlan, log_outputs: LogOutputs, recorder: SwarmRecorder | None) -> _RunResult:
     """Run the swarm to its end or Ctrl-C, and return how it has ended, with the report for JSON.
 
@@ -336,8 +350,6 @@ def _emulate(plan: _RunPlan, log_outputs: LogOutputs, recorder: SwarmRecorder | 
     events for the log, and ``recorder``, if there is one, states for the web page. Raises LockstepError if
     robots in other processes or at devices do not start, can.CanError if their bus fails before they have.
     """
-    from mcp_asdf_tools.robots.node import Subjects
-    from mcp_asdf_tools.robots.processes import NodeProcesses
     from mcp_asdf_tools.swarm.live_view import LiveView
     from mcp_asdf_tools.swarm.run import Baselines, results_of, run_swarm
     from mcp_asdf_tools.swarm.swarm import Swarm
@@ -348,15 +360,8 @@ def _emulate(plan: _RunPlan, log_outputs: LogOutputs, recorder: SwarmRecorder | 
     with ExitStack() as stack:
         slcan_port = _serve_slcan(plan, stack)
         swarm = stack.enter_context(Swarm(settings, plan.wiring, *log_outputs))
-        process_robots = settings.robot_setups() if plan.args.processes else []
-        # Numbers by which processes tell kinds of frames apart. The user's number for estimates must not be
-        # that of another kind, which is checked here, and does not matter without processes.
-        subjects = Subjects(estimates=settings.frames) if process_robots else Subjects()
-        processes = NodeProcesses(
-            process_robots, plan.bus_choice.of_robot, subjects, settings.steps_per_second
-        )
-        nodes = stack.enter_context(processes)
-        _wait_for_robots(plan, swarm, nodes)
+        processes = stack.enter_context(_prepare_processes(plan))
+        _wait_for_robots(plan, swarm, processes)
         # A signal counts between two ticks, so that log and results end on a whole one.
         with LiveView(plan.console, baselines) as live_view, stopping() as should_stop:
             # Baselines come first, since the live view shows their errors after the same tick.
@@ -368,7 +373,9 @@ def _emulate(plan: _RunPlan, log_outputs: LogOutputs, recorder: SwarmRecorder | 
     report = outcome.report(
         {"interface": bus_choice.interface, "channel": bus_choice.channel, "slcan": slcan_port}
     )
-    report["processes"] = {str(robot): node_report for robot, node_report in sorted(nodes.reports.items())}
+    report["processes"] = {
+        str(robot): node_report for robot, node_report in sorted(processes.reports.items())
+    }
     seconds = time.monotonic() - start_time
     if baselines is not None:
         # The time of the baselines does not count, which took their ticks between those of the swarm.
@@ -380,15 +387,33 @@ def _emulate(plan: _RunPlan, log_outputs: LogOutputs, recorder: SwarmRecorder | 
     return _RunResult(outcome, report, seconds)
 
 
-def _wait_for_robots(plan: _RunPlan, swarm: Swarm, nodes: NodeProcesses) -> None:
+def _prepare_processes(plan: _RunPlan) -> NodeProcesses:
+    """Return the processes of all robots with --processes, and none without. They start in its context.
+
+    Raises UsageError if the user's subject of estimates is that of another kind of frames.
+    """
+    from mcp_asdf_tools.robots.node import Subjects
+    from mcp_asdf_tools.robots.processes import NodeProcesses
+
+    settings = plan.settings
+    if plan.args.processes:
+        robots = settings.robot_setups()
+        # Processes tell kinds of frames apart by their subjects, which must therefore differ.
+        subjects = Subjects(estimates=settings.frames)
+    else:
+        robots, subjects = [], Subjects()
+    return NodeProcesses(robots, plan.bus_choice.of_robot, subjects, settings.steps_per_second)
+
+
+def _wait_for_robots(plan: _RunPlan, swarm: Swarm, processes: NodeProcesses) -> None:
     """Wait until all robots elsewhere have sent their first heartbeats. Raises LockstepError if one does not.
 
-    ``nodes`` are the processes among them, which are watched meanwhile.
+    ``processes`` are those among them that are watched meanwhile.
     """
     if plan.wiring.remote:
         with plan.console.status("waiting for robots elsewhere"):
             # A process that has died ends this wait and all later ones at once, with what it printed.
-            swarm.wait_until_up(_STARTING_TIMEOUT, nodes.check)
+            swarm.wait_until_up(_STARTING_TIMEOUT, processes.check)
     remote_count = len(plan.wiring.remote)
     _logger.info("%d robots are up, %d of them elsewhere", plan.settings.robots, remote_count)
 

@@ -35,28 +35,29 @@ def stopping(interrupt: bool = False) -> Iterator[Callable[[], bool]]:
         return
     if interrupt:
         _received_signals.clear()
-    earlier_count = len(_received_signals)
+    count_at_start = len(_received_signals)
 
-    def is_requested() -> bool:
-        return len(_received_signals) > earlier_count
+    def has_signal_come() -> bool:
+        return len(_received_signals) > count_at_start
 
     def handle_signal(signal_number: int, frame: FrameType | None) -> None:
-        is_first = not is_requested()
+        is_first = not has_signal_come()
         _received_signals.append(signal_number)
+        if is_first and interrupt:
+            raise KeyboardInterrupt
         # Terminals and service managers may send two signals: the second must not disturb the saving.
-        raises = interrupt if is_first else signal_number == signal.SIGINT
-        if raises:
+        if not is_first and signal_number == signal.SIGINT:
             raise KeyboardInterrupt
 
-    previous_handlers = {
-        number: handler
-        for number in ENDING_SIGNALS
-        if (handler := signal.getsignal(number)) not in (signal.SIG_IGN, None)
-    }
-    for number in previous_handlers:
-        signal.signal(number, handle_signal)
+    previous_handlers = {}
+    for number in ENDING_SIGNALS:
+        handler = signal.getsignal(number)
+        # The handler is None if it was not set by Python.
+        if handler is not None and handler != signal.SIG_IGN:
+            previous_handlers[number] = handler
+            signal.signal(number, handle_signal)
     try:
-        yield is_requested
+        yield has_signal_come
     finally:
         for number, handler in previous_handlers.items():
             signal.signal(number, handler)

@@ -257,27 +257,27 @@ class _Comparison:
             return
         broadcasts = self._robots[estimate.sender].broadcasts
         index = _index_of_broadcast(estimate.transfer_id, broadcasts)
-        # A frame without a broadcast of its transfer_id is compared with the next one, if there is one.
-        expected_index = 0 if index is None else index
-        expected = broadcasts[expected_index] if broadcasts else None
+        expected = None if index is None else broadcasts[index]
         is_reproduced = (
-            index is not None
-            and expected is not None
+            expected is not None
             and expected.x_hat == estimate.x_hat
             and expected.alpha_bits == alpha_float32_bits(frame)
         )
         # A fault may have sent the same frame as a robot. Then the frame is the robot's if the broadcast is
         # the robot's next one: one that comes later is equal by chance.
-        is_next_broadcast = is_reproduced and expected_index == 0
+        is_next_broadcast = is_reproduced and index == 0
         frame_text = format_frame(frame)
         if self._foreign_frames[frame_text] > 0 and not is_next_broadcast:
             self._foreign_frames[frame_text] -= 1
             self.verdict.foreign += 1
-        elif is_reproduced:
-            self._count_reproduced(broadcasts, expected_index)
+        elif index is not None and is_reproduced:
+            self._count_reproduced(broadcasts, index)
         elif self._are_events_cut_off and not broadcasts:
             self.verdict.beyond += 1
         else:
+            if expected is None and broadcasts:
+                # No broadcast has the frame's transfer_id, so the next one should be in its place.
+                expected = broadcasts[0]
             self.verdict.difference = _describe_difference(frame_number, frame, estimate, expected)
 
     def _count_reproduced(self, broadcasts: deque[Broadcast], index: int) -> None:

@@ -219,18 +219,18 @@ class Lockstep:
         """
         actions_to_repeat = dict(actions or {})
         start = time.monotonic()
+        repetition_time = start + seconds / 2
+        deadline = start + seconds
         next_check = start + _SECONDS_BETWEEN_CHECKS
         while missing_robots:
             now = time.monotonic()
-            seconds_waited = now - start
-            if actions_to_repeat and seconds_waited > seconds / 2:
+            if actions_to_repeat and now > repetition_time:
                 self._repeat_commands(actions_to_repeat, missing_robots)
                 actions_to_repeat = {}
                 # However long sending took, robots have the second half of the time for the repetition.
-                start = time.monotonic() - seconds / 2
-            # The wait has two halves: the first ends with the repetition, if there is one.
-            seconds_to_next_step = seconds / 2 if actions_to_repeat else seconds
-            seconds_left = max(0.0, seconds_to_next_step - seconds_waited)
+                deadline = time.monotonic() + seconds / 2
+            end_of_wait = repetition_time if actions_to_repeat else deadline
+            seconds_left = max(0.0, end_of_wait - now)
             frame = self._bus.recv(min(_SECONDS_BETWEEN_CHECKS, seconds_left))
             # On a bus that is never quiet frames come without end: the caller is asked then, too.
             if frame is None or now >= next_check:
@@ -241,8 +241,8 @@ class Lockstep:
                 self._store_answer(frame)
                 yield frame
             # What is already in the receive buffer still counts after the time, but not without end.
-            time_limit = seconds if frame is None else 2 * seconds
-            if missing_robots and seconds_waited > time_limit:
+            last_moment = deadline if frame is None else deadline + seconds
+            if missing_robots and now > last_moment:
                 raise self._missing_error(missing_robots, expected_answer, seconds)
 
     def _repeat_commands(self, actions: Mapping[int, Action], missing_robots: Collection[int]) -> None:
