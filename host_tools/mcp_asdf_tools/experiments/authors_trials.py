@@ -109,12 +109,12 @@ def read_trials(files: Iterable[Path], sampling_interval: int) -> Iterator[Trial
     for path in files:
         trials = _read_trial(path, sampling_interval)
         [number] = trials.numbers
-        # The first file of a trial stays in the dictionary, and is returned for each later one.
-        earlier_path = file_of_trial.setdefault((trials.experiment, number), path)
-        if earlier_path != path:
+        key = (trials.experiment, number)
+        if key in file_of_trial:
             raise UsageError(
-                f"{path} and {earlier_path} are both trial {number} of an experiment; give one of them"
+                f"{path} and {file_of_trial[key]} are both trial {number} of an experiment; give one of them"
             )
+        file_of_trial[key] = path
         yield trials
 
 
@@ -129,31 +129,38 @@ def _read_trial(path: Path, sampling_interval: int) -> Trials:
     number = file.whole_number("trial_ind")
     if not 0 <= number < experiment.trials:
         raise file.error("trial_ind", f"it must be 0 to {experiment.trials - 1}, as num_trials says")
-    # A series has the shape (N, steps + 1). In ``Trials`` steps come before robots: .T swaps these two axes.
-    # The first axis there is the trial: [np.newaxis] adds it, with the length 1.
-    series = _read_series(file, experiment)
+    series = _read_series(file, experiment)  # shape (N, steps + 1) each
     convergence_steps, errors = convergence_and_errors(experiment, series["x"][np.newaxis], unit=1.0)
-    b_hat_at_filter_steps = series["b_hat"][:, :: experiment.filter_period]
+    b_hat_at_filter_steps = _values_of_one_trial(series["b_hat"], every=experiment.filter_period)
     b_hat_before = b_hat_at_filter_steps[:, :-1]  # from the initial one on
     b_hat_after = b_hat_at_filter_steps[:, 1:]
     # NaN, where their programs have divided by 0, is no update.
     is_update = (b_hat_after != b_hat_before) & ~np.isnan(b_hat_after)
-    updates_by_robot = is_update.sum(axis=1)  # is_update has the shape (N, filter steps)
+    filter_step_axis = 1  # of the shape (trials, filter steps, N)
     records = {}
     if sampling_interval:
-        records = {name: series[name][:, ::sampling_interval].T[np.newaxis] for name in QUANTITIES}
+        records = {name: _values_of_one_trial(series[name], every=sampling_interval) for name in QUANTITIES}
     return Trials(
         experiment=experiment,
         numbers=[number],
         convergence_steps=convergence_steps,
         errors=errors,
-        b_hat=b_hat_after.T[np.newaxis],
+        b_hat=b_hat_after,
         tests=np.zeros((1, experiment.robots), np.int64),  # their files do not say
-        updates=updates_by_robot[np.newaxis],
+        updates=is_update.sum(axis=filter_step_axis),
         records=records,
         sampling_interval=sampling_interval,
         source=SOURCE,
     )
+
+
+def _values_of_one_trial(series: NDArray[np.float64], every: int) -> NDArray[np.float64]:
+    """Return values of shape (N, steps + 1) as ``Trials`` has them, shape (1, samples, N).
+
+    Samples are step 0 and every ``every``-th step from there.
+    """
+    values_by_step = series[:, ::every].T
+    return values_by_step[np.newaxis]
 
 
 # --- Parameters ------------------------------------------------------------------------------------------
@@ -349,7 +356,7 @@ def _check_numbers(series: dict[str, NDArray[np.float64]]) -> None:
     # Comparisons with NaN are false: a count of NaN is wrong, and any other value of NaN is not.
     is_possible_n = (n >= 0) & (n <= t)
     is_possible_t = (t >= 0) & (t <= steps)
-    is_wrong_by_name = {"n": ~is_possible_n, "t": ~is_possible_t}
+    is_wrong_by_name = {"n": ~is_possible_n, "t": ~is_possible_t}  # a truth value for each step
     for name in _SHARES:
         is_wrong_by_name[name] = (series[name] < 0) | (series[name] > 1)
     for name in _CONFIDENCES:

@@ -166,14 +166,13 @@ def group_into_series(experiments: Sequence[Trials], series_name: SeriesName | N
         else:
             series_label = series_name(trials.experiment)
         experiments_by_name.setdefault(series_label, []).append(trials)
-    colours = colours_of_filters(
-        [_common_filter(experiments_of_series) for experiments_of_series in experiments_by_name.values()]
-    )
+    filter_names = [
+        _common_filter(experiments_of_name) for experiments_of_name in experiments_by_name.values()
+    ]
+    colours = colours_of_filters(filter_names)
     return [
-        Series(series_label, colour, experiments_of_series)
-        for (series_label, experiments_of_series), colour in zip(
-            experiments_by_name.items(), colours, strict=True
-        )
+        Series(series_label, colour, experiments_by_name[series_label])
+        for series_label, colour in zip(experiments_by_name, colours, strict=True)
     ]
 
 

@@ -257,17 +257,14 @@ class RowGroups:
         first_rows = [row_group.first_row for row_group in self._row_groups]
         # A row is in the last row group that begins at or before it.
         group_of_row = np.searchsorted(first_rows, rows, side="right") - 1
-        # Of each row group: its rows that are requested, and their positions in ``rows``
+        # Row groups are read one after the other, so that their rows are taken sorted by row groups ...
+        positions_by_group = np.argsort(group_of_row, kind="stable")
         tables = []
-        positions = []
         for group_index in np.unique(group_of_row):
-            positions_of_group = np.flatnonzero(group_of_row == group_index)
-            rows_in_group = rows[positions_of_group] - first_rows[group_index]
-            table = self._read_cached(group_index, column_names)
-            tables.append(table.take(rows_in_group))
-            positions.append(positions_of_group)
-        # The rows are now in the order of the row groups, and have to be in that of the request.
-        requested_order = np.argsort(np.concatenate(positions))
+            rows_in_group = rows[group_of_row == group_index] - first_rows[group_index]
+            tables.append(self._read_cached(group_index, column_names).take(rows_in_group))
+        # ... and then brought into the order of the request, by the inverse of that permutation.
+        requested_order = np.argsort(positions_by_group)
         return pa.concat_tables(tables).combine_chunks().take(requested_order)
 
     def _read(self, group_index: int, columns: tuple[str, ...] | None) -> pa.Table:

@@ -175,14 +175,13 @@ def _nest_flat_record(table: pa.Table, column: str) -> pa.ChunkedArray:
     # Chunk by chunk: the lists of a chunk have at most 2^31 values together, those of a column may have more.
     for batch in table.select(["robots", column]).to_batches():
         flat_records = batch[column]
-        robots = pc.fill_null(batch["robots"], 0).to_numpy()
-        value_counts = pc.fill_null(pc.list_value_length(flat_records), 0).to_numpy()
         # In a damaged file any number may stand for the robots, also 0, or one that fits no signed integer.
-        robots = np.clip(robots, 0, np.iinfo(np.int32).max).astype(np.int64)
+        stated_robots = pc.fill_null(batch["robots"], 0).to_numpy()
+        robots = np.clip(stated_robots, 0, np.iinfo(np.int32).max).astype(np.int64)
+        value_counts = pc.fill_null(pc.list_value_length(flat_records), 0).to_numpy()
         step_counts = value_counts // np.maximum(robots, 1)
-        has_gaps = flat_records.null_count > 0
-        has_value_of_each_robot = np.array_equal(step_counts * robots, value_counts)  # without a remainder
-        if has_gaps or not has_value_of_each_robot:
+        is_each_step_complete = np.array_equal(step_counts * robots, value_counts)  # no value is left over
+        if flat_records.null_count > 0 or not is_each_step_complete:
             raise _damage_error(f"column {column} has gaps, or not a value of each robot at each step")
         # The values become lists by robot for each step, and these become a list for each trial.
         robots_by_step = np.repeat(robots, step_counts)
@@ -403,4 +402,4 @@ def _score_row(row: dict[str, Any], limits: Limits) -> dict[str, float]:
     k_max, e_max = limits.of(Experiment.from_recording(row))
     # The function takes and returns arrays with an entry of each trial; here there is a single one.
     scores = score([row["k"]], [row["e"]], k_max, e_max)
-    return {name: float(score_of_trial) for name, (score_of_trial,) in scores.items()}
+    return {name: float(score_by_trial[0]) for name, score_by_trial in scores.items()}

@@ -91,12 +91,12 @@ class Trials:
         nobody. The first robots are the flawed ones, and all others start with the same b_hat.
         """
         b_hat_of_healthy_robots = self.b_hat[:, :, self.experiment.flawed :]
+        trial_count, filter_step_count, healthy_robots = b_hat_of_healthy_robots.shape
+        if filter_step_count == 0:
+            return np.zeros((trial_count, healthy_robots), np.bool_)
+        final_b_hat = b_hat_of_healthy_robots[:, -1]
         initial_b_hat = self.experiment.b_hat(self.experiment.robots - 1)
-        # The slice has only the last filter step, or none: then ``any`` of nothing is False.
-        final_b_hat = b_hat_of_healthy_robots[:, -1:, :]
-        is_far_off = abs(final_b_hat - initial_b_hat) > HARM_LIMIT
-        filter_step_axis = 1
-        return np.asarray(is_far_off.any(axis=filter_step_axis))
+        return np.asarray(abs(final_b_hat - initial_b_hat) > HARM_LIMIT)
 
 
 def select_experiments(experiments: Sequence[Trials], where: Mapping[str, Any]) -> list[Trials]:

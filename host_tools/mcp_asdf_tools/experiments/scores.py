@@ -35,21 +35,21 @@ def convergence_step(series: NDArray[np.uint32] | NDArray[np.float64], delta: fl
     """
     import numpy as np  # noqa: PLC0415 (it loads slowly, and limits are needed without it)
 
-    # Two passes: over the extremes of chunks, to find the few chunks that can hold K, and over these.
-    # Extremes to the end of the series, rather than pairs of values, make it O(T).
+    # A step is near all later ones if the lowest and the highest value from it to the end are. To find these
+    # for every step would take long: first they are found for chunks of steps.
     chunk_starts = np.arange(0, len(series), _CHUNK)
-    chunk_minima = np.minimum.reduceat(series, chunk_starts)
-    chunk_maxima = np.maximum.reduceat(series, chunk_starts)
-    # Entry i is the extreme of chunk i and all after it; the last entry is that of the last value.
-    lowest = np.append(_extreme_to_end(np.minimum, chunk_minima), series[-1])
-    highest = np.append(_extreme_to_end(np.maximum, chunk_maxima), series[-1])
+    lowest_from_chunk = _extreme_to_end(np.minimum, np.minimum.reduceat(series, chunk_starts))
+    highest_from_chunk = _extreme_to_end(np.maximum, np.maximum.reduceat(series, chunk_starts))
+    # After a chunk are the values from the next one on. After the last one is none: its last value serves.
+    lowest_after_chunk = np.append(lowest_from_chunk[1:], series[-1])
+    highest_after_chunk = np.append(highest_from_chunk[1:], series[-1])
     # Where the values after a chunk are 2 delta apart, no step in the chunk can be near all of them.
-    range_after_chunk = highest[1:] - lowest[1:]
-    for index in np.flatnonzero(range_after_chunk < 2 * delta):
+    may_hold_k = highest_after_chunk - lowest_after_chunk < 2 * delta
+    for index in np.flatnonzero(may_hold_k):
         start = chunk_starts[index]
         chunk = series[start : start + _CHUNK]
-        lowest_to_end = _extreme_to_end(np.minimum, np.minimum(chunk, lowest[index + 1]))
-        highest_to_end = _extreme_to_end(np.maximum, np.maximum(chunk, highest[index + 1]))
+        lowest_to_end = _extreme_to_end(np.minimum, np.minimum(chunk, lowest_after_chunk[index]))
+        highest_to_end = _extreme_to_end(np.maximum, np.maximum(chunk, highest_after_chunk[index]))
         # Unsigned values allow these differences only, which are never negative.
         stays_near = (chunk - lowest_to_end < delta) & (highest_to_end - chunk < delta)
         if stays_near.any():
@@ -58,12 +58,9 @@ def convergence_step(series: NDArray[np.uint32] | NDArray[np.float64], delta: fl
 
 
 def _extreme_to_end(extreme: np.ufunc, values: NDArray[Any]) -> NDArray[Any]:
-    """Return for each value the extreme of it and all values after it.
-
-    ``extreme`` is np.minimum or np.maximum.
-    """
-    extremes: NDArray[Any] = extreme.accumulate(values[::-1])[::-1]
-    return extremes
+    """Return for each value the extreme, np.minimum or np.maximum, of it and all values after it."""
+    extremes_from_last: NDArray[Any] = extreme.accumulate(values[::-1])
+    return extremes_from_last[::-1]
 
 
 @dataclass(frozen=True)

@@ -126,8 +126,8 @@ class Store:
                 and "source" not in metadata
             )
             for experiment, rows in rows_by_experiment(table).items():
+                # An experiment that is not in the sweep has no trials there.
                 row_of_trial = self._row_of_trial.get(_result_key(experiment), np.empty(0, np.int64))
-                # The array is empty for an experiment that is not in the sweep.
                 if not is_comparable or trial_numbers[rows].max() >= len(row_of_trial):
                     raise UsageError(
                         f"{self.output} or its parts hold results of other experiments, recordings or "

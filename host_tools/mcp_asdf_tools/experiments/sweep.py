@@ -169,12 +169,15 @@ def _gapless_ranges(numbers: Sequence[int]) -> Iterator[tuple[int, int]]:
 
     Of 3, 4, 7 these are (3, 5) and (7, 8).
     """
-    start = 0
-    for index in range(1, len(numbers) + 1):
-        is_end = index == len(numbers) or numbers[index] != numbers[index - 1] + 1
-        if is_end:
-            yield numbers[start], numbers[index - 1] + 1
-            start = index
+    if not numbers:
+        return
+    first = end = numbers[0]
+    for number in numbers:
+        if number != end:  # there is a gap before it
+            yield first, end
+            first = number
+        end = number + 1
+    yield first, end
 
 
 def run_jobs(jobs: Iterator[Job], workers: int, scheduler: str | None = None) -> Iterator[Trials]:
@@ -205,17 +208,17 @@ def _run_on_executor(
     ``count_workers`` returns how many jobs run at once at present; as many again are queued, so that no
     worker waits for the next job. What a job raises is raised here.
     """
-    running: set[Future[Trials]] = set()
+    submitted: set[Future[Trials]] = set()
     while True:
         with _interrupts_delayed():
-            running_and_queued = 2 * count_workers()
-            # A cluster may have lost workers, and then more jobs are running than it should have.
-            free_slots = max(0, running_and_queued - len(running))
-            # Each call of islice takes the next jobs from the iterator.
-            running |= {executor.submit(job.run) for job in islice(jobs, free_slots)}
-        if not running:
+            wanted_jobs = 2 * count_workers()
+            # A cluster may have lost workers, so that it has more jobs already.
+            missing_jobs = max(0, wanted_jobs - len(submitted))
+            next_jobs = islice(jobs, missing_jobs)  # or fewer, if these are the last ones
+            submitted |= {executor.submit(job.run) for job in next_jobs}
+        if not submitted:
             return
-        done, running = wait(running, return_when=FIRST_COMPLETED)
+        done, submitted = wait(submitted, return_when=FIRST_COMPLETED)
         for future in done:
             yield future.result()
 
@@ -229,9 +232,9 @@ def _worker_processes(workers: int) -> Iterator[Executor]:
 
     Raises UsageError if one of them is killed.
     """
-    other_children = set(active_children())
     # The caller may have child processes of its own, which must not be killed below.
-    # Started anew rather than forked: a fork copies locks that another thread may hold at that moment.
+    other_children = set(active_children())
+    # Workers are started anew, not forked: a fork copies locks that another thread may hold at that moment.
     pool = ProcessPoolExecutor(workers, get_context("spawn"), end_with_parent)
     try:
         yield pool
@@ -265,16 +268,15 @@ def end_with_parent() -> None:
 
 @contextmanager
 def _interrupts_delayed() -> Iterator[None]:
-    """Delay Ctrl-C and the like until this context ends, and keep them from processes that start in it.
-
-    Processes inherit the signal mask before Python starts in them. In this process another thread may still
-    receive the signal, so that its handler has to wait, too.
-    """
+    """Delay Ctrl-C and the like until this context ends, and keep them from processes that start in it."""
+    # In this context a signal is only noted, by whichever thread receives it ...
     with stopping() as is_stop_requested:
+        # ... and this thread receives none: processes that it starts inherit this, from their first moment.
         previous_mask = signal.pthread_sigmask(signal.SIG_BLOCK, ENDING_SIGNALS)
         try:
             yield
         finally:
             signal.pthread_sigmask(signal.SIG_SETMASK, previous_mask)
     if is_stop_requested():
+        # Now the interrupt that was delayed takes place.
         signal.raise_signal(signal.SIGINT)

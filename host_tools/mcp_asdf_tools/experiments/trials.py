@@ -145,21 +145,21 @@ def _records_in_paper_units(experiment: Experiment, raw_records: NDArray[Any]) -
         Values by the name of each quantity, shape (trials, samples + 1, N).
     """
     initial_b_hat = [b_hat_to_raw(experiment.b_hat(robot)) / 2**32 for robot in range(experiment.robots)]
-    # Quantities that are missing here are counts and confidences, which are 0 at first.
-    initial_values: dict[str, Any] = {"x_hat": 0.5, "x_bar": 0.5, "x": 0.5, "b_hat": initial_b_hat}
-    # The integer that stands for 1.0. Quantities that are missing here are counts, for which it is 1, and
-    # alpha, which is no plain integer but a mantissa and a shift.
-    integer_of_one = {"x_hat": ONE, "x_bar": ONE, "x": ONE, "beta": UNITS_PER_ALPHA, "b_hat": 2**32}
+    initial_values: dict[str, Any] = {"t": 0, "n": 0, "alpha": 0, "beta": 0}
+    initial_values |= {"x_hat": 0.5, "x_bar": 0.5, "x": 0.5, "b_hat": initial_b_hat}
+    # The integer that stands for 1. Alpha has none: its word is a mantissa and a shift.
+    integer_of_one = {"t": 1, "n": 1, "beta": UNITS_PER_ALPHA}
+    integer_of_one |= {"x_hat": ONE, "x_bar": ONE, "x": ONE, "b_hat": 2**32}
     trial_count, sample_count, robots = raw_records.shape
     records = {}
     for quantity in QUANTITIES:
         raw_values = raw_records[quantity]
         values = np.empty((trial_count, sample_count + 1, robots))
-        values[:, 0] = initial_values.get(quantity, 0.0)
+        values[:, 0] = initial_values[quantity]
         if quantity == "alpha":
             values[:, 1:] = _alpha_of_words(raw_values)
         else:
-            values[:, 1:] = raw_values / integer_of_one.get(quantity, 1)
+            values[:, 1:] = raw_values / integer_of_one[quantity]
         records[quantity] = values
     return records
 

@@ -158,7 +158,8 @@ def low_b_hat_is_volatile() -> list[Comparison]:
 
     No estimate reaches 0 or 1 in this range, where it would stop moving.
     """
-    change_of_low, change_of_high = (_x_hat(0.515, b_hat) - _x_hat(0.505, b_hat) for b_hat in (0.55, 0.95))
+    change_of_low = _x_hat(0.515, b_hat=0.55) - _x_hat(0.505, b_hat=0.55)
+    change_of_high = _x_hat(0.515, b_hat=0.95) - _x_hat(0.505, b_hat=0.95)
     column = "change of x_hat: b_hat 0.55 less b_hat 0.95"
     return [_above_zero("n/t 0.505 to 0.515", column, change_of_low - change_of_high)]
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import random
 from collections.abc import Sequence
-from statistics import fmean
+from statistics import NormalDist, fmean
 
 import numpy as np
 
@@ -92,7 +92,7 @@ class RememberingRobot(ReferenceRobot):
             self._messages += 1
             # The gain is 2^-3 up to 63 messages. From then on it halves whenever their number doubles, down
             # to 2^-12.
-            doublings = self._messages.bit_length() - 1
+            doublings = self._messages.bit_length() - 1  # 5 from 32 messages on, 6 from 64 on
             halvings = min(max(doublings - 2, 3), 12)
             gain = 2.0**-halvings
             # The sender's t is not in the message; robots of a swarm have observed equally often.
@@ -170,13 +170,14 @@ class BayesCpfRobot(ReferenceRobot):
         self._variance += self.diffusion**2 * t
         if t * min(self._mean, 1 - self._mean) < 5:
             return None  # the binomial count is not near enough to a normal distribution
-        # The measurement is n; its expectation t (x b + (1 - x)(1 - b)) has this slope in b.
-        slope = t * (2 * x - 1)
-        expected = t * (x * (2 * self._mean - 1) + 1 - self._mean)
-        # The variance of a binomial count, t p (1 - p), for p = expected / t.
-        noise = t * ((2 * self._mean - 1) ** 2 * (x - x**2 - 0.25) + 0.25)
-        gain = self._variance * slope / (slope**2 * self._variance + noise)
-        self._mean += gain * (n - expected)
+        # The measurement is n, a binomial count: of t readings each is black with this probability.
+        black_probability = x * self._mean + (1 - x) * (1 - self._mean)
+        expected_n = t * black_probability
+        variance_of_n = t * black_probability * (1 - black_probability)
+        slope = t * (2 * x - 1)  # by which expected_n grows with the mean
+        # The equations of a Kalman filter for one number
+        gain = self._variance * slope / (slope**2 * self._variance + variance_of_n)
+        self._mean += gain * (n - expected_n)
         self._variance *= 1 - gain * slope
         # Off the ends, as at b_hat = 1/2 the local estimate would divide by 0.
         lowest, highest = 0.5 + 1e-6, 1 - 1e-6
@@ -187,14 +188,14 @@ class BayesCpfRobot(ReferenceRobot):
         if 0.5 < self._mean < 1:
             return self._mean
         deviation = math.sqrt(self._variance)
+        # The limits 1/2 and 1 in deviations from the mean, as the standard normal distribution takes them
         low, high = (0.5 - self._mean) / deviation, (1 - self._mean) / deviation
-        mass = math.erf(high / math.sqrt(2)) - math.erf(low / math.sqrt(2))
-        if mass < 1e-12:  # the quotient below would be noise
+        standard_normal = NormalDist()
+        share_within = standard_normal.cdf(high) - standard_normal.cdf(low)
+        if share_within < 5e-13:  # the quotient below would be noise
             return self._mean
-        # The mean is mu + sigma (phi(low) - phi(high)) / (Phi(high) - Phi(low)), where phi has the factor 1 /
-        # sqrt(2 pi) and the difference of Phi is mass / 2.
-        density_difference = math.exp(-(low**2) / 2) - math.exp(-(high**2) / 2)
-        return self._mean + deviation * math.sqrt(2 / math.pi) / mass * density_difference
+        density_difference = standard_normal.pdf(low) - standard_normal.pdf(high)
+        return self._mean + deviation * density_difference / share_within
 
 
 # --- Resilient consensus ---------------------------------------------------------------------------------
@@ -539,9 +540,9 @@ class ChangingFloor:
         black_readings_after = FLOOR_AFTER_CHANGE * b + (1 - FLOOR_AFTER_CHANGE) * (1 - b)
         # f b black readings come from black tiles; white tiles have to give the rest.
         white_accuracy_after = 1 - (black_readings_after - f * b) / (1 - f)
-        # A column, as accuracies have a row for each step. One entry stands for all robots, and on black
-        # tiles for all steps, too.
-        step = np.arange(self._steps, self._steps + steps)[:, np.newaxis]
+        step_numbers = np.arange(self._steps, self._steps + steps)
         self._steps += steps
-        is_before_change = step < self._settings.steps // 2
-        return np.full((1, 1), b), np.where(is_before_change, b, white_accuracy_after)
+        is_before_change = step_numbers < self._settings.steps // 2
+        on_white = np.where(is_before_change, b, white_accuracy_after)
+        # Accuracies have a row for each step, or one for all, and here one column for all robots.
+        return np.full((1, 1), b), on_white[:, np.newaxis]

@@ -55,21 +55,21 @@ class IndependentReadings:
         end_tile = -(-self._next_step // READINGS_OF_TILE)  # rounded up
         readings = self._draw_readings(first_tile, end_tile - first_tile)
         is_black = readings[steps_to_skip : steps_to_skip + steps].astype(np.float64)
-        # A sensor reads black if it is right on black tiles, and wrong on white ones.
+        # A sensor reads black if it is always right on black tiles, and never on white ones.
         return is_black, 1 - is_black
 
     def _draw_readings(self, first_tile: int, tiles: int) -> NDArray[np.bool_]:
         """Return whether the readings of some tiles are black, in their order, shape (2 tiles, robots)."""
         draws_of_tile = 4  # for its colour, for an error of either reading, and for a repetition
         uniforms = self._draws.draw_uniforms(draws_of_tile * tiles, draws_of_tile * first_tile)
-        colour, first_error, second_error, repetition = np.moveaxis(
-            uniforms.reshape(tiles, draws_of_tile, self._settings.robots), 1, 0
-        )
-        accuracy = self._settings.true_accuracy
-        tile_is_black = colour < self._settings.fill_ratio
-        first_is_black = tile_is_black == (first_error < accuracy)
-        new_reading_is_black = tile_is_black == (second_error < accuracy)
-        second_is_black = np.where(repetition < self.repeated_share, first_is_black, new_reading_is_black)
+        draws = uniforms.reshape(tiles, draws_of_tile, self._settings.robots)
+        tile_is_black = draws[:, 0] < self._settings.fill_ratio
+        first_is_right = draws[:, 1] < self._settings.true_accuracy
+        second_is_right = draws[:, 2] < self._settings.true_accuracy
+        is_repeated = draws[:, 3] < self.repeated_share
+        # A reading is black where it is right on a black tile, or wrong on a white one.
+        first_is_black = tile_is_black == first_is_right
+        second_is_black = np.where(is_repeated, first_is_black, tile_is_black == second_is_right)
         # The readings of a tile follow each other.
         readings = np.stack([first_is_black, second_is_black], axis=1)
         return readings.reshape(READINGS_OF_TILE * tiles, self._settings.robots)

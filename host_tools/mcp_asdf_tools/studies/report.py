@@ -206,13 +206,16 @@ def comparison_table(decision: Decision) -> list[list[str]]:
     The first column has the labels of the rows. The other cells have a mark of MARKS and the difference with
     its interval; they are empty where the claim has no comparison.
     """
-    rows = list(dict.fromkeys(comparison.row for comparison in decision.comparisons))
-    # Dictionaries, as sets would not keep the order of the comparisons.
-    columns = list(dict.fromkeys(_column_head(comparison) for comparison in decision.comparisons))
+    rows: list[str] = []
+    columns: list[str] = []
     texts: dict[tuple[str, str], str] = {}
     for comparison in decision.comparisons:
-        mark = MARKS[comparison.holds]
-        texts[comparison.row, _column_head(comparison)] = f"{mark} {format_difference(comparison)}"
+        row, column = comparison.row, _column_head(comparison)
+        if row not in rows:
+            rows.append(row)
+        if column not in columns:
+            columns.append(column)
+        texts[row, column] = f"{MARKS[comparison.holds]} {format_difference(comparison)}"
     table = [["", *columns]]
     for row in rows:
         table.append([row, *(texts.get((row, column), "") for column in columns)])

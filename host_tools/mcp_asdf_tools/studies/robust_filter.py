@@ -154,9 +154,9 @@ def static_graph(steps_to_neighbours: Sequence[int]) -> str:
     """
     circle = random.Random(1).sample(range(ROBOTS_OF_STATIC_GRAPHS), ROBOTS_OF_STATIC_GRAPHS)
     edges = []
-    for place, robot in enumerate(circle):
+    for position, robot in enumerate(circle):
         for step in steps_to_neighbours:
-            neighbour = circle[(place + step) % ROBOTS_OF_STATIC_GRAPHS]
+            neighbour = circle[(position + step) % ROBOTS_OF_STATIC_GRAPHS]
             edges.append(f"{robot} {neighbour}")
     return "; ".join(edges)
 

@@ -48,13 +48,15 @@ _WORLDS: dict[str, dict[str, Any]] = {
     "moving": {**MOVING, "robots": 20},
     "fully connected": {"robots": 10},
 }
-SWARMS: dict[str, dict[str, Any]] = {
-    f"{world}, {flaw}": {**_WORLDS[world], **FLAWS[flaw]} for world in _WORLDS for flaw in FLAWS
-}
-"""Parameters of the four kinds of swarms, without the share of black floor."""
-
 FILL_RATIOS = [0.55, 0.65, 0.75, 0.85, 0.95]
 """Shares of black floor: several, since some are nearer to a code of x_hat than others."""
+
+SWARMS: dict[str, dict[str, Any]] = {
+    f"{world}, {flaw}": {**_WORLDS[world], **FLAWS[flaw], "fill_ratio": FILL_RATIOS}
+    for world in _WORLDS
+    for flaw in FLAWS
+}
+"""Parameters of the four kinds of swarms."""
 
 TOLERANCE = 1.1
 """A code suffices if errors are at most so many times those of exact messages, with its interval."""
@@ -87,19 +89,19 @@ def experiments_of(
 
     Without ``codes`` they are those of ``codes_of``.
     """
-    return {
-        row_label(message_bits, swarm): m.grid(
-            **{**parameters, "fill_ratio": FILL_RATIOS},
-            filter=filter_name,
-            message_bits=message_bits,
-            flawed="30%",
-            steps=10_000,
-            trials=trials,
-            seed=4716,  # which no tuning has seen
-        )
-        for message_bits in (EXACT, *map(str, codes or codes_of(filter_name)))
-        for swarm, parameters in SWARMS.items()
-    }
+    rows: dict[str, list[Experiment]] = {}
+    for message_bits in (EXACT, *map(str, codes or codes_of(filter_name))):
+        for swarm, parameters in SWARMS.items():
+            rows[row_label(message_bits, swarm)] = m.grid(
+                **parameters,
+                filter=filter_name,
+                message_bits=message_bits,
+                flawed="30%",
+                steps=10_000,
+                trials=trials,
+                seed=4716,  # which no tuning has seen
+            )
+    return rows
 
 
 # --- Measures --------------------------------------------------------------------------------------------

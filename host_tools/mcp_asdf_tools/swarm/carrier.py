@@ -330,7 +330,7 @@ class Carrier:
         """Return where the carrier has to read a frame; None without a bus, or if it has read it already."""
         is_sent_from_here = sent_frame.sender in self._robot_connections
         if not is_sent_from_here:
-            # What a remote robot sent, its driver has read already from the connection of the carrier.
+            # There is no bus, or the sender is remote: what it sent, its driver has read already.
             return None
         return self.bus_connections[sent_frame.sender]
 
@@ -407,19 +407,19 @@ class Carrier:
 
         ``indices`` are their positions among the deliveries.
         """
-        content_by_kind: dict[Rejection | type, FrameContent] = {}
-        indices_by_kind: defaultdict[Rejection | type, list[int]] = defaultdict(list)
+        example_by_kind: dict[Rejection | type, FrameContent] = {}
+        counts_by_kind: dict[Rejection | type, NDArray[np.int64]] = {}
         for index in indices.tolist():
             content = decode_frame(deliveries.received_frame(index), self._frame_format)
             kind = content if isinstance(content, Rejection) else type(content)
-            content_by_kind[kind] = content  # the content of any frame counts for all of its kind
-            indices_by_kind[kind].append(index)
-        # All frames of one kind are counted at once, which is faster in a flood of them.
-        for kind, indices_of_kind in indices_by_kind.items():
-            frame_counts = np.count_nonzero(deliveries.receivers[indices_of_kind], axis=0)  # by robot id
+            example_by_kind[kind] = content
+            # The entry of a robot's id is how many of these frames it receives.
+            counts_by_kind[kind] = counts_by_kind.get(kind, 0) + deliveries.receivers[index]
+        # Robots count all frames of one kind at once, which is faster in a flood of them.
+        for kind, frame_counts in counts_by_kind.items():
             for robot in self._robots.values():
                 if frame_counts[robot.id]:
-                    robot.count_content(content_by_kind[kind], int(frame_counts[robot.id]))
+                    robot.count_content(example_by_kind[kind], int(frame_counts[robot.id]))
 
     @property
     def missed_count(self) -> int:

@@ -85,8 +85,8 @@ class LiveView:
 
         The line, with tabs, is such as ``robot 3 step 50 b_hat 0.9000 0.8123``: the value before and after.
         """
+        # After the first tick there are no last values: they are those of the start then.
         b_hat_before = self._last_b_hat or swarm.b_hat_at_start
-        # Before the first tick there are no last values: they are those of the start then.
         self._last_b_hat = [node.robot.b_hat for node in swarm.nodes]
         for robot, (old_b_hat, new_b_hat) in enumerate(zip(b_hat_before, self._last_b_hat, strict=True)):
             if abs(new_b_hat - old_b_hat) > _MIN_CHANGE_SHOWN:

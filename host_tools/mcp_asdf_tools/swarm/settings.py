@@ -56,6 +56,10 @@ class SwarmSettings(Population):
             return replace(super().from_recording(recorded), faults=tuple(map(str, faults)))
 
     def __post_init__(self) -> None:
+        """Check the values, parse the faults, and bring ``allow`` to the one text for its ids.
+
+        Raises ParameterError, naming the field, for a value that it cannot have.
+        """
         # The kinds of faults take as long to load as all else here, and only the help of swarm shows them.
         from mcp_asdf_tools.swarm.fault_injection.parsing import parse_fault  # noqa: PLC0415
 
@@ -63,7 +67,7 @@ class SwarmSettings(Population):
         if self.clock not in get_args(ClockKind):
             raise ParameterError("clock", f"clock is {self.clock!r}; choose lockstep or real-time")
         if self.allow:
-            # The same ids have the same text, in rising order, so that equal settings compare as equal.
+            # In rising order, so that equal settings compare as equal.
             with naming_parameter("allow"):
                 allowed_ids = parse_ids(self.allow, "allow")
             object.__setattr__(self, "allow", format_ids(allowed_ids))

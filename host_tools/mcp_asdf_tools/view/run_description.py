@@ -82,7 +82,8 @@ def _compute_unfiltered_errors(settings: Population, trial: int) -> list[float]:
     sampling_interval = steps_between_states(settings.steps, settings.robots)
     trials = run_trials(experiment, first=trial, trials=1, sampling_interval=sampling_interval)
     estimates = trials.records["x"][0]
-    mean_errors = abs(estimates - settings.fill_ratio).mean(axis=1)
+    robot_axis = 1  # of the shape (samples, N)
+    mean_errors = abs(estimates - settings.fill_ratio).mean(axis=robot_axis)
     point_count = min(_MAX_ERROR_POINTS, len(mean_errors))
     return [round(float(errors.mean()), 5) for errors in np.array_split(mean_errors, point_count)]
 

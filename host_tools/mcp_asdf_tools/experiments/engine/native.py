@@ -201,13 +201,13 @@ def _black_probabilities(experiment: Experiment, first: int, trials: int) -> NDA
     """Return the probabilities of a black observation, by trial, step and robot, in the engine's unit.
 
     They are those of ``trials`` trials from number ``first`` on. An axis along which all values are alike has
-    the length 1; that of trials has, unless an extension makes the sensors. Raises UsageError if its answers
-    are not as they should be. Built-in sensors are alike in all trials, so that one stands for all of them.
+    the length 1. Raises UsageError if a sensor extension answers otherwise than it should.
     """
-    distinct_trials = range(trials if experiment.sensor else 1)
+    # Built-in sensors are alike in all trials, so that one trial stands for all.
+    distinct_trial_count = trials if experiment.sensor else 1
     fill_ratio = None if experiment.is_dynamic else experiment.fill_ratio
     probabilities = []
-    for index in distinct_trials:
+    for index in range(distinct_trial_count):
         accuracies = make_sensor_model(experiment, first + index).advance(experiment.steps)
         # A moving robot's tile has a colour: the engine takes the probability on black and derives that on
         # white, as trials run in C only where both accuracies are equal. Without a colour both are the same.

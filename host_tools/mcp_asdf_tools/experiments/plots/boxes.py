@@ -96,10 +96,10 @@ def _draw_box_panel(axes: Axes, series_of_panel: Sequence[Series], limits: Limit
     )
     box_width = _SLOT_WIDTH / len(series_of_panel)
     for series_index, series in enumerate(series_of_panel):
-        # From the middle of a slot, whose position is a whole number.
-        offset = (series_index + 0.5) * box_width - _SLOT_WIDTH / 2
+        # Slots have whole numbers as their middles. In each the boxes stand beside each other.
+        distance_from_middle = (series_index + 0.5) * box_width - _SLOT_WIDTH / 2
         for trials in series.experiments:
-            middle = slots.index(_slot_of(trials.experiment)) + offset
+            middle = slots.index(_slot_of(trials.experiment)) + distance_from_middle
             drawn_width = _DRAWN_SHARE * box_width
             _draw_box(axes, trials.scores(limits)["H"], middle, drawn_width, series.colour)
     # H is at most 100; above it is room for the outlines of boxes and points there.

@@ -142,7 +142,7 @@ def _select_value(series: Series, parameter_name: str, value: Any) -> Series:
 def _draw_curve(
     axes: Axes, samples: Mapping[Any, NDArray[np.float64]], x_values: Sequence[Any], colour: str
 ) -> None:
-    """Draw a curve through the medians of samples, which have a value for each trial, by their x value.
+    """Draw a curve through the medians of ``samples``: by x value, a measured value of each trial.
 
     Where one of the ``x_values``, those of all panels, is a long text, such as a graph, they stand side by
     side with shortened labels. A series need not have been measured at every x of the others.

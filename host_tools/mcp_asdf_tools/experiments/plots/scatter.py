@@ -88,10 +88,8 @@ def _describe_accuracy(b: float, offset: float) -> str:
 
 
 def _colour_of_offset(offset: float) -> str:
-    """Return a blue for an offset above 0 and a red below, darker the farther off, or INK for 0.
-
-    Offsets of -0.5 and 0.5 are the ends of the scale.
-    """
+    """Return a blue for an offset above 0 and a red below, darker the farther off, or INK for 0."""
     if not offset:
         return INK
+    # The scale goes from red at 0 to blue at 1, and offsets from -0.5 to 0.5.
     return to_hex(colormaps["RdBu"](0.5 + offset))

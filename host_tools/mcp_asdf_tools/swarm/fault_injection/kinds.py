@@ -24,10 +24,8 @@ from mcp_asdf_tools.swarm.fault_injection.random_words import choose_bits, hit_t
 
 if TYPE_CHECKING:
     import can
-    import numpy as np
-    from numpy.typing import NDArray
 
-    from mcp_asdf_tools.swarm.delivery import Deliveries, ReceiverMask, SentFrame
+    from mcp_asdf_tools.swarm.delivery import Deliveries, SentFrame
     from mcp_asdf_tools.swarm.fault_injection.random_words import RandomWords
 
 # --- Links: a frame on its way to one receiver ---
@@ -57,12 +55,11 @@ class LinkFault(Fault, ABC):
         # The axes are frames, receivers and words.
         hit_words = random_words[:, :, 0]
         extra_words = random_words[:, :, 1:]
-        # The words of inactive frames are zeros, which would be hits.
-        is_frame_active = is_active[:, np.newaxis]  # for all receivers
-        hits = deliveries.receivers & is_frame_active & (hit_words <= hit_threshold(self.rate))
+        hits = deliveries.receivers & (hit_words <= hit_threshold(self.rate))
+        hits[~is_active] = False  # the words of inactive frames are zeros, which would be hits
         if self.receivers is not None:
-            all_receivers = np.arange(hits.shape[1])
-            hits &= np.isin(all_receivers, list(self.receivers))
+            is_affected = np.isin(np.arange(hits.shape[1]), list(self.receivers))  # by receiver
+            hits &= is_affected
         run.hit_count += int(np.count_nonzero(hits))
         spared = replace(deliveries, receivers=deliveries.receivers & ~hits)
         hit = replace(deliveries, receivers=hits)
@@ -130,7 +127,8 @@ class Duplicate(LinkFault):
         Copy numbers have a bit for each duplicate fault, so that copies made by different faults have
         different ones.
         """
-        copy_number = hit.copy_number | (1 << run.random.fault_number)
+        bit_of_this_fault = 1 << run.random.fault_number
+        copy_number = hit.copy_number | bit_of_this_fault
         copies = replace(hit, delay=hit.delay + self.ticks, copy_number=copy_number)
         return [hit, copies]
 
@@ -157,28 +155,20 @@ class Corrupt(LinkFault):
         """
         import numpy as np  # noqa: PLC0415 (it loads slowly, and the help of faults needs none of it)
 
-        # Both have an element for each entry: the index of its frame in ``hit``, and its receiver.
-        frame_of_entry, receiver_of_entry = hit.receivers.nonzero()
-        sent_frames = [hit.sent_frames[index] for index in frame_of_entry.tolist()]
+        # The new entries: the number of the frame in ``hit``, and of its only receiver
+        frame_indices, receivers = hit.receivers.nonzero()
+        entry_count = len(frame_indices)
+        sent_frames = [hit.sent_frames[index] for index in frame_indices.tolist()]
         byte_counts = [min(len(sent_frame.frame.data), FRAME_BYTES) for sent_frame in sent_frames]
         bit_counts = 8 * np.array(byte_counts, np.int64)
-        words_of_entry = extra_words[frame_of_entry, receiver_of_entry]  # shape (entries, bits)
-        new_flips = choose_bits(bit_counts, words_of_entry)
+        words_of_entries = extra_words[frame_indices, receivers]  # shape (entries, bits)
+        new_flips = choose_bits(bit_counts, words_of_entries)
         # A bit that an earlier fault has flipped is flipped back.
-        bit_flips = hit.bit_flips[frame_of_entry] ^ new_flips
-        receiver_count = hit.receivers.shape[1]
-        single_receivers = _mask_of_single_receivers(receiver_of_entry, receiver_count)
-        return [replace(hit, sent_frames=sent_frames, receivers=single_receivers, bit_flips=bit_flips)]
-
-
-def _mask_of_single_receivers(receiver_of_entry: NDArray[np.intp], receiver_count: int) -> ReceiverMask:
-    """Return for each entry a row in which only its receiver is true, shape (entries, receivers)."""
-    import numpy as np  # noqa: PLC0415 (it loads slowly, and the help of faults needs none of it)
-
-    entry_count = len(receiver_of_entry)
-    mask = np.zeros((entry_count, receiver_count), np.bool_)
-    mask[np.arange(entry_count), receiver_of_entry] = True
-    return mask
+        bit_flips = hit.bit_flips[frame_indices] ^ new_flips
+        # A row for each entry, in which only its receiver is true
+        receiver_mask = np.zeros((entry_count, hit.receivers.shape[1]), np.bool_)
+        receiver_mask[np.arange(entry_count), receivers] = True
+        return [replace(hit, sent_frames=sent_frames, receivers=receiver_mask, bit_flips=bit_flips)]
 
 
 # --- Outages: a node that is off the bus for some ticks ---
@@ -201,13 +191,12 @@ class OutageFault(Fault, ABC):
         An outage lasts for ``ticks`` ticks. While it lasts the node cannot be hit again, but each of its
         ticks counts as a hit of the fault.
         """
-        ticks_left_before = run.memory.get(node, 0)  # of its outage, counted from the last tick on
-        ticks_left = max(ticks_left_before - 1, 0)
+        outage_end = run.memory.get(node, 0)  # the first tick after the node's latest outage
         # A node that is off the bus already is not hit again.
-        if ticks_left == 0 and run.hits_node(node, tick):
-            ticks_left = self.ticks
-        run.memory[node] = ticks_left
-        if ticks_left == 0:
+        if tick >= outage_end and run.hits_node(node, tick):
+            outage_end = tick + self.ticks
+            run.memory[node] = outage_end
+        if tick >= outage_end:
             return None
         run.hit_count += 1
         return self.outage

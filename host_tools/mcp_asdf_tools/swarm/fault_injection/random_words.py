@@ -155,17 +155,19 @@ def choose_bits(bit_counts: NDArray[np.int64], random_words: RandomWords) -> NDA
     """
     import numpy as np  # noqa: PLC0415 (it loads slowly, and the help of faults needs none of it)
 
-    lowest_bit = np.uint64(1)
+    one = np.uint64(1)
     chosen_bits = np.zeros(len(bit_counts), np.uint64)
     bits_to_choose = random_words.shape[1]
     for turn in range(bits_to_choose):
-        # Draw one of the bits 0 to top_bit. If an earlier turn has chosen it, take top_bit, which is one
-        # higher than in the turn before and so cannot have been drawn yet.
-        turns_left = bits_to_choose - turn
-        top_bit = np.maximum(bit_counts - turns_left, 0).astype(np.uint64)
-        drawn_bit = lowest_bit << (random_words[:, turn] % (top_bit + lowest_bit))
-        is_chosen_already = chosen_bits & drawn_bit
-        new_bit = np.where(is_chosen_already, lowest_bit << top_bit, drawn_bit)
-        has_top_bit = bit_counts >= turns_left
-        chosen_bits |= np.where(has_top_bit, new_bit, np.uint64(0))
+        # Draw one of the lowest candidate_count bits, of which there is one more in each turn, so that in
+        # the last turn any bit can be drawn. If an earlier turn has chosen the drawn bit, take the highest
+        # candidate, which is new in this turn.
+        candidate_counts = bit_counts - bits_to_choose + turn + 1
+        has_candidates = candidate_counts > 0
+        candidates = np.maximum(candidate_counts, 1).astype(np.uint64)
+        drawn_bit = one << (random_words[:, turn] % candidates)
+        highest_candidate = one << (candidates - one)
+        is_chosen_already = (chosen_bits & drawn_bit) != 0
+        new_bit = np.where(is_chosen_already, highest_candidate, drawn_bit)
+        chosen_bits |= np.where(has_candidates, new_bit, np.uint64(0))
     return chosen_bits

@@ -93,7 +93,7 @@ class Arena:
         position, heading = np.empty((2, *shape, 2))  # two arrays, each with x and y along its last axis
         black, wheels, avoids = np.empty((3, *shape), np.uint8)
         adjacency = np.zeros((*shape, self.settings.robots), np.bool_)
-        # Each array of the C struct has the values of the present tick: every tick they are copied to a row.
+        # The arrays of the C struct have the values of the present tick, which are copied to a row each tick.
         rows_by_member: dict[str, NDArray[Any]] = {
             "x": position[:, :, 0],
             "y": position[:, :, 1],
@@ -103,6 +103,7 @@ class Arena:
             "wheels": wheels,
             "avoids": avoids,
         }
+        # Views of these arrays, which show the new values after every step
         current_values = {name: self._values_now(name, rows.dtype) for name, rows in rows_by_member.items()}
         for tick in range(ticks):
             self.step()
