@@ -329,7 +329,8 @@ HOT uint32_t informed_estimate(const mcp_asdf_closed_t *closed, uint32_t x_hat, 
      * their difference modulo 2^64 is the remainder. */
     const uint64_t sum = alpha_x_low + join(low_word(alpha_x_high), 0);
     const uint64_t product = multiply(x, low_word(alpha)) + join(x * high_word(alpha), 0);
-    return x + (uint32_t)(sum - product >= alpha);
+    const bool is_one_too_small = sum - product >= alpha;
+    return x + (uint32_t)is_one_too_small;
 }
 
 /* Returns the mean of the last closed round and the robot's own estimate (eq. 7), as Q23. With an `alpha` of
@@ -358,7 +359,9 @@ static bool asdf_test_rejects(const mcp_asdf_t *robot)
      * by 32 - 26 to the left, the lower one by 26 to the right. The left side is an integer, so that rounding
      * the right side down decides alike. */
     const uint64_t upper_part = multiply(k, high_word(spread)) << 6; /* < 2^64 */
-    return multiply(difference, difference) > upper_part + (multiply(k, low_word(spread)) >> 26);
+    const uint64_t squared_difference = multiply(difference, difference);
+    const uint64_t lower_part = multiply(k, low_word(spread)) >> 26;
+    return squared_difference > upper_part + lower_part;
 }
 
 /* Run the paper's filter at the end of a round, for t > 0. Counts the test, if there is one: the filter
@@ -563,8 +566,8 @@ NOINLINE mcp_asdf_status_t update_b_hat(mcp_asdf_t *robot)
  * between. Returns UPDATED if it has re-estimated b_hat, else OK. */
 HOT_PUBLIC mcp_asdf_status_t mcp_asdf_settle(mcp_asdf_t *robot)
 {
-    const bool is_robust = MCP_ASDF_WITH_ROBUST && mcp_asdf_is_robust(robot->config);
     /* The constant spares a build without the robust filter a load of robot->config. */
+    const bool is_robust = MCP_ASDF_WITH_ROBUST && mcp_asdf_is_robust(robot->config);
     mcp_asdf_status_t status = MCP_ASDF_OK;
     if (is_robust) {
         take_vote(robot);

@@ -150,8 +150,8 @@ static bool is_finite_and_positive(uint32_t binary32) { return binary32 < BINARY
  * 2^shift (bits 0 to 4) in units of 2^-24. Exact for every word. */
 static uint32_t binary32_from_alpha_word(uint32_t alpha)
 {
-    uint32_t mantissa = alpha >> 8, exponent = BINARY32_UNIT_EXPONENT + (alpha & ALPHA_SHIFT_MAX);
     /* ALPHA_SHIFT_MAX, 31, is also the mask of the 5 bits that hold the shift. */
+    uint32_t mantissa = alpha >> 8, exponent = BINARY32_UNIT_EXPONENT + (alpha & ALPHA_SHIFT_MAX);
     if (mantissa == 0U) {
         return 0;
     }

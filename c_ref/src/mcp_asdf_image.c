@@ -95,9 +95,9 @@ static bool is_valid_estimate(const mcp_asdf_t *robot, mcp_asdf_t *fresh)
  *     2^23 alpha       alpha / 2^9                         the lowest 9 bits of alpha, times 2^23 */
 static bool is_valid_mean(uint64_t alpha, uint64_t alpha_x_low, uint64_t alpha_x_high)
 {
+    /* The sum wraps only if alpha_x_high is at least 2^64 - 2^32, which is out of its range: this is checked
+     * before the sum is used. */
     const uint64_t upper_sum = alpha_x_high + (alpha_x_low >> 32);
-    /* upper_sum wraps only if alpha_x_high is at least 2^64 - 2^32, which is out of its range: this is
-     * checked before upper_sum is used. */
     const uint64_t upper_limit = alpha >> 9; /* 2^23 alpha / 2^32 */
     /* MCP_ASDF_MAX_ID, 127, is also the number of messages: a robot has 127 others. */
     return alpha <= (MCP_ASDF_MAX_ID * ALPHA_MANTISSA) << 31 && alpha_x_low < (UINT64_C(1) << 62) &&
@@ -435,7 +435,7 @@ static uint32_t magic_word(bool is_robust) { return is_robust ? IMAGE_MAGIC | RO
 /* Write the image of `robot` to `image`: the magic word, the state, and the hash of both. */
 void mcp_asdf_save(const mcp_asdf_t *robot, uint8_t image[MCP_ASDF_IMAGE_SIZE])
 {
-    image_t output = {NULL, image, HASH_START, false}; /* source, target, hash, is_read */
+    image_t output = {.source = NULL, .target = image, .hash = HASH_START, .is_read = false};
     /* pass_state() serves for reading, too: it assigns to all members what pass_word() returns. */
     mcp_asdf_t copy = *robot;
     const bool is_robust = mcp_asdf_is_robust(robot->config);
@@ -450,7 +450,7 @@ void mcp_asdf_save(const mcp_asdf_t *robot, uint8_t image[MCP_ASDF_IMAGE_SIZE])
 mcp_asdf_status_t mcp_asdf_restore(mcp_asdf_t *robot, const mcp_asdf_config_t *config,
                                    const uint8_t image[MCP_ASDF_IMAGE_SIZE])
 {
-    image_t input = {image, NULL, HASH_START, true}; /* source, target, hash, is_read */
+    image_t input = {.source = image, .target = NULL, .hash = HASH_START, .is_read = true};
     mcp_asdf_t restored = {0}, fresh;
     const bool is_robust = mcp_asdf_is_robust(config);
     /* While an image is read, the value that is passed to pass_word() does not matter. */

@@ -19,7 +19,7 @@
 uint32_t mcp_asdf_x_hat_to_code(uint32_t x_hat, uint32_t bits)
 {
     const uint32_t largest_code = (UINT32_C(1) << bits) - 1U;
-    /* x_hat as Q31, and another bit behind the point from the doubled code: a product as Q32, < 2^56. */
+    /* x_hat << 8 is a Q31, and the doubled code makes the product a Q32: < 2^56. */
     const uint64_t product = multiply(x_hat << 8, largest_code << 1);
     return high_word(product + (UINT64_C(1) << 31)); /* 1/2 is added to round to nearest */
 }
@@ -47,9 +47,10 @@ uint32_t mcp_asdf_x_hat_from_code(uint32_t code, uint32_t bits)
  */
 static uint32_t long_code_from_alpha(uint32_t alpha)
 {
-    uint32_t mantissa = alpha >> 8, length = 24U + (alpha & ALPHA_SHIFT_MAX);
     /* ALPHA_SHIFT_MAX, 31, is also the mask of the 5 bits that hold the shift. */
-    /* Shift until the highest of 24 bits is set; the value's length in bits follows. */
+    uint32_t mantissa = alpha >> 8, length = 24U + (alpha & ALPHA_SHIFT_MAX);
+    /* Shift until the highest of 24 bits is set. `length`, the number of bits of the value, was right for
+     * such a mantissa, and is one less for each shift. */
     while (mantissa >> 23 == 0U) { /* at most 23 turns, so the length stays above 0 */
         mantissa <<= 1;
         --length;

@@ -66,8 +66,8 @@ ZEROS uint32_t leading_zeros(uint32_t value)
 #endif
 
 #if MCP_ASDF_DIVIDE == MCP_ASDF_DIVIDE_BY_TABLE
-/* Reciprocals 1 / y of y in [1/2, 1], in 64 steps: 256 (1 / y - 1), rounded, at the middle y of each step,
- * and 1 as the last entry, for y = 1. */
+/* Reciprocals 1 / y of y in [1/2, 1], in 64 steps: 256 / y - 255, which fits in a byte, rounded, at the
+ * middle y of each step. The last entry is for y = 1. */
 static const uint8_t reciprocals[65] MCP_ASDF_ROM = {
     253, 245, 238, 230, 223, 216, 210, 203, 197, 191, 185, 179, 173, 168, 162, 157, 152,
     147, 142, 137, 133, 128, 124, 119, 115, 111, 107, 103, 99,  95,  92,  88,  85,  81,
@@ -80,10 +80,11 @@ static const uint8_t reciprocals[65] MCP_ASDF_ROM = {
 ALWAYS_INLINE uint32_t prepare(uint32_t d)
 {
     const uint32_t step = (d >> 24) - 64U; /* above 64 only where memory is damaged */
-    const uint32_t r = 255U + (uint32_t)MCP_ASDF_READ_BYTE(&reciprocals[step <= 64U ? step : 64U]); /* Q8 */
-    const uint32_t y_r = ((d >> 8) + 1U) * r; /* Q23 Q8 = Q31: r is in [256, 508], so this is 1 +- 2^-6 */
-    /* 2 - y r is 0U - y_r as Q31, where 2.0 is 2^32, and so 0 in 32 bits. */
-    return (r * ((0U - y_r) >> 9)) >> 15; /* Q8 Q22 = Q30 <= 2.0; then Q15 */
+    const uint32_t index = step <= 64U ? step : 64U;
+    const uint32_t r = 255U + (uint32_t)MCP_ASDF_READ_BYTE(&reciprocals[index]); /* Q8: [256, 508] */
+    const uint32_t y_r = ((d >> 8) + 1U) * r;                                    /* Q23 Q8 = Q31: 1 +- 2^-6 */
+    const uint32_t two_minus_y_r = 0U - y_r; /* as Q31, where 2.0 is 2^32, and so 0 in 32 bits */
+    return (r * (two_minus_y_r >> 9)) >> 15; /* Q8 Q22 = Q30 <= 2.0; then Q15 */
 }
 #endif
 
