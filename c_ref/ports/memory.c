@@ -1,4 +1,4 @@
-/* The two functions that a compiler may call by itself, for images without a C library. The pointers are
+/* The two functions that a compiler may call by itself, for images without a C library. The targets are
  * volatile: else a compiler would recognise the loops, and could replace the one in memcpy() by a call of
  * memcpy(), which is endless recursion. */
 #include <stddef.h>
@@ -6,8 +6,7 @@
 void *memcpy(void *restrict to, const void *restrict from, size_t size);
 void *memset(void *to, int value, size_t size);
 
-/* Copy `size` bytes, byte by byte, between areas that do not overlap. Returns `to`. See the C standard. The
- * target is volatile, so that the compiler makes each write itself, and no call of memcpy() of the loop. */
+/* Copy `size` bytes between areas that do not overlap. Returns `to`. See the C standard. */
 void *memcpy(void *restrict to, const void *restrict from, size_t size)
 {
     volatile unsigned char *target = to;
@@ -17,8 +16,7 @@ void *memcpy(void *restrict to, const void *restrict from, size_t size)
     return to;
 }
 
-/* Fill `size` bytes with the lowest 8 bits of a value. Returns `to`. See the C standard. The target is
- * volatile, so that the compiler keeps the loop and makes no call of memset() of it. */
+/* Fill `size` bytes with the lowest 8 bits of a value. Returns `to`. See the C standard. */
 void *memset(void *to, int value, size_t size)
 {
     for (volatile unsigned char *target = to; size > 0; --size) {

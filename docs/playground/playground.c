@@ -11,7 +11,7 @@
 #define FILTER_PERIOD 1000
 #define FULLY_CONNECTED 0 /* density that stands for robots at rest, all of which receive each other */
 #define PI 3.14159265358979323846
-#define X_ONE 0x1p-23            /* unit of x */
+#define X_UNIT 0x1p-23
 #define MIN_ACCURACY 0x1p-20     /* of b_hat at the start; the largest is 1 - MIN_ACCURACY */
 #define ARENA_STREAM UINT32_C(2) /* of random numbers, see world/philox.py */
 
@@ -123,7 +123,7 @@ static void compute_errors(uint32_t columns)
         double sum = 0;
         for (uint32_t robot = 0; robot < honest_robots; ++robot) {
             const size_t column_start = columns == 1 ? 0 : robot * column_length;
-            const double estimate = x[column_start + step] * X_ONE;
+            const double estimate = x[column_start + step] * X_UNIT;
             sum += __builtin_fabs(estimate - settings.fill_ratio);
         }
         errors[step / settings.interval] = sum / honest_robots;

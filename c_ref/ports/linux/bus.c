@@ -170,8 +170,7 @@ static void handle_error_frame(bus_t *bus, const struct canfd_frame *frame)
 }
 
 /* Update counts.overflowed by the control data of a received packet: there the kernel states how many frames
- * it has dropped since this socket was opened, if there are any. Those of earlier sockets of this bus come on
- * top. Without such data nothing changes. */
+ * it has dropped since this socket was opened, if there are any. Without such data nothing changes. */
 static void read_overflow_count(bus_t *bus, struct msghdr *message)
 {
     for (struct cmsghdr *header = CMSG_FIRSTHDR(message); header != NULL;

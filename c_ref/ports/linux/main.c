@@ -311,8 +311,10 @@ static void wait_for_event(run_t *run)
 {
     const bool is_bus_open = run->bus.fd >= 0, in_lockstep = run->options.node.lockstep;
     struct pollfd bus = {.fd = run->bus.fd, .events = POLLIN}; /* ppoll() ignores a negative fd */
-    int64_t wake_time = in_lockstep ? INT64_MAX : run->tick_timer.next_expiry;
-    if (in_lockstep && run->node.ticks == 0) {
+    int64_t wake_time = INT64_MAX;                             /* in lockstep a frame begins the next tick */
+    if (!in_lockstep) {
+        wake_time = run->tick_timer.next_expiry;
+    } else if (run->node.ticks == 0) {
         wake_time = run->start_timer.next_expiry;
     }
     if (!is_bus_open && run->reopen_timer.next_expiry < wake_time) {

@@ -62,12 +62,12 @@ static socklen_t address_size(const address_t *address)
  * says why, and the caller closes the socket. */
 static bool prepare_to_receive(int fd, const address_t *address, unsigned interface_index)
 {
+    /* Both requests are filled, but only the one of the address's family is used: what the other one reads
+     * from the union has no meaning. */
     const struct ipv6_mreq ipv6_request = {.ipv6mr_multiaddr = address->ipv6.sin6_addr,
                                            .ipv6mr_interface = interface_index};
     const struct ip_mreqn ipv4_request = {.imr_multiaddr = address->ipv4.sin_addr,
                                           .imr_ifindex = (int)interface_index};
-    /* Both requests are filled, but only the one of the address's family is used: what the other one reads
-     * from the union has no meaning. */
     const int on = 1;
     /* Bound to the group's own address, the socket receives no datagrams of other groups on the same port. */
     if (setsockopt(fd, SOL_SOCKET, SO_REUSEADDR, &on, sizeof on) != 0 ||

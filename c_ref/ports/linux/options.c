@@ -261,7 +261,8 @@ static void check_required_options(const option_texts_t texts)
     if (texts[ID] == NULL) {
         fail(ID, "missing", "see --help");
     }
-    if ((texts[LOCKSTEP] != NULL) + (texts[OBSERVATIONS] != NULL) + (texts[SENSOR] != NULL) != 1) {
+    const int sources = (texts[LOCKSTEP] != NULL) + (texts[OBSERVATIONS] != NULL) + (texts[SENSOR] != NULL);
+    if (sources != 1) {
         fail(LOCKSTEP, texts[LOCKSTEP] == NULL ? "not given" : "given",
              "choose one of --lockstep, --observations, --sensor");
     }

@@ -86,10 +86,10 @@ bool slcan_parse_frame(mcp_asdf_frame_t *frame, const char *line, uint8_t length
     mcp_asdf_frame_t parsed = {0, 0, 0, {0}};
     const char kind = line[0];
     const bool is_standard = kind == 't' || kind == 'r', is_remote = kind == 'r' || kind == 'R';
-    /* The header is the kind, the identifier, and one digit for the length of the data. */
-    const uint8_t header_length = 2 + (is_standard ? STANDARD_ID_DIGITS : EXTENDED_ID_DIGITS);
+    const uint8_t id_digits = is_standard ? STANDARD_ID_DIGITS : EXTENDED_ID_DIGITS;
+    const uint8_t header_length = 1 + id_digits + 1; /* the kind, the id, and a digit for the length */
     if (!(is_standard || is_remote || kind == 'T') || length < header_length ||
-        !parse_hex(&parsed.id, line + 1, header_length - 2) ||
+        !parse_hex(&parsed.id, line + 1, id_digits) ||
         parsed.id > (is_standard ? STANDARD_ID_MAX : EXTENDED_ID_MAX)) {
         return false;
     }
@@ -178,9 +178,11 @@ static void drop_line(slcan_link_t *link)
 /* Answer with the status flags: bit 1 is set if lines were unsent, bit 3 if lines were dropped. */
 static void send_status_flags(slcan_link_t *link)
 {
-    const char *const with_unsent = link->dropped_lines > 0 ? "F0A\r" : "F02\r";
-    const char *const without_unsent = link->dropped_lines > 0 ? "F08\r" : "F00\r";
-    send_answer(link, link->unsent_lines > 0 ? with_unsent : without_unsent);
+    char answer[] = "F00\r";
+    const uint32_t unsent_flag = link->unsent_lines > 0 ? 1U << 1 : 0;
+    const uint32_t dropped_flag = link->dropped_lines > 0 ? 1U << 3 : 0;
+    (void)write_hex(&answer[1], unsent_flag | dropped_flag, 2);
+    send_answer(link, answer);
 }
 
 /* Returns the number of characters of a command that begins with a letter. Those with a bit rate are longer:

@@ -193,6 +193,10 @@ static void deliver_messages(const run_t *run)
     }
 }
 
+/* Returns the number of rows that have informed estimates: if a trial has one series of x, that is robot 0's,
+ * in the first row. */
+static uint32_t count_rows_with_x(const run_t *run) { return run->columns == 1 ? 1 : run->rows; }
+
 /* Transpose the informed estimates of a row: x[step][lane], in which the lanes of a step are side by side, to
  * series[lane][step], in which the steps of a lane are. */
 static void transpose_row(uint32_t series[LANES][STEPS_IN_ROW], const lanes_t *row)
@@ -211,17 +215,18 @@ static void write_informed_estimates(run_t *run, uint32_t step)
 {
     const size_t steps_of_series = (size_t)run->experiment->steps + 1; /* with step 0 */
     const size_t first_step = (size_t)step + 1 - run->unwritten_steps;
-    const uint32_t lane_count = run->unwritten_steps == 0 ? 0 : run->columns * run->parallel_trials;
+    const uint32_t rows = run->unwritten_steps == 0 ? 0 : count_rows_with_x(run);
     uint32_t series[LANES][STEPS_IN_ROW];
-    for (uint32_t lane = 0; lane < lane_count; ++lane) {
-        const uint32_t column = lane / run->parallel_trials, l = lane % run->parallel_trials;
-        if (lane % LANES == 0) { /* the first lane of a row */
-            transpose_row(series, &run->lanes[lane / LANES]);
-        }
-        if (l < run->active_trials) {
-            /* Of a trial x is [columns][T + 1], steps running fastest. */
-            uint32_t *const x = run->trials[l].x + column * steps_of_series;
-            memcpy(x + first_step, series[lane % LANES], run->unwritten_steps * sizeof *x);
+    for (uint32_t row = 0; row < rows; ++row) {
+        transpose_row(series, &run->lanes[row]);
+        for (uint32_t entry = 0; entry < LANES; ++entry) {
+            const uint32_t lane = row * LANES + entry;
+            const uint32_t column = lane / run->parallel_trials, l = lane % run->parallel_trials;
+            if (column < run->columns && l < run->active_trials) { /* else the lane is idle */
+                /* Of a trial x is [columns][T + 1], steps running fastest. */
+                uint32_t *const x = run->trials[l].x + column * steps_of_series;
+                memcpy(x + first_step, series[entry], run->unwritten_steps * sizeof *x);
+            }
         }
     }
     run->unwritten_steps = 0;
@@ -234,9 +239,7 @@ static void settle_lanes(run_t *run, uint32_t step)
     if (run->is_robust) {
         lanes_settle_votes(run->lanes, run->rows, run->unwritten_steps);
     } else {
-        /* If a trial has one series of x, the first row has the rounds: those of robot 0. */
-        const uint32_t rows = run->columns == 1 ? 1 : run->rows;
-        lanes_settle_sums(run->lanes, rows, run->unwritten_steps);
+        lanes_settle_sums(run->lanes, count_rows_with_x(run), run->unwritten_steps);
     }
     if (++run->unwritten_steps == STEPS_IN_ROW) {
         write_informed_estimates(run, step);
@@ -484,8 +487,7 @@ mcp_asdf_status_t mcp_asdf_engine_run(const mcp_asdf_experiment_t *experiment, b
     mcp_asdf_status_t status = MCP_ASDF_OK;
     const uint32_t parallel_trials = in_lanes ? count_parallel_trials(experiment) : 1;
     const uint32_t rows = count_rows(experiment, parallel_trials);
-    /* The next address that is a multiple of VECTOR_BYTES: negation modulo 2^64 gives the distance to it. */
-    lanes_t *const first_row = (void *)((uint8_t *)memory + -(uintptr_t)memory % VECTOR_BYTES);
+    lanes_t *const first_row = (void *)((uint8_t *)memory + bytes_before_vector(memory));
     run_t run = {.experiment = experiment,
                  .steps_in_lanes = in_lanes,
                  .is_robust = mcp_asdf_is_robust(experiment->configs[0]),

@@ -31,11 +31,11 @@ LANES_INLINE uint32_t leading_zeros(uint32_t value)
      *     bit 31    bits 30 to 23                   bits 22 to 0
      *     sign      exponent, with 127 added        fraction
      *
-     * The upper 9 bits (the mask 0x1FF) are the sign and the exponent. For a highest set bit k in [0, 30]
-     * they are 127 + k, and there are 31 - k leading zeros: 158 less these 9 bits. For k = 31 the conversion
-     * above has read a negative number: its sign bit counts 256 among the 9, the difference is negative, and
-     * there are 0 leading zeros. */
-    const int32_t zeros = 158 - ((as.bits >> 23) & 0x1FF);
+     * For a highest set bit k in [0, 30] sign and exponent are 127 + k, and there are 31 - k leading zeros:
+     * 158 less that. For k = 31 the conversion above has read a negative number: its sign bit counts 256, the
+     * difference is negative, and there are 0 leading zeros. */
+    const int32_t sign_and_exponent = (as.bits >> 23) & 0x1FF; /* 9 bits */
+    const int32_t zeros = 158 - sign_and_exponent;
     return (uint32_t)(zeros > 0 ? zeros : 0) & 31U; /* the mask is there for analysers only */
 }
 

@@ -122,12 +122,15 @@ static void deliver_to_all(const mcp_asdf_experiment_t *experiment, mcp_asdf_t *
 static void deliver_along_links(const mcp_asdf_experiment_t *experiment, mcp_asdf_t *robots,
                                 const mcp_asdf_arena_t *arena)
 {
-    for (uint32_t p = 0; arena != NULL && p < arena->link_count; ++p) {
+    if (arena == NULL) { /* a graph, whose arcs lead from a to b */
+        for (size_t p = 0; p < experiment->arc_count; ++p) {
+            receive_from(experiment, robots, &robots[experiment->arcs[p].b], experiment->arcs[p].a);
+        }
+        return;
+    }
+    for (uint32_t p = 0; p < arena->link_count; ++p) { /* both ways */
         receive_from(experiment, robots, &robots[arena->links[p].a], arena->links[p].b);
         receive_from(experiment, robots, &robots[arena->links[p].b], arena->links[p].a);
-    }
-    for (size_t p = 0; experiment->arcs != NULL && p < experiment->arc_count; ++p) {
-        receive_from(experiment, robots, &robots[experiment->arcs[p].b], experiment->arcs[p].a);
     }
 }
 

@@ -171,9 +171,8 @@ static size_t lay_out_memory(mcp_asdf_arena_t *arena, const mcp_asdf_arena_confi
                                 &bodies->motor_change_x,
                                 &bodies->motor_change_y};
     uint8_t **const flags[] = {&arena->black, &arena->wheels, &arena->avoids};
-    /* Bytes before the first vector, to align it: negation modulo 2^64 gives the distance to the next
-     * multiple. Without memory it is the most that they can be. */
-    size_t used = memory == NULL ? VECTOR_BYTES - 1 : -(uintptr_t)memory % VECTOR_BYTES;
+    /* The first array begins at a whole vector. Without memory the most bytes are reserved for that. */
+    size_t used = memory == NULL ? VECTOR_BYTES - 1 : bytes_before_vector(memory);
     for (size_t k = 0; k < sizeof numbers / sizeof *numbers; ++k) {
         *numbers[k] = allocate(memory, &used, robots, sizeof(double));
     }

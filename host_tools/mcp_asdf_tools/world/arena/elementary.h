@@ -21,8 +21,10 @@ static const double INVERSE[] = {0,       1,       1. / 2,  1. / 3,  1. / 4,  1.
 IN_LOOPS void arena_rotate(double *cx, double *cy, double angle)
 {
     const double square = angle * angle;
-    /* Power series up to angle^17, from their last terms: `sine` is that of the angle divided by the angle.
-     */
+    /* Power series up to angle^17, from their last terms; until it is multiplied by the angle, `sine` is
+     *
+     *     sin(angle) / angle = 1 - square / (2 3) (1 - square / (4 5) (1 - ...))
+     *     cosine             = 1 - square / (1 2) (1 - square / (3 4) (1 - ...)) */
     double sine = 1, cosine = 1;
     for (int n = 17; n >= 3; n -= 2) {
         sine = 1 - sine * square * (INVERSE[n] * INVERSE[n - 1]);
@@ -41,7 +43,7 @@ IN_LOOPS void arena_rotate(double *cx, double *cy, double angle)
 IN_LOOPS double arc_tangent(double z)
 {
     for (int halving = 0; halving < 2; ++halving) {
-        z = z / (1 + sqrt(1 + z * z));
+        z = z / (1 + sqrt(1 + z * z)); /* the tangent of half the angle */
     }
     const double square = z * z;
     double sum = 0;

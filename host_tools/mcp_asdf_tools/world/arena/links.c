@@ -57,7 +57,8 @@ static void sort_robots_into_cells(mcp_asdf_arena_t *arena, double limit)
     memset(grid->first_of_cell, 0, cells * sizeof *grid->first_of_cell);
     for (uint32_t i = 0; i < robots; ++i) {
         const uint32_t row = cell_index(arena->y[i], height, grid->rows);
-        grid->cell_of_robot[i] = row * grid->columns + cell_index(arena->x[i], width, grid->columns);
+        const uint32_t column = cell_index(arena->x[i], width, grid->columns);
+        grid->cell_of_robot[i] = row * grid->columns + column;
         ++grid->first_of_cell[grid->cell_of_robot[i]];
     }
     /* Then it has the end of each cell in the sorted list: the end of the cell before, and its number. */
@@ -68,7 +69,8 @@ static void sort_robots_into_cells(mcp_asdf_arena_t *arena, double limit)
     /* Each robot takes the last free entry of its cell, whose end so moves down. When all robots are in their
      * cells it is the beginning, and they are in ascending order, as they came in descending order. */
     for (uint32_t i = robots; i-- > 0;) {
-        grid->robots_by_cell[--grid->first_of_cell[grid->cell_of_robot[i]]] = (uint16_t)i;
+        const uint32_t cell = grid->cell_of_robot[i];
+        grid->robots_by_cell[--grid->first_of_cell[cell]] = (uint16_t)i;
     }
 }
 

@@ -144,16 +144,18 @@ static void resolve_contact(mcp_asdf_arena_t *arena, mcp_asdf_contact_t *contact
     const double sliding_speed = relative_vy * normal_x - relative_vx * normal_y + surface_speed;
     /* The sums over all passes are limited, not each pass: a later pass may take back what was too much. */
     const double allowed_speed = contact->gap / arena->substep;
-    const double normal_change = max_of(0, contact->normal_change + share * (closing_speed - allowed_speed));
-    const double max_tangent_change = friction * normal_change;
-    const double tangent_change =
+    const double new_normal_change =
+        max_of(0, contact->normal_change + share * (closing_speed - allowed_speed));
+    const double max_tangent_change = friction * new_normal_change;
+    const double new_tangent_change =
         clamp(contact->tangent_change + share * sliding_speed, -max_tangent_change, max_tangent_change);
-    const double along = normal_change - contact->normal_change;
-    const double across = tangent_change - contact->tangent_change;
+    /* What this pass changes, along the normal and across it, and then along x and y. */
+    const double along = new_normal_change - contact->normal_change;
+    const double across = new_tangent_change - contact->tangent_change;
     const double change_x = along * normal_x - across * normal_y;
     const double change_y = along * normal_y + across * normal_x;
-    contact->normal_change = normal_change;
-    contact->tangent_change = tangent_change;
+    contact->normal_change = new_normal_change;
+    contact->tangent_change = new_tangent_change;
     arena->vx[a] -= change_x;
     arena->vy[a] -= change_y;
     if (!is_wall) {
@@ -249,13 +251,13 @@ IN_LOOPS uint64_t drive_free_bodies(free_bodies_t *bodies)
         const double squared_limit = bodies->limit[n] * bodies->limit[n];
         /* The share of the change that the motors can make; 1 if it is within the limit. */
         const double share = squared_change > squared_limit ? bodies->limit[n] / sqrt(squared_change) : 1;
-        const bool remains = share < 1;
+        const bool falls_short = share < 1;
         bodies->x[n] = accelerates ? bodies->x[n] + bodies->vx[n] * bodies->substep[n] : bodies->x[n];
         bodies->y[n] = accelerates ? bodies->y[n] + bodies->vy[n] * bodies->substep[n] : bodies->y[n];
-        bodies->vx[n] = remains ? bodies->vx[n] + share * change_x : bodies->target_vx[n];
-        bodies->vy[n] = remains ? bodies->vy[n] + share * change_y : bodies->target_vy[n];
+        bodies->vx[n] = falls_short ? bodies->vx[n] + share * change_x : bodies->target_vx[n];
+        bodies->vy[n] = falls_short ? bodies->vy[n] + share * change_y : bodies->target_vy[n];
         bodies->substeps_left[n] -= accelerates ? 1 : 0;
-        accelerating_count += remains ? 1 : 0;
+        accelerating_count += falls_short ? 1 : 0;
     }
     return accelerating_count;
 }

@@ -122,10 +122,10 @@ IN_LOOPS double inner_speed(uint8_t wheels, double speed, double angle)
  * (m/s) and target_spin (rad/s, counterclockwise) of the robot. */
 IN_LOOPS void steer(mcp_asdf_arena_t *arena, uint32_t robot, double ahead, double left, double away)
 {
+    /* Short, and straight ahead: |left| <= ahead tan 5 degrees holds for no vector that points backwards. The
+     * null vector is weak, too. */
     const bool is_weak =
         ahead * ahead + left * left < WEAK_OBSTACLE * WEAK_OBSTACLE && fabs(left) <= ahead * TAN_5_DEGREES;
-    /* That is short, and straight ahead: |left| <= ahead tan 5 degrees holds for no vector that points
-     * backwards. The null vector is weak, too. */
     const double angle = is_weak ? 0 : away;
     const uint8_t wheels = next_wheels(arena->wheels[robot], angle);
     const double outer_speed = arena->config.speed;

@@ -4,6 +4,9 @@
 #ifndef MCP_ASDF_TARGETS_H
 #define MCP_ASDF_TARGETS_H
 
+#include <stddef.h>
+#include <stdint.h>
+
 /* Compiles a function for several vector sizes; the one for the processor at hand is chosen when the program
  * starts. Results are the same. Tests and benchmarks set it to compile for one of them. */
 #ifndef FOR_EACH_TARGET
@@ -31,6 +34,10 @@
 
 #define VECTOR 8U /* doubles in a vector */
 #define VECTOR_BYTES 64U
+
+/* Returns the number of bytes from `memory` to the next address that is a multiple of VECTOR_BYTES: 0 or
+ * more. Negation modulo 2^64 gives this distance. */
+static inline size_t bytes_before_vector(const void *memory) { return -(uintptr_t)memory % VECTOR_BYTES; }
 
 /* The next multiple of a vector: the arena's memory has room for so many robots. */
 #define WHOLE_VECTORS(count) (((count) + VECTOR - 1) / VECTOR * VECTOR)
