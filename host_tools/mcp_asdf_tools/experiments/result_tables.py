@@ -102,7 +102,8 @@ _MEANINGS = {
 @cache
 def describe_columns() -> dict[str, dict[str, str]]:
     """Return the unit and the meaning of each column by its name. The unit is "1" if there is none."""
-    meanings = {name: declared.meaning for name, declared in parameters_of(Experiment).items()} | _MEANINGS
+    parameter_meanings = {name: declared.meaning for name, declared in parameters_of(Experiment).items()}
+    meanings = parameter_meanings | _MEANINGS
     return {name: {"unit": _UNITS.get(name, "1"), "meaning": meaning} for name, meaning in meanings.items()}
 
 
@@ -114,10 +115,10 @@ def column_types() -> dict[str, Any]:
     """
     number_types = {int: pa.uint64(), float: pa.float64(), Decimal: pa.float64()}
     default_experiment = Experiment()
-    types = {
-        name: number_types.get(type(getattr(default_experiment, name)), pa.string())
-        for name in PARAMETER_NAMES
-    }
+    types: dict[str, Any] = {}
+    for name in PARAMETER_NAMES:
+        default = getattr(default_experiment, name)
+        types[name] = number_types.get(type(default), pa.string())
     types["trial"] = pa.int64()
     types |= dict.fromkeys(SCORES, pa.float64())
     for name, (_, element_type_name) in _LIST_COLUMNS.items():
@@ -192,6 +193,7 @@ def _nest_flat_record(table: pa.Table, column: str) -> pa.ChunkedArray:
 
 def _group_in_lists(values: pa.Array, lengths: NDArray[np.int64], list_type: Any) -> pa.Array:
     """Return consecutive ``values`` as lists of these lengths, whose sum is the number of values."""
+    # Where each list begins, and at last where the last one ends
     offsets = np.concatenate([[0], np.cumsum(lengths)])
     return pa.ListArray.from_arrays(pa.array(offsets, pa.int32()), values, type=list_type)
 

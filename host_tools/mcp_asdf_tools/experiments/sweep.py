@@ -269,9 +269,8 @@ def end_with_parent() -> None:
 @contextmanager
 def _interrupts_delayed() -> Iterator[None]:
     """Delay Ctrl-C and the like until this context ends, and keep them from processes that start in it."""
-    # In this context a signal is only noted, by whichever thread receives it ...
-    with stopping() as is_stop_requested:
-        # ... and this thread receives none: processes that it starts inherit this, from their first moment.
+    with stopping() as is_stop_requested:  # a signal is only noted, whichever thread receives it
+        # This thread receives none: processes that it starts inherit that, from their first moment.
         previous_mask = signal.pthread_sigmask(signal.SIG_BLOCK, ENDING_SIGNALS)
         try:
             yield

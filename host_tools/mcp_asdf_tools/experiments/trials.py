@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from mcp_asdf.fixed_point import ONE, SHIFT_MAX, UNITS_PER_ALPHA, b_hat_to_raw
 from mcp_asdf.reference import AUTHORS, PAPER, ReferenceRobot
-from mcp_asdf.robot import FixedPointRobot, Observation, Robot
+from mcp_asdf.robot import FixedPointRobot, Robot
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.extras import install_instruction
 from mcp_asdf_tools.common.versions import own_version
@@ -26,7 +26,7 @@ from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.results import QUANTITIES, Trials
 from mcp_asdf_tools.experiments.scores import DELTA, convergence_step
 from mcp_asdf_tools.robots.firmwares import RobotMaker, load_firmware
-from mcp_asdf_tools.world.world import World
+from mcp_asdf_tools.world.world import SteppedWorld
 
 Floats = NDArray[np.float64]
 
@@ -177,14 +177,6 @@ def _alpha_of_words(alpha_words: NDArray[np.uint32]) -> Floats:
 
 # --- Message by message ----------------------------------------------------------------------------------
 
-_STEPS_AT_ONCE = 512
-"""Steps that the world is asked for at a time."""
-
-_COLOURS = (Observation.WHITE, Observation.BLACK)
-
-Pairs = Sequence[Sequence[int]]
-"""Receiver and sender of each message, as ids in this order."""
-
 
 def _run_by_message(experiment: Experiment, number: int, sampling_interval: int) -> Trials:
     """Run the trial of this number in Python, message by message.
@@ -248,7 +240,7 @@ class MessageSwarm:
         """Make the world of a trial and its robots. Raises UsageError if the firmware cannot be loaded."""
         self._experiment = experiment
         self._message_code = experiment.message_code
-        self._world = World(experiment, trial)
+        self._world = SteppedWorld(experiment, trial)
         self.robots = _make_robots(experiment)
         # An extension may mix robots of both kinds, and then all of them exchange floats.
         have_raw_values = all(isinstance(robot, FixedPointRobot) for robot in self.robots)
@@ -258,55 +250,44 @@ class MessageSwarm:
         """Take all steps of the trial, and yield the number of each, from 1, when it is over."""
         comms_period = self._experiment.comms_period
         is_late = self._experiment.latency > 0
-        for step, (observations, pairs) in enumerate(self._observations_and_pairs(), start=1):
+        for step in range(1, self._experiment.steps + 1):
+            observations = self._world.step()
             was_broadcast_step = step > 1 and (step - 1) % comms_period == 0
             # What was broadcast in the last step: until they observe again, robots have the same values.
             if is_late and was_broadcast_step:
-                self._deliver(pairs)
+                self._deliver()
             for robot, observation in zip(self.robots, observations, strict=True):
                 if observation is not None:
                     robot.observe(observation)
             if step % comms_period == 0:
                 if not is_late:
-                    self._deliver(pairs)
+                    self._deliver()
                 for robot in self.robots:
                     robot.settle()
             yield step
 
-    def _observations_and_pairs(self) -> Iterator[tuple[Sequence[Observation | None], Pairs]]:
-        """Yield for each step each robot's observation, and the pairs of robots of which one hears the other.
+    def _receivers_and_senders(self) -> list[list[int]]:
+        """Return the ids of receiver and sender of each message at present, by rising ids of receivers."""
+        # Entry (i, j) of this matrix is whether robot i receives from robot j.
+        pairs: list[list[int]] = np.argwhere(self._world.current_neighbours).tolist()
+        return pairs
 
-        An observation is None where the robot makes none. A pair is the ids of receiver and sender.
-        """
-        steps = self._experiment.steps
-        no_observations = [None] * len(self.robots)
-        for first in range(0, steps, _STEPS_AT_ONCE):
-            scene = self._world.advance(min(_STEPS_AT_ONCE, steps - first))
-            steps_of_scene = zip(scene.black.tolist(), scene.observes, scene.neighbours, strict=True)
-            for is_black_by_robot, is_observation_step, in_range in steps_of_scene:
-                # Row i of this matrix has the neighbours from which robot i receives.
-                pairs = np.argwhere(in_range).tolist()
-                if is_observation_step:
-                    yield [_COLOURS[is_black] for is_black in is_black_by_robot], pairs
-                else:
-                    yield no_observations, pairs
-
-    def _deliver_floats(self, pairs: Pairs) -> None:
-        """Let each receiver receive its sender's estimate as floats."""
+    def _deliver_floats(self) -> None:
+        """Let each robot receive its neighbours' estimates as floats."""
         estimates = [(robot.x_hat, robot.alpha) for robot in self.robots]
         if self._message_code is not None:
             estimates = [self._message_code.round_floats(*estimate) for estimate in estimates]
-        for receiver, sender in pairs:
+        for receiver, sender in self._receivers_and_senders():
             x_hat, alpha = estimates[sender]
             self.robots[receiver].receive(sender, x_hat, alpha)
 
-    def _deliver_raw(self, pairs: Pairs) -> None:
-        """Let each receiver receive its sender's estimate in the firmware's integers."""
+    def _deliver_raw(self) -> None:
+        """Let each robot receive its neighbours' estimates in the firmware's integers."""
         robots = cast(Sequence[FixedPointRobot], self.robots)
         estimates = [(robot.x_hat_raw, robot.alpha_raw) for robot in robots]
         if self._message_code is not None:
             estimates = [self._message_code.round_raw(*estimate) for estimate in estimates]
-        for receiver, sender in pairs:
+        for receiver, sender in self._receivers_and_senders():
             x_hat_raw, alpha_raw = estimates[sender]
             robots[receiver].receive_raw(sender, x_hat_raw, alpha_raw)
 

@@ -75,11 +75,10 @@ def resample_indices(trials: int) -> NDArray[np.uint16]:
 
 
 def resample_quantile(sample: Sample, quantile: float) -> Resampled:
-    """Return a quantile of a sample and of its resamples. O(RESAMPLES trials).
-
-    float32 halves the memory of the measures that are kept; its rounding is far below an interval.
-    """
-    quantiles = np.quantile(sample[resample_indices(len(sample))], quantile, axis=1, overwrite_input=True)
+    """Return a quantile of a sample and of its resamples. O(RESAMPLES trials)."""
+    resamples = sample[resample_indices(len(sample))]  # shape (RESAMPLES, trials)
+    quantiles = np.quantile(resamples, quantile, axis=1, overwrite_input=True)
+    # float32 halves the memory of the measures that are kept; its rounding is far below an interval.
     return Resampled(float(np.quantile(sample, quantile)), quantiles.astype(np.float32))
 
 
@@ -95,8 +94,8 @@ def resample_interquartile_range(sample: Sample) -> Resampled:
 
 def resample_mean(sample: Sample) -> Resampled:
     """Return the mean of a sample and of its resamples."""
-    means = sample.astype(np.float32)[resample_indices(len(sample))].mean(axis=1)
-    return Resampled(float(sample.mean()), means)
+    resamples = sample.astype(np.float32)[resample_indices(len(sample))]  # shape (RESAMPLES, trials)
+    return Resampled(float(sample.mean()), resamples.mean(axis=1))
 
 
 def resample_rank_correlation(first: Sample, second: Sample) -> Resampled:

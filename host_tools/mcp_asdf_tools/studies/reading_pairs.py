@@ -129,7 +129,7 @@ class TwoReadingsRobot(ReferenceRobot):
         Returns UPDATED if the readings disagree too often, or too rarely, for the b_hat at the start;
         otherwise OK, and b_hat is what it was at the start.
         """
-        super()._update_b_hat()
+        super()._update_b_hat()  # the b_hat that it leaves is replaced below
         initial_b_hat = self._robust.initial_b_hat
         if disagreement_test_rejects(self._disagreements, self._pairs, initial_b_hat):
             self._b_hat = accuracy_of_disagreements(self._disagreements, self._pairs)

@@ -123,9 +123,9 @@ def worst_ratios(rows: Rows, codes: Sequence[MessageCode]) -> RatiosByCode:
     worst: dict[MessageCode, Interval] = {}
     for code in codes:
         ratios = [late_error(rows, str(code), swarm) / exact_errors[swarm] for swarm in SWARMS]
-        resamples = np.stack([ratio.resamples for ratio in ratios])
-        largest_ratio = Resampled(max(ratio.value for ratio in ratios), resamples.max(axis=0))
-        worst[code] = largest_ratio.interval(CONFIDENCE)
+        largest_value = max(ratio.value for ratio in ratios)
+        largest_of_each_resample = np.max([ratio.resamples for ratio in ratios], axis=0)
+        worst[code] = Resampled(largest_value, largest_of_each_resample).interval(CONFIDENCE)
     return worst
 
 

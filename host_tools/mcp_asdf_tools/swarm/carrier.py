@@ -140,8 +140,8 @@ class ExpectingConnection:
         count as received first. When the time is over, up to _MAX_READS_AFTER_DEADLINE frames that wait in
         the receive buffer are still read.
         """
+        # The indices of frames that have not arrived, by what a bus preserves of a frame
         missing_indices: defaultdict[tuple[int, bytes], deque[int]] = defaultdict(deque)
-        # The indices in it are those of frames that have not arrived, by what a bus preserves of them.
         for index, sent_frame in enumerate(awaited):
             missing_indices[_identifier_and_data(sent_frame.frame)].append(index)
 
@@ -381,6 +381,7 @@ class Carrier:
         robot_connection = self._robot_connections.get(robot)
         if robot_connection is None:
             return frames
+        # Of these only the frames matter, to the connection and below.
         expected = [SentFrame(frame, robot, tick) for frame in frames]
         received = robot_connection.receive_expected(expected, self._timeout(tick))
         if len(frames) == _BATCH_SIZE:

@@ -128,14 +128,14 @@ class DeliveryQueue:
         """
         arriving_frames = self._exchange_for_arriving(sent_frames)
         senders = np.array([sent_frame.sender for sent_frame in arriving_frames], np.intp)
-        neighbours = self._current_neighbours()
-        in_range = neighbours[:, senders].transpose()  # from (robots, frames) to (frames, robots)
+        receivers_by_sender = self._current_neighbours().T  # row j: whether each robot receives from j
+        in_range = receivers_by_sender[senders]  # shape (frames, robots)
         self.in_range_count += int(np.count_nonzero(in_range))
         # Faults may delay frames: everything goes through the queue, also what arrives in this tick.
         for deliveries in self._apply_link_faults(arriving_frames, in_range):
             self._pending[tick + deliveries.delay].append(deliveries)
 
-        arriving_now = _concatenate(self._pending.pop(tick, []), robot_count=len(neighbours))
+        arriving_now = _concatenate(self._pending.pop(tick, []), robot_count=len(receivers_by_sender))
         self.delivered_count += int(np.count_nonzero(arriving_now.receivers))
         return arriving_now
 

@@ -125,6 +125,7 @@ class SteppedWorld:
         """Start before the first step. Raises UsageError if the arena or an extension cannot be loaded."""
         self.settings = settings
         self._world = World(settings, trial)
+        self._steps_left = settings.steps
         self._scene: Scene | None = None
         self._index_in_scene = -1  # of the present step, along the first axis of the scene's arrays
 
@@ -134,11 +135,13 @@ class SteppedWorld:
         Robots observe in every step whose number is a multiple of ``observation_period``. In all others the
         observation of every robot is None.
         """
-        is_last_step_taken = self._scene is not None and self._index_in_scene + 1 == len(self._scene.black)
-        if self._scene is None or is_last_step_taken:
-            self._scene = self._world.advance(_STEPS_AT_ONCE)
-            self._index_in_scene = -1
         self._index_in_scene += 1
+        if self._scene is None or self._index_in_scene == len(self._scene.black):
+            # No further than the run goes: an extension may have no answers beyond. A caller may go on.
+            steps_at_once = max(1, min(_STEPS_AT_ONCE, self._steps_left))
+            self._scene = self._world.advance(steps_at_once)
+            self._steps_left -= steps_at_once
+            self._index_in_scene = 0
         if not self._scene.observes[self._index_in_scene]:
             return [None] * self.settings.robots
         black_by_robot = self._scene.black[self._index_in_scene].tolist()

@@ -111,14 +111,15 @@ class Faults:
         O(faults frames receivers).
         """
         receivers = in_range.copy()
-        receivers[:, list(self._outages)] = False  # nodes that are off the bus receive nothing
+        nodes_off_bus = list(self._outages)
+        receivers[:, nodes_off_bus] = False
         no_bit_flips = np.zeros(len(sent_frames), np.uint64)
         deliveries = [Deliveries(sent_frames, receivers, no_bit_flips)]
         for run in self._runs:
             changed_deliveries: list[Deliveries] = []
             for unchanged in deliveries:
                 changed_deliveries += run.fault.on_delivery(unchanged, run)
-            # Each fault splits what it gets: without this step many of the pieces would soon be empty.
+            # Each fault splits what it gets. Pieces that nobody receives are left out.
             deliveries = [changed for changed in changed_deliveries if changed.receivers.any()]
         return deliveries
 

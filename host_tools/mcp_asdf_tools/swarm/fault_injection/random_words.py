@@ -159,9 +159,8 @@ def choose_bits(bit_counts: NDArray[np.int64], random_words: RandomWords) -> NDA
     chosen_bits = np.zeros(len(bit_counts), np.uint64)
     bits_to_choose = random_words.shape[1]
     for turn in range(bits_to_choose):
-        # Draw one of the lowest candidate_count bits, of which there is one more in each turn, so that in
-        # the last turn any bit can be drawn. If an earlier turn has chosen the drawn bit, take the highest
-        # candidate, which is new in this turn.
+        # Draw one of the candidates, which are the lowest bits: one more in each turn, and all in the last.
+        # If an earlier turn has chosen this bit, take the highest candidate, which is new in this turn.
         candidate_counts = bit_counts - bits_to_choose + turn + 1
         has_candidates = candidate_counts > 0
         candidates = np.maximum(candidate_counts, 1).astype(np.uint64)
