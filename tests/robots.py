@@ -13,7 +13,6 @@ from mcp_asdf.native import NativeRobot
 from mcp_asdf.reference import ReferenceRobot
 from mcp_asdf.robot import Config, Filter, FirmwareError, Observation, Robot, Status
 from mcp_asdf.table import Table
-from mcp_asdf_tools.crosscheck.scenario import Call, edited_image
 
 FixedPoint = MirrorRobot | NativeRobot
 FixedPointFirmware = type[MirrorRobot] | type[NativeRobot]
@@ -48,8 +47,7 @@ Its thresholds, in units of 2**-26, are 9, 4, 2, and just above 1 for every larg
 """
 
 IMAGE_SIZE = 124
-WORD_INDEX = {"b_hat": 1, "t": 2, "n": 3, "filter_left": 6}
-"""Index of fields in the words of an image (docs/design.md)."""
+"""Bytes of a saved robot without the robust filter."""
 
 
 def make_robot(
@@ -59,20 +57,17 @@ def make_robot(
     return firmware(config, robot_id, b_hat)
 
 
-def restore_robot(firmware: FixedPointFirmware, config: Config = NO_FILTER, **fields: int) -> FixedPoint:
-    """Make a robot with these fields, by restoring the image of a new one with other words.
+def restore_robot(
+    firmware: FixedPointFirmware, config: Config, b_hat: int = 3 << 30, **members: Any
+) -> FixedPoint:
+    """Make a robot with these members of its state, such as t and n.
 
-    If it has observations, it is one whose b_hat has just been re-estimated: x_hat and alpha need not follow
-    from b_hat until the next observation.
+    b_hat, in units of 2**-32, has just been re-estimated: x_hat and alpha need not follow from it until the
+    next observation.
     """
-    words = {WORD_INDEX[name]: value for name, value in fields.items()}
-    is_updated = fields.get("t", 0) > 0
-    words[29] = (OWN_ID << 24) | (is_updated << 16)
-    indices_and_words: list[int] = []
-    for index, word in words.items():
-        indices_and_words += [index, word]
-    new_image = firmware(config, OWN_ID, 0.75).save()
-    return firmware.restore(config, edited_image(new_image, Call("restore", tuple(indices_and_words))))
+    mirror = MirrorRobot(config, OWN_ID, 0.75)
+    mirror.s = replace(mirror.s, accuracy=accuracy_of(b_hat), updated=1, **members)
+    return firmware.restore(config, mirror.save())
 
 
 def restore_robust_robot(

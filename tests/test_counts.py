@@ -100,10 +100,7 @@ def test_without_the_option_strict_a_skip_is_only_named(folder: Path) -> None:
     result = count(folder)
 
     assert result.status == 0
-    assert result.lines == [
-        "skipped: frama-c is not installed: make setup",
-        "0 passed, 0 failed, 1 skipped",
-    ]
+    assert result.lines == ["skipped: frama-c is not installed: make setup", "0 passed, 0 failed, 1 skipped"]
 
 
 @pytest.mark.parametrize(("passed", "exit_code"), [(98, 0), (97, 1)])

@@ -80,11 +80,7 @@ def test_a_test_belongs_to_the_statements_whose_numbers_stand_in_the_comment_abo
 
     tests_by_statement = trace_files([tmp_path / "a.py"], folder=tmp_path)
 
-    assert tests_by_statement == {
-        "R1": ["a.py: test_it"],
-        "R4": ["a.py: test_it"],
-        "R2": ["a.py: no test"],
-    }
+    assert tests_by_statement == {"R1": ["a.py: test_it"], "R4": ["a.py: test_it"], "R2": ["a.py: no test"]}
 
 
 def test_statements_without_tests_and_tests_without_statements_are_problems() -> None:

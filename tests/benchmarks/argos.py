@@ -162,10 +162,7 @@ def p_values(simulated: ErrorsByQuantity, argos: ErrorsByQuantity) -> dict[str, 
 
 def format_table(trials: int = TRIALS) -> str:
     """Return the table of docs/platforms/argos.md: medians of both, and the p-value of each comparison."""
-    lines = [
-        "| filter | quantity, mean over the robots | ARGoS3 | `simulate` | p |",
-        "|---|---|---|---|---|",
-    ]
+    lines = ["| filter | quantity, mean over the robots | ARGoS3 | `simulate` | p |", "|---|---|---|---|---|"]
     for filter_name, argos in read_results().items():
         simulated = simulate(filter_name, trials)
         p_by_quantity = p_values(simulated, argos)

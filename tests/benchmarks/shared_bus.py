@@ -70,8 +70,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         assert all(ours[1] == theirs[1] for ours, theirs in runs), "the robots differ"
         one, many = (min(run[way][0] for run in runs) for way in (0, 1))
         print(
-            f"{robots} robots: {one / args.steps * 1e3:.2f} ms a tick with one connection for all, ",
-            end="",
+            f"{robots} robots: {one / args.steps * 1e3:.2f} ms a tick with one connection for all, ", end=""
         )
         print(f"{many / args.steps * 1e3:.2f} ms with one each: {many / one:.1f} times")
 

@@ -192,9 +192,7 @@ def section_sizes(tools: str, path: Path) -> tuple[int, int, int]:
     scope="module",
     params=[
         pytest.param(
-            (target, part),
-            id=f"{target}-{part}",
-            marks=[] if target in QUICK_TARGETS else [pytest.mark.slow],
+            (target, part), id=f"{target}-{part}", marks=[] if target in QUICK_TARGETS else [pytest.mark.slow]
         )
         for target in COMPILERS
         for part in PARTS
@@ -809,9 +807,7 @@ def kilobots(tmp_path: Path) -> list[KilobotWithTwin]:
 
 
 @pytest.mark.slow
-def test_two_kilobots_send_and_believe_what_their_twins_in_python_do(
-    kilobots: list[KilobotWithTwin],
-) -> None:
+def test_two_kilobots_send_and_believe_what_their_twins_in_python_do(kilobots: list[KilobotWithTwin]) -> None:
     """In each of 40 rounds each receives the other's message, and some of robots that are not simulated.
 
     At the end of a round it measures the light, which sometimes fails; below 512 the floor is black.

@@ -315,7 +315,7 @@ def estimate_after_observation(
     firmware: FixedPointFirmware, t: int, n: int, b_hat: int, z: Observation
 ) -> tuple[int, int]:
     """Return x_hat and alpha of a robot with these counts after one more observation."""
-    robot = restore_robot(firmware, t=t, n=n, b_hat=b_hat)
+    robot = restore_robot(firmware, NO_FILTER, b_hat, t=t, n=n)
     robot.observe(z)
     return robot.x_hat_raw, robot.alpha_raw
 

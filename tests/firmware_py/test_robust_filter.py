@@ -13,14 +13,7 @@ import pytest
 
 from mcp_asdf.mirror import MirrorRobot
 from mcp_asdf.robot import Config, Counters, Filter, FirmwareError, Observation, Status
-from mcp_asdf.robust_filter import (
-    RobustFilter,
-    centre_after_huber_step,
-    huber_centre,
-    median_of,
-    spread_of,
-)
-from mcp_asdf_tools.crosscheck.scenario import Call, edited_image
+from mcp_asdf.robust_filter import RobustFilter, centre_after_huber_step, huber_centre, median_of, spread_of
 from robots import (
     ALPHA_MIN,
     ALPHA_ONE,
@@ -39,11 +32,6 @@ from robots import (
 
 ONLY_VOTES = replace(ROBUST, filter_period=1000)
 """Parameters of a robot whose rounds have votes, but no test of its accuracy in these short tests."""
-
-LARGEST_ESTIMATE = (2**16 - 1) * 2**8
-"""The largest estimate of a slot, which has 16 bits, in units of 2**-24."""
-INDEPENDENT = 256
-"""The dispersion of independent observations: 1 in units of 2**-8."""
 
 
 def filter_memory(robot: FixedPoint) -> dict[str, int]:
@@ -284,13 +272,12 @@ def test_the_smallest_confidence_is_enough_for_a_robot_to_vote(
 ) -> None:
     """Slot 0 has voted, so it is the robot's own turn; without confidence slot 0 votes again.
 
-    The confidence is written into a saved robot, and so is a flag that its b_hat was re-estimated just now.
-    Without the flag such a robot could not be restored, as its confidence does not follow from its tiles.
+    No observation leads to such a confidence. Only a robot whose b_hat was just updated may be restored so.
     """
-    image = restore_robust_robot(firmware, t=1, estimates=[0], turn=1, votes=1).save()
-    index_of_alpha, index_of_id, flag_of_update = 5, 37, 1 << 16
-    changes = (index_of_alpha, alpha, index_of_id, OWN_ID << 24 | flag_of_update)
-    robot = firmware.restore(ROBUST, edited_image(image, Call("restore", changes)))
+    mirror = restore_robust_robot(MirrorRobot, t=1, estimates=[0], turn=1, votes=1)
+    assert isinstance(mirror, MirrorRobot)
+    mirror.s.alpha, mirror.s.updated = alpha, 1
+    robot = firmware.restore(ROBUST, mirror.save())
 
     assert voters_of_rounds(robot, rounds=1) == [voter]
 
@@ -361,8 +348,15 @@ def test_a_vote_far_away_moves_what_the_robot_believes_no_further_than_one_at_a_
 @pytest.mark.parametrize(
     ("votes", "gain"),
     [
-        *((0, 1 / 8), (62, 1 / 8), (63, 1 / 16), (126, 1 / 16), (127, 1 / 32)),
-        *((255, 1 / 64), (510, 1 / 64), (511, 1 / 128), (512, 1 / 128)),
+        (0, 1 / 8),
+        (62, 1 / 8),
+        (63, 1 / 16),
+        (126, 1 / 16),
+        (127, 1 / 32),
+        (255, 1 / 64),
+        (510, 1 / 64),
+        (511, 1 / 128),
+        (512, 1 / 128),
     ],
 )
 def test_the_more_votes_there_were_the_less_one_more_counts(
@@ -382,23 +376,22 @@ def test_the_more_votes_there_were_the_less_one_more_counts(
 
 @for_fixed_point_firmwares
 @pytest.mark.parametrize(
-    ("slot_estimate", "sixteenths"),
+    ("slot_estimate", "new_spread"),
     [
-        (2**15 + 2**12, 15),  # 1/2 + 1/16: the distance is the spread
-        (2**15 + 2**12 + 1, 17),
-        (2**15 - 2**12 - 1, 17),
+        (2**15 + 2**12, 2**26 * 15 // 16),  # at 1/2 + 1/16, a spread away: inside
+        (2**15 + 2**12 + 1, 2**26 * 17 // 16),
+        (2**15 - 2**12 - 1, 2**26 * 17 // 16),
     ],
 )
 def test_a_vote_outside_the_spread_widens_it_by_a_sixteenth_and_one_inside_narrows_it(
-    firmware: FixedPointFirmware, slot_estimate: int, sixteenths: int
+    firmware: FixedPointFirmware, slot_estimate: int, new_spread: int
 ) -> None:
-    """The spread is 1/16 around 1/2, in units of 2**-30; estimates of neighbours are in units of 2**-16."""
-    spread = 2**30 // 16
-    robot = restore_robust_robot(firmware, estimates=[slot_estimate], votes=1, spread=spread)
+    """The spread is 1/16 around 1/2, in units of 2**-30. Estimates of neighbours are in units of 2**-16."""
+    robot = restore_robust_robot(firmware, estimates=[slot_estimate], votes=1, spread=2**26)
 
     robot.settle()  # the neighbour votes
 
-    assert filter_memory(robot)["spread"] == spread * sixteenths // 16
+    assert filter_memory(robot)["spread"] == new_spread
 
 
 @for_fixed_point_firmwares
@@ -473,10 +466,9 @@ def test_a_robot_whose_observations_contradict_the_others_estimates_its_accuracy
     With its b_hat of 0.95 it would see 0.95 * 0.95 + 0.05 * 0.05 = 0.905 of them black. Its new b_hat is the
     accuracy that explains what it sees (eq. 8 of the paper): (0.545 + 0.95 - 1) / (2 * 0.95 - 1) = 0.55.
     """
-    fill_ratio_of_others = 0.95
     robot = firmware(ROBUST, OWN_ID, b_hat=0.95)
     observe_tiles(robot, black=545, white=455)
-    receive_estimates(robot, *[fill_ratio_of_others] * 5)
+    receive_estimates(robot, 0.95, 0.95, 0.95, 0.95, 0.95)
 
     status = robot.settle()  # ends the round, in which the filter runs
 
@@ -498,14 +490,14 @@ def test_a_robot_that_was_misled_trusts_its_sensor_again_when_the_others_agree_w
     """
     robot = firmware(ROBUST, OWN_ID, b_hat=0.95)
     observe_tiles(robot, black=905, white=95)
-    misleading_estimate = 0.25
-    receive_estimates(robot, *[misleading_estimate] * 5)
+    receive_estimates(robot, 0.25, 0.25, 0.25, 0.25, 0.25)
     assert robot.settle() == Status.UPDATED
     assert robot.b_hat_raw != ROBUST_B_HAT
 
-    receive_estimates(robot, *[0.95] * 5)
-    assert robot.settle() == Status.UPDATED
+    receive_estimates(robot, 0.95, 0.95, 0.95, 0.95, 0.95)
+    status = robot.settle()
 
+    assert status == Status.UPDATED
     assert robot.b_hat_raw == ROBUST_B_HAT
 
 
@@ -514,7 +506,7 @@ def test_a_robot_tests_the_accuracy_that_it_had_at_the_start(firmware: FixedPoin
     """If it tested the new accuracy, with which it agrees with the others, it would return to the old one."""
     robot = firmware(ROBUST, OWN_ID, b_hat=0.95)
     observe_tiles(robot, black=545, white=455)
-    receive_estimates(robot, *[0.95] * 5)
+    receive_estimates(robot, 0.95, 0.95, 0.95, 0.95, 0.95)
     robot.settle()  # the filter runs, and finds another accuracy
     new_accuracy = robot.b_hat
     assert new_accuracy != 0.95
@@ -533,7 +525,7 @@ def test_others_that_estimate_a_half_say_nothing_about_a_robot_s_accuracy(
     """Where half of the tiles are black, every sensor, good or bad, sees half of them black."""
     robot = firmware(ROBUST, OWN_ID, b_hat=0.95)
     observe_tiles(robot, black=100, white=0)
-    receive_estimates(robot, *[0.5] * 5)
+    receive_estimates(robot, 0.5, 0.5, 0.5, 0.5, 0.5)
 
     status = robot.settle()  # ends the round, in which the filter runs
 
@@ -572,8 +564,7 @@ def test_one_liar_among_five_neighbours_does_not_make_a_robot_doubt_its_sensor(
     """It sees 0.905 of the tiles black: what a sensor that is right in 0.95 sees where 0.95 are black."""
     robot = firmware(ROBUST, OWN_ID, b_hat=0.95)
     observe_tiles(robot, black=905, white=95)
-    lie = 0.0
-    receive_estimates(robot, 0.94, 0.95, 0.95, 0.96, lie)
+    receive_estimates(robot, 0.94, 0.95, 0.95, 0.96, 0.0)  # 0.0 is a lie
 
     status = robot.settle()  # ends the round, in which the filter runs
 
@@ -592,16 +583,9 @@ def test_a_robot_keeps_its_accuracy_at_the_very_limit_of_its_test(
     Counts for which both are equal are rare, and were searched for. Here both are 43681824.
     """
     largest_b_hat = 2**32 - 2**12  # 1 - 2**-20 in units of 2**-32
-    robot = restore_robust_robot(
-        firmware,
-        t=t,
-        n=3227,
-        batch_t=t,
-        batch_n=3227,
-        b_hat=largest_b_hat,
-        initial_b_hat=largest_b_hat,
-        estimates=[0] * 5,
-    )
+    counts = {"t": t, "n": 3227, "batch_t": t, "batch_n": 3227}
+    b_hats = {"b_hat": largest_b_hat, "initial_b_hat": largest_b_hat}
+    robot = restore_robust_robot(firmware, **counts, **b_hats, estimates=[0] * 5)
 
     assert robot.settle() == status
 
@@ -614,7 +598,7 @@ def test_a_robot_tests_itself_once_in_each_filter_period(
     """The period is a number of rounds; here three rounds end."""
     robot = firmware(replace(ROBUST, filter_period=filter_period), OWN_ID, b_hat=0.95)
     observe_tiles(robot, black=9, white=1)
-    receive_estimates(robot, *[0.9] * 5)
+    receive_estimates(robot, 0.9, 0.9, 0.9, 0.9, 0.9)
 
     for _ in range(3):
         robot.settle()  # ends a round
@@ -626,7 +610,8 @@ def test_a_robot_tests_itself_once_in_each_filter_period(
 
 
 @pytest.mark.parametrize(
-    ("values", "median"), [([1, 2, 9], 2), ([1, 2, 6, 9], 4), ([1, 2, 5, 9], 3), ([0, 1, 7, 8, 9, 9], 7)]
+    ("values", "median"),
+    [([1, 2, 9], 2), ([1, 2, 6, 9], 4), ([1, 2, 5, 9], 3), ([0, 1, 7, 8, 9, 9], 7)],
 )
 def test_the_median_of_an_even_number_is_the_mean_of_the_middle_two_rounded_down(
     values: list[int], median: int
@@ -635,55 +620,43 @@ def test_the_median_of_an_even_number_is_the_mean_of_the_middle_two_rounded_down
     assert median_of(values) == median
 
 
-SIXTEENTH = 2**20
-"""An estimate of 1/16 in units of 2**-24."""
-
-
 @pytest.mark.parametrize(
-    ("sixteenths", "spread"),
+    ("sixteenths", "median", "spread"),
     [
-        ([1, 2, 4, 5, 15], 2 * SIXTEENTH),
-        ([0, 0, 4, 15, 15], 4 * SIXTEENTH),
-        pytest.param([4, 4, 4, 4, 4], 2**12, id="all distances are 0, and the spread is at least 2**-12"),
-        pytest.param([0, 0, 8, 15, 15], 4 * SIXTEENTH, id="the median distance is 7/16, but 1/4 is the most"),
+        ([1, 2, 4, 5, 15], 4, 2 * 2**20),
+        ([0, 0, 4, 15, 15], 4, 4 * 2**20),
+        pytest.param([4, 4, 4, 4, 4], 4, 2**12, id="all distances are 0, but 2**-12 is the least"),
+        pytest.param([0, 0, 8, 15, 15], 8, 4 * 2**20, id="the median distance is 7/16, but 1/4 is the most"),
     ],
 )
 def test_the_spread_is_the_median_distance_from_the_median_within_limits(
-    sixteenths: list[int], spread: int
+    sixteenths: list[int], median: int, spread: int
 ) -> None:
-    """Estimates and spread are in units of 2**-24. The third of five ascending estimates is the median."""
-    estimates = [number * SIXTEENTH for number in sixteenths]
-    assert spread_of(estimates, median=estimates[2]) == spread
-
-
-def slot_estimates(*numbers: int) -> list[int]:
-    """Return estimates in the units of a slot, 2**-16, as the filter computes with them: units of 2**-24."""
-    return [number * 2**8 for number in numbers]
+    """The filter computes in units of 2**-24, of which a sixteenth is 2**20."""
+    estimates = [number * 2**20 for number in sixteenths]
+    assert spread_of(estimates, median * 2**20) == spread
 
 
 def test_an_estimate_far_away_counts_as_one_at_the_distance_of_the_spread() -> None:
     """Two lie below by a spread or more, and two above: they balance, however far one of them is."""
-    estimates = slot_estimates(1000, 2000, 3000, 4000, 60000)
-    [median, spread] = slot_estimates(3000, 1000)
-    assert huber_centre(estimates, median, spread) == median
+    estimates = [256_000, 512_000, 768_000, 1_024_000, 15_360_000]
+    assert huber_centre(estimates, median=768_000, spread=256_000) == 768_000
 
 
 def test_the_centre_of_estimates_within_the_spread_is_their_mean() -> None:
     """It is found step by step, and may be wrong by two units of 2**-24."""
-    estimates = slot_estimates(1000, 2000, 6000)
-    [median, mean, spread] = slot_estimates(2000, 3000, 5000)
-    assert huber_centre(estimates, median, spread) == pytest.approx(mean, abs=2)
+    mean = (256_000 + 512_000 + 1_536_000) / 3
+    centre = huber_centre([256_000, 512_000, 1_536_000], median=512_000, spread=1_280_000)
+    assert centre == pytest.approx(mean, abs=2)
 
 
-@pytest.mark.parametrize(
-    ("estimate_of_all", "centre"), [(LARGEST_ESTIMATE, LARGEST_ESTIMATE - 5000), (0, 5000)]
-)
-def test_the_centre_of_neighbours_at_an_end_of_the_range_stays_within_it(
-    estimate_of_all: int, centre: int
-) -> None:
-    """Five estimates are 5000 away from the centre. Each draws it by the spread, 4096, which is too far."""
-    new_centre = centre_after_huber_step([estimate_of_all] * 5, centre, spread=4096)
-    assert new_centre == estimate_of_all
+@pytest.mark.parametrize(("end", "centre"), [(0xFFFF00, 0xFFFF00 - 5000), (0, 5000)])
+def test_the_centre_of_neighbours_at_an_end_of_the_range_stays_within_it(end: int, centre: int) -> None:
+    """Estimates are 16 bits in units of 2**-16, so 0 to 0xFFFF00 in the filter's units of 2**-24.
+
+    Five are 5000 away from the centre. Each draws it by the spread, 4096, which together is too far.
+    """
+    assert centre_after_huber_step([end] * 5, centre, spread=4096) == end
 
 
 # --- The dispersion --------------------------------------------------------------------------------------
@@ -704,7 +677,7 @@ def test_batches_with_equal_shares_of_black_keep_the_dispersion_at_1(firmware: F
     """The dispersion says how much more batches vary than independent tiles would; it is at least 1."""
     robot = firmware(ROBUST, OWN_ID, b_hat=0.95)
     dispersion_after_batch(robot, black=60, white=40)
-    assert dispersion_after_batch(robot, black=60, white=40) == INDEPENDENT
+    assert dispersion_after_batch(robot, black=60, white=40) == 2**8  # 1 in units of 2**-8
 
 
 @for_fixed_point_firmwares
@@ -721,8 +694,7 @@ def test_a_batch_that_is_off_raises_the_dispersion_by_an_eighth_of_its_ratio(
     dispersion = dispersion_after_batch(robot, black=30, white=70)
 
     ratio = (40 - 30) ** 2 / 24
-    units = 256
-    assert dispersion == int((7 * 1 + ratio) / 8 * units)
+    assert dispersion == int((7 / 8 * 1 + 1 / 8 * ratio) * 256)  # in units of 2**-8
 
 
 @for_fixed_point_firmwares
@@ -736,8 +708,8 @@ def test_a_batch_that_is_far_off_counts_as_12_times_the_dispersion(firmware: Fix
 
     dispersion = dispersion_after_batch(robot, black=0, white=100)
 
-    units, a_rounding = 256, 1
-    assert dispersion == (7 * 1 + 12) / 8 * units - a_rounding
+    a_rounding = 1
+    assert dispersion == (7 / 8 * 1 + 1 / 8 * 12) * 256 - a_rounding  # in units of 2**-8
 
 
 @for_fixed_point_firmwares
@@ -758,11 +730,10 @@ def test_the_dispersion_does_not_overflow_its_16_bits(firmware: FixedPointFirmwa
 
     Of a million tiles all were black but the last one, and 5000 white ones follow, which would raise it.
     """
-    largest_dispersion = 2**16 - 1
     robot = restore_robust_robot(
-        firmware, t=10**6, n=999_999, batch_t=999_999, batch_n=999_999, dispersion=largest_dispersion
+        firmware, t=10**6, n=999_999, batch_t=999_999, batch_n=999_999, dispersion=2**16 - 1
     )
-    assert dispersion_after_batch(robot, black=0, white=5000) == largest_dispersion
+    assert dispersion_after_batch(robot, black=0, white=5000) == 2**16 - 1
 
 
 @for_fixed_point_firmwares
@@ -816,16 +787,9 @@ def test_a_robot_whose_observations_vary_more_than_chance_forgives_a_larger_devi
 
     The status is UPDATED where the robot changes its accuracy, and OK where it does not.
     """
-    estimates_of_neighbours = [int(0.95 * 2**16)] * 5
-    robot = restore_robust_robot(
-        firmware,
-        t=1000,
-        n=850,
-        batch_t=1000,
-        batch_n=850,
-        estimates=estimates_of_neighbours,
-        dispersion=dispersion * INDEPENDENT,
-    )
+    counts = {"t": 1000, "n": 850, "batch_t": 1000, "batch_n": 850}
+    estimates = [int(0.95 * 2**16)] * 5
+    robot = restore_robust_robot(firmware, **counts, estimates=estimates, dispersion=dispersion * 2**8)
 
     assert robot.settle() == status
 
@@ -850,6 +814,7 @@ def test_a_saved_robot_has_the_memory_of_its_filter_in_the_documented_order() ->
     which no calls lead, and is set from outside.
     """
     robot = MirrorRobot(ROBUST, OWN_ID, b_hat=0.95)
+    votes, dispersion = 27, 28
     robot.s.robust = RobustFilter(
         centre=21,
         spread=22,
@@ -857,15 +822,14 @@ def test_a_saved_robot_has_the_memory_of_its_filter_in_the_documented_order() ->
         filled_slots=24,
         batch_t=25,
         batch_n=26,
-        votes=27,
-        dispersion=28,
+        votes=votes,
+        dispersion=dispersion,
         turn=29,
     )
 
     image = split_image(robot.save())
 
-    votes_and_dispersion = 28 << 16 | 27  # the upper and the lower half of a word
-    assert image.filter_words == [21, 22, 23, 24, 25, 26, votes_and_dispersion, 29]
+    assert image.filter_words == [21, 22, 23, 24, 25, 26, dispersion << 16 | votes, 29]
 
 
 # design: R29

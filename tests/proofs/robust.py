@@ -299,8 +299,7 @@ def _gives_b_hat_or_zero(b_hat: Any, *_: Any) -> Any:
 
 
 REESTIMATE = Contract(
-    _gives_b_hat_or_zero,
-    instead={name: any_result(name) for name in ("multiply", "quotient")},
+    _gives_b_hat_or_zero, instead={name: any_result(name) for name in ("multiply", "quotient")}
 )
 
 # design: R37
@@ -483,18 +482,6 @@ def of_the_formed() -> Iterator[Claim]:
     yield "below", formed_d * formed_d < formed, [*below, d * d + lost < limit]
 
 
-CONTRACTS = {
-    "next_slot": NEXT_SLOT,
-    "take_vote": VOTE,
-    "reestimate": REESTIMATE,
-    "run_robust_filter": RUN,
-}
+CONTRACTS = {"next_slot": NEXT_SLOT, "take_vote": VOTE, "reestimate": REESTIMATE, "run_robust_filter": RUN}
 OF_THE_CODE = (of_robust_test,)
-OF_THE_NUMBERS = (
-    of_integers,
-    of_the_dispersion,
-    of_the_centre,
-    of_errors,
-    of_the_decision,
-    of_the_formed,
-)
+OF_THE_NUMBERS = (of_integers, of_the_dispersion, of_the_centre, of_errors, of_the_decision, of_the_formed)

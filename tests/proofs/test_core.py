@@ -15,15 +15,7 @@ from proofs import calls, formulas, robust
 from proofs.formulas import CORE
 from proofs.machine import Machine
 from proofs.numbers import Words
-from proofs.prove import (
-    Contract,
-    always,
-    prove,
-    prove_all,
-    prove_contract,
-    prove_lemma,
-    prove_obligations,
-)
+from proofs.prove import Contract, always, prove, prove_all, prove_contract, prove_lemma, prove_obligations
 from proofs.source import SOURCES, VARIANTS, Program, Variant, nodes, program
 from support import slow
 

@@ -130,10 +130,7 @@ def measure(target: Target, level: str, folder: Path, of: Build = PAPER) -> Figu
         bound=bound,
         divisions=0 if target == AVR else paths.longest("mcp_asdf_step", division),
         stack={name: paths.deepest(f"mcp_asdf_{name}") for name in STACK_CALLS},
-        code=(
-            code_bytes(target, level, *of.flags),
-            code_bytes(target, level, *of.flags, "-DWHOLE"),
-        ),
+        code=(code_bytes(target, level, *of.flags), code_bytes(target, level, *of.flags, "-DWHOLE")),
         ram=int(image.symbols["robot"]["st_size"]),
         times={
             kind: plain_cost(target, level, folder / kind, kind) / (mean["step"] + mean["x"])

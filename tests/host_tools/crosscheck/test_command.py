@@ -196,10 +196,7 @@ def test_a_check_prints_a_table_of_the_most_instructions_of_each_call(
     ],
 )
 def test_a_claim_about_time_or_memory_that_does_not_hold_fails_the_check(
-    operations: Counts,
-    storage: dict[str, dict[int, int]],
-    problem: str,
-    monkeypatch: pytest.MonkeyPatch,
+    operations: Counts, storage: dict[str, dict[int, int]], problem: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Neither time nor memory of a robot may grow with its observations t, messages m or the table's size q.
 
