@@ -34,7 +34,10 @@ SOURCES = {
 }
 """Sources of the mirror's arithmetic by module, in the order of their imports."""
 ROBOT = "robot:2:1:64:0:2147483648"
-"""The robot of a scenario, without a filter."""
+"""The robot of a scenario, without a filter.
+
+The numbers are filter (``Filter``), filter period, memory, id, and b_hat in units of 2**-32, here 1/2.
+"""
 SEED = 1
 CALLS = 40_000
 """Maximum number of calls to find a fault; most take a few hundred."""

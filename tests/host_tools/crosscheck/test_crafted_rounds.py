@@ -107,19 +107,20 @@ def test_most_drawn_estimates_are_decided_by_the_last_bits_of_the_threshold(omeg
     The first of a pair just passes the test, the second is just rejected.
     """
     rng = Random(5)
-    inside_count = outside_count = 0
+    rejected_by_smaller_threshold = passed_by_larger_threshold = 0
     for _ in range(100):
         m, own_x_hat = rng.randint(2, 127), rng.randint(0, ONE)
         pair = draw_x_hats_at_threshold(own_x_hat, table_of(omega).entry(m), m, rng, gap_share=1)
         if pair is not None:
-            inside, outside = pair
+            passing, rejected = pair
             threshold = threshold_of(omega, m)
-            change = threshold / 2**24
-            inside_count += is_rejected(inside, own_x_hat, threshold - change)
-            outside_count += not is_rejected(outside, own_x_hat, threshold + change)
+            if is_rejected(passing, own_x_hat, threshold - threshold / 2**24):
+                rejected_by_smaller_threshold += 1
+            if not is_rejected(rejected, own_x_hat, threshold + threshold / 2**24):
+                passed_by_larger_threshold += 1
 
-    assert inside_count > 50
-    assert outside_count > 50
+    assert rejected_by_smaller_threshold > 50
+    assert passed_by_larger_threshold > 50
 
 
 @given(own_x_hat=x_hats_of_robots, m=st.integers(2, 127), seed=seeds)
@@ -309,10 +310,6 @@ def test_estimates_drawn_to_keep_b_hat_have_a_mean_of_one_half() -> None:
 
 def exact_x_bar(estimates: Sequence[NeighbourEstimate]) -> Fraction:
     """Return the mean of x_hat, weighted by alpha, as a number between 0 and 1."""
-    sum_of_weights = 0
-    weighted_sum = 0
-    for estimate in estimates:
-        weight = alpha_units(estimate.alpha)
-        sum_of_weights += weight
-        weighted_sum += weight * estimate.x_hat
+    weighted_sum = sum(alpha_units(estimate.alpha) * estimate.x_hat for estimate in estimates)
+    sum_of_weights = sum(alpha_units(estimate.alpha) for estimate in estimates)
     return Fraction(weighted_sum, sum_of_weights * ONE)

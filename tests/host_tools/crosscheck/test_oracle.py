@@ -22,6 +22,7 @@ from mcp_asdf_tools.crosscheck.bounds import (
     x_hat_bounds,
 )
 from mcp_asdf_tools.crosscheck.oracle import Audit, Errors, region_of
+from robots import ALPHA_ONE
 
 LIMIT = Fraction(INFORMATIVE_G)
 
@@ -47,60 +48,60 @@ def test_an_estimate_from_a_sensor_that_guesses_is_exactly_one_half() -> None:
     assert x_hat_bounds(n=3, t=7, b=HALF) == (HALF, HALF)
 
 
-@dataclass
-class AccuracyCase:
-    """Bounds that docs/internals/properties.md states for an accuracy and a count of black tiles.
+B_95, B_NEARLY_HALF = Fraction(19, 20), Fraction(1025, 2048)
 
-    Attributes:
-        n: Number of black ones among 10**6 tiles.
-        b: Accuracy.
-        too_small: Relative error of alpha downwards, in units of 2**-28.
-        too_large: Relative error of alpha upwards, in units of 2**-31.
-        x_hat: Bounds of x_hat in units of 2**-23.
+
+@pytest.mark.parametrize(
+    ("n", "b", "lowest", "highest"),
+    [
+        (0, B_95, 0, 0),
+        (300_000, B_95, 2330168, 2330168),
+        (500_100, B_NEARLY_HALF, 5053297, 5053298),
+        (499_900, B_NEARLY_HALF, 3335310, 3335311),
+    ],
+)
+def test_bounds_of_x_hat_are_those_of_the_design(n: int, b: Fraction, lowest: int, highest: int) -> None:
+    """x_hat, in units of 2**-23, estimates the fill ratio from n black of a million tiles and an accuracy b.
+
+    A robot computes it with integers. docs/internals/properties.md states how far it may be off.
     """
-
-    n: int
-    b: Fraction
-    too_small: float
-    too_large: float
-    x_hat: tuple[int, int]
-
-
-ACCURACY_CASES = [
-    # First come the number of black tiles, the accuracy and ``too_small``.
-    AccuracyCase(0, Fraction(19, 20), 66, too_large=2, x_hat=(0, 0)),
-    AccuracyCase(300_000, Fraction(19, 20), 3.125, too_large=6.444, x_hat=(2330168, 2330168)),
-    AccuracyCase(500_100, Fraction(1025, 2048), 3.125, too_large=4098.002, x_hat=(5053297, 5053298)),
-    AccuracyCase(499_900, Fraction(1025, 2048), 3.125, too_large=4098.002, x_hat=(3335310, 3335311)),
-]
-
-
-@pytest.mark.parametrize("case", ACCURACY_CASES)
-def test_bounds_of_x_hat_are_those_of_the_design(case: AccuracyCase) -> None:
-    """x_hat is a robot's estimate of the fill ratio, which its integers must compute within these bounds."""
-    lower, upper = x_hat_bounds(case.n, 10**6, case.b)
-    lowest, highest = case.x_hat
+    lower, upper = x_hat_bounds(n, 10**6, b)
     assert lower * 2**23 == lowest
     assert upper * 2**23 == highest
 
 
-@pytest.mark.parametrize("case", ACCURACY_CASES)
-def test_errors_of_alpha_are_those_of_the_design(case: AccuracyCase) -> None:
-    """alpha is a robot's confidence in its estimate."""
-    too_small, too_large = alpha_error(case.n, 10**6, case.b)
-    assert too_small * 2**28 == pytest.approx(case.too_small, abs=1e-3)
-    assert too_large * 2**31 == pytest.approx(case.too_large, abs=1e-3)
+@pytest.mark.parametrize(
+    ("n", "b", "downwards", "upwards"),
+    [
+        (0, B_95, 66, 2),
+        (300_000, B_95, 3.125, 6.444),
+        (500_100, B_NEARLY_HALF, 3.125, 4098.002),
+        (499_900, B_NEARLY_HALF, 3.125, 4098.002),
+    ],
+)
+def test_errors_of_alpha_are_those_of_the_design(
+    n: int, b: Fraction, downwards: float, upwards: float
+) -> None:
+    """alpha is the confidence after n black of a million tiles. Its errors are relative to the exact one.
+
+    ``downwards`` is in units of 2**-28, and ``upwards`` in units of 2**-31.
+    """
+    too_small, too_large = alpha_error(n, 10**6, b)
+    assert too_small * 2**28 == pytest.approx(downwards, abs=1e-3)
+    assert too_large * 2**31 == pytest.approx(upwards, abs=1e-3)
 
 
-@pytest.mark.parametrize("case", ACCURACY_CASES)
-def test_bounds_of_alpha_have_room_for_an_alpha_word(case: AccuracyCase) -> None:
+@pytest.mark.parametrize(
+    ("n", "b"), [(0, B_95), (300_000, B_95), (500_100, B_NEARLY_HALF), (499_900, B_NEARLY_HALF)]
+)
+def test_bounds_of_alpha_have_room_for_an_alpha_word(n: int, b: Fraction) -> None:
     """A robot sends its confidence alpha as a word of 24 bits, or in units of 2**-24, rounded down."""
-    exact = exact_alpha(case.n, 10**6, case.b)
-    too_small, too_large = alpha_error(case.n, 10**6, case.b)
+    exact = exact_alpha(n, 10**6, b)
+    too_small, too_large = alpha_error(n, 10**6, b)
     cut_off_mantissa, unit_of_small_words = Fraction(1, 2**23), Fraction(1, 2**24)
     smallest_in_word = exact * (1 - too_small) * (1 - cut_off_mantissa) - unit_of_small_words
 
-    assert alpha_bounds(case.n, 10**6, case.b) == (smallest_in_word, exact * (1 + too_large))
+    assert alpha_bounds(n, 10**6, b) == (smallest_in_word, exact * (1 + too_large))
 
 
 # design: R26
@@ -121,8 +122,8 @@ def test_an_update_is_expected_from_an_informative_x_bar(side: int, errors: floa
     ``errors`` is how far it is above the limit, in multiples of the largest error of 2 x_bar.
     """
     largest_error = Fraction(5, 4) / 2**30
-    twice_the_distance_from_half = LIMIT + Fraction(errors) * largest_error
-    x_bar = HALF + side * twice_the_distance_from_half / 2
+    distance_of_2_x_bar_from_1 = LIMIT + Fraction(errors) * largest_error
+    x_bar = (1 + side * distance_of_2_x_bar_from_1) / 2
     assert is_update_expected(x_bar) is is_expected
 
 
@@ -140,8 +141,15 @@ def last_call(text: str, audit: Audit) -> CheckedCall:
     return list(check_calls(text, audit))[-1]
 
 
-SCENARIO_WITH_UPDATE = "robot:1:1:64:0:3221225472,step:1,step:0,receive:1:3000000:2147483649,step:0"
-"""A scenario whose last call updates b_hat, which is 3/4 at the start, from an x_hat of 0.36 with alpha 1."""
+def robot(mode: Filter, b_hat: int = 3 << 30) -> str:
+    """Return the beginning of a scenario: a robot whose filter runs in every round; b_hat is 3/4 of 2**32."""
+    filter_period, memory, robot_id = 1, 64, 0
+    return f"robot:{mode:d}:{filter_period}:{memory}:{robot_id}:{b_hat}"
+
+
+def receive(sender: int, x_hat: int) -> str:
+    """Return the call by which a robot receives an x_hat, in units of 2**-23, with a confidence of 1."""
+    return f"receive:{sender}:{x_hat}:{ALPHA_ONE}"
 
 
 def problems_with_excess(name: str, excess: int) -> list[str]:
@@ -150,7 +158,8 @@ def problems_with_excess(name: str, excess: int) -> list[str]:
     An audit checks calls by exact arithmetic.
     """
     audit = Audit()
-    update = last_call(SCENARIO_WITH_UPDATE, audit)
+    scenario = f"{robot(Filter.ALWAYS)},step:1,step:0,{receive(sender=1, x_hat=3_000_000)},step:0"
+    update = last_call(scenario, audit)
     assert update.after.outcome == "UPDATED"
     wrong = with_value(update.after, name, update.after.state[name] + excess)
     return audit.check_call(update.setup, update.call, update.before, wrong)
@@ -186,10 +195,8 @@ def test_a_value_that_follows_from_no_equation_is_not_checked() -> None:
 
 def step_after_messages(mode: Filter, message_count: int, audit: Audit) -> CheckedCall:
     """Return a call of ``step`` in which the filter runs after that many messages of different x_hat."""
-    messages = "".join(
-        f"receive:{sender}:{3_000_000 + sender}:2147483649," for sender in range(1, message_count + 1)
-    )
-    return last_call(f"table:0.05:2,robot:{mode:d}:1:64:0:3221225472,{messages}step:1", audit)
+    messages = [receive(sender, 3_000_000 + sender) for sender in range(1, message_count + 1)]
+    return last_call(",".join(["table:0.05:2", robot(mode), *messages, "step:1"]), audit)
 
 
 @pytest.mark.parametrize(
@@ -280,8 +287,8 @@ def errors_of_third_step(b_hat: int, x_bar: int) -> CollectedErrors:
 
     Before, the robot has observed two black tiles and received an estimate of ``x_bar`` with alpha 1.
     """
-    text = f"robot:1:1:64:0:{b_hat},step:1,step:1,receive:1:{x_bar}:2147483649,step:0"
-    step = last_call(text, Audit())
+    scenario = f"{robot(Filter.ALWAYS, b_hat)},step:1,step:1,{receive(sender=1, x_hat=x_bar)},step:0"
+    step = last_call(scenario, Audit())
     audit = Audit()  # a new one, which has no errors of the calls before
     assert audit.check_call(step.setup, step.call, step.before, step.after) == []
     return CollectedErrors(audit.as_dict()["errors"], step.after.state)

@@ -11,6 +11,7 @@ import pytest
 
 from crosschecks import CheckedCall, check_calls, with_value
 from mcp_asdf.fixed_point import ONE
+from mcp_asdf.robot import Filter
 from mcp_asdf.robust_reference import Observations, Votes
 from mcp_asdf_tools.crosscheck.bounds import HALF
 from mcp_asdf_tools.crosscheck.compare import CallResult
@@ -24,6 +25,7 @@ from mcp_asdf_tools.crosscheck.robust_bounds import (
     support_outcome,
 )
 from mcp_asdf_tools.crosscheck.robust_scenarios import robust_scenario
+from robots import ALPHA_ONE
 
 INDEPENDENT = Fraction(1)
 """The dispersion of independent observations."""
@@ -228,7 +230,7 @@ def test_a_wrong_result_of_any_event_of_the_robust_filter_is_reported(
             assert problems, f"{right_call.call} may give {wrong_after}"
 
 
-ROBOT = "robot:3:1:64:0:3221225472"
+ROBOT = f"robot:{Filter.ROBUST:d}:1:64:0:{3 << 30}"
 """A robot with the robust filter that assumes 3/4, in units of 2**-32, and tests itself in every round."""
 
 
@@ -252,8 +254,7 @@ def count_robust_events(text: str) -> tuple[Counter[str], int]:
 
 def receive(sender: int, x_hat: float) -> str:
     """Return the call by which a robot receives an estimate with a confidence of 1."""
-    alpha_word_of_1 = 0x80000001
-    return f"receive:{sender}:{round(x_hat * 2**23)}:{alpha_word_of_1}"
+    return f"receive:{sender}:{round(x_hat * 2**23)}:{ALPHA_ONE}"
 
 
 def test_votes_and_a_filter_that_has_too_few_estimates_are_counted() -> None:
