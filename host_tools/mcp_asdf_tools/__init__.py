@@ -21,6 +21,6 @@ def __getattr__(name: str) -> Any:
         return public_names
     if name not in public_names:
         raise AttributeError(f"module {__name__} has no attribute {name}")
-    # ``show`` draws a page, and the rooms that draw pages stand above the library.
-    module = import_module(f"{__name__}.view.notebook_page") if name == "show" else library
-    return getattr(module, name)
+    if name == "show":  # the library may not import the package ``view``, which is built on it
+        return getattr(import_module(f"{__name__}.view.notebook_page"), name)
+    return getattr(library, name)

@@ -141,12 +141,12 @@ def _check_extension_objects(experiments: list[Experiment], workers: int) -> Non
     object's name with the object, where it otherwise has the name of a built-in or installed one. Whether
     they can be imported is checked for ``workers`` > 1 only.
     """
-    names: dict[str, str] = {}
+    first_name_by_text: dict[str, str] = {}
     for experiment in experiments:
         for name in (experiment.firmware, experiment.sensor, experiment.topology):
             # Results have only the text of a name, so that two objects with the same text would be mixed up.
-            # setdefault returns the first name with this text, and names are equal if their objects are.
-            if names.setdefault(str(name), name) != name:
+            first_name = first_name_by_text.setdefault(str(name), name)
+            if name != first_name:  # names of objects are equal if the objects are the same
                 raise UsageError(f"two objects are called {name}; give them different names")
             if workers > 1:
                 check_for_workers(name)
@@ -256,13 +256,14 @@ def _replay_to_tidy_tables(log: Path) -> Iterator[pa.Table]:
         values_by_tick = replay_values(events, settings.steps, QUANTITIES)
         ticks_at_once = max(1, _ROWS_AT_ONCE // settings.robots)
         first_tick = 0
-        while states := list(islice(values_by_tick, ticks_at_once)):
-            ticks = first_tick + np.arange(len(states))
-            # From shape (ticks, quantities, N) to an array for each quantity, shape (1, ticks, N).
-            series = np.stack(states, axis=1)
-            values = {name: series[index][np.newaxis] for index, name in enumerate(QUANTITIES)}
+        # Each array of values_by_tick has the shape (quantities, N).
+        while arrays := list(islice(values_by_tick, ticks_at_once)):
+            ticks = first_tick + np.arange(len(arrays))
+            values_by_quantity = dict(zip(QUANTITIES, np.stack(arrays, axis=1), strict=True))
+            # The table wants an axis for trials, too: of one trial, the shape (1, ticks, N).
+            values = {name: series[np.newaxis] for name, series in values_by_quantity.items()}
             yield tidy_table(settings, (), [0], ticks, values)
-            first_tick += len(states)
+            first_tick += len(arrays)
 
 
 # --- Pictures --------------------------------------------------------------------------------------------
@@ -275,6 +276,6 @@ def __getattr__(name: str) -> Any:
     """
     kind = name.removeprefix("plot_")
     # Python asks a module for names that it lacks, and expects AttributeError where there is none.
-    if kind == name or kind not in KINDS:
+    if not name.startswith("plot_") or kind not in KINDS:
         raise AttributeError(f"module {__name__} has no attribute {name}")
     return load_plot(kind)

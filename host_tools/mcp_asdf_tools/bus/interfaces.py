@@ -124,10 +124,11 @@ class BusChoice:
             bus.channel_info = self.channel or self.interface
         _logger.info("opened the bus %s", self)
         _logger.debug("the bus is a %s with the settings %s", type(bus).__name__, self.settings)
-        connection_class = {"udp_multicast": Multicast, "slcan": SerialAdapter}.get(
-            self.interface, Connection
-        )
-        return connection_class(bus, returns_own)
+        if self.interface == "udp_multicast":
+            return Multicast(bus, returns_own)
+        if self.interface == "slcan":
+            return SerialAdapter(bus, returns_own)
+        return Connection(bus, returns_own)
 
     def arguments(self) -> list[str]:
         """Return the options with which a command in another process joins the same bus.
@@ -357,7 +358,7 @@ class Multicast(Connection):
         self._group.send(datagram, timeout)
 
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
-        """Return the next frame, and whether it has passed the filters, which are applied to it if not.
+        """Return the next frame, and whether it has passed the filters.
 
         Frames that were sent here are returned only if the connection returns them. The frame is None after
         ``timeout`` seconds, and earlier after one that was sent here and is not returned.

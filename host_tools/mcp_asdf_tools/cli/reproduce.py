@@ -108,8 +108,10 @@ def run(args: argparse.Namespace) -> int:
     study_parts = [
         study_part for study_part in StudyPart if args.part is None or study_part.value in args.part
     ]
-    stores = open_stores(output_folder, study_parts, study_size, *own_choice(args))
-    study_results = StudyResults(*_run_missing_trials(stores, workers, args))
+    own_firmware, own_filter = own_choice(args)
+    stores = open_stores(output_folder, study_parts, study_size, own_firmware, own_filter)
+    trials_by_cell, own_trials = _run_missing_trials(stores, workers, args)
+    study_results = StudyResults(trials_by_cell, own_trials)
     decisions = decide(study_results)
     report.write_report(output_folder, study_results, decisions, study_size)
 

@@ -55,23 +55,22 @@ def print_scores(rows: Sequence[dict[str, Any]], title: str) -> None:
     The columns are the parameters in which the experiments differ, the number of trials, the score H with its
     quartiles over the trials, and the medians of h_K, h_e, K, e and the number of updates.
     """
-    parameters_by_row = [row["parameters"] for row in rows]
-    # What all experiments have in common would only make the table wide.
-    varying_parameters = [
-        name
-        for name in parameters_by_row[0]
-        if len({parameters[name] for parameters in parameters_by_row}) > 1
-    ]
+    varying_parameters = []
+    for name in rows[0]["parameters"]:
+        values = {row["parameters"][name] for row in rows}
+        # What all experiments have in common would only make the table wide.
+        if len(values) > 1:
+            varying_parameters.append(name)
     table = Table(title=title, title_justify="left", caption=_caption(rows), caption_justify="left")
     for name in (*varying_parameters, "trials", "H", *_FORMAT_OF_MEASURE):
         table.add_column(name, justify="right", no_wrap=True)
     for row in rows:
-        values = [str(row["parameters"][name]) for name in varying_parameters]
+        parameter_texts = [str(row["parameters"][name]) for name in varying_parameters]
         medians = []
         for name, number_format in _FORMAT_OF_MEASURE.items():
             quartiles = row[name]
             medians.append(format(quartiles["median"], number_format))
-        table.add_row(*values, _describe_trial_count(row), _describe_score(row["H"]), *medians)
+        table.add_row(*parameter_texts, _describe_trial_count(row), _describe_score(row["H"]), *medians)
     # As wide as the table is: lines longer than a terminal wrap, but columns that shrink would lose figures.
     width = Console(width=_WIDER_THAN_ANY_TABLE).measure(table).maximum
     Console(width=width).print(table)

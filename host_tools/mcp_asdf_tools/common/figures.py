@@ -30,7 +30,7 @@ _DOTS_PER_INCH = 150
 
 def check_plot_path(path: Path) -> Path:
     """Return the path of a picture unchanged. Raises UsageError if no picture can be written there."""
-    _format_of(path)
+    _format_of(path)  # raises UsageError for a suffix that is not one of a picture
     check_target(path)
     return path
 

@@ -94,8 +94,8 @@ def write_together(data_by_path: Mapping[Path, bytes | str]) -> None:
 def drafts_for(paths: Sequence[Path]) -> Iterator[list[Path]]:
     """Context manager that yields drafts: the names under which the caller writes the files of ``paths``.
 
-    When the context ends, ``rename_drafts`` renames the drafts to ``paths``. If it ends with an error, they
-    are removed. Raises UsageError if a path cannot be written.
+    At the end of the context the drafts are renamed to ``paths``. If it ends with an error, they are removed.
+    Raises UsageError if a path cannot be written.
     """
     drafts: list[Path] = []
     try:
@@ -107,8 +107,8 @@ def drafts_for(paths: Sequence[Path]) -> Iterator[list[Path]]:
         rename_drafts(dict(zip(paths, drafts, strict=True)))
     finally:
         for draft in drafts:
-            with suppress(OSError):
-                draft.unlink()  # without an error it is there no more
+            with suppress(OSError):  # a draft that was renamed is there no more
+                draft.unlink()
 
 
 def rename_drafts(draft_by_path: Mapping[Path, Path], obsolete: Iterable[Path] = ()) -> None:

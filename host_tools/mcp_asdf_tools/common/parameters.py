@@ -83,13 +83,12 @@ class Parameter:
         if isinstance(value, bool | str | bytes):
             raise self._error(value, "give a number")
         try:
-            is_finite = math.isfinite(value)
-            number: float = self.kind(value) if is_finite else math.nan
+            if not math.isfinite(value):
+                raise ValueError("it is infinite or NaN")
+            number: float = self.kind(value)
         except (TypeError, ValueError, ArithmeticError) as error:
-            # No number at all, or an integer too large for a float
+            # Among these errors are those of no number at all, and of an integer too large for a float.
             raise self._error(value, "give a number") from error
-        if not is_finite:
-            raise self._error(value, "give a number")
         # int() has cut off the fraction.
         if self.kind is int and number != value:
             raise self._error(value, "give a whole number")

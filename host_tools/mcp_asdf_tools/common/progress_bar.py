@@ -28,6 +28,7 @@ def progress(unit: str, total: float, quiet: bool = False) -> Iterator[Callable[
     """
     console = Console(stderr=True)
     can_show_bar = console.is_terminal or console.is_jupyter
+    prints_lines = not can_show_bar and not quiet
     columns = (TextColumn(unit), BarColumn(), MofNCompleteColumn(), _Rate())
     start_time = last_line_time = time.monotonic()
     done_count = 0.0
@@ -39,8 +40,7 @@ def progress(unit: str, total: float, quiet: bool = False) -> Iterator[Callable[
             done_count += count
             bar.advance(task, count)
             now = time.monotonic()
-            is_line_due = now - last_line_time >= _SECONDS_BETWEEN_LINES
-            if is_line_due and not can_show_bar and not quiet:
+            if prints_lines and now - last_line_time >= _SECONDS_BETWEEN_LINES:
                 last_line_time = now
                 rate = format_rate(done_count, total, now - start_time)
                 console.print(f"{unit}: {done_count:g} of {total:g}, {rate}")

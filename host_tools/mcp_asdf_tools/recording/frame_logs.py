@@ -68,7 +68,9 @@ class LogSummary:
     @property
     def channel_names(self) -> str:
         """The channels in words, such as ``vcan0 and vcan1``."""
-        *first_names, last_name = self.channels or ["no channel"]
+        if not self.channels:
+            return "no channel"
+        *first_names, last_name = self.channels
         return f"{', '.join(first_names)} and {last_name}" if first_names else last_name
 
     @property

@@ -130,7 +130,6 @@ def calibrate(rows: Sequence[tuple[float, bool]]) -> Calibration:
             if rank > best_rank:
                 best_rank = rank
                 best_calibration = Calibration(threshold, black_side, accuracy, reading_counts)
-    _, best_accuracy_sum, _ = best_rank
-    if best_calibration is None or best_accuracy_sum < 2 * _MIN_ACCURACY:
+    if best_calibration is None or sum(best_calibration.accuracy.values()) < 2 * _MIN_ACCURACY:
         raise UsageError("the readings do not tell black from white; does the sensor look at the floor?")
     return best_calibration

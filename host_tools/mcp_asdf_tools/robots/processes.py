@@ -50,13 +50,10 @@ class NodeProcesses:
         """
         self.reports: dict[int, dict[str, Any]] = {}
         self._processes: dict[int, subprocess.Popen[str]] = {}
+        node_command = [sys.executable, "-m", "mcp_asdf_tools.cli.main", "node", "--until-eof", "--json"]
+        node_command.append(f"--steps-per-second={steps_per_second}")
         self._commands = {
-            robot.id: [
-                *(sys.executable, "-m", "mcp_asdf_tools.cli.main", "node", "--until-eof", "--json"),
-                *_options(robot, subjects),
-                f"--steps-per-second={steps_per_second}",
-                *bus_of(robot.id).arguments(),
-            ]
+            robot.id: node_command + _options(robot, subjects) + bus_of(robot.id).arguments()
             for robot in robots
         }
         if any(bus_of(robot).interface == "socketcan" for robot in self._commands):

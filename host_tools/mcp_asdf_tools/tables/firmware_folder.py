@@ -135,8 +135,8 @@ def write_firmware(omega: Decimal, q: int, folder: Path, force: bool = False) ->
     # The folder is for one table: those of an earlier run with another omega or q go.
     other_tables = [path for path in sorted(folder.glob("t_table_*.c")) if path.name not in texts]
     if not force:
-        old_checksums = _read_checksums(folder / _CHECKSUMS_FILE)
-        _check_unchanged(folder, [*(path.name for path in other_tables), *texts], old_checksums, checksums)
+        names = [path.name for path in other_tables] + list(texts)
+        _check_unchanged(folder, names, _read_checksums(folder / _CHECKSUMS_FILE), checksums)
     # The file of checksums cannot hold its own, so it is added when all others have theirs.
     texts[_CHECKSUMS_FILE] = "".join(f"{checksum}  {name}\n" for name, checksum in checksums.items())
     text_by_path = {folder / name: content for name, content in texts.items()}
