@@ -193,10 +193,8 @@ class Connection(can.BusABC):
         try:
             self._send(msg, timeout)
         except Exception as error:  # an interface may raise anything
-            failure = failure_of_bus(error, self._bus)
-            if failure is None or failure is error:  # as it is: no failure of the bus, or already named one
-                raise
-            raise failure from error
+            self._raise_failure_of_bus(error)
+            raise
 
     def recv(self, timeout: float | None = None) -> can.Message | None:
         """Return the next frame that passes the filters; None if none comes within ``timeout`` seconds.
@@ -233,11 +231,7 @@ class Connection(can.BusABC):
             frame, has_passed_filters = self._recv_internal(timeout)
             is_undecodable = frame is not None and not _can_be_sent(frame)
         except Exception as error:  # an interface may raise anything
-            failure = failure_of_bus(error, self._bus)
-            if failure is error:  # which keeps its own cause
-                raise
-            if failure is not None:
-                raise failure from error
+            self._raise_failure_of_bus(error)
             is_undecodable = True
         if is_undecodable:
             if self._was_undecodable:
@@ -246,6 +240,17 @@ class Connection(can.BusABC):
             has_passed_filters = True
         self._was_undecodable = is_undecodable
         return frame, has_passed_filters
+
+    def _raise_failure_of_bus(self, error: Exception) -> None:
+        """Raise can.CanError if ``error``, which the interface has raised, means that the bus has failed.
+
+        Returns if it only means that input, or a frame to send, is not as the interface expects it.
+        """
+        failure = failure_of_bus(error, self._bus)
+        if failure is error:  # which keeps its own cause
+            raise error
+        if failure is not None:
+            raise failure from error
 
     def _create_error_frame(self, timestamp: float) -> can.Message:
         """Return the error frame that stands for undecodable input."""

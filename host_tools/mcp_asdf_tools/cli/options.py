@@ -55,21 +55,12 @@ COMMON_PARAMETERS = (
 
 def add_common_parameters(parser: argparse.ArgumentParser, settings_class: Any, group_title: str) -> None:
     """Add a group ``group_title`` of options for those parameters of a class that are COMMON_PARAMETERS."""
-    common_names = [
-        parameter_name
-        for parameter_name in parameters_of(settings_class)
-        if parameter_name in COMMON_PARAMETERS
-    ]
-    add_parameters(parser, settings_class, group_title, common_names)
+    add_parameters(parser, settings_class, group_title, COMMON_PARAMETERS)
 
 
 def add_further_parameters(parser: argparse.ArgumentParser, settings_class: Any) -> None:
     """Add a group of options for those parameters of a class that are not COMMON_PARAMETERS."""
-    further_names = [
-        parameter_name
-        for parameter_name in parameters_of(settings_class)
-        if parameter_name not in COMMON_PARAMETERS
-    ]
+    further_names = parameters_of(settings_class).keys() - COMMON_PARAMETERS
     add_parameters(parser, settings_class, "further parameters", further_names)
 
 
@@ -78,8 +69,8 @@ def add_parameters(
 ) -> None:
     """Add a group ``group_title`` of options for the named parameters of the class ``settings_class``.
 
-    The options keep the order in which the class declares its parameters. The parsed value of an option that
-    the user leaves out is None.
+    The options keep the order in which the class declares its parameters, and names that it does not declare
+    are left out. The parsed value of an option that the user leaves out is None.
     """
     group = parser.add_argument_group(
         group_title, _describe_filters() if "filter" in parameter_names else None

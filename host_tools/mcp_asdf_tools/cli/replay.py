@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-from collections import deque
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -64,7 +63,8 @@ def run(args: argparse.Namespace) -> int:
         verdict = verify(frames, events_reader)
         # The rest of the log is read to its end for the summary alone, which counts frames by channel.
         with suppress(UsageError):
-            deque(frames, maxlen=0)
+            for _ in frames:
+                pass
     filter_description = describe_filters(robot.config.filter for robot in events_reader.header.robots)
     if args.json:
         print(json_report(_report(args, events_path, summary, verdict, filter_description)))

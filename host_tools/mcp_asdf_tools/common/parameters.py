@@ -125,7 +125,7 @@ def parameter(
 
 def parameters_of(kind: Any) -> dict[str, Parameter]:
     """Return the declared parameters of a class by name, in the order of their declaration."""
-    return _declared(kind)
+    return _declared(kind)  # mypy does not let callers pass a class to a cached function
 
 
 @cache
