@@ -116,9 +116,9 @@ def rename_drafts(draft_by_path: Mapping[Path, Path], obsolete: Iterable[Path] =
 
     Files of ``obsolete`` that exist are removed before the first renaming. Raises UsageError if a path cannot
     be written. Nearly all reasons for that are found before anything is changed; should the system refuse a
-    later renaming, those before it stay. A file gets its name only when its content is on the disk, since the
-    power may fail in between.
+    later renaming, those before it stay.
     """
+    # A file gets its name only when its content is on the disk, since the power may fail in between.
     for path, draft in draft_by_path.items():
         with explaining(path):
             _sync(draft)

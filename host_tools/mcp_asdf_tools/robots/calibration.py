@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -86,9 +86,9 @@ class Calibration:
 def calibrate(rows: Sequence[tuple[float, bool]]) -> Calibration:
     """Return the calibration with the threshold at which the worse colour is recognised best.
 
-    Each row is a reading and whether its tile was black. Of several such thresholds the one with the largest
-    sum of accuracies is taken, then the one in the widest gap between readings. O(n log n). Raises UsageError
-    for fewer than 10 readings over a colour, and for readings that do not distinguish the colours.
+    Each row is a reading and whether its tile was black. Among several such thresholds ``_rank`` decides.
+    O(n log n). Raises UsageError for fewer than 10 readings over a colour, and for readings that do not
+    distinguish the colours.
     """
     black_count = sum(is_black for _, is_black in rows)
     reading_counts = {"black": black_count, "white": len(rows) - black_count}
@@ -97,13 +97,38 @@ def calibrate(rows: Sequence[tuple[float, bool]]) -> Calibration:
             raise UsageError(
                 f"{count} readings over {colour} tiles; take {_MIN_READINGS} or more, better 1000"
             )
-    has_whole_numbers = all(reading.is_integer() for reading, _ in rows)
-    best_rank = (0.0, 0.0, 0.0)
-    best_calibration = None
+    candidates = _candidates(sorted(rows), reading_counts)
+    best_candidate = max(candidates, key=_rank, default=None)
+    if best_candidate is not None:
+        calibration, _ = best_candidate
+        if sum(calibration.accuracy.values()) >= 2 * _MIN_ACCURACY:
+            return calibration
+    raise UsageError("the readings do not tell black from white; does the sensor look at the floor?")
+
+
+def _rank(candidate: tuple[Calibration, float]) -> tuple[float, float, float]:
+    """Return what makes a calibration, which comes with the gap between its readings, better than another.
+
+    That is the accuracy on the worse colour; if it is equal, the sum of both accuracies; and if that is
+    equal, too, the width of the gap.
+    """
+    calibration, gap = candidate
+    accuracies = calibration.accuracy.values()
+    return min(accuracies), sum(accuracies), gap
+
+
+def _candidates(
+    sorted_rows: Sequence[tuple[float, bool]], reading_counts: dict[str, int]
+) -> Iterator[tuple[Calibration, float]]:
+    """Yield two calibrations, with black on either side, for each threshold that separates readings.
+
+    With each of them comes the width of the gap between the two readings that its threshold lies between.
+    """
+    has_whole_numbers = all(reading.is_integer() for reading, _ in sorted_rows)
     black_below = 0
     white_below = 0
     # A threshold between two readings that follow each other has all readings up to the first below it.
-    for (reading, is_black), (next_reading, _) in pairwise(sorted(rows)):
+    for (reading, is_black), (next_reading, _) in pairwise(sorted_rows):
         if is_black:
             black_below += 1
         else:
@@ -118,18 +143,7 @@ def calibrate(rows: Sequence[tuple[float, bool]]) -> Calibration:
         # The shares of right readings if black is below the threshold; if it is above, the others are right.
         black_accuracy = black_below / reading_counts["black"]
         white_accuracy = 1 - white_below / reading_counts["white"]
-        accuracy_by_side = {
-            "below": {"black": black_accuracy, "white": white_accuracy},
-            "above": {"black": 1 - black_accuracy, "white": 1 - white_accuracy},
-        }
-        for black_side, accuracy in accuracy_by_side.items():
-            worse_accuracy = min(accuracy.values())
-            accuracy_sum = sum(accuracy.values())
-            # Compared in this order: the next value decides only between thresholds with equal ones so far.
-            rank = (worse_accuracy, accuracy_sum, gap)
-            if rank > best_rank:
-                best_rank = rank
-                best_calibration = Calibration(threshold, black_side, accuracy, reading_counts)
-    if best_calibration is None or sum(best_calibration.accuracy.values()) < 2 * _MIN_ACCURACY:
-        raise UsageError("the readings do not tell black from white; does the sensor look at the floor?")
-    return best_calibration
+        below = {"black": black_accuracy, "white": white_accuracy}
+        above = {"black": 1 - black_accuracy, "white": 1 - white_accuracy}
+        yield Calibration(threshold, "below", below, reading_counts), gap
+        yield Calibration(threshold, "above", above, reading_counts), gap
