@@ -118,19 +118,6 @@ def q32_from_q24(value: int) -> int:
     return value << 8
 
 
-def q11_from_q32(deviation: int) -> int:
-    """Convert a batch's deviation from units of 2**-32 to units of 2**-11, rounded down.
-
-    Its square is then in units of 2**-22.
-    """
-    return deviation >> 21
-
-
-def q22_from_q40(square: int) -> int:
-    """Convert a square of a deviation from units of 2**-40 to units of 2**-22, rounded down."""
-    return square >> 18
-
-
 # ---- Receive: the latest estimate of each sender ----
 
 
@@ -278,11 +265,11 @@ def ratio_of_batch(robust: RobustFilter, count: int, black_count: int, share: in
     largest_ratio = REJECTED_SIGMAS_SQUARED * robust.dispersion  # units of 2**-8
     # The square of the deviation at which the ratio is the largest. Squares are in units of 2**-22, so that
     # they fit 64 bits in the C.
-    largest_square = q22_from_q40(largest_ratio * variance)  # 2**-8 times 2**-32 is 2**-40
+    largest_square = (largest_ratio * variance) >> 18  # from units of 2**-8 * 2**-32
     if largest_square == 0:
         return None
     expected_black_count = count * share  # units of 2**-32
-    deviation = q11_from_q32(abs(black_count * Q32_ONE - expected_black_count))
+    deviation = abs(black_count * Q32_ONE - expected_black_count) >> 21  # to units of 2**-11
     limited_square = min(deviation * deviation, largest_square)
     # The ratio grows in proportion to the square. Unlike limited_square / variance, this quotient is at most
     # 1, as the C needs it.

@@ -298,10 +298,7 @@ class SerialAdapter(Connection):
     """Connection through an adapter that sends frames as lines of text, damaged or endless ones included."""
 
     def __init__(self, bus: can.BusABC, returns_own: bool = False) -> None:
-        """Take over ``bus``, which closes with this connection.
-
-        ``returns_own`` says whether frames that are sent through this connection come back from ``recv``.
-        """
+        """Take over ``bus``, which closes with this connection; ``Connection`` explains ``returns_own``."""
         super().__init__(bus, returns_own)
         adapter = cast(slcanBus, bus)
         self._port = adapter.serialPortOrig
@@ -343,10 +340,7 @@ class Multicast(Connection):
     """
 
     def __init__(self, bus: can.BusABC, returns_own: bool = False) -> None:
-        """Take over ``bus``, which closes with this connection.
-
-        ``returns_own`` says whether frames that are sent through this connection come back from ``recv``.
-        """
+        """Take over ``bus``, which closes with this connection; ``Connection`` explains ``returns_own``."""
         super().__init__(bus, returns_own)
         self._group = cast(UdpMulticastBus, bus)._multicast
         # The kernel grants less where the system's limit is lower, and says nothing.

@@ -72,7 +72,6 @@ class RealTimeClock:
         """
         if not self._lateness:
             return None
-        # A tick that begins later than half a period has none of its time for receiving left.
         return {
             "mean_lateness": math.fsum(self._lateness) / len(self._lateness),
             "max_lateness": max(self._lateness),

@@ -91,13 +91,8 @@ class Population(WorldSettings):
 
     def unused_parameters(self) -> dict[str, str]:
         """Return the parameters that have no effect in this population: the reason, a text, by their name."""
-        return self._unused_of_drift() | self.swarm_filter.unused_parameters_with(self.activation)
-
-    def _unused_of_drift(self) -> dict[str, str]:
-        """Return the parameters of drifts that have no effect with this kind of drift, with the reason."""
-        if self.drift == "none":
-            return {"lowest_accuracy": "drift is none"}
-        return {}
+        unused_of_drift = {"lowest_accuracy": "drift is none"} if self.drift == "none" else {}
+        return unused_of_drift | self.swarm_filter.unused_parameters_with(self.activation)
 
     @property
     def drifting(self) -> int:

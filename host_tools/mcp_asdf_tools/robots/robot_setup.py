@@ -184,13 +184,8 @@ def _plain_table(table: Table) -> dict[str, Any]:
     omega = omega_from_word(table.omega_word)
     if omega is None:
         raise UsageError(f"the t-table's omega is {table.omega}; make one with mcp-asdf table")
-    return {"omega": str(omega), "q": table.q, "checksum": _checksum_of(table)}
-
-
-def _checksum_of(table: Table) -> int:
-    """Return the checksum of a t-table: the last of its 32-bit words."""
-    *_, table_checksum = table.words()
-    return table_checksum
+    *_, checksum = table.words()
+    return {"omega": str(omega), "q": table.q, "checksum": checksum}
 
 
 def _table_from_plain(plain_table: Any, robot_id: Any) -> Table:
@@ -202,7 +197,7 @@ def _table_from_plain(plain_table: Any, robot_id: Any) -> Table:
     from mcp_asdf_tools.tables.thresholds import generate, parse_omega  # noqa: PLC0415 (mpmath loads slowly)
 
     table = generate(parse_omega(str(plain_table["omega"])), plain_table["q"])
-    checksum = _checksum_of(table)
+    *_, checksum = table.words()
     if checksum != plain_table["checksum"]:
         raise UsageError(
             f"the t-table of robot {robot_id} has checksum {plain_table['checksum']}, "
