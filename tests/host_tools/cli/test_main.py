@@ -151,6 +151,13 @@ def test_a_mistake_in_a_command_line_is_reported_in_one_line_of_json_if_asked_fo
     [
         (UsageError("the value is 7; give 6"), 2, "error: the value is 7; give 6\n"),
         (FileNotFoundError(2, "No such file", "x"), 2, "error: cannot use x: No such file; give another\n"),
+        (
+            OSError(errno.EMFILE, "Too many open files"),
+            2,
+            "error: the operating system reports: Too many open files; resolve that and run the command again\n",
+        ),
+        # The pipe is one to another program, and not the standard output.
+        (BrokenPipeError(errno.EPIPE, "Broken pipe"), 2, "error: the operating system reports: Broken pipe"),
         (ImportError("no", name="pyarrow.lib"), 2, "error: this needs pyarrow, which is not installed;"),
         (KeyboardInterrupt(), 128 + signal.SIGINT, "interrupted\n"),
     ],
@@ -201,25 +208,6 @@ def test_a_command_whose_output_goes_to_a_full_disk_fails_with_the_reason(
         assert cli.main(line.split()) == 2
 
     assert capsys.readouterr().err.startswith(f"{program}: error: {reason}\n")
-
-
-def test_an_operating_system_error_without_a_file_is_reported_with_its_text(
-    monkeypatch: pytest.MonkeyPatch, capsys: Capture
-) -> None:
-    """Here the command ``table`` raises the error of a process that has too many files open."""
-    fake_command(monkeypatch, Mock(side_effect=OSError(errno.EMFILE, "Too many open files")))
-    assert cli.main(["table"]) == 2
-    reason = "the operating system reports: Too many open files; resolve that and run the command again"
-    assert capsys.readouterr().err.startswith(f"mcp-asdf table: error: {reason}\n")
-
-
-def test_a_broken_pipe_that_is_not_standard_output_is_reported_as_an_error(
-    monkeypatch: pytest.MonkeyPatch, capsys: Capture
-) -> None:
-    """Here the command ``table`` raises the error, as if a pipe to another program had been closed."""
-    fake_command(monkeypatch, Mock(side_effect=BrokenPipeError(errno.EPIPE, "Broken pipe")))
-    assert cli.main(["table"]) == 2
-    assert "the operating system reports: Broken pipe" in capsys.readouterr().err
 
 
 def print_with_rich() -> int:
@@ -547,14 +535,10 @@ LINES_AND_OPTIONS_IN_FRONT = [
     ("sweep grid.toml --workers 1 --output 'two words.parquet'", "--seed=1"),
     ("table --output tables --omega 0.10 --neighbours 3", ""),
     ("table --output tables", "--omega=0.05 --neighbours=127"),
+    (f"{SHORT_RADIO} --seed=1", ""),
+    ("sweep --seed=1 grid.toml --workers 1", ""),
 ]
 """Command lines, each with the options that a command adds to it when it prints the line to run again."""
-
-
-def with_options_in_front(line: str, options_in_front: str) -> list[str]:
-    """Return the words of a command line with options inserted behind the command."""
-    command, *options = shlex.split(line)
-    return [command, *options_in_front.split(), *options]
 
 
 @pytest.fixture
@@ -565,29 +549,19 @@ def experiment_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     Path("grid.toml").write_text(f'{EXPERIMENT}[[grid]]\nfilter = ["none", "asdf-plus"]\n')
 
 
-def line_for_same_results(line: str, capsys: Capture) -> str:
-    """Run a command and return the command line behind "again:" in its output, of which there is one."""
-    assert cli.main(shlex.split(line)) == 0
-    output_lines = capsys.readouterr().out.splitlines()
-    (again,) = [output_line for output_line in output_lines if output_line.startswith("again: ")]
-    return again.removeprefix("again: mcp-asdf ")
-
-
 @pytest.mark.usefixtures("experiment_files")
 @pytest.mark.parametrize(("line", "options_in_front"), LINES_AND_OPTIONS_IN_FRONT)
 def test_a_command_prints_the_line_that_gives_the_same_results_again(
     line: str, options_in_front: str, capsys: Capture
 ) -> None:
     """It is the typed line with options in front whose values are chosen by default, such as ``--seed=1``."""
-    expected_line = shlex.join(with_options_in_front(line, options_in_front))
-    assert line_for_same_results(line, capsys) == expected_line
+    command, *options = shlex.split(line)
+    assert cli.main([command, *options]) == 0
+    output_lines = capsys.readouterr().out.splitlines()
+    lines_to_run_again = [output_line for output_line in output_lines if output_line.startswith("again: ")]
 
-
-@pytest.mark.usefixtures("experiment_files")
-@pytest.mark.parametrize("line", [f"{SHORT_RADIO} --seed=1", "sweep --seed=1 grid.toml --workers 1"])
-def test_a_line_with_a_seed_is_printed_as_it_was_typed(line: str, capsys: Capture) -> None:
-    """No seed has to be added, so the line behind "again:" is the typed one."""
-    assert line_for_same_results(line, capsys) == line
+    line_with_options_in_front = shlex.join([command, *options_in_front.split(), *options])
+    assert lines_to_run_again == [f"again: mcp-asdf {line_with_options_in_front}"]
 
 
 @pytest.mark.usefixtures("experiment_files")
@@ -629,23 +603,19 @@ def test_v_logs_versions_first_then_the_command_line_and_at_last_the_exit_code(c
     assert exit_code.startswith("INFO mcp_asdf_tools.cli: exit code 0 after ")
 
 
-def test_v_logs_each_bus_that_a_swarm_opens(capsys: Capture) -> None:
-    """Each of three robots has a bus of its own, whose channel, such as "v0", has the robot's id."""
-    messages = messages_of_swarm("--channel", "v{robot}", "-v", capsys=capsys)
+def test_v_logs_the_buses_that_a_swarm_opens_its_robots_and_the_files_that_it_writes(
+    tmp_path: Path, capsys: Capture
+) -> None:
+    """Each of three robots has a bus of its own, and none is in another process or at a device ("elsewhere").
+
+    A swarm with a log writes a summary of its results in JSON as well.
+    """
+    log = tmp_path / "run.log"
+    messages = messages_of_swarm("--channel", "v{robot}", "--log", str(log), "-v", capsys=capsys)
+
     for channel in ("v0", "v1", "v2"):
         assert f"INFO mcp_asdf_tools.bus.interfaces: opened the bus virtual {channel}" in messages
-
-
-def test_v_logs_how_many_robots_of_a_swarm_have_started(capsys: Capture) -> None:
-    """None of the three runs elsewhere, which is in another process or at a device."""
-    messages = messages_of_swarm("-v", capsys=capsys)
     assert "INFO mcp_asdf_tools.cli.swarm: 3 robots are up, 0 of them elsewhere" in messages
-
-
-def test_v_logs_the_files_that_a_command_writes(tmp_path: Path, capsys: Capture) -> None:
-    """A swarm with a log writes a summary of its results in JSON as well."""
-    log = tmp_path / "run.log"
-    messages = messages_of_swarm("--log", str(log), "-v", capsys=capsys)
     assert f"INFO mcp_asdf_tools.common.files: wrote {log}.json" in messages
 
 

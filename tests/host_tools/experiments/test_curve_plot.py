@@ -80,18 +80,12 @@ def test_each_curve_goes_through_the_medians_of_trials_in_a_band_of_their_interv
         assert line_and_band_by_x(line, band) == medians_and_intervals_by_x(samples_by_omega)
 
 
-def test_the_legend_of_curves_has_the_values_of_the_parameter_that_they_differ_in(
-    densities_and_omegas: dict[tuple[float, float], Trials],
-) -> None:
-    figure = plot_curve([*densities_and_omegas.values()], "omega", hue="density")
-    assert legend_of(figure) == ["density 0.5", "density 2"]
-
-
 def test_curves_are_drawn_into_one_large_panel_with_the_score_over_the_parameter(
     densities_and_omegas: dict[tuple[float, float], Trials],
 ) -> None:
     figure = plot_curve([*densities_and_omegas.values()], "omega", hue="density")
     assert layout_of(figure) == Layout(rows=1, columns=1, width=6.3, panel_height=3.8)
+    assert legend_of(figure) == ["density 0.5", "density 2"]
     assert figure.get_supylabel() == "H"
     assert caption_of(figure).startswith("omega ")
 
@@ -108,8 +102,8 @@ def test_the_95_percent_interval_of_a_median_has_the_ranks_that_statistics_books
     median, lower_end, upper_end = median_interval(values)
 
     assert median == np.median(values)
-    value_from_below, value_from_above = rank - 1, trials - rank
-    assert (lower_end, upper_end) == (value_from_below, value_from_above)
+    assert lower_end == rank - 1
+    assert upper_end == trials - rank
 
 
 def test_the_interval_of_a_median_has_no_width_where_nearly_all_values_are_equal() -> None:

@@ -237,20 +237,15 @@ def test_trials_are_computed_at_once_if_only_their_results_are_wanted(experiment
     assert has_lanes(experiment)
 
 
-def test_trials_are_computed_one_by_one_if_values_are_recorded_over_time() -> None:
-    assert not has_lanes(SHORT, sampling_interval=10)
-
-
-def test_trials_are_computed_one_by_one_if_robots_do_not_broadcast_in_every_step() -> None:
-    assert not has_lanes(replace(SHORT, comms_period=2))
-
-
-def test_trials_are_computed_one_by_one_if_messages_are_rounded() -> None:
-    assert not has_lanes(replace(SHORT, message_bits="16+9"))
-
-
-def test_trials_are_computed_one_by_one_if_robots_have_different_filters() -> None:
-    assert not has_lanes(MIXED)
+@pytest.mark.parametrize(
+    ("experiment", "sampling_interval"),
+    [(SHORT, 10), (replace(SHORT, comms_period=2), 0), (replace(SHORT, message_bits="16+9"), 0), (MIXED, 0)],
+    ids=["recorded over time", "rare broadcasts", "rounded messages", "different filters"],
+)
+def test_trials_are_computed_one_by_one_if_the_lanes_lack_what_they_need(
+    experiment: Experiment, sampling_interval: int
+) -> None:
+    assert not has_lanes(experiment, sampling_interval)
 
 
 def engine_for(architecture: str, folder: Path, *more: str) -> Any:

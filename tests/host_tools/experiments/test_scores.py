@@ -48,47 +48,38 @@ def test_a_series_with_a_nan_converges_only_in_its_last_step(series: list[float]
     assert convergence_step(np.array(series), 0.25) == 2
 
 
-def test_the_score_of_convergence_comes_from_the_mean_and_the_quartiles_of_the_robots_steps() -> None:
-    """It is 100 (1 - mean / limit) exp(-(upper - lower quartile) / limit), here with a limit of 1000 steps.
+@pytest.mark.parametrize(
+    ("steps_of_robots", "mean", "lower_quartile", "upper_quartile"),
+    [
+        ([0, 100, 200, 300], 150, 50, 250),  # quartiles in the middle between two steps
+        ([0, 100, 200, 300, 500], 220, 100, 300),  # the second and the fourth step
+    ],
+)
+def test_the_score_of_convergence_comes_from_the_mean_and_the_quartiles_of_the_robots_steps(
+    steps_of_robots: list[int], mean: float, lower_quartile: float, upper_quartile: float
+) -> None:
+    """It is 100 (1 - mean / limit) exp(-(upper - lower quartile) / limit). The limit is 1000 steps."""
+    no_errors = [0.0] * len(steps_of_robots)
+    scores_of_trials = score([steps_of_robots], [no_errors], k_max=1000, e_max=0.5)
 
-    The lower quartile of the four steps is in the middle of 0 and 100, the upper one in that of 200 and 300.
-    """
-    steps_of_trial = [0, 100, 200, 300]
-    scores_of_trials = score(convergence_steps=[steps_of_trial], errors=[[0.0] * 4], k_max=1000, e_max=0.5)
-
-    [h_k] = scores_of_trials["h_K"]
-    mean, lower_quartile, upper_quartile = 150, 50, 250
-    quartile_distance = upper_quartile - lower_quartile
-    assert h_k == pytest.approx(100 * (1 - mean / 1000) * math.exp(-quartile_distance / 1000))
+    expected_score = 100 * (1 - mean / 1000) * math.exp(-(upper_quartile - lower_quartile) / 1000)
+    assert scores_of_trials["h_K"] == pytest.approx([expected_score])
 
 
 def test_the_score_of_errors_has_a_limit_of_its_own() -> None:
     """It is 0.5 here. The mean of the errors is 0.15, and the quartiles are 0.1 and 0.2."""
-    errors_of_trial = [0.1, 0.1, 0.1, 0.3]
-    scores_of_trials = score(convergence_steps=[[0] * 4], errors=[errors_of_trial], k_max=1000, e_max=0.5)
+    scores_of_trials = score([[0, 0, 0, 0]], [[0.1, 0.1, 0.1, 0.3]], k_max=1000, e_max=0.5)
 
-    [h_e] = scores_of_trials["h_e"]
-    mean, quartile_distance = 0.15, 0.2 - 0.1
-    assert h_e == pytest.approx(100 * (1 - mean / 0.5) * math.exp(-quartile_distance / 0.5))
+    expected_score = 100 * (1 - 0.15 / 0.5) * math.exp(-(0.2 - 0.1) / 0.5)
+    assert scores_of_trials["h_e"] == pytest.approx([expected_score])
 
 
 def test_the_score_h_is_the_mean_of_those_for_convergence_and_for_errors() -> None:
-    steps_of_trial, errors_of_trial = [0, 100, 200, 300], [0.1, 0.1, 0.1, 0.3]
-    scores_of_trials = score([steps_of_trial], [errors_of_trial], k_max=1000, e_max=0.5)
+    """There is one trial with four robots."""
+    scores_of_trials = score([[0, 100, 200, 300]], [[0.1, 0.1, 0.1, 0.3]], k_max=1000, e_max=0.5)
 
-    [h_k], [h_e], [h] = (scores_of_trials[name] for name in ("h_K", "h_e", "H"))
-    assert h == pytest.approx((h_k + h_e) / 2)
-
-
-def test_the_quartiles_of_five_robots_are_the_values_of_the_second_and_the_fourth() -> None:
-    """A score is 100 (1 - mean / limit) exp(-(upper - lower quartile) / limit). The limit is 1000 steps."""
-    steps_of_trial = [0, 100, 200, 300, 500]
-    scores_of_trials = score(convergence_steps=[steps_of_trial], errors=[[0.0] * 5], k_max=1000, e_max=0.5)
-
-    [h_k] = scores_of_trials["h_K"]
-    mean, lower_quartile, upper_quartile = 220, 100, 300
-    quartile_distance = upper_quartile - lower_quartile
-    assert h_k == pytest.approx(100 * (1 - mean / 1000) * math.exp(-quartile_distance / 1000))
+    [h_k], [h_e] = scores_of_trials["h_K"], scores_of_trials["h_e"]
+    assert scores_of_trials["H"] == pytest.approx([(h_k + h_e) / 2])
 
 
 def test_a_trial_whose_errors_are_nan_has_a_score_of_0_for_errors() -> None:

@@ -8,7 +8,7 @@ import re
 import signal
 import subprocess
 import sys
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, redirect_stdout
 from dataclasses import replace
@@ -59,19 +59,13 @@ def jobs_run(monkeypatch: pytest.MonkeyPatch) -> list[Job]:
 # --- Jobs ------------------------------------------------------------------------------------------------
 
 
-def trials_of(jobs: Iterable[Job]) -> list[tuple[Experiment, int]]:
-    """Return experiment and number of each trial that jobs run, in their order."""
-    trials = []
-    for job in jobs:
-        trials += [(job.experiment, job.first + index) for index in range(job.count)]
-    return trials
-
-
 def test_every_trial_of_a_sweep_is_in_exactly_one_job(output: Path) -> None:
-    """A job is a number of trials that a worker process runs together."""
+    """A job is a number of trials of one experiment, which a worker process runs together."""
+    first, second, third = THREE_EXPERIMENTS
     jobs = list(jobs_of(Store(output, THREE_EXPERIMENTS, sampling_interval=7)))
 
-    assert trials_of(jobs) == [(experiment, trial) for experiment in THREE_EXPERIMENTS for trial in range(40)]
+    assert [job.experiment for job in jobs] == [first, first, second, second, third, third]
+    assert [(job.first, job.count) for job in jobs] == [(0, 32), (32, 8)] * 3  # 40 trials of each
     assert {job.sampling_interval for job in jobs} == {7}
 
 
@@ -309,35 +303,32 @@ def test_a_short_sweep_writes_its_output_and_no_parts(output: Path, monkeypatch:
     assert files_written == ["grid.parquet"]
 
 
-def test_a_part_is_written_when_the_last_one_is_a_second_old(
-    output: Path, set_clock: Callable[[float], None]
+@pytest.mark.parametrize(
+    ("times", "rows_of_parts_by_time"),
+    [
+        ([0.9, 1.0, 1.9, 2.0], [[], [2], [2], [2, 2]]),
+        ([1000.0, 1009.0, 1011.0], [[1], [1], [1, 2]]),
+    ],
+    ids=["short sweep", "long sweep"],
+)
+def test_parts_of_a_sweep_are_a_hundredth_of_its_time_apart_but_at_least_a_second(
+    times: list[float],
+    rows_of_parts_by_time: list[list[int]],
+    output: Path,
+    set_clock: Callable[[float], None],
 ) -> None:
-    """A trial is finished at each of four times. A part has all trials since the last part."""
-    store = Store(output, [EXPERIMENT])
-    row_counts_of_parts = []
-    for trial, seconds in enumerate((0.9, 1.0, 1.9, 2.0)):
-        set_clock(seconds)
-        store.add(Job(EXPERIMENT, first=trial, count=1).run())
-        row_counts_of_parts.append(row_counts(store.parts))
+    """So writing takes little time in comparison with the work. After 1000 s a hundredth is 10 s.
 
-    assert row_counts_of_parts == [[], [2], [2], [2, 2]]
-
-
-def test_parts_of_a_long_sweep_are_a_hundredth_of_its_time_apart(
-    output: Path, set_clock: Callable[[float], None]
-) -> None:
-    """After 1000 s that is 10 s, so that writing takes little time in comparison with the work.
-
-    A trial is finished at each of three times. A part has all trials since the last part.
+    A trial is finished at each of these times, in seconds. A part has all trials since the last part.
     """
     store = Store(output, [EXPERIMENT])
     row_counts_of_parts = []
-    for trial, seconds in enumerate((1000.0, 1009.0, 1011.0)):
+    for trial, seconds in enumerate(times):
         set_clock(seconds)
         store.add(Job(EXPERIMENT, first=trial, count=1).run())
         row_counts_of_parts.append(row_counts(store.parts))
 
-    assert row_counts_of_parts == [[1], [1], [1, 2]]
+    assert row_counts_of_parts == rows_of_parts_by_time
 
 
 def test_a_part_is_written_when_as_many_rows_wait_as_a_part_may_have(
@@ -645,14 +636,15 @@ def test_the_command_sweep_prints_medians_over_the_trials_of_each_experiment(
 def test_the_command_sweep_prints_the_score_h_of_each_experiment_with_its_quartiles(
     sweep_text: str, results_file: Path
 ) -> None:
-    """The file of results has H of the three trials with 1 flawed robot, and then of those with 2."""
+    """The table has a row for each of two experiments, which have three trials each."""
     _head, *rows = table_of(sweep_text)
-    scores = read_table(results_file)["H"].to_numpy()
-    scores_by_experiment = (scores[:3], scores[3:])
-    for row, scores_of_experiment in zip(rows, scores_by_experiment, strict=True):
-        _flawed, trials, h, *_ = row
-        lower_quartile, median, upper_quartile = np.percentile(scores_of_experiment, (25, 50, 75))
-        assert (trials, h) == ("3", f"{median:.2f} [{lower_quartile:.2f}, {upper_quartile:.2f}]")
+    experiments = experiments_in(read_table(results_file))
+    for row, experiment in zip(rows, experiments, strict=True):
+        _flawed, trials, printed_score, *_ = row
+        scores = experiment.scores()["H"]
+        lower_quartile, median, upper_quartile = np.percentile(scores, (25, 50, 75))
+        assert trials == "3"
+        assert printed_score == f"{median:.2f} [{lower_quartile:.2f}, {upper_quartile:.2f}]"
 
 
 def test_the_command_sweep_prints_the_parameter_in_which_experiments_differ(sweep_text: str) -> None:
@@ -698,38 +690,24 @@ def test_the_command_simulate_writes_results_only_if_it_is_given_an_output(
     assert len(read_table(tmp_path / "one.parquet")) == 30
 
 
-def workers_used(monkeypatch: pytest.MonkeyPatch, options: str) -> int:
-    """Return the number of processes on which the command ``simulate`` runs 5 trials of 20 robots.
-
-    The user asks for 1024 processes. The trials themselves are not run.
-    """
+@pytest.mark.parametrize(
+    ("options", "workers"),
+    [
+        ("--steps 999999", 1),  # short: 20 robots * 5 trials * 999,999 steps are less than 10**8
+        ("--steps 1000000", 1024),
+        ("--steps 1000 --firmware mirror", 1024),  # the firmware in Python, which is slow
+    ],
+)
+def test_the_command_simulate_runs_only_a_short_experiment_in_its_own_process(
+    options: str, workers: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Starting others would take longer. The user asks for 1024 processes; no trial is run here."""
     simulate = Mock(side_effect=UsageError("the command ends here"))
     monkeypatch.setattr("mcp_asdf_tools.library.simulate", simulate)
-    exit_code = cli.main(["simulate", "--robots=20", "--trials=5", "--workers=1024", *options.split()])
-    assert exit_code == EXIT_CODE_OF_USAGE_ERROR
-    workers: int = simulate.call_args.kwargs["workers"]
-    return workers
 
+    cli.main(["simulate", "--robots=20", "--trials=5", "--workers=1024", *options.split()])
 
-def test_the_command_simulate_runs_a_short_experiment_in_its_own_process(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """Short is less than 10**8 steps of robots: 20 robots * 5 trials * 999,999 steps."""
-    assert workers_used(monkeypatch, "--steps 999999") == 1
-
-
-def test_the_command_simulate_runs_a_long_experiment_on_as_many_processes_as_it_is_asked_to(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """20 robots * 5 trials * 1,000,000 steps are 10**8 steps of robots."""
-    assert workers_used(monkeypatch, "--steps 1000000") == 1024
-
-
-def test_the_command_simulate_runs_even_a_short_experiment_of_the_mirror_on_processes(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """The mirror is the firmware in Python, which takes far longer than starting a process."""
-    assert workers_used(monkeypatch, "--steps 1000 --firmware mirror") == 1024
+    assert simulate.call_args.kwargs["workers"] == workers
 
 
 A_THOUSAND_ROBOTS = "--robots 1000 --trials 1 --steps 20"

@@ -247,19 +247,17 @@ def test_the_events_of_a_killed_run_are_read_up_to_where_they_were_cut(
     assert entries == all_entries[: len(entries)]
 
 
-def test_a_file_of_a_killed_run_that_happens_to_be_complete_gives_all_events(tmp_path: Path) -> None:
-    """Its name ends in ``.part``, which stands for a cut file, but its last line has its end."""
-    (tmp_path / "x.part").write_text(f"{FIRST_LINE}[7,1,3]\n[0,1,3]\n")
-    assert read_entries(tmp_path / "x.part") == [
-        RobotEvents(7, [BLACK, END_OF_TICK]),
-        RobotEvents(0, [BLACK, END_OF_TICK]),
-    ]
+@pytest.mark.parametrize(("last_line", "robots"), [("[0,1,3]\n", [7, 0]), ("[0,1", [7])])
+def test_only_an_incomplete_last_line_of_a_killed_run_is_ignored(
+    last_line: str, robots: list[int], tmp_path: Path
+) -> None:
+    """Lines are of robots 7 and 0, which observe black (1) and end the tick (3).
 
-
-def test_an_incomplete_last_line_of_a_killed_run_is_ignored(tmp_path: Path) -> None:
-    """The line of robot 0 lacks its end. Somebody has decompressed the file."""
-    (tmp_path / "x.part").write_text(f"{FIRST_LINE}[7,1,3]\n[0,1")
-    assert read_entries(tmp_path / "x.part") == [RobotEvents(7, [BLACK, END_OF_TICK])]
+    The name of the file ends in ``.part``, as the run did not end. Somebody has decompressed it.
+    """
+    (tmp_path / "x.part").write_text(f"{FIRST_LINE}[7,1,3]\n{last_line}")
+    complete_entries = [RobotEvents(robot, [BLACK, END_OF_TICK]) for robot in robots]
+    assert read_entries(tmp_path / "x.part") == complete_entries
 
 
 def test_a_line_without_an_end_does_not_fill_the_memory(

@@ -86,22 +86,19 @@ def test_a_count_in_reports_goes_on_after_more_than_2_16_refusals_in_a_round() -
 
 
 def test_every_count_in_reports_goes_on_where_the_16_bits_of_the_firmware_s_counter_end() -> None:
-    """The counters of the firmware begin at their largest value. What it counts then is added in the report.
+    """The counters of the firmware begin at their largest value, 65,535. What it counts then is added.
 
     It takes the first estimate of a robot in a round, and refuses those under its own id, 5.
     """
-    largest = 2**16 - 1
-    counters = Counters(accepted=largest, repeated=largest, rejected=largest, tests=largest, updates=largest)
-    robot = robot_with_counters(comms_period=10, **vars(counters))
+    robot = robot_with_counters(
+        comms_period=10, accepted=65_535, repeated=65_535, rejected=65_535, tests=65_535, updates=65_535
+    )
     robot.observe(None)
     robot.receive_all(estimates_of(6, 7, 6, 7, 5))
 
-    accepted, repeated, refused = 2, 2, 1
-    assert robot.counters.accepted == largest + accepted
-    assert robot.counters.repeated == largest + repeated
-    assert robot.counters.rejected == largest + refused
-    assert robot.counters.tests == largest
-    assert robot.counters.updates == largest
+    assert robot.counters == Counters(
+        accepted=65_535 + 2, repeated=65_535 + 2, rejected=65_535 + 1, tests=65_535, updates=65_535
+    )
 
 
 def test_estimates_under_the_robot_s_own_id_are_refused_and_counted_as_conflicts() -> None:
@@ -173,30 +170,20 @@ def test_a_robot_that_has_crashed_receives_nothing() -> None:
     assert robot.reception == Reception()
 
 
-def robot_that_rejoins(*, loses_state: bool) -> BusRobot:
-    """Return a robot that has made one observation in one tick, has crashed and has rejoined."""
+@pytest.mark.parametrize(("loses_state", "ticks"), [(False, 1), (True, 0)])
+def test_a_robot_that_rejoins_goes_on_where_it_was_unless_the_crash_lost_its_state(
+    loses_state: bool, ticks: int
+) -> None:
+    """Before the crash it has made one observation in one tick."""
     robot = BusRobot(setup_of_robot(5), ESTIMATE_FORMAT)
     robot.observe(Observation.BLACK)
     robot.settle()
     robot.crash(loses_state)
     robot.rejoin()
-    return robot
 
-
-def test_a_robot_that_rejoins_goes_on_where_it_was_if_the_crash_kept_its_state() -> None:
-    """Before the crash it has made one observation in one tick."""
-    robot = robot_that_rejoins(loses_state=False)
     assert robot.is_alive
-    assert robot.ticks == 1
-    assert robot.robot.t == 1, "observations"
-
-
-def test_a_robot_that_rejoins_begins_anew_if_the_crash_lost_its_state() -> None:
-    """Before the crash it has made one observation in one tick."""
-    robot = robot_that_rejoins(loses_state=True)
-    assert robot.is_alive
-    assert robot.ticks == 0
-    assert robot.robot.t == 0, "observations"
+    assert robot.ticks == ticks
+    assert robot.robot.t == ticks, "observations"
 
 
 def test_a_line_of_events_has_all_that_a_robot_did_in_a_tick() -> None:
@@ -319,19 +306,15 @@ def test_a_robot_s_setup_in_json_with_a_wrong_value_is_refused_by_the_name_of_th
 
 @pytest.mark.parametrize(
     ("flawed", "count"),
-    [(6, 6), ("6", 6), (np.int64(4), 4), (0, 0), (10, 10), (0.0, 0), (1.0, 10), ("30%", 3), ("0.5", 5)],
+    [
+        *((6, 6), ("6", 6), (np.int64(4), 4), (0, 0), (10, 10)),  # counts
+        *((0.0, 0), (1.0, 10), ("30%", 3), ("0.5", 5)),  # shares
+        *(("44.9%", 4), ("45%", 5), (0.25, 3)),  # shares that are rounded, with halves up
+    ],
 )
 def test_the_flawed_robots_are_given_as_a_count_or_as_a_share_of_ten_robots(flawed: Any, count: int) -> None:
     """A whole number is a count. A number with a point or a percent sign is a share."""
     assert Population(robots=10, flawed=flawed).flawed == count
-
-
-@pytest.mark.parametrize(("share", "count"), [("44.9%", 4), ("45%", 5), (0.25, 3)])
-def test_a_share_of_flawed_robots_is_rounded_to_the_nearest_count_with_halves_up(
-    share: Any, count: int
-) -> None:
-    """With ten robots, 44.9 % are 4 robots and 45 % are 5."""
-    assert Population(robots=10, flawed=share).flawed == count
 
 
 @pytest.mark.parametrize("flawed", [11, -1, -0.01, 1.01, "150%", True, "x", "nan", None])
@@ -414,16 +397,16 @@ def test_the_sensors_of_all_robots_drift_unless_only_those_of_the_flawed_ones_ar
     assert Population(**FOUR_ROBOTS, drift="linear").drifting == 4
 
 
-def test_the_choice_of_robots_whose_sensors_drift_is_refused_without_a_drift() -> None:
-    """The error names both parameters, as a user might think that these sensors drift."""
-    with pytest.raises(ParameterError, match="drift_of is flawed but drift is none"):
-        Population(drift_of="flawed")
-
-
-def test_a_memory_that_is_no_multiple_of_4_is_refused() -> None:
-    """The memory is the number of observations at which a robot halves its counts."""
-    with pytest.raises(ParameterError, match="memory is 66; it must be a multiple of 4"):
-        Population(memory=66)
+@pytest.mark.parametrize(
+    ("parameters", "message"),
+    [
+        ({"drift_of": "flawed"}, "drift_of is flawed but drift is none"),  # so that no sensor would drift
+        ({"memory": 66}, "memory is 66; it must be a multiple of 4"),
+    ],
+)
+def test_a_population_with_a_wrong_parameter_is_refused(parameters: dict[str, Any], message: str) -> None:
+    with pytest.raises(ParameterError, match=message):
+        Population(**parameters)
 
 
 @pytest.mark.parametrize(("robots", "neighbours"), [(1, 2), (4, 3), (128, 127), (129, 127)])

@@ -318,18 +318,12 @@ def stop_waiting() -> None:
 
 @pytest.mark.parametrize("kind_of_wire", [Wire, EndlessWire])
 @still()
-def test_the_caller_can_end_the_wait_for_heartbeats(kind_of_wire: type[Wire]) -> None:
-    """The error of its ``check`` ends the wait. Robot 3 is missing, on a quiet bus or on a busy one."""
-    lockstep = Lockstep(kind_of_wire(node(1)), timeout=1e9, check=stop_waiting)
-    with pytest.raises(StopWaitingError):
-        lockstep.wait_until_up({3}, timeout=1e9)
-
-
-@pytest.mark.parametrize("kind_of_wire", [Wire, EndlessWire])
-@still()
-def test_the_caller_can_end_the_wait_for_answers(kind_of_wire: type[Wire]) -> None:
+def test_the_caller_can_end_the_wait_for_heartbeats_and_for_answers(kind_of_wire: type[Wire]) -> None:
     """The error of its ``check`` ends the wait. Robot 2 is missing, on a quiet bus or on a busy one."""
     lockstep = Lockstep(kind_of_wire(node(1)), timeout=1e9, check=stop_waiting)
+    with pytest.raises(StopWaitingError):
+        lockstep.wait_until_up({2}, timeout=1e9)
+
     lockstep.observe({1: Observation.WHITE, 2: Observation.WHITE})
     with pytest.raises(StopWaitingError):
         lockstep.settle({2})
@@ -485,6 +479,7 @@ def test_the_command_line_of_a_robot_s_process_has_all_settings_of_the_robot(set
     nodes = NodeProcesses([setup], lambda robot: bus_choice, SUBJECTS, steps_per_second=3)
     arguments = parse_node_command(nodes._commands[setup.id])
 
+    # The option --allow is text, such as 0+2-3, which the node parses only when it has its bus.
     allowed_ids = arguments.allow and parse_ids(arguments.allow, "--allow")
     assert replace(robot_of(arguments), allow=allowed_ids) == setup
     assert subjects_of(arguments) == SUBJECTS
@@ -544,38 +539,23 @@ def test_ctrl_c_in_a_terminal_does_not_reach_the_robots_processes() -> None:
 
 @pytest.fixture
 def processor_restrictions(monkeypatch: pytest.MonkeyPatch) -> list[set[int]]:
-    """The sets of processors to which this process restricts itself; it may use the processors 3, 2 and 4.
-
-    Processes that it starts are restricted alike. Nothing is restricted in fact.
-    """
+    """The sets of processors to which this process restricts itself, and so the processes that it starts."""
     restrictions: list[set[int]] = []
     monkeypatch.setattr("os.sched_getaffinity", lambda process: {3, 2, 4})
     monkeypatch.setattr("os.sched_setaffinity", lambda process, processors: restrictions.append(processors))
     return restrictions
 
 
-def prepare_processes_of_two_robots(first_interface: str, second_interface: str) -> None:
-    """Prepare processes of two robots, which are on buses of these kinds."""
-    bus_by_robot = {10: BusChoice(first_interface, {}), 11: BusChoice(second_interface, {})}
-    NodeProcesses(
-        [setup_of_robot(10), setup_of_robot(11)], bus_by_robot.__getitem__, Subjects(), steps_per_second=10
-    )
-
-
-def test_robots_processes_run_on_the_first_processor_alone_if_a_robot_is_on_socketcan(
-    processor_restrictions: list[set[int]],
+@pytest.mark.parametrize(("interface", "restrictions"), [("socketcan", [{2}]), ("udp_multicast", [])])
+def test_robots_processes_run_on_one_processor_alone_if_a_robot_is_on_socketcan(
+    interface: str, restrictions: list[set[int]], processor_restrictions: list[set[int]]
 ) -> None:
-    """SocketCAN keeps the order of frames only if all processes are on one processor.
+    """SocketCAN keeps the order of frames only if all processes are on one processor, here the first one.
 
-    Of the processors 3, 2 and 4 that this process may use, number 2 is the first.
+    That is number 2 of the processors 3, 2 and 4 that this process may use. Robot 11 is on multicast.
     """
-    prepare_processes_of_two_robots("socketcan", "udp_multicast")
-    assert processor_restrictions == [{2}]
+    bus_by_robot = {10: BusChoice(interface, {}), 11: BusChoice("udp_multicast", {})}
+    setups = [setup_of_robot(10), setup_of_robot(11)]
+    NodeProcesses(setups, bus_by_robot.__getitem__, Subjects(), steps_per_second=10)
 
-
-def test_robots_processes_run_on_any_processor_if_no_robot_is_on_socketcan(
-    processor_restrictions: list[set[int]],
-) -> None:
-    """Both robots are on multicast; only SocketCAN needs one processor to keep the order of frames."""
-    prepare_processes_of_two_robots("udp_multicast", "udp_multicast")
-    assert processor_restrictions == []
+    assert processor_restrictions == restrictions

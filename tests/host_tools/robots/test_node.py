@@ -93,22 +93,17 @@ def frames_of_200_ticks(subject: int) -> list[can.Message]:
     return [frame for frame in frames if (frame.arbitration_id >> 8) & subject_mask == subject]
 
 
-def test_a_node_sends_a_heartbeat_at_the_beginning_of_each_second() -> None:
-    """The 67 heartbeats are at 0 s, 1 s and so on, since a second has three of the 200 ticks."""
-    times = [frame.timestamp for frame in frames_of_200_ticks(HEARTBEATS)]
-    assert times == list(range(67))
-
-
-def test_a_node_sends_estimates_in_the_last_tick_of_each_round_with_the_time_of_its_beginning() -> None:
-    """A round has two ticks, and a second three, so estimates are sent at 1/3 s, 3/3 s, 5/3 s and so on."""
-    times = [frame.timestamp for frame in frames_of_200_ticks(ESTIMATES)]
-    assert times == [tick / 3 for tick in range(1, 200, 2)]
-
-
-def test_a_node_sends_telemetry_at_the_end_of_each_tick() -> None:
-    """The first is at 1/3 s, as a second has three ticks."""
-    times = [frame.timestamp for frame in frames_of_200_ticks(TELEMETRY)]
-    assert times == [ticks_ended / 3 for ticks_ended in range(1, 201)]
+@pytest.mark.parametrize(
+    ("subject", "times"),
+    [
+        (HEARTBEATS, list(range(67))),  # the beginning of each second
+        (ESTIMATES, [tick / 3 for tick in range(1, 200, 2)]),  # that of the last tick of each round
+        (TELEMETRY, [ticks_ended / 3 for ticks_ended in range(1, 201)]),  # the end of each tick
+    ],
+)
+def test_a_node_sends_each_kind_of_frames_at_its_times(subject: int, times: list[float]) -> None:
+    """A second has three ticks, and a round has two."""
+    assert [frame.timestamp for frame in frames_of_200_ticks(subject)] == times
 
 
 @pytest.mark.parametrize("subject", [HEARTBEATS, ESTIMATES, TELEMETRY])
@@ -349,36 +344,25 @@ def test_the_log_of_a_node_is_replayed_with_the_frames_that_others_sent_under_it
 # Suspicious estimates
 
 
-def count_jumps(alphas: list[float]) -> int:
-    """Return how many alphas of a robot are jumps, if it sends these one after the other."""
+@pytest.mark.parametrize(
+    ("alphas", "jumps"),
+    [
+        ([40.0] * 32 + [80.0], 1),
+        ([40.0] * 32 + [79.999], 0),
+        ([40.0] * 31 + [80.0], 0),
+        # A robot whose alpha falls by half has begun anew.
+        ([80.0] * 33 + [40.0] * 32 + [80.0], 0),
+        ([80.0] * 33 + [40.0] * 33 + [80.0], 1),
+        ([0.0] * 100, 0),  # 0 is twice 0
+    ],
+)
+def test_an_alpha_that_is_twice_the_one_before_counts_as_a_jump_after_32_estimates(
+    alphas: list[float], jumps: int
+) -> None:
+    """An alpha is the confidence of an estimate. A robot, 6, sends these one after the other."""
     watch = AlphaWatch()
-    return [watch.is_jump(6, alpha_word_from_float(alpha)) for alpha in alphas].count(True)
-
-
-def test_an_alpha_that_doubles_after_32_estimates_counts_as_a_jump() -> None:
-    """The 33rd alpha, the confidence of an estimate, is twice as large as the 32 before it."""
-    assert count_jumps([40.0] * 32 + [80.0]) == 1
-
-
-def test_an_alpha_that_less_than_doubles_counts_as_no_jump() -> None:
-    """The 33rd alpha is a little less than twice as large as the 32 before it."""
-    assert count_jumps([40.0] * 32 + [79.999]) == 0
-
-
-def test_the_first_32_alphas_of_a_robot_count_as_no_jump_even_if_one_doubles() -> None:
-    """The 32nd alpha is twice as large as the 31 before it."""
-    assert count_jumps([40.0] * 31 + [80.0]) == 0
-
-
-def test_the_first_33_alphas_from_one_that_has_fallen_by_half_on_count_as_no_jump() -> None:
-    """A robot whose alpha falls by half has begun anew. The 34th from there on may count as a jump."""
-    assert count_jumps([80.0] * 33 + [40.0] * 32 + [80.0]) == 0
-    assert count_jumps([80.0] * 33 + [40.0] * 33 + [80.0]) == 1
-
-
-def test_an_alpha_of_0_counts_as_no_jump() -> None:
-    """0 is twice 0, but does not count as a doubled alpha."""
-    assert count_jumps([0.0] * 100) == 0
+    is_jump = [watch.is_jump(6, alpha_word_from_float(alpha)) for alpha in alphas]
+    assert is_jump.count(True) == jumps
 
 
 OWN_ID, ALLOWED_ID, OTHER_ID = 5, 6, 30

@@ -289,18 +289,20 @@ def test_bayescpf_does_not_cut_an_estimate_far_outside_the_possible_range() -> N
     assert robot._truncated_mean() == 3.0
 
 
-def test_bayescpf_for_ageing_sensors_moves_its_estimate_by_the_drift() -> None:
-    """Its accuracy falls by 1e-5 with each of the 100 readings before the update."""
-    robot = bayescpf_robot_after_100_readings(peers.DriftingBayesCpfRobot)
-    expected = posterior(prior=Normal(mean=0.8 - 100 * 1e-5, variance=0.04))
-    assert robot.reestimate_b_hat() == pytest.approx(expected.mean)
-
-
-def test_bayescpf_for_wandering_sensors_is_less_certain_of_its_estimate() -> None:
-    """With each of 100 readings the accuracy changes at random, with a standard deviation of 0.001."""
-    robot = bayescpf_robot_after_100_readings(peers.WanderingBayesCpfRobot)
-    expected = posterior(prior=Normal(mean=0.8, variance=0.04 + 100 * 0.001**2))
-    assert robot.reestimate_b_hat() == pytest.approx(expected.mean)
+@pytest.mark.parametrize(
+    ("robot_class", "prior"),
+    [
+        # With each of the 100 readings before the update the accuracy falls by 1e-5 ...
+        (peers.DriftingBayesCpfRobot, Normal(mean=0.8 - 100 * 1e-5, variance=0.04)),
+        # ... or changes at random, with a standard deviation of 0.001.
+        (peers.WanderingBayesCpfRobot, Normal(mean=0.8, variance=0.04 + 100 * 0.001**2)),
+    ],
+)
+def test_bayescpf_for_sensors_that_change_expects_what_they_do_before_it_updates(
+    robot_class: type[peers.BayesCpfRobot], prior: Normal
+) -> None:
+    robot = bayescpf_robot_after_100_readings(robot_class)
+    assert robot.reestimate_b_hat() == pytest.approx(posterior(prior).mean)
 
 
 # --- Robots that know how sensors age --------------------------------------------------------------------

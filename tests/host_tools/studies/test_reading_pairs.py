@@ -79,12 +79,15 @@ def test_a_sensor_with_two_readings_gives_the_same_reading_on_black_and_on_white
 
 
 def test_readings_do_not_depend_on_how_many_steps_are_taken_at_once() -> None:
-    """``advance`` returns readings on black tiles and readings on white ones; the first are compared."""
+    """Thirteen steps are taken in five parts. Readings on black tiles are compared, step by step."""
     sensors = HalfRepeated(THREE_ROBOTS, trial=4)
-    readings_of_parts = [sensors.advance(steps)[0] for steps in (1, 2, 5, 1, 4)]
+    readings_of_parts = []
+    for steps in (1, 2, 5, 1, 4):
+        on_black, _on_white = sensors.advance(steps)
+        readings_of_parts += on_black.tolist()
 
-    readings_at_once, _ = HalfRepeated(THREE_ROBOTS, trial=4).advance(steps=1 + 2 + 5 + 1 + 4)
-    assert np.concatenate(readings_of_parts).tolist() == readings_at_once.tolist()
+    readings_at_once, _on_white = HalfRepeated(THREE_ROBOTS, trial=4).advance(steps=13)
+    assert readings_of_parts == readings_at_once.tolist()
 
 
 def test_two_trials_have_different_readings() -> None:
@@ -154,24 +157,19 @@ def test_only_the_first_reading_of_a_tile_counts_as_an_observation() -> None:
     assert robot.n == 3  # black ones
 
 
-def test_an_accuracy_that_disagreements_contradict_is_replaced_by_the_one_that_fits_them() -> None:
-    """180 of 1000 pairs disagree, as many as with an accuracy of 0.9: 2 x 0.9 x 0.1."""
-    robot = two_readings_robot(b_hat=0.55)
+@pytest.mark.parametrize(
+    ("b_hat", "disagreeing", "expected_status"), [(0.55, 180, Status.UPDATED), (0.9, 177, Status.OK)]
+)
+def test_an_accuracy_is_replaced_by_the_one_that_fits_the_disagreements_only_if_they_contradict_it(
+    b_hat: float, disagreeing: int, expected_status: Status
+) -> None:
+    """With an accuracy of 0.9, 2 x 0.9 x 0.1 of the pairs disagree: 180 of 1000. 177 do not contradict it."""
+    robot = two_readings_robot(b_hat)
 
-    status = read_pairs(robot, agreeing=820, disagreeing=180)
+    status = read_pairs(robot, agreeing=1000 - disagreeing, disagreeing=disagreeing)
 
-    assert status is Status.UPDATED
+    assert status is expected_status
     assert robot.b_hat == pytest.approx(0.9)
-
-
-def test_an_accuracy_that_disagreements_do_not_contradict_stays_exactly_as_it_was() -> None:
-    """177 of 1000 pairs disagree, where 180 are expected."""
-    robot = two_readings_robot(b_hat=0.9)
-
-    status = read_pairs(robot, agreeing=823, disagreeing=177)
-
-    assert status is Status.OK
-    assert robot.b_hat == 0.9
 
 
 def test_a_robot_returns_to_its_first_accuracy_when_disagreements_no_longer_contradict_it() -> None:

@@ -38,11 +38,13 @@ from mcp_asdf_tools.studies.study_program import FLAWS
 def test_the_late_error_is_the_mean_distance_from_f_in_the_last_quarter() -> None:
     """A quarter of nine samples is two. Four robots estimate f, which is 0.5, in two equal trials."""
     first_seven_samples = [[0.7, 0.7, 0.7, 0.7]] * 7
-    last_two_samples = [[0.4, 0.6, 0.8, 0.0], [0.5, 0.7, 0.6, 0.0]]
+    last_two_samples = [
+        [0.4, 0.6, 0.8, 0.0],  # 0.1, 0.1, 0.3 and 0.5 from f
+        [0.5, 0.7, 0.6, 0.0],  # 0.0, 0.2, 0.1 and 0.5 from f
+    ]
     trials = trials_with(x=first_seven_samples + last_two_samples)
 
-    distances_in_last_quarter = [0.1, 0.1, 0.3, 0.5, 0.0, 0.2, 0.1, 0.5]
-    mean_distance = sum(distances_in_last_quarter) / 8
+    mean_distance = ((0.1 + 0.1 + 0.3 + 0.5) + (0.0 + 0.2 + 0.1 + 0.5)) / 8
     assert study_program.late_errors(trials) == pytest.approx([mean_distance, mean_distance])
 
 
@@ -121,23 +123,19 @@ def test_errors_have_four_decimals_below_0_01_and_otherwise_three(error: float, 
 
 
 @pytest.mark.parametrize(
-    ("low", "high", "text"),
+    ("low", "high", "tolerance", "text"),
     [
-        (49.5, 50.5, "50.0"),
-        (49.0, 50.0, "50.0 (49.0..50.0)"),
-        (50.0, 51.0, "50.0 (50.0..51.0)"),
+        (49.5, 50.5, 0.5, "50.0"),
+        (49.0, 50.0, 0.5, "50.0 (49.0..50.0)"),
+        (50.0, 51.0, 0.5, "50.0 (50.0..51.0)"),
+        (49.96, 50.04, 0.01, "50.0"),  # both ends are 50.0 when rounded to tenths
     ],
 )
 def test_an_interval_is_shown_if_an_end_is_farther_from_the_value_than_the_tolerance(
-    low: float, high: float, text: str
+    low: float, high: float, tolerance: float, text: str
 ) -> None:
     interval = Interval(value=50, low=low, high=high)
-    assert study_program.format_interval(interval, study_program.format_tenths, tolerance=0.5) == text
-
-
-def test_an_interval_whose_ends_round_to_the_same_text_is_not_shown() -> None:
-    interval = Interval(value=50, low=49.96, high=50.04)
-    assert study_program.format_interval(interval, study_program.format_tenths, tolerance=0.01) == "50.0"
+    assert study_program.format_interval(interval, study_program.format_tenths, tolerance) == text
 
 
 @pytest.mark.parametrize(

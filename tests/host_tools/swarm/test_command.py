@@ -75,26 +75,16 @@ def test_the_file_beside_a_log_has_the_json_report(tmp_path: Path, capsys: Captu
     assert json.loads((tmp_path / "my.run.log.json").read_text()) == report
 
 
-def logged_frames_of_command(folder: Path, *, channel: str) -> list[can.Message]:
-    """Run the command on the bus of this channel, and return the frames in its log."""
-    log = folder / "my.run.log"
-    assert run_swarm_command("--quiet", "--log", log, "--channel", channel) == 0
+def test_the_log_of_a_swarm_has_every_frame_with_its_channel_and_its_time(tmp_path: Path) -> None:
+    """They are the frames that the same swarm sends without the command; times are in milliseconds."""
+    log = tmp_path / "my.run.log"
+    assert run_swarm_command("--quiet", "--log", log, "--channel", "mine") == 0
     with can.LogReader(log) as reader:
-        return list(reader)
-
-
-def test_the_log_of_a_swarm_has_every_frame_with_its_channel(tmp_path: Path) -> None:
-    """They are the frames that the same swarm sends without the command, in the same order."""
+        logged_frames = list(reader)
     _, sent_frames = run_and_record(SMALL_SETTINGS)
-    logged_frames = logged_frames_of_command(tmp_path, channel="mine")
+
     assert identifiers_and_data(logged_frames) == identifiers_and_data(sent_frames)
     assert {frame.channel for frame in logged_frames} == {"mine"}
-
-
-def test_the_log_of_a_swarm_has_the_time_of_every_frame(tmp_path: Path) -> None:
-    """They are the times of the same swarm without the command, rounded to milliseconds."""
-    _, sent_frames = run_and_record(SMALL_SETTINGS)
-    logged_frames = logged_frames_of_command(tmp_path, channel="mine")
     start = logged_frames[0].timestamp
     logged_times = [round(frame.timestamp - start, 3) for frame in logged_frames]
     assert logged_times == [round(frame.timestamp, 3) for frame in sent_frames]
@@ -234,17 +224,13 @@ def test_swarm_has_an_option_for_every_parameter(capsys: Capture) -> None:
 
 
 def test_the_json_report_has_the_parameters_that_options_set(capsys: Capture) -> None:
-    """None of the three options has its default value."""
-    report = json_report(capsys, "--latency", "1", "--flawed-accuracy", "0.5", "--activation=always")
-    assert report["parameters"]["latency"] == 1
-    assert report["parameters"]["flawed_accuracy"] == 0.5
-    assert report["parameters"]["activation"] == "always"
-
-
-def test_the_json_report_has_the_format_of_frames_that_options_set(capsys: Capture) -> None:
-    """A subject says what a frame contains, and a priority which one is sent first."""
-    report = json_report(capsys, "--subject", "17", "--priority", "6")
-    assert report["parameters"]["frames"] == {"subject": 17, "priority": 6}
+    """None of the options has its default value. Subject and priority are of the frames of estimates."""
+    options = "--latency 1 --flawed-accuracy 0.5 --activation=always --subject 17 --priority 6"
+    parameters = json_report(capsys, *options.split())["parameters"]
+    assert parameters["latency"] == 1
+    assert parameters["flawed_accuracy"] == 0.5
+    assert parameters["activation"] == "always"
+    assert parameters["frames"] == {"subject": 17, "priority": 6}
 
 
 def test_the_address_of_the_slcan_adapter_is_printed_as_an_error_output_not_in_the_json(
@@ -259,17 +245,15 @@ def test_the_address_of_the_slcan_adapter_is_printed_as_an_error_output_not_in_t
     assert errors == f"the bus is an slcan adapter, too: socket://127.0.0.1:{port}\n"
 
 
-def test_swarm_warns_of_a_bus_that_would_be_busy(capsys: Capture) -> None:
-    """The error output has it. Ten robots send 3000 frames a second of some 150 bits: 450 kbit/s."""
-    assert run_swarm_command("--robots", "10", "--steps-per-second", "300") == 0
+@pytest.mark.parametrize(("steps_per_second", "is_busy"), [("300", True), ("30", False)])
+def test_swarm_warns_only_of_a_bus_that_would_be_busy(
+    steps_per_second: str, is_busy: bool, capsys: Capture
+) -> None:
+    """Ten robots send 3000 frames a second of some 150 bits, which are 450 kbit/s, or a tenth of that."""
+    assert run_swarm_command("--robots", "10", "--steps-per-second", steps_per_second) == 0
     warning = "a real bus at 500 kbit/s or less would be busy for more than 70% of the time"
-    assert warning in capsys.readouterr().err
-
-
-def test_swarm_does_not_warn_of_a_bus_with_room(capsys: Capture) -> None:
-    """Ten robots send 300 frames a second of some 150 bits: 45 kbit/s."""
-    assert run_swarm_command("--robots", "10", "--steps-per-second", "30") == 0
-    assert "would be busy" not in capsys.readouterr().err
+    errors = capsys.readouterr().err
+    assert (warning in errors) == ("would be busy" in errors) == is_busy
 
 
 DEVICE = "--device 1=virtual:a --channel v{robot}"
@@ -476,19 +460,12 @@ RESULTS_BY_FILTER = {
 }
 
 
-def test_a_comparison_has_the_mean_error_of_the_swarm_with_each_filter() -> None:
-    """The errors 0.0251, 0.0459 and 0.153 are rounded to three decimal places."""
-    sentences = comparison(RESULTS_BY_FILTER, SMALL_SETTINGS)
-    assert sentences.startswith("Mean error on the same seed: no filter 0.025, ASDF+ 0.046, robust 0.153. ")
-
-
-def test_a_comparison_has_the_accuracy_that_flawed_robots_assume_in_the_end_with_each_filter() -> None:
-    """The second sentence has them, but not that of "none": without a filter it stays 0.55."""
-    sentences = comparison(RESULTS_BY_FILTER, SMALL_SETTINGS)
-    expected = (
+def test_a_comparison_has_mean_errors_and_the_accuracies_that_flawed_robots_assume_in_the_end() -> None:
+    """The mean errors are 0.0251, 0.0459 and 0.153. Without a filter the assumed accuracy stays 0.55."""
+    assert comparison(RESULTS_BY_FILTER, SMALL_SETTINGS).startswith(
+        "Mean error on the same seed: no filter 0.025, ASDF+ 0.046, robust 0.153. "
         "The flawed robots first assumed an accuracy of 0.55 (true: 0.95), now: ASDF+ 0.80, robust 0.64."
     )
-    assert expected in sentences
 
 
 def test_the_last_line_of_a_comparison_is_that_of_its_results(capsys: Capture) -> None:
@@ -521,24 +498,24 @@ def test_a_comparison_without_flawed_robots_says_nothing_of_them(capsys: Capture
     assert json.loads(capsys.readouterr().out)["compared"].keys() == {"none", "robust"}
 
 
-NEEDS_NO_FILTER = "This swarm needs no filter"
-
-
-def test_a_comparison_says_that_a_connected_swarm_with_underconfident_robots_needs_no_filter() -> None:
-    """By default all robots receive from all, and flawed ones assume 0.55, less than the true 0.95."""
-    assert NEEDS_NO_FILTER in comparison(RESULTS_BY_FILTER, SwarmSettings())
-
-
 @pytest.mark.parametrize(
-    "settings",
-    [SwarmSettings(topology="dynamic"), SwarmSettings(true_accuracy=0.55, flawed_accuracy=0.9)],
-    ids=["robots move", "flawed robots are overconfident"],
+    ("settings", "needs_no_filter"),
+    [
+        (SwarmSettings(), True),
+        (SwarmSettings(topology="dynamic"), False),
+        (SwarmSettings(true_accuracy=0.55, flawed_accuracy=0.9), False),
+    ],
+    ids=["default", "robots move", "flawed robots are overconfident"],
 )
-def test_a_comparison_of_robots_that_move_or_are_overconfident_does_not_say_that_they_need_no_filter(
-    settings: SwarmSettings,
+def test_a_comparison_says_that_a_connected_swarm_with_underconfident_robots_needs_no_filter(
+    settings: SwarmSettings, needs_no_filter: bool
 ) -> None:
-    """Such robots do need one, as docs/advice.md explains."""
-    assert NEEDS_NO_FILTER not in comparison(RESULTS_BY_FILTER, settings)
+    """By default all robots receive from all, and flawed ones assume 0.55, less than the true 0.95.
+
+    Other swarms do need one, as docs/advice.md explains.
+    """
+    sentences = comparison(RESULTS_BY_FILTER, settings)
+    assert ("This swarm needs no filter" in sentences) == needs_no_filter
 
 
 def final_error(filter_name: str) -> float:

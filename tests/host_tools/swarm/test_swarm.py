@@ -26,7 +26,6 @@ from mcp_asdf_tools.bus.frames import (
     FrameFormat,
     Heartbeat,
     Telemetry,
-    decode_estimate,
     decode_frame,
     decode_telemetry,
     encode_estimate,
@@ -86,48 +85,29 @@ def test_a_swarm_on_a_bus_ends_in_the_same_bits_as_the_same_simulated_experiment
         assert robots_on_the_bus == native.run(experiment, first=0, trials=1).images()
 
 
-FrameOrder = list[tuple[int, int, int]]
-"""Tick, sender and transfer_id of frames, in their order on the bus."""
-
-
-def record_order(kind: type, comms_period: int) -> FrameOrder:
-    """Return the order of the frames of one kind in 60 ticks, of which 25 are a second."""
+@pytest.mark.parametrize(
+    ("kind", "comms_period", "ticks"),
+    [
+        (Heartbeat, 1, [0, 25, 50]),  # the ticks in which a second begins
+        (Estimate, 1, range(60)),
+        (Estimate, 4, range(3, 60, 4)),  # the last tick of each period
+    ],
+)
+def test_robots_send_heartbeats_and_estimates_by_rising_id_in_their_ticks(
+    kind: type[Heartbeat | Estimate], comms_period: int, ticks: Sequence[int]
+) -> None:
+    """Five robots run for 60 ticks, of which 25 are a second. They number their frames modulo 32."""
     _, frames = run_and_record(small_swarm(steps_per_second=25, comms_period=comms_period))
-    order = []
+
+    ticks_senders_and_numbers = []
     for frame in frames:
-        content_of_frame = decode_frame(frame, FrameFormat())
-        if isinstance(content_of_frame, kind):
-            assert isinstance(content_of_frame, Estimate | Heartbeat)
+        content = decode_frame(frame, FrameFormat())
+        if isinstance(content, kind):
             tick = round(frame.timestamp * 25)
-            order.append((tick, content_of_frame.sender, content_of_frame.transfer_id))
-    return order
-
-
-def test_robots_send_heartbeats_by_rising_id_when_a_second_begins() -> None:
-    """Five robots run for 60 ticks, of which 25 are a second, so three seconds begin.
-
-    A frame is described by its tick, its sender and its number.
-    """
-    expected = [(25 * second, robot, second) for second in range(3) for robot in range(5)]
-    assert record_order(Heartbeat, comms_period=1) == expected
-
-
-def test_robots_broadcast_by_rising_id_in_each_tick() -> None:
-    """Five robots run for 60 ticks, and number their broadcasts modulo 32.
-
-    A frame is described by its tick, its sender and its number.
-    """
-    expected = [(tick, robot, tick % 32) for tick in range(60) for robot in range(5)]
-    assert record_order(Estimate, comms_period=1) == expected
-
-
-def test_robots_with_a_longer_period_broadcast_in_its_last_tick() -> None:
-    """Five robots broadcast in every fourth of 60 ticks: 3, 7, 11 and so on to 59.
-
-    A frame is described by its tick, its sender and its number.
-    """
-    expected = [(4 * index + 3, robot, index) for index in range(15) for robot in range(5)]
-    assert record_order(Estimate, comms_period=4) == expected
+            ticks_senders_and_numbers.append((tick, content.sender, content.transfer_id))
+    assert ticks_senders_and_numbers == [
+        (tick, robot, number % 32) for number, tick in enumerate(ticks) for robot in range(5)
+    ]
 
 
 def test_recorded_frames_are_marked_as_received() -> None:
@@ -156,16 +136,13 @@ def test_each_robot_s_estimate_is_the_weighted_mean_of_all_estimates_on_the_bus(
 
     run, frames = run_and_record(small_swarm(firmware=firmware), hooks=[record_estimates])
     assert run.results["updates"] > 0
-    estimates = estimates_in(frames)
-    estimates_by_round = [estimates[first : first + 5] for first in range(0, len(estimates), 5)]
+    contents = [decode_frame(frame, FrameFormat()) for frame in frames]
+    estimates = [content for content in contents if isinstance(content, Estimate)]
 
-    assert different_x_by_round == [{weighted_mean(of_a_round)} for of_a_round in estimates_by_round]
-
-
-def estimates_in(frames: Sequence[can.Message]) -> list[Estimate]:
-    """Return the estimates among frames."""
-    decoded_frames = [decode_estimate(frame, FrameFormat()) for frame in frames]
-    return [decoded for decoded in decoded_frames if isinstance(decoded, Estimate)]
+    assert len(estimates) == 5 * len(different_x_by_round)
+    for round_number, different_x in enumerate(different_x_by_round):
+        estimates_of_round = estimates[5 * round_number : 5 * round_number + 5]
+        assert different_x == {weighted_mean(estimates_of_round)}
 
 
 def weighted_mean(estimates: Sequence[Estimate]) -> int:
@@ -462,7 +439,7 @@ def run_with_foreign_frames() -> tuple[SwarmRun, list[can.Message]]:
     return run_and_record(small_swarm(), hooks=[send_foreign_frames])
 
 
-def test_frames_of_another_program_are_recorded_in_their_place_after_tick_5() -> None:
+def test_frames_of_another_program_are_recorded_as_received_in_their_place_after_tick_5() -> None:
     """Before and after them are the frames that the swarm of five robots sends when it is alone.
 
     In five ticks each robot sends a heartbeat and five estimates.
@@ -472,11 +449,6 @@ def test_frames_of_another_program_are_recorded_in_their_place_after_tick_5() ->
     sent_in_5_ticks = 5 * (1 + 5)
     before, after = frames_of_swarm[:sent_in_5_ticks], frames_of_swarm[sent_in_5_ticks:]
     assert identifiers_and_data(frames) == identifiers_and_data([*before, *FOREIGN_FRAMES, *after])
-
-
-def test_frames_of_another_program_are_recorded_as_received() -> None:
-    """They are recorded among the frames of the swarm, which are marked as received, too."""
-    _, frames = run_with_foreign_frames()
     assert all(frame.is_rx for frame in frames)
 
 

@@ -265,20 +265,20 @@ without_and_with_buses = pytest.mark.parametrize("wiring", ["no bus", "a bus for
 
 
 @without_and_with_buses
-def test_estimates_under_ids_that_are_not_allowed_change_nothing(wiring: str) -> None:
-    """Robot 1 sends under six such ids, too (a Sybil attack). All robots end as in a run without it."""
+def test_estimates_under_ids_that_are_not_allowed_are_counted_as_unknown_and_change_nothing(
+    wiring: str,
+) -> None:
+    """Robot 1 of five sends under six such ids, too (a Sybil attack). The four others count them.
+
+    All robots end as in a run without it.
+    """
     undisturbed_run, _ = run_and_record(small_swarm())
     run, _ = run_and_record(small_swarm("sybil,robots=1,ids=5-9+127", allow="0-4"), WIRINGS[wiring])
-    assert saved_robots(run.nodes) == saved_robots(undisturbed_run.nodes)
-    assert frame_counts(run)["delivered"] == frame_counts(undisturbed_run)["delivered"]
 
-
-@without_and_with_buses
-def test_estimates_under_ids_that_are_not_allowed_are_counted_as_unknown(wiring: str) -> None:
-    """Robot 1 of five sends under six such ids (a Sybil attack). Each of the others counts them."""
-    run, _ = run_and_record(small_swarm("sybil,robots=1,ids=5-9+127", allow="0-4"), WIRINGS[wiring])
     ticks, made_up_ids, receivers = 60, 6, 4
     assert frame_counts(run)["unknown"] == ticks * made_up_ids * receivers
+    assert frame_counts(run)["delivered"] == frame_counts(undisturbed_run)["delivered"]
+    assert saved_robots(run.nodes) == saved_robots(undisturbed_run.nodes)
 
 
 @without_and_with_buses
@@ -301,28 +301,19 @@ def crash_in_two_ticks(rejoin: str) -> SwarmSettings:
     return small_swarm(f"crash,robots=0,from=45,to=47,rejoin={rejoin}", seed=3, fill_ratio=0.95)
 
 
-def b_hat_around_the_crash(rejoin: str) -> tuple[float, float]:
-    """Return the assumed accuracy of robot 0 just before and just after its crash; it began with 0.55."""
+@pytest.mark.parametrize("rejoin", ["new", "restored"])
+def test_a_robot_that_rejoins_assumes_the_accuracy_of_its_start_unless_it_is_restored(rejoin: str) -> None:
+    """Robot 0 started with 0.55, and had learnt until its crash in tick 45 that its sensor is better."""
     b_hat_by_tick: list[float] = []
-    run_and_record(
-        crash_in_two_ticks(rejoin), hooks=[lambda swarm: b_hat_by_tick.append(swarm.nodes[0].robot.b_hat)]
-    )
-    last_tick_before, first_tick_after = 44, 47
-    return b_hat_by_tick[last_tick_before], b_hat_by_tick[first_tick_after]
 
+    def record_b_hat(swarm: Swarm) -> None:
+        b_hat_by_tick.append(swarm.nodes[0].robot.b_hat)
 
-def test_a_robot_that_rejoins_as_a_new_one_begins_with_the_accuracy_of_its_start() -> None:
-    """It started with 0.55, and had learnt until its crash that its sensor is better."""
-    before, after = b_hat_around_the_crash("new")
+    run_and_record(crash_in_two_ticks(rejoin), hooks=[record_b_hat])
+
+    before, after = b_hat_by_tick[44], b_hat_by_tick[47]
     assert before > 0.9
-    assert after == pytest.approx(0.55, abs=1e-6)
-
-
-def test_a_robot_that_rejoins_from_its_saved_state_has_the_accuracy_that_it_had() -> None:
-    """It began with 0.55, and has learnt until its crash that its sensor is better."""
-    before, after = b_hat_around_the_crash("restored")
-    assert before > 0.9
-    assert after == before
+    assert after == pytest.approx(before if rejoin == "restored" else 0.55, abs=1e-6)
 
 
 @pytest.mark.parametrize(("rejoin", "observations"), [("new", 60 - 47), ("restored", 60 - 2)])
@@ -347,14 +338,13 @@ def test_a_robot_that_rejoins_numbers_its_estimates_anew_unless_it_is_restored(
     assert numbers_sent == [number % 32 for number in numbers]
 
 
-REJOINING = {
-    "new": [*((10 * uptime, uptime) for uptime in range(5)), (47, 0), (57, 1)],
-    "restored": [*((10 * uptime, uptime) for uptime in range(5)), (52, 5)],
-}
-"""The ticks and uptimes of the heartbeats of a robot that is dead in ticks 45 and 46, by how it rejoins."""
-
-
-@pytest.mark.parametrize(("rejoin", "expected"), REJOINING.items())
+@pytest.mark.parametrize(
+    ("rejoin", "expected"),
+    [
+        ("new", [(0, 0), (10, 1), (20, 2), (30, 3), (40, 4), (47, 0), (57, 1)]),
+        ("restored", [(0, 0), (10, 1), (20, 2), (30, 3), (40, 4), (52, 5)]),
+    ],
+)
 def test_a_robot_that_rejoins_sends_heartbeats_in_its_own_seconds(
     rejoin: str, expected: list[tuple[int, int]]
 ) -> None:
@@ -388,18 +378,17 @@ def run_with_a_late_tick(monkeypatch: pytest.MonkeyPatch) -> SwarmRun:
         return run_swarm(swarm)
 
 
-def test_frames_that_come_too_late_in_real_time_are_counted(run_with_a_late_tick: SwarmRun) -> None:
-    """The three estimates of one tick come too late, and are missed. The run goes on to its end."""
-    assert run_with_a_late_tick.results["steps"] == 60
-    assert frame_counts(run_with_a_late_tick)["missed"] == 3
-
-
-def test_frames_that_come_too_late_in_real_time_are_received_in_the_next_tick(
+def test_frames_that_come_too_late_in_real_time_are_counted_and_received_in_the_next_tick(
     run_with_a_late_tick: SwarmRun,
 ) -> None:
-    """There a robot receives two estimates of each neighbour, and refuses the second one as a repetition."""
+    """The three estimates of one tick are missed. The run goes on to its end.
+
+    In the next tick a robot receives two estimates of each neighbour, and refuses the second one.
+    """
     ticks, robots, receivers = 60, 3, 2
     counts = frame_counts(run_with_a_late_tick)
+    assert run_with_a_late_tick.results["steps"] == ticks
+    assert counts["missed"] == robots
     assert counts["delivered"] == ticks * robots * receivers
     assert counts["refused"] == robots * receivers  # in one tick
 

@@ -146,30 +146,20 @@ def test_moving_robots_observe_the_colour_under_them_with_the_accuracy_of_their_
     assert np.array_equal(black, draws_of_31_bits() < probability_of_black * 2**31)
 
 
-@pytest.fixture
-def draws_of_three_quarters(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let all draws be 3/4, which words of 32 bits have as 3 * 2**30."""
+@pytest.mark.parametrize("topology", ["fully-connected", "dynamic"])
+@pytest.mark.parametrize(("true_accuracy", "is_black"), [(0.75, False), (0.75 + 2**-31, True)])
+def test_a_draw_is_observed_as_black_only_if_it_is_below_the_probability_of_black(
+    true_accuracy: float, is_black: bool, topology: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The floor is black. All draws are 3/4, and the accuracy of the sensor is the same, or a unit above."""
 
     def draw_words(stream: Stream, steps: int, first_step: int = 0) -> NDArray[np.uint32]:
-        return np.full((steps, stream.robots), 3 * 2**30, np.uint32)
+        return np.full((steps, stream.robots), 0.75 * 2**32, np.uint32)  # a draw is a word by 2**32
 
     monkeypatch.setattr(Stream, "draw_words", draw_words)
+    world = make_world(topology=topology, fill_ratio=1.0, true_accuracy=true_accuracy)
 
-
-@pytest.mark.usefixtures("draws_of_three_quarters")
-@pytest.mark.parametrize("topology", ["fully-connected", "dynamic"])
-def test_a_draw_equal_to_the_probability_of_black_is_observed_as_white(topology: str) -> None:
-    """The floor is black. All draws are 3/4, and so is the accuracy of the sensor."""
-    world = make_world(topology=topology, fill_ratio=1.0, true_accuracy=0.75)
-    assert not world.advance(20).black.any()
-
-
-@pytest.mark.usefixtures("draws_of_three_quarters")
-@pytest.mark.parametrize("topology", ["fully-connected", "dynamic"])
-def test_a_draw_one_unit_below_the_probability_of_black_is_observed_as_black(topology: str) -> None:
-    """The floor is black. All draws are 3/4, and the accuracy of the sensor is higher by a unit, 2**-31."""
-    world = make_world(topology=topology, fill_ratio=1.0, true_accuracy=0.75 + 2**-31)
-    assert world.advance(20).black.all()
+    assert (world.advance(20).black == is_black).all()
 
 
 def test_robots_of_other_trials_and_seeds_observe_differently() -> None:
@@ -366,14 +356,14 @@ def test_settings_at_a_limit_are_accepted(changes: dict[str, Any]) -> None:
     assert accepted == {name: value for name, value in changes.items() if name != "graph"}
 
 
-def test_an_unknown_parameter_is_refused_with_the_nearest_known_one() -> None:
-    with pytest.raises(ParameterError, match="unknown key 'robotz'; did you mean robots"):
-        WorldSettings.from_parameters({"robotz": 3})
-
-
-def test_a_name_that_resembles_no_parameter_is_refused_with_all_of_them() -> None:
-    with pytest.raises(ParameterError, match="unknown key 'zzz'; known are robots, topology, "):
-        WorldSettings.from_parameters({"zzz": 3})
+@pytest.mark.parametrize(
+    ("name", "advice"), [("robotz", "did you mean robots"), ("zzz", "known are robots, topology, ")]
+)
+def test_an_unknown_parameter_is_refused_with_the_nearest_known_one_or_with_all(
+    name: str, advice: str
+) -> None:
+    with pytest.raises(ParameterError, match=f"unknown key '{name}'; {advice}"):
+        WorldSettings.from_parameters({name: 3})
 
 
 # --- Recordings of earlier versions ----------------------------------------------------------------------
@@ -385,38 +375,41 @@ def test_a_recording_with_former_parameters_that_had_no_effect_opens() -> None:
     assert WorldSettings.from_recording(recorded) == WorldSettings(robots=4)
 
 
-def test_a_recording_with_a_former_parameter_that_had_an_effect_is_refused() -> None:
-    """The error names drift_spread, which made sensors drift differently in earlier versions."""
-    recorded = {"drift": "linear", "drift_rate": -1e-5, "drift_spread": 1e-6}
-    with pytest.raises(ParameterError, match="drift_spread is 1e-06, a parameter of earlier versions"):
+@pytest.mark.parametrize(
+    ("recorded", "message"),
+    [
+        (
+            {"drift": "linear", "drift_rate": -1e-5, "drift_spread": 1e-6},
+            "drift_spread is 1e-06, a parameter of earlier versions",
+        ),
+        ({"drift": "wiener", "drift_diffusion": 0.001}, "drift is 'wiener'; choose one of none, linear"),
+    ],
+)
+def test_a_recording_with_former_parameters_that_had_an_effect_is_refused(
+    recorded: dict[str, Any], message: str
+) -> None:
+    """Sensors drifted in several ways in earlier versions."""
+    with pytest.raises(ParameterError, match=message):
         WorldSettings.from_recording(recorded)
-
-
-def test_a_recording_with_a_former_kind_of_drift_is_refused() -> None:
-    with pytest.raises(ParameterError, match="drift is 'wiener'; choose one of none, linear"):
-        WorldSettings.from_recording({"drift": "wiener", "drift_diffusion": 0.001})
 
 
 # --- Moving worlds ---------------------------------------------------------------------------------------
 
 
-def test_the_density_of_robots_makes_the_floor_a_square() -> None:
+@pytest.mark.parametrize(
+    ("changes", "sides"),
+    [
+        ({}, (5.5486, 5.5486)),  # the density of the paper
+        ({"density": 1.0}, (math.sqrt(20 * math.pi * 0.7**2 / 1.0),) * 2),
+        ({"density": 1.0, "width": 3.0, "height": 2.0}, (3.0, 2.0)),
+    ],
+)
+def test_the_floor_of_20_moving_robots_is_a_square_of_their_density_unless_its_sides_are_given(
+    changes: dict[str, Any], sides: tuple[float, float]
+) -> None:
     """Density is the number of robots times the area of a radio's range, 0.7 m, by the area of the floor."""
-    settings = WorldSettings(topology="dynamic", robots=20, density=1.0)
-    side = math.sqrt(20 * math.pi * 0.7**2 / 1.0)
-    assert settings.sides == pytest.approx((side, side))
-
-
-def test_the_default_density_of_20_robots_makes_the_floor_a_square_of_5_55_m() -> None:
-    """It is the density of the paper."""
-    settings = WorldSettings(topology="dynamic", robots=20)
-    assert settings.sides == pytest.approx((5.5486, 5.5486), abs=1e-4)
-
-
-def test_a_width_and_a_height_make_the_floor_a_rectangle() -> None:
-    """Its sides are the width and the height, whatever the density is."""
-    settings = WorldSettings(topology="dynamic", robots=20, density=1.0, width=3.0, height=2.0)
-    assert settings.sides == (3.0, 2.0)
+    settings = WorldSettings(topology="dynamic", robots=20, **changes)
+    assert settings.sides == pytest.approx(sides, abs=1e-4)
 
 
 def test_every_setting_of_moving_robots_reaches_their_simulation_in_c() -> None:
@@ -504,29 +497,30 @@ def test_accuracies_of_an_extension_may_be_alike_for_all_steps_or_robots(
     assert on_white is accuracies
 
 
+WRONG_SHAPE = r"gives shape .*; return \(5 or 1, 4 or 1\)"  # for 5 steps and 4 robots
+
+
 @pytest.mark.parametrize("is_on_white", [False, True])
-@pytest.mark.parametrize("shape", [(4,), (2, 4), (5, 3)], ids=str)
-def test_accuracies_of_an_extension_of_a_wrong_shape_are_refused(
-    shape: tuple[int, ...], is_on_white: bool
+@pytest.mark.parametrize(
+    ("shape", "accuracy", "message"),
+    [
+        ((4,), 0.5, WRONG_SHAPE),
+        ((2, 4), 0.5, WRONG_SHAPE),
+        ((5, 3), 0.5, WRONG_SHAPE),
+        ((5, 4), 1.01, "outside 0 to 1; clip"),
+        ((5, 4), -0.01, "outside 0 to 1; clip"),
+        ((5, 4), math.nan, "outside 0 to 1; clip"),
+    ],
+)
+def test_accuracies_of_an_extension_of_a_wrong_shape_or_outside_0_to_1_are_refused(
+    shape: tuple[int, ...], accuracy: float, message: str, is_on_white: bool
 ) -> None:
-    """The error says that 5 steps and 4 robots need 5 rows or one, and 4 columns or one."""
-    accuracies = np.full(shape, 0.5)
+    """A sensor model of the user's gives them for black or white tiles. The error says what to return."""
+    accuracies = np.full(shape, accuracy)
     answer = (VALID_ACCURACIES, accuracies) if is_on_white else (accuracies, VALID_ACCURACIES)
     sensors = CheckedSensors(extension_that_answers(answer), make_settings())
 
-    with pytest.raises(UsageError, match=r"gives shape .*; return \(5 or 1, 4 or 1\)"):
-        sensors.advance(5)
-
-
-@pytest.mark.parametrize("is_on_white", [False, True])
-@pytest.mark.parametrize("accuracy", [1.01, -0.01, math.nan])
-def test_accuracies_of_an_extension_outside_0_to_1_are_refused(accuracy: float, is_on_white: bool) -> None:
-    """A sensor model of the user's gives them for black or white tiles. The error advises to clip them."""
-    accuracies = np.full((5, 4), accuracy)
-    answer = (VALID_ACCURACIES, accuracies) if is_on_white else (accuracies, VALID_ACCURACIES)
-    sensors = CheckedSensors(extension_that_answers(answer), make_settings())
-
-    with pytest.raises(UsageError, match="outside 0 to 1; clip"):
+    with pytest.raises(UsageError, match=message):
         sensors.advance(5)
 
 
@@ -611,20 +605,18 @@ def test_a_drift_that_starts_at_the_lowest_accuracy_stays_there() -> None:
     assert np.unique(true_accuracies(settings)).tolist() == [0.6]
 
 
-DRIFTING_POPULATION: dict[str, Any] = {"drift": "linear", "drift_rate": -1e-3, "robots": 4, "flawed": 1}
-"""Four robots, of which the first is flawed; an accuracy of 0.95 falls by a thousandth in each step."""
-ACCURACY_AFTER_99_STEPS = 0.95 - 99 * 1e-3
-
-
-def test_sensors_may_drift_in_flawed_robots_alone() -> None:
-    """After 99 steps the first robot, which is flawed, has lost 99 thousandths, and the others none."""
-    settings = Population(**DRIFTING_POPULATION, drift_of="flawed", steps=100)
-    *_, accuracy_in_last_step = true_accuracies(settings)  # by robot
-    assert accuracy_in_last_step.tolist() == pytest.approx([ACCURACY_AFTER_99_STEPS, 0.95, 0.95, 0.95])
-
-
-def test_sensors_drift_in_all_robots_by_default() -> None:
-    """There is one accuracy for all robots, flawed or not. After 99 steps it has lost 99 thousandths."""
-    settings = Population(**DRIFTING_POPULATION, steps=100)
-    *_, accuracy_in_last_step = true_accuracies(settings)
-    assert accuracy_in_last_step.tolist() == pytest.approx([ACCURACY_AFTER_99_STEPS])
+@pytest.mark.parametrize(
+    ("choice", "accuracies"),
+    [
+        ({"drift_of": "flawed"}, [0.95 - 99 * 1e-3, 0.95, 0.95, 0.95]),
+        ({}, [0.95 - 99 * 1e-3]),  # one accuracy, which is that of all robots
+    ],
+)
+def test_sensors_drift_in_all_robots_unless_only_those_of_flawed_ones_are_to(
+    choice: dict[str, Any], accuracies: list[float]
+) -> None:
+    """The first of four robots is flawed. An accuracy of 0.95 loses a thousandth in each of 99 steps."""
+    drift: dict[str, Any] = {"drift": "linear", "drift_rate": -1e-3}
+    settings = Population(robots=4, flawed=1, steps=100, **drift, **choice)
+    *_, accuracies_in_last_step = true_accuracies(settings)
+    assert accuracies_in_last_step.tolist() == pytest.approx(accuracies)
