@@ -107,19 +107,15 @@ def results_of_two_filters(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def test_score_prints_the_filter_of_each_experiment(
+def test_score_prints_and_reports_the_filter_of_each_experiment(
     results_of_two_filters: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """One experiment has no filter, and the other has ASDF-."""
+    """One experiment has no filter, and the other has ASDF-. They are printed as text and in JSON."""
     text = printed_by(f"score '{results_of_two_filters}'", capsys)
+    report = json.loads(printed_by(f"score '{results_of_two_filters}' --json", capsys))
+
     assert "no filter: no robot" in text
     assert "ASDF-: only the flawed robots recalibrate" in text
-
-
-def test_score_with_json_reports_the_filter_of_each_experiment(
-    results_of_two_filters: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    report = json.loads(printed_by(f"score '{results_of_two_filters}' --json", capsys))
     assert [experiment["filter"] for experiment in report["experiments"]] == [
         "no filter: no robot recalibrates",
         "ASDF-: only the flawed robots recalibrate",

@@ -313,18 +313,13 @@ def make_robot_without_estimates(config: Config, robot_id: int, b_hat: float) ->
     return SimpleNamespace(id=robot_id, observe=lambda z: None, settle=lambda: None)
 
 
-def test_simulate_refuses_robots_that_lack_attributes_and_names_these() -> None:
+def test_simulate_and_emulate_refuse_robots_that_lack_attributes_and_name_these() -> None:
     """The robots can observe and settle, but have no estimates."""
-    experiment = small_experiment(firmware=make_robot_without_estimates)
-    with pytest.raises(UsageError, match=r"SimpleNamespace without alpha, b_hat, beta, .* x_hat"):
-        simulate(experiment)
-
-
-def test_emulate_refuses_robots_that_lack_attributes_and_names_these() -> None:
-    """The robots can observe and settle, but have no estimates."""
-    settings = small_swarm(firmware=make_robot_without_estimates)
-    with pytest.raises(UsageError, match=r"SimpleNamespace without alpha, b_hat, beta, .* x_hat"):
-        emulate(settings)
+    message = r"SimpleNamespace without alpha, b_hat, beta, .* x_hat"
+    with pytest.raises(UsageError, match=message):
+        simulate(small_experiment(firmware=make_robot_without_estimates))
+    with pytest.raises(UsageError, match=message):
+        emulate(small_swarm(firmware=make_robot_without_estimates))
 
 
 class RobotWithOneRawMethod(ReferenceRobot):
@@ -486,31 +481,24 @@ def recorded_table() -> Any:
     return simulate(small_experiment(), record=120)
 
 
-def test_grid_refuses_a_parameter_that_experiments_do_not_have() -> None:
-    """The parameter ``robot`` is refused by a UsageError: it is called ``robots``."""
-    with pytest.raises(UsageError):
-        UNTYPED.grid(robot=3)
-
-
-def test_an_experiment_refuses_a_number_as_firmware() -> None:
-    """It raises a UsageError, as all wrong arguments do."""
-    with pytest.raises(UsageError):
-        UNTYPED.Experiment(firmware=7)
-
-
-def test_simulate_refuses_a_number_as_experiment() -> None:
-    """It raises a UsageError, as all wrong arguments do."""
-    with pytest.raises(UsageError):
-        UNTYPED.simulate([7])
-
-
-@pytest.mark.parametrize("options", [{"workers": 0}, {"record": 121}, {"record": -1}], ids=str)
-def test_simulate_refuses_no_workers_and_a_distance_of_records_beyond_the_length_of_trials(
-    options: dict[str, int],
+@pytest.mark.parametrize(
+    ("function", "arguments", "options"),
+    [
+        ("grid", [], {"robot": 3}),  # which is called robots
+        ("Experiment", [], {"firmware": 7}),
+        ("simulate", [[7]], {}),  # a number as experiment
+        ("simulate", [small_experiment()], {"workers": 0}),
+        ("simulate", [small_experiment()], {"record": 121}),  # of 120 steps
+        ("simulate", [small_experiment()], {"record": -1}),
+        ("read_experiments", ["none.toml"], {}),  # which does not exist
+    ],
+)
+def test_wrong_arguments_of_the_library_raise_a_usage_error(
+    function: str, arguments: list[Any], options: dict[str, Any]
 ) -> None:
-    """The options are ``workers=0``, ``record=121`` of 120 steps, and ``record=-1``."""
+    """A program can show its text to a user; Python's own errors, such as FileNotFoundError, are others."""
     with pytest.raises(UsageError):
-        UNTYPED.simulate(small_experiment(), **options)
+        getattr(UNTYPED, function)(*arguments, **options)
 
 
 def test_plot_boxes_refuses_to_choose_experiments_by_an_unknown_parameter(recorded_table: Any) -> None:
@@ -523,12 +511,6 @@ def test_plot_curve_refuses_a_function_that_returns_one_value_for_three_trials(r
     """It raises a UsageError, as the function has to return a value for each trial."""
     with pytest.raises(UsageError):
         UNTYPED.plot_curve(recorded_table, "flawed", lambda trials: [1.0])
-
-
-def test_read_experiments_refuses_a_file_that_does_not_exist() -> None:
-    """It raises a UsageError, not the FileNotFoundError of Python."""
-    with pytest.raises(UsageError):
-        UNTYPED.read_experiments("none.toml")
 
 
 # --- Pictures --------------------------------------------------------------------------------------------
@@ -588,21 +570,17 @@ def test_a_figure_has_axes_for_each_filter_titled_with_the_filter(figure_of_face
     assert titles == ["filter none", "filter asdf-plus"]
 
 
-def test_a_figure_has_grid_lines_behind_its_curves(figure_of_facets: Any) -> None:
+def test_a_figure_has_grid_lines_behind_its_curves_small_numbers_and_no_line_at_the_top(
+    figure_of_facets: Any,
+) -> None:
+    """Numbers at an axis have a size of 8 points."""
     axes, _ = figure_of_facets.axes
-    first_line, *_ = axes.yaxis.get_gridlines()
-    assert first_line.get_visible()
-    assert axes.get_axisbelow()
-
-
-def test_numbers_at_an_axis_have_a_size_of_8_points(figure_of_facets: Any) -> None:
-    axes, _ = figure_of_facets.axes
+    first_grid_line, *_ = axes.yaxis.get_gridlines()
     first_number, *_ = axes.yaxis.get_ticklabels()
+
+    assert first_grid_line.get_visible()
+    assert axes.get_axisbelow()
     assert first_number.get_fontsize() == 8
-
-
-def test_a_figure_has_no_line_at_the_top_of_its_axes(figure_of_facets: Any) -> None:
-    axes, _ = figure_of_facets.axes
     assert not axes.spines["top"].get_visible()
 
 

@@ -154,13 +154,11 @@ def test_an_action_has_the_same_number_in_our_dsdl_file(dsdl_types: dict[type, A
     assert getattr(dsdl_types[Command], action.name) == action.value
 
 
-def test_every_robot_has_the_same_number_as_a_target_in_our_dsdl_file(dsdl_types: dict[type, Any]) -> None:
-    """The file describes a command to other programs of Cyphal; its target is a robot, or every one."""
-    assert dsdl_types[Command].EVERY_ROBOT == EVERY_ROBOT
-
-
-def test_our_dsdl_files_state_the_units_of_our_frames(dsdl_types: dict[type, Any]) -> None:
+def test_our_dsdl_files_state_the_target_of_commands_to_every_robot_and_the_units_of_our_frames(
+    dsdl_types: dict[type, Any],
+) -> None:
     """Frames hold ratios as integers; a constant of each file is the value of the lowest bit (LSB)."""
+    assert dsdl_types[Command].EVERY_ROBOT == EVERY_ROBOT
     assert dsdl_types[Estimate].X_LSB == 2**-23
     assert dsdl_types[Telemetry].X_LSB == 2**-23
     assert dsdl_types[Telemetry].B_HAT_LSB == 2**-24

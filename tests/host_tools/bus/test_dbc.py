@@ -265,16 +265,10 @@ def test_dbc_writes_the_dbc_file_to_the_path_of_the_option_output(
 def test_dbc_reports_the_path_and_the_text_of_its_file_as_json(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """With ``--output`` the file is written, and the report has its path."""
+    """Without ``--output`` no file is written, and the report has no path."""
     file = str(tmp_path / "swarm.dbc")
     assert main(["dbc", "--json", "--output", file]) == 0
     assert json.loads(capsys.readouterr().out) == {"file": file, "dbc": dbc_text(DEFAULT)}
-
-
-def test_dbc_reports_only_the_text_of_the_file_as_json_if_none_is_written(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    """Without ``--output`` no file is written."""
     assert main(["dbc", "--json"]) == 0
     assert json.loads(capsys.readouterr().out) == {"file": None, "dbc": dbc_text(DEFAULT)}
 

@@ -212,17 +212,13 @@ def test_the_specification_lists_the_codes_of_the_header_in_their_order() -> Non
     assert re.findall(r"-\d\d\b", section) == re.findall(r"= (-\d\d)\b", C_HEADER)
 
 
-def test_an_estimate_is_a_classic_data_frame_with_an_extended_identifier() -> None:
-    """No other kind of frame has 29 bits of identifier and at most 8 bytes of data."""
-    frame = encode_estimate(DOCUMENTED_ESTIMATE, DEFAULT)
-    assert (frame.is_extended_id, frame.dlc) == (True, 8)
-    assert not (frame.is_fd or frame.is_remote_frame or frame.is_error_frame)
-
-
-def test_an_encoded_estimate_is_a_frame_that_this_computer_sends_at_the_given_time() -> None:
-    """Python-can's ``is_rx`` is true for frames that others sent."""
+def test_an_estimate_is_a_classic_data_frame_with_an_extended_identifier_and_its_time() -> None:
+    """Extended identifiers have 29 bits. Python-can's ``is_rx`` is true for frames that others sent."""
     frame = encode_estimate(DOCUMENTED_ESTIMATE, DEFAULT, timestamp=1.5)
-    assert (frame.timestamp, frame.is_rx) == (1.5, False)
+    assert frame.is_extended_id
+    assert frame.dlc == 8
+    assert not (frame.is_fd or frame.is_remote_frame or frame.is_error_frame or frame.is_rx)
+    assert frame.timestamp == 1.5
 
 
 @pytest.mark.parametrize(

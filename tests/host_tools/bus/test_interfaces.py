@@ -250,38 +250,34 @@ A_GROUP_FOR_EACH_ROBOT = ("-i", "udp_multicast", "-c", "239.1.1.{robot}", "--bus
 """Options of a bus whose channel has a place for the id of a robot, so that each robot has its own."""
 
 
-def test_the_id_of_a_robot_is_put_into_its_group_and_added_to_its_port() -> None:
-    """The options are those of a multicast group 239.1.1.{robot} at port 9."""
-    bus_of_all = bus_from_options(*A_GROUP_FOR_EACH_ROBOT)
-    bus_of_robot_7 = bus_of_all.of_robot(7)
-    assert bus_of_robot_7.settings == {"hop_limit": 0, "channel": "239.1.1.7", "port": 9 + 7, "a": "b"}
-    assert str(bus_of_robot_7) == "udp_multicast 239.1.1.7"
-
-
-def test_the_id_of_a_robot_is_added_to_python_can_s_port_where_no_port_is_chosen() -> None:
+@pytest.mark.parametrize(
+    ("options", "settings"),
+    [
+        (A_GROUP_FOR_EACH_ROBOT, {"hop_limit": 0, "channel": "239.1.1.7", "port": 9 + 7, "a": "b"}),
+        # No port is chosen here, and python-can's is 43113.
+        (
+            ("-i", "udp_multicast", "-c", "g{robot}"),
+            {"hop_limit": 0, "channel": "g7", "port": 43113 + 7},
+        ),
+        (("-i", "socketcan", "-c", "vcan{robot}"), {"channel": "vcan7"}),
+    ],
+)
+def test_the_id_of_a_robot_is_put_into_its_channel_and_added_to_the_port_of_a_multicast_group(
+    options: tuple[str, ...], settings: dict[str, Any]
+) -> None:
     """Linux hands the frames of all groups to every socket of a port, so each robot needs one for itself."""
-    bus_of_all = bus_from_options("-i", "udp_multicast", "-c", "g{robot}")
-    default_port = 43113
-    assert bus_of_all.of_robot(2).settings["port"] == default_port + 2
-
-
-def test_robots_on_socketcan_have_no_ports() -> None:
-    """The bus of a robot has its id in the name, and no further settings."""
-    bus_of_all = bus_from_options("-i", "socketcan", "-c", "vcan{robot}")
-    assert bus_of_all.of_robot(2).settings == {"channel": "vcan2"}
+    assert bus_from_options(*options).of_robot(7).settings == settings
 
 
 def test_a_bus_with_a_place_for_the_id_has_a_channel_for_each_robot() -> None:
-    """The place is {robot} in the name of the channel."""
+    """The place is {robot} in the name of the channel. That of robot 7 has none any more."""
     bus_of_all = bus_from_options(*A_GROUP_FOR_EACH_ROBOT)
+    bus_of_robot_7 = bus_of_all.of_robot(7)
+
     assert bus_of_all.has_channels
-
-
-def test_the_bus_of_one_robot_has_no_further_buses_for_other_robots() -> None:
-    """Its channel has no place for an id any more, so ``of_robot`` returns the bus itself."""
-    bus_of_robot_7 = bus_from_options(*A_GROUP_FOR_EACH_ROBOT).of_robot(7)
     assert not bus_of_robot_7.has_channels
     assert bus_of_robot_7.of_robot(3) is bus_of_robot_7
+    assert str(bus_of_robot_7) == "udp_multicast 239.1.1.7"
 
 
 def test_the_arguments_of_a_bus_choose_the_same_bus_again() -> None:
@@ -303,16 +299,18 @@ def test_the_arguments_of_a_bus_inside_this_process_are_refused() -> None:
         bus_from_options().arguments()
 
 
-def test_a_bus_of_this_process_is_private_by_default_and_with_another_name() -> None:
+@pytest.mark.parametrize(
+    ("options", "is_private"),
+    [
+        ("", True),
+        ("--channel another", True),
+        ("--bus-kwargs preserve_timestamps=True", False),
+        ("-i socketcan -c vcan0", False),
+    ],
+)
+def test_a_bus_of_this_process_is_private_unless_it_has_settings(options: str, is_private: bool) -> None:
     """Private means that no other program can be on the bus, and that the user has given at most its name."""
-    assert bus_from_options().is_private
-    assert bus_from_options("--channel", "another").is_private
-
-
-@pytest.mark.parametrize("options", ["--bus-kwargs preserve_timestamps=True", "-i socketcan -c vcan0"])
-def test_a_bus_with_settings_or_of_another_kind_is_not_private(options: str) -> None:
-    """Private means that no other program can be on the bus, and that the user has given at most its name."""
-    assert not bus_from_options(*options.split()).is_private
+    assert bus_from_options(*options.split()).is_private == is_private
 
 
 def test_a_setting_without_a_value_is_refused() -> None:

@@ -205,16 +205,10 @@ def test_a_line_that_is_read_as_a_frame_is_what_the_server_writes_for_that_frame
         assert format_frame_line(frame) == command + digits.upper() + b"\r"
 
 
-def test_a_port_that_is_in_use_is_refused_by_name(server: SlcanServer) -> None:
-    """A second server cannot listen at the port of the first one."""
-    with pytest.raises(UsageError, match=f"cannot serve slcan at port {server.port}: .*another port"):
-        SlcanServer(join(), server.port)
-
-
-def test_a_server_that_cannot_listen_closes_its_bus(server: SlcanServer) -> None:
-    """A server owns the connection to the bus that it is given, and its port is in use here."""
+def test_a_port_that_is_in_use_is_refused_by_name_and_the_bus_is_closed(server: SlcanServer) -> None:
+    """A second server cannot listen at the port of the first one. It owns the connection that it is given."""
     bus = join()
-    with pytest.raises(UsageError):
+    with pytest.raises(UsageError, match=f"cannot serve slcan at port {server.port}: .*another port"):
         SlcanServer(bus, server.port)
     assert bus._is_shutdown
 

@@ -154,7 +154,7 @@ def test_a_mistake_in_a_command_line_is_reported_in_one_line_of_json_if_asked_fo
         (
             OSError(errno.EMFILE, "Too many open files"),
             2,
-            "error: the operating system reports: Too many open files; resolve that and run the command again\n",
+            "error: the operating system reports: Too many open files; resolve that and run the command",
         ),
         # The pipe is one to another program, and not the standard output.
         (BrokenPipeError(errno.EPIPE, "Broken pipe"), 2, "error: the operating system reports: Broken pipe"),

@@ -93,58 +93,35 @@ def test_view_exports_a_trial_of_the_experiment_that_is_chosen_by_where(tmp_path
     assert "5 robots, 2 flawed, no filter, fully connected, seed 1, trial 1" in page.read_text()
 
 
-@pytest.fixture
-def log_without_events(tmp_path: Path) -> Path:
-    """The frames of a swarm's run of 60 steps, as if another program had recorded them."""
+def test_view_shows_61_states_of_a_log_without_events_and_warns_of_what_is_missing(
+    tmp_path: Path, capsys: Capture
+) -> None:
+    """The 60 steps take 6 s, of which it shows ten states a second: one each 0.1 s from 0 to 6 s.
+
+    Frames show x and b_hat of a robot only if it sends telemetry.
+    """
     log = tmp_path / "real.log"
     shutil.copy("run.log", log)
-    return log
+    assert main(["view", str(log), "--export", str(tmp_path / "run.html"), "--json"]) == 0
+    output, warnings = capsys.readouterr()
 
-
-def test_view_shows_61_states_of_a_log_without_events(
-    log_without_events: Path, tmp_path: Path, capsys: Capture
-) -> None:
-    """The 60 steps take 6 s, of which it shows ten states a second: one each 0.1 s from 0 to 6 s."""
-    command = ["view", str(log_without_events), "--export", str(tmp_path / "run.html"), "--json"]
-    assert main(command) == 0
-    assert json.loads(capsys.readouterr().out)["states"] == 61
-
-
-def test_view_of_a_log_without_events_warns_that_events_and_telemetry_are_missing(
-    log_without_events: Path, tmp_path: Path, capsys: Capture
-) -> None:
-    """It prints a warning of each. Frames show x and b_hat of a robot only if it sends telemetry."""
-    main(["view", str(log_without_events), "--export", str(tmp_path / "run.html")])
-    warnings = capsys.readouterr().err
-    events = f"{log_without_events}.events"
-    assert f"mcp-asdf view: there is no {events}, which swarm, radio and node write" in warnings
+    assert json.loads(output)["states"] == 61
+    assert f"mcp-asdf view: there is no {log}.events, which swarm, radio and node write" in warnings
     assert "no robot sent telemetry" in warnings
 
 
-@pytest.fixture
-def log_of_two_buses(tmp_path: Path) -> Path:
-    """A log without events that has the frames of run.log twice, of vcan0 and of can3."""
+@pytest.mark.parametrize(("options", "is_warning"), [([], True), (["--channel", "can3"], False)])
+def test_view_warns_that_a_log_has_frames_of_two_buses_unless_one_is_chosen(
+    options: list[str], is_warning: bool, tmp_path: Path, capsys: Capture
+) -> None:
+    """The log has the frames of run.log, of vcan0, and the same of can3. The page is exported in any case."""
     log = tmp_path / "any.log"
     text = Path("run.log").read_text()
     log.write_text(text + text.replace(" vcan0 ", " can3 "))
-    return log
 
-
-def test_view_warns_that_a_log_has_frames_of_two_buses_and_asks_to_choose_one(
-    log_of_two_buses: Path, tmp_path: Path, capsys: Capture
-) -> None:
-    """The page is exported in any case, and the warning goes to standard error."""
-    assert main(["view", str(log_of_two_buses), "--export", str(tmp_path / "all.html")]) == 0
-    expected = f"{log_of_two_buses} has frames of vcan0 and can3; choose one by --channel"
-    assert expected in capsys.readouterr().err
-
-
-def test_view_warns_of_nothing_if_one_of_two_buses_is_chosen_by_channel(
-    log_of_two_buses: Path, tmp_path: Path, capsys: Capture
-) -> None:
-    command = ["view", str(log_of_two_buses), "--channel", "can3", "--export", str(tmp_path / "one.html")]
-    assert main(command) == 0
-    assert "choose one" not in capsys.readouterr().err
+    assert main(["view", str(log), *options, "--export", str(tmp_path / "all.html")]) == 0
+    warning = f"{log} has frames of vcan0 and can3; choose one by --channel"
+    assert (warning in capsys.readouterr().err) == is_warning
 
 
 # --- Pages that are served -------------------------------------------------------------------------------

@@ -63,21 +63,13 @@ def read_and_run(experiment: Experiment, path: Path) -> tuple[Trials, Trials]:
 
 
 @with_fixed_and_with_moving_robots
-def test_a_trial_from_a_file_has_the_convergence_and_errors_that_were_written(
+def test_a_trial_from_a_file_has_the_convergence_errors_and_accuracies_that_were_written(
     experiment: Experiment, tmp_path: Path
 ) -> None:
     trials, expected_trials = read_and_run(experiment, tmp_path / "trial.json")
 
     assert np.array_equal(trials.convergence_steps, expected_trials.convergence_steps)
     assert trials.errors == pytest.approx(expected_trials.errors, abs=ROUNDING)
-
-
-@with_fixed_and_with_moving_robots
-def test_a_trial_from_a_file_has_the_accuracies_that_were_written(
-    experiment: Experiment, tmp_path: Path
-) -> None:
-    trials, expected_trials = read_and_run(experiment, tmp_path / "trial.json")
-
     assert trials.b_hat == pytest.approx(expected_trials.b_hat, abs=ROUNDING)
 
 

@@ -96,20 +96,14 @@ def test_a_file_of_results_gives_back_its_experiments_with_their_trials_in_order
     assert [trials.numbers for trials in experiments] == [[0, 1, 2], [0, 1, 2]]
 
 
-@pytest.mark.parametrize("name", ["convergence_steps", "errors", "b_hat", "tests", "updates"])
-def test_a_file_of_results_gives_back_all_measured_values(
-    name: str, experiments: list[Trials], measured: list[Trials]
+def test_a_file_of_results_gives_back_all_values_that_were_measured_and_recorded_over_time(
+    experiments: list[Trials], measured: list[Trials]
 ) -> None:
     for trials_read, trials_measured in zip(experiments, measured, strict=True):
-        assert np.array_equal(getattr(trials_read, name), getattr(trials_measured, name))
-
-
-@pytest.mark.parametrize("name", QUANTITIES)
-def test_a_file_of_results_gives_back_all_values_recorded_over_time(
-    name: str, experiments: list[Trials], measured: list[Trials]
-) -> None:
-    for trials_read, trials_measured in zip(experiments, measured, strict=True):
-        assert np.array_equal(trials_read.records[name], trials_measured.records[name])
+        for name in ("convergence_steps", "errors", "b_hat", "tests", "updates"):
+            assert np.array_equal(getattr(trials_read, name), getattr(trials_measured, name)), name
+        for name in QUANTITIES:
+            assert np.array_equal(trials_read.records[name], trials_measured.records[name]), name
 
 
 def test_a_file_of_results_gives_back_how_often_values_were_recorded(experiments: list[Trials]) -> None:

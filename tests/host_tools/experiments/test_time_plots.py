@@ -147,15 +147,13 @@ def test_a_panel_of_assumed_accuracies_has_the_medians_of_flawed_and_of_healthy_
     assert np.asarray(healthy_line.get_ydata()).tolist() == healthy_medians.tolist()
 
 
-def test_the_line_of_flawed_robots_has_a_colour_that_others_have_not(bands_figure: Figure) -> None:
-    flawed_line, healthy_line, _true_accuracy = bands_figure.axes[0].lines
+def test_flawed_and_healthy_robots_have_different_colours_and_the_true_accuracy_a_dashed_line(
+    bands_figure: Figure,
+) -> None:
+    flawed_line, healthy_line, true_accuracy = bands_figure.axes[0].lines
     assert (flawed_line.get_color(), healthy_line.get_color()) == (FLAWED, OTHER)
-
-
-def test_a_dashed_line_shows_the_true_accuracy_among_the_assumed_ones(bands_figure: Figure) -> None:
-    _flawed, _healthy, true_accuracy = bands_figure.axes[0].lines
-    assert set(np.asarray(true_accuracy.get_ydata()).tolist()) == {0.95}
     assert (true_accuracy.get_color(), true_accuracy.get_linestyle()) == (INK, "--")
+    assert set(np.asarray(true_accuracy.get_ydata()).tolist()) == {0.95}
 
 
 @pytest.mark.parametrize(("filter_step", "step"), [(0, 100), (1, 200), (2, 300)])
@@ -174,22 +172,20 @@ def first_title_of(figure: Figure) -> str:
     return first_title.replace("\n", " ")
 
 
-def test_a_title_of_assumed_accuracies_has_fill_ratio_accuracies_and_share_of_flawed_robots(
-    bands_figure: Figure,
-) -> None:
-    r"""They are f, b, which is true, \hat{b}, which flawed robots assume, and P."""
-    parameters = r"$f$ = 0.55, $b$ = 0.95, $\hat{b}$ = 0.55, $P$ = 50%"
-    assert first_title_of(bands_figure).startswith(f"{parameters} ")
-
-
-def test_a_title_of_assumed_accuracies_has_the_share_of_healthy_robots_that_end_wrong(
+def test_a_title_of_assumed_accuracies_has_parameters_and_the_share_of_healthy_robots_that_end_wrong(
     bands_figure: Figure, half_flawed: Trials
 ) -> None:
-    """Wrong is more than 0.05 from the true accuracy, 0.95, which they assume at first."""
+    r"""Parameters are f, b, which is true, \hat{b}, which flawed robots assume, and their share P.
+
+    Wrong is more than 0.05 from the true accuracy, 0.95, which healthy robots assume at first.
+    """
     last_filter_step = -1
     b_hat_at_end = half_flawed.b_hat[:, last_filter_step, HEALTHY_ROBOTS]
     share = np.mean(abs(b_hat_at_end - 0.95) > 0.05)
-    assert first_title_of(bands_figure).endswith(f" more than 0.05 off: {share:.0%} of healthy robots")
+
+    title = first_title_of(bands_figure)
+    assert title.startswith(r"$f$ = 0.55, $b$ = 0.95, $\hat{b}$ = 0.55, $P$ = 50% ")
+    assert title.endswith(f" more than 0.05 off: {share:.0%} of healthy robots")
 
 
 def test_healthy_robots_are_off_if_they_end_far_from_what_they_assumed_at_first(half_flawed: Trials) -> None:

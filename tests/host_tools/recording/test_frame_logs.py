@@ -35,19 +35,18 @@ def test_frames_are_read_around_lines_that_are_no_frames(odd_log: Path) -> None:
     assert read_times(odd_log) == [1.0, 2.0]
 
 
-def test_the_summary_counts_the_frames_of_each_channel(odd_log: Path) -> None:
-    """Beside lines that are no frames the log has one frame of vcan0 and one of vcan1."""
+def test_the_summary_counts_the_frames_of_each_channel_and_warns_of_lines_that_are_no_frames(
+    odd_log: Path,
+) -> None:
+    """The log has one frame of vcan0 and one of vcan1, a comment in line 3 and a line that was cut.
+
+    Empty lines are not counted.
+    """
     summary = LogSummary()
     read_times(odd_log, summary)
 
     assert summary.channels == {"vcan0": 1, "vcan1": 1}
     assert summary.channel_names == "vcan0 and vcan1"
-
-
-def test_the_summary_warns_of_lines_that_are_no_frames(odd_log: Path) -> None:
-    """The log has a comment in line 3 and a line that was cut; empty lines are not counted."""
-    summary = LogSummary()
-    read_times(odd_log, summary)
     assert summary.warning == "2 lines are no frames and were left out; the first is line 3, '# a break'"
 
 

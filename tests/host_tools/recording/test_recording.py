@@ -174,19 +174,16 @@ def record_and_fail(log: Path, header: EventsHeader | None = None) -> list[str]:
     return warnings
 
 
-def test_a_run_that_fails_leaves_what_it_recorded_in_part_files(tmp_path: Path) -> None:
-    """Log and events of a failed run do not get their names, which stand for complete files."""
-    record_and_fail(tmp_path / "run.log", HEADER)
+def test_a_run_that_fails_leaves_what_it_recorded_in_part_files_and_warns(tmp_path: Path) -> None:
+    """Log and events of a failed run do not get their names, which stand for complete files.
 
-    assert names_in(tmp_path) == ["run.log.events.part", "run.log.part"]
-    assert frame_numbers(tmp_path / "run.log.part") == [1]
-
-
-def test_a_recording_of_a_run_that_fails_warns_that_its_log_is_not_complete(tmp_path: Path) -> None:
-    """A command prints this warning as an error."""
+    A command prints the warning as an error.
+    """
     log = tmp_path / "run.log"
     warnings = record_and_fail(log, HEADER)
 
+    assert names_in(tmp_path) == ["run.log.events.part", "run.log.part"]
+    assert frame_numbers(tmp_path / "run.log.part") == [1]
     assert warnings == [
         f"the log {log} is not complete: the run did not end regularly; partial data is in {log}.part and "
         f"{log}.events.part"
@@ -307,17 +304,14 @@ def test_a_killed_process_leaves_no_log_beside_the_events_of_another_run(
     assert not log.exists() or is_old(log) == is_old(events)
 
 
-def test_a_killed_process_leaves_its_frames_as_log_or_part(folder_of_dead_process: Path) -> None:
+def test_a_killed_process_leaves_its_frames_and_its_events_under_their_names_or_as_parts(
+    folder_of_dead_process: Path,
+) -> None:
     """The process dies between the system calls that give the log and its events their names."""
     log, part = folder_of_dead_process / "run.log", folder_of_dead_process / "run.log.part"
-    new_log = part if part.exists() else log
-    assert frame_numbers(new_log) == [1]
+    events, events_part = events_path(log), events_path(part)
 
-
-def test_a_killed_process_leaves_its_events_under_their_name_or_as_part(folder_of_dead_process: Path) -> None:
-    """The process dies between the system calls that give the log and its events their names."""
-    events = folder_of_dead_process / "run.log.events"
-    events_part = folder_of_dead_process / "run.log.events.part"
+    assert frame_numbers(part if part.exists() else log) == [1]
     with EventsReader(events_part if events_part.exists() else events) as reader:
         assert reader.header == HEADER
 

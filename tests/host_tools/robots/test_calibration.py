@@ -46,13 +46,14 @@ def share_below(readings: ReadingsWithColours, colour: bool, threshold: float) -
     return sum(reading < threshold for reading in readings_of_colour) / len(readings_of_colour)
 
 
-def worse_accuracies(readings: ReadingsWithColours, threshold: float) -> tuple[float, float]:
-    """Return the smaller of both accuracies if black is below the threshold, and if black is above it."""
-    black_below, white_below = (
-        share_below(readings, BLACK, threshold),
-        share_below(readings, WHITE, threshold),
-    )
-    return min(black_below, 1 - white_below), min(1 - black_below, white_below)
+def shares_of_right_readings(readings: ReadingsWithColours, threshold: float) -> dict[str, dict[str, float]]:
+    """Return the accuracy on each colour, if black is "below" a threshold and if it is "above" it."""
+    black_below = share_below(readings, BLACK, threshold)
+    white_below = share_below(readings, WHITE, threshold)
+    return {
+        "below": {"black": black_below, "white": 1 - white_below},
+        "above": {"black": 1 - black_below, "white": white_below},
+    }
 
 
 @pytest.mark.parametrize("black_centre", [300, 700])
@@ -65,48 +66,29 @@ def test_no_threshold_recognises_the_worse_colour_better_than_that_of_the_calibr
     calibration = calibrate(readings)
 
     for reading, _ in readings:
-        best_accuracy = max(worse_accuracies(readings, threshold=reading))
-        assert min(calibration.accuracy.values()) >= best_accuracy - 1e-12
+        for accuracy in shares_of_right_readings(readings, threshold=reading).values():
+            assert min(calibration.accuracy.values()) >= min(accuracy.values()) - 1e-12
 
 
-def test_the_accuracies_of_a_sensor_that_reads_low_over_black_are_its_shares_of_right_readings() -> None:
-    """A reading over black is right below the threshold, and one over white above it."""
-    readings = draw_readings(black_centre=300, are_whole=False)
+@pytest.mark.parametrize(("black_centre", "black_is"), [(300, "below"), (700, "above")])
+def test_the_accuracies_of_a_sensor_are_its_shares_of_right_readings(
+    black_centre: int, black_is: str
+) -> None:
+    """A sensor that reads low over black is right there below the threshold, and over white above it."""
+    readings = draw_readings(black_centre, are_whole=False)
     calibration = calibrate(readings)
 
-    assert calibration.black_is == "below"
-    assert calibration.accuracy == pytest.approx(
-        {
-            "black": share_below(readings, BLACK, calibration.threshold),
-            "white": 1 - share_below(readings, WHITE, calibration.threshold),
-        }
-    )
+    accuracies = shares_of_right_readings(readings, calibration.threshold)
+    assert calibration.black_is == black_is
+    assert calibration.accuracy == pytest.approx(accuracies[black_is])
 
 
-def test_the_accuracies_of_a_sensor_that_reads_high_over_black_are_its_shares_of_right_readings() -> None:
-    """A reading over black is right above the threshold, and one over white below it."""
-    readings = draw_readings(black_centre=700, are_whole=False)
-    calibration = calibrate(readings)
-
-    assert calibration.black_is == "above"
-    assert calibration.accuracy == pytest.approx(
-        {
-            "black": 1 - share_below(readings, BLACK, calibration.threshold),
-            "white": share_below(readings, WHITE, calibration.threshold),
-        }
-    )
-
-
-def test_a_threshold_lies_in_the_middle_of_the_gap_between_the_colours() -> None:
-    """A sensor reads 7.5 over all black tiles and 21.0 over all white ones, so the threshold is 14.25."""
-    readings = [(7.5, BLACK), (21.0, WHITE)] * 40
-    assert calibrate(readings).threshold == (7.5 + 21) / 2
-
-
-def test_the_threshold_of_whole_readings_is_a_whole_number() -> None:
-    """Half-way from 7 to 20 is 13.5; a threshold of 14 separates the same readings."""
-    readings = [(7.0, BLACK), (20.0, WHITE)] * 40
-    assert calibrate(readings).threshold == 14
+@pytest.mark.parametrize(("black", "white", "threshold"), [(7.5, 21.0, 14.25), (7.0, 20.0, 14)])
+def test_a_threshold_lies_in_the_middle_between_the_colours_and_is_whole_if_readings_are(
+    black: float, white: float, threshold: float
+) -> None:
+    """A sensor reads the same over all black tiles. Half-way from 7 to 20 is 13.5, which is rounded up."""
+    assert calibrate([(black, BLACK), (white, WHITE)] * 40).threshold == threshold
 
 
 def test_of_equal_thresholds_the_one_in_the_widest_gap_is_taken() -> None:
@@ -221,26 +203,18 @@ def test_the_command_calibrate_prints_threshold_and_accuracy(readings_file: Path
     assert expected in capsys.readouterr().out
 
 
-def test_the_command_calibrate_reports_threshold_and_accuracy_in_json(
+def test_the_command_calibrate_reports_in_json_what_it_also_prints(
     readings_file: Path, capsys: Capture
 ) -> None:
-    """The threshold is 500, as the file has readings of 300 over black, and of 700 over white."""
+    """What it prints ends with an option for a robot, ``--b-hat``, the accuracy that the robot assumes."""
     assert run_calibrate(readings_file, "--json") == 0
     report = json.loads(capsys.readouterr().out)
-    assert report["threshold"] == 500
-    assert report["accuracy"] == {"black": 1.0, "white": 1.0}
-
-
-def test_the_output_of_calibrate_ends_with_the_accuracy_as_an_option_for_a_robot(
-    readings_file: Path, capsys: Capture
-) -> None:
-    """The option is ``--b-hat``, the accuracy that a robot assumes; its uncertainty follows."""
-    run_calibrate(readings_file, "--json")
-    report = json.loads(capsys.readouterr().out)
     run_calibrate(readings_file)
-    option, uncertainty = f"--b-hat {report['b_hat']:.4f}", f"{report['uncertainty']:.4f}"
+    output = capsys.readouterr().out
 
-    assert capsys.readouterr().out.endswith(f"{option} (+- {uncertainty}, 95 %)\n")
+    assert report["threshold"] == 500  # between readings of 300 over black and of 700 over white
+    assert report["accuracy"] == {"black": 1.0, "white": 1.0}
+    assert output.endswith(f"--b-hat {report['b_hat']:.4f} (+- {report['uncertainty']:.4f}, 95 %)\n")
 
 
 def test_the_command_calibrate_warns_of_a_bias(readings_file: Path, capsys: Capture) -> None:
@@ -250,40 +224,22 @@ def test_the_command_calibrate_warns_of_a_bias(readings_file: Path, capsys: Capt
     assert "x_hat is off by +0.056 on every floor" in capsys.readouterr().err
 
 
-def append_readings_without_an_answer(path: Path) -> None:
-    """Append ten readings of -1 to a file, which stand for a sensor that did not answer."""
-    path.write_text(path.read_text() + "-1,white\n-1,black\n" * 5)
-
-
-def test_the_command_calibrate_prints_how_many_lines_it_leaves_out(
+def test_the_command_calibrate_reports_how_many_lines_it_leaves_out(
     readings_file: Path, capsys: Capture
 ) -> None:
-    """A reading of -1 stands for a sensor that did not answer."""
-    append_readings_without_an_answer(readings_file)
-    assert run_calibrate(readings_file) == 0
-    assert "left out 10 lines: reading -1 10\n" in capsys.readouterr().out
-
-
-def test_the_command_calibrate_reports_in_json_how_many_lines_it_leaves_out(
-    readings_file: Path, capsys: Capture
-) -> None:
-    """A reading of -1 stands for a sensor that did not answer."""
-    append_readings_without_an_answer(readings_file)
-    assert run_calibrate(readings_file, "--json") == 0
-    assert json.loads(capsys.readouterr().out)["left_out"] == {"reading -1": 10}
-
-
-def test_lines_that_are_left_out_change_nothing_else_in_the_output(
-    readings_file: Path, capsys: Capture
-) -> None:
-    """A reading of -1 is left out."""
+    """Ten readings are -1, which stands for a sensor that did not answer. All else is as without them."""
     run_calibrate(readings_file)
     lines_before = capsys.readouterr().out.splitlines()
-    append_readings_without_an_answer(readings_file)
-    run_calibrate(readings_file)
-    lines_after = capsys.readouterr().out.splitlines()
+    readings_file.write_text(readings_file.read_text() + "-1,white\n-1,black\n" * 5)
 
-    assert [line for line in lines_after if not line.startswith("left out")] == lines_before
+    assert run_calibrate(readings_file) == 0
+    lines = capsys.readouterr().out.splitlines()
+    run_calibrate(readings_file, "--json")
+    report = json.loads(capsys.readouterr().out)
+
+    assert "left out 10 lines: reading -1 10" in lines
+    assert [line for line in lines if not line.startswith("left out")] == lines_before
+    assert report["left_out"] == {"reading -1": 10}
 
 
 def test_an_error_about_too_few_readings_says_how_many_lines_were_left_out(

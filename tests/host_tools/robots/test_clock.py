@@ -45,25 +45,21 @@ def begin_ticks(watch: Watch, clock: RealTimeClock, *, periods_of_work: list[flo
     return beginnings
 
 
-def test_ticks_that_are_done_in_time_begin_at_multiples_of_the_period() -> None:
-    """The work of each tick takes at most a period, so each begins one period after the last."""
+@pytest.mark.parametrize(
+    ("periods_of_work", "beginnings"),
+    [
+        ([0.5, 0, 1, 0.25, 0], [0, 1, 2, 3, 4]),
+        ([2, 0.5, 0.5, 0.5, 0], [0, 2, 2.5, 3, 4]),  # the fourth is in time again
+        ([1.5, 1.5, 1.5, 1.5], [0, 1.5, 3, 4.5]),
+    ],
+    ids=["in time", "the first is long", "all are long"],
+)
+def test_ticks_begin_at_multiples_of_the_period_or_as_soon_as_the_last_one_is_over(
+    periods_of_work: list[float], beginnings: list[float]
+) -> None:
+    """Times are in periods, of which the work of a tick takes so many."""
     watch = Watch()
-    beginnings = begin_ticks(watch, watch.clock(), periods_of_work=[0.5, 0, 1, 0.25, 0])
-    assert beginnings == [0, 1, 2, 3, 4]
-
-
-def test_ticks_after_a_long_one_begin_at_once_until_they_have_caught_up() -> None:
-    """The first takes two periods. The next ones begin when the one before is done, until one is in time."""
-    watch = Watch()
-    beginnings = begin_ticks(watch, watch.clock(), periods_of_work=[2, 0.5, 0.5, 0.5, 0])
-    assert beginnings == [0, 2, 2.5, 3, 4]
-
-
-def test_ticks_that_take_longer_than_the_period_begin_when_the_last_is_over() -> None:
-    """The work of each tick takes 1.5 periods."""
-    watch = Watch()
-    beginnings = begin_ticks(watch, watch.clock(), periods_of_work=[1.5, 1.5, 1.5, 1.5])
-    assert beginnings == [0, 1.5, 3, 4.5]
+    assert begin_ticks(watch, watch.clock(), periods_of_work=periods_of_work) == beginnings
 
 
 def test_a_clock_has_no_figures_of_lateness_before_the_first_tick() -> None:
@@ -71,30 +67,26 @@ def test_a_clock_has_no_figures_of_lateness_before_the_first_tick() -> None:
     assert Watch().clock().figures() is None
 
 
-def test_figures_say_in_seconds_how_late_ticks_have_begun() -> None:
-    """Five ticks begin 0, 1, 0.5, 0 and 0 periods late, so only one is late by more than half of a period."""
+@pytest.mark.parametrize(
+    ("periods_of_work", "lateness", "late_ticks"),
+    [([2, 0.5, 0.5, 0.5, 0], [0, 1, 0.5, 0, 0], 1), ([1.5, 1.5, 1.5, 1.5], [0, 0.5, 1, 1.5], 2)],
+)
+def test_figures_say_in_seconds_how_late_ticks_have_begun(
+    periods_of_work: list[float], lateness: list[float], late_ticks: int
+) -> None:
+    """Ticks begin so many periods late, and count as late if it is more than half of a period."""
     watch = Watch()
     clock = watch.clock()
 
-    begin_ticks(watch, clock, periods_of_work=[2, 0.5, 0.5, 0.5, 0])
+    begin_ticks(watch, clock, periods_of_work=periods_of_work)
 
+    *_, lateness_of_last_tick = lateness
     assert clock.figures() == {
-        "mean_lateness": (1 + 0.5) / 5 * PERIOD,
-        "max_lateness": PERIOD,
-        "late_ticks": 1,
-        "drift": 0,
+        "mean_lateness": sum(lateness) / len(lateness) * PERIOD,
+        "max_lateness": max(lateness) * PERIOD,
+        "late_ticks": late_ticks,
+        "drift": lateness_of_last_tick * PERIOD,
     }
-
-
-def test_the_drift_is_the_lateness_of_the_last_tick() -> None:
-    """The last of four ticks is due after 3 periods, and begins after 4.5."""
-    watch = Watch()
-    clock = watch.clock()
-    begin_ticks(watch, clock, periods_of_work=[1.5, 1.5, 1.5, 1.5])
-    figures = clock.figures()
-
-    assert figures is not None
-    assert figures["drift"] == 1.5 * PERIOD
 
 
 def test_a_tick_does_not_begin_early_when_a_sleep_ends_early() -> None:

@@ -6,7 +6,7 @@ import pytest
 
 from mcp_asdf.robot import Filter
 from mcp_asdf_tools.experiments.plot_panels import colours_of_filters
-from mcp_asdf_tools.robots.filters import FILTERS, describe_filters, filter_of_one_robot
+from mcp_asdf_tools.robots.filters import FILTERS, Activation, describe_filters, filter_of_one_robot
 from mcp_asdf_tools.swarm.settings import SwarmSettings
 
 
@@ -15,27 +15,22 @@ def test_filters_are_listed_from_fewer_recalibrating_robots_to_more() -> None:
     assert [*FILTERS] == ["none", "asdf-minus", "asdf-plus", "robust"]
 
 
-def test_asdf_minus_is_on_for_flawed_robots_only() -> None:
-    """Flawed robots get the filter with a test, as ``activation`` is "adaptive", and others get none."""
-    asdf_minus = FILTERS["asdf-minus"]
-    assert asdf_minus.firmware_filter_of(is_flawed=True, activation="adaptive") is Filter.ADAPTIVE
-    assert asdf_minus.firmware_filter_of(is_flawed=False, activation="adaptive") is Filter.OFF
-
-
-def test_the_paper_s_filters_can_recalibrate_without_a_test() -> None:
-    """With ``activation`` "always" ASDF- and ASDF+ let robots recalibrate whatever a test would say."""
-    for name in ("asdf-minus", "asdf-plus"):
-        assert FILTERS[name].firmware_filter_of(is_flawed=True, activation="always") is Filter.ALWAYS
-
-
-def test_the_robust_filter_tests_even_if_the_paper_s_filters_are_not_to() -> None:
-    """The parameter ``activation``, here "always", has no effect on the robust filter."""
-    assert FILTERS["robust"].firmware_filter_of(is_flawed=False, activation="always") is Filter.ROBUST
-
-
-def test_with_no_filter_the_filter_of_flawed_robots_is_off() -> None:
-    """The parameter ``activation``, here "always", has no effect without a filter."""
-    assert FILTERS["none"].firmware_filter_of(is_flawed=True, activation="always") is Filter.OFF
+@pytest.mark.parametrize(
+    ("name", "is_flawed", "activation", "firmware_filter"),
+    [
+        ("asdf-minus", True, "adaptive", Filter.ADAPTIVE),
+        ("asdf-minus", False, "adaptive", Filter.OFF),  # only flawed robots recalibrate
+        ("asdf-minus", True, "always", Filter.ALWAYS),
+        ("asdf-plus", True, "always", Filter.ALWAYS),
+        ("robust", False, "always", Filter.ROBUST),
+        ("none", True, "always", Filter.OFF),
+    ],
+)
+def test_a_filter_of_a_swarm_sets_that_of_each_robot(
+    name: str, is_flawed: bool, activation: Activation, firmware_filter: Filter
+) -> None:
+    """With the activation "always" the paper's filters recalibrate without a test; it changes no other."""
+    assert FILTERS[name].firmware_filter_of(is_flawed, activation) is firmware_filter
 
 
 def test_only_the_robust_filter_is_marked_as_depending_on_the_order_of_messages() -> None:

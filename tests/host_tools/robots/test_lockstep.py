@@ -8,9 +8,10 @@ from __future__ import annotations
 import argparse
 import os
 import random
+import re
 import subprocess
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -232,19 +233,19 @@ def drive_robot_1(lockstep: Lockstep, ticks: int) -> None:
         lockstep.settle({1})
 
 
+@pytest.mark.parametrize(
+    ("expected_robots", "silent_robots"),
+    [({0, 2, 4, 5}, "robot 4, 5"), (range(10, 20), "robot 10, 11, 12, 13, 14, 15, 16, 17, ...")],
+)
 @still()
-def test_robots_that_send_no_heartbeat_are_named_in_the_error() -> None:
-    """Robots 4 and 5 are not on the bus. The error has the time and the name of the bus, "wire", too."""
+def test_robots_that_send_no_heartbeat_are_named_in_the_error(
+    expected_robots: Collection[int], silent_robots: str
+) -> None:
+    """Only robots 0 and 2 are on the bus. The error names eight at most, the time, and the bus, "wire"."""
     lockstep = Lockstep(Wire(node(0), node(2)))
-    with pytest.raises(LockstepError, match=r"robot 4, 5 did not send a heartbeat within 0.01 s on wire"):
-        lockstep.wait_until_up({0, 2, 4, 5}, timeout=0.01)
-
-
-@still()
-def test_an_error_about_many_silent_robots_names_the_first_eight() -> None:
-    """None of ten robots is on the bus. The error names eight, and "..." stands for the others."""
-    with pytest.raises(LockstepError, match=r"robot 10, 11, 12, 13, 14, 15, 16, 17, ... did not send"):
-        Lockstep(Wire()).wait_until_up(range(10, 20), timeout=0.01)
+    message = re.escape(f"{silent_robots} did not send a heartbeat within 0.01 s on wire")
+    with pytest.raises(LockstepError, match=message):
+        lockstep.wait_until_up(expected_robots, timeout=0.01)
 
 
 def lockstep_without_robot_1() -> Lockstep:
@@ -255,17 +256,13 @@ def lockstep_without_robot_1() -> Lockstep:
 
 
 @still()
-def test_a_robot_that_does_not_broadcast_is_named_in_the_error() -> None:
-    """Robots 0 and 2 have broadcast, and robot 1 has not. LockstepError names robot 1 and the time limit."""
+def test_a_robot_that_does_not_broadcast_or_does_not_end_its_tick_is_named_in_the_error() -> None:
+    """Robots 0 and 2 do so, and robot 1 is not on the bus. LockstepError names it and the time limit."""
+    lockstep = lockstep_without_robot_1()
     with pytest.raises(LockstepError, match=r"robot 1 did not broadcast its estimate within 0.02 s"):
-        lockstep_without_robot_1().estimates(range(3))
-
-
-@still()
-def test_a_robot_that_does_not_end_its_tick_is_named_in_the_error() -> None:
-    """Robots 0 and 2 have answered to the command to settle, and robot 1 has not. LockstepError names it."""
+        lockstep.estimates(range(3))
     with pytest.raises(LockstepError, match=r"robot 1 did not settle within 0.02 s"):
-        lockstep_without_robot_1().settle(range(3))
+        lockstep.settle(range(3))
 
 
 @still()

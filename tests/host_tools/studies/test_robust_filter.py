@@ -61,22 +61,19 @@ def test_the_six_flawed_robots_do_not_all_stand_side_by_side_on_a_circle() -> No
 
 # --- Cells -----------------------------------------------------------------------------------------------
 
-SWARM_WITH_LIARS: dict[str, Any] = {"robots": 20, "flawed": 0, "firmware": peers.five_liars}
-"""Parameters of a swarm of 20 robots of which the last five lie."""
 
+def test_liars_are_counted_neither_in_the_error_of_a_swarm_nor_as_harmed_by_the_filter() -> None:
+    """15 honest robots estimate the share of black, 0.5, rightly; the last five robots, which lie, say 0.
 
-def test_estimates_of_liars_are_not_counted_in_the_error_of_a_swarm() -> None:
-    """15 honest robots estimate the share of black, 0.5, rightly; the last five robots, which lie, say 0."""
-    x = [0.5] * 15 + [0.0] * 5
-    trials = robust_filter.as_honest_robots_see_it(trials_with(**SWARM_WITH_LIARS, x=x))
+    A robot is harmed if its b_hat ends far from the accuracy of its sensor: 0.5 is far from 0.9.
+    """
+    swarm: dict[str, Any] = {"robots": 20, "flawed": 0, "firmware": peers.five_liars}
+    trials_of_all = trials_with(**swarm, x=[0.5] * 15 + [0.0] * 5, b_hat=[0.9] * 15 + [0.5] * 5)
+
+    trials = robust_filter.as_honest_robots_see_it(trials_of_all)
+
     assert study_program.late_errors(trials).tolist() == [0, 0]  # of two trials
-
-
-def test_liars_whose_b_hat_ends_wrong_do_not_count_as_harmed_by_the_filter() -> None:
-    """A robot is harmed if its b_hat ends far from the accuracy of its sensor: 0.5 is far from 0.9."""
-    b_hat = [0.9] * 15 + [0.5] * 5
-    trials = robust_filter.as_honest_robots_see_it(trials_with(**SWARM_WITH_LIARS, b_hat=b_hat))
-    assert study_program.harmed_percents(trials).tolist() == [0, 0]  # of two trials
+    assert study_program.harmed_percents(trials).tolist() == [0, 0]
 
 
 def test_all_robots_are_counted_in_a_swarm_without_liars() -> None:

@@ -121,19 +121,14 @@ def test_the_picture_of_swarm_sizes_has_score_error_and_cost_of_both_kinds_of_fl
 
 
 def test_the_picture_of_swarm_sizes_has_logarithmic_axes_of_robots_and_errors(panels: list[Axes]) -> None:
-    """The axis of the number of robots is the horizontal one of each panel."""
+    """The axis of the number of robots is the horizontal one. Scores are from 0 to 100, costs from 0 on."""
     score_panel, error_panel, cost_panel, *_overconfident = panels
+    lowest_cost, _highest_cost = cost_panel.get_ylim()
 
     for panel in (score_panel, error_panel, cost_panel):
         assert panel.get_xscale() == "log"
-    assert score_panel.get_yscale() == "linear"
     assert error_panel.get_yscale() == "log"
-
-
-def test_scores_are_drawn_from_0_to_100_and_costs_from_0_on(panels: list[Axes]) -> None:
-    score_panel, _error_panel, cost_panel, *_overconfident = panels
-    lowest_cost, _highest_cost = cost_panel.get_ylim()
-
+    assert score_panel.get_yscale() == "linear"
     assert score_panel.get_ylim() == (0, 100)
     assert lowest_cost == 0
 

@@ -65,23 +65,26 @@ ROBOTS, TICKS = 4, 12
 # Texts
 
 
-def test_a_fault_has_the_options_of_its_text() -> None:
-    """In ticks 100 to 499, half of all frames of robots 0, 7 and 8 come to robot 1 three ticks later."""
-    fault = parse_fault("delay=0.5,from=100,to=500,ticks=3,robots=0+7-8,receivers=1")
-    assert fault == Delay(
-        rate=0.5, start=100, stop=500, robots=frozenset({0, 7, 8}), receivers=frozenset({1}), ticks=3
-    )
-
-
-def test_a_fault_without_a_rate_hits_every_time() -> None:
-    """Its rate, the probability with which it hits, is 1."""
-    assert parse_fault("loss") == Loss(rate=1.0)
-
-
-def test_the_text_of_a_fault_may_have_spaces_after_commas() -> None:
-    assert parse_fault("corrupt=0, robots=126-127, bits=64") == Corrupt(
-        rate=0.0, robots=frozenset({126, 127}), bits=64
-    )
+@pytest.mark.parametrize(
+    ("text", "fault"),
+    [
+        ("loss", Loss(rate=1.0)),
+        (
+            "delay=0.5,from=100,to=500,ticks=3,robots=0+7-8,receivers=1",
+            Delay(
+                rate=0.5, start=100, stop=500, robots=frozenset({0, 7, 8}), receivers=frozenset({1}), ticks=3
+            ),
+        ),
+        # There may be spaces after commas.
+        (
+            "corrupt=0, robots=126-127, bits=64",
+            Corrupt(rate=0.0, robots=frozenset({126, 127}), bits=64),
+        ),
+    ],
+)
+def test_a_fault_has_the_options_of_its_text(text: str, fault: Fault) -> None:
+    """The number behind its kind is the rate, the probability with which it hits; without one it is 1."""
+    assert parse_fault(text) == fault
 
 
 def test_the_text_of_a_fault_has_its_rate_and_the_options_that_are_not_the_default() -> None:
@@ -542,38 +545,34 @@ def expected_on_bus(
 # What a fault reports of a frame that it has changed
 
 
-def send_estimate(texts: Sequence[str], x_hat: int = 5) -> SentFrame | None:
-    """Return what faults make of an estimate of robot 3 with alpha 0; None if it stays off the bus."""
-    faults = Faults([parse_fault(text) for text in texts], seed=1, frame_format=FORMAT)
+def send_estimate(fault: str) -> SentFrame | None:
+    """Return what a fault makes of an estimate of robot 3 with x_hat and alpha 0; None if it is not sent."""
+    faults = Faults([parse_fault(fault)], seed=1, frame_format=FORMAT)
     faults.begin_tick(0, range(ROBOTS))
-    return faults.on_send(encode_estimate(Estimate(3, x_hat, alpha=0, transfer_id=0), FORMAT), sender=3)
+    return faults.on_send(encode_estimate(Estimate(3, x_hat=0, alpha=0, transfer_id=0), FORMAT), sender=3)
 
 
-def test_a_false_estimate_is_marked_as_falsified() -> None:
-    """Robot 3 lies about its estimate. The frame is marked as falsified, and is under its own id."""
-    sent_frame = send_estimate(["liar"])
+@pytest.mark.parametrize(
+    ("fault", "is_falsified", "is_under_own_id"),
+    [
+        ("liar,x=0.5,alpha=0", True, True),
+        ("liar,x=0,alpha=0", False, True),  # happens to be the truth
+        ("collide,id=2", False, False),
+    ],
+)
+def test_a_frame_with_another_estimate_or_the_id_of_another_robot_is_marked_as_such(
+    fault: str, is_falsified: bool, is_under_own_id: bool
+) -> None:
+    """Robot 3 has an estimate of 0 with an alpha, the confidence, of 0."""
+    sent_frame = send_estimate(fault)
     assert sent_frame is not None
-    assert sent_frame.is_falsified
-    assert sent_frame.is_under_own_id
-
-
-def test_a_lie_that_happens_to_be_the_truth_is_not_marked_as_falsified() -> None:
-    """The estimate is x = 0 with a confidence alpha of 0, and the fault makes the robot send just that."""
-    sent_frame = send_estimate(["liar,x=0,alpha=0"], x_hat=0)
-    assert sent_frame is not None
-    assert not sent_frame.is_falsified
-
-
-def test_a_frame_under_the_id_of_another_robot_is_marked_as_such() -> None:
-    """The fault makes robot 3 send as robot 2, so the frame is not under its own id."""
-    sent_frame = send_estimate(["collide,id=2"])
-    assert sent_frame is not None
-    assert not sent_frame.is_under_own_id
+    assert sent_frame.is_falsified == is_falsified
+    assert sent_frame.is_under_own_id == is_under_own_id
 
 
 def test_a_robot_whose_bus_is_off_sends_nothing() -> None:
     """None stands for a frame that has not got onto the bus."""
-    assert send_estimate(["busoff"]) is None
+    assert send_estimate("busoff") is None
 
 
 def test_a_robot_whose_bus_is_off_goes_on_observing() -> None:

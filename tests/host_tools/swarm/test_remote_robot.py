@@ -169,17 +169,14 @@ def test_remote_robots_broadcast_the_same_estimates_as_robots_in_this_process(co
 def test_the_frames_of_remote_robots_are_counted_like_those_of_robots_in_this_process(
     comparison: Comparison,
 ) -> None:
-    """Estimates sent and delivered, and heartbeats, are counted as in the run without remote robots."""
+    """Estimates sent and delivered, and heartbeats, are counted as in the run without remote robots.
+
+    How often filters made their test is unknown, as no frame of a robot has this number.
+    """
     counts = comparison.remote_run.results["frames"]
     local_counts = comparison.local_run.results["frames"]
     for name in ("sent", "heartbeats_sent", "delivered"):
         assert counts[name] == local_counts[name], name
-
-
-def test_how_often_filters_of_remote_robots_made_their_test_is_reported_as_unknown(
-    comparison: Comparison,
-) -> None:
-    """The result is None, as no frame of a robot has this number."""
     assert comparison.remote_run.results["tests"] is None
 
 

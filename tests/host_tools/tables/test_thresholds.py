@@ -92,31 +92,21 @@ def relative_error(table: Table, omega: str, m: int) -> float:
     return abs(multiple_of_table / eq_12_multiple(float(omega), m) - 1)
 
 
-with_any_table = pytest.mark.parametrize(("omega", "q"), [*SHIPPED, ("0.9", 2), ("0.5", 100), ("0.05", 126)])
+@pytest.mark.parametrize(("omega", "q"), [*SHIPPED, ("0.9", 2), ("0.5", 100), ("0.05", 126)])
+def test_the_errors_that_a_table_states_are_those_of_its_worst_thresholds(omega: str, q: int) -> None:
+    """``mcp-asdf table`` prints them. For 2 to q messages the table has an entry of its own.
 
-
-@with_any_table
-def test_the_rounding_error_that_a_table_states_is_that_of_its_worst_threshold(omega: str, q: int) -> None:
-    """``mcp-asdf table`` prints it. For 2 to q messages the table has an entry of its own."""
+    More messages have the threshold of the last entry. A robot hears at most 127 others.
+    """
     table = generate(Decimal(omega), q)
     stated = worst_threshold_error(Decimal(omega), table)
+    worst_error_up_to_q = max(relative_error(table, omega, m) for m in range(2, q + 1))
+    worst_error_beyond_q = max((relative_error(table, omega, m) for m in range(q + 1, 128)), default=0.0)
 
-    worst_error = max(relative_error(table, omega, m) for m in range(2, q + 1))
     # SciPy is not exact enough for more than the size of so small an error.
-    assert stated.rounding == pytest.approx(worst_error, rel=0.02, abs=1e-14)
-
-
-@with_any_table
-def test_the_error_beyond_a_short_table_that_it_states_is_that_of_its_worst_threshold(
-    omega: str, q: int
-) -> None:
-    """More than q messages have the threshold of the last entry. A robot hears at most 127 others."""
-    table = generate(Decimal(omega), q)
-    stated = worst_threshold_error(Decimal(omega), table)
-
-    worst_error = max((relative_error(table, omega, m) for m in range(q + 1, 128)), default=0.0)
+    assert stated.rounding == pytest.approx(worst_error_up_to_q, rel=0.02, abs=1e-14)
     # It may be stated as up to a hundredth of itself larger, and not as smaller but for SciPy's error.
-    assert worst_error * (1 - 1e-9) <= stated.beyond_q <= worst_error * 1.01
+    assert worst_error_beyond_q * (1 - 1e-9) <= stated.beyond_q <= worst_error_beyond_q * 1.01
 
 
 @pytest.mark.parametrize("text", ["0.05", "0.050", ".05", "5e-2", " +0.05 ", "0.05000000000000000000000000"])

@@ -94,7 +94,7 @@ def test_the_last_state_of_a_bus_has_the_latest_values_that_each_robot_sent(bus:
 
     The true accuracy is 0.9. A value that no frame has had is unknown, NAN.
     """
-    last_state = record(bus, seconds=0.5).history.states_since().states[-1]
+    *_, last_state = record(bus, seconds=0.5).history.states_since().states
     x, x_hat, b_hat, true_accuracy = last_state.values
 
     assert x.tolist() == [0.5, 0.25]
@@ -135,20 +135,18 @@ def test_the_report_on_a_bus_has_a_row_for_each_robot_once_a_second(bus: Scripte
     assert (row["robot"], row["seen"]) == (7, 0.0)
 
 
-def test_robots_that_were_silent_for_3_s_have_no_values_but_their_true_accuracy(bus: ScriptedBus) -> None:
+def test_robots_that_were_silent_for_3_s_are_marked_and_have_no_values_but_their_true_accuracy(
+    bus: ScriptedBus,
+) -> None:
     """The last frame of the bus came at 0.3125 s. The accuracy, 0.9, is known from the command line."""
-    last_state = record(bus, seconds=4.5).history.states_since().states[-1]
+    history = record(bus, seconds=4.5).history
+    *_, last_state = history.states_since().states
     x, x_hat, b_hat, true_accuracy = last_state.values
 
     assert np.isnan([x, x_hat, b_hat]).all()
     assert true_accuracy.tolist() == [0.9, 0.9]
-
-
-def test_the_report_on_a_bus_marks_robots_that_were_silent_for_3_s(bus: ScriptedBus) -> None:
-    """The last frame of the bus came at 0.3125 s."""
-    report = record(bus, seconds=4.5).history.report
-    assert report is not None
-    assert [row["silent"] for row in report["robots"]] == [True, True]
+    assert history.report is not None
+    assert [row["silent"] for row in history.report["robots"]] == [True, True]
 
 
 # --- A log without events -----------------------------------------------------------------------------

@@ -23,36 +23,30 @@ def history() -> History:
     return history
 
 
-def test_a_reader_that_has_two_of_three_states_gets_the_third(history: History) -> None:
-    """The states are those after 0, 1 and 2 steps."""
-    update = history.states_since(generation=0, index=2)
-    assert [state.tick for state in update.states] == [2]
+@pytest.mark.parametrize(("generation", "index", "ticks"), [(0, 2, [2]), (0, 3, []), (7, 3, [0, 1, 2])])
+def test_a_reader_gets_the_states_that_it_does_not_have_and_all_if_it_is_of_another_generation(
+    generation: int, index: int, ticks: list[int], history: History
+) -> None:
+    """A reader has read the states up to ``index``, of those after 0, 1 and 2 steps.
+
+    The generation is a number that goes up when a robot joins or when states are thinned out; here it is 0.
+    """
+    update = history.states_since(generation, index)
+    assert [state.tick for state in update.states] == ticks
 
 
-def test_a_reader_that_has_all_three_states_gets_none(history: History) -> None:
-    assert history.states_since(generation=0, index=3).states == []
+def test_a_robot_that_joins_has_neither_values_nor_links_in_earlier_states(history: History) -> None:
+    """Robot 7 joins the robots 0 and 1, which are marked as receiving from each other and from themselves.
 
-
-def test_a_reader_of_another_generation_gets_all_three_states_again(history: History) -> None:
-    """The generation is a number that goes up when a robot joins or when states are thinned out."""
-    assert len(history.states_since(generation=7, index=3).states) == 3
-
-
-def test_a_robot_that_joins_has_unknown_values_in_earlier_states(history: History) -> None:
-    """Robot 7 joins the robots 0 and 1. Its unknown values are NaN."""
+    Its unknown values are NaN. All readers read all states again, as there is a new generation.
+    """
     history.add_robot(7)
-    last_state = history.states_since().states[-1]
+    *_, last_state = history.states_since().states
     _robot_0, _robot_1, robot_7 = last_state.values.T
 
+    assert history.generation == 1
     assert history.description.robots == [0, 1, 7]
     assert np.isnan(robot_7).all()
-
-
-def test_a_robot_that_joins_has_no_links_in_earlier_states(history: History) -> None:
-    """Robots 0 and 1 receive from each other (and are marked as receiving from themselves)."""
-    history.add_robot(7)
-    last_state = history.states_since().states[-1]
-
     assert last_state.neighbours.tolist() == [
         [True, True, False],
         [True, True, False],
@@ -60,14 +54,11 @@ def test_a_robot_that_joins_has_no_links_in_earlier_states(history: History) -> 
     ]
 
 
-def test_a_robot_that_joins_begins_a_new_generation_of_states(history: History) -> None:
-    """The generation begins at 0. A reader that has another one reads all states again."""
-    history.add_robot(7)
-    assert history.states_since(generation=0, index=3).generation == 1
-
-
 def test_a_swarm_without_an_end_keeps_at_most_a_hundred_states(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The limit is set to 100 here. At 101 states, every second one is left out."""
+    """The limit is set to 100 here. At 101 states, every second one is left out.
+
+    That happens four times in 1000 steps, and 2**4 is 16.
+    """
     monkeypatch.setattr(history_module, "MAX_STATES", 100)
     history = History(RunDescription("endless", [0, 1]))
     counts = []
@@ -76,17 +67,6 @@ def test_a_swarm_without_an_end_keeps_at_most_a_hundred_states(monkeypatch: pyte
         counts.append(len(history.states_since().states))
 
     assert max(counts) == 100
-
-
-def test_states_that_are_thinned_out_four_times_are_those_of_every_16th_step(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """At most 100 of 1000 states are kept, so every second one is left out four times: 2**4 is 16."""
-    monkeypatch.setattr(history_module, "MAX_STATES", 100)
-    history = History(RunDescription("endless", [0, 1]))
-    for tick in range(1000):
-        history.add(make_state(tick))
-
     assert history.generation == 4
     assert [state.tick for state in history.states_since().states] == list(range(0, 1000, 16))
 

@@ -81,15 +81,11 @@ def test_a_floor_is_encoded_as_a_bit_for_each_pixel_and_each_row_begins_at_a_byt
     assert decompress(encoded["bits"]) == bytes([0b10000000, 0b10000000, 0b01000000, 0])
 
 
-def test_the_bytes_of_states_begin_with_their_numbers_of_steps() -> None:
+def test_states_are_counted_and_their_bytes_begin_with_their_numbers_of_steps() -> None:
     """Each number has four bytes, the lowest first: 300 = 44 + 1 * 256."""
-    data = data_of([make_state(5, [0]), make_state(300, [0])], robots=1)
-    assert data.startswith(bytes([5, 0, 0, 0]) + bytes([44, 1, 0, 0]))
-
-
-def test_the_number_of_states_is_encoded_beside_their_bytes() -> None:
     block = encode_states([make_state(5, [0]), make_state(300, [0])], RunDescription("a run", [0]))
     assert block["count"] == 2
+    assert decompress(block["data"]).startswith(bytes([5, 0, 0, 0]) + bytes([44, 1, 0, 0]))
 
 
 def test_each_robot_s_values_are_encoded_as_differences_to_the_state_before() -> None:
@@ -102,16 +98,13 @@ def test_each_robot_s_values_are_encoded_as_differences_to_the_state_before() ->
     assert first_values(data, count=6, states=3) == differences_of_robot_0 + differences_of_robot_1
 
 
-def test_an_unknown_value_is_encoded_as_65535() -> None:
-    """A state has NaN for what is unknown; known values take the numbers up to 65534."""
-    data = data_of([make_state(0, [np.nan])], robots=1)
-    assert first_values(data, count=1) == [65535]
-
-
-def test_values_below_0_and_above_1_are_encoded_as_0_and_1() -> None:
-    """A value of 1 is encoded as 65534."""
-    data = data_of([make_state(0, [-0.1, 1.1])], robots=2)
-    assert first_values(data, count=2) == [0, 65534]
+@pytest.mark.parametrize(("x", "number"), [(0.5, 32767), (-0.1, 0), (1.1, 65534), (np.nan, 65535)])
+def test_a_value_is_encoded_as_a_number_up_to_65534_and_an_unknown_one_as_65535(
+    x: float, number: int
+) -> None:
+    """Values below 0 and above 1 are encoded as these limits. A state has NaN for what is unknown."""
+    data = data_of([make_state(0, [x])], robots=1)
+    assert first_values(data, count=1) == [number]
 
 
 def test_a_position_is_encoded_as_shares_of_the_arena_s_width_and_height() -> None:

@@ -47,39 +47,24 @@ def roster() -> RosterOfRobot3:
 # --- Lost frames --------------------------------------------------------------------------------------
 
 
-def loss_after(roster: RosterOfRobot3, transfer_ids: list[int]) -> Any:
-    """Return the share of lost frames after estimates of robot 3 with these transfer ids."""
+@pytest.mark.parametrize(
+    ("transfer_ids", "loss"),
+    [
+        ([5, 7], 1 / 3),
+        ([5, 6, 7], 0),
+        ([30, 31, 0, 1], 0),
+        ([30, 1], 2 / 4),  # 31 and 0 are missing
+        ([7, 7, 8], 0),  # one comes twice
+        ([8, 7], 30 / 32),  # 9 to 31 and 0 to 6 are missing
+    ],
+)
+def test_missing_transfer_ids_between_two_others_are_lost_frames(
+    roster: RosterOfRobot3, transfer_ids: list[int], loss: float
+) -> None:
+    """A robot numbers its frames from 0 to 31 and then from 0 again. Loss is the share of missing ones."""
     for transfer_id in transfer_ids:
         roster.receive_estimate(transfer_id, now=0.0)
-    return roster.row(now=1.0)["loss"]
-
-
-def test_a_missing_transfer_id_between_two_others_is_a_lost_frame(roster: RosterOfRobot3) -> None:
-    """A robot numbers its frames; loss is the share of missing numbers, here 6 of 5, 6 and 7."""
-    assert loss_after(roster, transfer_ids=[5, 7]) == 1 / 3
-
-
-@pytest.mark.parametrize("transfer_ids", [[5, 6, 7], [30, 31, 0, 1]])
-def test_transfer_ids_without_a_gap_are_no_loss_also_where_0_follows_31(
-    roster: RosterOfRobot3, transfer_ids: list[int]
-) -> None:
-    """For example 30, 31, 0, 1. A robot numbers its frames from 0 to 31 and then from 0 again."""
-    assert loss_after(roster, transfer_ids) == 0
-
-
-def test_missing_transfer_ids_31_and_0_between_30_and_1_are_two_lost_frames(roster: RosterOfRobot3) -> None:
-    """They are two of four, as a robot numbers its frames from 0 to 31 and then from 0 again."""
-    assert loss_after(roster, transfer_ids=[30, 1]) == 2 / 4
-
-
-def test_a_frame_that_is_received_twice_is_no_loss(roster: RosterOfRobot3) -> None:
-    """Robot 3 has sent the numbers 7 and 8, and the one with 7 comes twice."""
-    assert loss_after(roster, transfer_ids=[7, 7, 8]) == 0
-
-
-def test_a_transfer_id_below_the_one_before_stands_for_a_gap_of_30_frames(roster: RosterOfRobot3) -> None:
-    """After 8 comes 7: the numbers 9 to 31 and 0 to 6 are missing, 30 of 32."""
-    assert loss_after(roster, transfer_ids=[8, 7]) == 30 / 32
+    assert roster.row(now=1.0)["loss"] == loss
 
 
 def test_estimates_heartbeats_and_telemetry_are_numbered_separately(roster: RosterOfRobot3) -> None:

@@ -127,28 +127,21 @@ def test_the_history_of_a_running_swarm_has_a_state_after_each_of_its_110_steps(
     assert ticks_of(recordings.live) == list(range(1, 111))
 
 
-def test_a_log_is_shown_with_the_same_states_as_the_running_swarm(recordings: Recordings) -> None:
-    """The log has a state before the first step as well; the running swarm has one after each step."""
-    initial_state, *logged_states = states_of(recompute_swarm_history(recordings.log))
-    assert initial_state.tick == 0
-    assert differing_ticks(logged_states, states_of(recordings.live)) == []
-
-
-def test_a_simulated_trial_is_shown_with_the_same_states_as_the_running_swarm(recordings: Recordings) -> None:
-    """The trial has a state before the first step as well; the running swarm has one after each step."""
-    initial_state, *trial_states = states_of(recompute_trial_history(recordings.trials, trial=0))
-    assert initial_state.tick == 0
-    assert differing_ticks(trial_states, states_of(recordings.live)) == []
-
-
-def test_a_log_and_a_trial_have_the_same_title_and_parameters_as_the_running_swarm(
+def test_a_log_and_a_trial_are_shown_with_the_states_and_the_title_of_the_running_swarm(
     recordings: Recordings,
 ) -> None:
-    """Title and parameters are compared in JSON, as the web page of the swarm gets them."""
-    live = encode_description(recordings.live.description)
-    logged = encode_description(recompute_swarm_history(recordings.log).description)
-    trial = encode_description(recompute_trial_history(recordings.trials, trial=0).description)
-    assert live == logged == trial
+    """They have a state before the first step as well; the running swarm has one after each step.
+
+    Title and parameters are compared in JSON, as the web page of the swarm gets them.
+    """
+    logged = recompute_swarm_history(recordings.log)
+    trial = recompute_trial_history(recordings.trials, trial=0)
+
+    for history in (logged, trial):
+        initial_state, *states = states_of(history)
+        assert initial_state.tick == 0
+        assert differing_ticks(states, states_of(recordings.live)) == []
+        assert encode_description(history.description) == encode_description(recordings.live.description)
 
 
 def test_robots_estimates_and_accuracies_change_by_more_than_a_tenth_in_the_compared_swarm() -> None:
@@ -160,18 +153,19 @@ def test_robots_estimates_and_accuracies_change_by_more_than_a_tenth_in_the_comp
     assert np.ptp(b_hat, axis=0).max() > 0.1
 
 
-def test_a_simulated_trial_has_ended() -> None:
-    assert recompute_trial_history(run_experiment(), trial=0).has_ended
-
-
-def test_a_long_trial_is_shown_with_every_fourth_state(monkeypatch: pytest.MonkeyPatch) -> None:
-    """So its web page stays small: of 111 states, at most 28 are kept here. The real limit is 10,000."""
+def test_a_long_trial_and_a_long_log_are_shown_with_every_fourth_state(
+    crash_log: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """So the web page stays small: of 111 states, at most 28 are kept here. The real limit is 10,000."""
     trials = run_experiment()
-    every_state = states_of(recompute_trial_history(trials, trial=0))
+    every_state_of_trial = states_of(recompute_trial_history(trials, trial=0))
+    every_state_of_log = states_of(recompute_swarm_history(crash_log))
     monkeypatch.setattr(history_module, "MAX_STATES", 28)
-    kept_states = states_of(recompute_trial_history(trials, trial=0))
 
-    assert differing_ticks(kept_states, every_state[::4]) == []
+    kept_states_of_trial = states_of(recompute_trial_history(trials, trial=0))
+    kept_states_of_log = states_of(recompute_swarm_history(crash_log))
+    assert differing_ticks(kept_states_of_trial, every_state_of_trial[::4]) == []
+    assert differing_ticks(kept_states_of_log, every_state_of_log[::4]) == []
 
 
 def test_links_between_more_robots_than_fit_a_bus_are_pairs_of_receiver_and_sender() -> None:
@@ -237,21 +231,15 @@ def test_the_line_of_errors_without_a_filter_has_a_limited_number_of_points(
 
 @pytest.mark.parametrize(
     "parameters",
-    [{"filter": "none"}, {"faults": ("loss=0.1",)}, {"allow": "0-6"}, {"latency": 1}],
-    ids=["no filter", "faults", "allow", "latency"],
+    [{"filter": "none"}, {"faults": ("loss=0.1",)}, {"allow": "0-6"}, {"latency": 1}, {"steps": 10**9}],
+    ids=["no filter", "faults", "allow", "latency", "would take hours"],
 )
-def test_the_chart_lacks_errors_without_a_filter_where_they_would_be_no_fair_comparison(
+def test_the_chart_lacks_errors_without_a_filter_where_they_would_be_no_fair_comparison_or_take_long(
     parameters: dict[str, Any],
 ) -> None:
     """They are simulated without faults, latency and acceptance lists, so a swarm with these differs."""
     settings = SwarmSettings(**PARAMETERS | parameters)
     assert len(SwarmRecorder(settings).history.description.unfiltered_errors) == 0
-
-
-def test_a_swarm_of_a_billion_steps_is_not_run_a_second_time_without_a_filter_for_its_chart() -> None:
-    """The chart lacks the errors without a filter, which would take hours to compute."""
-    recorder = SwarmRecorder(SwarmSettings(steps=10**9))
-    assert len(recorder.history.description.unfiltered_errors) == 0
 
 
 def centre_of_pixel(floor: NDArray[np.bool_], row: int, column: int, settings: SwarmSettings) -> Any:
@@ -317,22 +305,16 @@ def crash_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_a_robot_has_no_estimates_in_the_15_steps_in_which_it_is_dead(crash_log: Path) -> None:
-    """Robot 2 crashes in step 21 of the log. Only the true accuracy of its sensor remains known."""
+    """Robot 2 of seven crashes in step 21 of the log. Only the true accuracy of its sensor remains known."""
     steps_without_estimates = []
     for state in states_of(recompute_swarm_history(crash_log)):
-        x, x_hat, b_hat, _true_accuracy = state.values
-        robot = 2
-        if np.isnan([x[robot], x_hat[robot], b_hat[robot]]).all():
+        _robot_0, _robot_1, robot_2, *_other_robots = state.values.T
+        x, x_hat, b_hat, _true_accuracy = robot_2
+        if np.isnan([x, x_hat, b_hat]).all():
             steps_without_estimates.append(state.tick)
+        assert np.isfinite(np.delete(state.values, 2, axis=1)).all(), "robots that live"
 
     assert steps_without_estimates == list(range(21, 21 + 15))
-
-
-def test_robots_that_live_have_all_values_while_another_one_is_dead(crash_log: Path) -> None:
-    """Only robot 2 of seven robots crashes."""
-    living_robots = [0, 1, 3, 4, 5, 6]
-    for state in states_of(recompute_swarm_history(crash_log)):
-        assert np.isfinite(state.values[:, living_robots]).all(), state.tick
 
 
 def test_a_log_with_a_crash_is_shown_with_the_states_that_the_running_swarm_had(crash_log: Path) -> None:
@@ -349,20 +331,10 @@ def test_a_log_and_a_running_swarm_have_a_fault_with_its_first_and_last_step(cra
     assert list(live.description.faults) == list(logged.description.faults)
 
 
-def test_the_history_of_a_log_has_ended_and_that_of_a_running_swarm_has_not(crash_log: Path) -> None:
+def test_histories_of_logs_and_trials_have_ended_and_that_of_a_running_swarm_has_not(crash_log: Path) -> None:
     assert recompute_swarm_history(crash_log).has_ended
+    assert recompute_trial_history(run_experiment(), trial=0).has_ended
     assert not record_swarm(steps=10).has_ended
-
-
-def test_a_long_log_is_shown_with_every_fourth_state(
-    crash_log: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """So its web page stays small: of 111 states, at most 28 are kept here. The real limit is 10,000."""
-    every_state = states_of(recompute_swarm_history(crash_log))
-    monkeypatch.setattr(history_module, "MAX_STATES", 28)
-    kept_states = states_of(recompute_swarm_history(crash_log))
-
-    assert differing_ticks(kept_states, every_state[::4]) == []
 
 
 # --- A swarm as it runs -------------------------------------------------------------------------------

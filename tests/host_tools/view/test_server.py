@@ -72,12 +72,9 @@ def request_for(url: str, path: str) -> str:
 # --- Whom it answers ----------------------------------------------------------------------------------
 
 
-def test_server_sends_the_page_to_a_user_who_opens_it(url: str) -> None:
-    assert get(url) == (200, make_page())
-
-
-def test_server_ignores_the_query_of_an_address(url: str) -> None:
-    assert get(url, "/?step=3") == (200, make_page())
+@pytest.mark.parametrize("path", ["/", "/?step=3"])
+def test_server_sends_the_page_to_a_user_who_opens_it_and_ignores_a_query(path: str, url: str) -> None:
+    assert get(url, path) == (200, make_page())
 
 
 @pytest.mark.parametrize(
@@ -213,15 +210,13 @@ def test_the_server_sends_the_events_of_a_running_swarm_in_the_order_of_its_chan
     assert names == ["description", "block", "block", "report", "description", "block", "end"]
 
 
-def test_after_a_robot_has_joined_the_server_sends_a_new_description(live_events: list[Event]) -> None:
-    """Robot 7 joins the robots 0 and 1."""
+def test_after_a_robot_has_joined_the_server_sends_a_new_description_and_all_states_again(
+    live_events: list[Event],
+) -> None:
+    """Robot 7 joins the robots 0 and 1. A block holds states: one, a second one, and then both together."""
     lists_of_robots = [content["robots"] for name, content in live_events if name == "description"]
-    assert lists_of_robots == [[0, 1], [0, 1, 7]]
-
-
-def test_after_a_robot_has_joined_the_server_sends_all_states_again(live_events: list[Event]) -> None:
-    """A block holds states: one, then a second one, and after the robot has joined both together."""
     numbers_of_states = [content["count"] for name, content in live_events if name == "block"]
+    assert lists_of_robots == [[0, 1], [0, 1, 7]]
     assert numbers_of_states == [1, 1, 2]
 
 

@@ -28,17 +28,10 @@ def neighbours_in(graph: Graph, robots: int) -> list[list[int]]:
     return [np.flatnonzero(row).tolist() for row in neighbours]
 
 
-EDGES_WITH_COMMENTS = "# a line and a way back\n\n0 1\n 1  2 # both\n3>2\n2 > 4\n"
-
-
 def test_a_file_of_edges_says_which_robots_receive_from_which(tmp_path: Path) -> None:
     """ "0 1" is an edge in both directions, and by "3 > 2" robot 2 receives from robot 3 alone."""
-    graph = parse_file(EDGES_WITH_COMMENTS, tmp_path)
+    graph = parse_file("# a line and a way back\n\n0 1\n 1  2 # both\n3>2\n2 > 4\n", tmp_path)
     assert neighbours_in(graph, robots=5) == [[1], [0, 2], [1, 3], [], [2]]
-
-
-def test_a_graph_is_written_in_one_line(tmp_path: Path) -> None:
-    graph = parse_file(EDGES_WITH_COMMENTS, tmp_path)
     assert str(graph) == "0 1; 1 2; 2 > 4; 3 > 2"
 
 
@@ -138,30 +131,18 @@ def test_a_graph_that_names_robots_outside_the_swarm_is_refused() -> None:
         graph.check(robots=7)
 
 
-def graph_with_neighbours(count: int) -> Graph:
-    """Return a graph in which robot 0 receives from this many others."""
-    return Graph(frozenset((sender, 0) for sender in range(1, count + 1)))
-
-
-def test_a_robot_may_have_as_many_neighbours_as_a_round_holds() -> None:
-    """The firmware takes at most 127 estimates between two broadcasts, and 127 neighbours raise no error."""
-    graph_with_neighbours(127).check(robots=128)
-
-
 def test_a_robot_with_more_neighbours_than_a_round_holds_is_refused() -> None:
+    """The firmware takes at most 127 estimates between two broadcasts, so 127 neighbours raise no error."""
+    links_to_robot_0 = [(sender, 0) for sender in range(1, 129)]
+    Graph(frozenset(links_to_robot_0[:127])).check(robots=128)
     with pytest.raises(UsageError, match="robot 0 hears 128 others, but a round of the firmware holds 127"):
-        graph_with_neighbours(128).check(robots=129)
+        Graph(frozenset(links_to_robot_0)).check(robots=129)
 
 
 # --- Objects in Python -----------------------------------------------------------------------------------
 
 PAIRS = [(1, 3), (3, np.int64(65535))]
 BOTH_DIRECTIONS = {(1, 3), (3, 1), (3, 65535), (65535, 3)}
-
-
-def networkx_graph(is_directed: bool) -> Mock:
-    """Return what ``parse_graph`` needs of a graph of networkx."""
-    return Mock(edges=lambda: PAIRS, is_directed=lambda: is_directed)
 
 
 def test_robots_of_a_pair_in_a_list_receive_from_each_other() -> None:
@@ -177,12 +158,13 @@ def test_an_array_of_neighbours_has_a_row_for_each_receiver() -> None:
     assert parse_graph(neighbours).links == {(1, 3), (3, 0)}
 
 
-def test_a_directed_graph_of_networkx_keeps_its_directions() -> None:
-    assert parse_graph(networkx_graph(is_directed=True)).links == {*PAIRS}
-
-
-def test_an_undirected_graph_of_networkx_has_both_directions() -> None:
-    assert parse_graph(networkx_graph(is_directed=False)).links == BOTH_DIRECTIONS
+@pytest.mark.parametrize(("is_directed", "links"), [(True, {*PAIRS}), (False, BOTH_DIRECTIONS)])
+def test_an_undirected_graph_of_networkx_has_both_directions(
+    is_directed: bool, links: set[tuple[int, int]]
+) -> None:
+    """The graph has the two methods of networkx that ``parse_graph`` calls."""
+    graph = Mock(edges=lambda: PAIRS, is_directed=lambda: is_directed)
+    assert parse_graph(graph).links == links
 
 
 @pytest.mark.parametrize(
