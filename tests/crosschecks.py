@@ -18,7 +18,6 @@ import mcp_asdf.robust_filter
 from mcp_asdf.mirror import MirrorRobot
 from mcp_asdf.robot import Status
 from mcp_asdf_tools.crosscheck.compare import (
-    CallResult,
     Failure,
     Firmware,
     RobotUnderTest,
@@ -26,7 +25,7 @@ from mcp_asdf_tools.crosscheck.compare import (
     run_crosscheck,
 )
 from mcp_asdf_tools.crosscheck.oracle import Audit
-from mcp_asdf_tools.crosscheck.scenario import Call, Scenario, Setup, parse_scenario
+from mcp_asdf_tools.crosscheck.scenario import Call, CallResult, Scenario, Setup, parse_scenario
 
 SOURCES = {
     module.__name__: Path(cast(str, module.__file__)).read_text(encoding="utf-8")

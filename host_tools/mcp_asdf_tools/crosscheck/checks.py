@@ -8,7 +8,14 @@ from __future__ import annotations
 from fractions import Fraction
 
 from mcp_asdf_tools.crosscheck.bounds import Bounds
-from mcp_asdf_tools.crosscheck.compare import State
+from mcp_asdf_tools.crosscheck.scenario import Call, CallResult, State
+
+
+def alpha_units(word: int) -> int:
+    """Return the confidence for which an alpha word stands, in units of 2**-24: mantissa * 2**shift."""
+    mantissa = word >> 8  # bits 8 to 31
+    shift = word % 32  # bits 0 to 4
+    return mantissa << shift
 
 
 def check_exact(state: State, expected: State) -> list[str]:
@@ -23,6 +30,11 @@ def check_bounds(name: str, value: Fraction, bounds: Bounds) -> list[str]:
     if lower <= value <= upper:
         return []
     return [f"{name} is {float(value):.9g}, outside {float(lower):.9g} to {float(upper):.9g}"]
+
+
+def ends_round(call: Call, after: CallResult) -> bool:
+    """Return whether a call, with this result, has ended a round."""
+    return call.name in ("settle", "step") and not after.outcome.startswith("ERR")
 
 
 def is_filter_run(old_state: State, new_state: State) -> bool:

@@ -7,20 +7,18 @@ from dataclasses import asdict, dataclass
 from typing import Any, Protocol
 
 from mcp_asdf.robot import Config, FirmwareError, FixedPointRobot, Status
-from mcp_asdf_tools.crosscheck.random_scenarios import random_scenario
-from mcp_asdf_tools.crosscheck.robust_scenarios import robust_scenario
+from mcp_asdf_tools.crosscheck.checked_filters import CHECKED_FILTERS
 from mcp_asdf_tools.crosscheck.scenario import (
     REPLACING,
     Call,
+    CallResult,
     Scenario,
     Setup,
+    State,
     edited_image,
     perform,
     unpack_image,
 )
-
-State = dict[str, int]
-"""Fields of a robot's state, and results of its methods, after a call, by name."""
 
 OUTCOMES = frozenset(Status.__members__)
 """Outcomes that a firmware may have."""
@@ -34,21 +32,6 @@ class Firmware(Protocol):
 
     def restore(self, config: Config, image: bytes) -> FixedPointRobot:
         """Make a robot from an image."""
-
-
-@dataclass(frozen=True)
-class CallResult:
-    """Outcome of a call, and the robot after it.
-
-    Attributes:
-        outcome: One of OUTCOMES, or the exception that was raised instead.
-        state: State of the robot; empty if there is no robot, or the call raised an exception.
-        image: The state as ``save`` returns it; empty likewise.
-    """
-
-    outcome: str
-    state: State
-    image: bytes
 
 
 class RobotUnderTest:
@@ -258,15 +241,16 @@ def run_crosscheck(
 
 
 def _generate_scenario(seed: int, index: int) -> Scenario:
-    """Return the scenario of a seed and an index; every fourth is of a robot with the robust filter.
+    """Return the scenario of a seed and an index; the filters of ``CHECKED_FILTERS`` take turns.
 
-    Each kind of scenario is numbered by itself: indexes 0 to 3 are the scenarios 0, 1 and 2 of robots with
-    the paper's filters, and scenario 0 of those with the robust filter.
+    The scenarios of each filter are numbered by themselves: indexes 0 to 3 are the scenarios 0, 1 and 2 of
+    robots with the paper's filters, and scenario 0 of those with the robust filter.
     """
-    group, index_in_group = divmod(index, 4)
-    if index_in_group == 3:
-        return robust_scenario(seed, group)
-    return random_scenario(seed, 3 * group + index_in_group)
+    turns = [checked for checked in CHECKED_FILTERS for _ in range(checked.scenarios_in_turn)]
+    round_index, turn_index = divmod(index, len(turns))
+    checked_filter = turns[turn_index]
+    index_in_turn = turn_index - turns.index(checked_filter)
+    return checked_filter.make_scenario(seed, round_index * checked_filter.scenarios_in_turn + index_in_turn)
 
 
 def shrink(failure: Failure, check_scenario: CheckScenario) -> Failure:

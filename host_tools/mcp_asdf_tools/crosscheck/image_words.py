@@ -19,22 +19,16 @@ index, as ``restore`` calls of a scenario take them.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 from mcp_asdf.image_format import image_word_count
 from mcp_asdf.robot import MAX_ID, Sums
-from mcp_asdf.robust_filter import SLOTS, RobustFilter
 
 B_HAT_WORD, T_WORD, N_WORD, X_HAT_WORD, ALPHA_WORD, FILTER_LEFT_WORD = range(1, 7)
 CLOSED_ROUND_WORD = 7
 """First word of the sums over the closed round."""
 OPEN_ROUND_WORD = 13
 """First word of the sums over the open round."""
-ROBUST_FILTER_WORD = 7
-"""First word of the robust filter, which has the place of those sums."""
-SLOTS_WORD = 15
-"""First word of the estimates in the robust filter's slots."""
 
 MAX_16_BITS, MAX_32_BITS = 0xFFFF, 0xFFFFFFFF
 """Largest number of 16 and of 32 bits."""
@@ -100,27 +94,6 @@ def pack_updates_and_id(robot_id: int, updated: int = 0, updates: int = 0) -> in
 def split_in_words(number: int) -> list[int]:
     """Return a number of 64 bits as two words, the lower one first."""
     return [number & MAX_32_BITS, number >> 32]
-
-
-def pack_robust_filter(robust: RobustFilter, estimates: Sequence[int]) -> dict[int, int]:
-    """Return the words, by index, of an image whose robust filter remembers this: words 7 to 30.
-
-    ``estimates`` are those of all 32 slots, in units of 2**-16.
-    Members may be out of their ranges, as far as their bits of the image allow: votes, dispersion and
-    estimates have 16 bits each, the others 32.
-    """
-    words = [
-        robust.centre,
-        robust.spread,
-        robust.initial_b_hat,
-        robust.filled_slots,
-        robust.batch_t,
-        robust.batch_n,
-        pack_pair(robust.votes, robust.dispersion),
-        robust.turn,
-    ]
-    slot_words = [pack_pair(estimates[slot], estimates[slot + 1]) for slot in range(0, SLOTS, 2)]
-    return dict(enumerate(words, ROBUST_FILTER_WORD)) | dict(enumerate(slot_words, SLOTS_WORD))
 
 
 def pack_closed_round(sums: Sums) -> dict[int, int]:

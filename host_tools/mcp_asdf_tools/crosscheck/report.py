@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass
 from typing import Any
 
 from rich.console import Group
 from rich.table import Table
 
+from mcp_asdf_tools.crosscheck.checked_filters import CHECKED_FILTERS
 from mcp_asdf_tools.crosscheck.compare import CrosscheckResult
 from mcp_asdf_tools.crosscheck.operation_count import AXES, Counts, find_growth
 from mcp_asdf_tools.crosscheck.oracle import Audit
@@ -43,7 +45,7 @@ class CrosscheckReport:
             for q, size in self.storage["tables"].items()
             if size != 12 + 4 * q
         ]
-        sizes_by_filter = [set(self.storage[name].values()) for name in ("images", "robust_images")]
+        sizes_by_filter = [set(self.storage[checked.images_key].values()) for checked in CHECKED_FILTERS]
         image_problems = [
             f"robots take {sorted(sizes)} bytes" for sizes in sizes_by_filter if len(sizes) != 1
         ]
@@ -95,21 +97,27 @@ class CrosscheckReport:
     def verdict(self) -> str:
         """Return the conclusion in some lines; after a failure the last one replays it."""
         result = self.result
-        image_size, robust_image_size = (
-            max(self.storage[name].values()) for name in ("images", "robust_images")
-        )
-        robust_events = ", ".join(f"{number} {name}" for name, number in sorted(self.audit.robust.items()))
+        image_sizes = []
+        for checked_filter in CHECKED_FILTERS:
+            size = max(self.storage[checked_filter.images_key].values())
+            name = checked_filter.name
+            image_sizes.append(f"{size} with the {name} filter" if name else f"{size} for a saved robot")
         interrupted = ", interrupted" if result.interrupted else ""
         lines = [
-            f"memory: 12 + 4 q bytes for a table, {image_size} for a saved robot, "
-            f"{robust_image_size} with the robust filter",
-            f"the robust filter: {robust_events}",
+            f"memory: 12 + 4 q bytes for a table, {', '.join(image_sizes)}",
+            *(_format_events(name, events) for name, events in self.audit.events.items()),
             f"calls made and compared: {result.calls} in {result.scenarios} scenarios, seed {self.seed}"
             + interrupted,
             *(f"FAILED: {problem}" for problem in self.problems),
             str(result.failure or "native and mirror agree in every bit"),
         ]
         return "\n".join(lines)
+
+
+def _format_events(filter_name: str, events: Counter[str]) -> str:
+    """Return a line on how often each event of a filter has happened: "the robust filter: 17 vote"."""
+    counts = ", ".join(f"{number} {name}" for name, number in sorted(events.items()))
+    return f"the {filter_name} filter: {counts}"
 
 
 def _format_table(title: str, columns: tuple[str, ...], rows: list[tuple[Any, ...]]) -> Table:

@@ -1,4 +1,4 @@
-"""Check what a call does to the memory of the robust filter, and what its test must decide.
+"""Check what a call does to the memory of the robust filter, what its test must decide, and what follows.
 
 Slots, votes and the beginning of a batch have one right value, which they must have to the last bit; the
 dispersion must keep the bounds of ``robust_bounds``. The test must decide as exact fractions do, unless it is
@@ -13,11 +13,18 @@ from collections import Counter
 from dataclasses import dataclass
 from enum import Enum
 from fractions import Fraction
+from typing import TYPE_CHECKING
 
-from mcp_asdf.fixed_point import ONE
+from mcp_asdf.fixed_point import HALF, ONE
+from mcp_asdf.reference import COUNTER_MODULUS
 from mcp_asdf.robust_reference import SLOTS, TESTED_ESTIMATES_MIN, Observations, Votes
-from mcp_asdf_tools.crosscheck.checks import check_bounds, check_exact, is_filter_run
-from mcp_asdf_tools.crosscheck.compare import CallResult, State
+from mcp_asdf_tools.crosscheck.checks import (
+    check_bounds,
+    check_exact,
+    check_update,
+    ends_round,
+    is_filter_run,
+)
 from mcp_asdf_tools.crosscheck.robust_bounds import (
     dispersion_bounds,
     robust_test_outcome,
@@ -26,7 +33,10 @@ from mcp_asdf_tools.crosscheck.robust_bounds import (
     slot_estimate,
     support_outcome,
 )
-from mcp_asdf_tools.crosscheck.scenario import Call
+from mcp_asdf_tools.crosscheck.scenario import Call, CallResult, Setup, State
+
+if TYPE_CHECKING:
+    from mcp_asdf_tools.crosscheck.oracle import Audit
 
 # The state holds fractions as integers, in units of 1 / ... of these numbers.
 _ESTIMATE_UNITS = 2**16
@@ -67,7 +77,72 @@ class FilterRun:
     centre: Fraction | None
 
 
-def check_memory(call: Call, before: CallResult, after: CallResult, events: Counter[str]) -> list[str]:
+def check_robust_call(
+    audit: Audit, setup: Setup, call: Call, before: CallResult, after: CallResult
+) -> list[str]:
+    """Return a line for each problem of the filter's memory, of x_bar and x, and of b_hat after a round.
+
+    These events are counted in ``audit``:
+        vote, own vote: An estimate in a slot was a vote, or the robot's own estimate.
+        too few, accepted, supported, rejected, undecided: What the filter had to decide; see `Decision`.
+        returned: b_hat became the initial one again.
+    """
+    events = audit.events["robust"]
+    problems = _check_means(after.state) + _check_memory(call, before, after, events)
+    if ends_round(call, after):
+        problems += _check_filter(audit, events, before.state, after.state, after.outcome == "UPDATED")
+    return problems
+
+
+def _check_means(state: State) -> list[str]:
+    """Return what is wrong with x_bar, x and beta, a line each.
+
+    x_bar and x are the centre of the votes, rounded down, and beta is 0. Without any vote x_bar is 1/2 and x
+    is the robot's own x_hat.
+    """
+    centre = state["robust_centre"] * ONE // _VOTE_UNITS  # from units of 2**-30 to 2**-23
+    has_votes = state["robust_votes"] > 0
+    x = centre if has_votes else state["x_hat"]
+    x_bar = centre if has_votes else HALF
+    return check_exact(state, {"x()": x, "x_bar()": x_bar, "beta()": 0})
+
+
+def _check_filter(
+    audit: Audit, events: Counter[str], old_state: State, new_state: State, is_updated: bool
+) -> list[str]:
+    """Return a line for each problem of the filter at the end of a round.
+
+    It must have changed b_hat if, and only if, what it decides in this state takes that; and the result must
+    be right. ``events`` counts what was decided.
+    """
+    if not is_filter_run(old_state, new_state):
+        return _check_no_test(old_state, new_state, is_updated)
+    run = _expected_filter_run(new_state)
+    events[run.decision.value] += 1
+    if run.decision is Decision.TOO_FEW:
+        return _check_no_test(old_state, new_state, is_updated)
+    audit.tests += 1
+    problems = check_exact(new_state, {"tests": (old_state["tests"] + 1) % COUNTER_MODULUS})
+    if run.decision is Decision.UNDECIDED:
+        return problems
+    if run.decision is Decision.REJECTED:
+        assert run.centre is not None
+        return problems + audit.check_b_hat(new_state, run.centre, is_updated)
+    initial_b_hat = new_state["robust_initial_b_hat"]
+    is_return = old_state["b_hat()"] != initial_b_hat
+    if is_return:
+        events["returned"] += 1
+    problems += check_exact(new_state, {"b_hat()": initial_b_hat})
+    return problems + check_update(is_updated, expected=is_return)
+
+
+def _check_no_test(old_state: State, new_state: State, is_updated: bool) -> list[str]:
+    """Return a line for each sign of a test or of an update of b_hat, where there must be neither."""
+    problems = check_exact(new_state, {"b_hat()": old_state["b_hat()"], "tests": old_state["tests"]})
+    return problems + check_update(is_updated, expected=False)
+
+
+def _check_memory(call: Call, before: CallResult, after: CallResult, events: Counter[str]) -> list[str]:
     """Check what a call has done to the memory of the robust filter, and return a line for each problem.
 
     The memory consists of the estimates in the slots, the summary of the votes, and the batch of observations
@@ -79,18 +154,17 @@ def check_memory(call: Call, before: CallResult, after: CallResult, events: Coun
         # The memory comes from an image. Here nothing is known of it; `compare_firmwares` compares it.
         return []
     expected = _memory_of(old_state)
-    is_error = after.outcome.startswith("ERR")
     problems: list[str] = []
     if call.name == "receive":
         sender, x_hat, alpha = call.numbers
         if after.outcome == "OK" and _has_confidence(alpha):
             expected |= _slot_after(old_state, sender, x_hat)
-    if call.name in ("observe", "step") and not is_error:
+    if call.name in ("observe", "step") and not after.outcome.startswith("ERR"):
         is_memory_halved = new_state["t"] != old_state["t"] + 1
         if is_memory_halved:
             # The old counts cannot be compared with the halved ones, so a new batch begins.
             expected |= {"robust_batch_t": new_state["t"], "robust_batch_n": new_state["n"]}
-    if call.name in ("settle", "step") and not is_error:
+    if ends_round(call, after):
         expected |= _votes_after_round(old_state, new_state, events)
         if is_filter_run(old_state, new_state):
             problems += _check_dispersion(expected, new_state)
@@ -190,7 +264,7 @@ def _check_dispersion(old_memory: State, new_state: State) -> list[str]:
     return check_bounds("dispersion", new_dispersion, bounds)
 
 
-def expected_filter_run(state: State) -> FilterRun:
+def _expected_filter_run(state: State) -> FilterRun:
     """Return what a run of the filter that has led to this state must have decided.
 
     All that it decides by is still in the state: besides b_hat a run changes only the batch of observations

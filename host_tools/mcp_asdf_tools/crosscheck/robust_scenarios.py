@@ -7,6 +7,7 @@ is just an outlier, estimates that decide the test by one unit, and supporters t
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from math import isqrt
 from random import Random
@@ -53,7 +54,7 @@ from mcp_asdf_tools.crosscheck.image_words import (
     N_WORD,
     T_WORD,
     X_HAT_WORD,
-    pack_robust_filter,
+    pack_pair,
 )
 from mcp_asdf_tools.crosscheck.random_scenarios import ScenarioWriter, draw_setup
 from mcp_asdf_tools.crosscheck.random_values import (
@@ -68,6 +69,9 @@ from mcp_asdf_tools.crosscheck.scenario import Scenario
 _CENTRE_ONE = q30_from_q23(ONE)
 _SLOT_UNIT = q30_from_q23(q23_from_q16(1))
 """Unit of the estimates in slots, as a number of units of the votes."""
+
+_FILTER_WORD, _SLOTS_WORD = 7, 15
+"""First words of an image that hold what the filter remembers, and the estimates of its slots."""
 
 _VOTE_COUNTS = (
     # No vote, and first ones
@@ -233,7 +237,7 @@ class RobustScenarioWriter(ScenarioWriter):
             ALPHA_WORD: alpha,
             # As if b_hat had just changed: otherwise x_hat and alpha would have to follow from it.
             self._layout.updates_and_id_word: self._pack_updates(updated=1),
-            **pack_robust_filter(robot.robust, robot.estimates),
+            **_pack_robust_filter(robot.robust, robot.estimates),
         }
 
     def _draw_filter_words(self, t: int, n: int) -> dict[int, int]:
@@ -245,7 +249,7 @@ class RobustScenarioWriter(ScenarioWriter):
         robot = self._draw_robot_after(t, n, initial_b_hat=self._b_hat)
         if robot.is_test_possible:
             robot.robust.initial_b_hat = self._rng.choice([self._b_hat, draw_b_hat(self._rng)])
-        return pack_robust_filter(robot.robust, robot.estimates)
+        return _pack_robust_filter(robot.robust, robot.estimates)
 
     def _draw_filter_words_at_limits(self) -> dict[int, int]:
         """Draw words of an image in which one value that the filter remembers is at or next to a limit.
@@ -504,3 +508,24 @@ class RobustScenarioWriter(ScenarioWriter):
         scale = rng.choice([-1, 1]) << rng.randrange(4)
         start = rng.randint(0, SLOT_ESTIMATE_MAX)
         return tuple(clamp(start + scale * offset, 0, SLOT_ESTIMATE_MAX) for offset in _SLOWLY_CENTRED)
+
+
+def _pack_robust_filter(robust: RobustFilter, estimates: Sequence[int]) -> dict[int, int]:
+    """Return the words, by index, of an image whose robust filter remembers this: words 7 to 30.
+
+    ``estimates`` are those of all 32 slots, in units of 2**-16.
+    Members may be out of their ranges, as far as their bits of the image allow: votes, dispersion and
+    estimates have 16 bits each, the others 32.
+    """
+    words = [
+        robust.centre,
+        robust.spread,
+        robust.initial_b_hat,
+        robust.filled_slots,
+        robust.batch_t,
+        robust.batch_n,
+        pack_pair(robust.votes, robust.dispersion),
+        robust.turn,
+    ]
+    slot_words = [pack_pair(estimates[slot], estimates[slot + 1]) for slot in range(0, SLOTS, 2)]
+    return dict(enumerate(words, _FILTER_WORD)) | dict(enumerate(slot_words, _SLOTS_WORD))

@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import cast
 
-from mcp_asdf.image_format import ROBUST_IMAGE_WORDS, image_word_count
+from mcp_asdf.image_format import image_word_count
 from mcp_asdf.robot import Config, Filter, FixedPointRobot, Observation, Status
 from mcp_asdf.table import Table, checksum
 from mcp_asdf_tools.common.errors import UsageError
@@ -24,13 +24,14 @@ from mcp_asdf_tools.tables.thresholds import check_q, generate, parse_omega
 
 _MAX_8, _MAX_32 = 2**8 - 1, 2**32 - 1
 """Largest number of 8 and of 32 bits."""
+_LARGEST_IMAGE_WORDS = max(image_word_count(robot_filter) for robot_filter in Filter)
 _MAX_NUMBERS = {
     "robot": (_MAX_8, _MAX_32, _MAX_32, _MAX_8, _MAX_32),
     "observe": (_MAX_32,),
     "step": (_MAX_32,),
     "settle": (),
     "receive": (_MAX_8, _MAX_32, _MAX_32),
-    "damage": (4 * ROBUST_IMAGE_WORDS - 1, _MAX_8),
+    "damage": (4 * _LARGEST_IMAGE_WORDS - 1, _MAX_8),
 }
 """The largest value of every number of an item, by the item's name: ``robot``, which makes the robot, or that
 of a call. ``restore`` is not here, as it takes any number of pairs."""
@@ -39,6 +40,9 @@ _MAX_DIGITS = 20
 
 REPLACING = ("restore", "damage")
 """Calls after which the robot is another one, restored from an image."""
+
+State = dict[str, int]
+"""Fields of a robot's state, and results of its methods, after a call, by name."""
 
 
 @dataclass(frozen=True)
@@ -52,7 +56,7 @@ class Call:
             receive: sender, x_hat, alpha.
             restore: The robot is saved and replaced by the robot restored from its image, in which words were
                 replaced and the checksum made right again. If that is refused it stays as it was. Numbers are
-                pairs of an index, 1 .. 29 or with the robust filter 1 .. 37, and a value.
+                pairs of an index, from 1 to that of the last word but the checksum, and a value.
             damage: As restore, but the byte at an index is changed by exclusive or with a mask and the
                 checksum left as it is.
     """
@@ -133,6 +137,21 @@ class Scenario:
     def with_calls(self, calls: tuple[Call, ...]) -> Scenario:
         """Return a scenario of the same robot with other calls."""
         return replace(self, calls=calls)
+
+
+@dataclass(frozen=True)
+class CallResult:
+    """Outcome of a call, and the robot after it.
+
+    Attributes:
+        outcome: Name of a `Status`, or the exception that was raised instead.
+        state: State of the robot; empty if there is no robot, or the call raised an exception.
+        image: The state as ``save`` returns it; empty likewise.
+    """
+
+    outcome: str
+    state: State
+    image: bytes
 
 
 def _group_in_pairs(numbers: tuple[int, ...]) -> list[tuple[int, int]]:

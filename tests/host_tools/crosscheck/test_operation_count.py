@@ -15,13 +15,13 @@ from mcp_asdf.robot import Filter, Observation, Status
 from mcp_asdf_tools.crosscheck.operation_count import (
     CALLS,
     Counts,
-    Workload,
     count_instructions,
     count_operations,
     find_growth,
     measure_storage,
     workloads_along,
 )
+from mcp_asdf_tools.crosscheck.workloads import RobustWorkload, Workload
 
 # --- Counting --------------------------------------------------------------------------------------------
 
@@ -87,8 +87,13 @@ def workloads_at(axis: str, value: int) -> list[Workload]:
     return [workload for workload in workloads_along(axis) if getattr(workload, axis) == value]
 
 
-@pytest.mark.parametrize("robust", [False, True])
-def test_workloads_with_64_observations_have_all_kinds_of_accuracies_and_counts(robust: bool) -> None:
+both_workloads = pytest.mark.parametrize("workload_class", [Workload, RobustWorkload])
+
+
+@both_workloads
+def test_workloads_with_64_observations_have_all_kinds_of_accuracies_and_counts(
+    workload_class: type[Workload],
+) -> None:
     """A workload is a robot whose calls are counted. Its b_hat is in units of 2**-32, and n tiles are black.
 
     The accuracies b_hat are the least, 1/2, 0.95 and the largest. The last workload halves its memory.
@@ -98,10 +103,10 @@ def test_workloads_with_64_observations_have_all_kinds_of_accuracies_and_counts(
     expected = []
     for b_hat in accuracies:
         for n in (0, 25, 64):
-            expected.append(Workload(t=64, n=n, b_hat=b_hat, robust=robust))
-    expected.append(Workload(t=64, n=32, halves=True, robust=robust))
+            expected.append(workload_class(t=64, n=n, b_hat=b_hat))
+    expected.append(workload_class(t=64, n=32, halves=True))
 
-    assert [workload for workload in workloads_at("t", 64) if workload.robust == robust] == expected
+    assert [workload for workload in workloads_at("t", 64) if type(workload) is workload_class] == expected
 
 
 @pytest.mark.parametrize("t", [32, 63, 127])
@@ -124,8 +129,8 @@ def test_workloads_with_9_messages_have_tests_of_both_outcomes_and_the_largest_s
         Workload(m=9),
         Workload(m=9, agrees=True),
         Workload(m=9, alpha=largest_confidence),
-        Workload(m=9, n=500, robust=True),
-        Workload(m=9, n=500, agrees=True, robust=True),
+        RobustWorkload(m=9, n=500),
+        RobustWorkload(m=9, n=500, agrees=True),
     ]
 
 
@@ -181,26 +186,26 @@ def test_a_robust_workload_has_an_estimate_of_each_message_in_a_slot() -> None:
 
     Its units are 2**7 times as large.
     """
-    robot = Workload(m=3, robust=True).make_robot(MirrorRobot)
+    robot = RobustWorkload(m=3).make_robot(MirrorRobot)
     assert robot.s.robust.filled_slots == 0b111
     assert robot.s.estimates[:4] == [0, round(1000 / 2**7), round(2000 / 2**7), 0]
 
 
 def test_a_robust_workload_has_as_many_votes_as_are_counted() -> None:
     """A vote weighs one estimate; further votes after 512 are not counted."""
-    robot = Workload(m=3, robust=True).make_robot(MirrorRobot)
+    robot = RobustWorkload(m=3).make_robot(MirrorRobot)
     assert robot.config.filter == Filter.ROBUST
     assert robot.s.robust.votes == 512
 
 
-@pytest.mark.parametrize("robust", [False, True])
+@both_workloads
 @pytest.mark.parametrize("m", [10, 127])
 @pytest.mark.parametrize(("agrees", "status"), [(False, Status.UPDATED), (True, Status.OK)])
 def test_the_filter_of_a_workload_re_estimates_b_hat_unless_the_messages_agree_with_the_robot(
-    robust: bool, m: int, agrees: bool, status: Status
+    workload_class: type[Workload], m: int, agrees: bool, status: Status
 ) -> None:
     """``settle`` ends a round, after which the filter makes its test."""
-    robot = Workload(m=m, n=500, agrees=agrees, robust=robust).make_robot(MirrorRobot)
+    robot = workload_class(m=m, n=500, agrees=agrees).make_robot(MirrorRobot)
     assert robot.settle() == status
 
 

@@ -14,7 +14,6 @@ from mcp_asdf.fixed_point import ONE
 from mcp_asdf.robot import Filter
 from mcp_asdf.robust_reference import Observations, Votes
 from mcp_asdf_tools.crosscheck.bounds import HALF
-from mcp_asdf_tools.crosscheck.compare import CallResult
 from mcp_asdf_tools.crosscheck.oracle import Audit
 from mcp_asdf_tools.crosscheck.robust_bounds import (
     dispersion_bounds,
@@ -25,6 +24,7 @@ from mcp_asdf_tools.crosscheck.robust_bounds import (
     support_outcome,
 )
 from mcp_asdf_tools.crosscheck.robust_scenarios import robust_scenario
+from mcp_asdf_tools.crosscheck.scenario import CallResult
 from robots import ALPHA_ONE
 
 INDEPENDENT = Fraction(1)
@@ -205,9 +205,9 @@ def calls_by_event() -> dict[str, list[CheckedCall]]:
     audit = Audit()
     for index in range(40):
         for checked_call in check_calls(str(robust_scenario(1, index)), audit):
-            for event in (*audit.robust, checked_call.call.name):
+            for event in (*audit.events["robust"], checked_call.call.name):
                 calls[event].append(checked_call)
-            audit.robust.clear()
+            audit.events["robust"].clear()
     return calls
 
 
@@ -249,7 +249,7 @@ def count_robust_events(text: str) -> tuple[Counter[str], int]:
     """Make the calls of a scenario, and return the events of the robust filter and the number of tests."""
     audit = Audit()
     list(check_calls(text, audit))
-    return audit.robust, audit.tests
+    return audit.events["robust"], audit.tests
 
 
 def receive(sender: int, x_hat: float) -> str:

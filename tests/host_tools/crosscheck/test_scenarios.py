@@ -60,7 +60,7 @@ def test_robust_scenarios_bring_about_all_that_the_filter_does(
     audit_of_robust_scenarios: Audit, event: str
 ) -> None:
     """In 150 scenarios each event, from a vote to a rejection of b_hat, happens more than thirty times."""
-    assert audit_of_robust_scenarios.robust[event] > 30
+    assert audit_of_robust_scenarios.events["robust"][event] > 30
 
 
 @pytest.mark.slow
@@ -68,7 +68,7 @@ def test_robust_scenarios_come_so_near_the_threshold_that_rounding_may_decide(
     audit_of_robust_scenarios: Audit,
 ) -> None:
     """Where rounding may decide, exact arithmetic leaves the result open, and the events count it."""
-    assert audit_of_robust_scenarios.robust["undecided"] > 10
+    assert audit_of_robust_scenarios.events["robust"]["undecided"] > 10
 
 
 def test_robust_scenarios_restore_legal_and_illegal_images_and_update_b_hat() -> None:

@@ -1,0 +1,113 @@
+"""Robots whose calls are counted, each with the state that makes a call the most expensive one."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import cache
+from typing import ClassVar, Self
+
+from mcp_asdf.fixed_point import ALPHA_MAX, HALF, ONE
+from mcp_asdf.mirror import Closed, MirrorRobot
+from mcp_asdf.robot import DEFAULT_MEMORY, Config, Filter
+from mcp_asdf.robust_filter import VOTES_MAX
+from mcp_asdf.table import MAX_Q, Table
+from mcp_asdf_tools.crosscheck.crafted_rounds import ALPHA_ONE
+from mcp_asdf_tools.tables.thresholds import generate, parse_omega
+
+OWN_ID = 127
+"""Id of these robots."""
+
+
+@dataclass(frozen=True)
+class Workload:
+    """A robot whose calls are counted: before an observation, and in the last round before the filter runs.
+
+    Attributes:
+        t: Number of observations, with the next one.
+        n: Number of black ones among them.
+        b_hat: Assumed accuracy in units of 2**-32.
+        m: Number of messages in the open round, and in the last closed one.
+        alpha: Alpha word of the robot's confidence; those of the messages differ in some bits.
+        q: Number of entries of the table.
+        halves: Whether the memory halves t and n at the next observation.
+        agrees: Whether the filter's test does not reject: x_hat is that of the messages.
+    """
+
+    filter: ClassVar[Filter] = Filter.ADAPTIVE
+
+    t: int = 1000
+    n: int = 400
+    b_hat: int = 3 << 30
+    m: int = 20
+    alpha: int = ALPHA_ONE
+    q: int = MAX_Q
+    halves: bool = False
+    agrees: bool = False
+
+    @classmethod
+    def all_with_messages(cls, m: int) -> Iterator[Self]:
+        """Yield workloads with m messages that lead to all branches of a call."""
+        yield cls(m=m)
+        yield cls(m=m, agrees=True)
+        yield cls(m=m, alpha=ALPHA_MAX)
+
+    def make_robot(self, firmware: type[MirrorRobot]) -> MirrorRobot:
+        """Make a robot of this firmware in the described state, before its next observation."""
+        memory = self.t if self.halves else DEFAULT_MEMORY
+        config = Config(table_of_size(self.q), self.filter, filter_period=1, memory=memory)
+        robot = firmware(config, OWN_ID, self.b_hat / 2**32)
+        s = robot.s
+        s.t = self.t - 1
+        s.n = min(self.n, self.t - 1)
+        for sender in range(self.m):
+            alpha = self.alpha ^ (sender << 8)  # differs in the lower bits of the mantissa
+            robot.receive_raw(sender, self._smallest_x_hat + 1000 * sender, alpha)
+        has_estimates = s.open.count > 0
+        mean_x_hat = s.open.x // s.open.count if has_estimates else ONE
+        s.x_hat = mean_x_hat if self.agrees else ONE
+        s.alpha = self.alpha
+        s.closed = Closed(s.open.alpha, s.open.alpha_x_low, s.open.alpha_x_high)
+        return robot
+
+    @property
+    def _smallest_x_hat(self) -> int:
+        """The smallest x_hat of the messages, in units of 2**-23; the others are little larger."""
+        return ONE // 3
+
+
+class RobustWorkload(Workload):
+    """A robot with the robust filter, which has taken votes if there are messages.
+
+    If it ``agrees``, its messages do not contradict half of the observations being black, and otherwise they
+    do.
+    """
+
+    filter = Filter.ROBUST
+
+    @classmethod
+    def all_with_messages(cls, m: int) -> Iterator[Self]:
+        """Yield workloads with m messages that contradict half of 1000 observations being black, or agree."""
+        yield cls(m=m, n=500)
+        yield cls(m=m, n=500, agrees=True)
+
+    def make_robot(self, firmware: type[MirrorRobot]) -> MirrorRobot:
+        """Make a robot of this firmware in the described state, before its next observation."""
+        robot = super().make_robot(firmware)
+        if self.m > 0:
+            robot.s.robust.votes = VOTES_MAX
+        return robot
+
+    @property
+    def _smallest_x_hat(self) -> int:
+        return HALF if self.agrees else 0
+
+
+@cache
+def table_of_size(q: int) -> Table:
+    """Return a table with q entries, to count what their number changes.
+
+    It is the beginning of a larger table, so that its last entry is not that of a right one.
+    """
+    largest_table = generate(parse_omega("0.05"), MAX_Q)
+    return replace(largest_table, entries=largest_table.entries[:q])
