@@ -119,24 +119,14 @@ def score(
 def _scaled_mean(values: NDArray[np.float64], limit: float) -> NDArray[np.float64]:
     """Return 100 times the mean of 1 - value / limit over the robots, times exp(-IQR / limit).
 
-    ``values`` has the shape (trials, robots), and the result the shape (trials,).
+    ``values`` has the shape (trials, robots), and the result the shape (trials,). IQR is the interquartile
+    range, and a quartile between two values is their middle.
     """
     import numpy as np  # noqa: PLC0415 (it loads slowly, and limits are needed without it)
 
     robot_axis = 1
     mean_scores = (1.0 - values / limit).mean(axis=robot_axis)
-    scaled: NDArray[np.float64] = 100.0 * mean_scores * np.exp(-_interquartile_range(values) / limit)
-    return scaled
-
-
-def _interquartile_range(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return upper less lower quartile of each trial; a quartile between two values is their middle.
-
-    ``values`` has the shape (trials, robots), and the result the shape (trials,).
-    """
-    import numpy as np  # noqa: PLC0415 (it loads slowly, and limits are needed without it)
-
-    robot_axis = 1
     upper, lower = np.percentile(values, [75, 25], axis=robot_axis, method="midpoint")
-    ranges: NDArray[np.float64] = upper - lower
-    return ranges
+    interquartile_ranges = upper - lower
+    scaled: NDArray[np.float64] = 100.0 * mean_scores * np.exp(-interquartile_ranges / limit)
+    return scaled

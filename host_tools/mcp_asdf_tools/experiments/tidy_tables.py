@@ -102,12 +102,12 @@ def tidy_table(
     robot_ids = np.arange(population.robots)
     is_flawed_by_robot = np.array([population.is_flawed(robot) for robot in range(population.robots)])
     shape = (len(trial_numbers), len(steps), len(robot_ids))
-    # Each value is repeated along the axes that have the length 1 here, or are missing before the robots.
-    numbers_along_trials = np.reshape(trial_numbers, (len(trial_numbers), 1, 1))
-    steps_along_steps = np.reshape(steps, (1, len(steps), 1))
+    # Values are repeated along the axes that have the length 1 here, or are missing before the robots.
+    numbers_by_trial = np.reshape(trial_numbers, (len(trial_numbers), 1, 1))
+    numbers_by_step = np.reshape(steps, (1, len(steps), 1))
     columns: dict[str, Any] = {
-        "trial": np.broadcast_to(numbers_along_trials, shape),
-        "step": np.broadcast_to(steps_along_steps, shape),
+        "trial": np.broadcast_to(numbers_by_trial, shape),
+        "step": np.broadcast_to(numbers_by_step, shape),
         "robot": np.broadcast_to(robot_ids, shape),
         "is_flawed": np.broadcast_to(is_flawed_by_robot, shape),
         **{name: values[name] for name in QUANTITIES},

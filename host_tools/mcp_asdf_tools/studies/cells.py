@@ -12,7 +12,7 @@ from enum import Enum
 from functools import cache
 from typing import Any
 
-from mcp_asdf_tools.experiments.experiment import Experiment
+from mcp_asdf_tools.experiments.experiment import Experiment, without_repetitions
 from mcp_asdf_tools.experiments.experiment_files import STUDIES, read_experiments
 
 FLAWED_ACCURACIES = (0.55, 0.75, 0.95)
@@ -163,10 +163,9 @@ def own_experiments_of(
         for cell in cells_of(study_part)
         if cell.filter != "none" and cell.filter_period == FILTER_PERIODS[0]
     ]
-    # Cells with ASDF- and with ASDF+ are the same with another filter. The keys of a dictionary are each cell
-    # once, in order.
-    different_cells = dict.fromkeys(cells)
-    return [replace(experiment_of(cell, study_size), firmware=firmware) for cell in different_cells]
+    experiments = [replace(experiment_of(cell, study_size), firmware=firmware) for cell in cells]
+    # Cells with ASDF- and with ASDF+ are the same with another filter.
+    return without_repetitions(experiments)
 
 
 def experiment_of(cell: Cell, study_size: StudySize) -> Experiment:

@@ -101,11 +101,16 @@ def _trials_of_users_filter(
     for trials in study_results.own_trials_of(study_part):
         own_filter = trials.experiment.filter
         is_users_filter = own_filter not in (ASDF_MINUS, ASDF_PLUS)
-        if filter_name == ASDF_MINUS and own_filter == ASDF_PLUS and _all_flawed(trials.experiment):
-            selected.append(replace(trials, experiment=replace(trials.experiment, filter=ASDF_MINUS)))
-        elif is_users_filter or own_filter == filter_name:
+        if is_users_filter or own_filter == filter_name:
             selected.append(trials)
+        elif filter_name == ASDF_MINUS and _all_flawed(trials.experiment):
+            selected.append(_as_asdf_minus(trials))
     return selected
+
+
+def _as_asdf_minus(trials: Trials) -> Trials:
+    """Return trials with ASDF- as their filter, which would be the same: no robot is flawed, or all are."""
+    return replace(trials, experiment=replace(trials.experiment, filter=ASDF_MINUS))
 
 
 def _name_in_words(experiment: Experiment) -> str:
@@ -171,10 +176,7 @@ def _select_with_shortest_period(
     if ASDF_MINUS in filter_names:
         same_as_asdf_minus = [trials for trials in unfiltered if trials.experiment.flawed == 0]
         same_as_asdf_minus += [trials for trials in filtered if _all_flawed(trials.experiment)]
-        selected += [
-            replace(trials, experiment=replace(trials.experiment, filter=ASDF_MINUS))
-            for trials in same_as_asdf_minus
-        ]
+        selected += [_as_asdf_minus(trials) for trials in same_as_asdf_minus]
     return selected
 
 

@@ -311,7 +311,8 @@ class MajorityRobot(ReferenceRobot):
         """
         if not self._is_disseminating:
             self._readings += 1
-            self._readings_of_opinion += z == self._opinion
+            if z == self._opinion:
+                self._readings_of_opinion += 1
         return super().observe(z)
 
     def receive(self, sender: int, x_hat: float, alpha: float) -> Status:

@@ -120,7 +120,8 @@ def early_errors(trials: Trials) -> Sample:
     x is a robot's recorded estimate, f the share of black floor. Step 0, before all readings, is left out.
     """
     x = trials.records["x"]  # shape (trials, recorded steps, robots)
-    quarter_length = max(1, (x.shape[1] - 1) // 4)
+    recorded_steps = x.shape[1] - 1  # without step 0
+    quarter_length = max(1, recorded_steps // 4)
     early_x = x[:, 1 : 1 + quarter_length, :]
     errors: Sample = abs(early_x - trials.experiment.fill_ratio).mean(axis=(1, 2))
     return errors

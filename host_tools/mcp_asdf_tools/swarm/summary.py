@@ -36,8 +36,8 @@ def summary(run: SwarmRun, bus: str, seconds: float) -> list[Row]:
             f"{results['mean_error']:.5f}, spread of x {results['spread_x']:.5f}, of x_hat "
             f"{results['spread_x_hat']:.5f}",
         ),
-        ("b_hat, flawed", _b_hat_change(b_hat["flawed"], settings.true_accuracy)),
-        ("b_hat, other", _b_hat_change(b_hat["other"], settings.true_accuracy)),
+        ("b_hat, flawed", _b_hat_text(b_hat["flawed"], settings.true_accuracy)),
+        ("b_hat, other", _b_hat_text(b_hat["other"], settings.true_accuracy)),
         ("filter", f"{settings.filter_description}; {tests} tests, {results['updates']} updates"),
         (
             "frames",
@@ -48,7 +48,7 @@ def summary(run: SwarmRun, bus: str, seconds: float) -> list[Row]:
         *_fault_lines(results),
         *_reception_lines(results),
         *_clock_lines(results),
-        ("bus load", _bus_loads(results)),
+        ("bus load", _bus_load_text(results)),
     ]
 
 
@@ -132,7 +132,7 @@ def _ending(run: SwarmRun) -> str:
     return "; interrupted" if run.interrupted else ""
 
 
-def _b_hat_change(change: dict[str, float] | None, true_accuracy: float) -> str:
+def _b_hat_text(change: dict[str, float] | None, true_accuracy: float) -> str:
     """Return the text about b_hat, the assumed accuracy, of a group of robots at the start and at the end.
 
     A ``change`` of None stands for a group without robots.
@@ -194,7 +194,7 @@ def _clock_lines(results: dict[str, Any]) -> Iterator[Row]:
     )
 
 
-def _bus_loads(results: dict[str, Any]) -> str:
+def _bus_load_text(results: dict[str, Any]) -> str:
     """Return the text about the load of a real bus at each bit rate."""
     loads = [
         f"{_bit_rate_text(int(bit_rate))}bit/s {load['mean']:.1%} (peak {load['peak']:.0%})"

@@ -186,7 +186,7 @@ def _generate_events(history: History) -> Iterator[str]:
     sent_report = None
     has_ended = False
     while not has_ended:
-        # Read before the states: those added after an earlier look are still sent when this is true.
+        # Read before the states: states that came between the two would otherwise never be sent.
         has_ended = history.has_ended
         update = history.states_since(generation, sent_states)
         events = []

@@ -133,9 +133,9 @@ class EngineTrials:
 
     @property
     def counters(self) -> dict[str, NDArray[np.int64]]:
-        """How many hypothesis tests and updates of b_hat each robot made, by the name in COUNTERS.
+        """The numbers of hypothesis tests and of updates of b_hat of each robot, by the name in COUNTERS.
 
-        Each array has the shape (trials, N); counts are modulo 65536.
+        Each array has the shape (trials, N); the numbers are modulo 65536.
         """
         counters = {}
         trial_count = len(self.x)
