@@ -129,10 +129,10 @@ class _KeyLines:
 
 
 def _with_graph_from_folder(parameters: dict[str, Any], folder: Path) -> dict[str, Any]:
-    """Return parameters in which the path of a graph leads from the folder of the file of experiments.
+    """Return parameters with the path of their graph joined to ``folder``, that of the file of experiments.
 
-    Parameters with edges in place of a path are returned unchanged. Raises ParameterError for a path of
-    anything but a regular file: a pipe or a device might never end.
+    Without a graph, or with edges in place of a path, they are returned unchanged. Raises ParameterError for
+    a path of anything but a regular file: a pipe or a device might never end.
     """
     graph = parameters.get("graph", "")
     if not isinstance(graph, str) or is_text_of_edges(graph):

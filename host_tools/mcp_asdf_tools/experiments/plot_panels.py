@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
@@ -84,7 +85,7 @@ def create_panels(
     UsageError for more than 32 panels or 8 series, which do not fit a picture.
     """
     column_count = min(count, max_columns)
-    row_count = -(-count // column_count)  # rounded up
+    row_count = math.ceil(count / column_count)
     figure, grid = create_panel_grid(row_count, column_count, panel_height, series_count)
     for unused_axes in grid.flat[count:]:
         unused_axes.set_axis_off()

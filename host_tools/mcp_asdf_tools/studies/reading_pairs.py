@@ -52,7 +52,7 @@ class IndependentReadings:
         first_tile, steps_to_skip = divmod(self._next_step, READINGS_OF_TILE)
         self._next_step += steps
         # The last tile may have only its first reading in these steps.
-        end_tile = -(-self._next_step // READINGS_OF_TILE)  # rounded up
+        end_tile = math.ceil(self._next_step / READINGS_OF_TILE)
         readings = self._draw_readings(first_tile, end_tile - first_tile)
         is_black = readings[steps_to_skip : steps_to_skip + steps].astype(np.float64)
         # A sensor reads black if it is always right on black tiles, and never on white ones.

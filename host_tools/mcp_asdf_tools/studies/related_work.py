@@ -123,7 +123,7 @@ def early_errors(trials: Trials) -> Sample:
     recorded_steps = x.shape[1] - 1  # without step 0
     quarter_length = max(1, recorded_steps // 4)
     early_x = x[:, 1 : 1 + quarter_length, :]
-    errors: Sample = abs(early_x - trials.experiment.fill_ratio).mean(axis=(1, 2))
+    errors: Sample = abs(early_x - trials.experiment.fill_ratio).mean(axis=(1, 2))  # over steps and robots
     return errors
 
 
@@ -138,7 +138,7 @@ def right_percents(trials: Trials) -> Sample:
     A robot answers that black prevails if its recorded estimate x is above 1/2; that is right if f is, too.
     """
     is_right = (late_estimates(trials) > 0.5) == (trials.experiment.fill_ratio > 0.5)
-    percents: Sample = 100 * is_right.mean(axis=(1, 2))
+    percents: Sample = 100 * is_right.mean(axis=(1, 2))  # over recorded steps and robots
     return percents
 
 

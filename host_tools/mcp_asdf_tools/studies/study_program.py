@@ -119,7 +119,8 @@ def late_errors(trials: Trials) -> Sample:
 
     x is a robot's recorded estimate, f the share of black floor.
     """
-    errors: Sample = abs(late_estimates(trials) - trials.experiment.fill_ratio).mean(axis=(1, 2))
+    late_x = late_estimates(trials)
+    errors: Sample = abs(late_x - trials.experiment.fill_ratio).mean(axis=(1, 2))  # over steps and robots
     return errors
 
 

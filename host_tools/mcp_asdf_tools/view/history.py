@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -172,4 +173,4 @@ def steps_between_states(steps: int, robots: int) -> int:
     bits_per_robot = robots if robots <= MAX_ON_BUS else _BITS_PER_ROBOT_OF_MANY
     affordable_states = _MAX_HISTORY_BITS // (robots * bits_per_robot)
     states = min(MAX_STATES, affordable_states)
-    return (steps + states - 1) // states  # rounded up
+    return math.ceil(steps / states)

@@ -66,8 +66,10 @@ class Faults:
 
     def robot_outage(self, node: int) -> Outage | None:
         """Return the outage that keeps a node's robot dead in this tick; None while it lives."""
-        outages = self._outages.get(node, [])
-        return next((outage for outage in outages if outage.stops_robot), None)
+        for outage in self._outages.get(node, []):
+            if outage.stops_robot:
+                return outage
+        return None
 
     def is_off_bus(self, node: int) -> bool:
         """Return whether a node neither sends nor receives in this tick: crashed, or cut off from the bus."""

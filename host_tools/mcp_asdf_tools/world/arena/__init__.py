@@ -7,6 +7,7 @@ depends on their sensors, and when a message arrives on what carries it.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -133,8 +134,7 @@ class Arena:
 def allocate_memory(size: int) -> NDArray[np.float64]:
     """Return memory of at least ``size`` bytes, aligned for doubles, as the C code takes it."""
     bytes_in_double = 8
-    doubles = -(-size // bytes_in_double)  # rounded up
-    return np.empty(doubles)
+    return np.empty(math.ceil(size / bytes_in_double))
 
 
 def make_config(settings: WorldSettings, trial: int, ffi: Any) -> tuple[dict[str, Any], object]:
