@@ -191,8 +191,8 @@ def confidence_at_end(accuracy: Accuracy, t: int, rare_count: int) -> tuple[int,
     """
     rare_term = rare_count * accuracy.rare
     common_term = (t - rare_count) * accuracy.common
-    # A term times 2**exponent is in units of 2**-24. The squares of ratios are in units of 2**-30; g was
-    # shifted up by g_shift, so that they are 2**(2 g_shift) times too large.
+    # From units of 2**-30, which the squares of ratios have, to units of 2**-24. They are also 2**(2 g_shift)
+    # times too large, since g was shifted up.
     exponent = 24 - 30 - 2 * accuracy.g_shift
     if rare_count == 0:
         alpha = common_term

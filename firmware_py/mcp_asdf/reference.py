@@ -115,10 +115,10 @@ def local_estimate(n: int, t: int, b: Number, conventions: Conventions = PAPER) 
     """
     _check_counts(n, t)
     _check_is_in_unit_interval(b, "b")
-    number = _number_type(b)
+    to_number = _number_type(b)
     if t == 0 or _carries_no_information(b, conventions):
-        return number(0.5)
-    observed_share = number(n) / t
+        return to_number(0.5)
+    observed_share = to_number(n) / t
     return _quotient_in_unit_interval(numerator=observed_share + b - 1, denominator=2 * b - 1)
 
 
@@ -138,12 +138,12 @@ def local_confidence(n: int, t: int, b: Number, conventions: Conventions = PAPER
     sensor carries no information. Raises ZeroDivisionError where alpha is infinite: for a perfect sensor,
     ``b`` 0 or 1, after observations of one colour only.
     """
-    number = _number_type(b)
+    to_number = _number_type(b)
     x_hat = local_estimate(n, t, b, conventions)
     if t == 0:
-        return number(0)
+        return to_number(0)
     if _carries_no_information(b, conventions):
-        return number(conventions.zero_confidence)
+        return to_number(conventions.zero_confidence)
     d = (2 * b - 1) ** 2  # the paper's name
     # The first two cases are sums: unlike in the paper's form, nothing is subtracted that could cancel.
     if x_hat == 0:
@@ -154,7 +154,7 @@ def local_confidence(n: int, t: int, b: Number, conventions: Conventions = PAPER
         alpha = d * t**3 / (n * (t - n))
     # Conventions that do not guard against a ``b`` of 1/2 get here with one, and d and alpha are 0 then.
     if alpha == 0:
-        return number(conventions.zero_confidence)
+        return to_number(conventions.zero_confidence)
     return alpha
 
 
@@ -215,13 +215,13 @@ def assumed_accuracy_update(n: int, t: int, x_bar: Number, conventions: Conventi
     _check_is_in_unit_interval(x_bar, "x_bar")
     if t == 0 or _carries_no_information(x_bar, conventions):
         return None
-    number = _number_type(x_bar)
-    observed_share = number(n) / t
+    to_number = _number_type(x_bar)
+    observed_share = to_number(n) / t
     b_hat = _quotient_in_unit_interval(numerator=observed_share + x_bar - 1, denominator=2 * x_bar - 1)
     if b_hat <= conventions.clamp_at:
-        return number(conventions.clamp_to)
+        return to_number(conventions.clamp_to)
     if b_hat >= 1 - conventions.clamp_at:
-        return 1 - number(conventions.clamp_to)
+        return 1 - to_number(conventions.clamp_to)
     return b_hat
 
 
@@ -314,12 +314,12 @@ def _quotient_in_unit_interval(numerator: Number, denominator: Number) -> Number
 
     A division by zero gives infinity, clamped likewise, and 0/0 gives 1/2 (see ``Conventions.guarded``).
     """
-    number = _number_type(numerator)
+    to_number = _number_type(numerator)
     if denominator != 0:
-        return max(number(0), min(numerator / denominator, number(1)))
+        return max(to_number(0), min(numerator / denominator, to_number(1)))
     if numerator == 0:
-        return number(0.5)
-    return number(1) if numerator > 0 else number(0)
+        return to_number(0.5)
+    return to_number(1) if numerator > 0 else to_number(0)
 
 
 def _sum(terms: Sequence[Number]) -> Number:

@@ -94,8 +94,8 @@ def votes_after(votes: Votes[Number], x_hat: Number) -> Votes[Number]:
 
 def limit_spread(spread: Number) -> Number:
     """Return the spread, or the nearer limit of SPREAD_MIN .. SPREAD_MAX if it is outside."""
-    number = type(spread)
-    return max(number(SPREAD_MIN), min(spread, number(SPREAD_MAX)))
+    to_number = type(spread)
+    return max(to_number(SPREAD_MIN), min(spread, to_number(SPREAD_MAX)))
 
 
 # ---- The robot's own observations ----
@@ -119,8 +119,8 @@ class Observations(Generic[Number]):
     @property
     def share(self) -> Number:
         """Share of black observations, n/t."""
-        number = type(self.dispersion)
-        return number(self.n) / self.t
+        to_number = type(self.dispersion)
+        return to_number(self.n) / self.t
 
 
 def dispersion_after_batch(
@@ -137,7 +137,7 @@ def dispersion_after_batch(
     most 12 times that average does, as more is an outlier. If the batch has no observations, or all
     observations of the robot are of one colour, the dispersion stays as it is.
     """
-    number = type(observations.dispersion)
+    to_number = type(observations.dispersion)
     dispersion, share = observations.dispersion, observations.share
     variance = batch_count * share * (1 - share)
     if variance == 0:
@@ -146,7 +146,7 @@ def dispersion_after_batch(
     ratio: Number = deviation * deviation / variance
     limited_ratio = min(ratio, REJECTED_SIGMAS_SQUARED * dispersion)
     average = dispersion + (limited_ratio - dispersion) / (1 << DISPERSION_SHIFT)
-    return max(number(DISPERSION_MIN), min(average, number(DISPERSION_MAX)))
+    return max(to_number(DISPERSION_MIN), min(average, to_number(DISPERSION_MAX)))
 
 
 # ---- The estimates in the slots ----
@@ -166,10 +166,10 @@ def huber_centre(estimates: Sequence[Number], middle: Number, spread: Number) ->
     than ``spread``: a mean of the estimates near to it, which those far away move by a limited amount. It is
     computed by three steps of Newton's method from ``middle``, their median.
     """
-    number = type(middle)
+    to_number = type(middle)
     centre = middle
     for _ in range(HUBER_STEPS):
-        centre = max(number(0), min(centre + huber_step(estimates, centre, spread), number(1)))
+        centre = max(to_number(0), min(centre + huber_step(estimates, centre, spread), to_number(1)))
     return centre
 
 
@@ -227,7 +227,7 @@ def is_supported(
     p_of_centre = probability_of_black(b, centre)
     p_of_estimates = [probability_of_black(b, estimate) for estimate in estimates]
     supporter_count = sum(abs(p - observations.share) < abs(p - p_of_centre) for p in p_of_estimates)
-    return 5 * supporter_count > 2 * len(estimates)
+    return 5 * supporter_count > 2 * len(estimates)  # supporter_count / m > 2/5
 
 
 # ---- The filter of a robot ----

@@ -362,8 +362,11 @@ class Multicast(Connection):
         Frames that were sent here are returned only if the connection returns them. The frame is None after
         ``timeout`` seconds, and earlier after one that was sent here and is not returned.
         """
-        while (received := self._group.recv(timeout)) is not None:
-            datagram, _sender_address, timestamp = received
+        while True:
+            packet = self._group.recv(timeout)
+            if packet is None:
+                return None, False
+            datagram, _sender_address, timestamp = packet
             own_frame = self._pop_own_frame(datagram)
             if own_frame is None:
                 return self._decode(datagram, timestamp)
@@ -372,7 +375,6 @@ class Multicast(Connection):
                 own_frame.channel = self.channel_info
                 return own_frame, True
             timeout = 0.0  # the caller waits again for the rest of its time
-        return None, False
 
     def _pop_own_frame(self, datagram: bytes) -> can.Message | None:
         """Remove and return the own frame that was sent as ``datagram``, or None if none was."""

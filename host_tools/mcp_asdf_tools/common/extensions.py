@@ -46,7 +46,7 @@ class ObjectName(str):
     def __eq__(self, other: object) -> bool:
         if isinstance(other, ObjectName):
             return self.extension is other.extension
-        return str.__eq__(self, other) if isinstance(other, str) else NotImplemented
+        return super().__eq__(other)
 
     def __ne__(self, other: object) -> bool:
         return not self == other  # str has a comparison of its own
@@ -54,6 +54,7 @@ class ObjectName(str):
     __hash__ = str.__hash__
 
     def __reduce__(self) -> tuple[Any, ...]:
+        """Let pickle name the object again, instead of copying the text."""
         return ObjectName, (self.extension,)
 
 

@@ -170,19 +170,19 @@ def flawed_count(count_or_share: Any, robots: int) -> int:
     range.
     """
     flawed_text = str(count_or_share)
-    if flawed_text.isascii() and flawed_text.isdigit():
-        count = int(flawed_text)
-        if count <= robots:
-            return count
-    else:
-        share = _parse_share(flawed_text)
-        if 0 <= share <= 1:  # this refuses NaN, too
-            return math.floor(share * robots + 0.5)
-    # What has not been returned by now is neither, or out of range.
-    raise ParameterError(
+    error = ParameterError(
         "flawed",
         f"flawed is {count_or_share!r}; give a count, 0 to {robots}, or a share such as '30%' or 0.3",
     )
+    if flawed_text.isascii() and flawed_text.isdigit():
+        count = int(flawed_text)
+        if count > robots:
+            raise error
+        return count
+    share = _parse_share(flawed_text)
+    if not 0 <= share <= 1:  # this refuses NaN, too
+        raise error
+    return math.floor(share * robots + 0.5)
 
 
 def _parse_share(share_text: str) -> float:

@@ -155,14 +155,15 @@ def _folder_texts(omega: Decimal, q: int) -> dict[str, str]:
     sources = sorted(name for name in texts if name.endswith(".c"))
     table_file = f"{table_name(omega, q)}.c"
     texts[table_file] = format_c_source(omega, q)
+    compiled_files = [*sources, table_file]
     values = {
         "version": own_version(),
         "omega": omega,
         "q": q,
         "sources": " ".join(sources),
         "table": table_file,
-        "quoted_sources": ", ".join(f"'{name}'" for name in (*sources, table_file)),
-        "parent_sources": " ".join(f"../{name}" for name in (*sources, table_file)),
+        "quoted_sources": ", ".join(f"'{name}'" for name in compiled_files),
+        "parent_sources": " ".join(f"../{name}" for name in compiled_files),
     }
     texts |= {name: template.format_map(values) for name, template in _BUILD_FILES.items()}
     return texts
