@@ -65,6 +65,13 @@ class Trials:
     sampling_interval: int = 0
     source: str = ""
 
+    def index_of(self, number: int) -> int:
+        """Return the index of the trial of this number. Raises UsageError if there is none."""
+        if number not in self.numbers:
+            existing_numbers = f"{self.numbers[0]} to {self.numbers[-1]}"
+            raise UsageError(f"there is no trial {number}; choose one of {existing_numbers}")
+        return self.numbers.index(number)
+
     def scores(self, limits: Limits = PAPERS) -> dict[str, NDArray[np.float64]]:
         """Return the scores H, h_K and h_e of each trial by the score's name, relative to ``limits``."""
         return score(self.convergence_steps, self.errors, *limits.of(self.experiment))

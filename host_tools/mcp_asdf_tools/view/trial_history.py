@@ -28,7 +28,7 @@ def recompute_trial_history(trials: Trials, trial: int) -> History:
     if it is too long, or if its errors differ from those in ``trials``.
     """
     experiment = trials.experiment
-    _check_number(trials, trial)
+    recorded_errors = trials.errors[trials.index_of(trial)]
     if experiment.robots * experiment.steps > _MAX_TRIAL_ROBOT_STEPS:
         raise UsageError(
             f"a trial of {experiment.robots} robots and {experiment.steps} steps is too long to be run "
@@ -38,7 +38,6 @@ def recompute_trial_history(trials: Trials, trial: int) -> History:
     spacing = steps_between_states(experiment.steps, experiment.robots)
     rerun_trials = run_trials(experiment, first=trial, trials=1, sampling_interval=spacing)
     # The results hold no states. Equal errors are the evidence that this run has the states of the first.
-    recorded_errors = trials.errors[trials.numbers.index(trial)]
     if not np.array_equal(rerun_trials.errors[0], recorded_errors):
         raise UsageError(
             f"trial {trial} does not come out again as in the results, which another version or extension "
@@ -55,7 +54,6 @@ def recorded_trial_history(trials: Trials, trial: int) -> History:
     ``trials.numbers``. Raises UsageError if there is no such trial, or if nothing is recorded.
     """
     experiment = trials.experiment
-    _check_number(trials, trial)
     if not trials.records:
         raise UsageError(
             f"nothing is recorded of the trials of {trials.source}; run mcp-asdf convert again, without "
@@ -92,13 +90,9 @@ def recorded_trial_history(trials: Trials, trial: int) -> History:
 
 
 def _recorded_estimates(trials: Trials, trial: int) -> NDArray[np.float64]:
-    """Return the recorded ESTIMATES of the robots in a trial, by its number; shape (recorded steps, 3, N)."""
-    index = trials.numbers.index(trial)
+    """Return the recorded ESTIMATES of the robots in a trial, by its number; shape (recorded steps, 3, N).
+
+    Raises UsageError if there is no such trial.
+    """
+    index = trials.index_of(trial)
     return np.stack([trials.records[name][index] for name in ESTIMATES], axis=1)
-
-
-def _check_number(trials: Trials, trial: int) -> None:
-    """Raise UsageError unless ``trial`` is the number of one of the trials."""
-    if trial not in trials.numbers:
-        numbers = f"{trials.numbers[0]} to {trials.numbers[-1]}"
-        raise UsageError(f"there is no trial {trial}; choose one of {numbers}")

@@ -364,5 +364,5 @@ def test_a_single_trial_is_drawn_in_three_panels(recorded_runs: list[Trials]) ->
 
 def test_a_trial_that_was_not_run_is_refused_with_those_that_were(recorded_runs: list[Trials]) -> None:
     first_run, _ = recorded_runs
-    with pytest.raises(UsageError, match=r"there is no trial 1; choose one of 0 \.\. 0"):
+    with pytest.raises(UsageError, match=r"there is no trial 1; choose one of 0 to 0"):
         plot_series([first_run], trial=1)

@@ -71,8 +71,8 @@ def plot_runs(runs: Sequence[Trials], trial_number: int) -> Figure:
     by side, quantities below each other. Raises UsageError if a run has no such trial, or was not recorded
     over time.
     """
-    for trials in runs:
-        _check_recorded_trial(trials, trial_number)
+    if not all(trials.records for trials in runs):
+        raise UsageError("nothing was recorded over time; run mcp-asdf simulate with --record")
     figure = empty_figure(WIDTH, 7.5)
     grid = figure.subplots(len(_QUANTITIES), len(runs), sharex=True, sharey="row", squeeze=False)
     last_step = max(trials.experiment.steps for trials in runs)
@@ -103,19 +103,12 @@ def _lines_for_legend(panels: NDArray[Any]) -> list[Line2D]:
     return lines_for_legend
 
 
-def _check_recorded_trial(trials: Trials, trial_number: int) -> None:
-    """Raise UsageError if there is no trial of that number, or no record over time."""
-    if trial_number not in trials.numbers:
-        existing_numbers = f"{trials.numbers[0]} .. {trials.numbers[-1]}"
-        raise UsageError(f"there is no trial {trial_number}; choose one of {existing_numbers}")
-    if not trials.records:
-        raise UsageError("nothing was recorded over time; run mcp-asdf simulate with --record")
-
-
 def _values_of(trials: Trials, trial_number: int, quantity: _Quantity) -> NDArray[np.float64]:
-    """Return the recorded values of a quantity in one trial, shape (samples, robots)."""
-    trial_index = trials.numbers.index(trial_number)
-    values: NDArray[np.float64] = trials.records[quantity.name][trial_index]
+    """Return the recorded values of a quantity in one trial, shape (samples, robots).
+
+    Raises UsageError if there is no such trial.
+    """
+    values: NDArray[np.float64] = trials.records[quantity.name][trials.index_of(trial_number)]
     return values
 
 
@@ -169,7 +162,7 @@ def _draw_quantity(axes: Axes, trials: Trials, trial_number: int, quantity: _Qua
     draw_style = "steps-post" if quantity.name == "b_hat" else "default"  # b_hat is constant between updates
     # Flawed robots have the lowest ids, and what is drawn last lies on top.
     for robot in reversed(range(experiment.robots)):
-        is_flawed = robot < experiment.flawed
+        is_flawed = experiment.is_flawed(robot)
         axes.plot(
             steps,
             values[:, robot],
