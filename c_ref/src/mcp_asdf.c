@@ -61,8 +61,9 @@ static void set_b_hat(mcp_asdf_t *robot, uint32_t b_hat)
      * significant bits as it can. A weight is too large then by 2^(2 g_shift), and the one of the rare colour
      * too small by 2^rare_shift; confidence_at_end() takes this into account. 1 - c is at least 1/2, and
      * needs no shift. */
-    accuracy->common = square_of_ratio(shift_left(g, g_shift), 0U - c);
-    accuracy->rare = square_of_ratio(shift_left(g, g_shift), shift_left(c, c_shift));
+    const uint32_t shifted_g = shift_left(g, g_shift);
+    accuracy->common = square_of_ratio(shifted_g, 0U - c);
+    accuracy->rare = square_of_ratio(shifted_g, shift_left(c, c_shift));
     accuracy->g_shift = g_shift;
     accuracy->rare_shift = 2U * c_shift;
 }
@@ -103,7 +104,7 @@ ALWAYS_INLINE confidence_t confidence_of_sum(uint64_t sum, uint32_t exponent)
         exponent -= 32U;
     }
     const uint32_t sum_shift = leading_zeros(high_word(sum));
-    const uint32_t highest_bits = upper(sum, sum_shift); /* the upper word of the sum shifted by sum_shift */
+    const uint32_t highest_bits = shifted_high_word(sum, sum_shift);
     const confidence_t confidence = {highest_bits >> 8, exponent - sum_shift}; /* 32 bits to 24 */
     return confidence;
 }
@@ -178,7 +179,8 @@ ALWAYS_INLINE confidence_t confidence_inside(uint32_t total, uint32_t rarer, uin
     uint32_t exponent = 64U - 32U - QUOTIENT_FRACTION_BITS + ALPHA_FRACTION_BITS - 2U * g_shift - shift;
     exponent = exponent + spread_shift - square_shift;
     /* divide_24() takes divisors up to 2^31: both sides are halved, which leaves their quotient as it is. */
-    uint32_t mantissa = divide_24(shift_left(square, square_shift) >> 1, upper(spread, spread_shift) >> 1);
+    const uint32_t shifted_spread = shifted_high_word(spread, spread_shift);
+    uint32_t mantissa = divide_24(shift_left(square, square_shift) >> 1, shifted_spread >> 1);
     /* The quotient is in [2^23, 2^25), a mantissa below 2^24: a 25th bit goes into the exponent. */
     const uint32_t excess_bit = (mantissa >> 24) & 1U;
     mantissa >>= excess_bit; /* a shift by at most 1 */
@@ -324,9 +326,9 @@ HOT uint32_t informed_estimate(const mcp_asdf_closed_t *closed, uint32_t x_hat, 
     /* Q32 to Q23. The mean is at most 7 of its units too small, and a unit of x has 512 of these: x is right
      * or one too small. */
     const uint32_t x = round_mean(alpha, alpha_x_low, alpha_x_high) >> 9;
-    /* Which, the remainder sum - x alpha of the division shows: it is below 2 alpha < 2^63, and at least
-     * alpha if x is one too small. Sum and product may have more than 64 bits; their lower 64 are enough, as
-     * their difference modulo 2^64 is the remainder. */
+    /* The remainder sum - x alpha of the division shows which: it is below 2 alpha < 2^63, and at least alpha
+     * if x is one too small. Sum and product may have more than 64 bits; their lower 64 are enough, as their
+     * difference modulo 2^64 is the remainder. */
     const uint64_t sum = alpha_x_low + join(low_word(alpha_x_high), 0);
     const uint64_t product = multiply(x, low_word(alpha)) + join(x * high_word(alpha), 0);
     const bool is_one_too_small = sum - product >= alpha;

@@ -67,8 +67,8 @@ ALWAYS_INLINE word_pair_t shift_left_wide(uint32_t value, uint32_t count)
 }
 
 /* Returns the upper word of value 2^count modulo 2^64, count in [0, 31]: the highest `count` bits of the
- * lower word cross into the bottom of the upper one. Lemma upper. */
-ALWAYS_INLINE uint32_t upper(uint64_t value, uint32_t count)
+ * lower word cross into the bottom of the upper one. Lemma shifted_high_word. */
+ALWAYS_INLINE uint32_t shifted_high_word(uint64_t value, uint32_t count)
 {
     return shift_left(high_word(value), count) | highest_bits_to_bottom(low_word(value), count);
 }
@@ -94,7 +94,8 @@ ALWAYS_INLINE word_pair_t ratio(uint64_t a, uint64_t d)
         d = join(low_word(d), 0);
     }
     const uint32_t shift = leading_zeros(high_word(d));
-    const word_pair_t words = {upper(a, shift), (upper(d, shift) >> 1) + 1U};
+    const uint32_t dividend = shifted_high_word(a, shift), divisor = shifted_high_word(d, shift);
+    const word_pair_t words = {dividend, (divisor >> 1) + 1U};
     return words;
 }
 

@@ -70,13 +70,13 @@ static uint32_t b_hat[MAX_STEPS / FILTER_PERIOD * MAX_ROBOTS];
 static mcp_asdf_arena_t arena;
 static double memory[1 << 17]; /* 1 MiB for an engine or an arena, which are never needed at once */
 
-/* Return the side of the arena in metres, which follows from the density D = N pi r^2 / L^2. */
+/* Returns the side of the arena in metres, which follows from the density D = N pi r^2 / L^2. */
 double arena_side(void)
 {
     return RADIO_RANGE * __builtin_sqrt((double)settings.robots * PI / settings.density);
 }
 
-/* Return the configuration of a trial's arena, with the seed that the tools give it. */
+/* Returns the configuration of a trial's arena, with the seed that the tools give it. */
 static mcp_asdf_arena_config_t arena_config(uint32_t trial)
 {
     const philox_t random = philox((philox_t){{0, 0, trial, ARENA_STREAM}}, settings.seed, 0);
@@ -91,8 +91,8 @@ static mcp_asdf_arena_config_t arena_config(uint32_t trial)
                                      .fill_ratio = settings.fill_ratio};
 }
 
-/* Return the engine's probability to observe black; in an arena, where the tile decides, to observe it
- * rightly. */
+/* Returns what the engine takes as `black`: in a fully connected swarm the probability to observe black; in
+ * an arena, where the tile decides, that to observe its colour correctly. */
 static uint32_t black_probability(void)
 {
     const double f = settings.fill_ratio;
@@ -101,7 +101,7 @@ static uint32_t black_probability(void)
     return (uint32_t)__builtin_rint(probability * MCP_ASDF_ENGINE_CERTAIN);
 }
 
-/* Return b_hat at the start, in units of 2^-32. */
+/* Returns b_hat at the start, in units of 2^-32. */
 static uint32_t initial_b_hat(bool is_flawed)
 {
     double accuracy = is_flawed ? settings.flawed_b_hat : settings.true_accuracy;
@@ -130,7 +130,7 @@ static void compute_errors(uint32_t columns)
     }
 }
 
-/* Run a trial for its errors and, if it is recorded, for its records. Return the firmware's status. */
+/* Run a trial, compute its errors and, if it is recorded, store its records. Returns the status. */
 int run_trial(filter_t filter, uint32_t trial, bool is_recorded)
 {
     const mcp_asdf_config_t filter_off = {mcp_asdf_t_table_omega05_q127, FILTER_PERIOD, MCP_ASDF_MEMORY_MAX,
@@ -211,7 +211,7 @@ static void record_floor(uint32_t size, double side)
     }
 }
 
-/* Record motion and floor of trial 0, where robots move. Return how many pixels a side of the floor has. */
+/* Record motion and floor of trial 0, where robots move. Returns how many pixels a side of the floor has. */
 uint32_t record_motion(void)
 {
     const mcp_asdf_arena_config_t config = arena_config(0);

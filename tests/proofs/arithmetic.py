@@ -64,7 +64,7 @@ SHIFTED: dict[str, Callable[..., Any]] = {
     "shift_right": z3.LShR,
     "lowest_bits_to_top": lambda value, count: value << (32 - count),
     "highest_bits_to_bottom": lambda value, count: z3.LShR(value, 32 - count),
-    "upper": lambda value, count: _word(63, value << widen(count)),
+    "shifted_high_word": lambda value, count: _word(63, value << widen(count)),
 }
 """What shifts by a count of 0 to 31 give."""
 
@@ -297,7 +297,7 @@ RATIO = Contract(
     _is_ratio_of_words,
     requires=lambda a, d: ratio_requires(_whole(a), _whole(d)),
     steps=(_no_bit_is_lost, _upper_bits),
-    uses=("leading_zeros", "upper"),
+    uses=("leading_zeros", "shifted_high_word"),
 )
 
 

@@ -46,7 +46,7 @@ MISTAKES = (
     Mistake("prepare", "(d >> 15) + 1U", "(d >> 15)"),
     Mistake("take_digit", "- digit * d", "- (digit + 1) * d"),
     Mistake("divide_24", "second + (uint32_t)(a >= d)", "second + (uint32_t)(a > d)"),
-    Mistake("ratio", "(upper(d, shift) >> 1) + 1U", "(upper(d, shift) >> 1)"),
+    Mistake("ratio", "(divisor >> 1) + 1U", "(divisor >> 1)"),
     Mistake("quotient", "divide_31(words.high", "divide_31(words.high / 2"),
     Mistake("alpha_units", "alpha >> 8, alpha)", "alpha >> 7, alpha)"),
     Mistake("alpha_word_from_mantissa", "(0U - exponent) & 31U", "(1U - exponent) & 31U"),

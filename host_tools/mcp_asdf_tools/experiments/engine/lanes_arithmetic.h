@@ -43,11 +43,12 @@ LANES_INLINE uint32_t leading_zeros(uint32_t value)
  * tried. */
 LANES_INLINE uint32_t prepare(uint32_t d)
 {
-    const uint32_t y = d >> 8 > UINT32_C(1) << 21 ? d >> 8 : UINT32_C(1) << 21; /* less in damaged memory */
+    const uint32_t least = UINT32_C(1) << 21; /* of d >> 8, but for damaged memory */
+    const uint32_t y = d >> 8 > least ? d >> 8 : least;
     /* 2^46 / d = 2^38 / (d / 2^8). The divisor y + 2, at most 2^23 + 2, is exact as a float of 24 bits, but
      * larger than d / 2^8 by 1 to 2, so that the quotient stays too small when it is rounded to 24 bits. */
-    const uint32_t above = y + 2U;
-    return (uint32_t)(int32_t)(0x1p38F / (float)(int32_t)above);
+    const uint32_t divisor = y + 2U;
+    return (uint32_t)(int32_t)(0x1p38F / (float)(int32_t)divisor);
 }
 
 #endif

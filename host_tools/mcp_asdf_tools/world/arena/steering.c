@@ -31,14 +31,13 @@ IN_LOOPS void shorten_rays_at_body(const mcp_asdf_arena_t *arena, uint32_t i, ui
     SIDE_BY_SIDE
     for (uint32_t k = 0; k < SENSORS; ++k) {
         /* The ray passes the other's centre `along` metres from this one. By Pythagoras the squared distance
-         * at which it does so is squared - along^2, and `inside` the square of half the chord within the
-         * circle.
-         */
+         * at which it does so is squared - along^2, and half of the chord within the circle has the square
+         * radius^2 - that. */
         const double along = dx * ray_component(cx, cy, k) + dy * ray_component(cy, -cx, k);
-        const double inside = radius_squared - (squared - along * along);
-        const double distance = along - BODY_RADIUS - sqrt(max_of(inside, 0));
+        const double half_chord_squared = radius_squared - (squared - along * along);
+        const double distance = along - BODY_RADIUS - sqrt(max_of(half_chord_squared, 0)); /* from the edge */
         /* Without branches, so that the rays become a vector. */
-        const bool meets = (along > 0) & (inside >= 0) & (distance < free_distance[k]);
+        const bool meets = (along > 0) & (half_chord_squared >= 0) & (distance < free_distance[k]);
         free_distance[k] = meets ? distance : free_distance[k];
     }
 }
