@@ -36,11 +36,16 @@ def connect_cluster(address: str) -> Iterator[tuple[Executor, Callable[[], int]]
     # Whatever matters in Dask's log is raised as well.
     logging.getLogger("distributed").setLevel(logging.CRITICAL)
     client = _connect_client(dask, address)
+
+    def count_threads() -> int:
+        """Return the number of threads; 1 if there is no worker, for the scheduler to keep a job for one."""
+        thread_count: int = sum(client.nthreads().values())
+        return max(1, thread_count)
+
     try:
         _wait_for_a_worker(client, address)
-        # Dask runs pure jobs of equal arguments only once. Without a worker at present a job is submitted
-        # even so, and the scheduler keeps it for the next one.
-        yield client.get_executor(pure=False), lambda: max(1, sum(client.nthreads().values()))
+        # Dask runs pure jobs of equal arguments only once.
+        yield client.get_executor(pure=False), count_threads
     except (dask.KilledWorker, CancelledError, OSError) as error:
         # A question to a scheduler that is gone ends with an OSError: its connection is closed, or timed out.
         # Dask's messages have several lines, and an error of ours has one.

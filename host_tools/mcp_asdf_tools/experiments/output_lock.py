@@ -37,15 +37,15 @@ def lock_file(path: Path) -> str | None:
             # Any other error means that there are no locks.
             has_owner = error.errno in (errno.EACCES, errno.EAGAIN)
             return owner_id if has_owner else None
-        if not _is_still_at(path, descriptor):
+        if _is_still_at(path, descriptor):
+            # A process that was killed leaves its file, whose id may be longer.
+            os.ftruncate(descriptor, 0)
+            os.write(descriptor, str(os.getpid()).encode())
+            _LOCKED_FILES[path] = descriptor
+        else:
             # Between opening and locking, the process that had the lock removed the file: try again with the
             # file that is there now, which others try to lock, too.
             os.close(descriptor)
-            continue
-        # A process that was killed leaves its file, whose id may be longer.
-        os.ftruncate(descriptor, 0)
-        os.write(descriptor, str(os.getpid()).encode())
-        _LOCKED_FILES[path] = descriptor
     return None
 
 

@@ -249,21 +249,23 @@ class MessageSwarm:
     def steps(self) -> Iterator[int]:
         """Take all steps of the trial, and yield the number of each, from 1, when it is over."""
         comms_period = self._experiment.comms_period
-        is_late = self._experiment.latency > 0
+        has_latency = self._experiment.latency > 0
+        are_messages_under_way = False
         for step in range(1, self._experiment.steps + 1):
             observations = self._world.step()
-            was_broadcast_step = step > 1 and (step - 1) % comms_period == 0
-            # What was broadcast in the last step: until they observe again, robots have the same values.
-            if is_late and was_broadcast_step:
+            # Until they observe again, robots have the values that they broadcast in the last step.
+            if are_messages_under_way:
                 self._deliver()
             for robot, observation in zip(self.robots, observations, strict=True):
                 if observation is not None:
                     robot.observe(observation)
-            if step % comms_period == 0:
-                if not is_late:
-                    self._deliver()
+            is_broadcast_step = step % comms_period == 0
+            if is_broadcast_step and not has_latency:
+                self._deliver()
+            if is_broadcast_step:
                 for robot in self.robots:
                     robot.settle()
+            are_messages_under_way = is_broadcast_step and has_latency
             yield step
 
     def _receivers_and_senders(self) -> list[list[int]]:
