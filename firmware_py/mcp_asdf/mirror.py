@@ -592,11 +592,9 @@ class MirrorRobot(FixedPointView):
         """Add a neighbour's estimate to the open round or, with the robust filter, keep it as its latest one.
 
         ``x_hat`` is in units of 2**-23, and ``alpha`` a word of 32 bits: a mantissa (bits 8 to 31) and a
-        shift (bits 0 to 4), which stand for mantissa * 2**shift units of 2**-24. Returns OK if the estimate
-        was accepted; REPEATED, which ignores it, if the round already has one of this sender; ERR_SENDER if
-        ``sender`` is not in 0 .. 127 or is the robot's own id; and ERR_X_HAT if ``x_hat`` is not in [0, 1].
-        The counters ``accepted``, ``repeated`` and ``rejected`` say how often each has happened. An estimate
-        with alpha = 0 is accepted, but neither added to a sum nor kept.
+        shift (bits 0 to 4). Returns OK, REPEATED, ERR_SENDER or ERR_X_HAT, as ``receive_raw`` explains, and
+        counts the estimate as accepted, repeated or rejected. One with alpha = 0 is accepted, but neither
+        added to a sum nor kept.
         """
         s = self.s
         status = self._check_message(sender, x_hat)

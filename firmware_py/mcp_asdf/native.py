@@ -115,10 +115,8 @@ class NativeRobot(FixedPointView):
         """Add a neighbour's estimate to the open round or, with the robust filter, to its received estimates.
 
         ``x_hat`` is in units of 2**-23, and ``alpha`` a word of 32 bits: a mantissa (bits 8 to 31) and a
-        shift (bits 0 to 4). Returns OK if the estimate was accepted; REPEATED, which ignores it, if the round
-        already has one of this sender; ERR_SENDER if ``sender`` is not in 0 .. 127 or is the robot's own id;
-        and ERR_X_HAT if ``x_hat`` is not in [0, 1]. The counters ``accepted``, ``repeated`` and ``rejected``
-        say how often each has happened.
+        shift (bits 0 to 4). Returns OK, REPEATED, ERR_SENDER or ERR_X_HAT, as ``receive_raw`` explains, and
+        counts the estimate as accepted, repeated or rejected.
         """
         try:
             return _STATUS_BY_VALUE[lib.mcp_asdf_receive(self.pointer, sender, x_hat, alpha)]
