@@ -282,8 +282,7 @@ class RobotNode:
             return []
         is_settle = command.action is Action.SETTLE
         is_tick_open = not self.is_settled and command.tick == self._tick_of_command
-        # A settle is in turn while the tick of its number is open, a command to observe while it is not.
-        is_in_turn = is_settle == is_tick_open
+        is_in_turn = is_tick_open if is_settle else not is_tick_open
         if not is_in_turn:
             self.disobeyed += 1
             return []
