@@ -392,19 +392,22 @@ def _count_misled_float_tests(robot: RobotState, rounds: RoundsAtThreshold) -> i
 def _rejects_in_float64(table: Table, own_x_hat: int, x_hats: list[int]) -> bool:
     """Return whether eq. 12 rejects ``own_x_hat`` against a round of ``x_hats``, computed in float64."""
     difference = sum(x_hats) - len(x_hats) * own_x_hat
-    return float(difference) ** 2 > _limit_in_float64(table, x_hats)
+    return float(difference) ** 2 > limit_in_float64(table, len(x_hats), scatter_of(x_hats))
 
 
 def _rejects_with_limit_in_float64(table: Table, own_x_hat: int, x_hats: list[int]) -> bool:
     """Return whether eq. 12 rejects, with its left side in integers, and its right side in float64."""
     difference = sum(x_hats) - len(x_hats) * own_x_hat
-    return difference * difference > int(_limit_in_float64(table, x_hats))
+    return difference * difference > int(limit_in_float64(table, len(x_hats), scatter_of(x_hats)))
 
 
-def _limit_in_float64(table: Table, x_hats: list[int]) -> float:
-    """Return the right side of eq. 12, which the squared difference must not exceed, in float64."""
-    threshold: float = table.entry(len(x_hats)) / 2**FRACTION_BITS
-    return threshold * float(scatter_of(x_hats))
+def limit_in_float64(table: Table, m: int, scatter: int) -> float:
+    """Return the right side of eq. 12, which the squared difference must not exceed, in float64.
+
+    The round has ``m`` estimates of this scatter, as `scatter_of` returns it.
+    """
+    threshold: float = table.entry(m) / 2**FRACTION_BITS
+    return threshold * float(scatter)
 
 
 # --- Rounds with another purpose ---

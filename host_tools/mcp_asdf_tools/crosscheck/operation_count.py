@@ -111,7 +111,8 @@ def _workloads_along_m() -> Iterator[Workload]:
     """Yield workloads of every number of messages in a round."""
     for m in range(MAX_ROUND_SIZE + 1):
         for checked_filter in CHECKED_FILTERS:
-            yield from checked_filter.workload.all_with_messages(m)
+            for situation in checked_filter.workload.situations:
+                yield checked_filter.workload(m=m, **situation)
 
 
 def _workloads_along_q() -> Iterator[Workload]:

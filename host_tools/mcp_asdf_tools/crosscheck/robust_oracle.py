@@ -19,6 +19,7 @@ from mcp_asdf.fixed_point import HALF, ONE
 from mcp_asdf.reference import COUNTER_MODULUS
 from mcp_asdf.robust_reference import SLOTS, TESTED_ESTIMATES_MIN, Observations, Votes
 from mcp_asdf_tools.crosscheck.checks import (
+    alpha_units,
     check_bounds,
     check_exact,
     check_update,
@@ -157,7 +158,7 @@ def _check_memory(call: Call, before: CallResult, after: CallResult, events: Cou
     problems: list[str] = []
     if call.name == "receive":
         sender, x_hat, alpha = call.numbers
-        if after.outcome == "OK" and _has_confidence(alpha):
+        if after.outcome == "OK" and alpha_units(alpha) > 0:
             expected |= _slot_after(old_state, sender, x_hat)
     if call.name in ("observe", "step") and not after.outcome.startswith("ERR"):
         is_memory_halved = new_state["t"] != old_state["t"] + 1
@@ -180,12 +181,6 @@ def _check_memory(call: Call, before: CallResult, after: CallResult, events: Cou
 def _memory_of(state: State) -> State:
     """Return the fields of the state that belong to the robust filter, by name."""
     return {name: value for name, value in state.items() if name.startswith(("robust_", "estimates_"))}
-
-
-def _has_confidence(alpha: int) -> bool:
-    """Return whether an alpha word, the firmware's 32 bits of a confidence, stands for more than 0."""
-    mantissa = alpha >> 8  # bits 8 to 31
-    return mantissa > 0
 
 
 def _slot_after(old_state: State, sender: int, x_hat: int) -> State:
@@ -224,7 +219,7 @@ def _votes_after_round(old_state: State, new_state: State, events: Counter[str])
     if not slots:
         return {}
     remaining_slots = [slot for slot in slots if slot >= old_state["robust_turn"]]
-    is_own_turn = not remaining_slots and _has_confidence(new_state["alpha"])
+    is_own_turn = not remaining_slots and alpha_units(new_state["alpha"]) > 0
     if is_own_turn:
         events["own vote"] += 1
         x_hat = Fraction(new_state["x_hat"], ONE)

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import ClassVar, Self
+from typing import Any, ClassVar
 
 from mcp_asdf.fixed_point import ALPHA_MAX, HALF, ONE
 from mcp_asdf.mirror import Closed, MirrorRobot
@@ -35,6 +34,8 @@ class Workload:
     """
 
     filter: ClassVar[Filter] = Filter.ADAPTIVE
+    situations: ClassVar[tuple[dict[str, Any], ...]] = ({}, {"agrees": True}, {"alpha": ALPHA_MAX})
+    """Attributes of the workloads, beside m, that lead to all branches of a call."""
 
     t: int = 1000
     n: int = 400
@@ -44,13 +45,6 @@ class Workload:
     q: int = MAX_Q
     halves: bool = False
     agrees: bool = False
-
-    @classmethod
-    def all_with_messages(cls, m: int) -> Iterator[Self]:
-        """Yield workloads with m messages that lead to all branches of a call."""
-        yield cls(m=m)
-        yield cls(m=m, agrees=True)
-        yield cls(m=m, alpha=ALPHA_MAX)
 
     def make_robot(self, firmware: type[MirrorRobot]) -> MirrorRobot:
         """Make a robot of this firmware in the described state, before its next observation."""
@@ -84,12 +78,7 @@ class RobustWorkload(Workload):
     """
 
     filter = Filter.ROBUST
-
-    @classmethod
-    def all_with_messages(cls, m: int) -> Iterator[Self]:
-        """Yield workloads with m messages that contradict half of 1000 observations being black, or agree."""
-        yield cls(m=m, n=500)
-        yield cls(m=m, n=500, agrees=True)
+    situations = ({"n": 500}, {"n": 500, "agrees": True})  # half of 1000 observations
 
     def make_robot(self, firmware: type[MirrorRobot]) -> MirrorRobot:
         """Make a robot of this firmware in the described state, before its next observation."""

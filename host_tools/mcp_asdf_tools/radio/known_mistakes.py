@@ -7,17 +7,18 @@ searched for.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Set
 from copy import deepcopy
 from dataclasses import dataclass, field, replace
+from functools import partial
 from math import frexp, ldexp
 from typing import NamedTuple
 
 from mcp_asdf.fixed_point import alpha_from_word
 from mcp_asdf.mirror import MirrorRobot, reestimate, round_mean
-from mcp_asdf.robot import Config, Filter, Observation, Status, Sums
+from mcp_asdf.robot import Filter, Observation, Status
 from mcp_asdf.robust_filter import REJECTED_SIGMAS_SQUARED, RobustFilter, robust_test_rejects
-from mcp_asdf.table import FRACTION_BITS, Table
+from mcp_asdf_tools.crosscheck.crafted_rounds import limit_in_float64
 from mcp_asdf_tools.crosscheck.crafted_slots import RobustTest
 from mcp_asdf_tools.robots.robot_setup import RobotSetup
 
@@ -106,37 +107,41 @@ class RobotThatTestsInFloat64(MirrorRobot):
     """The firmware's model with the paper's test in float64."""
 
     def _run_asdf_filter(self) -> int | None:
-        """Return the new b_hat, in units of 2**-32, if the test in float64 rejects x_hat, or None.
+        """Return the new b_hat, in units of 2**-32, if the test (eq. 12) in float64 rejects x_hat, or None.
 
         It is None, too, if the round has fewer than two messages, or if their mean carries no information.
         """
         table, sums = self.config.table, self.s.open
         # The variance of a single estimate is not defined, so that the test needs two.
-        if table is None or sums.count < 2 or not rejects_in_float64(table, sums, self.s.x_hat):
+        if table is None or sums.count < 2:
+            return None
+        difference = sums.x - sums.count * self.s.x_hat
+        scatter = sums.count * sums.x_squared - sums.x * sums.x
+        if float(difference) ** 2 <= limit_in_float64(table, sums.count, scatter):
             return None
         return reestimate(self.s.t, self.s.n, round_mean(self.s.closed))
 
 
-def rejects_in_float64(table: Table, sums: Sums, x_hat: int) -> bool:
-    """Return whether the paper's test rejects x_hat (eq. 12), computed in float64 from the exact sums.
-
-    ``sums`` are those of the estimates of the round, and ``x_hat`` is in units of 2**-23.
-    """
-    count = sums.count
-    difference = float(sums.x - count * x_hat)
-    scatter = float(count * sums.x_squared - sums.x * sums.x)
-    factor: float = table.entry(count) / 2**FRACTION_BITS
-    return difference * difference > factor * scatter
-
-
-def copy_as(model_class: type[MirrorRobot], robot: MirrorRobot, config: Config | None = None) -> MirrorRobot:
-    """Return a robot of this class with a copy of the state of ``robot``, which is its attribute ``s``.
-
-    It has the settings ``config``, or those of ``robot`` by default.
-    """
+def copy_as(model_class: type[MirrorRobot], robot: MirrorRobot) -> MirrorRobot:
+    """Return a robot of this class with the settings and a copy of the state of ``robot``."""
     model = model_class.__new__(model_class)  # without __init__, whose new state would be replaced
-    model.config = robot.config if config is None else config
+    model.config = robot.config
     model.s = deepcopy(robot.s)
+    return model
+
+
+def copy_with_filter(robot_filter: Filter, robot: MirrorRobot) -> MirrorRobot:
+    """Return a copy of a robot that has this filter in place of its own."""
+    model = copy_as(MirrorRobot, robot)
+    model.config = replace(robot.config, filter=robot_filter)
+    return model
+
+
+def copy_with_robust_test(robust_test: RobustTest, robot: MirrorRobot) -> MirrorRobot:
+    """Return a copy of a robot whose robust filter has this test."""
+    model = copy_as(RobotWithOtherTest, robot)
+    assert isinstance(model, RobotWithOtherTest)
+    model.robust_test = robust_test
     return model
 
 
@@ -150,28 +155,12 @@ class KnownMistake:
     Attributes:
         name: What such a controller does, as a verb phrase.
         filters: Filters with which a controller may have this mistake.
-        robust_test: The test of its robust filter, if that is wrong.
-        actual_filter: The filter that it has in truth, if it has another one than it should.
-        model_class: Its model, if neither.
+        make_model: Returns a model with this mistake, in the state of the right model that it is given.
     """
 
     name: str
-    filters: frozenset[Filter]
-    robust_test: RobustTest | None = None
-    actual_filter: Filter | None = None
-    model_class: type[MirrorRobot] = MirrorRobot
-
-    def make_model(self, right_model: MirrorRobot) -> MirrorRobot:
-        """Return a model with this mistake, in the state of ``right_model``."""
-        if self.actual_filter is not None:
-            config = replace(right_model.config, filter=self.actual_filter)
-            return copy_as(MirrorRobot, right_model, config)
-        if self.robust_test is None:
-            return copy_as(self.model_class, right_model)
-        model = copy_as(RobotWithOtherTest, right_model)
-        assert isinstance(model, RobotWithOtherTest)
-        model.robust_test = self.robust_test
-        return model
+    filters: Set[Filter]
+    make_model: Callable[[MirrorRobot], MirrorRobot]
 
 
 _WRONG_ROBUST_TESTS: dict[str, RobustTest] = {
@@ -184,13 +173,15 @@ _WRONG_ROBUST_TESTS: dict[str, RobustTest] = {
 KNOWN_MISTAKES = (
     KnownMistake(
         "re-estimates without a test",
-        frozenset({Filter.ADAPTIVE, Filter.OFF}),
-        actual_filter=Filter.ALWAYS,
+        {Filter.ADAPTIVE, Filter.OFF},
+        partial(copy_with_filter, Filter.ALWAYS),
     ),
-    KnownMistake("never re-estimates", frozenset({Filter.ADAPTIVE, Filter.ALWAYS}), actual_filter=Filter.OFF),
-    KnownMistake("tests in float64", frozenset({Filter.ADAPTIVE}), model_class=RobotThatTestsInFloat64),
+    KnownMistake(
+        "never re-estimates", {Filter.ADAPTIVE, Filter.ALWAYS}, partial(copy_with_filter, Filter.OFF)
+    ),
+    KnownMistake("tests in float64", {Filter.ADAPTIVE}, partial(copy_as, RobotThatTestsInFloat64)),
     *(
-        KnownMistake(name, frozenset({Filter.ROBUST}), robust_test=robust_test)
+        KnownMistake(name, {Filter.ROBUST}, partial(copy_with_robust_test, robust_test))
         for name, robust_test in _WRONG_ROBUST_TESTS.items()
     ),
 )

@@ -18,7 +18,7 @@ from typing import Literal
 
 import can
 
-from mcp_asdf.robot import MAX_ID, Filter, Observation
+from mcp_asdf.robot import MAX_ID, Observation
 from mcp_asdf_tools.bus.frame_layout import EVERY_ROBOT, Q23_ONE, Action
 from mcp_asdf_tools.bus.frames import (
     MAX_PRIORITY,
@@ -38,6 +38,7 @@ from mcp_asdf_tools.crosscheck.crafted_rounds import (
     draw_estimate,
 )
 from mcp_asdf_tools.radio.bench import Bench
+from mcp_asdf_tools.robots.filters import filter_of_one_robot
 from mcp_asdf_tools.robots.lockstep import DRIVER_ID
 
 _MAX_SKIPPED_TICKS = 10_000
@@ -248,15 +249,15 @@ def receive_before_observing(bench: Bench) -> None:
     """
     bench.activity = "no observation"
     bench.play_tick(None)
-    # With the robust filter these estimates would be its first votes, which a phase of its own sends.
-    takes_votes = bench.config.filter is Filter.ROBUST
-    if not takes_votes:
+    # A filter that keeps estimates beyond their round gets the first ones in a phase of its own.
+    keeps_estimates = filter_of_one_robot(bench.config.filter).order_matters
+    if not keeps_estimates:
         receive_extremes(bench)
     if bench.setup.filter_period <= _MAX_SKIPPED_TICKS:
         bench.activity = "commands in a row"
         bench.skip_to_test_round()
         bench.activity = "a test before the first observation"
-        if takes_votes:
+        if keeps_estimates:
             bench.play_round()
         else:
             bench.play_round(*draw_distant_estimates(bench.robot_state, bench.rng))

@@ -161,8 +161,8 @@ def not_checked(setup: RobotSetup) -> list[str]:
     """
     config = setup.config
     has_filter = config.filter is not Filter.OFF
+    has_asdf_filter = config.filter in (Filter.ADAPTIVE, Filter.ALWAYS)
     has_robust_filter = config.filter is Filter.ROBUST
-    has_asdf_filter = has_filter and not has_robust_filter
     sizes = ", ".join(map(str, UPDATES_BY_CRAFTED_SIZE))
     # Each phrase stands behind the condition under which it applies to this controller.
     limits = (

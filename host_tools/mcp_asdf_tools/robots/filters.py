@@ -169,7 +169,7 @@ _ROBUST = SwarmFilter(
     robot_description="robust: the robot recalibrates, by this project's own filter",
     filtering_robots=FilteringRobots.ALL,
     firmware_filter=Filter.ROBUST,
-    order_matters=True,  # each message moves the centre that the next one is measured from
+    order_matters=True,  # robots whose ids are equal modulo 32 share a slot, which keeps the latest estimate
     colour="#009e73",
     unused_parameters={
         "omega": "filter is robust, with a test of its own",

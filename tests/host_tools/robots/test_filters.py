@@ -34,7 +34,7 @@ def test_a_filter_of_a_swarm_sets_that_of_each_robot(
 
 
 def test_only_the_robust_filter_is_marked_as_depending_on_the_order_of_messages() -> None:
-    """It measures each message from a centre that the message before has moved."""
+    """It keeps one estimate of two senders whose ids are equal modulo 32: that of the later message."""
     assert [name for name, swarm_filter in FILTERS.items() if swarm_filter.order_matters] == ["robust"]
 
 
