@@ -71,10 +71,9 @@ class StudyResults:
     @property
     def own_name(self) -> str:
         """The firmware or filter of the user's that these results have, such as "beta"; empty without one."""
-        for own_trials in self._own_trials.values():
-            for trials in own_trials:
-                return own_name_of(trials.experiment)
-        return ""
+        all_own_trials = [trials for own_trials in self._own_trials.values() for trials in own_trials]
+        # They all have the same name.
+        return own_name_of(all_own_trials[0].experiment) if all_own_trials else ""
 
     def sample(self, cell: Cell, name: str) -> Sample:
         """Return a value for each trial of a cell, which is one kind of swarm.

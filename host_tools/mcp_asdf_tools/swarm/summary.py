@@ -85,7 +85,7 @@ def comparison(results_by_filter: dict[str, dict[str, Any]], settings: SwarmSett
         f"{swarm_filter.term} {results_by_filter[swarm_filter.name]['mean_error']:.3f}"
         for swarm_filter in compared_filters
     ]
-    sentences = f"Mean error on the same seed: {', '.join(errors)}."
+    sentences = [f"Mean error on the same seed: {', '.join(errors)}."]
     b_hat_changes = {
         swarm_filter.term: results_by_filter[swarm_filter.name]["b_hat"]["flawed"]
         for swarm_filter in compared_filters
@@ -94,22 +94,22 @@ def comparison(results_by_filter: dict[str, dict[str, Any]], settings: SwarmSett
     # All swarms begin with the same robots: any of them shows what these assumed, and if there are any.
     first_change = next(iter(b_hat_changes.values()))
     if first_change is None:  # there are no flawed robots
-        return sentences
+        return " ".join(sentences)
     changes = [f"{term} {change['after']:.2f}" for term, change in b_hat_changes.items()]
     # Sensors that age have no one true accuracy.
     truth = f" (true: {settings.true_accuracy:.2f})" if settings.drift == "none" else ""
-    sentences += (
-        f" The flawed robots first assumed an accuracy of {first_change['before']:.2f}{truth}, now: "
+    sentences.append(
+        f"The flawed robots first assumed an accuracy of {first_change['before']:.2f}{truth}, now: "
         f"{', '.join(changes)}."
     )
     # The nearer an assumed accuracy is to 1/2, the smaller is the confidence that the robot broadcasts.
     is_underconfident = abs(settings.flawed_accuracy - 0.5) < abs(settings.true_accuracy - 0.5)
     if settings.topology == "fully-connected" and is_underconfident:
-        sentences += (
-            " This swarm needs no filter: where all hear all, robots that trust their sensors too little are "
+        sentences.append(
+            "This swarm needs no filter: where all hear all, robots that trust their sensors too little are "
             "outvoted anyway; with --topology dynamic they do harm (docs/advice.md)."
         )
-    return sentences
+    return " ".join(sentences)
 
 
 def load_warning(results: dict[str, Any]) -> str | None:

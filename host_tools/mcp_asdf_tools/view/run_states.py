@@ -21,10 +21,10 @@ ESTIMATES = ("x", "x_hat", "b_hat")
 """What a state has of each robot besides its true accuracy, as attributes of ``Robot``."""
 
 
-def add_world(
+def complete_states(
     settings: WorldSettings, trial: int, estimates: NDArray[np.float64], spacing: int
 ) -> Iterator[State]:
-    """Yield a state for each of the robots' ``estimates``, with the rest computed from the world again.
+    """Yield a state for each of the robots' ``estimates``, with what is computed from its world again.
 
     ``estimates`` has x, x_hat and b_hat at ticks 0, ``spacing`` and so on, shape (states, 3, N). The rest is
     true accuracies, neighbours and positions.

@@ -10,7 +10,7 @@ from mcp_asdf_tools.recording.events import EventsReader, events_path
 from mcp_asdf_tools.swarm.log_replay import read_swarm_settings, replay_values
 from mcp_asdf_tools.view.history import History, steps_between_states
 from mcp_asdf_tools.view.run_description import describe_run
-from mcp_asdf_tools.view.run_states import ESTIMATES, add_world
+from mcp_asdf_tools.view.run_states import ESTIMATES, complete_states
 
 
 def recompute_swarm_history(log: Path) -> History:
@@ -23,7 +23,7 @@ def recompute_swarm_history(log: Path) -> History:
         settings = read_swarm_settings(log, events.header)
         spacing = steps_between_states(settings.steps, settings.robots)
         estimates = np.stack(list(replay_values(events, settings.steps, ESTIMATES, spacing)))
-    # A swarm's run is trial 0 of its world. `add_world` adds accuracies, neighbours and positions, which are
-    # not recorded, to the estimates of shape (states, 3, N).
+    # A swarm's run is trial 0 of its world. The estimates, shape (states, 3, N), are completed by accuracies,
+    # neighbours and positions, which are not recorded.
     description = describe_run(settings, trial=0, faults=settings.faults, allow=settings.allow)
-    return History(description, add_world(settings, 0, estimates, spacing))
+    return History(description, complete_states(settings, 0, estimates, spacing))

@@ -15,7 +15,7 @@ from mcp_asdf_tools.experiments.results import Trials
 from mcp_asdf_tools.experiments.trials import run_trials
 from mcp_asdf_tools.view.history import History, RunDescription, State, steps_between_states
 from mcp_asdf_tools.view.run_description import describe_run
-from mcp_asdf_tools.view.run_states import ESTIMATES, add_world
+from mcp_asdf_tools.view.run_states import ESTIMATES, complete_states
 
 _MAX_TRIAL_ROBOT_STEPS = 200_000_000
 """Robots times steps of a trial that is run again: its estimates take 800 MB."""
@@ -44,7 +44,7 @@ def recompute_trial_history(trials: Trials, trial: int) -> History:
             "made: run mcp-asdf simulate again"
         )
     estimates = _recorded_estimates(rerun_trials, trial)
-    return History(describe_run(experiment, trial), add_world(experiment, trial, estimates, spacing))
+    return History(describe_run(experiment, trial), complete_states(experiment, trial, estimates, spacing))
 
 
 def recorded_trial_history(trials: Trials, trial: int) -> History:
