@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     from mcp_asdf_tools.experiments.experiment import Experiment
     from mcp_asdf_tools.experiments.results import Trials
     from mcp_asdf_tools.experiments.scores import Limits
-    from mcp_asdf_tools.robots.filters import SwarmFilter
     from mcp_asdf_tools.robots.node import Subjects
     from mcp_asdf_tools.robots.population import Population
     from mcp_asdf_tools.robots.robot_setup import RobotSetup
@@ -51,11 +50,6 @@ COMMON_PARAMETERS = (
     "trials",
 )
 """Parameters that users change most; the help lists them before all others."""
-
-
-def add_common_parameters(parser: argparse.ArgumentParser, settings_class: Any, group_title: str) -> None:
-    """Add a group ``group_title`` of options for those parameters of a class that are COMMON_PARAMETERS."""
-    add_parameters(parser, settings_class, group_title, COMMON_PARAMETERS)
 
 
 def add_further_parameters(parser: argparse.ArgumentParser, settings_class: Any) -> None:
@@ -270,15 +264,6 @@ def robot_of(args: argparse.Namespace) -> RobotSetup:
     return robot_setup
 
 
-def swarm_filter_of(args: argparse.Namespace) -> SwarmFilter:
-    """Return the filter that ``--filter`` names, or the default where the option was not given."""
-    from mcp_asdf_tools.robots.filters import FILTERS
-    from mcp_asdf_tools.robots.population import Population
-
-    # Population is the class of settings that declares the parameter, with its default.
-    return FILTERS[typed_value_or_default(args, Population, "filter")]
-
-
 # --- T-tables --------------------------------------------------------------------------------------------
 
 _DEFAULT_OMEGA = "0.05"
@@ -483,7 +468,7 @@ def add_experiment_options(parser: argparse.ArgumentParser, output_help: str) ->
         help="keep the values of each robot every STEPS steps, such as 100 (default: only the scores)",
     )
     add_worker_option(parser)
-    add_common_parameters(parser, Experiment, "experiment (values replace those of FILE)")
+    add_parameters(parser, Experiment, "experiment (values replace those of FILE)", COMMON_PARAMETERS)
     add_limit_options(parser)
     add_further_parameters(parser, Experiment)
 

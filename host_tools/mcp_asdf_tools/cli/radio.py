@@ -148,7 +148,7 @@ def settings_of(args: argparse.Namespace) -> RadioSettings:
     # Neighbours assume the true accuracy, as far as the firmware can: it needs a margin to 0 and 1.
     b_hat = min(max(world.true_accuracy, B_HAT_MARGIN), 1 - B_HAT_MARGIN)
     config = controller.config
-    if options.swarm_filter_of(args).filtering_robots is FilteringRobots.FLAWED:
+    if world.swarm_filter.filtering_robots is FilteringRobots.FLAWED:
         # Of this swarm the controller alone is in doubt, so its neighbours do not recalibrate.
         config = replace(config, table=None, filter=Filter.OFF)
     neighbours = tuple(replace(controller, id=robot, b_hat=b_hat, config=config) for robot in neighbour_ids)

@@ -68,7 +68,7 @@ _DEFAULT_PACE = 500.0
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare all options of the command."""
-    options.add_common_parameters(parser, SwarmSettings, "swarm and world")
+    options.add_parameters(parser, SwarmSettings, "swarm and world", options.COMMON_PARAMETERS)
     _add_fault_options(parser)
     options.add_bus_options(parser)
     _add_remote_options(parser)
