@@ -227,17 +227,6 @@ static bus_event_t handle_receive_error(bus_t *bus)
     return error == ECONNRESET ? BUS_CLOSED : BUS_NOTHING;
 }
 
-/* Copy the frame that the kernel has written as a packet: a struct can_frame, or a struct canfd_frame, of
- * which the classic one is the beginning. Returns false if the packet has the size of neither. */
-static bool unpack_kernel_frame(struct canfd_frame *raw, const uint8_t *packet, size_t size)
-{
-    if (size != CAN_MTU && size != CANFD_MTU) {
-        return false;
-    }
-    memcpy(raw, packet, size);
-    return true;
-}
-
 /* Decode a packet of `size` bytes, which is 0 for one that is longer than any frame. Returns BUS_FRAME and
  * writes *frame, or returns BUS_OTHER for error frames and for packets that are no frame. Both are counted.
  */
@@ -248,9 +237,10 @@ static bus_event_t decode_packet(bus_t *bus, mcp_asdf_frame_t *frame, const uint
     if (bus->is_multicast) {
         is_frame = multicast_unpack(&raw, packet, size);
         is_fd = false; /* datagrams with FD frames are refused */
-    } else {
-        is_frame = unpack_kernel_frame(&raw, packet, size);
+    } else {           /* a struct canfd_frame, or its beginning, which is a struct can_frame */
         is_fd = size == CANFD_MTU;
+        is_frame = is_fd || size == CAN_MTU;
+        memcpy(&raw, packet, is_frame ? size : 0);
     }
     if (!is_frame) {
         ++bus->counts.odd_packets;

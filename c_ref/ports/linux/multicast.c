@@ -56,11 +56,10 @@ static socklen_t address_size(const address_t *address)
     return address->any.sa_family == AF_INET6 ? sizeof address->ipv6 : sizeof address->ipv4;
 }
 
-/* Let a socket receive the group's datagrams from the interface of that index, or if it is 0 from one that
- * the kernel chooses: bind it to the group's address and port, which other sockets of this machine may be
- * bound to as well (SO_REUSEADDR), and join the group. Returns whether all three calls worked; if not, errno
- * says why, and the caller closes the socket. */
-static bool prepare_to_receive(int fd, const address_t *address, unsigned interface_index)
+/* Open the socket that receives, group->receive_fd, and join the group through the interface of that index,
+ * or if it is 0 through one that the kernel chooses. Returns whether that worked; if not, errno says why, and
+ * the socket may be open: the caller closes it. */
+static bool open_receiver(multicast_t *group, const address_t *address, unsigned interface_index)
 {
     /* Both requests are filled, but only the one of the address's family is used: what the other one reads
      * from the union has no meaning. */
@@ -68,9 +67,11 @@ static bool prepare_to_receive(int fd, const address_t *address, unsigned interf
                                            .ipv6mr_interface = interface_index};
     const struct ip_mreqn ipv4_request = {.imr_multiaddr = address->ipv4.sin_addr,
                                           .imr_ifindex = (int)interface_index};
-    const int on = 1;
-    /* Bound to the group's own address, the socket receives no datagrams of other groups on the same port. */
-    if (setsockopt(fd, SOL_SOCKET, SO_REUSEADDR, &on, sizeof on) != 0 ||
+    const int on = 1, fd = socket(address->any.sa_family, SOCK_DGRAM | SOCK_CLOEXEC | SOCK_NONBLOCK, 0);
+    group->receive_fd = fd;
+    /* Other sockets of this machine may be bound to the group's port, too. Bound to the group's own address,
+     * this one receives no datagrams of other groups on the same port. */
+    if (fd < 0 || setsockopt(fd, SOL_SOCKET, SO_REUSEADDR, &on, sizeof on) != 0 ||
         bind(fd, &address->any, address_size(address)) != 0) {
         return false;
     }
@@ -101,14 +102,6 @@ static bool prepare_to_send(int fd, const address_t *address, unsigned interface
                           : setsockopt(fd, IPPROTO_IP, IP_MULTICAST_TTL, &hop_limit, sizeof hop_limit);
     /* By connect() the kernel chooses the sender's address now, so that own datagrams can be recognised. */
     return error == 0 && connect(fd, &address->any, address_size(address)) == 0;
-}
-
-/* Open the socket that receives, group->receive_fd. Returns whether that worked; if not, errno says why, and
- * the socket may be open: the caller closes it. */
-static bool open_receiver(multicast_t *group, const address_t *address, unsigned interface_index)
-{
-    group->receive_fd = socket(address->any.sa_family, SOCK_DGRAM | SOCK_CLOEXEC | SOCK_NONBLOCK, 0);
-    return group->receive_fd >= 0 && prepare_to_receive(group->receive_fd, address, interface_index);
 }
 
 /* Open the socket that sends, group->send_fd, and store the address of its datagrams in group->own_address.

@@ -144,9 +144,8 @@ static const char *parse_id(const char *text, unsigned long *id)
 static void parse_allowed_senders(uint8_t ignored_senders[], const char *list)
 {
     const char *position = list;
-    bool has_more;
     memset(ignored_senders, 0xFF, (MCP_ASDF_MAX_ID + 1) / 8); /* all, until they are allowed */
-    do { /* one id or range of the list, then the plus or the end behind it */
+    for (;;) { /* one id or range of the list, then the plus or the end behind it */
         unsigned long first_id = 0, last_id = 0;
         position = parse_id(position, &first_id);
         last_id = first_id; /* an id alone is a range of one */
@@ -161,9 +160,11 @@ static void parse_allowed_senders(uint8_t ignored_senders[], const char *list)
         for (unsigned long id = first_id; id <= last_id; ++id) {
             ignored_senders[id / 8] &= (uint8_t)~(1U << (id % 8));
         }
-        has_more = *position == '+';
+        if (*position == '\0') {
+            return;
+        }
         ++position; /* behind the plus */
-    } while (has_more);
+    }
 }
 
 /* Convert an accuracy such as 0.95 to units of 2^-32. Ends the program if it is no number or out of range. */
