@@ -105,6 +105,14 @@ def block_with(page: Path, part: str, *languages: str) -> str:
     return blocks_with_text[0]
 
 
+def replace_each(text: str, replacements: dict[str, str]) -> str:
+    """Replace texts by others. Fails if one of them is not there."""
+    for old, new in replacements.items():
+        assert old in text
+        text = text.replace(old, new)
+    return text
+
+
 HIDING = """\
 import os, sys
 from mcp_asdf_tools.common.extras import EXTRAS

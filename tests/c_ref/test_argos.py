@@ -45,7 +45,7 @@ ARGOS_HEADERS = (
     "plugins/robots/kheperaiv/control_interface/ci_kheperaiv_proximity_sensor.h",
 )
 """Headers of ARGoS3 (421bd76) and of its plugin for the Khepera IV (7bb1bb3) that the example may include."""
-WARNINGS = (
+WARNINGS = [
     "-Wall",
     "-Wextra",
     "-Wpedantic",
@@ -54,7 +54,7 @@ WARNINGS = (
     "-Wshadow",
     "-Wundef",
     "-Werror",
-)
+]
 TICKS = 300
 
 
@@ -64,7 +64,7 @@ TICKS = 300
 def compiler_arguments(folder: Path) -> list[str | Path]:
     """Return the arguments with which a C++ compiler finds all headers, in a folder made by ``prepare``."""
     include_folders = (folder / "include", STUBS, folder / "vendor/mcp_asdf", EXAMPLE)
-    return ["-std=c++17", *WARNINGS, *(f"-I{include_folder}" for include_folder in include_folders)]
+    return ["-std=c++17", *WARNINGS.split(), *(f"-I{include_folder}" for include_folder in include_folders)]
 
 
 def prepare(folder: Path) -> None:
@@ -124,26 +124,26 @@ class Swarm:
     """What the simulator is to run: the swarm of swarm.argos, which a test may change.
 
     Attributes:
-        loop: Label of the loop functions and their attributes.
-        robots: Label, number of robots, first number, and parameters, of each group.
+        floor: Attributes of the loop functions, which make the floor.
+        parameters_of_groups: Parameters of each group of robots, by the beginning of the group's line.
         packet_size: Bytes of a range-and-bearing packet.
     """
 
-    loop: tuple[str, dict[str, str]]
-    robots: list[tuple[str, int, int, dict[str, str]]] = field(default_factory=list)
-    packet_size: int = 0
+    floor: dict[str, str]
+    parameters_of_groups: dict[str, dict[str, str]] = field(default_factory=dict)
+    packet_size: str = ""
 
     def description(self, ticks: int, options: str = "") -> str:
         """Return the lines that run_swarm.cpp reads."""
-        lines = [f"loop {self.loop[0]} {_format_attributes(self.loop[1])}"]
-        for label, count, first_number, parameters in self.robots:
-            lines.append(f"robots {label} {count} {first_number} {_format_attributes(parameters)}")
+        lines = [f"loop asdf_loop_functions {_format_attributes(self.floor)}"]
+        for group, parameters in self.parameters_of_groups.items():
+            lines.append(f"{group} {_format_attributes(parameters)}")
         lines.append(f"run {ticks} {self.packet_size} 0.7 {options}")
         return "\n".join(lines) + "\n"
 
     def set_parameter(self, name: str, value: str) -> None:
         """Give all robots a parameter."""
-        for *_, parameters in self.robots:
+        for parameters in self.parameters_of_groups.values():
             parameters[name] = value
 
 
@@ -151,24 +151,27 @@ def _format_attributes(attributes: dict[str, str]) -> str:
     return " ".join(f"{name}={value}" for name, value in attributes.items())
 
 
+def read_element(parent: ElementTree.Element, path: str) -> ElementTree.Element:
+    element = parent.find(path)
+    assert element is not None
+    return element
+
+
 @pytest.fixture
 def swarm() -> Swarm:
     """The swarm of swarm.argos, with a filter that runs often enough for a short test."""
     root = ElementTree.parse(EXAMPLE / "swarm.argos").getroot()
-    loop_node = root.find("loop_functions")
-    assert loop_node is not None
-    loop_attributes = dict(loop_node.attrib)
-    del loop_attributes["library"]
-    swarm = Swarm((loop_attributes.pop("label"), loop_attributes))
-    controllers = {node.attrib["id"]: node for node in root.iterfind("controllers/*")}
+    floor = dict(read_element(root, "loop_functions").attrib)
+    assert floor.pop("label") == "asdf_loop_functions"
+    del floor["library"]
+    swarm = Swarm(floor)
     for entity in root.iterfind("arena/distribute/entity"):
-        robot_node = entity[0]
-        controller = controllers[robot_node[0].attrib["config"]]
-        parameters = controller.find("params")
-        assert parameters is not None
-        count, first_number = int(entity.attrib["quantity"]), int(entity.attrib["base_num"])
-        swarm.robots.append((controller.tag, count, first_number, dict(parameters.attrib)))
-        swarm.packet_size = int(robot_node.attrib["rab_data_size"])
+        robot = read_element(entity, "*")
+        controller_id = read_element(robot, "controller").attrib["config"]
+        controller = read_element(root, f"controllers/*[@id='{controller_id}']")
+        group = f"robots {controller.tag} {entity.attrib['quantity']} {entity.attrib['base_num']}"
+        swarm.parameters_of_groups[group] = dict(read_element(controller, "params").attrib)
+        swarm.packet_size = robot.attrib["rab_data_size"]
     swarm.set_parameter("filter_period", "50")
     return swarm
 
@@ -312,9 +315,8 @@ def test_the_table_of_results_has_a_row_for_each_robot_after_each_100_ticks(
 
     rows = read_results(tmp_path)
 
-    robots = [f"kiv{number}" for number in range(20)]
-    assert [row["robot"] for row in rows] == 3 * robots
-    assert [row["tick"] for row in rows] == 20 * ["100"] + 20 * ["200"] + 20 * ["300"]
+    expected = [(tick, f"kiv{number}") for tick in ("100", "200", "300") for number in range(20)]
+    assert [(row["tick"], row["robot"]) for row in rows] == expected
 
 
 def test_the_table_of_results_has_the_last_estimate_and_accuracy_of_a_robot(
@@ -331,8 +333,17 @@ def test_the_table_of_results_has_the_last_estimate_and_accuracy_of_a_robot(
     log = (tmp_path / "logs/kiv19.csv").read_text(encoding="utf-8")
     *_, last_settle = log.split("settle,")
     x, _x_hat, _alpha, b_hat, _status = last_settle.split(",")
-    columns = ["tick", "robot", "x", "x_hat", "b_hat", "accepted", "refused", "tests", "updates"]
-    assert list(last_row) == columns
+    assert list(last_row) == [
+        "tick",
+        "robot",
+        "x",
+        "x_hat",
+        "b_hat",
+        "accepted",
+        "refused",
+        "tests",
+        "updates",
+    ]
     assert last_row["robot"] == "kiv19"
     assert last_row["x"] == f"{int(x) / 2**23:.9g}"
     assert last_row["b_hat"] == f"{int(b_hat) / 2**32:.9g}"
@@ -373,9 +384,7 @@ def test_a_parameter_that_robots_cannot_have_is_refused_by_its_name(
 
 def test_a_fill_ratio_that_no_floor_has_is_refused_by_its_name(run_swarm: RunSwarm, swarm: Swarm) -> None:
     """It is the share of black tiles, and so at most 1."""
-    _label, attributes_of_floor = swarm.loop
-    attributes_of_floor["fill_ratio"] = "55"
-
+    swarm.floor["fill_ratio"] = "55"
     assert "fill_ratio is 55" in run_swarm(swarm).stderr
 
 

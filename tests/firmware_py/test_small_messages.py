@@ -54,17 +54,21 @@ def test_encoding_what_was_decoded_gives_the_same_bytes() -> None:
         assert encode_message(sender, x_hat, alpha) == message, message.hex()
 
 
-@pytest.mark.parametrize("sender", [-1, 128])
-def test_a_sender_without_an_id_of_7_bits_is_refused(sender: int) -> None:
-    with pytest.raises(ValueError, match=f"sender is {sender}; give an id from 0 to 127"):
-        encode_message(sender, 0, 0)
-
-
-@pytest.mark.parametrize("x_hat", [-1, ONE + 1])
-def test_an_estimate_beyond_0_and_1_is_refused(x_hat: int) -> None:
-    """x_hat is a share of black tiles, in units of which ONE, 8388608, is 1.0."""
-    with pytest.raises(ValueError, match=f"x_hat is {x_hat}; give 0 to 8388608"):
-        encode_message(0, x_hat, 0)
+@pytest.mark.parametrize(
+    ("sender", "x_hat", "message"),
+    [
+        (-1, 0, "sender is -1; give an id from 0 to 127"),
+        (128, 0, "sender is 128; give an id from 0 to 127"),
+        (0, -1, "x_hat is -1; give 0 to 8388608"),
+        (0, 8388609, "x_hat is 8388609; give 0 to 8388608"),
+    ],
+)
+def test_a_message_with_a_sender_or_an_estimate_out_of_range_is_refused(
+    sender: int, x_hat: int, message: str
+) -> None:
+    """An id has 7 bits. x_hat is a share of black tiles, in units of which ONE, 8388608, is 1.0."""
+    with pytest.raises(ValueError, match=message):
+        encode_message(sender, x_hat, 0)
 
 
 @pytest.mark.parametrize("length", [0, 3, 5])
@@ -80,21 +84,20 @@ def test_a_message_of_another_length_is_refused(length: int) -> None:
 def test_the_smallest_and_the_largest_code_of_x_hat_stand_for_exactly_0_and_1(bits: int) -> None:
     """x_hat is a share of black tiles, and ONE is 1.0 in its units."""
     assert decode_x_hat(0, bits) == 0
-    assert decode_x_hat((1 << bits) - 1, bits) == ONE
+    assert decode_x_hat(2**bits - 1, bits) == ONE
 
 
 def test_x_hat_is_rounded_to_the_nearest_of_four_numbers() -> None:
-    """In 2 bits these are 0, 1/3, 2/3 and 1, so the boundaries between them are 1/6, 1/2 and 5/6."""
-    last_of_code_0 = ONE // 6  # below 1/6, which is no whole number of units
-    last_of_code_1 = HALF - 1  # below 1/2, which is one, and is rounded up
-    last_of_code_2 = ONE - (last_of_code_0 + 1)  # mirrors the first number of code 1
+    """In 2 bits these are 0, 1/3, 2/3 and 1, so the boundaries between them are 1/6, 1/2 and 5/6.
 
-    assert encode_x_hat(last_of_code_0, bits=2) == 0
-    assert encode_x_hat(last_of_code_0 + 1, bits=2) == 1
-    assert encode_x_hat(last_of_code_1, bits=2) == 1
-    assert encode_x_hat(last_of_code_1 + 1, bits=2) == 2
-    assert encode_x_hat(last_of_code_2, bits=2) == 2
-    assert encode_x_hat(last_of_code_2 + 1, bits=2) == 3
+    1/6 and 5/6 are no whole numbers of units, of which ONE is 8388608. 1/2 is one, and is rounded up.
+    """
+    assert encode_x_hat(1398101, bits=2) == 0  # 1/6 is 1398101.3
+    assert encode_x_hat(1398102, bits=2) == 1
+    assert encode_x_hat(HALF - 1, bits=2) == 1
+    assert encode_x_hat(HALF, bits=2) == 2
+    assert encode_x_hat(6990506, bits=2) == 2  # 5/6 is 6990506.7
+    assert encode_x_hat(6990507, bits=2) == 3
 
 
 @pytest.mark.parametrize("x_hat", [0, 1, HALF - 1, 1_234_567, ONE])
@@ -139,17 +142,11 @@ def test_codes_of_4_bits_are_powers_of_four() -> None:
 
 
 @pytest.mark.parametrize("bits", range(1, MAX_ALPHA_BITS + 1))
-def test_only_a_confidence_of_0_has_the_code_0(bits: int) -> None:
-    """The smallest other confidence has a mantissa of 1, which stands above 8 bits of shift."""
-    smallest_word = 1 << 8
+def test_only_a_confidence_of_0_has_the_code_0_and_the_largest_one_has_the_largest_code(bits: int) -> None:
+    """The smallest confidence above 0 has a mantissa of 1, which stands above 8 bits of shift."""
     assert encode_alpha(0, bits) == 0
-    assert encode_alpha(smallest_word, bits) == 1
-
-
-@pytest.mark.parametrize("bits", range(1, MAX_ALPHA_BITS + 1))
-def test_the_largest_confidence_has_the_largest_code(bits: int) -> None:
-    """All bits of the code are set."""
-    assert encode_alpha(ALPHA_MAX, bits) == (1 << bits) - 1
+    assert encode_alpha(1 << 8, bits) == 1
+    assert encode_alpha(ALPHA_MAX, bits) == 2**bits - 1
 
 
 def test_a_confidence_in_9_bits_is_rounded_down_by_less_than_a_seventeenth_of_itself() -> None:

@@ -30,7 +30,7 @@ from mcp_asdf_tools.cli import main as cli
 from mcp_asdf_tools.robots.node import RobotNode, Subjects
 from mcp_asdf_tools.robots.robot_setup import RobotSetup
 from mcp_asdf_tools.tables.thresholds import generate
-from support import CORE, PATIENCE, ROOT, blocks, made_once, require, run, slow
+from support import CORE, PATIENCE, ROOT, blocks, made_once, replace_each, require, run, slow
 from targets.c_node import SANITIZERS, WARNINGS
 from targets.test_node import any_frame, command_frame
 
@@ -174,30 +174,23 @@ def draw_line(draw: random.Random) -> bytes:
     return draw.choice((two_in_one, cut, bytes(spoilt), garbage))
 
 
+def command_line(tick: int, action: Action) -> bytes:
+    """Return the line by which a host commands the robot in a tick."""
+    return format_frame_line(command_frame(tick, IMAGE_ID, action, Subjects()))
+
+
 def draw_conversation(draw: random.Random) -> list[bytes]:
     """Draw what a host sends, piece by piece: commands of eleven ticks, before and after it opens the bus.
 
     Later the commands that end ticks get lost, and noise and requests of other hosts come.
     """
-    ticks = [
-        format_frame_line(command_frame(tick, IMAGE_ID, action, Subjects()))
-        for tick in range(11)
-        for action in (Action.OBSERVE_BLACK, Action.SETTLE)
-    ]
-    without_ends_of_ticks = ticks[::2]
+    observe_lines, ticks = [], []
+    for tick in range(11):
+        observe_lines.append(command_line(tick, Action.OBSERVE_BLACK))
+        ticks += [observe_lines[-1], command_line(tick, Action.SETTLE)]
     noise = [b"".join(draw_line(draw) for _ in range(draw.choice((1, 10, 30)))) for _ in range(100)]
-    before_opening, opening = ticks[0], b"S8\rO\r"
-    pieces = [
-        before_opening,
-        opening,
-        *ticks,
-        *without_ends_of_ticks,
-        b"?\rC\r",
-        noise[0],
-        b"O\r",
-        *ticks,
-        *noise,
-    ]
+    before_opening, opening, closing = ticks[0], b"S8\rO\r", b"?\rC\r"
+    pieces = [before_opening, opening, *ticks, *observe_lines, closing, noise[0], b"O\r", *ticks, *noise]
     # Not later, since one of them opens the bus anew, and the counters that are read in the end are then 0.
     for place in range(60, 120, 2):
         pieces.insert(place, draw.choice(REQUESTS))
@@ -315,9 +308,6 @@ def test_the_compiler_refuses_a_setting_that_no_robot_can_have(name: str, value:
 # ---- In a swarm ----
 
 
-TEN_ROBOTS_IN_60_TICKS = 10 * 60
-
-
 def copy_sources(target: str, folder: Path) -> None:
     """Copy the firmware's sources into a folder; skip the test if they cannot be compiled for the target."""
     require_target(target)
@@ -331,14 +321,6 @@ def find_free_port() -> str:
     with closing(create_server(("127.0.0.1", any_port))) as server:
         _, port = server.getsockname()
     return str(port)
-
-
-def replace_each(text: str, replacements: dict[str, str]) -> str:
-    """Replace texts by others. Fails if one of them is not there."""
-    for old, new in replacements.items():
-        assert old in text
-        text = text.replace(old, new)
-    return text
 
 
 def commands_for_a_swarm(target: str) -> tuple[list[str], str]:
@@ -377,7 +359,9 @@ def test_the_commands_of_docs_radio_run_a_swarm_with_an_emulated_board(target: s
     finally:
         run("sh", "-c", stop_the_board, cwd=tmp_path)
 
-    assert re.search(rf"\b{TEN_ROBOTS_IN_60_TICKS} +broadcasts reproduced bit for bit", outputs[-1])
+    *_, output_of_replay = outputs
+    broadcasts = 10 * 60  # of ten robots in 60 ticks
+    assert re.search(rf"\b{broadcasts} +broadcasts reproduced bit for bit", output_of_replay)
     bytes_of_flash, bytes_of_variables = Image(TARGETS[-1], tmp_path / "build/loop/slcan_robot").sizes()
     assert bytes_of_flash < 8 * 1024
     assert bytes_of_variables < 1024
@@ -431,10 +415,10 @@ def test_the_workflow_of_docs_radio_uploads_the_report_also_of_a_failure() -> No
 def test_the_tools_accept_the_command_for_a_real_board_in_the_workflow_of_docs_radio() -> None:
     """It is a ``mcp-asdf radio`` command, the last line of the second step of the job "board"."""
     _, second_step, *_ = read_workflow()["board"]["steps"]
-    command = second_step["run"].splitlines()[-1]
+    *_, command = second_step["run"].splitlines()
     program, subcommand, *options = shlex.split(command)
     assert (program, subcommand) == ("mcp-asdf", "radio")
 
-    # As the program does; this ends the test with SystemExit if it does not accept the options.
+    # The private functions make the parser, as the program does. It raises SystemExit for a wrong option.
     parser = cli._parser_for("radio", cli._load("radio"))
     parser.parse_args(options)

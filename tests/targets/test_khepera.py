@@ -16,7 +16,7 @@ import pytest
 
 from mcp_asdf_tools.bus.frames import Estimate, FrameFormat, decode_estimate
 from multicast import multicast
-from support import ROOT, blocks, made_once, require, run
+from support import ROOT, blocks, made_once, replace_each, require, run
 from targets.c_node import CORTEX_A8
 
 PAGE = ROOT / "docs/platforms/khepera.md"
@@ -101,13 +101,6 @@ def robot(tmp_path: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     require("qemu-arm", "qemu-user")
     built = made_once(tmp_path_factory, "khepera", build_programs)
     return Path(shutil.copytree(built, tmp_path / "robot", symlinks=True))
-
-
-def replace_each(text: str, replacements: dict[str, str]) -> str:
-    """Replace texts by others."""
-    for old, new in replacements.items():
-        text = text.replace(old, new)
-    return text
 
 
 def service_command() -> str:
@@ -208,8 +201,8 @@ def test_a_khepera_that_runs_as_its_service_says_observes_and_broadcasts(robot: 
     assert khepera.summary["ended"] == "observations"
     assert khepera.summary["t"] == 200
     assert khepera.summary["n"] == len(black_tiles)
+    assert khepera.summary["estimates"] == len(khepera.estimates)
     *_, last_estimate = khepera.estimates
-    assert len(khepera.estimates) == khepera.summary["estimates"]
     assert last_estimate.sender == 7
     assert last_estimate.x_hat == khepera.summary["x_hat"]
     assert (robot / "robot.state").exists()

@@ -70,23 +70,23 @@ def hint_of(received: can.Message, expected: can.Message) -> str:
     return difference([received], [expected]).hint
 
 
-def test_a_difference_in_x_hat_whose_bytes_are_reversed_gets_that_as_a_hint() -> None:
-    """The hint says that the three bytes of x_hat, a robot's own estimate, are in reverse order."""
-    hint = hint_of(received=estimate(x_hat=0x563412), expected=estimate(x_hat=0x123456))
-    assert hint == "its 3 bytes are in reverse order"
-
-
-@pytest.mark.parametrize(("x_hat", "factor"), [(2 * X_HAT, "2"), (X_HAT // 2, "0.5")])
-def test_a_doubled_or_halved_x_hat_gets_the_factor_as_a_hint(x_hat: int, factor: str) -> None:
-    """The received x_hat is 2 or 0.5 times the expected one, and the hint says which."""
-    hint = hint_of(received=estimate(x_hat), expected=estimate(X_HAT))
-    assert hint == f"it is {factor} times what it should be"
-
-
-@pytest.mark.parametrize("x_hat", [X_HAT + 1, 3 * X_HAT, 0])
-def test_an_x_hat_that_is_off_by_no_power_of_two_gets_no_hint(x_hat: int) -> None:
-    """The hint is empty then. Here x_hat is larger by 1, three times as large, or 0."""
-    assert hint_of(received=estimate(x_hat), expected=estimate(X_HAT)) == ""
+@pytest.mark.parametrize(
+    ("received", "expected", "hint"),
+    [
+        (0x563412, 0x123456, "its 3 bytes are in reverse order"),
+        (2 * 0x123456, 0x123456, "it is 2 times what it should be"),
+        (0x123456 // 2, 0x123456, "it is 0.5 times what it should be"),
+        (3 * 0x123456, 0x123456, ""),
+        (0x123457, 0x123456, ""),
+        (0, 0x123456, ""),
+        (0x402, 0x804, ""),  # a half, but so few bits may agree by accident
+    ],
+)
+def test_an_x_hat_in_reverse_order_or_off_by_a_power_of_two_gets_a_hint_at_that(
+    received: int, expected: int, hint: str
+) -> None:
+    """x_hat is a robot's own estimate, of three bytes. Other differences in it get no hint."""
+    assert hint_of(received=estimate(received), expected=estimate(expected)) == hint
 
 
 @pytest.mark.parametrize("alpha_word", [ALPHA_WORD + 256, 0])
@@ -112,11 +112,6 @@ def test_an_alpha_that_is_off_by_a_power_of_two_gets_the_factor_as_a_hint_if_bot
     received = estimate_with_alpha_bits((received_exponent << 23) | mantissa)
     expected = estimate_with_alpha_bits((expected_exponent << 23) | mantissa)
     assert hint_of(received, expected) == hint
-
-
-def test_a_value_with_few_significant_digits_gets_no_hint() -> None:
-    """The received x_hat is half of the expected one, but so few bits may agree by accident."""
-    assert hint_of(received=estimate(x_hat=0x402), expected=estimate(x_hat=0x804)) == ""
 
 
 def test_a_number_of_updates_that_is_half_of_the_expected_one_gets_no_hint() -> None:
@@ -181,20 +176,15 @@ def test_a_remote_frame_is_described_by_its_raw_data() -> None:
 
 def test_an_estimate_before_the_heartbeat_is_a_difference_once_telemetry_was_received() -> None:
     """The difference says that the heartbeat was expected first."""
-    comparison = comparison_after_a_tick()
-    found_difference = comparison.check(
-        received=[estimate(), heartbeat(1)], expected=[heartbeat(1), estimate()]
-    )
-
-    assert str(found_difference) == (
-        "estimate, order: expected the heartbeat first, got it before the heartbeat"
-    )
+    received, expected = [estimate(), heartbeat(1)], [heartbeat(1), estimate()]
+    text = str(comparison_after_a_tick().check(received, expected))
+    assert text == "estimate, order: expected the heartbeat first, got it before the heartbeat"
 
 
 def test_an_estimate_before_the_heartbeat_is_no_difference_before_telemetry_was_received() -> None:
     """The heartbeat was expected first, but a controller that is starting may send it at any time."""
-    comparison = new_comparison()
-    assert comparison.check(received=[estimate(), heartbeat(1)], expected=[heartbeat(1), estimate()]) is None
+    received, expected = [estimate(), heartbeat(1)], [heartbeat(1), estimate()]
+    assert new_comparison().check(received, expected) is None
 
 
 def test_the_heartbeat_with_which_a_controller_starts_may_come_several_times_before_telemetry() -> None:
@@ -210,30 +200,20 @@ def test_the_heartbeat_with_which_a_controller_starts_is_a_difference_after_tele
     assert found_difference.field == "extra"
 
 
-@pytest.mark.parametrize("is_advisory_allowed", [False, True])
-def test_a_heartbeat_with_the_health_advisory_is_a_difference_unless_it_is_allowed(
-    is_advisory_allowed: bool,
+@pytest.mark.parametrize(
+    ("health", "is_advisory_allowed", "field"),
+    [(Health.ADVISORY, True, None), (Health.ADVISORY, False, "health"), (Health.CAUTION, True, "health")],
+)
+def test_a_heartbeat_with_a_worse_health_is_a_difference_unless_it_is_advisory_and_that_is_allowed(
+    health: Health, is_advisory_allowed: bool, field: str | None
 ) -> None:
-    """Nominal is expected. Advisory is the next worse health."""
+    """Nominal is expected. Advisory is the next worse health, and caution is worse than both."""
     comparison = comparison_after_a_tick()
     comparison.is_advisory_allowed = is_advisory_allowed
-    found_difference = comparison.check(
-        received=[heartbeat(1, Health.ADVISORY)], expected=[heartbeat(1, Health.NOMINAL)]
-    )
 
-    assert (found_difference is None) == is_advisory_allowed
+    found_difference = comparison.check(received=[heartbeat(1, health)], expected=[heartbeat(1)])
 
-
-def test_a_heartbeat_with_the_health_caution_is_a_difference_even_if_advisory_is_allowed() -> None:
-    """Nominal is expected, and advisory is allowed. Caution is worse than both, and is reported."""
-    comparison = comparison_after_a_tick()
-    comparison.is_advisory_allowed = True
-    found_difference = comparison.check(
-        received=[heartbeat(1, Health.CAUTION)], expected=[heartbeat(1, Health.NOMINAL)]
-    )
-
-    assert found_difference is not None
-    assert found_difference.field == "health"
+    assert (found_difference and found_difference.field) == field
 
 
 # --- Senders ---

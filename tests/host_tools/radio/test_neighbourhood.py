@@ -43,16 +43,9 @@ pytestmark = pytest.mark.usefixtures("private_setup")
 
 CRASHES_OF_TWO_ROBOTS = "crash,robots={},from=30,to=35 crash,robots={},from=40,to=60,rejoin=restored"
 """Crashes of two robots, whose ids are filled in: one comes back as a new robot, the other restored."""
-FIVE_ROBOTS: dict[str, Any] = {
-    "robots": 5,
-    "flawed": 0.6,
-    "fill_ratio": 0.9,
-    "filter_period": 20,
-    "steps": 120,
-    "seed": 4,
-}
-MOVING_ROBOTS: dict[str, Any] = {"topology": "dynamic", "density": 4}
-"""Settings with which robots move, and receive from those in range alone."""
+FIVE_ROBOTS = SwarmSettings(robots=5, flawed=0.6, fill_ratio=0.9, filter_period=20, steps=120, seed=4)
+FIVE_MOVING_ROBOTS = replace(FIVE_ROBOTS, topology="dynamic", density=4)
+"""Robots that move, and receive from those in range alone."""
 CONTROLLER_ID, *NEIGHBOUR_IDS = IDS = (3, 10, 11, 40, 90)
 """Ids of a controller and its neighbours, in place of the ids 0 to 4 of a swarm."""
 
@@ -85,12 +78,11 @@ def states_around_a_controller(world: SwarmSettings, faults: str) -> list[dict[s
     return [state_of(node.robot) for node in robots]
 
 
-@pytest.mark.parametrize("topology", [{}, MOVING_ROBOTS])
+@pytest.mark.parametrize("world", [FIVE_ROBOTS, FIVE_MOVING_ROBOTS], ids=["all in range", "moving"])
 def test_a_controller_and_its_neighbours_compute_what_an_emulated_swarm_of_as_many_robots_computes(
-    topology: dict[str, Any],
+    world: SwarmSettings,
 ) -> None:
     """All five end in the same states as in the swarm, where they have other ids. Two of them crash."""
-    world = SwarmSettings(**FIVE_ROBOTS, **topology)
     crashing_world = replace(world, faults=CRASHES_OF_TWO_ROBOTS.format(1, 2).split())
 
     states = states_around_a_controller(world, CRASHES_OF_TWO_ROBOTS.format(10, 11))
@@ -104,17 +96,17 @@ def test_neighbours_that_crash_miss_observations_and_send_no_estimates() -> None
 
     The controller has missed 25 of the estimates of its four neighbours in 120 ticks.
     """
-    states = states_around_a_controller(SwarmSettings(**FIVE_ROBOTS), CRASHES_OF_TWO_ROBOTS.format(10, 11))
+    states = states_around_a_controller(FIVE_ROBOTS, CRASHES_OF_TWO_ROBOTS.format(10, 11))
 
     controller, new_since_tick_35, dead_for_20_ticks, *_ = states
-    assert controller["accepted"] == 4 * 120 - (5 + 20), "estimates of others"
+    assert controller["accepted"] == 4 * 120 - 25, "estimates of others"
     assert new_since_tick_35["t"] == 120 - 35, "observations"
     assert dead_for_20_ticks["t"] == 120 - 20, "observations"
 
 
 def test_a_controller_receives_only_from_neighbours_in_range() -> None:
     """Its four neighbours move, and broadcast in each of 120 ticks. It receives some of the 480 estimates."""
-    controller, *_ = states_around_a_controller(SwarmSettings(**FIVE_ROBOTS, **MOVING_ROBOTS), faults="")
+    controller, *_ = states_around_a_controller(FIVE_MOVING_ROBOTS, faults="")
     assert 120 < controller["accepted"] < 4 * 120
 
 
@@ -140,18 +132,16 @@ def heartbeats_of_crashing_robot_1(rejoin: str) -> list[tuple[int, int]]:
     return ticks_and_uptimes
 
 
-HEARTBEATS_BEFORE_CRASH = [(0, 0), (10, 1), (20, 2), (30, 3), (40, 4)]
-"""Ticks of a robot's heartbeats until it crashes in tick 45, each with its uptime in seconds of 10 ticks."""
-
-
 def test_a_neighbour_that_rejoins_as_a_new_robot_begins_with_uptime_0() -> None:
-    """It is dead in ticks 45 and 46. The next heartbeats, in ticks 47 and 57, have uptimes 0 s and 1 s."""
-    assert heartbeats_of_crashing_robot_1("new") == [*HEARTBEATS_BEFORE_CRASH, (47, 0), (57, 1)]
+    """It is dead in ticks 45 and 46. Each heartbeat has its tick and the uptime in seconds of 10 ticks."""
+    before_crash = [(0, 0), (10, 1), (20, 2), (30, 3), (40, 4)]
+    assert heartbeats_of_crashing_robot_1("new") == [*before_crash, (47, 0), (57, 1)]
 
 
 def test_the_uptime_of_a_neighbour_that_rejoins_restored_goes_on_where_it_was() -> None:
     """It is dead in ticks 45 and 46. Its next heartbeat, of uptime 5 s, comes in tick 52 in place of 50."""
-    assert heartbeats_of_crashing_robot_1("restored") == [*HEARTBEATS_BEFORE_CRASH, (52, 5)]
+    before_crash = [(0, 0), (10, 1), (20, 2), (30, 3), (40, 4)]
+    assert heartbeats_of_crashing_robot_1("restored") == [*before_crash, (52, 5)]
 
 
 @pytest.mark.parametrize(
@@ -201,8 +191,8 @@ def test_neighbours_in_real_time_go_on_when_the_bus_fails_and_count_the_frames_t
 
     assert figures["steps"] == 20
     assert figures["ending"] == "all ticks done"
-    frames = 4 * (20 + 1)  # 4 robots send an estimate in each of 20 ticks, and one heartbeat
-    assert figures["bus_failures"] == figures["frames_sent"] == frames // 2
+    # 4 robots send an estimate in each of 20 ticks, and one heartbeat.
+    assert figures["bus_failures"] == figures["frames_sent"] == 4 * (20 + 1) / 2
 
 
 @pytest.fixture(params=[BusLink.catch_up, lambda link, take: None], ids=["at ticks", "between ticks"])
@@ -212,12 +202,12 @@ def run_beside_others(request: pytest.FixtureRequest, monkeypatch: pytest.Monkey
     They are read at the beginning of a tick, or else, where nothing is read then, between two ticks.
     """
     monkeypatch.setattr(BusLink, "catch_up", request.param)
-    frames = [encode_estimate(Estimate(ID, 9, 0, 0), FrameFormat(17))]  # of another subject
-    frames += [encode_estimate(Estimate(sender, 9, 0, 0), FrameFormat()) for sender in (ID, 1, 1, 100, 5, 6)]
-    for frame in frames:
-        frame.is_rx = True
+    of_another_subject = encode_estimate(Estimate(ID, 9, 0, 0), FrameFormat(17))
+    estimates = [Estimate(sender, 9, 0, 0) for sender in (ID, 1, 1, 100, 5, 6)]
     wire = Wire()
-    wire._waiting.extend(frames)
+    for frame in [of_another_subject, *(encode_estimate(estimate, FrameFormat()) for estimate in estimates)]:
+        frame.is_rx = True
+        wire._waiting.append(frame)
     # On a busy machine, too, one of the pauses between ticks is long enough to read all frames.
     run = RadioRun(Neighbourhood(surroundings(steps_per_second=20)), BusLink(wire), ticks=5)
     run.run()
