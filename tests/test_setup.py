@@ -7,12 +7,11 @@ import shlex
 import shutil
 import subprocess
 import sys
-from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
 
-from support import ROOT, blocks, require, run
+from support import ROOT, block_with, require, run
 
 PAGE = ROOT / ".github/CONTRIBUTING.md"
 PYTHON = """#!/bin/sh
@@ -41,9 +40,6 @@ def program(path: Path, text: str) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(text)
     path.chmod(0o755)
-
-
-FAILURE = 1
 
 
 def lines_of_set_up(clone: Path, purpose: str, exit_code: int = 0) -> list[str]:
@@ -110,7 +106,7 @@ def test_a_set_up_without_a_network_says_so_in_one_line(clone: Path) -> None:
     )
     program(clone / ".venv/bin/python", f"#!/bin/sh\n{pip_without_network}")
 
-    *_, line_before, last_line = lines_of_set_up(clone, "run", exit_code=FAILURE)
+    *_, line_before, last_line = lines_of_set_up(clone, "run", exit_code=1)
 
     assert last_line.startswith(
         "setup: no connection to the index of Python packages; connect to the network"
@@ -122,34 +118,22 @@ def test_a_set_up_without_a_network_says_so_in_one_line(clone: Path) -> None:
 def without_quiet_options(call: list[str]) -> list[str]:
     """Return a call of pip without what says how much it prints, and Python by its name alone."""
     python, *words = call
-    return [
-        Path(python).name,
-        *(word for word in words if word not in ("-qq", "--disable-pip-version-check")),
-    ]
+    quiet_options = ("-qq", "--disable-pip-version-check")
+    return [Path(python).name, *(word for word in words if word not in quiet_options)]
 
 
 @pytest.mark.slow
 def test_the_set_up_by_hand_that_contributing_shows_calls_the_same_programs(clone: Path) -> None:
     """The page's commands are those that the script runs, also for the environment of these tests."""
-    [block] = [block for block in blocks(PAGE, "sh") if "venv" in block]
-    calls_by_hand = [shlex.split(line) for line in block.splitlines()]
+    lines = block_with(PAGE, "venv", "sh").splitlines()
 
     calls_of_script = set_up(clone, "test")
 
-    assert [without_quiet_options(call) for call in calls_of_script] == [
-        [Path(python).name, *words] for python, *words in calls_by_hand
-    ]
+    calls_by_hand = [without_quiet_options(shlex.split(line)) for line in lines]
+    assert [without_quiet_options(call) for call in calls_of_script] == calls_by_hand
 
 
-@dataclass(frozen=True)
-class Newest:
-    """How ``.ci/newest`` ended, which takes the newest Python that can be had: exit code and output."""
-
-    exit_code: int
-    lines: list[str]
-
-
-def make_newest(folder: Path, available: str) -> Newest:
+def take_newest_python(folder: Path, available: str) -> subprocess.CompletedProcess[str]:
     """Run ``.ci/newest`` for a project that supports Python 3.9 to 3.11, where uv has one version alone.
 
     A stand-in takes the place of uv.
@@ -160,27 +144,22 @@ def make_newest(folder: Path, available: str) -> Newest:
         "".join(f'    "Programming Language :: Python :: 3.{minor}",\n' for minor in (9, 11, 10))
     )
     program(folder / "bin/uv", f'#!/bin/sh\ncase "$*" in *" {available} "*) ;; *) exit 2 ;; esac\n')
-    done = subprocess.run(
-        [folder / ".ci/newest", "build/newest"],
-        env={**os.environ, "PATH": f"{folder / 'bin'}:/usr/bin:/bin"},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    return Newest(done.returncode, done.stdout.splitlines())
+    environment = {**os.environ, "PATH": f"{folder / 'bin'}:/usr/bin:/bin"}
+    command = [folder / ".ci/newest", "build/newest"]
+    return subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
 
 
 def test_the_newest_python_that_can_be_had_is_taken_and_others_are_named(tmp_path: Path) -> None:
     """The project supports 3.9 to 3.11, and 3.11 cannot be had."""
-    newest = make_newest(tmp_path, available="3.10")
+    result = take_newest_python(tmp_path, available="3.10")
 
-    assert newest.exit_code == 0
-    assert newest.lines == ["newest: Python 3.11 cannot be had here", "newest: Python 3.10"]
+    assert result.returncode == 0
+    assert result.stdout == "newest: Python 3.11 cannot be had here\nnewest: Python 3.10\n"
 
 
 def test_where_no_supported_python_can_be_had_the_run_with_the_newest_fails(tmp_path: Path) -> None:
     """The project supports 3.9 to 3.11, and only 2.7 can be had."""
-    newest = make_newest(tmp_path, available="2.7")
+    result = take_newest_python(tmp_path, available="2.7")
 
-    assert newest.exit_code == 1
-    assert len(newest.lines) == 3, "one for each that cannot be had"
+    assert result.returncode == 1
+    assert len(result.stdout.splitlines()) == 3, "one for each that cannot be had"

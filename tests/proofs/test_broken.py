@@ -82,17 +82,19 @@ QUICK_FUNCTIONS = ("shift_left_wide", "multiply", "mcp_asdf_settle")
 def parse_with_mistake(folder: Path, mistake: Mistake, file: Path) -> Program:
     """Parse a file of the firmware's sources, which are copied into a folder with a mistake in them.
 
-    The right text is replaced from the function's definition on, or everywhere if it stands before.
+    In the core the right text is replaced from the function's definition on, or everywhere if it stands only
+    before, in a function that this one calls.
     """
     is_found = False
     for path in (*ARITHMETIC, CORE, SOURCES / "mcp_asdf_robust.h"):
         text = path.read_text(encoding="utf-8")
         is_found |= mistake.right in text
-        start = max(text.find(f" {mistake.function}("), 0) if path == CORE else 0
-        if mistake.right not in text[start:]:
-            start = 0
-        text = text[:start] + text[start:].replace(mistake.right, mistake.wrong)
-        (folder / path.name).write_text(text, encoding="utf-8")
+        before, definition, after = text.partition(f" {mistake.function}(")
+        if path == CORE and mistake.right in after:
+            wrong_text = before + definition + after.replace(mistake.right, mistake.wrong)
+        else:
+            wrong_text = text.replace(mistake.right, mistake.wrong)
+        (folder / path.name).write_text(wrong_text, encoding="utf-8")
     assert is_found, mistake.right
     return Program(folder / file.name, mistake.variant)
 

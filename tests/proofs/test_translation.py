@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ctypes
 import random
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -35,7 +34,7 @@ def test_the_proofs_read_the_c_as_a_compiler_does(variant: Variant, tmp_path: Pa
 
     for name in names * 12:
         arguments = draw_arguments(code, name, rng)
-        result_of_compiler = library.call(name, arguments)
+        result_of_compiler = call_compiled(library, name, arguments)
         result_of_proofs = interpret(code, name, arguments)
         assert result_of_proofs == result_of_compiler, f"{name}{tuple(arguments)}, {variant}"
 
@@ -43,19 +42,24 @@ def test_the_proofs_read_the_c_as_a_compiler_does(variant: Variant, tmp_path: Pa
 def functions_of_numbers(code: Program) -> list[str]:
     """Return the names of the functions of the arithmetic whose parameters are numbers.
 
-    Without those that need a reciprocal, where these come from a table or from the compiler.
+    Where reciprocals come from a table or from the compiler, functions that need one are left out.
     """
-    left_out = {"prepare"} if code.variant.divide in PREPARED else set[str]()
-    return [
-        name
-        for name in code.defined_in(*ARITHMETIC)
-        if None not in types_of_parameters(code, name) and not left_out & code.closure(name)
-    ]
+    names = []
+    for name in code.defined_in(*ARITHMETIC):
+        has_numbers_alone = None not in types_of_parameters(code, name)
+        needs_reciprocal = "prepare" in code.closure(name)
+        if has_numbers_alone and not (needs_reciprocal and code.variant.divide in PREPARED):
+            names.append(name)
+    return names
 
 
 def types_of_parameters(code: Program, name: str) -> list[Any]:
     """Return the types of a function's parameters: None for what is no number."""
-    return [INTEGERS.get(getattr(each.type.type, "names", [""])[-1]) for each in code.parameters(name)]
+    types = []
+    for parameter in code.parameters(name):
+        *_, type_name = getattr(parameter.type.type, "names", [""])
+        types.append(INTEGERS.get(type_name))
+    return types
 
 
 def draw_arguments(code: Program, name: str, rng: random.Random) -> list[int]:
@@ -68,52 +72,44 @@ def draw_argument(name: str, type_: Type, rng: random.Random) -> int:
     """Draw an edge, or a number of any length, for a parameter of that name."""
     if name in COUNTS:
         return rng.randint(1, COUNTS[name])
-    length = rng.randint(1, type_.bits)
-    return (rng.choice(EDGES) if rng.random() < 0.3 else rng.getrandbits(length)) & type_.most
+    if rng.random() < 0.3:
+        return rng.choice(EDGES) & type_.most
+    return rng.getrandbits(rng.randint(1, type_.bits))
 
 
 def interpret(code: Program, name: str, arguments: list[int]) -> int:
     """Call a function in the machine of the proofs, and return the value of its term."""
     types = types_of_parameters(code, name)
-    numbers = [
-        Number(z3.BitVecVal(each, type_.bits), type_) for each, type_ in zip(arguments, types, strict=True)
-    ]
+    numbers = []
+    for argument, type_ in zip(arguments, types, strict=True):
+        numbers.append(Number(z3.BitVecVal(argument, type_.bits), type_))
     machine = Machine(code, Words)
-    found = machine.seen(machine.call(name, *numbers))
-    word = z3.Concat(found["high"], found["low"]) if isinstance(found, dict) else found
-    return int(z3.simplify(word).as_long())
+    result = machine.seen(machine.call(name, *numbers))
+    if isinstance(result, dict):  # a pair of words
+        result = z3.Concat(result["high"], result["low"])
+    return int(z3.simplify(result).as_long())
 
 
-@dataclass(frozen=True)
-class Library:
-    """Functions of a variant as a compiler translates them.
-
-    Attributes:
-        of_c: The shared library, whose functions take long words.
-    """
-
-    of_c: ctypes.CDLL
-
-    def call(self, name: str, arguments: list[int]) -> int:
-        """Call a function, and return its result."""
-        function = getattr(self.of_c, f"call_{name}")
-        function.restype = ctypes.c_uint64
-        return int(function(*map(ctypes.c_uint64, arguments)))
+def call_compiled(library: ctypes.CDLL, name: str, arguments: list[int]) -> int:
+    """Call a function as the compiler has translated it, and return its result."""
+    function = getattr(library, f"call_{name}")
+    function.restype = ctypes.c_uint64
+    return int(function(*map(ctypes.c_uint64, arguments)))
 
 
-def compile_functions(code: Program, names: list[str], folder: Path) -> Library:
-    """Compile functions of a variant into a library, in a folder."""
+def compile_functions(code: Program, names: list[str], folder: Path) -> ctypes.CDLL:
+    """Compile functions of a variant into a library, in a folder; there they take and return long words."""
     lines = ['#include "mcp_asdf_arithmetic.h"']
     for name in names:
-        parameters = [each.name for each in code.parameters(name)]
-        head, call = (", ".join(f"{kind}{each}" for each in parameters) for kind in ("uint64_t ", ""))
-        is_pair = "word_pair_t" in str(code.functions[name].decl.type.type.type.names)
-        value = "join(found.high, found.low)" if is_pair else "found"
-        kind = "word_pair_t" if is_pair else "uint64_t"
-        lines.append(
-            f"uint64_t call_{name}({head}) {{ const {kind} found = {name}({call}); return {value}; }}"
-        )
+        parameters = [parameter.name for parameter in code.parameters(name)]
+        declarations = ", ".join(f"uint64_t {parameter}" for parameter in parameters)
+        result = f"{name}({', '.join(parameters)})"
+        if "word_pair_t" in str(code.functions[name].decl.type.type.type.names):
+            body = f"const word_pair_t pair = {result}; return join(pair.high, pair.low);"
+        else:
+            body = f"return {result};"
+        lines.append(f"uint64_t call_{name}({declarations}) {{ {body} }}")
     (folder / "calls.c").write_text("\n".join(lines), encoding="utf-8")
     flags = ("-std=gnu99", "-O1", "-shared", "-fPIC", f"-I{HEADER.parent}", *code.variant.flags())
     run("gcc", *flags, "calls.c", "-o", "calls.so", cwd=folder)
-    return Library(ctypes.CDLL(str(folder / "calls.so")))
+    return ctypes.CDLL(str(folder / "calls.so"))
