@@ -17,7 +17,6 @@ import pytest
 from numpy.typing import NDArray
 
 from browser import new_page, until
-from mcp_asdf.robot import Robot
 from mcp_asdf_tools.cli import main as cli
 from mcp_asdf_tools.cli import swarm as swarm_command
 from mcp_asdf_tools.cli.options import experiments_of
@@ -25,7 +24,6 @@ from mcp_asdf_tools.experiments.engine import native
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.swarm.carrier import Wiring
 from mcp_asdf_tools.swarm.run import run_swarm
-from mcp_asdf_tools.swarm.settings import SwarmSettings
 from mcp_asdf_tools.swarm.swarm import Swarm
 from mcp_asdf_tools.view.page import make_page
 from mcp_asdf_tools.world.arena import Arena
@@ -217,23 +215,24 @@ def test_the_playground_writes_the_median_of_each_filter_s_final_errors_in_perce
 
     Of an even number of errors, the larger of the two in the middle is taken for the median.
     """
-    errors_and_texts = computed.page.evaluate(
-        "view.playground.comparison.filters.map(({ trials }, index) => "
-        "[trials.map((errors) => errors.at(-1)), "
-        "document.querySelectorAll('#filters output')[index].textContent])"
+    errors_by_filter = computed.page.evaluate(
+        "view.playground.comparison.filters.map(({ trials }) => trials.map((errors) => errors.at(-1)))"
     )
-    assert len(errors_and_texts) == 4
-    for errors, text in errors_and_texts:
+    texts = computed.page.locator("#filters output").all_text_contents()
+    assert len(texts) == 4
+    for errors, text in zip(errors_by_filter, texts, strict=True):
         upper_median = sorted(errors)[len(errors) // 2]
         assert text == f"{100 * upper_median:.1f}"
 
 
 def native_errors(experiment: Experiment, filter_name: str) -> Any:
     """Return the mean error of all robots in each step of two trials, computed by the native engine."""
-    filtered = Experiment(**experiment.parameters() | {"filter": filter_name})
-    x = native.run(filtered, first=0, trials=2).x / 2.0**23
+    with_filter = Experiment(**experiment.parameters() | {"filter": filter_name})
+    x = native.run(with_filter, first=0, trials=2).x / 2.0**23  # by trial, robot and step
     errors = abs(x - experiment.fill_ratio).mean(axis=1)
-    return np.broadcast_to(errors, (2, experiment.steps + 1))  # alike if all robots have one x
+    return np.broadcast_to(
+        errors, (2, experiment.steps + 1)
+    )  # alike if all robots have one x
 
 
 @pytest.mark.slow
@@ -257,13 +256,6 @@ def final_estimates(browser: Page, robots: int) -> list[tuple[float, float]]:
     return [(record[X_HAT_WORD] / 2**23, record[X_WORD] / 2**23) for record in last_records]
 
 
-def robots_at_the_end(settings: SwarmSettings) -> list[Robot]:
-    """Run a swarm on an emulated bus, and return its robots."""
-    with Swarm(settings, Wiring()) as swarm:
-        run_swarm(swarm, [])
-        return [node.robot for node in swarm.nodes]
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("topology", ["everybody=1", "density=4"])
 @pytest.mark.parametrize("filter_name", ["asdf-plus", "robust"])
@@ -276,7 +268,10 @@ def test_nine_robots_with_two_liars_end_in_the_playground_as_in_a_swarm_on_an_em
     """
     address = f"{topology}&robots=9&liars=2&flawed=35&steps=60&filter={filter_name}"
     open_playground(browser, playground, address)
-    robots = robots_at_the_end(swarm_command.settings_of(parse_command(browser)))
+
+    with Swarm(swarm_command.settings_of(parse_command(browser)), Wiring()) as swarm:
+        run_swarm(swarm, [])
+        robots = [node.robot for node in swarm.nodes]
 
     assert [(robot.x_hat, robot.x) for robot in robots] == final_estimates(browser, robots=9)
 
@@ -373,16 +368,15 @@ def test_floor_figures_and_buttons_fit_on_the_screen_of_a_computer_a_tablet_and_
     chromium: Browser, playground: Path, width: int, height: int, is_open: bool
 ) -> None:
     """Nobody has to scroll, whether further settings are closed or open."""
-    parts_of_page = ["#about", "#beliefs", "#arena"]
-    controls = ["#play", "#miscalibrate", "#add-liar", "#more", "#time"]
-    settings = ["#settings"] if is_open else []
+    names = ["#about", "#beliefs", "#arena", "#play", "#miscalibrate", "#add-liar", "#more", "#time"]
     with new_page(chromium, width, height) as browser:
         open_playground(browser, playground, "liars=1&steps=100")
         if is_open:
             browser.locator("#more").click()
+            names.append("#settings")
 
         assert browser.evaluate("document.documentElement.scrollWidth") <= width
-        for name in [*parts_of_page, *controls, *settings]:
+        for name in names:
             box = browser.locator(name).bounding_box()
             assert box is not None, name
             assert min(box["width"], box["height"]) > 10, name
@@ -425,15 +419,9 @@ def test_a_swarm_that_was_played_to_its_end_plays_from_the_start_when_settings_c
     until(small_browser, "view.history.robotCount === 4 && view.player.isPlaying")
 
 
-def part_of_first_result(child: int) -> str:
-    """Return a JavaScript expression for a part of the first filter's result in large figures.
-
-    Its children are a title, the error, and a note that says of how many trials the error is.
-    """
-    return f"document.querySelector('#beliefs .result').children[{child}]"
-
-
-ERROR_OF_FIRST_RESULT, NOTE_OF_FIRST_RESULT = part_of_first_result(1), part_of_first_result(2)
+ERROR_OF_FIRST_RESULT = "document.querySelector('#beliefs .result').children[1]"
+NOTE_OF_FIRST_RESULT = "document.querySelector('#beliefs .result').children[2]"
+"""Parts of the first filter's result in large figures: the error, and a note of how many trials it is."""
 
 
 @pytest.mark.slow
@@ -472,9 +460,7 @@ def test_the_large_figure_above_the_floor_is_the_mean_estimate_of_all_robots_in_
 ) -> None:
     """The estimates are those of the last step, 100, which the page is asked to show."""
     small_browser.evaluate("view.player.seek(100)")
-    estimates = read_drawn_values(small_browser, "x", step=100)
-    percent = 100 * np.mean(estimates)
-
+    percent = 100 * np.mean(read_drawn_values(small_browser, "x", step=100))
     until(small_browser, f"document.getElementById('belief').textContent === '{percent:.0f} %'")
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 import re
 from collections.abc import Iterator, Sequence
@@ -190,9 +189,10 @@ def test_messages_in_an_array_are_received_in_order(firmware: FixedPointFirmware
         (2, ONE + 1, 0),  # rejected: above 1
         (3, 5, 0),  # accepted
     ]
-    robot, other_robot = (firmware(NO_FILTER, OWN_ID, b_hat=0.7) for _ in range(2))
-
+    robot = firmware(NO_FILTER, OWN_ID, b_hat=0.7)
     accepted_count = robot.receive_all(np.array(messages, np.uint32))
+
+    other_robot = firmware(NO_FILTER, OWN_ID, b_hat=0.7)
     receive_raw_messages(other_robot, messages)
 
     assert accepted_count == 2
@@ -411,9 +411,9 @@ def images_with_one_changed_word(image: bytes) -> Iterator[bytes]:
     *words, _checksum = unpack_image(image)
     for index, word in enumerate(words):
         ends_of_ranges = (0, 1, 2**12, 2**18, 2**23, 2**28, 2**30, 2**31, 2**32)
-        with_another_bit = (word, word ^ 1 << 16, word ^ 1 << 24)
-        for value, offset in itertools.product((*ends_of_ranges, *with_another_bit), (-1, 0, 1)):
-            yield edited_image(image, Call("restore", (index, (value + offset) % 2**32)))
+        for value in (*ends_of_ranges, word, word ^ 1 << 16, word ^ 1 << 24):
+            for changed_word in (value - 1, value, value + 1):
+                yield edited_image(image, Call("restore", (index, changed_word % 2**32)))
 
 
 # design: R30
@@ -443,11 +443,11 @@ def falling_entries(count: int) -> tuple[int, ...]:
 
 
 INVALID_ENTRIES = (
-    *(falling_entries(0), falling_entries(1), falling_entries(128), falling_entries(258)),
-    *((3 << 26, (3 << 26) + 1), (3 << 26, 3 << 26), (4 << 26, 3 << 26, (3 << 26) + 1)),
-    *((3 << 26, 1 << 26), (3 << 26, 1), (64 << 26, 2 << 26), (2**33 - 1, 2**31 + 1), (-1, 3 << 26), (-1, -2)),
+    *(falling_entries(count) for count in (0, 1, 128, 258)),  # too few or too many
+    *((3 << 26, (3 << 26) + 1), (3 << 26, 3 << 26), (4 << 26, 3 << 26, (3 << 26) + 1)),  # not falling
+    *((3 << 26, 1 << 26), (3 << 26, 1)),  # not above 1
+    *((64 << 26, 2 << 26), (2**33 - 1, 2**31 + 1), (-1, 3 << 26), (-1, -2)),  # not of 32 bits
 )
-"""Too few or too many entries, or such as do not fall, are not above 1, or have not 32 bits."""
 VALID_ENTRIES = (((1 << 26) + 2, (1 << 26) + 1), (2**32 - 1, 2**32 - 2), falling_entries(127))
 INVALID_MEMORY = (0, -64, 60, 62, 65, 66, 2**31 - 2, 2**31 + 4, 2**32 - 4, 2**32, 2**32 + 64)
 """A memory is a multiple of 4, from 64 to 2**31."""
@@ -459,9 +459,10 @@ def status_of_init(firmware: Firmware, **settings: Any) -> Status:
 
     An error message must name the wrong value, or the status.
     """
-    table_fields = {name: settings.pop(name) for name in ("omega_word", "entries") if name in settings}
     robot_id, b_hat = settings.pop("robot_id", OWN_ID), settings.pop("b_hat", 0.75)
-    config = Config(**{"table": replace(VALID_TABLE, **table_fields)} | settings)
+    omega_word = settings.pop("omega_word", VALID_TABLE.omega_word)
+    entries = settings.pop("entries", VALID_TABLE.entries)
+    config = Config(**{"table": Table(omega_word, entries)} | settings)
     try:
         firmware(config, robot_id, b_hat)
     except FirmwareError as error:
@@ -522,12 +523,12 @@ def test_filters_without_a_hypothesis_test_ignore_the_table(firmware: Firmware, 
 def test_a_table_with_any_flipped_bit_is_refused() -> None:
     """A table is words of 32 bits, of which the last one is a checksum."""
     words = VALID_TABLE.words()
-    for damaged_index, bit in itertools.product(range(len(words)), range(32)):
-        damaged_words = list(words)
-        damaged_words[damaged_index] ^= 1 << bit
-
-        with pytest.raises(TableError):
-            Table.from_words(tuple(damaged_words))
+    for index in range(len(words)):
+        for bit in range(32):
+            damaged_words = list(words)
+            damaged_words[index] ^= 1 << bit
+            with pytest.raises(TableError):
+                Table.from_words(tuple(damaged_words))
 
 
 # design: R28

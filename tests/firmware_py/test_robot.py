@@ -226,5 +226,4 @@ def test_robots_that_all_receive_each_other_s_estimates_believe_the_same_to_the_
 
     for _ in range(30):
         run_round(swarm, rng)
-        first_belief, *other_beliefs = [robot.x for robot in swarm]
-        assert other_beliefs == [first_belief] * 9
+        assert len({robot.x for robot in swarm}) == 1

@@ -34,10 +34,10 @@ def loop(times: int) -> None:
 def test_each_turn_of_a_loop_takes_as_many_instructions_as_the_others() -> None:
     """Instructions are those of Python's interpreter."""
     without_a_turn = count_instructions(partial(loop, times=0))
-    in_a_turn = count_instructions(partial(loop, times=1)) - without_a_turn
-    assert without_a_turn > 0
-    assert in_a_turn > 0
-    assert count_instructions(partial(loop, times=10)) == without_a_turn + 10 * in_a_turn
+    with_one_turn = count_instructions(partial(loop, times=1))
+    with_ten_turns = count_instructions(partial(loop, times=10))
+    assert 0 < without_a_turn < with_one_turn
+    assert with_ten_turns == without_a_turn + 10 * (with_one_turn - without_a_turn)
 
 
 def test_a_call_without_end_is_cut_short_after_20_000_instructions() -> None:
@@ -98,12 +98,9 @@ def test_workloads_with_64_observations_have_all_kinds_of_accuracies_and_counts(
 
     The accuracies b_hat are the least, 1/2, 0.95 and the largest. The last workload halves its memory.
     """
-    one = 2**32
-    accuracies = (2**12, one // 2, round(0.95 * one), one - 2**12)
     expected = []
-    for b_hat in accuracies:
-        for n in (0, 25, 64):
-            expected.append(workload_class(t=64, n=n, b_hat=b_hat))
+    for b_hat in (2**12, 2**31, round(0.95 * 2**32), 2**32 - 2**12):
+        expected += [workload_class(t=64, n=n, b_hat=b_hat) for n in (0, 25, 64)]
     expected.append(workload_class(t=64, n=32, halves=True))
 
     assert [workload for workload in workloads_at("t", 64) if type(workload) is workload_class] == expected
@@ -117,9 +114,10 @@ def test_workloads_with_as_many_observations_as_no_memory_holds_are_not_halved(t
 
 def test_workloads_have_a_power_of_two_of_observations_or_one_less() -> None:
     """They are from 1 to 2**31, and a workload is a robot whose calls are counted."""
-    t_values = {workload.t for workload in workloads_along("t")}
-    powers = [2**exponent for exponent in range(32)]
-    assert t_values == {*powers, *(power - 1 for power in powers[1:])}
+    expected = {1}
+    for exponent in range(1, 32):
+        expected |= {2**exponent - 1, 2**exponent}
+    assert {workload.t for workload in workloads_along("t")} == expected
 
 
 def test_workloads_with_9_messages_have_tests_of_both_outcomes_and_the_largest_sums() -> None:
@@ -168,9 +166,10 @@ def test_a_workload_has_messages_in_its_open_round_and_the_same_sum_in_the_round
     The sum that the round before, the closed one, has in common with the open one is that of confidences.
     """
     robot = Workload(m=3).make_robot(MirrorRobot)
+    third = 2**23 // 3
     assert robot.id == 127
     assert robot.s.open.count == 3
-    assert robot.s.open.x == 3 * (2**23 // 3) + (0 + 1000 + 2000)
+    assert robot.s.open.x == third + (third + 1000) + (third + 2000)
     assert robot.s.closed.alpha == robot.s.open.alpha > 0
     assert robot.s.closed.alpha_x > 0
 
@@ -255,7 +254,7 @@ def test_calls_are_counted_over_the_ranges_of_t_m_and_q(operations: Counts) -> N
 
 def largest_count(operations: Counts, name: str) -> int:
     """Return the largest number of instructions of a call, over all axes."""
-    return max(count for count_by_value in operations[name].values() for count in count_by_value.values())
+    return max(max(count_by_value.values(), default=0) for count_by_value in operations[name].values())
 
 
 @pytest.mark.slow
