@@ -230,9 +230,7 @@ def native_errors(experiment: Experiment, filter_name: str) -> Any:
     with_filter = Experiment(**experiment.parameters() | {"filter": filter_name})
     x = native.run(with_filter, first=0, trials=2).x / 2.0**23  # by trial, robot and step
     errors = abs(x - experiment.fill_ratio).mean(axis=1)
-    return np.broadcast_to(
-        errors, (2, experiment.steps + 1)
-    )  # alike if all robots have one x
+    return np.broadcast_to(errors, (2, experiment.steps + 1))  # alike if all robots have one x
 
 
 @pytest.mark.slow
