@@ -145,7 +145,7 @@ def take_newest_python(folder: Path, available: str) -> subprocess.CompletedProc
     )
     program(folder / "bin/uv", f'#!/bin/sh\ncase "$*" in *" {available} "*) ;; *) exit 2 ;; esac\n')
     environment = {**os.environ, "PATH": f"{folder / 'bin'}:/usr/bin:/bin"}
-    command = [folder / ".ci/newest", "build/newest"]
+    command = [str(folder / ".ci/newest"), "build/newest"]
     return subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
 
 

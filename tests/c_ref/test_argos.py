@@ -45,16 +45,7 @@ ARGOS_HEADERS = (
     "plugins/robots/kheperaiv/control_interface/ci_kheperaiv_proximity_sensor.h",
 )
 """Headers of ARGoS3 (421bd76) and of its plugin for the Khepera IV (7bb1bb3) that the example may include."""
-WARNINGS = [
-    "-Wall",
-    "-Wextra",
-    "-Wpedantic",
-    "-Wconversion",
-    "-Wsign-conversion",
-    "-Wshadow",
-    "-Wundef",
-    "-Werror",
-]
+WARNINGS = "-Wall -Wextra -Wpedantic -Wconversion -Wsign-conversion -Wshadow -Wundef -Werror"
 TICKS = 300
 
 
