@@ -537,16 +537,18 @@ LINES_AND_OPTIONS_IN_FRONT = [
     ("table --output tables", "--omega=0.05 --neighbours=127"),
     (f"{SHORT_RADIO} --seed=1", ""),
     ("sweep --seed=1 grid.toml --workers 1", ""),
+    ("sweep seeds.toml --workers 1", ""),  # --seed would replace both seeds of the file
 ]
 """Command lines, each with the options that a command adds to it when it prints the line to run again."""
 
 
 @pytest.fixture
 def experiment_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Work in a folder with one.toml, a small experiment, and grid.toml, two of them."""
+    """Work in a folder with one.toml, a small experiment, and grid.toml and seeds.toml, two of them each."""
     monkeypatch.chdir(tmp_path)
     Path("one.toml").write_text(EXPERIMENT)
     Path("grid.toml").write_text(f'{EXPERIMENT}[[grid]]\nfilter = ["none", "asdf-plus"]\n')
+    Path("seeds.toml").write_text(f"{EXPERIMENT}seed = [1, 2]\n")
 
 
 @pytest.mark.usefixtures("experiment_files")

@@ -124,6 +124,18 @@ def test_view_warns_that_a_log_has_frames_of_two_buses_unless_one_is_chosen(
     assert (warning in capsys.readouterr().err) == is_warning
 
 
+def test_view_of_a_log_without_events_warns_of_lines_that_are_no_frames(
+    tmp_path: Path, capsys: Capture
+) -> None:
+    """Otherwise who shows a damaged log would take a page that lacks frames for all that was sent."""
+    log = tmp_path / "real.log"
+    log.write_text(f"# by hand\n{Path('run.log').read_text()}")
+    assert main(["view", str(log), "--export", str(tmp_path / "run.html")]) == 0
+
+    warning = "line 1, '# by hand', is no frame and was left out"
+    assert f"mcp-asdf view: of {log} {warning}\n" in capsys.readouterr().err
+
+
 # --- Pages that are served -------------------------------------------------------------------------------
 
 
@@ -235,12 +247,15 @@ DIFFERENCES = "fill_ratio=0.55|0.95, filter=asdf-plus|none"
     [
         ("view", "there is no recording and no bus; give a file"),
         ("view --export x.html --interface udp_multicast", "--export is for recordings"),
+        ("view --where filter=none --interface udp_multicast", "--where is for recordings"),
+        ("view --trial 1 --interface udp_multicast", "--trial is for recordings"),
         ("view none.log", "there is no log"),
         ("view none.log --export no/such/out.html", "its folder does not exist"),
         ("view none.parquet", "cannot read"),
         (VIEW, f"4 experiments match; choose one with where {DIFFERENCES}"),
         (f"{VIEW} {ONE_EXPERIMENT} --trial 9", "no trial 9; choose one of 0 to 1"),
         ("view run.log --export out.html --trial 1", "--trial and --where choose from results"),
+        ("view run.log --export out.html --where filter=none", "--trial and --where choose from results"),
         ("view run.log --export out.pdf", "choose a name that ends in .html"),
         ("view run.log --port 99999", "--port is 99999"),
         ("view run.log --export out.html --port 0", "--port is for a page that is served"),

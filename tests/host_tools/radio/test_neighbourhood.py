@@ -22,6 +22,7 @@ from mcp_asdf_tools.bus.frames import (
     encode_estimate,
     sender_of,
 )
+from mcp_asdf_tools.cli import radio as radio_command
 from mcp_asdf_tools.cli.main import main
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.radio.bench import Bench
@@ -315,6 +316,45 @@ def test_the_report_of_neighbours_in_real_time_is_printed_and_is_beside_the_log(
     """``mcp-asdf radio --json`` has done 20 ticks, and has printed what is in the file beside the log."""
     assert real_time_run.report["results"]["steps"] == 20
     assert real_time_run.report_in_file == real_time_run.report
+
+
+def test_neighbours_of_perfect_sensors_assume_the_largest_accuracy_that_the_firmware_can_have(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """The firmware refuses an accuracy of 1, with which nobody could emulate robots that are never wrong."""
+    options = "--id 3 --robots 3 --steps 1 --steps-per-second 1000 --true-accuracy 1 --json"
+    assert radio(options) == 0
+    neighbours = json.loads(capsys.readouterr().out)["parameters"]["neighbours"]
+
+    assert [neighbour["b_hat"] for neighbour in neighbours] == [1 - 2**-20, 1 - 2**-20]
+
+
+def test_the_text_of_a_run_in_real_time_has_its_frames_faults_and_conflicts_of_ids() -> None:
+    """Whoever tests a controller sees by the last two lines that a fault struck, and that an id is taken."""
+    results = {
+        "steps": 20,
+        "ending": "all ticks done",
+        "frames_sent": 40,
+        "estimates_heard": 19,
+        "strangers": 3,
+        "error_frames": 1,
+        "bus_failures": 2,
+        "mean_x": 0.5788,
+        "spread_x": 0.125,
+        "faults": [{"fault": "loss=0.5,receivers=3", "injected": 42}],
+        "id_conflicts": {"1": 2},
+    }
+    lines = radio_command._format_results(results, "no filter: no robot recalibrates").splitlines()
+
+    assert lines == [
+        "run         20 steps; all ticks done",
+        "filter      no filter: no robot recalibrates",
+        "frames      40 sent to it, 19 estimates heard of it, 3 from strangers; 1 error frames, "
+        "the bus failed 2 times",
+        "neighbours  mean x 0.57880, spread 0.12500",
+        "fault       loss=0.5,receivers=3: struck 42 times",
+        "node-id conflict: another node sent 2 messages as robot 1; see --first-id",
+    ]
 
 
 COMPLAINTS = {

@@ -9,6 +9,7 @@ import re
 import shlex
 from collections import Counter
 from collections.abc import Iterator, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -24,6 +25,7 @@ from mcp_asdf.robot import Filter, FixedPointRobot, Observation
 from mcp_asdf_tools.bus.frame_layout import EVERY_ROBOT, Action, Health, Mode
 from mcp_asdf_tools.bus.frames import Command, Estimate, Heartbeat, Telemetry, decode_command
 from mcp_asdf_tools.cli.main import main
+from mcp_asdf_tools.common.signals import INTERRUPTED
 from mcp_asdf_tools.crosscheck import crafted_rounds
 from mcp_asdf_tools.radio import controller_link, robust_phases
 from mcp_asdf_tools.radio.controller_link import BenchOptions
@@ -935,3 +937,24 @@ def test_the_command_radio_fails_on_a_wrong_controller_and_prints_the_first_diff
 
     headline = 'FAILED: 0 of 45 phases passed; first in phase "nothing seen" (no observation), tick 0'
     assert headline in capsys.readouterr().out
+
+
+def test_the_command_radio_fails_if_the_fault_of_a_phase_never_hit(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The exit code is 1, although no frame differs: in CI nothing but the code is read."""
+    short_verification = partial(Verification, phases=phases_named("alone"))
+    monkeypatch.setattr("mcp_asdf_tools.radio.verification.Verification", short_verification)
+    with node_in_a_thread(CONTROLLER):
+        assert radio(f"{CONTROLLER} --verify --robots 5 --timeout 20 --fault loss=0") == 1
+
+    assert "NOT EXERCISED: " in capsys.readouterr().out
+
+
+def test_the_command_radio_ends_with_the_exit_code_of_a_signal_that_stops_a_verification(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A script must not take the verdict of a run that Ctrl-C has ended for one that passed or failed."""
+    monkeypatch.setattr("mcp_asdf_tools.cli.radio.stopping", lambda: nullcontext(lambda: True))
+    assert radio(f"{CONTROLLER} --verify --robots 5") == INTERRUPTED
+    assert "INTERRUPTED: 0 of " in capsys.readouterr().out

@@ -224,6 +224,18 @@ def test_the_command_calibrate_warns_of_a_bias(readings_file: Path, capsys: Capt
     assert "x_hat is off by +0.056 on every floor" in capsys.readouterr().err
 
 
+def test_the_command_calibrate_reports_a_bias_and_the_warning_of_it_in_json(
+    readings_file: Path, capsys: Capture
+) -> None:
+    """A program that calibrates many sensors would otherwise accept one that is wrong on every floor."""
+    readings_file.write_text(readings_file.read_text() + "300,white\n" * 10)
+    assert run_calibrate(readings_file, "--json") == 0
+    report = json.loads(capsys.readouterr().out)
+
+    assert report["bias"] == pytest.approx(0.056, abs=0.001)
+    assert "x_hat is off by +0.056 on every floor" in report["warning"]
+
+
 def test_the_command_calibrate_reports_how_many_lines_it_leaves_out(
     readings_file: Path, capsys: Capture
 ) -> None:

@@ -13,12 +13,14 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import pytest
 
 from host_tools.studies.conftest import page_path, rare_resampling, values_of
 from mcp_asdf_tools.cli import main as cli
 from mcp_asdf_tools.cli import reproduce
+from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.experiments.trials import run_trials
 from mcp_asdf_tools.studies import report
 from mcp_asdf_tools.studies.cells import Cell, StudyPart, StudySize, experiment_of, own_experiments_of
@@ -88,6 +90,31 @@ def test_a_study_of_one_part_writes_its_results_and_a_report_in_three_formats(
         "comparisons.csv",
         "physical.parquet",
     }
+
+
+@pytest.fixture
+def opened_stores(monkeypatch: pytest.MonkeyPatch) -> Mock:
+    """What the command calls to open its results in a folder; the command ends then, before any trial."""
+    open_stores = Mock(side_effect=UsageError("no trial is to be run"))
+    monkeypatch.setattr(reproduce, "open_stores", open_stores)
+    return open_stores
+
+
+@pytest.mark.parametrize(
+    ("options", "folder"), [([], "reproduction"), (["--quick"], "reproduction-quick")], ids=["full", "quick"]
+)
+def test_a_study_without_the_option_output_goes_into_the_folder_that_the_documentation_names(
+    options: list[str], folder: str, opened_stores: Mock
+) -> None:
+    """A quick study has another folder, so that its trials are never taken for those of the full one."""
+    cli.main(["reproduce", *options])
+    assert opened_stores.call_args.args[0] == Path(folder)
+
+
+def test_a_study_runs_all_parts_that_the_options_name_in_the_order_of_the_paper(opened_stores: Mock) -> None:
+    """Figure 5 of the paper needs both parts that are named here."""
+    cli.main(["reproduce", "--part", "dynamic", "--part", "fully_connected"])
+    assert opened_stores.call_args.args[1] == [StudyPart.FULLY_CONNECTED, StudyPart.DYNAMIC]
 
 
 def test_a_study_prints_its_claims_the_path_of_its_report_and_the_command_that_repeats_it(
