@@ -246,9 +246,9 @@ DIFFERENCES = "fill_ratio=0.55|0.95, filter=asdf-plus|none"
     ("line", "reason"),
     [
         ("view", "there is no recording and no bus; give a file"),
-        ("view --export x.html --interface udp_multicast", "--export is for recordings"),
-        ("view --where filter=none --interface udp_multicast", "--where is for recordings"),
-        ("view --trial 1 --interface udp_multicast", "--trial is for recordings"),
+        ("view --export x.html --interface socketcan --channel nowhere0", "--export is for recordings"),
+        ("view --where filter=none --interface socketcan --channel nowhere0", "--where is for recordings"),
+        ("view --trial 1 --interface socketcan --channel nowhere0", "--trial is for recordings"),
         ("view none.log", "there is no log"),
         ("view none.log --export no/such/out.html", "its folder does not exist"),
         ("view none.parquet", "cannot read"),

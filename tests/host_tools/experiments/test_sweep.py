@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import os
 import re
@@ -599,6 +600,18 @@ def test_the_command_score_takes_limits_that_the_user_chooses(results_file: Path
     answer = run_for_json("score", results_file, "--k-max", "300", "--e-max", "0.5")
     for experiment in answer["experiments"]:
         assert experiment["limits"] == {"k_max": 300, "e_max": 0.5}
+
+
+def test_the_command_score_writes_scores_for_limits_that_the_user_chooses_into_the_csv(
+    results_file: Path, tmp_path: Path
+) -> None:
+    """Each line has the limits of its scores, by which others can compare them with scores of their own."""
+    options = ("--csv", tmp_path / "grid.csv", "--k-max", "250", "--e-max", "0.5")
+    run_for_json("score", results_file, *options)
+    with (tmp_path / "grid.csv").open(encoding="utf-8", newline="") as file:
+        limits = {(row["K_max"], row["e_max"]) for row in csv.DictReader(file)}
+
+    assert limits == {("250", "0.5")}
 
 
 def table_of(output: str) -> list[list[str]]:

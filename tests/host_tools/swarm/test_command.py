@@ -468,6 +468,12 @@ def test_a_comparison_has_mean_errors_and_the_accuracies_that_flawed_robots_assu
     )
 
 
+def test_a_comparison_names_no_true_accuracy_if_sensors_age() -> None:
+    """They begin with an accuracy of 0.95 and lose some in each step, so 0.95 would mislead who reads it."""
+    settings = replace(SMALL_SETTINGS, drift="linear", drift_rate=-1e-5)
+    assert "an accuracy of 0.55, now: ASDF+ 0.80, robust 0.64." in comparison(RESULTS_BY_FILTER, settings)
+
+
 def test_the_last_line_of_a_comparison_is_that_of_its_results(capsys: Capture) -> None:
     """The sentences are made from the report of the same command in JSON, which has four filters."""
     options = [*COMPARED_SWARM, "--steps", "100", "--filter", "asdf-plus", "--compare"]
