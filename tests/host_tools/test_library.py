@@ -451,25 +451,12 @@ def test_two_worker_processes_run_a_robot_class_of_a_module_with_the_results_of_
     assert simulate(experiment, workers=2).equals(simulate(experiment))
 
 
-@pytest.fixture(scope="module")
-def trials_of_extension() -> Trials:
-    """Trials of a class that is no installed extension, as they are read from a table, which has its name."""
-    return simulate_one(small_experiment(firmware=DataSheetRobot))
-
-
-def test_results_of_a_robot_class_that_is_not_installed_can_be_read_with_its_name(
-    trials_of_extension: Trials,
-) -> None:
-    """The firmware of the experiment is then a text, the path of the class."""
-    assert trials_of_extension.experiment.firmware.endswith("test_library.DataSheetRobot")
-
-
-def test_an_experiment_whose_robot_class_is_not_installed_cannot_be_run_from_its_results(
-    trials_of_extension: Trials,
-) -> None:
+def test_an_experiment_whose_robot_class_is_not_installed_can_be_read_but_not_run_from_its_results() -> None:
     """The table has only the name of the class, by which no installed extension is found."""
+    experiment_in_table = simulate_one(small_experiment(firmware=DataSheetRobot)).experiment
+    assert experiment_in_table.firmware.endswith("test_library.DataSheetRobot")
     with pytest.raises(UsageError, match=r"no extension '.*DataSheetRobot' is installed"):
-        simulate(trials_of_extension.experiment)
+        simulate(experiment_in_table)
 
 
 # --- Wrong arguments are one kind of error ---------------------------------------------------------------

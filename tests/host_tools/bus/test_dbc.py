@@ -246,16 +246,13 @@ def test_the_file_names_the_numbers_of_health_mode_and_action(
 # The command mcp-asdf dbc
 
 
-def test_dbc_prints_the_dbc_file(capsys: pytest.CaptureFixture[str]) -> None:
-    """A DBC file describes the frames to other programs; ``dbc`` is the command that makes it."""
+def test_dbc_prints_the_dbc_file_or_writes_it_to_the_path_of_the_option_output(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A DBC file describes the frames to other programs. With the option only the path is printed."""
     assert main(["dbc"]) == 0
     assert capsys.readouterr().out == dbc_text(DEFAULT)
 
-
-def test_dbc_writes_the_dbc_file_to_the_path_of_the_option_output(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """Nothing is printed then but the path."""
     file = tmp_path / "swarm.dbc"
     assert main(["dbc", "--output", str(file)]) == 0
     assert capsys.readouterr().out == f"wrote {file}\n"

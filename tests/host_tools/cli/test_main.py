@@ -317,13 +317,13 @@ def test_the_help_of_a_command_begins_with_the_options_and_files_that_it_needs(c
 
 
 def test_help_lists_the_common_parameters_of_a_swarm_before_further_ones(capsys: Capture) -> None:
-    """The number of robots, for example, is common, and the threshold omega is not."""
+    """The number of robots, for example, is common, and the threshold omega is not.
+
+    The ellipsis behind three firmwares stands for those of extensions.
+    """
     text = help_of("swarm", capsys)
     assert text.index("\n  --robots") < text.index("\nfurther parameters:") < text.index("\n  --omega")
-
-
-def test_help_lists_three_firmwares_and_an_ellipsis_for_those_of_extensions(capsys: Capture) -> None:
-    assert "--firmware {native,mirror,reference,...}" in help_of("simulate", capsys)
+    assert "--firmware {native,mirror,reference,...}" in text
 
 
 def test_commands_for_swarms_and_robots_need_no_library_of_the_extra_study(tmp_path: Path) -> None:
@@ -453,14 +453,12 @@ def is_accepted(command: str, options: list[str]) -> bool:
 
 @pytest.mark.parametrize("name", cli.COMMANDS)
 def test_the_examples_below_a_help_are_accepted_by_their_commands(name: str) -> None:
-    """The parser of each command takes the options. Some examples show other commands than this one."""
+    """The parser of each command takes the options. One example at least is of this command."""
+    commands = []
     for command, options in examples_of(name):
         assert is_accepted(command, options), f"{command} {options}"
+        commands.append(command)
 
-
-@pytest.mark.parametrize("name", cli.COMMANDS)
-def test_a_help_ends_with_an_example_of_its_command_at_least(name: str) -> None:
-    commands = [command for command, _options in examples_of(name)]
     assert name in commands
 
 
@@ -593,7 +591,11 @@ def messages_of_swarm(*options: str, capsys: Capture) -> list[str]:
 
 
 def test_a_command_logs_nothing_without_the_option_v(capsys: Capture) -> None:
-    """The swarm opens a port for other programs (``--slcan``), which it would log with ``-v``."""
+    """The swarm opens a port for other programs (``--slcan``), which it would log with ``-v``.
+
+    The next command in the same process does not log because an earlier one did.
+    """
+    assert messages_of_swarm("-v", capsys=capsys) != []
     assert messages_of_swarm("--slcan", "0", capsys=capsys) == []
 
 
@@ -652,12 +654,6 @@ def test_a_result_in_json_has_no_logged_lines_in_it(capsys: Capture) -> None:
     """Logged lines go to standard error, and the result to standard output."""
     assert cli.main(["table", "--check", "tables/t_table_omega05_q30.c", "-v", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["ok"] is True
-
-
-def test_a_command_with_v_does_not_make_the_next_command_in_the_same_process_log(capsys: Capture) -> None:
-    """The same swarm is run with ``-v`` and then without it."""
-    assert messages_of_swarm("-v", capsys=capsys) != []
-    assert messages_of_swarm(capsys=capsys) == []
 
 
 def test_a_program_that_uses_the_library_gets_no_output_of_it(

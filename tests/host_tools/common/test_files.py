@@ -316,17 +316,12 @@ def test_writing_files_leaves_no_file_descriptor_open(tmp_path: Path) -> None:
 # --- Folders and paths that cannot be written ---------------------------------------------------------
 
 
-def test_a_folder_is_made_with_those_above_it(tmp_path: Path) -> None:
-    """Neither a nor b is there before."""
+def test_a_folder_is_made_with_those_above_it_and_one_that_exists_is_kept(tmp_path: Path) -> None:
+    """Neither a nor b is there before. A second call leaves the file in b as it is."""
     make_folder(tmp_path / "a/b")
-    assert (tmp_path / "a/b").is_dir()
-
-
-def test_a_folder_that_exists_is_kept(tmp_path: Path) -> None:
-    """The file in it stays."""
-    (tmp_path / "file").touch()
-    make_folder(tmp_path)
-    assert names_in(tmp_path) == ["file"]
+    (tmp_path / "a/b/file").touch()
+    make_folder(tmp_path / "a/b")
+    assert names_in(tmp_path / "a/b") == ["file"]
 
 
 def test_a_folder_in_place_of_a_file_is_refused(tmp_path: Path) -> None:
@@ -336,14 +331,10 @@ def test_a_folder_in_place_of_a_file_is_refused(tmp_path: Path) -> None:
         make_folder(tmp_path / "file")
 
 
-def test_writing_a_file_in_place_of_a_folder_is_refused(tmp_path: Path) -> None:
-    """The error names the path and a fix."""
+def test_writing_a_file_in_place_of_a_folder_or_a_pipe_is_refused(tmp_path: Path) -> None:
+    """The program at the other end of a pipe would get nothing, as a new file would take its name."""
     with pytest.raises(UsageError, match=f"cannot write {tmp_path}: it is not a regular file; choose"):
         write_atomically(tmp_path, "x")
-
-
-def test_writing_a_file_in_place_of_a_pipe_is_refused(tmp_path: Path) -> None:
-    """The program at its other end would get nothing, as a new file would take its name."""
     os.mkfifo(tmp_path / "pipe")
     with pytest.raises(UsageError, match=r"pipe: it is not a regular file; choose another name"):
         write_atomically(tmp_path / "pipe", "x")
@@ -378,14 +369,10 @@ def test_the_results_of_an_output_file_stand_beside_it(tmp_path: Path) -> None:
     assert results_beside(tmp_path / "run.log") == tmp_path / "run.log.json"
 
 
-def test_results_are_refused_if_the_output_file_cannot_be_written(tmp_path: Path) -> None:
-    """The user learns before the run that one of its two files cannot be written."""
+def test_results_are_refused_if_they_or_the_output_file_cannot_be_written(tmp_path: Path) -> None:
+    """The user learns before the run that a folder has the name of one of its two files."""
     with pytest.raises(UsageError, match=f"cannot write {tmp_path}: it is not a regular file"):
         results_beside(tmp_path)
-
-
-def test_results_are_refused_if_their_own_file_cannot_be_written(tmp_path: Path) -> None:
-    """The user learns before the run that one of two files cannot be written; a folder has its name."""
     (tmp_path / "run.log.json").mkdir()
     with pytest.raises(UsageError, match=r"run\.log\.json: it is not a regular file"):
         results_beside(tmp_path / "run.log")

@@ -173,13 +173,10 @@ def test_all_panels_of_a_picture_share_their_y_axis_and_have_no_line_above(curve
         assert not axes.spines["top"].get_visible()
 
 
-def test_bands_around_curves_have_no_edges(curves_in_panels: Figure) -> None:
+def test_all_panels_of_curves_share_one_legend_and_bands_have_no_edges(curves_in_panels: Figure) -> None:
     [first_band, *_] = curves_in_panels.axes[0].collections
-    assert first_band.get_edgecolor().size == 0  # type: ignore[union-attr]
-
-
-def test_all_panels_of_curves_share_one_legend(curves_in_panels: Figure) -> None:
     assert legend_of(curves_in_panels) == ["filter none", "filter robust"]
+    assert first_band.get_edgecolor().size == 0  # type: ignore[union-attr]
 
 
 def test_the_caption_of_curves_counts_trials_and_says_where_bands_are_no_intervals(

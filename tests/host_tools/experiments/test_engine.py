@@ -226,26 +226,26 @@ class Mixed(Experiment):
 MIXED = Mixed(**SHORT.parameters())
 
 
-def has_lanes(experiment: Experiment, sampling_interval: int = 0) -> bool:
+def has_lanes(experiment: Experiment, sampling_interval: int) -> bool:
     """Return whether the engine calculates the experiment in lanes; an interval of 0 records nothing."""
     call = native.EngineTrials(experiment, first=0, trials=1, sampling_interval=sampling_interval)
     return bool(_engine.lib.mcp_asdf_engine_has_lanes(call.experiment))
 
 
-@pytest.mark.parametrize("experiment", [SHORT, LATE, ROBUST, replace(ROBUST_MOVING, latency=1)])
-def test_trials_are_computed_at_once_if_only_their_results_are_wanted(experiment: Experiment) -> None:
-    assert has_lanes(experiment)
-
-
 @pytest.mark.parametrize(
-    ("experiment", "sampling_interval"),
-    [(SHORT, 10), (replace(SHORT, comms_period=2), 0), (replace(SHORT, message_bits="16+9"), 0), (MIXED, 0)],
-    ids=["recorded over time", "rare broadcasts", "rounded messages", "different filters"],
+    ("experiment", "sampling_interval", "are_at_once"),
+    [
+        *[(experiment, 0, True) for experiment in (SHORT, LATE, ROBUST, replace(ROBUST_MOVING, latency=1))],
+        (SHORT, 10, False),  # values are recorded over time
+        (replace(SHORT, comms_period=2), 0, False),
+        (replace(SHORT, message_bits="16+9"), 0, False),
+        (MIXED, 0, False),  # robots have different filters
+    ],
 )
-def test_trials_are_computed_one_by_one_if_the_lanes_lack_what_they_need(
-    experiment: Experiment, sampling_interval: int
+def test_trials_are_computed_at_once_if_only_their_results_are_wanted_and_lanes_have_all_they_need(
+    experiment: Experiment, sampling_interval: int, are_at_once: bool
 ) -> None:
-    assert not has_lanes(experiment, sampling_interval)
+    assert has_lanes(experiment, sampling_interval) == are_at_once
 
 
 def engine_for(architecture: str, folder: Path, *more: str) -> Any:

@@ -367,12 +367,18 @@ def output_of_mixed_jobs(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_the_output_has_the_trials_of_each_experiment_in_order_whatever_the_order_of_jobs(
     output_of_mixed_jobs: Path,
 ) -> None:
-    first, second = experiments_in(read_table(output_of_mixed_jobs))
+    """Experiments are read at once or one by one. Row groups do not end with them.
 
-    assert read_table(output_of_mixed_jobs)["trial"].to_pylist() == [*range(40), *range(40)]
-    assert (first.experiment, second.experiment) == (EXPERIMENT, OTHER_EXPERIMENT)
-    assert (first.errors == Job(EXPERIMENT, first=0, count=40).run().errors).all()
-    assert (second.errors == Job(OTHER_EXPERIMENT, first=0, count=40).run().errors).all()
+    The first 10 trials of the second experiment are in the row group of the first one.
+    """
+    at_once = list(experiments_in(read_table(output_of_mixed_jobs)))
+    one_by_one = list(stream_experiments(output_of_mixed_jobs))
+
+    for experiments in (at_once, one_by_one):
+        for trials, experiment in zip(experiments, TWO_EXPERIMENTS, strict=True):
+            assert trials.experiment == experiment
+            assert trials.numbers == [*range(40)]
+            assert (trials.errors == Job(experiment, first=0, count=40).run().errors).all()
 
 
 def test_the_output_has_as_many_rows_in_a_group_as_it_may(output_of_mixed_jobs: Path) -> None:
@@ -380,17 +386,6 @@ def test_the_output_has_as_many_rows_in_a_group_as_it_may(output_of_mixed_jobs: 
     metadata = pq.read_metadata(output_of_mixed_jobs)
     row_groups = [metadata.row_group(index) for index in range(metadata.num_row_groups)]
     assert [row_group.num_rows for row_group in row_groups] == [50, 30]
-
-
-def test_experiments_are_read_one_by_one_from_row_groups_that_do_not_end_with_them(
-    output_of_mixed_jobs: Path,
-) -> None:
-    """The first 10 trials of the second experiment are in the row group of the first one."""
-    first, second = stream_experiments(output_of_mixed_jobs)
-
-    assert (first.experiment, second.experiment) == (EXPERIMENT, OTHER_EXPERIMENT)
-    assert first.numbers == second.numbers == [*range(40)]
-    assert (second.errors == Job(OTHER_EXPERIMENT, first=0, count=40).run().errors).all()
 
 
 def bytes_of_lists(experiment: Experiment, sampling_interval: int) -> int:
@@ -639,6 +634,7 @@ def test_the_command_sweep_prints_medians_over_the_trials_of_each_experiment(
     assert head == ["flawed", "trials", "H", "h_K", "h_e", "K", "e", "updates"]
     for experiment, row in zip(sweep_answer["experiments"], rows, strict=True):
         printed = dict(zip(head, row, strict=True))
+        assert printed["flawed"] == str(experiment["parameters"]["flawed"])
         assert printed["h_K"] == f"{experiment['h_K']['median']:.2f}"
         assert printed["h_e"] == f"{experiment['h_e']['median']:.2f}"
         assert printed["K"] == f"{experiment['K']['median']:g}"
@@ -658,11 +654,6 @@ def test_the_command_sweep_prints_the_score_h_of_each_experiment_with_its_quarti
         lower_quartile, median, upper_quartile = np.percentile(scores, (25, 50, 75))
         assert trials == "3"
         assert printed_score == f"{median:.2f} [{lower_quartile:.2f}, {upper_quartile:.2f}]"
-
-
-def test_the_command_sweep_prints_the_parameter_in_which_experiments_differ(sweep_text: str) -> None:
-    _head, (first_flawed, *_), (second_flawed, *_) = table_of(sweep_text)
-    assert (first_flawed, second_flawed) == ("1", "2")
 
 
 @pytest.fixture
@@ -726,23 +717,15 @@ def test_the_command_simulate_runs_only_a_short_experiment_in_its_own_process(
 A_THOUSAND_ROBOTS = "--robots 1000 --trials 1 --steps 20"
 
 
-@pytest.fixture
-def ring_of_a_thousand(tmp_path: Path) -> Path:
-    """A file with a graph in which each of 1000 robots is connected to the next one."""
-    path = tmp_path / "ring"
-    path.write_text("".join(f"{robot} {(robot + 1) % 1000}\n" for robot in range(1000)))
-    return path
-
-
-def test_the_command_simulate_runs_a_thousand_robots_that_move() -> None:
-    command = f"simulate {A_THOUSAND_ROBOTS} --topology dynamic --filter-period 20"
+@pytest.mark.parametrize("topology", ["dynamic", "graph --graph ring"])
+def test_the_command_simulate_runs_a_thousand_robots_that_move_or_are_in_a_graph(
+    topology: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In the graph, a file, each of them is connected to the next one."""
+    monkeypatch.chdir(tmp_path)
+    Path("ring").write_text("".join(f"{robot} {(robot + 1) % 1000}\n" for robot in range(1000)))
+    command = f"simulate {A_THOUSAND_ROBOTS} --topology {topology} --filter-period 20"
     answer = run_for_json(*command.split())
-    assert (answer["parameters"]["robots"], answer["trials"]) == (1000, 1)
-
-
-def test_the_command_simulate_runs_a_thousand_robots_in_a_graph(ring_of_a_thousand: Path) -> None:
-    command = f"simulate {A_THOUSAND_ROBOTS} --topology graph --filter-period 20 --graph"
-    answer = run_for_json(*command.split(), ring_of_a_thousand)
     assert (answer["parameters"]["robots"], answer["trials"]) == (1000, 1)
 
 

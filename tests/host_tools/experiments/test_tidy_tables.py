@@ -172,16 +172,15 @@ def test_a_tidy_table_as_csv_has_a_header_and_writes_true_and_false_as_1_and_0(
     assert healthy_row.startswith("0,0,1,0,0,0,0.5,")
 
 
-def test_writing_tidy_tables_returns_the_number_of_rows(tidy: pa.Table, tmp_path: Path) -> None:
-    rows_of_a_table = 2 * 3 * 3  # trials * recorded steps * robots
-    assert write_tidy_tables(tmp_path / "robots.csv", [tidy, tidy]) == 2 * rows_of_a_table
-
-
 def test_many_small_tidy_tables_become_one_row_group_of_a_parquet_file(
     tidy: pa.Table, tmp_path: Path
 ) -> None:
-    """A file of many row groups, which are its units of reading, would be slow to read."""
-    write_tidy_tables(tmp_path / "robots.parquet", [tidy] * 20)
+    """A file of many row groups, which are its units of reading, would be slow to read.
+
+    A table has a row for each of 2 trials, 3 recorded steps and 3 robots.
+    """
+    rows_written = write_tidy_tables(tmp_path / "robots.parquet", [tidy] * 20)
+    assert rows_written == 20 * 2 * 3 * 3
     assert pq.ParquetFile(tmp_path / "robots.parquet").num_row_groups == 1
 
 

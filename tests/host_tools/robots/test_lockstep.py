@@ -476,7 +476,7 @@ def test_the_command_line_of_a_robot_s_process_has_all_settings_of_the_robot(set
     nodes = NodeProcesses([setup], lambda robot: bus_choice, SUBJECTS, steps_per_second=3)
     arguments = parse_node_command(nodes._commands[setup.id])
 
-    # The option --allow is text, such as 0+2-3, which the node parses only when it has its bus.
+    # robot_of leaves the text of the option --allow, such as 0+2-3, to the command.
     allowed_ids = arguments.allow and parse_ids(arguments.allow, "--allow")
     assert replace(robot_of(arguments), allow=allowed_ids) == setup
     assert subjects_of(arguments) == SUBJECTS

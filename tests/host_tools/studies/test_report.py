@@ -154,17 +154,28 @@ def test_the_report_in_html_contains_its_picture_and_needs_no_other_file(written
     assert links_to_other_files == []
 
 
-def test_comparisons_csv_has_a_line_for_every_comparison_of_every_claim(written: WrittenReport) -> None:
-    """The column ``cells`` has the label of a comparison, which says which swarms are compared.
-
-    One line is compared as a whole. Its claim is decided by equations, so the interval is a single number.
-    """
+@pytest.fixture(scope="module")
+def csv_rows(written: WrittenReport) -> list[dict[str, str]]:
+    """The lines of comparisons.csv, each as cells by the heads of their columns."""
     with (written.folder / "comparisons.csv").open(encoding="utf-8", newline="") as file:
-        rows = list(csv.DictReader(file))
+        return list(csv.DictReader(file))
 
-    comparisons = [comparison for decision in written.decisions for comparison in decision.comparisons]
-    assert [row["cells"] for row in rows] == [comparison.label for comparison in comparisons]
-    row, *_ = [row for row in rows if row["claim"] == "confidence_increases_with_b_hat"]
+
+def test_comparisons_csv_has_a_line_for_every_comparison_of_every_claim(
+    written: WrittenReport, csv_rows: list[dict[str, str]]
+) -> None:
+    """The column ``cells`` has the label of a comparison, which says which swarms are compared."""
+    labels = []
+    for decision in written.decisions:
+        labels += [comparison.label for comparison in decision.comparisons]
+    assert [row["cells"] for row in csv_rows] == labels
+
+
+def test_a_line_of_comparisons_csv_has_claim_verdict_expectation_and_interval(
+    csv_rows: list[dict[str, str]],
+) -> None:
+    """It is the first line of a claim that equations decide, so the interval is a single number."""
+    row = next(row for row in csv_rows if row["claim"] == "confidence_increases_with_b_hat")
     assert row == {
         "seed": "1",
         "claim": "confidence_increases_with_b_hat",
