@@ -7,26 +7,26 @@ import pytest
 from mcp_asdf_tools.common.errors import UsageError, did_you_mean
 
 
-def test_white_space_in_a_message_becomes_single_spaces() -> None:
-    """A UsageError is a message to the user: one line, whatever it quotes."""
-    assert str(UsageError("cannot read a\n\t file; fix it")) == "cannot read a file; fix it"
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("cannot read a\n\t file; fix it", "cannot read a file; fix it"),
+        ("cannot read \x1b[2J\ud800", "cannot read \\x1b[2J\\ud800"),
+    ],
+)
+def test_a_message_has_single_spaces_and_characters_that_do_not_print_are_escaped(
+    text: str, message: str
+) -> None:
+    """It is one line, whatever it quotes: the content of a file must not control the user's terminal."""
+    assert str(UsageError(text)) == message
 
 
-def test_characters_that_do_not_print_are_escaped() -> None:
-    """The content of a file or an argument must not control the user's terminal."""
-    assert str(UsageError("cannot read \x1b[2J\ud800")) == "cannot read \\x1b[2J\\ud800"
-
-
-def test_a_message_of_800_characters_is_kept() -> None:
-    """A longer one is shortened, so that the fix at its end stays in sight."""
-    assert str(UsageError("9" * 800)) == "9" * 800
-
-
-def test_the_middle_of_a_longer_message_is_left_out() -> None:
-    """The first 400 and the last 400 characters are shown, with three points between them."""
+def test_the_middle_of_a_message_of_more_than_800_characters_is_left_out() -> None:
+    """The first 400 and the last 400 characters are shown, so that the fix at its end stays in sight."""
     message = str(UsageError("cannot read a" + "9" * 5000 + "; fix it"))
     first_400, last_400 = "cannot read a".ljust(400, "9"), "; fix it".rjust(400, "9")
     assert message == f"{first_400} ... {last_400}"
+    assert str(UsageError("9" * 800)) == "9" * 800
 
 
 @pytest.mark.parametrize(

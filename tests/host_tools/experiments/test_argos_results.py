@@ -99,30 +99,17 @@ def test_the_table_of_a_trial_in_argos_is_summed_up_as_mean_errors_of_its_robots
     assert summary["b_hat_error_at_end"] == pytest.approx((0.0 + 0.2) / 2)
 
 
-@pytest.fixture
-def configuration_of_a_trial(tmp_path: Path) -> ElementTree.Element:
-    """The file from which ARGoS runs the trial of seed 7 with ASDF+, written for the tests and parsed."""
+def test_a_trial_in_argos_gets_its_filter_its_seed_and_the_file_of_its_results(tmp_path: Path) -> None:
+    """ARGoS runs it from a file in XML. Sound robots assume the true accuracy, 0.95, and flawed ones 0.55."""
     path = tmp_path / "trial.argos"
     argos.write_configuration(path, EXAMPLE, "asdf-plus", seed=7, results=tmp_path / "trial.csv")
-    return ElementTree.parse(path).getroot()
-
-
-def test_both_kinds_of_robots_get_the_filter_of_a_trial_in_argos(
-    configuration_of_a_trial: ElementTree.Element,
-) -> None:
-    """Sound robots assume the true accuracy, 0.95, and flawed ones 0.55."""
-    sound, flawed = configuration_of_a_trial.iterfind("controllers/*/params")
+    root = ElementTree.parse(path).getroot()
+    sound, flawed = root.iterfind("controllers/*/params")
+    [experiment] = root.iterfind("framework/experiment")
+    [loop_functions] = root.iterfind("loop_functions")
 
     assert (sound.attrib["filter"], sound.attrib["b_hat"]) == ("asdf", "0.95")
     assert (flawed.attrib["filter"], flawed.attrib["b_hat"]) == ("asdf", "0.55")
-
-
-def test_a_trial_in_argos_gets_its_seed_and_the_file_of_its_results(
-    configuration_of_a_trial: ElementTree.Element, tmp_path: Path
-) -> None:
-    [experiment] = configuration_of_a_trial.iterfind("framework/experiment")
-    [loop_functions] = configuration_of_a_trial.iterfind("loop_functions")
-
     assert experiment.attrib["random_seed"] == "7"
     assert loop_functions.attrib["results"] == str(tmp_path / "trial.csv")
 

@@ -54,26 +54,24 @@ def test_the_stored_scores_of_the_float64_program_follow_our_definition_of_score
 
 
 def test_the_stored_scores_of_the_authors_simulation_are_of_11_experiments_with_three_filters() -> None:
-    """Three of them have 12 trials, the others 30."""
+    """Three of them have 12 trials, the others 30. The arena is their square of 5.5486 m."""
     assert sorted(len(stored.scores) for stored in AUTHORS_EXPERIMENTS) == [12] * 3 + [30] * 8
     assert {stored.experiment.filter for stored in AUTHORS_EXPERIMENTS} == {"none", "asdf-minus", "asdf-plus"}
-
-
-def test_experiments_compared_with_the_authors_simulation_have_its_square_of_5_5486_m() -> None:
     for stored in AUTHORS_EXPERIMENTS:
         assert stored.experiment.sides == pytest.approx((5.5486, 5.5486), abs=1e-4)
 
 
 @pytest.mark.slow
-def test_scores_of_simulate_have_the_distribution_of_those_of_an_independent_float64_program() -> None:
+@pytest.mark.parametrize(
+    ("stored_experiments", "trials"),
+    [(FLOAT64_EXPERIMENTS, 32), (AUTHORS_EXPERIMENTS, 20)],
+    ids=["float64 program", "authors' simulation"],
+)
+def test_scores_of_simulate_have_the_distribution_of_those_of_independent_programs(
+    stored_experiments: list[fidelity.StoredExperiment], trials: int
+) -> None:
     """So large a difference of any score has a probability of at least 1 %, for all comparisons together."""
-    assert smallest_p_value(FLOAT64_EXPERIMENTS, trials=32) >= fidelity.LEVEL
-
-
-@pytest.mark.slow
-def test_scores_of_simulate_have_the_distribution_of_those_of_the_authors_simulation() -> None:
-    """So large a difference of any score has a probability of at least 1 %, for all comparisons together."""
-    assert smallest_p_value(AUTHORS_EXPERIMENTS, trials=20) >= fidelity.LEVEL
+    assert smallest_p_value(stored_experiments, trials) >= fidelity.LEVEL
 
 
 @pytest.fixture(scope="module")

@@ -43,17 +43,12 @@ def test_an_estimate_between_two_codes_is_rounded_to_the_nearest_and_alpha_is_ro
     """
     code = MessageCode(x_hat_bits=2, alpha_bits=4)
 
-    x_hat, alpha = code.round_raw(int(0.4 * ONE), alpha_word_from_float(7.9))
+    raw_x_hat, raw_alpha = code.round_raw(int(0.4 * ONE), alpha_word_from_float(7.9))
+    x_hat, alpha = code.round_floats(0.4, 7.9)
 
-    assert x_hat == round(ONE / 3)
-    assert alpha == alpha_word_from_float(2.0)
-
-
-def test_estimates_in_floats_are_rounded_to_the_values_that_the_firmware_s_integers_have() -> None:
-    """The firmware's unit of x_hat is 1 / ONE, so 1/3 is a whole number of these."""
-    x_hat, alpha = MessageCode(x_hat_bits=2, alpha_bits=4).round_floats(0.4, 7.9)
-
-    assert x_hat == round(ONE / 3) / ONE
+    assert raw_x_hat == round(ONE / 3)
+    assert raw_alpha == alpha_word_from_float(2.0)
+    assert x_hat == round(ONE / 3) / ONE  # a whole number of the firmware's units
     assert alpha == 2.0
 
 

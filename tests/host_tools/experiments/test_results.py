@@ -140,32 +140,20 @@ def test_small_tables_are_joined_until_they_have_enough_bytes() -> None:
     assert [len(larger_table) for larger_table in larger_tables] == [2, 2, 1]
 
 
-@pytest.fixture(scope="module")
-def row_of_trial_0(results_path: Path) -> dict[str, Any]:
-    """The row of trial 0 of the first experiment, as any program that reads Parquet finds it in the file."""
-    _trial_2, trial_0, *_ = pq.read_table(results_path).to_pylist()
-    assert trial_0["trial"] == 0
-    return dict(trial_0)
-
-
-def test_any_reader_of_parquet_finds_the_parameters_of_a_trial_in_its_row(
-    row_of_trial_0: dict[str, Any],
-) -> None:
-    parameters_in_row = {name: row_of_trial_0[name] for name in SHORT.parameters()}
-    assert parameters_in_row == SHORT.parameters()
-
-
-def test_any_reader_of_parquet_finds_the_results_of_a_trial_in_its_row(
-    row_of_trial_0: dict[str, Any],
+def test_any_reader_of_parquet_finds_the_parameters_and_the_results_of_a_trial_in_its_row(
+    results_path: Path,
 ) -> None:
     """A row has lists with values of all robots, and the trial's scores. The trial is run again."""
+    _trial_2, row, *_ = pq.read_table(results_path).to_pylist()
     trials = run_trials(SHORT, first=0, trials=1)
 
-    assert row_of_trial_0["k"] == trials.convergence_steps.ravel().tolist()
-    assert row_of_trial_0["e"] == trials.errors.ravel().tolist()
-    assert row_of_trial_0["b_hat"] == trials.b_hat.ravel().tolist()
+    assert row["trial"] == 0
+    assert {name: row[name] for name in SHORT.parameters()} == SHORT.parameters()
+    assert row["k"] == trials.convergence_steps.ravel().tolist()
+    assert row["e"] == trials.errors.ravel().tolist()
+    assert row["b_hat"] == trials.b_hat.ravel().tolist()
     for name in SCORES:
-        assert [row_of_trial_0[name]] == trials.scores()[name]
+        assert [row[name]] == trials.scores()[name]
 
 
 @pytest.fixture(scope="module")

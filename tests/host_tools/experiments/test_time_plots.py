@@ -72,8 +72,11 @@ def test_errors_of_all_experiments_to_which_the_user_gives_one_name_are_in_one_l
 
 
 def test_errors_over_time_have_a_panel_for_each_title_that_the_user_gives(errors_over_time: Figure) -> None:
+    """Errors have a logarithmic axis."""
     assert titles_of(errors_over_time) == ["both", "none", "robust", "one experiment"]
     assert layout_of(errors_over_time) == Layout(rows=2, columns=3, width=9, panel_height=1.9)
+    assert {axes.get_yscale() for axes in visible_axes(errors_over_time)} == {"log"}
+    assert "bands their 95 % intervals" in caption_of(errors_over_time)
 
 
 def mean_errors_by_step(experiments: list[Trials]) -> dict[float, NDArray[np.float64]]:
@@ -107,11 +110,6 @@ def test_errors_over_time_have_the_colours_of_their_filters(errors_over_time: Fi
     assert [line.get_color() for line in both.lines] == [GREY, GREEN]
     assert [line.get_color() for line in robust.lines] == [GREEN]
     assert legend_of(errors_over_time) == ["no filter", "robust"]
-
-
-def test_errors_over_time_have_a_logarithmic_axis_and_a_caption(errors_over_time: Figure) -> None:
-    assert {axes.get_yscale() for axes in visible_axes(errors_over_time)} == {"log"}
-    assert "bands their 95 % intervals" in caption_of(errors_over_time)
 
 
 # --- Assumed accuracies ----------------------------------------------------------------------------------
@@ -346,23 +344,20 @@ def test_the_upper_panel_of_a_trial_has_filter_swarm_and_trial_as_its_title(runs
     assert other_titles == ["", "", "", ""]
 
 
-def test_axes_of_trials_are_named_on_the_left_and_at_the_bottom(runs_figure: Figure) -> None:
+def test_axes_of_trials_are_named_on_the_left_and_at_the_bottom_and_lines_in_the_legend(
+    runs_figure: Figure,
+) -> None:
     """There are three rows of two panels. A symbol, such as b_hat, follows each name on the left."""
     y_labels = [axes.get_ylabel().partition(" $")[0] for axes in runs_figure.axes]
     assert y_labels == ["assumed accuracy", "", "local estimate", "", "informed estimate", ""]
     assert [axes.get_xlabel() for axes in runs_figure.axes] == ["", "", "", "", "step", "step"]
-
-
-def test_the_legend_of_trials_has_flawed_robots_healthy_ones_and_the_true_value(runs_figure: Figure) -> None:
     assert legend_of(runs_figure) == ["flawed robots", "healthy robots", "true value"]
 
 
-def test_a_single_trial_is_drawn_in_three_panels(recorded_runs: list[Trials]) -> None:
+def test_a_single_trial_is_drawn_in_three_panels_and_one_that_was_not_run_is_refused(
+    recorded_runs: list[Trials],
+) -> None:
     first_run, _ = recorded_runs
     assert len(plot_series([first_run]).axes) == 3
-
-
-def test_a_trial_that_was_not_run_is_refused_with_those_that_were(recorded_runs: list[Trials]) -> None:
-    first_run, _ = recorded_runs
     with pytest.raises(UsageError, match=r"there is no trial 1; choose one of 0 to 0"):
         plot_series([first_run], trial=1)

@@ -71,13 +71,10 @@ def test_the_physical_experiment_has_the_papers_platform_speed_and_two_observati
 
 
 def test_physical_robots_have_perfect_sensors_on_a_floor_of_0_448_black() -> None:
-    for cell in cells_of(StudyPart.PHYSICAL):
-        assert cell.fill_ratio == 0.448
-        assert cell.true_accuracy == 1.0
-
-
-def test_none_two_four_or_all_eight_physical_robots_are_flawed() -> None:
+    """None, two, four or all eight of them are flawed."""
     experiments = [experiment_of(cell, StudySize()) for cell in cells_of(StudyPart.PHYSICAL)]
+    assert {experiment.fill_ratio for experiment in experiments} == {0.448}
+    assert {experiment.true_accuracy for experiment in experiments} == {1.0}
     assert {experiment.flawed for experiment in experiments} == {0, 2, 4, 8}
 
 

@@ -91,13 +91,24 @@ def test_the_error_on_a_floor_that_changes_is_measured_against_its_share_of_blac
     assert study_program.late_errors(trials_with_final_floor).tolist() == [0, 0]  # of two trials
 
 
-def test_a_cell_of_the_grid_has_score_late_error_error_at_convergence_and_harm(few_resamples: None) -> None:
-    """All robots converged at once without an error, worth 100 points, and later left 0.5 for 0.6.
+@pytest.mark.parametrize(
+    ("trials", "text"),
+    [
+        (trials_with(x=0.6, b_hat=0.9), "100.0, 0.100, 0.0000, 0.0 %"),
+        (trials_with(x=0.5, b_hat=[0.9, 0.9, 0.9, 0.5]), "100.0, 0.0000, 0.0000, 33.3 %"),
+        (trials_with(x=0.5, robots=4, flawed=4), "100.0, 0.0000, 0.0000"),
+    ],
+    ids=["later error", "harm", "no healthy robots"],
+)
+def test_a_cell_of_the_grid_has_score_late_error_error_at_convergence_and_harm(
+    trials: Trials, text: str, few_resamples: None
+) -> None:
+    """All robots converged at once without an error, which is worth 100 points. The floor is half black.
 
-    None of the healthy robots was harmed.
+    The first of four robots is flawed. One of three healthy ones is harmed if its b_hat ends at 0.5
+    instead of 0.9. Without healthy robots the percentage is left out.
     """
-    trials = trials_with(x=0.6, b_hat=0.9)
-    assert robust_filter.grid_text([trials]) == "100.0, 0.100, 0.0000, 0.0 %"
+    assert robust_filter.grid_text([trials]) == text
 
 
 def test_a_cell_of_other_tables_has_both_errors_and_the_percentage_of_harmed_robots(
@@ -107,17 +118,6 @@ def test_a_cell_of_other_tables_has_both_errors_and_the_percentage_of_harmed_rob
     underconfident = trials_with(**FLAWS["underconfident"], x=0.65, b_hat=0.95)
     overconfident = trials_with(**FLAWS["overconfident"], x=0.75, b_hat=0.55)
     assert robust_filter.errors_text([overconfident, underconfident]) == "0.100, 0.200, 0.0 %"
-
-
-def test_a_cell_ends_with_33_percent_if_one_of_three_healthy_robots_is_harmed(few_resamples: None) -> None:
-    """The first of four robots is flawed. The last one's b_hat ends at 0.5 instead of 0.9."""
-    trials = trials_with(b_hat=[0.9, 0.9, 0.9, 0.5])
-    assert robust_filter.grid_text([trials]) == "100.0, 0.0000, 0.0000, 33.3 %"
-
-
-def test_a_cell_has_no_percentage_of_harmed_robots_if_none_is_healthy(few_resamples: None) -> None:
-    trials = trials_with(robots=4, flawed=4)
-    assert robust_filter.grid_text([trials]) == "100.0, 0.0000, 0.0000"
 
 
 def late_error_on_page(flaw: str, column: str) -> float:

@@ -143,16 +143,13 @@ def folder_of_short_study(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_the_program_writes_its_tables_of_both_filters_with_a_row_for_each_number_of_bits(
+def test_the_program_writes_its_tables_of_both_filters_with_a_row_for_each_number_of_bits_and_a_png(
     folder_of_short_study: Path,
 ) -> None:
     tables = tables_in(folder_of_short_study / "small_messages.md")
 
     assert list(tables) == ["exact", "asdf_minus", "robust", "close"]
     assert list(tables["robust"].rows) == ["x_hat 4", "x_hat 16"]
-
-
-def test_the_program_draws_its_ratios_as_a_png(folder_of_short_study: Path) -> None:
     assert (folder_of_short_study / "small_messages.png").read_bytes().startswith(b"\x89PNG")
 
 

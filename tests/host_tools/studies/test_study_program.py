@@ -155,20 +155,12 @@ def test_a_plain_error_has_no_interval_even_if_trials_differ() -> None:
     assert study_program.plain_error_text([trials]) == "0.150"
 
 
-UNDERCONFIDENT_WITH_ERROR_0_2 = trials_with(**FLAWS["underconfident"], x=0.75)
-"""Trials on a floor that is 0.55 black."""
-
-OVERCONFIDENT_WITH_ERROR_0_05 = trials_with(**FLAWS["overconfident"], x=0.9)
-"""Trials on a floor that is 0.95 black."""
-
-
 def test_the_error_of_underconfident_swarms_stands_before_that_of_overconfident_ones() -> None:
-    in_the_other_order = [OVERCONFIDENT_WITH_ERROR_0_05, UNDERCONFIDENT_WITH_ERROR_0_2]
-    assert study_program.under_and_over_text(in_the_other_order) == "0.200, 0.050"
-
-
-def test_a_cell_with_overconfident_swarms_only_has_one_error() -> None:
-    assert study_program.under_and_over_text([OVERCONFIDENT_WITH_ERROR_0_05]) == "0.050"
+    """They are given in the other order. A cell with overconfident swarms only has one error."""
+    underconfident = trials_with(**FLAWS["underconfident"], x=0.75)  # 0.55 of the floor is black
+    overconfident = trials_with(**FLAWS["overconfident"], x=0.9)  # 0.95 of the floor is black
+    assert study_program.under_and_over_text([overconfident, underconfident]) == "0.200, 0.050"
+    assert study_program.under_and_over_text([overconfident]) == "0.050"
 
 
 def test_a_table_has_labelled_rows_and_a_column_for_each_filter_that_a_row_needs() -> None:

@@ -55,19 +55,18 @@ def json_report(capsys: Capture, *arguments: str | Path) -> dict[str, Any]:
 # --- Files and reports -----------------------------------------------------------------------------------
 
 
-def test_the_json_report_of_a_swarm_has_its_parameters_and_its_bus(capsys: Capture) -> None:
-    """The seed and the format of the frames are the default ones."""
+def test_the_json_report_of_a_swarm_has_its_parameters_its_bus_and_the_number_of_delivered_estimates(
+    capsys: Capture,
+) -> None:
+    """Each of four robots sends an estimate in each of 30 steps, and the other three receive it.
+
+    The seed and the format of the frames are the default ones.
+    """
     report = json_report(capsys, "--channel", "mine")
     assert report["parameters"]["seed"] == 1
     assert report["parameters"]["frames"] == {"subject": 3000, "priority": 4}
     assert report["bus"] == {"interface": "virtual", "channel": "mine", "slcan": None}
-
-
-def test_the_json_report_of_a_swarm_counts_the_delivered_estimates(capsys: Capture) -> None:
-    """Each of four robots sends an estimate in each of 30 steps, and the other three receive it."""
-    report = json_report(capsys)
-    steps, robots, receivers = 30, 4, 3
-    assert report["results"]["frames"]["delivered"] == steps * robots * receivers
+    assert report["results"]["frames"]["delivered"] == 30 * 4 * 3
 
 
 def test_the_file_beside_a_log_has_the_json_report(tmp_path: Path, capsys: Capture) -> None:
@@ -107,22 +106,18 @@ def test_the_same_command_writes_the_same_files_again(tmp_path: Path) -> None:
 # --- Summaries -------------------------------------------------------------------------------------------
 
 
-def test_a_piped_output_has_lines_that_begin_with_step_robot_or_the_name_of_a_result(
-    capsys: Capture,
-) -> None:
-    """Lines of "step" and "robot" come while the run goes on, and the results follow in the end."""
+def test_a_piped_output_has_steps_robots_results_and_the_line_that_repeats_the_run(capsys: Capture) -> None:
+    """Lines of "step" and "robot" come while the run goes on, and the results follow in the end.
+
+    Fields are separated by tabs. The first field of a result is its name.
+    """
     assert run_swarm_command("--seed", "42") == 0
-    *lines, _line_to_repeat_the_run = capsys.readouterr().out.splitlines()
+    *lines, last_line = capsys.readouterr().out.splitlines()
     first_fields = [line.partition("\t")[0] for line in lines]
     start_of_results = first_fields.index("run")
 
     assert set(first_fields[:start_of_results]) <= {"step", "robot"}
     assert first_fields[start_of_results:] == USUAL_RESULT_NAMES
-
-
-def test_the_last_line_of_the_output_repeats_the_run(capsys: Capture) -> None:
-    assert run_swarm_command("--seed", "42") == 0
-    last_line = capsys.readouterr().out.splitlines()[-1]
     assert last_line == f"again: mcp-asdf swarm {' '.join(SMALL_OPTIONS)} --seed 42"
 
 
@@ -183,18 +178,13 @@ def test_the_summary_in_one_line_says_that_the_run_was_interrupted() -> None:
     assert line == "seed 11: 3 robots, ASDF+, 60 steps, mean error 0.04922, spread 0.05334; interrupted"
 
 
-def test_a_summary_says_what_failed() -> None:
+def test_a_summary_of_a_run_without_faults_has_no_lines_about_faults_and_says_what_failed() -> None:
     """The line "run" ends with the tick and the error."""
     run, _ = run_and_record(small_swarm(robots=3))
     run.failure = "tick 41: bus off"
     text_by_name = dict(summary(run, bus="vcan0", seconds=1.26))
+    assert list(text_by_name) == USUAL_RESULT_NAMES
     assert text_by_name["run"] == "60 of 60 steps in 1.3 s; failed in tick 41: bus off"
-
-
-def test_a_summary_of_a_run_without_faults_has_no_lines_about_faults() -> None:
-    run, _ = run_and_record(small_swarm(robots=3))
-    names = [name for name, _text in summary(run, bus="vcan0", seconds=1.26)]
-    assert names == USUAL_RESULT_NAMES
 
 
 def test_a_summary_is_a_table_with_bold_names() -> None:

@@ -455,18 +455,16 @@ def test_frames_of_another_program_change_nothing_for_the_robots() -> None:
 
 
 def test_frames_of_another_program_are_counted_by_each_of_five_robots() -> None:
-    """The program sends four malformed frames, two estimates from outside the swarm, and an error frame."""
+    """The program sends four malformed frames, two estimates from outside the swarm, and an error frame.
+
+    One of the estimates is under the id of robot 1, and so is a conflict.
+    """
     run, _ = run_with_foreign_frames()
     frame_counts = run.results["frames"]
     assert frame_counts["strays"] == 2 * 5
+    assert frame_counts["id_conflicts"] == {"1": 1}
     assert frame_counts["errors_heard"] == 5
     assert frame_counts["rejected"] == {"STANDARD_ID": 5, "REMOTE_FRAME": 5, "X_HAT": 5, "LENGTH": 5}
-
-
-def test_an_estimate_of_another_program_under_the_id_of_a_robot_is_a_conflict() -> None:
-    """It sends one estimate as robot 1. The results count it under this id."""
-    run, _ = run_with_foreign_frames()
-    assert run.results["frames"]["id_conflicts"] == {"1": 1}
 
 
 def run_of_disagreeing_robots(seed: int = 11) -> SwarmRun:

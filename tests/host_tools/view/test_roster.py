@@ -106,20 +106,17 @@ def regular_roster(roster: RosterOfRobot3) -> RosterOfRobot3:
     return roster
 
 
-def test_two_frames_in_the_first_tenth_of_a_second_are_a_rate_of_two_frames_a_second(
-    roster: RosterOfRobot3,
+@pytest.mark.parametrize(("frames", "now", "rate"), [(2, 50.1, 2.0), (21, 52.0, 21 / 2.0)])
+def test_the_rate_of_a_new_robot_is_that_since_its_first_frame(
+    frames: int, now: float, rate: float, roster: RosterOfRobot3
 ) -> None:
-    """A rate is the number of frames divided by the time in which they came, but by one second at least."""
-    roster.receive_estimate(0, now=50.0)
-    roster.receive_estimate(1, now=50.1)
-    assert roster.row(now=50.1)["rate"] == 2.0
+    """It is the number of frames divided by the time in which they came, but by one second at least.
 
-
-def test_the_rate_of_a_new_robot_is_that_since_its_first_frame(roster: RosterOfRobot3) -> None:
-    """It sends 21 frames in two seconds."""
-    for tick in range(21):
+    The robot sends a frame every tenth of a second, from 50 s on.
+    """
+    for tick in range(frames):
         roster.receive_estimate(tick, now=50 + tick / 10)
-    assert roster.row(now=52.0)["rate"] == 21 / 2.0
+    assert roster.row(now)["rate"] == rate
 
 
 def test_the_rate_of_a_robot_is_that_of_the_last_five_seconds(regular_roster: RosterOfRobot3) -> None:
@@ -246,22 +243,16 @@ def list_frames(roster: Roster) -> list[list[Any]]:
     return frames
 
 
-def test_an_estimate_is_listed_with_its_time_sender_and_values(roster: RosterOfRobot3) -> None:
-    """Robot 3 sends it. All estimates of this roster have x_hat = 0.5 and alpha = 0.25."""
+def test_a_frame_is_listed_with_its_time_its_sender_and_what_it_holds(roster: RosterOfRobot3) -> None:
+    """Robot 3 sends frames of three kinds, with an x_hat of 0.5 and an x of 0.25."""
     roster.receive_estimate(8, now=1.0)
-    assert list_frames(roster) == [[1.0, 3, "estimate 8: x_hat 0.5000, alpha 0.25"]]
-
-
-def test_a_heartbeat_is_listed_with_its_time_sender_and_state(roster: RosterOfRobot3) -> None:
-    """Robot 3 sends it."""
     roster.receive_heartbeat(uptime=100, transfer_id=2, now=250.0)
-    assert list_frames(roster) == [[250.0, 3, "heartbeat 2: nominal, maintenance, up 100 s"]]
-
-
-def test_telemetry_is_listed_with_its_time_sender_and_values(roster: RosterOfRobot3) -> None:
-    """Robot 3 sends it, with x = 0.25, b_hat = 0.75 and 7 updates."""
     roster.receive_telemetry(now=251.0)
-    assert list_frames(roster) == [[251.0, 3, "telemetry 30: x 0.2500, b_hat 0.7500, updates 7"]]
+    assert list_frames(roster) == [
+        [1.0, 3, "estimate 8: x_hat 0.5000, alpha 0.25"],
+        [250.0, 3, "heartbeat 2: nominal, maintenance, up 100 s"],
+        [251.0, 3, "telemetry 30: x 0.2500, b_hat 0.7500, updates 7"],
+    ]
 
 
 def test_a_rejected_frame_is_listed_with_the_reason_and_without_a_sender(roster: RosterOfRobot3) -> None:

@@ -390,10 +390,12 @@ def test_a_trial_whose_simulation_has_other_errors_than_the_results_is_not_shown
         recompute_trial_history(changed, trial=1)
 
 
-def test_a_trial_that_is_not_among_the_results_is_refused() -> None:
-    """The error offers the two trials of the results, 0 and 1."""
+def test_a_trial_that_is_not_among_the_results_is_refused(trials_of_the_authors: Trials) -> None:
+    """The error offers the trials that there are. The only one of the authors has the number 2."""
     with pytest.raises(UsageError, match="there is no trial 2; choose one of 0 to 1"):
         recompute_trial_history(run_experiment(), trial=2)
+    with pytest.raises(UsageError, match="there is no trial 0; choose one of 2 to 2"):
+        recorded_trial_history(trials_of_the_authors, trial=0)
 
 
 def test_a_trial_of_a_billion_steps_is_not_simulated_again_to_be_shown() -> None:
@@ -420,39 +422,34 @@ def authors_history(trials_of_the_authors: Trials) -> History:
     return recorded_trial_history(trials_of_the_authors, trial=2)
 
 
-def test_a_trial_of_the_paper_s_authors_has_a_state_for_each_recorded_step(authors_history: History) -> None:
-    """Every 20th of its 60 steps is recorded."""
-    assert ticks_of(authors_history) == [0, 20, 40, 60]
-
-
 def test_a_state_of_the_authors_trial_has_the_recorded_values_of_all_robots(
     trials_of_the_authors: Trials, authors_history: History
 ) -> None:
     """The file has x, x_hat and b_hat of each robot; the true accuracy is a parameter of the experiment."""
-    records = trials_of_the_authors.records
-    last_state = states_of(authors_history)[-1]
+    *_, last_state = states_of(authors_history)
     x, x_hat, b_hat, true_accuracy = last_state.values
 
-    only_trial, last_record = 0, -1
-    assert np.array_equal(x, records["x"][only_trial, last_record])
-    assert np.array_equal(x_hat, records["x_hat"][only_trial, last_record])
-    assert np.array_equal(b_hat, records["b_hat"][only_trial, last_record])
+    for name, values in (("x", x), ("x_hat", x_hat), ("b_hat", b_hat)):
+        [(*_, values_of_last_record)] = trials_of_the_authors.records[name]  # of the only trial, by step
+        assert np.array_equal(values, values_of_last_record), name
     assert (true_accuracy == FIXED.true_accuracy).all()
 
 
-def test_a_trial_of_the_paper_s_authors_has_neither_positions_nor_links(authors_history: History) -> None:
-    """Their files do not record where robots are, nor which of them receive each other."""
-    assert authors_history.description.sides is None
+def test_a_trial_of_the_paper_s_authors_has_states_of_recorded_steps_without_positions_and_links(
+    authors_history: History,
+) -> None:
+    """Their files do not record where robots are, nor which of them receive each other.
+
+    The title names their program by its repository, NESTLab/sensor-degradation-filter.
+    """
+    assert ticks_of(authors_history) == [0, 20, 40, 60]
     for state in states_of(authors_history):
         assert state.positions is None
         assert not state.neighbours.any()
-
-
-def test_the_title_of_the_authors_trial_names_their_program(authors_history: History) -> None:
-    """The program is named by its repository, NESTLab/sensor-degradation-filter."""
-    title = authors_history.description.title
-    assert title.startswith("5 robots, 2 flawed, ")
-    assert title.endswith(", trial 2 of NESTLab/sensor-degradation-filter")
+    description = authors_history.description
+    assert description.sides is None
+    assert description.title.startswith("5 robots, 2 flawed, ")
+    assert description.title.endswith(", trial 2 of NESTLab/sensor-degradation-filter")
 
 
 def test_a_long_trial_of_the_paper_s_authors_is_shown_with_every_second_recorded_state(
@@ -471,9 +468,3 @@ def test_a_trial_of_the_paper_s_authors_that_was_converted_without_records_canno
     message = r"nothing is recorded .* run mcp-asdf convert again, without --record 0"
     with pytest.raises(UsageError, match=message):
         recorded_trial_history(unrecorded, trial=2)
-
-
-def test_a_trial_that_is_not_among_those_of_the_authors_is_refused(trials_of_the_authors: Trials) -> None:
-    """Their only trial has the number 2, which the error offers."""
-    with pytest.raises(UsageError, match="there is no trial 0; choose one of 2 to 2"):
-        recorded_trial_history(trials_of_the_authors, trial=0)

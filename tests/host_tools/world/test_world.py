@@ -411,18 +411,15 @@ FILL_RATIOS_OF_CODES = [0.448, 0.5001, 0.8, LEAST_FILL_RATIO_OF_CODES]
 
 
 @pytest.mark.parametrize("fill_ratio", FILL_RATIOS_OF_CODES)
-def test_a_floor_like_a_qr_code_has_exactly_the_chosen_share_of_black(fill_ratio: float) -> None:
-    """So many of its 100 x 100 modules, which are black or white, are black."""
+def test_a_floor_like_a_qr_code_has_exactly_the_chosen_share_of_black_and_a_white_middle(
+    fill_ratio: float,
+) -> None:
+    """So many of its 100 x 100 modules are black. The 32 x 32 in the middle are all white, for a logo."""
     code = make_floor_code(fill_ratio)
+    middle = slice(34, 66)
     assert code.shape == (100, 100)
     assert code.sum() == round(fill_ratio * 100 * 100)
-
-
-@pytest.mark.parametrize("fill_ratio", FILL_RATIOS_OF_CODES)
-def test_the_middle_of_a_floor_like_a_qr_code_is_white_for_a_logo(fill_ratio: float) -> None:
-    """The 32 x 32 modules in the middle of 100 x 100 are all white."""
-    middle = slice(34, 66)
-    assert not make_floor_code(fill_ratio)[middle, middle].any()
+    assert not code[middle, middle].any()
 
 
 @pytest.mark.parametrize("fill_ratio", FILL_RATIOS_OF_CODES)
