@@ -13,20 +13,12 @@ from support import ROOT
 
 FIGURES = ROOT / "docs/internals/filters.csv"
 DYNAMIC = {"steps": 40_000, "trials": 200, "topology": "dynamic", "fill_ratio": 0.55, "flawed_accuracy": 0.55}
-CONNECTED = {
-    "steps": 40_000,
-    "trials": 200,
-    "fill_ratio": 0.95,
-    "true_accuracy": 0.55,
-    "flawed_accuracy": 0.95,
-}
+OVERCONFIDENT = {"true_accuracy": 0.55, "flawed_accuracy": 0.95}
+CONNECTED = {"steps": 40_000, "trials": 200, "fill_ratio": 0.95} | OVERCONFIDENT
 CASES_AND_PARAMETERS: list[tuple[str, dict[str, Any]]] = [
     ("dynamic,underconfident,50%,", DYNAMIC | {"flawed": "50%"}),
     ("fully-connected,overconfident,10%,", CONNECTED | {"flawed": "10%"}),
-    (
-        "dynamic,underconfident,30%,filter_period=100",
-        DYNAMIC | {"flawed": "30%", "filter_period": 100},
-    ),
+    ("dynamic,underconfident,30%,filter_period=100", DYNAMIC | {"flawed": "30%", "filter_period": 100}),
     ("dynamic,underconfident,30%,density=4.0", DYNAMIC | {"flawed": "30%", "density": 4.0}),
 ]
 """Beginnings of rows of the figures, each with the parameters of the experiment that the row is about."""

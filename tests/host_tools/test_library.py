@@ -42,29 +42,17 @@ UNTYPED: Any = mcp_asdf_tools
 """The library without its types, as in a notebook: type checkers let wrong arguments pass."""
 
 
+FOUR_ROBOTS: dict[str, Any] = {"robots": 4, "flawed": 1, "filter": "asdf-plus", "filter_period": 20}
+
+
 def small_experiment(**changes: Any) -> Experiment:
     """Return an experiment of 120 steps with a flawed robot among four; ``changes`` replace parameters."""
-    parameters: dict[str, Any] = {
-        "robots": 4,
-        "flawed": 1,
-        "filter": "asdf-plus",
-        "filter_period": 20,
-        "steps": 120,
-        "trials": 3,
-    }
-    return Experiment(**parameters | changes)
+    return Experiment(**FOUR_ROBOTS | {"steps": 120, "trials": 3} | changes)
 
 
 def small_swarm(**changes: Any) -> SwarmSettings:
     """Return settings of a swarm that runs 60 steps, like ``small_experiment``."""
-    parameters: dict[str, Any] = {
-        "robots": 4,
-        "flawed": 1,
-        "filter": "asdf-plus",
-        "filter_period": 20,
-        "steps": 60,
-    }
-    return SwarmSettings(**parameters | changes)
+    return SwarmSettings(**FOUR_ROBOTS | {"steps": 60} | changes)
 
 
 def simulate_one(experiment: Experiment) -> Trials:

@@ -15,14 +15,7 @@ from hypothesis import example, given, settings
 from mcp_asdf.fixed_point import ALPHA_MAX, alpha_from_word
 from mcp_asdf_tools.bus.dbc import ANY_NODE_MASK, dbc_text
 from mcp_asdf_tools.bus.frame_layout import EVERY_ROBOT, MAX_B_HAT, MIN_B_HAT, Action, Health, Mode, Rejection
-from mcp_asdf_tools.bus.frames import (
-    Command,
-    Estimate,
-    FrameFormat,
-    Heartbeat,
-    Telemetry,
-    encode_estimate,
-)
+from mcp_asdf_tools.bus.frames import Command, Estimate, FrameFormat, Heartbeat, Telemetry, encode_estimate
 from mcp_asdf_tools.cli.main import main
 from messages import DEFAULT, KINDS, encoded, messages
 from support import draws

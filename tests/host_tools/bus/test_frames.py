@@ -222,8 +222,7 @@ def test_an_estimate_is_a_classic_data_frame_with_an_extended_identifier_and_its
 
 
 @pytest.mark.parametrize(
-    ("subject", "priority", "node", "identifier"),
-    [(3000, 4, 42, 0x106BB82A), (6143, 7, 127, 0x1C77FF7F)],
+    ("subject", "priority", "node", "identifier"), [(3000, 4, 42, 0x106BB82A), (6143, 7, 127, 0x1C77FF7F)]
 )
 def test_the_identifier_of_a_frame_holds_subject_priority_and_node(
     subject: int, priority: int, node: int, identifier: int

@@ -255,10 +255,7 @@ A_GROUP_FOR_EACH_ROBOT = ("-i", "udp_multicast", "-c", "239.1.1.{robot}", "--bus
     [
         (A_GROUP_FOR_EACH_ROBOT, {"hop_limit": 0, "channel": "239.1.1.7", "port": 9 + 7, "a": "b"}),
         # No port is chosen here, and python-can's is 43113.
-        (
-            ("-i", "udp_multicast", "-c", "g{robot}"),
-            {"hop_limit": 0, "channel": "g7", "port": 43113 + 7},
-        ),
+        (("-i", "udp_multicast", "-c", "g{robot}"), {"hop_limit": 0, "channel": "g7", "port": 43113 + 7}),
         (("-i", "socketcan", "-c", "vcan{robot}"), {"channel": "vcan7"}),
     ],
 )
@@ -391,11 +388,7 @@ NO_NAME = can.BusABC.channel_info
 
 @pytest.mark.parametrize(
     ("driver_name", "settings", "name"),
-    [
-        (NO_NAME, {"channel": 3}, "3"),
-        (NO_NAME, {}, "kvaser"),
-        ("Leaf", {"channel": 3}, "Leaf"),
-    ],
+    [(NO_NAME, {"channel": 3}, "3"), (NO_NAME, {}, "kvaser"), ("Leaf", {"channel": 3}, "Leaf")],
 )
 def test_a_bus_has_the_name_that_its_driver_gives_or_that_of_its_channel_or_interface(
     driver_name: str, settings: dict[str, Any], name: str, monkeypatch: pytest.MonkeyPatch

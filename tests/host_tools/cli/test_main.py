@@ -159,11 +159,7 @@ def test_a_mistake_in_a_command_line_is_reported_in_one_line_of_json_if_asked_fo
     ],
 )
 def test_an_error_that_a_command_raises_becomes_an_exit_code_and_a_message(
-    error: BaseException,
-    exit_code: int,
-    message: str,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: Capture,
+    error: BaseException, exit_code: int, message: str, monkeypatch: pytest.MonkeyPatch, capsys: Capture
 ) -> None:
     """For example, UsageError("the value is 7") becomes exit code 2 and the message "error: the value is 7".
 

@@ -140,10 +140,7 @@ BUS_OF_PROCESSES = shlex.join(multicast(group=31).arguments())
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("options", "number"),
-    [
-        ("--robots 4", signal.SIGTERM),
-        *slow([(f"--robots 2 --processes {BUS_OF_PROCESSES}", signal.SIGHUP)]),
-    ],
+    [("--robots 4", signal.SIGTERM), *slow([(f"--robots 2 --processes {BUS_OF_PROCESSES}", signal.SIGHUP)])],
 )
 @interruptible()
 def test_a_swarm_that_is_ended_by_a_signal_leaves_a_complete_log(

@@ -171,12 +171,7 @@ class SystemCalls:
         self.calls: list[tuple[str, str]] = []
         self._failing_index = failing_index
         self._failure = failure
-        for owner, name in (
-            (RecordedFile, "write"),
-            (RecordedFile, "close"),
-            (os, "fsync"),
-            (os, "replace"),
-        ):
+        for owner, name in ((RecordedFile, "write"), (RecordedFile, "close"), (os, "fsync"), (os, "replace")):
             patch.setattr(owner, name, self._recorded(name, getattr(owner, name)))
         patch.setattr(Path, "open", self._recorded("open", RecordedFile))
 

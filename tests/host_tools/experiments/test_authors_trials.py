@@ -133,9 +133,7 @@ def test_the_method_alpha_of_the_authors_is_a_filter_that_is_always_active(tmp_p
     assert experiment.omega == Experiment().omega
 
 
-def test_a_robot_whose_b_hat_became_nan_has_a_nan_as_its_error_and_the_swarm_a_score(
-    tmp_path: Path,
-) -> None:
+def test_a_robot_whose_b_hat_became_nan_has_a_nan_as_its_error_and_the_swarm_a_score(tmp_path: Path) -> None:
     """The authors' files have healthy robots first, so the last of five is the second of the results.
 
     Its estimates are lost in the last step, 60, as can happen in their programs and in our float reference.

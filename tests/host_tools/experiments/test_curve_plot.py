@@ -148,20 +148,20 @@ def test_curves_have_a_panel_for_each_value_of_the_parameter_given_as_facet(curv
 
 
 @pytest.mark.parametrize(
-    ("panel", "robots", "filters"),
-    [(0, 4, ["none", "robust"]), (2, 6, ["none"]), (3, 7, ["none", "robust"])],
+    ("panel", "robots", "filters"), [(0, 4, ["none", "robust"]), (2, 6, ["none"]), (3, 7, ["none", "robust"])]
 )
 def test_a_panel_has_a_curve_of_median_scores_for_each_filter_that_its_swarms_have(
     panel: int, robots: int, filters: list[str], curves_in_panels: Figure, swarms_of_four_sizes: list[Trials]
 ) -> None:
     """A curve has two points: the medians of H with one and with two flawed robots."""
-    medians = {}
-    for trials in swarms_of_four_sizes:
-        if trials.experiment.robots == robots:
-            medians[trials.experiment.filter, trials.experiment.flawed] = np.median(trials.scores()["H"])
-
-    curves = [y_positions(line) for line in curves_in_panels.axes[panel].lines]
-    assert curves == [[medians[name, 1], medians[name, 2]] for name in filters]
+    lines = curves_in_panels.axes[panel].lines
+    for line, filter_name in zip(lines, filters, strict=True):
+        one_flawed, two_flawed = [
+            trials.scores()["H"]
+            for trials in swarms_of_four_sizes
+            if (trials.experiment.robots, trials.experiment.filter) == (robots, filter_name)
+        ]
+        assert y_positions(line) == [np.median(one_flawed), np.median(two_flawed)]
 
 
 def test_all_panels_of_a_picture_share_their_y_axis_and_have_no_line_above(curves_in_panels: Figure) -> None:

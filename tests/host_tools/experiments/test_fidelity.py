@@ -8,7 +8,6 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
-import numpy as np
 import pytest
 
 from benchmarks import fidelity
@@ -43,14 +42,12 @@ def test_the_stored_scores_of_the_float64_program_follow_our_definition_of_score
     and e of each trial follow from its stored scores, which are then computed again.
     """
     for stored in FLOAT64_EXPERIMENTS:
-        h_k, h_e, h = stored.scores.transpose()  # the scores have a row for each trial
-        steps = np.rint(40_000 * (1 - h_k / 100))
-        errors = 0.45 * (1 - h_e / 100)
-        steps_of_robots, errors_of_robots = np.stack([steps] * 10, axis=1), np.stack([errors] * 10, axis=1)
-        scores = score(steps_of_robots, errors_of_robots, k_max=40_000, e_max=0.45)
-
-        assert scores["h_K"] == pytest.approx(h_k, abs=1e-5)
-        assert scores["H"] == pytest.approx(h, abs=1e-5)
+        for h_k, h_e, h in stored.scores:  # of each trial
+            step = round(40_000 * (1 - h_k / 100))
+            error = 0.45 * (1 - h_e / 100)
+            scores = score([[step] * 10], [[error] * 10], k_max=40_000, e_max=0.45)
+            assert scores["h_K"] == pytest.approx([h_k], abs=1e-5)
+            assert scores["H"] == pytest.approx([h], abs=1e-5)
 
 
 def test_the_stored_scores_of_the_authors_simulation_are_of_11_experiments_with_three_filters() -> None:

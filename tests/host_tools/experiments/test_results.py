@@ -19,12 +19,7 @@ from host_tools.test_untrusted import PARSERS, is_one_short_line, read_or_refuse
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.versions import software_versions
 from mcp_asdf_tools.experiments.experiment import Experiment
-from mcp_asdf_tools.experiments.result_files import (
-    collect_rows,
-    read_table,
-    stream_experiments,
-    write_tables,
-)
+from mcp_asdf_tools.experiments.result_files import collect_rows, read_table, stream_experiments, write_tables
 from mcp_asdf_tools.experiments.result_tables import (
     FORMAT,
     experiments_in,

@@ -126,8 +126,7 @@ def test_a_scheduler_that_does_not_answer_any_more_is_reported_as_a_usage_error(
 
 
 @pytest.mark.parametrize(
-    "address",
-    ["tcp://127.0.0.1:1", "nonsense://x", "", "127.0.0.1:b", "tls://127.0.0.1:1", "inproc://x"],
+    "address", ["tcp://127.0.0.1:1", "nonsense://x", "", "127.0.0.1:b", "tls://127.0.0.1:1", "inproc://x"]
 )
 def test_an_address_at_which_there_is_no_scheduler_is_refused(
     address: str, store: Store, monkeypatch: pytest.MonkeyPatch

@@ -92,10 +92,7 @@ def mean_errors_by_step(experiments: list[Trials]) -> dict[float, NDArray[np.flo
 
 @pytest.mark.parametrize(("line_index", "filter_name"), [(0, "none"), (1, "robust")])
 def test_the_line_of_a_filter_has_the_median_over_trials_of_the_swarm_s_mean_error(
-    line_index: int,
-    filter_name: str,
-    errors_over_time: Figure,
-    recorded_swarms: dict[str, list[Trials]],
+    line_index: int, filter_name: str, errors_over_time: Figure, recorded_swarms: dict[str, list[Trials]]
 ) -> None:
     """It lies in a band of the medians' 95 % intervals. Trials of both floors count."""
     axes = errors_over_time.axes[0]
@@ -197,9 +194,7 @@ def test_healthy_robots_are_off_if_they_end_far_from_what_they_assumed_at_first(
     assert first_title_of(figure).endswith("off: 0% of healthy robots")
 
 
-def test_five_experiments_have_a_row_of_three_panels_of_bands_and_one_of_two(
-    bands_figure: Figure,
-) -> None:
+def test_five_experiments_have_a_row_of_three_panels_of_bands_and_one_of_two(bands_figure: Figure) -> None:
     """The sixth place is empty."""
     assert [axes.axison for axes in bands_figure.axes] == [True] * 5 + [False]
     assert layout_of(bands_figure) == Layout(rows=2, columns=3, width=9, panel_height=2.1)

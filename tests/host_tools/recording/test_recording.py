@@ -129,13 +129,7 @@ def test_a_log_has_its_name_and_all_frames_when_the_run_has_ended(tmp_path: Path
 
 @pytest.mark.parametrize(
     ("channel", "logged_channel"),
-    [
-        ("can0", "can0"),
-        (" COM3: fast\t1 ", "COM3:_fast_1"),
-        (3, "can3"),
-        ("", "my_bus"),
-        (None, "my_bus"),
-    ],
+    [("can0", "can0"), (" COM3: fast\t1 ", "COM3:_fast_1"), (3, "can3"), ("", "my_bus"), (None, "my_bus")],
 )
 def test_the_name_of_any_bus_becomes_one_word_in_the_log(
     channel: str | int | None, logged_channel: str, tmp_path: Path

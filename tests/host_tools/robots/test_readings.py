@@ -55,10 +55,7 @@ def test_comments_and_repeated_headers_are_left_out_and_counted() -> None:
     ("text", "message"),
     [
         ("reading,colour\n512,grey", "line 2: '512,grey' has the colour 'grey'; write black or white, or 1"),
-        (
-            "512",
-            "line 1: '512' has 1 column where 2 are expected; write a reading and the colour of",
-        ),
+        ("512", "line 1: '512' has 1 column where 2 are expected; write a reading and the colour of"),
         ("512,black,3", "line 1: '512,black,3' has 3 columns where 2 are expected"),
         ("512,5,black", "line 1: '512,5,black' has 3 columns where 2 are expected"),
         ("1e999,1", "line 1: '1e999,1' has the reading '1e999', which is no number; write it as 512"),

@@ -271,11 +271,7 @@ def test_a_comparison_can_be_of_how_trials_spread_or_with_the_best_of_them(
             "f 0.95, b 0.55, b_hat 0.75",
             "H, P 10 %, ASDF+, tau 1000 less no filter",
         ),
-        (
-            {"flawed_percents": 0, "level": "excellent"},
-            "f 0.95, b 0.55",
-            "H less 90, P 0 %, no filter",
-        ),
+        ({"flawed_percents": 0, "level": "excellent"}, "f 0.95, b 0.55", "H less 90, P 0 %, no filter"),
         (
             {"than": "fully connected"},
             "f 0.95, b 0.55, b_hat 0.75",

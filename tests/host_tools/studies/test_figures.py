@@ -72,9 +72,7 @@ class DrawnSwarms:
 
 
 def record_drawn_swarms(
-    results: Sequence[Any],
-    trial: int = 0,
-    series_name: Callable[[Experiment], str] = lambda experiment: "",
+    results: Sequence[Any], trial: int = 0, series_name: Callable[[Experiment], str] = lambda experiment: ""
 ) -> DrawnSwarms:
     swarms = [trials.experiment for trials in results]
     percents = [round(100 * swarm.flawed / swarm.robots) for swarm in swarms]
@@ -256,10 +254,7 @@ def test_a_firmware_of_the_user_s_is_drawn_beside_the_filter_of_the_paper_with_w
                 "fully connected, robust",
             },
         ),
-        (
-            "physical_asdf-plus",
-            {"no filter", "ASDF+, filter period 1000", "robust, filter period 1000"},
-        ),
+        ("physical_asdf-plus", {"no filter", "ASDF+, filter period 1000", "robust, filter period 1000"}),
     ],
 )
 def test_a_filter_of_the_user_s_is_drawn_beside_each_of_the_paper_s(name: str, legend: set[str]) -> None:

@@ -58,11 +58,11 @@ def test_two_readings_of_a_tile_disagree_if_one_is_wrong_and_the_second_does_not
 
 
 def test_readings_of_successive_tiles_are_independent() -> None:
-    """The correlation of the first readings with those of the tiles before is about 0."""
+    """The correlation of a robot's first readings with those of the tiles before is about 0."""
     first_readings, _second_readings = first_and_second_readings(HalfRepeated)
-    all_but_last, all_but_first = first_readings[:-1], first_readings[1:]
+    readings_of_robot_0, _readings_of_robot_1 = first_readings.T
 
-    correlation = pearsonr(all_but_last[:, 0], all_but_first[:, 0]).statistic  # of the first robot
+    correlation = pearsonr(readings_of_robot_0[:-1], readings_of_robot_0[1:]).statistic
 
     assert correlation == pytest.approx(0, abs=0.03)
 

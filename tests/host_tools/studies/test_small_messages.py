@@ -154,8 +154,7 @@ def test_the_program_writes_its_tables_of_both_filters_with_a_row_for_each_numbe
 
 
 @pytest.mark.parametrize(
-    ("file", "filter_name"),
-    [("asdf-minus", "asdf-minus"), ("robust", "robust"), ("close", "asdf-minus")],
+    ("file", "filter_name"), [("asdf-minus", "asdf-minus"), ("robust", "robust"), ("close", "asdf-minus")]
 )
 def test_the_program_keeps_the_results_of_a_filter_with_values_every_250_steps(
     file: str, filter_name: str, folder_of_short_study: Path

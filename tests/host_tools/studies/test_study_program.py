@@ -13,12 +13,7 @@ from matplotlib.figure import Figure
 
 import mcp_asdf_tools as m
 from golden import assert_equals_golden_file
-from host_tools.studies.conftest import (
-    page_path,
-    rare_resampling,
-    tables_in,
-    trials_with,
-)
+from host_tools.studies.conftest import page_path, rare_resampling, tables_in, trials_with
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.studies import (
     ageing,
@@ -295,10 +290,7 @@ def test_the_program_of_a_study_writes_its_tables_and_its_picture(
 @pytest.mark.parametrize(
     ("study", "intervals_by_file"),
     [
-        (
-            "robust",
-            {"robust_grid": 1000, "robust_beyond": 1000, "robust_peers": 500, "robust_worlds": 500},
-        ),
+        ("robust", {"robust_grid": 1000, "robust_beyond": 1000, "robust_peers": 500, "robust_worlds": 500}),
         ("ageing", {"ageing": 1000, "ageing_peers": 1000}),
         ("scale", {"scale": 1000}),
         ("related_work", {"related_resilience": 100, "related_colour": 500}),

@@ -45,9 +45,7 @@ def test_the_cost_of_a_robot_s_step_leaves_out_what_a_trial_takes_before_its_fir
 ) -> None:
     """Here a trial takes 3 s to start, and 2 ns for each step of each robot. The cost is in nanoseconds."""
     monkeypatch.setattr(
-        swarm_sizes,
-        "processor_seconds",
-        lambda experiment: 3 + 2e-9 * experiment.robots * experiment.steps,
+        swarm_sizes, "processor_seconds", lambda experiment: 3 + 2e-9 * experiment.robots * experiment.steps
     )
     costs_of_two_trials = swarm_sizes.step_cost(trials_with(robots=9))
     assert costs_of_two_trials == pytest.approx([2, 2])

@@ -76,10 +76,7 @@ ROBOTS, TICKS = 4, 12
             ),
         ),
         # There may be spaces after commas.
-        (
-            "corrupt=0, robots=126-127, bits=64",
-            Corrupt(rate=0.0, robots=frozenset({126, 127}), bits=64),
-        ),
+        ("corrupt=0, robots=126-127, bits=64", Corrupt(rate=0.0, robots=frozenset({126, 127}), bits=64)),
     ],
 )
 def test_a_fault_has_the_options_of_its_text(text: str, fault: Fault) -> None:

@@ -263,18 +263,7 @@ def test_a_wait_for_a_silent_robot_can_be_ended_by_the_caller(monkeypatch: pytes
 
 
 STEPS = 25
-THREE_ROBOTS = [
-    "swarm",
-    "--robots",
-    "3",
-    "--steps",
-    str(STEPS),
-    "--filter-period",
-    "10",
-    "--seed",
-    "5",
-    "--json",
-]
+THREE_ROBOTS = f"swarm --robots 3 --steps {STEPS} --filter-period 10 --seed 5 --json".split()
 
 
 @dataclass(frozen=True)

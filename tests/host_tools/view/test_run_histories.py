@@ -280,13 +280,7 @@ def test_the_drawn_floor_has_a_pixel_for_each_tile_but_no_more_than_800_a_side(
     side_of_tile: float, shape: tuple[int, int]
 ) -> None:
     """The floor is half a metre high and one metre wide; tiles are squares of one centimetre or half a mm."""
-    arena: dict[str, Any] = {
-        "topology": "dynamic",
-        "floor": "tiles",
-        "width": 1.0,
-        "height": 0.5,
-        "tile": side_of_tile,
-    }
+    arena: Any = {"topology": "dynamic", "floor": "tiles", "width": 1.0, "height": 0.5, "tile": side_of_tile}
     settings = SwarmSettings(robots=3, steps=1, **arena)
     floor = SwarmRecorder(settings).history.description.floor
     assert floor is not None

@@ -11,10 +11,7 @@ import pytest
 from support import ROOT, matching_files, require, run
 
 FOLDER = Path(__file__).with_name("scripts")
-PACKAGES = {
-    "view": ROOT / "host_tools/mcp_asdf_tools/view/page",
-    "playground": ROOT / "docs/playground",
-}
+PACKAGES = {"view": ROOT / "host_tools/mcp_asdf_tools/view/page", "playground": ROOT / "docs/playground"}
 """Folders of scripts, by the names under which the page imports them: "view/charts" is page/charts.js."""
 
 
