@@ -271,8 +271,6 @@ def make_mirror_for_odd_ids(config: Config, robot_id: int, b_hat: float) -> Any:
     return MirrorRobot(config, robot_id, b_hat)
 
 
-MAX_ERROR_OF_FIRMWARE = 1e-4
-"""Fixed point and floats differ by less than this in so short a run."""
 in_either_order = pytest.mark.parametrize("firmware", [make_mirror_for_even_ids, make_mirror_for_odd_ids])
 
 
@@ -283,7 +281,7 @@ def test_robots_of_integers_and_of_floats_in_one_simulated_swarm_get_the_accurac
     """Every second robot calculates with the firmware's integers, and the others with floats."""
     mixed = simulate_one(small_experiment(trials=1, firmware=firmware))
     native = simulate_one(small_experiment(trials=1))
-    assert np.allclose(mixed.b_hat, native.b_hat, atol=MAX_ERROR_OF_FIRMWARE)
+    assert mixed.b_hat == pytest.approx(native.b_hat, abs=1e-4)  # integers and floats differ by less
 
 
 @in_either_order
@@ -293,7 +291,7 @@ def test_robots_of_integers_and_of_floats_on_one_bus_have_the_mean_error_of_nati
     """Every second robot calculates with the firmware's integers, and the others with floats."""
     mixed = emulate(small_swarm(firmware=firmware)).results["mean_error"]
     native = emulate(small_swarm()).results["mean_error"]
-    assert mixed == pytest.approx(native, abs=MAX_ERROR_OF_FIRMWARE)
+    assert mixed == pytest.approx(native, abs=1e-4)  # integers and floats differ by less
 
 
 def make_robot_without_estimates(config: Config, robot_id: int, b_hat: float) -> Any:

@@ -131,10 +131,6 @@ def test_the_socket_of_an_adapter_that_has_closed_is_closed() -> None:
     assert connection.fileno() == descriptor_of_a_closed_socket
 
 
-CLOSED = -1
-"""What stands in place of the file descriptor of a bus that is closed."""
-
-
 def failing_connection(error: Exception, descriptor: int = 5) -> Connection:
     """Return a connection to a bus with this file descriptor that raises ``error`` whenever it is used."""
     bus = Mock(channel_info="can0", protocol=can.CanProtocol.CAN_20)
@@ -203,8 +199,9 @@ def test_input_that_cannot_be_decoded_is_received_as_an_error_frame(error: Excep
 @pytest.mark.parametrize("error", DECODING_ERRORS, ids=str)
 def test_a_decoding_error_of_a_bus_that_is_closed_is_reported_as_a_bus_that_is_gone(error: Exception) -> None:
     """Some drivers decode nothing as if it were input when their device is gone."""
+    descriptor_of_a_closed_bus = -1
     with pytest.raises(BusGoneError):
-        failing_connection(error, descriptor=CLOSED).recv(timeout=0)
+        failing_connection(error, descriptor_of_a_closed_bus).recv(timeout=0)
 
 
 def test_a_connection_pauses_between_failures_of_an_interface_that_always_fails(

@@ -7,9 +7,6 @@ import pytest
 
 from mcp_asdf_tools.bus.load import bus_load, worst_case_bits
 
-UNSTUFFED_BITS = 13
-"""Bits at the end of a frame that are never stuffed: 3 around the acknowledgement, 7 at the end, 3 of gap."""
-
 
 def stuff(bits: str) -> str:
     """Return bits as they are on the wire: behind five alike one of the other value, which begins a run."""
@@ -40,7 +37,8 @@ def test_the_worst_length_of_a_frame_is_that_with_the_most_stuffed_bits(
     stuffable_bits = start + identifier + length_field + 8 * length + checksum
 
     stuffed_bits = stuff(MOST_STUFFED_BITS[:stuffable_bits])
-    assert worst_case_bits(frame) == len(stuffed_bits) + UNSTUFFED_BITS
+    acknowledgement, end, gap = 3, 7, 3  # which are never stuffed
+    assert worst_case_bits(frame) == len(stuffed_bits) + acknowledgement + end + gap
 
 
 def test_a_frame_of_a_robot_takes_160_bits_at_most() -> None:

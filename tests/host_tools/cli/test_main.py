@@ -28,8 +28,6 @@ from support import HIDING, ROOT, slow
 
 Capture = pytest.CaptureFixture[str]
 CHECK_OF_TABLE = "table --check tables/t_table_omega05_q30.c"
-EXIT_CODE_OF_BROKEN_PIPE = 128 + signal.SIGPIPE
-"""What a shell reports of a program whose reader, such as ``head``, has left."""
 
 
 def python(*arguments: str, cwd: Path = ROOT) -> subprocess.CompletedProcess[str]:
@@ -218,13 +216,16 @@ def write_to_standard_output() -> int:
 def test_a_command_ends_silently_when_the_program_that_reads_its_output_has_ended(
     work: Callable[[], int], monkeypatch: pytest.MonkeyPatch, capsys: Capture
 ) -> None:
-    """The reader may be ``head``. Here standard output is a pipe whose reading end is closed."""
+    """The reader may be ``head``. Here standard output is a pipe whose reading end is closed.
+
+    The exit code is what a shell reports of a program that the signal SIGPIPE has ended.
+    """
     read_end, write_end = os.pipe()
     os.close(read_end)
     fake_command(monkeypatch, work)
     with open(write_end, "w") as stream, monkeypatch.context() as patch:
         patch.setattr(sys, "stdout", stream)
-        assert cli.main(["table"]) == EXIT_CODE_OF_BROKEN_PIPE
+        assert cli.main(["table"]) == 128 + signal.SIGPIPE
 
     assert capsys.readouterr().err == ""
 
@@ -564,9 +565,6 @@ def test_a_command_with_the_option_json_prints_json_and_nothing_else(line: str, 
     assert isinstance(json.loads(capsys.readouterr().out), dict)
 
 
-QUIET_SWARM = ["swarm", "--robots", "3", "--steps", "5", "--filter-period", "1", "--quiet"]
-
-
 def messages_of(err: str) -> list[str]:
     """Return the lines that are logged on standard error, without their times.
 
@@ -578,7 +576,8 @@ def messages_of(err: str) -> list[str]:
 
 def messages_of_swarm(*options: str, capsys: Capture) -> list[str]:
     """Run a swarm of three robots for five steps with further options, and return what it logs."""
-    assert cli.main([*QUIET_SWARM, *options]) == 0
+    command = "swarm --robots 3 --steps 5 --filter-period 1 --quiet"
+    assert cli.main([*command.split(), *options]) == 0
     return messages_of(capsys.readouterr().err)
 
 

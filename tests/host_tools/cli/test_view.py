@@ -61,8 +61,6 @@ def work_beside_the_recordings(recordings: Path, monkeypatch: pytest.MonkeyPatch
 
 # --- Recordings ------------------------------------------------------------------------------------------
 
-ONE_EXPERIMENT = "--where filter=none --where fill_ratio=.950"
-
 
 def test_plot_draws_only_the_experiments_that_meet_all_conditions_of_where(
     tmp_path: Path, capsys: Capture
@@ -253,7 +251,7 @@ DIFFERENCES = "fill_ratio=0.55|0.95, filter=asdf-plus|none"
         ("view none.log --export no/such/out.html", "its folder does not exist"),
         ("view none.parquet", "cannot read"),
         (VIEW, f"4 experiments match; choose one with where {DIFFERENCES}"),
-        (f"{VIEW} {ONE_EXPERIMENT} --trial 9", "no trial 9; choose one of 0 to 1"),
+        (f"{VIEW} --where filter=none --where fill_ratio=.950 --trial 9", "no trial 9; choose one of 0 to 1"),
         ("view run.log --export out.html --trial 1", "--trial and --where choose from results"),
         ("view run.log --export out.html --where filter=none", "--trial and --where choose from results"),
         ("view run.log --export out.pdf", "choose a name that ends in .html"),

@@ -34,10 +34,6 @@ from mcp_asdf_tools.experiments.results import Trials
 
 MOVING: dict[str, Any] = {"robots": 6, "steps": 200, "trials": 7, "filter_period": 50, "topology": "dynamic"}
 
-COMPLETE_GRAPH_OF_FOUR = [(robot, other) for robot in range(4) for other in range(robot)]
-GRAPHS = [[(0, 1)], [(0, 1), (0, 2), (0, 10), (0, 11)], COMPLETE_GRAPH_OF_FOUR]
-"""Networks, as lists of the pairs of robots that are connected."""
-
 
 def x_positions(axes: Axes) -> list[Any]:
     """Return where the points of a panel's first line stand along the x axis."""
@@ -267,7 +263,9 @@ def test_numbers_shares_and_names_can_be_along_the_x_axis(
 
 def test_graphs_stand_side_by_side_on_the_x_axis_with_shortened_labels() -> None:
     """A label has the pairs of connected robots, as many as fit."""
-    experiments = grid(**{**MOVING, "topology": "graph", "robots": 12}, graph=GRAPHS)
+    complete_graph_of_four = [(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)]
+    graphs = [[(0, 1)], [(0, 1), (0, 2), (0, 10), (0, 11)], complete_graph_of_four]
+    experiments = grid(**{**MOVING, "topology": "graph", "robots": 12}, graph=graphs)
     (axes,) = plot_curve([results_of(experiment) for experiment in experiments], "graph").axes
     labels = [label.get_text() for label in axes.get_xticklabels()]
 

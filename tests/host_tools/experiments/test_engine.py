@@ -537,9 +537,9 @@ def estimates_with_two_liars_on_a_bus(experiment: Experiment) -> list[float]:
         return [node.robot.x * 2**23 for node in swarm.nodes]
 
 
-SHORT_WITH_LIARS = replace(SHORT, steps=120, trials=1)
-ROBUST_MOVING_WITH_LIARS = replace(ROBUST_MOVING, steps=120, trials=1)
-with_liars = pytest.mark.parametrize("experiment", [SHORT_WITH_LIARS, ROBUST_MOVING_WITH_LIARS])
+with_liars = pytest.mark.parametrize(
+    "experiment", [replace(SHORT, steps=120, trials=1), replace(ROBUST_MOVING, steps=120, trials=1)]
+)
 
 
 @with_liars

@@ -455,15 +455,15 @@ OTHER_LIMITS = Limits(k_max=1000, e_max=0.7)
 def test_scores_in_a_table_are_computed_again_for_limits_that_the_user_chooses(
     name: str, results_path: Path, experiments: list[Trials]
 ) -> None:
-    """The last three rows are the trials of the second experiment."""
     _, second_experiment = experiments
     table = read_table(results_path)
+    scores_before = table[name].to_pylist()
 
     scores = score_table(table, OTHER_LIMITS)[name].to_pylist()
 
-    scores_of_second = scores[-3:]
-    assert scores_of_second == second_experiment.scores(OTHER_LIMITS)[name].tolist()
-    assert scores_of_second != table[name].to_pylist()[-3:]
+    last_3_rows = slice(-3, None)  # the trials of the second experiment
+    assert scores[last_3_rows] == second_experiment.scores(OTHER_LIMITS)[name].tolist()
+    assert scores[last_3_rows] != scores_before[last_3_rows]
 
 
 def test_limits_that_the_user_chooses_change_no_column_but_the_scores(results_path: Path) -> None:

@@ -306,7 +306,10 @@ def test_a_short_sweep_writes_its_output_and_no_parts(output: Path, monkeypatch:
 
 @pytest.mark.parametrize(
     ("times", "rows_of_parts_by_time"),
-    [([0.9, 1.0, 1.9, 2.0], [[], [2], [2], [2, 2]]), ([1000.0, 1009.0, 1011.0], [[1], [1], [1, 2]])],
+    [
+        ([0.9, 1.0, 1.9, 2.0], [[], [2], [2], [2, 2]]),
+        ([1000.0, 1009.0, 1011.0], [[1], [1], [1, 2]]),
+    ],
     ids=["short sweep", "long sweep"],
 )
 def test_parts_of_a_sweep_are_a_hundredth_of_its_time_apart_but_at_least_a_second(

@@ -71,10 +71,12 @@ def test_parameters_that_differ_between_experiments_have_columns_behind_the_tria
     )
     tidy = tidy_results(pa.concat_tables([trials_to_table(trials), trials_to_table(other_trials)]))
 
-    assert tidy.column_names[:5] == ["trial", "robots", "filter", "step", "robot"]
-    rows_of_first_experiment, rows_of_other = 18, 6  # trials * recorded steps * robots: 2 * 3 * 3, 1 * 3 * 2
-    assert tidy["robots"].to_pylist() == [3] * rows_of_first_experiment + [2] * rows_of_other
-    assert tidy["filter"].to_pylist() == ["asdf-plus"] * rows_of_first_experiment + ["none"] * rows_of_other
+    trial, robots, filter_name, step, robot, *_values = tidy.column_names
+    assert (trial, robots, filter_name, step, robot) == ("trial", "robots", "filter", "step", "robot")
+    rows = 2 * 3 * 3  # trials, recorded steps, robots
+    other_rows = 1 * 3 * 2
+    assert tidy["robots"].to_pylist() == [3] * rows + [2] * other_rows
+    assert tidy["filter"].to_pylist() == ["asdf-plus"] * rows + ["none"] * other_rows
 
 
 def test_every_column_of_a_tidy_table_has_a_unit_and_a_meaning(tidy: pa.Table) -> None:

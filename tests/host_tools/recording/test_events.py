@@ -145,17 +145,16 @@ def test_a_flood_of_estimates_is_written_in_several_lines(
 
 # --- Earlier versions -----------------------------------------------------------------------------------
 
-FIRST_LINE_OF_VERSION_3 = FIRST_LINE.replace('"version": 5', '"version": 3')
-
 
 def test_a_mask_in_a_file_of_version_3_is_read_as_the_last_estimates_of_its_senders(tmp_path: Path) -> None:
     """Such files do not repeat an estimate: the mask "9" (bits 0 and 3) means those of robots 0 and 3.
 
     Robot 7 received both, a list of sender, x_hat and alpha each; then robot 0 received the same two.
     """
+    first_line_of_version_3 = FIRST_LINE.replace('"version": 5', '"version": 3')
     line_of_robot_7 = "[7,1,[3,9,8],[0,1,2],3]"
     line_of_robot_0 = '[0,1,"9",3]'
-    (tmp_path / "x").write_text(f"{FIRST_LINE_OF_VERSION_3}{line_of_robot_7}\n{line_of_robot_0}\n")
+    (tmp_path / "x").write_text(f"{first_line_of_version_3}{line_of_robot_7}\n{line_of_robot_0}\n")
 
     assert read_entries(tmp_path / "x") == [
         RobotEvents(7, [BLACK, [3, 9, 8], [0, 1, 2], END_OF_TICK]),

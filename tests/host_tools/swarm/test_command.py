@@ -131,11 +131,6 @@ def test_quiet_prints_one_line(capsys: Capture) -> None:
 
 USUAL_RESULT_NAMES = ["run", "estimate", "b_hat, flawed", "b_hat, other", "filter", "frames", "bus load"]
 """The names of the lines of a summary if nothing went wrong."""
-RESULTS_IN_REAL_TIME: dict[str, Any] = {
-    "tests": None,
-    "clock": {"mean_lateness": 0.001, "max_lateness": 0.02, "drift": -0.0005, "late_ticks": 3},
-}
-"""Results that only a swarm of robots elsewhere, in real time, has."""
 SUMMARY = """\
 run\t60 of 60 steps in 1.3 s; interrupted
 estimate\tmean x 0.50078, f 0.55, mean error 0.04922, spread of x 0.05334, of x_hat 0.15370
@@ -165,9 +160,13 @@ def interrupted_run_with_faults() -> SwarmRun:
 
 
 def test_a_summary_has_faults_conflicts_the_clock_and_robots_in_trouble() -> None:
-    """The summary of an interrupted run with faults is SUMMARY. Results of real time are added to the run."""
+    """The summary of an interrupted run with faults is SUMMARY.
+
+    Results are added that only a swarm of robots elsewhere, in real time, has.
+    """
     run = interrupted_run_with_faults()
-    run.results |= RESULTS_IN_REAL_TIME
+    run.results["tests"] = None
+    run.results["clock"] = {"mean_lateness": 0.001, "max_lateness": 0.02, "drift": -0.0005, "late_ticks": 3}
     lines = ["\t".join(row) for row in summary(run, bus="vcan0", seconds=1.26)]
     assert lines == SUMMARY.split("\n")
 

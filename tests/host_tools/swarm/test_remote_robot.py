@@ -262,8 +262,7 @@ def test_a_wait_for_a_silent_robot_can_be_ended_by_the_caller(monkeypatch: pytes
             driven_swarm.tick()
 
 
-STEPS = 25
-THREE_ROBOTS = f"swarm --robots 3 --steps {STEPS} --filter-period 10 --seed 5 --json".split()
+THREE_ROBOTS = ["swarm", "--robots", "3", "--steps", "25", "--filter-period", "10", "--seed", "5", "--json"]
 
 
 @dataclass(frozen=True)
@@ -318,7 +317,7 @@ def json_report(command: list[str]) -> dict[str, Any]:
 def test_robots_in_processes_report_what_robots_in_this_process_do(two_runs: ProcessesAndThisProcess) -> None:
     """They have the same assumed accuracy b_hat, the same estimate x and the same number of tests."""
     for process_report, local_robot in zip(two_runs.reports_of_processes, two_runs.local_robots, strict=True):
-        assert process_report["steps"] == STEPS
+        assert process_report["steps"] == 25
         assert process_report["robot"]["b_hat"] == local_robot["b_hat"]
         assert process_report["robot"]["x"] == local_robot["x"]
         assert process_report["robot"]["counters"]["tests"] == local_robot["tests"]

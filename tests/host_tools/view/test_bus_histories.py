@@ -27,8 +27,6 @@ from mcp_asdf_tools.view.history import MAX_STATES, History
 NAN = np.nan
 X_ONE, B_HAT_ONE = 1 << 23, 1 << 24
 """What stands for 1 in the x or x_hat of a frame, and in its b_hat."""
-HALF_ESTIMATE = Estimate(7, x_hat=X_ONE // 2, alpha=1, transfer_id=0)
-"""Robot 7 estimates that half of the floor is black."""
 
 
 def encode(content: Estimate | Telemetry) -> can.Message:
@@ -227,7 +225,7 @@ def test_a_reader_of_a_log_knows_of_telemetry_and_of_lines_that_hold_no_frame(
 
 def test_a_log_of_eight_months_is_shown_with_a_limited_number_of_states(tmp_path: Path) -> None:
     """With ten states a second there would be 200 million of them."""
-    frame = encode(HALF_ESTIMATE)
+    frame = encode(Estimate(7, x_hat=X_ONE // 2, alpha=1, transfer_id=0))
     log = write_log(tmp_path / "real.log", {0.0: frame, 2e7: frame})
     history = read_frame_history(log, FrameFormat()).history
     assert len(history.states_since().states) <= MAX_STATES + 1

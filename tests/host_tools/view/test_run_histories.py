@@ -171,8 +171,9 @@ def test_a_long_trial_and_a_long_log_are_shown_with_every_fourth_state(
 def test_links_between_more_robots_than_fit_a_bus_are_pairs_of_receiver_and_sender() -> None:
     """A bus has ids for 128 robots. A trial may have more, here 140 that move for 40 steps."""
     experiment = Experiment(topology="dynamic", robots=140, steps=40, trials=1)
-    last_state = states_of(recompute_trial_history(run_trials(experiment, first=0, trials=1), trial=0))[-1]
-    is_received_from = Arena(experiment).record(experiment.steps).adjacency[-1]
+    trials = run_trials(experiment, first=0, trials=1)
+    *_, last_state = states_of(recompute_trial_history(trials, trial=0))
+    *_, is_received_from = Arena(experiment).record(experiment.steps).adjacency
 
     assert last_state.neighbours.tolist() == np.argwhere(is_received_from).tolist()
     assert len(last_state.neighbours) > 0
