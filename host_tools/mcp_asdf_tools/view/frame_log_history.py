@@ -18,8 +18,6 @@ from mcp_asdf_tools.view.robot_values import LatestRobotValues
 
 _MAX_LOG_SECONDS = 366 * 24 * 3600.0
 """Longest time that a log may span. A longer one mixes clocks, and its ticks may not fit in 32 bits."""
-_END = (math.inf, None)
-"""Comes after the last frame of a log."""
 
 
 @dataclass(frozen=True)
@@ -71,17 +69,18 @@ def read_frame_history(
     )
     robot_values = LatestRobotValues(frame_format, true_accuracy)
     summary = LogSummary()
-    timed_frames = _time_frames(read_log(log, channel, summary), extent.start_time)
-    next_seconds, next_frame = next(timed_frames, _END)
     last_tick = int(extent.seconds * STATES_PER_SECOND) + 1
     spacing = steps_between_states(last_tick, len(extent.robot_ids))
-    for tick in range(0, last_tick + spacing, spacing):
-        # The last tick is after the last frame, by which the state there is that of the log's end.
-        now = min(tick / STATES_PER_SECOND, extent.seconds)
-        while next_frame is not None and next_seconds <= now:
-            robot_values.receive(next_frame, next_seconds)
-            next_seconds, next_frame = next(timed_frames, _END)
-        history.add(robot_values.make_state(tick, now, extent.robot_ids))
+    tick = 0
+    for seconds, frame in _time_frames(read_log(log, channel, summary), extent.start_time):
+        # The states at all ticks before this frame
+        while tick / STATES_PER_SECOND < seconds:
+            history.add(robot_values.make_state(tick, tick / STATES_PER_SECOND, extent.robot_ids))
+            tick += spacing
+        robot_values.receive(frame, seconds)
+    # The last tick is after the last frame: the state there is that of the log's end.
+    for tick_after_frames in range(tick, last_tick + spacing, spacing):
+        history.add(robot_values.make_state(tick_after_frames, extent.seconds, extent.robot_ids))
     history.report = robot_values.roster.report(extent.seconds)
     history.has_ended = True
     return FrameLogHistory(history, robot_values.has_telemetry, summary)
@@ -114,9 +113,7 @@ def _measure_log(log: Path, frame_format: FrameFormat, channel: str | None) -> _
     return _LogExtent(robot_values.robot_ids, start_time, seconds)
 
 
-def _time_frames(
-    frames: Iterable[can.Message], start_time: float
-) -> Iterator[tuple[float, can.Message | None]]:
+def _time_frames(frames: Iterable[can.Message], start_time: float) -> Iterator[tuple[float, can.Message]]:
     """Yield each frame behind its seconds since ``start_time``, which never decrease.
 
     Frames of two buses may be out of order in a log, but the time of a history must not go back: such a frame
