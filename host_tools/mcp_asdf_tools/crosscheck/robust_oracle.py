@@ -10,7 +10,6 @@ Names of the state's fields are those of ``MirrorRobot.state``.
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass
 from enum import Enum
 from fractions import Fraction
 from typing import TYPE_CHECKING
@@ -65,19 +64,6 @@ class Decision(Enum):
     """The rounding of its terms may decide the test, or the number of supporters."""
 
 
-@dataclass(frozen=True)
-class FilterRun:
-    """What a run of the robust filter must decide, and by which estimates.
-
-    Attributes:
-        decision: What it must decide.
-        centre: Centre of the estimates, with which b_hat is re-estimated; None if there are too few of them.
-    """
-
-    decision: Decision
-    centre: Fraction | None
-
-
 def check_robust_call(
     audit: Audit, setup: Setup, call: Call, before: CallResult, after: CallResult
 ) -> list[str]:
@@ -118,17 +104,17 @@ def _check_filter(
     """
     if not is_filter_run(old_state, new_state):
         return _check_no_test(old_state, new_state, is_updated)
-    run = _expected_filter_run(new_state)
-    events[run.decision.value] += 1
-    if run.decision is Decision.TOO_FEW:
+    decision, centre = _expected_decision(new_state)
+    events[decision.value] += 1
+    if decision is Decision.TOO_FEW:
         return _check_no_test(old_state, new_state, is_updated)
     audit.tests += 1
     problems = check_exact(new_state, {"tests": (old_state["tests"] + 1) % COUNTER_MODULUS})
-    if run.decision is Decision.UNDECIDED:
+    if decision is Decision.UNDECIDED:
         return problems
-    if run.decision is Decision.REJECTED:
-        assert run.centre is not None
-        return problems + audit.check_b_hat(new_state, run.centre, is_updated)
+    if decision is Decision.REJECTED:
+        assert centre is not None
+        return problems + audit.check_b_hat(new_state, centre, is_updated)
     initial_b_hat = new_state["robust_initial_b_hat"]
     is_return = old_state["b_hat()"] != initial_b_hat
     if is_return:
@@ -259,15 +245,16 @@ def _check_dispersion(old_memory: State, new_state: State) -> list[str]:
     return check_bounds("dispersion", new_dispersion, bounds)
 
 
-def _expected_filter_run(state: State) -> FilterRun:
-    """Return what a run of the filter that has led to this state must have decided.
+def _expected_decision(state: State) -> tuple[Decision, Fraction | None]:
+    """Return what a run of the filter that has led to this state must have decided, and by which centre.
 
-    All that it decides by is still in the state: besides b_hat a run changes only the batch of observations
-    and the dispersion, and both before it decides.
+    That is the centre of the estimates, and None if there are too few of them for a test. All that it decides
+    by is still in the state: besides b_hat a run changes only the batch of observations and the dispersion,
+    and both before it decides.
     """
     estimates = [_estimate_of_slot(state, slot) for slot in _filled_slots(state)]
     if len(estimates) < TESTED_ESTIMATES_MIN:
-        return FilterRun(Decision.TOO_FEW, None)
+        return Decision.TOO_FEW, None
     centre, spread = rounded_centre_and_spread(estimates)
     initial_b_hat = Fraction(state["robust_initial_b_hat"], _B_HAT_UNITS)
     dispersion = Fraction(state["robust_dispersion"], _DISPERSION_UNITS)
@@ -281,4 +268,4 @@ def _expected_filter_run(state: State) -> FilterRun:
         decision = Decision.UNDECIDED
     else:
         decision = Decision.SUPPORTED if is_supported else Decision.REJECTED
-    return FilterRun(decision, centre)
+    return decision, centre

@@ -3,6 +3,9 @@
 A test compares the robot's x_hat with the estimates of a round, every filter period. If it rejects x_hat,
 b_hat, the accuracy that the robot assumes of its sensor, is re-estimated (eq. 8) from x_bar, the weighted
 mean of these estimates.
+
+A phase only observes and sends: its bench gives the same to a model of the controller, and compares the two
+after each tick.
 """
 
 from __future__ import annotations
@@ -93,10 +96,7 @@ def observe_until_excess(bench: Bench, excess: int) -> None:
 
 
 def re_estimate_without_black(bench: Bench) -> None:
-    """Let the controller re-estimate b_hat before its first black tile, from five estimates near 1/4.
-
-    ``bench`` links the controller with a model of it, and compares both after each tick.
-    """
+    """Let the controller re-estimate b_hat before its first black tile, from five estimates near 1/4."""
     bench.activity = "white tiles, and then none until the test"
     # So few that t is still small in the next phases.
     bench.skip_ticks(_WHITE_TILES, lambda: Observation.WHITE)
@@ -113,7 +113,7 @@ def re_estimate_from_ends(bench: Bench) -> None:
 
     The first of them is the end farther from its own estimate. After each re-estimate it observes three white
     tiles and three black ones, twice: with one of these colours its x_hat would leave the range 0 .. 1, and
-    must be limited. ``bench`` links it with a model of it, and compares both after each tick.
+    must be limited.
     """
     for end in (0, ONE) if bench.firmware.s.x_hat > HALF else (ONE, 0):
         _observe_until_filter_runs(bench)
@@ -128,8 +128,7 @@ def re_estimate_from_ends(bench: Bench) -> None:
 def test_large_sums(bench: Bench) -> None:
     """Let the controller's filter test rounds with the longest numbers in eq. 12, that of the test.
 
-    The controller may have too few bits for them. ``bench`` links it with a model of it, and compares both
-    after each tick.
+    The controller may have too few bits for them.
     """
     _observe_until_filter_runs(bench)
     bench.activity = "a spread of 2^57"
@@ -161,10 +160,7 @@ def threshold_phase(m: int) -> Callable[[Bench], None]:
 
 
 def test_own_estimate(bench: Bench) -> None:
-    """Let the controller's filter test estimates that all equal the controller's own, and so must pass.
-
-    ``bench`` links the controller with a model of it, and compares both after each tick.
-    """
+    """Let the controller's filter test estimates that all equal the controller's own, and so must pass."""
     _observe_until_filter_runs(bench)
     bench.activity = "messages equal to its own estimate"
     _play_test_round(bench, _draw_own_estimates(bench))
@@ -175,7 +171,7 @@ def re_estimate_without_test(bench: Bench) -> None:
 
     The controller's filter must be one that re-estimates without a test. In the first round the controller
     receives a single estimate, where a test needs two; in the second one all estimates equal its own, so that
-    a test would pass. ``bench`` links the controller with a model of it, and compares both after each tick.
+    a test would pass.
     """
     _observe_until_filter_runs(bench)
     bench.activity = "a re-estimate from a single message"
@@ -197,8 +193,7 @@ def re_estimate_early(bench: Bench) -> None:
     """Let the controller re-estimate b_hat after 250, 350 and 480 observations, above 1/2 and below 1/2.
 
     About 3/5 of them are black, so that b_hat can be off its limits. Numbers that earlier phases have passed,
-    and re-estimates for which no estimates are drawn, are left out. ``bench`` links the controller with a
-    model of it, and compares both after each tick.
+    and re-estimates for which no estimates are drawn, are left out.
     """
     state = bench.firmware.s
     for t in _EARLY_COUNTS:
@@ -223,8 +218,7 @@ def count_updates_to_check(setup: RobotSetup) -> int:
 def re_estimate_often(bench: Bench) -> None:
     """Let the controller re-estimate b_hat so often that a counter of updates with too few bits shows.
 
-    The estimates have confidences (alpha) of every size, one size a round. ``bench`` links the controller
-    with a model of it, and compares both after each tick.
+    The estimates have confidences (alpha) of every size, one size a round.
     """
     missing_updates = count_updates_to_check(bench.setup) - bench.firmware.s.updates
     for index in range(max(missing_updates, len(ALPHA_SCALES))):
@@ -260,8 +254,7 @@ def play_rounds_without_test(bench: Bench) -> None:
 def re_estimate_to_each_kind(bench: Bench) -> None:
     """Let the controller re-estimate b_hat to every kind of value in ``Update`` but 1/2 and almost 1/2.
 
-    These two follow only if about half of the observed tiles are black; here more are. ``bench`` links the
-    controller with a model of it, and compares both after each tick.
+    These two follow only if about half of the observed tiles are black; here more are.
     """
     state = bench.firmware.s
     bench.activity = "more black tiles, for a b_hat that is off 1/2"

@@ -389,8 +389,8 @@ def receive_malformed(bench: Bench) -> None:
     """Play rounds in which a frame that is no estimate comes before an estimate of the same sender.
 
     The controller must ignore the first frame, and count the second one. If it counts the first, it takes the
-    second for a repetition, and its broadcasts differ from the model's. Each kind of such frames is sent
-    twice, with other random content, and then telemetry and heartbeats of other robots.
+    second for a repetition. Each kind of such frames is sent twice, with other random content, and then
+    telemetry and heartbeats of other robots.
     """
     for _ in range(2):
         for name, change_frame in MALFORMED.items():
@@ -487,11 +487,7 @@ def receive_extremes(bench: Bench) -> None:
 
 
 def receive_repeated_sender(bench: Bench) -> None:
-    """Send two, three and six estimates of one sender in a round, in three rounds.
-
-    The controller must take the first of a round and ignore the others. If it does not, its state differs
-    from that of the model, with whose frames the bench compares those of the controller.
-    """
+    """Send two, three and six estimates of one sender in a round, of which the first of each must count."""
     for repeats in (1, 2, 5):
         bench.begin_activity_without_test("different messages of one sender in a round")
         repeating_sender, other_sender = bench.rng.sample(bench.other_ids, 2)
@@ -517,8 +513,7 @@ def receive_between_ticks(bench: Bench) -> None:
     """Send estimates between a *settle* and the next *observe*, and play the round that follows.
 
     The *settle* has ended a round, so the controller must count these estimates in the next round, together
-    with that of a fourth robot, which comes after the *observe*. If it does not, its next broadcasts differ
-    from those of the model, with which the bench compares them. This is done three times.
+    with that of a fourth robot, which comes after the *observe*. This is done three times.
     """
     for _ in range(3):
         bench.begin_activity_without_test("messages between a settle and the next observe")

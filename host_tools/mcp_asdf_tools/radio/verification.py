@@ -187,15 +187,6 @@ def not_checked(setup: RobotSetup) -> list[str]:
     return [limit for applies, limit in limits if applies]
 
 
-@dataclass(frozen=True)
-class _Totals:
-    """Figures of all phases together so far; the attributes are those of ``PhaseResult``."""
-
-    ticks: int
-    injected: int
-    equal: int
-
-
 class Verification:
     """Verification of a controller that has just started and done nothing yet.
 
@@ -264,7 +255,7 @@ class Verification:
         """
         bench = self.bench
         bench.activity = phase.fault or phase.name
-        before = self._totals()
+        ticks_before, injected_before, equal_before = self._totals()
         try:
             if phase.play is not None:
                 phase.play(bench)
@@ -272,18 +263,18 @@ class Verification:
                 for _ in range(self._phase_ticks):
                     bench.play_tick_among_neighbours()
         finally:
-            after = self._totals()
-            result.ticks = after.ticks - before.ticks
-            result.injected = after.injected - before.injected
-            result.equal = after.equal - before.equal
+            ticks, injected, equal = self._totals()
+            result.ticks = ticks - ticks_before
+            result.injected = injected - injected_before
+            result.equal = equal - equal_before
         has_idle_fault = bool(phase.fault) and result.injected == 0
         result.outcome = NOT_EXERCISED if has_idle_fault else PASSED
 
-    def _totals(self) -> _Totals:
+    def _totals(self) -> tuple[int, int, int]:
         """Return the ticks, injected faults and equal frames of all phases together so far."""
         bench = self.bench
         injected = sum(figures["injected"] for figures in bench.neighbours.faults.figures())
-        return _Totals(bench.ticks, injected, bench.comparison.equal_frames.total())
+        return bench.ticks, injected, bench.comparison.equal_frames.total()
 
     def _add_untested_cases(self) -> None:
         """Add to the verdict, after all phases, the cases that they did not bring about or could not check.
