@@ -20,7 +20,7 @@ CHROMIUM = ("chromium", "chromium-headless-shell")
 
 @contextmanager
 def running_browser() -> Iterator[Browser]:
-    """Debian's Chromium; starting it takes longer than most tests.
+    """Yield Debian's Chromium; to start it takes longer than most tests.
 
     Skips the test where the browser or playwright is not installed.
     """
@@ -38,7 +38,7 @@ def running_browser() -> Iterator[Browser]:
 
 @contextmanager
 def new_page(browser: Browser, width: int = 1280, height: int = 800) -> Iterator[Page]:
-    """An empty page of the browser; fails at its end if a script of the page failed."""
+    """Yield an empty page of the browser. Fails at its end if a script of the page has failed."""
     page = browser.new_page(viewport={"width": width, "height": height})
     errors: list[str] = []
     page.on("pageerror", lambda error: errors.append(str(error)))

@@ -47,7 +47,7 @@ def pytest_report_header(config: pytest.Config) -> str | None:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Before ``support`` is imported by the tests."""
+    """Set the variable that ``support`` reads, before tests import it."""
     if config.option.markexpr == "slow":
         os.environ[DRAWS_ALL] = "1"
 

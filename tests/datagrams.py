@@ -24,38 +24,41 @@ VALUES: tuple[Any, ...] = (
 
 
 def fields(sender: int = 7) -> dict[str, Any]:
-    """The fields of an estimate as python-can sends them, in its order."""
+    """Return the fields of an estimate as python-can sends them, in its order."""
     frame = encode_estimate(Estimate(sender, 1, ALPHA_ONE, 3), FrameFormat())
     return {name: bytes(frame.data) if name == "data" else getattr(frame, name) for name in NAMES}
 
 
 def packed(sender: int = 7, **changes: Any) -> bytes:
-    """The datagram of an estimate, with some fields changed."""
+    """Return the datagram of an estimate, with some fields changed."""
     return bytes(msgpack.packb(fields(sender) | changes))
 
 
 def odd_datagrams() -> list[bytes]:
-    """Some 800 datagrams that python-can would not write for a data frame, and a few that it would."""
-    whole, plain, draw = packed(), fields(), random.Random(35)
-    odd = [b"", b"\xc1", bytes(401), bytes(2000), b"\x91" * 300, b"\x81\xa1" * 150, whole + b"\0", whole * 3]
+    """Return some 800 datagrams that python-can would not write for a data frame, and a few that it would."""
+    usual, usual_fields = packed(), fields()
+    odd = [b"", b"\xc1", bytes(401), bytes(2000), b"\x91" * 300, b"\x81\xa1" * 150, usual + b"\0", usual * 3]
     odd += [msgpack.packb(value) for value in VALUES]
-    odd += [packed(**{name: value}) for name in NAMES for value in VALUES]
-    odd += [msgpack.packb({key: plain[key] for key in NAMES if key != name}) for name in NAMES]
-    odd += [msgpack.packb(dict(reversed(plain.items()))), msgpack.packb(list(plain.items()))]
+    for name in NAMES:
+        odd += [packed(**{name: value}) for value in VALUES]
+        without_name = {key: value for key, value in usual_fields.items() if key != name}
+        odd.append(msgpack.packb(without_name))
+    odd.append(msgpack.packb(dict(reversed(usual_fields.items()))))
+    odd.append(msgpack.packb(list(usual_fields.items())))
     odd += [packed(unknown=1), packed(is_rx=True), packed(dlc=7, data=b"1234567")]
-    odd += [
-        packed(arbitration_id=0x800, is_extended_id=False),
-        packed(arbitration_id=5, is_extended_id=False),
-    ]
+    odd.append(packed(arbitration_id=0x800, is_extended_id=False))
+    odd.append(packed(arbitration_id=5, is_extended_id=False))
     # Numbers in more bytes than they need, and names and values of other kinds than msgpack chooses.
-    odd += [whole.replace(b"\xa3dlc\x08", b"\xa3dlc" + number) for number in (b"\xcc\x08", b"\xcd\0\x08")]
-    odd += [whole.replace(b"\xa3dlc\x08", b"\xa3dlc" + number) for number in (b"\xce\0\0\0\x08", b"\xd0\x08")]
-    odd += [whole.replace(b"data\xc4\x08", b"data" + head) for head in (b"\xc5\0\x08", b"\xa8", b"\xd9\x08")]
-    odd += [whole.replace(b"\xa4data", b"\xd9\x04data"), b"\xde\0\x0b" + whole[1:]]
+    for number in (b"\xcc\x08", b"\xcd\0\x08", b"\xce\0\0\0\x08", b"\xd0\x08"):
+        odd.append(usual.replace(b"\xa3dlc\x08", b"\xa3dlc" + number))
+    for head in (b"\xc5\0\x08", b"\xa8", b"\xd9\x08"):
+        odd.append(usual.replace(b"data\xc4\x08", b"data" + head))
+    odd += [usual.replace(b"\xa4data", b"\xd9\x04data"), b"\xde\0\x0b" + usual[1:]]
     odd += [packed(channel="c" * size) for size in range(190, 256, 5)]  # the limit of 400 bytes is among them
-    odd += [whole[:size] for size in range(len(whole))]
+    odd += [usual[:size] for size in range(len(usual))]
+    rng = random.Random(35)
     for _ in range(200):
-        spoilt = bytearray(whole)
-        spoilt[draw.randrange(len(spoilt))] ^= 1 << draw.randrange(8)
-        odd.append(bytes(spoilt))
+        damaged = bytearray(usual)
+        damaged[rng.randrange(len(damaged))] ^= 1 << rng.randrange(8)
+        odd.append(bytes(damaged))
     return odd

@@ -11,7 +11,7 @@ from mcp_asdf_tools.bus.interfaces import BusChoice
 
 
 def multicast(group: int) -> BusChoice:
-    """Bus number ``group`` of this machine; each test has one of its own. Skips the test if there is none."""
+    """Return bus number ``group`` of this machine, or skip the test if it has none. Each test has its own."""
     settings = {"hop_limit": 0, "channel": f"239.74.163.{group}", "port": 43200 + group}
     choice = BusChoice("udp_multicast", settings)
     if not _works(choice):
@@ -20,7 +20,7 @@ def multicast(group: int) -> BusChoice:
 
 
 def _works(choice: BusChoice) -> bool:
-    """True if a frame gets from one connection of python-can's to another."""
+    """Return whether a frame gets from one connection of python-can's to another."""
     settings: Any = {"interface": choice.interface, "ignore_config": True, **choice.settings}
     try:
         with can.Bus(**settings) as one, can.Bus(**settings) as other:

@@ -39,13 +39,13 @@ def proofs_that_are_run() -> set[str]:
     """Return the claims and contracts that tests/proofs proves, as a trace has them."""
     places = set[str]()
     for module_name in ("calls", "robust", "sums"):
-        module = import_module(f"proofs.{module_name}")
-        claims = (*getattr(module, "OF_THE_CODE", ()), *getattr(module, "OF_THE_NUMBERS", ()))
-        contracts = {id(contract) for contract in getattr(module, "CONTRACTS", {}).values()}
-        names = [claim.__name__ for claim in claims]
-        # A contract is traced by the name of its variable.
-        names += [name for name, value in vars(module).items() if id(value) in contracts]
-        places |= {f"proofs/{module_name}.py: {name}" for name in names}
+        members = vars(import_module(f"proofs.{module_name}"))
+        claims = (*members.get("OF_THE_CODE", ()), *members.get("OF_THE_NUMBERS", ()))
+        contracts = list(members.get("CONTRACTS", {}).values())
+        for name, value in members.items():
+            # A claim is a function, and a contract is traced by the name of its variable.
+            if any(value is proof for proof in (*claims, *contracts)):
+                places.add(f"proofs/{module_name}.py: {name}")
     return places
 
 

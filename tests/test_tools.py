@@ -63,7 +63,7 @@ class FileGroup:
         return sorted(path for pattern in self.files for path in matching_files(ROOT, pattern))
 
     def flags(self) -> list[str]:
-        """For every compiler and analyser; skips the test where the library is not installed."""
+        """Return flags for every compiler and analyser. Skips the test where the library is missing."""
         header_options = []
         for folder in self.headers:
             if not Path(folder).is_dir():

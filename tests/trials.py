@@ -13,7 +13,7 @@ from mcp_asdf_tools.experiments.trials import Job, MessageSwarm
 
 
 def images_by_message(experiment: Experiment, trial: int) -> list[bytes]:
-    """The robots' states at the end of a trial that is run message by message."""
+    """Return the robots' states at the end of a trial that is run message by message."""
     swarm = MessageSwarm(experiment, trial)
     assert max(swarm.steps()) == experiment.steps
     return [cast(FixedPointRobot, robot).save() for robot in swarm.robots]

@@ -239,8 +239,8 @@ def taking_at_most(max_estimates: int) -> Override:
     return receive_frame
 
 
-def without_check(reason: Rejection, mend: Callable[[can.Message], object]) -> Override:
-    """Return an override that mends frames before it takes them, if they must be rejected for this reason."""
+def without_check(reason: Rejection, mend: Callable[[can.Message], object]) -> Wrong:
+    """Return a controller that mends frames before it takes them if they must be rejected for this reason."""
 
     def receive_frame(node: Any, usual: Override, frame: can.Message) -> Any:
         if decode_estimate(frame, FrameFormat()) is reason:
@@ -249,7 +249,7 @@ def without_check(reason: Rejection, mend: Callable[[can.Message], object]) -> O
             mend(frame)
         return usual(frame)
 
-    return receive_frame
+    return with_node("invalid frames", receive_frame=receive_frame)
 
 
 def accepting(reason: Rejection) -> Override:
@@ -667,30 +667,21 @@ WRONG: dict[str, Wrong] = {
         if Rejection.STANDARD_ID.value >= reason.value >= Rejection.RESERVED_BITS.value
         or reason in (Rejection.REMOTE_FRAME, Rejection.LENGTH, Rejection.ALPHA)
     },
-    **{
-        name: with_node("invalid frames", receive_frame=without_check(reason, mend))
-        for name, reason, mend in (
-            (
-                "does not look at the start bit",
-                Rejection.MULTI_FRAME,
-                change_byte(7, lambda byte: byte | 1 << 7),
-            ),
-            (
-                "does not look at the end bit",
-                Rejection.MULTI_FRAME,
-                change_byte(7, lambda byte: byte | 1 << 6),
-            ),
-            (
-                "does not look at the toggle bit",
-                Rejection.MULTI_FRAME,
-                change_byte(7, lambda byte: byte | 1 << 5),
-            ),
-            ("x_hat one unit too large", Rejection.X_HAT, change_byte(0, lambda byte: byte - (byte == 1))),
-            ("subjects of 8 bits", Rejection.SUBJECT, as_estimate_if_equal_in(0xFF)),
-            ("leaves out bit 4 of subjects", Rejection.SUBJECT, as_estimate_if_equal_in(0x1FEF)),
-            ("leaves out bit 8 of subjects", Rejection.SUBJECT, as_estimate_if_equal_in(0x1EFF)),
-        )
-    },
+    "does not look at the start bit": without_check(
+        Rejection.MULTI_FRAME, change_byte(7, lambda byte: byte | 1 << 7)
+    ),
+    "does not look at the end bit": without_check(
+        Rejection.MULTI_FRAME, change_byte(7, lambda byte: byte | 1 << 6)
+    ),
+    "does not look at the toggle bit": without_check(
+        Rejection.MULTI_FRAME, change_byte(7, lambda byte: byte | 1 << 5)
+    ),
+    "x_hat one unit too large": without_check(
+        Rejection.X_HAT, change_byte(0, lambda byte: 0 if byte == 1 else byte)
+    ),
+    "subjects of 8 bits": without_check(Rejection.SUBJECT, as_estimate_if_equal_in(0xFF)),
+    "leaves out bit 4 of subjects": without_check(Rejection.SUBJECT, as_estimate_if_equal_in(0x1FEF)),
+    "leaves out bit 8 of subjects": without_check(Rejection.SUBJECT, as_estimate_if_equal_in(0x1EFF)),
     # Commands
     "takes no observation for white": with_node(
         "nothing seen", observe=with_changed_argument(lambda z: Observation.WHITE if z is None else z)

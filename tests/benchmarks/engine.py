@@ -39,7 +39,7 @@ Measurement = Callable[[], float]
 
 
 def rate_of(experiment: Experiment, trials: int, work: Callable[[], object]) -> Measurement:
-    """Robot-steps per second of processor time."""
+    """Return a program's robot-steps per second of processor time."""
 
     def measure() -> float:
         start = time.process_time()
@@ -50,7 +50,7 @@ def rate_of(experiment: Experiment, trials: int, work: Callable[[], object]) -> 
 
 
 def plain(folder: str, world: str, trials: int, options: tuple[str, ...]) -> Measurement:
-    """The rate of plain_swarm.c."""
+    """Return the rate of plain_swarm.c."""
     program = Path(folder, world + options[0])
     sources = [HERE / "plain_swarm.c", *sorted(ARENA.glob("*.c"))]
     compiler = [os.environ.get("CC", "cc"), "-std=c99", "-O3", *options, f"-I{ARENA}"]
@@ -62,7 +62,7 @@ def plain(folder: str, world: str, trials: int, options: tuple[str, ...]) -> Mea
 def rates_of(
     experiment: Experiment, calls: int, lanes: int, more: dict[str, Measurement]
 ) -> dict[str, float]:
-    """The best of REPEATS rates by name, all in turn; of so many trials by calls and in lanes."""
+    """Return the best of REPEATS rates by name, all in turn; of so many trials by calls and in lanes."""
     short = replace(experiment, steps=400, filter_period=100, firmware="reference")
     measurements = {
         PYTHON: rate_of(short, 1, lambda: run_by_message(short, 0, 0)),

@@ -53,7 +53,7 @@ class StoredExperiment:
 
 
 def read_stored_experiments(path: Path = REFERENCE) -> list[StoredExperiment]:
-    """The experiments of a reference in its order; the simulation has the setup of the authors' scripts."""
+    """Return the experiments of a reference in its order, set up as in the authors' scripts."""
     world: Any = {"robots": 10} if path == REFERENCE else {"topology": "dynamic", "robots": 20, "latency": 1}
     stored_experiments = []
     with path.open(encoding="utf-8", newline="") as file:
@@ -77,7 +77,7 @@ def read_stored_experiments(path: Path = REFERENCE) -> list[StoredExperiment]:
 
 
 def simulate(experiment: Experiment, trials: int) -> Floats:
-    """Our scores, shape (trials, 3)."""
+    """Return our scores, shape (trials, 3)."""
     measured = run_trials(experiment, 0, trials)
     scores = score(measured.convergence_steps, measured.errors, K_MAX, E_MAX)
     return np.stack([scores[name] for name in SCORES], axis=1)
@@ -90,7 +90,7 @@ def p_values(ours: Floats, theirs: Floats) -> list[float]:
 
 
 def smallest(values: Sequence[Sequence[float]]) -> float:
-    """The smallest of many p-values, corrected for their number: Holm's procedure, at its first step."""
+    """Return the smallest p-value, corrected for their number: the first step of Holm's procedure."""
     return min(1.0, np.size(values) * float(np.min(values)))
 
 

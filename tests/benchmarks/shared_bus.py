@@ -25,7 +25,7 @@ GROUP = BusChoice("udp_multicast", {"channel": "239.74.163.249", "port": 43449, 
 
 
 def shared(settings: SwarmSettings) -> tuple[float, list[float]]:
-    """Processor seconds of a swarm with one connection for all, and x of its robots."""
+    """Return the processor seconds of a swarm with one connection for all, and x of its robots."""
     with Swarm(settings, Wiring(lambda robot: GROUP.open(returns_own=True))) as swarm:
         began = time.process_time()
         for _ in range(settings.steps):
@@ -34,7 +34,7 @@ def shared(settings: SwarmSettings) -> tuple[float, list[float]]:
 
 
 def each(settings: SwarmSettings) -> tuple[float, list[float]]:
-    """The same with a connection for each robot."""
+    """Return the processor seconds of a swarm with a connection for each robot, and x of its robots."""
     world = SteppedWorld(settings)
     robots = [BusRobot(setup, settings.frames) for setup in settings.robot_setups()]
     with ExitStack() as stack:

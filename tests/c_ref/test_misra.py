@@ -54,13 +54,14 @@ def find(target: str, sources: Path, *build_options: str) -> Findings:
     done = subprocess.run(
         [*command, *options, *map(str, files)], capture_output=True, text=True, check=True, timeout=120
     )
-    lines = {path.name: path.read_text(encoding="utf-8").splitlines() for path in sources.glob("*.[ch]")}
     places_by_rule: Findings = defaultdict(set)
-    for path, line_number, rule in FINDING.findall(done.stderr):
-        name = Path(path).name
-        code = COMMENT.sub("", lines[name][int(line_number) - 1])
-        places_by_rule[rule].add(f"{name}: {' '.join(code.split())}")
-    assert not FINDING.sub("", done.stderr).strip(), done.stderr
+    for name, line_number, rule in FINDING.findall(done.stderr):
+        path = sources / Path(name).name
+        line = path.read_text(encoding="utf-8").splitlines()[int(line_number) - 1]
+        code = " ".join(COMMENT.sub("", line).split())
+        places_by_rule[rule].add(f"{path.name}: {code}")
+    text_beside_findings = FINDING.sub("", done.stderr).strip()
+    assert text_beside_findings == "", done.stderr
     return places_by_rule
 
 

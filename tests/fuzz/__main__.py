@@ -11,7 +11,7 @@ from fuzz.harnesses import BUILD, CHECKED, FAST, HARNESSES
 
 
 def main() -> None:
-    """All harnesses, or one, for a time; then the new inputs once more under the address sanitizer."""
+    """Fuzz with all harnesses, or with one, and try the new inputs again under the address sanitizer."""
     parser = argparse.ArgumentParser(prog="python -m fuzz", description=__doc__)
     parser.add_argument("harness", nargs="?", choices=HARNESSES, help="only this one")
     parser.add_argument("--minutes", type=float, default=5.0, help="for all together (5)")

@@ -39,7 +39,7 @@ class Harness:
         return HERE / f"corpus/{self.name}.txt"
 
     def unpack(self, folder: Path) -> Path:
-        """A new folder with its kept inputs, as fuzzers like them: a file each."""
+        """Write the kept inputs into a new folder, each as a file as fuzzers want it; return the folder."""
         shutil.rmtree(folder, ignore_errors=True)
         folder.mkdir(parents=True)
         for line in self.corpus.read_text(encoding="ascii").split():

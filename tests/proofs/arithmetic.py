@@ -88,7 +88,7 @@ WORDS["leading_zeros"] = Contract(are_leading_zeros)
 
 
 def _halves(number: Any) -> tuple[Any, Any]:
-    """The upper and the lower half of a word."""
+    """Return the upper and the lower half of a word."""
     return number / 2**16, number % 2**16
 
 
@@ -171,7 +171,7 @@ def _is_prepared(divide: int) -> Callable[[Any, Any], Any]:
 
 
 def _estimate(divide: int) -> Contract:
-    """A quotient of upper bits, and that its product is no longer than a word."""
+    """Return a quotient of upper bits, and that its product is no longer than a word."""
 
     def by_hardware(digit: Any, rest: Any, prepared: Any, bits: Any) -> Any:
         return _is_floor(digit, rest / 2 ** (15 - known(bits)), prepared)
@@ -248,7 +248,7 @@ def _by_bits() -> dict[str, Contract]:
 
 
 def normalised(value: Any) -> tuple[Any, Any]:
-    """A long word shifted until its highest bit is set, and by how much."""
+    """Return a long word shifted until its highest bit is set, and by how much."""
     shift = z3.BitVecVal(0, 64)
     for step in (32, 16, 8, 4, 2, 1):
         more = z3.If(z3.LShR(value, 64 - step) == 0, z3.BitVecVal(step, 64), z3.BitVecVal(0, 64))
@@ -263,7 +263,7 @@ def _no_bit_is_lost(_: Any, a: Any, d: Any) -> Any:
 
 
 def _upper_bits(found: Any, a: Any, d: Any) -> Any:
-    """The upper word of the dividend so shifted, and half of that of the divisor, rounded up."""
+    """Return the upper word of the shifted dividend, and half of that of the divisor, rounded up."""
     divisor, shift = normalised(d)
     half = _word(31, z3.LShR(divisor, 33)) + 1
     return z3.And(found["high"] == _word(63, a << shift), found["low"] == half)
@@ -284,7 +284,7 @@ def is_ratio(upper_a: Any, half_d: Any, long_a: Any, long_d: Any) -> Any:
 
 
 def _whole(word: Any) -> Any:
-    """The word with so many bits that nothing in these formulas wraps, nor in a shift by 63."""
+    """Return the word with so many bits that nothing in these formulas wraps, nor in a shift by 63."""
     return widen(word, 128)
 
 
@@ -325,7 +325,7 @@ QUOTIENT = Contract(
 
 
 def is_tried(variant: Variant, name: str) -> bool:
-    """True if every argument is tried instead of a proof."""
+    """Return whether every argument of a function is tried instead of a proof."""
     return name == "prepare" and variant.divide in PREPARED
 
 
@@ -336,5 +336,5 @@ def _contracts(divide: int) -> dict[str, Contract]:
 
 
 def contracts(variant: Variant) -> dict[str, Contract]:
-    """All of them, for one variant of the header."""
+    """Return the contracts of all functions of one variant of the header."""
     return _contracts(variant.divide)

@@ -29,7 +29,7 @@ ALPHA_MOST = 2**55 - 2**31
 
 
 def words(value: Any) -> Iterator[Any]:
-    """All terms in a value."""
+    """Yield all terms in a value."""
     if isinstance(value, dict):
         for each in value.values():
             yield from words(each)
@@ -71,7 +71,7 @@ def opaque(name: str, *changes: str, requires: Formula = always) -> Summary:
 
 
 def numbers(like: Any, found: Any) -> Any:
-    """Terms as numbers of these types."""
+    """Return terms as numbers of the given types."""
     if isinstance(like, dict):
         return {name: numbers(each, found[name]) for name, each in like.items()}
     return Number(found, like.type)
@@ -118,7 +118,7 @@ OBSERVE = Contract(_observed, requires=_may_observe, instead=opaque_all("estimat
 
 
 def _heard(robot: Any) -> Any:
-    """The senders heard, as one word."""
+    """Return the senders heard, as one word."""
     return z3.Concat(*reversed(robot["heard"]["of"].values()))
 
 
@@ -321,7 +321,7 @@ def is_round(sums: Any) -> Any:
 
 
 def are_estimates(sums: Any) -> Any:
-    """The part that is about x_hat alone."""
+    """Return the part that is about x_hat alone."""
     m, x, x_squared = (sums[name] for name in ("count", "x", "x_squared"))
     in_range = (m >= 0, m <= 127, x >= 0, x <= ONE * m, x_squared >= 0, x_squared <= ONE * x)
     return z3.And(*in_range, x * x <= m * x_squared)
@@ -336,7 +336,7 @@ def _may_test(robot: Any) -> Any:
 
 
 def _terms_of_test(robot: Any) -> tuple[Any, Any, Any]:
-    """(sum x - m x_hat)^2; k_m, the entry for m > q where m > q; and m sum x^2 - (sum x)^2."""
+    """Return (sum x - m x_hat)^2; k_m, the entry for m > q where m > q; and m sum x^2 - (sum x)^2."""
     sums, word = robot["received"]["sums"]["open"], robot["config"]["table"].word
     m, x, q = sums["count"], sums["x"], word(0) % 256
     difference = x - m * robot["x_hat"]

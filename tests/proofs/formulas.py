@@ -29,8 +29,10 @@ Claims = Callable[[], Iterator[Claim]]
 
 
 def call(name: str, *arguments: Any) -> Any:
-    """The result of a function of the C on these words, and on a robot, of which there is one: anything, but
-    the same for the same arguments."""
+    """Return the result of a function of the C: anything, but the same for the same words.
+
+    A function may also have the robot as an argument, of which there is one.
+    """
     function = z3.Function(name, *(each.sort() for each in arguments), z3.BitVecSort(RESULTS[name]))
     return function(*arguments)
 
@@ -45,7 +47,7 @@ def _stands_in(name: str) -> Summary:
 
 
 def units(alpha: Any) -> Any:
-    """The 64 bits of an alpha word in units of 2^-24."""
+    """Return the 64 bits of an alpha word in units of 2^-24."""
     return z3.ZeroExt(32, z3.LShR(alpha, 8)) << z3.ZeroExt(32, alpha & 31)
 
 
@@ -85,7 +87,7 @@ def nothing(value: Any) -> Any:
 
 
 def returns(status: Any, *cases: tuple[Any, int]) -> Any:
-    """The code of the first case that is so, or 0."""
+    """Return the code of the first case that is so, or 0."""
     found = z3.BitVecVal(0, status.size())
     for condition, code in reversed(cases):
         found = z3.If(condition, z3.BitVecVal(code, status.size()), found)
@@ -98,8 +100,11 @@ def _keep_b_hat(machine: Machine, robot: Place, b_hat: Number) -> None:
 
 
 def formed(program: Program, name: str, opaque: Iterable[str] = RESULTS) -> tuple[dict[str, Any], Any]:
-    """Terms of a function's unknown arguments, members of structures by their own names; and what it returns,
-    with what its first argument then points to, if it is a pointer that it may write to."""
+    """Return the terms of a function's unknown arguments by name, and what it returns.
+
+    Members of structures have their own names. With the result stands what its first argument then points
+    to, if it is a pointer that it may write to.
+    """
     called = BY_LEMMA | {each: _stands_in(each) for each in opaque if each != name}
     machine = Machine(program, Words, called | {"set_b_hat": _keep_b_hat})
     given: dict[str, Any] = {}

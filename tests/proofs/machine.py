@@ -37,7 +37,7 @@ class Place:
         return Place(self.variable, (*self.path, *steps))
 
     def whole(self) -> Place:
-        """The array, if this is an element of one."""
+        """Return the array, if this is an element of one."""
         return Place(self.variable, self.path[:-1])
 
 
@@ -109,14 +109,14 @@ class Machine:
     # --- What proofs use ---
 
     def unknown(self, name: str, type_: Type) -> Number:
-        """A number of which nothing is known but its type."""
+        """Return a number of which nothing is known but its type."""
         self._names += 1
         number, fact = self.arithmetic.unknown(f"{name}_{self._names}", type_)
         self.facts.append(fact)
         return number
 
     def unknown_of(self, declared: Any, name: str) -> Any:
-        """An unknown value of a declared type: a number, or a structure of them."""
+        """Return an unknown value of a declared type: a number, or a structure of them."""
         return self._filled(declared, name, self.unknown)
 
     def _filled(self, declared: Any, name: str, number: Callable[[str, Type], Number]) -> Any:
@@ -153,13 +153,13 @@ class Machine:
         return self.at(name, Table(z3.Function(f"{name}_{self._names}", word, word), kind)).below("0")
 
     def parameter_of(self, parameter: Any) -> Any:
-        """An unknown argument: for an array, a pointer to its first element."""
+        """Return an unknown argument: for an array, a pointer to its first element."""
         value = self.unknown_of(parameter.type, parameter.name)
         is_array = isinstance(parameter.type, c_ast.ArrayDecl)
         return self.at(parameter.name, value).below("0") if is_array else value
 
     def seen(self, value: Any) -> Any:
-        """The solver's terms in a value and in what its pointers point to, by name."""
+        """Return the solver's terms in a value and in what its pointers point to, by name."""
         if isinstance(value, Place):
             return self.seen(self.load(value.whole() if value.path[-1:] == ("0",) else value))
         if isinstance(value, dict):
@@ -167,11 +167,11 @@ class Machine:
         return value.term if isinstance(value, Number) else value
 
     def constant_of(self, declared: Any, value: int) -> Number:
-        """A known number of a declared type."""
+        """Return a known number of a declared type."""
         return self.arithmetic.constant(value, self._resolve(declared))
 
     def variable(self, name: str) -> Place:
-        """A variable of the function that runs."""
+        """Return a variable of the function that runs."""
         return Place((self._frames[-1].number, name))
 
     def declare(self, declaration: Any) -> None:
@@ -179,7 +179,7 @@ class Machine:
         self._declare(declaration.name, declaration.type, self.unknown_of(declaration.type, declaration.name))
 
     def at(self, name: str, value: Any) -> Place:
-        """A pointer to a new variable with this value."""
+        """Return a pointer to a new variable with this value."""
         self._names += 1
         place = Place((0, f"{name}_{self._names}"))
         self._memory[place.variable] = value
@@ -209,11 +209,11 @@ class Machine:
         return index.term == self.arithmetic.constant(int(at), index.type).term
 
     def know(self, formula: Any) -> None:
-        """Something that holds wherever the program gets here."""
+        """Add something that holds wherever the program gets here."""
         self.facts.append(z3.Implies(z3.And(self._path), formula) if self._path else formula)
 
     def claim(self, formula: Any, about: str) -> None:
-        """Something that must hold here."""
+        """Add something that must hold here."""
         if not z3.is_true(z3.simplify(formula)):
             self.obligations.append(Obligation(self.known_here(), formula, about))
 
@@ -352,11 +352,11 @@ class Machine:
     # --- Expressions ---
 
     def value(self, node: Any) -> Any:
-        """The value of an expression."""
+        """Return the value of an expression."""
         return getattr(self, f"_value_{type(node).__name__}")(node)
 
     def truth(self, node: Any) -> Any:
-        """The formula that the expression is not 0."""
+        """Return the formula that the expression is not 0."""
         if isinstance(node, c_ast.BinaryOp) and node.op in ("&&", "||"):
             left = self.truth(node.left)
             with self._only(left if node.op == "&&" else z3.Not(left)):
@@ -546,7 +546,7 @@ class Machine:
         return self._converted(left, Type(bits, signed)), self._converted(right, Type(bits, signed))
 
     def _converted(self, value: Any, kind: Any) -> Any:
-        """A number as one of this type; anything else as it is."""
+        """Return a number as one of this type; anything else as it is."""
         if not isinstance(kind, Type) or not isinstance(value, Number) or value.type == kind:
             return value
         return self.arithmetic.convert(value, kind)
@@ -584,7 +584,7 @@ class Machine:
         return {"both": self.arithmetic.binary("+", self.arithmetic.binary("<<", high, by), low)}
 
     def _resolve(self, declared: Any) -> Any:
-        """The integer type, structure, union or pointer that is declared."""
+        """Return the integer type, structure, union or pointer that is declared."""
         if isinstance(declared, c_ast.TypeDecl):
             return self._resolve(declared.type)
         if isinstance(declared, c_ast.IdentifierType):
@@ -604,12 +604,12 @@ class Machine:
 
 
 def as_binary32(number: Number) -> Any:
-    """A signed word rounded to binary32, to nearest."""
+    """Return a signed word rounded to binary32, to nearest."""
     return z3.fpSignedToFP(z3.RNE(), number.term, z3.Float32())
 
 
 def _merged(condition: Any, first: Any, second: Any) -> Any:
-    """The first where the condition holds, the second elsewhere."""
+    """Return the first value where the condition holds, and the second elsewhere."""
     if first is second or first is None or second is None:
         return second if first is None else first
     if isinstance(first, Number):
@@ -622,7 +622,7 @@ def _merged(condition: Any, first: Any, second: Any) -> Any:
 
 
 def chosen(condition: Any, first: Any, second: Any) -> Any:
-    """The first terms where the condition holds, the second elsewhere."""
+    """Return the first terms where the condition holds, the second elsewhere."""
     if isinstance(first, dict):
         return {name: chosen(condition, first[name], second[name]) for name in first}
     if isinstance(first, Table):

@@ -52,11 +52,11 @@ class Words:
         return Number(z3.BitVecVal(value, type_.bits), type_)
 
     def unknown(self, name: str, type_: Type) -> tuple[Number, Any]:
-        """A number of which nothing is known but this formula."""
+        """Return a number of which nothing is known but this formula."""
         return Number(z3.BitVec(name, type_.bits), type_), z3.BoolVal(True)
 
     def fits(self, _: Number) -> Any:
-        """The claim that the number is one of its type."""
+        """Return the claim that the number is one of its type."""
         return z3.BoolVal(True)
 
     def convert(self, number: Number, type_: Type) -> Number:
@@ -147,7 +147,7 @@ class Integers:
 
 
 def known(term: Any) -> int:
-    """The value of a term that is a constant."""
+    """Return the value of a term that is a constant."""
     simple = z3.simplify(term)
     if z3.is_int_value(simple) or z3.is_bv_value(simple):
         return int(simple.as_long())
@@ -166,7 +166,7 @@ def _masked(left: Number, right: Number, _: Claim) -> Any:
 
 
 def _joined(left: Number, right: Number, claim: Claim) -> Any:
-    """``|`` of numbers whose bits are in different places, which is their sum."""
+    """Return ``|`` of numbers whose bits are in different places, which is their sum."""
     apart = [
         z3.And(high % (1 << place) == 0, low < 1 << place)
         for high, low in ((left.term, right.term), (right.term, left.term))

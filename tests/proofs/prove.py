@@ -65,7 +65,7 @@ def require_possible(known: Iterable[Any], about: str) -> None:
 
 
 def prove_all(claims: Iterable[tuple[str, Any, list[Any]]]) -> None:
-    """Each claim, by name, from what is known of it."""
+    """Prove each claim, which has a name, from what is known of it."""
     possible = set[str]()
     for about, claim, known in claims:
         text = _text(known)
@@ -109,7 +109,7 @@ class Contract:
     invariant: Callable[[], Callable[[Machine], None]] | None = None
 
     def stands_in(self, name: str) -> Summary:
-        """The function as its callers may see it."""
+        """Return the function as its callers may see it."""
 
         def summary(machine: Machine, *arguments: Any) -> Any:
             before = [machine.seen(each) for each in arguments]
@@ -159,8 +159,10 @@ def prove_lemma(program: Program, name: str, contracts: Contracts, done: set[Any
 
 
 def any_result(name: str) -> Summary:
-    """Stands for a function of which nothing is known, neither what it returns nor what it writes; but no
-    function writes a pointer into a structure."""
+    """Return what stands for a function of which nothing is known, of its result or of what it writes.
+
+    No function writes a pointer into a structure, though.
+    """
 
     def summary(machine: Machine, *arguments: Any) -> Any:
         for parameter, each in zip(machine.program.parameters(name), arguments, strict=True):
@@ -177,7 +179,7 @@ def any_result(name: str) -> Summary:
 def _run(
     machine: Machine, name: str, requires: Formula, constants: Mapping[str, int]
 ) -> tuple[list[Any], list[Any]]:
-    """Runs a function on unknown arguments of which ``requires`` is known; returns terms of the arguments
+    """Run a function on unknown arguments of which ``requires`` is known; returns terms of the arguments
     before, and of the result and what pointers point to after."""
     parameters = machine.program.parameters(name)
     arguments = [

@@ -84,15 +84,15 @@ class Program:
         self.types = {each.name: each.type for each in tree.ext if isinstance(each, c_ast.Typedef)}
 
     def defined_in(self, *paths: Path) -> list[str]:
-        """Names of the functions that these files define."""
+        """Return the names of the functions that these files define."""
         return [name for name, each in self.functions.items() if Path(each.coord.file) in paths]
 
     def parameters(self, name: str) -> list[Any]:
-        """Declarations of a function's parameters."""
+        """Return the declarations of a function's parameters."""
         return list(self.heads[name].args.params)
 
     def callees(self, name: str) -> set[str]:
-        """Functions of the program that this one calls."""
+        """Return the functions of the program that a function calls."""
         return {
             node.name.name
             for node in nodes(self.functions[name], c_ast.FuncCall)
@@ -100,7 +100,7 @@ class Program:
         }
 
     def closure(self, name: str, without: Collection[str] = ()) -> set[str]:
-        """This function and all that it calls, directly or not."""
+        """Return a function and all that it calls, directly or not."""
         found, new = set[str](), {name}
         while new:
             found |= new
@@ -108,14 +108,14 @@ class Program:
         return found
 
     def text(self, name: str, without: Collection[str] = ()) -> str:
-        """Everything that can change what the function does; equal texts need one proof."""
+        """Return the text of all that can change what a function does; equal texts need one proof."""
         generator = c_generator.CGenerator()
         parts = [generator.visit(self.functions[each]) for each in sorted(self.closure(name, without))]
         return "\n".join([str(self.variant.int_bits), *parts])
 
 
 def nodes(root: Any, kind: type[Any]) -> Iterator[Any]:
-    """All nodes of one kind below this one, in the order of the text."""
+    """Yield all nodes of one kind below this one, in the order of the text."""
     if isinstance(root, kind):
         yield root
     for child in root:
@@ -133,14 +133,14 @@ def _lines(path: str) -> list[str]:
 
 
 def stated_turns(loop: Any) -> int:
-    """The bound in the comment beside a loop, ``at most 3 turns``."""
+    """Return the bound in the comment beside a loop, ``at most 3 turns``."""
     most = _stated(loop, r"/\* at most (\d+)")
     assert most is not None, f"the loop in line {loop.coord.line} states no bound"
     return most
 
 
 def stated_shift(node: Any) -> int | None:
-    """The bound in the comment beside a shift, ``a shift by at most 7``."""
+    """Return the bound in the comment beside a shift, ``a shift by at most 7``."""
     return _stated(node, r"a shift by at most (\d+)")
 
 

@@ -79,11 +79,12 @@ def test_eva_finds_a_shift_that_damaged_memory_makes_too_large(tmp_path: Path) -
 
 def functions_in(report: str) -> tuple[set[str], set[str]]:
     """Return the functions that Eva reached, and those of them of which it left out some statements."""
-    parts = PART.findall(report)
-    reached = {name for name, _reached_statements, _statements in parts}
-    return reached, {
-        name for name, reached_statements, statements in parts if reached_statements != statements
-    }
+    reached, reached_in_part = set[str](), set[str]()
+    for name, reached_statements, statements in PART.findall(report):
+        reached.add(name)
+        if reached_statements != statements:
+            reached_in_part.add(name)
+    return reached, reached_in_part
 
 
 def alarms(report: str) -> list[str]:
@@ -92,7 +93,7 @@ def alarms(report: str) -> list[str]:
 
 
 def eva(variant: Variant, sources: Path = SOURCES, *more: str, precision: int = 3) -> str:
-    """Output of the analyser; an int of 16 or 32 bits, and a long of 32, as on the targets."""
+    """Return what the analyser prints. An int has 16 or 32 bits and a long 32, as on the targets."""
     flags = " ".join([f"-I{sources}", *variant.flags(), *more, "-idirafter", str(INCLUDE)])
     machine = ("-machdep", f"gcc_x86_{variant.int_bits}", f"-cpp-extra-args={flags}")
     plugins = ("-no-autoload-plugins", "-load-module", "eva,from,inout,scope,metrics")

@@ -26,75 +26,86 @@ OF_THE_INSTALLER = {"INSTALLER", "REQUESTED", "RECORD", "direct_url.json", "uv_c
 
 
 def dependencies() -> dict[str, set[str]]:
-    """Normal names of the project and of all that it needs, directly or not, its extras included; and what
-    each of them needs."""
-    found = dict[str, set[str]]()
-    left = [(NAME, frozenset(metadata.metadata(NAME).get_all("Provides-Extra") or ()))]
-    seen = set(left)
-    while left:
-        name, extras = left.pop()
-        needs = found.setdefault(name, set())
-        for required in map(Requirement, metadata.requires(name) or ()):
-            marker = required.marker
-            if marker is None or any(marker.evaluate({"extra": each}) for each in {"", *extras}):
-                new = str(canonicalize_name(required.name)), frozenset(required.extras)
-                needs.add(new[0])
-                left += [new] if new not in seen else []
-                seen.add(new)
-    return {name: needs - {NAME} for name, needs in found.items()}
+    """Return what each package needs, by name: the project with its extras, and all that it leads to."""
+    needs_by_package = dict[str, set[str]]()
+    waiting = [(NAME, frozenset(metadata.metadata(NAME).get_all("Provides-Extra") or ()))]
+    known = set(waiting)
+    while waiting:
+        package, extras = waiting.pop()
+        needs = needs_by_package.setdefault(package, set())
+        for text in metadata.requires(package) or ():
+            requirement = Requirement(text)
+            marker = requirement.marker
+            if marker is None or any(marker.evaluate({"extra": extra}) for extra in {"", *extras}):
+                needed = str(canonicalize_name(requirement.name))
+                needs.add(needed)
+                needed_with_extras = (needed, frozenset(requirement.extras))
+                if needed_with_extras not in known:
+                    known.add(needed_with_extras)
+                    waiting.append(needed_with_extras)
+    return {package: needs - {NAME} for package, needs in needs_by_package.items()}
 
 
 def component(name: str, version: str, kind: str = "pypi", **more: Any) -> dict[str, Any]:
-    """An entry of the bill."""
+    """Return an entry of the bill; ``kind`` is that of the index of packages."""
     about = {"bom-ref": name, "type": "library", "name": name, "version": version}
     return {**about, "purl": f"pkg:{kind}/{name}@{version}", **more}
 
 
 def licences(about: metadata.PackageMetadata) -> list[dict[str, Any]]:
     """Return the licences that a package states: an expression, classifiers, or the first line of a text."""
-    if expressions := about.get_all("License-Expression"):
-        return [{"expression": each} for each in expressions]
-    stated = [each for each in about.get_all("Classifier") or () if each.startswith("License ::")]
-    names = [each.rpartition(" :: ")[2] for each in stated] or "".join(
-        about.get_all("License") or ()
-    ).splitlines()[:1]
+    expressions = about.get_all("License-Expression")
+    if expressions:
+        return [{"expression": expression} for expression in expressions]
+    classifiers = about.get_all("Classifier") or ()
+    names = [text.rpartition(" :: ")[2] for text in classifiers if text.startswith("License ::")]
+    if not names:
+        names = "".join(about.get_all("License") or ()).splitlines()[:1]
     return [{"license": {"name": name}} for name in names]
 
 
 def digest(name: str) -> str:
-    """SHA-256 over the paths and SHA-256 of the files that the package's wheel has, whatever installed it."""
+    """Return a SHA-256 over the paths and hashes of the files in a package's wheel, whatever installed it."""
     files = metadata.files(name) or ()
     rows = [f"{path} {path.hash.value}" for path in files if path.hash and path.name not in OF_THE_INSTALLER]
     return hashlib.sha256("\n".join(sorted(rows)).encode()).hexdigest()
 
 
+def uplot() -> dict[str, Any]:
+    """Return the entry of uPlot, with the version that its own file states."""
+    version = re.search(r"uPlot \(v([\d.]+)\)", UPLOT.read_text(encoding="utf-8")[:200])
+    assert version, f"{UPLOT} states no version"
+    hashes = [{"alg": "SHA-256", "content": hashlib.sha256(UPLOT.read_bytes()).hexdigest()}]
+    return component("uplot", version[1], "npm", licenses=[{"license": {"id": "MIT"}}], hashes=hashes)
+
+
 def bill() -> dict[str, Any]:
-    """Bill of all that is needed, and of uPlot by the version it states."""
-    needs = dependencies()
-    stated = re.search(r"uPlot \(v([\d.]+)\)", UPLOT.read_text(encoding="utf-8")[:200])
-    assert stated, f"{UPLOT} states no version"
-    needed = []
-    for name in sorted(needs.keys() - {NAME}):
+    """Return the bill of all packages that are needed, and of uPlot."""
+    needs_by_package = dependencies()
+    components = []
+    for name in sorted(needs_by_package.keys() - {NAME}):
         about = metadata.metadata(name)
         files = [{"name": "mcp-asdf:sha-256-of-files", "value": digest(name)}]
-        needed.append(component(name, about["Version"], licenses=licences(about), properties=files))
-    hashes = [{"alg": "SHA-256", "content": hashlib.sha256(UPLOT.read_bytes()).hexdigest()}]
-    uplot = component("uplot", stated[1], "npm", licenses=[{"license": {"id": "MIT"}}], hashes=hashes)
+        components.append(component(name, about["Version"], licenses=licences(about), properties=files))
     return {
-        **{"bomFormat": "CycloneDX", "specVersion": "1.6", "version": 1},
+        "bomFormat": "CycloneDX",
+        "specVersion": "1.6",
+        "version": 1,
         "metadata": {"component": component(NAME, version_of_header())},
-        "components": [*needed, uplot],
-        "dependencies": [{"ref": name, "dependsOn": sorted(each)} for name, each in sorted(needs.items())],
+        "components": [*components, uplot()],
+        "dependencies": [
+            {"ref": name, "dependsOn": sorted(needs)} for name, needs in sorted(needs_by_package.items())
+        ],
     }
 
 
 def main(arguments: list[str]) -> None:
-    """Write the bill and tell how much is in it."""
+    """Write the bill, and print how many components are in it."""
     path = Path(arguments[0]) if arguments else ROOT / "build/sbom.json"
-    found = bill()
+    content = bill()
     path.parent.mkdir(parents=True, exist_ok=True)
-    write_atomically(path, json.dumps(found, indent=2, ensure_ascii=False) + "\n")
-    print(f"{path}: {len(found['components'])} components")
+    write_atomically(path, json.dumps(content, indent=2, ensure_ascii=False) + "\n")
+    print(f"{path}: {len(content['components'])} components")
 
 
 if __name__ == "__main__":

@@ -12,7 +12,7 @@ from support import PATIENCE, require, wait_until
 
 
 def listeners(interface: str) -> int:
-    """How many sockets that hear everything are on the interface: the kernel has a line for each."""
+    """Return how many sockets receive all frames of an interface: the kernel has a line for each."""
     found = Path("/proc/net/can/rcvlist_all")
     lines = found.read_text(encoding="ascii").splitlines() if found.exists() else []  # until the first socket
     return sum(line.split()[:1] == [interface] for line in lines)
@@ -38,7 +38,7 @@ class Candump:
         self._process.wait(PATIENCE)
 
     def frames(self) -> list[can.Message]:
-        """All frames sent so far, in the order of the bus."""
+        """Return all frames sent so far, in the order of the bus."""
         last = can.Message(arbitration_id=0x7FF, is_extended_id=False)  # which no robot sends
         with connect(self._vcan) as own:
             own.send(last, timeout=PATIENCE)

@@ -73,7 +73,7 @@ ENVIRONMENT = {**os.environ, "PATH": os.pathsep.join([PATH, "/usr/sbin", "/sbin"
 
 @cache
 def why_not_native() -> str:
-    """Why virtual CAN interfaces cannot be made on this machine's kernel; empty if they can."""
+    """Return why virtual CAN interfaces cannot be made on this machine's kernel; empty if they can."""
     try:
         socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW).close()
     except OSError as error:
@@ -117,7 +117,7 @@ def _run(*command: str, **options: Any) -> subprocess.CompletedProcess[str]:
 
 
 def _kernel() -> Path:
-    """The cached kernel; downloads it if there is none."""
+    """Return the cached kernel, or download it if there is none."""
     missing = [tool for tool in TOOLS if shutil.which(tool, path=ENVIRONMENT["PATH"]) is None]
     if missing:
         packages = " ".join(filter(None, (TOOLS[tool] for tool in missing)))

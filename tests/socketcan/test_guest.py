@@ -23,7 +23,7 @@ WORK = ROOT / "build/socketcan"
 
 
 def script() -> str:
-    """The guest's script; it leaves the exit code of the tests in a file."""
+    """Return the script of the guest, which leaves the exit code of the tests in a file."""
     settings = {
         "PATH": os.environ["PATH"],
         "HOME": "/tmp",

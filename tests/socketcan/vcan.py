@@ -13,7 +13,7 @@ from support import PATIENCE
 
 
 def ip(*commands: str) -> None:
-    """Let ``ip`` do all commands in one go; fails with what it says."""
+    """Run commands of ``ip`` in one go. Fails with what it prints."""
     lines = "".join(f"{command}\n" for command in commands)
     done = subprocess.run(["ip", "-batch", "-"], input=lines, capture_output=True, text=True, check=False)
     assert done.returncode == 0, f"{lines}{done.stderr}"
@@ -21,19 +21,19 @@ def ip(*commands: str) -> None:
 
 @contextmanager
 def interfaces(*names: str) -> Iterator[None]:
-    """Virtual CAN interfaces that are there and up inside."""
+    """Make virtual CAN interfaces that are up while the block runs."""
     ip(*(command for name in names for command in making(name)))
     yield
     ip(*(f"link del dev {name}" for name in names))
 
 
 def making(name: str) -> tuple[str, str]:
-    """Arguments of ``ip`` that make an interface."""
+    """Return the arguments of ``ip`` that make an interface."""
     return f"link add dev {name} type vcan", f"link set {name} mtu 72 up"
 
 
 def connect(name: str) -> can.BusABC:
-    """A connection to an interface, as every command opens it."""
+    """Return a connection to an interface, as every command opens it."""
     return choose_bus({"interface": "socketcan", "channel": name}).open()
 
 

@@ -73,21 +73,21 @@ class Player:
         self.lines: list[str] = []
         self._robot: MirrorRobot | None = None
         setup = scenario.setup
-        config, made = setup.config(), Status.OK
+        config, status = setup.config(), Status.OK
         try:
             self._robot = MirrorRobot(config, setup.robot_id, setup.b_hat / 2**32)
         except FirmwareError as error:
-            made = error.status
-        self._note(made)
+            status = error.status
+        self._record(status)
         for call in scenario.calls:
             assert self._robot is not None
             if call.name in REPLACING:
                 status = self._restore(config, edited_image(self._robot.save(), call))
             else:
                 status = perform(self._robot, call)
-            self._note(status, whole=call.name != "receive")
+            self._record(status, with_state=call.name != "receive")
         robot = self._robot
-        self._note(0 if robot is None else 2 * robot.counters.accepted + robot.holds_invariants())
+        self._record(0 if robot is None else 2 * robot.counters.accepted + robot.holds_invariants())
 
     def _restore(self, config: Config, image: bytes) -> Status:
         try:
@@ -96,14 +96,15 @@ class Player:
             return error.status
         return Status.OK
 
-    def _note(self, status: int, whole: bool = True) -> None:
-        state = self._state()
+    def _record(self, status: int, with_state: bool = True) -> None:
+        """Add a line, and take the status, and maybe the state, into the digest."""
+        state = self._digest_of_state()
         self.lines.append(f"call {len(self.lines)} status {status & MASK} state {state}")
         self.digest = mix(self.digest, status & MASK)
-        if whole:
+        if with_state:
             self.digest = mix(self.digest, state)
 
-    def _state(self) -> int:
+    def _digest_of_state(self) -> int:
         robot = self._robot
         if robot is None:
             return 0
@@ -121,9 +122,11 @@ def played(name: str) -> list[tuple[Scenario, bytes]]:
 
     They are those that an image can play, as far as they have room.
     """
-    source, seed, tried, room = FILES[name]
-    chosen, room = list[tuple[Scenario, bytes]](), room - _HEAD.size
-    for scenario in (_playable(source(seed, number)) for number in range(tried)):
+    draw_scenario, seed, tried_count, max_bytes = FILES[name]
+    chosen: list[tuple[Scenario, bytes]] = []
+    room = max_bytes - _HEAD.size
+    for number in range(tried_count):
+        scenario = _playable(draw_scenario(seed, number))
         size = _SCENARIO.size + sum(len(_encode_call(call)) for call in scenario.calls) + 1
         if scenario.setup.table in TABLES and size <= room:
             chosen.append((scenario, _encode(scenario)))
@@ -133,12 +136,14 @@ def played(name: str) -> list[tuple[Scenario, bytes]]:
 
 def _playable(scenario: Scenario) -> Scenario:
     """Return the scenario with observations of a byte."""
-    return scenario.with_calls(
-        tuple(
-            Call(call.name, (min(call.numbers[0], 255),)) if call.name in ("observe", "step") else call
-            for call in scenario.calls
-        )
-    )
+    calls = []
+    for call in scenario.calls:
+        if call.name in ("observe", "step"):
+            [z] = call.numbers
+            calls.append(Call(call.name, (min(z, 255),)))
+        else:
+            calls.append(call)
+    return scenario.with_calls(tuple(calls))
 
 
 def _encode(scenario: Scenario) -> bytes:
@@ -168,9 +173,10 @@ def scenarios(*names: str) -> list[Scenario]:
 
 def verdict(names: list[str]) -> str:
     """Return the output of an image that plays these files. Calls are counted, and a scenario's two ends."""
-    calls = [call.name for scenario in scenarios(*names) for call in scenario.calls]
-    ticks, number = calls.count("observe") + calls.count("step"), len(scenarios(*names))
-    return f"PASS scenarios {number} calls {2 * number + len(calls)} ticks {ticks}"
+    played_scenarios = scenarios(*names)
+    calls = [call.name for scenario in played_scenarios for call in scenario.calls]
+    ticks, count = calls.count("observe") + calls.count("step"), len(played_scenarios)
+    return f"PASS scenarios {count} calls {2 * count + len(calls)} ticks {ticks}"
 
 
 def main() -> None:

@@ -187,23 +187,24 @@ def play(build: ImageBuild, folder: Path, *files: Path) -> str:
 
 def core_objects(folder: Path) -> list[Path]:
     """Return the object files of the core in a folder: the method, and saving and restoring."""
-    found = [
-        path for name in ("mcp_asdf.c", "mcp_asdf_image.c") for path in folder.glob(f"core/**/{name}.o*")
-    ]
-    assert len(found) == 2, found
-    return found
+    [method] = folder.glob("core/**/mcp_asdf.c.o*")
+    [image] = folder.glob("core/**/mcp_asdf_image.c.o*")
+    return [method, image]
 
 
 def needed_symbols(objects: list[Path]) -> set[str]:
     """Return the symbols that objects use and none of them has."""
-    used, own = set[str](), set[str]()
+    undefined, defined = set[str](), set[str]()
     for elf in objects:
         with elf.open("rb") as stream:
             table = ELFFile(stream).get_section_by_name(".symtab")
             assert isinstance(table, SymbolTableSection)
             for symbol in table.iter_symbols():
-                (used if symbol["st_shndx"] == "SHN_UNDEF" else own).add(symbol.name)
-    return used - own - {""}
+                if symbol["st_shndx"] == "SHN_UNDEF":
+                    undefined.add(symbol.name)
+                else:
+                    defined.add(symbol.name)
+    return undefined - defined - {""}
 
 
 def variables(elf: Path) -> int:

@@ -59,7 +59,7 @@ class UnixBus(can.BusABC):
                 self.receive_frames(1)
 
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
-        """The next frame, a classic data frame with a 29-bit identifier; anything else fails.
+        """Return the next frame, a classic data frame with a 29-bit identifier; anything else fails.
 
         Raises EOFError once the node has ended.
         """

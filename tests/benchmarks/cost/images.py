@@ -56,7 +56,7 @@ class Target:
         return f"{self.tools}gcc"
 
     def version(self) -> str:
-        """Name and version of the compiler. Raises FileNotFoundError without one."""
+        """Return the name and the version of the compiler. Raises FileNotFoundError without one."""
         command = [self.compiler, "-dumpfullversion", "-dumpversion"]
         said = subprocess.run(command, capture_output=True, text=True, check=True).stdout
         return f"{self.compiler} {said.split()[0]}"
@@ -107,7 +107,7 @@ class Image:
             }
 
     def address(self, name: str) -> int:
-        """Where a function or variable is, without the bit that marks Thumb code or AVR data."""
+        """Return the address of a function or variable, without the bit that marks Thumb code or AVR data."""
         symbol = self.symbols[name]
         return int(symbol["st_value"]) & (~1 if symbol["st_info"]["type"] == "STT_FUNC" else 0x7FFFFF)
 
@@ -118,10 +118,13 @@ class Image:
                 yield segment["p_vaddr"], segment.data()
 
     def sizes(self) -> tuple[int, int]:
-        """Bytes of flash, code, constants and what variables begin with; and of variables in RAM, to which an
-        AVR copies constants, too."""
-        text, data, bss = map(int, self._listed("size").splitlines()[1].split()[:3])
-        return text + data, data + bss
+        """Return the bytes of flash and of variables in RAM.
+
+        Code, constants and the first values of variables are in flash. An AVR copies constants to RAM, too.
+        """
+        _titles, numbers = self._listed("size").splitlines()
+        code, variables_with_values, zeroed_variables, *_ = map(int, numbers.split()[:3])
+        return code + variables_with_values, variables_with_values + zeroed_variables
 
     def _listed(self, tool: str, *options: str) -> str:
         """Return what one of the target's tools prints of the image."""
@@ -176,8 +179,10 @@ KILOBOT_CLOCK, KILOBOT_BAUD = 8_000_000, 38_400
 
 
 def kilobot_image(folder: Path, *flags: str) -> Image:
-    """The whole firmware of a Kilobot: core, frame codec, the main loop of c_ref/ports/demo.c and a t-table;
-    with the robust filter alone there is none."""
+    """Return the whole firmware of a Kilobot: core, frame codec, main loop of c_ref/ports/demo.c and table.
+
+    With the robust filter alone there is no table.
+    """
     ports = (PORTS / name for name in ("demo.c", "packet_radio.c", "avr/demo_atmega.c", "avr/atmega.c"))
     core = (FIRMWARE / f"mcp_asdf{part}.c" for part in ("", "_image", "_frame"))
     clock = (f"-DF_CPU={KILOBOT_CLOCK}UL", f"-DBAUD={KILOBOT_BAUD}")

@@ -61,7 +61,7 @@ class Machine(ABC):
 
     @abstractmethod
     def read(self, address: int, size: int) -> bytes:
-        """Bytes of RAM."""
+        """Return some bytes of RAM."""
 
     @abstractmethod
     def write(self, address: int, content: bytes) -> None:
@@ -144,5 +144,5 @@ class AvrMachine(Machine):
 
 
 def load(image: Image) -> Machine:
-    """The machine for the image's target."""
+    """Return the machine for the image's target."""
     return AvrMachine(image) if image.target.tools.startswith("avr") else UnicornMachine(image)

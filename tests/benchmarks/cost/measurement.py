@@ -64,11 +64,11 @@ class Figures:
     times: dict[str, float]
 
     def most(self, kind: str, what: str = "instructions") -> int:
-        """The most instructions, cycles (on an AVR) or bytes of stack that were seen."""
+        """Return the most instructions, cycles (on an AVR) or bytes of stack that were seen."""
         return max(int(getattr(each.cost, what)) for each in self.seen if each.kind == kind)
 
     def tick_stack(self) -> int:
-        """Bytes of stack that a tick needs: the deepest of its calls."""
+        """Return the bytes of stack that a tick needs: the deepest of its calls."""
         return max(self.stack[name] for name in TICK_CALLS)
 
 
@@ -93,7 +93,7 @@ def measure_builds(target: Target, level: str, folder: Path) -> Cost:
 
 
 def robot_image(target: Target, level: str, folder: Path, of: Build) -> Image:
-    """The firmware, ready to be called."""
+    """Return the firmware, ready to be called."""
     kept = [f"mcp_asdf_{name}" for name in STACK_CALLS]
     kept += [f"bench_{name}" for name in ("start", "set", "filtered", "votes", "batch", "estimates")]
     sources = [HERE / "firmware.c", *FIRMWARE.glob("*.c"), TABLE]
@@ -101,7 +101,7 @@ def robot_image(target: Target, level: str, folder: Path, of: Build) -> Image:
 
 
 def plain_cost(target: Target, level: str, folder: Path, kind: str) -> float:
-    """Mean instructions of step and x of the baseline in this type of floating point."""
+    """Return the mean instructions of step and x of the baseline in this type of floating point."""
     kept = (f"-Wl,-u,plain_{name}" for name in ("hear", "step", "x"))
     machine = load(build(target, folder, [HERE / "plain.c"], level, f"-DREAL={kind}", *kept))
     rng, costs = random.Random(10), []
@@ -113,7 +113,7 @@ def plain_cost(target: Target, level: str, folder: Path, kind: str) -> float:
 
 
 def measure(target: Target, level: str, folder: Path, of: Build = PAPER) -> Figures:
-    """All of a target at a level; the baselines are compared with the paper's filter alone."""
+    """Return all costs of a target at a level; the baselines are compared with the paper's filter alone."""
     image = robot_image(target, level, folder / "firmware", of)
     robot, paths = Robot(load(image), of.filter), Paths(image)
     mean = robot.live()
@@ -141,7 +141,7 @@ def measure(target: Target, level: str, folder: Path, of: Build = PAPER) -> Figu
 
 @cache
 def code_bytes(target: Target, level: str, *flags: str) -> int:
-    """Bytes of flash that the firmware adds to a program, without main() and the table."""
+    """Return the bytes of flash that the firmware adds to a program, without main() and the table."""
     sources = (HERE / "firmware.c", FIRMWARE / "mcp_asdf.c", FIRMWARE / "mcp_asdf_image.c", TABLE)
     return _bytes(target, level, sources, *flags) - _bytes(target, level, (HERE / "empty.c",))
 
@@ -155,7 +155,7 @@ def _bytes(target: Target, level: str, sources: tuple[Path, ...], *flags: str) -
 
 
 def kilobot(folder: Path, of: Build = PAPER) -> tuple[int, int]:
-    """Bytes of flash and of RAM of a whole Kilobot: variables, main()'s stack and an interrupt's."""
+    """Return a Kilobot's bytes of flash and of RAM: variables, main()'s stack and an interrupt's."""
     image = kilobot_image(folder, *of.flags)
     paths = Paths(image)
     handlers = [

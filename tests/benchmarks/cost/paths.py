@@ -30,12 +30,12 @@ Weight = Callable[[Instruction], int]
 
 
 def instruction(_: Instruction) -> int:
-    """The weight that counts instructions."""
+    """Return the weight that counts instructions."""
     return 1
 
 
 def division(line: Instruction) -> int:
-    """The weight that counts divisions."""
+    """Return the weight that counts divisions."""
     return int(bool(_DIVISION.fullmatch(line.name)))
 
 
@@ -52,9 +52,9 @@ class Paths:
         self._loop_bounds = bounds_in(sorted(FIRMWARE.glob("*.[ch]")))
 
     def longest(self, name: str, weight: Weight = instruction, without: str = "") -> int:
-        """The most of a weight on any path through a function and what it calls. ``without``: paths that call
-        or jump to the function of this name are left out.
+        """Return the most of a weight on any path through a function and what it calls.
 
+        Paths that call or jump to the function named ``without`` are left out.
         Raises ValueError if there is no bound: a loop that the source does not bound, recursion, a computed
         jump.
         """
@@ -79,7 +79,7 @@ class Paths:
         return most(self._start(name), ())
 
     def deepest(self, name: str) -> int:
-        """Bytes of stack below the pointer before the call, with the return address if the call pushes it.
+        """Return the bytes of stack below the pointer before a call, with the return address if it is pushed.
 
         A compiled function takes its frame, as the compiler reports it (-fstack-usage), and the most of what
         it calls; where it ends with a jump to another function its frame is gone by then. A function of the
@@ -100,13 +100,13 @@ class Paths:
         return self._numbers.get(int(match[1], 16)) if match else None
 
     def _called(self, number: int) -> int | None:
-        """The first instruction of what this one calls; a call of what follows only takes stack (AVR)."""
+        """Return the first instruction of what this one calls; on an AVR a call may only take stack."""
         line = self._lines[number]
         target = self._target(line) if _CALL.fullmatch(line.name) else None
         return None if target == number + 1 else target
 
     def _following(self, number: int) -> list[int]:
-        """Numbers of what may run next in the same call; calls return."""
+        """Return the numbers of the instructions that may run next in the same call; calls return."""
         line = self._lines[number]
         text = f"{line.name} {line.operands}"
         if _COMPUTED.match(text):
@@ -152,7 +152,7 @@ class Paths:
         return deepest
 
     def _moved_down(self, name: str) -> int:
-        """Bytes that a function's instructions move the stack pointer down, as if all of them ran."""
+        """Return the bytes by which a function's instructions move the stack pointer down, if all run."""
         is_avr = self._image.target.tools.startswith("avr")
         slot, found = (1, 2) if is_avr else (4, 0)  # an AVR's call pushes the return address
         for line in map(self._lines.__getitem__, self._functions[name]):

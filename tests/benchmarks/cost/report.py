@@ -114,14 +114,14 @@ def short_row(name: str, fast: Figures) -> Row:
 
 
 def call_row(filter_name: str, name: str, found: Figures) -> Row:
-    """The most instructions of calls; of an AVR the most cycles."""
+    """Return a row with the most instructions of calls, or on an AVR the most cycles."""
     unit = "cycles" if name.startswith(AVR.name) else "instructions"
     calls = {kind: str(found.most(kind, unit)) for kind in ("step", UPDATED, "receive", "x")}
     return {f"{filter_name} alone, worst observed": name, **calls}
 
 
 def memory_row(name: str, found: Figures) -> Row:
-    """Bytes of flash, RAM and stack."""
+    """Return a row with the bytes of flash, RAM and stack."""
     bytes_of = {
         "code": found.code[0],
         "code with save and restore": found.code[1],
@@ -134,7 +134,7 @@ def memory_row(name: str, found: Figures) -> Row:
 
 
 def filter_memory_row(name: str, both: Figures, alone: Figures) -> Row:
-    """Bytes of flash, RAM and stack where both filters are built, and where the robust one is alone."""
+    """Return flash, RAM and stack in bytes, with both filters built and with the robust one alone."""
     bytes_of = {
         "code, both filters": both.code[0],
         "code, robust filter alone": alone.code[0],
@@ -146,7 +146,7 @@ def filter_memory_row(name: str, both: Figures, alone: Figures) -> Row:
 
 
 def table(rows: list[Row]) -> str:
-    """Rows under their titles."""
+    """Return a table in Markdown: rows under their titles."""
     lines = [list(rows[0]), ["---"] * len(rows[0]), *(list(row.values()) for row in rows)]
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 

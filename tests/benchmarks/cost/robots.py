@@ -54,8 +54,11 @@ DEAR = (
 
 
 def situation(rng: random.Random, messages: int, t: int) -> Situation:
-    """Any one of a robot that will have made ``t`` observations: b_hat close to 1/2 or a clamp, a share of
-    black beside 0, 1/2, 1 or c, messages close together or not, of any confidence."""
+    """Draw the situation of a robot that will have made ``t`` observations.
+
+    b_hat may be close to 1/2 or a clamp, the share of black beside 0, 1/2, 1 or c, messages close together or
+    not, and of any confidence.
+    """
     b_hat = _between(2**12, 2**31 + rng.choice((-1, 1)) * int(2 ** rng.uniform(12, 31)), 2**32 - 2**12)
     share = rng.choice((0.0, 0.5, 1.0, b_hat / 2**32, 1 - b_hat / 2**32, rng.random()))
     n = _between(0, int((t - 1) * share) + rng.randint(-3, 3), t - 1)
