@@ -193,8 +193,7 @@ def _nest_flat_record(table: pa.Table, column: str) -> pa.ChunkedArray:
 
 def _group_in_lists(values: pa.Array, lengths: NDArray[np.int64], list_type: Any) -> pa.Array:
     """Return consecutive ``values`` as lists of these lengths, whose sum is the number of values."""
-    # Where each list begins, and at last where the last one ends
-    offsets = np.concatenate([[0], np.cumsum(lengths)])
+    offsets = np.concatenate([[0], np.cumsum(lengths)])  # where each list begins, and the last one ends
     return pa.ListArray.from_arrays(pa.array(offsets, pa.int32()), values, type=list_type)
 
 

@@ -232,8 +232,7 @@ def _worker_processes(workers: int) -> Iterator[Executor]:
 
     Raises UsageError if one of them is killed.
     """
-    # The caller may have child processes of its own, which must not be killed below.
-    other_children = set(active_children())
+    other_children = set(active_children())  # the caller's own, which must not be killed below
     # Workers are started anew, not forked: a fork copies locks that another thread may hold at that moment.
     pool = ProcessPoolExecutor(workers, get_context("spawn"), end_with_parent)
     try:

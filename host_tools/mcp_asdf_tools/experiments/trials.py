@@ -270,8 +270,8 @@ class MessageSwarm:
 
     def _receivers_and_senders(self) -> list[list[int]]:
         """Return the ids of receiver and sender of each message at present, by rising ids of receivers."""
-        # Entry (i, j) of this matrix is whether robot i receives from robot j.
-        pairs: list[list[int]] = np.argwhere(self._world.current_neighbours).tolist()
+        neighbours = self._world.current_neighbours  # entry (i, j): whether robot i receives from robot j
+        pairs: list[list[int]] = np.argwhere(neighbours).tolist()
         return pairs
 
     def _deliver_floats(self) -> None:

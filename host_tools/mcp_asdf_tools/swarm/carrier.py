@@ -140,12 +140,12 @@ class ExpectingConnection:
         count as received first. When the time is over, up to _MAX_READS_AFTER_DEADLINE frames that wait in
         the receive buffer are still read.
         """
+        received: dict[int, SentFrame] = {}
         # The indices of frames that have not arrived, by what a bus preserves of a frame
         missing_indices: defaultdict[tuple[int, bytes], deque[int]] = defaultdict(deque)
         for index, sent_frame in enumerate(awaited):
             missing_indices[_identifier_and_data(sent_frame.frame)].append(index)
 
-        received: dict[int, SentFrame] = {}
         deadline = time.monotonic() + seconds
         reads_after_deadline = 0
         while len(received) < len(awaited) and reads_after_deadline < _MAX_READS_AFTER_DEADLINE:

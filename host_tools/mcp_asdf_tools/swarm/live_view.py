@@ -85,10 +85,11 @@ class LiveView:
 
         The line, with tabs, is such as ``robot 3 step 50 b_hat 0.9000 0.8123``: the value before and after.
         """
+        present_b_hat = [node.robot.b_hat for node in swarm.nodes]
         # After the first tick there are no last values: they are those of the start then.
-        b_hat_before = self._last_b_hat or swarm.b_hat_at_start
-        self._last_b_hat = [node.robot.b_hat for node in swarm.nodes]
-        for robot, (old_b_hat, new_b_hat) in enumerate(zip(b_hat_before, self._last_b_hat, strict=True)):
+        last_b_hat = self._last_b_hat or swarm.b_hat_at_start
+        self._last_b_hat = present_b_hat
+        for robot, (old_b_hat, new_b_hat) in enumerate(zip(last_b_hat, present_b_hat, strict=True)):
             if abs(new_b_hat - old_b_hat) > _MIN_CHANGE_SHOWN:
                 b_hat_change = (f"{old_b_hat:.4f}", f"{new_b_hat:.4f}")
                 self._print("robot", robot, "step", swarm.ticks, "b_hat", *b_hat_change)

@@ -115,8 +115,9 @@ class RobotOnBus:
 
         Older times are removed from ``estimate_times``.
         """
+        start = now - RATE_SECONDS
         # So that times neither pile up nor have to be counted, the old ones go each time somebody asks.
-        while self.estimate_times and self.estimate_times[0] <= now - RATE_SECONDS:
+        while self.estimate_times and self.estimate_times[0] <= start:
             self.estimate_times.popleft()
         observed_seconds = min(now - self.first_frame_time, RATE_SECONDS)
         # In the first second a few estimates would look like a high rate.

@@ -203,9 +203,9 @@ def _black_probabilities(experiment: Experiment, first: int, trials: int) -> NDA
     They are those of ``trials`` trials from number ``first`` on. An axis along which all values are alike has
     the length 1. Raises UsageError if a sensor extension answers otherwise than it should.
     """
+    fill_ratio = None if experiment.is_dynamic else experiment.fill_ratio
     # Built-in sensors are alike in all trials, so that one trial stands for all.
     distinct_trial_count = trials if experiment.sensor else 1
-    fill_ratio = None if experiment.is_dynamic else experiment.fill_ratio
     probabilities = []
     for index in range(distinct_trial_count):
         accuracies = make_sensor_model(experiment, first + index).advance(experiment.steps)
