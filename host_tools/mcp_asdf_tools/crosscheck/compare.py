@@ -20,9 +20,6 @@ from mcp_asdf_tools.crosscheck.scenario import (
     unpack_image,
 )
 
-OUTCOMES = frozenset(Status.__members__)
-"""Outcomes that a firmware may have."""
-
 
 class Firmware(Protocol):
     """A class of robots, such as ``MirrorRobot``."""
@@ -183,7 +180,7 @@ def differences(first: CallResult, second: CallResult) -> Iterator[str]:
     """
     if first.outcome != second.outcome:
         yield f"status: {first.outcome}, {second.outcome}"
-    elif first.outcome not in OUTCOMES:
+    elif first.outcome not in Status.__members__:
         yield f"both: {first.outcome}"
     if first == second or not first.state or not second.state:
         return

@@ -245,19 +245,74 @@ def _draw_useful_rounds(
     return None if update is Update.KEPT else RoundsAtThreshold(inside, outside, update)
 
 
+@dataclass(frozen=True)
+class _TwoGroups:
+    """A round of two groups of equal x_hat: at distance u from the robot's own x_hat, and at u + gap.
+
+    The distances are positive in the direction in which the far group lies. The test (eq. 12) rejects where
+
+        (m u + far_count gap) / gap > sqrt(k_m near_count far_count),
+
+    so that the ratio u / gap has a threshold, too.
+
+    Attributes:
+        own_x_hat: x_hat of the robot that receives the round.
+        near_count: Number of x_hat at distance u.
+        far_count: Number of x_hat at distance u + gap.
+        direction: 1 if the far group lies above the near one, and -1 if below.
+    """
+
+    own_x_hat: int
+    near_count: int
+    far_count: int
+    direction: int
+
+    def threshold_of_ratio(self, table_entry: int) -> Fraction:
+        """Return the ratio u / gap above which the test rejects; ``table_entry`` is k_m, as in a table."""
+        # Entries of the table have FRACTION_BITS fraction bits, and the root _ROOT_BITS.
+        product = table_entry * self.near_count * self.far_count
+        root = isqrt(product << (2 * _ROOT_BITS - FRACTION_BITS))
+        m = self.near_count + self.far_count
+        return (Fraction(root, 1 << _ROOT_BITS) - self.far_count) / m
+
+    def largest_gap(self, ratio: Fraction) -> Fraction:
+        """Return the largest gap for which both groups are between 0 and 1, with this ratio of u to it."""
+        room_above, room_below = ONE - self.own_x_hat, self.own_x_hat
+        if self.direction > 0:
+            room_ahead, room_behind = room_above, room_below
+        else:
+            room_ahead, room_behind = room_below, room_above
+        # The far group is ratio + 1 gaps ahead of the own x_hat.
+        largest_gap = room_ahead / (ratio + 1)
+        if ratio < 0:
+            # The near group is behind.
+            largest_gap = min(largest_gap, room_behind / -ratio)
+        return largest_gap
+
+    def place(self, ratio: Fraction, max_gap: int) -> list[int]:
+        """Return x_hat of both groups for a ratio of u to the gap, with the largest gap up to ``max_gap``.
+
+        Pairs of equal x_hat come first: those of the near group, then those of the far one. At the end there
+        is one x_hat of each group that has an odd size.
+        """
+        factor = max_gap // ratio.denominator  # a gap that is a multiple of it makes u a whole number
+        near = self.own_x_hat + self.direction * factor * ratio.numerator
+        far = near + self.direction * factor * ratio.denominator
+        near_pairs, near_singles = divmod(self.near_count, 2)
+        far_pairs, far_singles = divmod(self.far_count, 2)
+        pairs = [near, near] * near_pairs + [far, far] * far_pairs
+        return pairs + [near] * near_singles + [far] * far_singles
+
+
 def draw_x_hats_at_threshold(
     own_x_hat: int, table_entry: int, m: int, rng: Random, gap_share: float
 ) -> tuple[list[int], list[int]] | None:
     """Draw x_hat of two rounds of ``m`` estimates, of which the test (eq. 12) just rejects the second alone.
 
-    Each round has two groups of equal x_hat: the near ones lie at a signed distance u from the robot's own
-    x_hat, and the far ones at u + gap. Then the test rejects where
-
-        (m u + far_count gap) / gap > sqrt(k_m near_count far_count),
-
-    so that u / gap has a threshold, too. The largest fraction below that threshold and the smallest above it
-    are taken for the two rounds. Then equal x_hat are moved apart in pairs, which changes the scatter of a
-    round but not its sum, and so brings it still closer to the threshold.
+    Each round has two groups of equal x_hat (`_TwoGroups`), whose ratio u / gap is the largest fraction below
+    its threshold in the first round, and the smallest above it in the second. Then equal x_hat are moved
+    apart in pairs, which changes the scatter of a round but not its sum, and so brings it still closer to the
+    threshold.
 
     Args:
         own_x_hat: x_hat of the robot that receives the rounds.
@@ -270,45 +325,14 @@ def draw_x_hats_at_threshold(
         The two lists of x_hat; None if there is no room for groups as drawn.
     """
     near_count = rng.randrange(1, m)
-    far_count = m - near_count
-    direction = rng.choice([-1, 1])
-
-    # The threshold of u / gap. Entries of the table have FRACTION_BITS fraction bits, and the root
-    # _ROOT_BITS.
-    root = isqrt(table_entry * near_count * far_count << (2 * _ROOT_BITS - FRACTION_BITS))
-    threshold = (Fraction(root, 1 << _ROOT_BITS) - far_count) / m
-
-    # The largest gap for which both groups are between 0 and 1. At the threshold the far group is threshold +
-    # 1 gaps ahead of the own x_hat; the near group is threshold gaps ahead or, if that is negative, behind.
-    room_above, room_below = ONE - own_x_hat, own_x_hat
-    if direction > 0:
-        room_ahead, room_behind = room_above, room_below
-    else:
-        room_ahead, room_behind = room_below, room_above
-    largest_gap = room_ahead / (threshold + 1)
-    if threshold < 0:
-        largest_gap = min(largest_gap, room_behind / -threshold)
-    max_gap = int(largest_gap * Fraction(gap_share))
+    groups = _TwoGroups(own_x_hat, near_count, m - near_count, direction=rng.choice([-1, 1]))
+    threshold = groups.threshold_of_ratio(table_entry)
+    max_gap = int(groups.largest_gap(threshold) * Fraction(gap_share))
     if max_gap < 1:
         return None
-
-    def place_groups(ratio: Fraction) -> list[int]:
-        """Return x_hat of both groups for a ratio of u to the gap, with the largest gap up to ``max_gap``.
-
-        Pairs of equal x_hat come first: those of the near group, then those of the far one. At the end there
-        is one x_hat of each group that has an odd size.
-        """
-        factor = max_gap // ratio.denominator  # a gap that is a multiple of it makes u a whole number
-        near = own_x_hat + direction * factor * ratio.numerator
-        far = near + direction * factor * ratio.denominator
-        near_in_pairs, far_in_pairs = near_count // 2 * 2, far_count // 2 * 2
-        pairs = [near] * near_in_pairs + [far] * far_in_pairs
-        singles = [near] * (near_count - near_in_pairs) + [far] * (far_count - far_in_pairs)
-        return pairs + singles
-
     below, above = fractions_around(threshold, max_gap)
-    inside, outside = place_groups(below), place_groups(above)
-    pair_count = near_count // 2 + far_count // 2
+    inside, outside = groups.place(below, max_gap), groups.place(above, max_gap)
+    pair_count = groups.near_count // 2 + groups.far_count // 2
     if pair_count > 0:
         # Eq. 12 in integers: it rejects while entry * scatter < difference**2 * 2**FRACTION_BITS. Both rounds
         # are made of the rejected one, with a scatter just above and just below that limit.

@@ -455,37 +455,21 @@ class RobustScenarioWriter(ScenarioWriter):
     def _draw_parties_with_tie(self, robot: DrawnRobot, count: int) -> tuple[int, ...] | None:
         """Draw estimates of which two in five support the robot, and one more almost does.
 
-        The others agree on another estimate. Each estimate predicts a share of black observations by the
-        initial b_hat, and supports the robot if it predicts its observed share better than the share that the
-        centre of all estimates predicts. Here b_hat is chosen so that the one estimate is exactly as far from
-        both: that must not count as support. The robot gets this initial b_hat. There are at least 12
-        estimates, also for a smaller ``count``, so that the others are more than a half. The result is None
-        if there is no such b_hat.
+        The others agree on another estimate. There are at least 12 estimates, also for a smaller ``count``,
+        so that the others are more than a half. The robot gets an initial b_hat by which the one estimate is
+        in a tie, which must not count as support; the result is None if there is no such b_hat.
         """
-        rng = self._rng
         count = max(count, 12)
         supporter_count = 2 * count // 5
-        supporter, tied, other = rng.sample(range(SLOT_ONE), 3)
+        supporter, tied, other = self._rng.sample(range(SLOT_ONE), 3)
         other_count = count - supporter_count - 1
         estimates = (supporter,) * supporter_count + (tied,) + (other,) * other_count
         centre, _ = centre_and_spread(estimates)  # in units of 2**-24
-        # Seen from the tied estimate, this point lies opposite to the centre, and as far away. The b_hat
-        # sought is that by which the point predicts the robot's own share of black.
-        opposite_point = 2 * q24_from_q16(tied) - centre
-        if not 0 <= opposite_point < q24_from_q16(SLOT_ONE):
+        b_hat = _find_b_hat_of_tie(robot, q24_from_q16(tied), centre)
+        if b_hat is None:
             return None
-        b_hat_of_point = reestimate(robot.t, robot.n, q32_from_q24(opposite_point))
-        if b_hat_of_point is None:
-            return None
-        # The prediction is rounded, so that a b_hat a few units beside may be the one.
-        share = q32_quotient(robot.n, robot.t)
-        for b_hat in range(max(b_hat_of_point - 8, B_HAT_MIN), min(b_hat_of_point + 8, B_HAT_MAX)):
-            prediction = probability_of_black(b_hat, q32_from_q24(q24_from_q16(tied)))
-            prediction_of_centre = probability_of_black(b_hat, q32_from_q24(centre))
-            if abs(prediction - share) == abs(prediction - prediction_of_centre):
-                robot.robust.initial_b_hat = b_hat
-                return estimates
-        return None
+        robot.robust.initial_b_hat = b_hat
+        return estimates
 
     def _draw_skewed_estimates(self, robot: DrawnRobot, count: int) -> tuple[int, ...]:
         """Draw estimates on one side of a point, at small distances from it as often as at large ones.
@@ -529,3 +513,28 @@ def _pack_robust_filter(robust: RobustFilter, estimates: Sequence[int]) -> dict[
     ]
     slot_words = [pack_pair(estimates[slot], estimates[slot + 1]) for slot in range(0, SLOTS, 2)]
     return dict(enumerate(words, _FILTER_WORD)) | dict(enumerate(slot_words, _SLOTS_WORD))
+
+
+def _find_b_hat_of_tie(robot: DrawnRobot, estimate: int, centre: int) -> int | None:
+    """Return an initial b_hat by which an estimate neither supports the robot nor contradicts it, or None.
+
+    By b_hat an estimate predicts a share of black observations. It supports the robot if that is nearer to
+    the observed share than to the one that the centre of all estimates predicts; here it is exactly as far
+    from both. ``estimate`` and ``centre`` are in units of 2**-24, and b_hat is in units of 2**-32.
+    """
+    # Seen from the estimate, this point lies opposite to the centre, and as far away. The b_hat sought is
+    # that by which the point predicts the observed share.
+    opposite_point = 2 * estimate - centre
+    if not 0 <= opposite_point < q24_from_q16(SLOT_ONE):
+        return None
+    b_hat_of_point = reestimate(robot.t, robot.n, q32_from_q24(opposite_point))
+    if b_hat_of_point is None:
+        return None
+    # The prediction is rounded, so that a b_hat a few units beside may be the one.
+    share = q32_quotient(robot.n, robot.t)
+    for b_hat in range(max(b_hat_of_point - 8, B_HAT_MIN), min(b_hat_of_point + 8, B_HAT_MAX)):
+        prediction = probability_of_black(b_hat, q32_from_q24(estimate))
+        prediction_of_centre = probability_of_black(b_hat, q32_from_q24(centre))
+        if abs(prediction - share) == abs(prediction - prediction_of_centre):
+            return b_hat
+    return None
