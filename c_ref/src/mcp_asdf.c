@@ -271,8 +271,7 @@ HOT_PUBLIC mcp_asdf_status_t mcp_asdf_observe(mcp_asdf_t *robot, mcp_asdf_observ
 ALWAYS_INLINE word_pair_t alpha_units(uint32_t alpha) { return shift_left_wide(alpha >> 8, alpha); }
 
 /* Count a neighbour's estimate in the open round, and add it to the round's sums of alpha, alpha x_hat,
- * x_hat^2 and x_hat. x_hat is Q23, and `alpha` an alpha word above 0: a mantissa in bits 31 to 8, shifted
- * left by the number in bits 4 to 0, in units of 2^-24. */
+ * x_hat^2 and x_hat. x_hat is Q23, and `alpha` an alpha word above 0. */
 HOT void add_estimate(mcp_asdf_t *robot, uint32_t x_hat, uint32_t alpha)
 {
     mcp_asdf_open_t *const open = &robot->received.sums.open;

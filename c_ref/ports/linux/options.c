@@ -298,7 +298,9 @@ static void check_multicast_options(const option_texts_t texts)
     const bool is_multicast = strncmp(texts[INTERFACE], "udp:", 4) == 0;
     for (size_t i = 0; i < sizeof multicast_options / sizeof multicast_options[0]; ++i) {
         const enum option_index option = multicast_options[i];
-        if (texts[option] != option_table[option].default_text && !is_multicast) {
+        /* Compared by address: a text on the command line may be the same as the default. */
+        const bool is_given = texts[option] != option_table[option].default_text;
+        if (is_given && !is_multicast) {
             fail(option, texts[option], "leave it out, or choose an --interface udp:GROUP:PORT");
         }
     }

@@ -472,9 +472,10 @@ static uint32_t count_rows(const mcp_asdf_experiment_t *experiment, uint32_t par
 size_t mcp_asdf_engine_bytes(const mcp_asdf_experiment_t *experiment)
 {
     const uint32_t parallel_trials = count_parallel_trials(experiment);
-    const size_t arena_bytes = experiment->arenas == NULL || experiment->trials == 0
-                                   ? 0
-                                   : sizeof(mcp_asdf_arena_t) + mcp_asdf_arena_bytes(experiment->arenas);
+    size_t arena_bytes = 0;
+    if (experiment->arenas != NULL && experiment->trials != 0) {
+        arena_bytes = sizeof(mcp_asdf_arena_t) + mcp_asdf_arena_bytes(experiment->arenas);
+    }
     return VECTOR_BYTES - 1 + count_rows(experiment, parallel_trials) * sizeof(lanes_t) +
            parallel_trials * arena_bytes;
 }

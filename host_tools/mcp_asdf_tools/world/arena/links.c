@@ -149,9 +149,10 @@ static void list_candidates_by_robot(mcp_asdf_arena_t *arena)
         end_of_list[i + 1] += end_of_list[i]; /* its length so far, and the end of the list before */
     }
     for (uint32_t p = 0; p < arena->candidate_count; ++p) {
+        const uint16_t a = pairs[p].a, b = pairs[p].b;
         /* The end of a list moves down as it fills, and is its beginning when all are in their lists. */
-        arena->candidates_of[--end_of_list[pairs[p].a]] = pairs[p].b;
-        arena->candidates_of[--end_of_list[pairs[p].b]] = pairs[p].a;
+        arena->candidates_of[--end_of_list[a]] = b;
+        arena->candidates_of[--end_of_list[b]] = a;
     }
 }
 
