@@ -6,6 +6,7 @@ import csv
 import json
 import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -574,6 +575,19 @@ def test_the_command_sweep_runs_the_experiments_of_a_file_into_results_beside_it
     assert grid_file.with_suffix(".parquet").exists()
 
 
+def test_the_command_sweep_writes_the_results_into_the_file_that_output_names(
+    grid_file: Path, tmp_path: Path
+) -> None:
+    """Nothing is written beside the file of experiments, where results of an earlier sweep may be."""
+    shutil.copy(grid_file, tmp_path / "grid.toml")
+    output = tmp_path / "new.parquet"
+    answer = run_for_json("sweep", tmp_path / "grid.toml", "--workers", "1", "--output", output)
+
+    assert answer["output"] == str(output)
+    assert len(read_table(output)) == 6
+    assert not (tmp_path / "grid.parquet").exists()
+
+
 @pytest.mark.usefixtures("results_file")
 def test_the_command_sweep_runs_no_trial_whose_results_are_there(grid_file: Path) -> None:
     assert run_for_json("sweep", grid_file, "--workers", "1")["run"] == 0
@@ -804,6 +818,17 @@ def is_worker(process: str) -> bool:
         return b"spawn_main" in Path(f"/proc/{process}/cmdline").read_bytes()
     except OSError:  # it has ended
         return False
+
+
+def test_ctrl_c_ends_a_sweep_with_the_number_of_trials_that_are_left(
+    grid_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A job is the three trials of an experiment; Ctrl-C comes before the second of two."""
+    record_jobs(monkeypatch, max_jobs=1)
+    output = str(tmp_path / "grid.parquet")
+
+    assert cli.main(["sweep", str(grid_file), "--workers", "1", "--output", output]) == 128 + signal.SIGINT
+    assert "3 of 6 trials left; the same command goes on" in capsys.readouterr().err
 
 
 @pytest.mark.slow

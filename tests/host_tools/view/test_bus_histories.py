@@ -223,6 +223,21 @@ def test_a_reader_of_a_log_knows_of_telemetry_and_of_lines_that_hold_no_frame(
     assert frame_history.summary.skipped_lines == 1
 
 
+def test_a_frame_of_a_second_bus_that_stands_late_in_a_log_does_not_set_back_the_time_of_its_robot(
+    tmp_path: Path,
+) -> None:
+    """``candump any`` writes frames of two buses out of order: the last is of 2.5 s before the other.
+
+    Robot 7 would otherwise seem to have sent its last frame 2.5 s before the end of the log.
+    """
+    frame = encode(HALF_ESTIMATE)
+    log = write_log(tmp_path / "any.log", {1000.0: frame, 1003.0: frame, 1000.5: frame})
+    report = read_frame_history(log, FrameFormat()).history.report
+    assert report is not None
+    (row,) = report["robots"]
+    assert row["seen"] == 0.0
+
+
 def test_a_log_of_eight_months_is_shown_with_a_limited_number_of_states(tmp_path: Path) -> None:
     """With ten states a second there would be 200 million of them."""
     frame = encode(Estimate(7, x_hat=X_ONE // 2, alpha=1, transfer_id=0))
