@@ -230,7 +230,7 @@ def test_a_frame_of_a_second_bus_that_stands_late_in_a_log_does_not_set_back_the
 
     Robot 7 would otherwise seem to have sent its last frame 2.5 s before the end of the log.
     """
-    frame = encode(HALF_ESTIMATE)
+    frame = encode(Estimate(7, x_hat=X_ONE // 2, alpha=1, transfer_id=0))
     log = write_log(tmp_path / "any.log", {1000.0: frame, 1003.0: frame, 1000.5: frame})
     report = read_frame_history(log, FrameFormat()).history.report
     assert report is not None
