@@ -176,6 +176,28 @@ ALWAYS_INLINE uint32_t times_half_word(uint32_t factor, uint16_t half_word)
     return low_word(multiply(factor, half_word));
 }
 
+/* Returns the product of a ratio (Q8, below 2^20) and a variance (Q32, below 2^61) as Q22, rounded down. The
+ * whole product would be a Q40, and may have more than 64 bits. It is formed from the two words of the
+ * variance and shifted by 40 - 22 = 18 bits to the right: the upper word by 32 - 18 to the left. It
+ * is below 2^63. */
+ALWAYS_INLINE uint64_t ratio_times_variance(uint32_t ratio, uint64_t variance)
+{
+    return (multiply(ratio, high_word(variance)) << 14) + (multiply(ratio, low_word(variance)) >> 18);
+}
+
+/* Returns (black - count share)^2 as Q22, for the share as Q32: the square of how far the number of black
+ * observations of a batch is from the expected one. */
+ALWAYS_INLINE uint64_t square_of_deviation(uint32_t black, uint32_t count, uint32_t share)
+{
+    /* Numbers of black observations, Q32: < 2^63 */
+    const uint64_t observed = join(black, 0), expected = multiply(count, share);
+    const uint64_t deviation =
+        (observed > expected ? observed - expected : expected - observed) >> 21; /* Q32 to Q11 */
+    /* A deviation of 2^21 observations or more is beyond every limit, so any large square will do. */
+    const uint32_t short_deviation = high_word(deviation) == 0U ? low_word(deviation) : UINT32_MAX;
+    return multiply(short_deviation, short_deviation);
+}
+
 /* End a batch of observations: let it enter the dispersion, and begin the next batch. `share` is n / t, Q32.
  *
  * Of the batch's `count` observations, count share are expected to be black. If they are independent, the
@@ -185,38 +207,28 @@ ALWAYS_INLINE uint32_t times_half_word(uint32_t factor, uint16_t half_word)
  * and what was before it 7/8. A ratio above 12 times the dispersion counts as 12 times: it comes from a
  * change of the floor.
  *
- * Formats: dispersion and ratios are Q8, the share, the variance and numbers of observations Q32; deviations
- * are shifted to Q11, so that their squares, Q22, have 64 bits. */
+ * Dispersion and ratios are Q8, the variance is Q32. Squares are Q22, so that they have 64 bits. */
 static void end_batch(mcp_asdf_t *robot, uint32_t share)
 {
     mcp_asdf_robust_t *const robust = &robot->robust;
     const uint32_t count = robot->t - robust->batch_t, black = robot->n - robust->batch_n;
     /* 0 - share is 1 - share as Q32. */
-    const uint64_t variance = multiply(count, multiply_high(share, 0U - share)); /* Q32: < 2^61 */
-    const uint32_t largest_ratio =
-        times_half_word(REJECTED_SIGMAS_SQUARED, robust->dispersion); /* Q8: < 2^20 */
-    /* The square that the largest ratio stands for: the product of ratio (Q8) and variance (Q32), a Q40, is
-     * formed from the two words of the variance and shifted to Q22, by 40 - 22 = 18 bits to the right: the
-     * upper word by 32 - 18 to the left, the lower one by 18 to the right. It is rounded down, and as a
-     * number at most 12 2^8 2^29: < 2^63. */
-    const uint64_t limit = (multiply(largest_ratio, high_word(variance)) << 14) +
-                           (multiply(largest_ratio, low_word(variance)) >> 18);
-    /* Numbers of black observations, Q32: < 2^63 */
-    const uint64_t observed = join(black, 0), expected = multiply(count, share);
-    const uint64_t deviation =
-        (observed > expected ? observed - expected : expected - observed) >> 21; /* Q11 */
-    /* A deviation of 2^21 observations or more is beyond every limit, so any large square will do. */
-    const uint32_t short_deviation = high_word(deviation) == 0U ? low_word(deviation) : UINT32_MAX;
-    const uint64_t square = multiply(short_deviation, short_deviation); /* Q22 */
+    const uint64_t variance = multiply(count, multiply_high(share, 0U - share));                 /* < 2^61 */
+    const uint32_t largest_ratio = times_half_word(REJECTED_SIGMAS_SQUARED, robust->dispersion); /* < 2^20 */
+    const uint64_t largest_square =
+        ratio_times_variance(largest_ratio, variance); /* <= 12 2^8 2^29: < 2^63 */
+    const uint64_t square = square_of_deviation(black, count, share);
     begin_batch(robot);
-    if (limit == 0U) { /* no observation in the batch, or no black one so far */
+    if (largest_square == 0U) { /* no observation in the batch, or no black one so far */
         return;
     }
-    const uint32_t ratio_of_limit = quotient(square < limit ? square : limit, limit); /* Q32 */
-    const uint32_t batch_ratio = multiply_high(largest_ratio, ratio_of_limit);        /* Q8: < 2^20 */
-    const uint32_t average =
-        (times_half_word((UINT32_C(1) << DISPERSION_SHIFT) - 1U, robust->dispersion) + batch_ratio) >>
-        DISPERSION_SHIFT;
+    /* The variance is largest_square / largest_ratio, and so square / variance is largest_ratio times a
+     * quotient that is at most 1. */
+    const uint32_t quotient_of_squares =
+        quotient(square < largest_square ? square : largest_square, largest_square); /* Q32 */
+    const uint32_t ratio = multiply_high(largest_ratio, quotient_of_squares);        /* < 2^20 */
+    const uint32_t old_weight = (UINT32_C(1) << DISPERSION_SHIFT) - 1U; /* 7, where a batch has 1 */
+    const uint32_t average = (times_half_word(old_weight, robust->dispersion) + ratio) >> DISPERSION_SHIFT;
     const uint32_t limited_average = average < UINT16_MAX ? average : UINT16_MAX;
     robust->dispersion =
         (uint16_t)(limited_average > MCP_ASDF_DISPERSION_MIN ? limited_average : MCP_ASDF_DISPERSION_MIN);
@@ -269,29 +281,31 @@ static uint32_t median_distance(const uint16_t *sorted, uint32_t count, uint32_t
 }
 
 /* Returns the centre of the estimates (Q16) after one step of Newton's method from `centre`, by Huber's
- * M-estimator. The step is the sum of the estimates' differences from `centre`, each limited to `spread` in
- * either direction, divided by the number of estimates that are inside the spread, or by 1 if none is. Centre
- * and spread are Q24. */
+ * M-estimator. That is the point at which the balance is 0: the sum of the estimates' differences from it,
+ * each limited to `spread` in either direction. A step is the balance divided by the number of estimates
+ * whose difference is not limited, or by 1 if there is none. Centre and spread are Q24. */
 static uint32_t huber_step(const uint16_t *estimates, uint32_t count, uint32_t centre, uint32_t spread)
 {
-    uint32_t sum_above = 0, sum_below = 0, inside = 0; /* sums: <= 32 spreads < 2^28 */
-    for (uint32_t i = 0; i < count; ++i) {             /* at most 32 turns */
+    /* An estimate that is limited to these has a limited difference from the centre. No estimate is below 0,
+     * so the lower limit need not be, either. */
+    const uint32_t lower_limit = centre > spread ? centre - spread : 0U, upper_limit = centre + spread;
+    uint32_t sum = 0, inside = 0;          /* sum: <= 32 upper limits < 2^30 */
+    for (uint32_t i = 0; i < count; ++i) { /* at most 32 turns */
         const uint32_t estimate = q24_from_q16(estimates[i]);
-        const uint32_t distance = distance_between(estimate, centre);
-        const uint32_t limited_distance = distance < spread ? distance : spread;
-        inside += distance <= spread ? 1U : 0U;
-        sum_above += estimate > centre ? limited_distance : 0U;
-        sum_below += estimate > centre ? 0U : limited_distance;
+        uint32_t limited_estimate = estimate > lower_limit ? estimate : lower_limit;
+        limited_estimate = limited_estimate < upper_limit ? limited_estimate : upper_limit;
+        inside += limited_estimate == estimate ? 1U : 0U;
+        sum += limited_estimate;
     }
-    const uint32_t difference = distance_between(sum_above, sum_below);
-    /* `inside` as Q24, as the difference is; <= 2^29. The quotient is a Q32, and the step at most 1.0. */
+    const uint32_t sum_at_centre = count * centre; /* what the sum would be with a balance of 0: < 2^29 */
+    const uint32_t balance = distance_between(sum, sum_at_centre); /* without its sign */
+    /* `inside` as Q24, as the balance is; <= 2^29. The quotient is a Q32, and the step at most 1.0. */
     const uint32_t divisor = (inside > 0U ? inside : 1U) << 24;
-    const uint32_t step = quotient(difference < divisor ? difference : divisor, divisor) >> 8; /* Q24 */
-    if (sum_above < sum_below) {
-        return centre > step ? centre - step : 0U;
-    }
-    const uint32_t largest = q24_from_q16(UINT16_MAX);
-    return centre + step < largest ? centre + step : largest;
+    const uint32_t step = quotient(balance < divisor ? balance : divisor, divisor) >> 8; /* Q24 */
+    const uint32_t below = centre > step ? centre - step : 0U;
+    const uint32_t above = centre + step, largest = q24_from_q16(UINT16_MAX);
+    const uint32_t limited_above = above < largest ? above : largest;
+    return sum < sum_at_centre ? below : limited_above;
 }
 
 /* Returns the probability that a robot observes black where the fill ratio is x, for its initial b_hat: b_hat
@@ -302,6 +316,13 @@ ALWAYS_INLINE uint32_t probability_of_black(const mcp_asdf_t *robot, uint32_t x)
     return multiply_high(b_hat, x) + multiply_high(~b_hat, ~x); /* < 2^32 - 1 */
 }
 
+/* Returns factor times number, a Q64, as Q32 and rounded down. Of the product with the lower word only the
+ * upper word counts. */
+ALWAYS_INLINE uint64_t times_q64(uint32_t factor, uint64_t number)
+{
+    return multiply(factor, high_word(number)) + high_word(multiply(factor, low_word(number))); /* < 2^64 */
+}
+
 /* Whether the share n / t of black observations, t > 0, contradicts the initial b_hat, if the fill ratio is
  * `centre`. Then black is observed with probability p. The test rejects if the share deviates from that by
  * more than sqrt(12) standard deviations:
@@ -310,7 +331,7 @@ ALWAYS_INLINE uint32_t probability_of_black(const mcp_asdf_t *robot, uint32_t x)
  *
  * Here dispersion v / t is the variance of n / t, for the larger v of p (1 - p) and n / t (1 - n / t); and
  * g spread, with g = |2 b_hat - 1|, is how far p may be off because the centre is. All are Q32, but the
- * dispersion. */
+ * dispersion, a Q8, and squares, which are Q64. */
 static bool robust_test_rejects(const mcp_asdf_t *robot, uint32_t share, uint32_t centre, uint32_t spread)
 {
     const uint32_t b_hat = robot->robust.initial_b_hat;
@@ -323,14 +344,12 @@ static bool robust_test_rejects(const mcp_asdf_t *robot, uint32_t share, uint32_
     const uint32_t g = b_hat >> 31 == 0U ? 0U - 2U * b_hat : 2U * b_hat;
     const uint32_t g_spread = multiply_high(g, spread); /* < 2^30, as a spread is at most 1/4 */
     const uint64_t spread_limit = REJECTED_SIGMAS_SQUARED * multiply(g_spread, g_spread); /* < 12 2^60 */
-    /* By how much the left side exceeds what the spread allows, as Q64. If it does not, `excess` wraps, and
-     * the first condition below is false whatever comes of it. */
+    /* By how much the left side exceeds what the spread allows. If it does not, `excess` wraps, and the first
+     * condition below is false whatever comes of it. */
     const uint64_t square = multiply(deviation, deviation), excess = square - spread_limit;
-    /* Both sides are multiplied by t, so that v needs no division. t excess is formed as Q32: of the product
-     * with the lower word of the Q64 only the upper word is kept. < 2^64 */
-    const uint64_t t_excess =
-        multiply(robot->t, high_word(excess)) + high_word(multiply(robot->t, low_word(excess)));
-    /* The dispersion is Q8. 12 dispersion v: < 2^20 2^30 */
+    /* Both sides are multiplied by t, so that v needs no division. */
+    const uint64_t t_excess = times_q64(robot->t, excess);
+    /* 12 dispersion v, a Q40 before the shift: < 2^20 2^30 */
     const uint64_t variance_limit =
         multiply(times_half_word(REJECTED_SIGMAS_SQUARED, robot->robust.dispersion), variance) >> 8;
     return square > spread_limit && t_excess > variance_limit;

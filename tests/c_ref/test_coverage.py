@@ -127,11 +127,9 @@ CONSTANT_CONDITIONS = {
 }
 """Function and text of decisions, and the numbers of their conditions that are constants of a build."""
 GUARDS = {
-    ("huber_step", "centre > step", "false"): (
-        "a step leads to where estimates are: in a search over 10 million sets none came to 0"
-    ),
-    ("huber_step", "difference < divisor", "false"): (
-        "a step is shorter than a spread, which is at most 1/4: in the same search none exceeded 0.234"
+    ("huber_step", "balance < divisor", "false"): (
+        "a step is shorter than a spread, which is at most 1/4: "
+        "in 10 million sets of estimates none exceeded 0.234"
     ),
     ("median_distance", "below > 0U", "false"): (
         "of the count / 2 + 1 estimates that are passed the first is not below the median, and so below >= 1"
