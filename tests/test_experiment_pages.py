@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from support import FENCED, PATH, ROOT, block_with, names_in, run
+from support import FENCED, PATH, ROOT, block_with, blocks, names_in, run
 
 TUTORIAL, GUIDE, REPRODUCE = (
     ROOT / f"docs/{name}.md" for name in ("experiment_tutorial", "experiments", "reproduce")
@@ -58,9 +58,9 @@ def follow(page: Path, folder: Path) -> list[Output]:
     """
     outputs, printed = [], ""
     for language, code in FENCED.findall(page.read_text(encoding="utf-8")):
-        first_line = code.split("\n", 1)[0]  # of a block that is a file: a comment with its name
-        if name := re.fullmatch(r"# (\S+\.\w+)", first_line):
-            path = folder / name[1]
+        name_of_file = re.match(r"# (\S+\.\w+)\n", code)  # in a comment, if the block is a file
+        if name_of_file is not None:
+            path = folder / name_of_file[1]
             path.parent.mkdir(exist_ok=True)
             path.write_text(code, encoding="utf-8")
         elif language == "python":
@@ -75,12 +75,7 @@ def follow(page: Path, folder: Path) -> list[Output]:
 
 def commands(page: Path) -> list[str]:
     """Return the lines of all blocks of commands of a page."""
-    return [
-        line
-        for language, code in FENCED.findall(page.read_text("utf-8"))
-        if language == "sh"
-        for line in code.splitlines()
-    ]
+    return "".join(blocks(page, "sh")).splitlines()
 
 
 @pytest.mark.slow

@@ -128,9 +128,12 @@ def _kernel() -> Path:
     cached = Path(os.environ.get("MCP_ASDF_CACHE") or Path.home() / ".cache/mcp-asdf")
     try:
         cached.mkdir(parents=True, exist_ok=True)
-        modules = sorted(cached.glob("linux-image-*/lib/modules/*/kernel/drivers/net/can/sja1000"))
-        kernels = [*modules[-1].parents[7].glob("boot/vmlinuz-*")] if modules else []
-        return kernels[-1] if kernels else _download(cached)
+        for package in sorted(cached.glob("linux-image-*"), reverse=True):
+            has_modules = any(package.glob("lib/modules/*/kernel/drivers/net/can/sja1000"))
+            kernels = list(package.glob("boot/vmlinuz-*"))
+            if has_modules and kernels:
+                return kernels[-1]
+        return _download(cached)
     except OSError as error:
         pytest.skip(f"cannot use the cache {cached}: {error}; set MCP_ASDF_CACHE to another folder")
 
@@ -153,8 +156,7 @@ def _download(cached: Path) -> Path:
             done = _run("sh", "-c", command, cwd=folder)
             if done.returncode:
                 pytest.skip(f"no kernel for a guest: {command}: {done.stderr.strip()[-300:]}")
-        shutil.rmtree(
-            cached / package, ignore_errors=True
-        )  # one that an older version unpacked has too little
+        # One that an older version has unpacked has too little.
+        shutil.rmtree(cached / package, ignore_errors=True)
         os.replace(folder / "kernel", cached / package)
     return next((cached / package).glob("boot/vmlinuz-*"))

@@ -23,7 +23,7 @@ import yaml
 
 from benchmarks.cost.images import TARGETS, Image
 from mcp_asdf.robot import Config, Filter
-from mcp_asdf_tools.bus.frame_layout import Action
+from mcp_asdf_tools.bus.frame_layout import Action, Health
 from mcp_asdf_tools.bus.frames import Heartbeat, decode_heartbeat
 from mcp_asdf_tools.bus.slcan_server import format_frame_line, parse_frame
 from mcp_asdf_tools.cli import main as cli
@@ -116,40 +116,47 @@ class Model:
 
     def answer(self, text: bytes) -> bytes:
         """Return the program's answer to bytes that need not end where a line does."""
-        sent = b""
-        for piece in re.findall(rb"[^\r\a]*[\r\a]|[^\r\a]+", text):
-            self._line += piece
-            if piece[-1:] in (b"\r", b"\a"):
-                line, end, self._line = self._line[:-1], self._line[-1:], b""
-                sent += self._line_ended(line) if end == b"\r" else self._drop()
-        return sent
+        answers = b""
+        for character in text.decode("latin-1"):
+            if character == "\r":
+                answers += self._end_line(self._line)
+                self._line = b""
+            elif character == "\a":
+                answers += self._drop_line()
+                self._line = b""
+            else:
+                self._line += character.encode("latin-1")
+        return answers
 
-    def _line_ended(self, line: bytes) -> bytes:
+    def _end_line(self, line: bytes) -> bytes:
         frame = parse_frame(line) if line[:1] in (b"t", b"T", b"r", b"R") else None
-        if frame is None and (len(line) > _LONGEST or _COMMAND.fullmatch(line) is None):
-            return self._drop()
-        return self._command(line[:1]) if frame is None else self._frame(frame)
+        if frame is not None:
+            return self._receive(frame)
+        if len(line) <= _LONGEST and _COMMAND.fullmatch(line):
+            return self._obey(line[:1])
+        return self._drop_line()
 
-    def _frame(self, frame: can.Message) -> bytes:
+    def _receive(self, frame: can.Message) -> bytes:
         if not self.is_open:
             return b"\a"
         is_unwell = self.dropped > 0 or self.node.unsettled > 0
         answers = self.node.receive_frame(frame)
         for answer in answers:
             if isinstance(decode_heartbeat(answer), Heartbeat):
-                answer.data[4] = is_unwell  # health: advisory
+                answer.data[4] = (Health.ADVISORY if is_unwell else Health.NOMINAL).value
         return (b"Z\r" if frame.is_extended_id else b"z\r") + b"".join(map(format_frame_line, answers))
 
-    def _command(self, command: bytes) -> bytes:
-        flags = b"F%02X\r" % (8 * (self.dropped > 0))  # bit 3 says that data were lost
-        answer = {b"V": b"V1001\r", b"N": b"NASDF\r", b"F": flags}.get(command, b"\r")
-        self.is_open = command == b"O" or (self.is_open and command != b"C")
-        if command == b"O":
+    def _obey(self, command: bytes) -> bytes:
+        if command == b"O":  # opens the bus, and starts the robot anew
+            self.is_open = True
             self.node = new_robot(self._firmware_filter)
-            answer += b"".join(map(format_frame_line, self.node.start()))
-        return answer
+            return b"\r" + b"".join(map(format_frame_line, self.node.start()))
+        if command == b"C":  # closes the bus
+            self.is_open = False
+        data_were_lost = 8 if self.dropped > 0 else 0  # bit 3 of the flags
+        return {b"V": b"V1001\r", b"N": b"NASDF\r", b"F": b"F%02X\r" % data_were_lost}.get(command, b"\r")
 
-    def _drop(self) -> bytes:
+    def _drop_line(self) -> bytes:
         self.dropped += 1
         return b"\a"
 

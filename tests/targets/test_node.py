@@ -260,13 +260,13 @@ def any_frame(rng: random.Random, robot_id: int = ID, subjects: Subjects = SUBJE
     """Return an estimate or a command that a robot may receive: legal, or in 3 of 10 cases damaged."""
     if rng.random() < 0.5:
         sender = rng.choice((robot_id, *range(7)))
-        x_hat = rng.randrange(2**23 + 1)
         alpha = rng.choice((0, 0xFF, rng.getrandbits(32)))
+        x_hat = rng.randrange(2**23 + 1)
         frame = encode_estimate(Estimate(sender, x_hat, alpha, transfer_id=0), subjects.estimates)
     else:
-        tick = rng.randrange(2)
         target = rng.choice((robot_id, robot_id, EVERY_ROBOT, 4))
-        frame = command_frame(tick, target, rng.choice(list(Action)), subjects)
+        action = rng.choice(list(Action))
+        frame = command_frame(rng.randrange(2), target, action, subjects)
     if rng.random() < 0.7:
         return frame
     change_frame = rng.choice(DAMAGES)
