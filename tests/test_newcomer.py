@@ -17,6 +17,8 @@ import test_tutorials
 from mcp_asdf_tools.common.extras import install_instruction
 from support import HIDING, ROOT, block_with, blocks, names_in, require, run
 
+pytestmark = pytest.mark.slow
+
 README = ROOT / "README.md"
 EXPERIMENT_TUTORIAL, INSTALLING = ROOT / "docs/experiment_tutorial.md", ROOT / "docs/installing.md"
 SYSTEM_PATH = "/usr/local/bin:/usr/bin:/bin"
@@ -68,19 +70,16 @@ def newcomer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Newcomer:
     return Newcomer(tmp_path)
 
 
-@pytest.mark.slow
 def test_the_page_installs_all_extras() -> None:
     """An extra is a set of further packages. The line is the one of docs/installing.md."""
     assert re.fullmatch(r"\.venv/bin/python -m pip install '\.\[all\]'", INSTALL)
 
 
-@pytest.mark.slow
 def test_the_first_command_of_the_page_runs(newcomer: Newcomer) -> None:
     """It is a swarm, made shorter here, and needs none of the extras."""
     newcomer.run_in_shell(f"{FIRST_COMMAND} --steps 300 --quiet")
 
 
-@pytest.mark.slow
 def test_the_c_program_of_the_readme_prints_what_it_shows_in_a_new_environment(newcomer: Newcomer) -> None:
     """It needs a C compiler and the base alone, without any extra.
 
@@ -95,7 +94,6 @@ def test_the_c_program_of_the_readme_prints_what_it_shows_in_a_new_environment(n
     assert printed.endswith(block_with(README, "share of black 0.685", "text"))
 
 
-@pytest.mark.slow
 def test_the_first_program_of_the_python_api_prints_what_it_shows_in_a_new_environment(
     newcomer: Newcomer,
 ) -> None:
@@ -105,7 +103,6 @@ def test_the_first_program_of_the_python_api_prints_what_it_shows_in_a_new_envir
     assert printed == block_with(page, "tick 1000", "text")
 
 
-@pytest.mark.slow
 def test_the_robot_of_the_tutorial_needs_no_extra(
     newcomer: Newcomer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -131,7 +128,6 @@ def extra_of_experiment_tutorial() -> str:
     return str(extra)
 
 
-@pytest.mark.slow
 def test_the_experiment_of_the_tutorial_says_which_extra_it_lacks(
     newcomer: Newcomer, experiment_programs: list[str]
 ) -> None:
@@ -145,7 +141,6 @@ def test_the_experiment_of_the_tutorial_says_which_extra_it_lacks(
     assert exit_code == "exit code 1"
 
 
-@pytest.mark.slow
 @pytest.mark.usefixtures("experiment_programs")
 def test_the_experiment_of_the_tutorial_runs_with_the_extra_that_it_names(
     newcomer: Newcomer, monkeypatch: pytest.MonkeyPatch

@@ -243,26 +243,27 @@ def voters_of_rounds(robot: FixedPoint, rounds: int) -> list[int | str]:
 
 
 @for_fixed_point_firmwares
+@pytest.mark.parametrize(
+    ("senders", "black", "voters"),
+    [
+        pytest.param([9, 6], 1, [6, 9, "own estimate", 6, 9], id="in ascending order"),
+        pytest.param([31], 1, [31, "own estimate", 31, "own estimate"], id="after the last of 32 slots"),
+        pytest.param([6, 31], 0, [6, 31, 6, 31], id="a robot that has observed nothing does not vote"),
+    ],
+)
 def test_neighbours_vote_in_ascending_order_and_the_robot_itself_after_them(
-    firmware: FixedPointFirmware,
+    firmware: FixedPointFirmware, senders: list[int], black: int, voters: list[int | str]
 ) -> None:
-    """One of them votes in each round. The estimates of neighbours 6 and 9 are in slots 6 and 9."""
+    """One of them votes in each round. The estimates of neighbours 6, 9 and 31 are in slots 6, 9 and 31.
+
+    The robot has observed ``black`` tiles, all of them black.
+    """
     robot = firmware(ONLY_VOTES, OWN_ID, b_hat=0.95)
-    robot.observe(Observation.BLACK)
-    robot.receive(sender=9, x_hat=0.5, alpha=1.0)
-    robot.receive(sender=6, x_hat=0.5, alpha=1.0)
+    observe_tiles(robot, black, white=0)
+    for sender in senders:
+        robot.receive(sender, x_hat=0.5, alpha=1.0)
 
-    assert voters_of_rounds(robot, rounds=5) == [6, 9, "own estimate", 6, 9]
-
-
-@for_fixed_point_firmwares
-def test_a_robot_that_has_observed_nothing_does_not_vote(firmware: FixedPointFirmware) -> None:
-    """In each round one estimate votes; those of neighbours 6 and 31 are in slots 6 and 31."""
-    robot = firmware(ONLY_VOTES, OWN_ID, b_hat=0.95)
-    robot.receive(sender=6, x_hat=0.5, alpha=1.0)
-    robot.receive(sender=31, x_hat=0.5, alpha=1.0)
-
-    assert voters_of_rounds(robot, rounds=4) == [6, 31, 6, 31]
+    assert voters_of_rounds(robot, len(voters)) == voters
 
 
 @for_fixed_point_firmwares
@@ -280,16 +281,6 @@ def test_the_smallest_confidence_is_enough_for_a_robot_to_vote(
     robot = firmware.restore(ROBUST, mirror.save())
 
     assert voters_of_rounds(robot, rounds=1) == [voter]
-
-
-@for_fixed_point_firmwares
-def test_after_the_last_of_32_slots_it_is_the_robot_s_own_turn(firmware: FixedPointFirmware) -> None:
-    """Slot 31, that of neighbour 31, is the last one; in each round one estimate votes."""
-    robot = firmware(ONLY_VOTES, OWN_ID, b_hat=0.95)
-    robot.observe(Observation.BLACK)
-    robot.receive(sender=31, x_hat=0.5, alpha=1.0)
-
-    assert voters_of_rounds(robot, rounds=3) == [31, "own estimate", 31]
 
 
 @for_fixed_point_firmwares
