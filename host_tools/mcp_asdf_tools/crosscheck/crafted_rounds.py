@@ -402,27 +402,14 @@ def _count_misled_float_tests(robot: RobotState, rounds: RoundsAtThreshold) -> i
     computes all of eq. 12 in float64, the other its right side alone.
     """
     assert robot.table is not None
-    inside_x_hats = [x_hat for x_hat, _ in rounds.inside]
-    outside_x_hats = [x_hat for x_hat, _ in rounds.outside]
-    misled_tests = 0
-    for rejects in (_rejects_in_float64, _rejects_with_limit_in_float64):
-        is_inside_rejected = rejects(robot.table, robot.x_hat, inside_x_hats)
-        is_outside_rejected = rejects(robot.table, robot.x_hat, outside_x_hats)
-        if is_inside_rejected or not is_outside_rejected:
-            misled_tests += 1
-    return misled_tests
-
-
-def _rejects_in_float64(table: Table, own_x_hat: int, x_hats: list[int]) -> bool:
-    """Return whether eq. 12 rejects ``own_x_hat`` against a round of ``x_hats``, computed in float64."""
-    difference = sum(x_hats) - len(x_hats) * own_x_hat
-    return float(difference) ** 2 > limit_in_float64(table, len(x_hats), scatter_of(x_hats))
-
-
-def _rejects_with_limit_in_float64(table: Table, own_x_hat: int, x_hats: list[int]) -> bool:
-    """Return whether eq. 12 rejects, with its left side in integers, and its right side in float64."""
-    difference = sum(x_hats) - len(x_hats) * own_x_hat
-    return difference * difference > int(limit_in_float64(table, len(x_hats), scatter_of(x_hats)))
+    is_float_test_misled = is_float_limit_misled = False
+    for estimates, should_reject in ((rounds.inside, False), (rounds.outside, True)):
+        x_hats = [x_hat for x_hat, _ in estimates]
+        difference = sum(x_hats) - len(x_hats) * robot.x_hat
+        limit = limit_in_float64(robot.table, len(x_hats), scatter_of(x_hats))
+        is_float_test_misled |= (float(difference) ** 2 > limit) != should_reject
+        is_float_limit_misled |= (difference * difference > int(limit)) != should_reject
+    return is_float_test_misled + is_float_limit_misled
 
 
 def limit_in_float64(table: Table, m: int, scatter: int) -> float:
@@ -466,7 +453,9 @@ def draw_round_for_update(
     """
     for _ in range(_MAX_DRAWS_FOR_UPDATE):
         if update is Update.KEPT:
-            estimates = _draw_balanced_pair(rng)
+            # Two estimates of the same confidence whose mean is 1/2
+            distance, alpha = rng.randint(1, 1 << 12), draw_normal_alpha(rng)
+            estimates = [NeighbourEstimate(HALF + side * distance, alpha) for side in (-1, 1)]
         else:
             x_bar = round(rng.uniform(*_X_BAR_RANGES[update]) * ONE)
             max_distance = rng.randint(1, 1 << 16)
@@ -477,13 +466,6 @@ def draw_round_for_update(
         if robot.update_after(estimates) is update:
             return estimates
     return None
-
-
-def _draw_balanced_pair(rng: Random) -> list[NeighbourEstimate]:
-    """Draw two estimates of the same confidence whose mean is 1/2."""
-    distance = rng.randint(1, 1 << 12)
-    alpha = draw_normal_alpha(rng)
-    return [NeighbourEstimate(HALF - distance, alpha), NeighbourEstimate(HALF + distance, alpha)]
 
 
 def draw_distant_estimates(robot: RobotState, rng: Random, m: int = 4) -> list[NeighbourEstimate]:

@@ -45,11 +45,6 @@ class ImageLayout:
     word_count: int
 
     @property
-    def senders_word(self) -> int:
-        """First of the four words with a bit for each sender of the open round."""
-        return self.word_count - 8
-
-    @property
     def accepted_and_repeated_word(self) -> int:
         """Word of the counters of accepted and of repeated messages."""
         return self.word_count - 4
@@ -66,7 +61,8 @@ class ImageLayout:
 
     def pack_sender(self, sender: int) -> dict[int, int]:
         """Return the word of the open round's senders that has the bit of this id, with no other bit set."""
-        return {self.senders_word + sender // 32: 1 << (sender % 32)}
+        first_senders_word = self.word_count - 8
+        return {first_senders_word + sender // 32: 1 << (sender % 32)}
 
 
 def layout_of(filter_number: int) -> ImageLayout:
