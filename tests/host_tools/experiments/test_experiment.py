@@ -133,6 +133,10 @@ def test_a_graph_that_is_no_regular_file_is_refused_and_not_opened(graph: str, t
         ("steps = \n", "line 1"),
         ("memory = 63\n", "line 1: memory is 63; it must be 64 to 2147483648"),
         ("conventions = 'authors'\n", "line 1: .*choose firmware reference"),
+        (
+            "topology = 'dynamic'\nrobots = 129\nfirmware = 'mirror'\n",
+            "line 3: robots is 129, .* ids of 7 bits; take at most 128",
+        ),
         ("grid = 3\n", r"write \[\[grid\]\]"),
         ("steps = 5\ngrid = []\n", r"write \[\[grid\]\]"),
         ("grid = [{}, 3]\n", r"write \[\[grid\]\]"),

@@ -252,6 +252,20 @@ def test_a_sweep_in_memory_gives_the_table_that_one_into_a_file_gives(output: Pa
     assert pa.concat_tables(tables).combine_chunks().equals(read_table(output).combine_chunks())
 
 
+def test_experiments_that_are_given_twice_are_run_once(output: Path, jobs_run: list[Job]) -> None:
+    """Grids overlap easily. Twice the same trials would count as more evidence than they are."""
+    experiment = replace(EXPERIMENT, trials=3)
+    other_experiment = replace(OTHER_EXPERIMENT, trials=2)
+    given_experiments = [experiment, other_experiment, experiment]
+
+    in_memory = list(sweep.run_in_memory(given_experiments))
+    run_sweep(Store(output, given_experiments), workers=1)
+
+    assert [trials.experiment for trials in in_memory] == [experiment, other_experiment]
+    assert read_table(output)["trial"].to_pylist() == [0, 1, 2, 0, 1]
+    assert len(jobs_run) == 4
+
+
 class DeadlyJob(Job):
     """A job that kills the process that runs it."""
 
