@@ -142,16 +142,17 @@ static void values_out_of_range_are_refused_and_nothing_is_written(void)
     CHECK(memcmp(bytes, "\1\2\3\4", 4) == 0);
 }
 
+/* The tests of few values come first: most mistakes fail one of them, and tests/mutation plants many. */
 int main(void)
 {
-    every_x_hat_gets_the_nearest_code();
-    codes_of_x_hat_are_decoded_to_the_nearest_number();
     one_half_gets_the_larger_of_two_codes();
-    codes_of_alpha_are_decoded_exactly();
-    alpha_is_rounded_down_but_not_to_zero();
     the_largest_confidence_has_the_largest_code();
     a_message_has_its_fields_from_the_lowest_bit_on();
-    encoding_what_was_decoded_gives_the_same_bytes();
     values_out_of_range_are_refused_and_nothing_is_written();
+    codes_of_x_hat_are_decoded_to_the_nearest_number();
+    codes_of_alpha_are_decoded_exactly();
+    alpha_is_rounded_down_but_not_to_zero();
+    encoding_what_was_decoded_gives_the_same_bytes();
+    every_x_hat_gets_the_nearest_code();
     return check_report();
 }

@@ -1,4 +1,4 @@
-"""Mutants that are no mistakes, each listed with the reason."""
+"""Mutants that are no mistakes, each listed in equivalents.toml with the reason."""
 
 from __future__ import annotations
 
@@ -9,9 +9,8 @@ from pathlib import Path
 
 @cache
 def equivalents(language: str) -> dict[str, str]:
-    """Reasons by the mutants' names; of ``c`` or ``python``."""
-    file = Path(__file__).with_name(f"equivalent_{language}.toml")
-    groups = tomllib.loads(file.read_text(encoding="utf-8"))["group"]
-    listed = [(name, group["reason"]) for group in groups for name in group["mutants"]]
-    assert len(dict(listed)) == len(listed), f"{file.name} lists a mutant twice"
+    """Return the reasons by the mutants' names, for ``c`` or ``python``."""
+    lists = tomllib.loads(Path(__file__).with_name("equivalents.toml").read_text(encoding="utf-8"))
+    listed = [(name, reason) for reason, names in lists[language].items() for name in names]
+    assert len(dict(listed)) == len(listed), "a mutant is listed twice"
     return dict(listed)

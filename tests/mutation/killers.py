@@ -6,6 +6,7 @@ from __future__ import annotations
 import atexit
 import shutil
 import subprocess
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory, mkdtemp
@@ -33,7 +34,6 @@ A file of one target is compiled for that target alone, and the codecs do not de
 THIRD = "third"
 """The independent implementation; all else is what it cannot see."""
 CORE_LIBRARY = "libcore.so"
-CORE_TESTS = (THIRD, "core")
 CODEC_TESTS = {"mcp_asdf_frame.c": ("node", "frame"), "mcp_asdf_small.c": ("small",)}
 """Tests of the optional files that the independent implementation does not contain."""
 LINKED = {
@@ -42,36 +42,44 @@ LINKED = {
     "node": ("mcp_asdf.c", "mcp_asdf_image.c", "mcp_asdf_frame.c"),
 }
 """Sources that a black-box test is linked with; a white-box test contains the firmware."""
-CALLS = 1_000_000
-"""Calls of the independent implementation: a tenth of a second."""
-PATIENT_CALLS = 8_000_000
-"""The same for a mutant that has passed all tests: some mistakes show in one of many million calls."""
-SECONDS = 10
-"""Processor time that one test may take, over ten times what it needs. A mutant that hangs costs no more."""
-PATIENT_SECONDS = 80
-"""Processor time that PATIENT_CALLS may take."""
+FEW_CALLS, MANY_CALLS, MOST_CALLS = 20_000, 1_000_000, 8_000_000
+"""Calls of the independent implementation. A few take a fiftieth of a second and show most mistakes,
+but some show in one of many million calls."""
+SAME_CODE = "none is needed: a compiler makes the same code of it"
+SECONDS_BY_CALLS = {FEW_CALLS: 1, MANY_CALLS: 10, MOST_CALLS: 80}
+"""Processor time that the independent implementation may take, over ten times what it needs."""
+SECONDS = 2
+"""Processor time that another test may take, four to thirty times what it needs. A mutant that hangs
+takes as long."""
 
 
-def passes(folder: Path, test: str, variant: Variant, calls: int = CALLS, seconds: int = SECONDS) -> bool:
-    """True if the test of this name passes with the sources in the folder."""
-    flags: list[str | Path] = [
-        f"-I{folder}",
-        f"-I{PORTS}",
-        *_flags(variant),
-        "-w",
-        "-DCHECK_ONCE",
-        "-include",
-        CLZ,
-    ]
-    if test != THIRD:
-        linked = [folder / name for name in LINKED.get(test, ())]
-        ports = PORTS.glob("node/*.c") if test == "node" else ()
-        return _limited("tcc", *flags, *linked, *ports, TABLE, "-run", TESTS / f"test_{test}.c")
-    with TemporaryDirectory() as made:
+@dataclass(frozen=True)
+class Try:
+    """A test of a mutant, under a target's choices; ``calls`` are those of the independent implementation."""
+
+    test: str
+    variant: Variant
+    calls: int = FEW_CALLS
+
+    def __str__(self) -> str:
+        return f"{self.test} {self.variant}"
+
+
+def passes(folder: Path, tried: Try) -> bool:
+    """Return whether the test passes with the sources in the folder."""
+    variant = tried.variant
+    flags = [f"-I{folder}", f"-I{PORTS}", *_flags(variant), "-w", "-DCHECK_ONCE", "-include", CLZ]
+    if tried.test != THIRD:
+        linked = [folder / name for name in LINKED.get(tried.test, ())]
+        ports = PORTS.glob("node/*.c") if tried.test == "node" else ()
+        return _limited("tcc", *flags, *linked, *ports, TABLE, "-run", TESTS / f"test_{tried.test}.c")
+    with TemporaryDirectory() as library_folder:
         core = (folder / "mcp_asdf.c", folder / "mcp_asdf_image.c")
-        is_made = _limited("tcc", *flags, "-shared", *core, "-o", Path(made) / CORE_LIBRARY)
         third = _third(*([f"-D{variant.target}"] if variant in BUILDS else []))
-        return is_made and _limited("env", f"LD_LIBRARY_PATH={made}", third, "1", str(calls), seconds=seconds)
+        run_third = ("env", f"LD_LIBRARY_PATH={library_folder}", third, "1", str(tried.calls))
+        return _limited(
+            "tcc", *flags, "-shared", *core, "-o", Path(library_folder) / CORE_LIBRARY
+        ) and _limited(*run_third, seconds=SECONDS_BY_CALLS[tried.calls])
 
 
 @cache
@@ -117,36 +125,52 @@ def plant(mutant: Mutant, folder: Path) -> None:
     (folder / mutant.file).write_text(mutant.source(), encoding="utf-8")
 
 
-def killer(mutant: Mutant, folder: Path, most: int = len(VARIANTS)) -> str:
-    """Test and variant that the mutant fails first; nothing if it passes all.
+def quick_tries(file: str) -> list[Try]:
+    """Return the tests that take less than a second, for mutants of this source, the quickest first."""
+    variants = VARIANTS_OF.get(file, VARIANTS)
+    if file in CODEC_TESTS:
+        return [Try(test, variant) for test in CODEC_TESTS[file] for variant in variants]
+    return [Try(THIRD, each) for each in (*variants, *BUILDS)] + [Try("core", each) for each in variants]
+
+
+def patient_tries(file: str) -> list[Try]:
+    """Return the tests that take seconds, for mutants of this source that pass the quick ones."""
+    if file in CODEC_TESTS:
+        return []
+    variants = VARIANTS_OF.get(file, VARIANTS)
+    return [
+        *(Try(THIRD, each, MANY_CALLS) for each in (*variants, *BUILDS)),
+        Try(THIRD, variants[0], MOST_CALLS),
+    ]
+
+
+def killer(mutant: Mutant, folder: Path, is_patient: bool = True) -> str:
+    """Return the test and the variant that the mutant fails first, or nothing if it passes all.
+
+    Returns SAME_CODE for a mutant that passes the quick tests and of which a compiler makes the same code: it
+    is no mistake, and needs no place on the list of harmless changes.
 
     Args:
         mutant: Of the firmware.
         folder: For the mutant's sources, which stay there.
-        most: Variants to try.
+        is_patient: Whether a mutant that passes the quick tests is tried with those that take seconds.
     """
     plant(mutant, folder)
-    tests: tuple[str, ...] = CODEC_TESTS.get(mutant.file, CORE_TESTS)
-    if mutant.file.startswith(("mcp_asdf_arithmetic", "mcp_asdf_target", "lanes")):
-        tests = CORE_TESTS[::-1]  # which takes less
-    variants = VARIANTS_OF.get(mutant.file, VARIANTS)[:most]
-    tries = [(test, variant) for test in tests for variant in variants]
-    if tests[0] == THIRD:  # what it cannot see at first, another test sees sooner than it with other choices
-        tries.sort(key=lambda each: variants.index(each[1]))
-    for test, variant in tries:
-        if not passes(folder, test, variant):
-            return f"{test} {variant}"
-    for variant in () if mutant.file in CODEC_TESTS else BUILDS:
-        if not passes(folder, THIRD, variant):
-            return f"{THIRD} {variant}"
-    if tests[0] == THIRD and not passes(folder, THIRD, variants[0], PATIENT_CALLS, seconds=PATIENT_SECONDS):
-        return f"{THIRD} {variants[0]}, after many calls"
+    for tried in quick_tries(mutant.file):
+        if not passes(folder, tried):
+            return str(tried)
+    if not is_patient:
+        return ""
+    if has_same_code(mutant, folder):
+        return SAME_CODE
+    for tried in patient_tries(mutant.file):
+        if not passes(folder, tried):
+            return f"{tried}, after {tried.calls} calls"
     return ""
 
 
-def same_code(mutant: Mutant, folder: Path) -> bool:
-    """True if an optimiser makes the same machine code of the mutant, which then is in the folder."""
-    plant(mutant, folder)
+def has_same_code(mutant: Mutant, folder: Path) -> bool:
+    """Return whether an optimiser makes the same machine code of the mutant, which is in the folder."""
     source = "mcp_asdf.c" if mutant.file.endswith(".h") else mutant.file
     return all(
         _usual_code(SOURCES / source, variant) == _code(folder / source, variant, folder)
@@ -162,5 +186,5 @@ def _usual_code(source: Path, variant: Variant) -> bytes:
 
 def _code(source: Path, variant: Variant, folder: Path) -> bytes:
     made = folder / "object.o"
-    assert _limited("gcc", "-O2", "-w", f"-I{source.parent}", *_flags(variant), "-c", source, "-o", made)
+    assert _limited("gcc", "-O1", "-w", f"-I{source.parent}", *_flags(variant), "-c", source, "-o", made)
     return made.read_bytes()

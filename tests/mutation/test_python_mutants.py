@@ -62,16 +62,18 @@ def test_every_small_mistake_in_the_firmware_s_python_is_noticed_by_its_tests() 
 
 @pytest.mark.slow
 def test_most_small_mistakes_in_the_tools_are_noticed_by_their_quick_tests() -> None:
-    """They noticed 78 of 90 that were drawn. Even at four of five this test would fail once in 50 runs."""
+    """They noticed 78 of 90 that were drawn. Even at four of five this test would fail once in 50 runs.
+
+    No change to the tools is listed as harmless: among so many, the few that are lower no score.
+    """
     trial = plant_mistakes([TOOLS], sample=40)
     assert trial.planted > 36
     assert trial.unnoticed <= 13
 
 
-@pytest.mark.slow
 def test_each_change_that_is_listed_as_harmless_is_one_that_is_tried() -> None:
-    """Python's list is equivalent_python.toml. An entry about code of the past would hide a mistake later."""
-    names = {mutant.name for path in (*FIRMWARE, TOOLS) for mutant in mutants(Path(path))}
+    """An entry of equivalents.toml about code of the past would hide a mistake later."""
+    names = {mutant.name for path in FIRMWARE for mutant in mutants(Path(path))}
     assert set(equivalents("python")) <= names
 
 
