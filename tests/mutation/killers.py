@@ -68,7 +68,15 @@ class Try:
 def passes(folder: Path, tried: Try) -> bool:
     """Return whether the test passes with the sources in the folder."""
     variant = tried.variant
-    flags = [f"-I{folder}", f"-I{PORTS}", *_flags(variant), "-w", "-DCHECK_ONCE", "-include", CLZ]
+    flags: list[str | Path] = [
+        f"-I{folder}",
+        f"-I{PORTS}",
+        *_flags(variant),
+        "-w",
+        "-DCHECK_ONCE",
+        "-include",
+        CLZ,
+    ]
     if tried.test != THIRD:
         linked = [folder / name for name in LINKED.get(tried.test, ())]
         ports = PORTS.glob("node/*.c") if tried.test == "node" else ()
