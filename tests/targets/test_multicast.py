@@ -41,15 +41,12 @@ from targets.c_node import (
     python_node,
     without_repeated_greetings,
 )
-from targets.test_node import ID, SUBJECTS, any_frame, command_frame
+from targets.test_node import ID, OPTIONS_OF_SUBJECTS, SUBJECTS, any_frame, command_frame
 
 PORT = 20000 + os.getpid() % 12000
 """Below those that the kernel gives senders. Other processes that run this have others."""
 IPV4, IPV6 = "239.74.163.91", "ff15:7079:7468:6f6e:6465:6d6f:6d63:91"
-NODE_OPTIONS = (
-    *("--lockstep", "--hop-limit", 0, "--steps-per-second", 3, "--b-hat", 0.75, "--filter-period", 4),
-    *("--subject", 0, "--telemetry-subject", 8, "--command-subject", 9),
-)
+NODE_OPTIONS = "--lockstep --hop-limit 0 --steps-per-second 3 --b-hat 0.75 --filter-period 4"
 
 
 @contextmanager
@@ -159,7 +156,8 @@ def test_c_and_python_node_answer_the_datagrams_of_a_bad_network_alike(
     arrivals = datagrams_on_wifi([any_frame(rng) for _ in range(600)], rng)
     twin = python_node(ID, b_hat=0.75, subjects=SUBJECTS, steps_per_second=3, filter_period=4)
     command = node_command(kind, tmp_path_factory)
-    with joined(address) as group, CNode(command, interface(address), ID, *NODE_OPTIONS) as node:
+    options = f"{NODE_OPTIONS} {OPTIONS_OF_SUBJECTS}".split()
+    with joined(address) as group, CNode(command, interface(address), ID, *options) as node:
         nodes = NodesInGroup(group, twin)
         for frame, datagram in arrivals:
             nodes.send(frame, datagram)

@@ -129,33 +129,25 @@ def test_a_draw_does_not_change_the_robot() -> None:
 # --- Supporters and opponents of a robot ---
 
 
-def test_a_robot_re_estimates_b_hat_if_only_two_of_five_neighbours_agree_with_it() -> None:
-    """Two of five are two fifths; it takes more supporters to keep b_hat, the accuracy that it assumes.
+@pytest.mark.parametrize(
+    ("supporters", "opponents", "updates"),
+    [pytest.param(2, 3, 1, id="two fifths"), pytest.param(3, 4, 0, id="three of seven are more")],
+)
+def test_a_robot_re_estimates_b_hat_unless_more_than_two_fifths_of_its_neighbours_agree_with_it(
+    supporters: int, opponents: int, updates: int
+) -> None:
+    """The test rejects b_hat, the accuracy that it assumes, and supporters let it keep b_hat nevertheless.
 
     The 300 black tiles of 500 agree with an estimate of 2/3, SUPPORTER, and contradict OPPONENT, 0.
     """
     robot = robot_that_observed(black=300, white=200)
-    slots = slots_with_supporters(robot, count=5, supporter_count=2)
+    slots = slots_with_supporters(robot, supporters + opponents, supporters)
     assert slots is not None
-    assert slots.estimates == (SUPPORTER, SUPPORTER, OPPONENT, OPPONENT, OPPONENT)
-    settled_robot = settle_with(robot, slots.estimates)
-
-    assert settled_robot.counters.updates == 1
-
-
-def test_a_robot_keeps_b_hat_if_three_of_seven_neighbours_agree_with_it() -> None:
-    """The test rejects b_hat, the accuracy that it assumes, but three of seven are more than two fifths.
-
-    The 300 black tiles of 500 agree with an estimate of 2/3, SUPPORTER, and contradict OPPONENT, 0.
-    """
-    robot = robot_that_observed(black=300, white=200)
-    slots = slots_with_supporters(robot, count=7, supporter_count=3)
-    assert slots is not None
-    assert slots.estimates == (SUPPORTER, SUPPORTER, SUPPORTER, OPPONENT, OPPONENT, OPPONENT, OPPONENT)
+    assert slots.estimates == (SUPPORTER,) * supporters + (OPPONENT,) * opponents
     assert slots.is_rejected()
     settled_robot = settle_with(robot, slots.estimates)
 
-    assert settled_robot.counters.updates == 0
+    assert settled_robot.counters.updates == updates
 
 
 def test_no_neighbours_can_contradict_a_robot_with_a_b_hat_of_one_half() -> None:
