@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import random
 from fractions import Fraction
+from typing import Any
 
 import pytest
 from hypothesis import example, given, settings
@@ -77,10 +78,13 @@ def random_messages(count: int) -> list[RawMessage]:
     ]
 
 
-OBSERVE_CALLS, SETTLE_CALL = ((0,), (1,)), ()
+RobotCall = tuple[Any, ...]
+"""Name of a robot's method, and the arguments of a call."""
+observe_calls = st.sampled_from([("observe", Observation.WHITE), ("observe", Observation.BLACK)])
 # To choose among given calls is several times as fast as to draw the numbers of each call.
+receive_calls = st.sampled_from([("receive_raw", *message) for message in random_messages(5000)])
 call_lists = st.lists(
-    st.sampled_from(OBSERVE_CALLS) | st.sampled_from(random_messages(5000)) | st.just(SETTLE_CALL),
+    observe_calls | receive_calls | st.just(("settle",)),
     min_size=60,  # enough for tests and updates of the robust filter, and for halved counts
     max_size=200,
 )
@@ -251,15 +255,9 @@ def test_all_neighbours_and_the_robot_itself_vote_equally_often(
 # --- Calls -----------------------------------------------------------------------------------------------
 
 
-def make_calls(robot: FixedPoint, calls: list[tuple[int, ...]]) -> None:
-    """Make calls of a robot: observe has one number, receive three, settle none."""
-    for numbers in calls:
-        if len(numbers) == 3:
-            robot.receive_raw(*numbers)
-        elif len(numbers) == 1:
-            robot.observe(Observation(*numbers))
-        else:
-            robot.settle()
+def make_calls(robot: FixedPoint, calls: list[RobotCall]) -> None:
+    for name, *arguments in calls:
+        getattr(robot, name)(*arguments)
 
 
 @for_fixed_point_firmwares
@@ -267,7 +265,7 @@ def make_calls(robot: FixedPoint, calls: list[tuple[int, ...]]) -> None:
 @thorough
 @given(calls=call_lists)
 def test_no_sequence_of_calls_makes_a_robot_take_itself_for_damaged(
-    firmware: FixedPointFirmware, mode: Filter, calls: list[tuple[int, ...]]
+    firmware: FixedPointFirmware, mode: Filter, calls: list[RobotCall]
 ) -> None:
     """Property I11: ``holds_invariants`` says whether calls alone could have led to the robot's memory."""
     robot = firmware(Config(filter=mode, filter_period=1, memory=64), OWN_ID, b_hat=0.75)
@@ -282,7 +280,7 @@ def test_no_sequence_of_calls_makes_a_robot_take_itself_for_damaged(
 @thorough
 @given(calls=call_lists)
 def test_a_restored_robot_is_the_saved_one(
-    firmware: FixedPointFirmware, mode: Filter, calls: list[tuple[int, ...]]
+    firmware: FixedPointFirmware, mode: Filter, calls: list[RobotCall]
 ) -> None:
     """Property I17: whatever calls a robot had, the robot that is restored from it has the same memory."""
     config = Config(filter=mode, filter_period=1, memory=64)
@@ -298,7 +296,7 @@ def test_a_restored_robot_is_the_saved_one(
 @thorough
 @given(calls=call_lists)
 def test_the_python_and_the_c_robot_are_equal_after_every_sequence_of_calls(
-    mode: Filter, calls: list[tuple[int, ...]]
+    mode: Filter, calls: list[RobotCall]
 ) -> None:
     """Property I23: they agree in every number that they remember."""
     config = Config(filter=mode, filter_period=1, memory=64)

@@ -407,7 +407,8 @@ def test_a_node_computes_what_its_twin_in_python_does_from_the_same_observations
     assert summary["ended"] == "observations"
     assert summary["ticks"] == 300
     assert summary["missing"] == 0
-    assert (summary["t"], summary["n"]) == (twin.t, twin.n) == (4 * 50, 3 * 50)
+    assert summary["t"] == 4 * 50
+    assert summary["n"] == 3 * 50
     assert summary["x"] / 2**23 == twin.x
 
 
