@@ -26,6 +26,8 @@ CORE = ROOT / "c_ref/src/mcp_asdf.c"
 TABLE = ROOT / "tables/t_table_omega05_q30.c"
 PATH = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
 """Search path of programs: those of the virtual environment come before the system's."""
+WARNINGS = "-Wall -Wextra -Wpedantic -Wconversion -Wsign-conversion -Wshadow -Wundef -Werror"
+"""Flags of compilers for C that is delivered: all of these warnings, as errors."""
 PATIENCE = 600.0
 """Seconds after which a test gives up waiting: even on a busy machine only what hangs takes so long."""
 

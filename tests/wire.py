@@ -172,3 +172,8 @@ def node_in_a_thread(options: str) -> Iterator[can.BusABC]:
                 yield bus
             finally:
                 os.close(write_end)
+
+
+def radio(options: str) -> int:
+    """Run ``mcp-asdf radio`` on the virtual bus, and return its exit code."""
+    return main(["radio", "--interface", "virtual", *shlex.split(options)])

@@ -21,7 +21,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from support import ROOT, made_once, require, run
+from support import ROOT, WARNINGS, made_once, require, run
 
 pytestmark = pytest.mark.slow
 
@@ -45,7 +45,6 @@ ARGOS_HEADERS = (
     "plugins/robots/kheperaiv/control_interface/ci_kheperaiv_proximity_sensor.h",
 )
 """Headers of ARGoS3 (421bd76) and of its plugin for the Khepera IV (7bb1bb3) that the example may include."""
-WARNINGS = "-Wall -Wextra -Wpedantic -Wconversion -Wsign-conversion -Wshadow -Wundef -Werror"
 TICKS = 300
 
 

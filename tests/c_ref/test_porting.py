@@ -27,7 +27,7 @@ from mcp_asdf_tools.bus import frames
 from mcp_asdf_tools.bus.frames import Estimate, FrameFormat, Heartbeat, Telemetry
 from packets import frame_of_packet, packet_of
 from simulated_avr import Board, require_simavr
-from support import CORE, ROOT, TABLE, block_with, require, run, slow
+from support import CORE, ROOT, TABLE, WARNINGS, block_with, require, run, slow
 
 PAGE = ROOT / "docs/porting.md"
 KILOBOT_PAGE = ROOT / "docs/platforms/kilobot.md"
@@ -42,7 +42,6 @@ NO_TILE = 2
 """Stands for a tick in which the sensor gives no colour."""
 NOISE = b"\x00\xff"
 """Bytes between packets."""
-WARNINGS = "-Wall -Wextra -Wpedantic -Wconversion -Wsign-conversion -Wshadow -Wundef -Werror"
 
 
 # --- Packets ---------------------------------------------------------------------------------------------

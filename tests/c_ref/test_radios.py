@@ -14,13 +14,12 @@ from mcp_asdf.mirror import MirrorRobot
 from mcp_asdf.robot import Config, Filter, Observation
 from mcp_asdf_tools.bus import frames
 from mcp_asdf_tools.bus.frames import Estimate, FrameFormat
-from support import CORE, ROOT, require, run
+from support import CORE, ROOT, WARNINGS, require, run
 
 EXAMPLES = ROOT / "c_ref/examples/radios"
 STUBS = ROOT / "tests/c_ref"
 INCLUDES = {"esp_now": (STUBS, STUBS / "esp_now"), "crazyflie": (STUBS / "freertos", STUBS / "crazyflie")}
 """Folders with the headers that a radio includes."""
-WARNINGS = "-Wall -Wextra -Wpedantic -Wconversion -Wsign-conversion -Wshadow -Wundef -Werror"
 CONFIG = Config(filter=Filter.OFF)
 ROBOT_ID = 7
 ALPHA = alpha_word_from_float(100.0)

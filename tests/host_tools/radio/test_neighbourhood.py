@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shlex
 from dataclasses import dataclass, replace
 from itertools import cycle
 from pathlib import Path
@@ -23,7 +22,6 @@ from mcp_asdf_tools.bus.frames import (
     sender_of,
 )
 from mcp_asdf_tools.cli import radio as radio_command
-from mcp_asdf_tools.cli.main import main
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.radio.bench import Bench
 from mcp_asdf_tools.radio.neighbourhood import Neighbourhood, RadioSettings, choose_ids
@@ -34,7 +32,7 @@ from mcp_asdf_tools.swarm.fault_injection.parsing import parse_fault
 from mcp_asdf_tools.swarm.run import run_swarm
 from mcp_asdf_tools.swarm.settings import SwarmSettings
 from mcp_asdf_tools.swarm.swarm import Swarm
-from wire import Wire, join
+from wire import Wire, join, radio
 from wrong_robots import ID, surroundings
 
 pytestmark = pytest.mark.usefixtures("private_setup")
@@ -262,11 +260,6 @@ def test_neighbours_in_real_time_that_are_asked_to_stop_end_in_that_tick(
 
 
 # --- The command ---
-
-
-def radio(options: str) -> int:
-    """Run ``mcp-asdf radio`` on the virtual bus, and return its exit code."""
-    return main(["radio", "--interface", "virtual", *shlex.split(options)])
 
 
 def receive_waiting_frames(bus: can.BusABC) -> list[can.Message]:

@@ -6,7 +6,6 @@ import json
 import math
 import random
 import re
-import shlex
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import nullcontext
@@ -43,7 +42,7 @@ from mcp_asdf_tools.robots.node import RobotNode
 from mcp_asdf_tools.robots.robot_setup import RobotSetup
 from messages import encoded
 from support import slow
-from wire import CLOCK, EndlessWire, Wire, node_in_a_thread, still
+from wire import CLOCK, EndlessWire, Wire, node_in_a_thread, radio, still
 from wire import record as setup_of_robot
 from wrong_robots import ALWAYS as FILTER_WITHOUT_TEST
 from wrong_robots import B_HAT, DEFAULT, ID, WRONG, Wrong, surroundings, with_node
@@ -234,6 +233,10 @@ def test_a_run_of_all_phases_sends_the_same_frames_as_at_an_earlier_commit(run: 
     assert_equals_golden_file(f"verification_{run.name}.txt", [*describe_run(run)])
 
 
+SLOW_CONFIG = {"comms_period": 5, "filter_period": 20, "memory": 512, **FILTER_WITHOUT_TEST}
+FIRST_ROBUST_PHASES = phases_named("first black tiles", "first estimates", "test of a wide spread")
+
+
 @pytest.mark.parametrize(
     ("name", "config", "phases"),
     [
@@ -242,16 +245,8 @@ def test_a_run_of_all_phases_sends_the_same_frames_as_at_an_earlier_commit(run: 
         ("memory_76", {"memory": 76}, phases_named("first black tiles", "halvings")),
         *slow(
             [
-                (
-                    "always",
-                    {"comms_period": 5, "filter_period": 20, "memory": 512, **FILTER_WITHOUT_TEST},
-                    CRAFTED_PHASES,
-                ),
-                (
-                    "robust_first_phases",
-                    {"b_hat": 0.4, **ROBUST_FILTER},
-                    phases_named("first black tiles", "first estimates", "test of a wide spread"),
-                ),
+                ("always", SLOW_CONFIG, CRAFTED_PHASES),
+                ("robust_first_phases", {"b_hat": 0.4, **ROBUST_FILTER}, FIRST_ROBUST_PHASES),
                 ("crafted_phases_no_filter", NO_FILTER, CRAFTED_PHASES),
             ]
         ),
@@ -852,11 +847,6 @@ def test_a_controller_passes_after_any_number_of_resets(resets: int) -> None:
 # --- The command ---
 
 CONTROLLER = f"--id {ID} --b-hat {B_HAT} --filter-period 10 --neighbours 20"
-
-
-def radio(options: str) -> int:
-    """Run ``mcp-asdf radio`` on the virtual bus, and return its exit code."""
-    return main(["radio", "--interface", "virtual", *shlex.split(options)])
 
 
 @pytest.fixture
