@@ -32,6 +32,7 @@ from mcp_asdf_tools.recording.frame_logs import read_log
 from mcp_asdf_tools.recording.recording import NoRecording, Recording
 from mcp_asdf_tools.recording.replay import ReplayVerdict, verify
 from mcp_asdf_tools.robots.bus_robot import BusRobot
+from mcp_asdf_tools.robots.node import RunOutcome
 from robots import ALPHA_ONE
 from support import ROOT, limited_file_size, names_in, require, run
 from wire import record
@@ -391,6 +392,21 @@ def test_a_full_disk_ends_the_recording_but_not_the_swarm(tmp_path: Path, capsys
     )
     assert json.loads(captured.out)["results"]["steps"] == 200
     assert names_in(tmp_path) == ["run.log.events.part", "run.log.json", "run.log.part"]
+
+
+def test_a_bus_that_fails_sets_the_exit_code_even_if_the_disk_is_full(
+    tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It is 1, where a full disk alone gives 2: a script would blame the log for a robot that did not run."""
+    failure = RunOutcome("the bus failed: no luck", has_failed=True)
+    monkeypatch.setattr("mcp_asdf_tools.robots.node.run_node", Mock(return_value=failure))
+    with limited_file_size(0):
+        exit_code = main(["node", "--id", "5", "--quiet", "--log", str(tmp_path / "run.log")])
+
+    assert exit_code == 1
+    warning_of_the_log, failure_of_the_bus = capsys.readouterr().err.splitlines()
+    assert "run.log is not complete: File too large" in warning_of_the_log
+    assert failure_of_the_bus == "mcp-asdf node: the bus failed: no luck"
 
 
 @pytest.fixture(scope="module")
