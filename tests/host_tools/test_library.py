@@ -196,6 +196,27 @@ def test_emulate_reports_the_estimate_x_of_each_robot_at_the_end() -> None:
     assert [robot["x"] for robot in reported_robots] == estimates
 
 
+def test_ctrl_c_ends_a_swarm_of_emulate_early_and_its_results_are_kept(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """It is pressed in the fourth step, so three are done. In a notebook there is no other way to look."""
+    take_step = Swarm.tick
+
+    def take_step_unless_interrupted(swarm: Swarm) -> None:
+        if swarm.ticks == 3:
+            raise KeyboardInterrupt
+        take_step(swarm)
+
+    monkeypatch.setattr(Swarm, "tick", take_step_unless_interrupted)
+    try:
+        swarm_run = emulate(small_swarm())
+    except KeyboardInterrupt:
+        pytest.fail("it left the function, and would end the tests")
+
+    assert swarm_run.interrupted
+    assert swarm_run.results["steps"] == 3
+
+
 # --- Objects in place of names: graphs -------------------------------------------------------------------
 
 
@@ -460,6 +481,7 @@ def recorded_table() -> Any:
         ("grid", [], {"robot": 3}),  # which is called robots
         ("Experiment", [], {"firmware": 7}),
         ("simulate", [[7]], {}),  # a number as experiment
+        ("simulate", [[]], {}),  # no experiment
         ("simulate", [small_experiment()], {"workers": 0}),
         ("simulate", [small_experiment()], {"record": 121}),  # of 120 steps
         ("simulate", [small_experiment()], {"record": -1}),
