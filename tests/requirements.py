@@ -57,12 +57,15 @@ def find_problems(statements: Mapping[str, str], trace: Mapping[str, list[str]])
 
     Wrong are statements without a test, numbers of no statement, and comments without a test below.
     """
-    untested = [f"{number} has no test: {statements[number]}" for number in statements.keys() - trace.keys()]
-    unknown = [
-        f"{trace[number][0]} names {number}, which is none" for number in trace.keys() - statements.keys()
-    ]
-    without_test = [place for places in trace.values() for place in places if place.endswith(": no test")]
-    return sorted([*untested, *unknown, *without_test])
+    problems = []
+    for number in statements.keys() - trace.keys():
+        problems.append(f"{number} has no test: {statements[number]}")
+    for number, places in trace.items():
+        if number not in statements:
+            first_place, *_ = places
+            problems.append(f"{first_place} names {number}, which is none")
+        problems += [place for place in places if place.endswith(": no test")]
+    return sorted(problems)
 
 
 def read_project() -> tuple[Statements, Trace]:

@@ -119,14 +119,15 @@ def read_results() -> dict[str, ErrorsByQuantity]:
     """Return the results of ARGoS3 by filter, with a value of each seed."""
     with RESULTS.open(encoding="utf-8", newline="") as file:
         rows = list(csv.DictReader(file))
-    filter_names = list(dict.fromkeys(row["filter"] for row in rows))
-    return {
-        filter_name: {
-            quantity: np.array([float(row[quantity]) for row in rows if row["filter"] == filter_name])
-            for quantity in QUANTITIES
-        }
-        for filter_name in filter_names
-    }
+    results: dict[str, ErrorsByQuantity] = {}
+    for filter_name in FILTERS:
+        rows_of_filter = [row for row in rows if row["filter"] == filter_name]
+        if rows_of_filter:
+            results[filter_name] = {
+                quantity: np.array([float(row[quantity]) for row in rows_of_filter])
+                for quantity in QUANTITIES
+            }
+    return results
 
 
 def simulate(filter_name: str, trials: int, **changes: Any) -> ErrorsByQuantity:
