@@ -68,6 +68,11 @@ def test_results_in_memory_give_the_same_table_as_their_file(results: Path) -> N
     assert to_frame(read_table(results)).equals(to_frame(str(results)))
 
 
+def test_a_folder_of_results_gives_the_table_of_the_results_in_it(results: Path) -> None:
+    """A sweep that is not finished is such a folder. This one has the one file of the results."""
+    assert to_frame(results.parent).equals(to_frame(results))
+
+
 def test_one_of_three_trials_gives_a_table_of_its_robots_and_recorded_steps() -> None:
     """Trial 1 has four robots, which are recorded at the steps 0, 30 and 60."""
     results_of_three_trials = simulate(Experiment(**PARAMETERS, trials=3), record=30)

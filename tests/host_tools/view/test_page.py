@@ -7,6 +7,7 @@ import html
 import json
 import re
 import zlib
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -199,8 +200,11 @@ def test_the_web_page_that_a_notebook_shows_can_be_saved(tmp_path: Path) -> None
 
 
 def test_a_trial_in_results_is_shown_as_the_same_page_as_that_trial_of_the_experiment() -> None:
-    """A trial of an experiment is simulated for the page, and so is one of results."""
-    results = simulate(EXPERIMENT)
+    """A trial of an experiment is simulated for the page, and so is one of results.
+
+    These have two experiments, of which ``where`` chooses one.
+    """
+    results = simulate([replace(EXPERIMENT, robots=5), EXPERIMENT])
     shown_results = show(results, trial=1, where={"robots": "4"})
     assert shown_results.page == show(EXPERIMENT, trial=1).page
 
