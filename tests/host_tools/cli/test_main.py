@@ -633,6 +633,16 @@ def test_vv_logs_each_batch_of_trials_that_a_sweep_has_finished(capsys: Capture)
     assert "finished trials 0 to 1 of Experiment(robots=3, " in second_batch
 
 
+def test_vv_also_logs_what_python_can_says_of_a_bus_that_cannot_be_opened(capsys: Capture) -> None:
+    """Its driver gets the channel with all settings, the first thing to look at. There is no nowhere0."""
+    options = ["--interface", "socketcan", "--channel", "nowhere0"]
+    assert cli.main(["swarm", *options, "-vv"]) == 2
+    messages = messages_of(capsys.readouterr().err)
+
+    (settings_of_the_bus,) = [message for message in messages if message.startswith("DEBUG can: ")]
+    assert "'channel': 'nowhere0'" in settings_of_the_bus
+
+
 def test_vv_logs_where_an_error_was_raised(capsys: Capture) -> None:
     """The folder "nowhere" does not exist. The message for the user remains at the end."""
     assert cli.main(["table", "--output", "nowhere/tables", "--omega", "3", "-vv"]) == 2
