@@ -159,10 +159,12 @@ def own_experiments_of(
     of ``study_size`` that are out of range.
     """
     cells = [
-        cell if filter_name is None else replace(cell, filter=filter_name)
+        cell
         for cell in cells_of(study_part)
         if cell.filter != "none" and cell.filter_period == FILTER_PERIODS[0]
     ]
+    if filter_name is not None:
+        cells = [replace(cell, filter=filter_name) for cell in cells]
     experiments = [replace(experiment_of(cell, study_size), firmware=firmware) for cell in cells]
     # Cells with ASDF- and with ASDF+ are the same with another filter.
     return without_repetitions(experiments)

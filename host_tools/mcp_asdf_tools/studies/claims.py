@@ -241,8 +241,8 @@ class PlannedComparison:
     def _row_label(self) -> str:
         """Return the label of the comparison's row in the report, such as "f 0.95, b 0.55, b_hat 0.95"."""
         cell_labels = labels_of(self.cell)
-        row_names = ("fill_ratio", "true_accuracy", "flawed_accuracy")
-        return ", ".join(cell_labels[name] for name in row_names if name in cell_labels)
+        attributes = ("fill_ratio", "true_accuracy", "flawed_accuracy")
+        return ", ".join(cell_labels[name] for name in attributes if name in cell_labels)
 
     def _column_label(self) -> str:
         """Return the label of the comparison's column in the report: what is subtracted from what.
@@ -255,11 +255,11 @@ class PlannedComparison:
         measured_value = self.contrast.measure
         if self.contrast.level_in_points is not None:
             measured_value += f" less {self.contrast.level_in_points:g}"
-        column_names = ["flawed_percent", "filter", "filter_period"]
+        attributes = ["flawed_percent", "filter", "filter_period"]
         # The part of the study is named only where the reference is of another part.
         if reference_labels["study_part"] != cell_labels["study_part"]:
-            column_names.insert(0, "study_part")
-        shown_labels = [cell_labels[name] for name in column_names if name in cell_labels]
+            attributes.insert(0, "study_part")
+        shown_labels = [cell_labels[name] for name in attributes if name in cell_labels]
         minuend = ", ".join([measured_value, *shown_labels])
         if self.reference is None:
             return minuend
@@ -393,7 +393,7 @@ def decide(study_results: StudyResults, claims: Iterable[Claim] = CLAIMS) -> lis
     for claim in claims:
         for study_part in claim.parts:
             # The user may have run some parts of the study only.
-            if parts_needed(claim, study_part) <= parts_with_results:
+            if parts_needed(claim, study_part).issubset(parts_with_results):
                 comparisons = tuple(_compare(claim, study_part, study_results))
                 decisions.append(Decision(claim, study_part, comparisons))
     return decisions

@@ -284,7 +284,8 @@ def _draw_single_trials(study_results: StudyResults, study_size: StudySize) -> P
     ]
     for trials in _trials_of_users_filter(study_results, StudyPart.FULLY_CONNECTED, ASDF_PLUS):
         own_cell = cell_of(StudyPart.FULLY_CONNECTED, trials.experiment)
-        if own_cell == replace(UNFILTERED_SERIES_CELL, filter=own_cell.filter):
+        is_swarm_of_series = replace(own_cell, filter=UNFILTERED) == UNFILTERED_SERIES_CELL
+        if is_swarm_of_series:
             experiments.append(trials.experiment)
     # The study keeps no values over time, but a trial that is run again gives the same values.
     recorded = [

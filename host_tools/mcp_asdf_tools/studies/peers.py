@@ -53,6 +53,7 @@ _LABELS = {
     "majority_robots_and_five_liars": "DMMD",
     "TwoReadingsRobot": "two readings",
 }
+"""Heads of the columns of peers, by the firmware's name."""
 
 
 def firmware_name(experiment: Experiment) -> str:
@@ -64,7 +65,9 @@ def column_label(experiment: Experiment) -> str:
     """Return the head of an experiment's column: its filter, or the peer that stands for one."""
     name = firmware_name(experiment)
     filter_name = experiment.swarm_filter.term
-    return f"{filter_name} with memory" if name == "RememberingRobot" else _LABELS.get(name, filter_name)
+    if name == "RememberingRobot":  # which runs with several filters
+        return f"{filter_name} with memory"
+    return _LABELS.get(name, filter_name)
 
 
 # --- Other filters ---------------------------------------------------------------------------------------
@@ -90,11 +93,9 @@ class RememberingRobot(ReferenceRobot):
         status = super().receive(sender, x_hat, alpha)
         if status is Status.OK and alpha > 0:
             self._messages += 1
-            # The gain is 2^-3 up to 63 messages. From then on it halves whenever their number doubles, down
-            # to 2^-12.
-            doublings = self._messages.bit_length() - 1  # 5 from 32 messages on, 6 from 64 on
-            halvings = min(max(doublings - 2, 3), 12)
-            gain = 2.0**-halvings
+            # The gain is 2^-3 up to 63 messages, 2^-4 from 64 on, 2^-5 from 128 on, and so on down to 2^-12.
+            halvings = self._messages.bit_length() - 3
+            gain = 2.0 ** -min(max(halvings, 3), 12)
             # The sender's t is not in the message; robots of a swarm have observed equally often.
             weight = alpha / max(self.t, 1)
             self._weight += gain * (weight - self._weight)
@@ -184,7 +185,11 @@ class BayesCpfRobot(ReferenceRobot):
         return min(max(self._truncated_mean(), lowest), highest)
 
     def _truncated_mean(self) -> float:
-        """Return the mean of the estimate's normal distribution, cut to [1/2, 1]."""
+        """Return the mean of the estimate if it is within 1/2 and 1, and if not, a mean that is.
+
+        That is the mean of its normal distribution, cut to [1/2, 1]. But if next to nothing of the
+        distribution is there, the mean is returned as it is.
+        """
         if 0.5 < self._mean < 1:
             return self._mean
         deviation = math.sqrt(self._variance)
@@ -352,11 +357,14 @@ class MajorityRobot(ReferenceRobot):
         self._rounds_left = self._draw_duration(self.mean_exploration)
 
     def _start_dissemination(self) -> None:
-        """Begin to broadcast the opinion, for a random time that is longer for a more frequent colour."""
+        """Begin to broadcast the opinion, for a random time.
+
+        Its mean is proportional to the share of the opinion's colour in the readings of the exploration.
+        """
         self._is_disseminating = True
         self._opinion_by_sender = {}
-        quality = self._readings_of_opinion / max(1, self._readings)
-        self._rounds_left = self._draw_duration(self.mean_dissemination * quality)
+        share_of_colour = self._readings_of_opinion / max(1, self._readings)
+        self._rounds_left = self._draw_duration(self.mean_dissemination * share_of_colour)
 
     def _draw_duration(self, mean: float) -> int:
         """Return a random number of rounds, at least 1, from an exponential distribution.
@@ -513,10 +521,11 @@ def majority_robots_and_five_liars(config: Config, robot_id: int, b_hat: float) 
 
 
 def _make_robot(
-    liars: int, config: Config, robot_id: int, b_hat: float, honest_robot: RobotMaker = NativeRobot
+    liar_count: int, config: Config, robot_id: int, b_hat: float, honest_robot: RobotMaker = NativeRobot
 ) -> Robot:
-    """Make a liar for the last ids of the swarm, and an honest robot for the others."""
-    make_robot = Liar if robot_id >= ROBOTS_WITH_LIARS - liars else honest_robot
+    """Make a liar if the id is one of the last ``liar_count`` of the swarm, or else an honest robot."""
+    first_liar = ROBOTS_WITH_LIARS - liar_count
+    make_robot = Liar if robot_id >= first_liar else honest_robot
     return make_robot(config, robot_id, b_hat)
 
 
@@ -529,7 +538,8 @@ class ChangingFloor:
 
     def __init__(self, settings: WorldSettings, trial: int) -> None:
         """Start before the first step of a trial; all trials are alike."""
-        self._settings, self._steps = settings, 0
+        self._settings = settings
+        self._next_step = 0
 
     def advance(self, steps: int) -> Accuracies:
         """Return the accuracies of the next steps on black and on white tiles.
@@ -541,8 +551,8 @@ class ChangingFloor:
         black_readings_after = FLOOR_AFTER_CHANGE * b + (1 - FLOOR_AFTER_CHANGE) * (1 - b)
         # f b black readings come from black tiles; white tiles have to give the rest.
         white_accuracy_after = 1 - (black_readings_after - f * b) / (1 - f)
-        step_numbers = np.arange(self._steps, self._steps + steps)
-        self._steps += steps
+        step_numbers = np.arange(self._next_step, self._next_step + steps)
+        self._next_step += steps
         is_before_change = step_numbers < self._settings.steps // 2
         on_white = np.where(is_before_change, b, white_accuracy_after)
         # Accuracies have a row for each step, or one for all, and here one column for all robots.

@@ -60,13 +60,16 @@ class IndependentReadings:
 
     def _draw_readings(self, first_tile: int, tiles: int) -> NDArray[np.bool_]:
         """Return whether the readings of some tiles are black, in their order, shape (2 tiles, robots)."""
-        draws_of_tile = 4  # for its colour, for an error of either reading, and for a repetition
+        # A tile uses up the draws of four steps: for its colour, for an error of either reading, and for a
+        # repetition.
+        draws_of_tile = 4
         uniforms = self._draws.draw_uniforms(draws_of_tile * tiles, draws_of_tile * first_tile)
         draws = uniforms.reshape(tiles, draws_of_tile, self._settings.robots)
-        tile_is_black = draws[:, 0] < self._settings.fill_ratio
-        first_is_right = draws[:, 1] < self._settings.true_accuracy
-        second_is_right = draws[:, 2] < self._settings.true_accuracy
-        is_repeated = draws[:, 3] < self.repeated_share
+        colour_draws, first_draws, second_draws, repetition_draws = draws.swapaxes(0, 1)
+        tile_is_black = colour_draws < self._settings.fill_ratio
+        first_is_right = first_draws < self._settings.true_accuracy
+        second_is_right = second_draws < self._settings.true_accuracy
+        is_repeated = repetition_draws < self.repeated_share
         # A reading is black where it is right on a black tile, or wrong on a white one.
         first_is_black = tile_is_black == first_is_right
         second_is_black = np.where(is_repeated, first_is_black, tile_is_black == second_is_right)
@@ -119,7 +122,8 @@ class TwoReadingsRobot(ReferenceRobot):
             self._first_reading = z
             return super().observe(z)
         self._pairs += 1
-        self._disagreements += z != self._first_reading
+        if z != self._first_reading:
+            self._disagreements += 1
         self._first_reading = None
         return Status.OK
 

@@ -206,19 +206,20 @@ def comparison_table(decision: Decision) -> list[list[str]]:
     The first column has the labels of the rows. The other cells have a mark of MARKS and the difference with
     its interval; they are empty where the claim has no comparison.
     """
-    rows: list[str] = []
-    columns: list[str] = []
-    texts: dict[tuple[str, str], str] = {}
+    row_labels: list[str] = []
+    column_heads: list[str] = []
+    cell_texts: dict[tuple[str, str], str] = {}
     for comparison in decision.comparisons:
-        row, column = comparison.row, _column_head(comparison)
-        if row not in rows:
-            rows.append(row)
-        if column not in columns:
-            columns.append(column)
-        texts[row, column] = f"{MARKS[comparison.holds]} {format_difference(comparison)}"
-    table = [["", *columns]]
-    for row in rows:
-        table.append([row, *(texts.get((row, column), "") for column in columns)])
+        row_label, column_head = comparison.row, _column_head(comparison)
+        if row_label not in row_labels:
+            row_labels.append(row_label)
+        if column_head not in column_heads:
+            column_heads.append(column_head)
+        cell_texts[row_label, column_head] = f"{MARKS[comparison.holds]} {format_difference(comparison)}"
+    table = [["", *column_heads]]
+    for row_label in row_labels:
+        cells_of_row = [cell_texts.get((row_label, column_head), "") for column_head in column_heads]
+        table.append([row_label, *cells_of_row])
     return table
 
 
@@ -234,12 +235,16 @@ def format_difference(comparison: Comparison) -> str:
     A difference that is not subject to chance, whose interval has no width, is formatted without it.
     """
     interval = comparison.interval
-    # Scores have points and tenths; confidences, correlations and b_hat are small numbers of any size.
-    layout = ".1f" if comparison.size >= SIZES["seen"] else ".3g"
-    value, low, high = (format(number, layout).replace("-", "\N{MINUS SIGN}") for number in interval)
+    # "Seen" is the smallest size of a difference of scores, whose unit is a point of 100. Confidences,
+    # correlations and b_hat have smaller sizes, and are shown with three digits.
+    is_score = comparison.size >= SIZES["seen"]
+    layout = ".1f" if is_score else ".3g"
+    value_text, low_text, high_text = (
+        format(number, layout).replace("-", "\N{MINUS SIGN}") for number in interval
+    )
     if interval.low == interval.high:
-        return value
-    return f"{value} [{low}, {high}]"
+        return value_text
+    return f"{value_text} [{low_text}, {high_text}]"
 
 
 def summarize(decision: Decision) -> str:

@@ -232,11 +232,12 @@ def world_rows() -> dict[str, list[Experiment]]:
 def as_honest_robots_see_it(trials: Trials) -> Trials:
     """Return trials without the values of the robots that lie, and with the share of black floor at the end.
 
-    Only x and b_hat are left, of the honest robots, since the liars are the last robots of a swarm. Where the
-    floor changes in the middle of a trial, the share at the end is FLOOR_AFTER_CHANGE.
+    This is done for x and b_hat; other records are dropped, and all other results still are those of all
+    robots. Where the floor changes in the middle of a trial, the share at the end is FLOOR_AFTER_CHANGE.
     """
     experiment = trials.experiment
-    honest_robots = experiment.robots - LIARS.get(firmware_name(experiment), 0)
+    liar_count = LIARS.get(firmware_name(experiment), 0)
+    honest_robots = experiment.robots - liar_count  # which have the lowest ids
     # Axes are trials, recorded steps or filter steps, and robots.
     x = trials.records["x"][:, :, :honest_robots]
     b_hat = trials.b_hat[:, :, :honest_robots]

@@ -90,7 +90,8 @@ def experiments_of(
     Without ``codes`` they are those of ``codes_of``.
     """
     rows: dict[str, list[Experiment]] = {}
-    for message_bits in (EXACT, *map(str, codes or codes_of(filter_name))):
+    tested_codes = codes or codes_of(filter_name)
+    for message_bits in [EXACT, *(str(code) for code in tested_codes)]:
         for swarm, parameters in SWARMS.items():
             rows[row_label(message_bits, swarm)] = m.grid(
                 **parameters,
@@ -157,10 +158,11 @@ def exact_table(rows_by_filter: Mapping[str, Rows]) -> str:
 
     It has a row for each kind of swarm, and a column for each filter.
     """
-    exact_rows = {
-        swarm: [trials for rows in rows_by_filter.values() for trials in rows[row_label(EXACT, swarm)]]
-        for swarm in SWARMS
-    }
+    exact_rows = {}
+    for swarm in SWARMS:
+        label = row_label(EXACT, swarm)
+        # The filters are the columns of this table: all their experiments with this swarm make one row.
+        exact_rows[swarm] = [trials for rows in rows_by_filter.values() for trials in rows[label]]
     return markdown_table("error with exact messages", exact_rows, plain_error_text)
 
 
@@ -179,11 +181,11 @@ def draw_ratios(ratios_by_filter: Mapping[str, RatiosByCode]) -> Figure:
     There is a panel for each filter, and in it a line for each number of bits of alpha.
     """
     figure = empty_figure(WIDTH, 3.2)
-    panels = figure.subplots(nrows=1, ncols=len(ratios_by_filter), sharey=True, squeeze=False)[0]
+    [panels] = figure.subplots(nrows=1, ncols=len(ratios_by_filter), sharey=True, squeeze=False)
     for axes, (filter_name, ratios) in zip(panels, ratios_by_filter.items(), strict=True):
         for alpha_bits in ALPHA_BITS[filter_name]:
-            values = [ratios[MessageCode(x_hat_bits, alpha_bits)].value for x_hat_bits in X_HAT_BITS]
-            axes.plot(X_HAT_BITS, values, marker=".", label=f"alpha {alpha_bits}")
+            ratio_values = [ratios[MessageCode(x_hat_bits, alpha_bits)].value for x_hat_bits in X_HAT_BITS]
+            axes.plot(X_HAT_BITS, ratio_values, marker=".", label=f"alpha {alpha_bits}")
         axes.axhline(TOLERANCE, color="grey", linestyle=":")
         axes.set(title=FILTERS[filter_name].term, xlabel="bits of x_hat", yscale="log")
     panels[0].set_ylabel("error by that of exact messages")

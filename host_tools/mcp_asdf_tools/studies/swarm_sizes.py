@@ -84,7 +84,8 @@ def processor_seconds(experiment: Experiment) -> float:
 def step_cost(trials: Trials) -> Sample:
     """Return the processor time of one step of one robot, in ns, measured on this machine now.
 
-    The result is a sample with the same number for each trial, as tables and curves take samples.
+    It is the difference of two trials, one with twice as many steps, divided by steps and robots. The result
+    is a sample with the same number for each trial, as tables and curves take samples.
     """
     robots = trials.experiment.robots
     # Small swarms take more steps, so that every measurement is long enough for the clock.

@@ -178,8 +178,9 @@ class _Edge:
 
     def is_reverse_of(self, other_edge: _Edge) -> bool:
         """Return whether both are the same edge of both directions, written from either end."""
-        is_reversed = (self.sender, self.receiver) == (other_edge.receiver, other_edge.sender)
-        return is_reversed and not self.is_one_way and not other_edge.is_one_way
+        if self.is_one_way or other_edge.is_one_way:
+            return False
+        return self.sender == other_edge.receiver and self.receiver == other_edge.sender
 
 
 def _parse_lines(lines: Iterable[str], unit: str, source: str) -> Graph:
@@ -187,27 +188,27 @@ def _parse_lines(lines: Iterable[str], unit: str, source: str) -> Graph:
 
     Comments behind a ``#`` and empty lines are left out. For messages, ``unit`` is "edge" or "line", as which
     the lines are counted from 1, and ``source`` is the file's name or "graph". Raises UsageError for a line
-    that is no edge and for an edge that is there already, and if there is none at all.
+    that is no edge, if there is none at all, and for an edge that is there already. One of both directions
+    may come again from its other end, as in an adjacency list.
     """
-    edge_of_link: dict[tuple[int, int], _Edge] = {}
+    first_edge_of_link: dict[tuple[int, int], _Edge] = {}
     for line_number, line in enumerate(lines, start=1):
         edge_text = line.partition("#")[0].strip()
         if not edge_text:
             continue
         edge = _parse_edge(edge_text, f"{source}, {unit} {line_number}", line_number)
-        for link in edge.links:
-            # The first edge with this link stays in the dictionary. An edge of both directions may come once
-            # more from its other end, as in an adjacency list; any other repetition is a mistake.
-            earlier_edge = edge_of_link.setdefault(link, edge)
-            if earlier_edge is not edge and not edge.is_reverse_of(earlier_edge):
-                sender, receiver = link
+        for sender, receiver in edge.links:
+            earlier_edge = first_edge_of_link.get((sender, receiver))
+            if earlier_edge is None:
+                first_edge_of_link[sender, receiver] = edge
+            elif not edge.is_reverse_of(earlier_edge):
                 raise UsageError(
                     f"{source}, {unit} {line_number}: that robot {receiver} hears {sender} is in {unit} "
                     f"{earlier_edge.line_number} already; remove one of them"
                 )
-    if not edge_of_link:
+    if not first_edge_of_link:
         raise UsageError(f"{source} has no edge, so no robot would hear another; write edges such as '3 5'")
-    return Graph(frozenset(edge_of_link), source)
+    return Graph(frozenset(first_edge_of_link), source)
 
 
 def _parse_edge(edge_text: str, position: str, line_number: int) -> _Edge:

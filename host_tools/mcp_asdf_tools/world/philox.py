@@ -12,6 +12,7 @@ J. K. Salmon, M. A. Moraes, R. O. Dror, D. E. Shaw, "Parallel random numbers: as
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -82,8 +83,8 @@ class Stream(NamedTuple):
         The shape is (steps, robots). A step's words do not depend on the steps that are drawn with it. Whole
         blocks are drawn, and the words before the first step and after the last one left out.
         """
-        first_block = first_step // _WORDS_IN_BLOCK
-        end_block = -(-(first_step + steps) // _WORDS_IN_BLOCK)  # rounded up
+        first_block, words_to_skip = divmod(first_step, _WORDS_IN_BLOCK)
+        end_block = math.ceil((first_step + steps) / _WORDS_IN_BLOCK)
         block, robot = np.meshgrid(
             np.arange(first_block, end_block, dtype=np.uint64),
             np.arange(self.robots, dtype=np.uint64),
@@ -96,8 +97,7 @@ class Stream(NamedTuple):
         # Four arrays of shape (blocks, robots) are stacked to (blocks, 4, robots): the four words of a block
         # are those of four consecutive steps, so that blocks and words become one axis of steps.
         words_by_step = np.stack(block_words, axis=1).reshape(-1, self.robots)
-        skipped = first_step - _WORDS_IN_BLOCK * first_block
-        return words_by_step[skipped : skipped + steps].astype(np.uint32)
+        return words_by_step[words_to_skip : words_to_skip + steps].astype(np.uint32)
 
     def draw_uniforms(self, steps: int, first_step: int = 0) -> NDArray[np.float64]:
         """Return random numbers in (0, 1) for ``steps`` steps from ``first_step`` on, one for each robot.

@@ -163,10 +163,11 @@ class WorldSettings:
     def from_recording(cls, recorded: Mapping[str, Any]) -> Self:
         """Make settings of the parameters that a recording or a file of results states.
 
-        A parameter that it lacks has its default: an older program wrote it. Other entries are left out.
-        Raises ParameterError for a value that is wrong or has no effect, for a parameter that only older
-        programs have and that changed the run, and for a graph that is not a text of edges: what others have
-        written must not make this program open a file.
+        A parameter that it lacks has its default: an older program wrote it. Other entries are left out. The
+        name of an extension that is not installed here is kept. Raises ParameterError for a value that is
+        wrong or has no effect, for a parameter that only older programs have and that changed the run, and
+        for a graph that is not a text of edges: what others have written must not make this program open a
+        file.
         """
         for name, value_without_effect in FORMER_PARAMETERS.items():
             value = recorded.get(name, value_without_effect)
@@ -178,7 +179,7 @@ class WorldSettings:
         for name, group in _EXTENSION_GROUPS.items():
             value = parameters.get(name, "")
             if not isinstance(value, str) or value == "":
-                continue
+                continue  # there is no name; a value of another type is refused below
             # The parameter ``sensor`` lists no choices: only installed sensors have names.
             known_names = parameters_of(cls)[name].choices or extensions.Names((), group)
             if value not in known_names:

@@ -137,7 +137,8 @@ class SteppedWorld:
         """
         self._index_in_scene += 1
         if self._scene is None or self._index_in_scene == len(self._scene.black):
-            # No further than the run goes: an extension may have no answers beyond. A caller may go on.
+            # Not beyond the end of the run, where an extension may have no answers. A caller who goes on
+            # there gets one step at a time.
             steps_at_once = max(1, min(_STEPS_AT_ONCE, self._steps_left))
             self._scene = self._world.advance(steps_at_once)
             self._steps_left -= steps_at_once
