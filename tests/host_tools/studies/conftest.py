@@ -77,7 +77,9 @@ class PlantedResults(StudyResults):
         median, spread = planted if isinstance(planted, tuple) else (planted, 0.01)
         # Cells with another P have another order of trials, so that differences vary.
         order = np.random.default_rng(cell.flawed_percent).permutation(PLANTED_TRIALS)
-        return np.asarray(median + 2 * spread * (order / (PLANTED_TRIALS - 1) - 0.5))
+        # The trials spread evenly from the median less the spread to the median plus the spread.
+        shares_of_range = order / (PLANTED_TRIALS - 1)
+        return np.asarray(median - spread + 2 * spread * shares_of_range)
 
 
 # --- Trials ----------------------------------------------------------------------------------------------

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -29,18 +28,19 @@ def test_each_of_20_robots_has_four_neighbours_in_a_static_graph(row: str) -> No
             assert receivers.count(robot) == 4
 
 
-def edges_of_static_graph(steps_to_neighbours: Sequence[int]) -> list[tuple[int, int]]:
-    """Return the pairs of robots that hear each other: text such as "3 5; 5 7" as numbers."""
+def edges_on_circle(places_between_neighbours: int) -> list[tuple[int, int]]:
+    """Return the pairs of 20 robots on a circle that hear each other, as they are so many places apart."""
     edges = []
-    for edge in robust_filter.static_graph(steps_to_neighbours).split("; "):
+    # The graph is a text such as "3 5; 5 7".
+    for edge in robust_filter.static_graph([places_between_neighbours]).split("; "):
         first_robot, second_robot = edge.split()
         edges.append((int(first_robot), int(second_robot)))
     return edges
 
 
 def test_every_third_place_on_a_circle_of_20_joins_all_robots_with_20_edges() -> None:
-    """Since 3 and 20 have no common divisor, steps of three places pass each robot."""
-    edges = edges_of_static_graph([3])
+    """Each robot hears the one three places on. As 3 and 20 have no common divisor, all are joined."""
+    edges = edges_on_circle(places_between_neighbours=3)
 
     assert len(edges) == 20
     assert {first_robot for first_robot, _ in edges} == set(range(20))
@@ -48,11 +48,11 @@ def test_every_third_place_on_a_circle_of_20_joins_all_robots_with_20_edges() ->
 
 
 def test_the_six_flawed_robots_do_not_all_stand_side_by_side_on_a_circle() -> None:
-    """Robots 0 to 5 are flawed. Side by side they would have five edges among each other."""
+    """Robots 0 to 5 are flawed. Each hears those beside it, so six in a row would have five edges."""
     flawed_robots = range(6)
     edges_among_flawed_robots = [
         (first_robot, second_robot)
-        for first_robot, second_robot in edges_of_static_graph([1])
+        for first_robot, second_robot in edges_on_circle(places_between_neighbours=1)
         if first_robot in flawed_robots and second_robot in flawed_robots
     ]
 
@@ -76,12 +76,18 @@ def test_liars_are_counted_neither_in_the_error_of_a_swarm_nor_as_harmed_by_the_
     assert study_program.harmed_percents(trials).tolist() == [0, 0]
 
 
-def test_all_robots_are_counted_in_a_swarm_without_liars() -> None:
-    """One of ten robots estimates 0 instead of 0.5; messages are lost, but no robot lies."""
+def test_the_error_of_a_swarm_without_liars_is_the_mean_error_of_all_its_robots() -> None:
+    """Nine robots estimate the share of black, 0.5, rightly, and the last one estimates 0.
+
+    It is no liar: robots of this firmware lose messages. So no robot is left out.
+    """
     x = [0.5] * 9 + [0.0]
-    lossy_trials = trials_with(robots=10, flawed=0, firmware=peers.LossyRobot, x=x)
-    trials = robust_filter.as_honest_robots_see_it(lossy_trials)
-    assert study_program.late_errors(trials) == pytest.approx([0.5 / 10, 0.5 / 10])  # of two trials
+    trials_of_all = trials_with(robots=10, flawed=0, firmware=peers.LossyRobot, x=x)
+
+    trials = robust_filter.as_honest_robots_see_it(trials_of_all)
+
+    mean_error = (9 * 0.0 + 0.5) / 10
+    assert study_program.late_errors(trials) == pytest.approx([mean_error, mean_error])  # of two trials
 
 
 def test_the_error_on_a_floor_that_changes_is_measured_against_its_share_of_black_at_the_end() -> None:
@@ -146,6 +152,7 @@ def test_ten_trials_of_another_seed_give_about_the_errors_on_the_page_of_the_rob
 
     median_error = float(np.median(study_program.late_errors(trials)))
 
+    # The median of so few trials scatters.
     assert median_error == pytest.approx(late_error_on_page(flaw, column), rel=0.5)
 
 

@@ -88,7 +88,7 @@ def test_the_ratio_of_two_statistics_divides_their_values_and_their_resamples_in
     assert ratio.resamples.tolist() == [2.0 / 1.0, 8.0 / 2.0]
 
 
-def test_the_error_ratio_of_a_code_is_that_of_the_swarm_that_suffers_most(
+def test_the_error_ratio_of_a_code_is_that_of_the_swarm_in_which_it_is_largest(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """A ratio divides the error of a swarm by that of the same swarm with exact messages.
@@ -99,15 +99,17 @@ def test_the_error_ratio_of_a_code_is_that_of_the_swarm_that_suffers_most(
     larger_error = Resampled(0.3, resamples=np.repeat([0.2, 0.4], 50).astype(np.float32))
 
     def planted_error(rows: object, message_bits: str, swarm: str) -> Resampled:
-        suffers_most = (message_bits, swarm) == ("4+1", "moving, overconfident")
-        return larger_error if suffers_most else usual_error
+        if (message_bits, swarm) == ("4+1", "moving, overconfident"):
+            return larger_error
+        return usual_error
 
     monkeypatch.setattr(small_messages, "late_error", planted_error)
 
     no_results: dict[str, list[Trials]] = {}  # as the errors are planted
     ratios = small_messages.worst_ratios(no_results, [MessageCode(4, 1), MessageCode(16, 9)])
 
-    assert ratios[MessageCode(4, 1)] == pytest.approx(Interval(value=3, low=2, high=4))
+    larger_ratio = Interval(value=0.3 / 0.1, low=0.2 / 0.1, high=0.4 / 0.1)
+    assert ratios[MessageCode(4, 1)] == pytest.approx(larger_ratio)
     assert ratios[MessageCode(16, 9)] == pytest.approx(Interval(value=1, low=1, high=1))
 
 
@@ -184,4 +186,4 @@ def test_the_page_about_small_messages_has_a_ratio_of_errors_for_every_code(
     for ratios in ratios_by_row.values():
         assert len(ratios) == alpha_choices
         for ratio in ratios:
-            assert float(ratio.strip("*")) > 0.5
+            assert float(ratio.strip("*")) > 0.5  # a bold ratio stands between asterisks

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 import mcp_asdf_tools as m
 from golden import assert_equals_golden_file
 from host_tools.studies.conftest import page_path, rare_resampling, tables_in, trials_with
-from mcp_asdf_tools.experiments.experiment import Experiment
+from mcp_asdf_tools.experiments.experiment import Experiment, grid
 from mcp_asdf_tools.studies import (
     ageing,
     peers,
@@ -96,7 +96,7 @@ def test_a_measure_of_two_experiments_is_the_mean_of_their_medians_with_an_inter
     value, low, high = study_program.mean_over_experiments(numbers_themselves, experiments)
 
     assert value == (4 + 104) / 2
-    assert 50 < low < 54 < high < 58
+    assert 50 < low < 54 < high < 58  # numbers that are drawn again have medians around 4 and 104
 
 
 def test_a_measure_that_is_rarely_above_0_can_be_averaged_by_means_instead_of_medians() -> None:
@@ -219,8 +219,8 @@ def test_the_results_of_a_row_are_recorded_and_written_to_a_file_in_a_new_folder
 
 @pytest.mark.slow
 def test_robots_of_a_study_have_the_same_results_in_one_process_and_in_two(tmp_path: Path) -> None:
-    [experiment] = m.grid(robots=3, flawed=1, steps=1000, firmware=peers.RememberingRobot)
-
+    """The firmware is a class of a study, not built in, so a second process has to import it."""
+    [experiment] = grid(robots=3, flawed=1, steps=1000, firmware=peers.RememberingRobot)
     [trials_of_one_process] = run_row(tmp_path / "one", experiment, quick=True, workers=1)
     [trials_of_two_processes] = run_row(tmp_path / "two", experiment, quick=True, workers=2)
 
@@ -240,7 +240,7 @@ STUDIES = {
 def run_tiny_program(name: str, folder: Path) -> None:
     """Run a study's program with two short experiments in place of each of its tables, and without plots."""
     study = STUDIES[name]
-    tiny = m.grid(robots=3, flawed=1, steps=1000, filter_period=500, trials=2, filter=["none", "robust"])
+    tiny = grid(robots=3, flawed=1, steps=1000, filter_period=500, trials=2, filter=["none", "robust"])
     functions_of_rows = [
         function for function in vars(study) if function.endswith("_rows") and function != "run_rows"
     ]
