@@ -145,8 +145,10 @@ def _check_extension_objects(experiments: list[Experiment], workers: int) -> Non
     for experiment in experiments:
         for name in (experiment.firmware, experiment.sensor, experiment.topology):
             # Results have only the text of a name, so that two objects with the same text would be mixed up.
-            first_name = first_name_by_text.setdefault(str(name), name)
-            if name != first_name:  # names of objects are equal if the objects are the same
+            text = str(name)
+            if text not in first_name_by_text:
+                first_name_by_text[text] = name
+            elif name != first_name_by_text[text]:  # names of objects are equal if the objects are the same
                 raise UsageError(f"two objects are called {name}; give them different names")
             if workers > 1:
                 check_for_workers(name)
@@ -194,7 +196,9 @@ def score(table: pa.Table, k_max: float | None = None, e_max: float | None = Non
     """
     from mcp_asdf_tools.experiments.result_tables import score_table
 
-    return score_table(table, Limits(k_max, E_MAX if e_max is None else e_max))
+    if e_max is None:
+        e_max = E_MAX
+    return score_table(table, Limits(k_max, e_max))  # without k_max these have T, the length of a trial
 
 
 # --- Tidy tables -----------------------------------------------------------------------------------------
@@ -259,10 +263,12 @@ def _replay_to_tidy_tables(log: Path) -> Iterator[pa.Table]:
         # Each array of values_by_tick has the shape (quantities, N).
         while arrays := list(islice(values_by_tick, ticks_at_once)):
             ticks = first_tick + np.arange(len(arrays))
-            values_by_quantity = dict(zip(QUANTITIES, np.stack(arrays, axis=1), strict=True))
+            series_by_quantity = np.stack(arrays, axis=1)  # shape (quantities, ticks, N)
             # The table wants an axis for trials, too: of one trial, the shape (1, ticks, N).
-            values = {name: series[np.newaxis] for name, series in values_by_quantity.items()}
-            yield tidy_table(settings, (), [0], ticks, values)
+            values = {
+                name: series[np.newaxis] for name, series in zip(QUANTITIES, series_by_quantity, strict=True)
+            }
+            yield tidy_table(settings, parameter_names=(), trial_numbers=[0], steps=ticks, values=values)
             first_tick += len(arrays)
 
 

@@ -83,12 +83,15 @@ def _create_bus_gone_error(error: Exception, cause: BaseException) -> BusGoneErr
 
 
 def _is_closed(bus: can.BusABC) -> bool:
-    """Return whether the connection's file descriptor is closed; False where the interface has none."""
+    """Return whether the connection's file descriptor is closed, or can no longer be asked for.
+
+    Returns False where the interface has none.
+    """
     try:
         descriptor = bus.fileno()
     except NotImplementedError:
         return False
-    except (can.CanError, OSError, ValueError):
+    except (can.CanError, OSError, ValueError):  # ports and sockets that are closed raise any of these
         return True
     # A closed socket has the descriptor -1.
     return isinstance(descriptor, int) and descriptor < 0

@@ -187,14 +187,15 @@ class Connection(can.BusABC):
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
         """Send a frame, waiting up to ``timeout`` seconds until the bus takes it.
 
-        Without a timeout, None, the interface decides how long. Raises BusGoneError if the bus is gone, and
-        another can.CanError if it does not take the frame.
+        Without a timeout, None, the interface decides how long. Raises BusGoneError if the bus is gone,
+        another can.CanError if it does not take the frame, and what the interface raises for a frame that it
+        cannot send.
         """
         try:
             self._send(msg, timeout)
         except Exception as error:  # an interface may raise anything
-            self._raise_failure_of_bus(error)
-            raise
+            self._raise_if_bus_failed(error)
+            raise  # the bus is in order, but the interface cannot send this frame
 
     def recv(self, timeout: float | None = None) -> can.Message | None:
         """Return the next frame that passes the filters; None if none comes within ``timeout`` seconds.
@@ -231,7 +232,7 @@ class Connection(can.BusABC):
             frame, has_passed_filters = self._recv_internal(timeout)
             is_undecodable = frame is not None and not _can_be_sent(frame)
         except Exception as error:  # an interface may raise anything
-            self._raise_failure_of_bus(error)
+            self._raise_if_bus_failed(error)
             is_undecodable = True
         if is_undecodable:
             if self._was_undecodable:
@@ -241,16 +242,17 @@ class Connection(can.BusABC):
         self._was_undecodable = is_undecodable
         return frame, has_passed_filters
 
-    def _raise_failure_of_bus(self, error: Exception) -> None:
+    def _raise_if_bus_failed(self, error: Exception) -> None:
         """Raise can.CanError if ``error``, which the interface has raised, means that the bus has failed.
 
         Returns if it only means that input, or a frame to send, is not as the interface expects it.
         """
         failure = failure_of_bus(error, self._bus)
-        if failure is error:  # which keeps its own cause
-            raise error
-        if failure is not None:
-            raise failure from error
+        if failure is None:
+            return
+        if failure is error:
+            raise error  # an exception cannot be its own cause
+        raise failure from error
 
     def _create_error_frame(self, timestamp: float) -> can.Message:
         """Return the error frame that stands for undecodable input."""

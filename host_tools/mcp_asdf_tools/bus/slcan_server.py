@@ -191,8 +191,9 @@ def parse_frame(line: bytes) -> can.Message | None:
     command = line[:1]
     is_extended = command.isupper()
     is_remote = command in (b"r", b"R")
-    # The number of bytes is one digit behind the identifier, whose digits begin at index 1.
-    length_index = 1 + (8 if is_extended else 3)
+    id_digits = 8 if is_extended else 3
+    # Behind the command's letter stands the identifier, and behind that one digit, the number of bytes.
+    length_index = 1 + id_digits
     data_digits = line[length_index + 1 :].decode("ascii", errors="replace")
     if is_remote and data_digits:  # python-can would drop the data of a remote frame without a word
         return None

@@ -41,7 +41,8 @@ def run(args: argparse.Namespace) -> int:
     Raises UsageError if the file cannot be read, or has readings of another form, too few of them, or ones
     that do not distinguish the colours.
     """
-    readings = parse_readings(read_text(args.file), "standard input" if args.file == "-" else args.file)
+    name = "standard input" if args.file == "-" else args.file
+    readings = parse_readings(read_text(args.file), name)
     left_out = _describe_left_out_lines(readings)
     try:
         calibration = calibrate(readings.rows)

@@ -87,18 +87,20 @@ def main(argv: Sequence[str] | None = None) -> int:
     Wrong usage and failures that the user can mend are printed, and raise nothing.
     """
     arguments = sys.argv[1:] if argv is None else list(argv)
-    command_name = arguments[0] if arguments and arguments[0] in COMMANDS else None
-    command_title = PROGRAM if command_name is None else f"{PROGRAM} {command_name}"
     # Before anything is parsed, since an error of parsing is printed as JSON, too.
     as_json = "--json" in arguments
-    if command_name is None:
-        work = partial(_show_overview, arguments)
+    if arguments and arguments[0] in COMMANDS:
+        command_name, *command_arguments = arguments
+        command_title = f"{PROGRAM} {command_name}"
+        work = partial(_run_command, command_name, command_arguments)
     else:
-        work = partial(_run_command, command_name, arguments[1:])
+        command_title = PROGRAM
+        work = partial(_show_overview, arguments)
     with checked_streams(), stopping(interrupt=True):
         exit_code = _attempt(command_title, work, as_json)
         # Flushed here and not at exit, where a closed pipe or a full disk could not change the exit code.
-        return _attempt(command_title, _flush, as_json) or exit_code_of_signal(exit_code)
+        flush_exit_code = _attempt(command_title, _flush, as_json)
+    return flush_exit_code or exit_code_of_signal(exit_code)
 
 
 def _attempt(command_title: str, work: Callable[[], int], as_json: bool) -> int:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from mcp_asdf_tools.cli import options
 from mcp_asdf_tools.cli.output import (
-    exit_code_with,
+    exit_code_2_if_incomplete,
     json_report,
     print_again,
     recording_for,
@@ -102,8 +102,10 @@ def run(args: argparse.Namespace) -> int:
         print_again(args)
     # A bus that failed matters more than a signal or a log that lacks its end.
     if outcome.has_failed:
-        return exit_code_with(recording, report_failure("mcp-asdf node", outcome.ending, args.json))
-    return exit_code_with(recording, INTERRUPTED if outcome.is_interrupted else 0)
+        exit_code = report_failure("mcp-asdf node", outcome.ending, args.json)
+    else:
+        exit_code = INTERRUPTED if outcome.is_interrupted else 0
+    return exit_code_2_if_incomplete(recording, exit_code)
 
 
 def _run_on_bus(

@@ -66,9 +66,9 @@ def add_parameters(
     The options keep the order in which the class declares its parameters, and names that it does not declare
     are left out. The parsed value of an option that the user leaves out is None.
     """
-    group = parser.add_argument_group(
-        group_title, _describe_filters() if "filter" in parameter_names else None
-    )
+    # The filters have more to say than fits behind an option.
+    description = _describe_filters() if "filter" in parameter_names else None
+    group = parser.add_argument_group(group_title, description)
     add_parameters_to(group, settings_class, parameter_names)
 
 
@@ -293,9 +293,9 @@ def table_of(args: argparse.Namespace) -> tuple[Decimal, int]:
     """
     from mcp_asdf_tools.tables.thresholds import parse_omega
 
-    omega = parse_omega(_DEFAULT_OMEGA if args.omega is None else args.omega)
+    omega_text = _DEFAULT_OMEGA if args.omega is None else args.omega
     neighbours = _DEFAULT_NEIGHBOURS if args.neighbours is None else args.neighbours
-    return omega, neighbours
+    return parse_omega(omega_text), neighbours
 
 
 # --- Bus, frames and logs --------------------------------------------------------------------------------
@@ -555,7 +555,8 @@ def limits_of(args: argparse.Namespace) -> Limits:
     """Return the limits that the user typed, or else the paper's. Raises UsageError for one of 0 or less."""
     from mcp_asdf_tools.experiments.scores import E_MAX, Limits
 
-    return Limits(args.k_max, E_MAX if args.e_max is None else args.e_max)
+    e_max = E_MAX if args.e_max is None else args.e_max
+    return Limits(args.k_max, e_max)  # a K_max of None stands for the length of each trial
 
 
 def typed_limit_options(args: argparse.Namespace) -> list[str]:

@@ -110,12 +110,14 @@ def recording_for(
     )
 
 
-def exit_code_with(recording: Recording | NoRecording, exit_code: int) -> int:
-    """Return the exit code of a command that would end with ``exit_code`` if its recording were complete.
+def exit_code_2_if_incomplete(recording: Recording | NoRecording, exit_code: int) -> int:
+    """Return 2 if a recording is not complete, and otherwise ``exit_code``, with which the run has ended.
 
-    An incomplete recording gives 2, but a failure of the run itself, 1, matters more.
+    The exit code 1 stays in any case, since a failure of the run itself matters more.
     """
-    return exit_code if recording.failure is None or exit_code == 1 else 2
+    if recording.failure is not None and exit_code != 1:
+        return 2
+    return exit_code
 
 
 # --- Pages in a browser ----------------------------------------------------------------------------------

@@ -55,8 +55,10 @@ class Parser(argparse.ArgumentParser):
         arguments that follow it, so it is the one to report.
         """
         unknown_options = [argument for argument in unknown_arguments if argument.startswith("-")]
-        kind = "option" if unknown_options else "argument"
-        first = unknown_options[0] if unknown_options else unknown_arguments[0]
+        if unknown_options:
+            kind, first = "option", unknown_options[0]
+        else:
+            kind, first = "argument", unknown_arguments[0]
         known_options = [option for action in self._actions for option in action.option_strings]
         option_name, _, _ = first.partition("=")  # --robot of --robot=3, which may be --robots misspelt
         self.error(f"no such {kind}: {first}{did_you_mean(option_name, known_options)}")

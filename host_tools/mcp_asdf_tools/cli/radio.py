@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from mcp_asdf.robot import B_HAT_MARGIN, Filter
 from mcp_asdf_tools.cli import options
 from mcp_asdf_tools.cli.output import (
-    exit_code_with,
+    exit_code_2_if_incomplete,
     json_report,
     print_again,
     recording_for,
@@ -219,12 +219,14 @@ def _verify(
             verdict = _run_phases(args, settings, bus, log_outputs, console)
             report["verdict"] = verdict.plain()
             report_text = f"filter: {report['filter']}\n\n{details(verdict)}\n{verdict.headline}\n"
-            at_end.callback(_print_report, args, report_text, report)  # even if a file cannot be completed
+            # Printed when both files are closed, and also if one of them cannot be completed.
+            at_end.callback(_print_report, args, report_text, report)
         if args.report is not None:
             write_atomically(args.report, markdown(verdict, report))
+    exit_code = 0 if verdict.has_passed else 1
     if verdict.is_interrupted:
-        return exit_code_with(recording, INTERRUPTED)
-    return exit_code_with(recording, 0 if verdict.has_passed else 1)
+        exit_code = INTERRUPTED
+    return exit_code_2_if_incomplete(recording, exit_code)
 
 
 def _run_phases(
@@ -291,13 +293,16 @@ def _emulate_neighbours(
             report = _make_report(args, settings, bus_choice)
             report["results"] = radio_run.figures()
             report_text = _format_results(report["results"], report["filter"])
-            at_end.callback(_print_report, args, report_text, report)  # even if a file cannot be completed
+            # Printed when both files are closed, and also if one of them cannot be completed.
+            at_end.callback(_print_report, args, report_text, report)
         if results_path is not None:
             write_atomically(results_path, json_report(report) + "\n")
     outcome = radio_run.outcome
     if outcome.has_failed:
-        return exit_code_with(recording, report_failure("mcp-asdf radio", outcome.ending, args.json))
-    return exit_code_with(recording, INTERRUPTED if outcome.is_interrupted else 0)
+        exit_code = report_failure("mcp-asdf radio", outcome.ending, args.json)
+    else:
+        exit_code = INTERRUPTED if outcome.is_interrupted else 0
+    return exit_code_2_if_incomplete(recording, exit_code)
 
 
 # --- Reports ---------------------------------------------------------------------------------------------

@@ -79,7 +79,7 @@ def run(args: argparse.Namespace) -> int:
         _warn_of_difference(args, verdict.difference, summary)
         return 1
     # No broadcast differs, but none was compared, either.
-    if not verdict.reproduced + verdict.falsified:
+    if verdict.reproduced + verdict.falsified == 0:
         raise UsageError(
             f"{args.log} holds no estimate of the robots in {events_path}; do they belong together?"
         )

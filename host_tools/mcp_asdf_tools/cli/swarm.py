@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, get_args
 from mcp_asdf_tools.cli import options
 from mcp_asdf_tools.cli.output import (
     announce_page,
-    exit_code_with,
+    exit_code_2_if_incomplete,
     json_report,
     print_again,
     recording_for,
@@ -318,8 +318,9 @@ def run(args: argparse.Namespace) -> int:
         return report_failure("mcp-asdf swarm", str(error), args.json)
     if result.outcome.failure is not None:
         exit_code = report_failure("mcp-asdf swarm", f"failed in {result.outcome.failure}", args.json)
-        return exit_code_with(recording, exit_code)
-    return exit_code_with(recording, INTERRUPTED if result.outcome.interrupted else 0)
+    else:
+        exit_code = INTERRUPTED if result.outcome.interrupted else 0
+    return exit_code_2_if_incomplete(recording, exit_code)
 
 
 def _run_and_record(
@@ -337,7 +338,8 @@ def _run_and_record(
     with ExitStack() as at_end:
         with recording as log_outputs:
             result = _emulate(plan, log_outputs, recorder)
-            at_end.callback(_print_result, plan, result)  # even if a file cannot be completed
+            # Printed when both files are closed, and also if one of them cannot be completed.
+            at_end.callback(_print_result, plan, result)
         if results_path is not None:
             write_atomically(results_path, json_report(result.report) + "\n")
     return result
@@ -428,7 +430,8 @@ def _start_view(plan: _RunPlan, at_end: ExitStack) -> SwarmRecorder | None:
     from mcp_asdf_tools.view.server import serve_page
     from mcp_asdf_tools.view.swarm_recorder import SwarmRecorder
 
-    recorder = SwarmRecorder(plan.settings, _DEFAULT_PACE if plan.args.pace is None else plan.args.pace)
+    pace = _DEFAULT_PACE if plan.args.pace is None else plan.args.pace
+    recorder = SwarmRecorder(plan.settings, pace)
     url = at_end.enter_context(serve_page(recorder.history, plan.args.port))
     announce_page(url, plan.args.json)
     return recorder

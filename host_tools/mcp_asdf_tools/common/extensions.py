@@ -77,7 +77,7 @@ class Names:
 
     def __contains__(self, name: object) -> bool:
         if isinstance(name, ObjectName | RecordedName):
-            return True
+            return True  # neither has to be installed here
         return name in self.built_in or name in installed_names(self._group)
 
     def __iter__(self) -> Iterator[str]:

@@ -56,6 +56,7 @@ def image_of(figure: Figure, path: Path) -> bytes:
     """
     image = io.BytesIO()
     suffix = _format_of(path)
+    # The salt is for the names inside an SVG file, which would otherwise be random.
     with rc_context({"svg.hashsalt": "mcp-asdf", "svg.fonttype": "path"}):
         figure.savefig(
             image,
@@ -94,7 +95,9 @@ _LOW_TO_HIGH = LinearSegmentedColormap.from_list("low to high", ["#440154", "#31
 
 def ordered_colours(count: int) -> list[str]:
     """Return this many colours from dark to light, for lines of values that have an order."""
-    return [to_hex(_LOW_TO_HIGH(index / max(1, count - 1))) for index in range(count)]
+    last_index = max(1, count - 1)  # a single colour is the darkest
+    # The map's colours are those of the numbers 0 to 1.
+    return [to_hex(_LOW_TO_HIGH(index / last_index)) for index in range(count)]
 
 
 class Drawing(Figure):

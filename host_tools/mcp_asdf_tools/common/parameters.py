@@ -62,9 +62,10 @@ class Parameter:
     maximum: float
 
     def convert(self, value: Any) -> Any:
-        """Return a value that the parameter may have; a number is converted to the field's type.
+        """Return a value unchanged or, if the field is an int or a float, converted to that type.
 
-        Raises ParameterError if the value is of another type, out of range or none of the choices.
+        Raises ParameterError if the value is of another type, out of range or none of the choices. A field
+        that is neither a number nor a text, and has no choices, takes any value: its class checks it.
         """
         if self.kind in (int, float):
             return self._number(value)

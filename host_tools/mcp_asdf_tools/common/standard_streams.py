@@ -121,4 +121,7 @@ def standard_input_descriptor() -> int:
 def has_input_ended(descriptor: int) -> bool:
     """Return whether an input has ended, without waiting. Data that is there is read and discarded."""
     readable_descriptors, _, _ = select.select([descriptor], [], [], 0)
-    return bool(readable_descriptors) and not os.read(descriptor, _READ_SIZE)
+    if not readable_descriptors:
+        return False
+    # At its end an input counts as readable, but gives no bytes.
+    return os.read(descriptor, _READ_SIZE) == b""

@@ -131,7 +131,7 @@ def _make_frame(
     if is_extended_id and arbitration_id & _ERROR_FLAG:
         return can.Message(timestamp=timestamp, channel=match["channel"], is_error_frame=True)
     id_bits = 29 if is_extended_id else 11
-    if arbitration_id >= 1 << id_bits:
+    if arbitration_id.bit_length() > id_bits:
         return None
     flags = fd_flags or 0
     direction = match["direction"] or "R"  # a line without a direction counts as received

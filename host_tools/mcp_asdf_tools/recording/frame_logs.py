@@ -5,7 +5,7 @@ from __future__ import annotations
 import gzip
 import zlib
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from importlib.util import find_spec
@@ -191,8 +191,9 @@ def _open_text(path: Path) -> Iterator[_NumberedLines]:
     Bytes that are no UTF-8 become escapes, so any file can be read. Raises OSError if it cannot be opened.
     """
     is_compressed = path.suffix.lower() == ".gz"
-    encoding: dict[str, Any] = {"encoding": "utf-8-sig", "errors": "backslashreplace"}
-    with gzip.open(path, "rt", **encoding) if is_compressed else path.open(**encoding) as file:
+    open_file: Callable[..., IO[str]] = gzip.open if is_compressed else open
+    # This encoding is UTF-8, and skips a byte order mark.
+    with open_file(path, "rt", encoding="utf-8-sig", errors="backslashreplace") as file:
         yield _NumberedLines(file)
 
 

@@ -167,9 +167,11 @@ class BusRobot:
         self.is_alive = True
         self.reception = Reception()
         self.recorder = recorder
-        self._is_allowed: NDArray[np.bool_] | None = None  # by sender; None if all are
+        self._is_allowed_by_sender: NDArray[np.bool_] | None = None  # None if all senders are allowed
         if setup.allow is not None:
-            self._is_allowed = np.isin(np.arange(MAX_NODE_ID + 1), [self.id, *setup.allow])
+            # Its own id is always allowed: the firmware refuses what another node sends under it.
+            allowed_ids = [self.id, *setup.allow]
+            self._is_allowed_by_sender = np.isin(np.arange(MAX_NODE_ID + 1), allowed_ids)
         self._make_firmware = make_firmware or setup.make_robot
         self._comms_period = setup.comms_period
         self._estimate_format = estimate_format
@@ -323,7 +325,7 @@ class BusRobot:
         if not self.is_alive:
             return
         sender = estimate.sender
-        if self._is_allowed is not None and not self._is_allowed[sender]:
+        if self._is_allowed_by_sender is not None and not self._is_allowed_by_sender[sender]:
             # The firmware never gets it, so a replay does not need it in the log.
             self.reception.events[Suspicion.UNKNOWN, sender] += 1
             return
@@ -346,10 +348,9 @@ class BusRobot:
         """
         if not self.is_alive:
             return
-        if self._is_allowed is not None:
-            # The array holds a truth value for each estimate, so that thousands of them cost one look-up.
+        if self._is_allowed_by_sender is not None:
             senders = estimates[:, _SENDER_COLUMN]
-            is_allowed = self._is_allowed[senders]
+            is_allowed = self._is_allowed_by_sender[senders]  # of each estimate
             for sender in senders[~is_allowed].tolist():
                 self.reception.events[Suspicion.UNKNOWN, sender] += 1
             estimates = estimates[is_allowed]

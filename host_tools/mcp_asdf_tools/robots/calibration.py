@@ -65,8 +65,9 @@ class Calibration:
         f b + (1 - f)(1 - b) + d. From that the method's estimate of f (eq. 3) becomes f + d / (2 b - 1).
         """
         black, white = self.accuracy.values()
-        # In the terms of the docstring the numerator is d, and the denominator 2 b - 1.
-        return (black - white) / 2 / (black + white - 1)
+        b = (black + white) / 2
+        d = (black - white) / 2
+        return d / (2 * b - 1)
 
     @property
     def warning(self) -> str | None:

@@ -133,7 +133,10 @@ def _columns_of_header(fields: Sequence[str], position: str) -> _Columns | None:
 
 
 def _split(line: str) -> list[str]:
-    """Return the fields of a line in lower case, without quotes."""
+    """Return the fields of a line in lower case, without quotes.
+
+    Semicolons separate them, otherwise tabs, otherwise commas, and white space if the line has none of these.
+    """
     separator = next((character for character in _SEPARATORS if character in line), None)
     fields = line.split(separator)  # None stands for white space
     # White space may be outside the quotes, and inside.

@@ -151,11 +151,25 @@ class RobotSetup:
         filter_period = plain["filter_period"]
         _check_periods(comms_period, filter_period)
         firmware_filter = _FILTERS_BY_NAME[plain["filter"]]
-        config = Config(table, firmware_filter, filter_period // comms_period, plain["memory"])
+        # The firmware counts rounds, of comms_period ticks each.
+        rounds_between_tests = filter_period // comms_period
+        config = Config(
+            table=table,
+            filter=firmware_filter,
+            filter_period=rounds_between_tests,
+            memory=plain["memory"],
+        )
         check_settings(config)  # names the wrong setting, which the C cannot
         allow = parse_ids(str(plain["allow"]), "allow") if "allow" in plain else None
-        setup = cls(plain["id"], plain["firmware"], plain["b_hat"], config, comms_period, allow)
-        # The robot is not needed, but the firmware refuses here what is wrong with its id or b_hat.
+        setup = cls(
+            id=plain["id"],
+            firmware=plain["firmware"],
+            b_hat=plain["b_hat"],
+            config=config,
+            comms_period=comms_period,
+            allow=allow,
+        )
+        # This robot is not used, but the firmware refuses here what is wrong with its id or b_hat.
         setup.make_robot()
         return setup
 

@@ -79,8 +79,8 @@ def _check_remote_on_shared_bus(settings: SwarmSettings, *, is_every_robot_remot
     if not is_every_robot_remote:
         raise UsageError(f"robots here and elsewhere need a bus each: {_HOW_TO_HAVE_A_BUS_EACH}")
     # On one bus every frame reaches every robot at once, and nothing can keep it from one.
-    is_undisturbed = not settings.faults and settings.latency == 0
-    if not is_undisturbed or settings.topology != "fully-connected":
+    has_faults = len(settings.faults) > 0
+    if has_faults or settings.latency > 0 or settings.topology != "fully-connected":
         raise UsageError(
             "robots elsewhere on one bus all hear each other; for faults, latency or a topology "
             f"{_HOW_TO_HAVE_A_BUS_EACH}"
@@ -216,7 +216,7 @@ class Driver:
                 self._observe_at_once({robot: observations[robot]})
         else:
             self._observe_at_once(observations)
-        estimate_frames = [frame for _, frame in sorted(self._estimate_frames.items())]
+        estimate_frames = [self._estimate_frames[robot] for robot in sorted(self._estimate_frames)]
         return [(self.nodes[sender_of(frame)], frame) for frame in other_frames + estimate_frames]
 
     def _observe_at_once(self, observations: Mapping[int, Observation | None]) -> None:

@@ -219,8 +219,9 @@ class Swarm:
         """
         if self._external_robot is not None:
             for index, frame in enumerate(external_frames):
-                # The frame has been on a bus: faults of senders cannot change it any more.
-                self._carrier.send(SentFrame(frame, self._external_robot, self.ticks, index))
+                # The frame has been on a bus: faults of senders cannot change it any more. Its index serves
+                # as the repetition, by which faults of links draw other random words for each frame.
+                self._carrier.send(SentFrame(frame, self._external_robot, self.ticks, repetition=index))
         deliveries = self._carrier.deliver(self.ticks)
         # A robot that has crashed has no tick to end.
         for node in self._alive_nodes:
@@ -288,9 +289,10 @@ class Swarm:
             for node, frame in driver.observe({robot: observations[robot] for robot in driver.nodes}):
                 # The driver leaves out telemetry, and by docs/design.md a robot sends nothing else but
                 # heartbeats.
-                is_estimate = isinstance(decode_estimate(frame, self.settings.frames), Estimate)
-                self.traffic.sent += is_estimate
-                self.traffic.heartbeats_sent += not is_estimate
+                if isinstance(decode_estimate(frame, self.settings.frames), Estimate):
+                    self.traffic.sent += 1
+                else:
+                    self.traffic.heartbeats_sent += 1
                 robot_frames.append((node, frame))
         return robot_frames
 

@@ -38,7 +38,8 @@ def table_name(omega: Decimal, q: int) -> str:
     and so have the same name.
     """
     _, _, decimal_places = f"{omega.normalize():f}".partition(".")
-    return f"t_table_omega{decimal_places:0<2}_q{q}"
+    two_or_more_places = decimal_places.ljust(2, "0")
+    return f"t_table_omega{two_or_more_places}_q{q}"
 
 
 def describe_table(omega: Decimal, q: int) -> dict[str, Any]:

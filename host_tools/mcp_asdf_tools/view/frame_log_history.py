@@ -69,7 +69,7 @@ def read_frame_history(
     )
     robot_values = LatestRobotValues(frame_format, true_accuracy)
     summary = LogSummary()
-    last_tick = int(extent.seconds * STATES_PER_SECOND) + 1
+    last_tick = int(extent.seconds * STATES_PER_SECOND) + 1  # the first one after the last frame
     spacing = steps_between_states(last_tick, len(extent.robot_ids))
     tick = 0
     for seconds, frame in _time_frames(read_log(log, channel, summary), extent.start_time):
@@ -78,7 +78,8 @@ def read_frame_history(
             history.add(robot_values.make_state(tick, tick / STATES_PER_SECOND, extent.robot_ids))
             tick += spacing
         robot_values.receive(frame, seconds)
-    # The last tick is after the last frame: the state there is that of the log's end.
+    # The ticks that are left have the state at the log's end. The last of them is ``last_tick`` or, if that
+    # is between two states, the next one.
     for tick_after_frames in range(tick, last_tick + spacing, spacing):
         history.add(robot_values.make_state(tick_after_frames, extent.seconds, extent.robot_ids))
     history.report = robot_values.roster.report(extent.seconds)

@@ -49,9 +49,10 @@ def show(results: Any, *, trial: int = 0, where: Mapping[str, Any] | None = None
     if trial < 0:
         raise UsageError(f"trial is {trial}; give 0 or more")
     if isinstance(results, Experiment):
-        return NotebookPage(make_page(recompute_trial_history(run_trials(results, trial, 1), trial)))
+        trials = run_trials(results, first=trial, trials=1)
+    else:
+        from mcp_asdf_tools.experiments.result_tables import experiments_in  # noqa: PLC0415 (pyarrow is slow)
 
-    from mcp_asdf_tools.experiments.result_tables import experiments_in  # noqa: PLC0415 (pyarrow loads slowly)
-
-    trials = single_experiment(select_experiments(experiments_in(results), where or {}))
-    return NotebookPage(make_page(recompute_trial_history(trials, trial)))
+        trials = single_experiment(select_experiments(experiments_in(results), where or {}))
+    history = recompute_trial_history(trials, trial)
+    return NotebookPage(make_page(history))

@@ -151,6 +151,7 @@ def encode_states(states: Sequence[State], description: RunDescription) -> dict[
     for quantity in range(len(QUANTITIES)):
         sections.append(_encode_series(values[:, quantity]))
     if description.sides is not None:
+        # Where robots move, every state has positions: the condition is for mypy alone.
         positions = np.stack([state.positions for state in states if state.positions is not None])
         # Metres from the middle of the arena become shares of its sides, 0 to 1 like all other values.
         positions_in_arena = positions / np.array(description.sides) + 0.5

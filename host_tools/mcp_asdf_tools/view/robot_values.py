@@ -32,6 +32,7 @@ class LatestRobotValues:
         self.has_telemetry = False
         self._frame_format = frame_format
         known_accuracy = np.nan if true_accuracy is None else true_accuracy
+        # In the order of QUANTITIES, whose last one is the true accuracy.
         self._unknown_values = [np.nan, np.nan, np.nan, known_accuracy]
         self._values_by_robot: dict[int, list[float]] = {}
         self._no_links = np.zeros((0, 0), np.bool_)

@@ -84,7 +84,8 @@ class RobotOnBus:
         self._last_transfer_ids[kind] = content.transfer_id
         self.received_frames += 1
         if last_id is not None and content.transfer_id != last_id:
-            self.lost_frames += (content.transfer_id - last_id - 1) % TRANSFER_IDS
+            frames_since_last = (content.transfer_id - last_id) % TRANSFER_IDS
+            self.lost_frames += frames_since_last - 1  # one of them is this frame
 
     def _shows_conflict(self, heartbeat: Heartbeat) -> bool:
         """Return whether a new heartbeat shows that two nodes send with this id.

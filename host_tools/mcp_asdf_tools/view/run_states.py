@@ -42,9 +42,11 @@ def complete_states(
                 world.skip(steps_to_skip)
             scene = world.advance(1)
             world_tick = tick
+        # The scene is of one step, which is the first entry of each of its arrays.
         if settings.robots <= MAX_ON_BUS:
             neighbours: NDArray[Any] = scene.neighbours[0].copy()
         else:
             neighbours = np.argwhere(scene.neighbours[0])
         positions = None if scene.positions is None else scene.positions[0]
-        yield State(tick, np.vstack([estimates_at_tick, scene.accuracy[0]]), neighbours, positions)
+        values = np.vstack([estimates_at_tick, scene.accuracy[0]])
+        yield State(tick, values, neighbours, positions)

@@ -137,9 +137,10 @@ class _PageRequestHandler(BaseHTTPRequestHandler):
             self.send_error(404)
 
     def _comes_from_own_page(self) -> bool:
-        """Return whether the headers are those of a user who opens the page, or of the page itself.
+        """Return whether a user who opens the page sent the request, or the page itself, and no other site.
 
-        The Host header shows a site whose name was made to lead to 127.0.0.1 (DNS rebinding).
+        Host, Origin and Sec-Fetch-Site decide, headers that a browser's scripts cannot change. Host betrays a
+        site whose own name was made to lead to 127.0.0.1 (DNS rebinding): it has that name.
         """
         hosts = {f"{name}:{self.server.port}" for name in (HOST, "localhost")}
         own_origins = {f"http://{host}" for host in hosts}

@@ -158,7 +158,8 @@ class FaultRun:
         if not self.fault.is_active(sent_frame.tick, sent_frame.sender):
             return False
         is_hit = self.random.word_for_frame(sent_frame) <= hit_threshold(self.fault.rate)
-        self.hit_count += is_hit
+        if is_hit:
+            self.hit_count += 1
         return is_hit
 
     def active_frames(self, sent_frames: Sequence[SentFrame]) -> NDArray[np.bool_]:
