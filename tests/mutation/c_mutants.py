@@ -56,7 +56,7 @@ CONDITION = re.compile(r"\b(?:if|while) \(")
 
 
 def path_of(file: str) -> Path:
-    """A mutated source."""
+    """Return the path of a mutated source."""
     return LANES_HEADER if file == LANES_HEADER.name else SOURCES / file
 
 
@@ -79,13 +79,13 @@ class Mutant:
     new: str
 
     def source(self) -> str:
-        """The whole file with the mistake in it."""
+        """Return the whole file with the mistake in it."""
         good = _read(self.file)
         return good[: self.start] + self.new + good[self.end :]
 
     @property
     def name(self) -> str:
-        """Without the place, which changes with every line above it."""
+        """Name without the place, which changes with every line above it."""
         return f"{self.file} {self.function}: {self.text}"
 
 
@@ -98,7 +98,7 @@ def _blank(match: re.Match[str]) -> str:
 
 
 def mutants(file: str) -> Iterator[Mutant]:
-    """All of a source, in its order."""
+    """Yield all mutants of a source, in its order."""
     good = _read(file)
     code = NOT_CODE.sub(_blank, good)
     places = [
@@ -132,7 +132,7 @@ def _functions(code: str) -> Iterator[tuple[int, int, str]]:
 
 
 def _closing(code: str, opening: int) -> int:
-    """Place of the bracket that closes this one."""
+    """Return the place of the bracket that closes this one."""
     depth = 0
     for place in range(opening, len(code)):
         depth += (code[place] in "({") - (code[place] in ")}")

@@ -1,5 +1,7 @@
-"""Tests that a mutant of the firmware has to get past: the independent implementation and the C tests, under
-the choices of every target, compiled by tcc, which takes milliseconds."""
+"""Run the tests that notice mutants of the firmware: the independent implementation and the C tests.
+
+They run under the choices of every target, compiled by tcc, which takes milliseconds.
+"""
 
 from __future__ import annotations
 
@@ -68,15 +70,8 @@ class Try:
 def passes(folder: Path, tried: Try) -> bool:
     """Return whether the test passes with the sources in the folder."""
     variant = tried.variant
-    flags: list[str | Path] = [
-        f"-I{folder}",
-        f"-I{PORTS}",
-        *_flags(variant),
-        "-w",
-        "-DCHECK_ONCE",
-        "-include",
-        CLZ,
-    ]
+    flags: list[str | Path] = ["-w", "-DCHECK_ONCE", "-include", CLZ, f"-I{folder}", f"-I{PORTS}"]
+    flags += _flags(variant)
     if tried.test != THIRD:
         linked = [folder / name for name in LINKED.get(tried.test, ())]
         ports = PORTS.glob("node/*.c") if tried.test == "node" else ()
@@ -84,16 +79,18 @@ def passes(folder: Path, tried: Try) -> bool:
     with TemporaryDirectory() as library_folder:
         core = (folder / "mcp_asdf.c", folder / "mcp_asdf_image.c")
         third = _third(*([f"-D{variant.target}"] if variant in BUILDS else []))
+        library = Path(library_folder) / CORE_LIBRARY
         run_third = ("env", f"LD_LIBRARY_PATH={library_folder}", third, "1", str(tried.calls))
-        return _limited(
-            "tcc", *flags, "-shared", *core, "-o", Path(library_folder) / CORE_LIBRARY
-        ) and _limited(*run_third, seconds=SECONDS_BY_CALLS[tried.calls])
+        is_built = _limited("tcc", *flags, "-shared", *core, "-o", library)
+        return is_built and _limited(*run_third, seconds=SECONDS_BY_CALLS[tried.calls])
 
 
 @cache
 def _third(*flags: str) -> Path:
-    """The independent implementation, linked with a library that is the firmware, or a mutant where it runs;
-    made once a process for each build."""
+    """Build the independent implementation, once a process for each build, and return the program.
+
+    It is linked with a library that is the firmware, or where it runs a mutant.
+    """
     folder = Path(mkdtemp())
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
     sources = (SOURCES / "mcp_asdf.c", SOURCES / "mcp_asdf_image.c")
@@ -105,21 +102,21 @@ def _third(*flags: str) -> Path:
 
 
 def third_object(folder: Path, *flags: str) -> Path:
-    """The independent implementation, compiled once for all cores of a build."""
+    """Compile the independent implementation, which fits all cores of a build, and return the object file."""
     made, source = folder / "third.o", ROOT / "tests/third/third.cpp"
     run(require("g++", "g++"), "-std=c++17", "-O2", f"-I{SOURCES}", *flags, "-c", source, "-o", made)
     return made
 
 
 def _flags(variant: Variant) -> list[str]:
-    """An AVR's code of its own, but for its way to read flash."""
+    """Return the flags of a variant. An AVR gets its own code, but reads flash as this machine does."""
     readers = ("ROM=", "READ_WORD(address)=(*(address))", "READ_BYTE(address)=(*(address))")
     own = [f"-DMCP_ASDF_{reader}" for reader in readers] if variant == AVR else []
     return ["-std=c99", *variant.flags(), *own]
 
 
 def _limited(*command: str | Path, seconds: int = SECONDS) -> bool:
-    """True if the command succeeds before its time is over."""
+    """Return whether the command succeeds before its processor time is over."""
     limits = f'ulimit -c 0; ulimit -t {seconds}; exec "$@"'
     return (
         subprocess.run(("sh", "-c", limits, "sh", *command), capture_output=True, check=False).returncode == 0

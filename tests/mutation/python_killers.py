@@ -28,7 +28,7 @@ from support import DRAWS_ALL, ROOT
 
 SECONDS, TIMES = 10, 4
 """Limit of a test's time, beside so many times what it takes without a mistake. What hangs is noticed."""
-QUIET = ("-q", "-p", "no:xdist", "-p", "no:cacheprovider", "-m")
+QUIET = ("-q", "-p", "no:xdist", "-p", "no:cacheprovider", "-p", "no:anyio", "-m")
 HEAVY = ("numpy", "scipy.stats", "pyarrow.parquet", "matplotlib.figure", "can", "cffi")
 """Libraries that most tests need, imported once before processes split."""
 PROBE = "_mcp_asdf_probe"
