@@ -224,10 +224,13 @@ def _experiment_of(file: _TrialFile) -> Experiment:
     experiment here has.
     """
     has_moving_robots = _has_moving_robots(file)
-    keys = _KEYS | (_KEYS_OF_MOVING_ROBOTS if has_moving_robots else {})
+    keys = dict(_KEYS)
+    if has_moving_robots:
+        keys |= _KEYS_OF_MOVING_ROBOTS
     parameters: dict[str, Any] = {"firmware": "reference", "conventions": "authors", "seed": 0}
     for name, key in keys.items():
-        parameters[name] = file.whole_number(key) if name in _WHOLE_PARAMETERS else file.number(key)
+        read_number = file.whole_number if name in _WHOLE_PARAMETERS else file.number
+        parameters[name] = read_number(key)
     if has_moving_robots:
         parameters["topology"] = "dynamic"
         parameters["latency"] = 1

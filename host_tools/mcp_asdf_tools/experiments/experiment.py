@@ -53,8 +53,8 @@ class Experiment(Population):
         object.__setattr__(self, "message_bits", EXACT if message_code is None else str(message_code))
         # In a larger swarm ids repeat: the engine in C keeps robots of one id apart, messages on a bus do
         # not.
-        slow_parameter = self.parameter_lacking_in_c if self.robots > MAX_ON_BUS else ""
-        if slow_parameter:
+        if self.robots > MAX_ON_BUS and self.parameter_lacking_in_c:
+            slow_parameter = self.parameter_lacking_in_c
             value = getattr(self, slow_parameter)
             reason = f"{slow_parameter} is {value}, which runs message by message, with ids of 7 bits"
             message = f"robots is {self.robots}, but {reason}; take at most {MAX_ON_BUS}"

@@ -110,21 +110,24 @@ class _KeyLines:
     def __init__(self, path: Path, text: str) -> None:
         """Find the lines of all keys. Grids are numbered from 1; the keys above them belong to grid 0."""
         self._path = path
-        self._lines: dict[tuple[int, str], list[str]] = {}
+        self._line_numbers: dict[tuple[int, str], list[str]] = {}
         grid_number = 0
         for line_number, line in enumerate(text.splitlines(), start=1):
             if _GRID_LINE.match(line):
                 grid_number += 1
             for key in _KEY.findall(line):
-                self._lines.setdefault((grid_number, key), []).append(str(line_number))
+                self._line_numbers.setdefault((grid_number, key), []).append(str(line_number))
 
     def error_at(self, grid_number: int, key: str, message: str) -> UsageError:
         """Return an error that names the lines of a key in a grid, or above the grids if it is not there.
 
-        A key above the grids holds in each of them.
+        A key above the grids holds in each of them. The error names no line for a key that has none.
         """
-        lines = self._lines.get((grid_number, key)) or self._lines.get((0, key), [])
-        position = f", line {' or '.join(lines)}" if lines else ""
+        above_grids = 0
+        line_numbers = self._line_numbers.get((grid_number, key))
+        if line_numbers is None:
+            line_numbers = self._line_numbers.get((above_grids, key), [])
+        position = f", line {' or '.join(line_numbers)}" if line_numbers else ""
         return UsageError(f"{self._path}{position}: {message}")
 
 

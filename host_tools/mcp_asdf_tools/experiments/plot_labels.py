@@ -110,7 +110,7 @@ def make_caption(experiments: Sequence[Trials], marks: str, limits: Limits) -> s
     details: list[str] = []
     filter_names = {filter_name(trials.experiment) for trials in experiments}
     if len(filter_names) == 1:
-        details += filter_names
+        details.append(filter_names.pop())
     for parameter_name in _CAPTION_PARAMETERS:
         values = _effective_values(experiments, parameter_name)
         if len(values) == 1:
@@ -122,7 +122,7 @@ def make_caption(experiments: Sequence[Trials], marks: str, limits: Limits) -> s
     limits_by_experiment = [limits.of(trials.experiment) for trials in experiments]
     k_limits = {k_max for k_max, _ in limits_by_experiment}
     e_limits = {e_max for _, e_max in limits_by_experiment}
-    for symbol, values in (("K", k_limits), ("e", e_limits)):
-        limit_text = " and ".join(format_for_legend(value) for value in sorted(values))
+    for symbol, different_limits in (("K", k_limits), ("e", e_limits)):
+        limit_text = " and ".join(format_for_legend(limit) for limit in sorted(different_limits))
         details.append(f"${symbol}_{{max}}$ = {limit_text}")
     return f"{', '.join(details)}; {marks}."

@@ -97,6 +97,7 @@ def label_figure(
 ) -> Figure:
     """Add labels of the axes, a caption and a legend to a figure, and return it."""
     figure.supylabel(y_label, fontsize=MEDIUM)
+    # Below the panels a figure has room for one text: the caption with the x label above it.
     add_caption(figure, x_label, caption)
     add_legend(figure, legend_handles)
     return figure
@@ -189,7 +190,7 @@ def sorted_attributes(experiments: Sequence[Trials], name: str) -> list[float]:
 
 
 def accuracy_offset(experiment: Experiment) -> float:
-    """Return how much better than the true accuracy b is what flawed robots assume; 0 if there are none."""
+    """Return the accuracy that flawed robots assume less the true one, b; 0 if no robot is flawed."""
     if not experiment.flawed:
         return 0.0
     # Rounding makes differences equal that differ by the error of floats alone, such as 0.9 - 0.8 and 0.1.
@@ -232,7 +233,11 @@ def describe_intervals(experiments: Sequence[Trials]) -> str:
 
 
 def draw_band(axes: Axes, x: Any, band: NDArray[np.float64], colour: str, style: str = "-") -> None:
-    """Draw a line in a translucent band, whose ``band`` is line, lower and upper edge, shape (3, points)."""
+    """Draw a line in a translucent band over the positions ``x``.
+
+    ``band`` has the line, its lower edge and its upper edge, shape (3, points). ``style`` is matplotlib's
+    format of the line, such as "o-".
+    """
     line, lower_edge, upper_edge = band
     axes.fill_between(x, lower_edge, upper_edge, facecolor=colour, alpha=0.2)
     axes.plot(x, line, style, color=colour, markersize=3.5, linewidth=1.4)

@@ -330,8 +330,8 @@ def trials_from_rows(experiment: Experiment, table: pa.Table) -> Trials:
             records[name] = values.reshape(len(table), sample_count, robots)
     metadata = read_metadata(table)
     return Trials(
-        experiment,
-        table["trial"].to_pylist(),
+        experiment=experiment,
+        numbers=table["trial"].to_pylist(),
         convergence_steps=read_lists("k", robots),
         errors=read_lists("e", robots),
         b_hat=read_lists("b_hat", filter_steps, robots),
@@ -356,7 +356,8 @@ def _check_list_lengths(experiment: Experiment, table: pa.Table) -> None:
     for column, length in length_by_column.items():
         _check_lists(column, table[column], length)
         _check_no_gaps(column, pc.list_flatten(table[column]))
-    # How often values were recorded is not a parameter. So the first list gives the length of all of them.
+    # How often values were recorded is not a parameter. So the first list gives the length of all of them. If
+    # it is missing, it has no length, and the check below refuses it.
     sample_count = pc.list_value_length(table[RECORD_COLUMNS["t"]])[0].as_py() or 0
     for column in RECORD_COLUMNS.values():
         values_of_robots = pc.list_flatten(table[column])
@@ -368,8 +369,8 @@ def _check_list_lengths(experiment: Experiment, table: pa.Table) -> None:
 def _check_lists(column: str, lists: pa.ChunkedArray, length: int) -> None:
     """Raise UsageError, with the name of the column, if one of its lists is missing or has another length."""
     _check_no_gaps(column, lists)
-    lengths = pc.list_value_length(lists).unique().to_pylist()
-    if not set(lengths) <= {length}:
+    different_lengths = pc.list_value_length(lists).unique().to_pylist()
+    if any(list_length != length for list_length in different_lengths):
         raise _damage_error(f"column {column} has lists that have not {length} values")
 
 
@@ -380,7 +381,7 @@ def _check_no_gaps(column: str, values: pa.ChunkedArray) -> None:
 
 
 def _damage_error(problem: str) -> UsageError:
-    """Return the error for results with a problem that no version of the program has written."""
+    """Return the error for results that this program cannot have written, with the problem and the fix."""
     return UsageError(f"the results are damaged: {problem}; run mcp-asdf sweep again")
 
 

@@ -102,7 +102,8 @@ class Trials:
         if filter_step_count == 0:
             return np.zeros((trial_count, healthy_robots), np.bool_)
         final_b_hat = b_hat_of_healthy_robots[:, -1]
-        initial_b_hat = self.experiment.b_hat(self.experiment.robots - 1)
+        last_robot = self.experiment.robots - 1
+        initial_b_hat = self.experiment.b_hat(last_robot)
         return np.asarray(abs(final_b_hat - initial_b_hat) > HARM_LIMIT)
 
 

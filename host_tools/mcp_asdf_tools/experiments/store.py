@@ -87,9 +87,10 @@ class Store:
         self._row_of_trial: dict[_ResultKey, NDArray[np.int64]] = {}
         for experiment in self.experiments:
             key = _result_key(experiment)
-            # Experiments that differ only in their number of trials share their results.
-            trial_count = max(experiment.trials, len(self._row_of_trial.get(key, ())))
-            self._row_of_trial[key] = np.full(trial_count, -1)
+            # Experiments that differ only in their number of trials share their results: the longest list
+            # has room for those of all.
+            trials_so_far = len(self._row_of_trial[key]) if key in self._row_of_trial else 0
+            self._row_of_trial[key] = np.full(max(experiment.trials, trials_so_far), -1)
         check_target(output)
         # A folder of parts means an unfinished sweep, which another process may be running right now.
         if self.parts.is_dir():
@@ -120,6 +121,7 @@ class Store:
             table = row_group.read(INDEX_COLUMNS)
             trial_numbers = table["trial"].to_numpy()
             metadata = read_metadata(table)
+            # With a "source", another program has run the trials.
             is_comparable = (
                 metadata["sampling_interval"] == self.sampling_interval
                 and metadata["versions"]["mcp-asdf"] == software_versions()["mcp-asdf"]
@@ -128,7 +130,8 @@ class Store:
             for experiment, rows in rows_by_experiment(table).items():
                 # An experiment that is not in the sweep has no trials there.
                 row_of_trial = self._row_of_trial.get(_result_key(experiment), np.empty(0, np.int64))
-                if not is_comparable or trial_numbers[rows].max() >= len(row_of_trial):
+                has_other_trials = trial_numbers[rows].max() >= len(row_of_trial)
+                if has_other_trials or not is_comparable:
                     raise UsageError(
                         f"{self.output} or its parts hold results of other experiments, recordings or "
                         "versions; choose another name or move it away"

@@ -205,11 +205,12 @@ def write_tidy_tables(path: Path, tables: Iterable[pa.Table]) -> int:
     name only once it is complete. Raises UsageError if it cannot be written.
     """
     check_tidy_path(path)
+    # The tables of experiments may have few rows each, and writing many small ones takes long.
     larger_tables = collect_rows(tables, min_rows=_MIN_ROWS_WRITTEN)
     if path.suffix.lower() == ".csv":
         csv_tables = map(_replace_truth_by_number, larger_tables)
-        return write_tables(path, csv_tables, pyarrow.csv.CSVWriter)
-    return write_tables(path, larger_tables)
+        return write_tables(path, csv_tables, open_writer=pyarrow.csv.CSVWriter)
+    return write_tables(path, larger_tables)  # by default in Parquet
 
 
 def _replace_truth_by_number(table: pa.Table) -> pa.Table:

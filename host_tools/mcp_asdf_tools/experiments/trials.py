@@ -33,7 +33,7 @@ Floats = NDArray[np.float64]
 TRIALS_AT_ONCE = 8
 """Trials of moving swarms, and of graphs, that the engine runs side by side."""
 
-SERIES_BYTES = 32 << 20
+SERIES_BYTES = 32 * 2**20
 """Size of the series of x of the trials that run side by side, unless one trial has more."""
 
 

@@ -98,7 +98,8 @@ def _panel_titles(experiments: Sequence[Trials]) -> list[str]:
 def _title_lines(experiment: Experiment, varying_names: Sequence[str]) -> list[str]:
     """Return the varying parameters that have an effect in the experiment, then f, b, b_hat and P.
 
-    The text is wrapped into lines of up to _TITLE_WIDTH characters.
+    The text is wrapped into lines of up to _TITLE_WIDTH characters. Symbols are formulas as matplotlib draws
+    them, such as "$f$ = 0.55".
     """
     values = [
         parameter_with_value(parameter_name, experiment.parameters()[parameter_name])

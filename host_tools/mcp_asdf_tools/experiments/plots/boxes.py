@@ -127,6 +127,6 @@ def _draw_box(axes: Axes, scores: NDArray[np.float64], middle: float, width: flo
         capprops=line,
     )
     # Points are moved sideways, without a pattern, since equal scores would hide each other.
-    shares_of_width = np.arange(len(scores)) * _GOLDEN_RATIO % 1
+    shares_of_width = (np.arange(len(scores)) * _GOLDEN_RATIO) % 1
     distances = (shares_of_width - 0.5) * width  # from the middle of the box
     axes.plot(middle + distances, scores, ".", color=colour, markersize=3.5, alpha=0.6, markeredgewidth=0)

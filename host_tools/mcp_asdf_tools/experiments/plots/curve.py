@@ -161,7 +161,8 @@ def _draw_curve(
 def _measured_values(trials: Trials, y: str | Measure, limits: Limits) -> NDArray[np.float64]:
     """Return ``y`` of each trial. Raises UsageError if a function does not give one number for each."""
     if isinstance(y, str):
-        return np.asarray(trials.measures(limits)[y], dtype=np.float64)  # updates are counted in integers
+        # For the type alone: all MEASURES are floats, but measures() also returns counts.
+        return np.asarray(trials.measures(limits)[y], dtype=np.float64)
     values = np.asarray(y(trials), dtype=np.float64)
     if values.shape != (len(trials.numbers),):
         raise UsageError(

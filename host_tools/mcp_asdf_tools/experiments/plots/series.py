@@ -124,10 +124,10 @@ def _limits_of_quantity(
     highs: list[float] = []
     for trials in runs:
         values = _values_of(trials, trial_number, quantity)
-        first_moments = len(values) // 50
-        settled_values = np.append(values[first_moments:], _true_value(trials.experiment, quantity))
-        lows.append(float(settled_values.min()))
-        highs.append(float(settled_values.max()))
+        unsettled_samples = len(values) // 50
+        values_within = np.append(values[unsettled_samples:], _true_value(trials.experiment, quantity))
+        lows.append(float(values_within.min()))
+        highs.append(float(values_within.max()))
     low, high = min(lows), max(highs)
     margin = max(0.06 * (high - low), 0.01)
     return low - margin, high + margin
@@ -162,12 +162,15 @@ def _draw_quantity(axes: Axes, trials: Trials, trial_number: int, quantity: _Qua
     draw_style = "steps-post" if quantity.name == "b_hat" else "default"  # b_hat is constant between updates
     # Flawed robots have the lowest ids, and what is drawn last lies on top.
     for robot in reversed(range(experiment.robots)):
-        is_flawed = experiment.is_flawed(robot)
+        if experiment.is_flawed(robot):
+            colour, label = FLAWED, _FLAWED_LABEL
+        else:
+            colour, label = OTHER, _HEALTHY_LABEL
         axes.plot(
             steps,
             values[:, robot],
-            color=FLAWED if is_flawed else OTHER,
-            label=_FLAWED_LABEL if is_flawed else _HEALTHY_LABEL,
+            color=colour,
+            label=label,
             linewidth=1.1,
             alpha=0.75,
             drawstyle=draw_style,
