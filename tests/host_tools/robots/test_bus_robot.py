@@ -85,10 +85,11 @@ def test_a_count_in_reports_goes_on_after_more_than_2_16_refusals_in_a_round() -
     assert robot.counters.rejected == 7 + 70 * 1000
 
 
-def test_every_count_in_reports_goes_on_where_the_16_bits_of_the_firmware_s_counter_end() -> None:
-    """The counters of the firmware begin at their largest value, 65,535. What it counts then is added.
+def test_the_counts_of_received_estimates_in_reports_go_on_where_the_firmware_s_16_bits_end() -> None:
+    """All counters of the firmware begin at their largest value, 65,535. Three of them count on, and wrap.
 
-    It takes the first estimate of a robot in a round, and refuses those under its own id, 5.
+    The first estimates of robots 6 and 7 are accepted, and their second ones are repeated. The one under the
+    robot's own id, 5, is rejected. The filter is off, so there are no tests and updates.
     """
     robot = robot_with_counters(
         comms_period=10, accepted=65_535, repeated=65_535, rejected=65_535, tests=65_535, updates=65_535
@@ -113,7 +114,8 @@ def test_telemetry_has_the_number_of_updates_modulo_256() -> None:
     """The count 65,535 is sent as 255. x is 1/2, and b_hat, the accuracy that the robot assumes, is 3/4."""
     robot = robot_with_counters(comms_period=1, updates=65_535)
 
-    telemetry = Telemetry(sender=5, x=2**23 // 2, b_hat=2**24 * 3 // 4, updates=65_535 % 256, transfer_id=0)
+    half, three_quarters = 2**23 // 2, 3 * 2**24 // 4  # x is in units of 2**-23, and b_hat in those of 2**-24
+    telemetry = Telemetry(sender=5, x=half, b_hat=three_quarters, updates=65_535 % 256, transfer_id=0)
     assert robot.telemetry(now=0.0).data == encoded(telemetry).data
 
 

@@ -135,7 +135,7 @@ def test_half_as_many_readings_give_an_accuracy_less_certain_by_the_square_root_
 
 def test_the_bias_is_the_error_of_a_robot_with_such_a_sensor(unequal_calibration: Calibration) -> None:
     """The robot looks at 1000 tiles, of which 400 are black. Its estimate x_hat is too large by the bias."""
-    black_observations = round(0.97 * 400 + (1 - 0.87) * 600)
+    black_observations = round(0.97 * 400 + (1 - 0.87) * 600)  # right ones, and wrong ones over white
     robot = setup_of_robot(1, "native", unequal_calibration.b_hat).make_robot()
     for _ in range(black_observations):
         robot.observe(Observation.BLACK)

@@ -215,8 +215,11 @@ def test_remote_robots_end_in_the_same_state_among_faults(
     assert x_with_remote_robots == [node.robot.x for node in comparison.local_run.nodes]
 
 
-def test_the_local_estimate_of_a_remote_robot_is_known_from_its_broadcasts() -> None:
-    """It broadcasts x_hat, its local estimate, in each tick, so the last one is known here."""
+def test_a_run_reports_as_x_hat_of_a_remote_robot_what_it_broadcast_last() -> None:
+    """Robot 1 is remote. It broadcasts x_hat, the estimate from its own observations, in each tick.
+
+    The report is compared with a run in which robot 1 is in this process.
+    """
     comparison = compare_runs(small_swarm(robots=4), wiring_with_remote_robots(1))
     reported_robot = comparison.remote_run.nodes[1].robot
     local_robot = comparison.local_run.nodes[1].robot

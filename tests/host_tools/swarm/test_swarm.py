@@ -103,11 +103,14 @@ def test_robots_send_heartbeats_and_estimates_by_rising_id_in_their_ticks(
     for frame in frames:
         content = decode_frame(frame, FrameFormat())
         if isinstance(content, kind):
-            tick = round(frame.timestamp * 25)
+            tick = round(frame.timestamp * 25)  # a second has 25 ticks
             ticks_senders_and_numbers.append((tick, content.sender, content.transfer_id))
-    assert ticks_senders_and_numbers == [
-        (tick, robot, number % 32) for number, tick in enumerate(ticks) for robot in range(5)
-    ]
+
+    expected = []
+    for number, tick in enumerate(ticks):
+        for robot in range(5):
+            expected.append((tick, robot, number % 32))
+    assert ticks_senders_and_numbers == expected
 
 
 def test_heartbeats_come_before_the_estimates_of_a_tick() -> None:
@@ -136,7 +139,8 @@ def test_each_robot_s_estimate_is_the_weighted_mean_of_all_estimates_on_the_bus(
     assert len(estimates) == 5 * len(x_by_round)
     for round_number, x_of_robots in enumerate(x_by_round):
         first = 5 * round_number
-        assert x_of_robots == [weighted_mean(estimates[first : first + 5])] * 5
+        estimates_of_round = estimates[first : first + 5]  # one of each robot
+        assert x_of_robots == [weighted_mean(estimates_of_round)] * 5
     assert run.results["updates"] > 0
 
 
@@ -475,7 +479,7 @@ def run_of_disagreeing_robots(seed: int = 11) -> SwarmRun:
 
 @pytest.mark.parametrize(("seed", "is_low"), [(11, False), (15, True)])
 def test_results_have_the_mean_estimate_and_its_error(seed: int, is_low: bool) -> None:
-    """Five robots estimate the share of black, which is 0.55. Their errors are averaged, too.
+    """Five robots estimate the share of black, which is 0.55. The mean error is that of their distances.
 
     With one seed the mean estimate is above 0.55, with the other below it.
     """

@@ -70,7 +70,7 @@ def hit_counts(run: SwarmRun) -> list[int]:
 
 @pytest.mark.parametrize("wiring", list(WIRINGS)[1:])
 @pytest.mark.parametrize(
-    ("faults", "world"),
+    ("faults", "changes"),
     [
         pytest.param((), {}, marks=pytest.mark.slow),
         (MIXED_FAULTS, {"telemetry_period": 7, "comms_period": 4}),
@@ -83,11 +83,14 @@ def hit_counts(run: SwarmRun) -> list[int]:
     ids=["lossless", "mix", "moving"],
 )
 def test_a_swarm_runs_the_same_way_on_any_buses_as_on_one_virtual_bus(
-    wiring: str, faults: tuple[str, ...], world: dict[str, Any]
+    wiring: str, faults: tuple[str, ...], changes: dict[str, Any]
 ) -> None:
-    """With no bus, or one for each robot, too, frames, final states, results and events are the same."""
-    settings = small_swarm(*faults, **world)
-    events_on_one_bus: list[str] = []  # filled by the run, like the next
+    """With no bus, or one for each robot, too, frames, final states, results and events are the same.
+
+    Events are what happened to each robot. The settings of the swarm have faults, and other ``changes``.
+    """
+    settings = small_swarm(*faults, **changes)
+    events_on_one_bus: list[str] = []  # each run adds its lines of events to its list
     events: list[str] = []
     run_on_one_bus, frames_on_one_bus = run_and_record(settings, events=events_on_one_bus)
     run, frames = run_and_record(settings, WIRINGS[wiring], events=events)
@@ -436,7 +439,10 @@ def figures_of_run(faults: list[str], settings: dict[str, Any]) -> list[str]:
     Robots from 6 on have the faults, and the first six are flawed.
     """
     swarm_settings = SwarmSettings(steps=500, filter_period=100, faults=tuple(faults), **settings)
-    last_with_fault = max({6}.union(*(fault.robots for fault in swarm_settings.faults)))
+    robots_with_faults = {6}  # also in a run without faults
+    for fault in swarm_settings.faults:
+        robots_with_faults |= fault.robots or set()
+    last_with_fault = max(robots_with_faults)
     with Swarm(swarm_settings, Wiring()) as swarm:
         robots = [node.robot for node in run_swarm(swarm).nodes]
     flawed_robots, other_robots = robots[:6], robots[last_with_fault + 1 :]
@@ -529,8 +535,14 @@ def test_the_page_of_threats_says_which_errors_its_words_stand_for() -> None:
 
 
 def test_the_page_of_threats_shows_what_its_commands_print(capsys: pytest.CaptureFixture[str]) -> None:
-    """One block of the page has the commands, and another the output that all of them print together."""
-    for command in block_with(THREATS_PAGE, "--filter robust", "sh").splitlines():
+    """One block of the page has the commands, and another the output that all of them print together.
+
+    A block is found by a text that no other block in its language contains.
+    """
+    commands = block_with(THREATS_PAGE, "--filter robust", "sh").splitlines()
+    output = block_with(THREATS_PAGE, "seed 1", "text")
+
+    for command in commands:
         _mcp_asdf, *arguments = command.split()
         assert main(arguments) == 0
-    assert capsys.readouterr().out == block_with(THREATS_PAGE, "seed 1", "text")
+    assert capsys.readouterr().out == output

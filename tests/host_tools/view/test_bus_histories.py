@@ -107,12 +107,13 @@ def test_a_robot_has_no_values_in_states_before_its_first_frame_on_the_bus(bus: 
     Robot 3 sends at 0.3125 s, so it has x = 0.25 in the last of four states.
     """
     states = record(bus, seconds=0.5).history.states_since().states
-    x_of_robot_3 = []
+    x_of_robot_3_by_state = []
     for state in states:
-        x_of_robot_7_and_3, _x_hat, _b_hat, _true_accuracy = state.values
-        x_of_robot_3.append(x_of_robot_7_and_3[1])
+        x, _x_hat, _b_hat, _true_accuracy = state.values
+        _x_of_robot_7, x_of_robot_3 = x
+        x_of_robot_3_by_state.append(x_of_robot_3)
 
-    assert np.array_equal(x_of_robot_3, [NAN, NAN, NAN, 0.25], equal_nan=True)
+    assert np.array_equal(x_of_robot_3_by_state, [NAN, NAN, NAN, 0.25], equal_nan=True)
 
 
 def test_each_of_two_robots_that_join_a_bus_makes_open_pages_load_all_states_again(bus: ScriptedBus) -> None:

@@ -76,11 +76,11 @@ def test_a_swarm_without_an_end_keeps_at_most_a_hundred_states(monkeypatch: pyte
     [
         (1, 128, 1),
         (10_000, 20, 1),
-        (40_000, 20, 4),
-        (20_000, 60, 19),
-        (10**6, 128, 4099),
+        (40_000, 20, 4),  # there are at most 10,000 states
+        (20_000, 60, 19),  # the links of 1111 states, a bit for each of 60 x 60 pairs, are 4 million bits
+        (10**6, 128, 4099),  # likewise, those of 244 states
         (10**9, 1, 100_000),
-        (10_000, 2000, 80),
+        (10_000, 2000, 80),  # 16 bits for each of 2000 robots in 125 states are 4 million bits
     ],
 )
 def test_a_web_page_keeps_fewer_states_of_a_swarm_with_more_steps_and_robots(

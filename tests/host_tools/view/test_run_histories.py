@@ -269,9 +269,9 @@ def test_a_pixel_of_the_drawn_floor_is_black_where_a_robot_would_observe_black(
     floor = SwarmRecorder(settings).history.description.floor
     assert floor is not None
     arena = Arena(settings, 0)
-    last_row, last_column = floor.shape[0] - 1, floor.shape[1] - 1
+    rows, columns = floor.shape
 
-    for row, column in ((0, 0), (0, last_column), (last_row, 0), (17, 31)):
+    for row, column in ((0, 0), (0, columns - 1), (rows - 1, 0), (17, 31)):
         x, y = centre_of_pixel(floor, row, column, settings)
         assert floor[row, column] == arena.is_black(x, y)
 
@@ -430,21 +430,27 @@ def test_a_state_of_the_authors_trial_has_the_recorded_values_of_all_robots(
     assert (true_accuracy == FIXED.true_accuracy).all()
 
 
-def test_a_trial_of_the_paper_s_authors_has_states_of_recorded_steps_without_positions_and_links(
+def test_the_history_of_an_authors_trial_has_a_state_for_each_recorded_step(authors_history: History) -> None:
+    """Every 20th of the 60 steps of the trial is recorded, and so is its start."""
+    assert ticks_of(authors_history) == [0, 20, 40, 60]
+
+
+def test_an_authors_trial_is_shown_without_an_arena_without_positions_and_without_links(
     authors_history: History,
 ) -> None:
-    """Their files do not record where robots are, nor which of them receive each other.
-
-    The title names their program by its repository, NESTLab/sensor-degradation-filter.
-    """
-    assert ticks_of(authors_history) == [0, 20, 40, 60]
+    """Their files do not record where robots are, nor which of them receive each other."""
+    assert authors_history.description.sides is None
     for state in states_of(authors_history):
         assert state.positions is None
         assert not state.neighbours.any()
-    description = authors_history.description
-    assert description.sides is None
-    assert description.title.startswith("5 robots, 2 flawed, ")
-    assert description.title.endswith(", trial 2 of NESTLab/sensor-degradation-filter")
+
+
+def test_the_title_of_an_authors_trial_names_their_program_by_its_repository(
+    authors_history: History,
+) -> None:
+    title = authors_history.description.title
+    assert title.startswith("5 robots, 2 flawed, ")
+    assert title.endswith(", trial 2 of NESTLab/sensor-degradation-filter")
 
 
 def test_a_long_trial_of_the_paper_s_authors_is_shown_with_every_second_recorded_state(

@@ -65,7 +65,13 @@ def read_to(client: socket.socket, end: str) -> None:
         text += client.recv(1)
 
 
+def read_until_server_closes(client: socket.socket) -> str:
+    """Return all text that comes on a connection until the server closes it."""
+    return client.makefile().read()
+
+
 def request_for(url: str, path: str) -> str:
+    """Return a request in HTTP/1.0, by which the server closes the connection after its answer."""
     return f"GET {path} HTTP/1.0\r\nHost: {urlsplit(url).netloc}\r\n\r\n"
 
 
@@ -151,7 +157,7 @@ def test_the_head_of_an_answer_forbids_to_cache_it_and_to_embed_it_in_other_site
 ) -> None:
     """This holds for the page, for its events, and for the error about an address without anything."""
     with connect(url, request_for(url, path)) as client:
-        head, _, _content = client.makefile().read().partition("\n\n")
+        head, _, _content = read_until_server_closes(client).partition("\n\n")
 
     assert {
         "Cache-Control: no-store",
@@ -241,8 +247,8 @@ def test_two_open_pages_both_get_the_states_of_a_swarm() -> None:
         history.add(STATES[0])
         with connect(url, request_for(url, "/events")) as second_page:
             history.has_ended = True
-            first_text = first_page.makefile().read()
-            second_text = second_page.makefile().read()
+            first_text = read_until_server_closes(first_page)
+            second_text = read_until_server_closes(second_page)
 
     assert first_text.count("event: block") == 1
     assert second_text.count("event: block") == 1
@@ -281,8 +287,8 @@ def test_the_server_closes_a_connection_whose_request_has_no_end(monkeypatch: py
     """
     monkeypatch.setattr(server._PageRequestHandler, "timeout", 0.1)
     with serve_page(History(DESCRIPTION)) as url, connect(url, "GET / HTTP/1.0\r\n") as client:
-        everything_until_it_closes = client.makefile().read()
-    assert everything_until_it_closes == ""
+        answer = read_until_server_closes(client)
+    assert answer == ""
 
 
 @pytest.fixture
@@ -323,7 +329,7 @@ def test_when_the_server_ends_an_open_page_gets_the_event_that_the_swarm_has_end
         client = connect(url, request_for(url, "/events"))
         client.recv(1)
     with client:
-        assert client.makefile().read().endswith("event: end\ndata: null\n\n")
+        assert read_until_server_closes(client).endswith("event: end\ndata: null\n\n")
 
 
 def test_the_server_does_not_end_before_the_threads_of_open_pages(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -343,7 +349,7 @@ def test_the_server_does_not_end_before_the_threads_of_open_pages(monkeypatch: p
 def test_a_second_server_can_have_the_port_of_one_that_has_just_ended() -> None:
     """The first server closes a connection itself, so the system would keep its port for a minute."""
     with serve_page(History(DESCRIPTION), 65535) as url, connect(url, "GET / HTTP/1.0\r\n\r\n") as client:
-        client.makefile().read()
+        read_until_server_closes(client)
     with serve_page(History(DESCRIPTION), 65535) as url:
         assert url == "http://127.0.0.1:65535/"
 

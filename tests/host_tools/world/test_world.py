@@ -402,7 +402,7 @@ def test_every_setting_of_moving_robots_reaches_their_simulation_in_c() -> None:
     assert members_in_c == {**same_in_c, "range": 0.5, "tick": 1 / 20, "seed": arena_seed(SEED, trial=0)}
 
 
-LEAST_FILL_RATIO_OF_CODES = 3 * 33e-4 + 2 * 42e-4
+LEAST_FILL_RATIO_OF_CODES = (3 * 33 + 2 * 42) / 100**2
 """Share of black in three finder patterns, of 33 modules, and two timing lines, of 42, among 10^4 modules."""
 FINDER_PATTERN_SIDE = 7
 BLACK_IN_FINDER_PATTERN = 24 + 9
@@ -454,8 +454,8 @@ def test_a_floor_like_a_qr_code_is_always_the_same() -> None:
 # --- Extensions ------------------------------------------------------------------------------------------
 
 
-def extension_that_answers(answer: object) -> Any:
-    """Return a sensor model or a topology that gives this answer for any number of steps."""
+def extension_whose_advance_returns(answer: object) -> Any:
+    """Return a sensor model or a topology of a user, whose method ``advance`` returns this for any steps."""
     return SimpleNamespace(advance=lambda steps: answer)
 
 
@@ -467,7 +467,7 @@ def test_accuracies_of_an_extension_may_be_alike_for_all_steps_or_robots(
     accuracies: NDArray[np.float64],
 ) -> None:
     """One row stands for all 5 steps, and one column for all 4 robots. They are returned as they are."""
-    extension = extension_that_answers((VALID_ACCURACIES, accuracies))
+    extension = extension_whose_advance_returns((VALID_ACCURACIES, accuracies))
     sensors = CheckedSensors(extension, make_settings())
     on_black, on_white = sensors.advance(5)
     assert on_black is VALID_ACCURACIES
@@ -495,21 +495,22 @@ def test_accuracies_of_an_extension_of_a_wrong_shape_or_outside_0_to_1_are_refus
     """A sensor model of the user's gives them for black or white tiles. The error says what to return."""
     accuracies = np.full(shape, accuracy)
     answer = (VALID_ACCURACIES, accuracies) if is_on_white else (accuracies, VALID_ACCURACIES)
-    sensors = CheckedSensors(extension_that_answers(answer), make_settings())
+    sensors = CheckedSensors(extension_whose_advance_returns(answer), make_settings())
 
     with pytest.raises(UsageError, match=message):
         sensors.advance(5)
 
 
 def test_a_sensor_model_of_the_user_takes_the_place_of_the_built_in_one() -> None:
-    """Its accuracies, 1/4 on black tiles and 3/4 on white ones, are returned."""
-    accuracies = (np.full((1, 1), 0.25), np.full((1, 1), 0.75))
+    """The user's model has the accuracies 1/4 on black tiles and 3/4 on white ones, in all of 5 steps."""
 
     def make_extension(settings: WorldSettings, trial: int) -> Any:
-        return extension_that_answers(accuracies)
+        return extension_whose_advance_returns((np.full((1, 1), 0.25), np.full((1, 1), 0.75)))
 
-    settings = make_settings(sensor=make_extension)
-    assert make_sensor_model(settings, 0).advance(5) == accuracies
+    on_black, on_white = make_sensor_model(make_settings(sensor=make_extension), 0).advance(5)
+
+    assert on_black.tolist() == [[0.25]]
+    assert on_white.tolist() == [[0.75]]
 
 
 def test_a_sensor_that_breaks_its_promise_of_one_accuracy_is_refused() -> None:
@@ -534,7 +535,7 @@ NO_NEIGHBOURS = np.zeros((5, 4, 4), np.bool_)
 
 def test_neighbours_of_an_extension_are_taken_as_they_are() -> None:
     """The array of a user's topology, by step, receiver and sender, is returned itself."""
-    topology = CheckedTopology(extension_that_answers(NO_NEIGHBOURS), "mine", robots=4)
+    topology = CheckedTopology(extension_whose_advance_returns(NO_NEIGHBOURS), "mine", robots=4)
     assert topology.advance(5) is NO_NEIGHBOURS
 
 
@@ -549,7 +550,7 @@ def test_neighbours_of_an_extension_are_taken_as_they_are() -> None:
 )
 def test_wrong_neighbours_of_an_extension_are_refused(neighbours: NDArray[Any], message: str) -> None:
     """A topology gives truth values by step, receiver and sender. The error says what is wrong."""
-    topology = CheckedTopology(extension_that_answers(neighbours), "mine", robots=4)
+    topology = CheckedTopology(extension_whose_advance_returns(neighbours), "mine", robots=4)
     with pytest.raises(UsageError, match=message):
         topology.advance(5)
 
