@@ -19,7 +19,7 @@ from mcp_asdf.reference import (
 )
 
 HALF = Fraction(1, 2)
-Q23, Q24, Q30, Q31, Q32 = (Fraction(1, 2**bits) for bits in (23, 24, 30, 31, 32))
+Q22, Q23, Q24, Q27, Q28, Q30, Q31, Q32 = (Fraction(1, 2**bits) for bits in (22, 23, 24, 27, 28, 30, 31, 32))
 
 LARGEST_ALPHA = Fraction(2**31 - 2**7)
 
@@ -80,11 +80,13 @@ def alpha_error(n: int, t: int, b: Fraction) -> tuple[Fraction, Fraction]:
     p = Fraction(min(n, t - n), t)
     c = min(b, 1 - b)
     if p <= c:
-        return Fraction(1, 2**22) + Fraction(1, 2**27), Q30
+        return Q22 + Q27, Q30
     r = 1 / (1 - 2 * c)
-    too_small = 1 - (1 - 4 * Q30) * (1 - 8 * Q30) * (1 - Q31)
-    too_large = (1 + r * Q30) ** 2 / (1 - Q30) - 1
-    return too_small, too_large
+    # What squaring, multiplying and cutting the dividend leave of alpha at least
+    smallest_share = (1 - Q28) * (1 - Q27) * (1 - Q31)
+    # The square may be too large, and the divisor too small.
+    largest_share = (1 + r * Q30) ** 2 / (1 - Q30)
+    return 1 - smallest_share, largest_share - 1
 
 
 def alpha_bounds(n: int, t: int, b: Fraction) -> Bounds:
@@ -111,17 +113,14 @@ def x_bar_bounds(x_bar: Fraction) -> Bounds:
 
 
 def is_update_expected(x_bar: Fraction) -> bool | None:
-    """Return whether the firmware computes a b_hat from the exact ``x_bar``, which must be informative.
+    """Return whether the firmware's x_bar is informative, so that it computes a b_hat, for the exact one.
 
     Returns None if rounding decides, as the firmware's x_bar may be on either side of
     |2 x_bar - 1| = 2**-12.
     """
-    is_above_half = x_bar >= HALF
-    answers = set()
-    for bound in x_bar_bounds(x_bar):
-        is_on_same_side = (bound >= HALF) == is_above_half
-        answers.add(is_informative(bound) and is_on_same_side)
-    return answers.pop() if len(answers) == 1 else None
+    lower, upper = x_bar_bounds(x_bar)
+    is_lower_informative, is_upper_informative = is_informative(lower), is_informative(upper)
+    return is_lower_informative if is_lower_informative == is_upper_informative else None
 
 
 def b_hat_error(x_bar: Fraction) -> Fraction:

@@ -246,8 +246,10 @@ def _generate_scenario(seed: int, index: int) -> Scenario:
     turns = [checked for checked in CHECKED_FILTERS for _ in range(checked.scenarios_in_turn)]
     round_index, turn_index = divmod(index, len(turns))
     checked_filter = turns[turn_index]
+    # The scenarios of a filter's turn follow each other from its first place in ``turns`` on.
     index_in_turn = turn_index - turns.index(checked_filter)
-    return checked_filter.make_scenario(seed, round_index * checked_filter.scenarios_in_turn + index_in_turn)
+    index_of_filter = round_index * checked_filter.scenarios_in_turn + index_in_turn
+    return checked_filter.make_scenario(seed, index_of_filter)
 
 
 def shrink(failure: Failure, check_scenario: CheckScenario) -> Failure:

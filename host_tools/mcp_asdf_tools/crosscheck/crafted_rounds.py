@@ -82,7 +82,8 @@ class RobotState:
         """Return what becomes of b_hat at the end of a round of these estimates; None if the test passes.
 
         The test passes if it does not reject the robot's x_hat by these estimates. Then b_hat is not
-        re-estimated. A robot without a table has no test, and re-estimates b_hat in any case.
+        re-estimated, and neither is it after a single estimate. A robot without a table has no test, and
+        re-estimates b_hat in any case.
         """
         sums = Sums()
         for estimate in estimates:
@@ -136,9 +137,10 @@ def draw_normal_alpha(rng: Random, min_shift: int = 1, max_shift: int = 17) -> i
 
 
 def draw_alphas_of_one_scale(rng: Random, count: int, scale: tuple[int, int] | None = None) -> list[int]:
-    """Draw ``count`` alpha words of similar size.
+    """Draw ``count`` alpha words for confidences of similar size.
 
-    ``scale`` is the smallest and the largest number of their bits; by default it is one of ``ALPHA_SCALES``.
+    ``scale`` is the smallest and the largest number of bits of a confidence in units of 2**-24. By default it
+    is drawn from ``ALPHA_SCALES``.
     """
     min_bits, max_bits = rng.choice(ALPHA_SCALES) if scale is None else scale
     alphas = []
@@ -162,6 +164,8 @@ _DRAWS_TO_MISLEAD_FLOATS = 60
 """Rounds of few estimates that are drawn to find one about which tests in float64 err.
 
 Of many estimates one or two of a hundred rounds do, and all draws are made to find one."""
+_HIGHEST_RANK = (2, True)
+"""Rank of two rounds about which both tests in float64 err, and which lead to the preferred update."""
 _MIN_RANGE = 1 << 13
 """Smallest distance between the smallest and the largest x_hat of a round that serves.
 
@@ -191,7 +195,7 @@ def draw_rounds_at_threshold(
     They are as close to the test's threshold as x_hat in units of 2**-23 can be. Many pairs are drawn. Best
     are those about which two tests in float64 err, then those about which one does. Among equally good ones
     that is preferred whose second round leads to ``preferred_update``; it leads to some update in any case.
-    The robot must have a table.
+    For fewer than a hundred estimates such a pair is good enough after 60 draws. The robot must have a table.
     """
     assert robot.table is not None
     is_large = m >= _MANY_ESTIMATES
@@ -199,21 +203,18 @@ def draw_rounds_at_threshold(
     # Large rounds are wide, too: large sums have the bits that floats lose.
     min_gap_share = 0.8 if is_large else 0.05
     best_rounds: RoundsAtThreshold | None = None
-    best_misled_tests, has_preferred_update = -1, False
+    best_rank = (-1, False)  # below that of any pair
     for draw_index in range(max_draws):
         rounds = _draw_useful_rounds(robot, m, min_gap_share, rng)
         if rounds is None:
             continue
-        misled_tests = _count_misled_float_tests(robot, rounds)
-        is_preferred = rounds.update is preferred_update
         # The number of tests that err is compared first, and the update if that number is equal.
-        if (misled_tests, is_preferred) > (best_misled_tests, has_preferred_update):
-            best_rounds = rounds
-            best_misled_tests, has_preferred_update = misled_tests, is_preferred
-        # Both tests in float64 err; no round can be better.
-        is_best_possible = best_misled_tests == 2 and has_preferred_update
+        rank = (_count_misled_float_tests(robot, rounds), rounds.update is preferred_update)
+        if rank > best_rank:
+            best_rounds, best_rank = rounds, rank
+        _, has_preferred_update = best_rank
         has_searched_enough = draw_index >= _DRAWS_TO_MISLEAD_FLOATS and not is_large
-        if is_best_possible or (has_preferred_update and has_searched_enough):
+        if best_rank == _HIGHEST_RANK or (has_preferred_update and has_searched_enough):
             break
     assert best_rounds is not None, f"no round of {m} estimates lies at the threshold of {robot}"
     return best_rounds
@@ -330,8 +331,8 @@ def draw_x_hats_at_threshold(
     max_gap = int(groups.largest_gap(threshold) * Fraction(gap_share))
     if max_gap < 1:
         return None
-    below, above = fractions_around(threshold, max_gap)
-    inside, outside = groups.place(below, max_gap), groups.place(above, max_gap)
+    ratio_below, ratio_above = fractions_around(threshold, max_gap)
+    inside, outside = groups.place(ratio_below, max_gap), groups.place(ratio_above, max_gap)
     pair_count = groups.near_count // 2 + groups.far_count // 2
     if pair_count > 0:
         # Eq. 12 in integers: it rejects while entry * scatter < difference**2 * 2**FRACTION_BITS. Both rounds
@@ -407,8 +408,12 @@ def _count_misled_float_tests(robot: RobotState, rounds: RoundsAtThreshold) -> i
         x_hats = [x_hat for x_hat, _ in estimates]
         difference = sum(x_hats) - len(x_hats) * robot.x_hat
         limit = limit_in_float64(robot.table, len(x_hats), scatter_of(x_hats))
-        is_float_test_misled |= (float(difference) ** 2 > limit) != should_reject
-        is_float_limit_misled |= (difference * difference > int(limit)) != should_reject
+        float_test_rejects = float(difference) ** 2 > limit
+        float_limit_rejects = difference**2 > int(limit)
+        if float_test_rejects != should_reject:
+            is_float_test_misled = True
+        if float_limit_rejects != should_reject:
+            is_float_limit_misled = True
     return is_float_test_misled + is_float_limit_misled
 
 
@@ -458,7 +463,7 @@ def draw_round_for_update(
             estimates = [NeighbourEstimate(HALF + side * distance, alpha) for side in (-1, 1)]
         else:
             x_bar = round(rng.uniform(*_X_BAR_RANGES[update]) * ONE)
-            max_distance = rng.randint(1, 1 << 16)
+            max_distance = rng.randint(1, ONE >> 7)
             x_hats = [x_bar + rng.randint(-max_distance, max_distance) for _ in range(m)]
             limited_x_hats = [min(max(x_hat, 0), ONE) for x_hat in x_hats]
             alphas = draw_alphas_of_one_scale(rng, m)
@@ -473,8 +478,8 @@ def draw_distant_estimates(robot: RobotState, rng: Random, m: int = 4) -> list[N
     farther_end = 0 if robot.x_hat > HALF else ONE
     estimates = []
     for _ in range(m):
-        distance_from_end = rng.randint(0, 1 << 12)
-        x_hat = abs(farther_end - distance_from_end)
+        distance_from_end = rng.randint(0, ONE >> 11)
+        x_hat = distance_from_end if farther_end == 0 else ONE - distance_from_end
         estimates.append(NeighbourEstimate(x_hat, draw_normal_alpha(rng)))
     return estimates
 
@@ -519,9 +524,12 @@ def draw_round_of_distant_sum(robot: RobotState, rng: Random) -> list[NeighbourE
     m, unit = _LARGE_ROUND, 1 << 27
     own_sum = m * robot.x_hat
     # The sum lies as far from m x_hat as there is room for, towards 0 or 1, whichever is farther away.
-    room = m * ONE - own_sum if robot.x_hat < HALF else own_sum
-    difference = room // unit * unit
-    total = own_sum + difference if robot.x_hat < HALF else own_sum - difference
+    if robot.x_hat < HALF:
+        direction, room = 1, m * ONE - own_sum
+    else:
+        direction, room = -1, own_sum
+    largest_difference = room // unit * unit
+    total = own_sum + direction * largest_difference
     # All x_hat are as near the mean as whole numbers with this sum can be.
     mean, remainder = divmod(total, m)
     x_hats = [mean + 1] * remainder + [mean] * (m - remainder)

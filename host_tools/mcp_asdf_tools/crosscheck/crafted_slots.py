@@ -98,6 +98,7 @@ def estimate_that_predicts(robust: RobustFilter, share: float) -> int:
     b_hat = robust.initial_b_hat / 2**32
     if b_hat == 0.5:
         return SLOT_HALF
+    # This solves share = b_hat * fill_ratio + (1 - b_hat) * (1 - fill_ratio).
     fill_ratio = (share + b_hat - 1) / (2 * b_hat - 1)
     return _limit_estimate(round(fill_ratio * SLOT_ONE))
 
@@ -137,6 +138,7 @@ def draw_slots_at_threshold(
         steps_of_each, remaining_steps = divmod(steps, count)
         estimates = []
         for index, estimate in enumerate(start_estimates):
+            # The first ones have taken a step more, as the turn has not come round to the others.
             own_steps = steps_of_each + 1 if index < remaining_steps else steps_of_each
             estimates.append(_limit_estimate(estimate + direction * own_steps))
         return SlotsAtTest(tuple(estimates), robust, state.t, state.n)
@@ -169,7 +171,7 @@ def slots_with_supporters(robot: MirrorRobot, count: int, supporter_count: int) 
     other = opposite_end(supporter)
     estimates = (supporter,) * supporter_count + (other,) * (count - supporter_count)
     slots = SlotsAtTest(estimates, robust, state.t, state.n)
-    should_be_supported = 5 * supporter_count > 2 * count
+    should_be_supported = 5 * supporter_count > 2 * count  # more than two in five
     are_supporters_recognized = slots.is_supported == should_be_supported
     return slots if slots.is_rejected() and are_supporters_recognized else None
 

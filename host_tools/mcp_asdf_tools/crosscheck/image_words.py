@@ -93,9 +93,10 @@ def split_in_words(number: int) -> list[int]:
 
 
 def pack_closed_round(sums: Sums) -> dict[int, int]:
-    """Return the words, by index, of an image whose closed round has these sums: words 7 to 12.
+    """Return words 7 to 12 of an image, by index, for a robot whose last closed round has these sums.
 
-    The sums of x_hat and of its square, and the count, are left out, as a closed round does not keep them.
+    They are alpha, alpha_x_low and alpha_x_high, in this order, of two words each. A closed round keeps no
+    other sums.
     """
     words = [
         *split_in_words(sums.alpha),
@@ -106,9 +107,10 @@ def pack_closed_round(sums: Sums) -> dict[int, int]:
 
 
 def pack_open_round_from_all(sums: Sums, robot_id: int) -> dict[int, int]:
-    """Return the words, by index, of an image whose open round has these sums: words 13 to 26.
+    """Return words 13 to 26 of an image, by index, for a robot whose open round has these sums.
 
-    The senders of the round are all ids but ``robot_id``, that of the robot itself.
+    They are alpha, alpha_x_low, alpha_x_high and x_squared, of two words each, x and the count of one word
+    each, and four words of senders. The senders are all ids but ``robot_id``, that of the robot itself.
     """
     words = [
         *split_in_words(sums.alpha),
@@ -120,5 +122,6 @@ def pack_open_round_from_all(sums: Sums, robot_id: int) -> dict[int, int]:
     ]
     all_senders = (1 << (MAX_ID + 1)) - 1
     other_senders = all_senders ^ (1 << robot_id)
+    # Each word has the bits of 32 ids.
     sender_words = [(other_senders >> first_id) & MAX_32_BITS for first_id in range(0, MAX_ID + 1, 32)]
     return dict(enumerate([*words, *sender_words], OPEN_ROUND_WORD))

@@ -94,7 +94,10 @@ def workloads_along(axis: str) -> Iterator[Workload]:
 
 
 def _workloads_along_t() -> Iterator[Workload]:
-    """Yield workloads of every number of observations that is a power of two, or one less, up to 2**31."""
+    """Yield workloads of every number of observations that is a power of two, or one less, up to 2**31.
+
+    Where a robot's memory may have that size, one more workload has the memory that ends there.
+    """
     powers_of_two = [1 << exponent for exponent in range(32)]
     t_values = sorted({t for power in powers_of_two for t in (power - 1, power) if t > 0})
     for t, checked_filter in product(t_values, CHECKED_FILTERS):
@@ -116,9 +119,9 @@ def _workloads_along_m() -> Iterator[Workload]:
 
 
 def _workloads_along_q() -> Iterator[Workload]:
-    """Yield workloads with t-tables of every size q, and rounds of m messages that read their ends.
+    """Yield workloads with t-tables of every size q: for rounds that read its first, last and final entry.
 
-    A table has an entry for each m from 2 to q, and one for all larger m.
+    A table has an entry for each number m of messages from 2 to q, and a final one for all larger m.
     """
     for q in range(MIN_Q, MAX_Q + 1):
         for m in (2, q, min(q + 1, MAX_ROUND_SIZE)):
@@ -141,7 +144,7 @@ def count_operations(firmware: type[MirrorRobot] = MirrorRobot, axes: Collection
             checked_filter = checked_filter_of(workload.filter)
             robot = workload.make_robot(firmware)
             for name, call in CALLS.items():
-                # Each call is made on a copy, since calls change the robot.
+                # Each call is made on a copy, since calls change the robot. Its configuration stays the same.
                 copied_robot = firmware.__new__(firmware)
                 copied_robot.config = robot.config
                 copied_robot.s = deepcopy(robot.s)
@@ -165,6 +168,7 @@ def find_growth(counts: Counts) -> list[str]:
             middle = len(values) // 2
             early_maximum = max((count_by_value[value] for value in values[:middle]), default=0)
             late_maximum = max((count_by_value[value] for value in values[middle:]), default=0)
+            # A call that was cut short has a count above the limit, even if earlier ones were cut short, too.
             if late_maximum > min(early_maximum, _MAX_INSTRUCTIONS):
                 late_range = f"where {axis} is {values[middle]} to {values[-1]}"
                 problems.append(
@@ -174,12 +178,19 @@ def find_growth(counts: Counts) -> list[str]:
 
 
 def measure_storage(firmware: type[MirrorRobot] = MirrorRobot) -> dict[str, dict[int, int]]:
-    """Return the bytes of a table by q, and of a saved robot by the messages m in its rounds."""
+    """Return the sizes in bytes of tables and of saved robots, for all that they might depend on.
 
-    storage = {"tables": {q: 4 * len(table_of_size(q).words()) for q in range(MIN_Q, MAX_Q + 1)}}
+    Under "tables" they stand by a table's number of entries, q. Under the ``images_key`` of each filter they
+    stand by m, the number of messages in the open round of a robot and in its last closed one.
+    """
+    table_sizes = {}
+    for q in range(MIN_Q, MAX_Q + 1):
+        table_sizes[q] = 4 * len(table_of_size(q).words())  # words of 4 bytes
+    storage = {"tables": table_sizes}
     for checked_filter in CHECKED_FILTERS:
-        workloads = (checked_filter.workload(m=m) for m in range(MAX_ROUND_SIZE + 1))
-        storage[checked_filter.images_key] = {
-            workload.m: len(workload.make_robot(firmware).save()) for workload in workloads
-        }
+        image_sizes = {}
+        for m in range(MAX_ROUND_SIZE + 1):
+            robot = checked_filter.workload(m=m).make_robot(firmware)
+            image_sizes[m] = len(robot.save())
+        storage[checked_filter.images_key] = image_sizes
     return storage

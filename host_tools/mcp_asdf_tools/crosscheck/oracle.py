@@ -116,6 +116,7 @@ class Audit:
         collected.
         """
         is_expected = is_update_expected(x_bar)
+        # Either no b_hat was computed, or none must have been; then there is no right one to compare with.
         if not is_updated or is_expected is False:
             return check_update(is_updated, is_expected)
         n, t = state["n"], state["t"]

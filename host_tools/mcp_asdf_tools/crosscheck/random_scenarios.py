@@ -324,8 +324,7 @@ class ScenarioWriter:
         other calls: messages, an observation and the end of a round.
         """
         table_choice = self._setup.table
-        has_test = self._setup.filter == Filter.ADAPTIVE and table_choice is not None
-        if table_choice is None or not has_test:
+        if table_choice is None:  # as without the adaptive filter
             self._add_tick()
             return
         m = self._draw_round_size(table_choice.q)

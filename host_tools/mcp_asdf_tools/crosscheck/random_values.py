@@ -59,7 +59,7 @@ def clamp(value: int, minimum: int, maximum: int) -> int:
 
 
 def draw_number_of_any_size(rng: Random, min_bits: int, max_bits: int) -> int:
-    """Draw a number whose size is uniform: first a count of bits, then any number of so many bits.
+    """Draw a number whose size is uniform: first a count of bits, then any number that fits in so many bits.
 
     So numbers of a few units come as often as those near 2**max_bits.
     """

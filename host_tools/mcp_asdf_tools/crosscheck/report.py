@@ -103,13 +103,14 @@ class CrosscheckReport:
             name = checked_filter.name
             image_sizes.append(f"{size} with the {name} filter" if name else f"{size} for a saved robot")
         interrupted = ", interrupted" if result.interrupted else ""
+        agreement = "native and mirror agree in every bit"
         lines = [
             f"memory: 12 + 4 q bytes for a table, {', '.join(image_sizes)}",
             *(_format_events(name, events) for name, events in self.audit.events.items()),
             f"calls made and compared: {result.calls} in {result.scenarios} scenarios, seed {self.seed}"
             + interrupted,
             *(f"FAILED: {problem}" for problem in self.problems),
-            str(result.failure or "native and mirror agree in every bit"),
+            agreement if result.failure is None else str(result.failure),
         ]
         return "\n".join(lines)
 

@@ -29,9 +29,9 @@ from mcp_asdf.robust_reference import (
     spread_around,
     votes_after,
 )
-from mcp_asdf_tools.crosscheck.bounds import HALF, Q24, Q30, Q32, UNDECIDED, Bounds, round_down
+from mcp_asdf_tools.crosscheck.bounds import HALF, Q22, Q24, Q30, Q32, UNDECIDED, Bounds, round_down
 
-Q8, Q11, Q16, Q22 = (Fraction(1, 2**bits) for bits in (8, 11, 16, 22))
+Q8, Q11, Q16 = (Fraction(1, 2**bits) for bits in (8, 11, 16))
 
 SUPPORT_MARGIN = 10 * Q32
 """The firmware is right about a supporter if its distances from both shares differ by more than this.

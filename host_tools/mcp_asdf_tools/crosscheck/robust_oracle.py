@@ -212,7 +212,8 @@ def _votes_after_round(old_state: State, new_state: State, events: Counter[str])
         next_turn = 0
     else:
         events["vote"] += 1
-        slot = (remaining_slots or slots)[0]
+        # After the last filled slot it is the turn of the first one again.
+        slot = remaining_slots[0] if remaining_slots else slots[0]
         x_hat = _estimate_of_slot(old_state, slot)
         next_turn = slot + 1
     old_votes = Votes(

@@ -376,15 +376,18 @@ class RobustScenarioWriter(ScenarioWriter):
             robust.batch_n, robust.dispersion = 0, DISPERSION_MIN
 
     def _draw_centre(self) -> int:
-        """Draw a centre of the votes in units of 2**-30: near the x_hat of messages, anywhere, or 0 or 1.
+        """Draw a centre of the votes in units of 2**-30: near the x_hat of messages, anywhere, 0 or 1.
 
-        Half of them are multiples of 2**-16, as the estimates in slots are, so that a vote can equal them.
+        These four are equally likely. Half of the centres are multiples of 2**-16, as the estimates in slots
+        are, so that a vote can equal them.
         """
         rng = self._rng
-        near_messages = q30_from_q23(self._common_x_hat) + rng.randint(-(1 << 20), 1 << 20)
+        max_distance = _CENTRE_ONE >> 10
+        near_messages = q30_from_q23(self._common_x_hat) + rng.randint(-max_distance, max_distance)
         anywhere = rng.randint(0, _CENTRE_ONE)
         centre = clamp(rng.choice([near_messages, anywhere, 0, _CENTRE_ONE]), 0, _CENTRE_ONE)
-        return rng.choice([centre, centre // _SLOT_UNIT * _SLOT_UNIT])
+        multiple_of_slot_unit = centre // _SLOT_UNIT * _SLOT_UNIT
+        return rng.choice([centre, multiple_of_slot_unit])
 
     def _draw_spread(self) -> int:
         """Draw a spread of the votes in units of 2**-30, in half of the cases next to a power of two.
@@ -401,19 +404,26 @@ class RobustScenarioWriter(ScenarioWriter):
         return clamp(spread, SPREAD_MIN, SPREAD_MAX)
 
     def _draw_estimates(self, robust: RobustFilter) -> list[int]:
-        """Draw the estimates of the filled slots; some lie at the distance of the spread from the centre."""
+        """Draw the estimates of all slots: 0 in an empty one, and any in a filled one.
+
+        About half of them lie where one was drawn to lie: at the centre of the votes or at the distance of
+        the spread from it. The others are drawn as the x_hat of messages are.
+        """
         rng = self._rng
         position = robust.centre + rng.choice([-1, 0, 1]) * robust.spread
         at_spread = clamp(position // _SLOT_UNIT + rng.randint(-1, 1), 0, SLOT_ESTIMATE_MAX)
-        return [
-            rng.choice([at_spread, slot_estimate(min(self._draw_x_hat(), ONE))])
-            if robust.is_filled(slot)
-            else 0
-            for slot in range(SLOTS)
-        ]
+        estimates = [0] * SLOTS
+        for slot in range(SLOTS):
+            if robust.is_filled(slot):
+                as_of_message = slot_estimate(min(self._draw_x_hat(), ONE))
+                estimates[slot] = rng.choice([at_spread, as_of_message])
+        return estimates
 
     def _draw_own_x_hat(self, robust: RobustFilter) -> int:
-        """Draw an x_hat of the robot itself, half of them at the distance of the spread from the centre."""
+        """Draw an x_hat of the robot itself, in units of 2**-23.
+
+        In half of the cases it is at the centre of the votes, or at the distance of the spread from it.
+        """
         rng = self._rng
         position = robust.centre + rng.choice([-1, 0, 1]) * robust.spread
         at_spread = clamp(q23_from_q30(position) + rng.randint(-1, 1), 0, ONE)
@@ -474,7 +484,8 @@ class RobustScenarioWriter(ScenarioWriter):
     def _draw_skewed_estimates(self, robot: DrawnRobot, count: int) -> tuple[int, ...]:
         """Draw estimates on one side of a point, at small distances from it as often as at large ones.
 
-        So their Huber centre is far from their median, from which its computation starts.
+        So their Huber centre is far from their median, from which its computation starts. The point is any
+        estimate, 0 or the largest one. The estimates have nothing to do with ``robot``.
         """
         rng = self._rng
         start = rng.choice([rng.randint(0, SLOT_ESTIMATE_MAX), 0, SLOT_ESTIMATE_MAX])
@@ -486,20 +497,21 @@ class RobustScenarioWriter(ScenarioWriter):
     def _draw_slowly_centred_estimates(self, robot: DrawnRobot, count: int) -> tuple[int, ...]:
         """Draw 32 estimates whose Huber centre three steps do not reach, so that a fourth would show.
 
-        There are 32 for any ``count``.
+        There are 32 for any ``robot`` and ``count``.
         """
         rng = self._rng
-        scale = rng.choice([-1, 1]) << rng.randrange(4)
+        direction = rng.choice([-1, 1])
+        scale = rng.choice([1, 2, 4, 8])
         start = rng.randint(0, SLOT_ESTIMATE_MAX)
-        return tuple(clamp(start + scale * offset, 0, SLOT_ESTIMATE_MAX) for offset in _SLOWLY_CENTRED)
+        distances = [scale * distance for distance in _SLOWLY_CENTRED]
+        return tuple(clamp(start + direction * distance, 0, SLOT_ESTIMATE_MAX) for distance in distances)
 
 
 def _pack_robust_filter(robust: RobustFilter, estimates: Sequence[int]) -> dict[int, int]:
-    """Return the words, by index, of an image whose robust filter remembers this: words 7 to 30.
+    """Return words 7 to 30 of an image, by index, for a robot whose robust filter remembers this.
 
-    ``estimates`` are those of all 32 slots, in units of 2**-16.
-    Members may be out of their ranges, as far as their bits of the image allow: votes, dispersion and
-    estimates have 16 bits each, the others 32.
+    ``estimates`` are those of all 32 slots, in units of 2**-16. Members may be out of their ranges, as far as
+    their bits of the image allow: votes, dispersion and estimates have 16 bits each, the others 32.
     """
     words = [
         robust.centre,

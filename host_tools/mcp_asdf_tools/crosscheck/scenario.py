@@ -210,7 +210,7 @@ def _parse_call(item: str, image_words: int) -> Call:
             raise UsageError(f"{item} needs pairs of an index, 1 to {image_words - 2}, and a 32-bit word")
         return Call(name, numbers)
     # "robot" is the item that makes the robot, and no call.
-    call_names = ["restore", *(name for name in _MAX_NUMBERS if name != "robot")]
+    call_names = ["restore", *(item_name for item_name in _MAX_NUMBERS if item_name != "robot")]
     if name not in call_names:
         raise UsageError(f"{item!r} is no call; there are {', '.join(call_names)}")
     numbers = _parse_numbers(item)

@@ -39,7 +39,7 @@ class Workload:
 
     t: int = 1000
     n: int = 400
-    b_hat: int = 3 << 30
+    b_hat: int = 3 << 30  # 0.75
     m: int = 20
     alpha: int = ALPHA_ONE
     q: int = MAX_Q
@@ -51,17 +51,16 @@ class Workload:
         memory = self.t if self.halves else DEFAULT_MEMORY
         config = Config(table_of_size(self.q), self.filter, filter_period=1, memory=memory)
         robot = firmware(config, OWN_ID, self.b_hat / 2**32)
-        s = robot.s
-        s.t = self.t - 1
-        s.n = min(self.n, self.t - 1)
+        state = robot.s
+        state.t = self.t - 1
+        state.n = min(self.n, self.t - 1)
         for sender in range(self.m):
             alpha = self.alpha ^ (sender << 8)  # differs in the lower bits of the mantissa
             robot.receive_raw(sender, self._smallest_x_hat + 1000 * sender, alpha)
-        has_estimates = s.open.count > 0
-        mean_x_hat = s.open.x // s.open.count if has_estimates else ONE
-        s.x_hat = mean_x_hat if self.agrees else ONE
-        s.alpha = self.alpha
-        s.closed = Closed(s.open.alpha, s.open.alpha_x_low, s.open.alpha_x_high)
+        sums = state.open
+        state.x_hat = sums.x // sums.count if self.agrees and sums.count > 0 else ONE
+        state.alpha = self.alpha
+        state.closed = Closed(sums.alpha, sums.alpha_x_low, sums.alpha_x_high)
         return robot
 
     @property
