@@ -190,15 +190,16 @@ def experiments_in(table: pa.Table) -> list[Trials]:
 
 @naming_extras()
 def score(table: pa.Table, k_max: float | None = None, e_max: float | None = None) -> pa.Table:
-    """Return the table with H, h_K and h_e for other limits; by default they are the paper's, T and 0.45.
+    """Return the table with the scores H, h_K and h_e anew, for other limits.
 
-    Raises UsageError for limits of 0 or less.
+    The limits are the convergence time K and the error e that score 0; by default they are the paper's, the
+    length of a trial and 0.45. Raises UsageError for limits of 0 or less.
     """
     from mcp_asdf_tools.experiments.result_tables import score_table
 
     if e_max is None:
         e_max = E_MAX
-    return score_table(table, Limits(k_max, e_max))  # without k_max these have T, the length of a trial
+    return score_table(table, Limits(k_max, e_max))
 
 
 # --- Tidy tables -----------------------------------------------------------------------------------------

@@ -75,7 +75,7 @@ class BusChoice:
     settings: dict[str, Any]
 
     def __str__(self) -> str:
-        return self.interface + (f" {self.channel}" if self.channel else "")
+        return f"{self.interface} {self.channel}" if self.channel else self.interface
 
     @property
     def channel(self) -> str | None:

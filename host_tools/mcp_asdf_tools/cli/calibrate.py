@@ -48,7 +48,8 @@ def run(args: argparse.Namespace) -> int:
         calibration = calibrate(readings.rows)
     except UsageError as error:
         # Lines that were left out may be the reason for too few readings.
-        raise UsageError(f"{error} ({left_out})" if left_out else str(error)) from error
+        remark = f" ({left_out})" if left_out else ""
+        raise UsageError(f"{error}{remark}") from error
     if args.json:
         derived_values = {
             name: getattr(calibration, name) for name in ("b_hat", "uncertainty", "bias", "warning")

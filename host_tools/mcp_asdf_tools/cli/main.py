@@ -98,7 +98,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         work = partial(_show_overview, arguments)
     with checked_streams(), stopping(interrupt=True):
         exit_code = _attempt(command_title, work, as_json)
-        # Flushed here and not at exit, where a closed pipe or a full disk could not change the exit code.
+        # Flushed here and not at exit, where a closed pipe or a full disk could not change the exit code. It
+        # gives 0 if all went well, and otherwise a code that counts more, since the result has not arrived.
         flush_exit_code = _attempt(command_title, _flush, as_json)
     return flush_exit_code or exit_code_of_signal(exit_code)
 

@@ -130,7 +130,9 @@ def _run_on_bus(
 
         def should_stop() -> bool:
             """Return whether a signal came or, with --until-eof, standard input has ended."""
-            return was_interrupted() or (input_descriptor is not None and has_input_ended(input_descriptor))
+            if was_interrupted():
+                return True
+            return input_descriptor is not None and has_input_ended(input_descriptor)
 
         link = BusLink(bus, should_stop, log=log)
         _logger.info("robot %d is up", node.id)

@@ -552,7 +552,10 @@ def add_limit_options(parser: argparse.ArgumentParser) -> None:
 
 
 def limits_of(args: argparse.Namespace) -> Limits:
-    """Return the limits that the user typed, or else the paper's. Raises UsageError for one of 0 or less."""
+    """Return the limits K_max and e_max of scores that the user typed, or else the paper's.
+
+    Raises UsageError for one of 0 or less.
+    """
     from mcp_asdf_tools.experiments.scores import E_MAX, Limits
 
     e_max = E_MAX if args.e_max is None else args.e_max

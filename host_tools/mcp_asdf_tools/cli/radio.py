@@ -245,6 +245,7 @@ def _run_phases(
     from mcp_asdf_tools.radio.verification import Verification
 
     log, events = log_outputs
+    recorder = None if events is None else events.recorders[settings.controller.id]
     with stopping() as should_stop, console.status("") as status:
         bench_options = BenchOptions(
             bus,
@@ -252,7 +253,7 @@ def _run_phases(
             ticks=args.steps or _DEFAULT_PHASE_TICKS,
             timeout=args.timeout or _DEFAULT_TIMEOUT,
             wait=args.wait,
-            recorder=None if events is None else events.recorders[settings.controller.id],
+            recorder=recorder,
             progress=lambda ticks: status.update(f"tick {ticks}   {verification.bench.activity}"),
             should_stop=should_stop,
         )

@@ -103,7 +103,8 @@ def run(args: argparse.Namespace) -> int:
 
     workers = options.workers_of(args)
     study_size = study_size_from(args)
-    output_folder = args.output or Path("reproduction-quick" if args.quick else "reproduction")
+    default_folder = "reproduction-quick" if args.quick else "reproduction"
+    output_folder = args.output or Path(default_folder)
     # In the paper's order, whichever the options have.
     study_parts = [
         study_part for study_part in StudyPart if args.part is None or study_part.value in args.part
@@ -130,9 +131,9 @@ def study_size_from(args: argparse.Namespace) -> StudySize:
     """Return how much is to be run, by the options. Raises UsageError for too few trials or steps."""
     default_size = QUICK_SIZE if args.quick else PAPER_SIZE
     study_size = StudySize(
-        default_size.trials if args.trials is None else args.trials,
-        default_size.steps if args.steps is None else args.steps,
-        default_size.seed if args.seed is None else args.seed,
+        trials=default_size.trials if args.trials is None else args.trials,
+        steps=default_size.steps if args.steps is None else args.steps,
+        seed=default_size.seed if args.seed is None else args.seed,
     )
     if study_size.trials < 2:
         raise UsageError(

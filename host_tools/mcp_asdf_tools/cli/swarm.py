@@ -176,7 +176,8 @@ def wiring_of(args: argparse.Namespace, settings: SwarmSettings, bus_choice: Bus
     if len(devices) < len(args.device):
         raise UsageError(f"two devices are one robot: {', '.join(args.device)}; give each an id of its own")
 
-    remote_robots = frozenset(range(settings.robots) if args.processes else devices)
+    # With --processes all robots are remote, otherwise those that are devices.
+    remote_robots = frozenset(range(settings.robots)) if args.processes else frozenset(devices)
 
     def open_bus(robot: int) -> can.BusABC:
         """Open a connection to the bus of a robot: its device's, its own, or that of all.

@@ -49,7 +49,8 @@ def read_text(path: Path | str) -> str:
     try:
         data = _read_standard_input() if is_standard_input else read_at_most(path)
         is_utf_16 = data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
-        return data.decode("utf-16" if is_utf_16 else "utf-8-sig")
+        encoding = "utf-16" if is_utf_16 else "utf-8-sig"  # either skips the byte order mark
+        return data.decode(encoding)
     except OSError as error:
         raise UsageError(f"cannot read {name}: {error.strerror or error}") from error
     except UnicodeDecodeError as error:
@@ -85,9 +86,10 @@ def write_together(data_by_path: Mapping[Path, bytes | str]) -> None:
     paths = list(data_by_path)
     with drafts_for(paths) as drafts:
         for path, draft in zip(paths, drafts, strict=True):
-            data = data_by_path[path]
+            content = data_by_path[path]
+            data = content.encode() if isinstance(content, str) else content
             with explaining(path), draft.open("wb") as file:
-                file.write(data.encode() if isinstance(data, str) else data)
+                file.write(data)
 
 
 @contextmanager

@@ -69,7 +69,8 @@ class Parameter:
         """
         if self.kind in (int, float):
             return self._number(value)
-        if self.choices and not (isinstance(value, str) and value in self.choices):
+        is_choice = isinstance(value, str) and value in self.choices
+        if self.choices and not is_choice:
             raise self._error(value, f"choose one of {', '.join(self.choices)}")
         if self.kind is str and not isinstance(value, str):
             raise self._error(value, "give a text")
@@ -140,10 +141,11 @@ def _declared(kind: Any) -> dict[str, Parameter]:
             continue  # a field that is no parameter
         field_type = types[name]
         is_literal = get_origin(field_type) is Literal
+        choices = get_args(field_type) if is_literal else metadata["choices"]
         parameters[name] = Parameter(
             name=name,
             kind=field_type,
-            choices=get_args(field_type) if is_literal else metadata["choices"],
+            choices=choices,
             default=declared_field.default,
             meaning=metadata["meaning"],
             minimum=metadata["minimum"],

@@ -93,10 +93,12 @@ def _frame_of_console_line(match: re.Match[str]) -> can.Message | None:
     if match["remote"] is not None:
         return _make_frame(match, remote_length=int(length_text or 0))
     hex_digits = "".join((match["data"] or "").split())
-    if length_text and int(length_text) != len(hex_digits) // 2:
+    byte_count = len(hex_digits) // 2
+    if length_text and int(length_text) != byte_count:
         return None  # the line was cut
     is_fd = len(length_text) == 2  # candump writes [8] for a classic frame, [08] for one of CAN FD
-    return _make_frame(match, hex_digits, fd_flags=_parse_console_flags(match) if is_fd else None)
+    fd_flags = _parse_console_flags(match) if is_fd else None
+    return _make_frame(match, hex_digits, fd_flags)
 
 
 def _parse_console_flags(match: re.Match[str]) -> int:
@@ -135,13 +137,14 @@ def _make_frame(
         return None
     flags = fd_flags or 0
     direction = match["direction"] or "R"  # a line without a direction counts as received
+    length = byte_count if remote_length is None else remote_length
     return can.Message(
         timestamp=timestamp,
         channel=match["channel"],
         arbitration_id=arbitration_id,
         is_extended_id=is_extended_id,
         is_remote_frame=remote_length is not None,
-        dlc=byte_count if remote_length is None else remote_length,
+        dlc=length,
         data=bytes.fromhex(hex_digits),
         is_fd=fd_flags is not None,
         bitrate_switch=bool(flags & _BIT_RATE_SWITCH),

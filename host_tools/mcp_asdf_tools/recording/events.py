@@ -342,7 +342,8 @@ class EventsReader:
             except (OSError, zlib.error) as error:
                 self._line_number = line_number
                 raise self.error_in_line(f"the file is damaged here: {error}") from error
-            if not line or (self.is_part and not line.endswith("\n")):
+            is_incomplete = self.is_part and not line.endswith("\n")
+            if not line or is_incomplete:
                 return
             self._line_number = line_number
             if len(line) > MAX_LINE_LENGTH:

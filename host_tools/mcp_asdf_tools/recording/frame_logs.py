@@ -270,4 +270,6 @@ def _has_possible_time(frame: can.Message) -> bool:
 def _quote(line: str) -> str:
     """Return a line in quotes; a long one is cut after _LONGEST_QUOTE characters, and dots follow."""
     text = line.strip()
-    return repr(text if len(text) <= _LONGEST_QUOTE else f"{text[:_LONGEST_QUOTE]}...")
+    if len(text) > _LONGEST_QUOTE:
+        text = f"{text[:_LONGEST_QUOTE]}..."
+    return repr(text)

@@ -92,9 +92,9 @@ class SwarmFilter:
 
         A robot is flawed if its b_hat is wrong at the start.
         """
-        return self.filtering_robots is FilteringRobots.ALL or (
-            self.filtering_robots is FilteringRobots.FLAWED and is_flawed
-        )
+        if self.filtering_robots is FilteringRobots.FLAWED:
+            return is_flawed
+        return self.filtering_robots is FilteringRobots.ALL
 
     def firmware_filter_of(self, is_flawed: bool, activation: Activation) -> Filter:
         """Return the firmware filter of a robot; ``Filter.OFF`` if it does not re-estimate b_hat.

@@ -77,7 +77,7 @@ class Population(WorldSettings):
         object.__setattr__(self, "flawed", flawed_count(self.flawed, self.robots))
         with naming_parameter("omega"):
             object.__setattr__(self, "omega", parse_omega(str(self.omega)))
-        if self.filter_period % self.comms_period:
+        if self.filter_period % self.comms_period != 0:
             raise ParameterError(
                 "filter_period",
                 f"filter_period is {self.filter_period}; it must be a multiple of comms_period, "
@@ -86,7 +86,7 @@ class Population(WorldSettings):
         if self.drift_of != "all" and self.drift == "none":
             raise ParameterError("drift_of", f"drift_of is {self.drift_of} but drift is none; choose a drift")
         # The firmware asks for that; ``mcp_asdf.robot.check_settings`` has the reason.
-        if self.memory % 4:
+        if self.memory % 4 != 0:
             raise ParameterError("memory", f"memory is {self.memory}; it must be a multiple of 4")
 
     def unused_parameters(self) -> dict[str, str]:

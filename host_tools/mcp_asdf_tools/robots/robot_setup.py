@@ -179,7 +179,7 @@ def _check_periods(comms_period: int, filter_period: int) -> None:
     if not 1 <= comms_period <= MAX_FILTER_PERIOD:
         raise UsageError(f"comms_period is {comms_period}; choose 1 .. {MAX_FILTER_PERIOD}")
     # The firmware counts rounds, of comms_period ticks each, and tests at the end of one.
-    if not 1 <= filter_period <= MAX_FILTER_PERIOD or filter_period % comms_period:
+    if not 1 <= filter_period <= MAX_FILTER_PERIOD or filter_period % comms_period != 0:
         raise UsageError(
             f"filter_period is {filter_period}; choose a multiple of comms_period {comms_period}"
         )

@@ -205,4 +205,6 @@ def _bus_load_text(results: dict[str, Any]) -> str:
 
 def _bit_rate_text(bit_rate: int) -> str:
     """Return a bit rate with the prefix of its unit, such as ``500 k``."""
-    return f"{bit_rate // 10**6} M" if bit_rate % 10**6 == 0 else f"{bit_rate // 1000} k"
+    if bit_rate % 1_000_000 == 0:
+        return f"{bit_rate // 1_000_000} M"
+    return f"{bit_rate // 1_000} k"

@@ -124,9 +124,10 @@ _CHECKSUMS_FILE = "sha256sums.txt"
 def write_firmware(omega: Decimal, q: int, folder: Path, force: bool = False) -> list[Path]:
     """Write the firmware's sources and one t-table into ``folder``, and return the paths of all files.
 
-    The folder is created if need be. All files are written, or none; those of an earlier version are
-    replaced, and other tables in the folder are deleted. Raises UsageError if a file cannot be written or,
-    without ``force``, if one has been changed since it was written.
+    The table is that of ``omega``, the type II error probability of the test, and has exact thresholds for up
+    to ``q`` neighbours. The folder is created if need be. All files are written, or none; those of an earlier
+    version are replaced, and other tables in the folder are deleted. Raises UsageError if a file cannot be
+    written or, without ``force``, if one has been changed since it was written.
     """
     texts = _folder_texts(omega, q)
     checksums = {}

@@ -33,6 +33,7 @@ _ARRAY_NAME = re.compile(r"\bmcp_asdf_t_table_omega([0-9]{2,9})_q([0-9]{1,3})\b"
 def table_name(omega: Decimal, q: int) -> str:
     """Return the name of a table's files without suffix, such as ``t_table_omega05_q127``.
 
+    Omega is the type II error probability of the test, q the number of neighbours with an exact threshold.
     After "omega" stand the decimal places of omega in its shortest form, at least two of them: 05 is 0.05, 10
     is 0.1, 125 is 0.125. No two tables share a name. In its shortest form 0.10 and 0.1 are the same omega,
     and so have the same name.
@@ -45,7 +46,8 @@ def table_name(omega: Decimal, q: int) -> str:
 def describe_table(omega: Decimal, q: int) -> dict[str, Any]:
     """Return what the JSON file of a table holds: its properties, its checksums and its entries.
 
-    Raises UsageError for an omega or a q that no table has.
+    The table is that of ``omega``, the type II error probability of the test, and has exact thresholds for up
+    to ``q`` neighbours. Raises UsageError for an omega or a q that no table has.
     """
     table = generate(omega, q)
     table_words = table.words()

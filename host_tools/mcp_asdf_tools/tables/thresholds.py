@@ -43,7 +43,8 @@ def parse_omega(omega_text: str) -> Decimal:
     except InvalidOperation:
         raise UsageError(f"omega is {omega_text!r}, not a decimal number; give one such as 0.05") from None
     # Decimal reads Infinity and NaN, too. NaN cannot be compared, so both are refused first.
-    if not (omega.is_finite() and 0 < omega <= MAX_OMEGA and omega == round(omega, OMEGA_PLACES)):
+    is_legal = omega.is_finite() and 0 < omega <= MAX_OMEGA and omega == round(omega, OMEGA_PLACES)
+    if not is_legal:
         raise UsageError(
             f"omega is {omega_text}; it must be above 0 and at most {MAX_OMEGA}, "
             f"with no more than {OMEGA_PLACES} decimal places, for example 0.05"
@@ -114,7 +115,10 @@ def true_thresholds(omega: Decimal) -> tuple[mpf, ...]:
 
 
 def _normal_quantile(omega: Decimal) -> mpf:
-    """Return the quantile of the normal distribution, which t_{m-1,(1-omega)/2} falls to as m grows."""
+    """Return the quantile of the normal distribution, to which that of eq. 12 falls as m grows.
+
+    The latter is t_{m-1,(1-omega)/2}, the quantile of Student's distribution for m messages.
+    """
     return mp.sqrt(2) * mp.erfinv(mpf(str(omega)))
 
 
@@ -174,7 +178,7 @@ class ThresholdError(NamedTuple):
 
 
 def worst_threshold_error(omega: Decimal, table: Table) -> ThresholdError:
-    """Return the largest errors of the thresholds that ``table`` gives for m = 2 .. 127."""
+    """Return the largest errors of the thresholds that ``table`` gives for m = 2 .. 127 messages."""
     with mp.workdps(_DECIMAL_DIGITS):
         errors = []
         for m, true_threshold in enumerate(true_thresholds(omega), start=2):

@@ -195,4 +195,4 @@ def _encode_series(values: NDArray[np.float64]) -> bytes:
 
 def _compress_to_base64(content: bytes) -> str:
     """Return bytes deflated by zlib, in base64."""
-    return base64.b64encode(zlib.compress(content, 9)).decode("ascii")
+    return base64.b64encode(zlib.compress(content, level=9)).decode("ascii")

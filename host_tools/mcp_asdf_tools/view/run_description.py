@@ -46,7 +46,9 @@ def describe_run(
     Raises:
         UsageError: The arena cannot be made.
     """
-    is_plain_run = not faults and not allow
+    unfiltered_errors = []
+    if not faults and not allow:
+        unfiltered_errors = _compute_unfiltered_errors(settings, trial)
     description = RunDescription(
         title=_format_title(settings, trial),
         robots=list(range(settings.robots)),
@@ -55,7 +57,7 @@ def describe_run(
         steps=settings.steps,
         steps_per_second=settings.steps_per_second,
         filter=settings.filter,
-        unfiltered_errors=_compute_unfiltered_errors(settings, trial) if is_plain_run else [],
+        unfiltered_errors=unfiltered_errors,
         faults=[(str(fault), fault.start, fault.stop) for fault in faults],
     )
     if not settings.is_dynamic:
