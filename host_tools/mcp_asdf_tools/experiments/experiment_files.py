@@ -49,9 +49,9 @@ def read_experiments(path: Path | str) -> list[Experiment]:
             for combination in combinations({**common_parameters, **grid}):
                 parameters = _with_graph_from_folder(combination, path.parent)
                 experiments.append(Experiment.from_parameters(parameters))
-                # Each grid makes at least one experiment, so that too many grids are refused at the first
-                # one.
-                if max(len(grids), len(experiments)) > MAX_EXPERIMENTS:
+                # Each grid makes at least one experiment, so too many grids are refused at the first one.
+                fewest_experiments = max(len(grids), len(experiments))
+                if fewest_experiments > MAX_EXPERIMENTS:
                     raise UsageError(f"{path} makes more than {MAX_EXPERIMENTS} experiments; give fewer")
         except ParameterError as error:
             raise key_lines.error_at(grid_number, error.key, str(error)) from error

@@ -257,14 +257,16 @@ class RowGroups:
         first_rows = [row_group.first_row for row_group in self._row_groups]
         # A row is in the last row group that begins at or before it.
         group_of_row = np.searchsorted(first_rows, rows, side="right") - 1
-        # Row groups are read one after the other, so that their rows are taken sorted by row groups ...
-        positions_by_group = np.argsort(group_of_row, kind="stable")
+        # Row groups are read one after the other, so their rows come sorted by row groups ...
         tables = []
+        requested_positions = []
         for group_index in np.unique(group_of_row):
-            rows_in_group = rows[group_of_row == group_index] - first_rows[group_index]
+            positions = np.flatnonzero(group_of_row == group_index)  # in ``rows``
+            rows_in_group = rows[positions] - first_rows[group_index]
             tables.append(self._read_cached(group_index, column_names).take(rows_in_group))
-        # ... and then brought into the order of the request, by the inverse of that permutation.
-        requested_order = np.argsort(positions_by_group)
+            requested_positions.append(positions)
+        # ... and are then sorted by the positions at which they were requested.
+        requested_order = np.argsort(np.concatenate(requested_positions))
         return pa.concat_tables(tables).combine_chunks().take(requested_order)
 
     def _read(self, group_index: int, columns: tuple[str, ...] | None) -> pa.Table:

@@ -178,16 +178,17 @@ def _nest_flat_record(table: pa.Table, column: str) -> pa.ChunkedArray:
         flat_records = batch[column]
         # In a damaged file any number may stand for the robots, also 0, or one that fits no signed integer.
         stated_robots = pc.fill_null(batch["robots"], 0).to_numpy()
-        robots = np.clip(stated_robots, 0, np.iinfo(np.int32).max).astype(np.int64)
-        value_counts = pc.fill_null(pc.list_value_length(flat_records), 0).to_numpy()
-        step_counts = value_counts // np.maximum(robots, 1)
-        is_each_step_complete = np.array_equal(step_counts * robots, value_counts)  # no value is left over
-        if flat_records.null_count > 0 or not is_each_step_complete:
+        robots_by_trial = np.clip(stated_robots, 0, np.iinfo(np.int32).max).astype(np.int64)
+        values_by_trial = pc.fill_null(pc.list_value_length(flat_records), 0).to_numpy()
+        steps_by_trial = values_by_trial // np.maximum(robots_by_trial, 1)  # rounded down
+        values_in_complete_steps = steps_by_trial * robots_by_trial
+        has_values_left = not np.array_equal(values_in_complete_steps, values_by_trial)
+        if flat_records.null_count > 0 or has_values_left:
             raise _damage_error(f"column {column} has gaps, or not a value of each robot at each step")
         # The values become lists by robot for each step, and these become a list for each trial.
-        robots_by_step = np.repeat(robots, step_counts)
+        robots_by_step = np.repeat(robots_by_trial, steps_by_trial)
         values_of_robots = _group_in_lists(flat_records.flatten(), robots_by_step, _VALUES_OF_ROBOTS)
-        nested_chunks.append(_group_in_lists(values_of_robots, step_counts, _RECORD_OF_TRIAL))
+        nested_chunks.append(_group_in_lists(values_of_robots, steps_by_trial, _RECORD_OF_TRIAL))
     return pa.chunked_array(nested_chunks, _RECORD_OF_TRIAL)
 
 

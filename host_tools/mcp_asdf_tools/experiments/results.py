@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Iterable, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -39,6 +38,8 @@ def is_results_path(path: Path) -> bool:
 @dataclass(frozen=True)
 class Trials:
     """Some or all trials of one experiment; the first axis of each array is the trial.
+
+    N is the number of robots, and T that of steps.
 
     Attributes:
         experiment: The definition; its ``trials`` may be more than these.
@@ -163,9 +164,12 @@ def _is_same_value(parameter_value: object, requested_value: Any) -> bool:
     if str(parameter_value) == str(requested_value):
         # Words, such as the name of a filter, and numbers that are written as this program prints them.
         return True
-    with suppress(TypeError, ValueError):
-        return isinstance(parameter_value, int | float) and float(requested_value) == parameter_value
-    return False
+    if not isinstance(parameter_value, int | float):
+        return False
+    try:
+        return float(requested_value) == parameter_value
+    except (TypeError, ValueError):  # the requested value is no number
+        return False
 
 
 def write_csv(path: Path, experiments: Iterable[Trials], limits: Limits = PAPERS) -> None:

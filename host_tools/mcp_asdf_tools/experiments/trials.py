@@ -260,9 +260,9 @@ class MessageSwarm:
                 if observation is not None:
                     robot.observe(observation)
             is_broadcast_step = step % comms_period == 0
-            if is_broadcast_step and not has_latency:
-                self._deliver()
             if is_broadcast_step:
+                if not has_latency:
+                    self._deliver()
                 for robot in self.robots:
                     robot.settle()
             are_messages_under_way = is_broadcast_step and has_latency

@@ -57,7 +57,10 @@ class Resampled:
         return Resampled(self.value - constant, self.resamples - np.float32(constant))
 
     def interval(self, confidence: float) -> Interval:
-        """Return the value with the range of the middle resamples, whose share is ``confidence`` (0 to 1)."""
+        """Return the value with the range of the middle resamples, whose share is ``confidence`` (0 to 1).
+
+        If all resamples are equal, the range is the value alone.
+        """
         if np.ptp(self.resamples) == 0:
             # The resamples are float32, so they may differ from the value by rounding.
             return Interval(self.value, self.value, self.value)

@@ -93,15 +93,15 @@ class Contrast:
 
         A cell is a kind of swarm, which is compared with another cell or with a level.
         """
-        plan_by_cells: dict[tuple[Cell, Cell | None], PlannedComparison] = {}
+        comparison_of_cells: dict[tuple[Cell, Cell | None], PlannedComparison] = {}
         # A dictionary drops repeated pairs, and keeps the order of the rest.
         for cell in self._cells(study_part):
             for reference in self._references(cell):
                 # Different values may describe the same experiment, which Cell.normal makes equal.
                 normal_reference = None if reference is None else reference.normal
-                plan = PlannedComparison(self, cell.normal, normal_reference)
-                plan_by_cells[plan.cell, plan.reference] = plan
-        return list(plan_by_cells.values())
+                comparison = PlannedComparison(self, cell.normal, normal_reference)
+                comparison_of_cells[cell.normal, normal_reference] = comparison
+        return list(comparison_of_cells.values())
 
     def _cells(self, study_part: StudyPart) -> list[Cell]:
         """Return a cell of the study's part for every combination of the contrast's values.

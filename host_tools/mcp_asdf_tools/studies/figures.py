@@ -158,7 +158,7 @@ def _select_by_filter(
 def _select_with_shortest_period(
     study_results: StudyResults, study_part: StudyPart, filter_names: Sequence[str]
 ) -> list[Trials]:
-    """Return the trials of a part's experiments with these filters, of which those with SHORTEST_PERIOD.
+    """Return the trials of a part's experiments that have one of these filters, with SHORTEST_PERIOD.
 
     Experiments without a filter have no period, and are returned if ``filter_names`` has UNFILTERED. ASDF- is
     another filter where no robot is flawed, or all are: none at P = 0 %, where P is the share of flawed
@@ -212,8 +212,8 @@ def _filter_and_period(experiment: Experiment) -> str:
 def _draw_score_scatters(study_results: StudyResults, study_part: StudyPart) -> Iterator[Picture]:
     """Draw h_e, a trial's score for accuracy, against h_K, its score for speed, of all trials of a part.
 
-    It shows swarms without a filter, with ASDF- and with ASDF+, of which only those with the shortest filter
-    period tau. A firmware or filter of the user's has a picture for itself, since both would not fit.
+    It shows swarms without a filter, and with ASDF- and ASDF+ where their period tau is the shortest one. A
+    firmware or filter of the user's has a picture for itself, since both would not fit.
     """
     experiments = _select_with_shortest_period(study_results, study_part, [UNFILTERED, ASDF_MINUS, ASDF_PLUS])
     yield _make_picture(
@@ -251,7 +251,7 @@ def _draw_boxes_by_topology(study_results: StudyResults, filter_name: str) -> Pi
     """Draw box plots of H, a trial's score from 0 to 100, of dynamic swarms beside fully connected ones.
 
     In a dynamic swarm robots move and reach only those nearby. Both kinds are shown without a filter and with
-    this filter, of which the shortest period tau.
+    this filter, whose period tau is the shortest one.
     """
     experiments: list[Trials] = []
     for study_part in (StudyPart.DYNAMIC, StudyPart.FULLY_CONNECTED):

@@ -153,7 +153,7 @@ class BayesCpfRobot(ReferenceRobot):
         return super().settle()
 
     def _is_update_needed(self) -> bool:
-        """Return whether a filter step updates b_hat: always, as there is no hypothesis test."""
+        """Return whether a filter step updates b_hat: with any filter, if there are new readings."""
         return self._config.filter != Filter.OFF and self._t_since_update > 0
 
     def reestimate_b_hat(self) -> float | None:
@@ -180,7 +180,7 @@ class BayesCpfRobot(ReferenceRobot):
         gain = self._variance * slope / (slope**2 * self._variance + variance_of_n)
         self._mean += gain * (n - expected_n)
         self._variance *= 1 - gain * slope
-        # Off the ends, as at b_hat = 1/2 the local estimate would divide by 0.
+        # b_hat stays off these ends, since at 1/2 the local estimate would divide by 0.
         lowest, highest = 0.5 + 1e-6, 1 - 1e-6
         return min(max(self._truncated_mean(), lowest), highest)
 

@@ -60,9 +60,8 @@ class IndependentReadings:
 
     def _draw_readings(self, first_tile: int, tiles: int) -> NDArray[np.bool_]:
         """Return whether the readings of some tiles are black, in their order, shape (2 tiles, robots)."""
-        # A tile uses up the draws of four steps: for its colour, for an error of either reading, and for a
-        # repetition.
-        draws_of_tile = 4
+        draws_of_tile = 4  # for its colour, for an error of either reading, and for a repetition
+        # The stream counts draws as steps, of which each tile takes four.
         uniforms = self._draws.draw_uniforms(draws_of_tile * tiles, draws_of_tile * first_tile)
         draws = uniforms.reshape(tiles, draws_of_tile, self._settings.robots)
         colour_draws, first_draws, second_draws, repetition_draws = draws.swapaxes(0, 1)

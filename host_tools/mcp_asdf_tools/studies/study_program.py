@@ -85,9 +85,9 @@ def run_rows(
 ) -> dict[str, list[Trials]]:
     """Run the experiments of a table's rows, and return their trials by the labels of the rows.
 
-    ``arguments`` are the options of the program. The trials are also written into ``FOLDER/name.parquet``,
-    with x, every robot's estimate, at every ``record``-th step. If an earlier call was interrupted, only what
-    the file lacks is run.
+    ``arguments`` are the options of the program; with ``--quick`` all experiments are shortened first. The
+    trials are also written into ``FOLDER/name.parquet``, with x, every robot's estimate, at every
+    ``record``-th step. If an earlier call was interrupted, only what the file lacks is run.
     """
     if arguments.quick:
         experiments_by_row = {

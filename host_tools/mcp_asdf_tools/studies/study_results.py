@@ -129,9 +129,9 @@ class StudyResults:
 
 
 def own_name_of(experiment: Experiment) -> str:
-    """Return what of an experiment's firmware and filter the paper does not have, such as "beta".
+    """Return the name of an experiment's firmware, or filter, that is not the paper's, such as "beta".
 
-    That is "beta_robust" if it has neither of both, and empty if it has both.
+    That is "beta_robust" if neither is the paper's, and an empty text if both are.
     """
     names = [] if experiment.firmware == PAPERS_FIRMWARE else [experiment.firmware]
     if experiment.filter not in PAPERS_FILTERS:

@@ -70,7 +70,8 @@ def size_rows() -> dict[str, list[Experiment]]:
 def processor_seconds(experiment: Experiment) -> float:
     """Return the processor time of one trial on this machine in seconds, the shortest of three measurements.
 
-    The trial runs four times: the first one, which also loads what trials need, is not measured.
+    The trial runs four times: the first one, which also loads what trials need, is not measured. For equal
+    experiments this is done once.
     """
     run_trials(experiment, first=0, trials=1)
     measurements = []

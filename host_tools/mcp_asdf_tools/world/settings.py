@@ -136,6 +136,7 @@ class WorldSettings:
         if self.is_dynamic:
             _check_sides(self)
             _check_arena(self)
+            _check_speed(self)
             _check_floor(self)
         if self.robots > MAX_ON_BUS:
             _check_neighbours_of_many(self)
@@ -308,10 +309,10 @@ def _check_sides(settings: WorldSettings) -> None:
 
 
 def _check_arena(settings: WorldSettings) -> None:
-    """Raise ParameterError for an arena that is too small or too large, or robots too fast for its steps.
+    """Raise ParameterError for an arena that is too small or too large.
 
     Too small is one without room for the robots, too large one with a side above MAX_SIDE or too many tiles
-    along a side. Robots are too fast if one could turn by more than _MAX_TURN_PER_STEP in a step.
+    along a side.
     """
     width, height = settings.sides
     size_text = f"{width:.4g} x {height:.4g} m"
@@ -331,8 +332,13 @@ def _check_arena(settings: WorldSettings) -> None:
     if settings.tile * _MAX_TILES_PER_SIDE < max(width, height):
         message = f"tile is {settings.tile}; choose one with at most {_MAX_TILES_PER_SIDE} along {size_text}"
         raise ParameterError("tile", message)
+
+
+def _check_speed(settings: WorldSettings) -> None:
+    """Raise ParameterError if a robot could turn by more than _MAX_TURN_PER_STEP in a step."""
+    wheel_speed_difference = 2 * settings.speed
     # A robot turns fastest on the spot, with one wheel forwards and the other one backwards.
-    radians_per_second = 2 * settings.speed / _WHEEL_DISTANCE
+    radians_per_second = wheel_speed_difference / _WHEEL_DISTANCE
     if radians_per_second > _MAX_TURN_PER_STEP * settings.steps_per_second:
         min_steps_per_second = math.ceil(radians_per_second / _MAX_TURN_PER_STEP)
         message = (

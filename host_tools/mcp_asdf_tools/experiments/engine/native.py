@@ -29,11 +29,13 @@ COUNTERS = ("tests", "updates")
 class EngineTrials:
     """Trials of one experiment as the C engine takes them, and their results, in the firmware's units.
 
+    N is the number of robots, and T that of steps.
+
     Attributes:
         experiment: The C struct that describes them.
         robots: The C structs of the robots at the end, robots of the first trial first.
-        x: Informed estimates of steps 0 .. T, shape (trials, 1 or N, T + 1): one column if all robots have
-            the same in any case.
+        x: Informed estimates of steps 0 .. T, shape (trials, 1 or N, T + 1): 1 if the robots of a trial
+            always have the same x.
         b_hat: Assumed accuracies after each filter step, shape (trials, T // filter_period, N).
         records: Values of every robot once per ``sampling_interval`` steps, of dtype RECORD, shape
             (trials, T // sampling_interval, N).

@@ -72,7 +72,9 @@ def plot_curve(  # noqa: PLR0913 (each is given by name)
     all_series = _series_by_hue(experiments, hue)
     x_values = _sorted_axis_values(experiments, x)
     y_label = y if isinstance(y, str) else getattr(y, "__name__", "y")
-    handles = [legend_handle(series.label, series.colour, line="-") for series in all_series] if hue else []
+    handles = []
+    if hue:  # without it there is a single curve, which needs no legend
+        handles = [legend_handle(series.label, series.colour, line="-") for series in all_series]
 
     def draw_panel(axes: Axes, series_of_panel: Sequence[Series]) -> None:
         """Draw a curve for each series: its values of ``y`` by those of ``x``."""
