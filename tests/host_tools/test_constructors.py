@@ -26,10 +26,11 @@ PARAMETERS = [(kind, name) for kind in (Experiment, SwarmSettings) for name in p
 
 
 @cache
-def values_and_refusals(kind: Any, name: str) -> tuple[list[tuple[Any, Any]], list[str]]:
-    """Give a parameter all of VALUES, one after the other.
+def try_all_values(kind: Any, name: str) -> tuple[list[tuple[Any, Any]], list[str]]:
+    """Make an instance of a class with each of VALUES for a parameter.
 
-    Returns the values that were accepted, each with what it was converted to, and the messages of refusals.
+    Returns the values that were accepted, each with what the instance has in its place, and the messages of
+    errors about the others.
     """
     accepted_values: list[tuple[Any, Any]] = []
     refusals: list[str] = []
@@ -56,7 +57,7 @@ for_every_number = pytest.mark.parametrize(
 @for_every_parameter
 def test_an_impossible_value_is_refused_with_the_parameter_s_name_and_a_fix(kind: Any, name: str) -> None:
     """``kind`` is Experiment or SwarmSettings. The fix stands behind a colon or semicolon of the message."""
-    _, refusals = values_and_refusals(kind, name)
+    _, refusals = try_all_values(kind, name)
     for refusal in refusals:
         assert name in refusal
         assert ";" in refusal or ":" in refusal
@@ -69,7 +70,7 @@ def test_an_impossible_value_is_refused_with_the_parameter_s_name_and_a_fix(kind
 )
 def test_a_parameter_with_choices_accepts_nothing_else(kind: Any, name: str) -> None:
     """``kind`` is Experiment or SwarmSettings. For example, ``topology`` must be one of the known ones."""
-    accepted_values, _ = values_and_refusals(kind, name)
+    accepted_values, _ = try_all_values(kind, name)
     for _, converted_value in accepted_values:
         assert converted_value in parameters_of(kind)[name].choices
 
@@ -78,7 +79,7 @@ def test_a_parameter_with_choices_accepts_nothing_else(kind: Any, name: str) -> 
 def test_a_number_that_is_accepted_is_converted_to_the_type_of_its_parameter(kind: Any, name: str) -> None:
     """``kind`` is Experiment or SwarmSettings. For example, 3.0 robots become the integer 3."""
     parameter = parameters_of(kind)[name]
-    accepted_values, _ = values_and_refusals(kind, name)
+    accepted_values, _ = try_all_values(kind, name)
     for value, converted_value in accepted_values:
         assert type(converted_value) is parameter.kind
         assert converted_value == parameter.kind(value)

@@ -99,7 +99,7 @@ def test_a_dead_robot_has_rows_without_values(tmp_path: Path) -> None:
     table = to_frame(log)
     rows_without_values = table.filter(pa.compute.is_null(table["x"]))
 
-    assert rows_without_values["step"].to_pylist() == list(range(21, 36))
+    assert rows_without_values["step"].to_pylist() == list(range(21, 21 + 15))
     assert rows_without_values["robot"].to_pylist() == [2] * 15
     assert rows_without_values["b_hat"].null_count == 15
 
@@ -165,10 +165,14 @@ def test_export_reads_results_whose_file_has_another_suffix_of_parquet(
 def test_export_reports_the_files_and_the_number_of_rows_as_json(
     results: Path, tmp_path: Path, capsys: Capture
 ) -> None:
-    """The file that is read is the source, and the one that is written the table."""
+    """The file that is read is the source, and the one that is written the table.
+
+    It has a row for each of four robots at the start and after each of 60 steps.
+    """
     path = tmp_path / "robots.csv"
     assert main(["export", str(results), str(path), "--json"]) == 0
-    assert json.loads(capsys.readouterr().out) == {"source": str(results), "table": str(path), "rows": 244}
+    report = json.loads(capsys.readouterr().out)
+    assert report == {"source": str(results), "table": str(path), "rows": 4 * (1 + 60)}
 
 
 def test_export_refuses_to_write_its_table_over_the_log(

@@ -75,14 +75,10 @@ def band_edges(band: Any, x: float) -> tuple[float, float]:
     return float(heights.min()), float(heights.max())
 
 
-def line_and_band_by_x(line: Any, band: Any) -> dict[float, tuple[float, float, float]]:
-    """Return by x the heights of a line, of the lower edge of its band, and of the upper edge."""
-    points = zip(line.get_xdata(), line.get_ydata(), strict=True)
-    return {float(x): (float(y), *band_edges(band, x)) for x, y in points}
-
-
-def medians_and_intervals_by_x(
-    samples_by_x: Mapping[float, NDArray[Any]],
-) -> dict[float, tuple[float, float, float]]:
-    """Return by x the median of a sample, the lower end of its 95 % interval, and the upper end."""
-    return {x: median_interval(sample) for x, sample in samples_by_x.items()}
+def assert_line_has_medians_in_band(line: Any, band: Any, samples_by_x: Mapping[float, NDArray[Any]]) -> None:
+    """Fail unless a line goes through the median of each sample, and its band over the 95 % interval."""
+    assert line.get_xdata().tolist() == list(samples_by_x)
+    for height, (x, sample) in zip(line.get_ydata(), samples_by_x.items(), strict=True):
+        median, lower_end, upper_end = median_interval(sample)
+        assert height == median
+        assert band_edges(band, x) == (lower_end, upper_end)

@@ -16,11 +16,10 @@ from host_tools.experiments.drawn_figures import (
     GREY,
     SHORT_EXPERIMENT,
     Layout,
+    assert_line_has_medians_in_band,
     caption_of,
     layout_of,
     legend_of,
-    line_and_band_by_x,
-    medians_and_intervals_by_x,
     results_of,
     titles_of,
     visible_axes,
@@ -73,7 +72,7 @@ def test_each_curve_goes_through_the_medians_of_trials_in_a_band_of_their_interv
         samples_by_omega = {}
         for omega in omegas:
             samples_by_omega[omega] = densities_and_omegas[density, omega].measures()[measure]
-        assert line_and_band_by_x(line, band) == medians_and_intervals_by_x(samples_by_omega)
+        assert_line_has_medians_in_band(line, band, samples_by_omega)
 
 
 def test_curves_are_drawn_into_one_large_panel_with_the_score_over_the_parameter(
@@ -208,11 +207,17 @@ def test_a_curve_can_be_of_a_function_of_the_user(unfiltered_swarms: list[Trials
 
 
 def test_a_curve_can_be_drawn_into_axes_of_the_user(unfiltered_swarms: list[Trials]) -> None:
-    """They get labels, and no legend, as there is one curve; their figure is returned."""
-    figure: Any = Figure()
-    axes = figure.subfigures().subplots()
+    """They get labels, and no legend, as there is one curve. Here they are axes of a part of a figure.
 
-    assert plot_curve(unfiltered_swarms, "flawed", y=error_of_first_robot, ax=axes) is figure
+    The whole figure is returned.
+    """
+    figure: Any = Figure()
+    part_of_figure = figure.subfigures()
+    axes = part_of_figure.subplots()
+
+    returned_figure = plot_curve(unfiltered_swarms, "flawed", y=error_of_first_robot, ax=axes)
+
+    assert returned_figure is figure
     assert (axes.get_xlabel(), axes.get_ylabel()) == ("share of flawed robots", "error_of_first_robot")
     assert axes.get_legend() is None
 

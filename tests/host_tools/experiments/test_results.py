@@ -476,6 +476,7 @@ def test_limits_that_the_user_chooses_change_no_column_but_the_scores(results_pa
 
 
 CSV_LIMITS = Limits(k_max=300, e_max=0.55)
+"""Limits of scores: a robot that converges at step 300, or with an error of 0.55, gets no points."""
 
 
 @pytest.fixture
@@ -501,9 +502,9 @@ def test_csv_has_a_line_for_every_trial_with_its_parameters(csv_rows: list[dict[
 def test_a_line_of_csv_has_the_scores_of_its_trial_and_their_limits(
     experiments: list[Trials], csv_rows: list[dict[str, str]]
 ) -> None:
+    """The limits K_max and e_max are those with which the file was written."""
     first_experiment, _ = experiments
     row_of_trial_0, *_ = csv_rows
-
     for name, scores in first_experiment.scores(CSV_LIMITS).items():
         score_of_trial_0, *_ = scores
         assert float(row_of_trial_0[name]) == pytest.approx(score_of_trial_0)

@@ -361,7 +361,8 @@ def test_a_second_series_of_the_robust_filter_gets_a_colour_that_no_filter_has(
     colours = [handle.get_color() for handle in legend.get_lines()]
 
     assert (shorter_period, longer_period) == ("robust, filter period 50", "robust, filter period 100")
-    assert colours == [GREY, COLOURS[0], COLOURS[1], GREEN, COLOURS[3]]
+    asdf_minus_colour, asdf_plus_colour, _, further_colour, *_ = COLOURS
+    assert colours == [GREY, asdf_minus_colour, asdf_plus_colour, GREEN, further_colour]
 
 
 def test_several_series_of_one_filter_have_different_colours() -> None:

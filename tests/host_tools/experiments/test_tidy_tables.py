@@ -66,6 +66,7 @@ def test_a_row_of_a_tidy_table_has_what_was_recorded_of_its_robot(
 
 
 def test_parameters_that_differ_between_experiments_have_columns_behind_the_trial(trials: Trials) -> None:
+    """One experiment has two trials of 3 robots, and the other, without a filter, one trial of 2 robots."""
     other_trials = run_trials(
         replace(SHORT, filter="none", robots=2), first=0, trials=1, sampling_interval=20
     )

@@ -15,12 +15,11 @@ from host_tools.experiments.drawn_figures import (
     GREY,
     SHORT_EXPERIMENT,
     Layout,
+    assert_line_has_medians_in_band,
     band_edges,
     caption_of,
     layout_of,
     legend_of,
-    line_and_band_by_x,
-    medians_and_intervals_by_x,
     results_of,
     titles_of,
     visible_axes,
@@ -85,7 +84,7 @@ def mean_errors_by_step(experiments: list[Trials]) -> dict[float, NDArray[np.flo
     mean_errors = np.concatenate(
         [abs(trials.records["x"] - trials.experiment.fill_ratio).mean(robot_axis) for trials in experiments]
     )
-    recorded_steps = range(0, 290, 50)
+    recorded_steps = range(0, 290, 50)  # 0, 50 and so on to 250
     errors_by_step = mean_errors.T  # a row for each step in place of each trial
     return {float(step): errors for step, errors in zip(recorded_steps, errors_by_step, strict=True)}
 
@@ -98,7 +97,7 @@ def test_the_line_of_a_filter_has_the_median_over_trials_of_the_swarm_s_mean_err
     axes = errors_over_time.axes[0]
     samples_by_step = mean_errors_by_step(recorded_swarms[filter_name])
     line, band = axes.lines[line_index], axes.collections[line_index]
-    assert line_and_band_by_x(line, band) == medians_and_intervals_by_x(samples_by_step)
+    assert_line_has_medians_in_band(line, band, samples_by_step)
 
 
 def test_errors_over_time_have_the_colours_of_their_filters(errors_over_time: Figure) -> None:

@@ -61,7 +61,7 @@ def test_replay_reproduces_a_log_in_any_format(
 ) -> None:
     """Replay computes all broadcasts of a converted log again, bit for bit; the suffix gives the format.
 
-    It has 4 * 40 broadcasts and 16 heartbeats.
+    It has 4 * 40 broadcasts, and 16 other frames, which are heartbeats.
     """
     log = tmp_path / f"run{suffix}"
     convert(swarm_log, log)

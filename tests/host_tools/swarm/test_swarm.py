@@ -172,7 +172,12 @@ def test_each_robot_sends_telemetry_in_every_telemetry_period() -> None:
     """
     _, frames = run_and_record(small_swarm(telemetry_period=7))
     order = [(tick, telemetry.sender, telemetry.transfer_id) for tick, telemetry in telemetry_in(frames)]
-    assert order == [(7 * index, robot, index) for index in range(9) for robot in range(5)]
+
+    expected_order = []
+    for number in range(9):
+        for robot in range(5):
+            expected_order.append((7 * number, robot, number))
+    assert order == expected_order
 
 
 @pytest.mark.parametrize("firmware", ["native", "reference"])

@@ -306,7 +306,10 @@ def crash_in_two_ticks(rejoin: str) -> SwarmSettings:
 
 @pytest.mark.parametrize("rejoin", ["new", "restored"])
 def test_a_robot_that_rejoins_assumes_the_accuracy_of_its_start_unless_it_is_restored(rejoin: str) -> None:
-    """Robot 0 started with 0.55, and had learnt until its crash in tick 45 that its sensor is better."""
+    """Robot 0 started with 0.55, and had learnt until its crash in tick 45 that its sensor is better.
+
+    It is dead in the ticks 45 and 46.
+    """
     b_hat_by_tick: list[float] = []
 
     def record_b_hat(swarm: Swarm) -> None:
@@ -314,9 +317,10 @@ def test_a_robot_that_rejoins_assumes_the_accuracy_of_its_start_unless_it_is_res
 
     run_and_record(crash_in_two_ticks(rejoin), hooks=[record_b_hat])
 
-    before, after = b_hat_by_tick[44], b_hat_by_tick[47]
-    assert before > 0.9
-    assert after == pytest.approx(before if rejoin == "restored" else 0.55, abs=1e-6)
+    before_crash, after_return = b_hat_by_tick[44], b_hat_by_tick[47]
+    assert before_crash > 0.9
+    expected = before_crash if rejoin == "restored" else 0.55
+    assert after_return == pytest.approx(expected, abs=1e-6)
 
 
 @pytest.mark.parametrize(("rejoin", "observations"), [("new", 60 - 47), ("restored", 60 - 2)])

@@ -103,7 +103,10 @@ def test_table_writes_the_shipped_files_again(tmp_path: Path) -> None:
 def test_table_prints_the_size_of_a_table_its_errors_and_the_files_that_it_writes(
     tmp_path: Path, capsys: Capture
 ) -> None:
-    """The errors are those of thresholds, by rounding and where there are more neighbours than entries."""
+    """The errors are those of thresholds, by rounding and where there are more neighbours than entries.
+
+    A table has a header of 12 bytes, and 4 bytes for each of its q entries, 30 here.
+    """
     run_table("--omega", "0.050", "--neighbours", 30, "--output", tmp_path)
     output = capsys.readouterr().out
 
@@ -144,9 +147,9 @@ def test_table_refuses_a_value_out_of_range_and_writes_nothing(
 
 
 def test_check_accepts_the_shipped_files(capsys: Capture) -> None:
-    """``mcp-asdf table --check`` compares files with what they should be.
+    """``mcp-asdf table --check`` compares files with what they should be, and prints a line for each.
 
-    It prints a line for each.
+    Their names end in omega05_q30: they have the table for omega = 0.05 and up to 30 neighbours.
     """
     assert run_table("--check", C_FILE, JSON_FILE) == 0
     assert capsys.readouterr().out.splitlines() == [

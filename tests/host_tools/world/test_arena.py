@@ -271,7 +271,7 @@ def test_hundreds_of_robots_hear_each_other_if_they_are_in_range_and_no_third_st
 ) -> None:
     """The links equal those by definition. Those of more than 128 robots are searched in a grid."""
     arena = random_large_arena(density)
-    motion = arena.record(27)
+    motion = arena.record(27)  # with two searches for pairs, one every 13 ticks
     position, is_linked = motion.position[-1], motion.adjacency[-1]
     assert np.array_equal(is_linked, links_by_definition(position, arena.settings))
 
