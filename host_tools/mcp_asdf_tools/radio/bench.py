@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterable, Sequence
 
 import can
 
+from mcp_asdf.mirror import State
 from mcp_asdf.robot import MAX_ID, Filter, Observation
 from mcp_asdf_tools.bus.frame_layout import TRANSFER_IDS, Action
 from mcp_asdf_tools.bus.frames import Command, Estimate, encode_estimate
@@ -29,7 +30,7 @@ class Bench(ControllerLink):
     Attributes:
         neighbours: Emulated robots around the controller, for phases among neighbours.
         rng: Random numbers, the same in every run with this seed.
-        activity: What the phase does at present, for the report of a difference.
+        activity: What the phase does at present. It is part of the report of a difference.
         not_exercised: Cases that the phases could not bring about, for the verdict.
     """
 
@@ -40,32 +41,37 @@ class Bench(ControllerLink):
         self.rng = random.Random(settings.swarm.seed)
         self.activity = ""
         self.not_exercised: list[str] = []
-        self._estimates_by_sender: Counter[int] = Counter()
+        self._estimate_count_by_sender: Counter[int] = Counter()
 
     # --- Estimates and observations for the controller ---
 
     @property
     def other_ids(self) -> list[int]:
-        """All ids that a sender can have but the controller's own."""
+        """All ids that a sender can have but the controller's own, in ascending order."""
         return [robot for robot in range(MAX_ID + 1) if robot != self.setup.id]
 
     @property
+    def model_state(self) -> State:
+        """State of the model's robot, which the controller must have, too. It changes as ticks pass."""
+        return self.model_robot.s
+
+    @property
     def robot_state(self) -> RobotState:
-        """The controller's present state, for which the estimates of a round are crafted."""
-        state = self.firmware.s
-        table = self.config.table if self.config.filter is Filter.ADAPTIVE else None
-        return RobotState(state.t, state.n, state.x_hat, table)
+        """A copy of what the estimates of a round are crafted for: t, n, x_hat, and the table of the test."""
+        state = self.model_state
+        has_test = self.config.filter is Filter.ADAPTIVE
+        return RobotState(state.t, state.n, state.x_hat, table=self.config.table if has_test else None)
 
     def draw_observation(self) -> Observation:
         """Draw a colour such that the share of black ones stays near 3/5, but not exactly.
 
         With a share above 1/2, b_hat can be re-estimated on both sides of 1/2.
         """
-        state = self.firmware.s
-        is_black_share_low = 5 * state.n < 3 * state.t
-        # In one of five cases the colour moves the share away from 3/5.
-        is_usual = self.rng.random() < 0.8
-        is_black = is_black_share_low if is_usual else not is_black_share_low
+        state = self.model_state
+        is_black = 5 * state.n < 3 * state.t  # as the share n / t is below 3/5
+        # In one of five cases the other colour moves the share away from 3/5.
+        if self.rng.random() >= 0.8:
+            is_black = not is_black
         return Observation(is_black)
 
     def encode_estimates(
@@ -81,13 +87,13 @@ class Bench(ControllerLink):
 
     def _encode_estimate(self, sender: int, x_hat: int, alpha: int) -> can.Message:
         """Return the frame of an estimate with the sender's next transfer_id."""
-        transfer_id = self._estimates_by_sender[sender] % TRANSFER_IDS
-        self._estimates_by_sender[sender] += 1
+        transfer_id = self._estimate_count_by_sender[sender] % TRANSFER_IDS
+        self._estimate_count_by_sender[sender] += 1
         estimate = Estimate(sender, x_hat, alpha, transfer_id)
         return encode_estimate(estimate, self.settings.subjects.estimates)
 
     def make_command(self, action: Action) -> Command:
-        """Return the command for this action of the controller in the present tick. Nothing is sent."""
+        """Return the command for this action of the controller in the present tick, without sending it."""
         return Command(DRIVER_ID, self.lockstep.tick, self.setup.id, action, self.rng.randrange(TRANSFER_IDS))
 
     # --- Ticks ---
@@ -96,13 +102,13 @@ class Bench(ControllerLink):
         """Run a tick with this observation, or none, in which the controller receives these frames."""
         self.observe(observation)
         self.send(frames)
-        self.settle()
+        self.settle_and_compare()
 
     def play_tick_among_neighbours(self) -> None:
         """Run a tick in which the controller and the emulated neighbours receive each other's frames."""
         self.observe(self.neighbours.begin())
         self.send(self.neighbours.finish(list(self._received)))
-        self.settle()
+        self.settle_and_compare()
 
     def skip_ticks(self, ticks: int, observe: Callable[[], Observation | None] = lambda: None) -> None:
         """Let ticks without messages pass quickly, in bursts of which only the last tick is settled.
@@ -113,7 +119,7 @@ class Bench(ControllerLink):
             burst = min(ticks, BURST)
             for _ in range(burst - 1):
                 self._command_observation(observe())
-                self.leave_open()  # without a settle, so that the next observation ends the tick
+                self.leave_open()  # without a settle: the next observation ends the tick
             self.play_tick(observe())
             ticks -= burst
 
@@ -145,8 +151,10 @@ class Bench(ControllerLink):
 
     def skip_to_round(self) -> None:
         """Let ticks pass until a round begins, as at every multiple of its length; none if one begins now."""
-        missing_ticks = -self.model.ticks % self.setup.comms_period
-        self.skip_ticks(missing_ticks)
+        period = self.setup.comms_period
+        ticks_in_round = self.model_node.ticks % period
+        if ticks_in_round > 0:
+            self.skip_ticks(period - ticks_in_round)
 
     def skip_to_test_round(
         self, observe: Callable[[], Observation | None] = lambda: None, rounds_before: int = 0
@@ -158,21 +166,24 @@ class Bench(ControllerLink):
         period = self.setup.filter_period
         # The filter tests at every multiple of its period in ticks. The round of the test begins one round
         # before that.
-        tick_in_period = period - (1 + rounds_before) * self.setup.comms_period
-        missing_ticks = (tick_in_period - self.model.ticks) % period
+        tick_to_stop_at = period - (1 + rounds_before) * self.setup.comms_period
+        present_tick = self.model_node.ticks % period
+        # Modulo the period: if that tick has passed, the one in the next period is waited for.
+        missing_ticks = (tick_to_stop_at - present_tick) % period
         self.skip_ticks(missing_ticks, observe)
 
-    def begin_activity_without_test(self, activity: str, rounds: int = 1) -> None:
-        """Wait until the controller's filter has no test in the next ``rounds`` rounds, and set ``activity``.
+    def wait_for_round_without_test(self, rounds: int = 1) -> None:
+        """Play rounds without messages until the controller's filter has no test in the next ``rounds`` ones.
 
-        ``activity`` says what the phase does from now on, and is part of the report of a difference. While
-        the wait lasts, rounds without messages are played. There is no wait if the next rounds have no test
-        anyway, if the filter is off, or if it tests in every round, which cannot be avoided.
+        None is played if they have no test anyway, if the filter is off, or if it tests in every tick. Tests
+        in every round cannot be avoided.
         """
-        if self.config.filter is not Filter.OFF and self.config.filter_period > 1:
-            # From the furthest round to the next one: a round that is played brings the test one closer.
-            for distance in range(rounds, 0, -1):
-                ticks_at_its_end = self.model.ticks + distance * self.setup.comms_period
-                if ticks_at_its_end % self.setup.filter_period == 0:
-                    self.play_round()
-        self.activity = activity
+        if self.config.filter is Filter.OFF or self.config.filter_period == 1:
+            return
+        # The furthest of these rounds is asked about first. If it has a test, playing a round brings that
+        # test one round closer, where the next distance finds it again, and so on until it is over.
+        for distance in range(rounds, 0, -1):
+            ticks_at_its_end = self.model_node.ticks + distance * self.setup.comms_period
+            has_test = ticks_at_its_end % self.setup.filter_period == 0
+            if has_test:
+                self.play_round()

@@ -91,16 +91,17 @@ class BenchOptions:
 class ControllerLink:
     """Connection to a controller that has just started, with its model beside it.
 
-    A tick is ``observe``, ``send`` for the frames of others, and ``settle``, which compares.
+    A tick is ``observe``, ``send`` for the frames of others, and ``settle_and_compare``.
 
     Attributes:
         settings: The controller, its neighbours, and the formats of the frames.
         options: The connection, time limits and callbacks.
         setup: Initial state of the controller.
         config: Configuration of the controller's firmware.
-        firmware: The mirror robot that the controller's firmware must equal, bit for bit.
-        mistaken_models: Robots with one known mistake each that have sent the same as ``firmware`` so far.
-        model: The node around ``firmware``; it returns the frames that the controller must send.
+        model_robot: The mirror robot that the controller's firmware must equal, bit for bit.
+        mistaken_models: Robots with one known mistake each, which would have sent the same as ``model_robot``
+            so far.
+        model_node: The node around ``model_robot``; it returns the frames that the controller must send.
         comparison: Comparison of the controller's frames with the model's, with the number of equal ones.
         lockstep: Sends the commands of each tick and waits for the controller's answers.
         tick_index: Index of the tick that was begun last by ``observe``, from 0.
@@ -112,17 +113,17 @@ class ControllerLink:
         self.options = options
         self.setup = settings.controller
         self.config = self.setup.config
-        self.firmware = RightModel(self.config, self.setup.id, self.setup.b_hat)
-        self.mistaken_models = MistakenModels.beside(self.firmware, self.setup)
-        self.firmware.mistaken_models = self.mistaken_models
-        self.model = RobotNode(
+        self.model_robot = RightModel(self.config, self.setup.id, self.setup.b_hat)
+        self.mistaken_models = MistakenModels.beside(self.model_robot, self.setup)
+        self.model_robot.mistaken_models = self.mistaken_models
+        self.model_node = RobotNode(
             self.setup,
             settings.subjects,
             settings.swarm.steps_per_second,
             options.recorder,
-            make=lambda: self.firmware,
+            make=lambda: self.model_robot,
         )
-        (first_heartbeat,) = self.model.start()
+        (first_heartbeat,) = self.model_node.start()
         self.comparison = Comparison(settings.subjects, first_heartbeat)
         self.lockstep = Lockstep(
             options.bus, settings.subjects, options.timeout, on_frame=self._take_frame, check=self._check_stop
@@ -141,7 +142,7 @@ class ControllerLink:
     # --- One tick ---
 
     def observe(self, observation: Observation | None) -> None:
-        """Begin a tick with this observation, or none, and wait for the broadcast if one is due.
+        """Begin a tick with this observation, or none, and wait for the controller's broadcast if one is due.
 
         Raises LockstepError if the broadcast does not come, and KeyboardInterrupt if asked to stop.
         """
@@ -157,11 +158,11 @@ class ControllerLink:
         It must if its model does. Then what the models with a known mistake broadcast is kept, too, to be
         compared when the tick ends.
         """
-        broadcasts_before = self.model.sent.estimates
+        broadcasts_before = self.model_node.sent.estimates
         self.lockstep.observe({self.setup.id: observation})  # the model gets the command, too, by _take_frame
-        is_broadcast_due = self.model.sent.estimates != broadcasts_before
+        is_broadcast_due = self.model_node.sent.estimates != broadcasts_before
         if is_broadcast_due:
-            self.mistaken_models.keep_broadcasts(self.firmware)
+            self.mistaken_models.keep_broadcasts(self.model_robot)
         return is_broadcast_due
 
     def send(self, frames: Sequence[can.Message]) -> None:
@@ -173,7 +174,7 @@ class ControllerLink:
         for frame in frames:
             self._take_frame(frame)
 
-    def settle(self) -> None:
+    def settle_and_compare(self) -> None:
         """Command the end of the tick, and compare all frames of controller and model since the last time.
 
         Raises LockstepError if the controller does not answer, and ControllerDiffers if its frames differ.
@@ -183,17 +184,19 @@ class ControllerLink:
         self.options.progress(self.ticks)
 
     def leave_open(self, distance: int = 1) -> None:
-        """End the tick as if its settle command were lost. The controller may report this in its health.
+        """Send no settle command in this tick, as if it were lost: the next observe command ends the tick.
 
-        The number of the next tick is ``distance`` higher, or lower if that is negative.
+        The controller may report this in its health. The number of the next tick is ``distance`` higher, or
+        lower if that is negative.
         """
         self.lockstep.leave_open(distance)
-        self._tick_numbers_skipped += distance - 1
+        self._tick_numbers_skipped += distance - 1  # the number of the next tick is usually 1 higher
         self.comparison.is_advisory_allowed = True
 
     def _check_stop(self) -> None:
         """Raise KeyboardInterrupt if the caller wants the verification to stop, but not within a tick."""
-        if self.model.is_settled and self.options.should_stop():
+        is_between_ticks = self.model_node.is_settled
+        if is_between_ticks and self.options.should_stop():
             raise KeyboardInterrupt
 
     # --- Comparison ---
@@ -201,14 +204,16 @@ class ControllerLink:
     def compare(self) -> None:
         """Compare all frames since the last comparison, and raise ControllerDiffers if they are not equal.
 
-        If they are, the models with a mistake that would have shown in them are dropped.
+        If they are, every model with a known mistake that would have sent other frames is dropped: the
+        controller does not have this mistake.
         """
+        # Before take_difference, which forgets the frames.
         telemetry_fields = self._last_telemetry_fields()
         difference = self.take_difference()
         if difference is not None:
-            mistakes = self.mistaken_models.mistakes_with_telemetry(telemetry_fields, self.firmware)
+            mistakes = self.mistaken_models.mistakes_with_telemetry(telemetry_fields, self.model_robot)
             raise ControllerDiffers(difference, mistakes)
-        self.mistaken_models.drop_different(self.firmware)
+        self.mistaken_models.drop_different(self.model_robot)
 
     def take_difference(self) -> Difference | None:
         """Return the first difference among the frames since the last comparison, and forget these frames.
@@ -239,7 +244,7 @@ class ControllerLink:
         self.compare()
 
     def _last_telemetry_fields(self) -> TelemetryFields | None:
-        """Return x, b_hat and updates of the controller's last telemetry.
+        """Return x, b_hat and the count of updates in the controller's last telemetry.
 
         Returns None if none has come since the last comparison.
         """
@@ -257,10 +262,10 @@ class ControllerLink:
         A frame that was sent to the controller goes to the model, too. Raises BusDisturbed for a frame of
         another node on which the controller acts.
         """
-        is_sent_to_controller = not frame.is_rx
+        is_sent_to_controller = not frame.is_rx  # is_rx marks frames that were received from the bus
         if is_sent_to_controller:
             frame.timestamp = time.time()
-            self._expected += self.model.receive_frame(frame)
+            self._expected += self.model_node.receive_frame(frame)
         self.options.log(frame)
         if is_sent_to_controller:
             return

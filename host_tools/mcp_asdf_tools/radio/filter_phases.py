@@ -63,7 +63,7 @@ def re_estimate_to_half(bench: Bench) -> None:
 
     With a b_hat of 1/2 its observations carry no information, and next to 1/2 hardly any.
     """
-    state = bench.firmware.s
+    state = bench.model_state
     for update in _NEAR_HALF:
         bench.activity = "many observations, half of them black"
         # Black tiles more than white ones: none for 1/2, and few for almost 1/2.
@@ -84,7 +84,7 @@ def re_estimate_to_half(bench: Bench) -> None:
 
 def observe_until_excess(bench: Bench, excess: int) -> None:
     """Observe until the robot has observed ``excess`` more black tiles than white ones."""
-    state = bench.firmware.s
+    state = bench.model_state
 
     def present_excess() -> int:
         return 2 * state.n - state.t
@@ -115,7 +115,7 @@ def re_estimate_from_ends(bench: Bench) -> None:
     tiles and three black ones, twice: with one of these colours its x_hat would leave the range 0 .. 1, and
     must be limited.
     """
-    for end in (0, ONE) if bench.firmware.s.x_hat > HALF else (ONE, 0):
+    for end in (0, ONE) if bench.model_state.x_hat > HALF else (ONE, 0):
         _observe_until_filter_runs(bench)
         bench.activity = f"estimates of {end // ONE}"
         alphas = draw_alphas_of_one_scale(bench.rng, _ROUND_SIZE)
@@ -195,7 +195,7 @@ def re_estimate_early(bench: Bench) -> None:
     About 3/5 of them are black, so that b_hat can be off its limits. Numbers that earlier phases have passed,
     and re-estimates for which no estimates are drawn, are left out.
     """
-    state = bench.firmware.s
+    state = bench.model_state
     for t in _EARLY_COUNTS:
         if state.t > t:
             continue
@@ -210,7 +210,7 @@ def re_estimate_early(bench: Bench) -> None:
                 bench.play_tick(None)
 
 
-def count_updates_to_check(setup: RobotSetup) -> int:
+def required_updates(setup: RobotSetup) -> int:
     """Return how often a run re-estimates b_hat: over 2**8 times if tests are frequent, else over 2**5."""
     return 257 if setup.filter_period <= _FREQUENT_TESTS else 33
 
@@ -220,7 +220,7 @@ def re_estimate_often(bench: Bench) -> None:
 
     The estimates have confidences (alpha) of every size, one size a round.
     """
-    missing_updates = count_updates_to_check(bench.setup) - bench.firmware.s.updates
+    missing_updates = required_updates(bench.setup) - bench.model_state.updates
     for index in range(max(missing_updates, len(ALPHA_SCALES))):
         bench.skip_to_test_round(bench.draw_observation)
         bench.activity = "one of many re-estimates"
@@ -247,7 +247,8 @@ def play_rounds_without_test(bench: Bench) -> None:
         estimates = draw_distant_estimates(bench.robot_state, bench.rng, m=1) + estimates
     bench.play_round(*estimates)
     for _ in range(2):
-        bench.begin_activity_without_test("a round after that of the test")
+        bench.wait_for_round_without_test()
+        bench.activity = "a round after that of the test"
         bench.play_round(*draw_distant_estimates(bench.robot_state, bench.rng))
 
 
@@ -256,7 +257,7 @@ def re_estimate_to_each_kind(bench: Bench) -> None:
 
     These two follow only if about half of the observed tiles are black; here more are.
     """
-    state = bench.firmware.s
+    state = bench.model_state
     bench.activity = "more black tiles, for a b_hat that is off 1/2"
     # Until the share of black ones, n / t, is 11/20.
     while 20 * state.n < 11 * state.t:
@@ -286,7 +287,7 @@ def halve_memory(bench: Bench) -> None:
 
     Half of an n of remainder 1 is rounded down, to an even number, and that of 3 up; the others are exact.
     """
-    state, memory = bench.firmware.s, bench.config.memory
+    state, memory = bench.model_state, bench.config.memory
     bench.activity = "observations until the memory is halved"
     while state.t > memory - 4:
         bench.play_tick(bench.draw_observation())
@@ -301,7 +302,7 @@ def halve_memory(bench: Bench) -> None:
 def observe_long(bench: Bench) -> None:
     """Let the controller make 20,000 observations in all, so that a memory that is too short shows."""
     bench.activity = _MANY_OBSERVATIONS
-    bench.skip_ticks(max(LONG_RUN - bench.firmware.s.t, BURST), bench.draw_observation)
+    bench.skip_ticks(max(LONG_RUN - bench.model_state.t, BURST), bench.draw_observation)
 
 
 # --- Steps ---
@@ -325,7 +326,8 @@ def _play_test_round(bench: Bench, estimates: Sequence[NeighbourEstimate]) -> No
     """
     senders = bench.rng.sample(bench.other_ids, len(estimates))
     bench.play_round(*estimates, senders=senders)
-    bench.begin_activity_without_test(f"{bench.activity}; then others of the same senders")
+    bench.wait_for_round_without_test()
+    bench.activity = f"{bench.activity}; then others of the same senders"
     bench.play_round(*(draw_estimate(bench.rng) for _ in senders), senders=senders)
 
 

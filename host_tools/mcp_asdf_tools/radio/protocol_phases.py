@@ -44,14 +44,14 @@ from mcp_asdf_tools.robots.lockstep import DRIVER_ID
 _MAX_SKIPPED_TICKS = 10_000
 """Ticks that a phase skips at most to reach a heartbeat, or the filter's first test."""
 _ALONE_TICKS = 72
-"""More than the shortest memory, 64."""
+"""Ticks of observations without messages: more than the shortest memory, 64."""
 _STRAY_REPEATS = 3
 """Number of times that each kind of stray command is sent."""
 _SPARE_BYTE_OF_COMMAND = 6
 """Index of the byte of a command's data that has no meaning."""
 _ROUND_SIZES = (2, 3, 5, 10, 30, 33, 64, 126)
 """Numbers of estimates in rounds, up to all other robots."""
-_SMALLEST_B_HAT, _HALF_B_HAT = 1 << 4, 1 << 23
+_SMALLEST_B_HAT, _HALF_B_HAT = 2**4, 2**23
 """Smallest b_hat, 2**-20, and 1/2, in the units of telemetry, 2**-24."""
 _ALPHA_BYTES = slice(3, 7)
 """Bytes of an estimate's data that hold alpha as a binary32 number."""
@@ -65,13 +65,16 @@ CROWDED_MESSAGES = _CROWDED_REPEATS * (MAX_ID - 1) + 1
 # --- Frames that are no estimates ---
 
 ChangeFrame = Callable[[can.Message, Random], None]
-"""Changes the frame of an estimate so that it is none; what is arbitrary about the change is drawn."""
+"""A function that changes an estimate's frame in place so that it is none.
+
+It draws what is arbitrary about the change from the random numbers that it is called with."""
 
 
 def _write_number(first_byte: int, length: int, minimum: int, maximum: int) -> ChangeFrame:
-    """Return a change that draws a number of this range and writes it into some bytes of a frame's data.
+    """Return a function that draws a number and writes it into a frame's data, which it changes in place.
 
-    These are ``length`` bytes from ``first_byte`` on, the lowest one first.
+    The number is from ``minimum`` to ``maximum``, and drawn at each call. It is written into ``length`` bytes
+    from ``first_byte`` on, the lowest one first.
     """
 
     def change(frame: can.Message, rng: Random) -> None:
@@ -82,7 +85,7 @@ def _write_number(first_byte: int, length: int, minimum: int, maximum: int) -> C
 
 
 def _clear_tail_bit(bit: int) -> ChangeFrame:
-    """Return a change that clears a bit of the tail byte, the last one, which every frame of Cyphal has."""
+    """Return a function that clears a bit of a frame's tail byte, the last one, in place."""
 
     def change(frame: can.Message, rng: Random) -> None:
         frame.data[_TAIL_BYTE] &= ~(1 << bit)
@@ -91,7 +94,7 @@ def _clear_tail_bit(bit: int) -> ChangeFrame:
 
 
 def _flip_identifier_bit(bit: int) -> ChangeFrame:
-    """Return a change that flips a bit of the identifier."""
+    """Return a function that flips a bit of a frame's identifier in place."""
 
     def change(frame: can.Message, rng: Random) -> None:
         frame.arbitration_id ^= 1 << bit
@@ -100,7 +103,7 @@ def _flip_identifier_bit(bit: int) -> ChangeFrame:
 
 
 def _cut_to_length(minimum: int, maximum: int) -> ChangeFrame:
-    """Return a change that draws a length of this range, and cuts a frame's data to so many bytes."""
+    """Return a function that draws a length of this range, and cuts a frame's data to so many bytes."""
 
     def change(frame: can.Message, rng: Random) -> None:
         frame.dlc = rng.randint(minimum, maximum)
@@ -149,8 +152,8 @@ MALFORMED: dict[str, ChangeFrame] = {
 
 FOREIGN_ALPHAS = {
     "a confidence above the largest": 0x7F7F_FFFF,
-    "a confidence between two multiples of 2^-24": 0x3300_0001 + (1 << 23),
-    "a confidence nearer to the next multiple of 2^-24": 0x3400_0000 - (1 << 21),
+    "a confidence between two multiples of 2^-24": 0x3380_0001,  # just above 2^-24
+    "a confidence nearer to the next multiple of 2^-24": 0x33E0_0000,  # 1.75 times 2^-24
     "a subnormal confidence": 0x0000_0001,
 }
 """Confidences that an alpha word cannot hold, as binary32 bits: a receiver must round or limit them."""
@@ -269,7 +272,8 @@ def observe_alone(bench: Bench) -> None:
     So its x_hat is 0, or 1 for a b_hat below 1/2. In each ninth tick it has no observation.
     """
     for tick in range(_ALONE_TICKS):
-        observation = None if tick % 9 == 8 else Observation.WHITE
+        is_ninth = tick % 9 == 8
+        observation = None if is_ninth else Observation.WHITE
         bench.activity = "no observation" if observation is None else "white tiles"
         bench.play_tick(observation)
 
@@ -280,29 +284,36 @@ def observe_first_black(bench: Bench) -> None:
     It observes black whenever its x_hat is that of white tiles alone, and otherwise mostly white.
     """
     bench.activity = "the first black tiles"
-    x_hat_of_white = bench.firmware.s.x_hat
+    x_hat_of_white = bench.model_state.x_hat
     for _ in range(_ALONE_TICKS):
-        is_black = bench.firmware.s.x_hat == x_hat_of_white or bench.rng.random() < 0.3
+        is_black = bench.model_state.x_hat == x_hat_of_white or bench.rng.random() < 0.3
         bench.play_tick(Observation(is_black))
 
 
 def receive_and_wait(bench: Bench) -> None:
-    """Play a tick with a few estimates of similar confidence, then one or two without any; all six times."""
+    """Play a tick with three estimates of similar confidence, then one or two without any; all six times."""
     for _ in range(6):
-        bench.begin_activity_without_test("a few messages")
+        bench.wait_for_round_without_test()
+        bench.activity = "a few messages"
         estimates = {robot: draw_estimate(bench.rng, max_shift=3) for robot in bench.other_ids[:3]}
         bench.play_tick(bench.draw_observation(), bench.encode_estimates(estimates))
-        bench.begin_activity_without_test("no messages")
-        for _ in range(2 if bench.rng.random() < 0.5 else 1):
+        bench.wait_for_round_without_test()
+        bench.activity = "no messages"
+        silent_ticks = 2 if bench.rng.random() < 0.5 else 1
+        for _ in range(silent_ticks):
             bench.play_tick(bench.draw_observation())
 
 
 def lose_settles(bench: Bench) -> None:
-    """Leave out a *settle* four times: the next *observe* must end the tick and its round all the same."""
+    """Leave out a *settle* four times: the next *observe* must end the tick all the same.
+
+    In the tick without it the controller receives estimates, which it must count.
+    """
     for _ in range(4):
-        bench.begin_activity_without_test("messages in a tick whose settle is lost")
+        bench.wait_for_round_without_test()
+        bench.activity = "messages in a tick whose settle is lost"
         bench.observe(bench.draw_observation())
-        _send_any_estimates(bench, bench.other_ids[5:8])
+        _send_random_estimates(bench, bench.other_ids[5:8])
         bench.leave_open()
         bench.activity = "the tick after one whose settle was lost"
         bench.play_tick(bench.draw_observation())
@@ -311,15 +322,18 @@ def lose_settles(bench: Bench) -> None:
 def send_stray_commands(bench: Bench) -> None:
     """Send commands that must not be obeyed: of another tick, for another robot, or a second observe.
 
-    Each kind is sent by itself, in a tick with estimates that shows whether the controller obeyed it.
+    Each kind is sent three times, by itself, between the *observe* and the *settle* of a tick. After it come
+    two estimates. A controller that has obeyed it counts an observation too many, or the estimates in the
+    wrong round, and so differs from the model.
     """
     for _ in range(_STRAY_REPEATS):
         for name, stray in STRAY_COMMANDS.items():
-            bench.begin_activity_without_test(name)
+            bench.wait_for_round_without_test()
+            bench.activity = name
             bench.observe(bench.draw_observation())
             bench.send([_encode(bench, _make_stray_command(bench, stray))])
-            _send_any_estimates(bench, bench.other_ids[:2])
-            bench.settle()
+            _send_random_estimates(bench, bench.other_ids[:2])
+            bench.settle_and_compare()
 
 
 def _make_stray_command(bench: Bench, stray: StrayCommand) -> Command:
@@ -341,45 +355,46 @@ def send_unusual_commands(bench: Bench) -> None:
     """Send commands that are unusual, one kind after the other, but that the controller must obey.
 
     They are for every robot, of another node, with a spare byte that is not 0, or with identifier bits that
-    must be ignored; and at the end the number of the tick jumps up or down. After each of the first kinds
-    the usual command of the same tick follows. A controller that has obeyed the unusual one ignores that as a
-    repetition. One that has not misses an observation, or counts a message in the wrong round.
+    must be ignored. After each of them the usual command of the same tick follows. A controller that has
+    obeyed the unusual one ignores that as a repetition. One that has not misses an observation, or counts a
+    message in the wrong round. At the end the number of the tick jumps up and down, by up to 2**31.
     """
     for name, variant in UNUSUAL_COMMANDS.items():
-        # Of two rounds, because the last message comes after the settle and is one of the next round.
-        bench.begin_activity_without_test(f"commands {name}", rounds=2)
+        # Two rounds, because the last message comes after the settle and is one of the next round.
+        bench.wait_for_round_without_test(rounds=2)
+        bench.activity = f"commands {name}"
         other_robot = _draw_other_robot(bench) if variant.is_from_another_node else None
         observe = bench.make_command(Action.to_observe(bench.draw_observation()))
         bench.send([_encode_variant(bench, observe, variant, other_robot)])
-        bench.observe(None)
-        _send_any_estimates(bench, bench.other_ids[:2])
+        bench.observe(None)  # the usual command, which must not undo the observation
+        _send_random_estimates(bench, bench.other_ids[:2])
         settle = bench.make_command(Action.SETTLE)
         bench.send([_encode_variant(bench, settle, variant, other_robot)])
-        _send_any_estimates(bench, bench.other_ids[2:3])
-        bench.settle()
+        _send_random_estimates(bench, bench.other_ids[2:3])
+        bench.settle_and_compare()
     # Numbers of ticks may jump, in both directions, by powers of two: a controller may keep too few bits.
-    # Down it is 1 less than such a power, as the next tick would be 1 higher.
+    # Without a jump the distance is 1, so that the one downwards is the power less 1.
     for bit in (8, 16, 24, 31):
-        for direction, distance in (("higher", 1 << bit), ("lower", 1 - (1 << bit))):
-            bench.begin_activity_without_test(
-                f"an observe of a number {direction} by about 2^{bit} than that of the open tick"
-            )
+        for direction, distance in (("higher", 2**bit), ("lower", 1 - 2**bit)):
+            bench.wait_for_round_without_test()
+            bench.activity = f"an observe of a number {direction} by about 2^{bit} than that of the open tick"
             bench.observe(bench.draw_observation())
             bench.leave_open(distance)
             bench.play_tick(bench.draw_observation())
 
 
 def receive_unusual_identifiers(bench: Bench) -> None:
-    """Send estimates of every priority, and with reserved bits clear, which a receiver must ignore."""
+    """Send estimates of every priority, and with reserved bits clear, which the controller must count."""
     for name, identifier in UNUSUAL_IDENTIFIERS.items():
-        bench.begin_activity_without_test(f"messages {name}")
-        frames = _encode_any_estimates(bench, bench.other_ids[:3])
+        bench.wait_for_round_without_test()
+        bench.activity = f"messages {name}"
+        frames = _encode_random_estimates(bench, bench.other_ids[:3])
         identifier.write_to(frames[0])
         bench.play_round_of_frames(frames)
 
 
 def wait_for_heartbeats(bench: Bench) -> None:
-    """Skip ticks, at most 10,000, until the controller must have sent two heartbeats, one each second."""
+    """Let ticks pass, at most 10,000, in which the controller must send two heartbeats, one each second."""
     bench.activity = "commands in a row"
     ticks = 2 * bench.settings.swarm.steps_per_second + 1
     bench.skip_ticks(min(ticks, _MAX_SKIPPED_TICKS))
@@ -389,16 +404,17 @@ def receive_malformed(bench: Bench) -> None:
     """Play rounds in which a frame that is no estimate comes before an estimate of the same sender.
 
     The controller must ignore the first frame, and count the second one. If it counts the first, it takes the
-    second for a repetition. Each kind of such frames is sent twice, with other random content, and then
-    telemetry and heartbeats of other robots.
+    second for a repetition. Each kind of such frames is sent twice, with other random content. At the end
+    telemetry and heartbeats of other robots take the place of such frames.
     """
     for _ in range(2):
         for name, change_frame in MALFORMED.items():
-            bench.begin_activity_without_test(name)
+            bench.wait_for_round_without_test()
+            bench.activity = name
             sender, other_sender = bench.rng.sample(bench.other_ids, 2)
-            [malformed_frame] = _encode_any_estimates(bench, [sender])
+            [malformed_frame] = _encode_random_estimates(bench, [sender])
             change_frame(malformed_frame, bench.rng)
-            valid_frames = _encode_any_estimates(bench, [sender, other_sender])
+            valid_frames = _encode_random_estimates(bench, [sender, other_sender])
             bench.play_round_of_frames([malformed_frame, *valid_frames])
     _send_telemetry_and_heartbeats(bench)
 
@@ -410,8 +426,8 @@ def _send_telemetry_and_heartbeats(bench: Bench) -> None:
     """
     subjects, rng = bench.settings.subjects, bench.rng
     for sender in rng.sample(bench.other_ids, 3):
-        # The name is for the report of a difference. The round is one in which the filter does not test.
-        bench.begin_activity_without_test("telemetry and a heartbeat of another robot")
+        bench.wait_for_round_without_test()
+        bench.activity = "telemetry and a heartbeat of another robot"
         telemetry = Telemetry(
             sender,
             x=rng.randint(0, Q23_ONE),
@@ -419,11 +435,11 @@ def _send_telemetry_and_heartbeats(bench: Bench) -> None:
             updates=rng.randrange(256),
             transfer_id=0,
         )
-        heartbeat = Heartbeat(sender, uptime=rng.randrange(1 << 32), transfer_id=0)
+        heartbeat = Heartbeat(sender, uptime=rng.randrange(2**32), transfer_id=0)
         frames = [
             encode_telemetry(telemetry, subjects.telemetry),
             encode_heartbeat(heartbeat),
-            *_encode_any_estimates(bench, [sender]),
+            *_encode_random_estimates(bench, [sender]),
         ]
         bench.play_round_of_frames(frames)
 
@@ -431,12 +447,13 @@ def _send_telemetry_and_heartbeats(bench: Bench) -> None:
 def receive_from_every_sender(bench: Bench) -> None:
     """Play a round for every other id, in which the controller receives one estimate of this sender."""
     for sender in bench.other_ids:
-        bench.begin_activity_without_test(f"one message, of robot {sender}")
+        bench.wait_for_round_without_test()
+        bench.activity = f"one message, of robot {sender}"
         bench.play_round(draw_estimate(bench.rng), senders=[sender])
 
 
 def receive_from_alike_ids(bench: Bench) -> None:
-    """Play rounds of two senders whose ids differ in one bit: two rounds for each of the 7 bits.
+    """Play rounds of two senders whose ids differ in one bit: two rounds for each of the 7 bits of an id.
 
     A controller that leaves out this bit takes the second estimate for a repetition of the first.
     """
@@ -446,65 +463,80 @@ def receive_from_alike_ids(bench: Bench) -> None:
         ids_without_bit = [robot for robot in other_ids if robot & bit == 0]
         pairs = [(robot, robot | bit) for robot in ids_without_bit if robot | bit in other_ids]
         for pair in bench.rng.sample(pairs, 2):
-            bench.begin_activity_without_test(f"messages of the robots {pair[0]} and {pair[1]}")
+            bench.wait_for_round_without_test()
+            bench.activity = f"messages of the robots {pair[0]} and {pair[1]}"
             bench.play_round(*(draw_estimate(bench.rng) for _ in pair), senders=pair)
 
 
 def receive_growing_rounds(bench: Bench) -> None:
     """Play rounds of 2 to 126 estimates, each round larger than the one before."""
     for size in _ROUND_SIZES:
-        bench.begin_activity_without_test(f"a round of {size} messages")
+        bench.wait_for_round_without_test()
+        bench.activity = f"a round of {size} messages"
         bench.play_round(*(draw_estimate(bench.rng) for _ in range(size)))
 
 
 def receive_crowded_tick(bench: Bench) -> None:
-    """Send hundreds of estimates in a tick, most of them repeated; the last counts, as its sender is new."""
+    """Send the controller hundreds of estimates in one tick, most of which it must ignore as repeated.
+
+    All other robots but one send four each. The last estimate is the only one of its sender, so it counts.
+    """
     *senders, last_sender = bench.other_ids
-    bench.begin_activity_without_test(f"a tick with {CROWDED_MESSAGES} messages")
-    frames = _encode_any_estimates(bench, senders * _CROWDED_REPEATS + [last_sender])
+    bench.wait_for_round_without_test()
+    bench.activity = f"a tick with {CROWDED_MESSAGES} messages"
+    frames = _encode_random_estimates(bench, senders * _CROWDED_REPEATS + [last_sender])
     bench.skip_to_round()
     bench.play_tick(bench.draw_observation(), frames)
-    bench.skip_to_round()
+    bench.skip_to_round()  # plays the rest of the round
 
 
 def receive_extremes(bench: Bench) -> None:
     """Play rounds of estimates at the ends of their ranges, and of confidences that robots never send.
 
     The latter are legal numbers of 32 bits that the firmware cannot hold exactly, and must round or limit.
+    Each comes in a round with an estimate of the smallest confidence.
     """
     for name, estimates in EXTREME_ROUNDS.items():
-        bench.begin_activity_without_test(name)
+        bench.wait_for_round_without_test()
+        bench.activity = name
         bench.play_round(*estimates)
     for name, alpha_bits in FOREIGN_ALPHAS.items():
-        bench.begin_activity_without_test(name)
+        bench.wait_for_round_without_test()
+        bench.activity = name
         estimate_by_sender = {
             sender: NeighbourEstimate(draw_estimate(bench.rng).x_hat, ALPHA_LEAST)
             for sender in bench.other_ids[:2]
         }
         frames = bench.encode_estimates(estimate_by_sender)
+        # Written into the frame, as NeighbourEstimate cannot hold such an alpha.
         frames[0].data[_ALPHA_BYTES] = alpha_bits.to_bytes(4, "little")
         bench.play_round_of_frames(frames)
 
 
 def receive_repeated_sender(bench: Bench) -> None:
-    """Send two, three and six estimates of one sender in a round, of which the first of each must count."""
+    """Send two, three and six estimates of one sender in a round, of which only the first must count.
+
+    One of another sender comes after the first.
+    """
     for repeats in (1, 2, 5):
-        bench.begin_activity_without_test("different messages of one sender in a round")
+        bench.wait_for_round_without_test()
+        bench.activity = "different messages of one sender in a round"
         repeating_sender, other_sender = bench.rng.sample(bench.other_ids, 2)
         senders = [repeating_sender, other_sender] + [repeating_sender] * repeats
-        bench.play_round_of_frames(_encode_any_estimates(bench, senders))
+        bench.play_round_of_frames(_encode_random_estimates(bench, senders))
 
 
 def receive_own_id(bench: Bench) -> None:
     """Send estimates under the controller's own id, which it must not count.
 
-    They come before, between and after the estimates of three other robots, in four rounds.
+    In four rounds one comes before, between and after the estimates of three other robots.
     """
     own_id = bench.settings.controller.id
-    for index in range(4):
-        bench.begin_activity_without_test(f"a message under its own id, {own_id}")
-        frames = _encode_any_estimates(bench, bench.other_ids[3:6])
-        [own_frame] = _encode_any_estimates(bench, [own_id])
+    for index in range(4):  # index of the estimate under the own id among the four
+        bench.wait_for_round_without_test()
+        bench.activity = f"a message under its own id, {own_id}"
+        frames = _encode_random_estimates(bench, bench.other_ids[3:6])
+        [own_frame] = _encode_random_estimates(bench, [own_id])
         frames.insert(index, own_frame)
         bench.play_round_of_frames(frames)
 
@@ -516,29 +548,30 @@ def receive_between_ticks(bench: Bench) -> None:
     with that of a fourth robot, which comes after the *observe*. This is done three times.
     """
     for _ in range(3):
-        bench.begin_activity_without_test("messages between a settle and the next observe")
+        bench.wait_for_round_without_test()
+        bench.activity = "messages between a settle and the next observe"
         # Any four robots: a second estimate of one of them would be ignored.
         early_senders = bench.other_ids[7:10]
         late_sender = bench.other_ids[11]
-        _send_any_estimates(bench, early_senders)
+        _send_random_estimates(bench, early_senders)
         bench.play_round(draw_estimate(bench.rng), senders=[late_sender])
 
 
 # --- Steps ---
 
 
-def _encode_any_estimates(bench: Bench, senders: list[int]) -> list[can.Message]:
+def _encode_random_estimates(bench: Bench, senders: list[int]) -> list[can.Message]:
     """Draw an estimate for each of these senders, and return the frames. A sender may be named repeatedly."""
     return bench.encode_estimates([(sender, draw_estimate(bench.rng)) for sender in senders])
 
 
-def _send_any_estimates(bench: Bench, senders: list[int]) -> None:
-    """Draw an estimate for each of these senders, and send them in the present tick."""
-    bench.send(_encode_any_estimates(bench, senders))
+def _send_random_estimates(bench: Bench, senders: list[int]) -> None:
+    """Draw an estimate for each of these senders, and send them to the controller in the present tick."""
+    bench.send(_encode_random_estimates(bench, senders))
 
 
 def _draw_other_robot(bench: Bench) -> int:
-    """Draw a robot that is neither the controller nor the node that commands it."""
+    """Draw the id of a robot that is neither the controller nor the node that commands it."""
     return bench.rng.choice([robot for robot in bench.other_ids if robot != DRIVER_ID])
 
 
@@ -552,8 +585,8 @@ def _encode_variant(
 ) -> can.Message:
     """Return the frame of a command, changed as ``variant`` describes.
 
-    The target, the spare byte and bits of the identifier may change, and the sender becomes ``other_robot``
-    unless that is None.
+    The target, the spare byte and bits of the identifier may change. The sender becomes ``other_robot``; if
+    that is None, it stays.
     """
     if other_robot is not None:
         command = replace(command, sender=other_robot)

@@ -40,7 +40,7 @@ from mcp_asdf_tools.crosscheck.crafted_slots import (
     slots_with_supporters,
 )
 from mcp_asdf_tools.radio.bench import BURST, Bench
-from mcp_asdf_tools.radio.filter_phases import count_updates_to_check, observe_until_excess
+from mcp_asdf_tools.radio.filter_phases import observe_until_excess, required_updates
 
 _FIRST_SLOTS = (15, 0, 31, 16, 7, 8, 23, 24, 1, 30, 12, 19)
 """Slots that are filled before the others: the first of them are at the ends of bytes and words."""
@@ -185,7 +185,7 @@ def vote_until_spread_is_smallest(bench: Bench) -> None:
     much: with the smallest one, votes that disagree still move it.
     """
     bench.activity = "votes that agree"
-    own_estimate = min(bench.firmware.s.x_hat // _X_HAT_PER_SLOT_UNIT, SLOT_ESTIMATE_MAX)
+    own_estimate = min(bench.model_state.x_hat // _X_HAT_PER_SLOT_UNIT, SLOT_ESTIMATE_MAX)
     _set_slots(bench, [own_estimate] * SLOTS)
     _let_rounds_vote(bench, _ROUNDS_TO_SMALLEST_SPREAD)
     bench.activity = "votes on both sides of a centre with the least spread"
@@ -306,7 +306,7 @@ def re_estimate_often(bench: Bench) -> None:
         return
     _set_slots(bench, [_most_contradicting_estimate(bench)] * SLOTS)
     bench.activity = "one of many re-estimates"
-    missing_updates = count_updates_to_check(bench.setup) - bench.firmware.s.updates
+    missing_updates = required_updates(bench.setup) - bench.model_state.updates
     # Earlier phases may have made all updates, but the estimates just sent are to be tested once.
     test_count = max(missing_updates, 1)
     for _ in range(test_count):
@@ -405,7 +405,7 @@ def _observe_until_black_share(
     The share is near if it is off by less than 0.01, of more than 64 observations. Returns whether that has
     come about within 4096 observations.
     """
-    state = bench.firmware.s
+    state = bench.model_state
 
     def choose_colour() -> Observation:
         is_share_too_low = state.n < black_share * state.t
@@ -472,7 +472,7 @@ def _observe_until_slots_can_be_crafted(
 
 def _more_frequent_colour(bench: Bench) -> Observation:
     """Return the colour that the robot has observed more often, and white if both are equally frequent."""
-    state = bench.firmware.s
+    state = bench.model_state
     return Observation(2 * state.n > state.t)
 
 
@@ -481,7 +481,7 @@ def _more_frequent_colour(bench: Bench) -> Observation:
 
 def _initial_b_hat(bench: Bench) -> float:
     """Return the accuracy that the robot assumed of its sensor at its start."""
-    return bench.firmware.s.robust.initial_b_hat / 2**32
+    return bench.model_state.robust.initial_b_hat / 2**32
 
 
 def _initial_information(bench: Bench) -> float:
@@ -518,7 +518,7 @@ def _predict_black_share(bench: Bench, fill_ratio: float) -> float:
 
 def _most_contradicting_estimate(bench: Bench) -> int:
     """Return the estimate, 0 or the largest of a slot, that contradicts the robot's observations most."""
-    state = bench.firmware.s
+    state = bench.model_state
     agreeing_estimate = estimate_that_predicts(state.robust, state.n / state.t)
     return opposite_end(agreeing_estimate)
 
@@ -528,7 +528,7 @@ def _slots_at_test(bench: Bench, estimates: tuple[int, ...]) -> SlotsAtTest:
 
     The result has the estimates, and what else the test takes from the controller's model.
     """
-    state = bench.firmware.s
+    state = bench.model_state
     return SlotsAtTest(estimates, filter_at_test(state), state.t, state.n)
 
 
@@ -583,7 +583,7 @@ def _choose_slots_at_threshold(
     draw_count = _MAX_DRAWS if wrong_tests else 1
     first_slots: SlotsAtTest | None = None
     for _ in range(draw_count):
-        slots_on_both_sides = draw_slots_at_threshold(bench.firmware, count, width, bench.rng)
+        slots_on_both_sides = draw_slots_at_threshold(bench.model_robot, count, width, bench.rng)
         if slots_on_both_sides is None:
             continue
         accepted_slots, rejected_slots = slots_on_both_sides
@@ -614,7 +614,7 @@ def _play_test_of_two_parties(bench: Bench, count: int, supporter_count: int) ->
     """
 
     def craft_slots() -> SlotsAtTest | None:
-        return slots_with_supporters(bench.firmware, count, supporter_count)
+        return slots_with_supporters(bench.model_robot, count, supporter_count)
 
     bench.activity = f"observations that {supporter_count} of {count} estimates support"
     slots = _observe_until_slots_can_be_crafted(bench, craft_slots)

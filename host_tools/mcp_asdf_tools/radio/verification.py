@@ -18,7 +18,7 @@ from mcp_asdf.robot import Filter
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.radio.bench import Bench
 from mcp_asdf_tools.radio.controller_link import BenchOptions, BusDisturbed, ControllerDiffers
-from mcp_asdf_tools.radio.filter_phases import UPDATES_BY_CRAFTED_SIZE, count_updates_to_check
+from mcp_asdf_tools.radio.filter_phases import UPDATES_BY_CRAFTED_SIZE, required_updates
 from mcp_asdf_tools.radio.neighbourhood import RadioSettings
 from mcp_asdf_tools.radio.phases import PHASES, Phase, can_fill_memory, can_wait_for_tests
 from mcp_asdf_tools.radio.protocol_phases import CROWDED_MESSAGES
@@ -173,7 +173,7 @@ def not_checked(setup: RobotSetup) -> list[str]:
         (setup.comms_period == 1, "rounds longer than a tick: it broadcasts in each"),
         (not can_fill_memory(setup), f"forgetting: its memory is {config.memory}, too long for a run"),
         (has_asdf_filter, "a re-estimate before its first white tile"),
-        (has_filter, f"a counter of more than {count_updates_to_check(setup)} updates"),
+        (has_filter, f"a counter of more than {required_updates(setup)} updates"),
         (has_asdf_filter, "a re-estimate from tiles of both colours before some 200 observations"),
         (has_robust_filter, "rounding of its test below that of float64, and ties of those that support it"),
         (has_robust_filter, "the last step to the centre of its estimates, which seldom moves it"),
@@ -289,7 +289,7 @@ class Verification:
             verdict.not_exercised.append("the filter: its period is too long for a run")
         verdict.not_exercised += bench.not_exercised
 
-        model_state = bench.firmware.s
+        model_state = bench.model_state
         verdict.not_checked.append(f"counts above t = {model_state.t} and n = {model_state.n}")
         # A model with a mistake is dropped at its first frame that differs from the right model's.
         undetected_mistakes = bench.mistaken_models.models.keys()

@@ -378,7 +378,7 @@ def test_wrong_arguments_of_radio_are_refused_before_the_first_tick(
     """The exit code is 2, and the error is printed. There is no tick and no file."""
     ticks = Mock()
     monkeypatch.setattr(RadioRun, "_take_tick", ticks)
-    monkeypatch.setattr(Bench, "settle", ticks)
+    monkeypatch.setattr(Bench, "settle_and_compare", ticks)
     monkeypatch.chdir(tmp_path)
 
     assert radio(arguments) == 2

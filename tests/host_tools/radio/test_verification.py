@@ -220,7 +220,7 @@ def test_the_model_of_a_verification_ends_in_the_state_of_the_controller(run: Ob
 
     By then it has re-estimated b_hat often and, unless its memory is short, has observed many tiles.
     """
-    robot, model = run.controller.robot, run.verification.bench.firmware
+    robot, model = run.controller.robot, run.verification.bench.model_robot
     assert isinstance(robot, FixedPointRobot)
     assert robot.state() == model.state()
     assert robot.counters == model.counters
