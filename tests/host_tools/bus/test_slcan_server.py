@@ -6,6 +6,7 @@ import socket
 from collections.abc import Iterator
 from functools import partial
 from typing import Any
+from unittest.mock import Mock
 
 import can
 import pytest
@@ -135,6 +136,15 @@ def test_each_line_has_its_answer_success_or_failure(
 ) -> None:
     """A line is a command: O opens the adapter, C closes it, t and T send a frame with 11 or 29 bits."""
     assert answers_to(lines, server) == b"".join(answers)
+
+
+def test_a_frame_that_the_bus_does_not_take_is_answered_with_a_failure(
+    server: SlcanServer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A program that was told of success would not send it again."""
+    refuse = Mock(side_effect=can.CanOperationError("the bus is full"))
+    monkeypatch.setattr(server._bus, "send", refuse)
+    assert answers_to(b"O\rt1230\r", server) == ANSWER_OK + ANSWER_ERROR
 
 
 def test_a_second_program_finds_the_adapter_closed_as_the_first_did(server: SlcanServer) -> None:
