@@ -254,7 +254,8 @@ class FixedPointView(FixedPointRobot):
         them. Messages that it would not accept are ignored or rejected likewise. Raises ValueError, and
         changes nothing, for an array that is not C-contiguous, of uint32 and of shape (messages, 3).
         """
-        if messages.dtype != "uint32" or messages.shape[1:] != (3,) or not messages.flags.c_contiguous:
+        has_three_columns = messages.shape[1:] == (3,)  # for two axes, the second of length 3
+        if messages.dtype != "uint32" or not has_three_columns or not messages.flags.c_contiguous:
             raise ValueError(
                 f"messages are an array of {messages.dtype} of shape {messages.shape}; "
                 "give a C-contiguous one of uint32 of shape (messages, 3)"

@@ -49,16 +49,15 @@ def find_image_error(image: bytes, filter_number: int) -> str | None:
     what to do where something can be done.
     """
     first_word = int.from_bytes(image[:4], "little")
-    has_magic = first_word & 0xFFFFFF00 == IMAGE_MAGIC  # in the upper three bytes
-    is_whole_words = len(image) % 4 == 0
-    if not has_magic or not is_whole_words:
+    magic = first_word & 0xFFFFFF00  # the upper three bytes
+    if magic != IMAGE_MAGIC or len(image) % 4 != 0:
         return "these bytes are no image of a robot, or a damaged one"
     # The number of words comes later: it differs between versions and filters.
     version = first_word & (ROBUST_IMAGE - 1)  # the bits below that of the robust filter
     if version != IMAGE_VERSION:
         return f"the image is of version {version}, and this firmware reads version {IMAGE_VERSION}"
     if first_word != first_image_word(filter_number):
-        is_robust = first_word & ROBUST_IMAGE != 0
+        is_robust = bool(first_word & ROBUST_IMAGE)
         other_filter = "the robust filter" if is_robust else "a filter other than the robust one"
         return f"the image is that of a robot with {other_filter}; restore it with that"
     words = [word for (word,) in struct.iter_unpack("<I", image)]

@@ -191,19 +191,19 @@ def confidence_at_end(accuracy: Accuracy, t: int, rare_count: int) -> tuple[int,
     """
     rare_term = rare_count * accuracy.rare
     common_term = (t - rare_count) * accuracy.common
-    # From units of 2**-30, which the squares of ratios have, to units of 2**-24. They are also 2**(2 g_shift)
-    # times too large, since g was shifted up.
-    exponent = 24 - 30 - 2 * accuracy.g_shift
+    # Both terms are in units of 2**-30, as the squares of ratios; the exponent -6 makes them units of 2**-24.
+    # They are also 2**(2 g_shift) times too large, since g was shifted up before it was squared.
+    exponent = -6 - 2 * accuracy.g_shift
     if rare_count == 0:
-        alpha = common_term
+        scaled_alpha = common_term
     else:
         # c was shifted up, too, so that the rare term is 2**rare_shift times too small. Before they are added
         # the common term is made as small, and the exponent makes up for both.
-        alpha = rare_term + (common_term >> accuracy.rare_shift)
+        scaled_alpha = rare_term + (common_term >> accuracy.rare_shift)
         exponent += accuracy.rare_shift
     # The upper 24 bits become the mantissa.
-    excess_bits = alpha.bit_length() - MANTISSA_BITS
-    return alpha >> excess_bits, exponent + excess_bits
+    excess_bits = scaled_alpha.bit_length() - MANTISSA_BITS
+    return scaled_alpha >> excess_bits, exponent + excess_bits
 
 
 def upper_31_bits(number: int) -> tuple[int, int]:
@@ -227,21 +227,23 @@ def confidence_inside(
         alpha = d t**3 / (n (t - n)) = (g t)**2 t / (n (t - n))
 
     The caller has shifted all numbers up, so that products keep their upper bits: ``total`` is t, and
-    ``rarer`` n, times 2**count_shift, and ``g_total`` is g total times 2**g_shift. The result stands for
-    mantissa * 2**exponent units of 2**-24, with a mantissa of 24 bits.
+    ``rarer`` is n, shifted by ``count_shift`` bits; ``g_total`` is g t, shifted by the same and by the
+    ``g_shift`` of ``accuracy``. The result stands for mantissa * 2**exponent units of 2**-24, with a mantissa
+    of 24 bits.
     """
     square = multiply_high(g_total, g_total)  # (g t)**2 without its lower 32 bits
     numerator = multiply_high(square, total)  # (g t)**2 t without its lower 64 bits
     denominator = rarer * (total - rarer)  # n (t - n), a number of up to 64 bits
     upper_numerator, numerator_exponent = upper_31_bits(numerator)
     upper_denominator, denominator_exponent = upper_31_bits(denominator)
+    # The exponents make up for the 64 bits that the numerator has lost, and for the shifts: the numerator has
+    # g squared and three shifted counts, and the denominator has two.
+    numerator_exponent += 64 - 2 * accuracy.g_shift - 3 * count_shift
+    denominator_exponent -= 2 * count_shift
     quotient = divide_24(upper_numerator, upper_denominator)  # in units of 2**-24, as alpha; 24 or 25 bits
-    # The exponent makes up for all shifts: the 64 bits that the numerator has lost, those of g, which is
-    # squared, and those of the counts. Of these the numerator has three and the denominator two.
-    lost_bits = 64
-    exponent = lost_bits + numerator_exponent - denominator_exponent - 2 * accuracy.g_shift - count_shift
+    exponent = numerator_exponent - denominator_exponent
     # The mantissa has 24 bits, so a quotient of 25 loses the lowest one.
-    excess_bits = quotient >> MANTISSA_BITS
+    excess_bits = quotient.bit_length() - MANTISSA_BITS
     return quotient >> excess_bits, exponent + excess_bits
 
 
@@ -840,11 +842,12 @@ class MirrorRobot(FixedPointView):
         if s.id > MAX_ID:
             return False  # nor has the set of senders, which is checked below, a bit for this id
         are_counts_valid = s.n <= s.t < config.memory  # at the memory both would have been halved
+        is_filter_valid = are_valid_robust_members(s) if self.is_robust else are_valid_rounds(s)
         return (
             are_counts_valid
             and is_valid_accuracy(s.accuracy)
             and is_valid_estimate(s)
-            and (are_valid_robust_members(s) if self.is_robust else are_valid_rounds(s))
+            and is_filter_valid
             and are_valid_senders(s)
             and 1 <= s.filter_left <= config.filter_period
         )

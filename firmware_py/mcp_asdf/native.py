@@ -92,8 +92,10 @@ class NativeRobot(FixedPointView):
         if status == Status.ERR_IMAGE:
             # The C does not say what is wrong. If the outer form is right, it is the state that is
             # impossible.
-            form_error = find_image_error(image_bytes, config.filter)
-            raise FirmwareError(Status.ERR_IMAGE, form_error or IMPOSSIBLE_STATE)
+            error = find_image_error(image_bytes, config.filter)
+            if error is None:
+                error = IMPOSSIBLE_STATE
+            raise FirmwareError(Status.ERR_IMAGE, error)
         _raise_for_error(status, config=config)
         return robot
 
@@ -266,9 +268,10 @@ def _allocate_table(table: Table) -> Any:
 
 
 def _fit_to_c_type(value: int, maximum: int, substitute: int | None = None) -> int:
-    """Return ``value`` as Python's ``int`` if it is in 0 .. ``maximum``, else a number that the C refuses.
+    """Return ``value`` as Python's ``int`` if it fits a C type, 0 .. ``maximum``, else ``substitute``.
 
-    That number is ``substitute`` or, for None, ``maximum``.
+    The substitute is a number that fits the type but that the C refuses for this argument. By default it is
+    ``maximum`` itself, which for most arguments is out of range.
     """
     number = operator.index(value)
     if 0 <= number <= maximum:

@@ -18,7 +18,7 @@ from __future__ import annotations
 import math
 import operator
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from fractions import Fraction
 from functools import cache
 from statistics import mean, stdev
@@ -230,7 +230,8 @@ def t_score(m: int, omega: float, conventions: Conventions = PAPER) -> float:
     """Return t_{m-1,(1-omega)/2}, which a T variable exceeds with probability (1 - omega)/2 (eq. 10).
 
     ``m`` >= 2 is the number of messages, and ``omega``, between 0 and 1, the type II error probability of the
-    test. Raises ValueError outside these ranges. O(1) after the first call with the same arguments.
+    test. T has m - 1 degrees of freedom in the paper, and m - ``conventions.lost_degrees`` here. Raises
+    ValueError outside these ranges. O(1) after the first call with the same arguments.
     """
     from scipy.special import stdtrit  # type: ignore[import-untyped] # noqa: PLC0415 (loads slowly)
 
@@ -389,7 +390,7 @@ class ReferenceRobot:
         self._robust = RobustReference(initial_b_hat=float(b_hat))
         self._filter_left = config.filter_period
         """Rounds until the filter runs next."""
-        self._counts = dict.fromkeys(Counters.__dataclass_fields__, 0)
+        self._counts = {counter.name: 0 for counter in fields(Counters)}
         """Numbers of events, by the names of `Counters`."""
 
     def observe(self, z: Observation) -> Status:
@@ -490,10 +491,11 @@ class ReferenceRobot:
         """
         if self._t == 0:
             return Status.OK  # there is no estimate to be tested
+        new_b_hat = None
         if self._is_robust:
             new_b_hat = self._run_robust_filter()
-        else:
-            new_b_hat = self.reestimate_b_hat() if self._is_update_needed() else None
+        elif self._is_update_needed():
+            new_b_hat = self.reestimate_b_hat()
         if new_b_hat is None:
             return Status.OK
         self._b_hat = new_b_hat

@@ -353,8 +353,9 @@ def check_settings(config: Config) -> None:
         raise FirmwareError(
             Status.ERR_CONFIG, f"filter_period is {period} rounds; choose 1 .. {MAX_FILTER_PERIOD}"
         )
+    is_memory_in_range = MIN_MEMORY <= memory <= DEFAULT_MEMORY
     # Half of a multiple of 4 is even, so that exchanged colours stay mirror images when t is halved.
-    if not MIN_MEMORY <= memory <= DEFAULT_MEMORY or memory % 4:
+    if not is_memory_in_range or memory % 4 != 0:
         raise FirmwareError(
             Status.ERR_CONFIG,
             f"memory is {memory}; choose a multiple of 4, {MIN_MEMORY} .. {DEFAULT_MEMORY}",
@@ -391,15 +392,16 @@ def check_id_and_b_hat(robot_id: int, b_hat: float) -> None:
 
 def check_alpha(alpha: float) -> None:
     """Raise ValueError for an alpha that is no confidence: a negative number, -0.0, infinity or NaN."""
-    is_negative = math.copysign(1, alpha) < 0  # also of -0.0, which is not below 0
-    if not 0 <= alpha < math.inf or is_negative:
+    is_in_range = 0 <= alpha < math.inf  # False for NaN, but True for -0.0
+    has_minus_sign = math.copysign(1, alpha) < 0
+    if not is_in_range or has_minus_sign:
         raise ValueError(f"alpha is {alpha}; a confidence is finite, not negative and not -0.0")
 
 
 def create_rejection(status: Status, sender: int, x_hat: float) -> FirmwareError:
     """Return the exception for a message that was rejected with ``status``, ERR_SENDER or ERR_X_HAT.
 
-    Its text names the wrong one of the sender and x_hat, and the range that is allowed.
+    For ERR_SENDER its text has the sender, otherwise x_hat, and what is allowed for it.
     """
     if status == Status.ERR_SENDER:
         return FirmwareError(

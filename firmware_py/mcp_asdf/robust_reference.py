@@ -70,8 +70,9 @@ def votes_after(votes: Votes[Number], x_hat: Number) -> Votes[Number]:
 
     The centre moves towards x_hat by a share of the distance, the gain, where a distance above the spread
     counts as one that equals it. The spread grows by gain / 2 of itself if the distance is above it, and
-    shrinks by as much otherwise, so that it converges to the median of the distances. The gain falls with the
-    number of votes, this one included: it is 1/8 up to 63 votes, 1/16 up to 127 votes, and so on to 1/128.
+    shrinks by as much otherwise, so that it converges to the median of the distances; it stays within
+    SPREAD_MIN .. SPREAD_MAX. The gain falls with the number of votes, this one included: it is 1/8 up to 63
+    votes, 1/16 up to 127 votes, and so on to 1/128. More than VOTES_MAX votes are not counted.
 
     This is Robbins and Monro's stochastic approximation of Huber's M-estimate.
     """
@@ -275,7 +276,7 @@ class RobustReference:
             self.turn = 0
             return
         # Without confidence of its own the first slot with an estimate follows the last one at once.
-        slot = min(remaining_slots or self.estimates)
+        slot = min(remaining_slots) if remaining_slots else min(self.estimates)
         self.votes = votes_after(self.votes, self.estimates[slot])
         self.turn = slot + 1
 
