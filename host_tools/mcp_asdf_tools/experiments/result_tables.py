@@ -395,8 +395,8 @@ def score_table(table: pa.Table, limits: Limits) -> pa.Table:
     rows = table.select([*PARAMETER_NAMES, "k", "e"]).to_pylist()
     scores_by_row = [_score_row(row, limits) for row in rows]
     for score_name in SCORES:
-        scores = pa.array([scores[score_name] for scores in scores_by_row], pa.float64())
-        table = table.set_column(table.column_names.index(score_name), score_name, scores)
+        column = pa.array([scores[score_name] for scores in scores_by_row], pa.float64())
+        table = table.set_column(table.column_names.index(score_name), score_name, column)
     return table
 
 

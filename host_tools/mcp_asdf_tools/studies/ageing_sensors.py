@@ -42,7 +42,10 @@ class AgeingSensors(ABC):
         self._next_step = 0
 
     def advance(self, steps: int) -> Accuracies:
-        """Return the accuracies in the next steps, which are the same on black and on white tiles."""
+        """Return the accuracies in the next steps, which are the same on black and on white tiles.
+
+        They are limited to the range from ``lowest_accuracy`` to 1.
+        """
         unlimited = self._settings.true_accuracy + self._changes(steps)
         # Changes count from the start, so that a limit that was reached does not shift what follows.
         self._next_step += steps

@@ -433,7 +433,7 @@ def _compare(claim: Claim, study_part: StudyPart | None, study_results: StudyRes
 def _compare_robots(study_part: StudyPart, study_results: StudyResults) -> list[Comparison]:
     """Compare the robots of each trial of a part with each other: one comparison for K, and one for e.
 
-    K is the step at which a robot's estimate has converged, and e its mean error from then on. Each
+    K is the step at which a robot's estimate has converged, and e its error |x - f| at that step. Each
     comparison has the largest difference between two robots of one trial, and expects it to be 0 but for
     ROUNDING.
     """

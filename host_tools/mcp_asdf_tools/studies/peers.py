@@ -185,10 +185,10 @@ class BayesCpfRobot(ReferenceRobot):
         return min(max(self._truncated_mean(), lowest), highest)
 
     def _truncated_mean(self) -> float:
-        """Return the mean of the estimate if it is within 1/2 and 1, and if not, a mean that is.
+        """Return the mean of the estimate of b, moved into the range from 1/2 to 1 if it is outside.
 
-        That is the mean of its normal distribution, cut to [1/2, 1]. But if next to nothing of the
-        distribution is there, the mean is returned as it is.
+        It moves to the mean of the estimate's normal distribution when this is cut to the range. If next to
+        nothing of the distribution is there, the mean stays as it is.
         """
         if 0.5 < self._mean < 1:
             return self._mean

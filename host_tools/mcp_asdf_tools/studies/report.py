@@ -232,7 +232,8 @@ def _column_head(comparison: Comparison) -> str:
 def format_difference(comparison: Comparison) -> str:
     """Format a difference with its interval, such as "12.3 [10.1, 14.0]".
 
-    A difference that is not subject to chance, whose interval has no width, is formatted without it.
+    Scores have one decimal, all else has three significant digits. A difference that is not subject to
+    chance, whose interval has no width, is formatted without it.
     """
     interval = comparison.interval
     # "Seen" is the smallest size of a difference of scores, whose unit is a point of 100. Confidences,

@@ -6,7 +6,7 @@ The peers run message by message, which takes hours.
 
 Each robot estimates f, the share of black floor, as x. b_hat is the accuracy that it assumes for its sensor,
 and b the true one; a flawed robot starts with a wrong b_hat. The late error is the mean of |x - f| over the
-last quarter of a trial. e is the mean of |x - f| from the step on at which a robot has converged.
+last quarter of a trial. e is |x - f| at the step at which a robot has converged.
 """
 
 from __future__ import annotations
@@ -257,10 +257,10 @@ def without_liars(rows: Rows) -> dict[str, list[Trials]]:
 def grid_text(experiments: Sequence[Trials]) -> str:
     """Format the numbers of experiments that share one cell of the grid's table: "95.1, 0.012, 0.034, 0.5 %".
 
-    These are H, the score from 0 to 100, the mean of |x - f| in the last quarter of a trial, e, the mean of
-    |x - f| from convergence on, and the share of healthy robots that a filter harmed. The share is left out
-    where all robots are flawed. An interval in brackets follows a number where it is wide. Beside the late
-    error, e shows the beginnings: it counts from convergence on, which may come early.
+    These are H, the score from 0 to 100, the mean of |x - f| in the last quarter of a trial, e, which is
+    |x - f| when a robot has converged, and the share of healthy robots that a filter harmed. The share is
+    left out where all robots are flawed. An interval in brackets follows a number where it is wide. Beside
+    the late error, e shows the beginnings, as convergence may come early.
     """
     e = mean_over_experiments(mean_e_of_robots, experiments).value
     texts = [score_text(experiments), late_error_text(experiments), format_error(e)]
@@ -289,7 +289,7 @@ def harm_texts(experiments: Sequence[Trials]) -> list[str]:
 
 
 def mean_e_of_robots(trials: Trials) -> Sample:
-    """Return e of each trial, averaged over its robots: |x - f| from a robot's convergence on."""
+    """Return e of each trial, averaged over its robots: |x - f| at a robot's convergence step."""
     mean_e: Sample = trials.errors.mean(axis=1)
     return mean_e
 

@@ -144,11 +144,11 @@ def ratio_table(ratios: RatiosByCode) -> str:
 
     It has a row for each number of bits of x_hat, and a column for each of alpha.
     """
-    columns_of_alpha = sorted({code.alpha_bits for code in ratios})
-    columns = [f"alpha {alpha_bits}" for alpha_bits in columns_of_alpha]
-    lines = [f"| bits | {' | '.join(columns)} |", "|---" * (len(columns) + 1) + "|"]
+    all_alpha_bits = sorted({code.alpha_bits for code in ratios})
+    heads = ["bits", *(f"alpha {alpha_bits}" for alpha_bits in all_alpha_bits)]
+    lines = [f"| {' | '.join(heads)} |", "|---" * len(heads) + "|"]
     for x_hat_bits in X_HAT_BITS:
-        cells = [ratio_text(ratios[MessageCode(x_hat_bits, alpha_bits)]) for alpha_bits in columns_of_alpha]
+        cells = [ratio_text(ratios[MessageCode(x_hat_bits, alpha_bits)]) for alpha_bits in all_alpha_bits]
         lines.append(f"| x_hat {x_hat_bits} | {' | '.join(cells)} |")
     return "\n".join(lines)
 

@@ -226,12 +226,11 @@ def under_and_over_text(experiments: Sequence[Trials]) -> str:
     """
     texts: list[str] = []
     # b alone tells the two kinds apart: it is high only where robots are underconfident.
-    for sensors in BOTH_FLAWS:
-        group = [
-            trials for trials in experiments if trials.experiment.true_accuracy == sensors["true_accuracy"]
-        ]
-        if group:
-            texts.append(late_error_text(group))
+    for flaw_parameters in BOTH_FLAWS:
+        b = flaw_parameters["true_accuracy"]
+        swarms_with_flaw = [trials for trials in experiments if trials.experiment.true_accuracy == b]
+        if swarms_with_flaw:
+            texts.append(late_error_text(swarms_with_flaw))
     return ", ".join(texts)
 
 

@@ -61,7 +61,7 @@ def two_readings_rows() -> dict[str, list[Experiment]]:
     In each row, robots with two readings stand beside robots with the usual filters, which read each tile
     once.
     """
-    robots: list[dict[str, Any]] = [
+    robots_and_filters: list[dict[str, Any]] = [
         # These observe in every second step: the second reading of each tile, and not the first.
         {"filter": ["none", "asdf-minus", "robust"], "observation_period": READINGS_OF_TILE},
         {"firmware": TwoReadingsRobot, "filter": "robust"},
@@ -71,7 +71,7 @@ def two_readings_rows() -> dict[str, list[Experiment]]:
             **MOVING,
             **accuracies,
             **swarm,
-            robots_and_filters=robots,
+            robots_and_filters=robots_and_filters,
             comms_period=READINGS_OF_TILE,
             filter_period=READINGS_OF_TILE * 1000,
             steps=READINGS_OF_TILE * 10_000,

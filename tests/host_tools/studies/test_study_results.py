@@ -99,4 +99,4 @@ def test_results_have_the_parts_of_the_study_of_which_cells_were_run() -> None:
 
 def test_the_largest_difference_between_robots_of_a_trial_is_0_if_all_are_alike() -> None:
     differences = RESULTS.largest_differences_between_robots(StudyPart.FULLY_CONNECTED)
-    assert differences == {"K": 0, "e": 0}  # convergence step, and error from then on
+    assert differences == {"K": 0, "e": 0}  # convergence step, and error at that step

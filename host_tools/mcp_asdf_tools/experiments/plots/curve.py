@@ -62,7 +62,8 @@ def plot_curve(  # noqa: PLR0913 (each is given by name)
     curve for each value of the parameter ``hue``, and a panel for each value of ``facet``, or the curves are
     drawn into the axes ``ax``. Flawed robots are a share. Scores are relative to ``limits``, by default the
     paper's. Raises UsageError for a name that is no parameter, if the experiments differ in what is not
-    shown, and for limits where ``y`` is no score.
+    shown, for limits where ``y`` is no score, for ``facet`` together with ``ax``, and for more panels or
+    curves than fit a picture.
     """
     if limits is not None and y not in SCORES:
         raise UsageError("limits would do nothing: they are for scores, and y is none; leave them out")

@@ -99,7 +99,8 @@ def _lines_for_legend(panels: NDArray[Any]) -> list[Line2D]:
     lines_for_legend = []
     for label in (_FLAWED_LABEL, _HEALTHY_LABEL, _TRUE_LABEL):
         lines_of_kind = [line for line in lines if line.get_label() == label]
-        lines_for_legend += lines_of_kind[-1:]
+        if lines_of_kind:
+            lines_for_legend.append(lines_of_kind[-1])
     return lines_for_legend
 
 

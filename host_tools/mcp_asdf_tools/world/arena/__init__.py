@@ -152,7 +152,7 @@ def make_config(settings: WorldSettings, trial: int, ffi: Any) -> tuple[dict[str
         "height": height,
         "speed": settings.speed,
         "range": settings.radio_range,
-        "tick": 1 / settings.steps_per_second,
+        "tick": 1 / settings.steps_per_second,  # in seconds
     }
     if settings.floor == "tiles":
         members["tile"] = settings.tile
