@@ -40,15 +40,18 @@ def failure_of_bus(error: Exception, bus: can.BusABC) -> can.CanError | None:
     # An error of the operating system decides, also where a driver has wrapped it in one of its own.
     system_error = _system_error_among(causes)
     if system_error is not None:
-        if _may_pass(system_error):
-            return error if isinstance(error, can.CanError) else can.CanOperationError(str(error))
-        return _create_bus_gone_error(error, system_error)
+        if not _may_pass(system_error):
+            return _create_bus_gone_error(error, system_error)
+        return error if isinstance(error, can.CanError) else can.CanOperationError(str(error))
     decoding_error = next((cause for cause in causes if isinstance(cause, _DECODING_ERRORS)), None)
     if decoding_error is not None:
         # Operations on a closed port or socket raise these errors, too.
-        return _create_bus_gone_error(error, decoding_error) if _is_closed(bus) else None
-    # A driver's own error may be a state of the bus that passes, such as bus-off or a full queue.
-    return error if isinstance(error, can.CanError) else _create_bus_gone_error(error, error)
+        if _is_closed(bus):
+            return _create_bus_gone_error(error, decoding_error)
+        return None
+    if isinstance(error, can.CanError):
+        return error  # a driver's own error may be a state that passes, such as bus-off or a full queue
+    return _create_bus_gone_error(error, error)
 
 
 def _causes(error: BaseException | None) -> Iterator[BaseException]:

@@ -391,7 +391,7 @@ def make_frame(identifier: int, payload: int, timestamp: float) -> can.Message:
 
     The payload is the frame's 8 bytes of data as a number whose lowest byte is the first.
     """
-    import can  # noqa: PLC0415 (it loads slowly, and the format of frames is needed without any)
+    import can  # noqa: PLC0415 (it loads slowly, and not all who import this module make frames)
 
     data = payload.to_bytes(FRAME_BYTES, "little")
     return can.Message(timestamp=timestamp, arbitration_id=identifier, data=data, is_rx=False)

@@ -85,7 +85,8 @@ def _describe_filters() -> str:
     """Return lines for the help: a heading, and for each filter its name and which robots recalibrate."""
     from mcp_asdf_tools.robots.filters import FILTERS
 
-    lines = [f"  {swarm_filter.name:11} {swarm_filter.meaning}" for swarm_filter in FILTERS.values()]
+    name_width = 1 + max(len(name) for name in FILTERS)
+    lines = [f"  {name:{name_width}} {swarm_filter.meaning}" for name, swarm_filter in FILTERS.items()]
     return "\n".join(["Which robots recalibrate (--filter):", *lines])
 
 
@@ -108,12 +109,10 @@ def _keywords_of_value(parameter: Parameter) -> dict[str, Any]:
         return _keywords_of_names(parameter.choices)
     if parameter.choices:
         return {"choices": parameter.choices}
-    return {
-        # A value of another type, such as a count or share, is parsed by the class of the parameters.
-        "type": parameter.kind if parameter.kind in (int, float) else str,
-        # The last word of the name, such as PERIOD for filter_period.
-        "metavar": parameter.name.split("_")[-1].upper(),
-    }
+    # A value of another type, such as a count or share, is parsed by the class of the parameters.
+    value_type = parameter.kind if parameter.kind in (int, float) else str
+    *_, last_word = parameter.name.split("_")  # such as PERIOD for filter_period
+    return {"type": value_type, "metavar": last_word.upper()}
 
 
 def _keywords_of_names(names: Names) -> dict[str, Any]:
@@ -253,7 +252,8 @@ def robot_of(args: argparse.Namespace) -> RobotSetup:
     # Options and checks are those of a population, so the robot is taken from one in which it has all the
     # neighbours that its t-table is made for. It is the flawed one, since asdf-minus is for these alone.
     population = settings_from(robot_args, Population, robots=neighbours + 1, flawed=1)
-    config = population.config(0)
+    flawed_robot = 0  # the flawed ones are the first by id
+    config = population.config(flawed_robot)
     if config.table is None and args.neighbours is not None:
         raise UsageError("--neighbours would do nothing: the robot uses no t-table; leave it out")
     robot_setup = RobotSetup(args.id, args.firmware, args.b_hat, config, population.comms_period)

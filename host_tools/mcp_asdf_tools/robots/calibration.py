@@ -49,10 +49,13 @@ class Calibration:
     def uncertainty(self) -> float:
         """Half the width of the 95 % interval of ``b_hat``, at least that of one wrong reading a colour.
 
-        Each term is the variance p (1 - p) / n of a share p of n readings. With one wrong reading p (1 - p)
-        is about 1 / n.
+        The interval follows from the variance p (1 - p) / n of a share p of n readings.
         """
-        variances = [max(p * (1 - p), 1 / n) / n for p, n in self._colours()]
+        variances = []
+        for p, n in self._colours():
+            variance_with_one_wrong_reading = 1 / n  # p (1 - p) is nearly that then
+            variance_of_a_reading = max(p * (1 - p), variance_with_one_wrong_reading)
+            variances.append(variance_of_a_reading / n)
         return _HALF_95_PERCENT_WIDTH * math.sqrt(sum(variances))
 
     @property

@@ -195,7 +195,9 @@ class Swarm:
             self.clock.begin(self.ticks)
         observations = dict(zip(self._ids, self.world.step(), strict=True))
         self.faults.begin_tick(self.ticks, self._ids)
-        self._alive_nodes = [node for node in self._local_nodes if self._crash_or_rejoin(node)]
+        for node in self._local_nodes:
+            self._crash_or_rejoin(node)
+        self._alive_nodes = [node for node in self._local_nodes if node.is_alive]
 
         # Telemetry has the state before this tick, so that it is made before robots observe.
         reports = self._make_reports()
@@ -235,17 +237,13 @@ class Swarm:
         self.traffic.missed = self._carrier.missed_count
         return [] if self._external_robot is None else deliveries.frames_for(self._external_robot)
 
-    def _crash_or_rejoin(self, node: BusRobot) -> bool:
-        """Let a robot crash or rejoin if the faults require it in this tick; returns whether it is alive now.
-
-        A robot that stays as it was, alive or dead, is not changed.
-        """
+    def _crash_or_rejoin(self, node: BusRobot) -> None:
+        """Let a robot crash or rejoin if the faults require it in this tick."""
         outage = self.faults.robot_outage(node.id)
         if outage is None and not node.is_alive:
             node.rejoin()
         elif outage is not None and node.is_alive:
             node.crash(loses_state=outage.loses_state)
-        return node.is_alive
 
     def _make_reports(self) -> list[RobotFrame]:
         """Return heartbeats of this tick, then telemetry of the state before it, and count both as sent.

@@ -100,12 +100,14 @@ class RobotOnBus:
             return False
         if (heartbeat.uptime, heartbeat.transfer_id) == (latest.uptime, latest.transfer_id):
             return True
-        if previous is None or not latest.uptime < previous.uptime < heartbeat.uptime:
+        if previous is None:
             return False
+        skips_latest = latest.uptime < previous.uptime < heartbeat.uptime
         # A node sends a heartbeat each second, so its transfer id grows as its uptime does, modulo 32.
         seconds_passed = heartbeat.uptime - previous.uptime
         heartbeats_passed = heartbeat.transfer_id - previous.transfer_id
-        return (heartbeats_passed - seconds_passed) % TRANSFER_IDS == 0
+        continues_previous = (heartbeats_passed - seconds_passed) % TRANSFER_IDS == 0
+        return skips_latest and continues_previous
 
     def is_silent(self, now: float) -> bool:
         """Return whether no frame was received in the last SILENT_SECONDS."""

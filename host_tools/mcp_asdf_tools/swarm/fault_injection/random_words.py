@@ -161,11 +161,14 @@ def choose_bits(bit_counts: NDArray[np.int64], random_words: RandomWords) -> NDA
     for turn in range(bits_to_choose):
         # Draw one of the candidates, which are the lowest bits: one more in each turn, and all in the last.
         # If an earlier turn has chosen this bit, take the highest candidate, which is new in this turn.
-        candidate_counts = bit_counts - bits_to_choose + turn + 1
+        turns_left = bits_to_choose - 1 - turn
+        candidate_counts = bit_counts - turns_left
         has_candidates = candidate_counts > 0
-        candidates = np.maximum(candidate_counts, 1).astype(np.uint64)
-        drawn_bit = one << (random_words[:, turn] % candidates)
-        highest_candidate = one << (candidates - one)
+        divisors = np.maximum(candidate_counts, 1).astype(
+            np.uint64
+        )  # a word without candidates needs one, too
+        drawn_bit = one << (random_words[:, turn] % divisors)
+        highest_candidate = one << (divisors - one)
         is_chosen_already = (chosen_bits & drawn_bit) != 0
         new_bit = np.where(is_chosen_already, highest_candidate, drawn_bit)
         chosen_bits |= np.where(has_candidates, new_bit, np.uint64(0))
