@@ -82,7 +82,7 @@ def run(args: argparse.Namespace) -> int:
     steps_per_second = options.typed_value_or_default(args, Population, "steps_per_second")
     parameters = {"steps_per_second": steps_per_second, "steps": args.steps}
     # No seed: the robot's observations come from the bus.
-    events_header = EventsHeader([robot_setup], None, subjects.estimates, parameters)
+    events_header = EventsHeader([robot_setup], seed=None, frames=subjects.estimates, parameters=parameters)
     recording = recording_for("node", args.log, events_header, bus_choice)
     with recording as (log, events):
         recorder = None if events is None else events.recorders[robot_setup.id]

@@ -150,7 +150,8 @@ def settings_from(
     }
     try:
         # Of values for the same parameter the last one holds.
-        settings = settings_class(**{**(base_values or {}), **option_values, **other_values})
+        values = (base_values or {}) | option_values | other_values
+        settings = settings_class(**values)
     except ParameterError as error:
         raise UsageError(_name_option(error)) from error
     # A file's value may have no effect here; one that was typed is a misunderstanding.

@@ -330,6 +330,7 @@ class EventsReader:
         cut off.
         """
         line_number = 0
+        # At the end of the file ``_line_number`` stays that of the last line, which later errors are about.
         while True:
             line_number += 1
             try:

@@ -164,9 +164,8 @@ def choose_bits(bit_counts: NDArray[np.int64], random_words: RandomWords) -> NDA
         turns_left = bits_to_choose - 1 - turn
         candidate_counts = bit_counts - turns_left
         has_candidates = candidate_counts > 0
-        divisors = np.maximum(candidate_counts, 1).astype(
-            np.uint64
-        )  # a word without candidates needs one, too
+        # A word without candidates needs a divisor, too; what it draws is left out below.
+        divisors = np.maximum(candidate_counts, 1).astype(np.uint64)
         drawn_bit = one << (random_words[:, turn] % divisors)
         highest_candidate = one << (divisors - one)
         is_chosen_already = (chosen_bits & drawn_bit) != 0
