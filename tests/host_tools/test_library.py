@@ -365,9 +365,8 @@ def robot_class_with_b_hat(accuracy: float) -> Any:
 
 def final_accuracies(experiment: Experiment) -> Any:
     """Run the only trial of an experiment, and return b_hat of its four robots at the end."""
-    first_trial = 0
-    last_step = -1
-    return simulate_one(experiment).b_hat[first_trial, last_step].tolist()
+    [b_hat_by_filter_step] = simulate_one(experiment).b_hat
+    return b_hat_by_filter_step[-1].tolist()
 
 
 def test_an_experiment_can_have_a_robot_class_of_the_user_as_its_firmware() -> None:
@@ -406,10 +405,9 @@ def test_an_experiment_can_have_sensors_that_a_function_of_the_user_makes() -> N
     """
     experiment = small_experiment(trials=1, filter="none", sensor=make_sensors_that_see_black)
     assert experiment.sensor.endswith("make_sensors_that_see_black")
-    first_trial, last_step = 0, -1
-    mean_error = simulate_one(experiment).errors[first_trial, last_step]
+    [errors_of_robots] = simulate_one(experiment).errors  # of the only trial
     estimate, fill_ratio = 1.0, 0.55
-    assert mean_error == pytest.approx(estimate - fill_ratio)
+    assert errors_of_robots == pytest.approx(estimate - fill_ratio)
 
 
 def test_two_experiments_with_robot_classes_of_one_name_are_refused_in_one_table() -> None:
@@ -531,14 +529,14 @@ def grid_table() -> Any:
     return simulate(grid(flawed=[1, 2], filter=["none", "asdf-plus"], robots=4, steps=60, trials=2))
 
 
-def first_error(trials: Trials) -> Any:
-    """Return the mean error of each trial before the first step."""
-    return trials.errors[:, 0]
+def error_of_first_robot(trials: Trials) -> Any:
+    """Return a value of each trial: the error of its robot 0."""
+    return trials.errors[:, 0]  # errors are by trial and robot
 
 
 def test_plot_curve_draws_one_line_for_the_experiments_without_a_filter(grid_table: Any) -> None:
     """Half of the four experiments have a filter, and the others are chosen."""
-    figure = plot_curve(grid_table, "flawed", first_error, where={"filter": "none"})
+    figure = plot_curve(grid_table, "flawed", error_of_first_robot, where={"filter": "none"})
     (axes,) = figure.axes
     assert len(axes.lines) == 1
 
@@ -547,7 +545,7 @@ def test_plot_curve_draws_into_axes_of_the_caller_and_returns_their_figure(grid_
     """The axes get a line for each of the two filters."""
     figure = Figure()
     axes = figure.subplots()
-    returned_figure = plot_curve(grid_table, "flawed", first_error, hue="filter", ax=axes)
+    returned_figure = plot_curve(grid_table, "flawed", error_of_first_robot, hue="filter", ax=axes)
 
     assert returned_figure is figure
     assert len(axes.lines) == 2, "one for each filter"

@@ -414,7 +414,7 @@ def test_robots_that_calculate_in_floats_receive_rounded_messages() -> None:
     experiment = replace(two_robots, message_bits="1+1", firmware="reference")
     x_bar = run_trials(experiment, first=0, trials=1, sampling_interval=1).records["x_bar"]
 
-    x_bar_after_first_step = x_bar[:, 1:]
+    x_bar_after_first_step = x_bar[:, 1:]  # by trial, step and robot; step 0 is the start
     assert set(x_bar_after_first_step.ravel()) <= {0.0, 1.0}
 
 

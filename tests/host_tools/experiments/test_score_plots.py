@@ -142,7 +142,8 @@ def test_no_two_points_of_a_box_lie_in_one_column_and_all_are_within_its_width(b
 def test_boxes_are_grey_without_a_filter_and_else_in_the_colour_of_their_series(boxes: Figure) -> None:
     """For each kind of swarm there are boxes without a filter and with ASDF+ of two filter periods."""
     colours = [box.colour for box in points_by_position(boxes.axes[0])]
-    colours_of_series = [GREY, COLOURS[0], COLOURS[1]]
+    colour_of_first_period, colour_of_second_period, *_ = COLOURS
+    colours_of_series = [GREY, colour_of_first_period, colour_of_second_period]
     assert colours == colours_of_series * len(FLAWED_AND_ACCURACIES)
 
 

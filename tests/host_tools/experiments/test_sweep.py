@@ -246,7 +246,7 @@ def test_worker_processes_started_from_a_thread_give_the_results_of_one_process(
     run_sweep(Store(tmp_path / "one.parquet", TWO_EXPERIMENTS), workers=1)
 
     assert read_table(output).equals(read_table(tmp_path / "one.parquet"))
-    assert sum(reported_trials) == 80
+    assert sum(reported_trials) == 2 * 40
 
 
 def test_a_sweep_in_memory_gives_the_table_that_one_into_a_file_gives(output: Path) -> None:
@@ -259,14 +259,14 @@ def test_experiments_that_are_given_twice_are_run_once(output: Path, jobs_run: l
     """Grids overlap easily. Twice the same trials would count as more evidence than they are."""
     experiment = replace(EXPERIMENT, trials=3)
     other_experiment = replace(OTHER_EXPERIMENT, trials=2)
-    given_experiments = [experiment, other_experiment, experiment]
+    overlapping_experiments = [experiment, other_experiment, experiment]
 
-    in_memory = list(sweep.run_in_memory(given_experiments))
-    run_sweep(Store(output, given_experiments), workers=1)
+    in_memory = list(sweep.run_in_memory(overlapping_experiments))
+    run_sweep(Store(output, overlapping_experiments), workers=1)
 
     assert [trials.experiment for trials in in_memory] == [experiment, other_experiment]
     assert read_table(output)["trial"].to_pylist() == [0, 1, 2, 0, 1]
-    assert len(jobs_run) == 4
+    assert len(jobs_run) == 2 * 2  # a job for each of two experiments, in memory and into the output
 
 
 class DeadlyJob(Job):
@@ -431,19 +431,20 @@ def test_a_part_has_fewer_rows_the_longer_their_lists_are(
 @contextmanager
 def process_at_work_on(output: Path) -> Iterator[int]:
     """Let another process work on an output until the context ends; gives its id."""
-    (is_ready, report_ready), (released, release) = os.pipe(), os.pipe()
+    ready_read_end, ready_write_end = os.pipe()
+    release_read_end, release_write_end = os.pipe()
     child = os.fork()
     if child == 0:
         Store(output, THREE_EXPERIMENTS).reserve()
-        os.write(report_ready, b"x")
-        os.close(release)
-        os.read(released, 1)
+        os.write(ready_write_end, b"x")
+        os.close(release_write_end)
+        os.read(release_read_end, 1)  # returns when the parent closes its end, too
         os._exit(0)
-    os.read(is_ready, 1)
+    os.read(ready_read_end, 1)
     try:
         yield child
     finally:
-        os.close(release)
+        os.close(release_write_end)
         os.waitpid(child, 0)
 
 
@@ -470,7 +471,7 @@ def test_a_sweep_goes_on_with_an_output_when_the_other_process_has_ended(output:
 def test_a_process_does_not_lock_itself_out_of_its_output(output: Path) -> None:
     """It works on an output, and opens it a second time: all 3 * 40 trials are missing."""
     Store(output, THREE_EXPERIMENTS).reserve()
-    assert Store(output, THREE_EXPERIMENTS).missing_count == 120
+    assert Store(output, THREE_EXPERIMENTS).missing_count == 3 * 40
 
 
 # --- Progress --------------------------------------------------------------------------------------------
@@ -587,7 +588,7 @@ def test_the_command_sweep_runs_the_experiments_of_a_file_into_results_beside_it
     grid_file: Path, sweep_answer: dict[str, Any]
 ) -> None:
     """They are two experiments of three trials."""
-    assert sweep_answer["run"] == 6
+    assert sweep_answer["run"] == 2 * 3
     assert sweep_answer["output"] == str(grid_file.with_suffix(".parquet"))
     assert grid_file.with_suffix(".parquet").exists()
 
@@ -601,7 +602,7 @@ def test_the_command_sweep_writes_the_results_into_the_file_that_output_names(
     answer = run_for_json("sweep", tmp_path / "grid.toml", "--workers", "1", "--output", output)
 
     assert answer["output"] == str(output)
-    assert len(read_table(output)) == 6
+    assert len(read_table(output)) == 2 * 3
     assert not (tmp_path / "grid.parquet").exists()
 
 
@@ -618,7 +619,7 @@ def test_the_command_score_reports_the_scores_that_sweep_does(
 
 def test_the_command_score_writes_a_line_of_csv_for_each_trial(results_file: Path, tmp_path: Path) -> None:
     run_for_json("score", results_file, "--csv", tmp_path / "grid.csv")
-    header, trials = 1, 6
+    header, trials = 1, 2 * 3
     assert len((tmp_path / "grid.csv").read_text().splitlines()) == header + trials
 
 

@@ -226,11 +226,15 @@ def test_titles_of_bands_have_the_filter_period_where_it_differs_and_has_an_effe
     unfiltered = results_of(replace(half_flawed.experiment, filter="none"))
     other_period = results_of(replace(half_flawed.experiment, filter_period=150))
     titles = titles_of(plot_bands([unfiltered, half_flawed, other_period]))
-    unfiltered_line, first_line, second_line = [title.split("\n")[1] for title in titles]
+    parameters = []
+    for title in titles:
+        _first_line, second_line, *_ = title.split("\n")
+        parameters.append(second_line)
 
-    assert unfiltered_line.startswith("$f$ = 0.55,")
-    assert first_line.startswith("filter period 100,")
-    assert second_line.startswith("filter period 150,")
+    unfiltered_parameters, parameters_of_period_100, parameters_of_period_150 = parameters
+    assert unfiltered_parameters.startswith("$f$ = 0.55,")
+    assert parameters_of_period_100.startswith("filter period 100,")
+    assert parameters_of_period_150.startswith("filter period 150,")
 
 
 def test_bands_of_trials_in_which_no_filter_has_run_are_refused(half_flawed: Trials) -> None:

@@ -76,10 +76,11 @@ def test_a_count_in_reports_goes_on_after_more_than_2_16_refusals_in_a_round() -
 
     The firmware refuses 70,000 estimates under the robot's own id, 5, all in one round.
     """
-    robot = robot_with_counters(comms_period=10**6, rejected=7)
+    robot = robot_with_counters(comms_period=10**6, rejected=7)  # a round has a million ticks
+    a_thousand_estimates = estimates_of(*[5] * 1000)
     for _ in range(70):
         robot.observe(None)
-        robot.receive_all(estimates_of(*[5] * 1000))
+        robot.receive_all(a_thousand_estimates)
         robot.settle()
 
     assert robot.counters.rejected == 7 + 70 * 1000

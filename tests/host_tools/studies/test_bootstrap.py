@@ -110,7 +110,7 @@ def test_the_mean_of_two_statistics_is_taken_resample_by_resample() -> None:
 
 @pytest.mark.usefixtures("few_resamples")
 def test_the_rank_correlation_is_that_of_scipy_with_an_interval_around_it() -> None:
-    """The samples are 60 numbers, and 60 others less these, so their correlation is clearly negative."""
+    """The samples are 60 numbers x, and 60 others less these, so their correlation is about -1 / sqrt(2)."""
     x = normal_sample(seed=1, trials=60)
     y = normal_sample(seed=2, trials=60) - x
 
@@ -136,4 +136,4 @@ def test_intervals_of_95_percent_miss_the_true_difference_in_about_one_of_twenty
         if not interval.low <= 0 <= interval.high:
             misses += 1
 
-    assert 1 <= misses <= 6
+    assert 1 <= misses <= 6  # 5 % of 40 are 2

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
 
 from mcp_asdf_tools.studies.equations import EQUATIONS
@@ -55,7 +57,9 @@ def test_an_estimate_moves_more_at_an_assumed_accuracy_of_0_55_than_at_0_95() ->
 
 
 def test_the_density_of_the_physical_experiment_is_1_34_where_the_paper_says_1_3() -> None:
-    assert differences_of("physical_density") == pytest.approx([1.3423 - 1.3], abs=1e-4)
+    """Density is the number of robots, 8, times the area within radio range, 0.7 m, by that of the floor."""
+    density = 8 * math.pi * 0.7**2 / (3.0353 * 3.0226)
+    assert differences_of("physical_density") == pytest.approx([density - 1.3], abs=1e-4)
 
 
 def test_the_physical_experiment_has_a_twentieth_of_the_observations_as_the_paper_says() -> None:

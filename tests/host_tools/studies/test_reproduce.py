@@ -147,7 +147,10 @@ def interrupt_short_study_after_eight_jobs(folder: Path) -> int:
 def test_an_interrupted_study_says_how_many_trials_are_left_and_runs_only_these_the_next_time(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """It prints the number to stderr and ends with the exit code of Ctrl-C; each job runs some trials."""
+    """It prints the number to stderr and ends with the exit code of Ctrl-C.
+
+    Eight jobs of two trials have ended, so 24 of 40 trials are left.
+    """
     assert interrupt_short_study_after_eight_jobs(tmp_path) == 128 + signal.SIGINT
     assert "24 of 40 trials left; the same command goes on" in capsys.readouterr().err
 

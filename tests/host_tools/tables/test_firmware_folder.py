@@ -175,7 +175,7 @@ FAIL_TO_COMPILE_UNLESS = "#if {}\n#else\n#error the filters are others\n#endif\n
             "MCP_ASDF_WITH_ROBUST",
             "MCP_ASDF_WITH_ASDF && !MCP_ASDF_WITH_ROBUST",
             "MCP_ASDF_CONFIG_OFF",
-            "{0, 1, 64, MCP_ASDF_ROBUST}",
+            "{0, 1, 64, MCP_ASDF_ROBUST}",  # table, filter period, memory and filter
         ),
         (
             "MCP_ASDF_WITH_ASDF",

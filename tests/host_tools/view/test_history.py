@@ -27,9 +27,10 @@ def history() -> History:
 def test_a_reader_gets_the_states_that_it_does_not_have_and_all_if_it_is_of_another_generation(
     generation: int, index: int, ticks: list[int], history: History
 ) -> None:
-    """A reader has read the states up to ``index``, of those after 0, 1 and 2 steps.
+    """Of the states after 0, 1 and 2 steps a reader has the first ``index``.
 
-    The generation is a number that goes up when a robot joins or when states are thinned out; here it is 0.
+    The generation is a number that goes up when a robot joins or when states are thinned out. That of this
+    history is 0, and a reader says of which generation its states are.
     """
     update = history.states_since(generation, index)
     assert [state.tick for state in update.states] == ticks
