@@ -51,9 +51,8 @@ static uint32_t square_of_ratio(uint32_t g, uint32_t p)
 static void set_b_hat(mcp_asdf_t *robot, uint32_t b_hat)
 {
     mcp_asdf_accuracy_t *const accuracy = &robot->accuracy;
-    /* 0U - x is 1 - x as Q32: 1.0 is 2^32, which is 0 in 32 bits. */
-    const uint32_t c = b_hat < Q32_HALF ? b_hat : 0U - b_hat; /* min(b_hat, 1 - b_hat): [2^12, 2^31] */
-    const uint32_t g = 0U - 2U * c;                           /* 1 - 2c: [0, 2^32 - 2^13] */
+    const uint32_t c = b_hat < Q32_HALF ? b_hat : one_minus(b_hat); /* min(b_hat, 1 - b_hat): [2^12, 2^31] */
+    const uint32_t g = one_minus(2U * c);                           /* [0, 2^32 - 2^13] */
     const uint32_t g_shift = leading_zeros(g), c_shift = leading_zeros(c); /* [0, 31], [0, 19] */
     accuracy->b_hat = b_hat;
     accuracy->c = g < INFORMATIVE_G ? UINT32_MAX : c;
@@ -62,7 +61,7 @@ static void set_b_hat(mcp_asdf_t *robot, uint32_t b_hat)
      * too small by 2^rare_shift; confidence_at_end() takes this into account. 1 - c is at least 1/2, and
      * needs no shift. */
     const uint32_t shifted_g = shift_left(g, g_shift);
-    accuracy->common = square_of_ratio(shifted_g, 0U - c);
+    accuracy->common = square_of_ratio(shifted_g, one_minus(c));
     accuracy->rare = square_of_ratio(shifted_g, shift_left(c, c_shift));
     accuracy->g_shift = g_shift;
     accuracy->rare_shift = 2U * c_shift;
@@ -534,7 +533,7 @@ static uint32_t reestimate(const mcp_asdf_t *robot, uint32_t x_bar)
     }
     const uint64_t divisor = multiply(t, g); /* t (2 x_bar - 1): < 2^63 */
     /* n - t (1 - x_bar), in two's complement: within 2^63 of 0 */
-    const uint64_t difference = join(n, 0) - multiply(t, 0U - x_bar);
+    const uint64_t difference = join(n, 0) - multiply(t, one_minus(x_bar));
     const uint64_t dividend = difference >> 63 == 0U ? difference : 0U; /* 0 if it is negative */
     uint32_t b_hat = quotient(dividend < divisor ? dividend : divisor, divisor);
     b_hat = b_hat > MCP_ASDF_B_HAT_MIN ? b_hat : MCP_ASDF_B_HAT_MIN;

@@ -39,6 +39,9 @@ ALWAYS_INLINE uint32_t q32_from_q24(uint32_t estimate) { return estimate << 8; }
 /* Returns |a - b|. */
 ALWAYS_INLINE uint32_t distance_between(uint32_t a, uint32_t b) { return a > b ? a - b : b - a; }
 
+/* Returns all ones if number is negative in two's complement, which its highest bit says, else 0. */
+ALWAYS_INLINE uint32_t sign_mask(uint32_t number) { return 0U - (number >> 31); }
+
 /* Returns -number if the mask is all ones, number if it is 0: without a branch, modulo 2^32. In two's
  * complement -number is ~number + 1: the XOR with all ones is the ~, and subtracting all ones adds 1. */
 ALWAYS_INLINE uint32_t negate_if(uint32_t number, uint32_t mask) { return (number ^ mask) - mask; }
@@ -93,10 +96,8 @@ ALWAYS_INLINE vote_statistics_t statistics_after_vote(vote_statistics_t statisti
      * down, and the shift is 2 less: 3 for 32 votes, 4 for 64. The OR makes fewer votes count as 32. */
     const uint32_t gain_shift = 29U - leading_zeros(votes | VOTES_OF_MAX_GAIN); /* [3, 7] */
     const uint32_t spread_step = shift_right(spread, gain_shift + 1U);          /* <= spread / 16 */
-    /* Both are at most 2^30. So the difference, modulo 2^32, has bit 31 exactly if the vote is the larger. */
-    const uint32_t difference = centre - q30_from_q23(x_hat);
-    const uint32_t is_up_mask =
-        0U - (difference >> 31); /* all ones if the vote is above the centre, else 0 */
+    const uint32_t difference = centre - q30_from_q23(x_hat); /* within 2^30 of 0, in two's complement */
+    const uint32_t is_up_mask = sign_mask(difference);        /* set if the vote is above the centre */
     const uint32_t distance = negate_if(difference, is_up_mask);
     /* Votes outside the spread widen it and votes inside narrow it, by the same step. It rests where both are
      * equally frequent: at the median distance. */
@@ -176,26 +177,25 @@ ALWAYS_INLINE uint32_t times_half_word(uint32_t factor, uint16_t half_word)
     return low_word(multiply(factor, half_word));
 }
 
-/* Returns the product of a ratio (Q8, below 2^20) and a variance (Q32, below 2^61) as Q22, rounded down. The
- * whole product would be a Q40, and may have more than 64 bits. It is formed from the two words of the
- * variance and shifted by 40 - 22 = 18 bits to the right: the upper word by 32 - 18 to the left. It
- * is below 2^63. */
+/* Returns ratio times variance, below 2^63, as Q22 and rounded down, for a ratio below 2^20 (Q8) and a
+ * variance below 2^61 (Q32). The whole product, a Q40, may have more than 64 bits. So it is formed from the
+ * two words of the variance, and shifted by 40 - 22 = 18 bits to the right: the upper word by 32 - 18 to the
+ * left. */
 ALWAYS_INLINE uint64_t ratio_times_variance(uint32_t ratio, uint64_t variance)
 {
     return (multiply(ratio, high_word(variance)) << 14) + (multiply(ratio, low_word(variance)) >> 18);
 }
 
 /* Returns (black - count share)^2 as Q22, for the share as Q32: the square of how far the number of black
- * observations of a batch is from the expected one. */
+ * observations of a batch is from the expected one. Where they differ by 2^21 or more, the result is the
+ * largest one, which is beyond every limit of end_batch(). */
 ALWAYS_INLINE uint64_t square_of_deviation(uint32_t black, uint32_t count, uint32_t share)
 {
-    /* Numbers of black observations, Q32: < 2^63 */
-    const uint64_t observed = join(black, 0), expected = multiply(count, share);
-    const uint64_t deviation =
-        (observed > expected ? observed - expected : expected - observed) >> 21; /* Q32 to Q11 */
-    /* A deviation of 2^21 observations or more is beyond every limit, so any large square will do. */
-    const uint32_t short_deviation = high_word(deviation) == 0U ? low_word(deviation) : UINT32_MAX;
-    return multiply(short_deviation, short_deviation);
+    const uint64_t observed = join(black, 0), expected = multiply(count, share); /* Q32: < 2^63 */
+    const uint64_t deviation = observed > expected ? observed - expected : expected - observed;
+    const uint64_t short_deviation = deviation >> 21; /* Q11, so that its square, Q22, has 64 bits */
+    const uint32_t word = high_word(short_deviation) == 0U ? low_word(short_deviation) : UINT32_MAX;
+    return multiply(word, word);
 }
 
 /* End a batch of observations: let it enter the dispersion, and begin the next batch. `share` is n / t, Q32.
@@ -207,26 +207,27 @@ ALWAYS_INLINE uint64_t square_of_deviation(uint32_t black, uint32_t count, uint3
  * and what was before it 7/8. A ratio above 12 times the dispersion counts as 12 times: it comes from a
  * change of the floor.
  *
- * Dispersion and ratios are Q8, the variance is Q32. Squares are Q22, so that they have 64 bits. */
+ * Without observations in the batch, or while the share is 0, the dispersion stays as it is. Dispersion and
+ * ratios are Q8, the variance is Q32, and squares are Q22. */
 static void end_batch(mcp_asdf_t *robot, uint32_t share)
 {
     mcp_asdf_robust_t *const robust = &robot->robust;
     const uint32_t count = robot->t - robust->batch_t, black = robot->n - robust->batch_n;
-    /* 0 - share is 1 - share as Q32. */
-    const uint64_t variance = multiply(count, multiply_high(share, 0U - share));                 /* < 2^61 */
+    const uint64_t variance = multiply(count, multiply_high(share, one_minus(share)));           /* < 2^61 */
     const uint32_t largest_ratio = times_half_word(REJECTED_SIGMAS_SQUARED, robust->dispersion); /* < 2^20 */
+    /* The square of the deviation at which the ratio is the largest. It is 0 where the variance is. */
     const uint64_t largest_square =
         ratio_times_variance(largest_ratio, variance); /* <= 12 2^8 2^29: < 2^63 */
     const uint64_t square = square_of_deviation(black, count, share);
     begin_batch(robot);
-    if (largest_square == 0U) { /* no observation in the batch, or no black one so far */
+    if (largest_square == 0U) {
         return;
     }
-    /* The variance is largest_square / largest_ratio, and so square / variance is largest_ratio times a
-     * quotient that is at most 1. */
-    const uint32_t quotient_of_squares =
-        quotient(square < largest_square ? square : largest_square, largest_square); /* Q32 */
-    const uint32_t ratio = multiply_high(largest_ratio, quotient_of_squares);        /* < 2^20 */
+    /* The ratio grows in proportion to the square. Unlike square / variance, this fraction is at most 1, as
+     * quotient() needs it. */
+    const uint64_t limited_square = square < largest_square ? square : largest_square;
+    const uint32_t fraction_of_largest = quotient(limited_square, largest_square); /* Q32 */
+    const uint32_t ratio = multiply_high(largest_ratio, fraction_of_largest);      /* < 2^20 */
     const uint32_t old_weight = (UINT32_C(1) << DISPERSION_SHIFT) - 1U; /* 7, where a batch has 1 */
     const uint32_t average = (times_half_word(old_weight, robust->dispersion) + ratio) >> DISPERSION_SHIFT;
     const uint32_t limited_average = average < UINT16_MAX ? average : UINT16_MAX;
@@ -239,7 +240,7 @@ static uint32_t sort_estimates(const mcp_asdf_t *robot, uint16_t sorted[MCP_ASDF
 {
     uint32_t count = 0;
     for (uint32_t slot = 0; slot < MCP_ASDF_SLOTS; ++slot) { /* at most 32 turns */
-        /* Entries from `count` on, which nothing was sorted into yet, become 0 so that all are written. */
+        /* Nothing is sorted into this entry yet, as count <= slot. It becomes 0 so that all are written. */
         sorted[slot] = 0;
         if ((robot->robust.filled_slots & shift_left(1, slot)) != 0U) {
             const uint16_t estimate = robot->received.estimates[slot];
@@ -266,6 +267,8 @@ static uint32_t median_distance(const uint16_t *sorted, uint32_t count, uint32_t
         const uint32_t distance_below = below > 0U ? median - q24_from_q16(sorted[below - 1U]) : UINT32_MAX;
         const uint32_t distance_above = above < count ? q24_from_q16(sorted[above]) - median : UINT32_MAX;
         last_distance = distance;
+        /* That an estimate is left below is asked again for analysers: a distance of UINT32_MAX is never
+         * less. */
         if (below > 0U && distance_below < distance_above) {
             distance = distance_below;
             --below;
@@ -316,43 +319,54 @@ ALWAYS_INLINE uint32_t probability_of_black(const mcp_asdf_t *robot, uint32_t x)
     return multiply_high(b_hat, x) + multiply_high(~b_hat, ~x); /* < 2^32 - 1 */
 }
 
-/* Returns factor times number, a Q64, as Q32 and rounded down. Of the product with the lower word only the
- * upper word counts. */
+/* Returns factor times number, a Q64, as Q32 and rounded down: < 2^64. Of the product with the lower word
+ * only the upper word counts. */
 ALWAYS_INLINE uint64_t times_q64(uint32_t factor, uint64_t number)
 {
-    return multiply(factor, high_word(number)) + high_word(multiply(factor, low_word(number))); /* < 2^64 */
+    return multiply(factor, high_word(number)) + high_word(multiply(factor, low_word(number)));
+}
+
+/* Returns p (1 - p), at most 2^30, for a probability or a share p; both are Q32. */
+ALWAYS_INLINE uint32_t variance_of_observation(uint32_t p) { return multiply_high(p, one_minus(p)); }
+
+/* Returns |2 b_hat - 1| as Q32: by how much probability_of_black() changes if x changes by 1. */
+ALWAYS_INLINE uint32_t slope_of_probability(uint32_t b_hat)
+{
+    /* For b_hat above 1/2 the 1 is 2^32, which is lost in 32 bits. */
+    return b_hat < UINT32_C(1) << 31 ? one_minus(2U * b_hat) : 2U * b_hat;
 }
 
 /* Whether the share n / t of black observations, t > 0, contradicts the initial b_hat, if the fill ratio is
- * `centre`. Then black is observed with probability p. The test rejects if the share deviates from that by
- * more than sqrt(12) standard deviations:
+ * `centre`. Then black is observed with the probability p of probability_of_black(). The test rejects if the
+ * share deviates from p by more than sqrt(12) standard deviations:
  *
  *     (n / t - p)^2 > 12 (dispersion v / t + (g spread)^2)
  *
- * Here dispersion v / t is the variance of n / t, for the larger v of p (1 - p) and n / t (1 - n / t); and
- * g spread, with g = |2 b_hat - 1|, is how far p may be off because the centre is. All are Q32, but the
- * dispersion, a Q8, and squares, which are Q64. */
+ * Here dispersion v / t is the variance of n / t, where v is that of one observation: the larger of p (1 - p)
+ * and n / t (1 - n / t). And g spread, with g = |2 b_hat - 1|, is how far p may be off because the centre is.
+ * The dispersion is Q8, squares are Q64, and all else is Q32. */
 static bool robust_test_rejects(const mcp_asdf_t *robot, uint32_t share, uint32_t centre, uint32_t spread)
 {
-    const uint32_t b_hat = robot->robust.initial_b_hat;
     const uint32_t p = probability_of_black(robot, centre);
     const uint32_t deviation = distance_between(share, p);
-    const uint32_t variance_of_share = multiply_high(share, 0U - share); /* <= 2^30, as is the next */
-    const uint32_t variance_of_p = multiply_high(p, 0U - p);
+    const uint64_t square = multiply(deviation, deviation);
+    /* g spread: < 2^30, as a spread is at most 1/4 */
+    const uint32_t uncertainty_of_p =
+        multiply_high(slope_of_probability(robot->robust.initial_b_hat), spread);
+    const uint64_t spread_limit =
+        REJECTED_SIGMAS_SQUARED * multiply(uncertainty_of_p, uncertainty_of_p); /* < 12 2^60 */
+    if (square <= spread_limit) {
+        return false;
+    }
+    const uint32_t variance_of_share = variance_of_observation(share);
+    const uint32_t variance_of_p = variance_of_observation(p);
     const uint32_t variance = variance_of_share > variance_of_p ? variance_of_share : variance_of_p; /* v */
-    /* |2 b_hat - 1|: below 1/2 it is 1 - 2 b_hat; above, the 1 is 2^32, which is lost in 32 bits. */
-    const uint32_t g = b_hat >> 31 == 0U ? 0U - 2U * b_hat : 2U * b_hat;
-    const uint32_t g_spread = multiply_high(g, spread); /* < 2^30, as a spread is at most 1/4 */
-    const uint64_t spread_limit = REJECTED_SIGMAS_SQUARED * multiply(g_spread, g_spread); /* < 12 2^60 */
-    /* By how much the left side exceeds what the spread allows. If it does not, `excess` wraps, and the first
-     * condition below is false whatever comes of it. */
-    const uint64_t square = multiply(deviation, deviation), excess = square - spread_limit;
     /* Both sides are multiplied by t, so that v needs no division. */
-    const uint64_t t_excess = times_q64(robot->t, excess);
+    const uint64_t t_excess = times_q64(robot->t, square - spread_limit);
     /* 12 dispersion v, a Q40 before the shift: < 2^20 2^30 */
-    const uint64_t variance_limit =
+    const uint64_t t_variance_limit =
         multiply(times_half_word(REJECTED_SIGMAS_SQUARED, robot->robust.dispersion), variance) >> 8;
-    return square > spread_limit && t_excess > variance_limit;
+    return t_excess > t_variance_limit;
 }
 
 /* Whether more than 2/5 of the estimates support the robot, whose share of black observations is `share`. An

@@ -42,9 +42,11 @@ uint32_t mcp_asdf_x_hat_from_code(uint32_t code, uint32_t bits)
 
 /* ---- alpha ------------------------------------------------------------------------------------------ */
 
-/* Returns the 32 bits of which an alpha code is the beginning: 5 bits of an exponent and 27 of a fraction of
- * the word's value, which is mantissa 2^shift units of 2^-24 and above 0. From 2^51 units on all bits are 1.
- */
+/* Returns the 32 bits of which an alpha code is the beginning, for an alpha word above 0: 5 bits of an
+ * exponent and 27 of a fraction, like a float. The word's value is its mantissa (bits 31 to 8) times 2^shift
+ * (bits 4 to 0), in units of 2^-24. A value of up to 20 bits has the exponent 0, and the fraction is the
+ * value times 2^7. A longer one has the exponent length - 20, and the fraction is what follows its highest
+ * bit. From 2^51 units on all 32 bits are 1. */
 static uint32_t long_code_from_alpha(uint32_t alpha)
 {
     /* ALPHA_SHIFT_MAX, 31, is also the mask of the 5 bits that hold the shift. */
@@ -58,11 +60,12 @@ static uint32_t long_code_from_alpha(uint32_t alpha)
     if (length > ALPHA_LINEAR_BITS + 31U) {
         return UINT32_MAX;
     }
-    const uint32_t significand = mantissa << (ALPHA_FRACTION_LENGTH - 23U); /* [2^27, 2^28) */
+    /* The fraction and, above it, the highest bit of the value: [2^27, 2^28) */
+    const uint32_t significand = mantissa << (ALPHA_FRACTION_LENGTH - 23U);
     if (length <= ALPHA_LINEAR_BITS) {
         return significand >> (ALPHA_LINEAR_BITS + 1U - length); /* a shift by [1, 20]; below 2^27 */
     }
-    /* The highest bit of the significand adds 1 to the exponent. */
+    /* The highest bit of the significand does not count in the fraction: it adds 1 to the exponent. */
     return ((length - ALPHA_LINEAR_BITS - 1U) << ALPHA_FRACTION_LENGTH) + significand;
 }
 

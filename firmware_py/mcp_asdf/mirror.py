@@ -186,19 +186,17 @@ def confidence_at_end(accuracy: Accuracy, t: int, rare_count: int) -> tuple[int,
         alpha = rare_count (g / c)**2 + (t - rare_count) (g / (1 - c))**2
 
     where ``rare_count`` of t > 0 observations are of the rarer colour, c is the probability of an error and
-    g = 1 - 2 c. ``accuracy`` has both squares of ratios. The result stands for mantissa * 2**exponent units
-    of 2**-24, with a mantissa of 24 bits.
+    g = 1 - 2 c. The squares are ``accuracy.rare`` and ``accuracy.common``, in units of 2**-30. Both are
+    2**(2 g_shift) times too large, as g was shifted up before, and ``rare`` is 2**rare_shift times too small,
+    as c was. The result stands for mantissa * 2**exponent units of 2**-24, with a mantissa of 24 bits.
     """
     rare_term = rare_count * accuracy.rare
     common_term = (t - rare_count) * accuracy.common
-    # Both terms are in units of 2**-30, as the squares of ratios; the exponent -6 makes them units of 2**-24.
-    # They are also 2**(2 g_shift) times too large, since g was shifted up before it was squared.
-    exponent = -6 - 2 * accuracy.g_shift
+    exponent = -6 - 2 * accuracy.g_shift  # from units of 2**-30 to 2**-24, and without the shift of g
     if rare_count == 0:
         scaled_alpha = common_term
     else:
-        # c was shifted up, too, so that the rare term is 2**rare_shift times too small. Before they are added
-        # the common term is made as small, and the exponent makes up for both.
+        # The common term becomes as small as the rare one is, and the exponent makes up for both.
         scaled_alpha = rare_term + (common_term >> accuracy.rare_shift)
         exponent += accuracy.rare_shift
     # The upper 24 bits become the mantissa.

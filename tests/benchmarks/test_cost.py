@@ -164,7 +164,7 @@ CALLS = ("receive", "step", UPDATED, "x")
 @pytest.mark.parametrize("level", LEVELS)
 @pytest.mark.parametrize(
     ("builds", "allowed_ratio_of_test"),
-    [(["paper_alone"], 1.1), (["robust_alone"], 1.15), (["paper", "robust"], 1.15)],
+    [(["paper_alone"], 1.1), (["robust_alone"], 1.2), (["paper", "robust"], 1.2)],
     ids=["paper's filter alone", "robust filter alone", "both filters"],
 )
 def test_no_call_takes_more_instructions_than_its_bound_which_is_not_far_above(
@@ -173,7 +173,7 @@ def test_no_call_takes_more_instructions_than_its_bound_which_is_not_far_above(
     """The bound is the longest path through the machine code, whatever the data.
 
     It is at most 10 % above the most that was observed in long searches with either filter. The test of the
-    robust filter has loops, whose turns are not all as long as the longest one.
+    robust filter has loops, whose turns are not all as long as the longest one: there is 20 % allowed.
     """
     figures_of_builds: list[Figures] = [getattr(measured_32_bit.costs[level], name) for name in builds]
     for call in CALLS:
