@@ -75,7 +75,8 @@ ALWAYS_INLINE uint32_t shifted_high_word(uint64_t value, uint32_t count)
 
 /* ---- Sums and quotients -------------------------------------------------------------------------------- */
 
-/* Returns 1 - x for a share or a probability x > 0, both as Q32: 1.0 is 2^32, which is 0 in 32 bits. */
+/* Returns 1 - x for a share or a probability x > 0, both as Q32: 1.0 is 2^32, which is 0 in 32 bits. Lemma
+ * one_minus. */
 ALWAYS_INLINE uint32_t one_minus(uint32_t x) { return 0U - x; }
 
 /* Add a term to *sum, which is written to memory before anything further begins. Else a compiler would add

@@ -40,6 +40,7 @@ EXACT: dict[str, Callable[..., Any]] = {
     "high_word": partial(_word, 63),
     "low_word": partial(_word, 31),
     "add": lambda sum_, term: sum_ + term,
+    "one_minus": lambda share: _word(31, 2**32 - widen(share)),
     "hash_word": lambda hash_, word: (hash_ ^ word) * 0x01000193,
     "shift_right_64": lambda value, count: z3.LShR(value, widen(count & 63)),
 }
