@@ -37,8 +37,8 @@ _WHITE_TILES = 60
 """Tiles before the re-estimate without a black one, beside those of earlier phases."""
 _EARLY_COUNTS = (250, 350, 480)
 """Observations after which b_hat is re-estimated early."""
-_FREQUENT_TESTS = 50
-"""Ticks between tests with which there is time for 2**8 updates."""
+_MAX_PERIOD_FOR_MANY_UPDATES = 50
+"""Largest number of ticks between tests with which a run has time for more than 2**8 updates."""
 
 UPDATES_BY_CRAFTED_SIZE = {
     2: Update.ABOVE,
@@ -49,8 +49,8 @@ UPDATES_BY_CRAFTED_SIZE = {
     126: Update.BELOW,
 }
 """Sizes of the rounds that lie just inside and just outside the threshold, with the updates of the latter."""
-_MAX_ROUNDS_BEFORE_UPDATE = 4
-"""Tests after which a robot is given up that cannot be brought to an update."""
+_MAX_ATTEMPTS_TO_UPDATE = 4
+"""Tests after which it is given up to bring a robot to a kind of update."""
 _NEAR_HALF = (Update.HALF, Update.FAINT)
 """Updates for which the share of black tiles must be near 1/2."""
 _MANY_OBSERVATIONS = "many observations in a row"
@@ -61,7 +61,8 @@ _ROUND_SIZE = 5
 def re_estimate_to_half(bench: Bench) -> None:
     """Bring b_hat to 1/2, and then to almost 1/2, by re-estimates, and let the controller observe with it.
 
-    With a b_hat of 1/2 its observations carry no information, and next to 1/2 hardly any.
+    With a b_hat of 1/2 its observations carry no information, and next to 1/2 hardly any. If the controller
+    has made fewer than 4096 observations, it first tests estimates whose mean is 2**-13 above 1/2.
     """
     state = bench.model_state
     for update in _NEAR_HALF:
@@ -69,11 +70,11 @@ def re_estimate_to_half(bench: Bench) -> None:
         # Black tiles more than white ones: none for 1/2, and few for almost 1/2.
         excess = 0 if update is Update.HALF else state.t // 4096 + 1
         observe_until_excess(bench, excess)
-        # The divisor of eq. 8, t (2 x_bar - 1), is below 1 for an x_bar about 2**-13 above 1/2.
-        if update is Update.HALF and state.t < 1 << 12:
+        # Eq. 8 divides by t (2 x_bar - 1), which is below 1 if x_bar is 2**-13 above 1/2 and t below 2**12.
+        if update is Update.HALF and state.t < 2**12:
             bench.skip_to_test_round()
             bench.activity = "a mean so close to 1/2 that the divisor of eq. 8 is below 1"
-            distance = 1 << 10  # 2**-13 in units of 2**-23
+            distance = 2**10  # 2**-13 in units of 2**-23
             x_hats = [HALF + distance + offset for offset in (1, 2, 3)]
             _play_test_round(bench, [NeighbourEstimate(x_hat, ALPHA_ONE) for x_hat in x_hats])
         _play_update(bench, update)
@@ -87,12 +88,16 @@ def observe_until_excess(bench: Bench, excess: int) -> None:
     state = bench.model_state
 
     def present_excess() -> int:
-        return 2 * state.n - state.t
+        white_count = state.t - state.n
+        return state.n - white_count
+
+    def missing_colour() -> Observation:
+        return Observation.BLACK if present_excess() < excess else Observation.WHITE
 
     while present_excess() != excess:
-        # Half as many ticks as the excess of either colour, so that ``excess`` is not passed by much.
+        # Half of the way to 0 at once, as the excess to reach is near 0 and is not to be passed by much.
         ticks = max(abs(present_excess()) // 2, 1)
-        bench.skip_ticks(ticks, lambda: Observation(present_excess() < excess))
+        bench.skip_ticks(ticks, missing_colour)
 
 
 def re_estimate_without_black(bench: Bench) -> None:
@@ -115,7 +120,8 @@ def re_estimate_from_ends(bench: Bench) -> None:
     tiles and three black ones, twice: with one of these colours its x_hat would leave the range 0 .. 1, and
     must be limited.
     """
-    for end in (0, ONE) if bench.model_state.x_hat > HALF else (ONE, 0):
+    is_own_estimate_high = bench.model_state.x_hat > HALF
+    for end in (0, ONE) if is_own_estimate_high else (ONE, 0):
         _observe_until_filter_runs(bench)
         bench.activity = f"estimates of {end // ONE}"
         alphas = draw_alphas_of_one_scale(bench.rng, _ROUND_SIZE)
@@ -126,9 +132,10 @@ def re_estimate_from_ends(bench: Bench) -> None:
 
 
 def test_large_sums(bench: Bench) -> None:
-    """Let the controller's filter test rounds with the longest numbers in eq. 12, that of the test.
+    """Let the controller's filter test two rounds with the longest numbers in eq. 12, that of the test.
 
-    The controller may have too few bits for them.
+    A controller may compute them in too few bits. In the first round the spread of x_hat has more than 56
+    bits. In the second one the sum of all x_hat is 2**27 or more away from that of as many own x_hat.
     """
     _observe_until_filter_runs(bench)
     bench.activity = "a spread of 2^57"
@@ -139,9 +146,10 @@ def test_large_sums(bench: Bench) -> None:
 
 
 def threshold_phase(m: int) -> Callable[[Bench], None]:
-    """Return a phase that plays the test's round with ``m`` estimates twice: just passed, and just rejected.
+    """Return a phase that plays two tests of ``m`` estimates: one just passes, and the other just rejects.
 
-    The estimates are drawn so that both are as near as possible to k_m, the threshold of the test for m.
+    The estimates are drawn so that both are as near as possible to k_m, the threshold of the test for m. The
+    test that rejects leads to the kind of update in ``UPDATES_BY_CRAFTED_SIZE``.
     """
 
     def play(bench: Bench) -> None:
@@ -196,11 +204,16 @@ def re_estimate_early(bench: Bench) -> None:
     and re-estimates for which no estimates are drawn, are left out.
     """
     state = bench.model_state
+
+    def choose_colour() -> Observation:
+        is_share_below_three_fifths = 5 * state.n < 3 * state.t
+        return Observation(is_share_below_three_fifths)
+
     for t in _EARLY_COUNTS:
         if state.t > t:
             continue
         bench.activity = f"{t} observations"
-        bench.skip_ticks(t - state.t, lambda: Observation(5 * state.n < 3 * state.t))
+        bench.skip_ticks(t - state.t, choose_colour)
         for update in (Update.ABOVE, Update.BELOW):
             bench.skip_to_test_round()
             estimates = draw_round_for_update(bench.robot_state, update, bench.rng)
@@ -211,17 +224,24 @@ def re_estimate_early(bench: Bench) -> None:
 
 
 def required_updates(setup: RobotSetup) -> int:
-    """Return how often a run re-estimates b_hat: over 2**8 times if tests are frequent, else over 2**5."""
-    return 257 if setup.filter_period <= _FREQUENT_TESTS else 33
+    """Return how many updates of b_hat a run makes at least, so that a counter of too few bits shows.
+
+    They are 257, which a counter of 8 bits cannot hold, if the filter tests at least every 50 ticks.
+    Otherwise they are 33, for which a run has time.
+    """
+    has_frequent_tests = setup.filter_period <= _MAX_PERIOD_FOR_MANY_UPDATES
+    return 2**8 + 1 if has_frequent_tests else 2**5 + 1
 
 
 def re_estimate_often(bench: Bench) -> None:
     """Let the controller re-estimate b_hat so often that a counter of updates with too few bits shows.
 
-    The estimates have confidences (alpha) of every size, one size a round.
+    The estimates have confidences (alpha) of every size, one size a round, and so many rounds are played at
+    least.
     """
     missing_updates = required_updates(bench.setup) - bench.model_state.updates
-    for index in range(max(missing_updates, len(ALPHA_SCALES))):
+    round_count = max(missing_updates, len(ALPHA_SCALES))
+    for index in range(round_count):
         bench.skip_to_test_round(bench.draw_observation)
         bench.activity = "one of many re-estimates"
         x_hats = [x_hat for x_hat, _ in draw_distant_estimates(bench.robot_state, bench.rng)]
@@ -235,14 +255,15 @@ def play_rounds_without_test(bench: Bench) -> None:
     """Play a test's round with too few estimates for it, and rounds without a test before and after that.
 
     A test would reject all these estimates, so that one that is run in the wrong round, or with too few
-    messages, shows.
+    messages, shows. Estimates with a confidence of 0 do not count; the adaptive filter needs two others, and
+    the filter that re-estimates always needs one.
     """
     _observe_until_filter_runs(bench, rounds_before=1)
     bench.activity = "a round before that of the test"
     bench.play_round(*draw_distant_estimates(bench.robot_state, bench.rng))
     bench.activity = "too few messages with a confidence above 0 for a test"
     distant_estimates = draw_distant_estimates(bench.robot_state, bench.rng)
-    estimates = [NeighbourEstimate(x_hat, 0) for x_hat, _ in distant_estimates]
+    estimates = [NeighbourEstimate(x_hat, alpha=0) for x_hat, _ in distant_estimates]
     if bench.config.filter is Filter.ADAPTIVE:
         estimates = draw_distant_estimates(bench.robot_state, bench.rng, m=1) + estimates
     bench.play_round(*estimates)
@@ -259,8 +280,7 @@ def re_estimate_to_each_kind(bench: Bench) -> None:
     """
     state = bench.model_state
     bench.activity = "more black tiles, for a b_hat that is off 1/2"
-    # Until the share of black ones, n / t, is 11/20.
-    while 20 * state.n < 11 * state.t:
+    while 20 * state.n < 11 * state.t:  # the share of black ones, n / t, is below 11/20
         bench.skip_ticks(BURST, lambda: Observation.BLACK)
     for update in Update:
         if update not in _NEAR_HALF:
@@ -283,26 +303,33 @@ def play_without_filter(bench: Bench) -> None:
 
 
 def halve_memory(bench: Bench) -> None:
-    """Fill the memory four times, so that t and n are halved, with an n of remainder 1, 3, 0 and 2 modulo 4.
+    """Fill the memory four times, with an n of remainder 1, 3, 0 and 2 modulo 4.
 
-    Half of an n of remainder 1 is rounded down, to an even number, and that of 3 up; the others are exact.
+    When t, the number of observations, reaches ``memory``, the controller halves t and n. Half of an n of
+    remainder 1 is rounded down, to an even number, and that of 3 up; the others are exact. The last four
+    observations give n its remainder: black ones until n has it, and then white ones.
     """
-    state, memory = bench.model_state, bench.config.memory
+    state = bench.model_state
+    t_before_last_four = bench.config.memory - 4
     bench.activity = "observations until the memory is halved"
-    while state.t > memory - 4:
+    # Earlier phases may have left fewer than four to go. Then the memory is halved once more.
+    while state.t > t_before_last_four:
         bench.play_tick(bench.draw_observation())
     for remainder in (1, 3, 0, 2):
-        bench.skip_ticks(memory - 4 - state.t, bench.draw_observation)
-        # The last four observations give n its remainder.
-        black_count = (remainder - state.n) % 4
-        for index in range(4):
-            bench.play_tick(Observation(index < black_count))
+        bench.skip_ticks(t_before_last_four - state.t, bench.draw_observation)
+        for _ in range(4):
+            is_black = state.n % 4 != remainder
+            bench.play_tick(Observation(is_black))
 
 
 def observe_long(bench: Bench) -> None:
-    """Let the controller make 20,000 observations in all, so that a memory that is too short shows."""
+    """Let the controller make 20,000 observations in all, so that a memory that is too short shows.
+
+    It makes 16 more if earlier phases have reached that number.
+    """
     bench.activity = _MANY_OBSERVATIONS
-    bench.skip_ticks(max(LONG_RUN - bench.model_state.t, BURST), bench.draw_observation)
+    missing_observations = LONG_RUN - bench.model_state.t
+    bench.skip_ticks(max(missing_observations, BURST), bench.draw_observation)
 
 
 # --- Steps ---
@@ -311,18 +338,18 @@ def observe_long(bench: Bench) -> None:
 def _observe_until_filter_runs(bench: Bench, rounds_before: int = 0) -> None:
     """Let the controller observe until the round begins at whose end its filter runs next, but at least once.
 
-    ``rounds_before`` says how many rounds earlier to stop. With one observation x_hat shows a b_hat that the
-    last round has changed.
+    ``rounds_before`` says how many rounds earlier to stop.
     """
     bench.activity = _MANY_OBSERVATIONS
+    # A b_hat that the last round has changed enters x_hat with the next observation, so that it shows.
     bench.play_tick(bench.draw_observation())
     bench.skip_to_test_round(bench.draw_observation, rounds_before)
 
 
 def _play_test_round(bench: Bench, estimates: Sequence[NeighbourEstimate]) -> None:
-    """Play the round of the test with these estimates, and then a round of any estimates of the same senders.
+    """Play the round of the next test with these estimates, and then a round of other ones without a test.
 
-    They must be counted in that round again.
+    Those are drawn, and come from the same senders, which must be counted again in a new round.
     """
     senders = bench.rng.sample(bench.other_ids, len(estimates))
     bench.play_round(*estimates, senders=senders)
@@ -334,10 +361,10 @@ def _play_test_round(bench: Bench, estimates: Sequence[NeighbourEstimate]) -> No
 def _play_update(bench: Bench, update: Update) -> None:
     """Play a round after which b_hat is re-estimated to a value of this kind.
 
-    Where no estimates lead to it yet, up to four other re-estimates come first. If none do then, either, this
-    is noted as a case that was not exercised.
+    Where no estimates lead to it yet, another re-estimate comes first, up to four times. If none do then,
+    either, this is noted as a case that was not exercised.
     """
-    for _ in range(_MAX_ROUNDS_BEFORE_UPDATE):
+    for _ in range(_MAX_ATTEMPTS_TO_UPDATE):
         if update in _NEAR_HALF:
             bench.skip_to_test_round()  # observations would change the share of black tiles
         else:

@@ -52,7 +52,7 @@ _X_HAT_PER_SLOT_UNIT = q23_from_q16(1)
 
 NARROW_WIDTH, WIDE_WIDTH = 4, 1 << 13
 """How far estimates are from their middle: so little that their spread is the smallest one, or much."""
-_FILL_RATIO = 0.75
+_FILL_RATIO_BEFORE_TEST = 0.75
 """Fill ratio that the observations indicate before a test, with room for estimates on either side of it."""
 _MIN_INFORMATION = 0.05
 """|2 b_hat - 1| of the initial b_hat below which estimates move the threshold too little to be shown."""
@@ -79,10 +79,12 @@ def receive_first_estimates(bench: Bench) -> None:
 
     A vote is an estimate that moves the robot's answer x, in a round of its own. A test asks whether the
     robot's observations contradict the estimates that it keeps. There are tests with four estimates, which
-    are too few for the filter, and with five and more.
+    are too few for the filter, and with five. Tests at the threshold follow unless the initial b_hat is so
+    close to 1/2 that estimates cannot decide them. Last come tests in which some of the estimates support the
+    robot, if a run has enough observations for these.
     """
     bench.activity = "observations, of which the initial b_hat explains the share"
-    _observe_until_black_share(bench, _predict_black_share(bench, _FILL_RATIO))
+    _observe_three_quarters_filled(bench)
     _play_first_votes(bench)
     for count in (4, 5):
         bench.activity = f"a test with {count} estimates, all of which contradict the observations"
@@ -92,8 +94,8 @@ def receive_first_estimates(bench: Bench) -> None:
     if not _can_estimates_decide_test(bench):
         return
     for count in (5, 6):
-        _play_tests_at_threshold(bench, count, WIDE_WIDTH)
-        _play_tests_at_threshold(bench, count, NARROW_WIDTH)
+        _play_tests_on_both_sides_of_threshold(bench, count, WIDE_WIDTH)
+        _play_tests_on_both_sides_of_threshold(bench, count, NARROW_WIDTH)
     if _can_contradict_extreme_estimate(bench):
         # Two of five and four of ten do not protect a robot, three of seven and five of twelve do.
         for count, supporter_count in ((5, 2), (7, 3), (10, 4), (12, 5)):
@@ -111,17 +113,19 @@ def _play_first_votes(bench: Bench) -> None:
     estimates_without_confidence = [NeighbourEstimate(x_hat, alpha=0) for x_hat in (ONE, ONE, 0)]
     bench.play_round(*estimates_without_confidence)
 
-    first_sender, sender_of_same_slot = _ids_of_slot(bench, _FILLING_ORDER[0])[:2]
+    first_slot = _FILLING_ORDER[0]
+    first_sender, sender_of_same_slot = _ids_of_slot(bench, first_slot)[:2]
     bench.activity = "the first vote, as far from the centre as the spread"
-    # Before the first vote the centre is 1/2 and the spread is 1/4, so that the estimate is 3/4.
-    bench.play_round(NeighbourEstimate(ONE - HALF // 2, ALPHA_MAX), senders=[first_sender])
+    # Before the first vote the centre is 1/2 and the spread is 1/4.
+    centre, spread = HALF, HALF // 2
+    bench.play_round(NeighbourEstimate(centre + spread, ALPHA_MAX), senders=[first_sender])
     _let_rounds_vote(bench, 3)
     bench.activity = "a sender whose id is equal modulo 32"
     bench.play_round(NeighbourEstimate(0, ALPHA_LEAST), senders=[sender_of_same_slot])
     _let_rounds_vote(bench, 3)
     bench.activity = "estimates of the extremes, and votes by turns"
     _set_slots(bench, [0, SLOT_ESTIMATE_MAX, SLOT_ESTIMATE_MAX, 0])
-    _let_rounds_vote(bench, 12)
+    _let_rounds_vote(bench, 12)  # twice the four estimates and its own, and two of them again
 
 
 def vote_with_every_slot(bench: Bench) -> None:
@@ -133,7 +137,7 @@ def vote_with_every_slot(bench: Bench) -> None:
     """
     bench.activity = "estimates of the extremes in all slots"
     _set_slots(bench, [0, SLOT_ESTIMATE_MAX] * (SLOTS // 2))
-    _let_rounds_vote(bench, SLOTS + 3)
+    _let_rounds_vote(bench, SLOTS + 3)  # all slots, its own estimate, and the first two slots again
     for slot in range(0, SLOTS, 5):
         bench.activity = f"a new estimate in slot {slot}"
         sender = _draw_sender(bench, slot)
@@ -159,7 +163,7 @@ def vote_without_own_confidence(bench: Bench) -> None:
 
     In these rounds its own estimate must not vote, but only those in the slots. b_hat becomes 1/2 by a
     re-estimate when half of the observations are black. Nothing is played if a run is too short for that. If
-    it does not come about, this is noted as not exercised.
+    it does not come about, this is noted as not exercised, and no rounds vote.
     """
     if not _can_contradict_extreme_estimate(bench):
         return
@@ -185,7 +189,8 @@ def vote_until_spread_is_smallest(bench: Bench) -> None:
     much: with the smallest one, votes that disagree still move it.
     """
     bench.activity = "votes that agree"
-    own_estimate = min(bench.model_state.x_hat // _X_HAT_PER_SLOT_UNIT, SLOT_ESTIMATE_MAX)
+    x_hat_in_slot_units = bench.model_state.x_hat // _X_HAT_PER_SLOT_UNIT
+    own_estimate = min(x_hat_in_slot_units, SLOT_ESTIMATE_MAX)  # an x_hat of 1 is more than a slot can hold
     _set_slots(bench, [own_estimate] * SLOTS)
     _let_rounds_vote(bench, _ROUNDS_TO_SMALLEST_SPREAD)
     bench.activity = "votes on both sides of a centre with the least spread"
@@ -198,7 +203,7 @@ def vote_until_spread_is_smallest(bench: Bench) -> None:
 def vote_often(bench: Bench) -> None:
     """Let rounds vote twice as often as the filter counts votes, with estimates of 0 and of almost 1.
 
-    So a controller shows that counts further, and moves its answer less with each vote.
+    The more votes are counted, the less each moves the answer. So a controller that counts further shows.
     """
     bench.activity = "many votes"
     _set_slots(bench, [0, 0, SLOT_ESTIMATE_MAX, SLOT_ESTIMATE_MAX] * (SLOTS // 4))
@@ -211,18 +216,19 @@ def vote_often(bench: Bench) -> None:
 def threshold_phase(width: int) -> Callable[[Bench], None]:
     """Return a phase that plays the robust filter's test on both sides of its threshold.
 
-    All slots are filled with estimates that differ by up to ``width`` from their middle. The phase plays
-    nothing if the initial b_hat is so close to 1/2 that estimates cannot decide the test.
+    It plays a test that just rejects and one that just does not, and then two more of these. All slots are
+    filled with estimates that differ by up to ``width`` from their middle, in units of 2**-16. The phase
+    plays nothing if the initial b_hat is so close to 1/2 that estimates cannot decide the test.
     """
 
     def play(bench: Bench) -> None:
         if not _can_estimates_decide_test(bench):
             return
-        _observe_until_black_share(bench, _predict_black_share(bench, _FILL_RATIO))
-        # A pair of tests is chosen to show one of the known mistakes in the arithmetic of the test. The
-        # second pair may show another.
-        for _ in range(2):
-            _play_tests_at_threshold(bench, count=SLOTS, width=width)
+        _observe_three_quarters_filled(bench)
+        _play_tests_on_both_sides_of_threshold(bench, count=SLOTS, width=width)
+        # Estimates are chosen that show one of the known mistakes in the arithmetic of the test. Another
+        # time they may show another.
+        _play_tests_on_both_sides_of_threshold(bench, count=SLOTS, width=width)
 
     return play
 
@@ -235,10 +241,10 @@ def test_estimates_far_apart(bench: Bench) -> None:
     b_hat is far from 1/2 there are no such observations, and with a short memory too few. If it is next to
     1/2, estimates cannot decide the test. In these three cases no test is played.
     """
-    information = _initial_information(bench)
     # Many observations are rejected if their share of black deviates from the prediction by more than
     # sqrt(12) g spread, with g the information: 0.87 g with a spread of 1/4, 1.3 g with one of 3/8.
-    black_share = _predict_black_share(bench, fill_ratio=3 / 8) + 1.1 * information
+    deviation = 1.1 * _initial_information(bench)
+    black_share = _predict_black_share(bench, fill_ratio=3 / 8) + deviation
     if not _can_estimates_decide_test(bench) or black_share >= 1:
         return
     bench.activity = "observations that estimates far apart contradict"
@@ -256,8 +262,9 @@ def test_estimates_far_apart(bench: Bench) -> None:
 def test_dependent_observations(bench: Bench) -> None:
     """Play tests at their threshold after batches of observations that raise and lower the dispersion.
 
-    A batch is what the robot observes from one test to the next. If the initial b_hat is so close to 1/2 that
-    estimates cannot decide a test, each batch is followed by a test with whatever is in the slots.
+    A batch is what the robot observes from one test to the next. The dispersion says how much more the
+    observations vary than independent ones. If the initial b_hat is so close to 1/2 that estimates cannot
+    decide a test, each batch is followed by a test with whatever is in the slots.
     """
     batches: dict[str, list[Observation]] = {
         "as many of one colour in a row as of the other": [Observation.BLACK] * 48 + [Observation.WHITE] * 48,
@@ -270,7 +277,7 @@ def test_dependent_observations(bench: Bench) -> None:
         bench.activity = f"a batch of observations: {name}"
         _observe_in_order(bench, observations)
         if _can_estimates_decide_test(bench):
-            _play_tests_at_threshold(bench, count=SLOTS, width=NARROW_WIDTH)
+            _play_tests_on_both_sides_of_threshold(bench, count=SLOTS, width=NARROW_WIDTH)
         else:
             _play_test_round(bench)
 
@@ -291,24 +298,29 @@ def re_estimate_near_half(bench: Bench) -> None:
         bench.activity = f"observations that contradict estimates {offset:+} units from 1/2"
         estimate = SLOT_HALF + offset
         if not _observe_until_rejection(bench, estimate):
+            bench.not_exercised.append(bench.activity)
             return
         bench.activity = f"a test with estimates {offset:+} units from 1/2"
         _play_test_with_estimates(bench, [estimate] * SLOTS)
 
 
 def re_estimate_often(bench: Bench) -> None:
-    """Re-estimate b_hat so often that the controller's counter of updates overflows if it has too few bits.
+    """Let tests reject so often that the controller's counter of updates overflows if it has too few bits.
 
-    If no test can be made to reject, this is noted as not exercised, and nothing is re-estimated.
+    After every test that rejects, b_hat is re-estimated, which counts as an update. If no observations make a
+    test reject, this is noted as not exercised, and nothing is re-estimated.
     """
     bench.activity = "observations until the test rejects"
     if not _observe_until_rejection(bench):
+        bench.not_exercised.append(bench.activity)
         return
+    # From here on there are no observations, so that all tests reject as the first one does.
     _set_slots(bench, [_most_contradicting_estimate(bench)] * SLOTS)
     bench.activity = "one of many re-estimates"
-    missing_updates = required_updates(bench.setup) - bench.model_state.updates
-    # Earlier phases may have made all updates, but the estimates just sent are to be tested once.
-    test_count = max(missing_updates, 1)
+    updates_so_far = bench.model_state.updates
+    missing_updates = required_updates(bench.setup) - updates_so_far
+    # If earlier phases have made all of them, the estimates just sent are tested once all the same.
+    test_count = missing_updates if missing_updates > 0 else 1
     for _ in range(test_count):
         _play_test_round(bench)
 
@@ -360,13 +372,16 @@ def _draw_x_hat(bench: Bench, estimate: int) -> int:
 
 
 def _let_rounds_vote(bench: Bench, rounds: int) -> None:
-    """Let so many rounds pass without messages. In each of them an estimate, kept or its own, is a vote."""
+    """Let so many whole rounds pass without messages: in each an estimate, kept or the robot's, is a vote."""
     bench.skip_to_round()
     bench.skip_ticks(rounds * bench.setup.comms_period)
 
 
 def _play_test_round(bench: Bench) -> None:
-    """Let ticks pass until the round of the next test, and play that round without messages."""
+    """Let ticks pass until the round of the next test, and play that round without messages.
+
+    So the estimates that the controller keeps already are tested.
+    """
     bench.skip_to_test_round()
     bench.play_round()
 
@@ -397,13 +412,19 @@ def _observe_burst(bench: Bench, colour: Observation) -> None:
     bench.skip_ticks(BURST, lambda: colour)
 
 
+def _observe_three_quarters_filled(bench: Bench) -> None:
+    """Observe until the share of black is about what the initial b_hat predicts for a fill ratio of 3/4."""
+    black_share = _predict_black_share(bench, _FILL_RATIO_BEFORE_TEST)
+    _observe_until_black_share(bench, black_share)
+
+
 def _observe_until_black_share(
     bench: Bench, black_share: float, is_enough: Callable[[], bool] = lambda: True
 ) -> bool:
     """Observe until the share of black observations is near ``black_share`` and ``is_enough`` returns True.
 
     The share is near if it is off by less than 0.01, of more than 64 observations. Returns whether that has
-    come about within 4096 observations.
+    come about within 4096 observations. They are made in bursts.
     """
     state = bench.model_state
 
@@ -423,7 +444,7 @@ def _observe_until_black_share(
 def _observe_equal_colours_until_rejection(bench: Bench, estimate: int) -> bool:
     """Observe black and white by turns until a test would reject if all kept estimates were ``estimate``.
 
-    Returns whether that has come about within many observations.
+    Returns whether that has come about within 4096 observations of each colour.
     """
     for _ in range(_MAX_PAIRS_OF_COLOURS):
         if _would_reject(bench, estimate):
@@ -437,14 +458,13 @@ def _observe_until_rejection(bench: Bench, estimate: int | None = None) -> bool:
     """Observe the more frequent colour until a test would reject if all kept estimates were ``estimate``.
 
     By default, that is the estimate that contradicts the observations most. Returns whether that has come
-    about. If it has not after many observations, the present activity is noted as not exercised.
+    about within many observations.
     """
     for _ in range(_MAX_BURSTS):
         tested_estimate = _most_contradicting_estimate(bench) if estimate is None else estimate
         if _would_reject(bench, tested_estimate):
             return True
         _observe_burst(bench, _more_frequent_colour(bench))
-    bench.not_exercised.append(bench.activity)
     return False
 
 
@@ -456,14 +476,15 @@ def _observe_until_slots_can_be_crafted(
     All observations of a burst have one colour. It is the more frequent colour while no estimate contradicts
     the observations enough for the test to reject. Once some estimate does, it is the other colour, so that
     the contradiction does not become too large. If there are no estimates for the test after many bursts, the
-    present activity is noted as not exercised, and the result is None.
+    result is None, and ``activity`` of the bench is noted as not exercised.
     """
     for _ in range(_MAX_BURSTS):
         slots = craft_slots()
         if slots is not None:
             return slots
         colour = _more_frequent_colour(bench)
-        if _would_reject(bench, _most_contradicting_estimate(bench)):
+        is_contradicted_enough = _would_reject(bench, _most_contradicting_estimate(bench))
+        if is_contradicted_enough:
             colour = Observation.WHITE if colour is Observation.BLACK else Observation.BLACK
         _observe_burst(bench, colour)
     bench.not_exercised.append(bench.activity)
@@ -472,16 +493,17 @@ def _observe_until_slots_can_be_crafted(
 
 def _more_frequent_colour(bench: Bench) -> Observation:
     """Return the colour that the robot has observed more often, and white if both are equally frequent."""
-    state = bench.model_state
-    return Observation(2 * state.n > state.t)
+    black_count = bench.model_state.n
+    white_count = bench.model_state.t - black_count
+    return Observation.BLACK if black_count > white_count else Observation.WHITE
 
 
 # --- What decides a test ---
 
 
 def _initial_b_hat(bench: Bench) -> float:
-    """Return the accuracy that the robot assumed of its sensor at its start."""
-    return bench.model_state.robust.initial_b_hat / 2**32
+    """Return the accuracy, from 0 to 1, that the robot assumed of its sensor at its start."""
+    return bench.model_state.robust.initial_b_hat / 2**32  # from units of 2**-32
 
 
 def _initial_information(bench: Bench) -> float:
@@ -506,20 +528,23 @@ def _can_contradict_extreme_estimate(bench: Bench) -> bool:
     information = _initial_information(bench)
     # A full memory is halved, so that a test is sure to have only half of it.
     possible_observations = min(bench.config.memory // 2, _MAX_BURSTS * BURST)
-    # Twice as many as independent observations would take.
+    # Twice as many as independent observations would take. Not divided by g**2, which may be 0.
     return possible_observations * information**2 >= 2 * REJECTED_SIGMAS_SQUARED
 
 
 def _predict_black_share(bench: Bench, fill_ratio: float) -> float:
     """Return the share of black observations that the initial b_hat predicts for a fill ratio (eq. 1)."""
     b_hat = _initial_b_hat(bench)
-    return b_hat * fill_ratio + (1 - b_hat) * (1 - fill_ratio)
+    black_seen_as_black = b_hat * fill_ratio
+    white_seen_as_black = (1 - b_hat) * (1 - fill_ratio)
+    return black_seen_as_black + white_seen_as_black
 
 
 def _most_contradicting_estimate(bench: Bench) -> int:
     """Return the estimate, 0 or the largest of a slot, that contradicts the robot's observations most."""
     state = bench.model_state
-    agreeing_estimate = estimate_that_predicts(state.robust, state.n / state.t)
+    observed_black_share = state.n / state.t
+    agreeing_estimate = estimate_that_predicts(state.robust, observed_black_share)
     return opposite_end(agreeing_estimate)
 
 
@@ -540,21 +565,23 @@ def _would_reject(bench: Bench, estimate: int) -> bool:
 # --- Tests that are decided by a hair, or by supporters ---
 
 
-def _play_tests_at_threshold(bench: Bench, count: int, width: int) -> None:
+def _play_tests_on_both_sides_of_threshold(bench: Bench, count: int, width: int) -> None:
     """Play a test that just rejects with ``count`` estimates, and then one that just does not.
 
-    The estimates differ by up to ``width`` from their middle. The second test is left out if the first cannot
-    be brought about.
+    The estimates differ by up to ``width`` from their middle, in units of 2**-16. The second test is left out
+    if the first cannot be brought about.
     """
-    if _play_test_at_threshold(bench, count, width, is_rejection=True):
+    has_rejected = _play_test_at_threshold(bench, count, width, is_rejection=True)
+    if has_rejected:
         _play_test_at_threshold(bench, count, width, is_rejection=False)
 
 
 def _play_test_at_threshold(bench: Bench, count: int, width: int, is_rejection: bool) -> bool:
-    """Play a test with ``count`` estimates that just rejects, or just does not.
+    """Observe until a test with ``count`` estimates can be brought to its threshold, and play that test.
 
-    The estimates differ by up to ``width`` from their middle. If no observations bring the test about, this
-    is noted as not exercised, and the result is False.
+    It just rejects if ``is_rejection``, and otherwise just does not. The estimates differ by up to ``width``
+    from their middle. Returns whether the test was played: if no observations bring it about, this is noted
+    as not exercised, and the result is False.
     """
 
     def craft_slots() -> SlotsAtTest | None:
@@ -572,15 +599,14 @@ def _play_test_at_threshold(bench: Bench, count: int, width: int, is_rejection: 
 def _choose_slots_at_threshold(
     bench: Bench, count: int, width: int, is_rejection: bool
 ) -> SlotsAtTest | None:
-    """Return ``count`` estimates with which the next test just rejects, or just does not.
+    """Return ``count`` estimates with which the next test just rejects if ``is_rejection``, or else just not.
 
-    Which of both, ``is_rejection`` says. They differ by up to ``width`` from their middle, in units of
-    2**-16. They are drawn until some show a known mistake in the arithmetic of the test that no frame has
-    shown yet. If none of many draws does, the first estimates at the threshold are returned, and None if no
-    draw reaches the threshold.
+    They differ by up to ``width`` from their middle, in units of 2**-16. They are drawn until some show a
+    known mistake in the arithmetic of the test that no frame has shown yet. If none of many draws does, the
+    first estimates at the threshold are returned, and None if no draw reaches the threshold.
     """
     wrong_tests = bench.mistaken_models.robust_tests
-    draw_count = _MAX_DRAWS if wrong_tests else 1
+    draw_count = _MAX_DRAWS if wrong_tests else 1  # without mistakes left, any estimates will do
     first_slots: SlotsAtTest | None = None
     for _ in range(draw_count):
         slots_on_both_sides = draw_slots_at_threshold(bench.model_robot, count, width, bench.rng)
@@ -601,8 +627,7 @@ def _shows_wrong_test(slots: SlotsAtTest, wrong_tests: Sequence[RobustTest]) -> 
     It would if that test decides otherwise than the firmware's, and if the decision has an effect.
     """
     if slots.is_supported:
-        # b_hat goes back to the initial one, whatever the test decides.
-        return False
+        return False  # b_hat goes back to the initial one, whatever the test decides
     right_decision = slots.is_rejected()
     return any(slots.is_rejected(wrong_test) != right_decision for wrong_test in wrong_tests)
 
@@ -610,7 +635,8 @@ def _shows_wrong_test(slots: SlotsAtTest, wrong_tests: Sequence[RobustTest]) -> 
 def _play_test_of_two_parties(bench: Bench, count: int, supporter_count: int) -> None:
     """Play a test that rejects although ``supporter_count`` of ``count`` estimates support the robot.
 
-    If no observations bring it about, this is noted as not exercised.
+    Supporters are estimates that agree with the robot's observations. If no observations bring the test
+    about, this is noted as not exercised.
     """
 
     def craft_slots() -> SlotsAtTest | None:
