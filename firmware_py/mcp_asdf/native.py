@@ -270,8 +270,8 @@ def _allocate_table(table: Table) -> Any:
 def _fit_to_c_type(value: int, maximum: int, substitute: int | None = None) -> int:
     """Return ``value`` as Python's ``int`` if it fits a C type, 0 .. ``maximum``, else ``substitute``.
 
-    The substitute is a number that fits the type but that the C refuses for this argument. By default it is
-    ``maximum`` itself, which for most arguments is out of range.
+    The substitute must be a number that fits the type but that the C refuses. By default it is ``maximum``
+    itself, which is out of range as an id, an x_hat, an observation or a filter.
     """
     number = operator.index(value)
     if 0 <= number <= maximum:

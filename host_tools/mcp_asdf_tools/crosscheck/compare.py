@@ -182,6 +182,7 @@ def differences(first: CallResult, second: CallResult) -> Iterator[str]:
         yield f"status: {first.outcome}, {second.outcome}"
     elif first.outcome not in Status.__members__:
         yield f"both: {first.outcome}"
+    # There is no state to compare without a robot, or after an exception.
     if first == second or not first.state or not second.state:
         return
     for name in first.state | second.state:

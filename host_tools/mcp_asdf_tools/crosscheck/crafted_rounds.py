@@ -337,10 +337,11 @@ def draw_x_hats_at_threshold(
     if pair_count > 0:
         # Eq. 12 in integers: it rejects while entry * scatter < difference**2 * 2**FRACTION_BITS. Both rounds
         # are made of the rejected one, with a scatter just above and just below that limit.
-        difference = sum(outside) - m * own_x_hat
-        largest_rejected_scatter = ((difference * difference << FRACTION_BITS) - 1) // table_entry
-        inside = _raise_scatter(outside, pair_count, largest_rejected_scatter + 1, is_at_least=True)
-        outside = _raise_scatter(outside, pair_count, largest_rejected_scatter, is_at_least=False)
+        rejected = outside
+        difference = sum(rejected) - m * own_x_hat
+        largest_rejected_scatter = (difference**2 * 2**FRACTION_BITS - 1) // table_entry
+        inside = _raise_scatter(rejected, pair_count, largest_rejected_scatter + 1, is_at_least=True)
+        outside = _raise_scatter(rejected, pair_count, largest_rejected_scatter, is_at_least=False)
     has_room = all(0 <= x_hat <= ONE for x_hat in (*inside, *outside))
     return (inside, outside) if has_room else None
 
@@ -351,16 +352,16 @@ def fractions_around(value: Fraction, max_denominator: int) -> tuple[Fraction, F
     Their denominators are at most ``max_denominator``.
     """
     nearest = value.limit_denominator(max_denominator)
+    a, b = nearest.numerator, nearest.denominator
     is_below = nearest <= value
     # Fractions a/b and c/d with |a d - b c| = 1 are neighbours: all between them have larger denominators.
     sign = 1 if is_below else -1
-    # With a/b for the nearest one, c = (a d + sign) / b must be a whole number, so that d is -sign / a modulo
-    # b. All such d differ by multiples of b, and the largest gives the nearest neighbour.
-    smallest_denominator = -sign * pow(nearest.numerator, -1, nearest.denominator) % nearest.denominator
-    multiples = (max_denominator - smallest_denominator) // nearest.denominator
-    denominator = smallest_denominator + multiples * nearest.denominator
-    numerator = (nearest.numerator * denominator + sign) // nearest.denominator
-    neighbour = Fraction(numerator, denominator)
+    # c = (a d + sign) / b must be a whole number, so that d is -sign / a modulo b. All such d differ by
+    # multiples of b, and the largest gives the nearest neighbour.
+    smallest_d = -sign * pow(a, -1, b) % b
+    d = smallest_d + (max_denominator - smallest_d) // b * b
+    c = (a * d + sign) // b
+    neighbour = Fraction(c, d)
     return (nearest, neighbour) if is_below else (neighbour, nearest)
 
 

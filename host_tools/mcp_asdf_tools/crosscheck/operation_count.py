@@ -119,12 +119,14 @@ def _workloads_along_m() -> Iterator[Workload]:
 
 
 def _workloads_along_q() -> Iterator[Workload]:
-    """Yield workloads with t-tables of every size q: for rounds that read its first, last and final entry.
+    """Yield workloads with t-tables of every size q, and rounds of m messages for three entries of each.
 
-    A table has an entry for each number m of messages from 2 to q, and a final one for all larger m.
+    A table has an entry for each m from 2 to q, and one for all larger m. The rounds are for the first of
+    these, for that of q, and for the one of all larger m.
     """
     for q in range(MIN_Q, MAX_Q + 1):
-        for m in (2, q, min(q + 1, MAX_ROUND_SIZE)):
+        larger_m = min(q + 1, MAX_ROUND_SIZE)  # no round is larger than the largest q
+        for m in (2, q, larger_m):
             yield Workload(q=q, m=m)
 
 

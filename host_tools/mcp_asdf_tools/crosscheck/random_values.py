@@ -173,15 +173,16 @@ def draw_extreme_sums(rng: Random) -> Sums:
     alpha_x = rng.choice([0, rng.randint(0, largest_alpha_x), largest_alpha_x, largest_alpha_x])
     # The sum of alpha x_hat is kept in two sums: of the bits of alpha from 32 up, and of the 32 bits below.
     # As much as fits goes into the upper one; what is left there is cut to the lower one's limits.
-    alpha_x_high = min(x * (LARGEST_ALPHA_UNITS >> 32), alpha_x >> 32)
+    largest_alpha_x_high = x * (LARGEST_ALPHA_UNITS >> 32)  # where every alpha is the largest
+    alpha_x_high = min(alpha_x >> 32, largest_alpha_x_high)
     alpha_x_left = alpha_x - (alpha_x_high << 32)
-    largest_sum_of_62_bits = (1 << 62) - 1  # more than this alpha_x_low must not be
+    largest_alpha_x_low = min(x * MAX_32_BITS, (1 << 62) - 1)  # the firmware allows it 62 bits
     # The squares are smallest where all x_hat are alike, and largest where each is 0 or 1.
     smallest_x_squared = (x * x + count - 1) // count  # the quotient, rounded up
     largest_x_squared = x * ONE
     return Sums(
         alpha=alpha,
-        alpha_x_low=min(x * MAX_32_BITS, alpha_x_left, largest_sum_of_62_bits),
+        alpha_x_low=min(alpha_x_left, largest_alpha_x_low),
         alpha_x_high=alpha_x_high,
         x_squared=rng.choice([smallest_x_squared, largest_x_squared]),
         x=x,

@@ -404,10 +404,10 @@ class RobustScenarioWriter(ScenarioWriter):
         return clamp(spread, SPREAD_MIN, SPREAD_MAX)
 
     def _draw_estimates(self, robust: RobustFilter) -> list[int]:
-        """Draw the estimates of all slots: 0 in an empty one, and any in a filled one.
+        """Draw the estimates of all slots, which is 0 for an empty one.
 
-        About half of them lie where one was drawn to lie: at the centre of the votes or at the distance of
-        the spread from it. The others are drawn as the x_hat of messages are.
+        About half of the filled slots share one estimate, which is next to the centre of the votes or at the
+        distance of the spread from it. The others have estimates as of messages.
         """
         rng = self._rng
         position = robust.centre + rng.choice([-1, 0, 1]) * robust.spread

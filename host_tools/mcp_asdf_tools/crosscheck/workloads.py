@@ -58,7 +58,9 @@ class Workload:
             alpha = self.alpha ^ (sender << 8)  # differs in the lower bits of the mantissa
             robot.receive_raw(sender, self._smallest_x_hat + 1000 * sender, alpha)
         sums = state.open
-        state.x_hat = sums.x // sums.count if self.agrees and sums.count > 0 else ONE
+        state.x_hat = ONE
+        if self.agrees and sums.count > 0:
+            state.x_hat = sums.x // sums.count  # the mean of the messages
         state.alpha = self.alpha
         state.closed = Closed(sums.alpha, sums.alpha_x_low, sums.alpha_x_high)
         return robot
