@@ -139,7 +139,7 @@ def test_a_log_of_a_single_robot_cannot_be_exported(swarm_log: Path, tmp_path: P
 
 
 def test_export_writes_the_values_of_a_log_as_csv(swarm_log: Path, tmp_path: Path, capsys: Capture) -> None:
-    """The file has 244 rows: four robots at the start and after each of 60 steps."""
+    """The file has 4 * (1 + 60) = 244 rows: four robots at the start and after each of 60 steps."""
     path = tmp_path / "robots.csv"
     assert main(["export", str(swarm_log), str(path)]) == 0
     assert capsys.readouterr().out == f"wrote 244 rows to {path}\n"

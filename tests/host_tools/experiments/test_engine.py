@@ -521,7 +521,8 @@ def call_with_two_liars(experiment: Experiment) -> native.EngineTrials:
     """Return a call of the engine in which the last two robots broadcast x_hat 0 with an alpha of 10^6."""
     call = native.EngineTrials(experiment, first=0, trials=1, sampling_interval=0)
     call.experiment.liars = 2
-    alpha_word = (16_000_000 << 8) | 20  # mantissa 16 * 10^6 and shift 20, in units of 2^-24: 10^6
+    mantissa, shift = 16_000_000, 20  # in units of 2^-24, so alpha is 16 * 10^6 * 2^20 / 2^24 = 10^6
+    alpha_word = (mantissa << 8) | shift
     call.experiment.lie = [0, alpha_word]
     return call
 

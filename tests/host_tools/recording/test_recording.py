@@ -429,7 +429,7 @@ def test_the_part_file_of_a_log_that_a_full_disk_cut_off_can_be_replayed(
     verdict = json.loads(capsys.readouterr().out)["verdict"]
 
     assert verdict["difference"] is None
-    assert verdict["reproduced"] + verdict["beyond"] > 8000 / 80
+    assert verdict["reproduced"] + verdict["beyond"] > FULL_DISK_BYTES / 80
 
 
 def test_replay_names_the_part_of_a_log_that_is_not_there(unfinished_log: Path, capsys: Capture) -> None:

@@ -154,7 +154,7 @@ def test_a_memory_weighs_messages_by_their_confidence_and_older_ones_seven_eight
     assert robot.x == robot.x_bar == pytest.approx(weighted_mean)
 
 
-@pytest.mark.parametrize(("messages_before", "share"), [(62, 1 / 8), (63, 1 / 16)])
+@pytest.mark.parametrize(("messages_before", "share"), [(62, 1 / 8), (63, 1 / 16)])  # the 63rd, the 64th
 def test_the_64th_message_counts_only_half_as_much_in_a_memory_as_those_before(
     messages_before: int, share: float
 ) -> None:

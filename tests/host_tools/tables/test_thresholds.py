@@ -37,9 +37,11 @@ def eq_12_multiple(omega: float, m: int) -> float:
 def wrongly_rounded_entries(table: Table, omega: Decimal) -> list[int]:
     """Return the indices of entries that are not k_m rounded to nearest.
 
-    SciPy's doubles are good for 10**-5 of an entry's unit.
+    k_m is the square of eq. 12's t/sqrt(m) + 1, times m / (m - 1). SciPy's doubles are good for 10**-5 of an
+    entry's unit.
     """
     multiples = [eq_12_multiple(float(omega), m) for m in range(2, table.q + 1)]
+    # The last entry, for more than q messages, has a normal quantile in place of t.
     m = table.q + 1
     normal_quantile = float(scipy.stats.norm.isf((1 - float(omega)) / 2))
     multiples.append(normal_quantile / math.sqrt(m) + 1)
@@ -196,11 +198,11 @@ def test_the_page_t_tables_has_how_often_an_estimate_of_the_same_kind_is_rejecte
 ) -> None:
     """The robot has m estimates, and the tested one is one more with the same mean and spread.
 
-    Its difference from their mean, over their spread, has Student's t distribution.
+    Its difference from their mean, over their spread, has Student's t distribution times sqrt(1 + 1/m).
     """
     m, omega = int(row["m"]), float(row["omega"])
-    limit = eq_12_multiple(omega, m) * math.sqrt(m)
-    rate = 2 * scipy.stats.t.sf(limit / math.sqrt(m + 1), df=m - 1)
+    limit_of_t = eq_12_multiple(omega, m) / math.sqrt(1 + 1 / m)
+    rate = 2 * scipy.stats.t.sf(limit_of_t, df=m - 1)  # it may be too high or too low
     assert row["one of them"] == f"{rate:.1%}"
 
 

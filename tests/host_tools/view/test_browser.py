@@ -217,7 +217,10 @@ def test_a_click_on_robot_2_in_the_arena_shows_the_values_of_robot_2(browser: Pa
 
 
 def test_arrow_keys_select_the_next_or_the_previous_of_eight_robots(browser: Page, page_file: Path) -> None:
-    """Right and down select the next robot, left the previous one; before robot 0 comes robot 7."""
+    """Right and down select the next robot, left the previous one; before robot 0 comes robot 7.
+
+    No robot is selected at first, and the first key selects robot 0.
+    """
     open_paused_at_start(browser, page_file)
     browser.locator("#arena").focus()
     selected_robots = []
