@@ -155,7 +155,7 @@ def _check_extension_objects(experiments: list[Experiment], workers: int) -> Non
 
 
 def _simulate_in_memory(experiments: list[Experiment], workers: int, record: int, quiet: bool) -> pa.Table:
-    """Run experiments, and return the table of their trials without a file."""
+    """Run experiments, equal ones once, and return the table of their trials without a file."""
     import pyarrow as pa
 
     from mcp_asdf_tools.common.progress_bar import progress

@@ -149,7 +149,10 @@ class BusChoice:
         return options
 
     def _explain_failure(self, cause: Exception) -> str:
-        """Return what went wrong when the bus was opened, and how to fix it."""
+        """Return what went wrong when the bus was opened, and how to fix it.
+
+        For an interface of SocketCAN that does not exist the fix is the commands that create it.
+        """
         if self.interface not in can.VALID_INTERFACES:
             return f"there is no such interface; choose one of {', '.join(sorted(can.VALID_INTERFACES))}"
         # Commands help only if SocketCAN has no interface of this name; anything else takes other options.

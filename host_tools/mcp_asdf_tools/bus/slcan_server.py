@@ -185,7 +185,10 @@ def format_frame_line(frame: can.Message) -> bytes:
 
 
 def parse_frame(line: bytes) -> can.Message | None:
-    """Return the frame of an slcan line without its end, or None if the line is malformed."""
+    """Return the frame of an slcan line without its end, or None if the line is malformed.
+
+    A line with another number of bytes than it states is malformed, and so is a remote frame with data.
+    """
     if not line.isalnum():  # int() and fromhex() would accept white space and signs
         return None
     command = line[:1]

@@ -95,7 +95,10 @@ def _check_with(audit: Audit) -> CheckScenario:
 
 
 def _replay(scenario: Scenario, as_json: bool) -> int:
-    """Run one scenario through native and mirror, and print whether they agree; return 1 if they differ."""
+    """Run one scenario through native and mirror, and print whether they agree; return 1 if they differ.
+
+    They agree, too, if both refuse the settings of the scenario's robot.
+    """
     from mcp_asdf_tools.crosscheck.compare import RobotUnderTest
     from mcp_asdf_tools.crosscheck.oracle import Audit
 
@@ -168,7 +171,10 @@ def _check_all(steps: int, seed: int, args: argparse.Namespace) -> int:
 
 
 def _find_shortest(failure: Failure) -> Failure:
-    """Return the failure with the shortest scenario that shows it, or as it is if Ctrl-C ends the search."""
+    """Return the failure with the shortest scenario that shows it.
+
+    If Ctrl-C ends the search, return the failure as it is, and say so on standard error.
+    """
     from mcp_asdf_tools.crosscheck.compare import shrink
     from mcp_asdf_tools.crosscheck.oracle import Audit
 

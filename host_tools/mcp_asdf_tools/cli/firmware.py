@@ -40,7 +40,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Write the files into the folder, and print their names and how to use them; return exit code 0."""
+    """Write the files into the folder, and print their number and how to use them; return exit code 0.
+
+    With --json their names are printed instead. Raises UsageError for an omega or a number of neighbours that
+    no table has, if a file cannot be written or, without --force, if one was changed.
+    """
     from mcp_asdf_tools.tables.firmware_folder import write_firmware
     from mcp_asdf_tools.tables.table_files import describe_table
 

@@ -151,7 +151,10 @@ def _flush() -> int:
 
 
 def _run_command(command_name: str, arguments: Sequence[str]) -> int:
-    """Import and run one command only, so that the others' libraries stay unloaded; return its exit code."""
+    """Import and run one command only, so that the others' libraries stay unloaded; return its exit code.
+
+    With --verbose its versions, its options, how it ends and how long it takes are logged.
+    """
     command = _load(command_name)
     args = _parser_for(command_name, command).parse_all(arguments)
     # After parsing, so that help and mistakes in options need not wait for large libraries.

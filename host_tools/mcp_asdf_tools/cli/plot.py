@@ -45,7 +45,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Draw the picture into its file, and print the file's path; return exit code 0."""
+    """Draw the picture into its file, and print the file's path; return exit code 0.
+
+    With --json the kind of picture and the number of experiments are printed, too. Raises UsageError for
+    options that do not go together, and if results cannot be read or the picture not be written.
+    """
     from mcp_asdf_tools.common.figures import check_plot_path, save_figure
 
     # Path and options are checked before the results are read, which may take long.

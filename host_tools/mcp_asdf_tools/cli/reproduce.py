@@ -128,7 +128,11 @@ def run(args: argparse.Namespace) -> int:
 
 
 def study_size_from(args: argparse.Namespace) -> StudySize:
-    """Return how much is to be run, by the options. Raises UsageError for too few trials or steps."""
+    """Return how many trials of how many steps are to be run, and the seed.
+
+    What the options leave open is as in the paper, or as --quick has it. Raises UsageError for fewer than two
+    trials, and for fewer steps than the longest filter period.
+    """
     default_size = QUICK_SIZE if args.quick else PAPER_SIZE
     study_size = StudySize(
         trials=default_size.trials if args.trials is None else args.trials,

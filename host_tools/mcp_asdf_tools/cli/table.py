@@ -58,7 +58,10 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _write(omega: Decimal, q: int, args: argparse.Namespace) -> int:
-    """Write the table of omega and q, and print its size and its errors; return exit code 0."""
+    """Write the table of omega and q, the number of neighbours with an exact threshold; return exit code 0.
+
+    Its size, its errors and the names of its files are printed, or as JSON all that is known of it.
+    """
     from mcp_asdf_tools.tables.table_files import describe_table, write_table
     from mcp_asdf_tools.tables.thresholds import MAX_MESSAGES
 

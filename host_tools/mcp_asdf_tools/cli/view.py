@@ -177,7 +177,10 @@ def _read_frame_history(args: argparse.Namespace) -> History:
 
 
 def _export_recording(args: argparse.Namespace, history: History) -> int:
-    """Write the page of a history as one file, and print its name; return exit code 0."""
+    """Write the page of a history as one file, and print its name; return exit code 0.
+
+    With --json its size in bytes and its number of states are printed, too.
+    """
     from mcp_asdf_tools.common.files import write_atomically
     from mcp_asdf_tools.view.page import make_page
 

@@ -132,7 +132,10 @@ def parameters_of(kind: Any) -> dict[str, Parameter]:
 
 @cache
 def _declared(kind: Any) -> dict[str, Parameter]:
-    """Return the declared parameters of a dataclass by name; the result is shared, so do not change it."""
+    """Return the declared parameters of a dataclass by name, without its fields that are no parameters.
+
+    The result is shared by all callers, so do not change it.
+    """
     types = get_type_hints(kind)
     parameters = {}
     for declared_field in fields(kind):

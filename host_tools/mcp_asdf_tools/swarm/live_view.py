@@ -52,7 +52,11 @@ class LiveView:
         self._progress.stop()
 
     def __call__(self, swarm: Swarm) -> None:
-        """Show the state of the swarm after a tick, unless it is too early for a refresh. O(robots)."""
+        """Show the state of the swarm after a tick. O(robots).
+
+        On a terminal the bar is drawn anew, unless that was done a moment ago. In a pipe a line is printed
+        for each robot that has re-estimated b_hat, and some twenty times in a run one with the mean errors.
+        """
         if self._has_bar:
             # The last tick is always drawn, so that the bar ends with the final state.
             if time.monotonic() >= self._next_refresh or swarm.ticks == swarm.settings.steps:

@@ -113,7 +113,10 @@ def comparison(results_by_filter: dict[str, dict[str, Any]], settings: SwarmSett
 
 
 def load_warning(results: dict[str, Any]) -> str | None:
-    """Return a warning about bit rates at which a real bus would be too busy; None if there are none."""
+    """Return a warning that names the highest bit rate at which a real bus would be too busy on average.
+
+    Returns None if it would be so at no usual bit rate.
+    """
     bus_loads = results["bus_load"].items()
     busy_bit_rates = [int(bit_rate) for bit_rate, load in bus_loads if load["mean"] > HIGH_LOAD]
     if not busy_bit_rates:

@@ -63,7 +63,7 @@ class PageAdditions:
 
 
 def assemble_page(content: object, additions: PageAdditions = PageAdditions()) -> str:
-    """Return the page with ``content`` in it as JSON, as HTML that needs no other file."""
+    """Return the page, and ``additions`` to it, with ``content`` as JSON: HTML that needs no other file."""
     more_urls = {name: _encode_script_url(script) for name, script in additions.scripts.items()}
     script_urls = _encode_view_scripts() | more_urls
     content_by_placeholder = {

@@ -54,7 +54,10 @@ class RobotOnBus:
     _last_transfer_ids: dict[type, int] = field(default_factory=dict)
 
     def receive(self, content: Estimate | Heartbeat | Telemetry, now: float) -> None:
-        """Update all attributes by the content of one of the robot's frames, received at ``now``. O(1)."""
+        """Update all attributes by the content of one of the robot's frames, received at ``now``. O(1).
+
+        Frames that were lost during a silence of SILENT_SECONDS or more are not counted.
+        """
         if self.is_silent(now):
             # In a long silence transfer ids may have wrapped around any number of times, so a gap between
             # them says nothing.

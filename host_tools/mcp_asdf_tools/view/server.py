@@ -122,7 +122,7 @@ class _PageRequestHandler(BaseHTTPRequestHandler):
     server: _PageServer
 
     def do_GET(self) -> None:
-        """Send the page or the events, or status 403 or 404 and the reason."""
+        """Send the page or the events; status 403 to another site or computer, 404 for another path."""
         self.connection.settimeout(_ANSWER_TIMEOUT)
         path = urlsplit(self.path).path
         if not self._comes_from_own_page():

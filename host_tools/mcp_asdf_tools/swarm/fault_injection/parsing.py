@@ -59,7 +59,10 @@ def parse_fault(fault_text: str) -> Fault:
 
 
 def _parse_option(fault_text: str, kind: type[Fault], option: str, value: str) -> Any:
-    """Return the value of an option of a fault. Raises UsageError if it is not a legal one."""
+    """Return the value of an option of a fault: a set of ids, one of the option's choices, or a number.
+
+    Raises UsageError if the value is no such thing, or a number out of the option's range.
+    """
     field_name = _FIELD_OF_OPTION.get(option, option)
     declared = parameters_of(kind).get(field_name)
     if declared is None:  # all options that are no declared parameters are sets of ids
