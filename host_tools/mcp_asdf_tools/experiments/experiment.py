@@ -50,7 +50,8 @@ class Experiment(Population):
         with naming_parameter("message_bits"):
             message_code = parse_message_bits(self.message_bits)
         # One text for each code, so that equal experiments compare equal: not "07+4" beside "7+4".
-        object.__setattr__(self, "message_bits", EXACT if message_code is None else str(message_code))
+        message_bits = EXACT if message_code is None else str(message_code)
+        object.__setattr__(self, "message_bits", message_bits)
         # In a larger swarm ids repeat: the engine in C keeps robots of one id apart, messages on a bus do
         # not.
         if self.robots > MAX_ON_BUS and self.parameter_lacking_in_c:

@@ -148,7 +148,9 @@ def colours_of_filters(filter_names: Sequence[str]) -> list[str]:
     for name in filter_names:
         # The colour is removed, so that the next series of this filter gets another one.
         colour = remaining_colours.pop(name, None)
-        colours.append(next(free_colours) if colour is None else colour)
+        if colour is None:
+            colour = next(free_colours)
+        colours.append(colour)
     return colours
 
 

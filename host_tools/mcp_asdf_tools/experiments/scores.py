@@ -65,7 +65,9 @@ def _extreme_to_end(extreme: np.ufunc, values: NDArray[Any]) -> NDArray[Any]:
 
 @dataclass(frozen=True)
 class Limits:
-    """The K and e that score 0, by default those of the paper's figures. Raises UsageError for 0 or less.
+    """The K and e that score 0, by default those of the paper's figures.
+
+    Raises UsageError for a limit that is 0 or less, or infinite.
 
     Attributes:
         k_max: K_max in steps; None for the length of a trial.
@@ -76,9 +78,10 @@ class Limits:
     e_max: float = E_MAX
 
     def __post_init__(self) -> None:
-        """Check the values. Raises UsageError for a limit of 0 or less."""
+        """Check the values. Raises UsageError for a limit that is 0 or less, or infinite."""
         for name, value in (("K_max", self.k_max), ("e_max", self.e_max)):
-            if value is not None and not 0 < value < float("inf"):
+            is_legal = value is None or 0 < value < float("inf")
+            if not is_legal:
                 raise UsageError(f"{name} is {value}; it must be above 0")
 
     def of(self, experiment: Experiment) -> tuple[float, float]:

@@ -40,8 +40,8 @@ SERIES_BYTES = 32 * 2**20
 def run_trials(experiment: Experiment, first: int, trials: int, sampling_interval: int = 0) -> Trials:
     """Run ``trials`` trials from number ``first`` on, recorded every ``sampling_interval`` steps (0: never).
 
-    Raises UsageError if the firmware cannot be loaded. O(trials steps robots), robots squared where the C
-    engine cannot run the experiment.
+    Raises UsageError if the firmware or an extension cannot be loaded, or if an arena has too little room.
+    O(trials steps robots), robots squared where the C engine cannot run the experiment.
     """
     numbers = range(first, first + trials)
     if experiment.parameter_lacking_in_c:
@@ -237,7 +237,7 @@ class MessageSwarm:
     """
 
     def __init__(self, experiment: Experiment, trial: int) -> None:
-        """Make the world of a trial and its robots. Raises UsageError if the firmware cannot be loaded."""
+        """Make the world of a trial and its robots. Raises UsageError if one of them cannot be made."""
         self._experiment = experiment
         self._message_code = experiment.message_code
         self._world = SteppedWorld(experiment, trial)
@@ -343,7 +343,7 @@ class Job:
     def run(self) -> Trials:
         """Run the job and return its results.
 
-        Raises UsageError in a worker of another version of the program, and if the firmware cannot be loaded.
+        Raises UsageError in a worker of another version of the program, and where ``run_trials`` does.
         """
         worker_version = own_version()
         # Another version may compute other results, or may not even know the experiment's parameters.

@@ -304,7 +304,8 @@ class MajorityRobot(ReferenceRobot):
         """Start to explore, with an opinion and a random sequence that belong to the robot's id."""
         super().__init__(config, robot_id, b_hat)
         self._random = random.Random(robot_id)
-        self._opinion = Observation.BLACK if robot_id % 2 else Observation.WHITE
+        has_odd_id = robot_id % 2 == 1
+        self._opinion = Observation.BLACK if has_odd_id else Observation.WHITE
         self._opinion_by_sender: dict[int, Observation] = {}
         self._is_disseminating = False
         self._start_exploration()

@@ -162,5 +162,6 @@ def accuracy_of_disagreements(disagreements: int, pairs: int) -> float:
     """
     rate = disagreements / pairs
     # b and 1 - b have the same rate; a sensor that is wrong more often than right cannot be told from it.
-    accuracy = (1 + math.sqrt(max(0.0, 1 - 2 * rate))) / 2
+    discriminant = max(0.0, 1 - 2 * rate)  # 0 if more than half of the pairs disagree
+    accuracy = (1 + math.sqrt(discriminant)) / 2
     return min(accuracy, 1 - B_HAT_MARGIN)

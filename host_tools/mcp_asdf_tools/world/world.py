@@ -59,7 +59,10 @@ class World:
     """The world of one trial, many steps at a time."""
 
     def __init__(self, settings: WorldSettings, trial: int = 0) -> None:
-        """Start before the first step. Raises UsageError if the arena or an extension cannot be loaded."""
+        """Start before the first step.
+
+        Raises UsageError if the robots find no room in the arena, or an extension cannot be loaded.
+        """
         self.settings = settings
         self._next_step = 0
         self._observation_draws = Stream(OBSERVATION_STREAM, settings.seed, trial, settings.robots)
@@ -122,7 +125,10 @@ class SteppedWorld:
     """The world of one trial, one step at a time; its properties are those of the last step."""
 
     def __init__(self, settings: WorldSettings, trial: int = 0) -> None:
-        """Start before the first step. Raises UsageError if the arena or an extension cannot be loaded."""
+        """Start before the first step.
+
+        Raises UsageError if the robots find no room in the arena, or an extension cannot be loaded.
+        """
         self.settings = settings
         self._world = World(settings, trial)
         self._steps_left = settings.steps
