@@ -67,7 +67,7 @@ def robot_arguments(data: dict[str, Any]) -> Iterator[tuple[Config, int, float]]
         yield config, robot_id, data["flawed_b" if is_flawed else "true_b"]
 
 
-def repeat_run(
+def repeat_run_and_compare(
     data: dict[str, Any], block: str, conventions: Conventions, steps: int
 ) -> list[ReferenceRobot]:
     """Repeat the first steps of a run, and return its robots.
@@ -121,13 +121,13 @@ def test_what_robots_observe_in_a_recorded_run_of_the_authors_follows_from_its_s
 
 
 def test_robots_compute_what_the_authors_programs_did_until_the_first_filter() -> None:
-    """``repeat_run`` compares every number in each step. The filter of each robot runs after 1000 of them.
+    """Every number is compared in each step. The filter of each robot runs after 1000 of them.
 
     Until then the paper and the authors' programs agree on everything.
     """
     data = load_trace(TRACE_A)
 
-    robots = repeat_run(data, block="m-1", conventions=PAPER, steps=1001)
+    robots = repeat_run_and_compare(data, block="m-1", conventions=PAPER, steps=1001)
 
     assert sum(robot.counters.tests for robot in robots) == 10, "one of each robot"
 
@@ -146,13 +146,13 @@ def test_robots_compute_what_the_authors_programs_did_until_the_first_filter() -
 def test_robots_compute_every_number_that_the_authors_programs_recorded(
     name: str, block: str, conventions: Conventions
 ) -> None:
-    """``repeat_run`` compares them in each step. In the end updates and black tiles are counted, too.
+    """They are compared in each step. In the end updates and black tiles are counted, too.
 
     ``block`` is the part of the recording that was made with m or m - 1 degrees of freedom.
     """
     data = load_trace(name)
 
-    robots = repeat_run(data, block, conventions, data["steps"])
+    robots = repeat_run_and_compare(data, block, conventions, data["steps"])
 
     assert sum(robot.counters.updates for robot in robots) == data["out"][block]["filter_updates"]
     assert [robot.n for robot in robots] == data["n_final"], "the observations were decoded wrongly"
@@ -636,9 +636,9 @@ def test_omega_comes_from_the_table_or_is_given_beside_it(
     """
     if is_in_table:
         table = replace(TABLE, omega_word=int(omega * 2**32))
-        robot = ReferenceRobot(Config(table, filter_period=1), 0, 0.75)
+        robot = ReferenceRobot(Config(table, filter_period=1), OWN_ID, b_hat=0.75)
     else:
-        robot = ReferenceRobot(Config(filter_period=1), 0, 0.75, omega=omega)
+        robot = ReferenceRobot(Config(filter_period=1), OWN_ID, b_hat=0.75, omega=omega)
     observe_tiles(robot, black=1, white=0)  # the robot's own estimate is 1
     receive_estimates(robot, 0.8, 0.9)
 
@@ -651,14 +651,14 @@ def test_a_missing_scipy_is_noticed_when_the_robot_is_made(monkeypatch: pytest.M
     t_score.cache_clear()
 
     with pytest.raises(ImportError):
-        ReferenceRobot(Config(TABLE), OWN_ID, 0.75)
+        ReferenceRobot(Config(TABLE), OWN_ID, b_hat=0.75)
 
 
 @pytest.mark.parametrize("omega", [0.0, -0.1, 0.91, math.nan])
 def test_an_omega_out_of_range_is_refused(omega: float) -> None:
     """omega is a probability of the hypothesis test: above 0 and at most 0.9."""
     with pytest.raises(FirmwareError, match="omega is") as error:
-        ReferenceRobot(Config(), 0, 0.75, omega=omega)
+        ReferenceRobot(Config(), OWN_ID, b_hat=0.75, omega=omega)
     assert error.value.status == Status.ERR_TABLE
 
 

@@ -121,7 +121,10 @@ def test_a_function_with_a_mistake_has_no_proof_of_its_contract(mistake: Mistake
 def test_a_function_with_a_mistake_does_not_compute_the_documented_integers(
     mistake: Mistake, tmp_path: Path
 ) -> None:
-    """A claim is a formula of what a function computes. Of the C with the mistake one has no proof."""
+    """A claim is a formula of what a function computes.
+
+    With the mistake in the C at least one claim has no proof.
+    """
     code = parse_with_mistake(tmp_path, mistake, CORE)
 
     with pytest.raises(UnprovenError):
