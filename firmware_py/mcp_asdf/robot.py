@@ -401,7 +401,8 @@ def check_alpha(alpha: float) -> None:
 def create_rejection(status: Status, sender: int, x_hat: float) -> FirmwareError:
     """Return the exception for a message that was rejected with ``status``, ERR_SENDER or ERR_X_HAT.
 
-    For ERR_SENDER its text has the sender, otherwise x_hat, and what is allowed for it.
+    Its text names the value that is wrong, which is the sender for ERR_SENDER and else x_hat, and what is
+    allowed.
     """
     if status == Status.ERR_SENDER:
         return FirmwareError(

@@ -80,7 +80,7 @@ def alpha_error(n: int, t: int, b: Fraction) -> tuple[Fraction, Fraction]:
     p = Fraction(min(n, t - n), t)
     c = min(b, 1 - b)
     if p <= c:
-        return Q22 + Q27, Q30
+        return Q22 + Q27, Q30  # at an end of the scale
     r = 1 / (1 - 2 * c)
     # What squaring, multiplying and cutting the dividend leave of alpha at least
     smallest_share = (1 - Q28) * (1 - Q27) * (1 - Q31)

@@ -180,10 +180,10 @@ def find_growth(counts: Counts) -> list[str]:
 
 
 def measure_storage(firmware: type[MirrorRobot] = MirrorRobot) -> dict[str, dict[int, int]]:
-    """Return the sizes in bytes of tables and of saved robots, for all that they might depend on.
+    """Return how many bytes tables take, by their number of entries, and saved robots, by that of messages.
 
-    Under "tables" they stand by a table's number of entries, q. Under the ``images_key`` of each filter they
-    stand by m, the number of messages in the open round of a robot and in its last closed one.
+    The sizes of tables are under "tables", and those of robots under the ``images_key`` of their filter. The
+    messages are those of the open round, and as many are in the last closed one.
     """
     table_sizes = {}
     for q in range(MIN_Q, MAX_Q + 1):

@@ -73,15 +73,19 @@ class CrosscheckReport:
         }
 
     def tables(self) -> Group:
-        """Return tables of the largest errors and of the instructions."""
+        """Return two tables for the terminal: of the largest errors, and of the instructions of calls.
+
+        Errors are by quantity and region, against exact fractions and against float64; regions without a
+        value are left out. Instructions are the most along each axis; "-" stands for an axis without counts.
+        """
         error_rows = [
             (row["quantity"], row["region"], row["samples"], f"{row['exact']:.2g}", f"{row['float64']:.2g}")
             for row in self.audit.as_dict()["errors"]
         ]
-        count_rows = [
-            (name, *(max(count_by_axis[axis].values(), default="-") for axis in AXES))
-            for name, count_by_axis in self.counts.items()
-        ]
+        count_rows = []
+        for name, count_by_axis in self.counts.items():
+            largest_counts = [max(count_by_axis[axis].values(), default="-") for axis in AXES]
+            count_rows.append((name, *largest_counts))
         regions = "by region of |2 b_hat - 1|, for b_hat of |2 x_bar - 1|; those of alpha are relative"
         return Group(
             _format_table(

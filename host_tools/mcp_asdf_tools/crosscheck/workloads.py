@@ -47,7 +47,11 @@ class Workload:
     agrees: bool = False
 
     def make_robot(self, firmware: type[MirrorRobot]) -> MirrorRobot:
-        """Make a robot of this firmware in the described state, before its next observation."""
+        """Make a robot of this firmware in the state that the attributes describe, before an observation.
+
+        Its last closed round is a copy of the open one. Its x_hat is the mean of the messages if it agrees
+        with them, and 1.0 if it does not.
+        """
         memory = self.t if self.halves else DEFAULT_MEMORY
         config = Config(table_of_size(self.q), self.filter, filter_period=1, memory=memory)
         robot = firmware(config, OWN_ID, self.b_hat / 2**32)
@@ -82,7 +86,7 @@ class RobustWorkload(Workload):
     situations = ({"n": 500}, {"n": 500, "agrees": True})  # half of 1000 observations
 
     def make_robot(self, firmware: type[MirrorRobot]) -> MirrorRobot:
-        """Make a robot of this firmware in the described state, before its next observation."""
+        """Make a robot as `Workload.make_robot` does, and with the most votes if it has messages."""
         robot = super().make_robot(firmware)
         if self.m > 0:
             robot.s.robust.votes = VOTES_MAX
