@@ -567,8 +567,9 @@ class MirrorRobot(FixedPointView):
     def observe(self, z: Observation) -> Status:
         """Count an observation, and compute x_hat and alpha from all observations so far.
 
-        At ``config.memory`` observations both counts, t and n, are halved. Returns OK; or ERR_OBSERVATION,
-        and changes nothing, if ``z`` is neither WHITE nor BLACK.
+        At ``config.memory`` observations both counts, t and n, are halved, and the robust filter begins a new
+        batch of observations. Returns OK; or ERR_OBSERVATION, and changes nothing, if ``z`` is neither WHITE
+        nor BLACK.
         """
         s = self.s
         colour = operator.index(z)  # as Python's own int: 0 is white, and 1 black

@@ -396,7 +396,9 @@ class ReferenceRobot:
     def observe(self, z: Observation) -> Status:
         """Count an observation, and compute x_hat and alpha from all observations so far. O(1).
 
-        Returns OK; or ERR_OBSERVATION, and changes nothing, if ``z`` is neither WHITE nor BLACK.
+        At ``config.memory`` observations both counts, t and n, are halved, and the robust filter begins a new
+        batch of observations. Returns OK; or ERR_OBSERVATION, and changes nothing, if ``z`` is neither WHITE
+        nor BLACK.
         """
         if operator.index(z) not in (Observation.WHITE, Observation.BLACK):
             return Status.ERR_OBSERVATION

@@ -86,9 +86,10 @@ def votes_after(votes: Votes[Number], x_hat: Number) -> Votes[Number]:
     limited_difference = max(-votes.spread, min(difference, votes.spread))
     spread_step = votes.spread / (2 * inverse_gain)
     is_outside = abs(difference) > votes.spread
+    new_spread = votes.spread + (spread_step if is_outside else -spread_step)
     return Votes(
         centre=votes.centre + limited_difference / inverse_gain,
-        spread=limit_spread(votes.spread + (spread_step if is_outside else -spread_step)),
+        spread=limit_spread(new_spread),
         count=count,
     )
 

@@ -111,7 +111,7 @@ def _workloads_along_t() -> Iterator[Workload]:
 
 
 def _workloads_along_m() -> Iterator[Workload]:
-    """Yield workloads of every number of messages in a round."""
+    """Yield workloads of every number of messages in a round, in each of the situations of their class."""
     for m in range(MAX_ROUND_SIZE + 1):
         for checked_filter in CHECKED_FILTERS:
             for situation in checked_filter.workload.situations:

@@ -136,12 +136,12 @@ class Audit:
 
         Quantities and regions without a value are left out.
         """
-        rows = (
-            {"quantity": quantity, "region": region} | asdict(errors)
-            for (quantity, region), errors in self.errors.items()
-        )
+        error_rows = []
+        for (quantity, region), errors in self.errors.items():
+            if errors.samples > 0:
+                error_rows.append({"quantity": quantity, "region": region, **asdict(errors)})
         return {
-            "errors": [row for row in rows if row["samples"]],
+            "errors": error_rows,
             "tests": self.tests,
             **{name: dict(events) for name, events in self.events.items()},
         }

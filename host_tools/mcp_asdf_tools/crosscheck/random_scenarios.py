@@ -392,6 +392,7 @@ class ScenarioWriter:
     def _add_filter_run(self, own_x_hat: int, estimates: list[NeighbourEstimate]) -> None:
         """Restore the robot with this x_hat, receive these estimates, and run its filter.
 
+        The robot's observations are drawn, and in one of three cases its counter of tests is at its maximum.
         The estimates come from different robots, in random order.
         """
         rng, setup = self._rng, self._setup
