@@ -82,10 +82,10 @@ class SwarmFilter:
 
         The second one re-estimates without a test. Only the paper's filters have it.
         """
-        values = {self.firmware_filter}
+        firmware_filters = {self.firmware_filter}
         if self.firmware_filter_without_test is not None:
-            values.add(self.firmware_filter_without_test)
-        return values
+            firmware_filters.add(self.firmware_filter_without_test)
+        return firmware_filters
 
     def applies_to(self, is_flawed: bool) -> bool:
         """Return whether a robot re-estimates b_hat: with ASDF- only one that is flawed does.
@@ -202,28 +202,29 @@ def describe_filters(firmware_filters: Iterable[Filter]) -> str:
 
     A single robot has "ASDF", since only a swarm can have ASDF- or ASDF+.
     """
-    values = list(firmware_filters)
-    # Only a filter with a mode without a test has Filter.ALWAYS among its values.
-    ending = _WITHOUT_TEST if Filter.ALWAYS in values else ""
-    if len(values) == 1:
-        return filter_of_one_robot(values[0]).robot_description + ending
+    filter_by_robot = list(firmware_filters)
+    # Only a filter of a swarm with a mode without a test sets Filter.ALWAYS.
+    ending = _WITHOUT_TEST if Filter.ALWAYS in filter_by_robot else ""
+    if len(filter_by_robot) == 1:
+        return filter_of_one_robot(filter_by_robot[0]).robot_description + ending
+    distinct_filters = set(filter_by_robot)
     for swarm_filter in FILTERS.values():
-        if _could_set(swarm_filter, set(values)):
+        if _could_set(swarm_filter, distinct_filters):
             return swarm_filter.description + ending
-    names = sorted({value.name.lower() for value in values})
+    names = sorted(firmware_filter.name.lower() for firmware_filter in distinct_filters)
     return f"mixed: robots with the filters {', '.join(names)}"
 
 
-def _could_set(swarm_filter: SwarmFilter, values: Collection[Filter]) -> bool:
-    """Return whether a swarm with this filter may have robots whose firmware is set to exactly these values.
+def _could_set(swarm_filter: SwarmFilter, distinct_filters: Collection[Filter]) -> bool:
+    """Return whether robots of a swarm with this filter may have exactly these firmware filters.
 
-    ``values`` has what the firmware of any robot is set to, each value once.
+    ``distinct_filters`` has the firmware filters of all robots, each once.
     """
-    active_values = set(values) - {Filter.OFF}
+    active_filters = set(distinct_filters) - {Filter.OFF}
     if not swarm_filter.is_on:
-        return not active_values
+        return not active_filters
     # With ASDF- some robots filter and others do not; with ASDF+ and the robust filter all do.
-    has_idle_robots = Filter.OFF in values
+    has_idle_robots = Filter.OFF in distinct_filters
     needs_idle_robots = swarm_filter.filtering_robots is FilteringRobots.FLAWED
-    is_set_by_filter = bool(active_values) and active_values <= swarm_filter.active_firmware_filters
+    is_set_by_filter = bool(active_filters) and active_filters <= swarm_filter.active_firmware_filters
     return is_set_by_filter and has_idle_robots == needs_idle_robots

@@ -29,7 +29,7 @@ _TYPES: dict[str, type[Any]] = {
     "b_hat": float,
 }
 _TYPE_NAMES = {int: "a whole number", str: "a text", float: "a number with a point"}
-_DEFAULTS = {
+_DEFAULTS: dict[str, Any] = {
     "comms_period": 1,
     "filter": Config.filter.name.lower(),
     "filter_period": DEFAULT_FILTER_PERIOD,
@@ -111,7 +111,7 @@ class RobotSetup:
         t-table, with the keys ``omega``, ``q`` and ``checksum``. Raises UsageError if the table's omega, its
         type II error probability, has more than 9 decimal places: no table generated here has.
         """
-        plain: dict[str, Any] = {
+        values: dict[str, Any] = {
             "id": self.id,
             "firmware": self.firmware,
             "b_hat": self.b_hat,
@@ -122,10 +122,10 @@ class RobotSetup:
         }
         # An entry that is missing stands for None, as ``from_plain`` reads it.
         if self.allow is not None:
-            plain["allow"] = format_ids(self.allow)
+            values["allow"] = format_ids(self.allow)
         if self.config.table is not None:
-            plain["table"] = _plain_table(self.config.table)
-        return plain
+            values["table"] = _plain_table(self.config.table)
+        return values
 
     @classmethod
     def from_plain(cls, plain: Any) -> RobotSetup:
@@ -137,34 +137,34 @@ class RobotSetup:
         """
         if not isinstance(plain, dict):
             raise UsageError(f"a robot is {plain!r}; give its settings as an object in braces")
-        plain = _DEFAULTS | plain
-        table = _table_from_plain(plain["table"], plain["id"]) if "table" in plain else None
-        if plain["filter"] not in _FILTERS_BY_NAME:
+        values = _DEFAULTS | plain
+        table = _table_from_plain(values["table"], values["id"]) if "table" in values else None
+        if values["filter"] not in _FILTERS_BY_NAME:
             raise UsageError(
-                f"filter is {plain['filter']!r}; it must be one of {', '.join(_FILTERS_BY_NAME)}"
+                f"filter is {values['filter']!r}; it must be one of {', '.join(_FILTERS_BY_NAME)}"
             )
         # Not isinstance(), which would take True for a whole number.
         for name, kind in _TYPES.items():
-            if type(plain[name]) is not kind:
-                raise UsageError(f"{name} is {plain[name]!r}; give {_TYPE_NAMES[kind]}")
-        comms_period = plain["comms_period"]
-        filter_period = plain["filter_period"]
+            if type(values[name]) is not kind:
+                raise UsageError(f"{name} is {values[name]!r}; give {_TYPE_NAMES[kind]}")
+        comms_period = values["comms_period"]
+        filter_period = values["filter_period"]
         _check_periods(comms_period, filter_period)
-        firmware_filter = _FILTERS_BY_NAME[plain["filter"]]
+        firmware_filter = _FILTERS_BY_NAME[values["filter"]]
         # The firmware counts rounds, of comms_period ticks each.
         rounds_between_tests = filter_period // comms_period
         config = Config(
             table=table,
             filter=firmware_filter,
             filter_period=rounds_between_tests,
-            memory=plain["memory"],
+            memory=values["memory"],
         )
         check_settings(config)  # names the wrong setting, which the C cannot
-        allow = parse_ids(str(plain["allow"]), "allow") if "allow" in plain else None
+        allow = parse_ids(str(values["allow"]), "allow") if "allow" in values else None
         setup = cls(
-            id=plain["id"],
-            firmware=plain["firmware"],
-            b_hat=plain["b_hat"],
+            id=values["id"],
+            firmware=values["firmware"],
+            b_hat=values["b_hat"],
             config=config,
             comms_period=comms_period,
             allow=allow,
