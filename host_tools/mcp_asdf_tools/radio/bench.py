@@ -83,14 +83,13 @@ class Bench(ControllerLink):
         Every sender numbers its frames by a transfer_id that goes on from one call to the next.
         """
         pairs = estimates.items() if isinstance(estimates, dict) else estimates
-        return [self._encode_estimate(sender, x_hat, alpha) for sender, (x_hat, alpha) in pairs]
-
-    def _encode_estimate(self, sender: int, x_hat: int, alpha: int) -> can.Message:
-        """Return the frame of an estimate with the sender's next transfer_id."""
-        transfer_id = self._estimate_count_by_sender[sender] % TRANSFER_IDS
-        self._estimate_count_by_sender[sender] += 1
-        estimate = Estimate(sender, x_hat, alpha, transfer_id)
-        return encode_estimate(estimate, self.settings.subjects.estimates)
+        frames = []
+        for sender, (x_hat, alpha) in pairs:
+            transfer_id = self._estimate_count_by_sender[sender] % TRANSFER_IDS
+            self._estimate_count_by_sender[sender] += 1
+            estimate = Estimate(sender, x_hat, alpha, transfer_id)
+            frames.append(encode_estimate(estimate, self.settings.subjects.estimates))
+        return frames
 
     def make_command(self, action: Action) -> Command:
         """Return the command for this action of the controller in the present tick, without sending it."""

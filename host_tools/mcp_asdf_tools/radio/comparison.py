@@ -140,15 +140,17 @@ class Comparison:
         """Change the heartbeats of both sides so that those of the start can be compared like all others.
 
         Received heartbeats that equal the model's first one are removed, however many there are. If more are
-        left than expected, the controller's first heartbeat must be wrong: the model's is then expected.
+        left than expected, the controller's first heartbeat must be wrong, and the model's is added to the
+        expected ones.
         """
         first = self._first_heartbeat
-        received[HEARTBEAT] = [
+        later_heartbeats = [
             frame
             for frame in received[HEARTBEAT]
-            if (frame.arbitration_id, frame.data) != (first.arbitration_id, first.data)
+            if frame.arbitration_id != first.arbitration_id or frame.data != first.data
         ]
-        if len(received[HEARTBEAT]) > len(expected[HEARTBEAT]):
+        received[HEARTBEAT] = later_heartbeats
+        if len(later_heartbeats) > len(expected[HEARTBEAT]):
             expected[HEARTBEAT] = [first, *expected[HEARTBEAT]]
 
     def _compare_kind(
@@ -156,10 +158,11 @@ class Comparison:
     ) -> Difference | None:
         """Return the first difference between frames of one kind, or count them as equal and return None.
 
-        A health that differs first is no difference if it is allowed.
+        If the first difference is in the health, they count as equal, too, if that health is allowed.
         """
         field_name = _first_difference(kind, received, expected)
-        if field_name is None or (field_name == _HEALTH.name and self._is_health_allowed(received)):
+        is_allowed = field_name == _HEALTH.name and self._is_health_allowed(received)
+        if field_name is None or is_allowed:
             self.equal_frames[kind] += len(received)
             return None
         return Difference(
@@ -213,9 +216,9 @@ def _first_difference(
 
     The result is a ``Difference.field``: "missing" if the received frames end first, "twice" if more frames
     are received than expected and two in a row have the same data, "extra" if no two have. Otherwise it names
-    what is wrong with a frame, or the first data field in which it is wrong. The shorter list is filled up
-    with None.
+    what is wrong with a frame, or the first data field in which it is wrong.
     """
+    # The shorter list is filled up with None.
     for received_frame, expected_frame in zip_longest(received, expected):
         if received_frame is None:
             return "missing"
@@ -281,7 +284,8 @@ def _hint(
     difference that is not in a data field.
     """
     for field in FIELDS_BY_KIND[kind]:
-        if field.name == field_name and field.bit_count >= _MIN_BITS_FOR_HINT:
+        is_long_enough = field.bit_count >= _MIN_BITS_FOR_HINT
+        if field.name == field_name and is_long_enough:
             # The lists may have different lengths; the first difference comes before the shorter one ends.
             for received_frame, expected_frame in zip(received, expected, strict=False):
                 received_value = field.extract(payload_of(received_frame))
@@ -316,11 +320,14 @@ def _significant_digits(field: Field, value: int) -> int:
         # infinity and NaN, and the sign would be 0x100.
         sign_and_exponent = value >> 23
         is_positive_and_normal = 0 < sign_and_exponent < 0xFF
-        # Normal numbers have a leading 1, bit 23, that is not stored.
-        return (value & 0x7F_FFFF) | 0x80_0000 if is_positive_and_normal else 0
+        if not is_positive_and_normal:
+            return 0
+        stored_digits = value & 0x7F_FFFF  # bits 0 to 22
+        leading_digit = 0x80_0000  # bit 23, a 1 that is not stored
+        return leading_digit | stored_digits
     if value == 0:
         return 0
-    largest_power_of_two = value & -value  # the lowest bit that is set
+    largest_power_of_two = value & -value  # the lowest bit that is set, which divides all of the value
     return value // largest_power_of_two
 
 
@@ -328,7 +335,7 @@ def _significant_digits(field: Field, value: int) -> int:
 
 
 def _describe_frames(kind: str, frames: Sequence[can.Message]) -> str:
-    """Return the first frames as text, with the number of those left out; "nothing" if there are none."""
+    """Return the first three frames as text, and how many more there are; "nothing" if there is none."""
     if not frames:
         return "nothing"
     descriptions = [_describe_frame(kind, frame) for frame in frames[:_MAX_FRAMES_SHOWN]]

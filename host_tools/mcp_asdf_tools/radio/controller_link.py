@@ -41,7 +41,7 @@ class ControllerDiffers(Exception):  # noqa: N818 (an outcome, no error)
     """The controller has sent other frames than the model. The text of the exception describes how.
 
     Attributes:
-        difference: The first difference.
+        difference: The first difference between their frames.
     """
 
     def __init__(self, difference: Difference, mistakes: Sequence[str] = ()) -> None:
@@ -159,7 +159,8 @@ class ControllerLink:
         compared when the tick ends.
         """
         broadcasts_before = self.model_node.sent.estimates
-        self.lockstep.observe({self.setup.id: observation})  # the model gets the command, too, by _take_frame
+        # The model gets the command, too, by _take_frame, and answers at once.
+        self.lockstep.observe({self.setup.id: observation})
         is_broadcast_due = self.model_node.sent.estimates != broadcasts_before
         if is_broadcast_due:
             self.mistaken_models.keep_broadcasts(self.model_robot)
@@ -211,6 +212,7 @@ class ControllerLink:
         telemetry_fields = self._last_telemetry_fields()
         difference = self.take_difference()
         if difference is not None:
+            # For the report: the mistakes with which a model would have sent this telemetry.
             mistakes = self.mistaken_models.mistakes_with_telemetry(telemetry_fields, self.model_robot)
             raise ControllerDiffers(difference, mistakes)
         self.mistaken_models.drop_different(self.model_robot)
@@ -225,10 +227,9 @@ class ControllerLink:
         return self.comparison.check(received, expected)
 
     def compare_late_frames(self) -> None:
-        """Receive for another 0.1 seconds, and compare once more with the model's frames.
+        """Receive for another 0.1 seconds, and raise ControllerDiffers if the controller sends anything.
 
-        The controller has sent its last answer before, so anything that it sends now is a difference. Raises
-        ControllerDiffers if there is one.
+        It has sent its last answer before, so that the model sends nothing in this time.
         """
         end = time.monotonic() + _LATE_FRAMES_SECONDS
         while True:

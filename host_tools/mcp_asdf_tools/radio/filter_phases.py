@@ -91,13 +91,10 @@ def observe_until_excess(bench: Bench, excess: int) -> None:
         white_count = state.t - state.n
         return state.n - white_count
 
-    def missing_colour() -> Observation:
-        return Observation.BLACK if present_excess() < excess else Observation.WHITE
-
     while present_excess() != excess:
         # Half of the way to 0 at once, as the excess to reach is near 0 and is not to be passed by much.
         ticks = max(abs(present_excess()) // 2, 1)
-        bench.skip_ticks(ticks, missing_colour)
+        bench.skip_ticks(ticks, lambda: Observation(present_excess() < excess))
 
 
 def re_estimate_without_black(bench: Bench) -> None:
@@ -204,16 +201,12 @@ def re_estimate_early(bench: Bench) -> None:
     and re-estimates for which no estimates are drawn, are left out.
     """
     state = bench.model_state
-
-    def choose_colour() -> Observation:
-        is_share_below_three_fifths = 5 * state.n < 3 * state.t
-        return Observation(is_share_below_three_fifths)
-
     for t in _EARLY_COUNTS:
         if state.t > t:
             continue
         bench.activity = f"{t} observations"
-        bench.skip_ticks(t - state.t, choose_colour)
+        # Black while the share of black ones, n / t, is below 3/5.
+        bench.skip_ticks(t - state.t, lambda: Observation(5 * state.n < 3 * state.t))
         for update in (Update.ABOVE, Update.BELOW):
             bench.skip_to_test_round()
             estimates = draw_round_for_update(bench.robot_state, update, bench.rng)
@@ -226,8 +219,7 @@ def re_estimate_early(bench: Bench) -> None:
 def required_updates(setup: RobotSetup) -> int:
     """Return how many updates of b_hat a run makes at least, so that a counter of too few bits shows.
 
-    They are 257, which a counter of 8 bits cannot hold, if the filter tests at least every 50 ticks.
-    Otherwise they are 33, for which a run has time.
+    A counter of 8 bits cannot hold them. Tests more than 50 ticks apart leave time for 33 alone.
     """
     has_frequent_tests = setup.filter_period <= _MAX_PERIOD_FOR_MANY_UPDATES
     return 2**8 + 1 if has_frequent_tests else 2**5 + 1
@@ -236,8 +228,7 @@ def required_updates(setup: RobotSetup) -> int:
 def re_estimate_often(bench: Bench) -> None:
     """Let the controller re-estimate b_hat so often that a counter of updates with too few bits shows.
 
-    The estimates have confidences (alpha) of every size, one size a round, and so many rounds are played at
-    least.
+    The estimates have confidences (alpha) of every size, one size a round.
     """
     missing_updates = required_updates(bench.setup) - bench.model_state.updates
     round_count = max(missing_updates, len(ALPHA_SCALES))
@@ -323,10 +314,7 @@ def halve_memory(bench: Bench) -> None:
 
 
 def observe_long(bench: Bench) -> None:
-    """Let the controller make 20,000 observations in all, so that a memory that is too short shows.
-
-    It makes 16 more if earlier phases have reached that number.
-    """
+    """Let the controller make 20,000 observations in all, so that a memory that is too short shows."""
     bench.activity = _MANY_OBSERVATIONS
     missing_observations = LONG_RUN - bench.model_state.t
     bench.skip_ticks(max(missing_observations, BURST), bench.draw_observation)

@@ -45,6 +45,7 @@ class FloatTest:
         ``centre`` and ``spread`` are in units of 2**-24.
         """
         fit = self._round  # fits every intermediate result into the significant bits
+        # The divisions by powers of two are conversions from the integers that the firmware has.
         b_hat = fit(robust.initial_b_hat / 2**32)
         fill_ratio = fit(centre / 2**24)
         black_observed_as_black = fit(b_hat * fill_ratio)
@@ -56,6 +57,7 @@ class FloatTest:
         variance_of_predicted = fit(predicted * fit(1 - predicted))
         variance = max(variance_of_observed, variance_of_predicted)
         dispersed_variance = fit(fit(robust.dispersion / 2**8) * variance)
+        # The uncertainty of the prediction, which changes by g = 2 b_hat - 1 where the centre changes by 1.
         g_spread = fit(fit(2 * b_hat - 1) * fit(spread / 2**24))
         uncertainty = fit(fit(dispersed_variance / t) + fit(g_spread * g_spread))
         difference = fit(observed - predicted)
@@ -85,7 +87,7 @@ def test_with_t_of_14_bits(robust: RobustFilter, t: int, n: int, centre: int, sp
     The result is False if these are 0, which a test cannot divide by. ``centre`` and ``spread`` are in units
     of 2**-24.
     """
-    short_t = t % (1 << 14)
+    short_t = t % 2**14
     return short_t != 0 and robust_test_rejects(robust, short_t, n, centre, spread)
 
 
@@ -111,10 +113,11 @@ class RobotThatTestsInFloat64(MirrorRobot):
 
         It is None, too, if the round has fewer than two messages, or if their mean carries no information.
         """
-        table, sums = self.config.table, self.s.open
+        table, sums = self.config.table, self.s.open  # open: the round that is ending
         # The variance of a single estimate is not defined, so that the test needs two.
         if table is None or sums.count < 2:
             return None
+        # Sum x - m x_hat, and the scatter m Sum x**2 - (Sum x)**2, with m the number of estimates.
         difference = sums.x - sums.count * self.s.x_hat
         scatter = sums.count * sums.x_squared - sums.x * sums.x
         if float(difference) ** 2 <= limit_in_float64(table, sums.count, scatter):
@@ -208,7 +211,7 @@ class MistakenModels:
 
     models: dict[str, MirrorRobot] = field(default_factory=dict)
     _right_broadcast: tuple[int, float] | None = None
-    _broadcasts: dict[str, tuple[int, float]] = field(default_factory=dict)
+    _broadcast_by_mistake: dict[str, tuple[int, float]] = field(default_factory=dict)
 
     @classmethod
     def beside(
@@ -233,28 +236,31 @@ class MistakenModels:
 
     def keep_broadcasts(self, right_model: MirrorRobot) -> None:
         """Keep what each model, and the right one, broadcasts now, for ``drop_different``."""
-        self._broadcasts = {name: _broadcast_of(model) for name, model in self.models.items()}
+        self._broadcast_by_mistake = {name: _broadcast_of(model) for name, model in self.models.items()}
         self._right_broadcast = _broadcast_of(right_model)
 
     def mistakes_with_telemetry(
         self, telemetry: TelemetryFields | None, right_model: MirrorRobot
     ) -> list[str]:
-        """Return the mistakes with which a controller would send this telemetry.
+        """Return the names of the mistakes with which a controller would send this telemetry.
 
-        It must differ from that of the right model. The list is empty if no telemetry came.
+        There is none if it equals that of the right model, or if ``telemetry`` is None, as none came.
         """
         if telemetry is None or telemetry == telemetry_of(right_model):
             return []
         return [name for name, model in self.models.items() if telemetry_of(model) == telemetry]
 
     def drop_different(self, right_model: MirrorRobot) -> None:
-        """Leave out the models whose last telemetry or broadcast differs from that of the right model."""
+        """Leave out the models whose present telemetry or last broadcast differs from the right model's."""
         right_telemetry = telemetry_of(right_model)
-        self.models = {
-            name: model
-            for name, model in self.models.items()
-            if telemetry_of(model) == right_telemetry and self._broadcasts.get(name) == self._right_broadcast
-        }
+        equal_models = {}
+        for name, model in self.models.items():
+            is_telemetry_equal = telemetry_of(model) == right_telemetry
+            # Before the first broadcast both are None.
+            is_broadcast_equal = self._broadcast_by_mistake.get(name) == self._right_broadcast
+            if is_telemetry_equal and is_broadcast_equal:
+                equal_models[name] = model
+        self.models = equal_models
 
 
 def telemetry_of(robot: MirrorRobot) -> TelemetryFields:

@@ -84,8 +84,9 @@ class Neighbourhood:
         return self._swarm.ticks
 
     def begin(self) -> Observation | None:
-        """Let all neighbours observe and send, and return the observation of the controller."""
-        return self._swarm.begin_tick()[self.settings.controller.id]
+        """Let all neighbours observe and send, and return the observation of the controller, or None."""
+        observation_by_robot = self._swarm.begin_tick()
+        return observation_by_robot[self.settings.controller.id]
 
     def finish(self, controller_frames: Sequence[can.Message]) -> list[can.Message]:
         """Let all neighbours receive and settle, with the frames that the controller has sent.

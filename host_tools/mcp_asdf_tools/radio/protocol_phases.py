@@ -65,9 +65,7 @@ CROWDED_MESSAGES = _CROWDED_REPEATS * (MAX_ID - 1) + 1
 # --- Frames that are no estimates ---
 
 ChangeFrame = Callable[[can.Message, Random], None]
-"""A function that changes an estimate's frame in place so that it is none.
-
-It draws what is arbitrary about the change from the random numbers that it is called with."""
+"""Changes an estimate's frame in place so that it is none, and draws what is arbitrary about the change."""
 
 
 def _write_number(first_byte: int, length: int, minimum: int, maximum: int) -> ChangeFrame:
@@ -305,10 +303,7 @@ def receive_and_wait(bench: Bench) -> None:
 
 
 def lose_settles(bench: Bench) -> None:
-    """Leave out a *settle* four times: the next *observe* must end the tick all the same.
-
-    In the tick without it the controller receives estimates, which it must count.
-    """
+    """Leave out a *settle* four times: the next *observe* must end the tick and its round all the same."""
     for _ in range(4):
         bench.wait_for_round_without_test()
         bench.activity = "messages in a tick whose settle is lost"
@@ -477,10 +472,7 @@ def receive_growing_rounds(bench: Bench) -> None:
 
 
 def receive_crowded_tick(bench: Bench) -> None:
-    """Send the controller hundreds of estimates in one tick, most of which it must ignore as repeated.
-
-    All other robots but one send four each. The last estimate is the only one of its sender, so it counts.
-    """
+    """Send hundreds of estimates in a tick: four of each sender but the last, whose only one must count."""
     *senders, last_sender = bench.other_ids
     bench.wait_for_round_without_test()
     bench.activity = f"a tick with {CROWDED_MESSAGES} messages"
@@ -494,7 +486,6 @@ def receive_extremes(bench: Bench) -> None:
     """Play rounds of estimates at the ends of their ranges, and of confidences that robots never send.
 
     The latter are legal numbers of 32 bits that the firmware cannot hold exactly, and must round or limit.
-    Each comes in a round with an estimate of the smallest confidence.
     """
     for name, estimates in EXTREME_ROUNDS.items():
         bench.wait_for_round_without_test()
@@ -514,10 +505,7 @@ def receive_extremes(bench: Bench) -> None:
 
 
 def receive_repeated_sender(bench: Bench) -> None:
-    """Send two, three and six estimates of one sender in a round, of which only the first must count.
-
-    One of another sender comes after the first.
-    """
+    """Send two, three and six estimates of one sender in a round, of which only the first must count."""
     for repeats in (1, 2, 5):
         bench.wait_for_round_without_test()
         bench.activity = "different messages of one sender in a round"

@@ -61,6 +61,7 @@ class RadioRun:
                 self.on_tick()
         except (Stopped, KeyboardInterrupt):
             self.outcome.ending = "stopped"
+            # A run without a number of ticks ends in no other way.
             self.outcome.is_interrupted = self._ticks is not None
         except can.CanError as error:
             self.link.last_failure = error
@@ -104,7 +105,8 @@ class RadioRun:
         self.neighbours.begin()
         for frame in self.neighbours.finish(self._controller_frames):
             is_sent = self.link.send(frame)
-            self.sent_count += is_sent
+            if is_sent:
+                self.sent_count += 1
         self._controller_frames = []
 
     def _receive_while_waiting(self, seconds: float) -> None:

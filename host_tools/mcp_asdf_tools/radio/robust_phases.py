@@ -249,12 +249,8 @@ def test_estimates_far_apart(bench: Bench) -> None:
         return
     bench.activity = "observations that estimates far apart contradict"
     three_quarters = 3 * SLOT_HALF // 2
-    estimates = (0, three_quarters) * (SLOTS // 2)
-
-    def would_reject() -> bool:
-        return _slots_at_test(bench, estimates).is_rejected()
-
-    if _observe_until_black_share(bench, black_share, is_enough=would_reject):
+    estimates = [0, three_quarters] * (SLOTS // 2)
+    if _observe_until_black_share(bench, black_share, is_enough=lambda: _would_reject(bench, estimates)):
         bench.activity = "a test with estimates that are far apart"
         _play_test_with_estimates(bench, estimates)
 
@@ -378,10 +374,7 @@ def _let_rounds_vote(bench: Bench, rounds: int) -> None:
 
 
 def _play_test_round(bench: Bench) -> None:
-    """Let ticks pass until the round of the next test, and play that round without messages.
-
-    So the estimates that the controller keeps already are tested.
-    """
+    """Let ticks pass until the round of the next test, and play that round without messages."""
     bench.skip_to_test_round()
     bench.play_round()
 
@@ -407,11 +400,6 @@ def _observe_in_order(bench: Bench, observations: Sequence[Observation]) -> None
     bench.skip_ticks(len(observations), lambda: next(remaining_observations))
 
 
-def _observe_burst(bench: Bench, colour: Observation) -> None:
-    """Let the controller observe this colour in each tick of a burst."""
-    bench.skip_ticks(BURST, lambda: colour)
-
-
 def _observe_three_quarters_filled(bench: Bench) -> None:
     """Observe until the share of black is about what the initial b_hat predicts for a fill ratio of 3/4."""
     black_share = _predict_black_share(bench, _FILL_RATIO_BEFORE_TEST)
@@ -424,7 +412,7 @@ def _observe_until_black_share(
     """Observe until the share of black observations is near ``black_share`` and ``is_enough`` returns True.
 
     The share is near if it is off by less than 0.01, of more than 64 observations. Returns whether that has
-    come about within 4096 observations. They are made in bursts.
+    come about within 4096 observations.
     """
     state = bench.model_state
 
@@ -447,7 +435,7 @@ def _observe_equal_colours_until_rejection(bench: Bench, estimate: int) -> bool:
     Returns whether that has come about within 4096 observations of each colour.
     """
     for _ in range(_MAX_PAIRS_OF_COLOURS):
-        if _would_reject(bench, estimate):
+        if _would_reject(bench, [estimate] * SLOTS):
             return True
         bench.play_tick(Observation.BLACK)
         bench.play_tick(Observation.WHITE)
@@ -462,9 +450,9 @@ def _observe_until_rejection(bench: Bench, estimate: int | None = None) -> bool:
     """
     for _ in range(_MAX_BURSTS):
         tested_estimate = _most_contradicting_estimate(bench) if estimate is None else estimate
-        if _would_reject(bench, tested_estimate):
+        if _would_reject(bench, [tested_estimate] * SLOTS):
             return True
-        _observe_burst(bench, _more_frequent_colour(bench))
+        _observe_in_order(bench, [_more_frequent_colour(bench)] * BURST)
     return False
 
 
@@ -483,10 +471,9 @@ def _observe_until_slots_can_be_crafted(
         if slots is not None:
             return slots
         colour = _more_frequent_colour(bench)
-        is_contradicted_enough = _would_reject(bench, _most_contradicting_estimate(bench))
-        if is_contradicted_enough:
+        if _would_reject(bench, [_most_contradicting_estimate(bench)] * SLOTS):
             colour = Observation.WHITE if colour is Observation.BLACK else Observation.BLACK
-        _observe_burst(bench, colour)
+        _observe_in_order(bench, [colour] * BURST)
     bench.not_exercised.append(bench.activity)
     return None
 
@@ -548,18 +535,10 @@ def _most_contradicting_estimate(bench: Bench) -> int:
     return opposite_end(agreeing_estimate)
 
 
-def _slots_at_test(bench: Bench, estimates: tuple[int, ...]) -> SlotsAtTest:
-    """Return the next test with these estimates in the slots, as it would be without a further observation.
-
-    The result has the estimates, and what else the test takes from the controller's model.
-    """
+def _would_reject(bench: Bench, estimates: Sequence[int]) -> bool:
+    """Return whether a test before the next observation would reject with these estimates in the slots."""
     state = bench.model_state
-    return SlotsAtTest(estimates, filter_at_test(state), state.t, state.n)
-
-
-def _would_reject(bench: Bench, estimate: int) -> bool:
-    """Return whether a test before the next observation would reject if all 32 slots had this estimate."""
-    return _slots_at_test(bench, (estimate,) * SLOTS).is_rejected()
+    return SlotsAtTest(tuple(estimates), filter_at_test(state), state.t, state.n).is_rejected()
 
 
 # --- Tests that are decided by a hair, or by supporters ---

@@ -99,6 +99,7 @@ class ControllerVerdict:
             return f"DISTURBED, no verdict: {count}; {self.disturbance}"
         if self.is_interrupted:
             return f"INTERRUPTED: {count}"
+        # No difference has ended the run, so that a phase has not passed only if its fault affected nothing.
         idle_faults = [
             f'the fault of phase "{phase.name}"' for phase in self.phases if phase.outcome != PASSED
         ]
@@ -106,7 +107,7 @@ class ControllerVerdict:
         return f"NOT EXERCISED: {count}, no difference, but never put to the test: {missing}"
 
     def open_points(self) -> dict[str, list[str]]:
-        """Return ``not_exercised`` and ``not_checked`` by the title of each, without a list that is empty."""
+        """Return the lists of what is not exercised and not checked by title, those that are not empty."""
         lists = {"Not exercised": self.not_exercised, "Not checked": self.not_checked}
         return {title: entries for title, entries in lists.items() if entries}
 
@@ -146,11 +147,11 @@ def plan_phases(
     ]
     chosen_phases += [Phase(fault.name, fault=str(fault)) for fault in settings.faults]
     phases_among_neighbours = [phase for phase in chosen_phases if phase.play is None]
-    faults = [
-        replace(parse_fault(text), start=index * ticks, stop=(index + 1) * ticks)
-        for index, phase in enumerate(phases_among_neighbours)
-        for text in phase.fault.split()
-    ]
+    faults = []
+    for index, phase in enumerate(phases_among_neighbours):
+        first_tick = index * ticks
+        for text in phase.fault.split():
+            faults.append(replace(parse_fault(text), start=first_tick, stop=first_tick + ticks))
     return chosen_phases, faults
 
 
@@ -233,8 +234,9 @@ class Verification:
             self._result.outcome = FAILED
             # A wrong frame in place of the answer says more than that the answer is missing.
             difference = bench.take_difference()
-            is_only_silent = difference is None or difference.field == "missing"
-            verdict.difference = f"{self._describe_time()}: {error if is_only_silent else difference}"
+            has_sent_wrong_frame = difference is not None and difference.field != "missing"
+            description = difference if has_sent_wrong_frame else error
+            verdict.difference = f"{self._describe_time()}: {description}"
         verdict.repeated = bench.lockstep.repeated
         return verdict
 
@@ -271,7 +273,7 @@ class Verification:
         result.outcome = NOT_EXERCISED if has_idle_fault else PASSED
 
     def _totals(self) -> tuple[int, int, int]:
-        """Return the ticks, injected faults and equal frames of all phases together so far."""
+        """Return the numbers of ticks, injected faults and equal frames of all phases together so far."""
         bench = self.bench
         injected = sum(figures["injected"] for figures in bench.neighbours.faults.figures())
         return bench.ticks, injected, bench.comparison.equal_frames.total()
@@ -297,10 +299,13 @@ class Verification:
             verdict.not_checked.append(f"whether it {mistake}: no frame of this run would have shown it")
 
     def _describe_time(self) -> str:
-        """Return phase, activity and tick at present, as a difference is reported with them."""
+        """Return phase, activity and tick at present, as a difference is reported with them.
+
+        The activity is left out if it is the name of the phase or its faults, or empty.
+        """
         activity = self.bench.activity
-        is_more_exact = activity and activity not in (self._phase.name, self._phase.fault)
-        in_brackets = f" ({activity})" if is_more_exact else ""
+        is_activity_known = activity in ("", self._phase.name, self._phase.fault)
+        in_brackets = "" if is_activity_known else f" ({activity})"
         return f'phase "{self._phase.name}"{in_brackets}, tick {self.bench.tick_index}'
 
 
@@ -330,16 +335,24 @@ def details(verdict: ControllerVerdict) -> str:
 
 
 def _format_phases(phases: Sequence[PhaseResult]) -> list[str]:
-    """Return the lines of a Markdown table of the phases, its columns aligned."""
-    rows = [{name: str(getattr(phase, name) or "") for name in _HEADINGS} for phase in phases]
-    widths = {name: max(len(row[name]) for row in [_HEADINGS, *rows]) for name in _HEADINGS}
+    """Return the lines of a Markdown table, its columns aligned, with a row for each phase.
+
+    The columns are name, ticks, injected faults, equal frames, outcome and fault.
+    """
+    columns = list(_HEADINGS)
+    headings = list(_HEADINGS.values())
+    rows = []
+    for phase in phases:
+        figures = [getattr(phase, column) for column in columns]
+        rows.append([str(figure or "") for figure in figures])  # 0 and None are left blank
+    widths = [max(map(len, cells)) for cells in zip(headings, *rows, strict=True)]
     # Faults are long and in the last column, so they are not padded.
-    widths["fault"] = len(_HEADINGS["fault"])
-    rule = {name: "-" * width for name, width in widths.items()}
+    widths[columns.index("fault")] = len(_HEADINGS["fault"])
+    rule = ["-" * width for width in widths]
     lines = []
-    for row in [_HEADINGS, rule, *rows]:
-        cells = [row[name].ljust(width) for name, width in widths.items()]
-        lines.append(f"| {' | '.join(cells)} |")
+    for row in [headings, rule, *rows]:
+        padded_cells = [cell.ljust(width) for cell, width in zip(row, widths, strict=True)]
+        lines.append(f"| {' | '.join(padded_cells)} |")
     return lines
 
 
