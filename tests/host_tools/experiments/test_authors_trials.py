@@ -66,6 +66,7 @@ def read_and_run(experiment: Experiment, path: Path) -> tuple[Trials, Trials]:
 def test_a_trial_from_a_file_has_the_convergence_errors_and_accuracies_that_were_written(
     experiment: Experiment, tmp_path: Path
 ) -> None:
+    """Numbers in the authors' files have six decimal places, so only steps of convergence are exact."""
     trials, expected_trials = read_and_run(experiment, tmp_path / "trial.json")
 
     assert np.array_equal(trials.convergence_steps, expected_trials.convergence_steps)

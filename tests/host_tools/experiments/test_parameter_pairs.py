@@ -156,6 +156,7 @@ def test_a_curve_of_experiments_that_differ_in_a_parameter_not_shown_is_refused(
 
 @pytest.mark.parametrize("name", DRAWN_CASES)
 def test_a_curve_over_a_parameter_has_a_point_at_the_median_error_for_each_value(name: str) -> None:
+    """The error of a trial is called e. There are two values, and the curve may go up or down."""
     first, second = results_of_pair(name)
     (axes,) = plot_curve([first, second], name, "e").axes
     (line,) = axes.lines

@@ -114,6 +114,7 @@ def results_file(unfiltered: Trials, tmp_path: Path) -> Path:
 def test_the_command_plot_writes_the_same_bytes_each_time_in_the_format_of_the_suffix(
     suffix: str, first_bytes: bytes, results_file: Path, tmp_path: Path
 ) -> None:
+    """The results are drawn twice. The first bytes of a file tell its format."""
     first_picture, second_picture = tmp_path / f"1.{suffix}", tmp_path / f"2.{suffix}"
     for picture in (first_picture, second_picture):
         assert cli.main(["plot", str(results_file), str(picture)]) == 0

@@ -66,8 +66,8 @@ def experiments(results_path: Path) -> list[Trials]:
 
 
 @pytest.fixture(scope="module")
-def measured() -> list[Trials]:
-    """The same experiments, as they were run before they were written."""
+def trials_run_again() -> list[Trials]:
+    """The same experiments, run once more and not written to a file."""
     return [
         run_trials(experiment, first=0, trials=3, sampling_interval=10)
         for experiment in (SHORT, OTHER_EXPERIMENT)
@@ -92,13 +92,14 @@ def test_a_file_of_results_gives_back_its_experiments_with_their_trials_in_order
 
 
 def test_a_file_of_results_gives_back_all_values_that_were_measured_and_recorded_over_time(
-    experiments: list[Trials], measured: list[Trials]
+    experiments: list[Trials], trials_run_again: list[Trials]
 ) -> None:
-    for trials_read, trials_measured in zip(experiments, measured, strict=True):
+    """The same trials are run once more, and compared with those that are read from the file."""
+    for trials_read, expected_trials in zip(experiments, trials_run_again, strict=True):
         for name in ("convergence_steps", "errors", "b_hat", "tests", "updates"):
-            assert np.array_equal(getattr(trials_read, name), getattr(trials_measured, name)), name
+            assert np.array_equal(getattr(trials_read, name), getattr(expected_trials, name)), name
         for name in QUANTITIES:
-            assert np.array_equal(trials_read.records[name], trials_measured.records[name]), name
+            assert np.array_equal(trials_read.records[name], expected_trials.records[name]), name
 
 
 def test_a_file_of_results_gives_back_how_often_values_were_recorded(experiments: list[Trials]) -> None:
@@ -138,8 +139,11 @@ def test_small_tables_are_joined_until_they_have_enough_bytes() -> None:
 def test_any_reader_of_parquet_finds_the_parameters_and_the_results_of_a_trial_in_its_row(
     results_path: Path,
 ) -> None:
-    """A row has lists with values of all robots, and the trial's scores. The trial is run again."""
-    _trial_2, row, *_ = pq.read_table(results_path).to_pylist()
+    """A row has scores, and lists with a value of each robot: k, the step of convergence, and e, its error.
+
+    The second row is that of trial 0, which is run again.
+    """
+    _row_of_trial_2, row, *_ = pq.read_table(results_path).to_pylist()
     trials = run_trials(SHORT, first=0, trials=1)
 
     assert row["trial"] == 0
@@ -390,7 +394,8 @@ def test_a_file_of_results_with_one_thing_wrong_is_refused_with_its_name(path: P
     damages = list(damaged_tables())
     assert len(damages) > 100
     interval = len(damages) // draws(len(damages))  # from one damage that is tried to the next
-    for table, expected_words in damages[:4] + damages[4::interval]:
+    always_tried, others = damages[:4], damages[4:]
+    for table, expected_words in always_tried + others[::interval]:
         pq.write_table(table, path)
         refusal = read_or_refuse(PARSERS["results"], path, path.read_bytes())
         if refusal is None:

@@ -181,6 +181,7 @@ def test_a_sweep_that_lacks_trials_between_finished_ones_runs_these(
 
 
 def test_a_finished_sweep_is_not_run_again(output: Path, jobs_run: list[Job]) -> None:
+    """The second sweep into the same output runs no job, and leaves the results as they are."""
     run_sweep(Store(output, [EXPERIMENT]), workers=1)
     table = read_table(output)
     jobs_run.clear()

@@ -50,6 +50,7 @@ def quantile_of_90_percent(values: Sample, axis: int) -> Sample:
 def test_a_statistic_of_a_sample_and_of_each_of_its_resamples_is_that_of_numpy_or_scipy(
     resample: Callable[[Sample], Resampled], statistic: Callable[..., Sample], trials: int
 ) -> None:
+    """A resample has trials of the sample by their indices, which ``resample_indices`` has drawn."""
     sample = np.round(normal_sample(seed=trials, trials=trials), 1)  # some values are equal
 
     resampled = resample(sample)

@@ -46,6 +46,7 @@ def test_a_part_of_the_study_has_each_experiment_of_the_paper_once(study_part: S
 def test_a_part_of_the_study_has_as_many_robots_and_steps_and_trials_as_the_paper(
     study_part: StudyPart, robots: int, steps: int
 ) -> None:
+    """The paper runs 30 trials of each experiment."""
     experiment = first_experiment(study_part)
 
     assert experiment.robots == robots

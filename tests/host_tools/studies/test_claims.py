@@ -287,6 +287,7 @@ def test_a_comparison_can_be_of_how_trials_spread_or_with_the_best_of_them(
 def test_a_comparison_is_labelled_by_its_swarm_and_by_what_is_subtracted_from_what(
     row: dict[str, Any], row_label: str, column_label: str
 ) -> None:
+    """The row of a table is the swarm. Its column has the measure, and behind "less" what is subtracted."""
     (only_plan,) = plan(**{"flawed_percents": 10, "flawed_accuracies": 0.75, **row})
     comparison = only_plan.compare(PlantedResults("70"), confidence=0.9)
 

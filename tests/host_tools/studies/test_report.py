@@ -79,6 +79,7 @@ def test_the_report_counts_the_verdicts_on_the_claims_that_equations_decide(writ
 
 
 def test_the_report_counts_the_verdicts_on_the_claims_about_dynamic_swarms(written: WrittenReport) -> None:
+    """A line of its table has the numbers of claims that agree, are mixed, disagree or are undecided."""
     counts = Counter(
         decision.verdict for decision in written.decisions if decision.study_part is StudyPart.DYNAMIC
     )
@@ -113,6 +114,7 @@ def test_the_heading_of_each_claim_in_the_report_has_its_verdict(written: Writte
 def test_the_section_of_each_claim_has_the_papers_words_what_was_compared_and_a_summary(
     written: WrittenReport,
 ) -> None:
+    """The words of the paper stand in quotation marks, with the place in the paper behind them."""
     for decision in written.decisions:
         section = written.section_of(decision)
         assert f'"{decision.claim.quote}" ({decision.claim.where})' in section

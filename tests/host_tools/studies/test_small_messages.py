@@ -148,6 +148,7 @@ def folder_of_short_study(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_the_program_writes_its_tables_of_both_filters_with_a_row_for_each_number_of_bits_and_a_png(
     folder_of_short_study: Path,
 ) -> None:
+    """The table "close" is of codes about which 30 trials decide nothing, and which run with more."""
     tables = tables_in(folder_of_short_study / "small_messages.md")
 
     assert list(tables) == ["exact", "asdf_minus", "robust", "close"]
@@ -161,6 +162,7 @@ def test_the_program_writes_its_tables_of_both_filters_with_a_row_for_each_numbe
 def test_the_program_keeps_the_results_of_a_filter_with_values_every_250_steps(
     file: str, filter_name: str, folder_of_short_study: Path
 ) -> None:
+    """The file "close" is of codes about which 30 trials decide nothing, with ASDF-."""
     results = m.read_table(folder_of_short_study / f"small_messages_{file}.parquet")
     first_trials, *_ = m.experiments_in(results)
 

@@ -178,6 +178,7 @@ def test_a_table_has_labelled_rows_and_a_column_for_each_filter_that_a_row_needs
 def test_the_tables_of_a_study_are_written_between_their_marks_below_a_title_and_a_note(
     tmp_path: Path,
 ) -> None:
+    """A mark is a comment with the name of the table that follows."""
     tables = {"first": "| 1 |", "second": "| 2 |"}
     study_program.write_tables(tmp_path / "a.md", "A study", tables, note="Means.")
 
@@ -202,6 +203,7 @@ THREE_ROBOTS = Experiment(robots=3, flawed=1, steps=400, filter_period=100, tria
 def test_the_quick_form_of_a_study_has_two_trials_of_at_most_4000_steps(
     steps: int, quick_steps: int, tmp_path: Path
 ) -> None:
+    """The experiment has 30 trials. Steps are only shortened, so 400 of them stay 400."""
     long_experiment = Experiment(robots=3, flawed=1, steps=steps, filter_period=100, trials=30)
     [trials] = run_row(tmp_path, long_experiment, quick=True)
 

@@ -78,7 +78,7 @@ def test_a_measure_that_is_asked_for_twice_is_computed_once() -> None:
     assert RESULTS.measure(FLAWED_CELL, "H") is RESULTS.measure(FLAWED_CELL, "H")
 
 
-def test_results_without_flawed_robots_are_found_whatever_these_would_assume() -> None:
+def test_a_cell_without_flawed_robots_has_one_sample_whatever_accuracy_flawed_ones_would_assume() -> None:
     """The study runs one swarm without flawed robots, and not one for each accuracy that they may assume."""
     cell_with_another_assumption = replace(FLAWLESS_CELL, flawed_accuracy=0.75)
     h = RESULTS.sample(cell_with_another_assumption, "H")

@@ -84,8 +84,8 @@ def test_the_log_of_a_swarm_has_every_frame_with_its_channel_and_its_time(tmp_pa
 
     assert identifiers_and_data(logged_frames) == identifiers_and_data(sent_frames)
     assert {frame.channel for frame in logged_frames} == {"mine"}
-    start = logged_frames[0].timestamp
-    logged_times = [round(frame.timestamp - start, 3) for frame in logged_frames]
+    first_frame, *_ = logged_frames  # which is sent at 0 s
+    logged_times = [round(frame.timestamp - first_frame.timestamp, 3) for frame in logged_frames]
     assert logged_times == [round(frame.timestamp, 3) for frame in sent_frames]
 
 

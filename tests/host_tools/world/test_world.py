@@ -533,8 +533,8 @@ def test_a_sensor_that_breaks_its_promise_of_one_accuracy_is_refused() -> None:
 NO_NEIGHBOURS = np.zeros((5, 4, 4), np.bool_)
 
 
-def test_neighbours_of_an_extension_are_taken_as_they_are() -> None:
-    """The array of a user's topology, by step, receiver and sender, is returned itself."""
+def test_right_neighbours_of_an_extension_are_passed_on_unchanged() -> None:
+    """The array of a user's topology, by step, receiver and sender, comes out of the check itself."""
     topology = CheckedTopology(extension_whose_advance_returns(NO_NEIGHBOURS), "mine", robots=4)
     assert topology.advance(5) is NO_NEIGHBOURS
 
