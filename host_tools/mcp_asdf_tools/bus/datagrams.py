@@ -75,10 +75,11 @@ def _read_data_frame(reader: _Reader) -> can.Message:
     has_error_state = reader.take_flag("error_state_indicator")
 
     # The datagram has been read to its last field; only now its values are compared with each other.
-    is_data_frame = not (is_remote or is_error or is_fd or has_bit_rate_switch or has_error_state)
+    is_special = is_remote or is_error or is_fd or has_bit_rate_switch or has_error_state
     has_valid_length = length == len(data) <= _MAX_DATA_BYTES
     has_valid_identifier = identifier <= _LARGEST_IDENTIFIER[is_extended]
-    if not (is_data_frame and has_valid_length and has_valid_identifier and reader.is_at_end):
+    is_valid = has_valid_length and has_valid_identifier and reader.is_at_end
+    if is_special or not is_valid:
         raise _MalformedError
     return can.Message(arbitration_id=identifier, is_extended_id=is_extended, dlc=length, data=data)
 

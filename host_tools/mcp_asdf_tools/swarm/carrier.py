@@ -381,7 +381,7 @@ class Carrier:
         robot_connection = self._robot_connections.get(robot)
         if robot_connection is None:
             return frames
-        # Of these only the frames matter, to the connection and below.
+        # The connection compares frames alone, so that the sender given here does not matter.
         expected = [SentFrame(frame, robot, tick) for frame in frames]
         received = robot_connection.receive_expected(expected, self._timeout(tick))
         if len(frames) == _BATCH_SIZE:
