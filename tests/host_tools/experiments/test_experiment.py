@@ -182,7 +182,7 @@ def test_docs_platforms_authors_md_translates_the_authors_keys_into_parameters_t
     (table,) = re.findall(r"\| theirs, YAML .*\n((?:\|.*\n)+)", page)
     our_parameters = re.findall(r"^\|[^|]*\|[^|]*\| `(\w+)", table, re.MULTILINE)
 
-    assert len(our_parameters) > 15
+    assert len(our_parameters) > 15, "the rows of the table have been found"
     assert set(our_parameters) <= set(parameters_of(Experiment))
 
 

@@ -460,6 +460,7 @@ OTHER_LIMITS = Limits(k_max=1000, e_max=0.7)
 def test_scores_in_a_table_are_computed_again_for_limits_that_the_user_chooses(
     name: str, results_path: Path, experiments: list[Trials]
 ) -> None:
+    """A score is relative to limits of convergence and of errors. Those in the file are the paper's."""
     _, second_experiment = experiments
     table = read_table(results_path)
     scores_before = table[name].to_pylist()

@@ -400,16 +400,19 @@ def test_the_driver_waits_for_an_answer_instead_of_reading_again_and_again() -> 
 
 @still()
 def test_an_answer_that_is_lost_is_an_error_and_does_not_make_a_robot_settle_twice() -> None:
-    """They get the command to end tick 7 again, but do not answer again. LockstepError names all three."""
+    """The answers of three robots to the command to end tick 7, their eighth ones, are lost.
+
+    They get the command once more, and do not obey and answer it again. LockstepError names all three.
+    """
     wire = wire_that_loses_eighth_answers()
 
     with pytest.raises(LockstepError, match="robot 1, 2, 3 did not settle within"):
         drive_three_robots(wire)
 
     for robot in wire.nodes:
-        assert robot.ticks == 8
+        assert robot.ticks == 8, "ticks 0 to 7"
         assert robot.sent.telemetry == 8
-        assert robot.disobeyed == 1
+        assert robot.disobeyed == 1, "the repeated command"
 
 
 @still()

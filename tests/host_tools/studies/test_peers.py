@@ -598,7 +598,10 @@ def test_a_floor_that_changes_looks_as_if_95_percent_were_black_in_the_second_ha
 
 
 def test_a_floor_that_changes_does_so_in_step_50_of_100_however_many_steps_are_taken_at_once() -> None:
-    """Accuracies on white tiles, which change with the floor, are compared step by step."""
+    """Accuracies on white tiles, which change with the floor, are compared step by step.
+
+    Step 50 is in the middle of the second part, which has the steps 30 to 99.
+    """
     floor = peers.ChangingFloor(CHANGING_FLOOR, trial=0)
     _, accuracy_on_white_of_all_steps = peers.ChangingFloor(CHANGING_FLOOR, trial=0).advance(steps=100)
 

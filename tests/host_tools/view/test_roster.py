@@ -96,7 +96,10 @@ def test_frames_of_two_robots_are_numbered_separately(roster: RosterOfRobot3) ->
 def test_missing_transfer_ids_after_a_silence_of_3_s_are_no_loss(
     roster: RosterOfRobot3, silence: float, loss: float
 ) -> None:
-    """The robot may have sent any number of frames meanwhile. After 2.99 s, nine of eleven are lost."""
+    """The robot may have sent any number of frames meanwhile.
+
+    After 2.99 s the nine frames between the numbers 10 and 20 are lost, of eleven with these two.
+    """
     roster.receive_estimate(10, now=1.0)
     roster.receive_estimate(20, now=1.0 + silence)
     assert roster.row(now=4.0)["loss"] == loss
