@@ -84,23 +84,26 @@ def dispersion_bounds(
     old, share = observations.dispersion, observations.share
     if batch_count == 0 or share == 0:
         return old, old
-    largest_ratio = REJECTED_SIGMAS_SQUARED * old
+    ratio_limit = REJECTED_SIGMAS_SQUARED * old  # a batch whose ratio is larger counts with this one
     # The share of black is a quotient, and may be too small.
-    share_bounds = max(share * (1 - Q30) - Q32, Fraction(0)), share
+    share_bounds = (max(share * (1 - Q30) - Q32, Fraction(0)), share)
     smallest_variance, largest_variance = _variance_bounds(share_bounds, batch_count)
     smallest_deviation, largest_deviation = _deviation_bounds(share_bounds, batch_black_count, batch_count)
-    smallest_limit = round_down(largest_ratio * smallest_variance, Q22)
-    if smallest_limit <= 0:
+    # The firmware also limits the square of the deviation, to that with the largest ratio.
+    smallest_square_limit = round_down(ratio_limit * smallest_variance, Q22)
+    largest_square_limit = ratio_limit * largest_variance
+    if smallest_square_limit <= 0:
         # By rounding the firmware may find a variance of 0, and keep the dispersion. Or it finds one that is
         # near to 0, so that the ratio of the deviation to it may have any size up to its limit.
-        return _average_bounds(old, Fraction(0), largest_ratio)
-    # The firmware divides the square of the deviation by the largest one, and multiplies the largest ratio by
-    # this quotient, which may be too small as well.
-    smallest_quotient = smallest_deviation**2 / (largest_ratio * largest_variance) * (1 - Q30) - Q32
-    largest_quotient = largest_deviation**2 / smallest_limit
-    # A square above the largest one counts as that: a quotient of 1, or hardly less in the firmware.
-    smallest_ratio = largest_ratio * min(max(smallest_quotient, Fraction(0)), 1 - Q30 - Q32)
-    return _average_bounds(old, smallest_ratio, largest_ratio * min(largest_quotient, Fraction(1)))
+        return _average_bounds(old, Fraction(0), ratio_limit)
+    # It divides the square of the deviation by its limit, and multiplies the ratio's limit by this quotient,
+    # which may be too small as well.
+    smallest_quotient = smallest_deviation**2 / largest_square_limit * (1 - Q30) - Q32
+    largest_quotient = largest_deviation**2 / smallest_square_limit
+    # A square above its limit counts as that: a quotient of 1, or hardly less in the firmware.
+    smallest_ratio = ratio_limit * min(max(smallest_quotient, Fraction(0)), 1 - Q30 - Q32)
+    largest_ratio = ratio_limit * min(largest_quotient, Fraction(1))
+    return _average_bounds(old, smallest_ratio, largest_ratio)
 
 
 def _variance_bounds(share_bounds: Bounds, batch_count: int) -> Bounds:
