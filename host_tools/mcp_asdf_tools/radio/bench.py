@@ -174,15 +174,15 @@ class Bench(ControllerLink):
     def wait_for_round_without_test(self, rounds: int = 1) -> None:
         """Play rounds without messages until the controller's filter has no test in the next ``rounds`` ones.
 
-        None is played if they have no test anyway, if the filter is off, or if it tests in every tick. Tests
-        in every round cannot be avoided.
+        None is played if they have no test anyway, if a round is under way, if the filter is off, or if it
+        tests in every round, which cannot be avoided.
         """
-        if self.config.filter is Filter.OFF or self.config.filter_period == 1:
+        comms_period, filter_period = self.setup.comms_period, self.setup.filter_period  # in ticks
+        is_within_round = self.model_node.ticks % comms_period != 0
+        if self.config.filter is Filter.OFF or filter_period == comms_period or is_within_round:
             return
-        # The furthest of these rounds is asked about first. If it has a test, playing a round brings that
-        # test one round closer, where the next distance finds it again, and so on until it is over.
-        for distance in range(rounds, 0, -1):
-            ticks_at_its_end = self.model_node.ticks + distance * self.setup.comms_period
-            has_test = ticks_at_its_end % self.setup.filter_period == 0
-            if has_test:
+        ticks_to_test = filter_period - self.model_node.ticks % filter_period
+        rounds_to_test = ticks_to_test // comms_period  # the round with the test included
+        if rounds_to_test <= rounds:
+            for _ in range(rounds_to_test):
                 self.play_round()

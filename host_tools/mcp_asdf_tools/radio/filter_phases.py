@@ -92,7 +92,7 @@ def observe_until_excess(bench: Bench, excess: int) -> None:
         return state.n - white_count
 
     while present_excess() != excess:
-        # Half of the way to 0 at once, as the excess to reach is near 0 and is not to be passed by much.
+        # At most half of the way to 0 at once: the excess to reach is near 0 and is not to be passed by much.
         ticks = max(abs(present_excess()) // 2, 1)
         bench.skip_ticks(ticks, lambda: Observation(present_excess() < excess))
 
@@ -219,7 +219,8 @@ def re_estimate_early(bench: Bench) -> None:
 def required_updates(setup: RobotSetup) -> int:
     """Return how many updates of b_hat a run makes at least, so that a counter of too few bits shows.
 
-    A counter of 8 bits cannot hold them. Tests more than 50 ticks apart leave time for 33 alone.
+    They are 257, more than a counter of 8 bits can hold. If tests are more than 50 ticks apart, a run has
+    time for 33 alone.
     """
     has_frequent_tests = setup.filter_period <= _MAX_PERIOD_FOR_MANY_UPDATES
     return 2**8 + 1 if has_frequent_tests else 2**5 + 1
