@@ -289,8 +289,8 @@ def play_without_filter(bench: Bench) -> None:
     if bench.setup.filter_period <= LONG_RUN:
         bench.activity = _MANY_OBSERVATIONS
         bench.skip_to_test_round(bench.draw_observation)
+    bench.activity = "messages far away"
     for _ in range(5):
-        bench.activity = "messages far away"  # for the report, if the controller differs in this round
         bench.play_round(*draw_distant_estimates(bench.robot_state, bench.rng))
 
 
@@ -350,8 +350,8 @@ def _play_test_round(bench: Bench, estimates: Sequence[NeighbourEstimate]) -> No
 def _play_update(bench: Bench, update: Update) -> None:
     """Play a round after which b_hat is re-estimated to a value of this kind.
 
-    Where no estimates lead to it yet, another re-estimate comes first, up to four times. If none do then,
-    either, this is noted as a case that was not exercised.
+    Estimates that lead to it are searched for up to four times, with another re-estimate after each search in
+    vain. If all are in vain, this is noted as a case that was not exercised.
     """
     for _ in range(_MAX_ATTEMPTS_TO_UPDATE):
         if update in _NEAR_HALF:

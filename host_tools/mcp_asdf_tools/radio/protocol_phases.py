@@ -309,7 +309,7 @@ def lose_settles(bench: Bench) -> None:
         bench.activity = "messages in a tick whose settle is lost"
         bench.observe(bench.draw_observation())
         _send_random_estimates(bench, bench.other_ids[5:8])
-        bench.leave_open()
+        bench.leave_open()  # without the settle
         bench.activity = "the tick after one whose settle was lost"
         bench.play_tick(bench.draw_observation())
 
