@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import cycle
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 import numpy as np
@@ -138,12 +139,14 @@ def colours_of_filters(filter_names: Sequence[str]) -> list[str]:
     """Return a colour for each series, by the name of its filter.
 
     The first series of a filter has the filter's colour, if it has one; every other series has the next free
-    colour of the palette. A name that is no filter's, such as "", is allowed.
+    colour of the palette, which begins again after its last one. A name that is no filter's, such as "", is
+    allowed.
     """
     remaining_colours = {
         name: swarm_filter.colour for name, swarm_filter in FILTERS.items() if swarm_filter.colour is not None
     }
-    free_colours = iter([colour for colour in COLOURS if colour not in remaining_colours.values()])
+    # They repeat, as it is not here that too many series are refused.
+    free_colours = cycle(colour for colour in COLOURS if colour not in remaining_colours.values())
     colours: list[str] = []
     for name in filter_names:
         # The colour is removed, so that the next series of this filter gets another one.

@@ -318,10 +318,13 @@ def plot_curves_by_seed(experiments: list[Trials]) -> Figure:
 
 
 @pytest.mark.parametrize("plot", [plot_boxes, plot_scatter, plot_curves_by_seed])
-def test_nine_series_are_too_many_for_a_picture_and_are_refused(plot: Any, unfiltered: Trials) -> None:
+@pytest.mark.parametrize("count", [9, 20])
+def test_more_than_eight_series_are_too_many_for_a_picture_and_are_refused(
+    plot: Any, count: int, unfiltered: Trials
+) -> None:
     """There are eight colours."""
-    experiments = [with_parameters(unfiltered, seed=seed) for seed in range(9)]
-    with pytest.raises(UsageError, match="with 9 series do not fit a picture"):
+    experiments = [with_parameters(unfiltered, seed=seed) for seed in range(count)]
+    with pytest.raises(UsageError, match=f"with {count} series do not fit a picture"):
         plot(experiments)
 
 
