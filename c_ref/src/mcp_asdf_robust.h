@@ -295,10 +295,14 @@ static uint32_t huber_step(const uint16_t *estimates, uint32_t count, uint32_t c
     uint32_t sum = 0, inside = 0;          /* sum: <= 32 upper limits < 2^30 */
     for (uint32_t i = 0; i < count; ++i) { /* at most 32 turns */
         const uint32_t estimate = q24_from_q16(estimates[i]);
-        uint32_t limited_estimate = estimate > lower_limit ? estimate : lower_limit;
-        limited_estimate = limited_estimate < upper_limit ? limited_estimate : upper_limit;
-        inside += limited_estimate == estimate ? 1U : 0U;
-        sum += limited_estimate;
+        if (estimate < lower_limit) {
+            sum += lower_limit;
+        } else if (estimate > upper_limit) {
+            sum += upper_limit;
+        } else {
+            sum += estimate;
+            ++inside;
+        }
     }
     const uint32_t sum_at_centre = count * centre; /* what the sum would be with a balance of 0: < 2^29 */
     const uint32_t balance = distance_between(sum, sum_at_centre); /* without its sign */
