@@ -146,7 +146,7 @@ def colours_of_filters(filter_names: Sequence[str]) -> list[str]:
         name: swarm_filter.colour for name, swarm_filter in FILTERS.items() if swarm_filter.colour is not None
     }
     # They repeat, as it is not here that too many series are refused.
-    free_colours = cycle(colour for colour in COLOURS if colour not in remaining_colours.values())
+    free_colours = cycle([colour for colour in COLOURS if colour not in remaining_colours.values()])
     colours: list[str] = []
     for name in filter_names:
         # The colour is removed, so that the next series of this filter gets another one.
