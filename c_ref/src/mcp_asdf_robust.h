@@ -131,8 +131,9 @@ ALWAYS_INLINE uint32_t next_slot(uint32_t filled_slots, uint32_t turn, bool has_
     return 31U - leading_zeros(remaining_slots & (0U - remaining_slots));
 }
 
-/* Count one estimate as a vote, at the end of a round: that of the next slot, or the robot's own. Nothing
- * happens before the first message has filled a slot. */
+/* Count one estimate as a vote, at the end of a round: that of the next slot, or the robot's own. The vote
+ * moves the centre, changes the spread, is counted in `votes`, and the turn passes on. Nothing happens before
+ * the first message has filled a slot. */
 HOT void take_vote(mcp_asdf_t *robot)
 {
     mcp_asdf_robust_t *const robust = &robot->robust;
@@ -374,27 +375,31 @@ static bool robust_test_rejects(const mcp_asdf_t *robot, uint32_t share, uint32_
 }
 
 /* Whether more than 2/5 of the estimates support the robot, whose share of black observations is `share`. An
- * estimate supports the robot if the share of black that it predicts is nearer to the robot's own share than
- * to the share that the centre predicts. Then these robots are a party of their own, and not outliers:
- * nothing can be said about who is right. Share and centre are Q32. */
+ * estimate predicts a share of black, by probability_of_black(), and so does the centre of all estimates. An
+ * estimate whose prediction is nearer to the robot's own share than to the centre's prediction supports the
+ * robot. Robots with such support are a party of their own, and not outliers: nothing can be said about who
+ * is right. Share and centre are Q32. */
 static bool is_supported(const mcp_asdf_t *robot, const uint16_t *estimates, uint32_t count, uint32_t share,
                          uint32_t centre)
 {
-    const uint32_t p = probability_of_black(robot, centre);
+    const uint32_t p_of_centre = probability_of_black(robot, centre);
     uint32_t supporters = 0;
     for (uint32_t i = 0; i < count; ++i) { /* at most 32 turns */
         const uint32_t p_of_estimate = probability_of_black(robot, q32_from_q16(estimates[i]));
-        supporters += distance_between(p_of_estimate, share) < distance_between(p_of_estimate, p) ? 1U : 0U;
+        const uint32_t distance_from_robot = distance_between(p_of_estimate, share);
+        const uint32_t distance_from_centre = distance_between(p_of_estimate, p_of_centre);
+        supporters += distance_from_robot < distance_from_centre ? 1U : 0U;
     }
-    return 5U * supporters > 2U * count;
+    return 5U * supporters > 2U * count; /* supporters / count > 2 / 5 */
 }
 
-/* Run the robust filter at the end of a round, for t > 0. Returns the new b_hat as Q32, or 0 if it stays.
+/* Run the robust filter at the end of a round, for t > 0: the batch of observations ends, and the initial
+ * b_hat is tested, which is counted. Returns b_hat after that as Q32, or 0 if it stays as it is:
  *
- * The batch of observations ends. Then the initial b_hat is tested, unless there are fewer than five
- * estimates; a test is counted. If the test rejects, and no more than 2/5 of the estimates support the robot,
- * b_hat is re-estimated from the centre of the estimates. If not, b_hat is the initial one again. So a robot
- * that was misled by the others comes back. */
+ *   - with fewer than five estimates it stays, and there is no test;
+ *   - if robust_test_rejects() the initial b_hat, and the robot is not supported by others (is_supported()),
+ *     it is re-estimated from the centre of the estimates;
+ *   - else it is the initial b_hat, so that a robot that was misled by the others comes back. */
 static uint32_t run_robust_filter(mcp_asdf_t *robot)
 {
     uint16_t sorted[MCP_ASDF_SLOTS];

@@ -54,8 +54,9 @@ int port_get(void)
     return has_byte ? UART_DATA : PORT_NOTHING;
 }
 
-/* Switch on the queues of the UART, and let received bytes wake the processor. No interrupt is ever taken, as
- * the UART itself keeps 16 bytes, which is time enough. */
+/* Switch on the queues of the UART, and let received bytes wake the processor: an interrupt that is enabled
+ * ends "wfi" even where the processor takes none, as here. Nor does it need to, since the UART itself keeps
+ * 16 bytes, which is time enough. */
 void uart_start(void)
 {
     UART_QUEUES = ENABLE_AND_CLEAR;

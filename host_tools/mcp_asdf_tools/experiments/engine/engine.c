@@ -353,16 +353,19 @@ static void step_firmware(run_t *run, uint32_t k)
 
 /* --- Runs --- */
 
-/* Name the robot and the trial of each lane, which decide its draws, and set all other values to 0. Idle
- * lanes beside the active trials draw as trial `index` does. */
+/* Give each lane its robot and its trial, which decide its random draws, and set all its other values to 0.
+ * Lanes are numbered through all rows: first come those of robot 0, one for each of the trials that run
+ * beside each other, then those of robot 1, and so on. The active ones of these trials begin with trial
+ * `index`. Lanes of others are idle, and draw as trial `index` does. */
 static void number_lanes(run_t *run, uint32_t index)
 {
     memset(run->lanes, 0, run->rows * sizeof *run->lanes);
     for (uint32_t lane = 0; lane < run->rows * LANES; ++lane) {
-        const uint32_t l = lane % run->parallel_trials;
+        const uint32_t robot = lane / run->parallel_trials, parallel_trial = lane % run->parallel_trials;
+        const bool is_idle = parallel_trial >= run->active_trials;
         lanes_t *const row = &run->lanes[lane / LANES];
-        row->trial[lane % LANES] = run->experiment->first_trial + index + (l < run->active_trials ? l : 0);
-        row->robot[lane % LANES] = lane / run->parallel_trials;
+        row->trial[lane % LANES] = run->experiment->first_trial + index + (is_idle ? 0 : parallel_trial);
+        row->robot[lane % LANES] = robot;
     }
 }
 

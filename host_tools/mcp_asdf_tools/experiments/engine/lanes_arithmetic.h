@@ -39,8 +39,8 @@ LANES_INLINE uint32_t leading_zeros(uint32_t value)
     return (uint32_t)(zeros > 0 ? zeros : 0) & 31U; /* the mask is there for analysers only */
 }
 
-/* Returns 2^46 / d for d in [2^29, 2^31], at most 0.252 2^-13 of it too small, never too large: all d were
- * tried. */
+/* Returns what estimate_digit() multiplies by in place of a division by d, which is in [2^29, 2^31]: 2^46 /
+ * d, never too large, and too small by at most a share of 0.252 2^-13. All d were tried. */
 LANES_INLINE uint32_t prepare(uint32_t d)
 {
     const uint32_t least = UINT32_C(1) << 21; /* of d >> 8, but for damaged memory */

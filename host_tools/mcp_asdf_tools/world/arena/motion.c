@@ -124,14 +124,16 @@ static void run_motors(mcp_asdf_arena_t *arena, mcp_asdf_bodies_t *bodies)
     }
 }
 
-/* One pass of a contact: take away the part of the approach that would close more than the gap within a
- * substep, and let friction act against sliding, with a force of at most the friction coefficient times that
- * along the normal. Two robots share each change of velocity, while a wall takes none. */
+/* One pass over a contact of body a with body b, or with a wall (b < 0). Bodies that approach each other so
+ * fast that they would overlap after a substep lose as much of their speed along the normal as is too much.
+ * Against sliding along the surface acts friction, at most in proportion to that. Two robots share each
+ * change of velocity, while a wall takes none. The normal points away from a. */
 static void resolve_contact(mcp_asdf_arena_t *arena, mcp_asdf_contact_t *contact)
 {
     const int a = contact->a, b = contact->b;
     const bool is_wall = b < 0;
-    const double share = is_wall ? 1 : 0.5, friction = is_wall ? FRICTION_WALL : FRICTION_ROBOTS;
+    const double share = is_wall ? 1 : 0.5; /* of a change of velocity, for body a */
+    const double friction = is_wall ? FRICTION_WALL : FRICTION_ROBOTS;
     const double normal_x = contact->normal_x, normal_y = contact->normal_y;
     /* Velocity of the point of contact on a body relative to the other: that of the centres, and along the
      * surface that of the turning bodies. */
