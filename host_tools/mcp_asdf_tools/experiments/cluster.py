@@ -48,12 +48,24 @@ def connect_cluster(address: str) -> Iterator[tuple[Executor, Callable[[], int]]
         yield client.get_executor(pure=False), count_threads
     except (dask.KilledWorker, CancelledError, OSError) as error:
         # A question to a scheduler that is gone ends with an OSError: its connection is closed, or timed out.
-        # Dask's messages have several lines, and an error of ours has one.
-        reason = " ".join(str(error).split())
-        message = f"the cluster at {address} failed; what was finished is kept: run the same again ({reason})"
-        raise UsageError(message) from error
+        raise _lost_cluster_error(address, error) from error
+    except TypeError as error:
+        # If a cluster is lost just when a result comes from it, Dask takes the result for an exception, and
+        # fails to raise it. While the cluster is there, a TypeError is what a job has raised.
+        if client.status == "running":
+            raise
+        raise _lost_cluster_error(address, error) from error
     finally:
         client.close()
+
+
+def _lost_cluster_error(address: str, error: BaseException) -> UsageError:
+    """Return the error that says that the cluster has failed, by ``error``, and how to go on."""
+    # Dask's messages have several lines, and an error of ours has one.
+    reason = " ".join(str(error).split())
+    return UsageError(
+        f"the cluster at {address} failed; what was finished is kept: run the same again ({reason})"
+    )
 
 
 def _wait_for_a_worker(client: Any, address: str) -> None:

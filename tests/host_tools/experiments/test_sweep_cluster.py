@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -123,6 +124,28 @@ def test_a_scheduler_that_does_not_answer_any_more_is_reported_as_a_usage_error(
     is_refused = pytest.raises(UsageError, match="what was finished is kept")
     with is_refused, cluster_module.connect_cluster(scheduler):
         raise error
+
+
+def test_a_result_that_dask_loses_with_the_cluster_is_reported_as_a_usage_error(
+    store: Store, tmp_path: Path
+) -> None:
+    """If a result comes just when the cluster is lost, Dask raises a TypeError in its place."""
+    with (
+        cluster_of(workers=1, folder=tmp_path) as (address, cluster_input),
+        pytest.raises(UsageError, match="what was finished is kept"),
+        cluster_module.connect_cluster(address) as (executor, _),
+    ):
+        cluster_input.close()
+        while executor._client.status == "running":  # type: ignore[attr-defined]
+            time.sleep(0.01)
+        raise TypeError("cannot unpack non-iterable Trials object")
+
+
+def test_a_type_error_of_a_job_is_not_taken_for_a_lost_cluster(store: Store, scheduler: str) -> None:
+    """It is an error in an extension of the user's, who has to see where."""
+    error_of_job = pytest.raises(TypeError, match="unsupported operand")
+    with error_of_job, cluster_module.connect_cluster(scheduler):
+        raise TypeError("unsupported operand")
 
 
 @pytest.mark.parametrize(
