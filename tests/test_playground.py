@@ -215,10 +215,13 @@ def test_the_playground_writes_the_median_of_each_filter_s_final_errors_in_perce
 
     Of an even number of errors, the larger of the two in the middle is taken for the median.
     """
-    errors_by_filter = computed.page.evaluate(
-        "view.playground.comparison.filters.map(({ trials }) => trials.map((errors) => errors.at(-1)))"
+    # Both are read at once, as the page goes on computing.
+    errors_by_filter, texts = computed.page.evaluate(
+        "["
+        "  view.playground.comparison.filters.map(({ trials }) => trials.map((errors) => errors.at(-1))),"
+        "  [...document.querySelectorAll('#filters output')].map(({ textContent }) => textContent),"
+        "]"
     )
-    texts = computed.page.locator("#filters output").all_text_contents()
     assert len(texts) == 4
     for errors, text in zip(errors_by_filter, texts, strict=True):
         upper_median = sorted(errors)[len(errors) // 2]

@@ -1040,11 +1040,10 @@ NOT_EXECUTED = {
     "step(), which the node does not call": r"mcp_asdf\.c: (.*_(step|observe)\(.*|return status == .*)",
     "other configurations: another filter, table or memory, b_hat below 1/2": r"mcp_asdf\.c: "
     r"(if \(filter == .*|const uint32_t k = .*|if \(is_halved\) .*|begin_batch\(robot\);|t >>= 1;|n = \(n .*)"
-    r"|mcp_asdf_robust\.h: (const uint32_t g = .*|if \(mcp_asdf_is_robust\(robot->config\)\) .*)",
+    r"|mcp_asdf_robust\.h: (return b_hat < UINT32_C\(1\) .*|if \(mcp_asdf_is_robust\(robot->config\)\) .*)",
     "46,341 observations or more: the largest alpha": r"mcp_asdf\.c: return exponent <= ALPHA_SHIFT_MAX .*"
     r"|mcp_asdf_arithmetic\.h: (if \(\(count & 32U\).*|value = high_word\(value\);)",
-    "2^21 observations in a filter period": r"mcp_asdf_robust\.h: const uint32_t short_deviation = .*",
-    "a centre of the votes that comes to 0": r"mcp_asdf_robust\.h: return centre > step .*",
+    "2^21 observations in a filter period": r"mcp_asdf_robust\.h: const uint32_t word = .*",
     "slots whose lower half is nearer to their median than all others": r"mcp_asdf_robust\.h: "
     r"(const uint32_t distance_below = .*|if \(below > 0U .*)",
 }
