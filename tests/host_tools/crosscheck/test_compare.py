@@ -36,7 +36,10 @@ def test_the_c_and_the_python_robot_agree_in_every_bit_and_with_exact_arithmetic
 
 
 def test_the_c_and_the_python_robot_agree_next_to_the_threshold_of_the_robust_filter() -> None:
-    """Robust scenarios are calls by which the filter's test just rejects, or just does not."""
+    """The calls of 20 random scenarios lead to tests that just reject, or just do not.
+
+    There a single wrong bit of either robot shows in b_hat, the accuracy that it assumes of its sensor.
+    """
     for index in range(20):
         scenario = robust_scenario(seed=23, index=index)
         assert compare_firmwares(scenario, MirrorRobot, NativeRobot) is None, str(scenario)
@@ -78,7 +81,10 @@ class RobotWithAWrongField(MirrorRobot):
 def test_a_difference_or_an_exception_is_reported_with_the_calls_up_to_it(
     first: Firmware, second: Firmware, call_count: int, problem: str
 ) -> None:
-    """A scenario is a robot and its calls; that of the failure has ``call_count`` of the three calls."""
+    """A scenario is a robot and its calls. Of the three calls the failure has the ``call_count`` first ones.
+
+    A difference before any call is in a robot as it is made; there ``call_count`` is 0.
+    """
     scenario = parse_scenario(f"{ROBOT},observe:1,settle,settle")
     failure = compare_firmwares(scenario, first, second)
 
@@ -94,10 +100,12 @@ def test_differences_of_two_robots_are_listed_by_field_result_and_word_of_the_sa
     """
     setup = parse_scenario(ROBOT).setup
     first, second = RobotUnderTest(MirrorRobot, setup), RobotUnderTest(MirrorRobot, setup)
-    second.apply(parse_scenario(f"{ROBOT},restore:2:5:29:{0x10000}").calls[0])
+    [restore] = parse_scenario(f"{ROBOT},restore:2:5:29:{0x10000}").calls  # index and value of each word
+    second.apply(restore)
     *lines, checksum_line = differences(first.last_result, second.last_result)
 
-    # Each line has the first robot's value and the second's.
+    # Each line has the first robot's value and the second's. Names of results have brackets, those of fields
+    # have none.
     assert lines == [
         "t: 0, 5",
         "updated: 0, 1",
@@ -122,9 +130,10 @@ def scenario_of_restores(words_of_calls: Iterable[dict[int, int]]) -> Scenario:
 def test_shrinking_leaves_exactly_the_calls_and_words_that_the_failure_needs(
     needed: set[int], call_count: int
 ) -> None:
-    """So that a report is short: of 30 to 40 calls it keeps those whose number is ``needed`` for the failure.
+    """A report is short, as of 30 to 40 calls it keeps those whose number is ``needed`` for the failure.
 
-    Each call writes its number into word 1, by which the check knows it, and a value into words 2 and 3.
+    Each call writes its number into word 1, by which the check knows it, and needless values into words 2
+    and 3.
     """
 
     def fail_if_all_needed_calls_were_made(scenario: Scenario) -> Failure | None:
@@ -141,41 +150,47 @@ def ignore_progress(calls_made: int) -> None:
     """Take the number of calls of a scenario, which the cross-check reports, and do nothing."""
 
 
-@pytest.mark.parametrize("failing_call", [0, 1, 5])
-def test_a_crosscheck_that_fails_has_counted_the_calls_up_to_the_failing_one(failing_call: int) -> None:
-    """The first three scenarios, that is robots and their calls, pass; the fourth fails in a call."""
-    calls_of_scenarios: list[int] = []
+@pytest.mark.parametrize("last_call_count", [0, 1, 5])
+def test_a_crosscheck_that_fails_has_counted_the_calls_up_to_the_failing_one(last_call_count: int) -> None:
+    """Three scenarios, that is robots and their calls, pass. The fourth fails after ``last_call_count``.
 
-    def check_scenario(scenario: Scenario) -> Failure | None:
-        if len(calls_of_scenarios) == 3:
-            return Failure(scenario.with_calls(scenario.calls[:failing_call]), ("wrong",))
-        calls_of_scenarios.append(len(scenario.calls))
+    5000 calls are asked for, which are more than four scenarios have.
+    """
+    passed_call_counts: list[int] = []
+
+    def fail_in_fourth_scenario(scenario: Scenario) -> Failure | None:
+        if len(passed_call_counts) == 3:
+            calls_up_to_failure = scenario.calls[:last_call_count]
+            return Failure(scenario.with_calls(calls_up_to_failure), ("wrong",))
+        passed_call_counts.append(len(scenario.calls))
         return None
 
-    result = run_crosscheck(check_scenario, SEED, 5000, ignore_progress)
+    result = run_crosscheck(fail_in_fourth_scenario, SEED, calls=5000, on_calls=ignore_progress)
     assert result.failure is not None
-    assert result.calls == sum(calls_of_scenarios) + failing_call
-    assert result.scenarios == 4
+    assert result.calls == sum(passed_call_counts) + last_call_count
+    assert result.scenarios == 3 + 1
 
 
 def test_a_crosscheck_without_a_failure_ends_after_exactly_the_calls_asked_for() -> None:
+    """1234 calls are asked for, and the last scenario is cut short there."""
+
     def find_nothing_wrong(scenario: Scenario) -> None:
         return None
 
     reported_calls: list[int] = []
-    result = run_crosscheck(find_nothing_wrong, SEED, 1234, reported_calls.append)
+    result = run_crosscheck(find_nothing_wrong, SEED, calls=1234, on_calls=reported_calls.append)
     assert result.failure is None
     assert not result.interrupted
     assert result.calls == sum(reported_calls) == 1234
 
 
 def test_every_fourth_scenario_of_a_crosscheck_has_a_robot_with_the_robust_filter() -> None:
-    """The others have a robot with one of the paper's filters."""
+    """The others have a robot with one of the paper's filters. 1234 calls are more than 8 scenarios have."""
     is_robust: list[bool] = []
 
-    def note_filter(scenario: Scenario) -> None:
+    def record_filter(scenario: Scenario) -> None:
         is_robust.append(scenario.setup.filter == Filter.ROBUST)
 
-    run_crosscheck(note_filter, SEED, 1234, ignore_progress)
+    run_crosscheck(record_filter, SEED, calls=1234, on_calls=ignore_progress)
 
     assert is_robust[:8] == [False, False, False, True, False, False, False, True]

@@ -1,4 +1,8 @@
-"""Rounds crafted for a robot, against exact arithmetic of our own."""
+"""Estimates that the cross-check crafts for a robot's test, against exact arithmetic that is written here.
+
+A round is the estimates that a robot receives between two broadcasts. At its end the robot's filter tests by
+them whether b_hat, the accuracy that the robot assumes of its sensor, can be right.
+"""
 
 from __future__ import annotations
 
@@ -87,7 +91,8 @@ def test_estimates_just_inside_the_filter_s_threshold_pass_and_those_just_outsid
 
     With a threshold that is wrong by a millionth the test decides differently.
     """
-    rounds = draw_rounds_at_threshold(robot_with_test(own_x_hat, omega), m, Update.ABOVE, Random(seed))
+    robot = robot_with_test(own_x_hat, omega)
+    rounds = draw_rounds_at_threshold(robot, m, preferred_update=Update.ABOVE, rng=Random(seed))
     inside, outside = x_hats_of(rounds.inside), x_hats_of(rounds.outside)
     k = threshold_of(omega, m)
     millionth = k / 1_000_000
@@ -104,7 +109,8 @@ def test_estimates_just_inside_the_filter_s_threshold_pass_and_those_just_outsid
 def test_most_drawn_estimates_are_decided_by_the_last_bits_of_the_threshold(omega: str) -> None:
     """More than 50 of 100 drawn pairs are decided differently if the threshold changes by a part in 2**24.
 
-    The first of a pair just passes the test, the second is just rejected.
+    The first of a pair just passes the test, the second is just rejected. So a robot whose threshold has a
+    wrong last bit shows.
     """
     rng = Random(5)
     rejected_by_smaller_threshold = passed_by_larger_threshold = 0
@@ -126,9 +132,9 @@ def test_most_drawn_estimates_are_decided_by_the_last_bits_of_the_threshold(omeg
 @given(own_x_hat=x_hats_of_robots, m=st.integers(2, 127), seed=seeds)
 @settings(max_examples=40, deadline=None)
 def test_drawn_estimates_are_fill_ratios_between_0_and_1(own_x_hat: int, m: int, seed: int) -> None:
-    """They are in units of 2**-23, of which ONE is 1, on either side of the test's threshold."""
+    """They are in units of 2**-23, of which ONE is 1. They may fill all of that range: ``gap_share`` is 1."""
     x_hats = draw_x_hats_at_threshold(own_x_hat, TABLE.entry(m), m, Random(seed), gap_share=1)
-    assume(x_hats is not None)
+    assume(x_hats is not None)  # as some draws leave no room
     assert x_hats is not None
     inside, outside = x_hats
 
@@ -137,8 +143,12 @@ def test_drawn_estimates_are_fill_ratios_between_0_and_1(own_x_hat: int, m: int,
 
 
 def test_no_estimates_are_drawn_if_they_would_differ_by_less_than_a_unit() -> None:
-    """The estimates may fill only a share of 2**-30 of the room beside the robot's own x_hat of 1/2."""
-    assert draw_x_hats_at_threshold(HALF, TABLE.entry(5), 5, Random(1), gap_share=2**-30) is None
+    """The five estimates may fill only a share of 2**-30 of the room beside the robot's own x_hat of 1/2.
+
+    That room is 2**22 units on either side, so the share is less than a unit.
+    """
+    x_hats = draw_x_hats_at_threshold(HALF, TABLE.entry(5), m=5, rng=Random(1), gap_share=2**-30)
+    assert x_hats is None
 
 
 @given(value=st.fractions(0, 3), max_denominator=st.integers(1, 100))
@@ -146,20 +156,26 @@ def test_no_estimates_are_drawn_if_they_would_differ_by_less_than_a_unit() -> No
 def test_fractions_around_a_value_are_the_nearest_on_either_side(
     value: Fraction, max_denominator: int
 ) -> None:
-    """The one below may be the value itself; their denominators are at most the given one."""
-    denominators = range(1, max_denominator + 1)
-    # The nearest fractions with each denominator: floor(value * denominator) of its parts, and one more.
-    fractions_below = [Fraction(floor(value * denominator), denominator) for denominator in denominators]
-    fractions_above = [Fraction(floor(value * denominator) + 1, denominator) for denominator in denominators]
+    """The one below may be the value itself; the one above is always larger. Denominators have a maximum."""
+    fractions_below = []
+    fractions_above = []
+    for denominator in range(1, max_denominator + 1):
+        numerator_below = floor(value * denominator)
+        fractions_below.append(Fraction(numerator_below, denominator))
+        fractions_above.append(Fraction(numerator_below + 1, denominator))
 
     assert fractions_around(value, max_denominator) == (max(fractions_below), min(fractions_above))
 
 
-def test_estimates_that_lead_to_another_update_serve_if_the_preferred_one_is_impossible() -> None:
-    """Update.HALF, a new b_hat of 1/2, is preferred, which no three estimates at the threshold lead to."""
-    robot = robot_with_test(own_x_hat=ONE // 3)
-    rounds = draw_rounds_at_threshold(robot, 3, Update.HALF, Random(1))
-    update = robot.update_after(rounds.outside)
+def test_rejected_estimates_change_b_hat_in_another_way_if_the_preferred_way_is_impossible() -> None:
+    """b_hat is the accuracy that a robot assumes. The estimates that its test rejects must change it.
+
+    Otherwise the cross-check would not notice a robot that does not reject them. A b_hat of 1/2 (Update.HALF)
+    is asked for, but it follows only if half of the observations are black, and here 300 of 500 are.
+    """
+    robot = RobotState(t=500, n=300, x_hat=ONE // 3, table=TABLE)
+    rounds = draw_rounds_at_threshold(robot, m=3, preferred_update=Update.HALF, rng=Random(1))
+    update = robot.update_after(rounds.outside)  # the estimates that the test rejects
     assert update is not None
     assert update is not Update.HALF
 
@@ -171,7 +187,10 @@ def test_estimates_that_lead_to_another_update_serve_if_the_preferred_one_is_imp
 @given(own_x_hat=x_hats_of_robots)
 @settings(max_examples=15, deadline=None)
 def test_widely_scattered_estimates_pass_the_test(omega: str, own_x_hat: int) -> None:
-    """The test rejects only if the neighbours' mean is far from the robot's own, for their variance."""
+    """The test rejects only if the neighbours' mean is far from the robot's own x_hat for their variance.
+
+    The variance of these 126 estimates, which are all 0 or 1, is large.
+    """
     estimates = draw_round_of_large_scatter(robot_with_test(own_x_hat, omega), Random(1))
     assert not is_rejected(x_hats_of(estimates), own_x_hat, threshold_of(omega, LARGEST_ROUND))
 
@@ -195,9 +214,9 @@ def test_widely_scattered_estimates_would_be_rejected_by_firmware_with_a_sum_of_
 @given(own_x_hat=x_hats_of_robots)
 @settings(max_examples=15, deadline=None)
 def test_estimates_far_from_the_robot_s_own_are_rejected(own_x_hat: int) -> None:
-    """There are 126 of them, and the test is that of the default table."""
-    x_hats = x_hats_of(draw_round_of_distant_sum(robot_with_test(own_x_hat), Random(1)))
-    assert is_rejected(x_hats, own_x_hat, threshold_of("0.05", LARGEST_ROUND))
+    """The 126 estimates are near each other, and their mean is far from the robot's own x_hat."""
+    x_hats = x_hats_of(draw_round_of_distant_sum(robot_with_test(own_x_hat, omega="0.05"), Random(1)))
+    assert is_rejected(x_hats, own_x_hat, threshold_of(omega="0.05", m=LARGEST_ROUND))
 
 
 @given(own_x_hat=x_hats_of_robots)
@@ -229,14 +248,15 @@ def test_estimates_far_from_the_robot_s_own_would_pass_in_firmware_with_54_bits(
 def test_a_new_b_hat_is_classified_by_its_distance_from_one_half(distance: int, update: Update) -> None:
     """b_hat is the accuracy that a robot assumes of its sensor, in units of 2**-32; 2**31 are one half.
 
-    It is above or below 1/2, faintly so, or as good as 1/2.
+    Nearer to 1/2 than 2**-13 it is as good as 1/2, as |2 b_hat - 1| is below the firmware's limit of 2**-12.
+    Nearer than 2**-5 it is faint, that is, nearly without information. Otherwise it is above or below 1/2.
     """
     one_half = 2**31
     assert classify_update(one_half + distance) is update
 
 
 def test_no_new_b_hat_is_classified_as_one_that_is_kept() -> None:
-    """b_hat is the accuracy that a robot assumes of its sensor."""
+    """None stands for a re-estimate that has kept b_hat, the accuracy that a robot assumes of its sensor."""
     assert classify_update(None) is Update.KEPT
 
 
@@ -250,14 +270,14 @@ NEAR_A_QUARTER = [
 def test_estimates_near_the_robot_s_own_do_not_change_its_assumed_accuracy() -> None:
     """Three estimates of about 1/4 agree with the robot's own, 1/4, so the filter's test does not reject.
 
-    The robot has t observations, n of them black; None says that there is no update.
+    60 of the robot's 100 observations are black. None says that it keeps b_hat, the accuracy that it assumes.
     """
     robot = RobotState(t=100, n=60, x_hat=ONE // 4, table=TABLE)
     assert robot.update_after(NEAR_A_QUARTER) is None
 
 
 def test_a_single_estimate_is_too_few_for_a_test() -> None:
-    """It is far from the robot's own, 1/4, and yet there is no update."""
+    """It is 1, far from the robot's own, 1/4, and yet None says that the robot does not change b_hat."""
     robot = RobotState(t=100, n=60, x_hat=ONE // 4, table=TABLE)
     estimate = NeighbourEstimate(x_hat=ONE, alpha=ALPHA_ONE)
     assert robot.update_after([estimate]) is None
@@ -265,7 +285,10 @@ def test_a_single_estimate_is_too_few_for_a_test() -> None:
 
 @pytest.mark.parametrize("count", [1, 3])
 def test_a_robot_without_a_test_changes_its_assumed_accuracy_by_any_estimates(count: int) -> None:
-    """Without a table it has no test. Of tiles of which 1/4 is black 60 % look black: b_hat is below 1/2."""
+    """Without a table it has no test, and one estimate is enough.
+
+    If 1/4 of the tiles is black and 60 % look black, the sensor errs more often than not: b_hat is below 1/2.
+    """
     robot = RobotState(t=100, n=60, x_hat=ONE // 4, table=None)
     assert robot.update_after(NEAR_A_QUARTER[:count]) is Update.BELOW
 
@@ -280,7 +303,7 @@ def test_a_robot_without_a_test_changes_its_assumed_accuracy_by_any_estimates(co
 def test_estimates_drawn_for_a_new_b_hat_above_or_below_a_half_or_at_an_end_lead_to_it(
     black_share: float, x_hat: int, update: Update, seed: int
 ) -> None:
-    """The new accuracy b_hat follows from the paper's equation 8, computed exactly.
+    """The new accuracy b_hat follows from the paper's equation 8, computed exactly. The ends are 0 and 1.
 
     It explains the share n / t of black observations if the fill ratio is x_bar, the mean of the estimates.
     """

@@ -43,8 +43,8 @@ def robot_that_observed(black: int, white: int, b_hat: float = B_HAT) -> MirrorR
     return robot
 
 
-def settle_with(robot: MirrorRobot, estimates: Sequence[int]) -> MirrorRobot:
-    """Return a copy of the robot that has received these estimates, and then has made its test.
+def robot_at_end_of_round(robot: MirrorRobot, estimates: Sequence[int]) -> MirrorRobot:
+    """Return a copy of the robot that has received these estimates, and has tested itself if they are five.
 
     The estimates are those of robots 0, 1 and so on, in units of 2**-16.
     """
@@ -74,11 +74,12 @@ for_pairs = pytest.mark.parametrize(
 def test_the_estimates_of_a_pair_differ_by_one_unit_in_one_slot(count: int, width: int, seed: int) -> None:
     """With the first estimates of a pair a robot just keeps its b_hat, with the second ones it just does not.
 
-    A slot holds the estimate of one neighbour, in units of 2**-16.
+    A slot holds the estimate of one neighbour, in units of 2**-16, and each of a pair has ``count`` of them.
     """
     kept, rejected = draw_pair(robot_that_observed(black=300, white=200), count, width, seed)
     distances = [abs(a - b) for a, b in zip(kept.estimates, rejected.estimates, strict=True)]
-    assert sorted(distances) == [0] * (count - 1) + [1]
+    distances_of_equal_slots = [0] * (count - 1)
+    assert sorted(distances) == [*distances_of_equal_slots, 1]
 
 
 @for_pairs
@@ -86,9 +87,8 @@ def test_a_robot_keeps_its_b_hat_by_the_first_estimates_of_a_pair(count: int, wi
     """b_hat is the accuracy that it assumes of its sensor; the second ones differ from these by a unit."""
     robot = robot_that_observed(black=300, white=200)
     kept, _ = draw_pair(robot, count, width, seed)
-    settled_robot = settle_with(robot, kept.estimates)
 
-    assert settled_robot.counters.updates == 0
+    assert robot_at_end_of_round(robot, kept.estimates).counters.updates == 0
     assert not kept.is_rejected()
 
 
@@ -99,21 +99,26 @@ def test_a_robot_re_estimates_b_hat_by_the_second_estimates_of_a_pair(
     """b_hat is the accuracy that it assumes of its sensor; the first ones differ from these by a unit."""
     robot = robot_that_observed(black=300, white=200)
     _, rejected = draw_pair(robot, count, width, seed)
-    settled_robot = settle_with(robot, rejected.estimates)
 
-    assert settled_robot.counters.updates == 1
+    assert robot_at_end_of_round(robot, rejected.estimates).counters.updates == 1
     assert rejected.is_rejected()
-    assert not rejected.is_supported
+    assert not rejected.is_supported, "more than two fifths agree with the robot, which would keep its b_hat"
 
 
 def test_there_is_no_pair_if_no_estimates_contradict_the_robot() -> None:
-    """With b_hat = 1/2 a robot predicts that half of its observations are black, whatever the floor is."""
+    """With b_hat = 1/2 a robot predicts that half of its observations are black, whatever the floor is.
+
+    So its test never rejects, and there is no threshold to draw estimates at.
+    """
     robot = robot_that_observed(black=250, white=250, b_hat=0.5)
     assert draw_slots_at_threshold(robot, count=5, width=4, rng=Random(1)) is None
 
 
 def test_there_is_no_pair_if_all_estimates_contradict_the_robot() -> None:
-    """With b_hat = 0.6 no fill ratio explains that all of 500 observations are black."""
+    """With b_hat = 0.6 no fill ratio explains that all of 500 observations are black: 0.6 would be at most.
+
+    So its test always rejects, and there is no threshold to draw estimates at.
+    """
     robot = robot_that_observed(black=500, white=0, b_hat=0.6)
     assert draw_slots_at_threshold(robot, count=5, width=4, rng=Random(1)) is None
 
@@ -136,22 +141,25 @@ def test_a_draw_does_not_change_the_robot() -> None:
 def test_a_robot_re_estimates_b_hat_unless_more_than_two_fifths_of_its_neighbours_agree_with_it(
     supporters: int, opponents: int, updates: int
 ) -> None:
-    """The test rejects b_hat, the accuracy that it assumes, and supporters let it keep b_hat nevertheless.
+    """Two supporters beside three opponents are too few, so there is an update; three beside four are enough.
 
-    The 300 black tiles of 500 agree with an estimate of 2/3, SUPPORTER, and contradict OPPONENT, 0.
+    A supporter's estimate, 2/3, agrees with the robot's 300 black tiles of 500, and an opponent's, 0, does
+    not. So the robot's test rejects b_hat, the accuracy that it assumes, but supporters let it keep b_hat.
     """
     robot = robot_that_observed(black=300, white=200)
-    slots = slots_with_supporters(robot, supporters + opponents, supporters)
+    slots = slots_with_supporters(robot, count=supporters + opponents, supporter_count=supporters)
     assert slots is not None
     assert slots.estimates == (SUPPORTER,) * supporters + (OPPONENT,) * opponents
-    assert slots.is_rejected()
-    settled_robot = settle_with(robot, slots.estimates)
+    assert slots.is_rejected(), "the test itself, which does not count supporters"
 
-    assert settled_robot.counters.updates == updates
+    assert robot_at_end_of_round(robot, slots.estimates).counters.updates == updates
 
 
 def test_no_neighbours_can_contradict_a_robot_with_a_b_hat_of_one_half() -> None:
-    """Such a robot predicts that half of its observations are black, whatever the others estimate."""
+    """Such a robot predicts that half of its observations are black, whatever the others estimate.
+
+    So there are no estimates by which its test would reject, which None says.
+    """
     robot = robot_that_observed(black=250, white=250, b_hat=0.5)
     assert slots_with_supporters(robot, count=5, supporter_count=2) is None
 
@@ -178,24 +186,27 @@ def test_the_estimate_that_explains_a_share_of_black_follows_from_b_hat(
     assert estimate_that_predicts(robust, share_of_black) == estimate
 
 
-def test_the_filter_at_the_test_has_the_dispersion_of_the_robot_after_it() -> None:
-    """``filter_at_test`` returns the memory that a robust filter will have when it makes its next test.
+def test_the_dispersion_that_a_robot_will_have_when_its_filter_runs_next_is_known_before() -> None:
+    """Dispersion is how much more observations vary from batch to batch than independent ones.
 
-    Its dispersion is how much more observations vary from batch to batch than independent ones. A batch of
-    100 black tiles after a mixed one is rare by chance, so the dispersion rises above 1.
+    A run of the robust filter updates it before the test, and ``filter_at_test`` returns the filter's memory
+    as it will be then. A batch of 100 black tiles after a mixed one is rare by chance: it raises it above 1.
     """
-    robot = settle_with(robot_that_observed(black=50, white=50), estimates=[])
-    for _ in range(100):
+    robot = robot_at_end_of_round(robot_that_observed(black=50, white=50), estimates=[])
+    for _ in range(100):  # the next batch
         robot.observe(Observation.BLACK)
-    dispersion_at_test = filter_at_test(robot.s).dispersion
-    robot.settle()  # makes the test
+    predicted_dispersion = filter_at_test(robot.s).dispersion
+    robot.settle()  # runs the filter
 
-    assert dispersion_at_test == robot.s.robust.dispersion
-    assert dispersion_at_test > 256  # 1 in units of 2**-8
+    assert predicted_dispersion == robot.s.robust.dispersion
+    assert predicted_dispersion > 256  # 1 in units of 2**-8
 
 
 def test_asking_for_the_filter_at_the_test_does_not_end_the_robot_s_batch() -> None:
-    """A batch is the observations between two tests; its counts stand in the robot."""
+    """A batch is the observations between two tests. The robot's first one begins at 0 observations.
+
+    If asking ended it, the next one would begin at 100.
+    """
     robot = robot_that_observed(black=50, white=50)
     filter_at_test(robot.s)
     assert robot.s.robust.batch_t == 0
@@ -210,7 +221,7 @@ def test_a_test_in_place_of_the_filter_s_own_gets_counts_centre_and_spread_of_th
     """
     quarter, half = 2**16 // 4, 2**16 // 2
     slots = SlotsAtTest((quarter, quarter, quarter, half, half), RobustFilter(), t=500, n=300)
-    other_test = Mock(return_value=True)
+    other_test = Mock(return_value=True)  # a test that rejects
 
     assert slots.is_rejected(other_test)
     spread = 2**24 // 2**12

@@ -1,4 +1,8 @@
-"""The count of instructions: time and storage are bounded whatever t, m and q, and growth is found."""
+"""The count of instructions: time and storage are bounded whatever t, m and q, and growth is found.
+
+A robot has t observations, receives m messages in a round, and has q thresholds in the table of its test. A
+workload describes a robot whose calls are counted.
+"""
 
 from __future__ import annotations
 
@@ -41,7 +45,7 @@ def test_each_turn_of_a_loop_takes_as_many_instructions_as_the_others() -> None:
 
 
 def test_a_call_without_end_is_cut_short_after_20_000_instructions() -> None:
-    """So many are more than any call of a robot may take; the count ends with the next one."""
+    """So many are more than any call of a robot may take. The next one is counted, and ends the call."""
     assert count_instructions(partial(loop, times=10**9)) == 20_000 + 1
 
 
@@ -66,16 +70,16 @@ def collector_switched_back() -> Iterator[None]:
     gc.enable()
 
 
-@pytest.mark.parametrize(("switch", "is_on"), [(gc.disable, False), (gc.enable, True)])
+@pytest.mark.parametrize(("switch_collector", "is_on"), [(gc.disable, False), (gc.enable, True)])
 @pytest.mark.usefixtures("collector_switched_back")
 def test_the_garbage_collector_is_off_while_counting_and_then_as_before(
-    switch: Callable[[], None], is_on: bool
+    switch_collector: Callable[[], None], is_on: bool
 ) -> None:
     """The instructions of the garbage collector would be counted as those of the robot."""
-    was_on_meanwhile: list[bool] = []
-    switch()
-    count_instructions(lambda: was_on_meanwhile.append(gc.isenabled()))
-    assert was_on_meanwhile == [False]
+    is_on_while_counting: list[bool] = []
+    switch_collector()
+    count_instructions(lambda: is_on_while_counting.append(gc.isenabled()))
+    assert is_on_while_counting == [False]
     assert gc.isenabled() == is_on
 
 
@@ -100,6 +104,7 @@ def test_workloads_with_64_observations_have_all_kinds_of_accuracies_and_counts(
     """
     expected = []
     for b_hat in (2**12, 2**31, round(0.95 * 2**32), 2**32 - 2**12):
+        # No tiles, two fifths of them, and all are black.
         expected += [workload_class(t=64, n=n, b_hat=b_hat) for n in (0, 25, 64)]
     expected.append(workload_class(t=64, n=32, halves=True))
 
@@ -107,13 +112,16 @@ def test_workloads_with_64_observations_have_all_kinds_of_accuracies_and_counts(
 
 
 @pytest.mark.parametrize("t", [32, 63, 127])
-def test_workloads_with_as_many_observations_as_no_memory_holds_are_not_halved(t: int) -> None:
-    """A robot halves its counts when its memory is full, of 64 observations or a larger multiple of four."""
+def test_no_workload_halves_counts_that_fill_no_memory(t: int) -> None:
+    """A robot halves its counts t and n when its memory is full, which 32, 63 or 127 observations never fill.
+
+    A memory is for 64 observations or a larger multiple of four.
+    """
     assert not any(workload.halves for workload in workloads_at("t", t))
 
 
 def test_workloads_have_a_power_of_two_of_observations_or_one_less() -> None:
-    """They are from 1 to 2**31, and a workload is a robot whose calls are counted."""
+    """They are from 1 to 2**31: a loop over the bits of t would show, and one over t even more."""
     expected = {1}
     for exponent in range(1, 32):
         expected |= {2**exponent - 1, 2**exponent}
@@ -121,7 +129,10 @@ def test_workloads_have_a_power_of_two_of_observations_or_one_less() -> None:
 
 
 def test_workloads_with_9_messages_have_tests_of_both_outcomes_and_the_largest_sums() -> None:
-    """The filter's test rejects, unless the messages agree with the robot, and so the workload ``agrees``."""
+    """The filter's test rejects, unless the messages agree with the robot, and so the workload ``agrees``.
+
+    The robust filter's agree with 500 black tiles of 1000.
+    """
     largest_confidence = 0xFFFFFF1F  # as a message has it
     assert workloads_at("m", 9) == [
         Workload(m=9),
@@ -140,17 +151,26 @@ def test_workloads_with_a_table_of_q_entries_use_its_first_and_its_last_ones(
     assert workloads_at("q", q) == [Workload(q=q, m=m) for m in m_values]
 
 
-def test_a_workload_is_a_robot_in_the_last_round_before_its_filter_runs() -> None:
-    """So the next call is the most expensive one. A round is the time between two broadcasts."""
+def test_a_robot_whose_calls_are_counted_runs_its_filter_at_the_end_of_the_present_round() -> None:
+    """So the calls that are counted include the most expensive one, and no user's robot takes longer.
+
+    A round is the time between two broadcasts. The filter runs every ``filter_period`` rounds, and
+    ``filter_left`` of them are left.
+    """
+    robot = Workload().make_robot(MirrorRobot)
+    assert robot.config.filter_period == 1
+    assert robot.s.filter_left == 1
+
+
+def test_a_robot_whose_calls_are_counted_has_a_table_of_the_size_q_of_its_workload() -> None:
+    """The table has the thresholds of the filter's test, and a search in it would take longer with more."""
     robot = Workload(q=30).make_robot(MirrorRobot)
     assert robot.config.table is not None
     assert robot.config.table.q == 30
-    assert robot.config.filter_period == 1
-    assert robot.s.filter_left == 1  # the present round
 
 
-def test_a_workload_is_a_robot_before_its_last_observation() -> None:
-    """It has observed all of its t tiles but one. Its x_hat, in units of 2**-23, and its confidence are 1."""
+def test_a_robot_whose_calls_are_counted_has_observed_all_but_one_of_its_t_tiles() -> None:
+    """The counted call observes the last. Its x_hat, in units of 2**-23, and its confidence alpha are 1."""
     b_hat = 3 * 2**30  # 3/4 in units of 2**-32
     robot = Workload(t=1000, n=400, b_hat=b_hat).make_robot(MirrorRobot)
     assert robot.s.t == 999
@@ -160,10 +180,11 @@ def test_a_workload_is_a_robot_before_its_last_observation() -> None:
     assert alpha_from_word(robot.s.alpha) == 1
 
 
-def test_a_workload_has_messages_in_its_open_round_and_the_same_sum_in_the_round_before() -> None:
+def test_a_workload_has_messages_in_its_open_round_and_as_many_in_the_closed_round_before() -> None:
     """Robots 0, 1 and 2 estimate 1/3, which is 2**23 / 3 units, and 0, 1000 and 2000 units more.
 
-    The sum that the round before, the closed one, has in common with the open one is that of confidences.
+    Of the closed round the robot keeps the sum of the confidences alpha, which is the same, and that of
+    alpha x_hat.
     """
     robot = Workload(m=3).make_robot(MirrorRobot)
     third = 2**23 // 3
@@ -175,7 +196,7 @@ def test_a_workload_has_messages_in_its_open_round_and_the_same_sum_in_the_round
 
 
 def test_a_workload_without_messages_has_an_x_hat_of_1() -> None:
-    """x_hat, what the robot estimates, is in units of 2**-23."""
+    """It ``agrees`` with the mean of its messages, but there are none. x_hat is in units of 2**-23."""
     robot = Workload(m=0, agrees=True).make_robot(MirrorRobot)
     assert robot.s.x_hat == 2**23
 
@@ -210,7 +231,7 @@ def test_the_filter_of_a_workload_re_estimates_b_hat_unless_the_messages_agree_w
 
 @pytest.mark.parametrize(("halves", "t"), [(False, 64), (True, 32)])
 def test_the_next_observation_of_a_workload_is_its_last_or_halves_its_memory(halves: bool, t: int) -> None:
-    """t is the number of observations; a memory that is full is halved."""
+    """The last observation makes t 64. If the memory is for 64, it is full then, and t is halved to 32."""
     robot = Workload(t=64, n=32, halves=halves).make_robot(MirrorRobot)
     assert robot.observe(Observation.BLACK) == Status.OK
     assert robot.t == t
@@ -238,10 +259,13 @@ def test_no_call_of_a_robot_takes_longer_with_more_observations_messages_or_neig
 
 
 @pytest.mark.slow
-def test_calls_are_counted_over_the_ranges_of_t_m_and_q(operations: Counts) -> None:
-    """The instructions of each call are counted with 1 to 2**31 observations t, and with 0 to 127 messages m.
+def test_instructions_of_each_call_are_counted_up_to_the_largest_t_m_and_q_that_a_robot_can_have(
+    operations: Counts,
+) -> None:
+    """So a call that takes longer with more of them is found, wherever it begins to.
 
-    They are counted with tables of 2 to 127 entries q, too, but a robot with the robust filter has no table.
+    A robot can have 1 to 2**31 observations t, of which some are counted, 0 to 127 messages m in a round, and
+    a table of 2 to 127 entries q. With the robust filter it has no table.
     """
     largest_t = 2**31
     for name, count_by_axis in operations.items():
@@ -262,7 +286,10 @@ def largest_count(operations: Counts, name: str) -> int:
     ("name", "limit"), [("step", 1050), ("step, robust", 10_000), ("receive, robust", 240)]
 )
 def test_calls_take_few_instructions(operations: Counts, name: str, limit: int) -> None:
-    """The robust filter takes more: its test goes through 32 slots, which keep estimates, about six times."""
+    """The limits are a little above the largest counts of today, so that a slower call is noticed.
+
+    The robust filter takes more: its test goes through 32 slots, which keep estimates, about six times.
+    """
     assert 0 < largest_count(operations, name) < limit
 
 
@@ -270,7 +297,7 @@ def test_calls_take_few_instructions(operations: Counts, name: str, limit: int) 
 def test_the_end_of_a_round_takes_longer_with_enough_messages_for_a_test_but_no_longer_with_more(
     operations: Counts,
 ) -> None:
-    """``settle`` ends a round and makes the filter's test, which needs two messages."""
+    """``settle`` ends a round and makes the filter's test, which needs two messages, and 127 are the most."""
     settle_by_messages = operations["settle"]["m"]
     assert settle_by_messages[0] < settle_by_messages[2]
     assert settle_by_messages[2] == settle_by_messages[127]
@@ -359,11 +386,12 @@ def test_calls_whose_time_grows_with_messages_observations_or_the_table_are_foun
 
 @pytest.mark.parametrize(("name", "size"), [("images", 124), ("robust_images", 156)])
 def test_a_saved_robot_has_the_same_size_whatever_it_has_received(name: str, size: int) -> None:
-    """It has received 0 to 127 messages; with the robust filter it is larger. Sizes are in bytes."""
+    """It has received 0 to 127 messages. It is saved in 31 words of 4 bytes, or 39 with the robust filter."""
     assert measure_storage()[name] == dict.fromkeys(range(128), size)
 
 
 def test_a_table_takes_4_bytes_an_entry_and_12_more() -> None:
+    """The 12 bytes are three words: one with the number q of entries, one with omega, and a checksum."""
     assert measure_storage()["tables"] == {q: 12 + 4 * q for q in range(2, 128)}
 
 

@@ -25,6 +25,7 @@ from mcp_asdf_tools.crosscheck.oracle import Audit, Errors, region_of
 from robots import ALPHA_ONE
 
 LIMIT = Fraction(INFORMATIVE_G)
+"""2**-12: if |2 x_bar - 1| is smaller, the mean x_bar of estimates is as good as 1/2, which says nothing."""
 
 # --- Bounds ----------------------------------------------------------------------------------------------
 
@@ -55,9 +56,9 @@ B_95, B_NEARLY_HALF = Fraction(19, 20), Fraction(1025, 2048)
     ("n", "b", "lowest", "highest"),
     [
         (0, B_95, 0, 0),
-        (300_000, B_95, 2330168, 2330168),
-        (500_100, B_NEARLY_HALF, 5053297, 5053298),
-        (499_900, B_NEARLY_HALF, 3335310, 3335311),
+        (300_000, B_95, 2330168, 2330168),  # (0.3 - 0.05) / 0.9 is 2330168.9 units, rounded down
+        (500_100, B_NEARLY_HALF, 5053297, 5053298),  # 1 less those below: the colours are exchanged
+        (499_900, B_NEARLY_HALF, 3335310, 3335311),  # 0.3976 is 3335310.5 units, or 0.8 more at most
     ],
 )
 def test_bounds_of_x_hat_are_those_of_the_design(n: int, b: Fraction, lowest: int, highest: int) -> None:
@@ -73,7 +74,8 @@ def test_bounds_of_x_hat_are_those_of_the_design(n: int, b: Fraction, lowest: in
 @pytest.mark.parametrize(
     ("n", "b", "downwards", "upwards"),
     [
-        (0, B_95, 66, 2),
+        (0, B_95, 66, 2),  # where x_hat is 0 or 1: 2**-22 + 2**-27, and 2**-30
+        # Elsewhere: 2**-28 + 2**-27 + 2**-31, and about (2 r + 1) 2**-30 for r = 1 / (2 b - 1)
         (300_000, B_95, 3.125, 6.444),
         (500_100, B_NEARLY_HALF, 3.125, 4098.002),
         (499_900, B_NEARLY_HALF, 3.125, 4098.002),
@@ -119,16 +121,17 @@ def test_the_error_of_b_hat_is_that_of_the_design(x_bar: Fraction, units: int) -
 def test_an_update_is_expected_from_an_informative_x_bar(side: int, errors: float, is_expected: bool) -> None:
     """x_bar, the mean of the estimates, is informative if |2 x_bar - 1| is above a limit.
 
-    ``errors`` is how far it is above the limit, in multiples of the largest error of 2 x_bar.
+    ``errors`` is how far it is above the limit, in largest rounding errors of x_bar. The robot's may be up to
+    2 of them nearer to the limit and up to 1.6 above it, so that both values are just beyond doubt.
     """
-    largest_error = Fraction(5, 4) / 2**30
-    distance_of_2_x_bar_from_1 = LIMIT + Fraction(errors) * largest_error
+    largest_error_of_x_bar = Fraction(5, 4) / 2**30
+    distance_of_2_x_bar_from_1 = LIMIT + Fraction(errors) * largest_error_of_x_bar
     x_bar = (1 + side * distance_of_2_x_bar_from_1) / 2
     assert is_update_expected(x_bar) is is_expected
 
 
 def test_an_x_bar_so_near_to_the_limit_that_rounding_decides_may_lead_to_an_update_or_not() -> None:
-    """``is_update_expected`` says None, as both are right. An x_bar beyond the limit leads to an update."""
+    """``is_update_expected`` says None, as both are right: x_bar is a rounding error beyond the limit."""
     rounding = Fraction(1, 2**31)
     assert is_update_expected(HALF + LIMIT / 2 + rounding) is None
 
@@ -137,8 +140,13 @@ def test_an_x_bar_so_near_to_the_limit_that_rounding_decides_may_lead_to_an_upda
 
 
 def last_call(text: str, audit: Audit) -> CheckedCall:
-    """Make the calls of a scenario, and return the last one."""
+    """Make the calls of a scenario, in which the audit finds nothing wrong, and return the last one."""
     return list(check_calls(text, audit))[-1]
+
+
+def problems_of(call: CheckedCall, audit: Audit) -> list[str]:
+    """Return a line for each thing that an audit, an exact computation, finds wrong in a call."""
+    return audit.check_call(call.setup, call.call, call.before, call.after)
 
 
 def robot(mode: Filter, b_hat: int = 3 << 30) -> str:
@@ -153,26 +161,23 @@ def receive(sender: int, x_hat: int) -> str:
 
 
 def problems_with_excess(name: str, excess: int) -> list[str]:
-    """Return what an audit finds wrong in a call that updates b_hat if a value after it is so much larger.
-
-    An audit checks calls by exact arithmetic.
-    """
+    """Return what an audit finds wrong in a call that updates b_hat if a value after it is so much larger."""
     audit = Audit()
     scenario = f"{robot(Filter.ALWAYS)},step:1,step:0,{receive(sender=1, x_hat=3_000_000)},step:0"
     update = last_call(scenario, audit)
     assert update.after.outcome == "UPDATED"
-    wrong = with_value(update.after, name, update.after.state[name] + excess)
-    return audit.check_call(update.setup, update.call, update.before, wrong)
+    update.after = with_value(update.after, name, update.after.state[name] + excess)
+    return problems_of(update, audit)
 
 
 # design: R21
 @pytest.mark.parametrize(
     ("name", "excess", "problem"),
     [
-        ("x_hat", 2, "x_hat is"),
+        ("x_hat", 2, "x_hat is"),  # at most two neighbouring values are right
         ("x_hat", -2, "x_hat is"),
         ("alpha", 16 << 8, "alpha is"),  # 16 units of the mantissa, which begins at bit 8
-        ("b_hat()", 50, "b_hat is"),
+        ("b_hat()", 50, "b_hat is"),  # rounding leads to 19 units at most, for an x_bar of 3,000,000 / 2**23
         ("b_hat()", -50, "b_hat is"),
         ("x()", 1, "x() is"),
         ("x_bar()", -1, "x_bar() is"),
@@ -194,7 +199,10 @@ def test_a_value_that_follows_from_no_equation_is_not_checked() -> None:
 
 
 def step_after_messages(mode: Filter, message_count: int, audit: Audit) -> CheckedCall:
-    """Return a call of ``step`` in which the filter runs after that many messages of different x_hat."""
+    """Return a call of ``step`` in which the filter runs after that many messages of different x_hat.
+
+    The audit finds nothing wrong in it. The test of the filter ADAPTIVE needs two messages.
+    """
     messages = [receive(sender, 3_000_000 + sender) for sender in range(1, message_count + 1)]
     return last_call(",".join(["table:0.05:2", robot(mode), *messages, "step:1"]), audit)
 
@@ -202,48 +210,52 @@ def step_after_messages(mode: Filter, message_count: int, audit: Audit) -> Check
 @pytest.mark.parametrize(
     ("mode", "message_count"), [(Filter.OFF, 2), (Filter.ALWAYS, 0), (Filter.ADAPTIVE, 1)]
 )
-def test_an_update_without_cause_is_reported(mode: Filter, message_count: int) -> None:
-    """The filter is off, has no message, or has too few for a test; the call says that b_hat has changed."""
-    audit = Audit()
-    step = step_after_messages(mode, message_count, audit)
-    wrong = replace(step.after, outcome="UPDATED")
-    problems = audit.check_call(step.setup, step.call, step.before, wrong)
+def test_a_change_of_b_hat_without_a_reason_is_reported(mode: Filter, message_count: int) -> None:
+    """The robot's filter is off, has no message, or has only one where its test needs two.
 
-    assert problems == ["b_hat is re-estimated, wrongly"]
-    assert audit.tests == 0
-
-
-@pytest.mark.parametrize(("mode", "message_count", "tests"), [(Filter.ALWAYS, 1, 0), (Filter.ADAPTIVE, 2, 2)])
-def test_a_missing_update_is_reported(mode: Filter, message_count: int, tests: int) -> None:
-    """Messages contradict the robot, or it needs no test; the call says that b_hat has not changed.
-
-    The audit has counted a test in the right call and one in the wrong call, if the filter makes any.
+    So a ``step`` must keep b_hat, the accuracy that the robot assumes, and it returned OK. In place of OK
+    stands UPDATED, which says that b_hat has changed.
     """
     audit = Audit()
     step = step_after_messages(mode, message_count, audit)
-    wrong = replace(step.after, outcome="OK")
-    problems = audit.check_call(step.setup, step.call, step.before, wrong)
+    step.after = replace(step.after, outcome="UPDATED")
 
-    assert problems == ["b_hat is not re-estimated, wrongly"]
-    assert audit.tests == tests
+    assert problems_of(step, audit) == ["b_hat is re-estimated, wrongly"]
+    assert audit.tests == 0, "tests of the filter, of which there is none in such a step"
+
+
+@pytest.mark.parametrize(("mode", "message_count", "tests"), [(Filter.ALWAYS, 1, 0), (Filter.ADAPTIVE, 2, 2)])
+def test_a_b_hat_that_is_kept_where_it_had_to_change_is_reported(
+    mode: Filter, message_count: int, tests: int
+) -> None:
+    """Two messages contradict the robot, or one is enough for a filter without a test.
+
+    So a ``step`` must change b_hat, the accuracy that the robot assumes, and it returned UPDATED. In place of
+    UPDATED stands OK, which says that b_hat has not changed.
+    """
+    audit = Audit()
+    step = step_after_messages(mode, message_count, audit)
+    step.after = replace(step.after, outcome="OK")
+
+    assert problems_of(step, audit) == ["b_hat is not re-estimated, wrongly"]
+    assert audit.tests == tests, "tests of the filter in the right call and in the wrong one"
 
 
 def test_an_update_before_the_filter_period_has_passed_is_reported() -> None:
-    """The filter runs every so many rounds; the state before the call says that two are left, not one."""
+    """The filter runs every so many rounds. One was left before the call, and it is replaced by two."""
     audit = Audit()
     step = step_after_messages(Filter.ALWAYS, message_count=1, audit=audit)
-    too_early = with_value(step.before, "filter_left", 2)
-    problems = audit.check_call(step.setup, step.call, too_early, step.after)
+    step.before = with_value(step.before, "filter_left", 2)
 
-    assert problems == ["b_hat is re-estimated, wrongly"]
+    assert problems_of(step, audit) == ["b_hat is re-estimated, wrongly"]
 
 
 def test_no_update_is_expected_of_a_call_that_the_robot_refuses() -> None:
-    """The call says that it has refused an observation, so the oracle does not look for an update."""
+    """The result of the call is replaced by a refused observation, after which no filter runs."""
     audit = Audit()
     step = step_after_messages(Filter.ALWAYS, message_count=1, audit=audit)
-    refused = replace(step.after, outcome="ERR_OBSERVATION")
-    assert audit.check_call(step.setup, step.call, step.before, refused) == []
+    step.after = replace(step.after, outcome="ERR_OBSERVATION")
+    assert problems_of(step, audit) == []
 
 
 # --- What is counted -------------------------------------------------------------------------------------
@@ -290,7 +302,7 @@ def errors_of_third_step(b_hat: int, x_bar: int) -> CollectedErrors:
     scenario = f"{robot(Filter.ALWAYS, b_hat)},step:1,step:1,{receive(sender=1, x_hat=x_bar)},step:0"
     step = last_call(scenario, Audit())
     audit = Audit()  # a new one, which has no errors of the calls before
-    assert audit.check_call(step.setup, step.call, step.before, step.after) == []
+    assert problems_of(step, audit) == []
     return CollectedErrors(audit.as_dict()["errors"], step.after.state)
 
 
@@ -337,7 +349,6 @@ def collected_error(collected: CollectedErrors, quantity: str) -> float:
 T, N = 3, 2
 """Observations of the robot whose errors are collected, and the black ones among them."""
 
-
 in_all_regions = pytest.mark.parametrize(
     ("b_hat", "x_bar"), [(B_HAT_099, X_BAR_09), (B_HAT_099, X_BAR_0505), (B_HAT_055, X_BAR_09)]
 )
@@ -345,7 +356,7 @@ in_all_regions = pytest.mark.parametrize(
 
 @in_all_regions
 def test_the_error_of_x_hat_is_its_distance_from_the_exact_one(b_hat: int, x_bar: int) -> None:
-    """x_hat is the estimate of a robot that has observed three tiles, two of them black."""
+    """x_hat is the estimate of a robot that has observed T tiles, N of them black. ONE is 1 in its units."""
     collected = errors_of_third_step(b_hat, x_bar)
     exact_x_hat = local_estimate(N, T, Fraction(b_hat, 2**32))
     error = Fraction(collected.state["x_hat"], ONE) - exact_x_hat
@@ -353,7 +364,7 @@ def test_the_error_of_x_hat_is_its_distance_from_the_exact_one(b_hat: int, x_bar
 
 
 def test_the_error_of_alpha_is_relative_to_the_exact_one() -> None:
-    """alpha is the confidence of a robot that has observed three tiles, two of them black."""
+    """alpha is the confidence of a robot that has observed T tiles, N of them black."""
     collected = errors_of_third_step(B_HAT_099, X_BAR_09)
     alpha = Fraction(alpha_from_word(collected.state["alpha"]))
     error = alpha / exact_alpha(N, T, Fraction(B_HAT_099, 2**32)) - 1

@@ -44,10 +44,10 @@ def test_a_robot_remembers_the_nearest_estimate_that_has_16_bits(x_hat: int, est
 @pytest.mark.parametrize(
     ("x_hat", "centre", "spread"),
     [
-        (ONE, 2**29 + 2**15, 2**18 + 2**14),
+        (ONE, 2**29 + 2**15, 2**18 + 2**14),  # 1/8 of the spread of 2**18, which widens by 1/16
         (0, 2**29 - 2**15, 2**18 + 2**14),
-        (2**22, 2**29, 2**18),  # no narrower than the smallest spread
-        (2**22 + 1, 2**29 + 2**4, 2**18),
+        (2**22, 2**29, 2**18),  # a vote of 1/2; the spread is no narrower than the smallest one
+        (2**22 + 1, 2**29 + 2**4, 2**18),  # one unit of 2**-23 above 1/2 is 2**7 units, and 1/8 of them
     ],
 )
 def test_a_vote_moves_centre_and_spread_by_whole_units(x_hat: int, centre: int, spread: int) -> None:
@@ -77,7 +77,7 @@ def test_a_vote_moves_the_centre_by_whole_units_and_less_than_a_unit_is_rounded_
     ("batch_black_count", "dispersion"),
     [
         (250, 448),  # as many as expected: 7/8 of 2, which is 1.75
-        (260, 473),  # a ratio of 0.8: 7/8 of 2, and 1/8 of 0.8, which is 1.85
+        (260, 473),  # a ratio of 0.8, from 10**2 / (500 / 4): 7/8 of 2, and 1/8 of 0.8, which is 1.85
         (500, 1216),  # an outlier, which counts as a ratio of 12 * 2: 7/8 of 2, and 1/8 of 24, which is 4.75
     ],
 )
@@ -138,7 +138,8 @@ def test_a_decision_of_the_robust_test_that_hangs_on_rounding_is_left_open(
 ) -> None:
     """The test rejects b_hat, 3/4, if too many of a million observations are black; 1/2 would be expected.
 
-    With n = 554,154 black ones a firmware that rounds may reject or not: ``robust_test_outcome`` says None.
+    It does if the share is off by more than 0.054154, whose square is 12 (1/4 / 10**6 + (1/2 spread)**2). So
+    with n = 554,154 a firmware that rounds may reject or not, and ``robust_test_outcome`` says None.
     """
     observations = Observations(n, t=10**6, dispersion=INDEPENDENT)
     rejects = robust_test_outcome(observations, Fraction(3, 4), centre=HALF, spread=Fraction(1, 32))
@@ -158,7 +159,8 @@ def test_supporters_are_more_than_two_of_five_unless_one_is_in_the_middle(
 ) -> None:
     """A supporter's estimate predicts the robot's share of black tiles, here 3/4, better than the centre, 0.
 
-    With an accuracy of 3/4, an estimate of 1 predicts 3/4, and one of 0 predicts 1/4.
+    With an accuracy of 3/4, an estimate of 1 predicts 3/4, and one of 0 predicts 1/4. The outcome is whether
+    there are enough supporters, or None if rounding may decide.
     """
     observations = Observations(n=3, t=4, dispersion=INDEPENDENT)
     fractions = [Fraction(estimate) for estimate in estimates]
@@ -223,7 +225,7 @@ def test_a_wrong_result_of_any_event_of_the_robust_filter_is_reported(
     calls with the event are checked, each with one wrong value after the other.
     """
     calls = calls_by_event[event]
-    assert len(calls) >= 3
+    assert len(calls) >= 3, "the 40 scenarios hardly have this event"
     for right_call in calls[:10]:
         for wrong_after in wrong_results(event, right_call.after):
             problems = Audit().check_call(right_call.setup, right_call.call, right_call.before, wrong_after)
@@ -235,7 +237,10 @@ ROBOT = f"robot:{Filter.ROBUST:d}:1:64:0:{3 << 30}"
 
 
 def test_a_dispersion_out_of_bounds_is_reported() -> None:
-    """After two observations it is 1, which is 256 units of 2**-8; two more units are too many."""
+    """After two observations it is 1, which is 256 units of 2**-8; two more units are too many.
+
+    Dispersion is how much more observations vary from batch to batch than independent ones.
+    """
     *_, settle = check_calls(f"{ROBOT},observe:1,observe:0,settle", Audit())
     wrong = with_value(settle.after, "robust_dispersion", 256 + 2)
     problems = Audit().check_call(settle.setup, settle.call, settle.before, wrong)
@@ -268,7 +273,7 @@ def test_votes_and_a_filter_that_has_too_few_estimates_are_counted() -> None:
 
 
 def test_a_filter_without_an_observation_is_not_counted() -> None:
-    """The robot weighs the estimate that it receives, but it has no observations to test."""
+    """The robot weighs the estimate that it receives, which is a vote, but it has no observations to test."""
     events, tests = count_robust_events(f"{ROBOT},{receive(1, x_hat=0)},settle")
     assert events == {"vote": 1}
     assert tests == 0

@@ -1,4 +1,4 @@
-"""Scenarios: they reach every outcome and the edge of the test, and are lines that read back."""
+"""Scenarios, which are a robot and its calls: they reach every outcome, and are lines that read back."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def outcomes_of(scenarios: Iterable[Scenario]) -> set[str]:
 
 
 def test_random_scenarios_bring_about_every_result_of_every_call() -> None:
-    """A scenario is a robot and its calls; here are 20. What else they reach, planted faults show."""
+    """Each call's name stands with what it returned. What else these scenarios reach, planted faults show."""
     assert outcomes_of(random_scenario(SEED, index) for index in range(20)) == {
         *("observe OK", "observe ERR_OBSERVATION", "step OK", "step UPDATED", "step ERR_OBSERVATION"),
         *("receive OK", "receive REPEATED", "receive ERR_SENDER", "receive ERR_X_HAT"),
@@ -67,7 +67,7 @@ def test_robust_scenarios_bring_about_all_that_the_filter_does(
 def test_robust_scenarios_come_so_near_the_threshold_that_rounding_may_decide(
     audit_of_robust_scenarios: Audit,
 ) -> None:
-    """Where rounding may decide, exact arithmetic leaves the result open, and the events count it."""
+    """Where rounding may decide, exact arithmetic leaves the test's result open: it is undecided."""
     assert audit_of_robust_scenarios.events["robust"]["undecided"] > 10
 
 
@@ -90,6 +90,7 @@ def test_scenarios_of_other_seeds_and_indices_differ(scenarios: list[Scenario]) 
 
 @pytest.mark.parametrize("scenarios", [SCENARIOS, ROBUST_SCENARIOS], ids=["paper", "robust"])
 def test_the_line_of_a_scenario_is_parsed_as_the_same_scenario(scenarios: list[Scenario]) -> None:
+    """Each fourth of 200 or of 100 scenarios is written as a line, as a report prints it."""
     for scenario in scenarios[::4]:
         line = str(scenario)
         assert parse_scenario(line) == scenario
@@ -107,7 +108,7 @@ def test_robust_scenarios_are_of_robots_with_the_robust_filter() -> None:
 
 
 def test_the_scenarios_of_a_seed_stay_the_same() -> None:
-    """So that the seed in a report repeats it later; those in the golden file are of an earlier version.
+    """So the seed in a report repeats it later. The golden file has scenarios of an earlier version.
 
     If they change on purpose, write the golden vectors anew, too.
     """
