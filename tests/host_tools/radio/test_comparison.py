@@ -1,4 +1,7 @@
-"""Comparison of a controller's frames with its model's: what differs first, and the hint at its cause."""
+"""Comparison of a controller's frames with its model's: what differs first, and the hint at its cause.
+
+The model is the same robot in Python, and what it sends is expected of the controller.
+"""
 
 from __future__ import annotations
 
@@ -30,7 +33,7 @@ def estimate(x_hat: int = X_HAT, alpha_word: int = ALPHA_WORD) -> can.Message:
 def estimate_with_alpha_bits(bits: int) -> can.Message:
     """Return an estimate with these binary32 bits as its alpha, also those that no encoder writes."""
     frame = estimate()
-    frame.data[3:7] = bits.to_bytes(4, "little")
+    frame.data[3:7] = bits.to_bytes(4, "little")  # after the three bytes of x_hat
     return frame
 
 
@@ -85,7 +88,7 @@ def hint_of(received: can.Message, expected: can.Message) -> str:
 def test_an_x_hat_in_reverse_order_or_off_by_a_power_of_two_gets_a_hint_at_that(
     received: int, expected: int, hint: str
 ) -> None:
-    """x_hat is a robot's own estimate, of three bytes. Other differences in it get no hint."""
+    """x_hat is a robot's own estimate, of three bytes. Other differences in it get no hint: it is empty."""
     assert hint_of(received=estimate(received), expected=estimate(expected)) == hint
 
 
@@ -104,10 +107,13 @@ def test_an_alpha_with_another_mantissa_gets_no_hint(alpha_word: int) -> None:
         (255, 254, ""),  # not a number
     ],
 )
-def test_an_alpha_that_is_off_by_a_power_of_two_gets_the_factor_as_a_hint_if_both_are_normal_numbers(
+def test_an_alpha_that_is_half_or_twice_the_expected_one_gets_the_factor_as_a_hint(
     received_exponent: int, expected_exponent: int, hint: str
 ) -> None:
-    """alpha is a float32. Its exponent is one higher or lower than expected, and its mantissa is the same."""
+    """alpha is a float32. Its exponent is one higher or lower than expected, and its mantissa is the same.
+
+    A number with the lowest or the highest exponent, 0 or 255, is no normal one, and gets no hint.
+    """
     mantissa = 0x345678
     received = estimate_with_alpha_bits((received_exponent << 23) | mantissa)
     expected = estimate_with_alpha_bits((expected_exponent << 23) | mantissa)
@@ -122,13 +128,14 @@ def test_a_number_of_updates_that_is_half_of_the_expected_one_gets_no_hint() -> 
 
 
 def test_the_hint_is_about_the_first_frame_that_differs() -> None:
-    """The first received frame is right. The second has twice the x_hat, as the hint says."""
+    """The first received frame is right, the second has twice the x_hat, and the third four times."""
     received = [estimate(), estimate(2 * X_HAT), estimate(4 * X_HAT)]
     found_difference = difference(received=received, expected=[estimate(), estimate()])
     assert found_difference.hint == "it is 2 times what it should be"
 
 
 def test_the_text_of_a_difference_ends_with_the_hint() -> None:
+    """An x_hat is shown as it is sent, and as a number: 0x123456 is 0.1422222 * 2**23."""
     text = str(difference(received=[estimate(2 * X_HAT)], expected=[estimate()]))
     assert text.startswith("estimate, x_hat: expected 106BB805 transfer_id 0, x_hat 0x123456 (0.1422222), ")
     assert text.endswith("; it is 2 times what it should be")
@@ -160,7 +167,8 @@ def test_equal_frames_are_counted_by_kind() -> None:
 
 def test_of_more_than_three_frames_too_many_the_others_are_described_by_their_number() -> None:
     """Five frames are received where none is expected, so the text names three "and 2 more"."""
-    found_difference = difference(received=[telemetry(updates) for updates in range(5)], expected=[])
+    five_frames = [telemetry(updates) for updates in range(5)]
+    found_difference = difference(received=five_frames, expected=[])
     assert found_difference.field == "extra"
     assert found_difference.expected == "nothing"
     assert found_difference.received.endswith(" and 2 more")
@@ -207,13 +215,17 @@ def test_the_heartbeat_with_which_a_controller_starts_is_a_difference_after_tele
 def test_a_heartbeat_with_a_worse_health_is_a_difference_unless_it_is_advisory_and_that_is_allowed(
     health: Health, is_advisory_allowed: bool, field: str | None
 ) -> None:
-    """Nominal is expected. Advisory is the next worse health, and caution is worse than both."""
+    """Nominal is expected. Advisory is the next worse health, and caution is worse than both.
+
+    ``field`` is the field that differs, or None if there is no difference.
+    """
     comparison = comparison_after_a_tick()
     comparison.is_advisory_allowed = is_advisory_allowed
 
     found_difference = comparison.check(received=[heartbeat(1, health)], expected=[heartbeat(1)])
 
-    assert (found_difference and found_difference.field) == field
+    found_field = None if found_difference is None else found_difference.field
+    assert found_field == field
 
 
 # --- Senders ---

@@ -1,4 +1,7 @@
-"""The emulated neighbours of a real controller, in lockstep and in real time."""
+"""The emulated neighbours of a real controller, in lockstep and in real time.
+
+In lockstep a tick ends when the controller has done its part. In real time each tick has its time.
+"""
 
 from __future__ import annotations
 
@@ -45,7 +48,7 @@ CRASHES_OF_TWO_ROBOTS = "crash,robots={},from=30,to=35 crash,robots={},from=40,t
 FIVE_ROBOTS = SwarmSettings(robots=5, flawed=0.6, fill_ratio=0.9, filter_period=20, steps=120, seed=4)
 FIVE_MOVING_ROBOTS = replace(FIVE_ROBOTS, topology="dynamic", density=4)
 """Robots that move, and receive from those in range alone."""
-CONTROLLER_ID, *NEIGHBOUR_IDS = IDS = (3, 10, 11, 40, 90)
+IDS = (3, 10, 11, 40, 90)
 """Ids of a controller and its neighbours, in place of the ids 0 to 4 of a swarm."""
 
 
@@ -62,7 +65,10 @@ def states_in_a_swarm(world: SwarmSettings) -> list[dict[str, int]]:
 
 
 def states_around_a_controller(world: SwarmSettings, faults: str) -> list[dict[str, int]]:
-    """Run 120 ticks of a controller and its neighbours, and return the states in which they end."""
+    """Run 120 ticks of a controller, robot 3, and its neighbours, robots 10, 11, 40 and 90.
+
+    Returns the states in which they end, in this order.
+    """
     controller_setup, *neighbour_setups = (replace(setup, id=IDS[setup.id]) for setup in world.robot_setups())
     parsed_faults = tuple(map(parse_fault, faults.split()))
     neighbourhood = Neighbourhood(
@@ -81,7 +87,10 @@ def states_around_a_controller(world: SwarmSettings, faults: str) -> list[dict[s
 def test_a_controller_and_its_neighbours_compute_what_an_emulated_swarm_of_as_many_robots_computes(
     world: SwarmSettings,
 ) -> None:
-    """All five end in the same states as in the swarm, where they have other ids. Two of them crash."""
+    """All five end in the same states as in the swarm, where they have other ids. Two of them crash.
+
+    They are robots 1 and 2 in the swarm, and robots 10 and 11 around the controller.
+    """
     crashing_world = replace(world, faults=CRASHES_OF_TWO_ROBOTS.format(1, 2).split())
 
     states = states_around_a_controller(world, CRASHES_OF_TWO_ROBOTS.format(10, 11))
@@ -91,22 +100,22 @@ def test_a_controller_and_its_neighbours_compute_what_an_emulated_swarm_of_as_ma
 
 
 def test_neighbours_that_crash_miss_observations_and_send_no_estimates() -> None:
-    """One is dead for 5 ticks, and begins anew in tick 35. Another is dead for 20 ticks, and goes on.
+    """In 120 ticks robot 10 is dead for 5, and begins anew. Robot 11 is dead for 20, and goes on.
 
-    The controller has missed 25 of the estimates of its four neighbours in 120 ticks.
+    Each of the controller's four neighbours broadcasts an estimate in each tick in which it is not dead.
     """
-    states = states_around_a_controller(FIVE_ROBOTS, CRASHES_OF_TWO_ROBOTS.format(10, 11))
+    crashes = "crash,robots=10,from=30,to=35 crash,robots=11,from=40,to=60,rejoin=restored"
+    controller, robot_10, robot_11, *_ = states_around_a_controller(FIVE_ROBOTS, crashes)
 
-    controller, new_since_tick_35, dead_for_20_ticks, *_ = states
-    assert controller["accepted"] == 4 * 120 - 25, "estimates of others"
-    assert new_since_tick_35["t"] == 120 - 35, "observations"
-    assert dead_for_20_ticks["t"] == 120 - 20, "observations"
+    assert controller["accepted"] == 4 * 120 - (5 + 20), "estimates that it has received"
+    assert robot_10["t"] == 120 - 35, "observations since it has begun anew, without a memory, in tick 35"
+    assert robot_11["t"] == 120 - 20, "observations before and after its crash"
 
 
 def test_a_controller_receives_only_from_neighbours_in_range() -> None:
     """Its four neighbours move, and broadcast in each of 120 ticks. It receives some of the 480 estimates."""
     controller, *_ = states_around_a_controller(FIVE_MOVING_ROBOTS, faults="")
-    assert 120 < controller["accepted"] < 4 * 120
+    assert 120 < controller["accepted"] < 4 * 120, "more than those of one neighbour, and not all"
 
 
 def test_frames_of_neighbours_are_stamped_with_the_time_of_their_tick() -> None:
@@ -114,7 +123,8 @@ def test_frames_of_neighbours_are_stamped_with_the_time_of_their_tick() -> None:
     neighbourhood = Neighbourhood(surroundings())
     for tick in range(20):
         neighbourhood.begin()
-        assert {frame.timestamp for frame in neighbourhood.finish([])} == {tick / 10}
+        frames = neighbourhood.finish(controller_frames=[])
+        assert {frame.timestamp for frame in frames} == {tick / 10}
 
 
 def heartbeats_of_crashing_robot_1(rejoin: str) -> list[tuple[int, int]]:
@@ -132,7 +142,7 @@ def heartbeats_of_crashing_robot_1(rejoin: str) -> list[tuple[int, int]]:
 
 
 def test_a_neighbour_that_rejoins_as_a_new_robot_begins_with_uptime_0() -> None:
-    """It is dead in ticks 45 and 46. Each heartbeat has its tick and the uptime in seconds of 10 ticks."""
+    """It is dead in ticks 45 and 46. A pair is a heartbeat's tick and its uptime in seconds of 10 ticks."""
     before_crash = [(0, 0), (10, 1), (20, 2), (30, 3), (40, 4)]
     assert heartbeats_of_crashing_robot_1("new") == [*before_crash, (47, 0), (57, 1)]
 
@@ -152,7 +162,7 @@ def test_the_uptime_of_a_neighbour_that_rejoins_restored_goes_on_where_it_was() 
         (127, 126, 0, tuple(range(126))),
     ],
 )
-def test_emulated_neighbours_have_the_lowest_ids_from_the_first_allowed_on_but_the_controllers(
+def test_emulated_neighbours_have_the_lowest_allowed_ids_without_that_of_the_controller(
     controller: int, count: int, first: int, ids: tuple[int, ...]
 ) -> None:
     """``first`` is the first allowed id, and ``count`` is the number of neighbours."""
@@ -172,7 +182,7 @@ def test_emulated_neighbours_have_the_lowest_ids_from_the_first_allowed_on_but_t
 def test_more_neighbours_than_there_are_ids_are_refused(count: int, first: int, complaint: str) -> None:
     """The error says how many there is room for. Ids 126 and 127 are for tools, and 3 is the controller."""
     with pytest.raises(UsageError, match=complaint):
-        choose_ids(3, count, first)
+        choose_ids(controller=3, count=count, first=first)
 
 
 # --- Neighbours in real time ---
@@ -190,7 +200,7 @@ def test_neighbours_in_real_time_go_on_when_the_bus_fails_and_count_the_frames_t
 
     assert figures["steps"] == 20
     assert figures["ending"] == "all ticks done"
-    # 4 robots send an estimate in each of 20 ticks, and one heartbeat.
+    # 4 robots send an estimate in each of 20 ticks, and one heartbeat, and every other frame is refused.
     assert figures["bus_failures"] == figures["frames_sent"] == 4 * (20 + 1) / 2
 
 
@@ -293,14 +303,16 @@ def real_time_run(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> RealTim
 
 
 def test_neighbours_in_real_time_send_the_frames_that_a_fault_spares(real_time_run: RealTimeRun) -> None:
-    """Each of 4 robots makes an estimate in each of 20 ticks, and a heartbeat. The fault takes some."""
+    """Each of 4 robots makes an estimate in each of 20 ticks, and a heartbeat. The fault takes about half.
+
+    The senders are robots 0, 1, 2 and 4, as robot 3 is the controller.
+    """
     results = real_time_run.report["results"]
     (loss,) = results["faults"]
 
     assert results["frames_sent"] == len(real_time_run.frames)
     assert len(real_time_run.frames) + loss["injected"] == 4 * (20 + 1)
-    senders = {sender_of(frame) for frame in real_time_run.frames}
-    assert senders == {0, 1, 2, 4}
+    assert {sender_of(frame) for frame in real_time_run.frames} == {0, 1, 2, 4}
 
 
 def test_the_report_of_neighbours_in_real_time_is_printed_and_is_beside_the_log(
@@ -314,7 +326,7 @@ def test_the_report_of_neighbours_in_real_time_is_printed_and_is_beside_the_log(
 def test_neighbours_of_perfect_sensors_assume_the_largest_accuracy_that_the_firmware_can_have(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """The firmware refuses an accuracy of 1, with which nobody could emulate robots that are never wrong."""
+    """That is 1 - 2**-20. The firmware refuses 1, but the sensors of emulated robots may be never wrong."""
     options = "--id 3 --robots 3 --steps 1 --steps-per-second 1000 --true-accuracy 1 --json"
     assert radio(options) == 0
     neighbours = json.loads(capsys.readouterr().out)["parameters"]["neighbours"]

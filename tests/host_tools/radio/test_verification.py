@@ -1,4 +1,8 @@
-"""The verdict on a controller: a right one passes, and every wrong one is found where it is wrong."""
+"""The verdict on a controller: a right one passes, and every wrong one is found where it is wrong.
+
+A controller is a robot under test. The tool, ``mcp-asdf radio --verify``, gives it observations and messages,
+phase after phase, and compares its frames with those of a model, the same robot in Python.
+"""
 
 from __future__ import annotations
 
@@ -188,7 +192,7 @@ def test_a_right_controller_passes_every_phase(run: ObservedRun) -> None:
 
 
 def test_each_phase_reports_its_ticks_and_the_faults_that_it_injected(run: ObservedRun) -> None:
-    """``injected`` is above 0 in each phase that has faults. Phases among neighbours have TICKS ticks."""
+    """``injected`` is above 0 in the phases that have faults. Phases among neighbours have TICKS ticks."""
     phase_by_name = {phase.name: phase for phase in PHASES}
     for result in run.verification.verdict.phases:
         phase = phase_by_name[result.name]
@@ -201,7 +205,9 @@ def test_each_phase_reports_its_ticks_and_the_faults_that_it_injected(run: Obser
 def test_each_phase_reports_one_or_two_frames_a_tick_that_equal_those_of_the_model(run: ObservedRun) -> None:
     """``equal`` counts an estimate in every tick, telemetry in most, and a heartbeat in every tenth."""
     for result in run.verification.verdict.phases:
-        assert 0 < result.ticks < result.equal <= 2.1 * result.ticks + 1
+        # An estimate, telemetry, and in every tenth tick, rounded up, a heartbeat.
+        largest_equal = 2.1 * result.ticks + 1
+        assert 0 < result.ticks < result.equal <= largest_equal
 
 
 def test_all_frames_of_a_right_controller_are_compared_with_those_of_the_model(run: ObservedRun) -> None:
@@ -383,7 +389,7 @@ def test_a_verification_waits_for_the_next_test_of_a_filter_for_20_000_ticks_at_
 
 
 def test_a_phase_does_not_wait_for_a_filter_that_runs_too_rarely() -> None:
-    """The filter runs in every 20,001st tick. A phase that waited for it would have as many ticks."""
+    """The filter runs in every 20,001st tick, and a phase that waited for it would have as many ticks."""
     (phase,) = verify_right_controller({"filter_period": 20_001}, FIRST_PHASE).phases
     assert phase.ticks < 1000
 
@@ -634,6 +640,7 @@ def test_a_controller_passes_beside_a_node_that_does_not_concern_it(message: Any
 @pytest.mark.parametrize(
     ("message", "kind"),
     [
+        # An x_hat of 1/2 with a confidence alpha of 1
         (Estimate(sender=40, x_hat=1 << 22, alpha=0x80000001, transfer_id=0), "estimates"),
         (Command(sender=40, tick=1000, target=ID, action=Action.OBSERVE_BLACK, transfer_id=0), "commands"),
         (Command(sender=40, tick=1000, target=EVERY_ROBOT, action=Action.SETTLE, transfer_id=0), "commands"),
@@ -642,7 +649,10 @@ def test_a_controller_passes_beside_a_node_that_does_not_concern_it(message: Any
 def test_a_verdict_names_another_node_that_the_controller_acts_on_and_does_not_blame_the_controller(
     message: Any, kind: str
 ) -> None:
-    """The phase is "disturbed". The headline names node 40 and what it sends. The model does not get it."""
+    """The headline names node 40 and what it sends, which the controller takes in and the model does not get.
+
+    So a difference would be no mistake of the controller, and its phase is "disturbed".
+    """
     verdict = verify_beside_a_node_that_answers_with(message)
     assert verdict.difference is None
     assert verdict.phases[0].outcome == "disturbed"
@@ -667,7 +677,7 @@ def controller_with_health(health: Health, from_tick: float = math.inf) -> Robot
 
 
 def test_a_controller_may_report_the_health_advisory_after_a_tick_that_was_left_open() -> None:
-    """In the first phase some commands that end a tick are left out. The verdict has no difference."""
+    """In the phase "nothing seen" some commands that end a tick are left out. There is no difference."""
     controller = controller_with_health(Health.ADVISORY)
     assert verify(controller, phases=phases_named("nothing seen", "alone")).difference is None
     assert controller.unsettled > 0, "ticks left open"
@@ -804,14 +814,14 @@ def test_a_bus_that_fails_is_not_blamed_on_the_controller(monkeypatch: pytest.Mo
 
 
 def test_a_controller_passes_whose_first_heartbeat_is_waited_for() -> None:
-    """The tool waits up to 0.05 s for it, and then verifies the controller as usual."""
+    """The tool waits up to 0.05 s for it (``wait``), and then verifies the controller as usual."""
     assert verify(right_controller(), phases=FIRST_PHASE, wait=0.05).has_passed
 
 
 def test_a_controller_that_does_not_start_fails_in_the_first_phase() -> None:
     """The difference says that robot 3 has sent no heartbeat. The next phase is not run."""
     silent_wire = Wire()
-    silent_wire.nodes.append(right_controller())
+    silent_wire.nodes.append(right_controller())  # too late for the wire to start it
     verdict = verify(silent_wire, phases=phases_named("nothing seen", "alone"), wait=0.05)
 
     assert str(verdict.difference).startswith(
@@ -920,7 +930,10 @@ def test_a_report_has_a_table_of_the_phases_and_lists_of_what_was_not_checked() 
 def test_the_command_radio_fails_on_a_wrong_controller_and_prints_the_first_difference(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """The exit code is 1. The controller assumes an accuracy of 0.56 where 0.55 is expected."""
+    """The exit code is 1. The controller assumes an accuracy of 0.56 where 0.55 is expected.
+
+    So it differs in the first tick of the first of the 45 phases that there are for its filter.
+    """
     options = f"--id {ID} --filter-period 10 --neighbours 20"
     with node_in_a_thread(f"{options} --b-hat 0.56"):
         assert radio(f"{options} --b-hat 0.55 --verify --timeout 20") == 1
@@ -929,10 +942,14 @@ def test_the_command_radio_fails_on_a_wrong_controller_and_prints_the_first_diff
     assert headline in capsys.readouterr().out
 
 
-def test_the_command_radio_fails_if_the_fault_of_a_phase_never_hit(
+def test_the_command_radio_fails_if_a_fault_that_the_user_asks_for_never_hits(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The exit code is 1, although no frame differs: in CI nothing but the code is read."""
+    """The user asks how a controller bears lost frames, but at a rate of 0 none is lost (``loss=0``).
+
+    So nothing was put to the test, and the exit code is 1, although no frame differs: in CI nothing but the
+    code is read. Beside the user's fault there is one phase, "alone", which has none.
+    """
     short_verification = partial(Verification, phases=phases_named("alone"))
     monkeypatch.setattr("mcp_asdf_tools.radio.verification.Verification", short_verification)
     with node_in_a_thread(CONTROLLER):
@@ -944,7 +961,10 @@ def test_the_command_radio_fails_if_the_fault_of_a_phase_never_hit(
 def test_the_command_radio_ends_with_the_exit_code_of_a_signal_that_stops_a_verification(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A script must not take the verdict of a run that Ctrl-C has ended for one that passed or failed."""
+    """A script must not take the verdict of a run that Ctrl-C has ended for one that passed or failed.
+
+    Here it is stopped at once, before the first phase.
+    """
     monkeypatch.setattr("mcp_asdf_tools.cli.radio.stopping", lambda: nullcontext(lambda: True))
     assert radio(f"{CONTROLLER} --verify --robots 5") == INTERRUPTED
     assert "INTERRUPTED: 0 of " in capsys.readouterr().out
