@@ -107,7 +107,10 @@ def test_the_json_report_has_the_measured_instructions_and_bytes(
 def test_the_json_report_counts_scenarios_tests_and_events_of_the_robust_filter(
     report_of_6000_calls: dict[str, Any],
 ) -> None:
-    """A scenario is a robot and its calls; a vote, for one, is an estimate that the filter has weighed."""
+    """A scenario is a robot and its calls; a vote, for one, is an estimate that the filter has weighed.
+
+    With the default seed, 6000 calls are of 94 scenarios, and a filter makes 162 tests in them.
+    """
     events = {"vote", "own vote", "too few", "accepted", "rejected", "returned"}
     assert report_of_6000_calls["scenarios"] > 10
     assert report_of_6000_calls["tests"] > 20
@@ -120,7 +123,7 @@ def test_the_json_report_has_errors_below_a_thousandth_for_every_quantity(
 ) -> None:
     """The errors are against exact arithmetic and against 64-bit floats.
 
-    The firmware's rounding leads to less than 2**-16, also where it is worst, next to an accuracy of 1/2.
+    The firmware's rounding leads to less than 2**-17, also where it is worst, next to an accuracy of 1/2.
     """
     errors = report_of_6000_calls["errors"]
     assert {row["quantity"] for row in errors} == set(oracle.QUANTITIES)

@@ -129,9 +129,9 @@ def test_workloads_have_a_power_of_two_of_observations_or_one_less() -> None:
 
 
 def test_workloads_with_9_messages_have_tests_of_both_outcomes_and_the_largest_sums() -> None:
-    """The filter's test rejects, unless the messages agree with the robot, and so the workload ``agrees``.
+    """The filter's test rejects, unless the messages agree with the robot, which ``agrees`` says.
 
-    The robust filter's agree with 500 black tiles of 1000.
+    For the robust filter that is a robot that has seen half of its 1000 tiles black.
     """
     largest_confidence = 0xFFFFFF1F  # as a message has it
     assert workloads_at("m", 9) == [
@@ -202,9 +202,9 @@ def test_a_workload_without_messages_has_an_x_hat_of_1() -> None:
 
 
 def test_a_robust_workload_has_an_estimate_of_each_message_in_a_slot() -> None:
-    """Robots 0, 1 and 2 send 0, 1000 and 2000 units of 2**-23. A slot keeps one estimate, in units of 2**-16.
+    """Robots 0, 1 and 2 send 0, 1000 and 2000 units of 2**-23.
 
-    Its units are 2**7 times as large.
+    A slot keeps the estimate of one robot in units of 2**-16, which are 2**7 times as large.
     """
     robot = RobustWorkload(m=3).make_robot(MirrorRobot)
     assert robot.s.robust.filled_slots == 0b111
@@ -224,7 +224,7 @@ def test_a_robust_workload_has_as_many_votes_as_are_counted() -> None:
 def test_the_filter_of_a_workload_re_estimates_b_hat_unless_the_messages_agree_with_the_robot(
     workload_class: type[Workload], m: int, agrees: bool, status: Status
 ) -> None:
-    """``settle`` ends a round, after which the filter makes its test."""
+    """``settle`` ends a round, after which the filter makes its test. Half of 1000 observations are black."""
     robot = workload_class(m=m, n=500, agrees=agrees).make_robot(MirrorRobot)
     assert robot.settle() == status
 

@@ -258,7 +258,7 @@ def test_the_figures_of_a_run_have_the_mean_and_the_range_of_the_neighbours_x() 
 def test_neighbours_in_real_time_that_are_asked_to_stop_end_in_that_tick(
     ticks: int | None, is_interrupted: bool
 ) -> None:
-    """They end in tick 3. That is an interruption if 1000 ticks were asked for, and not in an endless run."""
+    """They end in tick 3. That interrupts a run of 1000 ticks, but not an endless one (``ticks`` is None)."""
     neighbourhood = Neighbourhood(surroundings(steps_per_second=1000))
     link = BusLink(Wire(), should_stop=lambda: neighbourhood.tick >= 3)
     run = RadioRun(neighbourhood, link, ticks)
@@ -388,12 +388,12 @@ def test_wrong_arguments_of_radio_are_refused_before_the_first_tick(
     tmp_path: Path,
 ) -> None:
     """The exit code is 2, and the error is printed. There is no tick and no file."""
-    ticks = Mock()
-    monkeypatch.setattr(RadioRun, "_take_tick", ticks)
-    monkeypatch.setattr(Bench, "settle_and_compare", ticks)
+    make_tick = Mock()  # of a run in real time, or of a verification
+    monkeypatch.setattr(RadioRun, "_take_tick", make_tick)
+    monkeypatch.setattr(Bench, "settle_and_compare", make_tick)
     monkeypatch.chdir(tmp_path)
 
     assert radio(arguments) == 2
     assert complaint in capsys.readouterr().err
-    assert ticks.call_count == 0
+    assert make_tick.call_count == 0
     assert list(tmp_path.iterdir()) == []
