@@ -121,10 +121,7 @@ def test_the_json_report_counts_scenarios_tests_and_events_of_the_robust_filter(
 def test_the_json_report_has_errors_below_a_thousandth_for_every_quantity(
     report_of_6000_calls: dict[str, Any],
 ) -> None:
-    """The errors are against exact arithmetic and against 64-bit floats.
-
-    The firmware's rounding leads to less than 2**-17, also where it is worst, next to an accuracy of 1/2.
-    """
+    """The errors are against exact arithmetic and 64-bit floats. Rounding leads to less than 2**-17."""
     errors = report_of_6000_calls["errors"]
     assert {row["quantity"] for row in errors} == set(oracle.QUANTITIES)
     assert all(row["exact"] < 1e-3 for row in errors)
@@ -176,10 +173,7 @@ def test_a_check_prints_a_table_of_errors_by_the_size_of_the_value(check_of_500_
 def test_a_check_prints_a_table_of_the_most_instructions_of_each_call(
     check_of_500_calls: CommandResult,
 ) -> None:
-    """They are those of COUNTS: 58 for reading x, the fill ratio, and 9 for that with the robust filter.
-
-    The robust filter has no table, and so no size q of it.
-    """
+    """They are those of COUNTS: 58 for reading x, and 9 with the robust filter, which has no table."""
     table = (
         "\n"
         "instructions of Python's interpreter per call, at most\n"

@@ -36,10 +36,7 @@ def test_the_c_and_the_python_robot_agree_in_every_bit_and_with_exact_arithmetic
 
 
 def test_the_c_and_the_python_robot_agree_next_to_the_threshold_of_the_robust_filter() -> None:
-    """The calls of 20 random scenarios lead to tests that just reject, or just do not.
-
-    There a single wrong bit of either robot shows in b_hat, the accuracy that it assumes of its sensor.
-    """
+    """The calls of 20 random scenarios lead to tests that just reject, or just do not."""
     for index in range(20):
         scenario = robust_scenario(seed=23, index=index)
         assert compare_firmwares(scenario, MirrorRobot, NativeRobot) is None, str(scenario)
@@ -81,10 +78,7 @@ class RobotWithAWrongField(MirrorRobot):
 def test_a_difference_or_an_exception_is_reported_with_the_calls_up_to_it(
     first: Firmware, second: Firmware, call_count: int, problem: str
 ) -> None:
-    """A scenario is a robot and its calls. Of the three calls the failure has the ``call_count`` first ones.
-
-    A difference before any call is in a robot as it is made; there ``call_count`` is 0.
-    """
+    """The failure has the first ``call_count`` of three calls; with 0 the robots differ as they are made."""
     scenario = parse_scenario(f"{ROBOT},observe:1,settle,settle")
     failure = compare_firmwares(scenario, first, second)
 

@@ -143,10 +143,7 @@ def test_drawn_estimates_are_fill_ratios_between_0_and_1(own_x_hat: int, m: int,
 
 
 def test_no_estimates_are_drawn_if_they_would_differ_by_less_than_a_unit() -> None:
-    """The five estimates may fill only a share of 2**-30 of the room beside the robot's own x_hat of 1/2.
-
-    That room is 2**22 units on either side, so the share is less than a unit.
-    """
+    """They may fill a part in 2**30 of the room beside the robot's own x_hat, which is 2**22 units."""
     x_hats = draw_x_hats_at_threshold(HALF, TABLE.entry(5), m=5, rng=Random(1), gap_share=2**-30)
     assert x_hats is None
 
@@ -187,10 +184,7 @@ def test_rejected_estimates_change_b_hat_in_another_way_if_the_preferred_way_is_
 @given(own_x_hat=x_hats_of_robots)
 @settings(max_examples=15, deadline=None)
 def test_widely_scattered_estimates_pass_the_test(omega: str, own_x_hat: int) -> None:
-    """The test rejects only if the neighbours' mean is far from the robot's own x_hat for their variance.
-
-    The variance of these 126 estimates, which are all 0 or 1, is large.
-    """
+    """The test rejects if their mean is far off for their variance, which is large as all are 0 or 1."""
     estimates = draw_round_of_large_scatter(robot_with_test(own_x_hat, omega), Random(1))
     assert not is_rejected(x_hats_of(estimates), own_x_hat, threshold_of(omega, LARGEST_ROUND))
 

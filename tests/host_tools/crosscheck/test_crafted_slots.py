@@ -106,19 +106,13 @@ def test_a_robot_re_estimates_b_hat_by_the_second_estimates_of_a_pair(
 
 
 def test_there_is_no_pair_if_no_estimates_contradict_the_robot() -> None:
-    """With b_hat = 1/2 a robot predicts that half of its observations are black, whatever the floor is.
-
-    So its test never rejects, and there is no threshold to draw estimates at.
-    """
+    """With b_hat = 1/2 a robot predicts half black on any floor, so its test never rejects."""
     robot = robot_that_observed(black=250, white=250, b_hat=0.5)
     assert draw_slots_at_threshold(robot, count=5, width=4, rng=Random(1)) is None
 
 
 def test_there_is_no_pair_if_all_estimates_contradict_the_robot() -> None:
-    """With b_hat = 0.6 no fill ratio explains that all of 500 observations are black: 0.6 would be at most.
-
-    So its test always rejects, and there is no threshold to draw estimates at.
-    """
+    """With b_hat = 0.6 no fill ratio explains 500 black tiles of 500, so its test always rejects."""
     robot = robot_that_observed(black=500, white=0, b_hat=0.6)
     assert draw_slots_at_threshold(robot, count=5, width=4, rng=Random(1)) is None
 
@@ -156,10 +150,7 @@ def test_a_robot_re_estimates_b_hat_unless_more_than_two_fifths_of_its_neighbour
 
 
 def test_no_neighbours_can_contradict_a_robot_with_a_b_hat_of_one_half() -> None:
-    """Such a robot predicts that half of its observations are black, whatever the others estimate.
-
-    So there are no estimates by which its test would reject, which None says.
-    """
+    """Such a robot predicts half black on any floor, so None says that no estimates make its test reject."""
     robot = robot_that_observed(black=250, white=250, b_hat=0.5)
     assert slots_with_supporters(robot, count=5, supporter_count=2) is None
 
@@ -203,10 +194,7 @@ def test_the_dispersion_that_a_robot_will_have_when_its_filter_runs_next_is_know
 
 
 def test_asking_for_the_filter_at_the_test_does_not_end_the_robot_s_batch() -> None:
-    """A batch is the observations between two tests. The robot's first one begins at 0 observations.
-
-    If asking ended it, the next one would begin at 100.
-    """
+    """A batch is the observations between two tests. The robot's first one, which began at 0, goes on."""
     robot = robot_that_observed(black=50, white=50)
     filter_at_test(robot.s)
     assert robot.s.robust.batch_t == 0

@@ -113,10 +113,7 @@ def test_workloads_with_64_observations_have_all_kinds_of_accuracies_and_counts(
 
 @pytest.mark.parametrize("t", [32, 63, 127])
 def test_no_workload_halves_counts_that_fill_no_memory(t: int) -> None:
-    """A robot halves its counts t and n when its memory is full, which 32, 63 or 127 observations never fill.
-
-    A memory is for 64 observations or a larger multiple of four.
-    """
+    """A full memory halves the counts, and a memory is for 64 observations or a larger multiple of four."""
     assert not any(workload.halves for workload in workloads_at("t", t))
 
 

@@ -199,10 +199,7 @@ def test_a_value_that_follows_from_no_equation_is_not_checked() -> None:
 
 
 def step_after_messages(mode: Filter, message_count: int, audit: Audit) -> CheckedCall:
-    """Return a call of ``step`` in which the filter runs after that many messages of different x_hat.
-
-    The audit finds nothing wrong in it. The test of the filter ADAPTIVE needs two messages.
-    """
+    """Return a right call of ``step`` in which the filter runs after so many messages of different x_hat."""
     messages = [receive(sender, 3_000_000 + sender) for sender in range(1, message_count + 1)]
     return last_call(",".join(["table:0.05:2", robot(mode), *messages, "step:1"]), audit)
 

@@ -62,10 +62,7 @@ def test_random_scenarios_show_a_fault_that_only_one_firmware_has(fault: str) ->
     ],
 )
 def test_exact_arithmetic_shows_a_fault_that_both_firmwares_have(fault: str) -> None:
-    """Two robots with the same fault agree with each other, so only exact arithmetic can find a failure.
-
-    The mirror, which is the firmware in Python, has the fault, and stands in for the C, too.
-    """
+    """Two robots in Python with the same fault agree, so only exact arithmetic can find a failure."""
     faulty_mirror = mirror_with(FAULTS[fault])
     failure = find_failure(faulty_mirror, faulty_mirror)
     assert failure is not None

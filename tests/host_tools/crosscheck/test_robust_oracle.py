@@ -237,10 +237,7 @@ ROBOT = f"robot:{Filter.ROBUST:d}:1:64:0:{3 << 30}"
 
 
 def test_a_dispersion_out_of_bounds_is_reported() -> None:
-    """After two observations it is 1, which is 256 units of 2**-8; two more units are too many.
-
-    Dispersion is how much more observations vary from batch to batch than independent ones.
-    """
+    """After two observations, how much more they vary than independent ones is 1: 256 units, and not 258."""
     *_, settle = check_calls(f"{ROBOT},observe:1,observe:0,settle", Audit())
     wrong = with_value(settle.after, "robust_dispersion", 256 + 2)
     problems = Audit().check_call(settle.setup, settle.call, settle.before, wrong)

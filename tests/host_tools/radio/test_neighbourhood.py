@@ -65,10 +65,7 @@ def states_in_a_swarm(world: SwarmSettings) -> list[dict[str, int]]:
 
 
 def states_around_a_controller(world: SwarmSettings, faults: str) -> list[dict[str, int]]:
-    """Run 120 ticks of a controller, robot 3, and its neighbours, robots 10, 11, 40 and 90.
-
-    Returns the states in which they end, in this order.
-    """
+    """Run 120 ticks of a controller and its neighbours, and return their last states in the order of IDS."""
     controller_setup, *neighbour_setups = (replace(setup, id=IDS[setup.id]) for setup in world.robot_setups())
     parsed_faults = tuple(map(parse_fault, faults.split()))
     neighbourhood = Neighbourhood(
@@ -87,10 +84,7 @@ def states_around_a_controller(world: SwarmSettings, faults: str) -> list[dict[s
 def test_a_controller_and_its_neighbours_compute_what_an_emulated_swarm_of_as_many_robots_computes(
     world: SwarmSettings,
 ) -> None:
-    """All five end in the same states as in the swarm, where they have other ids. Two of them crash.
-
-    They are robots 1 and 2 in the swarm, and robots 10 and 11 around the controller.
-    """
+    """All five end in the same states. Two crash: robots 1 and 2, or 10 and 11 around the controller."""
     crashing_world = replace(world, faults=CRASHES_OF_TWO_ROBOTS.format(1, 2).split())
 
     states = states_around_a_controller(world, CRASHES_OF_TWO_ROBOTS.format(10, 11))
@@ -303,15 +297,13 @@ def real_time_run(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> RealTim
 
 
 def test_neighbours_in_real_time_send_the_frames_that_a_fault_spares(real_time_run: RealTimeRun) -> None:
-    """Each of 4 robots makes an estimate in each of 20 ticks, and a heartbeat. The fault takes about half.
-
-    The senders are robots 0, 1, 2 and 4, as robot 3 is the controller.
-    """
+    """Each of 4 robots makes an estimate in each of 20 ticks, and a heartbeat. The fault takes about half."""
     results = real_time_run.report["results"]
     (loss,) = results["faults"]
 
     assert results["frames_sent"] == len(real_time_run.frames)
     assert len(real_time_run.frames) + loss["injected"] == 4 * (20 + 1)
+    # All robots but the controller, robot 3
     assert {sender_of(frame) for frame in real_time_run.frames} == {0, 1, 2, 4}
 
 

@@ -961,10 +961,7 @@ def test_the_command_radio_fails_if_a_fault_that_the_user_asks_for_never_hits(
 def test_the_command_radio_ends_with_the_exit_code_of_a_signal_that_stops_a_verification(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A script must not take the verdict of a run that Ctrl-C has ended for one that passed or failed.
-
-    Here it is stopped at once, before the first phase.
-    """
+    """A script must not take the verdict of a run that Ctrl-C has ended for one that passed or failed."""
     monkeypatch.setattr("mcp_asdf_tools.cli.radio.stopping", lambda: nullcontext(lambda: True))
     assert radio(f"{CONTROLLER} --verify --robots 5") == INTERRUPTED
     assert "INTERRUPTED: 0 of " in capsys.readouterr().out
