@@ -181,7 +181,7 @@ def test_the_dispersion_that_a_robot_will_have_when_its_filter_runs_next_is_know
     """Dispersion is how much more observations vary from batch to batch than independent ones.
 
     A run of the robust filter updates it before the test, and ``filter_at_test`` returns the filter's memory
-    as it will be then. A batch of 100 black tiles after a mixed one is rare by chance: it raises it above 1.
+    as it will be then. Here it rises above 1: 100 black tiles after a mixed batch are rare by chance.
     """
     robot = robot_at_end_of_round(robot_that_observed(black=50, white=50), estimates=[])
     for _ in range(100):  # the next batch

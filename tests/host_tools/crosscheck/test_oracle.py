@@ -210,8 +210,8 @@ def step_after_messages(mode: Filter, message_count: int, audit: Audit) -> Check
 def test_a_change_of_b_hat_without_a_reason_is_reported(mode: Filter, message_count: int) -> None:
     """The robot's filter is off, has no message, or has only one where its test needs two.
 
-    So a ``step`` must keep b_hat, the accuracy that the robot assumes, and it returned OK. In place of OK
-    stands UPDATED, which says that b_hat has changed.
+    So its call of ``step`` kept b_hat, the accuracy that it assumes of its sensor, and returned OK. Here that
+    is replaced by UPDATED, as if b_hat had changed.
     """
     audit = Audit()
     step = step_after_messages(mode, message_count, audit)
@@ -227,8 +227,8 @@ def test_a_b_hat_that_is_kept_where_it_had_to_change_is_reported(
 ) -> None:
     """Two messages contradict the robot, or one is enough for a filter without a test.
 
-    So a ``step`` must change b_hat, the accuracy that the robot assumes, and it returned UPDATED. In place of
-    UPDATED stands OK, which says that b_hat has not changed.
+    So its call of ``step`` changed b_hat, the accuracy that it assumes of its sensor, and returned UPDATED.
+    Here that is replaced by OK, as if b_hat had been kept.
     """
     audit = Audit()
     step = step_after_messages(mode, message_count, audit)
