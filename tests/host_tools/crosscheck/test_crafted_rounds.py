@@ -153,7 +153,7 @@ def test_no_estimates_are_drawn_if_they_would_differ_by_less_than_a_unit() -> No
 def test_fractions_around_a_value_are_the_nearest_on_either_side(
     value: Fraction, max_denominator: int
 ) -> None:
-    """The one below may be the value itself; the one above is always larger. Denominators have a maximum."""
+    """The one below may be the value itself; the one above is larger. Their denominators have a maximum."""
     fractions_below = []
     fractions_above = []
     for denominator in range(1, max_denominator + 1):

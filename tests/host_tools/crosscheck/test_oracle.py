@@ -238,8 +238,8 @@ def test_a_b_hat_that_is_kept_where_it_had_to_change_is_reported(
     assert audit.tests == tests, "tests of the filter in the right call and in the wrong one"
 
 
-def test_an_update_before_the_filter_period_has_passed_is_reported() -> None:
-    """The filter runs every so many rounds. One was left before the call, and it is replaced by two."""
+def test_a_change_of_b_hat_before_the_filter_period_has_passed_is_reported() -> None:
+    """The filter runs every so many rounds. One was left before the call; here that is replaced by two."""
     audit = Audit()
     step = step_after_messages(Filter.ALWAYS, message_count=1, audit=audit)
     step.before = with_value(step.before, "filter_left", 2)
@@ -248,7 +248,7 @@ def test_an_update_before_the_filter_period_has_passed_is_reported() -> None:
 
 
 def test_no_update_is_expected_of_a_call_that_the_robot_refuses() -> None:
-    """The result of the call is replaced by a refused observation, after which no filter runs."""
+    """Here the result of a right call is replaced by a refused observation, after which no filter runs."""
     audit = Audit()
     step = step_after_messages(Filter.ALWAYS, message_count=1, audit=audit)
     step.after = replace(step.after, outcome="ERR_OBSERVATION")

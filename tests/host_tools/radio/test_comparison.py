@@ -165,7 +165,7 @@ def test_equal_frames_are_counted_by_kind() -> None:
     assert comparison.equal_frames == {"estimate": 2, "telemetry": 1, "heartbeat": 0}
 
 
-def test_of_more_than_three_frames_too_many_the_others_are_described_by_their_number() -> None:
+def test_a_difference_names_three_frames_too_many_and_the_number_of_the_others() -> None:
     """Five frames are received where none is expected, so the text names three "and 2 more"."""
     five_frames = [telemetry(updates) for updates in range(5)]
     found_difference = difference(received=five_frames, expected=[])

@@ -220,7 +220,7 @@ def run_beside_others(request: pytest.FixtureRequest, monkeypatch: pytest.Monkey
 def test_estimates_on_the_bus_are_counted_as_those_of_the_controller_of_strangers_or_of_a_conflict(
     run_beside_others: RadioRun,
 ) -> None:
-    """Robot 1 is one of the emulated neighbours, so two estimates under its id are conflicts."""
+    """Strangers are other robots. Robot 1 is an emulated neighbour, so others under its id are conflicts."""
     figures = run_beside_others.figures()
     assert figures["estimates_heard"] == 1, "estimates of the controller, robot 3"
     assert figures["strangers"] == 3, "estimates of robots 5, 6 and 100"
@@ -315,7 +315,7 @@ def test_the_report_of_neighbours_in_real_time_is_printed_and_is_beside_the_log(
     assert real_time_run.report_in_file == real_time_run.report
 
 
-def test_neighbours_of_perfect_sensors_assume_the_largest_accuracy_that_the_firmware_can_have(
+def test_neighbours_with_perfect_sensors_assume_the_largest_accuracy_that_the_firmware_can_have(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     """That is 1 - 2**-20. The firmware refuses 1, but the sensors of emulated robots may be never wrong."""

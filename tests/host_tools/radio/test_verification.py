@@ -353,8 +353,8 @@ def test_each_fault_that_the_user_asks_for_is_one_more_phase() -> None:
     ]
 
 
-def test_a_phase_with_a_fault_has_two_broadcasts_of_a_controller_that_broadcasts_in_every_40th_tick() -> None:
-    """So it has 80 ticks, and its fault hits. The phase "loss" is one that the user asks for."""
+def test_a_phase_with_a_fault_lasts_for_two_broadcasts_of_a_slow_controller() -> None:
+    """It broadcasts in every 40th tick, so the phase has 80. The user asks for the fault of phase "loss"."""
     config = {"comms_period": 40, "filter_period": 600}
     liar, loss = verify_right_controller(config, phases_named("liar"), faults="loss=0.7,receivers=3").phases
 
