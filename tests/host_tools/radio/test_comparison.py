@@ -27,7 +27,7 @@ ALPHA_WORD = 0x9ABCDE05
 
 
 def estimate(x_hat: int = X_HAT, alpha_word: int = ALPHA_WORD) -> can.Message:
-    return encode_estimate(Estimate(5, x_hat, alpha_word, transfer_id=0), FrameFormat())
+    return encode_estimate(Estimate(sender=5, x_hat=x_hat, alpha=alpha_word, transfer_id=0), FrameFormat())
 
 
 def estimate_with_alpha_bits(bits: int) -> can.Message:

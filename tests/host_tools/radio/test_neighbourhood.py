@@ -205,10 +205,13 @@ def run_beside_others(request: pytest.FixtureRequest, monkeypatch: pytest.Monkey
     They are read at the beginning of a tick, or else, where nothing is read then, between two ticks.
     """
     monkeypatch.setattr(BusLink, "catch_up", request.param)
-    of_another_subject = encode_estimate(Estimate(ID, 9, 0, 0), FrameFormat(17))
-    estimates = [Estimate(sender, 9, 0, 0) for sender in (ID, 1, 1, 100, 5, 6)]
+    # The first frame is of another subject, and so no estimate.
+    frames = [encode_estimate(Estimate(ID, x_hat=9, alpha=0, transfer_id=0), FrameFormat(subject=17))]
+    for sender in (ID, 1, 1, 100, 5, 6):
+        estimate = Estimate(sender, x_hat=9, alpha=0, transfer_id=0)
+        frames.append(encode_estimate(estimate, FrameFormat()))
     wire = Wire()
-    for frame in [of_another_subject, *(encode_estimate(estimate, FrameFormat()) for estimate in estimates)]:
+    for frame in frames:
         frame.is_rx = True
         wire._waiting.append(frame)
     # On a busy machine, too, one of the pauses between ticks is long enough to read all frames.

@@ -670,7 +670,8 @@ def controller_with_health(health: Health, from_tick: float = math.inf) -> Robot
         *heartbeats, estimate = usual_observe(observation)
         for frame in heartbeats:
             has_health = node.unsettled > 0 or node.ticks >= from_tick
-            frame.data[4] = (health if has_health else Health.NOMINAL).value  # byte 4 is the health
+            reported_health = health if has_health else Health.NOMINAL
+            frame.data[4] = reported_health.value  # byte 4 is the health
         return [*heartbeats, estimate]
 
     return controller_with(observe=observe)
