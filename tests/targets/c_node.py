@@ -58,8 +58,8 @@ class NodeBuild:
         """Build the node; skips the test where tools are missing."""
         require("ninja")
         require(*self.compiler)
-        words = ("-DCMAKE_BUILD_TYPE=RelWithDebInfo", *self.settings)
-        run("cmake", "-G", "Ninja", "-S", SOURCES, "-B", folder, *words, CFLAGS=WARNINGS + self.flags)
+        settings = ("-DCMAKE_BUILD_TYPE=RelWithDebInfo", *self.settings)
+        run("cmake", "-G", "Ninja", "-S", SOURCES, "-B", folder, *settings, CFLAGS=WARNINGS + self.flags)
         run("cmake", "--build", folder)
 
 
@@ -87,10 +87,12 @@ CORTEX_A8 = NodeBuild(
 
 def node_command(kind: NodeBuild, tmp_path_factory: pytest.TempPathFactory) -> list[str]:
     """Return the command that runs the node of a build, which is made once, unless it is there already."""
-    for tool in kind.runner[:1]:
-        require(tool, "qemu-user")
-    ready = Path(os.environ.get(NODES, "none"), kind.name)
-    folder = ready if ready.exists() else made_once(tmp_path_factory, f"node {kind.name}", kind.build)
+    if kind.runner:
+        emulator, *_options = kind.runner
+        require(emulator, "qemu-user")
+    folder = Path(os.environ.get(NODES, "no such folder"), kind.name)
+    if not folder.exists():
+        folder = made_once(tmp_path_factory, f"node {kind.name}", kind.build)
     return [*kind.runner, str(folder / "mcp_asdf_node")]
 
 
@@ -133,9 +135,9 @@ class CNode:
         """
         if "--filter" not in options:
             options = ("--filter", "asdf-plus", *options)
-        words = [*command, "--interface", interface, "--id", str(robot_id), *map(str, options)]
+        whole_command = [*command, "--interface", interface, "--id", str(robot_id), *map(str, options)]
         pipes: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, **streams}
-        self.process = subprocess.Popen(words, text=True, **pipes)
+        self.process = subprocess.Popen(whole_command, text=True, **pipes)
         self.error_lines: list[str] = []
 
     def summary(self, status: int = 0) -> dict[str, Any]:
@@ -227,7 +229,8 @@ def assert_same_run(log: Iterable[can.Message], figures: dict[str, Any], node: R
         else:
             expected_frames += node.receive_frame(frame)
     assert candump_lines(without_repeated_greetings(frames_of_c_node)) == candump_lines(expected_frames)
-    assert numbers_of_robot(node).items() <= figures.items()
+    expected_numbers = numbers_of_robot(node)
+    assert {name: figures[name] for name in expected_numbers} == expected_numbers
 
 
 def run_lockstep(bus: can.BusABC, robots: Collection[int], ticks: int, seed: int) -> list[can.Message]:

@@ -120,7 +120,7 @@ class Player:
 def played(name: str) -> list[tuple[Scenario, bytes]]:
     """Return the scenarios of a file, each with its bytes there.
 
-    They are those that an image can play, as far as they have room.
+    They are drawn in turn; one is left out if an image lacks its table, or if the file has no room for it.
     """
     draw_scenario, seed, tried_count, max_bytes = FILES[name]
     chosen: list[tuple[Scenario, bytes]] = []
@@ -135,7 +135,7 @@ def played(name: str) -> list[tuple[Scenario, bytes]]:
 
 
 def _playable(scenario: Scenario) -> Scenario:
-    """Return the scenario with observations of a byte."""
+    """Return the scenario with observations that fit into a byte of the file: larger ones become 255."""
     calls = []
     for call in scenario.calls:
         if call.name in ("observe", "step"):
@@ -172,11 +172,15 @@ def scenarios(*names: str) -> list[Scenario]:
 
 
 def verdict(names: list[str]) -> str:
-    """Return the output of an image that plays these files. Calls are counted, and a scenario's two ends."""
+    """Return the last line that an image prints which has played these files without a difference.
+
+    Among the calls it counts the making of each robot and the check at the end of each scenario.
+    """
     played_scenarios = scenarios(*names)
     calls = [call.name for scenario in played_scenarios for call in scenario.calls]
-    ticks, count = calls.count("observe") + calls.count("step"), len(played_scenarios)
-    return f"PASS scenarios {count} calls {2 * count + len(calls)} ticks {ticks}"
+    call_count = len(calls) + 2 * len(played_scenarios)
+    tick_count = calls.count("observe") + calls.count("step")
+    return f"PASS scenarios {len(played_scenarios)} calls {call_count} ticks {tick_count}"
 
 
 def main() -> None:

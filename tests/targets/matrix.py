@@ -178,8 +178,10 @@ def play(build: ImageBuild, folder: Path, *files: Path) -> str:
     run("cmake", "--build", folder)
     command = ["ctest", "--test-dir", str(folder), "--verbose"]
     done = subprocess.run(command, capture_output=True, text=True, errors="replace", check=False)
-    lines = [line[3:] for line in done.stdout.splitlines() if line.startswith("1: ")]
-    return _ANSI.sub("", "\n".join([*lines, "" if done.returncode == 0 else "a test of the image failed"]))
+    # With --verbose ctest puts the number of the test, which is the only one, before each line of it.
+    lines = [line.removeprefix("1: ") for line in done.stdout.splitlines() if line.startswith("1: ")]
+    lines.append("" if done.returncode == 0 else "a test of the image failed")
+    return _ANSI.sub("", "\n".join(lines))
 
 
 # ---- What is in an image ----
@@ -208,12 +210,13 @@ def needed_symbols(objects: list[Path]) -> set[str]:
 
 
 def variables(elf: Path) -> int:
-    """Return the bytes of all writable sections; on an AVR of constants, too, which are copied there."""
+    """Return how many bytes of variables a file has; on an AVR constants count, too, as they are in RAM."""
+    byte_count = 0
     with elf.open("rb") as stream:
         file = ELFFile(stream)
-        return sum(
-            each["sh_size"]
-            for each in file.iter_sections()
-            if each["sh_flags"] & SH_FLAGS.SHF_WRITE
-            or (file["e_machine"] == "EM_AVR" and each.name.startswith(".rodata"))
-        )
+        are_constants_in_ram = file["e_machine"] == "EM_AVR"
+        for section in file.iter_sections():
+            is_writable = section["sh_flags"] & SH_FLAGS.SHF_WRITE
+            if is_writable or (are_constants_in_ram and section.name.startswith(".rodata")):
+                byte_count += section["sh_size"]
+    return byte_count

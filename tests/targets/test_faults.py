@@ -58,7 +58,10 @@ def test_no_check_of_the_node_with_a_replaced_system_fails(tmp_path: Path) -> No
     ],
 )
 def test_a_mistake_in_the_node_fails_a_check(file: str, right: str, wrong: str, tmp_path: Path) -> None:
-    """Checks that never fail would prove nothing. In a copy of the sources ``wrong`` replaces ``right``."""
+    """Checks that never fail would prove nothing. In a copy of the sources ``wrong`` replaces ``right``.
+
+    The last line of the output, "... 0 failed" for the right sources, then has another number.
+    """
     ports = tmp_path / "ports"
     shutil.copytree(PORTS, ports)
     source = ports / "linux" / file

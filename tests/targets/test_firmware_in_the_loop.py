@@ -172,11 +172,11 @@ def draw_line(draw: random.Random) -> bytes:
     line = format_frame_line(any_frame(draw, IMAGE_ID, Subjects()))
     if draw.random() < 0.7:
         return line
-    place = draw.randrange(len(line) - 1)
+    index = draw.randrange(len(line) - 1)  # not that of the carriage return
     two_in_one = line[:-1] + line
-    cut = line[: max(place, 2)] + b"\r"
+    cut = line[: max(index, 2)] + b"\r"
     spoilt = bytearray(line)
-    spoilt[place] ^= 1 << draw.randrange(8)
+    spoilt[index] ^= 1 << draw.randrange(8)
     garbage = draw.randbytes(draw.randrange(60)) + b"?\r"
     return draw.choice((two_in_one, cut, bytes(spoilt), garbage))
 
@@ -191,16 +191,18 @@ def draw_conversation(draw: random.Random) -> list[bytes]:
 
     Later the commands that end ticks get lost, and noise and requests of other hosts come.
     """
-    observe_lines, ticks = [], []
+    whole_ticks, ticks_without_end = [], []
     for tick in range(11):
-        observe_lines.append(command_line(tick, Action.OBSERVE_BLACK))
-        ticks += [observe_lines[-1], command_line(tick, Action.SETTLE)]
+        observe_line = command_line(tick, Action.OBSERVE_BLACK)
+        whole_ticks += [observe_line, command_line(tick, Action.SETTLE)]
+        ticks_without_end.append(observe_line)
     noise = [b"".join(draw_line(draw) for _ in range(draw.choice((1, 10, 30)))) for _ in range(100)]
-    before_opening, opening, closing = ticks[0], b"S8\rO\r", b"?\rC\r"
-    pieces = [before_opening, opening, *ticks, *observe_lines, closing, noise[0], b"O\r", *ticks, *noise]
+    before_opening, opening, closing = whole_ticks[0], b"S8\rO\r", b"?\rC\r"
+    pieces = [before_opening, opening, *whole_ticks, *ticks_without_end, closing, noise[0]]
+    pieces += [b"O\r", *whole_ticks, *noise]
     # Not later, since one of them opens the bus anew, and the counters that are read in the end are then 0.
-    for place in range(60, 120, 2):
-        pieces.insert(place, draw.choice(REQUESTS))
+    for index in range(60, 120, 2):
+        pieces.insert(index, draw.choice(REQUESTS))
     return pieces
 
 
@@ -279,7 +281,7 @@ def test_a_robot_on_a_serial_line_answers_every_line_as_its_model_in_python_does
 
 @pytest.mark.slow
 def test_a_robot_on_a_serial_line_of_this_computer_ends_with_its_input(build_image: BuildImage) -> None:
-    """It has answered the host's question V, for its version, and ends with the exit code 0."""
+    """It has answered the host's question V, for its version, with V1001, and ends with the exit code 0."""
     command = command_of_image("host", build_image("host", Filter.ROBUST))
     talk = talk_to(command, pieces=[b"V\r"], lengths_of_answers=[len(b"V1001\r")])
     assert talk == SerialTalk(answers=[b"V1001\r"], rest=b"", exit_code=0)
@@ -307,7 +309,10 @@ def test_each_conversation_on_a_serial_line_has_many_damaged_lines_and_lost_comm
     ("name", "value"), [("ROBOT_ID", 126), ("ROBOT_FILTER_PERIOD", 0), ("ROBOT_FILTER_PERIOD", 2**32)]
 )
 def test_the_compiler_refuses_a_setting_that_no_robot_can_have(name: str, value: int) -> None:
-    """Settings are macros. An id is at most 125 here: 126 and 127 are those of tools on the bus."""
+    """Settings are macros. An id is at most 125 here: 126 and 127 are those of tools on the bus.
+
+    run() raises if the compiler fails, with what that prints.
+    """
     with pytest.raises(AssertionError, match=f"{name} has to be"):
         run("cc", "-fsyntax-only", f"-I{CORE.parent}", f"-D{name}={value}", SLCAN / "slcan_robot.c")
 
@@ -356,7 +361,7 @@ def commands_for_a_swarm(target: str) -> tuple[list[str], str]:
 def test_the_commands_of_docs_radio_run_a_swarm_with_an_emulated_board(target: str, tmp_path: Path) -> None:
     """In a swarm of ten robots one is the board. The last command repeats all broadcasts in Python.
 
-    The firmware is smaller than 8 KB, and has less than 1 KB of variables.
+    run() raises if a command fails. The firmware is smaller than 8 KB, and has less than 1 KB of variables.
     """
     copy_sources(target, tmp_path)
     commands, stop_the_board = commands_for_a_swarm(target)
@@ -393,8 +398,9 @@ def step_named(name: str, steps: list[dict[str, str]]) -> str:
 def test_the_workflow_of_docs_radio_fails_on_a_wrong_image_and_leaves_a_report(tmp_path: Path) -> None:
     """It builds the firmware, starts it on an emulated board, and verifies what it sends.
 
-    The firmware is built for a sensor with an accuracy of 0.6, and is verified as one with 0.55. All other
-    commands are the page's, but for the port; the step that installs tools, as root, is left out.
+    The firmware is built for a sensor with an accuracy of 0.6, and is verified as one with 0.55. run() raises
+    if a command fails, as the one that verifies has to. All other commands are the page's, but for the port;
+    the step that installs tools, as root, is left out.
     """
     copy_sources("cortex-m3", tmp_path)
     replacements = {"20001": find_free_port(), "-B build ": "-B build -DROBOT_B_HAT=0.6 "}

@@ -52,13 +52,14 @@ static int kh4_proximity_ir(char *bytes, FILE *ground)
 def put_on_floor(folder: Path, brightness: int, reading_count: int) -> list[int]:
     """Let the next run of the sensor be over a floor of this brightness, and return its readings.
 
-    The file "ground" has what the two sensors of the robot read, whose mean is a reading.
+    A reading is the mean of the two sensors that look at the ground, left and right. The stand-in for the
+    library reads their values from the file "ground", which is written here.
     """
     rng = random.Random(brightness)
     lines, readings = "", []
     for _ in range(reading_count):
         left = max(round(rng.gauss(brightness, 120)), 20)
-        right = left + 2 * rng.randrange(-9, 10)
+        right = left + 2 * rng.randrange(-9, 10)  # an even difference, so that the mean is a whole number
         lines += f"{left} {right}\n"
         readings.append((left + right) // 2)
     (folder / "ground").write_text(lines, encoding="ascii")
@@ -66,8 +67,9 @@ def put_on_floor(folder: Path, brightness: int, reading_count: int) -> list[int]
 
 
 BUILD_NODE, BUILD_SENSOR, CALIBRATE, *_ = blocks(PAGE, "sh")
-"""The page's commands."""
+"""The page's commands. CALIBRATE records a black floor, then a white one, and computes from both."""
 [CALIBRATION_OUTPUT] = blocks(PAGE, "text")
+"""The output of the page's calibration, as the page shows it."""
 
 
 def build_programs(folder: Path) -> None:
@@ -104,7 +106,7 @@ def robot(tmp_path: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def service_command() -> str:
-    """Return the command by which the page's service starts the robot.
+    """Return the command by which the page's service, which is one of systemd, starts the robot.
 
     It runs a sensor that compares readings with a threshold, and pipes 0 or 1 to the node.
     """
@@ -135,22 +137,30 @@ def record_floor(robot: Path, command: str, brightness: int) -> None:
 
 @pytest.mark.slow
 def test_the_calibration_of_a_khepera_prints_what_docs_khepera_shows(robot: Path) -> None:
-    """It computes the threshold and the accuracy from readings over a black and over a white floor."""
-    command_over_black, command_over_white, *calibration = CALIBRATE.splitlines(keepends=True)
+    """It computes the threshold and the accuracy from readings over a black and over a white floor.
+
+    The page has the commands (CALIBRATE) and shows what they print (CALIBRATION_OUTPUT).
+    """
+    command_over_black, command_over_white, *commands_that_compute = CALIBRATE.splitlines(keepends=True)
     record_floor(robot, command_over_black, brightness=300)
     record_floor(robot, command_over_white, brightness=700)
 
-    printed = run("sh", "-exc", "".join(calibration), cwd=robot)
+    printed = run("sh", "-exc", "".join(commands_that_compute), cwd=robot)
 
     assert printed == CALIBRATION_OUTPUT
 
 
 def test_the_service_of_a_khepera_has_the_threshold_and_the_accuracy_of_the_calibration() -> None:
-    """Both stand in docs/platforms/khepera.md; the accuracy is the node's option --b-hat."""
+    """docs/platforms/khepera.md shows both: a service of systemd, and what the calibration prints.
+
+    The threshold is an argument of the service's sensor, and the accuracy is its node's option --b-hat.
+    """
     [threshold] = re.findall(r"tile_sensor (\d+) ", service_command())
+    [accuracy] = re.findall("--b-hat ([0-9.]+)", service_command())
+    [calibrated_accuracy] = re.findall("--b-hat ([0-9.]+)", CALIBRATION_OUTPUT)
+
     assert f"threshold {threshold}:" in CALIBRATION_OUTPUT
-    accuracies = re.findall("--b-hat [0-9.]+", service_command())
-    assert accuracies == re.findall("--b-hat [0-9.]+", CALIBRATION_OUTPUT)
+    assert accuracy == calibrated_accuracy
 
 
 @dataclass(frozen=True)
@@ -180,7 +190,8 @@ def run_as_service_says(folder: Path) -> Khepera:
     with choice.open() as bus:
         printed = run("sh", "-c", command, cwd=folder)
         contents = []
-        while (frame := bus.recv(1)) is not None:
+        one_second = 1
+        while (frame := bus.recv(one_second)) is not None:
             contents.append(decode_estimate(frame, FrameFormat()))
     estimates = [content for content in contents if isinstance(content, Estimate)]
     return Khepera(json.loads(printed), estimates)
@@ -190,7 +201,8 @@ def run_as_service_says(folder: Path) -> Khepera:
 def test_a_khepera_that_runs_as_its_service_says_observes_and_broadcasts(robot: Path) -> None:
     """It moves over 200 tiles, of which those below the service's threshold are black. Its id is 7.
 
-    t is the number of tiles that its node has observed, n that of the black ones, x_hat its estimate.
+    In the end its node prints a summary: t tiles, n black ones, the number of estimates that it has sent, and
+    x_hat, the last of them. It saves its state in the file that the service names, robot.state.
     """
     readings = put_on_floor(robot, brightness=500, reading_count=200)
     [threshold] = re.findall(r"tile_sensor (\d+) ", service_command())

@@ -46,7 +46,6 @@ from targets.test_node import ID, OPTIONS_OF_SUBJECTS, SUBJECTS, any_frame, comm
 PORT = 20000 + os.getpid() % 12000
 """Below those that the kernel gives senders. Other processes that run this have others."""
 IPV4, IPV6 = "239.74.163.91", "ff15:7079:7468:6f6e:6465:6d6f:6d63:91"
-NODE_OPTIONS = "--lockstep --hop-limit 0 --steps-per-second 3 --b-hat 0.75 --filter-period 4"
 
 
 @contextmanager
@@ -124,7 +123,9 @@ class NodesInGroup:
     def send_commands_that_are_answered(self) -> None:
         """Send commands of which the last is answered for certain: then all that came before was handled."""
         for action in (Action.SETTLE, Action.OBSERVE_BLACK, Action.SETTLE):
-            command = command_frame(self.twin._tick_of_command or 0, ID, action)
+            tick_of_last_command = self.twin._tick_of_command
+            tick = 0 if tick_of_last_command is None else tick_of_last_command
+            command = command_frame(tick, ID, action)
             self.send(command, pack_message(command))
         self.wait_for_answers()
 
@@ -149,14 +150,16 @@ def test_c_and_python_node_answer_the_datagrams_of_a_bad_network_alike(
 ) -> None:
     """Both send the same frames, and end with the same state and counters.
 
-    Of 600 datagrams to the C node some are lost, repeated, late or garbage. Its twin in Python gets their
-    frames.
+    600 frames are sent to the C node as datagrams, of which some are lost, repeated or late, and between them
+    is garbage. The Python node, its twin with the same options, gets the frames that arrive.
     """
     rng = random.Random(address)
-    arrivals = datagrams_on_wifi([any_frame(rng) for _ in range(600)], rng)
+    frames_to_send = [any_frame(rng) for _ in range(600)]
+    arrivals = datagrams_on_wifi(frames_to_send, rng)
     twin = python_node(ID, b_hat=0.75, subjects=SUBJECTS, steps_per_second=3, filter_period=4)
+    same_options = f"--b-hat 0.75 {OPTIONS_OF_SUBJECTS} --steps-per-second 3 --filter-period 4"
+    options = f"--lockstep --hop-limit 0 {same_options}".split()
     command = node_command(kind, tmp_path_factory)
-    options = f"{NODE_OPTIONS} {OPTIONS_OF_SUBJECTS}".split()
     with joined(address) as group, CNode(command, interface(address), ID, *options) as node:
         nodes = NodesInGroup(group, twin)
         for frame, datagram in arrivals:
@@ -165,9 +168,12 @@ def test_c_and_python_node_answer_the_datagrams_of_a_bad_network_alike(
         summary = node.stop()
 
     assert candump_lines(nodes.received_frames) == candump_lines(nodes.expected_answers)
-    assert nodes.expected_numbers().items() <= summary.items()
+    expected_numbers = nodes.expected_numbers()
+    assert {name: summary[name] for name in expected_numbers} == expected_numbers
+    # The C node counts damaged frames apart from those that are not meant for it, and the twin both together.
     assert summary["refused"] + summary["others"] == twin.reception.rejected.total()
-    assert min(summary[name] for name in ("odd_packets", "repeated", "collisions", "obeyed")) > 10
+    for event in ("odd_packets", "repeated", "collisions", "obeyed"):
+        assert summary[event] > 10, f"{event}: too rare to be tested"
 
 
 def is_classic(frame: can.Message) -> bool:
@@ -184,7 +190,7 @@ def receive_until(group: Group, received_frames: list[can.Message], count: int) 
         received = group.recv(PATIENCE / 10)
         assert received is not None, f"{len(received_frames)} of {count} answers"
         datagram, (_, sender_port, *_), _ = received
-        if sender_port != PORT:
+        if sender_port != PORT:  # not what this test has sent
             frame = unpack_message(datagram, check=True)
             assert pack_message(frame) == datagram
             assert abs(frame.timestamp - time.time()) < PATIENCE
@@ -215,7 +221,9 @@ class RawFrame:
 def unpack_by_c(library: ctypes.CDLL, datagram: bytes) -> RawFrame | None:
     """Return the frame that the C node finds in a datagram, or None if it refuses it."""
     memory = (ctypes.c_uint8 * 72)()  # a struct canfd_frame
-    if library.multicast_unpack(memory, datagram, len(datagram)) & 1 == 0:  # C's bool is a byte
+    result = library.multicast_unpack(memory, datagram, len(datagram))
+    is_frame = bool(result & 1)  # C's bool is one byte of the int that ctypes reads
+    if not is_frame:
         return None
     length = memory[4]
     return RawFrame(int.from_bytes(bytes(memory[:4]), "little"), bytes(memory[8 : 8 + length]))
@@ -250,7 +258,7 @@ def test_the_c_node_and_the_tools_unpack_random_and_damaged_datagrams_to_the_sam
             assert frame == to_raw(unpack_data_frame(received)), received.hex()
             if frame is not None:
                 unpacked_frames.append(frame)
-    assert len(unpacked_frames) > 1700, "of 6000 datagrams"
+    assert len(unpacked_frames) > 1700, "too few of 6000 datagrams had a frame, so too little was compared"
 
 
 def flip_random_bit(datagram: bytes, rng: random.Random) -> bytes:
@@ -307,9 +315,9 @@ def test_a_node_asks_the_system_for_memory_only_before_it_sends_or_after(
 
     The node sends at least an estimate for each of 80 tiles.
     """
-    # s for each call that sends, and - for each other one, which is about memory or an option.
+    # A letter for each call: s if it sends, and - if it is another one, about memory or an option.
     calls = "".join("s" if call.startswith("sendto(") else "-" for call in calls_of_sending_node)
-    assert re.fullmatch("-*s{80,}-*", calls)
+    assert re.fullmatch("-*s{80,}-*", calls), "80 or more that send, one after another"
 
 
 @pytest.mark.slow
@@ -357,9 +365,10 @@ def test_nodes_receive_each_other_again_when_their_network_comes_back(
     for summary in summaries:
         assert summary["downs"] == 1
         assert summary["collisions"] == 0, "frames with its own id"
-        # The network is away for half a second or more of at least 2, at 100 ticks a second.
-        assert 20 <= summary["unsent"] < summary["ticks"] - 150
-        assert summary["heard"] > 150, "more than before"
+        # Of 50 ticks without a network, and of 100 before and 300 after them; a busy computer has fewer.
+        assert summary["unsent"] >= 20
+        assert summary["ticks"] - summary["unsent"] > 150
+        assert summary["heard"] > 150, "more than the 100 before the network went down"
 
 
 @pytest.mark.slow
@@ -369,8 +378,7 @@ def test_the_radio_command_passes_a_node_on_multicast(tmp_path_factory: pytest.T
     group = f"udp:{choice.settings['channel']}:{choice.settings['port']}"
     options = ("--lockstep", "--hop-limit", 0, "--b-hat", 0.75, "--filter-period", 4)
 
-    robot_id = 3
-    with CNode(node_command(PLAIN_BUILD, tmp_path_factory), group, robot_id, *options):
+    with CNode(node_command(PLAIN_BUILD, tmp_path_factory), group, 3, *options):
         robot = ("--id", "3", "--b-hat", "0.75", "--filter-period", "4", "--robots", "3", "--steps", "20")
         exit_code = main(["radio", "--verify", *robot, "--timeout", str(PATIENCE), *choice.arguments()])
 

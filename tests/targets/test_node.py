@@ -141,7 +141,8 @@ class BothNodes:
 
         Its answer shows that the C program has handled all frames.
         """
-        tick = self.twin._tick_of_command or 0  # the one that the last command was about
+        tick_of_last_command = self.twin._tick_of_command
+        tick = 0 if tick_of_last_command is None else tick_of_last_command
         for action in (Action.SETTLE, Action.OBSERVE_BLACK, Action.SETTLE):
             self.add(command_frame(tick, ID, action))
 
@@ -163,12 +164,12 @@ def make_both_nodes(start_node: StartNode, bus: UnixBus) -> Callable[[Filter], B
     def make(firmware_filter: Filter) -> BothNodes:
         options = "--lockstep --steps-per-second 3 --b-hat 0.75 --allow 0+2-5 --memory 64 --receive-buffer 0"
         periods = "--comms-period 2 --filter-period 4 --save-period 0 --telemetry-period 0"
-        words = " ".join([options, periods, FILTERS[firmware_filter], OPTIONS_OF_SUBJECTS]).split()
-        node = start_node(*words)
+        all_options = " ".join([options, periods, FILTERS[firmware_filter], OPTIONS_OF_SUBJECTS])
+        node = start_node(*all_options.split())
         twin = python_node(
             ID,
-            0.75,
-            SUBJECTS,
+            b_hat=0.75,
+            subjects=SUBJECTS,
             steps_per_second=3,
             filter=firmware_filter,
             allow=frozenset((0, 2, 3, 4, 5)),
@@ -182,7 +183,8 @@ def make_both_nodes(start_node: StartNode, bus: UnixBus) -> Callable[[Filter], B
 
 
 EXERCISED_COUNTERS = (
-    "unknown refused others error_frames collisions obeyed disobeyed unsettled repeated rejected"
+    *("unknown", "refused", "others", "error_frames", "collisions"),
+    *("obeyed", "disobeyed", "unsettled", "repeated", "rejected"),
 )
 """Counters of the summary that many of the random frames increment."""
 
@@ -194,7 +196,7 @@ EXERCISED_COUNTERS = (
 def test_c_and_python_node_answer_thousands_of_legal_and_broken_frames_alike(
     firmware_filter: Filter, counter_of_filter: str, make_both_nodes: Callable[[Filter], BothNodes]
 ) -> None:
-    """Both get 3000 random estimates and commands, and send the same answers.
+    """Both get 3000 random estimates and commands, of which some are damaged, and send the same answers.
 
     Both end with the same state, and have counted the same kinds of frames, more than 50 of each kind.
     """
@@ -202,15 +204,17 @@ def test_c_and_python_node_answer_thousands_of_legal_and_broken_frames_alike(
     rng = random.Random(firmware_filter)
     for _ in range(3000):
         both.add(any_frame(rng))
-    both.add_commands_that_are_answered()
+    both.add_commands_that_are_answered()  # the answer shows that all frames before have been handled
 
     summary = both.send_all_to_c_program()
 
     assert candump_lines(both.bus.received_frames) == candump_lines(both.expected_answers)
-    assert numbers_of_robot(both.twin).items() <= summary.items()
+    expected_numbers = numbers_of_robot(both.twin)
+    assert {name: summary[name] for name in expected_numbers} == expected_numbers
     assert numbers_of_reception(summary) == expected_numbers_of_reception(both.twin)
-    assert min(summary[counter] for counter in EXERCISED_COUNTERS.split()) > 50
-    assert summary[counter_of_filter] >= 5
+    for counter in EXERCISED_COUNTERS:
+        assert summary[counter] > 50, f"{counter}: too rare to be tested"
+    assert summary[counter_of_filter] >= 5, "runs of the filter"
 
 
 def numbers_of_reception(summary: dict[str, Any]) -> dict[str, int]:
@@ -234,11 +238,11 @@ def expected_numbers_of_reception(twin: RobotNode) -> dict[str, int]:
 def test_a_node_reports_once_that_another_node_sends_under_its_id(
     make_both_nodes: Callable[[Filter], BothNodes],
 ) -> None:
-    """Two estimates come from a node that has the same id."""
+    """Two estimates come from a node that has the same id. Both are counted, and one message is printed."""
     both = make_both_nodes(Filter.ROBUST)
     for x_hat in (1000, 2000):
         both.add(encode_estimate(Estimate(ID, x_hat, alpha=0, transfer_id=0), SUBJECTS.estimates))
-    both.add_commands_that_are_answered()
+    both.add_commands_that_are_answered()  # the answer shows that the estimates before have been handled
 
     summary = both.send_all_to_c_program()
 
@@ -295,12 +299,12 @@ def heartbeats_in(frames: list[can.Message]) -> list[Heartbeat]:
 def test_a_node_repeats_its_first_heartbeat_each_second_until_it_is_commanded(
     start_node: StartNode, bus: UnixBus
 ) -> None:
-    """After a command for one tick it is silent for more than a second."""
+    """It is commanded when it has sent its first heartbeat twice. Then it is silent for more than a second."""
     start_node("--lockstep")
     start_time = time.monotonic()
     while bus.greeting_count < 2:
         assert bus.recv(PATIENCE) is not None
-    assert time.monotonic() - start_time > 0.9
+    assert time.monotonic() - start_time > 0.9, "seconds, of the one between two heartbeats"
 
     run_lockstep(bus, [ID], ticks=1, seed=1)
     time.sleep(1.1)
@@ -309,7 +313,10 @@ def test_a_node_repeats_its_first_heartbeat_each_second_until_it_is_commanded(
 
 
 def test_a_commanded_node_sends_a_heartbeat_after_ten_ticks(start_node: StartNode, bus: UnixBus) -> None:
-    """A tick, a tenth of a second, comes with a command. The first heartbeat comes before all ticks."""
+    """A tick, a tenth of a second, comes with a command, and a heartbeat, with its uptime, each second.
+
+    The first heartbeat, with an uptime of 0, comes before all ticks.
+    """
     node = start_node("--lockstep")
 
     run_lockstep(bus, [ID], ticks=15, seed=1)
@@ -390,7 +397,8 @@ def test_a_node_computes_what_its_twin_in_python_does_from_the_same_observations
 ) -> None:
     """Both count and believe the same after 300 ticks, of which 100 are without an observation.
 
-    The file has a symbol for each tick: 0 is white, 1 is black, and - is no observation.
+    The file has a symbol for each tick: 0 is white, 1 is black, and - is no observation. Of each six, four
+    are observations, t, and three of them black, n.
     """
     file = tmp_path / "observations"
     file.write_text("1\n0\n-\n1\n1\n-\n" * 50 + " \t\n", encoding="ascii")
@@ -409,7 +417,7 @@ def test_a_node_computes_what_its_twin_in_python_does_from_the_same_observations
     assert summary["missing"] == 0
     assert summary["t"] == 4 * 50
     assert summary["n"] == 3 * 50
-    assert summary["x"] / 2**23 == twin.x
+    assert summary["x"] / 2**23 == twin.x, "the summary has x in units of 2^-23"
 
 
 def test_a_node_sends_estimates_telemetry_and_heartbeats_at_their_periods(
@@ -496,7 +504,8 @@ def test_a_sensor_s_file_is_read_anew_in_every_tick(
     summary = node_with_sensor.stop()
 
     assert summary["ended"] == "signal"
-    assert 5 < summary["n"] < summary["t"], "n black tiles of t"
+    assert summary["n"] > 5, "black tiles: at least those of the first six ticks"
+    assert summary["n"] < summary["t"], "all tiles, of which some were white"
     assert summary["t"] == summary["ticks"]
 
 
@@ -532,7 +541,10 @@ def options_for_400_black_tiles(tmp_path: Path) -> tuple[object, ...]:
 def test_the_clock_keeps_its_rate_and_leaves_out_what_it_missed(
     start_node: StartNode, bus: UnixBus, options_for_400_black_tiles: tuple[object, ...]
 ) -> None:
-    """The node is stopped for 0.3 seconds, in which 30 ticks were due; it does not make up for them."""
+    """The node is stopped for 0.3 seconds, in which 30 ticks were due; it does not make up for them.
+
+    It counts the ticks that it has skipped, and the longest time by which a tick was late.
+    """
     ticks_per_second = 100
     start_time = time.monotonic()
     node = start_node("--steps-per-second", ticks_per_second, *options_for_400_black_tiles)
@@ -547,7 +559,7 @@ def test_the_clock_keeps_its_rate_and_leaves_out_what_it_missed(
     most_ticks = ticks_per_second * (time.monotonic() - start_time) + 1
     assert summary["ticks"] + summary["skipped"] <= most_ticks, "faster than the clock"
     assert summary["skipped"] >= 25, "of 30 ticks in 0.3 seconds"
-    assert summary["worst_lateness_us"] >= 250_000, "microseconds"
+    assert summary["worst_lateness_us"] >= 250_000, "microseconds, of the 300,000 that it was stopped"
 
 
 # ---- Faults around it ----
@@ -638,7 +650,7 @@ def test_a_signal_ends_the_node_with_its_summary(
 
 
 def saved_state(node: RobotNode) -> bytes:
-    """Return the image that a Python node's robot saves."""
+    """Return the image that a Python node's robot saves, the content of the file ``--state`` of a C node."""
     image: bytes = node.robot.save()  # type: ignore[attr-defined]
     return image
 
@@ -665,7 +677,7 @@ def test_a_node_that_is_started_again_goes_on_with_its_saved_state(
 
 def state_with_a_flipped_bit() -> bytes:
     state = bytearray(saved_state(python_node(ID)))
-    state[20] ^= 1
+    state[20] ^= 1  # any bit
     return bytes(state)
 
 
@@ -824,7 +836,10 @@ def test_a_run_ends_with_a_failure_where_observations_cannot_be_read(
     tmp_path: Path,
     command_under_strace: Callable[..., list[str]],
 ) -> None:
-    """The file has 256 observations. strace lets the first read fail, or the second: t observations count."""
+    """The file has 256 observations. strace lets the first read fail, or the second.
+
+    The observations of the reads before it count; t is their number.
+    """
     file = tmp_path / "observations"
     file.write_bytes(b"1" * 256)
     command = command_under_strace([file], f"inject={failing_read}")
@@ -885,7 +900,7 @@ TRACE_CALLS_OF_SAVE = "trace=openat,write,fsync,close,rename"
 
 @pytest.fixture(scope="module")
 def states() -> list[bytes]:
-    """The states of a robot after 0, 300 and 400 black tiles: before both saves, and after each of them."""
+    """The states of a robot after 0, 300 and 400 black tiles: before the saves, of save 1 and of save 2."""
     model = python_node(ID)
     states = [saved_state(model)]
     for further_tiles in (300, 100):
@@ -936,11 +951,6 @@ def draft_of(state: Path) -> Path:
     return state.with_name("state.new")
 
 
-def save_failure(state: Path) -> str:
-    """Return the message of a node that goes on without having saved its state."""
-    return f"mcp_asdf_node: cannot save the state {state}: No space left on device; going on"
-
-
 def test_a_save_writes_a_draft_to_the_disk_before_it_gets_the_name_of_the_state(
     run_with_two_saves: Callable[..., list[str]], trace: Path, state: Path, states: list[bytes]
 ) -> None:
@@ -963,12 +973,15 @@ def traced_calls(trace: Path) -> list[str]:
 def test_the_old_state_is_kept_if_every_save_writes_only_a_part(
     run_with_two_saves: Callable[..., list[str]], state: Path, states: list[bytes]
 ) -> None:
-    """strace lets each write take 50 bytes only. The node goes on, and fails in the end."""
+    """strace lets each write take only 50 bytes of a state, which has 124.
+
+    The node prints one message, observes all its tiles, and ends with the exit code of a failed run.
+    """
     old_state, *_ = states
 
     error_lines = run_with_two_saves(FAILED_RUN, "inject=write:retval=50")
 
-    assert error_lines == [save_failure(state)]
+    assert error_lines == [f"mcp_asdf_node: cannot save the state {state}: No space left on device; going on"]
     assert state.read_bytes() == old_state
 
 
@@ -1001,13 +1014,14 @@ def test_the_saved_state_is_the_last_or_the_one_before_whichever_call_of_a_save_
     state: Path,
     states: list[bytes],
 ) -> None:
-    """The robot goes on, and says once that a save has failed.
+    """The robot goes on, prints one message, and ends with the exit code of a failed run.
 
-    strace lets a call fail, say the third openat of both saves, as if the disk were full.
+    There are two saves, after 300 tiles and after 400; ``kept_save`` is 1 or 2. strace lets a call fail, say
+    the third openat of both saves, as if the disk were full.
     """
     error_lines = run_with_two_saves(FAILED_RUN, f"inject={failing_call}")
 
-    assert error_lines == [save_failure(state)]
+    assert error_lines == [f"mcp_asdf_node: cannot save the state {state}: No space left on device; going on"]
     assert state.read_bytes() == states[kept_save]
 
 

@@ -146,7 +146,7 @@ def run_to_main(board: Board, elf: ELFFile) -> Any:
     processor.emu_start(entry, address_of(elf, "main"), count=MAX_INSTRUCTIONS)
     assert processor.reg_read(program_counter) == address_of(elf, "main"), "main() is not reached"
     used_stack = ram_address + ram_size - processor.reg_read(stack_pointer)
-    assert 0 <= used_stack < 64
+    assert 0 <= used_stack < 64, "bytes: no more than a few registers that the start-up code has saved"
     return processor
 
 
