@@ -28,7 +28,7 @@ PAGE = ROOT / "docs/porting.md"
 ROBOT_ID = 7
 CLOCK = 16_000_000
 CYCLES_OF_A_TICK = CLOCK // 2
-CYCLES_OF_A_BYTE = CLOCK * 10 // 9600
+CYCLES_OF_A_BYTE = CLOCK * 10 // 9600  # ten bits, at 9600 a second
 PORT_B, LED_BIT = 0x25, 5
 """Register of the Uno's pin 13, and the bit that lights the LED there."""
 FORMAT = FrameFormat()
@@ -64,13 +64,13 @@ def built_sketch(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def packets() -> list[bytes]:
-    """The packets that the robot's UART has sent; grows while the robot runs."""
+def sent_packets() -> list[bytes]:
+    """The packets that ``robot`` has sent so far: the list grows while the robot runs."""
     return []
 
 
 @pytest.fixture
-def robot(built_sketch: Path, packets: list[bytes]) -> Board:
+def robot(built_sketch: Path, sent_packets: list[bytes]) -> Board:
     """A simulated Uno with the sketch, half a tick after its start."""
     require_simavr()
     sent_bytes = bytearray()
@@ -78,7 +78,7 @@ def robot(built_sketch: Path, packets: list[bytes]) -> Board:
     def collect_byte(byte: int) -> None:
         sent_bytes.append(byte)
         if len(sent_bytes) == PACKET_SIZE:
-            packets.append(bytes(sent_bytes))
+            sent_packets.append(bytes(sent_bytes))
             sent_bytes.clear()
 
     board = Board(built_sketch / "build/MinimalRobot.ino.elf", CLOCK, collect_byte)
@@ -89,8 +89,8 @@ def robot(built_sketch: Path, packets: list[bytes]) -> Board:
 
 def same_robot_in_python() -> MirrorRobot:
     """Return the robot that the sketch makes: the paper's filter, a sensor that is right 95 times in 100."""
-    table = generate(Decimal("0.05"), 30)
-    return MirrorRobot(Config(table=table), ROBOT_ID, 0.95)
+    table = generate(Decimal("0.05"), q=30)
+    return MirrorRobot(Config(table=table), ROBOT_ID, b_hat=0.95)
 
 
 def send_to(robot: Board, received: bytes) -> None:
@@ -103,8 +103,9 @@ def send_to(robot: Board, received: bytes) -> None:
 def run_tick(robot: Board, tile: int) -> None:
     """Run the robot on a tile until half a tick after its next tick."""
     robot.place_on_tile(tile)
-    halves = round(2 * robot.cycle / CYCLES_OF_A_TICK)
-    robot.run_until((halves + 2) * CYCLES_OF_A_TICK // 2)
+    half_a_tick = CYCLES_OF_A_TICK // 2
+    half_ticks_so_far = round(robot.cycle / half_a_tick)  # instructions do not end exactly there
+    robot.run_until((half_ticks_so_far + 2) * half_a_tick)
 
 
 def is_led_lit(robot: Board) -> bool:
@@ -128,7 +129,10 @@ def test_the_sketch_builds_without_a_warning(built_sketch: Path) -> None:
 
 
 def test_the_sketch_of_docs_porting_builds_with_the_library_that_the_command_writes(tmp_path: Path) -> None:
-    """The command is ``mcp-asdf firmware``; the page has the sketch, and robot.c for it."""
+    """The command is ``mcp-asdf firmware``; the page has the sketch, and robot.c for it.
+
+    build_with_libraries() raises if the build fails.
+    """
     require("arduino-builder", "arduino-builder arduino-core-avr")
     require("avr-gcc", "gcc-avr avr-libc")
     assert main(["firmware", str(tmp_path / "libraries/mcp_asdf"), "--neighbours", "30"]) == 0
@@ -144,9 +148,12 @@ def test_the_sketch_of_docs_porting_builds_with_the_library_that_the_command_wri
 
 
 def test_the_arduino_broadcasts_the_same_bytes_as_the_robot_in_python(
-    robot: Board, packets: list[bytes]
+    robot: Board, sent_packets: list[bytes]
 ) -> None:
-    """It moves over five tiles, of which 1 is black. A packet has a number, and the estimate in integers."""
+    """Both move over five tiles, of which 1 is black, and broadcast a packet on each.
+
+    While the Arduino runs, its serial line adds what it sends to ``sent_packets``.
+    """
     robot_in_python = same_robot_in_python()
     expected_packets = []
     for packet_number, tile in enumerate([1, 1, 0, 1, 0]):
@@ -154,41 +161,49 @@ def test_the_arduino_broadcasts_the_same_bytes_as_the_robot_in_python(
 
         robot_in_python.observe(Observation(tile))
         x_hat, alpha = robot_in_python.x_hat_raw, robot_in_python.alpha_raw
-        estimate = Estimate(ROBOT_ID, x_hat, alpha, packet_number)
+        estimate = Estimate(ROBOT_ID, x_hat, alpha, transfer_id=packet_number)
         expected_packets.append(packet_of(frames.encode_estimate(estimate, FORMAT)))
 
-    assert packets == expected_packets
+    assert sent_packets == expected_packets
 
 
 BLACK_TILE = 1
-PACKET_OF_CERTAIN_NEIGHBOUR = packet_of(
-    frames.encode_estimate(Estimate(9, 0, alpha_word_from_float(1e6), 0), FORMAT)
+CERTAIN = alpha_word_from_float(1e6)
+"""A confidence that outweighs a robot's own after one tile."""
+NEIGHBOUR_S_PACKET = packet_of(
+    frames.encode_estimate(Estimate(sender=9, x_hat=0, alpha=CERTAIN, transfer_id=0), FORMAT)
 )
-"""The packet of a robot that is certain that all tiles are white."""
+"""The packet of a robot that is certain that all tiles are white: x_hat, the share of black ones, is 0."""
 
 
 def test_the_led_is_lit_once_the_robot_has_seen_a_black_tile(robot: Board) -> None:
-    """It shows that the robot finds the floor more black than white."""
+    """The LED of the sketch is lit while the robot believes that more than half of the tiles are black."""
     run_tick(robot, BLACK_TILE)
     assert is_led_lit(robot)
 
 
 def test_the_robot_ignores_a_packet_with_a_wrong_checksum(robot: Board) -> None:
-    """Otherwise the LED would go out, as its neighbour is certain that all tiles are white."""
-    damaged_packet = bytearray(PACKET_OF_CERTAIN_NEIGHBOUR)
-    damaged_packet[-1] ^= 1
+    """The LED is lit, as the robot has seen a black tile and nothing else.
 
-    send_to(robot, bytes(damaged_packet))
+    Had it received the packet, whose sender is certain that all tiles are white, the LED would be dark.
+    """
+    *bytes_before, checksum = NEIGHBOUR_S_PACKET
+    wrong_checksum = checksum ^ 1
+
+    send_to(robot, bytes([*bytes_before, wrong_checksum]))
     run_tick(robot, BLACK_TILE)
 
     assert is_led_lit(robot)
 
 
 def test_the_robot_finds_the_packet_after_noise(robot: Board) -> None:
-    """It has seen a black tile, but the LED stays dark, as its neighbour is certain that all are white."""
+    """The packet's sender is certain that all tiles are white, and so outweighs the black tile of the robot.
+
+    So the LED, which would be lit without the packet, is dark.
+    """
     noise = b"\x00\xff"
 
-    send_to(robot, noise + PACKET_OF_CERTAIN_NEIGHBOUR)
+    send_to(robot, noise + NEIGHBOUR_S_PACKET)
     run_tick(robot, BLACK_TILE)
 
     assert not is_led_lit(robot)

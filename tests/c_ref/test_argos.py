@@ -81,7 +81,7 @@ def built_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_the_example_compiles_without_warnings_in_clang(tmp_path: Path) -> None:
-    """A warning is an error here; the other tests compile the example with gcc."""
+    """A warning is an error here, for which run() raises. The other tests compile the example with gcc."""
     prepare(tmp_path)
     sources = sorted(EXAMPLE.glob("*.cpp"))
     run(require("clang++", "clang"), *compiler_arguments(tmp_path), "-fsyntax-only", *sources)
@@ -225,7 +225,7 @@ def test_the_robots_of_a_swarm_compute_the_same_bits_as_robots_in_python(
 
     assert len(logs) == 20
     assert {log.ticks for log in logs} == {TICKS}
-    assert sum(log.updates for log in logs) > 10
+    assert sum(log.updates for log in logs) > 10, "changes of the accuracy"
 
 
 def test_robots_with_the_robust_filter_compute_the_same_bits_as_robots_in_python(
@@ -236,18 +236,21 @@ def test_robots_with_the_robust_filter_compute_the_same_bits_as_robots_in_python
     check_log.py computes each log again in Python, and fails if a bit differs.
     """
     swarm.set_parameter("filter", "robust")
-    ended_swarm = run_swarm(swarm)
-    assert ended_swarm.returncode == 0
+    assert run_swarm(swarm).returncode == 0
 
-    ended_check = check_logs(tmp_path / "logs")
+    result = check_logs(tmp_path / "logs")
 
-    assert ended_check.returncode == 0
+    assert result.returncode == 0
 
 
 def test_after_a_reset_the_log_has_the_second_run_alone(
     run_swarm: RunSwarm, swarm: Swarm, tmp_path: Path
 ) -> None:
-    """The swarm runs twice. A log begins with a line ``start``, and each tick ends with a line ``settle``."""
+    """The swarm runs, is reset, and runs again. Each robot, such as kiv0, writes a log of its own.
+
+    A log begins with a line ``start``, and each tick ends with a line ``settle``. check_log.py, which
+    computes all logs again, finds no difference.
+    """
     assert run_swarm(swarm, options="reset").returncode == 0
 
     log = (tmp_path / "logs/kiv0.csv").read_text(encoding="utf-8")
@@ -259,7 +262,11 @@ def test_after_a_reset_the_log_has_the_second_run_alone(
 def test_what_robots_send_before_their_first_broadcast_is_refused(
     run_swarm: RunSwarm, swarm: Swarm, tmp_path: Path
 ) -> None:
-    """ARGoS delivers zeros then, which must not become robot 0. A tick ends with the line ``settle``."""
+    """ARGoS delivers zeros then, which must not be taken for the estimate of robot 0.
+
+    In the log of robot kiv3 a tick ends with a line ``settle``, and an estimate that it takes is a line
+    ``receive``.
+    """
     assert run_swarm(swarm).returncode == 0
 
     log = (tmp_path / "logs/kiv3.csv").read_text(encoding="utf-8")
@@ -363,7 +370,7 @@ def test_the_run_ends_with_the_mean_error_of_the_robots_accuracies(run_swarm: Ru
 def test_a_parameter_that_robots_cannot_have_is_refused_by_its_name(
     name: str, value: str, message: str, run_swarm: RunSwarm, swarm: Swarm
 ) -> None:
-    """The simulation does not start. Robots get their parameters from the file of the experiment."""
+    """The simulation does not start, and ends with code 1. The file of the experiment has the parameters."""
     swarm.set_parameter(name, value)
 
     result = run_swarm(swarm)
@@ -375,7 +382,10 @@ def test_a_parameter_that_robots_cannot_have_is_refused_by_its_name(
 def test_a_fill_ratio_that_no_floor_has_is_refused_by_its_name(run_swarm: RunSwarm, swarm: Swarm) -> None:
     """It is the share of black tiles, and so at most 1."""
     swarm.floor["fill_ratio"] = "55"
-    assert "fill_ratio is 55" in run_swarm(swarm).stderr
+
+    result = run_swarm(swarm)
+
+    assert "fill_ratio is 55" in result.stderr
 
 
 Floor = np.ndarray[tuple[int, int], np.dtype[np.bool_]]
@@ -388,13 +398,15 @@ def distinct_rows(floor: Floor) -> set[bytes]:
 
 def floor_of(seed: int, built_folder: Path, tmp_path: Path) -> Floor:
     """Return which of 100 by 100 tiles of a floor are black."""
-    description = (
-        f"loop asdf_loop_functions fill_ratio=0.55 tile=0.01 results={tmp_path}/r results_period=1\n"
+    tile_size, tiles_of_a_row = 0.01, 100
+    loop_line = (
+        f"loop asdf_loop_functions fill_ratio=0.55 tile={tile_size} results={tmp_path}/r results_period=1\n"
     )
+    robots_line = "robots asdf_controller 1 0 filter=off b_hat=0.9 sensor_accuracy=0.9\n"
+    floor_line = f"floor {seed} {tiles_of_a_row} {tile_size}\n"
     result = subprocess.run(
         [built_folder / "swarm"],
-        input=f"{description}robots asdf_controller 1 0 filter=off b_hat=0.9 sensor_accuracy=0.9\n"
-        f"floor {seed} 100 0.01\n",
+        input=loop_line + robots_line + floor_line,
         capture_output=True,
         text=True,
         check=True,
@@ -405,7 +417,7 @@ def floor_of(seed: int, built_folder: Path, tmp_path: Path) -> Floor:
 def test_a_floor_has_the_fill_ratio(built_folder: Path, tmp_path: Path) -> None:
     """swarm.argos asks for a floor of which a share of 0.55 is black."""
     share_of_black = floor_of(seed=1, built_folder=built_folder, tmp_path=tmp_path).mean()
-    five_standard_deviations = 0.025  # of the share of 10,000 tiles that are drawn
+    five_standard_deviations = 0.025  # of a share of 10,000 tiles: sqrt(0.55 * 0.45 / 10,000) is 0.005
     assert share_of_black == pytest.approx(0.55, abs=five_standard_deviations)
 
 
@@ -487,7 +499,7 @@ def test_a_log_with_a_changed_bit_is_reported_with_line_and_tick(
 def test_a_log_that_lacks_the_received_messages_does_not_pass(
     check_log: ModuleType, short_log: str, tmp_path: Path
 ) -> None:
-    """check_log.py computes the log again, without the messages, and ends with the code 1."""
+    """Without them the robot in Python believes something else, so check_log.py ends with the code 1."""
     without_messages = re.sub(r"receive,.*\n", "", short_log)
     assert without_messages != short_log
 

@@ -45,6 +45,7 @@ class Coverage:
 
     def add(self, function: dict[str, Any]) -> None:
         """Add what llvm-cov exports of a function in one program."""
+        # A static function is called, say, "mcp_asdf.c:divide_24", with a semicolon in newer versions.
         name = function["name"].replace(";", ":").rpartition(":")[2]
         path = function["filenames"][0]
         for branch in function["branches"]:
@@ -88,7 +89,7 @@ def text_at(path: str, span: Span) -> str:
 
 
 def build_programs(folder: Path) -> Iterator[Path]:
-    """Build the C tests as for the project, but with counters in them."""
+    """Build the C tests as for the project, but with counters in them, and yield each program."""
     require("clang-19", PACKAGES)
     tests = ROOT / "tests/c_ref"
     for name in BLACK_BOX_TESTS:

@@ -118,11 +118,11 @@ def test_a_generator_of_bindings_finds_no_type_without_a_name(syntax_tree: str) 
 def test_rust_s_bindgen_finds_only_functions_that_the_library_has(library: Path) -> None:
     """It also finds all functions that the header defines inline."""
     require("bindgen", "bindgen")
-    folder = library.parents[2]
+    folder_of_commands = library.parents[2]  # the library is in build/shared there
 
-    run("sh", "-exc", block_with(PAGE, "bindgen", "sh"), cwd=folder)
+    run("sh", "-exc", block_with(PAGE, "bindgen", "sh"), cwd=folder_of_commands)
 
-    bindings = (folder / "build/mcp_asdf.rs").read_text(encoding="utf-8")
+    bindings = (folder_of_commands / "build/mcp_asdf.rs").read_text(encoding="utf-8")
     functions = set(re.findall(r"pub fn (mcp_asdf_\w+) ?\(", bindings))
     assert inline_functions() < functions
     assert functions <= symbols_in(library, "--dynamic", "--defined-only")
@@ -164,7 +164,7 @@ def step_by_ctypes(library: Path, config: Config) -> CtypesRobot:
 
 
 ROBUST = Config(filter=Filter.ROBUST, filter_period=100)
-PAPERS = Config(table=generate(Decimal("0.05"), 4), filter_period=100)
+PAPERS = Config(table=generate(Decimal("0.05"), q=4), filter_period=100)
 
 
 @pytest.mark.parametrize("config", [ROBUST, PAPERS], ids=["robust", "the paper's"])
@@ -188,7 +188,11 @@ def test_a_robot_that_ctypes_steps_has_the_bits_of_the_robot_in_python(library: 
 def test_a_robot_with_the_paper_s_filter_raises_its_accuracy_if_ctypes_passes_the_table(
     library: Path,
 ) -> None:
-    """It raises the accuracy b_hat from 0.55; units of b_hat are 2^-32."""
+    """It raises the accuracy b_hat from 0.55; units of b_hat are 2^-32.
+
+    It sees 3/4 of the tiles black, and its neighbours estimate that x_bar, about 0.835, are. By eq. 8 that is
+    an accuracy of (3/4 + x_bar - 1) / (2 x_bar - 1).
+    """
     robot = step_by_ctypes(library, PAPERS)
     assert robot.read("b_hat") / 2**32 == pytest.approx(0.874, abs=0.01)
 
@@ -203,7 +207,8 @@ def output_of_rust(library: Path) -> str:
     """Output of the Rust program that the page's commands build and run."""
     require("rustc", "rustc")
     commands = block_with(PAGE, "rustc", "sh").replace("rustc ", "rustc -D warnings ")
-    return run("sh", "-exc", commands, cwd=library.parents[2])
+    folder_of_commands = library.parents[2]  # the library is in build/shared there
+    return run("sh", "-exc", commands, cwd=folder_of_commands)
 
 
 def test_a_robot_that_rust_steps_has_the_bits_of_the_robot_in_python(output_of_rust: str) -> None:

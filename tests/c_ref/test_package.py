@@ -98,11 +98,15 @@ def copied_core(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_a_program_in_c_or_cpp_builds_with_copied_files(
     compiler: str, source: str, copied_core: Path
 ) -> None:
-    """A user may copy the core's files into a project, and compile them as C for a program in either."""
-    (copied_core / source).write_text(PROGRAM)
-    objects = copied_core.glob("*.o")
+    """A user may copy the core's files into a project, and compile them as C for a program in either.
 
-    run(require(compiler, compiler), *STRICT, source, *objects, "-o", "program", cwd=copied_core)
+    run() raises if the program has a warning, or if it ends with another code than 0.
+    """
+    require(compiler, packages=compiler)
+    (copied_core / source).write_text(PROGRAM)
+    compiled_core = copied_core.glob("*.o")
+
+    run(compiler, *STRICT, source, *compiled_core, "-o", "program", cwd=copied_core)
 
     run(copied_core / "program")
 
@@ -169,19 +173,22 @@ def pkg_config_path(installed_library: Path) -> str:
 
 
 def test_a_project_adds_the_folder_of_the_library(project: Path) -> None:
-    """It does so with CMake's add_subdirectory. Its program calls the library, and ends with the code 0."""
+    """It does so with CMake's add_subdirectory. Its program calls the library.
+
+    run() raises unless the program ends with the code 0.
+    """
     run(build_with_cmake(project, ADD_SUBDIRECTORY))
 
 
 @pytest.mark.slow
 def test_a_project_fetches_the_whole_repository(project: Path) -> None:
-    """It does so with CMake's FetchContent, from this folder. Its program ends with the code 0."""
+    """It does so with CMake's FetchContent, here from a folder. run() raises if its program fails."""
     run(build_with_cmake(project, FETCH_CONTENT))
 
 
 @pytest.mark.slow
 def test_cmake_finds_the_installed_version(project: Path, installed_library: Path) -> None:
-    """find_package gets the version of the header, and the program that is linked to it runs."""
+    """find_package gets the version of the header. run() raises if the program that is linked to it fails."""
     command = f"find_package(mcp_asdf {version_of_header()} EXACT REQUIRED)"
     run(build_with_cmake(project, command, f"-DCMAKE_PREFIX_PATH={installed_library}"))
 
@@ -204,7 +211,10 @@ def test_pkg_config_has_the_version_of_the_installed_library(pkg_config_path: st
 
 @pytest.mark.slow
 def test_a_program_builds_with_the_flags_of_pkg_config(project: Path, pkg_config_path: str) -> None:
-    """pkg-config knows the flags from a description that is installed with the library."""
+    """pkg-config knows the flags from a description that is installed with the library.
+
+    run() raises if the program does not build, or fails.
+    """
     pkg_config = require("pkg-config", "pkgconf")
 
     flags = run(pkg_config, "mcp_asdf", "--cflags", "--libs", PKG_CONFIG_PATH=pkg_config_path)
@@ -215,7 +225,7 @@ def test_a_program_builds_with_the_flags_of_pkg_config(project: Path, pkg_config
 
 @pytest.mark.slow
 def test_meson_finds_the_installed_library(project: Path, pkg_config_path: str) -> None:
-    """Meson asks pkg-config, with the lines of docs/platforms/elsewhere.md. The program ends with code 0."""
+    """Meson asks pkg-config, by the lines of docs/platforms/elsewhere.md. run() raises if it fails."""
     require("meson")
     require("ninja")
     [page_s_lines] = blocks(ROOT / "docs/platforms/elsewhere.md", "meson")
@@ -229,7 +239,10 @@ def test_meson_finds_the_installed_library(project: Path, pkg_config_path: str) 
 
 @pytest.mark.slow
 def test_a_library_without_the_robust_filter_hides_it_from_the_program(project: Path) -> None:
-    """An option of CMake leaves the filter out. The program compiles only if the header hides it."""
+    """An option of CMake leaves the filter out. The program compiles only if the header hides it.
+
+    run() raises if it does not compile, or fails.
+    """
     (project / "main.c").write_text(PROGRAM + STOP_IF_THERE_IS_A_ROBUST_FILTER)
     run(build_with_cmake(project, ADD_SUBDIRECTORY, "-DMCP_ASDF_WITH_ROBUST=OFF"))
 
@@ -240,7 +253,8 @@ def test_an_installed_library_without_the_filter_of_the_paper_hides_it_from_the_
 ) -> None:
     """A robot has one of two filters, and only the robust one is left.
 
-    The program compiles only if the header hides the other one; a flag of pkg-config does so for its users.
+    The program compiles only if the header hides the other one, and run() raises if it does not. For users of
+    pkg-config a flag hides it.
     """
     (project / "main.c").write_text(ROBUST_PROGRAM + STOP_IF_THERE_IS_A_FILTER_OF_THE_PAPER)
 
@@ -314,7 +328,10 @@ def files_in(archive: Path) -> set[str]:
 
 
 def test_platformio_packs_sources_example_manifests_and_licence(tmp_path: Path) -> None:
-    """Its own packer makes the archive, and puts a note of its own, .piopm, into it."""
+    """Its own packer makes the archive, and puts a note of its own, .piopm, into it.
+
+    The program PLATFORMIO also checks the two manifests; run() raises if it fails.
+    """
     pytest.importorskip("platformio", reason="platformio is not installed: make setup")
     archive = tmp_path / "packed.tar.gz"
 
@@ -370,7 +387,7 @@ def test_zephyr_has_the_optional_parts_with_the_firmware_unless_they_are_left_ou
 
     chosen_parts = [symbol.name.lower() for symbol in kconfig.unique_defined_syms if symbol.str_value == "y"]
     assert sorted(chosen_parts) == sorted(parts)
-    assert len(kconfig.unique_defined_syms) == len(PARTS)
+    assert len(kconfig.unique_defined_syms) == len(PARTS), "an option for each part, and no other one"
     assert kconfig.warnings == []
 
 

@@ -96,7 +96,8 @@ def format_script(script: list[ScriptedTick]) -> bytes:
     for tick in script:
         received = NOISE.join(tick.packets)
         if received:
-            formatted += bytes([NO_TILE + len(received)]) + received
+            number_that_is_no_tile = NO_TILE + len(received)
+            formatted += bytes([number_that_is_no_tile]) + received
         formatted.append(tick.tile)
     return bytes(formatted)
 
@@ -106,38 +107,44 @@ def receive_packets(robot: MirrorRobot, packets: list[bytes]) -> int:
 
     Lost are packets with a wrong checksum, and those that find the radio's queue full.
     """
-    lost = max(0, len(packets) - RADIO_QUEUE)
-    for packet in packets[:RADIO_QUEUE]:
+    queued_packets = packets[:RADIO_QUEUE]
+    lost = len(packets) - len(queued_packets)
+    for packet in queued_packets:
         frame = frame_of_packet(packet)
-        if frame is None:
+        if frame is None:  # its checksum is wrong
             lost += 1
             continue
-        message = frames.decode_estimate(frame, FORMAT)
-        if isinstance(message, Estimate):
-            robot.receive_raw(message.sender, message.x_hat, message.alpha)
+        estimate = frames.decode_estimate(frame, FORMAT)
+        if isinstance(estimate, Estimate):  # and not the reason why the frame has none
+            robot.receive_raw(estimate.sender, estimate.x_hat, estimate.alpha)
     return lost
 
 
 def expected_output(script: list[ScriptedTick]) -> bytes:
     """Return what the demonstration robot has to send in a script, as the robot in Python computes it.
 
-    It sends an estimate in each tick, and a heartbeat and telemetry after each ten.
+    It sends an estimate in each tick, and a heartbeat and telemetry after each ten, which are a second.
+    Transfer ids count the frames of each kind in 5 bits.
     """
     robot = MirrorRobot(Config(filter=Filter.ROBUST), ROBOT_ID, B_HAT / 2**32)
     assert robot.b_hat_raw == B_HAT
     output, lost = b"", 0
-    for number, tick in enumerate(script, 1):
+    for tick_number, tick in enumerate(script):
         lost += receive_packets(robot, tick.packets)
         if tick.tile != NO_TILE:
             robot.observe(Observation(tick.tile))
-        estimate = Estimate(ROBOT_ID, robot.x_hat_raw, robot.alpha_raw, (number - 1) % 32)
+        transfer_id = tick_number % 32
+        estimate = Estimate(ROBOT_ID, robot.x_hat_raw, robot.alpha_raw, transfer_id)
         output += packet_of(frames.encode_estimate(estimate, FORMAT))
         robot.settle()
-        if number % 10 == 0:
-            seconds, transfer_id = number // 10, (number // 10 - 1) % 32
+        tick_count = tick_number + 1
+        if tick_count % 10 == 0:
+            seconds = tick_count // 10
+            transfer_id = (seconds - 1) % 32
             heartbeat = Heartbeat(ROBOT_ID, seconds, transfer_id, vendor_status=lost % 256)
             updates = robot.counters.updates % 256
-            telemetry = Telemetry(ROBOT_ID, robot.x_raw, robot.b_hat_raw >> 8, updates, transfer_id)
+            b_hat_in_24_bits = robot.b_hat_raw >> 8
+            telemetry = Telemetry(ROBOT_ID, robot.x_raw, b_hat_in_24_bits, updates, transfer_id)
             output += packet_of(frames.encode_heartbeat(heartbeat))
             output += packet_of(frames.encode_telemetry(telemetry))
     return output
@@ -231,15 +238,15 @@ def compiled_part(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempP
 
 
 def test_the_firmware_calls_no_library_but_its_compiler_s_helpers(compiled_part: CompiledPart) -> None:
-    """So it runs without a C library. The part that restores robots calls two functions of another part.
+    """So it runs without a C library. Only mcp_asdf_image, which restores robots, calls another part.
 
     Helpers have names such as __aeabi_lmul; compilers also call memcpy and memset by themselves.
     """
-    foreign_symbols = {
-        name
-        for name in compiled_part.undefined_symbols
-        if not name.startswith("__") and not MEMORY_CALLS.fullmatch(name)
-    }
+    foreign_symbols = set()
+    for name in compiled_part.undefined_symbols:
+        is_helper_of_compiler = name.startswith("__") or MEMORY_CALLS.fullmatch(name)
+        if not is_helper_of_compiler:
+            foreign_symbols.add(name)
 
     if compiled_part.part == "mcp_asdf_image":
         assert foreign_symbols == {"mcp_asdf_init", "mcp_asdf_observe"}
@@ -261,9 +268,10 @@ def test_the_core_has_no_variables(compiled_part: CompiledPart) -> None:
 
 def flash_budgets() -> dict[tuple[str, str], float]:
     """Return the page's budgets of flash in KB, by part and target."""
-    table = TEXT[TEXT.index("| flash | ") :].partition("\n\n")[0]
+    text_from_table_on = TEXT[TEXT.index("| flash | ") :]
+    table, _, _ = text_from_table_on.partition("\n\n")
     title_line, _rule, *lines = table.splitlines()
-    _, *targets = cells_of(title_line)
+    _flash, *targets = cells_of(title_line)
     budgets = {}
     for line in lines:
         part, *cells = cells_of(line)
@@ -281,8 +289,12 @@ def test_each_part_of_the_firmware_takes_the_flash_that_docs_porting_states(
     compiled_part: CompiledPart,
 ) -> None:
     """The page states how many KB a part takes at most; it takes not less than four fifths of that."""
-    budget_in_kb = flash_budgets()[PARTS[compiled_part.part], compiled_part.target]
-    assert 0.8 * budget_in_kb < compiled_part.sizes.code / 1000 <= budget_in_kb
+    name_on_page = PARTS[compiled_part.part]
+    budget_in_kb = flash_budgets()[name_on_page, compiled_part.target]
+    code_in_kb = compiled_part.sizes.code / 1000
+
+    assert code_in_kb <= budget_in_kb
+    assert code_in_kb > 0.8 * budget_in_kb, "the page could state less"
 
 
 @pytest.mark.parametrize(
@@ -296,13 +308,18 @@ def test_each_part_of_the_firmware_takes_the_flash_that_docs_porting_states(
 def test_a_firmware_with_one_filter_takes_the_flash_that_docs_porting_states(
     filter_name: str, target: str, tmp_path: Path
 ) -> None:
-    """The other filter is left out by a macro. It takes at most that, and not less than four fifths of it."""
+    """A macro leaves the other filter out. The page states how many KB the firmware then takes at most.
+
+    It takes not less than four fifths of that.
+    """
     left_out = "ASDF" if filter_name == "robust filter" else "ROBUST"
     budget_in_kb = flash_budgets()[f"method, {filter_name} alone", target]
 
     sizes = compile_core(CORE, target, tmp_path / "core.o", f"-DMCP_ASDF_WITH_{left_out}=0")
 
-    assert 0.8 * budget_in_kb < sizes.code / 1000 <= budget_in_kb
+    code_in_kb = sizes.code / 1000
+    assert code_in_kb <= budget_in_kb
+    assert code_in_kb > 0.8 * budget_in_kb, "the page could state less"
 
 
 # --- On this computer ------------------------------------------------------------------------------------
@@ -351,19 +368,20 @@ int main(void)
 
 def output_of_robot_in_python() -> str:
     """Return what the page's robot has to print with the program above."""
-    robot = MirrorRobot(Config(filter=Filter.ROBUST, filter_period=100), 5, 0.95)
+    robot = MirrorRobot(Config(filter=Filter.ROBUST, filter_period=100), 5, b_hat=0.95)
     output = ""
     for number in range(1, 3001):
         if number % 7 != 0:
-            robot.observe(Observation(number % 4 != 0))
-        if number % 10 == 0:
+            is_black = number % 4 != 0
+            robot.observe(Observation(is_black))
+        if number % 10 == 0:  # the page's robot broadcasts in every tenth tick
             x_hat, alpha = robot.x_hat_raw, robot.alpha_raw
             output += f"5 {x_hat} {alpha}\n"
             for i in range(1, 7):
                 robot.receive_raw(5 + i, max(x_hat - 9000 * i, 0), alpha)
             robot.settle()
-            thousandths = math.floor(robot.x * 1000 + 1 / 2)
-            output += f"{thousandths}\n"
+            rounded_thousandths = math.floor(robot.x * 1000 + 1 / 2)
+            output += f"{rounded_thousandths}\n"
     return output
 
 
@@ -398,7 +416,7 @@ def test_the_robot_of_docs_porting_builds_by_cmake_and_computes_what_the_robot_i
 
 @pytest.mark.slow
 def test_the_robot_of_docs_porting_builds_by_cmake_for_a_cortex_m4(project: Path) -> None:
-    """It builds by the lines for CMake that the page shows. It does not run here."""
+    """It builds by the lines for CMake that the page shows, or run() raises. It does not run here."""
     require("arm-none-eabi-gcc", "gcc-arm-none-eabi libnewlib-arm-none-eabi")
     page_s_lines = block_with(PAGE, "add_subdirectory(vendor/mcp_asdf)", "cmake")
     (project / "CMakeLists.txt").write_text(page_s_lines)
@@ -414,7 +432,7 @@ def test_the_robot_of_docs_porting_builds_by_cmake_for_a_cortex_m4(project: Path
 
 
 def test_the_robot_of_docs_porting_builds_without_a_build_system(project: Path) -> None:
-    """The page's command compiles it, and it computes what the robot in Python does."""
+    """The page's command compiles it, or run() raises, and it computes what the robot in Python does."""
     run("sh", "-ec", block_with(PAGE, "-Ivendor/mcp_asdf", "sh"), cwd=project)
     assert run(project / "robot") == output_of_robot_in_python()
 
@@ -502,7 +520,7 @@ def ticks_until_a_swarm_agrees(filter_name: str, comms_period: int) -> float:
 def test_with_rare_broadcasts_only_the_robust_filter_needs_longer(
     filter_name: str, times_as_long: float
 ) -> None:
-    """A broadcast in each tenth tick is enough; in each hundredth the robust filter takes twice as long."""
+    """With a broadcast in each tenth tick no filter does; in each hundredth the robust one takes twice as long."""
     ticks_if_each = ticks_until_a_swarm_agrees(filter_name, comms_period=1)
     ticks_if_each_tenth = ticks_until_a_swarm_agrees(filter_name, comms_period=10)
     ticks_if_each_hundredth = ticks_until_a_swarm_agrees(filter_name, comms_period=100)
@@ -594,8 +612,9 @@ def test_a_robot_loses_one_observation_at_most_if_the_power_fails_while_it_is_sa
 
     lost_observations = [int(number) for number in run(tmp_path / "robot").split()]
 
-    during_first_copy, from_its_end_on = [1] * IMAGE_SIZE, [0] * (IMAGE_SIZE + 1)
-    assert lost_observations == during_first_copy + from_its_end_on
+    while_first_copy_is_written = [1] * IMAGE_SIZE  # the power fails after 0 to 155 bytes
+    from_its_end_on = [0] * (IMAGE_SIZE + 1)  # after 156 to 312 bytes
+    assert lost_observations == while_first_copy_is_written + from_its_end_on
 
 
 # --- On an ATmega328P ------------------------------------------------------------------------------------
@@ -651,13 +670,17 @@ def test_the_robot_leaves_a_third_of_the_flash_and_most_of_the_memory_of_an_atme
 
     sizes = section_sizes("avr-", image)
 
-    assert sizes.code + sizes.variables_with_values < 2 / 3 * 32 * 1024
-    assert sizes.variables_with_values + sizes.zeroed_variables < 320
+    bytes_of_flash = sizes.code + sizes.variables_with_values  # the values are copied from flash at the start
+    bytes_of_memory = sizes.variables_with_values + sizes.zeroed_variables
+    assert bytes_of_flash < 2 / 3 * 32 * 1024
+    assert bytes_of_memory < 320
 
 
 def play_script(robot: Board, board: AvrBoard, script: list[ScriptedTick]) -> None:
     """Run a script of ten ticks a second, with bytes as fast as the serial line can bring them."""
-    cycles_of_a_tick, cycles_of_a_byte = board.clock // 10, board.clock // (board.baud // 10)
+    cycles_of_a_tick = board.clock // 10
+    bytes_a_second = board.baud // 10  # a byte has ten bits on the line
+    cycles_of_a_byte = board.clock // bytes_a_second
     end_of_tick = cycles_of_a_tick // 2  # half a tick away from the robot's own
     robot.run_until(end_of_tick)
     for tick in script:
@@ -727,12 +750,15 @@ class Kilobot:
     def broadcast(self) -> bytes:
         """Return the message that the robot sends now."""
         address = self.machine.call("message_tx").value >> 16  # a pointer, in the upper half of 32 bits
-        return bytes(self.machine.read(address, 12))
+        bytes_of_message = 12
+        return bytes(self.machine.read(address, bytes_of_message))
 
     def receive(self, message: bytes) -> None:
         """Let the robot receive a message from a robot nearby."""
         self.set_variable("kilo_heard", message)
-        message_pointer, no_distance = (self.machine.image.address("kilo_heard"), 2), (0, 2)  # of 2 bytes
+        bytes_of_pointer = 2
+        message_pointer = (self.machine.image.address("kilo_heard"), bytes_of_pointer)
+        no_distance = (0, bytes_of_pointer)
         self.machine.call("message_rx", message_pointer, no_distance)
 
     def run_loop(self, tick: int, light: int) -> int:
@@ -746,8 +772,9 @@ class Kilobot:
 def kilobot_message(estimate: Estimate) -> bytes:
     """Return the message that a Kilobot makes of an estimate: node id, data, type and checksum."""
     frame = frames.encode_estimate(estimate, FORMAT)
+    node_id, message_type = frame.arbitration_id & 0x7F, 0
     any_checksum = (0x34, 0x12)
-    return bytes([frame.arbitration_id & 0x7F, *frame.data, 0, *any_checksum])
+    return bytes([node_id, *frame.data, message_type, *any_checksum])
 
 
 NOISE_MESSAGE = b"\xff" * 12
@@ -837,15 +864,15 @@ def test_two_kilobots_send_and_believe_what_their_twins_in_python_do(kilobots: l
             x = robot.end_round(round_number, light)
 
             assert x == robot.twin.x_raw
-    assert first.twin.counters.accepted > 40
-    assert second.twin.counters.accepted > 40
+    assert first.twin.counters.accepted > 40, "estimates, of more than the other Kilobot"
+    assert second.twin.counters.accepted > 40, "estimates, of more than the other Kilobot"
 
 
 @pytest.mark.slow
 def test_a_kilobot_ends_a_round_after_32_ticks(kilobots: list[KilobotWithTwin]) -> None:
-    """Only then it looks at the floor. What it believes is 1/2 at first, and then the share of black so far.
+    """Only then it looks at the floor, and estimates which share is black: 1/2 at first.
 
-    ``run_loop`` returns it, in units of 2^-23.
+    ``run_loop`` returns that share, in units of 2^-23. The second round ends after 64 ticks.
     """
     robot, _ = kilobots
     half, one = 2**22, 2**23  # in units of 2^-23

@@ -51,8 +51,8 @@ QUICK_PRESETS = ("gcc",)
 def test_the_c_tests_pass_with_the_settings_of_a_preset(preset: str) -> None:
     """A preset is a compiler with flags, in CMakePresets.json. CMake builds the C tests, and ctest runs them.
 
-    It is quick: without optimisation, for the arithmetic of one target, another one for each preset, and
-    with fewer calls. The next test leaves nothing out.
+    run() raises if a test fails. It is quick: without optimisation, for the arithmetic of one target, another
+    one for each preset, and with fewer calls. The next test leaves nothing out.
     """
     skip_without_tools(preset)
     folder = ROOT / "build/quick" / preset
@@ -69,7 +69,10 @@ def test_the_c_tests_pass_with_the_settings_of_a_preset(preset: str) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("preset", PRESETS)
 def test_all_c_tests_pass_for_the_arithmetic_of_every_target(preset: str) -> None:
-    """With each preset, which is a compiler with flags, CMake builds all C tests, and ctest runs them."""
+    """With each preset, which is a compiler with flags, CMake builds all C tests, and ctest runs them.
+
+    run() raises if a test fails.
+    """
     skip_without_tools(preset)
     run(require("cmake"), "--workflow", "--preset", preset)
 
@@ -86,7 +89,10 @@ def copy_of_c_sources(clone: Path) -> Path:
 @pytest.mark.slow
 @pytest.mark.parametrize("preset", PRESETS)
 def test_a_preset_builds_in_a_clone_whose_folder_has_a_space(preset: str, tmp_path: Path) -> None:
-    """The preset's flags have to be quoted: CMake also compiles small programs with them."""
+    """The preset's flags have to be quoted: CMake also compiles small programs with them.
+
+    run() raises if one of them, or the C test that is built here, does not compile.
+    """
     skip_without_tools(preset)
     clone = copy_of_c_sources(tmp_path / "a clone")
 
@@ -99,9 +105,13 @@ def test_a_preset_builds_in_a_clone_whose_folder_has_a_space(preset: str, tmp_pa
 def test_the_firmware_compiles_without_a_warning_for_any_target_s_choices(
     command: str, tmp_path: Path
 ) -> None:
-    """A target chooses how it divides, multiplies and shifts, by macros; these are all combinations."""
+    """A target chooses how it divides, multiplies and shifts, by macros; these are all combinations.
+
+    -Werror is among the WARNINGS of CMakePresets.json, so that run() raises for a warning.
+    """
     compiler, *flags = command.split()
-    require(compiler, compiler)
+    require(compiler, packages=compiler)
+    assert "-Werror" in WARNINGS
     for divide, split_multiply, shift_bytes, has_clz in product(range(1, 4), range(2), range(2), range(2)):
         definitions = [
             f"-DMCP_ASDF_DIVIDE={divide}",

@@ -94,7 +94,8 @@ def bus_with_five_neighbours() -> str:
     lines = ""
     for sender in range(5):
         x_hat = 7_549_747 + 999 * sender  # 0.9 in units of 2^-23, and a bit more
-        frame = encode_estimate(Estimate(sender, x_hat, alpha=0x8000000A, transfer_id=0), FrameFormat())
+        alpha = 0x8000000A  # 512: a mantissa of 2^23, shifted by 10, in units of 2^-24
+        frame = encode_estimate(Estimate(sender, x_hat, alpha, transfer_id=0), FrameFormat())
         lines += f"T{frame.arbitration_id:08X}8{frame.data.hex().upper()}\\r"
     return REPLACED_BUS.format(lines=lines)
 
@@ -134,8 +135,8 @@ def test_the_sensor_of_the_khepera_prints_the_mean_of_each_line(
 ) -> None:
     """The sensor is a C program of docs/platforms/khepera.md, which prints the mean of two readings.
 
-    In the place of its maker's library is one that reads a file, with two readings in each line. The third
-    line stands for a failure, for which the program prints -1.
+    In the place of its maker's library is one that reads the file "ground", with two readings in each line.
+    The mean is rounded down. The third line stands for a failure, for which the program prints -1.
     """
     (tmp_path / "ground").write_text("200 300\n1000 1023\n-1 0\n")
     program = KHEPERA_SENSOR.replace("#include <khepera/khepera.h>", STAND_IN_FOR_LIBRARY)

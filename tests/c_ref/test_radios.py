@@ -43,7 +43,8 @@ class RadioRobot:
         """Return the message that the robot broadcasts now."""
         self.library.radio_broadcast(self.robot.memory)
         length = ctypes.c_size_t.in_dll(self.library, "air_sent_length").value
-        return bytes((ctypes.c_uint8 * 64).in_dll(self.library, "air_sent_data"))[:length]
+        whole_buffer = bytes((ctypes.c_uint8 * 64).in_dll(self.library, "air_sent_data"))
+        return whole_buffer[:length]
 
     def receive(self, *messages: bytes) -> None:
         """Bring messages to the radio, then let the robot receive them."""
@@ -91,7 +92,7 @@ def test_the_robot_broadcasts_the_same_bytes_as_the_robot_in_python(radio_robot:
         robot_in_python.step(Observation(is_black))
 
         x_hat, alpha = robot_in_python.x_hat_raw, robot_in_python.alpha_raw
-        expected_message = message_of(Estimate(ROBOT_ID, x_hat, alpha, message_number))
+        expected_message = message_of(Estimate(ROBOT_ID, x_hat, alpha, transfer_id=message_number))
         assert radio_robot.broadcast() == expected_message
 
 
@@ -114,15 +115,18 @@ def test_the_robot_receives_the_messages_of_two_others(radio_robot: RadioRobot) 
     assert radio_robot.beta() == robot_in_python.beta_raw
 
 
+MESSAGE_OF_ROBOT_1 = message_of(Estimate(sender=1, x_hat=0, alpha=ALPHA, transfer_id=0))
+
+
 @pytest.mark.parametrize(
     "message",
     [
         pytest.param(b"", id="empty"),
-        pytest.param(message_of(Estimate(1, 0, ALPHA, 0))[:-1], id="too short"),
-        pytest.param(message_of(Estimate(1, 0, ALPHA, 0)) + b"\0", id="too long"),
+        pytest.param(MESSAGE_OF_ROBOT_1[:-1], id="too short"),
+        pytest.param(MESSAGE_OF_ROBOT_1 + b"\0", id="too long"),
         pytest.param(b"\xff" * 9, id="not an estimate"),
-        pytest.param(b"\x80" + message_of(Estimate(0, 0, ALPHA, 0))[1:], id="no such id"),
-        pytest.param(message_of(Estimate(ROBOT_ID, 0, ALPHA, 0)), id="its own id"),
+        pytest.param(bytes([128]) + MESSAGE_OF_ROBOT_1[1:], id="no such id"),
+        pytest.param(bytes([ROBOT_ID]) + MESSAGE_OF_ROBOT_1[1:], id="its own id"),
     ],
 )
 def test_the_robot_ignores_what_is_no_message_of_another_robot(
@@ -139,8 +143,10 @@ def test_the_robot_loses_only_messages_that_find_the_queue_full(radio_robot: Rad
 
     beta is the sum of the confidences in those that it has received, of 100 units of 2**24 each.
     """
-    senders = range(10, 35)
-    messages = [message_of(Estimate(sender, 2**22, ALPHA, 0)) for sender in senders]
+    twenty_five_senders, half = range(10, 35), 2**22
+    messages = [
+        message_of(Estimate(sender, x_hat=half, alpha=ALPHA, transfer_id=0)) for sender in twenty_five_senders
+    ]
 
     radio_robot.receive(*messages)
     radio_robot.robot.step(True)
@@ -152,10 +158,10 @@ def test_the_robot_loses_only_messages_that_find_the_queue_full(radio_robot: Rad
 @pytest.mark.parametrize("radio_robot", ["crazyflie"], indirect=True)
 def test_a_crazyflie_ignores_messages_to_another_port(radio_robot: RadioRobot) -> None:
     """A message is delivered to port 3. beta is the sum of confidences in those that it has received."""
-    another_port = 3
+    another_port, half = 3, 2**22
     ctypes.c_uint8.in_dll(radio_robot.library, "air_port").value = another_port
 
-    radio_robot.receive(message_of(Estimate(1, 2**22, ALPHA, 0)))
+    radio_robot.receive(message_of(Estimate(sender=1, x_hat=half, alpha=ALPHA, transfer_id=0)))
     radio_robot.robot.step(True)
 
     assert radio_robot.beta() == 0

@@ -62,7 +62,7 @@ def start_node(robot_id: int, **parameters: Any) -> Any:
 
 
 def end_round(node: Any) -> None:
-    """Let the node's timer expire."""
+    """Let the node's timer expire: it publishes its estimate, which all nodes receive, and ends its round."""
     [(_, callback)] = node.timers
     callback()
 
@@ -89,10 +89,13 @@ class NodeWithTwin:
         environment.publish(f"/robot_{self.robot_id}/black", Bool(is_black))
         self.twin.observe(Observation(is_black))
 
-    def end_round(self, receiver: MirrorRobot) -> None:
-        """Let both broadcast and end their round; the twin has one receiver."""
+    def end_round(self, other_twin: MirrorRobot) -> None:
+        """Let both broadcast and end their round.
+
+        The other node receives the node's estimate by its topic, and ``other_twin`` the twin's right here.
+        """
         end_round(self.node)
-        receiver.receive_raw(self.robot_id, self.twin.x_hat_raw, self.twin.alpha_raw)
+        other_twin.receive_raw(self.robot_id, self.twin.x_hat_raw, self.twin.alpha_raw)
         self.twin.settle()
 
 
@@ -105,18 +108,18 @@ def start_with_twin(robot_id: int) -> NodeWithTwin:
 def test_two_nodes_compute_the_same_bits_as_two_robots_in_python() -> None:
     """In three rounds each receives the other's estimate when the round of the other ends.
 
-    So node 2 receives what node 1 has sent in the same round, and node 1 what node 2 has sent in the last.
+    Nodes exchange estimates by a topic of the stub of ROS, and the robots in Python, their twins, directly.
     """
     first, second = start_with_twin(robot_id=1), start_with_twin(robot_id=2)
     for first_sees_black, second_sees_black in [(True, False), (True, True), (False, True)]:
         first.observe(first_sees_black)
         second.observe(second_sees_black)
-        first.end_round(receiver=second.twin)
-        second.end_round(receiver=first.twin)
+        first.end_round(other_twin=second.twin)
+        second.end_round(other_twin=first.twin)
 
     assert first.node.robot.state() == first.twin.state()
     assert second.node.robot.state() == second.twin.state()
-    assert first.node.robot.counters.accepted == 3
+    assert first.node.robot.counters.accepted == 3, "estimates, one in each round"
 
 
 def test_a_node_publishes_its_state_after_each_round() -> None:
@@ -203,7 +206,10 @@ def test_ros_reads_the_name_of_each_filter_as_it_stands() -> None:
 def test_a_node_does_not_start_with_a_wrong_parameter(
     parameters: dict[str, Any], message: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Its program prints what is wrong, and ends with the code 1, before rclpy.spin would run the node."""
+    """Its program prints what is wrong, and ends with the code 1.
+
+    A stub of rclpy gives the node its parameters, and lists in ``spun_nodes`` the nodes that it has run.
+    """
     environment.parameters = parameters
 
     exit_code = ROBOT_NODE.main()
@@ -214,8 +220,13 @@ def test_a_node_does_not_start_with_a_wrong_parameter(
 
 
 def test_a_node_runs_until_ctrl_c() -> None:
-    """The stub of rclpy.spin, which runs a node, raises KeyboardInterrupt at once; that is no failure."""
-    assert ROBOT_NODE.main() == 0
+    """The stub of rclpy.spin, which runs a node, raises KeyboardInterrupt at once; that is no failure.
+
+    It lists the node in ``spun_nodes``.
+    """
+    exit_code = ROBOT_NODE.main()
+
+    assert exit_code == 0
     assert len(rclpy.spun_nodes) == 1
 
 

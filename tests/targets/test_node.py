@@ -299,7 +299,7 @@ def heartbeats_in(frames: list[can.Message]) -> list[Heartbeat]:
 def test_a_node_repeats_its_first_heartbeat_each_second_until_it_is_commanded(
     start_node: StartNode, bus: UnixBus
 ) -> None:
-    """It is commanded when it has sent its first heartbeat twice. Then it is silent for more than a second."""
+    """It is commanded when it has sent its first heartbeat twice. Then it is silent for over a second."""
     start_node("--lockstep")
     start_time = time.monotonic()
     while bus.greeting_count < 2:
