@@ -16,7 +16,8 @@ def cost_of(graph: Graph, places: dict[int, str], bounds: dict[str, Bound]) -> i
     source an instruction comes from, such as "a.c:7", if that is the line of a loop. ``bounds`` says how
     often the loop of a line turns.
     """
-    return LongestPath(graph, dict.fromkeys(graph, 1), places, bounds).cost(0)
+    cost_by_instruction = dict.fromkeys(graph, 1)
+    return LongestPath(graph, cost_by_instruction, places, bounds).cost(0)
 
 
 def test_bounds_are_read_from_the_comments_beside_loops(tmp_path: Path) -> None:
@@ -49,14 +50,14 @@ def test_a_loop_that_is_left_at_its_end_counts_as_often_as_it_turns() -> None:
     """Instruction 2 goes back to 1 or leaves the loop, so ten turns are 20 instructions."""
     graph = {0: [1], 1: [2], 2: [1, 3], 3: []}
     before, after = 1, 1
-    assert cost_of(graph, {2: "a.c:7"}, TEN_TURNS) == before + 10 * 2 + after
+    assert cost_of(graph, places={2: "a.c:7"}, bounds=TEN_TURNS) == before + 10 * 2 + after
 
 
 def test_a_loop_that_is_left_at_its_beginning_tests_once_more_than_it_turns() -> None:
     """Instruction 1 is the test, which goes on to 2 or leaves the loop."""
     graph = {0: [1], 1: [2, 3], 2: [1], 3: []}
     before, last_test, after = 1, 1, 1
-    assert cost_of(graph, {1: "a.c:7"}, TEN_TURNS) == before + 10 * 2 + last_test + after
+    assert cost_of(graph, places={1: "a.c:7"}, bounds=TEN_TURNS) == before + 10 * 2 + last_test + after
 
 
 NESTED_LOOPS = {0: [1], 1: [2], 2: [2, 3], 3: [1, 4], 4: []}
@@ -82,7 +83,7 @@ def test_a_loop_with_two_entries_is_bounded_by_turns_that_come_to_both() -> None
     """The bound is less tight there. Instruction 0 jumps to either of the loop's instructions 1 and 2."""
     graph = {0: [1, 2], 1: [2, 3], 2: [1], 3: []}
 
-    cost = cost_of(graph, {1: "a.c:7", 2: "a.c:7"}, TEN_TURNS)
+    cost = cost_of(graph, places={1: "a.c:7", 2: "a.c:7"}, bounds=TEN_TURNS)
 
     before, last_test, after = 1, 1, 1
     longest_walk = before + 10 * 2 + last_test + after

@@ -36,9 +36,9 @@ def test_docs_robust_study_csv_has_every_case_with_each_of_three_filters() -> No
     assert sorted(rows) == sorted(expected_rows)
 
 
-def rows_like(rows: Iterable[Row], **values: str) -> list[Row]:
+def rows_with(rows: Iterable[Row], **value_by_column: str) -> list[Row]:
     """Return the rows of a table that have these values in these columns."""
-    return [row for row in rows if values.items() <= row.items()]
+    return [row for row in rows if all(row[column] == value for column, value in value_by_column.items())]
 
 
 @pytest.mark.slow
@@ -49,16 +49,22 @@ def test_a_case_that_is_simulated_again_gives_its_rows_of_docs_robust_study_csv(
 ) -> None:
     """A case is a kind of swarm and a flaw of some sensors. It has a row for each of three filters."""
     [case] = [case for case in ALL_CASES if (case.name, case.flaw) == (name, flaw)]
+    expected_rows = rows_with(read_rows(STUDY), case=name, flaw=flaw)
+
     results = run_case(compile_judge(tmp_path), case, case.trials)
-    assert list(rows_of(case, results)) == rows_like(read_rows(STUDY), case=name, flaw=flaw)
+
+    assert list(rows_of(case, results)) == expected_rows
 
 
-def cells_of_page(first_line: str) -> list[list[str]]:
-    """Return the cells of a table of docs/internals/robust.md, row by row, without its titles."""
+def cells_of_page(beginning: str) -> list[list[str]]:
+    """Return the cells of a table of docs/internals/robust.md, row by row, without its titles.
+
+    ``beginning`` is the line before the table, or the beginning of its titles.
+    """
     page = (ROOT / "docs/internals/robust.md").read_text(encoding="utf-8")
-    _before, _first_line, after = page.partition(first_line)
-    table = after.partition("\n\n")[0].removesuffix("\n<!-- end -->")
-    _rest_of_titles, _rule, *lines = table.splitlines()  # titles begin in the first line
+    _before, _beginning, after = page.partition(beginning)
+    table, _, _ = after.partition("\n\n")
+    _titles, _rule, *lines = table.removesuffix("\n<!-- end -->").splitlines()
     return [[cell.strip() for cell in line.strip("|").split("|")] for line in lines]
 
 
@@ -70,7 +76,7 @@ def test_docs_internals_robust_md_shows_errors_of_ten_cases_as_docs_robust_study
 
     for case, flaw, *shown_errors in shown_rows:
         for filter_name, shown_error in zip(("none", "asdf-minus", "robust"), shown_errors, strict=True):
-            [row] = rows_like(rows, case=case, flaw=flaw, filter=filter_name)
+            [row] = rows_with(rows, case=case, flaw=flaw, filter=filter_name)
             error = float(row["error"])
             half_of_last_decimal = 0.0005 if error >= 0.0095 else 0.00005
             allowed = 1.02 * half_of_last_decimal  # a little more, as the table's errors are rounded, too
@@ -84,10 +90,14 @@ def test_docs_internals_robust_md_shows_errors_of_ten_cases_as_docs_robust_study
 def test_the_changes_of_each_variant_of_the_filter_can_still_be_made_to_the_firmware(
     variant: str, tmp_path: Path
 ) -> None:
-    """A variant is the firmware with some lines replaced, as was considered when the filter was made."""
+    """A variant is the firmware with some lines replaced, as was considered when the filter was made.
+
+    write_variant() raises if one of the lines is not there any more.
+    """
     write_variant(CORE, tmp_path, variant)
+
     is_changed = [path.read_bytes() != (CORE / path.name).read_bytes() for path in tmp_path.iterdir()]
-    assert any(is_changed)
+    assert any(is_changed), "files"
 
 
 def test_docs_robust_variants_csv_has_every_case_with_each_variant_of_the_filter() -> None:
@@ -112,23 +122,27 @@ def test_a_variant_that_is_simulated_again_gives_its_row_of_docs_robust_variants
     results = run_case(simulator, case, case.trials, ["robust"])
 
     rows = rows_of(case, results, labels={"robust": variant})
-    assert list(rows) == rows_like(read_rows(VARIANT_STUDY), case=case.name, flaw=case.flaw, filter=variant)
+    assert list(rows) == rows_with(read_rows(VARIANT_STUDY), case=case.name, flaw=case.flaw, filter=variant)
 
 
-def test_docs_internals_robust_md_compares_each_variant_with_the_filter_by_figures_of_the_tables() -> None:
-    """A row has a variant, a case, a quantity, and two values: with the filter as it is and with the variant.
+COLUMN_OF_QUANTITY = {"harmed, %": "harmed", "error": "error"}
+"""Columns of both CSV files, by the names of the quantities on the page."""
 
-    They have two digits. A case is a kind of swarm and a flaw, such as "ring, .3 flawed, overconfident".
+
+def test_docs_internals_robust_md_shows_values_of_each_variant_as_the_csv_files_have_them() -> None:
+    """A row of the page's table compares a variant with the robust filter in one quantity of one case.
+
+    It has a value with the filter and one with the variant, both of two digits. The case ends with a flaw,
+    such as "ring, .3 flawed, overconfident".
     """
     rows = [*read_rows(STUDY), *read_rows(VARIANT_STUDY)]
-    columns = {"harmed, %": "harmed", "error": "error"}
     shown_rows = cells_of_page("<!-- variants -->\n")
     assert {variant for variant, *_ in shown_rows} == set(VARIANTS)
 
-    for variant, case_and_flaw, quantity, value_as_it_is, value_of_variant in shown_rows:
-        case, _, flaw = case_and_flaw.rpartition(", ")
-        [row_as_it_is] = rows_like(rows, case=case, flaw=flaw, filter="robust")
-        [row_of_variant] = rows_like(rows, case=case, flaw=flaw, filter=variant)
-        column = columns[quantity]
-        assert value_as_it_is == f"{float(row_as_it_is[column]):.2g}"
+    for variant, case_and_flaw, quantity, value_of_filter, value_of_variant in shown_rows:
+        case, flaw = case_and_flaw.rsplit(", ", maxsplit=1)
+        [row_of_filter] = rows_with(rows, case=case, flaw=flaw, filter="robust")
+        [row_of_variant] = rows_with(rows, case=case, flaw=flaw, filter=variant)
+        column = COLUMN_OF_QUANTITY[quantity]
+        assert value_of_filter == f"{float(row_of_filter[column]):.2g}"
         assert value_of_variant == f"{float(row_of_variant[column]):.2g}"
