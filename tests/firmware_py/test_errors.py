@@ -64,11 +64,13 @@ def make_robot_with_memory(firmware: Firmware) -> Robot:
 
 # design: R5
 @for_every_firmware
-@pytest.mark.parametrize("sender", [OWN_ID, 128, -1, 256 + 4])
+@pytest.mark.parametrize("sender", [OWN_ID, 128, -1, 256 + 4])  # the last is 4 in a byte of C
 def test_a_message_of_an_invalid_sender_is_rejected(firmware: Firmware, sender: int) -> None:
     """Ids are 0 to 127, and a robot receives no message of its own. The error names the sender."""
+    robot = make_robot(firmware)
+
     with pytest.raises(FirmwareError, match=f"sender is {sender};") as error:
-        make_robot(firmware).receive(sender, x_hat=0.5, alpha=1.0)
+        robot.receive(sender, x_hat=0.5, alpha=1.0)
 
     assert error.value.status == Status.ERR_SENDER
 
@@ -84,8 +86,10 @@ def test_the_smallest_and_the_largest_id_may_send(firmware: Firmware, sender: in
 @pytest.mark.parametrize("x_hat", [ABOVE_1, BELOW_0, math.nan, math.inf])
 def test_a_message_with_an_estimate_beyond_0_and_1_is_rejected(firmware: Firmware, x_hat: float) -> None:
     """x_hat is the share of black tiles that the sender estimates. The error names it."""
+    robot = make_robot(firmware)
+
     with pytest.raises(FirmwareError, match=re.escape(f"x_hat is {x_hat};")) as error:
-        make_robot(firmware).receive(sender=1, x_hat=x_hat, alpha=1.0)
+        robot.receive(sender=1, x_hat=x_hat, alpha=1.0)
 
     assert error.value.status == Status.ERR_X_HAT
 
@@ -204,7 +208,7 @@ def test_messages_in_an_array_are_received_in_order(firmware: FixedPointFirmware
 def test_an_array_of_another_type_shape_or_order_is_refused(
     firmware: FixedPointFirmware, array: np.ndarray[Any, Any]
 ) -> None:
-    """It would have to have 32 unsigned bits, three columns, and its rows one after the other in memory."""
+    """An array of messages has three columns of 32 unsigned bits, and its rows follow in order in memory."""
     robot = firmware(NO_FILTER, OWN_ID, b_hat=0.7)
 
     with pytest.raises(ValueError, match="give a C-contiguous one"):
@@ -457,8 +461,9 @@ def status_of_init(firmware: Firmware, **settings: Any) -> Status:
     try:
         firmware(config, robot_id, b_hat)
     except FirmwareError as error:
-        value = {Status.ERR_ID: robot_id, Status.ERR_B_HAT: b_hat}.get(error.status, error.status.name)
-        assert str(value) in str(error)
+        wrong_values = {Status.ERR_ID: robot_id, Status.ERR_B_HAT: b_hat}
+        value_or_status = wrong_values.get(error.status, error.status.name)
+        assert str(value_or_status) in str(error)
         return error.status
     return Status.OK
 
@@ -512,7 +517,10 @@ def test_filters_without_a_hypothesis_test_ignore_the_table(firmware: Firmware, 
 
 # design: R28
 def test_a_table_with_any_flipped_bit_is_refused() -> None:
-    """A table is words of 32 bits, of which the last one is a checksum."""
+    """A table has the limits of a robot's test of its accuracy. It is words of 32 bits, the last a checksum.
+
+    With a damaged table a robot would keep a wrong accuracy, or replace a right one.
+    """
     words = VALID_TABLE.words()
     for index in range(len(words)):
         for bit in range(32):
@@ -538,5 +546,6 @@ def test_a_table_whose_first_word_is_wrong_is_refused_although_its_checksum_is_r
     """The first word of a table is "MCT" and the number of its entries, here 3."""
     _right_first_word, *others, _right_checksum = VALID_TABLE.words()
     words = (first_word, *others)
+    new_checksum = checksum(words)
     with pytest.raises(TableError):
-        Table.from_words((*words, checksum(words)))
+        Table.from_words((*words, new_checksum))

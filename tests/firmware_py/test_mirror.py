@@ -14,6 +14,7 @@ LEAST_INFORMATIVE_X_BAR = Q32_HALF + INFORMATIVE_G // 2
 
 
 def test_a_robot_re_estimates_its_accuracy_from_the_mean_nearest_to_a_half_that_says_something() -> None:
+    """Where the neighbours' mean x_bar is nearer to a half, ``reestimate`` returns None in place of b_hat."""
     assert reestimate(t=10, n=5, x_bar=LEAST_INFORMATIVE_X_BAR) is not None
     assert reestimate(t=10, n=5, x_bar=LEAST_INFORMATIVE_X_BAR - 1) is None
 
@@ -27,12 +28,16 @@ def test_the_limit_for_means_below_a_half_is_two_units_further_from_it() -> None
 
 
 def test_an_accuracy_is_damaged_if_a_value_kept_with_it_does_not_follow_from_it() -> None:
-    """Kept are numbers that are computed from an accuracy, such as ``rare``, so as not to divide so often."""
-    three_quarters = Q32_HALF + Q32_HALF // 2
+    """With an accuracy a robot keeps numbers that follow from it, such as ``rare``, so that it divides less.
+
+    A bit that flips in one of them would change what the robot computes.
+    """
+    three_quarters = 3 * Q32_HALF // 2
     accuracy = accuracy_of(three_quarters)
     assert is_valid_accuracy(accuracy)
 
-    assert not is_valid_accuracy(replace(accuracy, rare=accuracy.rare + 1))
+    damaged_accuracy = replace(accuracy, rare=accuracy.rare + 1)
+    assert not is_valid_accuracy(damaged_accuracy)
 
 
 def test_an_accuracy_below_the_least_one_is_damaged() -> None:

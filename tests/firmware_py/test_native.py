@@ -106,15 +106,17 @@ def test_an_accuracy_carries_no_information_at_the_same_limit_in_integers_and_in
 
 
 def overwrite_freed_memory() -> None:
-    """Allocate and free arrays of the size of a table, which take the place of memory that was freed."""
+    """Allocate and free arrays of about a table's size, which take the place of memory that was freed."""
     gc.collect()
-    _ = [ffi.new("uint32_t[]", [0xAAAAAAAA] * 40) for _ in range(1000)]
+    words_of_a_table = 40
+    _ = [ffi.new("uint32_t[]", [0xAAAAAAAA] * words_of_a_table) for _ in range(1000)]
 
 
 def test_the_settings_of_a_c_robot_are_not_freed_while_it_lives() -> None:
     """The C robot has a pointer to them, which Python's garbage collector does not see."""
-    # A copy of the table, to which nothing else refers.
-    robot = NativeRobot(Config(replace(TABLE), filter_period=7), OWN_ID, b_hat=0.8)
+    copy_of_table = replace(TABLE)  # to which only the robot refers, once the name is deleted
+    robot = NativeRobot(Config(copy_of_table, filter_period=7), OWN_ID, b_hat=0.8)
+    del copy_of_table
 
     overwrite_freed_memory()
 

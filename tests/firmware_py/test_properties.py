@@ -236,7 +236,8 @@ def test_all_neighbours_and_the_robot_itself_vote_equally_often(
     A neighbour has one of 32 slots; a robot has confidence, and votes, if it has observed a tile. After the
     vote of slot i the turn is i + 1, and after the robot's own vote it is 0.
     """
-    slots = slots | {(turn - 1) % 32}  # the one that voted last
+    slot_that_voted_last = (turn - 1) % 32
+    slots = slots | {slot_that_voted_last}
     bits_of_slots = sum(1 << slot for slot in slots)
     t = 1 if has_confidence else 0
     robot = restore_robust_robot(firmware, t=t, filled_slots=bits_of_slots, turn=turn, votes=1)
@@ -264,10 +265,13 @@ def make_calls(robot: FixedPoint, calls: list[RobotCall]) -> None:
 @pytest.mark.parametrize("mode", [Filter.ROBUST, *slow([Filter.ALWAYS])])
 @thorough
 @given(calls=call_lists)
-def test_no_sequence_of_calls_makes_a_robot_take_itself_for_damaged(
+def test_a_robot_finds_its_memory_undamaged_after_every_sequence_of_calls(
     firmware: FixedPointFirmware, mode: Filter, calls: list[RobotCall]
 ) -> None:
-    """Property I11: ``holds_invariants`` says whether calls alone could have led to the robot's memory."""
+    """``holds_invariants`` says whether calls alone could have led to what the robot remembers.
+
+    They have here. This is property I11 of docs/internals/properties.md.
+    """
     robot = firmware(Config(filter=mode, filter_period=1, memory=64), OWN_ID, b_hat=0.75)
 
     make_calls(robot, calls)
@@ -282,7 +286,7 @@ def test_no_sequence_of_calls_makes_a_robot_take_itself_for_damaged(
 def test_a_restored_robot_is_the_saved_one(
     firmware: FixedPointFirmware, mode: Filter, calls: list[RobotCall]
 ) -> None:
-    """Property I17: whatever calls a robot had, the robot that is restored from it has the same memory."""
+    """Whatever calls a robot had, the robot that is restored from it has the same memory (property I17)."""
     config = Config(filter=mode, filter_period=1, memory=64)
     robot = firmware(config, OWN_ID, b_hat=0.75)
     make_calls(robot, calls)
@@ -298,7 +302,7 @@ def test_a_restored_robot_is_the_saved_one(
 def test_the_python_and_the_c_robot_are_equal_after_every_sequence_of_calls(
     mode: Filter, calls: list[RobotCall]
 ) -> None:
-    """Property I23: they agree in every number that they remember."""
+    """They agree in every number that they remember (property I23)."""
     config = Config(filter=mode, filter_period=1, memory=64)
     python_robot = MirrorRobot(config, OWN_ID, b_hat=0.75)
     c_robot = NativeRobot(config, OWN_ID, b_hat=0.75)

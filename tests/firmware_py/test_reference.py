@@ -62,9 +62,10 @@ def robot_arguments(data: dict[str, Any]) -> Iterator[tuple[Config, int, float]]
     robot_count = data["num_robots"]
     for robot_id in range(robot_count):
         is_flawed = robot_id >= robot_count - data["flawed_count"]
-        has_filter = is_flawed or data["mode"] == "asdf_plus"
-        config = Config(None, Filter.ADAPTIVE if has_filter else Filter.OFF, data["tau"])
-        yield config, robot_id, data["flawed_b" if is_flawed else "true_b"]
+        has_filter = is_flawed or data["mode"] == "asdf_plus"  # and not only the flawed robots
+        robot_filter = Filter.ADAPTIVE if has_filter else Filter.OFF
+        b_hat = data["flawed_b"] if is_flawed else data["true_b"]
+        yield Config(table=None, filter=robot_filter, filter_period=data["tau"]), robot_id, b_hat
 
 
 def repeat_run_and_compare(
@@ -109,19 +110,23 @@ AUTHORS_PAPER_DOF = replace(AUTHORS, lost_degrees=1)
 
 @pytest.mark.parametrize("name", [TRACE_A, TRACE_B])
 def test_what_robots_observe_in_a_recorded_run_of_the_authors_follows_from_its_seed(name: str) -> None:
-    """So the recording can be made again, as tests/data/README.md says."""
+    """numpy's generator draws it again, so the recording can be repeated, as tests/data/README.md says.
+
+    It draws the colours of all tiles first, and then which observations are right.
+    """
     data = load_trace(name)
     generator = np.random.Generator(np.random.PCG64(data["seed"]))
-    shape = data["observations"].shape
+    robots_and_steps = data["observations"].shape
 
-    is_tile_black = generator.random(shape) < data["fill_ratio"]
-    is_sensor_right = generator.random(shape) < data["true_b"]
+    is_tile_black = generator.random(robots_and_steps) < data["fill_ratio"]
+    is_sensor_right = generator.random(robots_and_steps) < data["true_b"]
 
-    assert np.array_equal(is_tile_black == is_sensor_right, data["observations"])
+    is_observed_black = np.where(is_sensor_right, is_tile_black, ~is_tile_black)
+    assert np.array_equal(is_observed_black, data["observations"])
 
 
 def test_robots_compute_what_the_authors_programs_did_until_the_first_filter() -> None:
-    """Every number is compared in each step. The filter of each robot runs after 1000 of them.
+    """repeat_run_and_compare() compares every number in each step. Filters run after 1000 of them.
 
     Until then the paper and the authors' programs agree on everything.
     """
@@ -146,15 +151,17 @@ def test_robots_compute_what_the_authors_programs_did_until_the_first_filter() -
 def test_robots_compute_every_number_that_the_authors_programs_recorded(
     name: str, block: str, conventions: Conventions
 ) -> None:
-    """They are compared in each step. In the end updates and black tiles are counted, too.
+    """repeat_run_and_compare() compares them in each step. In the end updates and black tiles are, too.
 
-    ``block`` is the part of the recording that was made with m or m - 1 degrees of freedom.
+    A recording has a block computed with m degrees of freedom of the t-score, as the authors' programs have
+    them, and one with m - 1, as the paper has. ``conventions`` are those of the robots that repeat it.
     """
     data = load_trace(name)
+    recorded = data["out"][block]
 
     robots = repeat_run_and_compare(data, block, conventions, data["steps"])
 
-    assert sum(robot.counters.updates for robot in robots) == data["out"][block]["filter_updates"]
+    assert sum(robot.counters.updates for robot in robots) == recorded["filter_updates"]
     assert [robot.n for robot in robots] == data["n_final"], "the observations were decoded wrongly"
 
 
@@ -240,6 +247,7 @@ HALF, THREE_QUARTERS = Fraction(1, 2), Fraction(3, 4)
 @pytest.mark.parametrize(
     ("equation", "arguments", "expected"),
     [
+        # Counts are n and t; then comes an accuracy, or what the neighbours estimate.
         (local_estimate, (1, 2, THREE_QUARTERS), HALF),
         (local_estimate, (1, 2, HALF), HALF),
         (local_confidence, (0, 0, THREE_QUARTERS), 0),
@@ -396,12 +404,16 @@ def test_the_neighbours_confidence_is_the_rounded_sum_of_their_confidences() -> 
 
 
 def test_robots_that_all_receive_each_other_s_estimates_believe_the_same_to_the_last_bit() -> None:
-    """Each has another one of the estimates as its own, and receives the others in another order."""
+    """Each has another one of the estimates as its own, and receives the others in another order.
+
+    ``informed_estimate`` computes from them what a robot believes.
+    """
     rng = random.Random(0)
     for _ in range(100):
         estimates = draw_estimates(rng)
         own, *others = estimates
-        own_of_another, *others_of_another = rng.sample(estimates, len(estimates))
+        shuffled_estimates = rng.sample(estimates, len(estimates))
+        own_of_another, *others_of_another = shuffled_estimates
 
         assert informed_estimate(own, others) == informed_estimate(own_of_another, others_of_another)
 
@@ -620,29 +632,35 @@ def test_the_authors_robots_update_where_a_deviation_equals_its_limit() -> None:
     observe_tiles(robot, black=1, white=0)
     receive_estimates(robot, 1.0, 1.0, 1.0)
 
-    assert robot.settle() == Status.UPDATED
+    status = robot.settle()  # ends the round, in which the filter runs
 
+    assert status == Status.UPDATED
     assert robot.b_hat == 1 - 1e-6
 
 
-@pytest.mark.parametrize(("omega", "status"), [(0.05, Status.UPDATED), (0.9, Status.OK)])
+@pytest.mark.parametrize(("omega", "status_of_round"), [(0.05, Status.UPDATED), (0.9, Status.OK)])
 @pytest.mark.parametrize("is_in_table", [True, False])
 def test_omega_comes_from_the_table_or_is_given_beside_it(
-    is_in_table: bool, omega: float, status: Status
+    is_in_table: bool, omega: float, status_of_round: Status
 ) -> None:
     """omega decides how much a robot may deviate from its neighbours before it updates its accuracy.
 
-    This one deviates by 2.1 of their standard deviations; the limit is 1.06 of them, or 5.5 for omega = 0.9.
+    The neighbours' mean is 0.85, and their standard deviation 0.0707. So the robot's own estimate, 1,
+    deviates by 2.1 of it. The limit is t / sqrt(2) + 1 of it (eq. 12), where t is 0.079 for the omega 0.05
+    and 6.3 for 0.9: 1.06 or 5.5.
     """
     if is_in_table:
-        table = replace(TABLE, omega_word=int(omega * 2**32))
-        robot = ReferenceRobot(Config(table, filter_period=1), OWN_ID, b_hat=0.75)
+        omega_word = int(omega * 2**32)  # a table has omega in units of 2**-32
+        config = Config(replace(TABLE, omega_word=omega_word), filter_period=1)
+        robot = ReferenceRobot(config, OWN_ID, b_hat=0.75)
     else:
         robot = ReferenceRobot(Config(filter_period=1), OWN_ID, b_hat=0.75, omega=omega)
-    observe_tiles(robot, black=1, white=0)  # the robot's own estimate is 1
+    observe_tiles(robot, black=1, white=0)
     receive_estimates(robot, 0.8, 0.9)
 
-    assert robot.settle() == status
+    status = robot.settle()  # ends the round, in which the filter runs
+
+    assert status == status_of_round
 
 
 def test_a_missing_scipy_is_noticed_when_the_robot_is_made(monkeypatch: pytest.MonkeyPatch) -> None:

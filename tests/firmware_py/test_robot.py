@@ -65,7 +65,10 @@ def test_a_new_robot_has_its_id_its_accuracy_and_counts_of_zero(firmware: Firmwa
 
 @for_every_firmware
 def test_repr_shows_what_a_robot_has_counted_and_what_it_estimates(firmware: Firmware) -> None:
-    """Its sensor is right in 3 of 4 cases. So 3 black of 4 tiles mean to it that all are black."""
+    """Its sensor is right in 3 of 4 cases. So 3 black of 4 tiles mean to it that all are black.
+
+    Its confidence alpha is then 16/3 by eq. 4 of the paper.
+    """
     robot = make_robot(firmware, b_hat=0.75)
 
     observe_tiles(robot, black=3, white=1)
@@ -163,8 +166,8 @@ def test_a_counter_begins_at_0_again_after_65535(firmware: Firmware) -> None:
         (Filter.ADAPTIVE, (0.5, 0.5), 1, 0),  # contradict it, but 1/2 says nothing about its accuracy
         (Filter.ALWAYS, (), 0, 0),
         (Filter.ALWAYS, (0.9,), 0, 1),
-        (Filter.ALWAYS, (0.25, 0.7502), 0, 0),  # their mean is too near to 1/2 to say anything
-        (Filter.ALWAYS, (0.25, 0.7503), 0, 1),
+        (Filter.ALWAYS, (0.25, 0.7502), 0, 0),  # their mean is nearer to 1/2 than 2**-13, 0.00012
+        (Filter.ALWAYS, (0.25, 0.7503), 0, 1),  # their mean, 0.50015, is not
         (Filter.ALWAYS, (1.0, 1.0, 1.0), 0, 1),
         (Filter.OFF, (0.1, 0.1, 0.1), 0, 0),
     ],

@@ -133,9 +133,9 @@ def test_an_estimate_is_rounded_to_the_nearest_that_a_slot_can_hold(
 def test_a_neighbour_without_confidence_is_accepted_but_not_remembered(
     firmware: FixedPointFirmware, alpha_word: int
 ) -> None:
-    """An alpha word is a confidence as a mantissa, here 0, above 8 bits of a shift, which then says nothing.
+    """A confidence is a word: a mantissa above 8 bits of a shift. With a mantissa of 0, as here, it is 0.
 
-    The robot counts the message. Its estimate is worth nothing, and has no vote.
+    The robot counts the message, but does not keep its estimate.
     """
     robot = firmware(ROBUST, OWN_ID, b_hat=0.95)
 
@@ -158,7 +158,7 @@ def test_the_robust_filter_does_not_sum_the_estimates_of_a_round(firmware: Fixed
 
     sums = [value for name, value in robot.state().items() if name.startswith(("open_", "closed_"))]
 
-    assert sums == [0] * 9
+    assert sums == [0] * 9, "a robot has nine numbers for them"
     assert robot.beta == 0, "the sum of the neighbours' confidences"
 
 
@@ -166,7 +166,7 @@ def test_the_robust_filter_does_not_sum_the_estimates_of_a_round(firmware: Fixed
 def test_without_the_robust_filter_no_estimates_of_neighbours_are_remembered(
     firmware: FixedPointFirmware,
 ) -> None:
-    """It has 32 slots for estimates: with the robust filter, one for each neighbour."""
+    """Its 32 slots for estimates of neighbours, which only the robust filter needs, stay empty."""
     robot = firmware(Config(filter=Filter.OFF), OWN_ID, b_hat=0.95)
 
     receive_estimates(robot, 0.25, 0.5)
@@ -318,21 +318,24 @@ def test_a_robot_s_own_vote_moves_what_it_believes_towards_what_it_has_seen(
 
 
 @for_fixed_point_firmwares
-@pytest.mark.parametrize("vote", [1.0, 0.75, 0.625, 0.5, 0.375, 0.0])
+@pytest.mark.parametrize(
+    ("vote", "counted_distance"),
+    [(1.0, 1 / 4), (0.75, 1 / 4), (0.625, 1 / 8), (0.5, 0.0), (0.375, -1 / 8), (0.0, -1 / 4)],
+)
 def test_a_vote_far_away_moves_what_the_robot_believes_no_further_than_one_at_a_limit(
-    firmware: FixedPointFirmware, vote: float
+    firmware: FixedPointFirmware, vote: float, counted_distance: float
 ) -> None:
-    """A vote counts an eighth of its distance, and at most an eighth of the spread, which is 1/4 at first.
+    """A vote moves the centre of the votes, 1/2 at first, by an eighth of its distance from there.
 
-    A neighbour that lies as much as it can moves a robot no more than one that is off by a quarter.
+    A longer distance than the spread, 1/4 at first, counts as 1/4. So a neighbour that lies as much as it can
+    moves a robot no more than one that is off by a quarter.
     """
     robot = firmware(ROBUST, OWN_ID, b_hat=0.95)
     receive_estimates(robot, vote)
 
     robot.settle()  # the neighbour votes
 
-    limited_distance = min(max(vote - 0.5, -1 / 4), 1 / 4)
-    assert robot.x == 0.5 + limited_distance / 8
+    assert robot.x == 1 / 2 + counted_distance / 8
 
 
 @for_fixed_point_firmwares
@@ -636,9 +639,9 @@ def test_an_estimate_far_away_counts_as_one_at_the_distance_of_the_spread() -> N
 
 def test_the_centre_of_estimates_within_the_spread_is_their_mean() -> None:
     """It is found step by step, and may be wrong by two units of 2**-24."""
-    mean = (256_000 + 512_000 + 1_536_000) / 3
-    centre = huber_centre([256_000, 512_000, 1_536_000], median=512_000, spread=1_280_000)
-    assert centre == pytest.approx(mean, abs=2)
+    estimates = [256_000, 512_000, 1_536_000]
+    centre = huber_centre(estimates, median=512_000, spread=1_280_000)
+    assert centre == pytest.approx(sum(estimates) / 3, abs=2)
 
 
 @pytest.mark.parametrize(("end", "centre"), [(0xFFFF00, 0xFFFF00 - 5000), (0, 5000)])
@@ -677,7 +680,8 @@ def test_a_batch_that_is_off_raises_the_dispersion_by_an_eighth_of_its_ratio(
 ) -> None:
     """The dispersion says how much more batches vary than independent tiles would; it is 1 at first.
 
-    Of 200 tiles so far 80 are black, so of the second batch's 100 it should be 40, with a variance of 24.
+    Of 200 tiles so far 80 are black, so of the second batch's 100 it should be 40, with a variance of
+    100 * 0.4 * 0.6 = 24.
     """
     robot = firmware(ROBUST, OWN_ID, b_hat=0.95)
     dispersion_after_batch(robot, black=50, white=50)
@@ -759,13 +763,18 @@ def test_a_run_of_the_filter_begins_a_new_batch_of_observations(firmware: FixedP
 
 @for_fixed_point_firmwares
 def test_a_new_batch_begins_where_the_robot_halves_its_counts(firmware: FixedPointFirmware) -> None:
-    """It does so after as many observations as its memory holds, to forget old ones."""
+    """It halves t and n after 64 observations here, its memory, to forget old ones.
+
+    A batch is what it has observed since its filter ran, or since then. batch_t and batch_n are the counts at
+    its beginning.
+    """
     robot = firmware(replace(ONLY_VOTES, memory=64), OWN_ID, b_hat=0.95)
 
     observe_tiles(robot, black=40, white=24)
 
     memory = filter_memory(robot)
-    assert robot.t == memory["batch_t"] == 64 // 2
+    assert robot.t == 64 // 2
+    assert memory["batch_t"] == 64 // 2
     assert memory["batch_n"] == 40 // 2
 
 
@@ -776,7 +785,8 @@ def test_a_robot_whose_observations_vary_more_than_chance_forgives_a_larger_devi
 ) -> None:
     """850 of 1000 tiles black instead of 905 are 4.9 standard deviations of independent tiles too few.
 
-    The status is UPDATED where the robot changes its accuracy, and OK where it does not.
+    It forgives 3.5 of them, the root of 12, times the root of the dispersion. The status is UPDATED where the
+    robot changes its accuracy, and OK where it does not.
     """
     counts = {"t": 1000, "n": 850, "batch_t": 1000, "batch_n": 850}
     estimates = [int(0.95 * 2**16)] * 5
@@ -801,11 +811,11 @@ def test_an_image_has_39_words_with_the_robust_filter_and_31_with_another(
 def test_a_saved_robot_has_the_memory_of_its_filter_in_the_documented_order() -> None:
     """An image, a saved robot, has 39 words of 32 bits, of which eight are this memory (docs/design.md).
 
-    In another order, older images could not be restored. Here each member of the memory has another value, to
-    which no calls lead, and is set from outside.
+    In another order, older images could not be restored. The votes and the dispersion share a word.
     """
     robot = MirrorRobot(ROBUST, OWN_ID, b_hat=0.95)
     votes, dispersion = 27, 28
+    # Each member gets a number of its own. No calls lead to these, so they are put into the robot's state.
     robot.s.robust = RobustFilter(
         centre=21,
         spread=22,
@@ -820,7 +830,8 @@ def test_a_saved_robot_has_the_memory_of_its_filter_in_the_documented_order() ->
 
     image = split_image(robot.save())
 
-    assert image.filter_words == [21, 22, 23, 24, 25, 26, dispersion << 16 | votes, 29]
+    shared_word = dispersion << 16 | votes
+    assert image.filter_words == [21, 22, 23, 24, 25, 26, shared_word, 29]
 
 
 # design: R29
@@ -907,7 +918,8 @@ def test_a_robot_with_members_at_an_end_of_their_range_is_restored(
 ) -> None:
     """Each case has members of the robust filter of a saved robot at an end of their range.
 
-    Accuracies are in units of 2**-32, centre and spread in units of 2**-30, the dispersion in units of 2**-8.
+    ``status_of_restore`` has values for the others. Accuracies are in units of 2**-32, centre and spread in
+    units of 2**-30, the dispersion in units of 2**-8.
     """
     assert status_of_restore(firmware, members) == Status.OK
 

@@ -30,17 +30,18 @@ ULP = Fraction(1, 2**53)
 
 
 def test_a_vote_at_the_spread_moves_the_centre_up_and_narrows_the_spread() -> None:
-    """The centre of the votes is at 0.5, and the spread, their usual distance from it, is 0.25.
+    """A vote is what a neighbour estimates. Votes have a running centre, and a spread: their usual distance.
 
-    The centre moves by an eighth of the spread, and the spread shrinks by a sixteenth.
+    They are 0.5 and 0.25. A vote of 0.75 moves the centre by an eighth of the spread, and the spread shrinks
+    by a sixteenth.
     """
-    votes = votes_after(Votes(centre=0.5, spread=0.25, count=0), 0.75)
+    votes = votes_after(Votes(centre=0.5, spread=0.25, count=0), x_hat=0.75)
     assert votes == Votes(centre=0.5 + 0.25 / 8, spread=0.25 - 0.25 / 16, count=1)
 
 
 def test_a_vote_beyond_the_spread_moves_the_centre_by_the_spread_alone_and_widens_the_spread() -> None:
     """The vote, 0.0, is four spreads below the centre, and counts as if it were one spread below."""
-    votes = votes_after(Votes(centre=0.5, spread=0.125, count=0), 0.0)
+    votes = votes_after(Votes(centre=0.5, spread=0.125, count=0), x_hat=0.0)
     assert votes.centre == 0.5 - 0.125 / 8
     assert votes.spread == 0.125 + 0.125 / 16
 
@@ -53,21 +54,24 @@ def test_the_gain_falls_with_the_number_of_votes(count: int, gain: float) -> Non
 
     ``count`` is the number of votes before this one, which is a spread above the centre.
     """
-    votes = votes_after(Votes(centre=0.5, spread=0.25, count=count), 0.75)
+    votes = votes_after(Votes(centre=0.5, spread=0.25, count=count), x_hat=0.75)
     assert votes.centre == 0.5 + 0.25 * gain
     assert votes.spread == 0.25 - 0.25 * gain / 2
 
 
 def test_votes_are_counted_up_to_512() -> None:
     """So the last votes always count something, since the gain falls with their number."""
-    assert votes_after(Votes(centre=0.5, spread=0.25, count=511), 0.5).count == 512
-    assert votes_after(Votes(centre=0.5, spread=0.25, count=512), 0.5).count == 512
+    assert votes_after(Votes(centre=0.5, spread=0.25, count=511), x_hat=0.5).count == 512
+    assert votes_after(Votes(centre=0.5, spread=0.25, count=512), x_hat=0.5).count == 512
 
 
 @pytest.mark.parametrize(("limit", "vote"), [(0.25, 1.0), (2**-12, 0.5)], ids=["largest", "smallest"])
 def test_the_spread_of_votes_stays_within_its_limits(limit: float, vote: float) -> None:
-    """A vote far from the centre, 0.5, would widen a spread of 1/4, and one at the centre narrow 2**-12."""
-    votes = votes_after(Votes(centre=0.5, spread=limit, count=0), vote)
+    """The spread is the usual distance of votes from their centre, here 0.5: at most 1/4, at least 2**-12.
+
+    A vote of 1 would widen the largest spread, and one at the centre narrow the smallest.
+    """
+    votes = votes_after(Votes(centre=0.5, spread=limit, count=0), x_hat=vote)
     assert votes.spread == limit
 
 
@@ -77,7 +81,7 @@ def draw_votes(rng: random.Random) -> Votes[float]:
 
 
 def test_votes_in_float64_are_right_to_the_last_bits() -> None:
-    """The same function computes their centre and spread in exact fractions, to one rounding."""
+    """The same function computes their centre and spread in exact fractions, which differ by a rounding."""
     rng = random.Random(23)
     for _ in range(500):
         before = draw_votes(rng)
@@ -105,7 +109,10 @@ def test_neighbours_vote_in_the_order_of_their_slots_and_the_robot_itself_after_
 
 
 def test_the_robot_s_own_estimate_is_a_vote_like_the_others() -> None:
-    """It is the turn of slot 10. Slots 10 to 31 have no estimate, so the robot itself votes."""
+    """It is the turn of slot 10. Slots 10 to 31 have no estimate, so the robot itself votes 0.75.
+
+    The centre of the votes is 0.5 at first, and their spread 0.25. An eighth and a sixteenth of it count.
+    """
     robust = RobustReference(initial_b_hat=0.75, estimates={9: 1.0}, turn=10)
     robust.take_vote(own_x_hat=0.75, has_confidence=True)
     assert robust.votes == Votes(centre=0.5 + 0.25 / 8, spread=0.25 - 0.25 / 16, count=1)
@@ -200,13 +207,13 @@ def test_the_dispersion_is_computed_from_the_observations_since_the_last_batch()
 
 def test_the_spread_of_estimates_is_their_median_distance() -> None:
     """The estimates are 0, 1/8, 1/4, 0 and 1/2 away from their median, 1/2."""
-    assert spread_around([0.5, 0.625, 0.25, 0.5, 1.0], 0.5) == 0.125
+    assert spread_around([0.5, 0.625, 0.25, 0.5, 1.0], middle=0.5) == 0.125
 
 
 @pytest.mark.parametrize(("estimates", "spread"), [([0.5] * 5, 2**-12), ([0.0, 0.0, 0.5, 1.0, 1.0], 0.25)])
 def test_the_spread_of_estimates_stays_within_its_limits(estimates: list[float], spread: float) -> None:
     """Median distances of 0 and 1/2 count as 2**-12 and 1/4."""
-    assert spread_around(estimates, 0.5) == spread
+    assert spread_around(estimates, middle=0.5) == spread
 
 
 def test_an_outlier_moves_the_centre_by_the_spread_alone() -> None:
@@ -266,8 +273,11 @@ def test_the_sides_of_the_test_are_a_squared_deviation_and_12_variances() -> Non
     It saw 12 of 12 black: a deviation of 1/2. The variance of 12 tiles is a twelfth, times the dispersion, 2.
     """
     observations = Observations(n=12, t=12, dispersion=2.0)
-    sides = robust_test_sides(observations, b=0.5, centre=0.3, spread=0.01)
-    assert sides == ((1 / 2) ** 2, 12 * (2 * 1 / 4 / 12))
+    squared_deviation, limit = robust_test_sides(observations, b=0.5, centre=0.3, spread=0.01)
+
+    variance = 2 * 1 / 4 / 12
+    assert squared_deviation == (1 / 2) ** 2
+    assert limit == 12 * variance
 
 
 @pytest.mark.parametrize(
@@ -293,7 +303,7 @@ def test_observations_at_the_limit_of_the_test_contradict_nothing() -> None:
     With an accuracy of 1/2 the squared deviation is 1/4 for every t, and the limit, 12 / (4 t), equals it for
     12 tiles.
     """
-    robust = RobustReference(0.5, estimates=dict.fromkeys(range(5), 0.5))
+    robust = RobustReference(initial_b_hat=0.5, estimates=dict.fromkeys(range(5), 0.5))
 
     assert robust.find_contradiction(n=12, t=12) is None
     assert robust.find_contradiction(n=13, t=13) == 0.5
@@ -334,16 +344,19 @@ def test_the_sides_of_the_test_in_float64_are_right_to_the_last_bits() -> None:
 def test_more_than_two_of_five_estimates_are_a_party_that_supports_the_robot(
     supporters: int, opponents: int, is_party: bool
 ) -> None:
-    """The robot sees 3/4 of the tiles black, as it should by an estimate of 1.0; the centre is 0.0."""
+    """A robot with an accuracy of 3/4 sees 3/4 of the tiles black, as it should if all are black, 1.0.
+
+    So those who estimate 1.0 support it, and those who estimate 0.0, which is the centre, do not.
+    """
     observations = Observations(n=3, t=4, dispersion=1.0)
     estimates = [1.0] * supporters + [0.0] * opponents
-    assert is_supported(observations, 0.75, estimates, centre=0.0) == is_party
+    assert is_supported(observations, b=0.75, estimates=estimates, centre=0.0) == is_party
 
 
 def test_an_estimate_in_the_middle_does_not_support_the_robot() -> None:
     """The robot observes 3/4 black, by the centre it should observe 1/4, and by the estimate 1/2."""
     observations = Observations(n=3, t=4, dispersion=1.0)
-    assert not is_supported(observations, 0.75, [0.5], centre=0.0)
+    assert not is_supported(observations, b=0.75, estimates=[0.5], centre=0.0)
 
 
 # --- The filter of a robot -------------------------------------------------------------------------------
@@ -400,11 +413,17 @@ def test_a_robot_that_a_party_of_its_neighbours_supports_keeps_its_accuracy() ->
 
 
 def test_from_the_first_vote_on_a_robot_believes_the_centre_of_the_votes() -> None:
-    """A vote of 0 moves it from 1/2 by an eighth of the spread, which is 1/4."""
+    """x is what the robot believes, and x_bar what it takes its neighbours to believe: both are the centre.
+
+    The centre is 1/2 before the first vote, and the spread 1/4. A neighbour that estimates 0 moves the centre
+    by an eighth of the spread.
+    """
     robot = make_robust_robot()
     robot.observe(Observation.BLACK)
     receive_estimates(robot, 0.0)
 
     robot.settle()  # the neighbour votes
 
-    assert robot.x == robot.x_bar == 0.5 - 0.25 / 8
+    centre, spread = 1 / 2, 1 / 4
+    assert robot.x == centre - spread / 8
+    assert robot.x_bar == centre - spread / 8

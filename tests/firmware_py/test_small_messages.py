@@ -208,7 +208,7 @@ def some_codes(bits: int) -> Sequence[int]:
 
 
 def test_c_and_python_encode_x_hat_alike(c_library: Any) -> None:
-    """The ends and the middle of the range, and 1000 others, in codes of every length."""
+    """Codes of every length are tried, each with ends and middle of the range of x_hat, and 1000 others."""
     c_function = c_code_function(c_library, "x_hat_to_code")
     source = random.Random(5)
     for bits in range(1, MAX_X_HAT_BITS + 1):
@@ -218,12 +218,16 @@ def test_c_and_python_encode_x_hat_alike(c_library: Any) -> None:
 
 
 def test_c_and_python_encode_alpha_alike(c_library: Any) -> None:
-    """A confidence is a word of 32 bits: a mantissa, here of any length, above 8 bits of shift."""
+    """Codes of every length are tried, each with 2000 random confidences.
+
+    A confidence is a word of 32 bits: a mantissa of 24, many of which may be 0 at first, above 8 of shift.
+    """
     c_function = c_code_function(c_library, "alpha_to_code")
     source = random.Random(6)
     for bits in range(1, MAX_ALPHA_BITS + 1):
         for _ in range(2000):
-            mantissa = source.getrandbits(source.randint(0, 24))
+            bits_of_mantissa = source.randint(0, 24)
+            mantissa = source.getrandbits(bits_of_mantissa)
             shift = source.getrandbits(8)
             alpha = mantissa << 8 | shift
 
