@@ -41,14 +41,9 @@ def test_the_benchmark_of_the_engine_prints_positive_rates_of_each_program_in_fi
     title_lines = [line for line in lines if "robot-steps/s" in line]
     lines_of_programs = [line for line in lines if line not in title_lines]
     assert len(title_lines) == 5
-    lines_of_programs_of_all_worlds = 4 * 5
-    lines_of_plain_c_where_all_hear_all = 1 * 2
-    lines_of_further_programs_where_robots_move = 3 * 2
-    assert len(lines_of_programs) == (
-        lines_of_programs_of_all_worlds
-        + lines_of_plain_c_where_all_hear_all
-        + lines_of_further_programs_where_robots_move
-    )
+    # Each world has four programs, two where all robots hear all others have a fifth, and two where robots
+    # move have three more.
+    assert len(lines_of_programs) == 5 + 7 + 5 + 4 + 7
     for line in lines_of_programs:
         *_, last_number = line.split()  # the rate, or its ratio to that of another program
         assert float(last_number) > 0, line

@@ -72,14 +72,14 @@ def test_an_inner_loop_turns_in_every_turn_of_the_outer_one() -> None:
     assert cost_of(NESTED_LOOPS, PLACES_OF_NESTED_LOOPS, bounds) == 1 + 10 * turn_of_outer_loop + 1
 
 
-def test_an_inner_loop_whose_turns_are_counted_in_all_adds_these_once() -> None:
-    """These are 20 turns, beside one instruction of the inner loop in each turn of the outer one."""
+def test_an_inner_loop_with_a_bound_on_all_its_turns_adds_these_once() -> None:
+    """They are 20, beside one instruction of the inner loop in each of the 10 turns of the outer one."""
     bounds = {"a.c:7": Bound(turns=10, in_all=None), "a.c:8": Bound(turns=5, in_all=20)}
     turn_of_outer_loop = 1 + 1 + 1
     assert cost_of(NESTED_LOOPS, PLACES_OF_NESTED_LOOPS, bounds) == 1 + 10 * turn_of_outer_loop + 20 + 1
 
 
-def test_a_loop_with_two_entries_is_bounded_by_turns_that_come_to_both() -> None:
+def test_the_cost_of_a_loop_with_two_entries_is_at_most_twice_that_of_its_longest_walk() -> None:
     """The bound is less tight there. Instruction 0 jumps to either of the loop's instructions 1 and 2."""
     graph = {0: [1, 2], 1: [2, 3], 2: [1], 3: []}
 

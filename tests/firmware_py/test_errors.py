@@ -95,7 +95,7 @@ def test_a_message_with_an_estimate_beyond_0_and_1_is_rejected(firmware: Firmwar
 
 
 @for_every_firmware
-def test_of_a_wrong_sender_and_a_wrong_estimate_the_sender_is_reported(firmware: Firmware) -> None:
+def test_if_sender_and_estimate_are_wrong_the_sender_is_reported(firmware: Firmware) -> None:
     """Ids are 0 to 127, and estimates 0 to 1."""
     with pytest.raises(FirmwareError, match="sender is 128;"):
         make_robot(firmware).receive(sender=128, x_hat=2.0, alpha=1.0)
@@ -494,7 +494,7 @@ def test_settings_are_valid_up_to_the_ends_of_their_ranges(
 
 # design: R14
 @for_every_firmware
-def test_of_several_wrong_settings_the_first_is_reported(firmware: Firmware) -> None:
+def test_if_several_settings_are_wrong_the_first_is_reported(firmware: Firmware) -> None:
     """The order is: config, table, id, b_hat."""
     wrong_table_id_and_b_hat = {"table": None, "robot_id": 200, "b_hat": 0.0}
 

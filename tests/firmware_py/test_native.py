@@ -137,7 +137,7 @@ def test_the_settings_of_a_c_robot_are_freed_with_it() -> None:
     assert settings_in_c() is None
 
 
-def test_behind_a_table_in_c_are_zeros_up_to_the_longest_table() -> None:
+def test_a_table_in_c_is_followed_by_zeros_up_to_the_length_of_the_longest_one() -> None:
     """If the table's length is damaged, the C may read as many words as the longest table has."""
     robot = NativeRobot(Config(TABLE), OWN_ID, b_hat=0.8)
 

@@ -109,8 +109,8 @@ AUTHORS_PAPER_DOF = replace(AUTHORS, lost_degrees=1)
 
 
 @pytest.mark.parametrize("name", [TRACE_A, TRACE_B])
-def test_what_robots_observe_in_a_recorded_run_of_the_authors_follows_from_its_seed(name: str) -> None:
-    """numpy's generator draws it again, so the recording can be repeated, as tests/data/README.md says.
+def test_the_seed_of_a_recorded_run_of_the_authors_gives_its_observations_again(name: str) -> None:
+    """So the recording can be repeated, as tests/data/README.md says, with numpy's generator.
 
     It draws the colours of all tiles first, and then which observations are right.
     """
@@ -423,18 +423,22 @@ def test_robots_that_all_receive_each_other_s_estimates_believe_the_same_to_the_
 
 @pytest.mark.parametrize("omega", [1e-6, 0.05, 0.9])
 @pytest.mark.parametrize("m", [2, 3, 4, 127])
-def test_t_scores_are_quantiles_of_scipy_and_the_authors_have_one_degree_more(m: int, omega: float) -> None:
+def test_t_scores_are_those_of_scipy_and_the_authors_have_one_degree_of_freedom_more(
+    m: int, omega: float
+) -> None:
     """m is the number of neighbours, omega the probability between -t and t; half of the rest is above."""
+    probability_above = (1 - omega) / 2
     paper, authors = t_score(m, omega), t_score(m, omega, AUTHORS)
-    assert paper == pytest.approx(stats.t.isf((1 - omega) / 2, df=m - 1), rel=1e-9)
-    assert authors == pytest.approx(stats.t.isf((1 - omega) / 2, df=m), rel=1e-9)
+    assert paper == pytest.approx(stats.t.isf(probability_above, df=m - 1), rel=1e-9)
+    assert authors == pytest.approx(stats.t.isf(probability_above, df=m), rel=1e-9)
 
 
 def tolerated_distance(neighbours: Sequence[float], omega: float) -> float:
     """Return by how much an estimate may be off the mean of the neighbours' (eq. 12), computed with scipy."""
     m = len(neighbours)
-    quantile = stats.t.ppf(1 - (1 - omega) / 2, df=m - 1)
-    return float((quantile / np.sqrt(m) + 1) * np.std(neighbours, ddof=1))
+    probability_above = (1 - omega) / 2
+    t = stats.t.ppf(1 - probability_above, df=m - 1)
+    return float((t / np.sqrt(m) + 1) * np.std(neighbours, ddof=1))
 
 
 @pytest.mark.parametrize("omega", [0.05, 0.25, 0.9])

@@ -153,8 +153,9 @@ class Model:
             return b"\r" + b"".join(map(format_frame_line, self.node.start()))
         if command == b"C":  # closes the bus
             self.is_open = False
-        data_were_lost = 8 if self.dropped > 0 else 0  # bit 3 of the flags
-        return {b"V": b"V1001\r", b"N": b"NASDF\r", b"F": b"F%02X\r" % data_were_lost}.get(command, b"\r")
+        flags = 8 if self.dropped > 0 else 0  # bit 3: data were lost
+        answer_by_question = {b"V": b"V1001\r", b"N": b"NASDF\r", b"F": b"F%02X\r" % flags}
+        return answer_by_question.get(command, b"\r")
 
     def _drop_line(self) -> bytes:
         self.dropped += 1

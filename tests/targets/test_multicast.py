@@ -51,7 +51,7 @@ IPV4, IPV6 = "239.74.163.91", "ff15:7079:7468:6f6e:6465:6d6f:6d63:91"
 @contextmanager
 def joined(address: str) -> Iterator[Group]:
     """Join a multicast group, also to receive own datagrams. Skips the test where there is no multicast."""
-    multicast(group=91)
+    multicast(group=91)  # only skips
     try:
         group = Group(address, PORT, 0)
     except can.CanError as error:
@@ -78,7 +78,7 @@ def datagrams_on_wifi(
         copies = rng.choice((0, 1, 1, 1, 1, 1, 2))
         arrivals += [(frame, datagram)] * copies
         if rng.random() < 0.1:
-            arrivals[-2:] = reversed(arrivals[-2:])
+            arrivals[-2:] = reversed(arrivals[-2:])  # the last two change places
         if rng.random() < 0.1:
             garbage = (b"", datagram[:-1], datagram + b"\0", bytes(3000), b"\x8b" * 150)
             arrivals.append((None, rng.choice(garbage)))

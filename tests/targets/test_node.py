@@ -1007,7 +1007,7 @@ def test_the_old_state_is_kept_if_every_save_writes_only_a_part(
         ("fsync:error=ENOSPC:when=4", 2),
     ],
 )
-def test_the_saved_state_is_the_last_or_the_one_before_whichever_call_of_a_save_fails(
+def test_whichever_call_of_a_save_fails_the_last_state_or_the_one_before_is_kept(
     failing_call: str,
     kept_save: int,
     run_with_two_saves: Callable[..., list[str]],
