@@ -232,7 +232,8 @@ def compiled_part(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempP
     path = tmp_path_factory.mktemp("core") / "core.o"
     strict = ("-std=c99", "-pedantic-errors", *WARNINGS.split())
     sizes = compile_core(CORE.with_name(f"{part}.c"), target, path, *strict)
-    nm = re.sub("gcc .*", "nm", COMPILERS[target][0])
+    compiler, *_flags = COMPILERS[target][0].split()
+    nm = compiler.removesuffix("gcc") + "nm"
     undefined_symbols = {line.split()[-1] for line in run(nm, "-u", path).splitlines()}
     return CompiledPart(target, part, undefined_symbols, sizes)
 
@@ -520,7 +521,7 @@ def ticks_until_a_swarm_agrees(filter_name: str, comms_period: int) -> float:
 def test_with_rare_broadcasts_only_the_robust_filter_needs_longer(
     filter_name: str, times_as_long: float
 ) -> None:
-    """With one in each tenth tick neither filter does; in each hundredth the robust one takes twice as long."""
+    """With one in each tenth tick neither does; in each hundredth the robust filter takes twice as long."""
     ticks_if_each = ticks_until_a_swarm_agrees(filter_name, comms_period=1)
     ticks_if_each_tenth = ticks_until_a_swarm_agrees(filter_name, comms_period=10)
     ticks_if_each_hundredth = ticks_until_a_swarm_agrees(filter_name, comms_period=100)

@@ -167,9 +167,9 @@ def test_a_node_closes_a_round_in_each_broadcast_period() -> None:
 
 
 def test_a_node_with_the_paper_s_filter_re_estimates_its_accuracy() -> None:
-    """Its accuracy of 0.55 is too low: it has seen 20 black tiles, as three quarters of all are.
+    """It assumes an accuracy of 0.55, and has seen 20 black tiles and no white one.
 
-    Two others are certain of these three quarters.
+    Two others are certain that three quarters are black, by which half of its tiles should have been black.
     """
     node = start_node(3, filter="adaptive", filter_period=1, initial_b_hat=0.55, omega=0.1, neighbours=2)
     for _ in range(20):

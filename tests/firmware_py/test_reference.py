@@ -85,10 +85,10 @@ def repeat_run_and_compare(
         expected = {name: recorded[name].get(str(step)) for name in QUANTITIES}
         # At the filter's steps b_hat was recorded after the filter.
         expected["b_hat"] = recorded["b_hat_at_filter_steps"].get(str(step), expected["b_hat"])
-        for name, values in expected.items():
-            if values is not None:
-                results = [getattr(robot, name) for robot in robots]
-                assert results == pytest.approx(values, rel=1e-12, abs=1e-12), (step, name)
+        for name, recorded_values in expected.items():
+            if recorded_values is not None:
+                values = [getattr(robot, name) for robot in robots]
+                assert values == pytest.approx(recorded_values, rel=1e-12, abs=1e-12), (step, name)
     return robots
 
 

@@ -278,7 +278,8 @@ def any_message(rng: random.Random) -> can.Message:
         channel=rng.choice((None, "can0", "c" * 99, 3)),
         data=rng.randbytes(rng.randrange(9)),
     )
-    kind = rng.choice(("data",) * 6 + ("is_fd", "is_remote_frame", "is_error_frame"))
+    attributes_of_other_kinds = ("is_fd", "is_remote_frame", "is_error_frame")
+    kind = rng.choice(("data",) * 6 + attributes_of_other_kinds)
     if kind == "is_remote_frame":
         message.data = bytearray()
     if kind != "data":
@@ -373,7 +374,7 @@ def test_nodes_receive_each_other_again_when_their_network_comes_back(
 
 @pytest.mark.slow
 def test_the_radio_command_passes_a_node_on_multicast(tmp_path_factory: pytest.TempPathFactory) -> None:
-    """The command compares all that the node answers with a robot in Python, and ends with the code 0."""
+    """The command compares all answers of the node, robot 3, with those of a robot in Python like it."""
     choice = multicast(group=92)
     group = f"udp:{choice.settings['channel']}:{choice.settings['port']}"
     options = ("--lockstep", "--hop-limit", 0, "--b-hat", 0.75, "--filter-period", 4)

@@ -276,13 +276,13 @@ def any_frame(rng: random.Random, robot_id: int = ID, subjects: Subjects = SUBJE
 
 
 DAMAGES: tuple[Callable[[can.Message, random.Random], dict[str, Any]], ...] = (
-    lambda frame, rng: {"arbitration_id": frame.arbitration_id ^ 1 << rng.randrange(29)},
-    lambda frame, rng: {"data": rng.randbytes(8)},
-    lambda frame, rng: {"data": frame.data[:3] + rng.randbytes(4) + frame.data[7:]},
-    lambda frame, rng: {"data": frame.data[: rng.randrange(8)]},
-    lambda frame, rng: {"data": b"\xff" * 7 + frame.data[7:]},
+    lambda frame, rng: {"arbitration_id": frame.arbitration_id ^ 1 << rng.randrange(29)},  # a flipped bit
+    lambda frame, rng: {"data": rng.randbytes(8)},  # other data
+    lambda frame, rng: {"data": frame.data[:3] + rng.randbytes(4) + frame.data[7:]},  # another alpha
+    lambda frame, rng: {"data": frame.data[: rng.randrange(8)]},  # too short
+    lambda frame, rng: {"data": b"\xff" * 7 + frame.data[7:]},  # numbers too large
     lambda frame, rng: {"arbitration_id": frame.arbitration_id & 0x7FF, "is_extended_id": False},
-    lambda frame, rng: {"data": None, "dlc": 8, "is_remote_frame": True},
+    lambda frame, rng: {"data": None, "dlc": 8, "is_remote_frame": True},  # a request for data
     lambda frame, rng: {"is_fd": True},
     lambda frame, rng: {"arbitration_id": CAN_ERR_PROT, "is_error_frame": True},
 )
@@ -772,7 +772,7 @@ def test_a_read_of_observations_that_fails_for_the_moment_is_repeated(
 
     assert summary["ended"] == "observations"
     assert summary["t"] == 600
-    assert summary["missing"] > 2, "ticks whose read has failed"
+    assert summary["missing"] > 2, "ticks whose read has failed; one that does not takes up to 256 bytes"
 
 
 def refusal_of_file(file: Path, reason: str) -> str:

@@ -68,28 +68,28 @@ CORTEX_M_MEMORIES = {
 }
 BOARDS = (
     Board(
-        "micro:bit",
-        ("arm-none-eabi-gcc", "-mcpu=cortex-m0", "-mthumb"),
-        "gcc-arm-none-eabi",
-        "cortex_m/cortex_m.ld",
-        ("cortex_m/start.c", "cortex_m/nrf51.c", "memory.c"),
-        CORTEX_M_MEMORIES,
+        name="micro:bit",
+        compiler=("arm-none-eabi-gcc", "-mcpu=cortex-m0", "-mthumb"),
+        packages="gcc-arm-none-eabi",
+        script="cortex_m/cortex_m.ld",
+        sources=("cortex_m/start.c", "cortex_m/nrf51.c", "memory.c"),
+        memories=CORTEX_M_MEMORIES,
     ),
     Board(
-        "MPS2",
-        ("arm-none-eabi-gcc", "-mcpu=cortex-m4", "-mthumb", "-mfloat-abi=soft"),
-        "gcc-arm-none-eabi",
-        "cortex_m/cortex_m.ld",
-        ("cortex_m/start.c", "cortex_m/mps2.c", "memory.c"),
-        CORTEX_M_MEMORIES,
+        name="MPS2",
+        compiler=("arm-none-eabi-gcc", "-mcpu=cortex-m4", "-mthumb", "-mfloat-abi=soft"),
+        packages="gcc-arm-none-eabi",
+        script="cortex_m/cortex_m.ld",
+        sources=("cortex_m/start.c", "cortex_m/mps2.c", "memory.c"),
+        memories=CORTEX_M_MEMORIES,
     ),
     Board(
-        "virt",
-        ("riscv64-unknown-elf-gcc", "-march=rv32imc", "-mabi=ilp32", "-mcmodel=medany"),
-        "gcc-riscv64-unknown-elf",
-        "riscv/virt.ld",
-        ("riscv/virt.c", "riscv/virt_uart.c", "memory.c"),
-        {
+        name="virt",
+        compiler=("riscv64-unknown-elf-gcc", "-march=rv32imc", "-mabi=ilp32", "-mcmodel=medany"),
+        packages="gcc-riscv64-unknown-elf",
+        script="riscv/virt.ld",
+        sources=("riscv/virt.c", "riscv/virt_uart.c", "memory.c"),
+        memories={
             "ram": (0x80000000, 0x80000),
             "serial line": (0x10000000, 0x1000),
             "interrupt controller": (0x0C000000, 0x400000),
@@ -162,14 +162,14 @@ def sections_of_variables(elf: ELFFile) -> dict[str, Any]:
 @pytest.mark.parametrize("level", ["-Os", *slow(["-O0", "-O3"])])
 @pytest.mark.parametrize("board", BOARDS, ids=lambda board: board.name)
 def test_variables_have_their_values_when_main_starts(board: Board, level: str, tmp_path: Path) -> None:
-    """The variables of one section have the values of the program, those of another one are 0.
+    """In one section of the program are variables with values, in another one those that are 0.
 
-    The port's start-up code does that before main(), whatever RAM held before, on an emulated processor.
+    The port's start-up code, on an emulated processor, writes both before main(), whatever RAM held.
     """
     with build(board, level, tmp_path).open("rb") as stream:
         elf = ELFFile(stream)
         sections = sections_of_variables(elf)
-        assert len(sections) == 2
+        assert len(sections) == 2, "variables with values, and those that are 0"
 
         processor = run_to_main(board, elf)
 
