@@ -90,10 +90,7 @@ def test_docs_internals_robust_md_shows_errors_of_ten_cases_as_docs_robust_study
 def test_the_changes_of_each_variant_of_the_filter_can_still_be_made_to_the_firmware(
     variant: str, tmp_path: Path
 ) -> None:
-    """A variant is the firmware with some lines replaced, as was considered when the filter was made.
-
-    write_variant() raises if one of the lines is not there any more.
-    """
+    """A variant is the firmware with some lines replaced. write_variant() raises if one is not there."""
     write_variant(CORE, tmp_path, variant)
 
     is_changed = [path.read_bytes() != (CORE / path.name).read_bytes() for path in tmp_path.iterdir()]

@@ -129,10 +129,7 @@ def test_the_sketch_builds_without_a_warning(built_sketch: Path) -> None:
 
 
 def test_the_sketch_of_docs_porting_builds_with_the_library_that_the_command_writes(tmp_path: Path) -> None:
-    """The command is ``mcp-asdf firmware``; the page has the sketch, and robot.c for it.
-
-    build_with_libraries() raises if the build fails.
-    """
+    """The command is ``mcp-asdf firmware``; the page has sketch and robot.c. A build that fails raises."""
     require("arduino-builder", "arduino-builder arduino-core-avr")
     require("avr-gcc", "gcc-avr avr-libc")
     assert main(["firmware", str(tmp_path / "libraries/mcp_asdf"), "--neighbours", "30"]) == 0

@@ -173,10 +173,7 @@ def pkg_config_path(installed_library: Path) -> str:
 
 
 def test_a_project_adds_the_folder_of_the_library(project: Path) -> None:
-    """It does so with CMake's add_subdirectory. Its program calls the library.
-
-    run() raises unless the program ends with the code 0.
-    """
+    """It does so with CMake's add_subdirectory. run() raises unless its program ends with the code 0."""
     run(build_with_cmake(project, ADD_SUBDIRECTORY))
 
 
@@ -211,10 +208,7 @@ def test_pkg_config_has_the_version_of_the_installed_library(pkg_config_path: st
 
 @pytest.mark.slow
 def test_a_program_builds_with_the_flags_of_pkg_config(project: Path, pkg_config_path: str) -> None:
-    """pkg-config knows the flags from a description that is installed with the library.
-
-    run() raises if the program does not build, or fails.
-    """
+    """A description that is installed with the library has them. run() raises if the program fails."""
     pkg_config = require("pkg-config", "pkgconf")
 
     flags = run(pkg_config, "mcp_asdf", "--cflags", "--libs", PKG_CONFIG_PATH=pkg_config_path)

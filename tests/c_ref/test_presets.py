@@ -69,10 +69,7 @@ def test_the_c_tests_pass_with_the_settings_of_a_preset(preset: str) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("preset", PRESETS)
 def test_all_c_tests_pass_for_the_arithmetic_of_every_target(preset: str) -> None:
-    """With each preset, which is a compiler with flags, CMake builds all C tests, and ctest runs them.
-
-    run() raises if a test fails.
-    """
+    """CMake builds all C tests with a preset, a compiler with flags. run() raises if one of them fails."""
     skip_without_tools(preset)
     run(require("cmake"), "--workflow", "--preset", preset)
 

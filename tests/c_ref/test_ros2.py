@@ -220,10 +220,7 @@ def test_a_node_does_not_start_with_a_wrong_parameter(
 
 
 def test_a_node_runs_until_ctrl_c() -> None:
-    """The stub of rclpy.spin, which runs a node, raises KeyboardInterrupt at once; that is no failure.
-
-    It lists the node in ``spun_nodes``.
-    """
+    """The stub of rclpy.spin notes the node in ``spun_nodes``, and raises KeyboardInterrupt: no failure."""
     exit_code = ROBOT_NODE.main()
 
     assert exit_code == 0

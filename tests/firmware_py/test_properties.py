@@ -268,10 +268,7 @@ def make_calls(robot: FixedPoint, calls: list[RobotCall]) -> None:
 def test_a_robot_finds_its_memory_undamaged_after_every_sequence_of_calls(
     firmware: FixedPointFirmware, mode: Filter, calls: list[RobotCall]
 ) -> None:
-    """``holds_invariants`` says whether calls alone could have led to what the robot remembers.
-
-    They have here. This is property I11 of docs/internals/properties.md.
-    """
+    """``holds_invariants`` says whether calls alone can have led to a robot's memory (property I11)."""
     robot = firmware(Config(filter=mode, filter_period=1, memory=64), OWN_ID, b_hat=0.75)
 
     make_calls(robot, calls)

@@ -65,10 +65,7 @@ def test_a_new_robot_has_its_id_its_accuracy_and_counts_of_zero(firmware: Firmwa
 
 @for_every_firmware
 def test_repr_shows_what_a_robot_has_counted_and_what_it_estimates(firmware: Firmware) -> None:
-    """Its sensor is right in 3 of 4 cases. So 3 black of 4 tiles mean to it that all are black.
-
-    Its confidence alpha is then 16/3 by eq. 4 of the paper.
-    """
+    """Its sensor is right in 3 of 4 cases, so 3 black of 4 mean that all are. alpha is 16/3 by eq. 4."""
     robot = make_robot(firmware, b_hat=0.75)
 
     observe_tiles(robot, black=3, white=1)

@@ -310,10 +310,7 @@ def test_each_conversation_on_a_serial_line_has_many_damaged_lines_and_lost_comm
     ("name", "value"), [("ROBOT_ID", 126), ("ROBOT_FILTER_PERIOD", 0), ("ROBOT_FILTER_PERIOD", 2**32)]
 )
 def test_the_compiler_refuses_a_setting_that_no_robot_can_have(name: str, value: int) -> None:
-    """Settings are macros. An id is at most 125 here: 126 and 127 are those of tools on the bus.
-
-    run() raises if the compiler fails, with what that prints.
-    """
+    """Settings are macros. 126 and 127 are ids of tools on the bus. run() raises what the compiler prints."""
     with pytest.raises(AssertionError, match=f"{name} has to be"):
         run("cc", "-fsyntax-only", f"-I{CORE.parent}", f"-D{name}={value}", SLCAN / "slcan_robot.c")
 
