@@ -751,4 +751,5 @@ def test_the_equations_in_float64_and_the_firmware_give_the_same_robot(mode: Fil
         assert float_robot.step(tick.z) == integer_robot.step(tick.z)
         assert_same_values(float_robot, integer_robot)
 
-    assert (float_robot.counters.updates > 0) == (mode != Filter.OFF)
+    has_changed_accuracy = float_robot.counters.updates > 0
+    assert has_changed_accuracy == (mode != Filter.OFF)

@@ -127,7 +127,7 @@ def test_the_node_for_a_khepera_runs_on_its_linux_whatever_libraries_are_there(r
 
 
 def record_floor(robot: Path, command: str, brightness: int) -> None:
-    """Let the sensor write what it reads over a floor to a file. It has to be what the floor is like."""
+    """Run a command that writes the sensor's readings over a floor to a file, and check the file."""
     readings = put_on_floor(robot, brightness, reading_count=600)
     run("sh", "-exc", command, cwd=robot)
     *_, file_name = command.split()

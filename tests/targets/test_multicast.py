@@ -340,7 +340,8 @@ kill %1 %2; wait
 
 def run_nodes_that_lose_their_network(folder: Path, command: list[str]) -> list[dict[str, Any]]:
     """Run two nodes while their network is taken down and comes back, and return their summaries."""
-    if subprocess.run(["unshare", "-rn", "ip", "link"], capture_output=True, check=False).returncode:
+    result = subprocess.run(["unshare", "-rn", "ip", "link"], capture_output=True, check=False)
+    if result.returncode != 0:
         pytest.skip("no network namespaces: unshare -rn fails here")
     sensor = folder / "sensor"
     sensor.write_text("1", encoding="ascii")

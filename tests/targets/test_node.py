@@ -721,7 +721,7 @@ def test_a_folder_in_place_of_the_state_is_refused(refuse_state: Callable[..., s
 
 
 def refusal_of_state(command: list[str], bus: UnixBus, state: Path, *options: object) -> str:
-    """Start a node with a state that it has to refuse, and return its error message."""
+    """Start a node with a state that it has to refuse, by its exit code, and return its error message."""
     process = CNode(command, bus.channel_info, ID, "--lockstep", "--state", state, *options).process
     output, errors = process.communicate(timeout=PATIENCE)
     assert process.returncode == WRONG_USAGE
@@ -932,7 +932,7 @@ def run_with_two_saves(
     settings.
     """
 
-    def run_node(exit_code: int, *settings: str) -> list[str]:
+    def run_node(*settings: str, exit_code: int) -> list[str]:
         command = command_under_strace([draft_of(state), state.parent], TRACE_CALLS_OF_SAVE, *settings)
         options = (*FAST_CLOCK, *options_for_400_black_tiles, "--state", state, "--save-period", 300)
         with CNode(command, bus.channel_info, ID, *options) as node:
@@ -957,7 +957,7 @@ def test_a_save_writes_a_draft_to_the_disk_before_it_gets_the_name_of_the_state(
     """So the old state is there if the power fails. strace lists the system calls of two saves."""
     _old_state, _state_of_first_save, state_after_the_run = states
 
-    error_lines = run_with_two_saves(0)
+    error_lines = run_with_two_saves(exit_code=0)
 
     assert error_lines == []
     assert state.read_bytes() == state_after_the_run
@@ -979,7 +979,7 @@ def test_the_old_state_is_kept_if_every_save_writes_only_a_part(
     """
     old_state, *_ = states
 
-    error_lines = run_with_two_saves(FAILED_RUN, "inject=write:retval=50")
+    error_lines = run_with_two_saves("inject=write:retval=50", exit_code=FAILED_RUN)
 
     assert error_lines == [f"mcp_asdf_node: cannot save the state {state}: No space left on device; going on"]
     assert state.read_bytes() == old_state
@@ -1019,7 +1019,7 @@ def test_whichever_call_of_a_save_fails_the_last_state_or_the_one_before_is_kept
     There are two saves, after 300 tiles and after 400; ``kept_save`` is 1 or 2. strace lets a call fail, say
     the third openat of both saves, as if the disk were full.
     """
-    error_lines = run_with_two_saves(FAILED_RUN, f"inject={failing_call}")
+    error_lines = run_with_two_saves(f"inject={failing_call}", exit_code=FAILED_RUN)
 
     assert error_lines == [f"mcp_asdf_node: cannot save the state {state}: No space left on device; going on"]
     assert state.read_bytes() == states[kept_save]
@@ -1033,7 +1033,7 @@ def test_a_folder_that_cannot_be_closed_after_a_save_does_no_harm(
     """The node says nothing of it. Calls 2 and 4 of ``close`` are about the folder; strace lets one fail."""
     _old_state, _state_of_first_save, state_after_the_run = states
 
-    error_lines = run_with_two_saves(0, f"inject=close:error=ENOSPC:when={number}")
+    error_lines = run_with_two_saves(f"inject=close:error=ENOSPC:when={number}", exit_code=0)
 
     assert error_lines == []
     assert state.read_bytes() == state_after_the_run

@@ -65,16 +65,16 @@ class UnixBus(can.BusABC):
         """
         self.node.settimeout(timeout)
         try:
-            packet = self.node.recv(128)
+            packet = self.node.recv(128)  # bytes, more than any frame has
         except (TimeoutError, BlockingIOError):
             return None, False
         except ConnectionResetError:  # it left frames of ours unread; its own last ones follow
             packet = self.node.recv(128)
         if not packet:
             raise EOFError
-        assert len(packet) == 16
+        assert len(packet) == 16, "a struct can_frame; that of CAN FD is longer"
         identifier, length, _, data = dissect_can_frame(packet)
-        assert identifier >> 29 == 0b100
+        assert identifier >> 29 == 0b100, "29 bits, no remote frame and no error frame"
         frame = can.Message(arbitration_id=identifier & 0x1FFF_FFFF, data=data[:length])
         is_first = not self.received_frames
         is_repeated_greeting = len(self.received_frames) == 1 and frame.data == self.received_frames[0].data
