@@ -83,7 +83,7 @@ def text_at(path: str, span: Span) -> str:
     """Return a span of a source file, on one line."""
     first_line, first_column, last_line, last_column = span
     lines = Path(path).read_text(encoding="utf-8").splitlines()[first_line - 1 : last_line]
-    lines[-1] = lines[-1][: last_column - 1]
+    lines[-1] = lines[-1][: last_column - 1]  # first the last line, as it may also be the first one
     lines[0] = lines[0][first_column - 1 :]
     return " ".join(" ".join(lines).split())
 

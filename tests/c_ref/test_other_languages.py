@@ -134,7 +134,7 @@ def test_rust_s_bindgen_finds_only_functions_that_the_library_has(library: Path)
 def estimate_at(tick: int, sender: int) -> tuple[int, int]:
     """Return x_hat and alpha, as the firmware's integers, that a neighbour broadcasts in a tick."""
     x_hat = 7_000_000 + 1000 * sender + tick  # about 0.83, in units of 2^-23
-    alpha = 0x80000010  # 2^15
+    alpha = 0x80000010  # 2^15: a mantissa of 2^23, shifted by 16, in units of 2^-24
     return x_hat, alpha
 
 

@@ -716,7 +716,9 @@ def draw_life() -> Iterator[Tick]:
             senders = [rng.randrange(1, 4), rng.randrange(30, 37), rng.randrange(30, 37), 3, OWN_ID]
         messages = []
         for sender in senders:
-            x_hat = 0.7 if tick < 300 else min(max(rng.gauss(fill_ratio, 0.02), 0), 1)
+            x_hat = 0.7  # wrong
+            if tick >= 300:
+                x_hat = min(max(rng.gauss(fill_ratio, 0.02), 0), 1)
             messages.append((sender, math.floor(x_hat * 2**23) / 2**23))  # in units that the firmware has
         yield Tick(z, messages, alpha=0.0 if tick % 50 == 5 else 1.0)
 

@@ -129,7 +129,10 @@ def test_the_slot_whose_turn_it_is_votes() -> None:
 
 
 def test_a_robot_without_confidence_does_not_vote() -> None:
-    """It would be its turn after slot 9, but slot 2 votes again: 0.0, which is below the centre, 0.5."""
+    """It would be its turn after slot 9, but slot 2 votes again: 0.0, which is below the centre, 0.5.
+
+    So the centre moves down, by an eighth of the spread, 0.25.
+    """
     robust = RobustReference(initial_b_hat=0.75, estimates={9: 1.0, 2: 0.0}, turn=10)
 
     robust.take_vote(own_x_hat=0.5, has_confidence=False)
@@ -322,20 +325,25 @@ def test_the_spread_widens_the_limit_of_the_test() -> None:
 
 
 def test_the_sides_of_the_test_in_float64_are_right_to_the_last_bits() -> None:
-    """The same function computes them in exact fractions. They may differ by 8 and by 16 roundings."""
+    """One is a squared deviation, the other one its limit. They are wrong by 8 and by 16 roundings at most.
+
+    The same function computes them in exact fractions.
+    """
     rng = random.Random(23)
     for _ in range(500):
         t, dispersion = 10**6, rng.uniform(1, 256)
         n = rng.randint(0, t)
         b_hat, centre, spread = rng.uniform(0.01, 0.99), rng.random(), 2 ** rng.uniform(-12, -2)
 
-        square, limit = robust_test_sides(Observations(n, t, dispersion), b_hat, centre, spread)
+        squared_deviation, limit = robust_test_sides(Observations(n, t, dispersion), b_hat, centre, spread)
 
-        exact_square, exact_limit = robust_test_sides(
+        exact_squared_deviation, exact_limit = robust_test_sides(
             Observations(n, t, Fraction(dispersion)), Fraction(b_hat), Fraction(centre), Fraction(spread)
         )
-        assert abs(Fraction(square) - exact_square) <= 8 * ULP, (n, dispersion, b_hat, centre, spread)
-        assert abs(Fraction(limit) - exact_limit) <= 16 * ULP * exact_limit, (n, dispersion, b_hat, centre)
+        error = abs(Fraction(squared_deviation) - exact_squared_deviation)
+        error_of_limit = abs(Fraction(limit) - exact_limit)
+        assert error <= 8 * ULP, (n, dispersion, b_hat, centre, spread)
+        assert error_of_limit <= 16 * ULP * exact_limit, (n, dispersion, b_hat, centre, spread)
 
 
 @pytest.mark.parametrize(

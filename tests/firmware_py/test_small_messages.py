@@ -220,7 +220,7 @@ def test_c_and_python_encode_x_hat_alike(c_library: Any) -> None:
 def test_c_and_python_encode_alpha_alike(c_library: Any) -> None:
     """Codes of every length are tried, each with 2000 random confidences.
 
-    A confidence is a word of 32 bits: a mantissa of 24, many of which may be 0 at first, above 8 of shift.
+    A confidence is a word: a mantissa, here of a random length up to 24 bits, above 8 bits of shift.
     """
     c_function = c_code_function(c_library, "alpha_to_code")
     source = random.Random(6)

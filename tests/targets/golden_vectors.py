@@ -86,8 +86,10 @@ class Player:
             else:
                 status = perform(self._robot, call)
             self._record(status, with_state=call.name != "receive")
-        robot = self._robot
-        self._record(0 if robot is None else 2 * robot.counters.accepted + robot.holds_invariants())
+        status_of_end = 0
+        if self._robot is not None:
+            status_of_end = 2 * self._robot.counters.accepted + self._robot.holds_invariants()
+        self._record(status_of_end)
 
     def _restore(self, config: Config, image: bytes) -> Status:
         try:

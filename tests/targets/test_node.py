@@ -224,7 +224,10 @@ def numbers_of_reception(summary: dict[str, Any]) -> dict[str, int]:
 
 
 def expected_numbers_of_reception(twin: RobotNode) -> dict[str, int]:
-    """Return the same of the Python node, which calls a collision a conflict. Nothing else may happen."""
+    """Return the same numbers of the Python node, which calls a collision a conflict.
+
+    Fails if it has noticed anything else.
+    """
     events = Counter(kind.value for kind, _ in twin.reception.events.elements())
     assert events.keys() <= {"conflict", "unknown", "jump"}
     return {
