@@ -157,7 +157,7 @@ def test_the_robot_loses_only_messages_that_find_the_queue_full(radio_robot: Rad
 
 @pytest.mark.parametrize("radio_robot", ["crazyflie"], indirect=True)
 def test_a_crazyflie_ignores_messages_to_another_port(radio_robot: RadioRobot) -> None:
-    """A message is delivered to port 3. beta is the sum of confidences in those that it has received."""
+    """The stub delivers a message to port 3. beta, the sum of confidences in those received, stays 0."""
     another_port, half = 3, 2**22
     ctypes.c_uint8.in_dll(radio_robot.library, "air_port").value = another_port
 

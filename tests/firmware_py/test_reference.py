@@ -506,10 +506,14 @@ def test_neighbours_that_estimate_a_half_say_nothing_about_a_robot_s_accuracy(x_
 def test_an_accuracy_at_a_distance_of_2_to_the_minus_13_from_a_half_carries_information(
     b: float, x_hat: float
 ) -> None:
-    """A sensor that is right more often than wrong, and sees black alone, means that all is black."""
+    """A sensor that is right more often than wrong, and sees black alone, means that all is black.
+
+    What the neighbours estimate, x_bar, carries information from the same distance on.
+    """
     assert local_estimate(n=7, t=7, b=b) == x_hat
     assert local_confidence(n=7, t=7, b=b) > 0
-    assert assumed_accuracy_update(n=7, t=7, x_bar=b) is not None
+    x_bar = b
+    assert assumed_accuracy_update(n=7, t=7, x_bar=x_bar) is not None
 
 
 @pytest.mark.parametrize("conventions", [PAPER, AUTHORS])
