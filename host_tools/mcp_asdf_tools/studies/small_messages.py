@@ -125,7 +125,7 @@ def worst_ratios(rows: Rows, codes: Sequence[MessageCode]) -> RatiosByCode:
     for code in codes:
         ratios = [late_error(rows, str(code), swarm) / exact_errors[swarm] for swarm in SWARMS]
         largest_value = max(ratio.value for ratio in ratios)
-        largest_of_each_resample = np.max([ratio.resamples for ratio in ratios], axis=0)
+        largest_of_each_resample = np.stack([ratio.resamples for ratio in ratios]).max(axis=0)
         worst[code] = Resampled(largest_value, largest_of_each_resample).interval(CONFIDENCE)
     return worst
 
