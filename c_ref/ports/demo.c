@@ -44,8 +44,10 @@ static void broadcast(void)
 {
     static uint8_t transfer_id;
     mcp_asdf_frame_t frame;
-    const mcp_asdf_estimate_t estimate = {DEMO_ID, transfer_id++, mcp_asdf_x_hat(&robot),
-                                          mcp_asdf_alpha(&robot)};
+    const mcp_asdf_estimate_t estimate = {.node = DEMO_ID,
+                                          .transfer_id = transfer_id++,
+                                          .x_hat = mcp_asdf_x_hat(&robot),
+                                          .alpha = mcp_asdf_alpha(&robot)};
     if (mcp_asdf_encode_estimate(&frame, &estimate_format, &estimate) == MCP_ASDF_FRAME_OK) {
         radio_send(&frame);
     }
@@ -55,8 +57,9 @@ static void broadcast(void)
  * once a second. */
 static void report(void)
 {
-    static uint32_t seconds;
-    const uint8_t transfer_id = (uint8_t)seconds++;
+    static uint32_t seconds; /* since the start, and so the number of reports */
+    const uint8_t transfer_id = (uint8_t)seconds;
+    ++seconds;
     const uint8_t health =
         mcp_asdf_invariants_hold(&robot) ? MCP_ASDF_HEALTH_NOMINAL : MCP_ASDF_HEALTH_WARNING;
     const uint8_t updates = (uint8_t)mcp_asdf_counters(&robot).updates;

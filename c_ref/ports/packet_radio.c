@@ -30,15 +30,16 @@ void radio_receive_byte(uint8_t byte)
     static bool has_room;      /* whether this packet has a slot in the queue */
     if (byte_count == 0) {
         if (byte == MARK) {
-            has_room = (uint8_t)(received_packets - taken_packets) < QUEUE_SLOTS;
+            const uint8_t waiting_packets = (uint8_t)(received_packets - taken_packets);
+            has_room = waiting_packets < QUEUE_SLOTS;
             byte_count = 1;
         }
         return;
     }
     if (has_room) {
-        queue[received_packets % QUEUE_SLOTS][byte_count - 1] = byte;
+        queue[received_packets % QUEUE_SLOTS][byte_count - 1] = byte; /* the mark is counted, but not kept */
     }
-    if (byte_count < PACKET_BYTES) {
+    if (byte_count < PACKET_BYTES) { /* with so many before it, the mark included, a byte is the last */
         ++byte_count;
         return;
     }

@@ -79,6 +79,7 @@ static status_t check_sender_and_format(const mcp_asdf_frame_format_t *format, u
 static void write_envelope(mcp_asdf_frame_t *frame, uint8_t priority, uint16_t subject, uint8_t node,
                            uint8_t transfer_id)
 {
+    /* A subject's filter is an identifier that has no other bits than those of the subject. */
     frame->id = ((uint32_t)priority << 26) | ID_BITS_SENT_AS_ONE | MCP_ASDF_FRAME_FILTER(subject) | node;
     frame->flags = 0;
     frame->length = FRAME_BYTES;
@@ -86,8 +87,8 @@ static void write_envelope(mcp_asdf_frame_t *frame, uint8_t priority, uint16_t s
 }
 
 /* Returns the first reason to refuse a frame of which check_envelope() has found a flag or an unexpected
- * identifier, in the order of mcp_asdf_frame_status_t. If no flag and no single bit of the identifier is the
- * reason, the subject is. */
+ * identifier, in the order of mcp_asdf_frame_status_t. Where it has none of the flags and bits that are tried
+ * here, the reason is that it is of another subject. */
 static status_t find_refusal_reason(const mcp_asdf_frame_t *frame)
 {
     if ((frame->flags & MCP_ASDF_FRAME_ERROR) != 0U) {
@@ -163,15 +164,16 @@ static uint32_t binary32_from_alpha_word(uint32_t alpha)
     return (exponent << 23) | (mantissa & BINARY32_FRACTION_MASK);
 }
 
-/* Returns the word of the largest alpha that is not above a number, given as the bits of a binary32 number
- * that is finite and not negative. Exact for what binary32_from_alpha_word() returned. */
+/* Returns the word (mantissa in bits 8 to 31, shift in bits 0 to 4) of the largest alpha that is not above a
+ * number, given as the bits of a binary32 number that is finite and not negative: 0 for a number below a unit
+ * of 2^-24, ALPHA_MAX for one above the largest alpha. Exact for what binary32_from_alpha_word() returned. */
 static uint32_t alpha_word_from_binary32(uint32_t binary32)
 {
     const uint32_t exponent = binary32 >> 23;
     const uint32_t mantissa = (binary32 & BINARY32_FRACTION_MASK) | BINARY32_IMPLICIT_BIT;
     if (exponent < BINARY32_UNIT_EXPONENT) {
-        /* Bits below the unit are lost; all of them in subnormal numbers, too, which lack the implicit bit.
-         */
+        /* Bits below the unit are lost. A subnormal number, whose exponent is 0, has got an implicit bit here
+         * that it does not have: this does no harm, as all its bits are lost. */
         const uint32_t lost_bits = BINARY32_UNIT_EXPONENT - exponent;
         return lost_bits < 24U ? (mantissa >> lost_bits) << 8 : 0U;
     }

@@ -87,8 +87,8 @@ static bool is_valid_estimate(const mcp_asdf_t *robot, mcp_asdf_t *fresh)
  * and 127 messages, which is less than 2^7, give the limits below, of which the last two are rounded up to
  * powers of two.
  *
- * Where the mean is 1.0, the sum of alpha x_hat is 2^23 alpha. Neither fits in 64 bits, so that both are
- * compared in two pieces:
+ * The mean is at most 1.0, which is 2^23 as x_hat, if the sum of alpha x_hat is at most 2^23 alpha. Neither
+ * fits in 64 bits, so that both are compared in two pieces:
  *
  *                      from bit 32 up                      bits 31 to 0
  *     sum              alpha_x_high + alpha_x_low / 2^32   those of alpha_x_low
@@ -451,7 +451,7 @@ mcp_asdf_status_t mcp_asdf_restore(mcp_asdf_t *robot, const mcp_asdf_config_t *c
                                    const uint8_t image[MCP_ASDF_IMAGE_SIZE])
 {
     image_t input = {.source = image, .target = NULL, .hash = HASH_START, .is_read = true};
-    mcp_asdf_t restored = {0}, fresh;
+    mcp_asdf_t restored = {0}, fresh; /* `fresh` is first a new robot, then lent to is_valid_state() */
     const bool is_robust = mcp_asdf_is_robust(config);
     /* While an image is read, the value that is passed to pass_word() does not matter. */
     const bool has_magic_word = pass_word(&input, 0) == magic_word(is_robust);

@@ -19,7 +19,7 @@
 uint32_t mcp_asdf_x_hat_to_code(uint32_t x_hat, uint32_t bits)
 {
     const uint32_t largest_code = (UINT32_C(1) << bits) - 1U;
-    /* x_hat << 8 is a Q31, and the doubled code makes the product a Q32: < 2^56. */
+    /* x_hat << 8 is a Q31, and so is its product with the code; with the doubled code it is a Q32: < 2^56. */
     const uint64_t product = multiply(x_hat << 8, largest_code << 1);
     return high_word(product + (UINT64_C(1) << 31)); /* 1/2 is added to round to nearest */
 }
@@ -35,8 +35,8 @@ uint32_t mcp_asdf_x_hat_from_code(uint32_t code, uint32_t bits)
     for (uint32_t length = bits; length < 24U; length *= 2U) { /* at most 5 turns */
         digits |= digits >> length;
     }
-    /* To nearest: the last one decides, as a quotient by an odd number is no half. 1.0 has only digits of 1,
-     * and is rounded up to 2^23. */
+    /* The first 24 of them are rounded to 23: up if the last one is 1. That is to nearest, since a quotient
+     * by an odd number never lies halfway. 1.0 has only digits of 1, and is rounded up to 2^23. */
     return ((digits >> 8) + 1U) >> 1;
 }
 
@@ -60,16 +60,18 @@ static uint32_t long_code_from_alpha(uint32_t alpha)
     if (length > ALPHA_LINEAR_BITS + 31U) {
         return UINT32_MAX;
     }
-    /* The fraction and, above it, the highest bit of the value: [2^27, 2^28) */
+    /* The highest bit moves from bit 23 to bit 27, with the fraction in the 27 bits below it: [2^27, 2^28) */
     const uint32_t significand = mantissa << (ALPHA_FRACTION_LENGTH - 23U);
     if (length <= ALPHA_LINEAR_BITS) {
         return significand >> (ALPHA_LINEAR_BITS + 1U - length); /* a shift by [1, 20]; below 2^27 */
     }
-    /* The highest bit of the significand does not count in the fraction: it adds 1 to the exponent. */
+    /* The exponent is length - ALPHA_LINEAR_BITS, of which 1 is left out: the highest bit of the significand
+     * adds it, as it is just above the fraction. */
     return ((length - ALPHA_LINEAR_BITS - 1U) << ALPHA_FRACTION_LENGTH) + significand;
 }
 
-/* Returns the code of an alpha word in 1 to 25 bits, rounded down, but not to 0. */
+/* Returns the code of an alpha word in 1 to 25 bits: the beginning of its long code, so that it is rounded
+ * down, but not to 0, which is the code of no confidence. */
 uint32_t mcp_asdf_alpha_to_code(uint32_t alpha, uint32_t bits)
 {
     if (alpha >> 8 == 0U) {
@@ -96,8 +98,9 @@ uint32_t mcp_asdf_alpha_from_code(uint32_t code, uint32_t bits)
 
 /* ---- Messages --------------------------------------------------------------------------------------- */
 
-/* Write a message to 4 bytes, the lowest bits first. Returns OK; or ERR_SENDER (above 127), else ERR_X_HAT
- * (above 1.0), and leaves the bytes as they were. */
+/* Write a message to 4 bytes, the lowest bits first: 9 bits of alpha's code, 16 of that of x_hat, 7 of the
+ * node. Returns OK; or ERR_SENDER if the node is above 127, else ERR_X_HAT if x_hat is above 1.0, and leaves
+ * the bytes as they were. */
 mcp_asdf_status_t mcp_asdf_encode_small(uint8_t bytes[MCP_ASDF_SMALL_BYTES],
                                         const mcp_asdf_small_message_t *message)
 {

@@ -51,7 +51,8 @@ void port_put(char byte)
  * keeps one byte, and reports that it has lost those which follow. */
 void handle_first_interrupt(void)
 {
-    if ((uint8_t)(entries_put - entries_taken) > QUEUE_SIZE - 2) {
+    const uint8_t waiting_entries = (uint8_t)(entries_put - entries_taken);
+    if (waiting_entries > QUEUE_SIZE - 2) {
         NVIC_CLEAR_ENABLE = RECEIVER_ENABLE_BIT;
         return;
     }

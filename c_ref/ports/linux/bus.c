@@ -41,14 +41,15 @@ static bool has_prefix(const bus_t *bus, const char *prefix)
  * wakes up more often. User-mode emulation of another processor knows none of them. */
 static void set_receive_buffer(const bus_t *bus)
 {
-    const int on = 1, size = bus->receive_buffer / 2; /* the kernel doubles it */
+    const int on = 1;
+    const int size = bus->receive_buffer / 2; /* the kernel doubles it */
     (void)setsockopt(bus->fd, SOL_SOCKET, SO_RXQ_OVFL, &on, sizeof on);
     if (size != 0) {
         (void)setsockopt(bus->fd, SOL_SOCKET, SO_RCVBUF, &size, sizeof size);
     }
 }
 
-/* Ask the kernel to deliver only frames of bus->subjects, and reports of REPORTED_ERRORS. Stores in
+/* Ask the kernel to deliver only frames of the two bus->subjects, and reports of REPORTED_ERRORS. Stores in
  * bus->is_filtered whether it filters: if it refuses, all frames arrive, and the node refuses the others. */
 static void set_filters(bus_t *bus)
 {
@@ -146,7 +147,8 @@ void bus_close(bus_t *bus)
 
 /* ---- Receiving -------------------------------------------------------------------------------------- */
 
-/* Returns the health that corresponds to a controller's state, a set of CAN_ERR_CRTL_... bits. */
+/* Returns the health that corresponds to a controller's state, a set of CAN_ERR_CRTL_... bits: caution if it
+ * is error-passive, advisory if it has reached the warning level, and else nominal. */
 static uint8_t health_of_controller(uint8_t state)
 {
     if ((state & ERROR_PASSIVE) != 0) {
@@ -155,7 +157,8 @@ static uint8_t health_of_controller(uint8_t state)
     return (state & ERROR_WARNING) != 0 ? MCP_ASDF_HEALTH_ADVISORY : MCP_ASDF_HEALTH_NOMINAL;
 }
 
-/* Count an error frame, and update the health by what it reports. */
+/* Count an error frame, and set the health by what it reports: warning if the controller has left the bus,
+ * nominal when it has restarted, and else by its state. Without any of these the health stays. */
 static void handle_error_frame(bus_t *bus, const struct canfd_frame *frame)
 {
     ++bus->counts.error_frames;
@@ -240,7 +243,9 @@ static bus_event_t decode_packet(bus_t *bus, mcp_asdf_frame_t *frame, const uint
     } else {           /* a struct canfd_frame, or its beginning, which is a struct can_frame */
         is_fd = size == CANFD_MTU;
         is_frame = is_fd || size == CAN_MTU;
-        memcpy(&raw, packet, is_frame ? size : 0);
+        if (is_frame) {
+            memcpy(&raw, packet, size);
+        }
     }
     if (!is_frame) {
         ++bus->counts.odd_packets;

@@ -116,16 +116,17 @@ static void open_bus(bus_t *bus)
     }
 }
 
-/* Initialise run->node, and restore its robot from the state's file if there is one. Ends the program with a
- * message on failure. */
+/* Initialise run->node, which counts jumps of its neighbours' alpha, and restore its robot from the state's
+ * file if there is one. Ends the program with a message on failure. */
 static void set_up_node(run_t *run)
 {
     const options_t *options = &run->options;
     const node_output_t output = {bus_send, &run->bus};
     if (node_init(&run->node, &options->node, output) != MCP_ASDF_OK) {
+        /* Prints: cannot make the robot of these options: refused by the firmware; see --help. */
         fail("cannot make the robot", "of these options", "refused by the firmware", "see --help");
     }
-    run->node.senders = run->senders;
+    run->node.senders = run->senders; /* without such memory the node would count no jumps */
     if (options->state != NULL) {
         const char *reason = state_load(options->state, &run->node.robot, &run->node.config);
         if (reason != NULL) {
@@ -269,7 +270,7 @@ static void receive_frames(run_t *run)
     if (event == BUS_CLOSED) {
         end_run(run, "bus closed", EXIT_FAILURE);
     }
-    run->node.health = run->bus.health;
+    run->node.health = run->bus.health; /* also without a packet: a bus opened again is nominal */
 }
 
 /* Read the tick's observation, MCP_ASDF_OBSERVE_NONE if there is none. Returns false, and ends the run with a

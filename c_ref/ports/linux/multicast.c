@@ -61,13 +61,8 @@ static socklen_t address_size(const address_t *address)
  * the socket may be open: the caller closes it. */
 static bool open_receiver(multicast_t *group, const address_t *address, unsigned interface_index)
 {
-    /* Both requests are filled, but only the one of the address's family is used: what the other one reads
-     * from the union has no meaning. */
-    const struct ipv6_mreq ipv6_request = {.ipv6mr_multiaddr = address->ipv6.sin6_addr,
-                                           .ipv6mr_interface = interface_index};
-    const struct ip_mreqn ipv4_request = {.imr_multiaddr = address->ipv4.sin_addr,
-                                          .imr_ifindex = (int)interface_index};
-    const int on = 1, fd = socket(address->any.sa_family, SOCK_DGRAM | SOCK_CLOEXEC | SOCK_NONBLOCK, 0);
+    const int on = 1;
+    const int fd = socket(address->any.sa_family, SOCK_DGRAM | SOCK_CLOEXEC | SOCK_NONBLOCK, 0);
     group->receive_fd = fd;
     /* Other sockets of this machine may be bound to the group's port, too. Bound to the group's own address,
      * this one receives no datagrams of other groups on the same port. */
@@ -76,9 +71,13 @@ static bool open_receiver(multicast_t *group, const address_t *address, unsigned
         return false;
     }
     if (address->any.sa_family == AF_INET6) {
-        return setsockopt(fd, IPPROTO_IPV6, IPV6_JOIN_GROUP, &ipv6_request, sizeof ipv6_request) == 0;
+        const struct ipv6_mreq request = {.ipv6mr_multiaddr = address->ipv6.sin6_addr,
+                                          .ipv6mr_interface = interface_index};
+        return setsockopt(fd, IPPROTO_IPV6, IPV6_JOIN_GROUP, &request, sizeof request) == 0;
     }
-    return setsockopt(fd, IPPROTO_IP, IP_ADD_MEMBERSHIP, &ipv4_request, sizeof ipv4_request) == 0;
+    const struct ip_mreqn request = {.imr_multiaddr = address->ipv4.sin_addr,
+                                     .imr_ifindex = (int)interface_index};
+    return setsockopt(fd, IPPROTO_IP, IP_ADD_MEMBERSHIP, &request, sizeof request) == 0;
 }
 
 /* Let a socket send datagrams to the group, through the interface of that index, or if it is 0 through one
@@ -86,8 +85,8 @@ static bool open_receiver(multicast_t *group, const address_t *address, unsigned
  * Returns whether all calls worked; if not, errno says why, and the caller closes the socket. */
 static bool prepare_to_send(int fd, const address_t *address, unsigned interface_index, int hop_limit)
 {
-    const struct ip_mreqn ipv4_interface = {.imr_ifindex = (int)interface_index};
     const bool is_ipv6 = address->any.sa_family == AF_INET6;
+    const struct ip_mreqn ipv4_interface = {.imr_ifindex = (int)interface_index}; /* unused with IPv6 */
     if (interface_index != 0) {
         const int error =
             is_ipv6
@@ -326,7 +325,7 @@ static bool skip_value(reader_t *reader)
         return skip(reader, 1 + sizeof(uint64_t));
     }
     if (first_byte == MSGPACK_STRING8) {
-        return reader->bytes_left > 1 && skip(reader, 2U + reader->next[1]);
+        return reader->bytes_left > 1 && skip(reader, 2U + reader->next[1]); /* after two bytes the text */
     }
     if (first_byte == MSGPACK_NIL) {
         return skip(reader, 1);
@@ -352,9 +351,9 @@ static bool read_data(reader_t *reader, uint8_t data[CAN_MAX_DLEN], uint32_t dat
     return true;
 }
 
-/* Read a datagram of `size` bytes, field by field: it must have the 11 fields listed above, in their order,
- * and be a classic data frame. Any time and any channel will do. Writes *frame and returns true, or returns
- * false, and leaves *frame as it was, at the first byte that differs. */
+/* Read a datagram of `size` bytes, field by field: it must have the 11 fields listed above BEFORE_TIME, in
+ * their order, and be a classic data frame. Any time and any channel will do. Writes *frame and returns true,
+ * or returns false, and leaves *frame as it was, at the first byte that differs. */
 bool multicast_unpack(struct canfd_frame *frame, const uint8_t *datagram, size_t size)
 {
     reader_t reader = {datagram, size};
@@ -363,7 +362,8 @@ bool multicast_unpack(struct canfd_frame *frame, const uint8_t *datagram, size_t
     if (size > MULTICAST_SIZE) {
         return false;
     }
-    /* Each step reads what stands behind the one before, and the first that fails ends the chain. */
+    /* Each step reads what stands behind the one before, and the first that fails ends the chain. The five
+     * fields that are always false are in the texts: two in BEFORE_CHANNEL, three in AFTER_DATA. */
     const bool has_all_fields =
         skip_text(&reader, BEFORE_TIME) && skip_value(&reader) &&                   /* timestamp */
         skip_text(&reader, BEFORE_ID) && read_number(&reader, &id) &&               /* arbitration_id */

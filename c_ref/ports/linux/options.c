@@ -136,7 +136,9 @@ static const char *parse_id(const char *text, unsigned long *id)
 {
     char *end = NULL;
     *id = strtoul(text, &end, 10);
-    return *text >= '0' && *text <= '9' && *id <= MCP_ASDF_MAX_ID ? end : NULL;
+    /* strtoul() would accept a sign or a space, too. */
+    const bool begins_with_digit = *text >= '0' && *text <= '9';
+    return begins_with_digit && *id <= MCP_ASDF_MAX_ID ? end : NULL;
 }
 
 /* Set in a set of ids (bit id % 8 of byte id / 8) the bits of all ids but those in `list`, which has ids and
@@ -262,8 +264,9 @@ static void check_required_options(const option_texts_t texts)
     if (texts[ID] == NULL) {
         fail(ID, "missing", "see --help");
     }
-    const int sources = (texts[LOCKSTEP] != NULL) + (texts[OBSERVATIONS] != NULL) + (texts[SENSOR] != NULL);
-    if (sources != 1) {
+    const int source_count =
+        (texts[LOCKSTEP] != NULL) + (texts[OBSERVATIONS] != NULL) + (texts[SENSOR] != NULL);
+    if (source_count != 1) {
         fail(LOCKSTEP, texts[LOCKSTEP] == NULL ? "not given" : "given",
              "choose one of --lockstep, --observations, --sensor");
     }

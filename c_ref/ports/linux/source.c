@@ -33,7 +33,7 @@ static mcp_asdf_action_t action_of_character(char character)
 /* Read the sensor's file: white or black, or NOTHING_READ if it cannot be read or contains neither. */
 static mcp_asdf_action_t read_sensor(const source_t *source)
 {
-    char colour = 0;
+    char colour = 0; /* neither of the two, until one is read */
     /* Opened again in every tick, so that a file which has been replaced is read. */
     const int fd = open(source->path, O_RDONLY | O_CLOEXEC | O_NONBLOCK);
     if (fd >= 0) {

@@ -19,7 +19,7 @@ static size_t image_size(const mcp_asdf_config_t *config)
 static ssize_t read_file(int fd, uint8_t *bytes, size_t maximum)
 {
     size_t total = 0;
-    ssize_t size = 1;
+    ssize_t size = 1; /* of the last read(): 0 at the end of the file, -1 after an error */
     /* One read() may return fewer bytes than there are. */
     while (size > 0 && total < maximum) {
         size = read(fd, bytes + total, maximum - total);

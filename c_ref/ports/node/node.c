@@ -122,7 +122,8 @@ void node_observe(node_t *node, mcp_asdf_action_t observation)
     node->is_settled = false;
 }
 
-/* End the tick, and send telemetry if its period has passed; in lockstep in every tick. */
+/* End the open tick, as end_tick() does, and then send telemetry if its period has passed. In lockstep
+ * telemetry is sent at the end of every tick. */
 void node_settle(node_t *node)
 {
     const uint32_t telemetry_period = node->settings->lockstep ? 1 : node->settings->telemetry_period;
@@ -149,9 +150,9 @@ static void handle_command(node_t *node, const mcp_asdf_command_t *command)
     if (command->target != node->settings->id && command->target != MCP_ASDF_EVERY_ROBOT) {
         return;
     }
-    /* A settle command must be for the open tick, an observe command must not: both are in order where these
-     * two agree. Numbers of ticks may go back, as after a restart of the simulator. */
-    const bool is_in_order = is_settle == is_for_open_tick;
+    /* An observe command may be for any other tick: numbers of ticks may go back, as after a restart of the
+     * simulator. */
+    const bool is_in_order = is_settle ? is_for_open_tick : !is_for_open_tick;
     if (!is_in_order) {
         ++node->counts.refused_commands;
         return;
@@ -198,10 +199,12 @@ static void receive_estimate(node_t *node, const mcp_asdf_estimate_t *estimate)
 {
     const uint8_t sender = estimate->node;
     const bool has_own_id = sender == node->settings->id;
+    const uint8_t ignored_of_eight = node->settings->ignored_senders[sender / 8]; /* a bit for each id */
+    const bool is_ignored = ((ignored_of_eight >> (sender % 8)) & 1) != 0;
     if (node->senders != NULL) {
         check_alpha_jump(node, estimate);
     }
-    if (!has_own_id && ((node->settings->ignored_senders[sender / 8] >> (sender % 8)) & 1) != 0) {
+    if (is_ignored && !has_own_id) {
         ++node->counts.ignored_estimates;
         return;
     }
@@ -220,7 +223,8 @@ static void receive_estimate(node_t *node, const mcp_asdf_estimate_t *estimate)
  * content. */
 static bool is_other_kind(mcp_asdf_frame_status_t status) { return status >= MCP_ASDF_FRAME_ERR_SUBJECT; }
 
-/* Receive an estimate, carry out a command in lockstep, and count any other frame. */
+/* Receive an estimate, or in lockstep carry out a command. Any other frame is counted: as rejected if it is
+ * of a kind that is read here, but malformed, and else among the other frames. */
 void node_handle_frame(node_t *node, const mcp_asdf_frame_t *frame)
 {
     mcp_asdf_estimate_t estimate;

@@ -18,18 +18,17 @@ void fault(void);
 /* Set by virt.ld. */
 extern uint32_t bss_start[], bss_end[];
 
-/* The first instructions: set global pointer, stack and trap handler. All memory is RAM and holds the image,
- * data included. The number is "csrw mtvec, t0": assemblers differ in the extension that they need for its
- * name. */
+/* The first instructions: set global pointer, stack and trap handler, and go on with begin(). All memory is
+ * RAM and holds the image, data included, so that nothing has to be copied. */
 __attribute__((naked, section(".start"))) void start(void)
 {
     __asm__(".option push\n"
-            ".option norelax\n"
+            ".option norelax\n" /* else the linker may compute this address from gp itself */
             "la gp, global_pointer\n"
             ".option pop\n"
             "la sp, stack_top\n"
             "la t0, fault\n"
-            ".4byte 0x30529073\n"
+            ".4byte 0x30529073\n" /* csrw mtvec, t0: assemblers differ in the extension it needs */
             "j begin\n");
 }
 

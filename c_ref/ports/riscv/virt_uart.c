@@ -54,25 +54,28 @@ int port_get(void)
     return has_byte ? UART_DATA : PORT_NOTHING;
 }
 
-/* Switch on the queues of the UART, and let received bytes wake the processor: an interrupt that is enabled
- * ends "wfi" even where the processor takes none, as here. Nor does it need to, since the UART itself keeps
- * 16 bytes, which is time enough. */
+/* Switch on the queues of the UART, and let received bytes wake the processor from port_sleep(). For that
+ * their interrupt is enabled at each step of its way: in the UART, in the interrupt controller, and in the
+ * processor's register mie. The processor never takes it, as another bit (mstatus.MIE), 0 from reset on,
+ * forbids all interrupts. But an interrupt that is enabled in mie ends the instruction "wfi" all the same,
+ * and then port_get() fetches the bytes, of which the UART keeps 16. */
 void uart_start(void)
 {
     UART_QUEUES = ENABLE_AND_CLEAR;
     UART_INTERRUPTS = WHEN_RECEIVED;
-    UART_PRIORITY = 1;
+    UART_PRIORITY = 1; /* the controller passes on no interrupt of priority 0 */
     ENABLED_INTERRUPTS = UART_BIT;
-    /* Bit 11 of mie: external interrupts. The number is "csrs mie, a0", as assemblers differ in the extension
-     * that they need for its name. */
-    register uint32_t external __asm__("a0") = 0x800;
-    __asm__ volatile(".4byte 0x30452073" ::"r"(external));
+    /* The number is the instruction "csrs mie, a0", which sets in mie the bits that are set in a0. Assemblers
+     * differ in the extension that they need for its name. */
+    register uint32_t external_interrupts __asm__("a0") = 1U << 11;
+    __asm__ volatile(".4byte 0x30452073" ::"r"(external_interrupts));
 }
 
-/* Sleep until an interrupt. It wakes the processor although it is masked. Reading this register claims the
- * interrupt, writing it back completes it, so that the next one can come. */
+/* Sleep until an interrupt, which wakes the processor although it is not taken (uart_start()). */
 void port_sleep(void)
 {
     __asm__ volatile("wfi");
-    CLAIMED_INTERRUPT = CLAIMED_INTERRUPT;
+    /* Reading claims the interrupt, and writing its number back completes it, so that the next can come. */
+    const uint32_t interrupt = CLAIMED_INTERRUPT;
+    CLAIMED_INTERRUPT = interrupt;
 }

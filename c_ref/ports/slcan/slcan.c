@@ -63,15 +63,16 @@ uint8_t slcan_format_frame(char line[SLCAN_LINE_MAX], const mcp_asdf_frame_t *fr
 {
     const bool is_standard = (frame->flags & MCP_ASDF_FRAME_STANDARD) != 0;
     const bool is_remote = (frame->flags & MCP_ASDF_FRAME_REMOTE) != 0;
+    const uint32_t id_max = is_standard ? STANDARD_ID_MAX : EXTENDED_ID_MAX;
     if ((frame->flags & (MCP_ASDF_FRAME_FD | MCP_ASDF_FRAME_ERROR)) != 0 || frame->length > DATA_LENGTH_MAX ||
-        frame->id > (is_standard ? STANDARD_ID_MAX : EXTENDED_ID_MAX)) {
+        frame->id > id_max) {
         return 0;
     }
     char *end = line;
     *end++ = kind_of_line(is_standard, is_remote);
     end = write_hex(end, frame->id, is_standard ? STANDARD_ID_DIGITS : EXTENDED_ID_DIGITS);
     end = write_hex(end, frame->length, 1);
-    for (uint8_t i = 0; i < frame->length && !is_remote; ++i) {
+    for (uint8_t i = 0; i < frame->length && !is_remote; ++i) { /* remote frames have a length, but no data */
         end = write_hex(end, frame->data[i], 2);
     }
     return (uint8_t)(end - line);
@@ -87,10 +88,11 @@ bool slcan_parse_frame(mcp_asdf_frame_t *frame, const char *line, uint8_t length
     const char kind = line[0];
     const bool is_standard = kind == 't' || kind == 'r', is_remote = kind == 'r' || kind == 'R';
     const uint8_t id_digits = is_standard ? STANDARD_ID_DIGITS : EXTENDED_ID_DIGITS;
+    const uint32_t id_max = is_standard ? STANDARD_ID_MAX : EXTENDED_ID_MAX;
+    const bool is_kind_of_frame = is_standard || is_remote || kind == 'T';
     const uint8_t header_length = 1 + id_digits + 1; /* the kind, the id, and a digit for the length */
-    if (!(is_standard || is_remote || kind == 'T') || length < header_length ||
-        !parse_hex(&parsed.id, line + 1, id_digits) ||
-        parsed.id > (is_standard ? STANDARD_ID_MAX : EXTENDED_ID_MAX)) {
+    if (!is_kind_of_frame || length < header_length || !parse_hex(&parsed.id, line + 1, id_digits) ||
+        parsed.id > id_max) {
         return false;
     }
     if (is_standard) {
@@ -100,8 +102,10 @@ bool slcan_parse_frame(mcp_asdf_frame_t *frame, const char *line, uint8_t length
         parsed.flags |= MCP_ASDF_FRAME_REMOTE;
     }
     parsed.length = parse_digit(line[header_length - 1]);
-    const uint8_t byte_count = is_remote ? 0 : parsed.length; /* remote frames have a length, but no data */
-    if (parsed.length > DATA_LENGTH_MAX || length != header_length + 2 * byte_count) {
+    const uint8_t byte_count = is_remote ? 0 : parsed.length;   /* remote frames have a length, but no data */
+    const int expected_length = header_length + 2 * byte_count; /* two digits a byte */
+    /* NO_DIGIT, for a length that is no digit, is above the maximum, too. */
+    if (parsed.length > DATA_LENGTH_MAX || length != expected_length) {
         return false;
     }
     for (uint8_t i = 0; i < byte_count; ++i) {
@@ -139,7 +143,7 @@ static bool queue_text(slcan_link_t *link, const char *text, uint8_t length)
  * line before. */
 void slcan_start(slcan_link_t *link)
 {
-    *link = (slcan_link_t){.is_open = false};
+    *link = (slcan_link_t){.is_open = false}; /* and the counters and the outbox are 0 */
     (void)queue_text(link, "\r", 1);
 }
 
@@ -185,8 +189,9 @@ static void send_status_flags(slcan_link_t *link)
     send_answer(link, answer);
 }
 
-/* Returns the number of characters of a command that begins with a letter. Those with a bit rate are longer:
- * its number follows, or the registers that set it, in four digits. */
+/* Returns the number of characters, without the carriage return, of the command with this letter: 1, also for
+ * letters that handle_command() refuses. Only the two for the bit rate are longer: S and a digit that stands
+ * for it, or s and four digits for the registers that set it. */
 static uint8_t command_length(char letter)
 {
     switch (letter) {

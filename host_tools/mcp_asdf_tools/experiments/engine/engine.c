@@ -180,12 +180,13 @@ FOR_EACH_TARGET static void sum_all_messages(lanes_t *rows, uint32_t robots)
     rows->round_sums = all;
 }
 
-/* Let all robots of the active trials receive the messages of one step: along links or arcs, or in fully
- * connected swarms from all others, as estimates to keep (robust filter) or as sums. */
+/* Let all robots of the active trials receive the messages of one step: along the links of their arenas or
+ * the arcs of a graph, or in fully connected swarms from all others. In either case the robust filter keeps
+ * the messages as estimates, and with other filters they are added to the sums of the round. */
 static void deliver_messages(const run_t *run)
 {
     if (trial_is_linked(run->experiment)) {
-        receive_along_links(run);
+        receive_along_links(run); /* for all filters */
     } else if (run->is_robust) {
         lanes_keep_all_estimates(run->lanes, run->rows);
     } else {
@@ -272,9 +273,10 @@ static void step_lanes(run_t *run, uint32_t k)
 static void store_in_robot(const run_t *run, uint32_t j, uint32_t l)
 {
     const uint32_t lane = j * run->parallel_trials + l, entry = lane % LANES;
-    const uint32_t messages_of_all = run->ticks * (run->experiment->robots - 1);
     const lanes_t *const row = &run->lanes[lane / LANES];
     mcp_asdf_t *const robot = &run->trials[l].robots[j];
+    /* In fully connected swarms no message is counted: in each tick one of each other robot has come. */
+    const uint32_t messages_of_all = run->ticks * (run->experiment->robots - 1);
     const uint32_t messages = trial_is_linked(run->experiment) ? row->message_count[entry] : messages_of_all;
     robot->t = run->t;
     robot->n = row->n[entry];
@@ -297,11 +299,12 @@ static void load_lanes_from_robots(run_t *run)
     run->t = mcp_asdf_t_count(&run->trials[0].robots[0]);
     run->ticks = run->observation_count = 0;
     for (uint32_t lane = 0; lane < run->rows * LANES; ++lane) {
-        const uint32_t j = lane / parallel_trials, l = lane % parallel_trials;
-        const trial_t *const trial = &run->trials[l < run->active_trials ? l : 0];
+        const uint32_t robot_of_lane = lane / parallel_trials, trial_of_lane = lane % parallel_trials;
+        const uint32_t j = robot_of_lane < robots ? robot_of_lane : 0;
+        const uint32_t l = trial_of_lane < run->active_trials ? trial_of_lane : 0;
         lanes_t *const row = &run->lanes[lane / LANES];
         row->message_count[lane % LANES] = 0;
-        lanes_load_robot(row, lane % LANES, &trial->robots[j < robots ? j : 0]);
+        lanes_load_robot(row, lane % LANES, &run->trials[l].robots[j]);
     }
 }
 
@@ -312,8 +315,11 @@ static bool needs_firmware(const run_t *run, uint32_t k)
 {
     const mcp_asdf_experiment_t *const experiment = run->experiment;
     const mcp_asdf_config_t *const config = experiment->configs[0];
-    return !run->steps_in_lanes || (k + 1) % config->filter_period == 0 || k + 1 == experiment->steps ||
-           (run->t + 1 == config->memory && trial_observes(experiment, k));
+    const uint32_t steps_taken = k + 1; /* with step k; where there are lanes, each step is a round */
+    const bool is_test = steps_taken % config->filter_period == 0;
+    const bool is_last_step = steps_taken == experiment->steps;
+    const bool fills_memory = run->t + 1 == config->memory && trial_observes(experiment, k);
+    return !run->steps_in_lanes || is_test || is_last_step || fills_memory;
 }
 
 /* Store what the steps in lanes have made of the robots of all active trials in these robots. */
@@ -364,7 +370,8 @@ static void number_lanes(run_t *run, uint32_t index)
         const uint32_t robot = lane / run->parallel_trials, parallel_trial = lane % run->parallel_trials;
         const bool is_idle = parallel_trial >= run->active_trials;
         lanes_t *const row = &run->lanes[lane / LANES];
-        row->trial[lane % LANES] = run->experiment->first_trial + index + (is_idle ? 0 : parallel_trial);
+        const uint32_t index_of_trial = is_idle ? index : index + parallel_trial;
+        row->trial[lane % LANES] = run->experiment->first_trial + index_of_trial;
         row->robot[lane % LANES] = robot;
     }
 }

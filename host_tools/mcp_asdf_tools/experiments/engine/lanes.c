@@ -57,15 +57,19 @@ void lanes_load_robot(lanes_t *row, uint32_t l, const mcp_asdf_t *robot)
     form_message_sums(row, l);
 }
 
-/* Make the t-th observation, which the draws of step k decide, in all lanes of `count` rows: n may grow, and
- * x_hat, alpha and the sums of the message follow from it. */
+/* Make the t-th observation, which the draws of step k decide, in all lanes of `count` rows: n grows by 1 in
+ * lanes that observe black, and x_hat, alpha and the sums of the message follow from t and n. */
 FOR_EACH_TARGET void lanes_observe(lanes_t *rows, uint32_t count, uint32_t t, uint32_t k)
 {
     for (lanes_t *row = rows; row < rows + count; ++row) {
         SIDE_BY_SIDE
         for (uint32_t l = 0; l < LANES; ++l) {
-            const mcp_asdf_accuracy_t accuracy = {row->b_hat[l], row->c[l],       row->common[l],
-                                                  row->rare[l],  row->g_shift[l], row->rare_shift[l]};
+            const mcp_asdf_accuracy_t accuracy = {.b_hat = row->b_hat[l],
+                                                  .c = row->c[l],
+                                                  .common = row->common[l],
+                                                  .rare = row->rare[l],
+                                                  .g_shift = row->g_shift[l],
+                                                  .rare_shift = row->rare_shift[l]};
             row->n[l] += lanes_is_black(row, l, k);
             const estimate_t message = estimate(t, row->n[l], &accuracy);
             row->x_hat[l] = message.x_hat;
@@ -83,8 +87,9 @@ FOR_EACH_TARGET void lanes_settle_sums(lanes_t *rows, uint32_t count, uint32_t x
     for (lanes_t *row = rows; row < rows + count; ++row) {
         SIDE_BY_SIDE
         for (uint32_t l = 0; l < LANES; ++l) {
-            const mcp_asdf_closed_t closed = {row->round_sums.alpha[l], row->round_sums.alpha_x_low[l],
-                                              row->round_sums.alpha_x_high[l]};
+            const mcp_asdf_closed_t closed = {.alpha = row->round_sums.alpha[l],
+                                              .alpha_x_low = row->round_sums.alpha_x_low[l],
+                                              .alpha_x_high = row->round_sums.alpha_x_high[l]};
             row->x[x_index][l] = informed_estimate(&closed, row->x_hat[l], row->alpha[l]);
             row->round_sums.alpha[l] = 0;
             row->round_sums.alpha_x_low[l] = 0;
@@ -150,9 +155,10 @@ static uint32_t choose_vote(lanes_t *row, size_t l)
  * selected: vectors have no branches. */
 ALWAYS_INLINE void take_vote_in_lane(lanes_t *row, size_t l, uint32_t vote)
 {
-    const vote_statistics_t before = {row->centre[l], row->spread[l], row->votes[l]};
+    const vote_statistics_t before = {
+        .centre = row->centre[l], .spread = row->spread[l], .votes = row->votes[l]};
     const vote_statistics_t after = statistics_after_vote(before, vote);
-    const bool counts = row->filled_slots[l] != 0U;
+    const bool counts = row->filled_slots[l] != 0U; /* else choose_vote() has found no vote */
     row->centre[l] = counts ? after.centre : before.centre;
     row->spread[l] = counts ? after.spread : before.spread;
     row->votes[l] = counts ? after.votes : before.votes;
@@ -171,7 +177,8 @@ FOR_EACH_TARGET void lanes_settle_votes(lanes_t *rows, uint32_t count, uint32_t 
         SIDE_BY_SIDE
         for (uint32_t l = 0; l < LANES; ++l) {
             take_vote_in_lane(row, l, votes[l]);
-            row->x[x_index][l] = row->filled_slots[l] != 0U ? q23_from_q30(row->centre[l]) : row->x_hat[l];
+            const bool has_voted = row->filled_slots[l] != 0U; /* slots stay filled */
+            row->x[x_index][l] = has_voted ? q23_from_q30(row->centre[l]) : row->x_hat[l];
         }
     }
 }

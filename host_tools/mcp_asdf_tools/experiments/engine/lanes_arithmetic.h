@@ -39,15 +39,20 @@ LANES_INLINE uint32_t leading_zeros(uint32_t value)
     return (uint32_t)(zeros > 0 ? zeros : 0) & 31U; /* the mask is there for analysers only */
 }
 
-/* Returns what estimate_digit() multiplies by in place of a division by d, which is in [2^29, 2^31]: 2^46 /
- * d, never too large, and too small by at most a share of 0.252 2^-13. All d were tried. */
+/* Prepare divisions by d, which is in [2^29, 2^31]: returns the reciprocal, 2^46 / d, with which
+ * estimate_digit() multiplies in place of dividing. It is never too large, and too small by at most 0.252
+ * 2^-13 of its value. All d were tried. */
 LANES_INLINE uint32_t prepare(uint32_t d)
 {
-    const uint32_t least = UINT32_C(1) << 21; /* of d >> 8, but for damaged memory */
-    const uint32_t y = d >> 8 > least ? d >> 8 : least;
-    /* 2^46 / d = 2^38 / (d / 2^8). The divisor y + 2, at most 2^23 + 2, is exact as a float of 24 bits, but
-     * larger than d / 2^8 by 1 to 2, so that the quotient stays too small when it is rounded to 24 bits. */
-    const uint32_t divisor = y + 2U;
+    /* Without its lowest 8 bits d is exact as a float, which has 24: 2^46 / d is about 2^38 / (d / 2^8). */
+    const uint32_t upper_bits = d >> 8;
+    /* Only damaged memory has less; the bound keeps the quotient within the numbers of 32 bits. */
+    const uint32_t valid_min = UINT32_C(1) << 21;
+    const uint32_t bounded_bits = upper_bits > valid_min ? upper_bits : valid_min;
+    /* The lost bits are worth almost 1, and the quotient below may be rounded up: with 2 more in the divisor
+     * it is never too large. */
+    const uint32_t divisor = bounded_bits + 2U;
+    /* Converted by way of signed numbers, for which AVX2 has instructions. */
     return (uint32_t)(int32_t)(0x1p38F / (float)(int32_t)divisor);
 }
 

@@ -24,16 +24,18 @@ uint32_t mcp_asdf_engine_columns(const mcp_asdf_experiment_t *experiment)
     return has_common_x ? 1 : experiment->robots;
 }
 
-/* Returns the part of the outcome in which the index-th trial has its results, by the sizes that
- * mcp_asdf_outcome_t states. */
+/* Returns the part of the outcome in which the index-th trial has its results. The arrays hold one trial
+ * after another: of x a trial has T + 1 entries in each of its columns, of b_hat one entry a robot for each
+ * test, and of records one a robot for each sampling interval; records is NULL if there are none. */
 trial_t trial_outcome(const mcp_asdf_experiment_t *experiment, const mcp_asdf_outcome_t *outcome,
                       uint32_t index)
 {
     const size_t count = experiment->robots, steps = experiment->steps;
     const uint32_t interval = experiment->sampling_interval;
     const size_t estimates_of_trial = mcp_asdf_engine_columns(experiment) * (steps + 1);
-    const size_t accuracies_of_trial = steps / steps_between_tests(experiment) * count;
-    const size_t records_of_trial = interval == 0 ? 0 : steps / interval * count;
+    const size_t tests = steps / steps_between_tests(experiment);
+    const size_t accuracies_of_trial = tests * count;
+    const size_t records_of_trial = interval == 0 ? 0 : (steps / interval) * count;
     return (trial_t){.robots = outcome->robots + index * count,
                      .x = outcome->x + index * estimates_of_trial,
                      .b_hat = outcome->b_hat + index * accuracies_of_trial,
@@ -85,7 +87,8 @@ static void receive_from(const mcp_asdf_experiment_t *experiment, const mcp_asdf
 static mcp_asdf_open_t sum_messages(const mcp_asdf_experiment_t *experiment, const mcp_asdf_t *robots,
                                     uint32_t first, uint32_t end)
 {
-    const mcp_asdf_config_t config_without_filter = {NULL, 1, MCP_ASDF_MEMORY_MAX, MCP_ASDF_OFF};
+    const mcp_asdf_config_t config_without_filter = {
+        .filter_period = 1, .memory = MCP_ASDF_MEMORY_MAX, .filter = MCP_ASDF_OFF};
     mcp_asdf_t neighbour = {.config = &config_without_filter};
     for (uint32_t j = first; j < end; ++j) {
         neighbour.id = mcp_asdf_id(&robots[j]) ^ 1; /* any but that of the sender */
@@ -134,8 +137,9 @@ static void deliver_along_links(const mcp_asdf_experiment_t *experiment, mcp_asd
     }
 }
 
-/* Let all robots of a trial receive the messages of one step: along the links of `arena`, or of a graph if it
- * is NULL, or in fully connected swarms from all others. */
+/* Let all robots of a trial receive the messages of one step: in a moving world along the links of `arena`,
+ * both ways; else `arena` is NULL, and they receive along the arcs of the experiment's graph, one way, or in
+ * fully connected swarms from all others. */
 static void deliver_messages(const mcp_asdf_experiment_t *experiment, mcp_asdf_t *robots,
                              const mcp_asdf_arena_t *arena)
 {
@@ -159,8 +163,10 @@ void trial_tick(const mcp_asdf_experiment_t *experiment, const trial_t *trial, c
     }
     if (trial_observes(experiment, k)) {
         for (uint32_t j = 0; j < count; ++j) {
+            /* Lanes are counted through all rows, which have LANES of them each. */
             const uint32_t lane = observations.first_lane + j * observations.parallel_trials;
-            const uint32_t is_black = lanes_is_black(&observations.lanes[lane / LANES], lane % LANES, k);
+            const lanes_t *const row = &observations.lanes[lane / LANES];
+            const uint32_t is_black = lanes_is_black(row, lane % LANES, k);
             (void)mcp_asdf_observe(&trial->robots[j], is_black ? MCP_ASDF_BLACK : MCP_ASDF_WHITE);
         }
     }
@@ -195,8 +201,9 @@ static mcp_asdf_record_t record_of_robot(const mcp_asdf_t *robot)
 static void record_x(const mcp_asdf_experiment_t *experiment, const trial_t *trial, uint32_t step)
 {
     const uint32_t columns = mcp_asdf_engine_columns(experiment);
+    const size_t steps_of_series = (size_t)experiment->steps + 1; /* with step 0 */
     for (uint32_t column = 0; column < columns; ++column) {
-        trial->x[column * ((size_t)experiment->steps + 1) + step] = mcp_asdf_x(&trial->robots[column]);
+        trial->x[column * steps_of_series + step] = mcp_asdf_x(&trial->robots[column]);
     }
 }
 
@@ -208,13 +215,15 @@ void trial_record(const mcp_asdf_experiment_t *experiment, const trial_t *trial,
     const uint64_t period = steps_between_tests(experiment);
     record_x(experiment, trial, step);
     if (step % period == 0) {
-        uint32_t *const b_hat = trial->b_hat + (step / period - 1) * count; /* of this test */
+        const uint64_t earlier_tests = step / period - 1;
+        uint32_t *const b_hat = trial->b_hat + earlier_tests * count; /* of this test */
         for (uint32_t j = 0; j < count; ++j) {
             b_hat[j] = mcp_asdf_b_hat(&trial->robots[j]);
         }
     }
     if (trial->records != NULL && step % interval == 0) {
-        mcp_asdf_record_t *const records = trial->records + (step / interval - 1) * (size_t)count;
+        const size_t earlier_samples = step / interval - 1;
+        mcp_asdf_record_t *const records = trial->records + earlier_samples * count; /* of this sample */
         for (uint32_t j = 0; j < count; ++j) {
             records[j] = record_of_robot(&trial->robots[j]);
         }

@@ -88,12 +88,11 @@ IN_LOOPS double ground_sensor_y(const mcp_asdf_arena_t *arena, size_t i)
 
 /* Store in arena->black 1 for each robot whose ground sensor is on a black tile, else 0. Robots are taken a
  * vector at a time, and the last vector may go beyond the last robot: allocate() has made room for that in
- * all arrays. Indices are size_t, as loops whose index cannot wrap around become vectors; colours are words
- * first, as wide as the numbers that decide them. */
+ * all arrays. Indices are size_t, as loops whose index cannot wrap around become vectors. */
 FOR_EACH_TARGET static void read_tiles(const mcp_asdf_arena_t *arena)
 {
     for (size_t first = 0; first < arena->config.robots; first += VECTOR) { /* `first` and those after it */
-        uint64_t is_black[VECTOR];
+        uint64_t is_black[VECTOR]; /* as wide as the coordinates, so that one vector holds as many */
         SIDE_BY_SIDE
         for (size_t i = 0; i < VECTOR; ++i) {
             is_black[i] =
@@ -139,7 +138,7 @@ static void *allocate(uint8_t *memory, size_t *used, size_t count, size_t size)
 static uint32_t max_neighbours_within(const mcp_asdf_arena_config_t *config, double distance)
 {
     const double radii = distance / BODY_RADIUS + 1; /* radius of the disc, in radii of a body */
-    const double bodies = radii * radii - 1;
+    const double bodies = radii * radii - 1;         /* in areas of a body, without the one in the middle */
     return bodies < config->robots ? (uint32_t)bodies : config->robots - 1;
 }
 
@@ -157,6 +156,7 @@ static size_t lay_out_memory(mcp_asdf_arena_t *arena, const mcp_asdf_arena_confi
 {
     const uint32_t robots = config->robots;
     mcp_asdf_bodies_t *const bodies = &arena->touching;
+    /* The addresses of those members that point to arrays of doubles or of bytes. */
     double **const numbers[] = {&arena->x,
                                 &arena->y,
                                 &arena->cx,
@@ -171,7 +171,8 @@ static size_t lay_out_memory(mcp_asdf_arena_t *arena, const mcp_asdf_arena_confi
                                 &bodies->motor_change_x,
                                 &bodies->motor_change_y};
     uint8_t **const flags[] = {&arena->black, &arena->wheels, &arena->avoids};
-    /* The first array begins at a whole vector. Without memory the most bytes are reserved for that. */
+    /* The first array begins at a whole vector, behind so many unused bytes. Without memory it is not known
+     * where that is, and the most that there can be are counted. */
     size_t used = memory == NULL ? VECTOR_BYTES - 1 : bytes_before_vector(memory);
     for (size_t k = 0; k < sizeof numbers / sizeof *numbers; ++k) {
         *numbers[k] = allocate(memory, &used, robots, sizeof(double));

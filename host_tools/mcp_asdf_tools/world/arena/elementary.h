@@ -46,11 +46,11 @@ IN_LOOPS double arc_tangent(double z)
         z = z / (1 + sqrt(1 + z * z)); /* the tangent of half the angle */
     }
     const double square = z * z;
-    double sum = 0;
+    double sum = 0; /* of the power series, over z: 1 - square (1/3 - square (1/5 - ...)) */
     for (int n = 21; n >= 1; n -= 2) {
         sum = INVERSE[n] - square * sum;
     }
-    return 4 * z * sum;
+    return 4 * z * sum; /* the angle was halved twice */
 }
 
 /* Returns the angle between (x, y), not both 0, and straight ahead, which is along x: [0, pi], for both
@@ -69,14 +69,14 @@ IN_LOOPS double arena_bearing(double x, double y)
 IN_LOOPS double arena_fading(double x)
 {
     const double sixteenth = x / 16;
-    double sum = 1;
+    double power = 1; /* of the series: 1 - sixteenth (1 - sixteenth / 2 (1 - sixteenth / 3 (1 - ...))) */
     for (int n = 10; n >= 1; --n) {
-        sum = 1 - sum * sixteenth * INVERSE[n];
+        power = 1 - power * sixteenth * INVERSE[n];
     }
-    sum *= sum;
-    sum *= sum;
-    sum *= sum;
-    return sum * sum;
+    power *= power; /* squared four times */
+    power *= power;
+    power *= power;
+    return power * power;
 }
 
 #endif

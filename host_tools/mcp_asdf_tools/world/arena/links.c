@@ -157,7 +157,8 @@ static void list_candidates_by_robot(mcp_asdf_arena_t *arena)
 }
 
 /* Search for the candidates, the pairs that could be linked, visible or touchable before the next search, and
- * store them as pairs and by robot. */
+ * store them in arena->candidates and, as lists by robot, in candidates_of. Starts the countdown to the next
+ * search. */
 static void find_candidates(mcp_asdf_arena_t *arena)
 {
     const double limit = candidate_distance(&arena->config);
@@ -205,8 +206,9 @@ static void add_near_pair(mcp_asdf_arena_t *arena, mcp_asdf_pair_t pair, double 
     }
 }
 
-/* Find the candidates in range of each other, which are links unless a body is between, and those that are
- * visible or touchable. */
+/* Store in arena->links the candidates in range of each other, of which remove_blocked_links() removes some
+ * later, and in in_range for each robot the others in its range. Finds the visible and the touchable pairs,
+ * too. */
 static void classify_candidates(mcp_asdf_arena_t *arena)
 {
     const double range = arena->config.range;
@@ -218,14 +220,14 @@ static void classify_candidates(mcp_asdf_arena_t *arena)
     uint32_t link_count = 0;
     for (uint32_t p = 0; p < count; ++p) {
         const double squared = squared_distance(arena, candidates[p].a, candidates[p].b);
-        const uint64_t is_linked = squared < range * range;
-        /* Written always, and overwritten unless it is a link: about half are, which no branch could predict.
-         */
+        const uint64_t is_in_range = squared < range * range; /* 1 or 0 */
+        /* Written always, and overwritten by the next one unless it is in range: about half are, which no
+         * branch could predict. */
         links[link_count] = candidates[p];
-        link_count += (uint32_t)is_linked;
-        /* Sets of robots in range of each other, as bits by their numbers modulo 64. */
-        in_range[candidates[p].a] |= is_linked << (candidates[p].b % 64);
-        in_range[candidates[p].b] |= is_linked << (candidates[p].a % 64);
+        link_count += (uint32_t)is_in_range;
+        /* A set has 64 bits: robot j is bit j % 64, which other robots may share. */
+        in_range[candidates[p].a] |= is_in_range << (candidates[p].b % 64);
+        in_range[candidates[p].b] |= is_in_range << (candidates[p].a % 64);
         if (squared < near_distance * near_distance) {
             add_near_pair(arena, candidates[p], squared);
         }
@@ -249,7 +251,7 @@ static bool blocks_line(const mcp_asdf_arena_t *arena, uint32_t i, uint32_t j, u
 /* Whether a body is on the line between robots i and j. Bodies do not overlap, so one between two others is
  * closer to each than they are to each other, and in range of both. in_range has a set of bits for each
  * robot, which stand for the robots in its range. If two sets have no bit in common, there is no such body.
- * If they have one, each candidate is tried, as a bit stands for several robots. */
+ * If they have one, which several robots may share, all robots in a candidate pair with i are tried. */
 static bool is_blocked(const mcp_asdf_arena_t *arena, uint32_t i, uint32_t j)
 {
     if ((arena->in_range[i] & arena->in_range[j]) == 0) {
@@ -265,7 +267,7 @@ static bool is_blocked(const mcp_asdf_arena_t *arena, uint32_t i, uint32_t j)
 /* Remove the links whose line a body blocks, and keep the order of the others. */
 static void remove_blocked_links(mcp_asdf_arena_t *arena)
 {
-    uint32_t kept_count = 0;
+    uint32_t kept_count = 0; /* never above p: a link is moved down or stays */
     for (uint32_t p = 0; p < arena->link_count; ++p) {
         if (!is_blocked(arena, arena->links[p].a, arena->links[p].b)) {
             arena->links[kept_count++] = arena->links[p];

@@ -55,11 +55,11 @@ static void add_contact(const mcp_asdf_arena_t *arena, mcp_asdf_bodies_t *bodies
 /* Add a contact for each pair of bodies that are closer than `margin` to each other, edge to edge. */
 static void find_robot_contacts(const mcp_asdf_arena_t *arena, mcp_asdf_bodies_t *bodies, double margin)
 {
-    const double limit = (DIAMETER + margin) * (DIAMETER + margin);
+    const double squared_limit = (DIAMETER + margin) * (DIAMETER + margin);
     for (uint32_t p = 0; p < arena->touchable_count; ++p) {
         const uint32_t a = arena->touchable[p].a, b = arena->touchable[p].b;
         const double squared = squared_distance(arena, a, b);
-        if (squared < limit) {
+        if (squared < squared_limit) {
             const double distance = sqrt(squared);
             const double dx = arena->x[b] - arena->x[a], dy = arena->y[b] - arena->y[a];
             add_contact(arena, bodies,
@@ -111,6 +111,7 @@ static void run_motors(mcp_asdf_arena_t *arena, mcp_asdf_bodies_t *bodies)
     const double limit = arena->max_motor_change;
     for (uint32_t m = 0; m < bodies->count; ++m) {
         const uint32_t i = bodies->robot[m];
+        /* What all passes together would have to change for the body to reach its target velocity now. */
         double change_x = bodies->motor_change_x[m] + bodies->target_vx[m] - arena->vx[i];
         double change_y = bodies->motor_change_y[m] + bodies->target_vy[m] - arena->vy[i];
         const double squared = change_x * change_x + change_y * change_y;
@@ -124,19 +125,21 @@ static void run_motors(mcp_asdf_arena_t *arena, mcp_asdf_bodies_t *bodies)
     }
 }
 
-/* One pass over a contact of body a with body b, or with a wall (b < 0). Bodies that approach each other so
- * fast that they would overlap after a substep lose as much of their speed along the normal as is too much.
- * Against sliding along the surface acts friction, at most in proportion to that. Two robots share each
- * change of velocity, while a wall takes none. The normal points away from a. */
+/* Change the velocities of body a and of body b, or of a alone at a wall (b < 0), by one pass over their
+ * contact. If they approach each other so fast that a substep would more than close the gap, what is too much
+ * is taken from their speed along the normal, which points from a to the other. Friction takes the speed at
+ * which they slide along each other, but at most `friction` times the change along the normal. Each of two
+ * bodies gets half of a change; at a wall the body gets all of it. */
 static void resolve_contact(mcp_asdf_arena_t *arena, mcp_asdf_contact_t *contact)
 {
     const int a = contact->a, b = contact->b;
     const bool is_wall = b < 0;
-    const double share = is_wall ? 1 : 0.5; /* of a change of velocity, for body a */
+    const double share = is_wall ? 1 : 0.5; /* of each change of velocity, for body a */
     const double friction = is_wall ? FRICTION_WALL : FRICTION_ROBOTS;
     const double normal_x = contact->normal_x, normal_y = contact->normal_y;
-    /* Velocity of the point of contact on a body relative to the other: that of the centres, and along the
-     * surface that of the turning bodies. */
+    /* The velocity of a's centre relative to b's, and of a's surface relative to b's, along a tangent that is
+     * the normal turned to the left. Where both bodies turn to the left, their surfaces move in opposite
+     * directions, so that the spins add up; the motors hold those that the wheels ask for. */
     const double other_vx = is_wall ? 0 : arena->vx[b], other_vy = is_wall ? 0 : arena->vy[b];
     const double other_spin = is_wall ? 0 : arena->target_spin[b];
     const double surface_speed = BODY_RADIUS * (arena->target_spin[a] + other_spin);
@@ -144,7 +147,8 @@ static void resolve_contact(mcp_asdf_arena_t *arena, mcp_asdf_contact_t *contact
     const double relative_vy = arena->vy[a] - other_vy;
     const double closing_speed = relative_vx * normal_x + relative_vy * normal_y;
     const double sliding_speed = relative_vy * normal_x - relative_vx * normal_y + surface_speed;
-    /* The sums over all passes are limited, not each pass: a later pass may take back what was too much. */
+    /* normal_change and tangent_change are the sums over the passes of this substep. They are limited, not
+     * what each pass changes: so a later pass may take back what was too much. */
     const double allowed_speed = contact->gap / arena->substep;
     const double new_normal_change =
         max_of(0, contact->normal_change + share * (closing_speed - allowed_speed));
@@ -224,17 +228,17 @@ static void move_touching_bodies(mcp_asdf_arena_t *arena)
  *   x .. vy, cx, cy           position, velocity, and heading as its cosine and sine
  *   target_vx, target_vy      velocity that the wheels ask for
  *   substep                   seconds in a substep
- *   limit                     maximum change of velocity in a substep
+ *   max_change                maximum change of velocity in a substep
  *   substeps_left             substeps for which the body has not been moved yet: when motors have run, those
  *                             after it reached its target velocity
- *   angle                     turn in the whole tick, in radians */
+ *   turn                      angle by which it turns in the whole tick, in radians */
 typedef struct {
     uint32_t count;
     mcp_asdf_arena_t *arena[BATCH];
     uint32_t robot[BATCH];
     double x[BATCH], y[BATCH], vx[BATCH], vy[BATCH], target_vx[BATCH], target_vy[BATCH];
-    double substep[BATCH], limit[BATCH], substeps_left[BATCH];
-    double cx[BATCH], cy[BATCH], angle[BATCH];
+    double substep[BATCH], max_change[BATCH], substeps_left[BATCH];
+    double cx[BATCH], cy[BATCH], turn[BATCH];
 } free_bodies_t;
 
 /* Move the listed bodies for one substep, and let the motors change each velocity towards its target, by at
@@ -250,9 +254,9 @@ IN_LOOPS uint64_t drive_free_bodies(free_bodies_t *bodies)
         const double change_x = bodies->target_vx[n] - bodies->vx[n];
         const double change_y = bodies->target_vy[n] - bodies->vy[n];
         const double squared_change = change_x * change_x + change_y * change_y;
-        const double squared_limit = bodies->limit[n] * bodies->limit[n];
+        const double max_change = bodies->max_change[n], squared_limit = max_change * max_change;
         /* The share of the change that the motors can make; 1 if it is within the limit. */
-        const double share = squared_change > squared_limit ? bodies->limit[n] / sqrt(squared_change) : 1;
+        const double share = squared_change > squared_limit ? max_change / sqrt(squared_change) : 1;
         const bool falls_short = share < 1;
         bodies->x[n] = accelerates ? bodies->x[n] + bodies->vx[n] * bodies->substep[n] : bodies->x[n];
         bodies->y[n] = accelerates ? bodies->y[n] + bodies->vy[n] * bodies->substep[n] : bodies->y[n];
@@ -264,9 +268,9 @@ IN_LOOPS uint64_t drive_free_bodies(free_bodies_t *bodies)
     return accelerating_count;
 }
 
-/* Copy positions, velocities and headings of the free bodies on the list from their arenas, with what the
- * tick needs of these; all substeps are left. The target velocity is along the heading at the start of the
- * tick, although the heading changes during it. */
+/* Fill in all of the list but count, arena and robot, from the arenas of its bodies. None of the tick's
+ * substeps has been made. The target velocity is along the heading at the start of the tick, although the
+ * heading changes during it. */
 IN_LOOPS void load_free_bodies(free_bodies_t *bodies)
 {
     for (uint32_t n = 0; n < bodies->count; ++n) {
@@ -279,11 +283,11 @@ IN_LOOPS void load_free_bodies(free_bodies_t *bodies)
         bodies->target_vx[n] = arena->target_speed[i] * arena->cx[i];
         bodies->target_vy[n] = arena->target_speed[i] * arena->cy[i];
         bodies->substep[n] = arena->substep;
-        bodies->limit[n] = arena->max_motor_change;
+        bodies->max_change[n] = arena->max_motor_change;
         bodies->substeps_left[n] = SUBSTEPS;
         bodies->cx[n] = arena->cx[i];
         bodies->cy[n] = arena->cy[i];
-        bodies->angle[n] = turn_in_tick(arena, i);
+        bodies->turn[n] = turn_in_tick(arena, i);
     }
 }
 
@@ -318,7 +322,7 @@ FOR_EACH_TARGET static void move_free_bodies(free_bodies_t *bodies)
     }
     SIDE_BY_SIDE
     for (uint32_t n = 0; n < bodies->count; ++n) {
-        arena_rotate(&bodies->cx[n], &bodies->cy[n], bodies->angle[n]);
+        arena_rotate(&bodies->cx[n], &bodies->cy[n], bodies->turn[n]);
     }
     store_free_bodies(bodies);
     bodies->count = 0;

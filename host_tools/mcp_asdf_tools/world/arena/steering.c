@@ -57,9 +57,10 @@ FOR_EACH_TARGET static void shorten_rays_at_bodies(const mcp_asdf_arena_t *arena
 }
 
 /* Shorten the rays of a robot that meet one of the two walls across the x axis or the y axis. Along that axis
- * the walls are `wall_coordinate` from the middle of the floor and the robot is at `position`; (cx, cy) is
- * what ray_component() takes for it. free_distance[k] is how far the ray of sensor k reaches, from the edge
- * of the body, in metres. */
+ * the walls are `wall_coordinate` from the middle of the floor, and the robot is at `position`. (cx, cy) is
+ * the heading for the x axis, and for the y axis the heading turned to the right by 90 degrees, which
+ * ray_component() takes then. free_distance[k] is how far the ray of sensor k reaches, from the edge of the
+ * body, in metres. */
 IN_LOOPS void shorten_rays_at_walls(double *free_distance, double cx, double cy, double wall_coordinate,
                                     double position)
 {
@@ -69,12 +70,15 @@ IN_LOOPS void shorten_rays_at_walls(double *free_distance, double cx, double cy,
     }
     SIDE_BY_SIDE
     for (uint32_t k = 0; k < SENSORS; ++k) {
-        const double direction = ray_component(cx, cy, k), slope = fabs(direction);
+        const double direction = ray_component(cx, cy, k); /* along the axis, -1 .. 1 */
+        const double slope = fabs(direction);
         /* From the robot's centre to the wall that the ray approaches, along the axis; along the ray it is
          * gap / slope. */
         const double gap = direction > 0 ? wall_coordinate - position : wall_coordinate + position;
         const double distance = gap / slope - BODY_RADIUS;
-        /* The ray meets the wall if gap / slope < reach; a slope of 0 makes that false. */
+        /* The ray meets the wall if gap / slope < reach. Written as a product this is false for a slope of 0,
+         * a ray along the wall, whose distance above is of no use. With & in place of &&, as vectors have no
+         * branches. */
         const bool meets = (gap < reach * slope) & (distance < free_distance[k]);
         free_distance[k] = meets ? distance : free_distance[k];
     }
