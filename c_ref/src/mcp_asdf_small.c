@@ -87,7 +87,7 @@ uint32_t mcp_asdf_alpha_from_code(uint32_t code, uint32_t bits)
     const uint32_t long_code = code << (32U - bits);
     const uint32_t exponent = long_code >> ALPHA_FRACTION_LENGTH;
     /* The lowest 7 bits are 0 even in codes of 25 bits, so the shifts to the right are exact. */
-    if (exponent == 0U) {
+    if (exponent == 0U) { /* the fraction is the value times 2^7, and the value a mantissa with shift 0 */
         return (long_code >> (ALPHA_FRACTION_LENGTH - ALPHA_LINEAR_BITS)) << 8;
     }
     /* The highest bit of the 24, which codes leave out, and 23 of the fraction, without the exponent. */

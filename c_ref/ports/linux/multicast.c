@@ -86,19 +86,21 @@ static bool open_receiver(multicast_t *group, const address_t *address, unsigned
 static bool prepare_to_send(int fd, const address_t *address, unsigned interface_index, int hop_limit)
 {
     const bool is_ipv6 = address->any.sa_family == AF_INET6;
-    const struct ip_mreqn ipv4_interface = {.imr_ifindex = (int)interface_index}; /* unused with IPv6 */
-    if (interface_index != 0) {
-        const int error =
-            is_ipv6
-                ? setsockopt(fd, IPPROTO_IPV6, IPV6_MULTICAST_IF, &interface_index, sizeof interface_index)
-                : setsockopt(fd, IPPROTO_IP, IP_MULTICAST_IF, &ipv4_interface, sizeof ipv4_interface);
-        if (error != 0) {
-            return false;
-        }
+    int error = 0;
+    if (interface_index != 0 && is_ipv6) {
+        error = setsockopt(fd, IPPROTO_IPV6, IPV6_MULTICAST_IF, &interface_index, sizeof interface_index);
+    } else if (interface_index != 0) {
+        const struct ip_mreqn interface = {.imr_ifindex = (int)interface_index};
+        error = setsockopt(fd, IPPROTO_IP, IP_MULTICAST_IF, &interface, sizeof interface);
     }
-    const int error = is_ipv6
-                          ? setsockopt(fd, IPPROTO_IPV6, IPV6_MULTICAST_HOPS, &hop_limit, sizeof hop_limit)
-                          : setsockopt(fd, IPPROTO_IP, IP_MULTICAST_TTL, &hop_limit, sizeof hop_limit);
+    if (error != 0) {
+        return false;
+    }
+    if (is_ipv6) {
+        error = setsockopt(fd, IPPROTO_IPV6, IPV6_MULTICAST_HOPS, &hop_limit, sizeof hop_limit);
+    } else {
+        error = setsockopt(fd, IPPROTO_IP, IP_MULTICAST_TTL, &hop_limit, sizeof hop_limit);
+    }
     /* By connect() the kernel chooses the sender's address now, so that own datagrams can be recognised. */
     return error == 0 && connect(fd, &address->any, address_size(address)) == 0;
 }

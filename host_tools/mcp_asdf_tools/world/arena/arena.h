@@ -196,7 +196,8 @@ void mcp_asdf_arena_step(mcp_asdf_arena_t *arenas, uint32_t count);
 /* 1 if the floor is black at (x, y), which must be on the floor; otherwise 0. O(1). */
 int mcp_asdf_arena_is_black(const mcp_asdf_arena_t *arena, double x, double y);
 
-/* Set the wheels of robot `robot` so that it turns away from an obstacle vector. O(1). */
+/* Set the wheels of robot `robot` so that it turns away from an obstacle vector, (ahead, left) in its own
+ * frame. O(1). */
 void mcp_asdf_arena_steer(mcp_asdf_arena_t *arena, uint32_t robot, double ahead, double left);
 
 #endif
