@@ -45,9 +45,10 @@ static void broadcast(void)
     static uint8_t transfer_id;
     mcp_asdf_frame_t frame;
     const mcp_asdf_estimate_t estimate = {.node = DEMO_ID,
-                                          .transfer_id = transfer_id++,
+                                          .transfer_id = transfer_id,
                                           .x_hat = mcp_asdf_x_hat(&robot),
                                           .alpha = mcp_asdf_alpha(&robot)};
+    ++transfer_id;
     if (mcp_asdf_encode_estimate(&frame, &estimate_format, &estimate) == MCP_ASDF_FRAME_OK) {
         radio_send(&frame);
     }
