@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 def check_asdf_call(
     audit: Audit, setup: Setup, call: Call, before: CallResult, after: CallResult
 ) -> list[str]:
-    """Return a line for each problem of x_bar and x after a call, and of b_hat after the end of a round."""
+    """Check x_bar and x after a call, and b_hat after the end of a round. Return a line for each problem."""
     problems = _check_means(after.state)
     if ends_round(call, after):
         problems += _check_filter(audit, setup, before.state, after.state, after.outcome == "UPDATED")

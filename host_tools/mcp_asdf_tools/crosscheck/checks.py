@@ -32,9 +32,18 @@ def check_bounds(name: str, value: Fraction, bounds: Bounds) -> list[str]:
     return [f"{name} is {float(value):.9g}, outside {float(lower):.9g} to {float(upper):.9g}"]
 
 
+def is_observation(call: Call, after: CallResult) -> bool:
+    """Return whether a call, by its name and result, has made the robot observe a tile."""
+    return call.name in ("observe", "step") and _is_accepted(after)
+
+
 def ends_round(call: Call, after: CallResult) -> bool:
-    """Return whether a call, with this result, has ended a round."""
-    return call.name in ("settle", "step") and not after.outcome.startswith("ERR")
+    """Return whether a call, by its name and result, has ended a round."""
+    return call.name in ("settle", "step") and _is_accepted(after)
+
+
+def _is_accepted(after: CallResult) -> bool:
+    return not after.outcome.startswith("ERR")
 
 
 def is_filter_run(old_state: State, new_state: State) -> bool:

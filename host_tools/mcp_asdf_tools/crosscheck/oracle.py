@@ -24,7 +24,7 @@ from mcp_asdf_tools.crosscheck.bounds import (
     x_hat_bounds,
 )
 from mcp_asdf_tools.crosscheck.checked_filters import CHECKED_FILTERS, checked_filter_of
-from mcp_asdf_tools.crosscheck.checks import alpha_units, check_bounds, check_update
+from mcp_asdf_tools.crosscheck.checks import alpha_units, check_bounds, check_update, is_observation
 from mcp_asdf_tools.crosscheck.scenario import Call, CallResult, Setup, State
 
 REGIONS = (
@@ -83,7 +83,7 @@ class Audit:
         are added to the attributes.
         """
         problems = [] if after.state["holds_invariants()"] else ["the invariants do not hold"]
-        if call.name in ("observe", "step") and not after.outcome.startswith("ERR"):
+        if is_observation(call, after):
             problems += self._check_estimate(before.state["b_hat()"], after.state)
         check_filter = checked_filter_of(setup.filter).check_call
         return problems + check_filter(self, setup, call, before, after)
