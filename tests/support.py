@@ -25,7 +25,7 @@ HEADER = ROOT / "c_ref/src/mcp_asdf.h"
 CORE = ROOT / "c_ref/src/mcp_asdf.c"
 TABLE = ROOT / "tables/t_table_omega05_q30.c"
 PATH = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
-"""Search path of programs: those of the virtual environment come before the system's."""
+"""Search path of programs: the virtual environment comes before the system."""
 WARNINGS = "-Wall -Wextra -Wpedantic -Wconversion -Wsign-conversion -Wshadow -Wundef -Werror"
 """Flags of compilers for C that is delivered: all of these warnings, as errors."""
 PATIENCE = 600.0
@@ -101,14 +101,14 @@ def blocks(page: Path, *languages: str) -> list[str]:
 
 
 def block_with(page: Path, part: str, *languages: str) -> str:
-    """Return the page's block of code in these languages that contains a text, of which there must be one."""
+    """Return the page's block of code in these languages with a text. Fails unless there is exactly one."""
     blocks_with_text = [code for code in blocks(page, *languages) if part in code]
     assert len(blocks_with_text) == 1, f"{len(blocks_with_text)} blocks of {page} contain {part!r}"
     return blocks_with_text[0]
 
 
 def replace_each(text: str, replacements: dict[str, str]) -> str:
-    """Replace texts by others. Fails if one of them is not there."""
+    """Replace old texts by new texts. Fails if an old text is not there."""
     for old, new in replacements.items():
         assert old in text
         text = text.replace(old, new)

@@ -58,7 +58,7 @@ def test_the_page_about_the_architecture_lists_every_package_with_its_first_sent
 
 
 def test_the_page_about_the_architecture_has_the_order_of_the_packages() -> None:
-    """It is the one that pyproject.toml states, from which ``lint-imports`` checks what they import."""
+    """pyproject.toml states the same order, by which ``lint-imports`` checks imports."""
     assert " > ".join(layers_of_packages()) in " ".join(PAGE.split())
 
 

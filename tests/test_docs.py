@@ -390,7 +390,7 @@ HEIGHTS_OF_CHARACTERS = """() => {
     }
     return found;
 }"""
-"""The characters that a page shows, and where they stand: those of one line have the same height."""
+"""The characters that a page shows, and where they stand. In one line all have the same height."""
 
 
 def as_on_the_site(text: str) -> str:
@@ -402,7 +402,7 @@ def as_on_the_site(text: str) -> str:
 
 
 def show_as_on_the_site(text: str, browser: Page) -> None:
-    """Show a text in Markdown with the style of the site, without that of its theme."""
+    """Show a text in Markdown with the style of the site, without the style of its theme."""
     style = (ROOT / "docs/stylesheets/site.css").read_text(encoding="utf-8")
     page = as_on_the_site(text)
     browser.set_content(f"<style>{style}</style><main class=md-typeset>{page}</main>")
@@ -416,7 +416,7 @@ class ShownText:
     heights: list[int]
 
     def lines_of(self, start: int = 0, end: int | None = None) -> int:
-        """Return on how many lines a part of the text stands; that of one line has one height."""
+        """Return on how many lines a part of the text stands. A line has one height."""
         return len(set(self.heights[start:end]))
 
 
@@ -599,7 +599,7 @@ def test_the_readme_states_the_errors_that_a_program_of_the_docs_prints() -> Non
 
 
 def test_the_advice_states_how_many_times_smaller_the_error_is_as_a_program_of_the_docs_prints_it() -> None:
-    """The line is that of ASDF- where half of the robots are flawed, and its fifth figure is the ratio."""
+    """It is the line of ASDF- with half of the robots flawed. Its fifth figure is the ratio."""
     *_, half_flawed_with_asdf_minus, _with_robust_filter = figures_of_how_much_it_helps()
     _, _, _, _, times_smaller, *_ = half_flawed_with_asdf_minus
     assert f"it makes the error at the end {times_smaller} times smaller" in words_of("docs/advice.md")

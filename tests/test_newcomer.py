@@ -71,7 +71,7 @@ def newcomer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Newcomer:
 
 
 def test_the_page_installs_all_extras() -> None:
-    """An extra is a set of further packages. The line is the one of docs/installing.md."""
+    """An extra is a set of further packages. The line is in docs/installing.md."""
     assert re.fullmatch(r"\.venv/bin/python -m pip install '\.\[all\]'", INSTALL)
 
 

@@ -241,7 +241,7 @@ def native_errors(experiment: Experiment, filter_name: str) -> Any:
 def test_a_point_of_the_chart_of_errors_is_the_mean_error_of_eight_steps(
     computed: Computed, index: int, filter_name: str
 ) -> None:
-    """The first two trials of each filter are compared with those of the native engine."""
+    """The first two trials of each filter are compared with the same trials of the native engine."""
     trials = f"view.playground.comparison.filters[{index}].trials.slice(0, 2)"
     points = np.array(computed.page.evaluate(f"{trials}.map((errors) => [...errors])"))
     _, point_count = points.shape
@@ -444,7 +444,7 @@ def test_the_error_in_large_figures_is_grey_until_all_30_trials_have_been_comput
 def test_the_error_in_large_figures_is_the_median_of_30_trials_in_percent(
     browser: Page, playground: Path
 ) -> None:
-    """Of an even number of errors the page takes the larger one of the two in the middle."""
+    """If the number of errors is even, the page takes the larger of the two in the middle."""
     open_playground(browser, playground, "steps=3000")
     until(browser, f"{NOTE_OF_FIRST_RESULT}.textContent === 'points, 30 runs'")
     text = browser.evaluate(f"{ERROR_OF_FIRST_RESULT}.textContent")
@@ -459,7 +459,7 @@ def test_the_error_in_large_figures_is_the_median_of_30_trials_in_percent(
 def test_the_large_figure_above_the_floor_is_the_mean_estimate_of_all_robots_in_percent(
     small_browser: Page,
 ) -> None:
-    """The estimates are those of the last step, 100, which the page is asked to show."""
+    """The page is asked to show the estimates of the last step, 100."""
     small_browser.evaluate("view.player.seek(100)")
     percent = 100 * np.mean(read_drawn_values(small_browser, "x", step=100))
     until(small_browser, f"document.getElementById('belief').textContent === '{percent:.0f} %'")

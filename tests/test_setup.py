@@ -1,4 +1,4 @@
-"""The effects of ``.ci/setup`` on a virtual environment, which are those of the page's way by hand."""
+"""The effects of ``.ci/setup`` on a virtual environment. The page's commands by hand have the same."""
 
 from __future__ import annotations
 
@@ -162,4 +162,4 @@ def test_where_no_supported_python_can_be_had_the_run_with_the_newest_fails(tmp_
     result = take_newest_python(tmp_path, available="2.7")
 
     assert result.returncode == 1
-    assert len(result.stdout.splitlines()) == 3, "one for each that cannot be had"
+    assert len(result.stdout.splitlines()) == 3, "a line for each Python that cannot be had"

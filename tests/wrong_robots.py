@@ -335,7 +335,7 @@ def flip_identifier(bits: int) -> Callable[[can.Message], None]:
 
 
 def change_byte(index: int, changed: Callable[[int], int]) -> Callable[[can.Message], None]:
-    """Return a change of one byte, of whose new value the low 8 bits count."""
+    """Return a change of one byte. Only the low 8 bits of its new value count."""
 
     def change_data(data: bytearray) -> bytearray:
         return data[:index] + bytearray([changed(data[index]) & 0xFF]) + data[index + 1 :]

@@ -43,7 +43,7 @@ def row_name(line: str) -> str:
 
 
 def update_rows(page_table: str, study_table: str) -> str:
-    """Replace the rows of a page's table by those of the same name in the study's."""
+    """Replace each row of the page's table by the row with the same name in the study's table."""
     new_rows = {row_name(line): line for line in study_table.splitlines()}
     return "\n".join(new_rows.get(row_name(line), line) for line in page_table.splitlines())
 

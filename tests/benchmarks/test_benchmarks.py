@@ -31,7 +31,7 @@ def short_worlds(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_the_benchmark_of_the_engine_prints_positive_rates_of_each_program_in_five_worlds(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """A rate is in steps of robots a second. A world has a line of titles, and one for each program.
+    """A rate is in steps of robots a second. A world has a line of titles, then a line for each program.
 
     One of the programs is a physics simulator, whose rate was measured before.
     """
@@ -41,11 +41,11 @@ def test_the_benchmark_of_the_engine_prints_positive_rates_of_each_program_in_fi
     title_lines = [line for line in lines if "robot-steps/s" in line]
     lines_of_programs = [line for line in lines if line not in title_lines]
     assert len(title_lines) == 5
-    # Each world has four programs, two where all robots hear all others have a fifth, and two where robots
-    # move have three more.
+    # Each world has four programs. In two worlds all robots hear all others: there is a fifth program. In two
+    # more worlds robots move: there are three more programs.
     assert len(lines_of_programs) == 5 + 7 + 5 + 4 + 7
     for line in lines_of_programs:
-        *_, last_number = line.split()  # the rate, or its ratio to that of another program
+        *_, last_number = line.split()  # the rate, or its ratio to another program's rate
         assert float(last_number) > 0, line
     assert any(engine.SIMULATOR in line for line in lines_of_programs)
 
@@ -53,7 +53,7 @@ def test_the_benchmark_of_the_engine_prints_positive_rates_of_each_program_in_fi
 def test_the_benchmark_of_a_bus_compares_one_connection_for_a_swarm_with_one_for_each_robot(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """It fails if robots end in other states. For swarms of 3 and of 20 it prints how much faster one is."""
+    """It fails if the robots' final states differ. It prints the ratio of times for swarms of 3 and of 20."""
     multicast(group=249)  # only skips the test where multicast, which the benchmark uses, does not work
     shared_bus.main(["--robots", "3", "20", "--steps", "12"])
     assert capsys.readouterr().out.count(" times\n") == 2
@@ -74,7 +74,7 @@ def short_fidelity(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_the_benchmark_of_fidelity_compares_three_scores_of_each_experiment(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """It finds no difference, and prints a line of each of its two parts, with the least probability."""
+    """It finds no difference. For each of its two parts it prints a line with the smallest probability."""
     exit_code = fidelity.main()
 
     assert exit_code == 0

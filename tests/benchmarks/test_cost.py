@@ -117,9 +117,9 @@ def test_the_tables_of_the_documentation_have_the_costs_that_are_measured(measur
 
 @pytest.mark.slow
 def test_the_first_lines_of_the_cost_page_have_the_figures_of_a_cortex_m4(cortex_m4: dict[str, Cost]) -> None:
-    """They are those of a build with both filters at -O2, in which the robust one runs.
+    """The build has both filters, at -O2, and the robust filter runs.
 
-    The bound is the longest path of a step with test and update, of which less has been observed so far.
+    The bound is the longest path of a step with test and update. No observed step was that long.
     """
     skip_if_documented_of_another_compiler(CORTEX_M4)
     cost = cortex_m4["-O2"]
@@ -157,7 +157,7 @@ def test_each_chip_of_the_readme_needs_at_most_15_kb_of_flash_and_500_bytes_of_r
 # --- Nothing grows ----------------------------------------------------------------------------------------
 
 CALLS = ("receive", "step", UPDATED, "x")
-"""The calls of a robot: "step" is one in which the filter does not run, UPDATED one in which it does."""
+"""The calls of a robot. In a "step" the filter does not run; in an UPDATED step it does."""
 
 
 @pytest.mark.slow
@@ -170,10 +170,10 @@ CALLS = ("receive", "step", UPDATED, "x")
 def test_no_call_takes_more_instructions_than_its_bound_which_is_not_far_above(
     builds: list[str], allowed_ratio_of_test: float, level: str, measured_32_bit: Measured
 ) -> None:
-    """The bound is the longest path through the machine code, whatever the data.
+    """The bound is the longest path through the machine code, for any data.
 
-    It is at most 10 % above the most that was observed in long searches with either filter. The test of the
-    robust filter has loops, whose turns are not all as long as the longest one: there is 20 % allowed.
+    It is at most 10 % above the largest cost that long searches found with either filter. The robust filter's
+    test has loops, and only some turns are as long as the longest turn. So the test is allowed 20 %.
     """
     figures_of_builds: list[Figures] = [getattr(measured_32_bit.costs[level], name) for name in builds]
     for call in CALLS:
@@ -302,7 +302,7 @@ def test_the_robust_filter_takes_no_more_on_a_cortex_m4_than_it_was_meant_to(
 def test_the_firmware_of_a_kilobot_leaves_room_and_the_documentation_states_how_much_it_takes(
     build_options: Build, largest_share_of_flash: float, tmp_path: Path
 ) -> None:
-    """It is built with either filter or both. The documentation's figures are those of one compiler."""
+    """It is built with either filter or both. The documentation's figures are from one compiler."""
     usable(AVR)
     flash, ram = kilobot(tmp_path / "image", build_options)
 
@@ -317,7 +317,7 @@ def test_the_firmware_of_a_kilobot_leaves_room_and_the_documentation_states_how_
 
 
 def image_with(code: str, target: Target, folder: Path) -> Image:
-    """Return an image with functions in C, of which known() stays in it."""
+    """Return an image with functions in C. The linker keeps known() in it."""
     (folder / "program.c").write_text(f"{code}\nint main(void) {{ return 0; }}\n", encoding="utf-8")
     return build(target, folder / "build", [folder / "program.c"], "-O1", "-Wl,-u,known")
 

@@ -63,7 +63,7 @@ def test_a_loop_that_is_left_at_its_beginning_tests_once_more_than_it_turns() ->
 NESTED_LOOPS = {0: [1], 1: [2], 2: [2, 3], 3: [1, 4], 4: []}
 """Instruction 2 repeats itself within the loop of instructions 1 to 3."""
 PLACES_OF_NESTED_LOOPS = {2: "a.c:8", 3: "a.c:7"}
-"""The statement of the inner loop is in line 8, that of the outer one in line 7."""
+"""The inner loop's statement is in line 8, the outer loop's statement in line 7."""
 
 
 def test_an_inner_loop_turns_in_every_turn_of_the_outer_one() -> None:

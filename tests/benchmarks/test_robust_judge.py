@@ -23,7 +23,7 @@ Row = dict[str, str]
 STUDY = ROOT / "docs/robust_study.csv"
 """Table of the cases' results: a row for each case, flaw and filter."""
 VARIANT_STUDY = ROOT / "docs/robust_variants.csv"
-"""Table of some cases' results with the variants of the robust filter, each of which changes its source."""
+"""Table of some cases' results with variants of the robust filter. Each variant changes its source."""
 
 
 def test_docs_robust_study_csv_has_every_case_with_each_of_three_filters() -> None:
@@ -129,8 +129,8 @@ COLUMN_OF_QUANTITY = {"harmed, %": "harmed", "error": "error"}
 def test_docs_internals_robust_md_shows_values_of_each_variant_as_the_csv_files_have_them() -> None:
     """A row of the page's table compares a variant with the robust filter in one quantity of one case.
 
-    It has a value with the filter and one with the variant, both of two digits. The case ends with a flaw,
-    such as "ring, .3 flawed, overconfident".
+    It has two values of two digits: with the filter and with the variant. The case ends with a flaw, such as
+    "ring, .3 flawed, overconfident".
     """
     rows = [*read_rows(STUDY), *read_rows(VARIANT_STUDY)]
     shown_rows = cells_of_page("<!-- variants -->\n")

@@ -38,7 +38,7 @@ static struct {
     uint8_t observation;
 } run[TICKS + 1];
 
-/* What of a robot is flipped together: a member, or a part of one. */
+/* The bits of a robot that are flipped together: a member, or a part of a member. */
 typedef struct {
     const char *name;
     size_t offset, size;

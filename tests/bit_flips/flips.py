@@ -19,7 +19,7 @@ FLIPS_PER_BIT = 50
 """For the published table."""
 FILTERS = (Filter.ADAPTIVE, Filter.ROBUST)
 OUTCOMES = ("in_time", "late", "no_effect", "less", "more")
-"""Effects of a flip, of which each flip has one; ``bit_flips.c`` explains them."""
+"""Effects of a flip. Each flip has one effect; ``bit_flips.c`` explains them."""
 COUNTS = ("flips", *OUTCOMES, "still", "unexplained")
 """What the program prints of each member, in this order."""
 

@@ -55,7 +55,7 @@ def count_flips(filter_kind: Filter, flips_per_bit: int) -> CountedFlips:
     ]
 )
 def counted(request: pytest.FixtureRequest) -> CountedFlips:
-    """The effects of all flips: of one of each bit, or of as many as for the published table."""
+    """The effects of all flips: each bit is flipped once, or as often as for the published table."""
     filter_kind, flips_per_bit = request.param
     return count_flips(filter_kind, flips_per_bit)
 
@@ -79,7 +79,7 @@ def test_no_flip_keeps_x_wrong_in_silence(counted: CountedFlips) -> None:
 
 
 def members_not_found_in_time(counted: CountedFlips, prefix: str) -> list[str]:
-    """Return the members, of those whose names begin so, of which a flip puts x off before it is found."""
+    """Return the members with this prefix where some flip makes x wrong before it is found."""
     members = {name: effects for name, effects in counted.members.items() if name.startswith(prefix)}
     assert len(members) > 0
     return [name for name, effects in members.items() if effects["in_time"] < effects["flips"]]

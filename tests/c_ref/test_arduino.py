@@ -147,7 +147,7 @@ def test_the_sketch_of_docs_porting_builds_with_the_library_that_the_command_wri
 def test_the_arduino_broadcasts_the_same_bytes_as_the_robot_in_python(
     robot: Board, sent_packets: list[bytes]
 ) -> None:
-    """Both move over five tiles, of which 1 is black, and broadcast a packet on each.
+    """Both move over five tiles, where 1 is black and 0 white. On each tile they broadcast a packet.
 
     While the Arduino runs, its serial line adds what it sends to ``sent_packets``.
     """

@@ -415,7 +415,7 @@ def floor_of(seed: int, built_folder: Path, tmp_path: Path) -> Floor:
 
 
 def test_a_floor_has_the_fill_ratio(built_folder: Path, tmp_path: Path) -> None:
-    """swarm.argos asks for a floor of which a share of 0.55 is black."""
+    """swarm.argos asks for a floor with a black share of 0.55."""
     share_of_black = floor_of(seed=1, built_folder=built_folder, tmp_path=tmp_path).mean()
     five_standard_deviations = 0.025  # of a share of 10,000 tiles: sqrt(0.55 * 0.45 / 10,000) is 0.005
     assert share_of_black == pytest.approx(0.55, abs=five_standard_deviations)
@@ -477,7 +477,7 @@ def verdict_on(check_log: ModuleType, text: str, folder: Path) -> int:
 def test_a_log_that_python_repeats_to_the_bit_passes(
     check_log: ModuleType, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """``LOG`` is that of one tick, in which a robot observes a tile. check_log.py prints what it compared."""
+    """In ``LOG`` a robot observes a tile in a single tick. check_log.py prints what it compared."""
     assert verdict_on(check_log, LOG, tmp_path) == 0
     assert ": 1 ticks, 0 messages, 0 updates of b_hat: all bits are equal\n" in capsys.readouterr().out
 

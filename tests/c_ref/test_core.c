@@ -225,7 +225,7 @@ static void a_turn_beyond_the_last_slot_breaks_an_invariant(void)
     }
 }
 
-/* What a damaged turn does until the invariants are checked: the vote is that of the robot itself. */
+/* With a damaged turn the robot itself votes, until the invariants are checked. */
 static void a_turn_beyond_the_last_slot_lets_the_robot_itself_vote(void)
 {
     mcp_asdf_t robot = make_busy_robot(&robust_config);

@@ -217,7 +217,7 @@ typedef struct {
     uint64_t tail;
 } encoding_t;
 
-/* An encoding by some node in some format, either of which may be invalid. */
+/* An encoding by a node in a format. The node or the format may be invalid. */
 static encoding_t random_encoding(void)
 {
     encoding_t encoding = {.format = {(uint16_t)random_limit(), random_byte()},
@@ -283,7 +283,7 @@ static void heartbeats_are_written_or_refused(void)
         const mcp_asdf_heartbeat_t heartbeat = {encoding.node, encoding.transfer_id, random_byte(),
                                                 random_byte(), random_byte(),        check_random_word()};
         if (encoding.node <= 127 && encoding.format.priority <= 7) {
-            encoding.status = MCP_ASDF_FRAME_OK; /* the subject is fixed, and not that of the format */
+            encoding.status = MCP_ASDF_FRAME_OK; /* a heartbeat has a fixed subject, not the format's */
         }
         expect_error_if(&encoding, heartbeat.health > 3, MCP_ASDF_FRAME_ERR_HEALTH);
         expect_error_if(&encoding, heartbeat.mode > 3, MCP_ASDF_FRAME_ERR_MODE);

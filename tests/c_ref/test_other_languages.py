@@ -144,7 +144,7 @@ def is_black_at(tick: int) -> bool:
 
 
 def step_in_python(config: Config) -> MirrorRobot:
-    """Return a robot in Python after all ticks, in each of which three neighbours broadcast."""
+    """Return a robot in Python after all ticks. Three neighbours broadcast in each tick."""
     mirror = MirrorRobot(config, ROBOT_ID, INITIAL_B_HAT)
     for tick in range(TICKS):
         for sender in range(3):
@@ -154,7 +154,7 @@ def step_in_python(config: Config) -> MirrorRobot:
 
 
 def step_by_ctypes(library: Path, config: Config) -> CtypesRobot:
-    """Return a robot of the library after all ticks, in each of which three neighbours broadcast."""
+    """Return a robot of the library after all ticks. Three neighbours broadcast in each tick."""
     robot = CtypesRobot(ctypes.CDLL(str(library)), config, ROBOT_ID, INITIAL_B_HAT)
     for tick in range(TICKS):
         for sender in range(3):

@@ -381,7 +381,7 @@ def test_zephyr_has_the_optional_parts_with_the_firmware_unless_they_are_left_ou
 
     chosen_parts = [symbol.name.lower() for symbol in kconfig.unique_defined_syms if symbol.str_value == "y"]
     assert sorted(chosen_parts) == sorted(parts)
-    assert len(kconfig.unique_defined_syms) == len(PARTS), "an option for each part, and no other one"
+    assert len(kconfig.unique_defined_syms) == len(PARTS), "an option for each part, and no more"
     assert kconfig.warnings == []
 
 

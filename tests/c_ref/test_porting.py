@@ -545,7 +545,7 @@ def robot_on_scripted_board(tmp_path: Path) -> Path:
 def test_the_robot_on_a_scripted_board_sends_what_the_robot_in_python_sends(
     robot_on_scripted_board: Path,
 ) -> None:
-    """In each of 1500 ticks it receives up to 15 packets, of which some are damaged and some get lost."""
+    """In each of 1500 ticks up to 15 packets are sent to it. Some are damaged and some get lost."""
     script = draw_script(seed=5, ticks=1500, tiles=(0, 1, 1, NO_TILE), most_packets=15)
 
     robot = subprocess.run(
@@ -811,7 +811,7 @@ class KilobotWithTwin:
         return kilobot_message(Estimate(twin.id, twin.x_hat_raw, twin.alpha_raw, round_number % 32))
 
     def receive(self, messages: list[bytes]) -> None:
-        """Let both receive messages, of which a Kilobot keeps the first eight until its loop runs."""
+        """Let both receive messages. A Kilobot keeps the first eight until its loop runs."""
         for message in messages:
             self.kilobot.receive(message)
         for message in messages[:KEPT_MESSAGES]:
@@ -849,9 +849,9 @@ def kilobots(tmp_path: Path) -> list[KilobotWithTwin]:
 
 @pytest.mark.slow
 def test_two_kilobots_send_and_believe_what_their_twins_in_python_do(kilobots: list[KilobotWithTwin]) -> None:
-    """In each of 40 rounds each receives the other's message, and some of robots that are not simulated.
+    """There are 40 rounds. In each, a Kilobot receives the other's message, and messages of made-up robots.
 
-    At the end of a round it measures the light, which sometimes fails; below 512 the floor is black.
+    At the end of a round it measures the light. Below 512 the floor is black. Some measurements fail.
     x is what a robot believes.
     """
     stream = random.Random(9)

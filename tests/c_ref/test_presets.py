@@ -51,8 +51,8 @@ QUICK_PRESETS = ("gcc",)
 def test_the_c_tests_pass_with_the_settings_of_a_preset(preset: str) -> None:
     """A preset is a compiler with flags, in CMakePresets.json. CMake builds the C tests, and ctest runs them.
 
-    run() raises if a test fails. It is quick: without optimisation, for the arithmetic of one target, another
-    one for each preset, and with fewer calls. The next test leaves nothing out.
+    run() raises if a test fails. To be quick, this test makes fewer calls, without optimisation, and each
+    preset has the arithmetic of one target. The next test leaves nothing out.
     """
     skip_without_tools(preset)
     folder = ROOT / "build/quick" / preset
@@ -69,7 +69,7 @@ def test_the_c_tests_pass_with_the_settings_of_a_preset(preset: str) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("preset", PRESETS)
 def test_all_c_tests_pass_for_the_arithmetic_of_every_target(preset: str) -> None:
-    """CMake builds all C tests with a preset, a compiler with flags. run() raises if one of them fails."""
+    """CMake builds all C tests with a preset, a compiler with flags. run() raises if a test fails."""
     skip_without_tools(preset)
     run(require("cmake"), "--workflow", "--preset", preset)
 

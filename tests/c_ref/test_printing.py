@@ -164,7 +164,7 @@ def test_every_c_program_in_the_docs_that_prints_has_a_test_here() -> None:
 
 
 def test_no_port_prints_but_the_hosted_one_and_the_node_for_linux() -> None:
-    """The hosted port sends single bytes, of which no long is a part. The node has tests of its own."""
+    """The hosted port sends single bytes, so it needs no long. The node has tests of its own."""
     ports = ROOT / "c_ref/ports"
     sources = [path for path in ports.rglob("*.[ch]") if path.parent != ports / "linux"]
 

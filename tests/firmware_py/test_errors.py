@@ -124,7 +124,7 @@ def test_a_rejected_message_is_counted_and_changes_nothing_else(
 def test_an_alpha_that_is_no_confidence_raises_and_changes_nothing(
     firmware: Firmware, alpha: float, sender: int, x_hat: float
 ) -> None:
-    """A confidence is finite and has no minus sign. No bus can bring another one, only a wrong program.
+    """A confidence is finite and not negative. No bus can carry an invalid confidence; a wrong program can.
 
     So the message is not counted as rejected, whether or not its sender and its x_hat are valid.
     """
@@ -242,7 +242,7 @@ def test_an_observation_that_is_neither_black_nor_white_changes_nothing(
 # design: R1, R11
 @for_every_firmware
 def test_a_step_with_an_invalid_observation_does_not_end_the_round(firmware: Firmware) -> None:
-    """If the round ended there, its end below would be that of an empty round, with a beta of 0.
+    """If it ended the round, the call of settle() below would end an empty round, with a beta of 0.
 
     beta is the sum of the confidences that were received in the last round.
     """
@@ -399,7 +399,7 @@ def image_of_used_robot(config: Config) -> bytes:
 
 
 def images_with_one_changed_word(image: bytes) -> Iterator[bytes]:
-    """Yield images of which one word is another one, and the checksum fits.
+    """Yield images in which one word is changed, and the checksum fits.
 
     The word is at an end of the range that a word may have, or differs little from the image's own.
     """

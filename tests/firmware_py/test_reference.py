@@ -126,7 +126,7 @@ def test_the_seed_of_a_recorded_run_of_the_authors_gives_its_observations_again(
 
 
 def test_robots_compute_what_the_authors_programs_did_until_the_first_filter() -> None:
-    """repeat_run_and_compare() compares every number in each step. Filters run after 1000 of them.
+    """repeat_run_and_compare() compares every number in each step. Filters first run after 1000 steps.
 
     Until then the paper and the authors' programs agree on everything.
     """
@@ -151,10 +151,10 @@ def test_robots_compute_what_the_authors_programs_did_until_the_first_filter() -
 def test_robots_compute_every_number_that_the_authors_programs_recorded(
     name: str, block: str, conventions: Conventions
 ) -> None:
-    """repeat_run_and_compare() compares them in each step. In the end updates and black tiles are, too.
+    """repeat_run_and_compare() compares them in each step. At the end, updates and black tiles are compared.
 
-    A recording has a block computed with m degrees of freedom of the t-score, as the authors' programs have
-    them, and one with m - 1, as the paper has. ``conventions`` are those of the robots that repeat it.
+    A recording has two blocks. In one, the t-score has m degrees of freedom, as in the authors' programs; in
+    the other it has m - 1, as in the paper. The robots that repeat a block follow its ``conventions``.
     """
     data = load_trace(name)
     recorded = data["out"][block]
@@ -261,7 +261,7 @@ HALF, THREE_QUARTERS = Fraction(1, 2), Fraction(3, 4)
 def test_equations_give_fractions_for_fractions(
     equation: Callable[..., object], arguments: tuple[object, ...], expected: Fraction
 ) -> None:
-    """So the same functions give exact results, with which those of floats and the firmware are compared."""
+    """So the same functions give exact results. Floats and the firmware are compared with these."""
     result = equation(*arguments)
 
     assert result == expected
@@ -404,9 +404,9 @@ def test_the_neighbours_confidence_is_the_rounded_sum_of_their_confidences() -> 
 
 
 def test_robots_that_all_receive_each_other_s_estimates_believe_the_same_to_the_last_bit() -> None:
-    """Each has another one of the estimates as its own, and receives the others in another order.
+    """Each robot has a different estimate as its own, and receives the others in a different order.
 
-    ``informed_estimate`` computes from them what a robot believes.
+    ``informed_estimate`` computes what a robot believes from its own estimate and the others.
     """
     rng = random.Random(0)
     for _ in range(100):
@@ -461,7 +461,7 @@ def test_the_paper_s_test_rejects_an_estimate_just_beyond_the_distance_that_scip
 @pytest.mark.parametrize("value", [0.0, 0.1, 1 / 3, 0.7, 1.0])
 @pytest.mark.parametrize("m", [2, 3, 9, 127])
 def test_an_estimate_that_differs_in_its_last_bit_from_equal_ones_is_rejected(value: float, m: int) -> None:
-    """m equal estimates have no spread, so nothing is tolerated. A naive sum of them would be off a little.
+    """m equal estimates have no spread, so no deviation is tolerated. A naive sum would be slightly wrong.
 
     The authors' programs, unlike the paper, reject an estimate at the very limit, too.
     """
@@ -740,10 +740,10 @@ def assert_same_values(reference: ReferenceRobot, mirror: MirrorRobot) -> None:
 @pytest.mark.random
 @pytest.mark.parametrize("mode", [Filter.ADAPTIVE, Filter.ROBUST, *slow([Filter.OFF, Filter.ALWAYS])])
 def test_the_equations_in_float64_and_the_firmware_give_the_same_robot(mode: Filter) -> None:
-    """Both get the same observations and messages through 2500 ticks, and are compared in each of them.
+    """Both get the same observations and messages through 2500 ticks, and are compared in each tick.
 
-    The robot in float64 computes the paper's equations as they stand, and the other one, MirrorRobot, the
-    integers of the firmware. In this time the filter has to change the accuracy, unless it is off.
+    The robot in float64 computes the paper's equations as they stand. MirrorRobot computes the integers of
+    the firmware. In this time the filter has to change the accuracy, unless it is off.
     """
     table = generate(parse_omega("0.05"), 30)  # for up to 30 neighbours
     config = Config(table, mode, filter_period=50, memory=256)

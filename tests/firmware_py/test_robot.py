@@ -28,7 +28,7 @@ ALWAYS = Config(None, Filter.ALWAYS, filter_period=1)
 
 @for_every_firmware
 def test_a_robot_implements_the_interfaces(firmware: Firmware) -> None:
-    """All have that of robots; the firmware's two have raw numbers, too, and can be saved."""
+    """All are robots. The firmware and its mirror also have raw numbers, and can be saved."""
     robot = make_robot(firmware)
     assert isinstance(robot, Robot)
     assert isinstance(robot, FixedPointRobot) == (firmware is not ReferenceRobot)
@@ -54,7 +54,7 @@ def test_a_robot_that_has_observed_and_received_nothing_guesses_a_half(
 # design: R2, R18
 @for_every_firmware
 def test_a_new_robot_has_its_id_its_accuracy_and_counts_of_zero(firmware: Firmware) -> None:
-    """It has observed t tiles, n of them black, and its counters are those of messages and tests."""
+    """It has observed t tiles, n of them black. Its counters count messages and tests."""
     robot = make_robot(firmware, b_hat=0.75, robot_id=OWN_ID)
 
     assert robot.id == OWN_ID

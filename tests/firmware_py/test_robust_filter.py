@@ -122,7 +122,7 @@ def test_a_robot_remembers_its_neighbours_while_it_hears_nobody(firmware: FixedP
 def test_an_estimate_is_rounded_to_the_nearest_that_a_slot_can_hold(
     firmware: FixedPointFirmware, x_hat: int, slot_estimate: int
 ) -> None:
-    """x_hat has units of 2**-23. A slot has units of 2**-16, which are 128 of these, up to 65535 of them."""
+    """x_hat has units of 2**-23. A slot has units of 2**-16, 128 times as large, and at most 65535."""
     robot = firmware(ROBUST, OWN_ID, b_hat=0.95)
     robot.receive_raw(sender=1, x_hat=x_hat, alpha=ALPHA_ONE)
     assert filled_slots(robot) == {1: slot_estimate}
@@ -212,7 +212,7 @@ def test_x_and_x_bar_are_the_centre_of_the_votes(firmware: FixedPointFirmware) -
 
 @for_fixed_point_firmwares
 def test_a_round_has_one_vote_however_many_neighbours_were_received(firmware: FixedPointFirmware) -> None:
-    """The next round has that of the next neighbour: so a call takes the same time in any swarm."""
+    """The next neighbour votes in the next round. So a call takes the same time in any swarm."""
     robot = firmware(ROBUST, OWN_ID, b_hat=0.95)
     receive_estimates(robot, 0.25, 0.5, 0.75)
 
@@ -254,9 +254,9 @@ def voters_of_rounds(robot: FixedPoint, rounds: int) -> list[int | str]:
 def test_neighbours_vote_in_ascending_order_and_the_robot_itself_after_them(
     firmware: FixedPointFirmware, senders: list[int], black: int, voters: list[int | str]
 ) -> None:
-    """One of them votes in each round. The estimates of neighbours 6, 9 and 31 are in slots 6, 9 and 31.
+    """One voter votes in each round. The estimates of neighbours 6, 9 and 31 are in slots 6, 9 and 31.
 
-    The robot has observed ``black`` tiles, all of them black.
+    The robot has observed ``black`` tiles, and all were black.
     """
     robot = firmware(ONLY_VOTES, OWN_ID, b_hat=0.95)
     observe_tiles(robot, black, white=0)
@@ -325,10 +325,10 @@ def test_a_robot_s_own_vote_moves_what_it_believes_towards_what_it_has_seen(
 def test_a_vote_far_away_moves_what_the_robot_believes_no_further_than_one_at_a_limit(
     firmware: FixedPointFirmware, vote: float, counted_distance: float
 ) -> None:
-    """A vote moves the centre of the votes, 1/2 at first, by an eighth of its distance from there.
+    """A vote moves the centre of the votes, 1/2 at first, by an eighth of the vote's distance from it.
 
-    A longer distance than the spread, 1/4 at first, counts as 1/4. So a neighbour that lies as much as it can
-    moves a robot no more than one that is off by a quarter.
+    A longer distance than the spread, 1/4 at first, counts as 1/4. So the greatest lie, 0 or 1, moves a robot
+    no more than an error of a quarter.
     """
     robot = firmware(ROBUST, OWN_ID, b_hat=0.95)
     receive_estimates(robot, vote)
@@ -455,9 +455,9 @@ def test_a_robot_tests_itself_only_against_five_neighbours_or_more(
 def test_a_robot_whose_observations_contradict_the_others_estimates_its_accuracy_anew(
     firmware: FixedPointFirmware,
 ) -> None:
-    """It sees 0.545 of the tiles black, but all others estimate that 0.95 of them are.
+    """It sees a share of 0.545 black, but all others estimate that the share is 0.95.
 
-    With its b_hat of 0.95 it would see 0.95 * 0.95 + 0.05 * 0.05 = 0.905 of them black. Its new b_hat is the
+    With its b_hat of 0.95 it would see 0.95 * 0.95 + 0.05 * 0.05 = 0.905 black. Its new b_hat is the
     accuracy that explains what it sees (eq. 8 of the paper): (0.545 + 0.95 - 1) / (2 * 0.95 - 1) = 0.55.
     """
     robot = firmware(ROBUST, OWN_ID, b_hat=0.95)
@@ -497,7 +497,7 @@ def test_a_robot_that_was_misled_trusts_its_sensor_again_when_the_others_agree_w
 
 @for_fixed_point_firmwares
 def test_a_robot_tests_the_accuracy_that_it_had_at_the_start(firmware: FixedPointFirmware) -> None:
-    """If it tested the new accuracy, with which it agrees with the others, it would return to the old one."""
+    """Its new accuracy agrees with the others. A test of that would lead it back to the old accuracy."""
     robot = firmware(ROBUST, OWN_ID, b_hat=0.95)
     observe_tiles(robot, black=545, white=455)
     receive_estimates(robot, 0.95, 0.95, 0.95, 0.95, 0.95)
@@ -610,7 +610,7 @@ def test_a_robot_tests_itself_once_in_each_filter_period(
 def test_the_median_of_an_even_number_is_the_mean_of_the_middle_two_rounded_down(
     values: list[int], median: int
 ) -> None:
-    """The values are in ascending order. The median of an odd number of them is the middle one."""
+    """The values are in ascending order. If their number is odd, the median is the middle value."""
     assert median_of(values) == median
 
 
@@ -626,13 +626,13 @@ def test_the_median_of_an_even_number_is_the_mean_of_the_middle_two_rounded_down
 def test_the_spread_is_the_median_distance_from_the_median_within_limits(
     sixteenths: list[int], median: int, spread: int
 ) -> None:
-    """The filter computes in units of 2**-24, of which a sixteenth is 2**20."""
+    """The filter computes in units of 2**-24, so a sixteenth is 2**20 units."""
     estimates = [number * 2**20 for number in sixteenths]
     assert spread_of(estimates, median * 2**20) == spread
 
 
 def test_an_estimate_far_away_counts_as_one_at_the_distance_of_the_spread() -> None:
-    """Two lie below by a spread or more, and two above: they balance, however far one of them is."""
+    """Two estimates lie below by a spread or more, and two above. They balance, at any distance."""
     estimates = [256_000, 512_000, 768_000, 1_024_000, 15_360_000]
     assert huber_centre(estimates, median=768_000, spread=256_000) == 768_000
 
@@ -809,13 +809,13 @@ def test_an_image_has_39_words_with_the_robust_filter_and_31_with_another(
 
 # design: R29
 def test_a_saved_robot_has_the_memory_of_its_filter_in_the_documented_order() -> None:
-    """An image, a saved robot, has 39 words of 32 bits, of which eight are this memory (docs/design.md).
+    """An image, a saved robot, has 39 words of 32 bits. Eight words are this memory (docs/design.md).
 
     In another order, older images could not be restored. The votes and the dispersion share a word.
     """
     robot = MirrorRobot(ROBUST, OWN_ID, b_hat=0.95)
     votes, dispersion = 27, 28
-    # Each member gets a number of its own. No calls lead to these, so they are put into the robot's state.
+    # Each member gets a different number. No calls lead to these numbers, so they are written into the state.
     robot.s.robust = RobustFilter(
         centre=21,
         spread=22,

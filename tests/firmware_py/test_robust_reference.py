@@ -129,7 +129,7 @@ def test_the_slot_whose_turn_it_is_votes() -> None:
 
 
 def test_a_robot_without_confidence_does_not_vote() -> None:
-    """It would be its turn after slot 9, but slot 2 votes again: 0.0, which is below the centre, 0.5.
+    """Slot 9 has voted, so the robot would be next. Slot 2 votes instead: 0.0, below the centre, 0.5.
 
     So the centre moves down, by an eighth of the spread, 0.25.
     """
@@ -227,7 +227,7 @@ def test_an_outlier_moves_the_centre_by_the_spread_alone() -> None:
 
 
 def test_the_centre_of_estimates_without_an_outlier_is_their_mean() -> None:
-    """All of them are within a spread of the middle, from which the search for the centre begins."""
+    """The search for the centre begins at the middle. All estimates are within a spread of it."""
     assert huber_centre([0.25, 0.375, 0.5, 0.625], middle=0.4375, spread=0.25) == 0.4375
 
 
@@ -313,9 +313,9 @@ def test_observations_at_the_limit_of_the_test_contradict_nothing() -> None:
 
 
 def test_the_spread_widens_the_limit_of_the_test() -> None:
-    """To the variance of 1024 tiles, half of them black, it adds that of the share of black to be expected.
+    """The limit adds two variances: of 1024 tiles, half of them black, and of the expected share of black.
 
-    With b = 3/4 that share changes by 2 b - 1 = 1/2 of a change of the centre.
+    With b = 3/4 the expected share changes by 2 b - 1 = 1/2 of a change of the centre.
     """
     observations = Observations(n=512, t=1024, dispersion=1.0)
     squared_deviation, limit = robust_test_sides(observations, b=0.75, centre=0.5, spread=1 / 32)
@@ -325,9 +325,9 @@ def test_the_spread_widens_the_limit_of_the_test() -> None:
 
 
 def test_the_sides_of_the_test_in_float64_are_right_to_the_last_bits() -> None:
-    """One is a squared deviation, the other one its limit. They are wrong by 8 and by 16 roundings at most.
+    """The squared deviation is wrong by at most 8 roundings, and its limit by at most 16.
 
-    The same function computes them in exact fractions.
+    The same function computes both in exact fractions.
     """
     rng = random.Random(23)
     for _ in range(500):

@@ -66,7 +66,7 @@ def test_encoding_what_was_decoded_gives_the_same_bytes() -> None:
 def test_a_message_with_a_sender_or_an_estimate_out_of_range_is_refused(
     sender: int, x_hat: int, message: str
 ) -> None:
-    """An id has 7 bits. x_hat is a share of black tiles, in units of which ONE, 8388608, is 1.0."""
+    """An id has 7 bits. x_hat is a share of black tiles, in units of 1 / ONE, where ONE is 8388608."""
     with pytest.raises(ValueError, match=message):
         encode_message(sender, x_hat, 0)
 
@@ -108,7 +108,7 @@ def test_the_share_of_white_has_the_code_that_mirrors_that_of_the_share_of_black
 
 
 def test_an_estimate_in_16_bits_is_wrong_by_half_a_step_at_most() -> None:
-    """A step is the difference of two neighbouring codes, in the units of x_hat, of which ONE is 1.0."""
+    """A step is the difference of two neighbouring codes, in the units of x_hat, 1 / ONE."""
     half_step = ONE / 0xFFFF / 2
     rounding_to_whole_units = 0.5
     for x_hat in random.Random(2).sample(range(ONE + 1), 20_000):
@@ -208,7 +208,7 @@ def some_codes(bits: int) -> Sequence[int]:
 
 
 def test_c_and_python_encode_x_hat_alike(c_library: Any) -> None:
-    """Codes of every length are tried, each with ends and middle of the range of x_hat, and 1000 others."""
+    """For every length of codes, x_hat is near 0, 1/2 or 1, or one of 1000 random numbers."""
     c_function = c_code_function(c_library, "x_hat_to_code")
     source = random.Random(5)
     for bits in range(1, MAX_X_HAT_BITS + 1):

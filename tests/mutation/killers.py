@@ -45,19 +45,19 @@ LINKED = {
 }
 """Sources that a black-box test is linked with; a white-box test contains the firmware."""
 FEW_CALLS, MANY_CALLS, MOST_CALLS = 20_000, 1_000_000, 8_000_000
-"""Calls of the independent implementation. A few take a fiftieth of a second and show most mistakes,
-but some show in one of many million calls."""
+"""Numbers of calls of the independent implementation. Few calls take a fiftieth of a second and show most
+mistakes. Some mistakes show only once in many million calls."""
 SAME_CODE = "none is needed: a compiler makes the same code of it"
 SECONDS_BY_CALLS = {FEW_CALLS: 1, MANY_CALLS: 10, MOST_CALLS: 80}
-"""Processor time that the independent implementation may take, over ten times what it needs."""
+"""Processor time that the independent implementation may take: over ten times its usual time."""
 SECONDS = 2
-"""Processor time that another test may take, four to thirty times what it needs. A mutant that hangs
-takes as long."""
+"""Processor time that any other test may take: four to thirty times its usual time. A mutant that hangs
+uses it up."""
 
 
 @dataclass(frozen=True)
 class Try:
-    """A test of a mutant, under a target's choices; ``calls`` are those of the independent implementation."""
+    """A test of a mutant, under a target's choices. The independent implementation makes ``calls`` calls."""
 
     test: str
     variant: Variant

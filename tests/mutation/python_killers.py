@@ -139,7 +139,7 @@ def dies(mutant: Mutant, known: Record, folders: Iterable[Path]) -> bool:
     a cache or a fixture may bring the result."""
     running = known.running(mutant, folders)
     files = list(dict.fromkeys(test.partition("::")[0] for test in running))
-    # Most mutants fail a test of the two quickest files. To import all the others takes seconds.
+    # Most mutants fail a test of the two quickest files. To import all other files takes seconds.
     for some_files in (files[:2], files):
         usual = sum(taken for test, taken in known.seconds.items() if test.partition("::")[0] in some_files)
         passes = partial(_passes, mutant, some_files, running, known)

@@ -62,7 +62,7 @@ def test_the_page_about_trust_states_to_a_hundred_how_many_mistakes_are_tried() 
 
 @pytest.mark.slow
 def test_the_firmware_without_a_mistake_passes_the_tests_that_find_mistakes() -> None:
-    """It does in every variant of its arithmetic: otherwise a test would fail whatever is planted.
+    """It passes in every variant of its arithmetic. Otherwise a test would fail with any planted change.
 
     What is built for the tests does not stand among the sources.
     """
@@ -78,9 +78,9 @@ def test_the_firmware_without_a_mistake_passes_the_tests_that_find_mistakes() ->
 @pytest.mark.slow
 @pytest.mark.parametrize("part", range(PARTS))
 def test_every_mistake_fails_a_test(part: int, tmp_path: Path) -> None:
-    """A mistake is, say, a < that becomes a <=. The test runs four times, with a quarter of them each.
+    """A mistake is, say, a < that becomes <=. The test runs four times, each with a quarter of all mistakes.
 
-    A change is no mistake if a compiler makes the same code of it, or if the list says why it is none.
+    A change is no mistake if a compiler makes the same code of it, or if the list says why it is harmless.
     """
     mistakes = [mutant for name, mutant in everything().items() if name not in EQUIVALENTS]
     survivors = [mutant.name for mutant in mistakes[part::PARTS] if not killer(mutant, tmp_path)]

@@ -24,7 +24,7 @@ TOOLS = "host_tools/mcp_asdf_tools"
 
 @dataclass(frozen=True)
 class Trial:
-    """How many mistakes were planted, one after the other, and how many no test noticed."""
+    """The number of mistakes that were planted, one at a time, and of those that no test noticed."""
 
     planted: int
     unnoticed: int

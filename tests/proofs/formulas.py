@@ -22,7 +22,7 @@ RESULTS = {
     **dict.fromkeys(("reestimate", "next_slot", "run_robust_filter"), 32),
     **dict.fromkeys(("asdf_test_rejects", "robust_test_rejects"), 1),
 }
-"""Called functions, of which nothing is known here, and bits of their results."""
+"""Called functions and the bits of their results. Nothing else is known of them here."""
 Claim = tuple[str, Any, list[Any]]
 """Name of a claim, its formula, and of what it follows."""
 Claims = Callable[[], Iterator[Claim]]

@@ -109,7 +109,7 @@ class Machine:
     # --- What proofs use ---
 
     def unknown(self, name: str, type_: Type) -> Number:
-        """Return a number of which nothing is known but its type."""
+        """Return a number of this type with any value."""
         self._names += 1
         number, fact = self.arithmetic.unknown(f"{name}_{self._names}", type_)
         self.facts.append(fact)
@@ -175,7 +175,7 @@ class Machine:
         return Place((self._frames[-1].number, name))
 
     def declare(self, declaration: Any) -> None:
-        """A variable of which nothing is known but its type."""
+        """A variable of this type with any value."""
         self._declare(declaration.name, declaration.type, self.unknown_of(declaration.type, declaration.name))
 
     def at(self, name: str, value: Any) -> Place:
@@ -530,7 +530,7 @@ class Machine:
         return self.arithmetic.binary(operator, *self._common(left, right))
 
     def _claim_stated(self, node: Any, operator: str, count: Number) -> None:
-        """Claim that a shift's count is at most that of the comment beside it."""
+        """Claim that a shift's count is at most the bound in the comment beside it."""
         most = stated_shift(node) if operator in ("<<", ">>") else None
         if most is not None:
             limit = self.arithmetic.constant(most, count.type)

@@ -52,7 +52,7 @@ class Words:
         return Number(z3.BitVecVal(value, type_.bits), type_)
 
     def unknown(self, name: str, type_: Type) -> tuple[Number, Any]:
-        """Return a number of which nothing is known but this formula."""
+        """Return a number about which only this formula is known."""
         return Number(z3.BitVec(name, type_.bits), type_), z3.BoolVal(True)
 
     def fits(self, _: Number) -> Any:

@@ -34,7 +34,7 @@ def prove(claim: Any, *known: Any, about: str = "") -> None:
 
 
 def _text(formulas: Iterable[Any]) -> str:
-    """Return the text that the solver reads: the formulas, and of which sort each name in them is."""
+    """Return the text that the solver reads: the formulas, and the sort of each name in them."""
     query = z3.Solver()
     query.add(*formulas)
     return str(query.sexpr())
@@ -159,9 +159,9 @@ def prove_lemma(program: Program, name: str, contracts: Contracts, done: set[Any
 
 
 def any_result(name: str) -> Summary:
-    """Return what stands for a function of which nothing is known, of its result or of what it writes.
+    """Return a stand-in for a function. It may return anything, and write anything where it may write.
 
-    No function writes a pointer into a structure, though.
+    Only pointers in structures stay as they are: no function writes one.
     """
 
     def summary(machine: Machine, *arguments: Any) -> Any:
@@ -179,8 +179,8 @@ def any_result(name: str) -> Summary:
 def _run(
     machine: Machine, name: str, requires: Formula, constants: Mapping[str, int]
 ) -> tuple[list[Any], list[Any]]:
-    """Run a function on unknown arguments of which ``requires`` is known; returns terms of the arguments
-    before, and of the result and what pointers point to after."""
+    """Run a function on unknown arguments that fulfil ``requires``. Return the terms of the arguments before,
+    and the terms of the result and of the targets of pointers after."""
     parameters = machine.program.parameters(name)
     arguments = [
         machine.constant_of(each.type, constants[each.name])

@@ -205,7 +205,7 @@ def of_robust_test(program: Program) -> Iterator[Claim]:
     high, low = call("high_word", square - least), call("low_word", square - least)
     t_excess = product(t, high) + wide(call("high_word", product(t, low)))
     v = z3.If(z3.UGT(v_share, v_p), v_share, v_p)
-    # The product of a constant and a half word, of which the lower word is all.
+    # The product of a constant and a half word fits in the lower word.
     dispersion_12 = call("low_word", product(z3.BitVecVal(12, 32), widen(robust["dispersion"], 32)))
     limit = z3.LShR(product(dispersion_12, v), 8)
     rejects = z3.And(z3.UGT(square, least), z3.UGT(t_excess, limit))
@@ -322,7 +322,7 @@ UNIT = Fraction(1, 2**32)
 
 
 def _products_of_p(b_hat: Any, fill_ratio: Any, product: Any, other: Any) -> list[Any]:
-    """Return what is known of the two products that the test adds up to p, of which each is rounded down."""
+    """Return what is known of the two products that the test adds up to p. Each is rounded down."""
     most = 2**32 - 1
     return [
         *(b_hat >= B_HAT_RANGE[0], b_hat <= B_HAT_RANGE[1], fill_ratio >= 0, fill_ratio <= most),
@@ -465,7 +465,7 @@ def of_the_formed() -> Iterator[Claim]:
     off = z3.If(x > p, x - p, p - x) - z3.If(formed_x > formed_p, formed_x - formed_p, formed_p - formed_x)
     yield "D", z3.And(off <= 5 * u, -off <= 5 * u), known
     product, above, limit, scaled = z3.Ints("product above limit scaled")
-    # limit is scaled / 256 rounded down: an integer is above the one where it is above the other.
+    # limit is scaled / 256, rounded down. An integer above limit is also above scaled / 256, and vice versa.
     known = [256 * limit <= scaled, scaled < 256 * limit + 256]
     yield "the dispersion's unit", (above > limit) == (256 * above > scaled), known
     is_more = (above > limit) == (product >= 2**32 * (limit + 1))

@@ -16,14 +16,14 @@ from support import ROOT, matching_files, run
 SOURCES = ROOT / "c_ref/src"
 HEADER = SOURCES / "mcp_asdf_arithmetic.h"
 ARITHMETIC = (HEADER, *matching_files(SOURCES, "mcp_asdf_target*.h"))
-"""The private headers, of which the first includes the others."""
+"""The private headers. The first includes all others."""
 LANES_HEADER = ROOT / "host_tools/mcp_asdf_tools/experiments/engine/lanes_arithmetic.h"
 """What the experiments' engine divides with: it includes the core and brings this."""
 INCLUDE = Path(__file__).parent / "include"
 CHOICES = ("DIVIDE", "SPLIT_MULTIPLY", "SHIFT_BYTES", "HAS_CLZ")
 """The macros, without their prefix."""
 HARDWARE, TABLE, BITS, LANES = range(1, 5)
-"""Values of the first; the others are 0 or 1."""
+"""Values of the first choice; all other choices are 0 or 1."""
 
 
 @dataclass(frozen=True)

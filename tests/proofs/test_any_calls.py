@@ -78,7 +78,7 @@ def test_eva_finds_a_shift_that_damaged_memory_makes_too_large(tmp_path: Path) -
 
 
 def functions_in(report: str) -> tuple[set[str], set[str]]:
-    """Return the functions that Eva reached, and those of them of which it left out some statements."""
+    """Return the functions that Eva reached, and the functions where it left out some statements."""
     reached, reached_in_part = set[str](), set[str]()
     for name, reached_statements, statements in PART.findall(report):
         reached.add(name)

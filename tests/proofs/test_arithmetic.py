@@ -84,7 +84,7 @@ Place = tuple[Path, int, str]
 
 
 def written_definitions() -> set[Place]:
-    """Return the definitions of functions in the texts of the arithmetic's headers, in whatever variant."""
+    """Return the definitions of functions in the texts of the arithmetic's headers, in all variants."""
     places = set[Place]()
     for path in ARITHMETIC:
         for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), start=1):

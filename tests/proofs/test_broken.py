@@ -73,7 +73,7 @@ MISTAKES_IN_NUMBERS = (
     Mistake("robust_test_rejects", "multiply_high(~b_hat, ~x)", "multiply_high(~b_hat, x)"),
     Mistake("update_b_hat", "    robot->updated = 1;", "    robot->alpha = robot->updated = 1;"),
 )
-"""Mistakes in the functions whose result is a formula of what they call: one for each."""
+"""A mistake for each function whose result is a formula of the functions that it calls."""
 
 QUICK_FUNCTIONS = ("shift_left_wide", "multiply", "mcp_asdf_settle")
 """Functions whose broken code is tried in ``make test``."""
@@ -136,7 +136,7 @@ def test_a_function_with_a_mistake_does_not_compute_the_documented_integers(
 
 
 def prove_of_any_result(name: str, variant: Variant, contract: Contract) -> None:
-    """Prove that a function keeps a contract whatever it returns and writes: only an empty one is kept so."""
+    """Prove a contract of a function that returns and writes anything. Only an empty contract holds."""
     anything = replace(contract, steps=(), uses=(), invariant=None, instead={name: any_result(name)})
     prove_contract(program(variant, CORE), name, {name: anything})
 

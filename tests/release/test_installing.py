@@ -110,7 +110,7 @@ def test_workflows_pin_actions_and_containers_by_hash() -> None:
     pins_by_file = {path.name: pins_in(path) for path in workflow_files()}
 
     assert len(pins_by_file["tests.yml"]) == 3, "so many are in it, and all are found"
-    assert len(pins_by_file["radio.md"]) == 4, "those of the workflow that it proposes"
+    assert len(pins_by_file["radio.md"]) == 4, "pins of the workflow that the page proposes"
     for name, pins in pins_by_file.items():
         for pin in pins:
             assert PINNED_BY_HASH.fullmatch(pin), f"{name}: {pin}"

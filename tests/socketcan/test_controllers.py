@@ -49,7 +49,7 @@ def details(name: str) -> dict[str, Any]:
 
 
 def drive_robot_3(wire: can.BusABC, ticks: int) -> list[can.Message]:
-    """Command robot 3 through so many ticks, in each of which robots 0, 1 and 2 send an estimate.
+    """Command robot 3 through so many ticks. Robots 0, 1 and 2 send an estimate in each tick.
 
     Observations and estimates are drawn with a fixed seed. Returns all frames on the wire, in order.
     """

@@ -52,7 +52,7 @@ class ThreeNodes:
     """What three C nodes did in 25 ticks on one bus.
 
     Attributes:
-        kind: Build of robot 0; the others are of the plain one.
+        kind: Build of robot 0; all other robots run the plain build.
         summaries: What each node prints at its end, by the robot's id.
         frames: All frames on the bus, as candump has recorded them.
         frames_of_robots: Those of the robots, as python-can has received them.
@@ -180,7 +180,7 @@ def test_a_node_counts_the_frames_that_its_receive_buffer_has_no_room_for(
 
 
 ABSENCE_SECONDS = 3.0
-"""The time of 150 ticks of the node, of which an emulated guest on a busy machine leaves some."""
+"""The time of 150 ticks of the node. On a busy machine an emulated guest skips some of them."""
 
 
 @pytest.mark.parametrize("does_vanish", [False, True])

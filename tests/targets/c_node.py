@@ -101,7 +101,7 @@ def unexecuted_lines(folder: Path) -> set[str]:
 
     Each is "file: text of the line".
     """
-    least_count_by_line = dict[str, int]()  # of executions of the line or of one of its branches
+    least_count_by_line = dict[str, int]()  # executions of the line, or of its rarest branch
     for data in folder.glob("core/**/*.gcda"):
         report = run("gcov", "--branch-probabilities", "--json-format", "--stdout", data, cwd=folder)
         for file in json.loads(report)["files"]:
@@ -190,7 +190,7 @@ def candump_lines(frames: Iterable[can.Message]) -> list[str]:
 
 
 def without_repeated_greetings(frames: Iterable[can.Message]) -> list[can.Message]:
-    """Return the frames of one node with its greeting once: it repeats that until it is commanded."""
+    """Return the frames of one node with its greeting once. It repeats the greeting until it is commanded."""
     remaining_frames = list(frames)
     while len(remaining_frames) > 1:
         first_line, second_line = candump_lines(remaining_frames[:2])

@@ -14,9 +14,9 @@
 enum { SOCKET_FD = 70 };
 
 static int call_count;   /* of the functions below, while a bus is opened */
-static int failing_call; /* the one that fails, from 1 on; 0 for none */
+static int failing_call; /* number of the call that fails, from 1 on; 0 if none does */
 
-/* Count a call. Returns whether it is the one that fails; errno then is `error`. */
+/* Count a call. Returns whether it has to fail; errno then is `error`. */
 static bool fails(int error)
 {
     errno = error;

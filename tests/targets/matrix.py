@@ -195,7 +195,7 @@ def core_objects(folder: Path) -> list[Path]:
 
 
 def needed_symbols(objects: list[Path]) -> set[str]:
-    """Return the symbols that objects use and none of them has."""
+    """Return the symbols that objects use and no object defines."""
     undefined, defined = set[str](), set[str]()
     for elf in objects:
         with elf.open("rb") as stream:

@@ -11,7 +11,7 @@
 
 enum { END, OBSERVE, STEP, SETTLE, RECEIVE, RESTORE, DAMAGE };
 
-extern const uint8_t golden_vectors[]; /* files one behind the other, then a word that starts none */
+extern const uint8_t golden_vectors[]; /* files in a row, then a word that starts no file */
 extern const uint32_t mcp_asdf_t_table_omega05_q30[33];
 
 static mcp_asdf_config_t config;

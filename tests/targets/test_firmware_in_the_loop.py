@@ -173,7 +173,7 @@ def draw_line(draw: random.Random) -> bytes:
     line = format_frame_line(any_frame(draw, IMAGE_ID, Subjects()))
     if draw.random() < 0.7:
         return line
-    index = draw.randrange(len(line) - 1)  # not that of the carriage return
+    index = draw.randrange(len(line) - 1)  # not the index of the carriage return
     two_in_one = line[:-1] + line
     cut = line[: max(index, 2)] + b"\r"
     spoilt = bytearray(line)
@@ -201,7 +201,7 @@ def draw_conversation(draw: random.Random) -> list[bytes]:
     before_opening, opening, closing = whole_ticks[0], b"S8\rO\r", b"?\rC\r"
     pieces = [before_opening, opening, *whole_ticks, *ticks_without_end, closing, noise[0]]
     pieces += [b"O\r", *whole_ticks, *noise]
-    # Not later, since one of them opens the bus anew, and the counters that are read in the end are then 0.
+    # Not later: one request opens the bus anew, which would set the counters that are read at the end to 0.
     for index in range(60, 120, 2):
         pieces.insert(index, draw.choice(REQUESTS))
     return pieces
@@ -334,7 +334,7 @@ def find_free_port() -> str:
 
 
 def commands_for_a_swarm(target: str) -> tuple[list[str], str]:
-    """Return the commands of docs/radio.md that run a swarm with a board, and the one that stops the board.
+    """Return docs/radio.md's commands that run a swarm with a board, and its command that stops the board.
 
     They are the page's but for the board, the port, 60 ticks, and a filter that runs soon. The command that
     takes minutes for a verdict is left out.
@@ -397,8 +397,8 @@ def test_the_workflow_of_docs_radio_fails_on_a_wrong_image_and_leaves_a_report(t
     """It builds the firmware, starts it on an emulated board, and verifies what it sends.
 
     The firmware is built for a sensor with an accuracy of 0.6, and is verified as one with 0.55. run() raises
-    if a command fails, as the one that verifies has to. All other commands are the page's, but for the port;
-    the step that installs tools, as root, is left out.
+    if a command fails, and the command that verifies has to fail. All other commands are the page's, with
+    another port. The step that installs tools, as root, is left out.
     """
     copy_sources("cortex-m3", tmp_path)
     replacements = {"20001": find_free_port(), "-B build ": "-B build -DROBOT_B_HAT=0.6 "}

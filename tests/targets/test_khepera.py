@@ -106,7 +106,7 @@ def robot(tmp_path: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def service_command() -> str:
-    """Return the command by which the page's service, which is one of systemd, starts the robot.
+    """Return the command by which the page's service, for systemd, starts the robot.
 
     It runs a sensor that compares readings with a threshold, and pipes 0 or 1 to the node.
     """
@@ -199,10 +199,10 @@ def run_as_service_says(folder: Path) -> Khepera:
 
 @pytest.mark.slow
 def test_a_khepera_that_runs_as_its_service_says_observes_and_broadcasts(robot: Path) -> None:
-    """It moves over 200 tiles, of which those below the service's threshold are black. Its id is 7.
+    """It moves over 200 tiles. Tiles below the service's threshold are black. Its id is 7.
 
     In the end its node prints a summary: t tiles, n black ones, the number of estimates that it has sent, and
-    x_hat, the last of them. It saves its state in the file that the service names, robot.state.
+    the last estimate, x_hat. It saves its state in the file that the service names, robot.state.
     """
     readings = put_on_floor(robot, brightness=500, reading_count=200)
     [threshold] = re.findall(r"tile_sensor (\d+) ", service_command())

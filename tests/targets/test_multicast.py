@@ -95,7 +95,7 @@ class NodesInGroup:
         expected_answers: What the twin has answered, its first heartbeat included.
         received_frames: What the C program has answered.
         sent_count: Number of datagrams that were sent to the group.
-        odd_count: Those of them that have no frame of classic CAN.
+        odd_count: Datagrams without a frame of classic CAN.
     """
 
     group: Group
@@ -121,7 +121,7 @@ class NodesInGroup:
             self.wait_for_answers()
 
     def send_commands_that_are_answered(self) -> None:
-        """Send commands of which the last is answered for certain: then all that came before was handled."""
+        """Send commands. The last is answered for certain, after all earlier datagrams have been handled."""
         for action in (Action.SETTLE, Action.OBSERVE_BLACK, Action.SETTLE):
             tick_of_last_command = self.twin._tick_of_command
             tick = 0 if tick_of_last_command is None else tick_of_last_command
@@ -170,7 +170,7 @@ def test_c_and_python_node_answer_the_datagrams_of_a_bad_network_alike(
     assert candump_lines(nodes.received_frames) == candump_lines(nodes.expected_answers)
     expected_numbers = nodes.expected_numbers()
     assert {name: summary[name] for name in expected_numbers} == expected_numbers
-    # The C node counts damaged frames apart from those that are not meant for it, and the twin both together.
+    # The C node counts damaged frames and frames for others apart. The twin counts both together.
     assert summary["refused"] + summary["others"] == twin.reception.rejected.total()
     for event in ("odd_packets", "repeated", "collisions", "obeyed"):
         assert summary[event] > 10, f"{event}: too rare to be tested"
@@ -291,7 +291,7 @@ def any_message(rng: random.Random) -> can.Message:
 def calls_of_sending_node(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
     """The system calls of a node that sends an estimate for each of 80 tiles, as strace writes them.
 
-    They are those that send, those about memory, and those that set an option of the socket.
+    Only three kinds are written: calls that send, calls about memory, and calls that set a socket option.
     """
     with joined(IPV4):  # skips where there is no multicast
         pass
@@ -316,9 +316,9 @@ def test_a_node_asks_the_system_for_memory_only_before_it_sends_or_after(
 
     The node sends at least an estimate for each of 80 tiles.
     """
-    # A letter for each call: s if it sends, and - if it is another one, about memory or an option.
+    # Each character stands for one system call: s for a send, - for any other call.
     calls = "".join("s" if call.startswith("sendto(") else "-" for call in calls_of_sending_node)
-    assert re.fullmatch("-*s{80,}-*", calls), "80 or more that send, one after another"
+    assert re.fullmatch("-*s{80,}-*", calls), "80 or more sends, one after another"
 
 
 @pytest.mark.slow
@@ -367,7 +367,7 @@ def test_nodes_receive_each_other_again_when_their_network_comes_back(
     for summary in summaries:
         assert summary["downs"] == 1
         assert summary["collisions"] == 0, "frames with its own id"
-        # Of 50 ticks without a network, and of 100 before and 300 after them; a busy computer has fewer.
+        # 100 ticks come before, 50 without a network, and 300 after. A busy computer skips some.
         assert summary["unsent"] >= 20
         assert summary["ticks"] - summary["unsent"] > 150
         assert summary["heard"] > 150, "more than the 100 before the network went down"
@@ -375,7 +375,7 @@ def test_nodes_receive_each_other_again_when_their_network_comes_back(
 
 @pytest.mark.slow
 def test_the_radio_command_passes_a_node_on_multicast(tmp_path_factory: pytest.TempPathFactory) -> None:
-    """The command compares all answers of the node, robot 3, with those of a robot in Python like it."""
+    """The command compares all answers of the node, robot 3, with the answers of an equal robot in Python."""
     choice = multicast(group=92)
     group = f"udp:{choice.settings['channel']}:{choice.settings['port']}"
     options = ("--lockstep", "--hop-limit", 0, "--b-hat", 0.75, "--filter-period", 4)

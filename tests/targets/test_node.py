@@ -137,9 +137,9 @@ class BothNodes:
         self.expected_answers += self.twin.receive_frame(frame)
 
     def add_commands_that_are_answered(self) -> None:
-        """Add three commands of which one at least is answered, whatever was before.
+        """Add three commands. At least one is answered, after any other frames.
 
-        Its answer shows that the C program has handled all frames.
+        The answer shows that the C program has handled all frames.
         """
         tick_of_last_command = self.twin._tick_of_command
         tick = 0 if tick_of_last_command is None else tick_of_last_command
@@ -196,7 +196,7 @@ EXERCISED_COUNTERS = (
 def test_c_and_python_node_answer_thousands_of_legal_and_broken_frames_alike(
     firmware_filter: Filter, counter_of_filter: str, make_both_nodes: Callable[[Filter], BothNodes]
 ) -> None:
-    """Both get 3000 random estimates and commands, of which some are damaged, and send the same answers.
+    """Both get 3000 random estimates and commands, some of them damaged, and send the same answers.
 
     Both end with the same state, and have counted the same kinds of frames, more than 50 of each kind.
     """
@@ -307,7 +307,7 @@ def test_a_node_repeats_its_first_heartbeat_each_second_until_it_is_commanded(
     start_time = time.monotonic()
     while bus.greeting_count < 2:
         assert bus.recv(PATIENCE) is not None
-    assert time.monotonic() - start_time > 0.9, "seconds, of the one between two heartbeats"
+    assert time.monotonic() - start_time > 0.9, "seconds: two heartbeats are 1 s apart"
 
     run_lockstep(bus, [ID], ticks=1, seed=1)
     time.sleep(1.1)
@@ -316,7 +316,7 @@ def test_a_node_repeats_its_first_heartbeat_each_second_until_it_is_commanded(
 
 
 def test_a_commanded_node_sends_a_heartbeat_after_ten_ticks(start_node: StartNode, bus: UnixBus) -> None:
-    """A tick, a tenth of a second, comes with a command, and a heartbeat, with its uptime, each second.
+    """Each command is a tick, a tenth of a second. So every tenth command brings a heartbeat with the uptime.
 
     The first heartbeat, with an uptime of 0, comes before all ticks.
     """
@@ -398,10 +398,10 @@ def test_the_node_refuses_wrong_options_and_says_what_to_give_instead(
 def test_a_node_computes_what_its_twin_in_python_does_from_the_same_observations(
     source: str, start_node: StartNode, bus: UnixBus, tmp_path: Path
 ) -> None:
-    """Both count and believe the same after 300 ticks, of which 100 are without an observation.
+    """Both count and believe the same after 300 ticks. In 100 ticks there is no observation.
 
-    The file has a symbol for each tick: 0 is white, 1 is black, and - is no observation. Of each six, four
-    are observations, t, and three of them black, n.
+    The file has a symbol for each tick: 0 is white, 1 is black, and - is no observation. Six symbols repeat:
+    they have four observations, t, and three of those are black, n.
     """
     file = tmp_path / "observations"
     file.write_text("1\n0\n-\n1\n1\n-\n" * 50 + " \t\n", encoding="ascii")
@@ -460,7 +460,7 @@ def test_a_character_that_is_no_observation_ends_the_run(
 
 
 def test_a_node_does_not_wait_for_its_observations(start_node: StartNode, bus: UnixBus) -> None:
-    """Four, of which three are black, come in two parts, eight ticks apart; ticks without one are counted."""
+    """Four tiles, three of them black, come in two parts, eight ticks apart. Other ticks count as missing."""
     node = start_node("--steps-per-second", 200, "--observations", "-", stdin=subprocess.PIPE)
     standard_input = node.process.stdin
     assert standard_input is not None
@@ -508,7 +508,7 @@ def test_a_sensor_s_file_is_read_anew_in_every_tick(
 
     assert summary["ended"] == "signal"
     assert summary["n"] > 5, "black tiles: at least those of the first six ticks"
-    assert summary["n"] < summary["t"], "all tiles, of which some were white"
+    assert summary["n"] < summary["t"], "t counts all tiles, and some were white"
     assert summary["t"] == summary["ticks"]
 
 
@@ -544,7 +544,7 @@ def options_for_400_black_tiles(tmp_path: Path) -> tuple[object, ...]:
 def test_the_clock_keeps_its_rate_and_leaves_out_what_it_missed(
     start_node: StartNode, bus: UnixBus, options_for_400_black_tiles: tuple[object, ...]
 ) -> None:
-    """The node is stopped for 0.3 seconds, in which 30 ticks were due; it does not make up for them.
+    """The node is stopped for 0.3 seconds, when 30 ticks are due. It does not make up for the lost ticks.
 
     It counts the ticks that it has skipped, and the longest time by which a tick was late.
     """
@@ -562,7 +562,7 @@ def test_the_clock_keeps_its_rate_and_leaves_out_what_it_missed(
     most_ticks = ticks_per_second * (time.monotonic() - start_time) + 1
     assert summary["ticks"] + summary["skipped"] <= most_ticks, "faster than the clock"
     assert summary["skipped"] >= 25, "of 30 ticks in 0.3 seconds"
-    assert summary["worst_lateness_us"] >= 250_000, "microseconds, of the 300,000 that it was stopped"
+    assert summary["worst_lateness_us"] >= 250_000, "microseconds; it was stopped for 300,000"
 
 
 # ---- Faults around it ----
@@ -577,8 +577,8 @@ def error_frame(kind: int, controller_state: int = 0) -> can.Message:
 def test_the_node_s_heartbeat_says_how_the_bus_is(start_node: StartNode, bus: UnixBus) -> None:
     """The node has a health, from nominal to warning, which follows from the error frames that it receives.
 
-    In each tick it receives one, and observes and broadcasts. A tick takes a second here, so each has a
-    heartbeat; that of the first tick comes before any error frame.
+    In each tick it receives an error frame, and observes and broadcasts. A tick takes a second here, so it
+    has a heartbeat. The heartbeat of the first tick comes before any error frame.
     """
     frame_and_health_by_tick = [
         (error_frame(CAN_ERR_PROT), Health.NOMINAL),
@@ -608,7 +608,7 @@ def test_the_node_s_heartbeat_says_how_the_bus_is(start_node: StartNode, bus: Un
 
 
 def test_a_bus_that_closes_ends_the_run_with_a_failure(start_node: StartNode, bus: UnixBus) -> None:
-    """Its summary says that the bus has closed, and the exit code is that of a failed run."""
+    """Its summary says that the bus has closed, and the exit code says that the run has failed."""
     node = start_node("--lockstep")
     bus.node.close()
     assert node.summary(status=FAILED_RUN)["ended"] == "bus closed"
@@ -760,7 +760,7 @@ def command_under_strace(trace: Path, tmp_path_factory: pytest.TempPathFactory) 
 def test_a_read_of_observations_that_fails_for_the_moment_is_repeated(
     bus: UnixBus, tmp_path: Path, command_under_strace: Callable[..., list[str]], error: str
 ) -> None:
-    """None of 600 observations is lost, although every second read fails, the first one included.
+    """None of 600 observations is lost, although the first, the third and every second read after it fail.
 
     strace lets the reads fail, as the system may if a signal comes or nothing is there yet.
     """
@@ -775,7 +775,7 @@ def test_a_read_of_observations_that_fails_for_the_moment_is_repeated(
 
     assert summary["ended"] == "observations"
     assert summary["t"] == 600
-    assert summary["missing"] > 2, "ticks whose read has failed; one that does not takes up to 256 bytes"
+    assert summary["missing"] > 2, "ticks whose read has failed; a successful read takes up to 256 bytes"
 
 
 def refusal_of_file(file: Path, reason: str) -> str:

@@ -1,7 +1,7 @@
-"""What start-up code of the ports does before main(): it gives all variables their values, whatever RAM held.
+"""The ports' start-up code gives all variables their values before main().
 
-An emulated board has zeros in its RAM when it is switched on; a real one has anything. So here the processor
-alone is emulated, with RAM that is full of other bytes.
+An emulated board has zeros in its RAM when it is switched on; a real board has anything. So here the
+processor alone is emulated, with RAM that is full of other bytes.
 """
 
 from __future__ import annotations
@@ -162,9 +162,9 @@ def sections_of_variables(elf: ELFFile) -> dict[str, Any]:
 @pytest.mark.parametrize("level", ["-Os", *slow(["-O0", "-O3"])])
 @pytest.mark.parametrize("board", BOARDS, ids=lambda board: board.name)
 def test_variables_have_their_values_when_main_starts(board: Board, level: str, tmp_path: Path) -> None:
-    """In one section of the program are variables with values, in another one those that are 0.
+    """The program has two sections of variables: one for values other than 0, one for 0.
 
-    The port's start-up code, on an emulated processor, writes both before main(), whatever RAM held.
+    The port's start-up code, on an emulated processor, writes both before main(), over any content of RAM.
     """
     with build(board, level, tmp_path).open("rb") as stream:
         elf = ELFFile(stream)

@@ -25,7 +25,7 @@ SLOW_FILES = [name for name in FILES if name not in QUICK_FILES]
 QUICK_BUILDS = [
     replace(usual_build(target), files=QUICK_FILES) for target in TARGETS if target.name == "cortex-m0"
 ]
-"""The one target that computes least like this computer, except the AVR, which takes longer.
+"""The target whose arithmetic differs most from this computer's. The AVR differs more, but takes too long.
 
 For the arithmetic of the AVR and the others, and for the order of bytes of an s390x, make test has the C
 tests that tests/c_ref/test_presets.py builds.
@@ -110,7 +110,7 @@ def longest_scenario() -> tuple[int, Scenario]:
 
 
 def first_file_with_wrong_digest(scenario_number: int) -> bytes:
-    """Return the first file, in which a bit of a scenario's digest is another one."""
+    """Return the first file with a flipped bit in a scenario's digest."""
     bytes_of_head = 6  # a word, and the number of scenarios in 2 bytes
     scenarios_before = played(FIRST_FILE)[:scenario_number]
     place_of_digest = bytes_of_head + sum(len(encoded) for _, encoded in scenarios_before)

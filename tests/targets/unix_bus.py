@@ -72,7 +72,7 @@ class UnixBus(can.BusABC):
             packet = self.node.recv(128)
         if not packet:
             raise EOFError
-        assert len(packet) == 16, "a struct can_frame; that of CAN FD is longer"
+        assert len(packet) == 16, "a struct can_frame; a frame of CAN FD is longer"
         identifier, length, _, data = dissect_can_frame(packet)
         assert identifier >> 29 == 0b100, "29 bits, no remote frame and no error frame"
         frame = can.Message(arbitration_id=identifier & 0x1FFF_FFFF, data=data[:length])

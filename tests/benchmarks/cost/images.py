@@ -38,8 +38,8 @@ class Target:
 
     Attributes:
         name: As the tables show it.
-        tools: What the names of its compiler and of its disassembler begin with.
-        flags: Those of its compiler besides the level.
+        tools: The prefix of the names of its compiler and its disassembler.
+        flags: The compiler's flags besides the level.
         package: Debian's package with the compiler.
         libraries: Sources and libraries that every image gets.
     """
@@ -148,7 +148,7 @@ class Image:
 
     @cached_property
     def frames(self) -> dict[str, int]:
-        """Bytes of stack of every function as the compiler reports them: all but those of its own library."""
+        """Stack of every function in bytes, as the compiler reports it. Its own library is not included."""
         told: dict[str, int] = {}
         for file in self.path.parent.glob("*.su"):
             for line in file.read_text(encoding="utf-8").splitlines():

@@ -1,7 +1,7 @@
 """The longest path through code with loops, each of which has a bound in a comment of the source.
 
-A loop's bound stands beside its statement: ``for (...) { /* at most 32 turns */``. Where an inner loop turns
-less often in all turns of the outer one together than the product says, a second number says how often:
+A loop's bound stands beside its statement: ``for (...) { /* at most 32 turns */``. In a nested loop, the
+product of both bounds may be too high. A second number then bounds all turns of the inner loop together:
 ``/* at most 31 turns, 496 in all */``.
 """
 
@@ -55,7 +55,7 @@ class _Region:
 
 
 class LongestPath:
-    """The most that one call of a function costs, whatever its data."""
+    """The largest possible cost of one call of a function, for any data."""
 
     def __init__(
         self, graph: Graph, weights: Mapping[int, int], places: Mapping[int, str], bounds: Mapping[str, Bound]
@@ -129,10 +129,10 @@ class LongestPath:
         ends_of_turn = {number for number in numbers if not entries.isdisjoint(self._graph[number])}
         exits = {number for number in numbers if any(after not in numbers for after in self._graph[number])}
         # A compiler may copy a loop's body, and jump between the copies: then there are several entries, and
-        # a turn may come to each of them once. What is left of the last turn may do so, too.
+        # one turn may pass each entry once. The rest of the last turn may pass them again.
         cost_of_turn = len(entries) * max(turn.costs[number] for number in ends_of_turn)
         repeated_turns = bound.turns if len(entries) == 1 else bound.turns + 1
-        # A loop that is left nowhere but at the end of a turn does not begin another one.
+        # A loop that can be left only at the end of a turn never begins a turn in vain.
         if exits <= ends_of_turn:
             repeated_turns -= 1
         cost_in_all = turn.cost_of_loops_in_all
@@ -147,7 +147,7 @@ class LongestPath:
 
 
 def _strong_components(graph: Graph) -> list[set[int]]:
-    """Return the sets of nodes of which each can be reached from each other (Kosaraju)."""
+    """Return the sets of nodes in which every node can be reached from every other node (Kosaraju)."""
     order: list[int] = []
     visited: set[int] = set()
     for node in graph:

@@ -45,13 +45,13 @@ class Figures:
     Attributes:
         mean: Instructions of calls and kinds of a step in a usual life.
         seen: Calls in that life and in all other situations.
-        bound: The longest path of a call through the machine code, where there is no loop; "step" is one in
-            which the filter is not due.
-        divisions: Those on the longest path of a step.
+        bound: The longest path of a call through the machine code, where there is no loop. In a "step"
+            the filter is not due.
+        divisions: Number of divisions on the longest path of a step.
         stack: Bytes by function.
         code: Bytes of flash of init, observe, receive, settle and x, and of all functions.
         ram: Bytes of a robot.
-        times: Instructions of a baseline's step and x in those of the firmware's, by its type.
+        times: Instructions of a baseline's step and x, divided by the firmware's. By the baseline's type.
     """
 
     mean: dict[str, float]
@@ -68,7 +68,7 @@ class Figures:
         return max(int(getattr(each.cost, what)) for each in self.seen if each.kind == kind)
 
     def tick_stack(self) -> int:
-        """Return the bytes of stack that a tick needs: the deepest of its calls."""
+        """Return the bytes of stack that a tick needs: those of its deepest call."""
         return max(self.stack[name] for name in TICK_CALLS)
 
 

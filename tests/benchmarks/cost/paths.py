@@ -40,7 +40,7 @@ def division(line: Instruction) -> int:
 
 
 class Paths:
-    """The instructions of an image, and bounds of its functions whatever the data."""
+    """The instructions of an image, and bounds of its functions for any data."""
 
     def __init__(self, image: Image) -> None:
         self._image, self._lines = image, image.code
@@ -52,7 +52,7 @@ class Paths:
         self._loop_bounds = bounds_in(sorted(FIRMWARE.glob("*.[ch]")))
 
     def longest(self, name: str, weight: Weight = instruction, without: str = "") -> int:
-        """Return the most of a weight on any path through a function and what it calls.
+        """Return the largest sum of weights on any path through a function and the functions that it calls.
 
         Paths that call or jump to the function named ``without`` are left out.
         Raises ValueError if there is no bound: a loop that the source does not bound, recursion, a computed
