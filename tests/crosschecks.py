@@ -50,7 +50,7 @@ def compare_with_oracle(scenario: Scenario, first: Firmware, second: Firmware) -
 def find_failure(first: Firmware, second: Firmware, max_calls: int = CALLS) -> Failure | None:
     """Cross-check two firmwares by random scenarios, and return the first failure.
 
-    The first firmware is also compared with exact arithmetic. None if nothing is wrong in so many calls.
+    The first firmware is also compared with exact arithmetic. Return None if ``max_calls`` calls agree.
     """
     audit = Audit()
 
@@ -71,7 +71,7 @@ class CheckedCall:
 
 
 def check_calls(text: str, audit: Audit) -> Iterator[CheckedCall]:
-    """Make the calls of a scenario, in which ``audit`` finds nothing wrong, and yield them."""
+    """Make the calls of a scenario and yield them. Fails if ``audit`` finds a call wrong."""
     scenario = parse_scenario(text)
     robot = RobotUnderTest(MirrorRobot, scenario.setup)
     for call in scenario.calls:

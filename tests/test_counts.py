@@ -38,7 +38,7 @@ def folder(tmp_path: Path) -> Path:
 
 
 def write_report(folder: Path, module: str, count: int, special_outcome: str = "") -> None:
-    """Write a report of tests that pass, but for the first if ``special_outcome`` is an element of JUnit."""
+    """Write a report of passed tests. An element of JUnit is the first test's ``special_outcome``."""
     outcomes = [special_outcome] + [""] * (count - 1)
     cases = [
         f'<testcase classname="{module}" name="test_{index}">{outcome}</testcase>'

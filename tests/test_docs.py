@@ -320,7 +320,7 @@ def test_the_built_docs_load_nothing_from_elsewhere_and_have_no_diagram_as_text(
 
 @pytest.mark.slow
 def test_no_page_of_the_built_docs_is_wider_than_a_phone(site: Path, chromium: Browser) -> None:
-    """Nor a table in it, nor a cell: one would have to scroll sideways."""
+    """No table and no cell is wider either, or a reader would have to scroll sideways."""
     phone_width = 390
     widths = (
         "[document.documentElement, ...document.querySelectorAll('.md-typeset table:not([class]), "

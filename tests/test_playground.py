@@ -166,7 +166,7 @@ def native_records(experiment: Experiment) -> NDArray[np.uint32]:
 
 @pytest.mark.slow
 def test_the_playground_computes_the_command_that_it_shows_to_the_last_bit(computed: Computed) -> None:
-    """The page shows an ``mcp-asdf simulate`` with its settings, whose engine computes the same here."""
+    """The page shows a command ``mcp-asdf simulate`` with its settings. Its engine computes the same here."""
     assert np.array_equal(read_records(computed.page), computed.records)
 
 
@@ -186,7 +186,7 @@ def read_drawn_values(page: Page, name: str, step: int) -> Any:
 def test_the_playground_draws_the_computed_values_of_the_last_step(
     computed: Computed, name: str, word: int, one: int
 ) -> None:
-    """The values are compared with those that the native engine records, in which ``one`` stands for 1."""
+    """The values are compared with the native engine's records, where ``one`` stands for 1."""
     drawn_values = read_drawn_values(computed.page, name, step=computed.experiment.steps)
     computed_values = computed.last_records[:, word] / one
     assert np.abs(drawn_values - computed_values).max() <= MAX_ROUNDING_ERROR

@@ -26,7 +26,7 @@ WITHOUT_PIP = '#!/bin/sh\n[ "$1 $2" != "-m pip" ] || { echo "No module named pip
 
 @pytest.fixture
 def clone(tmp_path: Path) -> Path:
-    """A folder with the set-up in it; in ``bin`` a stand-in for Python, and somebody who is not root."""
+    """A folder with the set-up. In ``bin`` are stand-ins for Python and for an ``id`` that is not root's."""
     require("cc", "gcc libc6-dev")
     for folder in (".ci", "bin"):
         (tmp_path / folder).mkdir()

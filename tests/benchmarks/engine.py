@@ -62,7 +62,7 @@ def plain(folder: str, world: str, trials: int, options: tuple[str, ...]) -> Mea
 def rates_of(
     experiment: Experiment, calls: int, lanes: int, more: dict[str, Measurement]
 ) -> dict[str, float]:
-    """Return the best of REPEATS rates by name, all in turn; of so many trials by calls and in lanes."""
+    """Return the best of REPEATS rates by name. ``calls`` and ``lanes`` are numbers of trials."""
     short = replace(experiment, steps=400, filter_period=100, firmware="reference")
     measurements = {
         PYTHON: rate_of(short, 1, lambda: run_by_message(short, 0, 0)),

@@ -276,7 +276,7 @@ def test_the_robust_filter_takes_no_more_on_a_cortex_m4_than_it_was_meant_to(
 ) -> None:
     """It was to keep limits of RAM and code in bytes, and of the instructions of three calls.
 
-    These receive a message, take a step in which the filter does not run, or one with test and update.
+    The calls receive a message, take a step without the filter, and take a step with test and update.
     """
     small, fast = cortex_m4["-Os"], cortex_m4["-O2"]  # optimised for size and for speed
     for cost in (small, fast):

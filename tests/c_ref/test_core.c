@@ -101,7 +101,7 @@ static void write_table_hash(uint32_t *table, uint32_t words)
     }
 }
 
-/* Tables of any q, sound but for their length where that is not 2 to 127. */
+/* Tables of any q. Only their length may be wrong: it has to be 2 to 127. */
 /* design: R28 */
 static void a_table_has_entries_for_2_to_127(void)
 {
@@ -202,7 +202,7 @@ static void a_robot_that_gets_the_robust_filter_breaks_an_invariant(void)
     CHECK_INVARIANTS(robot.config = &robust_config, false);
 }
 
-/* Images of such a robot do not hold them. */
+/* Images of a robot without the robust filter do not hold these members. */
 static void members_of_the_robust_filter_that_changed_without_it_break_an_invariant(void)
 {
     CHECK_INVARIANTS(++robot.robust.centre, false);

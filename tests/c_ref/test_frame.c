@@ -177,7 +177,7 @@ static void decoders_read_or_refuse_every_value_of_each_byte(void)
     }
 }
 
-/* Numbers of any kind: one unit, too large for a word, not finite, negative, and beside these. */
+/* Random numbers, and numbers near limits: one unit, too large for a word, not finite, negative. */
 /* design: R16 */
 static void decoders_round_any_binary32_number_to_an_alpha_word(void)
 {
@@ -204,7 +204,7 @@ static uint32_t random_limit(void)
 
 static uint8_t random_byte(void) { return (uint8_t)random_limit(); }
 
-/* A frame before it is encoded, and what the encoder should make of it.
+/* A frame before it is encoded, and the result that the encoder should have.
  *   status   of the encoder; the first error counts
  *   id       identifier without the subject
  *   tail     the last byte of the data, in its place */

@@ -198,7 +198,7 @@ def test_a_robot_with_the_paper_s_filter_raises_its_accuracy_if_ctypes_passes_th
 
 
 def test_the_rust_program_reserves_a_robot_s_memory() -> None:
-    """It cannot read the C header, so a robot that needs more memory in C has to get it there, too."""
+    """It cannot read the C header. So if a robot needs more memory in C, the Rust program has to change."""
     assert f"const ROBOT_SIZE: usize = {robot_size()};" in RUST_PROGRAM.read_text(encoding="utf-8")
 
 

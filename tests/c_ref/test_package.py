@@ -98,7 +98,7 @@ def copied_core(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_a_program_in_c_or_cpp_builds_with_copied_files(
     compiler: str, source: str, copied_core: Path
 ) -> None:
-    """A user may copy the core's files into a project, and compile them as C for a program in either.
+    """A user may copy the core's files into a project, and compile them as C for a program in C or C++.
 
     run() raises if the program has a warning, or if it ends with another code than 0.
     """

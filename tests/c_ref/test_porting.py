@@ -521,7 +521,7 @@ def ticks_until_a_swarm_agrees(filter_name: str, comms_period: int) -> float:
 def test_with_rare_broadcasts_only_the_robust_filter_needs_longer(
     filter_name: str, times_as_long: float
 ) -> None:
-    """With one in each tenth tick neither does; in each hundredth the robust filter takes twice as long."""
+    """With a broadcast in every tenth tick no filter needs longer. In every hundredth the robust one does."""
     ticks_if_each = ticks_until_a_swarm_agrees(filter_name, comms_period=1)
     ticks_if_each_tenth = ticks_until_a_swarm_agrees(filter_name, comms_period=10)
     ticks_if_each_hundredth = ticks_until_a_swarm_agrees(filter_name, comms_period=100)

@@ -106,9 +106,9 @@ def start_with_twin(robot_id: int) -> NodeWithTwin:
 
 
 def test_two_nodes_compute_the_same_bits_as_two_robots_in_python() -> None:
-    """In three rounds each receives the other's estimate when the round of the other ends.
+    """In three rounds, each node receives the other node's estimate at the end of that node's round.
 
-    Nodes exchange estimates by a topic of the stub of ROS, and the robots in Python, their twins, directly.
+    Nodes exchange estimates by a topic of the stub of ROS. The robots in Python, their twins, do so directly.
     """
     first, second = start_with_twin(robot_id=1), start_with_twin(robot_id=2)
     for first_sees_black, second_sees_black in [(True, False), (True, True), (False, True)]:
@@ -134,9 +134,9 @@ def test_a_node_publishes_its_state_after_each_round() -> None:
 
 
 def test_a_node_ignores_its_own_estimates() -> None:
-    """It subscribes to the topic to which it publishes, so the stub of ROS brings it its own message.
+    """It publishes and subscribes to the same topic, so the stub of ROS delivers its own message.
 
-    If it passed that on, the firmware would reject it, and count it.
+    If the node passed this message on, the firmware would reject it, and count it.
     """
     node = start_node(3)
 
@@ -169,7 +169,7 @@ def test_a_node_closes_a_round_in_each_broadcast_period() -> None:
 def test_a_node_with_the_paper_s_filter_re_estimates_its_accuracy() -> None:
     """It assumes an accuracy of 0.55, and has seen 20 black tiles and no white one.
 
-    Two others are certain that three quarters are black, by which half of its tiles should have been black.
+    Two others are certain that three quarters are black. Then half of its tiles should have been black.
     """
     node = start_node(3, filter="adaptive", filter_period=1, initial_b_hat=0.55, omega=0.1, neighbours=2)
     for _ in range(20):

@@ -299,9 +299,9 @@ four_seeds = pytest.mark.parametrize("seed", range(4))
 
 @four_seeds
 def test_estimates_in_float64_are_right_to_the_last_bits(seed: int) -> None:
-    """The same function computes them in exact fractions, from which they differ by four roundings at most.
+    """The same function computes them in exact fractions. They differ by four roundings at most.
 
-    Only where 2 b - 1 is small, by which the function divides, the errors may be larger.
+    The function divides by 2 b - 1. Only where that is small, the errors may be larger.
     """
     rng = random.Random(seed)
     for _ in range(500):
@@ -322,7 +322,7 @@ def case_of_eq_4(x_hat: float | Fraction) -> str:
 
 @four_seeds
 def test_confidences_in_float64_are_right_to_the_last_bits(seed: int) -> None:
-    """The same function computes them in exact fractions, from which they differ by eight roundings at most.
+    """The same function computes them in exact fractions. They differ by eight roundings at most.
 
     An error may be larger where the rounding of n / t leads to another case of eq. 4: alpha has a kink there.
     """
@@ -379,7 +379,7 @@ def draw_estimates(rng: random.Random) -> list[Estimate[float]]:
 
 
 def test_means_of_estimates_in_float64_are_right_to_the_last_bits() -> None:
-    """The social estimate is the mean of the neighbours' alone, the informed one has the robot's own, too.
+    """The social estimate is the mean of the neighbours'. The informed estimate adds the robot's own.
 
     Both are weighted by confidence.
     """
@@ -474,7 +474,7 @@ def test_an_estimate_that_differs_in_its_last_bit_from_equal_ones_is_rejected(va
 @pytest.mark.parametrize("conventions", [PAPER, AUTHORS])
 @pytest.mark.parametrize("neighbours", [[], [0.9]])
 def test_fewer_than_two_messages_reject_nothing(neighbours: list[float], conventions: Conventions) -> None:
-    """One estimate has no spread, with which the robot's own could be compared."""
+    """One estimate has no spread, so the robot's own estimate cannot be tested."""
     assert not asdf_test_rejects(0.1, neighbours, OMEGA, conventions)
 
 
@@ -520,7 +520,7 @@ def test_an_accuracy_at_a_distance_of_2_to_the_minus_13_from_a_half_carries_info
 def test_before_the_first_observation_a_robot_guesses_a_half_without_confidence(
     conventions: Conventions,
 ) -> None:
-    """It does not change its accuracy either, whatever its neighbours estimate, here 0.9."""
+    """It does not change its accuracy either, for any estimates of its neighbours, here 0.9."""
     assert local_estimate(n=0, t=0, b=0.9, conventions=conventions) == 0.5
     assert local_confidence(n=0, t=0, b=0.9, conventions=conventions) == 0.0
     assert assumed_accuracy_update(n=0, t=0, x_bar=0.9, conventions=conventions) is None

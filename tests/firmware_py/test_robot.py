@@ -191,7 +191,7 @@ def test_a_robot_re_estimates_its_accuracy_after_enough_informative_messages(
 @for_every_firmware
 @pytest.mark.parametrize("config", [ADAPTIVE, ALWAYS, ROBUST], ids=["adaptive", "always", "robust"])
 def test_a_robot_that_has_observed_nothing_keeps_its_accuracy(firmware: Firmware, config: Config) -> None:
-    """There is nothing that its five neighbours could contradict, so it neither tests nor updates."""
+    """It has no observations that five neighbours could contradict. So it neither tests nor updates."""
     robot = make_robot(firmware, config)
     receive_estimates(robot, 0.9, 0.9, 0.9, 0.9, 0.9)
 

@@ -648,7 +648,7 @@ def test_the_centre_of_estimates_within_the_spread_is_their_mean() -> None:
 def test_the_centre_of_neighbours_at_an_end_of_the_range_stays_within_it(end: int, centre: int) -> None:
     """Estimates are 16 bits in units of 2**-16, so 0 to 0xFFFF00 in the filter's units of 2**-24.
 
-    Five are 5000 away from the centre. Each draws it by the spread, 4096, which together is too far.
+    Five estimates are 5000 away from the centre. Each draws it by the spread, 4096; the sum is too far.
     """
     assert centre_after_huber_step([end] * 5, centre, spread=4096) == end
 

@@ -50,7 +50,7 @@ def test_a_vote_beyond_the_spread_moves_the_centre_by_the_spread_alone_and_widen
     ("count", "gain"), [(0, 2**-3), (62, 2**-3), (63, 2**-4), (126, 2**-4), (127, 2**-5), (511, 2**-7)]
 )
 def test_the_gain_falls_with_the_number_of_votes(count: int, gain: float) -> None:
-    """The gain is the part of the spread by which a vote moves the centre; the spread changes by half of it.
+    """A vote moves the centre by a part of the spread, the gain. It changes the spread by half as much.
 
     ``count`` is the number of votes before this one, which is a spread above the centre.
     """

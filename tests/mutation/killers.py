@@ -29,7 +29,7 @@ VARIANTS_OF = {
     "mcp_asdf_frame.c": VARIANTS[:1],
     "mcp_asdf_small.c": VARIANTS[:1],
 }
-"""Variants with which the mutants of a file are tried, by file. Those of other files are tried with all.
+"""Variants with which the mutants of a file are tried, by file. Other files' mutants are tried with all.
 
 A file of one target is compiled for that target alone, and the codecs do not depend on the target.
 """

@@ -1,4 +1,4 @@
-"""Tests that a mutant of the Python has to get past: those of its room, in child processes."""
+"""Tests that a mutant of the Python has to get past: the tests of its room, in child processes."""
 
 from __future__ import annotations
 

@@ -98,7 +98,7 @@ def _places(tree: ast.Module) -> list[tuple[Function, ast.stmt]]:
 
 
 def _statements(function: ast.AST) -> Iterator[ast.stmt]:
-    """Statements of a function, without those of functions in it."""
+    """Statements of a function, without the statements of functions in it."""
     for child in ast.iter_child_nodes(function):
         if isinstance(child, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
             continue
@@ -110,7 +110,7 @@ def _statements(function: ast.AST) -> Iterator[ast.stmt]:
 
 
 def _head(statement: ast.stmt) -> ast.stmt:
-    """The statement without those in it."""
+    """The statement without statements in it."""
     head = copy.copy(statement)
     for part in ("body", "orelse", "finalbody"):
         if getattr(head, part, None):

@@ -354,7 +354,7 @@ def _sum_of_own_is_small(_: Any, __: Any, robot: Any) -> Any:
 
 
 def _product_is_sum_of_two(_: Any, __: Any, robot: Any) -> Any:
-    """The products of k_m and the two words of the spread add up to that of k_m and the spread."""
+    """The products of k_m and the two words of the spread add up to the product of k_m and the spread."""
     _, k, spread = _terms_of_test(robot)
     return k * spread == 2**32 * (k * (spread / 2**32)) + k * (spread % 2**32)
 

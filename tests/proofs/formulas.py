@@ -68,9 +68,9 @@ BY_LEMMA: dict[str, Summary] = {
 
 
 def same(after: Any, before: Any) -> Any:
-    """Return the claim that a structure, and what its pointers point to, is as in ``before``.
+    """Return the claim that a structure and the targets of its pointers are as in ``before``.
 
-    Tables may hold anything; if one is the same, its first word is.
+    Tables may hold anything. A table is the same if its first word is.
     """
     if isinstance(before, dict) and isinstance(after, dict):
         return z3.And([same(after[name], each) for name, each in before.items()])
@@ -100,10 +100,10 @@ def _keep_b_hat(machine: Machine, robot: Place, b_hat: Number) -> None:
 
 
 def formed(program: Program, name: str, opaque: Iterable[str] = RESULTS) -> tuple[dict[str, Any], Any]:
-    """Return the terms of a function's unknown arguments by name, and what it returns.
+    """Return the terms of a function's unknown arguments by name, and its result.
 
-    Members of structures have their own names. With the result stands what its first argument then points
-    to, if it is a pointer that it may write to.
+    Members of structures have their own names. If the first argument is a pointer that the function may
+    write to, the target of the pointer stands behind the result.
     """
     called = BY_LEMMA | {each: _stands_in(each) for each in opaque if each != name}
     machine = Machine(program, Words, called | {"set_b_hat": _keep_b_hat})

@@ -65,7 +65,7 @@ class Obligation:
 
 @dataclass
 class Frame:
-    """A call: its number, the function, and under which condition it returned what, with which memory."""
+    """A call: its number, its function, and its returns. Each has a condition, a result and the memory."""
 
     number: int
     definition: Any = None

@@ -83,18 +83,17 @@ def always(*_: Any) -> Any:
 
 @dataclass(frozen=True, eq=False)
 class Contract:
-    """The promises of a function; formulas take the terms of its arguments.
+    """The promises of a function. A formula takes the terms of the function's arguments.
 
     Attributes:
         ensures: What holds of the result, the first argument, if ``requires`` did. Of a pointer, the argument
             is what it pointed to, and what it then points to stands behind the result.
-        arithmetic: In which integers this is shown.
-        requires: What a caller owes for it.
-        cases: The values of a parameter that is a constant wherever the function is called, each of which is
-            proved by itself.
+        arithmetic: Integers in which ``ensures`` is proved.
+        requires: What a caller has to fulfil.
+        cases: A parameter that is a constant in all calls, and its values. Each value has a proof of its own.
         uses: Called functions that are known by their lemmas in the proof of ``ensures``.
-        instead: What stands for other called functions there.
-        steps: What leads to ``ensures``, each proved with what was proved before.
+        instead: Stand-ins for other called functions in that proof.
+        steps: Claims that lead to ``ensures``. Each is proved with the claims before it.
         invariant: Makes what is called after each turn of its loops, for one run: it claims what the turn
             left, and lets nothing else be known of that.
     """
@@ -122,7 +121,7 @@ class Contract:
 
 
 Contracts = Mapping[str, Contract]
-"""Those of a program's functions, by name: each is proved, and what one takes from another is in here."""
+"""Contracts of a program's functions, by name. All are proved. A proof may rely on others of them."""
 
 
 def prove_contract(program: Program, name: str, contracts: Contracts) -> None:
@@ -146,7 +145,7 @@ def prove_contract(program: Program, name: str, contracts: Contracts) -> None:
 
 
 def prove_lemma(program: Program, name: str, contracts: Contracts, done: set[Any]) -> None:
-    """Prove that the function keeps its contract, unless that is among those ``done``.
+    """Prove that the function keeps its contract, unless this proof is among the ``done`` proofs.
 
     A proof is done if the contract, the text of the function, and the lemmas that it relies on are the same.
     """

@@ -74,7 +74,7 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def environment(wheel: Path, tmp_path: Path) -> Path:
-    """A fresh virtual environment with the wheel in it; only libraries come from that of the tests."""
+    """A fresh virtual environment with the wheel. Libraries come from the tests' own environment."""
     folder = tmp_path / "environment"
     run(sys.executable, "-m", "venv", folder)
     python = folder / "bin/python"

@@ -156,7 +156,7 @@ def _download(cached: Path) -> Path:
             done = _run("sh", "-c", command, cwd=folder)
             if done.returncode:
                 pytest.skip(f"no kernel for a guest: {command}: {done.stderr.strip()[-300:]}")
-        # One that an older version has unpacked has too little.
+        # A package that an older version of this file has unpacked lacks files.
         shutil.rmtree(cached / package, ignore_errors=True)
         os.replace(folder / "kernel", cached / package)
     return next((cached / package).glob("boot/vmlinuz-*"))

@@ -66,7 +66,7 @@ class ThreeNodes:
 
 @pytest.fixture(scope="module", params=[PLAIN_BUILD, CORTEX_A8], ids=lambda kind: kind.name)
 def three_nodes(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> ThreeNodes:
-    """Three C nodes on one bus in lockstep: robot 0 of either build, robots 1 and 2 of the plain one."""
+    """Three C nodes on one bus in lockstep. Robots 1 and 2 run the plain build, robot 0 either build."""
     kind: NodeBuild = request.param
     vcan = f"three{os.getpid() % 10000}"
     options = ("--lockstep", "--filter-period", FILTER_PERIOD, "--steps", TICKS)

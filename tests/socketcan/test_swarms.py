@@ -38,7 +38,7 @@ def logged(folder: Path, *bus: str) -> list[str]:
 def test_twenty_robots_on_one_interface_leave_the_log_that_candump_and_any_bus_have(
     vcan: str, tmp_path: Path, simulated: list[str]
 ) -> None:
-    """The swarm has link faults and liars, which do the same on every bus.
+    """The swarm has link faults and liars. They are the same on every bus.
 
     In five steps each robot sends five estimates, a heartbeat and telemetry in every fourth step.
     """
@@ -58,7 +58,7 @@ SMALL_SWARM = ("swarm", "--robots", "4", "--steps", "12", "--filter-period", "4"
 def test_a_swarm_with_a_c_node_as_robot_0_sends_the_estimates_of_an_emulated_swarm(
     tmp_path: Path, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
-    """Each robot has an interface of its own, and the swarm leaves that of robot 0 to a C node."""
+    """Each robot has an interface of its own. The swarm leaves robot 0's interface to a C node."""
     log, log_of_emulation = tmp_path / "run.log", tmp_path / "emulation.log"
     name = f"v{os.getpid()}d"
     bus = ("--interface", "socketcan", "--channel", f"{name}{{robot}}", "--device", f"0=socketcan:{name}0")

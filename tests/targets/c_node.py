@@ -68,7 +68,7 @@ SANITIZED_BUILD = NodeBuild(
     flags=SANITIZERS,
     settings=("-DCMAKE_C_FLAGS_RELWITHDEBINFO=-O1 -g",),  # compiles soon
 )
-"""For this machine, with sanitizers: the usual one of these tests."""
+"""For this machine, with sanitizers: the usual build of these tests."""
 PLAIN_BUILD = NodeBuild("plain")
 """For this machine, as users build it."""
 COVERAGE_BUILD = NodeBuild(
@@ -178,7 +178,7 @@ def python_node(
     allow: frozenset[int] | None = None,
     **config: Any,
 ) -> RobotNode:
-    """Return the Python node of the same options, whose firmware is the mirror."""
+    """Return the Python node with the same options. Its firmware is the mirror."""
     usual = {"table": TABLE, "filter": Filter.ADAPTIVE, "filter_period": DEFAULT_FILTER_PERIOD}
     start = replace(record(robot_id, "mirror", b_hat, **(usual | config)), allow=allow)
     return RobotNode(start, subjects, steps_per_second)

@@ -155,8 +155,8 @@ def usual_build(target: Target) -> ImageBuild:
 def further_builds() -> Iterator[ImageBuild]:
     """Return the other ways to build images.
 
-    They have every level, by one of the compilers at least, and every choice of the arithmetic, on either
-    order of bytes. Clang 14 runs out of registers on an AVR.
+    They have every level with at least one compiler, and every choice of the arithmetic with either order
+    of bytes. Clang 14 runs out of registers on an AVR.
     """
     yield from (ImageBuild(WASM, "clang", level) for level in ("-O0", "-Os", "-O3"))
     for target in TARGETS:
@@ -210,7 +210,7 @@ def needed_symbols(objects: list[Path]) -> set[str]:
 
 
 def variables(elf: Path) -> int:
-    """Return how many bytes of variables a file has; on an AVR constants count, too, as they are in RAM."""
+    """Return the bytes of variables in a file. On an AVR constants are in RAM, so they count, too."""
     byte_count = 0
     with elf.open("rb") as stream:
         file = ELFFile(stream)

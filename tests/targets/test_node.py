@@ -861,7 +861,7 @@ def test_a_state_that_can_only_be_read_in_pieces_is_complete(
 ) -> None:
     """The file of the state is a pipe, which is read byte by byte. The robot has observed one tile.
 
-    When the node ends, it saves its state, which is the same, in an ordinary file of that name.
+    When the node ends, it saves the unchanged state in an ordinary file of the same name.
     """
     robot = python_node(ID)
     robot.robot.step(Observation.BLACK)

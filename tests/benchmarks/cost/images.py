@@ -79,8 +79,8 @@ TARGETS = (
 
 @dataclass(frozen=True)
 class Instruction:
-    """One line of a disassembly: where, what, with which operands and comment, in which function, and from
-    which line of the source (``file.c:12``, or nothing if that is not known)."""
+    """One line of a disassembly: address, name, operands, comment and function, and the line of the source
+    (``file.c:12``, or nothing if the line is not known)."""
 
     address: int
     name: str

@@ -41,11 +41,11 @@ def bounds_in(sources: Iterable[Path]) -> dict[str, Bound]:
 
 @dataclass
 class _Region:
-    """The code between an entry and what leaves a loop or a function.
+    """The code from an entry of a loop or a function to its exits.
 
     Attributes:
-        costs: The most that the path up to and with each instruction costs, by its number.
-        cost_of_loops_in_all: What turns of loops that are counted in all add, once.
+        costs: Largest cost of a path from the entry to an instruction, itself included, by its number.
+        cost_of_loops_in_all: Cost of inner loops whose bound is for all turns. It is added once.
         places: Places of the loop statements in the region.
     """
 

@@ -25,7 +25,7 @@ _OWN = re.compile(r"(main|config|bench_\w+|mcp_asdf_t_table_\w+)$")
 
 @dataclass(frozen=True)
 class Build:
-    """What is built of the firmware, the filter of the robot in it, and random situations of every age."""
+    """A build's flags, its robot's filter, and random situations of robots of every age."""
 
     flags: tuple[str, ...] = ()
     filter: Filter = Filter.ROBUST
@@ -74,7 +74,7 @@ class Figures:
 
 @dataclass
 class Cost:
-    """What a target at a level costs: builds with one filter alone, and one with both that runs either."""
+    """The costs of a target at a level. Two builds have a single filter. One has both, and runs either."""
 
     paper_alone: Figures
     robust_alone: Figures

@@ -1,4 +1,4 @@
-"""The tables of docs/internals/cost.md, with a row for each target or level, and that of the README."""
+"""The tables of docs/internals/cost.md, with a row for each target or level, and the README's table."""
 
 from __future__ import annotations
 

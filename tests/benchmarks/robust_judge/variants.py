@@ -9,7 +9,7 @@ from pathlib import Path
 
 @dataclass(frozen=True)
 class Change:
-    """A text of a source of the firmware, which must stand there once, and what stands there instead."""
+    """A text that must stand once in a source of the firmware, and the text that replaces it."""
 
     file: str
     before: str
