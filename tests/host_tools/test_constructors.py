@@ -21,7 +21,7 @@ VALUES: list[Any] = [
     *("", "x", "\0", "0.5", "²", "30%", "nan%", "1e999%", "none", "dynamic", "0 0", "3 >", b"x"),
     *([], [1], (), {}, {"a": 1}, {1, 200}, object(), int, np.float32(0.5), np.zeros(3)),
 ]
-"""Values of many types and forms, most of which no user would give on purpose."""
+"""Values of many types and forms. No user would give most of them on purpose."""
 PARAMETERS = [(kind, name) for kind in (Experiment, SwarmSettings) for name in parameters_of(kind)]
 
 

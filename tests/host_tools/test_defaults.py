@@ -51,7 +51,7 @@ def describe_option(parser: argparse.ArgumentParser, action: argparse.Action) ->
         return
     help_text = (action.help or "") % {**vars(action), "prog": parser.prog}
     default = repr(action.default)
-    if help_text.endswith("one per processor)"):  # the number is that of this machine
+    if help_text.endswith("one per processor)"):  # the number depends on this machine
         help_text, default = help_text.replace(default, "N"), "N"
     yield f"    {help_text}"
     if action.default not in (None, argparse.SUPPRESS):
@@ -150,7 +150,7 @@ def test_the_default_in_the_help_of_an_option_is_the_option_s_default(command: s
 
 
 def renew() -> None:
-    """Write all texts as they are now, and remove those of commands that have gone."""
+    """Write all texts as they are now, and remove the texts of removed commands."""
     FOLDER.mkdir(exist_ok=True)
     for path in FOLDER.iterdir():
         path.unlink()

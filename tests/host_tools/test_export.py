@@ -69,7 +69,7 @@ def test_results_in_memory_give_the_same_table_as_their_file(results: Path) -> N
 
 
 def test_a_folder_of_results_gives_the_table_of_the_results_in_it(results: Path) -> None:
-    """A sweep that is not finished is such a folder. This one has the one file of the results."""
+    """An unfinished sweep leaves a folder. This folder has a single file, with the results."""
     assert to_frame(results.parent).equals(to_frame(results))
 
 
@@ -165,7 +165,7 @@ def test_export_reads_results_whose_file_has_another_suffix_of_parquet(
 def test_export_reports_the_files_and_the_number_of_rows_as_json(
     results: Path, tmp_path: Path, capsys: Capture
 ) -> None:
-    """The file that is read is the source, and the one that is written the table.
+    """The source is the file that is read. The table is the file that is written.
 
     It has a row for each of four robots at the start and after each of 60 steps.
     """

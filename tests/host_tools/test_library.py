@@ -162,7 +162,7 @@ def run_to_end(swarm: Swarm) -> None:
 
 
 def images_of_robots(swarm: Swarm) -> list[bytes]:
-    """Return the states of a swarm's robots, all of which have fixed-point firmware."""
+    """Return the states of a swarm's robots. All robots have fixed-point firmware."""
     return [cast(Any, node.robot).save() for node in swarm.nodes]
 
 

@@ -197,7 +197,7 @@ def read_or_refuse(parser: Parser, path: Path, data: bytes) -> str | None:
 
 
 def is_one_short_line(message: str) -> bool:
-    """Return whether a message has 1 to 999 characters, none of which ends a line or controls a terminal."""
+    """Return whether a message has 1 to 999 characters and no line end or control character."""
     return message.isprintable() and 0 < len(message) < 1000
 
 
@@ -237,7 +237,7 @@ def test_a_file_with_random_damage_is_read_or_refused_in_one_short_line(name: st
 
 
 def test_results_with_a_column_whose_name_is_no_text_are_refused(tmp_path: Path) -> None:
-    """A file of results has two schemas with the names of its columns, and only one of them is changed."""
+    """A file of results names its columns in two schemas. Only one schema is changed."""
     data = valid_results().replace(b"robots", b"\xffobots")
     refusal = read_or_refuse(PARSERS["results"], tmp_path / "run.parquet", data)
     assert refusal is not None

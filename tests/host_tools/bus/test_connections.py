@@ -39,7 +39,7 @@ DAMAGED_LINES = (
     *(b"T106BB8\r", b"TZZ\r", b"t\r", b"\xff\r", b"T106BB8018000040000080ZZE0\r", b"T106BB80180000\r"),
     *(b"TFFFFFFFF0\r", b"T-00000010\r", b"tFFF0\r", b"r1239\r", b"t1239112233445566778899\r", b"dZZZ0\r"),
 )
-"""Lines of which python-can makes an exception, or a frame that no CAN controller sends."""
+"""Lines that python-can turns into an exception, or into a frame that no CAN controller sends."""
 
 
 @contextmanager
@@ -91,7 +91,7 @@ def test_a_damaged_line_is_one_error_frame_and_the_frame_behind_it_is_received(l
 
 
 def test_a_line_that_never_ends_is_an_error_frame_as_soon_as_it_is_too_long() -> None:
-    """An adapter that goes mad would fill the memory, unnoticed. No line has more than 1024 characters."""
+    """A broken adapter would fill the memory, unnoticed. So a line may have at most 1024 characters."""
     with adapter_that_sends([b"T" * 3000]) as adapter, adapter.open() as bus:
         assert receive(bus).is_error_frame
 

@@ -150,7 +150,7 @@ def test_pycyphal_reads_our_frames(dsdl_types: dict[type, Any], message: Any) ->
 
 @pytest.mark.parametrize("action", Action)
 def test_an_action_has_the_same_number_in_our_dsdl_file(dsdl_types: dict[type, Any], action: Action) -> None:
-    """The file describes a command to other programs of Cyphal, and an action is what it asks for."""
+    """The file describes a command to other programs of Cyphal, and a command asks for an action."""
     assert getattr(dsdl_types[Command], action.name) == action.value
 
 
@@ -165,7 +165,7 @@ def test_our_dsdl_files_state_the_target_of_commands_to_every_robot_and_the_unit
 
 
 def flip_bit(frame: can.Message, bit: int) -> None:
-    """Flip a bit of a frame: 0 to 28 are those of its identifier, the next 64 those of its data."""
+    """Flip a bit of a frame: bits 0 to 28 are the identifier, the next 64 the data."""
     if bit < 29:
         frame.arbitration_id ^= 1 << bit
     else:
@@ -178,7 +178,7 @@ def flip_bit(frame: can.Message, bit: int) -> None:
 def test_pycyphal_takes_a_frame_with_a_flipped_bit_for_an_estimate_exactly_if_we_do(
     message: Estimate, bit: int
 ) -> None:
-    """A frame that we reject for its content is an estimate here, too, as pycyphal does not look at that.
+    """A frame that we reject for its content counts as an estimate, as pycyphal does not look at the content.
 
     The default subject of estimates is 3000; anonymous nodes, which have no id, send none.
     """
@@ -231,7 +231,7 @@ def frames_of_estimates(
 
 
 def decode_estimates(received_frames: Sequence[can.Message]) -> list[Estimate]:
-    """Return the estimates that our decoder reads in frames, each of which must hold one."""
+    """Return the estimates that our decoder reads in frames. Each frame must hold an estimate."""
     decoded = [frames.decode_estimate(frame, DEFAULT) for frame in received_frames]
     estimates_of_frames = [estimate for estimate in decoded if isinstance(estimate, Estimate)]
     assert len(estimates_of_frames) == len(received_frames)

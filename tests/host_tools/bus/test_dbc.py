@@ -215,7 +215,7 @@ def test_a_value_beyond_a_stated_range_is_rejected_by_name(
 
 
 def test_a_signal_without_illegal_values_has_a_range_of_all_that_its_bits_can_hold(database: Any) -> None:
-    """The range begins at 0, so no value of the signal's bits is out of it."""
+    """The range begins at 0, so every value of the signal's bits is in range."""
     signals_with_illegal_values = {(message, signal) for message, signal, _, _ in ILLEGAL_VALUES}
     for message_and_signal, signal in all_signals(database).items():
         if message_and_signal not in signals_with_illegal_values:

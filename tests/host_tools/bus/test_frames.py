@@ -79,7 +79,7 @@ C_FORMATS = {Estimate: (3000, 4), Telemetry: (3001, 6)}
 """Default subject and priority by kind; the C takes a heartbeat's priority alone."""
 C_HEARTBEAT_PRIORITY = 4
 
-# Fixed examples in every run; a failure prints the one that shows it.
+# Examples are the same in every run; a failure prints the example that failed.
 fixed_examples = settings(derandomize=True, deadline=None, max_examples=draws(300))
 
 
@@ -126,7 +126,7 @@ class CCodec:
         c_frame: Any = self.ffi.new("mcp_asdf_frame_t *")
         c_frame.id = frame.arbitration_id
         c_frame.length = len(frame.data)
-        # C keeps 8 bytes; behind shorter data stand those of a valid tail, which must not make it valid.
+        # C keeps 8 bytes. After shorter data come bytes of a valid tail, which must not make the frame valid.
         c_frame.data = bytes(frame.data[:8]).ljust(8, b"\xe0")
         c_frame.flags = 0
         if not frame.is_extended_id:
@@ -190,7 +190,7 @@ def test_the_documented_estimate_has_the_documented_identifier_and_bytes() -> No
 
 
 def test_the_example_frames_of_the_specification_are_what_robots_send() -> None:
-    """The page docs/design.md has one frame with an estimate and one with telemetry, as candump shows them.
+    """The page docs/design.md shows two frames as candump prints them: an estimate and telemetry.
 
     x is in units of 2**-23, and b_hat in units of 2**-24.
     """
@@ -318,7 +318,7 @@ def test_a_value_that_no_frame_can_hold_is_refused_by_name(message: Any, field: 
     ("field", "value"), [("subject", 6144), ("subject", -1), ("priority", 8), ("priority", -1)]
 )
 def test_a_format_that_cyphal_forbids_is_refused_by_name(field: str, value: int) -> None:
-    """A subject has 13 bits, of which numbers above 6143 are reserved, and a priority has 3."""
+    """A subject has 13 bits, and a priority has 3. Subjects above 6143 are reserved."""
     with pytest.raises(ValueError, match=f"{field} is {value}; it must be 0 to "):
         FrameFormat(**{field: value})
 
@@ -341,7 +341,7 @@ def altered(frame: can.Message, **changes: Any) -> can.Message:
 
 
 def mutated(rng: random.Random) -> can.Message:
-    """Return a legal frame with up to three changes: enough to reach every check and the one behind it."""
+    """Return a legal frame with up to three changes: enough to reach every check and the next check."""
     frame = rng.choice(LEGAL_FRAMES)
     for _ in range(rng.randrange(4)):
         frame = altered(frame, **random_change(frame, rng))
@@ -497,7 +497,7 @@ def test_an_empty_array_of_frames_is_decoded_to_an_empty_array() -> None:
 
 
 def value_of_word(word: int) -> Fraction:
-    """Return the exact value of an alpha word: 24 bits of mantissa above 8 bits, 5 of which are its shift."""
+    """Return the exact value of an alpha word: 24 bits of mantissa, 3 unused bits, 5 bits of shift."""
     mantissa, shift = word >> 8, word % 32
     return (mantissa << shift) * ALPHA_UNIT
 

@@ -58,7 +58,7 @@ def foreign_program(choice: BusChoice) -> Iterator[Callable[[bytes], object]]:
 
 
 def test_each_malformed_datagram_is_one_error_frame_and_the_next_frame_is_received() -> None:
-    """Behind each of 850 odd datagrams, few of which are legal, come a frame of robot 8 and its estimate.
+    """Each of 850 odd datagrams is followed by a frame of robot 8 and its estimate. Few of the 850 are legal.
 
     The estimate passes the filters of a robot, and so does an error frame; the frame before does not.
     """
@@ -125,10 +125,10 @@ def test_a_connection_that_returns_its_own_frames_does_so_once() -> None:
 
 
 def test_equal_frames_of_several_senders_reach_all_others() -> None:
-    """Each of three connections sends the same three frames, two of which are alike.
+    """Each of three connections sends the same three frames. Two of the frames are alike.
 
-    The group returns each datagram to its sender, who takes the first equal one for it. So two connections
-    receive the six frames of the others, and the third one, which wants its own, all nine.
+    The group returns each datagram to its sender, who takes the first equal frame for its own. So two
+    connections receive only the six frames of the others. The third wants its own frames, too: all nine.
     """
     choice = multicast(group=35)
     with choice.open() as bus_0, choice.open() as bus_1, choice.open(returns_own=True) as bus_2:
@@ -268,7 +268,7 @@ def test_the_id_of_a_robot_is_put_into_its_channel_and_added_to_the_port_of_a_mu
 
 
 def test_a_bus_with_a_place_for_the_id_has_a_channel_for_each_robot() -> None:
-    """The place is {robot} in the name of the channel. That of robot 7 has none any more."""
+    """The place is {robot} in the name of the channel. In robot 7's channel its id stands there instead."""
     bus_of_all = bus_from_options(*A_GROUP_FOR_EACH_ROBOT)
     bus_of_robot_7 = bus_of_all.of_robot(7)
 
@@ -360,7 +360,7 @@ def test_an_interface_that_python_can_does_not_have_is_refused_with_those_that_i
 def test_a_bus_is_chosen_by_options_before_rc_before_variables_before_files(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    """Each of them decides on what none of those before it states.
+    """Each source decides only on settings that no earlier source states.
 
     The options decide on the channel here, ``can.rc`` on the bit rate, the variable on the interface, and the
     file on the port. The hop limit is a default of ours.

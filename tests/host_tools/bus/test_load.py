@@ -9,7 +9,7 @@ from mcp_asdf_tools.bus.load import bus_load, worst_case_bits
 
 
 def stuff(bits: str) -> str:
-    """Return bits as they are on the wire: behind five alike one of the other value, which begins a run."""
+    """Return bits as on the wire: after five equal bits comes a bit of the other value. It begins a run."""
     wire = ""
     for bit in bits:
         wire += bit
@@ -19,7 +19,7 @@ def stuff(bits: str) -> str:
 
 
 MOST_STUFFED_BITS = "00000" + "11110000" * 20
-"""Bits of which as many as possible are followed by a stuffed one: each of these begins a new run."""
+"""Bits that need as many stuffed bits as possible, as each stuffed bit begins a new run."""
 
 
 @pytest.mark.parametrize("is_extended_id", [False, True])
@@ -27,7 +27,7 @@ MOST_STUFFED_BITS = "00000" + "11110000" * 20
 def test_the_worst_length_of_a_frame_is_that_with_the_most_stuffed_bits(
     length: int, is_extended_id: bool
 ) -> None:
-    """Behind five bits alike CAN sends one of the other value, so the length depends on the data.
+    """After five equal bits CAN sends a bit of the other value, so the length depends on the data.
 
     An identifier has 29 bits and three flags, or 11 bits and one flag.
     """

@@ -157,7 +157,7 @@ def test_a_second_program_finds_the_adapter_closed_as_the_first_did(server: Slca
 
 
 def test_a_server_that_closes_ends_its_thread_though_a_program_connects_just_then() -> None:
-    """The server closes but still waits for programs, so it has to leave the one that connects."""
+    """The server closes but still waits for programs, so it has to leave a program that connects now."""
     with SlcanServer(join()) as server:
         server._is_closing = True  # the first thing that the server does at the end of the block
         with connect(server):
@@ -208,7 +208,7 @@ def test_a_slow_program_loses_whole_frames_and_the_bus_goes_on(
 @example(b"t 120")
 @example(b"t1231 7 ")
 def test_a_line_that_is_read_as_a_frame_is_what_the_server_writes_for_that_frame(line: bytes) -> None:
-    """All other lines are refused. The case of the first letter has a meaning, that of digits has none."""
+    """All other lines are refused. Case matters in the first letter, but not in digits."""
     frame = parse_frame(line)
     if frame is not None:
         command, digits = line[:1], line[1:]

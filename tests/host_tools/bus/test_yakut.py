@@ -66,7 +66,7 @@ def running_swarm(options: str, environment: dict[str, str]) -> Iterator[str]:
 
 
 def documented_command(port: str) -> list[str]:
-    """Return the page's command for an slcan adapter, at another port, without what it is to do."""
+    """Return the page's command for an slcan adapter, at another port, without its subcommand."""
     line = next(line for line in PAGE.splitlines() if line.startswith("yakut") and "slcan" in line)
     yakut, *options, monitor = shlex.split(line.replace("20000", port))
     assert monitor == "monitor"

@@ -66,7 +66,7 @@ def test_score_prints_of_converted_results_what_convert_has_printed(capsys: Capt
 
 
 def test_score_writes_converted_results_as_csv() -> None:
-    """The file has a line of titles and one for each of three trials."""
+    """The file has a line of titles, and three lines for three trials."""
     main(["convert", "data", "--output", "theirs.parquet"])
     main(["score", "theirs.parquet", "--csv", "theirs.csv"])
     lines = Path("theirs.csv").read_text(encoding="utf-8").splitlines()

@@ -312,7 +312,7 @@ def test_the_help_of_a_command_begins_with_the_options_and_files_that_it_needs(c
 def test_help_lists_the_common_parameters_of_a_swarm_before_further_ones(capsys: Capture) -> None:
     """The number of robots, for example, is common, and the threshold omega is not.
 
-    The ellipsis behind three firmwares stands for those of extensions.
+    The ellipsis behind three firmwares stands for the firmwares of extensions.
     """
     text = help_of("swarm", capsys)
     assert text.index("\n  --robots") < text.index("\nfurther parameters:") < text.index("\n  --omega")
@@ -388,7 +388,7 @@ def test_a_function_whose_library_is_not_installed_raises_an_error_that_says_how
 
 
 SLOW_LIBRARIES = ["can", "cffi", "matplotlib", "mpmath", "numpy", "pyarrow", "rich", "scipy"]
-"""Libraries of which each takes longer to import than all that a help needs."""
+"""Slow libraries: each one takes longer to import than everything that a help text needs."""
 
 
 def libraries_loaded_by(lines: Iterable[str]) -> dict[str, list[str]]:
@@ -446,7 +446,7 @@ def is_accepted(command: str, options: list[str]) -> bool:
 
 @pytest.mark.parametrize("name", cli.COMMANDS)
 def test_the_examples_below_a_help_are_accepted_by_their_commands(name: str) -> None:
-    """The parser of each command takes the options. One example at least is of this command."""
+    """The parser of each command takes the options. At least one example calls the command ``name``."""
     commands = []
     for command, options in examples_of(name):
         assert is_accepted(command, options), f"{command} {options}"
@@ -535,7 +535,7 @@ LINES_AND_OPTIONS_IN_FRONT = [
 
 @pytest.fixture
 def experiment_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Work in a folder with one.toml, a small experiment, and grid.toml and seeds.toml, two of them each."""
+    """Work in a folder with one.toml, which has one experiment; grid.toml and seeds.toml have two each."""
     monkeypatch.chdir(tmp_path)
     Path("one.toml").write_text(EXPERIMENT)
     Path("grid.toml").write_text(f'{EXPERIMENT}[[grid]]\nfilter = ["none", "asdf-plus"]\n')
@@ -634,7 +634,7 @@ def test_vv_logs_each_batch_of_trials_that_a_sweep_has_finished(capsys: Capture)
 
 
 def test_vv_also_logs_what_python_can_says_of_a_bus_that_cannot_be_opened(capsys: Capture) -> None:
-    """Its driver gets the channel with all settings, the first thing to look at. There is no nowhere0."""
+    """python-can logs the channel and settings that the driver gets. The channel nowhere0 does not exist."""
     options = ["--interface", "socketcan", "--channel", "nowhere0"]
     assert cli.main(["swarm", *options, "-vv"]) == 2
     messages = messages_of(capsys.readouterr().err)

@@ -94,7 +94,7 @@ def test_view_exports_a_trial_of_the_experiment_that_is_chosen_by_where(tmp_path
 def test_view_shows_61_states_of_a_log_without_events_and_warns_of_what_is_missing(
     tmp_path: Path, capsys: Capture
 ) -> None:
-    """The 60 steps take 6 s, of which it shows ten states a second: one each 0.1 s from 0 to 6 s.
+    """The 60 steps take 6 s. The page shows a state every 0.1 s from 0 to 6 s, so 61 states.
 
     Frames show x and b_hat of a robot only if it sends telemetry.
     """
@@ -112,7 +112,7 @@ def test_view_shows_61_states_of_a_log_without_events_and_warns_of_what_is_missi
 def test_view_warns_that_a_log_has_frames_of_two_buses_unless_one_is_chosen(
     options: list[str], is_warning: bool, tmp_path: Path, capsys: Capture
 ) -> None:
-    """The log has the frames of run.log, of vcan0, and the same of can3. The page is exported in any case."""
+    """The log has the frames of run.log twice: of vcan0, and of can3. The page is always exported."""
     log = tmp_path / "any.log"
     text = Path("run.log").read_text()
     log.write_text(text + text.replace(" vcan0 ", " can3 "))
@@ -125,7 +125,7 @@ def test_view_warns_that_a_log_has_frames_of_two_buses_unless_one_is_chosen(
 def test_view_of_a_log_without_events_warns_of_lines_that_are_no_frames(
     tmp_path: Path, capsys: Capture
 ) -> None:
-    """Otherwise who shows a damaged log would take a page that lacks frames for all that was sent."""
+    """Without the warning a user would not know that a page of a damaged log lacks frames."""
     log = tmp_path / "real.log"
     log.write_text(f"# by hand\n{Path('run.log').read_text()}")
     assert main(["view", str(log), "--export", str(tmp_path / "run.html")]) == 0

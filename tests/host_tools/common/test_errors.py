@@ -1,4 +1,4 @@
-"""Messages of errors are one printable line, whatever they quote."""
+"""Messages of errors are one printable line, even if they quote unprintable text."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from mcp_asdf_tools.common.errors import UsageError, did_you_mean
 def test_a_message_has_single_spaces_and_characters_that_do_not_print_are_escaped(
     text: str, message: str
 ) -> None:
-    """It is one line, whatever it quotes: the content of a file must not control the user's terminal."""
+    """A message may quote any file. It stays one line, so that the file cannot control the terminal."""
     assert str(UsageError(text)) == message
 
 

@@ -54,7 +54,7 @@ def test_a_text_may_have_a_byte_order_mark(encoding: str, tmp_path: Path) -> Non
 
 
 def test_a_file_that_is_no_text_is_refused_with_the_place(tmp_path: Path) -> None:
-    """The place is that of the first byte that is no UTF-8."""
+    """The error names the place of the first byte that is no UTF-8."""
     (tmp_path / "file").write_bytes(b"abc\xff")
     with pytest.raises(UsageError, match=r"cannot read .*file: it is no text in UTF-8 \(byte 3\)"):
         read_text(tmp_path / "file")
@@ -96,7 +96,7 @@ def test_a_write_through_a_symbolic_link_replaces_the_file_behind_it(tmp_path: P
 
 
 def test_a_written_file_has_the_usual_permissions(tmp_path: Path) -> None:
-    """They are those of any new file, though it was written under another name first."""
+    """The file has the permissions of any new file, though it was written under another name first."""
     write_atomically(tmp_path / "written", "x")
     (tmp_path / "usual").touch()
     assert (tmp_path / "written").stat().st_mode == (tmp_path / "usual").stat().st_mode
@@ -115,7 +115,7 @@ def test_an_error_while_a_draft_is_written_leaves_the_old_file(tmp_path: Path) -
 
 
 def test_two_programs_that_write_one_file_do_not_mix_their_data(tmp_path: Path) -> None:
-    """Each has a draft under another name, so the file is that of the one which is ready last."""
+    """Each has a draft under another name, so the file comes from the program that is ready last."""
     path = tmp_path / "file"
     with drafts_for([path]) as [first_draft]:
         first_draft.write_text("first")
@@ -158,7 +158,7 @@ class RecordedFile(io.FileIO):
 
 
 class SystemCalls:
-    """Replacements of system calls that record them, and of which one may fail.
+    """Replacements of system calls. They record each call, and one of them may fail.
 
     Attributes:
         calls: Name of each call, and the name of the file that it is about.
@@ -236,7 +236,7 @@ def test_two_files_are_written_with_these_system_calls(tmp_path: Path) -> None:
 
 
 with_each_failing_call = pytest.mark.parametrize("failing_index", range(FIRST_REPLACE + 1))
-"""Let each system call fail, one at a time, up to the one that renames the first file."""
+"""Let each system call fail, one at a time, up to the renaming of the first file."""
 
 
 @with_each_failing_call
@@ -256,7 +256,7 @@ def test_ctrl_c_leaves_both_old_files(failing_index: int, tmp_path: Path) -> Non
 
 
 def test_a_failure_between_the_renamings_leaves_two_complete_files(tmp_path: Path) -> None:
-    """The file "a" has got its name, and then the disk refuses that of "b"."""
+    """The file "a" has got its name, and then the disk refuses the name "b"."""
     second_replace = FIRST_REPLACE + 1
     with pytest.raises(UsageError, match=r"cannot write .*/b: No space left on device"):
         replace_old_files(tmp_path, second_replace, DISK_IS_FULL)
@@ -302,7 +302,7 @@ def test_an_obsolete_file_that_is_missing_is_no_error(tmp_path: Path) -> None:
 
 
 def test_writing_files_leaves_no_file_descriptor_open(tmp_path: Path) -> None:
-    """A program that writes many files would run out of them; /dev/fd lists those that are open."""
+    """A program that writes many files would run out of descriptors; /dev/fd lists the open ones."""
     open_before = len(os.listdir("/dev/fd"))
     write_together({tmp_path / "a": "x", tmp_path / "b": "x"})
     assert len(os.listdir("/dev/fd")) == open_before
@@ -312,7 +312,7 @@ def test_writing_files_leaves_no_file_descriptor_open(tmp_path: Path) -> None:
 
 
 def test_a_folder_is_made_with_those_above_it_and_one_that_exists_is_kept(tmp_path: Path) -> None:
-    """Neither a nor b is there before. A second call leaves the file in b as it is."""
+    """The first call makes both a and b. The second call leaves the file in b as it is."""
     make_folder(tmp_path / "a/b")
     (tmp_path / "a/b/file").touch()
     make_folder(tmp_path / "a/b")
@@ -360,12 +360,12 @@ def test_writing_a_file_into_a_folder_without_permission_is_refused(
 
 
 def test_the_results_of_an_output_file_stand_beside_it(tmp_path: Path) -> None:
-    """They are those of a run, in JSON, and the output file is its log."""
+    """The results are a run's, in JSON. The output file is the log of the same run."""
     assert results_beside(tmp_path / "run.log") == tmp_path / "run.log.json"
 
 
 def test_results_are_refused_if_they_or_the_output_file_cannot_be_written(tmp_path: Path) -> None:
-    """The user learns before the run that a folder has the name of one of its two files."""
+    """A run writes an output file and results. Before the run the user learns if a folder has such a name."""
     with pytest.raises(UsageError, match=f"cannot write {tmp_path}: it is not a regular file"):
         results_beside(tmp_path)
     (tmp_path / "run.log.json").mkdir()

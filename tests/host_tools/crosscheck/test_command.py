@@ -36,7 +36,7 @@ COUNTING_MODULE = "mcp_asdf_tools.crosscheck.operation_count"
 
 @pytest.fixture(scope="module", autouse=True)
 def skip_counting() -> Iterator[None]:
-    """Replace counting, which takes seconds, by what it may return."""
+    """Counting takes seconds. Replace it by a possible result."""
     with pytest.MonkeyPatch.context() as monkeypatch:
         monkeypatch.setattr(f"{COUNTING_MODULE}.count_operations", lambda: COUNTS)
         monkeypatch.setattr(f"{COUNTING_MODULE}.measure_storage", lambda: STORAGE)
@@ -149,7 +149,7 @@ def test_a_check_without_a_difference_ends_with_the_verdict_and_how_to_repeat_it
 def test_a_check_prints_the_bytes_that_tables_and_saved_robots_take(
     check_of_500_calls: CommandResult,
 ) -> None:
-    """They are those of STORAGE, in which a table with q = 30 entries takes 132 bytes: 12, and 4 an entry."""
+    """The bytes are from STORAGE. There a table with q = 30 entries takes 132 bytes: 12, and 4 an entry."""
     expected = "memory: 12 + 4 q bytes for a table, 124 for a saved robot, 156 with the robust filter"
     assert expected in check_of_500_calls.output.splitlines()
 
@@ -173,7 +173,7 @@ def test_a_check_prints_a_table_of_errors_by_the_size_of_the_value(check_of_500_
 def test_a_check_prints_a_table_of_the_most_instructions_of_each_call(
     check_of_500_calls: CommandResult,
 ) -> None:
-    """They are those of COUNTS: 58 for reading x, and 9 with the robust filter, which has no table."""
+    """The counts are from COUNTS. Reading x takes 58, or 9 with the robust filter, which has no table."""
     table = (
         "\n"
         "instructions of Python's interpreter per call, at most\n"

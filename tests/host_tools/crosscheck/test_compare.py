@@ -88,7 +88,7 @@ def test_a_difference_or_an_exception_is_reported_with_the_calls_up_to_it(
 
 
 def test_differences_of_two_robots_are_listed_by_field_result_and_word_of_the_saved_robot() -> None:
-    """The second robot is restored from its saved words, of which two are changed.
+    """The second robot is restored from its saved words. Two of the words are changed.
 
     Its count t of observations, word 2, becomes 5. Bit 16 of word 29 says that b_hat was updated after x_hat.
     """
@@ -98,8 +98,8 @@ def test_differences_of_two_robots_are_listed_by_field_result_and_word_of_the_sa
     second.apply(restore)
     *lines, checksum_line = differences(first.last_result, second.last_result)
 
-    # Each line has the first robot's value and the second's. Names of results have brackets, those of fields
-    # have none.
+    # Each line has the first robot's value and the second's. Names of results have brackets, names of
+    # fields do not.
     assert lines == [
         "t: 0, 5",
         "updated: 0, 1",
@@ -124,7 +124,7 @@ def scenario_of_restores(words_of_calls: Iterable[dict[int, int]]) -> Scenario:
 def test_shrinking_leaves_exactly_the_calls_and_words_that_the_failure_needs(
     needed: set[int], call_count: int
 ) -> None:
-    """A report is short, as of 30 to 40 calls it keeps those whose number is ``needed`` for the failure.
+    """A scenario has 30 to 40 calls. The report keeps only calls whose number is ``needed`` for the failure.
 
     Each call writes its number into word 1, by which the check knows it, and needless values into words 2
     and 3.

@@ -132,7 +132,7 @@ def test_most_drawn_estimates_are_decided_by_the_last_bits_of_the_threshold(omeg
 @given(own_x_hat=x_hats_of_robots, m=st.integers(2, 127), seed=seeds)
 @settings(max_examples=40, deadline=None)
 def test_drawn_estimates_are_fill_ratios_between_0_and_1(own_x_hat: int, m: int, seed: int) -> None:
-    """They are in units of 2**-23, of which ONE is 1. They may fill all of that range: ``gap_share`` is 1."""
+    """Estimates are in units of 2**-23, so ONE stands for 1. With ``gap_share=1`` they may fill 0 to ONE."""
     x_hats = draw_x_hats_at_threshold(own_x_hat, TABLE.entry(m), m, Random(seed), gap_share=1)
     assume(x_hats is not None)  # as some draws leave no room
     assert x_hats is not None
@@ -143,7 +143,7 @@ def test_drawn_estimates_are_fill_ratios_between_0_and_1(own_x_hat: int, m: int,
 
 
 def test_no_estimates_are_drawn_if_they_would_differ_by_less_than_a_unit() -> None:
-    """They may fill a part in 2**30 of the room beside the robot's own x_hat, which is 2**22 units."""
+    """The robot's own x_hat is 2**22 units. The estimates may fill 1 / 2**30 of the room beside it."""
     x_hats = draw_x_hats_at_threshold(HALF, TABLE.entry(5), m=5, rng=Random(1), gap_share=2**-30)
     assert x_hats is None
 
@@ -153,7 +153,7 @@ def test_no_estimates_are_drawn_if_they_would_differ_by_less_than_a_unit() -> No
 def test_fractions_around_a_value_are_the_nearest_on_either_side(
     value: Fraction, max_denominator: int
 ) -> None:
-    """The one below may be the value itself; the one above is larger. Their denominators have a maximum."""
+    """The lower fraction may equal the value; the upper one is larger. Their denominators have a maximum."""
     fractions_below = []
     fractions_above = []
     for denominator in range(1, max_denominator + 1):

@@ -30,7 +30,7 @@ SUPPORTER = 43691
 With 2/3 of the tiles black, a sensor of accuracy 0.8 sees 2/3 * 0.8 + 1/3 * 0.2 = 0.6 of them black.
 """
 OPPONENT = 0
-"""The estimate that is farthest from that of a supporter."""
+"""The estimate that is farthest from a supporter's estimate."""
 
 
 def robot_that_observed(black: int, white: int, b_hat: float = B_HAT) -> MirrorRobot:
@@ -46,7 +46,7 @@ def robot_that_observed(black: int, white: int, b_hat: float = B_HAT) -> MirrorR
 def robot_at_end_of_round(robot: MirrorRobot, estimates: Sequence[int]) -> MirrorRobot:
     """Return a copy of the robot that has received these estimates, and has tested itself if they are five.
 
-    The estimates are those of robots 0, 1 and so on, in units of 2**-16.
+    The estimates come from robots 0, 1 and so on, in units of 2**-16.
     """
     settled_robot = deepcopy(robot)
     for sender, estimate in enumerate(estimates):
@@ -72,7 +72,7 @@ for_pairs = pytest.mark.parametrize(
 
 @for_pairs
 def test_the_estimates_of_a_pair_differ_by_one_unit_in_one_slot(count: int, width: int, seed: int) -> None:
-    """With the first estimates of a pair a robot just keeps its b_hat, with the second ones it just does not.
+    """The first estimates of a pair just let a robot keep its b_hat. The second just make it change b_hat.
 
     A slot holds the estimate of one neighbour, in units of 2**-16, and each of a pair has ``count`` of them.
     """
@@ -150,7 +150,7 @@ def test_a_robot_re_estimates_b_hat_unless_more_than_two_fifths_of_its_neighbour
 
 
 def test_no_neighbours_can_contradict_a_robot_with_a_b_hat_of_one_half() -> None:
-    """Such a robot predicts half black on any floor, so None says that no estimates make its test reject."""
+    """Such a robot predicts half black on any floor. No estimates make its test reject: None."""
     robot = robot_that_observed(black=250, white=250, b_hat=0.5)
     assert slots_with_supporters(robot, count=5, supporter_count=2) is None
 
@@ -172,7 +172,7 @@ def test_no_neighbours_can_contradict_a_robot_with_a_b_hat_of_one_half() -> None
 def test_the_estimate_that_explains_a_share_of_black_follows_from_b_hat(
     b_hat: float, share_of_black: float, estimate: int
 ) -> None:
-    """A sensor of accuracy b sees x b + (1 - x) (1 - b) of a floor black of which the share x is black."""
+    """If x of a floor is black, a sensor of accuracy b sees x b + (1 - x) (1 - b) of the floor black."""
     robust = RobustFilter(initial_b_hat=round(b_hat * 2**32))
     assert estimate_that_predicts(robust, share_of_black) == estimate
 

@@ -36,7 +36,7 @@ def loop(times: int) -> None:
 
 
 def test_each_turn_of_a_loop_takes_as_many_instructions_as_the_others() -> None:
-    """Instructions are those of Python's interpreter."""
+    """The counted instructions belong to Python's interpreter."""
     without_a_turn = count_instructions(partial(loop, times=0))
     with_one_turn = count_instructions(partial(loop, times=1))
     with_ten_turns = count_instructions(partial(loop, times=10))
@@ -45,12 +45,12 @@ def test_each_turn_of_a_loop_takes_as_many_instructions_as_the_others() -> None:
 
 
 def test_a_call_without_end_is_cut_short_after_20_000_instructions() -> None:
-    """So many are more than any call of a robot may take. The next one is counted, and ends the call."""
+    """No call of a robot may take 20,000 instructions. Instruction 20,001 is counted, and ends the call."""
     assert count_instructions(partial(loop, times=10**9)) == 20_000 + 1
 
 
 def test_a_debugger_is_in_its_place_again_after_counting() -> None:
-    """Instructions are counted by a trace function, of which Python has one, and debuggers use it, too."""
+    """A trace function counts instructions. Python has only one, and debuggers use it, too."""
 
     def debugger(frame: object, event: str, argument: object) -> None:
         return None
@@ -75,7 +75,7 @@ def collector_switched_back() -> Iterator[None]:
 def test_the_garbage_collector_is_off_while_counting_and_then_as_before(
     switch_collector: Callable[[], None], is_on: bool
 ) -> None:
-    """The instructions of the garbage collector would be counted as those of the robot."""
+    """The garbage collector's instructions would be counted as the robot's."""
     is_on_while_counting: list[bool] = []
     switch_collector()
     count_instructions(lambda: is_on_while_counting.append(gc.isenabled()))
@@ -118,7 +118,7 @@ def test_no_workload_halves_counts_that_fill_no_memory(t: int) -> None:
 
 
 def test_workloads_have_a_power_of_two_of_observations_or_one_less() -> None:
-    """They are from 1 to 2**31: a loop over the bits of t would show, and one over t even more."""
+    """Counts t go from 1 to 2**31. A loop over the bits of t would show, and a loop up to t even more."""
     expected = {1}
     for exponent in range(1, 32):
         expected |= {2**exponent - 1, 2**exponent}
@@ -126,9 +126,9 @@ def test_workloads_have_a_power_of_two_of_observations_or_one_less() -> None:
 
 
 def test_workloads_with_9_messages_have_tests_of_both_outcomes_and_the_largest_sums() -> None:
-    """The filter's test rejects, unless the messages agree with the robot, which ``agrees`` says.
+    """``agrees`` says whether the messages agree with the robot. If they do not, the filter's test rejects.
 
-    For the robust filter that is a robot that has seen half of its 1000 tiles black.
+    For the robust filter, a robot that agrees has seen half of its 1000 tiles black.
     """
     largest_confidence = 0xFFFFFF1F  # as a message has it
     assert workloads_at("m", 9) == [
@@ -149,7 +149,7 @@ def test_workloads_with_a_table_of_q_entries_use_its_first_and_its_last_ones(
 
 
 def test_a_robot_whose_calls_are_counted_runs_its_filter_at_the_end_of_the_present_round() -> None:
-    """So the calls that are counted include the most expensive one, and no user's robot takes longer.
+    """So the most expensive call is counted, and no user's robot takes longer.
 
     A round is the time between two broadcasts. The filter runs every ``filter_period`` rounds, and
     ``filter_left`` of them are left.
@@ -249,7 +249,7 @@ def test_no_call_of_a_robot_takes_longer_with_more_observations_messages_or_neig
 ) -> None:
     """``find_growth`` returns a line for each call that takes more instructions in the later half of a range.
 
-    A range is that of the observations t, of the messages m or of the table's entries q.
+    A range is of the observations t, of the messages m or of the table's entries q.
     """
     assert find_growth(operations) == []
     assert operations.keys() == CALLS.keys() | {f"{name}, robust" for name in CALLS}
@@ -259,10 +259,10 @@ def test_no_call_of_a_robot_takes_longer_with_more_observations_messages_or_neig
 def test_instructions_of_each_call_are_counted_up_to_the_largest_t_m_and_q_that_a_robot_can_have(
     operations: Counts,
 ) -> None:
-    """So a call that takes longer with more of them is found, wherever it begins to.
+    """So the test finds a call that takes longer with more of them, from any t, m or q on.
 
-    A robot can have 1 to 2**31 observations t, of which some are counted, 0 to 127 messages m in a round, and
-    a table of 2 to 127 entries q. With the robust filter it has no table.
+    A robot can have 1 to 2**31 observations t (only some are counted), 0 to 127 messages m in a round, and a
+    table of 2 to 127 entries q. With the robust filter it has no table.
     """
     largest_t = 2**31
     for name, count_by_axis in operations.items():
@@ -321,7 +321,7 @@ def test_a_step_takes_longer_than_an_observation_and_the_end_of_a_round(operatio
 def test_a_new_message_takes_longer_than_a_repeated_one_and_that_longer_than_one_s_own(
     operations: Counts,
 ) -> None:
-    """The counts are those of robots that have received 20 messages in the round."""
+    """The counted robots have received 20 messages in the round."""
     count = {name: count_by_axis["m"][20] for name, count_by_axis in operations.items()}
     assert count["receive"] > count["receive again"] > count["receive own"]
     assert count["receive, robust"] > count["receive again, robust"]

@@ -31,7 +31,7 @@ LIMIT = Fraction(INFORMATIVE_G)
 
 
 def test_the_exact_confidence_alpha_is_the_fisher_information_of_the_observations() -> None:
-    """It is t (2b - 1)^2 / (h (1 - h)) for t observations with accuracy b, of which a share h is black.
+    """It is t (2b - 1)^2 / (h (1 - h)) for t observations with accuracy b. A share h of them is black.
 
     Here h is 1/2, so it is 2 / 4 / (1/4) = 2.
     """
@@ -131,7 +131,7 @@ def test_an_update_is_expected_from_an_informative_x_bar(side: int, errors: floa
 
 
 def test_an_x_bar_so_near_to_the_limit_that_rounding_decides_may_lead_to_an_update_or_not() -> None:
-    """``is_update_expected`` says None, as both are right: x_bar is a rounding error beyond the limit."""
+    """``is_update_expected`` is None: both outcomes are right. x_bar is a rounding error beyond the limit."""
     rounding = Fraction(1, 2**31)
     assert is_update_expected(HALF + LIMIT / 2 + rounding) is None
 
@@ -140,12 +140,12 @@ def test_an_x_bar_so_near_to_the_limit_that_rounding_decides_may_lead_to_an_upda
 
 
 def last_call(text: str, audit: Audit) -> CheckedCall:
-    """Make the calls of a scenario, in which the audit finds nothing wrong, and return the last one."""
+    """Make the calls of a scenario, and return the last call. The audit must find nothing wrong."""
     return list(check_calls(text, audit))[-1]
 
 
 def problems_of(call: CheckedCall, audit: Audit) -> list[str]:
-    """Return a line for each thing that an audit, an exact computation, finds wrong in a call."""
+    """Compare a call with an exact computation, the audit. Return one line of text per problem."""
     return audit.check_call(call.setup, call.call, call.before, call.after)
 
 
@@ -199,7 +199,7 @@ def test_a_value_that_follows_from_no_equation_is_not_checked() -> None:
 
 
 def step_after_messages(mode: Filter, message_count: int, audit: Audit) -> CheckedCall:
-    """Return a right call of ``step`` in which the filter runs after so many messages of different x_hat."""
+    """Return a right call of ``step`` that runs the filter. Messages with different x_hat came before."""
     messages = [receive(sender, 3_000_000 + sender) for sender in range(1, message_count + 1)]
     return last_call(",".join(["table:0.05:2", robot(mode), *messages, "step:1"]), audit)
 
@@ -239,7 +239,7 @@ def test_a_b_hat_that_is_kept_where_it_had_to_change_is_reported(
 
 
 def test_a_change_of_b_hat_before_the_filter_period_has_passed_is_reported() -> None:
-    """The filter runs every so many rounds. One was left before the call; here that is replaced by two."""
+    """The filter runs every few rounds. One round was left before the call; the test replaces 1 by 2."""
     audit = Audit()
     step = step_after_messages(Filter.ALWAYS, message_count=1, audit=audit)
     step.before = with_value(step.before, "filter_left", 2)

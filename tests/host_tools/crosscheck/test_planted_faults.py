@@ -29,7 +29,7 @@ SLOW_FAULTS = tuple(fault for fault in FAULTS if fault not in QUICK_FAULTS)
 def test_random_scenarios_show_a_fault_that_only_one_firmware_has(fault: str) -> None:
     """The fault is one wrong place in the source of the mirror, which is the firmware in Python.
 
-    The failure that is found has random calls of which the C and this mirror give different results. With the
+    The failure has random calls. The C and this mirror give different results for them. With the
     right mirror the same calls give equal results.
     """
     faulty_mirror = mirror_with(FAULTS[fault])

@@ -78,7 +78,7 @@ def test_a_vote_moves_the_centre_by_whole_units_and_less_than_a_unit_is_rounded_
     [
         (250, 448),  # as many as expected: 7/8 of 2, which is 1.75
         (260, 473),  # a ratio of 0.8, from 10**2 / (500 / 4): 7/8 of 2, and 1/8 of 0.8, which is 1.85
-        (500, 1216),  # an outlier, which counts as a ratio of 12 * 2: 7/8 of 2, and 1/8 of 24, which is 4.75
+        (500, 1216),  # an outlier counts as a ratio of 12 * 2 = 24: 7/8 of 2 and 1/8 of 24 are 4.75
     ],
 )
 def test_the_running_dispersion_of_observations_has_one_right_value_or_two(
@@ -176,7 +176,7 @@ MEMORY_FIELDS = (
 )
 """Fields that have one right value after every call."""
 RESULTS = ("b_hat()", "tests", "x()", "x_bar()", "beta()")
-"""Fields of which the same holds after every run of the filter that does not re-estimate b_hat."""
+"""Fields that have one right value after every run of the filter that does not re-estimate b_hat."""
 DEVIATIONS_BY_EVENT = {
     "receive": MEMORY_FIELDS,
     "observe": MEMORY_FIELDS,

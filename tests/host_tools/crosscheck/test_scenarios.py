@@ -30,7 +30,7 @@ def outcomes_of(scenarios: Iterable[Scenario]) -> set[str]:
 
 
 def test_random_scenarios_bring_about_every_result_of_every_call() -> None:
-    """Each call's name stands with what it returned. What else these scenarios reach, planted faults show."""
+    """An outcome is a call's name and result. Planted faults show what else these scenarios reach."""
     assert outcomes_of(random_scenario(SEED, index) for index in range(20)) == {
         *("observe OK", "observe ERR_OBSERVATION", "step OK", "step UPDATED", "step ERR_OBSERVATION"),
         *("receive OK", "receive REPEATED", "receive ERR_SENDER", "receive ERR_X_HAT"),
@@ -40,7 +40,7 @@ def test_random_scenarios_bring_about_every_result_of_every_call() -> None:
 
 @pytest.fixture(scope="module")
 def audit_of_robust_scenarios() -> Audit:
-    """The mirror's calls of 150 scenarios with the robust filter, all of which are right."""
+    """The mirror's calls of 150 scenarios with the robust filter. All calls are right."""
     audit = Audit()
     for index in range(150):
         scenario = robust_scenario(SEED, index)

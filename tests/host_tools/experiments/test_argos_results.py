@@ -73,7 +73,7 @@ def test_the_documentation_of_argos_shows_the_medians_of_the_stored_results() ->
 
 @pytest.mark.slow
 def test_the_documentation_of_argos_shows_the_table_that_the_comparison_prints() -> None:
-    """Beside ARGoS's medians it has those of ``mcp-asdf simulate``, which are computed again here."""
+    """Beside ARGoS's medians it has medians of ``mcp-asdf simulate``. The test computes the latter again."""
     assert shown_table() == argos.format_table()
 
 

@@ -24,13 +24,13 @@ with_fixed_and_with_moving_robots = pytest.mark.parametrize(
 DECIMALS = 6
 """Decimal places in the authors' files."""
 ROUNDING = 10**-DECIMALS
-"""Difference that a number in such a file may have from the one that was computed."""
+"""Largest difference between a number in such a file and the number that was computed."""
 
 
 def read_trial(path: Path, sampling_interval: int = 0) -> Trials:
     """Return the trial in a file of the authors' format.
 
-    With a ``sampling_interval`` it has records: the robots' quantities after each so many steps.
+    With a ``sampling_interval`` it has records: the robots' quantities at this interval of steps.
     """
     [trials] = read_trials([path], sampling_interval)
     return trials
@@ -49,7 +49,7 @@ def test_a_trial_read_from_the_authors_format_has_its_parameters_and_number(
 
 
 def test_the_source_of_a_trial_says_that_the_authors_programs_have_run_it(tmp_path: Path) -> None:
-    """So results of other programs are never taken for those of this one."""
+    """So nobody takes results of other programs for results of this program."""
     trials = read_trial(write_trial(tmp_path / "trial.json", FIXED, number=2))
     assert trials.source == SOURCE
 
@@ -86,7 +86,7 @@ def test_the_filter_steps_that_changed_b_hat_are_counted_as_updates(tmp_path: Pa
 def test_a_trial_from_a_file_has_records_of_every_25th_step_if_asked_for(
     experiment: Experiment, tmp_path: Path
 ) -> None:
-    """Records are the robots' quantities in these steps: those of the run that was written to the file.
+    """Records are the robots' quantities in these steps. They equal the run that was written to the file.
 
     ``write_trial`` runs trial 1 as ``run_trials`` does, and writes it as the authors' programs would.
     """
@@ -230,7 +230,7 @@ def test_a_file_of_results_keeps_that_the_authors_programs_have_run_them(authors
 def test_a_trial_with_a_parameter_that_cannot_be_run_is_refused_with_its_name(
     changes: dict[str, Any], message: str, tmp_path: Path
 ) -> None:
-    """The keys are those of the authors' files. One of a valid trial is changed; None leaves it out."""
+    """A valid trial is changed in one key of the authors' format. A change to None leaves the key out."""
     path = write_trial(tmp_path / "trial.json", FIXED, 0, **changes)
     with pytest.raises(UsageError) as refusal:
         read_trial(path)
@@ -250,7 +250,7 @@ def test_a_trial_with_a_parameter_that_cannot_be_run_is_refused_with_its_name(
 def test_a_trial_with_a_parameter_that_moving_robots_cannot_have_is_refused_with_its_name(
     key: str, value: object, message: str, tmp_path: Path
 ) -> None:
-    """The keys are those of the authors' files; the message has our names, such as radio_range."""
+    """The file uses the authors' keys. The message uses our names, such as radio_range."""
     path = write_trial(tmp_path / "trial.json", MOVING, 0, **{key: value})
     with pytest.raises(UsageError) as refusal:
         read_trial(path)

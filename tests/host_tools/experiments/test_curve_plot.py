@@ -90,7 +90,7 @@ def test_curves_are_drawn_into_one_large_panel_with_the_score_over_the_parameter
 def test_the_95_percent_interval_of_a_median_has_the_ranks_that_statistics_books_print(
     trials: int, rank: int
 ) -> None:
-    """It reaches from the value of this rank among the smallest to that of the same rank among the largest.
+    """Its ends are the value with this rank from below and the value with the same rank from above.
 
     Values are 0, 1, 2 and so on in random order, so the smallest one, which has rank 1, is 0.
     """
@@ -114,9 +114,9 @@ def test_the_interval_of_a_median_has_no_width_where_nearly_all_values_are_equal
 
 @pytest.fixture(scope="module")
 def swarms_of_four_sizes() -> list[Trials]:
-    """Run swarms of 4 to 7 robots, of which 1 or 2 are flawed, with two filters.
+    """Run swarms of 4 to 7 robots with two filters. In each swarm 1 or 2 robots are flawed.
 
-    Those of 6 robots have not been run with the robust filter. Those of 7 have 7 trials, the others 2.
+    Swarms of 6 robots are not run with the robust filter. Swarms of 7 have 7 trials, the others 2.
     """
     varied: dict[str, Any] = {"flawed": [1, 2], "filter": ["none", "robust"], "steps": 60}
     experiments = grid(robots=[4, 5, 6], trials=2, **varied) + grid(robots=7, trials=7, **varied)
@@ -290,7 +290,7 @@ def test_curves_of_the_four_filters_have_the_colours_of_all_pictures(
 
 
 def with_other_omega(trials: Trials) -> Trials:
-    """Return the results as those of an experiment whose omega is 0.1 in place of 0.05."""
+    """Return the results as if the experiment's omega were 0.1 in place of 0.05."""
     return replace(trials, experiment=replace(trials.experiment, omega=0.1))
 
 

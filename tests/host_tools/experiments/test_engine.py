@@ -564,7 +564,7 @@ def test_trials_are_computed_one_by_one_if_robots_lie(experiment: Experiment) ->
 
 MANY = replace(LATE, robots=300, flawed=90, steps=150)
 LONG_GRAPH = "; ".join(f"{i} {(i + 1) % 2100}; {i} > {(i + 2048) % 2100}" for i in range(2100))
-"""A ring in which each robot also sends to the one 2048 places further on."""
+"""A ring in which each robot also sends to the robot 2048 places further on."""
 HUGE = replace(MANY, topology="graph", density=1.0, graph=LONG_GRAPH, robots=2100, flawed=630, steps=60)
 """Its robots stand in many rows of lanes and receive from others far away in them."""
 
@@ -601,7 +601,7 @@ def test_127_robots_end_in_the_states_that_earlier_versions_gave_them(filter_nam
 def graph_in_which_all_ids_of_7_bits_collide() -> str:
     """Return a graph of 260 robots in which 0, 128 and 256 hear each other: all have id 0 in 7 bits.
 
-    Each robot is also connected to the next one, and sends to the one three places further on.
+    Each robot is also connected to the next robot, and sends to the robot three places further on.
     """
     triangle = ["0 128", "128 256", "0 256"]
     chain = [f"{robot} {robot + 1}; {robot} > {robot + 3}" for robot in range(257)]
@@ -611,8 +611,8 @@ def graph_in_which_all_ids_of_7_bits_collide() -> str:
 def run_with_ids_that_differ(experiment: Experiment) -> list[NativeRobot]:
     """Run 60 steps of trial 0 with robots that know their neighbours by different ids, and return the robots.
 
-    The ids are those of the experiment modulo 32, which is all that votes look at, and above them a number
-    that differs among the neighbours of a robot.
+    Votes look only at ids modulo 32, and these stay as in the experiment. The upper part of an id is a
+    number that differs among the neighbours of a robot.
     """
     robot_indices = range(experiment.robots)
     robots = [NativeRobot(experiment.config(i), i % 32, experiment.b_hat(i)) for i in robot_indices]

@@ -21,7 +21,7 @@ AUTHORS_EXPERIMENTS = fidelity.read_stored_experiments(fidelity.PHYSICS)
 def smallest_p_value(stored_experiments: list[fidelity.StoredExperiment], trials: int) -> float:
     """Return the least probability of so large a difference by chance, over all scores of experiments.
 
-    Each experiment is simulated with so many trials, whose scores are compared with those stored. The
+    Each experiment is simulated with so many trials. Their scores are compared with the stored scores. The
     probability is corrected for the number of comparisons, by Holm's method.
     """
     p_values = [
@@ -73,7 +73,7 @@ def test_scores_of_simulate_have_the_distribution_of_those_of_independent_progra
 
 @pytest.fixture(scope="module")
 def overconfident_experiment() -> fidelity.StoredExperiment:
-    """The scores of the float64 program for 10 robots, half of which assume 0.95 where 0.55 is true."""
+    """Scores of the float64 program for 10 robots. Five robots assume 0.95, and 0.55 is true."""
     wanted = Experiment(
         robots=10,
         steps=40_000,

@@ -37,9 +37,9 @@ def test_experiments_whose_message_codes_are_spelt_differently_are_equal() -> No
 
 
 def test_an_estimate_between_two_codes_is_rounded_to_the_nearest_and_alpha_is_rounded_down() -> None:
-    """x_hat of two bits is one of 0, 1/3, 2/3 and 1, so 0.4 becomes 1/3.
+    """With two bits x_hat can be 0, 1/3, 2/3 or 1, so 0.4 becomes 1/3.
 
-    alpha of four bits is one of 1/2, 2, 8 and so on, so 7.9 becomes 2.
+    With four bits alpha can be 1/2, 2, 8 and so on, so 7.9 becomes 2.
     """
     code = MessageCode(x_hat_bits=2, alpha_bits=4)
 

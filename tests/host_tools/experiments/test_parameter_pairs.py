@@ -168,7 +168,7 @@ def test_a_curve_over_a_parameter_has_a_point_at_the_median_error_for_each_value
 
 @dataclass(frozen=True)
 class Points:
-    """Points of an experiment's trials in a picture, with all that tells them apart from those of others."""
+    """Points of an experiment's trials in a picture, with all that sets them apart from other experiments."""
 
     axes: Axes
     colour: Any

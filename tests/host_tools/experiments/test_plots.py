@@ -71,7 +71,7 @@ def test_plot_series_refuses_results_without_values_recorded_over_time(unfiltere
 def test_plot_curve_names_all_parameters_in_which_results_differ_and_that_are_not_shown(
     unfiltered: Trials, flawed: Trials
 ) -> None:
-    """It would show the effect of several parameters as that of omega alone."""
+    """The plot would show the effect of several parameters as if it were omega's alone."""
     with pytest.raises(UsageError, match="the results differ in flawed_accuracy, flawed too"):
         library.plot_curve([unfiltered, flawed], "omega")
 
@@ -90,7 +90,7 @@ def test_plot_curve_names_all_parameters_in_which_results_differ_and_that_are_no
 def test_plot_curve_refuses_options_that_it_cannot_draw(
     options: dict[str, Any], message: str, unfiltered: Trials
 ) -> None:
-    """A function given as y has to return a value of each of the 5 trials, not one of each of 4 robots."""
+    """A function given as y has to return 5 values, one per trial, and not 4 values, one per robot."""
     with pytest.raises(UsageError, match=message):
         library.plot_curve([unfiltered], **options)
 

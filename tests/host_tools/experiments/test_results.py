@@ -86,7 +86,7 @@ def path(tmp_path: Path) -> Path:
 def test_a_file_of_results_gives_back_its_experiments_with_their_trials_in_order(
     experiments: list[Trials],
 ) -> None:
-    """The rows of the first experiment are those of the trials 2, 0 and 1."""
+    """The rows of the first experiment hold trials 2, 0 and 1."""
     assert [trials.experiment for trials in experiments] == [SHORT, OTHER_EXPERIMENT]
     assert [trials.numbers for trials in experiments] == [[0, 1, 2], [0, 1, 2]]
 
@@ -94,7 +94,7 @@ def test_a_file_of_results_gives_back_its_experiments_with_their_trials_in_order
 def test_a_file_of_results_gives_back_all_values_that_were_measured_and_recorded_over_time(
     experiments: list[Trials], trials_run_again: list[Trials]
 ) -> None:
-    """The same trials are run once more, and compared with those that are read from the file."""
+    """The same trials are run once more, and compared with the trials from the file."""
     for trials_read, expected_trials in zip(experiments, trials_run_again, strict=True):
         for name in ("convergence_steps", "errors", "b_hat", "tests", "updates"):
             assert np.array_equal(getattr(trials_read, name), getattr(expected_trials, name)), name
@@ -119,7 +119,7 @@ def test_results_of_one_robot_without_recorded_values_are_read_from_their_file(p
 
 
 def test_the_trials_of_an_experiment_may_be_spread_over_the_files_of_a_folder(tmp_path: Path) -> None:
-    """The first and the third of three files have trials of one experiment, which are read together."""
+    """The first and third file hold trials of the same experiment. They become one entry."""
     for trial, experiment in enumerate((SHORT, OTHER_EXPERIMENT, SHORT)):
         table = trials_to_table(run_trials(experiment, first=trial, trials=1))
         write_tables(tmp_path / f"{trial}.parquet", [table])
@@ -130,7 +130,7 @@ def test_the_trials_of_an_experiment_may_be_spread_over_the_files_of_a_folder(tm
 
 
 def test_small_tables_are_joined_until_they_have_enough_bytes() -> None:
-    """There are five tables of one row. Two of them have enough bytes, so the last one stays alone."""
+    """There are five tables of one row. Two tables fill a group, so the fifth is a group of its own."""
     table = trials_to_table(run_trials(SHORT, first=0, trials=1))
     larger_tables = collect_rows([table] * 5, min_bytes=2 * table.nbytes)
     assert [len(larger_table) for larger_table in larger_tables] == [2, 2, 1]
@@ -139,9 +139,9 @@ def test_small_tables_are_joined_until_they_have_enough_bytes() -> None:
 def test_any_reader_of_parquet_finds_the_parameters_and_the_results_of_a_trial_in_its_row(
     results_path: Path,
 ) -> None:
-    """A row has scores, and lists with a value of each robot: k, the step of convergence, and e, its error.
+    """A row has the scores of a trial, and lists with one value per robot: step of convergence k and error e.
 
-    The second row is that of trial 0, which is run again.
+    The second row holds trial 0. The test runs this trial again.
     """
     _row_of_trial_2, row, *_ = pq.read_table(results_path).to_pylist()
     trials = run_trials(SHORT, first=0, trials=1)
@@ -290,7 +290,7 @@ Values of 20 steps are recorded every 10 steps. In format 5 each record is one f
 
 def test_results_in_the_earlier_format_5_give_back_their_records_by_step_and_robot() -> None:
     """Each of 3 robots had observed 0, 10 and 20 times, t, when its values were recorded."""
-    three_robots, two_robots = stream_experiments(FORMAT_5_FILE)  # experiments of so many robots
+    three_robots, two_robots = stream_experiments(FORMAT_5_FILE)  # named by their numbers of robots
     first_trial, second_trial = three_robots.records["t"].tolist()
     assert first_trial == second_trial == [[0, 0, 0], [10, 10, 10], [20, 20, 20]]
 
@@ -320,7 +320,7 @@ def test_results_in_the_earlier_format_5_may_be_read_by_another_program() -> Non
 def test_a_record_in_format_5_that_has_not_a_value_of_each_robot_at_each_step_is_refused(
     robots: int, path: Path
 ) -> None:
-    """The first record is a list of 9 values, which are not those of any number of steps and 2 robots."""
+    """The first record is a list of 9 values. 9 is no multiple of 2 robots."""
     table = pq.read_table(FORMAT_5_FILE)
     robots_column = pa.array([robots] * len(table), pa.uint64())
     pq.write_table(table.set_column(table.column_names.index("robots"), "robots", robots_column), path)
@@ -520,7 +520,7 @@ def test_a_line_of_csv_has_the_scores_of_its_trial_and_their_limits(
 def test_a_line_of_csv_has_means_and_sums_over_the_robots_of_its_trial(
     experiments: list[Trials], csv_rows: list[dict[str, str]]
 ) -> None:
-    """The second line is that of trial 1 of the first experiment. b_hat is that of the last filter step."""
+    """The second line holds trial 1 of the first experiment, with the b_hat of the last filter step."""
     trials, _ = experiments
     trial = 1
     row = csv_rows[trial]

@@ -236,7 +236,7 @@ def test_points_of_scores_have_a_row_for_each_filter_and_floor_and_a_column_for_
 def test_points_are_the_scores_for_convergence_and_error_of_the_trials_of_a_panel(
     flawed: int, percent: int, experiments: int, scatter: Figure, results: list[Trials]
 ) -> None:
-    """In a panel there are swarms of 4 robots of which 0, 2 or 4 are flawed, without a filter."""
+    """A panel has three swarms of 4 robots without a filter. They have 0, 2 and 4 flawed robots."""
     expected_points = []
     for trials in results:
         experiment = trials.experiment
@@ -302,7 +302,7 @@ def test_the_legend_of_points_has_the_true_and_the_assumed_accuracy_of_flawed_ro
 
 
 def with_parameters(trials: Trials, **parameters: Any) -> Trials:
-    """Return the results as those of an experiment with other parameters."""
+    """Return the results as if they were of an experiment with other parameters."""
     return replace(trials, experiment=replace(trials.experiment, **parameters))
 
 
@@ -357,7 +357,7 @@ def test_the_legend_has_filters_in_their_usual_order_whatever_that_of_the_experi
 def test_a_second_series_of_the_robust_filter_gets_a_colour_that_no_filter_has(
     results_by_filter: dict[str, Trials],
 ) -> None:
-    """GREEN is the robust filter's; of its two series the one with the shorter filter period has it."""
+    """GREEN is the robust filter's colour. Its series with the shorter filter period gets it."""
     second_robust = with_parameters(results_by_filter["robust"], filter_period=50)
     figure = plot_boxes([second_robust, *results_by_filter.values()])
     *_, shorter_period, longer_period = legend_of(figure)

@@ -194,7 +194,7 @@ def test_a_finished_sweep_is_not_run_again(output: Path, jobs_run: list[Job]) ->
 def test_a_sweep_that_was_enlarged_runs_only_new_trials_and_experiments(
     output: Path, jobs_run: list[Job]
 ) -> None:
-    """Ten trials of one experiment are there; then 15 are wanted, and 33 of another one."""
+    """The first sweep runs 10 trials of one experiment. The second wants 15, and 33 of another experiment."""
     run_sweep(Store(output, [replace(EXPERIMENT, trials=10)]), workers=1)
     jobs_run.clear()
     enlarged = [replace(EXPERIMENT, trials=15), replace(OTHER_EXPERIMENT, trials=33)]
@@ -292,7 +292,7 @@ def test_a_worker_process_that_is_killed_ends_the_sweep_with_an_error() -> None:
 
 
 def row_counts(folder: Path) -> list[int]:
-    """Return the number of rows, each of which is a trial, of each file of results in a folder."""
+    """Return the number of rows of each file of results in a folder. A row is a trial."""
     return [pq.read_metadata(path).num_rows for path in sorted(folder.glob("*.parquet"))]
 
 
@@ -889,7 +889,7 @@ def ctrl_c_in_the_first_part(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.usefixtures("ctrl_c_in_the_first_part")
 def test_ctrl_c_while_a_part_of_the_results_is_written_loses_no_finished_trial(output: Path) -> None:
-    """The trials that are missing on the disk are as many as the sweep itself takes for missing."""
+    """The files lack exactly the trials that the interrupted sweep counts as missing."""
     store = Store(output, [SHORT_SWEEP])
     with interruptible(), pytest.raises(KeyboardInterrupt):
         run_sweep(store, workers=1)

@@ -65,7 +65,7 @@ def scheduler(tmp_path: Path) -> Iterator[str]:
 
 @pytest.fixture
 def store(tmp_path: Path) -> Store:
-    """A sweep of 12 jobs, none of which has been run."""
+    """A sweep of 12 jobs. No job has been run."""
     pytest.importorskip("distributed", reason="distributed is not installed: make setup")
     return Store(tmp_path / "x.parquet", [SLOW_EXPERIMENT])
 

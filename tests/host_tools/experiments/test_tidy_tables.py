@@ -166,7 +166,7 @@ def test_a_tidy_table_written_as_csv_keeps_every_bit_of_the_values(tidy: pa.Tabl
 def test_a_tidy_table_as_csv_has_a_header_and_writes_true_and_false_as_1_and_0(
     tidy: pa.Table, tmp_path: Path
 ) -> None:
-    """The first two rows are those of a flawed and a healthy robot; ``is_flawed`` is the fourth column."""
+    """The first row is of a flawed robot, the second of a healthy one; ``is_flawed`` is the fourth column."""
     write_tidy_tables(tmp_path / "robots.csv", [tidy.slice(0, 2)])
     header, flawed_row, healthy_row = (tmp_path / "robots.csv").read_text(encoding="utf-8").splitlines()
 

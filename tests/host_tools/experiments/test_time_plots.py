@@ -101,7 +101,7 @@ def test_the_line_of_a_filter_has_the_median_over_trials_of_the_swarm_s_mean_err
 
 
 def test_errors_over_time_have_the_colours_of_their_filters(errors_over_time: Figure) -> None:
-    """A filter has the same colour in a panel of its own as beside another one."""
+    """A filter alone in a panel has the same colour as beside a second filter."""
     both, _, robust, _ = visible_axes(errors_over_time)
     assert [line.get_color() for line in both.lines] == [GREY, GREEN]
     assert [line.get_color() for line in robust.lines] == [GREEN]
@@ -117,7 +117,7 @@ FLAWED_ROBOTS, HEALTHY_ROBOTS = slice(0, 2), slice(2, 4)
 
 @pytest.fixture(scope="module")
 def half_flawed() -> Trials:
-    """Run four robots, the first two of which are flawed: they assume an accuracy of 0.55, and it is 0.95."""
+    """Run four robots. The first two are flawed: they assume an accuracy of 0.55 instead of 0.95."""
     return results_of(replace(SHORT_EXPERIMENT, flawed=2, flawed_accuracy=0.55, filter="asdf-plus"))
 
 
@@ -169,7 +169,7 @@ def first_title_of(figure: Figure) -> str:
 def test_a_title_of_assumed_accuracies_has_parameters_and_the_share_of_healthy_robots_that_end_wrong(
     bands_figure: Figure, half_flawed: Trials
 ) -> None:
-    r"""Parameters are f, b, which is true, \hat{b}, which flawed robots assume, and their share P.
+    r"""Parameters are f, the true accuracy b, the \hat{b} that flawed robots assume, and their share P.
 
     Wrong is more than 0.05 from the true accuracy, 0.95, which healthy robots assume at first.
     """
@@ -292,7 +292,7 @@ def test_lines_of_flawed_robots_lie_on_top_of_those_of_healthy_ones(runs_figure:
 def test_a_panel_of_a_trial_has_a_line_at_the_true_value_and_its_letter_at_the_right(
     row: int, letter: str, true_value: float, runs_figure: Figure
 ) -> None:
-    """It is the accuracy b in the row of assumed accuracies, and the fill ratio f in those of estimates."""
+    """The true value of assumed accuracies is the accuracy b. For estimates it is the fill ratio f."""
     axes = panel_of(runs_figure, row, column=1)
     *_robot_lines, true_line = axes.lines
     assert np.asarray(true_line.get_ydata()).tolist() == [true_value, true_value]

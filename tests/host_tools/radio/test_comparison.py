@@ -82,7 +82,7 @@ def hint_of(received: can.Message, expected: can.Message) -> str:
         (3 * 0x123456, 0x123456, ""),
         (0x123457, 0x123456, ""),
         (0, 0x123456, ""),
-        (0x402, 0x804, ""),  # a half, but so few bits may agree by accident
+        (0x402, 0x804, ""),  # half, but so few bits may agree by accident
     ],
 )
 def test_an_x_hat_in_reverse_order_or_off_by_a_power_of_two_gets_a_hint_at_that(
@@ -175,7 +175,7 @@ def test_a_difference_names_three_frames_too_many_and_the_number_of_the_others()
 
 
 def test_a_remote_frame_is_described_by_its_raw_data() -> None:
-    """A remote frame asks for data and has none, so it is described by its identifier and an R."""
+    """A remote frame asks for data but carries no data. So it is described by its identifier and an R."""
     remote_frame = can.Message(arbitration_id=estimate().arbitration_id, is_remote_frame=True)
     found_difference = difference(received=[remote_frame], expected=[estimate()])
     assert found_difference.field == "frame"

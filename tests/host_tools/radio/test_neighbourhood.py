@@ -109,7 +109,7 @@ def test_neighbours_that_crash_miss_observations_and_send_no_estimates() -> None
 def test_a_controller_receives_only_from_neighbours_in_range() -> None:
     """Its four neighbours move, and broadcast in each of 120 ticks. It receives some of the 480 estimates."""
     controller, *_ = states_around_a_controller(FIVE_MOVING_ROBOTS, faults="")
-    assert 120 < controller["accepted"] < 4 * 120, "more than those of one neighbour, and not all"
+    assert 120 < controller["accepted"] < 4 * 120, "more estimates than one neighbour sends, but not all"
 
 
 def test_frames_of_neighbours_are_stamped_with_the_time_of_their_tick() -> None:
@@ -136,7 +136,7 @@ def heartbeats_of_crashing_robot_1(rejoin: str) -> list[tuple[int, int]]:
 
 
 def test_a_neighbour_that_rejoins_as_a_new_robot_begins_with_uptime_0() -> None:
-    """It is dead in ticks 45 and 46. A pair is a heartbeat's tick and its uptime in seconds of 10 ticks."""
+    """It is dead in ticks 45 and 46. A pair is a heartbeat's tick and uptime in seconds (10 ticks)."""
     before_crash = [(0, 0), (10, 1), (20, 2), (30, 3), (40, 4)]
     assert heartbeats_of_crashing_robot_1("new") == [*before_crash, (47, 0), (57, 1)]
 
@@ -194,7 +194,7 @@ def test_neighbours_in_real_time_go_on_when_the_bus_fails_and_count_the_frames_t
 
     assert figures["steps"] == 20
     assert figures["ending"] == "all ticks done"
-    # 4 robots send an estimate in each of 20 ticks, and one heartbeat, and every other frame is refused.
+    # 4 robots send 20 estimates and 1 heartbeat each. The bus refuses every other frame.
     assert figures["bus_failures"] == figures["frames_sent"] == 4 * (20 + 1) / 2
 
 
@@ -255,7 +255,7 @@ def test_the_figures_of_a_run_have_the_mean_and_the_range_of_the_neighbours_x() 
 def test_neighbours_in_real_time_that_are_asked_to_stop_end_in_that_tick(
     ticks: int | None, is_interrupted: bool
 ) -> None:
-    """They end in tick 3. That interrupts a run of 1000 ticks, but not an endless one (``ticks`` is None)."""
+    """They stop in tick 3. A run of 1000 ticks counts as interrupted. An endless run (None) does not."""
     neighbourhood = Neighbourhood(surroundings(steps_per_second=1000))
     link = BusLink(Wire(), should_stop=lambda: neighbourhood.tick >= 3)
     run = RadioRun(neighbourhood, link, ticks)
@@ -300,7 +300,7 @@ def real_time_run(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> RealTim
 
 
 def test_neighbours_in_real_time_send_the_frames_that_a_fault_spares(real_time_run: RealTimeRun) -> None:
-    """Each of 4 robots makes an estimate in each of 20 ticks, and a heartbeat. The fault takes about half."""
+    """4 robots would send 20 estimates and 1 heartbeat each. The fault removes about half of these frames."""
     results = real_time_run.report["results"]
     (loss,) = results["faults"]
 
@@ -321,7 +321,7 @@ def test_the_report_of_neighbours_in_real_time_is_printed_and_is_beside_the_log(
 def test_neighbours_with_perfect_sensors_assume_the_largest_accuracy_that_the_firmware_can_have(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """That is 1 - 2**-20. The firmware refuses 1, but the sensors of emulated robots may be never wrong."""
+    """This accuracy is 1 - 2**-20. Emulated sensors may have an accuracy of 1, but the firmware refuses 1."""
     options = "--id 3 --robots 3 --steps 1 --steps-per-second 1000 --true-accuracy 1 --json"
     assert radio(options) == 0
     neighbours = json.loads(capsys.readouterr().out)["parameters"]["neighbours"]
@@ -330,7 +330,7 @@ def test_neighbours_with_perfect_sensors_assume_the_largest_accuracy_that_the_fi
 
 
 def test_the_text_of_a_run_in_real_time_has_its_frames_faults_and_conflicts_of_ids() -> None:
-    """Whoever tests a controller sees by the last two lines that a fault struck, and that an id is taken."""
+    """The last two lines tell the user that a fault struck, and that an id is taken."""
     results = {
         "steps": 20,
         "ending": "all ticks done",

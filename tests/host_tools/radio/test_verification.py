@@ -1,4 +1,4 @@
-"""The verdict on a controller: a right one passes, and every wrong one is found where it is wrong.
+"""The verdict on a controller: a right controller passes, and a wrong one fails at its mistake.
 
 A controller is a robot under test. The tool, ``mcp-asdf radio --verify``, gives it observations and messages,
 phase after phase, and compares its frames with those of a model, the same robot in Python.
@@ -115,7 +115,7 @@ def verify_wrong_controller(
 
 @dataclass(frozen=True)
 class ObservedRun:
-    """A verification of a right controller that is over, and what was seen of it.
+    """A finished verification of a right controller, and what was seen of it.
 
     Attributes:
         name: The name of its golden file, which follows "verification_".
@@ -153,7 +153,7 @@ def observe_run(name: str, config: dict[str, Any], phases: Sequence[Phase]) -> O
 
 
 def describe_run(run: ObservedRun) -> Iterator[str]:
-    """Yield lines that tell other sequences of frames from the one that the tool has sent.
+    """Yield lines that tell other sequences of frames from the sequence that the tool has sent.
 
     They are the activities with their numbers of ticks, every thousandth frame, and two sums over all frames.
     """
@@ -185,7 +185,7 @@ def run_of_all_phases(request: pytest.FixtureRequest) -> ObservedRun:
 
 
 def test_a_right_controller_passes_every_phase(run: ObservedRun) -> None:
-    """Its frames equal those of the model in each phase, and it has answered to each command at once."""
+    """In each phase it sends the same frames as the model. It answers each command at once."""
     verdict = run.verification.verdict
     assert verdict.has_passed, verdict.headline
     assert verdict.repeated == 0, "commands sent again because the controller had not answered"
@@ -293,7 +293,7 @@ CONFIGS: list[dict[str, Any]] = [
 @pytest.mark.slow
 @pytest.mark.parametrize("config", CONFIGS, ids=str)
 def test_a_right_controller_of_another_configuration_passes(config: dict[str, Any]) -> None:
-    """The seed, from which the observations and the neighbours are drawn, is another one each time."""
+    """Observations and neighbours are drawn from a seed. The seed is new each time."""
     seed = random.randrange(2**32)
     setup = setup_of_robot(**{"robot": ID, "b_hat": B_HAT, **config})
     verdict = verify(RobotNode(setup), surroundings(setup, seed=seed))
@@ -304,7 +304,7 @@ def test_a_right_controller_of_another_configuration_passes(config: dict[str, An
 
 
 def phases_of_module(name: str) -> set[str]:
-    """Return the names of the phases whose functions are in a module of the tools with this name."""
+    """Return the names of the phases that are defined in a module of the tools with this name."""
     return {phase.name for phase in CRAFTED_PHASES if phase.play and name in phase.play.__module__}
 
 
@@ -354,7 +354,7 @@ def test_each_fault_that_the_user_asks_for_is_one_more_phase() -> None:
 
 
 def test_a_phase_with_a_fault_lasts_for_two_broadcasts_of_a_slow_controller() -> None:
-    """It broadcasts in every 40th tick, so the phase has 80. The user asks for the fault of phase "loss"."""
+    """It broadcasts every 40 ticks, so a phase lasts 80. The user asks for the fault of phase "loss"."""
     config = {"comms_period": 40, "filter_period": 600}
     liar, loss = verify_right_controller(config, phases_named("liar"), faults="loss=0.7,receivers=3").phases
 
@@ -389,7 +389,7 @@ def test_a_verification_waits_for_the_next_test_of_a_filter_for_20_000_ticks_at_
 
 
 def test_a_phase_does_not_wait_for_a_filter_that_runs_too_rarely() -> None:
-    """The filter runs in every 20,001st tick, and a phase that waited for it would have as many ticks."""
+    """The filter runs every 20,001 ticks. A phase that waited for it would last as long."""
     (phase,) = verify_right_controller({"filter_period": 20_001}, FIRST_PHASE).phases
     assert phase.ticks < 1000
 
@@ -477,7 +477,7 @@ ALWAYS_OPEN = [
     ],
 )
 def test_a_verdict_lists_what_was_not_checked(config: dict[str, Any], lines_of_config: list[str]) -> None:
-    """First are the lines of this configuration, and then those of every one. Known mistakes are left out."""
+    """Lines about this configuration come first, then lines about all. Known mistakes are left out."""
     verdict = verify_right_controller(config, FIRST_PHASE)
 
     lines = [line for line in verdict.not_checked if not line.startswith("whether it ")]
@@ -649,7 +649,7 @@ def test_a_controller_passes_beside_a_node_that_does_not_concern_it(message: Any
 def test_a_verdict_names_another_node_that_the_controller_acts_on_and_does_not_blame_the_controller(
     message: Any, kind: str
 ) -> None:
-    """The headline names node 40 and what it sends, which the controller takes in and the model does not get.
+    """The controller receives what node 40 sends, and the model does not. The headline names both.
 
     So a difference would be no mistake of the controller, and its phase is "disturbed".
     """
@@ -685,7 +685,7 @@ def test_a_controller_may_report_the_health_advisory_after_a_tick_that_was_left_
 
 
 def test_a_controller_must_not_report_the_health_advisory_before_a_tick_was_left_open() -> None:
-    """Its heartbeats have it from tick 30 on, where those of the model are nominal. The difference says so.
+    """Its heartbeats report it from tick 30 on. The model's heartbeats are nominal. The difference says so.
 
     In the phase "alone" no tick is left open.
     """
@@ -702,7 +702,7 @@ def test_a_controller_must_not_report_the_health_caution_after_a_tick_that_was_l
 
 
 def test_a_controller_that_sends_frames_of_another_subject_too_passes() -> None:
-    """The subject 7510 is that of no estimate, telemetry, command or heartbeat, so the frame is ignored."""
+    """No estimate, telemetry, command or heartbeat has the subject 7510, so the frame is ignored."""
     priority, reserved_bits, subject = 4 << 26, 3 << 21, 7510 << 8
     frame = can.Message(arbitration_id=priority | reserved_bits | subject | ID, data=b"any")
     controller = controller_with(settle=lambda node, usual_settle: [*usual_settle(), frame])

@@ -71,7 +71,7 @@ def test_flags_of_a_can_fd_frame_are_read(line: str) -> None:
 
 @pytest.mark.parametrize("line", ["(1.5) can0 123#R5", "(1.5)  can0  123   [5]  remote request"])
 def test_a_remote_frame_has_the_length_that_it_asks_for(line: str) -> None:
-    """A remote frame has no data, but asks another node for so many bytes."""
+    """A remote frame has no data. Its length is the number of bytes that it asks another node for."""
     frame = parse_frame(line)
     assert frame.is_remote_frame
     assert (frame.dlc, len(frame.data)) == (5, 0)

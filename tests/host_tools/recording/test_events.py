@@ -54,7 +54,7 @@ FIRST_LINE = HEADER.to_line()
     [("run.log", "run.log.events"), ("run.log.part", "run.log.events.part"), ("a/b", "a/b.events")],
 )
 def test_events_stand_beside_their_log(log: str, events: str) -> None:
-    """Events say what each robot of a recorded run met; they have a file beside that of the frames."""
+    """Events say what each robot of a recorded run met; they have a file beside the frame log."""
     assert events_path(log) == Path(events)
 
 
@@ -147,7 +147,7 @@ def test_a_flood_of_estimates_is_written_in_several_lines(
 
 
 def test_a_mask_in_a_file_of_version_3_is_read_as_the_last_estimates_of_its_senders(tmp_path: Path) -> None:
-    """Such files do not repeat an estimate: the mask "9" (bits 0 and 3) means those of robots 0 and 3.
+    """Such files do not repeat an estimate: the mask "9" (bits 0 and 3) stands for robots 0 and 3.
 
     Robot 7 received both, a list of sender, x_hat and alpha each; then robot 0 received the same two.
     """
@@ -262,7 +262,7 @@ def test_only_an_incomplete_last_line_of_a_killed_run_is_ignored(
 def test_a_line_without_an_end_does_not_fill_the_memory(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A small compressed file can hold an endless line; at most MAX_LINE_LENGTH characters are read of it."""
+    """A small compressed file can hold an endless line; only MAX_LINE_LENGTH characters are read."""
     monkeypatch.setattr(events_module, "MAX_LINE_LENGTH", 2000)
     line_of_two_million_characters = "[" + 10**6 * "0,"
     with gzip.open(tmp_path / "x", "wt") as file:

@@ -38,7 +38,7 @@ def test_frames_are_read_around_lines_that_are_no_frames(odd_log: Path) -> None:
 def test_the_summary_counts_the_frames_of_each_channel_and_warns_of_lines_that_are_no_frames(
     odd_log: Path,
 ) -> None:
-    """The log has one frame of vcan0 and one of vcan1, a comment in line 3 and a line that was cut.
+    """The log has a frame of vcan0, a frame of vcan1, a comment in line 3 and a line that was cut.
 
     Empty lines are not counted.
     """
@@ -59,7 +59,7 @@ def test_the_summary_names_the_only_line_that_is_no_frame(tmp_path: Path) -> Non
 
 
 def test_a_log_without_frames_is_refused_with_its_first_line(tmp_path: Path) -> None:
-    """The suffix .log stands for candump's format, but the contents are of another one."""
+    """The suffix .log stands for candump's format, but the contents have another format."""
     log = tmp_path / "run.log"
     log.write_text("timestamp,arbitration_id\n1.0,0x123\n")
     message = "holds no frame: line 1, 'timestamp,arbitration_id', is none of candump's; does its suffix"

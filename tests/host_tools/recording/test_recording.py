@@ -135,7 +135,7 @@ def test_a_log_has_its_name_and_all_frames_when_the_run_has_ended(tmp_path: Path
 def test_the_name_of_any_bus_becomes_one_word_in_the_log(
     channel: str | int | None, logged_channel: str, tmp_path: Path
 ) -> None:
-    """Candump's lines are words: spaces become _, and a frame without a name has that of the recording.
+    """Candump's lines are words: spaces become _, and a frame without a name gets the name of the recording.
 
     The frame itself, which others may read, keeps its channel.
     """
@@ -170,7 +170,7 @@ def record_and_fail(log: Path, header: EventsHeader | None = None) -> list[str]:
 
 
 def test_a_run_that_fails_leaves_what_it_recorded_in_part_files_and_warns(tmp_path: Path) -> None:
-    """Log and events of a failed run do not get their names, which stand for complete files.
+    """Log and events of a failed run keep the suffix .part. Names without it stand for complete files.
 
     A command prints the warning as an error.
     """
@@ -232,7 +232,7 @@ def test_a_run_that_fails_raises_its_own_error_if_somebody_has_deleted_its_part_
 
 
 def test_a_log_whose_name_a_folder_takes_during_the_run_keeps_its_part_name(tmp_path: Path) -> None:
-    """The recording warns of it, and no frame is lost."""
+    """The recording warns of the failure, and no frame is lost."""
     warnings: list[str] = []
     with recording_frames(tmp_path / "run.log", warn=warnings.append) as record_frame:
         record_frame(1)
@@ -291,7 +291,7 @@ def is_old(path: Path) -> bool:
 def test_a_killed_process_leaves_no_log_beside_the_events_of_another_run(
     folder_of_dead_process: Path,
 ) -> None:
-    """Replay would take such a pair for one run and report differences that are none.
+    """Replay would take such a pair for one run and report differences that do not exist.
 
     The process dies between the system calls that remove the old pair and give the new one its names.
     """
@@ -397,7 +397,7 @@ def test_a_full_disk_ends_the_recording_but_not_the_swarm(tmp_path: Path, capsys
 def test_a_bus_that_fails_sets_the_exit_code_even_if_the_disk_is_full(
     tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """It is 1, where a full disk alone gives 2: a script would blame the log for a robot that did not run."""
+    """It is 1, though a full disk alone gives 2. With 2 a script would blame the log, but no robot ran."""
     failure = RunOutcome("the bus failed: no luck", has_failed=True)
     monkeypatch.setattr("mcp_asdf_tools.robots.node.run_node", Mock(return_value=failure))
     with limited_file_size(0):

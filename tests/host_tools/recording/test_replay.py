@@ -49,7 +49,7 @@ def replay(frames: Sequence[can.Message], log: Path) -> ReplayVerdict:
 
 
 def convert(log: Path, converted_log: Path) -> None:
-    """Write the frames of a log into another one, in the format of its suffix, as can_logconvert does."""
+    """Write the frames of a log to a second log, in the format of its suffix, as can_logconvert does."""
     with can.LogReader(log) as frames, can.Logger(converted_log) as write_frame:
         for frame in frames:
             write_frame(frame)
@@ -88,7 +88,7 @@ def test_replay_reproduces_robots_of_any_firmware_filter_and_period(
 ) -> None:
     """A robot's broadcasts depend on what its events file says of it: firmware, filter and period.
 
-    Of the 4 robots each broadcasts in each of 40 ticks, or in each fifth of them with ``--comms-period 5``.
+    Each of 4 robots broadcasts in all 40 ticks, or in every fifth tick with ``--comms-period 5``.
     Each sends a heartbeat in every tenth tick.
     """
     frames = record_swarm(tmp_path / "run.log", options)
@@ -122,7 +122,7 @@ FURTHER_OPTIONS_OF_FAULT = {
 ALL_FAULTS = " ".join(
     f"--fault {kind.name}=0.3{FURTHER_OPTIONS_OF_FAULT.get(kind.name, '')}" for kind in FAULT_KINDS
 )
-"""Options for a fault of each kind, of which about 30 % of the ticks or frames are hit."""
+"""Options for a fault of each kind. Each fault hits about 30 % of the ticks or frames."""
 
 
 @pytest.mark.parametrize(
@@ -130,7 +130,7 @@ ALL_FAULTS = " ".join(
     ["--seed 1", "--seed 4 --comms-period 5", "--topology dynamic --density 2 --channel 'bus{robot}'"],
 )
 def test_what_injected_faults_did_is_not_reported_as_a_difference(options: str, tmp_path: Path) -> None:
-    """Faults of all kinds send so many frames that some equal a broadcast which is still to come.
+    """Faults of all kinds send many frames. Some of these equal a broadcast that is still to come.
 
     So each frame of the log is counted as a broadcast, as one with false values, as one of another sender
     under a robot's id (foreign), or as none of these.
@@ -152,7 +152,7 @@ def test_what_injected_faults_did_is_not_reported_as_a_difference(options: str, 
 def test_the_events_of_many_robots_are_hardly_larger_than_the_log(
     options: str, largest_ratio: float, tmp_path: Path
 ) -> None:
-    """The largest ratios of the two sizes are those of docs/internals/emulation.md.
+    """docs/internals/emulation.md has the largest ratios of the two sizes.
 
     The ratio that is measured lies below, but by less than 0.2.
     """
@@ -167,7 +167,7 @@ def test_the_events_of_many_robots_are_hardly_larger_than_the_log(
 def test_rerun_yields_each_robot_at_the_end_of_each_of_its_ticks(swarm_log: Path) -> None:
     """``rerun`` computes the robots of a recorded run again: here four robots in 40 ticks.
 
-    A robot observes once in each tick, so its number of observations, t, is that of its ticks.
+    A robot observes once in each tick, so its number of observations t equals its number of ticks.
     """
     with EventsReader(events_path(swarm_log)) as reader:
         robots_and_ticks = [(robot_id, robot.t) for robot_id, robot in rerun(reader)]
@@ -389,7 +389,7 @@ def test_replay_advises_to_choose_a_bus_if_a_log_has_every_frame_twice(
 def test_replay_reproduces_the_frames_of_the_bus_that_is_chosen(
     channel: str, log_of_two_buses: Path, capsys: Capture
 ) -> None:
-    """The report counts the frames of both buses, but the verdict is on those of one.
+    """The report counts the frames of both buses. The verdict is on the frames of the chosen bus.
 
     Each has 160 broadcasts and 16 heartbeats.
     """

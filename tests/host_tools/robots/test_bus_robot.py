@@ -115,7 +115,7 @@ def test_telemetry_has_the_number_of_updates_modulo_256() -> None:
     """The count 65,535 is sent as 255. x is 1/2, and b_hat, the accuracy that the robot assumes, is 3/4."""
     robot = robot_with_counters(comms_period=1, updates=65_535)
 
-    half, three_quarters = 2**23 // 2, 3 * 2**24 // 4  # x is in units of 2**-23, and b_hat in those of 2**-24
+    half, three_quarters = 2**23 // 2, 3 * 2**24 // 4  # x is in units of 2**-23, b_hat in units of 2**-24
     telemetry = Telemetry(sender=5, x=half, b_hat=three_quarters, updates=65_535 % 256, transfer_id=0)
     assert robot.telemetry(now=0.0).data == encoded(telemetry).data
 
@@ -144,7 +144,7 @@ def test_estimates_have_the_same_effect_one_by_one_as_in_an_array(
 ) -> None:
     """The counts, the estimate x and the lines of events are the same.
 
-    One of the estimates is under the robot's own id, 5. ``allow`` may let only those of robot 6 through.
+    One of the estimates is under the robot's own id, 5. ``allow`` may let only estimates of robot 6 through.
     """
     setup = replace(setup_of_robot(5, firmware), allow=allow)
     robot, events = robot_that_received(setup, senders=(6, 6, 5, 7), as_array=False)

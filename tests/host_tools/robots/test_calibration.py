@@ -47,7 +47,7 @@ def share_below(readings: ReadingsWithColours, colour: bool, threshold: float) -
 
 
 def shares_of_right_readings(readings: ReadingsWithColours, threshold: float) -> dict[str, dict[str, float]]:
-    """Return the accuracy on each colour, if black is "below" a threshold and if it is "above" it."""
+    """Return the accuracy on each colour, twice: if readings "below" or "above" the threshold mean black."""
     black_below = share_below(readings, BLACK, threshold)
     white_below = share_below(readings, WHITE, threshold)
     return {
@@ -103,7 +103,7 @@ UNEQUAL_READINGS: ReadingsWithColours = [
     *[(1.0, WHITE)] * 3480,
     *[(0.0, WHITE)] * 520,
 ]
-"""4000 readings over each colour, of which 0.97 over black are 0, and 0.87 over white are 1."""
+"""4000 readings over each colour. Over black, 0.97 of them are 0; over white, 0.87 are 1."""
 
 
 @pytest.fixture(scope="module")
@@ -134,7 +134,7 @@ def test_half_as_many_readings_give_an_accuracy_less_certain_by_the_square_root_
 
 
 def test_the_bias_is_the_error_of_a_robot_with_such_a_sensor(unequal_calibration: Calibration) -> None:
-    """The robot looks at 1000 tiles, of which 400 are black. Its estimate x_hat is too large by the bias."""
+    """The robot looks at 1000 tiles, 400 of them black. Its estimate x_hat is too large by the bias."""
     black_observations = round(0.97 * 400 + (1 - 0.87) * 600)  # right ones, and wrong ones over white
     robot = setup_of_robot(1, "native", unequal_calibration.b_hat).make_robot()
     for _ in range(black_observations):
@@ -197,7 +197,7 @@ def run_calibrate(path: Path, *options: str) -> int:
 
 
 def test_the_command_calibrate_prints_threshold_and_accuracy(readings_file: Path, capsys: Capture) -> None:
-    """The threshold is 500, as the file has 90 readings of 300 over black, and as many of 700 over white."""
+    """The file has 90 readings of 300 over black and 90 of 700 over white, so the threshold is 500."""
     assert run_calibrate(readings_file) == 0
     expected = "threshold 500: below it a tile is black\naccuracy on black 1.0000 (90 readings)\n"
     assert expected in capsys.readouterr().out
@@ -313,7 +313,7 @@ def test_a_closed_standard_input_is_refused(monkeypatch: pytest.MonkeyPatch, cap
 
 def test_standard_input_without_an_end_is_refused(monkeypatch: pytest.MonkeyPatch, capsys: Capture) -> None:
     """The exit code is 2, and the error says that at most 16 MiB are read."""
-    endless_input = Mock(buffer=Mock(read=lambda size: b"5" * size))  # it has as many bytes as are asked for
+    endless_input = Mock(buffer=Mock(read=lambda size: b"5" * size))  # every read is filled
     monkeypatch.setattr("sys.stdin", endless_input)
     assert run_calibrate(Path("-")) == 2
     message = "cannot read standard input: it has more than 16777216 bytes; give a shorter one"

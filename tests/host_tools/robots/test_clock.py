@@ -36,7 +36,7 @@ class Watch:
 
 
 def begin_ticks(watch: Watch, clock: RealTimeClock, *, periods_of_work: list[float]) -> list[float]:
-    """Begin ticks whose work takes so many periods each, and return when each has begun, in periods."""
+    """Begin one tick per entry of ``periods_of_work``. Return when each tick has begun, in periods."""
     beginnings = []
     for tick, periods in enumerate(periods_of_work, start=5):
         clock.begin(tick)
@@ -57,7 +57,7 @@ def begin_ticks(watch: Watch, clock: RealTimeClock, *, periods_of_work: list[flo
 def test_ticks_begin_at_multiples_of_the_period_or_as_soon_as_the_last_one_is_over(
     periods_of_work: list[float], beginnings: list[float]
 ) -> None:
-    """Times are in periods, of which the work of a tick takes so many."""
+    """All times are in periods. ``periods_of_work`` says how long the work of each tick takes."""
     watch = Watch()
     assert begin_ticks(watch, watch.clock(), periods_of_work=periods_of_work) == beginnings
 
@@ -74,7 +74,7 @@ def test_a_clock_has_no_figures_of_lateness_before_the_first_tick() -> None:
 def test_figures_say_in_seconds_how_late_ticks_have_begun(
     periods_of_work: list[float], lateness: list[float], late_ticks: int
 ) -> None:
-    """Ticks begin so many periods late, and count as late if it is more than half of a period."""
+    """``lateness`` is in periods. A tick counts as late if it begins more than half a period late."""
     watch = Watch()
     clock = watch.clock()
 

@@ -34,7 +34,7 @@ def test_a_filter_of_a_swarm_sets_that_of_each_robot(
 
 
 def test_only_the_robust_filter_is_marked_as_depending_on_the_order_of_messages() -> None:
-    """It keeps one estimate of two senders whose ids are equal modulo 32: that of the later message."""
+    """If two senders' ids are equal modulo 32, it keeps only the estimate of the later message."""
     assert [name for name, swarm_filter in FILTERS.items() if swarm_filter.order_matters] == ["robust"]
 
 
@@ -66,7 +66,7 @@ def test_the_filter_of_one_robot_has_the_name_of_the_swarm_s_filter_that_gives_i
 
 
 def test_robots_with_two_filters_are_described_by_the_names_of_both() -> None:
-    """One robot has the robust filter and one that of the paper, which no swarm would have together."""
+    """One robot has the robust filter and one the paper's filter. No swarm would have both."""
     description = describe_filters([Filter.ROBUST, Filter.ADAPTIVE])
     assert description == "mixed: robots with the filters adaptive, robust"
 

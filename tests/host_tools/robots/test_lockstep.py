@@ -74,8 +74,8 @@ class LossyWire(Wire):
     ) -> None:
         """Create a wire to some nodes.
 
-        ``is_lost`` decides on each command, with how often it has been sent. Of the telemetry of each node
-        that of number ``lost_telemetry`` is lost.
+        ``is_lost`` decides on each command, with how often it has been sent. Each node loses
+        one telemetry frame, number ``lost_telemetry``.
         """
         self.read_count = 0
         self._is_lost = is_lost
@@ -207,7 +207,7 @@ def test_a_lost_command_is_sent_once_more_to_the_robots_that_have_not_answered()
 
 @still()
 def test_the_transfer_ids_of_commands_count_modulo_32() -> None:
-    """One count runs through the commands to all robots. Each of 4 gets two of them in each of 20 ticks."""
+    """The commands to all robots share one count. Each of 4 robots gets two commands in each of 20 ticks."""
     wire = Wire(*make_four_nodes(firmware="native"))
     run_four_robots(Lockstep(wire), ticks=20)
 

@@ -40,14 +40,14 @@ ESTIMATE_IDENTIFIER = 0x106BB82A
 
 
 def test_the_specification_states_the_mask_by_which_a_receiver_filters_frames() -> None:
-    """The mask says which bits of an identifier must be those of an estimate."""
+    """The mask has the bits that the identifiers of all estimates share."""
     page = (ROOT / "docs/design.md").read_text(encoding="utf-8")
     (frame_filter,) = filters_for(ESTIMATE_FORMAT)
     assert f"mask `0x{frame_filter['can_mask']:08X}`" in page
 
 
 def draw_frames_near_estimates(count: int) -> list[can.Message]:
-    """Draw frames with any identifier, or one that differs in a bit from that of an estimate; fixed seed."""
+    """Draw frames with any identifier, or with an estimate's and one wrong bit. The seed is fixed."""
     draw = random.Random(6)
     frames = []
     for _ in range(count):
@@ -97,7 +97,7 @@ def frames_of_200_ticks(subject: int) -> list[can.Message]:
     ("subject", "times"),
     [
         (HEARTBEATS, list(range(67))),  # the beginning of each second
-        (ESTIMATES, [tick / 3 for tick in range(1, 200, 2)]),  # that of the last tick of each round
+        (ESTIMATES, [tick / 3 for tick in range(1, 200, 2)]),  # the last tick of each round
         (TELEMETRY, [ticks_ended / 3 for ticks_ended in range(1, 201)]),  # the end of each tick
     ],
 )
@@ -397,7 +397,7 @@ def run_among_suspicious_neighbours(capsys: pytest.CaptureFixture[str]) -> tuple
 def test_a_node_counts_suspicious_estimates_and_drops_those_of_ids_that_are_not_allowed(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """Robot 6 sends 33 estimates in one round, of which the firmware takes the first.
+    """Robot 6 sends 33 estimates in one round. The firmware takes only the first.
 
     The two under the node's own id are not dropped: they reach the firmware, which refuses them. Those of
     robot 30 are not allowed. A jump is a confidence alpha that doubles.

@@ -111,7 +111,7 @@ def test_the_mean_of_two_statistics_is_taken_resample_by_resample() -> None:
 
 @pytest.mark.usefixtures("few_resamples")
 def test_the_rank_correlation_is_that_of_scipy_with_an_interval_around_it() -> None:
-    """The samples are 60 numbers x, and 60 others less these, so their correlation is about -1 / sqrt(2)."""
+    """The samples are x and y = z - x, with 60 random x and z. Their correlation is about -1 / sqrt(2)."""
     x = normal_sample(seed=1, trials=60)
     y = normal_sample(seed=2, trials=60) - x
 

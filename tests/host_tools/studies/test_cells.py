@@ -72,7 +72,7 @@ def test_the_physical_experiment_has_the_papers_platform_speed_and_two_observati
 
 
 def test_physical_robots_have_perfect_sensors_on_a_floor_of_0_448_black() -> None:
-    """None, two, four or all eight of them are flawed."""
+    """Of the eight robots, 0, 2, 4 or 8 are flawed."""
     experiments = [experiment_of(cell, StudySize()) for cell in cells_of(StudyPart.PHYSICAL)]
     assert {experiment.fill_ratio for experiment in experiments} == {0.448}
     assert {experiment.true_accuracy for experiment in experiments} == {1.0}
@@ -90,7 +90,7 @@ HALF_FLAWED_CELL = Cell(
     filter="asdf-minus",
     filter_period=2000,
 )
-"""With ASDF- only the flawed robots filter, here half of them."""
+"""With ASDF- only flawed robots filter. Here half of the robots are flawed."""
 
 
 def test_the_normal_form_of_a_cell_with_asdf_minus_and_no_flawed_robots_is_one_without_a_filter() -> None:

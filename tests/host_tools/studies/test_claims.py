@@ -170,8 +170,8 @@ def test_comparisons_in_claims_toml_are_of_measures_and_expectations_that_exist(
 def plan(**row: Any) -> list[PlannedComparison]:
     """List the comparisons that a row of claims.toml makes in dynamic swarms with f = 0.95 and b = 0.55.
 
-    ``row`` says of which swarms, and ``than`` with which others. Each comparison has the one swarm as its
-    ``cell``, and the other, which may be missing, as its ``reference``.
+    ``row`` selects the swarms of ``cell``, and ``than`` the swarms of ``reference``. Each comparison has
+    a cell. The reference may be missing.
     """
     return Contrast(**{"expected": "above", "panels": "over_clear", **row}).plan(StudyPart.DYNAMIC)
 
@@ -287,7 +287,7 @@ def test_a_comparison_can_be_of_how_trials_spread_or_with_the_best_of_them(
 def test_a_comparison_is_labelled_by_its_swarm_and_by_what_is_subtracted_from_what(
     row: dict[str, Any], row_label: str, column_label: str
 ) -> None:
-    """The row of a table is the swarm. Its column has the measure, and behind "less" what is subtracted."""
+    """A table's row names the swarm. Its column names the measure, and after "less" what is subtracted."""
     (only_plan,) = plan(**{"flawed_percents": 10, "flawed_accuracies": 0.75, **row})
     comparison = only_plan.compare(PlantedResults("70"), confidence=0.9)
 

@@ -57,7 +57,7 @@ def test_an_estimate_moves_more_at_an_assumed_accuracy_of_0_55_than_at_0_95() ->
 
 
 def test_the_density_of_the_physical_experiment_is_1_34_where_the_paper_says_1_3() -> None:
-    """Density is the number of robots, 8, times the area within radio range, 0.7 m, by that of the floor."""
+    """Density is 8 robots x the area within radio range / the floor's area. The radio range is 0.7 m."""
     density = 8 * math.pi * 0.7**2 / (3.0353 * 3.0226)
     assert differences_of("physical_density") == pytest.approx([density - 1.3], abs=1e-4)
 

@@ -80,7 +80,7 @@ def test_a_swarm_that_votes_on_the_prevailing_colour_ends_with_the_answer_black(
 
 @pytest.mark.slow
 def test_w_msr_withstands_five_liars_that_mislead_a_swarm_without_a_filter() -> None:
-    """W-MSR leaves out the most extreme estimates: as many as it is told that there are liars, five."""
+    """W-MSR is told the number of liars, five. It leaves out as many of the most extreme estimates."""
     swarm: dict[str, Any] = {"topology": "fully-connected", "latency": 0, "flawed": 0, "filter": "none"}
 
     error_of_w_msr = error_of(firmware=peers.wmsr_robots_and_five_liars, **swarm, steps=2000)
@@ -117,7 +117,7 @@ def test_a_robot_that_knows_the_accuracy_of_its_sensor_at_one_moment_only_has_a_
 @pytest.mark.slow
 @pytest.mark.parametrize("memory", [2**31, 1024])
 def test_a_robot_that_knows_the_mean_accuracy_of_what_it_counted_has_a_small_error(memory: int) -> None:
-    """The sensor ages; at so many observations as its memory has the robot halves its counts."""
+    """The sensor ages. When the observations fill the memory, the robot halves its counts."""
     assert ageing_error_of(peers.KnownMeanAccuracyRobot, memory) < 0.03
 
 
@@ -251,7 +251,7 @@ def test_bayescpf_uses_up_its_counts_in_the_update_at_the_end_of_each_round() ->
 
 
 def test_bayescpf_does_not_update_its_accuracy_if_fewer_than_5_readings_are_expected_to_be_wrong() -> None:
-    """With an accuracy of 0.8 a fifth of 24 readings should be wrong: 4.8 readings. The result is None."""
+    """With an accuracy of 0.8, 0.2 x 24 readings = 4.8 readings should be wrong. The result is None."""
     robot = bayescpf_robot_after_100_readings()
     robot._t_since_update = 24  # readings since the last update
     assert robot.reestimate_b_hat() is None
@@ -261,7 +261,7 @@ def test_bayescpf_does_not_update_its_accuracy_if_fewer_than_5_readings_are_expe
 def test_bayescpf_updates_its_accuracy_in_each_hundredth_step_unless_the_filter_is_off(
     filter_choice: Filter, updates: int
 ) -> None:
-    """In 100 steps the robot counts one update, that of the last step, or none with the filter off."""
+    """In 100 steps the robot counts one update, in the last step. With the filter off it counts none."""
     config = Config(filter=filter_choice, filter_period=100)
     robot = peers.BayesCpfRobot(config, robot_id=0, b_hat=0.8)
 
@@ -273,7 +273,7 @@ def test_bayescpf_updates_its_accuracy_in_each_hundredth_step_unless_the_filter_
 
 @pytest.mark.parametrize("mean", [0.4, 0.49, 0.5, 1.0, 1.02, 1.3])
 def test_bayescpf_cuts_its_estimate_as_a_truncated_normal_distribution(mean: float) -> None:
-    """It is the mean of a normal distribution of which only the possible accuracies, 0.5 to 1, are left."""
+    """It is the mean of a normal distribution that is cut to the possible accuracies, 0.5 to 1."""
     robot = peers.BayesCpfRobot(EVERY_ROUND, robot_id=0, b_hat=0.8)
     deviation = 0.1
     robot._mean, robot._variance = mean, deviation**2  # what an update has left
@@ -437,7 +437,7 @@ def voter(robot_id: int) -> peers.MajorityRobot:
 
 
 def voter_for_white_that_broadcasts(rounds_left: int) -> peers.MajorityRobot:
-    """Make a robot that broadcasts its opinion, white, for so many more rounds."""
+    """Make a robot with the opinion white. It broadcasts this opinion for so many more rounds."""
     robot = voter(robot_id=0)
     robot._is_disseminating = True
     robot._rounds_left = rounds_left
@@ -515,7 +515,7 @@ def mean_rounds_of_broadcasting_black(black_readings: int) -> float:
 def test_a_voter_broadcasts_longer_for_a_colour_that_it_reads_more_often(
     black_readings: int, mean_rounds: float
 ) -> None:
-    """After 100 readings it broadcasts for as many rounds as they had its opinion's colour, on average."""
+    """It broadcasts for n rounds on average, if n of the last 100 readings had its opinion's colour."""
     assert mean_rounds_of_broadcasting_black(black_readings) == pytest.approx(mean_rounds, rel=0.1)
 
 

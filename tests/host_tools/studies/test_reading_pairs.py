@@ -62,9 +62,9 @@ def test_two_readings_of_a_tile_disagree_if_one_is_wrong_and_the_second_does_not
 
 
 def test_readings_of_successive_tiles_are_independent() -> None:
-    """The correlation of a robot's first readings with those of the tiles before is about 0.
+    """A robot's first reading of a tile and its first reading of the tile before have a correlation near 0.
 
-    The second reading of a tile repeats the first in half of the cases, but that of the next tile does not.
+    In half of the cases the second reading of a tile repeats the first. The next tile is read afresh.
     """
     first_readings, _second_readings = first_and_second_readings(HalfRepeated)
     readings_of_robot_0, _readings_of_robot_1 = first_readings.T
@@ -113,7 +113,7 @@ def test_two_trials_have_different_readings() -> None:
 def test_an_assumed_accuracy_is_rejected_if_disagreements_are_beyond_sqrt_12_standard_deviations(
     disagreements: int, is_rejected: bool
 ) -> None:
-    """With an accuracy of 0.95, 95 of 1000 pairs of readings should disagree: 2 x 0.95 x 0.05 of them.
+    """With an accuracy of 0.95, 2 x 0.95 x 0.05 of all pairs of readings should disagree: 95 of 1000.
 
     The variance of that number is 1000 x 0.095 x 0.905 = 85.975, so the test allows sqrt(12 x 85.975) = 32.1
     more or fewer.

@@ -97,7 +97,7 @@ def test_the_report_answers_a_question_of_a_user_with_a_link_to_the_claim(writte
 def test_the_report_says_how_many_experiments_robots_steps_and_trials_with_which_seed_were_run(
     written: WrittenReport,
 ) -> None:
-    """A line has the part of the study and these five numbers in this order."""
+    """A line has the part of the study, then experiments, robots, steps, trials and seed."""
     assert "| dynamic | 216 | 20 | 40000 | 30 | 1 |\n" in written.markdown
     assert "| physical | 20 | 8 | 10000 | 30 | 1 |\n" in written.markdown
 

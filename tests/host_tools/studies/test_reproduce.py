@@ -30,7 +30,7 @@ from support import ROOT
 from trials import record_jobs
 
 SHORT_STUDY = ("--part", "physical", "--trials", "2", "--steps", "4000", "--workers", "1")
-"""Options for two trials of each of 20 experiments of the physical part; a job is those of one experiment."""
+"""Options for two trials of each of 20 experiments of the physical part; both are one job."""
 
 
 @pytest.fixture(autouse=True, scope="module")
@@ -106,7 +106,7 @@ def opened_stores(monkeypatch: pytest.MonkeyPatch) -> Mock:
 def test_a_study_without_the_option_output_goes_into_the_folder_that_the_documentation_names(
     options: list[str], folder: str, opened_stores: Mock
 ) -> None:
-    """A quick study has another folder, so that its trials are never taken for those of the full one."""
+    """A quick study has another folder, so that nobody takes its trials for the full study's."""
     cli.main(["reproduce", *options])
     assert opened_stores.call_args.args[0] == Path(folder)
 
@@ -366,7 +366,7 @@ def test_60_trials_lead_to_the_verdict_on_a_claim_that_is_recorded_of_more_trial
 def test_60_trials_give_about_the_gain_of_asdf_plus_that_the_page_about_the_study_says(
     decisions_of_60_trials: dict[str, Decision],
 ) -> None:
-    """The page has the lowest and the highest gain in points of H; those of 60 trials are within 4 points."""
+    """The page gives the lowest and highest gain in H. 60 trials come within 4 points of both."""
     page = page_path("study").read_text(encoding="utf-8")
     sentence = re.search(r"helps overconfident swarms only at P = 10 %\*\*, by (\d+) to (\d+) points", page)
     assert sentence is not None

@@ -29,7 +29,7 @@ def test_each_of_20_robots_has_four_neighbours_in_a_static_graph(row: str) -> No
 
 
 def edges_on_circle(places_between_neighbours: int) -> list[tuple[int, int]]:
-    """Return the pairs of 20 robots on a circle that hear each other, as they are so many places apart."""
+    """20 robots stand on a circle. Return the pairs that hear each other: they are so many places apart."""
     edges = []
     # The graph is a text such as "3 5; 5 7".
     for edge in robust_filter.static_graph([places_between_neighbours]).split("; "):
@@ -39,7 +39,7 @@ def edges_on_circle(places_between_neighbours: int) -> list[tuple[int, int]]:
 
 
 def test_every_third_place_on_a_circle_of_20_joins_all_robots_with_20_edges() -> None:
-    """Each robot hears the one three places on. As 3 and 20 have no common divisor, all are joined."""
+    """Each robot hears the robot three places on. As 3 and 20 have no common divisor, all are joined."""
     edges = edges_on_circle(places_between_neighbours=3)
 
     assert len(edges) == 20
@@ -175,7 +175,7 @@ def drawn_panels(monkeypatch: pytest.MonkeyPatch) -> dict[str, list[Trials]]:
 def test_the_picture_of_the_robust_filter_has_a_panel_for_each_swarm_and_kind_of_flaw(
     drawn_panels: dict[str, list[Trials]],
 ) -> None:
-    """It has three swarms; two have only flawed robots, and the one with 5 liars has 30 % flawed robots, too.
+    """The plot has three swarms. Two have only flawed robots. The third has 5 liars and 30 % flawed robots.
 
     Each swarm has run with underconfident and with overconfident flawed robots, which get a panel each.
     """

@@ -55,7 +55,7 @@ def test_the_robust_filter_runs_with_one_bit_of_alpha_only() -> None:
 
 
 def test_more_bits_of_alpha_change_nothing_for_the_robust_filter() -> None:
-    """The filter asks only whether a sender has any confidence alpha. 7+1 has one bit of it, 7+9 has nine."""
+    """The filter asks only whether a sender has any confidence alpha. 7+1 has one bit of alpha, 7+9 nine."""
     experiment, *_ = small_messages.experiments_of("robust")["7+1, moving, overconfident"]
     short_experiment = replace(experiment, steps=1500, trials=1)
 
@@ -91,9 +91,9 @@ def test_the_ratio_of_two_statistics_divides_their_values_and_their_resamples_in
 def test_the_error_ratio_of_a_code_is_that_of_the_swarm_in_which_it_is_largest(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """A ratio divides the error of a swarm by that of the same swarm with exact messages.
+    """A ratio divides the error of a swarm by the error of the same swarm with exact messages.
 
-    Errors are 0.1. With the code 4+1 that of one swarm is 0.3, and 0.2 or 0.4 if trials are drawn again.
+    All errors are 0.1, but one swarm with the code 4+1 has 0.3. In its resamples the error is 0.2 or 0.4.
     """
     usual_error = Resampled(0.1, resamples=np.full(100, 0.1, np.float32))
     larger_error = Resampled(0.3, resamples=np.repeat([0.2, 0.4], 50).astype(np.float32))
@@ -148,7 +148,7 @@ def folder_of_short_study(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_the_program_writes_its_tables_of_both_filters_with_a_row_for_each_number_of_bits_and_a_png(
     folder_of_short_study: Path,
 ) -> None:
-    """The table "close" is of codes about which 30 trials decide nothing, and which run with more."""
+    """If 30 trials decide nothing about a code, it runs with more trials, and enters the table "close"."""
     tables = tables_in(folder_of_short_study / "small_messages.md")
 
     assert list(tables) == ["exact", "asdf_minus", "robust", "close"]
@@ -162,7 +162,7 @@ def test_the_program_writes_its_tables_of_both_filters_with_a_row_for_each_numbe
 def test_the_program_keeps_the_results_of_a_filter_with_values_every_250_steps(
     file: str, filter_name: str, folder_of_short_study: Path
 ) -> None:
-    """The file "close" is of codes about which 30 trials decide nothing, with ASDF-."""
+    """The file "close" has the codes that 30 trials cannot decide. They run with ASDF-."""
     results = m.read_table(folder_of_short_study / f"small_messages_{file}.parquet")
     first_trials, *_ = m.experiments_in(results)
 

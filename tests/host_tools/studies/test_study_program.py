@@ -44,7 +44,7 @@ def test_the_late_error_is_the_mean_distance_from_f_in_the_last_quarter() -> Non
 
 
 def test_the_late_error_of_three_samples_is_that_of_the_last_one() -> None:
-    """A quarter of three samples is none, but at least one counts. Four robots estimate f, which is 0.5."""
+    """The last quarter of three samples is rounded up to one sample. Four robots estimate f, which is 0.5."""
     first_two_samples = [[0.7, 0.7, 0.7, 0.7]] * 2
     trials = trials_with(x=[*first_two_samples, [0.4, 0.6, 0.8, 0.0]])
 
@@ -203,7 +203,7 @@ THREE_ROBOTS = Experiment(robots=3, flawed=1, steps=400, filter_period=100, tria
 def test_the_quick_form_of_a_study_has_two_trials_of_at_most_4000_steps(
     steps: int, quick_steps: int, tmp_path: Path
 ) -> None:
-    """The experiment has 30 trials. Steps are only shortened, so 400 of them stay 400."""
+    """The experiment has 30 trials. Long experiments are cut to 4000 steps; 400 steps stay 400."""
     long_experiment = Experiment(robots=3, flawed=1, steps=steps, filter_period=100, trials=30)
     [trials] = run_row(tmp_path, long_experiment, quick=True)
 

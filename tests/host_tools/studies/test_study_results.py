@@ -29,7 +29,7 @@ FLAWLESS_CELL = FLAWED_CELL.without_flawed_robots.normal
 
 
 def trials_that_converge_at(*steps: int) -> Trials:
-    """Make a trial of 40,000 steps for each of these; all its four robots converge at this step."""
+    """Make one trial of 40,000 steps per given step. All four robots of the trial converge at that step."""
     trials = trials_with(robots=4, flawed=1, steps=40_000)
     convergence_steps = np.repeat(np.array(steps)[:, np.newaxis], 4, axis=1)
     errors = np.zeros(convergence_steps.shape)
@@ -79,7 +79,7 @@ def test_a_measure_that_is_asked_for_twice_is_computed_once() -> None:
 
 
 def test_a_cell_without_flawed_robots_has_one_sample_whatever_accuracy_flawed_ones_would_assume() -> None:
-    """The study runs one swarm without flawed robots, and not one for each accuracy that they may assume."""
+    """Flawed robots may assume several accuracies. A swarm without flawed robots is run only once."""
     cell_with_another_assumption = replace(FLAWLESS_CELL, flawed_accuracy=0.75)
     h = RESULTS.sample(cell_with_another_assumption, "H")
     assert h.tolist() == RESULTS.sample(FLAWLESS_CELL, "H").tolist()

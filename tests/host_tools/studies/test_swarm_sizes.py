@@ -55,7 +55,7 @@ def test_the_cost_of_a_robot_s_step_leaves_out_what_a_trial_takes_before_its_fir
 def test_the_fewer_robots_a_swarm_has_the_more_steps_are_measured(
     robots: int, steps: set[int], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A trial and one of twice as many steps are measured: of a million robot-steps, or of 100 steps."""
+    """The first trial takes a million robot-steps, but at least 100 steps. The second takes twice as many."""
     measured_steps = set()
 
     def record_steps(experiment: Experiment) -> float:
@@ -132,7 +132,7 @@ def test_the_picture_of_swarm_sizes_has_logarithmic_axes_of_robots_and_errors(pa
 
 
 def test_the_picture_draws_the_error_of_each_size_and_the_measured_cost(panels: list[Axes]) -> None:
-    """Swarms of 3 robots have an error of 0.3, those of 9 one of 0.1. A robot's step costs 2 ns."""
+    """Swarms of 3 robots have an error of 0.3, swarms of 9 an error of 0.1. A robot's step costs 2 ns."""
     _score_panel, error_panel, cost_panel, *_overconfident = panels
     unfiltered_errors, _robust_errors = error_panel.lines
     unfiltered_costs, robust_costs = cost_panel.lines

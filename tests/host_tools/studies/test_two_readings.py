@@ -23,7 +23,7 @@ def experiment_of(row: str, column: str) -> Experiment:
 
 
 def test_the_table_of_harm_has_the_percentage_of_healthy_robots_that_were_harmed(few_resamples: None) -> None:
-    """The first of four robots is flawed. Of the others one ends with a b_hat of 0.5 instead of 0.9."""
+    """The first of four robots is flawed. A healthy robot ends with a b_hat of 0.5 instead of 0.9."""
     trials = trials_with(b_hat=[0.9, 0.9, 0.9, 0.5])
     assert two_readings.harm_text([trials]) == "33.3"
 

@@ -24,7 +24,7 @@ SIZE = 2
 """The smallest difference that counts."""
 
 OPEN = None
-"""A comparison of which the interval does not say whether it holds."""
+"""A comparison whose interval does not say whether it holds."""
 
 OPPOSITE = {
     Expectation.ABOVE: Expectation.BELOW,
@@ -118,7 +118,7 @@ def comparisons(holding: int, failing: int, open_count: int) -> list[Comparison]
 
 
 def test_comparisons_are_counted_by_whether_they_hold_fail_or_are_open() -> None:
-    """``count_holding`` counts those of which ``holds`` is True, False or, if they are open, None."""
+    """``count_holding`` counts comparisons by ``holds``: True, False, or None if the comparison is open."""
     nine_comparisons = comparisons(holding=4, failing=3, open_count=2)
 
     assert count_holding(nine_comparisons, True) == 4

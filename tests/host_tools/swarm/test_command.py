@@ -107,7 +107,7 @@ def test_the_same_command_writes_the_same_files_again(tmp_path: Path) -> None:
 
 
 def test_a_piped_output_has_steps_robots_results_and_the_line_that_repeats_the_run(capsys: Capture) -> None:
-    """Lines of "step" and "robot" come while the run goes on, and the results follow in the end.
+    """Lines of "step" and "robot" come during the run. The results come at its end.
 
     Fields are separated by tabs. The first field of a result is its name.
     """
@@ -152,7 +152,7 @@ bus load\t125 kbit/s 4.2% (peak 8%), 250 kbit/s 2.1% (peak 4%), 500 kbit/s 1.1% 
 
 
 def interrupted_run_with_faults() -> SwarmRun:
-    """Run three robots of which robot 0 receives damaged frames, and robot 2 sends as robot 1."""
+    """Run three robots. Robot 0 receives damaged frames, and robot 2 sends as robot 1."""
     faults = ("corrupt=0.5,bits=5,receivers=0", "collide,robots=2,id=1")
     run, _ = run_and_record(small_swarm(*faults, robots=3, flawed=0))
     run.interrupted = True
@@ -477,7 +477,7 @@ def test_the_last_line_of_a_comparison_is_that_of_its_results(capsys: Capture) -
 
 
 def test_the_log_of_a_comparison_is_that_of_the_chosen_filter(tmp_path: Path) -> None:
-    """It is the same log as that of a run with this filter and without a comparison."""
+    """A run with this filter and without a comparison writes the same log."""
     options = ["--filter", "asdf-plus", "--steps", "100", "--quiet", "--log"]
     assert main([*COMPARED_SWARM, *options, str(tmp_path / "alone.log")]) == 0
     assert main([*COMPARED_SWARM, "--compare", *options, str(tmp_path / "compared.log")]) == 0

@@ -585,7 +585,7 @@ def test_a_robot_whose_bus_is_off_goes_on_observing() -> None:
 
 @pytest.mark.parametrize(("width", "count"), [(5, 1), (5, 2), (6, 3), (5, 4), (4, 4), (3, 5), (0, 2)])
 def test_each_choice_of_bits_to_flip_is_equally_likely(width: int, count: int) -> None:
-    """``choose_bits`` takes ``count`` random words, whose remainders choose as many of ``width`` bits.
+    """``choose_bits`` takes ``count`` random words. Their remainders choose ``count`` of ``width`` bits.
 
     With one case for each combination of remainders, each choice comes up equally often.
     """

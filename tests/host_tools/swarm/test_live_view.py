@@ -92,7 +92,7 @@ def test_a_pipe_gets_the_mean_error_of_the_swarm_twenty_times_in_a_run() -> None
 
 
 def test_a_pipe_gets_no_mean_error_at_the_end_of_an_incomplete_twentieth() -> None:
-    """A twentieth of 98 steps is rounded up to 5 steps, so the last line is that of step 95."""
+    """A twentieth of 98 steps is rounded up to 5 steps, so the last line shows step 95."""
     viewed_run = view_run(steps=98, compare=False)
     last_line = lines_that_begin_with("step", viewed_run.output)[-1]
     assert last_line.startswith("step\t95\t")

@@ -206,7 +206,7 @@ def test_what_is_reported_of_a_remote_robot_comes_from_its_telemetry(comparison:
 def test_remote_robots_end_in_the_same_state_among_faults(
     wiring: Wiring, faults: tuple[str, ...], comms_period: int, swarm_filter: str
 ) -> None:
-    """The saved states and the known estimates equal those of the run without remote robots."""
+    """A run without remote robots has the same saved states and known estimates."""
     settings = small_swarm(*faults, robots=4, comms_period=comms_period, filter=swarm_filter)
     comparison = compare_runs(settings, wiring)
     x_with_remote_robots = [node.robot.x for node in comparison.remote_run.nodes]
@@ -329,7 +329,7 @@ def test_robots_in_processes_report_what_robots_in_this_process_do(two_runs: Pro
 def test_the_program_that_drives_robots_in_processes_reports_their_estimates(
     two_runs: ProcessesAndThisProcess,
 ) -> None:
-    """Each x equals that of the same robot in a run in this process."""
+    """Each robot has the same x as in a run in this process."""
     x_of_robots = [robot["x"] for robot in two_runs.report["results"]["robots"]]
     assert x_of_robots == [local_robot["x"] for local_robot in two_runs.local_robots]
 

@@ -71,7 +71,7 @@ CASES: dict[str, dict[str, Any]] = {
 def test_a_swarm_on_a_bus_ends_in_the_same_bits_as_the_same_simulated_experiment(
     case: str, firmware: str
 ) -> None:
-    """The saved states are those of trial 0 of the experiment, computed message by message in Python.
+    """The saved states equal trial 0 of the experiment, computed message by message in Python.
 
     The engine in C computes it, too, unless it lacks one of the parameters.
     """
@@ -96,7 +96,7 @@ def test_a_swarm_on_a_bus_ends_in_the_same_bits_as_the_same_simulated_experiment
 def test_robots_send_heartbeats_and_estimates_by_rising_id_in_their_ticks(
     kind: type[Heartbeat | Estimate], comms_period: int, ticks: Sequence[int]
 ) -> None:
-    """Five robots run for 60 ticks, of which 25 are a second. They number their frames modulo 32."""
+    """Five robots run for 60 ticks, at 25 ticks a second. They number their frames modulo 32."""
     _, frames = run_and_record(small_swarm(steps_per_second=25, comms_period=comms_period))
 
     ticks_senders_and_numbers = []
@@ -221,7 +221,7 @@ def test_robots_with_and_without_telemetry_end_with_the_same_estimates(firmware:
 
 
 def test_telemetry_is_counted_and_not_rejected() -> None:
-    """Five robots send it in 9 of 60 ticks, and each robot counts that of the four others."""
+    """Five robots send it in 9 of 60 ticks. Each robot counts the frames of the four others."""
     run, _ = run_and_record(small_swarm(telemetry_period=7))
     frame_counts = run.results["frames"]
     assert frame_counts["telemetry_sent"] == 9 * 5
@@ -254,7 +254,7 @@ def test_a_fault_may_name_the_last_robot_of_the_swarm() -> None:
 
 
 def test_estimates_may_have_the_subject_of_telemetry_if_none_is_sent() -> None:
-    """A subject is the number in a frame's identifier that says what it contains; telemetry has 3001."""
+    """The subject in a frame's identifier says what the frame contains; telemetry has the subject 3001."""
     assert small_swarm(frames=FrameFormat(3001)).frames == FrameFormat(3001)
 
 
@@ -395,7 +395,7 @@ def test_a_late_frame_is_received_with_the_next_ones_and_counted_once(
 
 
 def test_of_frames_that_are_alike_each_is_received_once(bus_and_connection: BusAndConnection) -> None:
-    """Three come of which two were expected; the third is reported as one that nobody expected."""
+    """Three equal frames come, and two were expected. The third is reported as unexpected."""
     bus, connection, unexpected = bus_and_connection
     sent_frame = estimate(sender=1, tick=0)
     for _ in range(3):
@@ -427,9 +427,9 @@ FOREIGN_FRAMES = [
     encode_estimate(Estimate(sender=1, x_hat=Q23_ONE, alpha=0x4F000000, transfer_id=4), FrameFormat()),
     can.Message(arbitration_id=8, is_error_frame=True),
 ]
-"""Four malformed frames, two estimates from outside the swarm, one of them as robot 1, and an error frame.
+"""Four malformed frames, two estimates from outside the swarm (one as robot 1), and an error frame.
 
-The identifiers 0x106BB8.. are those of estimates, and end in the sender."""
+Estimates have the identifiers 0x106BB8.., which end in the sender."""
 
 
 def run_with_foreign_frames() -> tuple[SwarmRun, list[can.Message]]:
@@ -485,7 +485,7 @@ def run_of_disagreeing_robots(seed: int = 11) -> SwarmRun:
 
 @pytest.mark.parametrize(("seed", "is_low"), [(11, False), (15, True)])
 def test_results_have_the_mean_estimate_and_its_error(seed: int, is_low: bool) -> None:
-    """Five robots estimate the share of black, which is 0.55. The mean error is that of their distances.
+    """Five robots estimate the share of black, which is 0.55. The error is their mean distance from 0.55.
 
     With one seed the mean estimate is above 0.55, with the other below it.
     """

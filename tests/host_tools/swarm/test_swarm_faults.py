@@ -85,7 +85,7 @@ def hit_counts(run: SwarmRun) -> list[int]:
 def test_a_swarm_runs_the_same_way_on_any_buses_as_on_one_virtual_bus(
     wiring: str, faults: tuple[str, ...], changes: dict[str, Any]
 ) -> None:
-    """With no bus, or one for each robot, too, frames, final states, results and events are the same.
+    """The run may have no bus, or a bus per robot. Frames, final states, results and events are the same.
 
     Events are what happened to each robot. The settings of the swarm have faults, and other ``changes``.
     """
@@ -130,7 +130,7 @@ def estimates_among(frames: Sequence[can.Message]) -> list[Estimate]:
 
 
 def test_the_bus_of_a_robot_has_its_frames_and_those_that_reach_it() -> None:
-    """The bus of robot 0 has its five estimates, and those of three others. Robot 1's are all lost."""
+    """The bus of robot 0 has its five estimates, and the estimates of three others. Robot 1's are lost."""
     with Swarm(small_swarm("loss,robots=1", steps=5), ON_OWN_BUSES) as swarm, own_bus(0) as listener:
         run_swarm(swarm)
         frames = waiting_frames(listener)
@@ -159,7 +159,7 @@ NOTHING_WRONG: dict[str, Any] = {"refused": 0, "strays": 0, "rejected": {}, "id_
             FRAMES_OF_ROBOT * PATHS,
             {"delivered": 0, "heartbeats_heard": 0, "arrived": 0, "in_range": FRAMES_OF_ROBOT * PATHS},
         ),
-        # All messages come three ticks late, and those of the last three rounds never.
+        # All messages come three ticks late. So messages of the last three rounds never come.
         ("delay,ticks=3", FRAMES_OF_ROBOT * PATHS, {"delivered": (60 - 3) * PATHS, "refused": 0}),
         ("duplicate,ticks=0", FRAMES_OF_ROBOT * PATHS, {"delivered": 2 * 60 * PATHS, "refused": 60 * PATHS}),
         # The copy of the last round comes first, so it is the new message that is a repetition.
@@ -196,12 +196,12 @@ def test_a_fault_hits_as_many_frames_as_its_options_say_with_its_effect(
 
 
 def knows_own_estimate_alone(robot: Robot) -> bool:
-    """Return whether the estimate that a robot makes of all, x, is x_hat, that of its own observations."""
+    """Return whether a robot's fused estimate x equals x_hat, the estimate from its own observations."""
     return robot.x == robot.x_hat
 
 
 def test_robots_whose_frames_are_all_lost_know_their_own_estimates_alone() -> None:
-    """So their estimate x stays the one from their own observations."""
+    """So their estimate x stays equal to their estimate from their own observations."""
     run, _ = run_and_record(small_swarm("loss"))
     assert all(knows_own_estimate_alone(node.robot) for node in run.nodes)
 
@@ -242,7 +242,7 @@ def test_replay_counts_the_broadcasts_that_a_fault_has_changed(
 ) -> None:
     """Replay computes all broadcasts again from the events of a run.
 
-    It counts those that a fault has falsified, or sent under another robot's id, and reproduces the others.
+    It counts frames that a fault has falsified, or sent under another robot's id, and reproduces the others.
     The frames that a fault has injected are in the events.
     """
     events: list[str] = []  # filled by the run
@@ -294,7 +294,7 @@ def test_estimates_under_the_id_of_a_robot_that_is_allowed_are_counted_as_confli
 
 @without_and_with_buses
 def test_robots_that_allow_no_id_of_the_swarm_know_their_own_estimates_alone(wiring: str) -> None:
-    """Robots 0 to 4 allow the id 127 alone. Their estimate x stays the one from their own observations."""
+    """Robots 0 to 4 allow only the id 127. Their estimate x stays equal to the one from own observations."""
     run, _ = run_and_record(small_swarm(allow="127"), WIRINGS[wiring])
     assert all(knows_own_estimate_alone(node.robot) for node in run.nodes)
 
@@ -357,7 +357,7 @@ def test_a_robot_that_rejoins_sends_heartbeats_in_its_own_seconds(
 ) -> None:
     """It is dead in ticks 45 and 46. A heartbeat has its uptime in seconds, of 10 ticks each.
 
-    A new robot counts its uptime from tick 47 on; that of a restored one has stood still for two ticks.
+    A new robot counts its uptime from tick 47 on. A restored robot's uptime has stood still for two ticks.
     """
     _, frames = run_and_record(crash_in_two_ticks(rejoin))
     ticks_and_uptimes = []

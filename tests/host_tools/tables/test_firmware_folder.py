@@ -95,7 +95,7 @@ def test_firmware_names_the_array_of_the_table(tmp_path: Path, capsys: pytest.Ca
 
 
 def test_firmware_reports_files_and_array_in_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The array, called symbol, is that of the table in C."""
+    """The name of the table's array in C is ``symbol``."""
     write_folder(tmp_path, *TABLE_OF_PROGRAM, "--json")
     report = json.loads(capsys.readouterr().out)
 
@@ -152,7 +152,7 @@ def test_a_folder_and_the_package_share_the_library(folders: tuple[str, ...], tm
 
 
 def test_cmake_refuses_a_project_with_folders_of_two_versions(tmp_path: Path) -> None:
-    """They would share one library, of which only one version can be right; the second folder is of 9.8.7."""
+    """Both folders would share one library, which has one version. The second folder is of version 9.8.7."""
     write_folder(tmp_path / "one")
     write_folder(tmp_path / "two")
     cmake_file = tmp_path / "two/CMakeLists.txt"
@@ -338,7 +338,7 @@ def test_sha256sum_finds_the_files_as_they_were_written(folder: Path) -> None:
 
 
 def test_another_table_takes_the_place_of_the_first(folder: Path) -> None:
-    """The first one was for 127 neighbours. Only the one for 30 is left in the folder."""
+    """The first table was for 127 neighbours. Only the table for 30 is left in the folder."""
     write_folder(folder, "--neighbours", "30")
     assert tables_in(folder) == ["t_table_omega05_q30.c"]
 
@@ -373,7 +373,7 @@ def test_a_table_of_somebody_else_is_not_deleted(folder: Path) -> None:
 
 
 def test_force_replaces_changed_files_and_deletes_other_tables(folder: Path) -> None:
-    """Without --force the command keeps what it has not written itself."""
+    """Without --force the command keeps files that it has not written itself."""
     (folder / "mcp_asdf.c").write_text("/* ours */")
     (folder / "t_table_ours.c").write_text("/* ours */")
     write_folder(folder, "--force")

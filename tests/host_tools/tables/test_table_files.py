@@ -103,9 +103,9 @@ def test_table_writes_the_shipped_files_again(tmp_path: Path) -> None:
 def test_table_prints_the_size_of_a_table_its_errors_and_the_files_that_it_writes(
     tmp_path: Path, capsys: Capture
 ) -> None:
-    """The errors are those of thresholds, by rounding and where there are more neighbours than entries.
+    """Thresholds have errors from rounding. They have others for more neighbours than the table has entries.
 
-    A table has a header of 12 bytes, and 4 bytes for each of its q entries, 30 here.
+    A table takes 12 bytes for its header and 4 bytes per entry. It has q entries, 30 here.
     """
     run_table("--omega", "0.050", "--neighbours", 30, "--output", tmp_path)
     output = capsys.readouterr().out
@@ -168,7 +168,7 @@ def is_noticed(path: Path) -> bool:
 
 @pytest.mark.parametrize("file", [C_FILE, JSON_FILE], ids=["C", "JSON"])
 def test_check_notices_a_changed_character_anywhere(file: Path, tmp_path: Path) -> None:
-    """``mcp-asdf table --check`` compares a file with what it should be.
+    """``mcp-asdf table --check`` compares a file with a correct one.
 
     Every 97th character is replaced by a 7, or by an 8 if it is one, one at a time.
     """
@@ -196,7 +196,7 @@ def test_check_accepts_line_ends_of_other_systems(tmp_path: Path) -> None:
 
 
 def test_check_names_the_first_line_that_differs(tmp_path: Path, capsys: Capture) -> None:
-    """The file has one entry of the table in a line; in line 37 it is replaced by 7."""
+    """Each line of the file has one entry of the table. The entry in line 37 is replaced by 7."""
     lines = JSON_FILE.read_text().splitlines()
     right_line, lines[36] = lines[36], "    7,"  # which is the 37th line
     path = tmp_path / JSON_FILE.name

@@ -85,7 +85,7 @@ def test_every_threshold_of_any_table_is_the_nearest_to_the_exact_one(billionths
 
 
 def relative_error(table: Table, omega: str, m: int) -> float:
-    """Return by how much the threshold of a table for m messages differs from that of eq. 12, as a share.
+    """Return the relative error of a table's threshold for m messages, against the threshold of eq. 12.
 
     A table has k_m, the square of eq. 12's t/sqrt(m) + 1 times m / (m - 1), in units of 2**-FRACTION_BITS.
     """
@@ -131,7 +131,7 @@ def test_an_omega_is_found_again_from_the_word_that_a_table_stores_of_it() -> No
 
 
 def test_a_word_next_to_that_of_an_omega_has_no_omega_or_the_next_with_nine_decimal_places() -> None:
-    """A table stores omega in units of 2**-32, of which four or five lie between two omegas."""
+    """A table stores omega in units of 2**-32. Neighbouring omegas are four or five units apart."""
     billionth = Decimal("1e-9")
     for omega in omegas():
         possible_omegas = (None, omega - billionth, omega + billionth)

@@ -470,7 +470,7 @@ def test_the_table_of_robots_has_a_robot_in_grey_that_was_silent_for_ten_seconds
 
 
 def test_the_button_in_a_row_of_the_table_selects_its_robot(bus_browser: Page) -> None:
-    """The last of the two rows is that of robot 9."""
+    """The second of two rows shows robot 9."""
     until(bus_browser, "view.history.robotCount === 2")
     bus_browser.locator("#roster button").last.press("Enter")
     assert bus_browser.evaluate("view.history.description.robots[view.followedRobot]") == 9

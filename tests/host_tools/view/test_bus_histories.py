@@ -58,7 +58,7 @@ class ScriptedBus:
 
 @pytest.fixture
 def bus(monkeypatch: pytest.MonkeyPatch) -> ScriptedBus:
-    """A bus with robots 7 and 3, of which a history has a state every 1/8 s; frames come between.
+    """A bus with robots 7 and 3. Its history has a state every 1/8 s, and frames come between.
 
     Robot 7 sends x = b_hat = 0.5 at 0 s and x_hat = 0.25 at 0.1875 s; robot 3 sends x = b_hat = 0.25 at
     0.3125 s.
@@ -227,7 +227,7 @@ def test_a_reader_of_a_log_knows_of_telemetry_and_of_lines_that_hold_no_frame(
 def test_a_frame_of_a_second_bus_that_stands_late_in_a_log_does_not_set_back_the_time_of_its_robot(
     tmp_path: Path,
 ) -> None:
-    """``candump any`` writes frames of two buses out of order: the last is of 2.5 s before the other.
+    """``candump any`` writes frames of two buses out of order. The log's last frame is not the newest.
 
     Robot 7 would otherwise seem to have sent its last frame 2.5 s before the end of the log.
     """

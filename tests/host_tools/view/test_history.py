@@ -27,10 +27,10 @@ def history() -> History:
 def test_a_reader_gets_the_states_that_it_does_not_have_and_all_if_it_is_of_another_generation(
     generation: int, index: int, ticks: list[int], history: History
 ) -> None:
-    """Of the states after 0, 1 and 2 steps a reader has the first ``index``.
+    """There are states after 0, 1 and 2 steps. The reader already has the first ``index`` of them.
 
-    The generation is a number that goes up when a robot joins or when states are thinned out. That of this
-    history is 0, and a reader says of which generation its states are.
+    The generation is a number that goes up when a robot joins or when states are thinned out. This
+    history has generation 0. A reader says which generation its states have.
     """
     update = history.states_since(generation, index)
     assert [state.tick for state in update.states] == ticks
@@ -78,10 +78,10 @@ def test_a_swarm_without_an_end_keeps_at_most_a_hundred_states(monkeypatch: pyte
         (1, 128, 1),
         (10_000, 20, 1),
         (40_000, 20, 4),  # there are at most 10,000 states
-        (20_000, 60, 19),  # the links of 1111 states, a bit for each of 60 x 60 pairs, are 4 million bits
-        (10**6, 128, 4099),  # likewise, those of 244 states
+        (20_000, 60, 19),  # links: 60 x 60 bits x 1111 states = 4 million bits
+        (10**6, 128, 4099),  # links: 128 x 128 bits x 244 states = 4 million bits
         (10**9, 1, 100_000),
-        (10_000, 2000, 80),  # 16 bits for each of 2000 robots in 125 states are 4 million bits
+        (10_000, 2000, 80),  # 16 bits x 2000 robots x 125 states = 4 million bits
     ],
 )
 def test_a_web_page_keeps_fewer_states_of_a_swarm_with_more_steps_and_robots(

@@ -27,7 +27,7 @@ def decompress(text: str) -> bytes:
 
 
 def data_of(states: list[State], robots: int, **fields: Any) -> bytes:
-    """Return the bytes that the web page holds of states; ``fields`` are those of their description."""
+    """Return the bytes of states in the web page. ``fields`` comes from their description."""
     block = encode_states(states, RunDescription("a run", list(range(robots)), **fields))
     return decompress(block["data"])
 
@@ -171,7 +171,7 @@ def test_a_served_page_holds_no_history() -> None:
 
 
 def test_no_placeholder_of_the_template_is_left_in_an_exported_page(exported_page: str) -> None:
-    """Placeholders are words such as __STYLE__, in place of which scripts and styles are put."""
+    """Scripts and styles replace placeholders, which are words such as __STYLE__."""
     assert re.findall("__[A-Z_]+__", exported_page) == []
 
 
@@ -202,7 +202,7 @@ def test_the_web_page_that_a_notebook_shows_can_be_saved(tmp_path: Path) -> None
 def test_a_trial_in_results_is_shown_as_the_same_page_as_that_trial_of_the_experiment() -> None:
     """A trial of an experiment is simulated for the page, and so is one of results.
 
-    These have two experiments, of which ``where`` chooses one.
+    The results have two experiments. ``where`` chooses one.
     """
     results = simulate([replace(EXPERIMENT, robots=5), EXPERIMENT])
     shown_results = show(results, trial=1, where={"robots": "4"})

@@ -23,7 +23,7 @@ X_ONE, B_HAT_ONE = 2**23, 2**24
 
 
 class RosterOfRobot3(Roster):
-    """A roster that receives frames of robot 3, or of another one."""
+    """A roster that receives frames of robot 3, or of another robot."""
 
     def receive_estimate(self, transfer_id: int, now: float, robot: int = 3) -> None:
         """x_hat = 0.5 and alpha = 0.25."""
@@ -167,7 +167,7 @@ def test_the_table_shows_how_many_seconds_ago_a_robot_was_seen(regular_roster: R
 def test_an_alpha_that_doubles_after_32_estimates_is_a_jump_in_the_table_as_in_a_robot(
     roster: RosterOfRobot3, alphas: list[int], jumps: int
 ) -> None:
-    """A robot sends its confidence alpha with each estimate. Tables and robots count suspicious jumps of it.
+    """A robot sends its confidence alpha with each estimate. Tables and robots count its suspicious jumps.
 
     For example, 32 times 100 and then 200 is a jump, while 31 times 100 and then 200 comes too early.
     """

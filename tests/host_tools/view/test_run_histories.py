@@ -92,7 +92,7 @@ def is_equal(first: State, second: State) -> bool:
 
 
 def differing_ticks(actual: list[State], expected: list[State]) -> list[int]:
-    """Return the ticks of states that differ from those expected; fails if there are not as many."""
+    """Return the ticks of states that differ from the expected states; fails if their numbers differ."""
     pairs = zip(actual, expected, strict=True)
     return [expected_state.tick for state, expected_state in pairs if not is_equal(state, expected_state)]
 
@@ -349,7 +349,7 @@ class FakeClock:
 
 @pytest.fixture
 def clock(monkeypatch: pytest.MonkeyPatch) -> FakeClock:
-    """A clock in place of the one by which a recorder waits."""
+    """A clock that replaces the recorder's clock."""
     clock = FakeClock()
     monkeypatch.setattr(time, "monotonic", lambda: clock.now)
     monkeypatch.setattr(time, "sleep", clock.sleep)

@@ -219,7 +219,7 @@ def test_the_server_sends_the_events_of_a_running_swarm_in_the_order_of_its_chan
 def test_after_a_robot_has_joined_the_server_sends_a_new_description_and_all_states_again(
     live_events: list[Event],
 ) -> None:
-    """Robot 7 joins the robots 0 and 1. A block holds states: one, a second one, and then both together."""
+    """Robot 7 joins the robots 0 and 1. Three blocks hold the first state, the second state, and both."""
     lists_of_robots = [content["robots"] for name, content in live_events if name == "description"]
     numbers_of_states = [content["count"] for name, content in live_events if name == "block"]
     assert lists_of_robots == [[0, 1], [0, 1, 7]]
@@ -263,7 +263,7 @@ def test_the_server_ends_its_thread_for_a_page_that_was_closed() -> None:
     with serve_page(History(DESCRIPTION)) as url:
         with connect(url, request_for(url, "/events")) as client:
             read_to(client, "\n\n")
-            assert threading.active_count() == threads_before + 2  # the server's own, and that of the page
+            assert threading.active_count() == threads_before + 2  # one of the server, one of the page
 
         wait_until(lambda: threading.active_count() == threads_before + 1)
 

@@ -30,7 +30,7 @@ TICK = 0.1
 
 
 def moving(robots: int, width: float = 0, height: float = 0, **parameters: Any) -> WorldSettings:
-    """Return settings of moving robots on a floor of so many metres, or by default of the paper's density."""
+    """Return settings of moving robots. By default the floor's size gives the paper's density."""
     return WorldSettings(topology="dynamic", robots=robots, width=width, height=height, **parameters)
 
 
@@ -61,7 +61,7 @@ def test_robots_without_room_are_refused() -> None:
 
 
 def describe_motion(motion: Motion) -> Iterator[str]:
-    """Yield a line for each of ten robots: the exact numbers of its last tick, and sums over all ticks."""
+    """Describe ten robots, one line each: exact numbers of the last tick, and sums over all ticks."""
     for robot in range(10):
         x, y = motion.position[-1, robot]
         cosine, sine = motion.heading[-1, robot]
@@ -77,7 +77,7 @@ def describe_motion(motion: Motion) -> Iterator[str]:
     ("settings", "name"), [(PAPER, "paper"), (CROWD, "crowd"), (moving(127, density=4.0), "largest_round")]
 )
 def test_a_seed_gives_the_same_bits_everywhere(settings: WorldSettings, name: str) -> None:
-    """Positions and headings equal those of a golden file. Each operation is rounded as IEEE 754 says.
+    """Positions and headings equal a golden file. Each operation is rounded as IEEE 754 says.
 
     A difference in any tick changes all later positions, as robots meet and turn.
     """
@@ -174,7 +174,7 @@ def test_robots_in_a_crowd_touch_each_other() -> None:
 
 
 def test_half_of_the_robots_in_a_crowd_get_farther_than_a_decimetre_in_the_last_minute() -> None:
-    """So robots that touch each other get away again. It is the trial of the test before."""
+    """So robots that touch each other get away again. The previous test uses the same trial."""
     position = motion_in_2000_ticks(CROWD, trial=4).position
     ticks_of_a_minute = round(60 / TICK)
     *_, position_at_end = position
@@ -206,7 +206,7 @@ def links_by_definition(position: NDArray[np.float64], settings: WorldSettings) 
 def test_robots_hear_each_other_if_they_are_in_range_and_no_third_stands_between(
     settings: WorldSettings,
 ) -> None:
-    """The links equal those by definition in 14 ticks one after the other, and in 5 that are far apart.
+    """Links agree with their definition in 14 successive ticks, and in 5 ticks that are far apart.
 
     The arena searches for pairs that may be linked every 13 ticks, so this is before and after searches.
     """
@@ -419,7 +419,7 @@ def test_the_colour_of_a_tile_does_not_depend_on_its_neighbours(fill_ratio: floa
     to_the_right, above, both = (1, 0), (0, 1), (1, 1)
     tolerance = 5 * math.sqrt(fill_ratio * (1 - fill_ratio) / black.size)
     for shift in (to_the_right, above, both):
-        neighbour_is_black = np.roll(black, shift, axis=(0, 1))  # at an edge, that of the opposite one
+        neighbour_is_black = np.roll(black, shift, axis=(0, 1))  # beyond an edge lies the opposite edge
         share_of_black_pairs = (black & neighbour_is_black).mean()
         assert abs(share_of_black_pairs - fill_ratio**2) <= tolerance, shift
 
@@ -500,7 +500,7 @@ def contact_lengths(is_linked: NDArray[np.bool_]) -> NDArray[np.intp]:
     starts = np.flatnonzero(changes == 1)
     ends = np.flatnonzero(changes == -1)
     if is_linked[0]:
-        ends = ends[1:]  # the first end is that of a contact that began before
+        ends = ends[1:]  # the first end belongs to a contact that began before
     if is_linked[-1]:
         starts = starts[:-1]  # the last contact goes on
     return ends - starts
@@ -536,7 +536,7 @@ def motion_statistics(motion: Motion) -> dict[str, float]:
 
 
 def statistics_after(lag: int, motion: Motion, deviation: NDArray[np.float64]) -> dict[str, Any]:
-    """Return the statistics that compare each tick with the one ``lag`` ticks later."""
+    """Return the statistics that compare each tick with the tick ``lag`` ticks later."""
     links_before, links_after = motion.adjacency[:-lag], motion.adjacency[lag:]
     covariance = (deviation[:-lag] * deviation[lag:]).mean()
     moved = motion.position[lag:] - motion.position[:-lag]

@@ -68,7 +68,7 @@ def test_an_object_or_a_text_without_edges_is_refused(nothing: object) -> None:
     ],
 )
 def test_edge_lists_of_other_tools_are_read(text: str, tmp_path: Path) -> None:
-    """The graph is 0 1; 1 2. What follows an edge, and an edge in the other direction, have no effect."""
+    """The graph is 0 1; 1 2. Text after an edge has no effect. An edge may be repeated in reverse."""
     graph = parse_file(text, tmp_path)
     assert str(graph) == "0 1; 1 2"
 

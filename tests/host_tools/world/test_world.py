@@ -54,7 +54,7 @@ KEY = (0xA4093822, 0x299F31D0)
 
 
 def philox_words(counter: tuple[int, int, int, int], key: tuple[int, int]) -> list[int]:
-    """Return the four random words of one counter, by the function that calculates those of many."""
+    """Return the four random words of one counter, by the function that takes many counters."""
     first, second, third, fourth = [np.array([word], np.uint64) for word in counter]
     arrays_of_one_word = philox((first, second, third, fourth), key)
     return [int(word) for (word,) in arrays_of_one_word]
@@ -151,7 +151,7 @@ def test_moving_robots_observe_the_colour_under_them_with_the_accuracy_of_their_
 def test_a_draw_is_observed_as_black_only_if_it_is_below_the_probability_of_black(
     true_accuracy: float, is_black: bool, topology: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The floor is black. All draws are 3/4, and the accuracy of the sensor is the same, or a unit above."""
+    """The floor is black, and all draws are 3/4. The accuracy of the sensor is 3/4, or a unit above."""
 
     def draw_words(stream: Stream, steps: int, first_step: int = 0) -> NDArray[np.uint32]:
         return np.full((steps, stream.robots), 0.75 * 2**32, np.uint32)  # a draw is a word by 2**32
@@ -191,7 +191,7 @@ def test_robots_observe_in_the_last_step_of_each_observation_period(period: int)
 
 @in_each_world
 def test_a_world_is_the_same_however_many_steps_are_taken_at_once(changes: dict[str, Any]) -> None:
-    """Four arrays of 200 steps are the same as those of four parts, joined."""
+    """200 steps at once give the same four arrays as four parts of 200 steps, joined."""
     scene = make_world(**changes).advance(200)
     world = make_world(**changes)
     parts = [world.advance(steps) for steps in (7, 1, 130, 62)]
@@ -406,7 +406,7 @@ LEAST_FILL_RATIO_OF_CODES = (3 * 33 + 2 * 42) / 100**2
 """Share of black in three finder patterns, of 33 modules, and two timing lines, of 42, among 10^4 modules."""
 FINDER_PATTERN_SIDE = 7
 BLACK_IN_FINDER_PATTERN = 24 + 9
-"""Black modules of a finder pattern: those of its frame, and a square of 3 x 3 in its middle."""
+"""Black modules of a finder pattern: its frame, and a square of 3 x 3 in its middle."""
 FILL_RATIOS_OF_CODES = [0.448, 0.5001, 0.8, LEAST_FILL_RATIO_OF_CODES]
 
 
@@ -514,7 +514,7 @@ def test_a_sensor_model_of_the_user_takes_the_place_of_the_built_in_one() -> Non
 
 
 def test_a_sensor_that_breaks_its_promise_of_one_accuracy_is_refused() -> None:
-    """It says that it has one accuracy for both colours, and returns two. The error names the attribute."""
+    """The sensor promises one accuracy for both colours, and returns two. The error names the attribute."""
 
     class Sensors:
         has_one_accuracy = True
@@ -587,7 +587,7 @@ def test_a_drift_that_starts_at_the_lowest_accuracy_stays_there() -> None:
     ("choice", "accuracies"),
     [
         ({"drift_of": "flawed"}, [0.95 - 99 * 1e-3, 0.95, 0.95, 0.95]),
-        ({}, [0.95 - 99 * 1e-3]),  # one accuracy, which is that of all robots
+        ({}, [0.95 - 99 * 1e-3]),  # one accuracy for all robots
     ],
 )
 def test_sensors_drift_in_all_robots_unless_only_those_of_flawed_ones_are_to(
