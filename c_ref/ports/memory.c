@@ -1,5 +1,5 @@
 /* The two functions that a compiler may call by itself, for images without a C library. The targets are
- * volatile: else a compiler would recognise the loops, and could replace the one in memcpy() by a call of
+ * volatile: else a compiler would recognise the loops, and could replace the loop in memcpy() by a call of
  * memcpy(), which is endless recursion. */
 #include <stddef.h>
 

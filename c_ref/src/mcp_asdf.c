@@ -57,9 +57,9 @@ static void set_b_hat(mcp_asdf_t *robot, uint32_t b_hat)
     accuracy->b_hat = b_hat;
     accuracy->c = g < INFORMATIVE_G ? UINT32_MAX : c;
     /* Both sides of a ratio are shifted until their highest bit is set, so that its quotient has as many
-     * significant bits as it can. A weight is too large then by 2^(2 g_shift), and the one of the rare colour
-     * too small by 2^rare_shift; confidence_at_end() takes this into account. 1 - c is at least 1/2, and
-     * needs no shift. */
+     * significant bits as it can. Each weight is too large then by 2^(2 g_shift), and the weight of the rare
+     * colour too small by 2^rare_shift; confidence_at_end() takes this into account. 1 - c is at least 1/2,
+     * and needs no shift. */
     const uint32_t shifted_g = shift_left(g, g_shift);
     accuracy->common = square_of_ratio(shifted_g, one_minus(c));
     accuracy->rare = square_of_ratio(shifted_g, shift_left(c, c_shift));
@@ -154,9 +154,9 @@ ALWAYS_INLINE confidence_t confidence_at_end(uint32_t t, uint32_t rare_observati
  *   g_shift   by how much g was shifted    at most 31
  *   shift     by how much t was shifted    at most 31
  *
- * With t^2 above and below, alpha = (g t)^2 t / (p t (1 - p) t), of which `square` is the dividend and
- * `spread` the divisor. The dividend is a product of three words: each multiply_high() leaves out the lower
- * 32 bits, and the upper word of the three is what is left. Of the divisor both words are formed. */
+ * With t^2 above and below, alpha = (g t)^2 t / (p t (1 - p) t); `square` is the dividend and `spread` the
+ * divisor. The dividend is a product of three words: each multiply_high() leaves out the lower 32 bits, and
+ * the upper word of the three is what is left. The divisor keeps both of its words. */
 ALWAYS_INLINE confidence_t confidence_inside(uint32_t total, uint32_t rarer, uint32_t scale, uint32_t g_shift,
                                              uint32_t shift)
 {
@@ -192,11 +192,11 @@ ALWAYS_INLINE confidence_t confidence_inside(uint32_t total, uint32_t rarer, uin
  * share of black tiles that explains them best (eq. 3 of the paper), as Q23, and as an alpha word its
  * confidence alpha, the Fisher information of x_hat (eq. 4).
  *
- * White and black are mirror images, and so are b_hat and 1 - b_hat. So only one case is computed, and
- * mirrored where it is another: how much of the floor has the rarer colour, of which a share p was observed,
- * if the sensor is wrong with probability c = min(b_hat, 1 - b_hat). That is x = (p - c) / (1 - 2c), or 0 if
- * p is below c. A sensor that is as often right as wrong has no information, which a `c` of 2^32 - 1 says:
- * then x_hat is 1/2 and alpha 0. */
+ * White and black are mirror images, and so are b_hat and 1 - b_hat. So only one case is computed, and the
+ * result is mirrored in the others: how much of the floor has the rarer colour, if a share p of the
+ * observations has it and the sensor is wrong with probability c = min(b_hat, 1 - b_hat). That is x = (p - c)
+ * / (1 - 2c), or 0 if p is below c. A sensor that is as often right as wrong has no information, which a `c`
+ * of 2^32 - 1 says: then x_hat is 1/2 and alpha 0. */
 HOT estimate_t estimate(uint32_t t, uint32_t n, const mcp_asdf_accuracy_t *accuracy)
 {
     const uint32_t g_shift = accuracy->g_shift & 31U; /* whatever damaged memory holds */
@@ -289,7 +289,7 @@ HOT void add_estimate(mcp_asdf_t *robot, uint32_t x_hat, uint32_t alpha)
 
 /* Returns the mean of x_hat weighted by alpha, the sum of alpha x_hat divided by the sum of alpha (eq. 5 and
  * 7 of the paper), as Q32: less than 8 units too small, so that 1.0 is 2^32 - 1 or little less. `alpha` > 0
- * is the sum of alpha in units of 2^-24, and that of alpha x_hat in units of 2^-47 is 2^32 alpha_x_high +
+ * is the sum of alpha in units of 2^-24. The sum of alpha x_hat in units of 2^-47 is 2^32 alpha_x_high +
  * alpha_x_low. */
 HOT uint32_t round_mean(uint64_t alpha, uint64_t alpha_x_low, uint64_t alpha_x_high)
 {
@@ -309,9 +309,9 @@ HOT uint32_t round_mean(uint64_t alpha, uint64_t alpha_x_low, uint64_t alpha_x_h
 }
 
 /* Returns the informed estimate x (eq. 7 of the paper) as Q23: the mean of x_hat over the messages of a
- * closed round, of which `closed` has the sums, and the robot's own estimate, each weighted by its alpha. It
- * is the exact quotient of the sums, rounded down, or x_hat if all alphas are 0. `own_alpha` is an alpha
- * word, x_hat is Q23. */
+ * closed round and the robot's own estimate, each weighted by its alpha. `closed` has the sums of the round.
+ * The mean is the exact quotient of the sums, rounded down, or x_hat if all alphas are 0. `own_alpha` is an
+ * alpha word, x_hat is Q23. */
 HOT uint32_t informed_estimate(const mcp_asdf_closed_t *closed, uint32_t x_hat, uint32_t own_alpha)
 {
     const word_pair_t wide_own_alpha = alpha_units(own_alpha);
@@ -408,7 +408,7 @@ ALWAYS_INLINE void clear_round_sums(mcp_asdf_t *robot)
 }
 
 /* Whether a t-table is undamaged and in order: q and omega are in their ranges, the thresholds fall, and the
- * hash is that of the words before it. Of a table with a bad q only the first word is read. Its words are
+ * hash fits the words before it. If q is bad, only the first word is read. Its words are
  *
  *     0            TABLE_MAGIC + q, the number of neighbours up to which it has thresholds: 2 .. 127
  *     1            omega, the tolerated error probability of the test, as Q32
@@ -418,8 +418,8 @@ ALWAYS_INLINE void clear_round_sums(mcp_asdf_t *robot)
 static bool is_valid_table(const uint32_t *table)
 {
     const uint32_t head = MCP_ASDF_READ_WORD(&table[0]);
-    /* The last byte of `head` is q, since that of TABLE_MAGIC is 0. Of other heads this is a meaningless
-     * byte, and they are refused below, before it is used. */
+    /* The last byte of `head` is q, since the last byte of TABLE_MAGIC is 0. In other heads this byte means
+     * nothing, and they are refused below, before it is used. */
     const uint8_t hash_index = (uint8_t)(head + 2U); /* q + 2 */
     /* No robot has more neighbours than there are ids but its own: q is at most MCP_ASDF_MAX_ID. */
     if (head < TABLE_MAGIC + 2U || head > TABLE_MAGIC + MCP_ASDF_MAX_ID) {
@@ -428,8 +428,8 @@ static bool is_valid_table(const uint32_t *table)
     uint32_t hash = HASH_START, previous = 0;
     for (uint8_t i = 0; i < hash_index; ++i) { /* at most 129 turns */
         const uint32_t word = MCP_ASDF_READ_WORD(&table[i]);
-        /* Thresholds must fall: each from word 3 on is compared with the one before. Word 2 is the first, and
-         * words 0 and 1 are none. */
+        /* Thresholds must fall: each from word 3 on is compared with the one before. Word 2 is the first
+         * threshold; words 0 and 1 are no thresholds. */
         if (word >= previous && i > 2U) {
             return false;
         }
@@ -562,9 +562,9 @@ NOINLINE mcp_asdf_status_t update_b_hat(mcp_asdf_t *robot)
 
 /* ---- Rounds ---- */
 
-/* Close the round: publish its sums, of which x and x_bar are formed, or with the robust filter take a vote.
- * Then begin the next round with empty sums and no senders. Every filter_period rounds the filter runs in
- * between. Returns UPDATED if it has re-estimated b_hat, else OK. */
+/* Close the round: publish its sums, from which x and x_bar are computed, or with the robust filter take a
+ * vote. Then begin the next round with empty sums and no senders. Every filter_period rounds the filter runs
+ * in between. Returns UPDATED if it has re-estimated b_hat, else OK. */
 HOT_PUBLIC mcp_asdf_status_t mcp_asdf_settle(mcp_asdf_t *robot)
 {
     /* The constant spares a build without the robust filter a load of robot->config. */

@@ -16,7 +16,7 @@
 /* value modulo 2^32. Lemma low_word. */
 ALWAYS_INLINE uint32_t low_word(uint64_t value) { return (uint32_t)value; }
 
-/* Returns the lowest `count` bits of a word as the highest bits of another one, whose other bits are 0; count
+/* Returns a word whose highest bits are the lowest `count` bits of `value`, and whose other bits are 0; count
  * in [0, 31]. Lemma lowest_bits_to_top.
  *
  * That is value << (32 - count), but for a count of 0 this would be a shift by 32, which C leaves undefined.
@@ -27,7 +27,7 @@ ALWAYS_INLINE uint32_t lowest_bits_to_top(uint32_t value, uint32_t count)
     return shift_left(value << 1, count ^ 31U);
 }
 
-/* Returns the highest `count` bits of a word as the lowest bits of another one, whose other bits are 0; count
+/* Returns a word whose lowest bits are the highest `count` bits of `value`, and whose other bits are 0; count
  * in [0, 31]. That is value >> (32 - count), in two shifts as above. Lemma highest_bits_to_bottom. */
 ALWAYS_INLINE uint32_t highest_bits_to_bottom(uint32_t value, uint32_t count)
 {
@@ -87,10 +87,10 @@ ALWAYS_INLINE void add(uint64_t *sum, uint64_t term)
     FENCE();
 }
 
-/* Returns a dividend and a divisor of 32 bits for divide_31(), for 0 <= a <= d, d > 0: the upper 32 bits of
- * a, and half of those of d, rounded up, which is in [2^30, 2^31]. Half of their quotient is at most 2^-31 +
- * 2^-30 a / d less than a / d, and never more. Before that both are shifted alike until the highest bit of d
- * is set, by a whole word first. Lemma ratio. */
+/* Returns a dividend and a divisor of 32 bits for divide_31(), for 0 <= a <= d, d > 0. The dividend is the
+ * upper 32 bits of a. The divisor is half of the upper 32 bits of d, rounded up, and is in [2^30, 2^31]. Half
+ * of their quotient is at most 2^-31 + 2^-30 a / d less than a / d, and never more. Before that a and d are
+ * shifted alike until the highest bit of d is set, by a whole word first. Lemma ratio. */
 ALWAYS_INLINE word_pair_t ratio(uint64_t a, uint64_t d)
 {
     if (high_word(d) == 0U) {

@@ -86,9 +86,9 @@ static void write_envelope(mcp_asdf_frame_t *frame, uint8_t priority, uint16_t s
     frame->data[7] = (uint8_t)(TAIL_SINGLE_FRAME | (transfer_id & TAIL_TRANSFER_ID_MASK));
 }
 
-/* Returns the first reason to refuse a frame of which check_envelope() has found a flag or an unexpected
- * identifier, in the order of mcp_asdf_frame_status_t. Where it has none of the flags and bits that are tried
- * here, the reason is that it is of another subject. */
+/* Returns the reason to refuse a frame in which check_envelope() has found a flag or an unexpected
+ * identifier. It is the first reason in the order of mcp_asdf_frame_status_t. A frame with none of the flags
+ * and bits that are tried here is refused for its subject. */
 static status_t find_refusal_reason(const mcp_asdf_frame_t *frame)
 {
     if ((frame->flags & MCP_ASDF_FRAME_ERROR) != 0U) {
@@ -143,8 +143,8 @@ static uint8_t read_transfer_id(const mcp_asdf_frame_t *frame)
 
 /* ---- Confidence: alpha words and binary32 ----------------------------------------------------------- */
 
-/* Whether the bits of a binary32 number are those of a number that alpha can be: finite and not negative. As
- * integers, infinity, all NaN and all numbers with the sign bit set are at least those of infinity. */
+/* Whether a binary32 number, given by its bits, can be an alpha: finite and not negative. As integers, the
+ * bits of infinity, of all NaN and of all numbers with the sign bit set are at least BINARY32_INFINITY. */
 static bool is_finite_and_positive(uint32_t binary32) { return binary32 < BINARY32_INFINITY; }
 
 /* Returns the bits of the binary32 number that an alpha word stands for: mantissa (bits 8 to 31) times
@@ -239,8 +239,8 @@ mcp_asdf_frame_status_t mcp_asdf_encode_heartbeat(mcp_asdf_frame_t *frame, uint8
                                                   const mcp_asdf_heartbeat_t *message)
 {
     const mcp_asdf_frame_format_t format = {0, priority};
-    /* check_sender_and_format() checks a subject, too, but the one of heartbeats is no argument that could be
-     * wrong. So it gets subject 0, which is always valid, and what it finds concerns node and priority. */
+    /* check_sender_and_format() checks a subject, too, but the subject of heartbeats is fixed. So the
+     * function gets subject 0, which is always valid, and finds only errors of node and priority. */
     const status_t status = check_sender_and_format(&format, message->node);
     if (status != MCP_ASDF_FRAME_OK) {
         return status;

@@ -54,8 +54,8 @@ static bool has_same_accuracy(const mcp_asdf_accuracy_t *accuracy, const mcp_asd
  * not known, and may be any that a robot can form.
  *
  * The caller lends *fresh, memory for a robot that is computed to compare with: a small stack may have no
- * room for another one. That robot never settles, so that its filter does not matter: it has one that needs
- * no t-table, which is OFF or, where only the robust filter is built, this one. */
+ * room for a second robot. That robot never settles, so its filter does not matter. It has a filter without a
+ * t-table: OFF or, where only the robust filter is built, the robust filter. */
 static bool is_valid_estimate(const mcp_asdf_t *robot, mcp_asdf_t *fresh)
 {
     mcp_asdf_config_t config = *robot->config; /* a constant one would take RAM on an AVR */
@@ -84,8 +84,8 @@ static bool is_valid_estimate(const mcp_asdf_t *robot, mcp_asdf_t *fresh)
  *     alpha_x_low    (2^32 - 1) 2^23          the lower word of alpha, and an x_hat of 1.0, which is 2^23
  *     alpha_x_high   (2^23 - 1) 2^23          the upper word: alpha is below 2^55 units
  *
- * and 127 messages, which is less than 2^7, give the limits below, of which the last two are rounded up to
- * powers of two.
+ * and 127 messages, which is less than 2^7, give the limits below. The last two are rounded up to powers of
+ * two.
  *
  * The mean is at most 1.0, which is 2^23 as x_hat, if the sum of alpha x_hat is at most 2^23 alpha. Neither
  * fits in 64 bits, so that both are compared in two pieces:
@@ -107,9 +107,9 @@ static bool is_valid_mean(uint64_t alpha, uint64_t alpha_x_low, uint64_t alpha_x
             (upper_sum == upper_limit && (uint32_t)alpha_x_low <= ((uint32_t)alpha << 23)));
 }
 
-/* Whether open->count estimates with alpha > 0, at most 127, can have the sums in *open. The conditions are
- * those that each sum has to meet for itself or with another one; that such estimates exist does not follow.
- * The numbers at the right show that no product wraps. */
+/* Whether open->count estimates with alpha > 0, at most 127, can have the sums in *open. Each condition is
+ * about one sum or about two. All are necessary, but do not prove that such estimates exist. The numbers at
+ * the right show that no product wraps. */
 static bool are_valid_sums(const mcp_asdf_open_t *open)
 {
     const uint32_t m = open->count;
@@ -184,7 +184,7 @@ static bool are_valid_slots(const mcp_asdf_t *robot)
 
 /* Whether calls of the firmware can have led to the votes of the robust filter. Without any, centre, spread
  * and turn are as in a new robot. Else a slot is filled, the number of votes, the centre and the spread are
- * in their ranges, and the turn is that of slot 0 or of the one after a filled slot. */
+ * in their ranges, and the turn is slot 0 or the slot after a filled slot. */
 static bool are_valid_votes(const mcp_asdf_robust_t *robust)
 {
     if (robust->votes == 0U) {
@@ -203,16 +203,16 @@ static uint32_t white_observations(uint32_t t, uint32_t n) { return t - n; }
 
 /* Whether calls of the firmware can have led to what the robust filter keeps of batches. A batch is the set
  * of observations since the filter last ran or t was last halved, whichever was later; batch_t and batch_n
- * are the counts of all and of black observations when it began, and t and n those of now.
+ * are the counts of all and of black observations when the batch began, and t and n the counts now.
  *
- * Within a batch no count ever falls, neither that of black observations nor that of white ones (t - n). The
+ * Within a batch neither the count of black observations nor the count of white ones (t - n) ever falls. The
  * first batch begins at t = 0. In it the dispersion and b_hat are those of a new robot: the dispersion
  * changes when a batch ends, and b_hat in a test, which ends one, too. */
 static bool is_valid_batch(const mcp_asdf_t *robot)
 {
     const mcp_asdf_robust_t *const robust = &robot->robust;
     const bool is_first_batch = robust->batch_t == 0U;
-    return robust->batch_n <= robust->batch_t && /* of which they are a part */
+    return robust->batch_n <= robust->batch_t && /* black ones and all, then */
            robust->batch_n <= robot->n &&        /* the black observations, then and now */
            white_observations(robust->batch_t, robust->batch_n) <= white_observations(robot->t, robot->n) &&
            robust->dispersion >= MCP_ASDF_DISPERSION_MIN &&
@@ -246,7 +246,7 @@ static bool has_sender(const mcp_asdf_t *robot, uint8_t id)
 }
 
 /* Whether the set of senders fits the open round: it has at least as many members as the sums have estimates,
- * and the robot itself is none of them. There may be more, as an estimate with alpha 0 enters no sum. */
+ * and the robot itself is no sender. There may be more senders, as an estimate with alpha 0 enters no sum. */
 static bool are_valid_senders(const mcp_asdf_t *robot)
 {
     uint32_t sender_count = 0;
@@ -323,8 +323,8 @@ static void pass_half_words(image_t *image, uint16_t *first, uint16_t *second)
     *second = (uint16_t)(word >> 16);
 }
 
-/* Pass the four bytes at `bytes` through the image, as the word of which they are the little-endian bytes. If
- * the image is read, they are replaced. */
+/* Pass the four bytes at `bytes` through the image as one word, the lowest byte first. If the image is read,
+ * they are replaced. */
 static void pass_bytes(image_t *image, uint8_t *bytes)
 {
     uint32_t word = 0;
@@ -389,7 +389,7 @@ static void pass_robust_filter(image_t *image, mcp_asdf_t *robot)
     }
 }
 
-/* Make what the robust filter remembers that of the new robot `fresh`. */
+/* Give the robust filter of `robot` the memory of the new robot `fresh`. */
 static void reset_robust_filter(mcp_asdf_t *robot, const mcp_asdf_t *fresh) { robot->robust = fresh->robust; }
 
 #else
@@ -445,7 +445,7 @@ void mcp_asdf_save(const mcp_asdf_t *robot, uint8_t image[MCP_ASDF_IMAGE_SIZE])
 }
 
 /* Read a robot from `image`, check it, and only then write *robot. Returns OK; ERR_CONFIG or ERR_TABLE if
- * `config` is not valid; or ERR_IMAGE if the image is damaged, is that of another filter, or holds a state to
+ * `config` is not valid; or ERR_IMAGE if the image is damaged, belongs to another filter, or holds a state to
  * which no calls lead. */
 mcp_asdf_status_t mcp_asdf_restore(mcp_asdf_t *robot, const mcp_asdf_config_t *config,
                                    const uint8_t image[MCP_ASDF_IMAGE_SIZE])

@@ -28,7 +28,7 @@ static uint32_t reestimate(const mcp_asdf_t *robot, uint32_t x_bar);
 #define DISPERSION_SHIFT 3U
 
 /* Formats: x_hat is Q23, in units of 2^-23; estimates in slots are Q16; centre and spread of the votes are
- * Q30, those of the slots Q24; probabilities and shares of observations are Q32. */
+ * Q30, centre and spread of the slots Q24; probabilities and shares of observations are Q32. */
 ALWAYS_INLINE uint32_t q30_from_q23(uint32_t x_hat) { return x_hat << 7; }
 ALWAYS_INLINE uint32_t q23_from_q30(uint32_t centre) { return centre >> 7; }
 ALWAYS_INLINE uint32_t q23_from_q16(uint32_t estimate) { return estimate << 7; }
@@ -131,9 +131,9 @@ ALWAYS_INLINE uint32_t next_slot(uint32_t filled_slots, uint32_t turn, bool has_
     return 31U - leading_zeros(remaining_slots & (0U - remaining_slots));
 }
 
-/* Count one estimate as a vote, at the end of a round: that of the next slot, or the robot's own. The vote
- * moves the centre, changes the spread, is counted in `votes`, and the turn passes on. Nothing happens before
- * the first message has filled a slot. */
+/* Count one estimate as a vote, at the end of a round: the next slot's or the robot's own. The vote moves the
+ * centre, changes the spread, is counted in `votes`, and the turn passes on. Nothing happens before the first
+ * message has filled a slot. */
 HOT void take_vote(mcp_asdf_t *robot)
 {
     mcp_asdf_robust_t *const robust = &robot->robust;
@@ -204,8 +204,8 @@ ALWAYS_INLINE uint64_t square_of_deviation(uint32_t black, uint32_t count, uint3
  * Of the batch's `count` observations, count share are expected to be black. If they are independent, the
  * square of the deviation from that is on average the variance, count share (1 - share). It is larger if the
  * robot observes a tile several times: the dispersion says how many times (the phi of overdispersed binomial
- * models). It is a moving average of the ratio deviation^2 / variance, in which a batch has a weight of 1/8
- * and what was before it 7/8. A ratio above 12 times the dispersion counts as 12 times: it comes from a
+ * models). It is a moving average of the ratio deviation^2 / variance: the batch that ends has a weight of
+ * 1/8, the average before it 7/8. A ratio above 12 times the dispersion counts as 12 times: it comes from a
  * change of the floor.
  *
  * Without observations in the batch, or while the share is 0, the dispersion stays as it is. Dispersion and
@@ -347,9 +347,9 @@ ALWAYS_INLINE uint32_t slope_of_probability(uint32_t b_hat)
  *
  *     (n / t - p)^2 > 12 (dispersion v / t + (g spread)^2)
  *
- * Here dispersion v / t is the variance of n / t, where v is that of one observation: the larger of p (1 - p)
- * and n / t (1 - n / t). And g spread, with g = |2 b_hat - 1|, is how far p may be off because the centre is.
- * The dispersion is Q8, squares are Q64, and all else is Q32. */
+ * Here dispersion v / t is the variance of n / t, where v is the variance of one observation: the larger of p
+ * (1 - p) and n / t (1 - n / t). And g spread, with g = |2 b_hat - 1|, is how far p may be off because the
+ * centre is. The dispersion is Q8, squares are Q64, and all else is Q32. */
 static bool robust_test_rejects(const mcp_asdf_t *robot, uint32_t share, uint32_t centre, uint32_t spread)
 {
     const uint32_t p = probability_of_black(robot, centre);
@@ -409,8 +409,8 @@ static uint32_t run_robust_filter(mcp_asdf_t *robot)
     if (count < MCP_ASDF_TESTED_ESTIMATES_MIN) {
         return 0;
     }
-    /* The median: the mean of the two in the middle, which are one where their number is odd. Their sum is a
-     * Q16; half of it as Q24 is the sum shifted by 8 - 1. */
+    /* The median is the mean of the two estimates in the middle. If the count is odd, the estimate in the
+     * middle is taken twice. The sum is a Q16; half of it as Q24 is the sum shifted by 8 - 1. */
     uint32_t centre = ((uint32_t)sorted[(count - 1U) / 2U] + sorted[count / 2U]) << 7;
     const uint32_t spread = median_distance(sorted, count, centre);
     for (uint32_t i = 0; i < HUBER_STEPS; ++i) { /* at most 3 turns */

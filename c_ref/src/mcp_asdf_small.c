@@ -35,18 +35,18 @@ uint32_t mcp_asdf_x_hat_from_code(uint32_t code, uint32_t bits)
     for (uint32_t length = bits; length < 24U; length *= 2U) { /* at most 5 turns */
         digits |= digits >> length;
     }
-    /* The first 24 of them are rounded to 23: up if the last one is 1. That is to nearest, since a quotient
-     * by an odd number never lies halfway. 1.0 has only digits of 1, and is rounded up to 2^23. */
+    /* The first 24 digits are rounded to 23: up if the 24th is 1. That is to nearest, since a quotient by an
+     * odd number never lies halfway. 1.0 has only digits of 1, and is rounded up to 2^23. */
     return ((digits >> 8) + 1U) >> 1;
 }
 
 /* ---- alpha ------------------------------------------------------------------------------------------ */
 
-/* Returns the 32 bits of which an alpha code is the beginning, for an alpha word above 0: 5 bits of an
- * exponent and 27 of a fraction, like a float. The word's value is its mantissa (bits 31 to 8) times 2^shift
- * (bits 4 to 0), in units of 2^-24. A value of up to 20 bits has the exponent 0, and the fraction is the
- * value times 2^7. A longer one has the exponent length - 20, and the fraction is what follows its highest
- * bit. From 2^51 units on all 32 bits are 1. */
+/* Returns the 32 bits whose first bits are an alpha code, for an alpha word above 0: 5 bits of an exponent
+ * and 27 of a fraction, like a float. The word's value is its mantissa (bits 31 to 8) times 2^shift (bits 4
+ * to 0), in units of 2^-24. A value of up to 20 bits has the exponent 0, and the fraction is the value times
+ * 2^7. A longer one has the exponent length - 20, and the fraction is what follows its highest bit. From 2^51
+ * units on all 32 bits are 1. */
 static uint32_t long_code_from_alpha(uint32_t alpha)
 {
     /* ALPHA_SHIFT_MAX, 31, is also the mask of the 5 bits that hold the shift. */
@@ -98,9 +98,9 @@ uint32_t mcp_asdf_alpha_from_code(uint32_t code, uint32_t bits)
 
 /* ---- Messages --------------------------------------------------------------------------------------- */
 
-/* Write a message to 4 bytes, the lowest bits first: 9 bits of alpha's code, 16 of that of x_hat, 7 of the
- * node. Returns OK; or ERR_SENDER if the node is above 127, else ERR_X_HAT if x_hat is above 1.0, and leaves
- * the bytes as they were. */
+/* Write a message to 4 bytes, the lowest bits first: 9 bits of alpha's code, 16 of x_hat's, 7 of the node.
+ * Returns OK; or ERR_SENDER if the node is above 127, else ERR_X_HAT if x_hat is above 1.0, and leaves the
+ * bytes as they were. */
 mcp_asdf_status_t mcp_asdf_encode_small(uint8_t bytes[MCP_ASDF_SMALL_BYTES],
                                         const mcp_asdf_small_message_t *message)
 {

@@ -149,7 +149,7 @@ def is_valid_mean(alpha: int, alpha_x_low: int, alpha_x_high: int) -> bool:
 
     ``alpha`` is the sum of the confidences alpha, in units of 2**-24. The sum of alpha x_hat, the numerator
     of the mean, comes in two numbers, as one would be too long for the C: ``alpha_x_low`` is the sum of
-    (lower 32 bits of alpha) * x_hat, and ``alpha_x_high`` that of (the bits of alpha above) * x_hat, with
+    (lower 32 bits of alpha) * x_hat, and ``alpha_x_high`` the sum of (the bits of alpha above) * x_hat, with
     x_hat in units of 2**-23. No sum may be negative. The bounds are
 
     - ``alpha`` is at most 127 times the largest confidence that a robot can send;

@@ -44,9 +44,9 @@ def first_image_word(filter_number: int) -> int:
 def find_image_error(image: bytes, filter_number: int) -> str | None:
     """Return what is wrong with the outer form of a robot's image, or None if it is right.
 
-    The image must be that of a robot with this filter, a number of `Filter`. Its first word, version, length
-    and checksum are checked, and not what it holds. The result is a text for an error message, which says
-    what to do where something can be done.
+    The image must come from a robot with this filter, a number of `Filter`. Its first word, version, length
+    and checksum are checked, but not the state that it holds. The result is a text for an error message.
+    Where the user can do something, the text says what.
     """
     first_word = int.from_bytes(image[:4], "little")
     magic = first_word & 0xFFFFFF00  # the upper three bytes

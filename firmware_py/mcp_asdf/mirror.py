@@ -138,8 +138,9 @@ def accuracy_of(b_hat: int) -> Accuracy:
 
     c = min(b_hat, 1 - b_hat) is the probability of an error, or C_WITHOUT_INFORMATION if g = 1 - 2 c is below
     2**-12. In alpha, the confidence, an observation of the more frequent colour has the weight
-    (g / (1 - c))**2, and one of the rarer colour (g / c)**2. Both are computed from numbers that are shifted
-    up until their highest bit is set, and the result says by how many bits. In C this is ``set_b_hat``.
+    (g / (1 - c))**2, and an observation of the rarer colour the weight (g / c)**2. Both weights are computed
+    from numbers that are shifted up until their highest bit is set, and the result says by how many bits. In
+    C this is ``set_b_hat``.
     """
     c = min(b_hat, Q32_ONE - b_hat)  # a sensor that is mostly wrong tells as much as its opposite
     g = Q32_ONE - 2 * c  # in units of 2**-32, as c
@@ -167,7 +168,7 @@ def alpha_word_from_mantissa(mantissa: int, exponent: int) -> int:
     """Convert a confidence, mantissa * 2**exponent units of 2**-24, to an alpha word, rounded down.
 
     An alpha word has a mantissa in bits 8 to 31 and a shift, the exponent, in bits 0 to 4. ``mantissa`` has
-    24 bits, of which the highest is set. The result is ALPHA_MAX for a confidence that is too large for an
+    24 bits, and its highest bit is set. The result is ALPHA_MAX for a confidence that is too large for an
     alpha word.
     """
     if exponent > SHIFT_MAX:
@@ -331,8 +332,8 @@ def asdf_test_rejects(table: Table, open_round: Sums, x_hat: int) -> bool:
 
         (sum_x - m x_hat)**2 > k_m (m sum_x_squared - sum_x**2)
 
-    where the sums are those of the open round, which are over its m estimates. The table has the threshold
-    k_m = (t / sqrt(m) + 1)**2 m / (m - 1). ``x_hat`` is in units of 2**-23.
+    where the sums are over the m estimates of the open round. The table has the threshold k_m = (t / sqrt(m)
+    + 1)**2 m / (m - 1). ``x_hat`` is in units of 2**-23.
     """
     m = open_round.count
     sum_x = open_round.x  # units of 2**-23, as x_hat
@@ -393,7 +394,7 @@ def is_valid_estimate(s: State) -> bool:
     the form in which robots compute it.
     """
     if s.updated:
-        # Of all words for the same confidence a robot computes the one with the smallest shift.
+        # Several words stand for the same confidence. A robot computes the word with the smallest shift.
         is_word_of_robot = s.alpha == alpha_word_from_units(alpha_units(s.alpha))
         is_legal_flag = s.updated == 1  # a damaged image may have another number
         return is_legal_flag and s.t > 0 and s.x_hat <= ONE and is_word_of_robot
@@ -437,8 +438,8 @@ def are_valid_rounds(s: State) -> bool:
 def are_valid_senders(s: State) -> bool:
     """Return whether the senders of the open round in ``s`` are possible: enough of them, and not the robot.
 
-    Each estimate in the sums of the open round has a sender. Those of estimates without confidence, which are
-    in no sum, come on top. The robot's own id must be valid.
+    Each estimate in the sums of the open round has a sender. Senders of estimates without confidence, which
+    are in no sum, come on top. The robot's own id must be valid.
     """
     sender_count = sum(word.bit_count() for word in s.heard)
     own_word_index, own_bit = bit_of_sender(s.id)
@@ -449,8 +450,8 @@ def are_valid_senders(s: State) -> bool:
 def bit_of_sender(sender: int) -> tuple[int, int]:
     """Return where the set of a round's senders, ``State.heard``, has its bit for this id.
 
-    The result is the index of a word, of which each has 32 ids, and a mask with that bit alone. For example,
-    sender 37 is bit 5 of word 1.
+    The result is the index of a word of 32 ids, and a mask with that bit alone. For example, sender 37 is bit
+    5 of word 1.
     """
     word_index, bit_index = divmod(sender, WORD_BITS)
     return word_index, 1 << bit_index
@@ -740,7 +741,7 @@ class MirrorRobot(FixedPointView):
     def _rejects_initial_b_hat(self, centre: int, spread: int) -> bool:
         """Return whether the robot's observations contradict its initial b_hat, by the robust filter's test.
 
-        ``centre`` and ``spread`` are those of the estimates that it keeps, in units of 2**-24. Subclasses may
+        ``centre`` and ``spread`` describe the estimates that it keeps, in units of 2**-24. Subclasses may
         have another test.
         """
         return robust_test_rejects(self.s.robust, self.s.t, self.s.n, centre, spread)
@@ -877,7 +878,7 @@ class MirrorRobot(FixedPointView):
         damaged, of another version or impossible with ``config`` (ERR_IMAGE). Raises TypeError for an
         ``image`` that is not bytes-like.
         """
-        readable_image = memoryview(image)  # raises TypeError for a number, of which bytes would make zeros
+        readable_image = memoryview(image)  # raises TypeError for a number, from which bytes would make zeros
         image_bytes = bytes(readable_image)
         check_config(config)
         error = find_image_error(image_bytes, config.filter)
@@ -934,8 +935,8 @@ def _encode_robust_filter(s: State) -> list[int]:
     """Return what the robust filter remembers of ``s``, a robot's state, as 24 words.
 
     These are centre, spread, initial_b_hat, filled_slots, batch_t and batch_n; votes and dispersion, which
-    share a word; turn; and the 32 estimates, two in a word. Of two numbers in a word the one that is named
-    first, or has the lower slot, is in the lower half.
+    share a word; turn; and the 32 estimates, two in a word. Where two numbers share a word, the lower half
+    has the number that is named first, or the estimate with the lower slot.
     """
     robust = s.robust
     words = [robust.centre, robust.spread, robust.initial_b_hat, robust.filled_slots]

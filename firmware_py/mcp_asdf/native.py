@@ -282,7 +282,7 @@ def _fit_to_c_type(value: int, maximum: int, substitute: int | None = None) -> i
 def _raise_for_error(status: int, **settings: object) -> None:
     """Raise FirmwareError unless ``status``, a result of the C, is OK.
 
-    The error's text has the wrong one of ``settings``, which are the arguments of the call by name.
+    ``settings`` are the arguments of the call by name. The error's text has the argument that is wrong.
     """
     if status != Status.OK:
         error = _STATUS_BY_VALUE[status]
@@ -292,9 +292,9 @@ def _raise_for_error(status: int, **settings: object) -> None:
 def _numbers_in_struct(c_struct: Any, prefix: str = "") -> dict[str, int]:
     """Return all numbers in a C struct, each by the name of its member after ``prefix``.
 
-    The name of a nested struct becomes a prefix, as in ``open_alpha``, but not that of the counters. Elements
-    of an array are named by their index, as in ``heard_3``: this is also how a set of senders is named, which
-    is divided into words of 32 bits as in an image. Pointers and all other unions are left out.
+    The name of a nested struct becomes a prefix, as in ``open_alpha``, but the name of the counters does not.
+    Elements of an array are named by their index, as in ``heard_3``: this is also how a set of senders is
+    named, which is divided into words of 32 bits as in an image. Pointers and all other unions are left out.
     """
     numbers: dict[str, int] = {}
     for member_name, field in ffi.typeof(c_struct).fields:

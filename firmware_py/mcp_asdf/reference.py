@@ -260,7 +260,7 @@ def asdf_test_rejects(
     m = len(neighbours)
     if m < 2:
         return False
-    # mean and stdev of `statistics` are exact before they are rounded: the one of equal estimates is 0.
+    # mean and stdev of `statistics` are exact before they are rounded: the stdev of equal estimates is 0.
     deviation = abs(mean(neighbours) - x_hat)
     limit = (t_score(m, omega, conventions) / math.sqrt(m) + 1) * stdev(neighbours)
     if conventions.strict:
@@ -353,9 +353,10 @@ class ReferenceRobot:
     """A robot that computes in float64. Implements ``mcp_asdf.robot.Robot``.
 
     The thresholds of the hypothesis test are computed from omega, its type II error probability: ``omega`` in
-    (0, 0.9] if it is given, and else that of the config's table, whose entries are not used. ``conventions``
-    are the choices that the equations leave open, such as whether the test rejects at the threshold itself.
-    ``settle`` is O(m) for the m <= 127 messages of a round, as these are kept in order to be summed exactly.
+    (0, 0.9] if it is given, and else the omega of the config's table. The table's entries are not used.
+    ``conventions`` are the choices that the equations leave open, such as whether the test rejects at the
+    threshold itself. ``settle`` is O(m) for the m <= 127 messages of a round, as these are kept in order to
+    be summed exactly.
 
     Raises FirmwareError with ERR_CONFIG, ERR_TABLE, ERR_ID or ERR_B_HAT, in this order.
     """
@@ -641,7 +642,7 @@ class ReferenceRobot:
 
 
 def _choose_omega(config: Config, omega: float | None) -> float:
-    """Return the type II error probability of the hypothesis test: ``omega``, or for None that of the table.
+    """Return the type II error probability of the hypothesis test: ``omega``, or for None the table's.
 
     Raises FirmwareError (ERR_TABLE) for an ``omega`` outside (0, 0.9]; or, where it is None, if the config
     has no table or one that the firmware would refuse.

@@ -21,8 +21,9 @@ have the same meaning in the whole package; "eq." means an equation of the paper
 - ``x``: the *informed* estimate, which is the mean of x_hat and x_bar weighted by alpha and beta.
 - ``omega``: type II error probability of the hypothesis test by which the paper's filter decides on an
   update.
-- *Robust filter*: this project's own filter. It keeps the latest x_hat of each sender. In each ``settle`` one
-  of them, in turn, or the robot's own is a *vote*, and the *centre* of the votes is its informed estimate.
+- *Robust filter*: this project's own filter. It keeps the latest x_hat of each sender. Each ``settle`` takes
+  one estimate as a *vote*: a sender's, in turn, or the robot's own. The *centre* of the votes is the robot's
+  informed estimate.
 """
 
 from __future__ import annotations
@@ -401,8 +402,8 @@ def check_alpha(alpha: float) -> None:
 def create_rejection(status: Status, sender: int, x_hat: float) -> FirmwareError:
     """Return the exception for a message that was rejected with ``status``, ERR_SENDER or ERR_X_HAT.
 
-    Its text names the value that is wrong, which is the sender for ERR_SENDER and else x_hat, and what is
-    allowed.
+    Its text names the wrong value, and what is allowed. The wrong value is the sender for ERR_SENDER, and
+    else x_hat.
     """
     if status == Status.ERR_SENDER:
         return FirmwareError(

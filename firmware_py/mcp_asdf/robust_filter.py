@@ -40,7 +40,7 @@ SPREAD_MAX = 1 << 28
 VOTES_MAX = 1 << 9
 """More votes are not counted, so that the gain does not fall below 2**-7."""
 VOTES_OF_MAX_GAIN = 32
-"""Up to 63 votes the gain stays at that of 32 votes, 1/8."""
+"""Up to 63 votes the gain is 1/8, as with 32 votes."""
 HUBER_STEPS = 3
 """Steps from the median of the estimates to their Huber centre, which a further step hardly ever moves."""
 REJECTED_SIGMAS_SQUARED = 12
@@ -64,10 +64,10 @@ class RobustFilter:
         batch_t: t, the number of observations, when the present batch of observations began.
         batch_n: n, the number of black ones among them, at that time.
         votes: Number of votes, up to VOTES_MAX.
-        dispersion: Variance of n from batch to batch, as a multiple of that of independent observations, in
-            units of 2**-8.
-        turn: Slot whose estimate is the next vote, or that of the next filled slot if it is empty;
-            OWN_ESTIMATE after the last slot.
+        dispersion: Variance of n from batch to batch, as a multiple of the variance of independent
+            observations, in units of 2**-8.
+        turn: Slot whose estimate is the next vote. If it is empty, the next filled slot votes; OWN_ESTIMATE
+            after the last slot.
     """
 
     centre: int = CENTRE_START
@@ -155,7 +155,7 @@ def next_slot(filled_slots: int, turn: int, has_confidence: bool) -> int:
 
     That is the first filled slot from ``turn`` on. If there is none, it is the robot's own estimate, which
     must have confidence for that; and if it has none, the first of all filled slots. ``filled_slots`` is a
-    mask of 32 bits, one for each slot, of which at least one must be set.
+    mask of 32 bits, one per slot. At least one bit must be set.
     """
     remaining_slots = (filled_slots >> turn) << turn  # clears the bits of the slots before ``turn``
     if remaining_slots:
@@ -187,10 +187,10 @@ def take_vote(robust: RobustFilter, estimates: Sequence[int], x_hat: int, alpha:
 def count_vote(robust: RobustFilter, x_hat: int) -> None:
     """Move the centre and the spread of the votes by one more vote, an x_hat in units of 2**-23.
 
-    The centre moves towards the vote by gain * min(distance, spread), where distance is that of the vote from
-    the centre. The spread grows by gain / 2 of itself if the distance is above it, and shrinks by as much
-    otherwise; it stays within SPREAD_MIN .. SPREAD_MAX. The gain is 1/8 up to 63 votes, 1/16 up to 127, and
-    so on to 1/128 from 512 votes on. ``robust``, the filter's memory, changes.
+    The centre moves towards the vote by gain * min(distance, spread), where distance is how far the vote is
+    from the centre. The spread grows by gain / 2 of itself if the distance is above it, and shrinks by as
+    much otherwise; it stays within SPREAD_MIN .. SPREAD_MAX. The gain is 1/8 up to 63 votes, 1/16 up to 127,
+    and so on to 1/128 from 512 votes on. ``robust``, the filter's memory, changes.
     """
     robust.votes = min(robust.votes + 1, VOTES_MAX)
     # The gain is 2**-gain_shift. It halves at each power of two: 32 votes, a number of 6 bits, shift by 3,
@@ -225,12 +225,12 @@ def begin_batch(robust: RobustFilter, t: int, n: int) -> None:
 def end_batch(robust: RobustFilter, t: int, n: int) -> None:
     """Update the dispersion by the batch of observations that ends now, and begin the next batch.
 
-    ``t`` is the number of all observations so far, ``n`` that of black ones, and share = n / t. Of the
+    ``t`` is the number of all observations so far, ``n`` the number of black ones, and share = n / t. Of the
     batch's observations, count in number, count * share are expected to be black. The deviation is how far
-    the number of black ones is from that. For independent observations its square is on average the variance,
-    count * share * (1 - share). If a robot observes the same tile several times they are not independent,
-    and the square is larger: the dispersion says how many times. This is the phi of overdispersed binomial
-    models.
+    the number of black ones is from count * share. For independent observations its square is on average the
+    variance, count * share * (1 - share). If a robot observes the same tile several times they are not
+    independent, and the square is larger: the dispersion says how many times. This is the phi of
+    overdispersed binomial models.
 
     The dispersion is a moving average of the ratio deviation**2 / variance, in which a batch has a weight of
     1/8. A batch whose ratio is above 12 times the dispersion enters with 12 times the dispersion instead: it
@@ -371,8 +371,8 @@ def robust_test_rejects(robust: RobustFilter, t: int, n: int, centre: int, sprea
 
         (n / t - p)**2 > 12 (dispersion * v / t + (g * spread)**2)
 
-    Here dispersion * v / t is the variance of n / t, where v is that of one observation: the larger of
-    p (1 - p) and n / t (1 - n / t), as either may be 0. And g * spread, with g = |2 b_hat - 1|, is the
+    Here dispersion * v / t is the variance of n / t, where v is the variance of one observation: the larger
+    of p (1 - p) and n / t (1 - n / t), as either may be 0. And g * spread, with g = |2 b_hat - 1|, is the
     uncertainty of p, which changes by g where the centre changes by 1.
     """
     b_hat = robust.initial_b_hat
@@ -403,7 +403,7 @@ def is_supported(robust: RobustFilter, t: int, n: int, estimates: Sequence[int],
     p_of_centre = probability_of_black(robust.initial_b_hat, q32_from_q24(centre))
     supporter_count = 0
     for estimate in estimates:
-        p = probability_of_black(robust.initial_b_hat, q32_from_q24(estimate))  # what it predicts
+        p = probability_of_black(robust.initial_b_hat, q32_from_q24(estimate))  # by the estimate
         if abs(p - share) < abs(p - p_of_centre):
             supporter_count += 1
     # supporter_count / len(estimates) > 2 / 5, without a division
@@ -439,9 +439,9 @@ def are_valid_votes(robust: RobustFilter) -> bool:
 def is_valid_batch(robust: RobustFilter, t: int, n: int) -> bool:
     """Return whether the beginning of the present batch of observations, and the dispersion, are possible.
 
-    ``t`` is the number of observations now, and ``n`` that of black ones. When the batch began there were no
-    more of either colour than there are now. Before the first batch has ended, which ``batch_t`` = 0 says,
-    the dispersion is that of a new robot.
+    ``t`` is the number of observations now, and ``n`` the number of black ones. When the batch began there
+    were no more of either colour than there are now. Before the first batch has ended, which ``batch_t`` = 0
+    says, the dispersion is that of a new robot.
     """
     is_first_batch = robust.batch_t == 0
     white_count = t - n

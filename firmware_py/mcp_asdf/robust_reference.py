@@ -28,11 +28,11 @@ CENTRE_START = 0.5
 SPREAD_MIN = 2.0**-12
 """Smallest spread of votes or estimates."""
 SPREAD_MAX = 0.25
-"""Largest spread of votes or estimates, and that of the votes before the first one."""
+"""Largest spread of votes or estimates, and the spread of the votes before the first vote."""
 VOTES_MAX = 2**9
 """More votes are not counted, so that the gain does not fall below 2**-7."""
 VOTES_OF_MAX_GAIN = 32
-"""Up to 63 votes the gain stays at that of 32 votes, 1/8."""
+"""Up to 63 votes the gain is 1/8, as with 32 votes."""
 TESTED_ESTIMATES_MIN = 5
 """Smallest number of estimates against which a robot tests itself: of five, two wrong ones are outvoted."""
 HUBER_STEPS = 3
@@ -110,8 +110,8 @@ class Observations(Generic[Number]):
     Attributes:
         n: Number of black ones.
         t: Number of all, at least 1.
-        dispersion: Variance of n from batch to batch, as a multiple of that of independent observations; the
-            phi of overdispersed binomial models. It is in [DISPERSION_MIN, DISPERSION_MAX].
+        dispersion: Variance of n from batch to batch, as a multiple of the variance of independent
+            observations; the phi of overdispersed binomial models. It is in [DISPERSION_MIN, DISPERSION_MAX].
     """
 
     n: int
@@ -131,13 +131,13 @@ def dispersion_after_batch(
     """Return the dispersion after one more batch of observations. O(1).
 
     A batch is what a robot observes from one run of its filter to the next: here ``batch_count``
-    observations, ``batch_black_count`` of them black. ``observations`` are all of the robot's, these
-    included, with the dispersion before the batch.
+    observations, ``batch_black_count`` of them black. ``observations`` are all observations of the robot,
+    with the batch's, and have the dispersion before the batch.
 
-    The deviation is how far the number of black ones is from the expected one. Its square, as a multiple of
-    what it is on average for independent observations, enters a moving average with a weight of 1/8; but at
-    most 12 times that average does, as more is an outlier. If the batch has no observations, or all
-    observations of the robot are of one colour, the dispersion stays as it is.
+    The deviation is how far the number of black ones is from the expected one. Its square is divided by the
+    mean square for independent observations. This ratio enters a moving average with a weight of 1/8. A ratio
+    above 12 times that average is an outlier, and counts as 12 times. If the batch has no observations, or
+    all observations of the robot are of one colour, the dispersion stays as it is.
     """
     to_number = type(observations.dispersion)
     dispersion, share = observations.dispersion, observations.share
@@ -184,7 +184,8 @@ def huber_step(estimates: Sequence[Number], centre: Number, spread: Number) -> N
     limited_differences = [max(-spread, min(estimate - centre, spread)) for estimate in estimates]
     zero = type(centre)(0)  # a float or a Fraction, as the differences are
     balance = sum(limited_differences, start=zero)
-    # The balance falls by 1 for each of these where the centre moves up by 1: it is the derivative.
+    # Each of these estimates lowers the balance by 1 where the centre moves up by 1: their number is the
+    # slope.
     inside_count = sum(abs(estimate - centre) <= spread for estimate in estimates)
     return balance / max(inside_count, 1)
 
@@ -242,7 +243,7 @@ class RobustReference:
     Attributes:
         initial_b_hat: The accuracy that the robot assumed at its start.
         estimates: The latest estimate of each sender, by slot.
-        turn: Slot whose estimate is the next vote. If it has none, it is that of the next slot with one.
+        turn: Slot whose estimate is the next vote. If the slot is empty, the next filled slot votes.
         votes: Summary of the votes.
         dispersion: Dispersion of the robot's own observations.
         batch_t: Number of its observations when the present batch of them began.
@@ -288,7 +289,7 @@ class RobustReference:
     def end_batch(self, n: int, t: int) -> None:
         """Update the dispersion by the batch of observations that ends now, and begin the next batch.
 
-        ``t`` is the number of all observations so far, and ``n`` that of black ones.
+        ``t`` is the number of all observations so far, and ``n`` the number of black ones.
         """
         observations = Observations(n, t, self.dispersion)
         self.dispersion = dispersion_after_batch(observations, n - self.batch_n, t - self.batch_t)

@@ -5,9 +5,9 @@
 
 #define HEARTBEAT_PRIORITY 4
 
-/* Initialise the node and its robot, whose filter period is that of the settings in rounds. Returns the
- * status of mcp_asdf_init(); or ERR_CONFIG, and leaves *node as it was, if comms_period is 0 or filter_period
- * no multiple of it. */
+/* Initialise the node and its robot. The robot's filter period is the period of the settings, in rounds.
+ * Returns the status of mcp_asdf_init(); or ERR_CONFIG, and leaves *node as it was, if comms_period is 0 or
+ * filter_period no multiple of it. */
 mcp_asdf_status_t node_init(node_t *node, const node_settings_t *settings, node_output_t output)
 {
     const uint32_t comms_period = settings->comms_period, filter_period = settings->filter_period;

@@ -55,7 +55,7 @@ def failure_of_bus(error: Exception, bus: can.BusABC) -> can.CanError | None:
 
 
 def _causes(error: BaseException | None) -> Iterator[BaseException]:
-    """Yield an exception, the one that caused it, and so on."""
+    """Yield an exception and the chain of its causes."""
     while error is not None:
         yield error
         error = error.__cause__
@@ -73,7 +73,7 @@ def _system_error_among(causes: Iterable[BaseException]) -> OSError | None:
 def _may_pass(error: OSError) -> bool:
     """Return whether the bus may work again after ``error``.
 
-    Of pyserial's errors, which have no number, only that of a full output buffer passes.
+    Among pyserial's errors, which have no number, only a full output buffer passes.
     """
     is_timeout = isinstance(error, TimeoutError | serial.SerialTimeoutException)
     return is_timeout or error.errno in _PASSING_FAILURES

@@ -56,7 +56,7 @@ _BITS_THAT_MUST_BE_ZERO = _SERVICE_BIT | _ANONYMOUS_BIT | _RESERVED_BITS
 
 @dataclass(frozen=True)
 class FrameFormat:
-    """Subject and priority of one kind of frame; the default is that of estimates.
+    """Subject and priority of one kind of frame; the default is the format of estimates.
 
     Raises UsageError for a value out of range.
 
@@ -342,7 +342,7 @@ def _decode_fields(frame: can.Message, subject: int, kind: layout.FrameKind) -> 
 def _payload_of_subject(frame: can.Message, subject: int) -> int | Rejection:
     """Return the data of a single-frame message of this subject, or the reason why the frame is none."""
     is_special = frame.is_error_frame or frame.is_remote_frame or frame.is_fd or not frame.is_extended_id
-    # The usual frame passes one test; which of several reasons refuses another one is decided apart.
+    # The usual frame passes one test. For any other frame a second function finds the reason to refuse it.
     if is_special or frame.arbitration_id & _BITS_THAT_MUST_BE_ZERO:
         return _rejection_of_special_frame(frame)
     # Priority and sender may be any, and two more bits are ignored, as Cyphal asks.
@@ -361,7 +361,7 @@ def _payload_of_subject(frame: can.Message, subject: int) -> int | Rejection:
 def _rejection_of_special_frame(frame: can.Message) -> Rejection:
     """Return the reason why a frame, which is known to be no Cyphal message, is none.
 
-    The order of the checks is that of the C codec, as a frame may have several reasons.
+    The order of the checks is the C codec's, as a frame may have several reasons.
     """
     if frame.is_error_frame:
         return Rejection.ERROR_FRAME

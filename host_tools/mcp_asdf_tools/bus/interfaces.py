@@ -53,7 +53,7 @@ _PROTOCOL_ERROR = 0x8
 _PAUSE_AFTER_FAILURE = 0.001
 """Seconds between two attempts to read from an interface that raises an exception each time."""
 _MAX_LINE_BYTES = 1024
-"""Longest line that a serial adapter may send; that of a CAN FD frame has 145 bytes."""
+"""Longest line that a serial adapter may send; the line of a CAN FD frame has 145 bytes."""
 _MAX_STANDARD_ID, _MAX_EXTENDED_ID = 0x7FF, 0x1FFF_FFFF
 _MAX_BYTES, _MAX_FD_BYTES = 8, 64
 _ROBOT_PLACEHOLDER = "{robot}"
@@ -79,7 +79,7 @@ class BusChoice:
 
     @property
     def channel(self) -> str | None:
-        """Name of the bus among those of its kind, such as can0; None is the interface's own default."""
+        """Name of the bus, such as can0, among buses of its kind; None is the interface's own default."""
         channel = self.settings.get("channel")
         return None if channel is None else str(channel)
 
@@ -308,7 +308,7 @@ class SerialAdapter(Connection):
         adapter = cast(slcanBus, bus)
         self._port = adapter.serialPortOrig
         self._unfinished_line = adapter._buffer
-        # The port of an adapter at socket://HOST:PORT has a socket; that of a serial line has none.
+        # The port of an adapter at socket://HOST:PORT has a socket; the port of a serial line has none.
         self._socket: socket.socket | None = getattr(self._port, "_socket", None)
 
     def shutdown(self) -> None:
@@ -405,9 +405,10 @@ class Multicast(Connection):
 def choose_bus(typed_settings: Mapping[str, Any]) -> BusChoice:
     """Return the bus that the user chooses. Without any setting it is one inside this process.
 
-    A setting is an argument of ``can.Bus``, such as interface or channel. Its value is that of the first of
-    these that states it: ``typed_settings``, which the user has typed; python-can's ``can.rc``, variables and
-    files; the defaults of this program. Raises UsageError if python-can's settings cannot be read.
+    A setting is an argument of ``can.Bus``, such as interface or channel. Its value comes from the first of
+    these sources that states it: ``typed_settings``, which the user has typed; python-can's ``can.rc``,
+    variables and files; the defaults of this program. Raises UsageError if python-can's settings cannot be
+    read.
     """
     settings = _load_python_can_settings() | dict(typed_settings)
     # "bustype" is the old name, which python-can's files may still have.

@@ -24,7 +24,7 @@ MAX_PORT = 65535
 
 _OK, _ERROR = b"\r", b"\a"
 _MAX_LINE_BYTES = 32
-"""No legal line is longer: that of a frame with 8 bytes and a 29-bit identifier has 26."""
+"""No legal line is longer: the line of a frame with 8 bytes and a 29-bit identifier has 26."""
 _MAX_BYTES_AT_ONCE = 4096
 """Bytes of lines that are read from a client at once."""
 _SEND_TIMEOUT = 1.0

@@ -105,7 +105,7 @@ def _replay(scenario: Scenario, as_json: bool) -> int:
     failure = _check_with(Audit())(scenario)
     # Both may refuse the settings of the robot: then they agree, and make no call.
     native_robot = RobotUnderTest(_load_comparable("native"), scenario.setup)
-    status = native_robot.last_result.outcome  # that of making it
+    status = native_robot.last_result.outcome  # the outcome of making it
     is_robot_valid = status == Status.OK.name
     if as_json:
         print(json_report(_replay_report(scenario, failure, status, is_robot_valid)))

@@ -250,8 +250,9 @@ def robot_of(args: argparse.Namespace) -> RobotSetup:
     if not 2 <= neighbours <= MAX_ID:
         raise UsageError(f"--neighbours is {neighbours}; it must be 2 to {MAX_ID}")
     robot_args = argparse.Namespace(**{name: getattr(args, name) for name in _ROBOT_PARAMETERS})
-    # Options and checks are those of a population, so the robot is taken from one in which it has all the
-    # neighbours that its t-table is made for. It is the flawed one, since asdf-minus is for these alone.
+    # Options and checks are those of a population, so the robot is taken from a population in which it has
+    # all the neighbours that its t-table is made for. It is the flawed robot, since asdf-minus is for flawed
+    # robots alone.
     population = settings_from(robot_args, Population, robots=neighbours + 1, flawed=1)
     flawed_robot = 0  # the flawed ones are the first by id
     config = population.config(flawed_robot)

@@ -89,8 +89,8 @@ class _HelpFormatter(argparse.RawDescriptionHelpFormatter):
         """Add the usage line of a parser, in which all options that may be left out are one [OPTION ...].
 
         Of ``actions``, argparse's declarations of arguments, the line shows positional arguments, required
-        options, and the options of which a mutually exclusive group in ``groups`` requires one. Of a required
-        group one option is needed, although argparse marks none of them as required.
+        options, and the options of each required group in ``groups``. Such a group needs one of its mutually
+        exclusive options, although argparse marks no option as required.
         """
         alternatives = [action for group in groups if group.required for action in group._group_actions]
         shown_actions = []

@@ -153,7 +153,7 @@ def study_size_from(args: argparse.Namespace) -> StudySize:
 def own_choice(args: argparse.Namespace) -> tuple[str, str | None]:
     """Return the firmware, and the filter if there is one, that the user sets beside the paper's filter.
 
-    Raises UsageError for a firmware that is that of the study.
+    Raises UsageError if the firmware is the study's own.
     """
     if args.firmware == PAPERS_FIRMWARE:
         raise UsageError(
@@ -204,8 +204,8 @@ def _run_missing_trials(
 ) -> tuple[dict[Cell, Trials], dict[StudyPart, list[Trials]]]:
     """Run the trials that the stores lack, part by part, and return all trials that they have then.
 
-    The first dictionary has those of the paper's study by cell, which is a kind of swarm; the second one
-    those of a firmware or filter of the user's by part of the study. Progress goes to standard error, unless
+    The first dictionary has the trials of the paper's study by cell, a kind of swarm. The second has the
+    trials of the user's firmware or filter by part of the study. Progress goes to standard error, unless
     --json is given. Raises UsageError if trials cannot be run or written.
     """
     from mcp_asdf_tools.common.progress_bar import progress

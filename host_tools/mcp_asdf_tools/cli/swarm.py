@@ -180,7 +180,7 @@ def wiring_of(args: argparse.Namespace, settings: SwarmSettings, bus_choice: Bus
     remote_robots = frozenset(range(settings.robots)) if args.processes else frozenset(devices)
 
     def open_bus(robot: int) -> can.BusABC:
-        """Open a connection to the bus of a robot: its device's, its own, or that of all.
+        """Open a connection to a robot's bus: its device's, its own, or the bus that all share.
 
         Robots here that share one bus share this connection, so it has to return what they send.
         """
@@ -381,7 +381,7 @@ def _emulate(plan: _RunPlan, log_outputs: LogOutputs, recorder: SwarmRecorder | 
     }
     seconds = time.monotonic() - start_time
     if baselines is not None:
-        # The time of the baselines does not count, which took their ticks between those of the swarm.
+        # The baselines took their ticks between the ticks of the swarm. Their time does not count.
         seconds -= baselines.seconds
         if outcome.failure is None:
             report["compared"] = {
@@ -393,7 +393,7 @@ def _emulate(plan: _RunPlan, log_outputs: LogOutputs, recorder: SwarmRecorder | 
 def _prepare_processes(plan: _RunPlan) -> NodeProcesses:
     """Return the processes of all robots with --processes, and none without. They start in its context.
 
-    Raises UsageError if the user's subject of estimates is that of another kind of frames.
+    Raises UsageError if the user's subject of estimates belongs to another kind of frames.
     """
     from mcp_asdf_tools.robots.node import Subjects
     from mcp_asdf_tools.robots.processes import NodeProcesses
@@ -474,7 +474,7 @@ def _print_result(plan: _RunPlan, result: _RunResult) -> None:
     if plan.args.json:
         print(json_report(result.report))
         return
-    console = Console()  # unlike that of the plan it prints with --quiet, too
+    console = Console()  # unlike the plan's console it prints with --quiet, too
     settings, report = plan.settings, result.report
     rows = summary(result.outcome, str(plan.bus_choice), result.seconds)
     if plan.args.quiet:

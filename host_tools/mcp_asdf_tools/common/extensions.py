@@ -37,7 +37,7 @@ class ObjectName(str):
     extension: Any
 
     def __new__(cls, extension: Any) -> ObjectName:
-        """Name an object by its module and qualified name; if it has none, by that of its class."""
+        """Name an object by its module and qualified name; if it has no such name, by its class's."""
         qualified_name = getattr(extension, "__qualname__", type(extension).__qualname__)
         name = super().__new__(cls, f"{extension.__module__}.{qualified_name}")
         name.extension = extension
@@ -92,7 +92,7 @@ def name_object(value: Any) -> Any:
 
 
 def check_for_workers(name: str) -> None:
-    """Raise UsageError if a name is that of an object which worker processes cannot import.
+    """Raise UsageError if a name stands for an object that worker processes cannot import.
 
     Names of built-in or installed things are fine.
     """

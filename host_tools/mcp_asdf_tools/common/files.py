@@ -39,7 +39,7 @@ def read_at_most(path: Path | str, max_bytes: int = LONGEST_TEXT) -> bytes:
 
 
 def read_text(path: Path | str) -> str:
-    """Return the text of a file, or that of standard input if ``path`` is ``-``.
+    """Return the text of a file, or of standard input if ``path`` is ``-``.
 
     It may be UTF-8 with or without a byte order mark, or UTF-16 with one, as Excel writes it. Raises
     UsageError if it cannot be read, is no such text, or has more than LONGEST_TEXT bytes.

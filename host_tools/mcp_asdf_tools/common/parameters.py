@@ -80,7 +80,8 @@ class Parameter:
         """Return a value as a number of the field's type; 5.0 may stand for 5.
 
         Raises ParameterError if it is not a finite number, is out of range, or is not whole but has to be.
-        True and False, which are numbers in Python, and texts, which int() and float() would read, are none.
+        True and False are no numbers here, although Python counts them as such. Neither are texts, although
+        int() and float() would read them.
         """
         if isinstance(value, bool | str | bytes):
             raise self._error(value, "give a number")

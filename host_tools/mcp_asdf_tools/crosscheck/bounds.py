@@ -1,6 +1,6 @@
 """Bounds of the firmware's rounding errors, as exact fractions.
 
-The exact values are those of ``mcp_asdf.reference``, computed in fractions. The bounds are derived from the
+The exact values come from ``mcp_asdf.reference``, computed in fractions. The bounds are derived from the
 roundings that docs/design.md states, and nothing is taken from the firmware. ``robust_bounds`` has those of
 the robust filter.
 
@@ -59,7 +59,7 @@ def x_hat_bounds(n: int, t: int, b: Fraction) -> Bounds:
     upper = round_down(exact_of_rarer + largest_error, Q23)
     if exact == exact_of_rarer:
         return lower, upper
-    # The rarer colour is not the one that x_hat is the share of, so both bounds are mirrored.
+    # x_hat is the share of the other colour, so both bounds are mirrored.
     return 1 - upper, 1 - lower
 
 
@@ -126,8 +126,8 @@ def is_update_expected(x_bar: Fraction) -> bool | None:
 def b_hat_error(x_bar: Fraction) -> Fraction:
     """Return by how much b_hat may be wrong, for any n and t, after an update from the exact ``x_bar``.
 
-    If x_bar is off by e, eq. 8 is off by (2 b - 1) e / (2 x_bar - 1), b being what it then gives. Where that
-    is outside [0, 1] it is clamped, and as far off as for the smaller e that gives 0 or 1.
+    If x_bar is off by e, eq. 8 gives a b that is off by (2 b - 1) e / (2 x_bar - 1). A b outside [0, 1] is
+    clamped. It is then as far off as for the smaller e that gives 0 or 1.
     """
     lower, upper = x_bar_bounds(x_bar)
     x_bar_error = max(x_bar - lower, upper - x_bar)

@@ -190,7 +190,7 @@ class RoundsAtThreshold:
 def draw_rounds_at_threshold(
     robot: RobotState, m: int, preferred_update: Update, rng: Random
 ) -> RoundsAtThreshold:
-    """Draw two rounds of ``m`` estimates, of which the robot's test just rejects the second alone.
+    """Draw two rounds of ``m`` estimates: the robot's test just rejects the second, and not the first.
 
     They are as close to the test's threshold as x_hat in units of 2**-23 can be. Many pairs are drawn. Best
     are those about which two tests in float64 err, then those about which one does. Among equally good ones
@@ -203,7 +203,7 @@ def draw_rounds_at_threshold(
     # Large rounds are wide, too: large sums have the bits that floats lose.
     min_gap_share = 0.8 if is_large else 0.05
     best_rounds: RoundsAtThreshold | None = None
-    best_rank = (-1, False)  # below that of any pair
+    best_rank = (-1, False)  # below the rank of any pair
     for draw_index in range(max_draws):
         rounds = _draw_useful_rounds(robot, m, min_gap_share, rng)
         if rounds is None:
@@ -293,8 +293,8 @@ class _TwoGroups:
     def place(self, ratio: Fraction, max_gap: int) -> list[int]:
         """Return x_hat of both groups for a ratio of u to the gap, with the largest gap up to ``max_gap``.
 
-        Pairs of equal x_hat come first: those of the near group, then those of the far one. At the end there
-        is one x_hat of each group that has an odd size.
+        Pairs of equal x_hat come first: the near group's pairs, then the far group's. At the end there is one
+        x_hat of each group that has an odd size.
         """
         factor = max_gap // ratio.denominator  # a gap that is a multiple of it makes u a whole number
         near = self.own_x_hat + self.direction * factor * ratio.numerator
@@ -308,7 +308,7 @@ class _TwoGroups:
 def draw_x_hats_at_threshold(
     own_x_hat: int, table_entry: int, m: int, rng: Random, gap_share: float
 ) -> tuple[list[int], list[int]] | None:
-    """Draw x_hat of two rounds of ``m`` estimates, of which the test (eq. 12) just rejects the second alone.
+    """Draw x_hat of two rounds of ``m`` estimates: the test (eq. 12) just rejects the second, not the first.
 
     Each round has two groups of equal x_hat (`_TwoGroups`), whose ratio u / gap is the largest fraction below
     its threshold in the first round, and the smallest above it in the second. Then equal x_hat are moved
@@ -378,8 +378,8 @@ def _raise_scatter(x_hats: Sequence[int], pair_count: int, target: int, is_at_le
 
     Their sum stays. The scatter, as `scatter_of` computes it, must not be above ``target`` before. It ends
     there or slightly above with ``is_at_least``, else there or slightly below. The first ``pair_count`` pairs
-    are moved, of which both values must be equal. Each pair takes nearly all of what the pairs before it have
-    left.
+    are moved. Both values of such a pair must be equal. Each pair takes nearly all that the pairs before it
+    have left.
     """
     m = len(x_hats)
     changed = list(x_hats)
@@ -505,8 +505,8 @@ def draw_round_of_large_scatter(robot: RobotState, rng: Random) -> list[Neighbou
         scatter = count_of_ones * (m - count_of_ones)
         scatter_without_bits = max(scatter % (1 << 10), 1)
         difference_squared = max((count_of_ones - m * robot.x_hat / ONE) ** 2, 1)
-        # The test rejects if the squared difference is above threshold * scatter. The right one must clearly
-        # pass, and the one without these bits clearly reject.
+        # The test rejects if the squared difference is above threshold * scatter. The right scatter must
+        # clearly pass, and the scatter without these bits clearly reject.
         margin_of_passing = threshold * scatter / difference_squared
         margin_of_rejecting = difference_squared / (threshold * scatter_without_bits)
         margin = min(margin_of_passing, margin_of_rejecting)

@@ -113,8 +113,8 @@ def draw_slots_at_threshold(
 ) -> tuple[SlotsAtTest, SlotsAtTest] | None:
     """Draw estimates by which a robot's test just does not reject, and by which it just does.
 
-    The second ones differ from the first by one unit in one slot, and at most two fifths of them support the
-    robot. The test is one that comes before the robot's next observation.
+    The second estimates differ from the first by one unit in one slot, and at most two fifths of them support
+    the robot. The test comes before the robot's next observation.
 
     Args:
         robot: The robot, after its last observation before the test.

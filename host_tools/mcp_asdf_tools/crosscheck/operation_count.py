@@ -1,9 +1,9 @@
 """Count the instructions of every call in Python's interpreter, to check that time is O(1) and memory O(q).
 
-The mirror's own code runs, and every bytecode instruction is counted, so a loop shows whatever it loops over.
-Calls are counted over t, over the number m of messages in a round and over the table's q, with both outcomes
-of every decision. Each instruction takes a bounded time, as the mirror's integers are those of the C. The
-robust filter has loops, but over its 32 slots at most: what it takes must not grow beyond 32 messages.
+The mirror's own code runs, and every bytecode instruction is counted, so every loop shows. Calls are counted
+over t, over the number m of messages in a round and over the table's q, with both outcomes of every decision.
+Each instruction takes a bounded time, as the mirror's integers are those of the C. The robust filter has
+loops, but over its 32 slots at most: its cost must not grow beyond 32 messages.
 """
 
 from __future__ import annotations
@@ -121,8 +121,8 @@ def _workloads_along_m() -> Iterator[Workload]:
 def _workloads_along_q() -> Iterator[Workload]:
     """Yield workloads with t-tables of every size q, and rounds of m messages for three entries of each.
 
-    A table has an entry for each m from 2 to q, and one for all larger m. The rounds are for the first of
-    these, for that of q, and for the one of all larger m.
+    A table has an entry for each m from 2 to q, and one for all larger m. The rounds use the entry for 2, the
+    entry for q, and the entry for all larger m.
     """
     for q in range(MIN_Q, MAX_Q + 1):
         larger_m = min(q + 1, MAX_ROUND_SIZE)  # no round is larger than the largest q
@@ -180,10 +180,10 @@ def find_growth(counts: Counts) -> list[str]:
 
 
 def measure_storage(firmware: type[MirrorRobot] = MirrorRobot) -> dict[str, dict[int, int]]:
-    """Return how many bytes tables take, by their number of entries, and saved robots, by that of messages.
+    """Return the bytes of tables by number of entries, and of saved robots by number of messages.
 
-    The sizes of tables are under "tables", and those of robots under the ``images_key`` of their filter. The
-    messages are those of the open round, and as many are in the last closed one.
+    The sizes of tables are under "tables", the sizes of robots under the ``images_key`` of their filter. The
+    open round has that many messages, and so has the last closed round.
     """
     table_sizes = {}
     for q in range(MIN_Q, MAX_Q + 1):

@@ -55,13 +55,13 @@ _X_BAR_INFORMATIVE_DISTANCE = INFORMATIVE_G >> 10
 
 It is half of the smallest informative |2 x_bar - 1|, which is in units of 2**-32: 1 bit and 9 bits."""
 _ALPHA_UNIT = 1 << 8
-"""Alpha word of the smallest confidence, with a mantissa of 1; times k it is that of k units of 2**-24."""
+"""Alpha word of the smallest confidence, with mantissa 1; times k it is the word of k units of 2**-24."""
 
 
 def random_scenario(seed: int, index: int) -> Scenario:
     """Return a scenario of a robot with one of the paper's filters, of up to a few hundred calls.
 
-    Each pair of ``seed`` and ``index`` gives another one, always the same.
+    Each pair of ``seed`` and ``index`` gives its own scenario, always the same.
     """
     rng = Random(f"{seed}/{index}")
     return ScenarioWriter(rng, draw_setup(rng)).write()
@@ -283,9 +283,9 @@ class ScenarioWriter:
     def _pack_counters(self, counter: int) -> tuple[dict[int, int], dict[int, int]]:
         """Return two changes that set counters, which may then be about to wrap.
 
-        The first sets those of repeated messages, tests and updates, the second those of accepted and of
-        rejected messages. Other counters in the same words get other numbers, so that an implementation shows
-        which exchanges the halves of a word.
+        The first sets the counters of repeated messages, tests and updates, the second the counters of
+        accepted and of rejected messages. Other counters in the same words get other numbers, so that an
+        implementation shows which exchanges the halves of a word.
         """
         other_counter = MAX_16_BITS - counter
         repeated_tests_updates = {
@@ -300,7 +300,7 @@ class ScenarioWriter:
         return repeated_tests_updates, accepted_rejected
 
     def _add_restore_at_limits(self) -> None:
-        """Restore the robot with the sums of a round at their limits, or one of them just beyond."""
+        """Restore the robot with the sums of a round at their limits, or one sum just beyond its limit."""
         rng = self._rng
         sums = draw_extreme_sums(rng)
         if rng.random() < 0.7:
@@ -329,7 +329,7 @@ class ScenarioWriter:
             return
         m = self._draw_round_size(table_choice.q)
         thresholds = table_choice.build()
-        threshold = thresholds.entry(m)  # that of the test against m estimates
+        threshold = thresholds.entry(m)  # for the test against m estimates
         own_x_hat, passed_x_hats, rejected_x_hats = self._draw_x_hats_around_threshold(m, threshold)
         # Where all x_hat are equal, both sides of eq. 12 are 0. The test must not reject at equality, either.
         equal_x_hats = [own_x_hat] * m

@@ -157,9 +157,9 @@ def draw_n(rng: Random, t: int, b_hat: int) -> int:
 def draw_extreme_sums(rng: Random) -> Sums:
     """Draw sums over a round that messages might have: each at one of its limits, or anywhere between them.
 
-    The sums depend on each other, so the limits of each are those that the ones drawn before it leave. Their
-    order is the count of messages, the sum of x_hat (x), the sum of alpha, the sum of alpha times x_hat, and
-    that of the squares of x_hat. The last but one is kept in two parts, alpha_x_low and alpha_x_high.
+    The sums depend on each other, so the sums already drawn limit the next one. The order is the count of
+    messages, the sum of x_hat (x), the sum of alpha, the sum of alpha times x_hat, and the sum of the squares
+    of x_hat. The sum of alpha times x_hat is kept in two parts, alpha_x_low and alpha_x_high.
     """
     count = rng.choice([1, 2, 3, MAX_ROUND_SIZE, rng.randint(1, MAX_ROUND_SIZE)])
     largest_x = count * ONE  # where all x_hat are 1

@@ -1,7 +1,7 @@
 """What the firmware's robust filter must compute, in fractions: the value where one is right, or else bounds.
 
-The exact values are those of ``mcp_asdf.robust_reference``. The roundings are those that docs/design.md
-states in section 13, and nothing is taken from the firmware.
+The exact values come from ``mcp_asdf.robust_reference``. The roundings are those that docs/design.md states
+in section 13, and nothing is taken from the firmware.
 
 The firmware's quotient of two numbers, upper() in docs/design.md, is always smaller than the exact one if
 that is above 0. With a divisor of at most 32 bits it is smaller by at most 2**-30 of it plus one unit of
@@ -78,8 +78,8 @@ def dispersion_bounds(
 
     The dispersion says how much more a robot's observations vary from batch to batch than independent ones.
     The batch has ``batch_count`` observations, ``batch_black_count`` of them black. ``observations`` are all
-    of the robot's, these included, with the dispersion before the batch. The bounds are wide where the
-    variance of n/t is of the size of its rounding error, as next to 0.
+    observations of the robot, with the batch's, and have the dispersion before the batch. The bounds are wide
+    where the variance of n/t is of the size of its rounding error, as next to 0.
     """
     old, share = observations.dispersion, observations.share
     if batch_count == 0 or share == 0:
@@ -109,8 +109,9 @@ def dispersion_bounds(
 def _variance_bounds(share_bounds: Bounds, batch_count: int) -> Bounds:
     """Return the bounds of the variance of the number of black ones among independent observations.
 
-    There are ``batch_count`` of them. The firmware computes the variance from a share of black within
-    ``share_bounds``, and rounds that of one observation down to 2**-32. It is largest for a share of 1/2.
+    There are ``batch_count`` observations. The firmware computes the variance from a share of black within
+    ``share_bounds``, and rounds the variance of one observation down to 2**-32. The variance is largest for a
+    share of 1/2.
     """
     variances = [share * (1 - share) for share in share_bounds]
     smallest_share, largest_share = share_bounds
@@ -182,10 +183,10 @@ def robust_test_outcome(
     are alike, rounding changes them by less:
 
     Both are at least 12 2**-33, since t < 2**31, v >= (1 - g**2) / 4, dispersion >= 1 and spread >= 2**-12.
-    So n/t - p is at least 160,000 units of 2**-32, of which p lacks less than 4, and n/t less than 5: its
-    square is off by 2**-13.9 of itself. The product of g and the spread, rounded down, takes 2**-15.5 from
-    the other side. There v lacks at most 6 units: if it is below 2**-10, g is near 1, n/t - p is at least
-    sqrt(12) 2**-12, and v has at least 350,000 units.
+    So n/t - p is at least 160,000 units of 2**-32. p is less than 4 units too small, and n/t less than 5: the
+    square of the difference is off by 2**-13.9 of itself. The product of g and the spread, rounded down,
+    takes 2**-15.5 from the other side. There v lacks at most 6 units: if it is below 2**-10, g is near 1, n/t
+    - p is at least sqrt(12) 2**-12, and v has at least 350,000 units.
     """
     difference_squared, limit = robust_test_sides(observations, b, centre, spread)
     if abs(difference_squared - limit) <= UNDECIDED * max(difference_squared, limit):

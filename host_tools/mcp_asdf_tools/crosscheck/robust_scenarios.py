@@ -127,14 +127,14 @@ class DrawnRobot:
         for slot, estimate in zip(slots, estimates, strict=True):
             self.estimates[slot] = estimate
             self.robust.filled_slots |= 1 << slot
-        # A turn that is not 0 follows that of a filled slot.
+        # A turn that is not 0 is the slot after a filled slot.
         self.robust.turn = rng.choice([0, slots[0] + 1]) if self.robust.votes else 0
 
 
 def robust_scenario(seed: int, index: int) -> Scenario:
     """Return a scenario of a robot with the robust filter, of up to a few hundred calls.
 
-    Each pair of ``seed`` and ``index`` gives another one, always the same.
+    Each pair of ``seed`` and ``index`` gives its own scenario, always the same.
     """
     rng = Random(f"{seed}/robust/{index}")
     setup = replace(draw_setup(rng), table=None, filter=int(Filter.ROBUST))
@@ -154,9 +154,9 @@ class RobustScenarioWriter(ScenarioWriter):
     def _add_test_at_threshold(self) -> None:
         """Run the filter on estimates with which the smallest mistake in its test or centre shows.
 
-        With some of them a unit of one estimate decides whether the test rejects, or one estimate whether the
-        robot is supported. With others their centre is far from their median, or reached slowly. If no such
-        estimates are found for the robots that are drawn, no calls are added.
+        In some sets a unit of one estimate decides whether the test rejects, or one estimate decides whether
+        the robot is supported. In other sets the centre is far from the median, or is reached slowly. If no
+        such estimates are found for the robots that are drawn, no calls are added.
         """
         rng = self._rng
         # Most often the least and the largest numbers that are tested. What stands twice comes more often.
@@ -310,7 +310,7 @@ class RobustScenarioWriter(ScenarioWriter):
         if robust.votes:
             robust.centre = self._draw_centre()
             robust.spread = self._draw_spread()
-            # The next turn is that of slot 0, or of the slot that follows a filled one, often the last.
+            # The next turn is slot 0, or the slot after a filled slot, often after the last.
             slots = [slot for slot in range(SLOTS) if robust.is_filled(slot)]
             turn_after_any = rng.choice(slots) + 1
             turn_after_last = slots[-1] + 1
@@ -336,9 +336,9 @@ class RobustScenarioWriter(ScenarioWriter):
     def _fill_in_batch(self, robust: RobustFilter, t: int, n: int) -> None:
         """Draw the dispersion of a robot's observations, and the batch that its next run of the filter ends.
 
-        ``n`` of all its ``t`` observations were black. The batch is the last ones, of which as many are black
-        as expected, or as few or as many as possible, or so many that the batch just is, or just is not, an
-        outlier. ``robust`` gets the dispersion, and the counts with which the batch began.
+        ``n`` of all its ``t`` observations were black. The batch is the last observations. Its number of
+        black ones is the expected, the smallest or the largest possible number, or makes the batch just an
+        outlier, or just not. ``robust`` gets the dispersion, and the counts with which the batch began.
         """
         rng = self._rng
         if t == 0:
@@ -463,7 +463,7 @@ class RobustScenarioWriter(ScenarioWriter):
         return None if slots is None else slots.estimates
 
     def _draw_parties_with_tie(self, robot: DrawnRobot, count: int) -> tuple[int, ...] | None:
-        """Draw estimates of which two in five support the robot, and one more almost does.
+        """Draw estimates: two in five support the robot, and one more almost does.
 
         The others agree on another estimate. There are at least 12 estimates, also for a smaller ``count``,
         so that the others are more than a half. The robot gets an initial b_hat by which the one estimate is
@@ -530,9 +530,10 @@ def _pack_robust_filter(robust: RobustFilter, estimates: Sequence[int]) -> dict[
 def _find_b_hat_of_tie(robot: DrawnRobot, estimate: int, centre: int) -> int | None:
     """Return an initial b_hat by which an estimate neither supports the robot nor contradicts it, or None.
 
-    By b_hat an estimate predicts a share of black observations. It supports the robot if that is nearer to
-    the observed share than to the one that the centre of all estimates predicts; here it is exactly as far
-    from both. ``estimate`` and ``centre`` are in units of 2**-24, and b_hat is in units of 2**-32.
+    By b_hat an estimate predicts a share of black observations. The estimate supports the robot if this share
+    is nearer to the observed share than to the share that the centre of all estimates predicts. Here it is
+    exactly as far from both. ``estimate`` and ``centre`` are in units of 2**-24, and b_hat is in units of
+    2**-32.
     """
     # Seen from the estimate, this point lies opposite to the centre, and as far away. The b_hat sought is
     # that by which the point predicts the observed share.

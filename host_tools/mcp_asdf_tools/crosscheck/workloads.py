@@ -27,10 +27,10 @@ class Workload:
         n: Number of black ones among them.
         b_hat: Assumed accuracy in units of 2**-32.
         m: Number of messages in the open round, and in the last closed one.
-        alpha: Alpha word of the robot's confidence; those of the messages differ in some bits.
+        alpha: Alpha word of the robot's confidence; the words of the messages differ from it in some bits.
         q: Number of entries of the table.
         halves: Whether the memory halves t and n at the next observation.
-        agrees: Whether the filter's test does not reject: x_hat is that of the messages.
+        agrees: Whether the filter's test does not reject: x_hat equals the messages'.
     """
 
     filter: ClassVar[Filter] = Filter.ADAPTIVE
@@ -101,7 +101,7 @@ class RobustWorkload(Workload):
 def table_of_size(q: int) -> Table:
     """Return a table with q entries, to count what their number changes.
 
-    It is the beginning of a larger table, so that its last entry is not that of a right one.
+    It is the beginning of a larger table, so its last entry is not the last entry of a right table.
     """
     largest_table = generate(parse_omega("0.05"), MAX_Q)
     return replace(largest_table, entries=largest_table.entries[:q])

@@ -18,7 +18,7 @@ from mcp_asdf_tools.radio.neighbourhood import Neighbourhood, RadioSettings
 from mcp_asdf_tools.robots.lockstep import DRIVER_ID
 
 BURST = 16
-"""Ticks in a row of which only the last is settled. A controller must be able to take as many commands at the
+"""Ticks in a burst, which settles only the last. A controller must be able to take as many commands at the
 speed of the bus."""
 
 
@@ -110,7 +110,7 @@ class Bench(ControllerLink):
         self.settle_and_compare()
 
     def skip_ticks(self, ticks: int, observe: Callable[[], Observation | None] = lambda: None) -> None:
-        """Let ticks without messages pass quickly, in bursts of which only the last tick is settled.
+        """Let ticks without messages pass quickly, in bursts that settle only their last tick.
 
         ``observe`` returns the observation of each tick; by default there is none.
         """

@@ -50,7 +50,7 @@ _MAX_FRAMES_SHOWN = 3
 
 @dataclass(frozen=True)
 class Difference:
-    """The first difference between the frames of a controller and those of its model.
+    """The first difference between a controller's frames and its model's frames.
 
     Attributes:
         kind: Kind of frame: "estimate", "telemetry" or "heartbeat".
@@ -137,7 +137,7 @@ class Comparison:
         return frames_by_kind
 
     def _align_first_heartbeats(self, received: FramesByKind, expected: FramesByKind) -> None:
-        """Change the heartbeats of both sides so that those of the start can be compared like all others.
+        """Change the heartbeats of both sides so that the first ones can be compared like all others.
 
         Received heartbeats that equal the model's first one are removed, however many there are. If more are
         left than expected, the controller's first heartbeat must be wrong, and the model's is added to the

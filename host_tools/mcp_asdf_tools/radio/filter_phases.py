@@ -34,7 +34,7 @@ LONG_RUN = 20_000
 """Observations after which a controller must not have forgotten any, unless its memory is shorter: more than
 2**14, so that narrower counts show."""
 _WHITE_TILES = 60
-"""Tiles before the re-estimate without a black one, beside those of earlier phases."""
+"""White tiles before the re-estimate, beside the white tiles of earlier phases."""
 _EARLY_COUNTS = (250, 350, 480)
 """Observations after which b_hat is re-estimated early."""
 _MAX_PERIOD_FOR_MANY_UPDATES = 50
@@ -113,9 +113,9 @@ def re_estimate_without_black(bench: Bench) -> None:
 def re_estimate_from_ends(bench: Bench) -> None:
     """Let the controller re-estimate b_hat from neighbours that all estimate 0, and then 1, or the reverse.
 
-    The first of them is the end farther from its own estimate. After each re-estimate it observes three white
-    tiles and three black ones, twice: with one of these colours its x_hat would leave the range 0 .. 1, and
-    must be limited.
+    First comes the end farther from its own estimate. After each re-estimate it observes three white tiles
+    and three black ones, twice: with one of these colours its x_hat would leave the range 0 .. 1, and must be
+    limited.
     """
     is_own_estimate_high = bench.model_state.x_hat > HALF
     for end in (0, ONE) if is_own_estimate_high else (ONE, 0):
@@ -129,10 +129,10 @@ def re_estimate_from_ends(bench: Bench) -> None:
 
 
 def test_large_sums(bench: Bench) -> None:
-    """Let the controller's filter test two rounds with the longest numbers in eq. 12, that of the test.
+    """Let the controller's filter test two rounds with the longest numbers in eq. 12, the test.
 
     A controller may compute them in too few bits. In the first round the spread of x_hat has more than 56
-    bits. In the second one the sum of all x_hat is 2**27 or more away from that of as many own x_hat.
+    bits. In the second the sum of all m x_hat is 2**27 or more away from m times its own x_hat.
     """
     _observe_until_filter_runs(bench)
     bench.activity = "a spread of 2^57"
@@ -297,9 +297,9 @@ def play_without_filter(bench: Bench) -> None:
 def halve_memory(bench: Bench) -> None:
     """Fill the memory four times, with an n of remainder 1, 3, 0 and 2 modulo 4.
 
-    When t, the number of observations, reaches ``memory``, the controller halves t and n. Half of an n of
-    remainder 1 is rounded down, to an even number, and that of 3 up; the others are exact. The last four
-    observations give n its remainder: black ones until n has it, and then white ones.
+    When t, the number of observations, reaches ``memory``, the controller halves t and n. The half of an n
+    with remainder 1 is rounded down, to an even number. With remainder 3 it is rounded up. Other halves are
+    exact. The last four observations give n its remainder: black ones until n has it, and then white ones.
     """
     state = bench.model_state
     t_before_last_four = bench.config.memory - 4
@@ -336,9 +336,9 @@ def _observe_until_filter_runs(bench: Bench, rounds_before: int = 0) -> None:
 
 
 def _play_test_round(bench: Bench, estimates: Sequence[NeighbourEstimate]) -> None:
-    """Play the round of the next test with these estimates, and then a round of other ones without a test.
+    """Play the round of the next test with these estimates, and then a round of others without a test.
 
-    Those are drawn, and come from the same senders, which must be counted again in a new round.
+    The other estimates are drawn, and come from the same senders. A new round must count these senders again.
     """
     senders = bench.rng.sample(bench.other_ids, len(estimates))
     bench.play_round(*estimates, senders=senders)

@@ -200,10 +200,10 @@ class TelemetryFields(NamedTuple):
 
 @dataclass
 class MistakenModels:
-    """Models with a mistake whose frames have all equalled those of the right model so far.
+    """Models with a mistake whose frames have all equalled the right model's so far.
 
     A model is dropped at its first frame that differs: a controller with its mistake would have been found
-    out. Those that are left at the end have mistakes that no frame of the run shows.
+    out. Models that are left at the end have mistakes that no frame of the run shows.
 
     Attributes:
         models: Models by the name of the mistake.

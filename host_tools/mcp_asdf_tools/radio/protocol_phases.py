@@ -162,7 +162,7 @@ FOREIGN_ALPHAS = {
 
 @dataclass(frozen=True)
 class IdentifierBits:
-    """Bits of an identifier that a receiver must ignore, and what they are set to.
+    """Bits of an identifier that a receiver must ignore, and their values.
 
     Attributes:
         mask: The bits.
@@ -219,7 +219,7 @@ class StrayCommand:
     """A command that a robot must not obey between *observe* and *settle* of a tick.
 
     Attributes:
-        target: The robot that is tested, another one, or all.
+        target: The robot that is tested, another robot, or all.
         tick: The tick that is open, the last one before it, or a later one.
         action: What is commanded.
     """
@@ -246,7 +246,7 @@ def receive_before_observing(bench: Bench) -> None:
     """Send estimates to a controller that has observed nothing, and let its filter test before it has.
 
     Its answer x is then the mean of what it receives alone, and the test must change nothing. The bench
-    compares its frames with those of the model. The test is left out if its round is too far away.
+    compares its frames with the model's. The test is left out if its round is too far away.
     """
     bench.activity = "no observation"
     bench.play_tick(None)
@@ -368,7 +368,7 @@ def send_unusual_commands(bench: Bench) -> None:
         _send_random_estimates(bench, bench.other_ids[2:3])
         bench.settle_and_compare()
     # Numbers of ticks may jump, in both directions, by powers of two: a controller may keep too few bits.
-    # Without a jump the distance is 1, so that the one downwards is the power less 1.
+    # Without a jump the distance is 1, so a jump downwards is the power less 1.
     for bit in (8, 16, 24, 31):
         for direction, distance in (("higher", 2**bit), ("lower", 1 - 2**bit)):
             bench.wait_for_round_without_test()
@@ -533,7 +533,7 @@ def receive_between_ticks(bench: Bench) -> None:
     """Send estimates between a *settle* and the next *observe*, and play the round that follows.
 
     The *settle* has ended a round, so the controller must count these estimates in the next round, together
-    with that of a fourth robot, which comes after the *observe*. This is done three times.
+    with the estimate of a fourth robot, which comes after the *observe*. This is done three times.
     """
     for _ in range(3):
         bench.wait_for_round_without_test()

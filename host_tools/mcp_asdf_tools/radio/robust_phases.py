@@ -1,8 +1,8 @@
 """Phases that put the robust filter to the test: its slots, its votes, and its test of the initial b_hat.
 
-The filter keeps the latest estimate of each sender in one of 32 slots, that of the sender's id modulo 32. At
-the end of each round one of these estimates is a vote, in turn, and after the last of them the robot's own
-estimate is one. Votes move x, their centre, which telemetry shows, so each round shows one of them.
+The filter keeps the latest estimate of each sender in one of 32 slots: the sender's id modulo 32. At the end
+of each round one of these estimates votes, in turn. After the last of them the robot's own estimate votes.
+Votes move their centre x, which telemetry shows: so each round shows one vote.
 
 Every filter period, if five or more slots are filled, the robot tests whether its observations contradict the
 estimates in them. If they do, the test rejects the initial b_hat, and the robot re-estimates b_hat, unless
@@ -58,7 +58,7 @@ _MIN_INFORMATION = 0.05
 """|2 b_hat - 1| of the initial b_hat below which estimates move the threshold too little to be shown."""
 
 _MAX_DRAWS = 400
-"""Number of draws of estimates at a test's threshold, of which one is chosen."""
+"""Number of draws of estimates at a test's threshold. One draw is chosen."""
 _MAX_BURSTS = 500
 """Number of bursts of observations after which a test that has not come about is given up."""
 _MAX_OBSERVATIONS_FOR_SHARE = 4096
@@ -106,8 +106,8 @@ def _play_first_votes(bench: Bench) -> None:
     """Send the controller its first estimate, one of another robot that replaces it, and then a few more.
 
     The controller keeps the latest estimate of each id modulo 32. After each of these steps some rounds pass
-    without messages, in each of which one of the kept estimates, or its own, is a vote: it moves the
-    controller's answer x, which the bench compares with that of the model.
+    without messages. In each round one of the kept estimates, or its own, votes: this moves the controller's
+    answer x, which the bench compares with the model's.
     """
     bench.activity = "confidences of 0 before the first estimate"
     estimates_without_confidence = [NeighbourEstimate(x_hat, alpha=0) for x_hat in (ONE, ONE, 0)]
@@ -132,8 +132,8 @@ def vote_with_every_slot(bench: Bench) -> None:
     """Let the controller keep as many estimates as it can, and pass rounds in which each of them is a vote.
 
     These are 32 estimates, one in each slot. A vote moves the controller's answer x, and after all 32 its own
-    estimate is one. Then some estimates are replaced, and at the end all of them, by estimates that show how
-    a slot rounds.
+    estimate votes. Then some estimates are replaced, and at the end all of them, by estimates that show how a
+    slot rounds.
     """
     bench.activity = "estimates of the extremes in all slots"
     _set_slots(bench, [0, SLOT_ESTIMATE_MAX] * (SLOTS // 2))

@@ -330,7 +330,7 @@ class EventsReader:
         cut off.
         """
         line_number = 0
-        # At the end of the file ``_line_number`` stays that of the last line, which later errors are about.
+        # At the end of the file ``_line_number`` stays at the last line, for later errors.
         while True:
             line_number += 1
             try:
@@ -355,9 +355,9 @@ class EventsReader:
         """Return the description of a run in the JSON value of the first line.
 
         Settings of robots and frames that are missing have their defaults: the file was written before they
-        existed. Raises UsageError for another format; for a version that cannot be read, or one in which the
-        robust filter of a robot was another one; for robots that are no list or share an id; and for a value
-        that is missing without a default, or impossible.
+        existed. Raises UsageError for another format; for a version that cannot be read, or one that had
+        another robust filter, if a robot has that filter; for robots that are no list or share an id; and for
+        a value that is missing without a default, or impossible.
         """
         if not isinstance(plain_header, dict) or plain_header.get("format") != FORMAT:
             raise self.error_in_line(f'"format": "{FORMAT}" is missing')

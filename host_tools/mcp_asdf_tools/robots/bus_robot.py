@@ -332,8 +332,7 @@ class BusRobot:
         if self.recorder is not None:
             self.recorder.record_estimates([[sender, estimate.x_hat, estimate.alpha]])
         self.reception.delivered += 1
-        # The firmware refuses its own id, a sender of which it has an estimate in this round, and values that
-        # are impossible.
+        # The firmware refuses its own id, a sender's second estimate in a round, and impossible values.
         if self._port.receive_raw(sender, estimate.x_hat, estimate.alpha) is not Status.OK:
             self.reception.refused += 1
             if sender == self.id:

@@ -47,7 +47,7 @@ class Calibration:
 
     @property
     def uncertainty(self) -> float:
-        """Half the width of the 95 % interval of ``b_hat``, at least that of one wrong reading a colour.
+        """Half the width of the 95 % interval of ``b_hat``, at least as for one wrong reading a colour.
 
         The interval follows from the variance p (1 - p) / n of a share p of n readings.
         """
@@ -126,7 +126,7 @@ def _candidates(
 ) -> Iterator[tuple[Calibration, float]]:
     """Yield two calibrations, with black on either side, for each threshold that separates readings.
 
-    With each of them comes the width of the gap between the two readings that its threshold lies between.
+    Each comes with a width: the gap between the two readings on either side of its threshold.
     """
     has_whole_numbers = all(reading.is_integer() for reading, _ in sorted_rows)
     black_below = 0

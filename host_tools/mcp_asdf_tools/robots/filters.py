@@ -99,8 +99,8 @@ class SwarmFilter:
     def firmware_filter_of(self, is_flawed: bool, activation: Activation) -> Filter:
         """Return the firmware filter of a robot; ``Filter.OFF`` if it does not re-estimate b_hat.
 
-        The ``activation`` "always" selects the one without a test, where the swarm's filter has one;
-        "adaptive" selects the one with a test.
+        The ``activation`` "always" selects the firmware filter without a test, if the swarm's filter has one;
+        "adaptive" selects the firmware filter with a test.
         """
         if not self.applies_to(is_flawed):
             return Filter.OFF
@@ -122,7 +122,7 @@ class SwarmFilter:
     def describe(self, activation: Activation) -> str:
         """Return the filter's line for reports, which says so if it re-estimates without a test.
 
-        It does if ``activation`` is "always", and it is one of the paper's filters.
+        The paper's filters re-estimate without a test if ``activation`` is "always".
         """
         has_no_test = activation == "always" and self.firmware_filter_without_test is not None
         return self.description + _WITHOUT_TEST if has_no_test else self.description

@@ -203,10 +203,10 @@ def _plain_table(table: Table) -> dict[str, Any]:
 
 
 def _table_from_plain(plain_table: Any, robot_id: Any) -> Table:
-    """Generate the t-table of which ``plain_table`` has omega, q and the checksum.
+    """Generate the t-table for the omega and q of ``plain_table``, and check its checksum.
 
-    Raises UsageError, naming the robot, if the generated table has another checksum than the one recorded in
-    ``plain_table``: the robot would not be the same.
+    Raises UsageError, naming the robot, if the generated table has another checksum than ``plain_table``: the
+    robot would not be the same.
     """
     from mcp_asdf_tools.tables.thresholds import generate, parse_omega  # noqa: PLC0415 (mpmath loads slowly)
 

@@ -123,7 +123,7 @@ def _shipped_experiments(study_part: StudyPart) -> list[Experiment]:
 def cells_of(study_part: StudyPart) -> tuple[Cell, ...]:
     """Return the cells of a part of the study, its kinds of swarms, in the order of the part's file.
 
-    Of cells that are the same experiment there is one, that of ``Cell.normal``.
+    Several cells may be the same experiment. The list has one of them, as ``Cell.normal`` chooses.
     """
     cells = [cell_of(study_part, experiment) for experiment in _shipped_experiments(study_part)]
     # The files have some experiments more than once, as they are grids: see Cell.normal. The keys of a
@@ -134,7 +134,7 @@ def cells_of(study_part: StudyPart) -> tuple[Cell, ...]:
 def cell_of(study_part: StudyPart, experiment: Experiment) -> Cell:
     """Return the cell, the kind of swarm, to which an experiment of a part belongs.
 
-    Of cells that are the same experiment it is that of ``Cell.normal``.
+    Several cells may be the same experiment. The result is one of them, as ``Cell.normal`` chooses.
     """
     cell = Cell(
         study_part=study_part,
@@ -154,9 +154,9 @@ def own_experiments_of(
 ) -> list[Experiment]:
     """Return the experiments that set a firmware or filter of the user's beside the paper's filter.
 
-    They are those of a part in which robots filter, with the shortest period, and with this firmware. A
-    filter that is given takes the place of ASDF- and ASDF+. Raises ParameterError for trials, steps or a seed
-    of ``study_size`` that are out of range.
+    They are the experiments of a part in which robots filter, with the shortest period, and with this
+    firmware. A filter that is given takes the place of ASDF- and ASDF+. Raises ParameterError for trials,
+    steps or a seed of ``study_size`` that are out of range.
     """
     cells = [
         cell

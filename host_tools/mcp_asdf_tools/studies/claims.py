@@ -414,7 +414,7 @@ def parts_needed(claim: Claim, study_part: StudyPart | None) -> set[StudyPart]:
 
 
 def _compare(claim: Claim, study_part: StudyPart | None, study_results: StudyResults) -> list[Comparison]:
-    """Make all comparisons of a claim in a part of the study, or those of its equations if the part is None.
+    """Make all comparisons of a claim in a part of the study, or of its equations if the part is None.
 
     The intervals are so wide that, with the probability CONFIDENCE, every one contains its true difference.
     """

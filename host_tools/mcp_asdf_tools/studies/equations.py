@@ -139,7 +139,7 @@ def underconfident_robots_weigh_less() -> list[Comparison]:
 def _compare_alpha_ratios(b_hat_pairs: Iterable[tuple[float, float]], claimed_ratio: int) -> list[Comparison]:
     """Compare ratios of alpha, a robot's confidence, with the ratio that the paper claims.
 
-    A ratio is that of alpha at the second b_hat of a pair to that at the first. There is a comparison for
+    A ratio is alpha at the second b_hat of a pair divided by alpha at the first. There is a comparison for
     each pair and each n/t, the share of black readings.
     """
     return [

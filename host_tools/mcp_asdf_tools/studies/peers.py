@@ -166,7 +166,7 @@ class BayesCpfRobot(ReferenceRobot):
         weights = range(len(self._x_since_update), 0, -1)
         x = float(np.average(self._x_since_update, weights=weights))
         self._n_since_update, self._t_since_update, self._x_since_update = 0, 0, []
-        # What is known of the drift moves b, and what is random in it makes b less certain.
+        # The known part of the drift moves b, and the random part makes b less certain.
         self._mean += self.drift_rate * t
         self._variance += self.diffusion**2 * t
         if t * min(self._mean, 1 - self._mean) < 5:
@@ -209,9 +209,9 @@ class BayesCpfRobot(ReferenceRobot):
 class WmsrRobot(ReferenceRobot):
     """W-MSR, "weighted mean-subsequence-reduced" (LeBlanc, Zhang, Koutsoukos and Sundaram 2013).
 
-    x is a mean of local estimates: the robot's own, and those of a round that are left when the most extreme
-    ones are removed, as ``wmsr_mean`` says. A robot with few neighbours removes the estimates of all of them,
-    and x is its own estimate. b_hat, the accuracy that the robot assumes of its sensor, never changes.
+    x is a mean of local estimates: the robot's own, and the estimates of a round without the most extreme
+    ones, as ``wmsr_mean`` says. A robot with few neighbours removes all their estimates, and x is its own
+    estimate. b_hat, the accuracy that the robot assumes of its sensor, never changes.
 
     In the original rule robots send the mean, and average again. Here messages carry local estimates, which
     robots go on improving, so every round takes one step of the rule.
@@ -224,7 +224,7 @@ class WmsrRobot(ReferenceRobot):
 
     @property
     def x(self) -> float:
-        """The mean of the own local estimate and of those of the last round that the rule keeps."""
+        """The mean of the own local estimate and the estimates of the last round that the rule keeps."""
         received = [estimate.x_hat for estimate in self._closed_round]
         return wmsr_mean(self.x_hat, received, self.tolerated_liars)
 
@@ -258,7 +258,7 @@ class TrimmedMeanRobot(ReferenceRobot):
 
     @property
     def x(self) -> float:
-        """The trimmed mean of the own local estimate and of those of the last round."""
+        """The trimmed mean of the own local estimate and the estimates of the last round."""
         received = [estimate.x_hat for estimate in self._closed_round]
         return trimmed_mean([self.x_hat, *received], self.trimmed_share)
 

@@ -20,7 +20,7 @@ from mcp_asdf_tools.world.settings import WorldSettings
 READINGS_OF_TILE = 2
 
 REJECTED_SIGMAS_SQUARED = 12
-"""The test rejects beyond sqrt(12) standard deviations, as that of the robust filter does."""
+"""The test rejects beyond sqrt(12) standard deviations, as the robust filter's test does."""
 
 
 # --- Sensors ---------------------------------------------------------------------------------------------
@@ -61,7 +61,7 @@ class IndependentReadings:
     def _draw_readings(self, first_tile: int, tiles: int) -> NDArray[np.bool_]:
         """Return whether the readings of some tiles are black, in their order, shape (2 tiles, robots)."""
         draws_of_tile = 4  # for its colour, for an error of either reading, and for a repetition
-        # The stream counts draws as steps, of which each tile takes four.
+        # The stream counts draws as steps. Each tile takes four draws.
         uniforms = self._draws.draw_uniforms(draws_of_tile * tiles, draws_of_tile * first_tile)
         draws = uniforms.reshape(tiles, draws_of_tile, self._settings.robots)
         colour_draws, first_draws, second_draws, repetition_draws = draws.swapaxes(0, 1)
@@ -78,13 +78,13 @@ class IndependentReadings:
 
 
 class TenthRepeated(IndependentReadings):
-    """Sensors of which one second reading in ten is the first once more."""
+    """Sensors that repeat the first reading of a tile as the second for one tile in ten."""
 
     repeated_share = 0.1
 
 
 class HalfRepeated(IndependentReadings):
-    """Sensors of which every other second reading is the first once more."""
+    """Sensors that repeat the first reading of a tile as the second for half of the tiles."""
 
     repeated_share = 0.5
 
@@ -111,8 +111,8 @@ class TwoReadingsRobot(ReferenceRobot):
     def observe(self, z: Observation) -> Status:
         """Count the first reading of a tile as an observation, in t and n, and compare the second with it.
 
-        Every other call is the first reading of a tile, and the call after it the second one. A second one
-        counts a pair, and also a disagreement if its colour is not that of the first. Returns OK; or
+        Every other call is the first reading of a tile, and the call after it the second reading. A second
+        reading counts a pair, and also a disagreement if its colour differs from the first. Returns OK; or
         ERR_OBSERVATION, and changes nothing, if ``z`` is neither WHITE nor BLACK.
         """
         if z not in (Observation.WHITE, Observation.BLACK):
@@ -130,7 +130,7 @@ class TwoReadingsRobot(ReferenceRobot):
         """Run the robust filter, as x needs it, but take b_hat from the readings instead of from its test.
 
         Returns UPDATED if the readings disagree too often, or too rarely, for the b_hat at the start;
-        otherwise OK, and b_hat is what it was at the start.
+        otherwise OK, with b_hat as at the start.
         """
         super()._update_b_hat()  # the b_hat that it leaves is replaced below
         initial_b_hat = self._robust.initial_b_hat

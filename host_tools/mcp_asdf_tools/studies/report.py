@@ -193,7 +193,7 @@ def _describe_run(study_part: StudyPart, study_size: StudySize) -> list[object]:
 def heading_of(claim_name: str) -> str:
     """Return a claim's heading: its name with spaces, a capital, and the paper's symbols, such as "P"."""
     heading = claim_name.replace("_", " ").replace("b hat", "b_hat")
-    # Only whole words are symbols: p, but not the one in period.
+    # Only whole words are symbols: p, but not the p in period.
     heading = re.sub(r"\bp\b", "P", heading)
     heading = re.sub(r"\bplus\b", "ASDF+", heading)
     heading = re.sub(r"\bminus\b", "ASDF\N{MINUS SIGN}", heading)
@@ -251,8 +251,8 @@ def format_difference(comparison: Comparison) -> str:
 def summarize(decision: Decision) -> str:
     """Return how many comparisons of a claim hold, fail and are open, and the best and the worst difference.
 
-    "3 of 4 hold, 1 open; best 12.3 [10.1, 14.0], worst 1.2 [0.5, 3.0]" is an example. The best difference is
-    the one farthest on the side that the claim expects, in multiples of the smallest one that counts.
+    "3 of 4 hold, 1 open; best 12.3 [10.1, 14.0], worst 1.2 [0.5, 3.0]" is an example. The best difference
+    lies farthest on the side that the claim expects, in multiples of the smallest difference that counts.
     """
     total = len(decision.comparisons)
     counts = f"{decision.count(True)} of {total} hold"
@@ -261,7 +261,7 @@ def summarize(decision: Decision) -> str:
         counts += f", {decision.count(False)} fail"
     if decision.count(None):
         counts += f", {decision.count(None)} open"
-    # From the one that contradicts the claim most to the one that supports it most.
+    # From the comparison that contradicts the claim most to the comparison that supports it most.
     ranked = sorted(decision.comparisons, key=_relative_agreement)
     worst = format_difference(ranked[0])
     best = format_difference(ranked[-1])

@@ -221,8 +221,8 @@ def h_scores(trials: Trials) -> Sample:
 def under_and_over_text(experiments: Sequence[Trials]) -> str:
     """Format two late errors of experiments that share a cell of a table, such as "0.012, 0.034".
 
-    The first is that of the underconfident swarms, the second that of the overconfident ones; one is left out
-    if there are no such swarms.
+    The first is the error of the underconfident swarms, the second the error of the overconfident swarms. An
+    error is left out if there are no such swarms.
     """
     texts: list[str] = []
     # b alone tells the two kinds apart: it is high only where robots are underconfident.

@@ -116,7 +116,7 @@ class StudyResults:
     def largest_differences_between_robots(self, study_part: StudyPart) -> dict[str, float]:
         """Return the largest differences between two robots of one trial, over all trials of a part.
 
-        "K" has the difference of their convergence steps, "e" that of their errors at these steps.
+        "K" has the difference of their convergence steps, "e" the difference of their errors at these steps.
         """
         k_differences: list[float] = []
         e_differences: list[float] = []

@@ -199,7 +199,7 @@ class ExpectingConnection:
 
 
 def _identifier_and_data(frame: can.Message) -> tuple[int, bytes]:
-    """Return what a bus preserves of a frame, and what tells it from others."""
+    """Return the identifier and the data: a bus preserves both, and they tell frames apart."""
     return frame.arbitration_id, bytes(frame.data)
 
 
@@ -330,7 +330,7 @@ class Carrier:
         """Return where the carrier has to read a frame; None without a bus, or if it has read it already."""
         is_sent_from_here = sent_frame.sender in self._robot_connections
         if not is_sent_from_here:
-            # There is no bus, or the sender is remote: what it sent, its driver has read already.
+            # There is no bus, or the sender is remote: then its driver has read the frame already.
             return None
         return self.bus_connections[sent_frame.sender]
 

@@ -52,7 +52,7 @@ class Deliveries:
     """Frames on their way to robots, in the order in which robots receive them.
 
     Entry i of ``sent_frames``, ``receivers`` and ``bit_flips`` describes frame i. A frame that is corrupted
-    differently for each receiver has an entry for each of them.
+    differently for each receiver has one entry per receiver.
 
     Attributes:
         sent_frames: The frames as they were sent.
@@ -122,9 +122,9 @@ class DeliveryQueue:
     def deliver(self, tick: int, sent_frames: Sequence[SentFrame]) -> Deliveries:
         """Take the frames sent in ``tick``, and return what robots receive in it; both counters rise.
 
-        Without latency these frames go to the robots in range, with latency those of the last tick, while
-        these wait. Faults may take some away, delay or duplicate them. Call this once per tick, in order.
-        O(faults frames robots).
+        Without latency these frames go to the robots in range. With latency the frames of the last tick do,
+        while these wait. Faults may take some away, delay or duplicate them. Call this once per tick, in
+        order. O(faults frames robots).
         """
         arriving_frames = self._exchange_for_arriving(sent_frames)
         senders = np.array([sent_frame.sender for sent_frame in arriving_frames], np.intp)

@@ -115,9 +115,9 @@ def true_thresholds(omega: Decimal) -> tuple[mpf, ...]:
 
 
 def _normal_quantile(omega: Decimal) -> mpf:
-    """Return the quantile of the normal distribution, to which that of eq. 12 falls as m grows.
+    """Return the normal distribution's quantile, to which the quantile of eq. 12 falls as m grows.
 
-    The latter is t_{m-1,(1-omega)/2}, the quantile of Student's distribution for m messages.
+    The quantile of eq. 12 is t_{m-1,(1-omega)/2}, the quantile of Student's distribution for m messages.
     """
     return mp.sqrt(2) * mp.erfinv(mpf(str(omega)))
 
@@ -183,9 +183,9 @@ def worst_threshold_error(omega: Decimal, table: Table) -> ThresholdError:
         errors = []
         for m, true_threshold in enumerate(true_thresholds(omega), start=2):
             table_threshold = mp.ldexp(table.entry(m), -FRACTION_BITS)
-            # Eq. 12 compares with sqrt(k_m), of which this is the relative error.
+            # This is the relative error of sqrt(k_m), with which eq. 12 compares.
             errors.append(abs(mp.sqrt(table_threshold / true_threshold) - 1))
-        # The errors begin with m = 2: the first q - 1 are those of m = 2 .. q.
+        # The errors begin with m = 2: the first q - 1 belong to m = 2 .. q.
         exact_entry_errors = errors[: table.q - 1]
         common_entry_errors = errors[table.q - 1 :]
         return ThresholdError(

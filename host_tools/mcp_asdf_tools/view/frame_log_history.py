@@ -78,8 +78,8 @@ def read_frame_history(
             history.add(robot_values.make_state(tick, tick / STATES_PER_SECOND, extent.robot_ids))
             tick += spacing
         robot_values.receive(frame, seconds)
-    # The ticks that are left have the state at the log's end. The last of them is ``last_tick`` or, if that
-    # is between two states, the next one.
+    # The remaining ticks have the state at the log's end. The last state is at ``last_tick`` or, if that is
+    # between two states, at the next.
     for tick_after_frames in range(tick, last_tick + spacing, spacing):
         history.add(robot_values.make_state(tick_after_frames, extent.seconds, extent.robot_ids))
     history.report = robot_values.roster.report(extent.seconds)
@@ -118,7 +118,7 @@ def _time_frames(frames: Iterable[can.Message], start_time: float) -> Iterator[t
     """Yield each frame behind its seconds since ``start_time``, which never decrease.
 
     Frames of two buses may be out of order in a log, but the time of a history must not go back: such a frame
-    gets the seconds of the one before.
+    gets the seconds of the frame before.
     """
     seconds = 0.0
     for frame in frames:

@@ -94,8 +94,9 @@ class RobotOnBus:
         """Return whether a new heartbeat shows that two nodes send with this id.
 
         It does if it equals the latest one, since a node sends each heartbeat once. It also does if it
-        continues not the latest but the one before: that of another node came between. A single node that
-        restarts has smaller uptimes from then on, so it never continues a heartbeat from before the restart.
+        continues not the latest heartbeat but the one before: another node's heartbeat came between. A single
+        node that restarts has smaller uptimes from then on, so it never continues a heartbeat from before the
+        restart.
         """
         latest = self.heartbeat
         previous = self._previous_heartbeat

@@ -113,7 +113,7 @@ class Stream(NamedTuple):
 def arena_seed(seed: int, trial: int) -> int:
     """Return the seed of a trial's arena, below 2**64: the first two words of the trial's ARENA_STREAM.
 
-    The stream is drawn as one of a single robot, whose two steps are the two words.
+    The stream is drawn as for a single robot. Its two steps are the two words.
     """
     seed_words = Stream(ARENA_STREAM, seed, trial, robots=1).draw_words(steps=2)
     low_word, high_word = seed_words[:, 0].tolist()

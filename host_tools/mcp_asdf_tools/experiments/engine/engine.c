@@ -53,7 +53,7 @@ typedef struct {
 /* --- Observations --- */
 
 /* Draw the random words of four steps, from step 4 * group on, for all lanes of `count` rows: draws[i] gets
- * those of step 4 * group + i. They are functions of the seed, the trial and the robot of a lane, and the
+ * the words of step 4 * group + i. They are functions of the seed, the trial and the robot of a lane, and the
  * step. */
 FOR_EACH_TARGET static void draw_words(lanes_t *rows, uint32_t count, uint64_t seed, uint32_t group)
 {
@@ -70,9 +70,9 @@ FOR_EACH_TARGET static void draw_words(lanes_t *rows, uint32_t count, uint64_t s
 }
 
 /* Returns the probability of black, in units of 2^-31, for a robot that observes black on a black floor with
- * the probability `black`: on a white floor that of a mistake, 1 - black. `is_floor_white` is 1 or 0. The
- * floor is random, so that a branch on it could not be predicted: instead 1 - 2 black is added to black, or
- * on a black floor 0 times that. */
+ * the probability `black`: on a white floor it is the probability of a mistake, 1 - black. `is_floor_white`
+ * is 1 or 0. The floor is random, so that a branch on it could not be predicted: instead 1 - 2 black is added
+ * to black, or on a black floor 0 times that. */
 static uint32_t probability_of_black(uint32_t black, uint32_t is_floor_white)
 {
     return black + is_floor_white * (MCP_ASDF_ENGINE_CERTAIN - 2 * black);
@@ -86,8 +86,8 @@ static void set_black_limits(const run_t *run, uint32_t k)
 {
     const mcp_asdf_experiment_t *const experiment = run->experiment;
     for (uint32_t l = 0; l < run->active_trials; ++l) {
-        /* The experiment's array `black` has a probability for each trial, step and robot: that of observing
-         * black if the robot stands on black or, without an arena, in any case. */
+        /* The experiment's array `black` has a probability for each trial, step and robot: to observe black
+         * if the robot stands on black or, without an arena, in any case. */
         const uint32_t *black = experiment->black + (run->first_index + l) * experiment->trial_stride +
                                 k * experiment->step_stride;
         /* The colours under the robots of this trial, by robot: 1 is black. */
@@ -119,9 +119,9 @@ static void prepare_observations(const run_t *run, uint32_t k)
 
 /* --- Steps in lanes --- */
 
-/* Let the robot of lane `receiver` receive the message of that of lane `sender`, both counted over all rows:
- * the robust filter keeps it; with other filters its sums are added to those of the round. Counts the
- * message. */
+/* Let the robot of lane `receiver` receive the message of the robot of lane `sender`. Both lanes are counted
+ * over all rows. The robust filter keeps the message; with other filters its sums are added to the sums of
+ * the round. Counts the message. */
 IN_LOOPS void receive_in_lane(const run_t *run, uint32_t receiver, uint32_t sender)
 {
     lanes_t *const receiver_row = &run->lanes[receiver / LANES];
@@ -209,9 +209,9 @@ static void transpose_row(uint32_t series[LANES][STEPS_IN_ROW], const lanes_t *r
     }
 }
 
-/* Write the informed estimates of the unwritten steps, of which `step` is the last, from the lanes into the
- * outcome, and count no step as unwritten. Each series gets its steps at once: written one by one, each value
- * would wait for a page of memory of its own. */
+/* Write the informed estimates of the unwritten steps, up to `step`, from the lanes into the outcome, and
+ * count no step as unwritten. Each series gets its steps at once: written one by one, each value would wait
+ * for a page of memory of its own. */
 static void write_informed_estimates(run_t *run, uint32_t step)
 {
     const size_t steps_of_series = (size_t)run->experiment->steps + 1; /* with step 0 */
@@ -247,8 +247,8 @@ static void settle_lanes(run_t *run, uint32_t step)
     }
 }
 
-/* Take step k, from 0, in lanes; arenas have moved for it. Until robots observe, their messages are still
- * those of the step before; before step 0 there were none. */
+/* Take step k, from 0, in lanes; arenas have moved for it. Until robots observe, their messages are still the
+ * messages of the step before; before step 0 there were none. */
 static void step_lanes(run_t *run, uint32_t k)
 {
     const bool is_late = run->experiment->latency != 0;
@@ -291,7 +291,7 @@ static void store_in_robot(const run_t *run, uint32_t j, uint32_t l)
 }
 
 /* Load the values of all robots into the lanes, before the next steps there. Idle lanes, to which no robot of
- * an active trial belongs, get those of robot 0 or of trial 0, so that they hold numbers that are possible.
+ * an active trial belongs, get the values of robot 0 or of trial 0, so that they hold possible numbers.
  */
 static void load_lanes_from_robots(run_t *run)
 {
@@ -360,9 +360,9 @@ static void step_firmware(run_t *run, uint32_t k)
 /* --- Runs --- */
 
 /* Give each lane its robot and its trial, which decide its random draws, and set all its other values to 0.
- * Lanes are numbered through all rows: first come those of robot 0, one for each of the trials that run
- * beside each other, then those of robot 1, and so on. The active ones of these trials begin with trial
- * `index`. Lanes of others are idle, and draw as trial `index` does. */
+ * Lanes are numbered through all rows: first come the lanes of robot 0, one per trial that runs beside the
+ * others, then the lanes of robot 1, and so on. The active trials begin with trial `index`. Lanes of other
+ * trials are idle, and draw as trial `index` does. */
 static void number_lanes(run_t *run, uint32_t index)
 {
     memset(run->lanes, 0, run->rows * sizeof *run->lanes);
@@ -376,8 +376,8 @@ static void number_lanes(run_t *run, uint32_t index)
     }
 }
 
-/* Start as many trials as run side by side, or those that are left, of which the first has this index:
- * robots, arenas and lanes. The memory behind the arenas' structs is theirs. Fails as mcp_asdf_engine_run().
+/* Start the trials from `index` on, as many as run side by side or are left: robots, arenas and lanes. The
+ * memory behind the arenas' structs is theirs. Fails as mcp_asdf_engine_run().
  */
 static mcp_asdf_status_t start_trials(run_t *run, const mcp_asdf_outcome_t *outcome, uint32_t index)
 {

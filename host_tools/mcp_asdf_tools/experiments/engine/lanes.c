@@ -137,7 +137,7 @@ FOR_EACH_TARGET void lanes_keep_all_estimates(lanes_t *rows, uint32_t robots)
 /* Choose the estimate that votes next in lane l, and set the turn to what follows it: filled slots vote in
  * ascending order, from the turn on; after the last one the robot's own estimate does, unless it has no
  * confidence; then the first filled slot again. Returns the x_hat of the vote as Q23. While no slot is filled
- * there is no vote: then the robot's own x_hat is returned, of which nothing is made, and the turn stays. */
+ * there is no vote: then the robot's own x_hat is returned, which is not used, and the turn stays. */
 static uint32_t choose_vote(lanes_t *row, size_t l)
 {
     if (row->filled_slots[l] == 0U) {

@@ -54,8 +54,8 @@ static mcp_asdf_open_t subtract_message(mcp_asdf_open_t all, const mcp_asdf_open
     return all;
 }
 
-/* Let `robot` receive what robot number `sender` of `robots` broadcasts: its estimate or, if it is among the
- * last ones, which are the liars, the experiment's lie; either one rounded to the bits of a message, if the
+/* Let `robot` receive what robot number `sender` of `robots` broadcasts: its estimate or, for the liars,
+ * which are the last robots, the experiment's lie; either value is rounded to the bits of a message, if the
  * experiment has x_hat_bits. In a swarm of more than 128 robots, where ids repeat, the set of senders that
  * the robot has received from in this round is cleared before. */
 static void receive_from(const mcp_asdf_experiment_t *experiment, const mcp_asdf_t *robots, mcp_asdf_t *robot,
@@ -91,7 +91,7 @@ static mcp_asdf_open_t sum_messages(const mcp_asdf_experiment_t *experiment, con
         .filter_period = 1, .memory = MCP_ASDF_MEMORY_MAX, .filter = MCP_ASDF_OFF};
     mcp_asdf_t neighbour = {.config = &config_without_filter};
     for (uint32_t j = first; j < end; ++j) {
-        neighbour.id = mcp_asdf_id(&robots[j]) ^ 1; /* any but that of the sender */
+        neighbour.id = mcp_asdf_id(&robots[j]) ^ 1; /* any id but the sender's */
         receive_from(experiment, robots, &neighbour, j);
     }
     return neighbour.received.sums.open;

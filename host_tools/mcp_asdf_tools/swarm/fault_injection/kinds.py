@@ -42,11 +42,11 @@ class LinkFault(Fault, ABC):
     receivers: frozenset[int] | None = None
 
     def on_delivery(self, deliveries: Deliveries, run: FaultRun) -> list[Deliveries]:
-        """Return the deliveries that are spared, and what ``change`` makes of those that are hit.
+        """Return the spared deliveries, and what ``change`` makes of the deliveries that are hit.
 
-        Deliveries are frames on their way, with the robots that receive each of them. Whether a frame is hit
-        on its way to a receiver is drawn for each of them. Of the random words that are drawn for both, the
-        first one decides this, and ``change`` gets the others. The hits are counted. O(frames receivers).
+        Deliveries are frames on their way, with the robots that receive each of them. Random words are drawn
+        for each frame and receiver. The first word decides whether the frame is hit on its way to the
+        receiver, and ``change`` gets the other words. The hits are counted. O(frames receivers).
         """
         import numpy as np  # noqa: PLC0415 (it loads slowly, and the help of faults needs none of it)
 
@@ -135,7 +135,7 @@ class Duplicate(LinkFault):
 
 @dataclass(frozen=True, kw_only=True)
 class Corrupt(LinkFault):
-    """Bits of a frame's data are flipped on the way to a receiver, other ones for each receiver."""
+    """Bits of a frame's data are flipped on the way to a receiver, other bits for each receiver."""
 
     name = "corrupt"
     summary = "bits of the data are flipped, unseen by the bus's checksum"
@@ -148,7 +148,7 @@ class Corrupt(LinkFault):
         return self.bits
 
     def change(self, hit: Deliveries, extra_words: RandomWords, run: FaultRun) -> list[Deliveries]:
-        """Return the deliveries in ``hit`` with bits of their data flipped, other ones for each receiver.
+        """Return the deliveries in ``hit`` with bits of their data flipped, other bits for each receiver.
 
         Therefore the result has an entry for each frame and receiver. ``extra_words``, shape (frames,
         receivers, bits), are random, and each chooses one bit. ``run`` is not needed.
@@ -283,7 +283,7 @@ class Liar(Fault):
         estimate = decode_estimate(sent_frame.frame, run.frame_format)
         if not isinstance(estimate, Estimate) or not run.hits_frame(sent_frame):
             return sent_frame
-        # The id in the frame may be that of another node, by a fault that has acted before.
+        # The id in the frame may be another node's, if another fault has changed it before.
         identifier = run.frame_format.identifier(estimate.sender)
         payload = _encode_claim(self.x, self.alpha, estimate.transfer_id)
         return sent_frame.with_false_estimate(make_frame(identifier, payload, sent_frame.frame.timestamp))

@@ -29,7 +29,7 @@ _BYTES_IN_WORD = 8
 
 
 class _Purpose(IntEnum):
-    """Purposes of random words. The values are hashed, so that other ones would change every run."""
+    """Purposes of random words. The values are hashed, so other values would change every run."""
 
     NODE = 0
     FRAME = 2
@@ -60,7 +60,8 @@ class FaultRandom:
     """Source of the random words of one fault.
 
     Attributes:
-        fault_number: Position of the fault among those of its kind, so that two of one kind draw other words.
+        fault_number: Position among the faults of its kind, so that two faults of one kind draw different
+            words.
     """
 
     def __init__(self, seed: int, fault_name: str, fault_number: int) -> None:
@@ -150,8 +151,8 @@ def choose_bits(bit_counts: NDArray[np.int64], random_words: RandomWords) -> NDA
         random_words: A random word for each bit to choose, shape (words, bits to choose).
 
     Returns:
-        The masks of the chosen bits, shape (words,). Where more bits are to be chosen than there are, it has
-        all of them. All choices are equally likely up to 2**-52.
+        The masks of the chosen bits, shape (words,). If more bits are to be chosen than there are, the mask
+        has all bits. All choices are equally likely up to 2**-52.
     """
     import numpy as np  # noqa: PLC0415 (it loads slowly, and the help of faults needs none of it)
 
@@ -159,7 +160,7 @@ def choose_bits(bit_counts: NDArray[np.int64], random_words: RandomWords) -> NDA
     chosen_bits = np.zeros(len(bit_counts), np.uint64)
     bits_to_choose = random_words.shape[1]
     for turn in range(bits_to_choose):
-        # Draw one of the candidates, which are the lowest bits: one more in each turn, and all in the last.
+        # Draw a candidate. Candidates are the lowest bits: one more in each turn, and all bits in the last.
         # If an earlier turn has chosen this bit, take the highest candidate, which is new in this turn.
         turns_left = bits_to_choose - 1 - turn
         candidate_counts = bit_counts - turns_left

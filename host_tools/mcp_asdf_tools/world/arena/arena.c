@@ -131,9 +131,9 @@ static void *allocate(uint8_t *memory, size_t *used, size_t count, size_t size)
     return entries;
 }
 
-/* Returns a number that the other bodies whose centres are within `distance` of one cannot exceed. A disc of
- * radius distance + BODY_RADIUS holds them all and the one, so that its area is at least that of so many
- * bodies. Circles fill nine tenths of a disc at most, so the little by which bodies may overlap does no harm.
+/* Returns an upper limit of how many other bodies have their centres within `distance` of a body's centre. A
+ * disc of radius distance + BODY_RADIUS holds them all and that body, so its area is at least their area.
+ * Circles fill nine tenths of a disc at most, so the little by which bodies may overlap does no harm.
  */
 static uint32_t max_neighbours_within(const mcp_asdf_arena_config_t *config, double distance)
 {
@@ -224,7 +224,7 @@ static void sense_surroundings(mcp_asdf_arena_t *arenas, uint32_t count)
 }
 
 /* Draws for a robot's position before the arena counts as full: where a robot still fits in a share of
- * 1/10000 of the floor, all of them fail once in e^10 times. */
+ * 1/10000 of the floor, all draws fail once in e^10 times. */
 #define PLACING_ATTEMPTS 100000
 
 /* Mixed into the seed, so that positions and colours have different draws: "place" and "colour" in ASCII. */

@@ -21,7 +21,7 @@ IN_LOOPS void move_body(mcp_asdf_arena_t *arena, uint32_t i, double time)
 }
 
 /* Returns the angle by which body i turns in a tick, in radians: for one substep with its present spin, then
- * with the one that the wheels ask for, because the motors are strong enough to reach any spin within a
+ * with the spin that the wheels ask for, because the motors are strong enough to reach any spin within a
  * substep. */
 IN_LOOPS double turn_in_tick(const mcp_asdf_arena_t *arena, uint32_t i)
 {
@@ -293,8 +293,8 @@ IN_LOOPS void load_free_bodies(free_bodies_t *bodies)
 
 /* Copy the free bodies on the list, at the end of their tick, back into their arenas: positions, velocities
  * and headings. A body that reached its target velocity before the last substep is first moved for the
- * substeps that it has left, all at once. Also stores the present spin of each: the one that its wheels ask
- * for. */
+ * substeps that it has left, all at once. Also stores the present spin of each body: the spin that its wheels
+ * ask for. */
 IN_LOOPS void store_free_bodies(const free_bodies_t *bodies)
 {
     for (uint32_t n = 0; n < bodies->count; ++n) {

@@ -166,8 +166,8 @@ typedef struct {
 
 /* Append to the batch's hits the rays of its n-th robot that meet something within reach. free_distance[k] is
  * how far the ray of the robot's sensor k reaches. A ray is written behind the hits in any case, and becomes
- * one of them only if it meets something; else the next ray overwrites it. This needs no branch, which could
- * not be predicted. */
+ * a hit only if it meets something; else the next ray overwrites it. This needs no branch, which could not be
+ * predicted. */
 IN_LOOPS void append_hits(steered_t *batch, uint32_t n, const double *free_distance)
 {
     for (uint32_t k = 0; k < SENSORS; ++k) {
