@@ -24,10 +24,10 @@ LONGEST_TESTS = (
     "test_mypy_finds_no_wrong_type",
     "test_the_c_tests_pass_with_the_settings",
 )
-"""Tests that begin first, so that no worker waits for one of them at the end."""
+"""Tests that begin first, so that no worker waits for them at the end."""
 
 TIMEOUT, SLOW_TIMEOUT = 300, 1200
-"""Seconds that a test may take before it fails as one that hangs; those in a guest kernel have no limit."""
+"""Seconds after which a test fails because it hangs. Tests in a guest kernel have no limit."""
 
 
 settings.register_profile(

@@ -80,8 +80,8 @@ def restore_robust_robot(
 ) -> FixedPoint:
     """Make a robot with the robust filter, after n black of t observations, and with members of its filter.
 
-    ``b_hat`` is the present one, in units of 2**-32; the initial one is 0.95. ``estimates`` are in the slots
-    from 0 on, in units of 2**-16.
+    ``b_hat`` is the present accuracy, in units of 2**-32; the initial accuracy is 0.95.
+    ``estimates`` are in the slots from 0 on, in units of 2**-16.
     """
     mirror = MirrorRobot(ROBUST, OWN_ID, 0.95)
     mirror.s.t, mirror.s.n, mirror.s.accuracy = t, n, accuracy_of(b_hat)
@@ -112,7 +112,7 @@ def receive_raw_messages(robot: FixedPoint, messages: Iterable[tuple[int, int, i
 
 
 def status_of_receive(robot: Robot, sender: int, x_hat: float, alpha: float) -> Status:
-    """Let a robot receive a message, and return the status, also of one that raises FirmwareError."""
+    """Let a robot receive a message, and return the status, also if it raises FirmwareError."""
     try:
         status = robot.receive(sender, x_hat, alpha)
     except FirmwareError as error:

@@ -152,7 +152,7 @@ def slow(values: Iterable[Any]) -> list[ParameterSet]:
 
 @contextmanager
 def interruptible() -> Iterator[None]:
-    """Let SIGINT (Ctrl-C) and SIGHUP end this process, and those that it starts, as in a terminal.
+    """Let SIGINT (Ctrl-C) and SIGHUP end this process and its child processes, as in a terminal.
 
     If the tests are a shell's background job, or run by nohup, they ignore SIGINT or SIGHUP, and the
     processes that they start inherit that.

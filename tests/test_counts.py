@@ -1,4 +1,4 @@
-"""Continuous integration counts what ran: a gate that is not there must not look like one that holds."""
+"""Continuous integration counts what ran: a missing gate must not look like a gate that holds."""
 
 from __future__ import annotations
 

@@ -50,7 +50,7 @@ def proofs_that_are_run() -> set[str]:
 
 
 def test_every_proof_that_is_named_beside_a_statement_is_run() -> None:
-    """The tests that prove all claims and contracts run it, or one of its own does."""
+    """The tests of all claims and contracts run the proof, or it has a test of its own."""
     _statements, tests_by_statement = read_project()
     places = set(itertools.chain.from_iterable(tests_by_statement.values()))
     named_proofs = {place for place in places if place.startswith("proofs/") and ": test_" not in place}

@@ -69,7 +69,7 @@ def cells_of_page(beginning: str) -> list[list[str]]:
 
 
 def test_docs_internals_robust_md_shows_errors_of_ten_cases_as_docs_robust_study_csv_has_them() -> None:
-    """They are rounded to 3 decimals, and those below 0.0095 to 4."""
+    """Numbers are rounded to 3 decimals, and to 4 if they are below 0.0095."""
     rows = read_rows(STUDY)
     shown_rows = cells_of_page("| case | swarm |")
     assert len(shown_rows) == 10

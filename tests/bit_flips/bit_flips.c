@@ -107,8 +107,8 @@ static uint32_t random_below(uint32_t limit)
     return (uint32_t)((z ^ (z >> 31)) >> 32) % limit;
 }
 
-/* Draw what a robot observes: 80 % of the tiles are black, and sensors are right in 95 % of observations, but
- * that of robot 0 in 75 %. */
+/* Draw what a robot observes: 80 % of the tiles are black, and sensors are right in 95 % of observations. The
+ * sensor of robot 0 is right in 75 %. */
 static mcp_asdf_observation_t draw_observation(int robot)
 {
     const bool is_tile_black = random_below(100) < 80;

@@ -285,7 +285,7 @@ def x_hat_after_first_tick(log: Path) -> str:
 def test_robots_receive_the_estimates_of_the_tick_before(
     run_swarm: RunSwarm, swarm: Swarm, tmp_path: Path
 ) -> None:
-    """In the second of two ticks robot 3 receives x_hat that others have sent at the end of the first one.
+    """In the second of two ticks robot 3 receives each x_hat that was sent at the end of the first tick.
 
     For each message its log has a line ``receive,sender,x_hat,...``.
     """

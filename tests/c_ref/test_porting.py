@@ -782,7 +782,7 @@ NOISE_MESSAGE = b"\xff" * 12
 
 
 def draw_messages(stream: random.Random) -> list[bytes]:
-    """Draw the messages of no, one or nine robots that are not simulated, and one that is no estimate."""
+    """Draw messages of no, one or nine robots that are not simulated, and a message without an estimate."""
     sender_ids = stream.sample(range(7, 40), stream.choice((0, 1, 9)))
     alpha = 0x80000001  # 1.0
     estimates = [Estimate(sender, stream.randrange(2**23), alpha, transfer_id=0) for sender in sender_ids]

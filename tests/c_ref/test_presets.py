@@ -102,7 +102,7 @@ def test_a_preset_builds_in_a_clone_whose_folder_has_a_space(preset: str, tmp_pa
 def test_the_firmware_compiles_without_a_warning_for_any_target_s_choices(
     command: str, tmp_path: Path
 ) -> None:
-    """A target chooses how it divides, multiplies and shifts, by macros; these are all combinations.
+    """By macros a target chooses how it divides, multiplies and shifts. The commands have all combinations.
 
     -Werror is among the WARNINGS of CMakePresets.json, so that run() raises for a warning.
     """

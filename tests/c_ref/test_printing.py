@@ -21,7 +21,7 @@ KHEPERA = ROOT / "docs/platforms/khepera.md"
 # --- Building and running ---------------------------------------------------------------------------------
 
 THIS_COMPUTER, WITH_32_BITS = ("gcc",), ("gcc", "-m32")
-"""Compilers with their flags. Where a long has 32 bits, one that is printed wrongly shows."""
+"""Compilers with their flags. Where a long has 32 bits, a wrong format for it shows."""
 
 
 @dataclass(frozen=True)
@@ -103,7 +103,7 @@ def bus_with_five_neighbours() -> str:
 def test_the_program_of_the_readme_prints_what_the_readme_shows(
     tmp_path_factory: pytest.TempPathFactory,
 ) -> None:
-    """It is compiled for 32 bits. A long has another size there, so one that is printed wrongly shows."""
+    """It is compiled for 32 bits. A long has another size there, so a wrong format for it shows."""
     output = build_and_run(WITH_32_BITS, README_PROGRAM, tmp_path_factory)
     assert output == Output(stdout=block_with(README, "share of black 0.685", "text"), stderr="")
 

@@ -132,16 +132,16 @@ MESSAGE_OF_ROBOT_1 = message_of(Estimate(sender=1, x_hat=0, alpha=ALPHA, transfe
 def test_the_robot_ignores_what_is_no_message_of_another_robot(
     radio_robot: RadioRobot, message: bytes
 ) -> None:
-    """beta, the sum of its confidences in those that it has received, stays 0."""
+    """beta, the sum of the confidences in received estimates, stays 0."""
     radio_robot.receive(message)
     radio_robot.robot.step(True)
     assert radio_robot.beta() == 0
 
 
 def test_the_robot_loses_only_messages_that_find_the_queue_full(radio_robot: RadioRobot) -> None:
-    """Its queue has room for 20 messages, and 25 come, each of another sender.
+    """Its queue has room for 20 messages. 25 messages come, all from different senders.
 
-    beta is the sum of the confidences in those that it has received, of 100 units of 2**24 each.
+    beta is the sum of the confidences in the received estimates. Each is 100 units of 2**24.
     """
     twenty_five_senders, half = range(10, 35), 2**22
     messages = [
@@ -157,7 +157,7 @@ def test_the_robot_loses_only_messages_that_find_the_queue_full(radio_robot: Rad
 
 @pytest.mark.parametrize("radio_robot", ["crazyflie"], indirect=True)
 def test_a_crazyflie_ignores_messages_to_another_port(radio_robot: RadioRobot) -> None:
-    """The stub delivers a message to port 3. beta, the sum of confidences in those received, stays 0."""
+    """The stub delivers a message to port 3. beta, the sum of the confidences received, stays 0."""
     another_port, half = 3, 2**22
     ctypes.c_uint8.in_dll(radio_robot.library, "air_port").value = another_port
 

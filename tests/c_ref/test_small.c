@@ -10,7 +10,7 @@
 
 static uint32_t largest_code(uint32_t bits) { return (UINT32_C(1) << bits) - 1; }
 
-/* One of the codes that are tried: at most 2^12, evenly spread over all codes of this length, with the largest. */
+/* Returns one of at most 2^12 codes of so many bits, spread evenly and with the largest code. */
 static uint32_t spread_code(uint32_t index, uint32_t bits)
 {
     return bits <= 12 ? index & largest_code(bits) : index << (bits - 12) | (largest_code(bits) >> 12);

@@ -89,7 +89,7 @@ call_lists = st.lists(
     max_size=200,
 )
 colours = st.sampled_from((Observation.WHITE, Observation.BLACK))
-# In units of 2**-32: the ends of the range, 1/4, 1/2 and 2**-13 beside it, 3/4, any, and those near 1.
+# In units of 2**-32: ends of the range, 1/4, 3/4, 1/2 and 2**-13 beside it, any number, and numbers near 1.
 b_hats = (
     st.sampled_from((2**12, 2**30, 2**31 - 2**19, 2**31, 2**31 + 2**19, 3 << 30, 2**32 - 2**12))
     | st.integers(2**12, 2**32 - 2**12)

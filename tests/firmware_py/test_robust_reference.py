@@ -32,8 +32,8 @@ ULP = Fraction(1, 2**53)
 def test_a_vote_at_the_spread_moves_the_centre_up_and_narrows_the_spread() -> None:
     """A vote is what a neighbour estimates. Votes have a running centre, and a spread: their usual distance.
 
-    They are 0.5 and 0.25. A vote of 0.75 moves the centre by an eighth of the spread, and the spread shrinks
-    by a sixteenth.
+    Centre and spread are 0.5 and 0.25. A vote of 0.75 moves the centre by an eighth of the spread, and the
+    spread shrinks by a sixteenth.
     """
     votes = votes_after(Votes(centre=0.5, spread=0.25, count=0), x_hat=0.75)
     assert votes == Votes(centre=0.5 + 0.25 / 8, spread=0.25 - 0.25 / 16, count=1)
@@ -81,7 +81,7 @@ def draw_votes(rng: random.Random) -> Votes[float]:
 
 
 def test_votes_in_float64_are_right_to_the_last_bits() -> None:
-    """The same function computes their centre and spread in exact fractions, which differ by a rounding."""
+    """The same function computes both in exact fractions. They differ by one rounding at most."""
     rng = random.Random(23)
     for _ in range(500):
         before = draw_votes(rng)
@@ -111,7 +111,7 @@ def test_neighbours_vote_in_the_order_of_their_slots_and_the_robot_itself_after_
 def test_the_robot_s_own_estimate_is_a_vote_like_the_others() -> None:
     """It is the turn of slot 10. Slots 10 to 31 have no estimate, so the robot itself votes 0.75.
 
-    The centre of the votes is 0.5 at first, and their spread 0.25. An eighth and a sixteenth of it count.
+    The centre of the votes is 0.5 at first, their spread 0.25. They change by 1/8 and 1/16 of the spread.
     """
     robust = RobustReference(initial_b_hat=0.75, estimates={9: 1.0}, turn=10)
     robust.take_vote(own_x_hat=0.75, has_confidence=True)
@@ -119,7 +119,7 @@ def test_the_robot_s_own_estimate_is_a_vote_like_the_others() -> None:
 
 
 def test_the_slot_whose_turn_it_is_votes() -> None:
-    """The estimate in slot 2, 0.5, does not move the centre, which begins at 0.5; that in slot 9 would."""
+    """The estimate in slot 2, 0.5, does not move the centre, now 0.5. The estimate in slot 9 would."""
     robust = RobustReference(initial_b_hat=0.75, estimates={2: 0.5, 9: 1.0}, turn=2)
 
     robust.take_vote(own_x_hat=0.5, has_confidence=True)
@@ -142,7 +142,7 @@ def test_a_robot_without_confidence_does_not_vote() -> None:
 
 
 def test_senders_with_ids_equal_modulo_32_share_a_slot() -> None:
-    """A robot keeps an estimate in each of 32 slots; senders 1 and 33 have slot 1, and the last one stays."""
+    """A robot has 32 slots for estimates. Senders 1 and 33 share slot 1, and the last estimate stays."""
     robust = RobustReference(initial_b_hat=0.75)
 
     robust.keep_estimate(1, 0.25)

@@ -136,7 +136,7 @@ def test_a_code_of_9_bits_stands_for_the_confidence_that_the_specification_state
 
 
 def test_codes_of_4_bits_are_powers_of_four() -> None:
-    """Code 0 is no confidence, code 1 is 1/8, and each further code stands for four times the last one."""
+    """Code 0 is no confidence, code 1 is 1/8, and each further code stands for four times the code before."""
     confidences = [alpha_from_word(decode_alpha(code, 4)) for code in range(16)]
     assert confidences == [0.0, *(4.0**power / 8 for power in range(15))]
 

@@ -1,5 +1,5 @@
-/* Datagrams of a multicast group: one that is accepted holds a frame that a CAN controller could have sent,
- * and a frame that is packed is unpacked as it was, or refused if the datagram is cut. */
+/* Datagrams of a multicast group. An accepted datagram holds a frame that a CAN controller could have sent. A
+ * packed frame is unpacked as it was, or refused if the datagram is cut. */
 #include "input.h"
 #include "linux/multicast.h"
 

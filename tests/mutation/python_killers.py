@@ -27,7 +27,7 @@ from mutation.python_mutants import Mutant, with_probes
 from support import DRAWS_ALL, ROOT
 
 SECONDS, TIMES = 10, 4
-"""Limit of a test's time, beside so many times what it takes without a mistake. What hangs is noticed."""
+"""Limit of a test's time: these seconds, and so many times its time without a mistake. A hang is noticed."""
 QUIET = ("-q", "-p", "no:xdist", "-p", "no:cacheprovider", "-p", "no:anyio", "-m")
 HEAVY = ("numpy", "scipy.stats", "pyarrow.parquet", "matplotlib.figure", "can", "cffi")
 """Libraries that most tests need, imported once before processes split."""
@@ -37,8 +37,8 @@ _FORK = get_context("fork")
 
 
 def tests_of(path: Path) -> list[Path]:
-    """Folders of the tests of the room that a file is in; commands and what all rooms share are tested
-    everywhere, the firmware by the cross-check, too."""
+    """Folders with the tests of a file's room. All folders test commands and files that all rooms share. The
+    cross-check tests the firmware, too."""
     if path.parts[0] == "firmware_py":
         return [Path("tests/firmware_py"), Path("tests/host_tools/crosscheck")]
     found = [each.relative_to(ROOT) for each in (ROOT / "tests/host_tools").glob("**/test_*.py")]
@@ -135,8 +135,8 @@ class _Recorder:
 
 
 def dies(mutant: Mutant, known: Record, folders: Iterable[Path]) -> bool:
-    """True if a test in the folders fails: one that runs the statement, or another of the same file, to which
-    a cache or a fixture may bring the result."""
+    """True if a test in the folders fails. Files with tests that run the statement are tried as a whole: a
+    cache or a fixture may bring the result to their other tests."""
     running = known.running(mutant, folders)
     files = list(dict.fromkeys(test.partition("::")[0] for test in running))
     # Most mutants fail a test of the two quickest files. To import all other files takes seconds.
@@ -156,7 +156,7 @@ def _passes(mutant: Mutant, files: list[str], running: list[str], known: Record)
 
 @dataclass(frozen=True)
 class _Sorter:
-    """Plugin of pytest that runs the tests in this order, others after them, and none that fails anyway."""
+    """Plugin of pytest that runs the tests in this order, then all others but those that fail anyway."""
 
     order: dict[str, int]
     known: Record

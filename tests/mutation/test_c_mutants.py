@@ -21,7 +21,7 @@ PARTS = 4
 DRAWN_HARMLESS_CHANGES = 12
 """Changes without effect that are tried in one run of the tests."""
 READS_BEYOND_AN_ARRAY = "the array ends, which the sanitizers report"
-"""Part of the reason of a change that is harmless but where an array is full."""
+"""Part of the reason of a change that is harmless unless an array is full."""
 
 
 @pytest.fixture(autouse=True)
@@ -45,7 +45,7 @@ def test_each_change_that_is_listed_as_harmless_is_one_that_is_tried() -> None:
 
 
 def test_few_changes_are_listed_as_harmless_and_each_with_a_reason() -> None:
-    """Less than one change in twenty is, such as a comparison that no value decides otherwise."""
+    """Less than one change in twenty is listed, such as a comparison with the same result for all values."""
     assert len(EQUIVALENTS) < len(everything()) / 20
     for name, reason in EQUIVALENTS.items():
         assert len(reason) > 20, name

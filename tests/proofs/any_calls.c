@@ -66,11 +66,11 @@ static void forget_all(void)
     config.filter = byte();
 }
 
-/* That a call is written twice, for an id that is possible and one that is not, keeps Eva from mixing them:
- * it would not remember that the second one is refused before it serves as an index. */
+/* Calls with an id are written twice, for a valid and for an invalid id. Otherwise Eva would mix both, and
+ * forget that an invalid id is refused before it serves as an index. */
 
-/* Restore the robot from the image, whose byte at `place` is the id: once for an id that is possible, and
- * once for one that is not. */
+/* Restore the robot from the image, whose byte at `place` is the id: once for a valid id, and once for
+ * an invalid id. */
 static void restore_with_id_at(uint8_t place)
 {
     if (image[place] <= MCP_ASDF_MAX_ID) {
@@ -99,7 +99,7 @@ static void restore_any(void)
     }
 }
 
-/* Those that accept a table, of any contents, or none; and those of the two codecs. */
+/* Call the functions that accept a table with any contents or no table, and both codecs. */
 static void call_any(void)
 {
     const uint16_t subject = (uint16_t)word();

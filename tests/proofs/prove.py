@@ -16,12 +16,12 @@ EFFORTS = (10**6, 8 * 10**6, 64 * 10**6)
 """The solver's steps for one query, in one attempt after the other. With ten seeds none needed more than 5
 million: the last attempt gives twelve times as many."""
 SOLVERS = (z3.SimpleSolver, z3.Solver)
-"""For each attempt: whole numbers are the first one's within moments, long words the second one's."""
+"""The solvers of each attempt. The first settles whole numbers within moments, the second long words."""
 Formula = Callable[..., Any]
 
 
 class UnprovenError(AssertionError):
-    """A claim with values that break it, or one that the solver cannot settle."""
+    """Some values break a claim, or the solver cannot settle it."""
 
 
 def prove(claim: Any, *known: Any, about: str = "") -> None:

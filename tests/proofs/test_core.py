@@ -38,7 +38,7 @@ def prove_lemma_in(variants: Iterable[Variant], name: str) -> None:
 
 @pytest.mark.parametrize("name", [name for name in LEMMAS if name not in LONG_PROOFS])
 def test_a_function_keeps_its_contract_on_a_cortex_m4(name: str) -> None:
-    """A contract says what a function promises for all arguments; one that is broken raises UnprovenError."""
+    """A contract says what a function promises for all arguments. A broken contract raises UnprovenError."""
     prove_lemma_in([CORTEX_M4], name)
 
 

@@ -58,5 +58,5 @@ def test_the_c_of_every_target_computes_the_documented_integers() -> None:
     "claims", [*(claims for claims in CLAIMS_OF_NUMBERS if claims not in SLOW_CLAIMS), *slow(SLOW_CLAIMS)]
 )
 def test_the_documented_integers_are_as_near_to_exact_numbers_as_stated(claims: Claims) -> None:
-    """Each of ``claims`` is a formula about all integers in a range; one that is broken raises an error."""
+    """Each of ``claims`` is a formula about all integers in a range. A broken claim raises an error."""
     prove_all(claims())

@@ -1,4 +1,4 @@
-"""The prover refuses what is not proved: a broken claim, one that it cannot settle, and one that is empty."""
+"""The prover refuses claims that it has not proved: broken claims, undecided claims and empty claims."""
 
 from __future__ import annotations
 

@@ -113,7 +113,7 @@ def unexecuted_lines(folder: Path) -> set[str]:
                 code, *_comment = source_lines[line["line_number"] - 1].split("/*")
                 text = f"{path.name}: {code.strip()}"
                 least_count = min([line["count"], *(branch["count"] for branch in line["branches"])])
-                if path.suffix == ".h":  # several files include it, and one that executes the line is enough
+                if path.suffix == ".h":  # several files include it; it is enough if the line runs in one file
                     least_count = max(least_count, least_count_by_line.get(text, 0))
                 least_count_by_line[text] = least_count
     return {text for text, least_count in least_count_by_line.items() if least_count == 0}

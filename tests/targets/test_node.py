@@ -992,7 +992,7 @@ def test_the_old_state_is_kept_if_every_save_writes_only_a_part(
 @pytest.mark.parametrize(
     ("failing_call", "kept_save"),
     [
-        # The first save fails, and the second one saves all. The first five calls are about the draft.
+        # The first save fails, and the second save saves all. The first five calls are about the draft.
         ("openat:error=ENOSPC:when=1", 2),
         ("write:error=ENOSPC:when=1", 2),
         ("fsync:error=ENOSPC:when=1", 2),
