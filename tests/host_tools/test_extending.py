@@ -142,7 +142,7 @@ def test_the_documented_command_simulates_the_topology_and_the_sensor_of_the_doc
 
 @pytest.mark.slow
 def test_the_documented_command_runs_a_swarm_with_extensions_for_200_steps(package: Path) -> None:
-    """It is the third of four commands in the documentation of extensions."""
+    """The command is the third of four in the documentation of extensions."""
     line = command_lines_of_page().swarm
     assert line.startswith("mcp-asdf swarm ")
     assert run_in_package(line, package)["results"]["steps"] == 200

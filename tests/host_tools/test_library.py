@@ -199,7 +199,7 @@ def test_emulate_reports_the_estimate_x_of_each_robot_at_the_end() -> None:
 def test_ctrl_c_ends_a_swarm_of_emulate_early_and_its_results_are_kept(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """It is pressed in the fourth step, so three are done. In a notebook there is no other way to look."""
+    """Ctrl-C comes in the fourth step, so three are done. In a notebook only Ctrl-C can end a run early."""
     take_step = Swarm.tick
 
     def take_step_unless_interrupted(swarm: Swarm) -> None:

@@ -184,7 +184,7 @@ FAILURES_THAT_MAY_PASS: list[Exception] = [
 
 @pytest.mark.parametrize("error", FAILURES_THAT_MAY_PASS, ids=str)
 def test_a_failure_that_may_pass_is_not_reported_as_a_bus_that_is_gone(error: Exception) -> None:
-    """It raises another CanError than BusGoneError, and a program that runs for long tries again."""
+    """The failure raises a CanError, but not BusGoneError. A program that runs for long tries again."""
     with pytest.raises(can.CanError) as raised:
         failing_connection(error).recv(timeout=0)
     assert not isinstance(raised.value, BusGoneError)

@@ -292,7 +292,7 @@ def test_a_frame_is_decoded_as_the_kind_of_message_that_its_subject_says(message
 @fixed_examples
 @given(any_command())
 def test_a_command_is_not_taken_for_a_frame_of_a_robot(command: Command) -> None:
-    """It is rejected for its subject, the number of its kind, as robots do not send that."""
+    """A command is rejected for its subject, the number of its kind. Robots send no frames of this kind."""
     assert decode_frame(encoded(command), DEFAULT) is Rejection.SUBJECT
 
 
@@ -480,7 +480,7 @@ def test_damaged_frames_are_decoded_the_same_in_an_array_and_alone() -> None:
 
 @pytest.mark.parametrize("alpha_bits", LIMITS_OF_ALPHA)
 def test_an_estimate_with_any_bit_flipped_is_decoded_the_same_in_an_array_and_alone(alpha_bits: int) -> None:
-    """Each of 64 equal frames has another of its 64 bits flipped, as by a fault on the bus."""
+    """There are 64 equal frames of 64 bits. In frame number n a fault flips bit n."""
     frames = [estimate_frame(2**23, alpha_bits)] * 64
     bit_flips = [1 << bit for bit in range(64)]
     assert decode_together(frames, bit_flips) == decode_alone(frames, bit_flips)

@@ -79,7 +79,7 @@ def test_each_malformed_datagram_is_one_error_frame_and_the_next_frame_is_receiv
 
 @pytest.mark.parametrize("datagram", [packed(sender=8), b"garbage"])
 def test_a_frame_of_a_multicast_group_has_the_channel_and_the_length_of_its_data(datagram: bytes) -> None:
-    """This is true of an estimate (8 bytes), and of the error frame for a malformed datagram (none)."""
+    """The frames are an estimate (8 bytes) and the error frame for a malformed datagram (no data)."""
     choice = multicast(group=31)
     with choice.open() as bus, foreign_program(choice) as send_datagram:
         send_datagram(datagram)

@@ -27,7 +27,7 @@ PAGE = (ROOT / "docs/platforms/can_tools.md").read_text(encoding="utf-8")
 
 @pytest.mark.slow
 def test_yakut_prints_what_the_robots_of_a_running_swarm_broadcast(tmp_path: Path) -> None:
-    """Each of 30 estimates that it shows is in the swarm's own log, and all three robots are among them."""
+    """Yakut shows 30 estimates from all three robots. Each estimate is in the swarm's own log."""
     require("yakut")
     write_regulated_types(tmp_path)
     types = f"{ROOT / 'host_tools/mcp_asdf_tools/bus/dsdl'}{os.pathsep}{tmp_path}"

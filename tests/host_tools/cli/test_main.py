@@ -547,7 +547,7 @@ def experiment_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_command_prints_the_line_that_gives_the_same_results_again(
     line: str, options_in_front: str, capsys: Capture
 ) -> None:
-    """It is the typed line with options in front whose values are chosen by default, such as ``--seed=1``."""
+    """The printed line is the typed line, with options in front for chosen defaults, such as ``--seed=1``."""
     command, *options = shlex.split(line)
     assert cli.main([command, *options]) == 0
     output_lines = capsys.readouterr().out.splitlines()
@@ -601,7 +601,7 @@ def test_v_logs_versions_first_then_the_command_line_and_at_last_the_exit_code(c
 def test_v_logs_the_buses_that_a_swarm_opens_its_robots_and_the_files_that_it_writes(
     tmp_path: Path, capsys: Capture
 ) -> None:
-    """Each of three robots has a bus of its own, and none is in another process or at a device ("elsewhere").
+    """Three robots have a bus each. No robot is in another process or on a device ("elsewhere").
 
     A swarm with a log writes a summary of its results in JSON as well.
     """

@@ -307,7 +307,7 @@ def hangups_ignored() -> Iterator[None]:
 
 @pytest.mark.usefixtures("hangups_ignored")
 def test_a_command_that_was_started_by_nohup_ignores_hangups(monkeypatch: pytest.MonkeyPatch) -> None:
-    """They neither interrupt it nor, within ``stopping()``, ask it to stop."""
+    """A hangup does not interrupt the command. Within ``stopping()`` it does not ask it to stop either."""
     answers = []
 
     def work() -> int:

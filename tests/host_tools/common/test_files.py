@@ -241,7 +241,7 @@ with_each_failing_call = pytest.mark.parametrize("failing_index", range(FIRST_RE
 
 @with_each_failing_call
 def test_a_full_disk_leaves_both_old_files(failing_index: int, tmp_path: Path) -> None:
-    """One of the system calls fails that write the files "a" and "b" or give the first one its name."""
+    """System calls write the files "a" and "b" and rename the first. One of these calls fails."""
     with pytest.raises(UsageError, match=r"cannot write .*/[ab]: No space left on device; choose a folder"):
         replace_old_files(tmp_path, failing_index, DISK_IS_FULL)
     assert contents_of(tmp_path) == {"a": "old", "b": "old"}
@@ -249,7 +249,7 @@ def test_a_full_disk_leaves_both_old_files(failing_index: int, tmp_path: Path) -
 
 @with_each_failing_call
 def test_ctrl_c_leaves_both_old_files(failing_index: int, tmp_path: Path) -> None:
-    """It comes in one of the system calls that write the files "a" and "b" or give the first one its name."""
+    """System calls write the files "a" and "b" and rename the first. Ctrl-C comes in one of these calls."""
     with pytest.raises(KeyboardInterrupt):
         replace_old_files(tmp_path, failing_index, KeyboardInterrupt())
     assert contents_of(tmp_path) == {"a": "old", "b": "old"}
@@ -295,7 +295,7 @@ def test_obsolete_files_are_removed_before_the_first_renaming(tmp_path: Path) ->
 
 
 def test_an_obsolete_file_that_is_missing_is_no_error(tmp_path: Path) -> None:
-    """It is to be removed before the draft gets its name."""
+    """An obsolete file would be removed before the draft gets its name."""
     (tmp_path / "draft").write_text("new")
     rename_drafts({tmp_path / "file": tmp_path / "draft"}, obsolete=[tmp_path / "obsolete"])
     assert contents_of(tmp_path) == {"file": "new"}

@@ -271,7 +271,7 @@ def test_estimates_near_the_robot_s_own_do_not_change_its_assumed_accuracy() -> 
 
 
 def test_a_single_estimate_is_too_few_for_a_test() -> None:
-    """It is 1, far from the robot's own, 1/4, and yet None says that the robot does not change b_hat."""
+    """The estimate 1 is far from the robot's own, 1/4. Yet the robot does not change b_hat: None."""
     robot = RobotState(t=100, n=60, x_hat=ONE // 4, table=TABLE)
     estimate = NeighbourEstimate(x_hat=ONE, alpha=ALPHA_ONE)
     assert robot.update_after([estimate]) is None

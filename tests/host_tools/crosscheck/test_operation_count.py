@@ -193,7 +193,7 @@ def test_a_workload_has_messages_in_its_open_round_and_as_many_in_the_closed_rou
 
 
 def test_a_workload_without_messages_has_an_x_hat_of_1() -> None:
-    """It ``agrees`` with the mean of its messages, but there are none. x_hat is in units of 2**-23."""
+    """A robot that ``agrees`` has the mean of its messages as x_hat. Without messages it has 1 (2**23)."""
     robot = Workload(m=0, agrees=True).make_robot(MirrorRobot)
     assert robot.s.x_hat == 2**23
 

@@ -111,7 +111,7 @@ def test_bounds_of_alpha_have_room_for_an_alpha_word(n: int, b: Fraction) -> Non
     ("x_bar", "units"), [(Fraction(11, 20), 59), (Fraction(9, 20), 45), (Fraction(0), 9), (Fraction(1), 14)]
 )
 def test_the_error_of_b_hat_is_that_of_the_design(x_bar: Fraction, units: int) -> None:
-    """It is (4 x_bar + 3) / |2 x_bar - 1| + 7 units of 2**-32; below 1/2 there is 2 in place of 3."""
+    """The error bound is (4 x_bar + 3) / |2 x_bar - 1| + 7 units of 2**-32, with 2 for 3 if x_bar < 1/2."""
     assert round(b_hat_error(x_bar) * 2**32) == units
 
 
@@ -225,7 +225,7 @@ def test_a_change_of_b_hat_without_a_reason_is_reported(mode: Filter, message_co
 def test_a_b_hat_that_is_kept_where_it_had_to_change_is_reported(
     mode: Filter, message_count: int, tests: int
 ) -> None:
-    """Two messages contradict the robot, or one is enough for a filter without a test.
+    """Two messages contradict the robot. For a filter without a test, one message is enough.
 
     So its call of ``step`` changed b_hat, the accuracy that it assumes of its sensor, and returned UPDATED.
     Here that is replaced by OK, as if b_hat had been kept.
@@ -248,7 +248,7 @@ def test_a_change_of_b_hat_before_the_filter_period_has_passed_is_reported() -> 
 
 
 def test_no_update_is_expected_of_a_call_that_the_robot_refuses() -> None:
-    """Here the result of a right call is replaced by a refused observation, after which no filter runs."""
+    """The result of a right call is replaced by a refused observation. No filter runs after a refusal."""
     audit = Audit()
     step = step_after_messages(Filter.ALWAYS, message_count=1, audit=audit)
     step.after = replace(step.after, outcome="ERR_OBSERVATION")

@@ -219,7 +219,7 @@ def calls_by_event() -> dict[str, list[CheckedCall]]:
 def test_a_wrong_result_of_any_event_of_the_robust_filter_is_reported(
     event: str, calls_by_event: dict[str, list[CheckedCall]]
 ) -> None:
-    """One value of a robot is made wrong by a unit after a right call, and the oracle must report a problem.
+    """After a right call one value of the robot is changed by a unit. The oracle must report a problem.
 
     An event is, for example, that an estimate is weighed, or that the filter's test rejects b_hat. Up to ten
     calls with the event are checked, each with one wrong value after the other.

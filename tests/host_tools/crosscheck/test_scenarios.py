@@ -90,7 +90,7 @@ def test_scenarios_of_other_seeds_and_indices_differ(scenarios: list[Scenario]) 
 
 @pytest.mark.parametrize("scenarios", [SCENARIOS, ROBUST_SCENARIOS], ids=["paper", "robust"])
 def test_the_line_of_a_scenario_is_parsed_as_the_same_scenario(scenarios: list[Scenario]) -> None:
-    """Each fourth of 200 or of 100 scenarios is written as a line, as a report prints it."""
+    """Every fourth scenario of 200 or 100 is written as a line, as a report prints it."""
     for scenario in scenarios[::4]:
         line = str(scenario)
         assert parse_scenario(line) == scenario

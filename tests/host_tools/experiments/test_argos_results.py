@@ -46,7 +46,7 @@ def test_the_stored_results_of_argos_have_three_errors_of_40_seeds_for_each_filt
 @pytest.mark.slow
 @pytest.mark.parametrize("filter_name", ["none", "asdf-minus", "asdf-plus"])
 def test_errors_in_argos_and_in_mcp_asdf_simulate_have_one_distribution(filter_name: str) -> None:
-    """So large a difference of a quantity has a probability of at least 1 % if there is one distribution."""
+    """If there is one distribution, a difference this large has a probability of at least 1 %."""
     simulated = argos.simulate(filter_name, trials=50)
     p_by_quantity = argos.p_values(simulated, argos.read_results()[filter_name])
     assert min(p_by_quantity.values()) >= 0.01, p_by_quantity

@@ -111,7 +111,7 @@ def first_ten_numbers(text: str) -> str:
 
 
 def test_a_trial_of_the_authors_version_of_june_2024_is_read(tmp_path: Path) -> None:
-    """It wrote ten numbers for each robot and step, and did not know the parameter obs_queue_size."""
+    """This version wrote ten numbers for each robot and step. It had no parameter obs_queue_size."""
     texts_by_robot = trial_content(MOVING, 0)["data_str"]
     short_texts = [[first_ten_numbers(text) for text in texts] for texts in texts_by_robot]
     path = write_trial(tmp_path / "trial.json", MOVING, 0, data_str=short_texts, obs_queue_size=None)
@@ -154,7 +154,7 @@ def test_a_robot_whose_b_hat_became_nan_has_a_nan_as_its_error_and_the_swarm_a_s
 
 
 def test_all_json_files_of_a_folder_and_below_are_found_once(tmp_path: Path) -> None:
-    """One of the two files is named a second time, besides the folder that has it."""
+    """The arguments are a folder with two files, and one of these files again."""
     (tmp_path / "flw2").mkdir()
     for name in ("flw2/t1.json", "flw2/t0.json", "notes.txt"):
         (tmp_path / name).touch()

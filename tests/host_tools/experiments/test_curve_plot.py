@@ -208,7 +208,7 @@ def test_a_curve_can_be_of_a_function_of_the_user(unfiltered_swarms: list[Trials
 
 
 def test_a_curve_can_be_drawn_into_axes_of_the_user(unfiltered_swarms: list[Trials]) -> None:
-    """They get labels, and no legend, as there is one curve. Here they are axes of a part of a figure.
+    """The user's axes are in a part of a figure. They get labels, but no legend, as there is one curve.
 
     The whole figure is returned.
     """
@@ -283,7 +283,7 @@ def test_graphs_stand_side_by_side_on_the_x_axis_with_shortened_labels() -> None
 def test_curves_of_the_four_filters_have_the_colours_of_all_pictures(
     results_by_filter: dict[str, Trials],
 ) -> None:
-    """They are, in this order: none, ASDF-, ASDF+ and the robust filter."""
+    """The order of the filters is: none, ASDF-, ASDF+ and the robust filter."""
     (axes,) = plot_curve([*results_by_filter.values()], "flawed", hue="filter").axes
     asdf_minus_colour, asdf_plus_colour, *_ = COLOURS
     assert [line.get_color() for line in axes.lines] == [GREY, asdf_minus_colour, asdf_plus_colour, GREEN]

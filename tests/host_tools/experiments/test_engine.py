@@ -664,6 +664,6 @@ def engine_bytes_per_robot(robots: int) -> float:
 
 
 def test_memory_of_the_engine_grows_linearly_with_the_robots() -> None:
-    """It needs between 1000 and 2500 bytes of each robot, as many in a large swarm as in a small one."""
+    """It needs 1000 to 2500 bytes per robot. In a large swarm this is the same number as in a small swarm."""
     assert 1000 < engine_bytes_per_robot(10_240) < 2500
     assert engine_bytes_per_robot(2048) == pytest.approx(engine_bytes_per_robot(10_240), rel=0.01)

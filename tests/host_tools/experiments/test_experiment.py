@@ -39,7 +39,7 @@ def test_an_experiment_says_that_the_engine_in_c_lacks_its_firmware_in_python() 
 
 
 def test_the_largest_grid_of_experiments_is_accepted() -> None:
-    """One with more is refused, as test_an_error_in_a_file_of_experiments... shows."""
+    """A larger grid is refused, as test_an_error_in_a_file_of_experiments... shows."""
     first_combination, *_ = combinations({"seed": [7] * MAX_EXPERIMENTS})
     assert first_combination == {"seed": 7}
 
@@ -86,7 +86,7 @@ steps = [8, 9]
 def test_tables_in_a_file_give_values_that_are_not_combined_with_those_of_other_tables(
     tmp_path: Path,
 ) -> None:
-    """One flawed robot has the seeds 5 and 6, two have seed 7, and each of these 8 and 9 steps."""
+    """Swarms with one flawed robot have seeds 5 and 6; with two, seed 7. Each runs with 8 and 9 steps."""
     experiments = experiments_of(tmp_path, TABLES_IN_A_FILE)
 
     flawed_seed_and_steps = [
@@ -161,7 +161,7 @@ PAGE_OF_AUTHORS = ROOT / "docs/platforms/authors.md"
 def test_docs_platforms_authors_md_translates_the_four_experiments_of_the_authors_template(
     tmp_path: Path,
 ) -> None:
-    """Their programs come with a file of four experiments. The page has it as one of ours, in TOML."""
+    """The authors' programs come with a file of four experiments. The page has the same file in our TOML."""
     translation = block_with(PAGE_OF_AUTHORS, "robots = 10", "toml")
     assert experiments_of(tmp_path, translation) == grid(
         robots=10,

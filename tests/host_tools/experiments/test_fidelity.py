@@ -67,7 +67,7 @@ def test_the_stored_scores_of_the_authors_simulation_are_of_11_experiments_with_
 def test_scores_of_simulate_have_the_distribution_of_those_of_independent_programs(
     stored_experiments: list[fidelity.StoredExperiment], trials: int
 ) -> None:
-    """So large a difference of any score has a probability of at least 1 %, for all comparisons together."""
+    """The p-value of the largest difference is at least 1 %, corrected for all comparisons."""
     assert smallest_p_value(stored_experiments, trials) >= fidelity.LEVEL
 
 

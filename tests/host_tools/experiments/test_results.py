@@ -111,7 +111,7 @@ def test_a_file_of_results_gives_back_how_often_values_were_recorded(experiments
 
 
 def test_results_of_one_robot_without_recorded_values_are_read_from_their_file(path: Path) -> None:
-    """Such results have the shortest lists, which must not be taken for missing ones."""
+    """Such results have the shortest lists. Short lists must not be taken for missing lists."""
     experiment = replace(SHORT, robots=1)
     write_tables(path, [trials_to_table(run_trials(experiment, first=0, trials=1))])
     [trials] = experiments_in(read_table(path))
@@ -187,7 +187,7 @@ def test_the_metadata_of_results_give_a_column_its_unit(
 
 
 def test_the_metadata_of_results_say_how_they_were_made(results_path: Path) -> None:
-    """They have the versions of format and software, and how often values were recorded, in steps.
+    """Metadata name the versions of format and software, and the number of steps between records.
 
     delta is how much an estimate that counts as converged may still change.
     """

@@ -289,7 +289,7 @@ def test_both_axes_of_points_show_scores_from_0_to_100_with_a_margin(scatter: Fi
 
 
 def test_the_legend_of_points_has_the_true_and_the_assumed_accuracy_of_flawed_robots(scatter: Figure) -> None:
-    r"""They are b and \hat{b}."""
+    r"""The legend calls these accuracies b and \hat{b}."""
     assert legend_of(scatter) == [
         r"$b$ = 0.55, $\hat{b}$ = 0.95",
         r"$b$ = 0.95, $\hat{b}$ = 0.55",

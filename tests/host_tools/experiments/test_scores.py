@@ -67,7 +67,7 @@ def test_the_score_of_convergence_comes_from_the_mean_and_the_quartiles_of_the_r
 
 
 def test_the_score_of_errors_has_a_limit_of_its_own() -> None:
-    """It is 0.5 here. The mean of the errors is 0.15, and the quartiles are 0.1 and 0.2."""
+    """The limit is 0.5 here. The mean of the errors is 0.15, and the quartiles are 0.1 and 0.2."""
     scores_of_trials = score([[0, 0, 0, 0]], [[0.1, 0.1, 0.1, 0.3]], k_max=1000, e_max=0.5)
 
     expected_score = 100 * (1 - 0.15 / 0.5) * math.exp(-(0.2 - 0.1) / 0.5)

@@ -146,7 +146,7 @@ def test_an_interrupted_sweep_that_goes_on_runs_only_the_missing_trials(
 def test_an_interrupted_sweep_that_goes_on_gives_the_results_of_one_without_an_interrupt(
     interrupted_sweep: Store,
 ) -> None:
-    """It is compared with one run of all 40 trials of each experiment."""
+    """The results are compared with an uninterrupted run of all 40 trials of each experiment."""
     run_sweep(interrupted_sweep, workers=1)
     experiments = experiments_in(read_table(interrupted_sweep.output))
 
@@ -588,7 +588,7 @@ def sweep_text(grid_file: Path, results_file: Path) -> str:
 def test_the_command_sweep_runs_the_experiments_of_a_file_into_results_beside_it(
     grid_file: Path, sweep_answer: dict[str, Any]
 ) -> None:
-    """They are two experiments of three trials."""
+    """The file has two experiments of three trials."""
     assert sweep_answer["run"] == 2 * 3
     assert sweep_answer["output"] == str(grid_file.with_suffix(".parquet"))
     assert grid_file.with_suffix(".parquet").exists()
@@ -711,7 +711,7 @@ def test_options_of_the_command_simulate_change_the_experiment_of_a_file(one_exp
 
 
 def test_the_command_simulate_scores_with_the_paper_s_limits(one_experiment: Path) -> None:
-    """They are the length of a trial, here 100 steps, and an error of 0.45."""
+    """The limits are the length of a trial, here 100 steps, and an error of 0.45."""
     answer = run_for_json("simulate", one_experiment, "--trials", "1")
     assert answer["limits"] == {"k_max": 100, "e_max": 0.45}
 

@@ -142,7 +142,7 @@ def test_a_result_that_dask_loses_with_the_cluster_is_reported_as_a_usage_error(
 
 
 def test_a_type_error_of_a_job_is_not_taken_for_a_lost_cluster(store: Store, scheduler: str) -> None:
-    """It is an error in an extension of the user's, who has to see where."""
+    """The error is in an extension of the user's. The user has to see where."""
     error_of_job = pytest.raises(TypeError, match="unsupported operand")
     with error_of_job, cluster_module.connect_cluster(scheduler):
         raise TypeError("unsupported operand")

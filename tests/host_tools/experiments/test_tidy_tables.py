@@ -40,7 +40,7 @@ def tidy(trials: Trials) -> pa.Table:
 
 
 def test_a_tidy_table_of_one_experiment_has_no_columns_of_parameters(tidy: pa.Table) -> None:
-    """They would be the same in all rows."""
+    """Such columns would be the same in all rows."""
     assert tidy.column_names == ["trial", "step", "robot", "is_flawed", *QUANTITIES]
 
 

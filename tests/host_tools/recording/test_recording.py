@@ -397,7 +397,7 @@ def test_a_full_disk_ends_the_recording_but_not_the_swarm(tmp_path: Path, capsys
 def test_a_bus_that_fails_sets_the_exit_code_even_if_the_disk_is_full(
     tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """It is 1, though a full disk alone gives 2. With 2 a script would blame the log, but no robot ran."""
+    """The exit code is 1. A full disk alone gives 2, but then a script would blame only the log."""
     failure = RunOutcome("the bus failed: no luck", has_failed=True)
     monkeypatch.setattr("mcp_asdf_tools.robots.node.run_node", Mock(return_value=failure))
     with limited_file_size(0):

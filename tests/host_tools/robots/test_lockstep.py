@@ -388,7 +388,7 @@ def test_a_command_that_is_lost_is_sent_twice_before_the_robot_is_named_in_the_e
 
 @still()
 def test_the_driver_waits_for_an_answer_instead_of_reading_again_and_again() -> None:
-    """It waits for 0.02 s in all, with fewer than 1000 reads. The clock goes on only while it waits."""
+    """The driver waits 0.02 s in all, with fewer than 1000 reads. The clock goes on only while it waits."""
     wire, start = wire_that_loses_commands_to_robot_2_in_tick_7("SETTLE"), CLOCK.now
 
     with pytest.raises(LockstepError, match="robot 2 did not settle"):
@@ -533,7 +533,7 @@ def test_the_report_that_a_robot_s_process_prints_is_kept() -> None:
 
 
 def test_ctrl_c_in_a_terminal_does_not_reach_the_robots_processes() -> None:
-    """It reaches all processes of a session. The process of robot 3 is in another session than this one."""
+    """Ctrl-C reaches all processes of a session. So the process of robot 3 is in a session of its own."""
     this_process = 0
     with processes_that_run(["sleep", "1000"]) as nodes:
         assert os.getsid(process_of_robot_3(nodes).pid) != os.getsid(this_process)

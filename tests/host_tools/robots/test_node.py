@@ -69,7 +69,7 @@ def can_decode(frame: can.Message) -> bool:
 
 
 def test_a_robot_s_filters_pass_the_frames_that_it_can_decode_and_no_others() -> None:
-    """They are filters for the driver of a bus, which looks at identifiers alone. 5000 frames are drawn."""
+    """The driver of a bus applies the filters to identifiers alone. 5000 frames are drawn."""
     frames = draw_frames_near_estimates(5000)
     with can.Bus(interface="virtual", channel="filters", ignore_config=True) as bus:
         bus.set_filters(filters_for(ESTIMATE_FORMAT, COMMAND_FORMAT))
@@ -471,7 +471,7 @@ def test_a_node_that_is_asked_to_end_stops_after_its_tick_and_its_log_can_be_rep
     capsys: pytest.CaptureFixture[str],
     tmp_path: Path,
 ) -> None:
-    """It is asked by a signal or the end of its input, and reports one tick. ``replay`` accepts its log."""
+    """A signal or the end of input asks the node to end. It reports one tick. ``replay`` accepts its log."""
     arguments = [*options, "--log", f"{tmp_path}/run.log"]
     assert run_robot_3_until_it_is_asked_to_end(arguments, ending_signal) == exit_code
     assert "1 ticks as robot 3; stopped" in " ".join(capsys.readouterr().out.split())

@@ -166,7 +166,7 @@ SHORTEST_PERIOD = {1000}
 def test_a_picture_shows_the_filters_periods_and_percentages_of_flawed_robots_of_the_papers_figure(
     name: str, filters: set[str], periods: set[int], percents: set[int]
 ) -> None:
-    """It is drawn of swarms with these filters, with these periods and with these percentages."""
+    """The swarms in the picture have exactly these filters, periods and percentages."""
     drawn = drawn_swarms(name)
 
     assert drawn.filters == filters

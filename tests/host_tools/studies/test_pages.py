@@ -131,7 +131,7 @@ def test_the_tool_puts_the_beginning_of_a_report_without_its_links_into_the_page
 def test_the_tool_records_for_each_claim_its_verdict_and_how_many_comparisons_hold(
     reported_study: Path,
 ) -> None:
-    """It counts the lines of comparisons.csv."""
+    """The tool counts the lines of comparisons.csv."""
     exit_code_of_tool("study", folder_of_results=reported_study)
 
     assert (reported_study / "tests/data/study_verdicts.csv").read_text().splitlines() == [

@@ -273,7 +273,7 @@ def test_bayescpf_updates_its_accuracy_in_each_hundredth_step_unless_the_filter_
 
 @pytest.mark.parametrize("mean", [0.4, 0.49, 0.5, 1.0, 1.02, 1.3])
 def test_bayescpf_cuts_its_estimate_as_a_truncated_normal_distribution(mean: float) -> None:
-    """It is the mean of a normal distribution that is cut to the possible accuracies, 0.5 to 1."""
+    """The estimate is the mean of a normal distribution, cut to the possible accuracies 0.5 to 1."""
     robot = peers.BayesCpfRobot(EVERY_ROUND, robot_id=0, b_hat=0.8)
     deviation = 0.1
     robot._mean, robot._variance = mean, deviation**2  # what an update has left
@@ -419,7 +419,7 @@ def test_a_trimmed_mean_leaves_out_a_quarter_at_either_end(estimates: list[float
 
 
 def test_a_robot_with_a_trimmed_mean_counts_its_own_estimate_among_the_others() -> None:
-    """It leaves out a quarter of the estimates 0.2, 0.4, 0.6 and its own, 1.0, at either end: 0.2 and 1.0."""
+    """The estimates are 0.2, 0.4, 0.6 and its own, 1.0. It drops a quarter at either end: 0.2 and 1.0."""
     robot = peers.TrimmedMeanRobot(WITHOUT_FILTER, robot_id=0, b_hat=0.9)
     robot.observe(Observation.BLACK)
 

@@ -131,7 +131,7 @@ def test_no_accuracy_is_rejected_without_pairs_of_readings() -> None:
 def test_the_accuracy_is_the_one_at_which_as_many_of_100_pairs_of_readings_disagree(
     disagreements: int, accuracy: float
 ) -> None:
-    """With an accuracy of 0.9 these are 2 x 0.9 x 0.1 of them. It is never below 0.5, nor quite 1."""
+    """With an accuracy of 0.9, 2 x 0.9 x 0.1 of all pairs disagree. Results are at least 0.5 and below 1."""
     assert accuracy_of_disagreements(disagreements, pairs=100) == pytest.approx(accuracy)
 
 
@@ -209,7 +209,7 @@ def test_a_robot_with_two_readings_combines_estimates_as_the_robust_filter_does(
 
 @pytest.mark.parametrize("readings_before", [0, 1])
 def test_a_reading_that_is_no_colour_is_refused_and_not_counted(readings_before: int) -> None:
-    """It would be the first reading of a tile, or the second one. So there is no pair of readings yet."""
+    """The bad reading comes as first or second reading of a tile. So there is no pair of readings yet."""
     robot = two_readings_robot(b_hat=0.9)
     for _ in range(readings_before):
         robot.observe(Observation.BLACK)

@@ -177,7 +177,7 @@ def test_comparisons_csv_has_a_line_for_every_comparison_of_every_claim(
 def test_a_line_of_comparisons_csv_has_claim_verdict_expectation_and_interval(
     csv_rows: list[dict[str, str]],
 ) -> None:
-    """It is the first line of a claim that equations decide, so the interval is a single number."""
+    """The line is the first line of a claim that equations decide. So the interval is a single number."""
     row = next(row for row in csv_rows if row["claim"] == "confidence_increases_with_b_hat")
     assert row == {
         "seed": "1",

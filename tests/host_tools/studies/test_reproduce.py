@@ -211,7 +211,7 @@ def test_a_study_with_another_seed_is_refused_in_the_folder_of_one_and_leaves_it
 
 
 def test_a_firmware_of_the_user_s_runs_in_the_60_swarms_of_asdf_minus_and_asdf_plus() -> None:
-    """They are listed with the study's trials and steps, and with the shortest filter period."""
+    """The swarms are listed with the study's trials and steps, and with the shortest filter period."""
     size = StudySize(trials=2, steps=4000)
     experiments = own_experiments_of(StudyPart.DYNAMIC, size, firmware="mirror", filter_name=None)
 

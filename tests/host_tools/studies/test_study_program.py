@@ -151,7 +151,7 @@ def test_a_plain_error_has_no_interval_even_if_trials_differ() -> None:
 
 
 def test_the_error_of_underconfident_swarms_stands_before_that_of_overconfident_ones() -> None:
-    """They are given in the other order. A cell with overconfident swarms only has one error."""
+    """The test passes overconfident swarms first. A cell with only overconfident swarms has one error."""
     underconfident = trials_with(**FLAWS["underconfident"], x=0.75)  # 0.55 of the floor is black
     overconfident = trials_with(**FLAWS["overconfident"], x=0.9)  # 0.95 of the floor is black
     assert study_program.under_and_over_text([overconfident, underconfident]) == "0.200, 0.050"

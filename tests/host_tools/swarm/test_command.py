@@ -75,7 +75,7 @@ def test_the_file_beside_a_log_has_the_json_report(tmp_path: Path, capsys: Captu
 
 
 def test_the_log_of_a_swarm_has_every_frame_with_its_channel_and_its_time(tmp_path: Path) -> None:
-    """They are the frames that the same swarm sends without the command; times are in milliseconds."""
+    """The frames equal the ones that the same swarm sends without the command. Times are in milliseconds."""
     log = tmp_path / "my.run.log"
     assert run_swarm_command("--quiet", "--log", log, "--channel", "mine") == 0
     with can.LogReader(log) as reader:
@@ -97,7 +97,7 @@ def files_of_command(folder: Path) -> dict[str, bytes]:
 
 
 def test_the_same_command_writes_the_same_files_again(tmp_path: Path) -> None:
-    """They are the log, the events and the results, which are compared byte by byte."""
+    """Log, events and results are compared byte by byte."""
     files = files_of_command(tmp_path / "first")
     assert files.keys() == {"run.log", "run.log.events", "run.log.json"}
     assert files_of_command(tmp_path / "second") == files
@@ -458,7 +458,7 @@ def test_a_comparison_has_mean_errors_and_the_accuracies_that_flawed_robots_assu
 
 
 def test_a_comparison_names_no_true_accuracy_if_sensors_age() -> None:
-    """They begin with an accuracy of 0.95 and lose some in each step, so 0.95 would mislead who reads it."""
+    """Sensors begin with an accuracy of 0.95 and lose some in each step. So 0.95 would mislead the user."""
     settings = replace(SMALL_SETTINGS, drift="linear", drift_rate=-1e-5)
     assert "an accuracy of 0.55, now: ASDF+ 0.80, robust 0.64." in comparison(RESULTS_BY_FILTER, settings)
 
@@ -534,7 +534,7 @@ def test_the_errors_that_the_readme_shows_are_those_of_its_first_command() -> No
 
 @pytest.mark.slow
 def test_the_first_command_of_the_readme_ends_as_it_shows(capsys: Capture) -> None:
-    """It is ``make swarm``. Its options are read from the Makefile, and its last line is compared."""
+    """The command is ``make swarm``. Its options come from the Makefile. Its last line is compared."""
     makefile = (ROOT / "Makefile").read_text()
     swarm_command = re.search(r"^\t@\$\(BIN\)/mcp-asdf (swarm .*)$", makefile, re.MULTILINE)
     assert swarm_command is not None

@@ -136,7 +136,7 @@ TERMINAL: dict[str, Any] = {"force_terminal": True, "color_system": None}
 
 
 def test_a_terminal_gets_a_progress_bar_from_the_first_step_to_the_last() -> None:
-    """It is drawn over itself, at most four times a second and not in each step; a full bar has ten marks."""
+    """The bar is redrawn in place, at most four times a second. A full bar has ten marks."""
     viewed_run = view_run(steps=200, compare=False, width=80, **TERMINAL)
     first_picture, *other_pictures, last_picture = pictures(viewed_run.output)
     assert first_picture.startswith("1/200 ")

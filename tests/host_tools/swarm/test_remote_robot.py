@@ -247,7 +247,7 @@ def swarm_with_a_silent_robot(
 
 
 def test_a_remote_robot_that_falls_silent_ends_the_run(monkeypatch: pytest.MonkeyPatch) -> None:
-    """It is gone after tick 1. The failure of the run names tick 2 and robot 1, and no error is raised"""
+    """Robot 1 is gone after tick 1. The run's failure names tick 2 and robot 1. No error is raised"""
     with swarm_with_a_silent_robot(monkeypatch) as driven_swarm:
         run = run_swarm(driven_swarm)
 

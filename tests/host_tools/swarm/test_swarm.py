@@ -500,7 +500,7 @@ def test_results_have_the_mean_estimate_and_its_error(seed: int, is_low: bool) -
 
 @pytest.mark.parametrize("name", ["x", "x_hat"])
 def test_results_have_the_spread_of_estimates(name: str) -> None:
-    """It is the largest less the smallest. x is made from all estimates, x_hat from own observations."""
+    """The spread is largest minus smallest. x is made from all estimates, x_hat from own observations."""
     run = run_of_disagreeing_robots()
     estimates = [getattr(node.robot, name) for node in run.nodes]
     assert run.results[f"spread_{name}"] == max(estimates) - min(estimates) > 0

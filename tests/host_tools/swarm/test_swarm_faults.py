@@ -491,7 +491,7 @@ def test_the_table_of_threats_has_the_figures_of_these_runs(attack: dict[str, st
 
 
 def test_the_table_of_threats_has_figures_with_allowed_ids_only_for_made_up_ids() -> None:
-    """These are the attacks with the fault sybil. For such figures robots allow ids 0 to 19 alone."""
+    """Attacks with the fault sybil make up ids. For figures with allowed ids, robots allow only 0 to 19."""
     for attack in RUNNABLE_ATTACKS:
         has_figures_with_allowed_ids = attack["asdf_plus_allow_0_19_error"] != ""
         assert has_figures_with_allowed_ids == ("sybil" in attack["faults"]), attack["attack"]

@@ -120,7 +120,7 @@ def regular_roster(roster: RosterOfRobot3) -> RosterOfRobot3:
 def test_the_rate_of_a_new_robot_is_that_since_its_first_frame(
     frames: int, now: float, rate: float, roster: RosterOfRobot3
 ) -> None:
-    """It is the number of frames divided by the seconds since the first one, but by one second at least.
+    """The rate is the number of frames / the seconds since the first frame, but at least one second.
 
     The robot sends a frame every tenth of a second, from 50 s on.
     """
@@ -202,7 +202,7 @@ def test_the_table_shows_the_values_of_a_robot_s_last_telemetry(roster: RosterOf
 
 
 def test_a_robot_that_has_only_sent_an_estimate_has_unknown_state_and_values(roster: RosterOfRobot3) -> None:
-    """They would come with heartbeats and telemetry. None stands for what is unknown."""
+    """State and values come with heartbeats and telemetry. None stands for unknown."""
     roster.receive_estimate(0, now=0.0)
     row = roster.row(now=0.0)
     for name in ("health", "mode", "x", "b_hat", "updates"):

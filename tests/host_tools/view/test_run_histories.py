@@ -130,7 +130,7 @@ def test_the_history_of_a_running_swarm_has_a_state_after_each_of_its_110_steps(
 def test_a_log_and_a_trial_are_shown_with_the_states_and_the_title_of_the_running_swarm(
     recordings: Recordings,
 ) -> None:
-    """They have a state before the first step as well; the running swarm has one after each step.
+    """Log and trial have a state before the first step, too. The running swarm has one after each step.
 
     Title and parameters are compared in JSON, as the web page of the swarm gets them.
     """
@@ -238,7 +238,7 @@ def test_the_line_of_errors_without_a_filter_has_a_limited_number_of_points(
 def test_the_chart_lacks_errors_without_a_filter_where_they_would_be_no_fair_comparison_or_take_long(
     parameters: dict[str, Any],
 ) -> None:
-    """They are simulated without faults, latency and acceptance lists, so a swarm with these differs."""
+    """Errors without a filter are simulated without faults, latency and acceptance lists, unlike these swarms."""
     settings = SwarmSettings(**PARAMETERS | parameters)
     assert len(SwarmRecorder(settings).history.description.unfiltered_errors) == 0
 

@@ -258,7 +258,7 @@ def candidates_of(arena: Arena) -> list[list[int]]:
 
 @pytest.mark.parametrize("density", [0.02, 0.3, 1.0, 4.0, 10.0])
 def test_a_search_in_a_grid_finds_the_same_pairs_of_robots_as_comparing_all(density: float) -> None:
-    """They are the pairs that could be linked soon. More than 128 robots are searched in a grid."""
+    """The search finds pairs that could be linked soon. More than 128 robots are searched in a grid."""
     arena = random_large_arena(density)
     assert candidates_of(arena) == candidates_by_definition(arena), arena.settings
     arena.step(13)
@@ -290,7 +290,7 @@ def bytes_per_robot(robots: int) -> float:
 
 
 def test_an_arena_needs_as_much_memory_for_each_of_10000_robots_as_for_each_of_1000() -> None:
-    """It is between 1000 and 2000 bytes a robot. It would grow with the number if pairs were kept."""
+    """A robot takes 1000 to 2000 bytes. With stored pairs this would grow with the number of robots."""
     assert 1000 < bytes_per_robot(10_000) < 2000
     assert bytes_per_robot(1000) == pytest.approx(bytes_per_robot(10_000), rel=0.01)
 

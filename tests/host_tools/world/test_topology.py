@@ -124,7 +124,7 @@ def test_a_file_that_is_no_text_is_refused(tmp_path: Path) -> None:
 
 
 def test_a_graph_that_names_robots_outside_the_swarm_is_refused() -> None:
-    """It names robot 7. Eight robots have one, and for seven the error says which ids there are."""
+    """The graph names robot 7. A swarm of eight has it. For a swarm of seven the error lists the ids."""
     graph = parse_graph("0 1; 1 7")
     graph.check(robots=8)
     with pytest.raises(UsageError, match="names robot 7, but the ids of 7 robots are 0 to 6"):

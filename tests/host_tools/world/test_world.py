@@ -227,7 +227,7 @@ def observations_in(scene: Scene) -> list[list[Observation | None]]:
 
 @in_each_world
 def test_a_world_taken_step_by_step_is_that_of_all_steps_at_once(changes: dict[str, Any]) -> None:
-    """All that robots meet in each of 200 steps is equal. Only moving robots have positions."""
+    """In each of 200 steps robots meet the same things in both. Only moving robots have positions."""
     scene = make_world(**changes).advance(200)
     stepped_world = SteppedWorld(make_settings(**changes))
     for step, expected_observations in enumerate(observations_in(scene)):
@@ -330,7 +330,7 @@ def test_settings_of_a_world_that_contradict_each_other_are_refused(
     ],
 )
 def test_settings_at_a_limit_are_accepted(changes: dict[str, Any]) -> None:
-    """They are kept as they are, but for a graph. Values just beyond are refused."""
+    """Such settings are kept unchanged, except a graph. Values just beyond the limit are refused."""
     settings = WorldSettings(**changes)
     accepted = {name: getattr(settings, name) for name in changes if name != "graph"}
     assert accepted == {name: value for name, value in changes.items() if name != "graph"}
@@ -434,7 +434,7 @@ def test_a_floor_like_a_qr_code_has_finder_patterns_in_three_corners(fill_ratio:
 
 @pytest.mark.parametrize("fill_ratio", FILL_RATIOS_OF_CODES)
 def test_a_floor_like_a_qr_code_has_two_lines_of_black_and_white_in_turn(fill_ratio: float) -> None:
-    """They are the row and the column from one finder pattern to another, by which readers count modules."""
+    """A row and a column run from one finder pattern to the next. Readers count modules by them."""
     code = make_floor_code(fill_ratio)
     line = FINDER_PATTERN_SIDE - 1  # the last row and column of the first pattern
     margin = FINDER_PATTERN_SIDE + 1  # a pattern and a white module beside it
@@ -466,7 +466,7 @@ VALID_ACCURACIES = np.full((1, 1), 0.5)
 def test_accuracies_of_an_extension_may_be_alike_for_all_steps_or_robots(
     accuracies: NDArray[np.float64],
 ) -> None:
-    """One row stands for all 5 steps, and one column for all 4 robots. They are returned as they are."""
+    """One row stands for all 5 steps, one column for all 4 robots. The arrays are returned unchanged."""
     extension = extension_whose_advance_returns((VALID_ACCURACIES, accuracies))
     sensors = CheckedSensors(extension, make_settings())
     on_black, on_white = sensors.advance(5)
