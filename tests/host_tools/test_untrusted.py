@@ -245,7 +245,7 @@ def test_results_with_a_column_whose_name_is_no_text_are_refused(tmp_path: Path)
     assert is_one_short_line(refusal)
 
 
-def test_results_that_lack_the_metadata_of_parquet_are_read_by_those_of_arrow(tmp_path: Path) -> None:
+def test_results_that_lack_the_metadata_of_parquet_are_read_by_the_metadata_of_arrow(tmp_path: Path) -> None:
     """A file of results has two schemas, each with metadata called "mcp-asdf". Only Parquet's are renamed."""
     data = valid_results().replace(b"mcp-asdf", b"mcp-asdg")
     assert read_or_refuse(PARSERS["results"], tmp_path / "run.parquet", data) is None

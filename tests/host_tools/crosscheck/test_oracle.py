@@ -369,7 +369,7 @@ def test_the_error_of_alpha_is_relative_to_the_exact_one() -> None:
 
 
 @in_all_regions
-def test_the_error_of_b_hat_is_its_distance_from_that_of_eq_8(b_hat: int, x_bar: int) -> None:
+def test_the_error_of_b_hat_is_its_distance_from_the_b_hat_of_eq_8(b_hat: int, x_bar: int) -> None:
     """Equation 8 re-estimates b_hat from the black tiles, two of three, and x_bar, the others' estimate."""
     collected = errors_of_third_step(b_hat, x_bar)
     exact_b_hat = assumed_accuracy_update(N, T, Fraction(x_bar, ONE))

@@ -346,7 +346,7 @@ def test_32_panels_fit_a_picture(unfiltered: Trials) -> None:
     assert len(plot_boxes(experiments).axes) == 32
 
 
-def test_the_legend_has_filters_in_their_usual_order_whatever_that_of_the_experiments(
+def test_the_legend_has_filters_in_their_usual_order_for_any_order_of_the_experiments(
     results_by_filter: dict[str, Trials],
 ) -> None:
     """The fixture has the last filter first."""

@@ -156,7 +156,7 @@ def test_the_uptime_of_a_neighbour_that_rejoins_restored_goes_on_where_it_was() 
         (127, 126, 0, tuple(range(126))),
     ],
 )
-def test_emulated_neighbours_have_the_lowest_allowed_ids_without_that_of_the_controller(
+def test_emulated_neighbours_have_the_lowest_allowed_ids_except_the_id_of_the_controller(
     controller: int, count: int, first: int, ids: tuple[int, ...]
 ) -> None:
     """``first`` is the first allowed id, and ``count`` is the number of neighbours."""

@@ -394,7 +394,7 @@ def test_a_population_can_be_made_again_from_its_parameters() -> None:
     assert Population(**population.parameters()) == population
 
 
-def test_the_sensors_of_all_robots_drift_unless_only_those_of_the_flawed_ones_are_to() -> None:
+def test_the_sensors_of_all_robots_drift_unless_only_flawed_robots_are_to_drift() -> None:
     """Two of four robots are flawed. ``drifting`` is the number of robots whose sensors drift."""
     assert Population(**FOUR_ROBOTS, drift="linear", drift_of="flawed").drifting == 2
     assert Population(**FOUR_ROBOTS, drift="linear").drifting == 4

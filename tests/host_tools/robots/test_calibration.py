@@ -58,7 +58,7 @@ def shares_of_right_readings(readings: ReadingsWithColours, threshold: float) ->
 
 @pytest.mark.parametrize("black_centre", [300, 700])
 @pytest.mark.parametrize("are_whole", [True, False])
-def test_no_threshold_recognises_the_worse_colour_better_than_that_of_the_calibration(
+def test_no_threshold_recognises_the_worse_colour_better_than_the_threshold_of_the_calibration(
     black_centre: int, are_whole: bool
 ) -> None:
     """Each of the readings is tried as a threshold, with black below it and above it."""

@@ -26,7 +26,7 @@ def test_filters_are_listed_from_fewer_recalibrating_robots_to_more() -> None:
         ("none", True, "always", Filter.OFF),
     ],
 )
-def test_a_filter_of_a_swarm_sets_that_of_each_robot(
+def test_a_filter_of_a_swarm_sets_the_filter_of_each_robot(
     name: str, is_flawed: bool, activation: Activation, firmware_filter: Filter
 ) -> None:
     """With the activation "always" the paper's filters recalibrate without a test; it changes no other."""

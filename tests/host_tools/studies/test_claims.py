@@ -232,7 +232,7 @@ def test_next_lower_p_is_the_next_lower_percentage_of_flawed_robots_that_the_stu
         ({"measure": "loss of H", "than": {"flawed_percent": 50}}, 3 - 5),
     ],
 )
-def test_a_comparison_is_the_measure_of_the_first_cell_less_that_of_the_other(
+def test_a_comparison_is_the_measure_of_the_first_cell_less_the_measure_of_the_second(
     row: dict[str, Any], expected: float
 ) -> None:
     """With 30 % flawed robots H is 57 without a filter, 72 with ASDF- and 77 with ASDF+.

@@ -88,7 +88,7 @@ def test_the_ratio_of_two_statistics_divides_their_values_and_their_resamples_in
     assert ratio.resamples.tolist() == [2.0 / 1.0, 8.0 / 2.0]
 
 
-def test_the_error_ratio_of_a_code_is_that_of_the_swarm_in_which_it_is_largest(
+def test_the_error_ratio_of_a_code_is_the_largest_ratio_of_its_swarms(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """A ratio divides the error of a swarm by the error of the same swarm with exact messages.

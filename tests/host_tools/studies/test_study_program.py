@@ -43,7 +43,7 @@ def test_the_late_error_is_the_mean_distance_from_f_in_the_last_quarter() -> Non
     assert study_program.late_errors(trials) == pytest.approx([mean_distance, mean_distance])
 
 
-def test_the_late_error_of_three_samples_is_that_of_the_last_one() -> None:
+def test_the_late_error_of_three_samples_is_the_error_of_the_last_sample() -> None:
     """The last quarter of three samples is rounded up to one sample. Four robots estimate f, which is 0.5."""
     first_two_samples = [[0.7, 0.7, 0.7, 0.7]] * 2
     trials = trials_with(x=[*first_two_samples, [0.4, 0.6, 0.8, 0.0]])

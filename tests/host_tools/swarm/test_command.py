@@ -463,7 +463,7 @@ def test_a_comparison_names_no_true_accuracy_if_sensors_age() -> None:
     assert "an accuracy of 0.55, now: ASDF+ 0.80, robust 0.64." in comparison(RESULTS_BY_FILTER, settings)
 
 
-def test_the_last_line_of_a_comparison_is_that_of_its_results(capsys: Capture) -> None:
+def test_the_last_line_of_a_comparison_describes_the_results_of_all_filters(capsys: Capture) -> None:
     """The sentences are made from the report of the same command in JSON, which has four filters."""
     options = [*COMPARED_SWARM, "--steps", "100", "--filter", "asdf-plus", "--compare"]
     assert main([*options, "--json"]) == 0
@@ -476,7 +476,7 @@ def test_the_last_line_of_a_comparison_is_that_of_its_results(capsys: Capture) -
     assert last_line == comparison(results_by_filter, SMALL_SETTINGS)
 
 
-def test_the_log_of_a_comparison_is_that_of_the_chosen_filter(tmp_path: Path) -> None:
+def test_the_log_of_a_comparison_is_the_log_of_the_chosen_filter(tmp_path: Path) -> None:
     """A run with this filter and without a comparison writes the same log."""
     options = ["--filter", "asdf-plus", "--steps", "100", "--quiet", "--log"]
     assert main([*COMPARED_SWARM, *options, str(tmp_path / "alone.log")]) == 0

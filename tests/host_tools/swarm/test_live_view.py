@@ -98,7 +98,7 @@ def test_a_pipe_gets_no_mean_error_at_the_end_of_an_incomplete_twentieth() -> No
     assert last_line.startswith("step\t95\t")
 
 
-def test_a_pipe_gets_the_mean_errors_of_baselines_behind_that_of_the_swarm() -> None:
+def test_a_pipe_gets_the_mean_errors_of_baselines_behind_the_swarm_s_mean_error() -> None:
     """Baselines are the same swarm without a filter and with the robust one."""
     viewed_run = view_run(steps=20, compare=True)
     swarm_error = viewed_run.mean_errors[20]

@@ -215,7 +215,7 @@ def test_remote_robots_end_in_the_same_state_among_faults(
     assert x_with_remote_robots == [node.robot.x for node in comparison.local_run.nodes]
 
 
-def test_a_run_reports_as_x_hat_of_a_remote_robot_what_it_broadcast_last() -> None:
+def test_a_run_reports_the_last_broadcast_x_hat_of_a_remote_robot() -> None:
     """Robot 1 is remote. It broadcasts x_hat, the estimate from its own observations, in each tick.
 
     The report is compared with a run in which robot 1 is in this process.

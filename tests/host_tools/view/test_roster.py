@@ -129,7 +129,7 @@ def test_the_rate_of_a_new_robot_is_that_since_its_first_frame(
     assert roster.row(now)["rate"] == rate
 
 
-def test_the_rate_of_a_robot_is_that_of_the_last_five_seconds(regular_roster: RosterOfRobot3) -> None:
+def test_the_rate_of_a_robot_is_its_rate_in_the_last_five_seconds(regular_roster: RosterOfRobot3) -> None:
     """It sends ten frames a second until 59.9 s. At 62.9 s it has sent 20 or 21 frames in the last five."""
     assert regular_roster.row(now=59.9)["rate"] == 10.0
     assert regular_roster.row(now=62.9)["rate"] in (20 / 5, 21 / 5)

@@ -238,7 +238,7 @@ def test_the_line_of_errors_without_a_filter_has_a_limited_number_of_points(
 def test_the_chart_lacks_errors_without_a_filter_where_they_would_be_no_fair_comparison_or_take_long(
     parameters: dict[str, Any],
 ) -> None:
-    """Errors without a filter are simulated without faults, latency and acceptance lists, unlike these swarms."""
+    """Errors without a filter are simulated without faults, latency and allowed ids, which is unfair here."""
     settings = SwarmSettings(**PARAMETERS | parameters)
     assert len(SwarmRecorder(settings).history.description.unfiltered_errors) == 0
 

@@ -226,7 +226,7 @@ def observations_in(scene: Scene) -> list[list[Observation | None]]:
 
 
 @in_each_world
-def test_a_world_taken_step_by_step_is_that_of_all_steps_at_once(changes: dict[str, Any]) -> None:
+def test_a_world_taken_step_by_step_equals_a_world_of_all_steps_at_once(changes: dict[str, Any]) -> None:
     """In each of 200 steps robots meet the same things in both. Only moving robots have positions."""
     scene = make_world(**changes).advance(200)
     stepped_world = SteppedWorld(make_settings(**changes))
@@ -590,7 +590,7 @@ def test_a_drift_that_starts_at_the_lowest_accuracy_stays_there() -> None:
         ({}, [0.95 - 99 * 1e-3]),  # one accuracy for all robots
     ],
 )
-def test_sensors_drift_in_all_robots_unless_only_those_of_flawed_ones_are_to(
+def test_sensors_drift_in_all_robots_unless_only_flawed_robots_are_to_drift(
     choice: dict[str, Any], accuracies: list[float]
 ) -> None:
     """The first of four robots is flawed. An accuracy of 0.95 loses a thousandth in each of 99 steps."""
