@@ -79,7 +79,7 @@ static status_t check_sender_and_format(const mcp_asdf_frame_format_t *format, u
 static void write_envelope(mcp_asdf_frame_t *frame, uint8_t priority, uint16_t subject, uint8_t node,
                            uint8_t transfer_id)
 {
-    /* A subject's filter is an identifier that has no other bits than those of the subject. */
+    /* MCP_ASDF_FRAME_FILTER() returns an identifier with the bits of the subject alone. */
     frame->id = ((uint32_t)priority << 26) | ID_BITS_SENT_AS_ONE | MCP_ASDF_FRAME_FILTER(subject) | node;
     frame->flags = 0;
     frame->length = FRAME_BYTES;

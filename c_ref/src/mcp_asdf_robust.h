@@ -324,8 +324,8 @@ ALWAYS_INLINE uint32_t probability_of_black(const mcp_asdf_t *robot, uint32_t x)
     return multiply_high(b_hat, x) + multiply_high(~b_hat, ~x); /* < 2^32 - 1 */
 }
 
-/* Returns factor times number, a Q64, as Q32 and rounded down: < 2^64. Of the product with the lower word
- * only the upper word counts. */
+/* Returns factor times number, a Q64, as Q32 and rounded down: < 2^64. The product with the lower word of
+ * `number` counts with its upper word only. */
 ALWAYS_INLINE uint64_t times_q64(uint32_t factor, uint64_t number)
 {
     return multiply(factor, high_word(number)) + high_word(multiply(factor, low_word(number)));

@@ -65,8 +65,8 @@ static uint32_t long_code_from_alpha(uint32_t alpha)
     if (length <= ALPHA_LINEAR_BITS) {
         return significand >> (ALPHA_LINEAR_BITS + 1U - length); /* a shift by [1, 20]; below 2^27 */
     }
-    /* The exponent is length - ALPHA_LINEAR_BITS, of which 1 is left out: the highest bit of the significand
-     * adds it, as it is just above the fraction. */
+    /* The exponent is length - ALPHA_LINEAR_BITS. It enters less 1: the highest bit of the significand is
+     * just above the fraction, and adds the 1. */
     return ((length - ALPHA_LINEAR_BITS - 1U) << ALPHA_FRACTION_LENGTH) + significand;
 }
 

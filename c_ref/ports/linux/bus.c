@@ -19,7 +19,7 @@
 /* Bytes in which addresses of senders are compared: an IPv6 address without its scope, an IPv4 one as a
  * whole. */
 #define COMPARED_ADDRESS_SIZE offsetof(struct sockaddr_in6, sin6_scope_id)
-/* Errors of which the controller sends reports. */
+/* Errors that the controller reports. */
 #define REPORTED_ERRORS                                                                                      \
     (CAN_ERR_TX_TIMEOUT | CAN_ERR_CRTL | CAN_ERR_BUSOFF | CAN_ERR_BUSERROR | CAN_ERR_RESTARTED)
 /* States of the controller in a report of CAN_ERR_CRTL. */

@@ -58,7 +58,7 @@ int port_get(void)
  * their interrupt is enabled at each step of its way: in the UART, in the interrupt controller, and in the
  * processor's register mie. The processor never takes it, as another bit (mstatus.MIE), 0 from reset on,
  * forbids all interrupts. But an interrupt that is enabled in mie ends the instruction "wfi" all the same,
- * and then port_get() fetches the bytes, of which the UART keeps 16. */
+ * and then port_get() fetches the bytes. The UART keeps up to 16 bytes. */
 void uart_start(void)
 {
     UART_QUEUES = ENABLE_AND_CLEAR;

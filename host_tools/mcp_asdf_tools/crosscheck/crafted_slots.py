@@ -138,7 +138,7 @@ def draw_slots_at_threshold(
         steps_of_each, remaining_steps = divmod(steps, count)
         estimates = []
         for index, estimate in enumerate(start_estimates):
-            # The first ones have taken a step more, as the turn has not come round to the others.
+            # The first estimates have taken a step more: the turn has not come round to the others.
             own_steps = steps_of_each + 1 if index < remaining_steps else steps_of_each
             estimates.append(_limit_estimate(estimate + direction * own_steps))
         return SlotsAtTest(tuple(estimates), robust, state.t, state.n)

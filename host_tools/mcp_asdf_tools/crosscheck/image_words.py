@@ -110,7 +110,7 @@ def pack_open_round_from_all(sums: Sums, robot_id: int) -> dict[int, int]:
     """Return words 13 to 26 of an image, by index, for a robot whose open round has these sums.
 
     They are alpha, alpha_x_low, alpha_x_high and x_squared, of two words each, x and the count of one word
-    each, and four words of senders. The senders are all ids but ``robot_id``, that of the robot itself.
+    each, and four words of senders. The senders are all ids but the robot's own, ``robot_id``.
     """
     words = [
         *split_in_words(sums.alpha),

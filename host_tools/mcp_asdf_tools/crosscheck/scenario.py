@@ -56,7 +56,7 @@ class Call:
             receive: sender, x_hat, alpha.
             restore: The robot is saved and replaced by the robot restored from its image, in which words were
                 replaced and the checksum made right again. If that is refused it stays as it was. Numbers are
-                pairs of an index, from 1 to that of the last word but the checksum, and a value.
+                pairs of an index, from 1 to the index of the last word before the checksum, and a value.
             damage: As restore, but the byte at an index is changed by exclusive or with a mask and the
                 checksum left as it is.
     """

@@ -1,9 +1,9 @@
 """Trial files of the paper's authors: the JSON that their simulators write, read as ``Trials``.
 
 A file has one trial: its parameters by name, and under ``data_str`` a list for each robot with a text for
-each step from 0 on. A text is numbers with commas between, of which the first ten are: seed, n, t, x_hat,
-alpha, x_bar, beta, x, and the accuracies that the robot assumes on black and on white. Numbers from x_hat on
-have six decimal places. The flawed robots are the last ones.
+each step from 0 on. A text is numbers with commas between. The first ten are: seed, n, t, x_hat, alpha,
+x_bar, beta, x, and the accuracies that the robot assumes on black and on white. Numbers from x_hat on have
+six decimal places. The flawed robots are the last ones.
 
 The format was read in github.com/NESTLab/sensor-degradation-filter at commit 7bc1acc. There
 ``scripts/python/sim_module.py`` writes the trials of fixed networks, and

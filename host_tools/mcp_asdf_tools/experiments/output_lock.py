@@ -50,7 +50,7 @@ def lock_file(path: Path) -> str | None:
 
 
 def _is_still_at(path: Path, descriptor: int) -> bool:
-    """Return whether an open file is the one that has the name ``path`` now, and not one that was removed."""
+    """Return whether an open file still has the name ``path``, and was not removed."""
     return path.exists() and os.path.samestat(os.fstat(descriptor), path.stat())
 
 

@@ -85,7 +85,7 @@ def name_series(experiment: Experiment, varying_names: Sequence[str]) -> str:
 def parameter_in_words(parameter_name: str) -> str:
     """Return the name of a parameter as pictures show it, such as "filter period" for filter_period.
 
-    That of ``flawed`` is "share of flawed robots", as pictures show shares and not counts of them.
+    The name of ``flawed`` is "share of flawed robots", as pictures show shares and not counts of them.
     """
     return "share of flawed robots" if parameter_name == "flawed" else parameter_name.replace("_", " ")
 

@@ -209,7 +209,7 @@ class RowsInMemory:
 
 
 class RowGroups:
-    """The rows of many files as one sequence, of which only a few row groups are in memory.
+    """The rows of many files as one sequence, with only a few row groups in memory.
 
     Attributes:
         row_count: Number of rows.

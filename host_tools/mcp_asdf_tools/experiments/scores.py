@@ -40,7 +40,8 @@ def convergence_step(series: NDArray[np.uint32] | NDArray[np.float64], delta: fl
     chunk_starts = np.arange(0, len(series), _CHUNK)
     lowest_from_chunk = _extreme_to_end(np.minimum, np.minimum.reduceat(series, chunk_starts))
     highest_from_chunk = _extreme_to_end(np.maximum, np.maximum.reduceat(series, chunk_starts))
-    # After a chunk are the values from the next one on. After the last one is none: its last value serves.
+    # The values after a chunk begin with the next chunk. The last chunk has none after it: its last value
+    # serves.
     lowest_after_chunk = np.append(lowest_from_chunk[1:], series[-1])
     highest_after_chunk = np.append(highest_from_chunk[1:], series[-1])
     # Where the values after a chunk are 2 delta apart, no step in the chunk can be near all of them.

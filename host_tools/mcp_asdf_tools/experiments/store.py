@@ -87,8 +87,8 @@ class Store:
         self._row_of_trial: dict[_ResultKey, NDArray[np.int64]] = {}
         for experiment in self.experiments:
             key = _result_key(experiment)
-            # Experiments that differ only in their number of trials share their results: the longest list
-            # has room for those of all.
+            # Experiments that differ only in their number of trials share their results: the longest list has
+            # room for all.
             trials_so_far = len(self._row_of_trial[key]) if key in self._row_of_trial else 0
             self._row_of_trial[key] = np.full(max(experiment.trials, trials_so_far), -1)
         check_target(output)

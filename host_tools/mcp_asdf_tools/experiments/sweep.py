@@ -158,7 +158,7 @@ def _max_trials_of_job(experiment: Experiment) -> int:
     robot_steps_of_trial = experiment.robots * experiment.steps
     trials_of_short_job = _ROBOT_STEPS_OF_SHORT_JOB // robot_steps_of_trial
     trials_in_memory = _MAX_ROBOT_STEPS_OF_JOB // robot_steps_of_trial
-    # As many trials as make a short job, but at least those of a long job.
+    # As many trials as make a short job, but at least as many as a long job has.
     preferred_trials = max(_TRIALS_OF_LONG_JOB, trials_of_short_job)
     allowed_trials = min(_MAX_TRIALS_OF_JOB, trials_in_memory)
     return max(1, min(preferred_trials, allowed_trials))

@@ -58,7 +58,7 @@ def run_trials(experiment: Experiment, first: int, trials: int, sampling_interva
 
 
 def _concatenate(batches: Sequence[Trials]) -> Trials:
-    """Return the trials of all batches, which are of one experiment, as one."""
+    """Return the trials of all batches of one experiment as one batch."""
     arrays: dict[str, Any] = {
         name: np.concatenate([getattr(trials, name) for trials in batches])
         for name in ("convergence_steps", "errors", "b_hat", "tests", "updates")

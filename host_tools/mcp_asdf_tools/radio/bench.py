@@ -57,7 +57,7 @@ class Bench(ControllerLink):
 
     @property
     def robot_state(self) -> RobotState:
-        """A copy of what the estimates of a round are crafted for: t, n, x_hat, and the table of the test."""
+        """A copy of t, n, x_hat and the table of the test, for which the estimates of a round are crafted."""
         state = self.model_state
         has_test = self.config.filter is Filter.ADAPTIVE
         return RobotState(state.t, state.n, state.x_hat, table=self.config.table if has_test else None)

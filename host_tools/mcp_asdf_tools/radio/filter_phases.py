@@ -295,7 +295,7 @@ def play_without_filter(bench: Bench) -> None:
 
 
 def halve_memory(bench: Bench) -> None:
-    """Fill the memory four times, with an n of remainder 1, 3, 0 and 2 modulo 4.
+    """Fill the memory four times: n has the remainder 1, 3, 0 and 2 modulo 4.
 
     When t, the number of observations, reaches ``memory``, the controller halves t and n. The half of an n
     with remainder 1 is rounded down, to an even number. With remainder 3 it is rounded up. Other halves are

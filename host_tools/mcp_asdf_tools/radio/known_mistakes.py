@@ -244,7 +244,7 @@ class MistakenModels:
     ) -> list[str]:
         """Return the names of the mistakes with which a controller would send this telemetry.
 
-        There is none if it equals that of the right model, or if ``telemetry`` is None, as none came.
+        There is no name if ``telemetry`` equals the right model's, or is None because no telemetry came.
         """
         if telemetry is None or telemetry == telemetry_of(right_model):
             return []

@@ -351,8 +351,9 @@ def send_unusual_commands(bench: Bench) -> None:
 
     They are for every robot, of another node, with a spare byte that is not 0, or with identifier bits that
     must be ignored. After each of them the usual command of the same tick follows. A controller that has
-    obeyed the unusual one ignores that as a repetition. One that has not misses an observation, or counts a
-    message in the wrong round. At the end the number of the tick jumps up and down, by up to 2**31.
+    obeyed the unusual command ignores the usual one as a repetition. A controller that has not obeyed it
+    misses an observation, or counts a message in the wrong round. At the end the number of the tick jumps up
+    and down, by up to 2**31.
     """
     for name, variant in UNUSUAL_COMMANDS.items():
         # Two rounds, because the last message comes after the settle and is one of the next round.
@@ -472,7 +473,7 @@ def receive_growing_rounds(bench: Bench) -> None:
 
 
 def receive_crowded_tick(bench: Bench) -> None:
-    """Send hundreds of estimates in a tick: four of each sender but the last, whose only one must count."""
+    """Send hundreds of estimates in a tick, four per sender. The last sender sends one, which must count."""
     *senders, last_sender = bench.other_ids
     bench.wait_for_round_without_test()
     bench.activity = f"a tick with {CROWDED_MESSAGES} messages"
@@ -505,7 +506,7 @@ def receive_extremes(bench: Bench) -> None:
 
 
 def receive_repeated_sender(bench: Bench) -> None:
-    """Send two, three and six estimates of one sender in a round, of which only the first must count."""
+    """Send two, three and six estimates of one sender in a round: only the first must count."""
     for repeats in (1, 2, 5):
         bench.wait_for_round_without_test()
         bench.activity = "different messages of one sender in a round"

@@ -216,8 +216,8 @@ def vote_often(bench: Bench) -> None:
 def threshold_phase(width: int) -> Callable[[Bench], None]:
     """Return a phase that plays the robust filter's test on both sides of its threshold.
 
-    It plays a test that just rejects and one that just does not, and then two more of these. All slots are
-    filled with estimates that differ by up to ``width`` from their middle, in units of 2**-16. The phase
+    It plays a test that just rejects and a test that just does not, and then both kinds once more. All slots
+    are filled with estimates that differ by up to ``width`` from their middle, in units of 2**-16. The phase
     plays nothing if the initial b_hat is so close to 1/2 that estimates cannot decide the test.
     """
 
@@ -226,8 +226,8 @@ def threshold_phase(width: int) -> Callable[[Bench], None]:
             return
         _observe_three_quarters_filled(bench)
         _play_tests_on_both_sides_of_threshold(bench, count=SLOTS, width=width)
-        # Estimates are chosen that show one of the known mistakes in the arithmetic of the test. Another
-        # time they may show another.
+        # Estimates are chosen that show a known mistake in the arithmetic of the test. The next estimates may
+        # show another mistake.
         _play_tests_on_both_sides_of_threshold(bench, count=SLOTS, width=width)
 
     return play
@@ -260,7 +260,7 @@ def test_dependent_observations(bench: Bench) -> None:
 
     A batch is what the robot observes from one test to the next. The dispersion says how much more the
     observations vary than independent ones. If the initial b_hat is so close to 1/2 that estimates cannot
-    decide a test, each batch is followed by a test with whatever is in the slots.
+    decide a test, each batch is followed by a test with the estimates that the slots have.
     """
     batches: dict[str, list[Observation]] = {
         "as many of one colour in a row as of the other": [Observation.BLACK] * 48 + [Observation.WHITE] * 48,
@@ -368,7 +368,7 @@ def _draw_x_hat(bench: Bench, estimate: int) -> int:
 
 
 def _let_rounds_vote(bench: Bench, rounds: int) -> None:
-    """Let so many whole rounds pass without messages: in each an estimate, kept or the robot's, is a vote."""
+    """Let so many whole rounds pass without messages: in each a kept estimate or the robot's votes."""
     bench.skip_to_round()
     bench.skip_ticks(rounds * bench.setup.comms_period)
 

@@ -93,8 +93,8 @@ def read_log(
 
     Everything that reads recorded frames does it here, so every format can be read everywhere. The suffix
     gives the format, such as ``.log`` for candump's. Behind it ``.part`` may stand for a run that was cut
-    off, of which the complete frames are yielded, and ``.gz`` for a compressed log. In candump's format lines
-    that are no frames are skipped, in all other formats they are errors.
+    off, and ``.gz`` for a compressed log. A run that was cut off yields its complete frames. In candump's
+    format lines that are no frames are skipped, in all other formats they are errors.
 
     Args:
         path: The log.

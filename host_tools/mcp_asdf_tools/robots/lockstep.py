@@ -1,8 +1,8 @@
 """Driving robots of other processes, or real ones, tick by tick with command frames.
 
-In each tick a robot observes the floor, broadcasts its estimate if its round is over, and settles: it ends
-the tick, which in the last tick of a round makes it use what it has received in the round, and answers with a
-telemetry frame.
+In each tick a robot observes the floor, broadcasts its estimate if its round is over, and settles. To settle
+is to end the tick and to answer with a telemetry frame. In the last tick of a round the robot also uses what
+it has received in the round.
 
 The simulator's half of the protocol in ``docs/design.md``; the robot's is ``robots.node.RobotNode``, the
 C node and the firmware images. A tick of robots that are all driven::

@@ -136,7 +136,7 @@ class Population(WorldSettings):
         firmware_filter = self.swarm_filter.firmware_filter_of(self.is_flawed(robot), self.activation)
         table = None
         if firmware_filter is Filter.ADAPTIVE:
-            # A table has entries for 2 to q neighbours, of which MIN_Q is the smallest q.
+            # A table has entries for 2 to q neighbours; MIN_Q is the smallest q.
             neighbours = min(max(MIN_Q, self.robots - 1), MAX_ID)
             table = generate(self.omega, neighbours)
         # The firmware counts rounds, of comms_period steps each, where the paper's tau counts steps.

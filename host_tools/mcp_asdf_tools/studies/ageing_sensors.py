@@ -1,4 +1,4 @@
-"""Sensors whose accuracy changes in other ways than that of the built-in ones, and the rates of all changes.
+"""Sensors whose accuracy changes in other ways than the built-in sensors', and the rates of all changes.
 
 Each starts at ``true_accuracy`` and stays within ``lowest_accuracy`` and 1. docs/platforms/extending.md
 describes how to write such sensors.

@@ -370,7 +370,7 @@ class MajorityRobot(ReferenceRobot):
     def _draw_duration(self, mean: float) -> int:
         """Return a random number of rounds, at least 1, from an exponential distribution.
 
-        A mean of 0 is that of an opinion whose colour has not been read at all.
+        The mean is 0 if the opinion's colour has not been read at all.
         """
         duration = self._random.expovariate(1 / mean) if mean else 0.0
         return max(1, round(duration))

@@ -232,8 +232,8 @@ def world_rows() -> dict[str, list[Experiment]]:
 def as_honest_robots_see_it(trials: Trials) -> Trials:
     """Return trials without the values of the robots that lie, and with the share of black floor at the end.
 
-    This is done for x and b_hat; other records are dropped, and all other results still are those of all
-    robots. Where the floor changes in the middle of a trial, the share at the end is FLOOR_AFTER_CHANGE.
+    This is done for x and b_hat; other records are dropped, and all other results still cover all robots.
+    Where the floor changes in the middle of a trial, the share at the end is FLOOR_AFTER_CHANGE.
     """
     experiment = trials.experiment
     liar_count = LIARS.get(firmware_name(experiment), 0)

@@ -59,7 +59,7 @@ SWARMS: dict[str, dict[str, Any]] = {
 """Parameters of the four kinds of swarms."""
 
 TOLERANCE = 1.1
-"""A code suffices if errors are at most so many times those of exact messages, with its interval."""
+"""A code suffices if errors are at most so many times the errors with exact messages, with its interval."""
 
 RatiosByCode = Mapping[MessageCode, Interval]
 """How many times as large errors are with each code as with exact messages, where that is worst."""
@@ -142,7 +142,7 @@ def ratio_text(ratio: Interval) -> str:
 def ratio_table(ratios: RatiosByCode) -> str:
     """Return a table of ratios in Markdown.
 
-    It has a row for each number of bits of x_hat, and a column for each of alpha.
+    It has a row for each number of bits of x_hat, and a column for each number of bits of alpha.
     """
     all_alpha_bits = sorted({code.alpha_bits for code in ratios})
     heads = ["bits", *(f"alpha {alpha_bits}" for alpha_bits in all_alpha_bits)]

@@ -235,7 +235,7 @@ class Carrier:
         """Called with frames that are sent without a bus; those on a bus are reported when they are read."""
         self._has_bus_per_robot = False
         self._robot_connections: dict[int, ExpectingConnection] = {}
-        """The connections of robots in this process, by id: on a shared bus that of the carrier."""
+        """The connections of robots in this process, by id: on a shared bus the carrier's."""
         self._unread_frames: list[SentFrame] = []
         """Frames of this tick that are on their buses, and that the carrier has not read yet."""
         self._read_frames: list[SentFrame] = []

@@ -90,7 +90,7 @@ class LiveView:
         The line, with tabs, is such as ``robot 3 step 50 b_hat 0.9000 0.8123``: the value before and after.
         """
         present_b_hat = [node.robot.b_hat for node in swarm.nodes]
-        # After the first tick there are no last values: they are those of the start then.
+        # After the first tick there are no last values: the values at the start take their place.
         last_b_hat = self._last_b_hat or swarm.b_hat_at_start
         self._last_b_hat = present_b_hat
         for robot, (old_b_hat, new_b_hat) in enumerate(zip(last_b_hat, present_b_hat, strict=True)):

@@ -91,7 +91,8 @@ def comparison(results_by_filter: dict[str, dict[str, Any]], settings: SwarmSett
         for swarm_filter in compared_filters
         if swarm_filter.is_on
     }
-    # All swarms begin with the same robots: any of them shows what these assumed, and if there are any.
+    # All swarms begin with the same robots: any swarm shows what the flawed robots assumed, and whether there
+    # are any.
     first_change = next(iter(b_hat_changes.values()))
     if first_change is None:  # there are no flawed robots
         return " ".join(sentences)

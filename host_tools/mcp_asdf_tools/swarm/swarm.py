@@ -222,7 +222,7 @@ class Swarm:
         if self._external_robot is not None:
             for index, frame in enumerate(external_frames):
                 # The frame has been on a bus: faults of senders cannot change it any more. Its index serves
-                # as the repetition, by which faults of links draw other random words for each frame.
+                # as the repetition, so that faults of links draw different random words for each frame.
                 self._carrier.send(SentFrame(frame, self._external_robot, self.ticks, repetition=index))
         deliveries = self._carrier.deliver(self.ticks)
         # A robot that has crashed has no tick to end.

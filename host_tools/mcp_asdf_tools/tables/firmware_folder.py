@@ -124,8 +124,8 @@ _CHECKSUMS_FILE = "sha256sums.txt"
 def write_firmware(omega: Decimal, q: int, folder: Path, force: bool = False) -> list[Path]:
     """Write the firmware's sources and one t-table into ``folder``, and return the paths of all files.
 
-    The table is that of ``omega``, the type II error probability of the test, and has exact thresholds for up
-    to ``q`` neighbours. The folder is created if need be. All files are written, or none; those of an earlier
+    The table is for ``omega``, the type II error probability of the test, and has exact thresholds for up to
+    ``q`` neighbours. The folder is created if need be. All files are written, or none; files of an earlier
     version are replaced, and other tables in the folder are deleted. Raises UsageError if a file cannot be
     written or, without ``force``, if one has been changed since it was written.
     """
@@ -133,7 +133,7 @@ def write_firmware(omega: Decimal, q: int, folder: Path, force: bool = False) ->
     checksums = {}
     for name, content in sorted(texts.items()):
         checksums[name] = sha256(content.encode()).hexdigest()
-    # The folder is for one table: those of an earlier run with another omega or q go.
+    # The folder is for one table: tables of an earlier run with another omega or q are deleted.
     other_tables = [path for path in sorted(folder.glob("t_table_*.c")) if path.name not in texts]
     if not force:
         names = [path.name for path in other_tables] + list(texts)

@@ -46,8 +46,8 @@ def table_name(omega: Decimal, q: int) -> str:
 def describe_table(omega: Decimal, q: int) -> dict[str, Any]:
     """Return what the JSON file of a table holds: its properties, its checksums and its entries.
 
-    The table is that of ``omega``, the type II error probability of the test, and has exact thresholds for up
-    to ``q`` neighbours. Raises UsageError for an omega or a q that no table has.
+    The table is for ``omega``, the type II error probability of the test, and has exact thresholds for up to
+    ``q`` neighbours. Raises UsageError for an omega or a q that no table has.
     """
     table = generate(omega, q)
     table_words = table.words()

@@ -59,7 +59,7 @@ def read_frame_history(
 ) -> FrameLogHistory:
     """Return the history that the frames of ``log`` show: the robots' values, ten times a second at most.
 
-    Only frames of ``channel`` count; None takes those of all. ``fill_ratio`` and ``true_accuracy``, which no
+    Only frames of ``channel`` count; None takes all channels. ``fill_ratio`` and ``true_accuracy``, which no
     frame shows, are for the page; None if unknown. The log is read twice. Raises UsageError if it cannot be
     read, has no values of a robot, or if its times span nothing or more than a year.
     """

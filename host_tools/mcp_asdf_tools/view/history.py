@@ -84,7 +84,7 @@ class HistoryUpdate:
     Attributes:
         generation: The history's generation when this was read.
         description: The run's description at the same moment.
-        states: States after those that the reader has; all if it has those of another generation.
+        states: States after the reader's last one; all states if the reader's are of another generation.
     """
 
     generation: int

@@ -123,7 +123,7 @@ class RobotOnBus:
         Older times are removed from ``estimate_times``.
         """
         start = now - RATE_SECONDS
-        # So that times neither pile up nor have to be counted, the old ones go each time somebody asks.
+        # Old times are removed each time somebody asks: so they neither pile up nor have to be counted.
         while self.estimate_times and self.estimate_times[0] <= start:
             self.estimate_times.popleft()
         observed_seconds = min(now - self.first_frame_time, RATE_SECONDS)

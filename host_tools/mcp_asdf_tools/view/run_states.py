@@ -30,7 +30,7 @@ def complete_states(
     true accuracies, neighbours and positions.
     """
     world = World(settings, trial)
-    # The world has no state before the first step, so the state at tick 0 shows that of tick 1.
+    # The world has no state before the first step, so the state at tick 0 shows the world at tick 1.
     scene = world.advance(1)
     world_tick = 1
     for index, estimates_at_tick in enumerate(estimates):

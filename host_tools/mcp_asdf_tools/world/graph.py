@@ -35,7 +35,7 @@ class Graph:
     """Directed links between robots.
 
     Attributes:
-        links: (sender, receiver) for each pair of robots of which one receives from the other.
+        links: (sender, receiver) for each pair in which the receiver hears the sender.
         source: The file that they come from, if any; graphs with the same links are equal.
     """
 

@@ -224,7 +224,7 @@ static void write_informed_estimates(run_t *run, uint32_t step)
             const uint32_t lane = row * LANES + entry;
             const uint32_t column = lane / run->parallel_trials, l = lane % run->parallel_trials;
             if (column < run->columns && l < run->active_trials) { /* else the lane is idle */
-                /* Of a trial x is [columns][T + 1], steps running fastest. */
+                /* /* A trial's x has the shape [columns][T + 1], steps running fastest. */
                 uint32_t *const x = run->trials[l].x + column * steps_of_series;
                 memcpy(x + first_step, series[entry], run->unwritten_steps * sizeof *x);
             }

@@ -159,7 +159,7 @@ class Corrupt(LinkFault):
         frame_indices, receivers = hit.receivers.nonzero()
         entry_count = len(frame_indices)
         sent_frames = [hit.sent_frames[index] for index in frame_indices.tolist()]
-        # A word of flips has 64 bits, so that of a longer frame only the first 8 bytes can be hit.
+        # A word of flips has 64 bits, so only the first 8 bytes of a longer frame can be hit.
         byte_counts = [min(len(sent_frame.frame.data), FRAME_BYTES) for sent_frame in sent_frames]
         bit_counts = 8 * np.array(byte_counts, np.int64)
         words_of_entries = extra_words[frame_indices, receivers]  # shape (entries, bits)

@@ -141,7 +141,7 @@ def make_config(settings: WorldSettings, trial: int, ffi: Any) -> tuple[dict[str
     """Return the members of a trial's C ``mcp_asdf_arena_config_t``, and an object that must live as long.
 
     That object is the picture of the floor, to which a member points, for a floor of kind "code"; it is None
-    for one of tiles, which C generates itself. ``ffi`` is that of the extension module which the struct is
+    for a floor of tiles, which C generates itself. ``ffi`` belongs to the extension module that the struct is
     for.
     """
     width, height = settings.sides

@@ -207,9 +207,9 @@ static void add_near_pair(mcp_asdf_arena_t *arena, mcp_asdf_pair_t pair, double 
     }
 }
 
-/* Store in arena->links the candidates in range of each other, of which remove_blocked_links() removes some
- * later, and in in_range for each robot the others in its range. Finds the visible and the touchable pairs,
- * too. */
+/* Store in arena->links the candidates in range of each other; remove_blocked_links() removes some of them
+ * later. Store in in_range, for each robot, the other robots in its range. Finds the visible and the
+ * touchable pairs, too. */
 static void classify_candidates(mcp_asdf_arena_t *arena)
 {
     const double range = arena->config.range;
