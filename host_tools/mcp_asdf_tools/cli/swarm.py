@@ -176,7 +176,7 @@ def wiring_of(args: argparse.Namespace, settings: SwarmSettings, bus_choice: Bus
     if len(devices) < len(args.device):
         raise UsageError(f"two devices are one robot: {', '.join(args.device)}; give each an id of its own")
 
-    # With --processes all robots are remote, otherwise those that are devices.
+    # With --processes all robots are remote, otherwise the devices alone.
     remote_robots = frozenset(range(settings.robots)) if args.processes else frozenset(devices)
 
     def open_bus(robot: int) -> can.BusABC:

@@ -90,7 +90,7 @@ class Parameter:
                 raise ValueError("it is infinite or NaN")
             number: float = self.kind(value)
         except (TypeError, ValueError, ArithmeticError) as error:
-            # Among these errors are those of no number at all, and of an integer too large for a float.
+            # Such an error may mean that the value is no number, or an integer too large for a float.
             raise self._error(value, "give a number") from error
         # int() has cut off the fraction.
         if self.kind is int and number != value:

@@ -39,7 +39,7 @@ class _CheckedStream(ABC):
         self._stream = stream
 
     def __getattr__(self, name: str) -> Any:
-        """Return an attribute of the other stream; Python calls this for those that the class lacks."""
+        """Return an attribute of the other stream; Python calls this for attributes that the class lacks."""
         return getattr(self._stream, name)
 
     def write(self, text: str) -> int:

@@ -1,4 +1,4 @@
-"""The filters that the cross-check knows, with what it takes to check each. A new filter is added here."""
+"""The filters that the cross-check knows, each with its scenarios and checks. A new filter is added here."""
 
 from __future__ import annotations
 

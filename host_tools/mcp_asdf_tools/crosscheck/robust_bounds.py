@@ -100,7 +100,7 @@ def dispersion_bounds(
     # which may be too small as well.
     smallest_quotient = smallest_deviation**2 / largest_square_limit * (1 - Q30) - Q32
     largest_quotient = largest_deviation**2 / smallest_square_limit
-    # A square above its limit counts as that: a quotient of 1, or hardly less in the firmware.
+    # A square above its limit counts as the limit: the quotient is 1, or hardly less in the firmware.
     smallest_ratio = ratio_limit * min(max(smallest_quotient, Fraction(0)), 1 - Q30 - Q32)
     largest_ratio = ratio_limit * min(largest_quotient, Fraction(1))
     return _average_bounds(old, smallest_ratio, largest_ratio)

@@ -378,8 +378,8 @@ class RobustScenarioWriter(ScenarioWriter):
     def _draw_centre(self) -> int:
         """Draw a centre of the votes in units of 2**-30: near the x_hat of messages, anywhere, 0 or 1.
 
-        These four are equally likely. Half of the centres are multiples of 2**-16, as the estimates in slots
-        are, so that a vote can equal them.
+        The four choices are equally likely. Half of the centres are multiples of 2**-16, as the estimates in
+        slots are, so that a vote can equal them.
         """
         rng = self._rng
         max_distance = _CENTRE_ONE >> 10
@@ -466,8 +466,8 @@ class RobustScenarioWriter(ScenarioWriter):
         """Draw estimates: two in five support the robot, and one more almost does.
 
         The others agree on another estimate. There are at least 12 estimates, also for a smaller ``count``,
-        so that the others are more than a half. The robot gets an initial b_hat by which the one estimate is
-        in a tie, which must not count as support; the result is None if there is no such b_hat.
+        so that the others are more than a half. The robot gets an initial b_hat by which that one
+        estimate is in a tie, which must not count as support; the result is None if there is no such b_hat.
         """
         count = max(count, 12)
         supporter_count = 2 * count // 5
@@ -535,8 +535,8 @@ def _find_b_hat_of_tie(robot: DrawnRobot, estimate: int, centre: int) -> int | N
     exactly as far from both. ``estimate`` and ``centre`` are in units of 2**-24, and b_hat is in units of
     2**-32.
     """
-    # Seen from the estimate, this point lies opposite to the centre, and as far away. The b_hat sought is
-    # that by which the point predicts the observed share.
+    # Seen from the estimate, this point lies opposite to the centre, and as far away. With the b_hat sought,
+    # the point predicts the observed share.
     opposite_point = 2 * estimate - centre
     if not 0 <= opposite_point < q24_from_q16(SLOT_ONE):
         return None

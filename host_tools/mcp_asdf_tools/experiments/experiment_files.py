@@ -132,7 +132,7 @@ class _KeyLines:
 
 
 def _with_graph_from_folder(parameters: dict[str, Any], folder: Path) -> dict[str, Any]:
-    """Return parameters with the path of their graph joined to ``folder``, that of the file of experiments.
+    """Return parameters with the path of their graph joined to ``folder``, where the file of experiments is.
 
     Without a graph, or with edges in place of a path, they are returned unchanged. Raises ParameterError for
     a path of anything but a regular file: a pipe or a device might never end.

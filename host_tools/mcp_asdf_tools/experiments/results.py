@@ -39,7 +39,7 @@ def is_results_path(path: Path) -> bool:
 class Trials:
     """Some or all trials of one experiment; the first axis of each array is the trial.
 
-    N is the number of robots, and T that of steps.
+    N is the number of robots, and T the number of steps.
 
     Attributes:
         experiment: The definition; its ``trials`` may be more than these.

@@ -102,7 +102,7 @@ def tidy_table(
     robot_ids = np.arange(population.robots)
     is_flawed_by_robot = np.array([population.is_flawed(robot) for robot in range(population.robots)])
     shape = (len(trial_numbers), len(steps), len(robot_ids))
-    # The axes are trials, steps and robots. Below, values are repeated along axes of the length 1. Those of
+    # The axes are trials, steps and robots. Below, values are repeated along axes of the length 1. Values of
     # robots have the last axis alone, and are repeated along both others.
     numbers_by_trial = np.reshape(trial_numbers, (len(trial_numbers), 1, 1))
     numbers_by_step = np.reshape(steps, (1, len(steps), 1))

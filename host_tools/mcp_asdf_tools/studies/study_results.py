@@ -131,7 +131,7 @@ class StudyResults:
 def own_name_of(experiment: Experiment) -> str:
     """Return the name of an experiment's firmware, or filter, that is not the paper's, such as "beta".
 
-    That is "beta_robust" if neither is the paper's, and an empty text if both are.
+    The name is "beta_robust" if neither is the paper's, and an empty text if both are.
     """
     names = [] if experiment.firmware == PAPERS_FIRMWARE else [experiment.firmware]
     if experiment.filter not in PAPERS_FILTERS:

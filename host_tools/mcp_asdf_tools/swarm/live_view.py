@@ -55,7 +55,8 @@ class LiveView:
         """Show the state of the swarm after a tick. O(robots).
 
         On a terminal the bar is drawn anew, unless that was done a moment ago. In a pipe a line is printed
-        for each robot that has re-estimated b_hat, and some twenty times in a run one with the mean errors.
+        for each robot that has re-estimated b_hat, and a line with the mean errors some twenty times in a
+        run.
         """
         if self._has_bar:
             # The last tick is always drawn, so that the bar ends with the final state.

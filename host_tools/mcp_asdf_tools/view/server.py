@@ -140,7 +140,7 @@ class _PageRequestHandler(BaseHTTPRequestHandler):
         """Return whether a user who opens the page sent the request, or the page itself, and no other site.
 
         Host, Origin and Sec-Fetch-Site decide, headers that a browser's scripts cannot change. Host betrays a
-        site whose own name was made to lead to 127.0.0.1 (DNS rebinding): it has that name.
+        site whose own name was made to lead to 127.0.0.1 (DNS rebinding): Host has the site's name.
         """
         hosts = {f"{name}:{self.server.port}" for name in (HOST, "localhost")}
         own_origins = {f"http://{host}" for host in hosts}

@@ -194,8 +194,8 @@ static void deliver_messages(const run_t *run)
     }
 }
 
-/* Returns the number of rows that have informed estimates: if a trial has one series of x, that is robot 0's,
- * in the first row. */
+/* Returns the number of rows that have informed estimates: a trial with one series of x has robot 0's, in the
+ * first row. */
 static uint32_t count_rows_with_x(const run_t *run) { return run->columns == 1 ? 1 : run->rows; }
 
 /* Transpose the informed estimates of a row: x[step][lane], in which the lanes of a step are side by side, to
@@ -224,7 +224,7 @@ static void write_informed_estimates(run_t *run, uint32_t step)
             const uint32_t lane = row * LANES + entry;
             const uint32_t column = lane / run->parallel_trials, l = lane % run->parallel_trials;
             if (column < run->columns && l < run->active_trials) { /* else the lane is idle */
-                /* /* A trial's x has the shape [columns][T + 1], steps running fastest. */
+                /* A trial's x has the shape [columns][T + 1], steps running fastest. */
                 uint32_t *const x = run->trials[l].x + column * steps_of_series;
                 memcpy(x + first_step, series[entry], run->unwritten_steps * sizeof *x);
             }
@@ -275,7 +275,7 @@ static void store_in_robot(const run_t *run, uint32_t j, uint32_t l)
     const uint32_t lane = j * run->parallel_trials + l, entry = lane % LANES;
     const lanes_t *const row = &run->lanes[lane / LANES];
     mcp_asdf_t *const robot = &run->trials[l].robots[j];
-    /* In fully connected swarms no message is counted: in each tick one of each other robot has come. */
+    /* In fully connected swarms no message is counted: in each tick each robot gets one from all others. */
     const uint32_t messages_of_all = run->ticks * (run->experiment->robots - 1);
     const uint32_t messages = trial_is_linked(run->experiment) ? row->message_count[entry] : messages_of_all;
     robot->t = run->t;

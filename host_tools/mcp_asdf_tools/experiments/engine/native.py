@@ -29,7 +29,7 @@ COUNTERS = ("tests", "updates")
 class EngineTrials:
     """Trials of one experiment as the C engine takes them, and their results, in the firmware's units.
 
-    N is the number of robots, and T that of steps.
+    N is the number of robots, and T the number of steps.
 
     Attributes:
         experiment: The C struct that describes them.

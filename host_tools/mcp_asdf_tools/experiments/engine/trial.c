@@ -25,8 +25,8 @@ uint32_t mcp_asdf_engine_columns(const mcp_asdf_experiment_t *experiment)
 }
 
 /* Returns the part of the outcome in which the index-th trial has its results. The arrays hold one trial
- * after another: of x a trial has T + 1 entries in each of its columns, of b_hat one entry a robot for each
- * test, and of records one a robot for each sampling interval; records is NULL if there are none. */
+ * after another. In x a trial has T + 1 entries in each of its columns, in b_hat an entry per robot and test,
+ * in records an entry per robot and sampling interval; records is NULL if there are none. */
 trial_t trial_outcome(const mcp_asdf_experiment_t *experiment, const mcp_asdf_outcome_t *outcome,
                       uint32_t index)
 {
