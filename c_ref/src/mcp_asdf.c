@@ -194,9 +194,12 @@ ALWAYS_INLINE confidence_t confidence_inside(uint32_t total, uint32_t rarer, uin
  *
  * White and black are mirror images, and so are b_hat and 1 - b_hat. So only one case is computed, and the
  * result is mirrored in the others: how much of the floor has the rarer colour, if a share p of the
- * observations has it and the sensor is wrong with probability c = min(b_hat, 1 - b_hat). That is x = (p - c)
- * / (1 - 2c), or 0 if p is below c. A sensor that is as often right as wrong has no information, which a `c`
- * of 2^32 - 1 says: then x_hat is 1/2 and alpha 0. */
+ * observations has it and the sensor is wrong with probability c = min(b_hat, 1 - b_hat). That is
+ *
+ *     x = (p - c) / (1 - 2c), or 0 if p is below c.
+ *
+ * A sensor that is as often right as wrong has no information, which a `c` of 2^32 - 1 says: then x_hat is
+ * 1/2 and alpha 0. */
 HOT estimate_t estimate(uint32_t t, uint32_t n, const mcp_asdf_accuracy_t *accuracy)
 {
     const uint32_t g_shift = accuracy->g_shift & 31U; /* whatever damaged memory holds */

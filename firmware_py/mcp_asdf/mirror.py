@@ -332,8 +332,11 @@ def asdf_test_rejects(table: Table, open_round: Sums, x_hat: int) -> bool:
 
         (sum_x - m x_hat)**2 > k_m (m sum_x_squared - sum_x**2)
 
-    where the sums are over the m estimates of the open round. The table has the threshold k_m = (t / sqrt(m)
-    + 1)**2 m / (m - 1). ``x_hat`` is in units of 2**-23.
+    where the sums are over the m estimates of the open round. The table has the threshold
+
+        k_m = (t / sqrt(m) + 1)**2 m / (m - 1)
+
+    ``x_hat`` is in units of 2**-23.
     """
     m = open_round.count
     sum_x = open_round.x  # units of 2**-23, as x_hat

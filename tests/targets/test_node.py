@@ -400,8 +400,8 @@ def test_a_node_computes_what_its_twin_in_python_does_from_the_same_observations
 ) -> None:
     """Both count and believe the same after 300 ticks. In 100 ticks there is no observation.
 
-    The file has a symbol for each tick: 0 is white, 1 is black, and - is no observation. Six symbols repeat:
-    they have four observations, t, and three of those are black, n.
+    Each symbol of the file stands for a tick: 0 is white, 1 is black, and - is no observation. The same six
+    symbols repeat. They hold four observations, and three of these are black.
     """
     file = tmp_path / "observations"
     file.write_text("1\n0\n-\n1\n1\n-\n" * 50 + " \t\n", encoding="ascii")

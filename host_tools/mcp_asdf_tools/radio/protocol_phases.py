@@ -449,7 +449,7 @@ def receive_from_every_sender(bench: Bench) -> None:
 
 
 def receive_from_alike_ids(bench: Bench) -> None:
-    """Play rounds of two senders whose ids differ in one bit: two rounds for each of the 7 bits of an id.
+    """Play rounds of two senders whose ids differ in one bit. Each of the 7 bits of an id gets two rounds.
 
     A controller that leaves out this bit takes the second estimate for a repetition of the first.
     """

@@ -556,5 +556,5 @@ class ChangingFloor:
         self._next_step += steps
         is_before_change = step_numbers < self._settings.steps // 2
         on_white = np.where(is_before_change, b, white_accuracy_after)
-        # Accuracies have a row for each step, or one for all, and here one column for all robots.
+        # The shape is (steps, robots). A length of 1 says that all steps, or all robots, have the same value.
         return np.full((1, 1), b), on_white[:, np.newaxis]

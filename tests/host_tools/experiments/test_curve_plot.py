@@ -78,7 +78,7 @@ def test_each_curve_goes_through_the_medians_of_trials_in_a_band_of_their_interv
 def test_curves_are_drawn_into_one_large_panel_with_the_score_over_the_parameter(
     densities_and_omegas: dict[tuple[float, float], Trials],
 ) -> None:
-    """There is a curve for each of two densities, over omega. Sizes of panels are in inches."""
+    """The two curves are those of the two densities, over omega. Sizes of panels are in inches."""
     figure = plot_curve([*densities_and_omegas.values()], "omega", hue="density")
     assert layout_of(figure) == Layout(rows=1, columns=1, width=6.3, panel_height=3.8)
     assert legend_of(figure) == ["density 0.5", "density 2"]

@@ -206,7 +206,7 @@ def test_the_command_calibrate_prints_threshold_and_accuracy(readings_file: Path
 def test_the_command_calibrate_reports_in_json_what_it_also_prints(
     readings_file: Path, capsys: Capture
 ) -> None:
-    """What it prints ends with an option for a robot, ``--b-hat``, the accuracy that the robot assumes."""
+    """The printed text ends with the option ``--b-hat``, which tells a robot the accuracy of its sensor."""
     assert run_calibrate(readings_file, "--json") == 0
     report = json.loads(capsys.readouterr().out)
     run_calibrate(readings_file)
