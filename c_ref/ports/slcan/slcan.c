@@ -78,6 +78,20 @@ uint8_t slcan_format_frame(char line[SLCAN_LINE_MAX], const mcp_asdf_frame_t *fr
     return (uint8_t)(end - line);
 }
 
+/* Convert the hexadecimal digits of a frame's data, two for each byte. Returns false if one is no digit. */
+static bool parse_data(uint8_t *data, const char *digits, uint8_t byte_count)
+{
+    for (uint8_t i = 0; i < byte_count; ++i) {
+        uint32_t byte;
+        if (!parse_hex(&byte, digits, 2)) {
+            return false;
+        }
+        data[i] = (uint8_t)byte;
+        digits += 2;
+    }
+    return true;
+}
+
 /* Convert a line to a frame. Returns false, and leaves *frame as it was, if the line is no frame. */
 bool slcan_parse_frame(mcp_asdf_frame_t *frame, const char *line, uint8_t length)
 {
@@ -105,15 +119,9 @@ bool slcan_parse_frame(mcp_asdf_frame_t *frame, const char *line, uint8_t length
     const uint8_t byte_count = is_remote ? 0 : parsed.length;   /* remote frames have a length, but no data */
     const int expected_length = header_length + 2 * byte_count; /* two digits a byte */
     /* NO_DIGIT, for a length that is no digit, is above the maximum, too. */
-    if (parsed.length > DATA_LENGTH_MAX || length != expected_length) {
+    if (parsed.length > DATA_LENGTH_MAX || length != expected_length ||
+        !parse_data(parsed.data, line + header_length, byte_count)) {
         return false;
-    }
-    for (uint8_t i = 0; i < byte_count; ++i) {
-        uint32_t byte;
-        if (!parse_hex(&byte, &line[header_length + 2U * i], 2)) {
-            return false;
-        }
-        parsed.data[i] = (uint8_t)byte;
     }
     *frame = parsed;
     return true;
