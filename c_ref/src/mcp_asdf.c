@@ -46,8 +46,11 @@ static uint32_t square_of_ratio(uint32_t g, uint32_t p)
     return multiply_high(ratio, ratio);                    /* Q31 Q31 = Q62, to Q30: [2^28, 2^32) */
 }
 
-/* Assume an accuracy b_hat, as Q32 from MCP_ASDF_B_HAT_MIN to MCP_ASDF_B_HAT_MAX, and compute all of
- * mcp_asdf_accuracy_t that follows from it, so that an observation needs no division for it. */
+/* Assume an accuracy b_hat, as Q32 from MCP_ASDF_B_HAT_MIN to MCP_ASDF_B_HAT_MAX, and compute what eq. 3 and
+ * 4 need of it, so that an observation needs no division for it: the probability c that the sensor is wrong,
+ * with colours exchanged if b_hat is below 1/2, and with g = 1 - 2c the weights (g / (1 - c))^2 of a reading
+ * of the common colour and (g / c)^2 of one of the rare colour. A b_hat so close to 1/2 that readings carry
+ * no information is stored as the largest c. */
 static void set_b_hat(mcp_asdf_t *robot, uint32_t b_hat)
 {
     mcp_asdf_accuracy_t *const accuracy = &robot->accuracy;
@@ -57,9 +60,9 @@ static void set_b_hat(mcp_asdf_t *robot, uint32_t b_hat)
     accuracy->b_hat = b_hat;
     accuracy->c = g < INFORMATIVE_G ? UINT32_MAX : c;
     /* Both sides of a ratio are shifted until their highest bit is set, so that its quotient has as many
-     * significant bits as it can. Each weight is too large then by 2^(2 g_shift), and the weight of the rare
-     * colour too small by 2^rare_shift; confidence_at_end() takes this into account. 1 - c is at least 1/2,
-     * and needs no shift. */
+     * significant bits as it can; 1 - c is at least 1/2 and needs no shift. Each weight is too large then by
+     * 2^(2 g_shift), and the weight of the rare colour too small by 2^(2 c_shift). confidence_at_end() makes
+     * up for this by means of g_shift and rare_shift. */
     const uint32_t shifted_g = shift_left(g, g_shift);
     accuracy->common = square_of_ratio(shifted_g, one_minus(c));
     accuracy->rare = square_of_ratio(shifted_g, shift_left(c, c_shift));
@@ -368,11 +371,13 @@ static bool asdf_test_rejects(const mcp_asdf_t *robot)
     return squared_difference > upper_part + lower_part;
 }
 
-/* Run the paper's filter at the end of a round, for t > 0. Counts the test, if there is one: the filter
- * ADAPTIVE has it, ALWAYS has none, and OFF does nothing. Returns the new b_hat as Q32, or 0 if it stays:
- * there are too few estimates, the test does not reject x_hat, or x_bar carries no information. */
+/* Run the paper's filter at the end of a round, for t > 0. The filter ADAPTIVE tests first, if two estimates
+ * or more came in the round, and counts the test; ALWAYS takes one estimate and has no test; OFF does
+ * nothing. Returns the new b_hat as Q32, re-estimated from the mean over the round (eq. 8), or 0 if b_hat
+ * stays: there are too few estimates, the test does not reject x_hat, or the mean carries no information. */
 ALWAYS_INLINE uint32_t run_asdf_filter(mcp_asdf_t *robot)
 {
+    /* The sums of the round that ends have been copied to `closed`, but not the number of estimates. */
     const mcp_asdf_closed_t *const closed = &robot->received.sums.closed;
     const uint8_t filter = robot->config->filter;
     /* The variance in eq. 12 takes two estimates, a re-estimate without a test takes one. */

@@ -131,18 +131,18 @@ ALWAYS_INLINE uint32_t next_slot(uint32_t filled_slots, uint32_t turn, bool has_
     return 31U - leading_zeros(remaining_slots & (0U - remaining_slots));
 }
 
-/* Count one estimate as a vote, at the end of a round: the next slot's or the robot's own. The vote moves the
- * centre, changes the spread, is counted in `votes`, and the turn passes on. Nothing happens before the first
- * message has filled a slot. */
+/* Count one estimate as a vote, at the end of a round: the next slot's or the robot's own, which is left out
+ * while its alpha is 0. The vote moves the centre, changes the spread, is counted in `votes`, and the turn
+ * passes on. Nothing happens before the first message has filled a slot. */
 HOT void take_vote(mcp_asdf_t *robot)
 {
     mcp_asdf_robust_t *const robust = &robot->robust;
     if (robust->filled_slots == 0U) {
         return;
     }
-    const bool has_confidence = robot->alpha >> 8 != 0U; /* the mantissa is not 0 */
-    const uint32_t slot = next_slot(robust->filled_slots, robust->turn, has_confidence);
-    const bool is_own = slot >= MCP_ASDF_SLOTS;
+    const uint32_t alpha_mantissa = robot->alpha >> 8; /* 0 if alpha is, whatever the shift below it */
+    const uint32_t slot = next_slot(robust->filled_slots, robust->turn, alpha_mantissa != 0U);
+    const bool is_own = slot >= MCP_ASDF_SLOTS; /* next_slot() returns MCP_ASDF_SLOTS then */
     const uint32_t x_hat = is_own ? robot->x_hat : q23_from_q16(robot->received.estimates[slot]);
     const vote_statistics_t before = {robust->centre, robust->spread, robust->votes};
     const vote_statistics_t after = statistics_after_vote(before, x_hat);

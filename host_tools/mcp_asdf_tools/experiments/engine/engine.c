@@ -268,14 +268,19 @@ static void step_lanes(run_t *run, uint32_t k)
 
 /* --- Steps of the firmware --- */
 
-/* Store in robot j of trial l, a mcp_asdf_t, what the steps in lanes have made of it, except for members that
- * its next step forms anew: the rounds are closed and empty. */
+/* Store in robot j of trial l, a mcp_asdf_t, its state after the run's ticks, which its lane holds: t and n
+ * of its readings, its estimate, its filter's state, the ticks that are left until its filter runs, and the
+ * number of messages that it has accepted. What its next step forms anew is left as it is. */
 static void store_in_robot(const run_t *run, uint32_t j, uint32_t l)
 {
-    const uint32_t lane = j * run->parallel_trials + l, entry = lane % LANES;
-    const lanes_t *const row = &run->lanes[lane / LANES];
     mcp_asdf_t *const robot = &run->trials[l].robots[j];
-    /* In fully connected swarms no message is counted: in each tick each robot gets one from all others. */
+    /* Lanes are numbered through all rows, LANES in each: first robot 0 of all trials, then robot 1, and so
+     * on. */
+    const uint32_t lane = j * run->parallel_trials + l;
+    const lanes_t *const row = &run->lanes[lane / LANES];
+    const uint32_t entry = lane % LANES;
+    /* In fully connected swarms lanes count no messages: in each tick a robot gets one from each of the
+     * others. */
     const uint32_t messages_of_all = run->ticks * (run->experiment->robots - 1);
     const uint32_t messages = trial_is_linked(run->experiment) ? row->message_count[entry] : messages_of_all;
     robot->t = run->t;
@@ -285,7 +290,7 @@ static void store_in_robot(const run_t *run, uint32_t j, uint32_t l)
     if (run->observation_count != 0) {
         robot->updated = 0; /* as mcp_asdf_observe() would have set it */
     }
-    robot->filter_left -= run->ticks;
+    robot->filter_left -= run->ticks; /* a run ends at the latest when the filter is due */
     robot->counters.accepted = (uint16_t)(robot->counters.accepted + messages);
     lanes_store_filter(row, entry, robot);
 }

@@ -22,8 +22,9 @@ IN_LOOPS philox_t philox_round(philox_t counter, uint32_t key0, uint32_t key1)
 {
     const uint64_t product0 = (uint64_t)counter.word[0] * UINT32_C(0xD2511F53);
     const uint64_t product2 = (uint64_t)counter.word[2] * UINT32_C(0xCD9E8D57);
-    return (philox_t){{(uint32_t)(product2 >> 32) ^ counter.word[1] ^ key0, (uint32_t)product2,
-                       (uint32_t)(product0 >> 32) ^ counter.word[3] ^ key1, (uint32_t)product0}};
+    const uint32_t upper0 = (uint32_t)(product0 >> 32), lower0 = (uint32_t)product0;
+    const uint32_t upper2 = (uint32_t)(product2 >> 32), lower2 = (uint32_t)product2;
+    return (philox_t){{upper2 ^ counter.word[1] ^ key0, lower2, upper0 ^ counter.word[3] ^ key1, lower0}};
 }
 
 /* Returns four random words, a function of the counter and the key of two words alone. The key grows by

@@ -175,7 +175,8 @@ FOR_EACH_TARGET static void reset_tick(mcp_asdf_arena_t *arena)
 {
     const uint32_t robots = arena->config.robots;
     const double distance = arena->config.speed * arena->config.tick; /* at most, of a body in this tick */
-    /* Beyond these coordinates a body may touch a wall, or its sensors may see one. */
+    /* Beyond these coordinates a body may touch a wall, or its sensors may see one. All coordinates are
+     * counted from the centre of the arena. */
     const double touch_x = position_before_wall(arena->config.width, distance);
     const double touch_y = position_before_wall(arena->config.height, distance);
     const double see_x = position_before_wall(arena->config.width, SENSOR_REACH);
