@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import json
 import logging
 from collections.abc import Callable
 from contextlib import ExitStack
@@ -17,6 +18,7 @@ from mcp_asdf_tools.cli.output import (
     recording_for,
     report_failure,
 )
+from mcp_asdf_tools.cli.parsing import typed_options
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.signals import INTERRUPTED, stopping
 from mcp_asdf_tools.common.standard_streams import has_input_ended, standard_input_descriptor
@@ -48,9 +50,18 @@ _logger = logging.getLogger(__name__)
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of the command."""
-    options.add_robot_options(
-        parser, "robot", "native", "id on the bus, 0 to 127; no other robot may have it"
+    group = parser.add_argument_group("robot", options.describe_filters())
+    identity = group.add_mutually_exclusive_group(required=True)
+    identity.add_argument(
+        "--id", type=int, metavar="ID", help="id on the bus, 0 to 127; no other robot may have it"
     )
+    identity.add_argument(
+        "--setup",
+        metavar="JSON",
+        help="start as a robot of an earlier run: an entry of robots in the first line of FILE.events, or "
+        "parameters.robot of node --json; instead of all other options of the robot",
+    )
+    options.add_robot_options(group, "native")
     options.add_bus_options(parser)
     group = parser.add_argument_group("run")
     group.add_argument("--steps", type=int, metavar="N", help="end after N steps (default: at Ctrl-C)")
@@ -72,11 +83,9 @@ def run(args: argparse.Namespace) -> int:
     from mcp_asdf_tools.recording.events import EventsHeader
     from mcp_asdf_tools.robots.node import RobotNode
 
-    robot_setup = options.robot_of(args)
+    robot_setup = setup_of(args)
     subjects = options.subjects_of(args)
     bus_choice = options.bus_of(args)
-    if args.allow is not None:
-        robot_setup = replace(robot_setup, allow=parse_ids(args.allow, "--allow"))
     if args.steps is not None and args.steps < 1:
         raise UsageError(f"steps is {args.steps}; it must be 1 or more")
     steps_per_second = options.typed_value_or_default(args, Population, "steps_per_second")
@@ -106,6 +115,30 @@ def run(args: argparse.Namespace) -> int:
     else:
         exit_code = INTERRUPTED if outcome.is_interrupted else 0
     return exit_code_2_if_incomplete(recording, exit_code)
+
+
+def setup_of(args: argparse.Namespace) -> RobotSetup:
+    """Return the robot of --setup or, without it, the one that the other options describe.
+
+    Raises UsageError for a value out of range, and for options that contradict each other.
+    """
+    if args.setup is None:
+        allow = None if args.allow is None else parse_ids(args.allow, "--allow")
+        return replace(options.robot_of(args), allow=allow)
+    for option in (*options.ROBOT_OPTIONS, "--allow"):
+        if option in typed_options(args):
+            raise UsageError(f"--setup and {option} both describe the robot; leave out one of them")
+    try:
+        plain_setup = json.loads(args.setup)
+    except (ValueError, RecursionError) as error:
+        raise UsageError(
+            f"--setup is no JSON ({error}): {args.setup!r}; give one such as "
+            """'{"id": 3, "b_hat": 0.8, "filter": "robust"}'"""
+        ) from error
+    try:
+        return RobotSetup.from_plain(plain_setup)
+    except UsageError as error:
+        raise UsageError(f"--setup: {error}") from error
 
 
 def _run_on_bus(

@@ -67,7 +67,7 @@ def add_parameters(
     are left out. The parsed value of an option that the user leaves out is None.
     """
     # The filters have more to say than fits behind an option.
-    description = _describe_filters() if "filter" in parameter_names else None
+    description = describe_filters() if "filter" in parameter_names else None
     group = parser.add_argument_group(group_title, description)
     add_parameters_to(group, settings_class, parameter_names)
 
@@ -81,7 +81,7 @@ def add_parameters_to(
             _add_option(group, parameter)
 
 
-def _describe_filters() -> str:
+def describe_filters() -> str:
     """Return lines for the help: a heading, and for each filter its name and which robots recalibrate."""
     from mcp_asdf_tools.robots.filters import FILTERS
 
@@ -191,28 +191,20 @@ _FILTER_PARAMETERS = ("filter", "filter_period")
 _OTHER_ROBOT_PARAMETERS = ("comms_period", "memory", "omega", "activation")
 _ROBOT_PARAMETERS = _FILTER_PARAMETERS + _OTHER_ROBOT_PARAMETERS
 """Parameters of a population that are settings of each of its robots."""
+ROBOT_OPTIONS = ("--b-hat", "--neighbours", "--firmware", *map(option_of, _ROBOT_PARAMETERS))
+"""The options that ``add_robot_options`` adds."""
 
 
-def add_robot_options(
-    parser: argparse.ArgumentParser, group_title: str, default_firmware: str, id_help: str
-) -> None:
-    """Add the options that describe one robot, which ``robot_of`` reads.
+def add_robot_options(group: argparse._ArgumentGroup, default_firmware: str) -> None:
+    """Add to a group the options that describe one robot, which ``robot_of`` reads beside its ``--id``.
 
-    They are ``--id``, ``--b-hat`` (the accuracy that it assumes), ``--neighbours`` (for its t-table),
-    ``--firmware``, and those of _ROBOT_PARAMETERS, such as ``--filter``.
-
-    Args:
-        parser: Gets the options.
-        group_title: Title of their group in the help.
-        default_firmware: Default of ``--firmware``.
-        id_help: Help of ``--id``.
+    They are ``--b-hat`` (the accuracy that it assumes), ``--neighbours`` (for its t-table), ``--firmware``
+    with the default ``default_firmware``, and those of _ROBOT_PARAMETERS, such as ``--filter``.
     """
     from mcp_asdf.robot import MAX_ID
     from mcp_asdf_tools.robots.firmwares import firmware_names
     from mcp_asdf_tools.robots.population import Population
 
-    group = parser.add_argument_group(group_title, _describe_filters())
-    group.add_argument("--id", type=int, metavar="ID", required=True, help=id_help)
     group.add_argument(
         "--b-hat",
         type=float,

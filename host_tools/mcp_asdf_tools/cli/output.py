@@ -13,7 +13,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from mcp_asdf_tools.cli.parsing import option_of
+from mcp_asdf_tools.cli.parsing import option_of, typed_options
 
 if TYPE_CHECKING:
     from mcp_asdf_tools.bus.interfaces import BusChoice
@@ -44,13 +44,11 @@ def print_again(args: argparse.Namespace, **used_parameters: object) -> None:
     typed, and then all arguments as typed. The options are there as a later version may have other defaults.
     """
     program, *typed_arguments = args.command_line
-    # An option may be typed as --seed 3 or as --seed=3.
-    typed_options = {argument.partition("=")[0] for argument in typed_arguments}
-    added_options = []
-    for name, value in used_parameters.items():
-        option = option_of(name)
-        if option not in typed_options:
-            added_options.append(f"{option}={value}")
+    added_options = [
+        f"{option_of(name)}={value}"
+        for name, value in used_parameters.items()
+        if option_of(name) not in typed_options(args)
+    ]
     # The program's name has a space in it, as "mcp-asdf swarm", which must not be quoted.
     print(f"again: {program} {shlex.join([*added_options, *typed_arguments])}".rstrip())
 

@@ -23,6 +23,13 @@ def describe_unknown_value(value: str, known_values: Iterable[str]) -> str:
     return f"{value!r} is none of {', '.join(known_values)}{did_you_mean(value, known_values)}"
 
 
+def typed_options(args: argparse.Namespace) -> set[str]:
+    """Return the options that the user has typed, such as ``--seed``; ``parse_all`` has returned ``args``."""
+    _program, *typed_arguments = args.command_line
+    # An option may be typed as --seed 3 or as --seed=3.
+    return {argument.partition("=")[0] for argument in typed_arguments if argument.startswith("-")}
+
+
 class Parser(argparse.ArgumentParser):
     """ArgumentParser of one command, which raises UsageError where argparse's own ends the program."""
 

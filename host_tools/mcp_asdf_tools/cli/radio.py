@@ -68,7 +68,9 @@ _DEFAULT_TIMEOUT = 2.0
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of the command."""
-    options.add_robot_options(parser, "controller", "mirror", "id of the controller, 0 to 127")
+    group = parser.add_argument_group("controller", options.describe_filters())
+    group.add_argument("--id", type=int, metavar="ID", required=True, help="id of the controller, 0 to 127")
+    options.add_robot_options(group, "mirror")
     options.add_bus_options(parser)
     _add_verification_options(parser)
     _add_neighbour_options(parser)

@@ -1,6 +1,7 @@
 """The exception for requests that cannot be done, which the command line turns into exit code 2."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 
 _MAX_LENGTH = 800
 """Maximum length of a message in characters."""
@@ -21,6 +22,21 @@ class UsageError(ValueError):
             half = _MAX_LENGTH // 2
             printable_line = f"{printable_line[:half]} ... {printable_line[-half:]}"
         super().__init__(printable_line)
+
+
+@contextmanager
+def refusing_wrong_values() -> Iterator[None]:
+    """Context manager, or decorator, for code that reads JSON values: it fails with UsageError alone.
+
+    The values may be of any JSON type and size, and an entry may be missing. What they raise becomes the
+    message.
+    """
+    try:
+        yield
+    except KeyError as error:
+        raise UsageError(f"{error} is missing; add it") from error
+    except (ArithmeticError, AttributeError, TypeError, ValueError) as error:
+        raise UsageError(str(error)) from error
 
 
 def did_you_mean(word: str, known: Iterable[str]) -> str:

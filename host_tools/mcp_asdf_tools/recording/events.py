@@ -39,7 +39,7 @@ import can
 from mcp_asdf.robot import MAX_ID, Filter, Observation
 from mcp_asdf_tools.bus.frame_layout import Action
 from mcp_asdf_tools.bus.frames import FrameFormat, format_frame
-from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.common.errors import UsageError, refusing_wrong_values
 from mcp_asdf_tools.common.versions import software_versions
 from mcp_asdf_tools.recording.frame_logs import PART_SUFFIX
 from mcp_asdf_tools.robots.robot_setup import RobotSetup, format_ids
@@ -357,7 +357,7 @@ class EventsReader:
         Settings of robots and frames that are missing have their defaults: the file was written before they
         existed. Raises UsageError for another format; for a version that cannot be read, or one that had
         another robust filter, if a robot has that filter; for robots that are no list or share an id; and for
-        a value that is missing without a default, or impossible.
+        a value that is missing without a default, unknown or impossible.
         """
         if not isinstance(plain_header, dict) or plain_header.get("format") != FORMAT:
             raise self.error_in_line(f'"format": "{FORMAT}" is missing')
@@ -373,11 +373,9 @@ class EventsReader:
             )
         try:
             robots = tuple(RobotSetup.from_plain(plain_robot) for plain_robot in plain_header["robots"])
-            frames = FrameFormat(**plain_header.get("frames", {}))
-        except KeyError as error:
-            raise self.error_in_line(f"{error} is missing") from error
-        except (ArithmeticError, AttributeError, TypeError, ValueError) as error:
-            # The values may be of any JSON type and size, and wrong ones lead to any of these errors.
+            with refusing_wrong_values():
+                frames = FrameFormat(**plain_header.get("frames", {}))
+        except UsageError as error:
             raise self.error_in_line(str(error)) from error
         if len({robot.id for robot in robots}) < len(robots):
             raise self.error_in_line("two robots have the same id")

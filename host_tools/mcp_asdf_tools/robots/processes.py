@@ -10,9 +10,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from typing import Any
 
-from mcp_asdf.robot import Filter
 from mcp_asdf_tools.bus.interfaces import BusChoice
-from mcp_asdf_tools.robots.filters import filter_of_one_robot
 from mcp_asdf_tools.robots.lockstep import LockstepError
 from mcp_asdf_tools.robots.node import Subjects
 from mcp_asdf_tools.robots.robot_setup import RobotSetup
@@ -51,9 +49,15 @@ class NodeProcesses:
         self.reports: dict[int, dict[str, Any]] = {}
         self._processes: dict[int, subprocess.Popen[str]] = {}
         node_command = [sys.executable, "-m", "mcp_asdf_tools.cli.main", "node", "--until-eof", "--json"]
-        node_command.append(f"--steps-per-second={steps_per_second}")
+        node_command += [
+            f"--steps-per-second={steps_per_second}",
+            f"--subject={subjects.estimates.subject}",
+            f"--priority={subjects.estimates.priority}",
+            f"--telemetry-subject={subjects.telemetry.subject}",
+            f"--command-subject={subjects.commands.subject}",
+        ]
         self._commands = {
-            robot.id: node_command + _options(robot, subjects) + bus_of(robot.id).arguments()
+            robot.id: [*node_command, f"--setup={json.dumps(robot.plain())}", *bus_of(robot.id).arguments()]
             for robot in robots
         }
         if any(bus_of(robot).interface == "socketcan" for robot in self._commands):
@@ -104,29 +108,3 @@ class NodeProcesses:
             # A process that was killed, or failed early, has printed no report: its robot gets no entry.
             with suppress(ValueError):
                 self.reports[robot] = json.loads(report)
-
-
-def _options(robot: RobotSetup, subjects: Subjects) -> list[str]:
-    """Return the options of ``mcp-asdf node`` for a robot, such as ``--filter-period=100``.
-
-    Name and value are one argument, so that a negative number is not taken for an option. A filter of the
-    firmware is two options: ALWAYS and ADAPTIVE are one filter with different activations, and adaptive is
-    the default.
-    """
-    values_by_name = robot.plain()
-    firmware_filter = robot.config.filter
-    # The process generates the t-table, the thresholds of the test, again from two numbers: omega, and q, the
-    # largest number of neighbours with an exact threshold.
-    table = values_by_name.pop("table", None)
-    if firmware_filter is Filter.ADAPTIVE:
-        values_by_name |= {"omega": table["omega"], "neighbours": table["q"]}
-    if firmware_filter is Filter.ALWAYS:
-        values_by_name["activation"] = "always"
-    values_by_name |= {
-        "filter": filter_of_one_robot(firmware_filter).name,
-        "subject": subjects.estimates.subject,
-        "priority": subjects.estimates.priority,
-        "telemetry_subject": subjects.telemetry.subject,
-        "command_subject": subjects.commands.subject,
-    }
-    return [f"--{name.replace('_', '-')}={value}" for name, value in values_by_name.items()]

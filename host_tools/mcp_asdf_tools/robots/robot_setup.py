@@ -16,7 +16,7 @@ from mcp_asdf.robot import (
 )
 from mcp_asdf.table import Table
 from mcp_asdf_tools.bus.frame_layout import MAX_NODE_ID
-from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.common.errors import UsageError, did_you_mean, refusing_wrong_values
 from mcp_asdf_tools.robots.firmwares import load_firmware
 
 _FILTERS_BY_NAME = {firmware_filter.name.lower(): firmware_filter for firmware_filter in Filter}
@@ -26,9 +26,17 @@ _TYPES: dict[str, type[Any]] = {
     "filter_period": int,
     "memory": int,
     "firmware": str,
+    "filter": str,
     "b_hat": float,
+    "allow": str,
+    "table": dict,
 }
-_TYPE_NAMES = {int: "a whole number", str: "a text", float: "a number with a point"}
+_TYPE_NAMES = {
+    int: "a whole number",
+    str: "a text",
+    float: "a number with a point",
+    dict: "an object in braces",
+}
 _DEFAULTS: dict[str, Any] = {
     "comms_period": 1,
     "filter": Config.filter.name.lower(),
@@ -128,25 +136,27 @@ class RobotSetup:
         return values
 
     @classmethod
+    @refusing_wrong_values()
     def from_plain(cls, plain: Any) -> RobotSetup:
         """Return the setup of plain values, which may come from any file.
 
-        ``id`` and ``b_hat`` must be there, all else has its default. Raises KeyError for an entry that is
-        missing, and for an impossible value a ValueError (so UsageError and FirmwareError, too),
-        ArithmeticError, AttributeError or TypeError; each has a message.
+        ``id`` and ``b_hat`` must be there, all else has its default. Raises UsageError for an entry that is
+        missing or unknown, and for an impossible value.
         """
         if not isinstance(plain, dict):
             raise UsageError(f"a robot is {plain!r}; give its settings as an object in braces")
         values = _DEFAULTS | plain
+        for name, value in values.items():
+            if name not in _TYPES:
+                raise UsageError(f"a robot has no setting {name!r}{did_you_mean(name, _TYPES)}")
+            # Not isinstance(), which would take True for a whole number.
+            if type(value) is not _TYPES[name]:
+                raise UsageError(f"{name} is {value!r}; give {_TYPE_NAMES[_TYPES[name]]}")
         table = _table_from_plain(values["table"], values["id"]) if "table" in values else None
         if values["filter"] not in _FILTERS_BY_NAME:
             raise UsageError(
                 f"filter is {values['filter']!r}; it must be one of {', '.join(_FILTERS_BY_NAME)}"
             )
-        # Not isinstance(), which would take True for a whole number.
-        for name, kind in _TYPES.items():
-            if type(values[name]) is not kind:
-                raise UsageError(f"{name} is {values[name]!r}; give {_TYPE_NAMES[kind]}")
         comms_period = values["comms_period"]
         filter_period = values["filter_period"]
         _check_periods(comms_period, filter_period)
@@ -160,7 +170,7 @@ class RobotSetup:
             memory=values["memory"],
         )
         check_settings(config)  # names the wrong setting, which the C cannot
-        allow = parse_ids(str(values["allow"]), "allow") if "allow" in values else None
+        allow = parse_ids(values["allow"], "allow") if "allow" in values else None
         setup = cls(
             id=values["id"],
             firmware=values["firmware"],
@@ -169,6 +179,8 @@ class RobotSetup:
             comms_period=comms_period,
             allow=allow,
         )
+        if firmware_filter is Filter.ADAPTIVE and table is None:
+            raise UsageError("filter is 'adaptive', which needs table: give its omega, q and checksum")
         # This robot is not used, but the firmware refuses here what is wrong with its id or b_hat.
         setup.make_robot()
         return setup
@@ -205,12 +217,15 @@ def _plain_table(table: Table) -> dict[str, Any]:
 def _table_from_plain(plain_table: Any, robot_id: Any) -> Table:
     """Generate the t-table for the omega and q of ``plain_table``, and check its checksum.
 
-    Raises UsageError, naming the robot, if the generated table has another checksum than ``plain_table``: the
-    robot would not be the same.
+    Raises UsageError for an omega or q that no table has and, naming the robot, if the generated table has
+    another checksum than ``plain_table``: the robot would not be the same. Raises KeyError for a missing one.
     """
     from mcp_asdf_tools.tables.thresholds import generate, parse_omega  # noqa: PLC0415 (mpmath loads slowly)
 
-    table = generate(parse_omega(str(plain_table["omega"])), plain_table["q"])
+    q = plain_table["q"]
+    if type(q) is not int:
+        raise UsageError(f"q of the t-table is {q!r}; give {_TYPE_NAMES[int]}")
+    table = generate(parse_omega(str(plain_table["omega"])), q)
     *_, checksum = table.words()
     if checksum != plain_table["checksum"]:
         raise UsageError(

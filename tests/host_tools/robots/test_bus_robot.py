@@ -17,7 +17,7 @@ import pytest
 from numpy.typing import NDArray
 
 from mcp_asdf.mirror import MirrorRobot
-from mcp_asdf.robot import Config, Counters, Filter, FirmwareError, Observation
+from mcp_asdf.robot import Config, Counters, Filter, Observation
 from mcp_asdf.table import Table
 from mcp_asdf_tools.bus.frame_layout import Rejection
 from mcp_asdf_tools.bus.frames import Estimate, FrameFormat, Heartbeat, Telemetry
@@ -297,13 +297,20 @@ def test_a_setup_makes_a_robot_with_its_configuration() -> None:
         ({"b_hat": "high"}, "b_hat is 'high'"),
         ({"firmware": "own"}, "firmware is 'own'"),
         ({"table": {"omega": "0.05", "q": 20, "checksum": 1}}, "has checksum 1"),
+        (
+            {"table": {"omega": "0.05", "q": 20.5, "checksum": 1}},
+            "q of the t-table is 20.5; give a whole number",
+        ),
+        ({"table": {"omega": "0.05", "q": 20}}, "'checksum' is missing; add it"),
+        ({"table": 20}, "table is 20; give an object in braces"),
+        ({"memroy": 64}, "no setting 'memroy'; did you mean memory"),
     ],
 )
 def test_a_robot_s_setup_in_json_with_a_wrong_value_is_refused_by_the_name_of_the_value(
     changes: dict[str, Any], complaint: str
 ) -> None:
     """Each case changes one value of a right setup. The error says what is wrong with it."""
-    with pytest.raises((UsageError, FirmwareError), match=complaint):
+    with pytest.raises(UsageError, match=complaint):
         RobotSetup.from_plain(setup_of_robot(5).plain() | changes)
 
 

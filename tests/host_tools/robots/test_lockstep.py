@@ -32,13 +32,14 @@ from mcp_asdf_tools.bus.frames import (
 )
 from mcp_asdf_tools.bus.interfaces import BusChoice
 from mcp_asdf_tools.cli import main as cli
-from mcp_asdf_tools.cli.options import bus_of, robot_of, subjects_of
+from mcp_asdf_tools.cli.node import setup_of
+from mcp_asdf_tools.cli.options import bus_of, subjects_of
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.robots import processes
 from mcp_asdf_tools.robots.lockstep import Lockstep, LockstepError
 from mcp_asdf_tools.robots.node import RobotNode, Subjects
 from mcp_asdf_tools.robots.processes import NodeProcesses
-from mcp_asdf_tools.robots.robot_setup import RobotSetup, parse_ids
+from mcp_asdf_tools.robots.robot_setup import RobotSetup
 from mcp_asdf_tools.tables.thresholds import generate, parse_omega
 from support import wait_until
 from wire import CLOCK, EndlessWire, Wire, node, still
@@ -467,9 +468,9 @@ SETUPS = (
 
 
 def parse_node_command(command: list[str]) -> argparse.Namespace:
-    """Return the parsed arguments of a command ``python -m mcp_asdf_tools.cli.main node --id ...``."""
+    """Return the parsed arguments of a command ``python -m mcp_asdf_tools.cli.main node --setup=...``."""
     _python, _m, _module, name, *options = command
-    return cli._parser_for(name, cli._load(name)).parse_args(options)
+    return cli._parser_for(name, cli._load(name)).parse_all(options)
 
 
 @pytest.mark.parametrize("setup", SETUPS)
@@ -479,11 +480,7 @@ def test_the_command_line_of_a_robot_s_process_has_all_settings_of_the_robot(set
     nodes = NodeProcesses([setup], lambda robot: bus_choice, SUBJECTS, steps_per_second=3)
     arguments = parse_node_command(nodes._commands[setup.id])
 
-    robot = robot_of(arguments)
-    if arguments.allow is not None:
-        # robot_of leaves the text of this option, such as 0+2-3, to the command.
-        robot = replace(robot, allow=parse_ids(arguments.allow, "--allow"))
-    assert robot == setup
+    assert setup_of(arguments) == setup
     assert subjects_of(arguments) == SUBJECTS
     assert arguments.steps_per_second == 3
     assert str(bus_of(arguments)) == str(bus_choice)

@@ -9,6 +9,7 @@ import random
 import shlex
 import signal
 import time
+from collections.abc import Sequence
 from itertools import cycle
 from pathlib import Path
 from typing import Any
@@ -271,11 +272,11 @@ def drive_robot_5(model: RobotNode, bus: can.BusABC) -> None:
         model.settle()
 
 
-def run_robot_5(*options: str) -> RobotNode:
+def run_robot_5(*options: str, command: Sequence[str] = ROBOT_5.split()) -> RobotNode:
     """Run the command of robot 5 while it is driven for 40 ticks, and return its model."""
     model = node(5, "mirror", 0.7, comms_period=2)
     with join() as bus, meanwhile(lambda: drive_robot_5(model, bus)):
-        assert main([*ROBOT_5.split(), *options]) == 0
+        assert main([*command, *options]) == 0
     return model
 
 
@@ -330,6 +331,55 @@ def test_a_node_reports_its_setup_and_why_it_ended(capsys: pytest.CaptureFixture
     assert report["parameters"]["robot"] == setup_of_robot(5, "native", 0.7, comms_period=2).plain()
     assert report["results"]["ending"] == "all ticks done"
     assert report["results"]["steps"] == 40
+
+
+def test_a_node_with_the_setup_that_another_reported_ends_in_the_same_state(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """The first run of robot 5 has its options, and the second one the setup that the first one reports."""
+    run_robot_5()
+    first_report = json.loads(capsys.readouterr().out)
+    setup_text = json.dumps(first_report["parameters"]["robot"])
+    run_robot_5(command=["node", "--setup", setup_text, "--steps=40", "--json"])
+
+    assert json.loads(capsys.readouterr().out) == first_report
+
+
+SETUP = '{"id": 5, "b_hat": 0.7, "filter": "robust"}'
+
+
+@pytest.mark.parametrize(
+    "option", ["--id=5", "--b-hat=0.95", "--filter=robust", "--neighbours=3", "--allow=3"]
+)
+def test_a_setup_together_with_an_option_that_it_replaces_is_refused(
+    option: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The error names both, also if the option has its default value, as ``--b-hat=0.95``."""
+    assert main(["node", "--setup", SETUP, option]) == 2
+    error_line, _hint = capsys.readouterr().err.splitlines()
+    assert "--setup" in error_line
+    assert option.partition("=")[0] in error_line
+
+
+@pytest.mark.parametrize(
+    ("setup_text", "complaint"),
+    [
+        ('{"id": 5', "--setup is no JSON (Expecting ',' delimiter: line 1 column 9"),
+        ("[" * 100_000, "--setup is no JSON (maximum recursion depth"),
+        ("5", "--setup: a robot is 5; give its settings as an object in braces"),
+        ('{"id": 5}', "--setup: 'b_hat' is missing; add it"),
+        ('{"id": 5, "b_hat": 0.7, "memroy": 64}', "--setup: a robot has no setting 'memroy'; did you mean"),
+        ('{"id": 5, "b_hat": 7.0, "filter": "off"}', "--setup: b_hat is 7.0; choose one in"),
+        ('{"id": 5, "b_hat": 0.7}', "--setup: filter is 'adaptive', which needs table: give its omega"),
+    ],
+)
+def test_a_node_refuses_a_setup_that_describes_no_robot(
+    setup_text: str, complaint: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The exit code is 2, and the error names the value and what to do about it."""
+    assert main(["node", "--setup", setup_text]) == 2
+    error_line, _hint = capsys.readouterr().err.splitlines()
+    assert error_line.startswith(f"mcp-asdf node: error: {complaint}")
 
 
 def test_the_log_of_a_node_is_replayed_with_the_frames_that_others_sent_under_its_id(
