@@ -33,15 +33,18 @@ from support import names_in
 
 
 def test_a_file_that_is_larger_than_the_maximum_size_is_refused(tmp_path: Path) -> None:
-    """The caller says how many bytes the file may have, so that none fills the memory. It has 5."""
+    """The caller says how many bytes the file may have, so that none fills the memory.
+
+    A file of 5 bytes is read if 5 are allowed, and refused if only 4 are.
+    """
     (tmp_path / "file").write_bytes(b"12345")
-    assert read_at_most(tmp_path / "file", 5) == b"12345"
+    assert read_at_most(tmp_path / "file", max_bytes=5) == b"12345"
     with pytest.raises(ValueError, match="it has more than 4 bytes"):
-        read_at_most(tmp_path / "file", 4)
+        read_at_most(tmp_path / "file", max_bytes=4)
 
 
 def test_a_file_without_an_end_is_refused() -> None:
-    """A text may have 16 MiB; the system's file of zeros never ends."""
+    """The system's file of zeros never ends. A text may have 16 MiB, or 16777216 bytes."""
     with pytest.raises(UsageError, match="cannot read /dev/zero: it has more than 16777216 bytes; give a sh"):
         read_text("/dev/zero")
 
@@ -54,7 +57,7 @@ def test_a_text_may_have_a_byte_order_mark(encoding: str, tmp_path: Path) -> Non
 
 
 def test_a_file_that_is_no_text_is_refused_with_the_place(tmp_path: Path) -> None:
-    """The error names the place of the first byte that is no UTF-8."""
+    """The byte 0xff, which no text in UTF-8 has, stands behind three letters: it is byte 3, from 0 on."""
     (tmp_path / "file").write_bytes(b"abc\xff")
     with pytest.raises(UsageError, match=r"cannot read .*file: it is no text in UTF-8 \(byte 3\)"):
         read_text(tmp_path / "file")
@@ -73,15 +76,17 @@ def test_a_text_that_is_missing_is_refused_by_its_path(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("data", "content"), [("k_m ≥ 1\n", b"k_m \xe2\x89\xa5 1\n"), (b"\0\xff", b"\0\xff")]
+    ("text_or_bytes", "expected_bytes"), [("k_m ≥ 1\n", b"k_m \xe2\x89\xa5 1\n"), (b"\0\xff", b"\0\xff")]
 )
-def test_a_written_file_replaces_a_longer_one(data: str | bytes, content: bytes, tmp_path: Path) -> None:
+def test_a_written_file_replaces_a_longer_one(
+    text_or_bytes: str | bytes, expected_bytes: bytes, tmp_path: Path
+) -> None:
     """Nothing of the longer file is left, and no other file is in the folder. A text is written as UTF-8."""
     path = tmp_path / "file"
     path.write_bytes(b"something much longer than what comes next")
-    write_atomically(path, data)
+    write_atomically(path, text_or_bytes)
 
-    assert path.read_bytes() == content
+    assert path.read_bytes() == expected_bytes
     assert names_in(tmp_path) == ["file"]
 
 
@@ -103,30 +108,40 @@ def test_a_written_file_has_the_usual_permissions(tmp_path: Path) -> None:
 
 
 def test_an_error_while_a_draft_is_written_leaves_the_old_file(tmp_path: Path) -> None:
-    """A draft is the name under which a file is written until it is complete; it is removed."""
+    """A draft is the file in which new content is collected until it is complete; it is removed.
+
+    Here the program fails when it has written half of the new content.
+    """
     path = tmp_path / "file"
     path.write_text("old")
 
     with pytest.raises(ZeroDivisionError), drafts_for([path]) as [draft]:
         draft.write_text("half")
-        raise ZeroDivisionError
+        raise ZeroDivisionError  # stands for any error
+
     assert path.read_text() == "old"
     assert names_in(tmp_path) == ["file"]
 
 
 def test_two_programs_that_write_one_file_do_not_mix_their_data(tmp_path: Path) -> None:
-    """Each has a draft under another name, so the file comes from the program that is ready last."""
+    """Each has a draft under another name, which becomes the file at the end of the block.
+
+    The second program begins while the first one writes, and ends before it. So the file has its content
+    until the first program ends, too.
+    """
     path = tmp_path / "file"
-    with drafts_for([path]) as [first_draft]:
-        first_draft.write_text("first")
-        with drafts_for([path]) as [second_draft]:
-            second_draft.write_text("second")
+    with drafts_for([path]) as [draft_of_first_program]:
+        draft_of_first_program.write_text("first")
+        with drafts_for([path]) as [draft_of_second_program]:
+            draft_of_second_program.write_text("second")
         assert path.read_text() == "second"
 
     assert path.read_text() == "first"
 
 
-WRITER_THAT_IS_KILLED = """\
+def test_a_kill_leaves_the_old_file_and_a_draft_that_can_be_removed(tmp_path: Path) -> None:
+    """The process that writes is killed when it has written half of the new file under another name."""
+    program_that_kills_itself = """\
 import os, signal
 from pathlib import Path
 from mcp_asdf_tools.common.files import drafts_for
@@ -134,14 +149,11 @@ with drafts_for([Path("file")]) as [draft]:
     draft.write_text("half")
     os.kill(os.getpid(), signal.SIGKILL)
 """
-
-
-def test_a_kill_leaves_the_old_file_and_a_draft_that_can_be_removed(tmp_path: Path) -> None:
-    """The process that writes is killed when it has written half of the new file under another name."""
     (tmp_path / "file").write_text("old")
-    subprocess.run([sys.executable, "-c", WRITER_THAT_IS_KILLED], cwd=tmp_path, check=False)
+    subprocess.run([sys.executable, "-c", program_that_kills_itself], cwd=tmp_path, check=False)
+
     assert (tmp_path / "file").read_text() == "old"
-    assert len(names_in(tmp_path)) == 2
+    assert len(names_in(tmp_path)) == 2  # the file and the draft
 
     remove_abandoned_drafts(tmp_path)
     assert names_in(tmp_path) == ["file"]
@@ -162,14 +174,16 @@ class SystemCalls:
 
     Attributes:
         calls: Name of each call, and the name of the file that it is about.
+        numbered_calls: Name of each call with its number among the calls of that name: "write 2".
     """
 
     def __init__(
-        self, patch: pytest.MonkeyPatch, failing_index: int | None, failure: BaseException | None
+        self, patch: pytest.MonkeyPatch, failing_call: str | None, failure: BaseException | None
     ) -> None:
-        """Replace the calls by ``patch``; that with the index ``failing_index`` raises ``failure``."""
+        """Replace the calls by ``patch``; ``failing_call``, such as "write 2", raises ``failure``."""
         self.calls: list[tuple[str, str]] = []
-        self._failing_index = failing_index
+        self.numbered_calls: list[str] = []
+        self._failing_call = failing_call
         self._failure = failure
         for owner, name in ((RecordedFile, "write"), (RecordedFile, "close"), (os, "fsync"), (os, "replace")):
             patch.setattr(owner, name, self._recorded(name, getattr(owner, name)))
@@ -179,9 +193,11 @@ class SystemCalls:
         """Return a function that records a call and then calls ``function``, or fails."""
 
         def call(file: Any, *arguments: Any) -> Any:
-            index = len(self.calls)
             self.calls.append((name, _file_name(file)))
-            if index == self._failing_index and self._failure is not None:
+            number = [called_name for called_name, _file in self.calls].count(name)
+            numbered_call = f"{name} {number}"
+            self.numbered_calls.append(numbered_call)
+            if numbered_call == self._failing_call and self._failure is not None:
                 if name == "close":
                     function(file)  # a close that fails closes the file all the same
                 raise self._failure
@@ -200,26 +216,32 @@ def _file_name(file: RecordedFile | Path | int) -> str:
 
 
 DISK_IS_FULL = OSError(errno.ENOSPC, "No space left on device")
-WRITE_ONE = ["open", "write", "close"]
-CALLS = [*WRITE_ONE, *WRITE_ONE, "fsync", "fsync", "replace", "replace", "fsync"]
-"""System calls of a write of two files in one folder, in their order."""
-FIRST_REPLACE = CALLS.index("replace")
-FOLDER_SYNC = len(CALLS) - 1
+CALLS_UP_TO_THE_FIRST_RENAMING = [
+    "open 1",
+    "write 1",
+    "close 1",
+    "open 2",
+    "write 2",
+    "close 2",
+    "fsync 1",
+    "fsync 2",
+    "replace 1",
+]
 
 
-def replace_old_files(
-    folder: Path, failing_index: int | None = None, failure: BaseException | None = None
+def replace_files_a_and_b(
+    folder: Path, failing_call: str | None = None, failure: BaseException | None = None
 ) -> SystemCalls:
     """Replace the files "a" and "b" with the content "old" by "new"; return the system calls.
 
-    That with the index ``failing_index`` raises ``failure``.
+    ``failing_call``, such as "write 2" for the second call of write, raises ``failure``.
     """
-    paths = [folder / "a", folder / "b"]
-    for path in paths:
-        path.write_text("old")
+    file_a, file_b = folder / "a", folder / "b"
+    file_a.write_text("old")
+    file_b.write_text("old")
     with pytest.MonkeyPatch.context() as patch:
-        system_calls = SystemCalls(patch, failing_index, failure)
-        write_together(dict.fromkeys(paths, "new"))
+        system_calls = SystemCalls(patch, failing_call, failure)
+        write_together({file_a: "new", file_b: "new"})
     return system_calls
 
 
@@ -229,43 +251,58 @@ def contents_of(folder: Path) -> dict[str, str]:
 
 
 def test_two_files_are_written_with_these_system_calls(tmp_path: Path) -> None:
-    """CALLS lists them; the other tests let each of them fail."""
-    system_calls = replace_old_files(tmp_path)
-    assert [name for name, _ in system_calls.calls] == CALLS
+    """The files "a" and "b" are replaced. "open 2" is the second call of open; replace renames a file.
+
+    The other tests let such a call fail.
+    """
+    system_calls = replace_files_a_and_b(tmp_path)
+
+    calls_of_drafts = ["open 1", "write 1", "close 1", "open 2", "write 2", "close 2", "fsync 1", "fsync 2"]
+    renamings = ["replace 1", "replace 2"]
+    sync_of_folder = "fsync 3"
+    assert system_calls.numbered_calls == [*calls_of_drafts, *renamings, sync_of_folder]
     assert contents_of(tmp_path) == {"a": "new", "b": "new"}
 
 
-with_each_failing_call = pytest.mark.parametrize("failing_index", range(FIRST_REPLACE + 1))
+with_each_failing_call = pytest.mark.parametrize("failing_call", CALLS_UP_TO_THE_FIRST_RENAMING)
 """Let each system call fail, one at a time, up to the renaming of the first file."""
 
 
 @with_each_failing_call
-def test_a_full_disk_leaves_both_old_files(failing_index: int, tmp_path: Path) -> None:
-    """System calls write the files "a" and "b" and rename the first. One of these calls fails."""
+def test_a_full_disk_leaves_both_old_files(failing_call: str, tmp_path: Path) -> None:
+    """System calls write the files "a" and "b" and rename the first. One of these calls fails.
+
+    ``failing_call`` is "write 2", for example, if the second call of write fails.
+    """
     with pytest.raises(UsageError, match=r"cannot write .*/[ab]: No space left on device; choose a folder"):
-        replace_old_files(tmp_path, failing_index, DISK_IS_FULL)
+        replace_files_a_and_b(tmp_path, failing_call, DISK_IS_FULL)
     assert contents_of(tmp_path) == {"a": "old", "b": "old"}
 
 
 @with_each_failing_call
-def test_ctrl_c_leaves_both_old_files(failing_index: int, tmp_path: Path) -> None:
-    """System calls write the files "a" and "b" and rename the first. Ctrl-C comes in one of these calls."""
+def test_ctrl_c_leaves_both_old_files(failing_call: str, tmp_path: Path) -> None:
+    """System calls write the files "a" and "b" and rename the first. Ctrl-C comes in one of these calls.
+
+    ``failing_call`` is "write 2", for example, if it comes in the second call of write.
+    """
     with pytest.raises(KeyboardInterrupt):
-        replace_old_files(tmp_path, failing_index, KeyboardInterrupt())
+        replace_files_a_and_b(tmp_path, failing_call, KeyboardInterrupt())
     assert contents_of(tmp_path) == {"a": "old", "b": "old"}
 
 
 def test_a_failure_between_the_renamings_leaves_two_complete_files(tmp_path: Path) -> None:
-    """The file "a" has got its name, and then the disk refuses the name "b"."""
-    second_replace = FIRST_REPLACE + 1
+    """The new file "a" has got its name, and then the second call of replace, for "b", fails."""
     with pytest.raises(UsageError, match=r"cannot write .*/b: No space left on device"):
-        replace_old_files(tmp_path, second_replace, DISK_IS_FULL)
+        replace_files_a_and_b(tmp_path, "replace 2", DISK_IS_FULL)
     assert contents_of(tmp_path) == {"a": "new", "b": "old"}
 
 
 def test_a_folder_that_cannot_be_synced_is_no_error(tmp_path: Path) -> None:
-    """Not every file system can wait until the names in a folder are on the disk."""
-    replace_old_files(tmp_path, FOLDER_SYNC, DISK_IS_FULL)
+    """Not every file system can wait until the names in a folder are on the disk.
+
+    The first two calls of fsync are for the files "a" and "b", and the third one is for the folder.
+    """
+    replace_files_a_and_b(tmp_path, "fsync 3", DISK_IS_FULL)
     assert contents_of(tmp_path) == {"a": "new", "b": "new"}
 
 
@@ -274,28 +311,36 @@ def test_output_files_get_their_names_only_when_their_contents_are_on_disk(tmp_p
 
     A sync waits until the disk has what was written into a draft, or, at the end, the names in the folder.
     """
-    calls = replace_old_files(tmp_path).calls
-    drafts = [file for name, file in calls if name == "open"]
+    calls = replace_files_a_and_b(tmp_path).calls
+    draft_of_a, draft_of_b = [file for name, file in calls if name == "open"]
     syncs_and_renamings = [(name, file) for name, file in calls if name in ("fsync", "replace")]
 
-    sync_both = [("fsync", draft) for draft in drafts]
-    rename_both = [("replace", draft) for draft in drafts]
-    assert syncs_and_renamings == [*sync_both, *rename_both, ("fsync", tmp_path.name)]
+    folder = tmp_path.name
+    assert syncs_and_renamings == [
+        ("fsync", draft_of_a),
+        ("fsync", draft_of_b),
+        ("replace", draft_of_a),
+        ("replace", draft_of_b),
+        ("fsync", folder),
+    ]
 
 
-def test_obsolete_files_are_removed_before_the_first_renaming(tmp_path: Path) -> None:
-    """The renaming of the draft fails, and the obsolete file is gone by then."""
+def test_obsolete_files_are_removed_before_the_first_renaming(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The renaming of the draft to "file" fails, and the obsolete file is gone by then."""
     (tmp_path / "draft").touch()
     (tmp_path / "obsolete").touch()
-    with pytest.MonkeyPatch.context() as patch, pytest.raises(UsageError):
-        patch.setattr(os, "replace", Mock(side_effect=DISK_IS_FULL))
-        rename_drafts({tmp_path / "file": tmp_path / "draft"}, obsolete=[tmp_path / "obsolete"])
+    renaming_that_fails = Mock(side_effect=DISK_IS_FULL)
+    monkeypatch.setattr(os, "replace", renaming_that_fails)
 
+    with pytest.raises(UsageError):
+        rename_drafts({tmp_path / "file": tmp_path / "draft"}, obsolete=[tmp_path / "obsolete"])
     assert names_in(tmp_path) == ["draft"]
 
 
 def test_an_obsolete_file_that_is_missing_is_no_error(tmp_path: Path) -> None:
-    """An obsolete file would be removed before the draft gets its name."""
+    """An obsolete file would be removed before the draft gets the name "file"; here there is none."""
     (tmp_path / "draft").write_text("new")
     rename_drafts({tmp_path / "file": tmp_path / "draft"}, obsolete=[tmp_path / "obsolete"])
     assert contents_of(tmp_path) == {"file": "new"}
@@ -312,7 +357,7 @@ def test_writing_files_leaves_no_file_descriptor_open(tmp_path: Path) -> None:
 
 
 def test_a_folder_is_made_with_those_above_it_and_one_that_exists_is_kept(tmp_path: Path) -> None:
-    """The first call makes both a and b. The second call leaves the file in b as it is."""
+    """The first call makes the folder a and, in it, b. The second call leaves the file in b as it is."""
     make_folder(tmp_path / "a/b")
     (tmp_path / "a/b/file").touch()
     make_folder(tmp_path / "a/b")
@@ -320,7 +365,7 @@ def test_a_folder_is_made_with_those_above_it_and_one_that_exists_is_kept(tmp_pa
 
 
 def test_a_folder_in_place_of_a_file_is_refused(tmp_path: Path) -> None:
-    """The error names the path, the reason of the system and a fix."""
+    """A file has the name of the folder that is to be made. The error has path, reason and a fix."""
     (tmp_path / "file").touch()
     with pytest.raises(UsageError, match=r"cannot write .*/file: File exists; choose a folder that takes it"):
         make_folder(tmp_path / "file")
@@ -328,8 +373,9 @@ def test_a_folder_in_place_of_a_file_is_refused(tmp_path: Path) -> None:
 
 def test_writing_a_file_in_place_of_a_folder_or_a_pipe_is_refused(tmp_path: Path) -> None:
     """The program at the other end of a pipe would get nothing, as a new file would take its name."""
-    with pytest.raises(UsageError, match=f"cannot write {tmp_path}: it is not a regular file; choose"):
-        write_atomically(tmp_path, "x")
+    folder = tmp_path
+    with pytest.raises(UsageError, match=f"cannot write {folder}: it is not a regular file; choose"):
+        write_atomically(folder, "x")
     os.mkfifo(tmp_path / "pipe")
     with pytest.raises(UsageError, match=r"pipe: it is not a regular file; choose another name"):
         write_atomically(tmp_path / "pipe", "x")
@@ -351,23 +397,30 @@ def test_a_path_below_a_file_is_refused_by_its_name(tmp_path: Path) -> None:
 def test_writing_a_file_into_a_folder_without_permission_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """``os.access`` is replaced, since tests may run as root, who may write to every folder."""
-    may_access = Mock(return_value=False)
-    monkeypatch.setattr(os, "access", may_access)
+    """``os.access`` is replaced, since tests may run as root, who may write to every folder.
+
+    It is asked once whether the user may write (W) to the folder and open files in it (X).
+    """
+    access_denied = Mock(return_value=False)
+    monkeypatch.setattr(os, "access", access_denied)
     with pytest.raises(UsageError, match="you may not write to its folder; choose another"):
         check_target(tmp_path / "file")
-    may_access.assert_called_once_with(tmp_path, os.W_OK | os.X_OK)
+    access_denied.assert_called_once_with(tmp_path, os.W_OK | os.X_OK)
 
 
 def test_the_results_of_an_output_file_stand_beside_it(tmp_path: Path) -> None:
-    """The results are a run's, in JSON. The output file is the log of the same run."""
+    """``results_beside`` gives the path of a run's results in JSON; the output file is the run's log."""
     assert results_beside(tmp_path / "run.log") == tmp_path / "run.log.json"
 
 
 def test_results_are_refused_if_they_or_the_output_file_cannot_be_written(tmp_path: Path) -> None:
-    """A run writes an output file and results. Before the run the user learns if a folder has such a name."""
-    with pytest.raises(UsageError, match=f"cannot write {tmp_path}: it is not a regular file"):
-        results_beside(tmp_path)
+    """``results_beside`` gets the path of a run's output file, and gives that of the run's results.
+
+    It is called before the run, so the user learns at once if a folder has one of these names.
+    """
+    folder = tmp_path
+    with pytest.raises(UsageError, match=f"cannot write {folder}: it is not a regular file"):
+        results_beside(folder)
     (tmp_path / "run.log.json").mkdir()
     with pytest.raises(UsageError, match=r"run\.log\.json: it is not a regular file"):
         results_beside(tmp_path / "run.log")

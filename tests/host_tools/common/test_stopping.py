@@ -11,7 +11,7 @@ import pytest
 
 from support import interruptible
 
-PROGRAM = """\
+PROGRAM_THAT_RUNS_WORK = """\
 import sys
 from mcp_asdf_tools.common.signals import INTERRUPTED, exit_code_of_signal, stopping
 
@@ -26,15 +26,22 @@ with stopping(interrupt=True):
     code = exit_code_of_signal(work())
 sys.exit(code)
 """
-HANG_UP = "import os, signal; os.kill(os.getpid(), signal.SIGHUP); [None for _ in range(100)]"
 
 
-@pytest.mark.parametrize("work", [HANG_UP, f"exec({HANG_UP!r})"], ids=["plain", "within exec"])
+@pytest.mark.parametrize("is_within_exec", [False, True], ids=["plain", "within exec"])
 @interruptible()
 def test_a_program_that_a_signal_interrupts_anywhere_ends_with_the_exit_code_of_the_signal(
-    work: str, tmp_path: Path
+    is_within_exec: bool, tmp_path: Path
 ) -> None:
-    """Within exec() come interruptions of modules that are imported and have dataclasses."""
-    (tmp_path / "program.py").write_text(PROGRAM.format(work=work))
+    """The program sends itself SIGHUP, as a terminal does that is closed. Shells expect 128 + its number.
+
+    Within exec() come interruptions of modules that are imported and have dataclasses.
+    """
+    work = "import os, signal; os.kill(os.getpid(), signal.SIGHUP); [None for _ in range(100)]"
+    if is_within_exec:
+        work = f"exec({work!r})"
+    (tmp_path / "program.py").write_text(PROGRAM_THAT_RUNS_WORK.format(work=work))
+
     result = subprocess.run([sys.executable, "-m", "program"], cwd=tmp_path, check=False)
+
     assert result.returncode == 128 + signal.SIGHUP

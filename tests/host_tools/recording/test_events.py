@@ -28,22 +28,17 @@ from mcp_asdf_tools.recording.replay import ReplayVerdict, verify
 from mcp_asdf_tools.robots.robot_setup import RobotSetup
 from mcp_asdf_tools.tables.thresholds import generate
 from messages import FRAMES
-from wire import record
+from wire import record as make_robot_setup
 
-ROBOTS = (
-    record(0, "native", b_hat=0.1 + 0.2),
-    record(7, "mirror", filter=Filter.ALWAYS, comms_period=5, memory=64),
-    RobotSetup(127, "reference", 0.95, Config(None, Filter.OFF, filter_period=3)),
-    RobotSetup(3, "native", 2.0**-20, Config(generate(Decimal("0.123456789"), 2))),
-)
-HEADER = EventsHeader(
-    ROBOTS,
-    seed=5,
-    frames=FrameFormat(subject=17, priority=2),
-    parameters={"fill_ratio": 0.55, "faults": ["loss=0.5"]},
-)
-"""Header of a file with events of the robots 0, 3, 7 and 127."""
-FIRST_LINE = HEADER.to_line()
+
+def header_of(*robot_ids: int) -> EventsHeader:
+    """Return the header of a file with events of some robots, which are set up alike."""
+    robots = [make_robot_setup(robot_id) for robot_id in robot_ids]
+    return EventsHeader(robots, seed=5, frames=FrameFormat())
+
+
+FIRST_LINE_OF_ROBOTS_0_AND_7 = header_of(0, 7).to_line()
+"""The header, with a line break, of a file with events of the robots 0 and 7."""
 
 
 # --- What is read is what was written -----------------------------------------------------------------
@@ -65,11 +60,27 @@ def test_a_file_of_events_given_as_a_log_of_frames_is_refused() -> None:
 
 
 def test_the_header_of_an_events_file_is_read_as_it_was_written(tmp_path: Path) -> None:
-    """The header says how each robot was set up, so that replay can build it again."""
-    with events_file(tmp_path / "x", HEADER):
-        pass
+    """The header says how each robot was set up, so that replay can build it again.
+
+    The four robots differ in firmware, estimated accuracy, filter, periods, memory and t-table. Numbers
+    such as 0.1 + 0.2 and 2**-20 have many digits, and none is lost.
+    """
+    robots = (
+        make_robot_setup(0, "native", b_hat=0.1 + 0.2),
+        make_robot_setup(7, "mirror", filter=Filter.ALWAYS, comms_period=5, memory=64),
+        RobotSetup(127, "reference", 0.95, Config(None, Filter.OFF, filter_period=3)),
+        RobotSetup(3, "native", 2.0**-20, Config(generate(Decimal("0.123456789"), 2))),
+    )
+    header = EventsHeader(
+        robots,
+        seed=5,
+        frames=FrameFormat(subject=17, priority=2),
+        parameters={"fill_ratio": 0.55, "faults": ["loss=0.5"]},
+    )
+    with events_file(tmp_path / "x", header):
+        pass  # the file has the header and no events
     with EventsReader(tmp_path / "x") as reader:
-        assert reader.header == HEADER
+        assert reader.header == header
 
 
 def test_a_header_with_a_number_that_json_lacks_is_refused() -> None:
@@ -88,17 +99,18 @@ def test_observations_and_received_estimates_are_read_as_they_were_recorded(tmp_
 
     The file has an entry for each of the two ticks, with what happened in it.
     """
-    estimates = [[3, 2**23, 2**32 - 1], [127, 0, 0]]  # sender, x_hat and alpha: the largest and smallest ones
-    with events_file(tmp_path / "x", HEADER) as writer:
+    largest_estimate = [3, 2**23, 2**32 - 1]  # sender, x_hat and alpha
+    smallest_estimate = [127, 0, 0]
+    with events_file(tmp_path / "x", header_of(7)) as writer:
         recorder = writer.recorders[7]
         recorder.record_observation(Observation.BLACK)
-        recorder.record_estimates(estimates)
-        recorder.record_settle()
+        recorder.record_estimates([largest_estimate, smallest_estimate])
+        recorder.record_settle()  # ends the tick
         recorder.record_observation(Observation.WHITE)
         recorder.record_settle()
 
     assert read_entries(tmp_path / "x") == [
-        RobotEvents(7, [BLACK, *estimates, END_OF_TICK]),
+        RobotEvents(7, [BLACK, largest_estimate, smallest_estimate, END_OF_TICK]),
         RobotEvents(7, [WHITE, END_OF_TICK]),
     ]
 
@@ -106,7 +118,7 @@ def test_observations_and_received_estimates_are_read_as_they_were_recorded(tmp_
 def test_injected_faults_are_read_as_they_were_recorded(tmp_path: Path) -> None:
     """Robot 7 observes nothing, sends false values, misses a broadcast and starts again, all in one entry."""
     x_hat, alpha = 5, 2**31
-    with events_file(tmp_path / "x", HEADER) as writer:
+    with events_file(tmp_path / "x", header_of(7)) as writer:
         recorder = writer.recorders[7]
         recorder.record_observation(None)
         recorder.record_false_values(x_hat, alpha)
@@ -119,11 +131,13 @@ def test_injected_faults_are_read_as_they_were_recorded(tmp_path: Path) -> None:
 
 
 def test_frames_injected_by_a_fault_are_recorded_as_candump_writes_them(tmp_path: Path) -> None:
-    """FRAMES has frames of four kinds by the texts that candump writes for them."""
-    with events_file(tmp_path / "x", HEADER) as writer:
+    """FRAMES has a frame of each of four kinds, by the text that candump writes for it: "042#"."""
+    with events_file(tmp_path / "x", header_of(7)) as writer:
         for frame in FRAMES.values():
             writer.record_injected_frame(frame)
-    assert read_entries(tmp_path / "x") == [InjectedFrame(text) for text in FRAMES]
+
+    candump_texts = FRAMES.keys()
+    assert read_entries(tmp_path / "x") == [InjectedFrame(text) for text in candump_texts]
 
 
 def test_a_flood_of_estimates_is_written_in_several_lines(
@@ -135,7 +149,7 @@ def test_a_flood_of_estimates_is_written_in_several_lines(
     """
     monkeypatch.setattr(events_module, "_MAX_EVENTS_PER_LINE", 4)
     three_estimates = [[3, 1, 2]] * 3  # each with sender, x_hat and alpha
-    with events_file(tmp_path / "x", HEADER) as writer:
+    with events_file(tmp_path / "x", header_of(7)) as writer:
         for _ in range(4):
             writer.recorders[7].record_estimates(three_estimates)
 
@@ -151,7 +165,7 @@ def test_a_mask_in_a_file_of_version_3_is_read_as_the_last_estimates_of_its_send
 
     Robot 7 received both, a list of sender, x_hat and alpha each; then robot 0 received the same two.
     """
-    first_line_of_version_3 = FIRST_LINE.replace('"version": 5', '"version": 3')
+    first_line_of_version_3 = FIRST_LINE_OF_ROBOTS_0_AND_7.replace('"version": 5', '"version": 3')
     line_of_robot_7 = "[7,1,[3,9,8],[0,1,2],3]"
     line_of_robot_0 = '[0,1,"9",3]'
     (tmp_path / "x").write_text(f"{first_line_of_version_3}{line_of_robot_7}\n{line_of_robot_0}\n")
@@ -165,7 +179,8 @@ def test_a_mask_in_a_file_of_version_3_is_read_as_the_last_estimates_of_its_send
 def test_a_log_that_an_earlier_program_wrote_is_replayed_without_a_difference() -> None:
     """Its events are in version 3 of the format. The verdict has the number of frames of each kind.
 
-    A fault of that run gave five broadcasts false values and sent two frames under a robot's id.
+    The log has 66 frames. A fault of that run gave five broadcasts false values, and sent two frames under a
+    robot's id. The other 51 broadcasts come out again, and eight frames are heartbeats.
     """
     log = Path(__file__).parent / "version_3.log"
     with EventsReader(events_path(log)) as reader:
@@ -175,7 +190,7 @@ def test_a_log_that_an_earlier_program_wrote_is_replayed_without_a_difference() 
 
 def test_events_of_version_4_are_read(tmp_path: Path) -> None:
     """The present version is 5. Robot 7 observes black and ends the tick."""
-    first_line_of_version_4 = FIRST_LINE.replace('"version": 5', '"version": 4')
+    first_line_of_version_4 = FIRST_LINE_OF_ROBOTS_0_AND_7.replace('"version": 5', '"version": 4')
     (tmp_path / "x").write_text(f"{first_line_of_version_4}[7,1,3]\n")
     assert read_entries(tmp_path / "x") == [RobotEvents(7, [BLACK, END_OF_TICK])]
 
@@ -184,9 +199,14 @@ def test_events_of_version_4_are_read(tmp_path: Path) -> None:
 def test_robots_with_an_earlier_robust_filter_are_refused_by_their_ids(version: int, tmp_path: Path) -> None:
     """The earlier filter computed other numbers, so a replay would report differences that are no faults.
 
-    The robots 3, 4 and 7 of the file have it.
+    The robots 3, 4 and 7 of the file have the robust filter, and robot 0 has another one.
     """
-    robots = [record(0), *(record(robot_id, filter=Filter.ROBUST) for robot_id in (3, 4, 7))]
+    robots = [
+        make_robot_setup(0, filter=Filter.ALWAYS),
+        make_robot_setup(3, filter=Filter.ROBUST),
+        make_robot_setup(4, filter=Filter.ROBUST),
+        make_robot_setup(7, filter=Filter.ROBUST),
+    ]
     first_line = EventsHeader(robots, seed=5, frames=FrameFormat()).to_line()
     (tmp_path / "x").write_text(first_line.replace('"version": 5', f'"version": {version}'))
     message = (
@@ -204,7 +224,8 @@ def test_robots_with_an_earlier_robust_filter_are_refused_by_their_ids(version: 
 def test_compressed_events_that_were_cut_are_refused_with_the_line(swarm_log: Path, tmp_path: Path) -> None:
     """The name of a file that is only half there must end in ``.part``; reading any other one is an error."""
     data = events_path(swarm_log).read_bytes()
-    (tmp_path / "x").write_bytes(data[: len(data) // 2])
+    first_half = data[: len(data) // 2]
+    (tmp_path / "x").write_bytes(first_half)
     with pytest.raises(UsageError, match=r"x, line \d+: the file ends here, in the middle; was it cut\?"):
         read_entries(tmp_path / "x")
 
@@ -212,7 +233,8 @@ def test_compressed_events_that_were_cut_are_refused_with_the_line(swarm_log: Pa
 def test_compressed_events_with_a_wrong_byte_are_refused(swarm_log: Path, tmp_path: Path) -> None:
     """A byte in the middle of the file is inverted. The error names the file and the line."""
     data = bytearray(events_path(swarm_log).read_bytes())
-    data[len(data) // 2] ^= 0xFF
+    middle = len(data) // 2
+    data[middle] ^= 0b11111111
     (tmp_path / "x").write_bytes(data)
 
     with pytest.raises(UsageError, match=r"x, line \d+: "):
@@ -220,9 +242,9 @@ def test_compressed_events_with_a_wrong_byte_are_refused(swarm_log: Path, tmp_pa
 
 
 @pytest.fixture
-def five_ticks(tmp_path: Path) -> Path:
+def events_of_five_ticks(tmp_path: Path) -> Path:
     """A compressed file of events in which robot 7 receives an estimate in each of five ticks."""
-    with events_file(tmp_path / "x.events", HEADER) as writer:
+    with events_file(tmp_path / "x.events", header_of(7)) as writer:
         for tick in range(5):
             writer.recorders[7].record_estimates([[3, tick, tick]])
             writer.recorders[7].record_settle()
@@ -231,32 +253,43 @@ def five_ticks(tmp_path: Path) -> Path:
 
 @pytest.mark.parametrize("cut_bytes", [1, 8, 9, 20, 30])
 def test_the_events_of_a_killed_run_are_read_up_to_where_they_were_cut(
-    cut_bytes: int, five_ticks: Path
+    cut_bytes: int, events_of_five_ticks: Path
 ) -> None:
-    """The last 1 to 30 bytes are missing. What is read are the first of all entries, unchanged.
+    """The last 1 to 30 bytes of a compressed file are missing. The entries before the cut are read unchanged.
 
-    The name of the file ends in ``.part``, as the run did not end.
+    The name of the file ends in ``.part``, as the run did not end. A cut in the last 8 bytes, gzip's check
+    value, loses no entry.
     """
-    all_entries = read_entries(five_ticks)
-    part = five_ticks.with_suffix(".events.part")
-    part.write_bytes(five_ticks.read_bytes()[:-cut_bytes])
+    all_entries = read_entries(events_of_five_ticks)
+    part = events_of_five_ticks.with_suffix(".events.part")
+    part.write_bytes(events_of_five_ticks.read_bytes()[:-cut_bytes])
 
-    entries = read_entries(part)
+    entries_before_cut = read_entries(part)
 
-    assert entries == all_entries[: len(entries)]
+    assert entries_before_cut == all_entries[: len(entries_before_cut)]
+    if cut_bytes <= 8:
+        assert entries_before_cut == all_entries
 
 
-@pytest.mark.parametrize(("last_line", "robots"), [("[0,1,3]\n", [7, 0]), ("[0,1", [7])])
-def test_only_an_incomplete_last_line_of_a_killed_run_is_ignored(
-    last_line: str, robots: list[int], tmp_path: Path
-) -> None:
+def test_a_complete_last_line_of_a_killed_run_is_read(tmp_path: Path) -> None:
     """Lines are of robots 7 and 0, which observe black (1) and end the tick (3).
 
     The name of the file ends in ``.part``, as the run did not end. Somebody has decompressed it.
     """
-    (tmp_path / "x.part").write_text(f"{FIRST_LINE}[7,1,3]\n{last_line}")
-    complete_entries = [RobotEvents(robot, [BLACK, END_OF_TICK]) for robot in robots]
-    assert read_entries(tmp_path / "x.part") == complete_entries
+    (tmp_path / "x.part").write_text(f"{FIRST_LINE_OF_ROBOTS_0_AND_7}[7,1,3]\n[0,1,3]\n")
+    assert read_entries(tmp_path / "x.part") == [
+        RobotEvents(7, [BLACK, END_OF_TICK]),
+        RobotEvents(0, [BLACK, END_OF_TICK]),
+    ]
+
+
+def test_an_incomplete_last_line_of_a_killed_run_is_ignored(tmp_path: Path) -> None:
+    """The line of robot 0 breaks off. Robot 7 observes black (1) and ends the tick (3): its line is complete.
+
+    The name of the file ends in ``.part``, as the run did not end. Somebody has decompressed it.
+    """
+    (tmp_path / "x.part").write_text(f"{FIRST_LINE_OF_ROBOTS_0_AND_7}[7,1,3]\n[0,1")
+    assert read_entries(tmp_path / "x.part") == [RobotEvents(7, [BLACK, END_OF_TICK])]
 
 
 def test_a_line_without_an_end_does_not_fill_the_memory(
@@ -266,7 +299,7 @@ def test_a_line_without_an_end_does_not_fill_the_memory(
     monkeypatch.setattr(events_module, "MAX_LINE_LENGTH", 2000)
     line_of_two_million_characters = "[" + 10**6 * "0,"
     with gzip.open(tmp_path / "x", "wt") as file:
-        file.write(FIRST_LINE + line_of_two_million_characters)
+        file.write(FIRST_LINE_OF_ROBOTS_0_AND_7 + line_of_two_million_characters)
 
     with pytest.raises(UsageError, match="line 2: not JSON of at most 2000 characters"):
         read_entries(tmp_path / "x")
@@ -277,14 +310,14 @@ def test_a_line_without_an_end_does_not_fill_the_memory(
 
 def changed_header(key: str, value: Any) -> str:
     """Return the first line with another value at a key, which may be one of the first robot."""
-    plain_header = json.loads(FIRST_LINE)
+    plain_header = json.loads(FIRST_LINE_OF_ROBOTS_0_AND_7)
     target = plain_header if key in plain_header else plain_header["robots"][0]
     target[key] = value
     return json.dumps(plain_header)
 
 
 @pytest.mark.parametrize(
-    ("first_line", "message"),
+    ("first_line", "expected_message"),
     [
         ("", '"format": "mcp-asdf events" is missing'),
         ("{}", '"format": "mcp-asdf events" is missing'),
@@ -294,7 +327,7 @@ def changed_header(key: str, value: Any) -> str:
         (changed_header("version", 2), "the format is version 2, and versions 3 to 5 are read here; replay"),
         (changed_header("version", 6), "the format is version 6, and versions 3 to 5 are read here"),
         (changed_header("robots", 5), "robots is 5; it must be a list in brackets"),
-        (changed_header("robots", json.loads(FIRST_LINE)["robots"][:1] * 2), "two robots have the same id"),
+        (header_of(7, 7).to_line(), "two robots have the same id"),
         (changed_header("frames", {"subject": 6144, "priority": 4}), "subject is 6144"),
         (changed_header("parameters", []), "parameters is []; it must be an object in braces"),
         (changed_header("versions", "5"), "versions is '5'; it must be an object in braces"),
@@ -304,16 +337,19 @@ def changed_header(key: str, value: Any) -> str:
     ],
     ids=lambda text: text[-40:],
 )
-def test_a_malformed_header_is_refused(first_line: str, message: str, tmp_path: Path) -> None:
-    """The header is the first line, a JSON object on the run and its robots. The error says what is wrong."""
+def test_a_malformed_header_is_refused(first_line: str, expected_message: str, tmp_path: Path) -> None:
+    """The header is the first line, a JSON object on the run and its robots. The error says what is wrong.
+
+    Some first lines have bytes that are no UTF-8; Latin-1 writes any character up to 255 as its byte.
+    """
     (tmp_path / "x").write_text(first_line, encoding="latin-1")
     with pytest.raises(UsageError) as caught:
         read_entries(tmp_path / "x")
-    assert f"x, line 1: {message}" in str(caught.value)
+    assert f"x, line 1: {expected_message}" in str(caught.value)
 
 
 @pytest.mark.parametrize(
-    ("lines", "message"),
+    ("lines", "expected_message"),
     [
         ("[0,1", "line 2: not JSON"),
         ("[0,1,3]\n{}", "line 3: neither a robot with its events nor a frame"),
@@ -332,12 +368,17 @@ def test_a_malformed_header_is_refused(first_line: str, message: str, tmp_path: 
         (f'[0,"{"1" * 33}"]', f"line 2: '{'1' * 33}' is no event"),
     ],
 )
-def test_a_malformed_line_is_refused_with_its_number(lines: str, message: str, tmp_path: Path) -> None:
-    """A line is a list of a robot's id and its events, or a text with a frame. The error quotes any other."""
-    (tmp_path / "x").write_text(FIRST_LINE + lines)
+def test_a_malformed_line_is_refused_with_its_number(
+    lines: str, expected_message: str, tmp_path: Path
+) -> None:
+    """A line is a list of a robot's id and its events, or a text with a frame. The error quotes any other.
+
+    For example, robot 0 has no event 4, so "[0,4]" is refused: "line 2: 4 is no event".
+    """
+    (tmp_path / "x").write_text(FIRST_LINE_OF_ROBOTS_0_AND_7 + lines)
     with pytest.raises(UsageError) as caught:
         read_entries(tmp_path / "x")
-    assert f"x, {message}" in str(caught.value)
+    assert f"x, {expected_message}" in str(caught.value)
 
 
 def test_a_missing_file_of_events_is_refused(tmp_path: Path) -> None:

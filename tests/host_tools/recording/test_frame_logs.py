@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from unittest.mock import Mock
 
 import can
 import pytest
@@ -40,7 +41,7 @@ def test_the_summary_counts_the_frames_of_each_channel_and_warns_of_lines_that_a
 ) -> None:
     """The log has a frame of vcan0, a frame of vcan1, a comment in line 3 and a line that was cut.
 
-    Empty lines are not counted.
+    Empty lines are not counted. The summary is filled while the frames are read.
     """
     summary = LogSummary()
     read_times(odd_log, summary)
@@ -51,15 +52,23 @@ def test_the_summary_counts_the_frames_of_each_channel_and_warns_of_lines_that_a
 
 
 def test_the_summary_names_the_only_line_that_is_no_frame(tmp_path: Path) -> None:
-    """Its two bytes are no UTF-8 and are shown as escapes."""
-    log, summary = tmp_path / "run.log", LogSummary()
+    """Line 2 has two bytes that are no UTF-8 and are shown as escapes. The frame of line 1 is read.
+
+    The summary is filled while the frames are read.
+    """
+    log = tmp_path / "run.log"
     log.write_bytes(b"(1.0) vcan0 123#00\n\xff\xfe\n")
+    summary = LogSummary()
+
     assert read_times(log, summary) == [1.0]
     assert summary.warning == r"line 2, '\\xff\\xfe', is no frame and was left out"
 
 
 def test_a_log_without_frames_is_refused_with_its_first_line(tmp_path: Path) -> None:
-    """The suffix .log stands for candump's format, but the contents have another format."""
+    """The suffix .log stands for candump's format, but the contents are a table in CSV.
+
+    The error quotes the first line, and asks if the suffix is right.
+    """
     log = tmp_path / "run.log"
     log.write_text("timestamp,arbitration_id\n1.0,0x123\n")
     message = "holds no frame: line 1, 'timestamp,arbitration_id', is none of candump's; does its suffix"
@@ -75,28 +84,38 @@ def test_a_missing_log_is_refused_and_not_created(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("suffix", [".asc", ".csv", ".trc"])
-def test_a_malformed_line_of_another_format_is_refused_with_its_number(suffix: str, tmp_path: Path) -> None:
-    """A log of python-can gets a second line with a frame, in which the identifier 123 is no number."""
-    log = tmp_path / f"run{suffix}"
+def lines_of_log_of_one_frame(log: Path) -> list[str]:
+    """Let python-can write a log of one frame, 123#01; return its lines, the last of which has the frame."""
     with can.Logger(log) as write_frame:
         write_frame(can.Message(timestamp=1.0, arbitration_id=0x123, data=b"\1"))
-    text_without_end = log.read_text().replace("End TriggerBlock\n", "")  # the last line of an .asc file
-    lines = text_without_end.splitlines()
+    return log.read_text().removesuffix("End TriggerBlock\n").splitlines()  # an .asc file has this end
+
+
+@pytest.mark.parametrize("suffix", [".asc", ".csv", ".trc"])
+def test_a_malformed_line_of_another_format_is_refused_with_its_number(suffix: str, tmp_path: Path) -> None:
+    """The last line of a log repeats the line before, but has "xyz" in place of the identifier, 123."""
+    log = tmp_path / f"run{suffix}"
+    lines = lines_of_log_of_one_frame(log)
     malformed_line = lines[-1].replace("123", "xyz")
-    log.write_text("\n".join([*lines, malformed_line]))
+    lines.append(malformed_line)
+    log.write_text("\n".join(lines))
 
     with pytest.raises(UsageError) as caught:
         read_times(log)
+    line_number = len(lines)
     shown_line = " ".join(malformed_line.split())  # white space is shortened to single spaces
-    assert f"is malformed in line {len(lines) + 1}, '{shown_line}'" in str(caught.value)
+    assert f"is malformed in line {line_number}, '{shown_line}'" in str(caught.value)
 
 
 def test_a_log_in_mf4_is_refused_with_the_package_that_would_read_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The package is not part of the tools; here it counts as not installed, whether it is or not."""
-    monkeypatch.setattr(frame_logs, "find_spec", lambda _: None)
+    """The package is not part of the tools; here it counts as not installed, whether it is or not.
+
+    ``find_spec`` looks for a package, and returns None if there is none. MDF begins each file in MF4.
+    """
+    find_no_package = Mock(return_value=None)
+    monkeypatch.setattr(frame_logs, "find_spec", find_no_package)
     log = tmp_path / "run.mf4"
     log.write_bytes(b"MDF     4.10    ")
     message = r"run\.mf4 the package asammdf is needed, which is not installed; run: pip install asammdf"
@@ -106,9 +125,15 @@ def test_a_log_in_mf4_is_refused_with_the_package_that_would_read_it(
 
 
 def test_a_line_of_a_million_characters_is_skipped(tmp_path: Path) -> None:
-    """No frame has such a line, and a log of garbage must not fill the memory."""
-    log, summary = tmp_path / "run.log", LogSummary()
-    log.write_text(f"(1.0) vcan0 123#{'0' * 1_000_000}\n(2.0) vcan0 123#00\n")
+    """No frame has such a line, and a log of garbage must not fill the memory.
+
+    The frame in the next line is read. The summary is filled while the frames are read.
+    """
+    log = tmp_path / "run.log"
+    line_of_a_million_characters = f"(1.0) vcan0 123#{'0' * 1_000_000}"
+    log.write_text(f"{line_of_a_million_characters}\n(2.0) vcan0 123#00\n")
+    summary = LogSummary()
+
     assert read_times(log, summary) == [2.0]
     assert summary.skipped_lines == 1
 
@@ -119,9 +144,13 @@ def test_a_line_of_a_million_characters_is_skipped(tmp_path: Path) -> None:
 def test_of_a_line_of_more_than_60_characters_the_first_60_are_shown(
     line: str, shown_line: str, tmp_path: Path
 ) -> None:
-    """The line is no frame, and the summary of the log quotes it."""
-    log, summary = tmp_path / "run.log", LogSummary()
+    """The line is no frame, and the summary of the log quotes it; it is filled while frames are read.
+
+    The frame in the second line is there because a log without frames is refused.
+    """
+    log = tmp_path / "run.log"
     log.write_text(f"{line}\n(2.0) vcan0 123#00\n")
+    summary = LogSummary()
     read_times(log, summary)
     assert summary.first_skipped == f"line 1, '{shown_line}'"
 
