@@ -65,7 +65,8 @@ def adapter_that_sends(lines: Sequence[bytes], stays_open: bool = True) -> Itera
         thread = threading.Thread(target=serve)
         thread.start()
         try:
-            channel = f"socket://127.0.0.1:{listener.getsockname()[1]}"
+            _host, port = listener.getsockname()
+            channel = f"socket://127.0.0.1:{port}"
             settings = {"channel": channel, "sleep_after_open": 0, "ignore_config": True}
             yield BusChoice("slcan", settings)
         finally:
@@ -101,16 +102,13 @@ def test_a_line_without_an_end_is_dropped() -> None:
 
     The characters become error frames and may cost the first estimate. The second one is received.
     """
-    with (
-        adapter_that_sends([b"T" * 3000, LINE_OF_ESTIMATE, LINE_OF_ESTIMATE]) as adapter,
-        adapter.open() as bus,
-    ):
-        first_frame = receive(bus)
-        frame = first_frame
-        while frame.is_error_frame:
-            frame = receive(bus)
+    lines = [b"T" * 3000, LINE_OF_ESTIMATE, LINE_OF_ESTIMATE]
+    error_frames = 0
+    with adapter_that_sends(lines) as adapter, adapter.open() as bus:
+        while (frame := receive(bus)).is_error_frame:
+            error_frames += 1
 
-    assert first_frame.is_error_frame
+    assert error_frames > 0
     assert isinstance(decode_estimate(frame, FrameFormat()), Estimate)
 
 
@@ -122,8 +120,8 @@ def test_reading_from_an_adapter_that_has_closed_raises_that_the_bus_is_gone() -
             bus.recv(PATIENCE)
 
 
-def test_the_socket_of_an_adapter_that_has_closed_is_closed() -> None:
-    """Leaving the bus closes it here, too: pyserial leaves it open if the other end has closed first."""
+def test_leaving_a_bus_closes_its_socket_though_the_adapter_has_closed_first() -> None:
+    """Pyserial would leave it open here. An open socket has a descriptor of 0 or more."""
     with adapter_that_sends([], stays_open=False) as adapter:
         bus = adapter.open()
         assert isinstance(bus, SerialAdapter)
@@ -204,7 +202,10 @@ def test_input_that_cannot_be_decoded_is_received_as_an_error_frame(error: Excep
 
 @pytest.mark.parametrize("error", DECODING_ERRORS, ids=str)
 def test_a_decoding_error_of_a_bus_that_is_closed_is_reported_as_a_bus_that_is_gone(error: Exception) -> None:
-    """Some drivers decode nothing as if it were input when their device is gone."""
+    """Some drivers decode nothing as if it were input when their device is gone.
+
+    The same errors on a bus that is open are input that cannot be decoded.
+    """
     descriptor_of_a_closed_bus = -1
     with pytest.raises(BusGoneError):
         failing_connection(error, descriptor_of_a_closed_bus).recv(timeout=0)
@@ -214,13 +215,13 @@ def test_a_connection_pauses_between_failures_of_an_interface_that_always_fails(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Between ten failures there are nine pauses of 1 ms, so that the processor is not kept busy."""
-    pauses: list[float] = []
-    monkeypatch.setattr("mcp_asdf_tools.bus.interfaces.time.sleep", pauses.append)
-    connection = failing_connection(IndexError("always"))
+    seconds_of_pauses: list[float] = []
+    monkeypatch.setattr("mcp_asdf_tools.bus.interfaces.time.sleep", seconds_of_pauses.append)
+    connection = failing_connection(IndexError("raised by the driver at each call"))
     for _ in range(10):
         connection.recv(timeout=0)
 
-    assert pauses == [0.001] * 9
+    assert seconds_of_pauses == [0.001] * 9
 
 
 # Commands
@@ -229,16 +230,16 @@ def test_a_connection_pauses_between_failures_of_an_interface_that_always_fails(
 COMMANDS = ["view", "radio --id 0 --robots 3", "node --id 3", "swarm --robots 2 --steps 10"]
 
 
-@pytest.mark.parametrize("line", COMMANDS)
+@pytest.mark.parametrize("command_line", COMMANDS)
 def test_a_command_reports_in_json_that_its_bus_is_gone(
-    line: str, capsys: pytest.CaptureFixture[str]
+    command_line: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Its bus is a serial adapter that sends damaged lines and closes; the exit code for that is 1."""
     with adapter_that_sends(DAMAGED_LINES, stays_open=False) as adapter:
-        assert main([*line.split(), "--json", *bus_arguments(adapter, line)]) == 1
+        assert main([*command_line.split(), "--json", *options_of_bus(adapter, command_line)]) == 1
     failure = json.loads(capsys.readouterr().err)
 
-    command = line.split(maxsplit=1)[0]
+    command, *_options = command_line.split()
     assert failure["command"] == f"mcp-asdf {command}"
     assert failure["exit_code"] == 1
     assert "serial device" in failure["error"]
@@ -246,45 +247,45 @@ def test_a_command_reports_in_json_that_its_bus_is_gone(
 
 def test_the_verdict_on_a_controller_says_that_the_bus_is_gone(capsys: pytest.CaptureFixture[str]) -> None:
     """``radio --verify`` checks a controller at a bus, here a serial adapter that closes the connection."""
-    line = "radio --id 0 --robots 3 --verify --json"
+    command_line = "radio --id 0 --robots 3 --verify --json"
     with adapter_that_sends(DAMAGED_LINES, stays_open=False) as adapter:
-        assert main([*line.split(), *bus_arguments(adapter, line)]) == 1
+        assert main([*command_line.split(), *options_of_bus(adapter, command_line)]) == 1
     verdict = json.loads(capsys.readouterr().out)["verdict"]
 
     assert "serial device" in verdict["disturbance"]
 
 
-@pytest.mark.parametrize("line", COMMANDS)
+@pytest.mark.parametrize("command_line", COMMANDS)
 def test_a_bus_that_is_gone_ends_a_command_within_a_second(
-    line: str, monkeypatch: pytest.MonkeyPatch
+    command_line: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The command waits for the bus at most ten times, and the longest wait takes a tenth of a second."""
     connection = failing_connection(OSError(errno.ENODEV, "No such device"))
-    waits = Mock(wraps=connection.recv)
-    monkeypatch.setattr(connection, "recv", waits)
-    monkeypatch.setattr(BusChoice, "open", lambda *_, **__: connection)
-    arguments = bus_arguments(BusChoice("slcan", {"channel": "/dev/ttyACM0"}), line)
+    receive_or_wait = Mock(wraps=connection.recv)
+    monkeypatch.setattr(connection, "recv", receive_or_wait)
+    monkeypatch.setattr(BusChoice, "open", Mock(return_value=connection))
+    unplugged_adapter = BusChoice("slcan", {"channel": "/dev/ttyACM0"})
 
-    assert main([*line.split(), *arguments]) == 1
-    assert waits.call_count <= 10
+    assert main([*command_line.split(), *options_of_bus(unplugged_adapter, command_line)]) == 1
+    assert receive_or_wait.call_count <= 10
 
 
-def bus_arguments(bus_choice: BusChoice, line: str) -> list[str]:
+def options_of_bus(bus_choice: BusChoice, command_line: str) -> list[str]:
     """Return the options with which a command joins the bus."""
-    if line.startswith("swarm"):
+    if command_line.startswith("swarm"):
         return ["--channel", "v{robot}", "--device", f"0=slcan:{bus_choice.channel}"]
     return ["-i", "slcan", "-c", str(bus_choice.channel), "--bus-kwargs", "sleep_after_open=0"]
 
 
-def radio_run_on(bus: can.BusABC) -> RadioRun:
-    """Return a run of 20 ticks of 1 ms with emulated robots as neighbours of a controller on a bus."""
+def radio_run_on(bus: can.BusABC, ticks: int) -> RadioRun:
+    """Return a run of ticks of 1 ms with emulated robots as neighbours of a controller on a bus."""
     neighbours = Neighbourhood(surroundings(steps_per_second=1000))
-    return RadioRun(neighbours, BusLink(bus, endures=True), ticks=20)
+    return RadioRun(neighbours, BusLink(bus, endures=True), ticks)
 
 
 def test_neighbours_in_real_time_end_before_their_first_tick_when_the_bus_is_gone() -> None:
     """The adapter of the bus has been unplugged. The outcome of the run has the error as its ending."""
-    run = radio_run_on(failing_connection(OSError(errno.ENODEV, "No such device")))
+    run = radio_run_on(failing_connection(OSError(errno.ENODEV, "No such device")), ticks=20)
     run.run()
 
     assert run.outcome.has_failed
@@ -297,7 +298,7 @@ def test_neighbours_in_real_time_take_all_ticks_on_a_bus_that_fails_and_may_come
     bus: Any = Mock()
     bus.recv.return_value = None
     bus.send.side_effect = can.CanOperationError("bus-off")
-    run = radio_run_on(bus)
+    run = radio_run_on(bus, ticks=20)
     run.run()
 
     assert run.outcome.ending == "the bus failed: bus-off"
@@ -307,8 +308,9 @@ def test_neighbours_in_real_time_take_all_ticks_on_a_bus_that_fails_and_may_come
 def test_an_error_of_the_driver_keeps_the_cause_that_the_driver_gave_it() -> None:
     """A traceback shows both: what could not be done, and why."""
     cause = RuntimeError("bus-off")
-    error = caused_by(cause)
-    with pytest.raises(can.CanOperationError) as caught:
-        failing_connection(error).recv(timeout=0)
-    assert caught.value is error
-    assert error.__cause__ is cause
+    error_of_driver = can.CanOperationError("could not read")
+    error_of_driver.__cause__ = cause
+    with pytest.raises(can.CanOperationError) as raised:
+        failing_connection(error_of_driver).recv(timeout=0)
+    assert raised.value is error_of_driver
+    assert raised.value.__cause__ is cause

@@ -107,7 +107,7 @@ def read_with_pycyphal(frame: can.Message) -> ReceivedTransfer | None:
     )
 
 
-def contents_in_dsdl(message: Any) -> list[Any]:
+def values_in_order_of_dsdl(message: Any) -> list[Any]:
     """Return the fields of our message in the order and form of its DSDL type, enumerated ones as numbers.
 
     Sender and transfer id are not among them, as they belong to the transfer.
@@ -122,7 +122,7 @@ def contents_in_dsdl(message: Any) -> list[Any]:
     return [message.tick, message.target, message.action.value]
 
 
-def contents_of_dsdl_object(dsdl_object: Any) -> list[Any]:
+def values_of_dsdl_object(dsdl_object: Any) -> list[Any]:
     """Return the fields of an object that pycyphal has read, enumerated ones as numbers."""
     return [getattr(value, "value", value) for value in vars(dsdl_object).values()]
 
@@ -135,23 +135,24 @@ def contents_of_dsdl_object(dsdl_object: Any) -> list[Any]:
 @example(Telemetry(sender=127, x=2**23, b_hat=MAX_B_HAT, updates=255, transfer_id=31))
 @example(Command(127, tick=2**32 - 1, target=EVERY_ROBOT, action=Action.SETTLE, transfer_id=31))
 def test_pycyphal_reads_our_frames(dsdl_types: dict[type, Any], message: Any) -> None:
-    """It finds the sender, the transfer id and all contents of any message, by our DSDL files.
+    """It finds the subject, the sender, the transfer id and all contents of any message, by our DSDL files.
 
     The subject is the kind of a message, and DSDL is Cyphal's language for the layout of its contents.
     """
     transfer = read_with_pycyphal(encoded(message))
     assert transfer is not None
-    expected_subject = KINDS[type(message)].subject
-    assert (transfer.subject, transfer.sender) == (expected_subject, message.sender)
+    assert transfer.subject == KINDS[type(message)].subject
+    assert transfer.sender == message.sender
     assert transfer.transfer_id == message.transfer_id
     dsdl_object = pycyphal.dsdl.deserialize(dsdl_types[type(message)], transfer.payload)
-    assert contents_of_dsdl_object(dsdl_object) == contents_in_dsdl(message)
+    assert values_of_dsdl_object(dsdl_object) == values_in_order_of_dsdl(message)
 
 
 @pytest.mark.parametrize("action", Action)
 def test_an_action_has_the_same_number_in_our_dsdl_file(dsdl_types: dict[type, Any], action: Action) -> None:
     """The file describes a command to other programs of Cyphal, and a command asks for an action."""
-    assert getattr(dsdl_types[Command], action.name) == action.value
+    number_in_dsdl = getattr(dsdl_types[Command], action.name)
+    assert number_in_dsdl == action.value
 
 
 def test_our_dsdl_files_state_the_target_of_commands_to_every_robot_and_the_units_of_our_frames(
@@ -190,7 +191,7 @@ def test_pycyphal_takes_a_frame_with_a_flipped_bit_for_an_estimate_exactly_if_we
     is_estimate_for_us = isinstance(decoded, Estimate) or is_rejected_for_its_content
     transfer = read_with_pycyphal(frame)
     is_estimate_for_pycyphal = (
-        transfer is not None and transfer.sender is not None and transfer.subject == 3000
+        transfer is not None and transfer.subject == 3000 and transfer.sender is not None
     )
     assert is_estimate_for_pycyphal == is_estimate_for_us
 
@@ -240,8 +241,9 @@ def decode_estimates(received_frames: Sequence[can.Message]) -> list[Estimate]:
 
 def test_we_decode_the_estimates_of_pycyphal(dsdl_types: dict[type, Any]) -> None:
     """Pycyphal's node 42 sends three pairs of x_hat and alpha, and we read them again from its frames."""
-    frames_of_pycyphal = frames_of_estimates(dsdl_types, [(2**23, 0.0), (5, 2.0**-24), (0, 1.0)])
-    assert [frames.decode_estimate(frame, DEFAULT) for frame in frames_of_pycyphal] == [
+    x_hat_and_alpha = [(2**23, 0.0), (5, 2.0**-24), (0, 1.0)]
+    received_frames = frames_of_estimates(dsdl_types, x_hat_and_alpha)
+    assert decode_estimates(received_frames) == [
         Estimate(sender=42, x_hat=2**23, alpha=0, transfer_id=0),
         Estimate(sender=42, x_hat=5, alpha=ALPHA_MIN, transfer_id=1),
         Estimate(sender=42, x_hat=0, alpha=ALPHA_ONE, transfer_id=2),
@@ -251,38 +253,41 @@ def test_we_decode_the_estimates_of_pycyphal(dsdl_types: dict[type, Any]) -> Non
 def test_an_alpha_of_pycyphal_that_robots_cannot_have_is_rounded_down(dsdl_types: dict[type, Any]) -> None:
     """Robots have multiples of 2**-24 up to a largest alpha; pycyphal may send any binary32 number."""
     largest_float, smallest_float = float32_value(0x7F7FFFFF), float32_value(1)  # by their bits
-    alpha_words_by_alpha = {
+    expected_words_by_alpha = {
         alpha_from_word(ALPHA_MAX): ALPHA_MAX,
         largest_float: ALPHA_MAX,
         smallest_float: 0,
-        1.5 * 2.0**-24: ALPHA_MIN,
+        1.5 * 2.0**-24: ALPHA_MIN,  # which is 2**-24
     }
-    received_frames = frames_of_estimates(dsdl_types, [(5, alpha) for alpha in alpha_words_by_alpha])
+    any_x_hat = 5
+    x_hat_and_alpha = [(any_x_hat, alpha) for alpha in expected_words_by_alpha]
+    received_frames = frames_of_estimates(dsdl_types, x_hat_and_alpha)
 
     received_words = [estimate.alpha for estimate in decode_estimates(received_frames)]
-    assert received_words == list(alpha_words_by_alpha.values())
+    assert received_words == list(expected_words_by_alpha.values())
 
 
 def test_the_transfer_ids_of_pycyphal_wrap_as_ours_do(dsdl_types: dict[type, Any]) -> None:
     """A sender numbers its transfers from 0 to 31, and then from 0 again. Here it sends 35."""
-    transfers = 35
-    received_frames = frames_of_estimates(dsdl_types, [(5, 1.0)] * transfers)
+    x_hat_and_alpha = (5, 1.0)
+    received_frames = frames_of_estimates(dsdl_types, [x_hat_and_alpha] * 35)
     transfer_ids = [estimate.transfer_id for estimate in decode_estimates(received_frames)]
     assert transfer_ids == [*range(32), 0, 1, 2]
 
 
 def test_the_frames_of_pycyphal_have_our_identifiers(dsdl_types: dict[type, Any]) -> None:
     """A message of node 42 with the same subject and priority has all 29 bits alike."""
-    (frame,) = frames_of_estimates(dsdl_types, [(5, 1.0)])
+    x_hat_and_alpha = (5, 1.0)
+    [frame_of_pycyphal] = frames_of_estimates(dsdl_types, [x_hat_and_alpha])
     our_frame = encoded(Estimate(sender=42, x_hat=5, alpha=ALPHA_ONE, transfer_id=0))
-    assert frame.arbitration_id == our_frame.arbitration_id
+    assert frame_of_pycyphal.arbitration_id == our_frame.arbitration_id
 
 
 def test_we_decode_the_heartbeat_of_pycyphal(dsdl_types: dict[type, Any]) -> None:
     """Health 2 and mode 1, which Cyphal calls CAUTION and INITIALIZATION, are read as our values."""
     health, mode = dsdl_types[Health](value=2), dsdl_types[Mode](value=1)
     heartbeat = dsdl_types[Heartbeat](uptime=12345, health=health, mode=mode, vendor_specific_status_code=77)
-    (frame,) = asyncio.run(frames_sent_by_pycyphal(subject=7509, dsdl_objects=[heartbeat]))
+    [frame] = asyncio.run(frames_sent_by_pycyphal(subject=7509, dsdl_objects=[heartbeat]))
 
     assert frames.decode_heartbeat(frame) == Heartbeat(
         sender=42,

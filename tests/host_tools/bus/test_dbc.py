@@ -95,15 +95,17 @@ LARGEST_COMMAND = Command(127, tick=2**32 - 1, target=EVERY_ROBOT, action=Action
 @example(SMALLEST_TELEMETRY)
 @example(LARGEST_COMMAND)
 def test_cantools_decodes_our_frames(database: Any, message: Any) -> None:
-    """With our DBC file cantools finds the values that we have encoded in a frame.
+    """With our DBC file, ``database``, cantools finds the values that we have encoded in a frame.
 
     A DBC file describes frames to other programs. Its entry for a kind of frame serves all nodes.
     """
     frame = encoded(message)
     identifier_without_node = frame.arbitration_id & ANY_NODE_MASK
     entry = database.get_message_by_frame_id(identifier_without_node)
+    decoded_values = entry.decode(frame.data, decode_choices=False)  # numbers, not names of numbers
+
     assert entry.is_extended_frame
-    assert entry.decode(frame.data, decode_choices=False) == physical_values(message)
+    assert decoded_values == physical_values(message)
 
 
 @fixed_examples
@@ -115,19 +117,20 @@ def test_cantools_decodes_our_frames(database: Any, message: Any) -> None:
 @example(SMALLEST_TELEMETRY)
 @example(LARGEST_COMMAND)
 def test_we_decode_the_frames_of_cantools(database: Any, message: Any) -> None:
-    """Cantools encodes values with our DBC file, and we decode them as a message.
+    """Cantools encodes a message's values with our DBC file, ``database``, and we decode the same message.
 
     A DBC file describes frames to other programs.
     """
     values = physical_values(message)
-    assert decode_what_cantools_encodes(database, type(message), values, message.sender) == message
+    decoded_message = decode_what_cantools_encodes(database, type(message), values, message.sender)
+    assert decoded_message == message
 
 
 # The ranges that the file states are those that our decoders accept
 
 MAX_FLOAT32 = 2.0**128 - 2.0**104
 """The largest finite binary32 number."""
-RANGES_BY_MESSAGE_AND_SIGNAL = {
+EXPECTED_RANGES = {
     ("Estimate", "x_hat"): (0, 1),
     ("Estimate", "alpha"): (0, MAX_FLOAT32),
     ("Estimate", "transfer_id"): (0, 31),
@@ -152,20 +155,16 @@ RANGES_BY_MESSAGE_AND_SIGNAL = {
 """Smallest and largest value of each signal, by the names of its message and of the signal."""
 
 
-def all_signals(database: Any) -> dict[tuple[str, str], Any]:
-    """Return the signals of a database by the names of message and signal."""
-    return {
-        (message.name, signal.name): signal for message in database.messages for signal in message.signals
-    }
-
-
 def test_the_file_states_the_range_of_every_signal(database: Any) -> None:
-    """A signal is a field of a frame, and the DBC file has the smallest and largest value of each."""
-    stated_ranges = {
-        message_and_signal: (signal.minimum, signal.maximum)
-        for message_and_signal, signal in all_signals(database).items()
-    }
-    assert stated_ranges == RANGES_BY_MESSAGE_AND_SIGNAL
+    """A signal is a field of a frame, and the DBC file has the smallest and largest value of each.
+
+    The expected ranges are those of the specification, by the names of message and signal.
+    """
+    stated_ranges = {}
+    for message in database.messages:
+        for signal in message.signals:
+            stated_ranges[message.name, signal.name] = (signal.minimum, signal.maximum)
+    assert stated_ranges == EXPECTED_RANGES
 
 
 LEGAL_MESSAGES = {
@@ -185,8 +184,8 @@ def decode_with_value(database: Any, message: str, signal: str, value: float) ->
 
 def test_an_alpha_beyond_the_firmware_s_largest_is_decoded_as_the_largest(database: Any) -> None:
     """A frame may hold any finite float as alpha, the confidence of an estimate. Robots have a largest."""
-    decoded = decode_with_value(database, "Estimate", "alpha", MAX_FLOAT32)
-    assert decoded.alpha == ALPHA_MAX
+    estimate = decode_with_value(database, "Estimate", "alpha", value=MAX_FLOAT32)
+    assert estimate.alpha == ALPHA_MAX
 
 
 ILLEGAL_VALUES = [
@@ -210,17 +209,20 @@ ILLEGAL_VALUES = [
 def test_a_value_beyond_a_stated_range_is_rejected_by_name(
     database: Any, message: str, signal: str, value: float, rejection: Rejection
 ) -> None:
-    """The values of the message's other fields are legal, so the rejection says which one is wrong."""
+    """Cantools encodes the value in place of a legal one. The values of the other fields are legal."""
     assert decode_with_value(database, message, signal, value) is rejection
 
 
 def test_a_signal_without_illegal_values_has_a_range_of_all_that_its_bits_can_hold(database: Any) -> None:
-    """The range begins at 0, so every value of the signal's bits is in range."""
-    signals_with_illegal_values = {(message, signal) for message, signal, _, _ in ILLEGAL_VALUES}
-    for message_and_signal, signal in all_signals(database).items():
-        if message_and_signal not in signals_with_illegal_values:
-            largest_number_in_bits = 2**signal.length - 1
-            assert (signal.minimum, signal.maximum) == (0, largest_number_in_bits), message_and_signal
+    """The signals are those of which ILLEGAL_VALUES, the list of the test before, has no value."""
+    signals_with_illegal_values = {
+        (message, signal) for message, signal, _value, _rejection in ILLEGAL_VALUES
+    }
+    for message in database.messages:
+        for signal in message.signals:
+            if (message.name, signal.name) not in signals_with_illegal_values:
+                assert signal.minimum == 0, signal.name
+                assert signal.maximum == 2**signal.length - 1, signal.name
 
 
 @pytest.mark.parametrize(
@@ -230,10 +232,14 @@ def test_a_signal_without_illegal_values_has_a_range_of_all_that_its_bits_can_ho
 def test_the_file_names_the_numbers_of_health_mode_and_action(
     database: Any, message: str, signal: str, enum: type[Enum]
 ) -> None:
-    """Other programs that read the DBC file show such a name in place of the number in a frame."""
-    choices = database.get_message_by_name(message).get_signal_by_name(signal).choices
-    names_by_number = {number: str(name) for number, name in choices.items()}
-    assert names_by_number == {member.value: member.name for member in enum}
+    """Other programs that read the DBC file show such a name in place of the number in a frame.
+
+    The names and numbers are those of our enumeration.
+    """
+    names_by_number = database.get_message_by_name(message).get_signal_by_name(signal).choices
+    assert len(names_by_number) == len(enum)
+    for member in enum:
+        assert str(names_by_number[member.value]) == member.name
 
 
 # The command mcp-asdf dbc
@@ -243,61 +249,68 @@ def test_dbc_prints_the_dbc_file_or_writes_it_to_the_path_of_the_option_output(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """A DBC file describes the frames to other programs. With the option only the path is printed."""
+    text_of_file = dbc_text(FrameFormat())
     assert main(["dbc"]) == 0
-    assert capsys.readouterr().out == dbc_text(DEFAULT)
+    assert capsys.readouterr().out == text_of_file
 
     file = tmp_path / "swarm.dbc"
     assert main(["dbc", "--output", str(file)]) == 0
     assert capsys.readouterr().out == f"wrote {file}\n"
-    assert file.read_text() == dbc_text(DEFAULT)
+    assert file.read_text() == text_of_file
 
 
 def test_dbc_reports_the_path_and_the_text_of_its_file_as_json(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Without ``--output`` no file is written, and the report has no path."""
+    text_of_file = dbc_text(FrameFormat())
     file = str(tmp_path / "swarm.dbc")
     assert main(["dbc", "--json", "--output", file]) == 0
-    assert json.loads(capsys.readouterr().out) == {"file": file, "dbc": dbc_text(DEFAULT)}
+    assert json.loads(capsys.readouterr().out) == {"file": file, "dbc": text_of_file}
     assert main(["dbc", "--json"]) == 0
-    assert json.loads(capsys.readouterr().out) == {"file": None, "dbc": dbc_text(DEFAULT)}
+    assert json.loads(capsys.readouterr().out) == {"file": None, "dbc": text_of_file}
 
 
-@pytest.fixture
-def database_per_node(capsys: pytest.CaptureFixture[str]) -> Any:
-    """The file with entries for nodes 0, 7 and 127, and with subject 1234 and priority 1 for estimates."""
-    assert main(["dbc", "--per-node", "0", "7", "127", "--subject=1234", "--priority=1"]) == 0
+def database_of_command(options: str, capsys: pytest.CaptureFixture[str]) -> Any:
+    """Return what cantools reads in the file that ``mcp-asdf dbc`` prints with some options."""
+    assert main(["dbc", *options.split()]) == 0
     return load_database(capsys.readouterr().out)
 
 
-def test_dbc_for_three_nodes_has_four_messages_for_each_of_them(database_per_node: Any) -> None:
+def test_dbc_for_three_nodes_has_four_messages_for_each_of_them(capsys: pytest.CaptureFixture[str]) -> None:
     """Programs that cannot mask the id of the node in an identifier need an entry for each kind and node."""
-    assert len(database_per_node.messages) == 4 * 3
+    database = database_of_command("--per-node 0 7 127", capsys)
+    kinds, nodes = 4, 3
+    assert len(database.messages) == kinds * nodes
 
 
 @pytest.mark.parametrize("node", [0, 7, 127])
 def test_dbc_for_each_node_decodes_its_estimates_by_their_whole_identifier(
-    database_per_node: Any, node: int
+    node: int, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The entry is found by all bits of the identifier, the id of the node among them."""
+    """The entry is found by all bits of the identifier: subject, priority, and the id of the node."""
+    database = database_of_command("--per-node 0 7 127 --subject 1234 --priority 1", capsys)
     estimate = Estimate(node, x_hat=5, alpha=0x600, transfer_id=7)
     frame = encode_estimate(estimate, FrameFormat(subject=1234, priority=1))
-    entry = database_per_node.get_message_by_frame_id(frame.arbitration_id)
+    entry = database.get_message_by_frame_id(frame.arbitration_id)
 
     assert entry.name == f"Estimate_{node}"
     assert entry.senders == [f"Robot_{node}"]
-    assert entry.decode(frame.data, decode_choices=False) == physical_values(estimate)
+    assert entry.decode(frame.data) == physical_values(estimate)
 
 
 @pytest.mark.parametrize("node", [0, 7, 127])
-def test_dbc_for_each_node_has_an_entry_for_its_heartbeats(database_per_node: Any, node: int) -> None:
+def test_dbc_for_each_node_has_an_entry_for_its_heartbeats(
+    node: int, capsys: pytest.CaptureFixture[str]
+) -> None:
     """The entry is found by all bits of the identifier, the id of the node among them."""
-    identifier = encoded(Heartbeat(node, uptime=1, transfer_id=2)).arbitration_id
-    assert database_per_node.get_message_by_frame_id(identifier).name == f"Heartbeat_{node}"
+    database = database_of_command("--per-node 0 7 127", capsys)
+    heartbeat = encoded(Heartbeat(node, uptime=1, transfer_id=2))
+    assert database.get_message_by_frame_id(heartbeat.arbitration_id).name == f"Heartbeat_{node}"
 
 
 @pytest.mark.parametrize(
-    ("arguments", "error"),
+    ("options", "expected_error"),
     [
         ("--per-node 128", "sender is 128; it must be 0 to 127"),
         ("--per-node 3 5 5", "node 5 is listed twice"),
@@ -306,8 +319,9 @@ def test_dbc_for_each_node_has_an_entry_for_its_heartbeats(database_per_node: An
     ],
 )
 def test_dbc_refuses_a_wrong_node_or_subject_by_its_number(
-    arguments: str, error: str, capsys: pytest.CaptureFixture[str]
+    options: str, expected_error: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """A node has an id up to 127, once, and other messages have the subjects 3001 and 3002."""
-    assert main(["dbc", *arguments.split()]) == 2
-    assert error in capsys.readouterr().err
+    exit_code_of_wrong_usage = 2
+    assert main(["dbc", *options.split()]) == exit_code_of_wrong_usage
+    assert expected_error in capsys.readouterr().err

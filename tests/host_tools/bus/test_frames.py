@@ -68,8 +68,6 @@ from support import ROOT, draws, require, run
 
 pytestmark = pytest.mark.random
 
-ALPHA_UNIT = Fraction(1, 2**24)
-"""What 1 in the mantissa of an alpha word stands for, if its shift is 0."""
 SEED = 20260
 DAMAGED_FRAME_COUNT = draws(20_000)
 """Number of damaged frames that are decoded: 20,000 in ``make verify``, and a tenth in ``make test``."""
@@ -183,7 +181,8 @@ DOCUMENTED_ESTIMATE = Estimate(sender=42, x_hat=2**22, alpha=ALPHA_ONE, transfer
 
 def test_the_documented_estimate_has_the_documented_identifier_and_bytes() -> None:
     """The example of README and specification: robot 42 estimates 1/2 with a confidence of 1."""
-    frame = encode_estimate(DOCUMENTED_ESTIMATE, DEFAULT)
+    half = 2**22  # in units of 2**-23
+    frame = encode_estimate(Estimate(sender=42, x_hat=half, alpha=ALPHA_ONE, transfer_id=0), DEFAULT)
     x_hat, alpha, tail_byte = "000040", "0000803f", "e0"  # 0x400000 and 0x3f800000, low bytes first
     assert frame.arbitration_id == 0x106BB82A
     assert frame.data.hex() == x_hat + alpha + tail_byte
@@ -195,20 +194,28 @@ def test_the_example_frames_of_the_specification_are_what_robots_send() -> None:
     x is in units of 2**-23, and b_hat in units of 2**-24.
     """
     page = (ROOT / "docs/design.md").read_text(encoding="utf-8")
-    telemetry = Telemetry(42, x=int(0.75 * 2**23), b_hat=int(0.95 * 2**24), updates=7, transfer_id=5)
     estimate_frame = encode_estimate(DOCUMENTED_ESTIMATE, DEFAULT)
+    telemetry = Telemetry(42, x=int(0.75 * 2**23), b_hat=int(0.95 * 2**24), updates=7, transfer_id=5)
     telemetry_frame = encode_telemetry(telemetry, TELEMETRY_FORMAT)
 
-    assert f"`{format_frame(estimate_frame)}`; x = 0.75, b_hat = 0.95, 7 updates" in page
-    assert f"transfer id 5: `{format_frame(telemetry_frame)}`." in page
+    assert f"x_hat = 0.5 with alpha = 1.0, first broadcast: `{format_frame(estimate_frame)}`; " in page
+    assert f"x = 0.75, b_hat = 0.95, 7 updates, transfer id 5: `{format_frame(telemetry_frame)}`." in page
+
+
+def text_between(start: str, end: str, page: str) -> str:
+    """Return the part of a page behind the first ``start`` and before the next ``end``."""
+    _, _, behind_start = page.partition(start)
+    between, _, _ = behind_start.partition(end)
+    return between
 
 
 def test_the_specification_lists_the_codes_of_the_header_in_their_order() -> None:
-    """A code is a reason to refuse a frame. The C header defines it behind a sign, as in ``= -23``."""
+    """A code, such as -23, is a reason to refuse a frame. The C header defines it as in ``= -23``."""
     page = (ROOT / "docs/design.md").read_text(encoding="utf-8")
-    _, _, behind_heading = page.partition("### What a receiver refuses\n")
-    section, _, _ = behind_heading.partition("###")
-    assert re.findall(r"-\d\d\b", section) == re.findall(r"= (-\d\d)\b", C_HEADER)
+    section = text_between("### What a receiver refuses\n", "###", page)
+    codes_of_section = re.findall(r"-\d\d\b", section)
+    codes_of_header = re.findall(r"= (-\d\d)\b", C_HEADER)
+    assert codes_of_section == codes_of_header
 
 
 def test_an_estimate_is_a_classic_data_frame_with_an_extended_identifier_and_its_time() -> None:
@@ -233,10 +240,10 @@ def test_the_identifier_of_a_frame_holds_subject_priority_and_node(
     assert FrameFormat(subject, priority).identifier(node) == identifier
 
 
-@pytest.mark.parametrize("text", FRAMES)
-def test_a_frame_is_written_as_candump_writes_it(text: str) -> None:
-    """FRAMES has frames of four kinds by the texts that candump writes for them."""
-    assert format_frame(FRAMES[text]) == text
+@pytest.mark.parametrize(("text_of_candump", "frame"), FRAMES.items(), ids=FRAMES)
+def test_a_frame_is_written_as_candump_writes_it(text_of_candump: str, frame: can.Message) -> None:
+    """The frames have 11 or 29 bits of identifier, or are a remote frame or an error frame."""
+    assert format_frame(frame) == text_of_candump
 
 
 # Encoders, in Python and in C
@@ -277,9 +284,12 @@ def test_a_command_is_encoded_if_and_only_if_its_ids_are_of_robots(command: Comm
 @example(Estimate(sender=127, x_hat=2**23, alpha=ALPHA_MAX, transfer_id=31))
 @example(Command(127, tick=2**32 - 1, target=EVERY_ROBOT, action=Action.SETTLE, transfer_id=31))
 def test_decoding_returns_what_was_encoded(message: Any) -> None:
-    """Only the shift of an estimate's alpha is chosen anew: the smallest for the same value."""
-    frame = encoded(message)
-    assert KINDS[type(message)].decode(frame) == as_decoded(message)
+    """Only the shift of an estimate's alpha is chosen anew: the smallest for the same value.
+
+    ``as_decoded`` returns the message with that shift.
+    """
+    decode = KINDS[type(message)].decode  # the decoder for messages of this kind
+    assert decode(encoded(message)) == as_decoded(message)
 
 
 @fixed_examples
@@ -310,8 +320,9 @@ def test_a_command_is_not_taken_for_a_frame_of_a_robot(command: Command) -> None
 )
 def test_a_value_that_no_frame_can_hold_is_refused_by_name(message: Any, field: str, value: int) -> None:
     """The other values of the message are legal."""
+    message_with_illegal_value = replace(message, **{field: value})
     with pytest.raises(ValueError, match=f"{field} is {value}; it must be 0 to "):
-        encoded(replace(message, **{field: value}))
+        encoded(message_with_illegal_value)
 
 
 @pytest.mark.parametrize(
@@ -384,11 +395,15 @@ def damaged_frame(number: int) -> can.Message:
 
 @pytest.mark.parametrize("message_type", [Estimate, Command])
 def test_c_and_python_decode_or_refuse_damaged_frames_alike(c_codec: CCodec, message_type: type) -> None:
-    """Both return the same values of a message, or the same reason to refuse the frame."""
+    """Both return the same values of a message, or the same reason to refuse the frame.
+
+    Thousands of legal frames are changed at random: their identifier, flags, length or bits of the data.
+    """
     for number in range(DAMAGED_FRAME_COUNT):
         frame = damaged_frame(number)
         result_of_c = c_codec.decode(message_type, frame)
-        assert result_of_c == decode_in_python(message_type, frame), f"replay: damaged_frame({number})"
+        result_of_python = decode_in_python(message_type, frame)
+        assert result_of_c == result_of_python, f"replay: damaged_frame({number})"
 
 
 def test_damaged_frames_are_refused_for_every_reason_and_taken_for_every_kind_of_message() -> None:
@@ -416,15 +431,14 @@ def flipped(frame: can.Message, bit_flips: int) -> can.Message:
     return copied_frame
 
 
-LIMITS_OF_ALPHA = (
-    0,
-    float32_bits(2.0**-24),
-    float32_bits(2.0**31) - 1,
-    float32_bits(2.0**31),
-    MAX_FLOAT32_BITS,
-    MAX_FLOAT32_BITS + 1,
-)
-"""Alpha as bits: 0, the smallest and largest of robots, one above it, the largest float, and infinity."""
+ALPHA_BITS_AT_LIMITS = {
+    "zero": 0,
+    "smallest of a robot": float32_bits(2.0**-24),
+    "largest of a robot": float32_bits(2.0**31) - 1,
+    "above the largest of a robot": float32_bits(2.0**31),
+    "largest float": MAX_FLOAT32_BITS,
+    "infinity": MAX_FLOAT32_BITS + 1,
+}
 
 
 def estimate_frame(x_hat: int, alpha_bits: int) -> can.Message:
@@ -437,7 +451,7 @@ EstimateRow = list[int] | None
 """Sender, x_hat and alpha of an estimate; None for a frame that holds none."""
 
 
-def decode_together(frames: list[can.Message], bit_flips: list[int]) -> list[EstimateRow]:
+def decode_in_an_array(frames: list[can.Message], bit_flips: list[int]) -> list[EstimateRow]:
     """Decode frames, in which these bits of the data are flipped, as one array."""
     decoded = decode_estimates(frames, DEFAULT, np.array(bit_flips, np.uint64))
     return [
@@ -458,12 +472,15 @@ def decode_alone(frames: list[can.Message], bit_flips: list[int]) -> list[Estima
     return rows
 
 
-@pytest.mark.parametrize("x_hat", [2**23, 2**23 + 1])
-def test_estimates_with_the_largest_values_are_decoded_the_same_in_an_array_and_alone(x_hat: int) -> None:
-    """An x_hat of 2**23, which is 1, is legal, and a larger one is not; some values of alpha are illegal."""
-    frames = [estimate_frame(x_hat, alpha_bits) for alpha_bits in LIMITS_OF_ALPHA]
-    no_bit_flips = [0] * len(frames)
-    assert decode_together(frames, no_bit_flips) == decode_alone(frames, no_bit_flips)
+@pytest.mark.parametrize("alpha_bits", ALPHA_BITS_AT_LIMITS.values(), ids=ALPHA_BITS_AT_LIMITS)
+def test_estimates_with_values_at_a_limit_are_decoded_the_same_in_an_array_and_alone(alpha_bits: int) -> None:
+    """An x_hat of 2**23, which is 1, is legal, and a larger one is not. No bit is flipped.
+
+    Alpha is 0, infinity, or at a limit of a robot's or of any confidence.
+    """
+    frames = [estimate_frame(x_hat, alpha_bits) for x_hat in (2**23, 2**23 + 1)]
+    no_bit_flips = [0, 0]
+    assert decode_in_an_array(frames, no_bit_flips) == decode_alone(frames, no_bit_flips)
 
 
 def test_damaged_frames_are_decoded_the_same_in_an_array_and_alone() -> None:
@@ -475,15 +492,18 @@ def test_damaged_frames_are_decoded_the_same_in_an_array_and_alone() -> None:
         one_bit, some_bits = 1 << rng.randrange(64), rng.getrandbits(64)
         bit_flips.append(rng.choice((0, 0, one_bit, some_bits)))
 
-    assert decode_together(frames, bit_flips) == decode_alone(frames, bit_flips)
+    assert decode_in_an_array(frames, bit_flips) == decode_alone(frames, bit_flips)
 
 
-@pytest.mark.parametrize("alpha_bits", LIMITS_OF_ALPHA)
+@pytest.mark.parametrize("alpha_bits", ALPHA_BITS_AT_LIMITS.values(), ids=ALPHA_BITS_AT_LIMITS)
 def test_an_estimate_with_any_bit_flipped_is_decoded_the_same_in_an_array_and_alone(alpha_bits: int) -> None:
-    """There are 64 equal frames of 64 bits. In frame number n a fault flips bit n."""
-    frames = [estimate_frame(2**23, alpha_bits)] * 64
+    """There are 64 equal frames of 64 bits. In frame number n a fault flips bit n.
+
+    Alpha is 0, infinity, or at a limit of a robot's or of any confidence.
+    """
+    frames = [estimate_frame(x_hat=2**23, alpha_bits=alpha_bits)] * 64
     bit_flips = [1 << bit for bit in range(64)]
-    assert decode_together(frames, bit_flips) == decode_alone(frames, bit_flips)
+    assert decode_in_an_array(frames, bit_flips) == decode_alone(frames, bit_flips)
 
 
 def test_an_empty_array_of_frames_is_decoded_to_an_empty_array() -> None:
@@ -497,17 +517,23 @@ def test_an_empty_array_of_frames_is_decoded_to_an_empty_array() -> None:
 
 
 def value_of_word(word: int) -> Fraction:
-    """Return the exact value of an alpha word: 24 bits of mantissa, 3 unused bits, 5 bits of shift."""
+    """Return the exact value of an alpha word: 24 bits of mantissa, 3 unused bits, 5 bits of shift.
+
+    A mantissa of 1 stands for 2**-24 if the shift is 0.
+    """
     mantissa, shift = word >> 8, word % 32
-    return (mantissa << shift) * ALPHA_UNIT
+    return Fraction(mantissa << shift, 2**24)
 
 
 @settings(fixed_examples, max_examples=draws(1000))
 @given(st.integers(0, 2**32 - 1) | st.integers(0, 2**24 - 1).map(lambda mantissa: mantissa << 8))
 def test_any_confidence_of_a_robot_is_sent_without_rounding(word: int) -> None:
-    """A robot has alpha as a word of mantissa and shift, and a frame has it as a float of 32 bits."""
-    bits = float32_bits_from_alpha_word(word)
-    assert Fraction(float32_value(bits)) == value_of_word(word)
+    """A robot has alpha as a word of mantissa and shift, and a frame has it as a float of 32 bits.
+
+    The value is the same in both, and in Python's float, which the tools show.
+    """
+    bits_in_frame = float32_bits_from_alpha_word(word)
+    assert Fraction(float32_value(bits_in_frame)) == value_of_word(word)
     assert Fraction(alpha_from_word(word)) == value_of_word(word)
 
 
@@ -523,19 +549,27 @@ def test_any_confidence_of_a_robot_is_sent_without_rounding(word: int) -> None:
 @example(float32_bits(2.0**31) - 1)
 @example(float32_bits(2.0**-24))
 def test_a_received_confidence_is_rounded_down_to_one_that_a_robot_can_have(bits: int) -> None:
-    """Another program may send any float; a robot has multiples of 2**-24 up to a largest one."""
-    value = Fraction(float(np.uint32(bits).view(np.float32)))
-    rounded_down = (value // ALPHA_UNIT) * ALPHA_UNIT
+    """Another program may send any float; a robot has multiples of 2**-24 up to a largest one.
+
+    The firmware's own conversion from a float gives the same word.
+    """
+    float_of_frame = float(np.uint32(bits).view(np.float32))
+    unit = Fraction(1, 2**24)
+    rounded_down = Fraction(float_of_frame) // unit * unit
     word = alpha_word_from_float32_bits(bits)
 
     assert value_of_word(word) == min(rounded_down, value_of_word(ALPHA_MAX))
-    assert word == alpha_word_from_float(float(value))
+    assert word == alpha_word_from_float(float_of_frame)
 
 
 @fixed_examples
 @given(st.integers(0, MAX_FLOAT32_BITS))
 def test_equal_confidences_are_decoded_to_equal_words(bits: int) -> None:
-    """A word is mantissa and shift; its spare bits are 0, and its shift is the smallest that is possible."""
+    """Two words of one value could differ in spare bits, or in mantissa and shift.
+
+    So the spare bits are 0, and the shift is the smallest possible: the mantissa begins with a 1, or the
+    shift is 0.
+    """
     word = alpha_word_from_float32_bits(bits)
     spare_bits, shift, top_bit_of_mantissa = word & 0xE0, word & 0x1F, word >> 31
     assert spare_bits == 0
@@ -544,9 +578,9 @@ def test_equal_confidences_are_decoded_to_equal_words(bits: int) -> None:
 
 def test_a_float_becomes_the_nearest_binary32_number_ties_to_even() -> None:
     """Next to 1, binary32 has steps of 2**-23; both floats lie in the middle between two of its numbers."""
-    bits_of_1 = 0x3F800000
-    assert float32_bits(1 + 2**-24) == bits_of_1
-    assert float32_bits(1 + 3 * 2**-24) == bits_of_1 + 2
+    bits_of_1 = 0x3F800000  # an even number; the next binary32 numbers have odd and even bits in turn
+    assert float32_bits(1 + 0.5 * 2**-23) == bits_of_1
+    assert float32_bits(1 + 1.5 * 2**-23) == bits_of_1 + 2
 
 
 def test_a_float_beyond_binary32_is_an_error() -> None:
@@ -584,7 +618,6 @@ def test_health_mode_and_action_have_the_same_numbers_in_c_and_python(
 def test_c_and_python_send_by_default_with_the_same_subjects_and_priorities(
     macro: str, frame_format: FrameFormat
 ) -> None:
-    """A macro of the C header holds both, such as {3000, 4} for estimates."""
-    # A line has the name, the value and maybe a comment.
-    macros = dict(re.findall(r"^#define MCP_ASDF_(\w+) (.*?)\s*(?:/\*.*)?$", C_HEADER, re.MULTILINE))
-    assert macros[f"FORMAT_{macro}"] == f"{{{frame_format.subject}, {frame_format.priority}}}"
+    """A line of the C header has both, such as ``#define MCP_ASDF_FORMAT_ESTIMATE {3000, 4}``."""
+    subject, priority = frame_format.subject, frame_format.priority
+    assert f"\n#define MCP_ASDF_FORMAT_{macro} {{{subject}, {priority}}}" in C_HEADER

@@ -38,14 +38,16 @@ ESTIMATE_OF_ROBOT_8 = Estimate(sender=8, x_hat=1, alpha=ALPHA_ONE, transfer_id=3
 """The estimate in the datagram ``packed(sender=8)``."""
 
 
-def receive_up_to_robot_8(bus: can.BusABC) -> list[Estimate | Rejection]:
-    """Return what the next frames hold, up to the estimate of robot 8, or why they are refused."""
+def contents_before_robot_8(bus: can.BusABC) -> list[Estimate | Rejection]:
+    """Receive frames up to the estimate of robot 8, and return what those before hold, or are refused for."""
     contents: list[Estimate | Rejection] = []
-    while ESTIMATE_OF_ROBOT_8 not in contents:
+    while True:
         frame = bus.recv(PATIENCE)
         assert frame is not None
-        contents.append(decode_estimate(frame, FrameFormat()))
-    return contents
+        content = decode_estimate(frame, FrameFormat())
+        if content == ESTIMATE_OF_ROBOT_8:
+            return contents
+        contents.append(content)
 
 
 @contextmanager
@@ -58,23 +60,26 @@ def foreign_program(choice: BusChoice) -> Iterator[Callable[[bytes], object]]:
 
 
 def test_each_malformed_datagram_is_one_error_frame_and_the_next_frame_is_received() -> None:
-    """Each of 850 odd datagrams is followed by a frame of robot 8 and its estimate. Few of the 850 are legal.
+    """Each of 850 odd datagrams is followed by two legal ones, of which the second is robot 8's estimate.
 
-    The estimate passes the filters of a robot, and so does an error frame; the frame before does not.
+    The bus has the filters of a robot: an error frame and an estimate pass them, another frame does not. Few
+    of the 850 datagrams are legal frames.
     """
+    other_frame, estimate_of_robot_8 = packed(arbitration_id=5), packed(sender=8)
     choice = multicast(group=30)
     with choice.open() as bus, foreign_program(choice) as send_datagram:
         bus.set_filters(filters_for(FrameFormat()))
-        for datagram in odd_datagrams():
-            send_datagram(datagram)
-            send_datagram(packed(sender=8, arbitration_id=5))
-            send_datagram(packed(sender=8))
-            *contents_before, _ = receive_up_to_robot_8(bus)
+        for odd_datagram in odd_datagrams():
+            send_datagram(odd_datagram)
+            send_datagram(other_frame)
+            send_datagram(estimate_of_robot_8)
+            contents = contents_before_robot_8(bus)
 
-            is_malformed = unpack_data_frame(datagram) is None
-            is_one_error_frame = contents_before == [Rejection.ERROR_FRAME]
-            assert len(contents_before) <= 1
-            assert is_one_error_frame == is_malformed, datagram
+            if unpack_data_frame(odd_datagram) is None:
+                assert contents == [Rejection.ERROR_FRAME], odd_datagram
+            else:  # it is a legal frame, which may pass the filters
+                assert len(contents) <= 1, odd_datagram
+                assert Rejection.ERROR_FRAME not in contents, odd_datagram
 
 
 @pytest.mark.parametrize("datagram", [packed(sender=8), b"garbage"])
@@ -140,29 +145,31 @@ def test_equal_frames_of_several_senders_reach_all_others() -> None:
     assert received_counts == [2 * 3, 2 * 3, 3 * 3]
 
 
-def socketcan_bus() -> Mock:
-    """Return a bus of SocketCAN as python-can has it, which receives one frame of this computer."""
+def socketcan_bus(*received_frames: can.Message) -> Mock:
+    """Return a bus of SocketCAN as python-can has it, called can0, which receives these frames."""
     bus = Mock(channel_info="can0", protocol=can.CanProtocol.CAN_20)
-    bus._recv_internal.side_effect = [(can.Message(is_rx=False), True), (None, True)]
+    bus._recv_internal.side_effect = [(frame, True) for frame in (*received_frames, None)]
     return bus
 
 
 def test_frames_of_other_programs_of_this_computer_are_marked_as_received() -> None:
     """Python-can marks them as sent, since on SocketCAN the programs of a computer share a bus."""
-    frame = Connection(socketcan_bus()).recv(timeout=0)
+    frame_of_other_program = can.Message(is_rx=False)
+    frame = Connection(socketcan_bus(frame_of_other_program)).recv(timeout=0)
     assert frame is not None
     assert frame.is_rx
 
 
 def test_filters_of_a_socketcan_bus_are_given_to_the_kernel() -> None:
     """The kernel then wakes a program only for frames that pass a filter."""
-    bus = socketcan_bus()
-    Connection(bus).set_filters(filters_for(FrameFormat()))
-    bus.set_filters.assert_called_with(filters_for(FrameFormat()))
+    bus_of_python_can = socketcan_bus()
+    filters = filters_for(FrameFormat())
+    Connection(bus_of_python_can).set_filters(filters)
+    bus_of_python_can.set_filters.assert_called_with(filters)
 
 
 def test_a_connection_has_the_protocol_and_the_name_of_its_bus() -> None:
-    """A connection wraps one of python-can's, and passes for it."""
+    """A connection wraps a bus of python-can, here SocketCAN's can0 for classic CAN, and passes for it."""
     connection = Connection(socketcan_bus())
     assert connection.protocol is can.CanProtocol.CAN_20
     assert connection.channel_info == "can0"
@@ -170,10 +177,10 @@ def test_a_connection_has_the_protocol_and_the_name_of_its_bus() -> None:
 
 def test_leaving_a_bus_whose_adapter_is_unplugged_is_no_error() -> None:
     """The error that the driver raises is dropped, as the bus has been left anyway."""
-    bus = socketcan_bus()
-    bus.shutdown.side_effect = can.CanOperationError("unplugged")
-    Connection(bus).shutdown()
-    bus.shutdown.assert_called_once_with()
+    bus_of_python_can = socketcan_bus()
+    bus_of_python_can.shutdown.side_effect = can.CanOperationError("unplugged")
+    Connection(bus_of_python_can).shutdown()
+    bus_of_python_can.shutdown.assert_called_once_with()
 
 
 def radio(options: str) -> int:
@@ -208,13 +215,17 @@ def set_clock_back(monkeypatch: pytest.MonkeyPatch) -> Callable[[], list[float]]
 def test_node_and_radio_answer_each_other_while_the_clock_is_set_back(
     set_clock_back: Callable[[], list[float]],
 ) -> None:
-    """``radio --verify`` checks a node at the bus, which has another b_hat: the exit code for that is 1.
+    """``radio --verify`` compares a node's answers with a model. Python-can waits by the time of day.
 
-    Python-can waits by the time of day, which here goes back by three days at each look.
+    Here it goes back by three days at each look. The node has another b_hat than the model, so that radio
+    finds a difference once the node has answered.
     """
     with node_in_a_thread("--id 5 --b-hat 0.55 --activation always"):
         seconds_of_waits = set_clock_back()
-        assert radio("--id 5 --b-hat 0.56 --activation always --verify --timeout 60") == 1
+        exit_code = radio("--id 5 --b-hat 0.56 --activation always --verify --timeout 60")
+
+    exit_code_of_a_difference = 1
+    assert exit_code == exit_code_of_a_difference
     assert seconds_of_waits, "no connection has waited since the clock was set back"
 
 
@@ -224,11 +235,11 @@ def test_a_signal_ends_a_command_while_the_clock_is_set_back(
     """The command ``radio`` waits for frames that do not come, until SIGTERM ends it with exit code 0."""
     seconds_of_waits = set_clock_back()
 
-    def stop_once_it_waits() -> None:
-        wait_until(lambda: bool(seconds_of_waits))
+    def send_signal_once_radio_waits() -> None:
+        wait_until(lambda: len(seconds_of_waits) > 0)
         os.kill(os.getpid(), signal.SIGTERM)
 
-    with meanwhile(stop_once_it_waits):
+    with meanwhile(send_signal_once_radio_waits):
         assert radio("--id 5 --robots 3 --channel another") == 0
 
 
@@ -237,7 +248,7 @@ def test_a_wait_ends_in_time_while_the_clock_is_set_back(set_clock_back: Callabl
     seconds_of_waits = set_clock_back()
     with bus_from_options("--channel", "silent").open() as bus:
         assert bus.recv(timeout=0.01) is None
-    assert seconds_of_waits
+    assert seconds_of_waits, "the connection has not waited"
 
 
 def bus_from_options(*options: str) -> BusChoice:
@@ -247,43 +258,46 @@ def bus_from_options(*options: str) -> BusChoice:
     return bus_of(parser.parse_args(options))
 
 
-A_GROUP_FOR_EACH_ROBOT = ("-i", "udp_multicast", "-c", "239.1.1.{robot}", "--bus-kwargs", "port=9", "a=b")
-"""Options of a bus whose channel has a place for the id of a robot, so that each robot has its own."""
-
-
 @pytest.mark.parametrize(
-    ("options", "settings"),
+    ("options", "settings_of_robot_7"),
     [
-        (A_GROUP_FOR_EACH_ROBOT, {"hop_limit": 0, "channel": "239.1.1.7", "port": 9 + 7, "a": "b"}),
+        (
+            "-i udp_multicast -c 239.1.1.{robot} --bus-kwargs port=9 a=b",
+            {"hop_limit": 0, "channel": "239.1.1.7", "port": 9 + 7, "a": "b"},
+        ),
         # No port is chosen here, and python-can's is 43113.
-        (("-i", "udp_multicast", "-c", "g{robot}"), {"hop_limit": 0, "channel": "g7", "port": 43113 + 7}),
-        (("-i", "socketcan", "-c", "vcan{robot}"), {"channel": "vcan7"}),
+        ("-i udp_multicast -c g{robot}", {"hop_limit": 0, "channel": "g7", "port": 43113 + 7}),
+        ("-i socketcan -c vcan{robot}", {"channel": "vcan7"}),
     ],
 )
 def test_the_id_of_a_robot_is_put_into_its_channel_and_added_to_the_port_of_a_multicast_group(
-    options: tuple[str, ...], settings: dict[str, Any]
+    options: str, settings_of_robot_7: dict[str, Any]
 ) -> None:
     """Linux hands the frames of all groups to every socket of a port, so each robot needs one for itself."""
-    assert bus_from_options(*options).of_robot(7).settings == settings
+    bus_of_all = bus_from_options(*options.split())
+    assert bus_of_all.of_robot(7).settings == settings_of_robot_7
 
 
 def test_a_bus_with_a_place_for_the_id_has_a_channel_for_each_robot() -> None:
     """The place is {robot} in the name of the channel. In robot 7's channel its id stands there instead."""
-    bus_of_all = bus_from_options(*A_GROUP_FOR_EACH_ROBOT)
+    bus_of_all = bus_from_options("-i", "udp_multicast", "-c", "239.1.1.{robot}")
     bus_of_robot_7 = bus_of_all.of_robot(7)
 
     assert bus_of_all.has_channels
-    assert not bus_of_robot_7.has_channels
-    assert bus_of_robot_7.of_robot(3) is bus_of_robot_7
     assert str(bus_of_robot_7) == "udp_multicast 239.1.1.7"
+    assert not bus_of_robot_7.has_channels
+    assert bus_of_robot_7.of_robot(3) is bus_of_robot_7  # there is no place left for another id
 
 
 def test_the_arguments_of_a_bus_choose_the_same_bus_again() -> None:
     """A command in another process joins the bus by them. All settings are texts there."""
-    bus = bus_from_options(*A_GROUP_FOR_EACH_ROBOT, "-b", "500000").of_robot(7)
+    options = "-i udp_multicast -c 239.1.1.{robot} -b 500000 --bus-kwargs port=9 a=b"
+    bus = bus_from_options(*options.split()).of_robot(7)
     same_bus = bus_from_options(*bus.arguments())
-    assert same_bus.interface == bus.interface
-    assert same_bus.settings == {name: str(value) for name, value in bus.settings.items()}
+
+    assert same_bus.interface == "udp_multicast"
+    settings_as_texts = {name: str(value) for name, value in bus.settings.items()}
+    assert same_bus.settings == settings_as_texts
 
 
 def test_a_bus_without_settings_needs_no_further_arguments() -> None:
@@ -292,9 +306,10 @@ def test_a_bus_without_settings_needs_no_further_arguments() -> None:
 
 
 def test_the_arguments_of_a_bus_inside_this_process_are_refused() -> None:
-    """A command in another process could not join it."""
+    """A command in another process could not join it. Without options a bus is such a one."""
+    bus = bus_from_options()
     with pytest.raises(UsageError, match="the bus virtual vcan0 is inside this process, so no other can"):
-        bus_from_options().arguments()
+        bus.arguments()
 
 
 @pytest.mark.parametrize(
@@ -338,11 +353,12 @@ def test_the_failure_to_open_a_bus_is_reported_with_its_fix(
 ) -> None:
     """The fix is a command if SocketCAN has no such bus, and otherwise a look at the options."""
     bus = bus_from_options(*options.split())
-    monkeypatch.setattr(can, "Bus", Mock(side_effect=OSError(error_number, "no way")))
+    fail_to_open = Mock(side_effect=OSError(error_number, "no way"))
+    monkeypatch.setattr(can, "Bus", fail_to_open)
 
-    with pytest.raises(UsageError) as failure:
+    with pytest.raises(UsageError) as raised:
         bus.open()
-    assert str(failure.value) == f"cannot open the bus {bus}: [Errno {error_number}] no way; {fix}"
+    assert str(raised.value) == f"cannot open the bus {bus}: [Errno {error_number}] no way; {fix}"
 
 
 def test_the_failure_to_open_a_bus_that_does_not_exist_says_how_to_create_it() -> None:
@@ -360,18 +376,20 @@ def test_an_interface_that_python_can_does_not_have_is_refused_with_those_that_i
 def test_a_bus_is_chosen_by_options_before_rc_before_variables_before_files(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    """Each source decides only on settings that no earlier source states.
+    """Each source decides only on settings that no earlier source states. Here each decides on one setting.
 
-    The options decide on the channel here, ``can.rc`` on the bit rate, the variable on the interface, and the
-    file on the port. The hop limit is a default of ours.
+    The hop limit is a default of ours.
     """
     monkeypatch.setenv("HOME", str(tmp_path))
-    (tmp_path / ".canrc").write_text("[default]\ninterface=pcan\nchannel=of_file\nbitrate=5\nport=9\n")
+    (tmp_path / ".canrc").write_text(
+        "[default]\ninterface=of_file\nchannel=of_file\nbitrate=of_file\nport=of_file\n"
+    )
     monkeypatch.setenv("CAN_INTERFACE", "udp_multicast")
-    monkeypatch.setattr(can, "rc", {"bustype": "pcan", "channel": "of_rc", "bitrate": 6})
-    settings = {"channel": "of_option", "bitrate": 6, "port": "9", "hop_limit": 0}
+    monkeypatch.setattr(can, "rc", {"bustype": "of_rc", "channel": "of_rc", "bitrate": "of_rc"})
 
-    assert bus_from_options("-c", "of_option") == BusChoice("udp_multicast", settings)
+    bus = bus_from_options("-c", "of_option")
+    assert bus.interface == "udp_multicast"  # of the variable
+    assert bus.settings == {"channel": "of_option", "bitrate": "of_rc", "port": "of_file", "hop_limit": 0}
 
 
 def test_a_variable_of_python_can_that_cannot_be_read_is_a_usage_error(
@@ -388,15 +406,17 @@ NO_NAME = can.BusABC.channel_info
 
 
 @pytest.mark.parametrize(
-    ("driver_name", "settings", "name"),
+    ("name_of_driver", "settings", "expected_name"),
     [(NO_NAME, {"channel": 3}, "3"), (NO_NAME, {}, "kvaser"), ("Leaf", {"channel": 3}, "Leaf")],
 )
 def test_a_bus_has_the_name_that_its_driver_gives_or_that_of_its_channel_or_interface(
-    driver_name: str, settings: dict[str, Any], name: str, monkeypatch: pytest.MonkeyPatch
+    name_of_driver: str, settings: dict[str, Any], expected_name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Kvaser's driver is replaced by one without hardware. Without its name, the channel's is taken first."""
-    monkeypatch.setattr(can, "Bus", Mock(return_value=Mock(channel_info=driver_name)))
-    assert BusChoice("kvaser", settings).open().channel_info == name
+    bus_of_driver = Mock(channel_info=name_of_driver)
+    monkeypatch.setattr(can, "Bus", Mock(return_value=bus_of_driver))
+    bus = BusChoice("kvaser", settings).open()
+    assert bus.channel_info == expected_name
 
 
 @pytest.mark.parametrize("returns_own", [False, True])

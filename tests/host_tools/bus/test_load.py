@@ -8,7 +8,7 @@ import pytest
 from mcp_asdf_tools.bus.load import bus_load, worst_case_bits
 
 
-def stuff(bits: str) -> str:
+def insert_stuffed_bits(bits: str) -> str:
     """Return bits as on the wire: after five equal bits comes a bit of the other value. It begins a run."""
     wire = ""
     for bit in bits:
@@ -16,10 +16,6 @@ def stuff(bits: str) -> str:
         if len(wire) >= 5 and len(set(wire[-5:])) == 1:
             wire += "1" if bit == "0" else "0"
     return wire
-
-
-MOST_STUFFED_BITS = "00000" + "11110000" * 20
-"""Bits that need as many stuffed bits as possible, as each stuffed bit begins a new run."""
 
 
 @pytest.mark.parametrize("is_extended_id", [False, True])
@@ -36,13 +32,17 @@ def test_the_worst_length_of_a_frame_is_that_with_the_most_stuffed_bits(
     start, length_field, checksum = 1, 6, 15
     stuffable_bits = start + identifier + length_field + 8 * length + checksum
 
-    stuffed_bits = stuff(MOST_STUFFED_BITS[:stuffable_bits])
+    # A stuffed bit begins the next run: with the four equal bits behind it, it makes five again.
+    worst_bits = ("00000" + "11110000" * 20)[:stuffable_bits]
+    bits_on_the_wire = insert_stuffed_bits(worst_bits)
     acknowledgement, end, gap = 3, 7, 3  # which are never stuffed
-    assert worst_case_bits(frame) == len(stuffed_bits) + acknowledgement + end + gap
+    assert worst_case_bits(frame) == len(bits_on_the_wire) + acknowledgement + end + gap
 
 
 def test_a_frame_of_a_robot_takes_160_bits_at_most() -> None:
-    """It has an identifier of 29 bits and 8 bytes of data."""
+    """It has an identifier of 29 bits and 8 bytes of data. Up to 29 bits are stuffed into the first 118."""
+    stuffable_bits, stuffed_bits, other_bits = 118, 29, 13
+    assert stuffable_bits + stuffed_bits + other_bits == 160
     assert worst_case_bits(can.Message(arbitration_id=0x106BB82A, data=bytes(8))) == 160
 
 

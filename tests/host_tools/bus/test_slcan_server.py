@@ -22,7 +22,7 @@ pytestmark = pytest.mark.random
 CHANNEL = "slcan test"
 
 
-def join() -> can.BusABC:
+def join_bus_of_server() -> can.BusABC:
     """Return a new connection to the bus that the server opens to other programs."""
     return can.Bus(interface="virtual", channel=CHANNEL, ignore_config=True)
 
@@ -30,7 +30,7 @@ def join() -> can.BusABC:
 @pytest.fixture
 def server() -> Iterator[SlcanServer]:
     """A server at a free TCP port; it has ended when the test has."""
-    with SlcanServer(join()) as running:
+    with SlcanServer(join_bus_of_server()) as running:
         yield running
     assert not running._server_thread.is_alive()
 
@@ -74,30 +74,35 @@ def client(server: SlcanServer) -> Iterator[can.BusABC]:
 @pytest.mark.parametrize("frame", FRAMES)
 def test_python_can_s_client_receives_a_frame_of_the_bus(frame: can.Message, client: can.BusABC) -> None:
     """The client is a program that uses the server as a serial adapter (slcan) to the bus."""
-    with join() as bus:
+    with join_bus_of_server() as bus:
         bus.send(frame)
-        assert fields_on_the_wire(receive(client)) == fields_on_the_wire(frame)
+        received_frame = receive(client)
+    assert fields_on_the_wire(received_frame) == fields_on_the_wire(frame)
 
 
 @pytest.mark.parametrize("frame", FRAMES)
 def test_the_bus_receives_a_frame_of_python_can_s_client(frame: can.Message, client: can.BusABC) -> None:
     """The client is a program that uses the server as a serial adapter (slcan) to the bus."""
-    with join() as bus:
+    with join_bus_of_server() as bus:
         client.send(frame)
-        assert fields_on_the_wire(receive(bus)) == fields_on_the_wire(frame)
+        received_frame = receive(bus)
+    assert fields_on_the_wire(received_frame) == fields_on_the_wire(frame)
 
 
 @pytest.mark.parametrize(
-    "frame", [can.Message(arbitration_id=1, is_fd=True, data=bytes(12)), can.Message(is_error_frame=True)]
+    "unsupported_frame",
+    [can.Message(arbitration_id=1, is_fd=True, data=bytes(12)), can.Message(is_error_frame=True)],
 )
 def test_a_frame_of_can_fd_and_an_error_frame_are_not_forwarded(
-    frame: can.Message, client: can.BusABC
+    unsupported_frame: can.Message, client: can.BusABC
 ) -> None:
     """The lines of slcan have no form for them. The frame sent next is the first that the client receives."""
-    with join() as bus:
-        bus.send(frame)
-        bus.send(FRAME_OF_ROBOT)
-        assert fields_on_the_wire(receive(client)) == fields_on_the_wire(FRAME_OF_ROBOT)
+    next_frame = can.Message(arbitration_id=0x106BB82A, data=b"12345678")
+    with join_bus_of_server() as bus:
+        bus.send(unsupported_frame)
+        bus.send(next_frame)
+        received_frame = receive(client)
+    assert fields_on_the_wire(received_frame) == fields_on_the_wire(next_frame)
 
 
 def connect(server: SlcanServer) -> socket.socket:
@@ -134,16 +139,22 @@ SENT_WITH_11_BITS, SENT_WITH_29_BITS = b"z\r", b"Z\r"
 def test_each_line_has_its_answer_success_or_failure(
     server: SlcanServer, lines: bytes, answers: list[bytes]
 ) -> None:
-    """A line is a command: O opens the adapter, C closes it, t and T send a frame with 11 or 29 bits."""
+    """A line is a command: O opens the adapter, C closes it, t and T send a frame with 11 or 29 bits.
+
+    ``lines`` are those of a program, and ``answers`` has what the server answers to each of them.
+    """
     assert answers_to(lines, server) == b"".join(answers)
 
 
 def test_a_frame_that_the_bus_does_not_take_is_answered_with_a_failure(
     server: SlcanServer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A program that was told of success would not send it again."""
-    refuse = Mock(side_effect=can.CanOperationError("the bus is full"))
-    monkeypatch.setattr(server._bus, "send", refuse)
+    """A program that was told of success would not send it again.
+
+    The program opens the adapter (O), and then sends a frame without data under the identifier 123 (t1230).
+    """
+    raise_that_the_bus_is_full = Mock(side_effect=can.CanOperationError("the bus is full"))
+    monkeypatch.setattr(server._bus, "send", raise_that_the_bus_is_full)
     assert answers_to(b"O\rt1230\r", server) == ANSWER_OK + ANSWER_ERROR
 
 
@@ -158,7 +169,7 @@ def test_a_second_program_finds_the_adapter_closed_as_the_first_did(server: Slca
 
 def test_a_server_that_closes_ends_its_thread_though_a_program_connects_just_then() -> None:
     """The server closes but still waits for programs, so it has to leave a program that connects now."""
-    with SlcanServer(join()) as server:
+    with SlcanServer(join_bus_of_server()) as server:
         server._is_closing = True  # the first thing that the server does at the end of the block
         with connect(server):
             server._server_thread.join(PATIENCE)
@@ -181,24 +192,32 @@ def read_to_the_end(program: socket.socket) -> bytes:
     return b"".join(iter(partial(program.recv, 1 << 20), b""))
 
 
-def test_a_slow_program_loses_whole_frames_and_the_bus_goes_on(
-    server: SlcanServer, slow_program: socket.socket
-) -> None:
-    """The server drops and counts frames that find no room; of those that it sends each line is complete."""
+def send_until_the_server_drops_frames(frame: can.Message, server: SlcanServer) -> None:
+    """Send a frame on the bus, again and again, until the server has counted some that it has dropped."""
 
     def has_dropped_frames_after_a_thousand_more() -> bool:
         for _ in range(1000):
-            bus.send(FRAME_OF_ROBOT)
+            bus.send(frame)
         return server.dropped > 0
 
-    with join() as bus:
+    with join_bus_of_server() as bus:
         wait_until(has_dropped_frames_after_a_thousand_more)
+
+
+def test_a_slow_program_loses_whole_frames_and_the_bus_goes_on(
+    server: SlcanServer, slow_program: socket.socket
+) -> None:
+    """The program reads nothing at first, so the server drops and counts frames that find no room.
+
+    What it reads later are complete lines: the answer to its opening of the adapter, and frames.
+    """
+    send_until_the_server_drops_frames(FRAME_OF_ROBOT, server)
     slow_program.shutdown(socket.SHUT_WR)  # by which the server notices that the program leaves
+    text = read_to_the_end(slow_program)
 
     answer_to_opening, line_of_frame = ANSWER_OK, format_frame_line(FRAME_OF_ROBOT)
-    text = read_to_the_end(slow_program)
-    line_count = text.count(line_of_frame)
-    assert text == answer_to_opening + line_count * line_of_frame
+    number_of_lines = text.count(line_of_frame)
+    assert text == answer_to_opening + line_of_frame * number_of_lines
 
 
 @settings(derandomize=True, max_examples=draws(300), deadline=None)
@@ -208,7 +227,10 @@ def test_a_slow_program_loses_whole_frames_and_the_bus_goes_on(
 @example(b"t 120")
 @example(b"t1231 7 ")
 def test_a_line_that_is_read_as_a_frame_is_what_the_server_writes_for_that_frame(line: bytes) -> None:
-    """All other lines are refused. Case matters in the first letter, but not in digits."""
+    """So nothing is read into a wrong line: for most of these random ones ``parse_frame`` returns None.
+
+    Case matters in the first letter, but not in digits, of which the server writes large ones.
+    """
     frame = parse_frame(line)
     if frame is not None:
         command, digits = line[:1], line[1:]
@@ -217,7 +239,7 @@ def test_a_line_that_is_read_as_a_frame_is_what_the_server_writes_for_that_frame
 
 def test_a_port_that_is_in_use_is_refused_by_name_and_the_bus_is_closed(server: SlcanServer) -> None:
     """A second server cannot listen at the port of the first one. It owns the connection that it is given."""
-    bus = join()
+    bus = join_bus_of_server()
     with pytest.raises(UsageError, match=f"cannot serve slcan at port {server.port}: .*another port"):
         SlcanServer(bus, server.port)
     assert bus._is_shutdown
@@ -227,4 +249,4 @@ def test_a_port_that_is_in_use_is_refused_by_name_and_the_bus_is_closed(server: 
 def test_a_number_that_is_no_port_is_refused(port: int) -> None:
     """TCP has ports up to 65535."""
     with pytest.raises(UsageError, match=f"slcan port is {port}; it must be 1 to 65535"):
-        SlcanServer(join(), port)
+        SlcanServer(join_bus_of_server(), port)

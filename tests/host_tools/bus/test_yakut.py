@@ -22,27 +22,33 @@ from mcp_asdf_tools.recording.frame_logs import read_log
 from messages import DEFAULT, write_regulated_types
 from support import PATH, PATIENCE, ROOT, interruptible, require
 
-PAGE = (ROOT / "docs/platforms/can_tools.md").read_text(encoding="utf-8")
+PAGE_OF_CAN_TOOLS = (ROOT / "docs/platforms/can_tools.md").read_text(encoding="utf-8")
 
 
 @pytest.mark.slow
 def test_yakut_prints_what_the_robots_of_a_running_swarm_broadcast(tmp_path: Path) -> None:
     """Yakut shows 30 estimates from all three robots. Each estimate is in the swarm's own log."""
     require("yakut")
-    write_regulated_types(tmp_path)
-    types = f"{ROOT / 'host_tools/mcp_asdf_tools/bus/dsdl'}{os.pathsep}{tmp_path}"
-    environment = {**os.environ, "PATH": PATH, "CYPHAL_PATH": types, "HOME": str(tmp_path)}
-    subscribe = "sub 3000:mcp_asdf_messages.estimate"
-    assert f"yakut {subscribe}" in PAGE
+    environment = environment_of_yakut(tmp_path)
+    subcommand = "sub 3000:mcp_asdf_messages.estimate"  # subscribes to subject 3000
+    assert f"yakut {subcommand}" in PAGE_OF_CAN_TOOLS
 
     log = tmp_path / "run.log"
     with running_swarm(f"--robots 3 --log {log}", environment) as port:
-        command = [*documented_command(port), *subscribe.split(), "--count", "30", "+M"]
+        with_sender = "+M"  # the metadata of a message has its sender
+        command = [*documented_command(port), *subcommand.split(), "--count", "30", with_sender]
         output = subprocess.check_output(command, env=environment, timeout=PATIENCE)
-    shown = {estimate_in_line(line) for line in output.splitlines()}
+    shown_estimates = {estimate_in_line(line) for line in output.splitlines()}
 
-    assert {estimate.sender for estimate in shown} == {0, 1, 2}
-    assert shown <= estimates_in_log(log)
+    assert {estimate.sender for estimate in shown_estimates} == {0, 1, 2}
+    assert shown_estimates <= estimates_in_log(log)
+
+
+def environment_of_yakut(folder: Path) -> dict[str, str]:
+    """Return environment variables by which yakut finds our types of messages, and Cyphal's in a folder."""
+    write_regulated_types(folder)
+    folders_of_types = f"{ROOT / 'host_tools/mcp_asdf_tools/bus/dsdl'}{os.pathsep}{folder}"
+    return {**os.environ, "PATH": PATH, "CYPHAL_PATH": folders_of_types, "HOME": str(folder)}
 
 
 @contextmanager
@@ -67,7 +73,8 @@ def running_swarm(options: str, environment: dict[str, str]) -> Iterator[str]:
 
 def documented_command(port: str) -> list[str]:
     """Return the page's command for an slcan adapter, at another port, without its subcommand."""
-    line = next(line for line in PAGE.splitlines() if line.startswith("yakut") and "slcan" in line)
+    lines = PAGE_OF_CAN_TOOLS.splitlines()
+    line = next(line for line in lines if line.startswith("yakut") and "slcan" in line)
     yakut, *options, monitor = shlex.split(line.replace("20000", port))
     assert monitor == "monitor"
     return [yakut, "--json", *options]
