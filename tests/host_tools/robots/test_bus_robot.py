@@ -41,8 +41,11 @@ ESTIMATE_FORMAT = FrameFormat()
 # Ticks, numbers, crashes
 
 
-def robot_with_counters(comms_period: int, **counters: int) -> BusRobot:
-    """Return robot 5 with counters that may be close to where they wrap."""
+def make_robot_5(*, comms_period: int, **counters: int) -> BusRobot:
+    """Return robot 5 without a filter, whose firmware begins with counters that may be close to a wrap.
+
+    It broadcasts in every tick whose number is a multiple of ``comms_period``.
+    """
     firmware = MirrorRobot(Config(filter=Filter.OFF), 5, 0.75)
     for name, value in counters.items():
         setattr(firmware.s, name, value)
@@ -51,21 +54,22 @@ def robot_with_counters(comms_period: int, **counters: int) -> BusRobot:
     )
 
 
-def estimates_of(*senders: int) -> NDArray[np.uint32]:
+def estimates_from(*senders: int) -> NDArray[np.uint32]:
     """Return an array with a row for each sender: its id, an x_hat of 0 and an alpha of 1."""
     return np.array([[sender, 0, ALPHA_ONE] for sender in senders], np.uint32)
 
 
 def test_a_broadcast_stays_due_until_its_tick_has_ended() -> None:
-    """A robot broadcasts in every third tick. ``observe`` returns whether a broadcast is due.
+    """A robot broadcasts in every third tick. ``observe`` begins a tick, and returns whether this is due.
 
-    From the third observation on it returns True, until ``settle`` ends the tick.
+    From the third tick on it returns True, until ``settle`` ends the tick. Then it counts anew.
     """
-    robot = robot_with_counters(comms_period=3)
+    robot = make_robot_5(comms_period=3)
+    nothing_observed = None
 
-    is_due = [robot.observe(None) for _ in range(5)]
+    is_due = [robot.observe(nothing_observed) for _ in range(5)]
     robot.settle()
-    is_due_in_next_round = [robot.observe(None) for _ in range(3)]
+    is_due_in_next_round = [robot.observe(nothing_observed) for _ in range(3)]
 
     assert is_due == [False, False, True, True, True]
     assert is_due_in_next_round == [False, False, True]
@@ -74,10 +78,11 @@ def test_a_broadcast_stays_due_until_its_tick_has_ended() -> None:
 def test_a_count_in_reports_goes_on_after_more_than_2_16_refusals_in_a_round() -> None:
     """The reported count is the sum, although the firmware's counters have 16 bits.
 
-    The firmware refuses 70,000 estimates under the robot's own id, 5, all in one round.
+    The firmware has refused 7 estimates. It refuses 70,000 more, as they are under the robot's own id, 5.
     """
-    robot = robot_with_counters(comms_period=10**6, rejected=7)  # a round has a million ticks
-    a_thousand_estimates = estimates_of(*[5] * 1000)
+    ticks_of_a_round = 10**6  # so that all 70 ticks are in one round
+    robot = make_robot_5(comms_period=ticks_of_a_round, rejected=7)
+    a_thousand_estimates = estimates_from(*[5] * 1000)
     for _ in range(70):
         robot.observe(None)
         robot.receive_all(a_thousand_estimates)
@@ -92,11 +97,11 @@ def test_the_counts_of_received_estimates_in_reports_go_on_where_the_firmware_s_
     The first estimates of robots 6 and 7 are accepted, and their second ones are repeated. The one under the
     robot's own id, 5, is rejected. The filter is off, so there are no tests and updates.
     """
-    robot = robot_with_counters(
+    robot = make_robot_5(
         comms_period=10, accepted=65_535, repeated=65_535, rejected=65_535, tests=65_535, updates=65_535
     )
     robot.observe(None)
-    robot.receive_all(estimates_of(6, 7, 6, 7, 5))
+    robot.receive_all(estimates_from(6, 7, 6, 7, 5))
 
     assert robot.counters == Counters(
         accepted=65_535 + 2, repeated=65_535 + 2, rejected=65_535 + 1, tests=65_535, updates=65_535
@@ -105,23 +110,27 @@ def test_the_counts_of_received_estimates_in_reports_go_on_where_the_firmware_s_
 
 def test_estimates_under_the_robot_s_own_id_are_refused_and_counted_as_conflicts() -> None:
     """The robot has the id 5. Of three estimates two are under this id."""
-    robot = robot_with_counters(comms_period=1)
-    robot.receive_all(estimates_of(5, 5, 6))
-    conflicts = Counter({(Suspicion.CONFLICT, 5): 2})
-    assert robot.reception == Reception(delivered=3, refused=2, events=conflicts)
+    robot = make_robot_5(comms_period=1)
+    robot.receive_all(estimates_from(5, 5, 6))
+    two_conflicts_under_id_5 = Counter({(Suspicion.CONFLICT, 5): 2})
+    assert robot.reception == Reception(delivered=3, refused=2, events=two_conflicts_under_id_5)
 
 
 def test_telemetry_has_the_number_of_updates_modulo_256() -> None:
     """The count 65,535 is sent as 255. x is 1/2, and b_hat, the accuracy that the robot assumes, is 3/4."""
-    robot = robot_with_counters(comms_period=1, updates=65_535)
+    robot = make_robot_5(comms_period=1, updates=65_535)
 
-    half, three_quarters = 2**23 // 2, 3 * 2**24 // 4  # x is in units of 2**-23, b_hat in units of 2**-24
-    telemetry = Telemetry(sender=5, x=half, b_hat=three_quarters, updates=65_535 % 256, transfer_id=0)
-    assert robot.telemetry(now=0.0).data == encoded(telemetry).data
+    x = round(1 / 2 * 2**23)  # in units of 2**-23
+    b_hat = round(3 / 4 * 2**24)  # in units of 2**-24
+    expected_telemetry = Telemetry(sender=5, x=x, b_hat=b_hat, updates=65_535 % 256, transfer_id=0)
+    assert robot.telemetry(now=0.0).data == encoded(expected_telemetry).data
 
 
-def robot_that_received(setup: RobotSetup, senders: Sequence[int], *, as_array: bool) -> tuple[BusRobot, str]:
-    """Return a robot that has received estimates of 1/2 in a tick, and the lines of its events."""
+def receive_in_a_tick(setup: RobotSetup, senders: Sequence[int], *, as_array: bool) -> tuple[BusRobot, str]:
+    """Let a robot receive an estimate of 1/2 from each sender in a tick, in which it observes black.
+
+    Return the robot, and the lines of its recorded events.
+    """
     lines: list[str] = []
     half = 2**23 // 2  # in units of 2**-23
     robot = BusRobot(setup, ESTIMATE_FORMAT, EventRecorder(setup.id, lines.append))
@@ -136,24 +145,26 @@ def robot_that_received(setup: RobotSetup, senders: Sequence[int], *, as_array: 
 
 
 @pytest.mark.parametrize(
-    ("firmware", "allow"),
+    ("firmware", "allowed_ids"),
     [("native", None), ("mirror", None), ("reference", None), ("native", frozenset({6}))],
 )
 def test_estimates_have_the_same_effect_one_by_one_as_in_an_array(
-    firmware: str, allow: frozenset[int] | None
+    firmware: str, allowed_ids: frozenset[int] | None
 ) -> None:
-    """The counts, the estimate x and the lines of events are the same.
+    """The counts, the estimate x and the lines of recorded events are the same.
 
-    One of the estimates is under the robot's own id, 5. ``allow`` may let only estimates of robot 6 through.
+    One of the estimates is under the robot's own id, 5. ``allowed_ids`` may let only robot 6 through; with
+    None all senders are allowed.
     """
-    setup = replace(setup_of_robot(5, firmware), allow=allow)
-    robot, events = robot_that_received(setup, senders=(6, 6, 5, 7), as_array=False)
-    other_robot, other_events = robot_that_received(setup, senders=(6, 6, 5, 7), as_array=True)
+    setup = replace(setup_of_robot(5, firmware), allow=allowed_ids)
+    senders = (6, 6, 5, 7)
+    one_by_one, events_of_one_by_one = receive_in_a_tick(setup, senders, as_array=False)
+    in_array, events_of_array = receive_in_a_tick(setup, senders, as_array=True)
 
-    assert robot.reception == other_robot.reception
-    assert robot.counters == other_robot.counters
-    assert robot.robot.x == other_robot.robot.x
-    assert events == other_events
+    assert one_by_one.reception == in_array.reception
+    assert one_by_one.counters == in_array.counters
+    assert one_by_one.robot.x == in_array.robot.x
+    assert events_of_one_by_one == events_of_array
 
 
 ESTIMATE_OF_6 = Estimate(sender=6, x_hat=9, alpha=0, transfer_id=0)
@@ -162,7 +173,10 @@ HEARTBEAT_OF_8 = Heartbeat(sender=8, uptime=1, transfer_id=0)
 
 
 def test_a_robot_that_has_crashed_receives_nothing() -> None:
-    """It gets an estimate of robot 6, one under its own id, 5, and a heartbeat, and counts none of them."""
+    """It gets an estimate of robot 6, one under its own id, 5, and a heartbeat, and counts none of them.
+
+    Each comes as a frame of the swarm and as a frame of another program.
+    """
     robot = BusRobot(setup_of_robot(5), ESTIMATE_FORMAT)
     robot.crash(loses_state=False)
     for content in (ESTIMATE_OF_6, ESTIMATE_OF_5, HEARTBEAT_OF_8):
@@ -170,14 +184,15 @@ def test_a_robot_that_has_crashed_receives_nothing() -> None:
         robot.count_foreign_frame(encoded(content))
     robot.receive(ESTIMATE_OF_6)
 
-    assert robot.reception == Reception()
+    nothing_received = Reception()
+    assert robot.reception == nothing_received
 
 
-@pytest.mark.parametrize(("loses_state", "ticks"), [(False, 1), (True, 0)])
+@pytest.mark.parametrize(("loses_state", "kept_ticks"), [(False, 1), (True, 0)])
 def test_a_robot_that_rejoins_goes_on_where_it_was_unless_the_crash_lost_its_state(
-    loses_state: bool, ticks: int
+    loses_state: bool, kept_ticks: int
 ) -> None:
-    """Before the crash it has made one observation in one tick."""
+    """Before the crash it has made one observation in one tick, which it has kept or lost."""
     robot = BusRobot(setup_of_robot(5), ESTIMATE_FORMAT)
     robot.observe(Observation.BLACK)
     robot.settle()
@@ -185,8 +200,8 @@ def test_a_robot_that_rejoins_goes_on_where_it_was_unless_the_crash_lost_its_sta
     robot.rejoin()
 
     assert robot.is_alive
-    assert robot.ticks == ticks
-    assert robot.robot.t == ticks, "observations"
+    assert robot.ticks == kept_ticks
+    assert robot.robot.t == kept_ticks, "observations"
 
 
 def test_a_line_of_events_has_all_that_a_robot_did_in_a_tick() -> None:
@@ -196,9 +211,12 @@ def test_a_line_of_events_has_all_that_a_robot_did_in_a_tick() -> None:
     """
     lines: list[str] = []
     robot = BusRobot(setup_of_robot(5), ESTIMATE_FORMAT, EventRecorder(5, lines.append))
+    estimate = encoded(Estimate(sender=6, x_hat=9, alpha=0, transfer_id=0))
+    heartbeat = encoded(Heartbeat(sender=8, uptime=1, transfer_id=0))
+
     robot.observe(Observation.BLACK)
-    robot.receive_frames([encoded(ESTIMATE_OF_6), encoded(HEARTBEAT_OF_8)])
-    robot.receive_frames([encoded(ESTIMATE_OF_6)])
+    robot.receive_frames([estimate, heartbeat])
+    robot.receive_frames([estimate])
     robot.settle()
 
     assert lines == ["[5,1,[6,9,0],[6,9,0],3]\n"]
@@ -218,25 +236,27 @@ def test_the_first_line_of_events_after_a_crash_that_lost_the_state_begins_with_
 
 
 def test_frames_without_an_estimate_are_counted_by_their_kind() -> None:
-    """Heartbeats, telemetry, error frames and each other reason for a rejection come three times."""
+    """Heartbeats, telemetry, error frames and each other reason for a rejection come three times.
+
+    Error frames are counted apart from the other rejections. An estimate is not counted here.
+    """
     robot = BusRobot(setup_of_robot(5), ESTIMATE_FORMAT)
     telemetry = Telemetry(sender=8, x=9, b_hat=1 << 23, updates=1, transfer_id=0)
     for content in (HEARTBEAT_OF_8, telemetry, ESTIMATE_OF_6, *Rejection):
         robot.count_content(content, frame_count=3)
 
-    rejections = Counter(dict.fromkeys(Rejection, 3))
-    error_frames = rejections.pop(Rejection.ERROR_FRAME)
-    assert robot.reception == Reception(heartbeats=3, telemetry=3, errors=error_frames, rejected=rejections)
+    other_rejections = Counter({reason: 3 for reason in Rejection if reason is not Rejection.ERROR_FRAME})
+    assert robot.reception == Reception(heartbeats=3, telemetry=3, errors=3, rejected=other_rejections)
 
 
 def test_estimates_from_outside_the_swarm_are_counted_as_strays() -> None:
-    """One of the two estimates is under the id of the robot itself, 5, and is a conflict, too."""
+    """Two estimates and a heartbeat come. The estimate under the robot's own id, 5, is a conflict, too."""
     robot = BusRobot(setup_of_robot(5), ESTIMATE_FORMAT)
     for content in (ESTIMATE_OF_5, ESTIMATE_OF_6, HEARTBEAT_OF_8):
         robot.count_foreign_frame(encoded(content))
-    conflicts = Counter({(Suspicion.CONFLICT, 5): 1})
 
-    assert robot.reception == Reception(strays=2, heartbeats=1, events=conflicts)
+    conflict_under_id_5 = Counter({(Suspicion.CONFLICT, 5): 1})
+    assert robot.reception == Reception(strays=2, heartbeats=1, events=conflict_under_id_5)
 
 
 # How a robot starts
@@ -253,7 +273,8 @@ def test_estimates_from_outside_the_swarm_are_counted_as_strays() -> None:
 )
 def test_a_robot_s_setup_written_as_json_is_read_as_the_same_setup(setup: RobotSetup) -> None:
     """A setup has the id of a robot, its firmware, its b_hat at the start and its parameters."""
-    assert RobotSetup.from_plain(json.loads(json.dumps(setup.plain()))) == setup
+    text = json.dumps(setup.plain())
+    assert RobotSetup.from_plain(json.loads(text)) == setup
 
 
 def test_a_setup_in_json_has_the_allowed_ids_as_ranges() -> None:
@@ -263,25 +284,29 @@ def test_a_setup_in_json_has_the_allowed_ids_as_ranges() -> None:
 
 
 def test_a_table_that_was_not_made_here_cannot_be_put_into_json() -> None:
-    """JSON has only the numbers from which a table is computed, and this table is computed from none."""
-    table = Table(omega_word=3, entries=TABLE.entries)
+    """JSON has only the numbers from which a table is computed: omega and the number of neighbours.
+
+    This table has the entries for an omega of 0.05, but another omega, and so it is computed from none.
+    """
+    foreign_table = Table(omega_word=3, entries=TABLE.entries)
     with pytest.raises(UsageError, match=r"omega is .*make one with mcp-asdf table"):
-        setup_of_robot(5, table=table).plain()
+        setup_of_robot(5, table=foreign_table).plain()
 
 
 def test_a_setup_makes_a_robot_with_its_configuration() -> None:
-    """The mirror is the firmware in Python. Its filter period counts rounds, and 10 ticks are 5 rounds."""
-    setup = setup_of_robot(5, "mirror", b_hat=0.55, comms_period=2, filter_period=10, memory=64)
-    config = Config(TABLE, Filter.ADAPTIVE, filter_period=10 // 2, memory=64)
+    """The mirror is the firmware in Python. A round has 2 ticks, and the filter runs every 5 rounds."""
+    config = Config(TABLE, Filter.ADAPTIVE, filter_period=5, memory=64)
+    setup = RobotSetup(5, "mirror", b_hat=0.55, config=config, comms_period=2)
 
     robot = setup.make_robot()
 
     assert isinstance(robot, MirrorRobot)
+    assert robot.config == config
     assert robot.state() == MirrorRobot(config, 5, b_hat=0.55).state()
 
 
 @pytest.mark.parametrize(
-    ("changes", "complaint"),
+    ("changes", "expected_message"),
     [
         ({"comms_period": 0}, "comms_period is 0"),
         ({"filter_period": 0}, "filter_period is 0; choose a multiple of comms_period 1"),
@@ -307,11 +332,12 @@ def test_a_setup_makes_a_robot_with_its_configuration() -> None:
     ],
 )
 def test_a_robot_s_setup_in_json_with_a_wrong_value_is_refused_by_the_name_of_the_value(
-    changes: dict[str, Any], complaint: str
+    changes: dict[str, Any], expected_message: str
 ) -> None:
     """Each case changes one value of a right setup. The error says what is wrong with it."""
-    with pytest.raises(UsageError, match=complaint):
-        RobotSetup.from_plain(setup_of_robot(5).plain() | changes)
+    right_setup_as_json = setup_of_robot(5).plain()
+    with pytest.raises(UsageError, match=expected_message):
+        RobotSetup.from_plain(right_setup_as_json | changes)
 
 
 @pytest.mark.parametrize(
@@ -334,21 +360,11 @@ def test_a_number_of_flawed_robots_that_is_neither_a_count_nor_a_share_is_refuse
         Population(robots=10, flawed=flawed)
 
 
-FOUR_ROBOTS: dict[str, Any] = {
-    "robots": 4,
-    "flawed": 2,
-    "flawed_accuracy": 0.3,
-    "true_accuracy": 1.0,
-    "comms_period": 2,
-    "filter_period": 4,
-    "memory": 64,
-    "omega": "0.1",
-}
 OFF_CONFIG = Config(None, Filter.OFF, filter_period=2, memory=64)
 ADAPTIVE_CONFIG = replace(OFF_CONFIG, filter=Filter.ADAPTIVE, table=generate(Decimal("0.1"), q=3))
 ALWAYS_CONFIG = replace(OFF_CONFIG, filter=Filter.ALWAYS)
 ROBUST_CONFIG = replace(OFF_CONFIG, filter=Filter.ROBUST)
-"""Parameters of the firmware of these robots; their filter period counts rounds of 2 ticks."""
+"""Parameters of the firmware of four robots, whose filter period is 2 rounds of 2 ticks."""
 
 
 @pytest.mark.parametrize(
@@ -369,17 +385,30 @@ def test_the_filter_of_a_swarm_decides_on_the_filter_of_flawed_and_of_other_robo
 
     The parameter ``activation`` is "always" for a filter that re-estimates without a test.
     """
-    population = Population(**FOUR_ROBOTS, filter=filters, activation=activation)
-    setups = [population.setup_of(robot) for robot in range(4)]
+    population = Population(
+        robots=4,
+        flawed=2,
+        flawed_accuracy=0.3,
+        true_accuracy=1.0,
+        comms_period=2,
+        filter_period=4,  # in ticks; that of the firmware is in rounds of 2 ticks
+        memory=64,
+        omega="0.1",
+        filter=filters,
+        activation=activation,
+    )
 
-    largest_b_hat = 1 - 2**-20
-    flawed = RobotSetup(0, "native", b_hat=0.3, config=flawed_config, comms_period=2)
-    other = RobotSetup(2, "native", b_hat=largest_b_hat, config=other_config, comms_period=2)
-    assert setups == [flawed, replace(flawed, id=1), other, replace(other, id=3)]
+    largest_b_hat = 1 - 2**-20  # the firmware refuses 1.0
+    flawed_robot = RobotSetup(0, "native", b_hat=0.3, config=flawed_config, comms_period=2)
+    other_robot = RobotSetup(2, "native", b_hat=largest_b_hat, config=other_config, comms_period=2)
+    assert population.setup_of(0) == flawed_robot
+    assert population.setup_of(1) == replace(flawed_robot, id=1)
+    assert population.setup_of(2) == other_robot
+    assert population.setup_of(3) == replace(other_robot, id=3)
 
 
 @pytest.mark.parametrize(
-    ("filters", "activation", "unused"),
+    ("filters", "activation", "unused_parameters"),
     [
         ("none", "adaptive", {"omega", "activation"}),
         ("robust", "adaptive", {"omega", "activation"}),
@@ -388,34 +417,44 @@ def test_the_filter_of_a_swarm_decides_on_the_filter_of_flawed_and_of_other_robo
     ],
 )
 def test_a_population_lists_the_parameters_that_its_filter_does_not_use(
-    filters: str, activation: Activation, unused: set[str]
+    filters: str, activation: Activation, unused_parameters: set[str]
 ) -> None:
-    """The commands refuse such options. ``activation`` "always" leaves out the test that omega is for."""
-    population = Population(**FOUR_ROBOTS, filter=filters, activation=activation, drift="linear")
-    assert set(population.unused_parameters()) == unused
+    """The commands refuse such options. ``activation`` "always" leaves out the test that omega is for.
+
+    The sensors drift, so that the parameters of a drift are used.
+    """
+    population = Population(
+        robots=4, flawed=2, filter=filters, activation=activation, omega="0.1", drift="linear"
+    )
+    assert set(population.unused_parameters()) == unused_parameters
 
 
 def test_a_population_can_be_made_again_from_its_parameters() -> None:
     """``parameters`` returns what a report says of the robots, from which an equal population is made."""
-    population = Population(**FOUR_ROBOTS, drift="linear", drift_of="flawed")
+    population = Population(
+        robots=4, flawed=2, flawed_accuracy=0.3, memory=64, omega="0.1", drift="linear", drift_of="flawed"
+    )
     assert Population(**population.parameters()) == population
 
 
 def test_the_sensors_of_all_robots_drift_unless_only_flawed_robots_are_to_drift() -> None:
     """Two of four robots are flawed. ``drifting`` is the number of robots whose sensors drift."""
-    assert Population(**FOUR_ROBOTS, drift="linear", drift_of="flawed").drifting == 2
-    assert Population(**FOUR_ROBOTS, drift="linear").drifting == 4
+    assert Population(robots=4, flawed=2, drift="linear", drift_of="flawed").drifting == 2
+    assert Population(robots=4, flawed=2, drift="linear").drifting == 4
 
 
 @pytest.mark.parametrize(
-    ("parameters", "message"),
+    ("parameters", "expected_message"),
     [
         ({"drift_of": "flawed"}, "drift_of is flawed but drift is none"),  # so that no sensor would drift
         ({"memory": 66}, "memory is 66; it must be a multiple of 4"),
     ],
 )
-def test_a_population_with_a_wrong_parameter_is_refused(parameters: dict[str, Any], message: str) -> None:
-    with pytest.raises(ParameterError, match=message):
+def test_a_population_with_a_wrong_parameter_is_refused(
+    parameters: dict[str, Any], expected_message: str
+) -> None:
+    """The error names the parameter: flawed robots are to drift without a drift, or a wrong memory."""
+    with pytest.raises(ParameterError, match=expected_message):
         Population(**parameters)
 
 
@@ -424,6 +463,7 @@ def test_the_table_of_thresholds_is_for_as_many_neighbours_as_a_robot_can_hear(
     robots: int, neighbours: int
 ) -> None:
     """A robot can hear all others. The table is for at least 2, and at most 127, as there are 128 ids."""
-    table = Population(robots=robots, topology="dynamic", filter="asdf-plus").config(0).table
+    population = Population(robots=robots, topology="dynamic", filter="asdf-plus")
+    table = population.config(0).table
     assert table is not None
-    assert table.q == neighbours
+    assert table.q == neighbours, "neighbours up to which the table is exact"

@@ -46,7 +46,7 @@ def begin_ticks(watch: Watch, clock: RealTimeClock, *, periods_of_work: list[flo
 
 
 @pytest.mark.parametrize(
-    ("periods_of_work", "beginnings"),
+    ("periods_of_work", "expected_beginnings"),
     [
         ([0.5, 0, 1, 0.25, 0], [0, 1, 2, 3, 4]),
         ([2, 0.5, 0.5, 0.5, 0], [0, 2, 2.5, 3, 4]),  # the fourth is in time again
@@ -55,11 +55,15 @@ def begin_ticks(watch: Watch, clock: RealTimeClock, *, periods_of_work: list[flo
     ids=["in time", "the first is long", "all are long"],
 )
 def test_ticks_begin_at_multiples_of_the_period_or_as_soon_as_the_last_one_is_over(
-    periods_of_work: list[float], beginnings: list[float]
+    periods_of_work: list[float], expected_beginnings: list[float]
 ) -> None:
-    """All times are in periods. ``periods_of_work`` says how long the work of each tick takes."""
+    """All times are in periods. ``periods_of_work`` says how long the work of each tick takes.
+
+    The time is that of a watch, which only the clock's pauses and this work move on.
+    """
     watch = Watch()
-    assert begin_ticks(watch, watch.clock(), periods_of_work=periods_of_work) == beginnings
+    beginnings = begin_ticks(watch, watch.clock(), periods_of_work=periods_of_work)
+    assert beginnings == expected_beginnings
 
 
 def test_a_clock_has_no_figures_of_lateness_before_the_first_tick() -> None:
@@ -74,7 +78,10 @@ def test_a_clock_has_no_figures_of_lateness_before_the_first_tick() -> None:
 def test_figures_say_in_seconds_how_late_ticks_have_begun(
     periods_of_work: list[float], lateness: list[float], late_ticks: int
 ) -> None:
-    """``lateness`` is in periods. A tick counts as late if it begins more than half a period late."""
+    """``lateness`` is in periods. A tick counts as late if it begins more than half a period late.
+
+    ``drift`` is how late the last tick has begun.
+    """
     watch = Watch()
     clock = watch.clock()
 
@@ -90,7 +97,7 @@ def test_figures_say_in_seconds_how_late_ticks_have_begun(
 
 
 def test_a_tick_does_not_begin_early_when_a_sleep_ends_early() -> None:
-    """Every sleep ends a quarter of a period too early."""
+    """Every pause of the clock ends a quarter of a period too early, so it has to pause again."""
     watch = Watch(missing_sleep=PERIOD / 4)
     clock = watch.clock()
     clock.begin(tick=0)

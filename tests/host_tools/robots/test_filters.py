@@ -12,7 +12,7 @@ from mcp_asdf_tools.swarm.settings import SwarmSettings
 
 def test_filters_are_listed_from_fewer_recalibrating_robots_to_more() -> None:
     """With no filter no robot recalibrates, with ASDF- the flawed ones do, and with the others all."""
-    assert [*FILTERS] == ["none", "asdf-minus", "asdf-plus", "robust"]
+    assert list(FILTERS) == ["none", "asdf-minus", "asdf-plus", "robust"]
 
 
 @pytest.mark.parametrize(
@@ -29,13 +29,17 @@ def test_filters_are_listed_from_fewer_recalibrating_robots_to_more() -> None:
 def test_a_filter_of_a_swarm_sets_the_filter_of_each_robot(
     name: str, is_flawed: bool, activation: Activation, firmware_filter: Filter
 ) -> None:
-    """With the activation "always" the paper's filters recalibrate without a test; it changes no other."""
+    """With the activation "always" the paper's filters recalibrate without a test; it changes no other.
+
+    The paper's filters are asdf-minus, which is for flawed robots alone, and asdf-plus, which is for all.
+    """
     assert FILTERS[name].firmware_filter_of(is_flawed, activation) is firmware_filter
 
 
 def test_only_the_robust_filter_is_marked_as_depending_on_the_order_of_messages() -> None:
     """If two senders' ids are equal modulo 32, it keeps only the estimate of the later message."""
-    assert [name for name, swarm_filter in FILTERS.items() if swarm_filter.order_matters] == ["robust"]
+    names_of_marked_filters = [name for name, swarm_filter in FILTERS.items() if swarm_filter.order_matters]
+    assert names_of_marked_filters == ["robust"]
 
 
 def test_pictures_and_pages_have_a_minus_sign_in_asdf_minus() -> None:
@@ -44,9 +48,12 @@ def test_pictures_and_pages_have_a_minus_sign_in_asdf_minus() -> None:
 
 
 def test_the_first_series_of_a_filter_has_its_colour_and_the_next_one_another() -> None:
-    """Two of three series in a picture are of no filter. The first of them is grey, the second blue."""
-    colours = colours_of_filters(["none", "none", "robust"])
-    assert colours == ["#999999", "#0072b2", "#009e73"]
+    """Two of three series in a picture are of no filter. The first of them is grey, the second blue.
+
+    The third series is the first one of the robust filter, and is green.
+    """
+    grey, blue, green = "#999999", "#0072b2", "#009e73"
+    assert colours_of_filters(["none", "none", "robust"]) == [grey, blue, green]
 
 
 @pytest.mark.parametrize(
