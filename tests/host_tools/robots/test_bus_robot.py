@@ -245,7 +245,8 @@ def test_frames_without_an_estimate_are_counted_by_their_kind() -> None:
     for content in (HEARTBEAT_OF_8, telemetry, ESTIMATE_OF_6, *Rejection):
         robot.count_content(content, frame_count=3)
 
-    other_rejections = Counter({reason: 3 for reason in Rejection if reason is not Rejection.ERROR_FRAME})
+    other_rejections = Counter(dict.fromkeys(Rejection, 3))
+    del other_rejections[Rejection.ERROR_FRAME]
     assert robot.reception == Reception(heartbeats=3, telemetry=3, errors=3, rejected=other_rejections)
 
 

@@ -11,7 +11,7 @@ import random
 import re
 import subprocess
 from collections import Counter
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -71,7 +71,10 @@ class LossyWire(Wire):
     """
 
     def __init__(
-        self, *nodes: RobotNode, is_lost: Callable[[Command, int], bool], lost_telemetry: int = -1
+        self,
+        *nodes: RobotNode,
+        is_lost: Callable[[Command, int], bool] = lambda command, times_sent: False,
+        lost_telemetry: int = -1,
     ) -> None:
         """Create a wire to some nodes.
 
@@ -102,16 +105,16 @@ class LossyWire(Wire):
         super().say(node, [] if is_answer_lost else frames)
 
 
-LOST_COMMANDS = {
+EIGHT_LOST_COMMANDS = {
     *((5, 1, "OBSERVE"), (5, 2, "OBSERVE"), (5, 3, "OBSERVE"), (9, 1, "OBSERVE"), (20, 1, "OBSERVE")),
     *((9, 1, "SETTLE"), (20, 2, "SETTLE"), (20, 3, "SETTLE")),
 }
 """Commands that are lost when they are sent first: tick, robot and the beginning of the action's name."""
 
 
-def is_lost_once(command: Command, times_sent: int) -> bool:
+def is_one_of_eight_and_sent_first(command: Command, times_sent: int) -> bool:
     action, _, _ = command.action.name.partition("_")
-    return times_sent == 1 and (command.tick, command.target, action) in LOST_COMMANDS
+    return times_sent == 1 and (command.tick, command.target, action) in EIGHT_LOST_COMMANDS
 
 
 FOUR_ROBOTS = range(4)
@@ -151,7 +154,7 @@ def run_four_robots(lockstep: Lockstep, ticks: int) -> None:
         pass
 
 
-def step_by_calls(robots: Sequence[Robot], tick: DrivenTick) -> None:
+def call_robots_as_driven(robots: Sequence[Robot], tick: DrivenTick) -> None:
     """Let robots observe what driven ones have observed, receive the estimates of all others, and settle."""
     for robot in robots:
         observation = tick.observations[robot.id]
@@ -176,25 +179,30 @@ def numbers_in_frames_of(robot: Robot) -> tuple[int, ...]:
 @pytest.mark.parametrize("firmware", ["native", "reference"])
 @still()
 def test_robots_commanded_over_a_bus_compute_what_the_same_robots_do_when_called(firmware: str) -> None:
-    """x_hat, alpha, x, b_hat and the number of updates in their frames are equal in each tick.
+    """x_hat, alpha, x, b_hat and the number of updates in their frames are equal in each of 60 ticks.
 
-    Some commands are lost, and are repeated.
+    Four robots observe drawn colours. Eight commands are lost on the bus, and are repeated.
     """
-    lockstep = Lockstep(LossyWire(*make_four_nodes(firmware), is_lost=is_lost_once), timeout=0.02)
+    lockstep = Lockstep(
+        LossyWire(*make_four_nodes(firmware), is_lost=is_one_of_eight_and_sent_first), timeout=0.02
+    )
     called_robots = [called_node.robot for called_node in make_four_nodes(firmware)]
 
     for tick in drive_four_robots(lockstep, ticks=60):
-        step_by_calls(called_robots, tick)
+        call_robots_as_driven(called_robots, tick)
         for robot in called_robots:
             assert tick.numbers_answered_by(robot.id) == numbers_in_frames_of(robot)
 
-    assert any(robot.counters.updates > 0 for robot in called_robots)
+    assert any(robot.counters.updates > 0 for robot in called_robots), "no robot has re-estimated b_hat"
 
 
 @still()
 def test_a_lost_command_is_sent_once_more_to_the_robots_that_have_not_answered() -> None:
-    """Each of 4 robots gets two commands in each of 25 ticks. Eight are lost, and are sent once more."""
-    wire = LossyWire(*make_four_nodes(firmware="native"), is_lost=is_lost_once)
+    """Each of 4 robots gets two commands in each of 25 ticks. Eight are lost, and are sent once more.
+
+    A command that is repeated to a robot that has obeyed it would count as disobeyed.
+    """
+    wire = LossyWire(*make_four_nodes(firmware="native"), is_lost=is_one_of_eight_and_sent_first)
     lockstep = Lockstep(wire, timeout=0.02)
 
     run_four_robots(lockstep, ticks=25)
@@ -213,7 +221,8 @@ def test_the_transfer_ids_of_commands_count_modulo_32() -> None:
     run_four_robots(Lockstep(wire), ticks=20)
 
     transfer_ids = [decode(frame).transfer_id for frame in wire.sent]
-    assert transfer_ids == [number % 32 for number in range(4 * 2 * 20)]
+    number_of_commands = 4 * 2 * 20
+    assert transfer_ids == [number % 32 for number in range(number_of_commands)]
 
 
 @still()
@@ -223,8 +232,9 @@ def test_the_driver_reports_all_frames_that_it_sends_and_receives() -> None:
     reported_frames: list[can.Message] = []
     run_four_robots(Lockstep(wire, on_frame=reported_frames.append), ticks=10)
 
-    assert [frame for frame in reported_frames if frame.is_rx] == wire.told
-    assert [frame for frame in reported_frames if not frame.is_rx] == wire.sent
+    frames_of_robots, frames_of_driver = wire.told, wire.sent
+    assert [frame for frame in reported_frames if frame.is_rx] == frames_of_robots
+    assert [frame for frame in reported_frames if not frame.is_rx] == frames_of_driver
 
 
 def drive_robot_1(lockstep: Lockstep, ticks: int) -> None:
@@ -236,20 +246,23 @@ def drive_robot_1(lockstep: Lockstep, ticks: int) -> None:
 
 @pytest.mark.parametrize(
     ("expected_robots", "silent_robots"),
-    [({0, 2, 4, 5}, "robot 4, 5"), (range(10, 20), "robot 10, 11, 12, 13, 14, 15, 16, 17, ...")],
+    [({0, 2, 4, 5}, "robot 4, 5"), (set(range(10, 20)), "robot 10, 11, 12, 13, 14, 15, 16, 17, ...")],
 )
 @still()
 def test_robots_that_send_no_heartbeat_are_named_in_the_error(
-    expected_robots: Collection[int], silent_robots: str
+    expected_robots: set[int], silent_robots: str
 ) -> None:
-    """Only robots 0 and 2 are on the bus. The error names eight at most, the time, and the bus, "wire"."""
+    """Only robots 0 and 2 are on the bus. The error names eight at most, the time, and the bus, "wire".
+
+    The text ``silent_robots`` has the ids of the robots that are waited for in vain.
+    """
     lockstep = Lockstep(Wire(node(0), node(2)))
     message = re.escape(f"{silent_robots} did not send a heartbeat within 0.01 s on wire")
     with pytest.raises(LockstepError, match=message):
         lockstep.wait_until_up(expected_robots, timeout=0.01)
 
 
-def lockstep_without_robot_1() -> Lockstep:
+def lockstep_that_misses_robot_1() -> Lockstep:
     """Return a driver that has commanded robots 0 to 2 to observe; robot 1 is not on the bus."""
     lockstep = Lockstep(Wire(node(0), node(2)), timeout=0.02)
     lockstep.observe({0: Observation.WHITE, 1: Observation.WHITE, 2: Observation.WHITE})
@@ -259,19 +272,25 @@ def lockstep_without_robot_1() -> Lockstep:
 @still()
 def test_a_robot_that_does_not_broadcast_or_does_not_end_its_tick_is_named_in_the_error() -> None:
     """Robots 0 and 2 do so, and robot 1 is not on the bus. LockstepError names it and the time limit."""
-    lockstep = lockstep_without_robot_1()
+    lockstep = lockstep_that_misses_robot_1()
     with pytest.raises(LockstepError, match=r"robot 1 did not broadcast its estimate within 0.02 s"):
-        lockstep.estimates(range(3))
+        lockstep.estimates({0, 1, 2})
     with pytest.raises(LockstepError, match=r"robot 1 did not settle within 0.02 s"):
-        lockstep.settle(range(3))
+        lockstep.settle({0, 1, 2})
 
 
 @still()
 def test_an_estimate_that_has_come_while_another_robot_was_waited_for_is_not_lost() -> None:
-    """The driver waits for robot 2 while robot 0 sends. The next call returns the estimate of robot 0."""
-    lockstep = lockstep_without_robot_1()
-    assert lockstep.estimates({2}).keys() == {2}
-    assert lockstep.estimates({0}).keys() == {0}
+    """The estimate of robot 0 is on the bus before that of robot 2, for which the driver waits first.
+
+    The next call returns the estimate of robot 0.
+    """
+    lockstep = Lockstep(Wire(node(0), node(2)), timeout=0.02)
+    lockstep.observe({0: Observation.WHITE, 2: Observation.WHITE})
+    estimates_waited_for_first = lockstep.estimates({2})
+    estimates_waited_for_next = lockstep.estimates({0})
+    assert estimates_waited_for_first.keys() == {2}
+    assert estimates_waited_for_next.keys() == {0}
 
 
 @still()
@@ -289,18 +308,24 @@ def test_an_estimate_of_the_last_tick_is_not_taken_for_one_of_this_tick() -> Non
 def test_a_robot_can_be_driven_by_a_second_driver_without_a_restart() -> None:
     """Each driver counts its ticks from 0. The robot has done all six ticks of both."""
     robot = node(1)
-    drive_robot_1(Lockstep(Wire(robot), timeout=0.02), ticks=3)
-    drive_robot_1(Lockstep(Wire(robot), timeout=0.02), ticks=3)
-    assert robot.ticks == 6
+    first_driver = Lockstep(Wire(robot), timeout=0.02)
+    drive_robot_1(first_driver, ticks=3)
+    second_driver = Lockstep(Wire(robot), timeout=0.02)
+    drive_robot_1(second_driver, ticks=3)
+    assert robot.ticks == 3 + 3
 
 
 @still()
 def test_a_robot_that_restarts_while_it_is_driven_is_an_error() -> None:
-    """LockstepError says that the transfer_id of its answer, which is 0 again, is not the next one."""
+    """It answers ticks 0 to 2 with the transfer_ids 0 to 2. After its restart it answers tick 3 with 0 again.
+
+    LockstepError says that 3 would be the next transfer_id.
+    """
     wire = Wire(node(1))
     lockstep = Lockstep(wire, timeout=0.02)
     drive_robot_1(lockstep, ticks=3)
-    wire.nodes = [node(1)]  # a new one in its place
+    restarted_robot = node(1)
+    wire.nodes = [restarted_robot]
 
     with pytest.raises(LockstepError, match=r"in tick 3 with transfer_id 0, not 3 .*restarted"):
         drive_robot_1(lockstep, ticks=1)
@@ -314,10 +339,13 @@ def stop_waiting() -> None:
     raise StopWaitingError
 
 
-@pytest.mark.parametrize("kind_of_wire", [Wire, EndlessWire])
+@pytest.mark.parametrize("kind_of_wire", [Wire, EndlessWire], ids=["quiet bus", "busy bus"])
 @still()
 def test_the_caller_can_end_the_wait_for_heartbeats_and_for_answers(kind_of_wire: type[Wire]) -> None:
-    """The error of its ``check`` ends the wait. Robot 2 is missing, on a quiet bus or on a busy one."""
+    """The driver calls ``check``, a function of the caller, while it waits. Its error ends the wait.
+
+    Robot 2 is not on the bus, and the timeouts are 1e9 s. On a busy bus another node sends without end.
+    """
     lockstep = Lockstep(kind_of_wire(node(1)), timeout=1e9, check=stop_waiting)
     with pytest.raises(StopWaitingError):
         lockstep.wait_until_up({2}, timeout=1e9)
@@ -330,13 +358,11 @@ def test_the_caller_can_end_the_wait_for_heartbeats_and_for_answers(kind_of_wire
 @still()
 def test_a_wait_ends_after_twice_the_time_on_a_bus_that_is_never_quiet() -> None:
     """The time limit is 1 s, and the error comes after 2 s. Another node sends every 0.01 s without end."""
+    endless_wire = EndlessWire(node(1))
     start = CLOCK.now
     with pytest.raises(LockstepError, match="robot 3 did not send a heartbeat within 1 s"):
-        Lockstep(EndlessWire(node(1))).wait_until_up({3}, timeout=1.0)
+        Lockstep(endless_wire).wait_until_up({3}, timeout=1.0)
     assert 2 <= CLOCK.now - start < 2.1
-
-
-THREE_ROBOTS = (1, 2, 3)
 
 
 def is_for_robot_2_in_tick_7(command: Command, action: str) -> bool:
@@ -347,27 +373,24 @@ def is_for_robot_2_in_tick_7(command: Command, action: str) -> bool:
 def wire_that_loses_commands_to_robot_2_in_tick_7(action: str) -> LossyWire:
     """Return a wire to three robots that loses commands with this action each time they are sent."""
     return LossyWire(
-        *map(node, THREE_ROBOTS),
+        node(1),
+        node(2),
+        node(3),
         is_lost=lambda command, times_sent: is_for_robot_2_in_tick_7(command, action),
     )
 
 
-def wire_that_loses_eighth_answers() -> LossyWire:
-    """Return a wire to three robots that loses the eighth telemetry of each, which ends tick 7."""
-    return LossyWire(*map(node, THREE_ROBOTS), is_lost=lambda command, times_sent: False, lost_telemetry=8)
-
-
-def drive_three_robots(wire: Wire) -> None:
+def drive_robots_1_to_3(wire: Wire) -> None:
     """Drive the three robots on a wire for 10 ticks."""
     lockstep = Lockstep(wire, timeout=0.02)
     for _ in range(10):
-        lockstep.observe(dict.fromkeys(THREE_ROBOTS, Observation.WHITE))
-        lockstep.estimates(THREE_ROBOTS)
-        lockstep.settle(THREE_ROBOTS)
+        lockstep.observe({1: Observation.WHITE, 2: Observation.WHITE, 3: Observation.WHITE})
+        lockstep.estimates({1, 2, 3})
+        lockstep.settle({1, 2, 3})
 
 
 @pytest.mark.parametrize(
-    ("action", "message"),
+    ("lost_action", "expected_message"),
     [
         ("OBSERVE", "robot 2 did not broadcast its estimate within"),
         ("SETTLE", "robot 2 did not settle within"),
@@ -375,25 +398,32 @@ def drive_three_robots(wire: Wire) -> None:
 )
 @still()
 def test_a_command_that_is_lost_is_sent_twice_before_the_robot_is_named_in_the_error(
-    action: str, message: str
+    lost_action: str, expected_message: str
 ) -> None:
-    """Both commands to robot 2 in tick 7 are lost. Then LockstepError names robot 2."""
-    wire = wire_that_loses_commands_to_robot_2_in_tick_7(action)
+    """A command to robot 2 in tick 7, to observe or to settle, is lost both times that it is sent.
 
-    with pytest.raises(LockstepError, match=message):
-        drive_three_robots(wire)
+    Then LockstepError names robot 2. Robots 1 to 3 are driven.
+    """
+    wire = wire_that_loses_commands_to_robot_2_in_tick_7(lost_action)
 
-    lost_frames = [frame for frame in wire.sent if is_for_robot_2_in_tick_7(decode(frame), action)]
+    with pytest.raises(LockstepError, match=expected_message):
+        drive_robots_1_to_3(wire)
+
+    lost_frames = [frame for frame in wire.sent if is_for_robot_2_in_tick_7(decode(frame), lost_action)]
     assert len(lost_frames) == 2
 
 
 @still()
 def test_the_driver_waits_for_an_answer_instead_of_reading_again_and_again() -> None:
-    """The driver waits 0.02 s in all, with fewer than 1000 reads. The clock goes on only while it waits."""
-    wire, start = wire_that_loses_commands_to_robot_2_in_tick_7("SETTLE"), CLOCK.now
+    """Robot 2 does not answer in tick 7. The driver waits 0.02 s for it, its time limit.
+
+    The clock goes on only while the driver waits. In all 8 ticks it reads fewer than 1000 times.
+    """
+    wire = wire_that_loses_commands_to_robot_2_in_tick_7("SETTLE")
+    start = CLOCK.now
 
     with pytest.raises(LockstepError, match="robot 2 did not settle"):
-        drive_three_robots(wire)
+        drive_robots_1_to_3(wire)
 
     assert wire.read_count < 1000
     assert 0.02 <= CLOCK.now - start < 0.021
@@ -401,17 +431,18 @@ def test_the_driver_waits_for_an_answer_instead_of_reading_again_and_again() -> 
 
 @still()
 def test_an_answer_that_is_lost_is_an_error_and_does_not_make_a_robot_settle_twice() -> None:
-    """The answers of three robots to the command to end tick 7, their eighth ones, are lost.
+    """A robot answers a command to end a tick with telemetry. The eighth telemetry of each is lost.
 
-    They get the command once more, and do not obey and answer it again. LockstepError names all three.
+    They get the command to end tick 7 once more, and neither obey it nor answer it again. LockstepError names
+    all three.
     """
-    wire = wire_that_loses_eighth_answers()
+    wire = LossyWire(node(1), node(2), node(3), lost_telemetry=8)
 
     with pytest.raises(LockstepError, match="robot 1, 2, 3 did not settle within"):
-        drive_three_robots(wire)
+        drive_robots_1_to_3(wire)
 
     for robot in wire.nodes:
-        assert robot.ticks == 8, "ticks 0 to 7"
+        assert robot.ticks == 8, "ticks that it has done, 0 to 7"
         assert robot.sent.telemetry == 8
         assert robot.disobeyed == 1, "the repeated command"
 
@@ -420,7 +451,8 @@ def test_an_answer_that_is_lost_is_an_error_and_does_not_make_a_robot_settle_twi
 def test_a_robot_ends_a_tick_that_was_left_open_when_it_observes_again() -> None:
     """The robot gets no command to end tick 0, nor one to end tick 1, which is followed by tick 8.
 
-    It broadcasts an estimate in every second tick that it takes part in.
+    ``leave_open`` lets the driver go on by a number of ticks without such a command. The robot broadcasts an
+    estimate in every second tick that it takes part in, which is tick 1.
     """
     robot = node(1, comms_period=2)
     wire = Wire(robot)
@@ -441,12 +473,16 @@ def test_a_robot_ends_a_tick_that_was_left_open_when_it_observes_again() -> None
 
 def test_a_robot_with_the_id_of_the_driver_is_refused() -> None:
     """The simulator, which drives robots, has the id 126. The error names it."""
+    lockstep = Lockstep(Wire())
     with pytest.raises(UsageError, match="robot 126 has the id of the simulator"):
-        Lockstep(Wire()).observe({126: Observation.WHITE})
+        lockstep.observe({126: Observation.WHITE})
 
 
 def test_two_kinds_of_messages_with_the_same_subject_number_are_refused() -> None:
-    """Telemetry has the subject 3001. The error lists the subjects of estimates, telemetry and commands."""
+    """Estimates get the subject 3001, which telemetry has by default; commands have 3002.
+
+    The error lists all three.
+    """
     with pytest.raises(UsageError, match=r"subjects \[3001, 3001, 3002\]; choose three different"):
         Subjects(estimates=FrameFormat(3001))
 
