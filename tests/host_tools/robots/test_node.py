@@ -41,10 +41,11 @@ ESTIMATE_IDENTIFIER = 0x106BB82A
 
 
 def test_the_specification_states_the_mask_by_which_a_receiver_filters_frames() -> None:
-    """The mask has the bits that the identifiers of all estimates share."""
+    """The mask has the bits that all estimates share in their identifiers. docs/design.md has it."""
+    (filter_for_estimates,) = filters_for(FrameFormat(subject=3000))
+    mask = filter_for_estimates["can_mask"]
     page = (ROOT / "docs/design.md").read_text(encoding="utf-8")
-    (frame_filter,) = filters_for(ESTIMATE_FORMAT)
-    assert f"mask `0x{frame_filter['can_mask']:08X}`" in page
+    assert f"mask `0x{mask:08X}`" in page
 
 
 def draw_frames_near_estimates(count: int) -> list[can.Message]:
@@ -70,7 +71,10 @@ def can_decode(frame: can.Message) -> bool:
 
 
 def test_a_robot_s_filters_pass_the_frames_that_it_can_decode_and_no_others() -> None:
-    """The driver of a bus applies the filters to identifiers alone. 5000 frames are drawn."""
+    """5000 frames are drawn, many of them with an identifier like that of an estimate but for a bit.
+
+    The filters, for estimates and commands, look at identifiers alone.
+    """
     frames = draw_frames_near_estimates(5000)
     with can.Bus(interface="virtual", channel="filters", ignore_config=True) as bus:
         bus.set_filters(filters_for(ESTIMATE_FORMAT, COMMAND_FORMAT))
@@ -95,27 +99,32 @@ def frames_of_200_ticks(subject: int) -> list[can.Message]:
 
 
 @pytest.mark.parametrize(
-    ("subject", "times"),
+    ("subject", "expected_times"),
     [
         (HEARTBEATS, list(range(67))),  # the beginning of each second
         (ESTIMATES, [tick / 3 for tick in range(1, 200, 2)]),  # the last tick of each round
         (TELEMETRY, [ticks_ended / 3 for ticks_ended in range(1, 201)]),  # the end of each tick
     ],
 )
-def test_a_node_sends_each_kind_of_frames_at_its_times(subject: int, times: list[float]) -> None:
-    """A second has three ticks, and a round has two."""
-    assert [frame.timestamp for frame in frames_of_200_ticks(subject)] == times
+def test_a_node_sends_each_kind_of_frames_at_its_times(subject: int, expected_times: list[float]) -> None:
+    """Heartbeats have the subject 7509, estimates 3000, and telemetry 3001.
+
+    The times are in seconds. A second has three ticks, and a round has two.
+    """
+    times = [frame.timestamp for frame in frames_of_200_ticks(subject)]
+    assert times == expected_times
 
 
 @pytest.mark.parametrize("subject", [HEARTBEATS, ESTIMATES, TELEMETRY])
 def test_the_transfer_ids_of_a_node_s_frames_of_a_subject_count_modulo_32(subject: int) -> None:
     """The transfer_id, in the lowest five bits of the last byte, begins at 0 for each subject."""
     frames = frames_of_200_ticks(subject)
-    transfer_ids = [frame.data[-1] % 32 for frame in frames]
+    last_bytes = [frame.data[-1] for frame in frames]
+    transfer_ids = [byte % 32 for byte in last_bytes]
     assert transfer_ids == [index % 32 for index in range(len(frames))]
 
 
-FRAME = encode_estimate(Estimate(9, 1, 0, 0), FrameFormat())
+FRAME = can.Message(arbitration_id=1)
 SUCCESS, QUEUE_FULL, BUS_DOWN = 0, errno.ENOBUFS, errno.ENETDOWN
 """Error codes of Linux: for a frame that is sent, a bus whose queue is full, and one that is switched off."""
 
@@ -125,6 +134,11 @@ def bus_whose_sends_end_with(*codes: int) -> Mock:
     bus = Mock()
     bus.send.side_effect = cycle(can.CanOperationError("no luck", code) if code else None for code in codes)
     return bus
+
+
+def frames_given_to(bus: Mock) -> list[can.Message]:
+    """Return the frames with which the bus was called to send them, in order."""
+    return [sending.args[0] for sending in bus.send.call_args_list]
 
 
 def bus_that_receives(*frames: can.Message | can.CanError | None) -> Mock:
@@ -146,36 +160,44 @@ def test_a_frame_is_sent_again_until_the_bus_has_room_for_it(pauses: list[float]
     bus = bus_whose_sends_end_with(QUEUE_FULL, QUEUE_FULL, SUCCESS)
     send_all(bus, [first, second], timeout=10)
 
-    tried_frames = [sending.args[0] for sending in bus.send.call_args_list]
-    assert tried_frames == [first, first, first, second, second, second]
-    assert len(pauses) == 2 * 2
+    assert frames_given_to(bus) == [first, first, first, second, second, second]
+    assert len(pauses) == 2 * 2, "two failures of each of two frames"
 
 
 def test_frames_do_not_wait_for_a_bus_that_is_down(pauses: list[float]) -> None:
     """The queue is full at the first attempt. At the second the bus is down, and its error is raised."""
+    bus = bus_whose_sends_end_with(QUEUE_FULL, BUS_DOWN)
     with pytest.raises(can.CanOperationError, match="no luck"):
-        send_all(bus_whose_sends_end_with(QUEUE_FULL, BUS_DOWN), [FRAME], timeout=10)
+        send_all(bus, [FRAME], timeout=10)
+    assert frames_given_to(bus) == [FRAME, FRAME]
 
 
 def test_frames_do_not_wait_longer_than_the_timeout_for_a_bus_that_stays_full(pauses: list[float]) -> None:
-    """The timeout of 0 s is over after an attempt, and CanTimeoutError is raised."""
+    """The timeout of 0 s is over after the first attempt, and CanTimeoutError is raised."""
+    bus = bus_whose_sends_end_with(QUEUE_FULL)
     with pytest.raises(can.CanTimeoutError, match="the bus took no frame for 0 s"):
-        send_all(bus_whose_sends_end_with(QUEUE_FULL), [FRAME], timeout=0)
+        send_all(bus, [FRAME], timeout=0)
 
 
 def test_a_link_that_survives_failures_counts_the_frames_that_it_could_not_send() -> None:
     """The bus takes the first and the last of four frames, as ``send`` returns, and ``failures`` is 2."""
-    link = BusLink(bus_whose_sends_end_with(SUCCESS, BUS_DOWN, BUS_DOWN, SUCCESS), endures=True)
+    bus = bus_whose_sends_end_with(SUCCESS, BUS_DOWN, BUS_DOWN, SUCCESS)
+    link = BusLink(bus, endures=True)
 
-    assert [link.send(FRAME) for _ in range(4)] == [True, False, False, True]
+    is_taken = [link.send(FRAME) for _ in range(4)]
+    assert is_taken == [True, False, False, True]
     assert link.failures == 2
 
 
 def test_a_link_that_survives_failures_pauses_when_it_cannot_receive(pauses: list[float]) -> None:
-    """It returns None after 0.1 s, so that it does not ask a bus that is down again and again."""
-    link = BusLink(bus_that_receives(can.CanOperationError("down", BUS_DOWN)), endures=True)
+    """It returns None after 0.1 s, so that it does not ask a bus that is down again and again.
 
-    assert link.receive(9) is None
+    The caller would wait for 9 s. The failure is counted.
+    """
+    bus = bus_that_receives(can.CanOperationError("down", BUS_DOWN))
+    link = BusLink(bus, endures=True)
+
+    assert link.receive(seconds=9) is None
     assert link.failures == 1
     assert pauses == [0.1]
 
@@ -183,7 +205,7 @@ def test_a_link_that_survives_failures_pauses_when_it_cannot_receive(pauses: lis
 def test_a_link_waits_at_most_a_tenth_of_a_second_for_a_frame() -> None:
     """The caller would wait for 9 s, but a signal to end must be noticed soon."""
     bus = bus_that_receives(None)
-    BusLink(bus).receive(9)
+    BusLink(bus).receive(seconds=9)
     assert bus.recv.call_args == call(0.1)
 
 
@@ -192,42 +214,50 @@ def test_a_link_does_not_receive_its_own_frames() -> None:
     sent_frame, received_frame = can.Message(is_rx=False), can.Message(is_rx=True)
     link = BusLink(bus_that_receives(sent_frame, received_frame))
 
-    assert link.receive(0) is None
-    assert link.receive(0) is received_frame
+    assert link.receive(seconds=0) is None
+    assert link.receive(seconds=0) is received_frame
 
 
 def test_a_link_logs_what_was_sent_and_received_and_the_time_of_sending() -> None:
-    """The log has the frame that was sent, not the second one, which failed, and then the received one."""
+    """The log has the frame that was sent, not the second one, which failed, and then the received one.
+
+    The sent frame had a time of 0, and gets the time of day.
+    """
     log: list[can.Message] = []
-    received_frame = can.Message(is_rx=True)
+    sent_frame = can.Message(arbitration_id=1, timestamp=0.0)
+    failed_frame = can.Message(arbitration_id=2)
+    received_frame = can.Message(arbitration_id=3, is_rx=True)
     bus = bus_whose_sends_end_with(SUCCESS, BUS_DOWN)
     bus.recv.return_value = received_frame
     link = BusLink(bus, endures=True, log=log.append)
 
-    link.send(FRAME)
-    link.send(FRAME)
-    link.receive(0)
+    link.send(sent_frame)
+    link.send(failed_frame)
+    link.receive(seconds=0)
 
-    assert log == [FRAME, received_frame]
-    logged_frame, _ = log
-    assert abs(logged_frame.timestamp - time.time()) < PATIENCE, "seconds since the frame was sent"
+    assert log == [sent_frame, received_frame]
+    seconds_since_sending = time.time() - sent_frame.timestamp
+    assert abs(seconds_since_sending) < PATIENCE
 
 
 def test_a_late_node_catches_up_with_all_frames_that_wait() -> None:
-    """Two frames wait, and are passed on. The timeout is 0, so that a third one is not waited for."""
-    frame = can.Message(is_rx=True)
-    bus = bus_that_receives(frame, frame, None, frame)
+    """Two frames wait, and are passed on. The timeout is 0, so that a later one is not waited for."""
+    first, second, later = (can.Message(arbitration_id=number, is_rx=True) for number in (1, 2, 3))
+    no_frame_waits = None
+    bus = bus_that_receives(first, second, no_frame_waits, later)
     received_frames: list[can.Message] = []
     BusLink(bus).catch_up(received_frames.append)
 
-    assert received_frames == [frame, frame]
-    assert bus.recv.call_args == call(0)
+    assert received_frames == [first, second]
+    assert bus.recv.call_args == call(0), "timeout of the last call, in seconds"
 
 
 def test_a_bus_that_fails_ends_the_run_of_a_node() -> None:
-    """``run_node`` raises nothing. The outcome has the error, with the code 100 of a bus that is down."""
-    bus = bus_whose_sends_end_with(SUCCESS)
-    bus.recv.side_effect = can.CanOperationError("no luck", BUS_DOWN)
+    """The bus cannot receive, but ``run_node`` raises nothing. The outcome has the error.
+
+    100 is the code that Linux has for a bus that is down.
+    """
+    bus = bus_that_receives(can.CanOperationError("no luck", error_code=100))
     outcome = run_node(node(5), BusLink(bus))
     assert outcome == RunOutcome("the bus failed: no luck [Error Code 100]", has_failed=True)
 
