@@ -27,13 +27,15 @@ ALPHA_WORD = 0x9ABCDE05
 
 
 def estimate(x_hat: int = X_HAT, alpha_word: int = ALPHA_WORD) -> can.Message:
+    """Return the frame of an estimate of robot 5."""
     return encode_estimate(Estimate(sender=5, x_hat=x_hat, alpha=alpha_word, transfer_id=0), FrameFormat())
 
 
-def estimate_with_alpha_bits(bits: int) -> can.Message:
-    """Return an estimate with these binary32 bits as its alpha, also those that no encoder writes."""
+def estimate_with_float32_alpha(exponent: int, mantissa: int) -> can.Message:
+    """Return an estimate with this float32 as its alpha, also with bits that no encoder writes."""
     frame = estimate()
-    frame.data[3:7] = bits.to_bytes(4, "little")  # after the three bytes of x_hat
+    float32_bits = (exponent << 23) | mantissa
+    frame.data[3:7] = float32_bits.to_bytes(4, "little")  # after the three bytes of x_hat
     return frame
 
 
@@ -51,18 +53,18 @@ def new_comparison() -> Comparison:
     return Comparison(Subjects(), first_heartbeat=heartbeat())
 
 
-def comparison_after_a_tick() -> Comparison:
+def comparison_after_telemetry() -> Comparison:
     """Return a comparison that has received telemetry, as the controller sends it at the end of a tick."""
     comparison = new_comparison()
     assert comparison.check([telemetry()], [telemetry()]) is None
     return comparison
 
 
-def difference(received: list[can.Message], expected: list[can.Message]) -> Difference:
-    """Return the difference that a new comparison finds."""
-    found_difference = new_comparison().check(received, expected)
-    assert found_difference is not None
-    return found_difference
+def difference_between(*, received: list[can.Message], expected: list[can.Message]) -> Difference:
+    """Return the difference that a new comparison finds, without telemetry before. Fails if there is none."""
+    difference = new_comparison().check(received, expected)
+    assert difference is not None
+    return difference
 
 
 # --- Hints ---
@@ -70,11 +72,11 @@ def difference(received: list[can.Message], expected: list[can.Message]) -> Diff
 
 def hint_of(received: can.Message, expected: can.Message) -> str:
     """Return the hint at the cause of the difference between two frames."""
-    return difference([received], [expected]).hint
+    return difference_between(received=[received], expected=[expected]).hint
 
 
 @pytest.mark.parametrize(
-    ("received", "expected", "hint"),
+    ("received_x_hat", "expected_x_hat", "expected_hint"),
     [
         (0x563412, 0x123456, "its 3 bytes are in reverse order"),
         (2 * 0x123456, 0x123456, "it is 2 times what it should be"),
@@ -86,20 +88,25 @@ def hint_of(received: can.Message, expected: can.Message) -> str:
     ],
 )
 def test_an_x_hat_in_reverse_order_or_off_by_a_power_of_two_gets_a_hint_at_that(
-    received: int, expected: int, hint: str
+    received_x_hat: int, expected_x_hat: int, expected_hint: str
 ) -> None:
     """x_hat is a robot's own estimate, of three bytes. Other differences in it get no hint: it is empty."""
-    assert hint_of(received=estimate(received), expected=estimate(expected)) == hint
+    hint = hint_of(received=estimate(received_x_hat), expected=estimate(expected_x_hat))
+    assert hint == expected_hint
 
 
-@pytest.mark.parametrize("alpha_word", [ALPHA_WORD + 256, 0])
-def test_an_alpha_with_another_mantissa_gets_no_hint(alpha_word: int) -> None:
-    """The hint is empty. The mantissa is in the upper 24 bits of the firmware's word, so 256 is its unit."""
-    assert hint_of(received=estimate(alpha_word=alpha_word), expected=estimate(alpha_word=ALPHA_WORD)) == ""
+@pytest.mark.parametrize("received_alpha_word", [0x9ABCDF05, 0])
+def test_an_alpha_with_another_mantissa_gets_no_hint(received_alpha_word: int) -> None:
+    """The mantissa is the upper 24 bits of the firmware's word. It is expected to be 0x9ABCDE.
+
+    It is larger by 1, or 0. The hint is empty.
+    """
+    received, expected = estimate(alpha_word=received_alpha_word), estimate(alpha_word=0x9ABCDE05)
+    assert hint_of(received, expected) == ""
 
 
 @pytest.mark.parametrize(
-    ("received_exponent", "expected_exponent", "hint"),
+    ("received_exponent", "expected_exponent", "expected_hint"),
     [
         (1, 2, "it is 0.5 times what it should be"),
         (254, 253, "it is 2 times what it should be"),
@@ -108,53 +115,58 @@ def test_an_alpha_with_another_mantissa_gets_no_hint(alpha_word: int) -> None:
     ],
 )
 def test_an_alpha_that_is_half_or_twice_the_expected_one_gets_the_factor_as_a_hint(
-    received_exponent: int, expected_exponent: int, hint: str
+    received_exponent: int, expected_exponent: int, expected_hint: str
 ) -> None:
     """alpha is a float32. Its exponent is one higher or lower than expected, and its mantissa is the same.
 
     A number with the lowest or the highest exponent, 0 or 255, is no normal one, and gets no hint.
     """
-    mantissa = 0x345678
-    received = estimate_with_alpha_bits((received_exponent << 23) | mantissa)
-    expected = estimate_with_alpha_bits((expected_exponent << 23) | mantissa)
-    assert hint_of(received, expected) == hint
+    received = estimate_with_float32_alpha(exponent=received_exponent, mantissa=0x345678)
+    expected = estimate_with_float32_alpha(exponent=expected_exponent, mantissa=0x345678)
+    assert hint_of(received, expected) == expected_hint
 
 
 def test_a_number_of_updates_that_is_half_of_the_expected_one_gets_no_hint() -> None:
     """The hint is empty, as a value of few bits is half of another too easily."""
-    found_difference = difference(received=[telemetry(updates=2)], expected=[telemetry(updates=4)])
-    assert found_difference.field == "updates"
-    assert found_difference.hint == ""
+    difference = difference_between(received=[telemetry(updates=2)], expected=[telemetry(updates=4)])
+    assert difference.field == "updates"
+    assert difference.hint == ""
 
 
 def test_the_hint_is_about_the_first_frame_that_differs() -> None:
-    """The first received frame is right, the second has twice the x_hat, and the third four times."""
-    received = [estimate(), estimate(2 * X_HAT), estimate(4 * X_HAT)]
-    found_difference = difference(received=received, expected=[estimate(), estimate()])
-    assert found_difference.hint == "it is 2 times what it should be"
+    """The first received frame is right, the second has twice the x_hat, and the third four times.
+
+    Two frames are expected, so the third is too much as well.
+    """
+    right_frame = estimate(0x123456)
+    received = [right_frame, estimate(2 * 0x123456), estimate(4 * 0x123456)]
+    difference = difference_between(received=received, expected=[right_frame, right_frame])
+    assert difference.hint == "it is 2 times what it should be"
 
 
 def test_the_text_of_a_difference_ends_with_the_hint() -> None:
     """An x_hat is shown as it is sent, and as a number: 0x123456 is 0.1422222 * 2**23."""
-    text = str(difference(received=[estimate(2 * X_HAT)], expected=[estimate()]))
+    difference = difference_between(received=[estimate(2 * 0x123456)], expected=[estimate(0x123456)])
+    text = str(difference)
     assert text.startswith("estimate, x_hat: expected 106BB805 transfer_id 0, x_hat 0x123456 (0.1422222), ")
     assert text.endswith("; it is 2 times what it should be")
 
 
 def test_the_text_of_a_difference_without_a_hint_ends_with_the_received_frames() -> None:
     """The received x_hat is too large by 1, for which there is no hint."""
-    found_difference = difference(received=[estimate(X_HAT + 1)], expected=[estimate()])
-    assert str(found_difference).endswith(f", got {found_difference.received}")
+    difference = difference_between(received=[estimate(0x123457)], expected=[estimate(0x123456)])
+    assert str(difference).endswith(f", got {difference.received}")
 
 
 # --- What differs ---
 
 
 def test_a_b_hat_is_described_as_a_fraction() -> None:
-    """The b_hat 0xC00000, in units of 2**-24, is described as 0.75."""
-    found_difference = difference(received=[telemetry(b_hat=0xC00000)], expected=[telemetry()])
-    assert found_difference.field == "b_hat"
-    assert "b_hat 0xc00000 (0.7500000)" in found_difference.received
+    """The received b_hat 0xC00000, in units of 2**-24, is described as 0.75."""
+    received, expected = telemetry(b_hat=0xC00000), telemetry(b_hat=0xABCDEF)
+    difference = difference_between(received=[received], expected=[expected])
+    assert difference.field == "b_hat"
+    assert "b_hat 0xc00000 (0.7500000)" in difference.received
 
 
 def test_equal_frames_are_counted_by_kind() -> None:
@@ -166,66 +178,74 @@ def test_equal_frames_are_counted_by_kind() -> None:
 
 
 def test_a_difference_names_three_frames_too_many_and_the_number_of_the_others() -> None:
-    """Five frames are received where none is expected, so the text names three "and 2 more"."""
+    """Five telemetry frames are received where none is expected, so the text names three "and 2 more"."""
     five_frames = [telemetry(updates) for updates in range(5)]
-    found_difference = difference(received=five_frames, expected=[])
-    assert found_difference.field == "extra"
-    assert found_difference.expected == "nothing"
-    assert found_difference.received.endswith(" and 2 more")
+    difference = difference_between(received=five_frames, expected=[])
+    assert difference.field == "extra"
+    assert difference.expected == "nothing"
+    assert difference.received.endswith(" and 2 more")
 
 
 def test_a_remote_frame_is_described_by_its_raw_data() -> None:
     """A remote frame asks for data but carries no data. So it is described by its identifier and an R."""
     remote_frame = can.Message(arbitration_id=estimate().arbitration_id, is_remote_frame=True)
-    found_difference = difference(received=[remote_frame], expected=[estimate()])
-    assert found_difference.field == "frame"
-    assert found_difference.received == "106BB805#R"
+    difference = difference_between(received=[remote_frame], expected=[estimate()])
+    assert difference.field == "frame"
+    assert difference.received == "106BB805#R"
 
 
 def test_an_estimate_before_the_heartbeat_is_a_difference_once_telemetry_was_received() -> None:
     """The difference says that the heartbeat was expected first."""
-    received, expected = [estimate(), heartbeat(1)], [heartbeat(1), estimate()]
-    text = str(comparison_after_a_tick().check(received, expected))
-    assert text == "estimate, order: expected the heartbeat first, got it before the heartbeat"
+    comparison = comparison_after_telemetry()
+    difference = comparison.check(
+        received=[estimate(), heartbeat(uptime=1)], expected=[heartbeat(uptime=1), estimate()]
+    )
+    assert str(difference) == "estimate, order: expected the heartbeat first, got it before the heartbeat"
 
 
 def test_an_estimate_before_the_heartbeat_is_no_difference_before_telemetry_was_received() -> None:
     """The heartbeat was expected first, but a controller that is starting may send it at any time."""
-    received, expected = [estimate(), heartbeat(1)], [heartbeat(1), estimate()]
-    assert new_comparison().check(received, expected) is None
+    difference = new_comparison().check(
+        received=[estimate(), heartbeat(uptime=1)], expected=[heartbeat(uptime=1), estimate()]
+    )
+    assert difference is None
 
 
 def test_the_heartbeat_with_which_a_controller_starts_may_come_several_times_before_telemetry() -> None:
-    """It comes twice in place of never, but there is no difference, as each reset sends it again."""
+    """It comes twice where none is expected, but there is no difference, as each reset sends it again."""
     received = [heartbeat(uptime=0), heartbeat(uptime=0), telemetry()]
-    assert new_comparison().check(received, expected=[telemetry()]) is None
+    difference = new_comparison().check(received, expected=[telemetry()])
+    assert difference is None
 
 
 def test_the_heartbeat_with_which_a_controller_starts_is_a_difference_after_telemetry() -> None:
     """It is reported as "extra": the controller has started anew meanwhile."""
-    found_difference = comparison_after_a_tick().check(received=[heartbeat()], expected=[])
-    assert found_difference is not None
-    assert found_difference.field == "extra"
+    difference = comparison_after_telemetry().check(received=[heartbeat(uptime=0)], expected=[])
+    assert difference is not None
+    assert difference.field == "extra"
 
 
 @pytest.mark.parametrize(
-    ("health", "is_advisory_allowed", "field"),
+    ("received_health", "is_advisory_allowed", "expected_field"),
     [(Health.ADVISORY, True, None), (Health.ADVISORY, False, "health"), (Health.CAUTION, True, "health")],
 )
 def test_a_heartbeat_with_a_worse_health_is_a_difference_unless_it_is_advisory_and_that_is_allowed(
-    health: Health, is_advisory_allowed: bool, field: str | None
+    received_health: Health, is_advisory_allowed: bool, expected_field: str | None
 ) -> None:
     """Nominal is expected. Advisory is the next worse health, and caution is worse than both.
 
-    ``field`` is the field that differs, or None if there is no difference.
+    ``expected_field`` is the field that differs, or None if there is no difference.
     """
-    comparison = comparison_after_a_tick()
+    comparison = comparison_after_telemetry()
     comparison.is_advisory_allowed = is_advisory_allowed
 
-    found_difference = comparison.check(received=[heartbeat(1, health)], expected=[heartbeat(1)])
+    difference = comparison.check(
+        received=[heartbeat(uptime=1, health=received_health)],
+        expected=[heartbeat(uptime=1, health=Health.NOMINAL)],
+    )
 
-    found_field = None if found_difference is None else found_difference.field
-    assert found_field == field
+    field = None if difference is None else difference.field
+    assert field == expected_field
 
 
 # --- Senders ---
@@ -233,10 +253,12 @@ def test_a_heartbeat_with_a_worse_health_is_a_difference_unless_it_is_advisory_a
 
 def test_a_frame_is_from_the_robot_in_its_identifier() -> None:
     """``is_from`` is true for robot 5, which has sent the estimate, and false for robot 6."""
-    assert is_from(estimate(), robot=5)
-    assert not is_from(estimate(), robot=6)
+    estimate_of_robot_5 = estimate()
+    assert is_from(estimate_of_robot_5, robot=5)
+    assert not is_from(estimate_of_robot_5, robot=6)
 
 
 def test_a_frame_with_an_11_bit_identifier_is_from_no_robot() -> None:
     """The lowest 7 bits of the identifier are 5, but robots send frames with identifiers of 29 bits."""
-    assert not is_from(can.Message(arbitration_id=5, is_extended_id=False), robot=5)
+    frame_with_11_bit_identifier = can.Message(arbitration_id=5, is_extended_id=False)
+    assert not is_from(frame_with_11_bit_identifier, robot=5)

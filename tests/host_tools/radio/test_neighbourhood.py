@@ -43,10 +43,17 @@ pytestmark = pytest.mark.usefixtures("private_setup")
 # --- Neighbours in lockstep ---
 
 
-CRASHES_OF_TWO_ROBOTS = "crash,robots={},from=30,to=35 crash,robots={},from=40,to=60,rejoin=restored"
-"""Crashes of two robots, whose ids are filled in: one comes back as a new robot, the other restored."""
-FIVE_ROBOTS = SwarmSettings(robots=5, flawed=0.6, fill_ratio=0.9, filter_period=20, steps=120, seed=4)
-FIVE_MOVING_ROBOTS = replace(FIVE_ROBOTS, topology="dynamic", density=4)
+def crashes_of(*, robot_that_becomes_new: int, robot_that_is_restored: int) -> str:
+    """Return the faults by which two robots crash and come back."""
+    first_crash = f"crash,robots={robot_that_becomes_new},from=30,to=35"
+    second_crash = f"crash,robots={robot_that_is_restored},from=40,to=60,rejoin=restored"
+    return f"{first_crash} {second_crash}"
+
+
+FIVE_ROBOTS_IN_RANGE = SwarmSettings(
+    robots=5, flawed=0.6, fill_ratio=0.9, filter_period=20, steps=120, seed=4
+)
+FIVE_MOVING_ROBOTS = replace(FIVE_ROBOTS_IN_RANGE, topology="dynamic", density=4)
 """Robots that move, and receive from those in range alone."""
 IDS = (3, 10, 11, 40, 90)
 """Ids of a controller and its neighbours, in place of the ids 0 to 4 of a swarm."""
@@ -58,13 +65,13 @@ def state_of(robot: object) -> dict[str, int]:
     return robot.state() | vars(robot.counters) | {"id": 0}
 
 
-def states_in_a_swarm(world: SwarmSettings) -> list[dict[str, int]]:
+def last_states_in_a_swarm(world: SwarmSettings) -> list[dict[str, int]]:
     """Return the states in which the robots of an emulated swarm end."""
     with Swarm(world, Wiring()) as swarm:
         return [state_of(node.robot) for node in run_swarm(swarm).nodes]
 
 
-def states_around_a_controller(world: SwarmSettings, faults: str) -> list[dict[str, int]]:
+def last_states_around_a_controller(world: SwarmSettings, faults: str) -> list[dict[str, int]]:
     """Run 120 ticks of a controller and its neighbours, and return their last states in the order of IDS."""
     controller_setup, *neighbour_setups = (replace(setup, id=IDS[setup.id]) for setup in world.robot_setups())
     parsed_faults = tuple(map(parse_fault, faults.split()))
@@ -80,17 +87,23 @@ def states_around_a_controller(world: SwarmSettings, faults: str) -> list[dict[s
     return [state_of(node.robot) for node in robots]
 
 
-@pytest.mark.parametrize("world", [FIVE_ROBOTS, FIVE_MOVING_ROBOTS], ids=["all in range", "moving"])
+@pytest.mark.parametrize("world", [FIVE_ROBOTS_IN_RANGE, FIVE_MOVING_ROBOTS], ids=["all in range", "moving"])
 def test_a_controller_and_its_neighbours_compute_what_an_emulated_swarm_of_as_many_robots_computes(
     world: SwarmSettings,
 ) -> None:
-    """All five end in the same states. Two crash: robots 1 and 2, or 10 and 11 around the controller."""
-    crashing_world = replace(world, faults=CRASHES_OF_TWO_ROBOTS.format(1, 2).split())
+    """All five end in the same states, but for their ids, and after the same crashes of two of them.
 
-    states = states_around_a_controller(world, CRASHES_OF_TWO_ROBOTS.format(10, 11))
+    The robots of the swarm are 0 to 4. The controller is robot 3, and its neighbours are 10, 11, 40 and 90.
+    """
+    faults_in_swarm = crashes_of(robot_that_becomes_new=1, robot_that_is_restored=2)
+    faults_around_controller = crashes_of(robot_that_becomes_new=10, robot_that_is_restored=11)
 
-    assert states == states_in_a_swarm(crashing_world)
-    assert any(state["updates"] > 0 for state in states), "no robot has re-estimated its accuracy"
+    states_in_swarm = last_states_in_a_swarm(replace(world, faults=faults_in_swarm.split()))
+    states_around_controller = last_states_around_a_controller(world, faults_around_controller)
+
+    assert states_around_controller == states_in_swarm
+    number_of_updates = sum(state["updates"] for state in states_in_swarm)
+    assert number_of_updates > 0, "no robot has re-estimated its accuracy"
 
 
 def test_neighbours_that_crash_miss_observations_and_send_no_estimates() -> None:
@@ -99,22 +112,23 @@ def test_neighbours_that_crash_miss_observations_and_send_no_estimates() -> None
     Each of the controller's four neighbours broadcasts an estimate in each tick in which it is not dead.
     """
     crashes = "crash,robots=10,from=30,to=35 crash,robots=11,from=40,to=60,rejoin=restored"
-    controller, robot_10, robot_11, *_ = states_around_a_controller(FIVE_ROBOTS, crashes)
+    controller, robot_10, robot_11, _, _ = last_states_around_a_controller(FIVE_ROBOTS_IN_RANGE, crashes)
 
-    assert controller["accepted"] == 4 * 120 - (5 + 20), "estimates that it has received"
+    ticks_in_which_neighbours_are_dead = 5 + 20
+    assert controller["accepted"] == 4 * 120 - ticks_in_which_neighbours_are_dead, "received estimates"
     assert robot_10["t"] == 120 - 35, "observations since it has begun anew, without a memory, in tick 35"
     assert robot_11["t"] == 120 - 20, "observations before and after its crash"
 
 
 def test_a_controller_receives_only_from_neighbours_in_range() -> None:
     """Its four neighbours move, and broadcast in each of 120 ticks. It receives some of the 480 estimates."""
-    controller, *_ = states_around_a_controller(FIVE_MOVING_ROBOTS, faults="")
+    controller, *_neighbours = last_states_around_a_controller(FIVE_MOVING_ROBOTS, faults="")
     assert 120 < controller["accepted"] < 4 * 120, "more estimates than one neighbour sends, but not all"
 
 
 def test_frames_of_neighbours_are_stamped_with_the_time_of_their_tick() -> None:
     """Their times are 0.0 s, 0.1 s and so on, as a second has 10 ticks."""
-    neighbourhood = Neighbourhood(surroundings())
+    neighbourhood = Neighbourhood(surroundings(steps_per_second=10))
     for tick in range(20):
         neighbourhood.begin()
         frames = neighbourhood.finish(controller_frames=[])
@@ -137,18 +151,23 @@ def heartbeats_of_crashing_robot_1(rejoin: str) -> list[tuple[int, int]]:
 
 def test_a_neighbour_that_rejoins_as_a_new_robot_begins_with_uptime_0() -> None:
     """It is dead in ticks 45 and 46. A pair is a heartbeat's tick and uptime in seconds (10 ticks)."""
-    before_crash = [(0, 0), (10, 1), (20, 2), (30, 3), (40, 4)]
-    assert heartbeats_of_crashing_robot_1("new") == [*before_crash, (47, 0), (57, 1)]
+    heartbeats = heartbeats_of_crashing_robot_1(rejoin="new")
+    heartbeats_before_crash = [(0, 0), (10, 1), (20, 2), (30, 3), (40, 4)]
+    assert heartbeats == [*heartbeats_before_crash, (47, 0), (57, 1)]
 
 
 def test_the_uptime_of_a_neighbour_that_rejoins_restored_goes_on_where_it_was() -> None:
-    """It is dead in ticks 45 and 46. Its next heartbeat, of uptime 5 s, comes in tick 52 in place of 50."""
-    before_crash = [(0, 0), (10, 1), (20, 2), (30, 3), (40, 4)]
-    assert heartbeats_of_crashing_robot_1("restored") == [*before_crash, (52, 5)]
+    """A pair is a heartbeat's tick and uptime in seconds (10 ticks). It is dead in ticks 45 and 46.
+
+    So its next heartbeat, of uptime 5 s, comes two ticks late, in tick 52.
+    """
+    heartbeats = heartbeats_of_crashing_robot_1(rejoin="restored")
+    heartbeats_before_crash = [(0, 0), (10, 1), (20, 2), (30, 3), (40, 4)]
+    assert heartbeats == [*heartbeats_before_crash, (52, 5)]
 
 
 @pytest.mark.parametrize(
-    ("controller", "count", "first", "ids"),
+    ("controller", "count", "first", "expected_ids"),
     [
         (3, 1, 0, (0,)),
         (3, 5, 0, (0, 1, 2, 4, 5)),
@@ -157,14 +176,14 @@ def test_the_uptime_of_a_neighbour_that_rejoins_restored_goes_on_where_it_was() 
     ],
 )
 def test_emulated_neighbours_have_the_lowest_allowed_ids_except_the_id_of_the_controller(
-    controller: int, count: int, first: int, ids: tuple[int, ...]
+    controller: int, count: int, first: int, expected_ids: tuple[int, ...]
 ) -> None:
-    """``first`` is the first allowed id, and ``count`` is the number of neighbours."""
-    assert choose_ids(controller, count, first) == ids
+    """``controller`` is its id, ``first`` the first allowed id, and ``count`` the number of neighbours."""
+    assert choose_ids(controller, count, first) == expected_ids
 
 
 @pytest.mark.parametrize(
-    ("count", "first", "complaint"),
+    ("count", "first", "expected_message"),
     [
         (0, 0, "robots is 1; from id 0"),
         (126, 0, "room for 2 to 126"),
@@ -173,9 +192,14 @@ def test_emulated_neighbours_have_the_lowest_allowed_ids_except_the_id_of_the_co
         (1, -1, "first-id is -1"),
     ],
 )
-def test_more_neighbours_than_there_are_ids_are_refused(count: int, first: int, complaint: str) -> None:
-    """The error says how many there is room for. Ids 126 and 127 are for tools, and 3 is the controller."""
-    with pytest.raises(UsageError, match=complaint):
+def test_more_neighbours_than_there_are_ids_are_refused(
+    count: int, first: int, expected_message: str
+) -> None:
+    """The error says how many there is room for from the first allowed id on, the controller counted in.
+
+    Ids 126 and 127 are for tools, and 3 is the controller.
+    """
+    with pytest.raises(UsageError, match=expected_message):
         choose_ids(controller=3, count=count, first=first)
 
 
@@ -194,8 +218,9 @@ def test_neighbours_in_real_time_go_on_when_the_bus_fails_and_count_the_frames_t
 
     assert figures["steps"] == 20
     assert figures["ending"] == "all ticks done"
-    # 4 robots send 20 estimates and 1 heartbeat each. The bus refuses every other frame.
-    assert figures["bus_failures"] == figures["frames_sent"] == 4 * (20 + 1) / 2
+    frames = 4 * (20 + 1)  # 4 robots send 20 estimates and 1 heartbeat each
+    assert figures["frames_sent"] == frames / 2
+    assert figures["bus_failures"] == frames / 2
 
 
 @pytest.fixture(params=[BusLink.catch_up, lambda link, take: None], ids=["at ticks", "between ticks"])
@@ -223,7 +248,10 @@ def run_beside_others(request: pytest.FixtureRequest, monkeypatch: pytest.Monkey
 def test_estimates_on_the_bus_are_counted_as_those_of_the_controller_of_strangers_or_of_a_conflict(
     run_beside_others: RadioRun,
 ) -> None:
-    """Strangers are other robots. Robot 1 is an emulated neighbour, so others under its id are conflicts."""
+    """An estimate of robot 3, the controller, comes, two of robot 1, and three of robots 5, 6 and 100.
+
+    Robots 0, 1, 2 and 4 are emulated here. So those of robot 1 are conflicts, and 5, 6 and 100 are strangers.
+    """
     figures = run_beside_others.figures()
     assert figures["estimates_heard"] == 1, "estimates of the controller, robot 3"
     assert figures["strangers"] == 3, "estimates of robots 5, 6 and 100"
@@ -236,11 +264,16 @@ def test_each_neighbour_receives_the_estimates_of_the_controller_and_of_the_othe
 ) -> None:
     """In 5 ticks each of 4 neighbours accepts 5 estimates of each other one, and one of the controller."""
     nodes = run_beside_others.neighbours.nodes.values()
-    assert [node.counters.accepted for node in nodes] == [3 * 5 + 1] * 4
+    accepted_counts = [node.counters.accepted for node in nodes]
+    of_three_others, of_controller = 3 * 5, 1
+    assert accepted_counts == [of_three_others + of_controller] * 4
 
 
 def test_the_figures_of_a_run_have_the_mean_and_the_range_of_the_neighbours_x() -> None:
-    """``spread_x`` is the largest x less the smallest. It is above 0, as half of the messages are lost."""
+    """``spread_x`` is the largest x less the smallest. It is above 0, as half of the messages are lost.
+
+    There are four neighbours.
+    """
     settings = surroundings(faults="loss=0.5", steps_per_second=1000)
     run = RadioRun(Neighbourhood(settings), BusLink(Wire()), ticks=5)
     run.run()
@@ -248,14 +281,18 @@ def test_the_figures_of_a_run_have_the_mean_and_the_range_of_the_neighbours_x() 
 
     figures = run.figures()
     assert figures["mean_x"] == sum(x_of_neighbours) / 4
-    assert figures["spread_x"] == max(x_of_neighbours) - min(x_of_neighbours) > 0
+    assert figures["spread_x"] == max(x_of_neighbours) - min(x_of_neighbours)
+    assert figures["spread_x"] > 0
 
 
 @pytest.mark.parametrize(("ticks", "is_interrupted"), [(None, False), (1000, True)])
 def test_neighbours_in_real_time_that_are_asked_to_stop_end_in_that_tick(
     ticks: int | None, is_interrupted: bool
 ) -> None:
-    """They stop in tick 3. A run of 1000 ticks counts as interrupted. An endless run (None) does not."""
+    """They are asked in tick 3. A run of 1000 ticks counts as interrupted then.
+
+    An endless run (None) does not, as it has no other end.
+    """
     neighbourhood = Neighbourhood(surroundings(steps_per_second=1000))
     link = BusLink(Wire(), should_stop=lambda: neighbourhood.tick >= 3)
     run = RadioRun(neighbourhood, link, ticks)
@@ -300,20 +337,27 @@ def real_time_run(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> RealTim
 
 
 def test_neighbours_in_real_time_send_the_frames_that_a_fault_spares(real_time_run: RealTimeRun) -> None:
-    """4 robots would send 20 estimates and 1 heartbeat each. The fault removes about half of these frames."""
+    """4 neighbours of robot 3 would send 20 estimates and 1 heartbeat each.
+
+    The fault, a loss of half of the frames, removes some of them, and counts them as injected. All that are
+    left are sent.
+    """
     results = real_time_run.report["results"]
     (loss,) = results["faults"]
 
-    assert results["frames_sent"] == len(real_time_run.frames)
-    assert len(real_time_run.frames) + loss["injected"] == 4 * (20 + 1)
-    # All robots but the controller, robot 3
-    assert {sender_of(frame) for frame in real_time_run.frames} == {0, 1, 2, 4}
+    sent_frames = real_time_run.frames
+    assert results["frames_sent"] == len(sent_frames)
+    assert len(sent_frames) + loss["injected"] == 4 * (20 + 1)
+    assert {sender_of(frame) for frame in sent_frames} == {0, 1, 2, 4}
 
 
 def test_the_report_of_neighbours_in_real_time_is_printed_and_is_beside_the_log(
     real_time_run: RealTimeRun,
 ) -> None:
-    """``mcp-asdf radio --json`` has done 20 ticks, and has printed what is in the file beside the log."""
+    """``mcp-asdf radio --json`` has done 20 ticks, and has printed what is in the file beside its log.
+
+    ``real_time_run`` has both, parsed.
+    """
     assert real_time_run.report["results"]["steps"] == 20
     assert real_time_run.report_in_file == real_time_run.report
 
@@ -321,16 +365,22 @@ def test_the_report_of_neighbours_in_real_time_is_printed_and_is_beside_the_log(
 def test_neighbours_with_perfect_sensors_assume_the_largest_accuracy_that_the_firmware_can_have(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """This accuracy is 1 - 2**-20. Emulated sensors may have an accuracy of 1, but the firmware refuses 1."""
+    """Emulated sensors may have an accuracy of 1, but the firmware refuses 1. So b_hat is 1 - 2**-20.
+
+    There are two neighbours of the controller.
+    """
     options = "--id 3 --robots 3 --steps 1 --steps-per-second 1000 --true-accuracy 1 --json"
     assert radio(options) == 0
-    neighbours = json.loads(capsys.readouterr().out)["parameters"]["neighbours"]
+    parameters = json.loads(capsys.readouterr().out)["parameters"]
 
-    assert [neighbour["b_hat"] for neighbour in neighbours] == [1 - 2**-20, 1 - 2**-20]
+    largest_b_hat = 1 - 2**-20
+    first_neighbour, second_neighbour = parameters["neighbours"]
+    assert first_neighbour["b_hat"] == largest_b_hat
+    assert second_neighbour["b_hat"] == largest_b_hat
 
 
 def test_the_text_of_a_run_in_real_time_has_its_frames_faults_and_conflicts_of_ids() -> None:
-    """The last two lines tell the user that a fault struck, and that an id is taken."""
+    """The figures are those of a run's report. The last two lines are about a fault and a conflict of ids."""
     results = {
         "steps": 20,
         "ending": "all ticks done",
@@ -357,7 +407,7 @@ def test_the_text_of_a_run_in_real_time_has_its_frames_faults_and_conflicts_of_i
     ]
 
 
-COMPLAINTS = {
+MESSAGES_BY_WRONG_ARGUMENTS = {
     "": "--id",
     "--id 3 --robots 1": "robots is 1; from id 0 on there is room for 2 to 126",
     "--id 3 --steps 0": "steps is 0",
@@ -374,10 +424,10 @@ COMPLAINTS = {
 }
 
 
-@pytest.mark.parametrize(("arguments", "complaint"), COMPLAINTS.items())
+@pytest.mark.parametrize(("arguments", "expected_message"), MESSAGES_BY_WRONG_ARGUMENTS.items())
 def test_wrong_arguments_of_radio_are_refused_before_the_first_tick(
     arguments: str,
-    complaint: str,
+    expected_message: str,
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
     tmp_path: Path,
@@ -389,6 +439,6 @@ def test_wrong_arguments_of_radio_are_refused_before_the_first_tick(
     monkeypatch.chdir(tmp_path)
 
     assert radio(arguments) == 2
-    assert complaint in capsys.readouterr().err
+    assert expected_message in capsys.readouterr().err
     assert make_tick.call_count == 0
     assert list(tmp_path.iterdir()) == []
