@@ -12,7 +12,7 @@ from benchmarks import argos
 from support import ROOT
 
 PAGE = ROOT / "docs/platforms/argos.md"
-EXAMPLE = ROOT / "c_ref/examples/argos3"
+ARGOS_EXAMPLE = ROOT / "c_ref/examples/argos3"
 
 
 def shown_table() -> str:
@@ -36,37 +36,44 @@ def shown_medians_in_argos() -> list[tuple[str, str, str]]:
 
 def test_the_stored_results_of_argos_have_three_errors_of_40_seeds_for_each_filter() -> None:
     """tests/data/argos_results.csv keeps what trials in the simulator ARGoS3 gave, which is seldom run."""
-    results = argos.read_results()
+    results_by_filter = argos.read_results()
 
-    assert set(results) >= {"none", "asdf-minus", "asdf-plus"}
-    for errors_by_quantity in results.values():
-        assert [len(errors) for errors in errors_by_quantity.values()] == [40, 40, 40]
+    assert {"none", "asdf-minus", "asdf-plus"} <= set(results_by_filter)
+    for errors_by_quantity in results_by_filter.values():
+        assert len(errors_by_quantity) == 3
+        for errors_of_seeds in errors_by_quantity.values():
+            assert len(errors_of_seeds) == 40
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("filter_name", ["none", "asdf-minus", "asdf-plus"])
 def test_errors_in_argos_and_in_mcp_asdf_simulate_have_one_distribution(filter_name: str) -> None:
-    """If there is one distribution, a difference this large has a probability of at least 1 %."""
-    simulated = argos.simulate(filter_name, trials=50)
-    p_by_quantity = argos.p_values(simulated, argos.read_results()[filter_name])
+    """If there is one distribution, a difference this large has a probability of at least 1 %.
+
+    This probability, p, is computed for each of three kinds of errors. The errors in ARGoS are stored ones.
+    """
+    errors_in_argos = argos.read_results()[filter_name]
+    simulated_errors = argos.simulate(filter_name, trials=50)
+    p_by_quantity = argos.p_values(simulated_errors, errors_in_argos)
     assert min(p_by_quantity.values()) >= 0.01, p_by_quantity
 
 
 @pytest.mark.slow
 def test_the_comparison_with_argos_notices_swarms_with_another_filter_period() -> None:
     """In ARGoS the filter ran every 1000 ticks. With a period of 3000 the probability falls below 0.0001."""
-    simulated = argos.simulate("asdf-minus", trials=50, filter_period=3000)
-    p_by_quantity = argos.p_values(simulated, argos.read_results()["asdf-minus"])
-    assert p_by_quantity["error_in_second_half"] < 1e-4
+    errors_in_argos = argos.read_results()["asdf-minus"]
+    errors_of_another_swarm = argos.simulate("asdf-minus", trials=50, filter_period=3000)
+    p_by_quantity = argos.p_values(errors_of_another_swarm, errors_in_argos)
+    assert p_by_quantity["error_in_second_half"] < 0.0001
 
 
 def test_the_documentation_of_argos_shows_the_medians_of_the_stored_results() -> None:
     """A row of its table has a filter, a quantity, and the median of this quantity over 40 seeds."""
     expected_rows = []
     for filter_name, errors_by_quantity in argos.read_results().items():
-        for quantity, meaning in argos.QUANTITIES.items():
+        for quantity, quantity_on_the_page in argos.QUANTITIES.items():
             median = np.median(errors_by_quantity[quantity])
-            expected_rows.append((filter_name, meaning, f"{median:.4f}"))
+            expected_rows.append((filter_name, quantity_on_the_page, f"{median:.4f}"))
 
     assert shown_medians_in_argos() == expected_rows
 
@@ -92,17 +99,21 @@ def test_the_table_of_a_trial_in_argos_is_summed_up_as_mean_errors_of_its_robots
         "150,kiv0,0.65,0.5\n150,kiv1,0.45,0.5\n"
         "200,kiv0,0.55,0.95\n200,kiv1,0.75,0.75\n"
     )
-    summary = argos.summarise(table)
+    mean_errors = argos.summarise(table)
 
-    assert summary["error_in_second_half"] == pytest.approx((0.1 + 0.1 + 0.0 + 0.2) / 4)
-    assert summary["error_at_end"] == pytest.approx((0.0 + 0.2) / 2)
-    assert summary["b_hat_error_at_end"] == pytest.approx((0.0 + 0.2) / 2)
+    # Errors of x are 0.1 and 0.1 at tick 150, and 0 and 0.2 at tick 200, the end.
+    assert mean_errors["error_in_second_half"] == pytest.approx((0.1 + 0.1 + 0 + 0.2) / 4)
+    assert mean_errors["error_at_end"] == pytest.approx((0 + 0.2) / 2)
+    assert mean_errors["b_hat_error_at_end"] == pytest.approx((0 + 0.2) / 2)
 
 
 def test_a_trial_in_argos_gets_its_filter_its_seed_and_the_file_of_its_results(tmp_path: Path) -> None:
-    """ARGoS runs it from a file in XML. Sound robots assume the true accuracy, 0.95, and flawed ones 0.55."""
+    """ARGoS runs it from a file in XML. Sound robots assume the true accuracy, 0.95, and flawed ones 0.55.
+
+    With ASDF+ all robots run the paper's filter, which is called asdf in this file.
+    """
     path = tmp_path / "trial.argos"
-    argos.write_configuration(path, EXAMPLE, "asdf-plus", seed=7, results=tmp_path / "trial.csv")
+    argos.write_configuration(path, ARGOS_EXAMPLE, "asdf-plus", seed=7, results=tmp_path / "trial.csv")
     root = ElementTree.parse(path).getroot()
     sound, flawed = root.iterfind("controllers/*/params")
     [experiment] = root.iterfind("framework/experiment")
@@ -117,14 +128,16 @@ def test_a_trial_in_argos_gets_its_filter_its_seed_and_the_file_of_its_results(t
 def test_the_arena_of_the_example_for_argos_has_the_robot_density_of_simulate() -> None:
     """The density is the number of robots in a circle with the radius of their radio; ``simulate`` has 1.
 
-    The file has the x coordinate of the middle of the eastern wall. The square arena ends at its inner face.
+    The file has the position of the middle of the eastern wall. The square arena ends at its inner face.
     """
     radio_range, wall_thickness = 0.7, 0.1  # metres
-    root = ElementTree.parse(EXAMPLE / "swarm.argos").getroot()
+    root = ElementTree.parse(ARGOS_EXAMPLE / "swarm.argos").getroot()
     [east_wall] = root.iterfind("arena/box[@id='wall_east']/body")
-    x_of_middle_of_wall = float(east_wall.attrib["position"].split(",")[0])
-    side = 2 * (x_of_middle_of_wall - wall_thickness / 2)
-    robot_count = sum(int(node.attrib["quantity"]) for node in root.iterfind("arena/distribute/entity"))
+    x_of_middle_of_wall, _y, _z = east_wall.attrib["position"].split(",")
+    x_of_inner_face = float(x_of_middle_of_wall) - wall_thickness / 2
+    side = 2 * x_of_inner_face  # the middle of the arena is at x = 0
+    robot_count = sum(int(group.attrib["quantity"]) for group in root.iterfind("arena/distribute/entity"))
 
-    area_heard = np.pi * radio_range**2
-    assert robot_count * area_heard / side**2 == pytest.approx(1, abs=1e-4)
+    area_in_range = np.pi * radio_range**2
+    density = robot_count * area_in_range / side**2
+    assert density == pytest.approx(1, abs=1e-4)

@@ -8,7 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from authors_files import FIXED, MOVING, trial_content, write_trial
+from authors_files import FIXED as FIXED_NETWORK
+from authors_files import MOVING as MOVING_SWARM
+from authors_files import trial_content, write_trial
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.experiments.authors_trials import SOURCE, find_trial_files, read_trials
 from mcp_asdf_tools.experiments.experiment import Experiment
@@ -19,12 +21,8 @@ from mcp_asdf_tools.experiments.store import Store
 from mcp_asdf_tools.experiments.trials import run_trials
 
 with_fixed_and_with_moving_robots = pytest.mark.parametrize(
-    "experiment", [FIXED, MOVING], ids=["fixed", "moving"]
+    "experiment", [FIXED_NETWORK, MOVING_SWARM], ids=["fixed", "moving"]
 )
-DECIMALS = 6
-"""Decimal places in the authors' files."""
-ROUNDING = 10**-DECIMALS
-"""Largest difference between a number in such a file and the number that was computed."""
 
 
 def read_trial(path: Path, sampling_interval: int = 0) -> Trials:
@@ -43,6 +41,7 @@ def read_trial(path: Path, sampling_interval: int = 0) -> Trials:
 def test_a_trial_read_from_the_authors_format_has_its_parameters_and_number(
     experiment: Experiment, tmp_path: Path
 ) -> None:
+    """The parameters are those of an experiment, and the number says which of its trials this is."""
     trials = read_trial(write_trial(tmp_path / "trial.json", experiment, number=2))
     assert trials.experiment == experiment
     assert trials.numbers == [2]
@@ -50,36 +49,38 @@ def test_a_trial_read_from_the_authors_format_has_its_parameters_and_number(
 
 def test_the_source_of_a_trial_says_that_the_authors_programs_have_run_it(tmp_path: Path) -> None:
     """So nobody takes results of other programs for results of this program."""
-    trials = read_trial(write_trial(tmp_path / "trial.json", FIXED, number=2))
+    trials = read_trial(write_trial(tmp_path / "trial.json", FIXED_NETWORK, number=2))
     assert trials.source == SOURCE
-
-
-def read_and_run(experiment: Experiment, path: Path) -> tuple[Trials, Trials]:
-    """Return trial 1 of an experiment as read from a file at ``path``, and as these tools run it.
-
-    ``write_trial`` runs it in the same way, and writes it as the authors' programs would.
-    """
-    return read_trial(write_trial(path, experiment, number=1)), run_trials(experiment, first=1, trials=1)
 
 
 @with_fixed_and_with_moving_robots
 def test_a_trial_from_a_file_has_the_convergence_errors_and_accuracies_that_were_written(
     experiment: Experiment, tmp_path: Path
 ) -> None:
-    """Numbers in the authors' files have six decimal places, so only steps of convergence are exact."""
-    trials, expected_trials = read_and_run(experiment, tmp_path / "trial.json")
+    """``write_trial`` runs trial 1 as ``run_trials`` does, and writes it as the authors' programs would.
 
-    assert np.array_equal(trials.convergence_steps, expected_trials.convergence_steps)
-    assert trials.errors == pytest.approx(expected_trials.errors, abs=ROUNDING)
-    assert trials.b_hat == pytest.approx(expected_trials.b_hat, abs=ROUNDING)
+    Numbers in their files have six decimal places, so only steps of convergence, which are whole, are exact.
+    """
+    path = write_trial(tmp_path / "trial.json", experiment, number=1)
+    trials_from_file = read_trial(path)
+    expected_trials = run_trials(experiment, first=1, trials=1)
+
+    assert np.array_equal(trials_from_file.convergence_steps, expected_trials.convergence_steps)
+    assert trials_from_file.errors == pytest.approx(expected_trials.errors, abs=1e-6)
+    assert trials_from_file.b_hat == pytest.approx(expected_trials.b_hat, abs=1e-6)
 
 
 def test_the_filter_steps_that_changed_b_hat_are_counted_as_updates(tmp_path: Path) -> None:
-    """The authors' files have b_hat in each step, but not how often the filter has updated it."""
-    trials, expected_trials = read_and_run(FIXED, tmp_path / "trial.json")
+    """The authors' files have b_hat in each step, but not how often the filter has updated it.
 
-    assert np.array_equal(trials.updates, expected_trials.updates)
-    assert expected_trials.updates.sum() > 0
+    The numbers of updates are compared with those of the run that was written to the file.
+    """
+    path = write_trial(tmp_path / "trial.json", FIXED_NETWORK, number=1)
+    updates_from_file = read_trial(path).updates
+    expected_updates = run_trials(FIXED_NETWORK, first=1, trials=1).updates
+
+    assert np.array_equal(updates_from_file, expected_updates)
+    assert expected_updates.sum() > 0
 
 
 @with_fixed_and_with_moving_robots
@@ -91,17 +92,19 @@ def test_a_trial_from_a_file_has_records_of_every_25th_step_if_asked_for(
     ``write_trial`` runs trial 1 as ``run_trials`` does, and writes it as the authors' programs would.
     """
     path = write_trial(tmp_path / "trial.json", experiment, number=1)
-    trials = read_trial(path, sampling_interval=25)
+    trials_from_file = read_trial(path, sampling_interval=25)
     expected_trials = run_trials(experiment, first=1, trials=1, sampling_interval=25)
 
-    assert trials.sampling_interval == 25
-    assert list(trials.records) == list(QUANTITIES)
-    for name in QUANTITIES:
-        assert trials.records[name] == pytest.approx(expected_trials.records[name], abs=ROUNDING), name
+    assert trials_from_file.sampling_interval == 25
+    assert list(trials_from_file.records) == list(QUANTITIES)
+    for quantity, expected_values in expected_trials.records.items():
+        # Numbers in the file have six decimal places.
+        assert trials_from_file.records[quantity] == pytest.approx(expected_values, abs=1e-6), quantity
 
 
 def test_a_trial_from_a_file_has_no_records_unless_they_are_asked_for(tmp_path: Path) -> None:
-    path = write_trial(tmp_path / "trial.json", FIXED, number=0)
+    """A sampling interval of 0 asks for none."""
+    path = write_trial(tmp_path / "trial.json", FIXED_NETWORK, number=0)
     assert read_trial(path, sampling_interval=0).records == {}
 
 
@@ -111,27 +114,44 @@ def first_ten_numbers(text: str) -> str:
 
 
 def test_a_trial_of_the_authors_version_of_june_2024_is_read(tmp_path: Path) -> None:
-    """This version wrote ten numbers for each robot and step. It had no parameter obs_queue_size."""
-    texts_by_robot = trial_content(MOVING, 0)["data_str"]
-    short_texts = [[first_ten_numbers(text) for text in texts] for texts in texts_by_robot]
-    path = write_trial(tmp_path / "trial.json", MOVING, 0, data_str=short_texts, obs_queue_size=None)
-    assert read_trial(path).experiment == MOVING
+    """This version wrote ten numbers for each robot and step, later ones thirteen.
+
+    It had no parameter obs_queue_size. ``write_trial`` leaves out what is None.
+    """
+    short_texts_by_robot = []
+    for texts_of_steps in trial_content(MOVING_SWARM, number=0)["data_str"]:  # of one robot
+        short_texts_by_robot.append([first_ten_numbers(text) for text in texts_of_steps])
+    path = tmp_path / "trial.json"
+    write_trial(path, MOVING_SWARM, number=0, data_str=short_texts_by_robot, obs_queue_size=None)
+
+    assert read_trial(path).experiment == MOVING_SWARM
 
 
 def test_a_trial_that_ends_before_its_filter_is_due_has_no_filter(tmp_path: Path) -> None:
-    """The trial has 60 steps, and the filter would have run for the first time in step 61."""
-    trials = read_trial(write_trial(tmp_path / "trial.json", FIXED, 0, sensor_filter_period=61))
+    """The trial has 60 steps, and the filter would have run for the first time in step 61.
+
+    So b_hat has values of five robots in no filter step.
+    """
+    path = write_trial(tmp_path / "trial.json", FIXED_NETWORK, number=0, sensor_filter_period=61)
+    trials = read_trial(path)
+
     assert trials.experiment.filter == "none"
     trial_count, filter_steps, robots = trials.b_hat.shape
     assert (trial_count, filter_steps, robots) == (1, 0, 5)
 
 
 def test_the_method_alpha_of_the_authors_is_a_filter_that_is_always_active(tmp_path: Path) -> None:
-    """It re-estimates b_hat without a test, so it has no omega, the probability of that test's error."""
-    path = write_trial(tmp_path / "trial.json", FIXED, 0, method="ALPHA", filter_specific_params=[-1.0])
+    """It re-estimates b_hat without a test, so it has no omega, the probability of that test's error.
+
+    The authors' files have -1 in its place, which we read as the default.
+    """
+    path = tmp_path / "trial.json"
+    write_trial(path, FIXED_NETWORK, number=0, method="ALPHA", filter_specific_params=[-1.0])
     experiment = read_trial(path).experiment
+
+    default_omega = Experiment().omega
     assert experiment.activation == "always"
-    assert experiment.omega == Experiment().omega
+    assert experiment.omega == default_omega
 
 
 def test_a_robot_whose_b_hat_became_nan_has_a_nan_as_its_error_and_the_swarm_a_score(tmp_path: Path) -> None:
@@ -140,12 +160,13 @@ def test_a_robot_whose_b_hat_became_nan_has_a_nan_as_its_error_and_the_swarm_a_s
     Its estimates are lost in the last step, 60, as can happen in their programs and in our float reference.
     The numbers of a step are -1, n, t, x_hat, alpha, x_bar, beta, x, and b_hat on black and on white.
     """
-    content = trial_content(FIXED, 0)
-    last_robot = content["data_str"][-1]
-    last_robot[60] = "-1,30,60,nan,nan,0.5,1.0,nan,nan,nan,"
-    trials = read_trial(write_trial(tmp_path / "trial.json", FIXED, 0, data_str=content["data_str"]))
+    texts_by_robot = trial_content(FIXED_NETWORK, number=0)["data_str"]
+    *_, texts_of_last_robot = texts_by_robot
+    texts_of_last_robot[60] = "-1,30,60,nan,nan,0.5,1.0,nan,nan,nan,"
+    path = write_trial(tmp_path / "trial.json", FIXED_NETWORK, number=0, data_str=texts_by_robot)
+    trials = read_trial(path)
 
-    [errors_by_robot] = trials.errors
+    [errors_by_robot] = trials.errors  # of the only trial
     assert np.isnan(errors_by_robot).tolist() == [False, True, False, False, False]
     assert np.isfinite(trials.scores()["H"]).all()
 
@@ -155,10 +176,11 @@ def test_a_robot_whose_b_hat_became_nan_has_a_nan_as_its_error_and_the_swarm_a_s
 
 def test_all_json_files_of_a_folder_and_below_are_found_once(tmp_path: Path) -> None:
     """The arguments are a folder with two files, and one of these files again."""
-    (tmp_path / "flw2").mkdir()
-    for name in ("flw2/t1.json", "flw2/t0.json", "notes.txt"):
-        (tmp_path / name).touch()
-    files = find_trial_files([tmp_path, tmp_path / "flw2/t0.json"])
+    subfolder = tmp_path / "flw2"
+    subfolder.mkdir()
+    for path in (subfolder / "t1.json", subfolder / "t0.json", tmp_path / "notes.txt"):
+        path.touch()
+    files = find_trial_files([tmp_path, subfolder / "t0.json"])
 
     assert [path.name for path in files] == ["t0.json", "t1.json"]
 
@@ -175,16 +197,18 @@ def test_a_missing_file_and_a_device_are_refused_as_no_files(path: str) -> None:
 
 
 def test_two_files_of_one_trial_are_refused_by_their_names(tmp_path: Path) -> None:
-    paths = [write_trial(tmp_path / name, FIXED, number=1) for name in ("a.json", "b.json")]
+    """Else the trial would count twice. Without ``list`` nothing would be read, as trials are yielded."""
+    first_path = write_trial(tmp_path / "a.json", FIXED_NETWORK, number=1)
+    second_path = write_trial(tmp_path / "b.json", FIXED_NETWORK, number=1)
     with pytest.raises(UsageError, match=r"b\.json and .*a\.json are both trial 1 of an experiment"):
-        list(read_trials(paths, sampling_interval=0))
+        list(read_trials([first_path, second_path], sampling_interval=0))
 
 
 @pytest.fixture
 def authors_results(tmp_path: Path) -> Path:
     """A file of results with one trial that was read from the authors' format."""
     path = tmp_path / "theirs.parquet"
-    trials = read_trial(write_trial(tmp_path / "trial.json", FIXED, number=0))
+    trials = read_trial(write_trial(tmp_path / "trial.json", FIXED_NETWORK, number=0))
     write_tables(path, [trials_to_table(trials)])
     return path
 
@@ -192,7 +216,7 @@ def authors_results(tmp_path: Path) -> Path:
 def test_a_sweep_does_not_take_results_of_the_authors_programs_for_its_own(authors_results: Path) -> None:
     """The file has a trial of the same experiment, which a sweep into this file would leave out."""
     with pytest.raises(UsageError, match="hold results of other experiments"):
-        Store(authors_results, [FIXED])
+        Store(authors_results, [FIXED_NETWORK])
 
 
 def test_a_file_of_results_keeps_that_the_authors_programs_have_run_them(authors_results: Path) -> None:
@@ -204,7 +228,7 @@ def test_a_file_of_results_keeps_that_the_authors_programs_have_run_them(authors
 
 
 @pytest.mark.parametrize(
-    ("changes", "message"),
+    ("changed_keys", "expected_message"),
     [
         ({"num_robots": None}, "it has no num_robots; give a trial of"),
         ({"num_robots": "5"}, "num_robots is '5'; it must be a whole number"),
@@ -228,18 +252,18 @@ def test_a_file_of_results_keeps_that_the_authors_programs_have_run_them(authors
     ],
 )
 def test_a_trial_with_a_parameter_that_cannot_be_run_is_refused_with_its_name(
-    changes: dict[str, Any], message: str, tmp_path: Path
+    changed_keys: dict[str, Any], expected_message: str, tmp_path: Path
 ) -> None:
     """A valid trial is changed in one key of the authors' format. A change to None leaves the key out."""
-    path = write_trial(tmp_path / "trial.json", FIXED, 0, **changes)
+    path = write_trial(tmp_path / "trial.json", FIXED_NETWORK, number=0, **changed_keys)
     with pytest.raises(UsageError) as refusal:
         read_trial(path)
     assert str(refusal.value).startswith(f"{path}: ")
-    assert message in str(refusal.value)
+    assert expected_message in str(refusal.value)
 
 
 @pytest.mark.parametrize(
-    ("key", "value", "message"),
+    ("key", "value", "expected_message"),
     [
         ("obs_queue_size", 1000, "a queue of observations is not the paper's"),
         ("comms_range", -1.0, "radio_range is -1.0"),
@@ -248,17 +272,17 @@ def test_a_trial_with_a_parameter_that_cannot_be_run_is_refused_with_its_name(
     ],
 )
 def test_a_trial_with_a_parameter_that_moving_robots_cannot_have_is_refused_with_its_name(
-    key: str, value: object, message: str, tmp_path: Path
+    key: str, value: object, expected_message: str, tmp_path: Path
 ) -> None:
     """The file uses the authors' keys. The message uses our names, such as radio_range."""
-    path = write_trial(tmp_path / "trial.json", MOVING, 0, **{key: value})
+    path = write_trial(tmp_path / "trial.json", MOVING_SWARM, number=0, **{key: value})
     with pytest.raises(UsageError) as refusal:
         read_trial(path)
-    assert message in str(refusal.value)
+    assert expected_message in str(refusal.value)
 
 
 @pytest.mark.parametrize(
-    ("text", "message"),
+    ("text_of_step", "expected_message"),
     [
         ("", "step 7 is '', and must be a line of numbers"),
         ("1,2\n3", "step 7 is '1,2\\n3', and must be a line of numbers"),
@@ -275,23 +299,23 @@ def test_a_trial_with_a_parameter_that_moving_robots_cannot_have_is_refused_with
     ],
 )
 def test_values_that_no_robot_can_have_are_refused_with_their_robot_and_step(
-    text: object, message: str, tmp_path: Path
+    text_of_step: object, expected_message: str, tmp_path: Path
 ) -> None:
     """Step 7 of robot 3 is replaced. Its ten numbers are -1, n, t, x_hat, alpha, x_bar, beta, x, and b_hat
     on black and on white."""
     robot, step = 3, 7
-    data_str = trial_content(FIXED, 0)["data_str"]
-    data_str[robot][step] = text
-    path = write_trial(tmp_path / "trial.json", FIXED, 0, data_str=data_str)
+    texts_by_robot = trial_content(FIXED_NETWORK, number=0)["data_str"]
+    texts_by_robot[robot][step] = text_of_step
+    path = write_trial(tmp_path / "trial.json", FIXED_NETWORK, number=0, data_str=texts_by_robot)
 
     with pytest.raises(UsageError) as refusal:
         read_trial(path)
     assert str(refusal.value).startswith(f"{path}: data_str of robot 3: ")
-    assert message in str(refusal.value)
+    assert expected_message in str(refusal.value)
 
 
 @pytest.mark.parametrize(
-    ("content", "message"),
+    ("content", "expected_message"),
     [
         ("", "Expecting value"),
         ("[1, 2]", "it is no trial but list"),
@@ -300,10 +324,10 @@ def test_values_that_no_robot_can_have_are_refused_with_their_robot_and_step(
     ],
     ids=["empty", "a list", "cut off", "nested too deeply"],
 )
-def test_a_file_without_a_json_object_is_refused(content: str, message: str, tmp_path: Path) -> None:
+def test_a_file_without_a_json_object_is_refused(content: str, expected_message: str, tmp_path: Path) -> None:
     path = tmp_path / "trial.json"
     path.write_text(content, encoding="utf-8")
 
     with pytest.raises(UsageError) as refusal:
         read_trial(path)
-    assert message in str(refusal.value)
+    assert expected_message in str(refusal.value)

@@ -31,7 +31,13 @@ from mcp_asdf_tools.experiments.plot_panels import median_interval
 from mcp_asdf_tools.experiments.plots.curve import MEASURES, plot_curve
 from mcp_asdf_tools.experiments.results import Trials
 
-MOVING: dict[str, Any] = {"robots": 6, "steps": 200, "trials": 7, "filter_period": 50, "topology": "dynamic"}
+SIX_MOVING_ROBOTS: dict[str, Any] = {
+    "robots": 6,
+    "steps": 200,
+    "trials": 7,
+    "filter_period": 50,
+    "topology": "dynamic",
+}
 
 
 def x_positions(axes: Axes) -> list[Any]:
@@ -50,9 +56,9 @@ def y_positions(line: Line2D) -> list[float]:
 
 
 @pytest.fixture(scope="module")
-def densities_and_omegas() -> dict[tuple[float, float], Trials]:
+def trials_by_density_and_omega() -> dict[tuple[float, float], Trials]:
     """Run moving swarms of two densities and three omegas, none of them in order."""
-    experiments = grid(**MOVING, density=[2.0, 0.5], omega=[0.05, 0.9, 0.02])
+    experiments = grid(**SIX_MOVING_ROBOTS, density=[2.0, 0.5], omega=[0.05, 0.9, 0.02])
     return {
         (experiment.density, float(experiment.omega)): results_of(experiment) for experiment in experiments
     }
@@ -60,46 +66,55 @@ def densities_and_omegas() -> dict[tuple[float, float], Trials]:
 
 @pytest.mark.parametrize("measure", MEASURES)
 def test_each_curve_goes_through_the_medians_of_trials_in_a_band_of_their_intervals(
-    measure: str, densities_and_omegas: dict[tuple[float, float], Trials]
+    measure: str, trials_by_density_and_omega: dict[tuple[float, float], Trials]
 ) -> None:
     """There is a curve for each density over the three values of omega.
 
     The band of a curve reaches at each omega over the 95 % interval of the median there.
     """
+    all_trials = [*trials_by_density_and_omega.values()]
+    (axes,) = plot_curve(all_trials, "omega", measure, hue="density").axes
+    lines, bands = axes.lines, axes.collections
+
     densities, omegas = (0.5, 2.0), (0.02, 0.05, 0.9)  # ascending, as they are drawn
-    (axes,) = plot_curve([*densities_and_omegas.values()], "omega", measure, hue="density").axes
-    for line, band, density in zip(axes.lines, axes.collections, densities, strict=True):
+    for line, band, density in zip(lines, bands, densities, strict=True):
         samples_by_omega = {}
         for omega in omegas:
-            samples_by_omega[omega] = densities_and_omegas[density, omega].measures()[measure]
+            trials = trials_by_density_and_omega[density, omega]
+            samples_by_omega[omega] = trials.measures()[measure]  # a value of each trial
         assert_line_has_medians_in_band(line, band, samples_by_omega)
 
 
 def test_curves_are_drawn_into_one_large_panel_with_the_score_over_the_parameter(
-    densities_and_omegas: dict[tuple[float, float], Trials],
+    trials_by_density_and_omega: dict[tuple[float, float], Trials],
 ) -> None:
-    """The two curves are those of the two densities, over omega. Sizes of panels are in inches."""
-    figure = plot_curve([*densities_and_omegas.values()], "omega", hue="density")
+    """The two curves are those of the two densities, over omega. Sizes of panels are in inches.
+
+    The label along the y axis is the score, H. The label along the x axis, omega, begins the caption.
+    """
+    all_trials = [*trials_by_density_and_omega.values()]
+    figure = plot_curve(all_trials, "omega", hue="density")
+
     assert layout_of(figure) == Layout(rows=1, columns=1, width=6.3, panel_height=3.8)
     assert legend_of(figure) == ["density 0.5", "density 2"]
     assert figure.get_supylabel() == "H"
     assert caption_of(figure).startswith("omega ")
 
 
-@pytest.mark.parametrize(("trials", "rank"), [(5, 1), (6, 1), (30, 10), (100, 40)])
+@pytest.mark.parametrize(("value_count", "printed_rank"), [(5, 1), (6, 1), (30, 10), (100, 40)])
 def test_the_95_percent_interval_of_a_median_has_the_ranks_that_statistics_books_print(
-    trials: int, rank: int
+    value_count: int, printed_rank: int
 ) -> None:
     """Its ends are the value with this rank from below and the value with the same rank from above.
 
     Values are 0, 1, 2 and so on in random order, so the smallest one, which has rank 1, is 0.
     """
-    values = np.random.default_rng(trials).permutation(trials).astype(float)
+    values = np.random.default_rng(seed=1).permutation(value_count).astype(float)
     median, lower_end, upper_end = median_interval(values)
 
     assert median == np.median(values)
-    assert lower_end == rank - 1
-    assert upper_end == trials - rank
+    assert lower_end == printed_rank - 1
+    assert upper_end == value_count - printed_rank
 
 
 def test_the_interval_of_a_median_has_no_width_where_nearly_all_values_are_equal() -> None:
@@ -139,8 +154,21 @@ def curves_in_panels(swarms_of_four_sizes: list[Trials]) -> Figure:
 
 
 def test_curves_have_a_panel_for_each_value_of_the_parameter_given_as_facet(curves_in_panels: Figure) -> None:
+    """The parameter is the number of robots. A row has three panels, so the fourth is in a second row."""
     assert titles_of(curves_in_panels) == ["robots 4", "robots 5", "robots 6", "robots 7"]
     assert layout_of(curves_in_panels) == Layout(rows=2, columns=3, width=9, panel_height=2.6)
+
+
+def median_score(swarms: list[Trials], robots: int, filter_name: str, flawed: int) -> Any:
+    """Return the median of H over the trials of the only swarm that has these parameters."""
+    (scores_of_trials,) = [
+        trials.scores()["H"]
+        for trials in swarms
+        if trials.experiment.robots == robots
+        and trials.experiment.filter == filter_name
+        and trials.experiment.flawed == flawed
+    ]
+    return np.median(scores_of_trials)
 
 
 @pytest.mark.parametrize(
@@ -152,12 +180,10 @@ def test_a_panel_has_a_curve_of_median_scores_for_each_filter_that_its_swarms_ha
     """A curve has two points: the medians of H with one and with two flawed robots."""
     lines = curves_in_panels.axes[panel].lines
     for line, filter_name in zip(lines, filters, strict=True):
-        one_flawed, two_flawed = [
-            trials.scores()["H"]
-            for trials in swarms_of_four_sizes
-            if (trials.experiment.robots, trials.experiment.filter) == (robots, filter_name)
+        assert y_positions(line) == [
+            median_score(swarms_of_four_sizes, robots, filter_name, flawed=1),
+            median_score(swarms_of_four_sizes, robots, filter_name, flawed=2),
         ]
-        assert y_positions(line) == [np.median(one_flawed), np.median(two_flawed)]
 
 
 def test_all_panels_of_a_picture_share_their_y_axis_and_have_no_line_above(curves_in_panels: Figure) -> None:
@@ -170,20 +196,24 @@ def test_all_panels_of_a_picture_share_their_y_axis_and_have_no_line_above(curve
 
 
 def test_all_panels_of_curves_share_one_legend_and_bands_have_no_edges(curves_in_panels: Figure) -> None:
-    [first_band, *_] = curves_in_panels.axes[0].collections
+    """An edge would have a colour."""
     assert legend_of(curves_in_panels) == ["filter none", "filter robust"]
-    assert first_band.get_edgecolor().size == 0  # type: ignore[union-attr]
+
+    [first_band, *_] = curves_in_panels.axes[0].collections
+    colours_of_edges: Any = first_band.get_edgecolor()
+    assert len(colours_of_edges) == 0
 
 
 def test_the_caption_of_curves_counts_trials_and_says_where_bands_are_no_intervals(
     curves_in_panels: Figure,
 ) -> None:
-    """Fewer than 6 trials have no 95 % interval of their median."""
+    """Swarms of 7 robots have 7 trials, and others 2. Fewer than 6 have no 95 % interval of their median."""
     assert "2 to 7 trials of each" in caption_of(curves_in_panels)
     assert "bands all trials where there are fewer than 6, else 95 %" in caption_of(curves_in_panels)
 
 
 def test_a_facet_with_a_single_value_gives_one_large_panel(swarms_of_four_robots: list[Trials]) -> None:
+    """The facet is the number of robots, which is the same in all of these swarms."""
     figure = plot_curve(swarms_of_four_robots, "flawed", hue="filter", facet="robots")
     assert titles_of(figure) == ["robots 4"]
     assert layout_of(figure) == Layout(rows=1, columns=1, width=6.3, panel_height=3.8)
@@ -201,10 +231,12 @@ def unfiltered_swarms(swarms_of_four_robots: list[Trials]) -> list[Trials]:
 
 
 def test_a_curve_can_be_of_a_function_of_the_user(unfiltered_swarms: list[Trials]) -> None:
+    """The function gives a value of each trial, here an error. The curve goes through the swarms' medians."""
     (axes,) = plot_curve(unfiltered_swarms, "flawed", y=error_of_first_robot).axes
+    (line,) = axes.lines
 
     medians = [np.median(error_of_first_robot(trials)) for trials in unfiltered_swarms]
-    assert y_positions(axes.lines[0]) == medians
+    assert y_positions(line) == medians
 
 
 def test_a_curve_can_be_drawn_into_axes_of_the_user(unfiltered_swarms: list[Trials]) -> None:
@@ -248,7 +280,7 @@ def test_a_facet_makes_several_panels_so_axes_of_the_user_are_refused(
 
 
 @pytest.mark.parametrize(
-    ("parameter", "values", "positions"),
+    ("parameter", "values", "expected_positions"),
     [
         ("filter_period", [50, 100, 150], [50, 100, 150]),
         ("flawed", ["0%", "50%", "100%"], [0, 0.5, 1]),
@@ -260,19 +292,19 @@ def test_a_facet_makes_several_panels_so_axes_of_the_user_are_refused(
     ],
 )
 def test_numbers_shares_and_names_can_be_along_the_x_axis(
-    parameter: str, values: list[Any], positions: list[Any]
+    parameter: str, values: list[Any], expected_positions: list[Any]
 ) -> None:
     """Names of filters stand in their usual order, whatever the order of the experiments."""
-    experiments = grid(**MOVING | {parameter: values})
+    experiments = grid(**{**SIX_MOVING_ROBOTS, parameter: values})  # an experiment for each value
     (axes,) = plot_curve([results_of(experiment) for experiment in experiments], parameter).axes
-    assert x_positions(axes) == positions
+    assert x_positions(axes) == expected_positions
 
 
 def test_graphs_stand_side_by_side_on_the_x_axis_with_shortened_labels() -> None:
     """A label has the pairs of connected robots, as many as fit."""
     complete_graph_of_four = [(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)]
     graphs = [[(0, 1)], [(0, 1), (0, 2), (0, 10), (0, 11)], complete_graph_of_four]
-    experiments = grid(**{**MOVING, "topology": "graph", "robots": 12}, graph=graphs)
+    experiments = grid(robots=12, steps=200, filter_period=50, trials=7, topology="graph", graph=graphs)
     (axes,) = plot_curve([results_of(experiment) for experiment in experiments], "graph").axes
     labels = [label.get_text() for label in axes.get_xticklabels()]
 
@@ -283,24 +315,29 @@ def test_graphs_stand_side_by_side_on_the_x_axis_with_shortened_labels() -> None
 def test_curves_of_the_four_filters_have_the_colours_of_all_pictures(
     results_by_filter: dict[str, Trials],
 ) -> None:
-    """The order of the filters is: none, ASDF-, ASDF+ and the robust filter."""
+    """The order of the filters is: none (grey), ASDF-, ASDF+ and the robust filter (green)."""
     (axes,) = plot_curve([*results_by_filter.values()], "flawed", hue="filter").axes
-    asdf_minus_colour, asdf_plus_colour, *_ = COLOURS
+    asdf_minus_colour, asdf_plus_colour, *_other_colours = COLOURS
     assert [line.get_color() for line in axes.lines] == [GREY, asdf_minus_colour, asdf_plus_colour, GREEN]
 
 
-def with_other_omega(trials: Trials) -> Trials:
-    """Return the results as if the experiment's omega were 0.1 in place of 0.05."""
-    return replace(trials, experiment=replace(trials.experiment, omega=0.1))
+def with_omega(trials: Trials, omega: float) -> Trials:
+    """Return the results as if the experiment had this omega."""
+    return replace(trials, experiment=replace(trials.experiment, omega=omega))
 
 
 def test_a_curve_may_be_of_swarms_that_differ_in_a_parameter_without_effect(
     results_by_filter: dict[str, Trials],
 ) -> None:
-    """The swarm with the robust filter has another omega, which that filter does not use."""
-    experiments = [results_by_filter["asdf-plus"], with_other_omega(results_by_filter["robust"])]
-    (axes,) = visible_axes(plot_curve(experiments, "filter"))
-    assert len(axes.lines) == 1
+    """The swarm with the robust filter has another omega, which that filter does not use.
+
+    So results that differ in it are not refused. The curve has a point for each of the two filters.
+    """
+    asdf_plus = with_omega(results_by_filter["asdf-plus"], 0.05)
+    robust = with_omega(results_by_filter["robust"], 0.1)
+    (axes,) = visible_axes(plot_curve([asdf_plus, robust], "filter"))
+    (line,) = axes.lines
+    assert len(y_positions(line)) == 2
 
 
 def test_swarms_of_two_sizes_with_the_same_share_of_flawed_robots_can_be_on_one_curve() -> None:

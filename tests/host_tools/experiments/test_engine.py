@@ -42,7 +42,9 @@ from mcp_asdf_tools.world.world import World
 from support import CORE, ROOT, require, run, slow
 from trials import images_by_message
 
-SHORT = Experiment(robots=10, flawed=3, filter="asdf-plus", steps=400, filter_period=100, trials=3, seed=77)
+FULLY_CONNECTED = Experiment(
+    robots=10, flawed=3, filter="asdf-plus", steps=400, filter_period=100, trials=3, seed=77
+)
 MOVING = Experiment(
     topology="dynamic",
     robots=9,
@@ -54,15 +56,15 @@ MOVING = Experiment(
     seed=91,
     trials=3,
 )
-LATE = replace(MOVING, latency=1)
-ROBUST = replace(SHORT, filter="robust")
-ROBUST_MOVING = replace(MOVING, filter="robust")
+MOVING_WITH_LATENCY = replace(MOVING, latency=1)
+FULLY_CONNECTED_ROBUST = replace(FULLY_CONNECTED, filter="robust")
+MOVING_ROBUST = replace(MOVING, filter="robust")
 
 
 # --- The lanes are the firmware to the bit ----------------------------------------------------------------
 
 
-def results_that_differ(experiment: Experiment, first: int, trials: int) -> list[str]:
+def differences_between_lanes_and_firmware(experiment: Experiment, first: int, trials: int) -> list[str]:
     """Run trials in lanes and call by call, and return what is not the same to the bit, and how to repeat it.
 
     In lanes the engine computes many trials or robots at once, in vectors. Call by call it calls the
@@ -74,7 +76,11 @@ def results_that_differ(experiment: Experiment, first: int, trials: int) -> list
     pairs = {"x": (by_calls.x, in_lanes.x), "b_hat": (by_calls.b_hat, in_lanes.b_hat)}
     for name in native.COUNTERS:
         pairs[name] = (by_calls.counters[name], in_lanes.counters[name])
-    names = [name for name, (one, other) in pairs.items() if not np.array_equal(one, other)]
+    names = [
+        name
+        for name, (first_array, second_array) in pairs.items()
+        if not np.array_equal(first_array, second_array)
+    ]
     if by_calls.images() != in_lanes.images():
         names.append("states at the end")
     replay = f"replay: {experiment.parameters()}, first {first}, trials {trials}"
@@ -90,7 +96,7 @@ RARE_WHITE: dict[str, Any] = {
     "steps": 200_000,
     "filter_period": 200_000,
 }
-EXTREMES: dict[str, dict[str, Any]] = {
+EXTREME_PARAMETERS: dict[str, dict[str, Any]] = {
     "128 robots": {"robots": 128, "flawed": 40, "steps": 60},
     "only black": {"fill_ratio": 1.0, "true_accuracy": 1.0},
     "barely informative": {"flawed_accuracy": 0.5 + 2**-13},
@@ -131,47 +137,48 @@ def varied(experiment: Experiment, changes_by_name: Mapping[str, dict[str, Any]]
     return pytest.mark.parametrize("experiment", experiments, ids=changes_by_name)
 
 
-TRIALS_BEYOND_LANES = 17
-"""One more than the 16 lanes, in which trials of robots that do not move are calculated."""
-
-
 with_each_latency = pytest.mark.parametrize("latency", [0, 1])
 
 
-@varied(SHORT, EXTREMES)
+@varied(FULLY_CONNECTED, EXTREME_PARAMETERS)
 def test_many_trials_computed_at_once_equal_the_firmware_to_the_bit(experiment: Experiment) -> None:
-    assert not results_that_differ(experiment, first=4, trials=TRIALS_BEYOND_LANES)
+    """There are 16 lanes with a trial in each, so 17 trials are more than the engine computes at once."""
+    assert differences_between_lanes_and_firmware(experiment, first=4, trials=17) == []
 
 
 @pytest.mark.slow
-@varied(SHORT, EXTREMES_OF_LONG_TRIALS)
+@varied(FULLY_CONNECTED, EXTREMES_OF_LONG_TRIALS)
 def test_long_trials_computed_at_once_equal_the_firmware_to_the_bit(experiment: Experiment) -> None:
-    assert not results_that_differ(experiment, first=4, trials=TRIALS_BEYOND_LANES)
+    """They have more than 200,000 steps. There are 16 lanes, so 17 trials are more than one in each."""
+    assert differences_between_lanes_and_firmware(experiment, first=4, trials=17) == []
 
 
 @with_each_latency
-@varied(MOVING, EXTREMES | EXTREMES_OF_MOVING_ROBOTS)
+@varied(MOVING, EXTREME_PARAMETERS | EXTREMES_OF_MOVING_ROBOTS)
 def test_moving_robots_computed_at_once_equal_the_firmware_to_the_bit(
     experiment: Experiment, latency: int
 ) -> None:
-    """With a latency of 1, messages arrive a step late."""
-    assert not results_that_differ(replace(experiment, latency=latency), first=4, trials=3)
+    """With a latency of 1, messages arrive a step late. Each lane has a robot of the same trial."""
+    experiment = replace(experiment, latency=latency)
+    assert differences_between_lanes_and_firmware(experiment, first=4, trials=3) == []
 
 
-@varied(ROBUST, EXTREMES | EXTREMES_OF_THE_ROBUST_FILTER)
+@varied(FULLY_CONNECTED_ROBUST, EXTREME_PARAMETERS | EXTREMES_OF_THE_ROBUST_FILTER)
 def test_trials_with_the_robust_filter_computed_at_once_equal_the_firmware_to_the_bit(
     experiment: Experiment,
 ) -> None:
-    assert not results_that_differ(experiment, first=4, trials=TRIALS_BEYOND_LANES)
+    """There are 16 lanes with a trial in each, so 17 trials are more than the engine computes at once."""
+    assert differences_between_lanes_and_firmware(experiment, first=4, trials=17) == []
 
 
 @with_each_latency
-@varied(ROBUST_MOVING, EXTREMES | EXTREMES_OF_MOVING_ROBOTS | EXTREMES_OF_THE_ROBUST_FILTER)
+@varied(MOVING_ROBUST, EXTREME_PARAMETERS | EXTREMES_OF_MOVING_ROBOTS | EXTREMES_OF_THE_ROBUST_FILTER)
 def test_moving_robots_with_the_robust_filter_computed_at_once_equal_the_firmware_to_the_bit(
     experiment: Experiment, latency: int
 ) -> None:
-    """With a latency of 1, messages arrive a step late."""
-    assert not results_that_differ(replace(experiment, latency=latency), first=4, trials=3)
+    """With a latency of 1, messages arrive a step late. Each lane has a robot of the same trial."""
+    experiment = replace(experiment, latency=latency)
+    assert differences_between_lanes_and_firmware(experiment, first=4, trials=3) == []
 
 
 def random_experiments(seed: int, count: int) -> Iterator[Experiment]:
@@ -209,10 +216,13 @@ def random_experiments(seed: int, count: int) -> Iterator[Experiment]:
 
 @pytest.mark.parametrize("count", [30, *slow([120])])
 def test_random_experiments_computed_at_once_equal_the_firmware_to_the_bit(count: int) -> None:
-    """They have values from the whole range of each parameter; about half of the swarms move."""
+    """They have values from the whole range of each parameter; about half of the swarms move.
+
+    The 16 lanes hold robots of one trial if these move, and else trials, so that there are two more of them.
+    """
     for experiment in random_experiments(seed=20241, count=count):
-        trials = 2 if experiment.is_dynamic else TRIALS_BEYOND_LANES + 1
-        assert not results_that_differ(experiment, first=0, trials=trials)
+        trials = 2 if experiment.is_dynamic else 16 + 2
+        assert differences_between_lanes_and_firmware(experiment, first=0, trials=trials) == []
 
 
 class Mixed(Experiment):
@@ -223,33 +233,45 @@ class Mixed(Experiment):
         return replace(super().config(robot), filter=filters[robot % 3])
 
 
-MIXED = Mixed(**SHORT.parameters())
+MIXED_FILTERS = Mixed(**FULLY_CONNECTED.parameters())
 
 
-def has_lanes(experiment: Experiment, sampling_interval: int) -> bool:
+def uses_lanes(experiment: Experiment, sampling_interval: int) -> bool:
     """Return whether the engine calculates the experiment in lanes; an interval of 0 records nothing."""
     call = native.EngineTrials(experiment, first=0, trials=1, sampling_interval=sampling_interval)
     return bool(_engine.lib.mcp_asdf_engine_has_lanes(call.experiment))
 
 
 @pytest.mark.parametrize(
-    ("experiment", "sampling_interval", "are_at_once"),
+    ("experiment", "sampling_interval", "are_computed_at_once"),
     [
-        *[(experiment, 0, True) for experiment in (SHORT, LATE, ROBUST, replace(ROBUST_MOVING, latency=1))],
-        (SHORT, 10, False),  # values are recorded over time
-        (replace(SHORT, comms_period=2), 0, False),
-        (replace(SHORT, message_bits="16+9"), 0, False),
-        (MIXED, 0, False),  # robots have different filters
+        *[
+            (experiment, 0, True)
+            for experiment in (
+                FULLY_CONNECTED,
+                MOVING_WITH_LATENCY,
+                FULLY_CONNECTED_ROBUST,
+                replace(MOVING_ROBUST, latency=1),
+            )
+        ],
+        (FULLY_CONNECTED, 10, False),  # values are recorded over time
+        (replace(FULLY_CONNECTED, comms_period=2), 0, False),
+        (replace(FULLY_CONNECTED, message_bits="16+9"), 0, False),
+        (MIXED_FILTERS, 0, False),  # robots have different filters
     ],
 )
 def test_trials_are_computed_at_once_if_only_their_results_are_wanted_and_lanes_have_all_they_need(
-    experiment: Experiment, sampling_interval: int, are_at_once: bool
+    experiment: Experiment, sampling_interval: int, are_computed_at_once: bool
 ) -> None:
-    assert has_lanes(experiment, sampling_interval) == are_at_once
+    """Trials are computed at once in lanes, which lack records over time (a sampling interval above 0)."""
+    assert uses_lanes(experiment, sampling_interval) == are_computed_at_once
 
 
-def engine_for(architecture: str, folder: Path, *more: str) -> Any:
-    """Build the engine's extension module for the vectors of one architecture, and return it, imported."""
+def build_engine(architecture: str, folder: Path, *more_options: str) -> Any:
+    """Build the engine's extension module for the vectors of one architecture, and return it, imported.
+
+    More options of the C compiler may be given.
+    """
     tools = ROOT / "host_tools/mcp_asdf_tools"
     arena, engine, core = tools / "world/arena", tools / "experiments/engine", CORE.parent
     glue, module = folder / "_engine.c", folder / "_engine.so"
@@ -261,7 +283,7 @@ def engine_for(architecture: str, folder: Path, *more: str) -> Any:
     floats = ("-ffp-contract=off", "-fno-trapping-math", "-fno-math-errno")
     options = ("-std=gnu99", "-O3", "-fPIC", "-shared", *floats)
     target = ("-DFOR_EACH_TARGET=", f"-march={architecture}")
-    run(require("gcc", "gcc"), *options, *more, *target, *includes, *sources, "-o", module, "-lm")
+    run(require("gcc", "gcc"), *options, *more_options, *target, *includes, *sources, "-o", module, "-lm")
     spec = importlib.util.spec_from_file_location(_engine.__name__, module)
     assert spec is not None and spec.loader is not None
     built_module = importlib.util.module_from_spec(spec)
@@ -281,15 +303,20 @@ def processor_has(flag: str) -> bool:
 def test_an_engine_built_for_each_size_of_vectors_equals_the_firmware_to_the_bit(
     architecture: str, flag: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Skips sizes that the processor lacks; /proc/cpuinfo has a flag for each."""
+    """Skips sizes that the processor lacks; /proc/cpuinfo has a flag for each.
+
+    In place of the installed engine, the one that was built computes experiments at the ends of parameters'
+    ranges, with 17 trials, which are more than the 16 lanes, and random ones.
+    """
     if not processor_has(flag):
         pytest.skip(f"this processor has no vectors of {architecture}")
-    monkeypatch.setattr(native, "_engine", engine_for(architecture, tmp_path))
-    for changes in EXTREMES.values():
-        for swarm in (SHORT, ROBUST, LATE):
-            assert not results_that_differ(replace(swarm, **changes), first=4, trials=TRIALS_BEYOND_LANES)
+    monkeypatch.setattr(native, "_engine", build_engine(architecture, tmp_path))
+    for extreme_parameters in EXTREME_PARAMETERS.values():
+        for swarm in (FULLY_CONNECTED, FULLY_CONNECTED_ROBUST, MOVING_WITH_LATENCY):
+            experiment = replace(swarm, **extreme_parameters)
+            assert differences_between_lanes_and_firmware(experiment, first=4, trials=17) == []
     for experiment in random_experiments(seed=20242, count=60):
-        assert not results_that_differ(experiment, first=0, trials=16)
+        assert differences_between_lanes_and_firmware(experiment, first=0, trials=16) == []
 
 
 def random_worlds(seed: int, count: int) -> Iterator[WorldSettings]:
@@ -314,15 +341,18 @@ def random_worlds(seed: int, count: int) -> Iterator[WorldSettings]:
 def test_robots_move_in_vectors_as_they_do_one_by_one(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The arena's source in C, compiled without vectors, is the definition of how robots move."""
+    """The arena's source in C, compiled without vectors, is the definition of how robots move.
+
+    Robots move 150 steps in 60 random worlds. All arrays of their motions are compared, such as positions.
+    """
     worlds = list(random_worlds(seed=20261, count=60))
-    motions = [Arena(settings, trial).record(150) for trial, settings in enumerate(worlds)]
-    monkeypatch.setattr(arena, "_arena", engine_for("x86-64", tmp_path, "-fno-tree-vectorize"))
-    for trial, (settings, motion) in enumerate(zip(worlds, motions, strict=True)):
-        motion_without_vectors = Arena(settings, trial).record(150)
-        for name, expected in vars(motion_without_vectors).items():
-            replay = f"replay: {settings}, trial {trial}: {name}"
-            assert np.array_equal(getattr(motion, name), expected), replay
+    motions_in_vectors = [Arena(settings, trial).record(150) for trial, settings in enumerate(worlds)]
+    monkeypatch.setattr(arena, "_arena", build_engine("x86-64", tmp_path, "-fno-tree-vectorize"))
+    for trial, settings in enumerate(worlds):
+        motion_one_by_one = Arena(settings, trial).record(150)
+        for array_name, expected_array in vars(motion_one_by_one).items():
+            array = getattr(motions_in_vectors[trial], array_name)
+            assert np.array_equal(array, expected_array), f"replay: {settings}, {trial=}: {array_name}"
 
 
 # --- The engine is the firmware run message by message -----------------------------------------------------
@@ -331,24 +361,31 @@ def test_robots_move_in_vectors_as_they_do_one_by_one(
 @pytest.mark.parametrize(
     "experiment",
     [
-        SHORT,
-        replace(SHORT, comms_period=5, filter="asdf-minus", observation_period=3),
-        replace(SHORT, activation="always", memory=64, robots=4),
-        replace(SHORT, sensor=cast(Any, WanderingSensors)),
-        replace(SHORT, robots=1, flawed=0),
+        FULLY_CONNECTED,
+        replace(FULLY_CONNECTED, comms_period=5, filter="asdf-minus", observation_period=3),
+        replace(FULLY_CONNECTED, activation="always", memory=64, robots=4),
+        replace(FULLY_CONNECTED, sensor=cast(Any, WanderingSensors)),
+        replace(FULLY_CONNECTED, robots=1, flawed=0),
         MOVING,
-        LATE,
-        replace(LATE, comms_period=5, observation_period=2),
-        replace(LATE, activation="always", memory=64, robots=4),
-        replace(LATE, floor="code", fill_ratio=0.448, observation_period=5, speed=0.1),
-        ROBUST,
-        replace(ROBUST, fill_ratio=0.95, true_accuracy=0.55, flawed_accuracy=0.95, memory=64, comms_period=5),
-        replace(ROBUST, drift="linear", drift_rate=-1e-3, observation_period=2),
-        ROBUST_MOVING,
-        replace(ROBUST_MOVING, latency=1, comms_period=5, observation_period=2, density=8),
-        replace(MIXED, topology="dynamic", density=3, latency=1),
-        replace(LATE, message_bits="16+9"),
-        replace(MIXED, message_bits="2+1"),
+        MOVING_WITH_LATENCY,
+        replace(MOVING_WITH_LATENCY, comms_period=5, observation_period=2),
+        replace(MOVING_WITH_LATENCY, activation="always", memory=64, robots=4),
+        replace(MOVING_WITH_LATENCY, floor="code", fill_ratio=0.448, observation_period=5, speed=0.1),
+        FULLY_CONNECTED_ROBUST,
+        replace(
+            FULLY_CONNECTED_ROBUST,
+            fill_ratio=0.95,
+            true_accuracy=0.55,
+            flawed_accuracy=0.95,
+            memory=64,
+            comms_period=5,
+        ),
+        replace(FULLY_CONNECTED_ROBUST, drift="linear", drift_rate=-1e-3, observation_period=2),
+        MOVING_ROBUST,
+        replace(MOVING_ROBUST, latency=1, comms_period=5, observation_period=2, density=8),
+        replace(MIXED_FILTERS, topology="dynamic", density=3, latency=1),
+        replace(MOVING_WITH_LATENCY, message_bits="16+9"),
+        replace(MIXED_FILTERS, message_bits="2+1"),
     ],
 )
 def test_robots_of_the_engine_in_c_end_in_the_states_of_robots_in_python(experiment: Experiment) -> None:
@@ -356,25 +393,37 @@ def test_robots_of_the_engine_in_c_end_in_the_states_of_robots_in_python(experim
 
     Both compute with the integers of the firmware, so whole states are equal to the bit.
     """
+    in_python = replace(experiment, firmware="mirror")
     states_in_c = native.run(experiment, first=1, trials=1).images()
-    assert states_in_c == images_by_message(replace(experiment, firmware="mirror"), trial=1)
+    states_in_python = images_by_message(in_python, trial=1)
+    assert states_in_c == states_in_python
 
 
 @pytest.mark.parametrize(
-    "experiment", [SHORT, replace(LATE, comms_period=5, observation_period=2), ROBUST_MOVING, MIXED]
+    "experiment",
+    [
+        FULLY_CONNECTED,
+        replace(MOVING_WITH_LATENCY, comms_period=5, observation_period=2),
+        MOVING_ROBUST,
+        MIXED_FILTERS,
+    ],
 )
 def test_the_engine_in_c_measures_and_records_what_robots_in_python_compute(experiment: Experiment) -> None:
-    """Values are recorded every 7 steps. Robots in Python (the mirror) are run message by message."""
-    in_c = run_trials(experiment, first=1, trials=1, sampling_interval=7)
-    in_python = run_trials(replace(experiment, firmware="mirror"), first=1, trials=1, sampling_interval=7)
+    """Values are recorded every 7 steps. Robots in Python (the mirror) are run message by message.
 
-    for name in ("convergence_steps", "errors", "b_hat", "tests", "updates"):
-        assert np.array_equal(getattr(in_c, name), getattr(in_python, name)), name
-    for name in QUANTITIES:
-        assert np.array_equal(in_c.records[name], in_python.records[name]), name
+    Measured are a trial's results, and recorded are the robots' quantities over time.
+    """
+    trials_in_c = run_trials(experiment, first=1, trials=1, sampling_interval=7)
+    in_python = replace(experiment, firmware="mirror")
+    trials_in_python = run_trials(in_python, first=1, trials=1, sampling_interval=7)
+
+    for result in ("convergence_steps", "errors", "b_hat", "tests", "updates"):
+        assert np.array_equal(getattr(trials_in_c, result), getattr(trials_in_python, result)), result
+    for quantity in QUANTITIES:
+        assert np.array_equal(trials_in_c.records[quantity], trials_in_python.records[quantity]), quantity
 
 
-def change_of_estimates(experiment: Experiment, message_bits: str) -> float:
+def largest_change_of_x_by_rounding(experiment: Experiment, message_bits: str) -> float:
     """Return the largest change of any robot's x in trial 0 that messages of fewer bits make."""
     exact_x = run_trials(experiment, first=0, trials=1, sampling_interval=10).records["x"]
     rounded = replace(experiment, message_bits=message_bits)
@@ -382,15 +431,17 @@ def change_of_estimates(experiment: Experiment, message_bits: str) -> float:
     return float(np.abs(exact_x - rounded_x).max())
 
 
-@pytest.mark.parametrize("experiment", [SHORT, LATE, ROBUST_MOVING])
+@pytest.mark.parametrize("experiment", [FULLY_CONNECTED, MOVING_WITH_LATENCY, MOVING_ROBUST])
 def test_messages_of_the_most_bits_change_estimates_by_less_than_a_hundred_thousandth(
     experiment: Experiment,
 ) -> None:
-    assert change_of_estimates(experiment, message_bits="23+25") < 1e-5
+    """They have 23 bits of x_hat and 25 of its confidence alpha. Compared are robots that round nothing."""
+    assert largest_change_of_x_by_rounding(experiment, message_bits="23+25") < 0.00001
 
 
 def test_messages_of_three_bits_change_estimates_by_more_than_a_tenth() -> None:
-    assert change_of_estimates(LATE, message_bits="2+1") > 0.1
+    """They have two bits of x_hat and one of its confidence alpha. Compared are robots that round nothing."""
+    assert largest_change_of_x_by_rounding(MOVING_WITH_LATENCY, message_bits="2+1") > 0.1
 
 
 def test_a_robot_s_own_estimate_and_confidence_are_not_rounded_with_its_messages() -> None:
@@ -398,11 +449,10 @@ def test_a_robot_s_own_estimate_and_confidence_are_not_rounded_with_its_messages
 
     Rounded messages have one bit of each, which is "1+1". There is no filter that would react to them.
     """
-    experiment = replace(SHORT, filter="none", steps=20)
-    exact = run_trials(experiment, first=0, trials=1, sampling_interval=1).records
-    rounded = run_trials(
-        replace(experiment, message_bits="1+1"), first=0, trials=1, sampling_interval=1
-    ).records
+    with_exact_messages = replace(FULLY_CONNECTED, filter="none", steps=20)
+    with_rounded_messages = replace(with_exact_messages, message_bits="1+1")
+    exact = run_trials(with_exact_messages, first=0, trials=1, sampling_interval=1).records
+    rounded = run_trials(with_rounded_messages, first=0, trials=1, sampling_interval=1).records
 
     assert np.array_equal(exact["x_hat"], rounded["x_hat"])
     assert np.array_equal(exact["alpha"], rounded["alpha"])
@@ -410,16 +460,17 @@ def test_a_robot_s_own_estimate_and_confidence_are_not_rounded_with_its_messages
 
 def test_robots_that_calculate_in_floats_receive_rounded_messages() -> None:
     """Each of two robots receives one estimate, x_bar, which a code of one bit rounds to 0 or 1."""
-    two_robots = replace(SHORT, robots=2, flawed=0, filter="none", steps=20)
+    two_robots = replace(FULLY_CONNECTED, robots=2, flawed=0, filter="none", steps=20)
     experiment = replace(two_robots, message_bits="1+1", firmware="reference")
     x_bar = run_trials(experiment, first=0, trials=1, sampling_interval=1).records["x_bar"]
 
-    x_bar_after_first_step = x_bar[:, 1:]  # by trial, step and robot; step 0 is the start
-    assert set(x_bar_after_first_step.ravel()) <= {0.0, 1.0}
+    [[_x_bar_at_start, *x_bar_of_robots_by_step]] = x_bar.tolist()  # of one trial
+    for x_bar_of_robots in x_bar_of_robots_by_step:
+        assert set(x_bar_of_robots) <= {0, 1}
 
 
 @cache
-def reference_trial(experiment: Experiment) -> Trials:
+def run_trial_in_floats(experiment: Experiment) -> Trials:
     """Return trial 0 of the reference, which calculates in floats, with values recorded in each step."""
     return run_trials(replace(experiment, firmware="reference"), first=0, trials=1, sampling_interval=1)
 
@@ -427,16 +478,16 @@ def reference_trial(experiment: Experiment) -> Trials:
 @pytest.mark.parametrize(
     "experiment",
     [
-        SHORT,
-        LATE,
-        replace(SHORT, fill_ratio=0.95, filter="asdf-minus", comms_period=5),
-        replace(LATE, fill_ratio=0.95, true_accuracy=0.75, activation="always"),
+        FULLY_CONNECTED,
+        MOVING_WITH_LATENCY,
+        replace(FULLY_CONNECTED, fill_ratio=0.95, filter="asdf-minus", comms_period=5),
+        replace(MOVING_WITH_LATENCY, fill_ratio=0.95, true_accuracy=0.75, activation="always"),
     ],
 )
 def test_the_reference_in_floats_stays_near_the_firmware_in_every_step(experiment: Experiment) -> None:
     """The firmware computes in integers. Both test and re-estimate b_hat in the same steps."""
     integer_trials = run_trials(experiment, first=0, trials=1, sampling_interval=1)
-    float_trials = reference_trial(experiment)
+    float_trials = run_trial_in_floats(experiment)
 
     assert np.array_equal(integer_trials.updates, float_trials.updates)
     assert np.array_equal(integer_trials.tests, float_trials.tests)
@@ -444,7 +495,7 @@ def test_the_reference_in_floats_stays_near_the_firmware_in_every_step(experimen
         assert float_trials.records[name] == pytest.approx(integer_trials.records[name], abs=1e-5), name
 
 
-def b_hat_by_the_authors(experiment: Experiment) -> Any:
+def b_hat_by_the_conventions_of_the_authors(experiment: Experiment) -> Any:
     """Return b_hat in trial 0 of the reference by the conventions of the paper's authors."""
     return run_trials(
         replace(experiment, firmware="reference", conventions="authors"), first=0, trials=1
@@ -452,23 +503,37 @@ def b_hat_by_the_authors(experiment: Experiment) -> Any:
 
 
 @pytest.mark.parametrize(
-    "experiment", [SHORT, LATE, replace(SHORT, fill_ratio=0.95, filter="asdf-minus", comms_period=5)]
+    "experiment",
+    [
+        FULLY_CONNECTED,
+        MOVING_WITH_LATENCY,
+        replace(FULLY_CONNECTED, fill_ratio=0.95, filter="asdf-minus", comms_period=5),
+    ],
 )
 def test_the_conventions_of_the_paper_s_authors_change_when_robots_recalibrate(
     experiment: Experiment,
 ) -> None:
-    """Their programs take the threshold of the test for another number of messages than the paper says."""
-    assert not np.array_equal(b_hat_by_the_authors(experiment), reference_trial(experiment).b_hat)
+    """Their programs take the threshold of the test for another number of messages than the paper says.
+
+    So b_hat of some robots, which changes in a recalibration, is not as by the paper's conventions.
+    """
+    b_hat_by_the_paper = run_trial_in_floats(experiment).b_hat
+    b_hat_by_the_authors = b_hat_by_the_conventions_of_the_authors(experiment)
+    assert not np.array_equal(b_hat_by_the_authors, b_hat_by_the_paper)
 
 
 def test_the_conventions_of_the_paper_s_authors_change_nothing_without_the_test() -> None:
     """With the activation "always", robots re-estimate b_hat without a test."""
-    experiment = replace(LATE, fill_ratio=0.95, true_accuracy=0.75, activation="always")
-    assert np.array_equal(b_hat_by_the_authors(experiment), reference_trial(experiment).b_hat)
+    experiment = replace(MOVING_WITH_LATENCY, fill_ratio=0.95, true_accuracy=0.75, activation="always")
+    b_hat_by_the_paper = run_trial_in_floats(experiment).b_hat
+    b_hat_by_the_authors = b_hat_by_the_conventions_of_the_authors(experiment)
+    assert np.array_equal(b_hat_by_the_authors, b_hat_by_the_paper)
 
 
 @pytest.mark.parametrize(("first", "trials", "sampling_interval"), [(0, 1, 0), (7, 5, 3), (19, 1, 0)])
-@pytest.mark.parametrize("experiment", [SHORT, LATE], ids=["fully connected", "moving"])
+@pytest.mark.parametrize(
+    "experiment", [FULLY_CONNECTED, MOVING_WITH_LATENCY], ids=["fully connected", "moving"]
+)
 def test_a_trial_has_the_same_results_alone_and_among_others_and_with_recorded_values(
     experiment: Experiment, first: int, trials: int, sampling_interval: int
 ) -> None:
@@ -478,9 +543,9 @@ def test_a_trial_has_the_same_results_alone_and_among_others_and_with_recorded_v
     """
     all_trials = native.run(experiment, first=0, trials=20)
     some_trials = native.run(experiment, first, trials, sampling_interval)
-    same_trials = slice(first, first + trials)
-    assert np.array_equal(some_trials.x, all_trials.x[same_trials])
-    assert np.array_equal(some_trials.b_hat, all_trials.b_hat[same_trials])
+    numbers_of_some_trials = slice(first, first + trials)
+    assert np.array_equal(some_trials.x, all_trials.x[numbers_of_some_trials])
+    assert np.array_equal(some_trials.b_hat, all_trials.b_hat[numbers_of_some_trials])
 
 
 # --- Refusals --------------------------------------------------------------------------------------------
@@ -491,17 +556,18 @@ def test_the_engine_in_c_refuses_robots_in_python_and_late_messages_of_fully_con
     changes: dict[str, Any],
 ) -> None:
     with pytest.raises(UsageError, match="the engine in C lacks this"):
-        native.run(replace(SHORT, **changes), first=0, trials=1)
+        native.run(replace(FULLY_CONNECTED, **changes), first=0, trials=1)
 
 
 def test_a_trial_whose_robots_find_no_room_in_their_arena_is_refused() -> None:
+    """A corridor 25 cm wide is too narrow for 128 robots. It is refused before a robot moves."""
     corridor = replace(MOVING, robots=128, flawed=0, width=20.0, height=0.25, density=1.0, steps=1)
-    with pytest.raises(UsageError, match=r"128 robots found no room in 20.0 x 0.25 m"):
+    with pytest.raises(UsageError, match=r"128 robots found no room in 20\.0 x 0\.25 m"):
         run_trials(corridor, first=0, trials=1)
 
 
-class ExperimentWithIllegalBHat(Experiment):
-    """Gives every robot an accuracy that the firmware refuses."""
+class ExperimentWithBHatZero(Experiment):
+    """Gives every robot the accuracy 0, which the firmware refuses."""
 
     def b_hat(self, robot: int) -> float:
         return 0.0
@@ -509,9 +575,9 @@ class ExperimentWithIllegalBHat(Experiment):
 
 @pytest.mark.parametrize("lanes", [False, True])
 def test_the_engine_raises_the_error_of_a_firmware_that_refuses_an_accuracy(lanes: bool) -> None:
-    """It does so whether it computes robots one by one or in lanes, many at once."""
+    """Robots get the accuracy 0. The engine computes robots one by one or in lanes, many at once."""
     with pytest.raises(FirmwareError, match="ERR_B_HAT"):
-        native.run(ExperimentWithIllegalBHat(steps=10), first=0, trials=1, lanes=lanes)
+        native.run(ExperimentWithBHatZero(steps=10), first=0, trials=1, lanes=lanes)
 
 
 # --- Robots that lie --------------------------------------------------------------------------------------
@@ -539,7 +605,7 @@ def estimates_with_two_liars_on_a_bus(experiment: Experiment) -> list[float]:
 
 
 with_liars = pytest.mark.parametrize(
-    "experiment", [replace(SHORT, steps=120, trials=1), replace(ROBUST_MOVING, steps=120, trials=1)]
+    "experiment", [replace(FULLY_CONNECTED, steps=120, trials=1), replace(MOVING_ROBUST, steps=120, trials=1)]
 )
 
 
@@ -547,50 +613,59 @@ with_liars = pytest.mark.parametrize(
 def test_robots_that_lie_have_the_same_effect_in_the_engine_as_on_a_bus(experiment: Experiment) -> None:
     """The last two broadcast that nothing is black, with an alpha of 10^6, which is great confidence."""
     call = call_with_two_liars(experiment)
-    status = call.execute(lanes=False)
-    x_at_end_of_trial_0 = call.x[0, :, -1]  # x is by trial, robot and step
+    assert call.execute(lanes=False) is Status.OK
 
-    assert status is Status.OK
-    assert x_at_end_of_trial_0.tolist() == estimates_with_two_liars_on_a_bus(experiment)
+    [x_by_robot_and_step] = call.x.tolist()  # of the only trial
+    x_at_end = [x_of_robot_by_step[-1] for x_of_robot_by_step in x_by_robot_and_step]
+    assert x_at_end == estimates_with_two_liars_on_a_bus(experiment)
 
 
 @with_liars
 def test_trials_are_computed_one_by_one_if_robots_lie(experiment: Experiment) -> None:
-    """A liar computes with its own true estimate, and the robots around it compute with its lie."""
-    assert not _engine.lib.mcp_asdf_engine_has_lanes(call_with_two_liars(experiment).experiment)
+    """A liar computes with its own true estimate, and the robots around it compute with its lie.
+
+    In lanes, where many trials or robots are computed at once, these could not be different.
+    """
+    call = call_with_two_liars(experiment)
+    assert not _engine.lib.mcp_asdf_engine_has_lanes(call.experiment)
 
 
 # --- More than 128 robots ----------------------------------------------------------------------------------
 
-MANY = replace(LATE, robots=300, flawed=90, steps=150)
+SWARM_OF_300 = replace(MOVING_WITH_LATENCY, robots=300, flawed=90, steps=150)
 LONG_GRAPH = "; ".join(f"{i} {(i + 1) % 2100}; {i} > {(i + 2048) % 2100}" for i in range(2100))
 """A ring in which each robot also sends to the robot 2048 places further on."""
-HUGE = replace(MANY, topology="graph", density=1.0, graph=LONG_GRAPH, robots=2100, flawed=630, steps=60)
+GRAPH_OF_2100 = replace(
+    SWARM_OF_300, topology="graph", density=1.0, graph=LONG_GRAPH, robots=2100, flawed=630, steps=60
+)
 """Its robots stand in many rows of lanes and receive from others far away in them."""
 
 
 @pytest.mark.parametrize(
     "experiment",
     [
-        MANY,
-        replace(MANY, density=6, latency=0, filter="robust"),
-        HUGE,
-        replace(HUGE, latency=0, filter="robust", steps=30),
+        SWARM_OF_300,
+        replace(SWARM_OF_300, density=6, latency=0, filter="robust"),
+        GRAPH_OF_2100,
+        replace(GRAPH_OF_2100, latency=0, filter="robust", steps=30),
     ],
     ids=["many", "many, robust", "huge", "huge, robust"],
 )
 def test_hundreds_of_robots_computed_at_once_equal_the_firmware_to_the_bit(experiment: Experiment) -> None:
     """There are 300 that move, or 2100 in a graph, which take many rows of vectors."""
-    assert not results_that_differ(experiment, first=0, trials=1)
+    assert differences_between_lanes_and_firmware(experiment, first=0, trials=1) == []
 
 
 @pytest.mark.parametrize("filter_name", ["robust", "asdf-plus"])
 def test_127_robots_end_in_the_states_that_earlier_versions_gave_them(filter_name: Any) -> None:
     """A golden file, which an earlier version wrote, has b_hat and the saved state of every sixth robot."""
-    experiment = replace(LATE, robots=127, flawed=38, density=1, steps=600, filter_period=100, seed=5)
+    experiment = replace(
+        MOVING_WITH_LATENCY, robots=127, flawed=38, density=1, steps=600, filter_period=100, seed=5
+    )
     trials = native.run(replace(experiment, filter=filter_name), first=0, trials=1)
     states = trials.images()
-    b_hat_at_end = trials.b_hat[0, -1]  # of trial 0, by robot
+    [b_hat_by_filter_step_and_robot] = trials.b_hat  # of the only trial
+    *_, b_hat_at_end = b_hat_by_filter_step_and_robot
 
     lines = []
     for robot in range(0, 127, 6):
@@ -636,7 +711,8 @@ def run_with_ids_that_differ(experiment: Experiment) -> list[NativeRobot]:
 def test_neighbours_whose_ids_have_the_same_7_bits_are_told_apart_in_a_graph(filter_name: Any) -> None:
     """Messages on a bus have ids of 7 bits, and swarms in a graph may have more than 128 robots.
 
-    The engine computes what robots do that know all of their neighbours by different ids.
+    Here these are 260, of which three hear each other and have the same id. The engine computes what robots
+    do that know all of their neighbours by different ids.
     """
     experiment = Experiment(
         topology="graph",
@@ -650,20 +726,24 @@ def test_neighbours_whose_ids_have_the_same_7_bits_are_told_apart_in_a_graph(fil
     robots = run_with_ids_that_differ(experiment)
     trials = run_trials(experiment, first=0, trials=1, sampling_interval=60)
 
-    [(_x_at_start, x_at_end)] = trials.records["x"].tolist()
-    [(*_, b_hat_at_end)] = trials.b_hat.tolist()
+    [x_by_step_and_robot] = trials.records["x"].tolist()  # of the only trial, recorded twice
+    _x_at_start, x_at_end = x_by_step_and_robot
+    [b_hat_by_filter_step_and_robot] = trials.b_hat.tolist()
+    *_, b_hat_at_end = b_hat_by_filter_step_and_robot
     assert x_at_end == [robot.x for robot in robots]
     assert b_hat_at_end == [robot.b_hat for robot in robots]
 
 
 def engine_bytes_per_robot(robots: int) -> float:
     """Return the memory that the engine needs for each robot of a trial."""
-    experiment = replace(MANY, robots=robots, density=1, steps=10)
+    experiment = replace(SWARM_OF_300, robots=robots, density=1, steps=10)
     call = native.EngineTrials(experiment, first=0, trials=1, sampling_interval=0)
     return float(_engine.lib.mcp_asdf_engine_bytes(call.experiment)) / robots
 
 
 def test_memory_of_the_engine_grows_linearly_with_the_robots() -> None:
     """It needs 1000 to 2500 bytes per robot. In a large swarm this is the same number as in a small swarm."""
-    assert 1000 < engine_bytes_per_robot(10_240) < 2500
-    assert engine_bytes_per_robot(2048) == pytest.approx(engine_bytes_per_robot(10_240), rel=0.01)
+    bytes_in_small_swarm = engine_bytes_per_robot(robots=2048)
+    bytes_in_large_swarm = engine_bytes_per_robot(robots=10_240)
+    assert 1000 < bytes_in_large_swarm < 2500
+    assert bytes_in_small_swarm == pytest.approx(bytes_in_large_swarm, rel=0.01)

@@ -13,7 +13,6 @@ from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.parameters import parameters_of
 from mcp_asdf_tools.experiments.experiment import MAX_EXPERIMENTS, Experiment, combinations, grid
 from mcp_asdf_tools.experiments.experiment_files import STUDIES, read_experiments
-from mcp_asdf_tools.world.graph import MAX_ON_BUS
 from support import ROOT, block_with
 
 # --- Values ----------------------------------------------------------------------------------------------
@@ -34,14 +33,15 @@ def test_parameters_given_without_a_decimal_point_make_the_same_experiment() -> 
 
 
 def test_an_experiment_says_that_the_engine_in_c_lacks_its_firmware_in_python() -> None:
-    """So it is run message by message, which is limited to as many robots as a bus has ids."""
-    assert Experiment(robots=MAX_ON_BUS, firmware="mirror").parameter_lacking_in_c == "firmware"
+    """So it is run message by message, which is limited to 128 robots, as a bus has 128 ids."""
+    experiment = Experiment(robots=128, firmware="mirror")
+    assert experiment.parameter_lacking_in_c == "firmware"
 
 
 def test_the_largest_grid_of_experiments_is_accepted() -> None:
     """A larger grid is refused, as test_an_error_in_a_file_of_experiments... shows."""
-    first_combination, *_ = combinations({"seed": [7] * MAX_EXPERIMENTS})
-    assert first_combination == {"seed": 7}
+    all_combinations = list(combinations({"seed": [7] * MAX_EXPERIMENTS}))
+    assert all_combinations == [{"seed": 7}] * MAX_EXPERIMENTS
 
 
 # --- TOML ------------------------------------------------------------------------------------------------
@@ -63,31 +63,36 @@ def test_lists_of_values_in_a_file_describe_experiments_of_all_their_combination
 
     flawed_and_filters = [(experiment.flawed, experiment.filter) for experiment in experiments]
     assert flawed_and_filters == [(1, "none"), (1, "asdf-plus"), (3, "none"), (3, "asdf-plus")]
-    assert {experiment.steps for experiment in experiments} == {1000}
+    assert [experiment.steps for experiment in experiments] == [1000] * 4
 
 
 def test_each_grid_of_a_file_takes_the_keys_above_the_first_grid_and_may_change_them(tmp_path: Path) -> None:
-    text = 'trials = 2\nflawed = 1\n[[grid]]\nfill_ratio = 0.9\n[[grid]]\nflawed = "50%"\ntrials = 3\n'
-    first, second = experiments_of(tmp_path, text)
+    """The first grid gives another key. The second one changes both keys that stand above the first."""
+    keys_above = "trials = 2\nflawed = 1\n"
+    first_grid = "[[grid]]\nfill_ratio = 0.9\n"
+    second_grid = '[[grid]]\nflawed = "50%"\ntrials = 3\n'
+    first, second = experiments_of(tmp_path, keys_above + first_grid + second_grid)
 
     assert (first.trials, first.flawed, first.fill_ratio) == (2, 1, 0.9)
     assert (second.trials, second.flawed) == (3, 10)  # half of 20 robots
-    assert second.fill_ratio == Experiment().fill_ratio
-
-
-TABLES_IN_A_FILE = """\
-who = [{flawed = 1, seed = [5, 6]}, {flawed = 2, more = [{seed = 7}]}]
-seed = 4
-steps = [8, 9]
-"""
-"""Tables of values that belong together, under names that do not matter."""
+    default_fill_ratio = Experiment().fill_ratio
+    assert second.fill_ratio == default_fill_ratio
 
 
 def test_tables_in_a_file_give_values_that_are_not_combined_with_those_of_other_tables(
     tmp_path: Path,
 ) -> None:
-    """Swarms with one flawed robot have seeds 5 and 6; with two, seed 7. Each runs with 8 and 9 steps."""
-    experiments = experiments_of(tmp_path, TABLES_IN_A_FILE)
+    """Swarms with one flawed robot have seeds 5 and 6; with two, seed 7. Each runs with 8 and 9 steps.
+
+    The names of lists of tables, here who and more, do not matter. A value in a table, here of the seed,
+    replaces the value outside.
+    """
+    text = """\
+who = [{flawed = 1, seed = [5, 6]}, {flawed = 2, more = [{seed = 7}]}]
+seed = 4
+steps = [8, 9]
+"""
+    experiments = experiments_of(tmp_path, text)
 
     flawed_seed_and_steps = [
         (experiment.flawed, experiment.seed, experiment.steps) for experiment in experiments
@@ -96,8 +101,10 @@ def test_tables_in_a_file_give_values_that_are_not_combined_with_those_of_other_
 
 
 def test_the_library_s_grid_makes_the_same_experiments_as_a_file_of_equal_values(tmp_path: Path) -> None:
+    """Values that belong together are in a list of dictionaries here, and in a list of tables in the file."""
+    text = "who = [{flawed = 1, seed = [5, 6]}, {flawed = 2, seed = 7}]\nseed = 4\nsteps = [8, 9]\n"
     who = [{"flawed": 1, "seed": [5, 6]}, {"flawed": 2, "seed": 7}]
-    assert grid(who=who, seed=4, steps=[8, 9]) == experiments_of(tmp_path, TABLES_IN_A_FILE)
+    assert grid(who=who, seed=4, steps=[8, 9]) == experiments_of(tmp_path, text)
 
 
 def test_a_graph_is_looked_for_in_the_folder_of_the_file_that_names_it(tmp_path: Path) -> None:
@@ -115,14 +122,17 @@ def test_a_graph_is_looked_for_in_the_folder_of_the_file_that_names_it(tmp_path:
 
 @pytest.mark.parametrize("graph", ["pipe", "/dev/zero", "absent", "a" * 300])
 def test_a_graph_that_is_no_regular_file_is_refused_and_not_opened(graph: str, tmp_path: Path) -> None:
-    """Reading a pipe that nobody writes would wait for ever."""
+    """The four are a pipe, a device, a missing file and a name that is too long for any file.
+
+    Reading a pipe that nobody writes would wait for ever.
+    """
     os.mkfifo(tmp_path / "pipe")
     with pytest.raises(UsageError, match=r"line 2: graph is '.*', which is no regular file; give"):
         experiments_of(tmp_path, f'topology = "graph"\ngraph = "{graph}"\n')
 
 
 @pytest.mark.parametrize(
-    ("text", "words"),
+    ("text", "expected_message"),
     [
         ("steps = 10\nrobotz = 3\n", "line 2: unknown key 'robotz'"),
         ("\n\nrobots = [3, 0]\n", "line 3: robots is 0"),
@@ -147,9 +157,10 @@ def test_a_graph_that_is_no_regular_file_is_refused_and_not_opened(graph: str, t
     ],
 )
 def test_an_error_in_a_file_of_experiments_is_reported_with_file_line_and_key(
-    tmp_path: Path, text: str, words: str
+    tmp_path: Path, text: str, expected_message: str
 ) -> None:
-    with pytest.raises(UsageError, match=words) as error:
+    """The text is written to the file grid.toml. The expected message has the line and the key."""
+    with pytest.raises(UsageError, match=expected_message) as error:
         experiments_of(tmp_path, text)
     assert str(tmp_path / "grid.toml") in str(error.value)
 
@@ -162,8 +173,8 @@ def test_docs_platforms_authors_md_translates_the_four_experiments_of_the_author
     tmp_path: Path,
 ) -> None:
     """The authors' programs come with a file of four experiments. The page has the same file in our TOML."""
-    translation = block_with(PAGE_OF_AUTHORS, "robots = 10", "toml")
-    assert experiments_of(tmp_path, translation) == grid(
+    toml_on_the_page = block_with(PAGE_OF_AUTHORS, "robots = 10", "toml")
+    assert experiments_of(tmp_path, toml_on_the_page) == grid(
         robots=10,
         flawed=[1, 2, 3, 4],
         flawed_accuracy=0.75,
@@ -176,12 +187,16 @@ def test_docs_platforms_authors_md_translates_the_four_experiments_of_the_author
     )
 
 
+def third_column_of_the_table_of_keys() -> list[str]:
+    """Return the names at the beginning of the third cells in the table of keys on the page."""
+    page = PAGE_OF_AUTHORS.read_text(encoding="utf-8")
+    (rows,) = re.findall(r"\| theirs, YAML .*\n((?:\|.*\n)+)", page)
+    return re.findall(r"^\|[^|]*\|[^|]*\| `(\w+)", rows, re.MULTILINE)
+
+
 def test_docs_platforms_authors_md_translates_the_authors_keys_into_parameters_that_exist() -> None:
     """A row of its table has their keys in YAML and for ARGoS; its third cell begins with our parameter."""
-    page = PAGE_OF_AUTHORS.read_text(encoding="utf-8")
-    (table,) = re.findall(r"\| theirs, YAML .*\n((?:\|.*\n)+)", page)
-    our_parameters = re.findall(r"^\|[^|]*\|[^|]*\| `(\w+)", table, re.MULTILINE)
-
+    our_parameters = third_column_of_the_table_of_keys()
     assert len(our_parameters) > 15, "the rows of the table have been found"
     assert set(our_parameters) <= set(parameters_of(Experiment))
 
@@ -198,13 +213,16 @@ def test_a_file_of_experiments_may_begin_with_a_byte_order_mark(tmp_path: Path) 
 
 
 @pytest.mark.parametrize(
-    ("name", "words"),
+    ("name", "expected_message"),
     [
         ("grid.json", r"name it \.toml"),
         ("absent.toml", "cannot read"),
         ("studio", "no file studio; those that come with the program are .*physical"),
     ],
 )
-def test_a_file_of_experiments_that_is_missing_or_not_toml_is_refused(name: str, words: str) -> None:
-    with pytest.raises(UsageError, match=words):
+def test_a_file_of_experiments_that_is_missing_or_not_toml_is_refused(
+    name: str, expected_message: str
+) -> None:
+    """A name without a suffix is that of a study that comes with the program. There is no studio."""
+    with pytest.raises(UsageError, match=expected_message):
         read_experiments(Path(name))

@@ -11,7 +11,9 @@ from mcp_asdf_tools.experiments.message_codes import MessageCode, parse_message_
 
 
 def test_the_text_exact_means_that_messages_are_not_rounded_and_is_the_default() -> None:
+    """Messages that are not rounded have no code."""
     assert parse_message_bits("exact") is None
+    assert Experiment().message_bits == "exact"
     assert Experiment().message_code is None
 
 
@@ -25,14 +27,15 @@ def test_a_code_of_messages_has_the_text_that_it_was_parsed_from(text: str) -> N
     "text", ["", "16", "0+9", "24+9", "16+0", "16+26", "16+9+1", "-1+9", "1\uff16+9", "16 + 9"]
 )
 def test_a_text_that_is_no_code_of_messages_is_refused_with_the_limits_of_bits(text: str) -> None:
-    with pytest.raises(
-        ParameterError, match=r"give the bits of x_hat, 1 to 23, and of alpha, 1 to 25"
-    ) as error:
+    """The error has the key of the parameter, by which a file or a command names it."""
+    limits = "give the bits of x_hat, 1 to 23, and of alpha, 1 to 25"
+    with pytest.raises(ParameterError, match=limits) as error:
         Experiment(message_bits=text)
     assert error.value.key == "message_bits"
 
 
 def test_experiments_whose_message_codes_are_spelt_differently_are_equal() -> None:
+    """A number of bits may have zeros in front."""
     assert Experiment(message_bits="07+04") == Experiment(message_bits="7+4")
 
 
@@ -43,15 +46,18 @@ def test_an_estimate_between_two_codes_is_rounded_to_the_nearest_and_alpha_is_ro
     """
     code = MessageCode(x_hat_bits=2, alpha_bits=4)
 
-    raw_x_hat, raw_alpha = code.round_raw(int(0.4 * ONE), alpha_word_from_float(7.9))
+    # In the firmware, x_hat is a whole number of units, of which ONE are 1.0, and alpha a word of 32 bits.
+    x_hat_units, alpha_word = code.round_raw(int(0.4 * ONE), alpha_word_from_float(7.9))
     x_hat, alpha = code.round_floats(0.4, 7.9)
 
-    assert raw_x_hat == round(ONE / 3)
-    assert raw_alpha == alpha_word_from_float(2.0)
-    assert x_hat == round(ONE / 3) / ONE  # a whole number of the firmware's units
+    units_nearest_to_a_third = round(ONE / 3)
+    assert x_hat_units == units_nearest_to_a_third
+    assert alpha_word == alpha_word_from_float(2.0)
+    assert x_hat == units_nearest_to_a_third / ONE
     assert alpha == 2.0
 
 
 def test_an_estimate_of_one_half_is_rounded_up_to_1_by_a_code_of_one_bit() -> None:
+    """HALF and ONE are 0.5 and 1 in the firmware's units. A code of one bit has only 0 and 1."""
     x_hat, _alpha = MessageCode(x_hat_bits=1, alpha_bits=1).round_raw(HALF, 0)
     assert x_hat == ONE

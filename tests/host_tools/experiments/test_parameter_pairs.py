@@ -99,22 +99,24 @@ WITHOUT_EFFECT = {
 
 
 @cache
-def results_of_pair(name: str) -> list[Trials]:
-    """Run two experiments that differ in the parameter of this name alone."""
-    values = PAIRS[name]
-    common = SHORT_SWARM | values.others
+def run_two_that_differ_in(parameter: str) -> list[Trials]:
+    """Run two experiments of three trials that differ in this parameter alone, and return their results."""
+    pair_of_values = PAIRS[parameter]
+    common = SHORT_SWARM | pair_of_values.others
     return [
-        results_of(Experiment(**common | {name: value}), sampling_interval=1)
-        for value in (values.first_value, values.second_value)
+        results_of(Experiment(**common | {parameter: value}), sampling_interval=1)
+        for value in (pair_of_values.first_value, pair_of_values.second_value)
     ]
 
 
 def test_every_parameter_of_an_experiment_has_two_values_in_these_tests() -> None:
     """The exception is ``sensor``, which has only one value where no extension is installed."""
-    assert {*PAIRS, "sensor"} == set(PARAMETER_NAMES)
+    parameters_with_two_values = set(PAIRS)
+    assert set(PARAMETER_NAMES) - parameters_with_two_values == {"sensor"}
+    assert parameters_with_two_values - set(PARAMETER_NAMES) == set()
 
 
-def have_equal_records(first: Trials, second: Trials) -> bool:
+def robots_computed_the_same(first: Trials, second: Trials) -> bool:
     """Return whether all robots have had the same values in the trials that both experiments have."""
     count = min(len(first.numbers), len(second.numbers))
     return all(
@@ -122,21 +124,31 @@ def have_equal_records(first: Trials, second: Trials) -> bool:
     )
 
 
-@pytest.mark.parametrize("name", PAIRS)
-def test_another_value_of_a_parameter_changes_what_the_robots_compute(name: str) -> None:
-    """The exceptions are the three parameters in WITHOUT_EFFECT, which says why."""
-    first, second = results_of_pair(name)
-    assert have_equal_records(first, second) == (name in WITHOUT_EFFECT)
+@pytest.mark.parametrize("parameter", [name for name in PAIRS if name not in WITHOUT_EFFECT])
+def test_another_value_of_a_parameter_changes_what_the_robots_compute(parameter: str) -> None:
+    """Two experiments are run that differ in this parameter alone."""
+    first, second = run_two_that_differ_in(parameter)
+    assert not robots_computed_the_same(first, second)
 
 
-@pytest.mark.parametrize("name", PAIRS)
-def test_a_table_of_results_keeps_experiments_apart_that_differ_in_one_parameter(name: str) -> None:
-    first, second = results_of_pair(name)
+@pytest.mark.parametrize("parameter", WITHOUT_EFFECT)
+def test_another_value_of_a_parameter_without_effect_changes_nothing_that_robots_compute(
+    parameter: str,
+) -> None:
+    """These are drift without a rate, the firmware in C or in Python, and the number of trials."""
+    first, second = run_two_that_differ_in(parameter)
+    assert robots_computed_the_same(first, second)
+
+
+@pytest.mark.parametrize("parameter", PAIRS)
+def test_a_table_of_results_keeps_experiments_apart_that_differ_in_one_parameter(parameter: str) -> None:
+    """The results of two such experiments are joined to one table, and read from it as two experiments."""
+    first, second = run_two_that_differ_in(parameter)
     table = pa.concat_tables([trials_to_table(first), trials_to_table(second)])
-    first_read, second_read = experiments_in(table)
+    first_from_table, second_from_table = experiments_in(table)
 
-    assert first_read.experiment == first.experiment
-    assert second_read.experiment == second.experiment
+    assert first_from_table.experiment == first.experiment
+    assert second_from_table.experiment == second.experiment
 
 
 # --- Pictures --------------------------------------------------------------------------------------------
@@ -147,18 +159,19 @@ DRAWN = [name for name in PAIRS if name != "trials"]  # more trials of one exper
 DRAWN_CASES = [*DRAWN_QUICKLY, *slow(name for name in DRAWN if name not in DRAWN_QUICKLY)]
 
 
-@pytest.mark.parametrize("name", DRAWN)
-def test_a_curve_of_experiments_that_differ_in_a_parameter_not_shown_is_refused(name: str) -> None:
-    parameter_shown = "seed" if name == "comms_period" else "comms_period"
-    with pytest.raises(UsageError, match=rf"the results differ in {name} too"):
-        plot_curve(results_of_pair(name), parameter_shown)
+@pytest.mark.parametrize("parameter", DRAWN)
+def test_a_curve_of_experiments_that_differ_in_a_parameter_not_shown_is_refused(parameter: str) -> None:
+    """The curve would show its effect as if it were that of the parameter along the x axis."""
+    parameter_on_x_axis = "seed" if parameter == "comms_period" else "comms_period"
+    with pytest.raises(UsageError, match=f"the results differ in {parameter} too"):
+        plot_curve(run_two_that_differ_in(parameter), parameter_on_x_axis)
 
 
-@pytest.mark.parametrize("name", DRAWN_CASES)
-def test_a_curve_over_a_parameter_has_a_point_at_the_median_error_for_each_value(name: str) -> None:
+@pytest.mark.parametrize("parameter", DRAWN_CASES)
+def test_a_curve_over_a_parameter_has_a_point_at_the_median_error_for_each_value(parameter: str) -> None:
     """The error of a trial is called e. There are two values, and the curve may go up or down."""
-    first, second = results_of_pair(name)
-    (axes,) = plot_curve([first, second], name, "e").axes
+    first, second = run_two_that_differ_in(parameter)
+    (axes,) = plot_curve([first, second], parameter, "e").axes
     (line,) = axes.lines
 
     heights = np.asarray(line.get_ydata())
@@ -188,29 +201,35 @@ def points_in(figure: Figure, marker: str | None = None) -> list[Points]:
     return groups
 
 
-@pytest.mark.parametrize("name", DRAWN_CASES)
-def test_boxes_of_experiments_that_differ_in_one_parameter_can_be_told_apart(name: str) -> None:
+@pytest.mark.parametrize("parameter", DRAWN_CASES)
+def test_boxes_of_experiments_that_differ_in_one_parameter_can_be_told_apart(parameter: str) -> None:
     """They are in two panels, in two colours, or side by side. A box has a point for each of three trials."""
-    first, second = points_in(plot_boxes(results_of_pair(name)), marker=".")
+    figure = plot_boxes(run_two_that_differ_in(parameter))
+    first_box, second_box = points_in(figure, marker=".")
 
-    assert (first.count, second.count) == (3, 3)
-    is_another_place = abs(first.mean_x - second.mean_x) > 0.01
-    assert first.axes != second.axes or first.colour != second.colour or is_another_place
+    assert (first_box.count, second_box.count) == (3, 3)
+    are_in_two_panels = first_box.axes != second_box.axes
+    have_two_colours = first_box.colour != second_box.colour
+    are_side_by_side = abs(first_box.mean_x - second_box.mean_x) > 0.01
+    assert are_in_two_panels or have_two_colours or are_side_by_side
 
 
-@pytest.mark.parametrize("name", DRAWN_CASES)
-def test_points_of_experiments_that_differ_in_one_parameter_can_be_told_apart(name: str) -> None:
+@pytest.mark.parametrize("parameter", DRAWN_CASES)
+def test_points_of_experiments_that_differ_in_one_parameter_can_be_told_apart(parameter: str) -> None:
     """They are in two panels, in two colours, or have two markers. Each of three trials is a point."""
-    first, second = points_in(plot_scatter(results_of_pair(name)))
+    first, second = points_in(plot_scatter(run_two_that_differ_in(parameter)))
 
     assert (first.count, second.count) == (3, 3)
-    assert (first.axes, first.colour, first.marker) != (second.axes, second.colour, second.marker)
+    are_in_two_panels = first.axes != second.axes
+    have_two_colours = first.colour != second.colour
+    have_two_markers = first.marker != second.marker
+    assert are_in_two_panels or have_two_colours or have_two_markers
 
 
-@pytest.mark.parametrize("name", DRAWN_CASES)
-def test_bands_of_experiments_that_differ_in_one_parameter_have_different_titles(name: str) -> None:
+@pytest.mark.parametrize("parameter", DRAWN_CASES)
+def test_bands_of_experiments_that_differ_in_one_parameter_have_different_titles(parameter: str) -> None:
     """Their last lines, which say how many robots have been harmed, are left out: they may differ anyway."""
-    first_title, second_title = titles_of(plot_bands(results_of_pair(name)))
-    first_beginning, _, _ = first_title.rpartition("\n")
-    second_beginning, _, _ = second_title.rpartition("\n")
+    first_title, second_title = titles_of(plot_bands(run_two_that_differ_in(parameter)))
+    first_beginning, _newline, _last_line = first_title.rpartition("\n")
+    second_beginning, _newline, _last_line = second_title.rpartition("\n")
     assert first_beginning != second_beginning

@@ -21,7 +21,7 @@ from support import slow
 
 
 @pytest.mark.parametrize(
-    ("value", "text"),
+    ("value", "text_in_legend"),
     [
         ("asdf_plus", "asdf plus"),
         (0.25, "0.25"),
@@ -32,9 +32,10 @@ from support import slow
     ],
 )
 def test_a_legend_has_no_underlines_and_writes_large_powers_of_two_as_powers(
-    value: float | str, text: str
+    value: float | str, text_in_legend: str
 ) -> None:
-    assert format_for_legend(value) == text
+    """Large is 65536, 2^16, and more. Values are of parameters, which may be names or numbers."""
+    assert format_for_legend(value) == text_in_legend
 
 
 @pytest.fixture(scope="module")
@@ -58,7 +59,7 @@ def flawed() -> Trials:
 def test_plot_series_refuses_two_experiments_and_says_how_to_choose_one(
     unfiltered: Trials, filtered: Trials
 ) -> None:
-    """It draws one trial over time."""
+    """It draws one trial over time. These two experiments differ in their filter."""
     with pytest.raises(UsageError, match="2 experiments match; choose one with where filter="):
         library.plot_series([unfiltered, filtered])
 
@@ -71,13 +72,16 @@ def test_plot_series_refuses_results_without_values_recorded_over_time(unfiltere
 def test_plot_curve_names_all_parameters_in_which_results_differ_and_that_are_not_shown(
     unfiltered: Trials, flawed: Trials
 ) -> None:
-    """The plot would show the effect of several parameters as if it were omega's alone."""
+    """One swarm has flawed robots, with an accuracy of their own, and the other has none.
+
+    The plot would show the effect of these parameters as if it were omega's alone.
+    """
     with pytest.raises(UsageError, match="the results differ in flawed_accuracy, flawed too"):
         library.plot_curve([unfiltered, flawed], "omega")
 
 
 @pytest.mark.parametrize(
-    ("options", "message"),
+    ("options", "expected_message"),
     [
         ({}, "x is ''; choose a parameter: robots, topology"),
         ({"x": "omega", "hue": "tao"}, "hue is 'tao'; choose"),
@@ -88,10 +92,10 @@ def test_plot_curve_names_all_parameters_in_which_results_differ_and_that_are_no
     ],
 )
 def test_plot_curve_refuses_options_that_it_cannot_draw(
-    options: dict[str, Any], message: str, unfiltered: Trials
+    options: dict[str, Any], expected_message: str, unfiltered: Trials
 ) -> None:
-    """A function given as y has to return 5 values, one per trial, and not 4 values, one per robot."""
-    with pytest.raises(UsageError, match=message):
+    """Results are of 5 trials of 4 robots, so a function given as y returns 5 values, and not 5 times 4."""
+    with pytest.raises(UsageError, match=expected_message):
         library.plot_curve([unfiltered], **options)
 
 
@@ -115,9 +119,10 @@ def test_the_command_plot_writes_the_same_bytes_each_time_in_the_format_of_the_s
     suffix: str, first_bytes: bytes, results_file: Path, tmp_path: Path
 ) -> None:
     """The results are drawn twice. The first bytes of a file tell its format."""
-    first_picture, second_picture = tmp_path / f"1.{suffix}", tmp_path / f"2.{suffix}"
-    for picture in (first_picture, second_picture):
-        assert cli.main(["plot", str(results_file), str(picture)]) == 0
+    first_path, second_path = tmp_path / f"1.{suffix}", tmp_path / f"2.{suffix}"
+    assert cli.main(["plot", str(results_file), str(first_path)]) == 0
+    assert cli.main(["plot", str(results_file), str(second_path)]) == 0
 
-    assert first_picture.read_bytes() == second_picture.read_bytes()
-    assert first_picture.read_bytes().startswith(first_bytes)
+    first_picture, second_picture = first_path.read_bytes(), second_path.read_bytes()
+    assert first_picture == second_picture
+    assert first_picture.startswith(first_bytes)
