@@ -107,6 +107,16 @@ def block_with(page: Path, part: str, *languages: str) -> str:
     return blocks_with_text[0]
 
 
+def section_of(page: Path, heading: str) -> str:
+    """Return the text below a page's heading "## ...", up to the next one. Fails if it is not there."""
+    heading_line = f"\n## {heading}\n"
+    text = page.read_text(encoding="utf-8")
+    assert heading_line in text, f"{page} has no heading ## {heading}"
+    _before, _, text_from_section_on = text.partition(heading_line)
+    section, _, _next_sections = text_from_section_on.partition("\n## ")
+    return section
+
+
 def replace_each(text: str, replacements: dict[str, str]) -> str:
     """Replace old texts by new texts. Fails if an old text is not there."""
     for old, new in replacements.items():

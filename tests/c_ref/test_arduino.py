@@ -25,13 +25,12 @@ pytestmark = pytest.mark.slow
 
 SKETCH = ROOT / "c_ref/examples/MinimalRobot"
 PAGE = ROOT / "docs/porting.md"
-ROBOT_ID = 7
+SKETCH_S_ROBOT_ID = 7
 CLOCK = 16_000_000
 CYCLES_OF_A_TICK = CLOCK // 2
 CYCLES_OF_A_BYTE = CLOCK * 10 // 9600  # ten bits, at 9600 a second
 PORT_B, LED_BIT = 0x25, 5
 """Register of the Uno's pin 13, and the bit that lights the LED there."""
-FORMAT = FrameFormat()
 
 
 def build_sketch(folder: Path) -> None:
@@ -87,10 +86,10 @@ def robot(built_sketch: Path, sent_packets: list[bytes]) -> Board:
     return board
 
 
-def same_robot_in_python() -> MirrorRobot:
+def make_sketch_s_robot_in_python() -> MirrorRobot:
     """Return the robot that the sketch makes: the paper's filter, a sensor that is right 95 times in 100."""
     table = generate(Decimal("0.05"), q=30)
-    return MirrorRobot(Config(table=table), ROBOT_ID, b_hat=0.95)
+    return MirrorRobot(Config(table=table), SKETCH_S_ROBOT_ID, b_hat=0.95)
 
 
 def send_to(robot: Board, received: bytes) -> None:
@@ -149,17 +148,18 @@ def test_the_arduino_broadcasts_the_same_bytes_as_the_robot_in_python(
 ) -> None:
     """Both move over five tiles, where 1 is black and 0 white. On each tile they broadcast a packet.
 
-    While the Arduino runs, its serial line adds what it sends to ``sent_packets``.
+    A packet has the robot's estimate, x_hat and alpha, as a frame. While the Arduino runs, its serial line
+    adds what it sends to ``sent_packets``.
     """
-    robot_in_python = same_robot_in_python()
+    robot_in_python = make_sketch_s_robot_in_python()
     expected_packets = []
     for packet_number, tile in enumerate([1, 1, 0, 1, 0]):
         run_tick(robot, tile)
 
         robot_in_python.observe(Observation(tile))
         x_hat, alpha = robot_in_python.x_hat_raw, robot_in_python.alpha_raw
-        estimate = Estimate(ROBOT_ID, x_hat, alpha, transfer_id=packet_number)
-        expected_packets.append(packet_of(frames.encode_estimate(estimate, FORMAT)))
+        estimate = Estimate(SKETCH_S_ROBOT_ID, x_hat, alpha, transfer_id=packet_number)
+        expected_packets.append(packet_of(frames.encode_estimate(estimate, FrameFormat())))
 
     assert sent_packets == expected_packets
 
@@ -167,8 +167,8 @@ def test_the_arduino_broadcasts_the_same_bytes_as_the_robot_in_python(
 BLACK_TILE = 1
 CERTAIN = alpha_word_from_float(1e6)
 """A confidence that outweighs a robot's own after one tile."""
-NEIGHBOUR_S_PACKET = packet_of(
-    frames.encode_estimate(Estimate(sender=9, x_hat=0, alpha=CERTAIN, transfer_id=0), FORMAT)
+PACKET_THAT_MAKES_THE_LED_DARK = packet_of(
+    frames.encode_estimate(Estimate(sender=9, x_hat=0, alpha=CERTAIN, transfer_id=0), FrameFormat())
 )
 """The packet of a robot that is certain that all tiles are white: x_hat, the share of black ones, is 0."""
 
@@ -184,7 +184,7 @@ def test_the_robot_ignores_a_packet_with_a_wrong_checksum(robot: Board) -> None:
 
     Had it received the packet, whose sender is certain that all tiles are white, the LED would be dark.
     """
-    *bytes_before, checksum = NEIGHBOUR_S_PACKET
+    *bytes_before, checksum = PACKET_THAT_MAKES_THE_LED_DARK
     wrong_checksum = checksum ^ 1
 
     send_to(robot, bytes([*bytes_before, wrong_checksum]))
@@ -200,7 +200,7 @@ def test_the_robot_finds_the_packet_after_noise(robot: Board) -> None:
     """
     noise = b"\x00\xff"
 
-    send_to(robot, noise + NEIGHBOUR_S_PACKET)
+    send_to(robot, noise + PACKET_THAT_MAKES_THE_LED_DARK)
     run_tick(robot, BLACK_TILE)
 
     assert not is_led_lit(robot)

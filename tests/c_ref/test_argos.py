@@ -45,7 +45,6 @@ ARGOS_HEADERS = (
     "plugins/robots/kheperaiv/control_interface/ci_kheperaiv_proximity_sensor.h",
 )
 """Headers of ARGoS3 (421bd76) and of its plugin for the Khepera IV (7bb1bb3) that the example may include."""
-TICKS = 300
 
 
 # --- Building --------------------------------------------------------------------------------------------
@@ -173,9 +172,7 @@ RunSwarm = Callable[..., subprocess.CompletedProcess[str]]
 def run_swarm(built_folder: Path, tmp_path: Path) -> RunSwarm:
     """A function that runs a swarm in the test's folder, and returns the ended process."""
 
-    def run_in_folder(
-        swarm: Swarm, ticks: int = TICKS, options: str = ""
-    ) -> subprocess.CompletedProcess[str]:
+    def run_in_folder(swarm: Swarm, ticks: int = 300, options: str = "") -> subprocess.CompletedProcess[str]:
         return subprocess.run(
             [built_folder / "swarm"],
             input=swarm.description(ticks, options),
@@ -203,28 +200,30 @@ class CheckedLog:
     updates: int
 
 
-def checked_logs(folder: Path) -> list[CheckedLog]:
-    """Return what check_log.py says of the logs in a folder, all of which it has to pass."""
-    result = check_logs(folder)
-    assert result.returncode == 0, result.stdout
-    # A line is such as "logs/kiv0.csv: 300 ticks, 5700 messages, 4 updates of b_hat: all bits are equal".
-    numbers = re.findall(r"^.*: (\d+) ticks, .* (\d+) updates .*$", result.stdout, re.MULTILINE)
+def parse_checked_logs(output: str) -> list[CheckedLog]:
+    """Return the numbers in the output of check_log.py, which has a line for each log that it passes.
+
+    A line is such as "logs/kiv0.csv: 300 ticks, 5700 messages, 4 updates of b_hat: all bits are equal".
+    """
+    numbers = re.findall(r"^.*: (\d+) ticks, .* (\d+) updates .*: all bits are equal$", output, re.MULTILINE)
     return [CheckedLog(int(ticks), int(updates)) for ticks, updates in numbers]
 
 
 def test_the_robots_of_a_swarm_compute_the_same_bits_as_robots_in_python(
     run_swarm: RunSwarm, swarm: Swarm, tmp_path: Path
 ) -> None:
-    """check_log.py computes the logs of all 20 again in Python, and says that every bit is equal.
+    """The swarm of the example's swarm.argos has 20 robots, and each writes a log.
 
-    In some of them the filter changes the accuracy.
+    check_log.py computes all logs again in Python, and says that every bit is equal. In some of them the
+    filter changes the accuracy, so that its code is compared, too.
     """
-    assert run_swarm(swarm).returncode == 0
+    assert run_swarm(swarm, ticks=300).returncode == 0
 
-    logs = checked_logs(tmp_path / "logs")
+    result = check_logs(tmp_path / "logs")
 
-    assert len(logs) == 20
-    assert {log.ticks for log in logs} == {TICKS}
+    assert result.returncode == 0, result.stdout
+    logs = parse_checked_logs(result.stdout)
+    assert [log.ticks for log in logs] == [300] * 20
     assert sum(log.updates for log in logs) > 10, "changes of the accuracy"
 
 
@@ -251,11 +250,11 @@ def test_after_a_reset_the_log_has_the_second_run_alone(
     A log begins with a line ``start``, and each tick ends with a line ``settle``. check_log.py, which
     computes all logs again, finds no difference.
     """
-    assert run_swarm(swarm, options="reset").returncode == 0
+    assert run_swarm(swarm, ticks=300, options="reset").returncode == 0
 
     log = (tmp_path / "logs/kiv0.csv").read_text(encoding="utf-8")
     assert log.count("start,") == 1
-    assert log.count("settle,") == TICKS
+    assert log.count("settle,") == 300
     assert check_logs(tmp_path / "logs").returncode == 0
 
 
@@ -264,8 +263,8 @@ def test_what_robots_send_before_their_first_broadcast_is_refused(
 ) -> None:
     """ARGoS delivers zeros then, which must not be taken for the estimate of robot 0.
 
-    In the log of robot kiv3 a tick ends with a line ``settle``, and an estimate that it takes is a line
-    ``receive``.
+    In the log of a robot, here kiv3, a tick ends with a line ``settle``, and an estimate that it takes is a
+    line ``receive``.
     """
     assert run_swarm(swarm).returncode == 0
 
@@ -319,9 +318,10 @@ def test_the_table_of_results_has_a_row_for_each_robot_after_each_100_ticks(
 def test_the_table_of_results_has_the_last_estimate_and_accuracy_of_a_robot(
     run_swarm: RunSwarm, swarm: Swarm, tmp_path: Path
 ) -> None:
-    """Its log has them as integers, in lines ``settle,x,x_hat,alpha,b_hat,status``.
+    """The last row of the table is about the last of 20 robots, kiv19, at the end of the run.
 
-    x is in units of 2^-23, and the accuracy b_hat in units of 2^-32.
+    The robot's log has its numbers as integers, in lines ``settle,x,x_hat,alpha,b_hat,status``: x in units
+    of 2^-23, and the accuracy b_hat in units of 2^-32.
     """
     assert run_swarm(swarm).returncode == 0
 
@@ -347,7 +347,10 @@ def test_the_table_of_results_has_the_last_estimate_and_accuracy_of_a_robot(
 
 
 def test_the_run_ends_with_the_mean_error_of_the_robots_accuracies(run_swarm: RunSwarm, swarm: Swarm) -> None:
-    """Six of twenty robots assume an accuracy b_hat that is wrong by 0.4, and go on so without a filter."""
+    """Six of the swarm's 20 robots assume an accuracy b_hat that is wrong by 0.4.
+
+    Without a filter it stays so. The other robots are right.
+    """
     swarm.set_parameter("filter", "off")
 
     result = run_swarm(swarm)
@@ -357,7 +360,7 @@ def test_the_run_ends_with_the_mean_error_of_the_robots_accuracies(run_swarm: Ru
 
 
 @pytest.mark.parametrize(
-    ("name", "value", "message"),
+    ("name", "wrong_value", "expected_message"),
     [
         ("filter", "asdf-minus", 'filter is "asdf-minus"; it must be off, asdf or robust'),
         ("b_hat", "1", "b_hat is 1; it must be a probability, 0.000001 to 0.999999"),
@@ -368,19 +371,19 @@ def test_the_run_ends_with_the_mean_error_of_the_robots_accuracies(run_swarm: Ru
     ],
 )
 def test_a_parameter_that_robots_cannot_have_is_refused_by_its_name(
-    name: str, value: str, message: str, run_swarm: RunSwarm, swarm: Swarm
+    name: str, wrong_value: str, expected_message: str, run_swarm: RunSwarm, swarm: Swarm
 ) -> None:
     """The simulation does not start, and ends with code 1. The file of the experiment has the parameters."""
-    swarm.set_parameter(name, value)
+    swarm.set_parameter(name, wrong_value)
 
     result = run_swarm(swarm)
 
     assert result.returncode == 1
-    assert result.stderr.startswith(f"cannot start the MCP-ASDF firmware of robot kiv0: {message}")
+    assert result.stderr.startswith(f"cannot start the MCP-ASDF firmware of robot kiv0: {expected_message}")
 
 
 def test_a_fill_ratio_that_no_floor_has_is_refused_by_its_name(run_swarm: RunSwarm, swarm: Swarm) -> None:
-    """It is the share of black tiles, and so at most 1."""
+    """It is the share of black tiles, and so at most 1; 55 may be meant as percents."""
     swarm.floor["fill_ratio"] = "55"
 
     result = run_swarm(swarm)
@@ -396,11 +399,12 @@ def distinct_rows(floor: Floor) -> set[bytes]:
     return {row.tobytes() for row in floor}
 
 
-def floor_of(seed: int, built_folder: Path, tmp_path: Path) -> Floor:
-    """Return which of 100 by 100 tiles of a floor are black."""
+def draw_floor(seed: int, fill_ratio: float, built_folder: Path, tmp_path: Path) -> Floor:
+    """Let the loop functions draw a floor of 100 by 100 tiles, and return which of them are black."""
     tile_size, tiles_of_a_row = 0.01, 100
     loop_line = (
-        f"loop asdf_loop_functions fill_ratio=0.55 tile={tile_size} results={tmp_path}/r results_period=1\n"
+        f"loop asdf_loop_functions fill_ratio={fill_ratio} tile={tile_size} "
+        f"results={tmp_path}/r results_period=1\n"
     )
     robots_line = "robots asdf_controller 1 0 filter=off b_hat=0.9 sensor_accuracy=0.9\n"
     floor_line = f"floor {seed} {tiles_of_a_row} {tile_size}\n"
@@ -415,10 +419,10 @@ def floor_of(seed: int, built_folder: Path, tmp_path: Path) -> Floor:
 
 
 def test_a_floor_has_the_fill_ratio(built_folder: Path, tmp_path: Path) -> None:
-    """swarm.argos asks for a floor with a black share of 0.55."""
-    share_of_black = floor_of(seed=1, built_folder=built_folder, tmp_path=tmp_path).mean()
-    five_standard_deviations = 0.025  # of a share of 10,000 tiles: sqrt(0.55 * 0.45 / 10,000) is 0.005
-    assert share_of_black == pytest.approx(0.55, abs=five_standard_deviations)
+    """The fill ratio is the share of black tiles. Each of 100 by 100 tiles is drawn, so it is not exact."""
+    floor = draw_floor(seed=1, fill_ratio=0.55, built_folder=built_folder, tmp_path=tmp_path)
+    five_standard_deviations = 5 * 0.005  # of a share of 10,000 tiles: sqrt(0.55 * 0.45 / 10,000) is 0.005
+    assert floor.mean() == pytest.approx(0.55, abs=five_standard_deviations)
 
 
 def test_floors_of_two_seeds_have_no_row_or_column_in_common(built_folder: Path, tmp_path: Path) -> None:
@@ -426,11 +430,13 @@ def test_floors_of_two_seeds_have_no_row_or_column_in_common(built_folder: Path,
 
     If the random numbers of two seeds overlapped, rows or columns would be the same.
     """
-    first = floor_of(seed=1, built_folder=built_folder, tmp_path=tmp_path)
-    second = floor_of(seed=2, built_folder=built_folder, tmp_path=tmp_path)
+    first = draw_floor(seed=1, fill_ratio=0.55, built_folder=built_folder, tmp_path=tmp_path)
+    second = draw_floor(seed=2, fill_ratio=0.55, built_folder=built_folder, tmp_path=tmp_path)
 
-    assert distinct_rows(first).isdisjoint(distinct_rows(second))
-    assert distinct_rows(first.transpose()).isdisjoint(distinct_rows(second.transpose()))
+    common_rows = distinct_rows(first) & distinct_rows(second)
+    common_columns = distinct_rows(first.transpose()) & distinct_rows(second.transpose())
+    assert common_rows == set()
+    assert common_columns == set()
 
 
 # --- check_log.py ----------------------------------------------------------------------------------------
@@ -448,7 +454,7 @@ def check_log() -> ModuleType:
     return module
 
 
-LOG = """\
+LOG_OF_ONE_BLACK_TILE = """\
 start,7,4080218931,2,1000,2147483648
 observe,1
 settle,8388608,8388608,3854762496,4080218931,0
@@ -466,8 +472,8 @@ def short_log(run_swarm: RunSwarm, swarm: Swarm, tmp_path: Path) -> str:
     return (tmp_path / "logs/kiv19.csv").read_text(encoding="utf-8")
 
 
-def verdict_on(check_log: ModuleType, text: str, folder: Path) -> int:
-    """Return the exit code of check_log.py for a log with this text."""
+def exit_code_for_log(check_log: ModuleType, text: str, folder: Path) -> int:
+    """Write a log with this text, run check_log.py on it, and return its exit code."""
     path = folder / "robot.csv"
     path.write_text(text, encoding="utf-8")
     exit_code: int = check_log.main([str(path)])
@@ -477,20 +483,23 @@ def verdict_on(check_log: ModuleType, text: str, folder: Path) -> int:
 def test_a_log_that_python_repeats_to_the_bit_passes(
     check_log: ModuleType, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """In ``LOG`` a robot observes a tile in a single tick. check_log.py prints what it compared."""
-    assert verdict_on(check_log, LOG, tmp_path) == 0
+    """In the log a robot observes a tile in a single tick. check_log.py prints what it compared."""
+    assert exit_code_for_log(check_log, LOG_OF_ONE_BLACK_TILE, tmp_path) == 0
     assert ": 1 ticks, 0 messages, 0 updates of b_hat: all bits are equal\n" in capsys.readouterr().out
 
 
 def test_a_log_with_a_changed_bit_is_reported_with_line_and_tick(
     check_log: ModuleType, short_log: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The first tick ends in line 3, ``settle,x,...``."""
+    """The log is that of a healthy robot, but for the last bit of x in its first line ``settle,x,...``.
+
+    That is line 3, after the lines of the start and of an observation. With it the first tick ends.
+    """
     before, rest = short_log.split("settle,", maxsplit=1)
     x, others = rest.split(",", maxsplit=1)
     wrong_x = int(x) ^ 1
 
-    exit_code = verdict_on(check_log, f"{before}settle,{wrong_x},{others}", tmp_path)
+    exit_code = exit_code_for_log(check_log, f"{before}settle,{wrong_x},{others}", tmp_path)
 
     assert exit_code == 1
     assert f"line 3 in tick 1 differs: settle gave {wrong_x}," in capsys.readouterr().out
@@ -500,34 +509,41 @@ def test_a_log_that_lacks_the_received_messages_does_not_pass(
     check_log: ModuleType, short_log: str, tmp_path: Path
 ) -> None:
     """Without them the robot in Python believes something else, so check_log.py ends with the code 1."""
+    assert "receive," in short_log
     without_messages = re.sub(r"receive,.*\n", "", short_log)
-    assert without_messages != short_log
 
-    assert verdict_on(check_log, without_messages, tmp_path) == 1
+    assert exit_code_for_log(check_log, without_messages, tmp_path) == 1
 
 
 @pytest.mark.parametrize(
-    ("text", "message"),
+    ("damaged_log", "expected_message"),
     [
         ("", "its first line must be start with 5 numbers"),
         ("start,7\n", "its first line must be start with 5 numbers"),
         ("start,128,4080218931,2,1000,2147483648\n", "no robot can start so"),
         ("start,7,4080218931,9,1000,2147483648\n", "no robot can start so: 9 is not a valid Filter"),
         ("start,7,4080218931,0,1000,2147483648\ntable,1,2,3\n", "no robot can start so"),
-        (f"{LOG}observe,2\n", "line 4 has the input 2, not 0 to 1"),
-        (f"{LOG}receive,1,2\n", "line 4 has 2 numbers, not 4"),
-        (f"{LOG}receive,1,2,99999999999,0\n", "line 4 has '99999999999' where a whole number must be"),
-        (f"{LOG}receive,1,2,-3,0\n", "line 4 has the input -3, not 0 to 4294967295"),
-        (f"{LOG}dance,1\n", "line 4 begins with 'dance'"),
-        (f"{LOG}ü", "byte 94 is no text"),
+        (f"{LOG_OF_ONE_BLACK_TILE}observe,2\n", "line 4 has the input 2, not 0 to 1"),
+        (f"{LOG_OF_ONE_BLACK_TILE}receive,1,2\n", "line 4 has 2 numbers, not 4"),
+        (
+            f"{LOG_OF_ONE_BLACK_TILE}receive,1,2,99999999999,0\n",
+            "line 4 has '99999999999' where a whole number must be",
+        ),
+        (f"{LOG_OF_ONE_BLACK_TILE}receive,1,2,-3,0\n", "line 4 has the input -3, not 0 to 4294967295"),
+        (f"{LOG_OF_ONE_BLACK_TILE}dance,1\n", "line 4 begins with 'dance'"),
+        (f"{LOG_OF_ONE_BLACK_TILE}ü", "byte 94 is no text"),
     ],
 )
 def test_a_damaged_log_is_refused_with_the_line(
-    text: str, message: str, check_log: ModuleType, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    damaged_log: str,
+    expected_message: str,
+    check_log: ModuleType,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     """check_log.py prints what is wrong, and ends with the code 2."""
-    assert verdict_on(check_log, text, tmp_path) == 2
-    assert f"cannot be checked: {message}" in capsys.readouterr().err
+    assert exit_code_for_log(check_log, damaged_log, tmp_path) == 2
+    assert f"cannot be checked: {expected_message}" in capsys.readouterr().err
 
 
 def test_a_missing_log_is_reported(check_log: ModuleType, capsys: pytest.CaptureFixture[str]) -> None:
@@ -539,6 +555,6 @@ def test_a_missing_log_is_reported(check_log: ModuleType, capsys: pytest.Capture
 def test_without_a_log_the_usage_of_check_log_is_shown(
     check_log: ModuleType, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """check_log.py is called without an argument."""
+    """check_log.py is called without an argument, and ends with the code 2."""
     assert check_log.main([]) == 2
     assert capsys.readouterr().err == "usage: python3 check_log.py LOG.csv ...\n"

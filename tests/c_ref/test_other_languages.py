@@ -49,8 +49,9 @@ def symbols_in(path: Path, *options: str) -> set[str]:
 @pytest.mark.slow
 def test_every_inline_function_is_a_symbol_of_the_library(library: Path) -> None:
     """Another language can call only functions that are symbols. The C header has eleven inline functions."""
+    exported_symbols = symbols_in(library, "--dynamic", "--defined-only")
     assert len(inline_functions()) == 11
-    assert inline_functions() <= symbols_in(library, "--dynamic", "--defined-only")
+    assert inline_functions() <= exported_symbols
 
 
 def test_every_inline_function_of_the_header_is_inline_by_the_macro() -> None:
@@ -60,10 +61,10 @@ def test_every_inline_function_of_the_header_is_inline_by_the_macro() -> None:
 
 
 @pytest.mark.parametrize(
-    ("filter_name", "function"), [("ASDF", "mcp_asdf_beta"), ("ROBUST", "mcp_asdf_robust")]
+    ("filter_left_out", "function_left_out"), [("ASDF", "mcp_asdf_beta"), ("ROBUST", "mcp_asdf_robust")]
 )
 def test_a_library_without_a_filter_lacks_only_the_symbol_of_that_filter(
-    filter_name: str, function: str, tmp_path: Path
+    filter_left_out: str, function_left_out: str, tmp_path: Path
 ) -> None:
     """mcp_asdf_accessors.c makes symbols of the functions that the header defines inline.
 
@@ -72,9 +73,9 @@ def test_a_library_without_a_filter_lacks_only_the_symbol_of_that_filter(
     strict = ("-std=c99", "-Wall", "-Wextra", "-Wmissing-prototypes", "-Werror")
     source, compiled = CORE.with_name("mcp_asdf_accessors.c"), tmp_path / "accessors.o"
 
-    run("gcc", *strict, f"-DMCP_ASDF_WITH_{filter_name}=0", "-c", source, "-o", compiled)
+    run("gcc", *strict, f"-DMCP_ASDF_WITH_{filter_left_out}=0", "-c", source, "-o", compiled)
 
-    assert symbols_in(compiled) == inline_functions() - {function}
+    assert symbols_in(compiled) == inline_functions() - {function_left_out}
 
 
 # --- Generators of bindings ------------------------------------------------------------------------------
@@ -143,7 +144,7 @@ def is_black_at(tick: int) -> bool:
     return tick % 4 != 0
 
 
-def step_in_python(config: Config) -> MirrorRobot:
+def run_robot_in_python(config: Config) -> MirrorRobot:
     """Return a robot in Python after all ticks. Three neighbours broadcast in each tick."""
     mirror = MirrorRobot(config, ROBOT_ID, INITIAL_B_HAT)
     for tick in range(TICKS):
@@ -153,7 +154,7 @@ def step_in_python(config: Config) -> MirrorRobot:
     return mirror
 
 
-def step_by_ctypes(library: Path, config: Config) -> CtypesRobot:
+def run_robot_by_ctypes(library: Path, config: Config) -> CtypesRobot:
     """Return a robot of the library after all ticks. Three neighbours broadcast in each tick."""
     robot = CtypesRobot(ctypes.CDLL(str(library)), config, ROBOT_ID, INITIAL_B_HAT)
     for tick in range(TICKS):
@@ -163,15 +164,15 @@ def step_by_ctypes(library: Path, config: Config) -> CtypesRobot:
     return robot
 
 
-ROBUST = Config(filter=Filter.ROBUST, filter_period=100)
-PAPERS = Config(table=generate(Decimal("0.05"), q=4), filter_period=100)
+ROBUST_FILTER = Config(filter=Filter.ROBUST, filter_period=100)
+PAPER_S_FILTER = Config(table=generate(Decimal("0.05"), q=4), filter_period=100)
 
 
-@pytest.mark.parametrize("config", [ROBUST, PAPERS], ids=["robust", "the paper's"])
+@pytest.mark.parametrize("config", [ROBUST_FILTER, PAPER_S_FILTER], ids=["robust", "the paper's"])
 def test_a_robot_that_ctypes_steps_has_the_bits_of_the_robot_in_python(library: Path, config: Config) -> None:
     """Both run 300 ticks with each filter, and receive three neighbours. t_count is the number of ticks."""
-    robot = step_by_ctypes(library, config)
-    in_python = step_in_python(config)
+    robot = run_robot_by_ctypes(library, config)
+    in_python = run_robot_in_python(config)
 
     numbers = {name: robot.read(name) for name in ("id", "t_count", "x_hat", "alpha", "b_hat", "x")}
     assert numbers == {
@@ -182,7 +183,7 @@ def test_a_robot_that_ctypes_steps_has_the_bits_of_the_robot_in_python(library: 
         "b_hat": in_python.b_hat_raw,
         "x": in_python.x_raw,
     }
-    assert robot.read("beta", ctypes.c_uint64) == in_python.beta_raw
+    assert robot.read("beta", ctypes.c_uint64) == in_python.beta_raw  # the only number of 64 bits
 
 
 def test_a_robot_with_the_paper_s_filter_raises_its_accuracy_if_ctypes_passes_the_table(
@@ -190,11 +191,14 @@ def test_a_robot_with_the_paper_s_filter_raises_its_accuracy_if_ctypes_passes_th
 ) -> None:
     """It raises the accuracy b_hat from 0.55; units of b_hat are 2^-32.
 
-    It sees 3/4 of the tiles black, and its neighbours estimate that x_bar, about 0.835, are. By eq. 8 that is
-    an accuracy of (3/4 + x_bar - 1) / (2 x_bar - 1).
+    It sees 3/4 of the tiles black, and its neighbours estimate that x_bar of them are. Equation 8 of the
+    paper makes an accuracy of the two shares.
     """
-    robot = step_by_ctypes(library, PAPERS)
-    assert robot.read("b_hat") / 2**32 == pytest.approx(0.874, abs=0.01)
+    robot = run_robot_by_ctypes(library, PAPER_S_FILTER)
+
+    share_seen, x_bar = 3 / 4, 0.8345  # as is_black_at() and estimate_at() have them
+    expected_b_hat = (share_seen + x_bar - 1) / (2 * x_bar - 1)
+    assert robot.read("b_hat") / 2**32 == pytest.approx(expected_b_hat, abs=0.01)
 
 
 def test_the_rust_program_reserves_a_robot_s_memory() -> None:
@@ -212,8 +216,11 @@ def output_of_rust(library: Path) -> str:
 
 
 def test_a_robot_that_rust_steps_has_the_bits_of_the_robot_in_python(output_of_rust: str) -> None:
-    """The program prints the integers of a robot that gets the tiles and messages of ``step_in_python``."""
-    robot = step_in_python(ROBUST)
+    """The program has the robust filter, and prints the integers of a robot after 300 ticks.
+
+    The robot in Python gets the same tiles and messages.
+    """
+    robot = run_robot_in_python(ROBUST_FILTER)
     assert output_of_rust == f"x_hat {robot.x_hat_raw} x {robot.x_raw} b_hat {robot.b_hat_raw}\n"
 
 

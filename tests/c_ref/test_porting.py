@@ -38,8 +38,8 @@ FORMAT = FrameFormat()
 RADIO_QUEUE = 8
 """Packets that the robot's radio keeps until the end of a tick."""
 IMAGE_SIZE = 156
-NO_TILE = 2
-"""Stands for a tick in which the sensor gives no colour."""
+WHITE, BLACK, NO_TILE = 0, 1, 2
+"""What the sensor reads in a tick; NO_TILE stands for a tick in which it gives no colour."""
 NOISE = b"\x00\xff"
 """Bytes between packets."""
 
@@ -73,20 +73,22 @@ class ScriptedTick:
 
     Attributes:
         packets: What its radio receives, all at once, before it observes.
-        tile: What its sensor reads: 0 (white), 1 (black) or NO_TILE.
+        tile: What its sensor reads: WHITE, BLACK or NO_TILE.
     """
 
     packets: list[bytes]
     tile: int
 
 
-def draw_script(seed: int, ticks: int, tiles: tuple[int, ...], most_packets: int) -> list[ScriptedTick]:
+def draw_script(
+    seed: int, ticks: int, draw_tile_from: tuple[int, ...], max_packets_in_a_tick: int
+) -> list[ScriptedTick]:
     """Draw ticks in a swarm that sees about 70 % black."""
     stream = random.Random(seed)
     script = []
     for _ in range(ticks):
-        packets = [draw_packet(stream) for _ in range(stream.randint(0, most_packets))]
-        script.append(ScriptedTick(packets, stream.choice(tiles)))
+        packets = [draw_packet(stream) for _ in range(stream.randint(0, max_packets_in_a_tick))]
+        script.append(ScriptedTick(packets, stream.choice(draw_tile_from)))
     return script
 
 
@@ -188,7 +190,7 @@ def section_sizes(tools: str, path: Path) -> Sizes:
 
 QUICK_TARGETS = ("Cortex-M0+", "ATmega328P")
 """Targets that leave the most to helpers of their compilers."""
-PARTS = {
+NAMES_OF_PARTS_ON_PAGE = {
     "mcp_asdf": "method",
     "mcp_asdf_image": "saving",
     "mcp_asdf_frame": "frames",
@@ -205,7 +207,7 @@ class CompiledPart:
 
     Attributes:
         target: Key of COMPILERS.
-        part: Key of PARTS.
+        part: Key of NAMES_OF_PARTS_ON_PAGE.
         undefined_symbols: Names of what it uses of other parts, and of libraries.
         sizes: How much memory it needs.
     """
@@ -223,7 +225,7 @@ class CompiledPart:
             (target, part), id=f"{target}-{part}", marks=[] if target in QUICK_TARGETS else [pytest.mark.slow]
         )
         for target in COMPILERS
-        for part in PARTS
+        for part in NAMES_OF_PARTS_ON_PAGE
     ],
 )
 def compiled_part(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> CompiledPart:
@@ -243,16 +245,16 @@ def test_the_firmware_calls_no_library_but_its_compiler_s_helpers(compiled_part:
 
     Helpers have names such as __aeabi_lmul; compilers also call memcpy and memset by themselves.
     """
-    foreign_symbols = set()
+    called_functions = set()
     for name in compiled_part.undefined_symbols:
         is_helper_of_compiler = name.startswith("__") or MEMORY_CALLS.fullmatch(name)
         if not is_helper_of_compiler:
-            foreign_symbols.add(name)
+            called_functions.add(name)
 
     if compiled_part.part == "mcp_asdf_image":
-        assert foreign_symbols == {"mcp_asdf_init", "mcp_asdf_observe"}
+        assert called_functions == {"mcp_asdf_init", "mcp_asdf_observe"}
     else:
-        assert foreign_symbols == set()
+        assert called_functions == set()
 
 
 def test_the_core_needs_neither_long_divisions_nor_floats(compiled_part: CompiledPart) -> None:
@@ -290,7 +292,7 @@ def test_each_part_of_the_firmware_takes_the_flash_that_docs_porting_states(
     compiled_part: CompiledPart,
 ) -> None:
     """The page states how many KB a part takes at most; it takes not less than four fifths of that."""
-    name_on_page = PARTS[compiled_part.part]
+    name_on_page = NAMES_OF_PARTS_ON_PAGE[compiled_part.part]
     budget_in_kb = flash_budgets()[name_on_page, compiled_part.target]
     code_in_kb = compiled_part.sizes.code / 1000
 
@@ -299,7 +301,7 @@ def test_each_part_of_the_firmware_takes_the_flash_that_docs_porting_states(
 
 
 @pytest.mark.parametrize(
-    ("filter_name", "target"),
+    ("remaining_filter", "target"),
     [
         ("robust filter", "ATmega328P"),
         *slow(("robust filter", target) for target in COMPILERS if target != "ATmega328P"),
@@ -307,16 +309,16 @@ def test_each_part_of_the_firmware_takes_the_flash_that_docs_porting_states(
     ],
 )
 def test_a_firmware_with_one_filter_takes_the_flash_that_docs_porting_states(
-    filter_name: str, target: str, tmp_path: Path
+    remaining_filter: str, target: str, tmp_path: Path
 ) -> None:
     """A macro leaves the other filter out. The page states how many KB the firmware then takes at most.
 
     It takes not less than four fifths of that.
     """
-    left_out = "ASDF" if filter_name == "robust filter" else "ROBUST"
-    budget_in_kb = flash_budgets()[f"method, {filter_name} alone", target]
+    filter_left_out = "ASDF" if remaining_filter == "robust filter" else "ROBUST"
+    budget_in_kb = flash_budgets()[f"method, {remaining_filter} alone", target]
 
-    sizes = compile_core(CORE, target, tmp_path / "core.o", f"-DMCP_ASDF_WITH_{left_out}=0")
+    sizes = compile_core(CORE, target, tmp_path / "core.o", f"-DMCP_ASDF_WITH_{filter_left_out}=0")
 
     code_in_kb = sizes.code / 1000
     assert code_in_kb <= budget_in_kb
@@ -494,7 +496,7 @@ def test_the_robot_of_docs_porting_builds_as_a_component_of_esp_idf(tmp_path: Pa
 
 
 def test_the_commands_for_tables_print_what_docs_porting_shows(tmp_path: Path) -> None:
-    """They also write C files. One defines the array that the page declares in C."""
+    """They also write C files. One defines the array that the page declares: "extern const ... [];"."""
     printed = run("sh", "-ec", block_with(PAGE, "mcp-asdf table", "sh"), cwd=tmp_path)
 
     assert printed == block_with(PAGE, "omega 0.125, q 40", "text")
@@ -521,13 +523,16 @@ def ticks_until_a_swarm_agrees(filter_name: str, comms_period: int) -> float:
 def test_with_rare_broadcasts_only_the_robust_filter_needs_longer(
     filter_name: str, times_as_long: float
 ) -> None:
-    """With a broadcast in every tenth tick no filter needs longer. In every hundredth the robust one does."""
-    ticks_if_each = ticks_until_a_swarm_agrees(filter_name, comms_period=1)
-    ticks_if_each_tenth = ticks_until_a_swarm_agrees(filter_name, comms_period=10)
-    ticks_if_each_hundredth = ticks_until_a_swarm_agrees(filter_name, comms_period=100)
+    """A simulated swarm with a broadcast in every tenth tick agrees as soon as with one in every tick.
 
-    assert ticks_if_each_tenth == pytest.approx(ticks_if_each, rel=0.3)
-    assert ticks_if_each_hundredth == pytest.approx(times_as_long * ticks_if_each_tenth, rel=0.2)
+    With one in every hundredth tick it needs ``times_as_long``: twice as long with the robust filter.
+    """
+    ticks_with_period_1 = ticks_until_a_swarm_agrees(filter_name, comms_period=1)
+    ticks_with_period_10 = ticks_until_a_swarm_agrees(filter_name, comms_period=10)
+    ticks_with_period_100 = ticks_until_a_swarm_agrees(filter_name, comms_period=100)
+
+    assert ticks_with_period_10 == pytest.approx(ticks_with_period_1, rel=0.3)
+    assert ticks_with_period_100 == pytest.approx(times_as_long * ticks_with_period_10, rel=0.2)
 
 
 @pytest.fixture
@@ -545,8 +550,12 @@ def robot_on_scripted_board(tmp_path: Path) -> Path:
 def test_the_robot_on_a_scripted_board_sends_what_the_robot_in_python_sends(
     robot_on_scripted_board: Path,
 ) -> None:
-    """In each of 1500 ticks up to 15 packets are sent to it. Some are damaged and some get lost."""
-    script = draw_script(seed=5, ticks=1500, tiles=(0, 1, 1, NO_TILE), most_packets=15)
+    """In each of 1500 ticks up to 15 packets are sent to it. Some are damaged and some get lost.
+
+    It is a program here, which reads the script with the tiles and packets on its standard input.
+    """
+    draw_tile_from = (WHITE, BLACK, BLACK, NO_TILE)
+    script = draw_script(5, ticks=1500, draw_tile_from=draw_tile_from, max_packets_in_a_tick=15)
 
     robot = subprocess.run(
         [robot_on_scripted_board], input=format_script(script), capture_output=True, check=True
@@ -611,7 +620,8 @@ def test_a_robot_loses_one_observation_at_most_if_the_power_fails_while_it_is_sa
     sources = [tmp_path / "main.c", CORE, CORE.with_name("mcp_asdf_image.c")]
     run("cc", "-std=c99", *WARNINGS.split(), f"-I{CORE.parent}", *sources, "-o", tmp_path / "robot")
 
-    lost_observations = [int(number) for number in run(tmp_path / "robot").split()]
+    printed_numbers = run(tmp_path / "robot").split()
+    lost_observations = [int(number) for number in printed_numbers]
 
     while_first_copy_is_written = [1] * IMAGE_SIZE  # the power fails after 0 to 155 bytes
     from_its_end_on = [0] * (IMAGE_SIZE + 1)  # after 156 to 312 bytes
@@ -666,14 +676,15 @@ def avr_image(
 def test_the_robot_leaves_a_third_of_the_flash_and_most_of_the_memory_of_an_atmega(
     avr_image: tuple[AvrBoard, Path],
 ) -> None:
-    """The chip has 32 KB of flash and 2 KB of memory."""
-    _, image = avr_image
+    """The chip has 32 KB of flash and 2 KB of memory, of which the robot takes less than 320 bytes."""
+    _board, image = avr_image
 
     sizes = section_sizes("avr-", image)
 
     bytes_of_flash = sizes.code + sizes.variables_with_values  # the values are copied from flash at the start
     bytes_of_memory = sizes.variables_with_values + sizes.zeroed_variables
-    assert bytes_of_flash < 2 / 3 * 32 * 1024
+    flash_of_chip = 32 * 1024
+    assert bytes_of_flash < 2 / 3 * flash_of_chip
     assert bytes_of_memory < 320
 
 
@@ -696,13 +707,17 @@ def play_script(robot: Board, board: AvrBoard, script: list[ScriptedTick]) -> No
 def test_the_robot_on_an_atmega_sends_what_the_robot_in_python_sends(
     avr_image: tuple[AvrBoard, Path],
 ) -> None:
-    """It uses the chip's own timer, analogue-to-digital converter and interrupt of the serial line."""
+    """It uses the chip's own timer, analogue-to-digital converter and interrupt of the serial line.
+
+    The chip is simulated. In each of 60 ticks up to 5 packets are sent to it.
+    """
     require_simavr()
     board, image = avr_image
-    script = draw_script(seed=7, ticks=60, tiles=(0, 1, 1), most_packets=5)
+    script = draw_script(7, ticks=60, draw_tile_from=(WHITE, BLACK, BLACK), max_packets_in_a_tick=5)
     sent_bytes = bytearray()
+    robot = Board(image, board.clock, on_sent_byte=sent_bytes.append)
 
-    play_script(Board(image, board.clock, on_sent_byte=sent_bytes.append), board, script)
+    play_script(robot, board, script)
 
     assert sent_bytes == expected_output(script)
 
@@ -714,7 +729,8 @@ def test_the_robot_sets_its_serial_port_to_the_speed_of_the_line(avr_image: tupl
     """
     require_simavr()
     board, image = avr_image
-    robot = Board(image, board.clock, on_sent_byte=bytearray().append)
+    bytes_that_do_not_matter = bytearray()
+    robot = Board(image, board.clock, on_sent_byte=bytes_that_do_not_matter.append)
 
     robot.run_until(board.clock // 10)  # a tenth of a second, in which it starts
 
@@ -722,7 +738,8 @@ def test_the_robot_sets_its_serial_port_to_the_speed_of_the_line(avr_image: tupl
     divisor = low_byte + 256 * high_byte + 1
     has_double_speed = ord(robot.registers[UART_STATE]) & DOUBLE_SPEED_BIT
     cycles_of_a_bit = (8 if has_double_speed else 16) * divisor
-    assert board.clock / cycles_of_a_bit == pytest.approx(board.baud, rel=0.025)
+    bits_per_second = board.clock / cycles_of_a_bit
+    assert bits_per_second == pytest.approx(board.baud, rel=0.025)
 
 
 # --- Two Kilobots ------------------------------------------------------------------------------------------
@@ -860,13 +877,14 @@ def test_two_kilobots_send_and_believe_what_their_twins_in_python_do(kilobots: l
         for robot, other_robot in ((first, second), (second, first)):
             assert robot.kilobot.broadcast() == robot.expected_message(round_number)
 
-            robot.receive([other_robot.kilobot.broadcast(), *draw_messages(stream)])
+            message_of_other_robot = other_robot.kilobot.broadcast()
+            robot.receive([message_of_other_robot, *draw_messages(stream)])
             light = stream.choice((NO_LIGHT, 511, 511, 512, 1023))
             x = robot.end_round(round_number, light)
 
             assert x == robot.twin.x_raw
-    assert first.twin.counters.accepted > 40, "estimates, of more than the other Kilobot"
-    assert second.twin.counters.accepted > 40, "estimates, of more than the other Kilobot"
+    for robot in (first, second):
+        assert robot.twin.counters.accepted > 40, "one in each round is the other Kilobot's"
 
 
 @pytest.mark.slow
@@ -875,7 +893,7 @@ def test_a_kilobot_ends_a_round_after_32_ticks(kilobots: list[KilobotWithTwin]) 
 
     ``run_loop`` returns that share, in units of 2^-23. The second round ends after 64 ticks.
     """
-    robot, _ = kilobots
+    robot, _other_robot = kilobots
     half, one = 2**22, 2**23  # in units of 2^-23
     black, white = 0, 1023
 

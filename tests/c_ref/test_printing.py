@@ -104,14 +104,20 @@ def test_the_program_of_the_readme_prints_what_the_readme_shows(
     tmp_path_factory: pytest.TempPathFactory,
 ) -> None:
     """It is compiled for 32 bits. A long has another size there, so a wrong format for it shows."""
+    shown_output = block_with(README, "share of black 0.685", "text")
+
     output = build_and_run(WITH_32_BITS, README_PROGRAM, tmp_path_factory)
-    assert output == Output(stdout=block_with(README, "share of black 0.685", "text"), stderr="")
+
+    assert output == Output(stdout=shown_output, stderr="")
 
 
 def test_the_first_robot_of_the_tutorial_prints_its_estimate(
     tmp_path_factory: pytest.TempPathFactory,
 ) -> None:
-    """Its program, in docs/robot_tutorial.md, lets it see a black floor."""
+    """Its program, in docs/robot_tutorial.md, lets it see a black floor, so its estimate is 1.
+
+    It is compiled for 32 bits. A long has another size there, so a wrong format for it shows.
+    """
     output = build_and_run(WITH_32_BITS, FIRST_ROBOT_OF_TUTORIAL, tmp_path_factory)
     assert output == Output(stdout="share of black 1.000\n", stderr="")
 
@@ -121,10 +127,10 @@ def test_the_second_robot_of_the_tutorial_prints_the_same_on_32_bits_as_on_this_
 ) -> None:
     """It has five neighbours that see nine of ten tiles black; its program prints to standard error."""
     program = bus_with_five_neighbours() + SECOND_ROBOT_OF_TUTORIAL
-    flag = "-D_POSIX_C_SOURCE=200809L"
+    flag_of_tutorial = "-D_POSIX_C_SOURCE=200809L"
 
-    output_here = build_and_run(THIS_COMPUTER, program, tmp_path_factory, flag)
-    output_on_32_bits = build_and_run(WITH_32_BITS, program, tmp_path_factory, flag)
+    output_here = build_and_run(THIS_COMPUTER, program, tmp_path_factory, flag_of_tutorial)
+    output_on_32_bits = build_and_run(WITH_32_BITS, program, tmp_path_factory, flag_of_tutorial)
 
     assert output_here.stderr.startswith("tick  50: share of black 0.9"), output_here.stderr
     assert output_on_32_bits == output_here
@@ -136,7 +142,8 @@ def test_the_sensor_of_the_khepera_prints_the_mean_of_each_line(
     """The sensor is a C program of docs/platforms/khepera.md, which prints the mean of two readings.
 
     In the place of its maker's library is one that reads the file "ground", with two readings in each line.
-    The mean is rounded down. The third line stands for a failure, for which the program prints -1.
+    The mean is rounded down. The third line stands for a failure, for which the program prints -1. It is
+    compiled for 32 bits, where a wrong format for a long shows.
     """
     (tmp_path / "ground").write_text("200 300\n1000 1023\n-1 0\n")
     program = KHEPERA_SENSOR.replace("#include <khepera/khepera.h>", STAND_IN_FOR_LIBRARY)

@@ -20,9 +20,10 @@ EXAMPLES = ROOT / "c_ref/examples/radios"
 STUBS = ROOT / "tests/c_ref"
 INCLUDES = {"esp_now": (STUBS, STUBS / "esp_now"), "crazyflie": (STUBS / "freertos", STUBS / "crazyflie")}
 """Folders with the headers that a radio includes."""
-CONFIG = Config(filter=Filter.OFF)
+WITHOUT_FILTER = Config(filter=Filter.OFF)
 ROBOT_ID = 7
-ALPHA = alpha_word_from_float(100.0)
+ALPHA_100 = alpha_word_from_float(100.0)
+"""The confidence 100 as the firmware has it in frames."""
 
 
 class RadioRobot:
@@ -36,7 +37,7 @@ class RadioRobot:
     def __init__(self, library_path: Path) -> None:
         """Start the robot and its radio."""
         self.library = ctypes.CDLL(str(library_path))
-        self.robot = CtypesRobot(self.library, CONFIG, ROBOT_ID, 0.95)
+        self.robot = CtypesRobot(self.library, WITHOUT_FILTER, ROBOT_ID, 0.95)
         self.library.radio_start()
 
     def broadcast(self) -> bytes:
@@ -86,7 +87,7 @@ def message_of(estimate: Estimate) -> bytes:
 
 def test_the_robot_broadcasts_the_same_bytes_as_the_robot_in_python(radio_robot: RadioRobot) -> None:
     """Its radio, ESP-NOW or a Crazyflie's, is a stub. Both observe three tiles, and number their messages."""
-    robot_in_python = MirrorRobot(CONFIG, ROBOT_ID, 0.95)
+    robot_in_python = MirrorRobot(WITHOUT_FILTER, ROBOT_ID, b_hat=0.95)
     for message_number, is_black in enumerate([True, False, True]):
         radio_robot.robot.step(is_black)
         robot_in_python.step(Observation(is_black))
@@ -97,16 +98,19 @@ def test_the_robot_broadcasts_the_same_bytes_as_the_robot_in_python(radio_robot:
 
 
 def test_the_robot_receives_the_messages_of_two_others(radio_robot: RadioRobot) -> None:
-    """They change what it believes, x, and its confidence in others, beta, as in the robot in Python."""
+    """They change what it believes, x, and its confidence in others, beta, as in the robot in Python.
+
+    Robot 1 estimates that a quarter of the tiles is black, and robot 2 that half of them are.
+    """
     quarter, half = 2**21, 2**22  # x_hat is in units of 2^-23
-    robot_in_python = MirrorRobot(CONFIG, ROBOT_ID, 0.95)
-    robot_in_python.receive_raw(1, quarter, ALPHA)
-    robot_in_python.receive_raw(2, half, ALPHA)
+    robot_in_python = MirrorRobot(WITHOUT_FILTER, ROBOT_ID, b_hat=0.95)
+    robot_in_python.receive_raw(1, quarter, ALPHA_100)
+    robot_in_python.receive_raw(2, half, ALPHA_100)
     robot_in_python.step(Observation.BLACK)
 
     radio_robot.receive(
-        message_of(Estimate(sender=1, x_hat=quarter, alpha=ALPHA, transfer_id=0)),
-        message_of(Estimate(sender=2, x_hat=half, alpha=ALPHA, transfer_id=5)),
+        message_of(Estimate(sender=1, x_hat=quarter, alpha=ALPHA_100, transfer_id=0)),
+        message_of(Estimate(sender=2, x_hat=half, alpha=ALPHA_100, transfer_id=5)),
     )
     radio_robot.robot.step(True)
 
@@ -115,11 +119,11 @@ def test_the_robot_receives_the_messages_of_two_others(radio_robot: RadioRobot) 
     assert radio_robot.beta() == robot_in_python.beta_raw
 
 
-MESSAGE_OF_ROBOT_1 = message_of(Estimate(sender=1, x_hat=0, alpha=ALPHA, transfer_id=0))
+MESSAGE_OF_ROBOT_1 = message_of(Estimate(sender=1, x_hat=0, alpha=ALPHA_100, transfer_id=0))
 
 
 @pytest.mark.parametrize(
-    "message",
+    "wrong_message",
     [
         pytest.param(b"", id="empty"),
         pytest.param(MESSAGE_OF_ROBOT_1[:-1], id="too short"),
@@ -130,10 +134,10 @@ MESSAGE_OF_ROBOT_1 = message_of(Estimate(sender=1, x_hat=0, alpha=ALPHA, transfe
     ],
 )
 def test_the_robot_ignores_what_is_no_message_of_another_robot(
-    radio_robot: RadioRobot, message: bytes
+    radio_robot: RadioRobot, wrong_message: bytes
 ) -> None:
-    """beta, the sum of the confidences in received estimates, stays 0."""
-    radio_robot.receive(message)
+    """The radio receives a wrong message. beta, the sum of the confidences in received estimates, stays 0."""
+    radio_robot.receive(wrong_message)
     radio_robot.robot.step(True)
     assert radio_robot.beta() == 0
 
@@ -143,9 +147,10 @@ def test_the_robot_loses_only_messages_that_find_the_queue_full(radio_robot: Rad
 
     beta is the sum of the confidences in the received estimates. Each is 100 units of 2**24.
     """
-    twenty_five_senders, half = range(10, 35), 2**22
+    twenty_five_senders, half = range(10, 35), 2**22  # x_hat is in units of 2^-23
     messages = [
-        message_of(Estimate(sender, x_hat=half, alpha=ALPHA, transfer_id=0)) for sender in twenty_five_senders
+        message_of(Estimate(sender, x_hat=half, alpha=ALPHA_100, transfer_id=0))
+        for sender in twenty_five_senders
     ]
 
     radio_robot.receive(*messages)
@@ -158,10 +163,10 @@ def test_the_robot_loses_only_messages_that_find_the_queue_full(radio_robot: Rad
 @pytest.mark.parametrize("radio_robot", ["crazyflie"], indirect=True)
 def test_a_crazyflie_ignores_messages_to_another_port(radio_robot: RadioRobot) -> None:
     """The stub delivers a message to port 3. beta, the sum of the confidences received, stays 0."""
-    another_port, half = 3, 2**22
+    another_port, half = 3, 2**22  # x_hat is in units of 2^-23
     ctypes.c_uint8.in_dll(radio_robot.library, "air_port").value = another_port
 
-    radio_robot.receive(message_of(Estimate(sender=1, x_hat=half, alpha=ALPHA, transfer_id=0)))
+    radio_robot.receive(message_of(Estimate(sender=1, x_hat=half, alpha=ALPHA_100, transfer_id=0)))
     radio_robot.robot.step(True)
 
     assert radio_robot.beta() == 0

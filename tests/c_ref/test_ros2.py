@@ -27,7 +27,8 @@ from mcp_asdf.fixed_point import alpha_word_from_float
 from support import ROOT, version_of_header
 
 PACKAGE = ROOT / "c_ref/examples/ros2/mcp_asdf_ros"
-ALPHA = alpha_word_from_float(100.0)
+ALPHA_100 = alpha_word_from_float(100.0)
+"""The confidence 100 as the firmware has it in messages."""
 
 
 def load_program(path: Path) -> ModuleType:
@@ -109,6 +110,7 @@ def test_two_nodes_compute_the_same_bits_as_two_robots_in_python() -> None:
     """In three rounds, each node receives the other node's estimate at the end of that node's round.
 
     Nodes exchange estimates by a topic of the stub of ROS. The robots in Python, their twins, do so directly.
+    ``start_with_twin`` starts both without a filter.
     """
     first, second = start_with_twin(robot_id=1), start_with_twin(robot_id=2)
     for first_sees_black, second_sees_black in [(True, False), (True, True), (False, True)]:
@@ -120,17 +122,18 @@ def test_two_nodes_compute_the_same_bits_as_two_robots_in_python() -> None:
     assert first.node.robot.state() == first.twin.state()
     assert second.node.robot.state() == second.twin.state()
     assert first.node.robot.counters.accepted == 3, "estimates, one in each round"
+    assert second.node.robot.counters.accepted == 3, "estimates, one in each round"
 
 
 def test_a_node_publishes_its_state_after_each_round() -> None:
-    """After one black tile it estimates that all are black."""
-    node = start_node(3)
+    """After one black tile it estimates that all are black. It has no filter, so b_hat stays as it was."""
+    node = start_node(3, initial_b_hat=0.9)
     environment.publish("/robot_3/black", Bool(True))
 
     end_round(node)
 
     [state] = environment.published["/robot_3/state"]
-    assert state == State(x=1.0, x_hat=1.0, b_hat=node.robot.b_hat, observations=1)
+    assert state == State(x=1.0, x_hat=1.0, b_hat=pytest.approx(0.9), observations=1)
 
 
 def test_a_node_ignores_its_own_estimates() -> None:
@@ -147,13 +150,14 @@ def test_a_node_ignores_its_own_estimates() -> None:
 
 
 @pytest.mark.parametrize(
-    "estimate", [Estimate(sender=128, alpha=ALPHA), Estimate(sender=4, x_hat=2**23 + 1, alpha=ALPHA)]
+    "impossible_estimate",
+    [Estimate(sender=128, alpha=ALPHA_100), Estimate(sender=4, x_hat=2**23 + 1, alpha=ALPHA_100)],
 )
-def test_a_node_rejects_impossible_estimates_and_goes_on(estimate: Estimate) -> None:
+def test_a_node_rejects_impossible_estimates_and_goes_on(impossible_estimate: Estimate) -> None:
     """There is no robot 128, and x_hat, in units of 2^-23, is at most 1."""
     node = start_node(3)
 
-    environment.publish("/estimates", estimate)
+    environment.publish("/estimates", impossible_estimate)
     end_round(node)
 
     [state] = environment.published["/robot_3/state"]
@@ -162,21 +166,23 @@ def test_a_node_rejects_impossible_estimates_and_goes_on(estimate: Estimate) -> 
 
 def test_a_node_closes_a_round_in_each_broadcast_period() -> None:
     """The period is a parameter in seconds; the node has one timer with it."""
-    [(period, _)] = start_node(3, broadcast_period=0.5).timers
+    node = start_node(3, broadcast_period=0.5)
+    [(period, _callback)] = node.timers
     assert period == 0.5
 
 
 def test_a_node_with_the_paper_s_filter_re_estimates_its_accuracy() -> None:
     """It assumes an accuracy of 0.55, and has seen 20 black tiles and no white one.
 
-    Two others are certain that three quarters are black. Then half of its tiles should have been black.
+    Two others are certain that three quarters are black. Then about half of its tiles should have been black,
+    so it is more accurate than it assumes: in its first test of that the filter changes the accuracy once.
     """
     node = start_node(3, filter="adaptive", filter_period=1, initial_b_hat=0.55, omega=0.1, neighbours=2)
     for _ in range(20):
         environment.publish("/robot_3/black", Bool(True))
     three_quarters = 3 * 2**23 // 4  # x_hat is in units of 2^-23
-    environment.publish("/estimates", Estimate(sender=1, x_hat=three_quarters, alpha=ALPHA))
-    environment.publish("/estimates", Estimate(sender=2, x_hat=three_quarters, alpha=ALPHA))
+    environment.publish("/estimates", Estimate(sender=1, x_hat=three_quarters, alpha=ALPHA_100))
+    environment.publish("/estimates", Estimate(sender=2, x_hat=three_quarters, alpha=ALPHA_100))
 
     end_round(node)
 
@@ -191,7 +197,7 @@ def test_ros_reads_the_name_of_each_filter_as_it_stands() -> None:
 
 
 @pytest.mark.parametrize(
-    ("parameters", "message"),
+    ("wrong_parameter", "expected_message"),
     [
         ({"id": 128}, "robot id is 128; choose 0 .. 127"),
         ({"initial_b_hat": 1.0}, "b_hat is 1.0; choose one in"),
@@ -204,18 +210,18 @@ def test_ros_reads_the_name_of_each_filter_as_it_stands() -> None:
     ],
 )
 def test_a_node_does_not_start_with_a_wrong_parameter(
-    parameters: dict[str, Any], message: str, capsys: pytest.CaptureFixture[str]
+    wrong_parameter: dict[str, Any], expected_message: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Its program prints what is wrong, and ends with the code 1.
 
     A stub of rclpy gives the node its parameters, and lists in ``spun_nodes`` the nodes that it has run.
     """
-    environment.parameters = parameters
+    environment.parameters = wrong_parameter
 
     exit_code = ROBOT_NODE.main()
 
     assert exit_code == 1
-    assert message in capsys.readouterr().err
+    assert expected_message in capsys.readouterr().err
     assert rclpy.spun_nodes == []
 
 

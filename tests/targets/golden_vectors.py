@@ -163,7 +163,7 @@ def _encode_call(call: Call) -> bytes:
     return code + struct.pack(_LAYOUTS[call.name], *call.numbers)
 
 
-def content(name: str) -> bytes:
+def content_made_anew(name: str) -> bytes:
     """Return the content of a file, made anew."""
     return _HEAD.pack(MAGIC, len(played(name))) + b"".join(written for _, written in played(name))
 
@@ -173,7 +173,7 @@ def scenarios(*names: str) -> list[Scenario]:
     return [scenario for name in names or FILES for scenario, _ in played(name)]
 
 
-def verdict(names: list[str]) -> str:
+def expected_verdict(names: list[str]) -> str:
     """Return the last line that an image prints which has played these files without a difference.
 
     Among the calls it counts the making of each robot and the check at the end of each scenario.
@@ -195,7 +195,7 @@ def main() -> None:
     args = parser.parse_args()
     if args.output is not None:
         for name in FILES:
-            (args.output / name).write_bytes(content(name))
+            (args.output / name).write_bytes(content_made_anew(name))
     else:
         scenario = scenarios()[args.scenario]
         print(*Player(scenario).lines, f"mcp-asdf crosscheck --replay {scenario}", sep="\n")

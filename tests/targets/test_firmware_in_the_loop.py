@@ -274,7 +274,8 @@ def test_a_robot_on_a_serial_line_answers_every_line_as_its_model_in_python_does
     expected_answers = [model.answer(piece) for piece in pieces]
 
     command = command_of_image(target, build_image(target, firmware_filter))
-    talk = talk_to(command, pieces, [len(answer) for answer in expected_answers])
+    # Answers have no end by which they could be read, so as many bytes are read as are expected.
+    talk = talk_to(command, pieces, lengths_of_answers=[len(answer) for answer in expected_answers])
 
     assert talk.answers == expected_answers, f"random.Random({seed})"
     assert talk.rest == b""
@@ -292,9 +293,10 @@ def test_a_robot_on_a_serial_line_of_this_computer_ends_with_its_input(build_ima
 def test_each_conversation_on_a_serial_line_has_many_damaged_lines_and_lost_commands(
     target: str, firmware_filter: Filter, seed: int
 ) -> None:
-    """So the test above tries what is rare. The model counts it.
+    """The test of a robot on a serial line draws the same conversations, so it tries what is rare, too.
 
-    A tick is unsettled if the command that ends it gets lost.
+    ``Model``, the robot's program in Python, counts it. A tick is unsettled if the command that ends it gets
+    lost.
     """
     model = Model(firmware_filter)
     for piece in draw_conversation(random.Random(seed)):
@@ -307,12 +309,12 @@ def test_each_conversation_on_a_serial_line_has_many_damaged_lines_and_lost_comm
 
 
 @pytest.mark.parametrize(
-    ("name", "value"), [("ROBOT_ID", 126), ("ROBOT_FILTER_PERIOD", 0), ("ROBOT_FILTER_PERIOD", 2**32)]
+    ("name", "wrong_value"), [("ROBOT_ID", 126), ("ROBOT_FILTER_PERIOD", 0), ("ROBOT_FILTER_PERIOD", 2**32)]
 )
-def test_the_compiler_refuses_a_setting_that_no_robot_can_have(name: str, value: int) -> None:
+def test_the_compiler_refuses_a_setting_that_no_robot_can_have(name: str, wrong_value: int) -> None:
     """Settings are macros. 126 and 127 are ids of tools on the bus. run() raises what the compiler prints."""
     with pytest.raises(AssertionError, match=f"{name} has to be"):
-        run("cc", "-fsyntax-only", f"-I{CORE.parent}", f"-D{name}={value}", SLCAN / "slcan_robot.c")
+        run("cc", "-fsyntax-only", f"-I{CORE.parent}", f"-D{name}={wrong_value}", SLCAN / "slcan_robot.c")
 
 
 # ---- In a swarm ----
@@ -354,6 +356,12 @@ def commands_for_a_swarm(target: str) -> tuple[list[str], str]:
     return commands, stop_the_board
 
 
+def sizes_of_image(path: Path) -> tuple[int, int]:
+    """Return how many bytes of flash and of variables an image takes."""
+    *_, rv32imc = TARGETS  # whose program ``size`` also reads the images of other targets
+    return Image(rv32imc, path).sizes()
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("target", ["cortex-m3", "cortex-m4", "rv32imc"])
 def test_the_commands_of_docs_radio_run_a_swarm_with_an_emulated_board(target: str, tmp_path: Path) -> None:
@@ -372,7 +380,7 @@ def test_the_commands_of_docs_radio_run_a_swarm_with_an_emulated_board(target: s
     *_, output_of_replay = outputs
     broadcasts = 10 * 60  # of ten robots in 60 ticks
     assert re.search(rf"\b{broadcasts} +broadcasts reproduced bit for bit", output_of_replay)
-    bytes_of_flash, bytes_of_variables = Image(TARGETS[-1], tmp_path / "build/loop/slcan_robot").sizes()
+    bytes_of_flash, bytes_of_variables = sizes_of_image(tmp_path / "build/loop/slcan_robot")
     assert bytes_of_flash < 8 * 1024
     assert bytes_of_variables < 1024
 
@@ -401,7 +409,8 @@ def test_the_workflow_of_docs_radio_fails_on_a_wrong_image_and_leaves_a_report(t
     another port. The step that installs tools, as root, is left out.
     """
     copy_sources("cortex-m3", tmp_path)
-    replacements = {"20001": find_free_port(), "-B build ": "-B build -DROBOT_B_HAT=0.6 "}
+    port_of_page, cmake_of_page = "20001", "-B build "
+    replacements = {port_of_page: find_free_port(), cmake_of_page: "-B build -DROBOT_B_HAT=0.6 "}
     steps = read_workflow(replacements)["emulated"]["steps"]
     run("sh", "-exc", step_named("build", steps), cwd=tmp_path)
 
@@ -412,12 +421,16 @@ def test_the_workflow_of_docs_radio_fails_on_a_wrong_image_and_leaves_a_report(t
         stop_the_board = "kill $(cat qemu.pid)"
         run("sh", "-c", stop_the_board, cwd=tmp_path)
 
-    assert "expected" in (tmp_path / "verdict.md").read_text()
+    report = (tmp_path / "verdict.md").read_text()
+    assert "expected" in report, "the first answer that differs, beside the expected one"
     assert (tmp_path / "verdict.log.events").exists(), "so the log can be replayed"
 
 
 def test_the_workflow_of_docs_radio_uploads_the_report_also_of_a_failure() -> None:
-    """The last step of its job "emulated" uploads it, whether the steps before have failed or not."""
+    """The last step of its job "emulated" uploads it, whether the steps before have failed or not.
+
+    The report is files with names such as verdict.md. In GitHub's workflows always() means so.
+    """
     *_, upload = read_workflow()["emulated"]["steps"]
     assert upload["if"] == "always()"
     assert upload["with"]["path"] == "verdict.*"

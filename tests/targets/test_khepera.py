@@ -117,7 +117,10 @@ def service_command() -> str:
 
 @pytest.mark.slow
 def test_the_node_for_a_khepera_runs_on_its_linux_whatever_libraries_are_there(robot: Path) -> None:
-    """readelf finds no dynamic section in it, float registers, and no later kernel than the page names."""
+    """readelf finds no dynamic section in it, so it needs no libraries, and it uses registers for floats.
+
+    The earliest kernel on which it runs is that which docs/platforms/khepera.md names.
+    """
     notes = run("arm-linux-gnueabihf-readelf", "-ndA", robot / "build/khepera/mcp_asdf_node.arm")
 
     assert "There is no dynamic section" in notes
@@ -139,7 +142,8 @@ def record_floor(robot: Path, command: str, brightness: int) -> None:
 def test_the_calibration_of_a_khepera_prints_what_docs_khepera_shows(robot: Path) -> None:
     """It computes the threshold and the accuracy from readings over a black and over a white floor.
 
-    The page has the commands (CALIBRATE) and shows what they print (CALIBRATION_OUTPUT).
+    docs/platforms/khepera.md has the commands (CALIBRATE), of which the first two record a floor each, and
+    shows what the others print (CALIBRATION_OUTPUT). ``record_floor`` draws the readings around a brightness.
     """
     command_over_black, command_over_white, *commands_that_compute = CALIBRATE.splitlines(keepends=True)
     record_floor(robot, command_over_black, brightness=300)

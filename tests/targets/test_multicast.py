@@ -151,7 +151,8 @@ def test_c_and_python_node_answer_the_datagrams_of_a_bad_network_alike(
     """Both send the same frames, and end with the same state and counters.
 
     600 frames are sent to the C node as datagrams, of which some are lost, repeated or late, and between them
-    is garbage. The Python node, its twin with the same options, gets the frames that arrive.
+    is garbage. The Python node, its twin with the same options, gets the frames that arrive. The C node
+    prints its state and counters in the end, as a summary.
     """
     rng = random.Random(address)
     frames_to_send = [any_frame(rng) for _ in range(600)]
@@ -164,7 +165,7 @@ def test_c_and_python_node_answer_the_datagrams_of_a_bad_network_alike(
         nodes = NodesInGroup(group, twin)
         for frame, datagram in arrivals:
             nodes.send(frame, datagram)
-        nodes.send_commands_that_are_answered()
+        nodes.send_commands_that_are_answered()  # the answer shows that all datagrams have been handled
         summary = node.stop()
 
     assert candump_lines(nodes.received_frames) == candump_lines(nodes.expected_answers)
@@ -229,17 +230,18 @@ def unpack_by_c(library: ctypes.CDLL, datagram: bytes) -> RawFrame | None:
     return RawFrame(int.from_bytes(bytes(memory[:4]), "little"), bytes(memory[8 : 8 + length]))
 
 
-def to_raw(frame: can.Message | None) -> RawFrame | None:
-    """Return a frame as Linux has it in C."""
+def unpack_by_tools(datagram: bytes) -> RawFrame | None:
+    """Return the frame that the tools in Python find in a datagram, or None if they refuse it."""
+    frame = unpack_data_frame(datagram)
     if frame is None:
         return None
     return RawFrame(frame.arbitration_id | frame.is_extended_id << 31, bytes(frame.data))
 
 
 def test_the_c_node_and_the_tools_unpack_the_same_datagrams_to_the_same_frames(library: ctypes.CDLL) -> None:
-    """The datagrams are a list of odd ones, and frames of all kinds. Both refuse the same ones."""
+    """The datagrams are a list of odd ones, and frames of all kinds. Both refuse the same ones, as None."""
     for datagram in odd_datagrams():
-        assert unpack_by_c(library, datagram) == to_raw(unpack_data_frame(datagram)), datagram
+        assert unpack_by_c(library, datagram) == unpack_by_tools(datagram), datagram
 
 
 def test_the_c_node_and_the_tools_unpack_random_and_damaged_datagrams_to_the_same_frames(
@@ -255,7 +257,7 @@ def test_the_c_node_and_the_tools_unpack_random_and_damaged_datagrams_to_the_sam
         datagram = pack_message(any_message(rng))
         for received in (datagram, flip_random_bit(datagram, rng)):
             frame = unpack_by_c(library, received)
-            assert frame == to_raw(unpack_data_frame(received)), received.hex()
+            assert frame == unpack_by_tools(received), received.hex()
             if frame is not None:
                 unpacked_frames.append(frame)
     assert len(unpacked_frames) > 1700, "too few of 6000 datagrams had a frame, so too little was compared"
@@ -323,7 +325,10 @@ def test_a_node_asks_the_system_for_memory_only_before_it_sends_or_after(
 
 @pytest.mark.slow
 def test_the_hop_limit_of_the_command_line_is_set_for_the_socket(calls_of_sending_node: list[str]) -> None:
-    """It is 0 here, so no router passes the node's datagrams on."""
+    """The node was started with --hop-limit 0, so no router passes its datagrams on.
+
+    In the calls that strace has listed, TTL (time to live) is the hop limit.
+    """
     assert any("IP_MULTICAST_TTL, [0]" in call for call in calls_of_sending_node)
 
 
@@ -359,7 +364,8 @@ def test_nodes_receive_each_other_again_when_their_network_comes_back(
 
     After a second the network goes down for half a second, and comes back with another address for three.
     """
-    command = [*node_command(PLAIN_BUILD, tmp_path_factory), "--interface", interface(address)]
+    group = interface(address)
+    command = [*node_command(PLAIN_BUILD, tmp_path_factory), "--interface", group]
 
     summaries = run_nodes_that_lose_their_network(tmp_path, command)
 

@@ -102,7 +102,7 @@ SUBJECTS = Subjects(FrameFormat(0, 4), FrameFormat(8, 6), FrameFormat(9, 3))
 """Subjects and priorities other than the default ones."""
 OPTIONS_OF_SUBJECTS = "--subject 0 --telemetry-subject 8 --command-subject 9"
 
-FILTERS = {
+OPTIONS_OF_FILTER = {
     Filter.ALWAYS: "--activation always",
     Filter.ADAPTIVE: "--activation adaptive",
     Filter.ROBUST: "--filter robust",
@@ -164,7 +164,7 @@ def make_both_nodes(start_node: StartNode, bus: UnixBus) -> Callable[[Filter], B
     def make(firmware_filter: Filter) -> BothNodes:
         options = "--lockstep --steps-per-second 3 --b-hat 0.75 --allow 0+2-5 --memory 64 --receive-buffer 0"
         periods = "--comms-period 2 --filter-period 4 --save-period 0 --telemetry-period 0"
-        all_options = " ".join([options, periods, FILTERS[firmware_filter], OPTIONS_OF_SUBJECTS])
+        all_options = " ".join([options, periods, OPTIONS_OF_FILTER[firmware_filter], OPTIONS_OF_SUBJECTS])
         node = start_node(*all_options.split())
         twin = python_node(
             ID,
@@ -198,7 +198,8 @@ def test_c_and_python_node_answer_thousands_of_legal_and_broken_frames_alike(
 ) -> None:
     """Both get 3000 random estimates and commands, some of them damaged, and send the same answers.
 
-    Both end with the same state, and have counted the same kinds of frames, more than 50 of each kind.
+    Both end with the same state, which the C node prints as a summary, and have counted the same kinds of
+    frames, more than 50 of each kind.
     """
     both = make_both_nodes(firmware_filter)
     rng = random.Random(firmware_filter)
@@ -377,18 +378,18 @@ FAILED_RUN = 1
 """Exit code of a program that has started, but could not do all that it had to."""
 
 
-@pytest.mark.parametrize(("options", "message"), WRONG_OPTIONS)
+@pytest.mark.parametrize(("wrong_options", "expected_message"), WRONG_OPTIONS)
 def test_the_node_refuses_wrong_options_and_says_what_to_give_instead(
-    tmp_path_factory: pytest.TempPathFactory, options: str, message: str
+    tmp_path_factory: pytest.TempPathFactory, wrong_options: str, expected_message: str
 ) -> None:
     """It does not start, ends with exit code 2, and prints to standard error alone."""
-    command = [*node_command(SANITIZED_BUILD, tmp_path_factory), *options.split()]
+    command = [*node_command(SANITIZED_BUILD, tmp_path_factory), *wrong_options.split()]
 
     result = subprocess.run(command, capture_output=True, text=True, check=False, timeout=PATIENCE)
 
     assert result.returncode == WRONG_USAGE
     assert result.stdout == ""
-    assert message in result.stderr
+    assert expected_message in result.stderr
 
 
 # ---- Observations and time ----
@@ -404,7 +405,8 @@ def test_a_node_computes_what_its_twin_in_python_does_from_the_same_observations
     symbols repeat. They hold four observations, and three of these are black.
     """
     file = tmp_path / "observations"
-    file.write_text("1\n0\n-\n1\n1\n-\n" * 50 + " \t\n", encoding="ascii")
+    white_space_at_the_end = " \t\n"  # no symbol, and so no tick
+    file.write_text("1\n0\n-\n1\n1\n-\n" * 50 + white_space_at_the_end, encoding="ascii")
 
     option = file if source == "a file" else "-"
     with file.open() as standard_input:
@@ -417,18 +419,18 @@ def test_a_node_computes_what_its_twin_in_python_does_from_the_same_observations
     summary = node.summary()
     assert summary["ended"] == "observations"
     assert summary["ticks"] == 300
-    assert summary["missing"] == 0
-    assert summary["t"] == 4 * 50
-    assert summary["n"] == 3 * 50
+    assert summary["missing"] == 0, "ticks without a symbol"
+    assert summary["t"] == 4 * 50, "observations"
+    assert summary["n"] == 3 * 50, "black tiles"
     assert summary["x"] / 2**23 == twin.x, "the summary has x in units of 2^-23"
 
 
 def test_a_node_sends_estimates_telemetry_and_heartbeats_at_their_periods(
     start_node: StartNode, bus: UnixBus, tmp_path: Path
 ) -> None:
-    """In 300 ticks it sends an estimate in each, telemetry in each hundredth, and a heartbeat.
+    """It sends an estimate in each of 300 ticks, telemetry in every hundredth, and a heartbeat each second.
 
-    There are 1000 ticks in a second, and one heartbeat.
+    There are 1000 ticks in a second, so there is only the heartbeat with which it starts.
     """
     file = tmp_path / "observations"
     file.write_text("1" * 300, encoding="ascii")
@@ -455,12 +457,15 @@ def test_a_character_that_is_no_observation_ends_the_run(
 
     summary = node.summary(status=FAILED_RUN)
     assert summary["ended"] == "observations not valid"
-    assert summary["t"] == 1
+    assert summary["t"] == 1, "observations"
     assert node.error_lines == [f"mcp_asdf_node: character 3 of {file} is no observation; write 0, 1 or -"]
 
 
 def test_a_node_does_not_wait_for_its_observations(start_node: StartNode, bus: UnixBus) -> None:
-    """Four tiles, three of them black, come in two parts, eight ticks apart. Other ticks count as missing."""
+    """Four tiles, three of them black, come in two parts, at least eight ticks apart.
+
+    The node ticks on meanwhile, and counts the other ticks as missing an observation.
+    """
     node = start_node("--steps-per-second", 200, "--observations", "-", stdin=subprocess.PIPE)
     standard_input = node.process.stdin
     assert standard_input is not None
@@ -608,10 +613,13 @@ def test_the_node_s_heartbeat_says_how_the_bus_is(start_node: StartNode, bus: Un
 
 
 def test_a_bus_that_closes_ends_the_run_with_a_failure(start_node: StartNode, bus: UnixBus) -> None:
-    """Its summary says that the bus has closed, and the exit code says that the run has failed."""
+    """Its summary says that the bus has closed, and the exit code, 1, says that the run has failed."""
     node = start_node("--lockstep")
+
     bus.node.close()
-    assert node.summary(status=FAILED_RUN)["ended"] == "bus closed"
+
+    summary = node.summary(status=FAILED_RUN)
+    assert summary["ended"] == "bus closed"
 
 
 @pytest.mark.slow
@@ -634,16 +642,16 @@ def test_a_node_whose_frames_nobody_takes_loses_them_but_no_tick(
     assert len(bus.received_frames) == frames_made - summary["unsent"]
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+@pytest.mark.parametrize("signal_number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 @interruptible()
 def test_a_signal_ends_the_node_with_its_summary(
-    start_node: StartNode, bus: UnixBus, number: signal.Signals
+    start_node: StartNode, bus: UnixBus, signal_number: signal.Signals
 ) -> None:
     """It means Ctrl-C, a service that is stopped, or a terminal that is closed, and comes after one tick."""
     node = start_node("--lockstep")
     run_lockstep(bus, [ID], ticks=1, seed=1)
 
-    summary = node.stop(number)
+    summary = node.stop(signal_number)
 
     assert summary["ended"] == "signal"
     assert summary["ticks"] == 1
@@ -662,19 +670,22 @@ def saved_state(node: RobotNode) -> bytes:
 def test_a_node_that_is_started_again_goes_on_with_its_saved_state(
     start_node: StartNode, bus: UnixBus, tmp_path: Path, firmware_filter: Filter
 ) -> None:
-    """Two runs of three tiles each end in the state of one robot that has observed all six."""
+    """Two runs of three tiles each end in the state of one robot that has observed all six.
+
+    Nothing is left of the draft to which the node writes a state before it has its name.
+    """
     observations, state = tmp_path / "observations", tmp_path / "state"
-    options = ("--state", state, "--observations", observations, *FILTERS[firmware_filter].split())
+    options = ("--state", state, "--observations", observations, *OPTIONS_OF_FILTER[firmware_filter].split())
     for tiles in ("011", "100"):
         observations.write_text(tiles, encoding="ascii")
         node = start_node(*FAST_CLOCK, *options)
         bus.receive_until_node_ends()
         assert node.summary()["ticks"] == 3
 
-    one_robot = python_node(ID, filter=firmware_filter)
+    node_without_restart = python_node(ID, filter=firmware_filter)
     for tile in [0, 1, 1, 1, 0, 0]:
-        one_robot.robot.step(Observation(tile))
-    assert state.read_bytes() == saved_state(one_robot)
+        node_without_restart.robot.step(Observation(tile))
+    assert state.read_bytes() == saved_state(node_without_restart)
     assert not draft_of(state).exists()
 
 
@@ -685,7 +696,7 @@ def state_with_a_flipped_bit() -> bytes:
 
 
 @pytest.mark.parametrize(
-    ("content", "options", "reason"),
+    ("refused_state", "options", "expected_reason"),
     [
         pytest.param(saved_state(python_node(ID))[:-1], (), "damaged", id="too short"),
         pytest.param(saved_state(python_node(ID)) + b"x", (), "damaged", id="too long"),
@@ -696,20 +707,20 @@ def state_with_a_flipped_bit() -> bytes:
     ],
 )
 def test_a_state_that_is_damaged_or_of_another_configuration_is_refused_and_kept(
-    content: bytes,
+    refused_state: bytes,
     options: tuple[object, ...],
-    reason: str,
+    expected_reason: str,
     refuse_state: Callable[..., str],
     tmp_path: Path,
 ) -> None:
     """The node, with id 101 and the paper's filter, does not start, says why, and leaves the file alone."""
     state = tmp_path / "state"
-    state.write_bytes(content)
+    state.write_bytes(refused_state)
 
     message = refuse_state(state, *options)
 
-    assert reason in message
-    assert state.read_bytes() == content
+    assert expected_reason in message
+    assert state.read_bytes() == refused_state
 
 
 @pytest.fixture
@@ -826,7 +837,7 @@ def test_observations_that_cannot_be_opened_are_refused_before_the_run(
 
 
 @pytest.mark.parametrize(
-    ("failing_read", "observation_count"),
+    ("failing_read", "expected_observations"),
     [
         ("read:error=EIO", 0),
         ("read:error=EIO:when=2", 256),  # the first read takes the whole file
@@ -834,7 +845,7 @@ def test_observations_that_cannot_be_opened_are_refused_before_the_run(
 )
 def test_a_run_ends_with_a_failure_where_observations_cannot_be_read(
     failing_read: str,
-    observation_count: int,
+    expected_observations: int,
     bus: UnixBus,
     tmp_path: Path,
     command_under_strace: Callable[..., list[str]],
@@ -853,7 +864,7 @@ def test_a_run_ends_with_a_failure_where_observations_cannot_be_read(
     [error_line] = node.error_lines
     assert re.fullmatch(refusal_of_file(file, "Input/output error"), error_line + "\n")
     assert summary["ended"] == "observations not readable"
-    assert summary["t"] == observation_count
+    assert summary["t"] == expected_observations
 
 
 def test_a_state_that_can_only_be_read_in_pieces_is_complete(
@@ -892,12 +903,6 @@ def unread_bytes(pipe: FileIO) -> int:
     return int.from_bytes(fcntl.ioctl(pipe, termios.FIONREAD, bytes(4)), sys.byteorder)
 
 
-CALLS_OF_SAVE = ("openat", "write", "fsync", "close", "rename", "openat", "fsync", "close")
-"""System calls of a save: about a draft up to its renaming, and then about its folder.
-
-Whenever the power fails, the name stands for all of the old state or all of the new, and in the end for the
-new.
-"""
 TRACE_CALLS_OF_SAVE = "trace=openat,write,fsync,close,rename"
 
 
@@ -957,14 +962,20 @@ def draft_of(state: Path) -> Path:
 def test_a_save_writes_a_draft_to_the_disk_before_it_gets_the_name_of_the_state(
     run_with_two_saves: Callable[..., list[str]], trace: Path, state: Path, states: list[bytes]
 ) -> None:
-    """So the old state is there if the power fails. strace lists the system calls of two saves."""
+    """Whenever the power fails, the name stands for all of the old state or all of the new.
+
+    strace lists the system calls of two saves. fsync waits until the disk has a file, or a folder's names.
+    """
     _old_state, _state_of_first_save, state_after_the_run = states
 
     error_lines = run_with_two_saves(exit_code=0)
 
     assert error_lines == []
     assert state.read_bytes() == state_after_the_run
-    assert traced_calls(trace) == [*CALLS_OF_SAVE, *CALLS_OF_SAVE]
+    calls_about_draft = ["openat", "write", "fsync", "close", "rename"]
+    calls_about_folder = ["openat", "fsync", "close"]
+    calls_of_a_save = [*calls_about_draft, *calls_about_folder]
+    assert traced_calls(trace) == [*calls_of_a_save, *calls_of_a_save]
 
 
 def traced_calls(trace: Path) -> list[str]:
@@ -976,7 +987,7 @@ def traced_calls(trace: Path) -> list[str]:
 def test_the_old_state_is_kept_if_every_save_writes_only_a_part(
     run_with_two_saves: Callable[..., list[str]], state: Path, states: list[bytes]
 ) -> None:
-    """strace lets each write take only 50 bytes of a state, which has 124.
+    """strace lets each write return 50, as if no more bytes of a state, which has 124, had room on the disk.
 
     The node prints one message, observes all its tiles, and ends with the exit code of a failed run.
     """
@@ -1029,14 +1040,17 @@ def test_whichever_call_of_a_save_fails_the_last_state_or_the_one_before_is_kept
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("number", [2, 4])
+@pytest.mark.parametrize("number_of_close", [2, 4])
 def test_a_folder_that_cannot_be_closed_after_a_save_does_no_harm(
-    number: int, run_with_two_saves: Callable[..., list[str]], state: Path, states: list[bytes]
+    number_of_close: int, run_with_two_saves: Callable[..., list[str]], state: Path, states: list[bytes]
 ) -> None:
-    """The node says nothing of it. Calls 2 and 4 of ``close`` are about the folder; strace lets one fail."""
+    """The node says nothing of it. There are two saves: calls 1 and 3 of ``close`` are about a draft.
+
+    Calls 2 and 4 are about the folder, and strace lets one of them fail.
+    """
     _old_state, _state_of_first_save, state_after_the_run = states
 
-    error_lines = run_with_two_saves(f"inject=close:error=ENOSPC:when={number}", exit_code=0)
+    error_lines = run_with_two_saves(f"inject=close:error=ENOSPC:when={number_of_close}", exit_code=0)
 
     assert error_lines == []
     assert state.read_bytes() == state_after_the_run
@@ -1088,7 +1102,10 @@ def folder_of_verified_node(bus: UnixBus, tmp_path_factory: pytest.TempPathFacto
 def test_the_radio_command_s_verdict_executes_every_line_and_branch_of_the_firmware(
     folder_of_verified_node: Path,
 ) -> None:
-    """So a robot that passes has no untried code but the lines that NOT_EXECUTED lists with reasons."""
+    """So a robot that passes has no untried code but the lines that NOT_EXECUTED lists with reasons.
+
+    NOT_EXECUTED has reasons, and for each the pattern of the lines of C that it holds for.
+    """
     lines_without_reason = []
     used_reasons = set()
     for line in unexecuted_lines(folder_of_verified_node):

@@ -165,6 +165,7 @@ def test_variables_have_their_values_when_main_starts(board: Board, level: str, 
     """The program has two sections of variables: one for values other than 0, one for 0.
 
     The port's start-up code, on an emulated processor, writes both before main(), over any content of RAM.
+    ``level`` is how the compiler optimises.
     """
     with build(board, level, tmp_path).open("rb") as stream:
         elf = ELFFile(stream)
@@ -174,5 +175,7 @@ def test_variables_have_their_values_when_main_starts(board: Board, level: str, 
         processor = run_to_main(board, elf)
 
         for name, section in sections.items():
-            in_memory = processor.mem_read(section["sh_addr"], section["sh_size"])
-            assert bytes(in_memory) == section.data(), name  # zeros for a section without bytes
+            address, size = section["sh_addr"], section["sh_size"]
+            content_in_memory = bytes(processor.mem_read(address, size))
+            expected_content = section.data()  # zeros for the section that has no bytes in the image
+            assert content_in_memory == expected_content, name

@@ -17,7 +17,7 @@ import pytest
 from mcp_asdf_tools.crosscheck.scenario import Scenario
 from support import made_once, slow
 from targets import matrix
-from targets.golden_vectors import FILES, HERE, Player, content, played, verdict
+from targets.golden_vectors import FILES, HERE, Player, content_made_anew, expected_verdict, played
 from targets.matrix import HOST, TARGETS, WASM, ImageBuild, further_builds, usual_build
 
 QUICK_FILES = ("golden_few.bin", "golden_robust.bin")
@@ -71,15 +71,22 @@ def played_images(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempP
 
 @pytest.mark.parametrize("name", [*QUICK_FILES, *slow(SLOW_FILES)])
 def test_the_files_of_calls_are_what_the_robot_in_python_gives(name: str) -> None:
-    """A file has calls of robots, and a digest of what the robot in Python answers to them."""
-    assert content(name) == (HERE / name).read_bytes(), "write it again and say why in the changelog"
+    """A file has calls of robots, and a digest of what the robot in Python answers to them.
+
+    If the content that is made anew differs, the robot in Python computes other bits than before.
+    """
+    stored_content = (HERE / name).read_bytes()
+    assert content_made_anew(name) == stored_content, "write it again and say why in the changelog"
 
 
 @pytest.mark.parametrize("played_images", [*QUICK_BUILDS, *slow(SLOW_BUILDS)], ids=str, indirect=True)
 def test_a_target_computes_the_same_bits_as_the_robot_in_python(played_images: PlayedImages) -> None:
-    """An image plays files of calls on the target. It prints "PASS" and the numbers of calls in them."""
+    """An image plays files of calls on the target, and compares answers with those of the robot in Python.
+
+    It prints "PASS" and the numbers of calls in the files if all are the same.
+    """
     for files, printed in played_images.outputs:
-        assert verdict(files) in printed, printed
+        assert expected_verdict(files) in printed, printed
         assert "failed" not in printed, printed
 
 
@@ -92,7 +99,10 @@ def test_a_target_computes_the_same_bits_as_the_robot_in_python(played_images: P
 def test_the_firmware_needs_no_library_and_no_variables_on_a_target(
     played_images: PlayedImages, request: pytest.FixtureRequest
 ) -> None:
-    """It may call the helpers with which the target's compiler computes with integers."""
+    """It may call the helpers with which the target's compiler computes with integers.
+
+    The image of the target was built of the compiled files that are looked into here.
+    """
     build: ImageBuild = request.node.callspec.params["played_images"]
     compiled_files = matrix.core_objects(played_images.folder)
 
@@ -100,7 +110,8 @@ def test_the_firmware_needs_no_library_and_no_variables_on_a_target(
     foreign_symbols = {name for name in symbols if not re.fullmatch(build.target.helpers, name)}
 
     assert foreign_symbols == set()
-    assert sum(matrix.variables(compiled) for compiled in compiled_files) == 0, "bytes of variables"
+    bytes_of_variables = sum(matrix.variables(compiled) for compiled in compiled_files)
+    assert bytes_of_variables == 0
 
 
 def longest_scenario() -> tuple[int, Scenario]:
@@ -121,13 +132,17 @@ def first_file_with_wrong_digest(scenario_number: int) -> bytes:
 
 @pytest.mark.slow
 def test_an_image_that_computes_other_bits_prints_every_call(tmp_path: Path) -> None:
-    """A file has scenarios, which are calls of a robot, each with a digest. One digest is wrong here."""
+    """A file has scenarios, which are calls of a robot, each with a digest. One digest is wrong here.
+
+    Then the image's answers to this scenario have another digest, and it prints them, so that a user can see
+    in which call the bits begin to differ. The robot in Python, in a ``Player``, has the same answers.
+    """
     number, scenario = longest_scenario()
     (tmp_path / "wrong.bin").write_bytes(first_file_with_wrong_digest(number))
 
     printed = matrix.play(usual_build(HOST), tmp_path, tmp_path / "wrong.bin")
 
-    calls_and_verdict = "\n".join([*Player(scenario).lines, "FAIL", "a test of the image failed"])
-    assert re.search(
-        rf"^scenario {number} expected \d+ found \d+\n{calls_and_verdict}$", printed, re.MULTILINE
-    )
+    first_line = rf"scenario {number} expected \d+ found \d+"
+    lines_of_calls = Player(scenario).lines
+    expected_end = "\n".join([first_line, *lines_of_calls, "FAIL", "a test of the image failed"])
+    assert re.search(f"^{expected_end}$", printed, re.MULTILINE), printed
