@@ -85,7 +85,7 @@ class PlantedResults(StudyResults):
 # --- Trials ----------------------------------------------------------------------------------------------
 
 
-def short_trials(**parameters: Any) -> list[Trials]:
+def run_two_short_trials(**parameters: Any) -> list[Trials]:
     """Run the experiments of a grid for two short trials, recorded every 100 steps."""
     settings: dict[str, Any] = {"robots": 4, "flawed": 1, "steps": 400, "filter_period": 100, "trials": 2}
     return [
@@ -94,7 +94,7 @@ def short_trials(**parameters: Any) -> list[Trials]:
     ]
 
 
-def trials_with(*, x: Any = 0.5, b_hat: Any = 0.9, **changes: Any) -> Trials:
+def two_trials_with(*, x: Any = 0.5, b_hat: Any = 0.9, **changes: Any) -> Trials:
     """Make two trials with these values of x and b_hat, without running them: f = 0.5 and b = 0.9.
 
     There are four robots, the first of them flawed. ``x`` is a number, a list of one for each robot, a list

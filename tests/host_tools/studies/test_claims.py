@@ -6,12 +6,12 @@ import re
 import tomllib
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
 
-from host_tools.studies.conftest import STUDY_CELLS, PlantedResults, trials_with
+from host_tools.studies.conftest import STUDY_CELLS, PlantedResults, two_trials_with
 from mcp_asdf_tools.studies.cells import Cell, StudyPart
 from mcp_asdf_tools.studies.claims import (
     CLAIMS,
@@ -32,13 +32,13 @@ from mcp_asdf_tools.studies.verdicts import Expectation, Verdict
 
 pytestmark = pytest.mark.usefixtures("few_resamples")
 
-PLANTED: dict[str, list[str]] = tomllib.loads(
+PLANTED_EXPRESSIONS: dict[str, list[str]] = tomllib.loads(
     Path(__file__).with_name("planted.toml").read_text(encoding="utf-8")
 )
 """For each claim an expression by which it agrees, and one by which it disagrees."""
 
 
-def decide_one(study_results: StudyResults, claim: Claim, study_part: StudyPart | None) -> Decision:
+def decide_claim(study_results: StudyResults, claim: Claim, study_part: StudyPart | None) -> Decision:
     """Return the decision on a claim about one part of the study."""
     (decision,) = [
         decision for decision in decide(study_results, [claim]) if decision.study_part is study_part
@@ -81,112 +81,158 @@ QUICK_CLAIMS = (
 def test_a_claim_of_the_paper_agrees_and_disagrees_with_the_results_planted_for_that(
     claim: Claim, study_part: StudyPart
 ) -> None:
-    """PLANTED has two expressions for each claim: results that agree with it, and results that do not."""
-    parts = parts_needed(claim, study_part)
-    agreeing_expression, disagreeing_expression = PLANTED[claim.name]
+    """planted.toml has two expressions for each claim: results that agree with it, and results that do not.
 
-    agreement = decide_one(PlantedResults(agreeing_expression, parts), claim, study_part)
-    disagreement = decide_one(PlantedResults(disagreeing_expression, parts), claim, study_part)
+    With the expression "90 - P / 2", for example, the score of a swarm falls with P, the percentage of its
+    robots that are flawed.
+    """
+    parts = parts_needed(claim, study_part)
+    agreeing_expression, disagreeing_expression = PLANTED_EXPRESSIONS[claim.name]
+
+    agreement = decide_claim(PlantedResults(agreeing_expression, parts), claim, study_part)
+    disagreement = decide_claim(PlantedResults(disagreeing_expression, parts), claim, study_part)
 
     assert agreement.verdict is Verdict.AGREE, agreement.comparisons
     assert disagreement.verdict is Verdict.DISAGREE, disagreement.comparisons
 
 
 def test_every_claim_is_tested_with_planted_results_or_decided_by_equations_or_about_single_robots() -> None:
-    claim_names = {claim.name for claim in CLAIMS}
-    assert claim_names == {*PLANTED, *EQUATIONS, IDENTICAL_ROBOTS}
+    claims_with_planted_results = set(PLANTED_EXPRESSIONS)
+    claims_that_equations_decide = set(EQUATIONS)
+    claims_about_single_robots = {IDENTICAL_ROBOTS}
+
+    names_of_all_claims = {claim.name for claim in CLAIMS}
+    assert names_of_all_claims == (
+        claims_with_planted_results | claims_that_equations_decide | claims_about_single_robots
+    )
 
 
 def test_the_paper_has_97_claims_that_are_about_110_parts_of_the_study() -> None:
+    """Most claims are about one part, and some about two: about fully connected and about dynamic swarms.
+
+    Each gets a verdict for each of its parts, so the page about the study counts 110 claims.
+    """
     assert len(CLAIMS) == 97
     assert sum(len(claim.parts) for claim in CLAIMS) == 110
 
 
 def test_each_question_of_a_user_is_answered_by_a_claim_that_exists() -> None:
-    assert set(QUESTIONS) <= {claim.name for claim in CLAIMS}
+    """The report answers questions such as "Do flawed robots harm a swarm?" by the verdict on a claim."""
+    names_of_answering_claims = QUESTIONS.keys()
+    assert names_of_answering_claims <= {claim.name for claim in CLAIMS}
 
 
 def test_words_for_sizes_and_levels_are_the_points_that_the_page_about_the_study_says() -> None:
-    assert list(SIZES.values()) == [2, 5, 10, 20, 0.2, 0.05]
+    """Sizes are the smallest differences that count: of scores, of a rank correlation, and of b_hat.
+
+    A level is a score from 0 to 100. The paper's words stand for these numbers.
+    """
+    assert SIZES == {
+        "seen": 2,
+        "similar": 5,
+        "much": 10,
+        "overwhelming": 20,
+        "weak correlation": 0.2,
+        "corrupted": 0.05,
+    }
     assert LEVELS == {"almost perfect": 95, "excellent": 90, "quite high": 80, "poor": 50}
 
 
 def test_each_claim_quotes_one_sentence_of_the_paper() -> None:
     """Dots in brackets stand for what is left out of a sentence."""
     for claim in CLAIMS:
-        assert claim.quote.strip() == claim.quote != ""
-        end_of_sentence_within_quote = re.search(r"[.?!] [A-Z]", claim.quote.replace("[...]", ""))
-        assert end_of_sentence_within_quote is None, claim.name
+        assert claim.quote != ""
+        assert claim.quote.strip() == claim.quote
+        quote_without_dots = claim.quote.replace("[...]", "")
+        start_of_a_second_sentence = re.search(r"[.?!] [A-Z]", quote_without_dots)
+        assert start_of_a_second_sentence is None, claim.name
 
 
 def test_each_claim_says_in_which_section_figure_or_table_the_paper_has_it() -> None:
     """Examples are "III-A", "abstract", "V, figure 3a" and "table I"."""
-    place_in_paper = r"(abstract|[IV]+(-[A-E])?|)(, )?(figure \d[ab]?|table I|)"
+    section = r"(abstract|[IV]+(-[A-E])?)?"
+    figure_or_table = r"(figure \d[ab]?|table I)?"
     for claim in CLAIMS:
-        assert re.fullmatch(place_in_paper, claim.where), claim.name
+        assert claim.where != ""
+        assert re.fullmatch(f"{section}(, )?{figure_or_table}", claim.where), claim.name
 
 
-PLANS_BY_CLAIM = {
-    (claim.name, study_part.value): claim.plan(study_part)
+class PlansOfClaim(NamedTuple):
+    """The comparisons by which a claim about a part of the study is decided."""
+
+    claim_name: str
+    study_part: StudyPart
+    comparisons: list[PlannedComparison]
+
+
+PLANS_OF_CLAIMS = [
+    PlansOfClaim(claim.name, study_part, claim.plan(study_part))
     for claim in CLAIMS
     if claim.contrasts
     for study_part in claim.parts
     if study_part is not None
-}
-"""The comparisons by which a claim is decided in a part of the study."""
+]
 
 
 def test_claims_compare_only_cells_that_the_study_runs_and_some_of_their_own_part() -> None:
     """A cell is a kind of swarm in a part of the study; a reference is the cell that it is compared with."""
-    for (_claim_name, part), plans in PLANS_BY_CLAIM.items():
-        cells = {plan.cell for plan in plans}
-        references = {plan.reference for plan in plans if plan.reference is not None}
-        assert cells | references <= STUDY_CELLS
-        assert part in {cell.study_part.value for cell in cells | references}
+    for _claim_name, study_part, comparisons in PLANS_OF_CLAIMS:
+        cells = {comparison.cell for comparison in comparisons}
+        references = {comparison.reference for comparison in comparisons if comparison.reference is not None}
+        compared_cells = cells | references
+
+        assert compared_cells <= STUDY_CELLS
+        assert study_part in {cell.study_part for cell in compared_cells}
 
 
 def test_no_claim_makes_the_same_comparison_twice() -> None:
     """A comparison is told from others by both swarms, by what is measured and by what is expected."""
-    for claim, plans in PLANS_BY_CLAIM.items():
-        comparisons = {
-            (plan.cell, plan.reference, plan.contrast.measure, plan.contrast.expected) for plan in plans
-        }
-        assert len(comparisons) == len(plans) > 0, claim
+    for claim_name, _study_part, comparisons in PLANS_OF_CLAIMS:
+        different_comparisons = set()
+        for comparison in comparisons:
+            contrast = comparison.contrast
+            different_comparisons.add(
+                (comparison.cell, comparison.reference, contrast.measure, contrast.expected)
+            )
+        assert comparisons != [], claim_name
+        assert len(different_comparisons) == len(comparisons), claim_name
 
 
 def test_comparisons_in_claims_toml_are_of_measures_and_expectations_that_exist() -> None:
-    """A misspelt word of the file would be a comparison that nobody makes."""
+    """A misspelt word of the file would be a comparison that nobody makes. Their sizes are above 0, too."""
     known_expectations = {expectation.value for expectation in Expectation}
-    for plans in PLANS_BY_CLAIM.values():
-        for plan in plans:
-            assert plan.contrast.measure in MEASURES
-            assert plan.contrast.expected in known_expectations
-            assert plan.contrast.size_in_points > 0, "the smallest difference that counts"
+    for _claim_name, _study_part, comparisons in PLANS_OF_CLAIMS:
+        for comparison in comparisons:
+            assert comparison.contrast.measure in MEASURES
+            assert comparison.contrast.expected in known_expectations
+            assert comparison.contrast.size_in_points > 0, "the smallest difference that counts"
 
 
 # --- Contrasts -------------------------------------------------------------------------------------------
 
 
-def plan(**row: Any) -> list[PlannedComparison]:
+def plan_comparisons(**row: Any) -> list[PlannedComparison]:
     """List the comparisons that a row of claims.toml makes in dynamic swarms with f = 0.95 and b = 0.55.
 
     ``row`` selects the swarms of ``cell``, and ``than`` the swarms of ``reference``. Each comparison has
     a cell. The reference may be missing.
     """
-    return Contrast(**{"expected": "above", "panels": "over_clear", **row}).plan(StudyPart.DYNAMIC)
+    contrast = Contrast(**{"expected": "above", "panels": "over_clear", **row})
+    return contrast.plan(StudyPart.DYNAMIC)
 
 
 def test_lists_in_a_row_of_a_claim_make_all_their_combinations() -> None:
-    """The row lists two percentages of flawed robots. These assume a b_hat of 0.75 or 0.95; 0.55 is right."""
-    plans = plan(flawed_percents=[10, 30], filters="asdf-plus", than="no filter")
+    """The row compares ASDF+ with no filter for two accuracies b_hat and two percentages of flawed robots."""
+    comparisons = plan_comparisons(
+        flawed_accuracies=[0.75, 0.95], flawed_percents=[10, 30], filters="asdf-plus", than="no filter"
+    )
 
-    compared = [
-        (plan.cell.flawed_accuracy, plan.cell.flawed_percent, plan.cell.filter, plan.reference.filter)
-        for plan in plans
-        if plan.reference is not None
-    ]
-    assert compared == [
-        # b_hat and percentage of flawed robots, filter, and filter of the swarm compared with
+    combinations = []
+    for comparison in comparisons:
+        cell, reference = comparison.cell, comparison.reference
+        assert reference is not None
+        combinations.append((cell.flawed_accuracy, cell.flawed_percent, cell.filter, reference.filter))
+    assert combinations == [
         (0.75, 10, "asdf-plus", "none"),
         (0.75, 30, "asdf-plus", "none"),
         (0.95, 10, "asdf-plus", "none"),
@@ -196,30 +242,39 @@ def test_lists_in_a_row_of_a_claim_make_all_their_combinations() -> None:
 
 def test_a_swarm_is_compared_with_one_that_differs_only_in_what_the_row_of_the_claim_changes() -> None:
     """The row compares swarms with ASDF+ with "no filter", which is the filter "none" of a swarm."""
-    first_plan, *_others = plan(filters="asdf-plus", than="no filter")
+    [comparison] = plan_comparisons(
+        flawed_accuracies=0.75, flawed_percents=10, filters="asdf-plus", than="no filter"
+    )
 
-    assert first_plan.cell.filter == "asdf-plus"
-    assert first_plan.reference == replace(first_plan.cell, filter="none")
+    assert comparison.cell.filter == "asdf-plus"
+    assert comparison.reference == replace(comparison.cell, filter="none")
 
 
 def test_two_names_of_the_same_experiment_are_compared_once() -> None:
-    """Without flawed robots their accuracies of 0.75 and 0.95 make no difference."""
-    plans = plan(flawed_percents=0, flawed_accuracies=[0.75, 0.95], filters="asdf-plus", than="no filter")
-    assert len(plans) == 1
+    """Without flawed robots it makes no difference whether these would assume 0.75 or 0.95."""
+    comparisons = plan_comparisons(
+        flawed_accuracies=[0.75, 0.95], flawed_percents=0, filters="asdf-plus", than="no filter"
+    )
+    assert len(comparisons) == 1
 
 
 def test_next_lower_p_is_the_next_lower_percentage_of_flawed_robots_that_the_study_runs() -> None:
     """A row that says "next lower P" compares a swarm with one that has this percentage of flawed robots."""
-    plans = plan(flawed_percents=[10, 30, 50, 100], flawed_accuracies=0.95, than="next lower P")
+    comparisons = plan_comparisons(
+        flawed_accuracies=0.95, flawed_percents=[10, 30, 50, 100], than="next lower P"
+    )
 
-    percent_of_reference_by_percent = {
-        plan.cell.flawed_percent: plan.reference.flawed_percent for plan in plans if plan.reference
-    }
-    assert percent_of_reference_by_percent == {10: 0, 30: 10, 50: 30, 100: 50}
+    percents_of_cell_and_reference = []
+    for comparison in comparisons:
+        assert comparison.reference is not None
+        percents_of_cell_and_reference.append(
+            (comparison.cell.flawed_percent, comparison.reference.flawed_percent)
+        )
+    assert percents_of_cell_and_reference == [(10, 0), (30, 10), (50, 30), (100, 50)]
 
 
 @pytest.mark.parametrize(
-    ("row", "expected"),
+    ("row", "expected_difference"),
     [
         ({"filters": "asdf-plus", "than": "no filter"}, 77 - 57),
         ({"filters": "asdf-plus", "than": "asdf-minus"}, 77 - 72),
@@ -233,7 +288,7 @@ def test_next_lower_p_is_the_next_lower_percentage_of_flawed_robots_that_the_stu
     ],
 )
 def test_a_comparison_is_the_measure_of_the_first_cell_less_the_measure_of_the_second(
-    row: dict[str, Any], expected: float
+    row: dict[str, Any], expected_difference: float
 ) -> None:
     """With 30 % flawed robots H is 57 without a filter, 72 with ASDF- and 77 with ASDF+.
 
@@ -245,13 +300,16 @@ def test_a_comparison_is_the_measure_of_the_first_cell_less_the_measure_of_the_s
     change_by_part = {"dynamic": 0, "fully_connected": 4}
     # PlantedResults evaluates this for each swarm, by its filter, its percentage P and its part of the study.
     h = f"{h_by_filter}[filter] + {change_by_flawed_percent}[P] + {change_by_part}[part]"
-    for planned_comparison in plan(flawed_percents=30, **row):
-        comparison = planned_comparison.compare(PlantedResults(h), confidence=0.9)
-        assert comparison.interval.value == pytest.approx(expected, abs=0.02)
+
+    [planned_comparison] = plan_comparisons(flawed_percents=30, flawed_accuracies=0.75, **row)
+    comparison = planned_comparison.compare(PlantedResults(h), confidence=0.9)
+
+    # The trials of a planted swarm scatter by 0.01.
+    assert comparison.interval.value == pytest.approx(expected_difference, abs=0.02)
 
 
 @pytest.mark.parametrize(
-    ("row", "expected"),
+    ("row", "expected_difference"),
     [
         ({"measure": "spread of H", "filters": "asdf-plus", "than": "no filter"}, 2 - 1),
         # The best of 30 trials exceeds this quantile in half of all cases. H spreads evenly from 69 to 71.
@@ -259,13 +317,18 @@ def test_a_comparison_is_the_measure_of_the_first_cell_less_the_measure_of_the_s
     ],
 )
 def test_a_comparison_can_be_of_how_trials_spread_or_with_the_best_of_them(
-    row: dict[str, Any], expected: float
+    row: dict[str, Any], expected_difference: float
 ) -> None:
-    """H is 70 on average. Half of the trials are within 1 with no filter, and within 2 with ASDF+."""
-    results = PlantedResults("(70, 1 + (filter == 'asdf-plus'))")
-    for planned_comparison in plan(flawed_percents=30, **row):
-        comparison = planned_comparison.compare(results, confidence=0.9)
-        assert comparison.interval.value == pytest.approx(expected, abs=0.02)
+    """H spreads evenly from 69 to 71 with no filter, and from 68 to 72 with ASDF+. Its median is 70.
+
+    The spread of H is the range of the middle half of the trials: 1 with no filter, and 2 with ASDF+.
+    """
+    results = PlantedResults("(70, 2 if filter == 'asdf-plus' else 1)")  # median, and distance of both ends
+
+    [planned_comparison] = plan_comparisons(flawed_percents=30, flawed_accuracies=0.75, **row)
+    comparison = planned_comparison.compare(results, confidence=0.9)
+
+    assert comparison.interval.value == pytest.approx(expected_difference, abs=0.02)
 
 
 @pytest.mark.parametrize(
@@ -287,20 +350,29 @@ def test_a_comparison_can_be_of_how_trials_spread_or_with_the_best_of_them(
 def test_a_comparison_is_labelled_by_its_swarm_and_by_what_is_subtracted_from_what(
     row: dict[str, Any], row_label: str, column_label: str
 ) -> None:
-    """A table's row names the swarm. Its column names the measure, and after "less" what is subtracted."""
-    (only_plan,) = plan(**{"flawed_percents": 10, "flawed_accuracies": 0.75, **row})
-    comparison = only_plan.compare(PlantedResults("70"), confidence=0.9)
+    """A table's row names the swarm. Its column names the measure, and after "less" what is subtracted.
+
+    All swarms have f = 0.95 and b = 0.55. Unless the row says otherwise, 10 % of the robots are flawed, and
+    assume a b_hat of 0.75.
+    """
+    row_with_flawed_robots = {"flawed_percents": 10, "flawed_accuracies": 0.75, **row}
+    [planned_comparison] = plan_comparisons(**row_with_flawed_robots)
+    comparison = planned_comparison.compare(PlantedResults("70"), confidence=0.9)
 
     assert comparison.row == row_label
     assert comparison.column == column_label
 
 
 @pytest.mark.parametrize(("size", "is_strong"), [("much", True), (10, False), ("similar", False)])
-def test_the_whole_interval_must_reach_the_size_where_the_paper_says_much(
-    size: str | float, is_strong: bool
-) -> None:
-    (only_plan,) = plan(size=size, than="flawless", flawed_percents=30, flawed_accuracies=0.75)
-    comparison = only_plan.compare(PlantedResults("70"), confidence=0.9)
+def test_a_comparison_is_strong_only_where_the_paper_says_much(size: str | float, is_strong: bool) -> None:
+    """The whole interval of a strong comparison must reach the size, 10 for "much", and not only its middle.
+
+    The size 10 alone, or a weak word, does not make a comparison strong.
+    """
+    [planned_comparison] = plan_comparisons(
+        size=size, than="flawless", flawed_percents=30, flawed_accuracies=0.75
+    )
+    comparison = planned_comparison.compare(PlantedResults("70"), confidence=0.9)
     assert comparison.is_strong is is_strong
 
 
@@ -308,24 +380,24 @@ def test_the_whole_interval_must_reach_the_size_where_the_paper_says_much(
 
 
 def test_the_intervals_of_24_comparisons_are_so_wide_that_all_together_are_right_with_95_percent() -> None:
-    """So each of the 24 may be wrong with only a 24th of 5 percent."""
-    results = PlantedResults("(70, 8)")  # median and spread
-    claim = claim_named("flawed_robots_harm")
+    """So each of the 24 may be wrong with only a 24th of 5 percent. The first one is checked."""
+    results = PlantedResults("(70, 8)")  # the median of all swarms, and the distance of their extreme trials
+    claim_with_24_comparisons = claim_named("flawed_robots_harm")
 
-    decision = decide_one(results, claim, StudyPart.DYNAMIC)
+    decision = decide_claim(results, claim_with_24_comparisons, StudyPart.DYNAMIC)
 
-    first_plan, *_others = claim.plan(StudyPart.DYNAMIC)
-    first_comparison, *other_comparisons = decision.comparisons
-    error_probability = 0.05 / 24
-    assert len(other_comparisons) == 23
-    assert first_comparison.interval == first_plan.compare(results, 1 - error_probability).interval
+    assert len(decision.comparisons) == 24
+    first_planned_comparison, *_ = claim_with_24_comparisons.plan(StudyPart.DYNAMIC)
+    first_comparison, *_ = decision.comparisons
+    expected_comparison = first_planned_comparison.compare(results, confidence=1 - 0.05 / 24)
+    assert first_comparison.interval == expected_comparison.interval
 
 
 def test_a_claim_is_left_out_where_a_part_of_the_study_that_it_needs_has_not_been_run() -> None:
-    """The claim is about the fully connected swarm, and compares it with the dynamic one."""
-    claim = claim_named("connected_overconfident_score_higher")
-    results_of_one_part = PlantedResults("70", [StudyPart.FULLY_CONNECTED])
-    assert decide(results_of_one_part, [claim]) == []
+    """The claim compares fully connected swarms with dynamic ones, and only the former have been run."""
+    claim_about_both_parts = claim_named("connected_overconfident_score_higher")
+    results_of_one_part = PlantedResults("70", parts=[StudyPart.FULLY_CONNECTED])
+    assert decide(results_of_one_part, [claim_about_both_parts]) == []
 
 
 @pytest.mark.parametrize(
@@ -335,17 +407,25 @@ def test_a_claim_is_left_out_where_a_part_of_the_study_that_it_needs_has_not_bee
 def test_robots_of_a_connected_swarm_must_converge_in_the_same_step_with_the_same_error(
     step_of_last_robot: int, error_of_last_robot: float, verdict: Verdict
 ) -> None:
-    """In a trial three robots converge at step 100 with an error of 0.25. The fourth may differ."""
-    swarm: dict[str, Any] = {"fill_ratio": 0.95, "true_accuracy": 0.55, "flawed_accuracy": 0.95}
-    cell = Cell(StudyPart.FULLY_CONNECTED, **swarm, flawed_percent=30)
-    trials = replace(
-        trials_with(robots=4),
+    """In a trial three robots converge at step 100 with an error of 0.25. The fourth may differ.
+
+    The claim agrees if steps and errors are the same, is mixed if only one of both is, and disagrees if none
+    is.
+    """
+    cell = Cell(
+        StudyPart.FULLY_CONNECTED,
+        fill_ratio=0.95,
+        true_accuracy=0.55,
+        flawed_accuracy=0.95,
+        flawed_percent=30,
+    )
+    trial = replace(
+        two_trials_with(robots=4),
         convergence_steps=np.array([[100, 100, 100, step_of_last_robot]]),
         errors=np.array([[0.25, 0.25, 0.25, error_of_last_robot]]),
     )
 
-    decision = decide_one(
-        StudyResults({cell: trials}), claim_named(IDENTICAL_ROBOTS), StudyPart.FULLY_CONNECTED
-    )
+    claim_of_identical_robots = claim_named("connected_estimates_are_identical")
+    decision = decide_claim(StudyResults({cell: trial}), claim_of_identical_robots, StudyPart.FULLY_CONNECTED)
 
     assert decision.verdict is verdict

@@ -41,12 +41,12 @@ def first_and_second_readings(sensors: type[IndependentReadings]) -> tuple[Readi
 
 
 def test_both_readings_of_a_tile_are_black_as_often_as_the_floor_and_the_accuracy_say() -> None:
-    """With 0.7 of the floor black and an accuracy of 0.9, that share is 0.7 * 0.9 + 0.3 * 0.1."""
-    first, second = first_and_second_readings(IndependentReadings)
+    """0.7 of the floor is black, and the accuracy is 0.9. A wrong reading of a white tile is black, too."""
+    is_black_at_first, is_black_again = first_and_second_readings(IndependentReadings)
 
     black_rate = 0.7 * 0.9 + 0.3 * 0.1
-    assert first.mean() == pytest.approx(black_rate, abs=0.015)
-    assert second.mean() == pytest.approx(black_rate, abs=0.015)
+    assert is_black_at_first.mean() == pytest.approx(black_rate, abs=0.015)
+    assert is_black_again.mean() == pytest.approx(black_rate, abs=0.015)
 
 
 @pytest.mark.parametrize(
@@ -55,10 +55,12 @@ def test_both_readings_of_a_tile_are_black_as_often_as_the_floor_and_the_accurac
 def test_two_readings_of_a_tile_disagree_if_one_is_wrong_and_the_second_does_not_repeat_the_first(
     sensors: type[IndependentReadings], repeated_share: float
 ) -> None:
-    first, second = first_and_second_readings(sensors)
+    """A reading is right with a probability of 0.9. Some sensors repeat a share of their first readings."""
+    first_readings, second_readings = first_and_second_readings(sensors)
 
-    one_is_wrong = 2 * 0.9 * 0.1
-    assert (first != second).mean() == pytest.approx((1 - repeated_share) * one_is_wrong, abs=0.01)
+    right_then_wrong, wrong_then_right = 0.9 * 0.1, 0.1 * 0.9
+    disagreeing_share = (1 - repeated_share) * (right_then_wrong + wrong_then_right)
+    assert (first_readings != second_readings).mean() == pytest.approx(disagreeing_share, abs=0.01)
 
 
 def test_readings_of_successive_tiles_are_independent() -> None:
@@ -75,32 +77,36 @@ def test_readings_of_successive_tiles_are_independent() -> None:
     assert correlation == pytest.approx(0, abs=0.03)
 
 
-THREE_ROBOTS = Experiment(robots=3, flawed=0)
-
-
 def test_a_sensor_with_two_readings_gives_the_same_reading_on_black_and_on_white_tiles() -> None:
-    """An accuracy of 1 on black is a black reading there, and so is an accuracy of 0 on white."""
-    on_black, on_white = IndependentReadings(THREE_ROBOTS, trial=0).advance(steps=50)
+    """The sensor returns accuracies by step and robot: on black 1 is a black reading, on white 0 is one.
 
-    assert set(on_black.ravel()) == {0.0, 1.0}
-    assert on_white.tolist() == (1 - on_black).tolist()
+    So if the reading does not depend on the tile, both accuracies add up to 1.
+    """
+    sensors = IndependentReadings(Experiment(robots=3, flawed=0), trial=0)
+
+    accuracy_on_black, accuracy_on_white = sensors.advance(steps=50)
+
+    assert set(accuracy_on_black.ravel()) == {0.0, 1.0}
+    assert accuracy_on_white.tolist() == (1 - accuracy_on_black).tolist()
 
 
 def test_readings_do_not_depend_on_how_many_steps_are_taken_at_once() -> None:
     """Thirteen steps are taken in five parts. Readings on black tiles are compared, step by step."""
-    sensors = HalfRepeated(THREE_ROBOTS, trial=4)
-    readings_of_parts = []
+    three_robots = Experiment(robots=3, flawed=0)
+    sensors = HalfRepeated(three_robots, trial=4)
+    readings_in_parts = []
     for steps in (1, 2, 5, 1, 4):
         on_black, _on_white = sensors.advance(steps)
-        readings_of_parts += on_black.tolist()
+        readings_in_parts += on_black.tolist()
 
-    readings_at_once, _on_white = HalfRepeated(THREE_ROBOTS, trial=4).advance(steps=13)
-    assert readings_of_parts == readings_at_once.tolist()
+    readings_at_once, _on_white = HalfRepeated(three_robots, trial=4).advance(steps=13)
+    assert readings_in_parts == readings_at_once.tolist()
 
 
 def test_two_trials_have_different_readings() -> None:
-    readings_of_trial_0, _ = IndependentReadings(THREE_ROBOTS, trial=0).advance(steps=50)
-    readings_of_trial_1, _ = IndependentReadings(THREE_ROBOTS, trial=1).advance(steps=50)
+    three_robots = Experiment(robots=3, flawed=0)
+    readings_of_trial_0, _on_white = IndependentReadings(three_robots, trial=0).advance(steps=50)
+    readings_of_trial_1, _on_white = IndependentReadings(three_robots, trial=1).advance(steps=50)
     assert readings_of_trial_0.tolist() != readings_of_trial_1.tolist()
 
 
@@ -131,14 +137,18 @@ def test_no_accuracy_is_rejected_without_pairs_of_readings() -> None:
 def test_the_accuracy_is_the_one_at_which_as_many_of_100_pairs_of_readings_disagree(
     disagreements: int, accuracy: float
 ) -> None:
-    """With an accuracy of 0.9, 2 x 0.9 x 0.1 of all pairs disagree. Results are at least 0.5 and below 1."""
+    """With an accuracy of 0.9, 2 x 0.9 x 0.1 of all pairs disagree: 18 of 100.
+
+    Half of the pairs or more disagree at 0.5. Without disagreements the accuracy is 1 less a margin, as the
+    firmware accepts no accuracy of 1.
+    """
     assert accuracy_of_disagreements(disagreements, pairs=100) == pytest.approx(accuracy)
 
 
 # --- Robot -----------------------------------------------------------------------------------------------
 
 
-def read_pairs(robot: TwoReadingsRobot, agreeing: int, disagreeing: int) -> Status:
+def read_tiles_twice(robot: TwoReadingsRobot, agreeing: int, disagreeing: int) -> Status:
     """Let a robot read so many tiles twice; return its status at the end of the round, when it filters.
 
     Readings that agree are both black, and of two that disagree the first is white.
@@ -159,7 +169,7 @@ def two_readings_robot(b_hat: float) -> TwoReadingsRobot:
 def test_only_the_first_reading_of_a_tile_counts_as_an_observation() -> None:
     """Three tiles are read as black twice. Two are read as white first, and then as black."""
     robot = two_readings_robot(b_hat=0.9)
-    read_pairs(robot, agreeing=3, disagreeing=2)
+    read_tiles_twice(robot, agreeing=3, disagreeing=2)
 
     assert robot.t == 5  # observations
     assert robot.n == 3  # black ones
@@ -171,10 +181,13 @@ def test_only_the_first_reading_of_a_tile_counts_as_an_observation() -> None:
 def test_an_accuracy_is_replaced_by_the_one_that_fits_the_disagreements_only_if_they_contradict_it(
     b_hat: float, disagreeing: int, expected_status: Status
 ) -> None:
-    """With an accuracy of 0.9, 2 x 0.9 x 0.1 of the pairs disagree: 180 of 1000. 177 do not contradict it."""
+    """With an accuracy of 0.9, 2 x 0.9 x 0.1 of the pairs disagree: 180 of 1000.
+
+    They contradict an accuracy of 0.55, so 0.9 replaces it. 177 do not contradict 0.9, which stays as it is.
+    """
     robot = two_readings_robot(b_hat)
 
-    status = read_pairs(robot, agreeing=1000 - disagreeing, disagreeing=disagreeing)
+    status = read_tiles_twice(robot, agreeing=1000 - disagreeing, disagreeing=disagreeing)
 
     assert status is expected_status
     assert robot.b_hat == pytest.approx(0.9)
@@ -183,20 +196,23 @@ def test_an_accuracy_is_replaced_by_the_one_that_fits_the_disagreements_only_if_
 def test_a_robot_returns_to_its_first_accuracy_when_disagreements_no_longer_contradict_it() -> None:
     """60 of 160 pairs of readings that disagree are too many for 0.9, and 60 of 410 are not."""
     robot = two_readings_robot(b_hat=0.9)
-    read_pairs(robot, agreeing=100, disagreeing=60)
+    read_tiles_twice(robot, agreeing=100, disagreeing=60)
     assert robot.b_hat == pytest.approx(0.75)  # 2 x 0.75 x 0.25 of 160 pairs are 60
 
-    read_pairs(robot, agreeing=250, disagreeing=0)
+    read_tiles_twice(robot, agreeing=250, disagreeing=0)
 
     assert robot.b_hat == 0.9
 
 
 def test_a_robot_with_two_readings_combines_estimates_as_the_robust_filter_does() -> None:
-    """It ends with the same x as a robot that has the robust filter and has read the tile once."""
+    """It ends with the same x as a robot that has the robust filter and has read the tile once.
+
+    A neighbour's message has changed x, so that it is no longer x_hat, the robot's estimate by its readings.
+    """
     robot = two_readings_robot(b_hat=0.9)
-    robust_robot = ReferenceRobot(ROBUST, robot_id=0, b_hat=0.9)
     robot.observe(Observation.BLACK)
     robot.observe(Observation.BLACK)  # of the same tile
+    robust_robot = ReferenceRobot(ROBUST, robot_id=0, b_hat=0.9)
     robust_robot.observe(Observation.BLACK)
 
     for either_robot in (robot, robust_robot):
@@ -204,7 +220,7 @@ def test_a_robot_with_two_readings_combines_estimates_as_the_robust_filter_does(
         either_robot.settle()
 
     assert robot.x == robust_robot.x
-    assert robot.x != robot.x_hat  # the estimate before any message
+    assert robot.x != robot.x_hat
 
 
 @pytest.mark.parametrize("readings_before", [0, 1])
@@ -217,5 +233,5 @@ def test_a_reading_that_is_no_colour_is_refused_and_not_counted(readings_before:
 
     assert robot.observe(no_colour) is Status.ERR_OBSERVATION
 
-    assert robot.t == readings_before
+    assert robot.t == readings_before  # observations
     assert robot._pairs == 0  # tiles that were read twice

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import re
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,7 +20,6 @@ from mcp_asdf_tools.studies.figures import Picture
 from mcp_asdf_tools.studies.verdicts import Comparison, Expectation, Verdict, exact_comparison
 
 PAPER_SIZE = StudySize()
-TOO_FEW_TRIALS = StudySize(trials=10)
 TRIED_CLAIMS = [claim for claim in CLAIMS if claim.name != IDENTICAL_ROBOTS]  # it needs real trials
 MINUS = "\N{MINUS SIGN}"
 
@@ -33,143 +31,167 @@ class WrittenReport:
     Attributes:
         folder: Where it is.
         decisions: What it reports.
-        markdown: ``report.md``.
-        page: ``report.html``.
+        markdown: The text of ``report.md``.
+        html: The text of ``report.html``.
     """
 
     folder: Path
     decisions: Sequence[Decision]
     markdown: str
-    page: str
+    html: str
 
     def section_of(self, decision: Decision) -> str:
-        """Return the part of the Markdown about one claim."""
-        return self.markdown.partition(f'<a id="{decision.anchor}"></a>')[2].partition("<a id")[0]
+        """Return the section of the Markdown about one claim, from its anchor to the next one."""
+        _before, _anchor, text_from_section_on = self.markdown.partition(f'<a id="{decision.anchor}"></a>')
+        section, _next_anchor, _after = text_from_section_on.partition("<a id")
+        return section
 
 
 def write_planted_report(folder: Path, study_size: StudySize, claims: Sequence[Claim]) -> WrittenReport:
     """Write a report on claims, with one picture, of results in which scores fall with the flawed robots."""
-    picture = Picture(name="one", title="What it shows", figure=Figure())
+    picture = Picture(name="scores", title="Scores of dynamic swarms", figure=Figure())
     with rare_resampling(), pytest.MonkeyPatch.context() as patch:
         patch.setattr(report, "draw_pictures", lambda study_results, study_size: [picture])
         study_results = PlantedResults("90 - P / 2", [StudyPart.DYNAMIC, StudyPart.PHYSICAL])
         decisions = decide(study_results, claims)
         report.write_report(folder, study_results, decisions, study_size)
-    markdown, page = ((folder / f"report.{kind}").read_text(encoding="utf-8") for kind in ("md", "html"))
-    return WrittenReport(folder, decisions, markdown, page)
+    markdown = (folder / "report.md").read_text(encoding="utf-8")
+    html = (folder / "report.html").read_text(encoding="utf-8")
+    return WrittenReport(folder, decisions, markdown, html)
 
 
 @pytest.fixture(scope="module")
-def written(tmp_path_factory: pytest.TempPathFactory) -> WrittenReport:
+def planted_report(tmp_path_factory: pytest.TempPathFactory) -> WrittenReport:
     return write_planted_report(tmp_path_factory.mktemp("report"), PAPER_SIZE, TRIED_CLAIMS)
 
 
 # --- Overview --------------------------------------------------------------------------------------------
 
 
-def test_the_report_begins_with_how_many_claims_of_the_paper_hold(written: WrittenReport) -> None:
-    verdicts = [decision.verdict for decision in written.decisions]
-    sentence = f"{verdicts.count(Verdict.AGREE)} of {len(verdicts)} claims hold as the paper puts them."
-    assert f"\n{sentence}\n" in written.markdown
+def test_the_report_begins_with_how_many_claims_of_the_paper_hold(planted_report: WrittenReport) -> None:
+    verdicts = [decision.verdict for decision in planted_report.decisions]
+    agreeing_count = verdicts.count(Verdict.AGREE)
+    sentence = f"{agreeing_count} of {len(verdicts)} claims hold as the paper puts them."
+    assert f"\n{sentence}\n" in planted_report.markdown
 
 
-def test_the_report_counts_the_verdicts_on_the_claims_that_equations_decide(written: WrittenReport) -> None:
+def test_the_report_counts_the_verdicts_on_the_claims_that_equations_decide(
+    planted_report: WrittenReport,
+) -> None:
     """Equations decide eight claims: seven agree, one is mixed, none disagrees and none is undecided."""
-    assert "| equations | 7 | 1 | 0 | 0 |\n" in written.markdown
+    assert "| equations | 7 | 1 | 0 | 0 |\n" in planted_report.markdown
 
 
-def test_the_report_counts_the_verdicts_on_the_claims_about_dynamic_swarms(written: WrittenReport) -> None:
+def test_the_report_counts_the_verdicts_on_the_claims_about_dynamic_swarms(
+    planted_report: WrittenReport,
+) -> None:
     """A line of its table has the numbers of claims that agree, are mixed, disagree or are undecided."""
-    counts = Counter(
-        decision.verdict for decision in written.decisions if decision.study_part is StudyPart.DYNAMIC
-    )
-    agree, mixed = counts[Verdict.AGREE], counts[Verdict.MIXED]
-    disagree, undecided = counts[Verdict.DISAGREE], counts[Verdict.UNDECIDED]
+    verdicts = [
+        decision.verdict for decision in planted_report.decisions if decision.study_part is StudyPart.DYNAMIC
+    ]
+    agree, mixed = verdicts.count(Verdict.AGREE), verdicts.count(Verdict.MIXED)
+    disagree, undecided = verdicts.count(Verdict.DISAGREE), verdicts.count(Verdict.UNDECIDED)
 
-    assert f"| dynamic | {agree} | {mixed} | {disagree} | {undecided} |\n" in written.markdown
+    assert f"| dynamic | {agree} | {mixed} | {disagree} | {undecided} |\n" in planted_report.markdown
 
 
-def test_the_report_answers_a_question_of_a_user_with_a_link_to_the_claim(written: WrittenReport) -> None:
-    answer = "[yes](#dynamic-flawed_robots_harm), 24 of 24"  # comparisons that hold
-    assert f"where f = b = 0.55? | {answer} |  |\n" in written.markdown
+def test_the_report_answers_a_question_of_a_user_with_a_link_to_the_claim(
+    planted_report: WrittenReport,
+) -> None:
+    """The question is whether flawed robots harm a swarm. All 24 comparisons of the claim hold.
+
+    A table has it with an answer about dynamic swarms, and an empty cell for physical ones.
+    """
+    answer = "[yes](#dynamic-flawed_robots_harm), 24 of 24"
+    assert f"where f = b = 0.55? | {answer} |  |\n" in planted_report.markdown
 
 
 def test_the_report_says_how_many_experiments_robots_steps_and_trials_with_which_seed_were_run(
-    written: WrittenReport,
+    planted_report: WrittenReport,
 ) -> None:
     """A line has the part of the study, then experiments, robots, steps, trials and seed."""
-    assert "| dynamic | 216 | 20 | 40000 | 30 | 1 |\n" in written.markdown
-    assert "| physical | 20 | 8 | 10000 | 30 | 1 |\n" in written.markdown
+    assert "| dynamic | 216 | 20 | 40000 | 30 | 1 |\n" in planted_report.markdown
+    assert "| physical | 20 | 8 | 10000 | 30 | 1 |\n" in planted_report.markdown
 
 
 # --- Claims ----------------------------------------------------------------------------------------------
 
 
-def test_the_heading_of_each_claim_in_the_report_has_its_verdict(written: WrittenReport) -> None:
-    for decision in written.decisions:
+def test_the_heading_of_each_claim_in_the_report_has_its_verdict(planted_report: WrittenReport) -> None:
+    for decision in planted_report.decisions:
         heading = report.heading_of(decision.claim.name)
-        assert f"#### {heading}: {decision.verdict.value}\n" in written.section_of(decision)
+        assert f"#### {heading}: {decision.verdict.value}\n" in planted_report.section_of(decision)
 
 
 def test_the_section_of_each_claim_has_the_papers_words_what_was_compared_and_a_summary(
-    written: WrittenReport,
+    planted_report: WrittenReport,
 ) -> None:
     """The words of the paper stand in quotation marks, with the place in the paper behind them."""
-    for decision in written.decisions:
-        section = written.section_of(decision)
+    for decision in planted_report.decisions:
+        section = planted_report.section_of(decision)
         assert f'"{decision.claim.quote}" ({decision.claim.where})' in section
         assert f"\nCompared: {decision.claim.compared}; " in section
         assert report.summarize(decision) in section
 
 
-def test_the_table_of_each_claim_has_a_mark_for_every_comparison(written: WrittenReport) -> None:
+def test_the_table_of_each_claim_has_a_mark_for_every_comparison(planted_report: WrittenReport) -> None:
     """A tick stands for one that holds, a cross for one that fails, a question mark for one that is open."""
-    for decision in written.decisions:
-        section = written.section_of(decision)
-        assert section.count("| ✓ ") == decision.count(True)
-        assert section.count("| ✗ ") == decision.count(False)
-        assert section.count("| ? ") == decision.count(None)
+    for decision in planted_report.decisions:
+        section = planted_report.section_of(decision)
+        holding_count, failing_count = decision.count(True), decision.count(False)
+        open_count = decision.count(None)
+
+        assert section.count("| ✓ ") == holding_count
+        assert section.count("| ✗ ") == failing_count
+        assert section.count("| ? ") == open_count
 
 
 # --- Files -----------------------------------------------------------------------------------------------
 
 
-def test_every_link_within_the_report_has_a_target_and_every_target_a_link(written: WrittenReport) -> None:
-    links = set(re.findall(r"\]\(#([^)]+)\)", written.markdown))
-    targets = set(re.findall(r'<a id="([^"]+)">', written.markdown))
-    assert links == targets
+def test_every_link_within_the_report_has_a_target_and_every_target_a_link(
+    planted_report: WrittenReport,
+) -> None:
+    """A link of the Markdown is [text](#name), and its target is <a id="name">."""
+    names_in_links = set(re.findall(r"\]\(#([^)]+)\)", planted_report.markdown))
+    names_of_targets = set(re.findall(r'<a id="([^"]+)">', planted_report.markdown))
+    assert names_in_links == names_of_targets
 
 
-def test_no_line_of_the_report_in_markdown_ends_in_a_space(written: WrittenReport) -> None:
-    assert " \n" not in written.markdown
+def test_no_line_of_the_report_in_markdown_ends_in_a_space(planted_report: WrittenReport) -> None:
+    assert " \n" not in planted_report.markdown
 
 
-def test_the_report_in_markdown_links_to_its_pictures_which_are_files(written: WrittenReport) -> None:
-    assert "![What it shows](figures/one.png)" in written.markdown
-    assert (written.folder / "figures/one.png").read_bytes().startswith(b"\x89PNG")
+def test_the_report_in_markdown_links_to_its_pictures_which_are_files(planted_report: WrittenReport) -> None:
+    """The report has a single picture, with the name "scores" and the title that stands in brackets."""
+    assert "![Scores of dynamic swarms](figures/scores.png)" in planted_report.markdown
+    assert (planted_report.folder / "figures/scores.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_the_report_in_html_contains_its_picture_and_needs_no_other_file(written: WrittenReport) -> None:
+def test_the_report_in_html_contains_its_picture_and_needs_no_other_file(
+    planted_report: WrittenReport,
+) -> None:
+    """The picture is written into the page in base64. Links may lead only to data, or into the page (#)."""
     first_letters_of_a_png = "iVBOR"  # in base64
-    links_to_other_files = re.findall(r'(?:src|href)="(?!data:|#)[^"]*"', written.page)
+    links_to_other_files = re.findall(r'(?:src|href)="(?!data:|#)[^"]*"', planted_report.html)
 
-    assert written.page.count(f'src="data:image/png;base64,{first_letters_of_a_png}') == 1
+    assert planted_report.html.count(f'src="data:image/png;base64,{first_letters_of_a_png}') == 1
     assert links_to_other_files == []
 
 
 @pytest.fixture(scope="module")
-def csv_rows(written: WrittenReport) -> list[dict[str, str]]:
+def csv_rows(planted_report: WrittenReport) -> list[dict[str, str]]:
     """The lines of comparisons.csv, each as cells by the heads of their columns."""
-    with (written.folder / "comparisons.csv").open(encoding="utf-8", newline="") as file:
+    with (planted_report.folder / "comparisons.csv").open(encoding="utf-8", newline="") as file:
         return list(csv.DictReader(file))
 
 
 def test_comparisons_csv_has_a_line_for_every_comparison_of_every_claim(
-    written: WrittenReport, csv_rows: list[dict[str, str]]
+    planted_report: WrittenReport, csv_rows: list[dict[str, str]]
 ) -> None:
     """The column ``cells`` has the label of a comparison, which says which swarms are compared."""
     labels = []
-    for decision in written.decisions:
+    for decision in planted_report.decisions:
         labels += [comparison.label for comparison in decision.comparisons]
     assert [row["cells"] for row in csv_rows] == labels
 
@@ -177,9 +199,10 @@ def test_comparisons_csv_has_a_line_for_every_comparison_of_every_claim(
 def test_a_line_of_comparisons_csv_has_claim_verdict_expectation_and_interval(
     csv_rows: list[dict[str, str]],
 ) -> None:
-    """The line is the first line of a claim that equations decide. So the interval is a single number."""
-    row = next(row for row in csv_rows if row["claim"] == "confidence_increases_with_b_hat")
-    assert row == {
+    """The first line of a claim that equations decide. Both ends of the interval are its value."""
+    rows_of_claim = [row for row in csv_rows if row["claim"] == "confidence_increases_with_b_hat"]
+    first_row, *_others = rows_of_claim
+    assert first_row == {
         "seed": "1",
         "claim": "confidence_increases_with_b_hat",
         "where": "III-A",
@@ -195,12 +218,12 @@ def test_a_line_of_comparisons_csv_has_claim_verdict_expectation_and_interval(
     }
 
 
-def test_decisions_for_json_have_claim_part_verdict_and_a_summary(written: WrittenReport) -> None:
-    """The part of the study is None for a claim that equations decide.
+def test_decisions_for_json_have_claim_part_verdict_and_a_summary(planted_report: WrittenReport) -> None:
+    """The part of the study is None for a claim that equations decide, and its name for other claims.
 
     This claim is about the growth of (2 b_hat - 1)^2, which is (0.99 / 0.98)^2 - 1 = 0.0205 at least.
     """
-    decisions = report.decisions_as_json(written.decisions, PAPER_SIZE)
+    decisions = report.decisions_as_json(planted_report.decisions, PAPER_SIZE)
     [decision_by_equations] = [
         decision for decision in decisions if decision["claim"] == "confidence_increases_with_b_hat"
     ]
@@ -216,11 +239,12 @@ def test_decisions_for_json_have_claim_part_verdict_and_a_summary(written: Writt
 
 def test_the_report_gives_no_verdicts_by_fewer_trials_than_the_papers(tmp_path: Path) -> None:
     """The page says why, no claim is said to agree, and the verdicts in JSON are None."""
-    short_report = write_planted_report(tmp_path, TOO_FEW_TRIALS, claims=CLAIMS[:5])
+    ten_trials = StudySize(trials=10)  # the paper has 30
+    short_report = write_planted_report(tmp_path, ten_trials, claims=CLAIMS[:5])
 
-    assert "Too short for verdicts" in short_report.page
+    assert "Too short for verdicts" in short_report.html
     assert ": agree" not in short_report.markdown
-    for decision in report.decisions_as_json(short_report.decisions, TOO_FEW_TRIALS):
+    for decision in report.decisions_as_json(short_report.decisions, ten_trials):
         assert decision["verdict"] is None
 
 
@@ -237,41 +261,66 @@ def test_the_report_gives_no_verdicts_by_fewer_trials_than_the_papers(tmp_path: 
     ],
 )
 def test_the_heading_of_a_claim_is_its_name_with_the_papers_symbols(name: str, heading: str) -> None:
+    """The name "minus_holds_the_level" becomes "ASDF- holds the level" with a real minus sign."""
     assert report.heading_of(name) == heading
 
 
-def exactly(value: float, expectation: Expectation = Expectation.ABOVE, size: float = 2) -> Comparison:
-    """Compare a value that is not subject to chance."""
-    return exact_comparison("row", "column", value, expectation, size)
+def expect_above(value: float, size: float = 2) -> Comparison:
+    """Compare a value that is not subject to chance. It should be above 0, by at least ``size`` to count."""
+    return exact_comparison("row", "column", value, Expectation.ABOVE, size)
 
 
-OPEN = Comparison("row", "column", Interval(0.1, low=-0.25, high=3), Expectation.NOT_BELOW, size=0.2)
-BELOW = exactly(-4, Expectation.BELOW)
-SAME = exactly(1, Expectation.SAME)
+def expect_below(value: float) -> Comparison:
+    """Compare a value that is not subject to chance. It should be below 0, by at least 2 to count."""
+    return exact_comparison("row", "column", value, Expectation.BELOW, size=2)
+
+
+OPEN_COMPARISON = Comparison(
+    "row", "column", Interval(0.1, low=-0.25, high=3), Expectation.NOT_BELOW, size=0.2
+)
+DIFFERENCE_OF_1_SHOULD_BE_0 = exact_comparison("row", "column", 1, Expectation.SAME, size=2)
 
 
 @pytest.mark.parametrize(
     ("comparisons", "summary"),
     [
-        ([exactly(9), exactly(-9), BELOW, SAME], f"3 of 4 hold, 1 fail; best 9.0, worst {MINUS}9.0"),
-        ([exactly(-9), BELOW, SAME], f"2 of 3 hold, 1 fail; best {MINUS}4.0, worst {MINUS}9.0"),
-        ([OPEN], f"0 of 1 hold, 1 open; 0.1 [{MINUS}0.25, 3]"),
-        ([exactly(9, size=2), exactly(3, size=0.2)], "2 of 2 hold; best 3, worst 9.0"),
-        ([OPEN, SAME], f"1 of 2 hold, 1 open; best 0.1 [{MINUS}0.25, 3], worst 1.0"),
+        (
+            [expect_above(9), expect_above(-9), expect_below(-4), DIFFERENCE_OF_1_SHOULD_BE_0],
+            f"3 of 4 hold, 1 fail; best 9.0, worst {MINUS}9.0",
+        ),
+        (
+            [expect_above(-9), expect_below(-4), DIFFERENCE_OF_1_SHOULD_BE_0],
+            f"2 of 3 hold, 1 fail; best {MINUS}4.0, worst {MINUS}9.0",
+        ),
+        ([OPEN_COMPARISON], f"0 of 1 hold, 1 open; 0.1 [{MINUS}0.25, 3]"),
+        ([expect_above(9, size=2), expect_above(3, size=0.2)], "2 of 2 hold; best 3, worst 9.0"),
+        (
+            [OPEN_COMPARISON, DIFFERENCE_OF_1_SHOULD_BE_0],
+            f"1 of 2 hold, 1 open; best 0.1 [{MINUS}0.25, 3], worst 1.0",
+        ),
     ],
 )
 def test_the_summary_of_a_claim_counts_what_holds_and_has_its_best_and_its_worst_difference(
     comparisons: list[Comparison], summary: str
 ) -> None:
     """The best one is farthest on the expected side, in multiples of the smallest one that counts."""
-    decision = Decision(CLAIMS[0], StudyPart.DYNAMIC, tuple(comparisons))
+    any_claim, *_others = CLAIMS
+    decision = Decision(any_claim, StudyPart.DYNAMIC, tuple(comparisons))
     assert report.summarize(decision) == summary
 
 
 def test_the_table_of_a_claim_has_a_row_for_each_swarm_and_a_column_for_each_expectation() -> None:
-    """Two comparisons expect a difference of at least 2, and of at most -2. A tick says that they hold."""
-    decision = Decision(CLAIMS[0], StudyPart.DYNAMIC, (exactly(9), BELOW))
-    assert report.comparison_table(decision) == [
-        ["", "column: at least 2", f"column: at most {MINUS}2"],
-        ["row", "✓ 9.0", f"✓ {MINUS}4.0"],
+    """Two comparisons of a swarm's score expect a rise of at least 2, and a fall of at least 2.
+
+    A tick says that they hold.
+    """
+    rise = exact_comparison("swarm", "score", value=9, expectation=Expectation.ABOVE, size=2)
+    fall = exact_comparison("swarm", "score", value=-4, expectation=Expectation.BELOW, size=2)
+    any_claim, *_others = CLAIMS
+
+    table = report.comparison_table(Decision(any_claim, StudyPart.DYNAMIC, (rise, fall)))
+
+    assert table == [
+        ["", "score: at least 2", f"score: at most {MINUS}2"],
+        ["swarm", "✓ 9.0", f"✓ {MINUS}4.0"],
     ]

@@ -10,7 +10,7 @@ import pytest
 from matplotlib.figure import Figure
 
 import mcp_asdf_tools as m
-from host_tools.studies.conftest import page_path, parse_table, trials_with
+from host_tools.studies.conftest import page_path, parse_table, two_trials_with
 from mcp_asdf_tools.experiments.results import Trials
 from mcp_asdf_tools.experiments.trials import run_trials
 from mcp_asdf_tools.studies import peers, robust_filter, study_program
@@ -68,7 +68,7 @@ def test_liars_are_counted_neither_in_the_error_of_a_swarm_nor_as_harmed_by_the_
     A robot is harmed if its b_hat ends far from the accuracy of its sensor: 0.5 is far from 0.9.
     """
     swarm: dict[str, Any] = {"robots": 20, "flawed": 0, "firmware": peers.five_liars}
-    trials_of_all = trials_with(**swarm, x=[0.5] * 15 + [0.0] * 5, b_hat=[0.9] * 15 + [0.5] * 5)
+    trials_of_all = two_trials_with(**swarm, x=[0.5] * 15 + [0.0] * 5, b_hat=[0.9] * 15 + [0.5] * 5)
 
     trials = robust_filter.as_honest_robots_see_it(trials_of_all)
 
@@ -82,7 +82,7 @@ def test_the_error_of_a_swarm_without_liars_is_the_mean_error_of_all_its_robots(
     It is no liar: robots of this firmware lose messages. So no robot is left out.
     """
     x = [0.5] * 9 + [0.0]
-    trials_of_all = trials_with(robots=10, flawed=0, firmware=peers.LossyRobot, x=x)
+    trials_of_all = two_trials_with(robots=10, flawed=0, firmware=peers.LossyRobot, x=x)
 
     trials = robust_filter.as_honest_robots_see_it(trials_of_all)
 
@@ -92,7 +92,7 @@ def test_the_error_of_a_swarm_without_liars_is_the_mean_error_of_all_its_robots(
 
 def test_the_error_on_a_floor_that_changes_is_measured_against_its_share_of_black_at_the_end() -> None:
     """The floor is 0.55 black at first and 0.95 in the end, which is what all robots estimate."""
-    trials = trials_with(sensor=peers.ChangingFloor, fill_ratio=0.55, x=0.95)
+    trials = two_trials_with(sensor=peers.ChangingFloor, fill_ratio=0.55, x=0.95)
     trials_with_final_floor = robust_filter.as_honest_robots_see_it(trials)
     assert study_program.late_errors(trials_with_final_floor).tolist() == [0, 0]  # of two trials
 
@@ -100,9 +100,9 @@ def test_the_error_on_a_floor_that_changes_is_measured_against_its_share_of_blac
 @pytest.mark.parametrize(
     ("trials", "text"),
     [
-        (trials_with(x=0.6, b_hat=0.9), "100.0, 0.100, 0.0000, 0.0 %"),
-        (trials_with(x=0.5, b_hat=[0.9, 0.9, 0.9, 0.5]), "100.0, 0.0000, 0.0000, 33.3 %"),
-        (trials_with(x=0.5, robots=4, flawed=4), "100.0, 0.0000, 0.0000"),
+        (two_trials_with(x=0.6, b_hat=0.9), "100.0, 0.100, 0.0000, 0.0 %"),
+        (two_trials_with(x=0.5, b_hat=[0.9, 0.9, 0.9, 0.5]), "100.0, 0.0000, 0.0000, 33.3 %"),
+        (two_trials_with(x=0.5, robots=4, flawed=4), "100.0, 0.0000, 0.0000"),
     ],
     ids=["later error", "harm", "no healthy robots"],
 )
@@ -121,8 +121,8 @@ def test_a_cell_of_other_tables_has_both_errors_and_the_percentage_of_harmed_rob
     few_resamples: None,
 ) -> None:
     """Underconfident robots estimate 0.65 for 0.55, overconfident ones 0.75 for 0.95. None is harmed."""
-    underconfident = trials_with(**FLAWS["underconfident"], x=0.65, b_hat=0.95)
-    overconfident = trials_with(**FLAWS["overconfident"], x=0.75, b_hat=0.55)
+    underconfident = two_trials_with(**FLAWS["underconfident"], x=0.65, b_hat=0.95)
+    overconfident = two_trials_with(**FLAWS["overconfident"], x=0.75, b_hat=0.55)
     assert robust_filter.errors_text([overconfident, underconfident]) == "0.100, 0.200, 0.0 %"
 
 
@@ -179,8 +179,8 @@ def test_the_picture_of_the_robust_filter_has_a_panel_for_each_swarm_and_kind_of
 
     Each swarm has run with underconfident and with overconfident flawed robots, which get a panel each.
     """
-    underconfident = trials_with(**FLAWS["underconfident"])
-    overconfident = trials_with(**FLAWS["overconfident"])
+    underconfident = two_trials_with(**FLAWS["underconfident"])
+    overconfident = two_trials_with(**FLAWS["overconfident"])
     both_results = [underconfident, overconfident]
     swarms_without_liars = {"moving, 30 % flawed": both_results, "moving, 50 % flawed": both_results}
     swarms_with_liars = {"moving, 5 liars": both_results}

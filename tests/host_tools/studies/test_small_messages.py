@@ -21,7 +21,7 @@ from host_tools.studies.conftest import (
     tables_in,
     values_of,
 )
-from mcp_asdf_tools.experiments.message_codes import EXACT, MessageCode
+from mcp_asdf_tools.experiments.message_codes import MessageCode
 from mcp_asdf_tools.experiments.results import Trials
 from mcp_asdf_tools.experiments.trials import run_trials
 from mcp_asdf_tools.studies import small_messages, study_program
@@ -34,15 +34,18 @@ def test_each_of_four_swarms_runs_with_thirty_codes_and_with_exact_messages() ->
     """A code such as 7+4 has 7 bits for the estimate, one of six choices, and 4 for alpha, one of five."""
     experiments_by_row = small_messages.experiments_of("asdf-minus")
 
-    assert len(experiments_by_row) == 4 * (6 * 5 + 1)
-    assert values_of(experiments_by_row["7+4, moving, overconfident"], "message_bits") == {"7+4"}
-    exact_experiments = experiments_by_row["exact, fully connected, underconfident"]
-    assert values_of(exact_experiments, "message_bits") == {EXACT}
+    swarms, codes, exact = 4, 6 * 5, 1
+    assert len(experiments_by_row) == swarms * (codes + exact)
+    experiments_with_code = experiments_by_row["7+4, moving, overconfident"]
+    assert values_of(experiments_with_code, "message_bits") == {"7+4"}
+    experiments_with_exact_messages = experiments_by_row["exact, fully connected, underconfident"]
+    assert values_of(experiments_with_exact_messages, "message_bits") == {"exact"}
 
 
 def test_each_swarm_of_the_study_of_small_messages_has_floors_of_five_shares_of_black() -> None:
-    """Six of the 20 robots are flawed."""
-    experiments = small_messages.experiments_of("robust")["16+1, moving, underconfident"]
+    """The experiments of a row differ in this share. Six of the robots are flawed in all of them."""
+    experiments_by_row = small_messages.experiments_of("robust")
+    experiments = experiments_by_row["16+1, moving, underconfident"]
 
     assert [experiment.fill_ratio for experiment in experiments] == [0.55, 0.65, 0.75, 0.85, 0.95]
     assert values_of(experiments, "filter") == {"robust"}
@@ -50,27 +53,31 @@ def test_each_swarm_of_the_study_of_small_messages_has_floors_of_five_shares_of_
 
 
 def test_the_robust_filter_runs_with_one_bit_of_alpha_only() -> None:
+    """A code such as 4+1 has 4 bits for the estimate x_hat, and 1 for alpha, the confidence in it."""
     codes = small_messages.codes_of("robust")
     assert [str(code) for code in codes] == ["4+1", "5+1", "6+1", "7+1", "8+1", "16+1"]
 
 
 def test_more_bits_of_alpha_change_nothing_for_the_robust_filter() -> None:
     """The filter asks only whether a sender has any confidence alpha. 7+1 has one bit of alpha, 7+9 nine."""
-    experiment, *_ = small_messages.experiments_of("robust")["7+1, moving, overconfident"]
-    short_experiment = replace(experiment, steps=1500, trials=1)
+    experiments_by_row = small_messages.experiments_of("robust")
+    experiment, *_others = experiments_by_row["7+1, moving, overconfident"]
+    experiment_with_one_bit = replace(experiment, message_bits="7+1", steps=1500, trials=1)
+    experiment_with_nine_bits = replace(experiment, message_bits="7+9", steps=1500, trials=1)
 
-    with_one_bit = run_trials(short_experiment, first=0, trials=1)
-    with_nine_bits = run_trials(replace(short_experiment, message_bits="7+9"), first=0, trials=1)
+    trial_with_one_bit = run_trials(experiment_with_one_bit, first=0, trials=1)
+    trial_with_nine_bits = run_trials(experiment_with_nine_bits, first=0, trials=1)
 
-    assert with_one_bit.errors.tolist() == with_nine_bits.errors.tolist()
+    assert trial_with_one_bit.errors.tolist() == trial_with_nine_bits.errors.tolist()
 
 
 def test_two_codes_about_which_30_trials_decide_nothing_can_run_with_600() -> None:
     """The study is made for these codes alone, and for exact messages, with which they are compared."""
     close_codes = [MessageCode(7, 4), MessageCode(8, 4)]
-    experiments = all_experiments(small_messages.experiments_of("asdf-minus", close_codes, trials=600))
+    experiments_by_row = small_messages.experiments_of("asdf-minus", close_codes, trials=600)
 
-    assert values_of(experiments, "message_bits") == {EXACT, "7+4", "8+4"}
+    experiments = all_experiments(experiments_by_row)
+    assert values_of(experiments, "message_bits") == {"exact", "7+4", "8+4"}
     assert values_of(experiments, "trials") == {600}
 
 
@@ -98,8 +105,8 @@ def test_the_error_ratio_of_a_code_is_the_largest_ratio_of_its_swarms(
     usual_error = Resampled(0.1, resamples=np.full(100, 0.1, np.float32))
     larger_error = Resampled(0.3, resamples=np.repeat([0.2, 0.4], 50).astype(np.float32))
 
-    def planted_error(rows: object, message_bits: str, swarm: str) -> Resampled:
-        if (message_bits, swarm) == ("4+1", "moving, overconfident"):
+    def planted_error(results_by_row: object, message_bits: str, swarm: str) -> Resampled:
+        if message_bits == "4+1" and swarm == "moving, overconfident":
             return larger_error
         return usual_error
 
@@ -113,17 +120,19 @@ def test_the_error_ratio_of_a_code_is_the_largest_ratio_of_its_swarms(
     assert ratios[MessageCode(16, 9)] == pytest.approx(Interval(value=1, low=1, high=1))
 
 
-@pytest.mark.parametrize(("highest_ratio", "text"), [(1.1, "**1.02**"), (1.11, "1.02")])
-def test_a_ratio_is_bold_if_its_interval_goes_no_higher_than_1_1(highest_ratio: float, text: str) -> None:
-    ratio = Interval(value=1.02, low=0.97, high=highest_ratio)
+@pytest.mark.parametrize(("high_end", "text"), [(1.1, "**1.02**"), (1.11, "1.02")])
+def test_a_ratio_is_bold_if_its_interval_goes_no_higher_than_1_1(high_end: float, text: str) -> None:
+    """A bold ratio of errors shows that a code costs at most a tenth more than exact messages."""
+    ratio = Interval(value=1.02, low=0.97, high=high_end)
     assert small_messages.ratio_text(ratio) == text
 
 
 def test_a_table_shows_a_ratio_and_both_ends_of_its_interval_with_two_decimals() -> None:
+    """The row begins with the bits of the code, 7 for x_hat and 4 for alpha."""
     ratio = Interval(value=1.107, low=1.0685, high=1.155)
     table = small_messages.interval_table({MessageCode(7, 4): ratio})
 
-    _head, _separator, row = table.splitlines()
+    _column_heads, _separator, row = table.splitlines()
     assert row == "| 7 | 4 | 1.11 | 1.07 | 1.16 |"
 
 
@@ -148,10 +157,14 @@ def folder_of_short_study(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_the_program_writes_its_tables_of_both_filters_with_a_row_for_each_number_of_bits_and_a_png(
     folder_of_short_study: Path,
 ) -> None:
-    """If 30 trials decide nothing about a code, it runs with more trials, and enters the table "close"."""
+    """The short study has codes with 4 or 16 bits of x_hat.
+
+    If 30 trials decide nothing about a code, it runs with more trials, and enters the table "close".
+    """
     tables = tables_in(folder_of_short_study / "small_messages.md")
 
     assert list(tables) == ["exact", "asdf_minus", "robust", "close"]
+    assert list(tables["asdf_minus"].rows) == ["x_hat 4", "x_hat 16"]
     assert list(tables["robust"].rows) == ["x_hat 4", "x_hat 16"]
     assert (folder_of_short_study / "small_messages.png").read_bytes().startswith(b"\x89PNG")
 
@@ -163,29 +176,35 @@ def test_the_program_keeps_the_results_of_a_filter_with_values_every_250_steps(
     file: str, filter_name: str, folder_of_short_study: Path
 ) -> None:
     """The file "close" has the codes that 30 trials cannot decide. They run with ASDF-."""
-    results = m.read_table(folder_of_short_study / f"small_messages_{file}.parquet")
-    first_trials, *_ = m.experiments_in(results)
+    results = m.experiments_in(m.read_table(folder_of_short_study / f"small_messages_{file}.parquet"))
 
-    assert first_trials.experiment.filter == filter_name
-    assert first_trials.sampling_interval == 250
+    assert results != []
+    for trials in results:
+        assert trials.experiment.filter == filter_name
+        assert trials.sampling_interval == 250
 
 
 # --- The page --------------------------------------------------------------------------------------------
 
 
-def ratios_on_page(filter_name: str) -> Table:
-    return tables_in(page_path("small_messages"))[filter_name.replace("-", "_")]
+def table_on_page(name: str) -> Table:
+    """Return a table of the page about small messages."""
+    return tables_in(page_path("small_messages"))[name]
 
 
-@pytest.mark.parametrize(("filter_name", "alpha_choices"), [("asdf-minus", 5), ("robust", 1)])
+@pytest.mark.parametrize(("table", "alpha_choices"), [("asdf_minus", 5), ("robust", 1)])
 def test_the_page_about_small_messages_has_a_ratio_of_errors_for_every_code(
-    filter_name: str, alpha_choices: int
+    table: str, alpha_choices: int
 ) -> None:
-    """Its table has a row for each number of bits of the estimate x_hat, and a column for each of alpha."""
-    ratios_by_row = ratios_on_page(filter_name).rows
+    """Tables have a row for each number of bits of the estimate x_hat, and a column for each of alpha.
+
+    The errors with such messages are at least half as large as with exact ones.
+    """
+    ratios_by_row = table_on_page(table).rows
 
     assert list(ratios_by_row) == ["x_hat 4", "x_hat 5", "x_hat 6", "x_hat 7", "x_hat 8", "x_hat 16"]
     for ratios in ratios_by_row.values():
         assert len(ratios) == alpha_choices
         for ratio in ratios:
-            assert float(ratio.strip("*")) > 0.5  # a bold ratio stands between asterisks
+            ratio_without_bold_type = ratio.strip("*")
+            assert float(ratio_without_bold_type) > 0.5

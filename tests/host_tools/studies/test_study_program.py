@@ -13,8 +13,9 @@ from matplotlib.figure import Figure
 
 import mcp_asdf_tools as m
 from golden import assert_equals_golden_file
-from host_tools.studies.conftest import page_path, rare_resampling, tables_in, trials_with
+from host_tools.studies.conftest import page_path, rare_resampling, tables_in, two_trials_with
 from mcp_asdf_tools.experiments.experiment import Experiment, grid
+from mcp_asdf_tools.experiments.results import Trials
 from mcp_asdf_tools.studies import (
     ageing,
     peers,
@@ -31,35 +32,38 @@ from mcp_asdf_tools.studies.study_program import FLAWS
 
 
 def test_the_late_error_is_the_mean_distance_from_f_in_the_last_quarter() -> None:
-    """A quarter of nine samples is two. Four robots estimate f, which is 0.5, in two equal trials."""
+    """A quarter of nine samples is two. Each sample has the estimates of four robots."""
     first_seven_samples = [[0.7, 0.7, 0.7, 0.7]] * 7
     last_two_samples = [
         [0.4, 0.6, 0.8, 0.0],  # 0.1, 0.1, 0.3 and 0.5 from f
         [0.5, 0.7, 0.6, 0.0],  # 0.0, 0.2, 0.1 and 0.5 from f
     ]
-    trials = trials_with(x=first_seven_samples + last_two_samples)
+    trials = two_trials_with(fill_ratio=0.5, x=first_seven_samples + last_two_samples)
 
     mean_distance = ((0.1 + 0.1 + 0.3 + 0.5) + (0.0 + 0.2 + 0.1 + 0.5)) / 8
     assert study_program.late_errors(trials) == pytest.approx([mean_distance, mean_distance])
 
 
 def test_the_late_error_of_three_samples_is_the_error_of_the_last_sample() -> None:
-    """The last quarter of three samples is rounded up to one sample. Four robots estimate f, which is 0.5."""
+    """The last quarter of three samples is rounded up to one sample, with the estimates of four robots."""
     first_two_samples = [[0.7, 0.7, 0.7, 0.7]] * 2
-    trials = trials_with(x=[*first_two_samples, [0.4, 0.6, 0.8, 0.0]])
+    last_sample = [0.4, 0.6, 0.8, 0.0]  # 0.1, 0.1, 0.3 and 0.5 from f
+    trials = two_trials_with(fill_ratio=0.5, x=[*first_two_samples, last_sample])
 
     mean_distance = (0.1 + 0.1 + 0.3 + 0.5) / 4
     assert study_program.late_errors(trials) == pytest.approx([mean_distance, mean_distance])
 
 
 def test_healthy_robots_are_harmed_if_b_hat_ends_more_than_0_05_from_their_accuracy() -> None:
-    """Their accuracy is 0.9. The first of four robots is flawed, and does not count.
+    """The first of four robots is flawed, and does not count. b_hat is recorded once in each trial.
 
     In the second trial one of three healthy robots, with 0.84, is harmed.
     """
     b_hat_of_first_trial = [0.5, 0.9, 0.9, 0.9]
     b_hat_of_second_trial = [0.5, 0.84, 0.94, 0.9]
-    trials = trials_with(b_hat=[[b_hat_of_first_trial], [b_hat_of_second_trial]])
+    trials = two_trials_with(
+        robots=4, flawed=1, true_accuracy=0.9, b_hat=[[b_hat_of_first_trial], [b_hat_of_second_trial]]
+    )
 
     assert study_program.harmed_percents(trials) == pytest.approx([0, 100 / 3])
 
@@ -68,45 +72,57 @@ def test_robots_whose_b_hat_is_wrong_only_before_the_last_filter_step_are_not_ha
     """The first of four robots is flawed; the others should assume 0.9, and do so in the end."""
     b_hat_after_first_step = [0.5, 0.6, 0.6, 0.6]
     b_hat_after_last_step = [0.5, 0.9, 0.9, 0.9]
-    trials = trials_with(b_hat=[b_hat_after_first_step, b_hat_after_last_step])
+    trials = two_trials_with(
+        robots=4, flawed=1, true_accuracy=0.9, b_hat=[b_hat_after_first_step, b_hat_after_last_step]
+    )
 
     assert study_program.harmed_percents(trials).tolist() == [0, 0]  # of two trials
 
 
 def test_a_trial_that_ends_before_the_first_filter_step_harms_no_robot() -> None:
-    b_hat_of_no_filter_steps = np.empty((2, 0, 4))  # two trials, no steps, four robots
-    trials = trials_with(b_hat=b_hat_of_no_filter_steps)
-    assert study_program.harmed_percents(trials).tolist() == [0, 0]
+    """b_hat is recorded after each filter step, so nothing is recorded in such trials."""
+    trials, filter_steps, robots = 2, 0, 4
+    trials_without_filter_steps = two_trials_with(b_hat=np.empty((trials, filter_steps, robots)))
+    assert study_program.harmed_percents(trials_without_filter_steps).tolist() == [0, 0]
 
 
 def test_the_percentage_of_harmed_robots_is_nan_in_swarms_without_healthy_robots() -> None:
-    trials = trials_with(robots=4, flawed=4)
+    """All four robots are flawed, so the percentage of nobody is not a number, in either trial."""
+    trials = two_trials_with(robots=4, flawed=4)
     assert np.isnan(study_program.harmed_percents(trials)).all()
 
 
-def numbers_themselves(trials: Any) -> Any:
-    """Measure lists of numbers, which stand for the trials of experiments."""
+def measure_numbers(trials: Any) -> Any:
+    """Return a list of numbers, which stand for the trials of an experiment, as their measures."""
     return np.asarray(trials, float)
 
 
 def test_a_measure_of_two_experiments_is_the_mean_of_their_medians_with_an_interval() -> None:
-    """Each experiment has nine trials with the numbers 0 to 8, or 100 to 108."""
+    """Each experiment has nine trials; their measures are the numbers 0 to 8, and 100 to 108.
+
+    So the medians are 4 and 104. Trials that are drawn again for the interval have medians around these.
+    """
     experiments: Any = [range(9), range(100, 109)]
 
-    value, low, high = study_program.mean_over_experiments(numbers_themselves, experiments)
+    value, low, high = study_program.mean_over_experiments(measure_numbers, experiments)
 
     assert value == (4 + 104) / 2
-    assert 50 < low < 54 < high < 58  # numbers that are drawn again have medians around 4 and 104
+    assert 50 < low < value < high < 58
 
 
 def test_a_measure_that_is_rarely_above_0_can_be_averaged_by_means_instead_of_medians() -> None:
-    """One of the 40 numbers of two experiments is 1, and the others are 0, so that medians would be 0."""
+    """Two experiments have 20 trials each. The measure is 1 in a single trial, and 0 in all others.
+
+    Both medians would be 0. In the resamples within the interval the trial with the 1 is drawn up to three
+    times.
+    """
     experiments: Any = [[1] + [0] * 19, [0] * 20]
 
-    interval = study_program.mean_over_experiments(numbers_themselves, experiments, resample_mean)
+    value, low, high = study_program.mean_over_experiments(measure_numbers, experiments, resample_mean)
 
-    # The one is drawn up to three times in the resamples within the interval.
-    assert interval == pytest.approx((1 / 40, 0, 3 / 40))
+    assert value == pytest.approx(1 / 40)
+    assert low == 0
+    assert high == pytest.approx(3 / 40)
 
 
 # --- Text ----------------------------------------------------------------------------------------------
@@ -129,6 +145,7 @@ def test_errors_have_four_decimals_below_0_01_and_otherwise_three(error: float, 
 def test_an_interval_is_shown_if_an_end_is_farther_from_the_value_than_the_tolerance(
     low: float, high: float, tolerance: float, text: str
 ) -> None:
+    """The value is 50. No interval is shown either if both ends are the same text as the value: 50.0."""
     interval = Interval(value=50, low=low, high=high)
     assert study_program.format_interval(interval, study_program.format_tenths, tolerance) == text
 
@@ -139,33 +156,46 @@ def test_an_interval_is_shown_if_an_end_is_farther_from_the_value_than_the_toler
 def test_an_error_shows_its_interval_if_an_end_is_more_than_a_tenth_of_the_error_off(
     x_of_second_trial: float, text: str
 ) -> None:
-    """Two trials differ. All robots of the first estimate 0.6 for f = 0.5, so that its error is 0.1."""
-    trials = trials_with(x=[[[0.6] * 4], [[x_of_second_trial] * 4]])
+    """All robots estimate 0.6 in the first trial, 0.1 from f. In the second they are 0.11 or 0.2 from it.
+
+    The error is the mean of both trials. Resamples have either trial twice, so the interval is as wide.
+    """
+    x_by_trial_sample_and_robot = [[[0.6] * 4], [[x_of_second_trial] * 4]]
+    trials = two_trials_with(fill_ratio=0.5, x=x_by_trial_sample_and_robot)
     assert study_program.late_error_text([trials]) == text
 
 
 def test_a_plain_error_has_no_interval_even_if_trials_differ() -> None:
-    """All robots estimate 0.6 for f = 0.5 in one trial, and 0.7 in the other."""
-    trials = trials_with(x=[[[0.6] * 4], [[0.7] * 4]])
+    """All robots estimate 0.6 in one trial, and 0.7 in the other, for a floor that is half black."""
+    x_by_trial_sample_and_robot = [[[0.6] * 4], [[0.7] * 4]]
+    trials = two_trials_with(fill_ratio=0.5, x=x_by_trial_sample_and_robot)
     assert study_program.plain_error_text([trials]) == "0.150"
 
 
 def test_the_error_of_underconfident_swarms_stands_before_that_of_overconfident_ones() -> None:
     """The test passes overconfident swarms first. A cell with only overconfident swarms has one error."""
-    underconfident = trials_with(**FLAWS["underconfident"], x=0.75)  # 0.55 of the floor is black
-    overconfident = trials_with(**FLAWS["overconfident"], x=0.9)  # 0.95 of the floor is black
-    assert study_program.under_and_over_text([overconfident, underconfident]) == "0.200, 0.050"
-    assert study_program.under_and_over_text([overconfident]) == "0.050"
+    underconfident = two_trials_with(**FLAWS["underconfident"], x=0.75)
+    overconfident = two_trials_with(**FLAWS["overconfident"], x=0.9)
+
+    error_of_underconfident = 0.75 - 0.55  # of whose floor 0.55 is black
+    error_of_overconfident = 0.95 - 0.9
+    assert study_program.under_and_over_text([overconfident, underconfident]) == (
+        f"{error_of_underconfident:.3f}, {error_of_overconfident:.3f}"
+    )
+    assert study_program.under_and_over_text([overconfident]) == f"{error_of_overconfident:.3f}"
 
 
 def test_a_table_has_labelled_rows_and_a_column_for_each_filter_that_a_row_needs() -> None:
     """Each cell has the number of its experiments, and is empty where there are none."""
-    no_filter, robust, asdf_minus = (
-        trials_with(filter=filter_name) for filter_name in ("none", "robust", "asdf-minus")
-    )
+    no_filter = two_trials_with(filter="none")
+    robust = two_trials_with(filter="robust")
+    asdf_minus = two_trials_with(filter="asdf-minus")
     rows = {"4 robots": [no_filter, robust], "8 robots": [asdf_minus, asdf_minus]}
 
-    table = study_program.markdown_table("experiments", rows, text_of=lambda trials: str(len(trials)))
+    def text_of_cell(experiments: Sequence[Trials]) -> str:
+        return str(len(experiments))
+
+    table = study_program.markdown_table("experiments", rows, text_of_cell)
 
     assert table.splitlines() == [
         "| experiments | no filter | robust | ASDF- |",
@@ -180,9 +210,9 @@ def test_the_tables_of_a_study_are_written_between_their_marks_below_a_title_and
 ) -> None:
     """A mark is a comment with the name of the table that follows."""
     tables = {"first": "| 1 |", "second": "| 2 |"}
-    study_program.write_tables(tmp_path / "a.md", "A study", tables, note="Means.")
+    study_program.write_tables(tmp_path / "study.md", title="A study", tables=tables, note="Means.")
 
-    assert (tmp_path / "a.md").read_text() == (
+    assert (tmp_path / "study.md").read_text() == (
         "# A study\n\nMeans.\n\n<!-- first -->\n| 1 |\n<!-- end -->\n\n<!-- second -->\n| 2 |\n<!-- end -->\n"
     )
 
@@ -190,13 +220,15 @@ def test_the_tables_of_a_study_are_written_between_their_marks_below_a_title_and
 # --- Programs ------------------------------------------------------------------------------------------
 
 
-def run_row(folder: Path, *experiments: Experiment, **options: Any) -> list[Any]:
-    """Run the experiments of a table with one row as a study's program does, and return the row's results."""
-    arguments = argparse.Namespace(folder=folder, **{"workers": 1, "quick": False, **options})
-    return study_program.run_rows("a", {"row": experiments}, arguments, record=50)["row"]
+def run_experiment(experiment: Experiment, folder: Path, quick: bool = False, workers: int = 1) -> Trials:
+    """Run an experiment as a study's program does, and return its trials.
 
-
-THREE_ROBOTS = Experiment(robots=3, flawed=1, steps=400, filter_period=100, trials=3)
+    The experiment is the only one of a table "a" with a single row. Values are recorded every 50 steps.
+    """
+    arguments = argparse.Namespace(folder=folder, workers=workers, quick=quick)
+    results_by_row = study_program.run_rows("a", {"row": [experiment]}, arguments, record=50)
+    [trials] = results_by_row["row"]
+    return trials
 
 
 @pytest.mark.parametrize(("steps", "quick_steps"), [(9000, 4000), (400, 400)])
@@ -204,27 +236,33 @@ def test_the_quick_form_of_a_study_has_two_trials_of_at_most_4000_steps(
     steps: int, quick_steps: int, tmp_path: Path
 ) -> None:
     """The experiment has 30 trials. Long experiments are cut to 4000 steps; 400 steps stay 400."""
-    long_experiment = Experiment(robots=3, flawed=1, steps=steps, filter_period=100, trials=30)
-    [trials] = run_row(tmp_path, long_experiment, quick=True)
+    experiment = Experiment(robots=3, flawed=1, steps=steps, filter_period=100, trials=30)
 
-    assert trials.experiment.trials == len(trials.numbers) == 2
+    trials = run_experiment(experiment, tmp_path, quick=True)
+
+    assert trials.experiment.trials == 2
+    assert len(trials.numbers) == 2
     assert trials.experiment.steps == quick_steps
 
 
-def test_the_results_of_a_row_are_recorded_and_written_to_a_file_in_a_new_folder(tmp_path: Path) -> None:
-    [trials] = run_row(tmp_path / "new folder", THREE_ROBOTS)
+def test_the_results_of_a_study_are_recorded_and_written_to_a_file_in_a_new_folder(tmp_path: Path) -> None:
+    """The study has one table, "a", so its results are in the file a.parquet."""
+    folder = tmp_path / "new folder"
+    experiment = Experiment(robots=3, flawed=1, steps=400, filter_period=100, trials=3)
 
-    assert trials.experiment == THREE_ROBOTS
+    trials = run_experiment(experiment, folder)
+
+    assert trials.experiment == experiment
     assert trials.sampling_interval == 50
-    assert (tmp_path / "new folder/a.parquet").exists()
+    assert (folder / "a.parquet").exists()
 
 
 @pytest.mark.slow
 def test_robots_of_a_study_have_the_same_results_in_one_process_and_in_two(tmp_path: Path) -> None:
     """The firmware is a class of a study, not built in, so a second process has to import it."""
     [experiment] = grid(robots=3, flawed=1, steps=1000, firmware=peers.RememberingRobot)
-    [trials_of_one_process] = run_row(tmp_path / "one", experiment, quick=True, workers=1)
-    [trials_of_two_processes] = run_row(tmp_path / "two", experiment, quick=True, workers=2)
+    trials_of_one_process = run_experiment(experiment, tmp_path / "one", quick=True, workers=1)
+    trials_of_two_processes = run_experiment(experiment, tmp_path / "two", quick=True, workers=2)
 
     assert trials_of_two_processes.errors.tolist() == trials_of_one_process.errors.tolist()
 
@@ -305,8 +343,8 @@ def test_the_program_of_a_study_keeps_its_results_with_values_so_many_steps_apar
     """A file with an interval of 1000 has the estimates x at steps 0, 1000, 2000 and so on."""
     sampling_intervals = {}
     for path in folders_of_tiny_programs[study].glob("*.parquet"):
-        first_trials, *_ = m.experiments_in(m.read_table(path))
-        sampling_intervals[path.stem] = first_trials.sampling_interval
+        trials_of_first_experiment, *_others = m.experiments_in(m.read_table(path))
+        sampling_intervals[path.stem] = trials_of_first_experiment.sampling_interval
 
     assert sampling_intervals == intervals_by_file
 
@@ -325,21 +363,22 @@ def test_the_program_of_a_study_keeps_its_results_with_values_so_many_steps_apar
 def test_the_rows_in_a_table_of_a_page_are_rows_of_its_study(
     rows_of_study: Callable[[], dict[str, Any]], page: str, mark: str
 ) -> None:
+    """A mark in the Markdown of the page names the table. The page may leave out rows, but adds none."""
     rows_on_page = tables_in(page_path(page))[mark].rows
 
-    assert rows_on_page
+    assert rows_on_page != {}
     assert rows_on_page.keys() <= rows_of_study().keys()
 
 
 def test_the_page_about_ageing_has_a_number_for_each_robot_that_knows_how_sensors_age() -> None:
     """Its table "peers" has a row for each kind of ageing; cells are empty where no such robot ran."""
-    rows_on_page = tables_in(page_path("ageing"))["peers"].rows
+    cells_by_row = tables_in(page_path("ageing"))["peers"].rows
     experiments_by_row = ageing.peer_rows()
 
-    assert rows_on_page
-    for label, cells in rows_on_page.items():
+    assert cells_by_row != {}
+    for row, cells in cells_by_row.items():
         numbers = [cell for cell in cells if cell != ""]
-        assert len(numbers) == len(experiments_by_row[label])
+        assert len(numbers) == len(experiments_by_row[row])
 
 
 @pytest.mark.slow
@@ -347,12 +386,14 @@ def test_the_page_about_ageing_has_a_number_for_each_robot_that_knows_how_sensor
 def test_the_quick_form_of_a_program_measures_something_in_all_its_experiments(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A measure without results would be "nan" in a table."""
+    """A measure without results would be "nan" in a table. The program draws its picture, too."""
+    # Trials are even shorter than those of the quick form.
     monkeypatch.setattr(study_program, "QUICK_STEPS", 1000)
     monkeypatch.setattr(swarm_sizes, "TIMED_ROBOT_STEPS", 1000)
     monkeypatch.setattr("sys.argv", ["study", str(tmp_path), "--quick", "--workers", "2"])
 
-    STUDIES[name].main()
+    study = STUDIES[name]
+    study.main()
 
     assert "nan" not in (tmp_path / f"{name}.md").read_text(encoding="utf-8")
     assert (tmp_path / f"{name}.png").read_bytes().startswith(b"\x89PNG")
@@ -374,7 +415,7 @@ TABLES_OF_STUDIES = (
 )
 
 
-def line_about(label: str, experiments: Sequence[Experiment]) -> str:
+def describe_row(label: str, experiments: Sequence[Experiment]) -> str:
     """Describe a row of a study's table: its columns, and the parameters that do not have their defaults."""
     columns = dict.fromkeys(peers.column_label(experiment) for experiment in experiments)
     descriptions = [f"{label}: {len(experiments)} experiments", "/".join(columns)]
@@ -386,10 +427,9 @@ def line_about(label: str, experiments: Sequence[Experiment]) -> str:
 
 
 def test_the_experiments_of_each_study_are_those_by_which_its_page_was_made() -> None:
-    """The file has the columns and the parameters of each row: robots, trials, seed and so on."""
-    lines = [
-        line_about(label, experiments)
-        for rows_of_table in TABLES_OF_STUDIES
-        for label, experiments in rows_of_table().items()
-    ]
-    assert_equals_golden_file("experiments_of_studies.txt", lines)
+    """A file has the columns and the parameters of each row: robots, trials, seed and so on."""
+    descriptions = []
+    for rows_of_table in TABLES_OF_STUDIES:
+        for label, experiments in rows_of_table().items():
+            descriptions.append(describe_row(label, experiments))
+    assert_equals_golden_file("experiments_of_studies.txt", descriptions)

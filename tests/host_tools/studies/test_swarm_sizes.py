@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from matplotlib.axes import Axes
 
-from host_tools.studies.conftest import trials_with
+from host_tools.studies.conftest import two_trials_with
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.results import Trials
 from mcp_asdf_tools.studies import swarm_sizes
@@ -47,7 +47,7 @@ def test_the_cost_of_a_robot_s_step_leaves_out_what_a_trial_takes_before_its_fir
     monkeypatch.setattr(
         swarm_sizes, "processor_seconds", lambda experiment: 3 + 2e-9 * experiment.robots * experiment.steps
     )
-    costs_of_two_trials = swarm_sizes.step_cost(trials_with(robots=9))
+    costs_of_two_trials = swarm_sizes.step_cost(two_trials_with(robots=9))
     assert costs_of_two_trials == pytest.approx([2, 2])
 
 
@@ -63,7 +63,7 @@ def test_the_fewer_robots_a_swarm_has_the_more_steps_are_measured(
         return 0.0
 
     monkeypatch.setattr(swarm_sizes, "processor_seconds", record_steps)
-    swarm_sizes.step_cost(trials_with(topology="dynamic", latency=1, robots=robots))
+    swarm_sizes.step_cost(two_trials_with(topology="dynamic", latency=1, robots=robots))
 
     assert measured_steps == steps
 
@@ -81,7 +81,7 @@ def test_a_cell_has_the_score_the_late_error_and_the_nanoseconds_of_a_robot_s_st
     step_costs_2_ns: None, few_resamples: None
 ) -> None:
     """All robots converge at once without an error, worth 100 points, and estimate 0.6 for 0.5 later."""
-    trials = trials_with(x=0.6)
+    trials = two_trials_with(x=0.6)
     assert swarm_sizes.size_text([trials]) == "100.0, 0.100, 2"
 
 
@@ -91,7 +91,7 @@ def rows_of_two_sizes() -> dict[str, list[Trials]]:
     for flaw, sensors in FLAWS.items():
         for robots, error in ((3, 0.3), (9, 0.1)):
             rows[f"{robots} robots, {flaw}"] = [
-                trials_with(
+                two_trials_with(
                     **sensors,
                     robots=robots,
                     flawed=robots // 3,

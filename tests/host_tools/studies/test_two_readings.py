@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from host_tools.studies.conftest import trials_with
+from host_tools.studies.conftest import two_trials_with
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.results import Trials
 from mcp_asdf_tools.experiments.trials import run_trials
@@ -24,12 +24,12 @@ def experiment_of(row: str, column: str) -> Experiment:
 
 def test_the_table_of_harm_has_the_percentage_of_healthy_robots_that_were_harmed(few_resamples: None) -> None:
     """The first of four robots is flawed. A healthy robot ends with a b_hat of 0.5 instead of 0.9."""
-    trials = trials_with(b_hat=[0.9, 0.9, 0.9, 0.5])
+    trials = two_trials_with(b_hat=[0.9, 0.9, 0.9, 0.5])
     assert two_readings.harm_text([trials]) == "33.3"
 
 
 def test_the_table_of_harm_is_empty_for_a_swarm_without_healthy_robots(few_resamples: None) -> None:
-    trials = trials_with(robots=4, flawed=4)
+    trials = two_trials_with(robots=4, flawed=4)
     assert two_readings.harm_text([trials]) == ""
 
 

@@ -20,9 +20,6 @@ from mcp_asdf_tools.studies.verdicts import (
     verdict_of,
 )
 
-SIZE = 2
-"""The smallest difference that counts."""
-
 OPEN = None
 """A comparison whose interval does not say whether it holds."""
 
@@ -35,8 +32,9 @@ OPPOSITE = {
 }
 
 
-def comparison(interval: Interval, expectation: Expectation, is_strong: bool = False) -> Comparison:
-    return Comparison("row", "column", interval, expectation, SIZE, is_strong)
+def compare_with_zero(interval: Interval, expectation: Expectation, is_strong: bool = False) -> Comparison:
+    """Make a comparison of a difference with an interval. The smallest difference that counts is 2."""
+    return Comparison("row", "column", interval, expectation, size=2, is_strong=is_strong)
 
 
 class Outcomes(NamedTuple):
@@ -49,14 +47,14 @@ class Outcomes(NamedTuple):
     not_below: bool | None
 
 
-def outcomes(interval: Interval) -> Outcomes:
-    """Compare a difference with each expectation."""
+def compare_by_each_expectation(interval: Interval) -> Outcomes:
+    """Return whether a difference is as expected, for each expectation."""
     return Outcomes(
-        above=comparison(interval, Expectation.ABOVE).holds,
-        below=comparison(interval, Expectation.BELOW).holds,
-        same=comparison(interval, Expectation.SAME).holds,
-        not_above=comparison(interval, Expectation.NOT_ABOVE).holds,
-        not_below=comparison(interval, Expectation.NOT_BELOW).holds,
+        above=compare_with_zero(interval, Expectation.ABOVE).holds,
+        below=compare_with_zero(interval, Expectation.BELOW).holds,
+        same=compare_with_zero(interval, Expectation.SAME).holds,
+        not_above=compare_with_zero(interval, Expectation.NOT_ABOVE).holds,
+        not_below=compare_with_zero(interval, Expectation.NOT_BELOW).holds,
     )
 
 
@@ -78,8 +76,11 @@ def outcomes(interval: Interval) -> Outcomes:
 def test_a_comparison_holds_if_its_interval_is_on_the_expected_side_and_the_difference_large_enough(
     interval: Interval, expected_outcomes: Outcomes
 ) -> None:
-    """An interval has a difference, a lower and an upper end. A difference below 2 is too small to count."""
-    assert outcomes(interval) == expected_outcomes
+    """An interval has a difference, a lower and an upper end. A difference below 2 is too small to count.
+
+    An outcome is True if the comparison holds, False if it fails, and None if the interval leaves it open.
+    """
+    assert compare_by_each_expectation(interval) == expected_outcomes
 
 
 @pytest.mark.parametrize("expectation", Expectation)
@@ -87,8 +88,13 @@ def test_a_comparison_holds_if_its_interval_is_on_the_expected_side_and_the_diff
 def test_a_negated_difference_gets_the_answer_of_the_opposite_expectation(
     interval: Interval, expectation: Expectation
 ) -> None:
-    negated = comparison(-interval, OPPOSITE[expectation])
-    assert negated.holds is comparison(interval, expectation).holds
+    """A difference is above 0 if the negated one is below 0, for example."""
+    opposite_expectation = OPPOSITE[expectation]
+
+    holds = compare_with_zero(interval, expectation).holds
+    holds_negated = compare_with_zero(-interval, opposite_expectation).holds
+
+    assert holds_negated is holds
 
 
 @pytest.mark.parametrize(
@@ -97,33 +103,38 @@ def test_a_negated_difference_gets_the_answer_of_the_opposite_expectation(
 def test_where_the_paper_says_much_the_whole_interval_must_reach_the_size_and_not_only_the_difference(
     low: float, holds_weakly: bool | None, holds_strongly: bool | None
 ) -> None:
-    """The difference is 3, where the smallest that counts is 2."""
+    """The difference is 3, and the smallest that counts is 2. The same is true of a difference of -3."""
     interval = Interval(value=3, low=low, high=5)
 
-    assert comparison(interval, Expectation.ABOVE).holds is holds_weakly
-    assert comparison(interval, Expectation.ABOVE, is_strong=True).holds is holds_strongly
-    assert comparison(-interval, Expectation.BELOW, is_strong=True).holds is holds_strongly
+    weak_comparison = compare_with_zero(interval, Expectation.ABOVE, is_strong=False)
+    strong_comparison = compare_with_zero(interval, Expectation.ABOVE, is_strong=True)
+    strong_comparison_of_negative = compare_with_zero(-interval, Expectation.BELOW, is_strong=True)
+
+    assert weak_comparison.holds is holds_weakly
+    assert strong_comparison.holds is holds_strongly
+    assert strong_comparison_of_negative.holds is holds_strongly
 
 
 def test_an_exact_comparison_has_an_interval_without_width() -> None:
-    exact = exact_comparison("row", "column", value=3, expectation=Expectation.ABOVE, size=SIZE)
+    """An exact comparison is of a number that equations give, which is not subject to chance."""
+    exact = exact_comparison("row", "column", value=3, expectation=Expectation.ABOVE, size=2)
     assert exact.interval == Interval(value=3, low=3, high=3)
 
 
-def comparisons(holding: int, failing: int, open_count: int) -> list[Comparison]:
-    """Make so many comparisons that expect a difference above 0."""
-    surely_above, surely_below, anything = Interval(9, 8, 10), Interval(-9, -9, -9), Interval(0, -9, 9)
-    intervals = [surely_above] * holding + [surely_below] * failing + [anything] * open_count
-    return [comparison(interval, Expectation.ABOVE) for interval in intervals]
+def make_comparisons(holding: int, failing: int, open_count: int) -> list[Comparison]:
+    """Make comparisons that expect a difference above 0. So many hold, so many fail, the rest is open."""
+    surely_above, surely_below, on_both_sides = Interval(9, 8, 10), Interval(-9, -9, -9), Interval(0, -9, 9)
+    intervals = [surely_above] * holding + [surely_below] * failing + [on_both_sides] * open_count
+    return [compare_with_zero(interval, Expectation.ABOVE) for interval in intervals]
 
 
 def test_comparisons_are_counted_by_whether_they_hold_fail_or_are_open() -> None:
     """``count_holding`` counts comparisons by ``holds``: True, False, or None if the comparison is open."""
-    nine_comparisons = comparisons(holding=4, failing=3, open_count=2)
+    nine_comparisons = make_comparisons(holding=4, failing=3, open_count=2)
 
     assert count_holding(nine_comparisons, True) == 4
     assert count_holding(nine_comparisons, False) == 3
-    assert count_holding(nine_comparisons, OPEN) == 2
+    assert count_holding(nine_comparisons, None) == 2
 
 
 AGREE, MIXED, DISAGREE, UNDECIDED = Verdict.AGREE, Verdict.MIXED, Verdict.DISAGREE, Verdict.UNDECIDED
@@ -135,16 +146,6 @@ class Verdicts(NamedTuple):
     all_must_hold: Verdict
     most_must_hold: Verdict
     some_must_hold: Verdict
-
-
-def verdicts_of(holding: int, failing: int, open_count: int) -> Verdicts:
-    """Return the verdicts on claims with so many comparisons."""
-    compared = comparisons(holding, failing, open_count)
-    return Verdicts(
-        all_must_hold=verdict_of(compared, Scope.ALL),
-        most_must_hold=verdict_of(compared, Scope.MOST),
-        some_must_hold=verdict_of(compared, Scope.SOME),
-    )
 
 
 @pytest.mark.parametrize(
@@ -169,9 +170,15 @@ def test_the_verdict_follows_from_how_many_comparisons_hold_and_from_how_many_th
     holding: int, failing: int, open_count: int, verdicts: Verdicts
 ) -> None:
     """For "most", three quarters must hold. UNDECIDED means that open comparisons may change the verdict."""
-    assert verdicts_of(holding, failing, open_count) == verdicts
+    comparisons = make_comparisons(holding, failing, open_count)
+
+    assert verdict_of(comparisons, Scope.ALL) is verdicts.all_must_hold
+    assert verdict_of(comparisons, Scope.MOST) is verdicts.most_must_hold
+    assert verdict_of(comparisons, Scope.SOME) is verdicts.some_must_hold
 
 
 @pytest.mark.parametrize(("row", "label"), [("f 0.5", "f 0.5: H"), ("", "H")])
 def test_the_label_of_a_comparison_is_its_row_if_it_has_one_and_its_column(row: str, label: str) -> None:
-    assert exact_comparison(row, "H", 0, Expectation.SAME, SIZE).label == label
+    """The column is "H". The row is "f 0.5", or is empty."""
+    comparison = exact_comparison(row, column="H", value=0, expectation=Expectation.SAME, size=2)
+    assert comparison.label == label
