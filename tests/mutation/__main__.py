@@ -1,4 +1,4 @@
-"""Plant small mistakes in Python and see whether the tests of the room notice.
+"""Make small mistakes in Python files, one at a time, and see whether the tests of the package notice them.
 
 Examples:
   python -m mutation host_tools/mcp_asdf_tools/radio --sample 40 --seed 1
@@ -14,44 +14,51 @@ import sys
 from pathlib import Path
 
 from mutation.equivalents import equivalents
-from mutation.python_killers import dies, record, tests_of
+from mutation.python_killers import is_noticed, run_baseline, test_folders_of
 from mutation.python_mutants import Mutant, mutants
 
 
-def chosen(paths: list[str], sample: int | None = None, seed: int = 0) -> list[Mutant]:
-    """Mutants of files and folders, each ``FILE#NUMBER`` alone; a random sample of all if that is given.
+def choose_mutants(paths: list[str], sample: int | None = None, seed: int = 0) -> list[Mutant]:
+    """Return the mutants of files and folders; ``FILE#NUMBER`` is a single one.
 
-    Mutants that are listed as equivalent are left out.
+    With ``sample``, as many are drawn from all of them at random. Mutants that are listed as equivalent are
+    left out, also of a sample.
     """
-    found: list[Mutant] = []
+    all_mutants: list[Mutant] = []
     for path in paths:
         file, _, number = path.partition("#")
-        found += [each for each in mutants(Path(file)) if number in ("", str(each.number))]
+        all_mutants += [mutant for mutant in mutants(Path(file)) if number in ("", str(mutant.number))]
     if sample is not None:
-        found = random.Random(seed).sample(found, min(sample, len(found)))
-    return [each for each in found if each.name not in equivalents("python")]
+        all_mutants = random.Random(seed).sample(all_mutants, min(sample, len(all_mutants)))
+    return [mutant for mutant in all_mutants if mutant.name not in equivalents("python")]
 
 
-def survivors(of: list[Mutant], tests: list[Path] | None = None, with_slow: bool = False) -> list[str]:
-    """Lines that name and replay the mutants that pass the tests of their room, or these tests."""
-    folders = {each: tests or tests_of(each.path) for each in of}
-    marks = "" if with_slow else "not slow"
-    known = record(of, (folder for each in folders.values() for folder in each), marks)
-    for test in known.failed:
-        print(f"fails without a mistake, and is left out: {test}", flush=True)
-    lines = []
-    for number, mutant in enumerate(of, 1):
-        if not dies(mutant, known, folders[mutant]):
-            idle = "" if known.running(mutant, folders[mutant]) else " (no test runs it)"
-            lines.append(f"survives: {mutant} {mutant.name}{idle}")
-            print(lines[-1], flush=True)
+def print_survivors(
+    tried_mutants: list[Mutant], test_folders: list[Path] | None = None, with_slow: bool = False
+) -> int:
+    """Print a line for each mutant that no test notices, which names and repeats it; return their number.
+
+    The tests are those of each mutant's package, or those of ``test_folders``; slow ones only count
+    ``with_slow``. A test that fails without a mistake is named, too.
+    """
+    folders_by_mutant = {mutant: test_folders or test_folders_of(mutant.path) for mutant in tried_mutants}
+    all_folders = [folder for folders in folders_by_mutant.values() for folder in folders]
+    baseline = run_baseline(tried_mutants, all_folders, marks="" if with_slow else "not slow")
+    for test_id in baseline.failed:
+        print(f"fails without a mistake, and is left out: {test_id}", flush=True)
+    survivor_count = 0
+    for tried_count, (mutant, folders) in enumerate(folders_by_mutant.items(), start=1):
+        if not is_noticed(mutant, baseline, folders):
+            survivor_count += 1
+            note = "" if baseline.tests_that_run(mutant, folders) else " (no test runs it)"
+            print(f"survives: {mutant} {mutant.name}{note}", flush=True)
         if sys.stderr.isatty():
-            print(f"\r{number} of {len(of)} ", end="", file=sys.stderr)
-    return lines
+            print(f"\r{tried_count} of {len(tried_mutants)} ", end="", file=sys.stderr)
+    return survivor_count
 
 
 def main() -> None:
-    """Try all mutants, or some at random, and print what survives."""
+    """Try all mutants, or some at random, and print those that survive. The exit code is 1 if any does."""
     parser = argparse.ArgumentParser(
         prog="python -m mutation", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -60,15 +67,17 @@ def main() -> None:
     )
     parser.add_argument("--sample", type=int, metavar="N", help="try N of them, at random")
     parser.add_argument("--seed", type=int, default=random.randrange(1 << 32), help="of the sample")
-    parser.add_argument("--tests", nargs="+", type=Path, metavar="PATH", help="instead of those of the room")
+    parser.add_argument(
+        "--tests", nargs="+", type=Path, metavar="PATH", help="instead of the package's tests"
+    )
     parser.add_argument("--slow", action="store_true", help="let slow tests count, too")
-    given = parser.parse_args()
-    if given.sample is not None:
-        print(f"seed {given.seed}")
-    tried = chosen(given.path, given.sample, given.seed)
-    survived = survivors(tried, given.tests, given.slow)
-    print(f"{len(tried)} mutants, {len(survived)} survive")
-    sys.exit(bool(survived))
+    args = parser.parse_args()
+    if args.sample is not None:
+        print(f"seed {args.seed}")
+    tried_mutants = choose_mutants(args.path, args.sample, args.seed)
+    survivor_count = print_survivors(tried_mutants, args.tests, args.slow)
+    print(f"{len(tried_mutants)} mutants, {survivor_count} survive")
+    sys.exit(bool(survivor_count))
 
 
 if __name__ == "__main__":

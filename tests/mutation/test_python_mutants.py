@@ -84,12 +84,12 @@ MISTAKE = "[limited_alpha = min(alpha, 2.0 ** 31) => limited_alpha = max(alpha, 
 # Tries both in a process of its own: this one has imported the code without mistakes.
 PROGRAM = f"""
 from pathlib import Path
-from mutation.__main__ import survivors
+from mutation.__main__ import print_survivors
 from mutation.python_mutants import mutants
 path, tests = Path("firmware_py/mcp_asdf/fixed_point.py"), Path("tests/firmware_py/test_errors.py")
 mutants_by_name = {{mutant.name: mutant for mutant in mutants(path)}}
 names = ["alpha_word_from_float: {HARMLESS_CHANGE}", "alpha_word_from_float: {MISTAKE}"]
-survivors([mutants_by_name[name] for name in names], [tests])
+print_survivors([mutants_by_name[name] for name in names], [tests])
 """
 
 
