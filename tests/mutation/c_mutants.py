@@ -25,34 +25,37 @@ MUTATED = (
 """The firmware, and what the engine divides with. The other headers declare what callers see; tests in both
 languages compare their numbers."""
 
+COMMENT = re.compile(r"/\*.*?\*/", re.DOTALL)
 NOT_CODE = re.compile(
     r'/\*.*?\*/|"[^"\n]*"|^ASSERT\([^\n]*|^[ \t]*#(?:[^\n]*\\\n)*[^\n]*', re.MULTILINE | re.DOTALL
 )
-COMMENT = re.compile(r"/\*.*?\*/", re.DOTALL)
+"""Comments, texts, static assertions, and lines of the preprocessor with their continuations."""
 DEFINITION = re.compile(r"^#define (\w+)([ \t]+(?:[^\n]*\\\n)*[^\n]*)", re.MULTILINE)
-COMPILERS = re.compile("MCP_ASDF|UNUSED|HOT|SHARED|WARM|ZEROS|NOINLINE|ALWAYS|FENCE")
-"""Definitions that choose a way, or say something to a compiler."""
-FUNCTION = re.compile(
+UNCHANGED_DEFINITIONS = re.compile("MCP_ASDF|UNUSED|HOT|SHARED|WARM|ZEROS|NOINLINE|ALWAYS|FENCE")
+"""Beginnings of macros that choose between variants, or tell a compiler something."""
+FUNCTION_HEAD = re.compile(
     r"^(?!typedef|static const|ASSERT)[ \t]*\w[^;{}=]*?\b(\w+)\([^;{}]*\)\s*\{", re.MULTILINE
 )
 TOKEN = re.compile(
     r"->|<<=|>>=|\+\+|--|<<|>>|[<>=!+\-*/%&|^]=|&&|\|\|"
     r"|[-+*/%&|^~!<>=?:;,(){}\[\].]|0x[0-9A-Fa-f]+(?=U?\b)|\b\d+(?=U?\b)|\w+"
 )
-SWAPS = {
-    **{"+": "-", "-": "+", "*": "+", "/": "*", "%": "/", "<<": ">>", ">>": "<<", "==": "!=", "!=": "=="},
-    **{"&&": "||", "||": "&&", "&": "|", "|": "&", "++": "--", "--": "++"},
-    **{"+=": "-=", "-=": "+=", "|=": "&=", "&=": "|=", "<<=": ">>=", ">>=": "<<=", "true": "false"},
-    "false": "true",
+NUMBER = re.compile(r"0x[0-9A-Fa-f]+|\d+")
+REPLACEMENTS: dict[str, tuple[str, ...]] = {
+    **{"+": ("-",), "-": ("+",), "*": ("+",), "/": ("*",), "%": ("/",), "<<": (">>",), ">>": ("<<",)},
+    **{"==": ("!=",), "!=": ("==",), "&&": ("||",), "||": ("&&",), "&": ("|",), "|": ("&",)},
+    **{"++": ("--",), "--": ("++",), "+=": ("-=",), "-=": ("+=",), "|=": ("&=",), "&=": ("|=",)},
+    **{"<<=": (">>=",), ">>=": ("<<=",), "true": ("false",), "false": ("true",), "^": ("|", "&")},
+    **{"<": ("<=", ">="), "<=": ("<", ">"), ">": (">=", "<="), ">=": (">", "<")},
 }
-TWICE = {"<": ("<=", ">="), "<=": ("<", ">"), ">": (">=", "<="), ">=": (">", "<"), "^": ("|", "&")}
-UNARY = {"-": "", "~": "", "!": ""}
-TYPE = re.compile(r"\(\s*(?:const\s+)?(?:\w+_t|bool|float|char|int|void)\s*\**\s*\)$")
-DECLARES = re.compile(r"(?:\b\w+_t|\bconst|\bvoid|\*)\s*$")
+"""What a token is replaced by, one at a time."""
+UNARY_OPERATORS = ("-", "~", "!")
+TYPE_CAST = re.compile(r"\(\s*(?:const\s+)?(?:\w+_t|bool|float|char|int|void)\s*\**\s*\)$")
+TYPE_BEFORE_POINTER = re.compile(r"(?:\b\w+_t|\bconst|\bvoid|\*)\s*$")
 STATEMENT = re.compile(
     r"(?<=[;{}:])\s*((?:\+\+|--|\*|\(void\))?[a-z][\w>.\[\]\-]*\s*(?:(?:[-+|&<>^]*=|\()[^;{}]*)?;)"
 )
-CONDITION = re.compile(r"\b(?:if|while) \(")
+CONDITION = re.compile(r"\b(if|while) \(")
 
 
 def path_of(file: str) -> Path:
@@ -62,13 +65,14 @@ def path_of(file: str) -> Path:
 
 @dataclass(frozen=True)
 class Mutant:
-    """One mistake.
+    """A source with one mistake in it.
 
     Attributes:
         file: Name of the source.
-        function: Where it is: the function, or ``define NAME``, or nothing for data.
-        text: The line, with what is replaced and by what in brackets.
-        start, end: Place in the source, of what ``new`` replaces.
+        function: Function with the mistake, or ``define NAME`` for a macro, or nothing for data.
+        text: The line, in which brackets show what is replaced by what: ``return a [+ => -] b;``.
+        start, end: First character that is replaced, and the character behind the last one.
+        replacement: What stands there instead.
     """
 
     file: str
@@ -76,17 +80,54 @@ class Mutant:
     text: str
     start: int
     end: int
-    new: str
+    replacement: str
 
     def source(self) -> str:
         """Return the whole file with the mistake in it."""
-        good = _read(self.file)
-        return good[: self.start] + self.new + good[self.end :]
+        correct_source = _read(self.file)
+        return correct_source[: self.start] + self.replacement + correct_source[self.end :]
 
     @property
     def name(self) -> str:
-        """Name without the place, which changes with every line above it."""
+        """Name without ``start`` and ``end``, which change with every line above them."""
         return f"{self.file} {self.function}: {self.text}"
+
+
+@dataclass(frozen=True)
+class Region:
+    """A function or macro in a source, with its first character and the one behind its last."""
+
+    start: int
+    end: int
+    name: str
+
+
+@dataclass(frozen=True, order=True)
+class Change:
+    """A replacement of some characters of a source."""
+
+    start: int
+    end: int
+    replacement: str
+
+
+def mutants(file: str) -> Iterator[Mutant]:
+    """Yield all mutants of a source, in its order. No two have the same name."""
+    source = _read(file)
+    # What is blanked keeps its length, so that positions in the code are those in the source.
+    code = NOT_CODE.sub(_blank, source)
+    regions = list(_functions(code))
+    regions += [Region(*macro.span(), f"define {macro[1]}") for macro in DEFINITION.finditer(source)]
+    changes = set(_changes_of_statements(code))
+    # Values of macros are mutated, too, but only their tokens.
+    code = _with_macro_values(code, source)
+    changes |= set(_changes_of_tokens(code))
+    name_counts: Counter[str] = Counter()
+    for change in sorted(changes):
+        mutant = _mutant_of(change, file, code, regions)
+        name_counts[mutant.name] += 1
+        occurrence = name_counts[mutant.name]
+        yield mutant if occurrence == 1 else replace(mutant, text=f"{mutant.text} ({occurrence})")
 
 
 def _read(file: str) -> str:
@@ -94,88 +135,92 @@ def _read(file: str) -> str:
 
 
 def _blank(match: re.Match[str]) -> str:
+    """Return spaces and line ends in place of a match, as many characters as it has."""
     return re.sub(r"[^\n]", " ", match[0])
 
 
-def mutants(file: str) -> Iterator[Mutant]:
-    """Yield all mutants of a source, in its order."""
-    good = _read(file)
-    code = NOT_CODE.sub(_blank, good)
-    places = [
-        *_functions(code),
-        *((*match.span(), f"define {match[1]}") for match in DEFINITION.finditer(good)),
-    ]
-    changes = {*_changes_of_statements(code)}
-    for match in DEFINITION.finditer(good):
-        if not COMPILERS.match(match[1]):
-            value = COMMENT.sub(_blank, match[2]).replace("\\", " ")
-            code = code[: match.start(2)] + value + code[match.end(2) :]
-    names: Counter[str] = Counter()
-    for change in sorted({*changes, *_changes_of_tokens(code)}):
-        mutant = _mutant(file, code, places, change)
-        names[mutant.name] += 1
-        again = names[mutant.name]
-        yield mutant if again == 1 else replace(mutant, text=f"{mutant.text} ({again})")
+def _with_macro_values(code: str, source: str) -> str:
+    """Return the code with the values of the source's macros, which were blanked there."""
+    for macro in DEFINITION.finditer(source):
+        if not UNCHANGED_DEFINITIONS.match(macro[1]):
+            value = COMMENT.sub(_blank, macro[2]).replace("\\", " ")
+            code = code[: macro.start(2)] + value + code[macro.end(2) :]
+    return code
 
 
-def _mutant(file: str, code: str, places: list[tuple[int, int, str]], change: tuple[int, int, str]) -> Mutant:
-    start, end, new = change
-    first, last = code.rfind("\n", 0, start) + 1, code.find("\n", end)
-    text = f"{code[first:start]}[{code[start:end]} => {new}]{code[end:last]}"
-    name = next((name for begin, stop, name in places if begin <= start < stop), "")
-    return Mutant(file, name, " ".join(text.split()), start, end, new)
+def _mutant_of(change: Change, file: str, code: str, regions: list[Region]) -> Mutant:
+    """Return the mutant of a change, named after its line and the function or macro around it."""
+    line_start, line_end = code.rfind("\n", 0, change.start) + 1, code.find("\n", change.end)
+    replaced = code[change.start : change.end]
+    line = (
+        f"{code[line_start : change.start]}[{replaced} => {change.replacement}]{code[change.end : line_end]}"
+    )
+    names = [region.name for region in regions if region.start <= change.start < region.end]
+    function = names[0] if names else ""
+    return Mutant(file, function, " ".join(line.split()), change.start, change.end, change.replacement)
 
 
-def _functions(code: str) -> Iterator[tuple[int, int, str]]:
-    for match in FUNCTION.finditer(code):
-        yield match.start(), _closing(code, match.end() - 1), match[1]
+def _functions(code: str) -> Iterator[Region]:
+    for head in FUNCTION_HEAD.finditer(code):
+        opening_brace = head.end() - 1
+        yield Region(head.start(), _closing_bracket(code, opening_brace), head[1])
 
 
-def _closing(code: str, opening: int) -> int:
-    """Return the place of the bracket that closes this one."""
+def _closing_bracket(code: str, opening: int) -> int:
+    """Return the position of the bracket or brace that closes the one at ``opening``."""
     depth = 0
-    for place in range(opening, len(code)):
-        depth += (code[place] in "({") - (code[place] in ")}")
+    for position in range(opening, len(code)):
+        if code[position] in "({":
+            depth += 1
+        elif code[position] in ")}":
+            depth -= 1
         if depth == 0:
-            return place
+            return position
     raise ValueError(f"nothing closes {code[opening : opening + 40]!r}")
 
 
-def _changes_of_statements(code: str) -> Iterator[tuple[int, int, str]]:
-    for start, end, _ in _functions(code):
-        body = code[start:end]
-        for match in STATEMENT.finditer(body):
-            if not match[1].startswith(("return", "for", "typedef", "static", "__asm__")):
-                yield start + match.start(1), start + match.end(1), ";"
-        for match in CONDITION.finditer(body):
-            inside = start + match.end(), _closing(body, match.end() - 1) + start
-            yield from (
-                (*inside, value) for value in ("0", "1") if not match[0].startswith("while") or value == "0"
-            )
+def _changes_of_statements(code: str) -> Iterator[Change]:
+    """Yield changes that remove a statement, or let a condition always or never hold."""
+    for function in _functions(code):
+        body = code[function.start : function.end]
+        for statement in STATEMENT.finditer(body):
+            if not statement[1].startswith(("return", "for", "typedef", "static", "__asm__")):
+                start, end = statement.span(1)
+                yield Change(function.start + start, function.start + end, ";")
+        for condition in CONDITION.finditer(body):
+            opening_bracket = condition.end() - 1
+            start = function.start + opening_bracket + 1
+            end = function.start + _closing_bracket(body, opening_bracket)
+            yield Change(start, end, "0")
+            if condition[1] == "if":  # a loop without an end would only cost time
+                yield Change(start, end, "1")
 
 
-def _changes_of_tokens(code: str) -> Iterator[tuple[int, int, str]]:
-    before = ""
+def _changes_of_tokens(code: str) -> Iterator[Change]:
+    """Yield changes that replace an operator or a truth value, drop a unary operator, or move a number by 1."""
+    previous_token = ""
     for match in TOKEN.finditer(code):
-        token, ahead = match[0], code[: match.start()]
-        place = match.span()
-        operand = re.search(r"[\w)\]]$", before) is not None and not TYPE.search(ahead[-40:].rstrip())
-        if re.fullmatch(r"0x[0-9A-Fa-f]+|\d+", token):
-            yield from ((*place, new) for new in _near(token))
-        elif token in UNARY and not operand:
-            yield (*place, UNARY[token])
-        elif token in "*&" and (not operand or DECLARES.search(ahead[-40:])):
-            pass  # a pointer
-        elif token in TWICE:
-            yield from ((*place, new) for new in TWICE[token])
-        elif token in SWAPS:
-            yield (*place, SWAPS[token])
-        before = "" if token == "return" else token
+        token, (start, end) = match[0], match.span()
+        code_before = code[:start][-40:]
+        # Behind an operand an operator is binary; a cast ends with a bracket, but is no operand.
+        follows_operand = re.search(r"[\w)\]]$", previous_token) is not None
+        follows_operand = follows_operand and not TYPE_CAST.search(code_before.rstrip())
+        is_pointer = token in "*&" and (not follows_operand or TYPE_BEFORE_POINTER.search(code_before))
+        if NUMBER.fullmatch(token):
+            for number in _neighbours_of_number(token):
+                yield Change(start, end, number)
+        elif token in UNARY_OPERATORS and not follows_operand:
+            yield Change(start, end, "")
+        elif not is_pointer:
+            for replacement in REPLACEMENTS.get(token, ()):
+                yield Change(start, end, replacement)
+        previous_token = "" if token == "return" else token  # no operand, though it is a word
 
 
-def _near(number: str) -> Iterator[str]:
+def _neighbours_of_number(number: str) -> Iterator[str]:
+    """Yield the next larger number and, for numbers above 0, the next smaller one, with the same base."""
     value = int(number, 0)
-    as_before = hex if number.startswith("0x") else str
-    yield as_before(value + 1)
+    format_number = hex if number.startswith("0x") else str
+    yield format_number(value + 1)
     if value > 0:
-        yield as_before(value - 1)
+        yield format_number(value - 1)

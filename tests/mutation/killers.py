@@ -19,7 +19,7 @@ from support import ROOT, TABLE, require, run
 
 TESTS = ROOT / "tests/c_ref"
 PORTS = ROOT / "c_ref/ports"
-CLZ = Path(__file__).with_name("clz.h")
+COUNT_LEADING_ZEROS = Path(__file__).with_name("clz.h")
 BUILDS = tuple(Variant("1001", f"MCP_ASDF_WITH_{filter}=0") for filter in ("ROBUST", "ASDF"))
 """Builds without a filter; only the independent implementation is run with them."""
 VARIANTS_OF = {
@@ -34,7 +34,7 @@ VARIANTS_OF = {
 A file of one target is compiled for that target alone, and the codecs do not depend on the target.
 """
 THIRD = "third"
-"""The independent implementation; all else is what it cannot see."""
+"""Name of the independent implementation as a test; all other tests are those of the C tests."""
 CORE_LIBRARY = "libcore.so"
 CODEC_TESTS = {"mcp_asdf_frame.c": ("node", "frame"), "mcp_asdf_small.c": ("small",)}
 """Tests of the optional files that the independent implementation does not contain."""
@@ -67,22 +67,30 @@ class Try:
         return f"{self.test} {self.variant}"
 
 
-def passes(folder: Path, tried: Try) -> bool:
+def passes(folder: Path, attempt: Try) -> bool:
     """Return whether the test passes with the sources in the folder."""
-    variant = tried.variant
-    flags: list[str | Path] = ["-w", "-DCHECK_ONCE", "-include", CLZ, f"-I{folder}", f"-I{PORTS}"]
+    variant = attempt.variant
+    flags: list[str | Path] = [
+        "-w",
+        "-DCHECK_ONCE",
+        "-include",
+        COUNT_LEADING_ZEROS,
+        f"-I{folder}",
+        f"-I{PORTS}",
+    ]
     flags += _flags(variant)
-    if tried.test != THIRD:
-        linked = [folder / name for name in LINKED.get(tried.test, ())]
-        ports = PORTS.glob("node/*.c") if tried.test == "node" else ()
-        return _limited("tcc", *flags, *linked, *ports, TABLE, "-run", TESTS / f"test_{tried.test}.c")
+    if attempt.test != THIRD:
+        linked_sources = [folder / name for name in LINKED.get(attempt.test, ())]
+        ports = PORTS.glob("node/*.c") if attempt.test == "node" else ()
+        test_source = TESTS / f"test_{attempt.test}.c"
+        return _limited("tcc", *flags, *linked_sources, *ports, TABLE, "-run", test_source)
     with TemporaryDirectory() as library_folder:
         core = (folder / "mcp_asdf.c", folder / "mcp_asdf_image.c")
         third = _third(*([f"-D{variant.target}"] if variant in BUILDS else []))
         library = Path(library_folder) / CORE_LIBRARY
-        run_third = ("env", f"LD_LIBRARY_PATH={library_folder}", third, "1", str(tried.calls))
+        run_third = ("env", f"LD_LIBRARY_PATH={library_folder}", third, "1", str(attempt.calls))
         is_built = _limited("tcc", *flags, "-shared", *core, "-o", library)
-        return is_built and _limited(*run_third, seconds=SECONDS_BY_CALLS[tried.calls])
+        return is_built and _limited(*run_third, seconds=SECONDS_BY_CALLS[attempt.calls])
 
 
 @cache
@@ -103,16 +111,18 @@ def _third(*flags: str) -> Path:
 
 def third_object(folder: Path, *flags: str) -> Path:
     """Compile the independent implementation, which fits all cores of a build, and return the object file."""
-    made, source = folder / "third.o", ROOT / "tests/third/third.cpp"
-    run(require("g++", "g++"), "-std=c++17", "-O2", f"-I{SOURCES}", *flags, "-c", source, "-o", made)
-    return made
+    object_file, source = folder / "third.o", ROOT / "tests/third/third.cpp"
+    run(require("g++", "g++"), "-std=c++17", "-O2", f"-I{SOURCES}", *flags, "-c", source, "-o", object_file)
+    return object_file
 
 
 def _flags(variant: Variant) -> list[str]:
     """Return the flags of a variant. An AVR gets its own code, but reads flash as this machine does."""
-    readers = ("ROM=", "READ_WORD(address)=(*(address))", "READ_BYTE(address)=(*(address))")
-    own = [f"-DMCP_ASDF_{reader}" for reader in readers] if variant == AVR else []
-    return ["-std=c99", *variant.flags(), *own]
+    flags = ["-std=c99", *variant.flags()]
+    if variant == AVR:
+        flash_readers = ("ROM=", "READ_WORD(address)=(*(address))", "READ_BYTE(address)=(*(address))")
+        flags += [f"-DMCP_ASDF_{reader}" for reader in flash_readers]
+    return flags
 
 
 def _limited(*command: str | Path, seconds: int = SECONDS) -> bool:
@@ -135,7 +145,8 @@ def quick_tries(file: str) -> list[Try]:
     variants = VARIANTS_OF.get(file, VARIANTS)
     if file in CODEC_TESTS:
         return [Try(test, variant) for test in CODEC_TESTS[file] for variant in variants]
-    return [Try(THIRD, each) for each in (*variants, *BUILDS)] + [Try("core", each) for each in variants]
+    third_tries = [Try(THIRD, variant) for variant in (*variants, *BUILDS)]
+    return third_tries + [Try("core", variant) for variant in variants]
 
 
 def patient_tries(file: str) -> list[Try]:
@@ -144,7 +155,7 @@ def patient_tries(file: str) -> list[Try]:
         return []
     variants = VARIANTS_OF.get(file, VARIANTS)
     return [
-        *(Try(THIRD, each, MANY_CALLS) for each in (*variants, *BUILDS)),
+        *(Try(THIRD, variant, MANY_CALLS) for variant in (*variants, *BUILDS)),
         Try(THIRD, variants[0], MOST_CALLS),
     ]
 
@@ -161,16 +172,16 @@ def killer(mutant: Mutant, folder: Path, is_patient: bool = True) -> str:
         is_patient: Whether a mutant that passes the quick tests is tried with those that take seconds.
     """
     plant(mutant, folder)
-    for tried in quick_tries(mutant.file):
-        if not passes(folder, tried):
-            return str(tried)
+    for attempt in quick_tries(mutant.file):
+        if not passes(folder, attempt):
+            return str(attempt)
     if not is_patient:
         return ""
     if has_same_code(mutant, folder):
         return SAME_CODE
-    for tried in patient_tries(mutant.file):
-        if not passes(folder, tried):
-            return f"{tried}, after {tried.calls} calls"
+    for attempt in patient_tries(mutant.file):
+        if not passes(folder, attempt):
+            return f"{attempt}, after {attempt.calls} calls"
     return ""
 
 
@@ -178,18 +189,20 @@ def has_same_code(mutant: Mutant, folder: Path) -> bool:
     """Return whether an optimiser makes the same machine code of the mutant, which is in the folder."""
     source = "mcp_asdf.c" if mutant.file.endswith(".h") else mutant.file
     return all(
-        _usual_code(SOURCES / source, variant) == _code(folder / source, variant, folder)
+        _code_without_mistake(SOURCES / source, variant) == _code(folder / source, variant, folder)
         for variant in VARIANTS_OF.get(mutant.file, (*VARIANTS, *BUILDS))
     )
 
 
 @cache
-def _usual_code(source: Path, variant: Variant) -> bytes:
+def _code_without_mistake(source: Path, variant: Variant) -> bytes:
     with TemporaryDirectory() as folder:
         return _code(source, variant, Path(folder))
 
 
 def _code(source: Path, variant: Variant, folder: Path) -> bytes:
-    made = folder / "object.o"
-    assert _limited("gcc", "-O1", "-w", f"-I{source.parent}", *_flags(variant), "-c", source, "-o", made)
-    return made.read_bytes()
+    """Compile a source with optimisation, and return the bytes of the object file."""
+    object_file = folder / "object.o"
+    flags = ("-O1", "-w", f"-I{source.parent}", *_flags(variant))
+    assert _limited("gcc", *flags, "-c", source, "-o", object_file)
+    return object_file.read_bytes()
