@@ -197,7 +197,7 @@ def _changes_of_statements(code: str) -> Iterator[Change]:
 
 
 def _changes_of_tokens(code: str) -> Iterator[Change]:
-    """Yield changes that replace an operator or a truth value, drop a unary operator, or move a number by 1."""
+    """Yield changes that replace an operator or a truth value, drop a unary one, or move a number by 1."""
     previous_token = ""
     for match in TOKEN.finditer(code):
         token, (start, end) = match[0], match.span()
