@@ -259,6 +259,17 @@ def test_estimates_on_the_bus_are_counted_as_those_of_the_controller_of_stranger
     assert figures["bus_failures"] == 0
 
 
+def test_error_frames_on_the_bus_are_counted() -> None:
+    """A CAN adapter reports disturbances of the bus, say of a loose cable, by such frames."""
+    wire = Wire()
+    wire._waiting.extend([can.Message(is_error_frame=True), can.Message(is_error_frame=True)])
+    run = RadioRun(Neighbourhood(surroundings(steps_per_second=20)), BusLink(wire), ticks=1)
+
+    run.run()
+
+    assert run.figures()["error_frames"] == 2
+
+
 def test_each_neighbour_receives_the_estimates_of_the_controller_and_of_the_other_neighbours(
     run_beside_others: RadioRun,
 ) -> None:
