@@ -22,22 +22,23 @@ def parse_file(content: str, folder: Path) -> Graph:
     return parse_graph(path)
 
 
-def neighbours_in(graph: Graph, robots: int) -> list[list[int]]:
-    """Return the ids that each robot receives from."""
+def senders_by_receiver(graph: Graph, robots: int) -> list[list[int]]:
+    """Return for each robot, by id, the ids from which it receives."""
     (neighbours,) = graph_topology(graph, robots).advance(1)
     return [np.flatnonzero(row).tolist() for row in neighbours]
 
 
 def test_a_file_of_edges_says_which_robots_receive_from_which(tmp_path: Path) -> None:
     """ "0 1" is an edge in both directions, and by "3 > 2" robot 2 receives from robot 3 alone."""
-    graph = parse_file("# a line and a way back\n\n0 1\n 1  2 # both\n3>2\n2 > 4\n", tmp_path)
-    assert neighbours_in(graph, robots=5) == [[1], [0, 2], [1, 3], [], [2]]
+    graph = parse_file("# a comment\n\n0 1\n 1  2 # another comment\n3>2\n2 > 4\n", tmp_path)
+    assert senders_by_receiver(graph, robots=5) == [[1], [0, 2], [1, 3], [], [2]]
     assert str(graph) == "0 1; 1 2; 2 > 4; 3 > 2"
 
 
 def test_a_graph_knows_its_file(tmp_path: Path) -> None:
-    graph = parse_file("0 1", tmp_path)
-    assert graph.source == str(tmp_path / "edges.txt")
+    path = tmp_path / "edges.txt"
+    path.write_text("0 1")
+    assert parse_graph(path).source == str(path)
 
 
 @pytest.mark.parametrize(
@@ -46,15 +47,16 @@ def test_a_graph_knows_its_file(tmp_path: Path) -> None:
     ids=["an empty file", "an empty line", "a comment", "a byte order mark"],
 )
 def test_a_graph_file_without_edges_is_refused(text: str, tmp_path: Path) -> None:
+    """The error names the file, which is called edges.txt."""
     message = r"edges\.txt has no edge, so no robot would hear another; write edges"
     with pytest.raises(UsageError, match=message):
         parse_file(text, tmp_path)
 
 
-@pytest.mark.parametrize("nothing", [[], "", " ; ", np.zeros((3, 3), np.bool_)])
-def test_an_object_or_a_text_without_edges_is_refused(nothing: object) -> None:
+@pytest.mark.parametrize("graph_without_edges", [[], "", " ; ", np.zeros((3, 3), np.bool_)])
+def test_an_object_or_a_text_without_edges_is_refused(graph_without_edges: object) -> None:
     with pytest.raises(UsageError, match="graph has no edge"):
-        parse_graph(nothing)
+        parse_graph(graph_without_edges)
 
 
 @pytest.mark.parametrize(
@@ -86,13 +88,14 @@ def test_a_weight_may_follow_an_edge_of_one_direction(tmp_path: Path) -> None:
 )
 def test_any_graph_is_the_same_when_it_is_written_and_parsed_again(links: frozenset[tuple[int, int]]) -> None:
     """The links, pairs of a sender and a receiver, are the same after each step."""
-    graph = parse_graph("; ".join(f"{sender} > {receiver}" for sender, receiver in links))
+    edges = [f"{sender} > {receiver}" for sender, receiver in links]
+    graph = parse_graph("; ".join(edges))
     assert graph.links == links
     assert parse_graph(str(graph)) == graph
 
 
 @pytest.mark.parametrize(
-    ("text", "complaint"),
+    ("text", "expected_message"),
     [
         ("0 1\n2\n", "line 2: '2' is not an edge; write two ids, 0 to 65535, such as '3 5' or '3 > 5'"),
         ("0 1 2 3", "line 1: '0 1 2 3' is not an edge"),
@@ -111,43 +114,51 @@ def test_any_graph_is_the_same_when_it_is_written_and_parsed_again(links: frozen
         ("0 > 1\n0 1", "line 2: that robot 1 hears 0 is in line 1 already"),
     ],
 )
-def test_an_error_in_a_file_of_edges_names_its_line(text: str, complaint: str, tmp_path: Path) -> None:
-    with pytest.raises(UsageError) as caught:
+def test_an_error_in_a_file_of_edges_names_its_line(text: str, expected_message: str, tmp_path: Path) -> None:
+    with pytest.raises(UsageError) as raised:
         parse_file(text, tmp_path)
-    assert complaint in str(caught.value)
+    assert expected_message in str(raised.value)
 
 
 def test_a_file_that_is_no_text_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "edges.txt").write_bytes(b"\xff\xfe\0")
+    """The bytes of the file are not valid in UTF-8."""
+    path = tmp_path / "edges.txt"
+    path.write_bytes(b"\xff\xfe\0")
     with pytest.raises(UsageError, match="cannot read the graph"):
-        parse_graph(tmp_path / "edges.txt")
+        parse_graph(path)
 
 
 def test_a_graph_that_names_robots_outside_the_swarm_is_refused() -> None:
     """The graph names robot 7. A swarm of eight has it. For a swarm of seven the error lists the ids."""
     graph = parse_graph("0 1; 1 7")
-    graph.check(robots=8)
+    graph.check(robots=8)  # raises no error
     with pytest.raises(UsageError, match="names robot 7, but the ids of 7 robots are 0 to 6"):
         graph.check(robots=7)
 
 
 def test_a_robot_with_more_neighbours_than_a_round_holds_is_refused() -> None:
-    """The firmware takes at most 127 estimates between two broadcasts, so 127 neighbours raise no error."""
-    links_to_robot_0 = [(sender, 0) for sender in range(1, 129)]
-    Graph(frozenset(links_to_robot_0[:127])).check(robots=128)
+    """The firmware takes at most 127 estimates between two broadcasts, so 127 neighbours raise no error.
+
+    Here robot 0 receives from robots 1 to 127, or 1 to 128.
+    """
+    links_from_127 = frozenset((sender, 0) for sender in range(1, 128))
+    Graph(links_from_127).check(robots=128)  # raises no error
+
+    links_from_128 = links_from_127 | {(128, 0)}
     with pytest.raises(UsageError, match="robot 0 hears 128 others, but a round of the firmware holds 127"):
-        Graph(frozenset(links_to_robot_0)).check(robots=129)
+        Graph(links_from_128).check(robots=129)
 
 
 # --- Objects in Python -----------------------------------------------------------------------------------
 
-PAIRS = [(1, 3), (3, np.int64(65535))]
-BOTH_DIRECTIONS = {(1, 3), (3, 1), (3, 65535), (65535, 3)}
-
 
 def test_robots_of_a_pair_in_a_list_receive_from_each_other() -> None:
-    """Each of the pairs (1, 3) and (3, 65535) becomes two links, one in each direction."""
-    assert parse_graph(PAIRS).links == BOTH_DIRECTIONS
+    """Each of the pairs (1, 3) and (3, 65535) becomes two links, one in each direction.
+
+    An id may be an integer of numpy.
+    """
+    graph = parse_graph([(1, 3), (3, np.int64(65535))])
+    assert graph.links == {(1, 3), (3, 1), (3, 65535), (65535, 3)}
 
 
 def test_an_array_of_neighbours_has_a_row_for_each_receiver() -> None:
@@ -155,22 +166,28 @@ def test_an_array_of_neighbours_has_a_row_for_each_receiver() -> None:
     neighbours = np.zeros((4, 4), np.bool_)  # by receiver and sender
     neighbours[3, 1] = True
     neighbours[0, 3] = True
-    assert parse_graph(neighbours).links == {(1, 3), (3, 0)}
-
-
-@pytest.mark.parametrize(("is_directed", "links"), [(True, {*PAIRS}), (False, BOTH_DIRECTIONS)])
-def test_an_undirected_graph_of_networkx_has_both_directions(
-    is_directed: bool, links: set[tuple[int, int]]
-) -> None:
-    """The graph has the two methods of networkx that ``parse_graph`` calls."""
-    graph = Mock(edges=lambda: PAIRS, is_directed=lambda: is_directed)
-    assert parse_graph(graph).links == links
+    assert parse_graph(neighbours).links == {(1, 3), (3, 0)}  # (sender, receiver)
 
 
 @pytest.mark.parametrize(
-    "graph",
+    ("is_directed", "expected_links"),
+    [(True, {(1, 3), (3, 65535)}), (False, {(1, 3), (3, 1), (3, 65535), (65535, 3)})],
+)
+def test_an_undirected_graph_of_networkx_has_both_directions(
+    is_directed: bool, expected_links: set[tuple[int, int]]
+) -> None:
+    """The graph has the two methods of networkx that ``parse_graph`` calls."""
+    graph_of_networkx = Mock()
+    graph_of_networkx.edges.return_value = [(1, 3), (3, np.int64(65535))]
+    graph_of_networkx.is_directed.return_value = is_directed
+    assert parse_graph(graph_of_networkx).links == expected_links
+
+
+@pytest.mark.parametrize(
+    "wrong_object",
     [np.zeros((3, 4), np.bool_), np.zeros(4, np.bool_), [(1, 2, 3)], [("1", 2)], Mock(spec=["edges"])],
 )
-def test_an_object_that_is_no_graph_is_refused(graph: object) -> None:
+def test_an_object_that_is_no_graph_is_refused(wrong_object: object) -> None:
+    """Such as an array that is not square, or a list of three ids. The error says what to give instead."""
     with pytest.raises(UsageError, match=r"graph (is|has) .*; give a"):
-        parse_graph(graph)
+        parse_graph(wrong_object)

@@ -49,9 +49,6 @@ def make_world(**changes: Any) -> World:
 
 # --- Draws -----------------------------------------------------------------------------------------------
 
-KEY = (0xA4093822, 0x299F31D0)
-"""A key of the generator, from the digits of pi: the low word and the high one."""
-
 
 def philox_words(counter: tuple[int, int, int, int], key: tuple[int, int]) -> list[int]:
     """Return the four random words of one counter, by the function that takes many counters."""
@@ -61,31 +58,35 @@ def philox_words(counter: tuple[int, int, int, int], key: tuple[int, int]) -> li
 
 
 @pytest.mark.parametrize(
-    ("counter", "key", "words"),
+    ("counter", "key", "expected_words"),
     [
         ((0, 0, 0, 0), (0, 0), [0x6627E8D5, 0xE169C58D, 0xBC57AC4C, 0x9B00DBD8]),
         (
             (0x243F6A88, 0x85A308D3, 0x13198A2E, 0x03707344),
-            KEY,
+            (0xA4093822, 0x299F31D0),  # low word and high word
             [0xD16CFE09, 0x94FDCCEB, 0x5001E420, 0x24126EA1],
         ),
     ],
 )
 def test_random_numbers_are_those_of_the_generator_philox_4x32_10(
-    counter: tuple[int, int, int, int], key: tuple[int, int], words: list[int]
+    counter: tuple[int, int, int, int], key: tuple[int, int], expected_words: list[int]
 ) -> None:
     """It turns a counter and a key into four words, here those that its authors state (Random123)."""
-    assert philox_words(counter, key) == words
+    assert philox_words(counter, key) == expected_words
 
 
-def test_a_random_number_depends_on_step_robot_trial_and_purpose_alone() -> None:
-    """The generator makes the numbers of four steps from the counter (step // 4, robot, trial, purpose)."""
-    low_word, high_word = KEY
+def test_a_random_number_depends_on_seed_step_robot_trial_and_purpose_alone() -> None:
+    """The generator makes the numbers of four steps from the counter (step // 4, robot, trial, purpose).
+
+    Its key is the seed: the low 32 bits, and the high ones.
+    """
     purpose, trial, robot = 1, 7, 2
-    stream = Stream(purpose, seed=(high_word << 32) | low_word, trial=trial, robots=3)
-    words_by_robot = stream.draw_words(4).T
-    counter_of_steps_0_to_3 = (0, robot, trial, purpose)
-    assert words_by_robot[robot].tolist() == philox_words(counter_of_steps_0_to_3, KEY)
+    stream = Stream(purpose, seed=0x299F31D0_A4093822, trial=trial, robots=3)
+    words_of_steps_0_to_3 = stream.draw_words(4)[:, robot]  # from (steps, robots)
+
+    key = (0xA4093822, 0x299F31D0)
+    counter = (0, robot, trial, purpose)
+    assert words_of_steps_0_to_3.tolist() == philox_words(counter, key)
 
 
 @pytest.mark.parametrize("first_step", [0, 1, 3, 4, 6])
@@ -100,7 +101,8 @@ def test_random_numbers_of_a_step_do_not_depend_on_the_first_step_asked_for(firs
 def test_uniform_draws_are_the_middles_of_equal_intervals() -> None:
     """A draw is (word + 1/2) / 2**32, so that none is 0 or 1."""
     stream = Stream(SENSOR_STREAM, SEED, trial=0, robots=3)
-    assert np.array_equal(stream.draw_uniforms(5) * 2.0**32, stream.draw_words(5) + 0.5)
+    words = stream.draw_words(5)
+    assert np.array_equal(stream.draw_uniforms(5), (words + 0.5) / 2.0**32)
 
 
 # --- Observations ----------------------------------------------------------------------------------------
@@ -121,13 +123,15 @@ def test_each_random_number_becomes_black_with_the_probability_of_the_paper_s_eq
 ) -> None:
     """A robot observes black on black tiles, 2/5 of the floor, and by mistake on white ones, 3/5.
 
-    A number of 31 bits becomes black if it is below this probability times 2**31.
+    A number of 31 bits becomes black if it is below the sum of both probabilities, times 2**31. Four robots
+    observe in 200 steps.
     """
-    world = make_world(fill_ratio=0.4, true_accuracy=0.7, white_offset=white_offset)
-    probability_of_black = Fraction(2, 5) * Fraction(7, 10) + Fraction(3, 5) * (1 - accuracy_on_white)
-    is_below_limit = draws_of_31_bits() < float(probability_of_black * 2**31)
+    world = make_world(robots=4, fill_ratio=0.4, true_accuracy=0.7, white_offset=white_offset)
+    rightly_black = Fraction(2, 5) * Fraction(7, 10)
+    wrongly_black = Fraction(3, 5) * (1 - accuracy_on_white)
+    expected_black = draws_of_31_bits() < float((rightly_black + wrongly_black) * 2**31)
 
-    assert np.array_equal(world.advance(200).black, is_below_limit)
+    assert np.array_equal(world.advance(200).black, expected_black)
 
 
 def test_the_reported_accuracy_of_a_sensor_is_the_mean_of_those_on_black_and_on_white() -> None:
@@ -137,13 +141,16 @@ def test_the_reported_accuracy_of_a_sensor_is_the_mean_of_those_on_black_and_on_
 
 
 def test_moving_robots_observe_the_colour_under_them_with_the_accuracy_of_their_sensor() -> None:
-    """They observe black with probability 0.75 on black tiles, and 1 - 0.875 on white ones."""
-    settings = make_settings(topology="dynamic", fill_ratio=0.4, true_accuracy=0.75, white_offset=0.125)
-    is_black_floor = Arena(settings, trial=0).record(200).black.astype(bool)
-    probability_of_black = np.where(is_black_floor, 0.75, 1 - 0.875)
+    """Four robots observe in 200 steps. The accuracy is 0.75 on black tiles, and 0.125 more on white ones.
 
-    black = World(settings).advance(200).black
-    assert np.array_equal(black, draws_of_31_bits() < probability_of_black * 2**31)
+    A random number of 31 bits becomes black if it is below the probability of black, times 2**31.
+    """
+    settings = make_settings(topology="dynamic", fill_ratio=0.4, true_accuracy=0.75, white_offset=0.125)
+    is_on_black_tile = Arena(settings, trial=0).record(200).black.astype(bool)  # by step and robot
+    probability_of_black = np.where(is_on_black_tile, 0.75, 1 - 0.875)
+    expected_black = draws_of_31_bits() < probability_of_black * 2**31
+
+    assert np.array_equal(World(settings).advance(200).black, expected_black)
 
 
 @pytest.mark.parametrize("topology", ["fully-connected", "dynamic"])
@@ -151,12 +158,15 @@ def test_moving_robots_observe_the_colour_under_them_with_the_accuracy_of_their_
 def test_a_draw_is_observed_as_black_only_if_it_is_below_the_probability_of_black(
     true_accuracy: float, is_black: bool, topology: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The floor is black, and all draws are 3/4. The accuracy of the sensor is 3/4, or a unit above."""
+    """The floor is black, and all draws are 3/4. The accuracy of the sensor is 3/4, or a unit above.
 
-    def draw_words(stream: Stream, steps: int, first_step: int = 0) -> NDArray[np.uint32]:
-        return np.full((steps, stream.robots), 0.75 * 2**32, np.uint32)  # a draw is a word by 2**32
+    So the probability of black is the accuracy.
+    """
 
-    monkeypatch.setattr(Stream, "draw_words", draw_words)
+    def draw_three_quarters(stream: Stream, steps: int, first_step: int = 0) -> NDArray[np.uint32]:
+        return np.full((steps, stream.robots), 0.75 * 2**32, np.uint32)  # words are draws times 2**32
+
+    monkeypatch.setattr(Stream, "draw_words", draw_three_quarters)
     world = make_world(topology=topology, fill_ratio=1.0, true_accuracy=true_accuracy)
 
     assert (world.advance(20).black == is_black).all()
@@ -164,18 +174,23 @@ def test_a_draw_is_observed_as_black_only_if_it_is_below_the_probability_of_blac
 
 def test_robots_of_other_trials_and_seeds_observe_differently() -> None:
     """Twelve robots, four in each of three worlds, have twelve different sequences of observations."""
-    black = World(make_settings(), trial=0).advance(200).black
-    black_in_other_trial = World(make_settings(), trial=1).advance(200).black
-    black_with_other_seed = World(make_settings(seed=SEED + 1), trial=0).advance(200).black
-    black_of_all = np.hstack([black, black_in_other_trial, black_with_other_seed])  # by step and robot
+    worlds = [
+        World(make_settings(seed=1), trial=0),
+        World(make_settings(seed=1), trial=1),
+        World(make_settings(seed=2), trial=0),
+    ]
+    sequences = set()
+    for world in worlds:
+        observations = world.advance(200).black  # by step and robot
+        for robot in range(4):
+            sequences.add(tuple(observations[:, robot]))
 
-    different_observations = np.unique(black_of_all, axis=1)
-    assert different_observations.shape == (200, 12)
+    assert len(sequences) == 12
 
 
 def test_what_a_robot_observes_does_not_depend_on_the_size_of_the_swarm() -> None:
     """The first four robots of thirty observe what four robots alone do."""
-    black_in_small_swarm = make_world(robots=4).advance(200).black
+    black_in_small_swarm = make_world(robots=4).advance(200).black  # by step and robot
     black_in_large_swarm = make_world(robots=30).advance(200).black
     assert np.array_equal(black_in_small_swarm, black_in_large_swarm[:, :4])
 
@@ -185,19 +200,24 @@ def test_what_a_robot_observes_does_not_depend_on_the_size_of_the_swarm() -> Non
 
 @pytest.mark.parametrize("period", [1, 3])
 def test_robots_observe_in_the_last_step_of_each_observation_period(period: int) -> None:
+    """Steps are counted from 0, so with a period of 3 they observe in steps 2, 5, 8 and so on."""
     observes = make_world(observation_period=period).advance(200).observes
-    assert np.flatnonzero(observes).tolist() == list(range(period - 1, 200, period))
+    steps_with_observations = np.flatnonzero(observes).tolist()
+    assert steps_with_observations == list(range(period - 1, 200, period))
 
 
 @in_each_world
 def test_a_world_is_the_same_however_many_steps_are_taken_at_once(changes: dict[str, Any]) -> None:
-    """200 steps at once give the same four arrays as four parts of 200 steps, joined."""
-    scene = make_world(**changes).advance(200)
+    """200 steps at once give the same four arrays as 7, 1, 130 and 62 steps, joined.
+
+    The worlds differ in some settings, such as the topology.
+    """
+    scene_at_once = make_world(**changes).advance(200)
     world = make_world(**changes)
-    parts = [world.advance(steps) for steps in (7, 1, 130, 62)]
+    scenes = [world.advance(steps) for steps in (7, 1, 130, 62)]
     for name in ("black", "observes", "neighbours", "accuracy"):
-        values_of_parts = np.concatenate([getattr(part, name) for part in parts])
-        assert np.array_equal(values_of_parts, getattr(scene, name)), name
+        joined_values = np.concatenate([getattr(scene, name) for scene in scenes])
+        assert np.array_equal(joined_values, getattr(scene_at_once, name)), name
 
 
 @in_each_world
@@ -205,16 +225,16 @@ def test_observations_after_skipped_steps_are_the_same_as_if_these_had_been_take
     changes: dict[str, Any],
 ) -> None:
     """The last 63 of 200 steps have the same observations. The first 137 are skipped in two parts."""
-    scene = make_world(**changes).advance(200)
+    scene_without_skipping = make_world(**changes).advance(200)
     world = make_world(**changes)
     world.skip(7)
     world.skip(130)
-    after_skipped_steps = world.advance(63)
+    scene_after_skipping = world.advance(63)
 
-    assert np.array_equal(after_skipped_steps.black, scene.black[7 + 130 :])
+    assert np.array_equal(scene_after_skipping.black, scene_without_skipping.black[7 + 130 :])
 
 
-def observations_in(scene: Scene) -> list[list[Observation | None]]:
+def observations_by_step(scene: Scene) -> list[list[Observation | None]]:
     """Return the observations of all robots by step; None in steps without an observation."""
     observations: list[list[Observation | None]] = []
     for step, robots_observe in enumerate(scene.observes.tolist()):
@@ -227,10 +247,13 @@ def observations_in(scene: Scene) -> list[list[Observation | None]]:
 
 @in_each_world
 def test_a_world_taken_step_by_step_equals_a_world_of_all_steps_at_once(changes: dict[str, Any]) -> None:
-    """In each of 200 steps robots meet the same things in both. Only moving robots have positions."""
+    """In each of 200 steps both have the same observations, neighbours, accuracies and positions.
+
+    Only moving robots have positions.
+    """
     scene = make_world(**changes).advance(200)
     stepped_world = SteppedWorld(make_settings(**changes))
-    for step, expected_observations in enumerate(observations_in(scene)):
+    for step, expected_observations in enumerate(observations_by_step(scene)):
         assert list(stepped_world.step()) == expected_observations
         assert np.array_equal(stepped_world.current_neighbours, scene.neighbours[step])
         assert np.array_equal(stepped_world.accuracy, scene.accuracy[step])
@@ -239,14 +262,14 @@ def test_a_world_taken_step_by_step_equals_a_world_of_all_steps_at_once(changes:
             assert np.array_equal(stepped_world.positions, scene.positions[step])
 
 
-@pytest.mark.parametrize("topology", [{}, {"topology": "graph", "graph": "0 1; 1 > 2"}])
+@pytest.mark.parametrize("topology", [{"topology": "fully-connected"}, {"topology": "graph", "graph": "0 1"}])
 def test_robots_that_do_not_move_have_no_positions(topology: dict[str, str]) -> None:
     """``positions`` is None if 200 steps are taken at once, and step by step."""
-    scene = make_world(**topology).advance(200)
+    scene_at_once = make_world(**topology).advance(200)
     stepped_world = SteppedWorld(make_settings(**topology))
     stepped_world.step()
 
-    assert scene.positions is None
+    assert scene_at_once.positions is None
     assert stepped_world.positions is None
 
 
@@ -257,7 +280,7 @@ CODE_FLOOR: dict[str, Any] = {**MOVING_ROBOTS, "floor": "code"}
 
 
 @pytest.mark.parametrize(
-    ("changes", "parameter", "message"),
+    ("changes", "wrong_parameter", "expected_message"),
     [
         ({"fill_ratio": math.nan}, "fill_ratio", "fill_ratio is nan; give a number"),
         ({"robots": 2.5}, "robots", "robots is 2.5; give a whole number"),
@@ -307,17 +330,18 @@ CODE_FLOOR: dict[str, Any] = {**MOVING_ROBOTS, "floor": "code"}
     ],
 )
 def test_settings_of_a_world_that_contradict_each_other_are_refused(
-    changes: dict[str, Any], parameter: str, message: str
+    changes: dict[str, Any], wrong_parameter: str, expected_message: str
 ) -> None:
     """The ``key`` of the error is the parameter that is wrong, and the text says what would be right."""
-    with pytest.raises(ParameterError) as caught:
-        WorldSettings(**{"robots": 4} | changes)
-    assert caught.value.key == parameter
-    assert message in str(caught.value)
+    parameters: dict[str, Any] = {"robots": 4} | changes
+    with pytest.raises(ParameterError) as raised:
+        WorldSettings(**parameters)
+    assert raised.value.key == wrong_parameter
+    assert expected_message in str(raised.value)
 
 
 @pytest.mark.parametrize(
-    "changes",
+    "parameters",
     [
         {"robots": 128},
         {"robots": 129, "topology": "graph", "graph": "0 128"},
@@ -329,21 +353,23 @@ def test_settings_of_a_world_that_contradict_each_other_are_refused(
         {**CODE_FLOOR, "fill_ratio": 0.8799},
     ],
 )
-def test_settings_at_a_limit_are_accepted(changes: dict[str, Any]) -> None:
-    """Such settings are kept unchanged, except a graph. Values just beyond the limit are refused."""
-    settings = WorldSettings(**changes)
-    accepted = {name: getattr(settings, name) for name in changes if name != "graph"}
-    assert accepted == {name: value for name, value in changes.items() if name != "graph"}
+def test_settings_at_a_limit_are_accepted(parameters: dict[str, Any]) -> None:
+    """They raise no error and are kept unchanged. Only a graph, which is given as a text, is parsed."""
+    settings = WorldSettings(**parameters)
+    for name, value in parameters.items():
+        if name != "graph":
+            assert getattr(settings, name) == value, name
 
 
 @pytest.mark.parametrize(
-    ("name", "advice"), [("robotz", "did you mean robots"), ("zzz", "known are robots, topology, ")]
+    ("unknown_name", "expected_advice"),
+    [("robotz", "did you mean robots"), ("zzz", "known are robots, topology, ")],
 )
 def test_an_unknown_parameter_is_refused_with_the_nearest_known_one_or_with_all(
-    name: str, advice: str
+    unknown_name: str, expected_advice: str
 ) -> None:
-    with pytest.raises(ParameterError, match=f"unknown key '{name}'; {advice}"):
-        WorldSettings.from_parameters({name: 3})
+    with pytest.raises(ParameterError, match=f"unknown key '{unknown_name}'; {expected_advice}"):
+        WorldSettings.from_parameters({unknown_name: 3})
 
 
 # --- Recordings of earlier versions ----------------------------------------------------------------------
@@ -351,12 +377,12 @@ def test_an_unknown_parameter_is_refused_with_the_nearest_known_one_or_with_all(
 
 def test_a_recording_with_former_parameters_that_had_no_effect_opens() -> None:
     """The former parameters of drifting sensors are dropped, as there is no drift."""
-    recorded = {"robots": 4, "drift_spread": 0.0, "drift_period": 1000, "drift_diffusion": 0.0}
-    assert WorldSettings.from_recording(recorded) == WorldSettings(robots=4)
+    recorded_parameters = {"robots": 4, "drift_spread": 0.0, "drift_period": 1000, "drift_diffusion": 0.0}
+    assert WorldSettings.from_recording(recorded_parameters) == WorldSettings(robots=4)
 
 
 @pytest.mark.parametrize(
-    ("recorded", "message"),
+    ("recorded_parameters", "expected_message"),
     [
         (
             {"drift": "linear", "drift_rate": -1e-5, "drift_spread": 1e-6},
@@ -366,18 +392,18 @@ def test_a_recording_with_former_parameters_that_had_no_effect_opens() -> None:
     ],
 )
 def test_a_recording_with_former_parameters_that_had_an_effect_is_refused(
-    recorded: dict[str, Any], message: str
+    recorded_parameters: dict[str, Any], expected_message: str
 ) -> None:
-    """Sensors drifted in several ways in earlier versions."""
-    with pytest.raises(ParameterError, match=message):
-        WorldSettings.from_recording(recorded)
+    """In earlier versions sensors drifted in several ways, which a replay could not compute any more."""
+    with pytest.raises(ParameterError, match=expected_message):
+        WorldSettings.from_recording(recorded_parameters)
 
 
 # --- Moving worlds ---------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
-    ("changes", "sides"),
+    ("parameters", "expected_sides"),
     [
         ({}, (5.5486, 5.5486)),  # the density of the paper
         ({"density": 1.0}, (math.sqrt(20 * math.pi * 0.7**2 / 1.0),) * 2),
@@ -385,28 +411,29 @@ def test_a_recording_with_former_parameters_that_had_an_effect_is_refused(
     ],
 )
 def test_the_floor_of_20_moving_robots_is_a_square_of_their_density_unless_its_sides_are_given(
-    changes: dict[str, Any], sides: tuple[float, float]
+    parameters: dict[str, Any], expected_sides: tuple[float, float]
 ) -> None:
-    """Density is the number of robots times the area of a radio's range, 0.7 m, by the area of the floor."""
-    settings = WorldSettings(topology="dynamic", robots=20, **changes)
-    assert settings.sides == pytest.approx(sides, abs=1e-4)
+    """Density is the number of robots times the area of a radio's range, 0.7 m, by the area of the floor.
+
+    ``sides`` are width and height in metres.
+    """
+    settings = WorldSettings(topology="dynamic", robots=20, **parameters)
+    assert settings.sides == pytest.approx(expected_sides, abs=1e-4)
 
 
 def test_every_setting_of_moving_robots_reaches_their_simulation_in_c() -> None:
     """Most have the same name there. A tick is a step in seconds, and the seed is derived for the trial."""
     same_in_c = {"robots": 2, "width": 2.0, "height": 1.5, "speed": 0.1, "tile": 0.02, "fill_ratio": 0.4}
-    settings = make_settings(**same_in_c, topology="dynamic", radio_range=0.5, steps_per_second=20)
+    settings = make_settings(**same_in_c, topology="dynamic", radio_range=0.5, steps_per_second=20, seed=11)
 
     members_in_c, _ = make_config(settings, trial=0, ffi=_arena.ffi)
 
-    assert members_in_c == {**same_in_c, "range": 0.5, "tick": 1 / 20, "seed": arena_seed(SEED, trial=0)}
+    other_members = {"range": 0.5, "tick": 1 / 20, "seed": arena_seed(11, trial=0)}
+    assert members_in_c == same_in_c | other_members
 
 
 LEAST_FILL_RATIO_OF_CODES = (3 * 33 + 2 * 42) / 100**2
 """Share of black in three finder patterns, of 33 modules, and two timing lines, of 42, among 10^4 modules."""
-FINDER_PATTERN_SIDE = 7
-BLACK_IN_FINDER_PATTERN = 24 + 9
-"""Black modules of a finder pattern: its frame, and a square of 3 x 3 in its middle."""
 FILL_RATIOS_OF_CODES = [0.448, 0.5001, 0.8, LEAST_FILL_RATIO_OF_CODES]
 
 
@@ -415,40 +442,46 @@ def test_a_floor_like_a_qr_code_has_exactly_the_chosen_share_of_black_and_a_whit
     fill_ratio: float,
 ) -> None:
     """So many of its 100 x 100 modules are black. The 32 x 32 in the middle are all white, for a logo."""
-    code = make_floor_code(fill_ratio)
-    middle = slice(34, 66)
-    assert code.shape == (100, 100)
-    assert code.sum() == round(fill_ratio * 100 * 100)
-    assert not code[middle, middle].any()
+    is_black = make_floor_code(fill_ratio)  # by row and column
+    middle_of_code = is_black[34:66, 34:66]
+    assert is_black.shape == (100, 100)
+    assert is_black.sum() == round(fill_ratio * 100 * 100)
+    assert not middle_of_code.any()
 
 
 @pytest.mark.parametrize("fill_ratio", FILL_RATIOS_OF_CODES)
 def test_a_floor_like_a_qr_code_has_finder_patterns_in_three_corners(fill_ratio: float) -> None:
-    """The squares of 7 x 7 modules there, by which a reader finds the corners, have 33 black modules."""
-    code = make_floor_code(fill_ratio)
-    first, last = slice(0, FINDER_PATTERN_SIDE), slice(-FINDER_PATTERN_SIDE, None)
-    assert code[first, first].sum() == BLACK_IN_FINDER_PATTERN
-    assert code[first, last].sum() == BLACK_IN_FINDER_PATTERN
-    assert code[last, first].sum() == BLACK_IN_FINDER_PATTERN
+    """A reader finds the corners by these squares of 7 x 7 modules.
+
+    The 24 modules of a square's frame are black, and the 9 in its middle.
+    """
+    is_black = make_floor_code(fill_ratio)  # by row and column
+    corners = [is_black[:7, :7], is_black[:7, -7:], is_black[-7:, :7]]
+    for corner in corners:
+        assert corner.sum() == 24 + 9
 
 
 @pytest.mark.parametrize("fill_ratio", FILL_RATIOS_OF_CODES)
 def test_a_floor_like_a_qr_code_has_two_lines_of_black_and_white_in_turn(fill_ratio: float) -> None:
-    """A row and a column run from one finder pattern to the next. Readers count modules by them."""
-    code = make_floor_code(fill_ratio)
-    line = FINDER_PATTERN_SIDE - 1  # the last row and column of the first pattern
-    margin = FINDER_PATTERN_SIDE + 1  # a pattern and a white module beside it
-    between_patterns = slice(margin, 100 - margin)
+    """A row and a column run from one finder pattern to the next. Readers count modules by them.
 
-    black_and_white = [True, False] * ((100 - 2 * margin) // 2)
-    assert code[line, between_patterns].tolist() == black_and_white
-    assert code[between_patterns, line].tolist() == black_and_white
+    A pattern is in the first and the last 7 of 100 modules, and has a white module beside it.
+    """
+    is_black = make_floor_code(fill_ratio)  # by row and column
+    row_between_patterns = is_black[6, 8:92]
+    column_between_patterns = is_black[8:92, 6]
+
+    black_and_white = [True, False] * 42
+    assert row_between_patterns.tolist() == black_and_white
+    assert column_between_patterns.tolist() == black_and_white
 
 
 def test_a_floor_like_a_qr_code_is_always_the_same() -> None:
     """It equals the golden file, in which each character is a module: # is black."""
-    rows = ["".join("#" if is_black else "." for is_black in row) for row in make_floor_code(0.448)]
-    assert_equals_golden_file("floor_code.txt", rows)
+    lines = []
+    for row in make_floor_code(fill_ratio=0.448):
+        lines.append("".join("#" if is_black else "." for is_black in row))
+    assert_equals_golden_file("floor_code.txt", lines)
 
 
 # --- Extensions ------------------------------------------------------------------------------------------
@@ -459,18 +492,16 @@ def extension_whose_advance_returns(answer: object) -> Any:
     return SimpleNamespace(advance=lambda steps: answer)
 
 
-VALID_ACCURACIES = np.full((1, 1), 0.5)
-
-
 @pytest.mark.parametrize("accuracies", [np.full((5, 4), 0.5), np.ones((1, 1)), np.zeros((1, 4))])
 def test_accuracies_of_an_extension_may_be_alike_for_all_steps_or_robots(
     accuracies: NDArray[np.float64],
 ) -> None:
     """One row stands for all 5 steps, one column for all 4 robots. The arrays are returned unchanged."""
-    extension = extension_whose_advance_returns((VALID_ACCURACIES, accuracies))
-    sensors = CheckedSensors(extension, make_settings())
+    one_accuracy = np.full((1, 1), 0.5)  # in all steps, of all robots
+    extension = extension_whose_advance_returns((one_accuracy, accuracies))
+    sensors = CheckedSensors(extension, make_settings(robots=4))
     on_black, on_white = sensors.advance(5)
-    assert on_black is VALID_ACCURACIES
+    assert on_black is one_accuracy
     assert on_white is accuracies
 
 
@@ -479,7 +510,7 @@ WRONG_SHAPE = r"gives shape .*; return \(5 or 1, 4 or 1\)"  # for 5 steps and 4 
 
 @pytest.mark.parametrize("is_on_white", [False, True])
 @pytest.mark.parametrize(
-    ("shape", "accuracy", "message"),
+    ("shape", "accuracy", "expected_message"),
     [
         ((4,), 0.5, WRONG_SHAPE),
         ((2, 4), 0.5, WRONG_SHAPE),
@@ -490,14 +521,19 @@ WRONG_SHAPE = r"gives shape .*; return \(5 or 1, 4 or 1\)"  # for 5 steps and 4 
     ],
 )
 def test_accuracies_of_an_extension_of_a_wrong_shape_or_outside_0_to_1_are_refused(
-    shape: tuple[int, ...], accuracy: float, message: str, is_on_white: bool
+    shape: tuple[int, ...], accuracy: float, expected_message: str, is_on_white: bool
 ) -> None:
-    """A sensor model of the user's gives them for black or white tiles. The error says what to return."""
-    accuracies = np.full(shape, accuracy)
-    answer = (VALID_ACCURACIES, accuracies) if is_on_white else (accuracies, VALID_ACCURACIES)
-    sensors = CheckedSensors(extension_whose_advance_returns(answer), make_settings())
+    """A sensor model of the user's gives them for black or white tiles. The error says what to return.
 
-    with pytest.raises(UsageError, match=message):
+    There are 4 robots and 5 steps.
+    """
+    right_accuracies, wrong_accuracies = np.full((1, 1), 0.5), np.full(shape, accuracy)
+    on_black = right_accuracies if is_on_white else wrong_accuracies
+    on_white = wrong_accuracies if is_on_white else right_accuracies
+    extension = extension_whose_advance_returns((on_black, on_white))
+    sensors = CheckedSensors(extension, make_settings(robots=4))
+
+    with pytest.raises(UsageError, match=expected_message):
         sensors.advance(5)
 
 
@@ -505,9 +541,11 @@ def test_a_sensor_model_of_the_user_takes_the_place_of_the_built_in_one() -> Non
     """The user's model has the accuracies 1/4 on black tiles and 3/4 on white ones, in all of 5 steps."""
 
     def make_extension(settings: WorldSettings, trial: int) -> Any:
-        return extension_whose_advance_returns((np.full((1, 1), 0.25), np.full((1, 1), 0.75)))
+        on_black, on_white = np.full((1, 1), 0.25), np.full((1, 1), 0.75)  # of all steps and robots
+        return extension_whose_advance_returns((on_black, on_white))
 
-    on_black, on_white = make_sensor_model(make_settings(sensor=make_extension), 0).advance(5)
+    sensor_model = make_sensor_model(make_settings(sensor=make_extension), trial=0)
+    on_black, on_white = sensor_model.advance(5)
 
     assert on_black.tolist() == [[0.25]]
     assert on_white.tolist() == [[0.75]]
@@ -525,76 +563,86 @@ def test_a_sensor_that_breaks_its_promise_of_one_accuracy_is_refused() -> None:
         def advance(self, steps: int) -> Any:
             return np.full((1, 1), 0.9), np.full((1, 1), 0.8)
 
-    sensors = make_sensor_model(make_settings(sensor=Sensors), 0)
+    sensors = make_sensor_model(make_settings(sensor=Sensors), trial=0)
     with pytest.raises(UsageError, match="on white tiles that differ from those on black ones; remove has_"):
         sensors.advance(5)
 
 
-NO_NEIGHBOURS = np.zeros((5, 4, 4), np.bool_)
-
-
 def test_right_neighbours_of_an_extension_are_passed_on_unchanged() -> None:
     """The array of a user's topology, by step, receiver and sender, comes out of the check itself."""
-    topology = CheckedTopology(extension_whose_advance_returns(NO_NEIGHBOURS), "mine", robots=4)
-    assert topology.advance(5) is NO_NEIGHBOURS
+    neighbours = np.zeros((5, 4, 4), np.bool_)
+    extension = extension_whose_advance_returns(neighbours)
+    topology = CheckedTopology(extension, "mine", robots=4)
+    assert topology.advance(5) is neighbours
 
 
 @pytest.mark.parametrize(
-    ("neighbours", "message"),
+    ("wrong_neighbours", "expected_message"),
     [
         (np.zeros((4, 4, 4), np.bool_), "gives bool of shape"),
         (np.zeros((5, 4, 4), np.int64), "gives int64 of shape"),
-        (NO_NEIGHBOURS | np.eye(4, dtype=np.bool_), "a robot hears itself"),
+        (np.zeros((5, 4, 4), np.bool_) | np.eye(4, dtype=np.bool_), "a robot hears itself"),
     ],
     ids=["4 steps in place of 5", "numbers", "each robot its own neighbour"],
 )
-def test_wrong_neighbours_of_an_extension_are_refused(neighbours: NDArray[Any], message: str) -> None:
-    """A topology gives truth values by step, receiver and sender. The error says what is wrong."""
-    topology = CheckedTopology(extension_whose_advance_returns(neighbours), "mine", robots=4)
-    with pytest.raises(UsageError, match=message):
+def test_wrong_neighbours_of_an_extension_are_refused(
+    wrong_neighbours: NDArray[Any], expected_message: str
+) -> None:
+    """A topology gives truth values by step, receiver and sender. The error says what is wrong.
+
+    There are 4 robots and 5 steps.
+    """
+    extension = extension_whose_advance_returns(wrong_neighbours)
+    topology = CheckedTopology(extension, "mine", robots=4)
+    with pytest.raises(UsageError, match=expected_message):
         topology.advance(5)
 
 
 # --- Drifting sensors ------------------------------------------------------------------------------------
 
 
-def true_accuracies(settings: WorldSettings) -> NDArray[np.float64]:
-    """Return the accuracies of trial 0 by step and robot; they must be the same on both colours."""
+def accuracies_by_step_and_robot(settings: WorldSettings) -> NDArray[np.float64]:
+    """Return the true accuracies of trial 0; they must be the same on both colours."""
     black, white = make_sensor_model(settings, 0).advance(settings.steps)
     assert white is black
     return black
 
 
 def test_without_drift_the_accuracy_is_one_number_for_all_steps_and_robots() -> None:
-    assert true_accuracies(WorldSettings(steps=1000)).tolist() == [[0.95]]
+    """The array has one row, which stands for all 1000 steps, and one column, for all robots."""
+    settings = WorldSettings(steps=1000, true_accuracy=0.9)
+    assert accuracies_by_step_and_robot(settings).tolist() == [[0.9]]
 
 
 def test_a_linear_drift_ends_at_the_lowest_accuracy() -> None:
-    """It begins at 0.95, loses a thousandth in each step, and stays 0.6 from step 350 on."""
-    settings = WorldSettings(steps=1000, drift="linear", drift_rate=-1e-3, lowest_accuracy=0.6)
-    [accuracy_by_step] = true_accuracies(settings).T  # the same for all robots
+    """It begins at 0.9, loses a thousandth in each step, and stays 0.6 from step 300 on."""
+    settings = WorldSettings(
+        steps=1000, drift="linear", true_accuracy=0.9, drift_rate=-1e-3, lowest_accuracy=0.6
+    )
+    accuracies = accuracies_by_step_and_robot(settings)
+    assert accuracies.shape == (1000, 1)  # one column stands for all robots
 
-    expected = [max(0.95 - step * 1e-3, 0.6) for step in range(1000)]
-    assert accuracy_by_step == pytest.approx(expected)
+    expected_accuracies = [max(0.9 - step * 1e-3, 0.6) for step in range(1000)]
+    assert accuracies[:, 0] == pytest.approx(expected_accuracies)
 
 
 def test_a_drift_that_starts_at_the_lowest_accuracy_stays_there() -> None:
     settings = WorldSettings(steps=1000, drift="linear", true_accuracy=0.6, lowest_accuracy=0.6)
-    assert np.unique(true_accuracies(settings)).tolist() == [0.6]
+    assert np.all(accuracies_by_step_and_robot(settings) == 0.6)
 
 
 @pytest.mark.parametrize(
-    ("choice", "accuracies"),
+    ("choice", "expected_accuracies"),
     [
         ({"drift_of": "flawed"}, [0.95 - 99 * 1e-3, 0.95, 0.95, 0.95]),
         ({}, [0.95 - 99 * 1e-3]),  # one accuracy for all robots
     ],
 )
 def test_sensors_drift_in_all_robots_unless_only_flawed_robots_are_to_drift(
-    choice: dict[str, Any], accuracies: list[float]
+    choice: dict[str, Any], expected_accuracies: list[float]
 ) -> None:
     """The first of four robots is flawed. An accuracy of 0.95 loses a thousandth in each of 99 steps."""
-    drift: dict[str, Any] = {"drift": "linear", "drift_rate": -1e-3}
+    drift: dict[str, Any] = {"drift": "linear", "drift_rate": -1e-3, "true_accuracy": 0.95}
     settings = Population(robots=4, flawed=1, steps=100, **drift, **choice)
-    *_, accuracies_in_last_step = true_accuracies(settings)
-    assert accuracies_in_last_step.tolist() == pytest.approx(accuracies)
+    *_, accuracies_in_last_step = accuracies_by_step_and_robot(settings)
+    assert accuracies_in_last_step.tolist() == pytest.approx(expected_accuracies)
