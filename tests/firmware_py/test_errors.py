@@ -38,14 +38,13 @@ from robots import (
 
 B_HAT_MARGIN = 2.0**-20
 """How far an accuracy has to be from 0 and 1."""
-ADAPTIVE = Config(table=TABLE, filter_period=1)
 
 BELOW_0 = -1e-9
 ABOVE_1 = math.nextafter(1, 2)
 
 
-def visible_state(robot: Robot) -> dict[str, object]:
-    """Return all that a robot shows of itself but the counter of rejected messages."""
+def visible_state_without_rejected_count(robot: Robot) -> dict[str, object]:
+    """Return by name all that a robot shows of itself, except the number of rejected messages."""
     names = ("t", "n", "b_hat", "x_hat", "alpha", "x_bar", "beta", "x")
     values: dict[str, object] = {name: getattr(robot, name) for name in names}
     return {**values, "counters": replace(robot.counters, rejected=0)}
@@ -54,7 +53,7 @@ def visible_state(robot: Robot) -> dict[str, object]:
 # --- Messages --------------------------------------------------------------------------------------------
 
 
-def make_robot_with_memory(firmware: Firmware) -> Robot:
+def make_used_robot(firmware: Firmware) -> Robot:
     """Make a robot that has seen three tiles and received a message, which an error must not change."""
     robot = make_robot(firmware)
     observe_tiles(robot, black=2, white=1)
@@ -66,7 +65,7 @@ def make_robot_with_memory(firmware: Firmware) -> Robot:
 @for_every_firmware
 @pytest.mark.parametrize("sender", [OWN_ID, 128, -1, 256 + 4])  # the last is 4 in a byte of C
 def test_a_message_of_an_invalid_sender_is_rejected(firmware: Firmware, sender: int) -> None:
-    """Ids are 0 to 127, and a robot receives no message of its own. The error names the sender."""
+    """An invalid sender is the robot's own id or outside 0 to 127. The error names it."""
     robot = make_robot(firmware)
 
     with pytest.raises(FirmwareError, match=f"sender is {sender};") as error:
@@ -78,14 +77,19 @@ def test_a_message_of_an_invalid_sender_is_rejected(firmware: Firmware, sender: 
 @for_every_firmware
 @pytest.mark.parametrize("sender", [0, 127])
 def test_the_smallest_and_the_largest_id_may_send(firmware: Firmware, sender: int) -> None:
-    assert make_robot(firmware).receive(sender, x_hat=0.5, alpha=1.0) == Status.OK
+    """These ids are 0 and 127."""
+    robot = make_robot(firmware)
+    assert robot.receive(sender, x_hat=0.5, alpha=1.0) == Status.OK
 
 
 # design: R5
 @for_every_firmware
 @pytest.mark.parametrize("x_hat", [ABOVE_1, BELOW_0, math.nan, math.inf])
 def test_a_message_with_an_estimate_beyond_0_and_1_is_rejected(firmware: Firmware, x_hat: float) -> None:
-    """x_hat is the share of black tiles that the sender estimates. The error names it."""
+    """x_hat is the share of black tiles that the sender estimates.
+
+    Here it is just below 0, just above 1, infinite or not a number. The error names it.
+    """
     robot = make_robot(firmware)
 
     with pytest.raises(FirmwareError, match=re.escape(f"x_hat is {x_hat};")) as error:
@@ -97,8 +101,9 @@ def test_a_message_with_an_estimate_beyond_0_and_1_is_rejected(firmware: Firmwar
 @for_every_firmware
 def test_if_sender_and_estimate_are_wrong_the_sender_is_reported(firmware: Firmware) -> None:
     """Ids are 0 to 127, and estimates 0 to 1."""
+    robot = make_robot(firmware)
     with pytest.raises(FirmwareError, match="sender is 128;"):
-        make_robot(firmware).receive(sender=128, x_hat=2.0, alpha=1.0)
+        robot.receive(sender=128, x_hat=2.0, alpha=1.0)
 
 
 # design: R5
@@ -107,15 +112,15 @@ def test_if_sender_and_estimate_are_wrong_the_sender_is_reported(firmware: Firmw
 def test_a_rejected_message_is_counted_and_changes_nothing_else(
     firmware: Firmware, sender: int, x_hat: float
 ) -> None:
-    """It has an id above 127 or an estimate above 1, and raises an error."""
-    robot = make_robot_with_memory(firmware)
-    state_before = visible_state(robot)
+    """Its sender is above 127, or its estimate x_hat above 1. It raises an error, too."""
+    robot = make_used_robot(firmware)
+    state_before = visible_state_without_rejected_count(robot)
 
     with pytest.raises(FirmwareError):
         robot.receive(sender, x_hat, alpha=1.0)
 
     assert robot.counters.rejected == 1
-    assert visible_state(robot) == state_before
+    assert visible_state_without_rejected_count(robot) == state_before
 
 
 @for_every_firmware
@@ -124,17 +129,18 @@ def test_a_rejected_message_is_counted_and_changes_nothing_else(
 def test_an_alpha_that_is_no_confidence_raises_and_changes_nothing(
     firmware: Firmware, alpha: float, sender: int, x_hat: float
 ) -> None:
-    """A confidence is finite and not negative. No bus can carry an invalid confidence; a wrong program can.
+    """A confidence is finite and not negative; here alpha is -0.0, below 0, infinite or not a number.
 
-    So the message is not counted as rejected, whether or not its sender and its x_hat are valid.
+    No bus can carry such an alpha, only a wrong program can pass it. So the message is not even counted as
+    rejected, whether its sender and its x_hat are valid or both are not.
     """
-    robot = make_robot_with_memory(firmware)
-    state_before, counters_before = visible_state(robot), robot.counters
+    robot = make_used_robot(firmware)
+    state_before, counters_before = visible_state_without_rejected_count(robot), robot.counters
 
     with pytest.raises(ValueError, match="alpha is"):
         robot.receive(sender, x_hat, alpha)
 
-    assert visible_state(robot) == state_before
+    assert visible_state_without_rejected_count(robot) == state_before
     assert robot.counters == counters_before
     # REPEATED would show that the robot had received a message of sender 2.
     assert robot.receive(sender=2, x_hat=0.5, alpha=1.0) == Status.OK
@@ -142,7 +148,7 @@ def test_an_alpha_that_is_no_confidence_raises_and_changes_nothing(
 
 @for_fixed_point_firmwares
 @pytest.mark.parametrize(
-    ("sender", "x_hat", "error"),
+    ("sender", "x_hat", "expected_error"),
     [
         (-1, 0, Status.ERR_SENDER),
         (255, 0, Status.ERR_SENDER),
@@ -154,21 +160,26 @@ def test_an_alpha_that_is_no_confidence_raises_and_changes_nothing(
     ],
 )
 def test_a_raw_message_with_a_number_out_of_range_or_too_long_for_c_is_rejected(
-    firmware: FixedPointFirmware, sender: int, x_hat: int, error: Status
+    firmware: FixedPointFirmware, sender: int, x_hat: int, expected_error: Status
 ) -> None:
-    """A raw message has whole numbers, as on a bus. x_hat is from 0 to ONE, and an id from 0 to 127."""
+    """A raw message has whole numbers: a sender from 0 to 127, and x_hat from 0 to 2**23, which stands for 1.
+
+    Some numbers here would be valid if C cut off their high bits, such as sender 260, which is 4 in a byte.
+    """
     robot = firmware(NO_FILTER, OWN_ID, b_hat=0.75)
     state_before = robot.state()
 
     status = robot.receive_raw(sender, x_hat, alpha=0)
 
-    assert status == error
-    assert robot.state() == {**state_before, "rejected": 1}
+    assert status == expected_error
+    state_after = robot.state()
+    assert state_after == {**state_before, "rejected": 1}, "nothing else changes"
 
 
 @for_fixed_point_firmwares
 @pytest.mark.parametrize("alpha", [-1, 2**32])
 def test_a_raw_alpha_that_has_not_32_bits_raises(firmware: FixedPointFirmware, alpha: int) -> None:
+    """Here it is -1 or 2**32. The error names it."""
     robot = firmware(NO_FILTER, OWN_ID, b_hat=0.75)
     with pytest.raises(ValueError, match=f"alpha is {alpha}; the firmware's word has 32 bits"):
         robot.receive_raw(sender=4, x_hat=0, alpha=alpha)
@@ -176,28 +187,31 @@ def test_a_raw_alpha_that_has_not_32_bits_raises(firmware: FixedPointFirmware, a
 
 @for_fixed_point_firmwares
 def test_messages_in_an_array_are_received_in_order(firmware: FixedPointFirmware) -> None:
-    """Each row has sender, x_hat and alpha. A robot that receives them one by one has the same memory."""
+    """A robot that receives the rows one by one is the same afterwards, byte for byte.
+
+    Each row has sender, x_hat and alpha as whole numbers. The number of accepted messages is returned.
+    """
     messages = [
         (1, HALF, ALPHA_ONE),  # accepted
-        (1, ONE, ALPHA_ONE),  # repeated
+        (1, ONE, ALPHA_ONE),  # repeated: the same sender
         (OWN_ID, 0, ALPHA_ONE),  # rejected: the robot's own id
-        (2, ONE + 1, 0),  # rejected: above 1
+        (2, ONE + 1, 0),  # rejected: an estimate above 1
         (3, 5, 0),  # accepted
     ]
-    robot = firmware(NO_FILTER, OWN_ID, b_hat=0.7)
-    accepted_count = robot.receive_all(np.array(messages, np.uint32))
+    robot_with_array = firmware(NO_FILTER, OWN_ID, b_hat=0.7)
+    accepted_count = robot_with_array.receive_all(np.array(messages, np.uint32))
 
-    other_robot = firmware(NO_FILTER, OWN_ID, b_hat=0.7)
-    receive_raw_messages(other_robot, messages)
+    robot_one_by_one = firmware(NO_FILTER, OWN_ID, b_hat=0.7)
+    receive_raw_messages(robot_one_by_one, messages)
 
     assert accepted_count == 2
-    assert robot.save() == other_robot.save()
-    assert robot.counters == Counters(accepted=2, repeated=1, rejected=2)
+    assert robot_with_array.counters == Counters(accepted=2, repeated=1, rejected=2)
+    assert robot_with_array.save() == robot_one_by_one.save()
 
 
 @for_fixed_point_firmwares
 @pytest.mark.parametrize(
-    "array",
+    "wrong_array",
     [
         pytest.param(np.zeros((4, 3), np.int64), id="another type"),
         pytest.param(np.zeros((4, 2), np.uint32), id="two columns"),
@@ -206,15 +220,15 @@ def test_messages_in_an_array_are_received_in_order(firmware: FixedPointFirmware
     ],
 )
 def test_an_array_of_another_type_shape_or_order_is_refused(
-    firmware: FixedPointFirmware, array: np.ndarray[Any, Any]
+    firmware: FixedPointFirmware, wrong_array: np.ndarray[Any, Any]
 ) -> None:
     """An array of messages has three columns of 32 unsigned bits, and its rows follow in order in memory."""
     robot = firmware(NO_FILTER, OWN_ID, b_hat=0.7)
 
     with pytest.raises(ValueError, match="give a C-contiguous one"):
-        robot.receive_all(array)
+        robot.receive_all(wrong_array)
 
-    assert robot.counters == Counters()
+    assert robot.counters == Counters(accepted=0, repeated=0, rejected=0)
 
 
 # --- Observations ----------------------------------------------------------------------------------------
@@ -223,35 +237,39 @@ def test_an_array_of_another_type_shape_or_order_is_refused(
 # design: R1, R11
 @for_every_firmware
 @pytest.mark.parametrize("z", [-1, 2, 2**32 + 1, 2**64])
-@pytest.mark.parametrize("method", ["step", "observe"])
+@pytest.mark.parametrize("method_name", ["step", "observe"])
 def test_an_observation_that_is_neither_black_nor_white_changes_nothing(
-    firmware: Firmware, method: str, z: Any
+    firmware: Firmware, method_name: str, z: Any
 ) -> None:
-    """White is 0 and black is 1. ``step`` observes and ends the round, ``observe`` observes alone."""
-    robot = make_robot(firmware, ADAPTIVE)
+    """White is 0 and black is 1. Some numbers, such as 2**32 + 1, would be 0 or 1 if C cut off high bits.
+
+    The method ``observe`` counts an observation; ``step`` also ends the round.
+    """
+    robot = make_robot(firmware, Config(TABLE, Filter.ADAPTIVE, filter_period=1))
     robot.receive(sender=1, x_hat=0.25, alpha=1.0)
     robot.observe(Observation.BLACK)
-    state_before = visible_state(robot)
+    state_before = visible_state_without_rejected_count(robot)
 
-    status = getattr(robot, method)(z)
+    method = getattr(robot, method_name)
+    status = method(z)
 
     assert status == Status.ERR_OBSERVATION
-    assert visible_state(robot) == state_before
+    assert visible_state_without_rejected_count(robot) == state_before
 
 
 # design: R1, R11
 @for_every_firmware
 def test_a_step_with_an_invalid_observation_does_not_end_the_round(firmware: Firmware) -> None:
-    """If it ended the round, the call of settle() below would end an empty round, with a beta of 0.
+    """beta is the sum of the confidences alpha that were received in the last round that ended.
 
-    beta is the sum of the confidences that were received in the last round.
+    If the step ended the round, settle() would end another one, without messages and with a beta of 0.
     """
-    robot = make_robot(firmware, ADAPTIVE)
+    robot = make_robot(firmware, Config(TABLE, Filter.ADAPTIVE, filter_period=1))
     robot.receive(sender=1, x_hat=0.25, alpha=1.0)
     neither_black_nor_white: Any = 2
 
     robot.step(neither_black_nor_white)
-    robot.settle()  # ends the round
+    robot.settle()  # ends the round of the message
 
     assert robot.beta == 1.0
 
@@ -260,10 +278,10 @@ def test_a_step_with_an_invalid_observation_does_not_end_the_round(firmware: Fir
 
 
 FITTING_CONFIG = replace(NO_FILTER, filter_period=9, memory=84)
-"""A config that fits `saved_image`, which has fewer observations than its memory and fewer rounds left."""
+"""A config that an image with 80 observations and 8 rounds left fits: it has room for more of both."""
 
 
-def saved_image(firmware: FixedPointFirmware) -> bytes:
+def image_with_80_observations_and_8_rounds_left(firmware: FixedPointFirmware) -> bytes:
     """Return the image of a robot with 80 observations and 8 rounds left to the filter."""
     return restore_robot(firmware, replace(NO_FILTER, filter_period=8), t=80, filter_left=8).save()
 
@@ -280,23 +298,27 @@ def status_of_restore(firmware: FixedPointFirmware, config: Config, image: bytes
 @for_fixed_point_firmwares
 def test_a_robot_is_restored_from_any_bytes_like_object(firmware: FixedPointFirmware) -> None:
     """An image is the bytes of a saved robot. The annotation allows bytes alone, and views work, too."""
-    image = saved_image(firmware)
-    robot = firmware.restore(FITTING_CONFIG, memoryview(image))  # type: ignore[arg-type]
+    image = image_with_80_observations_and_8_rounds_left(firmware)
+    view_of_image: Any = memoryview(image)
+
+    robot = firmware.restore(FITTING_CONFIG, view_of_image)
+
     assert robot.save() == image
 
 
 @for_fixed_point_firmwares
 def test_restoring_a_robot_from_a_number_raises(firmware: FixedPointFirmware) -> None:
-    """``bytes(124)`` are 124 zeros: a conversion would take the size of an image for an image."""
+    """``bytes(124)`` are 124 zeros: if ``restore`` converted its argument, it would take 124 for an image."""
+    number_of_bytes_of_an_image: Any = 124
     with pytest.raises(TypeError):
-        firmware.restore(FITTING_CONFIG, IMAGE_SIZE)  # type: ignore[arg-type]
+        firmware.restore(FITTING_CONFIG, number_of_bytes_of_an_image)
 
 
 # design: R31
 @for_fixed_point_firmwares
 def test_no_robot_is_restored_from_bytes_that_no_robot_saved(firmware: FixedPointFirmware) -> None:
     """An image is the bytes of a saved robot. Here it is too short, too long, all zeros, or backwards."""
-    image = saved_image(firmware)
+    image = image_with_80_observations_and_8_rounds_left(firmware)
     without_last_byte, with_a_byte_more = image[:-1], image + b"\0"
     all_zeros, backwards = bytes(IMAGE_SIZE), bytes(reversed(image))
 
@@ -307,7 +329,7 @@ def test_no_robot_is_restored_from_bytes_that_no_robot_saved(firmware: FixedPoin
 # design: R31
 @for_fixed_point_firmwares
 @pytest.mark.parametrize(
-    ("config", "status"),
+    ("config", "expected_status"),
     [
         pytest.param(FITTING_CONFIG, Status.OK, id="it fits"),
         pytest.param(replace(FITTING_CONFIG, memory=80), Status.ERR_IMAGE, id="t has to be below the memory"),
@@ -319,22 +341,31 @@ def test_no_robot_is_restored_from_bytes_that_no_robot_saved(firmware: FixedPoin
         pytest.param(Config(table=None), Status.ERR_TABLE, id="this filter needs a table"),
     ],
 )
-def test_an_image_is_refused_by_a_config_that_it_does_not_fit(
-    firmware: FixedPointFirmware, config: Config, status: Status
+def test_an_image_is_restored_only_with_a_config_that_it_fits(
+    firmware: FixedPointFirmware, config: Config, expected_status: Status
 ) -> None:
-    """The image is that of a robot with 80 observations and 8 rounds left until its filter runs."""
-    assert status_of_restore(firmware, config, saved_image(firmware)) == status
+    """The image is that of a robot with 80 observations and 8 rounds left until its filter runs.
+
+    So it fits a config with a memory above 80, a filter period of at least 8, and a filter other than the
+    robust one. Other configs, and invalid ones, are refused.
+    """
+    image = image_with_80_observations_and_8_rounds_left(firmware)
+
+    status = status_of_restore(firmware, config, image)
+
+    assert status == expected_status
 
 
 @for_fixed_point_firmwares
-@pytest.mark.parametrize(
-    ("mode", "first_byte"), [(Filter.OFF, 2), (Filter.ROBUST, 128 + 2)], ids=["no filter", "robust"]
-)
+@pytest.mark.parametrize("mode", [Filter.OFF, Filter.ROBUST])
 def test_the_error_for_an_image_of_an_older_version_names_both_versions(
-    firmware: FixedPointFirmware, mode: Filter, first_byte: int
+    firmware: FixedPointFirmware, mode: Filter
 ) -> None:
-    """The first byte is the version, and 128 more with the robust filter. "SCM" and 30 more words follow."""
-    image = bytes([first_byte]) + b"SCM" + bytes(4 * 30)
+    """An image begins with its version, to which 128 is added with the robust filter, and with "SCM"."""
+    version = 2
+    mark_of_robust_filter = 128 if mode == Filter.ROBUST else 0
+    image = bytes([version + mark_of_robust_filter]) + b"SCM" + bytes(120)  # 30 words of 0
+
     with pytest.raises(FirmwareError, match="the image is of version 2, and this firmware reads version 3"):
         firmware.restore(Config(filter=mode), image)
 
@@ -342,18 +373,20 @@ def test_the_error_for_an_image_of_an_older_version_names_both_versions(
 # design: R31
 @for_fixed_point_firmwares
 @pytest.mark.parametrize(
-    ("saved_with", "restored_with", "message"),
+    ("saved_with", "restored_with", "expected_message"),
     [
         (Filter.ROBUST, Filter.OFF, "is that of a robot with the robust filter"),
         (Filter.OFF, Filter.ROBUST, "is that of a robot with a filter other than the robust one"),
     ],
 )
 def test_the_error_for_an_image_of_another_filter_names_the_filter(
-    firmware: FixedPointFirmware, saved_with: Filter, restored_with: Filter, message: str
+    firmware: FixedPointFirmware, saved_with: Filter, restored_with: Filter, expected_message: str
 ) -> None:
-    """An image is the bytes of a saved robot; the robust filter needs longer ones."""
-    image = firmware(Config(filter=saved_with), OWN_ID, b_hat=0.75).save()
-    with pytest.raises(FirmwareError, match=message):
+    """An image is the bytes of a saved robot. It is longer with the robust filter, and so fits no other."""
+    robot = firmware(Config(filter=saved_with), OWN_ID, b_hat=0.75)
+    image = robot.save()
+
+    with pytest.raises(FirmwareError, match=expected_message):
         firmware.restore(Config(filter=restored_with), image)
 
 
@@ -361,9 +394,9 @@ def test_the_error_for_an_image_of_another_filter_names_the_filter(
 def test_the_error_for_a_saved_robot_with_a_wrong_bit_says_that_it_is_damaged(
     firmware: FixedPointFirmware,
 ) -> None:
-    """The last byte belongs to its checksum."""
-    image = bytearray(saved_image(firmware))
-    image[-1] ^= 1
+    """A saved robot ends with a checksum, of which a bit is flipped."""
+    image = bytearray(image_with_80_observations_and_8_rounds_left(firmware))
+    image[-1] ^= 1  # the last byte
 
     with pytest.raises(FirmwareError, match="the image is damaged"):
         firmware.restore(FITTING_CONFIG, bytes(image))
@@ -373,11 +406,12 @@ def test_the_error_for_a_saved_robot_with_a_wrong_bit_says_that_it_is_damaged(
 def test_the_error_for_a_saved_robot_of_other_settings_says_that_it_does_not_fit(
     firmware: FixedPointFirmware,
 ) -> None:
-    """Eight rounds are left until its filter runs, so the filter's period is no shorter."""
-    image = saved_image(firmware)
+    """Eight rounds are left until its filter runs. That is impossible if the filter runs every 7 rounds."""
+    image_of_8_rounds_left = image_with_80_observations_and_8_rounds_left(firmware)
+    period_of_7_rounds = replace(FITTING_CONFIG, filter_period=7)
 
     with pytest.raises(FirmwareError, match="does not fit the configuration"):
-        firmware.restore(replace(FITTING_CONFIG, filter_period=7), image)
+        firmware.restore(period_of_7_rounds, image_of_8_rounds_left)
 
 
 def state_or_error(firmware: FixedPointFirmware, config: Config, image: bytes) -> object:
@@ -414,16 +448,21 @@ def images_with_one_changed_word(image: bytes) -> Iterator[bytes]:
 # design: R30
 @pytest.mark.parametrize("mode", [Filter.OFF, Filter.ROBUST])
 def test_the_c_and_the_python_robot_refuse_the_same_images_and_restore_the_same_robots(mode: Filter) -> None:
-    """An image is the 31 or 39 words of a saved robot. Here each word is replaced by 36 others in turn."""
+    """An image is the 31 or 39 words of a saved robot. Here each word is replaced by 36 others in turn.
+
+    The robots that are restored are compared by their state, and the refusals by their error code.
+    """
     config = Config(filter=mode, filter_period=4)
+    image_of_robot = image_of_used_robot(config)
 
-    outcomes = set[str]()
-    for image in images_with_one_changed_word(image_of_used_robot(config)):
-        outcome = state_or_error(MirrorRobot, config, image)
-        assert outcome == state_or_error(NativeRobot, config, image), image.hex()
-        outcomes.add(str(outcome))
+    different_outcomes = set[str]()
+    for image in images_with_one_changed_word(image_of_robot):
+        python_outcome = state_or_error(MirrorRobot, config, image)
+        c_outcome = state_or_error(NativeRobot, config, image)
+        assert python_outcome == c_outcome, image.hex()
+        different_outcomes.add(str(python_outcome))
 
-    assert len(outcomes) > 100, "robots and errors of many kinds"
+    assert len(different_outcomes) > 100, "otherwise nearly all images were refused"
 
 
 # --- Settings --------------------------------------------------------------------------------------------
@@ -471,7 +510,7 @@ def status_of_init(firmware: Firmware, **settings: Any) -> Status:
 # design: R14
 @for_every_firmware
 @pytest.mark.parametrize(
-    ("name", "status", "invalid", "valid"),
+    ("setting", "expected_error", "invalid_values", "valid_values"),
     [
         ("filter_period", Status.ERR_CONFIG, (0, -1, 2**32, 2**32 + 1), (1, 2**32 - 1)),
         ("memory", Status.ERR_CONFIG, INVALID_MEMORY, (64, 68, 2**31 - 4, 2**31)),
@@ -483,32 +522,44 @@ def status_of_init(firmware: Firmware, **settings: Any) -> Status:
     ],
 )
 def test_settings_are_valid_up_to_the_ends_of_their_ranges(
-    firmware: Firmware, name: str, status: Status, invalid: Sequence[Any], valid: Sequence[Any]
+    firmware: Firmware,
+    setting: str,
+    expected_error: Status,
+    invalid_values: Sequence[Any],
+    valid_values: Sequence[Any],
 ) -> None:
-    """The invalid values of the setting ``name`` are refused with this status, and the others are taken."""
-    for value in invalid:
-        assert status_of_init(firmware, **{name: value}) == status, value
-    for value in valid:
-        assert status_of_init(firmware, **{name: value}) == Status.OK, value
+    """``setting`` is the name of a setting, of which some values just outside and inside its range are tried.
+
+    The other settings are valid.
+    """
+    for value in invalid_values:
+        assert status_of_init(firmware, **{setting: value}) == expected_error, value
+    for value in valid_values:
+        assert status_of_init(firmware, **{setting: value}) == Status.OK, value
 
 
 # design: R14
 @for_every_firmware
 def test_if_several_settings_are_wrong_the_first_is_reported(firmware: Firmware) -> None:
-    """The order is: config, table, id, b_hat."""
-    wrong_table_id_and_b_hat = {"table": None, "robot_id": 200, "b_hat": 0.0}
+    """The order is: config, of which the memory is a part, then table, id and b_hat.
 
-    assert status_of_init(firmware, memory=1, **wrong_table_id_and_b_hat) == Status.ERR_CONFIG
-    assert status_of_init(firmware, **wrong_table_id_and_b_hat) == Status.ERR_TABLE
-    assert status_of_init(firmware, robot_id=200, b_hat=0.0) == Status.ERR_ID
+    All values here are wrong, and the settings that are not mentioned are valid.
+    """
+    status = status_of_init(firmware, memory=1, table=None, robot_id=200, b_hat=0.0)
+    assert status == Status.ERR_CONFIG
+    status = status_of_init(firmware, table=None, robot_id=200, b_hat=0.0)
+    assert status == Status.ERR_TABLE
+    status = status_of_init(firmware, robot_id=200, b_hat=0.0)
+    assert status == Status.ERR_ID
 
 
 @for_every_firmware
 @pytest.mark.parametrize("mode", [Filter.ALWAYS, Filter.OFF])
 def test_filters_without_a_hypothesis_test_ignore_the_table(firmware: Firmware, mode: Filter) -> None:
-    """A table has the thresholds of the test. It may be missing, or invalid: the entries should fall."""
-    equal_entries = (3 << 26, 3 << 26)
+    """A table has the thresholds of the test. It may be missing, or invalid: its entries have to fall."""
     assert status_of_init(firmware, filter=mode, table=None) == Status.OK
+
+    equal_entries = (3 << 26, 3 << 26)
     assert status_of_init(firmware, filter=mode, entries=equal_entries) == Status.OK
 
 
@@ -532,7 +583,7 @@ def test_a_table_with_any_flipped_bit_is_refused() -> None:
 
 # design: R28
 @pytest.mark.parametrize(
-    "first_word",
+    "wrong_first_word",
     [
         pytest.param(0x4D435303, id="MCS instead of MCT"),
         pytest.param(0x00000003, id="no MCT"),
@@ -542,9 +593,13 @@ def test_a_table_with_any_flipped_bit_is_refused() -> None:
         pytest.param(0x4D435400, id="no entries"),
     ],
 )
-def test_a_table_whose_first_word_is_wrong_is_refused_although_its_checksum_is_right(first_word: int) -> None:
-    """The first word of a table is "MCT" and the number of its entries, here 3."""
-    _right_first_word, *others, _right_checksum = VALID_TABLE.words()
-    words = (first_word, *others)
+def test_a_table_whose_first_word_is_wrong_is_refused_although_its_checksum_is_right(
+    wrong_first_word: int,
+) -> None:
+    """The first word of a table is "MCT" and the number of its entries, here 3. The last is a checksum."""
+    _right_first_word, *omega_and_entries, _old_checksum = VALID_TABLE.words()
+    words_before_checksum = (wrong_first_word, *omega_and_entries)
+    right_checksum = checksum(words_before_checksum)
+
     with pytest.raises(TableError):
-        Table.from_words((*words, checksum(words)))
+        Table.from_words((*words_before_checksum, right_checksum))

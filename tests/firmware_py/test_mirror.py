@@ -4,27 +4,29 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from mcp_asdf.arithmetic import Q32_HALF
-from mcp_asdf.fixed_point import B_HAT_MIN
-from mcp_asdf.mirror import INFORMATIVE_G, accuracy_of, is_valid_accuracy, reestimate
-from mcp_asdf.table import MAX_WORD
-
-LEAST_INFORMATIVE_X_BAR = Q32_HALF + INFORMATIVE_G // 2
-"""The mean of the neighbours, above 1/2 and in units of 2**-32, for which |2 x_bar - 1| is exactly 2**-12."""
+from mcp_asdf.mirror import accuracy_of, is_valid_accuracy, reestimate
 
 
-def test_a_robot_re_estimates_its_accuracy_from_the_mean_nearest_to_a_half_that_says_something() -> None:
-    """Where the neighbours' mean x_bar is nearer to a half, ``reestimate`` returns None in place of b_hat."""
-    assert reestimate(t=10, n=5, x_bar=LEAST_INFORMATIVE_X_BAR) is not None
-    assert reestimate(t=10, n=5, x_bar=LEAST_INFORMATIVE_X_BAR - 1) is None
+def test_from_a_mean_of_the_neighbours_too_near_to_a_half_a_robot_re_estimates_no_accuracy() -> None:
+    """``reestimate`` returns None if the mean, x_bar, is less than 2**19 units of 2**-32 above 1/2.
+
+    Where half of the tiles are black, good and bad sensors see the same.
+    """
+    half, least_distance = 2**31, 2**19
+
+    assert reestimate(t=10, n=5, x_bar=half + least_distance) is not None
+    assert reestimate(t=10, n=5, x_bar=half + least_distance - 1) is None
 
 
-def test_the_limit_for_means_below_a_half_is_two_units_further_from_it() -> None:
-    """The mean is mirrored to MAX_WORD - x_bar there: 1 - x_bar less one unit, as no word is 1."""
-    nearest_below_half = MAX_WORD - LEAST_INFORMATIVE_X_BAR
+def test_the_limit_for_means_below_a_half_is_one_unit_further_from_it() -> None:
+    """A mean x_bar below 1/2 is mirrored to 1 - x_bar less a unit of 2**-32, so that a word can hold it.
 
-    assert reestimate(t=10, n=5, x_bar=nearest_below_half) is not None
-    assert reestimate(t=10, n=5, x_bar=nearest_below_half + 1) is None
+    ``reestimate`` returns None, and no accuracy, for a mean that is nearer to 1/2 than the limit.
+    """
+    half, least_distance = 2**31, 2**19 + 1
+
+    assert reestimate(t=10, n=5, x_bar=half - least_distance) is not None
+    assert reestimate(t=10, n=5, x_bar=half - least_distance + 1) is None
 
 
 def test_an_accuracy_is_damaged_if_a_value_kept_with_it_does_not_follow_from_it() -> None:
@@ -32,7 +34,7 @@ def test_an_accuracy_is_damaged_if_a_value_kept_with_it_does_not_follow_from_it(
 
     A bit that flips in one of them would change what the robot computes.
     """
-    three_quarters = 3 * Q32_HALF // 2
+    three_quarters = 3 * 2**30  # in units of 2**-32
     accuracy = accuracy_of(three_quarters)
     assert is_valid_accuracy(accuracy)
 
@@ -41,5 +43,7 @@ def test_an_accuracy_is_damaged_if_a_value_kept_with_it_does_not_follow_from_it(
 
 
 def test_an_accuracy_below_the_least_one_is_damaged() -> None:
-    assert is_valid_accuracy(accuracy_of(B_HAT_MIN))
-    assert not is_valid_accuracy(accuracy_of(B_HAT_MIN - 1))
+    """The firmware keeps every accuracy at 2**-20 or above, so only a flipped bit can lead below that."""
+    least_accuracy = 2**12  # 2**-20 in units of 2**-32
+    assert is_valid_accuracy(accuracy_of(least_accuracy))
+    assert not is_valid_accuracy(accuracy_of(least_accuracy - 1))

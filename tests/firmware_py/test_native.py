@@ -26,9 +26,16 @@ from support import ROOT
     [("mcp_asdf_status_t", Status), ("mcp_asdf_filter_t", Filter), ("mcp_asdf_observation_t", Observation)],
 )
 def test_enums_are_those_of_the_header(c_type: str, enum: type[IntEnum]) -> None:
-    """They are the results of calls, the filters and the two colours, with the same names and numbers."""
-    c_members = {name: value for value, name in ffi.typeof(c_type).elements.items()}
-    assert c_members == {f"MCP_ASDF_{member.name}": member.value for member in enum}
+    """They are the results of calls, the filters and the two colours, with the same names and numbers.
+
+    In C the names begin with MCP_ASDF_, as in MCP_ASDF_OK.
+    """
+    numbers_by_name = {f"MCP_ASDF_{member.name}": member.value for member in enum}
+
+    names_by_number_in_c = ffi.typeof(c_type).elements
+
+    numbers_by_name_in_c = {name: number for number, name in names_by_number_in_c.items()}
+    assert numbers_by_name_in_c == numbers_by_name
 
 
 @pytest.mark.parametrize(
@@ -54,12 +61,15 @@ def test_enums_are_those_of_the_header(c_type: str, enum: type[IntEnum]) -> None
     ],
 )
 def test_constants_are_those_of_the_header(name: str, value: int) -> None:
-    assert getattr(lib, f"MCP_ASDF_{name}") == value
+    """``value`` is a constant of the Python packages, and MCP_ASDF_ with ``name`` that of the header."""
+    value_in_c = getattr(lib, f"MCP_ASDF_{name}")
+    assert value_in_c == value
 
 
 def test_the_default_config_is_that_of_the_header() -> None:
-    """The header's is the macro MCP_ASDF_CONFIG_ASDF, and tests/c_ref/test_core.c checks its members."""
-    assert Config() == Config(None, Filter.ADAPTIVE, filter_period=1000, memory=lib.MCP_ASDF_MEMORY_MAX)
+    """The header's is a macro, which Python cannot read: tests/c_ref/test_core.c checks the same members."""
+    largest_memory = lib.MCP_ASDF_MEMORY_MAX
+    assert Config() == Config(table=None, filter=Filter.ADAPTIVE, filter_period=1000, memory=largest_memory)
 
 
 @pytest.mark.parametrize(
@@ -94,7 +104,8 @@ def test_the_robust_filter_has_the_same_constants_in_c_and_python(name: str) -> 
 )
 def test_the_robust_filter_has_the_same_constants_in_integers_and_in_floats(name: str, unit: float) -> None:
     """The mirror computes with integers, whose unit is ``unit``, and the reference with floats."""
-    assert getattr(robust_filter, name) * unit == getattr(robust_reference, name)
+    integer, number = getattr(robust_filter, name), getattr(robust_reference, name)
+    assert integer * unit == number
 
 
 def test_an_accuracy_carries_no_information_at_the_same_limit_in_integers_and_in_floats() -> None:
@@ -140,10 +151,13 @@ def test_the_settings_of_a_c_robot_are_freed_with_it() -> None:
 def test_a_table_in_c_is_followed_by_zeros_up_to_the_length_of_the_longest_one() -> None:
     """If the table's length is damaged, the C may read as many words as the longest table has."""
     robot = NativeRobot(Config(TABLE), OWN_ID, b_hat=0.8)
+    words_of_table = list(TABLE.words())
+    length_of_longest_table = EXTRA_WORDS + MAX_Q  # the entries, and the words before and after them
 
-    words_in_c = ffi.unpack(robot.pointer.config.table, EXTRA_WORDS + MAX_Q)
+    words_in_c = ffi.unpack(robot.pointer.config.table, length_of_longest_table)
 
-    assert words_in_c == [*TABLE.words(), *[0] * (MAX_Q - TABLE.q)]
+    zeros = [0] * (length_of_longest_table - len(words_of_table))
+    assert words_in_c == words_of_table + zeros
 
 
 # --- The package -----------------------------------------------------------------------------------------

@@ -106,35 +106,44 @@ unit_counts = st.integers(0, 2**26) | st.builds(
 @given(units=unit_counts)
 @example(units=2**54)
 def test_a_confidence_becomes_the_largest_alpha_word_not_above_it(units: int) -> None:
-    """An alpha word is a confidence in 32 bits: a mantissa of 24 bits and a shift. Units are 2**-24."""
+    """An alpha word is a confidence in 32 bits: a mantissa of 24 bits and a shift. Units are 2**-24.
+
+    A confidence above the largest alpha word becomes that one.
+    """
     word = alpha_word_from_units(units)
 
     mantissa, shift = word >> 8, word & 0xFF
-    units_of_alpha_max = (2**24 - 1) << 31  # the largest mantissa and the largest shift
-    if units >= units_of_alpha_max:
-        assert word == ALPHA_MAX
+    units_of_word, units_of_next_word = mantissa << shift, (mantissa + 1) << shift
+    units_of_largest_word = (2**24 - 1) << 31  # the largest mantissa and the largest shift
+    assert alpha_units(word) == units_of_word
+    if units < units_of_largest_word:
+        assert units_of_word <= units < units_of_next_word
     else:
-        assert alpha_units(word) == mantissa << shift
-        assert mantissa << shift <= units < (mantissa + 1) << shift
+        assert units_of_word == units_of_largest_word
+        assert word == ALPHA_MAX
 
 
 @given(units=unit_counts)
 @example(units=2**54)
 def test_a_confidence_keeps_as_many_bits_as_fit_into_an_alpha_word(units: int) -> None:
-    """An alpha word is a mantissa of 24 bits and a shift of 8, which is 0 unless the mantissa is full."""
+    """An alpha word is a mantissa of 24 bits and a shift in 8 bits, which is 31 at most.
+
+    A shift loses low bits, so it is 0 unless the mantissa needs all of its 24 bits.
+    """
     word = alpha_word_from_units(units)
 
     mantissa, shift = word >> 8, word & 0xFF
     assert mantissa < 2**24
     assert shift <= 31
-    assert shift == 0 or mantissa >= 2**23
+    needs_all_24_bits = mantissa >= 2**23
+    assert shift == 0 or needs_all_24_bits
 
 
 @given(alpha=st.floats(0, 2.0**40))
 def test_a_confidence_that_is_a_float_is_rounded_down_to_whole_units(alpha: float) -> None:
-    """A unit is 2**-24. An alpha word is a confidence in 32 bits, of less than 2**55 units."""
-    units = int(Fraction(alpha) * 2**24)
-    assert alpha_word_from_float(alpha) == alpha_word_from_units(min(units, 2**55))
+    """A unit is 2**-24. All confidences of 2**55 units or more become the largest alpha word."""
+    whole_units = int(Fraction(alpha) * 2**24)
+    assert alpha_word_from_float(alpha) == alpha_word_from_units(min(whole_units, 2**55))
 
 
 # --- Messages and sums -----------------------------------------------------------------------------------
@@ -201,8 +210,9 @@ def test_a_neighbour_s_vote_moves_a_robot_towards_it_and_never_beyond(
     robot.settle()  # the neighbour votes
 
     new_centre = robot.state()["robust_centre"]
-    vote_in_units_of_centre = vote << (30 - 16)
-    assert min(centre, vote_in_units_of_centre) <= new_centre <= max(centre, vote_in_units_of_centre)
+    vote_in_units_of_centre = vote * 2**14  # from 2**-16 to 2**-30
+    lower, upper = sorted((centre, vote_in_units_of_centre))
+    assert lower <= new_centre <= upper
     assert abs(new_centre - centre) <= spread / 8
 
 
@@ -233,30 +243,33 @@ def test_all_neighbours_and_the_robot_itself_vote_equally_often(
 ) -> None:
     """Property I25: in as many rounds as there are voters each votes once, whoever begins.
 
-    A neighbour has one of 32 slots; a robot has confidence, and votes, if it has observed a tile. After the
-    vote of slot i the turn is i + 1, and after the robot's own vote it is 0.
+    Neighbours vote whose estimate is in one of the 32 slots, and the robot itself if it has confidence, which
+    it has once it has observed a tile. After the vote of slot i the turn is i + 1, and after the robot's own
+    vote it is 0.
     """
-    slot_that_voted_last = (turn - 1) % 32
-    slots = slots | {slot_that_voted_last}
-    bits_of_slots = sum(1 << slot for slot in slots)
-    t = 1 if has_confidence else 0
-    robot = restore_robust_robot(firmware, t=t, filled_slots=bits_of_slots, turn=turn, votes=1)
-    expected_turns = {slot + 1 for slot in slots}
+    filled_slots = slots | {(turn - 1) % 32}  # the one that voted last, or no robot could have this turn
+    mask_of_filled_slots = sum(1 << slot for slot in filled_slots)
+    observation_count = 1 if has_confidence else 0
+    robot = restore_robust_robot(
+        firmware, t=observation_count, filled_slots=mask_of_filled_slots, turn=turn, votes=1
+    )
+    turns_after_votes = [slot + 1 for slot in sorted(filled_slots)]
     if has_confidence:
-        expected_turns.add(0)
+        turns_after_votes.append(0)
 
-    turns = set[int]()
-    for _ in expected_turns:
-        robot.settle()  # one of them votes
-        turns.add(robot.state()["robust_turn"])
+    turns = []
+    for _ in turns_after_votes:
+        robot.settle()  # a neighbour or the robot itself votes
+        turns.append(robot.state()["robust_turn"])
 
-    assert turns == expected_turns
+    assert sorted(turns) == sorted(turns_after_votes)
 
 
 # --- Calls -----------------------------------------------------------------------------------------------
 
 
 def make_calls(robot: FixedPoint, calls: list[RobotCall]) -> None:
+    """Call methods of a robot in order."""
     for name, *arguments in calls:
         getattr(robot, name)(*arguments)
 
@@ -332,9 +345,9 @@ def test_black_and_white_are_treated_alike(
     """Properties I15 and I16: with the colours exchanged the robot estimates the share of the other colour.
 
     So it does with a sensor that shows the other colour, and with both exchanged it estimates the same. b_hat
-    is in units of 2**-32, and ``share`` the share of black observations in the same units.
+    is in units of 2**-32, and ``share`` the share of black observations in the same units. ``z`` is one more.
     """
-    n = t * share >> 32
+    n = t * share // 2**32
     x_hat, alpha = estimate_after_observation(firmware, t, n, b_hat, z)
 
     other_n, other_z, other_b_hat = t - n, Observation(1 - z), 2**32 - b_hat

@@ -42,8 +42,7 @@ from robots import OWN_ID, TABLE, observe_tiles, receive_estimates, status_of_re
 from support import draws, slow
 
 TRACES = Path(__file__).parents[1] / "data" / "traces"
-OMEGA = 0.05
-ULP = Fraction(1, 2**53)
+ROUNDING = Fraction(1, 2**53)
 """The largest error of one rounding to float64, relative to the result."""
 QUANTITIES = ("x_hat", "alpha", "x_bar", "beta", "x", "b_hat")
 
@@ -121,20 +120,21 @@ def test_the_seed_of_a_recorded_run_of_the_authors_gives_its_observations_again(
     is_tile_black = generator.random(robots_and_steps) < data["fill_ratio"]
     is_sensor_right = generator.random(robots_and_steps) < data["true_b"]
 
-    is_observed_black = np.where(is_sensor_right, is_tile_black, ~is_tile_black)
-    assert np.array_equal(is_observed_black, data["observations"])
+    is_tile_observed_black = np.where(is_sensor_right, is_tile_black, ~is_tile_black)
+    assert np.array_equal(is_tile_observed_black, data["observations"])
 
 
 def test_robots_compute_what_the_authors_programs_did_until_the_first_filter() -> None:
-    """repeat_run_and_compare() compares every number in each step. Filters first run after 1000 steps.
+    """A recorded run is repeated, and repeat_run_and_compare() asserts that every number is the recorded one.
 
-    Until then the paper and the authors' programs agree on everything.
+    The filters run in step 1000. Until step 1001 the paper and the authors' programs agree on everything.
     """
-    data = load_trace(TRACE_A)
+    data = load_trace("A_f95_b55_flw95x3_plus")
+    assert data["num_robots"] == 10
 
     robots = repeat_run_and_compare(data, block="m-1", conventions=PAPER, steps=1001)
 
-    assert sum(robot.counters.tests for robot in robots) == 10, "one of each robot"
+    assert [robot.counters.tests for robot in robots] == [1] * 10, "the filter of each robot ran once"
 
 
 @pytest.mark.slow
@@ -151,18 +151,21 @@ def test_robots_compute_what_the_authors_programs_did_until_the_first_filter() -
 def test_robots_compute_every_number_that_the_authors_programs_recorded(
     name: str, block: str, conventions: Conventions
 ) -> None:
-    """repeat_run_and_compare() compares them in each step. At the end, updates and black tiles are compared.
+    """repeat_run_and_compare() asserts that in each step all numbers are the recorded ones.
 
-    A recording has two blocks. In one, the t-score has m degrees of freedom, as in the authors' programs; in
-    the other it has m - 1, as in the paper. The robots that repeat a block follow its ``conventions``.
+    At the end, updates and black tiles are compared. A recording, here that with this ``name``, has two
+    blocks. In one, the t-score has m degrees of freedom, as in the authors' programs; in the other it has
+    m - 1, as in the paper. The robots that repeat a block follow its ``conventions``.
     """
     data = load_trace(name)
-    recorded = data["out"][block]
+    recorded_block = data["out"][block]
 
     robots = repeat_run_and_compare(data, block, conventions, data["steps"])
 
-    assert sum(robot.counters.updates for robot in robots) == recorded["filter_updates"]
-    assert [robot.n for robot in robots] == data["n_final"], "the observations were decoded wrongly"
+    update_count = sum(robot.counters.updates for robot in robots)
+    black_tile_counts = [robot.n for robot in robots]
+    assert update_count == recorded_block["filter_updates"]
+    assert black_tile_counts == data["n_final"], "the observations were decoded wrongly"
 
 
 # --- Exact equations ---------------------------------------------------------------------------------
@@ -212,13 +215,13 @@ def test_a_robot_s_confidence_is_equation_4_as_the_paper_prints_it(
     d = 2 * b - 1
     x_hat = local_estimate(n, t, b)
     if x_hat == 0:
-        printed = d**2 * (t * b**2 - d * white_count) / (b**2 * (b - 1) ** 2)
+        printed_equation = d**2 * (t * b**2 - d * white_count) / (b**2 * (b - 1) ** 2)
     elif x_hat == 1:
-        printed = d**2 * (t * b**2 - d * n) / (b**2 * (b - 1) ** 2)
+        printed_equation = d**2 * (t * b**2 - d * n) / (b**2 * (b - 1) ** 2)
     else:
-        printed = d**2 * Fraction(t**3, n * white_count)
+        printed_equation = d**2 * Fraction(t**3, n * white_count)
 
-    assert local_confidence(n, t, b) == printed
+    assert local_confidence(n, t, b) == printed_equation
 
 
 @pytest.mark.random
@@ -261,7 +264,10 @@ HALF, THREE_QUARTERS = Fraction(1, 2), Fraction(3, 4)
 def test_equations_give_fractions_for_fractions(
     equation: Callable[..., object], arguments: tuple[object, ...], expected: Fraction
 ) -> None:
-    """So the same functions give exact results. Floats and the firmware are compared with these."""
+    """So the same functions give exact results, with which those in floats and the firmware's are compared.
+
+    ``equation`` is a function for an equation of the paper, whose result for the arguments is known.
+    """
     result = equation(*arguments)
 
     assert result == expected
@@ -301,16 +307,18 @@ four_seeds = pytest.mark.parametrize("seed", range(4))
 def test_estimates_in_float64_are_right_to_the_last_bits(seed: int) -> None:
     """The same function computes them in exact fractions. They differ by four roundings at most.
 
-    The function divides by 2 b - 1. Only where that is small, the errors may be larger.
+    n of t tiles were black, and b is the accuracy. The function divides by 2 b - 1. Only where that is small,
+    the errors may be larger.
     """
     rng = random.Random(seed)
     for _ in range(500):
         n, t = draw_counts(rng)
         b = draw_accuracy(rng, n, t)
 
-        error = Fraction(local_estimate(n, t, b)) - local_estimate(n, t, Fraction(b))
+        x_hat, exact_x_hat = local_estimate(n, t, b), local_estimate(n, t, Fraction(b))
 
-        assert abs(error) <= 4 * ULP / abs(2 * Fraction(b) - 1), (n, t, b)
+        largest_error = 4 * ROUNDING / abs(2 * Fraction(b) - 1)
+        assert abs(Fraction(x_hat) - exact_x_hat) <= largest_error, (n, t, b)
 
 
 def case_of_eq_4(x_hat: float | Fraction) -> str:
@@ -334,10 +342,12 @@ def test_confidences_in_float64_are_right_to_the_last_bits(seed: int) -> None:
 
         alpha, exact_alpha = local_confidence(n, t, b), local_confidence(n, t, exact_b)
 
-        largest_error = 8 * ULP
-        if case_of_eq_4(local_estimate(n, t, b)) != case_of_eq_4(local_estimate(n, t, exact_b)):
-            largest_error /= min(exact_b, 1 - exact_b)
-        assert abs(Fraction(alpha) - exact_alpha) <= largest_error * exact_alpha, (n, t, b)
+        largest_relative_error = 8 * ROUNDING
+        float_case = case_of_eq_4(local_estimate(n, t, b))
+        exact_case = case_of_eq_4(local_estimate(n, t, exact_b))
+        if float_case != exact_case:
+            largest_relative_error /= min(exact_b, 1 - exact_b)
+        assert abs(Fraction(alpha) - exact_alpha) <= largest_relative_error * exact_alpha, (n, t, b)
 
 
 def draw_informative_x_bar(rng: random.Random) -> float:
@@ -363,7 +373,7 @@ def test_updated_accuracies_in_float64_are_right_to_the_last_bits(seed: int) -> 
 
         assert b_hat is not None
         assert exact_b_hat is not None
-        largest_error = 4 * ULP / abs(2 * Fraction(x_bar) - 1)
+        largest_error = 4 * ROUNDING / abs(2 * Fraction(x_bar) - 1)
         assert abs(Fraction(b_hat) - exact_b_hat) <= largest_error, (n, t, x_bar)
 
 
@@ -389,13 +399,13 @@ def test_means_of_estimates_in_float64_are_right_to_the_last_bits() -> None:
 
         social, informed = social_estimate(others), informed_estimate(own, others)
 
-        four_last_bits = 4 * float(ULP)
-        assert social == pytest.approx(float(exact_mean(others)), rel=four_last_bits)
-        assert informed == pytest.approx(float(exact_mean([own, *others])), rel=four_last_bits)
+        four_roundings = 4 * float(ROUNDING)
+        assert social == pytest.approx(float(exact_mean(others)), rel=four_roundings)
+        assert informed == pytest.approx(float(exact_mean([own, *others])), rel=four_roundings)
 
 
 def test_the_neighbours_confidence_is_the_rounded_sum_of_their_confidences() -> None:
-    """It is rounded once: after 128 additions of floats an error could be as large as 128 roundings."""
+    """It is rounded once. If each addition were rounded, the error could be as large as 128 roundings."""
     rng = random.Random(0)
     for _ in range(100):
         estimates = draw_estimates(rng)
@@ -411,11 +421,14 @@ def test_robots_that_all_receive_each_other_s_estimates_believe_the_same_to_the_
     rng = random.Random(0)
     for _ in range(100):
         estimates = draw_estimates(rng)
-        own, *others = estimates
-        shuffled_estimates = rng.sample(estimates, len(estimates))
-        own_of_another, *others_of_another = shuffled_estimates
+        own_estimate, *received_estimates = estimates
+        # For another robot of the swarm another estimate is its own, and the order is another.
+        own_of_another, *received_by_another = rng.sample(estimates, len(estimates))
 
-        assert informed_estimate(own, others) == informed_estimate(own_of_another, others_of_another)
+        x = informed_estimate(own_estimate, received_estimates)
+        x_of_another = informed_estimate(own_of_another, received_by_another)
+
+        assert x == x_of_another
 
 
 # --- The hypothesis test -----------------------------------------------------------------------------
@@ -446,16 +459,20 @@ def tolerated_distance(neighbours: Sequence[float], omega: float) -> float:
 def test_the_paper_s_test_rejects_an_estimate_just_beyond_the_distance_that_scipy_gives(
     omega: float, side: int
 ) -> None:
-    """It does not reject an estimate just within that distance. The neighbours' estimates are random."""
+    """It does not reject an estimate just within that distance. The neighbours' estimates are random.
+
+    ``side`` is 1 for estimates above their mean, and -1 for estimates below it.
+    """
     rng = random.Random(0)
     for _ in range(100):
         neighbours = [rng.gauss(0.5, 0.1) for _ in range(rng.randint(2, 127))]
         mean = float(np.mean(neighbours))
-        limit = mean + side * tolerated_distance(neighbours, omega)
-        a_hair = 1e-9 * (limit - mean)
+        distance = tolerated_distance(neighbours, omega)
+        just_within = mean + side * distance * (1 - 1e-9)
+        just_beyond = mean + side * distance * (1 + 1e-9)
 
-        assert not asdf_test_rejects(limit - a_hair, neighbours, omega), neighbours
-        assert asdf_test_rejects(limit + a_hair, neighbours, omega), neighbours
+        assert not asdf_test_rejects(just_within, neighbours, omega), neighbours
+        assert asdf_test_rejects(just_beyond, neighbours, omega), neighbours
 
 
 @pytest.mark.parametrize("value", [0.0, 0.1, 1 / 3, 0.7, 1.0])
@@ -466,16 +483,19 @@ def test_an_estimate_that_differs_in_its_last_bit_from_equal_ones_is_rejected(va
     The authors' programs, unlike the paper, reject an estimate at the very limit, too.
     """
     equal_estimates = [value] * m
-    assert asdf_test_rejects(math.nextafter(value, 0.5), equal_estimates, OMEGA)
-    assert not asdf_test_rejects(value, equal_estimates, OMEGA)
-    assert asdf_test_rejects(value, equal_estimates, OMEGA, AUTHORS)
+    next_float = math.nextafter(value, 0.5)  # towards 0.5, so that it stays within 0 and 1
+
+    assert asdf_test_rejects(next_float, equal_estimates, omega=0.05)
+    assert not asdf_test_rejects(value, equal_estimates, omega=0.05)
+    assert asdf_test_rejects(value, equal_estimates, omega=0.05, conventions=AUTHORS)
 
 
 @pytest.mark.parametrize("conventions", [PAPER, AUTHORS])
 @pytest.mark.parametrize("neighbours", [[], [0.9]])
 def test_fewer_than_two_messages_reject_nothing(neighbours: list[float], conventions: Conventions) -> None:
-    """One estimate has no spread, so the robot's own estimate cannot be tested."""
-    assert not asdf_test_rejects(0.1, neighbours, OMEGA, conventions)
+    """There is no neighbour, or one that estimates 0.9: without a spread the test has no limit."""
+    own_estimate = 0.1
+    assert not asdf_test_rejects(own_estimate, neighbours, omega=0.05, conventions=conventions)
 
 
 # --- Singular points ---------------------------------------------------------------------------------
@@ -490,15 +510,23 @@ NEARLY_HALF = [0.5, 0.5 + 2**-13 - 2**-40, 0.5 - 2**-13 + 2**-40]
 def test_a_sensor_that_guesses_gives_an_estimate_of_a_half_without_confidence(
     b: float, n: int, t: int
 ) -> None:
-    """b is the probability that it is right. The authors' programs have a small confidence in place of 0."""
+    """b, the probability that it is right, is so near to 1/2 that it says nothing. n of t tiles were black.
+
+    The authors' programs have a small confidence in place of 0.
+    """
     assert local_estimate(n, t, b) == 0.5
     assert local_confidence(n, t, b) == 0.0
-    assert local_confidence(n, t, b, replace(PAPER, zero_confidence=1e-6)) == 1e-6
+
+    like_authors = replace(PAPER, zero_confidence=1e-6)
+    assert local_confidence(n, t, b, like_authors) == 1e-6
 
 
 @pytest.mark.parametrize("x_bar", NEARLY_HALF)
 def test_neighbours_that_estimate_a_half_say_nothing_about_a_robot_s_accuracy(x_bar: float) -> None:
-    """Where half of the tiles are black, good and bad sensors see the same."""
+    """Where half of the tiles are black, good and bad sensors see the same.
+
+    The mean x_bar of the neighbours' estimates is 1/2, or less than 2**-13 off.
+    """
     assert assumed_accuracy_update(n=7, t=7, x_bar=x_bar) is None
 
 
@@ -506,9 +534,10 @@ def test_neighbours_that_estimate_a_half_say_nothing_about_a_robot_s_accuracy(x_
 def test_an_accuracy_at_a_distance_of_2_to_the_minus_13_from_a_half_carries_information(
     b: float, x_hat: float
 ) -> None:
-    """A sensor that is right more often than wrong, and sees black alone, means that all is black.
+    """A sensor that sees black alone means that all is black, or white if it is more often wrong than right.
 
-    What the neighbours estimate, x_bar, carries information from the same distance on.
+    So the estimate x_hat is 1 or 0. What the neighbours estimate, x_bar, carries information from the same
+    distance on.
     """
     assert local_estimate(n=7, t=7, b=b) == x_hat
     assert local_confidence(n=7, t=7, b=b) > 0
@@ -538,19 +567,20 @@ def test_where_nobody_has_confidence_a_robot_believes_its_own_estimate() -> None
 
 
 @pytest.mark.parametrize(
-    ("n", "x_hat", "b_hat"),
+    ("n", "expected_x_hat", "expected_b_hat"),
     [(0, 0.0, 1e-6), (2, 0.0, 1e-6), (3, 0.5, 0.5), (4, 1.0, 1 - 1e-6), (6, 1.0, 1 - 1e-6)],
 )
 def test_the_authors_programs_limit_the_results_of_divisions_by_zero(
-    n: int, x_hat: float, b_hat: float
+    n: int, expected_x_hat: float, expected_b_hat: float
 ) -> None:
     """n of 6 tiles are black. The sensor is right in half of the cases, and the neighbours estimate a half.
 
-    More black tiles than half give 1, and fewer give 0. Just half of them lead to 0 by 0, which gives a half.
+    More than 3 black tiles give 1, and fewer give 0, from which accuracies and confidences keep off by 1e-6.
+    Just 3 of them lead to 0 by 0, which gives a half.
     """
-    assert local_estimate(n, t=6, b=0.5, conventions=AUTHORS) == x_hat
+    assert local_estimate(n, t=6, b=0.5, conventions=AUTHORS) == expected_x_hat
     assert local_confidence(n, t=6, b=0.5, conventions=AUTHORS) == 1e-6
-    assert assumed_accuracy_update(n, t=6, x_bar=0.5, conventions=AUTHORS) == b_hat
+    assert assumed_accuracy_update(n, t=6, x_bar=0.5, conventions=AUTHORS) == expected_b_hat
 
 
 @pytest.mark.parametrize(("conventions", "margin"), [(PAPER, 2**-20), (AUTHORS, 1e-6)])
@@ -591,6 +621,7 @@ def test_a_perfect_sensor_has_no_finite_confidence_after_one_colour(n: int, b: f
 BELOW_0 = math.nextafter(0, -1)
 ABOVE_1 = math.nextafter(1, 2)
 VALID = Estimate(0.5, 1.0)
+OMEGA = 0.05
 
 
 @pytest.mark.parametrize(
@@ -623,7 +654,10 @@ VALID = Estimate(0.5, 1.0)
 def test_an_equation_outside_its_domain_raises_and_names_the_value(
     equation: Callable[..., object], arguments: tuple[object, ...]
 ) -> None:
-    """It raises ValueError for, say, 5 black of 3 tiles. The message has the number, or nan or inf."""
+    """``equation`` is a function for an equation, and one of its arguments is impossible: 5 black of 3 tiles.
+
+    It raises ValueError, with a message such as "n is 5". Other arguments are nan or inf.
+    """
     with pytest.raises(ValueError, match=r" (is|has) .*(nan|inf|\d)"):
         equation(*arguments)
 
@@ -634,9 +668,11 @@ def test_an_equation_outside_its_domain_raises_and_names_the_value(
 def test_the_authors_robots_update_where_a_deviation_equals_its_limit() -> None:
     """Where all neighbours agree with a robot both are 0. The paper's robots keep their accuracy there.
 
-    The accuracy comes as near to 1 as the authors' programs allow.
+    The robot sees black alone, and so do the others. So its accuracy comes as near to 1 as the authors'
+    programs allow.
     """
-    robot = ReferenceRobot(Config(filter_period=1), OWN_ID, b_hat=0.75, conventions=AUTHORS, omega=OMEGA)
+    config = Config(filter=Filter.ADAPTIVE, filter_period=1)
+    robot = ReferenceRobot(config, OWN_ID, b_hat=0.75, conventions=AUTHORS, omega=0.05)
     observe_tiles(robot, black=1, white=0)
     receive_estimates(robot, 1.0, 1.0, 1.0)
 
@@ -646,16 +682,15 @@ def test_the_authors_robots_update_where_a_deviation_equals_its_limit() -> None:
     assert robot.b_hat == 1 - 1e-6
 
 
-@pytest.mark.parametrize(("omega", "status_of_round"), [(0.05, Status.UPDATED), (0.9, Status.OK)])
+@pytest.mark.parametrize(("omega", "expected_status"), [(0.05, Status.UPDATED), (0.9, Status.OK)])
 @pytest.mark.parametrize("is_in_table", [True, False])
 def test_omega_comes_from_the_table_or_is_given_beside_it(
-    is_in_table: bool, omega: float, status_of_round: Status
+    is_in_table: bool, omega: float, expected_status: Status
 ) -> None:
     """omega decides how much a robot may deviate from its neighbours before it updates its accuracy.
 
-    The neighbours' mean is 0.85, and their standard deviation 0.0707. So the robot's own estimate, 1,
-    deviates by 2.1 of it. The limit is t / sqrt(2) + 1 of it (eq. 12), where t is 0.079 for the omega 0.05
-    and 6.3 for 0.9: 1.06 or 5.5.
+    The neighbours' mean is 0.85, and the robot's own estimate, 1, is 2.1 standard deviations above it. By
+    eq. 12 that is beyond the limit for the omega 0.05, 1.06 of them, and within that for 0.9, 5.5 of them.
     """
     if is_in_table:
         omega_word = int(omega * 2**32)  # a table has omega in units of 2**-32
@@ -668,13 +703,13 @@ def test_omega_comes_from_the_table_or_is_given_beside_it(
 
     status = robot.settle()  # ends the round, in which the filter runs
 
-    assert status == status_of_round
+    assert status == expected_status
 
 
 def test_a_missing_scipy_is_noticed_when_the_robot_is_made(monkeypatch: pytest.MonkeyPatch) -> None:
     """The error is not raised an hour later, when the robot's filter needs scipy for the first time."""
     monkeypatch.setitem(sys.modules, "scipy.special", None)  # importing it fails from here on
-    t_score.cache_clear()
+    t_score.cache_clear()  # so that no t-score of an earlier test makes scipy needless
 
     with pytest.raises(ImportError):
         ReferenceRobot(Config(TABLE), OWN_ID, b_hat=0.75)
@@ -685,7 +720,7 @@ def test_an_omega_out_of_range_is_refused(omega: float) -> None:
     """omega is a probability of the hypothesis test: above 0 and at most 0.9."""
     with pytest.raises(FirmwareError, match="omega is") as error:
         ReferenceRobot(Config(), OWN_ID, b_hat=0.75, omega=omega)
-    assert error.value.status == Status.ERR_TABLE
+    assert error.value.status == Status.ERR_TABLE  # as in the firmware, which has omega in the table
 
 
 # --- Whole lives -----------------------------------------------------------------------------------------
@@ -743,7 +778,7 @@ def test_the_equations_in_float64_and_the_firmware_give_the_same_robot(mode: Fil
     """Both get the same observations and messages through 2500 ticks, and are compared in each tick.
 
     The robot in float64 computes the paper's equations as they stand. MirrorRobot computes the integers of
-    the firmware. In this time the filter has to change the accuracy, unless it is off.
+    the firmware. In this time the filter has to change the accuracy, unless it is off, or little is compared.
     """
     table = generate(parse_omega("0.05"), 30)  # for up to 30 neighbours
     config = Config(table, mode, filter_period=50, memory=256)

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import random
-from dataclasses import replace
 
 import pytest
 
 from mcp_asdf.reference import ReferenceRobot
 from mcp_asdf.robot import Config, Counters, Filter, FixedPointRobot, Observation, Robot, Status
 from robots import (
-    OWN_ID,
-    ROBUST,
     TABLE,
     Firmware,
     for_every_firmware,
@@ -22,16 +19,16 @@ from robots import (
 )
 
 WHITE, BLACK = Observation.WHITE, Observation.BLACK
-ADAPTIVE = Config(TABLE, Filter.ADAPTIVE, filter_period=1)
-ALWAYS = Config(None, Filter.ALWAYS, filter_period=1)
 
 
 @for_every_firmware
 def test_a_robot_implements_the_interfaces(firmware: Firmware) -> None:
     """All are robots. The firmware and its mirror also have raw numbers, and can be saved."""
     robot = make_robot(firmware)
+
     assert isinstance(robot, Robot)
-    assert isinstance(robot, FixedPointRobot) == (firmware is not ReferenceRobot)
+    has_raw_numbers = firmware is not ReferenceRobot  # that in float64
+    assert isinstance(robot, FixedPointRobot) == has_raw_numbers
 
 
 # design: R2, R18
@@ -40,7 +37,10 @@ def test_a_robot_implements_the_interfaces(firmware: Firmware) -> None:
 def test_a_robot_that_has_observed_and_received_nothing_guesses_a_half(
     firmware: Firmware, empty_rounds: int
 ) -> None:
-    """x_hat is its own estimate, with the confidence alpha, and x_bar its neighbours', with beta."""
+    """x_hat is its own estimate, with the confidence alpha, and x_bar its neighbours', with beta.
+
+    That is so when the robot is new, and when a round without messages has ended.
+    """
     robot = make_robot(firmware)
 
     for _ in range(empty_rounds):
@@ -48,30 +48,30 @@ def test_a_robot_that_has_observed_and_received_nothing_guesses_a_half(
 
     assert (robot.x_hat, robot.alpha) == (0.5, 0.0)
     assert (robot.x_bar, robot.beta) == (0.5, 0.0)
-    assert robot.x == 0.5, "what it believes"
+    assert robot.x == 0.5, "what it believes, given both estimates"
 
 
 # design: R2, R18
 @for_every_firmware
 def test_a_new_robot_has_its_id_its_accuracy_and_counts_of_zero(firmware: Firmware) -> None:
     """It has observed t tiles, n of them black. Its counters count messages and tests."""
-    robot = make_robot(firmware, b_hat=0.75, robot_id=OWN_ID)
+    robot = make_robot(firmware, b_hat=0.75, robot_id=5)
 
-    assert robot.id == OWN_ID
+    assert robot.id == 5
     assert robot.b_hat == 0.75
     assert (robot.t, robot.n) == (0, 0)
-    assert robot.counters == Counters()
+    assert robot.counters == Counters(accepted=0, repeated=0, rejected=0, tests=0, updates=0)
 
 
 @for_every_firmware
 def test_repr_shows_what_a_robot_has_counted_and_what_it_estimates(firmware: Firmware) -> None:
     """Its sensor is right in 3 of 4 cases, so 3 black of 4 mean that all are. alpha is 16/3 by eq. 4."""
-    robot = make_robot(firmware, b_hat=0.75)
+    robot = make_robot(firmware, b_hat=0.75, robot_id=5)
 
     observe_tiles(robot, black=3, white=1)
 
-    expected = f"<{firmware.__name__} {OWN_ID}: t=4 n=3 b_hat=0.75 x_hat=1 alpha=5.33333 x=1>"
-    assert repr(robot) == expected
+    class_name = firmware.__name__
+    assert repr(robot) == f"<{class_name} 5: t=4 n=3 b_hat=0.75 x_hat=1 alpha=5.33333 x=1>"
 
 
 # design: R6
@@ -95,7 +95,7 @@ def test_messages_count_only_when_the_round_ends(firmware: Firmware) -> None:
 # design: R8
 @for_every_firmware
 def test_a_second_message_of_a_sender_in_a_round_is_ignored(firmware: Firmware) -> None:
-    """x_bar and beta are the estimate and the confidence of the neighbours that were received."""
+    """x_bar and beta, the neighbours' estimate and confidence, are those of the first message alone."""
     robot = make_robot(firmware)
     assert robot.receive(sender=1, x_hat=0.25, alpha=2.0) == Status.OK
 
@@ -109,13 +109,13 @@ def test_a_second_message_of_a_sender_in_a_round_is_ignored(firmware: Firmware) 
 # design: R8
 @for_every_firmware
 def test_a_sender_is_received_again_in_the_next_round(firmware: Firmware) -> None:
-    """x_bar and beta are the estimate and the confidence of the neighbours that were received."""
+    """x_bar and beta, the neighbours' estimate and confidence, are those of the message in the last round."""
     robot = make_robot(firmware)
     robot.receive(sender=1, x_hat=0.25, alpha=2.0)
-    robot.step(BLACK)  # ends the round
+    robot.step(BLACK)  # ends the first round
 
     assert robot.receive(sender=1, x_hat=0.75, alpha=9.0) == Status.OK
-    robot.step(BLACK)
+    robot.step(BLACK)  # ends the second round
 
     assert (robot.x_bar, robot.beta) == (0.75, 9.0)
     assert robot.counters == Counters(accepted=2)
@@ -131,7 +131,7 @@ def test_a_robot_that_hears_nobody_believes_its_own_estimate_again(firmware: Fir
     robot = make_robot(firmware)
     robot.receive(sender=1, x_hat=0.75, alpha=9.0)
     robot.step(BLACK)  # ends the round of the message
-    assert robot.x != robot.x_hat
+    assert robot.x != robot.x_hat, "it believes the neighbour, too"
 
     robot.step(BLACK)  # ends a round without messages
 
@@ -143,10 +143,10 @@ def test_a_robot_that_hears_nobody_believes_its_own_estimate_again(firmware: Fir
 @for_every_firmware
 def test_a_counter_begins_at_0_again_after_65535(firmware: Firmware) -> None:
     """It has 16 bits. Of messages with the robot's own id, which are rejected, 65536 and three more come."""
-    robot = make_robot(firmware)
+    robot = make_robot(firmware, robot_id=5)
 
     for _ in range(65536 + 3):
-        status_of_receive(robot, OWN_ID, x_hat=0.5, alpha=1.0)
+        status_of_receive(robot, sender=5, x_hat=0.5, alpha=1.0)
 
     assert robot.counters == Counters(rejected=3)
 
@@ -154,7 +154,7 @@ def test_a_counter_begins_at_0_again_after_65535(firmware: Firmware) -> None:
 # design: R10, R23, R26
 @for_every_firmware
 @pytest.mark.parametrize(
-    ("mode", "neighbours", "tests", "updates"),
+    ("mode", "neighbours_estimates", "tests", "updates"),
     [
         (Filter.ADAPTIVE, (), 0, 0),
         (Filter.ADAPTIVE, (0.9,), 0, 0),
@@ -170,34 +170,40 @@ def test_a_counter_begins_at_0_again_after_65535(firmware: Firmware) -> None:
     ],
 )
 def test_a_robot_re_estimates_its_accuracy_after_enough_informative_messages(
-    firmware: Firmware, mode: Filter, neighbours: tuple[float, ...], tests: int, updates: int
+    firmware: Firmware, mode: Filter, neighbours_estimates: tuple[float, ...], tests: int, updates: int
 ) -> None:
-    """It estimates 1, and its neighbours what ``neighbours`` says. Then its filter runs once.
+    """The filter ADAPTIVE tests the accuracy if there are two messages, and updates it if that rejects.
 
-    ``tests`` and ``updates`` say how often it tests and how often it changes its accuracy.
+    ALWAYS updates it without a test if there is a message, and OFF does neither. No filter updates it by
+    neighbours whose mean is 1/2. The robot itself estimates 1. Its filter runs once, so that ``tests`` and
+    ``updates``, the numbers to be counted, are 0 or 1.
     """
-    robot = make_robot(firmware, replace(ADAPTIVE, filter=mode), b_hat=0.75)
+    robot = make_robot(firmware, Config(TABLE, mode, filter_period=1), b_hat=0.75)
     observe_tiles(robot, black=4, white=0)
-    receive_estimates(robot, *neighbours)
+    receive_estimates(robot, *neighbours_estimates)
 
     status = robot.settle()  # ends the round, in which the filter runs
 
-    has_changed_accuracy = robot.b_hat != 0.75
-    assert has_changed_accuracy == (updates > 0)
-    assert status == (Status.UPDATED if has_changed_accuracy else Status.OK)
-    assert robot.counters == Counters(accepted=len(neighbours), tests=tests, updates=updates)
+    if updates == 0:
+        assert status == Status.OK
+        assert robot.b_hat == 0.75
+    else:
+        assert status == Status.UPDATED
+        assert robot.b_hat != 0.75
+    assert robot.counters == Counters(accepted=len(neighbours_estimates), tests=tests, updates=updates)
 
 
 @for_every_firmware
-@pytest.mark.parametrize("config", [ADAPTIVE, ALWAYS, ROBUST], ids=["adaptive", "always", "robust"])
-def test_a_robot_that_has_observed_nothing_keeps_its_accuracy(firmware: Firmware, config: Config) -> None:
+@pytest.mark.parametrize("mode", [Filter.ADAPTIVE, Filter.ALWAYS, Filter.ROBUST])
+def test_a_robot_that_has_observed_nothing_keeps_its_accuracy(firmware: Firmware, mode: Filter) -> None:
     """It has no observations that five neighbours could contradict. So it neither tests nor updates."""
-    robot = make_robot(firmware, config)
+    robot = make_robot(firmware, Config(TABLE, mode, filter_period=1), b_hat=0.75)
     receive_estimates(robot, 0.9, 0.9, 0.9, 0.9, 0.9)
 
     status = robot.settle()  # ends the round, in which the filter runs
 
     assert status == Status.OK
+    assert robot.b_hat == 0.75
     assert robot.counters == Counters(accepted=5, tests=0, updates=0)
 
 
@@ -223,8 +229,13 @@ def test_robots_that_all_receive_each_other_s_estimates_believe_the_same_to_the_
     After each round x, what a robot believes, is the same number in all of them.
     """
     rng = random.Random(0)
-    swarm = [make_robot(firmware, ALWAYS, rng.uniform(0.6, 0.99), robot_id) for robot_id in range(10)]
+    config = Config(filter=Filter.ALWAYS, filter_period=1)
+    swarm = [
+        make_robot(firmware, config, b_hat=rng.uniform(0.6, 0.99), robot_id=robot_id)
+        for robot_id in range(10)
+    ]
 
     for _ in range(30):
         run_round(swarm, rng)
-        assert len({robot.x for robot in swarm}) == 1
+        different_values = {robot.x for robot in swarm}
+        assert len(different_values) == 1

@@ -6,7 +6,7 @@ docs/design.md, section 13, specifies it. Slot i keeps the estimate of the sende
 from __future__ import annotations
 
 import struct
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import pytest
@@ -21,7 +21,6 @@ from robots import (
     ONE,
     OWN_ID,
     ROBUST,
-    ROBUST_B_HAT,
     FixedPoint,
     FixedPointFirmware,
     for_fixed_point_firmwares,
@@ -30,8 +29,12 @@ from robots import (
     restore_robust_robot,
 )
 
-ONLY_VOTES = replace(ROBUST, filter_period=1000)
-"""Parameters of a robot whose rounds have votes, but no test of its accuracy in these short tests."""
+
+def make_robust_robot(
+    firmware: FixedPointFirmware, b_hat: float, filter_period: int, memory: int = 2**31
+) -> FixedPoint:
+    """Make a robot that runs the robust filter every ``filter_period`` rounds."""
+    return firmware(Config(None, Filter.ROBUST, filter_period, memory), OWN_ID, b_hat)
 
 
 def filter_memory(robot: FixedPoint) -> dict[str, int]:
@@ -44,7 +47,7 @@ def filter_memory(robot: FixedPoint) -> dict[str, int]:
 
 
 def filled_slots(robot: FixedPoint) -> dict[int, int]:
-    """Return the estimates in the slots that have one, in units of 2**-16, by slot."""
+    """Return the neighbours' estimates that a robot remembers, in units of 2**-16, by slot."""
     state = robot.state()
     slots = [slot for slot in range(32) if state["robust_filled_slots"] >> slot & 1]
     return {slot: state[f"estimates_{slot}"] for slot in slots}
@@ -58,8 +61,11 @@ def filled_slots(robot: FixedPoint) -> dict[int, int]:
 def test_an_estimate_is_kept_in_the_slot_of_its_sender_modulo_32(
     firmware: FixedPointFirmware, sender: int, slot: int
 ) -> None:
-    """A robot with the robust filter has 32 slots for the latest estimates of its neighbours."""
-    robot = firmware(ROBUST, OWN_ID, b_hat=0.95)
+    """A robot with the robust filter has 32 slots for the latest estimates of its neighbours, and these ids.
+
+    It keeps an estimate in units of 2**-16.
+    """
+    robot = make_robust_robot(firmware, b_hat=0.95, filter_period=1)
 
     robot.receive(sender, x_hat=0.25, alpha=1.0)
 
@@ -69,8 +75,8 @@ def test_an_estimate_is_kept_in_the_slot_of_its_sender_modulo_32(
 # design: R35
 @for_fixed_point_firmwares
 def test_senders_with_ids_equal_modulo_32_share_a_slot(firmware: FixedPointFirmware) -> None:
-    """The robot remembers only the estimate that it received last from two such neighbours."""
-    robot = firmware(ROBUST, OWN_ID, b_hat=0.95)
+    """The robot remembers only the estimate that it received last from two such neighbours, here 1 and 33."""
+    robot = make_robust_robot(firmware, b_hat=0.95, filter_period=1)
 
     robot.receive(sender=1, x_hat=0.25, alpha=1.0)
     robot.receive(sender=1 + 32, x_hat=0.5, alpha=1.0)
@@ -81,7 +87,7 @@ def test_senders_with_ids_equal_modulo_32_share_a_slot(firmware: FixedPointFirmw
 @for_fixed_point_firmwares
 def test_a_neighbour_s_newer_estimate_replaces_its_older_one(firmware: FixedPointFirmware) -> None:
     """A robot keeps the latest estimate of neighbour 1 in slot 1, in units of 2**-16."""
-    robot = firmware(ROBUST, OWN_ID, b_hat=0.95)
+    robot = make_robust_robot(firmware, b_hat=0.95, filter_period=1)
     robot.receive(sender=1, x_hat=0.25, alpha=1.0)
     robot.settle()  # ends the round: after it a sender may be received again
 
@@ -93,7 +99,7 @@ def test_a_neighbour_s_newer_estimate_replaces_its_older_one(firmware: FixedPoin
 @for_fixed_point_firmwares
 def test_a_second_message_of_a_neighbour_in_the_same_round_is_ignored(firmware: FixedPointFirmware) -> None:
     """A robot keeps the first estimate of neighbour 1 in a round, in slot 1 and in units of 2**-16."""
-    robot = firmware(ROBUST, OWN_ID, b_hat=0.95)
+    robot = make_robust_robot(firmware, b_hat=0.95, filter_period=1)
     robot.receive(sender=1, x_hat=0.25, alpha=1.0)
 
     status = robot.receive(sender=1, x_hat=0.5, alpha=1.0)
@@ -105,7 +111,7 @@ def test_a_second_message_of_a_neighbour_in_the_same_round_is_ignored(firmware: 
 @for_fixed_point_firmwares
 def test_a_robot_remembers_its_neighbours_while_it_hears_nobody(firmware: FixedPointFirmware) -> None:
     """It keeps the latest estimate of neighbour 1 in slot 1, in units of 2**-16."""
-    robot = firmware(ROBUST, OWN_ID, b_hat=0.95)
+    robot = make_robust_robot(firmware, b_hat=0.95, filter_period=1)
     robot.receive(sender=1, x_hat=0.25, alpha=1.0)
     robot.settle()  # ends the round of the message
 
@@ -122,8 +128,8 @@ def test_a_robot_remembers_its_neighbours_while_it_hears_nobody(firmware: FixedP
 def test_an_estimate_is_rounded_to_the_nearest_that_a_slot_can_hold(
     firmware: FixedPointFirmware, x_hat: int, slot_estimate: int
 ) -> None:
-    """x_hat has units of 2**-23. A slot has units of 2**-16, 128 times as large, and at most 65535."""
-    robot = firmware(ROBUST, OWN_ID, b_hat=0.95)
+    """The estimate x_hat has units of 2**-23. A slot has units of 2**-16, 128 times as large, up to 65535."""
+    robot = make_robust_robot(firmware, b_hat=0.95, filter_period=1)
     robot.receive_raw(sender=1, x_hat=x_hat, alpha=ALPHA_ONE)
     assert filled_slots(robot) == {1: slot_estimate}
 
@@ -135,9 +141,9 @@ def test_a_neighbour_without_confidence_is_accepted_but_not_remembered(
 ) -> None:
     """A confidence is a word: a mantissa above 8 bits of a shift. With a mantissa of 0, as here, it is 0.
 
-    The robot counts the message, but does not keep its estimate.
+    The robot counts the message as accepted, but does not keep its estimate.
     """
-    robot = firmware(ROBUST, OWN_ID, b_hat=0.95)
+    robot = make_robust_robot(firmware, b_hat=0.95, filter_period=1)
 
     robot.receive_raw(sender=1, x_hat=HALF, alpha=alpha_word)
 
@@ -151,14 +157,14 @@ def test_the_robust_filter_does_not_sum_the_estimates_of_a_round(firmware: Fixed
 
     The sums of the round that goes on are called open, those of the last one closed.
     """
-    robot = firmware(ROBUST, OWN_ID, b_hat=0.95)
+    robot = make_robust_robot(firmware, b_hat=0.95, filter_period=1)
     receive_estimates(robot, 0.25, 0.5)
     robot.settle()  # ends a round with two messages
-    receive_estimates(robot, 0.25, 0.5)
+    receive_estimates(robot, 0.25, 0.5)  # in the next round, which goes on
 
     sums = [value for name, value in robot.state().items() if name.startswith(("open_", "closed_"))]
-
-    assert sums == [0] * 9, "a robot has nine numbers for them"
+    nine_zeros = [0] * 9
+    assert sums == nine_zeros
     assert robot.beta == 0, "the sum of the neighbours' confidences"
 
 
@@ -172,8 +178,8 @@ def test_without_the_robust_filter_no_estimates_of_neighbours_are_remembered(
     receive_estimates(robot, 0.25, 0.5)
     robot.settle()  # ends the round
 
-    remembered = [value for name, value in robot.state().items() if name.startswith("estimates_")]
-    assert remembered == [0] * 32
+    slots = [value for name, value in robot.state().items() if name.startswith("estimates_")]
+    assert slots == [0] * 32
     assert filled_slots(robot) == {}
 
 
@@ -183,8 +189,8 @@ def test_without_the_robust_filter_no_estimates_of_neighbours_are_remembered(
 # design: R36
 @for_fixed_point_firmwares
 def test_before_the_first_vote_a_robot_believes_its_own_estimate(firmware: FixedPointFirmware) -> None:
-    """Votes are counted when a round ends: a message that has just come has not voted."""
-    robot = firmware(ROBUST, OWN_ID, b_hat=0.95)
+    """Votes are counted when a round ends: a neighbour whose message has just come has not voted."""
+    robot = make_robust_robot(firmware, b_hat=0.95, filter_period=1)
     observe_tiles(robot, black=9, white=1)
 
     receive_estimates(robot, 0.25)
@@ -198,12 +204,11 @@ def test_before_the_first_vote_a_robot_believes_its_own_estimate(firmware: Fixed
 def test_x_and_x_bar_are_the_centre_of_the_votes(firmware: FixedPointFirmware) -> None:
     """The robot believes x, and takes x_bar for what its neighbours estimate: both are the votes' centre.
 
-    The centre is in units of 2**-30, and x and x_bar, which are rounded down, in units of 2**-23.
+    The centre, here 3/4 and 127 units more, has units of 2**-30. x and x_bar have units of 2**-23, which are
+    128 times as large, and are rounded down.
     """
-    three_quarters_and_less_than_a_unit_of_x = 3 * 2**28 + 127
-    robot = restore_robust_robot(
-        firmware, estimates=[0], votes=1, centre=three_quarters_and_less_than_a_unit_of_x
-    )
+    centre = 3 * 2**28 + 127
+    robot = restore_robust_robot(firmware, estimates=[0], votes=1, centre=centre)
 
     three_quarters = 3 * 2**21
     assert robot.x_raw == three_quarters
@@ -213,20 +218,22 @@ def test_x_and_x_bar_are_the_centre_of_the_votes(firmware: FixedPointFirmware) -
 @for_fixed_point_firmwares
 def test_a_round_has_one_vote_however_many_neighbours_were_received(firmware: FixedPointFirmware) -> None:
     """The next neighbour votes in the next round. So a call takes the same time in any swarm."""
-    robot = firmware(ROBUST, OWN_ID, b_hat=0.95)
+    robot = make_robust_robot(firmware, b_hat=0.95, filter_period=1)
     receive_estimates(robot, 0.25, 0.5, 0.75)
 
     robot.settle()  # ends the round
 
-    assert filter_memory(robot)["votes"] == 1
+    vote_count = filter_memory(robot)["votes"]
+    assert vote_count == 1
 
 
 @for_fixed_point_firmwares
 def test_without_estimates_of_others_there_is_no_vote(firmware: FixedPointFirmware) -> None:
     """A robot that is alone believes its own estimate anyway."""
-    robot = firmware(ROBUST, OWN_ID, b_hat=0.95)
+    robot = make_robust_robot(firmware, b_hat=0.95, filter_period=1)
     robot.step(Observation.BLACK)  # observes a tile and ends a round
-    assert filter_memory(robot)["votes"] == 0
+    vote_count = filter_memory(robot)["votes"]
+    assert vote_count == 0
 
 
 def voters_of_rounds(robot: FixedPoint, rounds: int) -> list[int | str]:
@@ -244,7 +251,7 @@ def voters_of_rounds(robot: FixedPoint, rounds: int) -> list[int | str]:
 
 @for_fixed_point_firmwares
 @pytest.mark.parametrize(
-    ("senders", "black", "voters"),
+    ("senders", "black_tiles", "expected_voters"),
     [
         pytest.param([9, 6], 1, [6, 9, "own estimate", 6, 9], id="in ascending order"),
         pytest.param([31], 1, [31, "own estimate", 31, "own estimate"], id="after the last of 32 slots"),
@@ -252,41 +259,46 @@ def voters_of_rounds(robot: FixedPoint, rounds: int) -> list[int | str]:
     ],
 )
 def test_neighbours_vote_in_ascending_order_and_the_robot_itself_after_them(
-    firmware: FixedPointFirmware, senders: list[int], black: int, voters: list[int | str]
+    firmware: FixedPointFirmware, senders: list[int], black_tiles: int, expected_voters: list[int | str]
 ) -> None:
-    """One voter votes in each round. The estimates of neighbours 6, 9 and 31 are in slots 6, 9 and 31.
+    """One of them votes in each round. Neighbours are named by their slots, here 6, 9 and 31 as their ids.
 
-    The robot has observed ``black`` tiles, and all were black.
+    The robot itself votes only if it has observed a tile.
     """
-    robot = firmware(ONLY_VOTES, OWN_ID, b_hat=0.95)
-    observe_tiles(robot, black, white=0)
+    robot = make_robust_robot(firmware, b_hat=0.95, filter_period=1000)
+    observe_tiles(robot, black_tiles, white=0)
     for sender in senders:
         robot.receive(sender, x_hat=0.5, alpha=1.0)
 
-    assert voters_of_rounds(robot, len(voters)) == voters
+    voters = voters_of_rounds(robot, rounds=len(expected_voters))
+
+    assert voters == expected_voters
 
 
 @for_fixed_point_firmwares
-@pytest.mark.parametrize(("alpha", "voter"), [(0, 0), (ALPHA_MIN, "own estimate")])
+@pytest.mark.parametrize(("alpha", "expected_voter"), [(0, 0), (ALPHA_MIN, "own estimate")])
 def test_the_smallest_confidence_is_enough_for_a_robot_to_vote(
-    firmware: FixedPointFirmware, alpha: int, voter: int | str
+    firmware: FixedPointFirmware, alpha: int, expected_voter: int | str
 ) -> None:
     """Slot 0 has voted, so it is the robot's own turn; without confidence slot 0 votes again.
 
-    No observation leads to such a confidence. Only a robot whose b_hat was just updated may be restored so.
+    The confidence alpha is 0 or the smallest. No observation leads to the smallest, so it is written into a
+    saved robot, which is restored only if its b_hat was just updated.
     """
     mirror = restore_robust_robot(MirrorRobot, t=1, estimates=[0], turn=1, votes=1)
     assert isinstance(mirror, MirrorRobot)
     mirror.s.alpha, mirror.s.updated = alpha, 1
     robot = firmware.restore(ROBUST, mirror.save())
 
-    assert voters_of_rounds(robot, rounds=1) == [voter]
+    [voter] = voters_of_rounds(robot, rounds=1)
+
+    assert voter == expected_voter
 
 
 @for_fixed_point_firmwares
 def test_a_new_neighbour_votes_as_soon_as_its_slot_is_reached(firmware: FixedPointFirmware) -> None:
-    """It need not wait until all that were there before it have voted."""
-    robot = firmware(ONLY_VOTES, OWN_ID, b_hat=0.95)
+    """It need not wait until all that were there before it have voted. Slots here are the neighbours' ids."""
+    robot = make_robust_robot(firmware, b_hat=0.95, filter_period=1000)
     robot.receive(sender=6, x_hat=0.5, alpha=1.0)
     robot.receive(sender=9, x_hat=0.5, alpha=1.0)
     robot.settle()  # slot 6 votes
@@ -300,12 +312,12 @@ def test_a_new_neighbour_votes_as_soon_as_its_slot_is_reached(firmware: FixedPoi
 def test_a_robot_s_own_vote_moves_what_it_believes_towards_what_it_has_seen(
     firmware: FixedPointFirmware,
 ) -> None:
-    """It has seen black alone, and its neighbour says that half is black.
+    """It has seen black alone, and its neighbour says that half is black, as the robot believes at first.
 
-    A vote moves what it believes by an eighth of the spread at most. That is 1/4 at first, and a sixteenth of
-    it less after the neighbour's vote, which is where the robot expects it.
+    A vote far away moves what it believes by an eighth of the spread of the votes. That is 1/4 at first, and
+    shrinks by a sixteenth with the neighbour's vote, which is where the robot expects it.
     """
-    robot = firmware(ONLY_VOTES, OWN_ID, b_hat=0.95)
+    robot = make_robust_robot(firmware, b_hat=0.95, filter_period=1000)
     observe_tiles(robot, black=9, white=0)
     receive_estimates(robot, 0.5)
     robot.settle()  # the neighbour votes
@@ -325,12 +337,12 @@ def test_a_robot_s_own_vote_moves_what_it_believes_towards_what_it_has_seen(
 def test_a_vote_far_away_moves_what_the_robot_believes_no_further_than_one_at_a_limit(
     firmware: FixedPointFirmware, vote: float, counted_distance: float
 ) -> None:
-    """A vote moves the centre of the votes, 1/2 at first, by an eighth of the vote's distance from it.
+    """A vote moves x, what the robot believes and 1/2 at first, by an eighth of the vote's distance from it.
 
-    A longer distance than the spread, 1/4 at first, counts as 1/4. So the greatest lie, 0 or 1, moves a robot
-    no more than an error of a quarter.
+    A longer distance than the limit, the spread, which is 1/4 at first, counts as 1/4. So the greatest lie, 0
+    or 1, moves a robot no more than an error of a quarter.
     """
-    robot = firmware(ROBUST, OWN_ID, b_hat=0.95)
+    robot = make_robust_robot(firmware, b_hat=0.95, filter_period=1)
     receive_estimates(robot, vote)
 
     robot.settle()  # the neighbour votes
@@ -340,7 +352,7 @@ def test_a_vote_far_away_moves_what_the_robot_believes_no_further_than_one_at_a_
 
 @for_fixed_point_firmwares
 @pytest.mark.parametrize(
-    ("votes", "gain"),
+    ("earlier_votes", "gain"),
     [
         (0, 1 / 8),
         (62, 1 / 8),
@@ -354,14 +366,14 @@ def test_a_vote_far_away_moves_what_the_robot_believes_no_further_than_one_at_a_
     ],
 )
 def test_the_more_votes_there_were_the_less_one_more_counts(
-    firmware: FixedPointFirmware, votes: int, gain: float
+    firmware: FixedPointFirmware, earlier_votes: int, gain: float
 ) -> None:
     """A vote moves the centre of the votes by the spread times the gain, which falls from 1/8 to 1/128.
 
     Here a neighbour votes 0, which is far below the centre. Centre and spread are in units of 2**-30.
     """
     centre, spread = 2**30 // 2, 2**30 // 4
-    robot = restore_robust_robot(firmware, estimates=[0], votes=votes, centre=centre, spread=spread)
+    robot = restore_robust_robot(firmware, estimates=[0], votes=earlier_votes, centre=centre, spread=spread)
 
     robot.settle()  # the neighbour votes
 
@@ -380,8 +392,12 @@ def test_the_more_votes_there_were_the_less_one_more_counts(
 def test_a_vote_outside_the_spread_widens_it_by_a_sixteenth_and_one_inside_narrows_it(
     firmware: FixedPointFirmware, slot_estimate: int, new_spread: int
 ) -> None:
-    """The spread is 1/16 around 1/2, in units of 2**-30. Estimates of neighbours are in units of 2**-16."""
-    robot = restore_robust_robot(firmware, estimates=[slot_estimate], votes=1, spread=2**26)
+    """The spread is 1/16 around 1/2. The neighbour's estimate is at the very distance of 1/16, or beyond it.
+
+    Centre and spread are in units of 2**-30, and estimates of neighbours in units of 2**-16.
+    """
+    half, sixteenth = 2**29, 2**26
+    robot = restore_robust_robot(firmware, estimates=[slot_estimate], votes=1, centre=half, spread=sixteenth)
 
     robot.settle()  # the neighbour votes
 
@@ -399,8 +415,12 @@ def test_a_vote_outside_the_spread_widens_it_by_a_sixteenth_and_one_inside_narro
 def test_no_vote_brings_the_spread_beyond_its_limits(
     firmware: FixedPointFirmware, limit: int, slot_estimate: int
 ) -> None:
-    """They are 2**-12 and 1/4, in units of 2**-30. An estimate of 1/2 in units of 2**-16 is 2**15."""
-    robot = restore_robust_robot(firmware, estimates=[slot_estimate], votes=1, spread=limit)
+    """They are 2**-12 and 1/4. A vote at the centre would narrow the first, one far away widen the second.
+
+    Centre and spread are in units of 2**-30, and estimates of neighbours in units of 2**-16.
+    """
+    half = 2**29
+    robot = restore_robust_robot(firmware, estimates=[slot_estimate], votes=1, centre=half, spread=limit)
 
     robot.settle()  # the neighbour votes
 
@@ -413,41 +433,45 @@ def test_no_more_than_512_votes_are_counted(firmware: FixedPointFirmware) -> Non
     robot = restore_robust_robot(firmware, estimates=[0], votes=511)
 
     robot.settle()  # the neighbour's estimate is vote 512
-    robot.settle()  # it votes again
+    robot.settle()  # the neighbour votes again
 
-    assert filter_memory(robot)["votes"] == 512
+    vote_count = filter_memory(robot)["votes"]
+    assert vote_count == 512
 
 
 @for_fixed_point_firmwares
 def test_a_neighbour_that_sends_more_often_has_no_more_influence(firmware: FixedPointFirmware) -> None:
     """Robot 6 sends in every round that 3/4 are black. Robots 7 and 8, a majority, have sent 1/4 once."""
-    robot = firmware(ONLY_VOTES, OWN_ID, b_hat=0.95)
+    robot = make_robust_robot(firmware, b_hat=0.95, filter_period=1000)
     robot.receive(sender=7, x_hat=0.25, alpha=1.0)
     robot.receive(sender=8, x_hat=0.25, alpha=1.0)
 
     for _ in range(900):
         robot.receive(sender=6, x_hat=0.75, alpha=1.0)
-        robot.settle()  # ends the round: one of the three votes
+        robot.settle()  # ends the round: one of the three neighbours votes
 
-    assert robot.x == pytest.approx(0.25, abs=0.01)
+    assert robot.x == pytest.approx(0.25, abs=0.01)  # what the majority estimates
 
 
 # --- The filter ------------------------------------------------------------------------------------------
 
 
 @for_fixed_point_firmwares
-@pytest.mark.parametrize(("estimate_count", "tests"), [(4, 0), (5, 1)])
+@pytest.mark.parametrize(("estimate_count", "expected_tests"), [(4, 0), (5, 1)])
 def test_a_robot_tests_itself_only_against_five_neighbours_or_more(
-    firmware: FixedPointFirmware, estimate_count: int, tests: int
+    firmware: FixedPointFirmware, estimate_count: int, expected_tests: int
 ) -> None:
-    """In a test it compares what it has observed with what its neighbours estimate."""
-    robot = firmware(ROBUST, OWN_ID, b_hat=0.95)
+    """In a test it compares what it has observed with what its neighbours estimate.
+
+    Four neighbours lead to no test, and five to one.
+    """
+    robot = make_robust_robot(firmware, b_hat=0.95, filter_period=1)
     observe_tiles(robot, black=9, white=1)
     receive_estimates(robot, *[0.25] * estimate_count)
 
     robot.settle()  # ends the round, in which the filter runs
 
-    assert robot.counters.tests == tests
+    assert robot.counters.tests == expected_tests
 
 
 # design: R37
@@ -460,7 +484,7 @@ def test_a_robot_whose_observations_contradict_the_others_estimates_its_accuracy
     With its b_hat of 0.95 it would see 0.95 * 0.95 + 0.05 * 0.05 = 0.905 black. Its new b_hat is the
     accuracy that explains what it sees (eq. 8 of the paper): (0.545 + 0.95 - 1) / (2 * 0.95 - 1) = 0.55.
     """
-    robot = firmware(ROBUST, OWN_ID, b_hat=0.95)
+    robot = make_robust_robot(firmware, b_hat=0.95, filter_period=1)
     observe_tiles(robot, black=545, white=455)
     receive_estimates(robot, 0.95, 0.95, 0.95, 0.95, 0.95)
 
@@ -482,32 +506,36 @@ def test_a_robot_that_was_misled_trusts_its_sensor_again_when_the_others_agree_w
     0.905 of its observations are black. A sensor with an accuracy of 0.95 sees that where 0.95 of the tiles
     are black: 0.95 * 0.95 + 0.05 * 0.05.
     """
-    robot = firmware(ROBUST, OWN_ID, b_hat=0.95)
+    initial_b_hat = round(0.95 * 2**32)  # in units of 2**-32
+    robot = make_robust_robot(firmware, b_hat=0.95, filter_period=1)
     observe_tiles(robot, black=905, white=95)
     receive_estimates(robot, 0.25, 0.25, 0.25, 0.25, 0.25)
     assert robot.settle() == Status.UPDATED
-    assert robot.b_hat_raw != ROBUST_B_HAT
+    assert robot.b_hat_raw != initial_b_hat
 
     receive_estimates(robot, 0.95, 0.95, 0.95, 0.95, 0.95)
     status = robot.settle()
 
     assert status == Status.UPDATED
-    assert robot.b_hat_raw == ROBUST_B_HAT
+    assert robot.b_hat_raw == initial_b_hat
 
 
 @for_fixed_point_firmwares
 def test_a_robot_tests_the_accuracy_that_it_had_at_the_start(firmware: FixedPointFirmware) -> None:
-    """Its new accuracy agrees with the others. A test of that would lead it back to the old accuracy."""
-    robot = firmware(ROBUST, OWN_ID, b_hat=0.95)
+    """The others lead it to another accuracy, with which it agrees with them.
+
+    If it tested that one in the next round, it would return to the old one, and so forth and back for ever.
+    """
+    robot = make_robust_robot(firmware, b_hat=0.95, filter_period=1)
     observe_tiles(robot, black=545, white=455)
     receive_estimates(robot, 0.95, 0.95, 0.95, 0.95, 0.95)
     robot.settle()  # the filter runs, and finds another accuracy
     new_accuracy = robot.b_hat
     assert new_accuracy != 0.95
 
-    status = robot.settle()  # the filter runs again, and nothing has changed
+    status = robot.settle()  # the filter runs again, on the same observations and estimates
 
-    assert status == Status.UPDATED
+    assert status == Status.UPDATED, "the accuracy was computed again, with the same result"
     assert robot.b_hat == new_accuracy
 
 
@@ -517,7 +545,7 @@ def test_others_that_estimate_a_half_say_nothing_about_a_robot_s_accuracy(
     firmware: FixedPointFirmware,
 ) -> None:
     """Where half of the tiles are black, every sensor, good or bad, sees half of them black."""
-    robot = firmware(ROBUST, OWN_ID, b_hat=0.95)
+    robot = make_robust_robot(firmware, b_hat=0.95, filter_period=1)
     observe_tiles(robot, black=100, white=0)
     receive_estimates(robot, 0.5, 0.5, 0.5, 0.5, 0.5)
 
@@ -525,12 +553,12 @@ def test_others_that_estimate_a_half_say_nothing_about_a_robot_s_accuracy(
 
     assert status == Status.OK
     assert robot.counters.tests == 1
-    assert robot.b_hat_raw == ROBUST_B_HAT
+    assert robot.b_hat_raw == round(0.95 * 2**32)  # in units of 2**-32
 
 
 @for_fixed_point_firmwares
 @pytest.mark.parametrize(
-    ("supporters", "opponents", "status"),
+    ("supporters", "opponents", "expected_status"),
     [
         pytest.param(2, 3, Status.UPDATED, id="2 of 5 are two fifths"),
         pytest.param(3, 4, Status.OK, id="3 of 7 are more"),
@@ -538,17 +566,19 @@ def test_others_that_estimate_a_half_say_nothing_about_a_robot_s_accuracy(
     ],
 )
 def test_a_robot_that_more_than_two_fifths_support_keeps_its_accuracy(
-    firmware: FixedPointFirmware, supporters: int, opponents: int, status: Status
+    firmware: FixedPointFirmware, supporters: int, opponents: int, expected_status: Status
 ) -> None:
     """It sees 0.545 black and infers that 0.55 of the tiles are, so those who send 0.55 support it.
 
-    The status is UPDATED where the robot changes its accuracy, and OK where it does not.
+    The status is UPDATED where the robot changes its accuracy, and OK where it does not. Opponents send 0.95.
     """
-    robot = firmware(ROBUST, OWN_ID, b_hat=0.95)
+    robot = make_robust_robot(firmware, b_hat=0.95, filter_period=1)
     observe_tiles(robot, black=545, white=455)
     receive_estimates(robot, *[0.55] * supporters, *[0.95] * opponents)
 
-    assert robot.settle() == status
+    status = robot.settle()  # ends the round, in which the filter runs
+
+    assert status == expected_status
 
 
 @for_fixed_point_firmwares
@@ -556,7 +586,7 @@ def test_one_liar_among_five_neighbours_does_not_make_a_robot_doubt_its_sensor(
     firmware: FixedPointFirmware,
 ) -> None:
     """It sees 0.905 of the tiles black: what a sensor that is right in 0.95 sees where 0.95 are black."""
-    robot = firmware(ROBUST, OWN_ID, b_hat=0.95)
+    robot = make_robust_robot(firmware, b_hat=0.95, filter_period=1)
     observe_tiles(robot, black=905, white=95)
     receive_estimates(robot, 0.94, 0.95, 0.95, 0.96, 0.0)  # 0.0 is a lie
 
@@ -568,36 +598,39 @@ def test_one_liar_among_five_neighbours_does_not_make_a_robot_doubt_its_sensor(
 
 # design: R37
 @for_fixed_point_firmwares
-@pytest.mark.parametrize(("t", "status"), [(3_804_264, Status.OK), (3_804_263, Status.UPDATED)])
+@pytest.mark.parametrize(("t", "expected_status"), [(3_804_264, Status.OK), (3_804_263, Status.UPDATED)])
 def test_a_robot_keeps_its_accuracy_at_the_very_limit_of_its_test(
-    firmware: FixedPointFirmware, t: int, status: Status
+    firmware: FixedPointFirmware, t: int, expected_status: Status
 ) -> None:
     """The test compares a deviation with a limit. After one observation less the robot changes its accuracy.
 
-    Counts for which both are equal are rare, and were searched for. Here both are 43681824.
+    3227 of t tiles were black, and five neighbours say that none is. Counts for which deviation and limit are
+    equal are rare, and were searched for: with a t of 3804264 both are 43681824.
     """
     largest_b_hat = 2**32 - 2**12  # 1 - 2**-20 in units of 2**-32
     counts = {"t": t, "n": 3227, "batch_t": t, "batch_n": 3227}
     b_hats = {"b_hat": largest_b_hat, "initial_b_hat": largest_b_hat}
     robot = restore_robust_robot(firmware, **counts, **b_hats, estimates=[0] * 5)
 
-    assert robot.settle() == status
+    status = robot.settle()  # ends a round, in which the filter runs
+
+    assert status == expected_status
 
 
 @for_fixed_point_firmwares
-@pytest.mark.parametrize(("filter_period", "tests"), [(1, 3), (2, 1), (3, 1), (4, 0)])
+@pytest.mark.parametrize(("filter_period", "expected_tests"), [(1, 3), (2, 1), (3, 1), (4, 0)])
 def test_a_robot_tests_itself_once_in_each_filter_period(
-    firmware: FixedPointFirmware, filter_period: int, tests: int
+    firmware: FixedPointFirmware, filter_period: int, expected_tests: int
 ) -> None:
     """The period is a number of rounds; here three rounds end."""
-    robot = firmware(replace(ROBUST, filter_period=filter_period), OWN_ID, b_hat=0.95)
+    robot = make_robust_robot(firmware, b_hat=0.95, filter_period=filter_period)
     observe_tiles(robot, black=9, white=1)
     receive_estimates(robot, 0.9, 0.9, 0.9, 0.9, 0.9)
 
     for _ in range(3):
         robot.settle()  # ends a round
 
-    assert robot.counters.tests == tests
+    assert robot.counters.tests == expected_tests
 
 
 # --- Centre and spread of the estimates ------------------------------------------------------------------
@@ -615,7 +648,7 @@ def test_the_median_of_an_even_number_is_the_mean_of_the_middle_two_rounded_down
 
 
 @pytest.mark.parametrize(
-    ("sixteenths", "median", "spread"),
+    ("sixteenths", "median", "expected_spread"),
     [
         ([1, 2, 4, 5, 15], 4, 2 * 2**20),
         ([0, 0, 4, 15, 15], 4, 4 * 2**20),
@@ -624,33 +657,43 @@ def test_the_median_of_an_even_number_is_the_mean_of_the_middle_two_rounded_down
     ],
 )
 def test_the_spread_is_the_median_distance_from_the_median_within_limits(
-    sixteenths: list[int], median: int, spread: int
+    sixteenths: list[int], median: int, expected_spread: int
 ) -> None:
-    """The filter computes in units of 2**-24, so a sixteenth is 2**20 units."""
-    estimates = [number * 2**20 for number in sixteenths]
-    assert spread_of(estimates, median * 2**20) == spread
+    """Estimates and their median are given in sixteenths, and the spread in the filter's units of 2**-24.
+
+    Its limits are 2**-12 and 1/4.
+    """
+    sixteenth = 2**20
+    estimates = [number * sixteenth for number in sixteenths]
+    assert spread_of(estimates, median * sixteenth) == expected_spread
 
 
 def test_an_estimate_far_away_counts_as_one_at_the_distance_of_the_spread() -> None:
-    """Two estimates lie below by a spread or more, and two above. They balance, at any distance."""
+    """Two estimates lie below the median by a spread or more, and two above. They balance, at any distance.
+
+    So the centre is the median. All are in units of 2**-24.
+    """
     estimates = [256_000, 512_000, 768_000, 1_024_000, 15_360_000]
     assert huber_centre(estimates, median=768_000, spread=256_000) == 768_000
 
 
 def test_the_centre_of_estimates_within_the_spread_is_their_mean() -> None:
-    """It is found step by step, and may be wrong by two units of 2**-24."""
+    """It is computed in steps, and may be wrong by two units of 2**-24, in which all estimates are."""
     estimates = [256_000, 512_000, 1_536_000]
+    mean = (256_000 + 512_000 + 1_536_000) / 3
     centre = huber_centre(estimates, median=512_000, spread=1_280_000)
-    assert centre == pytest.approx(sum(estimates) / 3, abs=2)
+    assert centre == pytest.approx(mean, abs=2)
 
 
 @pytest.mark.parametrize(("end", "centre"), [(0xFFFF00, 0xFFFF00 - 5000), (0, 5000)])
 def test_the_centre_of_neighbours_at_an_end_of_the_range_stays_within_it(end: int, centre: int) -> None:
     """Estimates are 16 bits in units of 2**-16, so 0 to 0xFFFF00 in the filter's units of 2**-24.
 
-    Five estimates are 5000 away from the centre. Each draws it by the spread, 4096; the sum is too far.
+    Five estimates are 5000 units away from the centre, at an end. Each draws it by the spread, 4096 units;
+    their sum would draw it beyond the end.
     """
-    assert centre_after_huber_step([end] * 5, centre, spread=4096) == end
+    estimates = [end] * 5
+    assert centre_after_huber_step(estimates, centre, spread=4096) == end
 
 
 # --- The dispersion --------------------------------------------------------------------------------------
@@ -669,9 +712,12 @@ def dispersion_after_batch(robot: FixedPoint, black: int, white: int) -> int:
 @for_fixed_point_firmwares
 def test_batches_with_equal_shares_of_black_keep_the_dispersion_at_1(firmware: FixedPointFirmware) -> None:
     """The dispersion says how much more batches vary than independent tiles would; it is at least 1."""
-    robot = firmware(ROBUST, OWN_ID, b_hat=0.95)
+    robot = make_robust_robot(firmware, b_hat=0.95, filter_period=1)
     dispersion_after_batch(robot, black=60, white=40)
-    assert dispersion_after_batch(robot, black=60, white=40) == 2**8  # 1 in units of 2**-8
+
+    dispersion = dispersion_after_batch(robot, black=60, white=40)
+
+    assert dispersion == 2**8  # 1 in units of 2**-8
 
 
 @for_fixed_point_firmwares
@@ -683,28 +729,31 @@ def test_a_batch_that_is_off_raises_the_dispersion_by_an_eighth_of_its_ratio(
     Of 200 tiles so far 80 are black, so of the second batch's 100 it should be 40, with a variance of
     100 * 0.4 * 0.6 = 24.
     """
-    robot = firmware(ROBUST, OWN_ID, b_hat=0.95)
+    robot = make_robust_robot(firmware, b_hat=0.95, filter_period=1)
     dispersion_after_batch(robot, black=50, white=50)
 
     dispersion = dispersion_after_batch(robot, black=30, white=70)
 
     ratio = (40 - 30) ** 2 / 24
-    assert dispersion == int((7 / 8 * 1 + 1 / 8 * ratio) * 256)  # in units of 2**-8
+    expected_dispersion = 7 / 8 * 1 + 1 / 8 * ratio
+    assert dispersion == int(expected_dispersion * 2**8)  # in units of 2**-8, rounded down
 
 
 @for_fixed_point_firmwares
 def test_a_batch_that_is_far_off_counts_as_12_times_the_dispersion(firmware: FixedPointFirmware) -> None:
     """The dispersion says how much more batches vary than independent tiles would; it is 1 at first.
 
-    Here a white batch follows a black one: that is 100 times the variance of independent tiles.
+    Here a white batch follows a black one. The squared deviation is 100 times the variance of independent
+    tiles, and counts as 12 times. The new dispersion has an eighth of that.
     """
-    robot = firmware(ROBUST, OWN_ID, b_hat=0.95)
+    robot = make_robust_robot(firmware, b_hat=0.95, filter_period=1)
     dispersion_after_batch(robot, black=100, white=0)
 
     dispersion = dispersion_after_batch(robot, black=0, white=100)
 
-    a_rounding = 1
-    assert dispersion == (7 / 8 * 1 + 1 / 8 * 12) * 256 - a_rounding  # in units of 2**-8
+    expected_dispersion = 7 / 8 * 1 + 1 / 8 * 12
+    rounding = 1
+    assert dispersion == expected_dispersion * 2**8 - rounding  # in units of 2**-8
 
 
 @for_fixed_point_firmwares
@@ -716,7 +765,10 @@ def test_the_dispersion_falls_by_an_eighth_with_each_batch_that_is_as_expected(
     Half of 100 tiles were black so far, and half of the next 100 are black, too.
     """
     robot = restore_robust_robot(firmware, t=100, n=50, batch_t=100, batch_n=50, dispersion=1000)
-    assert dispersion_after_batch(robot, black=50, white=50) == 1000 * 7 // 8
+
+    dispersion = dispersion_after_batch(robot, black=50, white=50)
+
+    assert dispersion == 1000 * 7 / 8
 
 
 @for_fixed_point_firmwares
@@ -725,10 +777,14 @@ def test_the_dispersion_does_not_overflow_its_16_bits(firmware: FixedPointFirmwa
 
     Of a million tiles all were black but the last one, and 5000 white ones follow, which would raise it.
     """
+    largest_dispersion = 2**16 - 1
     robot = restore_robust_robot(
-        firmware, t=10**6, n=999_999, batch_t=999_999, batch_n=999_999, dispersion=2**16 - 1
+        firmware, t=10**6, n=999_999, batch_t=999_999, batch_n=999_999, dispersion=largest_dispersion
     )
-    assert dispersion_after_batch(robot, black=0, white=5000) == 2**16 - 1
+
+    dispersion = dispersion_after_batch(robot, black=0, white=5000)
+
+    assert dispersion == largest_dispersion
 
 
 @for_fixed_point_firmwares
@@ -751,7 +807,7 @@ def test_a_run_of_the_filter_begins_a_new_batch_of_observations(firmware: FixedP
 
     This run decides nothing, as there are no neighbours.
     """
-    robot = firmware(ROBUST, OWN_ID, b_hat=0.95)
+    robot = make_robust_robot(firmware, b_hat=0.95, filter_period=1)
     observe_tiles(robot, black=3, white=4)
 
     robot.settle()  # the filter runs
@@ -763,48 +819,57 @@ def test_a_run_of_the_filter_begins_a_new_batch_of_observations(firmware: FixedP
 
 @for_fixed_point_firmwares
 def test_a_new_batch_begins_where_the_robot_halves_its_counts(firmware: FixedPointFirmware) -> None:
-    """It halves t and n after 64 observations here, its memory, to forget old ones.
+    """With a memory of 64 it halves t and n after 64 observations, to forget old ones.
 
-    A batch is what it has observed since its filter ran, or since then. batch_t and batch_n are the counts at
-    its beginning.
+    A batch is what it has observed since its filter ran, or since the halving. batch_t and batch_n are the
+    counts at its beginning. Here no round ends, and so the filter does not run.
     """
-    robot = firmware(replace(ONLY_VOTES, memory=64), OWN_ID, b_hat=0.95)
+    robot = make_robust_robot(firmware, b_hat=0.95, filter_period=1000, memory=64)
 
     observe_tiles(robot, black=40, white=24)
 
     memory = filter_memory(robot)
-    assert robot.t == 64 // 2
-    assert memory["batch_t"] == 64 // 2
-    assert memory["batch_n"] == 40 // 2
+    assert robot.t == 64 / 2
+    assert memory["batch_t"] == 64 / 2
+    assert memory["batch_n"] == 40 / 2
 
 
 @for_fixed_point_firmwares
-@pytest.mark.parametrize(("dispersion", "status"), [(1, Status.UPDATED), (10, Status.OK)])
+@pytest.mark.parametrize(("dispersion", "expected_status"), [(1, Status.UPDATED), (10, Status.OK)])
 def test_a_robot_whose_observations_vary_more_than_chance_forgives_a_larger_deviation(
-    firmware: FixedPointFirmware, dispersion: int, status: Status
+    firmware: FixedPointFirmware, dispersion: int, expected_status: Status
 ) -> None:
     """850 of 1000 tiles black instead of 905 are 4.9 standard deviations of independent tiles too few.
 
     It forgives 3.5 of them, the root of 12, times the root of the dispersion. The status is UPDATED where the
     robot changes its accuracy, and OK where it does not.
     """
+    b_hat = round(0.95 * 2**32)  # in units of 2**-32
     counts = {"t": 1000, "n": 850, "batch_t": 1000, "batch_n": 850}
-    estimates = [int(0.95 * 2**16)] * 5
-    robot = restore_robust_robot(firmware, **counts, estimates=estimates, dispersion=dispersion * 2**8)
+    estimates = [int(0.95 * 2**16)] * 5  # five neighbours, in units of 2**-16
+    robot = restore_robust_robot(
+        firmware, **counts, b_hat=b_hat, estimates=estimates, dispersion=dispersion * 2**8
+    )
 
-    assert robot.settle() == status
+    status = robot.settle()  # ends a round, in which the filter runs
+
+    assert status == expected_status
 
 
 # --- Images ----------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("mode", "size"), [(Filter.ROBUST, 156), (Filter.OFF, 124), (Filter.ALWAYS, 124)])
+@pytest.mark.parametrize(("mode", "word_count"), [(Filter.ROBUST, 39), (Filter.OFF, 31), (Filter.ALWAYS, 31)])
 @for_fixed_point_firmwares
 def test_an_image_has_39_words_with_the_robust_filter_and_31_with_another(
-    firmware: FixedPointFirmware, mode: Filter, size: int
+    firmware: FixedPointFirmware, mode: Filter, word_count: int
 ) -> None:
     """An image is a saved robot, and a word has 4 bytes."""
-    assert len(firmware(Config(filter=mode), OWN_ID, 0.95).save()) == size
+    robot = firmware(Config(filter=mode), OWN_ID, b_hat=0.95)
+
+    image = robot.save()
+
+    assert len(image) == 4 * word_count
 
 
 # design: R29
@@ -813,9 +878,9 @@ def test_a_saved_robot_has_the_memory_of_its_filter_in_the_documented_order() ->
 
     In another order, older images could not be restored. The votes and the dispersion share a word.
     """
-    robot = MirrorRobot(ROBUST, OWN_ID, b_hat=0.95)
+    robot = MirrorRobot(Config(filter=Filter.ROBUST), OWN_ID, b_hat=0.95)
     votes, dispersion = 27, 28
-    # Each member gets a different number. No calls lead to these numbers, so they are written into the state.
+    # Each member gets another number. No calls lead to these numbers, so they are written into the state.
     robot.s.robust = RobustFilter(
         centre=21,
         spread=22,
@@ -837,9 +902,12 @@ def test_a_saved_robot_has_the_memory_of_its_filter_in_the_documented_order() ->
 # design: R29
 def test_a_saved_robot_begins_with_a_mark_of_the_robust_filter_and_the_version() -> None:
     """The first word is "MCS" and a byte: the version of images, 3, and 128 for the robust filter."""
-    robot = MirrorRobot(ROBUST, OWN_ID, b_hat=0.95)
-    *mcs, filter_and_version = split_image(robot.save()).first_word.to_bytes(4, "big")
-    assert bytes(mcs) == b"MCS"
+    robot = make_robust_robot(MirrorRobot, b_hat=0.95, filter_period=1)
+
+    image = split_image(robot.save())
+
+    *letters, filter_and_version = image.first_word.to_bytes(4, "big")
+    assert bytes(letters) == b"MCS"
     assert filter_and_version == 128 + 3
 
 
@@ -861,7 +929,7 @@ def split_image(image: bytes) -> SplitImage:
 # design: R29
 def test_a_saved_robot_has_the_estimates_of_two_slots_in_each_word() -> None:
     """A robot has 32 slots for estimates. The lower half of a word has the slot with the lower number."""
-    robot = MirrorRobot(ROBUST, OWN_ID, b_hat=0.95)
+    robot = make_robust_robot(MirrorRobot, b_hat=0.95, filter_period=1)
     robot.receive(sender=0, x_hat=0.25, alpha=1.0)
     robot.receive(sender=1, x_hat=0.5, alpha=1.0)
     robot.receive(sender=2, x_hat=0.75, alpha=1.0)
@@ -869,10 +937,13 @@ def test_a_saved_robot_has_the_estimates_of_two_slots_in_each_word() -> None:
     image = split_image(robot.save())
 
     quarter, half, three_quarters = 1 << 14, 2 << 14, 3 << 14  # in units of 2**-16
-    assert image.estimate_words == [half << 16 | quarter, three_quarters, *[0] * 14]
+    first_word = half << 16 | quarter
+    second_word = three_quarters  # slot 3 is empty
+    fourteen_empty_words = [0] * 14
+    assert image.estimate_words == [first_word, second_word, *fourteen_empty_words]
 
 
-def status_of_restore(firmware: FixedPointFirmware, members: dict[str, Any]) -> Status:
+def status_of_restoring_with(firmware: FixedPointFirmware, members: dict[str, Any]) -> Status:
     """Restore a robot with these members of its filter, after 4 black of 10 observations; return the status.
 
     ``b_hat`` is the present one, in units of 2**-32; by default it is the initial one, 0.95.
@@ -916,12 +987,12 @@ OTHER_B_HAT = 3 << 30
 def test_a_robot_with_members_at_an_end_of_their_range_is_restored(
     firmware: FixedPointFirmware, members: dict[str, Any]
 ) -> None:
-    """Each case has members of the robust filter of a saved robot at an end of their range.
+    """``members`` are numbers of a saved robot with the robust filter that are at an end of their range.
 
-    ``status_of_restore`` has values for the others. Accuracies are in units of 2**-32, centre and spread in
-    units of 2**-30, the dispersion in units of 2**-8.
+    All other members have usual values. Accuracies are in units of 2**-32, centre and spread in units of
+    2**-30, the dispersion in units of 2**-8.
     """
-    assert status_of_restore(firmware, members) == Status.OK
+    assert status_of_restoring_with(firmware, members) == Status.OK
 
 
 # design: R30
@@ -957,8 +1028,9 @@ def test_a_robot_with_members_at_an_end_of_their_range_is_restored(
 def test_a_robot_with_members_that_no_calls_lead_to_is_not_restored(
     firmware: FixedPointFirmware, members: dict[str, Any]
 ) -> None:
-    """Each case has members of the robust filter of a saved robot that are damaged: no robot can have them.
+    """``members`` are damaged numbers of a saved robot with the robust filter: no robot can have them.
 
-    Accuracies are in units of 2**-32, centre and spread in units of 2**-30, the dispersion in units of 2**-8.
+    All other members have usual values. Accuracies are in units of 2**-32, centre and spread in units of
+    2**-30, the dispersion in units of 2**-8.
     """
-    assert status_of_restore(firmware, members) == Status.ERR_IMAGE
+    assert status_of_restoring_with(firmware, members) == Status.ERR_IMAGE

@@ -29,18 +29,28 @@ C_SOURCE = CORE.with_name("mcp_asdf_small.c")
 
 # --- Messages --------------------------------------------------------------------------------------------
 
-SHOWN_MESSAGE = bytes.fromhex("50FEFF55")
-"""The word 42 << 25 | 0xFFFF << 9 | 80, lowest byte first: id 42, x_hat = 1, and alpha = 1."""
-
 
 def test_a_message_has_the_bytes_that_the_specification_shows() -> None:
-    """It is 32 bits: an id of 7, an x_hat of 16 and an alpha of 9."""
-    assert encode_message(42, ONE, alpha_word_from_float(1.0)) == SHOWN_MESSAGE
+    """They are a word of 32 bits, lowest byte first: an id of 7, an x_hat of 16 and an alpha of 9.
+
+    Here x_hat and alpha are 1.0, which ONE is in the units of x_hat.
+    """
+    message = encode_message(sender=42, x_hat=ONE, alpha=alpha_word_from_float(1.0))
+
+    code_of_x_hat, code_of_alpha = 0xFFFF, 80
+    assert int.from_bytes(message, "little") == 42 << 25 | code_of_x_hat << 9 | code_of_alpha
+    assert message == bytes.fromhex("50FEFF55")
 
 
 def test_a_message_is_decoded_to_sender_x_hat_and_alpha() -> None:
-    """ONE is 1.0 in the units of x_hat, and alpha is a word as the firmware has it."""
-    assert decode_message(SHOWN_MESSAGE) == (42, ONE, alpha_word_from_float(1.0))
+    """It is the message that the specification shows: from robot 42, with x_hat and alpha of 1.0.
+
+    ONE is 1.0 in the units of x_hat, and alpha is a word as the firmware has it.
+    """
+    sender, x_hat, alpha = decode_message(bytes.fromhex("50FEFF55"))
+    assert sender == 42
+    assert x_hat == ONE
+    assert alpha == alpha_word_from_float(1.0)
 
 
 def test_encoding_what_was_decoded_gives_the_same_bytes() -> None:
@@ -55,7 +65,7 @@ def test_encoding_what_was_decoded_gives_the_same_bytes() -> None:
 
 
 @pytest.mark.parametrize(
-    ("sender", "x_hat", "message"),
+    ("sender", "x_hat", "expected_message"),
     [
         (-1, 0, "sender is -1; give an id from 0 to 127"),
         (128, 0, "sender is 128; give an id from 0 to 127"),
@@ -64,15 +74,16 @@ def test_encoding_what_was_decoded_gives_the_same_bytes() -> None:
     ],
 )
 def test_a_message_with_a_sender_or_an_estimate_out_of_range_is_refused(
-    sender: int, x_hat: int, message: str
+    sender: int, x_hat: int, expected_message: str
 ) -> None:
-    """An id has 7 bits. x_hat is a share of black tiles, in units of 1 / ONE, where ONE is 8388608."""
-    with pytest.raises(ValueError, match=message):
-        encode_message(sender, x_hat, 0)
+    """An id has 7 bits. x_hat is a share of black tiles, in units of 1 / 8388608. The error names them."""
+    with pytest.raises(ValueError, match=expected_message):
+        encode_message(sender, x_hat, alpha=0)
 
 
 @pytest.mark.parametrize("length", [0, 3, 5])
 def test_a_message_of_another_length_is_refused(length: int) -> None:
+    """A message has 4 bytes. Here it has none, one less or one more."""
     with pytest.raises(ValueError, match=f"the message has {length} bytes; a small message has 4"):
         decode_message(bytes(length))
 
@@ -82,9 +93,10 @@ def test_a_message_of_another_length_is_refused(length: int) -> None:
 
 @pytest.mark.parametrize("bits", range(1, MAX_X_HAT_BITS + 1))
 def test_the_smallest_and_the_largest_code_of_x_hat_stand_for_exactly_0_and_1(bits: int) -> None:
-    """x_hat is a share of black tiles, and ONE is 1.0 in its units."""
+    """x_hat is a share of black tiles, and ONE is 1.0 in its units. Codes may have 1 to 16 bits."""
+    largest_code = 2**bits - 1
     assert decode_x_hat(0, bits) == 0
-    assert decode_x_hat(2**bits - 1, bits) == ONE
+    assert decode_x_hat(largest_code, bits) == ONE
 
 
 def test_x_hat_is_rounded_to_the_nearest_of_four_numbers() -> None:
@@ -104,17 +116,23 @@ def test_x_hat_is_rounded_to_the_nearest_of_four_numbers() -> None:
 def test_the_share_of_white_has_the_code_that_mirrors_that_of_the_share_of_black(x_hat: int) -> None:
     """Codes of 16 bits go from 0 to 0xFFFF. Otherwise one colour would be rounded in its favour."""
     share_of_white = ONE - x_hat
-    assert encode_x_hat(share_of_white, bits=16) == 0xFFFF - encode_x_hat(x_hat, bits=16)
+    code_of_black = encode_x_hat(x_hat, bits=16)
+    code_of_white = encode_x_hat(share_of_white, bits=16)
+    assert code_of_white == 0xFFFF - code_of_black
 
 
 def test_an_estimate_in_16_bits_is_wrong_by_half_a_step_at_most() -> None:
-    """A step is the difference of two neighbouring codes, in the units of x_hat, 1 / ONE."""
+    """A step is what two neighbouring codes differ by. The decoded estimate is also rounded to a whole unit.
+
+    ONE is 1.0 in these units.
+    """
     half_step = ONE / 0xFFFF / 2
     rounding_to_whole_units = 0.5
     for x_hat in random.Random(2).sample(range(ONE + 1), 20_000):
-        decoded = decode_x_hat(encode_x_hat(x_hat, bits=16), bits=16)
+        code = encode_x_hat(x_hat, bits=16)
+        decoded_x_hat = decode_x_hat(code, bits=16)
 
-        assert abs(decoded - x_hat) <= half_step + rounding_to_whole_units, x_hat
+        assert abs(decoded_x_hat - x_hat) <= half_step + rounding_to_whole_units, x_hat
 
 
 # --- Codes of alpha --------------------------------------------------------------------------------------
@@ -127,7 +145,7 @@ def test_an_estimate_in_16_bits_is_wrong_by_half_a_step_at_most() -> None:
 def test_a_code_of_9_bits_stands_for_the_confidence_that_the_specification_states(
     code: int, alpha: float
 ) -> None:
-    """Up to 16 by steps of 2**-8, and from then on 16 codes for each power of two.
+    """Up to code 16 it grows by 2**-8 with each code, and from then on 16 codes double it.
 
     An alpha word is a confidence in 32 bits, as the firmware has it.
     """
@@ -137,16 +155,22 @@ def test_a_code_of_9_bits_stands_for_the_confidence_that_the_specification_state
 
 def test_codes_of_4_bits_are_powers_of_four() -> None:
     """Code 0 is no confidence, code 1 is 1/8, and each further code stands for four times the code before."""
-    confidences = [alpha_from_word(decode_alpha(code, 4)) for code in range(16)]
-    assert confidences == [0.0, *(4.0**power / 8 for power in range(15))]
+    confidences = [alpha_from_word(decode_alpha(code, bits=4)) for code in range(16)]
+    powers_of_four = [4.0**exponent for exponent in range(15)]
+    assert confidences == [0.0, *(power / 8 for power in powers_of_four)]
 
 
 @pytest.mark.parametrize("bits", range(1, MAX_ALPHA_BITS + 1))
 def test_only_a_confidence_of_0_has_the_code_0_and_the_largest_one_has_the_largest_code(bits: int) -> None:
-    """The smallest confidence above 0 has a mantissa of 1, which stands above 8 bits of shift."""
+    """A confidence is a word: a mantissa above 8 bits of shift. The smallest above 0 has a mantissa of 1.
+
+    That one has the code 1, although it is far smaller than what code 1 stands for.
+    """
+    smallest_confidence_above_0 = 1 << 8
+    largest_code = 2**bits - 1
     assert encode_alpha(0, bits) == 0
-    assert encode_alpha(1 << 8, bits) == 1
-    assert encode_alpha(ALPHA_MAX, bits) == 2**bits - 1
+    assert encode_alpha(smallest_confidence_above_0, bits) == 1
+    assert encode_alpha(ALPHA_MAX, bits) == largest_code
 
 
 def test_a_confidence_in_9_bits_is_rounded_down_by_less_than_a_seventeenth_of_itself() -> None:
@@ -159,7 +183,8 @@ def test_a_confidence_in_9_bits_is_rounded_down_by_less_than_a_seventeenth_of_it
         confidence = 2 ** source.uniform(-4, 26.9)
         word = alpha_word_from_float(confidence)  # as the firmware has it
 
-        decoded_word = decode_alpha(encode_alpha(word, bits=9), bits=9)
+        code = encode_alpha(word, bits=9)
+        decoded_word = decode_alpha(code, bits=9)
 
         exact, decoded = alpha_units(word), alpha_units(decoded_word)
         assert 16 / 17 * exact < decoded <= exact, hex(word)
@@ -193,15 +218,15 @@ def c_code_function(c_library: Any, name: str) -> Any:
 def test_c_and_python_decode_codes_alike(
     c_library: Any, c_name: str, python_name: str, max_bits: int
 ) -> None:
-    """Tried are every code of up to 9 bits, and 1000 of each other length."""
+    """The functions are for x_hat or alpha. They get every code of up to 9 bits, or else 1000 random ones."""
     c_function = c_code_function(c_library, c_name)
     python_function = getattr(small_messages, python_name)
     for bits in range(1, max_bits + 1):
-        for code in some_codes(bits):
+        for code in all_or_1000_codes(bits):
             assert c_function(code, bits) == python_function(code, bits), (code, bits)
 
 
-def some_codes(bits: int) -> Sequence[int]:
+def all_or_1000_codes(bits: int) -> Sequence[int]:
     """Return all codes of so many bits, or 1000 random ones if they are more than 9 bits."""
     rng = random.Random(bits)
     return range(1 << bits) if bits <= 9 else [rng.getrandbits(bits) for _ in range(1000)]
@@ -212,8 +237,8 @@ def test_c_and_python_encode_x_hat_alike(c_library: Any) -> None:
     c_function = c_code_function(c_library, "x_hat_to_code")
     source = random.Random(5)
     for bits in range(1, MAX_X_HAT_BITS + 1):
-        x_hats = [0, 1, HALF - 1, HALF, HALF + 1, ONE, *(source.randint(0, ONE) for _ in range(1000))]
-        for x_hat in x_hats:
+        random_x_hats = [source.randint(0, ONE) for _ in range(1000)]
+        for x_hat in [0, 1, HALF - 1, HALF, HALF + 1, ONE, *random_x_hats]:
             assert c_function(x_hat, bits) == encode_x_hat(x_hat, bits), (x_hat, bits)
 
 
@@ -234,12 +259,13 @@ def test_c_and_python_encode_alpha_alike(c_library: Any) -> None:
             assert c_function(alpha, bits) == encode_alpha(alpha, bits), (alpha, bits)
 
 
-EVERY_WORD = Path(__file__).with_name("every_small_message.c")
-
-
 @pytest.mark.slow
 def test_every_word_of_32_bits_is_decoded_and_encoded_to_itself(tmp_path: Path) -> None:
     """A small message has 32 bits, and a program in C tries all of them."""
+    source, program = Path(__file__).with_name("every_small_message.c"), tmp_path / "every_small_message"
     include = f"-I{CORE.parent}"
-    run(require("gcc", "gcc"), "-std=c99", "-O2", include, EVERY_WORD, C_SOURCE, "-o", tmp_path / "every")
-    assert run(tmp_path / "every") == "4294967296 words, 0 wrong\n"
+    run(require("gcc", "gcc"), "-std=c99", "-O2", include, source, C_SOURCE, "-o", program)
+
+    output = run(program)
+
+    assert output == f"{2**32} words, 0 wrong\n"
