@@ -98,6 +98,18 @@ def documented_row(table_name: str, name: str) -> str:
     return row
 
 
+def measured_rows(measured: Measured) -> list[tuple[str, str, str]]:
+    """Return the name of the table, the name of the row and its text for each row with measured costs."""
+    costs = {(measured.target.name, level): cost for level, cost in measured.costs.items()}
+    named_rows = []
+    for table_name, rows in report.rows_by_table(costs).items():
+        for row in rows:
+            row_name, *_cells = row.values()
+            _titles, _rule, text = report.table([row]).splitlines()
+            named_rows.append((table_name, row_name, text))
+    return named_rows
+
+
 @pytest.mark.slow
 def test_the_tables_of_the_documentation_have_the_costs_that_are_measured(measured: Measured) -> None:
     """Every figure of a target in the README and docs/internals/cost.md is within 2 % of the measured one.
@@ -105,14 +117,11 @@ def test_the_tables_of_the_documentation_have_the_costs_that_are_measured(measur
     If not, ``make cost`` writes the tables again.
     """
     skip_if_documented_of_another_compiler(measured.target)
-    cells = {(measured.target.name, level): cost for level, cost in measured.costs.items()}
 
-    for table_name, rows in report.rows_by_table(cells).items():
-        for row in rows:
-            name, *_ = row.values()
-            _titles, _rule, measured_row = report.table([row]).splitlines()
-            documented_numbers = numbers_in(documented_row(table_name, name))
-            assert documented_numbers == pytest.approx(numbers_in(measured_row), rel=0.02), measured_row
+    for table_name, row_name, measured_row in measured_rows(measured):
+        documented_numbers = numbers_in(documented_row(table_name, row_name))
+        measured_numbers = numbers_in(measured_row)
+        assert documented_numbers == pytest.approx(measured_numbers, rel=0.02), measured_row
 
 
 @pytest.mark.slow
@@ -133,7 +142,7 @@ def test_the_first_lines_of_the_cost_page_have_the_figures_of_a_cortex_m4(cortex
     flash, ram, stack, most_instructions, bound = map(float, stated.groups())
     bytes_of_flash, _with_save_and_restore = cost.robust.code
 
-    assert flash == pytest.approx(bytes_of_flash / 1000, abs=0.06)
+    assert flash == pytest.approx(bytes_of_flash / 1000, abs=0.06), "KB, with one decimal"
     assert (ram, stack) == (cost.robust.ram, cost.robust.tick_stack())
     assert most_instructions == max(cost.paper.most(UPDATED), cost.robust.most(UPDATED))
     assert bound == cost.robust.bound[UPDATED]
@@ -156,9 +165,6 @@ def test_each_chip_of_the_readme_needs_at_most_15_kb_of_flash_and_500_bytes_of_r
 
 # --- Nothing grows ----------------------------------------------------------------------------------------
 
-CALLS = ("receive", "step", UPDATED, "x")
-"""The calls of a robot. In a "step" the filter does not run; in an UPDATED step it does."""
-
 
 @pytest.mark.slow
 @pytest.mark.parametrize("level", LEVELS)
@@ -175,8 +181,9 @@ def test_no_call_takes_more_instructions_than_its_bound_which_is_not_far_above(
     It is at most 10 % above the largest cost that long searches found with either filter. The robust filter's
     test has loops, and only some turns are as long as the longest turn. So the test is allowed 20 %.
     """
-    figures_of_builds: list[Figures] = [getattr(measured_32_bit.costs[level], name) for name in builds]
-    for call in CALLS:
+    costs = measured_32_bit.costs[level]
+    figures_of_builds: list[Figures] = [getattr(costs, build_name) for build_name in builds]
+    for call in ("receive", "step", UPDATED, "x"):  # in an UPDATED step the filter runs
         most_observed = max(figures.most(call) for figures in figures_of_builds)
         allowed_ratio = allowed_ratio_of_test if call == UPDATED else 1.1
         for figures in figures_of_builds:
@@ -187,9 +194,9 @@ def test_no_call_takes_more_instructions_than_its_bound_which_is_not_far_above(
 def test_a_cortex_m0_divides_by_a_table_and_larger_processors_by_14_instructions(
     measured_32_bit: Measured,
 ) -> None:
-    """A Cortex-M0+ has no instruction that divides."""
-    divisions = 0 if measured_32_bit.target.name == "Cortex-M0+" else 14
-    assert measured_32_bit.costs["-O2"].paper_alone.divisions == divisions
+    """A Cortex-M0+ has no instruction that divides. The image has the paper's filter alone, at -O2."""
+    expected_divisions = 0 if measured_32_bit.target.name == "Cortex-M0+" else 14
+    assert measured_32_bit.costs["-O2"].paper_alone.divisions == expected_divisions
 
 
 def most_cycles(calls: Iterable[Seen]) -> int:
@@ -203,8 +210,9 @@ def test_calls_on_an_8_bit_processor_take_hardly_longer_in_an_old_robot_or_in_a_
 ) -> None:
     """An AVR divides and shifts in loops, so it has no bound from the machine code.
 
-    An old robot has observed more than 2^16 times, and in a crowd it has heard 8 others or more in a round.
-    To receive, it shifts 1 by the sender's id, one place in a turn of a loop.
+    An old robot has observed more than 2^16 times, t. In a crowd it has heard 8 others or more in a round, m.
+    To receive, it shifts 1 by the sender's id, one place in a turn of a loop. The end of a round, settle,
+    takes the same number of cycles in all of them.
     """
     calls = atmega328p[level].paper_alone.seen
     old_steps = [call for call in calls if call.kind == "step" and call.t > 2**16]
@@ -214,7 +222,8 @@ def test_calls_on_an_8_bit_processor_take_hardly_longer_in_an_old_robot_or_in_a_
 
     assert most_cycles(old_steps) <= 1.06 * most_cycles(young_steps)
     assert most_cycles(crowded_receives) <= 1.25 * most_cycles(lonely_receives)
-    assert len({call.cost.cycles for call in calls if call.kind == "settle"}) == 1
+    cycles_of_settle = {call.cost.cycles for call in calls if call.kind == "settle"}
+    assert len(cycles_of_settle) == 1
 
 
 ALIGNMENT = {"avr-": 1, "arm-none-eabi-": 8, "riscv64-unknown-elf-": 16}
@@ -260,12 +269,15 @@ def test_a_firmware_without_the_robust_filter_costs_what_it_did_before_there_was
 ) -> None:
     """No call takes half a percent more, in cycles on an AVR and in instructions on a Cortex-M4.
 
-    The calls are those of CALLS. The code is in bytes, without and with save and restore.
+    ``calls_before`` has the costs of four calls, and ``code_before`` the bytes of code, without and with save
+    and restore. The instructions are those of the longest path; an AVR has no such bound, so the longest call
+    of all that were observed counts.
     """
     figures = measured_once(usable(target), tmp_path_factory).costs[level].paper_alone
-    for call, before in zip(CALLS, calls_before, strict=True):
-        most = figures.bound[call] if figures.bound else figures.most(call, "cycles")
-        assert most <= 1.005 * before, call
+    calls = ("receive", "step", UPDATED, "x")  # in an UPDATED step the filter runs
+    for call, cost_before in zip(calls, calls_before, strict=True):
+        cost = figures.bound[call] if figures.bound else figures.most(call, "cycles")
+        assert cost <= 1.005 * cost_before, call
     for size, size_before in zip(figures.code, code_before, strict=True):
         assert size <= 1.005 * size_before
 
@@ -276,7 +288,8 @@ def test_the_robust_filter_takes_no_more_on_a_cortex_m4_than_it_was_meant_to(
 ) -> None:
     """It was to keep limits of RAM and code in bytes, and of the instructions of three calls.
 
-    The calls receive a message, take a step without the filter, and take a step with test and update.
+    The calls receive a message, take a step without the filter, and take a step with test and update
+    (UPDATED). ``robust_alone`` is a build without the paper's filter, ``robust`` one with both.
     """
     small, fast = cortex_m4["-Os"], cortex_m4["-O2"]  # optimised for size and for speed
     for cost in (small, fast):
@@ -302,7 +315,10 @@ def test_the_robust_filter_takes_no_more_on_a_cortex_m4_than_it_was_meant_to(
 def test_the_firmware_of_a_kilobot_leaves_room_and_the_documentation_states_how_much_it_takes(
     build_options: Build, largest_share_of_flash: float, tmp_path: Path
 ) -> None:
-    """It is built with either filter or both. The documentation's figures are from one compiler."""
+    """It is built with either filter or both, and takes half of the RAM at most.
+
+    The documentation's figures are compared only if they are from the compiler that is here.
+    """
     usable(AVR)
     flash, ram = kilobot(tmp_path / "image", build_options)
 
@@ -310,7 +326,8 @@ def test_the_firmware_of_a_kilobot_leaves_room_and_the_documentation_states_how_
     assert ram <= report.RAM / 2
     page = report.PAGE.read_text(encoding="utf-8").replace("\n", " ")
     if AVR.version() in page:
-        assert report.share((flash, ram)) in page
+        shares_of_flash_and_ram = report.share((flash, ram))
+        assert shares_of_flash_and_ram in page
 
 
 # --- What measures ----------------------------------------------------------------------------------------

@@ -9,8 +9,8 @@ import pytest
 from benchmarks.cost.loops import Bound, Graph, LongestPath, bounds_in
 
 
-def cost_of(graph: Graph, places: dict[int, str], bounds: dict[str, Bound]) -> int:
-    """Return the cost of the longest path from instruction 0 on, if each instruction costs 1.
+def count_longest_path(graph: Graph, places: dict[int, str], bounds: dict[str, Bound]) -> int:
+    """Return the number of instructions on the longest path from instruction 0 on.
 
     ``graph`` lists the instructions that may follow each instruction. ``places`` says which line of the
     source an instruction comes from, such as "a.c:7", if that is the line of a loop. ``bounds`` says how
@@ -21,6 +21,7 @@ def cost_of(graph: Graph, places: dict[int, str], bounds: dict[str, Bound]) -> i
 
 
 def test_bounds_are_read_from_the_comments_beside_loops(tmp_path: Path) -> None:
+    """A comment states how often a loop turns, and may state how often in all the runs of an inner loop."""
     source = tmp_path / "sort.c"
     source.write_text(
         "for (i = 0; i < n; ++i) { /* at most 32 turns */\n"
@@ -38,8 +39,11 @@ def test_bounds_are_read_from_the_comments_beside_loops(tmp_path: Path) -> None:
 
 
 def test_without_a_loop_the_longer_branch_counts() -> None:
-    """After instruction 0, the longer branch has the instructions 1 and 2. Both branches end at 3."""
-    assert cost_of({0: [1, 3], 1: [2], 2: [3], 3: []}, places={}, bounds={}) == 4
+    """After instruction 0, the longer branch has the instructions 1 and 2. Both branches end at 3.
+
+    A graph lists the instructions that may follow each instruction.
+    """
+    assert count_longest_path({0: [1, 3], 1: [2], 2: [3], 3: []}, places={}, bounds={}) == 4
 
 
 TEN_TURNS = {"a.c:7": Bound(turns=10, in_all=None)}
@@ -47,17 +51,23 @@ TEN_TURNS = {"a.c:7": Bound(turns=10, in_all=None)}
 
 
 def test_a_loop_that_is_left_at_its_end_counts_as_often_as_it_turns() -> None:
-    """Instruction 2 goes back to 1 or leaves the loop, so ten turns are 20 instructions."""
+    """Instruction 2 goes back to 1 or leaves the loop, so ten turns are 20 instructions.
+
+    It comes from line 7 of a.c, whose comment states ten turns. Each instruction counts 1.
+    """
     graph = {0: [1], 1: [2], 2: [1, 3], 3: []}
     before, after = 1, 1
-    assert cost_of(graph, places={2: "a.c:7"}, bounds=TEN_TURNS) == before + 10 * 2 + after
+    assert count_longest_path(graph, places={2: "a.c:7"}, bounds=TEN_TURNS) == before + 10 * 2 + after
 
 
 def test_a_loop_that_is_left_at_its_beginning_tests_once_more_than_it_turns() -> None:
-    """Instruction 1 is the test, which goes on to 2 or leaves the loop."""
+    """Instruction 1 is the test, from line 7 of a.c: it goes on to 2 or leaves the loop after ten turns."""
     graph = {0: [1], 1: [2, 3], 2: [1], 3: []}
     before, last_test, after = 1, 1, 1
-    assert cost_of(graph, places={1: "a.c:7"}, bounds=TEN_TURNS) == before + 10 * 2 + last_test + after
+    assert (
+        count_longest_path(graph, places={1: "a.c:7"}, bounds=TEN_TURNS)
+        == before + 10 * 2 + last_test + after
+    )
 
 
 NESTED_LOOPS = {0: [1], 1: [2], 2: [2, 3], 3: [1, 4], 4: []}
@@ -67,29 +77,35 @@ PLACES_OF_NESTED_LOOPS = {2: "a.c:8", 3: "a.c:7"}
 
 
 def test_an_inner_loop_turns_in_every_turn_of_the_outer_one() -> None:
+    """The inner loop, of line 8, is one instruction. The outer one, of line 7, has two more."""
     bounds = {"a.c:7": Bound(turns=10, in_all=None), "a.c:8": Bound(turns=5, in_all=None)}
-    turn_of_outer_loop = 1 + 5 + 1  # the inner loop is one instruction
-    assert cost_of(NESTED_LOOPS, PLACES_OF_NESTED_LOOPS, bounds) == 1 + 10 * turn_of_outer_loop + 1
+    turn_of_outer_loop = 1 + 5 + 1
+    before, after = 1, 1
+    expected_count = before + 10 * turn_of_outer_loop + after
+    assert count_longest_path(NESTED_LOOPS, PLACES_OF_NESTED_LOOPS, bounds) == expected_count
 
 
 def test_an_inner_loop_with_a_bound_on_all_its_turns_adds_these_once() -> None:
     """They are 20, beside one instruction of the inner loop in each of the 10 turns of the outer one."""
     bounds = {"a.c:7": Bound(turns=10, in_all=None), "a.c:8": Bound(turns=5, in_all=20)}
     turn_of_outer_loop = 1 + 1 + 1
-    assert cost_of(NESTED_LOOPS, PLACES_OF_NESTED_LOOPS, bounds) == 1 + 10 * turn_of_outer_loop + 20 + 1
+    before, after = 1, 1
+    expected_count = before + 10 * turn_of_outer_loop + 20 + after
+    assert count_longest_path(NESTED_LOOPS, PLACES_OF_NESTED_LOOPS, bounds) == expected_count
 
 
 def test_the_cost_of_a_loop_with_two_entries_is_at_most_twice_that_of_its_longest_walk() -> None:
     """The bound is less tight there. Instruction 0 jumps to either of the loop's instructions 1 and 2."""
     graph = {0: [1, 2], 1: [2, 3], 2: [1], 3: []}
 
-    cost = cost_of(graph, places={1: "a.c:7", 2: "a.c:7"}, bounds=TEN_TURNS)
+    count = count_longest_path(graph, places={1: "a.c:7", 2: "a.c:7"}, bounds=TEN_TURNS)
 
     before, last_test, after = 1, 1, 1
     longest_walk = before + 10 * 2 + last_test + after
-    assert longest_walk <= cost <= 2 * longest_walk
+    assert longest_walk <= count <= 2 * longest_walk
 
 
 def test_a_loop_without_a_bound_in_the_source_is_refused() -> None:
+    """Instruction 1 may be repeated for ever, so there is no longest path."""
     with pytest.raises(ValueError, match=r"without a bound in the source: \['a.c:7'\]"):
-        cost_of({0: [1], 1: [1, 2], 2: []}, places={1: "a.c:7"}, bounds={})
+        count_longest_path({0: [1], 1: [1, 2], 2: []}, places={1: "a.c:7"}, bounds={})

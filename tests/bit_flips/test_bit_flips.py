@@ -21,10 +21,8 @@ from bit_flips.flips import (
 )
 from mcp_asdf import Filter
 
-BITS = 8 * (16 + 1 + 1 + 10 + 24 + 20 + 29 + 64)
+BITS_OF_A_ROBOT = 8 * (16 + 1 + 1 + 10 + 24 + 20 + 29 + 64)
 """All members but the pointer: senders, id, updated, counters, accuracy, five words, robust, received."""
-MEMBERS_WITH_COUNTS = {"t", "n", "filter_left"}
-"""Members whose change may alter the robot's counted data, and b_hat with it, and show nowhere else."""
 
 
 @dataclass(frozen=True)
@@ -61,21 +59,30 @@ def counted(request: pytest.FixtureRequest) -> CountedFlips:
 
 
 def test_every_bit_of_a_robot_s_memory_flips_and_each_flip_has_one_effect(counted: CountedFlips) -> None:
-    """Its memory has members, such as t and b_hat. An effect is, say, that a check finds the flip in time."""
-    assert sum_of_members(counted.members.values())["flips"] == counted.flips_per_bit * BITS
+    """Its memory has members, such as t and b_hat. An effect is, say, that a check finds the flip in time.
+
+    Each bit is flipped once or 50 times. ``counted`` has the number of flips, and that of each effect, for
+    each member.
+    """
+    effects_of_all_members = sum_of_members(counted.members.values())
+    assert effects_of_all_members["flips"] == counted.flips_per_bit * BITS_OF_A_ROBOT
     for name, effects in counted.members.items():
-        assert sum(effects[outcome] for outcome in OUTCOMES) == effects["flips"], name
+        flips_with_an_effect = sum(effects[outcome] for outcome in OUTCOMES)
+        assert flips_with_an_effect == effects["flips"], name
 
 
 def test_no_flip_keeps_x_wrong_in_silence(counted: CountedFlips) -> None:
     """x is what a robot believes. Only flips of what it has counted may keep it wrong, with other counts.
 
-    "still" is the number of flips after which x is still off by 1 % at the end, after 1800 ticks.
+    "still" is the number of flips after which x is still off by 1 % at the end, after 1800 ticks. Of these,
+    "unexplained" are those after which counts and b_hat are what they would have been.
     """
     members_that_keep_x_wrong = {name for name, effects in counted.members.items() if effects["still"] > 0}
+    effects_of_all_members = sum_of_members(counted.members.values())
 
-    assert members_that_keep_x_wrong <= MEMBERS_WITH_COUNTS
-    assert sum_of_members(counted.members.values())["unexplained"] == 0
+    members_with_counts = {"t", "n", "filter_left"}
+    assert members_that_keep_x_wrong <= members_with_counts
+    assert effects_of_all_members["unexplained"] == 0
 
 
 def members_not_found_in_time(counted: CountedFlips, prefix: str) -> list[str]:
@@ -92,8 +99,12 @@ def test_every_flip_of_what_follows_from_b_hat_is_found_in_time(counted: Counted
 
 @pytest.mark.slow
 def test_every_flip_of_the_robust_filter_s_memory_is_found_in_time_with_another_filter() -> None:
-    """The other filter leaves that memory as it was made, so each change of it is a fault."""
-    assert members_not_found_in_time(count_flips(Filter.ADAPTIVE, FLIPS_PER_BIT), "robust") == []
+    """The other filter leaves that memory as it was made, so each change of it is a fault.
+
+    The members are called robust.x and so on. In time is before what the robot believes is off by 1 %.
+    """
+    counted = count_flips(Filter.ADAPTIVE, FLIPS_PER_BIT)
+    assert members_not_found_in_time(counted, "robust") == []
 
 
 @pytest.mark.slow
@@ -101,19 +112,22 @@ def test_the_docs_have_the_table_of_what_flipped_bits_do_to_the_last_digit() -> 
     """Each bit flips 50 times with either filter. ``python -m bit_flips.flips`` writes the table again."""
     page = PAGE.read_text(encoding="utf-8")
     table = format_table({kind: count_flips(kind, FLIPS_PER_BIT).members for kind in FILTERS})
-    flips = len(FILTERS) * FLIPS_PER_BIT * BITS
+    number_of_flips = len(FILTERS) * FLIPS_PER_BIT * BITS_OF_A_ROBOT
 
     assert table in page
-    assert f"none of these {flips:,} did" in page
+    assert f"none of these {number_of_flips:,} did" in page
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("filter_kind", FILTERS)
 def test_no_flip_makes_the_firmware_do_what_c_leaves_open(filter_kind: Filter, tmp_path: Path) -> None:
-    """Sanitizers would end the program where it does, and then its counts would differ."""
+    """Each bit is flipped twice. Sanitizers would end the program with an error where it does.
+
+    The effects are the same as without sanitizers.
+    """
     sanitizers = ("-fsanitize=address,undefined", "-fno-sanitize-recover=all")
 
-    flips_per_bit = 2
-    sanitized_counts = count_effects(tmp_path, flips_per_bit, filter_kind, *sanitizers)
+    counts_with_sanitizers = count_effects(tmp_path, 2, filter_kind, *sanitizers)
+    counts_without = count_effects(tmp_path, 2, filter_kind)
 
-    assert sanitized_counts == count_effects(tmp_path, flips_per_bit, filter_kind)
+    assert counts_with_sanitizers == counts_without

@@ -10,10 +10,8 @@ from pathlib import Path
 import pytest
 
 from fuzz.harnesses import CHECKED, FAST, HARNESSES, PORTS
-from support import ROOT, slow
+from support import ROOT, section_of, slow
 
-MORE_INPUTS = 300_000
-"""Inputs that the slow test tries with each harness."""
 QUICK_HARNESSES = ("multicast", "radio")
 SLOW_HARNESSES = [name for name in HARNESSES if name not in QUICK_HARNESSES]
 
@@ -37,7 +35,8 @@ def test_no_input_that_fuzzing_kept_makes_a_port_crash_or_break_a_promise(
     inputs = harness.unpack(tmp_path / "inputs")
     kept_count = len(list(inputs.iterdir()))
 
-    harness.run(inputs, CHECKED, "-runs=0")
+    no_new_inputs = "-runs=0"
+    harness.run(inputs, CHECKED, no_new_inputs)
 
     assert tried_inputs(capfd) >= kept_count + 1
 
@@ -48,21 +47,28 @@ def test_none_of_300_000_more_inputs_makes_a_port_crash_or_break_a_promise(
     name: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     """libFuzzer makes them from those that were kept. One that the harness does not survive ends the run."""
-    inputs = HARNESSES[name].unpack(tmp_path / "inputs")
-    HARNESSES[name].run(inputs, FAST, f"-runs={MORE_INPUTS}")
-    assert tried_inputs(capfd) >= MORE_INPUTS
+    harness = HARNESSES[name]
+    inputs = harness.unpack(tmp_path / "inputs")
+
+    harness.run(inputs, FAST, "-runs=300000")
+
+    assert tried_inputs(capfd) >= 300_000
 
 
 def test_docs_trust_lists_the_harnesses_of_fuzzing() -> None:
     """docs/internals/trust.md has a table with a row for each, and the number of inputs that are tried."""
-    page = (ROOT / "docs/internals/trust.md").read_text(encoding="utf-8").partition("## Fuzzing")[2]
-    assert re.findall(r"^\| `(\w+)` \|", page, re.MULTILINE) == list(HARNESSES)
-    assert f"tries {MORE_INPUTS:,} more of each" in page
+    section = section_of(ROOT / "docs/internals/trust.md", "Fuzzing")
+    names_in_table = re.findall(r"^\| `(\w+)` \|", section, re.MULTILINE)
+    assert names_in_table == list(HARNESSES)
+    assert "tries 300,000 more of each" in section
 
 
 @pytest.mark.slow
 def test_fuzzing_finds_a_radio_that_sends_a_wrong_identifier(tmp_path: Path) -> None:
-    """The inputs that earlier fuzzing has kept find it. The mistake is planted into a copy of the source."""
+    """The inputs that earlier fuzzing has kept find it. The mistake is planted into a copy of the source.
+
+    The radio sends an identifier byte by byte, and so shifts it by 8 bits.
+    """
     right, wrong = "frame->id >> (8 * i)", "frame->id >> (7 * i)"
     text = (PORTS / "packet_radio.c").read_text(encoding="utf-8")
     assert text.count(right) == 1
@@ -70,5 +76,6 @@ def test_fuzzing_finds_a_radio_that_sends_a_wrong_identifier(tmp_path: Path) -> 
     harness = replace(HARNESSES["radio"], sources=(tmp_path / "packet_radio.c",))
     inputs = harness.unpack(tmp_path / "inputs")
 
+    no_new_inputs = "-runs=0"
     with pytest.raises(subprocess.CalledProcessError):
-        harness.run(inputs, CHECKED, "-runs=0")
+        harness.run(inputs, CHECKED, no_new_inputs)

@@ -160,7 +160,7 @@ def patient_tries(file: str) -> list[Try]:
     ]
 
 
-def killer(mutant: Mutant, folder: Path, is_patient: bool = True) -> str:
+def first_failing_test(mutant: Mutant, folder: Path, is_patient: bool = True) -> str:
     """Return the test and the variant that the mutant fails first, or nothing if it passes all.
 
     Returns SAME_CODE for a mutant that passes the quick tests and of which a compiler makes the same code: it

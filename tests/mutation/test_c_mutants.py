@@ -12,14 +12,12 @@ import pytest
 
 from mutation.c_mutants import MUTATED, Mutant, mutants
 from mutation.equivalents import equivalents
-from mutation.killers import CODEC_TESTS, THIRD, Try, has_same_code, killer, passes, plant
+from mutation.killers import CODEC_TESTS, THIRD, Try, first_failing_test, has_same_code, passes, plant
 from proofs.source import SOURCES, VARIANTS
 from support import ROOT, require
 
 EQUIVALENTS = equivalents("c")
 PARTS = 4
-DRAWN_HARMLESS_CHANGES = 12
-"""Changes without effect that are tried in one run of the tests."""
 READS_BEYOND_AN_ARRAY = "the array ends, which the sanitizers report"
 """Part of the reason of a change that is harmless unless an array is full."""
 
@@ -30,41 +28,46 @@ def compiler() -> None:
 
 
 @cache
-def everything() -> dict[str, Mutant]:
+def all_mutants() -> dict[str, Mutant]:
     """All mutants by their names."""
-    found: dict[str, Mutant] = {}
-    for mutant in (each for file in MUTATED for each in mutants(file)):
-        assert mutant.name not in found, f"two mutants have one name: {mutant.name}"
-        found[mutant.name] = mutant
-    return found
+    mutants_by_name: dict[str, Mutant] = {}
+    for file in MUTATED:
+        for mutant in mutants(file):
+            assert mutant.name not in mutants_by_name, f"two mutants have one name: {mutant.name}"
+            mutants_by_name[mutant.name] = mutant
+    return mutants_by_name
 
 
 def test_each_change_that_is_listed_as_harmless_is_one_that_is_tried() -> None:
-    """An entry of equivalents.toml about code of the past would hide a mistake later."""
-    assert set(EQUIVALENTS) <= set(everything())
+    """An entry of equivalents.toml about code of the past would hide a mistake later.
+
+    EQUIVALENTS has the reason by the change's name. A mutant is the firmware with a change that is tried.
+    """
+    assert set(EQUIVALENTS) <= set(all_mutants())
 
 
 def test_few_changes_are_listed_as_harmless_and_each_with_a_reason() -> None:
     """Less than one change in twenty is listed, such as a comparison with the same result for all values."""
-    assert len(EQUIVALENTS) < len(everything()) / 20
+    assert len(EQUIVALENTS) < len(all_mutants()) / 20
     for name, reason in EQUIVALENTS.items():
         assert len(reason) > 20, name
 
 
 def test_the_page_about_trust_states_to_a_hundred_how_many_mistakes_are_tried() -> None:
-    """``everything`` has all changes of the C that are tried, one after the other."""
+    """A mutant is the firmware with one mistake, and ``all_mutants`` has all that are tried."""
     page = (ROOT / "docs/internals/trust.md").read_text("utf-8")
 
     [stated_count] = re.findall(r"Each of some ([\d,]+) small ones", page)
 
-    assert int(stated_count.replace(",", "")) == pytest.approx(len(everything()), abs=99)
+    assert int(stated_count.replace(",", "")) == pytest.approx(len(all_mutants()), abs=99)
 
 
 @pytest.mark.slow
 def test_the_firmware_without_a_mistake_passes_the_tests_that_find_mistakes() -> None:
     """It passes in every variant of its arithmetic. Otherwise a test would fail with any planted change.
 
-    What is built for the tests does not stand among the sources.
+    A test is a program in C, or the comparison with the independent implementation (THIRD). What is built for
+    the tests does not stand among the sources.
     """
     files_before = set(SOURCES.iterdir())
     codec_tests = list(itertools.chain.from_iterable(CODEC_TESTS.values()))
@@ -80,53 +83,67 @@ def test_the_firmware_without_a_mistake_passes_the_tests_that_find_mistakes() ->
 def test_every_mistake_fails_a_test(part: int, tmp_path: Path) -> None:
     """A mistake is, say, a < that becomes <=. The test runs four times, each with a quarter of all mistakes.
 
-    A change is no mistake if a compiler makes the same code of it, or if the list says why it is harmless.
+    A change is no mistake if a compiler makes the same code of it, which ``first_failing_test`` returns as a
+    reason in the place of a test, or if the list says why it is harmless.
     """
-    mistakes = [mutant for name, mutant in everything().items() if name not in EQUIVALENTS]
-    survivors = [mutant.name for mutant in mistakes[part::PARTS] if not killer(mutant, tmp_path)]
+    mistakes = [mutant for name, mutant in all_mutants().items() if name not in EQUIVALENTS]
+    mistakes_of_this_part = mistakes[part::PARTS]  # each fourth one
+    survivors = []
+    for mutant in mistakes_of_this_part:
+        if first_failing_test(mutant, tmp_path) == "":
+            survivors.append(mutant.name)
     assert survivors == []
 
 
 @pytest.mark.slow
 def test_changes_that_are_listed_as_harmless_fail_no_quick_test(tmp_path: Path) -> None:
-    """Some are drawn, as each takes a second or more.
+    """Twelve are drawn, as each takes a second or more.
 
     A change that reads beyond an array is not tried: what it reads there is different in each run.
     """
     names = [name for name, reason in EQUIVALENTS.items() if READS_BEYOND_AN_ARRAY not in reason]
-    for name in random.sample(names, DRAWN_HARMLESS_CHANGES):
-        assert killer(everything()[name], tmp_path, is_patient=False) == "", name
+    for name in random.sample(names, 12):
+        failing_test = first_failing_test(all_mutants()[name], tmp_path, is_patient=False)
+        assert failing_test == "", name
 
 
 # --- What kills a mutant, and what does not ---------------------------------------------------------------
 
-MISTAKE = "mcp_asdf_frame.c define ID_NODE_MASK: [0x7F => 0x7e]U"
-HARMLESS_CHANGE = (
-    "mcp_asdf_frame.c alpha_word_from_binary32: "
-    "return lost_bits [< => <=] 24U ? (mantissa >> lost_bits) << 8 : 0U;"
-)
-CHANGE_WITH_SAME_CODE = (
-    "mcp_asdf.c reestimate: return b_hat [< => <=] MCP_ASDF_B_HAT_MAX ? b_hat : MCP_ASDF_B_HAT_MAX;"
-)
+WRONG_MASK_OF_NODE_ID = "mcp_asdf_frame.c define ID_NODE_MASK: [0x7F => 0x7e]U"
+"""Name of a mutant: the file, the place in it, and what becomes what there."""
 
 
 def test_a_mistake_in_a_mask_of_the_frame_codec_fails_the_tests_of_the_node(tmp_path: Path) -> None:
-    """``killer`` returns the first test that fails, and the variant of the arithmetic in which it does."""
-    assert killer(everything()[MISTAKE], tmp_path) == "node 1001"
+    """They are the first tests that fail, in the first variant of the arithmetic, whose name is 1001."""
+    mutant = all_mutants()[WRONG_MASK_OF_NODE_ID]
+    assert first_failing_test(mutant, tmp_path) == "node 1001"
 
 
 def test_a_harmless_change_fails_no_test(tmp_path: Path) -> None:
-    """Tests that failed with every change would look perfect. ``killer`` returns no test here."""
-    assert killer(everything()[HARMLESS_CHANGE], tmp_path) == ""
+    """Tests that failed with every change would look perfect.
+
+    A "<" becomes a "<=" where both give 0 for equal numbers: a mantissa of 24 bits is shifted by 24.
+    """
+    name = (
+        "mcp_asdf_frame.c alpha_word_from_binary32: "
+        "return lost_bits [< => <=] 24U ? (mantissa >> lost_bits) << 8 : 0U;"
+    )
+    assert first_failing_test(all_mutants()[name], tmp_path) == ""
 
 
 def test_a_compiler_makes_other_code_of_a_mistake(tmp_path: Path) -> None:
     """If every change had the same code, none would have to fail a test."""
-    plant(everything()[MISTAKE], tmp_path)
-    assert not has_same_code(everything()[MISTAKE], tmp_path)
+    mutant = all_mutants()[WRONG_MASK_OF_NODE_ID]
+    plant(mutant, tmp_path)
+    assert not has_same_code(mutant, tmp_path)
 
 
 def test_a_compiler_makes_the_same_code_of_a_limit_that_includes_its_bound(tmp_path: Path) -> None:
-    """Such a change needs no place on the list of harmless ones."""
-    plant(everything()[CHANGE_WITH_SAME_CODE], tmp_path)
-    assert has_same_code(everything()[CHANGE_WITH_SAME_CODE], tmp_path)
+    """Such a change needs no place on the list of harmless ones.
+
+    Whether b_hat is taken or its limit is the same if they are equal.
+    """
+    name = "mcp_asdf.c reestimate: return b_hat [< => <=] MCP_ASDF_B_HAT_MAX ? b_hat : MCP_ASDF_B_HAT_MAX;"
+    mutant = all_mutants()[name]
+    plant(mutant, tmp_path)
+    assert has_same_code(mutant, tmp_path)

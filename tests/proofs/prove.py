@@ -144,11 +144,14 @@ def prove_contract(program: Program, name: str, contracts: Contracts) -> None:
             shown.append(formula)
 
 
-def prove_lemma(program: Program, name: str, contracts: Contracts, done: set[Any]) -> None:
+def prove_lemma(program: Program, name: str, contracts: Contracts, done: set[Any] | None = None) -> None:
     """Prove that the function keeps its contract, unless this proof is among the ``done`` proofs.
 
     A proof is done if the contract, the text of the function, and the lemmas that it relies on are the same.
+    Raises UnprovenError if the function breaks its contract for some arguments.
     """
+    if done is None:
+        done = set()
     contract = contracts[name]
     text = program.text(name, {*contract.uses, *contract.instead})
     key = (text, contract, *(contracts[each] for each in contract.uses))

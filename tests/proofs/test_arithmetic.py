@@ -34,18 +34,21 @@ def test_a_function_of_the_arithmetic_keeps_its_contract_in_a_variant(name: str)
 
     ``prove_lemma`` raises UnprovenError if some arguments break the contract.
     """
-    first_variant, *_ = variants_to_prove(name)
-    prove_lemma(program(first_variant), name, contracts(first_variant), set())
+    first_variant, *_other_variants = variants_to_prove(name)
+    prove_lemma(program(first_variant), name, contracts(first_variant))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", LEMMAS)
 def test_a_function_of_the_arithmetic_keeps_its_contract_in_every_variant(name: str) -> None:
-    """A variant is how a target divides, multiplies and shifts. The same text in two is proved once."""
-    proved = set[Any]()
+    """A variant is how a target divides, multiplies and shifts. The same text in two is proved once.
+
+    ``prove_lemma`` notes in ``done`` what it has proved, and raises UnprovenError if there is no proof.
+    """
+    done = set[Any]()
     for variant in variants_to_prove(name):
-        prove_lemma(program(variant), name, contracts(variant), proved)
-    assert len(proved) > 0
+        prove_lemma(program(variant), name, contracts(variant), done)
+    assert len(done) > 0
 
 
 def build_every_divisor(divide: int, folder: Path) -> Path:
@@ -106,14 +109,23 @@ def parsed_definitions() -> set[Place]:
 
 
 def test_every_function_of_the_arithmetic_is_proved_in_some_variant() -> None:
-    """A function may be defined more than once; which definition a compiler sees depends on the variant."""
+    """A function may be defined more than once; which definition a compiler sees depends on the variant.
+
+    The definitions in the headers' texts are those that some variant has, and LEMMAS lists their names: the
+    functions whose contracts are proved in every variant.
+    """
     definitions = written_definitions()
+    names = {name for _path, _line, name in definitions}
+
     assert parsed_definitions() == definitions
-    assert {name for _path, _line, name in definitions} == set(LEMMAS)
+    assert names == set(LEMMAS)
 
 
 def test_the_page_about_trust_states_how_many_functions_and_targets_are_proved() -> None:
-    """``HERE`` has what targets choose that a compiler for this machine takes. Eva analyses each choice."""
+    """A function may have several definitions, for targets that divide, multiply or shift in different ways.
+
+    HERE lists the choices of targets that a compiler for this machine takes. Eva analyses each of them.
+    """
     definitions = written_definitions()
     names = {name for _path, _line, name in definitions}
     page = (ROOT / "docs/internals/trust.md").read_text(encoding="utf-8")

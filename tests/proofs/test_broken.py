@@ -108,13 +108,17 @@ def parse_with_mistake(folder: Path, mistake: Mistake, file: Path) -> Program:
     ids=lambda mistake: f"{mistake.function}: {mistake.wrong}",
 )
 def test_a_function_with_a_mistake_has_no_proof_of_its_contract(mistake: Mistake, tmp_path: Path) -> None:
-    """A contract says what a function promises for all arguments. A mistake replaces a text of the C."""
+    """A contract says what a function promises for all arguments. A mistake replaces a text of the C.
+
+    The function stands in the header of the arithmetic or in the core.
+    """
     is_arithmetic = mistake.function in arithmetic.contracts(mistake.variant)
-    code = parse_with_mistake(tmp_path, mistake, HEADER if is_arithmetic else CORE)
+    file = HEADER if is_arithmetic else CORE
+    code = parse_with_mistake(tmp_path, mistake, file)
     contracts = calls.contracts(mistake.variant)
 
     with pytest.raises(UnprovenError):
-        prove_lemma(code, mistake.function, contracts, set())
+        prove_lemma(code, mistake.function, contracts)
 
 
 @pytest.mark.parametrize("mistake", MISTAKES_IN_NUMBERS, ids=lambda mistake: mistake.function)
@@ -126,9 +130,10 @@ def test_a_function_with_a_mistake_does_not_compute_the_documented_integers(
     With the mistake in the C at least one claim has no proof.
     """
     code = parse_with_mistake(tmp_path, mistake, CORE)
+    claims_of_the_code = (*sums.OF_THE_CODE, *robust.OF_THE_CODE, *calls.OF_THE_CODE)
 
     with pytest.raises(UnprovenError):
-        for claims in (*sums.OF_THE_CODE, *robust.OF_THE_CODE, *calls.OF_THE_CODE):
+        for claims in claims_of_the_code:
             prove_all(claims(code))
 
 
@@ -144,14 +149,22 @@ def prove_of_any_result(name: str, variant: Variant, contract: Contract) -> None
 NAMES = sorted({name for variant in VARIANTS for name in calls.contracts(variant)})
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_a_function_that_may_return_anything_breaks_its_contract(name: str) -> None:
-    """Otherwise the contract would promise nothing, and every code would keep it."""
-    variant = next(
+def first_variant_with(name: str) -> Variant:
+    """Return the first variant in which a function is defined and has a contract."""
+    return next(
         variant
         for variant in VARIANTS
         if name in calls.contracts(variant) and name in program(variant, CORE).functions
     )
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_function_that_may_return_anything_breaks_its_contract(name: str) -> None:
+    """Otherwise the contract would promise nothing, and every code would keep it.
+
+    A variant is how a target divides, multiplies and shifts; the first that has the function is taken.
+    """
+    variant = first_variant_with(name)
     contract = calls.contracts(variant)[name]
 
     with pytest.raises(UnprovenError, match="broken by"):
@@ -159,5 +172,9 @@ def test_a_function_that_may_return_anything_breaks_its_contract(name: str) -> N
 
 
 def test_a_contract_that_promises_nothing_is_kept_by_any_result() -> None:
-    """So the test above fails for such a contract. multiply() returns any number here."""
-    prove_of_any_result("multiply", CORTEX_M4, Contract(always))
+    """There is a proof, so whoever asks that any result breaks a contract notices an empty one.
+
+    multiply() returns any number here, and its contract is always kept.
+    """
+    promises_nothing = Contract(always)
+    prove_of_any_result("multiply", CORTEX_M4, promises_nothing)

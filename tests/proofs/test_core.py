@@ -45,13 +45,17 @@ def test_a_function_keeps_its_contract_on_a_cortex_m4(name: str) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", LEMMAS)
 def test_a_function_keeps_its_contract_in_every_variant(name: str) -> None:
-    """A variant is how a target divides, multiplies and shifts."""
+    """A variant is how a target divides, multiplies and shifts. A broken contract raises UnprovenError."""
     prove_lemma_in(VARIANTS, name)
 
 
 def test_one_more_message_keeps_the_sums_of_a_round_in_their_ranges() -> None:
-    """The sums of the confidences and estimates of 127 neighbours at most fit into their words."""
-    prove_all(calls.of_a_message())
+    """The sums of the confidences and estimates of 127 neighbours at most fit into their words.
+
+    ``prove_all`` raises UnprovenError if one of the claims about them is broken for some numbers.
+    """
+    claims_about_a_message = calls.of_a_message()
+    prove_all(claims_about_a_message)
 
 
 # --- Loops -------------------------------------------------------------------------------------------------
@@ -97,7 +101,8 @@ def prove_ends(code: Program, name: str, loop: Any) -> None:
 def test_every_loop_of_the_firmware_ends(path: Path, variant: Variant) -> None:
     """It does within the turns that a comment beside it states: so no call hangs.
 
-    The variables beside a loop's counter may hold anything, in each turn anew.
+    The variables beside a loop's counter may hold anything, in each turn anew. ``prove_ends`` raises
+    UnprovenError if the loop might go on.
     """
     code = program(variant, path)
     for name in code.defined_in(path):
@@ -114,21 +119,24 @@ def test_no_function_calls_itself(path: Path, variant: Variant) -> None:
     code = program(variant, path)
     for name in code.functions:
         for callee in code.callees(name):
-            assert name not in code.closure(callee), f"{name} calls {callee}, from which it is called again"
+            called_from_there = code.closure(callee)  # directly and through others
+            assert name not in called_from_there, f"{name} calls {callee}, from which it is called again"
 
 
 def test_a_table_whose_length_is_accepted_has_at_most_129_words() -> None:
     """The first word of a table is "MCT" and its number of thresholds, q. Two more words follow these.
 
-    The loop that reads it goes to the lowest byte of that word plus 2.
+    The loop that reads it goes to the lowest byte of that word plus 2. z3, a solver, proves for every word
+    that is accepted, with a q from 2 to 127, that this is 129 at most.
     """
     mct_without_q = 0x4D435400
     first_word = z3.BitVec("first_word", 32)
     is_accepted = z3.And(z3.UGE(first_word, mct_without_q + 2), z3.ULE(first_word, mct_without_q + 127))
 
-    last_index = z3.Extract(7, 0, first_word + 2)
+    last_index = z3.Extract(7, 0, first_word + 2)  # bits 7 to 0: the lowest byte
 
-    prove(z3.ULE(last_index, 129), is_accepted, about="q + 2")
+    at_most_129 = z3.ULE(last_index, 129)
+    prove(at_most_129, is_accepted, about="q + 2")
 
 
 def test_the_length_of_a_table_is_checked_before_it_is_read() -> None:

@@ -13,6 +13,12 @@ from proofs.source import VARIANTS, program
 
 NEVER = z3.BoolVal(False)
 LARGE_PRIME = 16769023
+CORTEX_M4 = VARIANTS[0]
+
+
+def never(*_arguments: Any) -> z3.BoolRef:
+    """Return a condition that nothing fulfils."""
+    return NEVER
 
 
 @pytest.fixture(autouse=True)
@@ -40,7 +46,10 @@ def test_a_claim_that_the_solver_cannot_settle_is_not_proved() -> None:
 
 
 def test_premises_that_the_solver_cannot_satisfy_prove_nothing() -> None:
-    """A prime has no factors, so no numbers fulfil these premises, and anything would follow."""
+    """A prime has no factors, so no numbers fulfil these premises, and anything would follow.
+
+    The solver gives up before it knows.
+    """
     is_product, exceed_1 = factors_of_a_large_prime()
     with pytest.raises(UnprovenError, match="nothing is found"):
         require_possible([is_product, *exceed_1], about="factors of a prime")
@@ -49,7 +58,7 @@ def test_premises_that_the_solver_cannot_satisfy_prove_nothing() -> None:
 def test_premises_that_contradict_each_other_prove_nothing() -> None:
     """Everything follows from a contradiction. A real number may be between 0 and 1, and no integer is."""
     real, integer = z3.Real("p"), z3.Int("p")
-    claims = [
+    claims = [  # name, claim, and premises
         ("of reals", real * real < 1, [real > 0, real < 1]),
         ("of integers", NEVER, [integer > 0, integer < 1]),
     ]
@@ -66,26 +75,31 @@ def test_an_empty_list_of_claims_proves_nothing() -> None:
 
 def test_a_contract_that_no_argument_meets_has_no_proof() -> None:
     """A claim about all arguments of an empty set says nothing about a function."""
-    no_argument = Contract(always, requires=lambda *_: NEVER)
+    for_no_argument = Contract(always, requires=never)
     with pytest.raises(UnprovenError, match="nothing is found"):
-        prove_lemma(program(VARIANTS[0]), "add", {"add": no_argument}, set())
+        prove_lemma(program(CORTEX_M4), "add", {"add": for_no_argument})
 
 
 def test_a_call_that_breaks_what_the_called_function_requires_has_no_proof() -> None:
     """multiply_high() calls multiply() with any numbers, and multiply() must here have a number above 7."""
+
+    def first_number_is_above_7(first: Any, _second: Any) -> Any:
+        return z3.UGT(first, 7)
+
     contracts = {
         "multiply_high": Contract(always, uses=("multiply",)),
-        "multiply": Contract(always, requires=lambda a, b: z3.UGT(a, 7)),
+        "multiply": Contract(always, requires=first_number_is_above_7),
     }
 
     with pytest.raises(UnprovenError, match="what multiply requires"):
-        prove_lemma(program(VARIANTS[0]), "multiply_high", contracts, set())
+        prove_lemma(program(CORTEX_M4), "multiply_high", contracts)
 
 
 def test_a_function_that_was_proved_for_one_contract_is_not_taken_as_proved_for_another() -> None:
-    """``prove_lemma`` notes in ``proved`` what it has proved. The second contract is never kept."""
-    code, proved = program(VARIANTS[0]), set[Any]()
-    prove_lemma(code, "add", {"add": Contract(always)}, proved)
+    """``prove_lemma`` notes in ``done`` what it has proved. The second contract is never kept by add()."""
+    code, done = program(CORTEX_M4), set[Any]()
+    always_kept, never_kept = Contract(always), Contract(never)
+    prove_lemma(code, "add", {"add": always_kept}, done)
 
     with pytest.raises(UnprovenError):
-        prove_lemma(code, "add", {"add": Contract(lambda *_: NEVER)}, proved)
+        prove_lemma(code, "add", {"add": never_kept}, done)

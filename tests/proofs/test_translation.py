@@ -32,7 +32,8 @@ def test_the_proofs_read_the_c_as_a_compiler_does(variant: Variant, tmp_path: Pa
     assert len(names) > 10
     library, rng = compile_functions(code, names, tmp_path), random.Random(str(variant))
 
-    for name in names * 12:
+    twelve_times_each = names * 12
+    for name in twelve_times_each:
         arguments = draw_arguments(code, name, rng)
         result_of_compiler = call_compiled(library, name, arguments)
         result_of_proofs = interpret(code, name, arguments)

@@ -24,7 +24,6 @@ PYPROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
 INSTALLS_PROJECT = re.compile(
     r"pip (?:-\S+ )*install (?:-\S+ )*['\"]?(?:\.|mcp[-_]asdf)(?:\[[^\]]*\])?(?=['\"`\s]|$)"
 )
-PAGES_THAT_INSTALL = {"docs/installing.md", "docs/radio.md"}
 OTHER_MENTIONS = {
     ".github/CONTRIBUTING.md": "the set-up of developers, who always have a clone",
     "docs/platforms/extending.md": "installs the reader's own package",
@@ -48,13 +47,16 @@ def listed_texts() -> dict[str, str]:
 
 
 def test_only_two_pages_have_the_command_that_installs_the_project() -> None:
-    """So it is changed in one place. Messages take it from a function, and other pages lead to these."""
+    """So it is changed in few places. Messages take it from a function, and other pages lead to these.
+
+    OTHER_MENTIONS lists files that write it for developers, or about the past, with the reason.
+    """
     names = {name for name, text in listed_texts().items() if INSTALLS_PROJECT.search(text)}
-    assert names - set(OTHER_MENTIONS) == PAGES_THAT_INSTALL
+    assert names - set(OTHER_MENTIONS) == {"docs/installing.md", "docs/radio.md"}
 
 
 @pytest.mark.parametrize(
-    "text",
+    "command",
     [
         "pip install mcp-asdf",
         "pip install 'mcp-asdf[study]'",
@@ -62,9 +64,9 @@ def test_only_two_pages_have_the_command_that_installs_the_project() -> None:
         "pip -q install -e '.[all]'",
     ],
 )
-def test_each_form_of_the_command_is_recognised(text: str) -> None:
-    """The test above has to find the command however a page writes it."""
-    assert INSTALLS_PROJECT.search(text)
+def test_each_form_of_the_command_is_recognised(command: str) -> None:
+    """The test that only two pages have the command has to find it, however a page writes it."""
+    assert INSTALLS_PROJECT.search(command)
 
 
 def test_the_table_of_extras_has_the_commands_that_messages_give() -> None:
@@ -74,12 +76,14 @@ def test_the_table_of_extras_has_the_commands_that_messages_give() -> None:
 
     commands_in_table = re.findall(r"^\| `(pip install [^`]+)` \|", page, re.MULTILINE)
 
-    assert commands_in_table == [install_command(), *(install_command(extra) for extra in extras)]
+    command_without_extra = install_command()
+    assert commands_in_table == [command_without_extra, *(install_command(extra) for extra in extras)]
 
 
 def test_messages_name_only_extras_that_there_are() -> None:
     """EXTRAS has the extra, a set of packages that pip installs, for each module that may be missing."""
-    assert set(EXTRAS.values()) <= set(PYPROJECT["project"]["optional-dependencies"])
+    extras_in_pyproject = set(PYPROJECT["project"]["optional-dependencies"])
+    assert set(EXTRAS.values()) <= extras_in_pyproject
 
 
 def test_the_workflow_for_users_installs_as_the_messages_say() -> None:
@@ -117,11 +121,11 @@ def test_workflows_pin_actions_and_containers_by_hash() -> None:
 
 
 @pytest.mark.parametrize(
-    "pin", ["actions/checkout@v4", "debian:12", "debian@sha256:813017f3 # 12", "a/b@main"]
+    "unsafe_pin", ["actions/checkout@v4", "debian:12", "debian@sha256:813017f3 # 12", "a/b@main"]
 )
-def test_what_is_pinned_by_a_tag_or_half_a_hash_is_refused(pin: str) -> None:
+def test_what_is_pinned_by_a_tag_or_half_a_hash_is_refused(unsafe_pin: str) -> None:
     """A full hash has 40 or 64 digits, and the tag stands behind it in a comment."""
-    assert not PINNED_BY_HASH.fullmatch(pin)
+    assert not PINNED_BY_HASH.fullmatch(unsafe_pin)
 
 
 @pytest.mark.parametrize(
@@ -135,7 +139,7 @@ def test_what_is_pinned_by_a_tag_or_half_a_hash_is_refused(pin: str) -> None:
 def test_the_error_for_a_module_that_is_not_installed_says_how_to_install_it(
     module: str, call: Callable[[], object], extra: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """``call`` needs the module, which comes with an extra, or with the project itself if that is ""."""
+    """``call`` needs the module, which comes with an extra, or with the project itself if ``extra`` is ""."""
     monkeypatch.setitem(sys.modules, module, None)  # importing it fails from here on
     monkeypatch.delattr("mcp_asdf_tools.experiments.engine.native", raising=False)  # what was imported before
 

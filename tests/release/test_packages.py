@@ -17,7 +17,8 @@ import pytest
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
-from authors_files import FIXED, write_trial
+from authors_files import FIXED as FIXED_NETWORK
+from authors_files import write_trial
 from mcp_asdf_tools.cli import main as cli
 from support import CORE, ROOT, block_with, made_once, names_in, require, run, version_of_header
 
@@ -113,8 +114,7 @@ build_wheel(sys.argv[1], {"wheel.cmake": "false"})
 @pytest.mark.slow
 def test_the_wheel_has_every_file_that_git_lists_of_the_packages(wheel: Path) -> None:
     """It also has three compiled modules, and the firmware in C, which "mcp-asdf firmware" copies."""
-    names_in_core = ["LICENSE", *names_in(CORE.parent)]
-    firmware = {f"mcp_asdf/core/{name}" for name in names_in_core}
+    firmware = {f"mcp_asdf/core/{name}" for name in ["LICENSE", *names_in(CORE.parent)]}
 
     files = {without_tag_of_platform(name) for name in package_files_in(wheel)}
 
@@ -175,18 +175,19 @@ def test_every_package_that_is_imported_is_a_stated_dependency() -> None:
 
 def test_the_commands_that_are_run_from_the_wheel_are_all() -> None:
     """A command that is not run from it could lack a file without a failing test."""
-    commands = set(re.findall(r"^mcp-asdf (\S+)", COMMANDS, re.MULTILINE))
-    assert commands - {"--version"} == set(cli.COMMANDS)
+    commands_of_test = set(re.findall(r"^mcp-asdf (\S+)", COMMANDS, re.MULTILINE))
+    assert commands_of_test - {"--version"} == set(cli.COMMANDS)
 
 
 @pytest.mark.slow
 def test_every_command_runs_from_the_wheel(environment: Path, tmp_path: Path) -> None:
-    """None ends with an error, so the files of the wheel that are no Python are there, too.
+    """None of COMMANDS ends with an error, so the files of the wheel that are no Python are there, too.
 
-    Two commands read files that the test writes.
+    Two commands read files that the test writes: readings of a sensor, and a trial of the paper's authors.
     """
     (tmp_path / "readings.csv").write_text("100,black\n800,white\n" * 10)
-    write_trial(tmp_path / "authors_trial.json", FIXED, 0)
+    first_trial = 0
+    write_trial(tmp_path / "authors_trial.json", FIXED_NETWORK, first_trial)
 
     for line in COMMANDS.splitlines():
         program, *words = shlex.split(line)
@@ -206,7 +207,10 @@ def test_the_packages_are_imported_from_the_wheel_in_these_tests(environment: Pa
 
 @pytest.mark.slow
 def test_the_wheel_passes_the_commands_that_test_a_release(environment: Path, tmp_path: Path) -> None:
-    """They stand in pyproject.toml, for the program that builds the wheels of a release."""
+    """They stand in pyproject.toml, for the program that builds the wheels of a release, cibuildwheel.
+
+    It writes the project's folder in the place of {project}.
+    """
     for command in PYPROJECT["tool"]["cibuildwheel"]["test-command"]:
         program, *words = shlex.split(command.replace("{project}", shlex.quote(str(ROOT))))
         run(environment / "bin" / program, *words, cwd=tmp_path)

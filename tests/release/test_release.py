@@ -26,15 +26,17 @@ def requirements() -> set[str]:
     """Requirements of the project to be built and run, all its extras included, as it states them."""
     stated = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
     project = stated["project"]
-    extras = [each for extra in project["optional-dependencies"].values() for each in extra]
-    all_stated = {*stated["build-system"]["requires"], *project["dependencies"], *extras}
+    all_stated = {*stated["build-system"]["requires"], *project["dependencies"]}
+    for packages_of_extra in project["optional-dependencies"].values():
+        all_stated |= set(packages_of_extra)
     return {requirement for requirement in all_stated if not requirement.startswith("mcp-asdf")}
 
 
 def test_each_dependency_has_a_lower_bound() -> None:
     """numpy>=1.24 is such a bound. An older version, which no test has tried, is not installed."""
     assert len(requirements()) > 8
-    assert [requirement for requirement in requirements() if not BOUNDED.fullmatch(requirement)] == []
+    without_bound = [requirement for requirement in requirements() if not BOUNDED.fullmatch(requirement)]
+    assert without_bound == []
 
 
 def sha256(path: Path) -> str:
@@ -77,12 +79,16 @@ def test_two_builds_in_different_folders_give_the_same_bytes(tmp_path: Path) -> 
     first = build(tmp_path / "first", tmp_path / "built first")
     second = build(tmp_path / "another folder/with a longer name", tmp_path / "built second")
 
-    assert {Path(name).suffix for name in first} > {".a", ".whl", ".so"}
-    assert first == second
+    suffixes = {Path(name).suffix for name in first}
+    assert suffixes > {".a", ".whl", ".so"}
+    assert first == second, "hashes of all files, by name"
 
 
 def test_the_authors_data_are_those_whose_hashes_their_page_lists() -> None:
-    """If the numbers that the tests compare with changed in silence, the tests would prove nothing."""
+    """If the numbers that the tests compare with changed in silence, the tests would prove nothing.
+
+    Their page, tests/data/README.md, has a table with a path and a SHA-256 in each row.
+    """
     folder = ROOT / "tests/data"
     own_files = {"README.md", "study_verdicts.csv"}
     files = [path for path in folder.rglob("*") if path.is_file() and path.name not in own_files]
@@ -120,15 +126,18 @@ def test_the_bill_of_materials_names_each_dependency_and_no_tool_of_the_tests(
     names = {component["name"] for component in bill_of_materials["components"]}
     builders = {"scikit-build-core", "cffi", "hatch-fancy-pypi-readme"}
     dependencies = {Requirement(text).name.lower() for text in requirements()}
+    dependencies_of_users = dependencies - builders
 
-    assert names >= {"uplot"} | (dependencies - builders)
+    assert names >= {"uplot"} | dependencies_of_users
     assert names.isdisjoint({"pytest", "mypy", "ruff", "mkdocs", "cyclonedx-bom"})
 
 
 @pytest.mark.slow
 def test_each_component_of_the_bill_of_materials_has_a_licence(bill_of_materials: dict[str, Any]) -> None:
+    """A component is a package that users get, or a file of others that comes with the project."""
     components = bill_of_materials["components"]
-    assert [component["name"] for component in components if not component["licenses"]] == []
+    without_licence = [component["name"] for component in components if not component["licenses"]]
+    assert without_licence == []
 
 
 def hash_of_component(component: dict[str, Any]) -> str:

@@ -44,7 +44,10 @@ def script() -> str:
 
 @pytest.mark.slow
 def test_the_tests_of_this_folder_pass_in_a_guest() -> None:
-    """Nodes are built here, which is much faster than there; the log of the tests is what this one prints."""
+    """A guest is an emulated machine whose kernel has CAN. It shares a folder, into which it writes its log.
+
+    Nodes are built here, which is much faster than there; the log of the tests is what this one prints.
+    """
     if not why_not_native():
         pytest.skip("this machine's kernel has CAN, and the tests run on it")
     for kind in (PLAIN_BUILD, CORTEX_A8):
@@ -79,7 +82,7 @@ def count_in_summary(log: str, outcome: str) -> int:
 
 
 @pytest.mark.parametrize(
-    ("summary", "passed", "skipped"),
+    ("summary", "expected_passed", "expected_skipped"),
     [
         ("==== 9 passed in 81.20s ====", 9, 0),
         ("==== 9 skipped in 1.02s ====", 0, 9),
@@ -87,9 +90,9 @@ def count_in_summary(log: str, outcome: str) -> int:
     ],
 )
 def test_the_last_line_of_a_log_says_how_many_tests_passed_and_were_skipped(
-    summary: str, passed: int, skipped: int
+    summary: str, expected_passed: int, expected_skipped: int
 ) -> None:
     """These numbers decide whether the tests of a guest count as passed, as failed, or as skipped in part."""
     log = f"tests/socketcan/test_socketcan.py::test_a PASSED\n{summary}\n"
-    assert count_in_summary(log, "passed") == passed
-    assert count_in_summary(log, "skipped") == skipped
+    assert count_in_summary(log, "passed") == expected_passed
+    assert count_in_summary(log, "skipped") == expected_skipped

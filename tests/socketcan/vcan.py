@@ -22,12 +22,12 @@ def ip(*commands: str) -> None:
 @contextmanager
 def interfaces(*names: str) -> Iterator[None]:
     """Make virtual CAN interfaces that are up while the block runs."""
-    ip(*(command for name in names for command in making(name)))
+    ip(*(command for name in names for command in commands_that_make(name)))
     yield
     ip(*(f"link del dev {name}" for name in names))
 
 
-def making(name: str) -> tuple[str, str]:
+def commands_that_make(name: str) -> tuple[str, str]:
     """Return the arguments of ``ip`` that make an interface."""
     return f"link add dev {name} type vcan", f"link set {name} mtu 72 up"
 
