@@ -22,7 +22,7 @@ from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.view import bus_recorder
 from mcp_asdf_tools.view.bus_recorder import BusRecorder
 from mcp_asdf_tools.view.frame_log_history import FrameLogHistory, read_frame_history
-from mcp_asdf_tools.view.history import MAX_STATES, History
+from mcp_asdf_tools.view.history import History
 
 NAN = np.nan
 X_ONE, B_HAT_ONE = 1 << 23, 1 << 24
@@ -75,24 +75,29 @@ def bus(monkeypatch: pytest.MonkeyPatch) -> ScriptedBus:
     return bus
 
 
-def record(bus: Any, seconds: float) -> BusRecorder:
-    """Record the history of a bus whose robots' sensors have an accuracy of 0.9."""
-    recorder = BusRecorder(bus, FrameFormat(), "a bus", true_accuracy=0.9)
+def record_bus(bus: Any, seconds: float, true_accuracy: float = 0.9) -> BusRecorder:
+    """Record a bus for some seconds, and return the recorder, which has its history.
+
+    The sensors' true accuracy is known from the command line, as no frame has it.
+    """
+    recorder = BusRecorder(bus, FrameFormat(), "a bus", true_accuracy=true_accuracy)
     recorder.record(lambda: bus.now >= seconds)
     return recorder
 
 
 def test_robots_of_a_bus_are_in_the_order_of_their_first_values(bus: ScriptedBus) -> None:
     """Robot 7 is the first to send, and robot 3 the second."""
-    assert record(bus, seconds=0.5).history.description.robots == [7, 3]
+    assert record_bus(bus, seconds=0.5).history.description.robots == [7, 3]
 
 
 def test_the_last_state_of_a_bus_has_the_latest_values_that_each_robot_sent(bus: ScriptedBus) -> None:
     """Robot 7 has sent x = b_hat = 0.5 and x_hat = 0.25, and robot 3 has sent x = b_hat = 0.25, but no x_hat.
 
-    The true accuracy is 0.9. A value that no frame has had is unknown, NAN.
+    Values are in the order of the robots, 7 and 3. A value that no frame has had is unknown, NAN. The true
+    accuracy of the sensors is given, as no frame has it.
     """
-    *_, last_state = record(bus, seconds=0.5).history.states_since().states
+    history = record_bus(bus, seconds=0.5, true_accuracy=0.9).history
+    *_, last_state = history.states_since().states
     x, x_hat, b_hat, true_accuracy = last_state.values
 
     assert x.tolist() == [0.5, 0.25]
@@ -102,11 +107,11 @@ def test_the_last_state_of_a_bus_has_the_latest_values_that_each_robot_sent(bus:
 
 
 def test_a_robot_has_no_values_in_states_before_its_first_frame_on_the_bus(bus: ScriptedBus) -> None:
-    """There is a state every 1/8 s.
+    """There is a state every 1/8 s: at 0, 0.125, 0.25 and 0.375 s.
 
-    Robot 3 sends at 0.3125 s, so it has x = 0.25 in the last of four states.
+    Robot 3 sends x = 0.25 at 0.3125 s, so it has this x in the last of these four states.
     """
-    states = record(bus, seconds=0.5).history.states_since().states
+    states = record_bus(bus, seconds=0.5).history.states_since().states
     x_of_robot_3_by_state = []
     for state in states:
         x, _x_hat, _b_hat, _true_accuracy = state.values
@@ -117,28 +122,41 @@ def test_a_robot_has_no_values_in_states_before_its_first_frame_on_the_bus(bus: 
 
 
 def test_each_of_two_robots_that_join_a_bus_makes_open_pages_load_all_states_again(bus: ScriptedBus) -> None:
-    """A web page that shows the bus loads all states again when the history's generation changes."""
-    assert record(bus, seconds=0.5).history.generation == 2
+    """A web page that shows the bus loads all states again when the history's generation changes.
+
+    The generation is a number that begins at 0. Robots 7 and 3 join, one after the other.
+    """
+    assert record_bus(bus, seconds=0.5).history.generation == 2
 
 
 def test_a_recorder_of_a_bus_knows_that_a_robot_sent_telemetry(bus: ScriptedBus) -> None:
-    """``mcp-asdf view`` warns where no robot did, as x and b_hat are unknown then."""
-    assert record(bus, seconds=0.5).has_telemetry
+    """Both robots of this bus send telemetry.
+
+    ``mcp-asdf view`` warns where no robot did, as x and b_hat are unknown then.
+    """
+    assert record_bus(bus, seconds=0.5).has_telemetry
 
 
-def test_the_report_on_a_bus_has_a_row_for_each_robot_once_a_second(bus: ScriptedBus) -> None:
-    """The report is made at 0 s, when robot 7 has just been seen, and not again before 1 s."""
-    report = record(bus, seconds=0.5).history.report
+def test_the_report_on_a_bus_is_made_once_a_second(bus: ScriptedBus) -> None:
+    """The report is made at 0 s, and not again before 1 s.
+
+    So it has a row for robot 7, which has been seen 0 s ago, and none for robot 3, which joins later.
+    """
+    report = record_bus(bus, seconds=0.5).history.report
     assert report is not None
     (row,) = report["robots"]
-    assert (row["robot"], row["seen"]) == (7, 0.0)
+    assert row["robot"] == 7
+    assert row["seen"] == 0.0
 
 
 def test_robots_that_were_silent_for_3_s_are_marked_and_have_no_values_but_their_true_accuracy(
     bus: ScriptedBus,
 ) -> None:
-    """The last frame of the bus came at 0.3125 s. The accuracy, 0.9, is known from the command line."""
-    history = record(bus, seconds=4.5).history
+    """The last frame of the bus came at 0.3125 s, and it is recorded for 4.5 s.
+
+    The true accuracy is known from the command line.
+    """
+    history = record_bus(bus, seconds=4.5, true_accuracy=0.9).history
     *_, last_state = history.states_since().states
     x, x_hat, b_hat, true_accuracy = last_state.values
 
@@ -173,14 +191,16 @@ def frame_history(tmp_path: Path) -> FrameLogHistory:
     return read_frame_history(log, FrameFormat(), fill_ratio=0.4, true_accuracy=0.9)
 
 
-def values_in(history: History, tick: int) -> tuple[list[float], list[float]]:
-    """Return the values of each of two robots in one state: x, x_hat, b_hat and true accuracy."""
-    first_robot, second_robot = history.states_since().states[tick].values.T.tolist()
-    return first_robot, second_robot
+def values_of_robots_7_and_3(history: History, tick: int) -> tuple[list[float], list[float]]:
+    """Return the values of the two robots in one state: x, x_hat, b_hat and true accuracy of each."""
+    robot_7, robot_3 = history.states_since().states[tick].values.T.tolist()
+    return robot_7, robot_3
 
 
-def test_the_description_of_a_log_has_its_file_name_and_robots(frame_history: FrameLogHistory) -> None:
-    """Robot 7 is the first to send, and the user has given the fill ratio, 0.4."""
+def test_the_description_of_a_log_has_its_file_name_its_robots_and_the_fill_ratio(
+    frame_history: FrameLogHistory,
+) -> None:
+    """Robot 7 is the first to send in real.log. The user has given the fill ratio, 0.4."""
     description = frame_history.history.description
     assert description.title == "real.log"
     assert description.robots == [7, 3]
@@ -188,32 +208,49 @@ def test_the_description_of_a_log_has_its_file_name_and_robots(frame_history: Fr
 
 
 def test_a_log_of_frames_is_shown_with_ten_states_a_second(frame_history: FrameLogHistory) -> None:
-    """The log is 3.5 s long. The states 0 to 35 are from 0 to 3.5 s, and one follows its last frame."""
+    """The log is 3.5 s long. The states 0 to 35 are from 0 to 3.5 s, and state 36 follows its last frame."""
     states = frame_history.history.states_since().states
-    assert [state.tick for state in states] == list(range(37))
+    assert [state.tick for state in states] == list(range(36 + 1))
 
 
 def test_a_robot_has_the_values_of_its_last_telemetry(frame_history: FrameLogHistory) -> None:
-    """Robot 3 sends x = b_hat = 0.25 after 0.25 s, and 0.5 after 3.5 s.
+    """Robot 3 sends x = b_hat = 0.25 after 0.25 s, and x = b_hat = 0.5 after 3.5 s, but never an x_hat.
 
-    Values are x, x_hat, b_hat and accuracy.
+    State 4 is at 0.4 s, and state 36 at 3.6 s. The true accuracy, 0.9, is given by the user.
     """
-    _, robot_3_after_first = values_in(frame_history.history, tick=4)
-    _, robot_3_after_second = values_in(frame_history.history, tick=36)
-    assert np.array_equal(robot_3_after_first, [0.25, NAN, 0.25, 0.9], equal_nan=True)
-    assert np.array_equal(robot_3_after_second, [0.5, NAN, 0.5, 0.9], equal_nan=True)
+    _robot_7, robot_3_at_400_ms = values_of_robots_7_and_3(frame_history.history, tick=4)
+    x, x_hat, b_hat, true_accuracy = robot_3_at_400_ms
+    assert (x, b_hat, true_accuracy) == (0.25, 0.25, 0.9)
+    assert np.isnan(x_hat)
+
+    _robot_7, robot_3_at_3600_ms = values_of_robots_7_and_3(frame_history.history, tick=36)
+    x, x_hat, b_hat, true_accuracy = robot_3_at_3600_ms
+    assert (x, b_hat, true_accuracy) == (0.5, 0.5, 0.9)
+    assert np.isnan(x_hat)
 
 
-def test_a_robot_of_a_log_that_was_silent_for_3_s_has_no_values(frame_history: FrameLogHistory) -> None:
-    """Robot 7 sent its only estimate 3.6 s before; the true accuracy, 0.9, is known without frames."""
-    robot_7, _ = values_in(frame_history.history, tick=36)
-    assert np.array_equal(robot_7, [NAN, NAN, NAN, 0.9], equal_nan=True)
+def test_a_robot_of_a_log_that_was_silent_for_3_s_has_no_values_but_its_true_accuracy(
+    frame_history: FrameLogHistory,
+) -> None:
+    """Robot 7 sent its only estimate at 0 s, and state 36 is at 3.6 s.
+
+    The true accuracy, 0.9, is given by the user.
+    """
+    robot_7, _robot_3 = values_of_robots_7_and_3(frame_history.history, tick=36)
+    x, x_hat, b_hat, true_accuracy = robot_7
+    assert np.isnan([x, x_hat, b_hat]).all()
+    assert true_accuracy == 0.9
 
 
 def test_a_log_of_frames_has_ended_and_has_a_report_on_its_robots(frame_history: FrameLogHistory) -> None:
-    """The report is the table of robots that a web page shows below the charts."""
-    assert frame_history.history.report is not None
-    assert frame_history.history.has_ended
+    """The report is the table of robots that a web page shows below the charts.
+
+    Its rows are in the order of the robots' ids, 3 and 7.
+    """
+    history = frame_history.history
+    assert history.has_ended
+    assert history.report is not None
+    assert [row["robot"] for row in history.report["robots"]] == [3, 7]
 
 
 def test_a_reader_of_a_log_knows_of_telemetry_and_of_lines_that_hold_no_frame(
@@ -229,26 +266,31 @@ def test_a_frame_of_a_second_bus_that_stands_late_in_a_log_does_not_set_back_the
 ) -> None:
     """``candump any`` writes frames of two buses out of order. The log's last frame is not the newest.
 
-    Robot 7 would otherwise seem to have sent its last frame 2.5 s before the end of the log.
+    The log ends at 1003 s, when robot 7 is seen. If 1000.5 s, in the last line, counted, it would seem to
+    have been seen 2.5 s before.
     """
     frame = encode(Estimate(7, x_hat=X_ONE // 2, alpha=1, transfer_id=0))
     log = write_log(tmp_path / "any.log", {1000.0: frame, 1003.0: frame, 1000.5: frame})
     report = read_frame_history(log, FrameFormat()).history.report
     assert report is not None
-    (row,) = report["robots"]
-    assert row["seen"] == 0.0
+    (row_of_robot_7,) = report["robots"]
+    seconds_since_last_frame = row_of_robot_7["seen"]
+    assert seconds_since_last_frame == 0.0
 
 
 def test_a_log_of_eight_months_is_shown_with_a_limited_number_of_states(tmp_path: Path) -> None:
-    """With ten states a second there would be 200 million of them."""
+    """Eight months have 20 million seconds. With ten states a second there would be 200 million states.
+
+    There are at most 10,000, and the state at the start.
+    """
     frame = encode(Estimate(7, x_hat=X_ONE // 2, alpha=1, transfer_id=0))
-    log = write_log(tmp_path / "real.log", {0.0: frame, 2e7: frame})
+    log = write_log(tmp_path / "real.log", {0.0: frame, 20_000_000.0: frame})
     history = read_frame_history(log, FrameFormat()).history
-    assert len(history.states_since().states) <= MAX_STATES + 1
+    assert len(history.states_since().states) <= 10_000 + 1
 
 
 @pytest.mark.parametrize(
-    ("text", "reason"),
+    ("log_text", "expected_reason"),
     [
         ("(1.0) can0 123#00\n(2.0) can0 123#00\n", "has no estimate and no telemetry of a robot"),
         (" can0  106BB807   [8]  00 00 40 00 00 80 3F E0\n" * 2, "span 0 s, so they cannot be shown"),
@@ -257,10 +299,10 @@ def test_a_log_of_eight_months_is_shown_with_a_limited_number_of_states(tmp_path
     ids=["no robot", "no times", "no frame"],
 )
 def test_a_log_without_robots_without_times_or_without_frames_is_refused_with_the_reason(
-    text: str, reason: str, tmp_path: Path
+    log_text: str, expected_reason: str, tmp_path: Path
 ) -> None:
     """For example "(1.0) can0 123#00", a frame of no robot: "has no estimate and no telemetry of a robot"."""
     log = tmp_path / "real.log"
-    log.write_text(text)
-    with pytest.raises(UsageError, match=reason):
+    log.write_text(log_text)
+    with pytest.raises(UsageError, match=expected_reason):
         read_frame_history(log, FrameFormat())

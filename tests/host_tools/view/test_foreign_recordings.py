@@ -55,22 +55,38 @@ def change_header(log: Path, change: Callable[[Header], object]) -> None:
 
 
 def set_parameters(**values: Any) -> Callable[[Header], object]:
+    """Return a function that sets parameters in a header."""
     return lambda header: header["parameters"].update(values)
+
+
+def set_entries(**values: Any) -> Callable[[Header], object]:
+    """Return a function that sets entries of a header."""
+    return lambda header: header.update(values)
+
+
+def remove_entry(name: str) -> Callable[[Header], object]:
+    """Return a function that removes an entry of a header."""
+    return lambda header: header.pop(name)
 
 
 OPTIONAL_PARAMETERS = {*Population().parameters(), "allow", "faults"} - {"flawed"}
 
 
 def remove_optional_parameters(header: Header) -> None:
+    """Remove all parameters but the number of flawed robots."""
     for name in OPTIONAL_PARAMETERS:
         del header["parameters"][name]
 
 
 def test_a_log_without_optional_parameters_is_viewed_with_their_defaults(log: Path) -> None:
-    """An earlier version may have written it. All parameters of this log but its five steps are defaults."""
-    title = recompute_swarm_history(log).description.title
+    """An earlier version may have written it. All parameters of this log but its five steps are defaults.
+
+    The title names parameters: "20 robots, 10 flawed, ...".
+    """
+    title_with_all_parameters = recompute_swarm_history(log).description.title
     change_header(log, remove_optional_parameters)
-    assert recompute_swarm_history(log).description.title == title
+    title_with_defaults = recompute_swarm_history(log).description.title
+    assert title_with_defaults == title_with_all_parameters
 
 
 def remove_optional_settings_of_robots(header: Header) -> None:
@@ -91,13 +107,13 @@ def test_a_log_whose_robots_lack_optional_settings_is_replayed_with_defaults(log
 @pytest.mark.parametrize("name", ["frames", "parameters", "seed", "versions"])
 def test_a_log_whose_first_line_lacks_an_optional_entry_is_replayed(name: str, log: Path) -> None:
     """The first line of a log's events is a JSON object; only the entries on its robots are needed."""
-    change_header(log, lambda header: header.pop(name))
+    change_header(log, remove_entry(name))
     assert main(["replay", str(log)]) == 0
 
 
 def test_a_log_of_a_single_robot_cannot_be_viewed_as_one_of_a_swarm(log: Path) -> None:
-    """``mcp-asdf node``, which runs one robot, writes these parameters alone."""
-    change_header(log, lambda header: header.update(parameters={"steps_per_second": 10, "steps": 5}))
+    """``mcp-asdf node``, which runs one robot, writes the parameters steps_per_second and steps alone."""
+    change_header(log, set_entries(parameters={"steps_per_second": 10, "steps": 5}))
     with pytest.raises(UsageError, match="is not the log of a swarm; give one of mcp-asdf swarm"):
         recompute_swarm_history(log)
 
@@ -109,21 +125,22 @@ def test_a_log_that_names_a_file_as_its_graph_is_refused_and_the_file_is_not_ope
 
     This file is a pipe into which nobody writes: opening it would wait for ever.
     """
-    os.mkfifo(tmp_path / "pipe")
-    change_header(log, set_parameters(topology="graph", graph=str(tmp_path / "pipe")))
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    change_header(log, set_parameters(topology="graph", graph=str(pipe)))
     with pytest.raises(UsageError, match="has to hold the edges themselves"):
         recompute_swarm_history(log)
 
 
 @pytest.mark.parametrize(
-    ("change", "message"),
+    ("change_of_header", "expected_message"),
     [
         (set_parameters(robots=8), "it is of 8 robots, but lists 20, 0-19; the ids must be"),
         (lambda header: header["robots"].pop(), "it is of 20 robots, but lists 19, 0-18"),
         (lambda header: header["robots"].clear(), "it is of 20 robots, but lists 0, none"),
         (lambda header: header["robots"].append(header["robots"][0]), "two robots have the same id"),
-        (lambda header: header.update(parameters=[]), r"parameters is \[\]; it must be an object"),
-        (lambda header: header.update(robots=[7]), "a robot is 7; give its settings"),
+        (set_entries(parameters=[]), r"parameters is \[\]; it must be an object"),
+        (set_entries(robots=[7]), "a robot is 7; give its settings"),
         (set_parameters(steps=4), "the run goes on after the 4 steps of the first line"),
         (set_parameters(steps=[]), r"damaged: steps is \[\]; give a number"),
         (set_parameters(faults=3), "faults is 3; give several in a list"),
@@ -132,23 +149,24 @@ def test_a_log_that_names_a_file_as_its_graph_is_refused_and_the_file_is_not_ope
     ],
 )
 def test_a_log_whose_first_line_has_an_impossible_entry_is_refused_with_the_entry(
-    change: Callable[[Header], object], message: str, log: Path
+    change_of_header: Callable[[Header], object], expected_message: str, log: Path
 ) -> None:
-    """For example, the number of robots is set to 8 where 20 are listed:
+    """The first line of a log's events is changed, by a function, before the log is viewed.
 
-    "it is of 8 robots, but lists 20".
+    For example, the number of robots is set to 8 where 20 are listed: "it is of 8 robots, but lists 20".
     """
-    change_header(log, change)
-    with pytest.raises(UsageError, match=message):
+    change_header(log, change_of_header)
+    with pytest.raises(UsageError, match=expected_message):
         recompute_swarm_history(log)
 
 
 def test_a_log_that_claims_a_billion_steps_is_viewed_as_far_as_it_goes(log: Path) -> None:
-    """It has five steps, and of a billion only every 100,000th would be shown.
+    """It has five steps, and of a billion only every 100,000th would be shown. So the start, 0, is shown.
 
     The chart lacks the errors of the same robots without a filter: to compute them would take hours.
     """
     change_header(log, set_parameters(steps=10**9))
     history = recompute_swarm_history(log)
-    assert [state.tick for state in history.states_since().states] == [0]
+    shown_steps = [state.tick for state in history.states_since().states]
+    assert shown_steps == [0]
     assert len(history.description.unfiltered_errors) == 0

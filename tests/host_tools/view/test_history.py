@@ -23,17 +23,25 @@ def history() -> History:
     return history
 
 
-@pytest.mark.parametrize(("generation", "index", "ticks"), [(0, 2, [2]), (0, 3, []), (7, 3, [0, 1, 2])])
-def test_a_reader_gets_the_states_that_it_does_not_have_and_all_if_it_is_of_another_generation(
-    generation: int, index: int, ticks: list[int], history: History
+@pytest.mark.parametrize(("states_of_reader", "expected_ticks"), [(2, [2]), (3, [])])
+def test_a_reader_gets_the_states_that_it_does_not_have(
+    states_of_reader: int, expected_ticks: list[int], history: History
 ) -> None:
-    """There are states after 0, 1 and 2 steps. The reader already has the first ``index`` of them.
+    """There are states after 0, 1 and 2 steps. The reader already has the first 2, or all 3, of them.
 
-    The generation is a number that goes up when a robot joins or when states are thinned out. This
-    history has generation 0. A reader says which generation its states have.
+    It also says of which generation its states are: the history's present one, 0.
     """
-    update = history.states_since(generation, index)
-    assert [state.tick for state in update.states] == ticks
+    update = history.states_since(generation=0, index=states_of_reader)
+    assert [state.tick for state in update.states] == expected_ticks
+
+
+def test_a_reader_whose_states_are_of_another_generation_gets_all_states(history: History) -> None:
+    """The generation is a number that goes up when a robot joins or when states are thinned out.
+
+    The history has the generation 0 and three states. The reader has three states of another generation.
+    """
+    update = history.states_since(generation=7, index=3)
+    assert [state.tick for state in update.states] == [0, 1, 2]
 
 
 def test_a_robot_that_joins_has_neither_values_nor_links_in_earlier_states(history: History) -> None:
@@ -56,24 +64,24 @@ def test_a_robot_that_joins_has_neither_values_nor_links_in_earlier_states(histo
 
 
 def test_a_swarm_without_an_end_keeps_at_most_a_hundred_states(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The limit is set to 100 here. At 101 states, every second one is left out.
+    """The limit is set to 100 here. At 101 states, every second one is left out: a new generation of states.
 
-    That happens four times in 1000 steps, and 2**4 is 16.
+    That happens four times in 1000 steps, so every 2**4th state, or every 16th, is left.
     """
     monkeypatch.setattr(history_module, "MAX_STATES", 100)
     history = History(RunDescription("endless", [0, 1]))
-    counts = []
+    numbers_of_states = []
     for tick in range(1000):
         history.add(make_state(tick))
-        counts.append(len(history.states_since().states))
+        numbers_of_states.append(len(history.states_since().states))
 
-    assert max(counts) == 100
+    assert max(numbers_of_states) == 100
     assert history.generation == 4
     assert [state.tick for state in history.states_since().states] == list(range(0, 1000, 16))
 
 
 @pytest.mark.parametrize(
-    ("steps", "robots", "spacing"),
+    ("steps", "robots", "expected_spacing"),
     [
         (1, 128, 1),
         (10_000, 20, 1),
@@ -85,10 +93,11 @@ def test_a_swarm_without_an_end_keeps_at_most_a_hundred_states(monkeypatch: pyte
     ],
 )
 def test_a_web_page_keeps_fewer_states_of_a_swarm_with_more_steps_and_robots(
-    steps: int, robots: int, spacing: int
+    steps: int, robots: int, expected_spacing: int
 ) -> None:
-    """``spacing`` is the number of steps from one kept state to the next.
+    """The spacing is the number of steps from one kept state to the next.
 
-    Of 10,000 steps of 20 robots each is kept, for example, and of 40,000 steps every fourth.
+    Of 10,000 steps of 20 robots each is kept, for example, and of 40,000 steps every fourth: there are at
+    most 10,000 states, and the links between robots in them have at most four million bits.
     """
-    assert steps_between_states(steps, robots) == spacing
+    assert steps_between_states(steps, robots) == expected_spacing

@@ -16,7 +16,7 @@ PACKAGES = {"view": ROOT / "host_tools/mcp_asdf_tools/view/page", "playground": 
 
 
 @pytest.fixture
-def folder(tmp_path: Path) -> Path:
+def folder_with_scripts(tmp_path: Path) -> Path:
     """A folder with the tests and the scripts, where node finds them under their names of the page."""
     for path in matching_files(FOLDER, "*.js"):
         shutil.copy(path, tmp_path)
@@ -30,13 +30,18 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def test_all_tests_of_the_scripts_pass_in_node_js(folder: Path) -> None:
-    """Each begins with ``test(``, and its result is a line such as "ok 3 - a value has three digits"."""
-    test_files = sorted(folder.glob("*.test.js"))
-    (folder / "all.js").write_text("".join(f'import "./{file.name}";\n' for file in test_files))
-    output = run(require("node", "nodejs"), "--test-reporter=tap", "all.js", cwd=folder)
+def test_all_tests_of_the_scripts_pass_in_node_js(folder_with_scripts: Path) -> None:
+    """Each test begins with ``test(``, and its result is a line such as "ok 3 - a value has three digits".
 
-    source_text = "".join(file.read_text(encoding="utf-8") for file in test_files)
-    stated_tests = re.findall(r"^test\(", source_text, re.MULTILINE)
+    The script all.js imports all files of tests, which runs them.
+    """
+    test_files = sorted(folder_with_scripts.glob("*.test.js"))
+    import_lines = "".join(f'import "./{file.name}";\n' for file in test_files)
+    (folder_with_scripts / "all.js").write_text(import_lines)
+    output = run(require("node", "nodejs"), "--test-reporter=tap", "all.js", cwd=folder_with_scripts)
+
+    text_of_all_files = "".join(file.read_text(encoding="utf-8") for file in test_files)
+    tests = re.findall(r"^test\(", text_of_all_files, re.MULTILINE)
     passed_tests = re.findall(r"^ok \d+ - ", output, re.MULTILINE)
-    assert len(passed_tests) == len(stated_tests) > 0
+    assert len(tests) > 0
+    assert len(passed_tests) == len(tests)
