@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
 from mcp_asdf_tools.experiments.experiment import Experiment
@@ -48,6 +49,18 @@ def caption_of(figure: Figure) -> str:
     """Return label and caption below a figure, in one line."""
     text: str = figure._supxlabel.get_text()  # type: ignore[attr-defined]
     return " ".join(text.split())
+
+
+def x_values_of(line: Line2D) -> list[float]:
+    """Return where the points of a line stand along the x axis."""
+    values: list[float] = np.asarray(line.get_xdata()).tolist()
+    return values
+
+
+def y_values_of(line: Line2D) -> list[float]:
+    """Return the heights of a line's points."""
+    values: list[float] = np.asarray(line.get_ydata()).tolist()
+    return values
 
 
 @dataclass(frozen=True)

@@ -7,9 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 
 from host_tools.experiments.drawn_figures import (
     GREEN,
@@ -23,6 +21,8 @@ from host_tools.experiments.drawn_figures import (
     results_of,
     titles_of,
     visible_axes,
+    x_values_of,
+    y_values_of,
 )
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.figures import COLOURS
@@ -38,18 +38,6 @@ SIX_MOVING_ROBOTS: dict[str, Any] = {
     "filter_period": 50,
     "topology": "dynamic",
 }
-
-
-def x_positions(axes: Axes) -> list[Any]:
-    """Return where the points of a panel's first line stand along the x axis."""
-    positions: list[Any] = np.asarray(axes.lines[0].get_xdata()).tolist()
-    return positions
-
-
-def y_positions(line: Line2D) -> list[float]:
-    """Return the heights of a line's points."""
-    heights: list[float] = np.asarray(line.get_ydata()).tolist()
-    return heights
 
 
 # --- Medians and bands -----------------------------------------------------------------------------------
@@ -180,7 +168,7 @@ def test_a_panel_has_a_curve_of_median_scores_for_each_filter_that_its_swarms_ha
     """A curve has two points: the medians of H with one and with two flawed robots."""
     lines = curves_in_panels.axes[panel].lines
     for line, filter_name in zip(lines, filters, strict=True):
-        assert y_positions(line) == [
+        assert y_values_of(line) == [
             median_score(swarms_of_four_sizes, robots, filter_name, flawed=1),
             median_score(swarms_of_four_sizes, robots, filter_name, flawed=2),
         ]
@@ -236,7 +224,7 @@ def test_a_curve_can_be_of_a_function_of_the_user(unfiltered_swarms: list[Trials
     (line,) = axes.lines
 
     medians = [np.median(error_of_first_robot(trials)) for trials in unfiltered_swarms]
-    assert y_positions(line) == medians
+    assert y_values_of(line) == medians
 
 
 def test_a_curve_can_be_drawn_into_axes_of_the_user(unfiltered_swarms: list[Trials]) -> None:
@@ -297,7 +285,8 @@ def test_numbers_shares_and_names_can_be_along_the_x_axis(
     """Names of filters stand in their usual order, whatever the order of the experiments."""
     experiments = grid(**{**SIX_MOVING_ROBOTS, parameter: values})  # an experiment for each value
     (axes,) = plot_curve([results_of(experiment) for experiment in experiments], parameter).axes
-    assert x_positions(axes) == expected_positions
+    (line,) = axes.lines
+    assert x_values_of(line) == expected_positions
 
 
 def test_graphs_stand_side_by_side_on_the_x_axis_with_shortened_labels() -> None:
@@ -306,9 +295,10 @@ def test_graphs_stand_side_by_side_on_the_x_axis_with_shortened_labels() -> None
     graphs = [[(0, 1)], [(0, 1), (0, 2), (0, 10), (0, 11)], complete_graph_of_four]
     experiments = grid(robots=12, steps=200, filter_period=50, trials=7, topology="graph", graph=graphs)
     (axes,) = plot_curve([results_of(experiment) for experiment in experiments], "graph").axes
+    (line,) = axes.lines
     labels = [label.get_text() for label in axes.get_xticklabels()]
 
-    assert x_positions(axes) == [0, 1, 2]
+    assert x_values_of(line) == [0, 1, 2]
     assert labels == ["0 1", "0 1; 0 2; 0 10; 0 11", "0 1; 0 2; 0 3; 1 2;  ..."]
 
 
@@ -337,7 +327,7 @@ def test_a_curve_may_be_of_swarms_that_differ_in_a_parameter_without_effect(
     robust = with_omega(results_by_filter["robust"], 0.1)
     (axes,) = visible_axes(plot_curve([asdf_plus, robust], "filter"))
     (line,) = axes.lines
-    assert len(y_positions(line)) == 2
+    assert len(y_values_of(line)) == 2
 
 
 def test_swarms_of_two_sizes_with_the_same_share_of_flawed_robots_can_be_on_one_curve() -> None:
@@ -345,4 +335,5 @@ def test_swarms_of_two_sizes_with_the_same_share_of_flawed_robots_can_be_on_one_
     small_swarm = replace(SHORT_EXPERIMENT, robots=4, flawed=2, trials=1)
     large_swarm = replace(SHORT_EXPERIMENT, robots=8, flawed=4, trials=1)
     (axes,) = plot_curve([results_of(small_swarm), results_of(large_swarm)], "robots").axes
-    assert x_positions(axes) == [4, 8]
+    (line,) = axes.lines
+    assert x_values_of(line) == [4, 8]

@@ -43,6 +43,11 @@ SHORT = Experiment(robots=4, flawed=1, filter="asdf-plus", steps=300, filter_per
 OTHER_EXPERIMENT = replace(SHORT, filter="none", seed=2**64 - 1)
 
 
+def replace_column(table: pa.Table, name: str, values: object) -> pa.Table:
+    """Return the table with other values in the column of this name."""
+    return table.set_column(table.column_names.index(name), name, values)
+
+
 @pytest.fixture(scope="module")
 def results_path(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A file, only to be read, of two experiments with recorded values.
@@ -95,44 +100,50 @@ def test_a_file_of_results_gives_back_all_values_that_were_measured_and_recorded
     experiments: list[Trials], trials_run_again: list[Trials]
 ) -> None:
     """The same trials are run once more, and compared with the trials from the file."""
-    for trials_read, expected_trials in zip(experiments, trials_run_again, strict=True):
-        for name in ("convergence_steps", "errors", "b_hat", "tests", "updates"):
-            assert np.array_equal(getattr(trials_read, name), getattr(expected_trials, name)), name
-        for name in QUANTITIES:
-            assert np.array_equal(trials_read.records[name], expected_trials.records[name]), name
+    for trials_from_file, expected_trials in zip(experiments, trials_run_again, strict=True):
+        for result in ("convergence_steps", "errors", "b_hat", "tests", "updates"):
+            assert np.array_equal(getattr(trials_from_file, result), getattr(expected_trials, result)), result
+        for quantity in QUANTITIES:
+            values, expected_values = trials_from_file.records[quantity], expected_trials.records[quantity]
+            assert np.array_equal(values, expected_values), quantity
 
 
 def test_a_file_of_results_gives_back_how_often_values_were_recorded(experiments: list[Trials]) -> None:
     """Values of 4 robots were recorded at step 0 and 30 times in 300 steps of 3 trials."""
-    first_experiment, _ = experiments
-    assert first_experiment.sampling_interval == 10
-    trial_count, sample_count, robots = first_experiment.records["x"].shape
+    trials, _trials_of_other_experiment = experiments
+    assert trials.sampling_interval == 10
+    trial_count, sample_count, robots = trials.records["x"].shape
     assert (trial_count, sample_count, robots) == (3, 31, 4)
 
 
 def test_results_of_one_robot_without_recorded_values_are_read_from_their_file(path: Path) -> None:
     """Such results have the shortest lists. Short lists must not be taken for missing lists."""
     experiment = replace(SHORT, robots=1)
-    write_tables(path, [trials_to_table(run_trials(experiment, first=0, trials=1))])
+    table = trials_to_table(run_trials(experiment, first=0, trials=1))
+    write_tables(path, [table])
     [trials] = experiments_in(read_table(path))
-    assert (trials.experiment, trials.records) == (experiment, {})
+
+    assert trials.experiment == experiment
+    assert trials.records == {}
 
 
 def test_the_trials_of_an_experiment_may_be_spread_over_the_files_of_a_folder(tmp_path: Path) -> None:
-    """The first and third file hold trials of the same experiment. They become one entry."""
+    """Three files hold trial 0 of an experiment, trial 1 of another one, and trial 2 of the first again."""
     for trial, experiment in enumerate((SHORT, OTHER_EXPERIMENT, SHORT)):
         table = trials_to_table(run_trials(experiment, first=trial, trials=1))
         write_tables(tmp_path / f"{trial}.parquet", [table])
-    first, second = stream_experiments(tmp_path)
+    trials, trials_of_other_experiment = stream_experiments(tmp_path)
 
-    assert (first.experiment, first.numbers) == (SHORT, [0, 2])
-    assert (second.experiment, second.numbers) == (OTHER_EXPERIMENT, [1])
+    assert trials.experiment == SHORT
+    assert trials.numbers == [0, 2]
+    assert trials_of_other_experiment.experiment == OTHER_EXPERIMENT
+    assert trials_of_other_experiment.numbers == [1]
 
 
 def test_small_tables_are_joined_until_they_have_enough_bytes() -> None:
-    """There are five tables of one row. Two tables fill a group, so the fifth is a group of its own."""
-    table = trials_to_table(run_trials(SHORT, first=0, trials=1))
-    larger_tables = collect_rows([table] * 5, min_bytes=2 * table.nbytes)
+    """There are five tables of one row. Two have enough bytes, so the fifth is left over."""
+    table_of_one_row = trials_to_table(run_trials(SHORT, first=0, trials=1))
+    larger_tables = collect_rows([table_of_one_row] * 5, min_bytes=2 * table_of_one_row.nbytes)
     assert [len(larger_table) for larger_table in larger_tables] == [2, 2, 1]
 
 
@@ -143,16 +154,18 @@ def test_any_reader_of_parquet_finds_the_parameters_and_the_results_of_a_trial_i
 
     The second row holds trial 0. The test runs this trial again.
     """
-    _row_of_trial_2, row, *_ = pq.read_table(results_path).to_pylist()
-    trials = run_trials(SHORT, first=0, trials=1)
+    _row_of_trial_2, row_of_trial_0, *_ = pq.read_table(results_path).to_pylist()
+    trial_0 = run_trials(SHORT, first=0, trials=1)
 
-    assert row["trial"] == 0
-    assert {name: row[name] for name in SHORT.parameters()} == SHORT.parameters()
-    assert row["k"] == trials.convergence_steps.ravel().tolist()
-    assert row["e"] == trials.errors.ravel().tolist()
-    assert row["b_hat"] == trials.b_hat.ravel().tolist()
+    assert row_of_trial_0["trial"] == 0
+    for parameter, value in SHORT.parameters().items():
+        assert row_of_trial_0[parameter] == value
+    assert row_of_trial_0["k"] == trial_0.convergence_steps.ravel().tolist()
+    assert row_of_trial_0["e"] == trial_0.errors.ravel().tolist()
+    assert row_of_trial_0["b_hat"] == trial_0.b_hat.ravel().tolist()
     for name in SCORES:
-        assert [row[name]] == trials.scores()[name]
+        [score_of_trial_0] = trial_0.scores()[name]
+        assert row_of_trial_0[name] == score_of_trial_0
 
 
 @pytest.fixture(scope="module")
@@ -165,8 +178,10 @@ def described_columns(results_path: Path) -> dict[str, dict[str, str]]:
 def test_the_metadata_of_results_give_every_column_a_meaning(
     described_columns: dict[str, dict[str, str]], results_path: Path
 ) -> None:
+    """Metadata have an entry for each column, in the order of columns. A meaning is a text."""
     assert list(described_columns) == pq.read_schema(results_path).names
-    assert all(column["meaning"] for column in described_columns.values())
+    for column in described_columns.values():
+        assert column["meaning"] != ""
 
 
 @pytest.mark.parametrize(
@@ -219,7 +234,7 @@ def test_experiments_are_selected_by_the_values_of_their_parameters(
 
 
 @pytest.mark.parametrize(
-    ("condition", "message"),
+    ("condition", "expected_message"),
     [
         ({"filter": "non"}, "filter=non: no experiment has it; filter is asdf-plus or none"),
         ({"steps": "many"}, "steps=many: no experiment has it; steps is 300"),
@@ -230,53 +245,62 @@ def test_experiments_are_selected_by_the_values_of_their_parameters(
     ],
 )
 def test_a_condition_that_no_experiment_meets_is_refused_with_what_could_be_meant(
-    condition: dict[str, str], message: str, experiments: list[Trials]
+    condition: dict[str, str], expected_message: str, experiments: list[Trials]
 ) -> None:
-    with pytest.raises(UsageError, match=message):
+    """The condition has a wrong value or a wrong name. There are two experiments with different filters."""
+    with pytest.raises(UsageError, match=expected_message):
         select_experiments(experiments, condition)
 
 
 def test_several_experiments_in_place_of_one_are_refused_with_their_differences(
     experiments: list[Trials],
 ) -> None:
+    """The two experiments differ in their seeds, 1 and 2^64 - 1, and in their filters."""
     with pytest.raises(UsageError, match=r"2 experiments match; choose one with where seed=1\|"):
         single_experiment(experiments)
 
 
-def test_a_single_experiment_has_no_parameters_that_differ(experiments: list[Trials]) -> None:
-    first_experiment, _ = experiments
-    assert single_experiment([first_experiment]) is first_experiment
-    assert describe_differences([first_experiment]) == "no parameters"
+def test_a_single_experiment_is_chosen_and_has_no_parameters_that_differ(experiments: list[Trials]) -> None:
+    trials, _trials_of_other_experiment = experiments
+    assert single_experiment([trials]) is trials
+    assert describe_differences([trials]) == "no parameters"
 
 
 # --- Old and damaged files -------------------------------------------------------------------------------
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", [*Experiment().parameters()])
-def test_results_from_before_a_parameter_existed_are_read_with_its_default(name: str, path: Path) -> None:
-    """They have no column of this parameter."""
-    default = Experiment().parameters()[name]
-    experiment = replace(SHORT, **{"trials": 1, "robots": 20, "flawed": 6, name: default})
-    table = trials_to_table(run_trials(experiment, first=0, trials=1)).drop_columns([name])
-    pq.write_table(table, path)
+@pytest.mark.parametrize("parameter", [*Experiment().parameters()])
+def test_results_from_before_a_parameter_existed_are_read_with_its_default(
+    parameter: str, path: Path
+) -> None:
+    """They have no column of this parameter. Files are read experiment by experiment, or at once."""
+    default = Experiment().parameters()[parameter]
+    # With as many robots as by default, each parameter may have its default.
+    experiment = replace(SHORT, **{"trials": 1, "robots": 20, "flawed": 6, parameter: default})
+    table = trials_to_table(run_trials(experiment, first=0, trials=1))
+    pq.write_table(table.drop_columns([parameter]), path)
+
     [trials] = stream_experiments(path)
     [trials_read_at_once] = experiments_in(read_table(path))
 
-    assert trials.experiment.parameters()[name] == default
+    assert trials.experiment.parameters()[parameter] == default
     assert trials_read_at_once.experiment == trials.experiment
 
 
 def test_results_from_before_a_parameter_existed_can_be_scored_again() -> None:
+    """The parameter is latency, which has no column in the older table. Scores do not change."""
     table = trials_to_table(run_trials(SHORT, first=0, trials=2))
-    table_scored_again = score_table(table.drop_columns(["latency"]), Limits())
-    assert table_scored_again["H"].equals(table["H"])
+    older_table = table.drop_columns(["latency"])
+    older_table_scored_again = score_table(older_table, Limits())
+    assert older_table_scored_again["H"].equals(table["H"])
 
 
 def test_results_from_before_a_parameter_existed_are_read_together_with_newer_ones(tmp_path: Path) -> None:
     """Each of two files has two trials; the first has no latency, whose default is 0."""
     table = trials_to_table(run_trials(SHORT, first=0, trials=2))
-    pq.write_table(table.drop_columns(["latency"]), tmp_path / "1.parquet")
+    older_table = table.drop_columns(["latency"])
+    pq.write_table(older_table, tmp_path / "1.parquet")
     pq.write_table(table, tmp_path / "2.parquet")
     assert read_table(tmp_path)["latency"].to_pylist() == [0, 0, 0, 0]
 
@@ -289,41 +313,54 @@ Values of 20 steps are recorded every 10 steps. In format 5 each record is one f
 
 
 def test_results_in_the_earlier_format_5_give_back_their_records_by_step_and_robot() -> None:
-    """Each of 3 robots had observed 0, 10 and 20 times, t, when its values were recorded."""
-    three_robots, two_robots = stream_experiments(FORMAT_5_FILE)  # named by their numbers of robots
-    first_trial, second_trial = three_robots.records["t"].tolist()
-    assert first_trial == second_trial == [[0, 0, 0], [10, 10, 10], [20, 20, 20]]
+    """The file has two trials of 3 robots and two of 2, each recorded at the steps 0, 10 and 20.
 
-    last_trial = two_robots.records["x"].tolist()[-1]
-    assert last_trial[-1] == [0.6703321933746338, 0.6703321933746338]
+    t is how often a robot has observed by then, and x its estimate, which was the same in both of two robots.
+    """
+    trials_of_3_robots, trials_of_2_robots = stream_experiments(FORMAT_5_FILE)
+    t_in_first_trial, t_in_second_trial = trials_of_3_robots.records["t"].tolist()
+    assert t_in_first_trial == [[0, 0, 0], [10, 10, 10], [20, 20, 20]]
+    assert t_in_second_trial == [[0, 0, 0], [10, 10, 10], [20, 20, 20]]
+
+    _x_in_first_trial, x_in_second_trial = trials_of_2_robots.records["x"].tolist()
+    _x_at_step_0, _x_at_step_10, x_at_step_20 = x_in_second_trial
+    assert x_at_step_20 == [0.6703321933746338, 0.6703321933746338]  # as the file has it
 
 
 def test_results_in_the_earlier_format_5_are_read_as_a_table_of_the_present_format() -> None:
-    """The last two rows are trials of 2 robots, which had observed 0, 10 and 20 times when recorded."""
+    """It has the columns, types and format number of new results, and a record is a list for each step.
+
+    The last two of four rows are trials of 2 robots, which had observed 0, 10 and 20 times when recorded.
+    """
     table = read_table(FORMAT_5_FILE)
     new_table = trials_to_table(run_trials(SHORT, first=0, trials=1, sampling_interval=10))
-    *_, first_trial_of_two_robots, _ = table["record_t"].to_pylist()
-
     assert table.schema.equals(new_table.schema)
-    assert read_metadata(table)["format"] == FORMAT
-    assert first_trial_of_two_robots == [[0, 0], [10, 10], [20, 20]]
+    assert read_metadata(table)["format"] == read_metadata(new_table)["format"]
+
+    _row_0, _row_1, observations_in_row_2, _row_3 = table["record_t"].to_pylist()
+    assert observations_in_row_2 == [[0, 0], [10, 10], [20, 20]]
 
 
 def test_results_in_the_earlier_format_5_may_be_read_by_another_program() -> None:
-    """It gives the table to ``experiments_in``. After 20 steps, each of 3 robots has observed 20 times, t."""
-    three_robots, _ = experiments_in(pq.read_table(FORMAT_5_FILE))
-    _, second_trial = three_robots.records["t"].tolist()
-    assert second_trial[-1] == [20, 20, 20]
+    """It gives the table to ``experiments_in``. At step 20, each of 3 robots has observed 20 times, t."""
+    table_of_another_program = pq.read_table(FORMAT_5_FILE)
+    trials_of_3_robots, _trials_of_2_robots = experiments_in(table_of_another_program)
+    _t_in_first_trial, t_in_second_trial = trials_of_3_robots.records["t"].tolist()
+    _t_at_step_0, _t_at_step_10, t_at_step_20 = t_in_second_trial
+    assert t_at_step_20 == [20, 20, 20]
 
 
 @pytest.mark.parametrize("robots", [0, 2, 2**64 - 1])
 def test_a_record_in_format_5_that_has_not_a_value_of_each_robot_at_each_step_is_refused(
     robots: int, path: Path
 ) -> None:
-    """The first record is a list of 9 values. 9 is no multiple of 2 robots."""
+    """The first record is a list of 9 values, those of 3 robots at 3 steps.
+
+    The number of robots is changed in all rows of the file. 9 is no multiple of 2 robots.
+    """
     table = pq.read_table(FORMAT_5_FILE)
-    robots_column = pa.array([robots] * len(table), pa.uint64())
-    pq.write_table(table.set_column(table.column_names.index("robots"), "robots", robots_column), path)
+    wrong_robots = pa.array([robots] * len(table), pa.uint64())
+    pq.write_table(replace_column(table, "robots", wrong_robots), path)
 
     with pytest.raises(UsageError, match="column record_t has gaps, or not a value of each robot"):
         read_table(path)
@@ -331,8 +368,7 @@ def test_a_record_in_format_5_that_has_not_a_value_of_each_robot_at_each_step_is
 
 def with_column(name: str, values: object) -> pa.Table:
     """Return results in which a column has other values."""
-    table = valid_results_table()
-    return table.set_column(table.column_names.index(name), name, values)
+    return replace_column(valid_results_table(), name, values)
 
 
 def damaged_tables() -> Iterator[tuple[pa.Table, str]]:
@@ -385,21 +421,26 @@ def tables_with_damaged_column(table: pa.Table, name: str) -> Iterator[tuple[pa.
             yield with_column(name, pa.array([number] * len(table), pa.uint64())), ""
 
 
-@pytest.mark.random
-def test_a_file_of_results_with_one_thing_wrong_is_refused_with_its_name(path: Path) -> None:
-    """The error is one short line with the words that name what is wrong.
-
-    The first four damages are always tried, and of more than a hundred others a tenth in the quick run.
-    """
+def damaged_tables_to_try() -> list[tuple[pa.Table, str]]:
+    """Return the first four damaged tables, and of more than a hundred others a tenth in the quick run."""
     damages = list(damaged_tables())
     assert len(damages) > 100
     interval = len(damages) // draws(len(damages))  # from one damage that is tried to the next
     always_tried, others = damages[:4], damages[4:]
-    for table, expected_words in always_tried + others[::interval]:
-        pq.write_table(table, path)
+    return always_tried + others[::interval]
+
+
+@pytest.mark.random
+def test_a_file_of_results_with_one_thing_wrong_is_refused_with_its_name(path: Path) -> None:
+    """The error is one short line with the words that name what is wrong.
+
+    No words are expected of a file that may as well be read.
+    """
+    for damaged_table, expected_words in damaged_tables_to_try():
+        pq.write_table(damaged_table, path)
         refusal = read_or_refuse(PARSERS["results"], path, path.read_bytes())
-        if refusal is None:
-            assert expected_words == "", "the file may be read in spite of its damage"
+        if refusal is None:  # the file was read in spite of its damage
+            assert expected_words == ""
         else:
             assert is_one_short_line(refusal)
             assert expected_words in refusal
@@ -423,13 +464,14 @@ def results_with_drift_spread(value: float) -> Any:
 
 
 def test_results_with_a_parameter_of_earlier_versions_are_read_if_it_had_no_effect(path: Path) -> None:
-    """A drift_spread of 0 had none."""
+    """A drift_spread of 0 had none. The experiment that is read does not have this parameter."""
     pq.write_table(results_with_drift_spread(0.0), path)
     [trials] = stream_experiments(path)
     assert trials.experiment == SHORT
 
 
 def test_results_with_a_parameter_of_earlier_versions_are_refused_if_it_had_an_effect(path: Path) -> None:
+    """A drift_spread above 0 had one, so that the present version could not run the experiment again."""
     pq.write_table(results_with_drift_spread(1e-6), path)
     with pytest.raises(UsageError, match="has results with drift_spread, a parameter of earlier versions"):
         list(stream_experiments(path))
@@ -441,9 +483,9 @@ def test_results_that_name_a_file_as_their_graph_are_refused_and_it_is_not_opene
     """Results have to hold the edges. The file is a pipe: to open it would wait for ever for a writer."""
     os.mkfifo(tmp_path / "pipe")
     experiment = replace(SHORT, topology="graph", graph="0 1", trials=1)
-    table = trials_to_table(run_trials(experiment, first=0, trials=1))
-    graphs = pa.array([str(tmp_path / "pipe")])
-    pq.write_table(table.set_column(table.column_names.index("graph"), "graph", graphs), path)
+    table_of_one_row = trials_to_table(run_trials(experiment, first=0, trials=1))
+    graph_of_the_row = pa.array([str(tmp_path / "pipe")])
+    pq.write_table(replace_column(table_of_one_row, "graph", graph_of_the_row), path)
 
     with pytest.raises(UsageError, match="has to hold the edges themselves"):
         list(stream_experiments(path))
@@ -452,43 +494,39 @@ def test_results_that_name_a_file_as_their_graph_are_refused_and_it_is_not_opene
 # --- Other limits, and CSV -------------------------------------------------------------------------------
 
 
-OTHER_LIMITS = Limits(k_max=1000, e_max=0.7)
-"""Limits of scores that a user may choose in place of the paper's."""
-
-
 @pytest.mark.parametrize("name", SCORES)
 def test_scores_in_a_table_are_computed_again_for_limits_that_the_user_chooses(
     name: str, results_path: Path, experiments: list[Trials]
 ) -> None:
-    """A score is relative to limits of convergence and of errors. Those in the file are the paper's."""
+    """A score is relative to limits of convergence and of errors. Those in the file are the paper's.
+
+    The file has three rows of each of two experiments. Those of the second one are compared.
+    """
+    limits = Limits(k_max=1000, e_max=0.7)
     _, second_experiment = experiments
     table = read_table(results_path)
-    scores_before = table[name].to_pylist()
+    *_, score_before_0, score_before_1, score_before_2 = table[name].to_pylist()
 
-    scores = score_table(table, OTHER_LIMITS)[name].to_pylist()
+    *_, score_0, score_1, score_2 = score_table(table, limits)[name].to_pylist()
 
-    last_3_rows = slice(-3, None)  # the trials of the second experiment
-    assert scores[last_3_rows] == second_experiment.scores(OTHER_LIMITS)[name].tolist()
-    assert scores[last_3_rows] != scores_before[last_3_rows]
+    assert [score_0, score_1, score_2] == second_experiment.scores(limits)[name].tolist()
+    assert [score_0, score_1, score_2] != [score_before_0, score_before_1, score_before_2]
 
 
 def test_limits_that_the_user_chooses_change_no_column_but_the_scores(results_path: Path) -> None:
+    """Nor do they change the types of columns and the metadata, which the schema holds."""
     table = read_table(results_path)
-    table_scored_again = score_table(table, OTHER_LIMITS)
+    table_scored_again = score_table(table, Limits(k_max=1000, e_max=0.7))
     other_columns = [name for name in table.column_names if name not in SCORES]
 
     assert table_scored_again.schema.equals(table.schema, check_metadata=True)
     assert table_scored_again.select(other_columns).equals(table.select(other_columns))
 
 
-CSV_LIMITS = Limits(k_max=300, e_max=0.55)
-"""Limits of scores: a robot that converges at step 300, or with an error of 0.55, gets no points."""
-
-
 @pytest.fixture
 def csv_rows(experiments: list[Trials], path: Path) -> list[dict[str, str]]:
     """The two experiments, written as CSV and read again: a row for each of their three trials."""
-    write_csv(path, experiments, CSV_LIMITS)
+    write_csv(path, experiments, Limits(k_max=300, e_max=0.55))
     with path.open(encoding="utf-8", newline="") as file:
         return list(csv.DictReader(file))
 
@@ -508,26 +546,32 @@ def test_csv_has_a_line_for_every_trial_with_its_parameters(csv_rows: list[dict[
 def test_a_line_of_csv_has_the_scores_of_its_trial_and_their_limits(
     experiments: list[Trials], csv_rows: list[dict[str, str]]
 ) -> None:
-    """The limits K_max and e_max are those with which the file was written."""
-    first_experiment, _ = experiments
+    """The file was written with 300 as the limit K_max of convergence, and 0.55 as the limit e_max of errors.
+
+    Its first line holds trial 0 of the first experiment.
+    """
     row_of_trial_0, *_ = csv_rows
-    for name, scores in first_experiment.scores(CSV_LIMITS).items():
-        score_of_trial_0, *_ = scores
-        assert float(row_of_trial_0[name]) == pytest.approx(score_of_trial_0)
     assert (row_of_trial_0["K_max"], row_of_trial_0["e_max"]) == ("300", "0.55")
+
+    first_experiment, _ = experiments
+    for name, scores_of_trials in first_experiment.scores(Limits(k_max=300, e_max=0.55)).items():
+        score_of_trial_0, *_ = scores_of_trials
+        assert float(row_of_trial_0[name]) == pytest.approx(score_of_trial_0)
 
 
 def test_a_line_of_csv_has_means_and_sums_over_the_robots_of_its_trial(
     experiments: list[Trials], csv_rows: list[dict[str, str]]
 ) -> None:
-    """The second line holds trial 1 of the first experiment, with the b_hat of the last filter step."""
-    trials, _ = experiments
-    trial = 1
-    row = csv_rows[trial]
-    *_, b_hat_of_last_filter_step = trials.b_hat[trial]
+    """The second line holds trial 1 of the first experiment, with the b_hat of the last filter step.
 
-    assert float(row["mean_K"]) == pytest.approx(trials.convergence_steps[trial].mean())
-    assert float(row["mean_e"]) == pytest.approx(trials.errors[trial].mean())
-    assert float(row["mean_b_hat"]) == pytest.approx(b_hat_of_last_filter_step.mean())
-    assert int(row["tests"]) == sum(trials.tests[trial])
-    assert int(row["updates"]) == sum(trials.updates[trial])
+    K is a robot's step of convergence, and e its error.
+    """
+    trials, _trials_of_other_experiment = experiments
+    _row_of_trial_0, row_of_trial_1, *_ = csv_rows
+    *_, b_hat_of_last_filter_step = trials.b_hat[1]
+
+    assert float(row_of_trial_1["mean_K"]) == pytest.approx(trials.convergence_steps[1].mean())
+    assert float(row_of_trial_1["mean_e"]) == pytest.approx(trials.errors[1].mean())
+    assert float(row_of_trial_1["mean_b_hat"]) == pytest.approx(b_hat_of_last_filter_step.mean())
+    assert int(row_of_trial_1["tests"]) == sum(trials.tests[1])
+    assert int(row_of_trial_1["updates"]) == sum(trials.updates[1])

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from statistics import mean, median
 from typing import Any
 
-import numpy as np
 import pytest
 from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
@@ -22,24 +22,23 @@ from host_tools.experiments.drawn_figures import (
     results_of,
     titles_of,
     visible_axes,
+    x_values_of,
+    y_values_of,
 )
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.figures import COLOURS, INK
+from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.plot_panels import colours_of_filters
 from mcp_asdf_tools.experiments.plots.boxes import plot_boxes
 from mcp_asdf_tools.experiments.plots.curve import plot_curve
 from mcp_asdf_tools.experiments.plots.scatter import plot_scatter
-from mcp_asdf_tools.experiments.results import Trials
+from mcp_asdf_tools.experiments.results import Trials, select_experiments
 from mcp_asdf_tools.experiments.scores import Limits
 
-LIMITS = Limits(k_max=200, e_max=0.4)
+LIMITS_OF_SCORES = Limits(k_max=200, e_max=0.4)
 FLAWED_AND_ACCURACIES = ((0, 0.95), (2, 0.55), (2, 0.75), (4, 0.55))
 """How many of 4 robots are flawed, and the accuracy that these assume, where 0.95 is true."""
 FILTERS_AND_PERIODS: tuple[tuple[str, int], ...] = (("none", 100), ("asdf-plus", 100), ("asdf-plus", 150))
-
-SERIES_COUNT = 3
-BOX_WIDTH = 0.86 / SERIES_COUNT
-"""Width of a box, where kinds of swarms are 1 apart along the x axis."""
 
 
 @pytest.fixture(scope="module")
@@ -67,36 +66,35 @@ def results() -> list[Trials]:
 
 @pytest.fixture(scope="module")
 def boxes(results: list[Trials]) -> Figure:
-    return plot_boxes(results, limits=LIMITS)
+    return plot_boxes(results, limits=LIMITS_OF_SCORES)
 
 
 @dataclass(frozen=True)
 class BoxPoints:
     """The points of a box, one for each trial: where they are drawn, and in which colour."""
 
-    x: np.ndarray
+    x: list[float]
     scores: list[float]
     colour: str
 
 
-def points_by_position(axes: Axes) -> list[BoxPoints]:
+def points_of_boxes(axes: Axes) -> list[BoxPoints]:
     """Return the points of each box of a panel, which are dots without an edge, from left to right."""
     boxes = []
     for line in axes.lines:
         if line.get_marker() == "." and not line.get_markeredgewidth():
-            scores = np.asarray(line.get_ydata()).tolist()
-            boxes.append(BoxPoints(np.asarray(line.get_xdata()), scores, str(line.get_color())))
-    return sorted(boxes, key=lambda box: float(box.x.mean()))
+            boxes.append(BoxPoints(x_values_of(line), y_values_of(line), str(line.get_color())))
+    return sorted(boxes, key=lambda box: mean(box.x))
 
 
-def scores_by_position(results: list[Trials], fill_ratio: float) -> list[list[float]]:
+def expected_scores_of_boxes(results: list[Trials], fill_ratio: float) -> list[list[float]]:
     """Return H of the trials of each experiment with a fill ratio, in the order of boxes from left to right.
 
     Boxes are ordered by flawed robots and what these assume, and then by filter as the experiments are.
     """
     panel = [trials for trials in results if trials.experiment.fill_ratio == fill_ratio]
     panel.sort(key=lambda trials: (trials.experiment.flawed, trials.experiment.flawed_accuracy))
-    return [trials.scores(LIMITS)["H"].tolist() for trials in panel]
+    return [trials.scores(LIMITS_OF_SCORES)["H"].tolist() for trials in panel]
 
 
 def test_boxes_of_scores_have_a_panel_for_each_fill_ratio(boxes: Figure) -> None:
@@ -109,8 +107,14 @@ def test_the_legend_of_boxes_has_filters_and_periods_where_these_differ(boxes: F
     assert legend_of(boxes) == ["no filter", "ASDF+, filter period 100", "ASDF+, filter period 150"]
 
 
+def name_by_robot_count(experiment: Experiment) -> str:
+    """Return the name of an experiment's series, as a user's own function may."""
+    return f"{experiment.robots} robots"
+
+
 def test_a_user_can_give_the_series_of_boxes_other_names(unfiltered: Trials) -> None:
-    figure = plot_boxes([unfiltered], series_name=lambda experiment: f"{experiment.robots} robots")
+    """The user gives a function that names the series of an experiment, here one of four robots."""
+    figure = plot_boxes([unfiltered], series_name=name_by_robot_count)
     assert legend_of(figure) == ["4 robots"]
 
 
@@ -118,8 +122,9 @@ def test_a_user_can_give_the_series_of_boxes_other_names(unfiltered: Trials) -> 
 def test_the_points_of_each_box_are_the_scores_of_its_five_trials(
     panel: int, fill_ratio: float, boxes: Figure, results: list[Trials]
 ) -> None:
-    drawn_scores = [box.scores for box in points_by_position(boxes.axes[panel])]
-    assert drawn_scores == scores_by_position(results, fill_ratio)
+    """There is a panel for each fill ratio. Boxes are ordered by flawed robots, and then by filter."""
+    drawn_scores = [box.scores for box in points_of_boxes(boxes.axes[panel])]
+    assert drawn_scores == expected_scores_of_boxes(results, fill_ratio)
 
 
 def test_the_three_boxes_of_one_kind_of_swarm_stand_side_by_side(boxes: Figure) -> None:
@@ -127,44 +132,54 @@ def test_the_three_boxes_of_one_kind_of_swarm_stand_side_by_side(boxes: Figure) 
 
     The points are spread at random around the middle of their box.
     """
-    for box_index, box in enumerate(points_by_position(boxes.axes[0])):
-        kind_of_swarm, series_index = divmod(box_index, SERIES_COUNT)
-        middle_of_box = kind_of_swarm + (series_index - 1) * BOX_WIDTH
-        assert box.x.mean() == pytest.approx(middle_of_box, abs=0.05)
+    box_width = 0.86 / 3  # three boxes are 0.86 wide together
+    expected_middles = []
+    for kind_of_swarm in (0, 1, 2, 3):
+        expected_middles += [kind_of_swarm - box_width, kind_of_swarm, kind_of_swarm + box_width]
+
+    means_of_points = [mean(box.x) for box in points_of_boxes(boxes.axes[0])]
+    assert means_of_points == pytest.approx(expected_middles, abs=0.05)
 
 
 def test_no_two_points_of_a_box_lie_in_one_column_and_all_are_within_its_width(boxes: Figure) -> None:
-    for box in points_by_position(boxes.axes[0]):
+    """A column is a place along the x axis. So each trial can be seen."""
+    box_width = 0.86 / 3  # three boxes are 0.86 wide together
+    for box in points_of_boxes(boxes.axes[0]):
         assert len(set(box.x)) == len(box.x)
-        assert 0.1 < np.ptp(box.x) < BOX_WIDTH
+        width_of_points = max(box.x) - min(box.x)
+        assert 0.1 < width_of_points < box_width
 
 
 def test_boxes_are_grey_without_a_filter_and_else_in_the_colour_of_their_series(boxes: Figure) -> None:
-    """For each kind of swarm there are boxes without a filter and with ASDF+ of two filter periods."""
-    colours = [box.colour for box in points_by_position(boxes.axes[0])]
-    colour_of_first_period, colour_of_second_period, *_ = COLOURS
-    colours_of_series = [GREY, colour_of_first_period, colour_of_second_period]
-    assert colours == colours_of_series * len(FLAWED_AND_ACCURACIES)
+    """For each of four kinds of swarms there are boxes without a filter and with ASDF+ of two periods."""
+    colours = [box.colour for box in points_of_boxes(boxes.axes[0])]
+    colour_of_first_period, colour_of_second_period, *_other_colours = COLOURS
+    assert colours == [GREY, colour_of_first_period, colour_of_second_period] * 4
 
 
 def test_each_box_has_a_horizontal_line_at_the_median_of_its_scores(
     boxes: Figure, results: list[Trials]
 ) -> None:
-    """The lines at medians are drawn in the colour INK; each has a left and a right end."""
+    """The lines at medians are drawn in black, INK; each has a left and a right end at one height.
+
+    The first panel has the swarms on a floor of which 55 % are black.
+    """
     heights = []
     for line in boxes.axes[0].lines:
         if line.get_color() == INK:
-            left_end, right_end = np.asarray(line.get_ydata()).tolist()
-            assert left_end == right_end
-            heights.append(left_end)
+            height_of_left_end, height_of_right_end = y_values_of(line)
+            assert height_of_left_end == height_of_right_end
+            heights.append(height_of_left_end)
 
-    medians = [float(np.median(scores)) for scores in scores_by_position(results, fill_ratio=0.55)]
+    medians = [median(scores) for scores in expected_scores_of_boxes(results, fill_ratio=0.55)]
     assert sorted(heights) == sorted(medians)
 
 
 def test_no_box_is_drawn_twice(boxes: Figure) -> None:
-    lines_of_box = 6  # edge, median, two whiskers and two caps; and its points
-    assert len(boxes.axes[0].lines) == (lines_of_box + 1) * SERIES_COUNT * len(FLAWED_AND_ACCURACIES)
+    """A panel has boxes of three filters for each of four kinds of swarms, which are drawn as lines."""
+    lines_of_box = 1 + 1 + 2 + 2  # edge, median, whiskers and caps
+    points_of_box = 1  # a line that shows only its points
+    assert len(boxes.axes[0].lines) == 3 * 4 * (lines_of_box + points_of_box)
 
 
 def test_boxes_are_labelled_by_how_wrong_flawed_robots_are_and_how_many_there_are(boxes: Figure) -> None:
@@ -199,7 +214,7 @@ def test_the_caption_of_boxes_has_the_meaning_of_labels_common_parameters_and_li
 def scatter(results: list[Trials]) -> Figure:
     """Draw the scores of underconfident swarms, and of one that is overconfident."""
     overconfident = results_of(replace(SHORT_EXPERIMENT, flawed=2, true_accuracy=0.55, flawed_accuracy=0.95))
-    return plot_scatter([*results, overconfident], limits=LIMITS)
+    return plot_scatter([*results, overconfident], limits=LIMITS_OF_SCORES)
 
 
 def panel_titled(figure: Figure, title: str) -> Axes:
@@ -222,8 +237,8 @@ def test_points_of_scores_have_a_row_for_each_filter_and_floor_and_a_column_for_
     scatter: Figure,
 ) -> None:
     """f is the fill ratio of the floor, and P the share of flawed robots. These are the first four titles."""
-    fill_ratios = 2
-    assert layout_of(scatter) == Layout(rows=SERIES_COUNT * fill_ratios, columns=3, width=9, panel_height=1.7)
+    filters, fill_ratios, shares = 3, 2, 3
+    assert layout_of(scatter) == Layout(rows=filters * fill_ratios, columns=shares, width=9, panel_height=1.7)
     assert titles_of(scatter)[:4] == [
         "no filter\n$f = 0.55$, $P$ = 0%",
         "no filter\n$f = 0.55$, $P$ = 50%",
@@ -232,32 +247,39 @@ def test_points_of_scores_have_a_row_for_each_filter_and_floor_and_a_column_for_
     ]
 
 
-@pytest.mark.parametrize(("flawed", "percent", "experiments"), [(0, 0, 1), (2, 50, 2), (4, 100, 1)])
+@pytest.mark.parametrize(("flawed", "percent", "experiment_count"), [(0, 0, 1), (2, 50, 2), (4, 100, 1)])
 def test_points_are_the_scores_for_convergence_and_error_of_the_trials_of_a_panel(
-    flawed: int, percent: int, experiments: int, scatter: Figure, results: list[Trials]
+    flawed: int, percent: int, experiment_count: int, scatter: Figure, results: list[Trials]
 ) -> None:
-    """A panel has three swarms of 4 robots without a filter. They have 0, 2 and 4 flawed robots."""
-    expected_points = []
-    for trials in results:
-        experiment = trials.experiment
-        if (experiment.flawed, experiment.fill_ratio, experiment.filter) == (flawed, 0.95, "none"):
-            scores = trials.scores(LIMITS)
-            expected_points.append(np.stack([scores["h_K"], scores["h_e"]], axis=1).tolist())
-    assert len(expected_points) == experiments
+    """Panels are of swarms without a filter in which 0, 2 or 4 of 4 robots are flawed.
 
+    With 2 there are two experiments, since flawed robots assume one of two accuracies. Along the x axis is
+    h_K, the score for convergence, and along the y axis h_e, the score for the error.
+    """
     panel = panel_titled(scatter, f"no filter\n$f = 0.95$, $P$ = {percent}%")
-    assert [np.asarray(line.get_xydata()).tolist() for line in panel.lines] == expected_points
+    panel_parameters = {"filter": "none", "fill_ratio": 0.95, "flawed": flawed}
+    experiments_of_panel = select_experiments(results, panel_parameters)
+    assert len(experiments_of_panel) == experiment_count
+
+    for line, trials in zip(panel.lines, experiments_of_panel, strict=True):
+        scores = trials.scores(LIMITS_OF_SCORES)
+        assert x_values_of(line) == scores["h_K"].tolist()
+        assert y_values_of(line) == scores["h_e"].tolist()
 
 
 def test_points_of_underconfident_swarms_are_red_and_those_of_overconfident_ones_blue(
     half_flawed_panel: Axes,
 ) -> None:
     """Underconfident robots assume that their sensors are worse than they are; two of three swarms are so."""
-    is_red = []
+    is_redder_than_blue = []
     for line in half_flawed_panel.lines:
         red, _green, blue = to_rgb(line.get_color())
-        is_red.append(red > blue)
-    assert is_red == [True, True, False]
+        is_redder_than_blue.append(red > blue)
+
+    underconfident, also_underconfident, overconfident = is_redder_than_blue
+    assert underconfident
+    assert also_underconfident
+    assert not overconfident
 
 
 def test_points_are_darker_the_farther_the_assumed_accuracy_is_from_the_true_one(
@@ -265,7 +287,8 @@ def test_points_are_darker_the_farther_the_assumed_accuracy_is_from_the_true_one
 ) -> None:
     """0.55 is far from the true accuracy of 0.95, and 0.75 is near."""
     far, near, _overconfident = half_flawed_panel.lines
-    brightness_of_far, brightness_of_near = sum(to_rgb(far.get_color())), sum(to_rgb(near.get_color()))
+    brightness_of_far = sum(to_rgb(far.get_color()))  # of red, green and blue
+    brightness_of_near = sum(to_rgb(near.get_color()))
     assert brightness_of_far < brightness_of_near
 
 
@@ -334,7 +357,7 @@ def test_eight_series_fit_a_picture(unfiltered: Trials) -> None:
 
 
 def test_33_panels_are_too_many_for_a_picture_and_are_refused(unfiltered: Trials) -> None:
-    """There is a panel for each fill ratio."""
+    """There is a panel for each fill ratio. The fill ratios are 0, 1/40, 2/40 and so on."""
     experiments = [with_parameters(unfiltered, fill_ratio=index / 40) for index in range(33)]
     with pytest.raises(UsageError, match="33 panels"):
         plot_boxes(experiments)
@@ -342,6 +365,7 @@ def test_33_panels_are_too_many_for_a_picture_and_are_refused(unfiltered: Trials
 
 @pytest.mark.slow
 def test_32_panels_fit_a_picture(unfiltered: Trials) -> None:
+    """There is a panel for each fill ratio. The fill ratios are 0, 1/40, 2/40 and so on."""
     experiments = [with_parameters(unfiltered, fill_ratio=index / 40) for index in range(32)]
     assert len(plot_boxes(experiments).axes) == 32
 
@@ -360,21 +384,22 @@ def test_a_second_series_of_the_robust_filter_gets_a_colour_that_no_filter_has(
     """GREEN is the robust filter's colour. Its series with the shorter filter period gets it."""
     second_robust = with_parameters(results_by_filter["robust"], filter_period=50)
     figure = plot_boxes([second_robust, *results_by_filter.values()])
-    *_, shorter_period, longer_period = legend_of(figure)
+    *_other_filters, shorter_period, longer_period = legend_of(figure)
+    assert (shorter_period, longer_period) == ("robust, filter period 50", "robust, filter period 100")
+
     (legend,) = figure.legends
     colours = [handle.get_color() for handle in legend.get_lines()]
-
-    assert (shorter_period, longer_period) == ("robust, filter period 50", "robust, filter period 100")
-    asdf_minus_colour, asdf_plus_colour, _, further_colour, *_ = COLOURS
+    asdf_minus_colour, asdf_plus_colour, _robust_colour, further_colour, *_ = COLOURS
     assert colours == [GREY, asdf_minus_colour, asdf_plus_colour, GREEN, further_colour]
 
 
 def test_several_series_of_one_filter_have_different_colours() -> None:
     """The first series without a filter is grey, and the first with the robust filter green."""
     colours = colours_of_filters(["none", "none", "asdf-plus", "robust", "robust"])
-    first_unfiltered, _, _, first_robust, _ = colours
+    first_unfiltered, _second_unfiltered, _asdf_plus, first_robust, _second_robust = colours
 
-    assert (first_unfiltered, first_robust) == (GREY, GREEN)
+    assert first_unfiltered == GREY
+    assert first_robust == GREEN
     assert len(set(colours)) == 5
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -52,43 +53,47 @@ def test_rows_of_a_tidy_table_are_in_the_order_of_trials_steps_and_robots(tidy: 
 
 
 def test_a_tidy_table_says_in_each_row_whether_the_robot_is_flawed(tidy: pa.Table) -> None:
-    """The first of three robots is, in the six pairs of a trial and a recorded step."""
-    assert tidy["is_flawed"].to_pylist() == [True, False, False] * 6
+    """The first of three robots is. There are two trials with three recorded steps."""
+    assert tidy["is_flawed"].to_pylist() == [True, False, False] * (2 * 3)
 
 
 @pytest.mark.parametrize("name", QUANTITIES)
 def test_a_row_of_a_tidy_table_has_what_was_recorded_of_its_robot(
     name: str, tidy: pa.Table, trials: Trials
 ) -> None:
-    """Rows are in the order of trials, steps and robots, as values are in the array of the records."""
+    """Rows are in the order of trials, steps and robots, which are the axes of the records' array."""
+    values_in_the_order_of_rows = trials.records[name].ravel()
     assert tidy[name].type == pa.float64()
-    assert tidy[name].to_pylist() == trials.records[name].ravel().tolist()
+    assert tidy[name].to_pylist() == values_in_the_order_of_rows.tolist()
 
 
 def test_parameters_that_differ_between_experiments_have_columns_behind_the_trial(trials: Trials) -> None:
-    """One experiment has two trials of 3 robots, and the other, without a filter, one trial of 2 robots."""
-    other_trials = run_trials(
-        replace(SHORT, filter="none", robots=2), first=0, trials=1, sampling_interval=20
-    )
+    """One experiment has two trials of 3 robots with the filter ASDF+.
+
+    The other one, without a filter, has one trial of 2 robots. Both are recorded at three steps.
+    """
+    two_unfiltered_robots = replace(SHORT, filter="none", robots=2)
+    other_trials = run_trials(two_unfiltered_robots, first=0, trials=1, sampling_interval=20)
     tidy = tidy_results(pa.concat_tables([trials_to_table(trials), trials_to_table(other_trials)]))
 
-    trial, robots, filter_name, step, robot, *_values = tidy.column_names
-    assert (trial, robots, filter_name, step, robot) == ("trial", "robots", "filter", "step", "robot")
-    rows = 2 * 3 * 3  # trials, recorded steps, robots
-    other_rows = 1 * 3 * 2
-    assert tidy["robots"].to_pylist() == [3] * rows + [2] * other_rows
-    assert tidy["filter"].to_pylist() == ["asdf-plus"] * rows + ["none"] * other_rows
+    assert tidy.column_names[:5] == ["trial", "robots", "filter", "step", "robot"]
+    row_count = 2 * 3 * 3  # trials * recorded steps * robots
+    other_row_count = 1 * 3 * 2
+    assert tidy["robots"].to_pylist() == [3] * row_count + [2] * other_row_count
+    assert tidy["filter"].to_pylist() == ["asdf-plus"] * row_count + ["none"] * other_row_count
 
 
 def test_every_column_of_a_tidy_table_has_a_unit_and_a_meaning(tidy: pa.Table) -> None:
     """Parquet keeps them as bytes in the metadata of a column. The unit is 1 where a number has none."""
-    for field in tidy.schema:
-        assert field.metadata[b"unit"] == (b"step" if field.name == "step" else b"1")
-        assert field.metadata[b"meaning"]
+    for column in tidy.schema:
+        expected_unit = b"step" if column.name == "step" else b"1"
+        assert column.metadata[b"unit"] == expected_unit
+        assert column.metadata[b"meaning"] != b""
 
 
 def test_results_without_records_are_refused_with_the_option_that_records() -> None:
-    table = trials_to_table(run_trials(SHORT, first=0, trials=1))
+    """Records are values of robots over time. A sampling interval of 0 makes none."""
+    table = trials_to_table(run_trials(SHORT, first=0, trials=1, sampling_interval=0))
     with pytest.raises(UsageError, match=r"no values of robots .* were recorded; run .* --record 100"):
         tidy_results(table)
 
@@ -99,8 +104,8 @@ def test_results_of_an_earlier_version_become_tidy_tables() -> None:
 
     rows_of_3_robots, rows_of_2_robots = 2 * 3 * 3, 2 * 3 * 2  # trials * recorded steps * robots
     assert tidy["robots"].to_pylist() == [3] * rows_of_3_robots + [2] * rows_of_2_robots
-    t_of_2_robots = tidy["t"].to_pylist()[rows_of_3_robots:]
-    assert t_of_2_robots == [0, 0, 10, 10, 20, 20] * 2
+    t_in_trial_of_3_robots, t_in_trial_of_2_robots = [0, 0, 0, 10, 10, 10, 20, 20, 20], [0, 0, 10, 10, 20, 20]
+    assert tidy["t"].to_pylist() == t_in_trial_of_3_robots * 2 + t_in_trial_of_2_robots * 2
 
 
 # --- Streams ---------------------------------------------------------------------------------------------
@@ -127,10 +132,8 @@ def test_tables_of_a_folder_s_files_have_a_column_for_a_parameter_that_differs_b
     assert set(second_table["seed"].to_pylist()) == {2}
 
 
-def test_a_file_of_results_is_not_read_before_its_rows_are_needed(
-    folder_of_two: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """So results may be larger than the memory. Only the first of two files has been read completely here."""
+def record_files_read_completely(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Return a list to which names of files of results are added when all of their columns are read."""
     files_read = []
     read = RowGroup.read
 
@@ -140,6 +143,17 @@ def test_a_file_of_results_is_not_read_before_its_rows_are_needed(
         return read(row_group, columns)  # type: ignore[arg-type]
 
     monkeypatch.setattr(RowGroup, "read", read_and_record)
+    return files_read
+
+
+def test_a_file_of_results_is_not_read_before_its_rows_are_needed(
+    folder_of_two: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """So results may be larger than the memory.
+
+    When the first table is there, only the first of two files has been read with all of its columns.
+    """
+    files_read = record_files_read_completely(monkeypatch)
     next(stream_tidy_results(folder_of_two))
     assert files_read == ["1.parquet"]
 
@@ -150,24 +164,28 @@ def test_a_file_of_results_is_not_read_before_its_rows_are_needed(
 def test_a_tidy_table_written_as_parquet_keeps_values_types_and_meanings(
     tidy: pa.Table, tmp_path: Path
 ) -> None:
+    """The metadata of a column have its meaning."""
     write_tidy_tables(tmp_path / "robots.parquet", [tidy])
-    table_read = pq.read_table(tmp_path / "robots.parquet")
-    assert table_read.equals(tidy)
-    assert table_read.schema.field("x").metadata == tidy.schema.field("x").metadata
+    table_from_file = pq.read_table(tmp_path / "robots.parquet")
+    assert table_from_file.equals(tidy)
+    for column, column_from_file in zip(tidy.schema, table_from_file.schema, strict=True):
+        assert column_from_file.metadata == column.metadata
 
 
 def test_a_tidy_table_written_as_csv_keeps_every_bit_of_the_values(tidy: pa.Table, tmp_path: Path) -> None:
+    """The values are those of every quantity that is recorded of robots, such as x."""
     write_tidy_tables(tmp_path / "robots.csv", [tidy])
-    table_read = pyarrow.csv.read_csv(tmp_path / "robots.csv")
-    assert table_read["alpha"].to_pylist() == tidy["alpha"].to_pylist()
-    assert table_read["b_hat"].to_pylist() == tidy["b_hat"].to_pylist()
+    table_from_file = pyarrow.csv.read_csv(tmp_path / "robots.csv")
+    for quantity in QUANTITIES:
+        assert table_from_file[quantity].to_pylist() == tidy[quantity].to_pylist()
 
 
 def test_a_tidy_table_as_csv_has_a_header_and_writes_true_and_false_as_1_and_0(
     tidy: pa.Table, tmp_path: Path
 ) -> None:
     """The first row is of a flawed robot, the second of a healthy one; ``is_flawed`` is the fourth column."""
-    write_tidy_tables(tmp_path / "robots.csv", [tidy.slice(0, 2)])
+    first_two_rows = tidy.slice(0, 2)
+    write_tidy_tables(tmp_path / "robots.csv", [first_two_rows])
     header, flawed_row, healthy_row = (tmp_path / "robots.csv").read_text(encoding="utf-8").splitlines()
 
     assert header.startswith('"trial","step","robot","is_flawed","t",')
@@ -180,10 +198,11 @@ def test_many_small_tidy_tables_become_one_row_group_of_a_parquet_file(
 ) -> None:
     """A file of many row groups, which are its units of reading, would be slow to read.
 
-    A table has a row for each of 2 trials, 3 recorded steps and 3 robots.
+    There are 20 tables with a row for each of 2 trials, 3 recorded steps and 3 robots.
     """
     rows_written = write_tidy_tables(tmp_path / "robots.parquet", [tidy] * 20)
-    assert rows_written == 20 * 2 * 3 * 3
+    rows_of_a_table = 2 * 3 * 3
+    assert rows_written == 20 * rows_of_a_table
     assert pq.ParquetFile(tmp_path / "robots.parquet").num_row_groups == 1
 
 
@@ -193,8 +212,9 @@ def test_a_table_is_exported_to_csv_or_parquet_and_nothing_else(tidy: pa.Table, 
 
 
 def test_an_exported_table_does_not_replace_a_file_of_results(tidy: pa.Table, tmp_path: Path) -> None:
+    """The file is a copy of results that an earlier version has written. It stays as it was."""
     results = tmp_path / "run.parquet"
-    results.write_bytes(FORMAT_5_FILE.read_bytes())
+    shutil.copy(FORMAT_5_FILE, results)
 
     with pytest.raises(UsageError, match=r"run\.parquet has results, which would be lost"):
         write_tidy_tables(results, [tidy])
@@ -204,9 +224,12 @@ def test_an_exported_table_does_not_replace_a_file_of_results(tidy: pa.Table, tm
 def test_a_tidy_table_replaces_the_one_that_an_earlier_export_has_written(
     tidy: pa.Table, tmp_path: Path
 ) -> None:
-    write_tidy_tables(tmp_path / "robots.parquet", [tidy])
-    write_tidy_tables(tmp_path / "robots.parquet", [tidy.slice(0, 1)])
-    assert len(pq.read_table(tmp_path / "robots.parquet")) == 1
+    """The second export has only the first row of the table."""
+    path = tmp_path / "robots.parquet"
+    write_tidy_tables(path, [tidy])
+    first_row = tidy.slice(0, 1)
+    write_tidy_tables(path, [first_row])
+    assert pq.read_table(path).equals(first_row)
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".parquet"])
@@ -214,7 +237,10 @@ def test_a_tidy_table_replaces_the_one_that_an_earlier_export_has_written(
 def test_an_export_to_a_full_disk_fails_and_leaves_the_earlier_file_alone(
     max_bytes: int, suffix: str, tidy: pa.Table, tmp_path: Path
 ) -> None:
-    """The disk is full at once, or in the middle of the new file."""
+    """The disk is full at once, or in the middle of the new file, after 2000 bytes.
+
+    Instead of the disk, the size of files is limited. No other file is left behind.
+    """
     path = tmp_path / f"robots{suffix}"
     path.write_bytes(b"earlier")
     with limited_file_size(max_bytes), pytest.raises(UsageError, match=f"cannot write {path}: .*make room"):
