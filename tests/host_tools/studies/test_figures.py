@@ -104,7 +104,7 @@ def pictures_of(
         return {picture.name: picture for picture in draw_pictures(results, SHORT_STUDY)}
 
 
-def drawn_swarms(name: str, firmware: str = "native", own_filter: str | None = None) -> Any:
+def swarms_in_picture(name: str, firmware: str = "native", own_filter: str | None = None) -> Any:
     """Return what a picture of the whole study shows, also with a firmware or a filter of the user's."""
     return pictures_of(*StudyPart, firmware=firmware, own_filter=own_filter)[name].figure
 
@@ -125,7 +125,8 @@ def test_a_study_of_some_parts_of_the_papers_has_the_pictures_of_these_parts(
     parts: list[StudyPart], count: int
 ) -> None:
     """Two of the 13 pictures compare fully connected swarms with dynamic ones, so they need both parts."""
-    assert len(pictures_of(*parts)) == count
+    pictures_by_name = pictures_of(*parts)
+    assert len(pictures_by_name) == count
 
 
 @pytest.mark.parametrize(
@@ -144,7 +145,9 @@ def test_a_study_of_some_parts_of_the_papers_has_the_pictures_of_these_parts(
 def test_the_title_of_a_picture_ends_with_the_number_of_the_papers_figure_that_shows_the_same(
     name: str, figure: str
 ) -> None:
-    assert pictures_of(*StudyPart)[name].title.endswith(f" (the paper's figure {figure})")
+    """A title ends with "(the paper's figure 3a)", for example."""
+    picture = pictures_of(*StudyPart)[name]
+    assert picture.title.endswith(f" (the paper's figure {figure})")
 
 
 ALL_PERIODS = {1000, 2000, 4000}
@@ -167,15 +170,15 @@ def test_a_picture_shows_the_filters_periods_and_percentages_of_flawed_robots_of
     name: str, filters: set[str], periods: set[int], percents: set[int]
 ) -> None:
     """The swarms in the picture have exactly these filters, periods and percentages."""
-    drawn = drawn_swarms(name)
+    swarms = swarms_in_picture(name)
 
-    assert drawn.filters == filters
-    assert drawn.periods == periods
-    assert drawn.percents == percents
+    assert swarms.filters == filters
+    assert swarms.periods == periods
+    assert swarms.percents == percents
 
 
 def test_the_legend_names_topology_and_filter_where_a_picture_shows_both_topologies() -> None:
-    assert drawn_swarms("topologies_asdf-plus").legend == {
+    assert swarms_in_picture("topologies_asdf-plus").legend == {
         "dynamic, no filter",
         "dynamic, ASDF+",
         "fully connected, no filter",
@@ -186,23 +189,27 @@ def test_the_legend_names_topology_and_filter_where_a_picture_shows_both_topolog
 @pytest.mark.parametrize("name", ["dynamic_scatter", "topologies_asdf-minus"])
 def test_a_picture_also_shows_asdf_minus_where_no_robot_is_flawed_or_all_are(name: str) -> None:
     """The study does not run these twice: ASDF- is no filter at 0 % flawed robots, and ASDF+ at 100 %."""
-    drawn = drawn_swarms(name)
-    assert {("asdf-minus", 0), ("asdf-minus", 100)} <= drawn.filters_and_percents
+    swarms = swarms_in_picture(name)
+    assert {("asdf-minus", 0), ("asdf-minus", 100)} <= swarms.filters_and_percents
 
 
 def test_trial_0_runs_again_with_recorded_values_to_be_drawn_over_time() -> None:
-    """The results of a study have no values over time. One trial is without a filter, one with ASDF+."""
-    without_filter, with_filter = drawn_swarms("series").results
+    """The results of a study have no values over time. One trial is without a filter, one with ASDF+.
 
-    assert without_filter.numbers == [0]
-    assert with_filter.numbers == [0]
-    assert "x" in without_filter.records
-    assert "x" in with_filter.records
+    Now they have the estimates x of the robots.
+    """
+    results_without_filter, results_with_asdf_plus = swarms_in_picture("series").results
+
+    assert results_without_filter.numbers == [0]  # of trials
+    assert results_with_asdf_plus.numbers == [0]
+    assert "x" in results_without_filter.records
+    assert "x" in results_with_asdf_plus.records
 
 
 def test_the_title_of_a_picture_has_the_name_of_its_filter_with_a_minus_sign() -> None:
-    title = pictures_of(*StudyPart)["dynamic_asdf-minus"].title
-    assert title.startswith("H of dynamic swarms without filter and with ASDF\N{MINUS SIGN}")
+    """The filter ASDF- is written with a minus sign instead of a hyphen."""
+    picture = pictures_of(*StudyPart)["dynamic_asdf-minus"]
+    assert picture.title.startswith("H of dynamic swarms without filter and with ASDF\N{MINUS SIGN}")
 
 
 # --- A firmware or filter of the user's ------------------------------------------------------------------
@@ -237,7 +244,8 @@ def test_the_title_of_a_picture_has_the_name_of_its_filter_with_a_minus_sign() -
 def test_a_firmware_of_the_user_s_is_drawn_beside_the_filter_of_the_paper_with_which_it_ran(
     name: str, legend: set[str]
 ) -> None:
-    assert drawn_swarms(name, firmware="reference").legend == legend
+    """The legend has "reference, ASDF+" beside "ASDF+", for example. "reference" is the user's firmware."""
+    assert swarms_in_picture(name, firmware="reference").legend == legend
 
 
 @pytest.mark.parametrize(
@@ -258,13 +266,18 @@ def test_a_firmware_of_the_user_s_is_drawn_beside_the_filter_of_the_paper_with_w
     ],
 )
 def test_a_filter_of_the_user_s_is_drawn_beside_each_of_the_paper_s(name: str, legend: set[str]) -> None:
-    assert drawn_swarms(name, own_filter="robust").legend == legend
+    """The legend has "robust" beside "no filter" and "ASDF+", for example."""
+    assert swarms_in_picture(name, own_filter="robust").legend == legend
 
 
 def test_a_firmware_of_the_user_s_in_swarms_that_are_all_flawed_is_shown_with_asdf_minus_too() -> None:
-    drawn = drawn_swarms("topologies_asdf-minus", firmware="reference")
-    assert ("asdf-minus", 100) in drawn.filters_and_percents
-    assert ("asdf-plus", 100) not in drawn.filters_and_percents
+    """Where all robots are flawed, ASDF- is ASDF+, so the firmware runs only once, as ASDF+.
+
+    The picture about ASDF- shows these trials as swarms with ASDF-, and none with ASDF+.
+    """
+    swarms = swarms_in_picture("topologies_asdf-minus", firmware="reference")
+    assert ("asdf-minus", 100) in swarms.filters_and_percents
+    assert ("asdf-plus", 100) not in swarms.filters_and_percents
 
 
 @pytest.mark.parametrize(
@@ -278,4 +291,5 @@ def test_a_firmware_of_the_user_s_in_swarms_that_are_all_flawed_is_shown_with_as
 def test_a_filter_of_the_user_s_has_a_scatter_plot_for_itself_and_a_trial_over_time(
     name: str, filters: set[str]
 ) -> None:
-    assert drawn_swarms(name, own_filter="robust").filters == filters
+    """The user's filter is the robust one. The scatter plot of the paper's filters stays without it."""
+    assert swarms_in_picture(name, own_filter="robust").filters == filters

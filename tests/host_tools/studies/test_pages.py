@@ -9,7 +9,7 @@ from PIL import Image
 
 from benchmarks import pages
 
-PAGE = """Words.
+PAGE_WITH_OLD_NUMBERS = """Words.
 
 <!-- filters -->
 | H | no filter |
@@ -20,7 +20,7 @@ PAGE = """Words.
 
 More words."""
 
-UPDATED_PAGE = PAGE.replace("| moving | old |", "| moving | new |")
+PAGE_WITH_NEW_ROW = PAGE_WITH_OLD_NUMBERS.replace("| moving | old |", "| moving | new |")
 
 TABLES_OF_STUDY = """<!-- filters -->
 | H | no filter |
@@ -31,12 +31,14 @@ TABLES_OF_STUDY = """<!-- filters -->
 
 
 def test_rows_of_a_table_on_a_page_are_replaced_by_those_of_the_study_and_no_other_row_is_added() -> None:
-    assert pages.update_tables(PAGE, TABLES_OF_STUDY) == UPDATED_PAGE
+    """The page has the rows "moving" and "other"; the study has "moving" and one that the page lacks."""
+    assert pages.update_tables(PAGE_WITH_OLD_NUMBERS, TABLES_OF_STUDY) == PAGE_WITH_NEW_ROW
 
 
 def test_a_table_on_a_page_that_the_study_does_not_have_stays_as_it_is() -> None:
+    """A table has the name in the comment above it. The page has "filters", and the study only "other"."""
     tables_of_study = TABLES_OF_STUDY.replace("<!-- filters -->", "<!-- other -->")
-    assert pages.update_tables(PAGE, tables_of_study) == PAGE
+    assert pages.update_tables(PAGE_WITH_OLD_NUMBERS, tables_of_study) == PAGE_WITH_OLD_NUMBERS
 
 
 @pytest.fixture
@@ -48,7 +50,7 @@ def project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def exit_code_of_tool(study: str, folder_of_results: Path) -> int:
+def run_tool(study: str, folder_of_results: Path) -> int:
     """Run the tool for a study, and return its exit code."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("sys.argv", ["pages.py", study, str(folder_of_results)])
@@ -56,16 +58,17 @@ def exit_code_of_tool(study: str, folder_of_results: Path) -> int:
 
 
 def test_the_tool_puts_the_tables_of_a_study_into_its_page_and_its_picture_beside_the_others(
-    project: Path,
+    project: Path, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
     """The study of ageing sensors has written ageing.md and ageing.png into a folder of results."""
-    (project / "docs/internals/ageing.md").write_text(PAGE)
-    (project / "ageing.md").write_text(TABLES_OF_STUDY)
-    Image.new("RGB", (4, 4)).save(project / "ageing.png")
+    (project / "docs/internals/ageing.md").write_text(PAGE_WITH_OLD_NUMBERS)
+    results = tmp_path_factory.mktemp("results")
+    (results / "ageing.md").write_text(TABLES_OF_STUDY)
+    Image.new("RGB", (4, 4)).save(results / "ageing.png")
 
-    assert exit_code_of_tool("ageing", folder_of_results=project) == 0
+    assert run_tool("ageing", folder_of_results=results) == 0
 
-    assert (project / "docs/internals/ageing.md").read_text() == UPDATED_PAGE
+    assert (project / "docs/internals/ageing.md").read_text() == PAGE_WITH_NEW_ROW
     with Image.open(project / "docs/images/ageing.webp") as picture:
         assert picture.format == "WEBP"
 
@@ -111,39 +114,47 @@ def study_page(results: str) -> str:
 
 
 @pytest.fixture
-def reported_study(project: Path) -> Path:
-    """The project with a page of the paper's study, and the report of a study in the same folder."""
+def folder_of_report(project: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the report of a study; the project has a page of the study with old results."""
     (project / "docs/internals/study.md").write_text(study_page(results="old"))
-    (project / "report.md").write_text(REPORT)
-    (project / "comparisons.csv").write_text(COMPARISONS)
-    return project
+    folder = tmp_path_factory.mktemp("report")
+    (folder / "report.md").write_text(REPORT)
+    (folder / "comparisons.csv").write_text(COMPARISONS)
+    return folder
 
 
 def test_the_tool_puts_the_beginning_of_a_report_without_its_links_into_the_page_of_the_study(
-    reported_study: Path,
+    project: Path, folder_of_report: Path
 ) -> None:
-    assert exit_code_of_tool("study", folder_of_results=reported_study) == 0
+    """The report's title and its section "Claims" are left out, and its headings are a level lower."""
+    assert run_tool("study", folder_of_results=folder_of_report) == 0
 
-    page = (reported_study / "docs/internals/study.md").read_text()
+    page = (project / "docs/internals/study.md").read_text()
     assert page == study_page(results=OVERVIEW_OF_REPORT)
 
 
 def test_the_tool_records_for_each_claim_its_verdict_and_how_many_comparisons_hold(
-    reported_study: Path,
+    project: Path, folder_of_report: Path
 ) -> None:
-    """The tool counts the lines of comparisons.csv."""
-    exit_code_of_tool("study", folder_of_results=reported_study)
+    """The report's comparisons.csv has a line for each comparison: one of the first claim, two of the second.
 
-    assert (reported_study / "tests/data/study_verdicts.csv").read_text().splitlines() == [
+    A recorded line ends in the number of comparisons that hold, and in the number of all.
+    """
+    run_tool("study", folder_of_results=folder_of_report)
+
+    assert (project / "tests/data/study_verdicts.csv").read_text().splitlines() == [
         "claim,part,verdict,holds,of",
         "first,dynamic,agree,1,1",
         "second,dynamic,mixed,1,2",
     ]
 
 
-def test_the_tool_changes_no_page_by_a_study_that_is_too_short_for_verdicts(reported_study: Path) -> None:
-    (reported_study / "report.md").write_text("# The study\n\n**Too short for verdicts**")
+def test_the_tool_changes_no_page_by_a_study_that_is_too_short_for_verdicts(
+    project: Path, folder_of_report: Path
+) -> None:
+    """The report says so, and the tool ends with exit code 1."""
+    (folder_of_report / "report.md").write_text("# The study\n\n**Too short for verdicts**")
 
-    assert exit_code_of_tool("study", folder_of_results=reported_study) == 1
+    assert run_tool("study", folder_of_results=folder_of_report) == 1
 
-    assert (reported_study / "docs/internals/study.md").read_text() == study_page(results="old")
+    assert (project / "docs/internals/study.md").read_text() == study_page(results="old")

@@ -13,7 +13,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
-from unittest.mock import Mock
 
 import pytest
 
@@ -21,7 +20,7 @@ from host_tools.studies.conftest import page_path, rare_resampling, values_of
 from mcp_asdf_tools.cli import main as cli
 from mcp_asdf_tools.cli import reproduce
 from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.experiments.trials import run_trials
+from mcp_asdf_tools.experiments.trials import Job, run_trials
 from mcp_asdf_tools.studies import report
 from mcp_asdf_tools.studies.cells import Cell, StudyPart, StudySize, experiment_of, own_experiments_of
 from mcp_asdf_tools.studies.claims import CLAIMS, Claim, Decision, decide
@@ -46,7 +45,7 @@ def run_short_study(folder: Path, *options: str) -> int:
     return cli.main(["reproduce", *SHORT_STUDY, "--output", str(folder), *options])
 
 
-def files_in(folder: Path) -> dict[str, bytes]:
+def read_files(folder: Path) -> dict[str, bytes]:
     """Return the contents of the files of a folder by their names."""
     return {path.name: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
@@ -83,8 +82,9 @@ def copied_study(finished_study: FinishedStudy, tmp_path: Path) -> Path:
 def test_a_study_of_one_part_writes_its_results_and_a_report_in_three_formats(
     finished_study: FinishedStudy,
 ) -> None:
+    """The study is of the physical part, without pictures."""
     assert finished_study.exit_code == 0
-    assert set(files_in(finished_study.folder)) == {
+    assert read_files(finished_study.folder).keys() == {
         "report.html",
         "report.md",
         "comparisons.csv",
@@ -92,34 +92,51 @@ def test_a_study_of_one_part_writes_its_results_and_a_report_in_three_formats(
     }
 
 
+@dataclass
+class OpenedStores:
+    """The folder and the parts of the study with which the command has opened its results."""
+
+    folder: Path | None = None
+    parts: list[StudyPart] | None = None
+
+
 @pytest.fixture
-def opened_stores(monkeypatch: pytest.MonkeyPatch) -> Mock:
-    """What the command calls to open its results in a folder; the command ends then, before any trial."""
-    open_stores = Mock(side_effect=UsageError("no trial is to be run"))
-    monkeypatch.setattr(reproduce, "open_stores", open_stores)
-    return open_stores
+def opened_stores(monkeypatch: pytest.MonkeyPatch) -> OpenedStores:
+    """What the command opens its results with; the command ends then, before any trial."""
+    opened_stores = OpenedStores()
+
+    def record_and_end(folder: Path, parts: list[StudyPart], *_others: Any) -> None:
+        opened_stores.folder = folder
+        opened_stores.parts = parts
+        raise UsageError("no trial is to be run")
+
+    monkeypatch.setattr(reproduce, "open_stores", record_and_end)
+    return opened_stores
 
 
 @pytest.mark.parametrize(
     ("options", "folder"), [([], "reproduction"), (["--quick"], "reproduction-quick")], ids=["full", "quick"]
 )
 def test_a_study_without_the_option_output_goes_into_the_folder_that_the_documentation_names(
-    options: list[str], folder: str, opened_stores: Mock
+    options: list[str], folder: str, opened_stores: OpenedStores
 ) -> None:
     """A quick study has another folder, so that nobody takes its trials for the full study's."""
     cli.main(["reproduce", *options])
-    assert opened_stores.call_args.args[0] == Path(folder)
+    assert opened_stores.folder == Path(folder)
 
 
-def test_a_study_runs_all_parts_that_the_options_name_in_the_order_of_the_paper(opened_stores: Mock) -> None:
-    """Figure 5 of the paper needs both parts that are named here."""
+def test_a_study_runs_all_parts_that_the_options_name_in_the_order_of_the_paper(
+    opened_stores: OpenedStores,
+) -> None:
+    """Figure 5 of the paper needs both parts that are named here. The paper begins with connected swarms."""
     cli.main(["reproduce", "--part", "dynamic", "--part", "fully_connected"])
-    assert opened_stores.call_args.args[1] == [StudyPart.FULLY_CONNECTED, StudyPart.DYNAMIC]
+    assert opened_stores.parts == [StudyPart.FULLY_CONNECTED, StudyPart.DYNAMIC]
 
 
 def test_a_study_prints_its_claims_the_path_of_its_report_and_the_command_that_repeats_it(
     finished_study: FinishedStudy,
 ) -> None:
+    """The study has two trials, so claims are "too short" to be decided. Each has a line with its part."""
     report_path = finished_study.folder / "report.html"
     assert "too short  physical         short_runs_are_accurate\n" in finished_study.output
     assert f"\n{report_path}\nagain: mcp-asdf reproduce --seed=1 " in finished_study.output
@@ -128,59 +145,66 @@ def test_a_study_prints_its_claims_the_path_of_its_report_and_the_command_that_r
 def test_json_of_a_study_has_the_path_of_the_report_and_claims_without_verdicts_if_trials_are_short(
     copied_study: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The part of the study is None for claims that equations decide."""
+    """The part of the study is None for claims that equations decide. The study has two trials only."""
     run_short_study(copied_study, "--json")
 
     answer = json.loads(capsys.readouterr().out)
+    parts_of_claims = {claim["part"] for claim in answer["claims"]}
+    verdicts = {claim["verdict"] for claim in answer["claims"]}
     assert answer["report"] == str(copied_study / "report.html")
-    assert {claim["part"] for claim in answer["claims"]} == {None, "physical"}
-    assert {claim["verdict"] for claim in answer["claims"]} == {None}
+    assert parts_of_claims == {None, "physical"}
+    assert verdicts == {None}
 
 
-def interrupt_short_study_after_eight_jobs(folder: Path) -> int:
-    """Run the study until Ctrl-C comes when 16 of its 40 trials are done; return the exit code."""
+def interrupt_short_study_after_16_of_40_trials(folder: Path) -> int:
+    """Run the study until Ctrl-C comes after eight jobs of two trials; return the exit code."""
     with pytest.MonkeyPatch.context() as patch:
         record_jobs(patch, max_jobs=8)  # the next job is interrupted
         return run_short_study(folder)
 
 
+def count_trials(jobs: list[Job]) -> int:
+    """Return how many trials jobs run in all."""
+    return sum(job.count for job in jobs)
+
+
 def test_an_interrupted_study_says_how_many_trials_are_left_and_runs_only_these_the_next_time(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """It prints the number to stderr and ends with the exit code of Ctrl-C.
+    """It prints the number to stderr and ends with the exit code of Ctrl-C, 128 + SIGINT."""
+    exit_code = interrupt_short_study_after_16_of_40_trials(tmp_path)
 
-    Eight jobs of two trials have ended, so 24 of 40 trials are left.
-    """
-    assert interrupt_short_study_after_eight_jobs(tmp_path) == 128 + signal.SIGINT
+    assert exit_code == 128 + signal.SIGINT
     assert "24 of 40 trials left; the same command goes on" in capsys.readouterr().err
 
-    jobs = record_jobs(monkeypatch)
+    jobs_of_next_time = record_jobs(monkeypatch)
     assert run_short_study(tmp_path) == 0
-
-    assert sum(job.count for job in jobs) == 24
+    assert count_trials(jobs_of_next_time) == 24
 
 
 @pytest.mark.slow
 def test_an_interrupted_study_ends_in_the_same_files_as_one_that_was_not(
     finished_study: FinishedStudy, tmp_path: Path
 ) -> None:
-    interrupt_short_study_after_eight_jobs(tmp_path)
+    """The command that was interrupted runs again, and goes on. Its files are compared byte for byte."""
+    interrupt_short_study_after_16_of_40_trials(tmp_path)
     run_short_study(tmp_path)
 
-    assert files_in(tmp_path) == files_in(finished_study.folder)
+    assert read_files(tmp_path) == read_files(finished_study.folder)
 
 
 def test_the_report_of_a_finished_study_is_made_again_without_running_trials(
     copied_study: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """The report is deleted, and the command writes the same files as before."""
-    files_before = files_in(copied_study)
+    files_before = read_files(copied_study)
     (copied_study / "report.html").unlink()
 
-    record_jobs(monkeypatch, max_jobs=0)  # any job would be an interrupt
-    assert run_short_study(copied_study) == 0
+    record_jobs(monkeypatch, max_jobs=0)  # Ctrl-C would interrupt the first job
+    exit_code = run_short_study(copied_study)
 
-    assert files_in(copied_study) == files_before
+    assert exit_code == 0
+    assert read_files(copied_study) == files_before
     assert capsys.readouterr().err == "0 trials to run\n"
 
 
@@ -188,23 +212,24 @@ def test_the_report_of_a_finished_study_is_made_again_without_running_trials(
 def test_a_study_with_more_trials_runs_only_those_that_are_not_there(
     copied_study: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The study has two trials of each of 20 experiments."""
+    """The study has two trials of each of 20 experiments, so a third one is run of each."""
     jobs = record_jobs(monkeypatch)
     run_short_study(copied_study, "--trials", "3")
 
-    assert sum(job.count for job in jobs) == 20
+    assert count_trials(jobs) == 20
 
 
 def test_a_study_with_another_seed_is_refused_in_the_folder_of_one_and_leaves_its_files_alone(
     copied_study: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The study that is there has the seed 1."""
-    files_before = files_in(copied_study)
+    """The study in the folder has the seed 1. The command with the seed 2 ends with exit code 2."""
+    files_before = read_files(copied_study)
 
-    assert run_short_study(copied_study, "--seed", "2") == 2
+    exit_code = run_short_study(copied_study, "--seed", "2")
 
+    assert exit_code == 2
     assert "choose another name" in capsys.readouterr().err
-    assert files_in(copied_study) == files_before
+    assert read_files(copied_study) == files_before
 
 
 # --- A firmware or filter of the user's ------------------------------------------------------------------
@@ -215,7 +240,9 @@ def test_a_firmware_of_the_user_s_runs_in_the_60_swarms_of_asdf_minus_and_asdf_p
     size = StudySize(trials=2, steps=4000)
     experiments = own_experiments_of(StudyPart.DYNAMIC, size, firmware="mirror", filter_name=None)
 
-    assert len(set(experiments)) == len(experiments) == 60
+    different_experiments = set(experiments)
+    assert len(experiments) == 60
+    assert len(different_experiments) == 60
     assert values_of(experiments, "firmware") == {"mirror"}
     assert values_of(experiments, "trials") == {2}
     assert values_of(experiments, "steps") == {4000}
@@ -224,9 +251,12 @@ def test_a_firmware_of_the_user_s_runs_in_the_60_swarms_of_asdf_minus_and_asdf_p
 
 
 def test_a_filter_of_the_user_s_runs_once_where_asdf_minus_and_asdf_plus_are_two_swarms() -> None:
+    """The paper's two filters have 60 swarms, and the robust one takes the place of both."""
     experiments = own_experiments_of(StudyPart.DYNAMIC, StudySize(), firmware="native", filter_name="robust")
 
-    assert len(set(experiments)) == len(experiments) == 36
+    different_experiments = set(experiments)
+    assert len(experiments) == 36
+    assert len(different_experiments) == 36
     assert values_of(experiments, "filter") == {"robust"}
 
 
@@ -234,14 +264,15 @@ def test_a_filter_of_the_user_s_runs_once_where_asdf_minus_and_asdf_plus_are_two
 def test_a_filter_of_the_user_s_adds_a_file_of_results_and_changes_no_claim(copied_study: Path) -> None:
     """The results of the paper's filters and comparisons.csv, which has the claims, stay as they were.
 
-    The report says that it has them, too.
+    A sentence of the report says that its figures show the filter.
     """
-    files_before = files_in(copied_study)
+    files_before = read_files(copied_study)
 
     run_short_study(copied_study, "--filter", "robust")
 
-    files = files_in(copied_study)
-    assert files.keys() - files_before.keys() == {"physical_robust.parquet"}
+    files = read_files(copied_study)
+    new_files = files.keys() - files_before.keys()
+    assert new_files == {"physical_robust.parquet"}
     assert files["physical.parquet"] == files_before["physical.parquet"]
     assert files["comparisons.csv"] == files_before["comparisons.csv"]
     sentence = b"The figures also show robust, with a filter period of 1000 steps. No claim is about it."
@@ -270,10 +301,13 @@ def test_the_report_is_made_with_the_trials_that_ran_with_a_filter_of_the_user_s
     """The results that the report gets have the filter as ``own_name``, and trials of its experiments."""
     run_short_study(copied_study, "--filter", "robust")
 
-    [results] = reported_results
-    assert results.own_name == "robust"
-    experiments = [trials.experiment for trials in results.own_trials_of(StudyPart.PHYSICAL)]
-    assert experiments == own_experiments_of(StudyPart.PHYSICAL, StudySize(2, 4000), "native", "robust")
+    [results_of_report] = reported_results
+    assert results_of_report.own_name == "robust"
+    own_trials = results_of_report.own_trials_of(StudyPart.PHYSICAL)
+    size = StudySize(trials=2, steps=4000)
+    assert [trials.experiment for trials in own_trials] == own_experiments_of(
+        StudyPart.PHYSICAL, size, firmware="native", filter_name="robust"
+    )
 
 
 # --- Options ---------------------------------------------------------------------------------------------
@@ -291,9 +325,11 @@ def test_the_report_is_made_with_the_trials_that_ran_with_a_filter_of_the_user_s
 def test_options_say_how_many_trials_and_steps_are_run_with_which_seed(
     options: str, study_size: StudySize
 ) -> None:
+    """Without options the study has the paper's 30 trials and 40,000 steps, and the seed 1."""
     parser = argparse.ArgumentParser()
     reproduce.add_arguments(parser)
-    assert reproduce.study_size_from(parser.parse_args(options.split())) == study_size
+    arguments = parser.parse_args(options.split())
+    assert reproduce.study_size_from(arguments) == study_size
 
 
 @pytest.mark.parametrize(
@@ -312,15 +348,15 @@ def test_options_say_how_many_trials_and_steps_are_run_with_which_seed(
 def test_a_wrong_option_of_reproduce_is_refused_with_a_message_that_names_it(
     options: str, message: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    """The command ends with exit code 2 and prints the message to stderr."""
     assert cli.main(["reproduce", *options.split()]) == 2
     assert message in capsys.readouterr().err
 
 
 # --- The page of the study -------------------------------------------------------------------------------
 
-CLAIM_ABOUT_GAIN = "plus_improves_few_overconfident"
 CHECKED_CLAIMS = (
-    CLAIM_ABOUT_GAIN,
+    "plus_improves_few_overconfident",
     "minus_still_improves_where_clear",
     "overconfident_are_accurate_where_easy",
     "plus_is_worse_than_minus_where_clear",
@@ -355,8 +391,8 @@ def test_60_trials_lead_to_the_verdict_on_a_claim_that_is_recorded_of_more_trial
 ) -> None:
     """A recorded line has the claim, the part of the study, the verdict, and how many comparisons hold."""
     decision = decisions_of_60_trials[claim]
-    counts = f"{decision.count(True)},{len(decision.comparisons)}"
-    line = f"{claim},fully connected,{decision.verdict.value},{counts}"
+    holding_count, count = decision.count(True), len(decision.comparisons)
+    line = f"{claim},fully connected,{decision.verdict.value},{holding_count},{count}"
 
     recorded_lines = (ROOT / "tests/data/study_verdicts.csv").read_text(encoding="utf-8").splitlines()
     assert line in recorded_lines
@@ -370,9 +406,9 @@ def test_60_trials_give_about_the_gain_of_asdf_plus_that_the_page_about_the_stud
     page = page_path("study").read_text(encoding="utf-8")
     sentence = re.search(r"helps overconfident swarms only at P = 10 %\*\*, by (\d+) to (\d+) points", page)
     assert sentence is not None
-    lowest_gain_on_page, highest_gain_on_page = map(int, sentence.groups())
+    lowest_gain_on_page, highest_gain_on_page = int(sentence[1]), int(sentence[2])
 
-    comparisons = decisions_of_60_trials[CLAIM_ABOUT_GAIN].comparisons
+    comparisons = decisions_of_60_trials["plus_improves_few_overconfident"].comparisons
     lowest_gain, highest_gain = sorted(comparison.interval.value for comparison in comparisons)
 
     assert lowest_gain == pytest.approx(lowest_gain_on_page, abs=4)

@@ -21,8 +21,10 @@ from mcp_asdf_tools.studies.study_program import FLAWS
 
 @pytest.mark.parametrize("row", ["static ring", "static grid"])
 def test_each_of_20_robots_has_four_neighbours_in_a_static_graph(row: str) -> None:
-    """The study's table has a row of experiments with each graph; four links end at each robot."""
-    for experiment in robust_filter.beyond_rows()[row]:
+    """The study's table has a row of experiments with each graph. Links lead from senders to receivers."""
+    experiments_by_row = robust_filter.beyond_rows()
+
+    for experiment in experiments_by_row[row]:
         receivers = [receiver for _sender, receiver in experiment.graph.links]
         for robot in range(20):
             assert receivers.count(robot) == 4
@@ -43,8 +45,10 @@ def test_every_third_place_on_a_circle_of_20_joins_all_robots_with_20_edges() ->
     edges = edges_on_circle(places_between_neighbours=3)
 
     assert len(edges) == 20
-    assert {first_robot for first_robot, _ in edges} == set(range(20))
-    assert {second_robot for _, second_robot in edges} == set(range(20))
+    first_robots_of_edges = {first_robot for first_robot, _second_robot in edges}
+    second_robots_of_edges = {second_robot for _first_robot, second_robot in edges}
+    assert first_robots_of_edges == set(range(20))
+    assert second_robots_of_edges == set(range(20))
 
 
 def test_the_six_flawed_robots_do_not_all_stand_side_by_side_on_a_circle() -> None:
@@ -67,13 +71,20 @@ def test_liars_are_counted_neither_in_the_error_of_a_swarm_nor_as_harmed_by_the_
 
     A robot is harmed if its b_hat ends far from the accuracy of its sensor: 0.5 is far from 0.9.
     """
-    swarm: dict[str, Any] = {"robots": 20, "flawed": 0, "firmware": peers.five_liars}
-    trials_of_all = two_trials_with(**swarm, x=[0.5] * 15 + [0.0] * 5, b_hat=[0.9] * 15 + [0.5] * 5)
+    trials_of_all_robots = two_trials_with(
+        robots=20,
+        flawed=0,
+        firmware=peers.five_liars,
+        fill_ratio=0.5,
+        true_accuracy=0.9,
+        x=[0.5] * 15 + [0.0] * 5,
+        b_hat=[0.9] * 15 + [0.5] * 5,
+    )
 
-    trials = robust_filter.as_honest_robots_see_it(trials_of_all)
+    trials_of_honest_robots = robust_filter.as_honest_robots_see_it(trials_of_all_robots)
 
-    assert study_program.late_errors(trials).tolist() == [0, 0]  # of two trials
-    assert study_program.harmed_percents(trials).tolist() == [0, 0]
+    assert study_program.late_errors(trials_of_honest_robots).tolist() == [0, 0]
+    assert study_program.harmed_percents(trials_of_honest_robots).tolist() == [0, 0]
 
 
 def test_the_error_of_a_swarm_without_liars_is_the_mean_error_of_all_its_robots() -> None:
@@ -81,49 +92,56 @@ def test_the_error_of_a_swarm_without_liars_is_the_mean_error_of_all_its_robots(
 
     It is no liar: robots of this firmware lose messages. So no robot is left out.
     """
-    x = [0.5] * 9 + [0.0]
-    trials_of_all = two_trials_with(robots=10, flawed=0, firmware=peers.LossyRobot, x=x)
+    trials_of_all_robots = two_trials_with(
+        robots=10, flawed=0, firmware=peers.LossyRobot, fill_ratio=0.5, x=[0.5] * 9 + [0.0]
+    )
 
-    trials = robust_filter.as_honest_robots_see_it(trials_of_all)
+    trials_of_honest_robots = robust_filter.as_honest_robots_see_it(trials_of_all_robots)
 
     mean_error = (9 * 0.0 + 0.5) / 10
-    assert study_program.late_errors(trials) == pytest.approx([mean_error, mean_error])  # of two trials
+    assert study_program.late_errors(trials_of_honest_robots) == pytest.approx([mean_error, mean_error])
 
 
 def test_the_error_on_a_floor_that_changes_is_measured_against_its_share_of_black_at_the_end() -> None:
     """The floor is 0.55 black at first and 0.95 in the end, which is what all robots estimate."""
     trials = two_trials_with(sensor=peers.ChangingFloor, fill_ratio=0.55, x=0.95)
     trials_with_final_floor = robust_filter.as_honest_robots_see_it(trials)
-    assert study_program.late_errors(trials_with_final_floor).tolist() == [0, 0]  # of two trials
+    assert study_program.late_errors(trials_with_final_floor).tolist() == [0, 0]
 
 
+@pytest.mark.usefixtures("few_resamples")
 @pytest.mark.parametrize(
-    ("trials", "text"),
+    ("x", "b_hat", "flawed", "text"),
     [
-        (two_trials_with(x=0.6, b_hat=0.9), "100.0, 0.100, 0.0000, 0.0 %"),
-        (two_trials_with(x=0.5, b_hat=[0.9, 0.9, 0.9, 0.5]), "100.0, 0.0000, 0.0000, 33.3 %"),
-        (two_trials_with(x=0.5, robots=4, flawed=4), "100.0, 0.0000, 0.0000"),
+        (0.6, 0.9, 1, "100.0, 0.100, 0.0000, 0.0 %"),
+        (0.5, [0.9, 0.9, 0.9, 0.5], 1, "100.0, 0.0000, 0.0000, 33.3 %"),
+        (0.5, 0.9, 4, "100.0, 0.0000, 0.0000"),
     ],
     ids=["later error", "harm", "no healthy robots"],
 )
 def test_a_cell_of_the_grid_has_score_late_error_error_at_convergence_and_harm(
-    trials: Trials, text: str, few_resamples: None
+    x: float, b_hat: float | list[float], flawed: int, text: str
 ) -> None:
-    """All robots converged at once without an error, which is worth 100 points. The floor is half black.
+    """All robots converged at once without an error, which is worth 100 points, and estimate x later.
 
-    The first of four robots is flawed. One of three healthy ones is harmed if its b_hat ends at 0.5
-    instead of 0.9. Without healthy robots the percentage is left out.
+    One of three healthy robots is harmed if its b_hat ends at 0.5 instead of 0.9. Without healthy robots the
+    percentage is left out.
     """
+    trials = two_trials_with(robots=4, flawed=flawed, fill_ratio=0.5, true_accuracy=0.9, x=x, b_hat=b_hat)
     assert robust_filter.grid_text([trials]) == text
 
 
-def test_a_cell_of_other_tables_has_both_errors_and_the_percentage_of_harmed_robots(
-    few_resamples: None,
-) -> None:
-    """Underconfident robots estimate 0.65 for 0.55, overconfident ones 0.75 for 0.95. None is harmed."""
+@pytest.mark.usefixtures("few_resamples")
+def test_a_cell_of_other_tables_has_both_errors_and_the_percentage_of_harmed_robots() -> None:
+    """The error of underconfident robots stands before the error of overconfident ones. None is harmed."""
     underconfident = two_trials_with(**FLAWS["underconfident"], x=0.65, b_hat=0.95)
     overconfident = two_trials_with(**FLAWS["overconfident"], x=0.75, b_hat=0.55)
-    assert robust_filter.errors_text([overconfident, underconfident]) == "0.100, 0.200, 0.0 %"
+
+    error_of_underconfident = 0.65 - 0.55  # of whose floor 0.55 is black
+    error_of_overconfident = 0.95 - 0.75
+    assert robust_filter.errors_text([overconfident, underconfident]) == (
+        f"{error_of_underconfident:.3f}, {error_of_overconfident:.3f}, 0.0 %"
+    )
 
 
 def late_error_on_page(flaw: str, column: str) -> float:
@@ -152,7 +170,7 @@ def test_ten_trials_of_another_seed_give_about_the_errors_on_the_page_of_the_rob
 
     median_error = float(np.median(study_program.late_errors(trials)))
 
-    # The median of so few trials scatters.
+    # The median of so few trials may be half as large again, or half as large.
     assert median_error == pytest.approx(late_error_on_page(flaw, column), rel=0.5)
 
 
@@ -160,20 +178,20 @@ def test_ten_trials_of_another_seed_give_about_the_errors_on_the_page_of_the_rob
 
 
 @pytest.fixture
-def drawn_panels(monkeypatch: pytest.MonkeyPatch) -> dict[str, list[Trials]]:
+def results_by_panel_title(monkeypatch: pytest.MonkeyPatch) -> dict[str, list[Trials]]:
     """Collect, instead of drawing, the results of each panel of a picture by the panel's title."""
-    drawn_panels: dict[str, list[Trials]] = {}
+    results_by_panel_title: dict[str, list[Trials]] = {}
 
     def record_panels(panels: dict[str, list[Trials]]) -> Figure:
-        drawn_panels.update(panels)
+        results_by_panel_title.update(panels)
         return Figure()
 
     monkeypatch.setattr(robust_filter, "plot_errors_over_time", record_panels)
-    return drawn_panels
+    return results_by_panel_title
 
 
 def test_the_picture_of_the_robust_filter_has_a_panel_for_each_swarm_and_kind_of_flaw(
-    drawn_panels: dict[str, list[Trials]],
+    results_by_panel_title: dict[str, list[Trials]],
 ) -> None:
     """The plot has three swarms. Two have only flawed robots. The third has 5 liars and 30 % flawed robots.
 
@@ -187,7 +205,7 @@ def test_the_picture_of_the_robust_filter_has_a_panel_for_each_swarm_and_kind_of
 
     figure = robust_filter.draw_errors(grid=swarms_without_liars, worlds=swarms_with_liars)
 
-    assert drawn_panels == {
+    assert results_by_panel_title == {
         "30 % flawed, underconfident": [underconfident],
         "30 % flawed and 5 liars, underconfident": [underconfident],
         "50 % flawed, underconfident": [underconfident],

@@ -22,32 +22,35 @@ def experiment_of(row: str, column: str) -> Experiment:
     return experiment
 
 
-def test_the_table_of_harm_has_the_percentage_of_healthy_robots_that_were_harmed(few_resamples: None) -> None:
-    """The first of four robots is flawed. A healthy robot ends with a b_hat of 0.5 instead of 0.9."""
-    trials = two_trials_with(b_hat=[0.9, 0.9, 0.9, 0.5])
+@pytest.mark.usefixtures("few_resamples")
+def test_the_table_of_harm_has_the_percentage_of_healthy_robots_that_were_harmed() -> None:
+    """The first of four robots is flawed. One of three healthy ones ends with 0.5 instead of 0.9."""
+    trials = two_trials_with(robots=4, flawed=1, true_accuracy=0.9, b_hat=[0.9, 0.9, 0.9, 0.5])
     assert two_readings.harm_text([trials]) == "33.3"
 
 
-def test_the_table_of_harm_is_empty_for_a_swarm_without_healthy_robots(few_resamples: None) -> None:
+@pytest.mark.usefixtures("few_resamples")
+def test_the_table_of_harm_is_empty_for_a_swarm_without_healthy_robots() -> None:
+    """All four robots are flawed, so nobody can be harmed."""
     trials = two_trials_with(robots=4, flawed=4)
     assert two_readings.harm_text([trials]) == ""
 
 
-def trial_with_two_readings(row: str) -> Trials:
-    """Run a trial of a row's robots that read each tile twice."""
+def run_trial_with_two_readings(row: str) -> Trials:
+    """Run a trial of the robots in a row of the study's table, which read each tile twice."""
     return run_trials(experiment_of(row, "two readings"), first=0, trials=1, sampling_interval=500)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("flaw", "limit"), [("underconfident", 0.005), ("overconfident", 0.1)])
+@pytest.mark.parametrize(("flaw", "largest_error"), [("underconfident", 0.005), ("overconfident", 0.1)])
 def test_robots_that_are_all_flawed_estimate_the_floor_well_if_they_read_each_tile_twice(
-    flaw: str, limit: float
+    flaw: str, largest_error: float
 ) -> None:
     """They find the accuracy of their sensors from how often independent readings disagree."""
-    trials = trial_with_two_readings(f"all flawed, {flaw}")
+    trial = run_trial_with_two_readings(f"all flawed, {flaw}")
 
-    [error] = study_program.late_errors(trials)
-    assert error < limit
+    [late_error] = study_program.late_errors(trial)
+    assert late_error < largest_error
 
 
 @pytest.mark.slow
@@ -59,5 +62,5 @@ def test_two_readings_harm_healthy_robots_only_if_sensors_repeat_their_readings(
     row: str, percent_harmed: float
 ) -> None:
     """A sensor that repeats half of its readings disagrees less often with itself, and seems better."""
-    trials = trial_with_two_readings(row)
-    assert study_program.harmed_percents(trials).tolist() == [percent_harmed]
+    trial = run_trial_with_two_readings(row)
+    assert study_program.harmed_percents(trial).tolist() == [percent_harmed]
