@@ -60,9 +60,9 @@ def find_image_error(image: bytes, filter_number: int) -> str | None:
         is_robust = bool(first_word & ROBUST_IMAGE)
         other_filter = "the robust filter" if is_robust else "a filter other than the robust one"
         return f"the image is that of a robot with {other_filter}; restore it with that"
-    words = [word for (word,) in struct.iter_unpack("<I", image)]
-    *checked_words, stated_checksum = words
-    has_right_length = len(words) == image_word_count(filter_number)
+    image_words = [word for (word,) in struct.iter_unpack("<I", image)]
+    *checked_words, stated_checksum = image_words
+    has_right_length = len(image_words) == image_word_count(filter_number)
     if not has_right_length or checksum(checked_words) != stated_checksum:
         return "the image is damaged"
     return None

@@ -863,15 +863,15 @@ class MirrorRobot(FixedPointView):
         senders of the open round; and three with counters, the flag ``updated`` and the id.
         """
         s = self.s
-        words = [first_image_word(self.config.filter), s.accuracy.b_hat, s.t, s.n]
-        words += [s.x_hat, s.alpha, s.filter_left]
-        words += _encode_robust_filter(s) if self.is_robust else _encode_rounds(s)
-        words += s.heard
+        image_words = [first_image_word(self.config.filter), s.accuracy.b_hat, s.t, s.n]
+        image_words += [s.x_hat, s.alpha, s.filter_left]
+        image_words += _encode_robust_filter(s) if self.is_robust else _encode_rounds(s)
+        image_words += s.heard
         # Counters have 16 bits, so two of them share a word; the id and ``updated`` have 8.
-        words.append(_word_of_halves(s.accepted, s.repeated))
-        words.append(_word_of_halves(s.rejected, s.tests))
-        words.append(s.updates | (s.updated << 16) | (s.id << 24))
-        return _image_struct(self.config).pack(*words, checksum(words))
+        image_words.append(_word_of_halves(s.accepted, s.repeated))
+        image_words.append(_word_of_halves(s.rejected, s.tests))
+        image_words.append(s.updates | (s.updated << 16) | (s.id << 24))
+        return _image_struct(self.config).pack(*image_words, checksum(image_words))
 
     @classmethod
     def restore(cls, config: Config, image: bytes) -> MirrorRobot:
@@ -887,15 +887,15 @@ class MirrorRobot(FixedPointView):
         error = find_image_error(image_bytes, config.filter)
         if error is not None:
             raise FirmwareError(Status.ERR_IMAGE, error)
-        words = _image_struct(config).unpack(image_bytes)
+        image_words = _image_struct(config).unpack(image_bytes)
         # b_hat comes before the other checks, because values of the state are computed from it.
-        _, b_hat, *_ = words
+        _, b_hat, *_ = image_words
         if not B_HAT_MIN <= b_hat <= B_HAT_MAX:
             raise FirmwareError(Status.ERR_IMAGE, f"b_hat = {b_hat} is out of range")
         # Without __init__, which would make a new robot, and needs an id and a b_hat that are valid.
         robot = cls.__new__(cls)
         robot.config = config
-        robot.s = _decode_state(config, words)
+        robot.s = _decode_state(config, image_words)
         if not robot.holds_invariants():
             raise FirmwareError(Status.ERR_IMAGE, IMPOSSIBLE_STATE)
         return robot
@@ -928,10 +928,10 @@ def _encode_rounds(s: State) -> list[int]:
     """
     closed_sums = [s.closed.alpha, s.closed.alpha_x_low, s.closed.alpha_x_high]
     open_sums = [s.open.alpha, s.open.alpha_x_low, s.open.alpha_x_high, s.open.x_squared]
-    words = []
+    sum_words = []
     for long_sum in closed_sums + open_sums:
-        words += [long_sum & MAX_WORD, long_sum >> 32]
-    return [*words, s.open.x, s.open.count]
+        sum_words += [long_sum & MAX_WORD, long_sum >> 32]
+    return [*sum_words, s.open.x, s.open.count]
 
 
 def _encode_robust_filter(s: State) -> list[int]:
@@ -942,23 +942,24 @@ def _encode_robust_filter(s: State) -> list[int]:
     has the number that is named first, or the estimate with the lower slot.
     """
     robust = s.robust
-    words = [robust.centre, robust.spread, robust.initial_b_hat, robust.filled_slots]
-    words += [robust.batch_t, robust.batch_n, _word_of_halves(robust.votes, robust.dispersion), robust.turn]
-    words += [_word_of_halves(*s.estimates[slot : slot + 2]) for slot in range(0, SLOTS, 2)]
-    return words
+    filter_words = [robust.centre, robust.spread, robust.initial_b_hat, robust.filled_slots]
+    votes_and_dispersion = _word_of_halves(robust.votes, robust.dispersion)
+    filter_words += [robust.batch_t, robust.batch_n, votes_and_dispersion, robust.turn]
+    filter_words += [_word_of_halves(*s.estimates[slot : slot + 2]) for slot in range(0, SLOTS, 2)]
+    return filter_words
 
 
-def _decode_state(config: Config, words: tuple[int, ...]) -> State:
+def _decode_state(config: Config, image_words: tuple[int, ...]) -> State:
     """Return the state that the words of an image, as `MirrorRobot.save` writes them, hold.
 
     ``config.filter`` says whether they have the sums of the rounds or what the robust filter remembers. It is
     not checked whether a robot can have this state.
     """
-    _, b_hat, t, n, x_hat, alpha, filter_left = words[:7]
+    _, b_hat, t, n, x_hat, alpha, filter_left = image_words[:7]
     # What a filter keeps differs in length, so the words behind it are counted from the end.
-    filter_words = words[7:-8]
-    sender_words = words[-8:-4]
-    accepted_and_repeated, rejected_and_tests, updates_and_rest, _ = words[-4:]  # the last is the checksum
+    filter_words = image_words[7:-8]
+    sender_words = image_words[-8:-4]
+    accepted_and_repeated, rejected_and_tests, updates_and_rest, _checksum = image_words[-4:]
     accepted, repeated = _halves_of_word(accepted_and_repeated)
     rejected, tests = _halves_of_word(rejected_and_tests)
     updates, updated_and_id = _halves_of_word(updates_and_rest)
@@ -985,9 +986,9 @@ def _decode_state(config: Config, words: tuple[int, ...]) -> State:
     return state
 
 
-def _decode_rounds(words: tuple[int, ...]) -> tuple[Closed, Sums]:
+def _decode_rounds(round_words: tuple[int, ...]) -> tuple[Closed, Sums]:
     """Return the sums of the closed and of the open round that the 16 words of `_encode_rounds` hold."""
-    *sum_words, open_x, open_count = words
+    *sum_words, open_x, open_count = round_words
     # Pairs of words, the lower one first, become seven numbers of 64 bits.
     long_sums = struct.unpack("<7Q", struct.pack("<14I", *sum_words))
     closed = Closed(*long_sums[:3])
@@ -995,9 +996,10 @@ def _decode_rounds(words: tuple[int, ...]) -> tuple[Closed, Sums]:
     return closed, Sums(alpha, alpha_x_low, alpha_x_high, x_squared, open_x, open_count)
 
 
-def _decode_robust_filter(words: tuple[int, ...]) -> tuple[RobustFilter, list[int]]:
+def _decode_robust_filter(filter_words: tuple[int, ...]) -> tuple[RobustFilter, list[int]]:
     """Return what the 24 words of `_encode_robust_filter` hold: the filter's members, and the slots."""
-    centre, spread, initial_b_hat, filled_slots, batch_t, batch_n, votes_and_dispersion, turn = words[:8]
+    centre, spread, initial_b_hat, filled_slots = filter_words[:4]
+    batch_t, batch_n, votes_and_dispersion, turn = filter_words[4:8]
     votes, dispersion = _halves_of_word(votes_and_dispersion)
     robust = RobustFilter(
         centre=centre,
@@ -1011,5 +1013,5 @@ def _decode_robust_filter(words: tuple[int, ...]) -> tuple[RobustFilter, list[in
         turn=turn,
     )
     # A word has the estimates of two slots, the lower slot in its lower half.
-    estimates = struct.unpack("<32H", struct.pack("<16I", *words[8:]))
+    estimates = struct.unpack("<32H", struct.pack("<16I", *filter_words[8:]))
     return robust, list(estimates)

@@ -259,10 +259,10 @@ def _allocate_table(table: Table) -> Any:
     The array has the length of the longest table, with zeros behind the words. The C reads as many words as
     the table's q says, and in a damaged table q may be larger than the number of its words.
     """
-    words = table.words()
-    padding = [0] * (EXTRA_WORDS + MAX_Q - len(words))
+    table_words = table.words()
+    padding = [0] * (EXTRA_WORDS + MAX_Q - len(table_words))
     try:
-        return ffi.new("uint32_t[]", [*words, *padding])
+        return ffi.new("uint32_t[]", [*table_words, *padding])
     except OverflowError:  # a word does not fit
         return ffi.NULL
 
