@@ -23,7 +23,7 @@ from proofs.numbers import Number
 from proofs.prove import Contract, UnprovenError, any_result, prove
 from proofs.source import Program
 
-MARGIN = bounds.UNDECIDED
+MARGIN = bounds.ROBUST_TEST_MARGIN
 """By how much one side of the test's inequality must exceed the other, as a share of its right side."""
 B_HAT_RANGE = (2**12, 2**32 - 2**12)
 SLOTS = 32

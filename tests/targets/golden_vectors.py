@@ -27,12 +27,12 @@ from mcp_asdf.robot import Config, FirmwareError, Status
 from mcp_asdf_tools.crosscheck.random_scenarios import random_scenario
 from mcp_asdf_tools.crosscheck.robust_scenarios import robust_scenario
 from mcp_asdf_tools.crosscheck.scenario import (
-    REPLACING,
+    CALLS_THAT_REPLACE_ROBOT,
     Call,
     Scenario,
     TableChoice,
-    edited_image,
-    perform,
+    edit_image,
+    make_call,
     unpack_image,
 )
 
@@ -81,10 +81,10 @@ class Player:
         self._record(status)
         for call in scenario.calls:
             assert self._robot is not None
-            if call.name in REPLACING:
-                status = self._restore(config, edited_image(self._robot.save(), call))
+            if call.name in CALLS_THAT_REPLACE_ROBOT:
+                status = self._restore(config, edit_image(self._robot.save(), call))
             else:
-                status = perform(self._robot, call)
+                status = make_call(self._robot, call)
             self._record(status, with_state=call.name != "receive")
         status_of_end = 0
         if self._robot is not None:
@@ -145,7 +145,7 @@ def _playable(scenario: Scenario) -> Scenario:
             calls.append(Call(call.name, (min(z, 255),)))
         else:
             calls.append(call)
-    return scenario.with_calls(tuple(calls))
+    return scenario.replace_calls(tuple(calls))
 
 
 def _encode(scenario: Scenario) -> bytes:

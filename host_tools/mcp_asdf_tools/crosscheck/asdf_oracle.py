@@ -14,9 +14,9 @@ from mcp_asdf.table import FRACTION_BITS
 from mcp_asdf_tools.crosscheck.checks import (
     alpha_units,
     check_exact,
-    check_update,
+    check_whether_updated,
     ends_round,
-    is_filter_run,
+    had_to_run_filter,
 )
 from mcp_asdf_tools.crosscheck.scenario import Call, CallResult, Setup, State
 
@@ -27,10 +27,14 @@ if TYPE_CHECKING:
 def check_asdf_call(
     audit: Audit, setup: Setup, call: Call, before: CallResult, after: CallResult
 ) -> list[str]:
-    """Check x_bar and x after a call, and b_hat after the end of a round. Return a line for each problem."""
+    """Check x_bar and x after a call, and b_hat after the end of a round. Return a line for each problem.
+
+    A test that the filter had to make is counted in ``audit``, which also collects the error of b_hat.
+    """
     problems = _check_means(after.state)
     if ends_round(call, after):
-        problems += _check_filter(audit, setup, before.state, after.state, after.outcome == "UPDATED")
+        is_updated = after.outcome == "UPDATED"
+        problems += _check_filter(audit, setup, before.state, after.state, is_updated)
     return problems
 
 
@@ -39,34 +43,44 @@ def _check_filter(
 ) -> list[str]:
     """Return a line for each problem of the filter at the end of a round.
 
-    It must have re-estimated b_hat if its test (eq. 12) rejects, and not otherwise, and the result must be
-    right (eq. 8).
+    b_hat must have been re-estimated, to the right value (eq. 8), if the adaptive filter's test (eq. 12)
+    rejects, or if the filter is the one without a test. It must not have been where the filter does not run,
+    where the round has no message, or where it has a single one and the filter is adaptive. Each test is
+    counted in ``audit.tests``.
     """
-    m = old_state["open_count"]
+    message_count = old_state["open_count"]
     is_adaptive = setup.filter == Filter.ADAPTIVE
-    is_run = setup.filter != Filter.OFF and is_filter_run(old_state, new_state)
-    # The test needs a variance, and so two messages.
+    has_run = setup.filter != Filter.OFF and had_to_run_filter(old_state, new_state)
+    # The adaptive filter's test needs a variance, and so two messages.
     messages_needed = 2 if is_adaptive else 1
-    if not is_run or m < messages_needed:
-        return check_update(is_updated, expected=False)
+    if not has_run or message_count < messages_needed:
+        return check_whether_updated(is_updated, expected=False)
     if is_adaptive:
-        assert setup.table is not None
         audit.tests += 1
-        # Eq. 12 squared and multiplied out, which whole numbers decide exactly. Equality is no rejection.
-        difference_squared = (old_state["open_x"] - m * new_state["x_hat"]) ** 2
-        scaled_variance = m * old_state["open_x_squared"] - old_state["open_x"] ** 2
-        # The threshold has FRACTION_BITS bits after the point, so the other side gets as many.
-        threshold = setup.table.build().entry(m)
-        scaled_difference_squared = difference_squared << FRACTION_BITS
-        is_rejected = scaled_difference_squared > threshold * scaled_variance
-        if not is_rejected:
-            return check_update(is_updated, expected=False)
+        if not _test_rejects(setup, old_state, new_state["x_hat"]):
+            return check_whether_updated(is_updated, expected=False)
     x_bar = Fraction(_closed_alpha_x(new_state), new_state["closed_alpha"] * ONE)
     return audit.check_b_hat(new_state, x_bar, is_updated)
 
 
+def _test_rejects(setup: Setup, state: State, x_hat: int) -> bool:
+    """Return whether the test (eq. 12) rejects the robot's x_hat by the messages of the open round.
+
+    ``state`` is the robot's before the end of that round, and x_hat is in units of 2**-23.
+    """
+    assert setup.table is not None
+    m = state["open_count"]
+    # Eq. 12 squared and multiplied out, which whole numbers decide exactly. Equality is no rejection.
+    difference_squared = (state["open_x"] - m * x_hat) ** 2
+    scaled_variance = m * state["open_x_squared"] - state["open_x"] ** 2
+    # The threshold has FRACTION_BITS bits after the point, so the other side gets as many.
+    threshold = setup.table.build().entry(m)
+    scaled_difference_squared = difference_squared << FRACTION_BITS
+    return scaled_difference_squared > threshold * scaled_variance
+
+
 def _closed_alpha_x(state: State) -> int:
-    """Return the sum of alpha x_hat of the last closed round."""
+    """Return the sum of alpha x_hat of the last closed round, of which a robot keeps two parts."""
     return (state["closed_alpha_x_high"] << 32) + state["closed_alpha_x_low"]
 
 
@@ -74,12 +88,16 @@ def _check_means(state: State) -> list[str]:
     """Return what is wrong with x_bar and x, a line each. Both are quotients of integers, rounded down.
 
     x_bar is the mean of the neighbours' x_hat, weighted by their alpha, and x that mean with the robot's own
-    x_hat among them. Without any message x_bar is 1/2 and x is the robot's own x_hat.
+    x_hat among them. If all weights of a mean are 0, x_bar must be 1/2, and x the robot's own x_hat.
     """
     # Sums over the messages of the last closed round: of alpha, which is called beta, and of alpha x_hat
     beta, alpha_x = state["closed_alpha"], _closed_alpha_x(state)
+    x_bar = HALF
+    if beta > 0:
+        x_bar = alpha_x // beta
     # The robot's own. Each alpha is in units of 2**-24, each x_hat in units of 2**-23.
-    alpha, x_hat = alpha_units(state["alpha"]), state["x_hat"]
-    x = (alpha * x_hat + alpha_x) // (alpha + beta) if alpha + beta > 0 else x_hat
-    x_bar = alpha_x // beta if beta > 0 else HALF
+    own_alpha, own_x_hat = alpha_units(state["alpha"]), state["x_hat"]
+    x = own_x_hat
+    if own_alpha + beta > 0:
+        x = (own_alpha * own_x_hat + alpha_x) // (own_alpha + beta)
     return check_exact(state, {"x()": x, "x_bar()": x_bar})

@@ -23,7 +23,7 @@ Q22, Q23, Q24, Q27, Q28, Q30, Q31, Q32 = (Fraction(1, 2**bits) for bits in (22, 
 
 LARGEST_ALPHA = Fraction(2**31 - 2**7)
 
-UNDECIDED = Fraction(1, 2**13)
+ROBUST_TEST_MARGIN = Fraction(1, 2**13)
 """The firmware's robust test is right if its sides differ by more than this share of the larger one."""
 
 Bounds = tuple[Fraction, Fraction]
@@ -38,100 +38,113 @@ def exact_alpha(n: int, t: int, b: Fraction) -> Fraction:
 def x_hat_bounds(n: int, t: int, b: Fraction) -> Bounds:
     """Return the bounds of x_hat for t > 0 observations, n of them black, which are multiples of 2**-23.
 
-    The rarer colour has k = min(n, t - n) observations, and so the share p = k / t. With c = min(b, 1 - b),
-    g = 1 - 2 c and r = 1 / g its x_hat is x = (p - c) / g (eq. 3), or 0 if p <= c.
-
-    The firmware decides exactly whether p > c. It computes with the whole numbers T = 2**s t in [2**31,
-    2**32) and K = 2**s k, and rounds c T down, which loses e < 1. So it has (K - c T + e) / (g T + 2 e),
-    rounded down, in place of (K - c T) / (g T). That is (1 - 2 x) e / (g T + 2 e) < (1 - 2 x) r 2**-31 too
-    near to 1/2, and never beyond it. Where x is 0, so is the firmware's.
-
-    Both bounds are 1/2 if ``b`` carries no information.
+    Before it is rounded the firmware's x_hat is right, or nearer to 1/2 than the exact one, but not beyond
+    1/2. The difference is at most 2**-31 |2 x_hat - 1| / |2 b - 1|. An x_hat of 0 or 1 is exact. If ``b``
+    carries no information both bounds are 1/2.
     """
     if not is_informative(b):
         return HALF, HALF
     exact = local_estimate(n, t, b)
-    exact_of_rarer = min(exact, 1 - exact)
-    r = 1 / abs(2 * b - 1)
-    # By this much the firmware's may be nearer to 1/2, which is too large: it is never too small.
-    largest_error = (1 - 2 * exact_of_rarer) * r * Q31 if exact_of_rarer > 0 else Fraction(0)
-    lower = round_down(exact_of_rarer, Q23)
-    upper = round_down(exact_of_rarer + largest_error, Q23)
-    if exact == exact_of_rarer:
+    # The firmware computes the share of the rarer colour, which is x_hat or 1 - x_hat.
+    rarer_share = min(exact, 1 - exact)
+    largest_error = Fraction(0)
+    if rarer_share > 0:
+        # With k = min(n, t - n), c = min(b, 1 - b) and g = 1 - 2 c the share is x = (k / t - c) / g (eq. 3).
+        # The firmware computes it with whole numbers, T = 2**s t in [2**31, 2**32) and K = 2**s k, and rounds
+        # c T down, which loses e < 1. So it has (K - c T + e) / (g T + 2 e) in place of (K - c T) / (g T).
+        # That is too large by (1 - 2 x) e / (g T + 2 e), which is below (1 - 2 x) / g 2**-31.
+        g = abs(2 * b - 1)
+        largest_error = (1 - 2 * rarer_share) / g * Q31
+    lower = round_down(rarer_share, Q23)
+    upper = round_down(rarer_share + largest_error, Q23)
+    if rarer_share == exact:
         return lower, upper
     # x_hat is the share of the other colour, so both bounds are mirrored.
     return 1 - upper, 1 - lower
 
 
 def alpha_error(n: int, t: int, b: Fraction) -> tuple[Fraction, Fraction]:
-    """Return by how much alpha may be too small and too large, relatively, before it becomes an alpha word.
+    """Return by which shares of itself alpha may be too small and too large, before it is an alpha word.
 
-    The symbols are those of `x_hat_bounds`.
-
-    At an end of the scale (p <= c) k (g / c)**2 + (t - k) (g / (1 - c))**2 is computed with both ratios
-    rounded down to 24 bits or more, and squares to 2**-28 of themselves; the second term loses 2**-28 of the
-    first. That is (1 - 2**-23)**2 (1 - 2**-28)**2 > 1 - 2**-22 - 2**-27. 1 - c may lose half a unit of
-    2**-31, which makes the square 2**-30 too large.
-
-    Inside, (g T)**2 T / (K (T - K)) 2**-s is computed, with g T + 2 e for g T (see `x_hat_bounds`): its
-    square is up to (1 + r 2**-30)**2 too large. Squaring loses 2**-28, multiplying 2**-27, and 31 bits of the
-    dividend are left: less than 2**-26 in all. The 31 bits left of K (T - K) are up to 2**-30 too small.
+    Where x_hat is 0 or 1 the shares are about 2**-22 and 2**-30. Otherwise they are about 2**-26 and
+    (1 + 2 / |2 b - 1|) 2**-30.
     """
-    p = Fraction(min(n, t - n), t)
+    k = min(n, t - n)  # observations of the rarer colour
     c = min(b, 1 - b)
-    if p <= c:
-        return Q22 + Q27, Q30  # at an end of the scale
-    r = 1 / (1 - 2 * c)
-    # What squaring, multiplying and cutting the dividend leave of alpha at least
-    smallest_share = (1 - Q28) * (1 - Q27) * (1 - Q31)
-    # The square may be too large, and the divisor too small.
-    largest_share = (1 + r * Q30) ** 2 / (1 - Q30)
-    return 1 - smallest_share, largest_share - 1
+    is_estimate_at_end = Fraction(k, t) <= c  # x_hat is 0 or 1
+    if is_estimate_at_end:
+        # With g = 1 - 2 c the firmware computes alpha as k (g / c)**2 + (t - k) (g / (1 - c))**2. Both ratios
+        # lose up to 2**-23 of themselves, both squares 2**-28, and the second term 2**-28 of the first. So at
+        # least (1 - 2**-23)**2 (1 - 2**-28)**2 is left.
+        too_small = Q22 + Q27
+        # 1 - c may lose half a unit of 2**-31, which makes the square in the second term larger.
+        too_large = Q30
+        return too_small, too_large
+    # The firmware computes alpha as (g T)**2 T / (K (T - K)) 2**-s, with the T, K and s of `x_hat_bounds`.
+    # Squaring, multiplying, and cutting the dividend to 31 bits make alpha smaller.
+    smallest_share_left = (1 - Q28) * (1 - Q27) * (1 - Q31)
+    # The rounding of c T makes g T larger, by up to 2**-30 / g of itself. And the divisor K (T - K) is cut to
+    # 31 bits, which makes it smaller.
+    g = 1 - 2 * c
+    largest_square = (1 + Q30 / g) ** 2
+    smallest_divisor = 1 - Q30
+    return 1 - smallest_share_left, largest_square / smallest_divisor - 1
 
 
 def alpha_bounds(n: int, t: int, b: Fraction) -> Bounds:
-    """Return the bounds of alpha for t > 0.
+    """Return the bounds of alpha for t > 0 observations, n of them black, in the form of an alpha word.
 
-    An alpha word, with its mantissa of 24 bits, loses up to 2**-23 of alpha and one unit.
+    An alpha word, with its mantissa of 24 bits, loses up to 2**-23 of alpha and one unit of 2**-24.
     """
     exact = exact_alpha(n, t, b)
     too_small, too_large = alpha_error(n, t, b)
-    return exact * (1 - too_small) * (1 - Q23) - Q24, exact * (1 + too_large)
+    smallest = exact * (1 - too_small)
+    largest = exact * (1 + too_large)
+    smallest_as_word = smallest * (1 - Q23) - Q24
+    return smallest_as_word, largest
 
 
 def x_bar_bounds(x_bar: Fraction) -> Bounds:
     """Return the bounds of the x_bar from which the firmware computes b_hat, for the exact ``x_bar``.
 
-    It is a quotient of the upper 32 bits of the sums, of which the divisor is rounded up to an even number E
-    in (2**31, 2**32]. The dividend loses less than 1, the divisor gains at most 2, the quotient less than
-    2**-32: it is less than (2 x_bar + 1) / E + 2**-32 too small. Below 1/2, 1 - x_bar takes its place, and
-    loses 2**-32.
+    It may be too small by up to x_bar 2**-30 + 2**-31 + 2**-32, and is not too large. Below 1/2 both bounds
+    are 2**-32 higher.
     """
+    # It is a quotient of the upper 32 bits of two sums. The divisor is rounded up to an even number E in
+    # (2**31, 2**32]. The dividend loses less than 1, the divisor gains at most 2, and the quotient loses less
+    # than 2**-32: it is less than (2 x_bar + 1) / E + 2**-32 too small.
     largest_error = x_bar * Q30 + Q31 + Q32
-    offset = Q32 if x_bar < HALF else Fraction(0)
-    return x_bar - largest_error + offset, x_bar + offset
+    lower, upper = x_bar - largest_error, x_bar
+    if x_bar < HALF:
+        # The firmware goes on with 1 - x_bar, which loses 2**-32 when it is formed.
+        return lower + Q32, upper + Q32
+    return lower, upper
 
 
 def is_update_expected(x_bar: Fraction) -> bool | None:
-    """Return whether the firmware's x_bar is informative, so that it computes a b_hat, for the exact one.
+    """Return whether the firmware must re-estimate b_hat from a mean whose exact value is ``x_bar``.
 
-    Returns None if rounding decides, as the firmware's x_bar may be on either side of
-    |2 x_bar - 1| = 2**-12.
+    It must if its own x_bar is informative. Returns None if rounding decides that, as the firmware's x_bar
+    may be on either side of |2 x_bar - 1| = 2**-12.
     """
     lower, upper = x_bar_bounds(x_bar)
-    is_lower_informative, is_upper_informative = is_informative(lower), is_informative(upper)
-    return is_lower_informative if is_lower_informative == is_upper_informative else None
+    if is_informative(lower) != is_informative(upper):
+        return None
+    return is_informative(lower)
 
 
 def b_hat_error(x_bar: Fraction) -> Fraction:
     """Return by how much b_hat may be wrong, for any n and t, after an update from the exact ``x_bar``.
 
-    If x_bar is off by e, eq. 8 gives a b that is off by (2 b - 1) e / (2 x_bar - 1). A b outside [0, 1] is
-    clamped. It is then as far off as for the smaller e that gives 0 or 1.
+    That is the error of the firmware's x_bar, divided by |2 x_bar - 1|, and what its own roundings add.
     """
     lower, upper = x_bar_bounds(x_bar)
     x_bar_error = max(x_bar - lower, upper - x_bar)
-    return x_bar_error / abs(2 * x_bar - 1) + Q30 + Q31 + Q32
+    # If x_bar is off by e, eq. 8 gives a b that is off by (2 b - 1) e / (2 x_bar - 1), and |2 b - 1| is at
+    # most 1. A b outside [0, 1] is clamped, and then as far off as for the smaller e that gives 0 or 1.
+    propagated_error = x_bar_error / abs(2 * x_bar - 1)
+    rounding_error = Q30 + Q31 + Q32
+    return propagated_error + rounding_error
 
 
 def round_down(value: Fraction, unit: Fraction) -> Fraction:

@@ -69,6 +69,6 @@ CHECKED_FILTERS = (
 
 
 def checked_filter_of(filter_number: int) -> CheckedFilter:
-    """Return the entry of ``CHECKED_FILTERS`` for this number of a `Filter`."""
+    """Return the one entry of ``CHECKED_FILTERS`` that has this number of a `Filter`."""
     [checked_filter] = [checked for checked in CHECKED_FILTERS if filter_number in checked.filters]
     return checked_filter

@@ -20,8 +20,11 @@ def alpha_units(word: int) -> int:
 
 def check_exact(state: State, expected: State) -> list[str]:
     """Return a line for each field of ``expected`` that has another value in ``state``."""
-    wrong_values = {name: value for name, value in expected.items() if state[name] != value}
-    return [f"{name} is {state[name]}, exactly {value}" for name, value in wrong_values.items()]
+    problems = []
+    for name, expected_value in expected.items():
+        if state[name] != expected_value:
+            problems.append(f"{name} is {state[name]}, exactly {expected_value}")
+    return problems
 
 
 def check_bounds(name: str, value: Fraction, bounds: Bounds) -> list[str]:
@@ -43,19 +46,22 @@ def ends_round(call: Call, after: CallResult) -> bool:
 
 
 def _is_accepted(after: CallResult) -> bool:
+    """Return whether the firmware has accepted a call, by its result: names of refusals begin with ERR."""
     return not after.outcome.startswith("ERR")
 
 
-def is_filter_run(old_state: State, new_state: State) -> bool:
+def had_to_run_filter(old_state: State, new_state: State) -> bool:
     """Return whether the end of a round, which led from one state to the other, had to run a filter.
 
-    It is for the caller to know whether the robot has a filter.
+    It had to in the last round of a filter period, if the robot has observed anything. It is for the caller
+    to know whether the robot has a filter.
     """
-    is_filter_round = old_state["filter_left"] == 1  # the last round of a filter period
-    return is_filter_round and new_state["t"] > 0
+    is_last_round_of_period = old_state["filter_left"] == 1
+    has_observations = new_state["t"] > 0
+    return is_last_round_of_period and has_observations
 
 
-def check_update(is_updated: bool, expected: bool | None) -> list[str]:
+def check_whether_updated(is_updated: bool, expected: bool | None) -> list[str]:
     """Return a line if b_hat was re-estimated although it must not be, or the other way round.
 
     The result is an empty list if it is right, and for an ``expected`` of None in any case: there rounding
@@ -63,4 +69,6 @@ def check_update(is_updated: bool, expected: bool | None) -> list[str]:
     """
     if expected is None or is_updated == expected:
         return []
-    return ["b_hat is re-estimated, wrongly" if is_updated else "b_hat is not re-estimated, wrongly"]
+    if is_updated:
+        return ["b_hat is re-estimated, wrongly"]
+    return ["b_hat is not re-estimated, wrongly"]

@@ -4,19 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import asdict, dataclass
+from functools import partial
 from typing import Any, Protocol
 
 from mcp_asdf.robot import Config, FirmwareError, FixedPointRobot, Status
-from mcp_asdf_tools.crosscheck.checked_filters import CHECKED_FILTERS
+from mcp_asdf_tools.crosscheck.checked_filters import CHECKED_FILTERS, CheckedFilter
 from mcp_asdf_tools.crosscheck.scenario import (
-    REPLACING,
+    CALLS_THAT_REPLACE_ROBOT,
     Call,
     CallResult,
     Scenario,
     Setup,
     State,
-    edited_image,
-    perform,
+    edit_image,
+    make_call,
     unpack_image,
 )
 
@@ -42,14 +43,14 @@ class RobotUnderTest:
         self._firmware = firmware
         self._config = setup.config()
         self._robot: FixedPointRobot | None = None
-        self.last_result = self._run(lambda: self._make_robot(setup))
+        self.last_result = self._run_and_read(partial(self._make_robot, setup))
 
     def apply(self, call: Call) -> CallResult:
         """Make a call on the robot, and return its result, which is also kept as ``last_result``."""
-        self.last_result = self._run(lambda: self._make_call(call))
+        self.last_result = self._run_and_read(partial(self._make_call, call))
         return self.last_result
 
-    def _run(self, action: Callable[[], str]) -> CallResult:
+    def _run_and_read(self, action: Callable[[], str]) -> CallResult:
         """Run an action that returns an outcome, such as "OK", and return this with the robot after it.
 
         A FirmwareError is the firmware's way to refuse an action: its status is the outcome, and the robot's
@@ -64,17 +65,21 @@ class RobotUnderTest:
             return CallResult(f"{type(error).__name__}: {error}", {}, b"")
 
     def _make_robot(self, setup: Setup) -> str:
-        """Make the robot, and return the status."""
+        """Make the robot, and return the name of the status: "OK", as a refusal raises a FirmwareError."""
         self._robot = self._firmware(self._config, setup.robot_id, setup.b_hat / 2**32)
         return Status.OK.name
 
     def _make_call(self, call: Call) -> str:
-        """Make a call, which may replace the robot by one restored from its image; return its status."""
+        """Make a call, which may replace the robot by one restored from its image; return its status's name.
+
+        If an image is refused, a FirmwareError is raised and the robot stays.
+        """
         assert self._robot is not None
-        if call.name not in REPLACING:
-            return perform(self._robot, call).name
-        self._robot = self._firmware.restore(self._config, edited_image(self._robot.save(), call))
-        return Status.OK.name
+        if call.name in CALLS_THAT_REPLACE_ROBOT:
+            image = edit_image(self._robot.save(), call)
+            self._robot = self._firmware.restore(self._config, image)
+            return Status.OK.name
+        return make_call(self._robot, call).name
 
     def _state(self) -> State:
         """Return all that can be read of the robot, by name; an empty dictionary if there is no robot.
@@ -85,7 +90,7 @@ class RobotUnderTest:
         robot = self._robot
         if robot is None:
             return {}
-        return robot.state() | {
+        results = {
             "t()": robot.t,
             "n()": robot.n,
             "b_hat()": robot.b_hat_raw,
@@ -95,8 +100,10 @@ class RobotUnderTest:
             "beta()": robot.beta_raw,
             "x()": robot.x_raw,
             "holds_invariants()": robot.holds_invariants(),
-            **{f"{name}()": value for name, value in asdict(robot.counters).items()},
         }
+        for counter_name, count in asdict(robot.counters).items():
+            results[f"{counter_name}()"] = count
+        return robot.state() | results
 
     def _image(self) -> bytes:
         """Return the robot's state as ``save`` writes it; no bytes if there is no robot."""
@@ -129,12 +136,13 @@ class Failure:
         return {"problems": list(self.problems), "calls": calls, "replay": str(self.scenario)}
 
     def __str__(self) -> str:
-        calls = self.scenario.calls
+        setup, calls = self.scenario.setup, self.scenario.calls
         lines = [f"FAILED at call {len(calls)}; of two values that differ the first is native's"]
         # Number 0 is the robot itself.
-        lines += [f"  {number:3d}  {item}" for number, item in enumerate((self.scenario.setup, *calls))]
+        lines += [f"  {number:3d}  {item}" for number, item in enumerate([setup, *calls])]
         lines += [f"  wrong: {problem}" for problem in self.problems]
-        return "\n".join([*lines, f"replay: mcp-asdf crosscheck --replay {self.scenario}"])
+        lines.append(f"replay: mcp-asdf crosscheck --replay {self.scenario}")
+        return "\n".join(lines)
 
 
 CheckCall = Callable[[Setup, Call, CallResult, CallResult], list[str]]
@@ -149,17 +157,19 @@ def compare_firmwares(
 ) -> Failure | None:
     """Run a scenario on both firmwares, and return the first failure, or None if nothing is wrong.
 
-    A failure is a difference between them or, if they agree, a problem that ``check_call`` reports. It ends
-    the scenario at its call.
+    A failure is a difference between them or, if they agree, a problem that ``check_call`` reports. Its
+    scenario ends with the call that showed it. If both firmwares refuse to make the robot, nothing is wrong
+    and no call is made.
     """
     first_robot = RobotUnderTest(first, scenario.setup)
     second_robot = RobotUnderTest(second, scenario.setup)
     problems = list(differences(first_robot.last_result, second_robot.last_result))
     if problems:
-        return Failure(scenario.with_calls(()), tuple(problems))
-    has_robot = bool(first_robot.last_result.state)
-    if not has_robot:
-        return None  # Both firmwares have refused to make the robot, and there is nothing to call.
+        scenario_without_calls = scenario.replace_calls(())
+        return Failure(scenario_without_calls, tuple(problems))
+    is_robot_refused = first_robot.last_result.state == {}
+    if is_robot_refused:
+        return None
     for call_count, call in enumerate(scenario.calls, start=1):
         before = first_robot.last_result
         after = first_robot.apply(call)
@@ -168,23 +178,25 @@ def compare_firmwares(
         if check_call is not None and not problems:
             problems = check_call(scenario.setup, call, before, after)
         if problems:
-            return Failure(scenario.with_calls(scenario.calls[:call_count]), tuple(problems))
+            scenario_up_to_call = scenario.replace_calls(scenario.calls[:call_count])
+            return Failure(scenario_up_to_call, tuple(problems))
     return None
 
 
 def differences(first: CallResult, second: CallResult) -> Iterator[str]:
     """Yield a line for each difference between two results of the same call, with both values.
 
-    Compared are the outcomes, the fields of the states and the words of the images. An exception that no
-    firmware may raise gets a line even if both have raised it.
+    Compared are the outcomes and, where both results have them, the fields of the states and the words of the
+    images. An exception that no firmware may raise gets a line even if both have raised it.
     """
     if first.outcome != second.outcome:
         yield f"status: {first.outcome}, {second.outcome}"
     elif first.outcome not in Status.__members__:
         yield f"both: {first.outcome}"
-    # There is no state to compare without a robot, or after an exception.
-    if first == second or not first.state or not second.state:
-        return
+    if first == second:
+        return  # This is the usual case, which the loops below would only take time for.
+    if not first.state or not second.state:
+        return  # Without a robot, or after an exception, there is no state to compare.
     for name in first.state | second.state:
         first_value, second_value = first.state.get(name), second.state.get(name)
         if first_value != second_value:
@@ -217,22 +229,22 @@ def run_crosscheck(
 ) -> CrosscheckResult:
     """Check the random scenarios of ``seed`` until ``calls`` calls were made, a scenario fails, or Ctrl-C.
 
-    ``on_calls`` is called after each scenario with the number of calls that were made in it. The result says
-    how many calls and scenarios were checked, which scenario failed, and whether Ctrl-C ended the check.
+    ``on_calls`` is called after each scenario with the number of calls that were made in it. The last
+    scenario is cut short, so that no more than ``calls`` calls are made. The result says how many calls and
+    scenarios were checked, which scenario failed, and whether Ctrl-C ended the check.
     """
     result = CrosscheckResult()
     try:
         while result.calls < calls and result.failure is None:
-            # The last scenario is cut short, so that exactly ``calls`` calls are made.
             full_scenario = _generate_scenario(seed, result.scenarios)
             remaining_calls = calls - result.calls
-            scenario = full_scenario.with_calls(full_scenario.calls[:remaining_calls])
+            scenario = full_scenario.replace_calls(full_scenario.calls[:remaining_calls])
             result.failure = check_scenario(scenario)
-            # A failure ends its scenario at the call that showed it.
-            played_scenario = scenario if result.failure is None else result.failure.scenario
-            result.calls += len(played_scenario.calls)
+            # The scenario of a failure ends with the call that showed it: no more calls were made.
+            checked_scenario = scenario if result.failure is None else result.failure.scenario
+            result.calls += len(checked_scenario.calls)
             result.scenarios += 1
-            on_calls(len(played_scenario.calls))
+            on_calls(len(checked_scenario.calls))
     except KeyboardInterrupt:
         result.interrupted = True
     return result
@@ -244,11 +256,14 @@ def _generate_scenario(seed: int, index: int) -> Scenario:
     The scenarios of each filter are numbered by themselves: indexes 0 to 3 are the scenarios 0, 1 and 2 of
     robots with the paper's filters, and scenario 0 of those with the robust filter.
     """
-    turns = [checked for checked in CHECKED_FILTERS for _ in range(checked.scenarios_in_turn)]
-    round_index, turn_index = divmod(index, len(turns))
-    checked_filter = turns[turn_index]
-    # The scenarios of a filter's turn follow each other from its first place in ``turns`` on.
-    index_in_turn = turn_index - turns.index(checked_filter)
+    # The filter of each scenario of a round, in which every filter has its turn
+    filters_of_round: list[CheckedFilter] = []
+    for checked_filter in CHECKED_FILTERS:
+        filters_of_round += [checked_filter] * checked_filter.scenarios_in_turn
+    round_index, index_in_round = divmod(index, len(filters_of_round))
+    checked_filter = filters_of_round[index_in_round]
+    first_index_in_round = filters_of_round.index(checked_filter)
+    index_in_turn = index_in_round - first_index_in_round
     index_of_filter = round_index * checked_filter.scenarios_in_turn + index_in_turn
     return checked_filter.make_scenario(seed, index_of_filter)
 
@@ -260,20 +275,19 @@ def shrink(failure: Failure, check_scenario: CheckScenario) -> Failure:
     of its calls, or any one word that a restore replaces, the check passes. For a scenario of a hundred calls
     this takes a few hundred runs of the check.
     """
-    run_length = len(failure.scenario.calls)
-    # Long runs of calls are left out first, since most calls are not needed; then runs of half the length.
-    while run_length > 0:
-        shorter_failure = _find_first_failure(
-            _shorter_scenarios(failure.scenario, run_length), check_scenario
-        )
+    block_length = len(failure.scenario.calls)
+    # Long blocks of calls are left out first, since most calls are not needed, then half as long ones.
+    while block_length > 0:
+        shorter_scenarios = _shorter_scenarios(failure.scenario, block_length)
+        shorter_failure = _first_failure(shorter_scenarios, check_scenario)
         if shorter_failure is None:
-            run_length //= 2
+            block_length //= 2
         else:
             failure = shorter_failure
     return failure
 
 
-def _find_first_failure(scenarios: Iterable[Scenario], check_scenario: CheckScenario) -> Failure | None:
+def _first_failure(scenarios: Iterable[Scenario], check_scenario: CheckScenario) -> Failure | None:
     """Check scenarios up to the first that fails, and return its failure; None if all pass."""
     for scenario in scenarios:
         failure = check_scenario(scenario)
@@ -282,20 +296,22 @@ def _find_first_failure(scenarios: Iterable[Scenario], check_scenario: CheckScen
     return None
 
 
-def _shorter_scenarios(scenario: Scenario, run_length: int) -> Iterator[Scenario]:
-    """Yield shorter versions of a scenario, each without one run of ``run_length`` calls in a row.
+def _shorter_scenarios(scenario: Scenario, block_length: int) -> Iterator[Scenario]:
+    """Yield shorter versions of a scenario, each without one block of ``block_length`` calls in a row.
 
-    If ``run_length`` is 1, yield also versions in which a restore replaces one word less.
+    If ``block_length`` is 1, yield also versions in which a restore replaces one word less.
     """
     calls = scenario.calls
-    for start in range(0, len(calls), run_length):
-        yield scenario.with_calls(calls[:start] + calls[start + run_length :])
-    if run_length > 1:
+    for block_start in range(0, len(calls), block_length):
+        block_end = block_start + block_length
+        yield scenario.replace_calls(calls[:block_start] + calls[block_end:])
+    if block_length > 1:
         return
     for call_index, call in enumerate(calls):
         if call.name != "restore":
             continue
+        # The numbers are pairs: the index of a word, and its new value.
         for pair_start in range(0, len(call.numbers), 2):
             fewer_numbers = call.numbers[:pair_start] + call.numbers[pair_start + 2 :]
             shorter_call = Call("restore", fewer_numbers)
-            yield scenario.with_calls((*calls[:call_index], shorter_call, *calls[call_index + 1 :]))
+            yield scenario.replace_calls((*calls[:call_index], shorter_call, *calls[call_index + 1 :]))

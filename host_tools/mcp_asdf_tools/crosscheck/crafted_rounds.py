@@ -160,12 +160,10 @@ _MANY_ESTIMATES = 100
 """Size of a round from which on its sums have more bits than a float64."""
 _MAX_DRAWS, _MAX_DRAWS_OF_MANY = 300, 1500
 """Rounds that are drawn to find one that serves, and the same for rounds of many estimates."""
-_DRAWS_TO_MISLEAD_FLOATS = 60
+_ENOUGH_DRAWS = 60
 """Rounds of few estimates that are drawn to find one about which tests in float64 err.
 
 Of many estimates one or two of a hundred rounds do, and all draws are made to find one."""
-_HIGHEST_RANK = (2, True)
-"""Rank of two rounds about which both tests in float64 err, and which lead to the preferred update."""
 _MIN_RANGE = 1 << 13
 """Smallest distance between the smallest and the largest x_hat of a round that serves.
 
@@ -192,10 +190,12 @@ def draw_rounds_at_threshold(
 ) -> RoundsAtThreshold:
     """Draw two rounds of ``m`` estimates: the robot's test just rejects the second, and not the first.
 
-    They are as close to the test's threshold as x_hat in units of 2**-23 can be. Many pairs are drawn. Best
-    are those about which two tests in float64 err, then those about which one does. Among equally good ones
-    that is preferred whose second round leads to ``preferred_update``; it leads to some update in any case.
-    For fewer than a hundred estimates such a pair is good enough after 60 draws. The robot must have a table.
+    They are as close to the test's threshold as x_hat in units of 2**-23 can be. Many pairs are drawn, and
+    the best is returned. Best are those about which two tests in float64 err, then those about which one
+    does. Among equally good pairs those are best whose second round leads to ``preferred_update``; it leads
+    to some update in any case. The search ends early with a pair that is best in both respects. For fewer
+    than a hundred estimates it ends after 60 draws if the best pair leads to the preferred update. The robot
+    must have a table.
     """
     assert robot.table is not None
     is_large = m >= _MANY_ESTIMATES
@@ -209,12 +209,12 @@ def draw_rounds_at_threshold(
         if rounds is None:
             continue
         # The number of tests that err is compared first, and the update if that number is equal.
-        rank = (_count_misled_float_tests(robot, rounds), rounds.update is preferred_update)
+        rank = (_count_wrong_float_tests(robot, rounds), rounds.update is preferred_update)
         if rank > best_rank:
             best_rounds, best_rank = rounds, rank
-        _, has_preferred_update = best_rank
-        has_searched_enough = draw_index >= _DRAWS_TO_MISLEAD_FLOATS and not is_large
-        if best_rank == _HIGHEST_RANK or (has_preferred_update and has_searched_enough):
+        wrong_float_tests, has_preferred_update = best_rank
+        is_good_enough = wrong_float_tests == 2 or (draw_index >= _ENOUGH_DRAWS and not is_large)
+        if has_preferred_update and is_good_enough:
             break
     assert best_rounds is not None, f"no round of {m} estimates lies at the threshold of {robot}"
     return best_rounds
@@ -242,8 +242,9 @@ def _draw_useful_rounds(
     outside = list(map(NeighbourEstimate, outside_x_hats, alphas))
     update = robot.update_after(outside)
     assert update is not None  # as the test rejects
-    # A b_hat that is kept would not show that the test has rejected.
-    return None if update is Update.KEPT else RoundsAtThreshold(inside, outside, update)
+    if update is Update.KEPT:
+        return None  # A b_hat that is kept would not show that the test has rejected.
+    return RoundsAtThreshold(inside, outside, update)
 
 
 @dataclass(frozen=True)
@@ -269,36 +270,46 @@ class _TwoGroups:
     direction: int
 
     def threshold_of_ratio(self, table_entry: int) -> Fraction:
-        """Return the ratio u / gap above which the test rejects; ``table_entry`` is k_m, as in a table."""
-        # Entries of the table have FRACTION_BITS fraction bits, and the root _ROOT_BITS.
+        """Return the ratio u / gap above which the test rejects; ``table_entry`` is k_m, as in a table.
+
+        That is (sqrt(k_m near_count far_count) - far_count) / m, with the root rounded down to 100 bits.
+        """
+        # Entries of the table have FRACTION_BITS fraction bits, so this product has as many. A square whose
+        # root is to have _ROOT_BITS needs twice as many as the root.
         product = table_entry * self.near_count * self.far_count
-        root = isqrt(product << (2 * _ROOT_BITS - FRACTION_BITS))
+        scaled_root = isqrt(product << (2 * _ROOT_BITS - FRACTION_BITS))
+        root = Fraction(scaled_root, 1 << _ROOT_BITS)
         m = self.near_count + self.far_count
-        return (Fraction(root, 1 << _ROOT_BITS) - self.far_count) / m
+        return (root - self.far_count) / m
 
     def largest_gap(self, ratio: Fraction) -> Fraction:
         """Return the largest gap for which both groups are between 0 and 1, with this ratio of u to it."""
         room_above, room_below = ONE - self.own_x_hat, self.own_x_hat
+        # Ahead is the direction in which the far group lies.
         if self.direction > 0:
             room_ahead, room_behind = room_above, room_below
         else:
             room_ahead, room_behind = room_below, room_above
-        # The far group is ratio + 1 gaps ahead of the own x_hat.
-        largest_gap = room_ahead / (ratio + 1)
-        if ratio < 0:
-            # The near group is behind.
-            largest_gap = min(largest_gap, room_behind / -ratio)
-        return largest_gap
+        # In units of the gap the far group is ratio + 1 ahead of the own x_hat.
+        gap_of_room_ahead = room_ahead / (ratio + 1)
+        if ratio >= 0:
+            return gap_of_room_ahead
+        # The near group is -ratio gaps behind the own x_hat.
+        gap_of_room_behind = room_behind / -ratio
+        return min(gap_of_room_ahead, gap_of_room_behind)
 
-    def place(self, ratio: Fraction, max_gap: int) -> list[int]:
+    def make_x_hats(self, ratio: Fraction, max_gap: int) -> list[int]:
         """Return x_hat of both groups for a ratio of u to the gap, with the largest gap up to ``max_gap``.
 
         Pairs of equal x_hat come first: the near group's pairs, then the far group's. At the end there is one
         x_hat of each group that has an odd size.
         """
-        factor = max_gap // ratio.denominator  # a gap that is a multiple of it makes u a whole number
-        near = self.own_x_hat + self.direction * factor * ratio.numerator
-        far = near + self.direction * factor * ratio.denominator
+        # The gap is a multiple of the ratio's denominator, so that u is a whole number, too.
+        factor = max_gap // ratio.denominator
+        gap = factor * ratio.denominator
+        u = factor * ratio.numerator
+        near = self.own_x_hat + self.direction * u
+        far = near + self.direction * gap
         near_pairs, near_singles = divmod(self.near_count, 2)
         far_pairs, far_singles = divmod(self.far_count, 2)
         pairs = [near, near] * near_pairs + [far, far] * far_pairs
@@ -332,7 +343,8 @@ def draw_x_hats_at_threshold(
     if max_gap < 1:
         return None
     ratio_below, ratio_above = fractions_around(threshold, max_gap)
-    inside, outside = groups.place(ratio_below, max_gap), groups.place(ratio_above, max_gap)
+    inside = groups.make_x_hats(ratio_below, max_gap)
+    outside = groups.make_x_hats(ratio_above, max_gap)
     pair_count = groups.near_count // 2 + groups.far_count // 2
     if pair_count > 0:
         # Eq. 12 in integers: it rejects while entry * scatter < difference**2 * 2**FRACTION_BITS. Both rounds
@@ -340,10 +352,12 @@ def draw_x_hats_at_threshold(
         rejected = outside
         difference = sum(rejected) - m * own_x_hat
         largest_rejected_scatter = (difference**2 * 2**FRACTION_BITS - 1) // table_entry
-        inside = _raise_scatter(rejected, pair_count, largest_rejected_scatter + 1, is_at_least=True)
-        outside = _raise_scatter(rejected, pair_count, largest_rejected_scatter, is_at_least=False)
-    has_room = all(0 <= x_hat <= ONE for x_hat in (*inside, *outside))
-    return (inside, outside) if has_room else None
+        inside = _move_apart_in_pairs(rejected, pair_count, largest_rejected_scatter + 1, is_at_least=True)
+        outside = _move_apart_in_pairs(rejected, pair_count, largest_rejected_scatter, is_at_least=False)
+    smallest_x_hat, largest_x_hat = min(inside + outside), max(inside + outside)
+    if smallest_x_hat < 0 or largest_x_hat > ONE:
+        return None
+    return inside, outside
 
 
 def fractions_around(value: Fraction, max_denominator: int) -> tuple[Fraction, Fraction]:
@@ -352,28 +366,30 @@ def fractions_around(value: Fraction, max_denominator: int) -> tuple[Fraction, F
     Their denominators are at most ``max_denominator``.
     """
     nearest = value.limit_denominator(max_denominator)
+    is_nearest_below = nearest <= value
+    # The other one is the neighbour c/d of a/b, the nearest, on the other side of the value. Fractions with
+    # b c - a d = 1 or -1 are neighbours: all fractions between them have larger denominators.
     a, b = nearest.numerator, nearest.denominator
-    is_below = nearest <= value
-    # Fractions a/b and c/d with |a d - b c| = 1 are neighbours: all between them have larger denominators.
-    sign = 1 if is_below else -1
-    # c = (a d + sign) / b must be a whole number, so that d is -sign / a modulo b. All such d differ by
+    side = 1 if is_nearest_below else -1
+    # c = (a d + side) / b must be a whole number, so that d is -side / a modulo b. All such d differ by
     # multiples of b, and the largest gives the nearest neighbour.
-    smallest_d = -sign * pow(a, -1, b) % b
+    inverse_of_a = pow(a, -1, b)
+    smallest_d = (-side * inverse_of_a) % b
     d = smallest_d + (max_denominator - smallest_d) // b * b
-    c = (a * d + sign) // b
+    c = (a * d + side) // b
     neighbour = Fraction(c, d)
-    return (nearest, neighbour) if is_below else (neighbour, nearest)
+    return (nearest, neighbour) if is_nearest_below else (neighbour, nearest)
 
 
 def scatter_of(x_hats: Sequence[int]) -> int:
-    """Return m Sum x^2 - (Sum x)^2, which is m (m - 1) times the variance of m x_hat."""
+    """Return m Sum x^2 - (Sum x)^2, which is m (m - 1) times the sample variance of the m x_hat."""
     m = len(x_hats)
     total = sum(x_hats)
     sum_of_squares = sum(x * x for x in x_hats)
     return m * sum_of_squares - total * total
 
 
-def _raise_scatter(x_hats: Sequence[int], pair_count: int, target: int, is_at_least: bool) -> list[int]:
+def _move_apart_in_pairs(x_hats: Sequence[int], pair_count: int, target: int, is_at_least: bool) -> list[int]:
     """Return a copy of ``x_hats``, some moved apart in pairs, so that their scatter reaches a target.
 
     Their sum stays. The scatter, as `scatter_of` computes it, must not be above ``target`` before. It ends
@@ -382,40 +398,41 @@ def _raise_scatter(x_hats: Sequence[int], pair_count: int, target: int, is_at_le
     have left.
     """
     m = len(x_hats)
-    changed = list(x_hats)
-    missing = target - scatter_of(x_hats)
+    changed_x_hats = list(x_hats)
+    missing_scatter = target - scatter_of(x_hats)
     for pair_index in range(pair_count):
-        # Two equal values that are moved by ``move`` each add 2 m move**2 to the scatter.
-        move = isqrt(missing // (2 * m))
+        # Two equal values add 2 m move**2 to the scatter if one is moved down and the other up by ``move``.
+        move = isqrt(missing_scatter // (2 * m))
         is_last_pair = pair_index == pair_count - 1
-        is_below_target = 2 * m * move**2 < missing
+        is_below_target = 2 * m * move**2 < missing_scatter
         if is_at_least and is_last_pair and is_below_target:
             move += 1
-        changed[2 * pair_index] -= move
-        changed[2 * pair_index + 1] += move
-        missing -= 2 * m * move**2
-    return changed
+        changed_x_hats[2 * pair_index] -= move
+        changed_x_hats[2 * pair_index + 1] += move
+        missing_scatter -= 2 * m * move**2
+    return changed_x_hats
 
 
-def _count_misled_float_tests(robot: RobotState, rounds: RoundsAtThreshold) -> int:
+def _count_wrong_float_tests(robot: RobotState, rounds: RoundsAtThreshold) -> int:
     """Return how many of two tests in float64 decide wrongly about one of these rounds: 0, 1 or 2.
 
     The right test passes the round ``inside`` and rejects the round ``outside``. One of the two tests
     computes all of eq. 12 in float64, the other its right side alone.
     """
     assert robot.table is not None
-    is_float_test_misled = is_float_limit_misled = False
+    is_float_test_wrong = is_float_limit_wrong = False
     for estimates, should_reject in ((rounds.inside, False), (rounds.outside, True)):
-        x_hats = [x_hat for x_hat, _ in estimates]
-        difference = sum(x_hats) - len(x_hats) * robot.x_hat
-        limit = limit_in_float64(robot.table, len(x_hats), scatter_of(x_hats))
-        float_test_rejects = float(difference) ** 2 > limit
-        float_limit_rejects = difference**2 > int(limit)
+        x_hats = [estimate.x_hat for estimate in estimates]
+        m = len(x_hats)
+        difference = sum(x_hats) - m * robot.x_hat
+        float_limit = limit_in_float64(robot.table, m, scatter_of(x_hats))
+        float_test_rejects = float(difference) ** 2 > float_limit
+        test_with_float_limit_rejects = difference**2 > int(float_limit)
         if float_test_rejects != should_reject:
-            is_float_test_misled = True
-        if float_limit_rejects != should_reject:
-            is_float_limit_misled = True
-    return is_float_test_misled + is_float_limit_misled
+            is_float_test_wrong = True
+        if test_with_float_limit_rejects != should_reject:
+            is_float_limit_wrong = True
+    return int(is_float_test_wrong) + int(is_float_limit_wrong)
 
 
 def limit_in_float64(table: Table, m: int, scatter: int) -> float:
@@ -461,9 +478,10 @@ def draw_round_for_update(
         if update is Update.KEPT:
             # Two estimates of the same confidence whose mean is 1/2
             distance, alpha = rng.randint(1, 1 << 12), draw_normal_alpha(rng)
-            estimates = [NeighbourEstimate(HALF + side * distance, alpha) for side in (-1, 1)]
+            estimates = [NeighbourEstimate(HALF - distance, alpha), NeighbourEstimate(HALF + distance, alpha)]
         else:
-            x_bar = round(rng.uniform(*_X_BAR_RANGES[update]) * ONE)
+            lowest_x_bar, highest_x_bar = _X_BAR_RANGES[update]
+            x_bar = round(rng.uniform(lowest_x_bar, highest_x_bar) * ONE)
             max_distance = rng.randint(1, ONE >> 7)
             x_hats = [x_bar + rng.randint(-max_distance, max_distance) for _ in range(m)]
             limited_x_hats = [min(max(x_hat, 0), ONE) for x_hat in x_hats]
@@ -475,7 +493,7 @@ def draw_round_for_update(
 
 
 def draw_distant_estimates(robot: RobotState, rng: Random, m: int = 4) -> list[NeighbourEstimate]:
-    """Draw ``m`` estimates that the test rejects: near 0 or 1, whichever is further from the own x_hat."""
+    """Draw ``m`` estimates that the test rejects: near 0 or 1, whichever is farther from the own x_hat."""
     farther_end = 0 if robot.x_hat > HALF else ONE
     estimates = []
     for _ in range(m):
@@ -485,7 +503,7 @@ def draw_distant_estimates(robot: RobotState, rng: Random, m: int = 4) -> list[N
     return estimates
 
 
-_LARGE_ROUND = 126
+_ESTIMATES_OF_LARGE_ROUND = 126
 """Number of all other robots, if one id is left out."""
 
 
@@ -496,7 +514,7 @@ def draw_round_of_large_scatter(robot: RobotState, rng: Random) -> list[Neighbou
     must have a table.
     """
     assert robot.table is not None
-    m = _LARGE_ROUND
+    m = _ESTIMATES_OF_LARGE_ROUND
     threshold = robot.table.entry(m) / 2**FRACTION_BITS
     best_count, best_margin = 0, 0.0
     for count_of_ones in range(1, m):
@@ -509,9 +527,9 @@ def draw_round_of_large_scatter(robot: RobotState, rng: Random) -> list[Neighbou
         # clearly pass, and the scatter without these bits clearly reject.
         margin_of_passing = threshold * scatter / difference_squared
         margin_of_rejecting = difference_squared / (threshold * scatter_without_bits)
-        margin = min(margin_of_passing, margin_of_rejecting)
-        if margin > best_margin:
-            best_count, best_margin = count_of_ones, margin
+        smaller_margin = min(margin_of_passing, margin_of_rejecting)
+        if smaller_margin > best_margin:
+            best_count, best_margin = count_of_ones, smaller_margin
     x_hats = [ONE] * best_count + [0] * (m - best_count)
     return list(map(NeighbourEstimate, x_hats, draw_alphas_of_one_scale(rng, m)))
 
@@ -522,17 +540,18 @@ def draw_round_of_distant_sum(robot: RobotState, rng: Random) -> list[NeighbourE
     It is the square of Sum x - m x_hat in eq. 12. That difference is a multiple of 2**27 here, so that its
     square is 0 without the bits from 2**54 on.
     """
-    m, unit = _LARGE_ROUND, 1 << 27
-    own_sum = m * robot.x_hat
+    m = _ESTIMATES_OF_LARGE_ROUND
+    unit_of_difference = 1 << 27
+    sum_of_no_difference = m * robot.x_hat
     # The sum lies as far from m x_hat as there is room for, towards 0 or 1, whichever is farther away.
     if robot.x_hat < HALF:
-        direction, room = 1, m * ONE - own_sum
+        direction, room = 1, m * ONE - sum_of_no_difference
     else:
-        direction, room = -1, own_sum
-    largest_difference = room // unit * unit
-    total = own_sum + direction * largest_difference
+        direction, room = -1, sum_of_no_difference
+    difference = room // unit_of_difference * unit_of_difference
+    sum_of_x_hats = sum_of_no_difference + direction * difference
     # All x_hat are as near the mean as whole numbers with this sum can be.
-    mean, remainder = divmod(total, m)
+    mean, remainder = divmod(sum_of_x_hats, m)
     x_hats = [mean + 1] * remainder + [mean] * (m - remainder)
     # Moving two of them apart gives a scatter above 0, but far below the square.
     x_hats[0] -= 8
@@ -555,6 +574,7 @@ EXTREME_ROUNDS: dict[str, list[NeighbourEstimate]] = {
         NeighbourEstimate(HALF + 1, ALPHA_ONE),
     ],
     "estimates of 0 and 1": [NeighbourEstimate(x_hat, 0x8000_0005) for x_hat in (0, ONE, 1, ONE - 1)],
-    "126 messages of the largest confidence": [NeighbourEstimate(ONE - 1, ALPHA_MAX)] * _LARGE_ROUND,
+    "126 messages of the largest confidence": [NeighbourEstimate(ONE - 1, ALPHA_MAX)]
+    * _ESTIMATES_OF_LARGE_ROUND,
 }
 """Estimates at the ends of their ranges, for one round each, by what they have in common."""

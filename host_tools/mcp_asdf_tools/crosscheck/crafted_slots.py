@@ -74,7 +74,8 @@ class SlotsAtTest:
 
 def centre_and_spread(estimates: Sequence[int]) -> tuple[int, int]:
     """Return the centre and the spread of estimates, which are in units of 2**-16, in units of 2**-24."""
-    return centre_and_spread_of(sorted(q24_from_q16(estimate) for estimate in estimates))
+    ascending_q24_estimates = sorted(q24_from_q16(estimate) for estimate in estimates)
+    return centre_and_spread_of(ascending_q24_estimates)
 
 
 def filter_at_test(state: State) -> RobustFilter:
@@ -95,11 +96,11 @@ def estimate_that_predicts(robust: RobustFilter, share: float) -> int:
     the largest one, whichever predicts a nearer one. With an initial b_hat of exactly 1/2 every estimate
     predicts a share of 1/2; then the result is 1/2.
     """
-    b_hat = robust.initial_b_hat / 2**32
-    if b_hat == 0.5:
+    initial_b_hat = robust.initial_b_hat / 2**32
+    if initial_b_hat == 0.5:
         return SLOT_HALF
     # This solves share = b_hat * fill_ratio + (1 - b_hat) * (1 - fill_ratio).
-    fill_ratio = (share + b_hat - 1) / (2 * b_hat - 1)
+    fill_ratio = (share + initial_b_hat - 1) / (2 * initial_b_hat - 1)
     return _limit_estimate(round(fill_ratio * SLOT_ONE))
 
 
@@ -135,16 +136,16 @@ def draw_slots_at_threshold(
 
     def slots_after(steps: int) -> SlotsAtTest:
         """Return the estimates after so many steps; each step moves one of them by a unit, in turn."""
-        steps_of_each, remaining_steps = divmod(steps, count)
+        full_rounds, remaining_steps = divmod(steps, count)
         estimates = []
         for index, estimate in enumerate(start_estimates):
-            # The first estimates have taken a step more: the turn has not come round to the others.
-            own_steps = steps_of_each + 1 if index < remaining_steps else steps_of_each
-            estimates.append(_limit_estimate(estimate + direction * own_steps))
+            has_step_of_last_round = index < remaining_steps
+            move = full_rounds + 1 if has_step_of_last_round else full_rounds
+            estimates.append(_limit_estimate(estimate + direction * move))
         return SlotsAtTest(tuple(estimates), robust, state.t, state.n)
 
-    # After the most steps all estimates are at the end of the range.
-    accepted_steps, rejected_steps = 0, count * SLOT_ONE
+    accepted_steps = 0
+    rejected_steps = count * SLOT_ONE  # moves all estimates to the end of the range
     if slots_after(accepted_steps).is_rejected() or not slots_after(rejected_steps).is_rejected():
         return None
     # Bisection: the test does not reject after the smaller number of steps, and does after the larger.
@@ -154,8 +155,10 @@ def draw_slots_at_threshold(
             rejected_steps = middle_steps
         else:
             accepted_steps = middle_steps
-    accepted, rejected = slots_after(accepted_steps), slots_after(rejected_steps)
-    return None if rejected.is_supported else (accepted, rejected)
+    rejected_slots = slots_after(rejected_steps)
+    if rejected_slots.is_supported:
+        return None
+    return slots_after(accepted_steps), rejected_slots
 
 
 def slots_with_supporters(robot: MirrorRobot, count: int, supporter_count: int) -> SlotsAtTest | None:
@@ -172,8 +175,9 @@ def slots_with_supporters(robot: MirrorRobot, count: int, supporter_count: int) 
     estimates = (supporter,) * supporter_count + (other,) * (count - supporter_count)
     slots = SlotsAtTest(estimates, robust, state.t, state.n)
     should_be_supported = 5 * supporter_count > 2 * count  # more than two in five
-    are_supporters_recognized = slots.is_supported == should_be_supported
-    return slots if slots.is_rejected() and are_supporters_recognized else None
+    if not slots.is_rejected() or slots.is_supported != should_be_supported:
+        return None
+    return slots
 
 
 def _limit_estimate(estimate: int) -> int:

@@ -61,8 +61,10 @@ class ImageLayout:
 
     def pack_sender(self, sender: int) -> dict[int, int]:
         """Return the word of the open round's senders that has the bit of this id, with no other bit set."""
+        # Four words of senders are followed by three with the counters, and by the checksum.
         first_senders_word = self.word_count - 8
-        return {first_senders_word + sender // 32: 1 << (sender % 32)}
+        word_index = first_senders_word + sender // 32
+        return {word_index: 1 << (sender % 32)}
 
 
 def layout_of(filter_number: int) -> ImageLayout:
@@ -106,7 +108,7 @@ def pack_closed_round(sums: Sums) -> dict[int, int]:
     return dict(enumerate(words, CLOSED_ROUND_WORD))
 
 
-def pack_open_round_from_all(sums: Sums, robot_id: int) -> dict[int, int]:
+def pack_open_round_with_all_senders(sums: Sums, robot_id: int) -> dict[int, int]:
     """Return words 13 to 26 of an image, by index, for a robot whose open round has these sums.
 
     They are alpha, alpha_x_low, alpha_x_high and x_squared, of two words each, x and the count of one word
@@ -120,8 +122,9 @@ def pack_open_round_from_all(sums: Sums, robot_id: int) -> dict[int, int]:
         sums.x,
         sums.count,
     ]
+    # The senders are a mask with a bit for each id, of which each word has 32.
     all_senders = (1 << (MAX_ID + 1)) - 1
     other_senders = all_senders ^ (1 << robot_id)
-    # Each word has the bits of 32 ids.
-    sender_words = [(other_senders >> first_id) & MAX_32_BITS for first_id in range(0, MAX_ID + 1, 32)]
-    return dict(enumerate([*words, *sender_words], OPEN_ROUND_WORD))
+    for first_id in range(0, MAX_ID + 1, 32):
+        words.append((other_senders >> first_id) & MAX_32_BITS)
+    return dict(enumerate(words, OPEN_ROUND_WORD))

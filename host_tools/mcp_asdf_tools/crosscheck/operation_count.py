@@ -96,14 +96,17 @@ def workloads_along(axis: str) -> Iterator[Workload]:
 def _workloads_along_t() -> Iterator[Workload]:
     """Yield workloads of every number of observations that is a power of two, or one less, up to 2**31.
 
-    Where a robot's memory may have that size, one more workload has the memory that ends there.
+    They have several b_hat and numbers of black observations. Where a robot's memory may have the size of
+    t, one more workload has that memory, which then halves t and n.
     """
-    powers_of_two = [1 << exponent for exponent in range(32)]
-    t_values = sorted({t for power in powers_of_two for t in (power - 1, power) if t > 0})
+    powers_of_two = {1 << exponent for exponent in range(32)}
+    numbers_below = {power - 1 for power in powers_of_two}
+    t_values = sorted((powers_of_two | numbers_below) - {0})
     for t, checked_filter in product(t_values, CHECKED_FILTERS):
         # Both limits, 1/2, which carries no information, and 0.95
         for b_hat in (B_HAT_MIN, 1 << 31, round(0.95 * 2**32), B_HAT_MAX):
-            for n in sorted({0, 2 * t // 5, t}):  # no, some and all observations are black
+            # No, some and all observations are black. Where t is small, two of these numbers may be equal.
+            for n in sorted({0, 2 * t // 5, t}):
                 yield checked_filter.workload(t=t, n=n, b_hat=b_hat)
         is_legal_memory = t >= MIN_MEMORY and t % 4 == 0
         if is_legal_memory:
@@ -111,11 +114,14 @@ def _workloads_along_t() -> Iterator[Workload]:
 
 
 def _workloads_along_m() -> Iterator[Workload]:
-    """Yield workloads of every number of messages in a round, in each of the situations of their class."""
+    """Yield workloads of every number of messages in a round, in each of the situations of their class.
+
+    A situation is a dictionary of the other attributes of a workload.
+    """
     for m in range(MAX_ROUND_SIZE + 1):
         for checked_filter in CHECKED_FILTERS:
-            for situation in checked_filter.workload.situations:
-                yield checked_filter.workload(m=m, **situation)
+            for other_attributes in checked_filter.workload.situations:
+                yield checked_filter.workload(m=m, **other_attributes)
 
 
 def _workloads_along_q() -> Iterator[Workload]:
@@ -125,8 +131,8 @@ def _workloads_along_q() -> Iterator[Workload]:
     entry for q, and the entry for all larger m.
     """
     for q in range(MIN_Q, MAX_Q + 1):
-        larger_m = min(q + 1, MAX_ROUND_SIZE)  # no round is larger than the largest q
-        for m in (2, q, larger_m):
+        m_above_q = min(q + 1, MAX_ROUND_SIZE)  # No round has more messages than the largest q.
+        for m in (2, q, m_above_q):
             yield Workload(q=q, m=m)
 
 
@@ -135,46 +141,52 @@ def count_operations(firmware: type[MirrorRobot] = MirrorRobot, axes: Collection
 
     Returns the largest number by call, axis and value on the axis. It takes a few seconds for all axes.
     """
-    counts: Counts = {
-        checked_filter.label(name): {axis: {} for axis in axes}
-        for checked_filter in CHECKED_FILTERS
-        for name in CALLS
-    }
+    counts: Counts = {}
+    for checked_filter in CHECKED_FILTERS:
+        for call_name in CALLS:
+            counts[checked_filter.label(call_name)] = {axis: {} for axis in axes}
     for axis in axes:
         for workload in workloads_along(axis):
-            value: int = getattr(workload, axis)
+            value_on_axis: int = getattr(workload, axis)
             checked_filter = checked_filter_of(workload.filter)
             robot = workload.make_robot(firmware)
-            for name, call in CALLS.items():
-                # Each call is made on a copy, since calls change the robot. Its configuration stays the same.
-                copied_robot = firmware.__new__(firmware)
-                copied_robot.config = robot.config
-                copied_robot.s = deepcopy(robot.s)
-                count = count_instructions(partial(call, copied_robot))
-                count_by_value = counts[checked_filter.label(name)][axis]
-                count_by_value[value] = max(count_by_value.get(value, 0), count)
+            for call_name, call in CALLS.items():
+                count = count_instructions(partial(call, _copy_robot(robot)))
+                count_by_value = counts[checked_filter.label(call_name)][axis]
+                largest_count = count_by_value.get(value_on_axis, 0)
+                count_by_value[value_on_axis] = max(largest_count, count)
     return counts
 
 
-def find_growth(counts: Counts) -> list[str]:
-    """Return a line for each call that takes more instructions in the later half of an axis than before.
+def _copy_robot(robot: MirrorRobot) -> MirrorRobot:
+    """Return a robot of the same configuration with a copy of the state, so that a call may change it."""
+    # The copy is made without its __init__, which would compute a new state.
+    firmware = type(robot)
+    robot_copy = firmware.__new__(firmware)
+    robot_copy.config = robot.config
+    robot_copy.s = deepcopy(robot.s)
+    return robot_copy
 
-    Calls that were cut short are among them.
+
+def find_growth(counts: Counts) -> list[str]:
+    """Return a line for each call that takes more instructions in the upper half of an axis than below.
+
+    Calls that were cut short in the upper half are among them. An axis without counts is left out.
     """
     problems = []
-    for name, count_by_axis in counts.items():
+    for call_name, count_by_axis in counts.items():
         for axis, count_by_value in count_by_axis.items():
             values = sorted(count_by_value)
             # Paths through a call differ in length, wherever on the axis they are taken. So the maxima of
             # both halves of the axis are compared, not single counts.
             middle = len(values) // 2
-            early_maximum = max((count_by_value[value] for value in values[:middle]), default=0)
-            late_maximum = max((count_by_value[value] for value in values[middle:]), default=0)
-            # A call that was cut short has a count above the limit, even if earlier ones were cut short, too.
-            if late_maximum > min(early_maximum, _MAX_INSTRUCTIONS):
-                late_range = f"where {axis} is {values[middle]} to {values[-1]}"
+            lower_maximum = max((count_by_value[value] for value in values[:middle]), default=0)
+            upper_maximum = max((count_by_value[value] for value in values[middle:]), default=0)
+            # A call that was cut short has a count above the limit, even if lower ones were cut short, too.
+            if upper_maximum > min(lower_maximum, _MAX_INSTRUCTIONS):
+                upper_half = f"where {axis} is {values[middle]} to {values[-1]}"
                 problems.append(
-                    f"{name}: {late_maximum} instructions {late_range}, but {early_maximum} below"
+                    f"{call_name}: {upper_maximum} instructions {upper_half}, but {lower_maximum} below"
                 )
     return problems
 

@@ -24,7 +24,7 @@ from mcp_asdf_tools.crosscheck.bounds import (
     x_hat_bounds,
 )
 from mcp_asdf_tools.crosscheck.checked_filters import CHECKED_FILTERS, checked_filter_of
-from mcp_asdf_tools.crosscheck.checks import alpha_units, check_bounds, check_update, is_observation
+from mcp_asdf_tools.crosscheck.checks import alpha_units, check_bounds, check_whether_updated, is_observation
 from mcp_asdf_tools.crosscheck.scenario import Call, CallResult, Setup, State
 
 REGIONS = (
@@ -82,16 +82,19 @@ class Audit:
         changes of b_hat; and after an observation x_hat and alpha. Errors of results, and events of filters,
         are added to the attributes.
         """
-        problems = [] if after.state["holds_invariants()"] else ["the invariants do not hold"]
+        problems = []
+        if not after.state["holds_invariants()"]:
+            problems.append("the invariants do not hold")
         if is_observation(call, after):
             problems += self._check_estimate(before.state["b_hat()"], after.state)
-        check_filter = checked_filter_of(setup.filter).check_call
-        return problems + check_filter(self, setup, call, before, after)
+        check_call_of_filter = checked_filter_of(setup.filter).check_call
+        return problems + check_call_of_filter(self, setup, call, before, after)
 
     def _check_estimate(self, units_of_b_hat: int, state: State) -> list[str]:
         """Collect the errors of x_hat and alpha after an observation, and return a line for each wrong one.
 
-        ``units_of_b_hat`` is b_hat, the accuracy with which they were computed, in units of 2**-32.
+        ``units_of_b_hat`` is b_hat, the accuracy with which they were computed, in units of 2**-32. The error
+        of an alpha below 1/2 is not collected.
         """
         n, t = state["n"], state["t"]
         b_hat = Fraction(units_of_b_hat, 2**32)
@@ -99,37 +102,40 @@ class Audit:
         alpha = Fraction(alpha_units(state["alpha"]), 2**24)
         region = region_of(2 * b_hat - 1)
 
-        # Against float64, too, with which users compare the firmware.
+        # Errors are collected against float64, too, with which users compare the firmware.
         exact_error = x_hat - local_estimate(n, t, b_hat)
-        self.errors["x_hat", region].add(exact_error, float(x_hat) - local_estimate(n, t, float(b_hat)))
-        exact = exact_alpha(n, t, b_hat)
-        if exact >= Fraction(1, 2):
+        float64_error = float(x_hat) - local_estimate(n, t, float(b_hat))
+        self.errors["x_hat", region].add(exact_error, float64_error)
+        right_alpha = exact_alpha(n, t, b_hat)
+        if right_alpha >= Fraction(1, 2):
             float64_alpha = min(local_confidence(n, t, float(b_hat)), float(LARGEST_ALPHA))
-            self.errors["alpha", region].add(alpha / exact - 1, float(alpha) / float64_alpha - 1)
+            relative_error = alpha / right_alpha - 1
+            self.errors["alpha", region].add(relative_error, float(alpha) / float64_alpha - 1)
         problems = check_bounds("x_hat", x_hat, x_hat_bounds(n, t, b_hat))
-        return problems + check_bounds("alpha", alpha, alpha_bounds(n, t, b_hat))
+        problems += check_bounds("alpha", alpha, alpha_bounds(n, t, b_hat))
+        return problems
 
     def check_b_hat(self, state: State, x_bar: Fraction, is_updated: bool) -> list[str]:
         """Return a line if b_hat is wrong after the filter had to re-estimate it from this exact x_bar.
 
-        The filter must also have kept b_hat where x_bar carries no information. The error of b_hat is
-        collected.
+        The filter must also have kept b_hat where x_bar carries no information. The error of a b_hat that was
+        re-estimated is collected.
         """
-        is_expected = is_update_expected(x_bar)
-        # Either no b_hat was computed, or none must have been; then there is no right one to compare with.
+        is_expected = is_update_expected(x_bar)  # None if rounding may decide it
         if not is_updated or is_expected is False:
-            return check_update(is_updated, is_expected)
+            # No b_hat was computed, or none must have been: there is no right one to compare with.
+            return check_whether_updated(is_updated, is_expected)
         n, t = state["n"], state["t"]
         b_hat = Fraction(state["b_hat()"], 2**32)
-        exact = assumed_accuracy_update(n, t, x_bar, UNGUARDED)
-        assert exact is not None
+        exact_b_hat = assumed_accuracy_update(n, t, x_bar, UNGUARDED)
+        assert exact_b_hat is not None
         float64_b_hat = assumed_accuracy_update(n, t, float(x_bar))
         # Next to 1/2 float64 may find x_bar uninformative, and has nothing to compare with.
         if float64_b_hat is not None:
             errors = self.errors["b_hat", region_of(2 * x_bar - 1)]
-            errors.add(b_hat - exact, float(b_hat) - float64_b_hat)
+            errors.add(b_hat - exact_b_hat, float(b_hat) - float64_b_hat)
         largest_error = b_hat_error(x_bar)
-        return check_bounds("b_hat", b_hat, (exact - largest_error, exact + largest_error))
+        return check_bounds("b_hat", b_hat, (exact_b_hat - largest_error, exact_b_hat + largest_error))
 
     def as_dict(self) -> dict[str, Any]:
         """Return the errors, the number of tests and the events of each filter as plain data, for JSON.
@@ -140,13 +146,14 @@ class Audit:
         for (quantity, region), errors in self.errors.items():
             if errors.samples > 0:
                 error_rows.append({"quantity": quantity, "region": region, **asdict(errors)})
-        return {
-            "errors": error_rows,
-            "tests": self.tests,
-            **{name: dict(events) for name, events in self.events.items()},
-        }
+        data: dict[str, Any] = {"errors": error_rows, "tests": self.tests}
+        for filter_name, events in self.events.items():
+            data[filter_name] = dict(events)
+        return data
 
 
 def region_of(value: Fraction) -> str:
     """Return the name of the region, one of REGIONS, in which the absolute value is."""
-    return next(name for end, name in REGIONS if abs(value) < end)
+    # The regions are in ascending order, and the last one has no end.
+    names = [name for end, name in REGIONS if abs(value) < end]
+    return names[0]

@@ -28,7 +28,7 @@ from mcp_asdf_tools.crosscheck.image_words import (
     X_HAT_WORD,
     layout_of,
     pack_closed_round,
-    pack_open_round_from_all,
+    pack_open_round_with_all_senders,
     pack_pair,
     pack_updates_and_id,
     split_in_words,
@@ -68,19 +68,22 @@ def random_scenario(seed: int, index: int) -> Scenario:
 
 
 def draw_setup(rng: Random) -> Setup:
-    """Draw the configuration of a robot, in three of five cases one with the paper's filter and its test."""
+    """Draw a robot's filter, its table of thresholds and period, its memory, its id and its b_hat.
+
+    In three of five cases the filter is the adaptive one, the only one with a table. Otherwise it is the
+    filter without a test, or none.
+    """
     filter_kind = rng.choice([Filter.ADAPTIVE, Filter.ADAPTIVE, Filter.ADAPTIVE, Filter.ALWAYS, Filter.OFF])
-    return Setup(
-        table=rng.choice(TABLES) if filter_kind == Filter.ADAPTIVE else None,
-        filter=int(filter_kind),
-        # Most filters run in every round or nearly so, as each run can show a mistake.
-        filter_period=rng.choice([1, 1, 1, 2, 3, 20, MAX_32_BITS]),
-        # The smallest legal memories, 64 and 68, are reached within a scenario.
-        memory=rng.choice([DEFAULT_MEMORY] * 3 + [64, 68, 1000, 1 << 16, DEFAULT_MEMORY - 4]),
-        # Ids at the ends of a word of the senders' mask
-        robot_id=rng.choice([0, 5, 31, 32, 127]),
-        b_hat=draw_b_hat(rng),
-    )
+    table = rng.choice(TABLES) if filter_kind == Filter.ADAPTIVE else None
+    # Most filters run in every round or nearly so, as each run can show a mistake.
+    filter_period = rng.choice([1, 1, 1, 2, 3, 20, MAX_32_BITS])
+    # The largest memory, which is the default, is the most frequent. The smallest ones, 64 and 68, are so
+    # small that a scenario has enough observations to fill them.
+    memory = rng.choice([DEFAULT_MEMORY] * 3 + [64, 68, 1000, 1 << 16, DEFAULT_MEMORY - 4])
+    # Ids at the ends of a word of the senders' mask
+    robot_id = rng.choice([0, 5, 31, 32, 127])
+    b_hat = draw_b_hat(rng)
+    return Setup(table, int(filter_kind), filter_period, memory, robot_id, b_hat)
 
 
 class ScenarioWriter:
@@ -133,7 +136,7 @@ class ScenarioWriter:
 
         ``words`` are the new words by their index in the image. The firmware must refuse some images.
         """
-        numbers: list[int] = []
+        numbers: list[int] = []  # pairs of an index and a word, one after the other
         for index, word in words.items():
             numbers += [index, word]
         self._add_call("restore", *numbers)
@@ -153,11 +156,11 @@ class ScenarioWriter:
             self._add_receive()
         # settle ends a round, and step is an observation followed by that.
         orders = (["step"], ["observe", "settle"], ["observe"], ["settle"], ["observe", "observe", "settle"])
-        for name in rng.choice(orders):
-            if name == "settle":
-                self._add_call(name)
+        for call_name in rng.choice(orders):
+            if call_name == "settle":
+                self._add_call(call_name)
             else:
-                self._add_call(name, self._draw_observation())
+                self._add_call(call_name, self._draw_observation())
 
     def _add_observation_in_any_state(self) -> None:
         """Restore the robot from an image with any t, n and b_hat, and let it observe one tile.
@@ -171,7 +174,9 @@ class ScenarioWriter:
         t = draw_t(rng, setup.memory)
         n = draw_n(rng, t, self._b_hat)
         # The image must be legal: x_hat and alpha have to follow from t, n and b_hat ...
-        x_hat, alpha = estimate(t, n, accuracy_of(self._b_hat)) if t else (HALF, 0)
+        x_hat, alpha = HALF, 0  # as before the first observation
+        if t > 0:
+            x_hat, alpha = estimate(t, n, accuracy_of(self._b_hat))
         updates = rng.choice([0, 0, 1, MAX_16_BITS])
         is_b_hat_newer = rng.random() < 0.3
         if is_b_hat_newer:
@@ -185,7 +190,8 @@ class ScenarioWriter:
             ALPHA_WORD: alpha,
             self._layout.updates_and_id_word: self._pack_updates(int(is_b_hat_newer), updates=updates),
         }
-        self._add_restore(words | self._draw_filter_words(t, n))
+        words |= self._draw_filter_words(t, n)
+        self._add_restore(words)
         call_name = rng.choice(["step", "observe"])
         colour = rng.randrange(2)  # white (0) or black (1)
         self._add_call(call_name, colour)
@@ -201,10 +207,11 @@ class ScenarioWriter:
     def _add_restore_of_changed_image(self) -> None:
         """Restore the robot from an image with one kind of change that makes it just legal, or just not.
 
-        A message follows. Whether it changes the robot as it must shows if an image was wrongly refused or
-        accepted.
+        In one of ten cases a bit of the image is flipped instead, which its checksum must show. A message
+        follows. Whether it changes the robot as it must shows if an image was wrongly refused or accepted.
         """
         rng = self._rng
+        # All changes are drawn, as new words by their index, and one of them is chosen at the end.
         counter = rng.choice([0, MAX_16_BITS - 1, MAX_16_BITS])
         alpha = rng.choice(SPECIAL_ALPHAS)
         filter_words = self._draw_filter_words_at_limits()
@@ -249,8 +256,9 @@ class ScenarioWriter:
             any_word,
         ]
         if rng.random() < 0.1:
-            # One bit of any byte, and the checksum of before, which must show it
-            self._add_call("damage", rng.randrange(4 * self._layout.word_count), 1 << rng.randrange(8))
+            byte_index = rng.randrange(4 * self._layout.word_count)
+            flipped_bit = 1 << rng.randrange(8)
+            self._add_call("damage", byte_index, flipped_bit)
         else:
             self._add_restore(rng.choice(changes))
         self._add_call("receive", self._draw_sender(), self._draw_x_hat(), rng.choice([0, alpha]))
@@ -284,10 +292,9 @@ class ScenarioWriter:
         """Return two changes that set counters, which may then be about to wrap.
 
         The first sets the counters of repeated messages, tests and updates, the second the counters of
-        accepted and of rejected messages. Other counters in the same words get other numbers, so that an
-        implementation shows which exchanges the halves of a word.
+        accepted and of rejected messages, to ``counter``. Other counters in the same words get other numbers.
         """
-        other_counter = MAX_16_BITS - counter
+        other_counter = MAX_16_BITS - counter  # An implementation that exchanges the halves shows.
         repeated_tests_updates = {
             self._layout.accepted_and_repeated_word: pack_pair(other_counter, counter),
             self._layout.rejected_and_tests_word: pack_pair(0, counter),
@@ -300,21 +307,25 @@ class ScenarioWriter:
         return repeated_tests_updates, accepted_rejected
 
     def _add_restore_at_limits(self) -> None:
-        """Restore the robot with the sums of a round at their limits, or one sum just beyond its limit."""
+        """End a round, and restore the robot with sums of a round at their limits, or one just beyond.
+
+        They are the sums of the last closed round, or of the open one.
+        """
         rng = self._rng
         sums = draw_extreme_sums(rng)
         if rng.random() < 0.7:
             # One unit more is beyond a limit that the sum is at, and must be refused.
             sum_names = [field.name for field in fields(Sums)]
-            name = rng.choice(sum_names)
-            changed_sum = getattr(sums, name) + rng.choice([-1, 1, 1])
-            setattr(sums, name, max(changed_sum, 0))
+            changed_name = rng.choice(sum_names)
+            changed_sum = getattr(sums, changed_name) + rng.choice([-1, 1, 1])
+            setattr(sums, changed_name, max(changed_sum, 0))
         # The end of the round empties the open one, in which there may be a message already.
         self._add_call("settle")
-        if rng.random() < 0.3:
+        is_closed_round = rng.random() < 0.3
+        if is_closed_round:
             self._add_restore(pack_closed_round(sums))
         else:
-            self._add_restore(pack_open_round_from_all(sums, self._setup.robot_id))
+            self._add_restore(pack_open_round_with_all_senders(sums, self._setup.robot_id))
 
     def _add_test_at_threshold(self) -> None:
         """Append to the scenario a hypothesis test that the robot's x_hat just passes, or just does not.
@@ -431,8 +442,10 @@ class ScenarioWriter:
         """Draw white (0) or black (1), in one of ten cases a number that is neither."""
         rng = self._rng
         # 256 and 2**31 are 0 in 8 bits: they show an implementation that cuts the number.
-        illegal = rng.choice([2, 2, 3, 255, 256, 1 << 31, MAX_32_BITS])
-        return illegal if rng.random() < 0.1 else rng.randrange(2)
+        illegal_number = rng.choice([2, 2, 3, 255, 256, 1 << 31, MAX_32_BITS])
+        if rng.random() < 0.1:
+            return illegal_number
+        return rng.randrange(2)
 
     def _draw_sender(self) -> int:
         """Draw the id of a sender: one of ten, so that some repeat; any; the robot's own; or beyond 127."""

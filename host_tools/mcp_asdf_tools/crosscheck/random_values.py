@@ -54,7 +54,7 @@ SPECIAL_X_HATS = (0, 1, HALF - 1, HALF, HALF + 1, ONE - 1, ONE, ONE + 1, MAX_32_
 
 
 def clamp(value: int, minimum: int, maximum: int) -> int:
-    """Return the value, or the limit that it exceeds."""
+    """Return the value, or the limit beyond which it is."""
     return min(max(value, minimum), maximum)
 
 
@@ -120,6 +120,7 @@ def draw_b_hat(rng: Random) -> int:
     near_low_end = rng.choice([off_low_end, B_HAT_MIN])
 
     anywhere = rng.randint(B_HAT_MIN, B_HAT_MAX)
+    # The limits lie alike on both sides: the upper one is 1 - B_HAT_MIN.
     near_either_end = rng.choice([near_low_end, Q32_ONE - near_low_end])
     b_hat = rng.choice([anywhere, near_half, near_either_end])
     return clamp(b_hat, B_HAT_MIN, B_HAT_MAX)

@@ -40,16 +40,16 @@ class CrosscheckReport:
         The claims are that no call takes longer with more observations, messages or entries of the table;
         that a table takes 12 + 4 q bytes; and that all robots with one kind of filter take as many bytes.
         """
-        table_problems = [
-            f"a table with q = {q} takes {size} bytes"
-            for q, size in self.storage["tables"].items()
-            if size != 12 + 4 * q
-        ]
-        sizes_by_filter = [set(self.storage[checked.images_key].values()) for checked in CHECKED_FILTERS]
-        image_problems = [
-            f"robots take {sorted(sizes)} bytes" for sizes in sizes_by_filter if len(sizes) != 1
-        ]
-        return find_growth(self.counts) + table_problems + image_problems
+        problems = find_growth(self.counts)
+        for q, size in self.storage["tables"].items():
+            if size != 12 + 4 * q:
+                problems.append(f"a table with q = {q} takes {size} bytes")
+        for checked_filter in CHECKED_FILTERS:
+            size_by_message_count = self.storage[checked_filter.images_key]
+            different_sizes = sorted(set(size_by_message_count.values()))
+            if len(different_sizes) != 1:
+                problems.append(f"robots take {different_sizes} bytes")
+        return problems
 
     @property
     def is_good(self) -> bool:
@@ -78,44 +78,55 @@ class CrosscheckReport:
         Errors are by quantity and region, against exact fractions and against float64; regions without a
         value are left out. Instructions are the most along each axis; "-" stands for an axis without counts.
         """
-        error_rows = [
-            (row["quantity"], row["region"], row["samples"], f"{row['exact']:.2g}", f"{row['float64']:.2g}")
-            for row in self.audit.as_dict()["errors"]
-        ]
-        count_rows = []
-        for name, count_by_axis in self.counts.items():
-            largest_counts = [max(count_by_axis[axis].values(), default="-") for axis in AXES]
-            count_rows.append((name, *largest_counts))
-        regions = "by region of |2 b_hat - 1|, for b_hat of |2 x_bar - 1|; those of alpha are relative"
-        return Group(
-            _format_table(
-                f"largest errors {regions}", ("", "region", "samples", "exact", "float64"), error_rows
-            ),
-            _format_table(
-                "instructions of Python's interpreter per call, at most",
-                ("", *(f"over {axis}" for axis in AXES)),
-                count_rows,
-            ),
+        error_rows = []
+        for row in self.audit.as_dict()["errors"]:
+            exact_error, float64_error = f"{row['exact']:.2g}", f"{row['float64']:.2g}"
+            error_rows.append((row["quantity"], row["region"], row["samples"], exact_error, float64_error))
+        error_table = _format_table(
+            "largest errors by region of |2 b_hat - 1|, for b_hat of |2 x_bar - 1|; "
+            "those of alpha are relative",
+            ("", "region", "samples", "exact", "float64"),
+            error_rows,
         )
+        count_rows = []
+        for call_name, count_by_axis in self.counts.items():
+            largest_counts = [max(count_by_axis[axis].values(), default="-") for axis in AXES]
+            count_rows.append((call_name, *largest_counts))
+        count_table = _format_table(
+            "instructions of Python's interpreter per call, at most",
+            ("", *(f"over {axis}" for axis in AXES)),
+            count_rows,
+        )
+        return Group(error_table, count_table)
 
     def verdict(self) -> str:
-        """Return the conclusion in some lines; after a failure the last one replays it."""
+        """Return the conclusion in some lines; after a failure the last one replays it.
+
+        The lines are of bytes of memory, of the events of each filter, of the calls that were made, of each
+        problem, and at the end of the failure or the agreement of both firmwares.
+        """
         result = self.result
         image_sizes = []
         for checked_filter in CHECKED_FILTERS:
             size = max(self.storage[checked_filter.images_key].values())
-            name = checked_filter.name
-            image_sizes.append(f"{size} with the {name} filter" if name else f"{size} for a saved robot")
-        interrupted = ", interrupted" if result.interrupted else ""
-        agreement = "native and mirror agree in every bit"
-        lines = [
-            f"memory: 12 + 4 q bytes for a table, {', '.join(image_sizes)}",
-            *(_format_events(name, events) for name, events in self.audit.events.items()),
+            filter_name = checked_filter.name  # empty for the paper's filters
+            image_sizes.append(
+                f"{size} with the {filter_name} filter" if filter_name else f"{size} for a saved robot"
+            )
+        lines = [f"memory: 12 + 4 q bytes for a table, {', '.join(image_sizes)}"]
+        for filter_name, events in self.audit.events.items():
+            lines.append(_format_events(filter_name, events))
+        interruption = ", interrupted" if result.interrupted else ""
+        lines.append(
             f"calls made and compared: {result.calls} in {result.scenarios} scenarios, seed {self.seed}"
-            + interrupted,
-            *(f"FAILED: {problem}" for problem in self.problems),
-            agreement if result.failure is None else str(result.failure),
-        ]
+            f"{interruption}"
+        )
+        for problem in self.problems:
+            lines.append(f"FAILED: {problem}")
+        if result.failure is None:
+            lines.append("native and mirror agree in every bit")
+        else:
+            lines.append(str(result.failure))
         return "\n".join(lines)
 
 

@@ -29,7 +29,7 @@ from mcp_asdf.robust_reference import (
     spread_around,
     votes_after,
 )
-from mcp_asdf_tools.crosscheck.bounds import HALF, Q22, Q24, Q30, Q32, UNDECIDED, Bounds, round_down
+from mcp_asdf_tools.crosscheck.bounds import HALF, Q22, Q24, Q30, Q32, ROBUST_TEST_MARGIN, Bounds, round_down
 
 Q8, Q11, Q16 = (Fraction(1, 2**bits) for bits in (8, 11, 16))
 
@@ -43,13 +43,19 @@ LARGEST_ESTIMATE = 1 - Q16
 
 
 def slot_estimate(x_hat: Fraction) -> Fraction:
-    """Return the estimate that a slot must hold for this x_hat: to nearest, and halves are rounded up."""
-    return min(round_down(x_hat + Q16 / 2, Q16), LARGEST_ESTIMATE)
+    """Return the estimate that a slot must hold for this x_hat: the nearest multiple of 2**-16 below 1.
+
+    Halves are rounded up.
+    """
+    half_unit = Q16 / 2
+    nearest = round_down(x_hat + half_unit, Q16)
+    return min(nearest, LARGEST_ESTIMATE)
 
 
 def round_towards_0(value: Fraction, unit: Fraction) -> Fraction:
     """Return the multiple of ``unit`` next to ``value`` on the side of 0."""
-    return int(value / unit) * unit
+    units = int(value / unit)  # int rounds towards 0
+    return units * unit
 
 
 def rounded_votes_after(votes: Votes[Fraction], x_hat: Fraction) -> Votes[Fraction]:
@@ -61,11 +67,9 @@ def rounded_votes_after(votes: Votes[Fraction], x_hat: Fraction) -> Votes[Fracti
     """
     exact = votes_after(votes, x_hat)
     # The firmware shifts distances, which are not negative, and applies the sign afterwards.
-    return Votes(
-        centre=votes.centre + round_towards_0(exact.centre - votes.centre, Q30),
-        spread=votes.spread + round_towards_0(exact.spread - votes.spread, Q30),
-        count=exact.count,
-    )
+    centre_change = round_towards_0(exact.centre - votes.centre, Q30)
+    spread_change = round_towards_0(exact.spread - votes.spread, Q30)
+    return Votes(votes.centre + centre_change, votes.spread + spread_change, exact.count)
 
 
 # ---- The dispersion ----
@@ -78,13 +82,16 @@ def dispersion_bounds(
 
     The dispersion says how much more a robot's observations vary from batch to batch than independent ones.
     The batch has ``batch_count`` observations, ``batch_black_count`` of them black. ``observations`` are all
-    observations of the robot, with the batch's, and have the dispersion before the batch. The bounds are wide
-    where the variance of n/t is of the size of its rounding error, as next to 0.
+    observations of the robot, with the batch's, and have the dispersion before the batch. An empty batch, or
+    one of a robot that has never observed black, does not change the dispersion. The bounds are wide where
+    the variance of n/t is of the size of its rounding error, as next to 0.
     """
-    old, share = observations.dispersion, observations.share
+    old_dispersion, share = observations.dispersion, observations.share
     if batch_count == 0 or share == 0:
-        return old, old
-    ratio_limit = REJECTED_SIGMAS_SQUARED * old  # a batch whose ratio is larger counts with this one
+        return old_dispersion, old_dispersion
+    # The ratio of a batch is the square of its deviation, divided by its variance. A larger one than this
+    # limit counts as the limit.
+    ratio_limit = REJECTED_SIGMAS_SQUARED * old_dispersion
     # The share of black is a quotient, and may be too small.
     share_bounds = (max(share * (1 - Q30) - Q32, Fraction(0)), share)
     smallest_variance, largest_variance = _variance_bounds(share_bounds, batch_count)
@@ -94,8 +101,8 @@ def dispersion_bounds(
     largest_square_limit = ratio_limit * largest_variance
     if smallest_square_limit <= 0:
         # By rounding the firmware may find a variance of 0, and keep the dispersion. Or it finds one that is
-        # near to 0, so that the ratio of the deviation to it may have any size up to its limit.
-        return _average_bounds(old, Fraction(0), ratio_limit)
+        # near to 0, so that the ratio may have any size up to its limit.
+        return _average_bounds(old_dispersion, Fraction(0), ratio_limit)
     # It divides the square of the deviation by its limit, and multiplies the ratio's limit by this quotient,
     # which may be too small as well.
     smallest_quotient = smallest_deviation**2 / largest_square_limit * (1 - Q30) - Q32
@@ -103,7 +110,7 @@ def dispersion_bounds(
     # A square above its limit counts as the limit: the quotient is 1, or hardly less in the firmware.
     smallest_ratio = ratio_limit * min(max(smallest_quotient, Fraction(0)), 1 - Q30 - Q32)
     largest_ratio = ratio_limit * min(largest_quotient, Fraction(1))
-    return _average_bounds(old, smallest_ratio, largest_ratio)
+    return _average_bounds(old_dispersion, smallest_ratio, largest_ratio)
 
 
 def _variance_bounds(share_bounds: Bounds, batch_count: int) -> Bounds:
@@ -113,10 +120,14 @@ def _variance_bounds(share_bounds: Bounds, batch_count: int) -> Bounds:
     ``share_bounds``, and rounds the variance of one observation down to 2**-32. The variance is largest for a
     share of 1/2.
     """
-    variances = [share * (1 - share) for share in share_bounds]
     smallest_share, largest_share = share_bounds
-    largest = Fraction(1, 4) if smallest_share < HALF < largest_share else max(variances)
-    return batch_count * (min(variances) - Q32), batch_count * largest
+    # Variances of one observation
+    variances_at_bounds = [share * (1 - share) for share in share_bounds]
+    smallest = min(variances_at_bounds) - Q32
+    largest = max(variances_at_bounds)
+    if smallest_share < HALF < largest_share:
+        largest = Fraction(1, 4)  # that of a share of 1/2
+    return batch_count * smallest, batch_count * largest
 
 
 def _deviation_bounds(share_bounds: Bounds, batch_black_count: int, batch_count: int) -> Bounds:
@@ -125,30 +136,38 @@ def _deviation_bounds(share_bounds: Bounds, batch_black_count: int, batch_count:
     The firmware expects the batch's count times a share of black within ``share_bounds``, and rounds the
     distance down to 2**-11.
     """
-    deviations = [batch_black_count - batch_count * share for share in share_bounds]
-    distances = [abs(deviation) for deviation in deviations]
-    has_both_signs = min(deviations) < 0 < max(deviations)
-    smallest = Fraction(0) if has_both_signs else min(distances)
-    return round_down(smallest, Q11), max(distances)
+    smallest_share, largest_share = share_bounds
+    least_deviation = batch_black_count - batch_count * largest_share
+    greatest_deviation = batch_black_count - batch_count * smallest_share
+    distances = [abs(least_deviation), abs(greatest_deviation)]
+    smallest_distance = min(distances)
+    if least_deviation < 0 < greatest_deviation:
+        smallest_distance = Fraction(0)  # A share between the bounds may give the very number.
+    return round_down(smallest_distance, Q11), max(distances)
 
 
-def _average_bounds(old: Fraction, smallest_ratio: Fraction, largest_ratio: Fraction) -> Bounds:
+def _average_bounds(old_dispersion: Fraction, smallest_ratio: Fraction, largest_ratio: Fraction) -> Bounds:
     """Return the bounds of the dispersion after a batch of observations whose ratio is between these two.
 
     A batch's ratio is the square of the deviation of its number of black observations, divided by the
-    variance of independent ones. The dispersion is a moving average of ratios, in which ``old``, the
-    dispersion before the batch, has a weight of 7/8. The firmware rounds ratio and average down to multiples
-    of 2**-8, and limits the average to DISPERSION_MIN .. DISPERSION_MAX.
+    variance of independent ones.
     """
-    weight = 2**DISPERSION_SHIFT
-    averages = [
-        round_down(((weight - 1) * old + round_down(ratio, Q8)) / weight, Q8)
-        for ratio in (smallest_ratio, largest_ratio)
-    ]
-    smallest, largest = (
-        min(max(average, Fraction(DISPERSION_MIN)), Fraction(DISPERSION_MAX)) for average in averages
-    )
+    smallest = _rounded_dispersion(old_dispersion, smallest_ratio)
+    largest = _rounded_dispersion(old_dispersion, largest_ratio)
     return smallest, largest
+
+
+def _rounded_dispersion(old_dispersion: Fraction, ratio: Fraction) -> Fraction:
+    """Return the dispersion that the firmware has after a batch of this ratio (see `_average_bounds`).
+
+    The dispersion is a moving average of ratios, in which the one before the batch has a weight of 7/8. The
+    firmware rounds ratio and average down to multiples of 2**-8, and limits the average to DISPERSION_MIN ..
+    DISPERSION_MAX.
+    """
+    weight_sum = 2**DISPERSION_SHIFT  # of which the new ratio has 1
+    weighted_sum = (weight_sum - 1) * old_dispersion + round_down(ratio, Q8)
+    average = round_down(weighted_sum / weight_sum, Q8)
+    return min(max(average, Fraction(DISPERSION_MIN)), Fraction(DISPERSION_MAX))
 
 
 # ---- The test ----
@@ -157,18 +176,22 @@ def _average_bounds(old: Fraction, smallest_ratio: Fraction, largest_ratio: Frac
 def rounded_centre_and_spread(estimates: Sequence[Fraction]) -> tuple[Fraction, Fraction]:
     """Return the centre and the spread of estimates that the firmware must have, as multiples of 2**-24.
 
-    The estimates are multiples of 2**-16, so that their median and their spread need no rounding. The
-    firmware's quotient is always a little too small. So a step towards the centre is shortened to the next
-    smaller multiple of 2**-24, even a step that is such a multiple already.
+    The centre is found by a few steps from the median, and limited to the range of estimates in slots. The
+    estimates are multiples of 2**-16, so that their median and their spread need no rounding.
     """
     middle = median(estimates)
     spread = spread_around(estimates, middle)
     centre = middle
     for _ in range(HUBER_STEPS):
         step = huber_step(estimates, centre, spread)
-        shortened_step = max(ceil(abs(step) / Q24) - 1, 0) * Q24
-        new_centre = centre + (shortened_step if step > 0 else -shortened_step)
-        centre = min(max(new_centre, Fraction(0)), LARGEST_ESTIMATE)
+        # The firmware's quotient is always a little too small. So a step is shortened to the next smaller
+        # multiple of 2**-24, even if it is such a multiple already.
+        units = max(ceil(abs(step) / Q24) - 1, 0)
+        if step > 0:
+            centre += units * Q24
+        else:
+            centre -= units * Q24
+        centre = min(max(centre, Fraction(0)), LARGEST_ESTIMATE)
     return centre, spread
 
 
@@ -177,19 +200,21 @@ def robust_test_outcome(
 ) -> bool | None:
     """Return whether the robust filter's test rejects ``b``, or None if rounding in the firmware may decide.
 
-    With g = 2 b - 1, the test rejects if (n/t - p)**2 is above 12 (dispersion v/t + g**2 spread**2). There p
-    is the probability of black by ``b`` and the centre, and v the larger of p (1 - p) and n/t (1 - n/t).
-    Rounding may decide if these sides differ by no more than UNDECIDED, 2**-13 of the larger one. Where they
-    are alike, rounding changes them by less:
-
-    Both are at least 12 2**-33, since t < 2**31, v >= (1 - g**2) / 4, dispersion >= 1 and spread >= 2**-12.
-    So n/t - p is at least 160,000 units of 2**-32. p is less than 4 units too small, and n/t less than 5: the
-    square of the difference is off by 2**-13.9 of itself. The product of g and the spread, rounded down,
-    takes 2**-15.5 from the other side. There v lacks at most 6 units: if it is below 2**-10, g is near 1, n/t
-    - p is at least sqrt(12) 2**-12, and v has at least 350,000 units.
+    The test rejects if the squared difference of the share of black and its probability is above a limit.
+    Rounding may decide if these two differ by no more than 2**-13 of the larger one.
     """
     difference_squared, limit = robust_test_sides(observations, b, centre, spread)
-    if abs(difference_squared - limit) <= UNDECIDED * max(difference_squared, limit):
+    # With g = 2 b - 1, the test rejects if (n/t - p)**2 is above 12 (dispersion v/t + g**2 spread**2). Here
+    # p is the probability of black by b and the centre, and v the larger of p (1 - p) and n/t (1 - n/t).
+    #
+    # Where both sides are alike, rounding changes them by less than the margin: both are at least 12 2**-33,
+    # since t < 2**31, v >= (1 - g**2) / 4, dispersion >= 1 and spread >= 2**-12. So n/t - p is at least
+    # 160,000 units of 2**-32. p is less than 4 units too small, and n/t less than 5: the square of the
+    # difference is off by 2**-13.9 of itself. The product of g and the spread, rounded down, takes 2**-15.5
+    # from the other side. There v lacks at most 6 units: if it is below 2**-10, g is near 1, n/t - p is at
+    # least sqrt(12) 2**-12, and v has at least 350,000 units.
+    margin = ROBUST_TEST_MARGIN * max(difference_squared, limit)
+    if abs(difference_squared - limit) <= margin:
         return None
     return difference_squared > limit
 
@@ -197,13 +222,24 @@ def robust_test_outcome(
 def support_outcome(
     observations: Observations[Fraction], b: Fraction, estimates: Sequence[Fraction], centre: Fraction
 ) -> bool | None:
-    """Return whether more than two of five estimates support the robot, or None if rounding may decide."""
-    p_of_centre = probability_of_black(b, centre)
-    p_of_estimates = [probability_of_black(b, estimate) for estimate in estimates]
-    # By how much each estimate is nearer to the robot's share than to the prediction by the centre.
-    leads = [abs(p - p_of_centre) - abs(p - observations.share) for p in p_of_estimates]
-    certain_supporters = sum(lead > SUPPORT_MARGIN for lead in leads)
-    possible_supporters = sum(lead > -SUPPORT_MARGIN for lead in leads)
-    is_certainly_supported = 5 * certain_supporters > 2 * len(leads)
-    is_possibly_supported = 5 * possible_supporters > 2 * len(leads)
-    return is_certainly_supported if is_certainly_supported == is_possibly_supported else None
+    """Return whether more than two of five estimates support the robot, or None if rounding may decide.
+
+    By ``b`` an estimate predicts a share of black observations. It supports the robot if that is nearer to
+    the robot's share than to the share that the centre predicts.
+    """
+    prediction_of_centre = probability_of_black(b, centre)
+    certain_supporters = possible_supporters = 0
+    for estimate in estimates:
+        prediction = probability_of_black(b, estimate)
+        distance_from_centre = abs(prediction - prediction_of_centre)
+        distance_from_robot = abs(prediction - observations.share)
+        lead = distance_from_centre - distance_from_robot
+        if lead > SUPPORT_MARGIN:
+            certain_supporters += 1
+        if lead > -SUPPORT_MARGIN:
+            possible_supporters += 1
+    is_certainly_supported = 5 * certain_supporters > 2 * len(estimates)
+    is_possibly_supported = 5 * possible_supporters > 2 * len(estimates)
+    if is_certainly_supported != is_possibly_supported:
+        return None
+    return is_certainly_supported

@@ -21,9 +21,9 @@ from mcp_asdf_tools.crosscheck.checks import (
     alpha_units,
     check_bounds,
     check_exact,
-    check_update,
+    check_whether_updated,
     ends_round,
-    is_filter_run,
+    had_to_run_filter,
     is_observation,
 )
 from mcp_asdf_tools.crosscheck.robust_bounds import (
@@ -34,7 +34,13 @@ from mcp_asdf_tools.crosscheck.robust_bounds import (
     slot_estimate,
     support_outcome,
 )
-from mcp_asdf_tools.crosscheck.scenario import Call, CallResult, Setup, State
+from mcp_asdf_tools.crosscheck.scenario import (
+    CALLS_THAT_REPLACE_ROBOT,
+    Call,
+    CallResult,
+    Setup,
+    State,
+)
 
 if TYPE_CHECKING:
     from mcp_asdf_tools.crosscheck.oracle import Audit
@@ -53,15 +59,15 @@ _B_HAT_UNITS = 2**32
 class Decision(Enum):
     """What a run of the robust filter must decide; the value names it in a report."""
 
-    TOO_FEW = "too few"
+    TOO_FEW_ESTIMATES = "too few"
     """There are fewer than five estimates, and there must be no test."""
-    ACCEPTED = "accepted"
+    TEST_ACCEPTS = "accepted"
     """The test does not reject the initial b_hat."""
-    SUPPORTED = "supported"
+    REJECTED_BUT_SUPPORTED = "supported"
     """The test rejects it, but more than two of five estimates support the robot."""
     REJECTED = "rejected"
     """The test rejects it, and b_hat is to be re-estimated."""
-    UNDECIDED = "undecided"
+    ROUNDING_DECIDES = "undecided"
     """The rounding of its terms may decide the test, or the number of supporters."""
 
 
@@ -76,9 +82,11 @@ def check_robust_call(
         returned: b_hat became the initial one again.
     """
     events = audit.events["robust"]
-    problems = _check_means(after.state) + _check_memory(call, before, after, events)
+    problems = _check_means(after.state)
+    problems += _check_memory(call, before, after, events)
     if ends_round(call, after):
-        problems += _check_filter(audit, events, before.state, after.state, after.outcome == "UPDATED")
+        is_updated = after.outcome == "UPDATED"
+        problems += _check_filter(audit, events, before.state, after.state, is_updated)
     return problems
 
 
@@ -88,10 +96,10 @@ def _check_means(state: State) -> list[str]:
     x_bar and x are the centre of the votes, rounded down, and beta is 0. Without any vote x_bar is 1/2 and x
     is the robot's own x_hat.
     """
-    centre = state["robust_centre"] * ONE // _VOTE_UNITS  # from units of 2**-30 to 2**-23
+    x, x_bar = state["x_hat"], HALF
     has_votes = state["robust_votes"] > 0
-    x = centre if has_votes else state["x_hat"]
-    x_bar = centre if has_votes else HALF
+    if has_votes:
+        x = x_bar = state["robust_centre"] * ONE // _VOTE_UNITS  # from units of 2**-30 to 2**-23
     return check_exact(state, {"x()": x, "x_bar()": x_bar, "beta()": 0})
 
 
@@ -100,54 +108,58 @@ def _check_filter(
 ) -> list[str]:
     """Return a line for each problem of the filter at the end of a round.
 
-    The oracle decides by itself what the filter had to do in this state: keep b_hat, re-estimate it, or
-    return to the initial one. b_hat must have changed accordingly, and to the right value. ``events`` counts
-    the decisions.
+    If the filter does not run, or has too few estimates for a test, b_hat and the robot's counter of tests
+    must be as before. Otherwise that counter must be one higher. Then b_hat must have been re-estimated, to
+    the right value, if the test rejects and the robot has too few supporters, and must be the initial one if
+    not. Where rounding may decide which, b_hat is not checked.
+
+    Decisions and returns to the initial b_hat are counted in ``events``, and tests in ``audit.tests``.
     """
-    if not is_filter_run(old_state, new_state):
-        return _check_no_test(old_state, new_state, is_updated)
+    if not had_to_run_filter(old_state, new_state):
+        return _check_nothing_tested_or_updated(old_state, new_state, is_updated)
     decision, centre = _expected_decision(new_state)
     events[decision.value] += 1
-    if decision is Decision.TOO_FEW:
-        return _check_no_test(old_state, new_state, is_updated)
+    if decision is Decision.TOO_FEW_ESTIMATES:
+        return _check_nothing_tested_or_updated(old_state, new_state, is_updated)
     audit.tests += 1
-    problems = check_exact(new_state, {"tests": (old_state["tests"] + 1) % COUNTER_MODULUS})
-    if decision is Decision.UNDECIDED:
-        return problems
+    expected_tests = (old_state["tests"] + 1) % COUNTER_MODULUS
+    problems = check_exact(new_state, {"tests": expected_tests})
     if decision is Decision.REJECTED:
         assert centre is not None
-        return problems + audit.check_b_hat(new_state, centre, is_updated)
-    initial_b_hat = new_state["robust_initial_b_hat"]
-    is_return = old_state["b_hat()"] != initial_b_hat
-    if is_return:
-        events["returned"] += 1
-    # The test was accepted, or the robot has support: either way b_hat is the initial one now.
-    problems += check_exact(new_state, {"b_hat()": initial_b_hat})
-    return problems + check_update(is_updated, expected=is_return)
+        problems += audit.check_b_hat(new_state, centre, is_updated)
+    if decision in (Decision.TEST_ACCEPTS, Decision.REJECTED_BUT_SUPPORTED):
+        initial_b_hat = new_state["robust_initial_b_hat"]
+        is_return = old_state["b_hat()"] != initial_b_hat
+        if is_return:
+            events["returned"] += 1
+        problems += check_exact(new_state, {"b_hat()": initial_b_hat})
+        problems += check_whether_updated(is_updated, expected=is_return)
+    return problems
 
 
-def _check_no_test(old_state: State, new_state: State, is_updated: bool) -> list[str]:
+def _check_nothing_tested_or_updated(old_state: State, new_state: State, is_updated: bool) -> list[str]:
     """Return a line for each sign of a test or of an update of b_hat, where there must be neither."""
     problems = check_exact(new_state, {"b_hat()": old_state["b_hat()"], "tests": old_state["tests"]})
-    return problems + check_update(is_updated, expected=False)
+    return problems + check_whether_updated(is_updated, expected=False)
 
 
 def _check_memory(call: Call, before: CallResult, after: CallResult, events: Counter[str]) -> list[str]:
     """Check what a call has done to the memory of the robust filter, and return a line for each problem.
 
     The memory consists of the estimates in the slots, the summary of the votes, and the batch of observations
-    with their dispersion; what a call must not change there must be as before. Each vote is counted in
-    ``events``.
+    with their dispersion; what a call must not change there must be as before. After a ``restore`` or
+    ``damage`` nothing is checked. Each vote is counted in ``events``.
     """
     old_state, new_state = before.state, after.state
-    if call.name in ("restore", "damage"):
+    if call.name in CALLS_THAT_REPLACE_ROBOT:
         # The memory comes from an image. Here nothing is known of it; `compare_firmwares` compares it.
         return []
     expected = _memory_of(old_state)
     problems: list[str] = []
     if call.name == "receive":
         sender, x_hat, alpha = call.numbers
-        if after.outcome == "OK" and alpha_units(alpha) > 0:
+        has_confidence = alpha_units(alpha) > 0
+        if after.outcome == "OK" and has_confidence:
             expected |= _slot_after(old_state, sender, x_hat)
     if is_observation(call, after):
         is_memory_halved = new_state["t"] != old_state["t"] + 1
@@ -156,7 +168,7 @@ def _check_memory(call: Call, before: CallResult, after: CallResult, events: Cou
             expected |= {"robust_batch_t": new_state["t"], "robust_batch_n": new_state["n"]}
     if ends_round(call, after):
         expected |= _votes_after_round(old_state, new_state, events)
-        if is_filter_run(old_state, new_state):
+        if had_to_run_filter(old_state, new_state):
             problems += _check_dispersion(expected, new_state)
             # The run ends the batch. The dispersion has been checked, and has no single right value.
             expected |= {
@@ -175,7 +187,7 @@ def _memory_of(state: State) -> State:
 def _slot_after(old_state: State, sender: int, x_hat: int) -> State:
     """Return the new values of the fields that change when a sender's estimate is put into its slot.
 
-    ``x_hat`` is in units of 2**-23.
+    They are the estimate in the slot, and the mask of the filled slots. ``x_hat`` is in units of 2**-23.
     """
     slot = sender % SLOTS
     estimate = slot_estimate(Fraction(x_hat, ONE))
@@ -208,8 +220,8 @@ def _votes_after_round(old_state: State, new_state: State, events: Counter[str])
     if not slots:
         return {}
     remaining_slots = [slot for slot in slots if slot >= old_state["robust_turn"]]
-    is_own_turn = not remaining_slots and alpha_units(new_state["alpha"]) > 0
-    if is_own_turn:
+    has_own_confidence = alpha_units(new_state["alpha"]) > 0
+    if not remaining_slots and has_own_confidence:
         events["own vote"] += 1
         x_hat = Fraction(new_state["x_hat"], ONE)
         next_turn = 0
@@ -258,7 +270,7 @@ def _expected_decision(state: State) -> tuple[Decision, Fraction | None]:
     """
     estimates = [_estimate_of_slot(state, slot) for slot in _filled_slots(state)]
     if len(estimates) < TESTED_ESTIMATES_MIN:
-        return Decision.TOO_FEW, None
+        return Decision.TOO_FEW_ESTIMATES, None
     centre, spread = rounded_centre_and_spread(estimates)
     initial_b_hat = Fraction(state["robust_initial_b_hat"], _B_HAT_UNITS)
     dispersion = Fraction(state["robust_dispersion"], _DISPERSION_UNITS)
@@ -267,9 +279,11 @@ def _expected_decision(state: State) -> tuple[Decision, Fraction | None]:
     is_rejected = robust_test_outcome(observations, initial_b_hat, centre, spread)
     is_supported = support_outcome(observations, initial_b_hat, estimates, centre)
     if is_rejected is False:
-        decision = Decision.ACCEPTED
+        decision = Decision.TEST_ACCEPTS
     elif is_rejected is None or is_supported is None:
-        decision = Decision.UNDECIDED
+        decision = Decision.ROUNDING_DECIDES
+    elif is_supported:
+        decision = Decision.REJECTED_BUT_SUPPORTED
     else:
-        decision = Decision.SUPPORTED if is_supported else Decision.REJECTED
+        decision = Decision.REJECTED
     return decision, centre

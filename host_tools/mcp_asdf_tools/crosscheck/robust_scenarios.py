@@ -83,7 +83,7 @@ _VOTE_COUNTS = (
 )
 """Numbers of votes at the edges of the gain."""
 
-_SLOWLY_CENTRED = (0, 3, 3, 3, 6, 7, 8, 14, 41, 41, 41, 68, 68, 164, 186, 377, 377, *([833] * 15))
+_DISTANCES_OF_SLOW_CENTRE = (0, 3, 3, 3, 6, 7, 8, 14, 41, 41, 41, 68, 68, 164, 186, 377, 377, *([833] * 15))
 """Distances of estimates from the smallest, with which each of five steps still moves their centre.
 
 They were found by search.
@@ -112,9 +112,14 @@ class DrawnRobot:
     estimates: list[int]
 
     @property
-    def is_test_possible(self) -> bool:
-        """Whether the filter may have tested the robot, so that b_hat need not be the initial one."""
-        return self.robust.filled_slots.bit_count() >= TESTED_ESTIMATES_MIN and self.robust.batch_t > 0
+    def may_have_been_tested(self) -> bool:
+        """Whether the filter may have tested the robot, so that b_hat need not be the initial one.
+
+        It may have if there are enough estimates for a test, and if it has run: then a batch has ended.
+        """
+        filled_slots = self.robust.filled_slots.bit_count()  # a mask with a bit for each slot
+        has_ended_batch = self.robust.batch_t > 0
+        return filled_slots >= TESTED_ESTIMATES_MIN and has_ended_batch
 
     def fill_slots(self, estimates: tuple[int, ...], rng: Random) -> None:
         """Put these estimates into slots drawn at random, and empty all other slots.
@@ -127,8 +132,10 @@ class DrawnRobot:
         for slot, estimate in zip(slots, estimates, strict=True):
             self.estimates[slot] = estimate
             self.robust.filled_slots |= 1 << slot
-        # A turn that is not 0 is the slot after a filled slot.
-        self.robust.turn = rng.choice([0, slots[0] + 1]) if self.robust.votes else 0
+        self.robust.turn = 0
+        if self.robust.votes > 0:
+            # A turn that is not 0 is the slot after a filled slot.
+            self.robust.turn = rng.choice([0, slots[0] + 1])
 
 
 def robust_scenario(seed: int, index: int) -> Scenario:
@@ -159,15 +166,15 @@ class RobustScenarioWriter(ScenarioWriter):
         such estimates are found for the robots that are drawn, no calls are added.
         """
         rng = self._rng
-        # Most often the least and the largest numbers that are tested. What stands twice comes more often.
+        # Most often the least and the largest numbers of estimates that are tested
         count = rng.choice([5, 5, 6, 31, 32, rng.randint(TESTED_ESTIMATES_MIN, SLOTS)])
         draw_estimates = rng.choice(
             [
                 self._draw_estimates_at_threshold,
                 self._draw_estimates_at_threshold,
-                self._draw_parties,
-                self._draw_parties,
-                self._draw_parties_with_tie,
+                self._draw_supporters_and_others,
+                self._draw_supporters_and_others,
+                self._draw_supporters_and_tie,
                 self._draw_skewed_estimates,
                 self._draw_slowly_centred_estimates,
             ]
@@ -193,8 +200,9 @@ class RobustScenarioWriter(ScenarioWriter):
         # Among several estimates some are one unit higher, so that their centre lies between two units.
         raised_count = rng.choice([0, 0, 1, rng.randint(0, count)])
         robot.fill_slots((middle,) * (count - raised_count) + (middle + 1,) * raised_count, rng)
-        # Observations of one colour, so that the test rejects.
+        # With observations of one colour, none or all of t, the test rejects.
         robot.n = rng.choice([0, robot.t, robot.n])
+        # The next batch of observations is empty, so that it does not change their dispersion.
         robot.robust.batch_t, robot.robust.batch_n = robot.t, robot.n
         self._add_filter_run_of(robot)
 
@@ -206,7 +214,7 @@ class RobustScenarioWriter(ScenarioWriter):
         """
         rng = self._rng
         # An earlier test may have changed b_hat. If the next one passes, the initial b_hat must come back.
-        is_b_hat_changed = robot.is_test_possible and rng.random() < 0.5
+        is_b_hat_changed = robot.may_have_been_tested and rng.random() < 0.5
         robot.b_hat = draw_b_hat(rng) if is_b_hat_changed else robot.robust.initial_b_hat
         words = self._draw_image_words(robot)
         words[FILTER_LEFT_WORD] = 1  # rounds until the filter runs: at the end of this one
@@ -227,8 +235,9 @@ class RobustScenarioWriter(ScenarioWriter):
         """
         rng = self._rng
         self._b_hat = robot.b_hat
-        # Without confidence the robot's own estimate does not vote.
-        alpha = rng.choice([0, rng.randrange(1 << 24) << 8, draw_normal_alpha(rng)])
+        # Without confidence (0) the robot's own estimate does not vote.
+        mantissa_without_shift = rng.randrange(1 << 24) << 8
+        alpha = rng.choice([0, mantissa_without_shift, draw_normal_alpha(rng)])
         return {
             B_HAT_WORD: robot.b_hat,
             T_WORD: robot.t,
@@ -247,7 +256,7 @@ class RobustScenarioWriter(ScenarioWriter):
         changed b_hat.
         """
         robot = self._draw_robot_after(t, n, initial_b_hat=self._b_hat)
-        if robot.is_test_possible:
+        if robot.may_have_been_tested:
             robot.robust.initial_b_hat = self._rng.choice([self._b_hat, draw_b_hat(self._rng)])
         return _pack_robust_filter(robot.robust, robot.estimates)
 
@@ -259,7 +268,7 @@ class RobustScenarioWriter(ScenarioWriter):
         rng = self._rng
         robot = self._draw_robot()
         robust = robot.robust
-        if robot.is_test_possible:
+        if robot.may_have_been_tested:
             robot.b_hat = rng.choice([robot.b_hat, draw_b_hat(rng)])
         white_count = robot.t - robot.n
         limits = {
@@ -275,11 +284,12 @@ class RobustScenarioWriter(ScenarioWriter):
             "dispersion": (DISPERSION_MIN, DISPERSION_MAX),
             "turn": (0, SLOTS, robust.turn),
         }
-        member = rng.choice([field.name for field in fields(RobustFilter)])
+        names = [field.name for field in fields(RobustFilter)]
+        name = rng.choice(names)
         # One unit more or less may be beyond the limit, and must be refused then.
-        value = clamp(rng.choice(limits[member]) + rng.choice([-1, 0, 0, 1]), 0, MAX_32_BITS)
-        has_16_bits = member in ("votes", "dispersion")
-        setattr(robust, member, min(value, MAX_16_BITS) if has_16_bits else value)
+        value = rng.choice(limits[name]) + rng.choice([-1, 0, 0, 1])
+        max_value = MAX_16_BITS if name in ("votes", "dispersion") else MAX_32_BITS
+        setattr(robust, name, clamp(value, 0, max_value))
         if rng.random() < 0.1:
             # The estimate of an empty slot must be 0.
             robot.estimates[rng.randrange(SLOTS)] = rng.choice([0, 1, SLOT_ESTIMATE_MAX])
@@ -307,13 +317,13 @@ class RobustScenarioWriter(ScenarioWriter):
         robust.filled_slots = self._draw_filled_slots()
         if robust.filled_slots:
             robust.votes = rng.choice(_VOTE_COUNTS)
-        if robust.votes:
+        if robust.votes > 0:
             robust.centre = self._draw_centre()
             robust.spread = self._draw_spread()
             # The next turn is slot 0, or the slot after a filled slot, often after the last.
-            slots = [slot for slot in range(SLOTS) if robust.is_filled(slot)]
-            turn_after_any = rng.choice(slots) + 1
-            turn_after_last = slots[-1] + 1
+            filled_slots = [slot for slot in range(SLOTS) if robust.is_filled(slot)]
+            turn_after_any = rng.choice(filled_slots) + 1
+            turn_after_last = filled_slots[-1] + 1
             robust.turn = rng.choice([0, turn_after_any, turn_after_last])
         self._fill_in_batch(robust, t, n)
         return DrawnRobot(t, n, initial_b_hat, robust, self._draw_estimates(robust))
@@ -321,16 +331,16 @@ class RobustScenarioWriter(ScenarioWriter):
     def _draw_filled_slots(self) -> int:
         """Draw which slots are filled, as a mask of a bit a slot: none, one, about five, any number, all.
 
-        Five are just enough for a test.
+        Five are just enough for a test. A single one is often the first or the last slot.
         """
         rng = self._rng
         count = rng.choice([0, 1, 4, 5, 5, 6, rng.randint(0, SLOTS), SLOTS - 1, SLOTS])
         slots = rng.sample(range(SLOTS), count)
-        # A single slot is often at an end of the mask, which a shift by 32 or a search from bit 1 on would
-        # miss. It is drawn in any case, as golden vectors are made of this sequence of draws.
-        single_slot = rng.choice([[0], [SLOTS - 1], slots])
+        # A shift by 32, or a search from bit 1 on, would miss a slot at an end of the mask. This is drawn in
+        # any case, as golden vectors are made of this sequence of draws.
+        slots_if_one = rng.choice([[0], [SLOTS - 1], slots])
         if count == 1:
-            slots = single_slot
+            slots = slots_if_one
         return sum(1 << slot for slot in slots)
 
     def _fill_in_batch(self, robust: RobustFilter, t: int, n: int) -> None:
@@ -338,21 +348,20 @@ class RobustScenarioWriter(ScenarioWriter):
 
         ``n`` of all its ``t`` observations were black. The batch is the last observations. Its number of
         black ones is the expected, the smallest or the largest possible number, or makes the batch just an
-        outlier, or just not. ``robust`` gets the dispersion, and the counts with which the batch began.
+        outlier, or just not. ``robust`` gets the dispersion, and the counts with which the batch began. A
+        robot without observations stays as a new one.
         """
         rng = self._rng
         if t == 0:
-            return  # as in a new robot
-        robust.dispersion = rng.choice(
-            [
-                DISPERSION_MIN,
-                DISPERSION_MIN + draw_number_of_any_size(rng, 1, 8),
-                clamp(draw_number_of_any_size(rng, 9, 16), DISPERSION_MIN, DISPERSION_MAX),
-                DISPERSION_MAX - rng.randrange(2),
-            ]
-        )
+            return
+        small_dispersion = DISPERSION_MIN + draw_number_of_any_size(rng, 1, 8)
+        any_dispersion = clamp(draw_number_of_any_size(rng, 9, 16), DISPERSION_MIN, DISPERSION_MAX)
+        large_dispersion = DISPERSION_MAX - rng.randrange(2)
+        robust.dispersion = rng.choice([DISPERSION_MIN, small_dispersion, any_dispersion, large_dispersion])
         white_count = t - n
-        count = rng.choice([0, 1, min(draw_number_of_any_size(rng, 1, 31), t), rng.randint(0, t), t])
+        # Number of observations in the batch
+        count_of_any_size = min(draw_number_of_any_size(rng, 1, 31), t)
+        count = rng.choice([0, 1, count_of_any_size, rng.randint(0, t), t])
         smallest_black_count = max(count - white_count, 0)
         largest_black_count = min(count, n)
         expected_black_count = count * n // t
@@ -361,14 +370,10 @@ class RobustScenarioWriter(ScenarioWriter):
         variance_times_t_squared = count * n * white_count
         scaled_limit = REJECTED_SIGMAS_SQUARED * robust.dispersion * variance_times_t_squared // (t * t)
         square_limit = scaled_limit >> 8  # the dispersion is in units of 2**-8
-        deviation = rng.choice([0, draw_number_of_any_size(rng, 0, 8), isqrt(square_limit)])
-        black_count = rng.choice(
-            [
-                expected_black_count + rng.choice([-1, 1]) * deviation + rng.randint(-1, 1),
-                smallest_black_count,
-                largest_black_count,
-            ]
-        )
+        largest_deviation = isqrt(square_limit)
+        deviation = rng.choice([0, draw_number_of_any_size(rng, 0, 8), largest_deviation])
+        deviating_black_count = expected_black_count + rng.choice([-1, 1]) * deviation + rng.randint(-1, 1)
+        black_count = rng.choice([deviating_black_count, smallest_black_count, largest_black_count])
         robust.batch_t = t - count
         robust.batch_n = n - clamp(black_count, smallest_black_count, largest_black_count)
         if robust.batch_t == 0:
@@ -447,10 +452,13 @@ class RobustScenarioWriter(ScenarioWriter):
     def _draw_estimates_at_threshold(self, robot: DrawnRobot, count: int) -> tuple[int, ...] | None:
         """Draw estimates by which the robot's test just rejects, or just does not; None if there are none."""
         width = draw_number_of_any_size(self._rng, 1, 15)
-        both_sides = draw_slots_at_threshold(self._mirror_of(robot), count, width, self._rng)
-        return None if both_sides is None else self._rng.choice(both_sides).estimates
+        slots_on_both_sides = draw_slots_at_threshold(self._mirror_of(robot), count, width, self._rng)
+        if slots_on_both_sides is None:
+            return None
+        slots = self._rng.choice(slots_on_both_sides)
+        return slots.estimates
 
-    def _draw_parties(self, robot: DrawnRobot, count: int) -> tuple[int, ...] | None:
+    def _draw_supporters_and_others(self, robot: DrawnRobot, count: int) -> tuple[int, ...] | None:
         """Draw estimates by which the robot's test rejects, though about two in five support the robot.
 
         The others agree on an estimate that contradicts its observations. There are at least 11 estimates,
@@ -462,7 +470,7 @@ class RobustScenarioWriter(ScenarioWriter):
         slots = slots_with_supporters(self._mirror_of(robot), count, supporter_count)
         return None if slots is None else slots.estimates
 
-    def _draw_parties_with_tie(self, robot: DrawnRobot, count: int) -> tuple[int, ...] | None:
+    def _draw_supporters_and_tie(self, robot: DrawnRobot, count: int) -> tuple[int, ...] | None:
         """Draw estimates: two in five support the robot, and one more almost does.
 
         The others agree on another estimate. There are at least 12 estimates, also for a smaller ``count``,
@@ -488,11 +496,12 @@ class RobustScenarioWriter(ScenarioWriter):
         estimate, 0 or the largest one. The estimates have nothing to do with ``robot``.
         """
         rng = self._rng
-        start = rng.choice([rng.randint(0, SLOT_ESTIMATE_MAX), 0, SLOT_ESTIMATE_MAX])
+        point = rng.choice([rng.randint(0, SLOT_ESTIMATE_MAX), 0, SLOT_ESTIMATE_MAX])
+        # Distances of any size come from a number of bits each, so small ones are as frequent as large ones.
         max_bits = rng.randint(2, 16)
         direction = rng.choice([-1, 1])
         distances = [draw_number_of_any_size(rng, 0, max_bits) for _ in range(count)]
-        return tuple(clamp(start + direction * distance, 0, SLOT_ESTIMATE_MAX) for distance in distances)
+        return tuple(clamp(point + direction * distance, 0, SLOT_ESTIMATE_MAX) for distance in distances)
 
     def _draw_slowly_centred_estimates(self, robot: DrawnRobot, count: int) -> tuple[int, ...]:
         """Draw 32 estimates whose Huber centre three steps do not reach, so that a fourth would show.
@@ -503,7 +512,7 @@ class RobustScenarioWriter(ScenarioWriter):
         direction = rng.choice([-1, 1])
         scale = rng.choice([1, 2, 4, 8])
         start = rng.randint(0, SLOT_ESTIMATE_MAX)
-        distances = [scale * distance for distance in _SLOWLY_CENTRED]
+        distances = [scale * distance for distance in _DISTANCES_OF_SLOW_CENTRE]
         return tuple(clamp(start + direction * distance, 0, SLOT_ESTIMATE_MAX) for distance in distances)
 
 

@@ -22,23 +22,23 @@ from mcp_asdf.table import Table, checksum
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.tables.thresholds import check_q, generate, parse_omega
 
-_MAX_8, _MAX_32 = 2**8 - 1, 2**32 - 1
+_MAX_8_BITS, _MAX_32_BITS = 2**8 - 1, 2**32 - 1
 """Largest number of 8 and of 32 bits."""
 _LARGEST_IMAGE_WORDS = max(image_word_count(robot_filter) for robot_filter in Filter)
-_MAX_NUMBERS = {
-    "robot": (_MAX_8, _MAX_32, _MAX_32, _MAX_8, _MAX_32),
-    "observe": (_MAX_32,),
-    "step": (_MAX_32,),
+_LARGEST_NUMBERS = {
+    "robot": (_MAX_8_BITS, _MAX_32_BITS, _MAX_32_BITS, _MAX_8_BITS, _MAX_32_BITS),
+    "observe": (_MAX_32_BITS,),
+    "step": (_MAX_32_BITS,),
     "settle": (),
-    "receive": (_MAX_8, _MAX_32, _MAX_32),
-    "damage": (4 * _LARGEST_IMAGE_WORDS - 1, _MAX_8),
+    "receive": (_MAX_8_BITS, _MAX_32_BITS, _MAX_32_BITS),
+    "damage": (4 * _LARGEST_IMAGE_WORDS - 1, _MAX_8_BITS),
 }
 """The largest value of every number of an item, by the item's name: ``robot``, which makes the robot, or that
 of a call. ``restore`` is not here, as it takes any number of pairs."""
 _MAX_DIGITS = 20
 """Digits of a number in a line, more than any legal one has."""
 
-REPLACING = ("restore", "damage")
+CALLS_THAT_REPLACE_ROBOT = ("restore", "damage")
 """Calls after which the robot is another one, restored from an image."""
 
 State = dict[str, int]
@@ -119,7 +119,7 @@ class Setup:
         return robot if self.table is None else f"{self.table},{robot}"
 
     def config(self) -> Config:
-        """Return the settings as firmwares take them."""
+        """Return table, filter, filter period and memory as firmwares take them; they may be illegal."""
         table = None if self.table is None else self.table.build()
         return Config(table, cast(Filter, self.filter), self.filter_period, self.memory)
 
@@ -134,7 +134,7 @@ class Scenario:
     def __str__(self) -> str:
         return ",".join([str(self.setup), *map(str, self.calls)])
 
-    def with_calls(self, calls: tuple[Call, ...]) -> Scenario:
+    def replace_calls(self, calls: tuple[Call, ...]) -> Scenario:
         """Return a scenario of the same robot with other calls."""
         return replace(self, calls=calls)
 
@@ -155,8 +155,9 @@ class CallResult:
 
 
 def _group_in_pairs(numbers: tuple[int, ...]) -> list[tuple[int, int]]:
-    """Return numbers in pairs: the first with the second, and so on. Raises ValueError for an odd number."""
-    return list(zip(numbers[::2], numbers[1::2], strict=True))
+    """Return numbers in pairs: the first with the second, and so on. There must be an even number of them."""
+    first_numbers, second_numbers = numbers[::2], numbers[1::2]
+    return list(zip(first_numbers, second_numbers, strict=True))
 
 
 # --- Scenarios from text ---
@@ -170,20 +171,21 @@ def parse_scenario(line: str) -> Scenario:
     items = line.strip().split(",")
     # The first item may be a table, the next one must be the robot, and all others are calls.
     table = None
-    if _name_of(items[0]) == "table":
+    if _first_word_of(items[0]) == "table":
         table = _parse_table(items[0])
         items = items[1:]
-    if not items or _name_of(items[0]) != "robot":
+    if not items or _first_word_of(items[0]) != "robot":
         raise UsageError("a scenario starts with table:... and robot:..., or with robot:... alone")
     robot_item, *call_items = items
     # The numbers of the item are in the order of the attributes of Setup.
     setup = Setup(table, *_parse_numbers(robot_item))
     image_words = image_word_count(setup.filter)
-    return Scenario(setup, tuple(_parse_call(call_item, image_words) for call_item in call_items))
+    calls = [_parse_call(call_item, image_words) for call_item in call_items]
+    return Scenario(setup, tuple(calls))
 
 
-def _name_of(item: str) -> str:
-    """Return the word with which an item begins."""
+def _first_word_of(item: str) -> str:
+    """Return the word with which an item begins, which is all up to its first colon."""
     return item.partition(":")[0]
 
 
@@ -209,8 +211,8 @@ def _parse_call(item: str, image_words: int) -> Call:
         if not _are_replacements_legal(numbers, image_words):
             raise UsageError(f"{item} needs pairs of an index, 1 to {image_words - 2}, and a 32-bit word")
         return Call(name, numbers)
-    # "robot" is the item that makes the robot, and no call.
-    call_names = ["restore", *(item_name for item_name in _MAX_NUMBERS if item_name != "robot")]
+    call_names = ["restore", *_LARGEST_NUMBERS]
+    call_names.remove("robot")  # The item that makes the robot is no call.
     if name not in call_names:
         raise UsageError(f"{item!r} is no call; there are {', '.join(call_names)}")
     numbers = _parse_numbers(item)
@@ -228,8 +230,11 @@ def _are_replacements_legal(numbers: tuple[int, ...], image_words: int) -> bool:
     """
     if len(numbers) % 2 != 0:
         return False
-    last_index = image_words - 2
-    return all(1 <= index <= last_index and word <= _MAX_32 for index, word in _group_in_pairs(numbers))
+    last_index = image_words - 2  # that of the word before the checksum
+    for index, word in _group_in_pairs(numbers):
+        if not 1 <= index <= last_index or word > _MAX_32_BITS:
+            return False
+    return True
 
 
 def _parse_numbers(item: str) -> tuple[int, ...]:
@@ -239,7 +244,7 @@ def _parse_numbers(item: str) -> tuple[int, ...]:
     """
     name, *texts = item.split(":")
     numbers = tuple(_parse_integer(text, item) for text in texts)
-    max_numbers = _MAX_NUMBERS[name]
+    max_numbers = _LARGEST_NUMBERS[name]
     if len(numbers) != len(max_numbers):
         raise UsageError(f"{item} has {len(numbers)} numbers; {name} takes {len(max_numbers)}")
     for number, max_number in zip(numbers, max_numbers, strict=True):
@@ -264,20 +269,22 @@ def _parse_integer(text: str, item: str) -> int:
 
 def unpack_image(image: bytes) -> list[int]:
     """Return the image of a saved robot as words of 32 bits. The last one is a checksum."""
-    return [word for (word,) in struct.iter_unpack("<I", image)]
+    word_count = len(image) // 4
+    return list(struct.unpack(f"<{word_count}I", image))
 
 
-def edited_image(image: bytes, call: Call) -> bytes:
+def edit_image(image: bytes, call: Call) -> bytes:
     """Return a copy of a saved image with the changes that a ``restore`` or ``damage`` call makes.
 
-    ``restore`` replaces words and computes the checksum anew; ``damage`` changes a byte and leaves the
-    checksum as it is.
+    ``restore`` replaces words and computes the checksum anew; ``damage`` flips bits of one byte and leaves
+    the checksum as it is.
     """
     if call.name == "damage":
         byte_index, mask = call.numbers
         damaged_image = bytearray(image)
         damaged_image[byte_index] ^= mask
         return bytes(damaged_image)
+    # Otherwise the call is a restore.
     words = unpack_image(image)
     for index, value in call.pairs:
         words[index] = value
@@ -285,17 +292,17 @@ def edited_image(image: bytes, call: Call) -> bytes:
     return struct.pack(f"<{len(words)}I", *words)
 
 
-def perform(robot: FixedPointRobot, call: Call) -> Status:
+def make_call(robot: FixedPointRobot, call: Call) -> Status:
     """Make a call on ``robot``, and return the status with which it answers.
 
     The call must not be ``restore`` or ``damage``, which make another robot. Its numbers are passed on as
     they are, also those that the firmware must refuse: the status then says so.
     """
-    numbers = call.numbers
+    if call.name == "settle":
+        return robot.settle()
     if call.name == "receive":
-        return robot.receive_raw(*numbers)
-    if call.name == "observe":
-        return robot.observe(cast(Observation, numbers[0]))
-    if call.name == "step":
-        return robot.step(cast(Observation, numbers[0]))
-    return robot.settle()
+        sender, x_hat, alpha = call.numbers
+        return robot.receive_raw(sender, x_hat, alpha)
+    [number] = call.numbers
+    observation = cast(Observation, number)
+    return robot.observe(observation) if call.name == "observe" else robot.step(observation)

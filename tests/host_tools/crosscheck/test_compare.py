@@ -155,7 +155,7 @@ def test_a_crosscheck_that_fails_has_counted_the_calls_up_to_the_failing_one(las
     def fail_in_fourth_scenario(scenario: Scenario) -> Failure | None:
         if len(passed_call_counts) == 3:
             calls_up_to_failure = scenario.calls[:last_call_count]
-            return Failure(scenario.with_calls(calls_up_to_failure), ("wrong",))
+            return Failure(scenario.replace_calls(calls_up_to_failure), ("wrong",))
         passed_call_counts.append(len(scenario.calls))
         return None
 
