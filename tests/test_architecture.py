@@ -25,11 +25,18 @@ def test_no_package_imports_one_that_stands_above_it() -> None:
 
 
 def test_help_is_shown_without_loading_the_large_libraries() -> None:
-    """They are numpy, python-can and cffi. Without them the help is there in a twentieth of a second."""
-    program = (
-        "import sys; from mcp_asdf_tools.cli.main import main; main(['--help']); "
-        "assert not {'numpy', 'can', 'cffi'} & set(sys.modules)"
-    )
+    """They are numpy, python-can and cffi. Without them the help is there in a twentieth of a second.
+
+    The program runs in a process of its own, as this one has loaded them, and run() raises if it fails.
+    """
+    program = """
+import sys
+from mcp_asdf_tools.cli.main import main
+main(["--help"])
+assert "numpy" not in sys.modules
+assert "can" not in sys.modules
+assert "cffi" not in sys.modules
+"""
     run(sys.executable, "-c", program, cwd=Path.cwd())
 
 
@@ -50,20 +57,29 @@ def first_line_of_docstring(package: str) -> str:
 
 def test_the_page_about_the_architecture_lists_every_package_with_its_first_sentence() -> None:
     """A row of its table has a package, which it calls a room, and the first line of its docstring."""
-    _before, _head, rest = PAGE.partition("| room | what is in it |")
-    table, *_ = rest.split("\n\n")
+    _before, _titles, rest = PAGE.partition("| room | what is in it |")
+    table, *_paragraphs_below = rest.split("\n\n")
     sentences_by_package = dict(re.findall(r"^\| `(\w+)` \| (.*) \|$", table, re.MULTILINE))
 
-    assert sentences_by_package == {package: first_line_of_docstring(package) for package in PACKAGES}
+    expected_sentences = {package: first_line_of_docstring(package) for package in PACKAGES}
+    assert sentences_by_package == expected_sentences
 
 
 def test_the_page_about_the_architecture_has_the_order_of_the_packages() -> None:
-    """pyproject.toml states the same order, by which ``lint-imports`` checks imports."""
-    assert " > ".join(layers_of_packages()) in " ".join(PAGE.split())
+    """pyproject.toml states the same order, by which ``lint-imports`` checks imports.
+
+    On the page ">" stands between the layers of packages, the highest of which is the first.
+    """
+    order = " > ".join(layers_of_packages())
+    page_in_one_line = " ".join(PAGE.split())
+    assert order in page_in_one_line
 
 
 def test_the_order_of_the_packages_has_all_of_them() -> None:
-    """Packages in one layer stand between bars, and do not import each other."""
+    """Packages in one layer stand between bars, and do not import each other.
+
+    The module ``library``, which is no package, has a place in the order, too.
+    """
     names = re.findall(r"\w+", " ".join(layers_of_packages()))
     assert sorted(names) == sorted([*PACKAGES, "library"])
 

@@ -60,15 +60,24 @@ def test_reports_of_all_listed_tests_pass(folder: Path) -> None:
     """The fixture's list expects 100 tests of tests/bus and 50 of tests/proofs."""
     write_report(folder, "tests.bus.test_dbc", 100)
     write_report(folder, "tests.proofs.test_sums", 50)
-    assert count(folder, "--strict") == Count(0, ["150 passed, 0 failed, 0 skipped"])
+
+    result = count(folder, "--strict")
+
+    assert result == Count(status=0, lines=["150 passed, 0 failed, 0 skipped"])
 
 
-@pytest.mark.parametrize("outcome", [FAILURE, ERROR])
-def test_a_failure_and_an_error_of_a_fixture_count_as_failed(folder: Path, outcome: str) -> None:
-    """The program ends with the code 1. pytest reports an error where what a test needs could not be made."""
-    write_report(folder, "tests.bus.test_dbc", 101, outcome)
+@pytest.mark.parametrize("special_outcome", [FAILURE, ERROR])
+def test_a_failure_and_an_error_of_a_fixture_count_as_failed(folder: Path, special_outcome: str) -> None:
+    """The program ends with the code 1. pytest reports an error where what a test needs could not be made.
+
+    The fixture's list expects 100 tests of tests/bus and 50 of tests/proofs. One test more fails.
+    """
+    write_report(folder, "tests.bus.test_dbc", 100 + 1, special_outcome)
     write_report(folder, "tests.proofs.test_sums", 50)
-    assert count(folder, "--strict") == Count(1, ["strict: 1 failed", "150 passed, 1 failed, 0 skipped"])
+
+    result = count(folder, "--strict")
+
+    assert result == Count(status=1, lines=["strict: 1 failed", "150 passed, 1 failed, 0 skipped"])
 
 
 def test_a_skip_for_a_tool_that_is_not_installed_fails(folder: Path) -> None:
@@ -90,7 +99,10 @@ def test_a_skip_for_the_machine_is_no_failure(folder: Path) -> None:
     """One of 50 tests needs a processor that this machine does not have; that is no fault of the set-up."""
     write_report(folder, "tests.bus.test_dbc", 100)
     write_report(folder, "tests.proofs.test_sums", 50, SKIPPED_FOR_THE_MACHINE)
-    assert count(folder, "--strict").status == 0
+
+    result = count(folder, "--strict")
+
+    assert result.status == 0
 
 
 def test_without_the_option_strict_a_skip_is_only_named(folder: Path) -> None:
@@ -107,17 +119,23 @@ def test_without_the_option_strict_a_skip_is_only_named(folder: Path) -> None:
 def test_a_loss_of_more_than_two_percent_of_a_folder_s_tests_fails(
     folder: Path, passed: int, exit_code: int
 ) -> None:
-    """The list expects 100 tests of tests/bus. Others, in tests/proofs, do not make up for a loss."""
+    """The list expects 100 tests of tests/bus and 50 of tests/proofs.
+
+    Ten tests more of tests/proofs do not make up for a loss in tests/bus.
+    """
     write_report(folder, "tests.bus.test_dbc", passed)
-    write_report(folder, "tests.proofs.test_sums", 60)
-    assert count(folder, "--strict").status == exit_code
+    write_report(folder, "tests.proofs.test_sums", 50 + 10)
+
+    result = count(folder, "--strict")
+
+    assert result.status == exit_code
 
 
 def test_the_folder_that_lost_tests_is_named_with_the_command_that_accepts_it(folder: Path) -> None:
     """The fixture's list expects 50 tests of tests/proofs, and there is no report of them."""
     write_report(folder, "tests.bus.test_dbc", 100)
 
-    first_line, *_ = count(folder, "--strict").lines
+    first_line, *_other_lines = count(folder, "--strict").lines
 
     assert first_line == (
         "strict: tests/proofs: 0 tests of 50; if they were removed on purpose, "
@@ -142,9 +160,9 @@ def test_a_test_that_is_in_two_reports_is_counted_once(folder: Path) -> None:
 
 
 def test_a_list_with_20_tests_fewer_than_170_has_to_be_renewed(folder: Path) -> None:
-    """A tenth of the tests that ran may be missing from the list, here 17 of 170; the list has 150.
+    """A tenth of the tests that ran may be missing from the list: 17 of 170, and 20 are more than that.
 
-    With an older list many tests could vanish again unnoticed.
+    The fixture's list has 150. With an older list many tests could vanish again unnoticed.
     """
     write_report(folder, "tests.bus.test_dbc", 100 + 20)
     write_report(folder, "tests.proofs.test_sums", 50)
@@ -163,5 +181,5 @@ def test_the_list_names_every_folder_that_has_tests() -> None:
 
 
 def test_continuous_integration_counts_strictly() -> None:
-    """Without the option it would end with success, with any number of skipped tests."""
+    """Without the option the program would end with success, with any number of skipped tests."""
     assert "count.py --strict build/reports" in (ROOT / ".ci/run").read_text(encoding="utf-8")

@@ -69,7 +69,10 @@ def run_example(example: Example, folder: Path) -> str:
 
 
 def test_each_of_the_seven_programs_on_the_page_about_data_frames_has_its_output_below_it() -> None:
-    assert len(EXAMPLES) == len(blocks(PAGE, "python", "r", "octave")) == 7
+    """EXAMPLES are found by a block of text below the program, so one without it would not be tested."""
+    programs = blocks(PAGE, "python", "r", "octave")
+    assert len(programs) == 7
+    assert [example.code for example in EXAMPLES] == programs
 
 
 @pytest.mark.slow
@@ -77,24 +80,27 @@ def test_each_of_the_seven_programs_on_the_page_about_data_frames_has_its_output
 def test_a_program_in_python_r_or_octave_prints_what_the_page_about_data_frames_shows(
     example: Example, folder_of_sweep: Path
 ) -> None:
-    """It reads tables that the commands of the page have written."""
-    assert run_example(example, folder_of_sweep) == example.output
+    """It reads tables that the commands of the page have written. ``example`` has its code and the output."""
+    printed = run_example(example, folder_of_sweep)
+    assert printed == example.output
 
 
 @pytest.mark.slow
 def test_the_commands_of_a_sweep_print_at_the_end_what_the_page_about_data_frames_shows(
     folder_of_sweep: Path,
 ) -> None:
-    """The page shows dots for what they print before."""
+    """The page shows dots for what they print before. The fixture has written it to printed.txt."""
     shown_for_sweep, *_others = blocks(PAGE, "text")
+    shown_end = shown_for_sweep.removeprefix("...\n")
     printed = (folder_of_sweep / "printed.txt").read_text()
-    assert printed.endswith(shown_for_sweep.removeprefix("...\n"))
+    assert printed.endswith(shown_end)
 
 
 @pytest.mark.slow
 def test_the_commands_that_export_a_log_print_at_the_end_what_the_page_about_data_frames_shows(
     tmp_path: Path,
 ) -> None:
+    """They are the second block of commands on the page, and their output is the second block of text."""
     _commands_for_sweep, commands_for_log = blocks(PAGE, "sh")
     _shown_for_sweep, shown_for_log, *_others = blocks(PAGE, "text")
 

@@ -145,7 +145,8 @@ def commands_that_are_not_run() -> list[str]:
 
 def test_every_page_of_the_docs_is_in_the_navigation() -> None:
     """Pages in folders are left out, as other pages lead to them, and so is the README."""
-    _settings, _nav, navigation = (ROOT / ".ci/mkdocs.yml").read_text(encoding="utf-8").partition("\nnav:\n")
+    settings = (ROOT / ".ci/mkdocs.yml").read_text(encoding="utf-8")
+    _before, _nav, navigation = settings.partition("\nnav:\n")
     names_in_navigation = re.findall(r"[\w/]+\.md$", navigation, re.MULTILINE)
 
     pages = [page.name for page in PAGES if page.parent == ROOT / "docs"]
@@ -154,7 +155,7 @@ def test_every_page_of_the_docs_is_in_the_navigation() -> None:
 
 
 def test_as_many_commands_and_programs_are_found_in_the_pages_as_there_are_today() -> None:
-    """The tests below run each that is found: if none were found, nothing would be tested."""
+    """Other tests run each that is found: if none were found, nothing would be tested."""
     command_count = run_count = program_count = 0
     for page in PAGES:
         commands = all_commands(page)
@@ -164,7 +165,7 @@ def test_as_many_commands_and_programs_are_found_in_the_pages_as_there_are_today
             run_count += len(commands)
         program_count += len(blocks(page, "python"))
 
-    assert command_count >= 130
+    assert command_count >= 130, "commands on all pages"
     assert run_count >= 45, "here or by test_experiment_pages.py; others need a network or much time"
     assert program_count >= 12
 
@@ -189,7 +190,10 @@ def printed_as_shown(page: Path, script: list[str], printed: str) -> bool:
 
 @pytest.mark.parametrize("page", CASES)
 def test_the_commands_of_a_page_work_and_print_what_it_shows(page: Path, workplace: Path) -> None:
-    """Each block of commands runs in a shell of its own. Commands that other tests run are left out."""
+    """Each block of commands runs in a shell of its own. Commands that other tests run are left out.
+
+    What is printed is compared on pages that show it, if no command of the block is left out.
+    """
     for script in scripts(page):
         lines = [command for command in script if is_run(page, command)]
         for tool, packages in NEEDED.items():
@@ -207,7 +211,8 @@ def test_a_command_of_the_docs_that_no_test_runs_has_options_that_are_there(comm
     """Such a command wants a network or minutes. An unknown option would end this test by SystemExit."""
     _program, name, *options = shlex.split(command)
     # The private functions make the parser of a command's options, as the program does.
-    cli._parser_for(name, cli._load(name)).parse_args(options)
+    parser = cli._parser_for(name, cli._load(name))
+    parser.parse_args(options)
 
 
 @pytest.mark.parametrize(
@@ -221,7 +226,8 @@ def test_the_c_node_understands_the_commands_of_the_docs(
     A command may be a pipe, in which the node is the last program.
     """
     with_names_that_are_not_there = re.sub(r"v?can0", "none0", command).replace("/sys/", "/none/")
-    program, *options = with_names_that_are_not_there.split("| ")[-1].split()
+    *_programs_before, command_of_node = with_names_that_are_not_there.split("| ")
+    program, *options = command_of_node.split()
     assert program == "mcp_asdf_node"
     node = node_command(SANITIZED_BUILD, tmp_path_factory)
 
@@ -271,27 +277,31 @@ def test_the_built_docs_list_every_command(site: Path) -> None:
 
 @pytest.mark.slow
 def test_the_built_docs_list_the_functions_of_the_c_headers(site: Path) -> None:
+    """mcp_asdf_settle, which ends a round, is one of them."""
     assert "mcp_asdf_settle(mcp_asdf_t *robot)" in text_of(site / "headers.html")
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("page", "content"),
+    ("page", "included_text"),
     [
         pytest.param("elsewhere", "radiolinkSendP2PPacketBroadcast", id="a file that the page names"),
         pytest.param("world", "mcp_asdf_tools.world.settings.WorldSettings", id="the Python API"),
         pytest.param("advice", f"mcp-asdf {version_of_header()}</title>", id="the version in the title"),
     ],
 )
-def test_the_built_docs_have_what_comes_from_other_files(page: str, content: str, site: Path) -> None:
+def test_the_built_docs_have_what_comes_from_other_files(page: str, included_text: str, site: Path) -> None:
     """The page is built from Markdown, in which a plain reference stands in its place."""
     [path] = site.rglob(f"{page}.html")
-    assert content in path.read_text(encoding="utf-8")
+    assert included_text in path.read_text(encoding="utf-8")
 
 
 @pytest.mark.slow
 def test_the_built_docs_have_formulas_that_a_browser_shows(site: Path) -> None:
-    """They are MathML. If a formula were not converted, its dollars would be left in the text."""
+    """They are MathML. If a formula were not converted, its dollars would be left in the text.
+
+    The page docs/method.md has most of them.
+    """
     assert "$" not in text_of(site / "method.html")
 
 
@@ -320,8 +330,12 @@ def test_the_built_docs_load_nothing_from_elsewhere_and_have_no_diagram_as_text(
 
 @pytest.mark.slow
 def test_no_page_of_the_built_docs_is_wider_than_a_phone(site: Path, chromium: Browser) -> None:
-    """No table and no cell is wider either, or a reader would have to scroll sideways."""
+    """No table and no cell is wider either, or a reader would have to scroll sideways.
+
+    The playground has a test of its own for that, and 404.html is no page of ours.
+    """
     phone_width = 390
+    # JavaScript for the widths of the page, of its tables and of their cells.
     widths = (
         "[document.documentElement, ...document.querySelectorAll('.md-typeset table:not([class]), "
         ".md-typeset table:not([class]) td')].map((element) => element.scrollWidth)"
@@ -335,7 +349,10 @@ def test_no_page_of_the_built_docs_is_wider_than_a_phone(site: Path, chromium: B
 
 @pytest.mark.slow
 def test_each_cell_of_a_table_names_its_column_on_a_phone(site: Path, chromium: Browser) -> None:
-    """There each row of a table stands by itself, and a style writes the column's name into a cell."""
+    """There each row of a table stands by itself, and a style writes the column's name into a cell.
+
+    The second column of the first table of docs/advice.md is called "if yes".
+    """
     phone_width = 390
     with new_page(chromium, width=phone_width) as browser:
         browser.goto((site / "advice.html").as_uri())
@@ -361,7 +378,7 @@ def test_the_search_of_the_built_docs_works_without_a_server_and_shows_guides_fi
         browser.locator(".md-search__input").press_sequentially(word)
         until(browser, f"{addresses}.some((address) => address.includes('/{found_page}.html'))")
 
-        first, second, third, *_ = browser.evaluate(addresses)
+        first, second, third, *_later_results = browser.evaluate(addresses)
 
     for address in (first, second, third):
         assert "/api/" not in address
@@ -499,27 +516,38 @@ def test_the_commands_of_the_readme_build_and_run_its_c_program_in_an_empty_fold
     (tmp_path / "robot.c").write_text(program)
     get_firmware, build, start = block_with(README, "robot.c", "sh").splitlines()
 
-    printed = run("sh", "-ec", f"{get_firmware} >/dev/null\n{build}\n{start}", cwd=tmp_path)
+    get_firmware_silently = f"{get_firmware} >/dev/null"
+    printed = run("sh", "-ec", "\n".join([get_firmware_silently, build, start]), cwd=tmp_path)
 
     assert printed == README_OUTPUT
 
 
 def test_the_c_program_of_the_readme_builds_with_firmware_that_was_copied_by_hand(tmp_path: Path) -> None:
-    """No compiler warning stops the build, which treats all of them as errors."""
+    """No compiler warning stops the build, which treats all of them as errors.
+
+    The program then prints what the README shows. The first of its commands, which would get the firmware, is
+    left out.
+    """
     [program] = blocks(README, "c")
     (tmp_path / "robot.c").write_text(program)
     shutil.copytree(ROOT / "c_ref/src", tmp_path / "vendor/mcp_asdf")
     shutil.copy(TABLE, tmp_path / "vendor/mcp_asdf")
     _get_firmware, build, start = block_with(README, "robot.c", "sh").splitlines()
     assert "-std=c99" in build
-    build = build.replace("-std=c99", "-std=c99 -pedantic-errors -Wall -Wextra -Werror")
+    strict_build = build.replace("-std=c99", "-std=c99 -pedantic-errors -Wall -Wextra -Werror")
 
-    assert run("sh", "-ec", f"{build}\n{start}", cwd=tmp_path) == README_OUTPUT
+    printed = run("sh", "-ec", f"{strict_build}\n{start}", cwd=tmp_path)
+
+    assert printed == README_OUTPUT
 
 
 def test_the_output_in_the_readme_is_what_the_paper_s_equation_gives() -> None:
-    """Two of three tiles were black, and the sensor is right in 0.95 (eq. 3: (n/t + b - 1) / (2 b - 1))."""
-    share_of_black = (2 / 3 + 0.95 - 1) / (2 * 0.95 - 1)
+    """n of t tiles seem black, 2 of 3, and a sensor with the accuracy b is right in 95 of 100 cases.
+
+    Equation 3 makes the share of black tiles of these three numbers.
+    """
+    n, t, b = 2, 3, 0.95
+    share_of_black = (n / t + b - 1) / (2 * b - 1)
     assert f"{share_of_black:.3f}" in README_OUTPUT
 
 
@@ -532,12 +560,16 @@ for name in sys.argv[1:]:
 
 @pytest.mark.parametrize("page", CASES[1:])
 def test_the_python_programs_of_a_page_run(page: Path, tmp_path: Path) -> None:
-    """They run one after the other in one process, so that libraries are loaded once."""
+    """They run one after the other in one process, so that libraries are loaded once.
+
+    run() raises if one fails. Some pages are left out, whose programs other tests run.
+    """
     names = []
     if page.name not in PROGRAMS_RUN_ELSEWHERE:
         for index, program in enumerate(blocks(page, "python")):
-            names.append(f"program_{index}.py")
-            (tmp_path / names[-1]).write_text(program)
+            name = f"program_{index}.py"
+            (tmp_path / name).write_text(program)
+            names.append(name)
 
     run(sys.executable, "-c", RUN_FILES, *names, cwd=tmp_path)
 
@@ -563,14 +595,21 @@ def test_the_notebook_prints_what_it_shows(tmp_path: Path) -> None:
 
 def test_the_notebook_has_a_picture() -> None:
     """A cell of code may have it among its outputs, in the format PNG."""
-    outputs = [output for cell in code_cells_of_notebook() for output in cell["outputs"]]
-    assert any("image/png" in output.get("data", {}) for output in outputs)
+    pictures = []
+    for cell in code_cells_of_notebook():
+        for output in cell["outputs"]:
+            if "image/png" in output.get("data", {}):
+                pictures.append(output)
+    assert len(pictures) > 0
 
 
 def test_the_example_of_the_python_api_prints_what_it_shows() -> None:
+    """It is the program of docs/api.md that makes a NativeRobot, and lets it run for 1000 ticks."""
     page = ROOT / "docs/api.md"
     code = block_with(page, "NativeRobot", "python")
-    assert run(sys.executable, "-c", code) == block_with(page, "tick 1000", "text")
+    shown_output = block_with(page, "tick 1000", "text")
+
+    assert run(sys.executable, "-c", code) == shown_output
 
 
 def words_of(page: str) -> str:
@@ -588,18 +627,27 @@ def figures_of_how_much_it_helps() -> list[list[float]]:
 
 
 def test_the_readme_states_the_errors_that_a_program_of_the_docs_prints() -> None:
-    """These are errors of the estimated share of black. The second figure of each line is their median."""
-    no_filter, asdf_minus, robust_filter, *_lines_of_more_flawed_robots = figures_of_how_much_it_helps()
-    _, none, *_ = no_filter
-    _, minus, *_ = asdf_minus
-    _, robust, *_ = robust_filter
+    """These are errors of the estimated share of black. The second figure of each line is their median.
 
-    errors = f"the error is {none:.3f} without a filter, {minus:.3f} with ASDF-, and {robust:.3f} with the"
-    assert f"{errors} robust filter" in words_of("README.md")
+    docs/experiments.md shows what the program prints: first lines about no filter, ASDF- and the robust one.
+    """
+    no_filter, asdf_minus, robust_filter, *_lines_of_more_flawed_robots = figures_of_how_much_it_helps()
+    _, error_without_filter, *_ = no_filter
+    _, error_with_asdf_minus, *_ = asdf_minus
+    _, error_with_robust_filter, *_ = robust_filter
+
+    sentence = (
+        f"the error is {error_without_filter:.3f} without a filter, {error_with_asdf_minus:.3f} with ASDF-, "
+        f"and {error_with_robust_filter:.3f} with the robust filter"
+    )
+    assert sentence in words_of("README.md")
 
 
 def test_the_advice_states_how_many_times_smaller_the_error_is_as_a_program_of_the_docs_prints_it() -> None:
-    """It is the line of ASDF- with half of the robots flawed. Its fifth figure is the ratio."""
+    """docs/experiments.md shows what the program prints. The last line but one is about ASDF-.
+
+    Half of the robots are flawed there, and the fifth figure of the line is the ratio of errors.
+    """
     *_, half_flawed_with_asdf_minus, _with_robust_filter = figures_of_how_much_it_helps()
     _, _, _, _, times_smaller, *_ = half_flawed_with_asdf_minus
     assert f"it makes the error at the end {times_smaller} times smaller" in words_of("docs/advice.md")
@@ -618,12 +666,14 @@ def test_the_readme_and_the_advice_state_how_often_the_robust_filter_harms() -> 
 
 
 def test_the_readme_and_the_advice_lead_to_the_page_with_their_figures() -> None:
+    """Its section "How much it helps" has the program that prints them."""
     assert "](docs/experiments.md#how-much-it-helps)" in words_of("README.md")
     assert "](experiments.md#how-much-it-helps)" in words_of("docs/advice.md")
 
 
 @pytest.mark.parametrize("page", ["README.md", ".github/CONTRIBUTING.md", "Makefile"])
 def test_all_state_the_same_time_for_the_tests(page: str) -> None:
-    """It is what ``make test`` takes once everything is installed."""
+    """It is what ``make test`` takes once everything is installed, and stands there once."""
     text = (ROOT / page).read_text(encoding="utf-8")
-    assert re.findall(r"(\d+) minutes once set up", text) == ["2"]
+    stated_minutes = re.findall(r"(\d+) minutes once set up", text)
+    assert stated_minutes == ["2"]

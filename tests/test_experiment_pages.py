@@ -80,7 +80,7 @@ def commands(page: Path) -> list[str]:
 
 @pytest.mark.slow
 def test_the_tutorial_of_an_experiment_prints_what_it_shows_and_draws_its_pictures(tmp_path: Path) -> None:
-    """Its programs and commands are run one after the other in an empty folder."""
+    """Its programs and commands are run one after the other in an empty folder. Three of them print."""
     outputs = follow(TUTORIAL, tmp_path)
 
     assert len(outputs) == 3
@@ -107,6 +107,7 @@ def followed_guide(tmp_path_factory: pytest.TempPathFactory) -> FollowedGuide:
 
 @pytest.mark.slow
 def test_the_guide_of_experiments_prints_what_it_shows(followed_guide: FollowedGuide) -> None:
+    """Its programs and commands have been run one after the other in an empty folder. Six of them print."""
     assert len(followed_guide.outputs) == 6
     for output in followed_guide.outputs:
         assert output.is_as_shown
@@ -116,17 +117,20 @@ def test_the_guide_of_experiments_prints_what_it_shows(followed_guide: FollowedG
 def test_the_guide_of_experiments_draws_the_reader_s_own_filter_beside_the_paper_s(
     followed_guide: FollowedGuide,
 ) -> None:
-    figures = names_in(followed_guide.folder / "mine/figures")
-
+    """The reader's filter is called beta. The last commands of the guide draw the pictures."""
     assert (followed_guide.folder / "beside.png").exists()
-    assert set(figures) == {"physical_asdf-plus.png", "physical_scatter.png", "physical_scatter_beta.png"}
+    pictures = names_in(followed_guide.folder / "mine/figures")
+    assert pictures == ["physical_asdf-plus.png", "physical_scatter.png", "physical_scatter_beta.png"]
 
 
 @pytest.mark.slow
 def test_the_command_with_the_reader_s_own_filter_on_the_page_about_the_paper_s_figures_is_understood(
     followed_guide: FollowedGuide,
 ) -> None:
-    """It is run with a single trial: the error about that shows that all other options were understood."""
+    """It is run with a single trial: the error about that shows that all other options were understood.
+
+    The reader's filter is called beta, and has been installed by following the guide.
+    """
     [command] = [line for line in commands(REPRODUCE) if "beta" in line]
 
     completed = subprocess.run(
@@ -166,6 +170,7 @@ def rows_by_figure_of_the_paper() -> dict[str, PaperFigures]:
 
 
 def test_the_page_about_the_paper_s_figures_has_a_command_for_each_of_them_and_for_all() -> None:
+    """A row of its table has the number of a figure, or "all", and the command that makes it."""
     rows = rows_by_figure_of_the_paper()
 
     assert set(rows) == {"3", "4", "5", "6", "8", "all"}
@@ -180,10 +185,14 @@ def test_the_page_about_the_paper_s_figures_has_a_command_for_each_of_them_and_f
 def test_the_command_for_a_figure_of_the_paper_makes_all_pictures_that_come_from_the_same_trials(
     figure_of_command: str, figures: list[str], tmp_path: Path
 ) -> None:
-    """The page has the names of the pictures; the command for figure 5 also makes 3, 4 and 6."""
-    rows = rows_by_figure_of_the_paper()
+    """The page has the names of the pictures; the command for figure 5 also makes 3, 4 and 6.
 
-    run(*shlex.split(rows[figure_of_command].command), *SHORT_RUN_OPTIONS, cwd=tmp_path, **ENVIRONMENT)
+    Two options make the run short, with few trials and steps.
+    """
+    rows = rows_by_figure_of_the_paper()
+    command = shlex.split(rows[figure_of_command].command)
+
+    run(*command, *SHORT_RUN_OPTIONS, cwd=tmp_path, **ENVIRONMENT)
 
     made_pictures = set(names_in(tmp_path / "reproduction/figures"))
     for figure in figures:
@@ -207,7 +216,10 @@ def test_the_quick_study_prints_what_the_page_about_the_paper_s_figures_shows(tm
 def test_the_command_with_the_robust_filter_prints_what_the_page_shows_and_draws_the_filter(
     tmp_path: Path,
 ) -> None:
-    """The page shows the beginning of the output, and the command that repeats the study at its end."""
+    """The page shows the beginning of the output, and the command that repeats the study at its end.
+
+    Here two options more make the run short, and so they also stand at the end of that command.
+    """
     [command] = [line for line in commands(REPRODUCE) if "--filter robust" in line]
 
     printed = run(*shlex.split(command), *SHORT_RUN_OPTIONS, cwd=tmp_path, **ENVIRONMENT)

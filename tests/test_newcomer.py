@@ -71,12 +71,12 @@ def newcomer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Newcomer:
 
 
 def test_the_page_installs_all_extras() -> None:
-    """An extra is a set of further packages. The line is in docs/installing.md."""
+    """An extra is a set of further packages. INSTALL is the line of docs/installing.md that installs."""
     assert re.fullmatch(r"\.venv/bin/python -m pip install '\.\[all\]'", INSTALL)
 
 
 def test_the_first_command_of_the_page_runs(newcomer: Newcomer) -> None:
-    """It is a swarm, made shorter here, and needs none of the extras."""
+    """It is a swarm, made shorter here, and needs none of the extras. A command that fails raises."""
     newcomer.run_in_shell(f"{FIRST_COMMAND} --steps 300 --quiet")
 
 
@@ -89,9 +89,11 @@ def test_the_c_program_of_the_readme_prints_what_it_shows_in_a_new_environment(n
     (newcomer.folder / "robot.c").write_text(program)
 
     commands = block_with(README, "robot.c", "sh")
+    shown_output = block_with(README, "share of black 0.685", "text")
+
     printed = newcomer.run_in_shell(commands)
 
-    assert printed.endswith(block_with(README, "share of black 0.685", "text"))
+    assert printed.endswith(shown_output)
 
 
 def test_the_first_program_of_the_python_api_prints_what_it_shows_in_a_new_environment(
@@ -106,9 +108,15 @@ def test_the_first_program_of_the_python_api_prints_what_it_shows_in_a_new_envir
 def test_the_robot_of_the_tutorial_needs_no_extra(
     newcomer: Newcomer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """It is built with the base alone: ``mcp-asdf firmware`` copies its C."""
+    """It is built with the base alone: ``mcp-asdf firmware`` copies its C. The robot sees a black floor.
+
+    The tutorial's commands find only programs of the system and of the newcomer's environment.
+    """
     monkeypatch.setattr("support.PATH", f"{newcomer.folder}/.venv/bin:{SYSTEM_PATH}")
-    assert test_tutorials.build_first_robot(newcomer.folder).endswith("share of black 1.000\n")
+
+    printed = test_tutorials.build_first_robot(newcomer.folder)
+
+    assert printed.endswith("share of black 1.000\n")
 
 
 @pytest.fixture
@@ -132,12 +140,14 @@ def test_the_experiment_of_the_tutorial_says_which_extra_it_lacks(
     newcomer: Newcomer, experiment_programs: list[str]
 ) -> None:
     """The base alone is installed; the page names the extra, a set of packages that its programs need."""
-    first_program, *_ = experiment_programs
+    first_program, *_other_programs = experiment_programs
 
-    printed = newcomer.run_python(first_program, "2>&1 || echo exit code $?")
+    print_errors_and_exit_code = "2>&1 || echo exit code $?"
+    printed = newcomer.run_python(first_program, print_errors_and_exit_code)
 
     *_, message, exit_code = printed.splitlines()
-    assert message.endswith(install_instruction(extra_of_experiment_tutorial())), "as the page says"
+    extra_on_page = extra_of_experiment_tutorial()
+    assert message.endswith(install_instruction(extra_on_page))
     assert exit_code == "exit code 1"
 
 
@@ -145,7 +155,11 @@ def test_the_experiment_of_the_tutorial_says_which_extra_it_lacks(
 def test_the_experiment_of_the_tutorial_runs_with_the_extra_that_it_names(
     newcomer: Newcomer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """It draws its pictures, and ``mcp-asdf view`` makes a page of its results."""
+    """It draws its pictures, and ``mcp-asdf view`` makes a page of its results.
+
+    Its programs are files in the newcomer's folder, which its commands run. Extras that the variable EXTRAS
+    names count as installed.
+    """
     monkeypatch.setenv("EXTRAS", extra_of_experiment_tutorial())
 
     newcomer.run_in_shell(*blocks(EXPERIMENT_TUTORIAL, "sh"))

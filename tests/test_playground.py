@@ -40,8 +40,6 @@ RECORDS = "Array.from(view.playground.records)"
 """These three are expressions of JavaScript, which the web page evaluates."""
 MAX_ROUNDING_ERROR = 1 / 65534
 """The page keeps a value from 0 to 1 as a number from 0 to 65534."""
-STEPS_PER_POINT = 8
-"""A point of the chart of errors is the mean of so many steps."""
 WORDS_PER_RECORD = 10
 X_HAT_WORD, X_WORD, B_HAT_WORD, PADDING_WORD = 4, 7, 8, 9
 """Words of ``mcp_asdf_record_t``, what the engine records of a robot in a step."""
@@ -93,9 +91,13 @@ def head_of(page: str) -> str:
 
 
 def test_the_page_of_mcp_asdf_view_contains_nothing_of_the_playground() -> None:
-    """The two pages have scripts in common, but those of the playground are left out."""
-    assert "playground" not in make_page()
-    assert "wasm" not in head_of(make_page())
+    """The two pages have scripts in common, but those of the playground are left out.
+
+    Nor does the head of the page allow its scripts to compile WebAssembly.
+    """
+    page = make_page()
+    assert "playground" not in page
+    assert "wasm" not in head_of(page)
 
 
 def test_the_playground_may_compile_webassembly_and_start_a_worker() -> None:
@@ -166,8 +168,12 @@ def native_records(experiment: Experiment) -> NDArray[np.uint32]:
 
 @pytest.mark.slow
 def test_the_playground_computes_the_command_that_it_shows_to_the_last_bit(computed: Computed) -> None:
-    """The page shows a command ``mcp-asdf simulate`` with its settings. Its engine computes the same here."""
-    assert np.array_equal(read_records(computed.page), computed.records)
+    """The page shows a command ``mcp-asdf simulate`` with its settings. Its engine computes the same here.
+
+    Records are integers of each robot in each step of the first trial.
+    """
+    records_of_page = read_records(computed.page)
+    assert np.array_equal(records_of_page, computed.records)
 
 
 def read_drawn_values(page: Page, name: str, step: int) -> Any:
@@ -186,10 +192,15 @@ def read_drawn_values(page: Page, name: str, step: int) -> Any:
 def test_the_playground_draws_the_computed_values_of_the_last_step(
     computed: Computed, name: str, word: int, one: int
 ) -> None:
-    """The values are compared with the native engine's records, where ``one`` stands for 1."""
+    """The values are compared with the last records of the native engine, a row of words for each robot.
+
+    ``word`` is the column of the value there, where ``one`` stands for 1. The page keeps a value from 0 to 1
+    as a number from 0 to 65534, with a rounding error of half a unit.
+    """
     drawn_values = read_drawn_values(computed.page, name, step=computed.experiment.steps)
     computed_values = computed.last_records[:, word] / one
-    assert np.abs(drawn_values - computed_values).max() <= MAX_ROUNDING_ERROR
+    errors = np.abs(drawn_values - computed_values)
+    assert errors.max() <= MAX_ROUNDING_ERROR
 
 
 @pytest.mark.slow
@@ -200,11 +211,13 @@ def test_the_playground_draws_robots_where_they_are_in_the_arena_after_the_last_
     experiment = computed.experiment
     if not experiment.is_dynamic:
         return
-    last_positions = Arena(experiment, 0).record(experiment.steps).position[-1]
+    first_trial = 0
+    *_, last_positions = Arena(experiment, first_trial).record(experiment.steps).position
     drawn_positions = computed.page.evaluate(
         f"view.history.description.robots.map((_, robot) => view.history.position(robot, {experiment.steps}))"
     )
-    assert np.abs(drawn_positions - last_positions).max() <= max(experiment.sides) * MAX_ROUNDING_ERROR
+    errors = np.abs(drawn_positions - last_positions)
+    assert errors.max() <= max(experiment.sides) * MAX_ROUNDING_ERROR
 
 
 @pytest.mark.slow
@@ -241,17 +254,22 @@ def native_errors(experiment: Experiment, filter_name: str) -> Any:
 def test_a_point_of_the_chart_of_errors_is_the_mean_error_of_eight_steps(
     computed: Computed, index: int, filter_name: str
 ) -> None:
-    """The first two trials of each filter are compared with the same trials of the native engine."""
-    trials = f"view.playground.comparison.filters[{index}].trials.slice(0, 2)"
-    points = np.array(computed.page.evaluate(f"{trials}.map((errors) => [...errors])"))
-    _, point_count = points.shape
-    errors_by_step = native_errors(computed.experiment, filter_name)[:, : STEPS_PER_POINT * point_count]
-    expected_points = errors_by_step.reshape(2, point_count, STEPS_PER_POINT).mean(axis=2)
+    """The first two trials of each filter are compared with the same trials of the native engine.
 
+    ``index`` is the filter's place on the page. Steps that fill no point of eight at the end are left out.
+    """
+    trials = f"view.playground.comparison.filters[{index}].trials.slice(0, 2)"
+    points = np.array(computed.page.evaluate(f"{trials}.map((errors) => [...errors])"))  # by trial and point
+    trial_count, point_count = points.shape
+    errors_by_step = native_errors(computed.experiment, filter_name)  # by trial and step
+    errors_in_points = errors_by_step[:, : 8 * point_count].reshape(trial_count, point_count, 8)
+    expected_points = errors_in_points.mean(axis=2)
+
+    assert trial_count == 2
     assert np.abs(points - expected_points).max() < 1e-12
 
 
-def final_estimates(browser: Page, robots: int) -> list[tuple[float, float]]:
+def final_estimates_on_page(browser: Page, robots: int) -> list[tuple[float, float]]:
     """Return x_hat and x of each robot of the page after the last step."""
     last_records = read_records(browser)[-robots:]
     return [(record[X_HAT_WORD] / 2**23, record[X_WORD] / 2**23) for record in last_records]
@@ -270,11 +288,13 @@ def test_nine_robots_with_two_liars_end_in_the_playground_as_in_a_swarm_on_an_em
     address = f"{topology}&robots=9&liars=2&flawed=35&steps=60&filter={filter_name}"
     open_playground(browser, playground, address)
 
-    with Swarm(swarm_command.settings_of(parse_command(browser)), Wiring()) as swarm:
-        run_swarm(swarm, [])
+    settings = swarm_command.settings_of(parse_command(browser))
+    with Swarm(settings, Wiring()) as swarm:
+        run_swarm(swarm)
         robots = [node.robot for node in swarm.nodes]
 
-    assert [(robot.x_hat, robot.x) for robot in robots] == final_estimates(browser, robots=9)
+    estimates_in_swarm = [(robot.x_hat, robot.x) for robot in robots]
+    assert estimates_in_swarm == final_estimates_on_page(browser, robots=9)
 
 
 # --- Controls -----------------------------------------------------------------------------------------
@@ -299,14 +319,18 @@ def test_the_playground_opens_with_the_settings_in_its_address(small_browser: Pa
 
 @pytest.mark.slow
 def test_a_change_of_the_address_runs_a_swarm_with_the_new_settings(small_browser: Page) -> None:
-    """The new swarm has four robots, and is run for 40 steps with each filter."""
+    """The new swarm has four robots, and is run for 40 steps with each filter. ``until`` waits for it."""
     small_browser.evaluate("location.hash = '#steps=40&robots=4'")
+
     until(small_browser, f"view.history.robotCount === 4 && {HAS_TWO_TRIALS}")
 
 
 @pytest.mark.slow
 def test_impossible_settings_in_the_address_are_replaced_by_defaults(small_browser: Page) -> None:
-    """The defaults are the filter ASDF-, a density of 1 and 20 robots; 127 robots are the most."""
+    """The defaults are the filter ASDF-, a density of 1 and 20 robots; 127 robots are the most.
+
+    In the address the density is no number, there are 500 robots, and no filter is called "best".
+    """
     small_browser.evaluate("location.hash = '#density=nonsense&robots=500&filter=best'")
     until(small_browser, "view.playground.settings.filter === 'asdf-minus'")
     settings = small_browser.evaluate("view.playground.settings")
@@ -324,8 +348,9 @@ def test_a_slider_changes_the_address_and_the_command_that_is_shown(small_browse
     small_browser.keyboard.press("ArrowRight")
 
     until(small_browser, "location.hash.includes('liars=1')")
-    assert "--fault liar,robots=19-19,x=0,alpha=1e6" in small_browser.evaluate(COMMAND)
-    assert small_browser.locator("#liars").is_visible()
+    last_of_20_robots_lies = "--fault liar,robots=19-19,x=0,alpha=1e6"
+    assert last_of_20_robots_lies in small_browser.evaluate(COMMAND)
+    assert small_browser.locator("#liars").is_visible(), "the sentence about the liar"
 
 
 @pytest.mark.slow
@@ -356,8 +381,12 @@ def test_each_button_of_an_example_is_marked_when_it_is_pressed_and_shows_senten
 def test_a_filter_that_is_chosen_on_the_page_stands_in_the_title_and_in_the_address(
     small_browser: Page,
 ) -> None:
-    """The page was opened with the robust filter. The setting "no filter" is chosen on it."""
+    """The page was opened with the robust filter. The setting "no filter" is chosen on it.
+
+    ``until`` waits, and fails if it takes too long.
+    """
     small_browser.locator("[name=filter][value=none]").check()
+
     until(small_browser, "view.history.description.title.endsWith('no filter')")
     until(small_browser, "location.hash.includes('filter=none')")
 
@@ -368,7 +397,10 @@ def test_a_filter_that_is_chosen_on_the_page_stands_in_the_title_and_in_the_addr
 def test_floor_figures_and_buttons_fit_on_the_screen_of_a_computer_a_tablet_and_a_phone(
     chromium: Browser, playground: Path, width: int, height: int, is_open: bool
 ) -> None:
-    """Nobody has to scroll, whether further settings are closed or open."""
+    """Nobody has to scroll, whether further settings are closed or open.
+
+    Each element has a box of more than 10 pixels, so it is there, that ends above the lower edge.
+    """
     names = ["#about", "#beliefs", "#arena", "#play", "#miscalibrate", "#add-liar", "#more", "#time"]
     with new_page(chromium, width, height) as browser:
         open_playground(browser, playground, "liars=1&steps=100")
@@ -395,8 +427,10 @@ def test_the_introduction_has_how_many_of_20_robots_misjudge_their_sensors(small
     """
     text = small_browser.evaluate(INTRODUCTION)
     assert text.startswith("Each robot guesses the share of black tiles. 4 of them")
+
     small_browser.locator("#miscalibrate").click()
     until(small_browser, f"{INTRODUCTION}.includes('6 of them misjudge their sensor (orange).')")
+
     small_browser.locator("#start-over").click()
     until(small_browser, f"{INTRODUCTION}.includes('Half of them')")
 
@@ -416,7 +450,9 @@ def test_a_swarm_that_was_played_to_its_end_plays_from_the_start_when_settings_c
 ) -> None:
     """The address is changed while the last step is shown. The swarm with four robots then plays."""
     small_browser.evaluate("view.player.seek(view.player.end)")
+
     small_browser.evaluate("location.hash = '#steps=100&robots=4'")
+
     until(small_browser, "view.history.robotCount === 4 && view.player.isPlaying")
 
 
@@ -429,7 +465,10 @@ NOTE_OF_FIRST_RESULT = "document.querySelector('#beliefs .result').children[2]"
 def test_the_error_in_large_figures_is_grey_until_all_30_trials_have_been_computed(
     browser: Page, playground: Path
 ) -> None:
-    """If the browser is quick, all have been computed when the test looks for the first time."""
+    """Beside the error stands a note of how many trials have been computed. Grey is the style "unfinished".
+
+    If the browser is quick, all have been computed when the test looks for the first time.
+    """
     open_playground(browser, playground, "steps=3000")
     style, note = browser.evaluate(f"[{ERROR_OF_FIRST_RESULT}.className, {NOTE_OF_FIRST_RESULT}.textContent]")
     if note != "points, 30 runs":
@@ -448,7 +487,8 @@ def test_the_error_in_large_figures_is_the_median_of_30_trials_in_percent(
     open_playground(browser, playground, "steps=3000")
     until(browser, f"{NOTE_OF_FIRST_RESULT}.textContent === 'points, 30 runs'")
     text = browser.evaluate(f"{ERROR_OF_FIRST_RESULT}.textContent")
-    errors = browser.evaluate("view.playground.comparison.filters[0].trials.map((errors) => errors.at(-1))")
+    final_errors = "filters[0].trials.map((errors) => errors.at(-1))"  # of the first filter
+    errors = browser.evaluate(f"view.playground.comparison.{final_errors}")
 
     assert len(errors) == 30
     upper_median = sorted(errors)[30 // 2]
@@ -459,9 +499,12 @@ def test_the_error_in_large_figures_is_the_median_of_30_trials_in_percent(
 def test_the_large_figure_above_the_floor_is_the_mean_estimate_of_all_robots_in_percent(
     small_browser: Page,
 ) -> None:
-    """The page is asked to show the estimates of the last step, 100."""
+    """The page is asked to show the estimates of the last step, 100. A robot's estimate is x."""
+    estimates = read_drawn_values(small_browser, "x", step=100)
+    percent = 100 * np.mean(estimates)
+
     small_browser.evaluate("view.player.seek(100)")
-    percent = 100 * np.mean(read_drawn_values(small_browser, "x", step=100))
+
     until(small_browser, f"document.getElementById('belief').textContent === '{percent:.0f} %'")
 
 
@@ -504,6 +547,7 @@ def test_settings_that_are_chosen_in_a_framed_playground_stand_in_the_outer_addr
 def test_the_frame_of_the_playground_is_higher_than_300_pixels_when_further_settings_are_open(
     framed: Framed,
 ) -> None:
+    """A page of the documentation frames the playground, whose button "more" opens further settings."""
     framed.inner.locator("#more").click()
     until(framed.outer, "document.getElementById('playground').offsetHeight > 300")
 
@@ -515,7 +559,10 @@ HEIGHT_OF_SCREEN = "document.documentElement.style.getPropertyValue('--screen')"
 def test_a_framed_playground_fills_the_window_of_the_outer_page_below_the_text_above_it(
     framed: Framed,
 ) -> None:
-    """The window is 800 pixels high, and above the frame is nothing but a margin of 8 pixels."""
+    """The window is 800 pixels high, and above the frame is nothing but a margin of 8 pixels.
+
+    The outer page tells the playground the height that is left, which it keeps in a variable of its style.
+    """
     until(framed.inner, f"{HEIGHT_OF_SCREEN} === '792px'")
 
 
@@ -534,5 +581,7 @@ def test_a_framed_playground_becomes_light_when_the_outer_page_changes_from_dark
     background = "getComputedStyle(document.body).backgroundColor"
     dark, light = "rgb(16, 20, 26)", "rgb(246, 247, 249)"
     until(framed.inner, f"{background} === '{dark}'")
+
     framed.outer.evaluate("document.body.dataset.mdColorScheme = 'default'")
+
     until(framed.inner, f"{background} === '{light}'")

@@ -18,11 +18,13 @@ from support import ROOT
 
 
 def test_every_statement_of_the_design_has_a_test() -> None:
-    """A test names its statements in a comment, such as "design: R1"."""
-    assert find_problems(*read_project()) == []
+    """A test names its statements in a comment, such as "design: R1". No other numbers stand there."""
+    statements, tests_by_statement = read_project()
+    assert find_problems(statements, tests_by_statement) == []
 
 
 def test_statements_of_the_design_are_numbered_in_order() -> None:
+    """Their numbers in docs/design.md are R1, R2 and so on."""
     numbers = NUMBER.findall((ROOT / "docs/design.md").read_text(encoding="utf-8"))
     assert len(numbers) > 30
     assert numbers == [f"R{index}" for index in range(1, len(numbers) + 1)]
@@ -30,9 +32,10 @@ def test_statements_of_the_design_are_numbered_in_order() -> None:
 
 def test_the_table_has_a_row_for_every_statement() -> None:
     """It is built into docs/internals/trust.md."""
-    statements, _ = read_project()
+    statements, _tests_by_statement = read_project()
     table = format_table_of_project()
-    assert all(f"| {number} |" in table for number in statements)
+    for number in statements:
+        assert f"| {number} |" in table
 
 
 def proofs_that_are_run() -> set[str]:
@@ -52,7 +55,7 @@ def proofs_that_are_run() -> set[str]:
 def test_every_proof_that_is_named_beside_a_statement_is_run() -> None:
     """The tests of all claims and contracts run the proof, or it has a test of its own."""
     _statements, tests_by_statement = read_project()
-    places = set(itertools.chain.from_iterable(tests_by_statement.values()))
+    places = itertools.chain.from_iterable(tests_by_statement.values())  # such as "a.py: test_it"
     named_proofs = {place for place in places if place.startswith("proofs/") and ": test_" not in place}
     assert len(named_proofs) > 10
 
@@ -63,12 +66,11 @@ def test_every_proof_that_is_named_beside_a_statement_is_run() -> None:
 
 # --- How statements and tests are found ------------------------------------------------------------------
 
-PAGE = "## 1. Calls\n\nIt counts.<sup>R1</sup> It\nstops.<sup>R2</sup>\n\n1. It halves.<sup>R3</sup>\n"
-STATEMENTS = {"R1": "It counts.", "R2": "It stops.", "R3": "It halves."}
-
 
 def test_a_statement_begins_after_a_paragraph_an_item_or_a_number() -> None:
-    assert find_statements(PAGE) == STATEMENTS
+    """It ends with its number, and may be broken into lines."""
+    page = "## 1. Calls\n\nIt counts.<sup>R1</sup> It\nstops.<sup>R2</sup>\n\n1. It halves.<sup>R3</sup>\n"
+    assert find_statements(page) == {"R1": "It counts.", "R2": "It stops.", "R3": "It halves."}
 
 
 def test_a_test_belongs_to_the_statements_whose_numbers_stand_in_the_comment_above_it(tmp_path: Path) -> None:
@@ -84,9 +86,11 @@ def test_a_test_belongs_to_the_statements_whose_numbers_stand_in_the_comment_abo
 
 
 def test_statements_without_tests_and_tests_without_statements_are_problems() -> None:
+    """R3 has no test, and R4 is no statement. "no test" is a comment for R2 without a test below it."""
+    statements = {"R1": "It counts.", "R2": "It stops.", "R3": "It halves."}
     tests_by_statement = {"R1": ["a.py: test_it"], "R4": ["a.py: test_it"], "R2": ["a.py: no test"]}
 
-    assert find_problems(STATEMENTS, tests_by_statement) == [
+    assert find_problems(statements, tests_by_statement) == [
         "R3 has no test: It halves.",
         "a.py: no test",
         "a.py: test_it names R4, which is none",

@@ -55,31 +55,36 @@ def lines_of_set_up(clone: Path, purpose: str, exit_code: int = 0) -> list[str]:
     return calls.read_text().splitlines()
 
 
-def set_up(clone: Path, purpose: str) -> list[list[str]]:
+def python_calls_of_set_up(clone: Path, purpose: str) -> list[list[str]]:
     """Run the set-up, and return the words of Python's calls that make environments and install packages."""
     words = [shlex.split(line) for line in lines_of_set_up(clone, purpose) if not line.startswith("setup: ")]
     return [call for call in words if "-m" in call and "--version" not in call]
 
 
 def test_an_environment_that_lacks_pip_is_made_again(clone: Path) -> None:
-    """Ctrl-C while the environment is made leaves one whose Python is there and whose pip is not."""
+    """Ctrl-C while the environment is made leaves one whose Python is there and whose pip is not.
+
+    The set-up for a run of the tools makes the environment, and then installs twice: first a newer pip, then
+    the project. A file marks that it has ended.
+    """
     program(clone / ".venv/bin/python", WITHOUT_PIP)
 
-    making, *installations = set_up(clone, "run")
+    making, *installations = python_calls_of_set_up(clone, "run")
 
     _python, *words = making
     assert words == ["-m", "venv", "--clear", ".venv"]
     assert len(installations) == 2
-    assert all("install" in call for call in installations)
+    for call in installations:
+        assert "install" in call
     assert (clone / ".venv/ready-to-run").exists()
 
 
 def test_an_environment_that_has_pip_is_kept(clone: Path) -> None:
-    """A second run of the set-up only installs packages into it again."""
-    making, *installations = set_up(clone, "run")
+    """The first run of the set-up makes it. A second run only installs packages into it again."""
+    making, *installations = python_calls_of_set_up(clone, "run")
     assert "venv" in making
 
-    assert set_up(clone, "run") == installations
+    assert python_calls_of_set_up(clone, "run") == installations
 
 
 @pytest.mark.slow
@@ -93,13 +98,17 @@ def test_a_set_up_without_root_names_the_packages_that_are_missing_and_goes_on(c
     message = next(line for line in lines if line.startswith("setup: "))
     assert "apt-get install" in message
     assert "gcc-avr avr-libc" in message
-    assert not any(line.startswith("apt-get") for line in lines)
-    assert (clone / ".venv/ready-to-test").exists()
+    calls_of_apt_get = [line for line in lines if line.startswith("apt-get")]
+    assert calls_of_apt_get == []
+    assert (clone / ".venv/ready-to-test").exists(), "the mark that the set-up has ended"
 
 
 @pytest.mark.slow
 def test_a_set_up_without_a_network_says_so_in_one_line(clone: Path) -> None:
-    """No server answers pip. Its own message of many lines is not shown."""
+    """No server answers pip. Its own message of many lines is not shown.
+
+    The environment's Python is a script here, whose pip asks an address where no server is.
+    """
     nowhere = "-qq --isolated --retries 1 --index-url http://127.0.0.1:1/simple mcp-asdf-of-nowhere"
     pip_without_network = (
         f'[ "$5" != install ] || exec {shlex.quote(sys.executable)} -m pip download {nowhere}\n'
@@ -127,10 +136,12 @@ def test_the_set_up_by_hand_that_contributing_shows_calls_the_same_programs(clon
     """The page's commands are those that the script runs, also for the environment of these tests."""
     lines = block_with(PAGE, "venv", "sh").splitlines()
 
-    calls_of_script = set_up(clone, "test")
+    calls_of_script = python_calls_of_set_up(clone, "test")
 
-    calls_by_hand = [without_quiet_options(shlex.split(line)) for line in lines]
-    assert [without_quiet_options(call) for call in calls_of_script] == calls_by_hand
+    calls_by_hand = [shlex.split(line) for line in lines]
+    assert list(map(without_quiet_options, calls_of_script)) == list(
+        map(without_quiet_options, calls_by_hand)
+    )
 
 
 def take_newest_python(folder: Path, available: str) -> subprocess.CompletedProcess[str]:

@@ -151,15 +151,20 @@ def quick_for(names: Collection[str], groups: Iterable[FileGroup]) -> list[Param
 
 
 def test_ruff_finds_nothing() -> None:
+    """It checks the style of all Python. run() raises what it prints if it finds something."""
     run(require("ruff"), "check")
 
 
 def test_python_is_formatted() -> None:
+    """ruff would change nothing, or run() raises the changes that it prints."""
     run(require("ruff"), "format", "--diff")
 
 
 def test_mypy_finds_no_wrong_type_in_the_project_and_in_the_programs_of_its_pages() -> None:
-    """Readers who check types find nothing wrong in them either."""
+    """Readers who check types find nothing wrong in them either.
+
+    The programs are written to files, since mypy reads files. run() raises what it finds.
+    """
     folder = ROOT / "build/programs"
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
@@ -172,6 +177,7 @@ def test_mypy_finds_no_wrong_type_in_the_project_and_in_the_programs_of_its_page
 
 
 def test_biome_finds_nothing_in_the_javascript_and_it_is_formatted() -> None:
+    """run() raises what it prints if it finds something, or would change the format."""
     folders = [
         "host_tools/mcp_asdf_tools/view/page",
         "docs/playground",
@@ -190,8 +196,11 @@ def test_c_and_cpp_are_formatted() -> None:
 
 def test_every_c_file_is_among_those_that_are_analysed() -> None:
     """A group has C files that are compiled in one way; each analyser is run on each group."""
-    files_in_groups = {path for group in (*GROUPS, TESTS) for path in group.sources}
-    assert files_in_groups == {path for path in C_FILES if path.suffix == ".c"}
+    files_in_groups = set[Path]()
+    for group in (*GROUPS, TESTS):
+        files_in_groups |= set(group.sources)
+    all_files = {path for path in C_FILES if path.suffix == ".c"}
+    assert files_in_groups == all_files
 
 
 TIDIED_QUICKLY = ("mcp_asdf_image.c", "mcp_asdf_frame.c", "mcp_asdf_small.c", "mcp_asdf_accessors.c")
@@ -237,7 +246,7 @@ def analyse_by_cppcheck(group: FileGroup, *choices: str) -> None:
 @pytest.mark.parametrize("variant", [HERE[0], *slow(HERE[1:])], ids=str)
 def test_cppcheck_finds_nothing_in_the_core_as_a_target_compiles_it(variant: Variant) -> None:
     """A variant is how a target divides, multiplies and shifts, which macros choose."""
-    core, *_ = GROUPS
+    core, *_other_groups = GROUPS
     choices = [flag for flag in variant.flags() if flag.startswith("-DMCP")]
     analyse_by_cppcheck(core, *choices)
 
@@ -321,7 +330,7 @@ def group_with_mistakes() -> Iterator[PlantedGroup]:
 
 
 @pytest.mark.parametrize(
-    ("analyse", "finding"),
+    ("analyse", "expected_finding"),
     [
         (analyse_by_cppcheck, "uninitvar"),
         (analyse_by_clang, "-Wsometimes-uninitialized"),
@@ -331,16 +340,17 @@ def group_with_mistakes() -> Iterator[PlantedGroup]:
     ids=["cppcheck", "clang", "gcc", "clang-tidy"],
 )
 def test_an_analyser_finds_a_mistake(
-    analyse: Callable[[PlantedGroup], None], finding: str, group_with_mistakes: PlantedGroup
+    analyse: Callable[[PlantedGroup], None], expected_finding: str, group_with_mistakes: PlantedGroup
 ) -> None:
     """The group has a C file with a variable that may have no value and a pointer that may lead nowhere.
 
     ``analyse`` raises an error with the analyser's report. One that is called wrongly would find nothing.
     """
-    with pytest.raises(AssertionError, match=finding):
+    with pytest.raises(AssertionError, match=expected_finding):
         analyse(group_with_mistakes)
 
 
 @pytest.mark.parametrize("script", [".ci/setup", ".ci/run", ".ci/newest", "tests/release/evidence.sh"])
 def test_shellcheck_finds_nothing_in_a_script(script: str) -> None:
+    """run() raises what it prints if it finds something in a program for the shell."""
     run(require("shellcheck", "shellcheck"), ROOT / script)
