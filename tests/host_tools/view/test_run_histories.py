@@ -50,9 +50,14 @@ WORLDS: dict[str, dict[str, Any]] = {
 }
 
 
+def swarm_settings(**changes: Any) -> SwarmSettings:
+    """Return the settings of a swarm with PARAMETERS, some of them changed."""
+    return SwarmSettings(**PARAMETERS | changes)
+
+
 def record_swarm(**parameters: Any) -> History:
     """Run a swarm, and return the history that a recorder makes of it."""
-    settings = SwarmSettings(**PARAMETERS | parameters)
+    settings = swarm_settings(**parameters)
     recorder = SwarmRecorder(settings)
     with Swarm(settings, Wiring()) as swarm:
         run_swarm(swarm, [recorder])
@@ -60,7 +65,7 @@ def record_swarm(**parameters: Any) -> History:
 
 
 def write_log(path: Path, **parameters: Any) -> Path:
-    """Run the same swarm by the command, with a log."""
+    """Run the same swarm by the command, with a log, and return the log's path."""
     options = [f"--{name.replace('_', '-')}={value}" for name, value in (PARAMETERS | parameters).items()]
     assert main(["swarm", *options, "--log", str(path), "--quiet"]) == 0
     return path
@@ -81,7 +86,7 @@ def ticks_of(history: History) -> list[int]:
     return [state.tick for state in states_of(history)]
 
 
-def is_equal(first: State, second: State) -> bool:
+def are_equal(first: State, second: State) -> bool:
     """Return whether two states have equal ticks, values, neighbours and positions."""
     return (
         first.tick == second.tick
@@ -94,7 +99,14 @@ def is_equal(first: State, second: State) -> bool:
 def differing_ticks(actual: list[State], expected: list[State]) -> list[int]:
     """Return the ticks of states that differ from the expected states; fails if their numbers differ."""
     pairs = zip(actual, expected, strict=True)
-    return [expected_state.tick for state, expected_state in pairs if not is_equal(state, expected_state)]
+    return [expected_state.tick for state, expected_state in pairs if not are_equal(state, expected_state)]
+
+
+def largest_change(values_by_state: list[NDArray[np.float64]]) -> float:
+    """Return the largest difference between two values of the same robot in any states."""
+    values = np.array(values_by_state)
+    changes_of_robots = values.max(axis=0) - values.min(axis=0)
+    return float(changes_of_robots.max())
 
 
 class Recordings(NamedTuple):
@@ -123,8 +135,8 @@ def recordings(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPath
 def test_the_history_of_a_running_swarm_has_a_state_after_each_of_its_110_steps(
     recordings: Recordings,
 ) -> None:
-    """The first state is that after step 1."""
-    assert ticks_of(recordings.live) == list(range(1, 111))
+    """The first state is that after step 1, and the last one is that after step 110."""
+    assert ticks_of(recordings.live) == list(range(1, 110 + 1))
 
 
 def test_a_log_and_a_trial_are_shown_with_the_states_and_the_title_of_the_running_swarm(
@@ -134,48 +146,63 @@ def test_a_log_and_a_trial_are_shown_with_the_states_and_the_title_of_the_runnin
 
     Title and parameters are compared in JSON, as the web page of the swarm gets them.
     """
-    logged = recompute_swarm_history(recordings.log)
-    trial = recompute_trial_history(recordings.trials, trial=0)
+    history_of_log = recompute_swarm_history(recordings.log)
+    history_of_trial = recompute_trial_history(recordings.trials, trial=0)
+    history_of_swarm = recordings.live
 
-    for history in (logged, trial):
-        initial_state, *states = states_of(history)
+    for history in (history_of_log, history_of_trial):
+        initial_state, *states_after_steps = states_of(history)
         assert initial_state.tick == 0
-        assert differing_ticks(states, states_of(recordings.live)) == []
-        assert encode_description(history.description) == encode_description(recordings.live.description)
+        assert differing_ticks(states_after_steps, states_of(history_of_swarm)) == []
+        assert encode_description(history.description) == encode_description(history_of_swarm.description)
 
 
 def test_robots_estimates_and_accuracies_change_by_more_than_a_tenth_in_the_compared_swarm() -> None:
-    """Without changes in x and b_hat, equal states of log, trial and swarm would be no evidence."""
-    states = states_of(record_swarm(**WORLDS["dynamic"]))
-    x, _x_hat, b_hat, _true_accuracy = np.stack([state.values for state in states], axis=1)
+    """Without changes in x and b_hat, equal states of log, trial and swarm would be no evidence.
 
-    assert np.ptp(x, axis=0).max() > 0.1
-    assert np.ptp(b_hat, axis=0).max() > 0.1
+    In the compared swarm robots move, and the accuracies of their sensors drift.
+    """
+    history = record_swarm(topology="dynamic", drift="linear", drift_rate=-1e-3)
+    x_by_state, b_hat_by_state = [], []
+    for state in states_of(history):
+        x, _x_hat, b_hat, _true_accuracy = state.values
+        x_by_state.append(x)
+        b_hat_by_state.append(b_hat)
+
+    assert largest_change(x_by_state) > 0.1
+    assert largest_change(b_hat_by_state) > 0.1
 
 
 def test_a_long_trial_and_a_long_log_are_shown_with_every_fourth_state(
     crash_log: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """So the web page stays small: of 111 states, at most 28 are kept here. The real limit is 10,000."""
+    """So the web page stays small: of 111 states, at most 28 are kept here. The real limit is 10,000.
+
+    Both histories are first made with all states, and then again with the limit.
+    """
     trials = run_experiment()
-    every_state_of_trial = states_of(recompute_trial_history(trials, trial=0))
-    every_state_of_log = states_of(recompute_swarm_history(crash_log))
+    all_states_of_trial = states_of(recompute_trial_history(trials, trial=0))
+    all_states_of_log = states_of(recompute_swarm_history(crash_log))
     monkeypatch.setattr(history_module, "MAX_STATES", 28)
 
     kept_states_of_trial = states_of(recompute_trial_history(trials, trial=0))
     kept_states_of_log = states_of(recompute_swarm_history(crash_log))
-    assert differing_ticks(kept_states_of_trial, every_state_of_trial[::4]) == []
-    assert differing_ticks(kept_states_of_log, every_state_of_log[::4]) == []
+    assert differing_ticks(kept_states_of_trial, all_states_of_trial[::4]) == []
+    assert differing_ticks(kept_states_of_log, all_states_of_log[::4]) == []
 
 
 def test_links_between_more_robots_than_fit_a_bus_are_pairs_of_receiver_and_sender() -> None:
-    """A bus has ids for 128 robots. A trial may have more, here 140 that move for 40 steps."""
+    """A bus has ids for 128 robots. A trial may have more, here 140 that move for 40 steps.
+
+    The arena of the trial has a matrix for each step: whether a robot (row) receives another (column).
+    """
     experiment = Experiment(topology="dynamic", robots=140, steps=40, trials=1)
     trials = run_trials(experiment, first=0, trials=1)
     *_, last_state = states_of(recompute_trial_history(trials, trial=0))
-    *_, is_received_from = Arena(experiment).record(experiment.steps).adjacency
 
-    assert last_state.neighbours.tolist() == np.argwhere(is_received_from).tolist()
+    *_, last_matrix = Arena(experiment).record(experiment.steps).adjacency
+    pairs_of_receiver_and_sender = np.argwhere(last_matrix)
+    assert last_state.neighbours.tolist() == pairs_of_receiver_and_sender.tolist()
     assert len(last_state.neighbours) > 0
 
 
@@ -183,22 +210,25 @@ def test_links_between_more_robots_than_fit_a_bus_are_pairs_of_receiver_and_send
 
 
 @pytest.mark.parametrize(
-    ("parameters", "title"),
+    ("changed_parameters", "expected_title"),
     [
-        ({"filter": "none"}, "7 robots, 4 flawed, no filter, fully connected, seed 3"),
-        ({"filter": "robust"}, "7 robots, 4 flawed, robust, τ = 50, fully connected, seed 3"),
+        ({"flawed": "50%", "filter": "none"}, "7 robots, 4 flawed, no filter, fully connected, seed 3"),
+        ({"flawed": 4, "filter": "robust"}, "7 robots, 4 flawed, robust, τ = 50, fully connected, seed 3"),
         (
-            {"topology": "dynamic", "flawed": 0},
+            {"flawed": 0, "topology": "dynamic"},
             "7 robots, 0 flawed, ASDF−, τ = 50, dynamic, seed 3",  # noqa: RUF001
         ),
     ],
 )
 def test_the_title_of_a_swarm_has_robots_filter_topology_and_seed(
-    parameters: dict[str, Any], title: str
+    changed_parameters: dict[str, Any], expected_title: str
 ) -> None:
-    """For example: "7 robots, 4 flawed, no filter, fully connected, seed 3"."""
-    settings = SwarmSettings(**PARAMETERS | parameters)
-    assert SwarmRecorder(settings).history.description.title == title
+    """With the filter "none", for example: "7 robots, 4 flawed, no filter, fully connected, seed 3".
+
+    A share of flawed robots, such as 50 %, is shown as their number: half of 7 is rounded to 4.
+    """
+    settings = swarm_settings(robots=7, seed=3, **changed_parameters)
+    assert SwarmRecorder(settings).history.description.title == expected_title
 
 
 def test_the_title_of_a_trial_but_the_first_ends_with_its_number() -> None:
@@ -208,14 +238,17 @@ def test_the_title_of_a_trial_but_the_first_ends_with_its_number() -> None:
 
 
 def test_the_chart_of_errors_also_has_the_errors_of_the_same_swarm_without_a_filter() -> None:
-    """An error is the distance of a robot's estimate x from the fill ratio, 0.55; the chart has their means.
+    """An error is the distance of a robot's estimate x from the fill ratio; the chart has their means.
 
-    A recorder of a running swarm has no state before the first step, so the first point is not compared.
+    They are compared with those of a second swarm, which runs without a filter. A recorder of a running swarm
+    has no state before the first step, so the first point is not compared. The chart has five decimal places.
     """
-    _first_error, *errors_in_chart = record_swarm(steps=60).description.unfiltered_errors
-    states_without_filter = states_of(record_swarm(steps=60, filter="none"))
+    swarm_with_filter = record_swarm(steps=60, filter="asdf-minus", fill_ratio=0.55)
+    _error_before_first_step, *errors_in_chart = swarm_with_filter.description.unfiltered_errors
+
+    swarm_without_filter = record_swarm(steps=60, filter="none", fill_ratio=0.55)
     mean_errors = []
-    for state in states_without_filter:
+    for state in states_of(swarm_without_filter):
         x, _x_hat, _b_hat, _true_accuracy = state.values
         mean_errors.append(abs(x - 0.55).mean())
 
@@ -231,15 +264,19 @@ def test_the_line_of_errors_without_a_filter_has_a_limited_number_of_points(
 
 
 @pytest.mark.parametrize(
-    "parameters",
+    "changed_parameters",
     [{"filter": "none"}, {"faults": ("loss=0.1",)}, {"allow": "0-6"}, {"latency": 1}, {"steps": 10**9}],
     ids=["no filter", "faults", "allow", "latency", "would take hours"],
 )
 def test_the_chart_lacks_errors_without_a_filter_where_they_would_be_no_fair_comparison_or_take_long(
-    parameters: dict[str, Any],
+    changed_parameters: dict[str, Any],
 ) -> None:
-    """Errors without a filter are simulated without faults, latency and allowed ids, which is unfair here."""
-    settings = SwarmSettings(**PARAMETERS | parameters)
+    """Errors without a filter are simulated without faults, latency and allowed ids.
+
+    So they are left out for a swarm with one of these, for one that has no filter itself, and for one of a
+    billion steps.
+    """
+    settings = swarm_settings(**changed_parameters)
     assert len(SwarmRecorder(settings).history.description.unfiltered_errors) == 0
 
 
@@ -270,63 +307,77 @@ def test_a_pixel_of_the_drawn_floor_is_black_where_a_robot_would_observe_black(
     assert floor is not None
     arena = Arena(settings, 0)
     rows, columns = floor.shape
+    corners = [(0, 0), (0, columns - 1), (rows - 1, 0)]
+    inside = (17, 31)
 
-    for row, column in ((0, 0), (0, columns - 1), (rows - 1, 0), (17, 31)):
+    for row, column in [*corners, inside]:
         x, y = centre_of_pixel(floor, row, column, settings)
         assert floor[row, column] == arena.is_black(x, y)
 
 
-@pytest.mark.parametrize(("side_of_tile", "shape"), [(0.01, (50, 100)), (0.0005, (800, 800))])
+@pytest.mark.parametrize(
+    ("side_of_tile", "expected_rows_and_columns"), [(0.01, (50, 100)), (0.0005, (800, 800))]
+)
 def test_the_drawn_floor_has_a_pixel_for_each_tile_but_no_more_than_800_a_side(
-    side_of_tile: float, shape: tuple[int, int]
+    side_of_tile: float, expected_rows_and_columns: tuple[int, int]
 ) -> None:
-    """The floor is half a metre high and one metre wide; tiles are squares of one centimetre or half a mm."""
-    arena: Any = {"topology": "dynamic", "floor": "tiles", "width": 1.0, "height": 0.5, "tile": side_of_tile}
-    settings = SwarmSettings(robots=3, steps=1, **arena)
+    """The floor is half a metre high and one metre wide; tiles are squares of one centimetre or half a mm.
+
+    So it has 50 rows of 100 tiles, or 1000 rows of 2000 tiles, which are too many.
+    """
+    settings = SwarmSettings(
+        robots=3, steps=1, topology="dynamic", floor="tiles", width=1.0, height=0.5, tile=side_of_tile
+    )
     floor = SwarmRecorder(settings).history.description.floor
     assert floor is not None
-    assert floor.shape == shape
+    assert floor.shape == expected_rows_and_columns
 
 
 # --- Faults -------------------------------------------------------------------------------------------
 
-CRASH = "crash=1.0,from=20,to=21,robots=2,ticks=15"
+CRASH_OF_ROBOT_2 = "crash=1.0,from=20,to=21,robots=2,ticks=15"
 
 
 @pytest.fixture(scope="module")
 def crash_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The log of a swarm of 110 steps whose robot 2 crashes in step 21 and is dead for 15 steps."""
-    return write_log(tmp_path_factory.mktemp("crash") / "run.log", fault=CRASH)
+    return write_log(tmp_path_factory.mktemp("crash") / "run.log", fault=CRASH_OF_ROBOT_2)
 
 
 def test_a_robot_has_no_estimates_in_the_15_steps_in_which_it_is_dead(crash_log: Path) -> None:
-    """Robot 2 of seven crashes in step 21 of the log. Only the true accuracy of its sensor remains known."""
+    """Robot 2 of seven crashes in step 21 of the log. Only the true accuracy of its sensor remains known.
+
+    The other robots have all values in all steps.
+    """
     steps_without_estimates = []
     for state in states_of(recompute_swarm_history(crash_log)):
-        _robot_0, _robot_1, robot_2, *_other_robots = state.values.T
+        robot_0, robot_1, robot_2, *robots_3_to_6 = state.values.T
         x, x_hat, b_hat, _true_accuracy = robot_2
         if np.isnan([x, x_hat, b_hat]).all():
             steps_without_estimates.append(state.tick)
-        assert np.isfinite(np.delete(state.values, 2, axis=1)).all(), "robots that live"
+        assert np.isfinite([robot_0, robot_1, *robots_3_to_6]).all()
 
     assert steps_without_estimates == list(range(21, 21 + 15))
 
 
 def test_a_log_with_a_crash_is_shown_with_the_states_that_the_running_swarm_had(crash_log: Path) -> None:
-    """The log has a state before the first step as well; the running swarm has one after each step."""
-    running_swarm = record_swarm(faults=(CRASH,))
-    _initial_state, *logged_states = states_of(recompute_swarm_history(crash_log))
-    assert differing_ticks(logged_states, states_of(running_swarm)) == []
+    """In both, robot 2 crashes in step 21. The log has a state before the first step as well."""
+    running_swarm = record_swarm(faults=(CRASH_OF_ROBOT_2,))
+    _initial_state, *states_of_log = states_of(recompute_swarm_history(crash_log))
+    assert differing_ticks(states_of_log, states_of(running_swarm)) == []
 
 
 def test_a_log_and_a_running_swarm_have_a_fault_with_its_first_and_last_step(crash_log: Path) -> None:
     """A fault is shown as its text, the step from which it may occur, and the step in which it ends."""
-    logged, live = recompute_swarm_history(crash_log), record_swarm(faults=(CRASH,))
-    assert list(logged.description.faults) == [("crash=1.0,from=20,to=21,robots=2,ticks=15", 20, 21)]
-    assert list(live.description.faults) == list(logged.description.faults)
+    history_of_log = recompute_swarm_history(crash_log)
+    history_of_swarm = record_swarm(faults=("crash=1.0,from=20,to=21,robots=2,ticks=15",))
+    expected_faults = [("crash=1.0,from=20,to=21,robots=2,ticks=15", 20, 21)]
+    assert list(history_of_log.description.faults) == expected_faults
+    assert list(history_of_swarm.description.faults) == expected_faults
 
 
 def test_histories_of_logs_and_trials_have_ended_and_that_of_a_running_swarm_has_not(crash_log: Path) -> None:
+    """A web page waits for further states of a history that has not ended."""
     assert recompute_swarm_history(crash_log).has_ended
     assert recompute_trial_history(run_experiment(), trial=0).has_ended
     assert not record_swarm(steps=10).has_ended
@@ -360,21 +411,27 @@ def test_a_swarm_of_100_steps_a_second_sleeps_in_each_step_until_10_ms_have_pass
     """The recorder is called after each step, and sleeps for what is missing of 10 ms since its last call.
 
     The work of steps between its calls takes 2 ms, no time and 50 ms. The 40 ms too many are not made up for.
+    Of 20,000 steps only every second one has a state, so nothing is recorded of a swarm after one step.
     """
-    recorder = SwarmRecorder(SwarmSettings(**PARAMETERS | {"steps": 20_000}), pace=100)
-    swarm_between_states: Any = SimpleNamespace(ticks=1)
-    for seconds_of_work in (0.002, 0.0, 0.05, 0.0):
-        recorder(swarm_between_states)
+    recorder = SwarmRecorder(swarm_settings(steps=20_000), pace=100)
+    swarm_after_step: Any = SimpleNamespace(ticks=1)
+    recorder(swarm_after_step)
+    for seconds_of_work in (0.002, 0.0, 0.05):
         clock.now += seconds_of_work
+        recorder(swarm_after_step)
 
-    assert clock.sleeps == pytest.approx([0.0, 0.010 - 0.002, 0.010 - 0.0, 0.0])
+    first_sleep, sleep_after_2_ms, sleep_after_no_time, sleep_after_50_ms = clock.sleeps
+    assert first_sleep == 0
+    assert sleep_after_2_ms == pytest.approx(0.010 - 0.002)
+    assert sleep_after_no_time == pytest.approx(0.010)
+    assert sleep_after_50_ms == 0
 
 
 @pytest.mark.parametrize("pace", [-1, float("nan")])
 def test_a_pace_that_is_negative_or_no_number_is_refused(pace: float) -> None:
     """The pace is the number of steps a second at which a viewed swarm runs."""
     with pytest.raises(UsageError, match=f"--pace is {pace}; give steps a second"):
-        SwarmRecorder(SwarmSettings(**PARAMETERS), pace)
+        SwarmRecorder(swarm_settings(), pace)
 
 
 # --- Results that do not fit --------------------------------------------------------------------------
@@ -383,23 +440,28 @@ def test_a_pace_that_is_negative_or_no_number_is_refused(pace: float) -> None:
 def test_a_trial_whose_simulation_has_other_errors_than_the_results_is_not_shown() -> None:
     """Results hold no states, so the trial is simulated again. Its errors must be equal to the last bit."""
     trials = run_experiment()
-    changed = replace(trials, errors=trials.errors + 1e-9)
+    trials_with_other_errors = replace(trials, errors=trials.errors + 1e-9)
     with pytest.raises(UsageError, match="trial 1 does not come out again"):
-        recompute_trial_history(changed, trial=1)
+        recompute_trial_history(trials_with_other_errors, trial=1)
 
 
 def test_a_trial_that_is_not_among_the_results_is_refused(trials_of_the_authors: Trials) -> None:
-    """The error offers the trials that there are. The only one of the authors has the number 2."""
+    """The error offers the trials that there are: 0 and 1 of an experiment, and 2 alone of the authors."""
+    two_trials = run_experiment()
     with pytest.raises(UsageError, match="there is no trial 2; choose one of 0 to 1"):
-        recompute_trial_history(run_experiment(), trial=2)
+        recompute_trial_history(two_trials, trial=2)
     with pytest.raises(UsageError, match="there is no trial 0; choose one of 2 to 2"):
         recorded_trial_history(trials_of_the_authors, trial=0)
 
 
 def test_a_trial_of_a_billion_steps_is_not_simulated_again_to_be_shown() -> None:
-    """A UsageError says that trials of at most 100 million steps are."""
+    """A UsageError says that trials of at most 100 million steps are.
+
+    Results of ten steps are changed, so that they claim to have a billion.
+    """
     trials = run_experiment(robots=2, steps=10, filter="none")
-    long_trials = replace(trials, experiment=replace(trials.experiment, steps=10**9))
+    experiment_of_a_billion_steps = replace(trials.experiment, steps=10**9)
+    long_trials = replace(trials, experiment=experiment_of_a_billion_steps)
     with pytest.raises(UsageError, match=r"too long to be run again, .* at most 100000000 steps"):
         recompute_trial_history(long_trials, trial=0)
 
@@ -423,14 +485,18 @@ def authors_history(trials_of_the_authors: Trials) -> History:
 def test_a_state_of_the_authors_trial_has_the_recorded_values_of_all_robots(
     trials_of_the_authors: Trials, authors_history: History
 ) -> None:
-    """The file has x, x_hat and b_hat of each robot; the true accuracy is a parameter of the experiment."""
+    """The file of the trial has x, x_hat and b_hat of each robot at steps; the last state is compared.
+
+    The true accuracy, 0.95, is a parameter of the experiment.
+    """
     *_, last_state = states_of(authors_history)
     x, x_hat, b_hat, true_accuracy = last_state.values
 
-    for name, values in (("x", x), ("x_hat", x_hat), ("b_hat", b_hat)):
-        [(*_, values_of_last_record)] = trials_of_the_authors.records[name]  # of the only trial, by step
-        assert np.array_equal(values, values_of_last_record), name
-    assert (true_accuracy == FIXED.true_accuracy).all()
+    for name, values_of_robots in (("x", x), ("x_hat", x_hat), ("b_hat", b_hat)):
+        (records_of_only_trial,) = trials_of_the_authors.records[name]
+        *_, last_record = records_of_only_trial
+        assert np.array_equal(values_of_robots, last_record), name
+    assert (true_accuracy == 0.95).all()
 
 
 def test_the_history_of_an_authors_trial_has_a_state_for_each_recorded_step(authors_history: History) -> None:
@@ -451,6 +517,7 @@ def test_an_authors_trial_is_shown_without_an_arena_without_positions_and_withou
 def test_the_title_of_an_authors_trial_names_their_program_by_its_repository(
     authors_history: History,
 ) -> None:
+    """Two of the five robots of the trial with number 2 are flawed."""
     title = authors_history.description.title
     assert title.startswith("5 robots, 2 flawed, ")
     assert title.endswith(", trial 2 of NESTLab/sensor-degradation-filter")
@@ -461,14 +528,15 @@ def test_a_long_trial_of_the_paper_s_authors_is_shown_with_every_second_recorded
 ) -> None:
     """The states 0, 20, 40 and 60 are recorded, and at most two are shown here. The real limit is 10,000."""
     monkeypatch.setattr(history_module, "MAX_STATES", 2)
-    assert ticks_of(recorded_trial_history(trials_of_the_authors, trial=2)) == [0, 40]
+    history = recorded_trial_history(trials_of_the_authors, trial=2)
+    assert ticks_of(history) == [0, 40]
 
 
 def test_a_trial_of_the_paper_s_authors_that_was_converted_without_records_cannot_be_shown(
     trials_of_the_authors: Trials,
 ) -> None:
     """The error says by which command the trial can be converted again with its values."""
-    unrecorded = replace(trials_of_the_authors, records={}, sampling_interval=0)
+    trials_without_records = replace(trials_of_the_authors, records={}, sampling_interval=0)
     message = r"nothing is recorded .* run mcp-asdf convert again, without --record 0"
     with pytest.raises(UsageError, match=message):
-        recorded_trial_history(unrecorded, trial=2)
+        recorded_trial_history(trials_without_records, trial=2)
