@@ -10,10 +10,8 @@ from fractions import Fraction
 import pytest
 
 from crosschecks import CheckedCall, check_calls, with_value
-from mcp_asdf.fixed_point import ONE
 from mcp_asdf.robot import Filter
 from mcp_asdf.robust_reference import Observations, Votes
-from mcp_asdf_tools.crosscheck.bounds import HALF
 from mcp_asdf_tools.crosscheck.oracle import Audit
 from mcp_asdf_tools.crosscheck.robust_bounds import (
     dispersion_bounds,
@@ -27,39 +25,46 @@ from mcp_asdf_tools.crosscheck.robust_scenarios import robust_scenario
 from mcp_asdf_tools.crosscheck.scenario import CallResult
 from robots import ALPHA_ONE
 
-INDEPENDENT = Fraction(1)
-"""The dispersion of independent observations."""
-
 # --- Bounds ----------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
-    ("x_hat", "estimate"), [(0, 0), (63, 0), (64, 1), (191, 1), (192, 2), (ONE - 65, 65535), (ONE, 65535)]
+    ("x_hat_units", "estimate_units"),
+    [(0, 0), (63, 0), (64, 1), (191, 1), (192, 2), (2**23 - 65, 65535), (2**23, 65535)],
 )
-def test_a_robot_remembers_the_nearest_estimate_that_has_16_bits(x_hat: int, estimate: int) -> None:
-    """A neighbour sends x_hat in units of 2**-23, and 16 bits have units of 2**-16."""
-    assert slot_estimate(Fraction(x_hat, ONE)) == Fraction(estimate, 2**16)
+def test_a_robot_remembers_the_nearest_estimate_that_has_16_bits(
+    x_hat_units: int, estimate_units: int
+) -> None:
+    """A neighbour sends x_hat in units of 2**-23. 16 bits have units of 2**-16, which are 128 times as large.
+
+    A half of such a unit is rounded up, but 1 has no 16 bits, and is remembered as 65535 / 65536.
+    """
+    x_hat = Fraction(x_hat_units, 2**23)
+    assert slot_estimate(x_hat) == Fraction(estimate_units, 2**16)
 
 
 @pytest.mark.parametrize(
-    ("x_hat", "centre", "spread"),
+    ("x_hat_units", "centre_units", "spread_units"),
     [
-        (ONE, 2**29 + 2**15, 2**18 + 2**14),  # 1/8 of the spread of 2**18, which widens by 1/16
+        (2**23, 2**29 + 2**15, 2**18 + 2**14),  # 1/8 of the spread of 2**18, which widens by 1/16
         (0, 2**29 - 2**15, 2**18 + 2**14),
         (2**22, 2**29, 2**18),  # a vote of 1/2; the spread is no narrower than the smallest one
         (2**22 + 1, 2**29 + 2**4, 2**18),  # one unit of 2**-23 above 1/2 is 2**7 units, and 1/8 of them
     ],
 )
-def test_a_vote_moves_centre_and_spread_by_whole_units(x_hat: int, centre: int, spread: int) -> None:
+def test_a_vote_moves_centre_and_spread_by_whole_units(
+    x_hat_units: int, centre_units: int, spread_units: int
+) -> None:
     """A vote weighs one estimate, x_hat: the centre goes 1/8 of the way to it, but at most 1/8 of a spread.
 
     The centre and the spread are in units of 2**-30, and x_hat is in units of 2**-23. Before this vote, the
-    first, the centre is 1/2, which is 2**29 units, and the spread has 2**18 units.
+    first, the centre is 1/2, which is 2**29 units, and the spread has 2**18 units. A vote that is farther off
+    than the spread widens it by 1/16.
     """
-    before = Votes(centre=HALF, spread=Fraction(2**18, 2**30), count=0)
-    after = rounded_votes_after(before, Fraction(x_hat, ONE))
-    assert after.centre * 2**30 == centre
-    assert after.spread * 2**30 == spread
+    before = Votes(centre=Fraction(1, 2), spread=Fraction(2**18, 2**30), count=0)
+    after = rounded_votes_after(before, x_hat=Fraction(x_hat_units, 2**23))
+    assert after.centre * 2**30 == centre_units
+    assert after.spread * 2**30 == spread_units
 
 
 def test_a_vote_moves_the_centre_by_whole_units_and_less_than_a_unit_is_rounded_away() -> None:
@@ -68,13 +73,14 @@ def test_a_vote_moves_the_centre_by_whole_units_and_less_than_a_unit_is_rounded_
     That estimate is one unit less than 3 * 2**7 units away, so the centre moves by two units, and not three.
     """
     unit = Fraction(1, 2**30)
-    before = Votes(centre=HALF, spread=2**18 * unit, count=512)
-    after = rounded_votes_after(before, HALF - (3 * 2**7 - 1) * unit)
-    assert after.centre == HALF - 2 * unit
+    distance = (3 * 2**7 - 1) * unit
+    before = Votes(centre=Fraction(1, 2), spread=2**18 * unit, count=512)
+    after = rounded_votes_after(before, x_hat=before.centre - distance)
+    assert after.centre == before.centre - 2 * unit
 
 
 @pytest.mark.parametrize(
-    ("batch_black_count", "dispersion"),
+    ("batch_black_count", "dispersion_units"),
     [
         (250, 448),  # as many as expected: 7/8 of 2, which is 1.75
         (260, 473),  # a ratio of 0.8, from 10**2 / (500 / 4): 7/8 of 2, and 1/8 of 0.8, which is 1.85
@@ -82,16 +88,17 @@ def test_a_vote_moves_the_centre_by_whole_units_and_less_than_a_unit_is_rounded_
     ],
 )
 def test_the_running_dispersion_of_observations_has_one_right_value_or_two(
-    batch_black_count: int, dispersion: int
+    batch_black_count: int, dispersion_units: int
 ) -> None:
     """Dispersion is how much more observations vary than independent ones; it is 2 before this batch.
 
-    The batch is of 500 observations, and half of all 1000 are black; units are 2**-8.
+    The batch is of 500 observations, and half of all 1000 are black. The new dispersion is 7/8 of the old one
+    and 1/8 of the batch's own: the squared excess of its black ones, divided by 500 / 4. Units are 2**-8.
     """
     observations = Observations(n=500, t=1000, dispersion=Fraction(2))
     smallest, largest = dispersion_bounds(observations, batch_black_count, batch_count=500)
-    unit = Fraction(1, 256)
-    assert smallest <= dispersion * unit <= largest
+    unit = Fraction(1, 2**8)
+    assert smallest <= dispersion_units * unit <= largest
     assert largest - smallest <= unit
 
 
@@ -102,20 +109,22 @@ def test_a_batch_without_deviation_leaves_the_dispersion(n: int, batch_count: in
     All observations are white, or the batch has none, so both bounds of the new dispersion are 3.
     """
     observations = Observations(n, t=1000, dispersion=Fraction(3))
-    bounds = dispersion_bounds(observations, batch_black_count=0, batch_count=batch_count)
-    assert bounds == (Fraction(3), Fraction(3))
+    smallest, largest = dispersion_bounds(observations, batch_black_count=0, batch_count=batch_count)
+    assert smallest == 3
+    assert largest == 3
 
 
 def test_the_dispersion_has_wide_bounds_where_the_variance_is_a_rounding_error() -> None:
     """One of 2**31 observations is black, so the variance of a batch is no larger than its rounding error.
 
-    The new dispersion is 7/8 of the old one, 8, and 1/8 of a ratio between 0 and 12 times the old one.
+    The new dispersion is 7/8 of the old one, which is 8, and 1/8 of the batch's ratio of variances. By
+    rounding that is anything from 0 to 12 times the old dispersion, its limit.
     """
     observations = Observations(n=1, t=2**31, dispersion=Fraction(8))
     smallest, largest = dispersion_bounds(observations, batch_black_count=1, batch_count=2**20)
-    largest_ratio = 12 * 8
-    assert smallest == 7
-    assert largest == 7 + Fraction(largest_ratio, 8)
+    smallest_ratio, largest_ratio = 0, 12 * 8
+    assert smallest == Fraction(7 * 8 + smallest_ratio, 8)
+    assert largest == Fraction(7 * 8 + largest_ratio, 8)
 
 
 def test_the_centre_of_five_estimates_falls_one_unit_of_the_firmware_short_of_the_exact_one() -> None:
@@ -132,39 +141,43 @@ def test_the_centre_of_five_estimates_falls_one_unit_of_the_firmware_short_of_th
     assert centre == 302 * unit_of_estimates - unit_of_firmware
 
 
-@pytest.mark.parametrize(("n", "outcome"), [(554_100, False), (554_154, None), (554_200, True)])
+@pytest.mark.parametrize(
+    ("black_count", "expected_outcome"), [(554_100, False), (554_154, None), (554_200, True)]
+)
 def test_a_decision_of_the_robust_test_that_hangs_on_rounding_is_left_open(
-    n: int, outcome: bool | None
+    black_count: int, expected_outcome: bool | None
 ) -> None:
     """The test rejects b_hat, 3/4, if too many of a million observations are black; 1/2 would be expected.
 
     It does if the share is off by more than 0.054154, whose square is 12 (1/4 / 10**6 + (1/2 spread)**2). So
-    with n = 554,154 a firmware that rounds may reject or not, and ``robust_test_outcome`` says None.
+    with 554,154 a firmware that rounds may reject or not, and ``robust_test_outcome`` says None.
     """
-    observations = Observations(n, t=10**6, dispersion=INDEPENDENT)
-    rejects = robust_test_outcome(observations, Fraction(3, 4), centre=HALF, spread=Fraction(1, 32))
-    assert rejects is outcome
+    observations = Observations(n=black_count, t=10**6, dispersion=Fraction(1))
+    b_hat, centre, spread = Fraction(3, 4), Fraction(1, 2), Fraction(1, 32)
+    is_rejected = robust_test_outcome(observations, b_hat, centre, spread)
+    assert is_rejected is expected_outcome
 
 
 @pytest.mark.parametrize(
-    ("estimates", "outcome"),
+    ("estimates", "expected_outcome"),
     [
-        ([1, 1, 0, 0, 0], False),
-        ([1, 1, 1, 0, 0], True),
-        ([1, 1, HALF, 0, 0], None),  # 1/2 is as near to the robot's share as to the centre
+        ([1.0, 1.0, 0.0, 0.0, 0.0], False),
+        ([1.0, 1.0, 1.0, 0.0, 0.0], True),
+        ([1.0, 1.0, 0.5, 0.0, 0.0], None),  # 1/2 is as near to the robot's share as to the centre
     ],
 )
 def test_supporters_are_more_than_two_of_five_unless_one_is_in_the_middle(
-    estimates: list[Fraction], outcome: bool | None
+    estimates: list[float], expected_outcome: bool | None
 ) -> None:
     """A supporter's estimate predicts the robot's share of black tiles, here 3/4, better than the centre, 0.
 
     With an accuracy of 3/4, an estimate of 1 predicts 3/4, and one of 0 predicts 1/4. The outcome is whether
     there are enough supporters, or None if rounding may decide.
     """
-    observations = Observations(n=3, t=4, dispersion=INDEPENDENT)
-    fractions = [Fraction(estimate) for estimate in estimates]
-    assert support_outcome(observations, Fraction(3, 4), fractions, centre=Fraction(0)) is outcome
+    observations = Observations(n=3, t=4, dispersion=Fraction(1))
+    b_hat, centre = Fraction(3, 4), Fraction(0)
+    has_support = support_outcome(observations, b_hat, [Fraction(x) for x in estimates], centre)
+    assert has_support is expected_outcome
 
 
 # --- What is found wrong in a call -----------------------------------------------------------------------
@@ -191,7 +204,7 @@ DEVIATIONS_BY_EVENT = {
 """Fields in which a deviation by one unit must be found, by event of the robust filter or call."""
 
 
-def wrong_results(event: str, after: CallResult) -> Iterator[CallResult]:
+def results_with_a_wrong_value(event: str, after: CallResult) -> Iterator[CallResult]:
     """Yield what a wrong firmware may show after an event of the robust filter: one field is a unit off."""
     for name in DEVIATIONS_BY_EVENT.get(event, ()):
         yield with_value(after, name, after.state[name] + 1)
@@ -227,20 +240,23 @@ def test_a_wrong_result_of_any_event_of_the_robust_filter_is_reported(
     calls = calls_by_event[event]
     assert len(calls) >= 3, "the 40 scenarios hardly have this event"
     for right_call in calls[:10]:
-        for wrong_after in wrong_results(event, right_call.after):
+        for wrong_after in results_with_a_wrong_value(event, right_call.after):
             problems = Audit().check_call(right_call.setup, right_call.call, right_call.before, wrong_after)
             assert problems, f"{right_call.call} may give {wrong_after}"
 
 
-ROBOT = f"robot:{Filter.ROBUST:d}:1:64:0:{3 << 30}"
+ROBUST_ROBOT = f"robot:{Filter.ROBUST:d}:1:64:0:{3 << 30}"
 """A robot with the robust filter that assumes 3/4, in units of 2**-32, and tests itself in every round."""
 
 
 def test_a_dispersion_out_of_bounds_is_reported() -> None:
-    """After two observations, how much more they vary than independent ones is 1: 256 units, and not 258."""
-    *_, settle = check_calls(f"{ROBOT},observe:1,observe:0,settle", Audit())
-    wrong = with_value(settle.after, "robust_dispersion", 256 + 2)
-    problems = Audit().check_call(settle.setup, settle.call, settle.before, wrong)
+    """The dispersion, in units of 2**-8, is how much more observations vary than independent ones.
+
+    After two observations it is 1, or 256 units. The result of the last call, ``settle``, gets 258.
+    """
+    *_, settle = check_calls(f"{ROBUST_ROBOT},observe:1,observe:0,settle", Audit())
+    wrong_result = with_value(settle.after, "robust_dispersion", 256 + 2)
+    problems = Audit().check_call(settle.setup, settle.call, settle.before, after=wrong_result)
     assert problems == ["dispersion is 1.0078125, outside 1 to 1"]
 
 
@@ -264,21 +280,25 @@ def test_votes_and_a_filter_that_has_too_few_estimates_are_counted() -> None:
 
     The filter runs at the end of each round, with fewer estimates than its test needs.
     """
-    events, tests = count_robust_events(f"{ROBOT},{receive(1, x_hat=0)},observe:1,settle,settle,settle")
+    scenario = f"{ROBUST_ROBOT},{receive(sender=1, x_hat=0)},observe:1,settle,settle,settle"
+    events, tests = count_robust_events(scenario)
     assert events == {"vote": 2, "own vote": 1, "too few": 3}
     assert tests == 0
 
 
 def test_a_filter_without_an_observation_is_not_counted() -> None:
     """The robot weighs the estimate that it receives, which is a vote, but it has no observations to test."""
-    events, tests = count_robust_events(f"{ROBOT},{receive(1, x_hat=0)},settle")
+    events, tests = count_robust_events(f"{ROBUST_ROBOT},{receive(sender=1, x_hat=0)},settle")
     assert events == {"vote": 1}
     assert tests == 0
 
 
 def test_a_test_that_five_estimates_pass_is_counted() -> None:
-    """Five estimates are the fewest for a test, and any agree with a robot that has observed one tile."""
-    messages = ",".join(receive(sender, x_hat=0.5) for sender in range(1, 6))
-    events, tests = count_robust_events(f"{ROBOT},{messages},observe:1,settle")
+    """Five estimates are the fewest for a test, and any agree with a robot that has observed one tile.
+
+    One of them is weighed in this round, which is the vote.
+    """
+    messages = ",".join(receive(sender, x_hat=0.5) for sender in (1, 2, 3, 4, 5))
+    events, tests = count_robust_events(f"{ROBUST_ROBOT},{messages},observe:1,settle")
     assert events == {"vote": 1, "accepted": 1}
     assert tests == 1
