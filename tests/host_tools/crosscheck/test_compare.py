@@ -30,16 +30,22 @@ from mcp_asdf_tools.crosscheck.scenario import Call, Scenario, parse_scenario
 def test_the_c_and_the_python_robot_agree_in_every_bit_and_with_exact_arithmetic() -> None:
     """NativeRobot calls the C; MirrorRobot computes the same in Python.
 
-    Both make thousands of random calls, drawn with a fixed seed, and are compared after each.
+    Both make thousands of random calls, drawn with a fixed seed, and are compared after each, with each other
+    and with exact arithmetic.
     """
-    assert find_failure(NativeRobot, MirrorRobot, max_calls=6_000) is None
+    failure = find_failure(NativeRobot, MirrorRobot, max_calls=6_000)
+    assert failure is None
 
 
 def test_the_c_and_the_python_robot_agree_next_to_the_threshold_of_the_robust_filter() -> None:
-    """The calls of 20 random scenarios lead to tests that just reject, or just do not."""
+    """The calls of 20 random scenarios lead to tests that just reject, or just do not.
+
+    ``compare_firmwares`` returns the first difference, and here None.
+    """
     for index in range(20):
         scenario = robust_scenario(seed=23, index=index)
-        assert compare_firmwares(scenario, MirrorRobot, NativeRobot) is None, str(scenario)
+        failure = compare_firmwares(scenario, MirrorRobot, NativeRobot)
+        assert failure is None, str(scenario)
 
 
 class RobotThatCannotBeMade(MirrorRobot):
@@ -56,27 +62,27 @@ class RobotThatRefusesEveryId(MirrorRobot):
         super().__init__(config, robot_id + 128, b_hat)
 
 
-class RobotWithAWrongField(MirrorRobot):
-    """Has a wrong field in its state, which no result shows."""
+class RobotWithUpdatedAsSeven(MirrorRobot):
+    """Has a wrong value, 7, in the field "updated" of its state, which no result shows."""
 
     def state(self) -> dict[str, int]:
         return super().state() | {"updated": 7}
 
 
 @pytest.mark.parametrize(
-    ("first", "second", "call_count", "problem"),
+    ("first", "second", "call_count", "expected_problem"),
     [
         # BrokenRobot raises an error in settle, the second call.
         (NativeRobot, BrokenRobot, 2, "status: OK, ZeroDivisionError: in settle"),
         (BrokenRobot, BrokenRobot, 2, "both: ZeroDivisionError: in settle"),
         # The others differ before the first call.
         (RobotThatCannotBeMade, RobotThatCannotBeMade, 0, "both: ZeroDivisionError: in init"),
-        (NativeRobot, RobotWithAWrongField, 0, "updated: 0, 7"),
+        (NativeRobot, RobotWithUpdatedAsSeven, 0, "updated: 0, 7"),
         (NativeRobot, RobotThatRefusesEveryId, 0, "status: OK, ERR_ID"),
     ],
 )
 def test_a_difference_or_an_exception_is_reported_with_the_calls_up_to_it(
-    first: Firmware, second: Firmware, call_count: int, problem: str
+    first: Firmware, second: Firmware, call_count: int, expected_problem: str
 ) -> None:
     """The failure has the first ``call_count`` of three calls; with 0 the robots differ as they are made."""
     scenario = parse_scenario(f"{ROBOT},observe:1,settle,settle")
@@ -84,22 +90,22 @@ def test_a_difference_or_an_exception_is_reported_with_the_calls_up_to_it(
 
     assert failure is not None
     assert failure.scenario.calls == scenario.calls[:call_count]
-    assert failure.problems == (problem,)
+    assert failure.problems == (expected_problem,)
 
 
 def test_differences_of_two_robots_are_listed_by_field_result_and_word_of_the_saved_robot() -> None:
     """The second robot is restored from its saved words. Two of the words are changed.
 
     Its count t of observations, word 2, becomes 5. Bit 16 of word 29 says that b_hat was updated after x_hat.
+    Each line has the first robot's value and the second's. Names of results, such as t(), have brackets.
     """
     setup = parse_scenario(ROBOT).setup
     first, second = RobotUnderTest(MirrorRobot, setup), RobotUnderTest(MirrorRobot, setup)
-    [restore] = parse_scenario(f"{ROBOT},restore:2:5:29:{0x10000}").calls  # index and value of each word
+    bit_16 = 0x10000
+    (restore,) = parse_scenario(f"{ROBOT},restore:2:5:29:{bit_16}").calls  # index and value of each word
     second.apply(restore)
     *lines, checksum_line = differences(first.last_result, second.last_result)
 
-    # Each line has the first robot's value and the second's. Names of results have brackets, names of
-    # fields do not.
     assert lines == [
         "t: 0, 5",
         "updated: 0, 1",
@@ -120,33 +126,37 @@ def scenario_of_restores(words_of_calls: Iterable[dict[int, int]]) -> Scenario:
 
 
 @settings(max_examples=25, deadline=None, database=None, derandomize=True)
-@given(needed=st.sets(st.integers(0, 29), min_size=1, max_size=4), call_count=st.integers(30, 40))
+@given(needed_numbers=st.sets(st.integers(0, 29), min_size=1, max_size=4), call_count=st.integers(30, 40))
 def test_shrinking_leaves_exactly_the_calls_and_words_that_the_failure_needs(
-    needed: set[int], call_count: int
+    needed_numbers: set[int], call_count: int
 ) -> None:
-    """A scenario has 30 to 40 calls. The report keeps only calls whose number is ``needed`` for the failure.
+    """A scenario has 30 to 40 calls, numbered from 0. The failure needs one to four of them.
 
     Each call writes its number into word 1, by which the check knows it, and needless values into words 2
-    and 3.
+    and 3. The shortest scenario has only the needed calls, and in them only word 1.
     """
 
     def fail_if_all_needed_calls_were_made(scenario: Scenario) -> Failure | None:
         numbers = {dict(call.pairs).get(1) for call in scenario.calls}
-        return Failure(scenario, ("all needed calls",)) if needed <= numbers else None
+        is_failing = needed_numbers <= numbers
+        return Failure(scenario, ("all needed calls",)) if is_failing else None
 
     scenario = scenario_of_restores({1: number, 2: 7, 3: number % 3} for number in range(call_count))
-    shortest = shrink(Failure(scenario, ()), fail_if_all_needed_calls_were_made)
+    shortest_failure = shrink(Failure(scenario, ()), fail_if_all_needed_calls_were_made)
 
-    assert shortest.scenario == scenario_of_restores({1: number} for number in sorted(needed))
+    expected_scenario = scenario_of_restores({1: number} for number in sorted(needed_numbers))
+    assert shortest_failure.scenario == expected_scenario
 
 
 def ignore_progress(calls_made: int) -> None:
     """Take the number of calls of a scenario, which the cross-check reports, and do nothing."""
 
 
-@pytest.mark.parametrize("last_call_count", [0, 1, 5])
-def test_a_crosscheck_that_fails_has_counted_the_calls_up_to_the_failing_one(last_call_count: int) -> None:
-    """Three scenarios, that is robots and their calls, pass. The fourth fails after ``last_call_count``.
+@pytest.mark.parametrize("calls_up_to_failure", [0, 1, 5])
+def test_a_crosscheck_that_fails_has_counted_the_calls_up_to_the_failing_one(
+    calls_up_to_failure: int,
+) -> None:
+    """Three scenarios, that is robots and their calls, pass. The fourth fails after 0, 1 or 5 calls.
 
     5000 calls are asked for, which are more than four scenarios have.
     """
@@ -154,19 +164,22 @@ def test_a_crosscheck_that_fails_has_counted_the_calls_up_to_the_failing_one(las
 
     def fail_in_fourth_scenario(scenario: Scenario) -> Failure | None:
         if len(passed_call_counts) == 3:
-            calls_up_to_failure = scenario.calls[:last_call_count]
-            return Failure(scenario.replace_calls(calls_up_to_failure), ("wrong",))
+            calls = scenario.calls[:calls_up_to_failure]
+            return Failure(scenario.replace_calls(calls), ("wrong",))
         passed_call_counts.append(len(scenario.calls))
         return None
 
     result = run_crosscheck(fail_in_fourth_scenario, SEED, calls=5000, on_calls=ignore_progress)
     assert result.failure is not None
-    assert result.calls == sum(passed_call_counts) + last_call_count
+    assert result.calls == sum(passed_call_counts) + calls_up_to_failure
     assert result.scenarios == 3 + 1
 
 
 def test_a_crosscheck_without_a_failure_ends_after_exactly_the_calls_asked_for() -> None:
-    """1234 calls are asked for, and the last scenario is cut short there."""
+    """1234 calls are asked for, and the last scenario is cut short there.
+
+    The function ``on_calls`` is told how many calls each scenario has made.
+    """
 
     def find_nothing_wrong(scenario: Scenario) -> None:
         return None
@@ -175,7 +188,8 @@ def test_a_crosscheck_without_a_failure_ends_after_exactly_the_calls_asked_for()
     result = run_crosscheck(find_nothing_wrong, SEED, calls=1234, on_calls=reported_calls.append)
     assert result.failure is None
     assert not result.interrupted
-    assert result.calls == sum(reported_calls) == 1234
+    assert result.calls == 1234
+    assert sum(reported_calls) == 1234
 
 
 def test_every_fourth_scenario_of_a_crosscheck_has_a_robot_with_the_robust_filter() -> None:
@@ -187,4 +201,6 @@ def test_every_fourth_scenario_of_a_crosscheck_has_a_robot_with_the_robust_filte
 
     run_crosscheck(record_filter, SEED, calls=1234, on_calls=ignore_progress)
 
-    assert is_robust[:8] == [False, False, False, True, False, False, False, True]
+    first_four, next_four = is_robust[:4], is_robust[4:8]
+    assert first_four == [False, False, False, True]
+    assert next_four == [False, False, False, True]

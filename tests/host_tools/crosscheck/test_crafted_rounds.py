@@ -36,9 +36,6 @@ from support import slow
 
 TABLE = generate(parse_omega("0.05"), 127)
 """The table of the firmware's default test, for 127 neighbours."""
-LARGEST_ROUND = 126
-"""Number of messages in the rounds that are crafted to be large."""
-
 for_every_omega = pytest.mark.parametrize("omega", ["0.05", *slow(["0.000000001", "0.5", "0.9"])])
 """Type II error probabilities of the test, from a usual to an extreme tolerance."""
 x_hats_of_robots = st.integers(0, ONE)
@@ -68,7 +65,7 @@ def threshold_of(omega: str, m: int) -> Fraction:
     return Fraction(table_of(omega).entry(m), 2**26)
 
 
-def robot_with_test(own_x_hat: int, omega: str = "0.05") -> RobotState:
+def robot_with_test(own_x_hat: int, omega: str) -> RobotState:
     """Return a robot with an x_hat of its own and a table for the test; it has 500 observations."""
     return RobotState(t=500, n=300, x_hat=own_x_hat, table=table_of(omega))
 
@@ -89,7 +86,8 @@ def test_estimates_just_inside_the_filter_s_threshold_pass_and_those_just_outsid
 ) -> None:
     """The cross-check sends m estimates so near the threshold k that a robot with a wrong threshold shows.
 
-    With a threshold that is wrong by a millionth the test decides differently.
+    With a threshold that is wrong by a millionth the test decides differently. The threshold follows from
+    ``omega``, and the estimates are also chosen for how they would change b_hat, ``preferred_update``.
     """
     robot = robot_with_test(own_x_hat, omega)
     rounds = draw_rounds_at_threshold(robot, m, preferred_update=Update.ABOVE, rng=Random(seed))
@@ -120,9 +118,10 @@ def test_most_drawn_estimates_are_decided_by_the_last_bits_of_the_threshold(omeg
         if pair is not None:
             passing, rejected = pair
             threshold = threshold_of(omega, m)
-            if is_rejected(passing, own_x_hat, threshold - threshold / 2**24):
+            last_bits = threshold / 2**24
+            if is_rejected(passing, own_x_hat, threshold - last_bits):
                 rejected_by_smaller_threshold += 1
-            if not is_rejected(rejected, own_x_hat, threshold + threshold / 2**24):
+            if not is_rejected(rejected, own_x_hat, threshold + last_bits):
                 passed_by_larger_threshold += 1
 
     assert rejected_by_smaller_threshold > 50
@@ -132,19 +131,23 @@ def test_most_drawn_estimates_are_decided_by_the_last_bits_of_the_threshold(omeg
 @given(own_x_hat=x_hats_of_robots, m=st.integers(2, 127), seed=seeds)
 @settings(max_examples=40, deadline=None)
 def test_drawn_estimates_are_fill_ratios_between_0_and_1(own_x_hat: int, m: int, seed: int) -> None:
-    """Estimates are in units of 2**-23, so ONE stands for 1. With ``gap_share=1`` they may fill 0 to ONE."""
+    """Estimates are in units of 2**-23, so ONE stands for 1. With ``gap_share=1`` they may fill 0 to ONE.
+
+    A robot gets m of them, whose test has a threshold for each m. Two lists are drawn: of estimates just
+    inside the threshold, and of estimates just outside.
+    """
     x_hats = draw_x_hats_at_threshold(own_x_hat, TABLE.entry(m), m, Random(seed), gap_share=1)
     assume(x_hats is not None)  # as some draws leave no room
     assert x_hats is not None
     inside, outside = x_hats
 
-    assert 0 <= min(inside) <= max(inside) <= ONE
-    assert 0 <= min(outside) <= max(outside) <= ONE
+    for x_hat in [*inside, *outside]:
+        assert 0 <= x_hat <= ONE
 
 
 def test_no_estimates_are_drawn_if_they_would_differ_by_less_than_a_unit() -> None:
     """The robot's own x_hat is 2**22 units. The estimates may fill 1 / 2**30 of the room beside it."""
-    x_hats = draw_x_hats_at_threshold(HALF, TABLE.entry(5), m=5, rng=Random(1), gap_share=2**-30)
+    x_hats = draw_x_hats_at_threshold(2**22, TABLE.entry(5), m=5, rng=Random(1), gap_share=2**-30)
     assert x_hats is None
 
 
@@ -161,7 +164,9 @@ def test_fractions_around_a_value_are_the_nearest_on_either_side(
         fractions_below.append(Fraction(numerator_below, denominator))
         fractions_above.append(Fraction(numerator_below + 1, denominator))
 
-    assert fractions_around(value, max_denominator) == (max(fractions_below), min(fractions_above))
+    lower, upper = fractions_around(value, max_denominator)
+    assert lower == max(fractions_below)
+    assert upper == min(fractions_above)
 
 
 def test_rejected_estimates_change_b_hat_in_another_way_if_the_preferred_way_is_impossible() -> None:
@@ -172,7 +177,8 @@ def test_rejected_estimates_change_b_hat_in_another_way_if_the_preferred_way_is_
     """
     robot = RobotState(t=500, n=300, x_hat=ONE // 3, table=TABLE)
     rounds = draw_rounds_at_threshold(robot, m=3, preferred_update=Update.HALF, rng=Random(1))
-    update = robot.update_after(rounds.outside)  # the estimates that the test rejects
+    rejected_estimates = rounds.outside
+    update = robot.update_after(rejected_estimates)
     assert update is not None
     assert update is not Update.HALF
 
@@ -184,9 +190,13 @@ def test_rejected_estimates_change_b_hat_in_another_way_if_the_preferred_way_is_
 @given(own_x_hat=x_hats_of_robots)
 @settings(max_examples=15, deadline=None)
 def test_widely_scattered_estimates_pass_the_test(omega: str, own_x_hat: int) -> None:
-    """The test rejects if their mean is far off for their variance, which is large as all are 0 or 1."""
-    estimates = draw_round_of_large_scatter(robot_with_test(own_x_hat, omega), Random(1))
-    assert not is_rejected(x_hats_of(estimates), own_x_hat, threshold_of(omega, LARGEST_ROUND))
+    """The test rejects if their mean is far off for their variance, which is large as all are 0 or 1.
+
+    There are 126 of them.
+    """
+    robot = robot_with_test(own_x_hat, omega)
+    x_hats = x_hats_of(draw_round_of_large_scatter(robot, Random(1)))
+    assert not is_rejected(x_hats, own_x_hat, threshold_of(omega, m=126))
 
 
 @for_every_omega
@@ -197,36 +207,45 @@ def test_widely_scattered_estimates_would_be_rejected_by_firmware_with_a_sum_of_
 ) -> None:
     """So they show such a mistake. The test rejects if (sum - m x_hat)^2 is above k times the scatter.
 
-    The scatter is m times the sum of the squared estimates, less the square of their sum.
+    The scatter is m times the sum of the squared estimates, less the square of their sum. It needs more than
+    56 bits. There are 126 estimates.
     """
-    x_hats = x_hats_of(draw_round_of_large_scatter(robot_with_test(own_x_hat, omega), Random(1)))
-    difference_squared = (sum(x_hats) - LARGEST_ROUND * own_x_hat) ** 2
+    robot = robot_with_test(own_x_hat, omega)
+    x_hats = x_hats_of(draw_round_of_large_scatter(robot, Random(1)))
+    difference_squared = (sum(x_hats) - 126 * own_x_hat) ** 2
     scatter_in_56_bits = scatter_of(x_hats) % 2**56
-    assert difference_squared > threshold_of(omega, LARGEST_ROUND) * scatter_in_56_bits
+    k = threshold_of(omega, m=126)
+    assert difference_squared > k * scatter_in_56_bits
 
 
 @given(own_x_hat=x_hats_of_robots)
 @settings(max_examples=15, deadline=None)
 def test_estimates_far_from_the_robot_s_own_are_rejected(own_x_hat: int) -> None:
     """The 126 estimates are near each other, and their mean is far from the robot's own x_hat."""
-    x_hats = x_hats_of(draw_round_of_distant_sum(robot_with_test(own_x_hat, omega="0.05"), Random(1)))
-    assert is_rejected(x_hats, own_x_hat, threshold_of(omega="0.05", m=LARGEST_ROUND))
+    robot = robot_with_test(own_x_hat, omega="0.05")
+    x_hats = x_hats_of(draw_round_of_distant_sum(robot, Random(1)))
+    assert is_rejected(x_hats, own_x_hat, threshold_of(omega="0.05", m=126))
 
 
 @given(own_x_hat=x_hats_of_robots)
 @settings(max_examples=15, deadline=None)
 def test_estimates_far_from_the_robot_s_own_would_pass_in_firmware_with_54_bits(own_x_hat: int) -> None:
-    """So they show such a mistake: the lowest 54 bits of the squared difference are 0, as if all agreed."""
-    x_hats = x_hats_of(draw_round_of_distant_sum(robot_with_test(own_x_hat), Random(1)))
-    difference = sum(x_hats) - LARGEST_ROUND * own_x_hat
-    assert difference**2 % 2**54 == 0
+    """So they show such a mistake: the lowest 54 bits of the squared difference are 0, as if all agreed.
+
+    The difference is that of the sum of 126 estimates from 126 times the robot's own.
+    """
+    robot = robot_with_test(own_x_hat, omega="0.05")
+    x_hats = x_hats_of(draw_round_of_distant_sum(robot, Random(1)))
+    difference = sum(x_hats) - 126 * own_x_hat
+    lowest_54_bits = difference**2 % 2**54
+    assert lowest_54_bits == 0
 
 
 # --- Updates ---
 
 
 @pytest.mark.parametrize(
-    ("distance", "update"),
+    ("distance", "expected_update"),
     [
         (-(2**27), Update.BELOW),
         (-(2**27) + 1, Update.FAINT),
@@ -239,22 +258,25 @@ def test_estimates_far_from_the_robot_s_own_would_pass_in_firmware_with_54_bits(
         (2**27, Update.ABOVE),
     ],
 )
-def test_a_new_b_hat_is_classified_by_its_distance_from_one_half(distance: int, update: Update) -> None:
+def test_a_new_b_hat_is_classified_by_its_distance_from_one_half(
+    distance: int, expected_update: Update
+) -> None:
     """b_hat is the accuracy that a robot assumes of its sensor, in units of 2**-32; 2**31 are one half.
 
     Nearer to 1/2 than 2**-13 it is as good as 1/2, as |2 b_hat - 1| is below the firmware's limit of 2**-12.
     Nearer than 2**-5 it is faint, that is, nearly without information. Otherwise it is above or below 1/2.
     """
     one_half = 2**31
-    assert classify_update(one_half + distance) is update
+    assert classify_update(one_half + distance) is expected_update
 
 
 def test_no_new_b_hat_is_classified_as_one_that_is_kept() -> None:
-    """None stands for a re-estimate that has kept b_hat, the accuracy that a robot assumes of its sensor."""
-    assert classify_update(None) is Update.KEPT
+    """A robot that re-estimates b_hat, the accuracy that it assumes, may keep it. So there is no new one."""
+    no_new_b_hat = None
+    assert classify_update(no_new_b_hat) is Update.KEPT
 
 
-NEAR_A_QUARTER = [
+THREE_ESTIMATES_NEAR_A_QUARTER = [
     NeighbourEstimate(x_hat=ONE // 4 + 1, alpha=ALPHA_ONE),
     NeighbourEstimate(x_hat=ONE // 4 - 1, alpha=ALPHA_ONE),
     NeighbourEstimate(x_hat=ONE // 4 + 1, alpha=ALPHA_ONE),
@@ -267,7 +289,7 @@ def test_estimates_near_the_robot_s_own_do_not_change_its_assumed_accuracy() -> 
     60 of the robot's 100 observations are black. None says that it keeps b_hat, the accuracy that it assumes.
     """
     robot = RobotState(t=100, n=60, x_hat=ONE // 4, table=TABLE)
-    assert robot.update_after(NEAR_A_QUARTER) is None
+    assert robot.update_after(THREE_ESTIMATES_NEAR_A_QUARTER) is None
 
 
 def test_a_single_estimate_is_too_few_for_a_test() -> None:
@@ -279,12 +301,13 @@ def test_a_single_estimate_is_too_few_for_a_test() -> None:
 
 @pytest.mark.parametrize("count", [1, 3])
 def test_a_robot_without_a_test_changes_its_assumed_accuracy_by_any_estimates(count: int) -> None:
-    """Without a table it has no test, and one estimate is enough.
+    """Without a table it has no test, and one estimate is enough. It gets one or three of about 1/4.
 
     If 1/4 of the tiles is black and 60 % look black, the sensor errs more often than not: b_hat is below 1/2.
     """
     robot = RobotState(t=100, n=60, x_hat=ONE // 4, table=None)
-    assert robot.update_after(NEAR_A_QUARTER[:count]) is Update.BELOW
+    estimates = THREE_ESTIMATES_NEAR_A_QUARTER[:count]
+    assert robot.update_after(estimates) is Update.BELOW
 
 
 @given(
@@ -300,21 +323,24 @@ def test_estimates_drawn_for_a_new_b_hat_above_or_below_a_half_or_at_an_end_lead
     """The new accuracy b_hat follows from the paper's equation 8, computed exactly. The ends are 0 and 1.
 
     It explains the share n / t of black observations if the fill ratio is x_bar, the mean of the estimates.
+    A b_hat beyond an end is cut off there. ``update`` says where b_hat shall be.
     """
     t = 997
     n = round(black_share * t)
-    estimates = draw_round_for_update(RobotState(t, n, x_hat, TABLE), update, Random(seed))
+    robot = RobotState(t, n, x_hat, TABLE)
+    estimates = draw_round_for_update(robot, update, Random(seed))
     assert estimates is not None
     x_bar = exact_x_bar(estimates)
     b_hat = (Fraction(n, t) + x_bar - 1) / (2 * x_bar - 1)
-    is_update_reached = {
-        Update.ABOVE: Fraction(1, 2) < b_hat < 1,
-        Update.BELOW: 0 < b_hat < Fraction(1, 2),
-        Update.MAXIMUM: b_hat >= 1,
-        Update.MINIMUM: b_hat <= 0,
-    }
 
-    assert is_update_reached[update]
+    if update is Update.ABOVE:
+        assert Fraction(1, 2) < b_hat < 1
+    elif update is Update.BELOW:
+        assert 0 < b_hat < Fraction(1, 2)
+    elif update is Update.MAXIMUM:
+        assert b_hat >= 1
+    else:
+        assert b_hat <= 0
 
 
 def test_estimates_drawn_to_keep_b_hat_have_a_mean_of_one_half() -> None:

@@ -22,18 +22,8 @@ from mcp_asdf_tools.crosscheck.crafted_slots import (
 )
 from robots import ROBUST
 
-B_HAT = 0.8
-"""What the robots of these tests take for the accuracy of their sensor, unless a test says otherwise."""
-SUPPORTER = 43691
-"""An estimate of 2/3, in units of 2**-16: it agrees with a robot whose observations are black by 0.6.
 
-With 2/3 of the tiles black, a sensor of accuracy 0.8 sees 2/3 * 0.8 + 1/3 * 0.2 = 0.6 of them black.
-"""
-OPPONENT = 0
-"""The estimate that is farthest from a supporter's estimate."""
-
-
-def robot_that_observed(black: int, white: int, b_hat: float = B_HAT) -> MirrorRobot:
+def robot_that_observed(*, black: int, white: int, b_hat: float) -> MirrorRobot:
     """Return a robot in its first round that has observed so many black and white tiles."""
     robot = MirrorRobot(ROBUST, robot_id=127, b_hat=b_hat)
     for _ in range(black):
@@ -43,8 +33,10 @@ def robot_that_observed(black: int, white: int, b_hat: float = B_HAT) -> MirrorR
     return robot
 
 
-def robot_at_end_of_round(robot: MirrorRobot, estimates: Sequence[int]) -> MirrorRobot:
-    """Return a copy of the robot that has received these estimates, and has tested itself if they are five.
+def copy_that_received(robot: MirrorRobot, estimates: Sequence[int]) -> MirrorRobot:
+    """Return a copy of the robot that has received these estimates and ended the round.
+
+    It has tested itself by them if they are five or more.
 
     The estimates come from robots 0, 1 and so on, in units of 2**-16.
     """
@@ -55,7 +47,9 @@ def robot_at_end_of_round(robot: MirrorRobot, estimates: Sequence[int]) -> Mirro
     return settled_robot
 
 
-def draw_pair(robot: MirrorRobot, count: int, width: int, seed: int) -> tuple[SlotsAtTest, SlotsAtTest]:
+def draw_kept_and_rejected_slots(
+    robot: MirrorRobot, count: int, width: int, seed: int
+) -> tuple[SlotsAtTest, SlotsAtTest]:
     """Draw estimates by which the robot's test just does not reject, and others by which it just does."""
     pair = draw_slots_at_threshold(robot, count, width, Random(seed))
     assert pair is not None
@@ -76,7 +70,8 @@ def test_the_estimates_of_a_pair_differ_by_one_unit_in_one_slot(count: int, widt
 
     A slot holds the estimate of one neighbour, in units of 2**-16, and each of a pair has ``count`` of them.
     """
-    kept, rejected = draw_pair(robot_that_observed(black=300, white=200), count, width, seed)
+    robot = robot_that_observed(black=300, white=200, b_hat=0.8)
+    kept, rejected = draw_kept_and_rejected_slots(robot, count, width, seed)
     distances = [abs(a - b) for a, b in zip(kept.estimates, rejected.estimates, strict=True)]
     distances_of_equal_slots = [0] * (count - 1)
     assert sorted(distances) == [*distances_of_equal_slots, 1]
@@ -84,11 +79,14 @@ def test_the_estimates_of_a_pair_differ_by_one_unit_in_one_slot(count: int, widt
 
 @for_pairs
 def test_a_robot_keeps_its_b_hat_by_the_first_estimates_of_a_pair(count: int, width: int, seed: int) -> None:
-    """b_hat is the accuracy that it assumes of its sensor; the second ones differ from these by a unit."""
-    robot = robot_that_observed(black=300, white=200)
-    kept, _ = draw_pair(robot, count, width, seed)
+    """b_hat is the accuracy that it assumes of its sensor; the second ones differ from these by a unit.
 
-    assert robot_at_end_of_round(robot, kept.estimates).counters.updates == 0
+    There are ``count`` estimates, at most ``width`` units from their middle.
+    """
+    robot = robot_that_observed(black=300, white=200, b_hat=0.8)
+    kept, _rejected = draw_kept_and_rejected_slots(robot, count, width, seed)
+
+    assert copy_that_received(robot, kept.estimates).counters.updates == 0
     assert not kept.is_rejected()
 
 
@@ -96,11 +94,14 @@ def test_a_robot_keeps_its_b_hat_by_the_first_estimates_of_a_pair(count: int, wi
 def test_a_robot_re_estimates_b_hat_by_the_second_estimates_of_a_pair(
     count: int, width: int, seed: int
 ) -> None:
-    """b_hat is the accuracy that it assumes of its sensor; the first ones differ from these by a unit."""
-    robot = robot_that_observed(black=300, white=200)
-    _, rejected = draw_pair(robot, count, width, seed)
+    """b_hat is the accuracy that it assumes of its sensor; the first ones differ from these by a unit.
 
-    assert robot_at_end_of_round(robot, rejected.estimates).counters.updates == 1
+    There are ``count`` estimates, at most ``width`` units from their middle.
+    """
+    robot = robot_that_observed(black=300, white=200, b_hat=0.8)
+    _kept, rejected = draw_kept_and_rejected_slots(robot, count, width, seed)
+
+    assert copy_that_received(robot, rejected.estimates).counters.updates == 1
     assert rejected.is_rejected()
     assert not rejected.is_supported, "more than two fifths agree with the robot, which would keep its b_hat"
 
@@ -119,9 +120,9 @@ def test_there_is_no_pair_if_all_estimates_contradict_the_robot() -> None:
 
 def test_a_draw_does_not_change_the_robot() -> None:
     """Estimates are drawn for the robot's test, and the cross-check goes on with the same robot."""
-    robot = robot_that_observed(black=300, white=200)
+    robot = robot_that_observed(black=300, white=200, b_hat=0.8)
     state_before = robot.state()
-    draw_pair(robot, count=5, width=4, seed=1)
+    draw_kept_and_rejected_slots(robot, count=5, width=4, seed=1)
     assert robot.state() == state_before
 
 
@@ -129,24 +130,26 @@ def test_a_draw_does_not_change_the_robot() -> None:
 
 
 @pytest.mark.parametrize(
-    ("supporters", "opponents", "updates"),
+    ("supporters", "opponents", "expected_updates"),
     [pytest.param(2, 3, 1, id="two fifths"), pytest.param(3, 4, 0, id="three of seven are more")],
 )
 def test_a_robot_re_estimates_b_hat_unless_more_than_two_fifths_of_its_neighbours_agree_with_it(
-    supporters: int, opponents: int, updates: int
+    supporters: int, opponents: int, expected_updates: int
 ) -> None:
     """Two supporters beside three opponents are too few, so there is an update; three beside four are enough.
 
-    A supporter's estimate, 2/3, agrees with the robot's 300 black tiles of 500, and an opponent's, 0, does
-    not. So the robot's test rejects b_hat, the accuracy that it assumes, but supporters let it keep b_hat.
+    If 2/3 of the tiles are black, a sensor of accuracy 0.8 sees 2/3 * 0.8 + 1/3 * 0.2 = 0.6 of them black. So
+    a supporter's estimate, 2/3, agrees with the robot's 300 black tiles of 500, and an opponent's, 0, does
+    not. The robot's test rejects b_hat, the accuracy that it assumes, but supporters let it keep b_hat.
     """
-    robot = robot_that_observed(black=300, white=200)
+    robot = robot_that_observed(black=300, white=200, b_hat=0.8)
     slots = slots_with_supporters(robot, count=supporters + opponents, supporter_count=supporters)
     assert slots is not None
-    assert slots.estimates == (SUPPORTER,) * supporters + (OPPONENT,) * opponents
+    two_thirds = round(2 / 3 * 2**16)  # in units of 2**-16
+    assert slots.estimates == (two_thirds,) * supporters + (0,) * opponents
     assert slots.is_rejected(), "the test itself, which does not count supporters"
 
-    assert robot_at_end_of_round(robot, slots.estimates).counters.updates == updates
+    assert copy_that_received(robot, slots.estimates).counters.updates == expected_updates
 
 
 def test_no_neighbours_can_contradict_a_robot_with_a_b_hat_of_one_half() -> None:
@@ -159,22 +162,26 @@ def test_no_neighbours_can_contradict_a_robot_with_a_b_hat_of_one_half() -> None
 
 
 @pytest.mark.parametrize(
-    ("b_hat", "share_of_black", "estimate"),
+    ("b_hat", "share_of_black", "expected_fill_ratio"),
     [
-        (0.75, 0.5, 2**16 // 2),
-        (0.75, 0.625, 2**16 * 3 // 4),  # 3/4 * 0.75 + 1/4 * 0.25 = 0.625
-        (0.25, 0.625, 2**16 // 4),  # the sensor exchanges the colours more often than not
+        (0.75, 0.5, 1 / 2),
+        (0.75, 0.625, 3 / 4),  # 3/4 * 0.75 + 1/4 * 0.25 = 0.625
+        (0.25, 0.625, 1 / 4),  # the sensor exchanges the colours more often than not
         (0.75, 0.1, 0),  # less than b_hat predicts of a floor without black tiles
-        (0.75, 0.9, 2**16 - 1),  # more than b_hat predicts of a black floor: the largest estimate
-        (0.5, 0.9, 2**16 // 2),  # no estimate predicts anything but 1/2
+        (0.75, 0.9, 1 - 2**-16),  # more than b_hat predicts of a black floor: the largest estimate
+        (0.5, 0.9, 1 / 2),  # no estimate predicts anything but 1/2
     ],
 )
 def test_the_estimate_that_explains_a_share_of_black_follows_from_b_hat(
-    b_hat: float, share_of_black: float, estimate: int
+    b_hat: float, share_of_black: float, expected_fill_ratio: float
 ) -> None:
-    """If x of a floor is black, a sensor of accuracy b sees x b + (1 - x) (1 - b) of the floor black."""
+    """If x of a floor is black, a sensor of accuracy b sees x b + (1 - x) (1 - b) of the floor black.
+
+    The estimate is the fill ratio x, in units of 2**-16, that is nearest to explaining the share of black.
+    """
     robust = RobustFilter(initial_b_hat=round(b_hat * 2**32))
-    assert estimate_that_predicts(robust, share_of_black) == estimate
+    estimate = estimate_that_predicts(robust, share_of_black)
+    assert estimate == expected_fill_ratio * 2**16
 
 
 def test_the_dispersion_that_a_robot_will_have_when_its_filter_runs_next_is_known_before() -> None:
@@ -183,19 +190,24 @@ def test_the_dispersion_that_a_robot_will_have_when_its_filter_runs_next_is_know
     A run of the robust filter updates it before the test, and ``filter_at_test`` returns the filter's memory
     as it will be then. Here it rises above 1: 100 black tiles after a mixed batch are rare by chance.
     """
-    robot = robot_at_end_of_round(robot_that_observed(black=50, white=50), estimates=[])
-    for _ in range(100):  # the next batch
+    robot = robot_that_observed(black=50, white=50, b_hat=0.8)
+    robot.settle()  # ends the batch, and so the next 100 tiles are another one
+    for _ in range(100):
         robot.observe(Observation.BLACK)
     predicted_dispersion = filter_at_test(robot.s).dispersion
     robot.settle()  # runs the filter
 
+    one = 2**8  # in units of 2**-8
     assert predicted_dispersion == robot.s.robust.dispersion
-    assert predicted_dispersion > 256  # 1 in units of 2**-8
+    assert predicted_dispersion > one
 
 
 def test_asking_for_the_filter_at_the_test_does_not_end_the_robot_s_batch() -> None:
-    """A batch is the observations between two tests. The robot's first one, which began at 0, goes on."""
-    robot = robot_that_observed(black=50, white=50)
+    """A batch is the observations between two tests. The robot's first one, which began at 0, goes on.
+
+    ``batch_t`` is the number of observations at its beginning.
+    """
+    robot = robot_that_observed(black=50, white=50, b_hat=0.8)
     filter_at_test(robot.s)
     assert robot.s.robust.batch_t == 0
 
@@ -207,11 +219,12 @@ def test_a_test_in_place_of_the_filter_s_own_gets_counts_centre_and_spread_of_th
     1/4, where the three at 1/4, each 2/3 below it, balance these two. Centre and spread are in units of
     2**-24, estimates in units of 2**-16.
     """
-    quarter, half = 2**16 // 4, 2**16 // 2
-    slots = SlotsAtTest((quarter, quarter, quarter, half, half), RobustFilter(), t=500, n=300)
-    other_test = Mock(return_value=True)  # a test that rejects
+    quarter, half = 2**16 // 4, 2**16 // 2  # in units of 2**-16
+    robust = RobustFilter()
+    slots = SlotsAtTest((quarter, quarter, quarter, half, half), robust, t=500, n=300)
+    test_that_rejects = Mock(return_value=True)
 
-    assert slots.is_rejected(other_test)
-    spread = 2**24 // 2**12
-    centre = 2**24 // 4 + spread * 2 // 3
-    other_test.assert_called_once_with(slots.robust, 500, 300, centre, spread)
+    assert slots.is_rejected(test_that_rejects)
+    expected_spread = 2**24 // 2**12
+    expected_centre = 2**24 // 4 + expected_spread * 2 // 3
+    test_that_rejects.assert_called_once_with(robust, 500, 300, expected_centre, expected_spread)

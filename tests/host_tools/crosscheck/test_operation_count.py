@@ -36,21 +36,25 @@ def loop(times: int) -> None:
 
 
 def test_each_turn_of_a_loop_takes_as_many_instructions_as_the_others() -> None:
-    """The counted instructions belong to Python's interpreter."""
+    """The counted instructions belong to Python's interpreter. Loops with 0, 1 and 10 turns are counted."""
     without_a_turn = count_instructions(partial(loop, times=0))
     with_one_turn = count_instructions(partial(loop, times=1))
     with_ten_turns = count_instructions(partial(loop, times=10))
-    assert 0 < without_a_turn < with_one_turn
-    assert with_ten_turns == without_a_turn + 10 * (with_one_turn - without_a_turn)
+
+    instructions_of_a_turn = with_one_turn - without_a_turn
+    assert without_a_turn > 0
+    assert instructions_of_a_turn > 0
+    assert with_ten_turns == without_a_turn + 10 * instructions_of_a_turn
 
 
 def test_a_call_without_end_is_cut_short_after_20_000_instructions() -> None:
     """No call of a robot may take 20,000 instructions. Instruction 20,001 is counted, and ends the call."""
-    assert count_instructions(partial(loop, times=10**9)) == 20_000 + 1
+    endless_call = partial(loop, times=10**9)
+    assert count_instructions(endless_call) == 20_000 + 1
 
 
 def test_a_debugger_is_in_its_place_again_after_counting() -> None:
-    """A trace function counts instructions. Python has only one, and debuggers use it, too."""
+    """A trace function counts instructions. Python has a place for one, and debuggers use it, too."""
 
     def debugger(frame: object, event: str, argument: object) -> None:
         return None
@@ -70,17 +74,24 @@ def collector_switched_back() -> Iterator[None]:
     gc.enable()
 
 
-@pytest.mark.parametrize(("switch_collector", "is_on"), [(gc.disable, False), (gc.enable, True)])
+@pytest.mark.parametrize(("switch_collector", "was_on"), [(gc.disable, False), (gc.enable, True)])
 @pytest.mark.usefixtures("collector_switched_back")
 def test_the_garbage_collector_is_off_while_counting_and_then_as_before(
-    switch_collector: Callable[[], None], is_on: bool
+    switch_collector: Callable[[], None], was_on: bool
 ) -> None:
-    """The garbage collector's instructions would be counted as the robot's."""
+    """The garbage collector's instructions would be counted as the robot's.
+
+    Before, it is switched on or off. The counted call records whether it is on.
+    """
     is_on_while_counting: list[bool] = []
+
+    def counted_call() -> None:
+        is_on_while_counting.append(gc.isenabled())
+
     switch_collector()
-    count_instructions(lambda: is_on_while_counting.append(gc.isenabled()))
+    count_instructions(counted_call)
     assert is_on_while_counting == [False]
-    assert gc.isenabled() == is_on
+    assert gc.isenabled() == was_on
 
 
 # --- Workloads -------------------------------------------------------------------------------------------
@@ -98,31 +109,38 @@ both_workloads = pytest.mark.parametrize("workload_class", [Workload, RobustWork
 def test_workloads_with_64_observations_have_all_kinds_of_accuracies_and_counts(
     workload_class: type[Workload],
 ) -> None:
-    """A workload is a robot whose calls are counted. Its b_hat is in units of 2**-32, and n tiles are black.
+    """A workload is a robot whose calls are counted: with the paper's filter, or with the robust one.
 
-    The accuracies b_hat are the least, 1/2, 0.95 and the largest. The last workload halves its memory.
+    Its b_hat is in units of 2**-32, and n of its t tiles are black: none, two fifths or all. The accuracies
+    b_hat are the least, 1/2, 0.95 and the largest. The last workload halves its memory.
     """
-    expected = []
-    for b_hat in (2**12, 2**31, round(0.95 * 2**32), 2**32 - 2**12):
-        # No tiles, two fifths of them, and all are black.
-        expected += [workload_class(t=64, n=n, b_hat=b_hat) for n in (0, 25, 64)]
-    expected.append(workload_class(t=64, n=32, halves=True))
+    smallest_b_hat, one_half, b_hat_95, largest_b_hat = 2**12, 2**31, round(0.95 * 2**32), 2**32 - 2**12
+    expected_workloads = []
+    for b_hat in (smallest_b_hat, one_half, b_hat_95, largest_b_hat):
+        for n in (0, 25, 64):
+            expected_workloads.append(workload_class(t=64, n=n, b_hat=b_hat))
+    expected_workloads.append(workload_class(t=64, n=32, halves=True))
 
-    assert [workload for workload in workloads_at("t", 64) if type(workload) is workload_class] == expected
+    workloads = [workload for workload in workloads_at("t", 64) if type(workload) is workload_class]
+    assert workloads == expected_workloads
 
 
 @pytest.mark.parametrize("t", [32, 63, 127])
 def test_no_workload_halves_counts_that_fill_no_memory(t: int) -> None:
-    """A full memory halves the counts, and a memory is for 64 observations or a larger multiple of four."""
-    assert not any(workload.halves for workload in workloads_at("t", t))
+    """A full memory halves the counts, and a memory is for 64 observations or a larger multiple of four.
+
+    Here t observations are too few, or no multiple of four.
+    """
+    for workload in workloads_at("t", t):
+        assert not workload.halves
 
 
 def test_workloads_have_a_power_of_two_of_observations_or_one_less() -> None:
     """Counts t go from 1 to 2**31. A loop over the bits of t would show, and a loop up to t even more."""
-    expected = {1}
+    expected_counts = {1}
     for exponent in range(1, 32):
-        expected |= {2**exponent - 1, 2**exponent}
-    assert {workload.t for workload in workloads_along("t")} == expected
+        expected_counts |= {2**exponent - 1, 2**exponent}
+    assert {workload.t for workload in workloads_along("t")} == expected_counts
 
 
 def test_workloads_with_9_messages_have_tests_of_both_outcomes_and_the_largest_sums() -> None:
@@ -130,7 +148,7 @@ def test_workloads_with_9_messages_have_tests_of_both_outcomes_and_the_largest_s
 
     For the robust filter, a robot that agrees has seen half of its 1000 tiles black.
     """
-    largest_confidence = 0xFFFFFF1F  # as a message has it
+    largest_confidence = 0xFFFFFF1F  # the alpha of a message, as a word
     assert workloads_at("m", 9) == [
         Workload(m=9),
         Workload(m=9, agrees=True),
@@ -144,8 +162,12 @@ def test_workloads_with_9_messages_have_tests_of_both_outcomes_and_the_largest_s
 def test_workloads_with_a_table_of_q_entries_use_its_first_and_its_last_ones(
     q: int, m_values: list[int]
 ) -> None:
-    """The entry for m messages is used. The first is for two, the last for q and more, of at most 127."""
-    assert workloads_at("q", q) == [Workload(q=q, m=m) for m in m_values]
+    """A test by m messages uses the table's entry for m. The first entry is for two messages.
+
+    The last one is for q and more, of at most 127.
+    """
+    expected_workloads = [Workload(q=q, m=m) for m in m_values]
+    assert workloads_at("q", q) == expected_workloads
 
 
 def test_a_robot_whose_calls_are_counted_runs_its_filter_at_the_end_of_the_present_round() -> None:
@@ -167,8 +189,11 @@ def test_a_robot_whose_calls_are_counted_has_a_table_of_the_size_q_of_its_worklo
 
 
 def test_a_robot_whose_calls_are_counted_has_observed_all_but_one_of_its_t_tiles() -> None:
-    """The counted call observes the last. Its x_hat, in units of 2**-23, and its confidence alpha are 1."""
-    b_hat = 3 * 2**30  # 3/4 in units of 2**-32
+    """The counted call observes the last. 400 of the tiles before it are black.
+
+    Its x_hat, in units of 2**-23, and its confidence alpha are 1, whatever it has observed.
+    """
+    b_hat = round(3 / 4 * 2**32)  # in units of 2**-32
     robot = Workload(t=1000, n=400, b_hat=b_hat).make_robot(MirrorRobot)
     assert robot.s.t == 999
     assert robot.s.n == 400
@@ -180,16 +205,18 @@ def test_a_robot_whose_calls_are_counted_has_observed_all_but_one_of_its_t_tiles
 def test_a_workload_has_messages_in_its_open_round_and_as_many_in_the_closed_round_before() -> None:
     """Robots 0, 1 and 2 estimate 1/3, which is 2**23 / 3 units, and 0, 1000 and 2000 units more.
 
-    Of the closed round the robot keeps the sum of the confidences alpha, which is the same, and that of
+    Of the closed round the robot, 127, keeps the sum of the confidences alpha, which is the same, and that of
     alpha x_hat.
     """
     robot = Workload(m=3).make_robot(MirrorRobot)
+    open_round, closed_round = robot.s.open, robot.s.closed
     third = 2**23 // 3
     assert robot.id == 127
-    assert robot.s.open.count == 3
-    assert robot.s.open.x == third + (third + 1000) + (third + 2000)
-    assert robot.s.closed.alpha == robot.s.open.alpha > 0
-    assert robot.s.closed.alpha_x > 0
+    assert open_round.count == 3
+    assert open_round.x == third + (third + 1000) + (third + 2000)
+    assert open_round.alpha > 0
+    assert closed_round.alpha == open_round.alpha
+    assert closed_round.alpha_x > 0
 
 
 def test_a_workload_without_messages_has_an_x_hat_of_1() -> None:
@@ -209,7 +236,7 @@ def test_a_robust_workload_has_an_estimate_of_each_message_in_a_slot() -> None:
 
 
 def test_a_robust_workload_has_as_many_votes_as_are_counted() -> None:
-    """A vote weighs one estimate; further votes after 512 are not counted."""
+    """A vote weighs one estimate; further votes after 512 are not counted. There are three messages."""
     robot = RobustWorkload(m=3).make_robot(MirrorRobot)
     assert robot.config.filter == Filter.ROBUST
     assert robot.s.robust.votes == 512
@@ -217,21 +244,26 @@ def test_a_robust_workload_has_as_many_votes_as_are_counted() -> None:
 
 @both_workloads
 @pytest.mark.parametrize("m", [10, 127])
-@pytest.mark.parametrize(("agrees", "status"), [(False, Status.UPDATED), (True, Status.OK)])
+@pytest.mark.parametrize(("agrees", "expected_status"), [(False, Status.UPDATED), (True, Status.OK)])
 def test_the_filter_of_a_workload_re_estimates_b_hat_unless_the_messages_agree_with_the_robot(
-    workload_class: type[Workload], m: int, agrees: bool, status: Status
+    workload_class: type[Workload], m: int, agrees: bool, expected_status: Status
 ) -> None:
-    """``settle`` ends a round, after which the filter makes its test. Half of 1000 observations are black."""
+    """``settle`` ends a round, after which the filter makes its test. There are m messages.
+
+    Half of the robot's 1000 observations are black. ``settle`` returns UPDATED after a re-estimate.
+    """
     robot = workload_class(m=m, n=500, agrees=agrees).make_robot(MirrorRobot)
-    assert robot.settle() == status
+    assert robot.settle() == expected_status
 
 
-@pytest.mark.parametrize(("halves", "t"), [(False, 64), (True, 32)])
-def test_the_next_observation_of_a_workload_is_its_last_or_halves_its_memory(halves: bool, t: int) -> None:
+@pytest.mark.parametrize(("halves", "expected_t"), [(False, 64), (True, 32)])
+def test_the_next_observation_of_a_workload_is_its_last_or_halves_its_memory(
+    halves: bool, expected_t: int
+) -> None:
     """The last observation makes t 64. If the memory is for 64, it is full then, and t is halved to 32."""
     robot = Workload(t=64, n=32, halves=halves).make_robot(MirrorRobot)
     assert robot.observe(Observation.BLACK) == Status.OK
-    assert robot.t == t
+    assert robot.t == expected_t
 
 
 # --- Time and storage ------------------------------------------------------------------------------------
@@ -249,10 +281,12 @@ def test_no_call_of_a_robot_takes_longer_with_more_observations_messages_or_neig
 ) -> None:
     """``find_growth`` returns a line for each call that takes more instructions in the later half of a range.
 
-    A range is of the observations t, of the messages m or of the table's entries q.
+    A range is of the observations t, of the messages m or of the table's entries q. ``operations`` has the
+    counts of all calls of a robot with the paper's filter, and of one with the robust filter.
     """
+    calls_with_robust_filter = {f"{name}, robust" for name in CALLS}
+    assert operations.keys() == CALLS.keys() | calls_with_robust_filter
     assert find_growth(operations) == []
-    assert operations.keys() == CALLS.keys() | {f"{name}, robust" for name in CALLS}
 
 
 @pytest.mark.slow
@@ -283,11 +317,12 @@ def largest_count(operations: Counts, name: str) -> int:
     ("name", "limit"), [("step", 1050), ("step, robust", 10_000), ("receive, robust", 240)]
 )
 def test_calls_take_few_instructions(operations: Counts, name: str, limit: int) -> None:
-    """The limits are a little above the largest counts of today, so that a slower call is noticed.
+    """The limits are a little above the largest counts of instructions today, so that slowness is noticed.
 
     The robust filter takes more: its test goes through 32 slots, which keep estimates, about six times.
     """
-    assert 0 < largest_count(operations, name) < limit
+    count = largest_count(operations, name)
+    assert 0 < count < limit
 
 
 @pytest.mark.slow
@@ -304,7 +339,10 @@ def test_the_end_of_a_round_takes_longer_with_enough_messages_for_a_test_but_no_
 def test_the_end_of_a_round_takes_longer_with_each_slot_that_the_robust_filter_fills(
     operations: Counts,
 ) -> None:
-    """Its test needs five estimates, and it has 32 slots for them."""
+    """``settle`` ends a round. The filter's test needs five estimates, and it has 32 slots for them.
+
+    So more than 32 messages take no longer.
+    """
     settle_by_messages = operations["settle, robust"]["m"]
     assert settle_by_messages[4] < settle_by_messages[5] < settle_by_messages[32]
     assert settle_by_messages[32] == settle_by_messages[127]
@@ -312,19 +350,27 @@ def test_the_end_of_a_round_takes_longer_with_each_slot_that_the_robust_filter_f
 
 @pytest.mark.slow
 def test_a_step_takes_longer_than_an_observation_and_the_end_of_a_round(operations: Counts) -> None:
-    """``step`` is both in one call."""
+    """``step`` is both in one call. It is compared after 127 messages."""
+    step, settle = operations["step"]["m"][127], operations["settle"]["m"][127]
     shortest_observation = min(operations["observe"]["m"].values())
-    assert operations["step"]["m"][127] > operations["settle"]["m"][127] + shortest_observation
+    assert step > shortest_observation + settle
 
 
 @pytest.mark.slow
 def test_a_new_message_takes_longer_than_a_repeated_one_and_that_longer_than_one_s_own(
     operations: Counts,
 ) -> None:
-    """The counted robots have received 20 messages in the round."""
-    count = {name: count_by_axis["m"][20] for name, count_by_axis in operations.items()}
-    assert count["receive"] > count["receive again"] > count["receive own"]
-    assert count["receive, robust"] > count["receive again, robust"]
+    """A message under the robot's own id is refused at once. The robots have received 20 messages before.
+
+    With the robust filter, too, a repeated message takes less time than a new one.
+    """
+
+    def count_after_20_messages(name: str) -> int:
+        return operations[name]["m"][20]
+
+    assert count_after_20_messages("receive") > count_after_20_messages("receive again")
+    assert count_after_20_messages("receive again") > count_after_20_messages("receive own")
+    assert count_after_20_messages("receive, robust") > count_after_20_messages("receive again, robust")
 
 
 class RobotThatLoopsOverMessages(MirrorRobot):
@@ -348,13 +394,15 @@ class RobotThatLoopsOverObservations(MirrorRobot):
 
 
 class RobotThatSearchesItsTable(MirrorRobot):
-    """Looks at each entry of the table, and saves a byte for each message."""
+    """Looks at each entry of the table."""
 
     def settle(self) -> Status:
         assert self.config.table is not None
         loop(self.config.table.q)
         return super().settle()
 
+
+class RobotThatSavesAByteForEachMessage(MirrorRobot):
     def save(self) -> bytes:
         return super().save() + bytes(self.s.open.count)
 
@@ -377,22 +425,29 @@ def test_calls_whose_time_grows_with_messages_observations_or_the_table_are_foun
     A problem is a line such as "settle: 600 instructions where m is 64 to 127, but 500 below".
     """
     problems = find_growth(count_operations(firmware, [axis]))
-    assert {problem.partition(":")[0] for problem in problems} == growing_calls
-    assert all(f"where {axis} is" in problem for problem in problems)
+
+    calls_with_problems = set()
+    for problem in problems:
+        call, _, description = problem.partition(":")
+        calls_with_problems.add(call)
+        assert f"where {axis} is" in description
+    assert calls_with_problems == growing_calls
 
 
 @pytest.mark.parametrize(("name", "size"), [("images", 124), ("robust_images", 156)])
 def test_a_saved_robot_has_the_same_size_whatever_it_has_received(name: str, size: int) -> None:
     """It has received 0 to 127 messages. It is saved in 31 words of 4 bytes, or 39 with the robust filter."""
-    assert measure_storage()[name] == dict.fromkeys(range(128), size)
+    size_by_messages = measure_storage()[name]
+    assert size_by_messages == dict.fromkeys(range(128), size)
 
 
 def test_a_table_takes_4_bytes_an_entry_and_12_more() -> None:
     """The 12 bytes are three words: one with the number q of entries, one with omega, and a checksum."""
-    assert measure_storage()["tables"] == {q: 12 + 4 * q for q in range(2, 128)}
+    size_by_entries = measure_storage()["tables"]
+    assert size_by_entries == {q: 12 + 4 * q for q in range(2, 128)}
 
 
 def test_a_saved_robot_that_grows_with_each_message_is_measured() -> None:
-    """This one saves a byte more for each of 0 to 127 messages."""
-    sizes = measure_storage(RobotThatSearchesItsTable)["images"]
-    assert sizes == {m: 124 + m for m in range(128)}
+    """This one saves a byte more for each of 0 to 127 messages. Without them it takes 124 bytes."""
+    size_by_messages = measure_storage(RobotThatSavesAByteForEachMessage)["images"]
+    assert size_by_messages == {m: 124 + m for m in range(128)}

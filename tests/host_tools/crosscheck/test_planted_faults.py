@@ -27,7 +27,7 @@ SLOW_FAULTS = tuple(fault for fault in FAULTS if fault not in QUICK_FAULTS)
 
 @pytest.mark.parametrize("fault", [*QUICK_FAULTS, *slow(SLOW_FAULTS)])
 def test_random_scenarios_show_a_fault_that_only_one_firmware_has(fault: str) -> None:
-    """The fault is one wrong place in the source of the mirror, which is the firmware in Python.
+    """The fault, which has a name, is one wrong place in the source of the mirror, the firmware in Python.
 
     The failure has random calls. The C and this mirror give different results for them. With the
     right mirror the same calls give equal results.
@@ -62,7 +62,10 @@ def test_random_scenarios_show_a_fault_that_only_one_firmware_has(fault: str) ->
     ],
 )
 def test_exact_arithmetic_shows_a_fault_that_both_firmwares_have(fault: str) -> None:
-    """Two robots in Python with the same fault agree, so only exact arithmetic can find a failure."""
+    """Two robots in Python with the same fault agree, so only exact arithmetic can find a failure.
+
+    ``find_failure`` compares the first robot with it.
+    """
     faulty_mirror = mirror_with(FAULTS[fault])
     failure = find_failure(faulty_mirror, faulty_mirror)
     assert failure is not None

@@ -30,8 +30,9 @@ def outcomes_of(scenarios: Iterable[Scenario]) -> set[str]:
 
 
 def test_random_scenarios_bring_about_every_result_of_every_call() -> None:
-    """An outcome is a call's name and result. Planted faults show what else these scenarios reach."""
-    assert outcomes_of(random_scenario(SEED, index) for index in range(20)) == {
+    """An outcome is a call's name and result. There are 20 scenarios."""
+    outcomes = outcomes_of(random_scenario(SEED, index) for index in range(20))
+    assert outcomes == {
         *("observe OK", "observe ERR_OBSERVATION", "step OK", "step UPDATED", "step ERR_OBSERVATION"),
         *("receive OK", "receive REPEATED", "receive ERR_SENDER", "receive ERR_X_HAT"),
         *("settle OK", "settle UPDATED", "restore OK", "restore ERR_IMAGE", "damage ERR_IMAGE"),
@@ -60,37 +61,51 @@ def test_robust_scenarios_bring_about_all_that_the_filter_does(
     audit_of_robust_scenarios: Audit, event: str
 ) -> None:
     """In 150 scenarios each event, from a vote to a rejection of b_hat, happens more than thirty times."""
-    assert audit_of_robust_scenarios.events["robust"][event] > 30
+    times_of_events = audit_of_robust_scenarios.events["robust"]
+    assert times_of_events[event] > 30
 
 
 @pytest.mark.slow
 def test_robust_scenarios_come_so_near_the_threshold_that_rounding_may_decide(
     audit_of_robust_scenarios: Audit,
 ) -> None:
-    """Where rounding may decide, exact arithmetic leaves the test's result open: it is undecided."""
-    assert audit_of_robust_scenarios.events["robust"]["undecided"] > 10
+    """Where rounding may decide, exact arithmetic leaves the test's result open: it is undecided.
+
+    That happens more than ten times in 150 scenarios.
+    """
+    times_of_events = audit_of_robust_scenarios.events["robust"]
+    assert times_of_events["undecided"] > 10
 
 
 def test_robust_scenarios_restore_legal_and_illegal_images_and_update_b_hat() -> None:
-    """An image is a saved robot, and b_hat the accuracy that a robot assumes of its sensor."""
+    """An image is a saved robot, and b_hat the accuracy that a robot assumes of its sensor.
+
+    ERR_IMAGE is the result of an illegal image, and UPDATED that of a call that updates b_hat.
+    """
     outcomes = outcomes_of(robust_scenario(SEED, index) for index in range(20))
     assert {"restore OK", "restore ERR_IMAGE", "settle UPDATED", "step UPDATED"} <= outcomes
 
 
-SCENARIOS = [random_scenario(seed, index) for seed in (0, 1) for index in range(100)]
+PAPER_SCENARIOS = [random_scenario(seed, index) for seed in (0, 1) for index in range(100)]
 ROBUST_SCENARIOS = [robust_scenario(1, index) for index in range(100)]
 
 
-@pytest.mark.parametrize("scenarios", [SCENARIOS, ROBUST_SCENARIOS], ids=["paper", "robust"])
+@pytest.mark.parametrize("scenarios", [PAPER_SCENARIOS, ROBUST_SCENARIOS], ids=["paper", "robust"])
 def test_scenarios_of_other_seeds_and_indices_differ(scenarios: list[Scenario]) -> None:
-    """There are two seeds, and for each a hundred indices."""
+    """There are a hundred indices for each seed: two seeds with the paper's filters, one with the robust one.
+
+    Two scenarios would be equal if their lines were.
+    """
     different_lines = {str(scenario) for scenario in scenarios}
     assert len(different_lines) == len(scenarios)
 
 
-@pytest.mark.parametrize("scenarios", [SCENARIOS, ROBUST_SCENARIOS], ids=["paper", "robust"])
+@pytest.mark.parametrize("scenarios", [PAPER_SCENARIOS, ROBUST_SCENARIOS], ids=["paper", "robust"])
 def test_the_line_of_a_scenario_is_parsed_as_the_same_scenario(scenarios: list[Scenario]) -> None:
-    """Every fourth scenario of 200 or 100 is written as a line, as a report prints it."""
+    """Every fourth of the 200 scenarios of the paper's filters is written as a line, as a report prints it.
+
+    So is every fourth of the 100 scenarios of the robust filter.
+    """
     for scenario in scenarios[::4]:
         line = str(scenario)
         assert parse_scenario(line) == scenario
@@ -98,13 +113,14 @@ def test_the_line_of_a_scenario_is_parsed_as_the_same_scenario(scenarios: list[S
 
 def test_the_line_of_a_scenario_needs_no_quotes_in_a_shell() -> None:
     """A report prints it for a user to run again."""
-    for scenario in SCENARIOS:
+    for scenario in PAPER_SCENARIOS:
         line = str(scenario)
         assert shlex.quote(line) == line
 
 
 def test_robust_scenarios_are_of_robots_with_the_robust_filter() -> None:
-    assert {scenario.setup.filter for scenario in ROBUST_SCENARIOS} == {Filter.ROBUST}
+    for scenario in ROBUST_SCENARIOS:
+        assert scenario.setup.filter == Filter.ROBUST
 
 
 def test_the_scenarios_of_a_seed_stay_the_same() -> None:
@@ -112,12 +128,13 @@ def test_the_scenarios_of_a_seed_stay_the_same() -> None:
 
     If they change on purpose, write the golden vectors anew, too.
     """
-    some_scenarios = [*SCENARIOS[::50], *ROBUST_SCENARIOS[::50]]
-    assert_equals_golden_file("scenarios.txt", list(map(str, some_scenarios)))
+    some_scenarios = [*PAPER_SCENARIOS[::50], *ROBUST_SCENARIOS[::50]]
+    lines = [str(scenario) for scenario in some_scenarios]
+    assert_equals_golden_file("scenarios.txt", lines)
 
 
 @pytest.mark.parametrize(
-    ("line", "complaint"),
+    ("line", "expected_message"),
     [
         ("", "starts with"),
         ("table:0.05,robot:0:1:64:0:1", "table:0.05 needs omega and q"),
@@ -137,7 +154,7 @@ def test_the_scenarios_of_a_seed_stay_the_same() -> None:
         (f"{ROBOT},damage:124:1", "124 is too large"),
     ],
 )
-def test_a_wrong_line_of_a_scenario_is_refused_with_the_reason(line: str, complaint: str) -> None:
+def test_a_wrong_line_of_a_scenario_is_refused_with_the_reason(line: str, expected_message: str) -> None:
     """A line has a table, if there is one, a robot, and its calls, such as "robot:2:1:64:0:1,observe:1"."""
-    with pytest.raises(UsageError, match=re.escape(complaint)):
+    with pytest.raises(UsageError, match=re.escape(expected_message)):
         parse_scenario(line)
