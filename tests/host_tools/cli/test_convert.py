@@ -27,7 +27,7 @@ def trials_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def test_convert_prints_the_scores_of_a_folder_of_the_authors_trials(capsys: Capture) -> None:
-    """The folder has two trials of a fully connected swarm and one of a moving swarm."""
+    """The folder data has two of three trials of a fully connected swarm, and one of a moving one."""
     assert main(["convert", "data", "--output", "theirs.parquet"]) == 0
     output = capsys.readouterr().out
 
@@ -37,7 +37,10 @@ def test_convert_prints_the_scores_of_a_folder_of_the_authors_trials(capsys: Cap
 
 
 def test_convert_writes_all_trials_into_one_row_group() -> None:
-    """A row group for each trial would let the time of reading grow with the square of their number."""
+    """The folder data has three trials.
+
+    A row group for each trial would let the time of reading grow with the square of their number.
+    """
     main(["convert", "data", "--output", "theirs.parquet"])
     metadata = pq.read_metadata("theirs.parquet")
     assert metadata.num_rows == 3
@@ -50,7 +53,7 @@ def test_convert_with_json_reports_the_authors_program_the_file_and_the_number_o
     """The source that it reports is the repository of the authors' program on GitHub."""
     assert main(["convert", "data/flw2_t1.json", "--output", "theirs.parquet", "--json"]) == 0
     report = json.loads(capsys.readouterr().out)
-    (experiment,) = report["experiments"]
+    [experiment] = report["experiments"]
 
     assert report["source"] == "NESTLab/sensor-degradation-filter"
     assert report["output"] == "theirs.parquet"
@@ -58,7 +61,7 @@ def test_convert_with_json_reports_the_authors_program_the_file_and_the_number_o
 
 
 def test_score_prints_of_converted_results_what_convert_has_printed(capsys: Capture) -> None:
-    """Both print a table with the scores of each experiment."""
+    """Both print a table with the scores of each experiment, here of the authors' trials in a folder."""
     main(["convert", "data", "--output", "theirs.parquet"])
     printed_by_convert = capsys.readouterr().out
     assert main(["score", "theirs.parquet"]) == 0
@@ -66,7 +69,7 @@ def test_score_prints_of_converted_results_what_convert_has_printed(capsys: Capt
 
 
 def test_score_writes_converted_results_as_csv() -> None:
-    """The file has a line of titles, and three lines for three trials."""
+    """The file has a line of titles, and three lines for the three trials of the folder data."""
     main(["convert", "data", "--output", "theirs.parquet"])
     main(["score", "theirs.parquet", "--csv", "theirs.csv"])
     lines = Path("theirs.csv").read_text(encoding="utf-8").splitlines()
@@ -75,17 +78,19 @@ def test_score_writes_converted_results_as_csv() -> None:
 
 @pytest.mark.parametrize("kind", ["boxes", *slow(["bands", "series"])])
 def test_plot_draws_converted_results_as_a_picture(kind: str) -> None:
-    """The picture is a PNG file, which begins with the byte 0x89 and these letters."""
+    """``kind`` is a kind of plot. A picture as a PNG file begins with the byte 0x89 and these letters."""
     main(["convert", "data/flw2_t0.json", "--output", "theirs.parquet"])
     assert main(["plot", "theirs.parquet", "picture.png", "--kind", kind]) == 0
     assert Path("picture.png").read_bytes().startswith(b"\x89PNG")
 
 
 def test_view_exports_a_converted_trial_as_a_web_page_that_names_the_authors_program() -> None:
+    """Trial 2 of the folder data is one of a moving swarm, whose topology is dynamic."""
     main(["convert", "data", "--output", "theirs.parquet"])
     view = ["view", "theirs.parquet", "--where", "topology=dynamic", "--trial", "2"]
     assert main([*view, "--export", "page.html"]) == 0
-    assert "trial 2 of NESTLab/sensor-degradation-filter" in Path("page.html").read_text(encoding="utf-8")
+    page = Path("page.html").read_text(encoding="utf-8")
+    assert "trial 2 of NESTLab/sensor-degradation-filter" in page
 
 
 def test_view_refuses_a_trial_that_was_converted_without_recorded_values(capsys: Capture) -> None:
@@ -100,11 +105,11 @@ def test_convert_writes_nothing_if_one_of_the_files_is_damaged(trials_folder: Pa
     (trials_folder / "data/zzz.json").write_text("{", encoding="utf-8")
     assert main(["convert", "data", "--output", "theirs.parquet"]) == 2
     assert "data/zzz.json" in capsys.readouterr().err
-    assert not list(trials_folder.glob("*theirs*"))
+    assert list(trials_folder.glob("*theirs*")) == [], "neither theirs.parquet nor a part of it"
 
 
 @pytest.mark.parametrize(
-    ("options", "message"),
+    ("wrong_options", "expected_message"),
     [
         ("data --output theirs.csv", "choose a name that ends in .parquet"),
         ("data --output no/theirs.parquet", "its folder does not exist"),
@@ -114,8 +119,8 @@ def test_convert_writes_nothing_if_one_of_the_files_is_damaged(trials_folder: Pa
     ],
 )
 def test_convert_refuses_wrong_files_and_options_with_the_reason(
-    options: str, message: str, capsys: Capture
+    wrong_options: str, expected_message: str, capsys: Capture
 ) -> None:
-    """For example ``--output theirs.csv``: "choose a name that ends in .parquet"."""
-    assert main(["convert", *options.split()]) == 2
-    assert message in capsys.readouterr().err
+    """For example ``data --output theirs.csv``: "choose a name that ends in .parquet"."""
+    assert main(["convert", *wrong_options.split()]) == 2
+    assert expected_message in capsys.readouterr().err

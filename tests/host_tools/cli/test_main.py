@@ -20,14 +20,13 @@ from unittest.mock import Mock
 import pytest
 from rich.console import Console
 
-from mcp_asdf_tools import SwarmSettings, emulate
+from mcp_asdf_tools import Experiment, SwarmSettings, emulate, simulate
 from mcp_asdf_tools.cli import main as cli
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.extras import install_instruction
 from support import HIDING, ROOT, slow
 
 Capture = pytest.CaptureFixture[str]
-CHECK_OF_TABLE = "table --check tables/t_table_omega05_q30.c"
 
 
 def python(*arguments: str, cwd: Path = ROOT) -> subprocess.CompletedProcess[str]:
@@ -35,7 +34,7 @@ def python(*arguments: str, cwd: Path = ROOT) -> subprocess.CompletedProcess[str
     return subprocess.run([sys.executable, *arguments], cwd=cwd, capture_output=True, check=False, text=True)
 
 
-def fake_command(
+def replace_command_table(
     monkeypatch: pytest.MonkeyPatch, work: Mock | Callable[[], int], libraries: tuple[str, ...] = ()
 ) -> None:
     """Replace the command ``mcp-asdf table``: it imports ``libraries``, and then does ``work``.
@@ -49,11 +48,14 @@ def fake_command(
 
 
 def test_help_lists_every_command_with_its_purpose_under_three_titles(capsys: Capture) -> None:
+    """A command stands in a line such as "  node        run one robot on a CAN bus", and a title above."""
     assert cli.main(["--help"]) == 0
     text = capsys.readouterr().out
-    for name, purpose in cli.COMMANDS.items():
-        assert f"\n  {name:10}  {purpose}\n" in f"{text}\n"
+    lines = text.splitlines()
     titles = re.findall("^([A-Z].*):$", text, re.MULTILINE)
+
+    for name, purpose in cli.COMMANDS.items():
+        assert f"  {name:10}  {purpose}" in lines
     assert titles == ["See a swarm calibrate itself", "Put the firmware into robots", "Experiments"]
 
 
@@ -64,11 +66,11 @@ def test_mcp_asdf_without_arguments_prints_the_list_of_commands_as_an_error(caps
 
     assert out == ""
     assert err.startswith("usage: mcp-asdf ")
-    assert "See a swarm calibrate itself:" in err
+    assert "See a swarm calibrate itself:" in err, "the title of the first commands"
 
 
 def test_version_prints_the_program_and_three_numbers(capsys: Capture) -> None:
-    """For example "mcp-asdf 1.2.3"."""
+    """For example "mcp-asdf 1.2.3". A mark of a version before a release may follow, as in "1.2.3rc1"."""
     assert cli.main(["--version"]) == 0
     assert re.fullmatch(r"mcp-asdf \d+\.\d+\.\d+\S*\n", capsys.readouterr().out)
 
@@ -92,33 +94,34 @@ MISTAKES = [
 """Command lines with a mistake, and how the message about it ends."""
 
 
-def program_of(line: str) -> str:
+def program_named_by_errors(line: str) -> str:
     """Return the name under which a command line's errors are reported."""
     command = line.split(maxsplit=1)[0]
     return f"mcp-asdf {command}" if command in cli.COMMANDS else "mcp-asdf"
 
 
-@pytest.mark.parametrize(("line", "message_end"), MISTAKES)
+@pytest.mark.parametrize(("wrong_line", "expected_message_end"), MISTAKES)
 def test_a_mistake_in_a_command_line_is_reported_in_two_lines(
-    line: str, message_end: str, capsys: Capture
+    wrong_line: str, expected_message_end: str, capsys: Capture
 ) -> None:
     """For example, of ``swarm --fault los=0.1``.
 
     mcp-asdf swarm: error: fault 'los=0.1': no kind is called 'los'; did you mean loss?
     See 'mcp-asdf swarm --help'.
     """
-    assert cli.main(line.split()) == 2
+    assert cli.main(wrong_line.split()) == 2
     out, err = capsys.readouterr()
     first_line, second_line = err.splitlines()
 
     assert out == ""
-    assert first_line.startswith(f"{program_of(line)}: error: ")
-    assert first_line.endswith(message_end)
-    assert second_line == f"See '{program_of(line)} --help'."
+    program = program_named_by_errors(wrong_line)  # "mcp-asdf swarm", or "mcp-asdf" for no known command
+    assert first_line.startswith(f"{program}: error: ")
+    assert first_line.endswith(expected_message_end)
+    assert second_line == f"See '{program} --help'."
 
 
 @pytest.mark.parametrize(
-    ("line", "program", "message"),
+    ("wrong_line", "expected_program", "expected_message"),
     [
         ("tabel", "mcp-asdf", "no command is called 'tabel'; did you mean table?"),
         ("swarm --robtos=3", "mcp-asdf swarm", "no such option: --robtos=3; did you mean --robots?"),
@@ -127,21 +130,23 @@ def test_a_mistake_in_a_command_line_is_reported_in_two_lines(
     ids=["no command", "no option", "refused by the command"],
 )
 def test_a_mistake_in_a_command_line_is_reported_in_one_line_of_json_if_asked_for(
-    line: str, program: str, message: str, capsys: Capture
+    wrong_line: str, expected_program: str, expected_message: str, capsys: Capture
 ) -> None:
     """The line goes to standard error, and has the keys "command", "error" and "exit_code"."""
-    assert cli.main([*line.split(), "--json"]) == 2
+    assert cli.main([*wrong_line.split(), "--json"]) == 2
     out, err = capsys.readouterr()
     report = json.loads(err)
 
     assert out == ""
-    assert err.count("\n") == 1
-    assert report == {"command": program, "error": report["error"], "exit_code": 2}
-    assert report["error"].startswith(message)
+    assert err.count("\n") == 1, "one line"
+    assert report.keys() == {"command", "error", "exit_code"}
+    assert report["command"] == expected_program
+    assert report["error"].startswith(expected_message)
+    assert report["exit_code"] == 2
 
 
 @pytest.mark.parametrize(
-    ("error", "exit_code", "message"),
+    ("error", "expected_exit_code", "expected_message"),
     [
         (UsageError("the value is 7; give 6"), 2, "error: the value is 7; give 6\n"),
         (FileNotFoundError(2, "No such file", "x"), 2, "error: cannot use x: No such file; give another\n"),
@@ -157,15 +162,21 @@ def test_a_mistake_in_a_command_line_is_reported_in_one_line_of_json_if_asked_fo
     ],
 )
 def test_an_error_that_a_command_raises_becomes_an_exit_code_and_a_message(
-    error: BaseException, exit_code: int, message: str, monkeypatch: pytest.MonkeyPatch, capsys: Capture
+    error: BaseException,
+    expected_exit_code: int,
+    expected_message: str,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: Capture,
 ) -> None:
     """For example, UsageError("the value is 7") becomes exit code 2 and the message "error: the value is 7".
 
     The command ``table`` is replaced by one that raises the error.
     """
-    fake_command(monkeypatch, Mock(side_effect=error))
-    assert cli.main(["table"]) == exit_code
-    assert capsys.readouterr().err.startswith(f"mcp-asdf table: {message}")
+    raise_error = Mock(side_effect=error)
+    replace_command_table(monkeypatch, raise_error)
+
+    assert cli.main(["table"]) == expected_exit_code
+    assert capsys.readouterr().err.startswith(f"mcp-asdf table: {expected_message}")
 
 
 @pytest.mark.parametrize("exit_code", [0, 1])
@@ -173,7 +184,7 @@ def test_the_exit_code_that_a_command_returns_is_that_of_the_program(
     exit_code: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The command ``table`` is replaced by one that only returns the exit code, which ``main`` returns."""
-    fake_command(monkeypatch, lambda: exit_code)
+    replace_command_table(monkeypatch, Mock(return_value=exit_code))
     assert cli.main(["table"]) == exit_code
 
 
@@ -181,15 +192,23 @@ def test_the_exit_code_that_a_command_returns_is_that_of_the_program(
 def test_an_error_that_is_a_mistake_of_the_program_is_raised(
     error: Exception, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The user cannot mend it, so Python prints a traceback. Here the command ``table`` raises the error."""
-    fake_command(monkeypatch, Mock(side_effect=error))
+    """The user cannot mend it, so Python prints a traceback. Here the command ``table`` raises the error.
+
+    A division by zero is such a mistake, and so is the import of a module that nothing could install.
+    """
+    raise_error = Mock(side_effect=error)
+    replace_command_table(monkeypatch, raise_error)
+
     with pytest.raises(type(error)):
         cli.main(["table"])
 
 
-@pytest.mark.parametrize(("line", "program"), [(CHECK_OF_TABLE, "mcp-asdf table"), ("--help", "mcp-asdf")])
+@pytest.mark.parametrize(
+    ("line", "expected_program"),
+    [("table --check tables/t_table_omega05_q30.c", "mcp-asdf table"), ("--help", "mcp-asdf")],
+)
 def test_a_command_whose_output_goes_to_a_full_disk_fails_with_the_reason(
-    line: str, program: str, monkeypatch: pytest.MonkeyPatch, capsys: Capture
+    line: str, expected_program: str, monkeypatch: pytest.MonkeyPatch, capsys: Capture
 ) -> None:
     """Linux's device /dev/full stands for the full disk."""
     reason = "cannot write to standard output: No space left on device; send it elsewhere"
@@ -197,7 +216,7 @@ def test_a_command_whose_output_goes_to_a_full_disk_fails_with_the_reason(
         patch.setattr(sys, "stdout", full)
         assert cli.main(line.split()) == 2
 
-    assert capsys.readouterr().err.startswith(f"{program}: error: {reason}\n")
+    assert capsys.readouterr().err.startswith(f"{expected_program}: error: {reason}\n")
 
 
 def print_with_rich() -> int:
@@ -218,11 +237,13 @@ def test_a_command_ends_silently_when_the_program_that_reads_its_output_has_ende
 ) -> None:
     """The reader may be ``head``. Here standard output is a pipe whose reading end is closed.
 
-    The exit code is what a shell reports of a program that the signal SIGPIPE has ended.
+    The command ``table`` is replaced by one whose ``work`` is to print with rich or by itself. The exit code
+    is what a shell reports of a program that the signal SIGPIPE has ended.
     """
     read_end, write_end = os.pipe()
     os.close(read_end)
-    fake_command(monkeypatch, work)
+    replace_command_table(monkeypatch, work)
+
     with open(write_end, "w") as stream, monkeypatch.context() as patch:
         patch.setattr(sys, "stdout", stream)
         assert cli.main(["table"]) == 128 + signal.SIGPIPE
@@ -230,8 +251,11 @@ def test_a_command_ends_silently_when_the_program_that_reads_its_output_has_ende
     assert capsys.readouterr().err == ""
 
 
-def exit_code_and_errors(shell_command: str) -> tuple[int, str]:
-    """Run a command of the shell, in which mcp-asdf is the program of this project."""
+def run_in_shell(shell_command: str) -> tuple[int, str]:
+    """Run a command of the shell, in which mcp-asdf is this project's; return its exit code and its errors.
+
+    The errors are what it writes to standard error.
+    """
     program = shlex.join([sys.executable, "-m", "mcp_asdf_tools.cli.main"])
     script = shell_command.replace("mcp-asdf", program)
     result = subprocess.run(["sh", "-c", script], cwd=ROOT, capture_output=True, check=False, text=True)
@@ -241,7 +265,9 @@ def exit_code_and_errors(shell_command: str) -> tuple[int, str]:
 @pytest.mark.parametrize("options", ["--help", *slow(["dbc", "swarm --robots 3 --steps 5"])])
 def test_a_command_whose_standard_output_is_closed_succeeds(options: str) -> None:
     """The shell closes it by ``>&-``. What the command would print is thrown away."""
-    assert exit_code_and_errors(f"mcp-asdf {options} >&-") == (0, "")
+    exit_code, errors = run_in_shell(f"mcp-asdf {options} >&-")
+    assert exit_code == 0
+    assert errors == ""
 
 
 def test_a_mistake_in_a_command_line_has_exit_code_2_without_a_standard_error(
@@ -254,10 +280,12 @@ def test_a_mistake_in_a_command_line_has_exit_code_2_without_a_standard_error(
 
 def test_a_mistake_in_a_command_line_has_exit_code_2_if_its_message_goes_to_a_full_disk() -> None:
     """No command is called "tabel". Linux's device /dev/full stands for the full disk."""
-    assert exit_code_and_errors("mcp-asdf tabel 2>/dev/full") == (2, "")
+    exit_code, errors = run_in_shell("mcp-asdf tabel 2>/dev/full")
+    assert exit_code == 2
+    assert errors == ""
 
 
-def run_without_extras(lines: Iterable[str], folder: Path) -> tuple[list[int], list[str]]:
+def run_commands_without_extras(lines: Iterable[str], folder: Path) -> tuple[list[int], list[str]]:
     """Run commands one after the other in one Python that finds no module of the extras.
 
     Returns the exit codes, and the lines that all commands together wrote on standard error.
@@ -288,25 +316,31 @@ def options_of(name: str) -> list[str]:
 @pytest.mark.parametrize("name", cli.COMMANDS)
 def test_the_help_of_a_command_lists_every_option_that_it_accepts(name: str, capsys: Capture) -> None:
     """An option stands in a line of its own, such as "  -v, --verbose  log on standard error ..."."""
-    listed_options = re.findall(r"^  (?:-\w.*?, )?(--[\w-]+)", help_of(name, capsys), re.MULTILINE)
+    lines_with_an_option = (
+        r"^  (?:-\w.*?, )?(--[\w-]+)"  # two spaces, perhaps a short name, and the long name
+    )
+    listed_options = re.findall(lines_with_an_option, help_of(name, capsys), re.MULTILINE)
     assert sorted(listed_options) == sorted(options_of(name))
 
 
 @pytest.mark.parametrize("name", cli.COMMANDS)
 def test_the_help_of_a_command_ends_with_its_examples(name: str, capsys: Capture) -> None:
+    """The examples of a command are a text in its module."""
     examples = cli._load(name).EPILOG
     assert help_of(name, capsys).endswith(f"\n{examples}\n")
 
 
 def test_the_help_of_a_command_begins_with_the_options_and_files_that_it_needs(capsys: Capture) -> None:
     """The first line names them: one of two options, an id, two files, or for ``swarm`` nothing."""
-    usages = [help_of(name, capsys).splitlines()[0] for name in ("table", "radio", "plot", "swarm")]
-    assert usages == [
-        "usage: mcp-asdf table (--output DIR | --check FILE [FILE ...]) [OPTION ...]",
-        "usage: mcp-asdf radio --id ID [OPTION ...]",
-        "usage: mcp-asdf plot [OPTION ...] FILE PICTURE",
-        "usage: mcp-asdf swarm [OPTION ...]",
-    ]
+    expected_usages = {
+        "table": "usage: mcp-asdf table (--output DIR | --check FILE [FILE ...]) [OPTION ...]",
+        "radio": "usage: mcp-asdf radio --id ID [OPTION ...]",
+        "plot": "usage: mcp-asdf plot [OPTION ...] FILE PICTURE",
+        "swarm": "usage: mcp-asdf swarm [OPTION ...]",
+    }
+    for name, expected_usage in expected_usages.items():
+        usage, *_further_lines = help_of(name, capsys).splitlines()
+        assert usage == expected_usage
 
 
 def test_help_lists_the_common_parameters_of_a_swarm_before_further_ones(capsys: Capture) -> None:
@@ -315,7 +349,10 @@ def test_help_lists_the_common_parameters_of_a_swarm_before_further_ones(capsys:
     The ellipsis behind three firmwares stands for the firmwares of extensions.
     """
     text = help_of("swarm", capsys)
-    assert text.index("\n  --robots") < text.index("\nfurther parameters:") < text.index("\n  --omega")
+
+    common_parameters, further_parameters = text.split("\nfurther parameters:")
+    assert "\n  --robots" in common_parameters
+    assert "\n  --omega" in further_parameters
     assert "--firmware {native,mirror,reference,...}" in text
 
 
@@ -331,7 +368,7 @@ def test_commands_for_swarms_and_robots_need_no_library_of_the_extra_study(tmp_p
         "dbc --output mcp_asdf.dbc",
         "crosscheck --replay robot:2:1:64:0:2147483648,step:1",
     ]
-    exit_codes, errors = run_without_extras(lines, tmp_path)
+    exit_codes, errors = run_commands_without_extras(lines, tmp_path)
 
     assert exit_codes == [0] * len(lines), errors
 
@@ -356,13 +393,15 @@ def test_commands_whose_libraries_are_not_installed_say_how_to_install_them_and_
 
     Each command prints two lines, and the second one names --help.
     """
-    exit_codes, error_lines = run_without_extras(MODULES_NEEDED_BY_LINES, tmp_path)
+    lines, missing_modules = MODULES_NEEDED_BY_LINES.keys(), MODULES_NEEDED_BY_LINES.values()
+
+    exit_codes, error_lines = run_commands_without_extras(lines, tmp_path)
+
     messages = error_lines[::2]  # without the lines that name --help
     how_to_install = install_instruction("study")
-
-    assert set(exit_codes) == {2}
+    assert exit_codes == [2] * len(lines)
     assert list(tmp_path.iterdir()) == []
-    for module, message in zip(MODULES_NEEDED_BY_LINES.values(), messages, strict=True):
+    for module, message in zip(missing_modules, messages, strict=True):
         assert message.endswith(f"this needs {module}, which is not installed; {how_to_install}")
 
 
@@ -379,9 +418,12 @@ def test_commands_whose_libraries_are_not_installed_say_how_to_install_them_and_
 def test_a_function_whose_library_is_not_installed_raises_an_error_that_says_how_to_install_it(
     call: str,
 ) -> None:
-    """For example ``read_table``, which needs pyarrow. The error is the last line that Python prints."""
+    """For example ``read_table``, which needs pyarrow. The error is the last line that Python prints.
+
+    HIDING is a piece of program that hides such libraries.
+    """
     result = python("-c", f"{HIDING}\nimport mcp_asdf_tools as m\n{call}\n")
-    last_line = result.stderr.splitlines()[-1]
+    *_traceback, last_line = result.stderr.splitlines()
 
     assert "UsageError: " in last_line
     assert last_line.endswith(install_instruction("study"))
@@ -410,14 +452,17 @@ HELPS = ["--help", *(f"{name} --help" for name in cli.COMMANDS)]
 @pytest.fixture(scope="module")
 def loaded_libraries() -> dict[str, list[str]]:
     """Command lines, and the slow libraries that one Python has loaded when it has run them one by one."""
-    return libraries_loaded_by(["tabel", *HELPS, CHECK_OF_TABLE])
+    return libraries_loaded_by(["tabel", *HELPS, "table --check tables/t_table_omega05_q30.c"])
 
 
 @pytest.mark.parametrize("line", ["tabel", *HELPS])
 def test_neither_a_help_nor_a_word_that_is_no_command_loads_a_slow_library(
     line: str, loaded_libraries: dict[str, list[str]]
 ) -> None:
-    """After each line, no slow library such as numpy is in ``sys.modules``. No command is called "tabel"."""
+    """No slow library such as numpy is in ``sys.modules`` after the line: "tabel", or a command and --help.
+
+    ``loaded_libraries`` has the libraries by line.
+    """
     assert loaded_libraries[line] == []
 
 
@@ -425,14 +470,15 @@ def test_the_check_of_a_table_loads_no_slow_library_but_mpmath(
     loaded_libraries: dict[str, list[str]],
 ) -> None:
     """``mcp-asdf table --check`` calculates thresholds again with mpmath, which has any number of digits."""
-    assert loaded_libraries[CHECK_OF_TABLE] == ["mpmath"]
+    assert loaded_libraries["table --check tables/t_table_omega05_q30.c"] == ["mpmath"]
 
 
 @pytest.mark.slow
 def test_a_swarm_loads_neither_matplotlib_nor_pyarrow_nor_scipy() -> None:
-    """It loads only four of the slow libraries: can, mpmath, numpy and rich."""
+    """Of the libraries that take long to load it loads only these four: can, mpmath, numpy and rich."""
     line = "swarm --steps 1 --quiet"
-    assert libraries_loaded_by([line]) == {line: ["can", "mpmath", "numpy", "rich"]}
+    libraries_by_line = libraries_loaded_by([line])
+    assert libraries_by_line[line] == ["can", "mpmath", "numpy", "rich"]
 
 
 def is_accepted(command: str, options: list[str]) -> bool:
@@ -446,13 +492,13 @@ def is_accepted(command: str, options: list[str]) -> bool:
 
 @pytest.mark.parametrize("name", cli.COMMANDS)
 def test_the_examples_below_a_help_are_accepted_by_their_commands(name: str) -> None:
-    """The parser of each command takes the options. At least one example calls the command ``name``."""
-    commands = []
+    """An example of ``name`` may call another command. At least one of them calls the command itself."""
+    commands_of_examples = []
     for command, options in examples_of(name):
         assert is_accepted(command, options), f"{command} {options}"
-        commands.append(command)
+        commands_of_examples.append(command)
 
-    assert name in commands
+    assert name in commands_of_examples
 
 
 @pytest.fixture
@@ -470,11 +516,12 @@ def folder_with_readings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Non
 def test_examples_below_a_help_print_the_lines_that_the_help_shows_below_them(
     name: str, capsys: Capture
 ) -> None:
-    """Examples of node and radio are left out, as they need a second program."""
+    """Every example of the command ``name`` is run. Those of node and radio would need a second program."""
     for example in examples_up_to_the_last_output(name):
         assert cli.main(shlex.split(example.command, comments=True)) == 0
         printed_lines = [line.strip() for line in capsys.readouterr().out.splitlines()]
-        assert set(example.shown_lines) <= set(printed_lines), example.command
+        for shown_line in example.shown_lines:
+            assert shown_line in printed_lines, example.command
 
 
 class Example(NamedTuple):
@@ -547,22 +594,27 @@ def experiment_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_command_prints_the_line_that_gives_the_same_results_again(
     line: str, options_in_front: str, capsys: Capture
 ) -> None:
-    """The printed line is the typed line, with options in front for chosen defaults, such as ``--seed=1``."""
+    """The printed line is the typed line, with options in front for chosen defaults, such as ``--seed=1``.
+
+    It stands behind "again: ".
+    """
     command, *options = shlex.split(line)
     assert cli.main([command, *options]) == 0
     output_lines = capsys.readouterr().out.splitlines()
-    lines_to_run_again = [output_line for output_line in output_lines if output_line.startswith("again: ")]
+    [line_to_run_again] = [output_line for output_line in output_lines if output_line.startswith("again: ")]
 
     line_with_options_in_front = shlex.join([command, *options_in_front.split(), *options])
-    assert lines_to_run_again == [f"again: mcp-asdf {line_with_options_in_front}"]
+    assert line_to_run_again == f"again: mcp-asdf {line_with_options_in_front}"
 
 
 @pytest.mark.usefixtures("experiment_files")
 @pytest.mark.parametrize("line", [SHORT_RADIO, "sweep grid.toml --workers 1", "table --output tables"])
 def test_a_command_with_the_option_json_prints_json_and_nothing_else(line: str, capsys: Capture) -> None:
-    """``radio``, ``sweep`` and ``table`` are tried."""
+    """``radio``, ``sweep`` and ``table`` are tried. Otherwise a script could not read their output."""
     assert cli.main([*shlex.split(line), "--json"]) == 0
-    assert isinstance(json.loads(capsys.readouterr().out), dict)
+
+    report = json.loads(capsys.readouterr().out)  # fails if anything else is printed
+    assert isinstance(report, dict)
 
 
 def messages_of(err: str) -> list[str]:
@@ -574,7 +626,7 @@ def messages_of(err: str) -> list[str]:
     return [line.split(maxsplit=2)[2] for line in logged_lines]
 
 
-def messages_of_swarm(*options: str, capsys: Capture) -> list[str]:
+def run_swarm_and_return_log(*options: str, capsys: Capture) -> list[str]:
     """Run a swarm of three robots for five steps with further options, and return what it logs."""
     command = "swarm --robots 3 --steps 5 --filter-period 1 --quiet"
     assert cli.main([*command.split(), *options]) == 0
@@ -582,31 +634,31 @@ def messages_of_swarm(*options: str, capsys: Capture) -> list[str]:
 
 
 def test_a_command_logs_nothing_without_the_option_v(capsys: Capture) -> None:
-    """The swarm opens a port for other programs (``--slcan``), which it would log with ``-v``.
+    """The second swarm opens a port for other programs (``--slcan``), which it would log with ``-v``.
 
-    The next command in the same process does not log because an earlier one did.
+    It does not log only because an earlier command in the same process did.
     """
-    assert messages_of_swarm("-v", capsys=capsys) != []
-    assert messages_of_swarm("--slcan", "0", capsys=capsys) == []
+    assert run_swarm_and_return_log("-v", capsys=capsys) != []
+    assert run_swarm_and_return_log("--slcan", "0", capsys=capsys) == []
 
 
 def test_v_logs_versions_first_then_the_command_line_and_at_last_the_exit_code(capsys: Capture) -> None:
     """For example "INFO mcp_asdf_tools.cli: exit code 0 after 0.1 s"."""
-    versions, command_line, *_, exit_code = messages_of_swarm("-v", capsys=capsys)
-    assert versions.startswith("INFO mcp_asdf_tools.cli: mcp-asdf ")
-    assert command_line.startswith("INFO mcp_asdf_tools.cli: command line: mcp-asdf swarm --robots 3")
-    assert exit_code.startswith("INFO mcp_asdf_tools.cli: exit code 0 after ")
+    first_message, second_message, *_, last_message = run_swarm_and_return_log("-v", capsys=capsys)
+    assert first_message.startswith("INFO mcp_asdf_tools.cli: mcp-asdf "), "and its version"
+    assert second_message.startswith("INFO mcp_asdf_tools.cli: command line: mcp-asdf swarm --robots 3")
+    assert last_message.startswith("INFO mcp_asdf_tools.cli: exit code 0 after ")
 
 
 def test_v_logs_the_buses_that_a_swarm_opens_its_robots_and_the_files_that_it_writes(
     tmp_path: Path, capsys: Capture
 ) -> None:
-    """Three robots have a bus each. No robot is in another process or on a device ("elsewhere").
+    """Three robots have a bus each, called v0 to v2. No robot is in another process or on a device.
 
     A swarm with a log writes a summary of its results in JSON as well.
     """
     log = tmp_path / "run.log"
-    messages = messages_of_swarm("--channel", "v{robot}", "--log", str(log), "-v", capsys=capsys)
+    messages = run_swarm_and_return_log("--channel", "v{robot}", "--log", str(log), "-v", capsys=capsys)
 
     for channel in ("v0", "v1", "v2"):
         assert f"INFO mcp_asdf_tools.bus.interfaces: opened the bus virtual {channel}" in messages
@@ -615,9 +667,9 @@ def test_v_logs_the_buses_that_a_swarm_opens_its_robots_and_the_files_that_it_wr
 
 
 def test_vv_also_logs_the_values_of_all_options(capsys: Capture) -> None:
-    """The swarm is started with ``--filter-period 1``."""
-    messages = messages_of_swarm("-vv", capsys=capsys)
-    (options,) = [message for message in messages if " options: " in message]
+    """The helper starts the swarm with ``--filter-period 1``, which is one of them."""
+    messages = run_swarm_and_return_log("-vv", capsys=capsys)
+    [options] = [message for message in messages if " options: " in message]
     assert "'filter_period': 1," in options
 
 
@@ -639,13 +691,13 @@ def test_vv_also_logs_what_python_can_says_of_a_bus_that_cannot_be_opened(capsys
     assert cli.main(["swarm", *options, "-vv"]) == 2
     messages = messages_of(capsys.readouterr().err)
 
-    (settings_of_the_bus,) = [message for message in messages if message.startswith("DEBUG can: ")]
+    [settings_of_the_bus] = [message for message in messages if message.startswith("DEBUG can: ")]
     assert "'channel': 'nowhere0'" in settings_of_the_bus
 
 
 def test_vv_logs_where_an_error_was_raised(capsys: Capture) -> None:
-    """The folder "nowhere" does not exist. The message for the user remains at the end."""
-    assert cli.main(["table", "--output", "nowhere/tables", "--omega", "3", "-vv"]) == 2
+    """An omega of 3 is wrong. A traceback is logged, and the message for the user remains at the end."""
+    assert cli.main(["table", "--output", "tables", "--omega", "3", "-vv"]) == 2
     err = capsys.readouterr().err
     assert "ended by UsageError\nTraceback (most recent call last):" in err
     assert err.endswith("\nSee 'mcp-asdf table --help'.\n")
@@ -654,15 +706,26 @@ def test_vv_logs_where_an_error_was_raised(capsys: Capture) -> None:
 def test_a_result_in_json_has_no_logged_lines_in_it(capsys: Capture) -> None:
     """Logged lines go to standard error, and the result to standard output."""
     assert cli.main(["table", "--check", "tables/t_table_omega05_q30.c", "-v", "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["ok"] is True
+    out, err = capsys.readouterr()
+
+    assert json.loads(out)["ok"] is True
+    assert messages_of(err) != []
 
 
 def test_a_program_that_uses_the_library_gets_no_output_of_it(
-    capfd: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture
 ) -> None:
-    """Python shows warnings of programs that configure no logging, so the library logs nothing as severe."""
+    """Python shows warnings of programs that configure no logging, so the library logs nothing as severe.
+
+    It logs, for example, that it wrote a file of results.
+    """
     with caplog.at_level(logging.DEBUG, "mcp_asdf_tools"):
         emulate(SwarmSettings(robots=3, steps=5, filter_period=1))
+        simulate(Experiment(robots=3, steps=5, trials=1), tmp_path / "results.parquet")
 
-    assert capfd.readouterr() == ("", "")
-    assert all(record.levelno < logging.WARNING for record in caplog.records)
+    out, err = capfd.readouterr()
+    assert out == ""
+    assert err == ""
+    assert any(record.message.startswith("wrote ") for record in caplog.records)
+    for record in caplog.records:
+        assert record.levelno < logging.WARNING

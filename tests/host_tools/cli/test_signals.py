@@ -18,7 +18,7 @@ from unittest.mock import Mock
 
 import pytest
 
-from host_tools.cli.test_main import fake_command
+from host_tools.cli.test_main import replace_command_table
 from mcp_asdf_tools.cli import main as cli
 from mcp_asdf_tools.common.signals import INTERRUPTED, stopping
 from mcp_asdf_tools.recording.events import events_path
@@ -78,7 +78,7 @@ def end_by_signal(process: subprocess.Popen[str], number: signal.Signals) -> str
 
 
 @pytest.mark.parametrize(
-    ("line", "number", "exit_code_at_work"),
+    ("line", "signal_number", "exit_code_at_work"),
     [
         ("node --id 3", signal.SIGHUP, 0),
         *slow(
@@ -93,22 +93,20 @@ def end_by_signal(process: subprocess.Popen[str], number: signal.Signals) -> str
 )
 @interruptible()
 def test_a_signal_at_any_time_ends_a_command_with_the_exit_code_of_the_signal_or_of_success(
-    line: str, number: signal.Signals, exit_code_at_work: int | None, tmp_path: Path
+    line: str, signal_number: signal.Signals, exit_code_at_work: int | None, tmp_path: Path
 ) -> None:
-    """For example ``node``, which succeeds when it is asked to end, unless it is still starting.
+    """For example ``node``, which succeeds when it is asked to end at work, unless it is still starting.
 
-    The signal comes at random in the first half second in which the command handles it.
+    The signal comes at random in the first half second in which the command handles it. ``exit_code_at_work``
+    is 0 for such commands, and None for those that are then interrupted, too.
     """
     with start_command(line, tmp_path) as process:
-        wait_until(process, lambda: handles_signal(process, number))
-        errors = end_by_signal(process, number)
+        wait_until(process, lambda: handles_signal(process, signal_number))
+        errors = end_by_signal(process, signal_number)
 
-    assert process.returncode in {exit_code_at_work, exit_code_of(number)}, errors
+    exit_code_at_start = exit_code_of(signal_number)
+    assert process.returncode in {exit_code_at_start, exit_code_at_work}, errors
     assert "Traceback" not in errors
-
-
-LONG_SWARM = "swarm --steps 100000000 --quiet --log run.log"
-FAULTS = "--fault liar=0.1 --fault collide=0.1,id=2,robots=1 --fault crash=0.01"
 
 
 def has_frames(log: Path) -> bool:
@@ -116,7 +114,7 @@ def has_frames(log: Path) -> bool:
     return log.exists() and log.stat().st_size > 0
 
 
-def end_while_it_logs(line: str, number: signal.Signals, folder: Path) -> tuple[int, str]:
+def end_command_while_it_logs(line: str, number: signal.Signals, folder: Path) -> tuple[int, str]:
     """Start a command that writes run.log, and end it by a signal when the log has frames.
 
     Returns its exit code and what it wrote to standard error. Until it ends, the log is called run.log.part.
@@ -128,7 +126,7 @@ def end_while_it_logs(line: str, number: signal.Signals, folder: Path) -> tuple[
     return process.returncode, errors
 
 
-def replay(log: Path, capsys: Capture) -> Any:
+def replay_as_json(log: Path, capsys: Capture) -> Any:
     """Replay a log, which must succeed, and return the report."""
     assert cli.main(["replay", str(log), "--json"]) == 0
     return json.loads(capsys.readouterr().out)
@@ -139,21 +137,23 @@ BUS_OF_PROCESSES = shlex.join(multicast(group=31).arguments())
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("options", "number"),
+    ("options", "signal_number"),
     [("--robots 4", signal.SIGTERM), *slow([(f"--robots 2 --processes {BUS_OF_PROCESSES}", signal.SIGHUP)])],
 )
 @interruptible()
 def test_a_swarm_that_is_ended_by_a_signal_leaves_a_complete_log(
-    options: str, number: signal.Signals, tmp_path: Path, capsys: Capture
+    options: str, signal_number: signal.Signals, tmp_path: Path, capsys: Capture
 ) -> None:
     """The swarm of 100 million steps gets SIGTERM or SIGHUP while it writes its log.
 
-    A replay calculates all steps of the log again, and finds no difference.
+    A replay calculates all steps of the log again, and finds no difference. Until the log is complete it is
+    called run.log.part.
     """
-    exit_code, errors = end_while_it_logs(f"{LONG_SWARM} {options}", number, tmp_path)
-    report = replay(tmp_path / "run.log", capsys)
+    line = f"swarm --steps 100000000 --quiet --log run.log {options}"
+    exit_code, errors = end_command_while_it_logs(line, signal_number, tmp_path)
+    report = replay_as_json(tmp_path / "run.log", capsys)
 
-    assert exit_code == exit_code_of(number), errors
+    assert exit_code == exit_code_of(signal_number), errors
     assert "Traceback" not in errors
     assert not (tmp_path / "run.log.part").exists()
     assert report["incomplete"] is False
@@ -164,9 +164,12 @@ def test_a_swarm_that_is_ended_by_a_signal_leaves_a_complete_log(
 @pytest.mark.slow
 @interruptible()
 def test_emulated_neighbours_that_are_ended_by_a_signal_leave_a_complete_log(tmp_path: Path) -> None:
-    """``mcp-asdf radio`` emulates neighbours of a robot until it is asked to end, which is a success."""
+    """``mcp-asdf radio`` emulates neighbours of a robot until it is asked to end, which is a success.
+
+    Until the log is complete it is called run.log.part.
+    """
     line = "radio --id 3 --robots 4 --interface virtual --log run.log"
-    exit_code, errors = end_while_it_logs(line, signal.SIGTERM, tmp_path)
+    exit_code, errors = end_command_while_it_logs(line, signal.SIGTERM, tmp_path)
 
     assert exit_code == 0, errors
     assert has_frames(tmp_path / "run.log")
@@ -176,8 +179,10 @@ def test_emulated_neighbours_that_are_ended_by_a_signal_leave_a_complete_log(tmp
 @pytest.fixture
 def log_of_killed_swarm(tmp_path: Path) -> Path:
     """The unfinished log of a swarm with faults that was killed by SIGKILL while it ran."""
+    line = "swarm --steps 100000000 --quiet --log run.log --robots 5"
+    faults = "--fault liar=0.1 --fault collide=0.1,id=2,robots=1 --fault crash=0.01"
     part = tmp_path / "run.log.part"
-    with start_command(f"{LONG_SWARM} --robots 5 {FAULTS}", tmp_path) as process:
+    with start_command(f"{line} {faults}", tmp_path) as process:
         wait_until(process, lambda: has_frames(part) and has_frames(events_path(part)))
         end_by_signal(process, signal.SIGKILL)
     return part
@@ -188,7 +193,10 @@ def log_of_killed_swarm(tmp_path: Path) -> Path:
 def test_the_unfinished_log_of_a_killed_swarm_can_be_replayed_as_far_as_it_goes(
     log_of_killed_swarm: Path, capsys: Capture
 ) -> None:
-    """A replay calculates the steps of the log again, and finds no difference but that the end is missing."""
+    """A replay calculates the steps of the log again, and finds no difference but that the end is missing.
+
+    The log of a swarm that was killed is still called run.log.part.
+    """
     assert cli.main(["replay", str(log_of_killed_swarm), "--json"]) == 0
     output, errors = capsys.readouterr()
     report = json.loads(output)
@@ -210,21 +218,25 @@ def exit_code_of(number: signal.Signals) -> int:
     return 128 + number
 
 
-def wait_for_signal(number: signal.Signals) -> int:
+def raise_signal_and_wait(number: signal.Signals) -> int:
     """Send this process a signal and wait for it; return exit code 0 if it raises nothing."""
     signal.raise_signal(number)
     signal.pause()
     return 0
 
 
-@pytest.mark.parametrize("number", ENDING_SIGNALS)
+@pytest.mark.parametrize("signal_number", ENDING_SIGNALS)
 @interruptible()
 def test_a_command_that_is_interrupted_by_a_signal_says_so_and_has_the_exit_code_of_the_signal(
-    number: signal.Signals, monkeypatch: pytest.MonkeyPatch, capsys: Capture
+    signal_number: signal.Signals, monkeypatch: pytest.MonkeyPatch, capsys: Capture
 ) -> None:
     """SIGTERM and SIGHUP do the same as SIGINT, which Ctrl-C sends. Here the command ``table`` gets them."""
-    fake_command(monkeypatch, lambda: wait_for_signal(number))
-    assert cli.main(["table"]) == exit_code_of(number)
+
+    def work() -> int:
+        return raise_signal_and_wait(signal_number)
+
+    replace_command_table(monkeypatch, work)
+    assert cli.main(["table"]) == exit_code_of(signal_number)
     assert capsys.readouterr().err == "mcp-asdf table: interrupted\n"
 
 
@@ -232,19 +244,22 @@ def test_a_command_that_is_interrupted_by_a_signal_says_so_and_has_the_exit_code
 def test_a_second_signal_does_not_interrupt_a_command_that_saves_its_results(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Service managers and terminals send several. Here they come while the interrupted command saves."""
+    """Service managers and terminals send several. Here they come while the interrupted command saves.
+
+    The command ``table`` is replaced by one that waits for the first signal.
+    """
     steps: list[str] = []
 
-    def work() -> int:
+    def wait_and_save() -> int:
         try:
-            return wait_for_signal(signal.SIGTERM)
+            return raise_signal_and_wait(signal.SIGTERM)
         finally:
             steps.append("begins to save")
             signal.raise_signal(signal.SIGTERM)
             signal.raise_signal(signal.SIGHUP)
             steps.append("has saved")
 
-    fake_command(monkeypatch, work)
+    replace_command_table(monkeypatch, wait_and_save)
     assert cli.main(["table"]) == exit_code_of(signal.SIGTERM)
     assert steps == ["begins to save", "has saved"]
 
@@ -253,18 +268,27 @@ def test_a_second_signal_does_not_interrupt_a_command_that_saves_its_results(
 def test_after_an_interrupted_command_the_handlers_of_signals_are_those_from_before(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """The command ``table`` is interrupted by SIGTERM while it works."""
-    handlers = [signal.getsignal(number) for number in ENDING_SIGNALS]
-    fake_command(monkeypatch, lambda: wait_for_signal(signal.SIGTERM))
-    cli.main(["table"])
-    assert [signal.getsignal(number) for number in ENDING_SIGNALS] == handlers
+    """These signals are SIGINT, SIGTERM and SIGHUP. Here SIGTERM interrupts the command ``table`` at work."""
+    handlers_before = [signal.getsignal(number) for number in ENDING_SIGNALS]
+
+    def work() -> int:
+        return raise_signal_and_wait(signal.SIGTERM)
+
+    replace_command_table(monkeypatch, work)
+    assert cli.main(["table"]) == exit_code_of(signal.SIGTERM)
+
+    handlers_after = [signal.getsignal(number) for number in ENDING_SIGNALS]
+    assert handlers_after == handlers_before
 
 
 @interruptible()
 def test_a_command_that_ends_by_itself_after_a_signal_has_the_exit_code_of_the_signal(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Within ``stopping()`` a signal interrupts nothing. The command asks whether it should stop."""
+    """Within ``stopping()`` a signal interrupts nothing. The command asks whether it should stop.
+
+    It returns INTERRUPTED, for which ``main`` puts the exit code of the signal.
+    """
     answers = []
 
     def work() -> int:
@@ -274,16 +298,21 @@ def test_a_command_that_ends_by_itself_after_a_signal_has_the_exit_code_of_the_s
             answers.append(should_stop())
         return INTERRUPTED
 
-    fake_command(monkeypatch, work)
+    replace_command_table(monkeypatch, work)
     assert cli.main(["table"]) == exit_code_of(signal.SIGTERM)
-    assert answers == [False, True]
+    before_signal, after_signal = answers
+    assert before_signal is False
+    assert after_signal is True
 
 
 @interruptible()
 def test_ctrl_c_interrupts_a_command_that_has_not_ended_after_two_signals(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Within ``stopping()`` two SIGTERM are only noticed, but a SIGINT then raises KeyboardInterrupt."""
+    """Within ``stopping()`` two SIGTERM are only noticed, but a SIGINT then raises KeyboardInterrupt.
+
+    The exit code is that of the first signal.
+    """
 
     def work() -> int:
         with stopping():
@@ -293,7 +322,7 @@ def test_ctrl_c_interrupts_a_command_that_has_not_ended_after_two_signals(
                 signal.raise_signal(signal.SIGINT)
         return INTERRUPTED
 
-    fake_command(monkeypatch, work)
+    replace_command_table(monkeypatch, work)
     assert cli.main(["table"]) == exit_code_of(signal.SIGTERM)
 
 
@@ -317,9 +346,10 @@ def test_a_command_that_was_started_by_nohup_ignores_hangups(monkeypatch: pytest
             answers.append(should_stop())
         return 0
 
-    fake_command(monkeypatch, work)
+    replace_command_table(monkeypatch, work)
     assert cli.main(["table"]) == 0
-    assert answers == [False]
+    [should_stop_after_hangup] = answers
+    assert should_stop_after_hangup is False
 
 
 @pytest.fixture
@@ -339,9 +369,12 @@ def finished_imports(monkeypatch: pytest.MonkeyPatch) -> list[str]:
 def test_ctrl_c_while_a_command_is_imported_interrupts_it_when_the_import_has_ended(
     finished_imports: list[str], capsys: Capture
 ) -> None:
-    """In the middle of an import it could become any error. Here Ctrl-C comes during each import."""
+    """In the middle of an import its exception could become any error. Here Ctrl-C comes in each import."""
     assert cli.main(["swarm"]) == exit_code_of(signal.SIGINT)
-    assert capsys.readouterr() == ("", "mcp-asdf swarm: interrupted\n")
+    out, err = capsys.readouterr()
+
+    assert out == ""
+    assert err == "mcp-asdf swarm: interrupted\n"
     assert finished_imports == ["mcp_asdf_tools.cli.swarm"]
 
 
@@ -351,7 +384,8 @@ def test_ctrl_c_while_a_command_imports_numpy_interrupts_it_after_the_import_and
 ) -> None:
     """Ctrl-C comes during each import here, and the command, ``table``, never begins its work."""
     work = Mock(return_value=0)
-    fake_command(monkeypatch, work, libraries=("numpy",))
+    replace_command_table(monkeypatch, work, libraries=("numpy",))
+
     assert cli.main(["table"]) == exit_code_of(signal.SIGINT)
     assert finished_imports == ["numpy"]
     work.assert_not_called()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import shutil
+from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
@@ -66,15 +67,20 @@ def test_plot_draws_only_the_experiments_that_meet_all_conditions_of_where(
     tmp_path: Path, capsys: Capture
 ) -> None:
     """grid.parquet has four experiments, with two filters and two fill ratios; two conditions leave one."""
-    picture = str(tmp_path / "x.svg")
+    picture = tmp_path / "x.svg"
     conditions = "--where filter=none --where fill_ratio=.950"
     line = f"plot grid.parquet {picture} --kind series {conditions} --json"
     assert main(line.split()) == 0
-    assert json.loads(capsys.readouterr().out)["experiments"] == 1
+
+    report = json.loads(capsys.readouterr().out)
+    assert report["experiments"] == 1, "number of experiments that were drawn"
 
 
 def test_view_exports_a_log_of_60_steps_as_a_web_page_with_61_states(tmp_path: Path, capsys: Capture) -> None:
-    """With ``--json`` it reports the page's file, size and number of states."""
+    """It shows the state at the beginning and after each step, and names the swarm.
+
+    With ``--json`` the command reports the page's file, size and number of states.
+    """
     page = tmp_path / "run.html"
     assert main(["view", "run.log", "--export", str(page), "--json"]) == 0
     report = json.loads(capsys.readouterr().out)
@@ -84,7 +90,10 @@ def test_view_exports_a_log_of_60_steps_as_a_web_page_with_61_states(tmp_path: P
 
 
 def test_view_exports_a_trial_of_the_experiment_that_is_chosen_by_where(tmp_path: Path) -> None:
-    """The title of the web page has the parameters of that experiment, and the number of the trial."""
+    """grid.parquet has experiments with two filters and two fill ratios.
+
+    The title of the web page has the parameters of the experiment, and the number of the trial.
+    """
     page = tmp_path / "run.html"
     line = f"view grid.parquet --where filter=none --where fill_ratio=.950 --trial 1 --export {page}"
     assert main(line.split()) == 0
@@ -99,7 +108,7 @@ def test_view_shows_61_states_of_a_log_without_events_and_warns_of_what_is_missi
     Frames show x and b_hat of a robot only if it sends telemetry.
     """
     log = tmp_path / "real.log"
-    shutil.copy("run.log", log)
+    shutil.copy("run.log", log)  # and not run.log.events
     assert main(["view", str(log), "--export", str(tmp_path / "run.html"), "--json"]) == 0
     output, warnings = capsys.readouterr()
 
@@ -108,26 +117,35 @@ def test_view_shows_61_states_of_a_log_without_events_and_warns_of_what_is_missi
     assert "no robot sent telemetry" in warnings
 
 
-@pytest.mark.parametrize(("options", "is_warning"), [([], True), (["--channel", "can3"], False)])
+@pytest.mark.parametrize(("options", "expects_warning"), [([], True), (["--channel", "can3"], False)])
 def test_view_warns_that_a_log_has_frames_of_two_buses_unless_one_is_chosen(
-    options: list[str], is_warning: bool, tmp_path: Path, capsys: Capture
+    options: list[str], expects_warning: bool, tmp_path: Path, capsys: Capture
 ) -> None:
-    """The log has the frames of run.log twice: of vcan0, and of can3. The page is always exported."""
+    """The log has the frames of run.log twice: of vcan0, and of can3. The page is always exported.
+
+    Each bus may have other robots of the same ids, so a page of both would mix them up.
+    """
     log = tmp_path / "any.log"
-    text = Path("run.log").read_text()
-    log.write_text(text + text.replace(" vcan0 ", " can3 "))
+    frames_of_vcan0 = Path("run.log").read_text()
+    frames_of_can3 = frames_of_vcan0.replace(" vcan0 ", " can3 ")
+    log.write_text(frames_of_vcan0 + frames_of_can3)
 
     assert main(["view", str(log), *options, "--export", str(tmp_path / "all.html")]) == 0
     warning = f"{log} has frames of vcan0 and can3; choose one by --channel"
-    assert (warning in capsys.readouterr().err) == is_warning
+    has_warned = warning in capsys.readouterr().err
+    assert has_warned == expects_warning
 
 
 def test_view_of_a_log_without_events_warns_of_lines_that_are_no_frames(
     tmp_path: Path, capsys: Capture
 ) -> None:
-    """Without the warning a user would not know that a page of a damaged log lacks frames."""
+    """Without the warning a user would not know that a page of a damaged log lacks frames.
+
+    The log has a comment in front of the frames of run.log.
+    """
+    frames = Path("run.log").read_text()
     log = tmp_path / "real.log"
-    log.write_text(f"# by hand\n{Path('run.log').read_text()}")
+    log.write_text(f"# by hand\n{frames}")
     assert main(["view", str(log), "--export", str(tmp_path / "run.html")]) == 0
 
     warning = "line 1, '# by hand', is no frame and was left out"
@@ -137,7 +155,7 @@ def test_view_of_a_log_without_events_warns_of_lines_that_are_no_frames(
 # --- Pages that are served -------------------------------------------------------------------------------
 
 
-def events_served_at_the_printed_address(capsys: Capture) -> str:
+def read_events_at_printed_address(capsys: Capture) -> str:
     """Return all events of the web page whose address has been printed on standard error."""
     url = re.search(r"http://127\.0\.0\.1:\d+/", capsys.readouterr().err)
     assert url is not None
@@ -153,13 +171,14 @@ def test_a_command_serves_the_states_of_a_swarm_while_it_waits_for_ctrl_c(
     command: str, options: str, monkeypatch: pytest.MonkeyPatch, capsys: Capture
 ) -> None:
     """The commands are ``view run.log`` and ``swarm --view``. Here the page is read in place of the wait."""
-    texts: list[str] = []
-    monkeypatch.setattr(
-        f"mcp_asdf_tools.cli.{command}.sleep_until",
-        lambda should_stop: texts.append(events_served_at_the_printed_address(capsys)),
-    )
+    event_streams: list[str] = []
+
+    def read_page(_should_stop: Callable[[], bool]) -> None:
+        event_streams.append(read_events_at_printed_address(capsys))
+
+    monkeypatch.setattr(f"mcp_asdf_tools.cli.{command}.sleep_until", read_page)
     assert main([command, *options.split()]) == 0
-    (served_events,) = texts
+    [served_events] = event_streams
 
     assert served_events.startswith("event: description\n")
     assert served_events.endswith("event: end\ndata: null\n\n")
@@ -172,12 +191,10 @@ def test_a_waiting_command_looks_five_times_a_second_whether_it_should_stop(
     slept_seconds: list[float] = []
     monkeypatch.setattr("time.sleep", slept_seconds.append)
     should_stop = Mock(side_effect=[False, False, True])
+
     sleep_until(should_stop)
 
-    assert slept_seconds == [0.2, 0.2]
-
-
-WATCH_A_BUS = ["view", "--interface", "udp_multicast", "--channel", "239.74.163.77"]
+    assert slept_seconds == [1 / 5, 1 / 5]
 
 
 @pytest.fixture
@@ -190,10 +207,13 @@ def bus_without_network(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_view_of_a_silent_bus_prints_the_page_s_address_and_that_no_robot_sent_telemetry(
     monkeypatch: pytest.MonkeyPatch, capsys: Capture
 ) -> None:
-    """Ctrl-C ends it when it looks for the second time whether it should stop."""
+    """Ctrl-C ends it when it looks for the second time whether it should stop.
+
+    No robot sends on the bus, which is one inside this process.
+    """
     is_ctrl_c_pressed = Mock(side_effect=[False, True])
     monkeypatch.setattr(view, "stopping", lambda: nullcontext(is_ctrl_c_pressed))
-    assert main([*WATCH_A_BUS, "--json"]) == 0
+    assert main(["view", "--interface", "udp_multicast", "--channel", "239.74.163.77", "--json"]) == 0
     output, errors = capsys.readouterr()
 
     assert json.loads(output)["url"].startswith("http://127.0.0.1:")
@@ -204,9 +224,11 @@ def test_view_of_a_silent_bus_prints_the_page_s_address_and_that_no_robot_sent_t
 def test_view_ends_with_exit_code_1_and_the_reason_when_the_bus_fails(
     monkeypatch: pytest.MonkeyPatch, capsys: Capture
 ) -> None:
-    """A bus fails, for example, when its adapter is unplugged; here "it is off"."""
-    monkeypatch.setattr(BusRecorder, "record", Mock(side_effect=can.CanOperationError("it is off")))
-    assert main(WATCH_A_BUS) == 1
+    """A bus fails, for example, when its adapter is unplugged. Here the first attempt to read it fails."""
+    raise_bus_error = Mock(side_effect=can.CanOperationError("it is off"))
+    monkeypatch.setattr(BusRecorder, "record", raise_bus_error)
+
+    assert main(["view", "--interface", "udp_multicast", "--channel", "239.74.163.77"]) == 1
     assert "mcp-asdf view: the bus failed: it is off" in capsys.readouterr().err
 
 
@@ -214,10 +236,10 @@ def test_swarm_with_a_web_page_ends_with_an_error_and_does_not_wait_when_the_bus
     monkeypatch: pytest.MonkeyPatch, capsys: Capture
 ) -> None:
     """Only after a swarm that succeeds does the command serve the page until Ctrl-C."""
-    failure = Mock(side_effect=can.CanOperationError("it is off"))
-    monkeypatch.setattr("mcp_asdf_tools.swarm.run.run_swarm", failure)
-    waiting = Mock(side_effect=AssertionError("it waits for Ctrl-C"))
-    monkeypatch.setattr("mcp_asdf_tools.cli.swarm.sleep_until", waiting)
+    raise_bus_error = Mock(side_effect=can.CanOperationError("it is off"))
+    monkeypatch.setattr("mcp_asdf_tools.swarm.run.run_swarm", raise_bus_error)
+    fail_instead_of_waiting = Mock(side_effect=AssertionError("it waits for Ctrl-C"))
+    monkeypatch.setattr("mcp_asdf_tools.cli.swarm.sleep_until", fail_instead_of_waiting)
 
     assert main(["swarm", "--robots", "4", "--steps", "20", "--view"]) == 1
     assert "mcp-asdf swarm: it is off" in capsys.readouterr().err
@@ -225,9 +247,10 @@ def test_swarm_with_a_web_page_ends_with_an_error_and_does_not_wait_when_the_bus
 
 def test_ctrl_c_that_ends_a_swarm_ends_its_page_too(monkeypatch: pytest.MonkeyPatch, capsys: Capture) -> None:
     """The command does not wait for a second Ctrl-C, as the printed line with the address says."""
-    monkeypatch.setattr("mcp_asdf_tools.cli.swarm.stopping", lambda: nullcontext(lambda: True))
-    waiting = Mock(side_effect=AssertionError("it waits for Ctrl-C"))
-    monkeypatch.setattr("mcp_asdf_tools.cli.swarm.sleep_until", waiting)
+    is_ctrl_c_pressed = Mock(return_value=True)
+    monkeypatch.setattr("mcp_asdf_tools.cli.swarm.stopping", lambda: nullcontext(is_ctrl_c_pressed))
+    fail_instead_of_waiting = Mock(side_effect=AssertionError("it waits for Ctrl-C"))
+    monkeypatch.setattr("mcp_asdf_tools.cli.swarm.sleep_until", fail_instead_of_waiting)
 
     assert main(["swarm", "--robots", "4", "--steps", "20", "--view"]) == INTERRUPTED
     assert "(Ctrl-C ends it)" in capsys.readouterr().err
@@ -241,10 +264,10 @@ DIFFERENCES = "fill_ratio=0.55|0.95, filter=asdf-plus|none"
 
 
 @pytest.mark.parametrize(
-    ("line", "reason"),
+    ("refused_line", "expected_reason"),
     [
         ("view", "there is no recording and no bus; give a file"),
-        ("view --export x.html --interface socketcan --channel nowhere0", "--export is for recordings"),
+        ("view --export out.html --interface socketcan --channel nowhere0", "--export is for recordings"),
         ("view --where filter=none --interface socketcan --channel nowhere0", "--where is for recordings"),
         ("view --trial 1 --interface socketcan --channel nowhere0", "--trial is for recordings"),
         ("view none.log", "there is no log"),
@@ -287,13 +310,16 @@ DIFFERENCES = "fill_ratio=0.55|0.95, filter=asdf-plus|none"
     ],
 )
 def test_view_plot_and_swarm_refuse_what_they_cannot_show_in_two_lines_and_write_no_file(
-    line: str, reason: str, capsys: Capture
+    refused_line: str, expected_reason: str, capsys: Capture
 ) -> None:
-    """For example ``view run.log --export out.pdf``: "choose a name that ends in .html"."""
-    assert main(line.split()) == 2
+    """For example ``view run.log --export out.pdf``: "choose a name that ends in .html".
+
+    All files that these commands would write are called out.
+    """
+    assert main(refused_line.split()) == 2
     output, errors = capsys.readouterr()
 
     assert output == ""
-    assert reason in errors
-    assert errors.count("\n") == 2
+    assert expected_reason in errors
+    assert errors.count("\n") == 2, "two lines"
     assert list(Path().glob("out.*")) == []
