@@ -105,8 +105,8 @@ class Bench(ControllerLink):
 
     def play_tick_among_neighbours(self) -> None:
         """Run a tick in which the controller and the emulated neighbours receive each other's frames."""
-        self.observe(self.neighbours.begin())
-        self.send(self.neighbours.finish(list(self._received)))
+        self.observe(self.neighbours.begin_tick())
+        self.send(self.neighbours.finish_tick(list(self._received)))
         self.settle_and_compare()
 
     def skip_ticks(self, ticks: int, observe: Callable[[], Observation | None] = lambda: None) -> None:
@@ -117,8 +117,8 @@ class Bench(ControllerLink):
         while ticks > 0:
             burst = min(ticks, BURST)
             for _ in range(burst - 1):
-                self._command_observation(observe())
-                self.leave_open()  # without a settle: the next observation ends the tick
+                self._send_observe_command(observe())
+                self.skip_settle()  # without a settle: the next observation ends the tick
             self.play_tick(observe())
             ticks -= burst
 

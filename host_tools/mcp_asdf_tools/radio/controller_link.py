@@ -126,7 +126,11 @@ class ControllerLink:
         (first_heartbeat,) = self.model_node.start()
         self.comparison = Comparison(settings.subjects, first_heartbeat)
         self.lockstep = Lockstep(
-            options.bus, settings.subjects, options.timeout, on_frame=self._take_frame, check=self._check_stop
+            options.bus,
+            settings.subjects,
+            options.timeout,
+            on_frame=self._handle_frame,
+            check=self._check_stop,
         )
         self.tick_index = 0
         self._tick_numbers_skipped = 0
@@ -148,18 +152,18 @@ class ControllerLink:
         """
         self._check_stop()
         self.tick_index = self.ticks
-        is_broadcast_due = self._command_observation(observation)
+        is_broadcast_due = self._send_observe_command(observation)
         if is_broadcast_due:
             self.lockstep.estimates({self.setup.id})
 
-    def _command_observation(self, observation: Observation | None) -> bool:
+    def _send_observe_command(self, observation: Observation | None) -> bool:
         """Command an observation, or none, and return whether the controller must broadcast in this tick.
 
         It must if its model does. Then what the models with a known mistake broadcast is kept, too, to be
         compared when the tick ends.
         """
         broadcasts_before = self.model_node.sent.estimates
-        # The model gets the command, too, by _take_frame, and answers at once.
+        # The model gets the command, too, by _handle_frame, and answers at once.
         self.lockstep.observe({self.setup.id: observation})
         is_broadcast_due = self.model_node.sent.estimates != broadcasts_before
         if is_broadcast_due:
@@ -173,7 +177,7 @@ class ControllerLink:
         """
         send_all(self.options.bus, frames, _SEND_TIMEOUT)
         for frame in frames:
-            self._take_frame(frame)
+            self._handle_frame(frame)
 
     def settle_and_compare(self) -> None:
         """Command the end of the tick, and compare all frames of controller and model since the last time.
@@ -184,13 +188,13 @@ class ControllerLink:
         self.compare()
         self.options.progress(self.ticks)
 
-    def leave_open(self, distance: int = 1) -> None:
+    def skip_settle(self, distance: int = 1) -> None:
         """Send no settle command in this tick, as if it were lost: the next observe command ends the tick.
 
         The controller may report this in its health. The number of the next tick is ``distance`` higher, or
         lower if that is negative.
         """
-        self.lockstep.leave_open(distance)
+        self.lockstep.skip_settle(distance)
         self._tick_numbers_skipped += distance - 1  # the number of the next tick is usually 1 higher
         self.comparison.is_advisory_allowed = True
 
@@ -208,16 +212,16 @@ class ControllerLink:
         If they are, every model with a known mistake that would have sent other frames is dropped: the
         controller does not have this mistake.
         """
-        # Before take_difference, which forgets the frames.
+        # Before pop_difference, which forgets the frames.
         telemetry_fields = self._last_telemetry_fields()
-        difference = self.take_difference()
+        difference = self.pop_difference()
         if difference is not None:
             # For the report: the mistakes with which a model would have sent this telemetry.
             mistakes = self.mistaken_models.mistakes_with_telemetry(telemetry_fields, self.model_robot)
             raise ControllerDiffers(difference, mistakes)
         self.mistaken_models.drop_different(self.model_robot)
 
-    def take_difference(self) -> Difference | None:
+    def pop_difference(self) -> Difference | None:
         """Return the first difference among the frames since the last comparison, and forget these frames.
 
         Returns None if all are equal.
@@ -238,7 +242,7 @@ class ControllerLink:
                 break
             # Some interfaces also return the frames that this program has sent.
             if frame.is_rx:
-                self._take_frame(frame)
+                self._handle_frame(frame)
             # Other nodes may send without a pause, so that recv never returns None.
             if time.monotonic() > end:
                 break
@@ -257,7 +261,7 @@ class ControllerLink:
 
     # --- Frames on the bus ---
 
-    def _take_frame(self, frame: can.Message) -> None:
+    def _handle_frame(self, frame: can.Message) -> None:
         """Log a frame, and keep it for the comparison if the controller has sent it.
 
         A frame that was sent to the controller goes to the model, too. Raises BusDisturbed for a frame of

@@ -59,7 +59,9 @@ class RadioSettings:
 
 
 class Neighbourhood:
-    """Emulated robots around a controller: a tick is ``begin``, the controller's part, and ``finish``.
+    """Emulated robots around a controller, whose part of a tick comes after ``begin_tick``.
+
+    ``finish_tick`` follows it.
 
     Attributes:
         settings: The surroundings of the controller.
@@ -83,12 +85,12 @@ class Neighbourhood:
         """Number of the tick that has begun or, between ticks, of the next one; the first is 0."""
         return self._swarm.ticks
 
-    def begin(self) -> Observation | None:
+    def begin_tick(self) -> Observation | None:
         """Let all neighbours observe and send, and return the observation of the controller, or None."""
         observation_by_robot = self._swarm.begin_tick()
         return observation_by_robot[self.settings.controller.id]
 
-    def finish(self, controller_frames: Sequence[can.Message]) -> list[can.Message]:
+    def finish_tick(self, controller_frames: Sequence[can.Message]) -> list[can.Message]:
         """Let all neighbours receive and settle, with the frames that the controller has sent.
 
         Returns the frames that the controller receives, in order. O(neighbours**2).

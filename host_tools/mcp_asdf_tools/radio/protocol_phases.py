@@ -309,7 +309,7 @@ def lose_settles(bench: Bench) -> None:
         bench.activity = "messages in a tick whose settle is lost"
         bench.observe(bench.draw_observation())
         _send_random_estimates(bench, bench.other_ids[5:8])
-        bench.leave_open()  # without the settle
+        bench.skip_settle()  # without the settle
         bench.activity = "the tick after one whose settle was lost"
         bench.play_tick(bench.draw_observation())
 
@@ -375,7 +375,7 @@ def send_unusual_commands(bench: Bench) -> None:
             bench.wait_for_round_without_test()
             bench.activity = f"an observe of a number {direction} by about 2^{bit} than that of the open tick"
             bench.observe(bench.draw_observation())
-            bench.leave_open(distance)
+            bench.skip_settle(distance)
             bench.play_tick(bench.draw_observation())
 
 

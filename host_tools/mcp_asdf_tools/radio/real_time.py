@@ -55,9 +55,9 @@ class RadioRun:
         clock = RealTimeClock(settings.swarm.steps_per_second, sleep=self._receive_while_waiting)
         try:
             while self._ticks is None or self.neighbours.tick < self._ticks:
-                clock.begin(self.neighbours.tick)
-                self.link.catch_up(self._handle_frame)
-                self._take_tick()
+                clock.wait_for_tick(self.neighbours.tick)
+                self.link.handle_waiting_frames(self._handle_frame)
+                self._run_tick()
                 self.on_tick()
         except (Stopped, KeyboardInterrupt):
             self.outcome.ending = "stopped"
@@ -96,14 +96,14 @@ class RadioRun:
             "spread_x": max(x) - min(x),
         }
 
-    def _take_tick(self) -> None:
+    def _run_tick(self) -> None:
         """Let the neighbours take a tick, and send the controller what it receives of them.
 
         In a tick they observe once, receive the estimates that the controller has sent since the last tick,
         and end it.
         """
-        self.neighbours.begin()
-        for frame in self.neighbours.finish(self._controller_frames):
+        self.neighbours.begin_tick()
+        for frame in self.neighbours.finish_tick(self._controller_frames):
             is_sent = self.link.send(frame)
             if is_sent:
                 self.sent_count += 1

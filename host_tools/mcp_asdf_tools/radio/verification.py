@@ -233,7 +233,7 @@ class Verification:
         except LockstepError as error:
             self._result.outcome = FAILED
             # A wrong frame in place of the answer says more than that the answer is missing.
-            difference = bench.take_difference()
+            difference = bench.pop_difference()
             has_sent_wrong_frame = difference is not None and difference.field != "missing"
             description = difference if has_sent_wrong_frame else error
             verdict.difference = f"{self._describe_time()}: {description}"

@@ -30,7 +30,7 @@ class RealTimeClock:
         now: Callable[[], float] = time.monotonic,
         sleep: Callable[[float], None] = time.sleep,
     ) -> None:
-        """Create a clock, which starts with the first call of ``begin``.
+        """Create a clock, which starts with the first call of ``wait_for_tick``.
 
         ``now`` returns the time in seconds, and ``sleep`` waits for a number of seconds.
         """
@@ -42,7 +42,7 @@ class RealTimeClock:
         self._lateness: list[float] = []
         """Seconds by which each tick so far has begun too late."""
 
-    def begin(self, tick: int) -> None:
+    def wait_for_tick(self, tick: int) -> None:
         """Sleep until the time of this tick has come, and record how late it begins.
 
         The first tick begins at once, whatever its number. Call this once for each tick.

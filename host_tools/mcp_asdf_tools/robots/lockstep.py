@@ -146,7 +146,7 @@ class Lockstep:
         self.tick += 1
         return answers
 
-    def leave_open(self, distance: int = 1) -> None:
+    def skip_settle(self, distance: int = 1) -> None:
         """End the tick without a *settle*, as if all were lost: robots end it when they observe again.
 
         The number of the next tick is ``distance`` higher, or lower if that is negative; it is not 0.

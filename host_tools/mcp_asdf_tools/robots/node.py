@@ -380,7 +380,7 @@ class BusLink:
             self.log(frame)
         return frame
 
-    def catch_up(self, on_frame: FrameTaker) -> None:
+    def handle_waiting_frames(self, on_frame: FrameTaker) -> None:
         """Call ``on_frame`` with the frames in the receive buffer, up to 4096 of them, without waiting.
 
         A node whose ticks are late calls this, as it has no time left to wait for frames. Raises Stopped if

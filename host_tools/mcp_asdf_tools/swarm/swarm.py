@@ -192,7 +192,7 @@ class Swarm:
         The swarm cannot go on after these.
         """
         if self.clock is not None:
-            self.clock.begin(self.ticks)
+            self.clock.wait_for_tick(self.ticks)
         observations = dict(zip(self._ids, self.world.step(), strict=True))
         self.faults.begin_tick(self.ticks, self._ids)
         for node in self._local_nodes:

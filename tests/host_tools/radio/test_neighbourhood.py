@@ -80,7 +80,7 @@ def last_states_around_a_controller(world: SwarmSettings, faults: str) -> list[d
     )
     controller = RobotNode(controller_setup)
     for _ in range(120):
-        for frame in neighbourhood.finish(controller.observe(neighbourhood.begin())):
+        for frame in neighbourhood.finish_tick(controller.observe(neighbourhood.begin_tick())):
             controller.receive_frame(frame)
         controller.settle()
     robots = (controller.bus_robot, *neighbourhood.nodes.values())
@@ -130,8 +130,8 @@ def test_frames_of_neighbours_are_stamped_with_the_time_of_their_tick() -> None:
     """Their times are 0.0 s, 0.1 s and so on, as a second has 10 ticks."""
     neighbourhood = Neighbourhood(surroundings(steps_per_second=10))
     for tick in range(20):
-        neighbourhood.begin()
-        frames = neighbourhood.finish(controller_frames=[])
+        neighbourhood.begin_tick()
+        frames = neighbourhood.finish_tick(controller_frames=[])
         assert {frame.timestamp for frame in frames} == {tick / 10}
 
 
@@ -141,8 +141,8 @@ def heartbeats_of_crashing_robot_1(rejoin: str) -> list[tuple[int, int]]:
     neighbourhood = Neighbourhood(replace(surroundings(), faults=(crash,)))
     ticks_and_uptimes = []
     for tick in range(60):
-        neighbourhood.begin()
-        for frame in neighbourhood.finish([]):
+        neighbourhood.begin_tick()
+        for frame in neighbourhood.finish_tick([]):
             heartbeat = decode_heartbeat(frame)
             if isinstance(heartbeat, Heartbeat) and heartbeat.sender == 1:
                 ticks_and_uptimes.append((tick, heartbeat.uptime))
@@ -223,13 +223,15 @@ def test_neighbours_in_real_time_go_on_when_the_bus_fails_and_count_the_frames_t
     assert figures["bus_failures"] == frames / 2
 
 
-@pytest.fixture(params=[BusLink.catch_up, lambda link, take: None], ids=["at ticks", "between ticks"])
+@pytest.fixture(
+    params=[BusLink.handle_waiting_frames, lambda link, take: None], ids=["at ticks", "between ticks"]
+)
 def run_beside_others(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> RadioRun:
     """A run of 5 ticks in which estimates of robots 1, 5, 6 and 100 and of the controller arrive.
 
     They are read at the beginning of a tick, or else, where nothing is read then, between two ticks.
     """
-    monkeypatch.setattr(BusLink, "catch_up", request.param)
+    monkeypatch.setattr(BusLink, "handle_waiting_frames", request.param)
     # The first frame is of another subject, and so no estimate.
     frames = [encode_estimate(Estimate(ID, x_hat=9, alpha=0, transfer_id=0), FrameFormat(subject=17))]
     for sender in (ID, 1, 1, 100, 5, 6):
@@ -445,7 +447,7 @@ def test_wrong_arguments_of_radio_are_refused_before_the_first_tick(
 ) -> None:
     """The exit code is 2, and the error is printed. There is no tick and no file."""
     make_tick = Mock()  # of a run in real time, or of a verification
-    monkeypatch.setattr(RadioRun, "_take_tick", make_tick)
+    monkeypatch.setattr(RadioRun, "_run_tick", make_tick)
     monkeypatch.setattr(Bench, "settle_and_compare", make_tick)
     monkeypatch.chdir(tmp_path)
 

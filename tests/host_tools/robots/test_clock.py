@@ -39,7 +39,7 @@ def begin_ticks(watch: Watch, clock: RealTimeClock, *, periods_of_work: list[flo
     """Begin one tick per entry of ``periods_of_work``. Return when each tick has begun, in periods."""
     beginnings = []
     for tick, periods in enumerate(periods_of_work, start=5):
-        clock.begin(tick)
+        clock.wait_for_tick(tick)
         beginnings.append((watch.now - START) / PERIOD)
         watch.now += periods * PERIOD
     return beginnings
@@ -100,8 +100,8 @@ def test_a_tick_does_not_begin_early_when_a_sleep_ends_early() -> None:
     """Every pause of the clock ends a quarter of a period too early, so it has to pause again."""
     watch = Watch(missing_sleep=PERIOD / 4)
     clock = watch.clock()
-    clock.begin(tick=0)
-    clock.begin(tick=1)
+    clock.wait_for_tick(tick=0)
+    clock.wait_for_tick(tick=1)
 
     assert watch.now >= START + PERIOD
 
@@ -115,7 +115,7 @@ def test_a_tick_s_frames_are_waited_for_in_the_first_half_of_its_period(
     """Tick 1 begins one period after tick 0. The time left falls to 0 in half a period, and then stays 0."""
     watch = Watch()
     clock = watch.clock()
-    clock.begin(tick=0)
+    clock.wait_for_tick(tick=0)
     watch.now += periods_since_tick_0 * PERIOD
 
     assert clock.seconds_left_to_receive(tick=1) == periods_left * PERIOD

@@ -451,7 +451,7 @@ def test_an_answer_that_is_lost_is_an_error_and_does_not_make_a_robot_settle_twi
 def test_a_robot_ends_a_tick_that_was_left_open_when_it_observes_again() -> None:
     """The robot gets no command to end tick 0, nor one to end tick 1, which is followed by tick 8.
 
-    ``leave_open`` lets the driver go on by a number of ticks without such a command. The robot broadcasts an
+    ``skip_settle`` lets the driver go on by a number of ticks without such a command. The robot broadcasts an
     estimate in every second tick that it takes part in, which is tick 1.
     """
     robot = node(1, comms_period=2)
@@ -459,9 +459,9 @@ def test_a_robot_ends_a_tick_that_was_left_open_when_it_observes_again() -> None
     lockstep = Lockstep(wire)
 
     lockstep.observe({1: Observation.WHITE})
-    lockstep.leave_open(distance=1)
+    lockstep.skip_settle(distance=1)
     lockstep.observe({1: Observation.WHITE})
-    lockstep.leave_open(distance=7)
+    lockstep.skip_settle(distance=7)
     drive_robot_1(lockstep, ticks=1)
 
     assert [decode(frame).tick for frame in wire.sent] == [0, 1, 8, 8]  # three to observe, one to settle

@@ -246,7 +246,7 @@ def test_a_late_node_catches_up_with_all_frames_that_wait() -> None:
     no_frame_waits = None
     bus = bus_that_receives(first, second, no_frame_waits, later)
     received_frames: list[can.Message] = []
-    BusLink(bus).catch_up(received_frames.append)
+    BusLink(bus).handle_waiting_frames(received_frames.append)
 
     assert received_frames == [first, second]
     assert bus.recv.call_args == call(0), "timeout of the last call, in seconds"
