@@ -10,7 +10,7 @@ import shutil
 import signal
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, redirect_stdout
 from dataclasses import replace
@@ -58,21 +58,31 @@ def jobs_run(monkeypatch: pytest.MonkeyPatch) -> list[Job]:
     return record_jobs(monkeypatch, max_jobs=5)
 
 
+def trials_of(jobs: Iterable[Job]) -> list[tuple[int, int]]:
+    """Return the first trial of each job and how many trials it has."""
+    return [(job.first, job.count) for job in jobs]
+
+
 # --- Jobs ------------------------------------------------------------------------------------------------
 
 
 def test_every_trial_of_a_sweep_is_in_exactly_one_job(output: Path) -> None:
-    """A job is a number of trials of one experiment, which a worker process runs together."""
+    """A job is a number of trials of one experiment, which a worker process runs together.
+
+    Each of three experiments has 40 trials, in one job from trial 0 and in one from trial 32 on. Jobs record
+    the values of robots as often as the sweep does.
+    """
     first, second, third = THREE_EXPERIMENTS
     jobs = list(jobs_of(Store(output, THREE_EXPERIMENTS, sampling_interval=7)))
 
     assert [job.experiment for job in jobs] == [first, first, second, second, third, third]
-    assert [(job.first, job.count) for job in jobs] == [(0, 32), (32, 8)] * 3  # 40 trials of each
-    assert {job.sampling_interval for job in jobs} == {7}
+    jobs_of_40_trials = [(0, 32), (32, 8)]
+    assert trials_of(jobs) == jobs_of_40_trials * 3
+    assert [job.sampling_interval for job in jobs] == [7] * 6
 
 
 @pytest.mark.parametrize(
-    ("changes", "trials_of_jobs"),
+    ("changes", "trial_counts_of_jobs"),
     [
         ({}, [32, 8]),  # 40 trials of 8,000 steps of 4 robots
         ({"firmware": "mirror", "trials": 2}, [1, 1]),  # slow, as it runs in Python
@@ -83,7 +93,7 @@ def test_every_trial_of_a_sweep_is_in_exactly_one_job(output: Path) -> None:
     ],
 )
 def test_a_job_has_more_trials_the_shorter_these_are(
-    changes: dict[str, Any], trials_of_jobs: list[int]
+    changes: dict[str, Any], trial_counts_of_jobs: list[int]
 ) -> None:
     """A job, which a worker process runs at once, has a million steps of robots if its trials are short.
 
@@ -91,16 +101,18 @@ def test_a_job_has_more_trials_the_shorter_these_are(
     """
     experiment = replace(EXPERIMENT, **changes)
     jobs = sweep.jobs_of_experiment(experiment, range(experiment.trials), sampling_interval=0)
-    assert [job.count for job in jobs] == trials_of_jobs
+    assert [job.count for job in jobs] == trial_counts_of_jobs
 
 
 def test_jobs_leave_out_finished_trials_between_missing_ones() -> None:
+    """A job's trials have numbers without gaps, as it has only its first trial and their count."""
     missing_trials = [0, 1, 5, 7, 8, 9]
     jobs = sweep.jobs_of_experiment(EXPERIMENT, missing_trials, sampling_interval=0)
-    assert [(job.first, job.count) for job in jobs] == [(0, 2), (5, 1), (7, 3)]
+    assert trials_of(jobs) == [(0, 2), (5, 1), (7, 3)]
 
 
 def test_a_worker_with_another_version_than_its_job_is_refused() -> None:
+    """This process is the worker. The version of a job is that of the program that has made it."""
     job = Job(EXPERIMENT, first=0, count=1, version="9.9.9")
     with pytest.raises(UsageError, match=r"a worker has mcp-asdf .*, this is 9\.9\.9; install the same"):
         job.run()
@@ -121,7 +133,7 @@ def interrupted_sweep(output: Path, jobs_run: list[Job]) -> Store:
 def test_the_folder_of_parts_of_an_interrupted_sweep_can_be_scored(
     interrupted_sweep: Store, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Parts are files of the results so far. Of the third experiment 32 trials had been run."""
+    """Parts are files of the results so far. Of the third experiment 32 of 40 trials had been run."""
     assert cli.main(["score", str(interrupted_sweep.parts)]) == 0
     assert "32 of 40" in capsys.readouterr().out
 
@@ -129,6 +141,7 @@ def test_the_folder_of_parts_of_an_interrupted_sweep_can_be_scored(
 def test_an_attempt_to_score_an_interrupted_sweep_is_answered_with_where_its_data_is(
     interrupted_sweep: Store, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    """The output is written only in the end. Until then results are in a folder of parts."""
     exit_code = cli.main(["score", str(interrupted_sweep.output)])
     assert exit_code == EXIT_CODE_OF_USAGE_ERROR
     parts = interrupted_sweep.parts
@@ -138,9 +151,9 @@ def test_an_attempt_to_score_an_interrupted_sweep_is_answered_with_where_its_dat
 def test_an_interrupted_sweep_that_goes_on_runs_only_the_missing_trials(
     interrupted_sweep: Store, jobs_run: list[Job]
 ) -> None:
-    """It was interrupted after 32 of the 40 trials of its last experiment."""
+    """It was interrupted after 32 of the 40 trials of its last experiment, so trials 32 to 39 are missing."""
     run_sweep(interrupted_sweep, workers=1)
-    assert [(job.first, job.count) for job in jobs_run] == [(32, 8)]
+    assert trials_of(jobs_run) == [(32, 8)]
 
 
 def test_an_interrupted_sweep_that_goes_on_gives_the_results_of_one_without_an_interrupt(
@@ -153,7 +166,7 @@ def test_an_interrupted_sweep_that_goes_on_gives_the_results_of_one_without_an_i
     for trials, experiment in zip(experiments, THREE_EXPERIMENTS, strict=True):
         uninterrupted_trials = Job(experiment, first=0, count=40).run()
         assert trials.experiment == experiment
-        assert (trials.errors == uninterrupted_trials.errors).all()
+        assert np.array_equal(trials.errors, uninterrupted_trials.errors)
 
 
 def test_a_finished_sweep_leaves_nothing_but_its_output(interrupted_sweep: Store, tmp_path: Path) -> None:
@@ -173,35 +186,39 @@ def test_a_sweep_that_lacks_trials_between_finished_ones_runs_these(
     store.add(Job(experiment, first=2, count=3).run())
     store.add(Job(experiment, first=7, count=1).run())
     store.flush()
-    jobs_run.clear()
+    jobs_run.clear()  # what runs from here on is looked at
 
     run_sweep(Store(output, [experiment]), workers=1)
 
-    assert [(job.first, job.count) for job in jobs_run] == [(0, 2), (5, 2), (8, 2)]
+    assert trials_of(jobs_run) == [(0, 2), (5, 2), (8, 2)]
 
 
 def test_a_finished_sweep_is_not_run_again(output: Path, jobs_run: list[Job]) -> None:
     """The second sweep into the same output runs no job, and leaves the results as they are."""
     run_sweep(Store(output, [EXPERIMENT]), workers=1)
-    table = read_table(output)
+    table_of_first_sweep = read_table(output)
     jobs_run.clear()
     run_sweep(Store(output, [EXPERIMENT]), workers=1)
 
     assert jobs_run == []
-    assert read_table(output).equals(table)
+    assert read_table(output).equals(table_of_first_sweep)
 
 
 def test_a_sweep_that_was_enlarged_runs_only_new_trials_and_experiments(
     output: Path, jobs_run: list[Job]
 ) -> None:
-    """The first sweep runs 10 trials of one experiment. The second wants 15, and 33 of another experiment."""
+    """The first sweep runs 10 trials of one experiment. The second wants 15, and 33 of another experiment.
+
+    A job runs at most 32 of these trials.
+    """
     run_sweep(Store(output, [replace(EXPERIMENT, trials=10)]), workers=1)
     jobs_run.clear()
-    enlarged = [replace(EXPERIMENT, trials=15), replace(OTHER_EXPERIMENT, trials=33)]
-    run_sweep(Store(output, enlarged), workers=1)
+    enlarged_experiments = [replace(EXPERIMENT, trials=15), replace(OTHER_EXPERIMENT, trials=33)]
+    run_sweep(Store(output, enlarged_experiments), workers=1)
 
-    assert [(job.first, job.count) for job in jobs_run] == [(10, 5), (0, 32), (32, 1)]
-    assert [trials.experiment for trials in experiments_in(read_table(output))] == enlarged
+    missing_trials_of_first, trials_of_second = [(10, 5)], [(0, 32), (32, 1)]
+    assert trials_of(jobs_run) == missing_trials_of_first + trials_of_second
+    assert [trials.experiment for trials in experiments_in(read_table(output))] == enlarged_experiments
 
 
 @pytest.mark.parametrize(
@@ -229,8 +246,10 @@ def test_a_sweep_into_the_results_of_another_one_is_refused_and_leaves_them_alon
 def test_a_sweep_into_results_of_another_version_of_the_program_is_refused(
     output: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """Results of two versions must not be mixed. This program takes itself for version 9.9.9."""
     run_sweep(Store(output, [EXPERIMENT]), workers=1)
-    monkeypatch.setattr(store_module, "software_versions", lambda: {"mcp-asdf": "9.9.9"})
+    other_version = Mock(return_value={"mcp-asdf": "9.9.9"})
+    monkeypatch.setattr(store_module, "software_versions", other_version)
     with pytest.raises(UsageError, match="other experiments, recordings or versions"):
         Store(output, [EXPERIMENT])
 
@@ -238,22 +257,30 @@ def test_a_sweep_into_results_of_another_version_of_the_program_is_refused(
 def test_worker_processes_started_from_a_thread_give_the_results_of_one_process(
     output: Path, tmp_path: Path
 ) -> None:
-    """Programs with a window or a server start sweeps from threads. All 2 * 40 trials are reported."""
-    reported_trials: list[int] = []
-    with ThreadPoolExecutor(1) as thread:
-        thread.submit(
-            run_sweep, Store(output, TWO_EXPERIMENTS), workers=2, report=reported_trials.append
-        ).result()
-    run_sweep(Store(tmp_path / "one.parquet", TWO_EXPERIMENTS), workers=1)
+    """Programs with a window or a server start sweeps from threads.
 
-    assert read_table(output).equals(read_table(tmp_path / "one.parquet"))
+    The sweep reports how many trials have been finished, together 40 of each of two experiments.
+    """
+    reported_trials: list[int] = []
+    with ThreadPoolExecutor(max_workers=1) as thread:
+        store = Store(output, TWO_EXPERIMENTS)
+        sweep_in_thread = thread.submit(run_sweep, store, workers=2, report=reported_trials.append)
+        sweep_in_thread.result()  # waits for its end
+    output_of_one_process = tmp_path / "one.parquet"
+    run_sweep(Store(output_of_one_process, TWO_EXPERIMENTS), workers=1)
+
+    assert read_table(output).equals(read_table(output_of_one_process))
     assert sum(reported_trials) == 2 * 40
 
 
 def test_a_sweep_in_memory_gives_the_table_that_one_into_a_file_gives(output: Path) -> None:
+    """In memory the trials of an experiment are a table. Joined, these are as the file, where all are."""
     run_sweep(Store(output, TWO_EXPERIMENTS), workers=1)
     tables = [trials_to_table(trials) for trials in sweep.run_in_memory(TWO_EXPERIMENTS)]
-    assert pa.concat_tables(tables).combine_chunks().equals(read_table(output).combine_chunks())
+
+    table_in_memory = pa.concat_tables(tables).combine_chunks()
+    table_in_file = read_table(output).combine_chunks()
+    assert table_in_memory.equals(table_in_file)
 
 
 def test_experiments_that_are_given_twice_are_run_once(output: Path, jobs_run: list[Job]) -> None:
@@ -266,7 +293,8 @@ def test_experiments_that_are_given_twice_are_run_once(output: Path, jobs_run: l
     run_sweep(Store(output, overlapping_experiments), workers=1)
 
     assert [trials.experiment for trials in in_memory] == [experiment, other_experiment]
-    assert read_table(output)["trial"].to_pylist() == [0, 1, 2, 0, 1]
+    trials_of_experiment, trials_of_other_experiment = [0, 1, 2], [0, 1]
+    assert read_table(output)["trial"].to_pylist() == trials_of_experiment + trials_of_other_experiment
     assert len(jobs_run) == 2 * 2  # a job for each of two experiments, in memory and into the output
 
 
@@ -279,7 +307,7 @@ class DeadlyJob(Job):
 
 
 def test_a_worker_process_that_is_killed_ends_the_sweep_with_an_error() -> None:
-    """An operating system that is out of memory kills processes."""
+    """An operating system that is out of memory kills processes. Here each job kills the process it is in."""
     deadly_jobs = [DeadlyJob(EXPERIMENT, first=0, count=1), DeadlyJob(EXPERIMENT, first=1, count=1)]
     with pytest.raises(UsageError, match="a worker process was killed"):
         list(sweep.run_jobs(iter(deadly_jobs), workers=2))
@@ -308,8 +336,8 @@ def set_clock(monkeypatch: pytest.MonkeyPatch) -> Callable[[float], None]:
     return set_time
 
 
-def test_a_short_sweep_writes_its_output_and_no_parts(output: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The time between parts is set so long that none is due before the end."""
+def record_files_written(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Return a list to which the name of each file that stores write from now on is added."""
     files_written: list[str] = []
     write_tables = result_files.write_tables
 
@@ -318,13 +346,19 @@ def test_a_short_sweep_writes_its_output_and_no_parts(output: Path, monkeypatch:
         write_tables(path, tables)
 
     monkeypatch.setattr(store_module, "write_tables", record_and_write)
+    return files_written
+
+
+def test_a_short_sweep_writes_its_output_and_no_parts(output: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The time between parts is set so long that none is due before the end."""
     monkeypatch.setattr(store_module, "_SECONDS_BETWEEN_PARTS", 1e9)
+    files_written = record_files_written(monkeypatch)
     run_sweep(Store(output, TWO_EXPERIMENTS), workers=1)
-    assert files_written == ["grid.parquet"]
+    assert files_written == [output.name]
 
 
 @pytest.mark.parametrize(
-    ("times", "rows_of_parts_by_time"),
+    ("times", "expected_row_counts"),
     [
         ([0.9, 1.0, 1.9, 2.0], [[], [2], [2], [2, 2]]),
         ([1000.0, 1009.0, 1011.0], [[1], [1], [1, 2]]),
@@ -333,22 +367,20 @@ def test_a_short_sweep_writes_its_output_and_no_parts(output: Path, monkeypatch:
 )
 def test_parts_of_a_sweep_are_a_hundredth_of_its_time_apart_but_at_least_a_second(
     times: list[float],
-    rows_of_parts_by_time: list[list[int]],
+    expected_row_counts: list[list[int]],
     output: Path,
     set_clock: Callable[[float], None],
 ) -> None:
     """So writing takes little time in comparison with the work. After 1000 s a hundredth is 10 s.
 
-    A trial is finished at each of these times, in seconds. A part has all trials since the last part.
+    A trial is finished at each of these times, in seconds. A part has a row for each trial since the last
+    part. Expected is, for each time, the list of how many rows the parts have that are there by then.
     """
     store = Store(output, [EXPERIMENT])
-    row_counts_of_parts = []
-    for trial, seconds in enumerate(times):
+    for trial, (seconds, row_counts_by_then) in enumerate(zip(times, expected_row_counts, strict=True)):
         set_clock(seconds)
         store.add(Job(EXPERIMENT, first=trial, count=1).run())
-        row_counts_of_parts.append(row_counts(store.parts))
-
-    assert row_counts_of_parts == rows_of_parts_by_time
+        assert row_counts(store.parts) == row_counts_by_then
 
 
 def test_a_part_is_written_when_as_many_rows_wait_as_a_part_may_have(
@@ -359,10 +391,10 @@ def test_a_part_is_written_when_as_many_rows_wait_as_a_part_may_have(
     monkeypatch.setattr(store_module, "_MAX_ROWS", 10)
     store = Store(output, [EXPERIMENT])
     store.add(Job(EXPERIMENT, first=0, count=9).run())
-    assert row_counts(store.parts) == []
-    store.add(Job(EXPERIMENT, first=9, count=1).run())
+    assert row_counts(store.parts) == []  # there is no part yet
 
-    assert row_counts(store.parts) == [10]
+    store.add(Job(EXPERIMENT, first=9, count=1).run())
+    assert row_counts(store.parts) == [10]  # there is one with ten rows
 
 
 @pytest.fixture(scope="module")
@@ -386,22 +418,23 @@ def output_of_mixed_jobs(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_the_output_has_the_trials_of_each_experiment_in_order_whatever_the_order_of_jobs(
     output_of_mixed_jobs: Path,
 ) -> None:
-    """Experiments are read at once or one by one. Row groups do not end with them.
+    """Jobs of two experiments of 40 trials have ended in turns. Experiments are read at once or one by one.
 
-    The first 10 trials of the second experiment are in the row group of the first one.
+    A group of rows has 50 of them, so the first 10 trials of the second experiment are in the first group.
     """
-    at_once = list(experiments_in(read_table(output_of_mixed_jobs)))
-    one_by_one = list(stream_experiments(output_of_mixed_jobs))
+    experiments_at_once = list(experiments_in(read_table(output_of_mixed_jobs)))
+    experiments_one_by_one = list(stream_experiments(output_of_mixed_jobs))
 
-    for experiments in (at_once, one_by_one):
+    for experiments in (experiments_at_once, experiments_one_by_one):
         for trials, experiment in zip(experiments, TWO_EXPERIMENTS, strict=True):
+            trials_in_order = Job(experiment, first=0, count=40).run()
             assert trials.experiment == experiment
-            assert trials.numbers == [*range(40)]
-            assert (trials.errors == Job(experiment, first=0, count=40).run().errors).all()
+            assert trials.numbers == list(range(40))
+            assert np.array_equal(trials.errors, trials_in_order.errors)
 
 
 def test_the_output_has_as_many_rows_in_a_group_as_it_may(output_of_mixed_jobs: Path) -> None:
-    """The first group has 50 of 80 rows. A reader has one group in memory at a time."""
+    """The limit was 50 of the 80 rows. A reader has one group in memory at a time."""
     metadata = pq.read_metadata(output_of_mixed_jobs)
     row_groups = [metadata.row_group(index) for index in range(metadata.num_row_groups)]
     assert [row_group.num_rows for row_group in row_groups] == [50, 30]
@@ -421,11 +454,13 @@ def test_a_part_has_fewer_rows_the_longer_their_lists_are(
 
     Of 10 million steps, a single trial has more. A part has one row at least.
     """
-    monkeypatch.setattr(store_module, "ROW_GROUP_BYTES", 1000 * bytes_of_lists(EXPERIMENT, 400))
-    long_experiment = replace(EXPERIMENT, steps=10**7)
+    experiment = replace(EXPERIMENT, steps=8000)
+    long_experiment = replace(EXPERIMENT, steps=10_000_000)
+    bytes_of_row = bytes_of_lists(experiment, sampling_interval=400)
+    monkeypatch.setattr(store_module, "ROW_GROUP_BYTES", 1000 * bytes_of_row)
 
     # Parts are written by rows, so the limit of bytes is converted when a store is made.
-    assert Store(output, [EXPERIMENT], sampling_interval=400)._rows_per_part == 1000
+    assert Store(output, [experiment], sampling_interval=400)._rows_per_part == 1000
     assert Store(output, [long_experiment], sampling_interval=400)._rows_per_part == 1
 
 
@@ -450,9 +485,10 @@ def process_at_work_on(output: Path) -> Iterator[int]:
 
 
 def test_a_sweep_into_an_output_on_which_another_process_works_is_refused(output: Path) -> None:
-    with process_at_work_on(output) as process, pytest.raises(UsageError) as refusal:
-        Store(output, THREE_EXPERIMENTS)
-    assert f"process {process} is at work on {output}; wait for it" in str(refusal.value)
+    """Two processes would overwrite each other's parts. The message has the id of the process."""
+    with process_at_work_on(output) as process_id, pytest.raises(UsageError) as refusal:
+        Store(output, [EXPERIMENT])
+    assert f"process {process_id} is at work on {output}; wait for it" in str(refusal.value)
 
 
 def test_a_sweep_goes_on_with_an_output_when_the_other_process_has_ended(output: Path) -> None:
@@ -461,18 +497,20 @@ def test_a_sweep_goes_on_with_an_output_when_the_other_process_has_ended(output:
     The lock ends with the process. The next sweep finishes the output, and removes the folder.
     """
     with process_at_work_on(output):
-        pass
-    assert Store(output, THREE_EXPERIMENTS).parts.exists()
+        pass  # at the end of the context, the other process ends
+    store = Store(output, [EXPERIMENT])
+    assert store.parts.exists()
 
-    run_sweep(Store(output, [EXPERIMENT]), workers=1)
+    run_sweep(store, workers=1)
 
-    assert [path.name for path in output.parent.iterdir()] == ["grid.parquet"]
+    assert list(output.parent.iterdir()) == [output]
 
 
 def test_a_process_does_not_lock_itself_out_of_its_output(output: Path) -> None:
-    """It works on an output, and opens it a second time: all 3 * 40 trials are missing."""
-    Store(output, THREE_EXPERIMENTS).reserve()
-    assert Store(output, THREE_EXPERIMENTS).missing_count == 3 * 40
+    """It locks an output to work on it, and opens it a second time: all 40 trials are missing."""
+    Store(output, [EXPERIMENT]).reserve()
+    opened_again = Store(output, [EXPERIMENT])
+    assert opened_again.missing_count == 40
 
 
 # --- Progress --------------------------------------------------------------------------------------------
@@ -490,17 +528,22 @@ def test_a_process_does_not_lock_itself_out_of_its_output(output: Path) -> None:
 def test_progress_has_a_rate_and_the_time_left_once_something_is_finished(
     finished: int, total: int, seconds: float, text: str
 ) -> None:
+    """The rate is that since the beginning. In the first case 90 of 120 are left, at 0.5 a second."""
     assert progress_bar.format_rate(finished, total, seconds) == text
 
 
 def test_a_progress_bar_shows_the_rate_and_the_time_left() -> None:
-    """rich, which draws the bar, gives its column a task with these attributes."""
+    """rich, which draws the bar, gives its column a task with these attributes.
+
+    30 trials in 60 seconds are 0.5 a second, so that the other 90 take 3 minutes.
+    """
     task: Any = SimpleNamespace(completed=30, total=120, elapsed=60.0)
-    assert progress_bar._Rate().render(task).plain == "0.5/s, 0:03:00 left"
+    shown_text = progress_bar._Rate().render(task).plain
+    assert shown_text == "0.5/s, 0:03:00 left"
 
 
-def report_slow_progress(monkeypatch: pytest.MonkeyPatch, *, quiet: bool) -> None:
-    """Report 1.5 of eight trials after 30, 60, 119 and 120 s: six in two minutes."""
+def report_six_of_eight_trials_in_two_minutes(monkeypatch: pytest.MonkeyPatch, *, quiet: bool) -> None:
+    """Report 1.5 trials after 30, 60, 119 and 120 s of a clock that is set."""
     now = Mock(return_value=0.0)
     monkeypatch.setattr(progress_bar, "time", SimpleNamespace(monotonic=now))
     with progress_bar.progress("trials", 8, quiet) as report:
@@ -511,9 +554,12 @@ def report_slow_progress(monkeypatch: pytest.MonkeyPatch, *, quiet: bool) -> Non
 def test_progress_is_a_line_a_minute_where_there_is_no_terminal(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Three of the eight trials are finished after a minute, and six of them after two minutes."""
+    """Three of the eight trials are finished after a minute, and six of them after two minutes.
+
+    With FORCE_COLOR, rich, which draws a bar in terminals, would take any output for one.
+    """
     monkeypatch.setenv("FORCE_COLOR", "")
-    report_slow_progress(monkeypatch, quiet=False)
+    report_six_of_eight_trials_in_two_minutes(monkeypatch, quiet=False)
 
     assert capsys.readouterr().err.splitlines() == [
         "trials: 3 of 8, 0.05/s, 0:01:40 left",
@@ -526,19 +572,20 @@ def test_progress_is_a_bar_in_a_terminal_and_is_erased_in_the_end(
 ) -> None:
     """FORCE_COLOR makes rich, which draws the bar, take any output for a terminal. Six of 8 are finished."""
     monkeypatch.setenv("FORCE_COLOR", "1")
-    report_slow_progress(monkeypatch, quiet=False)
+    report_six_of_eight_trials_in_two_minutes(monkeypatch, quiet=False)
     output = capsys.readouterr().err
-    erase_line = "\x1b[2K"
 
     assert "6/8" in output
-    assert output.endswith(erase_line)
+    code_that_erases_a_line = "\x1b[2K"
+    assert output.endswith(code_that_erases_a_line)
 
 
 def test_quiet_progress_is_not_shown(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    """Where there is no terminal, progress would else be a line a minute."""
     monkeypatch.setenv("FORCE_COLOR", "")
-    report_slow_progress(monkeypatch, quiet=True)
+    report_six_of_eight_trials_in_two_minutes(monkeypatch, quiet=True)
     assert capsys.readouterr().err == ""
 
 
@@ -588,16 +635,20 @@ def sweep_text(grid_file: Path, results_file: Path) -> str:
 def test_the_command_sweep_runs_the_experiments_of_a_file_into_results_beside_it(
     grid_file: Path, sweep_answer: dict[str, Any]
 ) -> None:
-    """The file has two experiments of three trials."""
+    """The file has two experiments of three trials. The command answers how many trials it has run."""
+    results_file = grid_file.with_suffix(".parquet")
     assert sweep_answer["run"] == 2 * 3
-    assert sweep_answer["output"] == str(grid_file.with_suffix(".parquet"))
-    assert grid_file.with_suffix(".parquet").exists()
+    assert sweep_answer["output"] == str(results_file)
+    assert results_file.exists()
 
 
 def test_the_command_sweep_writes_the_results_into_the_file_that_output_names(
     grid_file: Path, tmp_path: Path
 ) -> None:
-    """Nothing is written beside the file of experiments, where results of an earlier sweep may be."""
+    """Nothing is written to grid.parquet beside the file of experiments, where earlier results may be.
+
+    The file has two experiments of three trials.
+    """
     shutil.copy(grid_file, tmp_path / "grid.toml")
     output = tmp_path / "new.parquet"
     answer = run_for_json("sweep", tmp_path / "grid.toml", "--workers", "1", "--output", output)
@@ -607,24 +658,31 @@ def test_the_command_sweep_writes_the_results_into_the_file_that_output_names(
     assert not (tmp_path / "grid.parquet").exists()
 
 
-@pytest.mark.usefixtures("results_file")
-def test_the_command_sweep_runs_no_trial_whose_results_are_there(grid_file: Path) -> None:
-    assert run_for_json("sweep", grid_file, "--workers", "1")["run"] == 0
+def test_the_command_sweep_runs_no_trial_whose_results_are_there(grid_file: Path, results_file: Path) -> None:
+    """An earlier sweep has written the results of all trials."""
+    assert results_file.exists()
+    answer = run_for_json("sweep", grid_file, "--workers", "1")
+    assert answer["run"] == 0
 
 
 def test_the_command_score_reports_the_scores_that_sweep_does(
     results_file: Path, sweep_answer: dict[str, Any]
 ) -> None:
-    assert run_for_json("score", results_file)["experiments"] == sweep_answer["experiments"]
+    """Both answer with a list of experiments, which has their parameters and scores."""
+    score_answer = run_for_json("score", results_file)
+    assert score_answer["experiments"] == sweep_answer["experiments"]
 
 
 def test_the_command_score_writes_a_line_of_csv_for_each_trial(results_file: Path, tmp_path: Path) -> None:
-    run_for_json("score", results_file, "--csv", tmp_path / "grid.csv")
-    header, trials = 1, 2 * 3
-    assert len((tmp_path / "grid.csv").read_text().splitlines()) == header + trials
+    """The results are of two experiments of three trials."""
+    csv_path = tmp_path / "grid.csv"
+    run_for_json("score", results_file, "--csv", csv_path)
+    _header, *lines_of_trials = csv_path.read_text().splitlines()
+    assert len(lines_of_trials) == 2 * 3
 
 
 def test_the_command_score_takes_limits_that_the_user_chooses(results_file: Path) -> None:
+    """Scores are relative to a limit of convergence, K_max, and one of errors, e_max."""
     answer = run_for_json("score", results_file, "--k-max", "300", "--e-max", "0.5")
     for experiment in answer["experiments"]:
         assert experiment["limits"] == {"k_max": 300, "e_max": 0.5}
@@ -634,12 +692,12 @@ def test_the_command_score_writes_scores_for_limits_that_the_user_chooses_into_t
     results_file: Path, tmp_path: Path
 ) -> None:
     """Each line has the limits of its scores, by which others can compare them with scores of their own."""
-    options = ("--csv", tmp_path / "grid.csv", "--k-max", "250", "--e-max", "0.5")
-    run_for_json("score", results_file, *options)
-    with (tmp_path / "grid.csv").open(encoding="utf-8", newline="") as file:
-        limits = {(row["K_max"], row["e_max"]) for row in csv.DictReader(file)}
+    csv_path = tmp_path / "grid.csv"
+    run_for_json("score", results_file, "--csv", csv_path, "--k-max", "250", "--e-max", "0.5")
+    with csv_path.open(encoding="utf-8", newline="") as file:
+        limits = [(row["K_max"], row["e_max"]) for row in csv.DictReader(file)]
 
-    assert limits == {("250", "0.5")}
+    assert limits == [("250", "0.5")] * 6  # of two experiments of three trials
 
 
 def table_of(output: str) -> list[list[str]]:
@@ -649,10 +707,11 @@ def table_of(output: str) -> list[list[str]]:
 
 
 def test_the_command_sweep_prints_limits_the_meaning_of_its_table_and_how_to_see_it_again(
-    sweep_text: str,
+    sweep_text: str, grid_file: Path
 ) -> None:
+    """K_max and e_max are the limits of scores. The command for the same table has the seed."""
     assert "K_max 300, e_max 0.45; medians over the trials, H with quartiles" in sweep_text
-    assert "again:" in sweep_text
+    assert f"again: mcp-asdf sweep --seed=1 {grid_file} --workers 1" in sweep_text
 
 
 def test_the_command_sweep_prints_medians_over_the_trials_of_each_experiment(
@@ -666,13 +725,13 @@ def test_the_command_sweep_prints_medians_over_the_trials_of_each_experiment(
     head, *rows = table_of(sweep_text)
     assert head == ["flawed", "trials", "H", "h_K", "h_e", "K", "e", "updates"]
     for experiment, row in zip(sweep_answer["experiments"], rows, strict=True):
-        printed = dict(zip(head, row, strict=True))
-        assert printed["flawed"] == str(experiment["parameters"]["flawed"])
-        assert printed["h_K"] == f"{experiment['h_K']['median']:.2f}"
-        assert printed["h_e"] == f"{experiment['h_e']['median']:.2f}"
-        assert printed["K"] == f"{experiment['K']['median']:g}"
-        assert printed["e"] == f"{experiment['e']['median']:.5f}"
-        assert printed["updates"] == f"{experiment['updates']['median']:g}"
+        flawed, _trials, _score_with_quartiles, h_k, h_e, k, e, updates = row
+        assert flawed == str(experiment["parameters"]["flawed"])
+        assert h_k == f"{experiment['h_K']['median']:.2f}"
+        assert h_e == f"{experiment['h_e']['median']:.2f}"
+        assert k == f"{experiment['K']['median']:g}"
+        assert e == f"{experiment['e']['median']:.5f}"
+        assert updates == f"{experiment['updates']['median']:g}"
 
 
 def test_the_command_sweep_prints_the_score_h_of_each_experiment_with_its_quartiles(
@@ -699,8 +758,8 @@ def one_experiment(tmp_path: Path) -> Path:
 
 def test_options_of_the_command_simulate_change_the_experiment_of_a_file(one_experiment: Path) -> None:
     """The file's experiment has 100 steps, for which no option is given, and other robots and trials."""
-    options = ["--robots", "6", "--flawed", "50%", "--trials", "4", "--omega", "0.1"]
-    answer = run_for_json("simulate", one_experiment, *options)
+    options = "--robots 6 --flawed 50% --trials 4 --omega 0.1"
+    answer = run_for_json("simulate", one_experiment, *options.split())
     parameters = answer["parameters"]
 
     assert parameters["steps"] == 100
@@ -728,7 +787,7 @@ def test_the_command_simulate_writes_results_only_if_it_is_given_an_output(
 
 
 @pytest.mark.parametrize(
-    ("options", "workers"),
+    ("options", "expected_workers"),
     [
         ("--steps 999999", 1),  # short: 20 robots * 5 trials * 999,999 steps are less than 10**8
         ("--steps 1000000", 1024),
@@ -736,15 +795,18 @@ def test_the_command_simulate_writes_results_only_if_it_is_given_an_output(
     ],
 )
 def test_the_command_simulate_runs_only_a_short_experiment_in_its_own_process(
-    options: str, workers: int, monkeypatch: pytest.MonkeyPatch
+    options: str, expected_workers: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Starting others would take longer. The user asks for 1024 processes; no trial is run here."""
-    simulate = Mock(side_effect=UsageError("the command ends here"))
-    monkeypatch.setattr("mcp_asdf_tools.library.simulate", simulate)
+    """Starting others would take longer. The user asks for 1024 processes.
 
-    cli.main(["simulate", "--robots=20", "--trials=5", "--workers=1024", *options.split()])
+    No trial is run here, as the command is ended by an error where it calls the library.
+    """
+    library_function = Mock(side_effect=UsageError("the command ends here"))
+    monkeypatch.setattr("mcp_asdf_tools.library.simulate", library_function)
 
-    assert simulate.call_args.kwargs["workers"] == workers
+    cli.main(f"simulate --robots 20 --trials 5 --workers 1024 {options}".split())
+
+    assert library_function.call_args.kwargs["workers"] == expected_workers
 
 
 A_THOUSAND_ROBOTS = "--robots 1000 --trials 1 --steps 20"
@@ -754,16 +816,19 @@ A_THOUSAND_ROBOTS = "--robots 1000 --trials 1 --steps 20"
 def test_the_command_simulate_runs_a_thousand_robots_that_move_or_are_in_a_graph(
     topology: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """In the graph, a file, each of them is connected to the next one."""
+    """In the graph, which is a file, each of them is connected to the next one, and the last to the first."""
     monkeypatch.chdir(tmp_path)
-    Path("ring").write_text("".join(f"{robot} {(robot + 1) % 1000}\n" for robot in range(1000)))
-    command = f"simulate {A_THOUSAND_ROBOTS} --topology {topology} --filter-period 20"
+    lines_of_ring = [f"{robot} {(robot + 1) % 1000}\n" for robot in range(1000)]
+    Path("ring").write_text("".join(lines_of_ring))
+    command = f"simulate --robots 1000 --trials 1 --steps 20 --topology {topology} --filter-period 20"
     answer = run_for_json(*command.split())
-    assert (answer["parameters"]["robots"], answer["trials"]) == (1000, 1)
+
+    assert answer["parameters"]["robots"] == 1000
+    assert answer["trials"] == 1
 
 
 @pytest.mark.parametrize(
-    ("arguments", "message"),
+    ("arguments", "expected_message"),
     [
         ("simulate --robots 0", "--robots is 0; it must be 1 to 65536"),
         (
@@ -795,22 +860,22 @@ def test_the_command_simulate_runs_a_thousand_robots_that_move_or_are_in_a_graph
     ],
 )
 def test_commands_on_experiments_refuse_bad_options_and_say_what_is_wrong(
-    arguments: str, message: str, capsys: pytest.CaptureFixture[str]
+    arguments: str, expected_message: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    """An option is refused if its value is impossible, or if it would have no effect."""
     assert cli.main(arguments.split()) == EXIT_CODE_OF_USAGE_ERROR
-    assert message in capsys.readouterr().err
+    assert expected_message in capsys.readouterr().err
 
 
 # --- Signals ---------------------------------------------------------------------------------------------
 
-SHORT_SWEEP = Experiment(firmware="mirror", steps=20, trials=100, robots=4)
-LONG_SWEEP = Experiment(firmware="mirror", steps=400, trials=400, robots=4)
-"""The experiment of the fixture ``slow_sweep``."""
-
 
 @pytest.fixture
 def slow_sweep(tmp_path: Path) -> Iterator[subprocess.Popen[str]]:
-    """The command ``sweep`` on two worker processes, which takes long, as a terminal starts it."""
+    """The command ``sweep`` on two worker processes, which takes long, as a terminal starts it.
+
+    It has 400 trials of one experiment.
+    """
     (tmp_path / "slow.toml").write_text("firmware = 'mirror'\nsteps = 400\ntrials = 400\nrobots = 4\n")
     command = [sys.executable, "-m", "mcp_asdf_tools.cli.main", "sweep", str(tmp_path / "slow.toml")]
     with interruptible():
@@ -842,11 +907,15 @@ def is_worker(process: str) -> bool:
 def test_ctrl_c_ends_a_sweep_with_the_number_of_trials_that_are_left(
     grid_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A job is the three trials of an experiment; Ctrl-C comes before the second of two."""
+    """The file has two experiments of three trials, and a job is the trials of one of them.
+
+    Ctrl-C comes after the first job. The exit code is 128 and the number of the signal, as in shells.
+    """
     record_jobs(monkeypatch, max_jobs=1)
     output = str(tmp_path / "grid.parquet")
+    exit_code = cli.main(["sweep", str(grid_file), "--workers", "1", "--output", output])
 
-    assert cli.main(["sweep", str(grid_file), "--workers", "1", "--output", output]) == 128 + signal.SIGINT
+    assert exit_code == 128 + signal.SIGINT
     assert "3 of 6 trials left; the same command goes on" in capsys.readouterr().err
 
 
@@ -869,8 +938,9 @@ def test_a_signal_ends_a_sweep_with_advice_and_keeps_the_finished_trials(
     assert "Traceback" not in errors
     finished_trials = sum(row_counts(parts))
     assert finished_trials > 0
-    missing_trials = Store(tmp_path / "slow.parquet", [LONG_SWEEP]).missing_count
-    assert finished_trials + missing_trials == LONG_SWEEP.trials
+    experiment_of_the_sweep = Experiment(firmware="mirror", steps=400, trials=400, robots=4)
+    missing_trials = Store(tmp_path / "slow.parquet", [experiment_of_the_sweep]).missing_count
+    assert finished_trials + missing_trials == 400
 
 
 @pytest.fixture
@@ -889,14 +959,18 @@ def ctrl_c_in_the_first_part(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.usefixtures("ctrl_c_in_the_first_part")
 def test_ctrl_c_while_a_part_of_the_results_is_written_loses_no_finished_trial(output: Path) -> None:
-    """The files lack exactly the trials that the interrupted sweep counts as missing."""
-    store = Store(output, [SHORT_SWEEP])
+    """The files lack exactly the trials that the interrupted sweep counts as missing.
+
+    Each trial is a job, after which a part is written. Ctrl-C comes when the first of 100 is there.
+    """
+    experiment = Experiment(firmware="mirror", steps=20, trials=100, robots=4)
+    store = Store(output, [experiment])
     with interruptible(), pytest.raises(KeyboardInterrupt):
         run_sweep(store, workers=1)
 
-    missing_on_disk = Store(output, [SHORT_SWEEP]).missing_count
+    missing_on_disk = Store(output, [experiment]).missing_count
     assert missing_on_disk == store.missing_count
-    assert 0 < missing_on_disk < SHORT_SWEEP.trials
+    assert 0 < missing_on_disk < 100
 
 
 @pytest.mark.slow
@@ -904,7 +978,7 @@ def test_ctrl_c_while_worker_processes_start_ends_a_sweep_without_a_traceback(
     slow_sweep: subprocess.Popen[str],
 ) -> None:
     """Ctrl-C in a terminal reaches all processes of a group, also those that are still importing."""
-    wait_until(lambda: bool(workers_of(slow_sweep)))
+    wait_until(lambda: len(workers_of(slow_sweep)) > 0)
     os.killpg(slow_sweep.pid, signal.SIGINT)
     _, errors = slow_sweep.communicate(timeout=PATIENCE)
 
@@ -914,7 +988,8 @@ def test_ctrl_c_while_worker_processes_start_ends_a_sweep_without_a_traceback(
 
 @pytest.mark.slow
 def test_worker_processes_end_with_a_sweep_that_is_killed(slow_sweep: subprocess.Popen[str]) -> None:
+    """A process that is killed cannot end its two workers, so these have to notice it themselves."""
     wait_until(lambda: len(workers_of(slow_sweep)) == 2)
     workers = workers_of(slow_sweep)
     slow_sweep.kill()
-    wait_until(lambda: not any(map(is_worker, workers)))
+    wait_until(lambda: not any(is_worker(worker) for worker in workers))  # or fails after some minutes

@@ -82,47 +82,60 @@ def test_a_sweep_that_goes_on_on_a_cluster_gives_the_results_of_this_computer(
     scheduler: str, tmp_path: Path
 ) -> None:
     """The first 20 of 50 trials were run on this computer."""
-    here, there = tmp_path / "here.parquet", tmp_path / "there.parquet"
-    run_sweep_command(20, there, "--workers", "1")
-    run_sweep_command(50, there, "--scheduler", scheduler)
-    run_sweep_command(50, here, "--workers", "1")
+    cluster_output, local_output = tmp_path / "cluster.parquet", tmp_path / "local.parquet"
+    run_sweep_command(20, cluster_output, "--workers", "1")
+    run_sweep_command(50, cluster_output, "--scheduler", scheduler)
+    run_sweep_command(50, local_output, "--workers", "1")
 
-    assert read_table(there).equals(read_table(here))
+    assert read_table(cluster_output).equals(read_table(local_output))
+
+
+def set_version_of_this_program(version: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let this process, but no process of a cluster, take itself for a version of the program."""
+    monkeypatch.setattr(versions, "metadata", SimpleNamespace(version=lambda name: version))
 
 
 def test_a_cluster_whose_workers_have_another_version_is_refused(
     store: Store, scheduler: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """This program takes itself for version 9.9.9, which the workers are not. It can run the jobs itself."""
-    monkeypatch.setattr(versions, "metadata", SimpleNamespace(version=lambda name: "9.9.9"))
-    assert next(jobs_of(store)).run().experiment == SLOW_EXPERIMENT
+    set_version_of_this_program("9.9.9", monkeypatch)
+    first_job = next(jobs_of(store))
+    assert first_job.run().experiment == SLOW_EXPERIMENT
 
     with pytest.raises(UsageError, match="install the same on all"):
         run_sweep(store, workers=1, scheduler=scheduler)
 
 
 def test_trials_that_a_cluster_has_finished_are_kept_if_it_is_lost(tmp_path: Path, store: Store) -> None:
-    """The cluster ends when the first trials have come back."""
+    """The cluster ends when the sweep reports the first of 500 trials, each of which is a job."""
     experiment = replace(SLOW_EXPERIMENT, trials=500)
     sweep = Store(tmp_path / "long.parquet", [experiment])
-    with (
-        cluster_of(workers=1, folder=tmp_path) as (address, cluster_input),
-        pytest.raises(UsageError, match="what was finished is kept"),
-    ):
-        run_sweep(sweep, workers=1, report=lambda _: cluster_input.close(), scheduler=address)
+    with cluster_of(workers=1, folder=tmp_path) as (scheduler, cluster_input):
+
+        def end_cluster(_finished_trials: int) -> None:
+            cluster_input.close()  # the cluster's program ends with its input
+
+        with pytest.raises(UsageError, match="what was finished is kept"):
+            run_sweep(sweep, workers=1, report=end_cluster, scheduler=scheduler)
 
     missing_on_disk = Store(sweep.output, [experiment]).missing_count
     assert missing_on_disk == sweep.missing_count
-    assert 0 < missing_on_disk < experiment.trials
+    assert 0 < missing_on_disk < 500
 
 
 @pytest.mark.parametrize("error", [OSError("Timed out trying to connect"), TimeoutError("no answer")])
 def test_a_scheduler_that_does_not_answer_any_more_is_reported_as_a_usage_error(
     error: OSError, store: Store, scheduler: str
 ) -> None:
-    """Dask raises these errors where a sweep asks a scheduler that is gone for its number of threads."""
-    is_refused = pytest.raises(UsageError, match="what was finished is kept")
-    with is_refused, cluster_module.connect_cluster(scheduler):
+    """Dask raises these errors where a sweep asks a scheduler that is gone for its number of threads.
+
+    Here the error is raised while the sweep is connected to a scheduler that is still there.
+    """
+    with (
+        pytest.raises(UsageError, match="what was finished is kept"),
+        cluster_module.connect_cluster(scheduler),
+    ):
         raise error
 
 
@@ -131,20 +144,22 @@ def test_a_result_that_dask_loses_with_the_cluster_is_reported_as_a_usage_error(
 ) -> None:
     """If a result comes just when the cluster is lost, Dask raises a TypeError in its place."""
     with (
-        cluster_of(workers=1, folder=tmp_path) as (address, cluster_input),
+        cluster_of(workers=1, folder=tmp_path) as (scheduler, cluster_input),
         pytest.raises(UsageError, match="what was finished is kept"),
-        cluster_module.connect_cluster(address) as (executor, _),
+        cluster_module.connect_cluster(scheduler) as (executor, _thread_count),
     ):
-        cluster_input.close()
+        cluster_input.close()  # the cluster's program ends with its input
         while executor._client.status == "running":  # type: ignore[attr-defined]
-            time.sleep(0.01)
+            time.sleep(0.01)  # until Dask notices
         raise TypeError("cannot unpack non-iterable Trials object")
 
 
 def test_a_type_error_of_a_job_is_not_taken_for_a_lost_cluster(store: Store, scheduler: str) -> None:
-    """The error is in an extension of the user's. The user has to see where."""
-    error_of_job = pytest.raises(TypeError, match="unsupported operand")
-    with error_of_job, cluster_module.connect_cluster(scheduler):
+    """The error is in an extension of the user's. The user has to see where, so it is not replaced."""
+    with (
+        pytest.raises(TypeError, match="unsupported operand"),
+        cluster_module.connect_cluster(scheduler),
+    ):
         raise TypeError("unsupported operand")
 
 
@@ -165,6 +180,9 @@ def test_a_cluster_without_workers_is_refused_with_the_command_that_starts_some(
 ) -> None:
     """The program waits for workers, here only for a second."""
     monkeypatch.setattr(cluster_module, "_TIMEOUT", 1)
-    with cluster_of(workers=0, folder=tmp_path) as (address, _), pytest.raises(UsageError) as refusal:
-        run_sweep(store, workers=1, scheduler=address)
-    assert f"at {address} has no workers; start some: dask worker {address}" in str(refusal.value)
+    with (
+        cluster_of(workers=0, folder=tmp_path) as (scheduler, _cluster_input),
+        pytest.raises(UsageError) as refusal,
+    ):
+        run_sweep(store, workers=1, scheduler=scheduler)
+    assert f"at {scheduler} has no workers; start some: dask worker {scheduler}" in str(refusal.value)
