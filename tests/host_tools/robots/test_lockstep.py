@@ -490,7 +490,6 @@ def test_two_kinds_of_messages_with_the_same_subject_number_are_refused() -> Non
 # Processes
 
 
-SUBJECTS = Subjects(FrameFormat(7, 1), FrameFormat(8, 6), FrameFormat(9, 3))
 SETUPS = (
     # 0.1 + 0.2 is 0.30000000000000004, which is the same again only with all its digits.
     setup_of_robot(0, b_hat=0.1 + 0.2, table=generate(parse_omega("0.3"), 3)),
@@ -511,21 +510,25 @@ def parse_node_command(command: list[str]) -> argparse.Namespace:
 
 @pytest.mark.parametrize("setup", SETUPS)
 def test_the_command_line_of_a_robot_s_process_has_all_settings_of_the_robot(setup: RobotSetup) -> None:
-    """Parsed again, it gives the same robot on the same bus. It ends with its input and reports in JSON."""
+    """Parsed again, it gives the same robot on the same bus. It ends with its input and reports in JSON.
+
+    The three kinds of messages have other subjects and priorities than by default.
+    """
     bus_choice = BusChoice("udp_multicast", {"channel": "239.1.1.1"})
-    nodes = NodeProcesses([setup], lambda robot: bus_choice, SUBJECTS, steps_per_second=3)
+    subjects = Subjects(FrameFormat(7, 1), FrameFormat(8, 6), FrameFormat(9, 3))
+    nodes = NodeProcesses([setup], lambda robot: bus_choice, subjects, steps_per_second=3)
     arguments = parse_node_command(nodes._commands[setup.id])
 
     assert setup_of(arguments) == setup
-    assert subjects_of(arguments) == SUBJECTS
+    assert subjects_of(arguments) == subjects
     assert arguments.steps_per_second == 3
     assert str(bus_of(arguments)) == str(bus_choice)
     assert arguments.until_eof
     assert arguments.json
 
 
-def processes_that_run(command: list[str]) -> NodeProcesses:
-    """Return the process of robot 3, which runs this command in place of the robot's own."""
+def run_in_place_of_robot_3(command: list[str]) -> NodeProcesses:
+    """Return processes, of robot 3 alone, which runs this command in place of the robot's own."""
     nodes = NodeProcesses([setup_of_robot(3)], lambda robot: BusChoice("udp_multicast", {}), Subjects(), 10)
     nodes._commands = {3: command}
     return nodes
@@ -536,30 +539,37 @@ def process_of_robot_3(nodes: NodeProcesses) -> subprocess.Popen[str]:
 
 
 def test_a_robot_s_process_that_ends_is_named_with_its_exit_code_and_what_it_printed_as_error() -> None:
-    """A shell in its place prints an error and ends with exit code 2. ``check`` raises LockstepError."""
-    with processes_that_run(["sh", "-c", "echo memory is 63 >&2; exit 2"]) as nodes:
+    """A shell in its place prints an error and ends with exit code 2. ``check`` raises LockstepError.
+
+    It has printed no report.
+    """
+    with run_in_place_of_robot_3(["sh", "-c", "echo memory is 63 >&2; exit 2"]) as nodes:
         process_of_robot_3(nodes).wait()
         with pytest.raises(LockstepError, match="robot 3 ended with exit code 2: memory is 63"):
             nodes.check()
 
-    assert nodes.reports == {}, "JSON that the process has printed"
+    assert nodes.reports == {}, "JSON that the process has printed, by the robot's id"
 
 
 def test_a_robot_s_process_that_does_not_end_when_it_is_asked_to_is_killed(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    """It ignores SIGTERM. It is killed after 0.1 s, and the report that it has printed, ``{}``, is kept."""
+    """A shell in its place ignores SIGTERM, prints the empty report ``{}``, and creates the file "up".
+
+    The end of the block asks it to end, and kills it after 0.1 s. Its report is kept, by the robot's id.
+    """
     monkeypatch.setattr(processes, "_EXIT_TIMEOUT", 0.1)
     script = f"trap '' TERM; echo '{{}}'; touch '{tmp_path}/up'; exec sleep 1000"
-    with processes_that_run(["sh", "-c", script]) as nodes:
+    with run_in_place_of_robot_3(["sh", "-c", script]) as nodes:
         wait_until((tmp_path / "up").exists)
 
-    assert nodes.reports == {3: {}}
+    empty_report: dict[str, object] = {}
+    assert nodes.reports == {3: empty_report}
 
 
 def test_the_report_that_a_robot_s_process_prints_is_kept() -> None:
-    """``reports`` has what a command prints in JSON in place of the robot."""
-    with processes_that_run(["echo", '{"steps": 1}']) as nodes:
+    """``reports`` has what a command prints in JSON in place of robot 3, by the robot's id."""
+    with run_in_place_of_robot_3(["echo", '{"steps": 1}']) as nodes:
         process_of_robot_3(nodes).wait()
 
     assert nodes.reports == {3: {"steps": 1}}
@@ -567,9 +577,10 @@ def test_the_report_that_a_robot_s_process_prints_is_kept() -> None:
 
 def test_ctrl_c_in_a_terminal_does_not_reach_the_robots_processes() -> None:
     """Ctrl-C reaches all processes of a session. So the process of robot 3 is in a session of its own."""
-    this_process = 0
-    with processes_that_run(["sleep", "1000"]) as nodes:
-        assert os.getsid(process_of_robot_3(nodes).pid) != os.getsid(this_process)
+    with run_in_place_of_robot_3(["sleep", "1000"]) as nodes:
+        session_of_robot = os.getsid(process_of_robot_3(nodes).pid)
+        session_of_this_process = os.getsid(os.getpid())
+        assert session_of_robot != session_of_this_process
 
 
 @pytest.fixture
@@ -581,16 +592,19 @@ def processor_restrictions(monkeypatch: pytest.MonkeyPatch) -> list[set[int]]:
     return restrictions
 
 
-@pytest.mark.parametrize(("interface", "restrictions"), [("socketcan", [{2}]), ("udp_multicast", [])])
+@pytest.mark.parametrize(
+    ("interface", "expected_restrictions"), [("socketcan", [{2}]), ("udp_multicast", [])]
+)
 def test_robots_processes_run_on_one_processor_alone_if_a_robot_is_on_socketcan(
-    interface: str, restrictions: list[set[int]], processor_restrictions: list[set[int]]
+    interface: str, expected_restrictions: list[set[int]], processor_restrictions: list[set[int]]
 ) -> None:
     """SocketCAN keeps the order of frames only if all processes are on one processor, here the first one.
 
-    That is number 2 of the processors 3, 2 and 4 that this process may use. Robot 11 is on multicast.
+    That is number 2 of the processors 3, 2 and 4 that this process may use. Robot 10 is on the interface, and
+    robot 11 on multicast. Processes inherit the restrictions of this process, of which there may be none.
     """
     bus_by_robot = {10: BusChoice(interface, {}), 11: BusChoice("udp_multicast", {})}
     setups = [setup_of_robot(10), setup_of_robot(11)]
     NodeProcesses(setups, bus_by_robot.__getitem__, Subjects(), steps_per_second=10)
 
-    assert processor_restrictions == restrictions
+    assert processor_restrictions == expected_restrictions

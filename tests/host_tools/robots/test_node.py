@@ -268,9 +268,9 @@ def test_a_bus_that_fails_ends_the_run_of_a_node() -> None:
 def test_the_command_node_fails_with_the_reason_if_its_bus_fails(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The exit code is 1, and nothing is printed but the reason."""
-    failure = RunOutcome("the bus failed: no luck", has_failed=True)
-    monkeypatch.setattr("mcp_asdf_tools.robots.node.run_node", Mock(return_value=failure))
+    """The exit code is 1, and nothing is printed but the reason. A failed run replaces the real one."""
+    failed_run = RunOutcome("the bus failed: no luck", has_failed=True)
+    monkeypatch.setattr("mcp_asdf_tools.robots.node.run_node", Mock(return_value=failed_run))
     assert main(["node", "--id", "5", "--quiet"]) == 1
     output = capsys.readouterr()
     assert output.out == ""
@@ -313,7 +313,10 @@ def run_robot_5(*options: str, command: Sequence[str] = ROBOT_5.split()) -> Robo
 def test_a_robot_that_a_driver_commands_over_the_bus_ends_in_the_state_of_its_model(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """The node reports the same integers and counters as its model, a robot in Python that is called."""
+    """The node reports the same integers and counters as its model, a robot in Python that is called.
+
+    Both make 40 observations, and receive the same frames.
+    """
     model = run_robot_5().robot
     reported_robot = json.loads(capsys.readouterr().out)["results"]["robot"]
 
@@ -343,7 +346,7 @@ def test_a_node_that_a_driver_commands_for_40_ticks_reports_the_frames_that_it_s
         "heartbeats_sent": 40 // 10,
         "telemetry_sent": 40,
         "delivered": 3,
-        "refused": 3,
+        "refused": 3,  # by the firmware, as they are under the robot's own id
         "obeyed": 40 * 2,  # to observe, and to end the tick
         "disobeyed": 0,
         "unsettled": 0,
@@ -354,7 +357,7 @@ def test_a_node_that_a_driver_commands_for_40_ticks_reports_the_frames_that_it_s
 
 
 def test_a_node_reports_its_setup_and_why_it_ended(capsys: pytest.CaptureFixture[str]) -> None:
-    """The report has the setup of robot 5, and that it ended after its 40 ticks."""
+    """The report has the setup of robot 5, with the options b_hat and comms_period, and its 40 ticks."""
     run_robot_5()
     report = json.loads(capsys.readouterr().out)
 
@@ -375,9 +378,6 @@ def test_a_node_with_the_setup_that_another_reported_ends_in_the_same_state(
     assert json.loads(capsys.readouterr().out) == first_report
 
 
-SETUP = '{"id": 5, "b_hat": 0.7, "filter": "robust"}'
-
-
 @pytest.mark.parametrize(
     "option", ["--id=5", "--b-hat=0.95", "--filter=robust", "--neighbours=3", "--allow=3"]
 )
@@ -385,14 +385,16 @@ def test_a_setup_together_with_an_option_that_it_replaces_is_refused(
     option: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """The error names both, also if the option has its default value, as ``--b-hat=0.95``."""
-    assert main(["node", "--setup", SETUP, option]) == 2
+    setup = '{"id": 5, "b_hat": 0.7, "filter": "robust"}'
+    assert main(["node", "--setup", setup, option]) == 2
     error_line, _hint = capsys.readouterr().err.splitlines()
+    name_of_option, _, _value = option.partition("=")
     assert "--setup" in error_line
-    assert option.partition("=")[0] in error_line
+    assert name_of_option in error_line
 
 
 @pytest.mark.parametrize(
-    ("setup_text", "complaint"),
+    ("setup_text", "expected_message"),
     [
         ('{"id": 5', "--setup is no JSON (Expecting ',' delimiter: line 1 column 9"),
         ("[" * 100_000, "--setup is no JSON (maximum recursion depth"),
@@ -404,18 +406,18 @@ def test_a_setup_together_with_an_option_that_it_replaces_is_refused(
     ],
 )
 def test_a_node_refuses_a_setup_that_describes_no_robot(
-    setup_text: str, complaint: str, capsys: pytest.CaptureFixture[str]
+    setup_text: str, expected_message: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """The exit code is 2, and the error names the value and what to do about it."""
     assert main(["node", "--setup", setup_text]) == 2
     error_line, _hint = capsys.readouterr().err.splitlines()
-    assert error_line.startswith(f"mcp-asdf node: error: {complaint}")
+    assert error_line.startswith(f"mcp-asdf node: error: {expected_message}")
 
 
 def test_the_log_of_a_node_is_replayed_with_the_frames_that_others_sent_under_its_id(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    """The replay counts three estimates that came under the id of the node, robot 5."""
+    """Three estimates come under the id of the node, robot 5, from another node. The replay counts them."""
     run_robot_5("--log", f"{tmp_path}/run.log")
     assert main(["replay", f"{tmp_path}/run.log"]) == 0
     assert "3  frames under a robot's id that it did not send" in capsys.readouterr().out
@@ -425,7 +427,7 @@ def test_the_log_of_a_node_is_replayed_with_the_frames_that_others_sent_under_it
 
 
 @pytest.mark.parametrize(
-    ("alphas", "jumps"),
+    ("alphas", "expected_jumps"),
     [
         ([40.0] * 32 + [80.0], 1),
         ([40.0] * 32 + [79.999], 0),
@@ -437,12 +439,18 @@ def test_the_log_of_a_node_is_replayed_with_the_frames_that_others_sent_under_it
     ],
 )
 def test_an_alpha_that_is_twice_the_one_before_counts_as_a_jump_after_32_estimates(
-    alphas: list[float], jumps: int
+    alphas: list[float], expected_jumps: int
 ) -> None:
-    """An alpha is the confidence of an estimate. A robot, 6, sends these one after the other."""
+    """An alpha is the confidence of an estimate. Robot 6 sends these one after the other.
+
+    The 32 estimates are counted anew after an alpha that is half of the one before, as of a new robot.
+    """
     watch = AlphaWatch()
-    is_jump = [watch.is_jump(6, alpha_word_from_float(alpha)) for alpha in alphas]
-    assert is_jump.count(True) == jumps
+    jumps = 0
+    for alpha in alphas:
+        if watch.is_jump(6, alpha_word_from_float(alpha)):
+            jumps += 1
+    assert jumps == expected_jumps
 
 
 OWN_ID, ALLOWED_ID, OTHER_ID = 5, 6, 30
@@ -482,13 +490,14 @@ def test_a_node_counts_suspicious_estimates_and_drops_those_of_ids_that_are_not_
     The two under the node's own id are not dropped: they reach the firmware, which refuses them. Those of
     robot 30 are not allowed. A jump is a confidence alpha that doubles.
     """
-    report, _ = run_among_suspicious_neighbours(capsys)
+    report, _errors = run_among_suspicious_neighbours(capsys)
     frames = report["results"]["frames"]
 
     assert frames["delivered"] == 33 + 2
     assert frames["refused"] == 32 + 2
-    events = [(event["event"], event["sender"], event["estimates"]) for event in frames["events"]]
-    assert sorted(events) == [("conflict", 5, 2), ("jump", 6, 1), ("unknown", 30, 3)]
+    events = sorted((event["event"], event["sender"], event["estimates"]) for event in frames["events"])
+    two_under_its_own_id, one_jump, three_unknown = ("conflict", 5, 2), ("jump", 6, 1), ("unknown", 30, 3)
+    assert events == [two_under_its_own_id, one_jump, three_unknown]
 
 
 def test_a_node_warns_once_of_each_kind_of_suspicious_estimates_and_each_sender(
@@ -498,7 +507,7 @@ def test_a_node_warns_once_of_each_kind_of_suspicious_estimates_and_each_sender(
 
     They are under the id of the node itself, 5, or of robot 30, which is not allowed, or jump, of robot 6.
     """
-    _, errors = run_among_suspicious_neighbours(capsys)
+    _report, errors = run_among_suspicious_neighbours(capsys)
     warnings = [line for line in errors.splitlines() if ": node " in line]
 
     assert sorted(warnings) == [
@@ -551,10 +560,15 @@ def test_a_node_that_is_asked_to_end_stops_after_its_tick_and_its_log_can_be_rep
     capsys: pytest.CaptureFixture[str],
     tmp_path: Path,
 ) -> None:
-    """A signal or the end of input asks the node to end. It reports one tick. ``replay`` accepts its log."""
+    """A signal or, with None, the end of its input asks the node to end. It reports one tick.
+
+    Only a run of so many steps has been interrupted then, and has the exit code of the signal. ``replay``
+    accepts the log of each.
+    """
     arguments = [*options, "--log", f"{tmp_path}/run.log"]
     assert run_robot_3_until_it_is_asked_to_end(arguments, ending_signal) == exit_code
-    assert "1 ticks as robot 3; stopped" in " ".join(capsys.readouterr().out.split())
+    words_of_output = capsys.readouterr().out.split()
+    assert "1 ticks as robot 3; stopped" in " ".join(words_of_output)
     assert main(["replay", f"{tmp_path}/run.log"]) == 0
 
 
@@ -563,11 +577,11 @@ def test_a_node_that_has_ended_says_how_to_run_it_again_and_has_restored_the_han
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     """It ends by SIGINT, and prints its command. Then signals have the handlers that they had before."""
-    handlers = [signal.getsignal(number) for number in ENDING_SIGNALS]
+    handlers_before = [signal.getsignal(number) for number in ENDING_SIGNALS]
     run_robot_3_until_it_is_asked_to_end(["--b-hat", "0.7"], signal.SIGINT)
 
     assert "again: mcp-asdf node --id 3 --b-hat 0.7\n" in capsys.readouterr().out
-    assert [signal.getsignal(number) for number in ENDING_SIGNALS] == handlers
+    assert [signal.getsignal(number) for number in ENDING_SIGNALS] == handlers_before
 
 
 MESSAGES_BY_WRONG_OPTIONS = {
@@ -587,19 +601,19 @@ MESSAGES_BY_WRONG_OPTIONS = {
 }
 
 
-@pytest.mark.parametrize(("arguments", "message"), MESSAGES_BY_WRONG_OPTIONS.items())
+@pytest.mark.parametrize(("arguments", "expected_message"), MESSAGES_BY_WRONG_OPTIONS.items())
 def test_a_wrong_option_of_the_command_node_is_reported_and_no_file_is_written(
     arguments: str,
-    message: str,
+    expected_message: str,
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
     tmp_path: Path,
 ) -> None:
-    """The exit code is 2, and the message says what is wrong."""
+    """The exit code is 2, and the error output says what is wrong. Nothing else is printed."""
     monkeypatch.chdir(tmp_path)
     assert main(["node", *shlex.split(arguments)]) == 2
     output = capsys.readouterr()
 
-    assert message in output.err
+    assert expected_message in output.err
     assert output.out == ""
     assert not list(tmp_path.iterdir())
