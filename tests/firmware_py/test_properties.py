@@ -345,7 +345,8 @@ def test_black_and_white_are_treated_alike(
     """Properties I15 and I16: with the colours exchanged the robot estimates the share of the other colour.
 
     So it does with a sensor that shows the other colour, and with both exchanged it estimates the same. b_hat
-    is in units of 2**-32, and ``share`` the share of black observations in the same units. ``z`` is one more.
+    is in units of 2**-32, and ``share`` the share of black observations in the same units. ``z`` is one more
+    observation, after which the robot estimates.
     """
     n = t * share // 2**32
     x_hat, alpha = estimate_after_observation(firmware, t, n, b_hat, z)
@@ -355,6 +356,7 @@ def test_black_and_white_are_treated_alike(
     with_other_sensor = estimate_after_observation(firmware, t, n, other_b_hat, z)
     with_both = estimate_after_observation(firmware, t, other_n, other_b_hat, other_z)
 
+    # The confidence alpha is always the same.
     assert with_other_colours == (ONE - x_hat, alpha)
     assert with_other_sensor == (ONE - x_hat, alpha)
     assert with_both == (x_hat, alpha)

@@ -127,7 +127,8 @@ def test_the_seed_of_a_recorded_run_of_the_authors_gives_its_observations_again(
 def test_robots_compute_what_the_authors_programs_did_until_the_first_filter() -> None:
     """A recorded run is repeated, and repeat_run_and_compare() asserts that every number is the recorded one.
 
-    The filters run in step 1000. Until step 1001 the paper and the authors' programs agree on everything.
+    The filters run in step 1000. Until step 1001 the paper and the authors' programs agree on everything, as
+    far as these have the paper's m - 1 degrees of freedom, as in the block "m-1" of the recording.
     """
     data = load_trace("A_f95_b55_flw95x3_plus")
     assert data["num_robots"] == 10
@@ -183,7 +184,7 @@ exactly = settings(deadline=None, database=None, derandomize=True, max_examples=
 def test_a_robot_s_estimate_is_the_likeliest_share_of_black(n_and_t: tuple[int, int], b: Fraction) -> None:
     """The robot has seen n black of t tiles, by a sensor that is right with probability b.
 
-    Where the likelihood is largest its slope is 0, or it falls from the end of the range on.
+    At the maximum of the likelihood its slope is 0, unless the maximum is at an end of the range.
     """
     n, t = n_and_t
 
@@ -439,11 +440,14 @@ def test_robots_that_all_receive_each_other_s_estimates_believe_the_same_to_the_
 def test_t_scores_are_those_of_scipy_and_the_authors_have_one_degree_of_freedom_more(
     m: int, omega: float
 ) -> None:
-    """m is the number of neighbours, omega the probability between -t and t; half of the rest is above."""
+    """m is the number of neighbours, omega the probability between -t and t; half of the rest is above t.
+
+    scipy computes the t above which there is a given probability.
+    """
     probability_above = (1 - omega) / 2
-    paper, authors = t_score(m, omega), t_score(m, omega, AUTHORS)
-    assert paper == pytest.approx(stats.t.isf(probability_above, df=m - 1), rel=1e-9)
-    assert authors == pytest.approx(stats.t.isf(probability_above, df=m), rel=1e-9)
+    paper_t, authors_t = t_score(m, omega), t_score(m, omega, AUTHORS)
+    assert paper_t == pytest.approx(stats.t.isf(probability_above, df=m - 1), rel=1e-9)
+    assert authors_t == pytest.approx(stats.t.isf(probability_above, df=m), rel=1e-9)
 
 
 def tolerated_distance(neighbours: Sequence[float], omega: float) -> float:
@@ -613,7 +617,10 @@ def test_only_the_authors_robots_may_assume_an_accuracy_next_to_0_or_1(
 
 @pytest.mark.parametrize(("n", "b"), [(0, 1.0), (5, 0.0), (0, 0.0), (5, 1.0)])
 def test_a_perfect_sensor_has_no_finite_confidence_after_one_colour(n: int, b: float) -> None:
-    """It is always right or always wrong, b = 1 or 0, and 5 tiles had one colour: eq. 4 divides by 0."""
+    """It is always right or always wrong, b = 1 or 0, and n of 5 tiles, all or none, are black.
+
+    There eq. 4 divides by 0.
+    """
     with pytest.raises(ZeroDivisionError):
         local_confidence(n, t=5, b=b)
 
@@ -654,9 +661,9 @@ OMEGA = 0.05
 def test_an_equation_outside_its_domain_raises_and_names_the_value(
     equation: Callable[..., object], arguments: tuple[object, ...]
 ) -> None:
-    """``equation`` is a function for an equation, and one of its arguments is impossible: 5 black of 3 tiles.
+    """``equation`` is a function for an equation of the paper, and an argument is impossible.
 
-    It raises ValueError, with a message such as "n is 5". Other arguments are nan or inf.
+    For 5 black of 3 tiles the message is "n is 5 and t 3; counts are 0 <= n <= t". Others name nan or inf.
     """
     with pytest.raises(ValueError, match=r" (is|has) .*(nan|inf|\d)"):
         equation(*arguments)

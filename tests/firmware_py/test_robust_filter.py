@@ -608,7 +608,7 @@ def test_a_robot_keeps_its_accuracy_at_the_very_limit_of_its_test(
     equal are rare, and were searched for: with a t of 3804264 both are 43681824.
     """
     largest_b_hat = 2**32 - 2**12  # 1 - 2**-20 in units of 2**-32
-    counts = {"t": t, "n": 3227, "batch_t": t, "batch_n": 3227}
+    counts = {"t": t, "n": 3227, "batch_t": t, "batch_n": 3227}  # a new batch has just begun
     b_hats = {"b_hat": largest_b_hat, "initial_b_hat": largest_b_hat}
     robot = restore_robust_robot(firmware, **counts, **b_hats, estimates=[0] * 5)
 
@@ -752,7 +752,7 @@ def test_a_batch_that_is_far_off_counts_as_12_times_the_dispersion(firmware: Fix
     dispersion = dispersion_after_batch(robot, black=0, white=100)
 
     expected_dispersion = 7 / 8 * 1 + 1 / 8 * 12
-    rounding = 1
+    rounding = 1  # integers are rounded down
     assert dispersion == expected_dispersion * 2**8 - rounding  # in units of 2**-8
 
 
@@ -845,10 +845,15 @@ def test_a_robot_whose_observations_vary_more_than_chance_forgives_a_larger_devi
     robot changes its accuracy, and OK where it does not.
     """
     b_hat = round(0.95 * 2**32)  # in units of 2**-32
-    counts = {"t": 1000, "n": 850, "batch_t": 1000, "batch_n": 850}
+    counts = {"t": 1000, "n": 850, "batch_t": 1000, "batch_n": 850}  # a new batch has just begun
     estimates = [int(0.95 * 2**16)] * 5  # five neighbours, in units of 2**-16
     robot = restore_robust_robot(
-        firmware, **counts, b_hat=b_hat, estimates=estimates, dispersion=dispersion * 2**8
+        firmware,
+        **counts,
+        initial_b_hat=b_hat,
+        b_hat=b_hat,
+        estimates=estimates,
+        dispersion=dispersion * 2**8,  # in units of 2**-8
     )
 
     status = robot.settle()  # ends a round, in which the filter runs
@@ -895,7 +900,7 @@ def test_a_saved_robot_has_the_memory_of_its_filter_in_the_documented_order() ->
 
     image = split_image(robot.save())
 
-    shared_word = dispersion << 16 | votes
+    shared_word = (dispersion << 16) | votes
     assert image.filter_words == [21, 22, 23, 24, 25, 26, shared_word, 29]
 
 
@@ -937,7 +942,7 @@ def test_a_saved_robot_has_the_estimates_of_two_slots_in_each_word() -> None:
     image = split_image(robot.save())
 
     quarter, half, three_quarters = 1 << 14, 2 << 14, 3 << 14  # in units of 2**-16
-    first_word = half << 16 | quarter
+    first_word = (half << 16) | quarter
     second_word = three_quarters  # slot 3 is empty
     fourteen_empty_words = [0] * 14
     assert image.estimate_words == [first_word, second_word, *fourteen_empty_words]

@@ -192,7 +192,7 @@ def test_the_dispersion_does_not_fall_below_1() -> None:
 def test_the_dispersion_does_not_rise_above_16_bits_of_the_firmware() -> None:
     """There it is in units of 1/256. Here the last 500 tiles are black, and the 500 before them white.
 
-    That is so far from half that the dispersion, 250, would rise above 256.
+    That is 500 variances off, so the dispersion would rise from 250 to 7/8 * 250 + 500 / 8 = 281.
     """
     observations = Observations(n=500, t=1000, dispersion=250.0)
     dispersion = dispersion_after_batch(observations, batch_black_count=500, batch_count=500)
@@ -244,7 +244,10 @@ def test_the_spread_of_estimates_stays_within_its_limits(
 
 
 def test_an_outlier_moves_the_centre_by_the_spread_alone() -> None:
-    """The outlier, 0.9, is further away than that, and moves the mean of four others by a quarter of it."""
+    """The outlier, 0.9, counts as if it were a spread away from the centre.
+
+    So the mean of the four others moves by a quarter of the spread.
+    """
     estimates = [0.4375, 0.4375, 0.5, 0.5, 0.9]
     mean_of_others = (0.4375 + 0.4375 + 0.5 + 0.5) / 4
 

@@ -38,7 +38,8 @@ def test_a_message_has_the_bytes_that_the_specification_shows() -> None:
     message = encode_message(sender=42, x_hat=ONE, alpha=alpha_word_from_float(1.0))
 
     code_of_x_hat, code_of_alpha = 0xFFFF, 80
-    assert int.from_bytes(message, "little") == 42 << 25 | code_of_x_hat << 9 | code_of_alpha
+    word = (42 << 25) | (code_of_x_hat << 9) | code_of_alpha
+    assert message == word.to_bytes(4, "little")
     assert message == bytes.fromhex("50FEFF55")
 
 
@@ -254,7 +255,7 @@ def test_c_and_python_encode_alpha_alike(c_library: Any) -> None:
             bits_of_mantissa = source.randint(0, 24)
             mantissa = source.getrandbits(bits_of_mantissa)
             shift = source.getrandbits(8)
-            alpha = mantissa << 8 | shift
+            alpha = (mantissa << 8) | shift
 
             assert c_function(alpha, bits) == encode_alpha(alpha, bits), (alpha, bits)
 

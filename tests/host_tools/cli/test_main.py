@@ -316,10 +316,9 @@ def options_of(name: str) -> list[str]:
 @pytest.mark.parametrize("name", cli.COMMANDS)
 def test_the_help_of_a_command_lists_every_option_that_it_accepts(name: str, capsys: Capture) -> None:
     """An option stands in a line of its own, such as "  -v, --verbose  log on standard error ..."."""
-    lines_with_an_option = (
-        r"^  (?:-\w.*?, )?(--[\w-]+)"  # two spaces, perhaps a short name, and the long name
-    )
-    listed_options = re.findall(lines_with_an_option, help_of(name, capsys), re.MULTILINE)
+    # Two spaces, perhaps a short name, and the long name.
+    line_with_an_option = r"^  (?:-\w.*?, )?(--[\w-]+)"
+    listed_options = re.findall(line_with_an_option, help_of(name, capsys), re.MULTILINE)
     assert sorted(listed_options) == sorted(options_of(name))
 
 

@@ -170,7 +170,10 @@ def read_events_at_printed_address(capsys: Capture) -> str:
 def test_a_command_serves_the_states_of_a_swarm_while_it_waits_for_ctrl_c(
     command: str, options: str, monkeypatch: pytest.MonkeyPatch, capsys: Capture
 ) -> None:
-    """The commands are ``view run.log`` and ``swarm --view``. Here the page is read in place of the wait."""
+    """The commands are ``view run.log`` and ``swarm --view``. Here the page is read in place of the wait.
+
+    A page reads its data as a stream of events.
+    """
     event_streams: list[str] = []
 
     def read_page(_should_stop: Callable[[], bool]) -> None:
@@ -181,6 +184,7 @@ def test_a_command_serves_the_states_of_a_swarm_while_it_waits_for_ctrl_c(
     [served_events] = event_streams
 
     assert served_events.startswith("event: description\n")
+    assert "\nevent: block\n" in served_events, "a block of states"
     assert served_events.endswith("event: end\ndata: null\n\n")
 
 
@@ -314,7 +318,7 @@ def test_view_plot_and_swarm_refuse_what_they_cannot_show_in_two_lines_and_write
 ) -> None:
     """For example ``view run.log --export out.pdf``: "choose a name that ends in .html".
 
-    All files that these commands would write are called out.
+    The pages and pictures that these commands would write are called out.html or out.svg.
     """
     assert main(refused_line.split()) == 2
     output, errors = capsys.readouterr()
