@@ -122,10 +122,10 @@ def test_each_question_of_a_user_is_answered_by_a_claim_that_exists() -> None:
     assert names_of_answering_claims <= {claim.name for claim in CLAIMS}
 
 
-def test_words_for_sizes_and_levels_are_the_points_that_the_page_about_the_study_says() -> None:
+def test_the_papers_words_for_sizes_and_levels_stand_for_these_numbers() -> None:
     """Sizes are the smallest differences that count: of scores, of a rank correlation, and of b_hat.
 
-    A level is a score from 0 to 100. The paper's words stand for these numbers.
+    A level is a score from 0 to 100. The page about the study explains these choices.
     """
     assert SIZES == {
         "seen": 2,

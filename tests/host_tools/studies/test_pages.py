@@ -9,36 +9,32 @@ from PIL import Image
 
 from benchmarks import pages
 
-PAGE_WITH_OLD_NUMBERS = """Words.
 
-<!-- filters -->
-| H | no filter |
-|---|---|
-| moving | old |
-| other | old |
-<!-- end -->
+def marked_table(mark: str, *rows: str) -> str:
+    """Return a table in Markdown with these rows, between its mark and the mark of its end."""
+    return "\n".join([f"<!-- {mark} -->", "| H | no filter |", "|---|---|", *rows, "<!-- end -->"])
 
-More words."""
 
-PAGE_WITH_NEW_ROW = PAGE_WITH_OLD_NUMBERS.replace("| moving | old |", "| moving | new |")
-
-TABLES_OF_STUDY = """<!-- filters -->
-| H | no filter |
-|---|---|
-| moving | new |
-| not on the page | new |
-<!-- end -->"""
+def page_with(table: str) -> str:
+    """Return a page with words before and after a table."""
+    return f"Words.\n\n{table}\n\nMore words."
 
 
 def test_rows_of_a_table_on_a_page_are_replaced_by_those_of_the_study_and_no_other_row_is_added() -> None:
-    """The page has the rows "moving" and "other"; the study has "moving" and one that the page lacks."""
-    assert pages.update_tables(PAGE_WITH_OLD_NUMBERS, TABLES_OF_STUDY) == PAGE_WITH_NEW_ROW
+    """A row that the study lacks stays as it is."""
+    page = page_with(marked_table("filters", "| moving | old |", "| not in study | old |"))
+    tables_of_study = marked_table("filters", "| moving | new |", "| not on page | new |")
+
+    updated_page = pages.update_tables(page, tables_of_study)
+
+    assert updated_page == page_with(marked_table("filters", "| moving | new |", "| not in study | old |"))
 
 
 def test_a_table_on_a_page_that_the_study_does_not_have_stays_as_it_is() -> None:
-    """A table has the name in the comment above it. The page has "filters", and the study only "other"."""
-    tables_of_study = TABLES_OF_STUDY.replace("<!-- filters -->", "<!-- other -->")
-    assert pages.update_tables(PAGE_WITH_OLD_NUMBERS, tables_of_study) == PAGE_WITH_OLD_NUMBERS
+    """The study has a table with the same row, but with another mark."""
+    page = page_with(marked_table("filters", "| moving | old |"))
+    tables_of_study = marked_table("peers", "| moving | new |")
+    assert pages.update_tables(page, tables_of_study) == page
 
 
 @pytest.fixture
@@ -61,51 +57,21 @@ def test_the_tool_puts_the_tables_of_a_study_into_its_page_and_its_picture_besid
     project: Path, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
     """The study of ageing sensors has written ageing.md and ageing.png into a folder of results."""
-    (project / "docs/internals/ageing.md").write_text(PAGE_WITH_OLD_NUMBERS)
+    page = project / "docs/internals/ageing.md"
+    page.write_text(page_with(marked_table("filters", "| moving | old |")))
     results = tmp_path_factory.mktemp("results")
-    (results / "ageing.md").write_text(TABLES_OF_STUDY)
+    (results / "ageing.md").write_text(marked_table("filters", "| moving | new |"))
     Image.new("RGB", (4, 4)).save(results / "ageing.png")
 
-    assert run_tool("ageing", folder_of_results=results) == 0
+    exit_code = run_tool("ageing", folder_of_results=results)
 
-    assert (project / "docs/internals/ageing.md").read_text() == PAGE_WITH_NEW_ROW
+    assert exit_code == 0
+    assert page.read_text() == page_with(marked_table("filters", "| moving | new |"))
     with Image.open(project / "docs/images/ageing.webp") as picture:
         assert picture.format == "WEBP"
 
 
 # --- The paper's study -----------------------------------------------------------------------------------
-
-REPORT = """# The study
-
-1 of 2 claims hold.
-
-| for a user | dynamic |
-|---|---|
-| Is it 1 of 2? | [yes](#a), 1 of 1 |
-
-## What was run
-
-30 trials
-
-## Claims
-
-Many."""
-
-OVERVIEW_OF_REPORT = """1 of 2 claims hold.
-
-| for a user | dynamic |
-|---|---|
-| Is it 1 of 2? | yes |
-
-### What was run
-
-30 trials"""
-
-COMPARISONS = """claim,part,verdict,holds
-first,dynamic,agree,yes
-second,dynamic,mixed,yes
-second,dynamic,mixed,no
-"""
 
 
 def study_page(results: str) -> str:
@@ -118,8 +84,8 @@ def folder_of_report(project: Path, tmp_path_factory: pytest.TempPathFactory) ->
     """A folder with the report of a study; the project has a page of the study with old results."""
     (project / "docs/internals/study.md").write_text(study_page(results="old"))
     folder = tmp_path_factory.mktemp("report")
-    (folder / "report.md").write_text(REPORT)
-    (folder / "comparisons.csv").write_text(COMPARISONS)
+    (folder / "report.md").write_text("# The study\n\n1 of 2 claims hold.\n\n## Claims\n\nMany.")
+    (folder / "comparisons.csv").write_text("claim,part,verdict,holds\nfirst,dynamic,agree,yes\n")
     return folder
 
 
@@ -127,10 +93,24 @@ def test_the_tool_puts_the_beginning_of_a_report_without_its_links_into_the_page
     project: Path, folder_of_report: Path
 ) -> None:
     """The report's title and its section "Claims" are left out, and its headings are a level lower."""
+    table_head = "| for a user | dynamic |\n|---|---|\n"
+    (folder_of_report / "report.md").write_text(
+        "# The study\n\n"
+        "1 of 2 claims hold.\n\n"
+        f"{table_head}| Is it 1 of 2? | [yes](#a), 1 of 1 |\n\n"
+        "## What was run\n\n30 trials\n\n"
+        "## Claims\n\nMany."
+    )
+
     assert run_tool("study", folder_of_results=folder_of_report) == 0
 
+    beginning_of_report = (
+        "1 of 2 claims hold.\n\n"
+        f"{table_head}| Is it 1 of 2? | yes |\n\n"
+        "### What was run\n\n30 trials"
+    )  # fmt: skip
     page = (project / "docs/internals/study.md").read_text()
-    assert page == study_page(results=OVERVIEW_OF_REPORT)
+    assert page == study_page(results=beginning_of_report)
 
 
 def test_the_tool_records_for_each_claim_its_verdict_and_how_many_comparisons_hold(
@@ -140,6 +120,13 @@ def test_the_tool_records_for_each_claim_its_verdict_and_how_many_comparisons_ho
 
     A recorded line ends in the number of comparisons that hold, and in the number of all.
     """
+    (folder_of_report / "comparisons.csv").write_text(
+        "claim,part,verdict,holds\n"
+        "first,dynamic,agree,yes\n"
+        "second,dynamic,mixed,yes\n"
+        "second,dynamic,mixed,no\n"
+    )  # fmt: skip
+
     run_tool("study", folder_of_results=folder_of_report)
 
     assert (project / "tests/data/study_verdicts.csv").read_text().splitlines() == [

@@ -236,12 +236,16 @@ def test_a_study_with_another_seed_is_refused_in_the_folder_of_one_and_leaves_it
 
 
 def test_a_firmware_of_the_user_s_runs_in_the_60_swarms_of_asdf_minus_and_asdf_plus() -> None:
-    """The swarms are listed with the study's trials and steps, and with the shortest filter period."""
+    """Each of four pairs of f and b has both filters with three percentages of flawed robots.
+
+    These assume one of two accuracies. ASDF- and ASDF+ are one swarm where all robots are flawed, and where
+    none is. The swarms have the study's trials and steps, and the shortest filter period.
+    """
     size = StudySize(trials=2, steps=4000)
     experiments = own_experiments_of(StudyPart.DYNAMIC, size, firmware="mirror", filter_name=None)
 
     different_experiments = set(experiments)
-    assert len(experiments) == 60
+    assert len(experiments) == 4 * (2 * (2 * 3 + 1) + 1)
     assert len(different_experiments) == 60
     assert values_of(experiments, "firmware") == {"mirror"}
     assert values_of(experiments, "trials") == {2}
@@ -251,12 +255,12 @@ def test_a_firmware_of_the_user_s_runs_in_the_60_swarms_of_asdf_minus_and_asdf_p
 
 
 def test_a_filter_of_the_user_s_runs_once_where_asdf_minus_and_asdf_plus_are_two_swarms() -> None:
-    """The paper's two filters have 60 swarms, and the robust one takes the place of both."""
+    """The paper's two filters have 60 swarms. 24 of these differ only in the filter from another one."""
     experiments = own_experiments_of(StudyPart.DYNAMIC, StudySize(), firmware="native", filter_name="robust")
 
     different_experiments = set(experiments)
-    assert len(experiments) == 36
-    assert len(different_experiments) == 36
+    assert len(experiments) == 60 - 24
+    assert len(different_experiments) == 60 - 24
     assert values_of(experiments, "filter") == {"robust"}
 
 

@@ -133,12 +133,14 @@ def test_a_cell_of_the_grid_has_score_late_error_error_at_convergence_and_harm(
 
 @pytest.mark.usefixtures("few_resamples")
 def test_a_cell_of_other_tables_has_both_errors_and_the_percentage_of_harmed_robots() -> None:
-    """The error of underconfident robots stands before the error of overconfident ones. None is harmed."""
+    """The error of underconfident robots stands before the error of overconfident ones. None is harmed.
+
+    The floor of underconfident swarms is 0.55 black, and the floor of overconfident ones 0.95.
+    """
     underconfident = two_trials_with(**FLAWS["underconfident"], x=0.65, b_hat=0.95)
     overconfident = two_trials_with(**FLAWS["overconfident"], x=0.75, b_hat=0.55)
 
-    error_of_underconfident = 0.65 - 0.55  # of whose floor 0.55 is black
-    error_of_overconfident = 0.95 - 0.75
+    error_of_underconfident, error_of_overconfident = 0.65 - 0.55, 0.95 - 0.75
     assert robust_filter.errors_text([overconfident, underconfident]) == (
         f"{error_of_underconfident:.3f}, {error_of_overconfident:.3f}, 0.0 %"
     )

@@ -158,7 +158,8 @@ def test_an_error_shows_its_interval_if_an_end_is_more_than_a_tenth_of_the_error
 ) -> None:
     """All robots estimate 0.6 in the first trial, 0.1 from f. In the second they are 0.11 or 0.2 from it.
 
-    The error is the mean of both trials. Resamples have either trial twice, so the interval is as wide.
+    The error is the mean of both trials, and the interval reaches from one to the other: 0.100 to 0.110 is
+    within a tenth of 0.105, and 0.100 to 0.200 is not within a tenth of 0.150.
     """
     x_by_trial_sample_and_robot = [[[0.6] * 4], [[x_of_second_trial] * 4]]
     trials = two_trials_with(fill_ratio=0.5, x=x_by_trial_sample_and_robot)
@@ -173,12 +174,14 @@ def test_a_plain_error_has_no_interval_even_if_trials_differ() -> None:
 
 
 def test_the_error_of_underconfident_swarms_stands_before_that_of_overconfident_ones() -> None:
-    """The test passes overconfident swarms first. A cell with only overconfident swarms has one error."""
+    """The test passes overconfident swarms first. A cell with only overconfident swarms has one error.
+
+    The floor of underconfident swarms is 0.55 black, and the floor of overconfident ones 0.95.
+    """
     underconfident = two_trials_with(**FLAWS["underconfident"], x=0.75)
     overconfident = two_trials_with(**FLAWS["overconfident"], x=0.9)
 
-    error_of_underconfident = 0.75 - 0.55  # of whose floor 0.55 is black
-    error_of_overconfident = 0.95 - 0.9
+    error_of_underconfident, error_of_overconfident = 0.75 - 0.55, 0.95 - 0.9
     assert study_program.under_and_over_text([overconfident, underconfident]) == (
         f"{error_of_underconfident:.3f}, {error_of_overconfident:.3f}"
     )
@@ -208,25 +211,43 @@ def test_a_table_has_labelled_rows_and_a_column_for_each_filter_that_a_row_needs
 def test_the_tables_of_a_study_are_written_between_their_marks_below_a_title_and_a_note(
     tmp_path: Path,
 ) -> None:
-    """A mark is a comment with the name of the table that follows."""
+    """A mark is a comment with the name of the table that follows. The file ends in a line end."""
     tables = {"first": "| 1 |", "second": "| 2 |"}
     study_program.write_tables(tmp_path / "study.md", title="A study", tables=tables, note="Means.")
 
-    assert (tmp_path / "study.md").read_text() == (
-        "# A study\n\nMeans.\n\n<!-- first -->\n| 1 |\n<!-- end -->\n\n<!-- second -->\n| 2 |\n<!-- end -->\n"
-    )
+    assert (tmp_path / "study.md").read_text().split("\n") == [
+        "# A study",
+        "",
+        "Means.",
+        "",
+        "<!-- first -->",
+        "| 1 |",
+        "<!-- end -->",
+        "",
+        "<!-- second -->",
+        "| 2 |",
+        "<!-- end -->",
+        "",
+    ]
 
 
 # --- Programs ------------------------------------------------------------------------------------------
 
 
-def run_experiment(experiment: Experiment, folder: Path, quick: bool = False, workers: int = 1) -> Trials:
+def run_experiment(
+    experiment: Experiment,
+    folder: Path,
+    *,
+    quick: bool = False,
+    workers: int = 1,
+    sampling_interval: int = 50,
+) -> Trials:
     """Run an experiment as a study's program does, and return its trials.
 
-    The experiment is the only one of a table "a" with a single row. Values are recorded every 50 steps.
+    The experiment is the only one of a table "a" with a single row.
     """
     arguments = argparse.Namespace(folder=folder, workers=workers, quick=quick)
-    results_by_row = study_program.run_rows("a", {"row": [experiment]}, arguments, record=50)
+    results_by_row = study_program.run_rows("a", {"row": [experiment]}, arguments, record=sampling_interval)
     [trials] = results_by_row["row"]
     return trials
 
@@ -250,7 +271,7 @@ def test_the_results_of_a_study_are_recorded_and_written_to_a_file_in_a_new_fold
     folder = tmp_path / "new folder"
     experiment = Experiment(robots=3, flawed=1, steps=400, filter_period=100, trials=3)
 
-    trials = run_experiment(experiment, folder)
+    trials = run_experiment(experiment, folder, sampling_interval=50)
 
     assert trials.experiment == experiment
     assert trials.sampling_interval == 50
@@ -316,7 +337,11 @@ def folders_of_tiny_programs(tmp_path_factory: pytest.TempPathFactory) -> dict[s
 def test_the_program_of_a_study_writes_its_tables_and_its_picture(
     study: str, marks: list[str], folders_of_tiny_programs: dict[str, Path]
 ) -> None:
-    """The Markdown file of the study has a table after each mark, such as <!-- grid -->."""
+    """The Markdown file of the study has a table after each mark, such as <!-- grid -->.
+
+    Each table of the tiny programs has a single row with two experiments, without a filter and with the
+    robust one.
+    """
     folder = folders_of_tiny_programs[study]
 
     tables = tables_in(folder / f"{study}.md")
@@ -427,7 +452,7 @@ def describe_row(label: str, experiments: Sequence[Experiment]) -> str:
 
 
 def test_the_experiments_of_each_study_are_those_by_which_its_page_was_made() -> None:
-    """A file has the columns and the parameters of each row: robots, trials, seed and so on."""
+    """The golden file has the columns and the parameters of each row: robots, trials, seed and so on."""
     descriptions = []
     for rows_of_table in TABLES_OF_STUDIES:
         for label, experiments in rows_of_table().items():

@@ -15,7 +15,7 @@ from mcp_asdf_tools.cli.main import main
 from mcp_asdf_tools.common.versions import own_version
 from support import ROOT, matching_files, require, run
 
-PROGRAM = """\
+PROGRAM_THAT_STARTS_A_ROBOT = """\
 #include "mcp_asdf.h"
 extern const uint32_t mcp_asdf_t_table_omega10_q30[];
 static const mcp_asdf_config_t config = MCP_ASDF_CONFIG_ASDF(mcp_asdf_t_table_omega10_q30);
@@ -34,12 +34,12 @@ target_link_libraries(robot PRIVATE mcp_asdf::mcp_asdf)
 """
 
 
-def write_folder(folder: Path, *options: str) -> None:
+def write_firmware_folder(folder: Path, *options: str) -> None:
     """Run ``mcp-asdf firmware``, which writes the folder."""
     assert main(["firmware", str(folder), *options]) == 0
 
 
-def configure(
+def configure_project(
     project: Path, program: str, *settings: str, folders: tuple[str, ...] = ("vendor/mcp_asdf",)
 ) -> None:
     """Write a CMake project that links a program in C with libraries, and let CMake configure its build.
@@ -52,51 +52,53 @@ def configure(
     run(require("cmake", "cmake"), "-S", project, "-B", project / "build", *settings)
 
 
-def build(
+def build_project(
     project: Path, program: str, *settings: str, folders: tuple[str, ...] = ("vendor/mcp_asdf",)
 ) -> None:
-    """Configure a project as ``configure`` does, and build it."""
-    configure(project, program, *settings, folders=folders)
+    """Configure a project as ``configure_project`` does, and build it."""
+    configure_project(project, program, *settings, folders=folders)
     run("cmake", "--build", project / "build")
 
 
-TABLE_OF_PROGRAM = ("--omega", "0.1", "--neighbours", "30")
-"""Options for the table that PROGRAM uses, mcp_asdf_t_table_omega10_q30."""
+OPTIONS_FOR_TABLE_OF_PROGRAM = ("--omega", "0.1", "--neighbours", "30")
+"""Options for the table that PROGRAM_THAT_STARTS_A_ROBOT uses, mcp_asdf_t_table_omega10_q30."""
 
 
 def test_a_compiler_makes_a_robot_that_starts_of_all_sources_in_the_folder(tmp_path: Path) -> None:
     """The program uses the table in the folder, and ends with exit code 0 if the firmware accepts it."""
-    write_folder(tmp_path / "mcp_asdf", *TABLE_OF_PROGRAM)
-    (tmp_path / "robot.c").write_text(PROGRAM)
-    sources = sorted((tmp_path / "mcp_asdf").glob("*.c"))
-    run("gcc", "-std=c99", f"-I{tmp_path}/mcp_asdf", tmp_path / "robot.c", *sources, "-o", tmp_path / "robot")
+    folder = tmp_path / "mcp_asdf"
+    write_firmware_folder(folder, *OPTIONS_FOR_TABLE_OF_PROGRAM)
+    (tmp_path / "robot.c").write_text(PROGRAM_THAT_STARTS_A_ROBOT)
+
+    sources = sorted(folder.glob("*.c"))
+    run("gcc", "-std=c99", f"-I{folder}", tmp_path / "robot.c", *sources, "-o", tmp_path / "robot")
     run(tmp_path / "robot")
 
 
 @pytest.mark.slow
 def test_a_project_builds_the_folder_with_cmake_and_a_robot_starts(tmp_path: Path) -> None:
     """The program uses the table in the folder, and ends with exit code 0 if the firmware accepts it."""
-    write_folder(tmp_path / "vendor/mcp_asdf", *TABLE_OF_PROGRAM)
-    build(tmp_path, PROGRAM)
+    write_firmware_folder(tmp_path / "vendor/mcp_asdf", *OPTIONS_FOR_TABLE_OF_PROGRAM)
+    build_project(tmp_path, PROGRAM_THAT_STARTS_A_ROBOT, folders=("vendor/mcp_asdf",))
     run(tmp_path / "build/robot")
 
 
 def test_the_folder_has_all_sources_of_the_core_unchanged(tmp_path: Path) -> None:
     """The core is the C firmware without its ports. Each file is compared byte for byte."""
-    write_folder(tmp_path)
+    write_firmware_folder(tmp_path)
     for source in matching_files(ROOT / "c_ref/src", "*.[ch]"):
         assert (tmp_path / source.name).read_bytes() == source.read_bytes()
 
 
 def test_firmware_names_the_array_of_the_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The user declares this array of C in a program, and gives it to the firmware."""
-    write_folder(tmp_path, *TABLE_OF_PROGRAM)
+    write_firmware_folder(tmp_path, "--omega", "0.1", "--neighbours", "30")
     assert "The table is: extern const uint32_t mcp_asdf_t_table_omega10_q30[];" in capsys.readouterr().out
 
 
 def test_firmware_reports_files_and_array_in_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The name of the table's array in C is ``symbol``."""
-    write_folder(tmp_path, *TABLE_OF_PROGRAM, "--json")
+    write_firmware_folder(tmp_path, "--omega", "0.1", "--neighbours", "30", "--json")
     report = json.loads(capsys.readouterr().out)
 
     files_in_folder = [str(path) for path in tmp_path.rglob("*") if path.is_file()]
@@ -107,8 +109,11 @@ def test_firmware_reports_files_and_array_in_json(tmp_path: Path, capsys: pytest
 def test_firmware_prints_the_lines_of_c_that_use_the_folder(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """There is a configuration for each filter, and a line that shows the robot's estimate."""
-    write_folder(tmp_path / "mcp_asdf", "--neighbours", "30")
+    """There is a configuration for each filter, and a line that shows the robot's estimate.
+
+    The configuration of ASDF names the table in the folder, which has the omega 0.05 unless it is given.
+    """
+    write_firmware_folder(tmp_path / "mcp_asdf", "--neighbours", "30")
     output = capsys.readouterr().out
 
     assert "static const mcp_asdf_config_t config = MCP_ASDF_CONFIG_ROBUST;" in output
@@ -117,7 +122,7 @@ def test_firmware_prints_the_lines_of_c_that_use_the_folder(
     assert "mcp_asdf_thousandths(mcp_asdf_x(&robot))" in output
 
 
-TWO_TABLES = """\
+PROGRAM_WITH_TWO_TABLES = """\
 #include "mcp_asdf.h"
 extern const uint32_t mcp_asdf_t_table_omega10_q30[], mcp_asdf_t_table_omega05_q127[];
 static const mcp_asdf_config_t configs[] = {
@@ -132,35 +137,42 @@ int main(void)
 
 
 @pytest.mark.slow
-def test_two_folders_of_one_project_share_the_library(tmp_path: Path) -> None:
-    """Each folder has the library and a table; built twice, its functions would clash."""
-    write_folder(tmp_path / "one", *TABLE_OF_PROGRAM)
-    write_folder(tmp_path / "two")
-    write_folder(tmp_path / "three")  # the table of the second one again
-    build(tmp_path, TWO_TABLES, folders=("one", "two", "three"))
+def test_folders_of_one_project_share_the_library(tmp_path: Path) -> None:
+    """Each folder has the library and a table; built twice, its functions would clash.
+
+    The program uses both tables: for omega 0.1 and 30 neighbours, and the default one.
+    """
+    write_firmware_folder(tmp_path / "one", "--omega", "0.1", "--neighbours", "30")
+    write_firmware_folder(tmp_path / "two")
+    write_firmware_folder(tmp_path / "three")  # the table of the second one again
+    build_project(tmp_path, PROGRAM_WITH_TWO_TABLES, folders=("one", "two", "three"))
     run(tmp_path / "build/robot")
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("folders", [("core", "vendor/mcp_asdf"), ("vendor/mcp_asdf", "core")])
 def test_a_folder_and_the_package_share_the_library(folders: tuple[str, ...], tmp_path: Path) -> None:
-    """A project has the firmware as a CMake package and as a folder; built twice, functions would clash."""
+    """A project has the firmware as a CMake package and as a folder; built twice, functions would clash.
+
+    Either of both comes first.
+    """
     (tmp_path / "core").symlink_to(ROOT / "c_ref")
-    write_folder(tmp_path / "vendor/mcp_asdf", *TABLE_OF_PROGRAM)
-    build(tmp_path, PROGRAM, folders=folders)
+    write_firmware_folder(tmp_path / "vendor/mcp_asdf", *OPTIONS_FOR_TABLE_OF_PROGRAM)
+    build_project(tmp_path, PROGRAM_THAT_STARTS_A_ROBOT, folders=folders)
     run(tmp_path / "build/robot")
 
 
 def test_cmake_refuses_a_project_with_folders_of_two_versions(tmp_path: Path) -> None:
     """Both folders would share one library, which has one version. The second folder is of version 9.8.7."""
-    write_folder(tmp_path / "one")
-    write_folder(tmp_path / "two")
-    cmake_file = tmp_path / "two/CMakeLists.txt"
-    cmake_file.write_text(cmake_file.read_text().replace(own_version(), "9.8.7"))
+    write_firmware_folder(tmp_path / "one")
+    write_firmware_folder(tmp_path / "two")
+    cmake_file_of_two = tmp_path / "two/CMakeLists.txt"
+    cmake_file_of_two.write_text(cmake_file_of_two.read_text().replace(own_version(), "9.8.7"))
 
-    with pytest.raises(AssertionError) as error:
-        configure(tmp_path, TWO_TABLES, folders=("one", "two"))
-    output_of_cmake = " ".join(str(error.value).split())
+    with pytest.raises(AssertionError) as failure:
+        configure_project(tmp_path, PROGRAM_WITH_TWO_TABLES, folders=("one", "two"))
+
+    output_of_cmake = " ".join(str(failure.value).split())  # CMake breaks lines between words
     assert f"another version ({own_version()}) than this folder (9.8.7)" in output_of_cmake
 
 
@@ -188,13 +200,19 @@ FAIL_TO_COMPILE_UNLESS = "#if {}\n#else\n#error the filters are others\n#endif\n
 def test_a_filter_that_is_switched_off_is_left_out_of_header_and_library(
     setting: str, condition: str, config: str, config_of_missing_filter: str, tmp_path: Path
 ) -> None:
-    """The program fails to compile if the header has it, and a robot that needs it does not start."""
-    write_folder(tmp_path / "vendor/mcp_asdf", *TABLE_OF_PROGRAM)
-    program = PROGRAM.replace("MCP_ASDF_CONFIG_ASDF(mcp_asdf_t_table_omega10_q30)", config)
-    build(tmp_path, program + FAIL_TO_COMPILE_UNLESS.format(condition), f"-D{setting}=OFF")
+    """The first program does not use the filter, and fails to compile if the header has it.
+
+    The second program needs the filter. Its robot does not start, so that it ends with exit code 1.
+    """
+    write_firmware_folder(tmp_path / "vendor/mcp_asdf", *OPTIONS_FOR_TABLE_OF_PROGRAM)
+    config_with_table = "MCP_ASDF_CONFIG_ASDF(mcp_asdf_t_table_omega10_q30)"
+    program_without_filter = PROGRAM_THAT_STARTS_A_ROBOT.replace(config_with_table, config)
+    check_of_header = FAIL_TO_COMPILE_UNLESS.format(condition)
+    build_project(tmp_path, program_without_filter + check_of_header, f"-D{setting}=OFF")
     run(tmp_path / "build/robot")
 
-    (tmp_path / "robot.c").write_text(program.replace(config, config_of_missing_filter))
+    program_with_filter = PROGRAM_THAT_STARTS_A_ROBOT.replace(config_with_table, config_of_missing_filter)
+    (tmp_path / "robot.c").write_text(program_with_filter)
     run("cmake", "--build", tmp_path / "build")
     assert subprocess.run([tmp_path / "build/robot"], check=False).returncode == 1
 
@@ -202,13 +220,13 @@ def test_a_filter_that_is_switched_off_is_left_out_of_header_and_library(
 @pytest.mark.slow
 def test_cmake_makes_a_shared_library_if_it_is_asked_for_one(tmp_path: Path) -> None:
     """Its symbols are functions (T) and the read-only table (R), and the program runs with it."""
-    write_folder(tmp_path / "vendor/mcp_asdf", *TABLE_OF_PROGRAM)
-    build(tmp_path, PROGRAM, "-DBUILD_SHARED_LIBS=ON")
-    [library] = (tmp_path / "build").rglob("libmcp_asdf.so")
-    symbols = run("nm", "--dynamic", "--defined-only", library)
+    write_firmware_folder(tmp_path / "vendor/mcp_asdf", *OPTIONS_FOR_TABLE_OF_PROGRAM)
+    build_project(tmp_path, PROGRAM_THAT_STARTS_A_ROBOT, "-DBUILD_SHARED_LIBS=ON")
 
-    assert " T mcp_asdf_alpha\n" in symbols
-    assert " R mcp_asdf_t_table_omega10_q30\n" in symbols
+    [library] = (tmp_path / "build").rglob("libmcp_asdf.so")
+    lines_of_symbols = run("nm", "--dynamic", "--defined-only", library)
+    assert " T mcp_asdf_alpha\n" in lines_of_symbols
+    assert " R mcp_asdf_t_table_omega10_q30\n" in lines_of_symbols
     run(tmp_path / "build/robot")
 
 
@@ -216,15 +234,16 @@ def test_cmake_makes_a_shared_library_if_it_is_asked_for_one(tmp_path: Path) -> 
 def test_cmake_compiles_all_sources_as_position_independent_code_if_it_is_asked_for_it(
     tmp_path: Path,
 ) -> None:
-    """A shared library of the project can contain the firmware then."""
+    """A shared library of the project can contain the firmware then. CMake lists how it calls compilers."""
     folder = tmp_path / "vendor/mcp_asdf"
-    write_folder(folder, *TABLE_OF_PROGRAM)
+    write_firmware_folder(folder, *OPTIONS_FOR_TABLE_OF_PROGRAM)
     settings = ("-DCMAKE_POSITION_INDEPENDENT_CODE=ON", "-DCMAKE_EXPORT_COMPILE_COMMANDS=ON")
-    configure(tmp_path, PROGRAM, *settings)
-    entries = json.loads((tmp_path / "build/compile_commands.json").read_text())
+    configure_project(tmp_path, PROGRAM_THAT_STARTS_A_ROBOT, *settings)
 
-    independent_sources = {entry["file"] for entry in entries if "-fPIC" in entry["command"]}
-    assert {str(source) for source in folder.glob("*.c")} <= independent_sources
+    calls_of_compiler = json.loads((tmp_path / "build/compile_commands.json").read_text())
+    position_independent_sources = {call["file"] for call in calls_of_compiler if "-fPIC" in call["command"]}
+    for source in matching_files(folder, "*.c"):
+        assert str(source) in position_independent_sources
 
 
 # --- Other build systems --------------------------------------------------------------------------------
@@ -254,8 +273,8 @@ target_link_libraries(robot PRIVATE module)
 @pytest.mark.slow
 def test_the_commands_for_zephyr_build_a_robot(tmp_path: Path) -> None:
     """The robot's program is built and ends with exit code 0. Plain CMake replaces Zephyr's functions."""
-    write_folder(tmp_path / "modules/mcp_asdf", *TABLE_OF_PROGRAM)
-    (tmp_path / "robot.c").write_text(PROGRAM)
+    write_firmware_folder(tmp_path / "modules/mcp_asdf", *OPTIONS_FOR_TABLE_OF_PROGRAM)
+    (tmp_path / "robot.c").write_text(PROGRAM_THAT_STARTS_A_ROBOT)
     (tmp_path / "CMakeLists.txt").write_text(ZEPHYR_PROJECT)
     run(require("cmake", "cmake"), "-S", tmp_path, "-B", tmp_path / "build")
     run("cmake", "--build", tmp_path / "build")
@@ -264,7 +283,7 @@ def test_the_commands_for_zephyr_build_a_robot(tmp_path: Path) -> None:
 
 def test_zephyr_finds_the_build_commands_that_module_yml_names(tmp_path: Path) -> None:
     """Zephyr reads module.yml, which says in which folder of ours the commands are."""
-    write_folder(tmp_path)
+    write_firmware_folder(tmp_path)
     module = yaml.safe_load((tmp_path / "zephyr/module.yml").read_text(encoding="utf-8"))
     assert module["name"] == "mcp_asdf"
     assert (tmp_path / module["build"]["cmake"] / "CMakeLists.txt").is_file()
@@ -273,7 +292,7 @@ def test_zephyr_finds_the_build_commands_that_module_yml_names(tmp_path: Path) -
 def test_zephyr_finds_the_option_of_the_library_in_the_file_that_module_yml_names(tmp_path: Path) -> None:
     """Kconfig, Zephyr's reader of options, finds one: whether to build the library."""
     kconfiglib = pytest.importorskip("kconfiglib", reason="kconfiglib is not installed: make setup")
-    write_folder(tmp_path)
+    write_firmware_folder(tmp_path)
     module = yaml.safe_load((tmp_path / "zephyr/module.yml").read_text(encoding="utf-8"))
     options = kconfiglib.Kconfig(str(tmp_path / module["build"]["kconfig"]), warn_to_stderr=False)
     assert [symbol.name for symbol in options.unique_defined_syms] == ["MCP_ASDF"]
@@ -281,14 +300,15 @@ def test_zephyr_finds_the_option_of_the_library_in_the_file_that_module_yml_name
 
 def test_the_manifests_of_platformio_and_arduino_have_our_name_and_version(tmp_path: Path) -> None:
     """PlatformIO reads library.json, whose * stands for any framework, and Arduino library.properties."""
-    write_folder(tmp_path)
+    write_firmware_folder(tmp_path)
     manifest_of_platformio = json.loads((tmp_path / "library.json").read_text())
     assert manifest_of_platformio["name"] == "mcp_asdf"
     assert manifest_of_platformio["version"] == own_version()
     assert manifest_of_platformio["frameworks"] == "*"
 
     lines_of_arduino = (tmp_path / "library.properties").read_text().splitlines()
-    assert {"name=mcp_asdf", f"version={own_version()}"} <= set(lines_of_arduino)
+    assert "name=mcp_asdf" in lines_of_arduino
+    assert f"version={own_version()}" in lines_of_arduino
 
 
 @pytest.mark.slow
@@ -298,14 +318,21 @@ def test_platformio_accepts_the_manifest_for_itself_and_that_for_arduino(
 ) -> None:
     """PlatformIO's own reader finds name and version in both, and its schema refuses neither."""
     pytest.importorskip("platformio", reason="platformio is not installed: make setup")
-    write_folder(tmp_path)
-    manifest = tmp_path / manifest_name
-    output = run(sys.executable, "-c", PLATFORMIO, manifest, PLATFORMIO_CORE_DIR=str(tmp_path / "home"))
+    write_firmware_folder(tmp_path)
+
+    output = run(
+        sys.executable,
+        "-c",
+        PROGRAM_THAT_READS_A_MANIFEST,
+        tmp_path / manifest_name,
+        PLATFORMIO_CORE_DIR=str(tmp_path / "home"),  # keeps PlatformIO out of the user's home
+    )
     values = json.loads(output)
-    assert (values["name"], values["version"]) == ("mcp_asdf", own_version())
+    assert values["name"] == "mcp_asdf"
+    assert values["version"] == own_version()
 
 
-PLATFORMIO = """
+PROGRAM_THAT_READS_A_MANIFEST = """
 import json, sys
 from platformio.package.manifest.parser import ManifestParserFactory
 from platformio.package.manifest.schema import ManifestSchema
@@ -323,11 +350,11 @@ print(json.dumps(values))
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     """A folder that ``mcp-asdf firmware`` has written with its default table."""
-    write_folder(tmp_path)
+    write_firmware_folder(tmp_path)
     return tmp_path
 
 
-def tables_in(folder: Path) -> list[str]:
+def names_of_tables_in(folder: Path) -> list[str]:
     """Return the names of the t-tables in a folder."""
     return [path.name for path in folder.glob("t_table*.c")]
 
@@ -338,45 +365,56 @@ def test_sha256sum_finds_the_files_as_they_were_written(folder: Path) -> None:
 
 
 def test_another_table_takes_the_place_of_the_first(folder: Path) -> None:
-    """The first table was for 127 neighbours. Only the table for 30 is left in the folder."""
-    write_folder(folder, "--neighbours", "30")
-    assert tables_in(folder) == ["t_table_omega05_q30.c"]
+    """The first table was the default one, for 127 neighbours. Only the table for 30 is left."""
+    write_firmware_folder(folder, "--neighbours", "30")
+    assert names_of_tables_in(folder) == ["t_table_omega05_q30.c"]
 
 
 def test_a_changed_file_is_not_replaced(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Somebody has edited a file of the firmware. The command is refused, with exit code 2."""
-    core = folder / "mcp_asdf.c"
-    core.write_text("/* ours */")
+    edited_file = folder / "mcp_asdf.c"
+    edited_file.write_text("/* ours */")
 
-    assert main(["firmware", str(folder)]) == 2
-    assert f"{core} is not as mcp-asdf firmware wrote it; keep it elsewhere" in capsys.readouterr().err
-    assert core.read_text() == "/* ours */"
+    exit_code = main(["firmware", str(folder)])
+
+    assert exit_code == 2
+    message = f"{edited_file} is not as mcp-asdf firmware wrote it; keep it elsewhere"
+    assert message in capsys.readouterr().err
+    assert edited_file.read_text() == "/* ours */"
 
 
 def test_a_file_of_an_earlier_version_is_replaced(folder: Path) -> None:
     """A file is of an earlier version if its checksum stands in the folder, although its text is another."""
-    core, checksums = folder / "mcp_asdf.c", folder / "sha256sums.txt"
-    new_text, old_text = core.read_bytes(), b"/* earlier */"
+    file, checksums = folder / "mcp_asdf.c", folder / "sha256sums.txt"
+    new_text, old_text = file.read_bytes(), b"/* earlier */"
     new_checksum, old_checksum = hashlib.sha256(new_text).hexdigest(), hashlib.sha256(old_text).hexdigest()
-    core.write_bytes(old_text)
+    file.write_bytes(old_text)
     checksums.write_text(checksums.read_text().replace(new_checksum, old_checksum))
-    write_folder(folder)
 
-    assert core.read_bytes() == new_text
+    write_firmware_folder(folder)
+
+    assert file.read_bytes() == new_text
 
 
 def test_a_table_of_somebody_else_is_not_deleted(folder: Path) -> None:
     """The command would delete another table of its own; it is refused, with exit code 2."""
     (folder / "t_table_ours.c").write_text("/* ours */")
-    assert main(["firmware", str(folder)]) == 2
-    assert "t_table_ours.c" in tables_in(folder)
+
+    exit_code = main(["firmware", str(folder)])
+
+    assert exit_code == 2
+    assert "t_table_ours.c" in names_of_tables_in(folder)
 
 
 def test_force_replaces_changed_files_and_deletes_other_tables(folder: Path) -> None:
-    """Without --force the command keeps files that it has not written itself."""
+    """Without --force the command keeps files that it has not written itself.
+
+    Of the tables only the default one is left, for omega 0.05 and 127 neighbours.
+    """
     (folder / "mcp_asdf.c").write_text("/* ours */")
     (folder / "t_table_ours.c").write_text("/* ours */")
-    write_folder(folder, "--force")
 
-    assert tables_in(folder) == ["t_table_omega05_q127.c"]
+    write_firmware_folder(folder, "--force")
+
+    assert names_of_tables_in(folder) == ["t_table_omega05_q127.c"]
     assert (folder / "mcp_asdf.c").read_bytes() == (ROOT / "c_ref/src/mcp_asdf.c").read_bytes()
