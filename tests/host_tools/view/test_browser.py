@@ -30,13 +30,12 @@ if TYPE_CHECKING:
 
 pytestmark = pytest.mark.slow
 
-STEPS, FILTER_PERIOD = 300, 50
 SETTINGS = SwarmSettings(
     robots=8,
     flawed="50%",
-    steps=STEPS,
+    steps=300,
     filter="asdf-minus",
-    filter_period=FILTER_PERIOD,
+    filter_period=50,
     topology="dynamic",
     density=4,
 )
@@ -99,56 +98,70 @@ def wait_for_text(browser: Page, element_id: str, beginning: str) -> None:
 # --- A recording --------------------------------------------------------------------------------------
 
 
-def read_states(browser: Page) -> list[Any]:
+def decode_states_in(browser: Page) -> list[Any]:
     """Return values, neighbours and positions of all states, as the scripts of the web page decode them."""
     states: list[Any] = browser.evaluate(ALL_STATES)
     return states
 
 
+def largest_difference(first: Any, second: Any) -> float:
+    """Return the largest absolute difference between the numbers of two arrays or nested lists."""
+    return float(np.abs(np.array(first) - np.array(second)).max())
+
+
 def test_the_browser_decodes_the_values_links_and_positions_of_all_states(
     browser: Page, page_file: Path, history: History
 ) -> None:
-    """An exported web page holds values as 16-bit numbers, so they differ by one part in 65534 at most."""
+    """An exported web page holds values as 16-bit numbers, so they differ by one part in 65534 at most.
+
+    The part of a value is of 1, and that of a position is of the arena's side.
+    """
     open_file(browser, page_file)
     longest_side = max(SETTINGS.sides)
     states = history.states_since().states
 
-    for shown, state in zip(read_states(browser), states, strict=True):
-        assert state.positions is not None
-        assert np.array_equal(shown["neighbours"], state.neighbours)
-        assert np.abs(np.array(shown["values"]) - state.values).max() <= 1 / 65534
-        assert np.abs(shown["positions"] - state.positions).max() <= longest_side / 65534
+    for decoded_state, state in zip(decode_states_in(browser), states, strict=True):
+        assert np.array_equal(decoded_state["neighbours"], state.neighbours)
+        assert largest_difference(decoded_state["values"], state.values) <= 1 / 65534
+        assert largest_difference(decoded_state["positions"], state.positions) <= longest_side / 65534
 
 
 def test_the_arena_is_drawn_in_many_colours(browser: Page, page_file: Path) -> None:
-    """The colours of floor, links and eight robots blend at their edges into more than 50."""
+    """The colours of floor, links and eight robots blend at their edges into more than 50.
+
+    A script puts the pixels, 32 bits each, into a set, so that each colour is counted once.
+    """
     open_file(browser, page_file)
-    colour_count = browser.evaluate(f"new Set(new Uint32Array({PIXELS_OF_ARENA}.buffer)).size")
-    assert colour_count > 50
+    number_of_colours = browser.evaluate(f"new Set(new Uint32Array({PIXELS_OF_ARENA}.buffer)).size")
+    assert number_of_colours > 50
 
 
 def test_the_header_explains_the_swarm_and_links_to_the_paper_that_is_to_be_cited(
     browser: Page, page_file: Path
 ) -> None:
+    """The explanation of the swarm ends with a link, whose address is that of the paper in CITATION.cff."""
     open_file(browser, page_file)
     assert text_of(browser, "about") == (
         "Each robot guesses the share of black tiles. Half of them misjudge their sensor (orange). "
         "Watch them find out. The truth is 55\N{NO-BREAK SPACE}%. How it works: the paper"
     )
-    paper = browser.locator("#about a").get_attribute("href")
-
-    assert f"url: {paper}\n" in (ROOT / "CITATION.cff").read_text(encoding="utf-8")
+    address_of_paper = browser.locator("#about a").get_attribute("href")
+    citation = (ROOT / "CITATION.cff").read_text(encoding="utf-8")
+    assert f"url: {address_of_paper}\n" in citation
 
 
 def test_an_exported_page_loads_nothing_from_a_network(browser: Page, page_file: Path) -> None:
-    """All that the browser requests is the file itself or data inside it."""
-    requested_schemes = set[str]()
-    browser.on("request", lambda request: requested_schemes.add(request.url.partition(":")[0]))
+    """All that the browser requests is the file itself or data inside it.
+
+    The scheme of an address stands before its first colon. An address in a network has another scheme: https.
+    """
+    requested_addresses = []
+    browser.on("request", lambda request: requested_addresses.append(request.url))
     open_file(browser, page_file)
+
+    requested_schemes = {address.partition(":")[0] for address in requested_addresses}
+    assert "file" in requested_schemes
     assert requested_schemes <= {"file", "data", "blob"}
-
-
-PARTS_OF_PAGE = ("arena", "charts", "figures", "events", "play", "time")
 
 
 @pytest.mark.parametrize(("width", "height"), [(1920, 1080), (1024, 700), (420, 900)])
@@ -159,7 +172,7 @@ def test_arena_charts_and_controls_all_fit_into_the_width_of_a_large_a_small_and
     with new_page(chromium, width, height) as browser:
         open_file(browser, page_file)
         assert browser.evaluate("document.documentElement.scrollWidth") <= width
-        for part in PARTS_OF_PAGE:
+        for part in ("arena", "charts", "figures", "events", "play", "time"):
             box = browser.locator(f"#{part}").bounding_box()
             assert box is not None, part
             assert min(box["width"], box["height"]) > 10, part
@@ -171,7 +184,10 @@ def test_arena_charts_and_controls_all_fit_into_the_width_of_a_large_a_small_and
 def test_the_background_is_dark_where_the_user_prefers_dark_colours(
     browser: Page, page_file: Path, scheme: str, is_dark: bool
 ) -> None:
-    """The browser reports the background as "rgb(16, 20, 26)", from 0 (black) to 255."""
+    """The browser reports the background as "rgb(16, 20, 26)", each from 0 (black) to 255.
+
+    The background is a grey, so its share of red tells if it is dark.
+    """
     open_file(browser, page_file)
     browser.emulate_media(color_scheme=scheme)  # type: ignore[arg-type]
     background = browser.evaluate("getComputedStyle(document.body).backgroundColor")
@@ -187,7 +203,7 @@ def test_a_recording_plays_until_its_last_step_and_stops(browser: Page, page_fil
     """It has 300 steps and is played at the speed of 1000 steps a second."""
     open_file(browser, page_file)
     browser.locator("#speed").select_option("1000")
-    until(browser, f"view.player.tick === {STEPS} && !view.player.isPlaying")
+    until(browser, "view.player.tick === 300 && !view.player.isPlaying")
 
 
 def test_the_play_button_pauses_a_recording_and_continues_it(browser: Page, page_file: Path) -> None:
@@ -210,6 +226,7 @@ def test_moving_the_time_slider_to_200_shows_step_200(browser: Page, page_file: 
 def test_a_click_on_robot_2_in_the_arena_shows_the_values_of_robot_2(browser: Page, page_file: Path) -> None:
     """The values stand in a part of the page with the title "Robot 2, flawed at the start"."""
     open_paused_at_start(browser, page_file)
+    # The canvas may have several pixels for each pixel of the page, in which a click is given.
     x, y = until(browser, "view.arena.centres[2].map((pixel) => pixel / view.arena.pixelRatio)")
     browser.locator("#arena").click(position={"x": x, "y": y})
     until(browser, "view.followedRobot === 2")
@@ -223,15 +240,19 @@ def test_arrow_keys_select_the_next_or_the_previous_of_eight_robots(browser: Pag
     """
     open_paused_at_start(browser, page_file)
     browser.locator("#arena").focus()
-    selected_robots = []
-    for key in ("ArrowRight", "ArrowLeft", "ArrowLeft", "ArrowDown"):
-        browser.keyboard.press(key)
-        selected_robots.append(browser.evaluate("view.followedRobot"))
 
-    assert selected_robots == [0, 7, 6, 7]
+    def selected_robot_after(key: str) -> Any:
+        browser.keyboard.press(key)
+        return browser.evaluate("view.followedRobot")
+
+    assert selected_robot_after("ArrowRight") == 0
+    assert selected_robot_after("ArrowLeft") == 7
+    assert selected_robot_after("ArrowLeft") == 6
+    assert selected_robot_after("ArrowDown") == 7
 
 
 def test_escape_ends_the_selection_of_a_robot(browser: Page, page_file: Path) -> None:
+    """Robot 2 is selected, and then the user presses the key."""
     open_paused_at_start(browser, page_file)
     browser.evaluate("view.followRobot(2)")
     browser.keyboard.press("Escape")
@@ -239,15 +260,21 @@ def test_escape_ends_the_selection_of_a_robot(browser: Page, page_file: Path) ->
 
 
 def test_the_keys_n_and_p_go_to_the_next_and_the_previous_event(browser: Page, page_file: Path) -> None:
-    """An event is, for example, that a robot corrects its estimated accuracy in a step."""
-    open_paused_at_start(browser, page_file)
-    first, second, *_ = browser.evaluate("[...new Set(view.history.events.map(({ tick }) => tick))]")
-    shown_steps = []
-    for key in ("n", "n", "p"):
-        browser.keyboard.press(key)
-        shown_steps.append(browser.evaluate("view.player.tick"))
+    """An event is, for example, that a robot corrects its estimated accuracy in a step.
 
-    assert shown_steps == [first, second, first]
+    Several robots may have events in the same step, where the keys stop once.
+    """
+    open_paused_at_start(browser, page_file)
+    steps_of_events = browser.evaluate("view.history.events.map(({ tick }) => tick)")
+    first_step, second_step, *_ = sorted(set(steps_of_events))
+
+    def shown_step_after(key: str) -> Any:
+        browser.keyboard.press(key)
+        return browser.evaluate("view.player.tick")
+
+    assert shown_step_after("n") == first_step
+    assert shown_step_after("n") == second_step
+    assert shown_step_after("p") == first_step
 
 
 def test_the_button_for_later_events_goes_to_the_next_event(browser: Page, page_file: Path) -> None:
@@ -261,14 +288,17 @@ def test_the_button_for_later_events_goes_to_the_next_event(browser: Page, page_
 def test_a_click_in_the_list_of_events_goes_to_the_event_s_step_and_selects_its_robot(
     browser: Page, page_file: Path
 ) -> None:
-    """Robots correct their accuracies every 50 steps, so the events of a swarm are in such steps."""
+    """Robots correct their accuracies every 50 steps, so the events of a swarm are in such steps.
+
+    At step 300, the end, the list has all events, and its last line is clicked.
+    """
     open_paused_at_start(browser, page_file)
     browser.evaluate("view.player.seek(300)")
     until(browser, "document.querySelectorAll('#events button').length > 0")
     browser.locator("#events button").last.click()
 
     assert browser.evaluate("view.followedRobot !== null")
-    assert browser.evaluate("view.player.tick") % FILTER_PERIOD == 0
+    assert browser.evaluate("view.player.tick") % 50 == 0
 
 
 def test_the_address_in_the_browser_holds_the_shown_step_and_the_selected_robot(
@@ -284,6 +314,7 @@ def test_the_address_in_the_browser_holds_the_shown_step_and_the_selected_robot(
 def test_a_page_opened_at_step_120_and_robot_5_shows_them_and_is_paused(
     browser: Page, page_file: Path
 ) -> None:
+    """The address ends with "#step=120&robot=5". Without it a page plays its recording at once."""
     open_file(browser, page_file, "#step=120&robot=5")
     until(browser, "view.player.tick === 120 && view.followedRobot === 5")
     until(browser, "document.getElementById('time').value === '120'")
@@ -332,7 +363,10 @@ def test_the_header_lists_the_faults_of_a_swarm(browser: Page, page_with_faults:
 
 
 def test_the_figures_at_a_step_leave_out_a_robot_that_is_dead(browser: Page, page_with_faults: Path) -> None:
-    """In step 5 one of two robots is dead, and the other estimates 0.75 of a floor that is half black."""
+    """In step 5 one of two robots is dead, and the other estimates 0.75 of a floor that is half black.
+
+    So its error is 0.25. The only living robot has no spread, and its estimated accuracy is not wrong.
+    """
     open_file(browser, page_with_faults, "#step=5")
     assert text_of(browser, "mean-x") == "0.750"
     assert text_of(browser, "mean-error") == "0.250"
@@ -343,15 +377,20 @@ def test_the_figures_at_a_step_leave_out_a_robot_that_is_dead(browser: Page, pag
 def test_the_first_chart_draws_the_mean_error_in_each_step(browser: Page, page_with_faults: Path) -> None:
     """In step 5 the only living robot estimates 0.75 of a floor that is half black; all else is right."""
     open_file(browser, page_with_faults)
-    steps, mean_errors = browser.evaluate(
-        "view.charts.views[0].plot.data.slice(0, 2).map((series) => [...series])"
-    )
+    first_chart = "view.charts.views[0].plot"
+    steps = browser.evaluate(f"[...{first_chart}.data[0]]")
+    mean_errors = browser.evaluate(f"[...{first_chart}.data[1]]")
+
+    error_in_step_5 = 0.75 - 0.5
     assert steps == [0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10]
-    assert mean_errors == pytest.approx([0, 0, 0, 0, 0, 0.25, 0, 0, 0, 0, 0], abs=1e-4)
+    assert mean_errors == pytest.approx([0, 0, 0, 0, 0, error_in_step_5, 0, 0, 0, 0, 0], abs=1e-4)
 
 
 def test_faults_deaths_and_returns_of_robots_are_events(browser: Page, page_with_faults: Path) -> None:
-    """The list of events has the step and a text of each, such as "4 dead"."""
+    """The list of events has the step and a text of each, such as "4 dead".
+
+    Frames are lost (loss) all the time. A robot lies (liar) from step 2 to 8, and one is dead from 4 to 6.
+    """
     open_file(browser, page_with_faults)
     events = browser.evaluate("view.history.events.map(({ tick, text }) => `${tick} ${text}`)")
     assert events == ["1 fault: loss=0.2", "2 fault: liar=1.0", "4 dead", "7 back", "9 fault over: liar=1.0"]
@@ -365,15 +404,14 @@ def test_events_are_marked_on_the_time_line(browser: Page, page_with_faults: Pat
     open_file(browser, page_with_faults, "#step=5")
     width = browser.evaluate("document.getElementById('marks').width")
     top_row = f"document.getElementById('marks').getContext('2d').getImageData(0, 0, {width}, 1).data"
-    # Four numbers stand for a pixel: red, green, blue and opacity.
-    opacities = browser.evaluate(f"[...{top_row}].filter((_, index) => index % 4 === 3)")
+    colours_of_pixels = np.array(browser.evaluate(f"[...{top_row}]")).reshape(width, 4)
+    _red, _green, _blue, opacities = colours_of_pixels.T
     marked_pixels = np.flatnonzero(opacities)
-    left_pixels_of_marks = marked_pixels[::2]
-    left_pixel_of_last_step = width - 2
+    left_pixels_of_marks = marked_pixels[::2]  # every second one, as a mark has two
 
-    assert left_pixels_of_marks / left_pixel_of_last_step == pytest.approx(
-        [0.1, 0.2, 0.4, 0.7, 0.9], abs=0.01
-    )
+    left_pixel_of_last_step = width - 2
+    positions_of_marks = left_pixels_of_marks / left_pixel_of_last_step
+    assert positions_of_marks == pytest.approx([0.1, 0.2, 0.4, 0.7, 0.9], abs=0.01)
 
 
 # --- A swarm as it runs -------------------------------------------------------------------------------
@@ -382,48 +420,52 @@ def test_events_are_marked_on_the_time_line(browser: Page, page_with_faults: Pat
 def test_an_open_page_shows_steps_that_a_running_swarm_takes_meanwhile(
     browser: Page, history: History
 ) -> None:
-    """The page is opened after 50 of 300 steps."""
-    update = history.states_since()
-    live = History(update.description)
-    with serve_page(live) as url:
-        for state in update.states[:50]:
-            live.add(state)
+    """The page is opened after 50 of 300 steps. It shows a step near the end soon after all are taken."""
+    states = history.states_since().states
+    running_history = History(history.description)
+    with serve_page(running_history) as url:
+        for state in states[:50]:
+            running_history.add(state)
         browser.goto(url)
         until(browser, f"{IS_DRAWN} && view.history.stateCount === 50")
-        for state in update.states[50:]:
-            live.add(state)
+        for state in states[50:]:
+            running_history.add(state)
         until(browser, "view.history.stateCount === 300 && view.player.tick > 250")
 
 
 def test_an_open_page_reports_that_a_swarm_has_ended_without_any_data(browser: Page) -> None:
     """The swarm ends after the page has been opened, and no state has been added."""
-    live = History(RunDescription("one robot", [0]))
-    with serve_page(live) as url:
+    history_without_states = History(RunDescription("one robot", [0]))
+    with serve_page(history_without_states) as url:
         browser.goto(url)
-        live.has_ended = True
+        history_without_states.has_ended = True
         wait_for_text(browser, "state", "the run has ended")
         assert text_of(browser, "waiting") == "the run has ended without any data"
 
 
 def test_a_swarm_that_has_just_ended_is_shown_at_its_last_step(browser: Page, history: History) -> None:
     """So the user does not have to watch it from the start; the button offers to play it."""
-    update = history.states_since()
-    live = History(update.description, update.states)
-    live.has_ended = True
-    with serve_page(live) as url:
+    ended_history = History(history.description, history.states_since().states)
+    assert ended_history.has_ended
+    with serve_page(ended_history) as url:
         browser.goto(url)
         wait_for_text(browser, "clock", "step 300 of 300")
         assert text_of(browser, "play") == "▶ play"
 
 
+def make_state_of_one_robot(tick: int) -> State:
+    """Return a state of a single robot, all of whose values are 0.5."""
+    return State(tick, np.full((4, 1), 0.5), np.zeros((1, 1), np.bool_), positions=None)
+
+
 def test_the_page_of_a_silent_bus_waits_until_a_robot_sends(browser: Page) -> None:
     """It shows "waiting for the bus", which disappears when robot 5 has joined with a state."""
-    live = History(RunDescription("a bus", []))
-    with serve_page(live) as url:
+    history_of_bus = History(RunDescription("a bus", robots=[]))
+    with serve_page(history_of_bus) as url:
         browser.goto(url)
         wait_for_text(browser, "waiting", "waiting for the bus")
-        live.add_robot(5)
-        live.add(State(1, np.full((4, 1), 0.5), np.zeros((1, 1), np.bool_), positions=None))
+        history_of_bus.add_robot(5)
+        history_of_bus.add(make_state_of_one_robot(tick=1))
         until(browser, "view.history.stateCount === 1 && document.getElementById('waiting').hidden")
 
 
@@ -433,32 +475,40 @@ def bus_browser(browser: Page) -> Iterator[Page]:
 
     The page was opened when only robot 5 had sent values.
     """
-    live = History(RunDescription("a bus", [5]))
-    live.add(State(1, np.full((4, 1), 0.5), np.zeros((1, 1), np.bool_), positions=None))
+    history_of_bus = History(RunDescription("a bus", [5]))
+    history_of_bus.add(make_state_of_one_robot(tick=1))
     roster = Roster()
     for robot, now in ((9, 0.0), (5, 9.0)):
         roster.receive(can.Message(), Estimate(robot, x_hat=0, alpha=0, transfer_id=3), now)
         heartbeat = Heartbeat(robot, uptime=60, transfer_id=4, health=Health.WARNING)
         roster.receive(can.Message(), heartbeat, now)
-    with serve_page(live) as url:
+    with serve_page(history_of_bus) as url:
         browser.goto(url)
         until(browser, f"{IS_DRAWN} && view.history.robotCount === 1")
-        live.add_robot(9)
-        live.report = roster.report(10.0)
+        history_of_bus.add_robot(9)
+        history_of_bus.report = roster.report(10.0)
         until(browser, "document.querySelectorAll('#roster tbody tr').length === 2")
         yield browser
 
 
 def test_a_robot_that_joins_a_bus_has_no_values_before(bus_browser: Page) -> None:
-    """Its values of earlier states are unknown, which is NaN in the scripts of the web page."""
+    """Robot 9 joins robot 5, of which there is one state so far.
+
+    The values of robot 9 in that state are unknown, which is NaN in the scripts of the web page.
+    """
     until(bus_browser, "view.history.robotCount === 2 && view.history.stateCount === 1")
-    assert bus_browser.evaluate("Number.isNaN(view.history.value('x', 1, 0))")
+    index_of_robot_9, first_state = 1, 0
+    assert bus_browser.evaluate(f"Number.isNaN(view.history.value('x', {index_of_robot_9}, {first_state}))")
 
 
 def test_the_table_of_robots_has_a_row_for_each_robot_of_a_bus(bus_browser: Page) -> None:
-    """A row has id, time since the last frame, health, mode, frames a second, loss and five other values."""
-    rows = [" ".join(row.split()) for row in bus_browser.locator("#roster tbody tr").all_inner_texts()]
-    assert rows == [
+    """A row has id, time since the last frame, health, mode, frames a second, loss and five other values.
+
+    Robot 5 sent its last frame one second ago, and robot 9 ten seconds ago.
+    """
+    texts_of_rows = bus_browser.locator("#roster tbody tr").all_inner_texts()
+    rows_with_single_spaces = [" ".join(text.split()) for text in texts_of_rows]
+    assert rows_with_single_spaces == [
         "5 1.0 s warning operational 1.0/s 0.0 % 0 – – – 0",  # noqa: RUF001
         "9 10.0 s warning operational 0.0/s 0.0 % 0 – – – 0",  # noqa: RUF001
     ]
@@ -470,13 +520,13 @@ def test_the_table_of_robots_has_a_robot_in_grey_that_was_silent_for_ten_seconds
 
 
 def test_the_button_in_a_row_of_the_table_selects_its_robot(bus_browser: Page) -> None:
-    """The second of two rows shows robot 9."""
+    """The second of two rows shows robot 9. The page follows the robot that is selected, by its index."""
     until(bus_browser, "view.history.robotCount === 2")
     bus_browser.locator("#roster button").last.press("Enter")
     assert bus_browser.evaluate("view.history.description.robots[view.followedRobot]") == 9
 
 
-def listed_frames(browser: Page) -> list[str]:
+def frames_listed_in(browser: Page) -> list[str]:
     """Return the lines of the list of frames, without the spaces around them."""
     text = browser.evaluate("document.getElementById('frames').textContent")
     return [line.strip() for line in text.splitlines()]
@@ -484,7 +534,7 @@ def listed_frames(browser: Page) -> list[str]:
 
 def test_the_list_of_frames_begins_with_the_latest(bus_browser: Page) -> None:
     """Robot 5 sent an estimate and then a heartbeat at 9 s, and robot 9 did so at 0 s."""
-    assert listed_frames(bus_browser) == [
+    assert frames_listed_in(bus_browser) == [
         "9.000 s  5  heartbeat 4: warning, operational, up 60 s",
         "9.000 s  5  estimate 3: x_hat 0.0000, alpha 0",
         "0.000 s  9  heartbeat 4: warning, operational, up 60 s",
@@ -495,4 +545,4 @@ def test_the_list_of_frames_begins_with_the_latest(bus_browser: Page) -> None:
 def test_words_typed_as_a_filter_leave_the_frames_that_have_all_of_them(bus_browser: Page) -> None:
     """Robots 9 and 5 have two frames each on the page. "9 heartbeat" leaves the heartbeat of robot 9."""
     bus_browser.locator("#filter").fill("9 heartbeat")
-    assert listed_frames(bus_browser) == ["0.000 s  9  heartbeat 4: warning, operational, up 60 s"]
+    assert frames_listed_in(bus_browser) == ["0.000 s  9  heartbeat 4: warning, operational, up 60 s"]
