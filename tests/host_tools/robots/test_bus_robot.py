@@ -54,7 +54,7 @@ def make_robot_5(*, comms_period: int, **counters: int) -> BusRobot:
     )
 
 
-def estimates_from(*senders: int) -> NDArray[np.uint32]:
+def estimates_from(senders: Sequence[int]) -> NDArray[np.uint32]:
     """Return an array with a row for each sender: its id, an x_hat of 0 and an alpha of 1."""
     return np.array([[sender, 0, ALPHA_ONE] for sender in senders], np.uint32)
 
@@ -82,7 +82,7 @@ def test_a_count_in_reports_goes_on_after_more_than_2_16_refusals_in_a_round() -
     """
     ticks_of_a_round = 10**6  # so that all 70 ticks are in one round
     robot = make_robot_5(comms_period=ticks_of_a_round, rejected=7)
-    a_thousand_estimates = estimates_from(*[5] * 1000)
+    a_thousand_estimates = estimates_from([5] * 1000)
     for _ in range(70):
         robot.observe(None)
         robot.receive_all(a_thousand_estimates)
@@ -101,7 +101,7 @@ def test_the_counts_of_received_estimates_in_reports_go_on_where_the_firmware_s_
         comms_period=10, accepted=65_535, repeated=65_535, rejected=65_535, tests=65_535, updates=65_535
     )
     robot.observe(None)
-    robot.receive_all(estimates_from(6, 7, 6, 7, 5))
+    robot.receive_all(estimates_from([6, 7, 6, 7, 5]))
 
     assert robot.counters == Counters(
         accepted=65_535 + 2, repeated=65_535 + 2, rejected=65_535 + 1, tests=65_535, updates=65_535
@@ -111,7 +111,7 @@ def test_the_counts_of_received_estimates_in_reports_go_on_where_the_firmware_s_
 def test_estimates_under_the_robot_s_own_id_are_refused_and_counted_as_conflicts() -> None:
     """The robot has the id 5. Of three estimates two are under this id."""
     robot = make_robot_5(comms_period=1)
-    robot.receive_all(estimates_from(5, 5, 6))
+    robot.receive_all(estimates_from([5, 5, 6]))
     two_conflicts_under_id_5 = Counter({(Suspicion.CONFLICT, 5): 2})
     assert robot.reception == Reception(delivered=3, refused=2, events=two_conflicts_under_id_5)
 
@@ -342,21 +342,23 @@ def test_a_robot_s_setup_in_json_with_a_wrong_value_is_refused_by_the_name_of_th
 
 
 @pytest.mark.parametrize(
-    ("flawed", "count"),
+    ("flawed", "expected_count"),
     [
         *((6, 6), ("6", 6), (np.int64(4), 4), (0, 0), (10, 10)),  # counts
         *((0.0, 0), (1.0, 10), ("30%", 3), ("0.5", 5)),  # shares
         *(("44.9%", 4), ("45%", 5), (0.25, 3)),  # shares that are rounded, with halves up
     ],
 )
-def test_the_flawed_robots_are_given_as_a_count_or_as_a_share_of_ten_robots(flawed: Any, count: int) -> None:
-    """A whole number is a count. A number with a point or a percent sign is a share."""
-    assert Population(robots=10, flawed=flawed).flawed == count
+def test_the_flawed_robots_are_given_as_a_count_or_as_a_share_of_ten_robots(
+    flawed: Any, expected_count: int
+) -> None:
+    """A whole number is a count. A number with a point or a percent sign is a share, which is rounded."""
+    assert Population(robots=10, flawed=flawed).flawed == expected_count
 
 
 @pytest.mark.parametrize("flawed", [11, -1, -0.01, 1.01, "150%", True, "x", "nan", None])
 def test_a_number_of_flawed_robots_that_is_neither_a_count_nor_a_share_is_refused(flawed: Any) -> None:
-    """The error says what counts and shares ten robots may have."""
+    """Such are 11, -1, 1.01, "150%", "nan" or None. The error says what ten robots may have."""
     with pytest.raises(UsageError, match="; give a count, 0 to 10, or a share such as"):
         Population(robots=10, flawed=flawed)
 
@@ -459,12 +461,12 @@ def test_a_population_with_a_wrong_parameter_is_refused(
         Population(**parameters)
 
 
-@pytest.mark.parametrize(("robots", "neighbours"), [(1, 2), (4, 3), (128, 127), (129, 127)])
+@pytest.mark.parametrize(("robots", "expected_neighbours"), [(1, 2), (4, 3), (128, 127), (129, 127)])
 def test_the_table_of_thresholds_is_for_as_many_neighbours_as_a_robot_can_hear(
-    robots: int, neighbours: int
+    robots: int, expected_neighbours: int
 ) -> None:
     """A robot can hear all others. The table is for at least 2, and at most 127, as there are 128 ids."""
     population = Population(robots=robots, topology="dynamic", filter="asdf-plus")
     table = population.config(0).table
     assert table is not None
-    assert table.q == neighbours, "neighbours up to which the table is exact"
+    assert table.q == expected_neighbours, "neighbours up to which the table is exact"

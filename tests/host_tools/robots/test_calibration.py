@@ -146,7 +146,10 @@ def test_each_colour_has_an_accuracy() -> None:
 
 
 def test_the_uncertainty_covers_the_true_mean_accuracy() -> None:
-    """The assumed accuracy b_hat is off by less than the uncertainty, which is below 0.01."""
+    """The assumed accuracy b_hat is off by less than the uncertainty, which is below 0.01.
+
+    The sensor is right on 0.97 of 4000 readings over black, and on 0.87 of 4000 over white.
+    """
     calibration = calibrate_with_accuracies(on_black=0.97, on_white=0.87)
     mean_accuracy = (0.97 + 0.87) / 2
     assert abs(calibration.b_hat - mean_accuracy) < calibration.uncertainty < 0.01

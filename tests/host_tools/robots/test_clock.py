@@ -68,36 +68,42 @@ def test_ticks_begin_at_multiples_of_the_period_or_as_soon_as_the_last_one_is_ov
 
 def test_a_clock_has_no_figures_of_lateness_before_the_first_tick() -> None:
     """``figures`` returns None in place of how late ticks have begun."""
-    assert Watch().clock().figures() is None
+    clock_without_a_tick = Watch().clock()
+    assert clock_without_a_tick.figures() is None
 
 
 @pytest.mark.parametrize(
-    ("periods_of_work", "lateness", "late_ticks"),
+    ("periods_of_work", "expected_lateness", "expected_late_ticks"),
     [([2, 0.5, 0.5, 0.5, 0], [0, 1, 0.5, 0, 0], 1), ([1.5, 1.5, 1.5, 1.5], [0, 0.5, 1, 1.5], 2)],
 )
 def test_figures_say_in_seconds_how_late_ticks_have_begun(
-    periods_of_work: list[float], lateness: list[float], late_ticks: int
+    periods_of_work: list[float], expected_lateness: list[float], expected_late_ticks: int
 ) -> None:
-    """``lateness`` is in periods. A tick counts as late if it begins more than half a period late.
+    """The work of each tick takes some periods, by which the next ones may begin late.
 
-    ``drift`` is how late the last tick has begun.
+    ``expected_lateness`` is in periods, and the figures in seconds. A tick counts as late if it begins more
+    than half a period late. ``drift`` is how late the last tick has begun.
     """
     watch = Watch()
     clock = watch.clock()
 
     begin_ticks(watch, clock, periods_of_work=periods_of_work)
 
-    *_, lateness_of_last_tick = lateness
+    *_, lateness_of_last_tick = expected_lateness
+    mean_lateness = sum(expected_lateness) / len(expected_lateness)
     assert clock.figures() == {
-        "mean_lateness": sum(lateness) / len(lateness) * PERIOD,
-        "max_lateness": max(lateness) * PERIOD,
-        "late_ticks": late_ticks,
+        "mean_lateness": mean_lateness * PERIOD,
+        "max_lateness": max(expected_lateness) * PERIOD,
+        "late_ticks": expected_late_ticks,
         "drift": lateness_of_last_tick * PERIOD,
     }
 
 
 def test_a_tick_does_not_begin_early_when_a_sleep_ends_early() -> None:
-    """Every pause of the clock ends a quarter of a period too early, so it has to pause again."""
+    """Every pause of the clock ends a quarter of a period too early, so it has to pause again.
+
+    Tick 0 begins at the start, and tick 1 not before a period is over.
+    """
     watch = Watch(missing_sleep=PERIOD / 4)
     clock = watch.clock()
     clock.wait_for_tick(tick=0)
@@ -107,10 +113,10 @@ def test_a_tick_does_not_begin_early_when_a_sleep_ends_early() -> None:
 
 
 @pytest.mark.parametrize(
-    ("periods_since_tick_0", "periods_left"), [(1, 0.5), (1.25, 0.25), (1.5, 0), (1.75, 0), (72, 0)]
+    ("periods_since_tick_0", "expected_periods_left"), [(1, 0.5), (1.25, 0.25), (1.5, 0), (1.75, 0), (72, 0)]
 )
 def test_a_tick_s_frames_are_waited_for_in_the_first_half_of_its_period(
-    periods_since_tick_0: float, periods_left: float
+    periods_since_tick_0: float, expected_periods_left: float
 ) -> None:
     """Tick 1 begins one period after tick 0. The time left falls to 0 in half a period, and then stays 0."""
     watch = Watch()
@@ -118,4 +124,4 @@ def test_a_tick_s_frames_are_waited_for_in_the_first_half_of_its_period(
     clock.wait_for_tick(tick=0)
     watch.now += periods_since_tick_0 * PERIOD
 
-    assert clock.seconds_left_to_receive(tick=1) == periods_left * PERIOD
+    assert clock.seconds_left_to_receive(tick=1) == expected_periods_left * PERIOD

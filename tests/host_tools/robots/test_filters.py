@@ -16,7 +16,7 @@ def test_filters_are_listed_from_fewer_recalibrating_robots_to_more() -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "is_flawed", "activation", "firmware_filter"),
+    ("name", "is_flawed", "activation", "expected_filter"),
     [
         ("asdf-minus", True, "adaptive", Filter.ADAPTIVE),
         ("asdf-minus", False, "adaptive", Filter.OFF),  # only flawed robots recalibrate
@@ -27,13 +27,14 @@ def test_filters_are_listed_from_fewer_recalibrating_robots_to_more() -> None:
     ],
 )
 def test_a_filter_of_a_swarm_sets_the_filter_of_each_robot(
-    name: str, is_flawed: bool, activation: Activation, firmware_filter: Filter
+    name: str, is_flawed: bool, activation: Activation, expected_filter: Filter
 ) -> None:
     """With the activation "always" the paper's filters recalibrate without a test; it changes no other.
 
     The paper's filters are asdf-minus, which is for flawed robots alone, and asdf-plus, which is for all.
     """
-    assert FILTERS[name].firmware_filter_of(is_flawed, activation) is firmware_filter
+    swarm_filter = FILTERS[name]
+    assert swarm_filter.firmware_filter_of(is_flawed, activation) is expected_filter
 
 
 def test_only_the_robust_filter_is_marked_as_depending_on_the_order_of_messages() -> None:
@@ -57,7 +58,7 @@ def test_the_first_series_of_a_filter_has_its_colour_and_the_next_one_another() 
 
 
 @pytest.mark.parametrize(
-    ("firmware_filter", "name"),
+    ("firmware_filter", "expected_name"),
     [
         (Filter.OFF, "none"),
         (Filter.ADAPTIVE, "asdf-plus"),
@@ -66,10 +67,10 @@ def test_the_first_series_of_a_filter_has_its_colour_and_the_next_one_another() 
     ],
 )
 def test_the_filter_of_one_robot_has_the_name_of_the_swarm_s_filter_that_gives_it_to_all_robots(
-    firmware_filter: Filter, name: str
+    firmware_filter: Filter, expected_name: str
 ) -> None:
     """The name is never asdf-minus, as ASDF- gives its filter to flawed robots alone."""
-    assert filter_of_one_robot(firmware_filter).name == name
+    assert filter_of_one_robot(firmware_filter).name == expected_name
 
 
 def test_robots_with_two_filters_are_described_by_the_names_of_both() -> None:

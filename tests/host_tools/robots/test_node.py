@@ -361,7 +361,7 @@ def test_a_node_reports_its_setup_and_why_it_ended(capsys: pytest.CaptureFixture
     run_robot_5()
     report = json.loads(capsys.readouterr().out)
 
-    assert report["parameters"]["robot"] == setup_of_robot(5, "native", 0.7, comms_period=2).plain()
+    assert report["parameters"]["robot"] == setup_of_robot(5, "native", b_hat=0.7, comms_period=2).plain()
     assert report["results"]["ending"] == "all ticks done"
     assert report["results"]["steps"] == 40
 
@@ -487,8 +487,8 @@ def test_a_node_counts_suspicious_estimates_and_drops_those_of_ids_that_are_not_
 ) -> None:
     """Robot 6 sends 33 estimates in one round. The firmware takes only the first.
 
-    The two under the node's own id are not dropped: they reach the firmware, which refuses them. Those of
-    robot 30 are not allowed. A jump is a confidence alpha that doubles.
+    The two under the node's own id are not dropped: they reach the firmware, which refuses them. The three of
+    robot 30 are not allowed. A jump is a confidence alpha that doubles, in the last estimate of robot 6.
     """
     report, _errors = run_among_suspicious_neighbours(capsys)
     frames = report["results"]["frames"]
@@ -505,7 +505,8 @@ def test_a_node_warns_once_of_each_kind_of_suspicious_estimates_and_each_sender(
 ) -> None:
     """A line of the error output names the sender and what is suspicious about its estimates.
 
-    They are under the id of the node itself, 5, or of robot 30, which is not allowed, or jump, of robot 6.
+    Several are under the id of the node itself, 5. Several are of robot 30, which is not allowed. The alpha
+    of robot 6 jumps once.
     """
     _report, errors = run_among_suspicious_neighbours(capsys)
     warnings = [line for line in errors.splitlines() if ": node " in line]
@@ -562,8 +563,8 @@ def test_a_node_that_is_asked_to_end_stops_after_its_tick_and_its_log_can_be_rep
 ) -> None:
     """A signal or, with None, the end of its input asks the node to end. It reports one tick.
 
-    Only a run of so many steps has been interrupted then, and has the exit code of the signal. ``replay``
-    accepts the log of each.
+    Only a run with the option ``--steps`` has been interrupted then, and has the exit code of the signal.
+    ``replay`` accepts the log of each run.
     """
     arguments = [*options, "--log", f"{tmp_path}/run.log"]
     assert run_robot_3_until_it_is_asked_to_end(arguments, ending_signal) == exit_code
