@@ -253,6 +253,7 @@ def test_estimates_on_the_bus_are_counted_as_those_of_the_controller_of_stranger
     """An estimate of robot 3, the controller, comes, two of robot 1, and three of robots 5, 6 and 100.
 
     Robots 0, 1, 2 and 4 are emulated here. So those of robot 1 are conflicts, and 5, 6 and 100 are strangers.
+    The frames wait on the bus when a run of 5 ticks begins.
     """
     figures = run_beside_others.figures()
     assert figures["estimates_heard"] == 1, "estimates of the controller, robot 3"
@@ -307,8 +308,11 @@ def test_neighbours_in_real_time_that_are_asked_to_stop_end_in_that_tick(
     An endless run (None) does not, as it has no other end.
     """
     neighbourhood = Neighbourhood(surroundings(steps_per_second=1000))
-    link = BusLink(Wire(), should_stop=lambda: neighbourhood.tick >= 3)
-    run = RadioRun(neighbourhood, link, ticks)
+
+    def is_tick_3_reached() -> bool:
+        return neighbourhood.tick >= 3
+
+    run = RadioRun(neighbourhood, BusLink(Wire(), should_stop=is_tick_3_reached), ticks)
     run.run()
 
     assert neighbourhood.tick == 3

@@ -229,7 +229,7 @@ def test_all_frames_of_a_right_controller_are_compared_with_those_of_the_model(r
     assert run.verification.bench.comparison.equal_frames == {
         "estimate": ticks,
         "heartbeat": (ticks - 1) // 10,  # but for the first heartbeat, which came before
-        "telemetry": len(run.settled_ticks),
+        "telemetry": len(run.settled_ticks),  # all ticks but those that were left open
     }
 
 
@@ -513,10 +513,13 @@ def test_a_verdict_lists_what_was_not_checked(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", WRONG)
-def test_a_wrong_controller_fails_in_the_phase_that_is_about_its_mistake(name: str) -> None:
-    """The verdict names this phase. The phases before it have passed, and those after it are not run."""
-    wrong_controller = WRONG[name]
+@pytest.mark.parametrize("mistake", WRONG)
+def test_a_wrong_controller_fails_in_the_phase_that_is_about_its_mistake(mistake: str) -> None:
+    """The verdict names this phase. The phases before it have passed, and those after it are not run.
+
+    WRONG has a wrong controller for each mistake that its maker may make, and the phase that finds it.
+    """
+    wrong_controller = WRONG[mistake]
     verdict = verify_wrong_controller(wrong_controller, config=DEFAULT_CONFIG)
 
     assert str(verdict.difference).startswith(f'phase "{wrong_controller.phase}'), verdict
@@ -542,13 +545,13 @@ b_hat of 0.55 few observations do not contradict four estimates."""
 def test_a_wrong_controller_is_found_with_any_seed() -> None:
     """The verdict on each controller has a difference, whatever observations and neighbours are drawn.
 
-    The seed is new each time.
+    The seed is new each time. Few mistakes need the default configuration, with which a verification is long.
     """
     seed = random.randrange(2**32)
-    for name, wrong_controller in WRONG.items():
-        config = DEFAULT_CONFIG if name in SHOWN_WITH_DEFAULTS_ALONE else SHORT_RUN_CONFIG
+    for mistake, wrong_controller in WRONG.items():
+        config = DEFAULT_CONFIG if mistake in SHOWN_WITH_DEFAULTS_ALONE else SHORT_RUN_CONFIG
         verdict = verify_wrong_controller(wrong_controller, seed, config)
-        assert verdict.difference is not None, (seed, name)
+        assert verdict.difference is not None, (seed, mistake)
 
 
 # --- Known mistakes ---
@@ -581,7 +584,10 @@ def controller_that_makes(mistake: KnownMistake, setup: RobotSetup) -> RobotNode
     "mistake", [*SHOWN_BY_A_PHASE, *slow(SHOWN_BY_ALL_PHASES)], ids=lambda mistake: mistake.name
 )
 def test_a_verdict_names_the_known_mistake_that_a_controller_makes(mistake: KnownMistake) -> None:
-    """The text of the difference ends with the known mistakes that would lead to the same frames."""
+    """The text of the difference ends with the known mistakes that would lead to the same frames.
+
+    The controller is verified in the phases in which the mistake shows.
+    """
     is_about_the_paper_s_filter = Filter.ADAPTIVE in mistake.filters
     setup = right_setup() if is_about_the_paper_s_filter else right_setup(**ROBUST_FILTER)
     controller = controller_that_makes(mistake, setup)
