@@ -129,7 +129,7 @@ def test_workloads_with_64_observations_have_all_kinds_of_accuracies_and_counts(
 def test_no_workload_halves_counts_that_fill_no_memory(t: int) -> None:
     """A full memory halves the counts, and a memory is for 64 observations or a larger multiple of four.
 
-    Here t observations are too few, or no multiple of four.
+    32 observations are too few, and 63 and 127 are no multiples of four.
     """
     for workload in workloads_at("t", t):
         assert not workload.halves
@@ -231,7 +231,7 @@ def test_a_robust_workload_has_an_estimate_of_each_message_in_a_slot() -> None:
     A slot keeps the estimate of one robot in units of 2**-16, which are 2**7 times as large.
     """
     robot = RobustWorkload(m=3).make_robot(MirrorRobot)
-    assert robot.s.robust.filled_slots == 0b111
+    assert robot.s.robust.filled_slots == 0b111, "a bit for each of the slots 0, 1 and 2"
     assert robot.s.estimates[:4] == [0, round(1000 / 2**7), round(2000 / 2**7), 0]
 
 

@@ -32,9 +32,10 @@ def test_the_exact_confidence_alpha_is_the_fisher_information_of_the_observation
 
     Here one of two observations is black, and b is 3/4.
     """
-    h = Fraction(1, 2)
-    fisher_information = 2 * (2 * Fraction(3, 4) - 1) ** 2 / (h * (1 - h))
-    assert exact_alpha(n=1, t=2, b=Fraction(3, 4)) == fisher_information == 2
+    t, b, h = 2, Fraction(3, 4), Fraction(1, 2)
+    fisher_information = t * (2 * b - 1) ** 2 / (h * (1 - h))
+    assert fisher_information == 2
+    assert exact_alpha(n=1, t=2, b=b) == fisher_information
 
 
 def test_the_firmware_s_largest_alpha_limits_the_exact_one() -> None:
@@ -139,8 +140,8 @@ def test_an_update_is_expected_from_an_informative_x_bar(
 ) -> None:
     """x_bar, the mean of the estimates, is informative if |2 x_bar - 1| is above the limit of 2**-12.
 
-    It is above the limit by some of the largest rounding errors of x_bar, or below. The robot's may be up to
-    2 of them nearer to the limit and up to 1.6 above it, so that both cases are just beyond doubt.
+    A robot's x_bar may be up to 2 rounding errors too near to 1/2, and up to 1.6 too far from it. So an exact
+    one that is 2.01 errors above the limit is informative in any case, and one 1.7 errors below it is not.
     """
     largest_rounding_error = Fraction(5, 4) / 2**30
     limit = Fraction(1, 2**12)
@@ -269,9 +270,9 @@ def test_a_b_hat_that_is_kept_where_it_had_to_change_is_reported(
 
 
 def test_a_change_of_b_hat_before_the_filter_period_has_passed_is_reported() -> None:
-    """The filter runs every few rounds. In the right call one round was left, so that it changed b_hat.
+    """The filter runs every few rounds. Before the right call one round was left, and so it changed b_hat.
 
-    The test makes it two rounds, as if the filter had run too early.
+    This is replaced by two rounds, as if the filter had run too early.
     """
     audit = Audit()
     step = make_step_after_messages(Filter.ALWAYS, message_count=1, audit=audit)
@@ -312,7 +313,10 @@ def test_of_several_errors_the_largest_is_kept_whatever_its_sign() -> None:
     ],
 )
 def test_a_value_is_in_the_region_of_its_size(value: float, expected_region: str) -> None:
-    """A region is a range of values, without their sign, for which the largest error is reported."""
+    """A region is a range of values, without their sign, for which the largest error is reported.
+
+    The lower end of a range belongs to it.
+    """
     assert region_of(Fraction(value)) == expected_region
 
 
