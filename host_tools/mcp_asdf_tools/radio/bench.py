@@ -59,8 +59,10 @@ class Bench(ControllerLink):
     def robot_state(self) -> RobotState:
         """A copy of t, n, x_hat and the table of the test, for which the estimates of a round are crafted."""
         state = self.model_state
-        has_test = self.config.filter is Filter.ADAPTIVE
-        return RobotState(state.t, state.n, state.x_hat, table=self.config.table if has_test else None)
+        table = None
+        if self.config.filter is Filter.ADAPTIVE:  # the only filter with a test of this kind
+            table = self.config.table
+        return RobotState(state.t, state.n, state.x_hat, table)
 
     def draw_observation(self) -> Observation:
         """Draw a colour such that the share of black ones stays near 3/5, but not exactly.
@@ -98,29 +100,40 @@ class Bench(ControllerLink):
     # --- Ticks ---
 
     def play_tick(self, observation: Observation | None = None, frames: Sequence[can.Message] = ()) -> None:
-        """Run a tick with this observation, or none, in which the controller receives these frames."""
+        """Run a tick with this observation, or none, in which the controller receives these frames.
+
+        At the end the controller's frames are compared with the model's.
+        """
         self.observe(observation)
         self.send(frames)
         self.settle_and_compare()
 
     def play_tick_among_neighbours(self) -> None:
         """Run a tick in which the controller and the emulated neighbours receive each other's frames."""
-        self.observe(self.neighbours.begin_tick())
-        self.send(self.neighbours.finish_tick(list(self._received)))
+        observation = self.neighbours.begin_tick()
+        self.observe(observation)
+        controller_frames = list(self._received)
+        neighbour_frames = self.neighbours.finish_tick(controller_frames)
+        self.send(neighbour_frames)
         self.settle_and_compare()
 
-    def skip_ticks(self, ticks: int, observe: Callable[[], Observation | None] = lambda: None) -> None:
-        """Let ticks without messages pass quickly, in bursts that settle only their last tick.
+    def skip_ticks(
+        self, ticks: int, choose_observation: Callable[[], Observation | None] = lambda: None
+    ) -> None:
+        """Let ticks without messages pass quickly, in bursts of up to 16.
 
-        ``observe`` returns the observation of each tick; by default there is none.
+        A tick within a burst gets an observe command alone, and ends when the next one comes. Only the last
+        tick of a burst ends with a settle command, for whose answer the bench waits. ``choose_observation``
+        returns the observation of each tick; by default there is none.
         """
-        while ticks > 0:
-            burst = min(ticks, BURST)
-            for _ in range(burst - 1):
-                self._send_observe_command(observe())
-                self.skip_settle()  # without a settle: the next observation ends the tick
-            self.play_tick(observe())
-            ticks -= burst
+        remaining_ticks = ticks
+        while remaining_ticks > 0:
+            burst_length = min(remaining_ticks, BURST)
+            for _ in range(burst_length - 1):
+                self._send_observe_command(choose_observation())
+                self.skip_settle()
+            self.play_tick(choose_observation())
+            remaining_ticks -= burst_length
 
     # --- Rounds ---
 
@@ -131,45 +144,49 @@ class Bench(ControllerLink):
         """
         if senders is None:
             senders = self.rng.sample(self.other_ids, len(estimates))
-        self.play_round_of_frames(self.encode_estimates(dict(zip(senders, estimates, strict=True))))
+        estimate_by_sender = dict(zip(senders, estimates, strict=True))
+        self.play_round_of_frames(self.encode_estimates(estimate_by_sender))
 
     def play_round_of_frames(self, frames: Sequence[can.Message]) -> None:
         """Wait for the next round, and run it without observations.
 
         Half of these frames come in its first tick, the others in its last.
         """
-        period = self.setup.comms_period
         self.skip_to_round()
-        if period == 1:
+        ticks_in_round = self.setup.comms_period
+        if ticks_in_round == 1:
             self.play_tick(None, frames)
             return
         half = len(frames) // 2
         self.play_tick(None, frames[:half])
-        self.skip_ticks(period - 2)
+        self.skip_ticks(ticks_in_round - 2)
         self.play_tick(None, frames[half:])
 
     def skip_to_round(self) -> None:
         """Let ticks pass until a round begins, as at every multiple of its length; none if one begins now."""
-        period = self.setup.comms_period
-        ticks_in_round = self.model_node.ticks % period
-        if ticks_in_round > 0:
-            self.skip_ticks(period - ticks_in_round)
+        ticks_in_round = self.setup.comms_period
+        ticks_of_this_round = self.model_node.ticks % ticks_in_round
+        if ticks_of_this_round > 0:
+            self.skip_ticks(ticks_in_round - ticks_of_this_round)
 
     def skip_to_test_round(
-        self, observe: Callable[[], Observation | None] = lambda: None, rounds_before: int = 0
+        self,
+        choose_observation: Callable[[], Observation | None] = lambda: None,
+        rounds_before: int = 0,
     ) -> None:
         """Let ticks pass until the round begins at whose end the filter tests next.
 
-        Stops ``rounds_before`` rounds earlier. ``observe`` returns the observation of each tick.
+        Stops ``rounds_before`` rounds earlier. ``choose_observation`` returns the observation of each tick;
+        by default there is none.
         """
-        period = self.setup.filter_period
+        filter_period, ticks_in_round = self.setup.filter_period, self.setup.comms_period
         # The filter tests at every multiple of its period in ticks. The round of the test begins one round
         # before that.
-        tick_to_stop_at = period - (1 + rounds_before) * self.setup.comms_period
-        present_tick = self.model_node.ticks % period
+        tick_to_stop_at = filter_period - (1 + rounds_before) * ticks_in_round
+        present_tick = self.model_node.ticks % filter_period
         # Modulo the period: if that tick has passed, the one in the next period is waited for.
-        missing_ticks = (tick_to_stop_at - present_tick) % period
-        self.skip_ticks(missing_ticks, observe)
+        missing_ticks = (tick_to_stop_at - present_tick) % filter_period
+        self.skip_ticks(missing_ticks, choose_observation)
 
     def wait_for_round_without_test(self, rounds: int = 1) -> None:
         """Play rounds without messages until the controller's filter has no test in the next ``rounds`` ones.
@@ -177,12 +194,14 @@ class Bench(ControllerLink):
         None is played if they have no test anyway, if a round is under way, if the filter is off, or if it
         tests in every round, which cannot be avoided.
         """
-        comms_period, filter_period = self.setup.comms_period, self.setup.filter_period  # in ticks
-        is_within_round = self.model_node.ticks % comms_period != 0
-        if self.config.filter is Filter.OFF or filter_period == comms_period or is_within_round:
+        ticks_in_round, filter_period = self.setup.comms_period, self.setup.filter_period
+        has_no_test = self.config.filter is Filter.OFF
+        has_test_in_every_round = filter_period == ticks_in_round
+        is_within_round = self.model_node.ticks % ticks_in_round != 0
+        if has_no_test or has_test_in_every_round or is_within_round:
             return
         ticks_to_test = filter_period - self.model_node.ticks % filter_period
-        rounds_to_test = ticks_to_test // comms_period  # the round with the test included
+        rounds_to_test = ticks_to_test // ticks_in_round  # the round with the test included
         if rounds_to_test <= rounds:
             for _ in range(rounds_to_test):
                 self.play_round()

@@ -121,11 +121,19 @@ class Comparison:
             difference = self._compare_kind(kind, received_by_kind[kind], expected_by_kind[kind])
             if difference is not None:
                 return difference
-        return self._compare_order(received, expected) if has_answered_before else None
+        if not has_answered_before:
+            return None
+        return self._compare_order(received, expected)
 
     def _kind_of(self, frame: can.Message) -> str | None:
         """Return a frame's kind by its subject; None if frames of this subject are not compared."""
-        return self._kind_by_subject.get((frame.arbitration_id >> SUBJECT_SHIFT) & _SUBJECT_MASK)
+        subject = (frame.arbitration_id >> SUBJECT_SHIFT) & _SUBJECT_MASK
+        return self._kind_by_subject.get(subject)
+
+    def _compared_kinds(self, frames: Sequence[can.Message]) -> list[str]:
+        """Return the kind of each frame in order, without frames that are not compared."""
+        kinds = [self._kind_of(frame) for frame in frames]
+        return [kind for kind in kinds if kind is not None]
 
     def _group_by_kind(self, frames: Sequence[can.Message]) -> FramesByKind:
         """Return the frames of each kind in their order, without those that are not compared."""
@@ -161,8 +169,8 @@ class Comparison:
         If the first difference is in the health, they count as equal, too, if that health is allowed.
         """
         field_name = _first_difference(kind, received, expected)
-        is_allowed = field_name == _HEALTH.name and self._is_health_allowed(received)
-        if field_name is None or is_allowed:
+        is_difference_allowed = field_name == _HEALTH.name and self._is_health_allowed(received)
+        if field_name is None or is_difference_allowed:
             self.equal_frames[kind] += len(received)
             return None
         return Difference(
@@ -188,8 +196,7 @@ class Comparison:
 
         Both sides must have been found equal kind by kind, and so have as many frames.
         """
-        received_kinds = [kind for kind in map(self._kind_of, received) if kind is not None]
-        expected_kinds = [kind for kind in map(self._kind_of, expected) if kind is not None]
+        received_kinds, expected_kinds = self._compared_kinds(received), self._compared_kinds(expected)
         for received_kind, expected_kind in zip(received_kinds, expected_kinds, strict=True):
             if received_kind != expected_kind:
                 return Difference(
@@ -226,12 +233,16 @@ def _first_difference(
         if format_error is not None:
             return format_error
         if expected_frame is None:
-            is_repeated = any(frame.data == next_frame.data for frame, next_frame in pairwise(received))
-            return "twice" if is_repeated else "extra"
+            return "twice" if _has_repeated_frame(received) else "extra"
         field_name = _first_different_field(kind, received_frame, expected_frame)
         if field_name is not None:
             return field_name
     return None
+
+
+def _has_repeated_frame(frames: Sequence[can.Message]) -> bool:
+    """Return whether two frames in a row have the same data."""
+    return any(frame.data == next_frame.data for frame, next_frame in pairwise(frames))
 
 
 def _format_error(frame: can.Message) -> str | None:
@@ -283,26 +294,31 @@ def _hint(
     ``field_name`` is where the two lists differ. There is no guess for fields of less than 24 bits, nor for a
     difference that is not in a data field.
     """
-    for field in FIELDS_BY_KIND[kind]:
-        is_long_enough = field.bit_count >= _MIN_BITS_FOR_HINT
-        if field.name == field_name and is_long_enough:
-            # The lists may have different lengths; the first difference comes before the shorter one ends.
-            for received_frame, expected_frame in zip(received, expected, strict=False):
-                received_value = field.extract(payload_of(received_frame))
-                expected_value = field.extract(payload_of(expected_frame))
-                if received_value != expected_value:
-                    return _hint_for_value(field, received_value, expected_value)
+    field_by_name = {field.name: field for field in FIELDS_BY_KIND[kind]}
+    field = field_by_name.get(field_name)
+    if field is None or field.bit_count < _MIN_BITS_FOR_HINT:
+        return ""
+    # The lists may have different lengths; the first difference comes before the shorter one ends.
+    for received_frame, expected_frame in zip(received, expected, strict=False):
+        received_value = field.extract(payload_of(received_frame))
+        expected_value = field.extract(payload_of(expected_frame))
+        if received_value != expected_value:
+            return _hint_for_value(field, received_value, expected_value)
     return ""
 
 
 def _hint_for_value(field: Field, received: int, expected: int) -> str:
-    """Return in words if a wrong value has its bytes reversed or is off by a power of two; "" if not."""
+    """Return in words if a wrong value has its bytes reversed or is off by a power of two; "" if not.
+
+    It is "", too, for a value of few significant digits, which are equal by accident too often.
+    """
     byte_count = field.bit_count // 8
-    if received.to_bytes(byte_count, "little") == expected.to_bytes(byte_count, "big"):
+    has_reversed_bytes = received.to_bytes(byte_count, "little") == expected.to_bytes(byte_count, "big")
+    if has_reversed_bytes:
         return f"its {byte_count} bytes are in reverse order"
     # Two numbers have the same significant digits if one is the other times a power of two.
-    digits = _significant_digits(field, received)
-    if digits < _MIN_DIGITS_FOR_HINT or digits != _significant_digits(field, expected):
+    received_digits, expected_digits = (_significant_digits(field, value) for value in (received, expected))
+    if received_digits < _MIN_DIGITS_FOR_HINT or received_digits != expected_digits:
         return ""
     to_number = float32_value if field.is_float else float
     ratio = to_number(received) / to_number(expected)

@@ -152,9 +152,9 @@ class ControllerLink:
         """
         self._check_stop()
         self.tick_index = self.ticks
-        is_broadcast_due = self._send_observe_command(observation)
-        if is_broadcast_due:
-            self.lockstep.estimates({self.setup.id})
+        must_broadcast = self._send_observe_command(observation)
+        if must_broadcast:
+            self.lockstep.estimates({self.setup.id})  # waits for the controller's estimate
 
     def _send_observe_command(self, observation: Observation | None) -> bool:
         """Command an observation, or none, and return whether the controller must broadcast in this tick.
@@ -163,12 +163,12 @@ class ControllerLink:
         compared when the tick ends.
         """
         broadcasts_before = self.model_node.sent.estimates
-        # The model gets the command, too, by _handle_frame, and answers at once.
+        # Lockstep passes the command to _handle_frame, by which the model gets it and answers at once.
         self.lockstep.observe({self.setup.id: observation})
-        is_broadcast_due = self.model_node.sent.estimates != broadcasts_before
-        if is_broadcast_due:
+        has_model_broadcast = self.model_node.sent.estimates != broadcasts_before
+        if has_model_broadcast:
             self.mistaken_models.keep_broadcasts(self.model_robot)
-        return is_broadcast_due
+        return has_model_broadcast
 
     def send(self, frames: Sequence[can.Message]) -> None:
         """Send frames to the controller and to the model, in order.
@@ -212,8 +212,7 @@ class ControllerLink:
         If they are, every model with a known mistake that would have sent other frames is dropped: the
         controller does not have this mistake.
         """
-        # Before pop_difference, which forgets the frames.
-        telemetry_fields = self._last_telemetry_fields()
+        telemetry_fields = self._last_telemetry_fields()  # read before the frames are forgotten
         difference = self.pop_difference()
         if difference is not None:
             # For the report: the mistakes with which a model would have sent this telemetry.
@@ -236,16 +235,14 @@ class ControllerLink:
         It has sent its last answer before, so that the model sends nothing in this time.
         """
         end = time.monotonic() + _LATE_FRAMES_SECONDS
-        while True:
-            frame = self.options.bus.recv(max(0.0, end - time.monotonic()))
-            if frame is None:
-                break
+        frame = self.options.bus.recv(_LATE_FRAMES_SECONDS)
+        while frame is not None:
             # Some interfaces also return the frames that this program has sent.
             if frame.is_rx:
                 self._handle_frame(frame)
             # Other nodes may send without a pause, so that recv never returns None.
-            if time.monotonic() > end:
-                break
+            seconds_left = end - time.monotonic()
+            frame = self.options.bus.recv(seconds_left) if seconds_left >= 0 else None
         self.compare()
 
     def _last_telemetry_fields(self) -> TelemetryFields | None:
@@ -264,16 +261,16 @@ class ControllerLink:
     def _handle_frame(self, frame: can.Message) -> None:
         """Log a frame, and keep it for the comparison if the controller has sent it.
 
-        A frame that was sent to the controller goes to the model, too. Raises BusDisturbed for a frame of
-        another node on which the controller acts.
+        A frame that was sent to the controller goes to the model, too, whose answers are kept as expected
+        ones. Raises BusDisturbed for a frame of another node on which the controller acts.
         """
         is_sent_to_controller = not frame.is_rx  # is_rx marks frames that were received from the bus
         if is_sent_to_controller:
             frame.timestamp = time.time()
             self._expected += self.model_node.receive_frame(frame)
-        self.options.log(frame)
-        if is_sent_to_controller:
+            self.options.log(frame)
             return
+        self.options.log(frame)
         if is_from(frame, self.setup.id):
             self._received.append(frame)
         else:

@@ -67,9 +67,9 @@ def re_estimate_to_half(bench: Bench) -> None:
     state = bench.model_state
     for update in _NEAR_HALF:
         bench.activity = "many observations, half of them black"
-        # Black tiles more than white ones: none for 1/2, and few for almost 1/2.
-        excess = 0 if update is Update.HALF else state.t // 4096 + 1
-        observe_until_excess(bench, excess)
+        # As many black tiles as white ones for 1/2, and few more for almost 1/2.
+        excess_of_black = 0 if update is Update.HALF else state.t // 4096 + 1
+        observe_until_excess_of_black(bench, excess_of_black)
         # Eq. 8 divides by t (2 x_bar - 1), which is below 1 if x_bar is 2**-13 above 1/2 and t below 2**12.
         if update is Update.HALF and state.t < 2**12:
             bench.skip_to_test_round()
@@ -83,7 +83,7 @@ def re_estimate_to_half(bench: Bench) -> None:
             bench.play_tick(bench.draw_observation())
 
 
-def observe_until_excess(bench: Bench, excess: int) -> None:
+def observe_until_excess_of_black(bench: Bench, excess: int) -> None:
     """Observe until the robot has observed ``excess`` more black tiles than white ones."""
     state = bench.model_state
 
@@ -91,10 +91,14 @@ def observe_until_excess(bench: Bench, excess: int) -> None:
         white_count = state.t - state.n
         return state.n - white_count
 
+    def choose_colour() -> Observation:
+        needs_black = present_excess() < excess
+        return Observation(needs_black)
+
     while present_excess() != excess:
         # At most half of the way to 0 at once: the excess to reach is near 0 and is not to be passed by much.
         ticks = max(abs(present_excess()) // 2, 1)
-        bench.skip_ticks(ticks, lambda: Observation(present_excess() < excess))
+        bench.skip_ticks(ticks, choose_colour)
 
 
 def re_estimate_without_black(bench: Bench) -> None:
@@ -118,13 +122,15 @@ def re_estimate_from_ends(bench: Bench) -> None:
     limited.
     """
     is_own_estimate_high = bench.model_state.x_hat > HALF
-    for end in (0, ONE) if is_own_estimate_high else (ONE, 0):
+    ends = (0, ONE) if is_own_estimate_high else (ONE, 0)
+    three_of_each_colour = [Observation.WHITE] * 3 + [Observation.BLACK] * 3
+    for end in ends:
         _observe_until_filter_runs(bench)
         bench.activity = f"estimates of {end // ONE}"
         alphas = draw_alphas_of_one_scale(bench.rng, _ROUND_SIZE)
         _play_test_round(bench, [NeighbourEstimate(end, alpha) for alpha in alphas])
         bench.activity = f"tiles of one colour, then of the other, after estimates of {end // ONE}"
-        for observation in 2 * (3 * [Observation.WHITE] + 3 * [Observation.BLACK]):
+        for observation in three_of_each_colour * 2:
             bench.play_tick(observation)
 
 
@@ -201,12 +207,16 @@ def re_estimate_early(bench: Bench) -> None:
     and re-estimates for which no estimates are drawn, are left out.
     """
     state = bench.model_state
+
+    def choose_colour() -> Observation:
+        is_black = 5 * state.n < 3 * state.t  # as the share of black ones, n / t, is below 3/5
+        return Observation(is_black)
+
     for t in _EARLY_COUNTS:
         if state.t > t:
             continue
         bench.activity = f"{t} observations"
-        # Black while the share of black ones, n / t, is below 3/5.
-        bench.skip_ticks(t - state.t, lambda: Observation(5 * state.n < 3 * state.t))
+        bench.skip_ticks(t - state.t, choose_colour)
         for update in (Update.ABOVE, Update.BELOW):
             bench.skip_to_test_round()
             estimates = draw_round_for_update(bench.robot_state, update, bench.rng)
@@ -223,7 +233,9 @@ def required_updates(setup: RobotSetup) -> int:
     time for 33 alone.
     """
     has_frequent_tests = setup.filter_period <= _MAX_PERIOD_FOR_MANY_UPDATES
-    return 2**8 + 1 if has_frequent_tests else 2**5 + 1
+    if has_frequent_tests:
+        return 2**8 + 1
+    return 2**5 + 1
 
 
 def re_estimate_often(bench: Bench) -> None:
@@ -236,10 +248,14 @@ def re_estimate_often(bench: Bench) -> None:
     for index in range(round_count):
         bench.skip_to_test_round(bench.draw_observation)
         bench.activity = "one of many re-estimates"
-        x_hats = [x_hat for x_hat, _ in draw_distant_estimates(bench.robot_state, bench.rng)]
+        distant_estimates = draw_distant_estimates(bench.robot_state, bench.rng)
         scale = ALPHA_SCALES[index % len(ALPHA_SCALES)]
-        alphas = draw_alphas_of_one_scale(bench.rng, len(x_hats), scale)
-        bench.play_round(*map(NeighbourEstimate, x_hats, alphas))
+        alphas = draw_alphas_of_one_scale(bench.rng, len(distant_estimates), scale)
+        estimates = [
+            NeighbourEstimate(distant.x_hat, alpha)
+            for distant, alpha in zip(distant_estimates, alphas, strict=True)
+        ]
+        bench.play_round(*estimates)
         bench.play_tick(bench.draw_observation())
 
 
@@ -311,7 +327,7 @@ def halve_memory(bench: Bench) -> None:
         bench.skip_ticks(t_before_last_four - state.t, bench.draw_observation)
         for _ in range(4):
             is_black = state.n % 4 != remainder
-            bench.play_tick(Observation(is_black))
+            bench.play_tick(Observation(is_black))  # The fourth of these halves t and n.
 
 
 def observe_long(bench: Bench) -> None:
@@ -344,14 +360,16 @@ def _play_test_round(bench: Bench, estimates: Sequence[NeighbourEstimate]) -> No
     bench.play_round(*estimates, senders=senders)
     bench.wait_for_round_without_test()
     bench.activity = f"{bench.activity}; then others of the same senders"
-    bench.play_round(*(draw_estimate(bench.rng) for _ in senders), senders=senders)
+    other_estimates = [draw_estimate(bench.rng) for _ in senders]
+    bench.play_round(*other_estimates, senders=senders)
 
 
 def _play_update(bench: Bench, update: Update) -> None:
     """Play a round after which b_hat is re-estimated to a value of this kind.
 
-    Estimates that lead to it are searched for up to four times, with another re-estimate after each search in
-    vain. If all are in vain, this is noted as a case that was not exercised.
+    Estimates that lead to it are searched for up to four times. After each search in vain a round of distant
+    estimates brings about another re-estimate, which changes the robot's state. If all searches are in vain,
+    this is noted as a case that was not exercised.
     """
     for _ in range(_MAX_ATTEMPTS_TO_UPDATE):
         if update in _NEAR_HALF:

@@ -44,7 +44,7 @@ class FloatTest:
 
         ``centre`` and ``spread`` are in units of 2**-24.
         """
-        fit = self._round  # fits every intermediate result into the significant bits
+        fit = self._round  # rounds every intermediate result to the significant bits
         # The divisions by powers of two are conversions from the integers that the firmware has.
         b_hat = fit(robust.initial_b_hat / 2**32)
         fill_ratio = fit(centre / 2**24)
@@ -88,7 +88,9 @@ def test_with_t_of_14_bits(robust: RobustFilter, t: int, n: int, centre: int, sp
     of 2**-24.
     """
     short_t = t % 2**14
-    return short_t != 0 and robust_test_rejects(robust, short_t, n, centre, spread)
+    if short_t == 0:
+        return False
+    return robust_test_rejects(robust, short_t, n, centre, spread)
 
 
 # --- Models with a mistake ---
@@ -113,16 +115,19 @@ class RobotThatTestsInFloat64(MirrorRobot):
 
         It is None, too, if the round has fewer than two messages, or if their mean carries no information.
         """
-        table, sums = self.config.table, self.s.open  # open: the round that is ending
+        table = self.config.table
+        sums = self.s.open  # over the round that is ending
+        m = sums.count
         # The variance of a single estimate is not defined, so that the test needs two.
-        if table is None or sums.count < 2:
+        if table is None or m < 2:
             return None
-        # Sum x - m x_hat, and the scatter m Sum x**2 - (Sum x)**2, with m the number of estimates.
-        difference = sums.x - sums.count * self.s.x_hat
-        scatter = sums.count * sums.x_squared - sums.x * sums.x
-        if float(difference) ** 2 <= limit_in_float64(table, sums.count, scatter):
+        difference = sums.x - m * self.s.x_hat
+        scatter = m * sums.x_squared - sums.x * sums.x  # m Sum x**2 - (Sum x)**2
+        is_rejected = float(difference) ** 2 > limit_in_float64(table, m, scatter)
+        if not is_rejected:
             return None
-        return reestimate(self.s.t, self.s.n, round_mean(self.s.closed))
+        x_bar = round_mean(self.s.closed)
+        return reestimate(self.s.t, self.s.n, x_bar)
 
 
 def copy_as(model_class: type[MirrorRobot], robot: MirrorRobot) -> MirrorRobot:
@@ -221,13 +226,11 @@ class MistakenModels:
 
         All are in the state of ``right_model``.
         """
-        return cls(
-            {
-                mistake.name: mistake.make_model(right_model)
-                for mistake in mistakes
-                if setup.config.filter in mistake.filters
-            }
-        )
+        models = {}
+        for mistake in mistakes:
+            if setup.config.filter in mistake.filters:
+                models[mistake.name] = mistake.make_model(right_model)
+        return cls(models)
 
     @property
     def robust_tests(self) -> list[RobustTest]:
@@ -235,9 +238,9 @@ class MistakenModels:
         return [model.robust_test for model in self.models.values() if isinstance(model, RobotWithOtherTest)]
 
     def keep_broadcasts(self, right_model: MirrorRobot) -> None:
-        """Keep what each model, and the right one, broadcasts now, for ``drop_different``."""
-        self._broadcast_by_mistake = {name: _broadcast_of(model) for name, model in self.models.items()}
+        """Keep what each model, and the right one, broadcasts now; ``drop_different`` compares it later."""
         self._right_broadcast = _broadcast_of(right_model)
+        self._broadcast_by_mistake = {name: _broadcast_of(model) for name, model in self.models.items()}
 
     def mistakes_with_telemetry(
         self, telemetry: TelemetryFields | None, right_model: MirrorRobot
@@ -253,14 +256,14 @@ class MistakenModels:
     def drop_different(self, right_model: MirrorRobot) -> None:
         """Leave out the models whose present telemetry or last broadcast differs from the right model's."""
         right_telemetry = telemetry_of(right_model)
-        equal_models = {}
+        remaining_models = {}
         for name, model in self.models.items():
             is_telemetry_equal = telemetry_of(model) == right_telemetry
             # Before the first broadcast both are None.
             is_broadcast_equal = self._broadcast_by_mistake.get(name) == self._right_broadcast
             if is_telemetry_equal and is_broadcast_equal:
-                equal_models[name] = model
-        self.models = equal_models
+                remaining_models[name] = model
+        self.models = remaining_models
 
 
 def telemetry_of(robot: MirrorRobot) -> TelemetryFields:

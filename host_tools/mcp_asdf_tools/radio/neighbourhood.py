@@ -59,9 +59,9 @@ class RadioSettings:
 
 
 class Neighbourhood:
-    """Emulated robots around a controller, whose part of a tick comes after ``begin_tick``.
+    """Emulated robots around a controller.
 
-    ``finish_tick`` follows it.
+    The controller takes its part of a tick between ``begin_tick`` and ``finish_tick``.
 
     Attributes:
         settings: The surroundings of the controller.

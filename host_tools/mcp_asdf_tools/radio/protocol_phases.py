@@ -271,9 +271,12 @@ def observe_alone(bench: Bench) -> None:
     """
     for tick in range(_ALONE_TICKS):
         is_ninth = tick % 9 == 8
-        observation = None if is_ninth else Observation.WHITE
-        bench.activity = "no observation" if observation is None else "white tiles"
-        bench.play_tick(observation)
+        if is_ninth:
+            bench.activity = "no observation"
+            bench.play_tick(None)
+        else:
+            bench.activity = "white tiles"
+            bench.play_tick(Observation.WHITE)
 
 
 def observe_first_black(bench: Bench) -> None:
@@ -284,7 +287,8 @@ def observe_first_black(bench: Bench) -> None:
     bench.activity = "the first black tiles"
     x_hat_of_white = bench.model_state.x_hat
     for _ in range(_ALONE_TICKS):
-        is_black = bench.model_state.x_hat == x_hat_of_white or bench.rng.random() < 0.3
+        is_at_end_of_range = bench.model_state.x_hat == x_hat_of_white
+        is_black = is_at_end_of_range or bench.rng.random() < 0.3
         bench.play_tick(Observation(is_black))
 
 
@@ -326,24 +330,23 @@ def send_stray_commands(bench: Bench) -> None:
             bench.wait_for_round_without_test()
             bench.activity = name
             bench.observe(bench.draw_observation())
-            bench.send([_encode(bench, _make_stray_command(bench, stray))])
+            stray_command = _make_stray_command(bench, stray)
+            bench.send([_encode(bench, stray_command)])
             _send_random_estimates(bench, bench.other_ids[:2])
             bench.settle_and_compare()
 
 
 def _make_stray_command(bench: Bench, stray: StrayCommand) -> Command:
     """Return the described command, sent by a robot that is drawn, in the tick that is open on the bench."""
-    usual = bench.make_command(stray.action)
+    command = bench.make_command(stray.action)
     other_robot = _draw_other_robot(bench)
-    target_by_name = {"robot": usual.target, "other": other_robot, "all": EVERY_ROBOT}
-    tick_by_name = {
-        "open": usual.tick,
-        "later": usual.tick + 1 + bench.rng.randrange(1000),
-        "last": usual.tick - 1,
-    }
+    target_by_name = {"robot": command.target, "other": other_robot, "all": EVERY_ROBOT}
+    open_tick = command.tick
+    later_tick = open_tick + 1 + bench.rng.randrange(1000)
+    tick_by_name = {"open": open_tick, "later": later_tick, "last": open_tick - 1}
     # Numbers of ticks have 32 bits, and 0 follows the largest.
     tick = tick_by_name[stray.tick] % 2**32
-    return replace(usual, sender=other_robot, tick=tick, target=target_by_name[stray.target])
+    return replace(command, sender=other_robot, tick=tick, target=target_by_name[stray.target])
 
 
 def send_unusual_commands(bench: Bench) -> None:
@@ -360,17 +363,25 @@ def send_unusual_commands(bench: Bench) -> None:
         bench.wait_for_round_without_test(rounds=2)
         bench.activity = f"commands {name}"
         other_robot = _draw_other_robot(bench) if variant.is_from_another_node else None
-        observe = bench.make_command(Action.to_observe(bench.draw_observation()))
-        bench.send([_encode_variant(bench, observe, variant, other_robot)])
+        observe_action = Action.to_observe(bench.draw_observation())
+        unusual_observe = bench.make_command(observe_action)
+        bench.send([_encode_variant(bench, unusual_observe, variant, other_robot)])
         bench.observe(None)  # the usual command, which must not undo the observation
         _send_random_estimates(bench, bench.other_ids[:2])
-        settle = bench.make_command(Action.SETTLE)
-        bench.send([_encode_variant(bench, settle, variant, other_robot)])
+        unusual_settle = bench.make_command(Action.SETTLE)
+        bench.send([_encode_variant(bench, unusual_settle, variant, other_robot)])
         _send_random_estimates(bench, bench.other_ids[2:3])
         bench.settle_and_compare()
-    # Numbers of ticks may jump, in both directions, by powers of two: a controller may keep too few bits.
-    # Without a jump the distance is 1, so a jump downwards is the power less 1.
+    _let_tick_number_jump(bench)
+
+
+def _let_tick_number_jump(bench: Bench) -> None:
+    """Let the number of the tick jump up and down by about 2**8, 2**16, 2**24 and 2**31.
+
+    A controller may keep too few bits of it. The settle command before each jump is left out.
+    """
     for bit in (8, 16, 24, 31):
+        # Without a jump the distance from one tick to the next is 1, so a jump downwards is the power less 1.
         for direction, distance in (("higher", 2**bit), ("lower", 1 - 2**bit)):
             bench.wait_for_round_without_test()
             bench.activity = f"an observe of a number {direction} by about 2^{bit} than that of the open tick"
@@ -456,12 +467,17 @@ def receive_from_alike_ids(bench: Bench) -> None:
     other_ids = set(bench.other_ids)
     for bit_index in range(MAX_ID.bit_length()):
         bit = 1 << bit_index
-        ids_without_bit = [robot for robot in other_ids if robot & bit == 0]
-        pairs = [(robot, robot | bit) for robot in ids_without_bit if robot | bit in other_ids]
-        for pair in bench.rng.sample(pairs, 2):
+        pairs = []
+        for robot in other_ids:
+            robot_with_bit = robot | bit
+            # If the bit is set already, that is the same robot; or it is the controller, which sends nothing.
+            if robot_with_bit != robot and robot_with_bit in other_ids:
+                pairs.append((robot, robot_with_bit))
+        for first, second in bench.rng.sample(pairs, 2):
             bench.wait_for_round_without_test()
-            bench.activity = f"messages of the robots {pair[0]} and {pair[1]}"
-            bench.play_round(*(draw_estimate(bench.rng) for _ in pair), senders=pair)
+            bench.activity = f"messages of the robots {first} and {second}"
+            estimates = [draw_estimate(bench.rng), draw_estimate(bench.rng)]
+            bench.play_round(*estimates, senders=[first, second])
 
 
 def receive_growing_rounds(bench: Bench) -> None:
@@ -469,15 +485,17 @@ def receive_growing_rounds(bench: Bench) -> None:
     for size in _ROUND_SIZES:
         bench.wait_for_round_without_test()
         bench.activity = f"a round of {size} messages"
-        bench.play_round(*(draw_estimate(bench.rng) for _ in range(size)))
+        estimates = [draw_estimate(bench.rng) for _ in range(size)]
+        bench.play_round(*estimates)
 
 
 def receive_crowded_tick(bench: Bench) -> None:
     """Send hundreds of estimates in a tick, four per sender. The last sender sends one, which must count."""
-    *senders, last_sender = bench.other_ids
+    *first_senders, last_sender = bench.other_ids
     bench.wait_for_round_without_test()
     bench.activity = f"a tick with {CROWDED_MESSAGES} messages"
-    frames = _encode_random_estimates(bench, senders * _CROWDED_REPEATS + [last_sender])
+    senders = first_senders * _CROWDED_REPEATS + [last_sender]
+    frames = _encode_random_estimates(bench, senders)
     bench.skip_to_round()
     bench.play_tick(bench.draw_observation(), frames)
     bench.skip_to_round()  # plays the rest of the round
@@ -495,12 +513,12 @@ def receive_extremes(bench: Bench) -> None:
     for name, alpha_bits in FOREIGN_ALPHAS.items():
         bench.wait_for_round_without_test()
         bench.activity = name
-        estimate_by_sender = {
-            sender: NeighbourEstimate(draw_estimate(bench.rng).x_hat, ALPHA_LEAST)
-            for sender in bench.other_ids[:2]
-        }
+        estimate_by_sender = {}
+        for sender in bench.other_ids[:2]:
+            x_hat = draw_estimate(bench.rng).x_hat
+            estimate_by_sender[sender] = NeighbourEstimate(x_hat, ALPHA_LEAST)
         frames = bench.encode_estimates(estimate_by_sender)
-        # Written into the frame, as NeighbourEstimate cannot hold such an alpha.
+        # The first alpha is written into its frame, as NeighbourEstimate cannot hold such an alpha.
         frames[0].data[_ALPHA_BYTES] = alpha_bits.to_bytes(4, "little")
         bench.play_round_of_frames(frames)
 
@@ -561,7 +579,8 @@ def _send_random_estimates(bench: Bench, senders: list[int]) -> None:
 
 def _draw_other_robot(bench: Bench) -> int:
     """Draw the id of a robot that is neither the controller nor the node that commands it."""
-    return bench.rng.choice([robot for robot in bench.other_ids if robot != DRIVER_ID])
+    ids = [robot for robot in bench.other_ids if robot != DRIVER_ID]
+    return bench.rng.choice(ids)
 
 
 def _encode(bench: Bench, command: Command) -> can.Message:

@@ -48,10 +48,12 @@ class RadioRun:
     def run(self) -> None:
         """Run until all ticks are done, the link asks to stop, or the bus has failed; then set ``outcome``.
 
-        At the beginning of each tick the neighbours receive the controller's frames, and it receives theirs.
-        The bus may fail for a time in between: the run has failed only if the last attempt to use it did.
+        While a tick is waited for, the controller's frames are received; its neighbours get them in that
+        tick, and it gets theirs. The bus may fail for a time in between: the run has failed only if the last
+        attempt to use it did. Ctrl-C stops a run, too; one with a number of ticks is then interrupted.
         """
         settings = self.neighbours.settings
+        # The clock does not just sleep until a tick: it receives frames in this time.
         clock = RealTimeClock(settings.swarm.steps_per_second, sleep=self._receive_while_waiting)
         try:
             while self._ticks is None or self.neighbours.tick < self._ticks:
@@ -61,7 +63,7 @@ class RadioRun:
                 self.on_tick()
         except (Stopped, KeyboardInterrupt):
             self.outcome.ending = "stopped"
-            # A run without a number of ticks ends in no other way.
+            # A run without a number of ticks can end in no other way, and so is complete.
             self.outcome.is_interrupted = self._ticks is not None
         except can.CanError as error:
             self.link.last_failure = error

@@ -40,7 +40,7 @@ from mcp_asdf_tools.crosscheck.crafted_slots import (
     slots_with_supporters,
 )
 from mcp_asdf_tools.radio.bench import BURST, Bench
-from mcp_asdf_tools.radio.filter_phases import observe_until_excess, required_updates
+from mcp_asdf_tools.radio.filter_phases import observe_until_excess_of_black, required_updates
 
 _FIRST_SLOTS = (15, 0, 31, 16, 7, 8, 23, 24, 1, 30, 12, 19)
 """Slots that are filled before the others: the first of them are at the ends of bytes and words."""
@@ -84,7 +84,7 @@ def receive_first_estimates(bench: Bench) -> None:
     robot, if a run has enough observations for these.
     """
     bench.activity = "observations, of which the initial b_hat explains the share"
-    _observe_three_quarters_filled(bench)
+    _observe_as_at_three_quarters(bench)
     _play_first_votes(bench)
     for count in (4, 5):
         bench.activity = f"a test with {count} estimates, all of which contradict the observations"
@@ -99,7 +99,7 @@ def receive_first_estimates(bench: Bench) -> None:
     if _can_contradict_extreme_estimate(bench):
         # Two of five and four of ten do not protect a robot, three of seven and five of twelve do.
         for count, supporter_count in ((5, 2), (7, 3), (10, 4), (12, 5)):
-            _play_test_of_two_parties(bench, count, supporter_count)
+            _play_test_with_supporters(bench, count, supporter_count)
 
 
 def _play_first_votes(bench: Bench) -> None:
@@ -114,7 +114,7 @@ def _play_first_votes(bench: Bench) -> None:
     bench.play_round(*estimates_without_confidence)
 
     first_slot = _FILLING_ORDER[0]
-    first_sender, sender_of_same_slot = _ids_of_slot(bench, first_slot)[:2]
+    first_sender, sender_of_same_slot, *_ = _ids_of_slot(bench, first_slot)
     bench.activity = "the first vote, as far from the centre as the spread"
     # Before the first vote the centre is 1/2 and the spread is 1/4.
     centre, spread = HALF, HALF // 2
@@ -168,7 +168,7 @@ def vote_without_own_confidence(bench: Bench) -> None:
     if not _can_contradict_extreme_estimate(bench):
         return
     bench.activity = "observations, half of them black"
-    observe_until_excess(bench, 0)
+    observe_until_excess_of_black(bench, 0)
     estimate = _most_contradicting_estimate(bench)
     if not _observe_equal_colours_until_rejection(bench, estimate):
         bench.not_exercised.append("a re-estimate of b_hat as 1/2")
@@ -224,10 +224,10 @@ def threshold_phase(width: int) -> Callable[[Bench], None]:
     def play(bench: Bench) -> None:
         if not _can_estimates_decide_test(bench):
             return
-        _observe_three_quarters_filled(bench)
+        _observe_as_at_three_quarters(bench)
         _play_tests_on_both_sides_of_threshold(bench, count=SLOTS, width=width)
-        # Estimates are chosen that show a known mistake in the arithmetic of the test. The next estimates may
-        # show another mistake.
+        # Estimates are chosen that show a known mistake in the arithmetic of the test. These may show another
+        # one than those before.
         _play_tests_on_both_sides_of_threshold(bench, count=SLOTS, width=width)
 
     return play
@@ -245,12 +245,14 @@ def test_estimates_far_apart(bench: Bench) -> None:
     # sqrt(12) g spread, with g the information: 0.87 g with a spread of 1/4, 1.3 g with one of 3/8.
     deviation = 1.1 * _initial_information(bench)
     black_share = _predict_black_share(bench, fill_ratio=3 / 8) + deviation
-    if not _can_estimates_decide_test(bench) or black_share >= 1:
+    is_share_possible = black_share < 1
+    if not _can_estimates_decide_test(bench) or not is_share_possible:
         return
     bench.activity = "observations that estimates far apart contradict"
     three_quarters = 3 * SLOT_HALF // 2
     estimates = [0, three_quarters] * (SLOTS // 2)
-    if _observe_until_black_share(bench, black_share, is_enough=lambda: _would_reject(bench, estimates)):
+    can_test = _observe_until_black_share(bench, black_share, lambda: _would_reject(bench, estimates))
+    if can_test:
         bench.activity = "a test with estimates that are far apart"
         _play_test_with_estimates(bench, estimates)
 
@@ -340,11 +342,12 @@ def _set_slots(bench: Bench, estimates: Sequence[int]) -> None:
     Each estimate comes in a message of its own. The controller keeps it in the slot of the sender's id, and
     the ids are chosen to fill the first slots of ``_FILLING_ORDER``. The other slots keep what they have.
     """
-    messages = [
-        NeighbourEstimate(_draw_x_hat(bench, estimate), draw_normal_alpha(bench.rng))
-        for estimate in estimates
-    ]
-    senders = [_draw_sender(bench, slot) for slot in _FILLING_ORDER[: len(estimates)]]
+    messages = []
+    for estimate in estimates:
+        x_hat = _draw_x_hat(bench, estimate)
+        messages.append(NeighbourEstimate(x_hat, draw_normal_alpha(bench.rng)))
+    slots = _FILLING_ORDER[: len(estimates)]
+    senders = [_draw_sender(bench, slot) for slot in slots]
     bench.play_round(*messages, senders=senders)
 
 
@@ -400,7 +403,7 @@ def _observe_in_order(bench: Bench, observations: Sequence[Observation]) -> None
     bench.skip_ticks(len(observations), lambda: next(remaining_observations))
 
 
-def _observe_three_quarters_filled(bench: Bench) -> None:
+def _observe_as_at_three_quarters(bench: Bench) -> None:
     """Observe until the share of black is about what the initial b_hat predicts for a fill ratio of 3/4."""
     black_share = _predict_black_share(bench, _FILL_RATIO_BEFORE_TEST)
     _observe_until_black_share(bench, black_share)
@@ -470,10 +473,11 @@ def _observe_until_slots_can_be_crafted(
         slots = craft_slots()
         if slots is not None:
             return slots
-        colour = _more_frequent_colour(bench)
-        if _would_reject(bench, [_most_contradicting_estimate(bench)] * SLOTS):
-            colour = Observation.WHITE if colour is Observation.BLACK else Observation.BLACK
-        _observe_in_order(bench, [colour] * BURST)
+        is_black = _more_frequent_colour(bench) is Observation.BLACK
+        can_test_reject = _would_reject(bench, [_most_contradicting_estimate(bench)] * SLOTS)
+        if can_test_reject:
+            is_black = not is_black
+        _observe_in_order(bench, [Observation(is_black)] * BURST)
     bench.not_exercised.append(bench.activity)
     return None
 
@@ -538,7 +542,8 @@ def _most_contradicting_estimate(bench: Bench) -> int:
 def _would_reject(bench: Bench, estimates: Sequence[int]) -> bool:
     """Return whether a test before the next observation would reject with these estimates in the slots."""
     state = bench.model_state
-    return SlotsAtTest(tuple(estimates), filter_at_test(state), state.t, state.n).is_rejected()
+    slots = SlotsAtTest(tuple(estimates), filter_at_test(state), state.t, state.n)
+    return slots.is_rejected()
 
 
 # --- Tests that are decided by a hair, or by supporters ---
@@ -608,10 +613,11 @@ def _shows_wrong_test(slots: SlotsAtTest, wrong_tests: Sequence[RobustTest]) -> 
     if slots.is_supported:
         return False  # b_hat goes back to the initial one, whatever the test decides
     right_decision = slots.is_rejected()
-    return any(slots.is_rejected(wrong_test) != right_decision for wrong_test in wrong_tests)
+    wrong_decisions = [slots.is_rejected(wrong_test) for wrong_test in wrong_tests]
+    return any(decision != right_decision for decision in wrong_decisions)
 
 
-def _play_test_of_two_parties(bench: Bench, count: int, supporter_count: int) -> None:
+def _play_test_with_supporters(bench: Bench, count: int, supporter_count: int) -> None:
     """Play a test that rejects although ``supporter_count`` of ``count`` estimates support the robot.
 
     Supporters are estimates that agree with the robot's observations. If no observations bring the test

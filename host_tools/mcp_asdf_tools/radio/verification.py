@@ -88,11 +88,11 @@ class ControllerVerdict:
     @property
     def headline(self) -> str:
         """The verdict in a sentence or two, beginning with PASSED, FAILED, DISTURBED or the like."""
-        passed_phases = sum(phase.outcome == PASSED for phase in self.phases)
-        count = f"{passed_phases} of {len(self.phases)} phases passed"
+        passed_phases = [phase for phase in self.phases if phase.outcome == PASSED]
+        count = f"{len(passed_phases)} of {len(self.phases)} phases passed"
         if self.has_passed:
-            repeated = f"; {self.repeated} commands were repeated" if self.repeated else ""
-            return f"PASSED: {count}; every frame of the controller equals the model's{repeated}"
+            repetitions = f"; {self.repeated} commands were repeated" if self.repeated > 0 else ""
+            return f"PASSED: {count}; every frame of the controller equals the model's{repetitions}"
         if self.difference is not None:
             return f"FAILED: {count}; first in {self.difference}"
         if self.disturbance is not None:
@@ -100,11 +100,11 @@ class ControllerVerdict:
         if self.is_interrupted:
             return f"INTERRUPTED: {count}"
         # No difference has ended the run, so that a phase has not passed only if its fault affected nothing.
-        idle_faults = [
+        faults_without_effect = [
             f'the fault of phase "{phase.name}"' for phase in self.phases if phase.outcome != PASSED
         ]
-        missing = "; ".join(idle_faults + self.not_exercised)
-        return f"NOT EXERCISED: {count}, no difference, but never put to the test: {missing}"
+        untested_cases = "; ".join(faults_without_effect + self.not_exercised)
+        return f"NOT EXERCISED: {count}, no difference, but never put to the test: {untested_cases}"
 
     def open_points(self) -> dict[str, list[str]]:
         """Return the lists of what is not exercised and not checked by title, those that are not empty."""
@@ -112,8 +112,9 @@ class ControllerVerdict:
         return {title: entries for title, entries in lists.items() if entries}
 
     def plain(self) -> dict[str, Any]:
-        """Return the verdict as plain values, for JSON."""
-        return {"passed": self.has_passed, **vars(self), "phases": [vars(phase) for phase in self.phases]}
+        """Return the attributes as plain values, for JSON, and whether the controller has passed."""
+        phases = [vars(phase) for phase in self.phases]
+        return {"passed": self.has_passed, **vars(self), "phases": phases}
 
 
 def plan_phases(
@@ -140,18 +141,19 @@ def plan_phases(
         "them": "+".join(neighbour_ids),
         "one": neighbour_ids[0],
     }
-    chosen_phases = [
-        replace(phase, fault=phase.fault.format(**ids_by_placeholder))
-        for phase in phases
-        if phase.applies(settings.controller)
-    ]
+    chosen_phases = []
+    for phase in phases:
+        if phase.applies(settings.controller):
+            fault_with_ids = phase.fault.format(**ids_by_placeholder)
+            chosen_phases.append(replace(phase, fault=fault_with_ids))
     chosen_phases += [Phase(fault.name, fault=str(fault)) for fault in settings.faults]
     phases_among_neighbours = [phase for phase in chosen_phases if phase.play is None]
     faults = []
     for index, phase in enumerate(phases_among_neighbours):
         first_tick = index * ticks
-        for text in phase.fault.split():
-            faults.append(replace(parse_fault(text), start=first_tick, stop=first_tick + ticks))
+        for fault_text in phase.fault.split():
+            fault = parse_fault(fault_text)
+            faults.append(replace(fault, start=first_tick, stop=first_tick + ticks))
     return chosen_phases, faults
 
 
@@ -235,7 +237,7 @@ class Verification:
             # A wrong frame in place of the answer says more than that the answer is missing.
             difference = bench.pop_difference()
             has_sent_wrong_frame = difference is not None and difference.field != "missing"
-            description = difference if has_sent_wrong_frame else error
+            description = str(difference) if has_sent_wrong_frame else str(error)
             verdict.difference = f"{self._describe_time()}: {description}"
         verdict.repeated = bench.lockstep.repeated
         return verdict
@@ -251,7 +253,7 @@ class Verification:
         bench.compare_late_frames()
 
     def _run_phase(self, phase: Phase, result: PhaseResult) -> None:
-        """Run a phase and fill in its result.
+        """Run a phase and fill in its result: passed, or not exercised if its fault affected nothing.
 
         If an error ends the phase, its figures are filled in, too, and the error is raised.
         """
@@ -269,8 +271,8 @@ class Verification:
             result.ticks = ticks - ticks_before
             result.injected = injected - injected_before
             result.equal = equal - equal_before
-        has_idle_fault = bool(phase.fault) and result.injected == 0
-        result.outcome = NOT_EXERCISED if has_idle_fault else PASSED
+        has_fault = phase.fault != ""
+        result.outcome = NOT_EXERCISED if has_fault and result.injected == 0 else PASSED
 
     def _totals(self) -> tuple[int, int, int]:
         """Return the numbers of ticks, injected faults and equal frames of all phases together so far."""
@@ -304,9 +306,9 @@ class Verification:
         The activity is left out if it is the name of the phase or its faults, or empty.
         """
         activity = self.bench.activity
-        is_activity_known = activity in ("", self._phase.name, self._phase.fault)
-        in_brackets = "" if is_activity_known else f" ({activity})"
-        return f'phase "{self._phase.name}"{in_brackets}, tick {self.bench.tick_index}'
+        adds_nothing = activity in ("", self._phase.name, self._phase.fault)
+        activity_in_brackets = "" if adds_nothing else f" ({activity})"
+        return f'phase "{self._phase.name}"{activity_in_brackets}, tick {self.bench.tick_index}'
 
 
 # --- Reports ---
@@ -339,15 +341,17 @@ def _format_phases(phases: Sequence[PhaseResult]) -> list[str]:
 
     The columns are name, ticks, injected faults, equal frames, outcome and fault.
     """
-    columns = list(_HEADINGS)
+    attribute_names = list(_HEADINGS)
     headings = list(_HEADINGS.values())
     rows = []
     for phase in phases:
-        figures = [getattr(phase, column) for column in columns]
-        rows.append([str(figure or "") for figure in figures])  # 0 and None are left blank
-    widths = [max(map(len, cells)) for cells in zip(headings, *rows, strict=True)]
+        values = [getattr(phase, name) for name in attribute_names]
+        rows.append([str(value or "") for value in values])  # 0 and None are left blank
+    widths = []
+    for cells_of_column in zip(headings, *rows, strict=True):
+        widths.append(max(len(cell) for cell in cells_of_column))
     # Faults are long and in the last column, so they are not padded.
-    widths[columns.index("fault")] = len(_HEADINGS["fault"])
+    widths[-1] = len(headings[-1])
     rule = ["-" * width for width in widths]
     lines = []
     for row in [headings, rule, *rows]:
