@@ -43,11 +43,8 @@ def test_without_a_loop_the_longer_branch_counts() -> None:
 
     A graph lists the instructions that may follow each instruction.
     """
-    assert count_longest_path({0: [1, 3], 1: [2], 2: [3], 3: []}, places={}, bounds={}) == 4
-
-
-TEN_TURNS = {"a.c:7": Bound(turns=10, in_all=None)}
-"""Bound of the only loop of a function."""
+    graph = {0: [1, 3], 1: [2], 2: [3], 3: []}
+    assert count_longest_path(graph, places={}, bounds={}) == 4
 
 
 def test_a_loop_that_is_left_at_its_end_counts_as_often_as_it_turns() -> None:
@@ -56,49 +53,60 @@ def test_a_loop_that_is_left_at_its_end_counts_as_often_as_it_turns() -> None:
     It comes from line 7 of a.c, whose comment states ten turns. Each instruction counts 1.
     """
     graph = {0: [1], 1: [2], 2: [1, 3], 3: []}
+    bounds = {"a.c:7": Bound(turns=10, in_all=None)}
+
+    count = count_longest_path(graph, places={2: "a.c:7"}, bounds=bounds)
+
     before, after = 1, 1
-    assert count_longest_path(graph, places={2: "a.c:7"}, bounds=TEN_TURNS) == before + 10 * 2 + after
+    assert count == before + 10 * 2 + after
 
 
 def test_a_loop_that_is_left_at_its_beginning_tests_once_more_than_it_turns() -> None:
     """Instruction 1 is the test, from line 7 of a.c: it goes on to 2 or leaves the loop after ten turns."""
     graph = {0: [1], 1: [2, 3], 2: [1], 3: []}
+    bounds = {"a.c:7": Bound(turns=10, in_all=None)}
+
+    count = count_longest_path(graph, places={1: "a.c:7"}, bounds=bounds)
+
     before, last_test, after = 1, 1, 1
-    assert (
-        count_longest_path(graph, places={1: "a.c:7"}, bounds=TEN_TURNS)
-        == before + 10 * 2 + last_test + after
-    )
-
-
-NESTED_LOOPS = {0: [1], 1: [2], 2: [2, 3], 3: [1, 4], 4: []}
-"""Instruction 2 repeats itself within the loop of instructions 1 to 3."""
-PLACES_OF_NESTED_LOOPS = {2: "a.c:8", 3: "a.c:7"}
-"""The inner loop's statement is in line 8, the outer loop's statement in line 7."""
+    assert count == before + 10 * 2 + last_test + after
 
 
 def test_an_inner_loop_turns_in_every_turn_of_the_outer_one() -> None:
-    """The inner loop, of line 8, is one instruction. The outer one, of line 7, has two more."""
-    bounds = {"a.c:7": Bound(turns=10, in_all=None), "a.c:8": Bound(turns=5, in_all=None)}
+    """Instruction 2, of line 8, repeats itself within the loop of instructions 1 to 3, of line 7."""
+    graph = {0: [1], 1: [2], 2: [2, 3], 3: [1, 4], 4: []}
+    places = {2: "a.c:8", 3: "a.c:7"}
+    bounds = {"a.c:8": Bound(turns=5, in_all=None), "a.c:7": Bound(turns=10, in_all=None)}
+
+    count = count_longest_path(graph, places, bounds)
+
     turn_of_outer_loop = 1 + 5 + 1
     before, after = 1, 1
-    expected_count = before + 10 * turn_of_outer_loop + after
-    assert count_longest_path(NESTED_LOOPS, PLACES_OF_NESTED_LOOPS, bounds) == expected_count
+    assert count == before + 10 * turn_of_outer_loop + after
 
 
 def test_an_inner_loop_with_a_bound_on_all_its_turns_adds_these_once() -> None:
-    """They are 20, beside one instruction of the inner loop in each of the 10 turns of the outer one."""
-    bounds = {"a.c:7": Bound(turns=10, in_all=None), "a.c:8": Bound(turns=5, in_all=20)}
+    """They are 20, beside one instruction of the inner loop in each of the 10 turns of the outer one.
+
+    Instruction 2, of line 8, repeats itself within the loop of instructions 1 to 3, of line 7.
+    """
+    graph = {0: [1], 1: [2], 2: [2, 3], 3: [1, 4], 4: []}
+    places = {2: "a.c:8", 3: "a.c:7"}
+    bounds = {"a.c:8": Bound(turns=5, in_all=20), "a.c:7": Bound(turns=10, in_all=None)}
+
+    count = count_longest_path(graph, places, bounds)
+
     turn_of_outer_loop = 1 + 1 + 1
     before, after = 1, 1
-    expected_count = before + 10 * turn_of_outer_loop + 20 + after
-    assert count_longest_path(NESTED_LOOPS, PLACES_OF_NESTED_LOOPS, bounds) == expected_count
+    assert count == before + 10 * turn_of_outer_loop + 20 + after
 
 
 def test_the_cost_of_a_loop_with_two_entries_is_at_most_twice_that_of_its_longest_walk() -> None:
     """The bound is less tight there. Instruction 0 jumps to either of the loop's instructions 1 and 2."""
     graph = {0: [1, 2], 1: [2, 3], 2: [1], 3: []}
+    bounds = {"a.c:7": Bound(turns=10, in_all=None)}
 
-    count = count_longest_path(graph, places={1: "a.c:7", 2: "a.c:7"}, bounds=TEN_TURNS)
+    count = count_longest_path(graph, places={1: "a.c:7", 2: "a.c:7"}, bounds=bounds)
 
     before, last_test, after = 1, 1, 1
     longest_walk = before + 10 * 2 + last_test + after
@@ -107,5 +115,6 @@ def test_the_cost_of_a_loop_with_two_entries_is_at_most_twice_that_of_its_longes
 
 def test_a_loop_without_a_bound_in_the_source_is_refused() -> None:
     """Instruction 1 may be repeated for ever, so there is no longest path."""
+    graph = {0: [1], 1: [1, 2], 2: []}
     with pytest.raises(ValueError, match=r"without a bound in the source: \['a.c:7'\]"):
-        count_longest_path({0: [1], 1: [1, 2], 2: []}, places={1: "a.c:7"}, bounds={})
+        count_longest_path(graph, places={1: "a.c:7"}, bounds={})

@@ -101,7 +101,7 @@ def test_every_flip_of_what_follows_from_b_hat_is_found_in_time(counted: Counted
 def test_every_flip_of_the_robust_filter_s_memory_is_found_in_time_with_another_filter() -> None:
     """The other filter leaves that memory as it was made, so each change of it is a fault.
 
-    The members are called robust.x and so on. In time is before what the robot believes is off by 1 %.
+    The members are called robust.centre and so on. In time is before what the robot believes is off by 1 %.
     """
     counted = count_flips(Filter.ADAPTIVE, FLIPS_PER_BIT)
     assert members_not_found_in_time(counted, "robust") == []
@@ -127,7 +127,8 @@ def test_no_flip_makes_the_firmware_do_what_c_leaves_open(filter_kind: Filter, t
     """
     sanitizers = ("-fsanitize=address,undefined", "-fno-sanitize-recover=all")
 
-    counts_with_sanitizers = count_effects(tmp_path, 2, filter_kind, *sanitizers)
-    counts_without = count_effects(tmp_path, 2, filter_kind)
+    flips_per_bit = 2
+    counts_with_sanitizers = count_effects(tmp_path, flips_per_bit, filter_kind, *sanitizers)
+    counts_without = count_effects(tmp_path, flips_per_bit, filter_kind)
 
     assert counts_with_sanitizers == counts_without

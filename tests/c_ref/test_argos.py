@@ -318,7 +318,7 @@ def test_the_table_of_results_has_a_row_for_each_robot_after_each_100_ticks(
 def test_the_table_of_results_has_the_last_estimate_and_accuracy_of_a_robot(
     run_swarm: RunSwarm, swarm: Swarm, tmp_path: Path
 ) -> None:
-    """The last row of the table is about the last of 20 robots, kiv19, at the end of the run.
+    """The table has nine columns. Its last row is about the last of 20 robots, kiv19, at the end of the run.
 
     The robot's log has its numbers as integers, in lines ``settle,x,x_hat,alpha,b_hat,status``: x in units
     of 2^-23, and the accuracy b_hat in units of 2^-32.

@@ -196,7 +196,8 @@ def test_a_robot_with_the_paper_s_filter_raises_its_accuracy_if_ctypes_passes_th
     """
     robot = run_robot_by_ctypes(library, PAPER_S_FILTER)
 
-    share_seen, x_bar = 3 / 4, 0.8345  # as is_black_at() and estimate_at() have them
+    share_seen = 3 / 4
+    x_bar = 0.8345  # what three neighbours broadcast: 7,000,000 units of 2^-23, and a bit more
     expected_b_hat = (share_seen + x_bar - 1) / (2 * x_bar - 1)
     assert robot.read("b_hat") / 2**32 == pytest.approx(expected_b_hat, abs=0.01)
 

@@ -174,20 +174,23 @@ def pkg_config_path(installed_library: Path) -> str:
 
 def test_a_project_adds_the_folder_of_the_library(project: Path) -> None:
     """It does so with CMake's add_subdirectory. run() raises unless its program ends with the code 0."""
-    run(build_with_cmake(project, ADD_SUBDIRECTORY))
+    program = build_with_cmake(project, ADD_SUBDIRECTORY)
+    run(program)
 
 
 @pytest.mark.slow
 def test_a_project_fetches_the_whole_repository(project: Path) -> None:
     """It does so with CMake's FetchContent, here from a folder. run() raises if its program fails."""
-    run(build_with_cmake(project, FETCH_CONTENT))
+    program = build_with_cmake(project, FETCH_CONTENT)
+    run(program)
 
 
 @pytest.mark.slow
 def test_cmake_finds_the_installed_version(project: Path, installed_library: Path) -> None:
     """find_package gets the version of the header. run() raises if the program that is linked to it fails."""
     command = f"find_package(mcp_asdf {version_of_header()} EXACT REQUIRED)"
-    run(build_with_cmake(project, command, f"-DCMAKE_PREFIX_PATH={installed_library}"))
+    program = build_with_cmake(project, command, f"-DCMAKE_PREFIX_PATH={installed_library}")
+    run(program)
 
 
 @pytest.mark.slow
@@ -241,14 +244,15 @@ def test_a_library_without_the_robust_filter_hides_it_from_the_program(project: 
     For that it ends with an #error for a header that offers the filter. run() raises if it does not compile.
     """
     (project / "main.c").write_text(PROGRAM + STOP_IF_THERE_IS_A_ROBUST_FILTER)
-    run(build_with_cmake(project, ADD_SUBDIRECTORY, "-DMCP_ASDF_WITH_ROBUST=OFF"))
+    program = build_with_cmake(project, ADD_SUBDIRECTORY, "-DMCP_ASDF_WITH_ROBUST=OFF")
+    run(program)
 
 
 @pytest.mark.slow
 def test_an_installed_library_without_the_filter_of_the_paper_hides_it_from_the_program(
     project: Path,
 ) -> None:
-    """A robot has one of two filters, and only the robust one is left.
+    """A robot has one of two filters, and only the robust one is left, which the program's robot has.
 
     The program compiles only if the header hides the other one, and run() raises if it does not. For users of
     pkg-config a flag hides it.
@@ -257,7 +261,9 @@ def test_an_installed_library_without_the_filter_of_the_paper_hides_it_from_the_
 
     prefix = install_library(project / "library", "-DMCP_ASDF_WITH_ASDF=OFF")
 
-    run(build_with_cmake(project, "find_package(mcp_asdf REQUIRED)", f"-DCMAKE_PREFIX_PATH={prefix}"))
+    command = "find_package(mcp_asdf REQUIRED)"
+    program = build_with_cmake(project, command, f"-DCMAKE_PREFIX_PATH={prefix}")
+    run(program)
     [description] = prefix.rglob("mcp_asdf.pc")
     assert "-DMCP_ASDF_WITH_ASDF=0" in description.read_text(encoding="utf-8")
 
@@ -381,7 +387,8 @@ def test_zephyr_has_the_optional_parts_with_the_firmware_unless_they_are_left_ou
     """
     kconfiglib = pytest.importorskip("kconfiglib", reason="kconfiglib is not installed: make setup")
     (tmp_path / "prj.conf").write_text(settings)
-    kconfig = kconfiglib.Kconfig(str(PACKAGE / zephyr_module()["kconfig"]), warn_to_stderr=False)
+    file_of_options = PACKAGE / zephyr_module()["kconfig"]
+    kconfig = kconfiglib.Kconfig(str(file_of_options), warn_to_stderr=False)
 
     kconfig.load_config(str(tmp_path / "prj.conf"))
 
@@ -394,7 +401,8 @@ def test_zephyr_has_the_optional_parts_with_the_firmware_unless_they_are_left_ou
 
 def test_zephyr_builds_the_parts_that_its_options_choose() -> None:
     """It builds the method once the firmware is chosen, and each other part if its option is y."""
-    commands = (PACKAGE / zephyr_module()["cmake"] / "CMakeLists.txt").read_text(encoding="utf-8")
+    folder_of_commands = PACKAGE / zephyr_module()["cmake"]
+    commands = (folder_of_commands / "CMakeLists.txt").read_text(encoding="utf-8")
 
     assert "zephyr_library_sources(../src/mcp_asdf.c ../src/mcp_asdf_accessors.c)" in commands
     for part in ("mcp_asdf_image", "mcp_asdf_frame", "mcp_asdf_small"):

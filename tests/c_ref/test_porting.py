@@ -37,7 +37,6 @@ ROBOT_ID, B_HAT = 7, 0xF3333333  # MCP_ASDF_PROBABILITY(95, 100): 0.95 in units 
 FORMAT = FrameFormat()
 RADIO_QUEUE = 8
 """Packets that the robot's radio keeps until the end of a tick."""
-IMAGE_SIZE = 156
 WHITE, BLACK, NO_TILE = 0, 1, 2
 """What the sensor reads in a tick; NO_TILE stands for a tick in which it gives no colour."""
 NOISE = b"\x00\xff"
@@ -554,8 +553,8 @@ def test_the_robot_on_a_scripted_board_sends_what_the_robot_in_python_sends(
 
     It is a program here, which reads the script with the tiles and packets on its standard input.
     """
-    draw_tile_from = (WHITE, BLACK, BLACK, NO_TILE)
-    script = draw_script(5, ticks=1500, draw_tile_from=draw_tile_from, max_packets_in_a_tick=15)
+    tiles = (WHITE, BLACK, BLACK, NO_TILE)
+    script = draw_script(seed=5, ticks=1500, draw_tile_from=tiles, max_packets_in_a_tick=15)
 
     robot = subprocess.run(
         [robot_on_scripted_board], input=format_script(script), capture_output=True, check=True
@@ -567,7 +566,7 @@ def test_the_robot_on_a_scripted_board_sends_what_the_robot_in_python_sends(
 
 # --- Over a reset ------------------------------------------------------------------------------------------
 
-POWER_FAILS = """
+PROGRAM_WHOSE_POWER_FAILS = """
 #include <stdio.h>
 #include <string.h>
 
@@ -616,15 +615,15 @@ def test_a_robot_loses_one_observation_at_most_if_the_power_fails_while_it_is_sa
 
     A program prints how many observations are lost: one until the first copy is complete, then none.
     """
-    (tmp_path / "main.c").write_text(block_with(PAGE, "board_store", "c") + POWER_FAILS)
+    (tmp_path / "main.c").write_text(block_with(PAGE, "board_store", "c") + PROGRAM_WHOSE_POWER_FAILS)
     sources = [tmp_path / "main.c", CORE, CORE.with_name("mcp_asdf_image.c")]
     run("cc", "-std=c99", *WARNINGS.split(), f"-I{CORE.parent}", *sources, "-o", tmp_path / "robot")
 
     printed_numbers = run(tmp_path / "robot").split()
     lost_observations = [int(number) for number in printed_numbers]
 
-    while_first_copy_is_written = [1] * IMAGE_SIZE  # the power fails after 0 to 155 bytes
-    from_its_end_on = [0] * (IMAGE_SIZE + 1)  # after 156 to 312 bytes
+    while_first_copy_is_written = [1] * 156  # the power fails after 0 to 155 bytes
+    from_its_end_on = [0] * 157  # after 156 to 312 bytes
     assert lost_observations == while_first_copy_is_written + from_its_end_on
 
 
@@ -713,7 +712,8 @@ def test_the_robot_on_an_atmega_sends_what_the_robot_in_python_sends(
     """
     require_simavr()
     board, image = avr_image
-    script = draw_script(7, ticks=60, draw_tile_from=(WHITE, BLACK, BLACK), max_packets_in_a_tick=5)
+    tiles = (WHITE, BLACK, BLACK)
+    script = draw_script(seed=7, ticks=60, draw_tile_from=tiles, max_packets_in_a_tick=5)
     sent_bytes = bytearray()
     robot = Board(image, board.clock, on_sent_byte=sent_bytes.append)
 

@@ -59,20 +59,16 @@ def test_the_c_tests_pass_with_the_settings_of_a_preset(preset: str) -> None:
     report = ROOT / f"build/reports/ctest-{preset}.xml"
     target_of_preset = dict(zip(PRESETS, TESTED_CHOICES, strict=False))  # there are more targets than presets
     one_target = f"-DTEST_VARIANTS={target_of_preset[preset]}"
-    only_with_both_filters, fewer_calls = "-DTEST_WITHOUT=", "-DTEST_CALLS=200000"
-    debug = ["-DCMAKE_BUILD_TYPE=Debug", "-DCMAKE_C_FLAGS_DEBUG=-O0 -g1"]
-
-    run(
-        require("cmake"),
-        "--preset",
-        preset,
-        "-B",
-        folder,
+    both_filters, fewer_calls = "-DTEST_WITHOUT=", "-DTEST_CALLS=200000"
+    options = [
         one_target,
-        only_with_both_filters,
+        both_filters,
         fewer_calls,
-        *debug,
-    )
+        "-DCMAKE_BUILD_TYPE=Debug",
+        "-DCMAKE_C_FLAGS_DEBUG=-O0 -g1",
+    ]
+
+    run(require("cmake"), "--preset", preset, "-B", folder, *options)
     run("cmake", "--build", folder)
     run("ctest", "--preset", preset, "--test-dir", folder, "--output-junit", report)
 

@@ -46,7 +46,10 @@ def test_no_input_that_fuzzing_kept_makes_a_port_crash_or_break_a_promise(
 def test_none_of_300_000_more_inputs_makes_a_port_crash_or_break_a_promise(
     name: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    """libFuzzer makes them from those that were kept. One that the harness does not survive ends the run."""
+    """libFuzzer makes them from those that were kept. One that the harness does not survive ends the run.
+
+    The build is a FAST one, whose only sanitizer is that for undefined behaviour.
+    """
     harness = HARNESSES[name]
     inputs = harness.unpack(tmp_path / "inputs")
 

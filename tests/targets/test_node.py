@@ -63,9 +63,9 @@ from targets.unix_bus import UnixBus
 from wrong_robots import surroundings
 
 ID = 101
-CAN_ERR_CRTL, CAN_ERR_PROT, CAN_ERR_BUSOFF, CAN_ERR_RESTARTED = 0x4, 0x8, 0x40, 0x100
-"""Kinds of error frames in linux/can/error.h: controller, protocol, bus-off, restarted."""
-ERROR_WARNING, ERROR_PASSIVE, ERROR_ACTIVE = 0x08, 0x10, 0x40
+CONTROLLER_STATE, GARBLED_FRAME, BUS_OFF, RESTARTED = 0x4, 0x8, 0x40, 0x100
+"""Kinds of error frames: CAN_ERR_CRTL, _PROT, _BUSOFF and _RESTARTED of linux/can/error.h."""
+MANY_ERRORS, ERROR_PASSIVE, ERROR_ACTIVE = 0x08, 0x10, 0x40
 """States of a controller in the second byte of an error frame (CAN_ERR_CRTL_TX_WARNING and so on)."""
 FAST_CLOCK = ("--steps-per-second", 1000)
 
@@ -182,13 +182,6 @@ def make_both_nodes(start_node: StartNode, bus: UnixBus) -> Callable[[Filter], B
     return make
 
 
-EXERCISED_COUNTERS = (
-    *("unknown", "refused", "others", "error_frames", "collisions"),
-    *("obeyed", "disobeyed", "unsettled", "repeated", "rejected"),
-)
-"""Counters of the summary that many of the random frames increment."""
-
-
 @pytest.mark.parametrize(
     ("firmware_filter", "counter_of_filter"),
     [(Filter.ALWAYS, "updates"), (Filter.ADAPTIVE, "tests"), (Filter.ROBUST, "tests")],
@@ -211,9 +204,12 @@ def test_c_and_python_node_answer_thousands_of_legal_and_broken_frames_alike(
 
     assert candump_lines(both.bus.received_frames) == candump_lines(both.expected_answers)
     expected_numbers = numbers_of_robot(both.twin)
-    assert {name: summary[name] for name in expected_numbers} == expected_numbers
+    numbers_of_c_node = {name: summary[name] for name in expected_numbers}
+    assert numbers_of_c_node == expected_numbers
     assert numbers_of_reception(summary) == expected_numbers_of_reception(both.twin)
-    for counter in EXERCISED_COUNTERS:
+    counters_of_broken_frames = ("unknown", "refused", "others", "error_frames", "collisions")
+    counters_of_commands_and_estimates = ("obeyed", "disobeyed", "unsettled", "repeated", "rejected")
+    for counter in (*counters_of_broken_frames, *counters_of_commands_and_estimates):
         assert summary[counter] > 50, f"{counter}: too rare to be tested"
     assert summary[counter_of_filter] >= 5, "runs of the filter"
 
@@ -288,7 +284,7 @@ DAMAGES: tuple[Callable[[can.Message, random.Random], dict[str, Any]], ...] = (
     lambda frame, rng: {"arbitration_id": frame.arbitration_id & 0x7FF, "is_extended_id": False},
     lambda frame, rng: {"data": None, "dlc": 8, "is_remote_frame": True},  # a request for data
     lambda frame, rng: {"is_fd": True},
-    lambda frame, rng: {"arbitration_id": CAN_ERR_PROT, "is_error_frame": True},
+    lambda frame, rng: {"arbitration_id": GARBLED_FRAME, "is_error_frame": True},
 )
 """Functions of a frame that return the arguments of ``can.Message`` to change in it."""
 
@@ -586,14 +582,14 @@ def test_the_node_s_heartbeat_says_how_the_bus_is(start_node: StartNode, bus: Un
     has a heartbeat. The heartbeat of the first tick comes before any error frame.
     """
     frame_and_health_by_tick = [
-        (error_frame(CAN_ERR_PROT), Health.NOMINAL),
-        (error_frame(CAN_ERR_PROT), Health.NOMINAL),  # a garbled frame alone is no reason to worry
-        (error_frame(CAN_ERR_CRTL, ERROR_WARNING), Health.ADVISORY),
-        (error_frame(CAN_ERR_CRTL, ERROR_PASSIVE), Health.CAUTION),
-        (error_frame(CAN_ERR_CRTL, ERROR_ACTIVE), Health.NOMINAL),
-        (error_frame(CAN_ERR_BUSOFF), Health.WARNING),
-        (error_frame(CAN_ERR_PROT), Health.WARNING),  # the controller is still off the bus
-        (error_frame(CAN_ERR_RESTARTED), Health.NOMINAL),
+        (error_frame(GARBLED_FRAME), Health.NOMINAL),
+        (error_frame(GARBLED_FRAME), Health.NOMINAL),  # a garbled frame alone is no reason to worry
+        (error_frame(CONTROLLER_STATE, MANY_ERRORS), Health.ADVISORY),
+        (error_frame(CONTROLLER_STATE, ERROR_PASSIVE), Health.CAUTION),
+        (error_frame(CONTROLLER_STATE, ERROR_ACTIVE), Health.NOMINAL),
+        (error_frame(BUS_OFF), Health.WARNING),
+        (error_frame(GARBLED_FRAME), Health.WARNING),  # the controller is still off the bus
+        (error_frame(RESTARTED), Health.NOMINAL),
     ]
     node = start_node("--lockstep", "--steps-per-second", 1, "--steps", 8)
     lockstep = Lockstep(bus, timeout=PATIENCE)
@@ -710,31 +706,33 @@ def test_a_state_that_is_damaged_or_of_another_configuration_is_refused_and_kept
     refused_state: bytes,
     options: tuple[object, ...],
     expected_reason: str,
-    refuse_state: Callable[..., str],
+    message_for_refused_state: Callable[..., str],
     tmp_path: Path,
 ) -> None:
     """The node, with id 101 and the paper's filter, does not start, says why, and leaves the file alone."""
     state = tmp_path / "state"
     state.write_bytes(refused_state)
 
-    message = refuse_state(state, *options)
+    message = message_for_refused_state(state, *options)
 
     assert expected_reason in message
     assert state.read_bytes() == refused_state
 
 
 @pytest.fixture
-def refuse_state(command: list[str], bus: UnixBus) -> Callable[..., str]:
+def message_for_refused_state(command: list[str], bus: UnixBus) -> Callable[..., str]:
     """A function that starts a node with a state that it has to refuse, and returns its error message."""
-    return partial(refusal_of_state, command, bus)
+    return partial(start_with_refused_state, command, bus)
 
 
-def test_a_folder_in_place_of_the_state_is_refused(refuse_state: Callable[..., str], tmp_path: Path) -> None:
+def test_a_folder_in_place_of_the_state_is_refused(
+    message_for_refused_state: Callable[..., str], tmp_path: Path
+) -> None:
     """The node does not start, and its message has the name of the folder."""
-    assert str(tmp_path) in refuse_state(tmp_path)
+    assert str(tmp_path) in message_for_refused_state(tmp_path)
 
 
-def refusal_of_state(command: list[str], bus: UnixBus, state: Path, *options: object) -> str:
+def start_with_refused_state(command: list[str], bus: UnixBus, state: Path, *options: object) -> str:
     """Start a node with a state that it has to refuse, by its exit code, and return its error message."""
     process = CNode(command, bus.channel_info, ID, "--lockstep", "--state", state, *options).process
     output, errors = process.communicate(timeout=PATIENCE)
@@ -773,7 +771,8 @@ def test_a_read_of_observations_that_fails_for_the_moment_is_repeated(
 ) -> None:
     """None of 600 observations is lost, although the first, the third and every second read after it fail.
 
-    strace lets the reads fail, as the system may if a signal comes or nothing is there yet.
+    strace lets the reads fail, as the system may if a signal comes or nothing is there yet. A tick whose read
+    has failed counts as missing an observation. A read takes up to 256 bytes, so there are several.
     """
     file = tmp_path / "observations"
     file.write_text("1" * 600, encoding="ascii")
@@ -786,21 +785,21 @@ def test_a_read_of_observations_that_fails_for_the_moment_is_repeated(
 
     assert summary["ended"] == "observations"
     assert summary["t"] == 600
-    assert summary["missing"] > 2, "ticks whose read has failed; a successful read takes up to 256 bytes"
+    assert summary["missing"] > 2
 
 
-def refusal_of_file(file: Path, reason: str) -> str:
+def pattern_of_message(file: Path, reason: str) -> str:
     """Return the pattern of the node's message about a file that the system does not let it read."""
     return rf"mcp_asdf_node: cannot (use the state|read|open) {file}: {reason}(; .*)?\n"
 
 
 @pytest.mark.parametrize(
-    ("failing_call", "reason"),
+    ("failing_call", "expected_reason"),
     [("openat:error=EACCES", "Permission denied"), *slow([("read:error=EIO:when=2", "Input/output error")])],
 )
 def test_a_state_that_cannot_be_read_is_refused_and_kept(
     failing_call: str,
-    reason: str,
+    expected_reason: str,
     bus: UnixBus,
     tmp_path: Path,
     command_under_strace: Callable[..., list[str]],
@@ -811,9 +810,9 @@ def test_a_state_that_cannot_be_read_is_refused_and_kept(
     state.write_bytes(image)
     command = command_under_strace([state], f"inject={failing_call}")
 
-    message = refusal_of_state(command, bus, state)
+    message = start_with_refused_state(command, bus, state)
 
-    assert re.fullmatch(refusal_of_file(state, reason), message)
+    assert re.fullmatch(pattern_of_message(state, expected_reason), message)
     assert state.read_bytes() == image
     assert names_in(tmp_path) == ["bus", "state", "trace"]
 
@@ -831,7 +830,7 @@ def test_observations_that_cannot_be_opened_are_refused_before_the_run(
     _, message = process.communicate(timeout=PATIENCE)
 
     assert process.returncode == WRONG_USAGE
-    assert re.fullmatch(refusal_of_file(file, "Permission denied"), message)
+    assert re.fullmatch(pattern_of_message(file, "Permission denied"), message)
     assert file.read_bytes() == b"1" * 256
     assert names_in(tmp_path) == ["bus", "observations", "trace"]
 
@@ -862,7 +861,7 @@ def test_a_run_ends_with_a_failure_where_observations_cannot_be_read(
         summary = node.summary(status=FAILED_RUN)
 
     [error_line] = node.error_lines
-    assert re.fullmatch(refusal_of_file(file, "Input/output error"), error_line + "\n")
+    assert re.fullmatch(pattern_of_message(file, "Input/output error"), error_line + "\n")
     assert summary["ended"] == "observations not readable"
     assert summary["t"] == expected_observations
 
@@ -874,9 +873,9 @@ def test_a_state_that_can_only_be_read_in_pieces_is_complete(
 
     When the node ends, it saves the unchanged state in an ordinary file of the same name.
     """
-    robot = python_node(ID)
-    robot.robot.step(Observation.BLACK)
-    image = saved_state(robot)
+    python_twin = python_node(ID)
+    python_twin.robot.step(Observation.BLACK)
+    image = saved_state(python_twin)
     state = tmp_path / "state"
     os.mkfifo(state)
 
@@ -1030,8 +1029,8 @@ def test_whichever_call_of_a_save_fails_the_last_state_or_the_one_before_is_kept
 ) -> None:
     """The robot goes on, prints one message, and ends with the exit code of a failed run.
 
-    There are two saves, after 300 tiles and after 400; ``kept_save`` is 1 or 2. strace lets a call fail, say
-    the third openat of both saves, as if the disk were full.
+    There are two saves, after 300 tiles and after 400; ``kept_save`` is 1 or 2, as ``states`` begin with the
+    state before. strace lets a call fail, say the third openat of both saves, as if the disk were full.
     """
     error_lines = run_with_two_saves(f"inject={failing_call}", exit_code=FAILED_RUN)
 

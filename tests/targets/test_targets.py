@@ -46,6 +46,7 @@ def has_objects(build: ImageBuild) -> bool:
 class PlayedImages:
     """What the images of a build printed, each with the files that it plays, and where they were built."""
 
+    build: ImageBuild
     outputs: list[tuple[list[str], str]]
     folder: Path
 
@@ -66,7 +67,7 @@ def played_images(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempP
         (files, (folder / f"printed_{number}.txt").read_text(encoding="utf-8"))
         for number, files in enumerate(build.images())
     ]
-    return PlayedImages(outputs, folder)
+    return PlayedImages(build, outputs, folder)
 
 
 @pytest.mark.parametrize("name", [*QUICK_FILES, *slow(SLOW_FILES)])
@@ -97,17 +98,17 @@ def test_a_target_computes_the_same_bits_as_the_robot_in_python(played_images: P
     indirect=True,
 )
 def test_the_firmware_needs_no_library_and_no_variables_on_a_target(
-    played_images: PlayedImages, request: pytest.FixtureRequest
+    played_images: PlayedImages,
 ) -> None:
     """It may call the helpers with which the target's compiler computes with integers.
 
     The image of the target was built of the compiled files that are looked into here.
     """
-    build: ImageBuild = request.node.callspec.params["played_images"]
+    pattern_of_helpers = played_images.build.target.helpers
     compiled_files = matrix.core_objects(played_images.folder)
 
     symbols = matrix.needed_symbols(compiled_files)
-    foreign_symbols = {name for name in symbols if not re.fullmatch(build.target.helpers, name)}
+    foreign_symbols = {name for name in symbols if not re.fullmatch(pattern_of_helpers, name)}
 
     assert foreign_symbols == set()
     bytes_of_variables = sum(matrix.variables(compiled) for compiled in compiled_files)
