@@ -242,7 +242,7 @@ def test_a_wrong_result_of_any_event_of_the_robust_filter_is_reported(
     for right_call in calls[:10]:
         for wrong_after in results_with_a_wrong_value(event, right_call.after):
             problems = Audit().check_call(right_call.setup, right_call.call, right_call.before, wrong_after)
-            assert problems, f"{right_call.call} may give {wrong_after}"
+            assert problems != [], f"{right_call.call} may give {wrong_after}"
 
 
 ROBUST_ROBOT = f"robot:{Filter.ROBUST:d}:1:64:0:{3 << 30}"
