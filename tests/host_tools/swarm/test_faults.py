@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import hashlib
 import itertools
-import re
 import struct
 from collections import Counter
 from collections.abc import Sequence
@@ -66,7 +65,7 @@ ROBOTS, TICKS = 4, 12
 
 
 @pytest.mark.parametrize(
-    ("text", "fault"),
+    ("text", "expected_fault"),
     [
         ("loss", Loss(rate=1.0)),
         (
@@ -79,13 +78,13 @@ ROBOTS, TICKS = 4, 12
         ("corrupt=0, robots=126-127, bits=64", Corrupt(rate=0.0, robots=frozenset({126, 127}), bits=64)),
     ],
 )
-def test_a_fault_has_the_options_of_its_text(text: str, fault: Fault) -> None:
+def test_a_fault_has_the_options_of_its_text(text: str, expected_fault: Fault) -> None:
     """The number behind its kind is the rate, the probability with which it hits; without one it is 1."""
-    assert parse_fault(text) == fault
+    assert parse_fault(text) == expected_fault
 
 
 def test_the_text_of_a_fault_has_its_rate_and_the_options_that_are_not_the_default() -> None:
-    """The fault sends estimates under made-up ids, here 30 and 31. Its alpha is the default."""
+    """The fault sends estimates under made-up ids, here 30 and 31. Its end and its alpha are the default."""
     fault = Sybil(rate=0.1, start=5, robots=frozenset({4}), x=0.0, ids=frozenset({30, 31}))
     assert str(fault) == "sybil=0.1,from=5,robots=4,x=0.0,ids=30-31"
 
@@ -111,11 +110,13 @@ BAD_TEXTS = {
 }
 
 
-@pytest.mark.parametrize("text", BAD_TEXTS)
-def test_a_wrong_text_of_a_fault_is_refused_with_the_error_and_its_fix(text: str) -> None:
-    message = BAD_TEXTS[text]
-    with pytest.raises(UsageError, match=re.escape(message)):
-        parse_fault(text)
+@pytest.mark.parametrize(("wrong_text", "expected_message"), BAD_TEXTS.items())
+def test_a_wrong_text_of_a_fault_is_refused_with_the_error_and_its_fix(
+    wrong_text: str, expected_message: str
+) -> None:
+    with pytest.raises(UsageError) as raised:
+        parse_fault(wrong_text)
+    assert expected_message in str(raised.value)
 
 
 def sets_of_ids(maximum: int) -> st.SearchStrategy[frozenset[int]]:
@@ -152,6 +153,7 @@ def any_fault(draw: st.DrawFn, max_robot: int = 127, last_tick: int = 2**32 - 1)
 @settings(max_examples=draws(200), derandomize=True, database=None)
 @given(any_fault())
 def test_the_text_of_any_fault_is_read_as_the_same_fault(fault: Fault) -> None:
+    """Reports and recordings have such texts, and a user can give them to another run."""
     assert parse_fault(str(fault)) == fault
 
 
@@ -338,7 +340,7 @@ def with_bits_flipped(data: bytes, words: list[int]) -> bytes:
     return number.to_bytes(len(data), "little")
 
 
-ALL_KINDS = (
+FAULTS_OF_ALL_KINDS = (
     "loss=0.1",
     "delay=0.5",
     "duplicate=0.5,ticks=2",
@@ -403,35 +405,37 @@ def random_neighbours(random: np.random.Generator) -> NDArray[np.bool_]:
 
 @settings(max_examples=draws(250), derandomize=True, database=None, deadline=None)
 @given(st.lists(any_fault(ROBOTS - 1, TICKS), max_size=6), st.integers(0, 2**128 - 1), st.booleans())
-@example([parse_fault(text) for text in ALL_KINDS], 7, False)
+@example([parse_fault(text) for text in FAULTS_OF_ALL_KINDS], 7, False)
 @example([parse_fault("duplicate=0.9,from=3,to=4,robots=0,receivers=1")] * 9, 7, False)
 def test_faults_disturb_frames_as_a_plain_program_of_the_same_rules_does(
     all_faults: list[Fault], seed: int, has_latency: bool
 ) -> None:
     """The plain program, Reference, takes one frame, node and receiver at a time.
 
-    In each tick, the frames that four robots send are compared, and what each robot receives, in order.
+    In each tick, the frames that four robots send are compared, and what each robot receives, in order. In
+    the end the numbers of hits and of frames delivered are.
     """
     replay = f"{[str(fault) for fault in all_faults]}, seed {seed}, latency {has_latency}"
     swarms = TwoDisturbedSwarms(all_faults, seed, has_latency)
-    for _ in range(TICKS):
-        sent, expected_sent = swarms.send()
-        assert sent == expected_sent, replay
-        received, expected_received = swarms.receive()
-        assert received == expected_received, replay
+    for _tick in range(TICKS):
+        sent_frames, expected_sent_frames = swarms.send()
+        assert sent_frames == expected_sent_frames, replay
+        received_frames, expected_received_frames = swarms.receive()
+        assert received_frames == expected_received_frames, replay
 
     assert swarms.hit_counts == swarms.reference.hit_counts, replay
     assert swarms.queue.delivered_count == swarms.expected_delivered_count, replay
 
 
 def test_a_swarm_with_faults_of_all_kinds_shows_each_of_them() -> None:
-    """No fault has a hit count of 0 in the swarm of all kinds that is compared with the plain program."""
-    swarms = TwoDisturbedSwarms([parse_fault(text) for text in ALL_KINDS], seed=7, has_latency=False)
-    for _ in range(TICKS):
+    """So the comparison with the plain program reaches every kind: each fault hits at least once."""
+    faults_of_all_kinds = [parse_fault(text) for text in FAULTS_OF_ALL_KINDS]
+    swarms = TwoDisturbedSwarms(faults_of_all_kinds, seed=7, has_latency=False)
+    for _tick in range(TICKS):
         swarms.send()
         swarms.receive()
 
-    assert 0 not in swarms.reference.hit_counts
+    assert min(swarms.reference.hit_counts) > 0
 
 
 class TwoDisturbedSwarms:
@@ -542,11 +546,11 @@ def expected_on_bus(
 # What a fault reports of a frame that it has changed
 
 
-def send_estimate(fault: str) -> SentFrame | None:
-    """Return what a fault makes of an estimate of robot 3 with x_hat and alpha 0; None if it is not sent."""
+def send_under_fault(estimate: Estimate, fault: str) -> SentFrame | None:
+    """Return the frame that a fault makes of an estimate; None if it is not sent."""
     faults = Faults([parse_fault(fault)], seed=1, frame_format=FORMAT)
     faults.begin_tick(0, range(ROBOTS))
-    return faults.on_send(encode_estimate(Estimate(3, x_hat=0, alpha=0, transfer_id=0), FORMAT), sender=3)
+    return faults.on_send(encode_estimate(estimate, FORMAT), sender=estimate.sender)
 
 
 @pytest.mark.parametrize(
@@ -560,8 +564,8 @@ def send_estimate(fault: str) -> SentFrame | None:
 def test_a_frame_with_another_estimate_or_the_id_of_another_robot_is_marked_as_such(
     fault: str, is_falsified: bool, is_under_own_id: bool
 ) -> None:
-    """Robot 3 has an estimate of 0 with an alpha, the confidence, of 0."""
-    sent_frame = send_estimate(fault)
+    """Robot 3 has an estimate of 0 with an alpha, the confidence, of 0. The fault may change it or its id."""
+    sent_frame = send_under_fault(Estimate(sender=3, x_hat=0, alpha=0, transfer_id=0), fault)
     assert sent_frame is not None
     assert sent_frame.is_falsified == is_falsified
     assert sent_frame.is_under_own_id == is_under_own_id
@@ -569,12 +573,14 @@ def test_a_frame_with_another_estimate_or_the_id_of_another_robot_is_marked_as_s
 
 def test_a_robot_whose_bus_is_off_sends_nothing() -> None:
     """None stands for a frame that has not got onto the bus."""
-    assert send_estimate("busoff") is None
+    estimate = Estimate(sender=3, x_hat=0, alpha=0, transfer_id=0)
+    assert send_under_fault(estimate, "busoff,robots=3") is None
 
 
 def test_a_robot_whose_bus_is_off_goes_on_observing() -> None:
-    """The robot is off the bus, but has no outage of its own, as it would have after a crash."""
-    faults = Faults([BusOff()], seed=1, frame_format=FORMAT)
+    """Robot 3 is off the bus, but has no outage of its own, as it would have after a crash."""
+    bus_off = BusOff(rate=1.0, robots=frozenset({3}))
+    faults = Faults([bus_off], seed=1, frame_format=FORMAT)
     faults.begin_tick(0, [3])
     assert faults.is_off_bus(3)
     assert faults.robot_outage(3) is None
@@ -587,19 +593,21 @@ def test_a_robot_whose_bus_is_off_goes_on_observing() -> None:
 def test_each_choice_of_bits_to_flip_is_equally_likely(width: int, count: int) -> None:
     """``choose_bits`` takes ``count`` random words. Their remainders choose ``count`` of ``width`` bits.
 
-    With one case for each combination of remainders, each choice comes up equally often.
+    With one case for each combination of remainders, each choice comes up equally often. A choice is a mask:
+    a number with these bits. If there are fewer bits than words, all bits are chosen.
     """
-    words = all_remainders_of_words(width, count)
-    masks_chosen = choose_bits(np.full(len(words), width), words)
-    times_chosen = Counter(masks_chosen.tolist())
+    words = words_with_all_remainders(width, count)
+    widths = np.full(len(words), width)
+    times_chosen_by_mask = Counter(choose_bits(widths, words).tolist())
 
     all_choices = list(itertools.combinations(range(width), min(count, width)))
-    all_masks = [sum(1 << bit for bit in bits) for bits in all_choices]
-    times_expected = len(words) // len(all_choices)
-    assert times_chosen == dict.fromkeys(all_masks, times_expected)
+    for bits in all_choices:
+        mask = sum(1 << bit for bit in bits)
+        assert times_chosen_by_mask.pop(mask) == len(words) // len(all_choices), bits
+    assert times_chosen_by_mask == {}  # no other choice has come up
 
 
-def all_remainders_of_words(width: int, count: int) -> NDArray[np.uint64]:
+def words_with_all_remainders(width: int, count: int) -> NDArray[np.uint64]:
     """Return rows of ``count`` words that have all combinations of remainders.
 
     The k-th last word counts modulo width - k + 1, the number of bits from which it chooses.

@@ -39,7 +39,7 @@ from mcp_asdf_tools.swarm.swarm import Swarm
 from multicast import multicast
 from support import slow
 from wire import meanwhile
-from wire import record as robot_record
+from wire import record as robot_setup
 
 pytestmark = pytest.mark.usefixtures("no_bus_is_left")
 
@@ -147,7 +147,10 @@ def comparison(request: pytest.FixtureRequest) -> Comparison:
 
 
 def test_robots_in_other_programs_end_in_the_same_bits_as_robots_in_this_one(comparison: Comparison) -> None:
-    """The saved state, which is all that a firmware holds, is the same in the end."""
+    """The saved state, which is all that a firmware holds, is the same in the end.
+
+    ``comparison`` has a run with remote robots, and a run of the same robots in this process.
+    """
     assert comparison.saved_remote_robots == comparison.saved_local_robots
 
 
@@ -158,12 +161,9 @@ def estimates_among(frames: list[can.Message]) -> list[can.Message]:
 
 def test_remote_robots_broadcast_the_same_estimates_as_robots_in_this_process(comparison: Comparison) -> None:
     """Their order may differ, as any robot may be the first in a tick. So both lists are sorted."""
-    estimates_with_remote_robots = estimates_among(comparison.remote_frames)
-    estimates_of_local_robots = estimates_among(comparison.local_frames)
-
-    assert sorted(identifiers_and_data(estimates_with_remote_robots)) == sorted(
-        identifiers_and_data(estimates_of_local_robots)
-    )
+    remote_estimates = identifiers_and_data(estimates_among(comparison.remote_frames))
+    local_estimates = identifiers_and_data(estimates_among(comparison.local_frames))
+    assert sorted(remote_estimates) == sorted(local_estimates)
 
 
 def test_the_frames_of_remote_robots_are_counted_like_those_of_robots_in_this_process(
@@ -206,13 +206,14 @@ def test_what_is_reported_of_a_remote_robot_comes_from_its_telemetry(comparison:
 def test_remote_robots_end_in_the_same_state_among_faults(
     wiring: Wiring, faults: tuple[str, ...], comms_period: int, swarm_filter: str
 ) -> None:
-    """A run without remote robots has the same saved states and known estimates."""
+    """A run without remote robots ends with the same saved states and the same estimates x of all robots."""
     settings = small_swarm(*faults, robots=4, comms_period=comms_period, filter=swarm_filter)
     comparison = compare_runs(settings, wiring)
     x_with_remote_robots = [node.robot.x for node in comparison.remote_run.nodes]
+    x_of_local_robots = [node.robot.x for node in comparison.local_run.nodes]
 
     assert comparison.saved_remote_robots == comparison.saved_local_robots
-    assert x_with_remote_robots == [node.robot.x for node in comparison.local_run.nodes]
+    assert x_with_remote_robots == x_of_local_robots
 
 
 def test_a_run_reports_the_last_broadcast_x_hat_of_a_remote_robot() -> None:
@@ -221,9 +222,9 @@ def test_a_run_reports_the_last_broadcast_x_hat_of_a_remote_robot() -> None:
     The report is compared with a run in which robot 1 is in this process.
     """
     comparison = compare_runs(small_swarm(robots=4), wiring_with_remote_robots(1))
-    reported_robot = comparison.remote_run.nodes[1].robot
-    local_robot = comparison.local_run.nodes[1].robot
-    assert reported_robot.x_hat == local_robot.x_hat
+    reported_robot_1 = comparison.remote_run.nodes[1].robot
+    local_robot_1 = comparison.local_run.nodes[1].robot
+    assert reported_robot_1.x_hat == local_robot_1.x_hat
 
 
 def test_126_robots_with_one_in_another_program_are_accepted() -> None:
@@ -233,10 +234,13 @@ def test_126_robots_with_one_in_another_program_are_accepted() -> None:
 
 
 @contextmanager
-def swarm_with_a_silent_robot(
+def swarm_without_robot_1_after_tick_1(
     monkeypatch: pytest.MonkeyPatch, check: Callable[[], None] = lambda: None
 ) -> Iterator[Swarm]:
-    """A swarm after its first tick, with a remote robot that is gone since then."""
+    """A swarm after its first tick, with the remote robot 1, which is gone since then.
+
+    The swarm waits for robots for 0.1 s, and calls ``check`` meanwhile.
+    """
     monkeypatch.setattr(remote_robot, "ANSWER_TIMEOUT", 0.1)
     settings = small_swarm()
     with Swarm(settings, wiring_with_remote_robots(1)) as driven_swarm, own_bus(1) as bus:
@@ -247,8 +251,8 @@ def swarm_with_a_silent_robot(
 
 
 def test_a_remote_robot_that_falls_silent_ends_the_run(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Robot 1 is gone after tick 1. The run's failure names tick 2 and robot 1. No error is raised"""
-    with swarm_with_a_silent_robot(monkeypatch) as driven_swarm:
+    """Robot 1 is gone after tick 1. The run's failure names tick 2 and robot 1. No error is raised."""
+    with swarm_without_robot_1_after_tick_1(monkeypatch) as driven_swarm:
         run = run_swarm(driven_swarm)
 
     assert run.failure is not None
@@ -257,9 +261,9 @@ def test_a_remote_robot_that_falls_silent_ends_the_run(monkeypatch: pytest.Monke
 
 
 def test_a_wait_for_a_silent_robot_can_be_ended_by_the_caller(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The caller's function ``check`` is called while the tick waits. Its error ends the tick."""
+    """The caller's function ``check`` is called while a tick waits for robot 1. Its error ends the tick."""
     check = Mock()
-    with swarm_with_a_silent_robot(monkeypatch, check) as driven_swarm:
+    with swarm_without_robot_1_after_tick_1(monkeypatch, check) as driven_swarm:
         check.side_effect = KeyboardInterrupt
         with pytest.raises(KeyboardInterrupt):
             driven_swarm.tick()
@@ -318,29 +322,35 @@ def json_report(command: list[str]) -> dict[str, Any]:
 
 
 def test_robots_in_processes_report_what_robots_in_this_process_do(two_runs: ProcessesAndThisProcess) -> None:
-    """They have the same assumed accuracy b_hat, the same estimate x and the same number of tests."""
+    """After 25 steps they have the same accuracy b_hat, the same estimate x and the same number of tests.
+
+    ``two_runs`` has the reports of three robots in processes, and of the same robots in this process.
+    """
     for process_report, local_robot in zip(two_runs.reports_of_processes, two_runs.local_robots, strict=True):
+        robot = process_report["robot"]
         assert process_report["steps"] == 25
-        assert process_report["robot"]["b_hat"] == local_robot["b_hat"]
-        assert process_report["robot"]["x"] == local_robot["x"]
-        assert process_report["robot"]["counters"]["tests"] == local_robot["tests"]
+        assert robot["b_hat"] == local_robot["b_hat"]
+        assert robot["x"] == local_robot["x"]
+        assert robot["counters"]["tests"] == local_robot["tests"]
 
 
 def test_the_program_that_drives_robots_in_processes_reports_their_estimates(
     two_runs: ProcessesAndThisProcess,
 ) -> None:
     """Each robot has the same x as in a run in this process."""
-    x_of_robots = [robot["x"] for robot in two_runs.report["results"]["robots"]]
-    assert x_of_robots == [local_robot["x"] for local_robot in two_runs.local_robots]
+    x_of_robots_in_processes = [robot["x"] for robot in two_runs.report["results"]["robots"]]
+    x_of_local_robots = [robot["x"] for robot in two_runs.local_robots]
+    assert x_of_robots_in_processes == x_of_local_robots
 
 
 def test_robots_in_processes_report_the_sender_that_is_not_allowed(two_runs: ProcessesAndThisProcess) -> None:
     """Robot 1 is not allowed. Robots 0 and 2 report an event "unknown" with this sender, and robot 1 none."""
-    unknown_senders = []
+    unknown_senders_by_robot = []
     for process_report in two_runs.reports_of_processes:
         events = process_report["frames"]["events"]
-        unknown_senders.append([event["sender"] for event in events if event["event"] == "unknown"])
-    assert unknown_senders == [[1], [], [1]]
+        unknown_senders = [event["sender"] for event in events if event["event"] == "unknown"]
+        unknown_senders_by_robot.append(unknown_senders)
+    assert unknown_senders_by_robot == [[1], [], [1]]
 
 
 def test_the_log_of_robots_in_processes_can_be_replayed(two_runs: ProcessesAndThisProcess) -> None:
@@ -355,7 +365,8 @@ def test_the_events_of_robots_in_processes_are_those_of_robots_in_this_process(
     with EventsReader(events_path(two_runs.log)) as reader:
         entries = list(reader.entries())
     with EventsReader(events_path(two_runs.local_log)) as local_reader:
-        assert entries == list(local_reader.entries())
+        local_entries = list(local_reader.entries())
+    assert entries == local_entries
 
 
 def test_a_robot_on_a_device_that_sends_no_heartbeat_fails_the_run_with_its_id_and_the_time(
@@ -363,17 +374,22 @@ def test_a_robot_on_a_device_that_sends_no_heartbeat_fails_the_run_with_its_id_a
 ) -> None:
     """Nothing is on the bus of robot 1, v1. The exit code is 1, and the error is printed in JSON."""
     monkeypatch.setattr(swarm, "_STARTING_TIMEOUT", 0.05)
-    assert main([*THREE_ROBOTS, "--channel", "v{robot}", "--device", "1=virtual:v1"]) == 1
+    options = "--robots 3 --channel v{robot} --device 1=virtual:v1 --json"
+    assert main(["swarm", *options.split()]) == 1
     failure = json.loads(capsys.readouterr().err)
     assert failure["error"].startswith("robot 1 did not send a heartbeat within 0.05 s")
 
 
 def test_an_error_frame_is_counted_and_is_no_frame_of_a_robot() -> None:
-    """Robot 8 counts it, and keeps no frame: the 8 in an error frame is a kind of error, and no sender."""
-    robot = remote_robot.remote_robot(robot_record(8), FrameFormat())
-    driver = remote_robot.Driver(Mock(), [robot], FrameFormat())
+    """The 8 in an error frame is a kind of error, and no sender.
+
+    So the program that drives the remote robot 8 keeps no frame for the next tick, and the robot counts the
+    error.
+    """
+    robot_8 = remote_robot.remote_robot(robot_setup(8), FrameFormat())
+    driver = remote_robot.Driver(Mock(), [robot_8], FrameFormat())
     # A bus has no error frames unless its hardware reports some, so one is handed to the driver.
     driver._handle_frame(can.Message(arbitration_id=8, is_error_frame=True))
 
     assert driver._frames_for_next_tick == []
-    assert robot.reception.errors == 1
+    assert robot_8.reception.errors == 1

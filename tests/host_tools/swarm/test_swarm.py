@@ -45,7 +45,7 @@ from trials import images_by_message
 pytestmark = pytest.mark.usefixtures("private_setup")
 
 
-COMMON: dict[str, Any] = {"robots": 6, "flawed": "50%", "steps": 250, "filter_period": 20, "seed": 7}
+PARAMETERS: dict[str, Any] = {"robots": 6, "flawed": "50%", "steps": 250, "filter_period": 20, "seed": 7}
 CASES: dict[str, dict[str, Any]] = {
     "fully connected": {},
     "no filter": {"filter": "none"},
@@ -66,27 +66,28 @@ CASES: dict[str, dict[str, Any]] = {
 }
 
 
-@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize("changes", CASES.values(), ids=CASES)
 @pytest.mark.parametrize("firmware", ["native", *slow(["mirror"])])
 def test_a_swarm_on_a_bus_ends_in_the_same_bits_as_the_same_simulated_experiment(
-    case: str, firmware: str
+    changes: dict[str, Any], firmware: str
 ) -> None:
     """The saved states equal trial 0 of the experiment, computed message by message in Python.
 
     The engine in C computes it, too, unless it lacks one of the parameters.
     """
-    parameters = COMMON | CASES[case] | {"firmware": firmware}
+    parameters = PARAMETERS | changes | {"firmware": firmware}
     experiment = Experiment(**parameters, trials=1)
-    run, _ = run_and_record(SwarmSettings(**parameters))
-    robots_on_the_bus = saved_robots(run.nodes)
+    run, _frames = run_and_record(SwarmSettings(**parameters))
+    states_on_the_bus = saved_robots(run.nodes)
 
-    assert robots_on_the_bus == images_by_message(experiment, trial=0)
+    assert states_on_the_bus == images_by_message(experiment, trial=0)
     if not experiment.parameter_lacking_in_c:
-        assert robots_on_the_bus == native.run(experiment, first=0, trials=1).images()
+        trials_in_c = native.run(experiment, first=0, trials=1)
+        assert states_on_the_bus == trials_in_c.images()
 
 
 @pytest.mark.parametrize(
-    ("kind", "comms_period", "ticks"),
+    ("kind", "comms_period", "expected_ticks"),
     [
         (Heartbeat, 1, [0, 25, 50]),  # the ticks in which a second begins
         (Estimate, 1, range(60)),
@@ -94,10 +95,14 @@ def test_a_swarm_on_a_bus_ends_in_the_same_bits_as_the_same_simulated_experiment
     ],
 )
 def test_robots_send_heartbeats_and_estimates_by_rising_id_in_their_ticks(
-    kind: type[Heartbeat | Estimate], comms_period: int, ticks: Sequence[int]
+    kind: type[Heartbeat | Estimate], comms_period: int, expected_ticks: Sequence[int]
 ) -> None:
-    """Five robots run for 60 ticks, at 25 ticks a second. They number their frames modulo 32."""
-    _, frames = run_and_record(small_swarm(steps_per_second=25, comms_period=comms_period))
+    """Five robots run for 60 ticks, at 25 ticks a second. They number their frames modulo 32.
+
+    ``comms_period`` is the number of ticks from one estimate of a robot to its next.
+    """
+    settings = small_swarm(robots=5, steps=60, steps_per_second=25, comms_period=comms_period)
+    _run, frames = run_and_record(settings)
 
     ticks_senders_and_numbers = []
     for frame in frames:
@@ -107,7 +112,7 @@ def test_robots_send_heartbeats_and_estimates_by_rising_id_in_their_ticks(
             ticks_senders_and_numbers.append((tick, content.sender, content.transfer_id))
 
     expected = []
-    for number, tick in enumerate(ticks):
+    for number, tick in enumerate(expected_ticks):
         for robot in range(5):
             expected.append((tick, robot, number % 32))
     assert ticks_senders_and_numbers == expected
@@ -115,7 +120,7 @@ def test_robots_send_heartbeats_and_estimates_by_rising_id_in_their_ticks(
 
 def test_heartbeats_come_before_the_estimates_of_a_tick() -> None:
     """The five heartbeats of a tick are sent before its five estimates. All are recorded as received."""
-    _, frames = run_and_record(small_swarm(steps=1))
+    _run, frames = run_and_record(small_swarm(robots=5, steps=1))
     kinds = [type(decode_frame(frame, FrameFormat())) for frame in frames]
     assert kinds == [Heartbeat] * 5 + [Estimate] * 5
     assert all(frame.is_rx for frame in frames)
@@ -123,25 +128,31 @@ def test_heartbeats_come_before_the_estimates_of_a_tick() -> None:
 
 @pytest.mark.parametrize("firmware", ["native", "mirror"])
 def test_each_robot_s_estimate_is_the_weighted_mean_of_all_estimates_on_the_bus(firmware: str) -> None:
-    """All five robots receive from each other, so that all have the same estimate x in each round.
+    """All five robots receive from each other, so that all have the same estimate x in each of 60 rounds.
 
-    It is the paper's equation 7, computed exactly and rounded down to 23 bits.
+    It is the paper's equation 7, computed exactly and rounded down to 23 bits. Some robots have updated
+    their b_hat, by which their estimates have other weights than before.
     """
     x_by_round: list[list[float]] = []
 
     def record_x(swarm: Swarm) -> None:
         x_by_round.append([node.robot.x * 2**23 for node in swarm.nodes])
 
-    run, frames = run_and_record(small_swarm(firmware=firmware), hooks=[record_x])
+    settings = small_swarm(robots=5, steps=60, firmware=firmware)
+    run, frames = run_and_record(settings, hooks=[record_x])
+
+    estimates_by_round = estimates_in_rounds(frames, robots=5)
+    for x_of_robots, estimates in zip(x_by_round, estimates_by_round, strict=True):
+        assert x_of_robots == [weighted_mean(estimates)] * 5
+    assert len(x_by_round) == 60
+    assert run.results["updates"] > 0
+
+
+def estimates_in_rounds(frames: Sequence[can.Message], robots: int) -> list[list[Estimate]]:
+    """Return the estimates among frames, in lists of as many as there are robots: one of each robot."""
     contents = [decode_frame(frame, FrameFormat()) for frame in frames]
     estimates = [content for content in contents if isinstance(content, Estimate)]
-
-    assert len(estimates) == 5 * len(x_by_round)
-    for round_number, x_of_robots in enumerate(x_by_round):
-        first = 5 * round_number
-        estimates_of_round = estimates[first : first + 5]  # one of each robot
-        assert x_of_robots == [weighted_mean(estimates_of_round)] * 5
-    assert run.results["updates"] > 0
+    return [estimates[first : first + robots] for first in range(0, len(estimates), robots)]
 
 
 def weighted_mean(estimates: Sequence[Estimate]) -> int:
@@ -170,32 +181,37 @@ def test_each_robot_sends_telemetry_in_every_telemetry_period() -> None:
 
     A frame is described by its tick, its sender and its number.
     """
-    _, frames = run_and_record(small_swarm(telemetry_period=7))
-    order = [(tick, telemetry.sender, telemetry.transfer_id) for tick, telemetry in telemetry_in(frames)]
+    _run, frames = run_and_record(small_swarm(robots=5, steps=60, telemetry_period=7))
+    sent_telemetry = []
+    for tick, telemetry in telemetry_in(frames):
+        sent_telemetry.append((tick, telemetry.sender, telemetry.transfer_id))
 
-    expected_order = []
+    expected_telemetry = []
     for number in range(9):
         for robot in range(5):
-            expected_order.append((7 * number, robot, number))
-    assert order == expected_order
+            expected_telemetry.append((7 * number, robot, number))
+    assert sent_telemetry == expected_telemetry
 
 
 @pytest.mark.parametrize("firmware", ["native", "reference"])
 def test_telemetry_is_the_state_of_the_robot_before_the_tick(firmware: str) -> None:
-    """A robot reports its estimate x, its assumed accuracy b_hat, and how often it has re-estimated b_hat."""
-    states_by_ticks_done: list[list[ReportedState]] = []
+    """A robot reports its estimate x, its assumed accuracy b_hat, and how often it has re-estimated b_hat.
+
+    The states of all robots are recorded before the first of 36 ticks, and after each.
+    """
+    states_before_tick: list[list[ReportedState]] = []  # by tick and robot
 
     def record_states(swarm: Swarm) -> None:
-        states_by_ticks_done.append([state_to_report(node.robot) for node in swarm.nodes])
+        states_before_tick.append([state_to_report(node.robot) for node in swarm.nodes])
 
     settings = small_swarm(firmware=firmware, telemetry_period=7, steps=36)
     with Swarm(settings, Wiring()) as new_swarm:
-        record_states(new_swarm)  # those before tick 0 have the index 0
-    _, frames = run_and_record(settings, hooks=[record_states])  # those after tick 0 have the index 1
+        record_states(new_swarm)  # those before tick 0
+    _run, frames = run_and_record(settings, hooks=[record_states])  # after tick 0, 1 and so on
 
     for tick, telemetry in telemetry_in(frames):
-        expected = states_by_ticks_done[tick][telemetry.sender]
-        assert ReportedState(telemetry.x, telemetry.b_hat, telemetry.updates) == expected
+        reported_state = ReportedState(telemetry.x, telemetry.b_hat, telemetry.updates)
+        assert reported_state == states_before_tick[tick][telemetry.sender]
 
 
 class ReportedState(NamedTuple):
@@ -214,15 +230,16 @@ def state_to_report(robot: Robot) -> ReportedState:
 @pytest.mark.parametrize("firmware", ["native", "reference"])
 def test_robots_with_and_without_telemetry_end_with_the_same_estimates(firmware: str) -> None:
     """Telemetry, which is sent in every seventh tick or never, must not change the state that it reports."""
-    run_with_telemetry, _ = run_and_record(small_swarm(firmware=firmware, telemetry_period=7, steps=36))
-    run_without, _ = run_and_record(small_swarm(firmware=firmware, steps=36))
-    x_with_telemetry = [node.robot.x for node in run_with_telemetry.nodes]
-    assert x_with_telemetry == [node.robot.x for node in run_without.nodes]
+    run_with, _frames = run_and_record(small_swarm(firmware=firmware, telemetry_period=7, steps=36))
+    run_without, _frames = run_and_record(small_swarm(firmware=firmware, steps=36))
+    x_with_telemetry = [node.robot.x for node in run_with.nodes]
+    x_without_telemetry = [node.robot.x for node in run_without.nodes]
+    assert x_with_telemetry == x_without_telemetry
 
 
 def test_telemetry_is_counted_and_not_rejected() -> None:
     """Five robots send it in 9 of 60 ticks. Each robot counts the frames of the four others."""
-    run, _ = run_and_record(small_swarm(telemetry_period=7))
+    run, _frames = run_and_record(small_swarm(robots=5, steps=60, telemetry_period=7))
     frame_counts = run.results["frames"]
     assert frame_counts["telemetry_sent"] == 9 * 5
     assert frame_counts["telemetry_heard"] == 9 * 5 * 4
@@ -230,7 +247,7 @@ def test_telemetry_is_counted_and_not_rejected() -> None:
 
 
 @pytest.mark.parametrize(
-    ("settings", "message"),
+    ("changes", "expected_message"),
     [
         ({"frames": FrameFormat(3001), "telemetry_period": 1}, "subject 3001 is that of telemetry"),
         ({"clock": "none"}, "clock is 'none'; choose lockstep or real-time"),
@@ -241,21 +258,28 @@ def test_telemetry_is_counted_and_not_rejected() -> None:
     ],
 )
 def test_settings_of_a_swarm_that_contradict_each_other_are_refused(
-    settings: dict[str, Any], message: str
+    changes: dict[str, Any], expected_message: str
 ) -> None:
-    with pytest.raises(UsageError, match=message):
-        SwarmSettings(**{"robots": 5} | settings)
+    """The settings are of five robots, whose ids are 0 to 4."""
+    parameters: dict[str, Any] = {"robots": 5} | changes
+    with pytest.raises(UsageError, match=expected_message):
+        SwarmSettings(**parameters)
 
 
 def test_a_fault_may_name_the_last_robot_of_the_swarm() -> None:
     """There are five robots, so the last one is robot 4; settings that name another are refused."""
-    settings = small_swarm("loss,robots=4,receivers=4")
-    assert [str(fault) for fault in settings.faults] == ["loss=1.0,robots=4,receivers=4"]
+    settings = small_swarm("loss,robots=4,receivers=4", robots=5)
+    [fault] = settings.faults
+    assert str(fault) == "loss=1.0,robots=4,receivers=4"  # the rate is 1.0 by default
 
 
 def test_estimates_may_have_the_subject_of_telemetry_if_none_is_sent() -> None:
-    """The subject in a frame's identifier says what the frame contains; telemetry has the subject 3001."""
-    assert small_swarm(frames=FrameFormat(3001)).frames == FrameFormat(3001)
+    """The subject in a frame's identifier says what the frame contains; telemetry has the subject 3001.
+
+    By default robots send no telemetry, so no error is raised.
+    """
+    estimates_with_subject_3001 = FrameFormat(subject=3001)
+    assert small_swarm(frames=estimates_with_subject_3001).frames == estimates_with_subject_3001
 
 
 def test_allowed_ids_are_in_rising_order() -> None:
@@ -264,7 +288,10 @@ def test_allowed_ids_are_in_rising_order() -> None:
 
 
 def run_that_loses_all_frames_after_tick_2(robots: int, monkeypatch: pytest.MonkeyPatch) -> SwarmRun:
-    """Run a swarm on a bus from which nothing can be read any more from the third tick on."""
+    """Run a swarm on a bus from which nothing can be read any more from the third tick on.
+
+    It waits for its frames for 0.05 s.
+    """
     receive = virtual.VirtualBus.recv
     monkeypatch.setattr(carrier, "FRAME_TIMEOUT", 0.05)
     with Swarm(small_swarm(robots=robots), ON_ONE_BUS) as swarm:
@@ -279,26 +306,31 @@ def run_that_loses_all_frames_after_tick_2(robots: int, monkeypatch: pytest.Monk
 def test_a_bus_that_loses_frames_ends_the_run_and_their_identifiers_are_reported(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """The failure names tick 3 and the three lost frames. Their identifiers end in the robots' ids."""
+    """The failure names tick 3 and the three lost frames. Their identifiers end in the robots' ids.
+
+    The run ends after two whole ticks, and is not marked as interrupted, which only a user can do.
+    """
     run = run_that_loses_all_frames_after_tick_2(robots=3, monkeypatch=monkeypatch)
-    frames = "frame 106BB800, frame 106BB801, frame 106BB802"
+    lost_frames = "frame 106BB800, frame 106BB801, frame 106BB802"
     assert run.failure is not None
-    assert run.failure.startswith(f"tick 3: the carrier did not hear {frames} within 0.05 s on ")
+    assert run.failure.startswith(f"tick 3: the carrier did not hear {lost_frames} within 0.05 s on ")
     assert run.results["steps"] == 2
     assert not run.interrupted
 
 
-@pytest.mark.parametrize(("robots", "last_frames"), [(8, "frame 106BB807"), (9, "frame 106BB807, ...")])
+@pytest.mark.parametrize(
+    ("robots", "expected_end_of_list"), [(8, "frame 106BB807"), (9, "frame 106BB807, ...")]
+)
 def test_of_more_than_eight_lost_frames_eight_are_reported(
-    robots: int, last_frames: str, monkeypatch: pytest.MonkeyPatch
+    robots: int, expected_end_of_list: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The failure names the frames of robots 0 to 7, whose identifiers end in the id, and then has "..."."""
+    """Each robot loses one frame, whose identifier ends in its id. Of nine the list has eight and "..."."""
     run = run_that_loses_all_frames_after_tick_2(robots, monkeypatch)
     assert run.failure is not None
-    assert f"frame 106BB806, {last_frames} within" in run.failure
+    assert f"frame 106BB806, {expected_end_of_list} within" in run.failure
 
 
-def estimate(sender: int, tick: int) -> SentFrame:
+def sent_estimate(sender: int, tick: int) -> SentFrame:
     """Return an estimate that a robot has sent in a tick. Those of different ticks differ."""
     return SentFrame(
         encode_estimate(Estimate(sender, x_hat=0, alpha=tick, transfer_id=tick % 32), FrameFormat()),
@@ -310,23 +342,27 @@ def estimate(sender: int, tick: int) -> SentFrame:
 def test_a_wait_for_frames_ends_on_a_bus_that_is_never_quiet(monkeypatch: pytest.MonkeyPatch) -> None:
     """A frame of robot 1 is expected for 0.02 s, but the bus has frames of robot 9 whenever it is read.
 
-    After that time the connection still reads, without waiting, 4096 frames that a buffer may have kept.
+    The frame counts as missed. After 0.02 s the connection still reads, without waiting, 4096 frames that a
+    buffer may have kept.
     """
     timeouts: list[float] = []
 
     def receive_from_robot_9(timeout: float) -> can.Message:
         timeouts.append(timeout)
         assert timeouts.count(0) < 10_000, "nothing ends the wait"
-        return estimate(sender=9, tick=0).frame
+        return sent_estimate(sender=9, tick=0).frame
 
+    frame_of_robot_1 = sent_estimate(sender=1, tick=0)
     with virtual.VirtualBus() as bus:
         connection = ExpectingConnection(bus, "robot 7")
         monkeypatch.setattr(bus, "recv", receive_from_robot_9)
-        received_frames = connection.receive_expected([estimate(sender=1, tick=0)], timeout=0.02)
+        received_frames = connection.receive_expected([frame_of_robot_1], timeout=0.02)
+
     assert received_frames == []
     assert connection.missed_count == 1
-    assert any(timeout > 0 for timeout in timeouts)
-    assert timeouts.count(0) == 4096
+    assert max(timeouts) > 0
+    reads_without_waiting = timeouts.count(0)
+    assert reads_without_waiting == 4096
 
 
 BusAndConnection = tuple[can.BusABC, ExpectingConnection, list[can.Message]]
@@ -335,87 +371,88 @@ BusAndConnection = tuple[can.BusABC, ExpectingConnection, list[can.Message]]
 @pytest.fixture
 def bus_and_connection() -> Iterator[BusAndConnection]:
     """A bus, a connection to it that expects frames, and the frames that it did not expect."""
-    unexpected: list[can.Message] = []
-    with virtual.VirtualBus("pair") as other, virtual.VirtualBus("pair") as bus:
-        yield other, ExpectingConnection(bus, "robot 7", unexpected.append), unexpected
+    unexpected_frames: list[can.Message] = []
+    with virtual.VirtualBus("pair") as bus, virtual.VirtualBus("pair") as bus_of_connection:
+        connection = ExpectingConnection(bus_of_connection, "robot 7", unexpected_frames.append)
+        yield bus, connection, unexpected_frames
 
 
 def receive_within_10_ms(
     connection: ExpectingConnection, expected: Sequence[SentFrame]
 ) -> list[tuple[int, bytes]]:
     """Return identifier and data of each expected frame that a connection receives within 10 ms."""
-    return identifiers_and_data(
-        [sent_frame.frame for sent_frame in connection.receive_expected(expected, timeout=0.01)]
-    )
+    received_frames = connection.receive_expected(expected, timeout=0.01)
+    return identifiers_and_data([sent_frame.frame for sent_frame in received_frames])
 
 
 def test_frames_are_received_in_the_order_in_which_they_are_expected(
     bus_and_connection: BusAndConnection,
 ) -> None:
     """The bus delivers the second frame first, and the connection returns it last."""
-    bus, connection, _ = bus_and_connection
-    first, second = estimate(sender=1, tick=0), estimate(sender=2, tick=0)
+    bus, connection, _unexpected_frames = bus_and_connection
+    first, second = sent_estimate(sender=1, tick=0), sent_estimate(sender=2, tick=0)
     bus.send(second.frame)
     bus.send(first.frame)
 
-    assert receive_within_10_ms(connection, [first, second]) == identifiers_and_data(
-        [first.frame, second.frame]
-    )
+    received_frames = receive_within_10_ms(connection, [first, second])
+    assert received_frames == identifiers_and_data([first.frame, second.frame])
 
 
 def test_the_received_frame_is_that_of_the_bus_and_not_the_expected_one(
     bus_and_connection: BusAndConnection,
 ) -> None:
     """The returned frame is another object, and is marked as received (``is_rx``)."""
-    bus, connection, _ = bus_and_connection
-    sent_frame = estimate(sender=1, tick=0)
-    bus.send(sent_frame.frame)
-    (received_frame,) = connection.receive_expected([sent_frame], timeout=0.01)
+    bus, connection, _unexpected_frames = bus_and_connection
+    expected_frame = sent_estimate(sender=1, tick=0)
+    bus.send(expected_frame.frame)
+    [received_frame] = connection.receive_expected([expected_frame], timeout=0.01)
 
-    assert received_frame.frame is not sent_frame.frame
+    assert received_frame.frame is not expected_frame.frame
     assert received_frame.frame.is_rx
 
 
 def test_a_late_frame_is_received_with_the_next_ones_and_counted_once(
     bus_and_connection: BusAndConnection,
 ) -> None:
-    """A frame is expected in the first tick, and comes in the third. It counts as missed once."""
-    bus, connection, unexpected = bus_and_connection
-    late, following = estimate(sender=1, tick=0), estimate(sender=1, tick=1)
-    assert receive_within_10_ms(connection, [late]) == []
-    assert receive_within_10_ms(connection, []) == []
+    """A frame is expected the first time, and comes before the third. It counts as missed once.
+
+    It is received before the frame that is expected the third time, and is not reported as unexpected.
+    """
+    bus, connection, unexpected_frames = bus_and_connection
+    late, following = sent_estimate(sender=1, tick=0), sent_estimate(sender=1, tick=1)
+    assert receive_within_10_ms(connection, expected=[late]) == []
+    assert receive_within_10_ms(connection, expected=[]) == []
     bus.send(following.frame)
     bus.send(late.frame)
 
-    assert receive_within_10_ms(connection, [following]) == identifiers_and_data(
-        [late.frame, following.frame]
-    )
+    received_frames = receive_within_10_ms(connection, expected=[following])
+    assert received_frames == identifiers_and_data([late.frame, following.frame])
     assert connection.missed_count == 1
-    assert unexpected == []
+    assert unexpected_frames == []
 
 
 def test_of_frames_that_are_alike_each_is_received_once(bus_and_connection: BusAndConnection) -> None:
     """Three equal frames come, and two were expected. The third is reported as unexpected."""
-    bus, connection, unexpected = bus_and_connection
-    sent_frame = estimate(sender=1, tick=0)
+    bus, connection, unexpected_frames = bus_and_connection
+    sent_frame = sent_estimate(sender=1, tick=0)
     for _ in range(3):
         bus.send(sent_frame.frame)
-    received_frames = receive_within_10_ms(connection, [sent_frame, sent_frame])
+    received_frames = receive_within_10_ms(connection, expected=[sent_frame, sent_frame])
     assert len(received_frames) == 2
     connection.discard_echoes()  # reads the rest
 
-    assert identifiers_and_data(unexpected) == identifiers_and_data([sent_frame.frame])
+    assert identifiers_and_data(unexpected_frames) == identifiers_and_data([sent_frame.frame])
 
 
 def test_a_frame_that_nobody_expects_is_reported(bus_and_connection: BusAndConnection) -> None:
     """It is reported once, and not again when the bus is read again."""
-    bus, connection, unexpected = bus_and_connection
-    sent_frame = estimate(sender=1, tick=0)
-    bus.send(sent_frame.frame)
+    bus, connection, unexpected_frames = bus_and_connection
+    frame = sent_estimate(sender=1, tick=0).frame
+    bus.send(frame)
     connection.discard_echoes()  # reads all that has come
     connection.discard_echoes()
 
-    assert identifiers_and_data(unexpected) == identifiers_and_data([sent_frame.frame])
+    assert identifiers_and_data(unexpected_frames) == identifiers_and_data([frame])
 
 
 FOREIGN_FRAMES = [
@@ -449,37 +486,39 @@ def test_frames_of_another_program_are_recorded_as_received_in_their_place_after
 
     In five ticks each robot sends a heartbeat and five estimates.
     """
-    _, frames = run_with_foreign_frames()
-    _, frames_of_swarm = run_and_record(small_swarm())
-    sent_in_5_ticks = 5 * (1 + 5)
-    before, after = frames_of_swarm[:sent_in_5_ticks], frames_of_swarm[sent_in_5_ticks:]
-    assert identifiers_and_data(frames) == identifiers_and_data([*before, *FOREIGN_FRAMES, *after])
+    _run, frames = run_with_foreign_frames()
+    _run, frames_of_swarm = run_and_record(small_swarm())
+    number_in_5_ticks = 5 * (1 + 5)
+    before, after = frames_of_swarm[:number_in_5_ticks], frames_of_swarm[number_in_5_ticks:]
+    expected_frames = [*before, *FOREIGN_FRAMES, *after]
+    assert identifiers_and_data(frames) == identifiers_and_data(expected_frames)
     assert all(frame.is_rx for frame in frames)
 
 
 def test_frames_of_another_program_change_nothing_for_the_robots() -> None:
     """The robots end in the same state as without these frames."""
-    disturbed_run, _ = run_with_foreign_frames()
-    undisturbed_run, _ = run_and_record(small_swarm())
+    disturbed_run, _frames = run_with_foreign_frames()
+    undisturbed_run, _frames = run_and_record(small_swarm())
     assert saved_robots(disturbed_run.nodes) == saved_robots(undisturbed_run.nodes)
 
 
 def test_frames_of_another_program_are_counted_by_each_of_five_robots() -> None:
     """The program sends four malformed frames, two estimates from outside the swarm, and an error frame.
 
-    One of the estimates is under the id of robot 1, and so is a conflict.
+    One of the estimates is under the id of robot 1, which counts it as a conflict. An estimate that no robot
+    of the swarm has sent is a stray.
     """
-    run, _ = run_with_foreign_frames()
-    frame_counts = run.results["frames"]
-    assert frame_counts["strays"] == 2 * 5
-    assert frame_counts["id_conflicts"] == {"1": 1}
-    assert frame_counts["errors_heard"] == 5
+    run, _frames = run_with_foreign_frames()
+    frame_counts, robots = run.results["frames"], 5
+    assert frame_counts["strays"] == 2 * robots
+    assert frame_counts["id_conflicts"] == {"1": 1}  # the count of each id
+    assert frame_counts["errors_heard"] == 1 * robots
     assert frame_counts["rejected"] == {"STANDARD_ID": 5, "REMOTE_FRAME": 5, "X_HAT": 5, "LENGTH": 5}
 
 
 def run_of_disagreeing_robots(seed: int = 11) -> SwarmRun:
     """Run five robots that lose half of all frames, so that each has an estimate of its own in the end."""
-    run, _ = run_and_record(small_swarm("loss=0.5", seed=seed))
+    run, _frames = run_and_record(small_swarm("loss=0.5", robots=5, seed=seed))
     return run
 
 
@@ -490,12 +529,13 @@ def test_results_have_the_mean_estimate_and_its_error(seed: int, is_low: bool) -
     With one seed the mean estimate is above 0.55, with the other below it.
     """
     run = run_of_disagreeing_robots(seed)
-    x = [node.robot.x for node in run.nodes]
-    errors = [abs(estimate - 0.55) for estimate in x]
+    estimates = [node.robot.x for node in run.nodes]
+    errors = [abs(estimate - 0.55) for estimate in estimates]
+    mean_estimate, mean_error = run.results["mean_x"], run.results["mean_error"]
 
-    assert run.results["mean_x"] == pytest.approx(sum(x) / 5, abs=1e-15)
-    assert run.results["mean_error"] == pytest.approx(sum(errors) / 5, abs=1e-15)
-    assert (run.results["mean_x"] < 0.55) == is_low
+    assert mean_estimate == pytest.approx(sum(estimates) / 5, abs=1e-15)
+    assert mean_error == pytest.approx(sum(errors) / 5, abs=1e-15)
+    assert (mean_estimate < 0.55) == is_low
 
 
 @pytest.mark.parametrize("name", ["x", "x_hat"])
@@ -503,7 +543,9 @@ def test_results_have_the_spread_of_estimates(name: str) -> None:
     """The spread is largest minus smallest. x is made from all estimates, x_hat from own observations."""
     run = run_of_disagreeing_robots()
     estimates = [getattr(node.robot, name) for node in run.nodes]
-    assert run.results[f"spread_{name}"] == max(estimates) - min(estimates) > 0
+    spread = run.results[f"spread_{name}"]
+    assert spread == max(estimates) - min(estimates)
+    assert spread > 0
 
 
 @pytest.mark.parametrize(
@@ -514,18 +556,19 @@ def test_results_have_mean_and_limits_of_b_hat_of_flawed_and_of_other_robots(
 ) -> None:
     """b_hat, the accuracy that a robot assumes, begins with 0.55 if it is flawed, and else with 0.95."""
     run = run_of_disagreeing_robots()
-    b_hat = [run.nodes[robot].robot.b_hat for robot in robots]
+    b_hat_at_end = [run.nodes[robot].robot.b_hat for robot in robots]
     result = run.results["b_hat"][group]
 
     assert result["before"] == pytest.approx(b_hat_at_start, abs=1e-6)
-    assert result["after"] == pytest.approx(sum(b_hat) / len(b_hat), abs=1e-15)
-    assert result["after_min"] == min(b_hat)
-    assert result["after_max"] == max(b_hat)
+    assert result["after"] == pytest.approx(sum(b_hat_at_end) / len(robots), abs=1e-15)
+    assert result["after_min"] == min(b_hat_at_end)
+    assert result["after_max"] == max(b_hat_at_end)
 
 
 def test_results_have_the_sums_of_the_robots_tests_and_updates() -> None:
     """A robot's filter tests the assumed accuracy, and updates it if the test rejects it."""
     run = run_of_disagreeing_robots()
-    counters = [node.robot.counters for node in run.nodes]
-    assert run.results["tests"] == sum(counter.tests for counter in counters) > 0
-    assert run.results["updates"] == sum(counter.updates for counter in counters) > 0
+    tests, updates = run.results["tests"], run.results["updates"]
+    assert tests == sum(node.robot.counters.tests for node in run.nodes)
+    assert updates == sum(node.robot.counters.updates for node in run.nodes)
+    assert tests > updates > 0

@@ -24,7 +24,6 @@ from host_tools.swarm.swarms import (
     saved_robots,
     small_swarm,
 )
-from mcp_asdf.robot import Robot
 from mcp_asdf_tools.bus.frames import Estimate, FrameFormat, Heartbeat, decode_estimate, decode_heartbeat
 from mcp_asdf_tools.bus.interfaces import BusChoice
 from mcp_asdf_tools.cli.main import main
@@ -58,6 +57,11 @@ WIRINGS = {
 }
 
 
+def on_wirings(*names: str) -> pytest.MarkDecorator:
+    """Run a test on wirings with these names, as its parameter ``wiring``."""
+    return pytest.mark.parametrize("wiring", [WIRINGS[name] for name in names], ids=names)
+
+
 def frame_counts(run: SwarmRun) -> Any:
     """Return the results of a run that count frames, by name."""
     return run.results["frames"]
@@ -68,7 +72,7 @@ def hit_counts(run: SwarmRun) -> list[int]:
     return [fault["injected"] for fault in run.results["faults"]]
 
 
-@pytest.mark.parametrize("wiring", list(WIRINGS)[1:])
+@on_wirings("no bus", "a bus for each", "one group", "a group for each")
 @pytest.mark.parametrize(
     ("faults", "changes"),
     [
@@ -83,7 +87,7 @@ def hit_counts(run: SwarmRun) -> list[int]:
     ids=["lossless", "mix", "moving"],
 )
 def test_a_swarm_runs_the_same_way_on_any_buses_as_on_one_virtual_bus(
-    wiring: str, faults: tuple[str, ...], changes: dict[str, Any]
+    wiring: Wiring, faults: tuple[str, ...], changes: dict[str, Any]
 ) -> None:
     """The run may have no bus, or a bus per robot. Frames, final states, results and events are the same.
 
@@ -92,8 +96,8 @@ def test_a_swarm_runs_the_same_way_on_any_buses_as_on_one_virtual_bus(
     settings = small_swarm(*faults, **changes)
     events_on_one_bus: list[str] = []  # each run adds its lines of events to its list
     events: list[str] = []
-    run_on_one_bus, frames_on_one_bus = run_and_record(settings, events=events_on_one_bus)
-    run, frames = run_and_record(settings, WIRINGS[wiring], events=events)
+    run_on_one_bus, frames_on_one_bus = run_and_record(settings, ON_ONE_BUS, events=events_on_one_bus)
+    run, frames = run_and_record(settings, wiring, events=events)
 
     assert identifiers_and_data(frames) == identifiers_and_data(frames_on_one_bus)
     assert saved_robots(run.nodes) == saved_robots(run_on_one_bus.nodes)
@@ -102,17 +106,20 @@ def test_a_swarm_runs_the_same_way_on_any_buses_as_on_one_virtual_bus(
     assert all(hit_counts(run)), "each fault has hit at least once"
 
 
-@pytest.mark.parametrize("wiring", ["no bus", "a bus for each"])
-def test_frames_have_the_same_times_on_several_buses_as_on_one(wiring: str) -> None:
+@on_wirings("no bus", "a bus for each")
+def test_frames_have_the_same_times_on_several_buses_as_on_one(wiring: Wiring) -> None:
     """Multicast groups are left out, as they do not keep the time stamps of the sender."""
-    _, frames_on_one_bus = run_and_record(small_swarm())
-    _, frames = run_and_record(small_swarm(), WIRINGS[wiring])
-    assert [frame.timestamp for frame in frames] == [frame.timestamp for frame in frames_on_one_bus]
+    _run, frames_on_one_bus = run_and_record(small_swarm(), ON_ONE_BUS)
+    _run, frames = run_and_record(small_swarm(), wiring)
+    times_on_one_bus = [frame.timestamp for frame in frames_on_one_bus]
+    assert [frame.timestamp for frame in frames] == times_on_one_bus
 
 
 def test_frames_of_a_swarm_without_a_bus_have_the_chosen_channel_in_the_log() -> None:
-    _, frames = run_and_record(small_swarm(), Wiring(channel="none"))
-    assert {frame.channel for frame in frames} == {"none"}
+    """The channel is a name that a user may choose, here "mine"."""
+    wiring_without_bus = Wiring(channel="mine")
+    _run, frames = run_and_record(small_swarm(), wiring_without_bus)
+    assert {frame.channel for frame in frames} == {"mine"}
 
 
 def waiting_frames(bus: can.BusABC) -> list[can.Message]:
@@ -130,13 +137,17 @@ def estimates_among(frames: Sequence[can.Message]) -> list[Estimate]:
 
 
 def test_the_bus_of_a_robot_has_its_frames_and_those_that_reach_it() -> None:
-    """The bus of robot 0 has its five estimates, and the estimates of three others. Robot 1's are lost."""
-    with Swarm(small_swarm("loss,robots=1", steps=5), ON_OWN_BUSES) as swarm, own_bus(0) as listener:
-        run_swarm(swarm)
-        frames = waiting_frames(listener)
-    senders = Counter(estimate.sender for estimate in estimates_among(frames))
+    """Five robots send an estimate in each of five ticks, and those of robot 1 are lost.
 
-    assert senders == {0: 5, 2: 5, 3: 5, 4: 5}
+    The bus of robot 0 has its own estimates, and those of robots 2 to 4.
+    """
+    settings = small_swarm("loss,robots=1", robots=5, steps=5)
+    with Swarm(settings, ON_OWN_BUSES) as swarm, own_bus(0) as bus_of_robot_0:
+        run_swarm(swarm)
+        frames = waiting_frames(bus_of_robot_0)
+    estimates_by_sender = Counter(estimate.sender for estimate in estimates_among(frames))
+
+    assert estimates_by_sender == {0: 5, 2: 5, 3: 5, 4: 5}
 
 
 FRAMES_OF_ROBOT = 60 + 6
@@ -147,7 +158,7 @@ NOTHING_WRONG: dict[str, Any] = {"refused": 0, "strays": 0, "rejected": {}, "id_
 
 
 @pytest.mark.parametrize(
-    ("fault", "hits", "expected_counts"),
+    ("fault", "expected_hits", "expected_counts"),
     [
         (
             "loss=0",
@@ -182,28 +193,24 @@ NOTHING_WRONG: dict[str, Any] = {"refused": 0, "strays": 0, "rejected": {}, "id_
     ],
 )
 def test_a_fault_hits_as_many_frames_as_its_options_say_with_its_effect(
-    fault: str, hits: int, expected_counts: dict[str, Any]
+    fault: str, expected_hits: int, expected_counts: dict[str, Any]
 ) -> None:
-    """The results count the hits of the fault, and what the robots have received.
+    """The results count the hits of the fault, what the robots have received, and all frames on the bus.
 
     Five robots run for 60 ticks. Each frame has four receivers, so there are 20 paths.
     """
-    run, frames = run_and_record(small_swarm(fault))
-    counts = {name: frame_counts(run)[name] for name in expected_counts}
-    assert hit_counts(run) == [hits]
-    assert counts == expected_counts
+    run, frames = run_and_record(small_swarm(fault, robots=5, steps=60))
+    assert hit_counts(run) == [expected_hits]
+    for name, expected_count in expected_counts.items():
+        assert frame_counts(run)[name] == expected_count, name
     assert frame_counts(run)["on_the_bus"] == len(frames)
 
 
-def knows_own_estimate_alone(robot: Robot) -> bool:
-    """Return whether a robot's fused estimate x equals x_hat, the estimate from its own observations."""
-    return robot.x == robot.x_hat
-
-
 def test_robots_whose_frames_are_all_lost_know_their_own_estimates_alone() -> None:
-    """So their estimate x stays equal to their estimate from their own observations."""
-    run, _ = run_and_record(small_swarm("loss"))
-    assert all(knows_own_estimate_alone(node.robot) for node in run.nodes)
+    """So their estimate x stays equal to x_hat, the estimate from their own observations."""
+    run, _frames = run_and_record(small_swarm("loss=1.0"))
+    for node in run.nodes:
+        assert node.robot.x == node.robot.x_hat
 
 
 class Broadcasts(NamedTuple):
@@ -223,7 +230,7 @@ class Broadcasts(NamedTuple):
 
 
 @pytest.mark.parametrize(
-    ("fault", "expected"),
+    ("fault", "expected_broadcasts"),
     [
         # Nothing that happens to frames on their way changes what is broadcast.
         ("loss", Broadcasts(300)),
@@ -238,24 +245,26 @@ class Broadcasts(NamedTuple):
     ],
 )
 def test_replay_counts_the_broadcasts_that_a_fault_has_changed(
-    fault: str, expected: Broadcasts, tmp_path: Path
+    fault: str, expected_broadcasts: Broadcasts, tmp_path: Path
 ) -> None:
     """Replay computes all broadcasts again from the events of a run.
 
-    It counts frames that a fault has falsified, or sent under another robot's id, and reproduces the others.
-    The frames that a fault has injected are in the events.
+    It counts frames that a fault has falsified, or sent under another robot's id (foreign), and reproduces
+    the others. The frames that a fault has injected are in the events.
     """
-    events: list[str] = []  # filled by the run
-    _run, frames = run_and_record(small_swarm(fault), events=events)
-    path = tmp_path / "run.events"
-    path.write_text("".join(events))
-    with EventsReader(path) as reader:
+    lines_of_events: list[str] = []  # filled by the run
+    _run, frames = run_and_record(small_swarm(fault), events=lines_of_events)
+    file_of_events = tmp_path / "run.events"
+    file_of_events.write_text("".join(lines_of_events))
+    with EventsReader(file_of_events) as reader:
         verdict = verify(frames, reader)
 
     assert verdict.difference is None
     assert verdict.not_logged == 0
-    injected = number_of_injected_frames(path)
-    assert Broadcasts(verdict.reproduced, verdict.falsified, verdict.foreign, injected) == expected
+    assert verdict.reproduced == expected_broadcasts.reproduced
+    assert verdict.falsified == expected_broadcasts.falsified
+    assert verdict.foreign == expected_broadcasts.foreign
+    assert number_of_injected_frames(file_of_events) == expected_broadcasts.injected
 
 
 def number_of_injected_frames(path: Path) -> int:
@@ -264,19 +273,17 @@ def number_of_injected_frames(path: Path) -> int:
         return sum(isinstance(entry, InjectedFrame) for entry in reader.entries())
 
 
-without_and_with_buses = pytest.mark.parametrize("wiring", ["no bus", "a bus for each"])
-
-
-@without_and_with_buses
+@on_wirings("no bus", "a bus for each")
 def test_estimates_under_ids_that_are_not_allowed_are_counted_as_unknown_and_change_nothing(
-    wiring: str,
+    wiring: Wiring,
 ) -> None:
-    """Robot 1 of five sends under six such ids, too (a Sybil attack). The four others count them.
+    """In each of 60 ticks robot 1 of five sends under six such ids, too (a Sybil attack).
 
-    All robots end as in a run without it.
+    The four others count these estimates. All robots end as in a run without the attack.
     """
-    undisturbed_run, _ = run_and_record(small_swarm())
-    run, _ = run_and_record(small_swarm("sybil,robots=1,ids=5-9+127", allow="0-4"), WIRINGS[wiring])
+    undisturbed_run, _frames = run_and_record(small_swarm())
+    attack = "sybil,robots=1,ids=5-9+127"
+    run, _frames = run_and_record(small_swarm(attack, allow="0-4"), wiring)
 
     ticks, made_up_ids, receivers = 60, 6, 4
     assert frame_counts(run)["unknown"] == ticks * made_up_ids * receivers
@@ -284,23 +291,31 @@ def test_estimates_under_ids_that_are_not_allowed_are_counted_as_unknown_and_cha
     assert saved_robots(run.nodes) == saved_robots(undisturbed_run.nodes)
 
 
-@without_and_with_buses
-def test_estimates_under_the_id_of_a_robot_that_is_allowed_are_counted_as_conflicts(wiring: str) -> None:
+@on_wirings("no bus", "a bus for each")
+def test_estimates_under_the_id_of_a_robot_that_is_allowed_are_counted_as_conflicts(wiring: Wiring) -> None:
     """In each of 60 ticks robot 1 sends an estimate as robot 0, too. The results count them under id 0."""
-    run, _ = run_and_record(small_swarm("sybil,robots=1,ids=0", allow="0-4"), WIRINGS[wiring])
+    attack = "sybil,robots=1,ids=0"
+    run, _frames = run_and_record(small_swarm(attack, steps=60, allow="0-4"), wiring)
     assert frame_counts(run)["unknown"] == 0
     assert frame_counts(run)["id_conflicts"] == {"0": 60}
 
 
-@without_and_with_buses
-def test_robots_that_allow_no_id_of_the_swarm_know_their_own_estimates_alone(wiring: str) -> None:
-    """Robots 0 to 4 allow only the id 127. Their estimate x stays equal to the one from own observations."""
-    run, _ = run_and_record(small_swarm(allow="127"), WIRINGS[wiring])
-    assert all(knows_own_estimate_alone(node.robot) for node in run.nodes)
+@on_wirings("no bus", "a bus for each")
+def test_robots_that_allow_no_id_of_the_swarm_know_their_own_estimates_alone(wiring: Wiring) -> None:
+    """Robots 0 to 4 allow only the id 127, and so refuse all estimates of the others.
+
+    Their estimate x stays equal to x_hat, the one from their own observations.
+    """
+    run, _frames = run_and_record(small_swarm(robots=5, allow="127"), wiring)
+    for node in run.nodes:
+        assert node.robot.x == node.robot.x_hat
 
 
-def crash_in_two_ticks(rejoin: str) -> SwarmSettings:
-    """Settings of a run of 60 ticks in which robot 0 is dead in ticks 45 and 46."""
+def settings_with_a_crash_in_ticks_45_and_46(rejoin: str) -> SwarmSettings:
+    """Settings of a run of 60 ticks in which robot 0, with a b_hat of 0.55, is dead in two ticks.
+
+    Afterwards it is ``new``, or ``restored`` to its state before the crash.
+    """
     return small_swarm(f"crash,robots=0,from=45,to=47,rejoin={rejoin}", seed=3, fill_ratio=0.95)
 
 
@@ -312,61 +327,61 @@ def test_a_robot_that_rejoins_assumes_the_accuracy_of_its_start_unless_it_is_res
     """
     b_hat_by_tick: list[float] = []
 
-    def record_b_hat(swarm: Swarm) -> None:
+    def record_b_hat_of_robot_0(swarm: Swarm) -> None:
         b_hat_by_tick.append(swarm.nodes[0].robot.b_hat)
 
-    run_and_record(crash_in_two_ticks(rejoin), hooks=[record_b_hat])
+    run_and_record(settings_with_a_crash_in_ticks_45_and_46(rejoin), hooks=[record_b_hat_of_robot_0])
 
     before_crash, after_return = b_hat_by_tick[44], b_hat_by_tick[47]
+    expected_after_return = before_crash if rejoin == "restored" else 0.55
     assert before_crash > 0.9
-    expected = before_crash if rejoin == "restored" else 0.55
-    assert after_return == pytest.approx(expected, abs=1e-6)
+    assert after_return == pytest.approx(expected_after_return, abs=1e-6)
 
 
-@pytest.mark.parametrize(("rejoin", "observations"), [("new", 60 - 47), ("restored", 60 - 2)])
+@pytest.mark.parametrize(("rejoin", "expected_observations"), [("new", 60 - 47), ("restored", 60 - 2)])
 def test_a_robot_that_rejoins_has_its_observations_only_if_it_is_restored(
-    rejoin: str, observations: int
+    rejoin: str, expected_observations: int
 ) -> None:
     """It is dead in ticks 45 and 46 of 60, and makes an observation in each of the others."""
-    run, _ = run_and_record(crash_in_two_ticks(rejoin))
-    assert run.nodes[0].robot.t == observations
+    run, _frames = run_and_record(settings_with_a_crash_in_ticks_45_and_46(rejoin))
+    assert run.nodes[0].robot.t == expected_observations
 
 
 @pytest.mark.parametrize(
-    ("rejoin", "numbers"), [("new", [*range(45), *range(60 - 47)]), ("restored", [*range(60 - 2)])]
+    ("rejoin", "expected_numbers"), [("new", [*range(45), *range(60 - 47)]), ("restored", [*range(60 - 2)])]
 )
 def test_a_robot_that_rejoins_numbers_its_estimates_anew_unless_it_is_restored(
-    rejoin: str, numbers: list[int]
+    rejoin: str, expected_numbers: list[int]
 ) -> None:
     """It is dead in ticks 45 and 46 of 60, and sends an estimate, numbered modulo 32, in the others."""
-    _, frames = run_and_record(crash_in_two_ticks(rejoin))
-    estimates_of_robot_0 = [estimate for estimate in estimates_among(frames) if estimate.sender == 0]
-    numbers_sent = [estimate.transfer_id for estimate in estimates_of_robot_0]
-    assert numbers_sent == [number % 32 for number in numbers]
+    _run, frames = run_and_record(settings_with_a_crash_in_ticks_45_and_46(rejoin))
+    numbers = [estimate.transfer_id for estimate in estimates_among(frames) if estimate.sender == 0]
+    assert numbers == [number % 32 for number in expected_numbers]
 
 
 @pytest.mark.parametrize(
-    ("rejoin", "expected"),
+    ("rejoin", "expected_ticks_and_uptimes"),
     [
         ("new", [(0, 0), (10, 1), (20, 2), (30, 3), (40, 4), (47, 0), (57, 1)]),
         ("restored", [(0, 0), (10, 1), (20, 2), (30, 3), (40, 4), (52, 5)]),
     ],
 )
 def test_a_robot_that_rejoins_sends_heartbeats_in_its_own_seconds(
-    rejoin: str, expected: list[tuple[int, int]]
+    rejoin: str, expected_ticks_and_uptimes: list[tuple[int, int]]
 ) -> None:
     """It is dead in ticks 45 and 46. A heartbeat has its uptime in seconds, of 10 ticks each.
 
     A new robot counts its uptime from tick 47 on. A restored robot's uptime has stood still for two ticks.
     """
-    _, frames = run_and_record(crash_in_two_ticks(rejoin))
+    _run, frames = run_and_record(settings_with_a_crash_in_ticks_45_and_46(rejoin))
     ticks_and_uptimes = []
     for frame in frames:
         heartbeat = decode_heartbeat(frame)
         if isinstance(heartbeat, Heartbeat) and heartbeat.sender == 0:
-            ticks_and_uptimes.append((round(10 * frame.timestamp), heartbeat.uptime))
+            tick = round(10 * frame.timestamp)
+            ticks_and_uptimes.append((tick, heartbeat.uptime))
 
-    assert ticks_and_uptimes == expected
+    assert ticks_and_uptimes == expected_ticks_and_uptimes
 
 
 @pytest.fixture
@@ -386,7 +401,7 @@ def run_with_a_late_tick(monkeypatch: pytest.MonkeyPatch) -> SwarmRun:
 def test_frames_that_come_too_late_in_real_time_are_counted_and_received_in_the_next_tick(
     run_with_a_late_tick: SwarmRun,
 ) -> None:
-    """The three estimates of one tick are missed. The run goes on to its end.
+    """Three robots run for 60 ticks. The three estimates of one tick are missed. The run goes on to its end.
 
     In the next tick a robot receives two estimates of each neighbour, and refuses the second one.
     """
@@ -399,28 +414,32 @@ def test_frames_that_come_too_late_in_real_time_are_counted_and_received_in_the_
 
 
 def test_a_run_in_real_time_reports_how_late_ticks_have_begun(run_with_a_late_tick: SwarmRun) -> None:
-    """The results have the mean over all ticks and the largest, in seconds."""
+    """The results have the mean over all ticks and the largest, in seconds. Real times vary."""
     clock = run_with_a_late_tick.results["clock"]
     assert 0 <= clock["mean_lateness"] <= clock["max_lateness"]
 
 
-@pytest.mark.parametrize("wiring", ["one bus", "a group for each", *slow(["one group"])])
-def test_no_frame_is_lost_when_a_robot_floods_the_bus(wiring: str) -> None:
+@pytest.mark.parametrize(
+    "wiring",
+    [WIRINGS["one bus"], WIRINGS["a group for each"], *slow([WIRINGS["one group"]])],
+    ids=["one bus", "a group for each", "one group"],
+)
+def test_no_frame_is_lost_when_a_robot_floods_the_bus(wiring: Wiring) -> None:
     """Its 900 frames are more than a socket holds, and yet the four other robots receive each of them.
 
     Besides, each of five robots sends an estimate in each of three ticks, and a heartbeat.
     """
-    run, frames = run_and_record(
-        small_swarm("babble,frames=900,robots=0,from=1,to=2", steps=3), WIRINGS[wiring]
-    )
-    receivers = 4
-    assert len(frames) == 5 * (3 + 1) + 900
+    settings = small_swarm("babble,frames=900,robots=0,from=1,to=2", robots=5, steps=3)
+    run, frames = run_and_record(settings, wiring)
+
+    robots, estimates, heartbeats, receivers = 5, 3, 1, 4
+    assert len(frames) == robots * (estimates + heartbeats) + 900
     assert frame_counts(run)["arrived"] == receivers * len(frames)
 
 
 # The figures of docs/internals/threats.csv, and the table of docs/threats.md
 
-SETTINGS: dict[str, dict[str, Any]] = {
+SETTINGS_BY_COLUMN: dict[str, dict[str, Any]] = {
     "asdf_plus": {"filter": "asdf-plus"},
     "robust": {"filter": "robust"},
     "asdf_plus_allow_0_19": {"filter": "asdf-plus", "allow": "0-19"},
@@ -432,7 +451,7 @@ FIGURES = ("error", "flawed_b_hat", "healthy_b_hat")
 
 ATTACKS = list(csv.DictReader((ROOT / "docs/internals/threats.csv").read_text(encoding="utf-8").splitlines()))
 RUNNABLE_ATTACKS = [attack for attack in ATTACKS if attack["robust_error"]]
-"""The attacks and faults that can be run; the others are only described."""
+"""The attacks and faults that can be run; the others are only described. First comes a run without faults."""
 
 
 def figures_of_run(faults: list[str], settings: dict[str, Any]) -> list[str]:
@@ -458,7 +477,7 @@ def test_the_table_of_threats_has_figures_of_20_attacks_and_begins_with_a_swarm_
 
     The others have figures with ASDF+ and with the robust filter.
     """
-    first_attack, *_ = ATTACKS
+    first_attack, *_further_attacks = ATTACKS
     assert len(ATTACKS) == 27
     assert len(RUNNABLE_ATTACKS) == 20
     assert first_attack["faults"] == ""
@@ -467,27 +486,33 @@ def test_the_table_of_threats_has_figures_of_20_attacks_and_begins_with_a_swarm_
         assert attack["robust_error"] != ""
 
 
-def figures_in_table(attack: dict[str, str], run: str) -> list[str]:
-    """Return the figures that the table has of an attack with some settings; ``run`` is a key of SETTINGS."""
-    return [attack[f"{run}_{figure}"] for figure in FIGURES]
+def figures_in_table(attack: dict[str, str], column: str) -> list[str]:
+    """Return the figures that the table has of an attack, in the columns that begin with this text."""
+    return [attack[f"{column}_{figure}"] for figure in FIGURES]
 
 
-def runs_with_figures(attacks: list[dict[str, str]]) -> list[tuple[dict[str, str], str]]:
-    """Return each attack with the settings, a key of SETTINGS, for which the table has figures."""
-    return [(attack, run) for attack in attacks for run in SETTINGS if attack[f"{run}_error"]]
+def attacks_and_columns(attacks: list[dict[str, str]]) -> list[tuple[dict[str, str], str]]:
+    """Return each attack with the beginning of the columns, of SETTINGS_BY_COLUMN, that have its figures."""
+    return [
+        (attack, column) for attack in attacks for column in SETTINGS_BY_COLUMN if attack[f"{column}_error"]
+    ]
 
 
 @pytest.mark.parametrize(
-    ("attack", "run"),
+    ("attack", "column"),
     [
-        *runs_with_figures([RUNNABLE_ATTACKS[1]]),
-        *slow(runs_with_figures([RUNNABLE_ATTACKS[0], *RUNNABLE_ATTACKS[2:]])),
+        *attacks_and_columns([RUNNABLE_ATTACKS[1]]),
+        *slow(attacks_and_columns([RUNNABLE_ATTACKS[0], *RUNNABLE_ATTACKS[2:]])),
     ],
 )
-def test_the_table_of_threats_has_the_figures_of_these_runs(attack: dict[str, str], run: str) -> None:
-    """docs/internals/threats.csv has the faults of each attack, and the figures with which a swarm ends."""
+def test_the_table_of_threats_has_the_figures_of_these_runs(attack: dict[str, str], column: str) -> None:
+    """docs/internals/threats.csv has the faults of each attack, and the figures with which a swarm ends.
+
+    The name of a column says with which filter and which allowed ids.
+    """
     faults = attack["faults"].split()
-    assert figures_in_table(attack, run) == figures_of_run(faults, SETTINGS[run])
+    expected_figures = figures_of_run(faults, SETTINGS_BY_COLUMN[column])
+    assert figures_in_table(attack, column) == expected_figures
 
 
 def test_the_table_of_threats_has_figures_with_allowed_ids_only_for_made_up_ids() -> None:
@@ -517,23 +542,26 @@ def rows_of_threats_page() -> list[list[str]]:
 
 
 def test_the_page_of_threats_puts_the_errors_of_six_attacks_in_words() -> None:
-    """For each attack it has two words, for ASDF and for the robust filter, and the error of the latter."""
-    error_by_attack = {
-        row["attack"]: (row["asdf_plus_error"], row["robust_error"]) for row in RUNNABLE_ATTACKS
-    }
+    """For each attack it has two words, for ASDF and for the robust filter, and the error of the latter.
+
+    The errors are those of docs/internals/threats.csv.
+    """
+    attacks_by_name = {attack["attack"]: attack for attack in RUNNABLE_ATTACKS}
     rows = rows_of_threats_page()
     assert len(rows) == 6
-    for attack, *cells in rows:
-        error_asdf, error_robust = error_by_attack[attack]
-        assert cells == [error_in_a_word(error_asdf), error_in_a_word(error_robust), error_robust]
+    for name, word_for_asdf, word_for_robust, error in rows:
+        attack = attacks_by_name[name]
+        assert word_for_asdf == error_in_a_word(attack["asdf_plus_error"])
+        assert word_for_robust == error_in_a_word(attack["robust_error"])
+        assert error == attack["robust_error"]
 
 
 def test_the_page_of_threats_says_which_errors_its_words_stand_for() -> None:
     """The page has the limits of the words "safe" and "wrong", and the error of a swarm without faults."""
     page = THREATS_PAGE.read_text(encoding="utf-8")
+    run_without_faults, *_attacks = RUNNABLE_ATTACKS
     assert "ends below 0.05, *wrong* if below 0.2" in page
-    error_without_faults = RUNNABLE_ATTACKS[0]["robust_error"]
-    assert f"the robust filter ends at {error_without_faults}." in page
+    assert f"the robust filter ends at {run_without_faults['robust_error']}." in page
 
 
 def test_the_page_of_threats_shows_what_its_commands_print(capsys: pytest.CaptureFixture[str]) -> None:
