@@ -90,7 +90,8 @@ def test_the_documentation_of_argos_shows_the_table_that_the_comparison_prints()
 def test_the_table_of_a_trial_in_argos_is_summed_up_as_mean_errors_of_its_robots(tmp_path: Path) -> None:
     """Errors are distances of x from the true fill ratio, 0.55, and of b_hat from the true accuracy, 0.95.
 
-    Of the 200 ticks, the second half has the lines of ticks 150 and 200.
+    The table has a line for each of two robots at the ticks 100, 150 and 200. The second half of all ticks
+    begins behind tick 100.
     """
     table = tmp_path / "results.csv"
     table.write_text(
@@ -108,18 +109,18 @@ def test_the_table_of_a_trial_in_argos_is_summed_up_as_mean_errors_of_its_robots
 
 
 def test_a_trial_in_argos_gets_its_filter_its_seed_and_the_file_of_its_results(tmp_path: Path) -> None:
-    """ARGoS runs it from a file in XML. Sound robots assume the true accuracy, 0.95, and flawed ones 0.55.
+    """ARGoS runs it from a file in XML. Healthy robots assume the true accuracy, 0.95, and flawed ones 0.55.
 
     With ASDF+ all robots run the paper's filter, which is called asdf in this file.
     """
     path = tmp_path / "trial.argos"
     argos.write_configuration(path, ARGOS_EXAMPLE, "asdf-plus", seed=7, results=tmp_path / "trial.csv")
     root = ElementTree.parse(path).getroot()
-    sound, flawed = root.iterfind("controllers/*/params")
+    healthy, flawed = root.iterfind("controllers/*/params")
     [experiment] = root.iterfind("framework/experiment")
     [loop_functions] = root.iterfind("loop_functions")
 
-    assert (sound.attrib["filter"], sound.attrib["b_hat"]) == ("asdf", "0.95")
+    assert (healthy.attrib["filter"], healthy.attrib["b_hat"]) == ("asdf", "0.95")
     assert (flawed.attrib["filter"], flawed.attrib["b_hat"]) == ("asdf", "0.55")
     assert experiment.attrib["random_seed"] == "7"
     assert loop_functions.attrib["results"] == str(tmp_path / "trial.csv")

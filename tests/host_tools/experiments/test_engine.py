@@ -393,9 +393,9 @@ def test_robots_of_the_engine_in_c_end_in_the_states_of_robots_in_python(experim
 
     Both compute with the integers of the firmware, so whole states are equal to the bit.
     """
-    in_python = replace(experiment, firmware="mirror")
+    experiment_in_python = replace(experiment, firmware="mirror")
     states_in_c = native.run(experiment, first=1, trials=1).images()
-    states_in_python = images_by_message(in_python, trial=1)
+    states_in_python = images_by_message(experiment_in_python, trial=1)
     assert states_in_c == states_in_python
 
 
@@ -413,9 +413,9 @@ def test_the_engine_in_c_measures_and_records_what_robots_in_python_compute(expe
 
     Measured are a trial's results, and recorded are the robots' quantities over time.
     """
+    experiment_in_python = replace(experiment, firmware="mirror")
     trials_in_c = run_trials(experiment, first=1, trials=1, sampling_interval=7)
-    in_python = replace(experiment, firmware="mirror")
-    trials_in_python = run_trials(in_python, first=1, trials=1, sampling_interval=7)
+    trials_in_python = run_trials(experiment_in_python, first=1, trials=1, sampling_interval=7)
 
     for result in ("convergence_steps", "errors", "b_hat", "tests", "updates"):
         assert np.array_equal(getattr(trials_in_c, result), getattr(trials_in_python, result)), result
@@ -464,8 +464,9 @@ def test_robots_that_calculate_in_floats_receive_rounded_messages() -> None:
     experiment = replace(two_robots, message_bits="1+1", firmware="reference")
     x_bar = run_trials(experiment, first=0, trials=1, sampling_interval=1).records["x_bar"]
 
-    [[_x_bar_at_start, *x_bar_of_robots_by_step]] = x_bar.tolist()  # of one trial
-    for x_bar_of_robots in x_bar_of_robots_by_step:
+    [x_bar_by_step_and_robot] = x_bar.tolist()  # of the only trial
+    _x_bar_at_start, *x_bar_after_steps = x_bar_by_step_and_robot
+    for x_bar_of_robots in x_bar_after_steps:
         assert set(x_bar_of_robots) <= {0, 1}
 
 
@@ -485,7 +486,7 @@ def run_trial_in_floats(experiment: Experiment) -> Trials:
     ],
 )
 def test_the_reference_in_floats_stays_near_the_firmware_in_every_step(experiment: Experiment) -> None:
-    """The firmware computes in integers. Both test and re-estimate b_hat in the same steps."""
+    """The firmware computes in integers. In both, each robot tests and re-estimates b_hat equally often."""
     integer_trials = run_trials(experiment, first=0, trials=1, sampling_interval=1)
     float_trials = run_trial_in_floats(experiment)
 
@@ -543,9 +544,9 @@ def test_a_trial_has_the_same_results_alone_and_among_others_and_with_recorded_v
     """
     all_trials = native.run(experiment, first=0, trials=20)
     some_trials = native.run(experiment, first, trials, sampling_interval)
-    numbers_of_some_trials = slice(first, first + trials)
-    assert np.array_equal(some_trials.x, all_trials.x[numbers_of_some_trials])
-    assert np.array_equal(some_trials.b_hat, all_trials.b_hat[numbers_of_some_trials])
+    end = first + trials
+    assert np.array_equal(some_trials.x, all_trials.x[first:end])
+    assert np.array_equal(some_trials.b_hat, all_trials.b_hat[first:end])
 
 
 # --- Refusals --------------------------------------------------------------------------------------------
@@ -555,6 +556,7 @@ def test_a_trial_has_the_same_results_alone_and_among_others_and_with_recorded_v
 def test_the_engine_in_c_refuses_robots_in_python_and_late_messages_of_fully_connected_swarms(
     changes: dict[str, Any],
 ) -> None:
+    """Robots in Python have the firmware mirror. With a latency of 1, messages arrive a step late."""
     with pytest.raises(UsageError, match="the engine in C lacks this"):
         native.run(replace(FULLY_CONNECTED, **changes), first=0, trials=1)
 
@@ -583,14 +585,14 @@ def test_the_engine_raises_the_error_of_a_firmware_that_refuses_an_accuracy(lane
 # --- Robots that lie --------------------------------------------------------------------------------------
 
 
-def call_with_two_liars(experiment: Experiment) -> native.EngineTrials:
-    """Return a call of the engine in which the last two robots broadcast x_hat 0 with an alpha of 10^6."""
-    call = native.EngineTrials(experiment, first=0, trials=1, sampling_interval=0)
-    call.experiment.liars = 2
+def prepare_trial_with_two_liars(experiment: Experiment) -> native.EngineTrials:
+    """Prepare a trial in which the last two robots broadcast x_hat 0 with an alpha of 10^6."""
+    trial = native.EngineTrials(experiment, first=0, trials=1, sampling_interval=0)
+    trial.experiment.liars = 2
     mantissa, shift = 16_000_000, 20  # in units of 2^-24, so alpha is 16 * 10^6 * 2^20 / 2^24 = 10^6
     alpha_word = (mantissa << 8) | shift
-    call.experiment.lie = [0, alpha_word]
-    return call
+    trial.experiment.lie = [0, alpha_word]
+    return trial
 
 
 def estimates_with_two_liars_on_a_bus(experiment: Experiment) -> list[float]:
@@ -612,22 +614,22 @@ with_liars = pytest.mark.parametrize(
 @with_liars
 def test_robots_that_lie_have_the_same_effect_in_the_engine_as_on_a_bus(experiment: Experiment) -> None:
     """The last two broadcast that nothing is black, with an alpha of 10^6, which is great confidence."""
-    call = call_with_two_liars(experiment)
-    assert call.execute(lanes=False) is Status.OK
+    trial = prepare_trial_with_two_liars(experiment)
+    assert trial.execute(lanes=False) is Status.OK
 
-    [x_by_robot_and_step] = call.x.tolist()  # of the only trial
-    x_at_end = [x_of_robot_by_step[-1] for x_of_robot_by_step in x_by_robot_and_step]
-    assert x_at_end == estimates_with_two_liars_on_a_bus(experiment)
+    [x_by_robot_and_step] = trial.x  # of the only trial
+    x_at_end = x_by_robot_and_step[:, -1]
+    assert x_at_end.tolist() == estimates_with_two_liars_on_a_bus(experiment)
 
 
 @with_liars
 def test_trials_are_computed_one_by_one_if_robots_lie(experiment: Experiment) -> None:
     """A liar computes with its own true estimate, and the robots around it compute with its lie.
 
-    In lanes, where many trials or robots are computed at once, these could not be different.
+    Lanes, in which many trials or robots are computed at once, have only one estimate of a robot.
     """
-    call = call_with_two_liars(experiment)
-    assert not _engine.lib.mcp_asdf_engine_has_lanes(call.experiment)
+    trial = prepare_trial_with_two_liars(experiment)
+    assert not _engine.lib.mcp_asdf_engine_has_lanes(trial.experiment)
 
 
 # --- More than 128 robots ----------------------------------------------------------------------------------

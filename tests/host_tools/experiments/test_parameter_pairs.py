@@ -203,7 +203,7 @@ def points_in(figure: Figure, marker: str | None = None) -> list[Points]:
 
 @pytest.mark.parametrize("parameter", DRAWN_CASES)
 def test_boxes_of_experiments_that_differ_in_one_parameter_can_be_told_apart(parameter: str) -> None:
-    """They are in two panels, in two colours, or side by side. A box has a point for each of three trials."""
+    """They are in two panels, in two colours, or side by side. A box has a dot for each of three trials."""
     figure = plot_boxes(run_two_that_differ_in(parameter))
     first_box, second_box = points_in(figure, marker=".")
 

@@ -39,8 +39,8 @@ from mcp_asdf_tools.experiments.scores import SCORES, Limits
 from mcp_asdf_tools.experiments.trials import run_trials
 from support import draws
 
-SHORT = Experiment(robots=4, flawed=1, filter="asdf-plus", steps=300, filter_period=100, trials=3)
-OTHER_EXPERIMENT = replace(SHORT, filter="none", seed=2**64 - 1)
+SHORT_EXPERIMENT = Experiment(robots=4, flawed=1, filter="asdf-plus", steps=300, filter_period=100, trials=3)
+OTHER_EXPERIMENT = replace(SHORT_EXPERIMENT, filter="none", seed=2**64 - 1)
 
 
 def replace_column(table: pa.Table, name: str, values: object) -> pa.Table:
@@ -56,8 +56,8 @@ def results_path(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """
     path = tmp_path_factory.mktemp("results") / "results.parquet"
     tables = [
-        trials_to_table(run_trials(SHORT, first=2, trials=1, sampling_interval=10)),
-        trials_to_table(run_trials(SHORT, first=0, trials=2, sampling_interval=10)),
+        trials_to_table(run_trials(SHORT_EXPERIMENT, first=2, trials=1, sampling_interval=10)),
+        trials_to_table(run_trials(SHORT_EXPERIMENT, first=0, trials=2, sampling_interval=10)),
         trials_to_table(run_trials(OTHER_EXPERIMENT, first=0, trials=3, sampling_interval=10)),
     ]
     write_tables(path, [pa.concat_tables(tables)])
@@ -75,7 +75,7 @@ def trials_run_again() -> list[Trials]:
     """The same experiments, run once more and not written to a file."""
     return [
         run_trials(experiment, first=0, trials=3, sampling_interval=10)
-        for experiment in (SHORT, OTHER_EXPERIMENT)
+        for experiment in (SHORT_EXPERIMENT, OTHER_EXPERIMENT)
     ]
 
 
@@ -92,7 +92,7 @@ def test_a_file_of_results_gives_back_its_experiments_with_their_trials_in_order
     experiments: list[Trials],
 ) -> None:
     """The rows of the first experiment hold trials 2, 0 and 1."""
-    assert [trials.experiment for trials in experiments] == [SHORT, OTHER_EXPERIMENT]
+    assert [trials.experiment for trials in experiments] == [SHORT_EXPERIMENT, OTHER_EXPERIMENT]
     assert [trials.numbers for trials in experiments] == [[0, 1, 2], [0, 1, 2]]
 
 
@@ -118,7 +118,7 @@ def test_a_file_of_results_gives_back_how_often_values_were_recorded(experiments
 
 def test_results_of_one_robot_without_recorded_values_are_read_from_their_file(path: Path) -> None:
     """Such results have the shortest lists. Short lists must not be taken for missing lists."""
-    experiment = replace(SHORT, robots=1)
+    experiment = replace(SHORT_EXPERIMENT, robots=1)
     table = trials_to_table(run_trials(experiment, first=0, trials=1))
     write_tables(path, [table])
     [trials] = experiments_in(read_table(path))
@@ -129,12 +129,12 @@ def test_results_of_one_robot_without_recorded_values_are_read_from_their_file(p
 
 def test_the_trials_of_an_experiment_may_be_spread_over_the_files_of_a_folder(tmp_path: Path) -> None:
     """Three files hold trial 0 of an experiment, trial 1 of another one, and trial 2 of the first again."""
-    for trial, experiment in enumerate((SHORT, OTHER_EXPERIMENT, SHORT)):
+    for trial, experiment in enumerate((SHORT_EXPERIMENT, OTHER_EXPERIMENT, SHORT_EXPERIMENT)):
         table = trials_to_table(run_trials(experiment, first=trial, trials=1))
         write_tables(tmp_path / f"{trial}.parquet", [table])
     trials, trials_of_other_experiment = stream_experiments(tmp_path)
 
-    assert trials.experiment == SHORT
+    assert trials.experiment == SHORT_EXPERIMENT
     assert trials.numbers == [0, 2]
     assert trials_of_other_experiment.experiment == OTHER_EXPERIMENT
     assert trials_of_other_experiment.numbers == [1]
@@ -142,7 +142,7 @@ def test_the_trials_of_an_experiment_may_be_spread_over_the_files_of_a_folder(tm
 
 def test_small_tables_are_joined_until_they_have_enough_bytes() -> None:
     """There are five tables of one row. Two have enough bytes, so the fifth is left over."""
-    table_of_one_row = trials_to_table(run_trials(SHORT, first=0, trials=1))
+    table_of_one_row = trials_to_table(run_trials(SHORT_EXPERIMENT, first=0, trials=1))
     larger_tables = collect_rows([table_of_one_row] * 5, min_bytes=2 * table_of_one_row.nbytes)
     assert [len(larger_table) for larger_table in larger_tables] == [2, 2, 1]
 
@@ -152,13 +152,14 @@ def test_any_reader_of_parquet_finds_the_parameters_and_the_results_of_a_trial_i
 ) -> None:
     """A row has the scores of a trial, and lists with one value per robot: step of convergence k and error e.
 
-    The second row holds trial 0. The test runs this trial again.
+    The list of b_hat has a value of each robot in each filter step. The second row holds trial 0, which the
+    test runs again.
     """
     _row_of_trial_2, row_of_trial_0, *_ = pq.read_table(results_path).to_pylist()
-    trial_0 = run_trials(SHORT, first=0, trials=1)
+    trial_0 = run_trials(SHORT_EXPERIMENT, first=0, trials=1)
 
     assert row_of_trial_0["trial"] == 0
-    for parameter, value in SHORT.parameters().items():
+    for parameter, value in SHORT_EXPERIMENT.parameters().items():
         assert row_of_trial_0[parameter] == value
     assert row_of_trial_0["k"] == trial_0.convergence_steps.ravel().tolist()
     assert row_of_trial_0["e"] == trial_0.errors.ravel().tolist()
@@ -277,7 +278,7 @@ def test_results_from_before_a_parameter_existed_are_read_with_its_default(
     """They have no column of this parameter. Files are read experiment by experiment, or at once."""
     default = Experiment().parameters()[parameter]
     # With as many robots as by default, each parameter may have its default.
-    experiment = replace(SHORT, **{"trials": 1, "robots": 20, "flawed": 6, parameter: default})
+    experiment = replace(SHORT_EXPERIMENT, **{"trials": 1, "robots": 20, "flawed": 6, parameter: default})
     table = trials_to_table(run_trials(experiment, first=0, trials=1))
     pq.write_table(table.drop_columns([parameter]), path)
 
@@ -290,7 +291,7 @@ def test_results_from_before_a_parameter_existed_are_read_with_its_default(
 
 def test_results_from_before_a_parameter_existed_can_be_scored_again() -> None:
     """The parameter is latency, which has no column in the older table. Scores do not change."""
-    table = trials_to_table(run_trials(SHORT, first=0, trials=2))
+    table = trials_to_table(run_trials(SHORT_EXPERIMENT, first=0, trials=2))
     older_table = table.drop_columns(["latency"])
     older_table_scored_again = score_table(older_table, Limits())
     assert older_table_scored_again["H"].equals(table["H"])
@@ -298,7 +299,7 @@ def test_results_from_before_a_parameter_existed_can_be_scored_again() -> None:
 
 def test_results_from_before_a_parameter_existed_are_read_together_with_newer_ones(tmp_path: Path) -> None:
     """Each of two files has two trials; the first has no latency, whose default is 0."""
-    table = trials_to_table(run_trials(SHORT, first=0, trials=2))
+    table = trials_to_table(run_trials(SHORT_EXPERIMENT, first=0, trials=2))
     older_table = table.drop_columns(["latency"])
     pq.write_table(older_table, tmp_path / "1.parquet")
     pq.write_table(table, tmp_path / "2.parquet")
@@ -333,7 +334,7 @@ def test_results_in_the_earlier_format_5_are_read_as_a_table_of_the_present_form
     The last two of four rows are trials of 2 robots, which had observed 0, 10 and 20 times when recorded.
     """
     table = read_table(FORMAT_5_FILE)
-    new_table = trials_to_table(run_trials(SHORT, first=0, trials=1, sampling_interval=10))
+    new_table = trials_to_table(run_trials(SHORT_EXPERIMENT, first=0, trials=1, sampling_interval=10))
     assert table.schema.equals(new_table.schema)
     assert read_metadata(table)["format"] == read_metadata(new_table)["format"]
 
@@ -459,7 +460,7 @@ def test_a_missing_file_of_results_is_refused(tmp_path: Path) -> None:
 
 def results_with_drift_spread(value: float) -> Any:
     """Return results of an earlier version, which had the parameter drift_spread."""
-    table = trials_to_table(run_trials(SHORT, first=0, trials=2))
+    table = trials_to_table(run_trials(SHORT_EXPERIMENT, first=0, trials=2))
     return table.append_column("drift_spread", pa.array([value] * len(table)))
 
 
@@ -467,7 +468,7 @@ def test_results_with_a_parameter_of_earlier_versions_are_read_if_it_had_no_effe
     """A drift_spread of 0 had none. The experiment that is read does not have this parameter."""
     pq.write_table(results_with_drift_spread(0.0), path)
     [trials] = stream_experiments(path)
-    assert trials.experiment == SHORT
+    assert trials.experiment == SHORT_EXPERIMENT
 
 
 def test_results_with_a_parameter_of_earlier_versions_are_refused_if_it_had_an_effect(path: Path) -> None:
@@ -482,7 +483,7 @@ def test_results_that_name_a_file_as_their_graph_are_refused_and_it_is_not_opene
 ) -> None:
     """Results have to hold the edges. The file is a pipe: to open it would wait for ever for a writer."""
     os.mkfifo(tmp_path / "pipe")
-    experiment = replace(SHORT, topology="graph", graph="0 1", trials=1)
+    experiment = replace(SHORT_EXPERIMENT, topology="graph", graph="0 1", trials=1)
     table_of_one_row = trials_to_table(run_trials(experiment, first=0, trials=1))
     graph_of_the_row = pa.array([str(tmp_path / "pipe")])
     pq.write_table(replace_column(table_of_one_row, "graph", graph_of_the_row), path)

@@ -373,7 +373,7 @@ def test_32_panels_fit_a_picture(unfiltered: Trials) -> None:
 def test_the_legend_has_filters_in_their_usual_order_for_any_order_of_the_experiments(
     results_by_filter: dict[str, Trials],
 ) -> None:
-    """The fixture has the last filter first."""
+    """The results are of one experiment with each filter, the last filter first."""
     figure = plot_boxes([*results_by_filter.values()])
     assert legend_of(figure) == ["no filter", "ASDF\N{MINUS SIGN}", "ASDF+", "robust"]
 

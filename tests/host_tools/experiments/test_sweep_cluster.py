@@ -70,7 +70,7 @@ def store(tmp_path: Path) -> Store:
     return Store(tmp_path / "x.parquet", [SLOW_EXPERIMENT])
 
 
-def run_sweep_command(trials: int, output: Path, *options: str) -> None:
+def run_sweep_command(output: Path, *options: str, trials: int) -> None:
     """Run ``mcp-asdf sweep`` on a file of one experiment with so many trials; it must succeed."""
     path = output.with_suffix(".toml")
     path.write_text(f"robots = 4\nsteps = 300\nfilter_period = 100\ntrials = {trials}\n")
@@ -83,9 +83,9 @@ def test_a_sweep_that_goes_on_on_a_cluster_gives_the_results_of_this_computer(
 ) -> None:
     """The first 20 of 50 trials were run on this computer."""
     cluster_output, local_output = tmp_path / "cluster.parquet", tmp_path / "local.parquet"
-    run_sweep_command(20, cluster_output, "--workers", "1")
-    run_sweep_command(50, cluster_output, "--scheduler", scheduler)
-    run_sweep_command(50, local_output, "--workers", "1")
+    run_sweep_command(cluster_output, "--workers", "1", trials=20)
+    run_sweep_command(cluster_output, "--scheduler", scheduler, trials=50)
+    run_sweep_command(local_output, "--workers", "1", trials=50)
 
     assert read_table(cluster_output).equals(read_table(local_output))
 

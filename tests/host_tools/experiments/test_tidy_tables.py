@@ -21,14 +21,14 @@ from mcp_asdf_tools.experiments.tidy_tables import stream_tidy_results, tidy_res
 from mcp_asdf_tools.experiments.trials import run_trials
 from support import limited_file_size
 
-SHORT = Experiment(robots=3, flawed=1, filter="asdf-plus", steps=40, filter_period=10, trials=2)
+SHORT_EXPERIMENT = Experiment(robots=3, flawed=1, filter="asdf-plus", steps=40, filter_period=10, trials=2)
 FORMAT_5_FILE = Path(__file__).with_name("results_format_5.parquet")
 
 
 @pytest.fixture(scope="module")
 def trials() -> Trials:
     """Two trials of three robots, recorded at the steps 0, 20 and 40."""
-    return run_trials(SHORT, first=0, trials=2, sampling_interval=20)
+    return run_trials(SHORT_EXPERIMENT, first=0, trials=2, sampling_interval=20)
 
 
 @pytest.fixture(scope="module")
@@ -41,7 +41,7 @@ def tidy(trials: Trials) -> pa.Table:
 
 
 def test_a_tidy_table_of_one_experiment_has_no_columns_of_parameters(tidy: pa.Table) -> None:
-    """Such columns would be the same in all rows."""
+    """Such columns would be the same in all rows. Behind the first four, a column has what was recorded."""
     assert tidy.column_names == ["trial", "step", "robot", "is_flawed", *QUANTITIES]
 
 
@@ -72,7 +72,7 @@ def test_parameters_that_differ_between_experiments_have_columns_behind_the_tria
 
     The other one, without a filter, has one trial of 2 robots. Both are recorded at three steps.
     """
-    two_unfiltered_robots = replace(SHORT, filter="none", robots=2)
+    two_unfiltered_robots = replace(SHORT_EXPERIMENT, filter="none", robots=2)
     other_trials = run_trials(two_unfiltered_robots, first=0, trials=1, sampling_interval=20)
     tidy = tidy_results(pa.concat_tables([trials_to_table(trials), trials_to_table(other_trials)]))
 
@@ -93,7 +93,7 @@ def test_every_column_of_a_tidy_table_has_a_unit_and_a_meaning(tidy: pa.Table) -
 
 def test_results_without_records_are_refused_with_the_option_that_records() -> None:
     """Records are values of robots over time. A sampling interval of 0 makes none."""
-    table = trials_to_table(run_trials(SHORT, first=0, trials=1, sampling_interval=0))
+    table = trials_to_table(run_trials(SHORT_EXPERIMENT, first=0, trials=1, sampling_interval=0))
     with pytest.raises(UsageError, match=r"no values of robots .* were recorded; run .* --record 100"):
         tidy_results(table)
 
@@ -115,7 +115,9 @@ def test_results_of_an_earlier_version_become_tidy_tables() -> None:
 def folder_of_two(trials: Trials, tmp_path: Path) -> Path:
     """A folder with two files of results, whose experiments differ in their seed."""
     table = trials_to_table(trials)
-    other_table = trials_to_table(run_trials(replace(SHORT, seed=2), first=0, trials=2, sampling_interval=20))
+    other_table = trials_to_table(
+        run_trials(replace(SHORT_EXPERIMENT, seed=2), first=0, trials=2, sampling_interval=20)
+    )
     folder = tmp_path / "parts"
     folder.mkdir()
     write_tables(folder / "1.parquet", [table])
@@ -126,7 +128,7 @@ def folder_of_two(trials: Trials, tmp_path: Path) -> Path:
 def test_tables_of_a_folder_s_files_have_a_column_for_a_parameter_that_differs_between_files(
     folder_of_two: Path,
 ) -> None:
-    """In each file alone there is one seed."""
+    """The folder has two files of results with the seeds 1 and 2. In each file alone there is one seed."""
     first_table, second_table = stream_tidy_results(folder_of_two)
     assert set(first_table["seed"].to_pylist()) == {1}
     assert set(second_table["seed"].to_pylist()) == {2}
