@@ -51,7 +51,7 @@ def test_a_file_without_an_end_is_refused() -> None:
 
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16"])
 def test_a_text_may_have_a_byte_order_mark(encoding: str, tmp_path: Path) -> None:
-    """Programs of Windows write one, and some write UTF-16."""
+    """Programs of Windows write such a mark before a text in UTF-8, and some write UTF-16."""
     (tmp_path / "file").write_text("k_m ≥ 1", encoding=encoding)
     assert read_text(tmp_path / "file") == "k_m ≥ 1"
 
@@ -90,8 +90,8 @@ def test_a_written_file_replaces_a_longer_one(
     assert names_in(tmp_path) == ["file"]
 
 
-def test_a_write_through_a_symbolic_link_replaces_the_file_behind_it(tmp_path: Path) -> None:
-    """The link stays a link; the file behind it is in another folder."""
+def test_a_write_through_a_symbolic_link_writes_the_file_behind_it(tmp_path: Path) -> None:
+    """The link stays a link. It points to a file in another folder, which is not there before."""
     (tmp_path / "folder").mkdir()
     (tmp_path / "link").symlink_to(tmp_path / "folder/file")
     write_atomically(tmp_path / "link", "new")

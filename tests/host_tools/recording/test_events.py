@@ -45,12 +45,15 @@ FIRST_LINE_OF_ROBOTS_0_AND_7 = header_of(0, 7).to_line()
 
 
 @pytest.mark.parametrize(
-    ("log", "events"),
+    ("log", "expected_path"),
     [("run.log", "run.log.events"), ("run.log.part", "run.log.events.part"), ("a/b", "a/b.events")],
 )
-def test_events_stand_beside_their_log(log: str, events: str) -> None:
-    """Events say what each robot of a recorded run met; they have a file beside the frame log."""
-    assert events_path(log) == Path(events)
+def test_events_stand_beside_their_log(log: str, expected_path: str) -> None:
+    """Events say what each robot of a recorded run met; they have a file beside the frame log.
+
+    The events of run.log are in run.log.events, for example.
+    """
+    assert events_path(log) == Path(expected_path)
 
 
 def test_a_file_of_events_given_as_a_log_of_frames_is_refused() -> None:
@@ -163,7 +166,8 @@ def test_a_flood_of_estimates_is_written_in_several_lines(
 def test_a_mask_in_a_file_of_version_3_is_read_as_the_last_estimates_of_its_senders(tmp_path: Path) -> None:
     """Such files do not repeat an estimate: the mask "9" (bits 0 and 3) stands for robots 0 and 3.
 
-    Robot 7 received both, a list of sender, x_hat and alpha each; then robot 0 received the same two.
+    Robot 7 received both, a list of sender, x_hat and alpha each; then robot 0 received the same two. Before,
+    each observed black (1), and at last it ended the tick (3).
     """
     first_line_of_version_3 = FIRST_LINE_OF_ROBOTS_0_AND_7.replace('"version": 5', '"version": 3')
     line_of_robot_7 = "[7,1,[3,9,8],[0,1,2],3]"
@@ -189,7 +193,7 @@ def test_a_log_that_an_earlier_program_wrote_is_replayed_without_a_difference() 
 
 
 def test_events_of_version_4_are_read(tmp_path: Path) -> None:
-    """The present version is 5. Robot 7 observes black and ends the tick."""
+    """The present version is 5. In the only line robot 7 observes black (1) and ends the tick (3)."""
     first_line_of_version_4 = FIRST_LINE_OF_ROBOTS_0_AND_7.replace('"version": 5', '"version": 4')
     (tmp_path / "x").write_text(f"{first_line_of_version_4}[7,1,3]\n")
     assert read_entries(tmp_path / "x") == [RobotEvents(7, [BLACK, END_OF_TICK])]

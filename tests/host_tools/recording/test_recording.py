@@ -449,7 +449,7 @@ def test_the_part_file_of_a_log_that_a_full_disk_cut_off_can_be_replayed(
 ) -> None:
     """Frames are reproduced as far as there are events; those beyond the last event cannot be checked.
 
-    The file has 8000 bytes. A line, which has a frame, has less than 80 bytes, so there are 100 frames.
+    The file has 8000 bytes. A line, which has a frame, has less than 80 bytes: there are over 100 frames.
     """
     assert main(["replay", f"{unfinished_log}.part", "--json"]) == 0
     verdict = json.loads(capsys.readouterr().out)["verdict"]

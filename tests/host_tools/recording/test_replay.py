@@ -68,7 +68,8 @@ def test_replay_reproduces_a_log_in_any_format(
     assert main(["replay", str(converted_log), "--events", str(events_path(swarm_log)), "--json"]) == 0
 
     report = json.loads(capsys.readouterr().out)
-    assert report["verdict"] == vars(ReplayVerdict(reproduced=4 * 40, other=16))
+    expected_verdict = ReplayVerdict(reproduced=4 * 40, other=16)
+    assert report["verdict"] == vars(expected_verdict)  # its attributes by their names
     assert report["incomplete"] is False
 
 
@@ -428,7 +429,8 @@ def test_replay_reproduces_the_frames_of_the_bus_that_is_chosen(
 
     assert report["channel"] == channel
     assert report["channels"] == {"vcan0": 160 + 16, "vcan1": 160 + 16}
-    assert report["verdict"] == vars(ReplayVerdict(reproduced=160, other=16))
+    expected_verdict = ReplayVerdict(reproduced=160, other=16)
+    assert report["verdict"] == vars(expected_verdict)  # its attributes by their names
 
 
 def test_replay_refuses_a_bus_that_the_log_lacks(swarm_log: Path, capsys: Capture) -> None:

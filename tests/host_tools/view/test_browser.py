@@ -184,9 +184,9 @@ def test_arena_charts_and_controls_all_fit_into_the_width_of_a_large_a_small_and
 def test_the_background_is_dark_where_the_user_prefers_dark_colours(
     browser: Page, page_file: Path, scheme: str, is_dark: bool
 ) -> None:
-    """The browser reports the background as "rgb(16, 20, 26)", each from 0 (black) to 255.
+    """The browser reports the background as "rgb(16, 20, 26)": red, green and blue, from 0 (black) to 255.
 
-    The background is a grey, so its share of red tells if it is dark.
+    The background is nearly grey, so its red tells if it is dark.
     """
     open_file(browser, page_file)
     browser.emulate_media(color_scheme=scheme)  # type: ignore[arg-type]
@@ -224,7 +224,10 @@ def test_moving_the_time_slider_to_200_shows_step_200(browser: Page, page_file: 
 
 
 def test_a_click_on_robot_2_in_the_arena_shows_the_values_of_robot_2(browser: Page, page_file: Path) -> None:
-    """The values stand in a part of the page with the title "Robot 2, flawed at the start"."""
+    """The values stand in a part of the page with the title "Robot 2, flawed at the start".
+
+    The first four of the eight robots are flawed.
+    """
     open_paused_at_start(browser, page_file)
     # The canvas may have several pixels for each pixel of the page, in which a click is given.
     x, y = until(browser, "view.arena.centres[2].map((pixel) => pixel / view.arena.pixelRatio)")
@@ -445,7 +448,8 @@ def test_an_open_page_reports_that_a_swarm_has_ended_without_any_data(browser: P
 
 def test_a_swarm_that_has_just_ended_is_shown_at_its_last_step(browser: Page, history: History) -> None:
     """So the user does not have to watch it from the start; the button offers to play it."""
-    ended_history = History(history.description, history.states_since().states)
+    all_states = history.states_since().states
+    ended_history = History(history.description, all_states)
     assert ended_history.has_ended
     with serve_page(ended_history) as url:
         browser.goto(url)

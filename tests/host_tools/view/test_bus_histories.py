@@ -269,7 +269,7 @@ def test_a_frame_of_a_second_bus_that_stands_late_in_a_log_does_not_set_back_the
     The log ends at 1003 s, when robot 7 is seen. If 1000.5 s, in the last line, counted, it would seem to
     have been seen 2.5 s before.
     """
-    frame = encode(Estimate(7, x_hat=X_ONE // 2, alpha=1, transfer_id=0))
+    frame = encode(Estimate(sender=7, x_hat=0, alpha=1, transfer_id=0))
     log = write_log(tmp_path / "any.log", {1000.0: frame, 1003.0: frame, 1000.5: frame})
     report = read_frame_history(log, FrameFormat()).history.report
     assert report is not None
@@ -283,7 +283,7 @@ def test_a_log_of_eight_months_is_shown_with_a_limited_number_of_states(tmp_path
 
     There are at most 10,000, and the state at the start.
     """
-    frame = encode(Estimate(7, x_hat=X_ONE // 2, alpha=1, transfer_id=0))
+    frame = encode(Estimate(sender=7, x_hat=0, alpha=1, transfer_id=0))
     log = write_log(tmp_path / "real.log", {0.0: frame, 20_000_000.0: frame})
     history = read_frame_history(log, FrameFormat()).history
     assert len(history.states_since().states) <= 10_000 + 1

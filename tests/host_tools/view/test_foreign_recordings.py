@@ -98,7 +98,7 @@ def remove_optional_settings_of_robots(header: Header) -> None:
 def test_a_log_whose_robots_lack_optional_settings_is_replayed_with_defaults(log: Path) -> None:
     """The settings are periods, memory and firmware.
 
-    A replay with other settings would not come out equal.
+    A replay with other settings would not come out equal, and the exit code would not be 0.
     """
     change_header(log, remove_optional_settings_of_robots)
     assert main(["replay", str(log)]) == 0
@@ -106,7 +106,10 @@ def test_a_log_whose_robots_lack_optional_settings_is_replayed_with_defaults(log
 
 @pytest.mark.parametrize("name", ["frames", "parameters", "seed", "versions"])
 def test_a_log_whose_first_line_lacks_an_optional_entry_is_replayed(name: str, log: Path) -> None:
-    """The first line of a log's events is a JSON object; only the entries on its robots are needed."""
+    """The first line of a log's events is a JSON object; only the entries on its robots are needed.
+
+    The exit code 0 says that replay has reproduced all broadcasts.
+    """
     change_header(log, remove_entry(name))
     assert main(["replay", str(log)]) == 0
 

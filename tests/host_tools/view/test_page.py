@@ -134,11 +134,13 @@ def test_a_position_is_encoded_as_shares_of_the_arena_s_width_and_height() -> No
 def test_links_are_encoded_as_a_bit_for_each_pair_of_robots() -> None:
     """Of three robots, robot 0 receives from 1, which is bit 1, and robot 2 receives from 0, bit 6.
 
-    The nine bits of a state take two bytes, which are the last ones. The lowest bit of a byte comes first.
+    The number of a bit is 3 * receiver + sender. The nine bits of a state take two bytes, the lowest bit
+    first. These bytes are the last ones.
     """
     neighbours = [[False, True, False], [False, False, False], [True, False, False]]
-    two_states = [make_state(0, [0, 0, 0], neighbours), make_state(1, [0, 0, 0], neighbours)]
-    data = bytes_of_states(two_states, robots=3)
+    first_state = make_state(tick=0, x=[0, 0, 0], neighbours=neighbours)
+    second_state = make_state(tick=1, x=[0, 0, 0], neighbours=neighbours)
+    data = bytes_of_states([first_state, second_state], robots=3)
 
     bytes_of_a_state = bytes([0b01000010, 0])
     assert data.endswith(bytes_of_a_state + bytes_of_a_state)
@@ -149,10 +151,10 @@ def test_links_between_more_than_128_robots_are_encoded_as_pairs_of_receiver_and
 
     A number of links has four bytes (u4), and an id has two (u2); the lowest byte comes first (<).
     """
-    links_0_from_1_and_128_from_5, link_7_from_0 = [[0, 1], [128, 5]], [[7, 0]]
     zeros = [0.0] * 129
-    states = [make_state(0, zeros, links_0_from_1_and_128_from_5), make_state(1, zeros, link_7_from_0)]
-    data = bytes_of_states(states, robots=129)
+    first_state = make_state(tick=0, x=zeros, neighbours=[[0, 1], [128, 5]])  # 0 receives from 1, 128 from 5
+    second_state = make_state(tick=1, x=zeros, neighbours=[[7, 0]])
+    data = bytes_of_states([first_state, second_state], robots=129)
 
     numbers_of_links = np.array([2, 1], "<u4").tobytes()
     ids_of_receivers_and_senders = np.array([0, 1, 128, 5, 7, 0], "<u2").tobytes()

@@ -265,8 +265,8 @@ def test_heartbeats_of_two_robots_with_one_id_are_conflicts_and_those_of_a_resta
 ) -> None:
     """Heartbeats of a robot count its seconds (uptime) and its heartbeats (transfer id) up together.
 
-    A restarted robot counts from 0 again. A heartbeat that comes twice, or that continues not the latest one
-    but the one before it, is a conflict. For example, with uptimes of 100, 5, 101, 6 and 102 two are.
+    A restarted robot counts from 0 again. So a heartbeat is a conflict if it comes twice, or if it continues
+    the count from before a restart: of the uptimes 100, 5, 101, 6 and 102 the two are 101 and 102.
     """
     for uptime, transfer_id in uptimes_and_transfer_ids:
         roster.receive_heartbeat(uptime, transfer_id)

@@ -182,7 +182,7 @@ def test_the_head_of_an_answer_forbids_to_cache_it_and_to_embed_it_in_other_site
 ) -> None:
     """This holds for the page, for its events, and for the error about an address without anything."""
     with connect(url, request_for(url, path)) as client:
-        head, _, _content = read_until_server_closes(client).partition("\n\n")
+        head, _empty_line, _content = read_until_server_closes(client).partition("\n\n")
 
     assert {
         "Cache-Control: no-store",
