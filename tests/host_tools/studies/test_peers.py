@@ -216,7 +216,7 @@ def bayescpf_robot_after_100_readings(
 ) -> peers.BayesCpfRobot:
     """Make a robot that has read 60 of 100 tiles as black since the last update, with x = 0.7, then 0.4.
 
-    It assumes an accuracy of 0.8, with a variance of 0.04.
+    It assumes an accuracy of 0.8, with a variance of 0.04, and filters in every round.
     """
     robot = robot_class(EVERY_ROUND, robot_id=0, b_hat=0.8)
     robot._n_since_update, robot._t_since_update = 60, 100
@@ -247,7 +247,10 @@ def posterior(prior: Normal) -> Normal:
 
 
 def test_bayescpf_updates_its_accuracy_by_bayes_rule() -> None:
-    """Before its first update it assumes the accuracy of its start, 0.8, with a standard deviation of 0.2."""
+    """Before its first update it assumes the accuracy of its start, 0.8, with a standard deviation of 0.2.
+
+    Then it has read 60 of 100 tiles as black, which ``posterior`` takes into account.
+    """
     robot = bayescpf_robot_after_100_readings()
 
     new_accuracy = robot.reestimate_b_hat()
@@ -258,7 +261,10 @@ def test_bayescpf_updates_its_accuracy_by_bayes_rule() -> None:
 
 
 def test_bayescpf_uses_up_its_counts_in_the_update_at_the_end_of_each_round() -> None:
-    """The counts of readings since the last update, and the estimates x of its rounds, are empty then."""
+    """The counts of readings since the last update, and the estimates x of its rounds, are empty then.
+
+    Here the robot updates its accuracy in every round.
+    """
     robot = bayescpf_robot_after_100_readings()
     robot.observe(Observation.BLACK)
 

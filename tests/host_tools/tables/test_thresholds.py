@@ -29,8 +29,11 @@ EDGES = [("0.9", 127), ("0.9", 2), ("0.000000001", 127), ("0.5", 3)]
 """Omegas and numbers of neighbours q of tables."""
 
 
-def multiple_by_scipy(omega: float, m: int) -> float:
-    """Return t/sqrt(m) + 1 of eq. 12 in double precision, with SciPy's quantile t."""
+def limit_in_spreads(omega: float, m: int) -> float:
+    """Return t/sqrt(m) + 1 of eq. 12, in double precision with SciPy's quantile t.
+
+    An estimate that is farther than so many spreads from the mean of m others is rejected.
+    """
     return float(scipy.stats.t.isf((1 - omega) / 2, m - 1)) / math.sqrt(m) + 1
 
 
@@ -40,7 +43,7 @@ def wrongly_rounded_entries(table: Table, omega: Decimal) -> list[int]:
     k_m is the square of eq. 12's t/sqrt(m) + 1, times m / (m - 1). SciPy's doubles are good for 10**-5 of an
     entry's unit.
     """
-    multiples = [multiple_by_scipy(float(omega), m) for m in range(2, table.q + 1)]
+    multiples = [limit_in_spreads(float(omega), m) for m in range(2, table.q + 1)]
     # The last entry, for more than q messages, has a normal quantile in place of t.
     m = table.q + 1
     normal_quantile = float(scipy.stats.norm.isf((1 - float(omega)) / 2))
@@ -97,7 +100,7 @@ def relative_error(table: Table, omega: str, m: int) -> float:
     """
     k_m = table.entry(m) / 2**FRACTION_BITS
     multiple_of_table = math.sqrt(k_m * (m - 1) / m)
-    return abs(multiple_of_table / multiple_by_scipy(float(omega), m) - 1)
+    return abs(multiple_of_table / limit_in_spreads(float(omega), m) - 1)
 
 
 @pytest.mark.parametrize(("omega", "q"), [*SHIPPED, ("0.9", 2), ("0.5", 100), ("0.05", 126)])
@@ -185,7 +188,7 @@ def test_the_page_t_tables_has_the_thresholds_that_scipy_computes() -> None:
         m = int(row.pop("m"))
         for column, cell in row.items():
             omega = float(column.removeprefix("omega "))
-            assert cell == f"{multiple_by_scipy(omega, m):.4f}"
+            assert cell == f"{limit_in_spreads(omega, m):.4f}"
 
 
 def test_the_page_t_tables_says_how_much_too_high_the_last_threshold_of_a_short_table_is() -> None:
@@ -217,7 +220,7 @@ def test_the_page_t_tables_has_how_often_an_estimate_of_the_same_kind_is_rejecte
     Its difference from their mean, over their spread, has Student's t distribution times sqrt(1 + 1/m).
     """
     m, omega = int(row["m"]), float(row["omega"])
-    limit_of_t = multiple_by_scipy(omega, m) / math.sqrt(1 + 1 / m)
+    limit_of_t = limit_in_spreads(omega, m) / math.sqrt(1 + 1 / m)
     rate_of_too_high = scipy.stats.t.sf(limit_of_t, df=m - 1)
     rate_of_too_low = rate_of_too_high  # the distribution is symmetric
     assert row["one of them"] == f"{rate_of_too_high + rate_of_too_low:.1%}"
@@ -230,7 +233,7 @@ def test_the_page_t_tables_has_how_often_an_estimate_at_a_distance_is_rejected(r
     The row has columns for distances of some standard deviations, such as "2 sigma".
     """
     m, omega = int(row["m"]), float(row["omega"])
-    limit_of_t = multiple_by_scipy(omega, m) * math.sqrt(m)
+    limit_of_t = limit_in_spreads(omega, m) * math.sqrt(m)
     columns_of_distances = [column for column in row if column.endswith(" sigma")]
     assert len(columns_of_distances) > 1
     for column in columns_of_distances:
