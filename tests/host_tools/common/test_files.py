@@ -242,6 +242,7 @@ def replace_files_a_and_b(
     with pytest.MonkeyPatch.context() as patch:
         system_calls = SystemCalls(patch, failing_call, failure)
         write_together({file_a: "new", file_b: "new"})
+    assert failing_call is None or failing_call in system_calls.numbered_calls
     return system_calls
 
 
