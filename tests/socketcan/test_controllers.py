@@ -61,7 +61,7 @@ def drive_robot_3(wire: can.BusABC, ticks: int) -> list[can.Message]:
             estimate = Estimate(robot, draw.randrange(2**23), ALPHA_ONE, tick % 32)
             frames.append(encode_estimate(estimate, FrameFormat()))
             wire.send(frames[-1], timeout=PATIENCE)
-        lockstep.estimates([3])
+        lockstep.wait_for_estimates([3])
         lockstep.settle([3])
     return frames
 

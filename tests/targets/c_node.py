@@ -244,6 +244,6 @@ def run_lockstep(bus: can.BusABC, robots: Collection[int], ticks: int, seed: int
     lockstep.wait_until_up(robots, PATIENCE)
     for _ in range(ticks):
         lockstep.observe({robot: Observation(rng.randrange(2)) for robot in robots})
-        lockstep.estimates(robots)
+        lockstep.wait_for_estimates(robots)
         lockstep.settle(robots)
     return [frame for frame in frames if frame.is_rx]

@@ -597,7 +597,7 @@ def test_the_node_s_heartbeat_says_how_the_bus_is(start_node: StartNode, bus: Un
     for frame, _health in frame_and_health_by_tick:
         bus.send(frame)
         lockstep.observe({ID: Observation.BLACK})
-        lockstep.estimates([ID])
+        lockstep.wait_for_estimates([ID])
         lockstep.settle([ID])
 
     summary = node.summary()

@@ -285,7 +285,7 @@ def _emulate_neighbours(
             # Other frames do not concern the neighbours, and need not reach this process.
             bus.set_filters(filters_for(settings.subjects.estimates, settings.subjects.telemetry))
             # In real time a run goes on while the bus fails, as a controller does.
-            link = BusLink(bus, should_stop, endures=True, log=log)
+            link = BusLink(bus, should_stop, tolerates_failures=True, log=log)
             radio_run = RadioRun(Neighbourhood(settings), link, args.steps)
             with console.status("") as status:
                 radio_run.on_tick = lambda: status.update(

@@ -154,7 +154,7 @@ class ControllerLink:
         self.tick_index = self.ticks
         must_broadcast = self._send_observe_command(observation)
         if must_broadcast:
-            self.lockstep.estimates({self.setup.id})  # waits for the controller's estimate
+            self.lockstep.wait_for_estimates({self.setup.id})  # waits for the controller's estimate
 
     def _send_observe_command(self, observation: Observation | None) -> bool:
         """Command an observation, or none, and return whether the controller must broadcast in this tick.

@@ -115,7 +115,11 @@ class Reception:
 
     def _count_events(self, suspicion: Suspicion) -> int:
         """Return the number of events of this kind, from all senders."""
-        return sum(count for (kind, _), count in self.events.items() if kind is suspicion)
+        total = 0
+        for (kind, _sender), count in self.events.items():
+            if kind is suspicion:
+                total += count
+        return total
 
 
 @dataclass
@@ -167,11 +171,13 @@ class BusRobot:
         self.is_alive = True
         self.reception = Reception()
         self.recorder = recorder
-        self._is_allowed_by_sender: NDArray[np.bool_] | None = None  # None if all senders are allowed
+        # Whether the robot accepts estimates of a sender, by its id; None if all senders are allowed
+        self._is_allowed_by_sender: NDArray[np.bool_] | None = None
         if setup.allow is not None:
             # Its own id is always allowed: the firmware refuses what another node sends under it.
             allowed_ids = [self.id, *setup.allow]
-            self._is_allowed_by_sender = np.isin(np.arange(MAX_NODE_ID + 1), allowed_ids)
+            all_ids = np.arange(MAX_NODE_ID + 1)
+            self._is_allowed_by_sender = np.isin(all_ids, allowed_ids)
         self._make_firmware = make_firmware or setup.make_robot
         self._comms_period = setup.comms_period
         self._estimate_format = estimate_format
@@ -196,9 +202,11 @@ class BusRobot:
         self.ticks = 0
         self.sent = FramesSent()
         self.robot = self._make_firmware()
-        # Frames carry integers, which only a robot in fixed point takes as they are.
+        # Frames carry integers: a robot that computes in float64 gets them by an adapter.
         takes_integers = hasattr(self.robot, "receive_all")
-        self._port = cast(FixedPointRobot, self.robot) if takes_integers else RoundingPort(self.robot)
+        self._integer_robot = (
+            cast(FixedPointRobot, self.robot) if takes_integers else IntegerAdapter(self.robot)
+        )
         self._ticks_to_broadcast = self._comms_period
         self._counters = self.robot.counters
 
@@ -241,7 +249,7 @@ class BusRobot:
         return encode_estimate(self.next_estimate(), self._estimate_format, now)
 
     def settle(self) -> None:
-        """End the tick, and the firmware's round if a broadcast was due in it."""
+        """End the tick, and the firmware's round if a broadcast was due in it; record that the tick ended."""
         if self._ticks_to_broadcast == 0:
             self._ticks_to_broadcast = self._comms_period
             self.robot.settle()
@@ -267,7 +275,7 @@ class BusRobot:
         """Return the present estimate with the next transfer_id, and count it as sent."""
         transfer_id = self.sent.estimates % TRANSFER_IDS
         self.sent.estimates += 1
-        return Estimate(self.id, self._port.x_hat_raw, self._port.alpha_raw, transfer_id)
+        return Estimate(self.id, self._integer_robot.x_hat_raw, self._integer_robot.alpha_raw, transfer_id)
 
     def is_heartbeat_due(self, ticks_per_second: int) -> bool:
         """Return whether a heartbeat goes before the next tick: at the start, and each second from then on.
@@ -291,8 +299,9 @@ class BusRobot:
         assumes of its sensor, and modulo 256 the number of times it has re-estimated b_hat.
         """
         x = int(self.robot.x * Q23_ONE)
-        # A robot that computes in float64 may be nearer to 0 or 1 than telemetry allows. x may be both.
-        b_hat = min(max(int(self.robot.b_hat * B_HAT_UNITS), MIN_B_HAT), MAX_B_HAT)
+        b_hat_units = int(self.robot.b_hat * B_HAT_UNITS)
+        # A robot that computes in float64 may be nearer to 0 or 1 than telemetry allows.
+        b_hat = min(max(b_hat_units, MIN_B_HAT), MAX_B_HAT)
         updates = self.robot.counters.updates % UPDATE_COUNT_MODULUS
         transfer_id = self.sent.telemetry % TRANSFER_IDS
         self.sent.telemetry += 1
@@ -333,7 +342,7 @@ class BusRobot:
             self.recorder.record_estimates([[sender, estimate.x_hat, estimate.alpha]])
         self.reception.delivered += 1
         # The firmware refuses its own id, a sender's second estimate in a round, and impossible values.
-        if self._port.receive_raw(sender, estimate.x_hat, estimate.alpha) is not Status.OK:
+        if self._integer_robot.receive_raw(sender, estimate.x_hat, estimate.alpha) is not Status.OK:
             self.reception.refused += 1
             if sender == self.id:
                 self._count_id_conflicts(1)
@@ -356,16 +365,17 @@ class BusRobot:
         if self.recorder is not None and len(estimates):
             self.recorder.record_estimates(estimates.tolist())
         received_count = len(estimates)
-        accepted_count = self._port.receive_all(estimates)
+        accepted_count = self._integer_robot.receive_all(estimates)
         self.reception.delivered += received_count
         if accepted_count < received_count:
             self.reception.refused += received_count - accepted_count
             # The firmware refuses all that come under its own id.
-            self._count_id_conflicts(int(np.count_nonzero(estimates[:, _SENDER_COLUMN] == self.id)))
+            is_under_own_id = estimates[:, _SENDER_COLUMN] == self.id
+            self._count_id_conflicts(int(np.count_nonzero(is_under_own_id)))
 
     def _count_id_conflicts(self, count: int) -> None:
-        """Count ``count`` estimates that another node sent under the robot's id."""
-        if count:  # an entry of 0 would be reported as an event
+        """Count ``count`` estimates that another node sent under the robot's id, unless there are none."""
+        if count > 0:  # An entry of 0 would be reported as an event.
             self.reception.events[Suspicion.CONFLICT, self.id] += count
 
     def count_content(self, content: FrameContent, frame_count: int = 1) -> None:
@@ -401,7 +411,7 @@ class BusRobot:
                 self._count_id_conflicts(1)
 
 
-class RoundingPort:
+class IntegerAdapter:
     """Adapter that gives a robot which computes in float64 the integers of ``FixedPointRobot``.
 
     x_hat is rounded to the nearest integer, alpha down, as the codecs of frames do.
@@ -435,5 +445,5 @@ class RoundingPort:
 
     def receive_all(self, estimates: EstimateRows) -> int:
         """Hand neighbours' estimates to the robot in order, and return how many it accepted."""
-        statuses = [self.receive_raw(*estimate) for estimate in estimates.tolist()]
+        statuses = [self.receive_raw(sender, x_hat, alpha) for sender, x_hat, alpha in estimates.tolist()]
         return statuses.count(Status.OK)

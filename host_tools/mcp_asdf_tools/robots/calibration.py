@@ -15,8 +15,8 @@ _MAX_BIAS = 0.02
 """Error of estimates from which on the user is warned."""
 _MIN_ACCURACY = 0.55
 """Mean accuracy below which the readings do not distinguish the colours; 0.5 would be chance."""
-_HALF_95_PERCENT_WIDTH = 1.96 / 2
-"""Half of the 1.96 standard deviations of a 95 % interval: the mean of two accuracies is half their sum."""
+_SIGMAS_OF_95_PERCENT = 1.96
+"""Standard deviations on either side of the mean in a 95 % interval."""
 
 
 @dataclass(frozen=True)
@@ -39,37 +39,37 @@ class Calibration:
     def b_hat(self) -> float:
         """Accuracy for the robot to assume at its start: the mean of both colours' accuracies.
 
-        Each is taken as (right readings + 1) / (readings + 2), Laplace's rule, so it is never 0 or 1. With
-        the share p of n readings on the right side, p n readings are right.
+        Each is taken as (right readings + 1) / (readings + 2), Laplace's rule, so it is never 0 or 1.
         """
-        cautious_accuracies = [(p * n + 1) / (n + 2) for p, n in self._colours()]
+        cautious_accuracies = []
+        for accuracy, reading_count in self._accuracies_and_counts():
+            right_readings = accuracy * reading_count
+            cautious_accuracies.append((right_readings + 1) / (reading_count + 2))
         return sum(cautious_accuracies) / 2
 
     @property
     def uncertainty(self) -> float:
-        """Half the width of the 95 % interval of ``b_hat``, at least as for one wrong reading a colour.
-
-        The interval follows from the variance p (1 - p) / n of a share p of n readings.
-        """
-        variances = []
-        for p, n in self._colours():
-            variance_with_one_wrong_reading = 1 / n  # p (1 - p) is nearly that then
-            variance_of_a_reading = max(p * (1 - p), variance_with_one_wrong_reading)
-            variances.append(variance_of_a_reading / n)
-        return _HALF_95_PERCENT_WIDTH * math.sqrt(sum(variances))
+        """Half the width of the 95 % interval of ``b_hat``, at least as for one wrong reading a colour."""
+        variance_of_sum = 0.0
+        for accuracy, reading_count in self._accuracies_and_counts():
+            # With a single wrong reading p (1 - p), the variance of a reading, is nearly 1 / n.
+            variance_of_reading = max(accuracy * (1 - accuracy), 1 / reading_count)
+            variance_of_sum += variance_of_reading / reading_count
+        # b_hat is the mean of both accuracies, half their sum, and varies half as much as that.
+        standard_deviation = math.sqrt(variance_of_sum) / 2
+        return _SIGMAS_OF_95_PERCENT * standard_deviation
 
     @property
     def bias(self) -> float:
         """How much too black such sensors make every floor look, as a share of its tiles.
 
         It is not 0 if the colours' accuracies differ, since the method has one accuracy for both.
-
-        With the accuracies b + d on black and b - d on white, a reading is black with the probability
-        f b + (1 - f)(1 - b) + d. From that the method's estimate of f (eq. 3) becomes f + d / (2 b - 1).
         """
-        black, white = self.accuracy.values()
-        b = (black + white) / 2
-        d = (black - white) / 2
+        accuracy_of_black, accuracy_of_white = self.accuracy.values()
+        # With the accuracies b + d on black and b - d on white, a reading is black with the probability
+        # f b + (1 - f)(1 - b) + d. From that the method's estimate of f (eq. 3) becomes f + d / (2 b - 1).
+        b = (accuracy_of_black + accuracy_of_white) / 2
+        d = (accuracy_of_black - accuracy_of_white) / 2
         return d / (2 * b - 1)
 
     @property
@@ -82,7 +82,7 @@ class Calibration:
             "change the sensor's height or the light, or paint the worse colour anew"
         )
 
-    def _colours(self) -> Iterable[tuple[float, int]]:
+    def _accuracies_and_counts(self) -> Iterable[tuple[float, int]]:
         """Return a pair for each colour: the accuracy and the number of readings."""
         return zip(self.accuracy.values(), self.readings.values(), strict=True)
 
@@ -102,10 +102,11 @@ def calibrate(rows: Sequence[tuple[float, bool]]) -> Calibration:
                 f"{count} readings over {colour} tiles; take {_MIN_READINGS} or more, better 1000"
             )
     candidates = _candidates(sorted(rows), reading_counts)
-    best_candidate = max(candidates, key=_rank, default=None)
+    best_candidate = max(candidates, key=_rank, default=None)  # None if all readings are equal
     if best_candidate is not None:
-        calibration, _ = best_candidate
-        if sum(calibration.accuracy.values()) >= 2 * _MIN_ACCURACY:
+        calibration, _gap = best_candidate
+        mean_accuracy = sum(calibration.accuracy.values()) / 2
+        if mean_accuracy >= _MIN_ACCURACY:
             return calibration
     raise UsageError("the readings do not tell black from white; does the sensor look at the floor?")
 
@@ -129,16 +130,15 @@ def _candidates(
     Each comes with a width: the gap between the two readings on either side of its threshold.
     """
     has_whole_numbers = all(reading.is_integer() for reading, _ in sorted_rows)
-    black_below = 0
-    white_below = 0
+    black_below = white_below = 0  # numbers of readings below the threshold
     # A threshold between two readings that follow each other has all readings up to the first below it.
-    for (reading, is_black), (next_reading, _) in pairwise(sorted_rows):
+    for (reading, is_black), (next_reading, _is_next_black) in pairwise(sorted_rows):
         if is_black:
             black_below += 1
         else:
             white_below += 1
         gap = next_reading - reading
-        if gap == 0.0:  # no threshold fits between equal readings
+        if gap == 0.0:  # No threshold fits between equal readings.
             continue
         threshold = reading + gap / 2
         if has_whole_numbers:

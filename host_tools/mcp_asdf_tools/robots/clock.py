@@ -47,8 +47,9 @@ class RealTimeClock:
 
         The first tick begins at once, whatever its number. Call this once for each tick.
         """
-        if not self._lateness:
-            # The start that lets this very tick begin now.
+        is_first_call = not self._lateness
+        if is_first_call:
+            # By this start the present tick begins now.
             self._start = self._now() - tick * self._period
         begin_time = self._start + tick * self._period
         seconds_left = begin_time - self._now()
@@ -72,9 +73,10 @@ class RealTimeClock:
         """
         if not self._lateness:
             return None
+        late_ticks = [lateness for lateness in self._lateness if lateness > self._period / 2]
         return {
             "mean_lateness": math.fsum(self._lateness) / len(self._lateness),
             "max_lateness": max(self._lateness),
-            "late_ticks": sum(lateness > self._period / 2 for lateness in self._lateness),
+            "late_ticks": len(late_ticks),
             "drift": self._lateness[-1],
         }

@@ -125,7 +125,9 @@ class SwarmFilter:
         The paper's filters re-estimate without a test if ``activation`` is "always".
         """
         has_no_test = activation == "always" and self.firmware_filter_without_test is not None
-        return self.description + _WITHOUT_TEST if has_no_test else self.description
+        if has_no_test:
+            return self.description + _WITHOUT_TEST
+        return self.description
 
 
 _NO_FILTER = SwarmFilter(
@@ -200,13 +202,15 @@ def filter_of_one_robot(firmware_filter: Filter) -> SwarmFilter:
 def describe_filters(firmware_filters: Iterable[Filter]) -> str:
     """Describe for reports, in ASCII, which robots recalibrate and how, by what their firmware is set to.
 
-    A single robot has "ASDF", since only a swarm can have ASDF- or ASDF+.
+    ``firmware_filters`` has a firmware filter for each robot. A single robot has "ASDF", since only a swarm
+    can have ASDF- or ASDF+. If no filter of a swarm sets such a mixture, the result lists it as mixed.
     """
     filter_by_robot = list(firmware_filters)
-    # Only a filter of a swarm with a mode without a test sets Filter.ALWAYS.
+    # A robot with Filter.ALWAYS re-estimates without a test.
     ending = _WITHOUT_TEST if Filter.ALWAYS in filter_by_robot else ""
     if len(filter_by_robot) == 1:
-        return filter_of_one_robot(filter_by_robot[0]).robot_description + ending
+        swarm_filter = filter_of_one_robot(filter_by_robot[0])
+        return swarm_filter.robot_description + ending
     distinct_filters = set(filter_by_robot)
     for swarm_filter in FILTERS.values():
         if _could_set(swarm_filter, distinct_filters):
@@ -223,8 +227,9 @@ def _could_set(swarm_filter: SwarmFilter, distinct_filters: Collection[Filter]) 
     active_filters = set(distinct_filters) - {Filter.OFF}
     if not swarm_filter.is_on:
         return not active_filters
+    if not active_filters or not active_filters <= swarm_filter.active_firmware_filters:
+        return False
     # With ASDF- some robots filter and others do not; with ASDF+ and the robust filter all do.
     has_idle_robots = Filter.OFF in distinct_filters
     needs_idle_robots = swarm_filter.filtering_robots is FilteringRobots.FLAWED
-    is_set_by_filter = bool(active_filters) and active_filters <= swarm_filter.active_firmware_filters
-    return is_set_by_filter and has_idle_robots == needs_idle_robots
+    return has_idle_robots == needs_idle_robots

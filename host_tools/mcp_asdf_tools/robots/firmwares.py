@@ -46,10 +46,10 @@ def _make_by_extension(
     robot = make(config, robot_id, b_hat)
     # Checked now, and by name: a member that is missing would end a run in the middle.
     kind = FixedPointRobot if hasattr(robot, "receive_all") else Robot
-    missing = [member for member in _MEMBERS[kind] if not hasattr(robot, member)]
-    if missing:
+    missing_members = [member for member in _MEMBERS[kind] if not hasattr(robot, member)]
+    if missing_members:
         raise UsageError(
-            f"the firmware {name} made a {type(robot).__name__} without {', '.join(missing)}; "
+            f"the firmware {name} made a {type(robot).__name__} without {', '.join(missing_members)}; "
             f"give it all that mcp_asdf.{kind.__name__} has"
         )
     return cast(Robot, robot)
@@ -65,10 +65,11 @@ def load_firmware(name: str) -> RobotMaker:
             raise UsageError(f"firmware is {name!r}; choose one of {', '.join(firmware_names())}")
         extension = extensions.load(extensions.FIRMWARES, name)
         return partial(_make_by_extension, name, extension)
-    module, class_name = FIRMWARES[name]
+    module_name, class_name = FIRMWARES[name]
     # Imported only now: the native firmware may not have been built, and the others do not need it.
     try:
-        return cast(RobotMaker, getattr(import_module(module), class_name))
+        module = import_module(module_name)
+        return cast(RobotMaker, getattr(module, class_name))
     except ImportError as error:
         raise UsageError(
             f"firmware {name} cannot be loaded ({error}); choose mirror, or to build {name}, "

@@ -8,7 +8,7 @@ The simulator's half of the protocol in ``docs/design.md``; the robot's is ``rob
 C node and the firmware images. A tick of robots that are all driven::
 
     lockstep.observe({3: Observation.BLACK, 4: Observation.WHITE})
-    estimates = lockstep.estimates({3, 4})   # in ticks in which these robots broadcast
+    estimates = lockstep.wait_for_estimates({3, 4})   # in ticks in which these robots broadcast
     telemetry = lockstep.settle({3, 4})
 
 Between the calls other nodes may send.
@@ -122,7 +122,7 @@ class Lockstep:
         }
         self._send_commands(self._last_actions)
 
-    def estimates(self, robots: Collection[int]) -> dict[int, Estimate]:
+    def wait_for_estimates(self, robots: Collection[int]) -> dict[int, Estimate]:
         """Wait until all of ``robots`` have broadcast in this tick, and return their estimates by id.
 
         Of several estimates of one robot the first is returned. Raises LockstepError if one sends none
@@ -196,10 +196,11 @@ class Lockstep:
         have come already, while an earlier one was awaited.
         """
         missing_robots = set(robots) - answers.keys()
-        for _ in self._receive_while_missing(
+        received_frames = self._receive_while_missing(
             missing_robots, expected_answer, self._timeout, self._last_actions
-        ):
-            # The frame is among ``answers`` by now if it is one: only the count of who is missing is left.
+        )
+        for _frame in received_frames:
+            # Each frame that is an answer is among ``answers`` by now. An empty set ends the loop.
             missing_robots.difference_update(answers)
         return {robot: answers[robot] for robot in robots}
 
@@ -213,8 +214,9 @@ class Lockstep:
         """Receive, store and yield frames until the caller has emptied ``missing_robots``.
 
         After half of ``seconds`` the robots that are still missing get the commands for their ``actions``
-        again: a robot follows a command that it has missed, and ignores the repetition of one that it has
-        received. Raises LockstepError, naming the missing robots, after ``seconds``; on a bus that is never
+        again, and another half of ``seconds`` from then on: a robot follows a command that it has missed, and
+        ignores the repetition of one that it has received. The caller's ``check`` is called several times per
+        second. Raises LockstepError, naming the missing robots, after ``seconds``; on a bus that is never
         quiet after twice that.
         """
         actions_to_repeat = dict(actions or {})
@@ -229,10 +231,10 @@ class Lockstep:
                 actions_to_repeat = {}
                 # However long sending took, robots have the second half of the time for the repetition.
                 deadline = time.monotonic() + seconds / 2
-            end_of_wait = repetition_time if actions_to_repeat else deadline
-            seconds_left = max(0.0, end_of_wait - now)
+            next_event = repetition_time if actions_to_repeat else deadline
+            seconds_left = max(0.0, next_event - now)
             frame = self._bus.recv(min(_SECONDS_BETWEEN_CHECKS, seconds_left))
-            # On a bus that is never quiet frames come without end: the caller is asked then, too.
+            # On a bus that is never quiet frames come without end: then the time decides.
             if frame is None or now >= next_check:
                 self._check()
                 next_check = now + _SECONDS_BETWEEN_CHECKS

@@ -246,9 +246,13 @@ class RobotNode:
         - ``events``: one dictionary per kind of suspicious estimate and sender, with the keys ``event`` (the
           kind), ``sender`` and ``estimates`` (how many came).
         """
+        events = []
+        for (kind, sender), count in self.reception.events.items():
+            events.append({"event": kind.value, "sender": sender, "estimates": count})
         return {
-            # The attributes of FramesSent are named after the kinds of frames.
-            **{f"{kind}_sent": count for kind, count in vars(self.sent).items()},
+            "estimates_sent": self.sent.estimates,
+            "heartbeats_sent": self.sent.heartbeats,
+            "telemetry_sent": self.sent.telemetry,
             "delivered": self.reception.delivered,
             "refused": self.reception.refused,
             "obeyed": self.obeyed,
@@ -256,10 +260,7 @@ class RobotNode:
             "unsettled": self.unsettled,
             "rejected": {reason.name: count for reason, count in self.reception.rejected.items()},
             "id_conflicts": self.reception.id_conflicts,
-            "events": [
-                {"event": kind.value, "sender": sender, "estimates": count}
-                for (kind, sender), count in self.reception.events.items()
-            ],
+            "events": events,
         }
 
     def _receive(self, estimate: Estimate) -> None:
@@ -282,7 +283,8 @@ class RobotNode:
             return []
         is_settle = command.action is Action.SETTLE
         is_tick_open = not self.is_settled and command.tick == self._tick_of_command
-        is_in_turn = is_tick_open if is_settle else not is_tick_open
+        # A settle needs the open tick, and a command to observe another one.
+        is_in_turn = is_settle == is_tick_open
         if not is_in_turn:
             self.disobeyed += 1
             return []
@@ -308,7 +310,8 @@ def state_of(node: RobotNode) -> dict[str, Any]:
     state: dict[str, Any] = {name: getattr(robot, name) for name in _STATE_ATTRIBUTES}
     if isinstance(robot, FixedPointRobot):
         state["raw"] = {name.removesuffix("_raw"): getattr(robot, name) for name in _RAW_ATTRIBUTES}
-    return state | {"counters": asdict(node.counters)}
+    state["counters"] = asdict(node.counters)
+    return state
 
 
 # --- On a bus ---
@@ -325,8 +328,8 @@ class BusLink:
     Attributes:
         bus: The connection; its filters should pass only frames that the node needs.
         should_stop: Called before each read; if it returns true, the read raises Stopped.
-        endures: Whether `send` and `receive` return instead of raising can.CanError when the bus fails, as a
-            run in real time needs it. A bus that is gone raises in any case.
+        tolerates_failures: Whether `send` and `receive` return instead of raising can.CanError when the bus
+            fails, as a run in real time needs it. A bus that is gone raises in any case.
         log: Takes all frames sent and received, stamped with the time of day; None for no log.
         failures: How often sending or receiving failed.
         last_failure: Failure of the last attempt; None if it succeeded.
@@ -334,7 +337,7 @@ class BusLink:
 
     bus: can.BusABC
     should_stop: Callable[[], bool] = lambda: False
-    endures: bool = False
+    tolerates_failures: bool = False
     log: FrameTaker | None = None
     failures: int = 0
     last_failure: can.CanError | None = None
@@ -342,8 +345,8 @@ class BusLink:
     def send(self, frame: can.Message) -> bool:
         """Put a frame on the bus, log it, and return whether the bus took it.
 
-        A failure is counted. It raises can.CanError unless the link endures failures, and BusGoneError in any
-        case if the bus is gone.
+        A failure is counted, and a success clears ``last_failure``. A failure raises can.CanError unless the
+        link tolerates failures, and BusGoneError in any case if the bus is gone.
         """
         try:
             self.bus.send(frame, timeout=SEND_TIMEOUT)
@@ -360,9 +363,10 @@ class BusLink:
     def receive(self, seconds: float) -> can.Message | None:
         """Wait for a frame of another node, at most ``seconds`` and at most a tenth of a second; log it.
 
-        Returns None if no frame came, or one that this node has sent. A failure of the bus is counted; it
-        gives None if the link ``endures`` failures and the bus is not gone, and raises can.CanError
-        otherwise. Raises Stopped if the node was asked to stop.
+        Returns None if no frame came, or one that this node has sent. A failure of the bus is counted, and
+        raises can.CanError unless the link tolerates failures and the bus is not gone; then the result is
+        None after a pause of that time. A frame of another node clears ``last_failure``. Raises Stopped if
+        the node was asked to stop.
         """
         if self.should_stop():
             raise Stopped
@@ -371,9 +375,9 @@ class BusLink:
             frame = self.bus.recv(seconds)
         except can.CanError as error:
             self._count_or_raise(error)
-            time.sleep(seconds)  # a bus that fails at once must not keep the processor busy
+            time.sleep(seconds)  # A bus that fails at once must not keep the processor busy.
             return None
-        if frame is None or not frame.is_rx:  # some buses return the frames that were sent here
+        if frame is None or not frame.is_rx:  # Some buses return the frames that were sent here.
             return None
         self.last_failure = None
         if self.log is not None:
@@ -384,7 +388,7 @@ class BusLink:
         """Call ``on_frame`` with the frames in the receive buffer, up to 4096 of them, without waiting.
 
         A node whose ticks are late calls this, as it has no time left to wait for frames. Raises Stopped if
-        the node was asked to stop, and can.CanError if the bus fails, unless the link endures failures and
+        the node was asked to stop, and can.CanError if the bus fails, unless the link tolerates failures and
         the bus is not gone.
         """
         for _ in range(_MAX_FRAMES_AT_ONCE):
@@ -396,11 +400,11 @@ class BusLink:
     def _count_or_raise(self, error: can.CanError) -> None:
         """Count and remember a failure of the bus.
 
-        Raises it again if the bus is gone, or if the link does not endure failures.
+        Raises it again if the bus is gone, or if the link does not tolerate failures.
         """
         self.failures += 1
         self.last_failure = error
-        if not self.endures or isinstance(error, BusGoneError):
+        if not self.tolerates_failures or isinstance(error, BusGoneError):
             raise error
 
 
@@ -457,15 +461,24 @@ def send_all(bus: can.BusABC, frames: Iterable[can.Message], timeout: float) -> 
     otherwise; the frames before have been sent then.
     """
     for frame in frames:
-        deadline = time.monotonic() + timeout
-        while True:  # until the queue has room for this frame
-            try:
-                bus.send(frame, timeout=timeout)
-                break
-            except can.CanOperationError as error:
-                # Linux reports a full queue with this code at once, whatever the timeout.
-                if error.error_code != errno.ENOBUFS:
-                    raise
-                if time.monotonic() > deadline:
-                    raise can.CanTimeoutError(f"the bus took no frame for {timeout:g} s") from error
-                time.sleep(_SECONDS_BETWEEN_SENDS)
+        _send_when_queue_has_room(bus, frame, timeout)
+
+
+def _send_when_queue_has_room(bus: can.BusABC, frame: can.Message, timeout: float) -> None:
+    """Put a frame on the bus, and wait up to ``timeout`` seconds while its queue is full.
+
+    Raises can.CanTimeoutError after that time, and can.CanError if the bus fails otherwise.
+    """
+    deadline = time.monotonic() + timeout
+    while True:
+        try:
+            bus.send(frame, timeout=timeout)
+            return
+        except can.CanOperationError as error:
+            # Linux reports a full queue with this code at once, whatever the timeout.
+            is_queue_full = error.error_code == errno.ENOBUFS
+            if not is_queue_full:
+                raise
+            if time.monotonic() > deadline:
+                raise can.CanTimeoutError(f"the bus took no frame for {timeout:g} s") from error
+        time.sleep(_SECONDS_BETWEEN_SENDS)

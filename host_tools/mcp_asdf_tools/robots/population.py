@@ -69,6 +69,10 @@ class Population(WorldSettings):
     firmware: str = parameter("firmware of the robots", default="native", choices=firmware_names())
 
     def __post_init__(self) -> None:
+        """Check the parameters, and replace ``flawed`` by a count and ``omega`` by a Decimal.
+
+        Raises ParameterError, which names the wrong parameter.
+        """
         from mcp_asdf_tools.tables.thresholds import parse_omega  # noqa: PLC0415 (mpmath loads slowly)
 
         # The base class first, which checks the number of robots that a share refers to. The class is frozen,
@@ -91,8 +95,10 @@ class Population(WorldSettings):
 
     def unused_parameters(self) -> dict[str, str]:
         """Return the parameters that have no effect in this population: the reason, a text, by their name."""
-        unused_of_drift = {"lowest_accuracy": "drift is none"} if self.drift == "none" else {}
-        return unused_of_drift | self.swarm_filter.unused_parameters_with(self.activation)
+        unused_parameters = self.swarm_filter.unused_parameters_with(self.activation)
+        if self.drift == "none":
+            return {"lowest_accuracy": "drift is none"} | unused_parameters
+        return unused_parameters
 
     @property
     def drifting(self) -> int:
@@ -136,9 +142,9 @@ class Population(WorldSettings):
         firmware_filter = self.swarm_filter.firmware_filter_of(self.is_flawed(robot), self.activation)
         table = None
         if firmware_filter is Filter.ADAPTIVE:
-            # A table has entries for 2 to q neighbours; MIN_Q is the smallest q.
-            neighbours = min(max(MIN_Q, self.robots - 1), MAX_ID)
-            table = generate(self.omega, neighbours)
+            # q is the largest number of neighbours with an entry of its own.
+            q = min(max(self.robots - 1, MIN_Q), MAX_ID)
+            table = generate(self.omega, q)
         # The firmware counts rounds, of comms_period steps each, where the paper's tau counts steps.
         rounds_between_tests = self.filter_period // self.comms_period
         return Config(table, firmware_filter, rounds_between_tests, self.memory)
@@ -159,7 +165,9 @@ def _plain(value: Any) -> Any:
     """
     if isinstance(value, Decimal):
         return float(value)
-    return value if isinstance(value, int | float) else str(value)
+    if isinstance(value, int | float):
+        return value
+    return str(value)
 
 
 def flawed_count(count_or_share: Any, robots: int) -> int:
@@ -188,7 +196,8 @@ def flawed_count(count_or_share: Any, robots: int) -> int:
 def _parse_share(share_text: str) -> float:
     """Return the number that a text such as ``0.3`` or ``30%`` stands for; NaN if it stands for none."""
     divisor = 100 if share_text.endswith("%") else 1
+    number_text = share_text.removesuffix("%")
     try:
-        return float(share_text.removesuffix("%")) / divisor
+        return float(number_text) / divisor
     except ValueError:
         return math.nan

@@ -56,11 +56,14 @@ class NodeProcesses:
             f"--telemetry-subject={subjects.telemetry.subject}",
             f"--command-subject={subjects.commands.subject}",
         ]
-        self._commands = {
-            robot.id: [*node_command, f"--setup={json.dumps(robot.plain())}", *bus_of(robot.id).arguments()]
-            for robot in robots
-        }
-        if any(bus_of(robot).interface == "socketcan" for robot in self._commands):
+        self._commands: dict[int, list[str]] = {}
+        interfaces = set()
+        for robot in robots:
+            setup_option = f"--setup={json.dumps(robot.plain())}"
+            bus_choice = bus_of(robot.id)
+            self._commands[robot.id] = [*node_command, setup_option, *bus_choice.arguments()]
+            interfaces.add(bus_choice.interface)
+        if "socketcan" in interfaces:
             # A virtual CAN interface of Linux delivers a frame on the processor of its sender. With several
             # one robot may receive a command before the estimate that it followed; lockstep needs one order.
             this_process = 0
@@ -89,10 +92,10 @@ class NodeProcesses:
         for robot, process in self._processes.items():
             if process.poll() is not None:
                 # Reading does not wait, as the process that writes there has ended.
-                errors = process.stderr.read().strip() if process.stderr else ""
+                error_output = process.stderr.read().strip() if process.stderr else ""
                 raise LockstepError(
                     f"the process of robot {robot} ended with exit code {process.returncode}: "
-                    f"{errors or 'no error output'}"
+                    f"{error_output or 'no error output'}"
                 )
 
     def __exit__(self, *_: object) -> None:

@@ -104,8 +104,9 @@ class _Columns:
         """
         has_row_name = self.has_header and len(fields) == self.count + 1
         if len(fields) != self.count and not has_row_name:
+            column_count = _count_with_noun(len(fields), "column")
             raise UsageError(
-                f"{position} has {_count(len(fields), 'column')} where {self.count} are expected; write a "
+                f"{position} has {column_count} where {self.count} are expected; write a "
                 "reading and the colour of its tile, such as 512,black, or name the columns in the first line"
             )
         # A name of the row stands first, and moves the columns that the header names.
@@ -125,8 +126,8 @@ def _columns_of_header(fields: Sequence[str], position: str) -> _Columns | None:
     colour_indices = [index for index, name in enumerate(fields) if name in _COLUMN_NAMES_OF_COLOUR]
     if "reading" in fields and colour_indices:
         return _Columns(fields.index("reading"), colour_indices[0], count=len(fields), has_header=True)
-    has_digit = any(character.isdigit() for text in fields for character in text)
-    has_colour = any(text in _IS_BLACK for text in fields)
+    has_digit = _has_digit("".join(fields))
+    has_colour = not _IS_BLACK.keys().isdisjoint(fields)
     if has_digit or has_colour:
         return None
     raise UsageError(f"{position} is a header without the columns reading and colour; rename them so")
@@ -137,8 +138,9 @@ def _split(line: str) -> list[str]:
 
     Semicolons separate them, otherwise tabs, otherwise commas, and white space if the line has none of these.
     """
-    separator = next((character for character in _SEPARATORS if character in line), None)
-    fields = line.split(separator)  # None stands for white space
+    separators_in_line = [character for character in _SEPARATORS if character in line]
+    separator = separators_in_line[0] if separators_in_line else None  # None stands for white space
+    fields = line.split(separator)
     # White space may be outside the quotes, and inside.
     return [column.strip().strip(_QUOTES).strip().lower() for column in fields]
 
@@ -149,7 +151,7 @@ def _parse_number(number_text: str, position: str) -> float | None:
     Raises UsageError, which begins with ``position``, for a text that has digits and is no finite number: if
     it were left out, nobody would notice that the file has another form.
     """
-    if not any(character.isdigit() for character in number_text):
+    if not _has_digit(number_text):
         return None
     # A comma beside a point is a separator of thousands, which float() refuses.
     text_with_point = number_text if "." in number_text else number_text.replace(",", ".")
@@ -165,6 +167,12 @@ def _parse_number(number_text: str, position: str) -> float | None:
     return number
 
 
-def _count(number: int, noun: str) -> str:
+def _has_digit(text: str) -> bool:
+    """Return whether a text has a digit anywhere."""
+    return any(character.isdigit() for character in text)
+
+
+def _count_with_noun(number: int, noun: str) -> str:
     """Return a number with its noun in the singular or plural, such as ``2 columns``."""
-    return f"{number} {noun}{'' if number == 1 else 's'}"
+    plural_ending = "" if number == 1 else "s"
+    return f"{number} {noun}{plural_ending}"

@@ -70,13 +70,13 @@ def parse_ids(ids_text: str, name: str) -> frozenset[int]:
 
 def format_ids(ids: frozenset[int]) -> str:
     """Return the text that ``parse_ids`` reads back, such as ``0+3-5`` for 0, 3, 4 and 5."""
-    range_starts = sorted(node_id for node_id in ids if node_id - 1 not in ids)
     # A range of adjacent ids starts where the id before is missing, and ends where the next one is.
+    range_starts = sorted(node_id for node_id in ids if node_id - 1 not in ids)
     range_ends = sorted(node_id for node_id in ids if node_id + 1 not in ids)
-    return "+".join(
-        f"{start}-{end}" if start < end else str(start)
-        for start, end in zip(range_starts, range_ends, strict=True)
-    )
+    items = []
+    for start, end in zip(range_starts, range_ends, strict=True):
+        items.append(str(start) if start == end else f"{start}-{end}")
+    return "+".join(items)
 
 
 @dataclass(frozen=True)
@@ -109,7 +109,8 @@ class RobotSetup:
 
         Raises UsageError if there is no such firmware here, FirmwareError if it refuses the settings.
         """
-        return load_firmware(self.firmware)(self.config, self.id, self.b_hat)
+        make_firmware = load_firmware(self.firmware)
+        return make_firmware(self.config, self.id, self.b_hat)
 
     def plain(self) -> dict[str, Any]:
         """Return the setup as plain values, for JSON, from which ``from_plain`` makes it again.

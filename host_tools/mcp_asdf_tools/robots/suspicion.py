@@ -57,5 +57,7 @@ class AlphaWatch:
         has_begun_anew = 2 * alpha <= last_alpha
         next_count = 0 if has_begun_anew else estimate_count + 1
         self._last_alpha_and_count[sender] = (alpha, next_count)
-        # An alpha of 0 has reset the count, so that 2 * 0 is no limit here.
-        return estimate_count >= WATCHED_AFTER and alpha >= 2 * last_alpha
+        is_watched = estimate_count >= WATCHED_AFTER
+        # A last alpha of 0 has reset the count, so that twice that is no limit here.
+        has_doubled = alpha >= 2 * last_alpha
+        return is_watched and has_doubled

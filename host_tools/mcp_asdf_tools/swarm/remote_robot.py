@@ -233,7 +233,7 @@ class Driver:
             is_broadcast_due = self.nodes[robot].observe(observation)
             if is_broadcast_due:
                 broadcasting_robots.append(robot)
-        for robot, estimate in self._lockstep.estimates(broadcasting_robots).items():
+        for robot, estimate in self._lockstep.wait_for_estimates(broadcasting_robots).items():
             self._firmware(robot).update_from_estimate(estimate)
 
     def settle(self, robots: Collection[int]) -> None:

@@ -280,7 +280,7 @@ def options_of_bus(bus_choice: BusChoice, command_line: str) -> list[str]:
 def radio_run_on(bus: can.BusABC, ticks: int) -> RadioRun:
     """Return a run of ticks of 1 ms with emulated robots as neighbours of a controller on a bus."""
     neighbours = Neighbourhood(surroundings(steps_per_second=1000))
-    return RadioRun(neighbours, BusLink(bus, endures=True), ticks)
+    return RadioRun(neighbours, BusLink(bus, tolerates_failures=True), ticks)
 
 
 def test_neighbours_in_real_time_end_before_their_first_tick_when_the_bus_is_gone() -> None:

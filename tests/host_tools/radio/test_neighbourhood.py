@@ -212,7 +212,7 @@ def test_neighbours_in_real_time_go_on_when_the_bus_fails_and_count_the_frames_t
     bus.send.side_effect = cycle([can.CanOperationError("cable pulled"), None])
     bus.recv.return_value = None
     neighbourhood = Neighbourhood(surroundings(steps_per_second=1000))
-    run = RadioRun(neighbourhood, BusLink(bus, endures=True), ticks=20)
+    run = RadioRun(neighbourhood, BusLink(bus, tolerates_failures=True), ticks=20)
     run.run()
     figures = run.figures()
 

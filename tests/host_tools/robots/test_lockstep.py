@@ -144,7 +144,7 @@ def drive_four_robots(lockstep: Lockstep, ticks: int) -> Iterator[DrivenTick]:
     for _ in range(ticks):
         observations = {robot: draw.choice(COLOURS) for robot in FOUR_ROBOTS}
         lockstep.observe(observations)
-        estimates = lockstep.estimates((0, 1)) | lockstep.estimates((2, 3))
+        estimates = lockstep.wait_for_estimates((0, 1)) | lockstep.wait_for_estimates((2, 3))
         yield DrivenTick(observations, estimates, lockstep.settle(FOUR_ROBOTS))
 
 
@@ -268,7 +268,7 @@ def test_a_robot_that_does_not_broadcast_or_does_not_end_its_tick_is_named_in_th
     lockstep = Lockstep(Wire(node(0), node(2)), timeout=0.02)
     lockstep.observe({0: Observation.WHITE, 1: Observation.WHITE, 2: Observation.WHITE})
     with pytest.raises(LockstepError, match=r"robot 1 did not broadcast its estimate within 0.02 s"):
-        lockstep.estimates({0, 1, 2})
+        lockstep.wait_for_estimates({0, 1, 2})
     with pytest.raises(LockstepError, match=r"robot 1 did not settle within 0.02 s"):
         lockstep.settle({0, 1, 2})
 
@@ -281,8 +281,8 @@ def test_an_estimate_that_has_come_while_another_robot_was_waited_for_is_not_los
     """
     lockstep = Lockstep(Wire(node(0), node(2)), timeout=0.02)
     lockstep.observe({0: Observation.WHITE, 2: Observation.WHITE})
-    estimates_waited_for_first = lockstep.estimates({2})
-    estimates_waited_for_next = lockstep.estimates({0})
+    estimates_waited_for_first = lockstep.wait_for_estimates({2})
+    estimates_waited_for_next = lockstep.wait_for_estimates({0})
     assert estimates_waited_for_first.keys() == {2}
     assert estimates_waited_for_next.keys() == {0}
 
@@ -295,7 +295,7 @@ def test_an_estimate_of_the_last_tick_is_not_taken_for_one_of_this_tick() -> Non
     lockstep.observe({1: Observation.WHITE})
 
     with pytest.raises(LockstepError, match="robot 1 did not broadcast"):
-        lockstep.estimates({1})
+        lockstep.wait_for_estimates({1})
 
 
 @still()
@@ -382,7 +382,7 @@ def drive_robots_1_to_3(wire: Wire) -> None:
     lockstep = Lockstep(wire, timeout=0.02)
     for _ in range(10):
         lockstep.observe({1: Observation.WHITE, 2: Observation.WHITE, 3: Observation.WHITE})
-        lockstep.estimates({1, 2, 3})
+        lockstep.wait_for_estimates({1, 2, 3})
         lockstep.settle({1, 2, 3})
 
 

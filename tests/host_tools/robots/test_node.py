@@ -182,7 +182,7 @@ def test_frames_do_not_wait_longer_than_the_timeout_for_a_bus_that_stays_full(pa
 def test_a_link_that_survives_failures_counts_the_frames_that_it_could_not_send() -> None:
     """The bus takes the first and the last of four frames, as ``send`` returns, and ``failures`` is 2."""
     bus = bus_whose_sends_end_with(SUCCESS, BUS_DOWN, BUS_DOWN, SUCCESS)
-    link = BusLink(bus, endures=True)
+    link = BusLink(bus, tolerates_failures=True)
 
     is_taken = [link.send(FRAME) for _ in range(4)]
     assert is_taken == [True, False, False, True]
@@ -195,7 +195,7 @@ def test_a_link_that_survives_failures_pauses_when_it_cannot_receive(pauses: lis
     The caller would wait for 9 s. The failure is counted.
     """
     bus = bus_that_receives(can.CanOperationError("down", BUS_DOWN))
-    link = BusLink(bus, endures=True)
+    link = BusLink(bus, tolerates_failures=True)
 
     assert link.receive(seconds=9) is None
     assert link.failures == 1
@@ -229,7 +229,7 @@ def test_a_link_logs_what_was_sent_and_received_and_the_time_of_sending() -> Non
     received_frame = can.Message(arbitration_id=3, is_rx=True)
     bus = bus_whose_sends_end_with(SUCCESS, BUS_DOWN)
     bus.recv.return_value = received_frame
-    link = BusLink(bus, endures=True, log=log.append)
+    link = BusLink(bus, tolerates_failures=True, log=log.append)
 
     link.send(sent_frame)
     link.send(failed_frame)
