@@ -34,6 +34,7 @@ def test_convert_prints_the_scores_of_a_folder_of_the_authors_trials(capsys: Cap
     assert "fully-connected" in output
     assert "2 of 3" in output
     assert "1 of 3" in output
+    assert "h_K" in output, "the column of a score"
 
 
 def test_convert_writes_all_trials_into_one_row_group() -> None:

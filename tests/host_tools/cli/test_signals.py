@@ -230,7 +230,10 @@ def raise_signal_and_wait(number: signal.Signals) -> int:
 def test_a_command_that_is_interrupted_by_a_signal_says_so_and_has_the_exit_code_of_the_signal(
     signal_number: signal.Signals, monkeypatch: pytest.MonkeyPatch, capsys: Capture
 ) -> None:
-    """SIGTERM and SIGHUP do the same as SIGINT, which Ctrl-C sends. Here the command ``table`` gets them."""
+    """SIGTERM and SIGHUP do the same as SIGINT, which Ctrl-C sends.
+
+    The command ``table`` is replaced by one that gets the signal at its work.
+    """
 
     def work() -> int:
         return raise_signal_and_wait(signal_number)
