@@ -183,8 +183,9 @@ FAILURES_THAT_MAY_PASS: list[Exception] = [
 @pytest.mark.parametrize("error", FAILURES_THAT_MAY_PASS, ids=str)
 def test_a_failure_that_may_pass_is_not_reported_as_a_bus_that_is_gone(error: Exception) -> None:
     """The failure raises a CanError, but not BusGoneError. A program that runs for long tries again."""
+    connection = failing_connection(error)
     with pytest.raises(can.CanError) as raised:
-        failing_connection(error).recv(timeout=0)
+        connection.recv(timeout=0)
     assert not isinstance(raised.value, BusGoneError)
 
 
@@ -195,7 +196,8 @@ DECODING_ERRORS: list[Exception] = [ValueError("no number"), caused_by(NOT_UTF_8
 @pytest.mark.parametrize("error", DECODING_ERRORS, ids=str)
 def test_input_that_cannot_be_decoded_is_received_as_an_error_frame(error: Exception) -> None:
     """To its receivers it is like a frame that was damaged on its way."""
-    frame = failing_connection(error).recv(timeout=0)
+    connection = failing_connection(error)
+    frame = connection.recv(timeout=0)
     assert frame is not None
     assert frame.is_error_frame
 
@@ -206,9 +208,9 @@ def test_a_decoding_error_of_a_bus_that_is_closed_is_reported_as_a_bus_that_is_g
 
     The same errors on a bus that is open are input that cannot be decoded.
     """
-    descriptor_of_a_closed_bus = -1
+    connection = failing_connection(error, descriptor=-1)  # as that of a socket that is closed
     with pytest.raises(BusGoneError):
-        failing_connection(error, descriptor_of_a_closed_bus).recv(timeout=0)
+        connection.recv(timeout=0)
 
 
 def test_a_connection_pauses_between_failures_of_an_interface_that_always_fails(
@@ -285,7 +287,8 @@ def radio_run_on(bus: can.BusABC, ticks: int) -> RadioRun:
 
 def test_neighbours_in_real_time_end_before_their_first_tick_when_the_bus_is_gone() -> None:
     """The adapter of the bus has been unplugged. The outcome of the run has the error as its ending."""
-    run = radio_run_on(failing_connection(OSError(errno.ENODEV, "No such device")), ticks=20)
+    unplugged_bus = failing_connection(OSError(errno.ENODEV, "No such device"))
+    run = radio_run_on(unplugged_bus, ticks=20)
     run.run()
 
     assert run.outcome.has_failed
@@ -310,7 +313,8 @@ def test_an_error_of_the_driver_keeps_the_cause_that_the_driver_gave_it() -> Non
     cause = RuntimeError("bus-off")
     error_of_driver = can.CanOperationError("could not read")
     error_of_driver.__cause__ = cause
+    connection = failing_connection(error_of_driver)
     with pytest.raises(can.CanOperationError) as raised:
-        failing_connection(error_of_driver).recv(timeout=0)
+        connection.recv(timeout=0)
     assert raised.value is error_of_driver
     assert raised.value.__cause__ is cause

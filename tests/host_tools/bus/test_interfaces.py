@@ -65,7 +65,8 @@ def test_each_malformed_datagram_is_one_error_frame_and_the_next_frame_is_receiv
     The bus has the filters of a robot: an error frame and an estimate pass them, another frame does not. Few
     of the 850 datagrams are legal frames.
     """
-    other_frame, estimate_of_robot_8 = packed(arbitration_id=5), packed(sender=8)
+    other_frame = packed(arbitration_id=5)  # the datagram of a frame with an identifier of no estimate
+    estimate_of_robot_8 = packed(sender=8)
     choice = multicast(group=30)
     with choice.open() as bus, foreign_program(choice) as send_datagram:
         bus.set_filters(filters_for(FrameFormat()))

@@ -627,7 +627,9 @@ def test_a_linear_drift_ends_at_the_lowest_accuracy() -> None:
 
 
 def test_a_drift_that_starts_at_the_lowest_accuracy_stays_there() -> None:
-    settings = WorldSettings(steps=1000, drift="linear", true_accuracy=0.6, lowest_accuracy=0.6)
+    settings = WorldSettings(
+        steps=1000, drift="linear", true_accuracy=0.6, drift_rate=-1e-3, lowest_accuracy=0.6
+    )
     assert np.all(accuracies_by_step_and_robot(settings) == 0.6)
 
 
