@@ -183,7 +183,7 @@ def test_the_frames_of_remote_robots_are_counted_like_those_of_robots_in_this_pr
 def test_what_is_reported_of_a_remote_robot_comes_from_its_telemetry(comparison: Comparison) -> None:
     """x and the number of updates are exact, and b_hat is rounded down to units of 2**-24.
 
-    The number of observations, t, is counted here.
+    The number of observations, t, is counted by the program that drives the robot.
     """
     for robot_id in comparison.remote_nodes:
         reported_robot = comparison.remote_run.nodes[robot_id].robot
@@ -191,7 +191,8 @@ def test_what_is_reported_of_a_remote_robot_comes_from_its_telemetry(comparison:
         assert reported_robot.t == local_robot.t
         assert reported_robot.x == local_robot.x
         assert reported_robot.counters.updates == local_robot.counters.updates
-        assert reported_robot.b_hat == int(local_robot.b_hat * 2**24) / 2**24
+        b_hat_rounded_down = int(local_robot.b_hat * 2**24) / 2**24
+        assert reported_robot.b_hat == b_hat_rounded_down
 
 
 @pytest.mark.slow
@@ -355,7 +356,8 @@ def test_robots_in_processes_report_the_sender_that_is_not_allowed(two_runs: Pro
 
 def test_the_log_of_robots_in_processes_can_be_replayed(two_runs: ProcessesAndThisProcess) -> None:
     """The replay computes each broadcast again, and ends with exit code 0, as none differs."""
-    assert main(["replay", str(two_runs.log)]) == 0
+    log_of_processes = str(two_runs.log)
+    assert main(["replay", log_of_processes]) == 0
 
 
 def test_the_events_of_robots_in_processes_are_those_of_robots_in_this_process(
