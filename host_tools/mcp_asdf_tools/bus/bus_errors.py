@@ -42,15 +42,17 @@ def failure_of_bus(error: Exception, bus: can.BusABC) -> can.CanError | None:
     if system_error is not None:
         if not _may_pass(system_error):
             return _create_bus_gone_error(error, system_error)
-        return error if isinstance(error, can.CanError) else can.CanOperationError(str(error))
-    decoding_error = next((cause for cause in causes if isinstance(cause, _DECODING_ERRORS)), None)
-    if decoding_error is not None:
+        if isinstance(error, can.CanError):
+            return error
+        return can.CanOperationError(str(error))
+    decoding_errors = [cause for cause in causes if isinstance(cause, _DECODING_ERRORS)]
+    if decoding_errors:
         # Operations on a closed port or socket raise these errors, too.
         if _is_closed(bus):
-            return _create_bus_gone_error(error, decoding_error)
+            return _create_bus_gone_error(error, decoding_errors[0])
         return None
     if isinstance(error, can.CanError):
-        return error  # a driver's own error may be a state that passes, such as bus-off or a full queue
+        return error  # A driver's own error may be a state that passes, such as bus-off or a full queue.
     return _create_bus_gone_error(error, error)
 
 

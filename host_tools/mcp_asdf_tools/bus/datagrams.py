@@ -19,11 +19,11 @@ _MAX_DATA_BYTES = 8
 _LARGEST_IDENTIFIER = {False: 0x7FF, True: 0x1FFF_FFFF}
 """By whether the identifier is an extended one."""
 
-# Bytes of msgpack that begin a value; the "8" ones are followed by a length in one byte.
-_MAP_OF_11 = b"\x8b"
+# Bytes of msgpack that begin a value. Those "with size" are followed by the number of bytes, in one byte.
+_MAP_WITH_11_FIELDS = b"\x8b"
 _NIL, _FALSE, _TRUE = 0xC0, 0xC2, 0xC3
-_BYTES_8 = b"\xc4"
-_TEXT_8 = 0xD9
+_BYTES_WITH_SIZE = b"\xc4"
+_TEXT_WITH_SIZE = 0xD9
 _SHORT_TEXT, _SHORT_TEXT_MAX = 0xA0, 0xBF
 """The lower 5 bits of such a byte are the length of the text."""
 _SHORT_NUMBER_MAX = 0x7F
@@ -49,13 +49,13 @@ def unpack_data_frame(datagram: bytes) -> can.Message | None:
 
 
 def _read_data_frame(reader: _Reader) -> can.Message:
-    """Read the fields in python-can's order, and return the frame that they describe.
+    """Read the fields of a msgpack map in python-can's order, and return the frame that they describe.
 
     Raises _MalformedError if a field is not as it should be, if the frame is no classic data frame, or if
     bytes are left behind the last field. The time and the channel are those of the sender and mean nothing
     here, so any scalars will do.
     """
-    reader.skip_exactly(_MAP_OF_11 + _packed_name("timestamp"))
+    reader.skip_exactly(_MAP_WITH_11_FIELDS + _packed_name("timestamp"))
     reader.skip_scalar()
     reader.skip_exactly(_packed_name("arbitration_id"))
     identifier = reader.take_number()
@@ -66,7 +66,7 @@ def _read_data_frame(reader: _Reader) -> can.Message:
     reader.skip_scalar()
     reader.skip_exactly(_packed_name("dlc"))
     length = reader.take_number()
-    reader.skip_exactly(_packed_name("data") + _BYTES_8)
+    reader.skip_exactly(_packed_name("data") + _BYTES_WITH_SIZE)
     # The length is one byte, so that no datagram can ask for more than 255 bytes of memory.
     data_size = reader.take_byte()
     data = reader.take(data_size)
@@ -76,7 +76,7 @@ def _read_data_frame(reader: _Reader) -> can.Message:
 
     # The datagram has been read to its last field; only now its values are compared with each other.
     is_special = is_remote or is_error or is_fd or has_bit_rate_switch or has_error_state
-    has_valid_length = length == len(data) <= _MAX_DATA_BYTES
+    has_valid_length = length == len(data) and length <= _MAX_DATA_BYTES
     has_valid_identifier = identifier <= _LARGEST_IDENTIFIER[is_extended]
     is_valid = has_valid_length and has_valid_identifier and reader.is_at_end
     if is_special or not is_valid:
@@ -87,7 +87,8 @@ def _read_data_frame(reader: _Reader) -> can.Message:
 @cache
 def _packed_name(name: str) -> bytes:
     """Return a field's name, of less than 32 letters, as msgpack packs it, behind a byte with its length."""
-    return bytes([_SHORT_TEXT | len(name)]) + name.encode("ascii")
+    first_byte = _SHORT_TEXT | len(name)
+    return bytes([first_byte]) + name.encode("ascii")
 
 
 class _MalformedError(Exception):
@@ -144,7 +145,8 @@ class _Reader:
 
         Raises _MalformedError if it is something else.
         """
-        return self._take_number_after(self.take_byte())
+        first_byte = self.take_byte()
+        return self._take_number_after(first_byte)
 
     def skip_scalar(self) -> None:
         """Skip the next value: nil, a number or a text of less than 256 bytes, which need not be UTF-8.
@@ -155,7 +157,7 @@ class _Reader:
         if _SHORT_TEXT <= first_byte <= _SHORT_TEXT_MAX:
             # The length of a short text is in the lower 5 bits of its first byte.
             self.take(first_byte - _SHORT_TEXT)
-        elif first_byte == _TEXT_8:
+        elif first_byte == _TEXT_WITH_SIZE:
             text_size = self.take_byte()
             self.take(text_size)
         elif first_byte in _FLOAT_SIZES:
@@ -165,9 +167,13 @@ class _Reader:
             self._take_number_after(first_byte)
 
     def _take_number_after(self, first_byte: int) -> int:
-        """Return the whole number whose first byte has been read already."""
+        """Return the whole number whose first byte has been read already.
+
+        Raises _MalformedError if no whole number begins with this byte.
+        """
         if first_byte <= _SHORT_NUMBER_MAX:
             return first_byte
         if first_byte not in _NUMBER_SIZES:
             raise _MalformedError
-        return int.from_bytes(self.take(_NUMBER_SIZES[first_byte]), "big")
+        number_bytes = self.take(_NUMBER_SIZES[first_byte])
+        return int.from_bytes(number_bytes, "big")

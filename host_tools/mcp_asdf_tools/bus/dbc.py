@@ -67,18 +67,19 @@ def dbc_text(estimate_format: FrameFormat, nodes: Sequence[int] | None = None) -
     else:
         _check_unique(nodes)
         suffix_by_node = {node: f"_{node}" for node in nodes}
-    entries = [
-        _Entry(kind, identifier | _EXTENDED_IDENTIFIER, suffix)
-        for node, suffix in suffix_by_node.items()
-        for kind, identifier in _identified_kinds(estimate_format, node)
-    ]
+    entries = []
+    for node, suffix in suffix_by_node.items():
+        for kind, identifier in _identified_kinds(estimate_format, node):
+            entries.append(_Entry(kind, identifier | _EXTENDED_IDENTIFIER, suffix))
     node_names = " ".join(f"Robot{suffix}" for suffix in suffix_by_node.values())
     # NS_ (new symbols) and BS_ (bit rate) are empty, but have to be there.
     sections = ['VERSION ""\n', "NS_ :\n", "BS_:\n", f"BU_: {node_names}\n"]
     sections += [_message_section(entry) for entry in entries]
     # The format wants all comments first, then the names of values, then the signals that are floats.
     for make_lines in (_comment_lines, _value_name_lines, _float_type_lines):
-        lines = [line for entry in entries for line in make_lines(entry)]
+        lines: list[str] = []
+        for entry in entries:
+            lines += make_lines(entry)
         sections.append("".join(lines))
     return "\n".join(sections)
 
@@ -113,8 +114,8 @@ def _message_section(entry: _Entry) -> str:
 def _signal(field: Field) -> str:
     """Return a signal's name, bits, scale and range, such as ``SG_ x : 0|24@1+ (1,0) [0|5]``.
 
-    There, 0 is the first bit, 24 the number of bits, 1 stands for little endian and + for unsigned; (1,0) are
-    factor and offset.
+    There, 0 is the first bit, 24 the number of bits, 1 stands for little endian and + for unsigned, - for a
+    number with a sign; (1,0) are factor and offset, and [0|5] is the range.
     """
     if field.is_float:
         sign = "-"
@@ -122,7 +123,9 @@ def _signal(field: Field) -> str:
     else:
         sign = "+"
         # The file has no way to describe a gap, so a special value belongs to the range.
-        largest_integer = max(field.maximum, field.special_value or 0)
+        largest_integer = field.maximum
+        if field.special_value is not None:
+            largest_integer = max(field.maximum, field.special_value)
         minimum = _format_number(field.minimum * field.unit)
         maximum = _format_number(largest_integer * field.unit)
     bits = f"{field.first_bit}|{field.bit_count}@1{sign}"
@@ -139,11 +142,10 @@ def _format_number(value: float) -> str:
 
 def _comment_lines(entry: _Entry) -> list[str]:
     """Return the CM_ lines: the meaning of the message and of each signal."""
-    message_comment = f'CM_ BO_ {entry.identifier} "{entry.kind.meaning}";\n'
-    return [message_comment] + [
-        f'CM_ SG_ {entry.identifier} {field.name} "{field.meaning}";\n'
-        for field in entry.kind.fields_and_tail
-    ]
+    lines = [f'CM_ BO_ {entry.identifier} "{entry.kind.meaning}";\n']
+    for field in entry.kind.fields_and_tail:
+        lines.append(f'CM_ SG_ {entry.identifier} {field.name} "{field.meaning}";\n')
+    return lines
 
 
 def _value_name_lines(entry: _Entry) -> list[str]:

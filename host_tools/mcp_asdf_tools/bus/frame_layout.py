@@ -91,7 +91,9 @@ class Action(Enum):
 
         The actions to observe white and black have the values of Observation.
         """
-        return cls.OBSERVE_NONE if observation is None else cls(int(observation))
+        if observation is None:
+            return cls.OBSERVE_NONE
+        return cls(int(observation))
 
     @property
     def observation(self) -> Observation | None:
@@ -99,7 +101,9 @@ class Action(Enum):
 
         Raises ValueError for SETTLE, which is no observation.
         """
-        return None if self is Action.OBSERVE_NONE else Observation(self.value)
+        if self is Action.OBSERVE_NONE:
+            return None
+        return Observation(self.value)
 
 
 def check_range(name: str, value: int, minimum: int, maximum: int) -> None:
@@ -140,7 +144,8 @@ class Field:
     is_float: bool = False
 
     def __post_init__(self) -> None:
-        if self.maximum < 0:
+        """Set the maximum to what fits into the bits if it is -1, the default."""
+        if self.maximum == -1:
             # The dataclass is frozen, so that an assignment would be refused.
             object.__setattr__(self, "maximum", self.mask)
 
@@ -154,8 +159,9 @@ class Field:
         return (payload >> self.first_bit) & self.mask
 
     def is_legal(self, value: int) -> bool:
-        """Return whether a frame may hold ``value`` in this field."""
-        return self.minimum <= value <= self.maximum or value == self.special_value
+        """Return whether a frame may hold ``value`` in this field: one of its range, or the special one."""
+        is_in_range = self.minimum <= value <= self.maximum
+        return is_in_range or value == self.special_value
 
     def insert(self, value: int) -> int:
         """Return ``value`` shifted to the field's bits in the data. Raises UsageError if it is not legal."""
@@ -193,7 +199,8 @@ class FrameKind:
 
     def field(self, name: str) -> Field:
         """Return the field of that name, which must be one of the kind or of the tail byte."""
-        return next(field for field in self.fields_and_tail if field.name == name)
+        [named_field] = [field for field in self.fields_and_tail if field.name == name]
+        return named_field
 
     def pack(self, transfer_id: int, values: Mapping[str, int]) -> int:
         """Return the 64 bits of data that hold these integers by field name.

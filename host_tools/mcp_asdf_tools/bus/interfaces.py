@@ -81,7 +81,9 @@ class BusChoice:
     def channel(self) -> str | None:
         """Name of the bus, such as can0, among buses of its kind; None is the interface's own default."""
         channel = self.settings.get("channel")
-        return None if channel is None else str(channel)
+        if channel is None:
+            return None
+        return str(channel)
 
     @property
     def has_channels(self) -> bool:
@@ -209,13 +211,13 @@ class Connection(can.BusABC):
         deadline = math.inf if timeout is None else time.monotonic() + timeout
         while True:
             seconds_left = deadline - time.monotonic()
-            wait_seconds = min(max(seconds_left, 0.0), _MAX_SECONDS_PER_READ)
-            frame, has_passed_filters = self._receive(wait_seconds)
+            seconds_to_wait = min(max(seconds_left, 0.0), _MAX_SECONDS_PER_READ)
+            frame, has_passed_filters = self._receive(seconds_to_wait)
             # Some interfaces filter by themselves; for the others it is done here.
             if frame is not None and (has_passed_filters or self._matches_filters(frame)):
-                frame.is_rx = True  # on SocketCAN python-can marks what comes from this computer as sent
+                frame.is_rx = True  # On SocketCAN python-can marks what comes from this computer as sent.
                 return frame
-            # Not before the read, so that a timeout of 0 reads once what is there.
+            # The time is checked after the read, so that a timeout of 0 reads once what is there.
             if seconds_left <= 0.0:
                 return None
 
@@ -229,7 +231,8 @@ class Connection(can.BusABC):
         """Return the next frame, or None after ``timeout`` seconds, and whether it has passed the filters.
 
         Input that cannot be decoded, or that no CAN controller can have sent, gives an error frame, which has
-        passed them. Raises can.CanError if the bus fails.
+        passed them, after a short pause if the input before was such, too. Raises can.CanError if the bus
+        fails.
         """
         try:
             frame, has_passed_filters = self._recv_internal(timeout)
@@ -296,7 +299,8 @@ def _can_be_sent(frame: can.Message) -> bool:
     # A remote frame states the length of the answer, and has no data itself.
     expected_bytes = 0 if frame.is_remote_frame else frame.dlc
     max_bytes = _MAX_FD_BYTES if frame.is_fd else _MAX_BYTES
-    return has_valid_id and len(frame.data) == expected_bytes and frame.dlc <= max_bytes
+    has_valid_length = len(frame.data) == expected_bytes and frame.dlc <= max_bytes
+    return has_valid_id and has_valid_length
 
 
 class SerialAdapter(Connection):
@@ -326,7 +330,7 @@ class SerialAdapter(Connection):
         an end, otherwise what the interface raises.
         """
         try:
-            frame_and_filtered = super()._recv_internal(timeout)
+            frame_and_has_passed_filters = super()._recv_internal(timeout)
         except Exception:
             # python-can keeps a line that is no text, and would add all that follow to it.
             self._unfinished_line.clear()
@@ -334,7 +338,7 @@ class SerialAdapter(Connection):
         if len(self._unfinished_line) > _MAX_LINE_BYTES:
             self._unfinished_line.clear()
             raise ValueError("a line has no end")
-        return frame_and_filtered
+        return frame_and_has_passed_filters
 
 
 class Multicast(Connection):

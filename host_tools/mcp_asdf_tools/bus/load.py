@@ -21,8 +21,8 @@ _HEADER_AND_CHECKSUM_BITS = 1 + 11 + 3 + 4 + 15
 """Bits of a frame with an 11-bit identifier from its start to the end of its checksum, without data: the
 start, the identifier, three flags, the length and the checksum."""
 
-_EXTENDED_HEADER_AND_CHECKSUM_BITS = _HEADER_AND_CHECKSUM_BITS + 18 + 2
-"""The same of a frame with a 29-bit identifier: 18 bits of it, and two flags, are added."""
+_EXTENSION_BITS = 18 + 2
+"""Bits more of a frame with a 29-bit identifier: 18 of the identifier, and two flags."""
 
 
 def worst_case_bits(frame: can.Message) -> int:
@@ -30,16 +30,16 @@ def worst_case_bits(frame: can.Message) -> int:
 
     CAN stuffs a bit after five equal ones. The stuffed bit counts towards the next five, so that in the worst
     case one is stuffed after every four. A frame of 8 bytes with a 29-bit identifier takes 160 bits at most
-    and 137 on average.
+    and 137 on average, and any error frame 23 at most.
     """
     if frame.is_error_frame:
         return _ERROR_FRAME_BITS
-    header_and_checksum_bits = (
-        _EXTENDED_HEADER_AND_CHECKSUM_BITS if frame.is_extended_id else _HEADER_AND_CHECKSUM_BITS
-    )
-    stuffable_bits = header_and_checksum_bits + 8 * len(frame.data)
+    stuffable_bits = _HEADER_AND_CHECKSUM_BITS + 8 * len(frame.data)
+    if frame.is_extended_id:
+        stuffable_bits += _EXTENSION_BITS
     # After the first bit, one is stuffed after every four.
-    return stuffable_bits + (stuffable_bits - 1) // 4 + _UNSTUFFED_BITS
+    stuffed_bits = (stuffable_bits - 1) // 4
+    return stuffable_bits + stuffed_bits + _UNSTUFFED_BITS
 
 
 def bus_load(bits: float, seconds: float, bit_rate: float) -> float:

@@ -74,6 +74,7 @@ class SlcanServer:
         return self
 
     def __exit__(self, *_: object) -> None:
+        """Disconnect the client, wait until both threads have ended, and close the port and the bus."""
         self._is_closing = True
         # A thread that blocks in accept() or recv() returns once its socket is shut down.
         for blocking_socket in (self._listener, self._client):
@@ -112,8 +113,9 @@ class SlcanServer:
     def _handle_line(self, line: bytes) -> bytes:
         """Obey a client's command, a line without its carriage return, and return the answer.
 
-        The commands open and close the channel, send a frame, and ask for versions. The answer to a command
-        that is unknown, broken or too early is an error.
+        The commands open and close the channel, send a frame, and ask for versions. An empty line, and a
+        command that means nothing on this bus, are accepted. The answer to a command that is unknown, broken
+        or too early is an error.
         """
         command = line[:1]  # empty for an empty line, which has no first byte
         if command in (b"O", b"L", b"C"):  # open, open to listen only, close
@@ -126,8 +128,10 @@ class SlcanServer:
             return self._send_on_bus(frame)
         if command in _ANSWERS:
             return _ANSWERS[command]
-        is_accepted = not line or command in _IGNORED_COMMANDS
-        return _OK if is_accepted else _ERROR
+        is_empty = line == b""
+        if is_empty or command in _IGNORED_COMMANDS:
+            return _OK
+        return _ERROR
 
     def _send_on_bus(self, frame: can.Message) -> bytes:
         """Send a frame of the client on the bus, and return the protocol's answer.
@@ -219,9 +223,10 @@ def _read_lines(client: socket.socket) -> Iterator[bytes]:
     A line that grows beyond all bounds is dropped and yields ``b"?"``, which is no command.
     """
     unfinished_line = b""
-    while received := client.recv(_MAX_BYTES_AT_ONCE):
+    # The client has left once recv() returns no bytes.
+    while received_bytes := client.recv(_MAX_BYTES_AT_ONCE):
         # What follows the last end of a line is the beginning of the next one.
-        *lines, unfinished_line = (unfinished_line + received).split(b"\r")
+        *lines, unfinished_line = (unfinished_line + received_bytes).split(b"\r")
         yield from lines
         if len(unfinished_line) > _MAX_LINE_BYTES:
             yield b"?"
