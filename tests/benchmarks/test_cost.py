@@ -19,7 +19,7 @@ from benchmarks.cost import report
 from benchmarks.cost.images import AVR, LEVELS, TARGETS, Image, Target, build
 from benchmarks.cost.machines import load
 from benchmarks.cost.measurement import PAPER, ROBUST, Build, Cost, Figures, kilobot, measure_builds
-from benchmarks.cost.robots import TESTED, UPDATED, Seen
+from benchmarks.cost.robots import TESTED, UPDATED, ObservedCall
 
 [CORTEX_M4] = [target for target in TARGETS if target.name == "Cortex-M4"]
 
@@ -144,7 +144,7 @@ def test_the_first_lines_of_the_cost_page_have_the_figures_of_a_cortex_m4(cortex
 
     assert flash == pytest.approx(bytes_of_flash / 1000, abs=0.06), "KB, with one decimal"
     assert (ram, stack) == (cost.robust.ram, cost.robust.tick_stack())
-    assert most_instructions == max(cost.paper.most(UPDATED), cost.robust.most(UPDATED))
+    assert most_instructions == max(cost.paper.largest(UPDATED), cost.robust.largest(UPDATED))
     assert bound == cost.robust.bound[UPDATED]
 
 
@@ -184,7 +184,7 @@ def test_no_call_takes_more_instructions_than_its_bound_which_is_not_far_above(
     costs = measured_32_bit.costs[level]
     figures_of_builds: list[Figures] = [getattr(costs, build_name) for build_name in builds]
     for call in ("receive", "step", UPDATED, "x"):  # in an UPDATED step the filter runs
-        most_observed = max(figures.most(call) for figures in figures_of_builds)
+        most_observed = max(figures.largest(call) for figures in figures_of_builds)
         allowed_ratio = allowed_ratio_of_test if call == UPDATED else 1.1
         for figures in figures_of_builds:
             assert most_observed <= figures.bound[call] <= allowed_ratio * most_observed, call
@@ -199,7 +199,7 @@ def test_a_cortex_m0_divides_by_a_table_and_larger_processors_by_14_instructions
     assert measured_32_bit.costs["-O2"].paper_alone.divisions == expected_divisions
 
 
-def most_cycles(calls: Iterable[Seen]) -> int:
+def most_cycles(calls: Iterable[ObservedCall]) -> int:
     return max(call.cost.cycles for call in calls)
 
 
@@ -214,7 +214,7 @@ def test_calls_on_an_8_bit_processor_take_hardly_longer_in_an_old_robot_or_in_a_
     To receive, it shifts 1 by the sender's id, one place in a turn of a loop. The end of a round, settle,
     takes the same number of cycles in all of them.
     """
-    calls = atmega328p[level].paper_alone.seen
+    calls = atmega328p[level].paper_alone.observed_calls
     old_steps = [call for call in calls if call.kind == "step" and call.t > 2**16]
     young_steps = [call for call in calls if call.kind == "step" and call.t <= 2**16]
     crowded_receives = [call for call in calls if call.kind == "receive" and call.m >= 8]
@@ -245,7 +245,7 @@ def test_no_call_touches_more_stack_than_its_frames_add_up_to(
     """
     cost = measured.costs[level]
     for figures in (cost.paper_alone, cost.robust_alone):
-        touched = max(figures.most(kind, "stack") for kind in kinds_of_calls)
+        touched = max(figures.largest(kind, "stack") for kind in kinds_of_calls)
         spare = 2 * ALIGNMENT[measured.target.tools] + 8
         assert touched <= figures.stack[function] <= touched + spare
 
@@ -276,7 +276,7 @@ def test_a_firmware_without_the_robust_filter_costs_what_it_did_before_there_was
     figures = measured_once(usable(target), tmp_path_factory).costs[level].paper_alone
     calls = ("receive", "step", UPDATED, "x")  # in an UPDATED step the filter runs
     for call, cost_before in zip(calls, calls_before, strict=True):
-        cost = figures.bound[call] if figures.bound else figures.most(call, "cycles")
+        cost = figures.bound[call] if figures.bound else figures.largest(call, "cycles")
         assert cost <= 1.005 * cost_before, call
     for size, size_before in zip(figures.code, code_before, strict=True):
         assert size <= 1.005 * size_before

@@ -58,8 +58,9 @@ class Target:
     def version(self) -> str:
         """Return the name and the version of the compiler. Raises FileNotFoundError without one."""
         command = [self.compiler, "-dumpfullversion", "-dumpversion"]
-        said = subprocess.run(command, capture_output=True, text=True, check=True).stdout
-        return f"{self.compiler} {said.split()[0]}"
+        output = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+        version, *_ = output.split()
+        return f"{self.compiler} {version}"
 
 
 def _cortex_m(name: str, cpu: str) -> Target:
@@ -122,11 +123,11 @@ class Image:
 
         Code, constants and the first values of variables are in flash. An AVR copies constants to RAM, too.
         """
-        _titles, numbers = self._listed("size").splitlines()
+        _titles, numbers = self._run_tool("size").splitlines()
         code, variables_with_values, zeroed_variables, *_ = map(int, numbers.split()[:3])
         return code + variables_with_values, variables_with_values + zeroed_variables
 
-    def _listed(self, tool: str, *options: str) -> str:
+    def _run_tool(self, tool: str, *options: str) -> str:
         """Return what one of the target's tools prints of the image."""
         command = [self.target.tools + tool, *options, str(self.path)]
         return subprocess.run(command, capture_output=True, text=True, check=True).stdout
@@ -136,7 +137,7 @@ class Image:
         """The disassembly, by address."""
         instructions = []
         function, place = "", ""
-        for line in _LINE.finditer(self._listed("objdump", "-d", "-l", "--no-show-raw-insn")):
+        for line in _LINE.finditer(self._run_tool("objdump", "-d", "-l", "--no-show-raw-insn")):
             if line["function"]:
                 function, place = line["function"], ""
             elif line["place"]:
@@ -149,27 +150,27 @@ class Image:
     @cached_property
     def frames(self) -> dict[str, int]:
         """Stack of every function in bytes, as the compiler reports it. Its own library is not included."""
-        told: dict[str, int] = {}
+        frames: dict[str, int] = {}
         for file in self.path.parent.glob("*.su"):
             for line in file.read_text(encoding="utf-8").splitlines():
                 place, size, kind = line.rsplit("\t", 2)
                 name = CLONE.sub("", place.rsplit(":", 1)[1])
                 if kind not in ("static", "dynamic,bounded"):
                     raise ValueError(f"{file.name}: the stack of {name} has no bound ({kind})")
-                told[name] = max(told.get(name, 0), int(size))
-        return told
+                frames[name] = max(frames.get(name, 0), int(size))
+        return frames
 
 
 def build(target: Target, folder: Path, sources: Iterable[Path], *flags: str) -> Image:
-    """Compile and link ``sources`` in a new folder. Raises RuntimeError with what the tools said."""
+    """Compile and link ``sources`` in a new folder. Raises RuntimeError with the tools' messages."""
     folder.mkdir(parents=True)
     elf = folder / "image.elf"
     files = [*map(str, sources), *target.libraries]
     include = [f"-I{FIRMWARE}", f"-I{HERE}"]
     command = [target.compiler, *_COMMON, *target.flags, *flags, *include, *files, "-o", str(elf)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=folder)
-    if done.returncode != 0:
-        raise RuntimeError(f"{' '.join(command)}\n{done.stderr}")
+    result = subprocess.run(command, capture_output=True, text=True, check=False, cwd=folder)
+    if result.returncode != 0:
+        raise RuntimeError(f"{' '.join(command)}\n{result.stderr}")
     return Image(target, elf)
 
 

@@ -88,9 +88,9 @@ class UnicornMachine(Machine):
         if not self._arm:
             self._uc.reg_write(riscv_const.UC_RISCV_REG_GP, image.address("__global_pointer$"))
         self._count = 0
-        self._uc.hook_add(UC_HOOK_CODE, self._one)
+        self._uc.hook_add(UC_HOOK_CODE, self._count_instruction)
 
-    def _one(self, *_: object) -> None:
+    def _count_instruction(self, *_: object) -> None:
         self._count += 1
 
     def read(self, address: int, size: int) -> bytes:
@@ -100,16 +100,22 @@ class UnicornMachine(Machine):
         self._uc.mem_write(address, content)
 
     def _run(self, address: int, arguments: tuple[Argument, ...]) -> tuple[int, int, int]:
-        thumb, uc = int(self._arm), self._uc
-        first = arm_const.UC_ARM_REG_R0 if self._arm else riscv_const.UC_RISCV_REG_A0
-        for register, (value, _) in enumerate(arguments, first):
-            uc.reg_write(register, value)
-        uc.reg_write(arm_const.UC_ARM_REG_SP if self._arm else riscv_const.UC_RISCV_REG_SP, self.stack_end)
-        back = arm_const.UC_ARM_REG_LR if self._arm else riscv_const.UC_RISCV_REG_RA
-        uc.reg_write(back, self._RETURN | thumb)
+        if self._arm:
+            first_argument, stack_pointer = arm_const.UC_ARM_REG_R0, arm_const.UC_ARM_REG_SP
+            return_address = arm_const.UC_ARM_REG_LR
+        else:
+            first_argument, stack_pointer = riscv_const.UC_RISCV_REG_A0, riscv_const.UC_RISCV_REG_SP
+            return_address = riscv_const.UC_RISCV_REG_RA
+        thumb_bit = int(self._arm)  # addresses of Thumb code are odd
+        for register, (value, _size) in enumerate(arguments, first_argument):
+            self._uc.reg_write(register, value)
+        self._uc.reg_write(stack_pointer, self.stack_end)
+        self._uc.reg_write(return_address, self._RETURN | thumb_bit)
         self._count = 0
-        uc.emu_start(address | thumb, self._RETURN)
-        return int(uc.reg_read(first)), self._count, 0
+        self._uc.emu_start(address | thumb_bit, self._RETURN)
+        result = int(self._uc.reg_read(first_argument))
+        cycles = 0  # not known
+        return result, self._count, cycles
 
 
 class AvrMachine(Machine):
@@ -132,15 +138,17 @@ class AvrMachine(Machine):
         self._board.registers[start : start + len(content)] = content
 
     def _run(self, address: int, arguments: tuple[Argument, ...]) -> tuple[int, int, int]:
+        # avr-gcc passes arguments from r25 down, each in an even number of registers.
         register = 26
         for value, size in arguments:
             register -= size + size % 2
             self.write(register, value.to_bytes(size, "little"))
         self.write(self.stack_end - 2, (self._RETURN // 2).to_bytes(2, "big"))
         self.write(self._STACK_POINTER, (self.stack_end - 3).to_bytes(2, "little"))
-        before = self._board.cycle
+        first_cycle = self._board.cycle
         instructions = self._board.call(address, self._RETURN)
-        return int.from_bytes(self.read(22, 4), "little"), instructions, self._board.cycle - before
+        result = int.from_bytes(self.read(22, 4), "little")  # r22 to r25
+        return result, instructions, self._board.cycle - first_cycle
 
 
 def load(image: Image) -> Machine:

@@ -1,4 +1,4 @@
-"""Figures of a target at a level."""
+"""Measurement of what the firmware costs on a target at a level of optimisation."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from mcp_asdf import Filter
 from .images import AVR, FIRMWARE, HERE, TABLE, Image, Target, build, kilobot_image
 from .machines import load
 from .paths import Paths, division
-from .robots import BLACK, UPDATED, Robot, Seen
+from .robots import PROBABILITY_OF_BLACK, UPDATED, ObservedCall, Robot
 
 TICK_CALLS = ("observe", "receive", "settle", "step", "x")
 STACK_CALLS = (*TICK_CALLS, "init", "save", "restore", "invariants_hold")
 SEED = 1
-_OWN = re.compile(r"(main|config|bench_\w+|mcp_asdf_t_table_\w+)$")
+_SYMBOL_OF_PROGRAM = re.compile(r"(main|config|bench_\w+|mcp_asdf_t_table_\w+)$")
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ class Figures:
 
     Attributes:
         mean: Instructions of calls and kinds of a step in a usual life.
-        seen: Calls in that life and in all other situations.
+        observed_calls: Calls in that life and in all other situations.
         bound: The longest path of a call through the machine code, where there is no loop. In a "step"
             the filter is not due.
         divisions: Number of divisions on the longest path of a step.
@@ -55,7 +55,7 @@ class Figures:
     """
 
     mean: dict[str, float]
-    seen: list[Seen]
+    observed_calls: list[ObservedCall]
     bound: dict[str, int]
     divisions: int
     stack: dict[str, int]
@@ -63,9 +63,9 @@ class Figures:
     ram: int
     times: dict[str, float]
 
-    def most(self, kind: str, what: str = "instructions") -> int:
-        """Return the most instructions, cycles (on an AVR) or bytes of stack that were seen."""
-        return max(int(getattr(each.cost, what)) for each in self.seen if each.kind == kind)
+    def largest(self, kind: str, unit: str = "instructions") -> int:
+        """Return the largest cost of a call of this kind: "instructions", "cycles" (on an AVR) or "stack"."""
+        return max(int(getattr(call.cost, unit)) for call in self.observed_calls if call.kind == kind)
 
     def tick_stack(self) -> int:
         """Return the bytes of stack that a tick needs: those of its deepest call."""
@@ -92,49 +92,57 @@ def measure_builds(target: Target, level: str, folder: Path) -> Cost:
     )
 
 
-def robot_image(target: Target, level: str, folder: Path, of: Build) -> Image:
-    """Return the firmware, ready to be called."""
-    kept = [f"mcp_asdf_{name}" for name in STACK_CALLS]
-    kept += [f"bench_{name}" for name in ("start", "set", "filtered", "votes", "batch", "estimates")]
+def robot_image(target: Target, level: str, folder: Path, firmware_build: Build) -> Image:
+    """Build an image with the firmware, a robot, and functions that set its state and call it."""
+    functions = [f"mcp_asdf_{name}" for name in STACK_CALLS]
+    functions += [f"bench_{name}" for name in ("start", "set", "filtered", "votes", "batch", "estimates")]
+    # Nothing in the image calls these functions, so the linker must be told to keep them.
+    keep_functions = [f"-Wl,-u,{name}" for name in functions]
     sources = [HERE / "firmware.c", *FIRMWARE.glob("*.c"), TABLE]
-    return build(target, folder, sources, level, *of.flags, *(f"-Wl,-u,{name}" for name in kept))
+    return build(target, folder, sources, level, *firmware_build.flags, *keep_functions)
 
 
 def plain_cost(target: Target, level: str, folder: Path, kind: str) -> float:
     """Return the mean instructions of step and x of the baseline in this type of floating point."""
-    kept = (f"-Wl,-u,plain_{name}" for name in ("hear", "step", "x"))
-    machine = load(build(target, folder, [HERE / "plain.c"], level, f"-DREAL={kind}", *kept))
-    rng, costs = random.Random(10), []
+    keep_functions = [f"-Wl,-u,plain_{name}" for name in ("hear", "step", "x")]
+    image = build(target, folder, [HERE / "plain.c"], level, f"-DREAL={kind}", *keep_functions)
+    machine = load(image)
+    rng = random.Random(10)
+    instructions = []
     for _ in range(240):
         machine.call("plain_hear")
-        step = machine.call("plain_step", (int(rng.random() < BLACK), 2))
-        costs.append(step.instructions + machine.call("plain_x").instructions)
-    return fmean(costs)
+        observation = int(rng.random() < PROBABILITY_OF_BLACK)
+        step, x = machine.call("plain_step", (observation, 2)), machine.call("plain_x")
+        instructions.append(step.instructions + x.instructions)
+    return fmean(instructions)
 
 
-def measure(target: Target, level: str, folder: Path, of: Build = PAPER) -> Figures:
+def measure(target: Target, level: str, folder: Path, firmware_build: Build = PAPER) -> Figures:
     """Return all costs of a target at a level; the baselines are compared with the paper's filter alone."""
-    image = robot_image(target, level, folder / "firmware", of)
-    robot, paths = Robot(load(image), of.filter), Paths(image)
-    mean = robot.live()
-    robot.suffer(SEED, of.samples)
+    image = robot_image(target, level, folder / "firmware", firmware_build)
+    robot, paths = Robot(load(image), firmware_build.filter), Paths(image)
+    mean = robot.run_usual_life()
+    robot.run_situations(SEED, firmware_build.samples)
     bound = {}
     if target != AVR:
         bound = {name: paths.longest(f"mcp_asdf_{name}") for name in ("receive", "x")}
         bound["step"] = paths.longest("mcp_asdf_step", without="update_b_hat")
         bound[UPDATED] = paths.longest("mcp_asdf_step")
-    kinds = ("float",) if target == AVR else ("double", "float")  # avr-gcc 5 has no double of 64 bits
+    float_types: tuple[str, ...] = ("double", "float")
+    if target == AVR:
+        float_types = ("float",)  # avr-gcc 5 has no double of 64 bits
+    flags = firmware_build.flags
     return Figures(
         mean=mean,
-        seen=robot.seen,
+        observed_calls=robot.observed_calls,
         bound=bound,
         divisions=0 if target == AVR else paths.longest("mcp_asdf_step", division),
         stack={name: paths.deepest(f"mcp_asdf_{name}") for name in STACK_CALLS},
-        code=(code_bytes(target, level, *of.flags), code_bytes(target, level, *of.flags, "-DWHOLE")),
+        code=(code_bytes(target, level, *flags), code_bytes(target, level, *flags, "-DWHOLE")),
         ram=int(image.symbols["robot"]["st_size"]),
         times={
             kind: plain_cost(target, level, folder / kind, kind) / (mean["step"] + mean["x"])
-            for kind in (kinds if of == PAPER else ())
+            for kind in (float_types if firmware_build == PAPER else ())
         },
     )
 
@@ -150,13 +158,16 @@ def code_bytes(target: Target, level: str, *flags: str) -> int:
 def _bytes(target: Target, level: str, sources: tuple[Path, ...], *flags: str) -> int:
     with TemporaryDirectory() as folder:
         image = build(target, Path(folder) / "image", sources, level, *flags)
-        others = (int(each["st_size"]) for name, each in image.symbols.items() if _OWN.match(name))
-        return image.sizes()[0] - sum(others)
+        bytes_of_flash, _bytes_of_ram = image.sizes()
+        bytes_of_program = sum(
+            int(symbol["st_size"]) for name, symbol in image.symbols.items() if _SYMBOL_OF_PROGRAM.match(name)
+        )
+        return bytes_of_flash - bytes_of_program
 
 
-def kilobot(folder: Path, of: Build = PAPER) -> tuple[int, int]:
+def kilobot(folder: Path, firmware_build: Build = PAPER) -> tuple[int, int]:
     """Return a Kilobot's bytes of flash and of RAM: variables, main()'s stack and an interrupt's."""
-    image = kilobot_image(folder, *of.flags)
+    image = kilobot_image(folder, *firmware_build.flags)
     paths = Paths(image)
     handlers = [
         name

@@ -58,25 +58,27 @@ class Paths:
         Raises ValueError if there is no bound: a loop that the source does not bound, recursion, a computed
         jump.
         """
-        known: dict[int, int] = {}
+        largest_sums: dict[int, int] = {}
+        """Results by the first instruction of a function, which several others may call."""
 
-        def most(start: int, callers: tuple[int, ...]) -> int:
+        def largest_sum(start: int, callers: tuple[int, ...]) -> int:
             function = self._lines[start].function
             if start in callers:
                 raise ValueError(f"{function} calls itself")
-            if start in known:
-                return known[start]
+            if start in largest_sums:
+                return largest_sums[start]
             graph = self._graph(start, without)
             weights = {}
             for number in graph:
                 called = self._called(number)
                 weights[number] = weight(self._lines[number])
                 if called is not None:
-                    weights[number] += most(called, (*callers, start))
-            known[start] = LongestPath(graph, weights, self._places, self._loop_bounds).cost(start)
-            return known[start]
+                    weights[number] += largest_sum(called, (*callers, start))
+            path = LongestPath(graph, weights, self._places, self._loop_bounds)
+            largest_sums[start] = path.cost(start)
+            return largest_sums[start]
 
-        return most(self._start(name), ())
+        return largest_sum(self._start(name), ())
 
     def deepest(self, name: str) -> int:
         """Return the bytes of stack below the pointer before a call, with the return address if it is pushed.
@@ -114,23 +116,31 @@ class Paths:
         if _END.match(text):
             return []
         target = self._target(line)
-        jumped = [] if target is None or _CALL.fullmatch(line.name) else [target]
-        return jumped if _JUMP.fullmatch(line.name) else [*jumped, number + 1]
+        is_call = _CALL.fullmatch(line.name) is not None
+        following = [] if target is None or is_call else [target]
+        if not _JUMP.fullmatch(line.name):  # a branch may not be taken, and a call returns
+            following.append(number + 1)
+        return following
 
     def _graph(self, start: int, without: str) -> dict[int, list[int]]:
-        graph, left = dict[int, list[int]](), [start]
-        while left:
-            number = left.pop()
+        """Return which instructions may follow each one from the first on, without those of a function."""
+        graph: dict[int, list[int]] = {}
+        waiting = [start]
+        while waiting:
+            number = waiting.pop()
             if number not in graph:
-                graph[number] = [each for each in self._following(number) if not self._enters(each, without)]
-                left += graph[number]
+                graph[number] = [
+                    following for following in self._following(number) if not self._enters(following, without)
+                ]
+                waiting += graph[number]
         return graph
 
     def _enters(self, number: int, name: str) -> bool:
-        places = [number, self._called(number)]
-        return name != "" and any(
-            CLONE.sub("", self._lines[each].function) == name for each in places if each is not None
-        )
+        """Return whether an instruction is one of the function of this name, or calls it."""
+        called = self._called(number)
+        instructions = [number] if called is None else [number, called]
+        functions = {CLONE.sub("", self._lines[instruction].function) for instruction in instructions}
+        return name != "" and name in functions
 
     # --- Stack ---
 
@@ -139,8 +149,8 @@ class Paths:
         if start in callers:
             raise ValueError(f"{name} calls itself")
         frame = self._image.frames.get(CLONE.sub("", name))
-        own = self._moved_down(name) if frame is None else frame
-        deepest = own
+        own_bytes = self._moved_down(name) if frame is None else frame
+        deepest = own_bytes
         for number in self._functions[name]:
             line = self._lines[number]
             falls_through = self._following(number) if frame is None and number + 1 < len(self._lines) else []
@@ -148,16 +158,20 @@ class Paths:
                 if target is not None and self._lines[target].function != name:
                     below = self._deepest(target, (*callers, start))
                     is_call = _CALL.fullmatch(line.name) is not None
-                    deepest = max(deepest, below + own if is_call or frame is None else below)
+                    deepest = max(deepest, below + own_bytes if is_call or frame is None else below)
         return deepest
 
     def _moved_down(self, name: str) -> int:
         """Return the bytes by which a function's instructions move the stack pointer down, if all run."""
         is_avr = self._image.target.tools.startswith("avr")
-        slot, found = (1, 2) if is_avr else (4, 0)  # an AVR's call pushes the return address
+        bytes_of_register = 1 if is_avr else 4
+        moved_bytes = 2 if is_avr else 0  # an AVR's call pushes the return address
         for line in map(self._lines.__getitem__, self._functions[name]):
             for pattern in _DOWN:
                 if match := pattern.match(f"{line.name} {line.operands}"):
                     parts = match.groupdict()
-                    found += slot * len(parts["list"].split(",")) if "list" in parts else int(parts["bytes"])
-        return found
+                    if "list" in parts:
+                        moved_bytes += bytes_of_register * len(parts["list"].split(","))
+                    else:
+                        moved_bytes += int(parts["bytes"])
+        return moved_bytes

@@ -80,22 +80,22 @@ def is_in_page(name: str, level: str) -> bool:
     return name != "Cortex-M3" and (level == "-Os" or name == "Cortex-M4")
 
 
-def chip_row(name: str, found: Figures) -> Row:
+def chip_row(name: str, figures: Figures) -> Row:
     """Return the row of the README's table for a chip: what a robot with the robust filter takes there."""
     calls = {"step": 1, "receive": NEIGHBOURS, "x": 1}
-    observation = sum(number * _microseconds(name, found, call) for call, number in calls.items())
+    observation = sum(number * _microseconds(name, figures, call) for call, number in calls.items())
     return {
         "chip and clock": f"{name}, {CHIPS[name]} MHz",
-        "flash, bytes": str(found.code[0]),
-        "RAM with stack, bytes": str(found.ram + found.tick_stack()),
+        "flash, bytes": str(figures.code[0]),
+        "RAM with stack, bytes": str(figures.ram + figures.tick_stack()),
         "an observation, µs": f"{observation:.0f}",
-        "the filter's test, µs": f"{_microseconds(name, found, UPDATED):.0f}",
+        "the filter's test, µs": f"{_microseconds(name, figures, UPDATED):.0f}",
     }
 
 
-def _microseconds(name: str, found: Figures, kind: str) -> float:
+def _microseconds(name: str, figures: Figures, kind: str) -> float:
     """Return how many microseconds the longest call of a kind took at the chip's clock."""
-    cycles = found.most(kind, "cycles") or CYCLES_PER_INSTRUCTION * found.most(kind)
+    cycles = figures.largest(kind, "cycles") or CYCLES_PER_INSTRUCTION * figures.largest(kind)
     return cycles / CHIPS[name]
 
 
@@ -113,22 +113,22 @@ def short_row(name: str, fast: Figures) -> Row:
     }
 
 
-def call_row(filter_name: str, name: str, found: Figures) -> Row:
+def call_row(filter_name: str, name: str, figures: Figures) -> Row:
     """Return a row with the most instructions of calls, or on an AVR the most cycles."""
     unit = "cycles" if name.startswith(AVR.name) else "instructions"
-    calls = {kind: str(found.most(kind, unit)) for kind in ("step", UPDATED, "receive", "x")}
+    calls = {kind: str(figures.largest(kind, unit)) for kind in ("step", UPDATED, "receive", "x")}
     return {f"{filter_name} alone, worst observed": name, **calls}
 
 
-def memory_row(name: str, found: Figures) -> Row:
+def memory_row(name: str, figures: Figures) -> Row:
     """Return a row with the bytes of flash, RAM and stack."""
     bytes_of = {
-        "code": found.code[0],
-        "code with save and restore": found.code[1],
-        "RAM of a robot": found.ram,
-        "stack of a tick": found.tick_stack(),
-        "stack of restore": found.stack["restore"],
-        "stack of invariants_hold": found.stack["invariants_hold"],
+        "code": figures.code[0],
+        "code with save and restore": figures.code[1],
+        "RAM of a robot": figures.ram,
+        "stack of a tick": figures.tick_stack(),
+        "stack of restore": figures.stack["restore"],
+        "stack of invariants_hold": figures.stack["invariants_hold"],
     }
     return {"bytes, paper's filter alone": name, **{title: str(each) for title, each in bytes_of.items()}}
 
@@ -155,7 +155,7 @@ def _kilobot(avr: Figures, kilobots: Kilobots) -> str:
     compilers = ", ".join(sorted({target.version() for target in TARGETS}))
     paper, both, alone = map(share, kilobots)
     rates = (
-        KILOBOT_CLOCK // round(1.05 * avr.most(kind, "cycles")) for kind in ("step", UPDATED)
+        KILOBOT_CLOCK // round(1.05 * avr.largest(kind, "cycles")) for kind in ("step", UPDATED)
     )  # 5 % spare
     return (
         f"The compilers are {compilers}.\n\n"

@@ -1,4 +1,4 @@
-"""Robots in images: what they live through, and what each call costs in it."""
+"""Robots in images: the situations in which they are called, and what each call costs."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ NEVER, MEMORY = 2**31, 2**31
 """A filtering period that no run reaches; the longest memory."""
 ROUNDS = (1, 2, 4, 8, 16, 32, 64, 96, 127)
 """Messages in the rounds that are looked at one by one."""
-BLACK = 0.545
-"""p(z = 1) for a fill ratio of 0.55 and sensors right 95 times out of 100."""
+PROBABILITY_OF_BLACK = 0.545
+"""Probability of a black reading for a fill ratio of 0.55 and sensors right 95 times out of 100."""
 _ONE = 2**23
 
 Message = tuple[int, int, int]
@@ -37,7 +37,7 @@ class Situation:
     observation: int
 
 
-DEAR = (
+EXPENSIVE_SITUATIONS = (
     Situation(2151478824, 400, 399, 199, (), 0),
     Situation(2190624173, 88, 87, 44, (), 0),
     Situation(4096, 221264, 221263, 3, (), 0),
@@ -59,20 +59,18 @@ def situation(rng: random.Random, messages: int, t: int) -> Situation:
     b_hat may be close to 1/2 or a clamp, the share of black beside 0, 1/2, 1 or c, messages close together or
     not, and of any confidence.
     """
-    b_hat = _between(2**12, 2**31 + rng.choice((-1, 1)) * int(2 ** rng.uniform(12, 31)), 2**32 - 2**12)
+    b_hat = _clamp(2**12, 2**31 + rng.choice((-1, 1)) * int(2 ** rng.uniform(12, 31)), 2**32 - 2**12)
     share = rng.choice((0.0, 0.5, 1.0, b_hat / 2**32, 1 - b_hat / 2**32, rng.random()))
-    n = _between(0, int((t - 1) * share) + rng.randint(-3, 3), t - 1)
+    n = _clamp(0, int((t - 1) * share) + rng.randint(-3, 3), t - 1)
     middle, width = rng.choice((0, _ONE // 2, _ONE, rng.randint(0, _ONE))), rng.choice((0, 3, 2**22))
-    alpha = rng.choice((0, 0x100, 0x80000001, None))
-    heard = (
-        (
-            sender,
-            _between(0, middle + rng.randint(-width, width), _ONE),
-            rng.getrandbits(32) if alpha is None else alpha,
-        )
-        for sender in senders(messages)
-    )
-    return Situation(b_hat, MEMORY, t - 1, n, tuple(heard), rng.getrandbits(1))
+    # All messages have the same confidence, or each one any.
+    common_alpha = rng.choice((0, 0x100, 0x80000001, None))
+    drawn_messages = []
+    for sender in senders(messages):
+        x_hat = _clamp(0, middle + rng.randint(-width, width), _ONE)
+        alpha = rng.getrandbits(32) if common_alpha is None else common_alpha
+        drawn_messages.append((sender, x_hat, alpha))
+    return Situation(b_hat, MEMORY, t - 1, n, tuple(drawn_messages), rng.getrandbits(1))
 
 
 @dataclass(frozen=True)
@@ -97,9 +95,9 @@ def robust_state(rng: random.Random, situation: Situation) -> RobustState:
     descending order, which takes longest to sort.
     """
     centres = [x_hat * 2**7 + rng.randint(-(2**20), 2**20) for _, x_hat, _ in situation.messages]
-    centre = _between(0, rng.choice((*centres, rng.randint(0, 2**30), 0, 2**30)), 2**30)
+    centre = _clamp(0, rng.choice((*centres, rng.randint(0, 2**30), 0, 2**30)), 2**30)
     width = int(2 ** rng.uniform(0, 16))
-    estimates = [_between(0, (centre >> 14) + rng.randint(-width, width), 2**16 - 1) for _ in range(32)]
+    estimates = [_clamp(0, (centre >> 14) + rng.randint(-width, width), 2**16 - 1) for _ in range(32)]
     filled_slots = rng.choice((1, 0x1F, rng.getrandbits(32) | 1, 2**32 - 1))
     if rng.random() < 0.5:
         estimates.sort(reverse=True)
@@ -107,7 +105,7 @@ def robust_state(rng: random.Random, situation: Situation) -> RobustState:
     batch_n = rng.randint(0, situation.n)
     return RobustState(
         centre=centre,
-        spread=_between(2**18, int(2 ** rng.uniform(17.9, 28.1)), 2**28),
+        spread=_clamp(2**18, int(2 ** rng.uniform(17.9, 28.1)), 2**28),
         votes=rng.choice((1, 2**9 - 1, 2**9, rng.randrange(1, 2**9))),
         turn=rng.choice((0, 1, 31, 32)),
         batch_t=batch_n + rng.randint(0, situation.t - situation.n),
@@ -120,8 +118,9 @@ def robust_state(rng: random.Random, situation: Situation) -> RobustState:
     )
 
 
-def _between(least: int, value: int, most: int) -> int:
-    return max(least, min(value, most))
+def _clamp(smallest: int, value: int, largest: int) -> int:
+    """Return the value, or the nearer limit if it is outside."""
+    return max(smallest, min(value, largest))
 
 
 def senders(count: int) -> list[int]:
@@ -130,7 +129,7 @@ def senders(count: int) -> list[int]:
 
 
 @dataclass(frozen=True)
-class Seen:
+class ObservedCall:
     """A call: the function or kind of step, observations and messages before it, and its cost."""
 
     kind: str
@@ -145,19 +144,19 @@ class Robot:
     Attributes:
         machine: Where it runs.
         filter: The filter of its config.
-        seen: All calls so far.
+        observed_calls: All calls so far.
     """
 
     def __init__(self, machine: Machine, filter: Filter = Filter.ADAPTIVE) -> None:
         self.machine, self.filter = machine, filter
-        self.seen: list[Seen] = []
+        self.observed_calls: list[ObservedCall] = []
         self._t = self._m = 0
 
     def call(self, name: str, *arguments: Argument) -> Cost:
         """Call one of the robot's functions."""
-        own = self.machine.image.address("robot"), 2
-        cost = self.machine.call(f"mcp_asdf_{name}", own, *arguments)
-        self.seen.append(Seen(name, self._t, self._m, cost))
+        pointer_to_robot = self.machine.image.address("robot"), 2
+        cost = self.machine.call(f"mcp_asdf_{name}", pointer_to_robot, *arguments)
+        self.observed_calls.append(ObservedCall(name, self._t, self._m, cost))
         return cost
 
     def start(self, b_hat: int, period: int, t: int = 0, n: int = 0, memory: int = MEMORY) -> None:
@@ -174,45 +173,55 @@ class Robot:
 
     def step(self, observation: int, due: bool) -> None:
         """Take a whole tick, whose kind depends on whether the filter is due and what it does."""
-        before = self.machine.call("bench_filtered").value
+        counts_before = self.machine.call("bench_filtered").value
         cost = self.call("step", (observation, 2))
         if due:
-            tests, updates = divmod(self.machine.call("bench_filtered").value - before, 2**16)
-            kind = UPDATED if updates else TESTED if tests else SHORT
-            self.seen[-1] = Seen(kind, self._t, self._m, cost)
+            # The number of tests is in the upper half of the word, and that of updates in the lower one.
+            tests, updates = divmod(self.machine.call("bench_filtered").value - counts_before, 2**16)
+            kind = SHORT
+            if tests:
+                kind = UPDATED if updates else TESTED
+            self.observed_calls[-1] = ObservedCall(kind, self._t, self._m, cost)
         self._m = 0
 
-    def live(self, ticks: int = 240, period: int = 20) -> dict[str, float]:
-        """Live among ten neighbours that know better than to take their sensors for 0.55 right, with the bits
-        of the firmware on this machine; returns the mean instructions of each kind of call."""
+    def run_usual_life(self, ticks: int = 240, period: int = 20) -> dict[str, float]:
+        """Let the robot run among ten neighbours, and return the mean instructions of each kind of call.
+
+        The robot assumes an accuracy of 0.55, the neighbours one of 0.95, which is right. The same firmware
+        runs on this machine, too. Raises RuntimeError if both do not have the same bits after each tick.
+        """
         rng, config = random.Random(10), Config(filter=Filter.OFF)
-        swarm = {sender: NativeRobot(config, sender, 0.95) for sender in senders(10)}
+        neighbours = {sender: NativeRobot(config, sender, 0.95) for sender in senders(10)}
         table = generate(parse_omega("0.05"), q=30) if self.filter == Filter.ADAPTIVE else None
-        twin = NativeRobot(Config(table=table, filter_period=period, filter=self.filter), OWN_ID, 0.55)
+        native_robot = NativeRobot(
+            Config(table=table, filter_period=period, filter=self.filter), OWN_ID, 0.55
+        )
         self.start(int(0.55 * 2**32), period)
         for number in range(1, ticks + 1):
-            for sender, other in swarm.items():
-                other.step(Observation(int(rng.random() < BLACK)))
-                self.receive((sender, other.x_hat_raw, other.alpha_raw))
-                twin.receive_raw(sender, other.x_hat_raw, other.alpha_raw)
-            z = Observation(int(rng.random() < BLACK))
+            for sender, neighbour in neighbours.items():
+                neighbour.step(Observation(int(rng.random() < PROBABILITY_OF_BLACK)))
+                self.receive((sender, neighbour.x_hat_raw, neighbour.alpha_raw))
+                native_robot.receive_raw(sender, neighbour.x_hat_raw, neighbour.alpha_raw)
+            z = Observation(int(rng.random() < PROBABILITY_OF_BLACK))
             self.step(z, number % period == 0)
-            twin.step(z)
-            if self.call("x").value != twin.x_raw:
+            native_robot.step(z)
+            if self.call("x").value != native_robot.x_raw:
                 raise RuntimeError(f"{self.machine.image.target.name} has other bits in tick {number}")
-        kinds = {each.kind for each in self.seen}
-        return {kind: mean(s.cost.instructions for s in self.seen if s.kind == kind) for kind in kinds}
+        instructions_by_kind: dict[str, list[int]] = {}
+        for call in self.observed_calls:
+            instructions_by_kind.setdefault(call.kind, []).append(call.cost.instructions)
+        return {kind: mean(instructions) for kind, instructions in instructions_by_kind.items()}
 
-    def suffer(self, seed: int, samples: int) -> None:
-        """Live through the dear situations, random ones of every age, and rounds of every size."""
+    def run_situations(self, seed: int, samples: int) -> None:
+        """Run random situations of every age, the expensive ones, and rounds of every size."""
         rng = random.Random(seed)
         for age in range(32):
             for _ in range(samples):
                 self.tick(situation(rng, rng.choice((0, 1, 3)), 2**age), NEVER)
                 self.tick(situation(rng, rng.choice((2, 5)), 2**age), 1)
-        for each in DEAR:
+        for expensive_situation in EXPENSIVE_SITUATIONS:
             for period in (NEVER, 1):
-                self.tick(each, period)
+                self.tick(expensive_situation, period)
         for messages in 4 * ROUNDS:
             self._begin(situation(rng, messages, 2 ** rng.randrange(32)), NEVER)
             self.call("settle")
