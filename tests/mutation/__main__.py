@@ -14,7 +14,7 @@ import sys
 from pathlib import Path
 
 from mutation.equivalents import equivalents
-from mutation.python_killers import is_noticed, run_baseline, test_folders_of
+from mutation.python_killers import folders_with_tests_of, is_noticed, run_baseline
 from mutation.python_mutants import Mutant, mutants
 
 
@@ -41,7 +41,9 @@ def print_survivors(
     The tests are those of each mutant's package, or those of ``test_folders``; slow ones only count
     ``with_slow``. A test that fails without a mistake is named, too.
     """
-    folders_by_mutant = {mutant: test_folders or test_folders_of(mutant.path) for mutant in tried_mutants}
+    folders_by_mutant = {
+        mutant: test_folders or folders_with_tests_of(mutant.path) for mutant in tried_mutants
+    }
     all_folders = [folder for folders in folders_by_mutant.values() for folder in folders]
     baseline = run_baseline(tried_mutants, all_folders, marks="" if with_slow else "not slow")
     for test_id in baseline.failed:

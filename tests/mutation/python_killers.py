@@ -38,7 +38,7 @@ mutant changes."""
 _FORK = get_context("fork")
 
 
-def test_folders_of(path: Path) -> list[Path]:
+def folders_with_tests_of(path: Path) -> list[Path]:
     """Return the folders with the tests of a file's package.
 
     The packages cli and common have all folders, as everything uses them. The firmware has its own tests and

@@ -17,7 +17,7 @@ from mcp_asdf.robot import Observation
 from mcp_asdf_tools.bus.frames import Estimate, FrameFormat, encode_estimate
 from mcp_asdf_tools.robots.lockstep import Lockstep
 from robots import ALPHA_ONE
-from socketcan.test_socketcan import ESTIMATE
+from socketcan.test_socketcan import ESTIMATE_OF_ROBOT_3
 from socketcan.vcan import connect, ip, wait_for_frames
 from support import PATIENCE
 from targets.c_node import PLAIN_BUILD, CNode, assert_same_run, node_command, python_node
@@ -100,7 +100,7 @@ def test_a_node_goes_on_when_its_controller_is_restarted_at_another_bit_rate(
         time.sleep(2)
         ip("link set can0 type can bitrate 250000", "link set can0 up")
         wait_for_frames(wire, 5)
-        wire.send(ESTIMATE)
+        wire.send(ESTIMATE_OF_ROBOT_3)
         wait_for_frames(wire, 5)
         summary = node.stop()
 

@@ -89,9 +89,10 @@ def three_nodes(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPat
 def test_a_c_node_has_the_bits_of_a_python_node_that_receives_the_same(
     robot: int, three_nodes: ThreeNodes
 ) -> None:
-    """Three C nodes have run for 25 ticks with the accuracies B_HATS. In each tick they hear each other.
+    """Three C nodes have run for 25 ticks, and heard each other in each tick.
 
-    The robot's frames and its final state are compared with those of a Python node.
+    At the start they assumed the accuracies B_HATS: 0.55, 0.95 and 0.75. The robot's frames and its final
+    state are compared with those of a Python node.
     """
     summary = three_nodes.summaries[robot]
     expected_node = python_node(robot, B_HATS[robot], filter_period=FILTER_PERIOD)
@@ -146,7 +147,7 @@ def is_command_to_robot_0(frame: can.Message) -> bool:
 # ---- What the kernel is asked for ----
 
 
-ESTIMATE = encode_estimate(Estimate(3, 2**22, ALPHA_ONE, 0), FrameFormat())
+ESTIMATE_OF_ROBOT_3 = encode_estimate(Estimate(3, 2**22, ALPHA_ONE, 0), FrameFormat())
 
 
 @pytest.fixture
@@ -175,10 +176,10 @@ def test_a_node_counts_the_frames_that_its_receive_buffer_has_no_room_for(
         wait_for_frames(bus, 1)  # of the node, which has started
         node.process.send_signal(signal.SIGSTOP)
         for _ in range(500):
-            bus.send(ESTIMATE, timeout=PATIENCE)
+            bus.send(ESTIMATE_OF_ROBOT_3, timeout=PATIENCE)
         node.process.send_signal(signal.SIGCONT)
         wait_for_frames(bus, 3)  # the node goes on
-        bus.send(ESTIMATE, timeout=PATIENCE)
+        bus.send(ESTIMATE_OF_ROBOT_3, timeout=PATIENCE)
         wait_for_frames(bus, 3)
     summary = node.stop()
 
@@ -211,7 +212,7 @@ def test_a_node_goes_on_when_its_interface_has_gone_and_come_back(
     ip(*(commands_that_make(vcan) if does_vanish else [f"link set {vcan} up"]))
     with connect(vcan) as bus:
         wait_for_frames(bus, 5)
-        bus.send(ESTIMATE, timeout=PATIENCE)
+        bus.send(ESTIMATE_OF_ROBOT_3, timeout=PATIENCE)
         wait_for_frames(bus, 5)
     summary = node.stop()
 
