@@ -99,6 +99,7 @@ class _Reader:
     """Reader of a datagram from its first byte on; its methods raise _MalformedError if it ends too early."""
 
     def __init__(self, datagram: bytes) -> None:
+        """Begin at the first byte."""
         self._datagram = datagram
         self._position = 0
 

@@ -69,6 +69,7 @@ class FrameFormat:
     priority: int = 4
 
     def __post_init__(self) -> None:
+        """Raise UsageError if the subject or the priority is out of range."""
         check_range("subject", self.subject, 0, MAX_SUBJECT)
         check_range("priority", self.priority, 0, MAX_PRIORITY)
 

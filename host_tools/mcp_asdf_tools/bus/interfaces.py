@@ -75,6 +75,7 @@ class BusChoice:
     settings: dict[str, Any]
 
     def __str__(self) -> str:
+        """Return the interface and the channel if there is one, such as ``socketcan can0``."""
         return f"{self.interface} {self.channel}" if self.channel else self.interface
 
     @property

@@ -71,6 +71,7 @@ class SlcanServer:
         self._server_thread.start()
 
     def __enter__(self) -> SlcanServer:
+        """Return the server, which has served clients since it was made."""
         return self
 
     def __exit__(self, *_: object) -> None:

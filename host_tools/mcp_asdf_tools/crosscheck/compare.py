@@ -40,6 +40,7 @@ class RobotUnderTest:
     """
 
     def __init__(self, firmware: Firmware, setup: Setup) -> None:
+        """Make the robot of this setup. If the firmware refuses it, ``last_result`` says so."""
         self._firmware = firmware
         self._config = setup.config()
         self._robot: FixedPointRobot | None = None
@@ -136,6 +137,7 @@ class Failure:
         return {"problems": list(self.problems), "calls": calls, "replay": str(self.scenario)}
 
     def __str__(self) -> str:
+        """Return lines for people: the setup, the calls, the problems, and the command that replays them."""
         setup, calls = self.scenario.setup, self.scenario.calls
         lines = [f"FAILED at call {len(calls)}; of two values that differ the first is native's"]
         # Number 0 is the robot itself.

@@ -71,6 +71,7 @@ class Audit:
     """
 
     def __init__(self) -> None:
+        """Begin without any error, test or event."""
         self.errors = {(quantity, region): Errors() for quantity in QUANTITIES for _, region in REGIONS}
         self.tests = 0
         self.events = {checked.name: Counter[str]() for checked in CHECKED_FILTERS if checked.name}

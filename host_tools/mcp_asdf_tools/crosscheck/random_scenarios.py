@@ -211,9 +211,24 @@ class ScenarioWriter:
         follows. Whether it changes the robot as it must shows if an image was wrongly refused or accepted.
         """
         rng = self._rng
-        # All changes are drawn, as new words by their index, and one of them is chosen at the end.
         counter = rng.choice([0, MAX_16_BITS - 1, MAX_16_BITS])
         alpha = rng.choice(SPECIAL_ALPHAS)
+        changes = self._draw_changes_of_image(counter, alpha)
+        if rng.random() < 0.1:
+            byte_index = rng.randrange(4 * self._layout.word_count)
+            flipped_bit = 1 << rng.randrange(8)
+            self._add_call("damage", byte_index, flipped_bit)
+        else:
+            self._add_restore(rng.choice(changes))
+        self._add_call("receive", self._draw_sender(), self._draw_x_hat(), rng.choice([0, alpha]))
+
+    def _draw_changes_of_image(self, counter: int, alpha: int) -> list[dict[int, int]]:
+        """Draw one change of each kind, as new words of an image by their index.
+
+        Many make the image just legal, or just not. ``counter`` is the number to which counters are set, and
+        ``alpha`` the word of the robot's confidence in the change that sets that.
+        """
+        rng = self._rng
         filter_words = self._draw_filter_words_at_limits()
         filter_left = self._draw_filter_left()
         repeated_tests_updates, accepted_rejected = self._pack_counters(counter)
@@ -241,7 +256,7 @@ class ScenarioWriter:
         word_index = rng.randint(B_HAT_WORD, self._layout.updates_and_id_word)
         one_bit = 1 << rng.randrange(32)
         any_word = {word_index: rng.choice([0, 1, one_bit, MAX_32_BITS])}  # from b_hat to the last counter
-        changes: list[dict[int, int]] = [
+        return [
             {},  # An image that was not changed must be restored.
             filter_left,
             repeated_tests_updates,
@@ -255,13 +270,6 @@ class ScenarioWriter:
             t_at_memory,
             any_word,
         ]
-        if rng.random() < 0.1:
-            byte_index = rng.randrange(4 * self._layout.word_count)
-            flipped_bit = 1 << rng.randrange(8)
-            self._add_call("damage", byte_index, flipped_bit)
-        else:
-            self._add_restore(rng.choice(changes))
-        self._add_call("receive", self._draw_sender(), self._draw_x_hat(), rng.choice([0, alpha]))
 
     def _draw_filter_words_at_limits(self) -> dict[int, int]:
         """Draw words of an image, by index, that bring two sums of the closed round about to their limits.

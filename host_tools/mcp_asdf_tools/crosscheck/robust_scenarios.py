@@ -70,7 +70,7 @@ _CENTRE_ONE = q30_from_q23(ONE)
 _SLOT_UNIT = q30_from_q23(q23_from_q16(1))
 """Unit of the estimates in slots, as a number of units of the votes."""
 
-_FILTER_WORD, _SLOTS_WORD = 7, 15
+_FIRST_FILTER_WORD, _FIRST_SLOTS_WORD = 7, 15
 """First words of an image that hold what the filter remembers, and the estimates of its slots."""
 
 _VOTE_COUNTS = (
@@ -533,7 +533,7 @@ def _pack_robust_filter(robust: RobustFilter, estimates: Sequence[int]) -> dict[
         robust.turn,
     ]
     slot_words = [pack_pair(estimates[slot], estimates[slot + 1]) for slot in range(0, SLOTS, 2)]
-    return dict(enumerate(words, _FILTER_WORD)) | dict(enumerate(slot_words, _SLOTS_WORD))
+    return dict(enumerate(words, _FIRST_FILTER_WORD)) | dict(enumerate(slot_words, _FIRST_SLOTS_WORD))
 
 
 def _find_b_hat_of_tie(robot: DrawnRobot, estimate: int, centre: int) -> int | None:

@@ -65,6 +65,7 @@ class Call:
     numbers: tuple[int, ...] = ()
 
     def __str__(self) -> str:
+        """Return the item of a line, such as ``receive:3:4194304:257``."""
         return ":".join([self.name, *map(str, self.numbers)])
 
     @property
@@ -81,6 +82,7 @@ class TableChoice:
     q: int
 
     def __str__(self) -> str:
+        """Return the item of a line, such as ``table:0.05:30``."""
         return f"table:{self.omega}:{self.q}"
 
     def build(self) -> Table:
@@ -115,8 +117,11 @@ class Setup:
     b_hat: int
 
     def __str__(self) -> str:
+        """Return the items of a line: ``table:...`` if there is a table, and ``robot:...`` with numbers."""
         robot = f"robot:{self.filter}:{self.filter_period}:{self.memory}:{self.robot_id}:{self.b_hat}"
-        return robot if self.table is None else f"{self.table},{robot}"
+        if self.table is None:
+            return robot
+        return f"{self.table},{robot}"
 
     def config(self) -> Config:
         """Return table, filter, filter period and memory as firmwares take them; they may be illegal."""
@@ -132,6 +137,7 @@ class Scenario:
     calls: tuple[Call, ...]
 
     def __str__(self) -> str:
+        """Return the line that ``parse_scenario`` reads back."""
         return ",".join([str(self.setup), *map(str, self.calls)])
 
     def replace_calls(self, calls: tuple[Call, ...]) -> Scenario:

@@ -94,6 +94,7 @@ class RobustWorkload(Workload):
 
     @property
     def _smallest_x_hat(self) -> int:
+        """1/2, which agrees with half of the observations being black, or 0, which does not."""
         return HALF if self.agrees else 0
 
 

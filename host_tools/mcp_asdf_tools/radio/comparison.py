@@ -69,6 +69,7 @@ class Difference:
     hint: str = ""
 
     def __str__(self) -> str:
+        """Return kind, field and both sides, and the hint if there is one: ``telemetry, x: expected ...``."""
         hint = f"; {self.hint}" if self.hint else ""
         return f"{self.kind}, {self.field}: expected {self.expected}, got {self.received}{hint}"
 

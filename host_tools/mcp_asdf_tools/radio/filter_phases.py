@@ -88,10 +88,12 @@ def observe_until_excess_of_black(bench: Bench, excess: int) -> None:
     state = bench.model_state
 
     def present_excess() -> int:
+        """Return how many more black tiles than white ones have been observed."""
         white_count = state.t - state.n
         return state.n - white_count
 
     def choose_colour() -> Observation:
+        """Return the colour that brings the excess nearer to the one to reach."""
         needs_black = present_excess() < excess
         return Observation(needs_black)
 
@@ -156,6 +158,7 @@ def threshold_phase(m: int) -> Callable[[Bench], None]:
     """
 
     def play(bench: Bench) -> None:
+        """Play a test inside the threshold, and one outside."""
         update = UPDATES_BY_CRAFTED_SIZE[m]
         _observe_until_filter_runs(bench)
         bench.activity = f"{m} messages just inside the threshold"
@@ -209,6 +212,7 @@ def re_estimate_early(bench: Bench) -> None:
     state = bench.model_state
 
     def choose_colour() -> Observation:
+        """Return the colour that brings the share of black nearer to 3/5."""
         is_black = 5 * state.n < 3 * state.t  # as the share of black ones, n / t, is below 3/5
         return Observation(is_black)
 

@@ -70,6 +70,7 @@ class Neighbourhood:
     """
 
     def __init__(self, settings: RadioSettings) -> None:
+        """Make the neighbours, in a swarm to which the controller belongs as a robot from outside."""
         self.settings = settings
         robots = [settings.controller, *settings.neighbours]
         self._swarm = Swarm(

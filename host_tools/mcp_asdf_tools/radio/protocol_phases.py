@@ -76,6 +76,7 @@ def _write_number(first_byte: int, length: int, minimum: int, maximum: int) -> C
     """
 
     def change(frame: can.Message, rng: Random) -> None:
+        """Write a number that is drawn now into the data."""
         number = rng.randint(minimum, maximum)
         frame.data[first_byte : first_byte + length] = number.to_bytes(length, "little")
 
@@ -86,6 +87,7 @@ def _clear_tail_bit(bit: int) -> ChangeFrame:
     """Return a function that clears a bit of a frame's tail byte, the last one, in place."""
 
     def change(frame: can.Message, rng: Random) -> None:
+        """Clear the bit in the last byte of the data."""
         frame.data[_TAIL_BYTE] &= ~(1 << bit)
 
     return change
@@ -95,6 +97,7 @@ def _flip_identifier_bit(bit: int) -> ChangeFrame:
     """Return a function that flips a bit of a frame's identifier in place."""
 
     def change(frame: can.Message, rng: Random) -> None:
+        """Flip the bit of the identifier."""
         frame.arbitration_id ^= 1 << bit
 
     return change
@@ -104,6 +107,7 @@ def _cut_to_length(minimum: int, maximum: int) -> ChangeFrame:
     """Return a function that draws a length of this range, and cuts a frame's data to so many bytes."""
 
     def change(frame: can.Message, rng: Random) -> None:
+        """Cut the data to a length that is drawn now."""
         frame.dlc = rng.randint(minimum, maximum)
         frame.data = frame.data[: frame.dlc]
 

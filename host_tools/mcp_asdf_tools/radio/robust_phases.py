@@ -222,6 +222,7 @@ def threshold_phase(width: int) -> Callable[[Bench], None]:
     """
 
     def play(bench: Bench) -> None:
+        """Play two pairs of tests, if estimates can decide them."""
         if not _can_estimates_decide_test(bench):
             return
         _observe_as_at_three_quarters(bench)
@@ -420,6 +421,7 @@ def _observe_until_black_share(
     state = bench.model_state
 
     def choose_colour() -> Observation:
+        """Return black while the share of black is too low."""
         is_share_too_low = state.n < black_share * state.t
         return Observation(is_share_too_low)
 
@@ -569,6 +571,7 @@ def _play_test_at_threshold(bench: Bench, count: int, width: int, is_rejection: 
     """
 
     def craft_slots() -> SlotsAtTest | None:
+        """Return estimates at the threshold, or None if the present observations allow none."""
         return _choose_slots_at_threshold(bench, count, width, is_rejection)
 
     bench.activity = f"observations before a test of {count} estimates"
@@ -625,6 +628,7 @@ def _play_test_with_supporters(bench: Bench, count: int, supporter_count: int) -
     """
 
     def craft_slots() -> SlotsAtTest | None:
+        """Return estimates with supporters, or None if the test does not reject by them."""
         return slots_with_supporters(bench.model_robot, count, supporter_count)
 
     bench.activity = f"observations that {supporter_count} of {count} estimates support"

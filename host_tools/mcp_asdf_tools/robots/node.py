@@ -76,6 +76,7 @@ class Subjects:
     commands: FrameFormat = COMMAND_FORMAT
 
     def __post_init__(self) -> None:
+        """Raise UsageError if two kinds of messages have the same subject."""
         subjects = [self.estimates.subject, self.telemetry.subject, self.commands.subject]
         # Receivers distinguish the kinds of messages by their subjects alone.
         if len(set(subjects)) < len(subjects):
