@@ -32,7 +32,7 @@ CLOCK: Any = SimpleNamespace(now=0.0, monotonic=lambda: CLOCK.now)
 
 
 @contextmanager
-def still() -> Iterator[None]:
+def frozen_clock() -> Iterator[None]:
     """Let commands to robots in lockstep read CLOCK, so that no time passes while they work.
 
     Timeouts of hundredths of a second are exact then, however busy the machine is. As a decorator it does so
@@ -49,7 +49,8 @@ class Wire(can.BusABC):
     Attributes:
         nodes: The nodes.
         sent: Frames that the tool has sent, in order.
-        told: Frames that the nodes have sent, in order.
+        frames_of_nodes: Frames that the nodes have sent, in order.
+        frames_for_tool: Frames that the tool has not received yet, in order.
     """
 
     def __init__(self, *nodes: RobotNode) -> None:
@@ -57,34 +58,34 @@ class Wire(can.BusABC):
         self.channel_info = "wire"
         self.nodes = list(nodes)
         self.sent: list[can.Message] = []
-        self.told: list[can.Message] = []
-        self._waiting: deque[can.Message] = deque()
+        self.frames_of_nodes: list[can.Message] = []
+        self.frames_for_tool: deque[can.Message] = deque()
         for node in nodes:
-            self.say(node, node.start())
+            self.send_from(node, node.start())
 
-    def say(self, node: RobotNode, frames: Sequence[can.Message]) -> None:
-        """Put frames of a node on the wire, and at once all frames by which other nodes answer them."""
+    def send_from(self, node: RobotNode, frames: Sequence[can.Message]) -> None:
+        """Send frames of a node, and after each one at once the frames with which other nodes answer it."""
         for frame in frames:
-            arriving = copy(frame)
-            arriving.is_rx = True
-            self.told.append(arriving)
-            self._waiting.append(arriving)
+            received_frame = copy(frame)
+            received_frame.is_rx = True
+            self.frames_of_nodes.append(received_frame)
+            self.frames_for_tool.append(received_frame)
             for other in self.nodes:
                 if other is not node:
-                    self.say(other, other.receive_frame(frame))
+                    self.send_from(other, other.receive_frame(frame))
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
         """Send a frame of the tool to all nodes; the tool receives it, too, marked as its own."""
         assert timeout is not None
         self.sent.append(msg)
-        self._waiting.append(msg)
+        self.frames_for_tool.append(msg)
         for node in self.nodes:
-            self.say(node, node.receive_frame(msg))
+            self.send_from(node, node.receive_frame(msg))
 
     def recv(self, timeout: float | None = None) -> can.Message | None:
         """Return the next frame for the tool, or let CLOCK go on by the timeout and return None."""
-        if self._waiting:
-            return self._waiting.popleft()
+        if self.frames_for_tool:
+            return self.frames_for_tool.popleft()
         CLOCK.now += (timeout or 0.0) + 1e-6  # some time passes without a timeout, too, so that loops end
         return None
 
@@ -106,7 +107,7 @@ class EndlessWire(Wire):
         return encode_heartbeat(Heartbeat(sender=40, uptime=0, transfer_id=0))
 
 
-def record(robot: int, firmware: str = "native", b_hat: float = 0.8, **config: Any) -> RobotSetup:
+def setup_of_robot(robot: int, firmware: str = "native", b_hat: float = 0.8, **config: Any) -> RobotSetup:
     """Return the setup of a robot, which filters every 10 ticks by default, with TABLE.
 
     ``config`` has other parameters of the firmware, and maybe ``comms_period``: the robot broadcasts in every
@@ -118,38 +119,38 @@ def record(robot: int, firmware: str = "native", b_hat: float = 0.8, **config: A
     return RobotSetup(robot, firmware, b_hat, Config(**parameters), comms_period)
 
 
-def node(robot: int, firmware: str = "native", b_hat: float = 0.8, **config: Any) -> RobotNode:
-    """Return a node with the robot of ``record``; it is in lockstep, with a heartbeat every 10 ticks."""
-    return RobotNode(record(robot, firmware, b_hat, **config))
+def make_node(robot: int, firmware: str = "native", b_hat: float = 0.8, **config: Any) -> RobotNode:
+    """Return a node in lockstep with the robot of ``setup_of_robot``. A heartbeat comes every 10 ticks."""
+    return RobotNode(setup_of_robot(robot, firmware, b_hat, **config))
 
 
-def join() -> can.BusABC:
+def join_virtual_bus() -> can.BusABC:
     """Return a new connection to the virtual bus that commands use by default."""
     return can.Bus(interface="virtual", channel="vcan0", ignore_config=True)
 
 
 @contextmanager
-def meanwhile(work: Callable[[], object]) -> Iterator[None]:
+def running_in_thread(work: Callable[[], object]) -> Iterator[None]:
     """Call ``work`` in another thread while the block runs, and wait for it at the end of the block.
 
     What it raises is raised then.
     """
-    raised: list[BaseException] = []
+    errors: list[BaseException] = []
 
-    def guarded() -> None:
+    def keep_error_of_work() -> None:
         try:
             work()
         except BaseException as error:
-            raised.append(error)
+            errors.append(error)
 
-    thread = threading.Thread(target=guarded)
+    thread = threading.Thread(target=keep_error_of_work)
     thread.start()
     try:
         yield
     finally:
         thread.join()
-    if raised:
-        raise raised[0]
+    if errors:
+        raise errors[0]
 
 
 @contextmanager
@@ -164,9 +165,9 @@ def node_in_a_thread(options: str) -> Iterator[can.BusABC]:
     def run_node() -> None:
         assert main(["node", *shlex.split(options), "--quiet", "--until-eof"]) == 0
 
-    with join() as bus, pytest.MonkeyPatch.context() as patch, os.fdopen(read_end) as stdin:
+    with join_virtual_bus() as bus, pytest.MonkeyPatch.context() as patch, os.fdopen(read_end) as stdin:
         patch.setattr("sys.stdin", stdin)
-        with meanwhile(run_node):
+        with running_in_thread(run_node):
             try:
                 assert bus.recv(PATIENCE) is not None
                 yield bus

@@ -35,18 +35,22 @@ from mcp_asdf_tools.robots.robot_setup import RobotSetup
 from mcp_asdf_tools.swarm.fault_injection.parsing import parse_fault
 from mcp_asdf_tools.swarm.settings import SwarmSettings
 from mcp_asdf_tools.tables.thresholds import generate, parse_omega
-from wire import record
+from wire import setup_of_robot
 
 ID = 3
 """Id of the controller that is verified."""
 B_HAT = 0.55
 """b_hat, the accuracy that the controller assumes of its sensor at its start."""
 
-DEFAULT: dict[str, Any] = {"b_hat": 0.95, "filter_period": 1000, "table": generate(parse_omega("0.05"), 127)}
+DEFAULT_CONFIG: dict[str, Any] = {
+    "b_hat": 0.95,
+    "filter_period": 1000,
+    "table": generate(parse_omega("0.05"), 127),
+}
 """The configuration of a controller that is set up by the defaults."""
-VOTES: dict[str, Any] = {"filter": Filter.ROBUST, "table": None}
+ROBUST_FILTER: dict[str, Any] = {"filter": Filter.ROBUST, "table": None}
 """The robust filter, in which the latest estimate of each neighbour votes."""
-ALWAYS: dict[str, Any] = {"filter": Filter.ALWAYS, "table": None}
+FILTER_WITHOUT_TEST: dict[str, Any] = {"filter": Filter.ALWAYS, "table": None}
 """Re-estimates of b_hat without a test."""
 HALVED = {"memory": 512}
 """A memory that a run fills, so that the counts are halved."""
@@ -63,14 +67,14 @@ Override = Callable[..., Any]
 method was called with."""
 
 
-def right(**config: Any) -> RobotSetup:
+def right_setup(**config: Any) -> RobotSetup:
     """Return the setup of the controller, as the verification knows it."""
-    return record(**{"robot": ID, "firmware": "mirror", "b_hat": B_HAT, **config})
+    return setup_of_robot(**{"robot": ID, "firmware": "mirror", "b_hat": B_HAT, **config})
 
 
 def surroundings(controller: RobotSetup | None = None, faults: str = "", **world: Any) -> RadioSettings:
     """Return settings of a controller, by default robot 3, among robots 0, 1, 2 and 4."""
-    setup = controller or right()
+    setup = controller or right_setup()
     neighbours = tuple(replace(setup, id=robot, b_hat=0.95) for robot in choose_ids(setup.id, 4))
     swarm = SwarmSettings(robots=5, **{"seed": 6} | world)
     return RadioSettings(setup, neighbours, swarm, Subjects(), tuple(map(parse_fault, faults.split())))
@@ -84,7 +88,7 @@ class Wrong:
     """A wrong controller.
 
     Attributes:
-        phase: The phase that finds it with the configuration DEFAULT.
+        phase: The phase that finds it with the configuration DEFAULT_CONFIG.
         config: What its configuration must be, beside that, for the mistake to show.
         make: Makes the controller, with ``config`` on top of another configuration.
     """
@@ -99,13 +103,17 @@ def with_setup(
     config: dict[str, Any] | None = None,
     node_class: type = RobotNode,
     firmware: Callable[..., Any] = MirrorRobot,
-    **actual: Any,
+    **actual_config: Any,
 ) -> Wrong:
-    """Return a controller that is set up otherwise than the verification knows, which is by ``config``."""
+    """Return a controller whose setup differs in ``actual_config`` from what the verification knows.
+
+    The verification knows ``config``.
+    """
     known_config = config or {}
 
     def make(other_config: dict[str, Any]) -> RobotNode:
-        setup = record(**{"robot": ID, "firmware": "mirror", **other_config, **known_config, **actual})
+        settings = {"robot": ID, "firmware": "mirror", **other_config, **known_config, **actual_config}
+        setup = setup_of_robot(**settings)
         node: RobotNode = node_class(setup, make=lambda: firmware(setup.config, setup.id, setup.b_hat))
         return node
 
@@ -124,7 +132,7 @@ def with_firmware(phase: str, *changes: str, config: dict[str, Any] | None = Non
 
 def with_robust_firmware(phase: str, *changes: str) -> Wrong:
     """Return a controller with the robust filter and changes in its firmware."""
-    return with_firmware(phase, *changes, config=VOTES)
+    return with_firmware(phase, *changes, config=ROBUST_FILTER)
 
 
 def with_robust_test_in_float32(phase: str) -> Wrong:
@@ -184,7 +192,7 @@ def with_tick_numbers_of(bits: int) -> Wrong:
 
 def table_wrong_at(m: int) -> Table:
     """Return the default t-table with the entry for m a thousandth too large, if it stays above the next."""
-    right_table = DEFAULT["table"]
+    right_table = DEFAULT_CONFIG["table"]
     entries = list(right_table.entries)
     entries[m - 2] += entries[m - 2] >> 10
     return Table(right_table.omega_word, tuple(entries))
@@ -587,12 +595,15 @@ WRONG: dict[str, Wrong] = {
         "threshold of 3 messages", "{table.entry(m) => (table.entry(m) & ~7)} * scaled_variance"
     ),
     "tests though it should not": with_setup(
-        "re-estimates without a test", ALWAYS, filter=Filter.ADAPTIVE, table=DEFAULT["table"]
+        "re-estimates without a test",
+        FILTER_WITHOUT_TEST,
+        filter=Filter.ADAPTIVE,
+        table=DEFAULT_CONFIG["table"],
     ),
     "needs two messages without a test": with_firmware(
         "re-estimates without a test",
         "messages_needed = 2 if config.filter == Filter.ADAPTIVE else {1 => 2}",
-        config=ALWAYS,
+        config=FILTER_WITHOUT_TEST,
     ),
     **{
         f"{most} messages in a tick": with_node("a crowded tick", receive_frame=taking_at_most(most))
@@ -615,10 +626,12 @@ WRONG: dict[str, Wrong] = {
     "the batch goes on at a halving": with_firmware(
         "test of a wide spread",
         "{begin_batch(s.robust, s.t, s.n) => pass}",
-        config=VOTES | HALVED | {"b_hat": B_HAT, "filter_period": 50},
+        config=ROBUST_FILTER | HALVED | {"b_hat": B_HAT, "filter_period": 50},
     ),
     "spread without a ceiling in the test": with_firmware(
-        "estimates far apart", "{q24_from_q30(SPREAD_MAX) => 1 << 24}", config=VOTES | {"b_hat": B_HAT}
+        "estimates far apart",
+        "{q24_from_q30(SPREAD_MAX) => 1 << 24}",
+        config=ROBUST_FILTER | {"b_hat": B_HAT},
     ),
     "robust test in float32": with_robust_test_in_float32("first estimates"),
     "t of 14 bits in the test": with_robust_firmware(

@@ -40,7 +40,7 @@ from mcp_asdf_tools.swarm.fault_injection.parsing import parse_fault
 from mcp_asdf_tools.tables.table_files import check_file, format_c_source, format_json
 from mcp_asdf_tools.world.graph import parse_graph
 from support import draws
-from wire import record
+from wire import setup_of_robot
 
 OMEGA, NEIGHBOURS = Decimal("0.05"), 4
 """What the valid table is for."""
@@ -68,7 +68,7 @@ class Parser(NamedTuple):
 
 def valid_events() -> bytes:
     """Return a file of events with a line of each kind, without compression."""
-    robots = (record(0, "native", b_hat=0.95), record(7, "mirror"))
+    robots = (setup_of_robot(0, "native", b_hat=0.95), setup_of_robot(7, "mirror"))
     header = EventsHeader(robots, seed=5, frames=FrameFormat(subject=17, priority=2), parameters={"a": 1})
     line_of_robot_0 = "[0,1,[7,5000,2147483649],3]\n"
     line_of_frame = '"186BB92A#0000603333F307E5"\n'

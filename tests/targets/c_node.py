@@ -22,7 +22,7 @@ from mcp_asdf_tools.robots.lockstep import Lockstep
 from mcp_asdf_tools.robots.node import RobotNode, Subjects
 from mcp_asdf_tools.tables.thresholds import generate, parse_omega
 from support import PATIENCE, ROOT, made_once, require, run
-from wire import record
+from wire import setup_of_robot
 
 NODES = "MCP_ASDF_NODES"
 """Environment variable: a folder with builds of the node, by name."""
@@ -180,7 +180,7 @@ def python_node(
 ) -> RobotNode:
     """Return the Python node with the same options. Its firmware is the mirror."""
     usual = {"table": TABLE, "filter": Filter.ADAPTIVE, "filter_period": DEFAULT_FILTER_PERIOD}
-    start = replace(record(robot_id, "mirror", b_hat, **(usual | config)), allow=allow)
+    start = replace(setup_of_robot(robot_id, "mirror", b_hat, **(usual | config)), allow=allow)
     return RobotNode(start, subjects, steps_per_second)
 
 

@@ -32,7 +32,7 @@ from messages import IdentifierAndData, identifier_and_data
 from multicast import multicast
 from robots import ALPHA_ONE
 from support import PATIENCE, wait_until
-from wire import meanwhile, node_in_a_thread
+from wire import node_in_a_thread, running_in_thread
 
 ESTIMATE_OF_ROBOT_8 = Estimate(sender=8, x_hat=1, alpha=ALPHA_ONE, transfer_id=3)
 """The estimate in the datagram ``packed(sender=8)``."""
@@ -240,7 +240,7 @@ def test_a_signal_ends_a_command_while_the_clock_is_set_back(
         wait_until(lambda: len(seconds_of_waits) > 0)
         os.kill(os.getpid(), signal.SIGTERM)
 
-    with meanwhile(send_signal_once_radio_waits):
+    with running_in_thread(send_signal_once_radio_waits):
         assert radio("--id 5 --robots 3 --channel another") == 0
 
 

@@ -35,7 +35,7 @@ from mcp_asdf_tools.swarm.fault_injection.parsing import parse_fault
 from mcp_asdf_tools.swarm.run import run_swarm
 from mcp_asdf_tools.swarm.settings import SwarmSettings
 from mcp_asdf_tools.swarm.swarm import Swarm
-from wire import Wire, join, radio
+from wire import Wire, join_virtual_bus, radio
 from wrong_robots import ID, surroundings
 
 pytestmark = pytest.mark.usefixtures("private_setup")
@@ -240,7 +240,7 @@ def run_beside_others(request: pytest.FixtureRequest, monkeypatch: pytest.Monkey
     wire = Wire()
     for frame in frames:
         frame.is_rx = True
-        wire._waiting.append(frame)
+        wire.frames_for_tool.append(frame)
     # On a busy machine, too, one of the pauses between ticks is long enough to read all frames.
     run = RadioRun(Neighbourhood(surroundings(steps_per_second=20)), BusLink(wire), ticks=5)
     run.run()
@@ -265,7 +265,7 @@ def test_estimates_on_the_bus_are_counted_as_those_of_the_controller_of_stranger
 def test_error_frames_on_the_bus_are_counted() -> None:
     """A CAN adapter reports disturbances of the bus, say of a loose cable, by such frames."""
     wire = Wire()
-    wire._waiting.extend([can.Message(is_error_frame=True), can.Message(is_error_frame=True)])
+    wire.frames_for_tool.extend([can.Message(is_error_frame=True), can.Message(is_error_frame=True)])
     run = RadioRun(Neighbourhood(surroundings(steps_per_second=20)), BusLink(wire), ticks=1)
 
     run.run()
@@ -346,7 +346,7 @@ class RealTimeRun:
 @pytest.fixture
 def real_time_run(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> RealTimeRun:
     options = "--id 3 --robots 5 --steps 20 --steps-per-second 1000 --fault loss=0.5,receivers=3 --json"
-    with join() as bus:
+    with join_virtual_bus() as bus:
         assert radio(f"{options} --log '{tmp_path}/run.log'") == 0
         frames = receive_waiting_frames(bus)
     report_in_file = (tmp_path / "run.log.json").read_text()

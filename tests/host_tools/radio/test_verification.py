@@ -47,13 +47,19 @@ from mcp_asdf_tools.robots.node import RobotNode
 from mcp_asdf_tools.robots.robot_setup import RobotSetup
 from messages import encoded
 from support import blocks, slow
-from wire import CLOCK, EndlessWire, Wire, node_in_a_thread, radio, still
-from wire import record as setup_of_robot
-from wrong_robots import ALWAYS as FILTER_WITHOUT_TEST
-from wrong_robots import B_HAT, ID, WRONG, Wrong, surroundings, with_node
-from wrong_robots import DEFAULT as DEFAULT_CONFIG
-from wrong_robots import VOTES as ROBUST_FILTER
-from wrong_robots import right as right_setup
+from wire import CLOCK, EndlessWire, Wire, frozen_clock, node_in_a_thread, radio, setup_of_robot
+from wrong_robots import (
+    B_HAT,
+    DEFAULT_CONFIG,
+    FILTER_WITHOUT_TEST,
+    ID,
+    ROBUST_FILTER,
+    WRONG,
+    Wrong,
+    right_setup,
+    surroundings,
+    with_node,
+)
 
 pytestmark = pytest.mark.usefixtures("private_setup")
 
@@ -89,7 +95,7 @@ def verify(
     """Return the verdict on a controller, which is alone or on a wire."""
     wire = controller if isinstance(controller, Wire) else Wire(controller)
     bench_options = BenchOptions(wire, TICKS, timeout=0.05, **options)
-    with still():
+    with frozen_clock():
         return Verification(settings or surroundings(), bench_options, phases).run()
 
 
@@ -151,7 +157,7 @@ def observe_run(name: str, config: dict[str, Any], phases: Sequence[Phase]) -> O
         activities.append(verification.bench.activity)
 
     options = BenchOptions(wire, TICKS, timeout=0.05, progress=progress)
-    with still():
+    with frozen_clock():
         verification = Verification(surroundings(right_setup(**config)), options, phases)
         verification.run()
     return ObservedRun(name, config, controller, wire, verification, settled_ticks, activities)
@@ -782,7 +788,7 @@ class WireWithLateFrame(Wire):
         if frame is None and timeout and is_over and not self._has_sent_late:
             self._has_sent_late = True
             (telemetry,) = self._controller.settle()
-            self.say(self._controller, [telemetry])
+            self.send_from(self._controller, [telemetry])
             frame = super().recv(timeout)
         return frame
 
@@ -930,9 +936,9 @@ def test_a_controller_passes_after_any_number_of_resets(number_of_first_heartbea
     It is not there if the controller had started before the tool was on the bus.
     """
     wire = Wire(right_controller())
-    (first_heartbeat,) = wire.told
-    wire._waiting.clear()
-    wire._waiting.extend([first_heartbeat] * number_of_first_heartbeats)
+    (first_heartbeat,) = wire.frames_of_nodes
+    wire.frames_for_tool.clear()
+    wire.frames_for_tool.extend([first_heartbeat] * number_of_first_heartbeats)
     assert verify(wire, phases=phases_named("nothing seen")).has_passed
 
 

@@ -28,12 +28,12 @@ from mcp_asdf_tools.recording.replay import ReplayVerdict, verify
 from mcp_asdf_tools.robots.robot_setup import RobotSetup
 from mcp_asdf_tools.tables.thresholds import generate
 from messages import FRAMES
-from wire import record as make_robot_setup
+from wire import setup_of_robot
 
 
 def header_of(*robot_ids: int) -> EventsHeader:
     """Return the header of a file with events of some robots, which are set up alike."""
-    robots = [make_robot_setup(robot_id) for robot_id in robot_ids]
+    robots = [setup_of_robot(robot_id) for robot_id in robot_ids]
     return EventsHeader(robots, seed=5, frames=FrameFormat())
 
 
@@ -69,8 +69,8 @@ def test_the_header_of_an_events_file_is_read_as_it_was_written(tmp_path: Path) 
     such as 0.1 + 0.2 and 2**-20 have many digits, and none is lost.
     """
     robots = (
-        make_robot_setup(0, "native", b_hat=0.1 + 0.2),
-        make_robot_setup(7, "mirror", filter=Filter.ALWAYS, comms_period=5, memory=64),
+        setup_of_robot(0, "native", b_hat=0.1 + 0.2),
+        setup_of_robot(7, "mirror", filter=Filter.ALWAYS, comms_period=5, memory=64),
         RobotSetup(127, "reference", 0.95, Config(None, Filter.OFF, filter_period=3)),
         RobotSetup(3, "native", 2.0**-20, Config(generate(Decimal("0.123456789"), 2))),
     )
@@ -206,10 +206,10 @@ def test_robots_with_an_earlier_robust_filter_are_refused_by_their_ids(version: 
     The robots 3, 4 and 7 of the file have the robust filter, and robot 0 has another one.
     """
     robots = [
-        make_robot_setup(0, filter=Filter.ALWAYS),
-        make_robot_setup(3, filter=Filter.ROBUST),
-        make_robot_setup(4, filter=Filter.ROBUST),
-        make_robot_setup(7, filter=Filter.ROBUST),
+        setup_of_robot(0, filter=Filter.ALWAYS),
+        setup_of_robot(3, filter=Filter.ROBUST),
+        setup_of_robot(4, filter=Filter.ROBUST),
+        setup_of_robot(7, filter=Filter.ROBUST),
     ]
     first_line = EventsHeader(robots, seed=5, frames=FrameFormat()).to_line()
     (tmp_path / "x").write_text(first_line.replace('"version": 5', f'"version": {version}'))

@@ -35,9 +35,9 @@ from mcp_asdf_tools.robots.bus_robot import BusRobot
 from mcp_asdf_tools.robots.node import RunOutcome
 from robots import ALPHA_ONE
 from support import ROOT, limited_file_size, names_in, require, run
-from wire import record as make_robot_setup
+from wire import setup_of_robot
 
-HEADER_OF_ROBOT_5 = EventsHeader((make_robot_setup(robot=5),), seed=None, frames=FrameFormat())
+HEADER_OF_ROBOT_5 = EventsHeader((setup_of_robot(robot=5),), seed=None, frames=FrameFormat())
 FIRST_TIME = 1e9
 """Time of the frame with number 0."""
 
@@ -488,7 +488,7 @@ def warnings_of_record_of_16_broadcasts(log: Path) -> list[str]:
     warnings: list[str] = []
     with Recording(log, HEADER_OF_ROBOT_5, warnings.append) as (write_frame, events_writer):
         assert write_frame is not None and events_writer is not None
-        robot = BusRobot(make_robot_setup(robot=5), FrameFormat())
+        robot = BusRobot(setup_of_robot(robot=5), FrameFormat())
         robot.recorder = events_writer.recorders[5]
         for tick in range(16):
             robot.observe(Observation.BLACK)

@@ -25,12 +25,12 @@ from mcp_asdf_tools.robots.bus_robot import BusRobot
 from mcp_asdf_tools.swarm.fault_injection.kinds import FAULT_KINDS
 from robots import ALPHA_ONE
 from support import slow
-from wire import record as make_robot_setup
+from wire import setup_of_robot
 
 pytestmark = pytest.mark.usefixtures("no_bus_is_left")
 
 Capture = pytest.CaptureFixture[str]
-HEADER_OF_ROBOT_5 = EventsHeader([make_robot_setup(robot=5)], seed=None, frames=FrameFormat())
+HEADER_OF_ROBOT_5 = EventsHeader([setup_of_robot(robot=5)], seed=None, frames=FrameFormat())
 
 
 def record_swarm(log: Path, options: str) -> list[can.Message]:
@@ -260,7 +260,7 @@ def broadcast_with_events_beside(log: Path, foreign_frame: can.Message | None = 
         writer.recorders[5].record_observation(Observation.BLACK)
         if foreign_frame is not None:
             writer.recorders[5].record_foreign_frame(foreign_frame)
-    robot = BusRobot(make_robot_setup(robot=5), FrameFormat())
+    robot = BusRobot(setup_of_robot(robot=5), FrameFormat())
     robot.observe(Observation.BLACK)
     return robot.broadcast(0)
 

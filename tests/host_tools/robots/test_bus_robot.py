@@ -32,8 +32,7 @@ from mcp_asdf_tools.robots.suspicion import Suspicion
 from mcp_asdf_tools.tables.thresholds import generate
 from messages import encoded
 from robots import ALPHA_ONE
-from wire import TABLE
-from wire import record as setup_of_robot
+from wire import TABLE, setup_of_robot
 
 ESTIMATE_FORMAT = FrameFormat()
 

@@ -14,7 +14,7 @@ from mcp_asdf.robot import Observation
 from mcp_asdf_tools.cli.main import main
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.robots.calibration import Calibration, calibrate
-from wire import record as setup_of_robot
+from wire import setup_of_robot
 
 ReadingsWithColours = list[tuple[float, bool]]
 """Readings of a sensor, each with whether it was over a black tile."""

@@ -42,8 +42,7 @@ from mcp_asdf_tools.robots.processes import NodeProcesses
 from mcp_asdf_tools.robots.robot_setup import RobotSetup
 from mcp_asdf_tools.tables.thresholds import generate, parse_omega
 from support import wait_until
-from wire import CLOCK, EndlessWire, Wire, node, still
-from wire import record as setup_of_robot
+from wire import CLOCK, EndlessWire, Wire, frozen_clock, make_node, setup_of_robot
 
 COLOURS = (*Observation, None)
 """The possible observations of a tick."""
@@ -100,9 +99,9 @@ class LossyWire(Wire):
         self.read_count += 1
         return super().recv(timeout)
 
-    def say(self, node: RobotNode, frames: Sequence[can.Message]) -> None:
+    def send_from(self, node: RobotNode, frames: Sequence[can.Message]) -> None:
         is_answer_lost = node.sent.telemetry == self._lost_telemetry and any(map(is_telemetry, frames))
-        super().say(node, [] if is_answer_lost else frames)
+        super().send_from(node, [] if is_answer_lost else frames)
 
 
 EIGHT_LOST_COMMANDS = {
@@ -121,7 +120,7 @@ FOUR_ROBOTS = range(4)
 
 
 def make_four_nodes(firmware: str) -> list[RobotNode]:
-    return [node(robot, firmware, 0.55 + 0.1 * robot) for robot in FOUR_ROBOTS]
+    return [make_node(robot, firmware, 0.55 + 0.1 * robot) for robot in FOUR_ROBOTS]
 
 
 @dataclass(frozen=True)
@@ -177,7 +176,7 @@ def numbers_in_frames_of(robot: Robot) -> tuple[int, ...]:
 
 
 @pytest.mark.parametrize("firmware", ["native", "reference"])
-@still()
+@frozen_clock()
 def test_robots_commanded_over_a_bus_compute_what_the_same_robots_do_when_called(firmware: str) -> None:
     """x_hat, alpha, x, b_hat and the number of updates in their frames are equal in each of 60 ticks.
 
@@ -196,7 +195,7 @@ def test_robots_commanded_over_a_bus_compute_what_the_same_robots_do_when_called
     assert any(robot.counters.updates > 0 for robot in called_robots), "no robot has re-estimated b_hat"
 
 
-@still()
+@frozen_clock()
 def test_a_lost_command_is_sent_once_more_to_the_robots_that_have_not_answered() -> None:
     """Each of 4 robots gets two commands in each of 25 ticks. Eight are lost, and are sent once more.
 
@@ -214,7 +213,7 @@ def test_a_lost_command_is_sent_once_more_to_the_robots_that_have_not_answered()
         assert robot.disobeyed == 0, "commands that came in vain"
 
 
-@still()
+@frozen_clock()
 def test_the_transfer_ids_of_commands_count_modulo_32() -> None:
     """The commands to all robots share one count. Each of 4 robots gets two commands in each of 20 ticks."""
     wire = Wire(*make_four_nodes(firmware="native"))
@@ -225,14 +224,14 @@ def test_the_transfer_ids_of_commands_count_modulo_32() -> None:
     assert transfer_ids == [number % 32 for number in range(number_of_commands)]
 
 
-@still()
+@frozen_clock()
 def test_the_driver_reports_all_frames_that_it_sends_and_receives() -> None:
     """``on_frame`` gets them in their order. Received ones are marked (``is_rx``), and sent ones are not."""
     wire = Wire(*make_four_nodes(firmware="native"))
     reported_frames: list[can.Message] = []
     run_four_robots(Lockstep(wire, on_frame=reported_frames.append), ticks=10)
 
-    frames_of_robots, frames_of_driver = wire.told, wire.sent
+    frames_of_robots, frames_of_driver = wire.frames_of_nodes, wire.sent
     assert [frame for frame in reported_frames if frame.is_rx] == frames_of_robots
     assert [frame for frame in reported_frames if not frame.is_rx] == frames_of_driver
 
@@ -248,7 +247,7 @@ def drive_robot_1(lockstep: Lockstep, ticks: int) -> None:
     ("expected_robots", "silent_robots"),
     [({0, 2, 4, 5}, "robot 4, 5"), (set(range(10, 20)), "robot 10, 11, 12, 13, 14, 15, 16, 17, ...")],
 )
-@still()
+@frozen_clock()
 def test_robots_that_send_no_heartbeat_are_named_in_the_error(
     expected_robots: set[int], silent_robots: str
 ) -> None:
@@ -256,16 +255,16 @@ def test_robots_that_send_no_heartbeat_are_named_in_the_error(
 
     The text ``silent_robots`` has the ids of the robots that are waited for in vain.
     """
-    lockstep = Lockstep(Wire(node(0), node(2)))
+    lockstep = Lockstep(Wire(make_node(0), make_node(2)))
     message = re.escape(f"{silent_robots} did not send a heartbeat within 0.01 s on wire")
     with pytest.raises(LockstepError, match=message):
         lockstep.wait_until_up(expected_robots, timeout=0.01)
 
 
-@still()
+@frozen_clock()
 def test_a_robot_that_does_not_broadcast_or_does_not_end_its_tick_is_named_in_the_error() -> None:
     """Robots 0 and 2 do so, and robot 1 is not on the bus. LockstepError names it and the time limit."""
-    lockstep = Lockstep(Wire(node(0), node(2)), timeout=0.02)
+    lockstep = Lockstep(Wire(make_node(0), make_node(2)), timeout=0.02)
     lockstep.observe({0: Observation.WHITE, 1: Observation.WHITE, 2: Observation.WHITE})
     with pytest.raises(LockstepError, match=r"robot 1 did not broadcast its estimate within 0.02 s"):
         lockstep.wait_for_estimates({0, 1, 2})
@@ -273,13 +272,13 @@ def test_a_robot_that_does_not_broadcast_or_does_not_end_its_tick_is_named_in_th
         lockstep.settle({0, 1, 2})
 
 
-@still()
+@frozen_clock()
 def test_an_estimate_that_has_come_while_another_robot_was_waited_for_is_not_lost() -> None:
     """The estimate of robot 0 is on the bus before that of robot 2, for which the driver waits first.
 
     The next call returns the estimate of robot 0.
     """
-    lockstep = Lockstep(Wire(node(0), node(2)), timeout=0.02)
+    lockstep = Lockstep(Wire(make_node(0), make_node(2)), timeout=0.02)
     lockstep.observe({0: Observation.WHITE, 2: Observation.WHITE})
     estimates_waited_for_first = lockstep.wait_for_estimates({2})
     estimates_waited_for_next = lockstep.wait_for_estimates({0})
@@ -287,10 +286,10 @@ def test_an_estimate_that_has_come_while_another_robot_was_waited_for_is_not_los
     assert estimates_waited_for_next.keys() == {0}
 
 
-@still()
+@frozen_clock()
 def test_an_estimate_of_the_last_tick_is_not_taken_for_one_of_this_tick() -> None:
     """The robot broadcasts in the second tick and not in the third, for which LockstepError is raised."""
-    lockstep = Lockstep(Wire(node(1, comms_period=2)), timeout=0.02)
+    lockstep = Lockstep(Wire(make_node(1, comms_period=2)), timeout=0.02)
     drive_robot_1(lockstep, ticks=2)
     lockstep.observe({1: Observation.WHITE})
 
@@ -298,10 +297,10 @@ def test_an_estimate_of_the_last_tick_is_not_taken_for_one_of_this_tick() -> Non
         lockstep.wait_for_estimates({1})
 
 
-@still()
+@frozen_clock()
 def test_a_robot_can_be_driven_by_a_second_driver_without_a_restart() -> None:
     """Each driver counts its ticks from 0. The robot has done all six ticks of both."""
-    robot = node(1)
+    robot = make_node(1)
     first_driver = Lockstep(Wire(robot), timeout=0.02)
     drive_robot_1(first_driver, ticks=3)
     second_driver = Lockstep(Wire(robot), timeout=0.02)
@@ -309,16 +308,16 @@ def test_a_robot_can_be_driven_by_a_second_driver_without_a_restart() -> None:
     assert robot.ticks == 3 + 3
 
 
-@still()
+@frozen_clock()
 def test_a_robot_that_restarts_while_it_is_driven_is_an_error() -> None:
     """It answers ticks 0 to 2 with the transfer_ids 0 to 2. After its restart it answers tick 3 with 0 again.
 
     LockstepError says that 3 would be the next transfer_id.
     """
-    wire = Wire(node(1))
+    wire = Wire(make_node(1))
     lockstep = Lockstep(wire, timeout=0.02)
     drive_robot_1(lockstep, ticks=3)
-    restarted_robot = node(1)
+    restarted_robot = make_node(1)
     wire.nodes = [restarted_robot]
 
     with pytest.raises(LockstepError, match=r"in tick 3 with transfer_id 0, not 3 .*restarted"):
@@ -334,13 +333,13 @@ def stop_waiting() -> None:
 
 
 @pytest.mark.parametrize("kind_of_wire", [Wire, EndlessWire], ids=["quiet bus", "busy bus"])
-@still()
+@frozen_clock()
 def test_the_caller_can_end_the_wait_for_heartbeats_and_for_answers(kind_of_wire: type[Wire]) -> None:
     """The driver calls ``check``, a function of the caller, while it waits. Its error ends the wait.
 
     Robot 2 is not on the bus, and the timeouts are 1e9 s. On a busy bus another node sends without end.
     """
-    lockstep = Lockstep(kind_of_wire(node(1)), timeout=1e9, check=stop_waiting)
+    lockstep = Lockstep(kind_of_wire(make_node(1)), timeout=1e9, check=stop_waiting)
     with pytest.raises(StopWaitingError):
         lockstep.wait_until_up({2}, timeout=1e9)
 
@@ -349,13 +348,13 @@ def test_the_caller_can_end_the_wait_for_heartbeats_and_for_answers(kind_of_wire
         lockstep.settle({2})
 
 
-@still()
+@frozen_clock()
 def test_a_wait_ends_after_twice_the_time_on_a_bus_that_is_never_quiet() -> None:
     """The time limit is 1 s, and the error comes after 2 s. Another node sends every 0.01 s without end.
 
     A limit of its own for such a bus lets the driver read a long queue of frames, and yet ends the wait.
     """
-    endless_wire = EndlessWire(node(1))
+    endless_wire = EndlessWire(make_node(1))
     start = CLOCK.now
     with pytest.raises(LockstepError, match="robot 3 did not send a heartbeat within 1 s"):
         Lockstep(endless_wire).wait_until_up({3}, timeout=1.0)
@@ -370,9 +369,9 @@ def is_for_robot_2_in_tick_7(command: Command, action: str) -> bool:
 def wire_that_loses_commands_to_robot_2_in_tick_7(action: str) -> LossyWire:
     """Return a wire to three robots that loses commands with this action each time they are sent."""
     return LossyWire(
-        node(1),
-        node(2),
-        node(3),
+        make_node(1),
+        make_node(2),
+        make_node(3),
         is_lost=lambda command, times_sent: is_for_robot_2_in_tick_7(command, action),
     )
 
@@ -393,7 +392,7 @@ def drive_robots_1_to_3(wire: Wire) -> None:
         ("SETTLE", "robot 2 did not settle within"),
     ],
 )
-@still()
+@frozen_clock()
 def test_a_command_that_is_lost_is_sent_twice_before_the_robot_is_named_in_the_error(
     lost_action: str, expected_message: str
 ) -> None:
@@ -410,7 +409,7 @@ def test_a_command_that_is_lost_is_sent_twice_before_the_robot_is_named_in_the_e
     assert len(lost_frames) == 2
 
 
-@still()
+@frozen_clock()
 def test_the_driver_waits_for_an_answer_instead_of_reading_again_and_again() -> None:
     """Robot 2 does not answer in tick 7. The driver waits 0.02 s for it, its time limit.
 
@@ -426,14 +425,14 @@ def test_the_driver_waits_for_an_answer_instead_of_reading_again_and_again() -> 
     assert 0.02 <= CLOCK.now - start < 0.021
 
 
-@still()
+@frozen_clock()
 def test_an_answer_that_is_lost_is_an_error_and_does_not_make_a_robot_settle_twice() -> None:
     """A robot answers a command to end a tick with telemetry. The eighth telemetry of each is lost.
 
     They get the command to end tick 7 once more, and neither obey it nor answer it again. LockstepError names
     all three.
     """
-    wire = LossyWire(node(1), node(2), node(3), lost_telemetry=8)
+    wire = LossyWire(make_node(1), make_node(2), make_node(3), lost_telemetry=8)
 
     with pytest.raises(LockstepError, match="robot 1, 2, 3 did not settle within"):
         drive_robots_1_to_3(wire)
@@ -444,14 +443,14 @@ def test_an_answer_that_is_lost_is_an_error_and_does_not_make_a_robot_settle_twi
         assert robot.disobeyed == 1, "the repeated command"
 
 
-@still()
+@frozen_clock()
 def test_a_robot_ends_a_tick_that_was_left_open_when_it_observes_again() -> None:
     """The robot gets no command to end tick 0, nor one to end tick 1, which is followed by tick 8.
 
     ``skip_settle`` lets the driver go on by a number of ticks without such a command. The robot broadcasts an
     estimate in every second tick that it takes part in, which is tick 1.
     """
-    robot = node(1, comms_period=2)
+    robot = make_node(1, comms_period=2)
     wire = Wire(robot)
     lockstep = Lockstep(wire)
 

@@ -27,8 +27,7 @@ from mcp_asdf_tools.robots.lockstep import Lockstep
 from mcp_asdf_tools.robots.node import BusLink, RobotNode, RunOutcome, filters_for, run_node, send_all
 from mcp_asdf_tools.robots.suspicion import MEANINGS, AlphaWatch, Suspicion
 from support import PATIENCE, ROOT, interruptible
-from wire import join, meanwhile, node
-from wire import record as setup_of_robot
+from wire import join_virtual_bus, make_node, running_in_thread, setup_of_robot
 
 pytestmark = pytest.mark.usefixtures("private_setup")
 
@@ -258,7 +257,7 @@ def test_a_bus_that_fails_ends_the_run_of_a_node() -> None:
     100 is the code that Linux has for a bus that is down.
     """
     bus = bus_that_receives(can.CanOperationError("no luck", error_code=100))
-    outcome = run_node(node(5), BusLink(bus))
+    outcome = run_node(make_node(5), BusLink(bus))
     assert outcome == RunOutcome("the bus failed: no luck [Error Code 100]", has_failed=True)
 
 
@@ -304,8 +303,8 @@ def drive_robot_5(model: RobotNode, bus: can.BusABC) -> None:
 
 def run_robot_5(*options: str, command: Sequence[str] = ROBOT_5.split()) -> RobotNode:
     """Run the command of robot 5 while it is driven for 40 ticks, and return its model."""
-    model = node(5, "mirror", 0.7, comms_period=2)
-    with join() as bus, meanwhile(lambda: drive_robot_5(model, bus)):
+    model = make_node(5, "mirror", 0.7, comms_period=2)
+    with join_virtual_bus() as bus, running_in_thread(lambda: drive_robot_5(model, bus)):
         assert main([*command, *options]) == 0
     return model
 
@@ -476,7 +475,7 @@ def send_suspicious_estimates(bus: can.BusABC) -> None:
 
 def run_among_suspicious_neighbours(capsys: pytest.CaptureFixture[str]) -> tuple[dict[str, Any], str]:
     """Run robot 5, which allows ids 6 to 9, among them, and return its report and what it warned of."""
-    with join() as bus, meanwhile(lambda: send_suspicious_estimates(bus)):
+    with join_virtual_bus() as bus, running_in_thread(lambda: send_suspicious_estimates(bus)):
         assert main(["node", "--id=5", "--allow=6-9", "--filter=none", "--steps=1", "--json"]) == 0
     output = capsys.readouterr()
     return json.loads(output.out), output.err
@@ -540,7 +539,7 @@ def run_robot_3_until_it_is_asked_to_end(arguments: list[str], ending_signal: si
 
     with os.fdopen(read_end) as stdin, pytest.MonkeyPatch.context() as patch:
         patch.setattr("sys.stdin", stdin)
-        with join() as bus, meanwhile(lambda: end_after_a_tick(bus)):
+        with join_virtual_bus() as bus, running_in_thread(lambda: end_after_a_tick(bus)):
             return main(["node", "--id", "3", *arguments])
 
 

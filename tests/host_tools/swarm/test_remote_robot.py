@@ -38,8 +38,7 @@ from mcp_asdf_tools.swarm.settings import SwarmSettings
 from mcp_asdf_tools.swarm.swarm import Swarm
 from multicast import multicast
 from support import slow
-from wire import meanwhile
-from wire import record as robot_setup
+from wire import running_in_thread, setup_of_robot
 
 pytestmark = pytest.mark.usefixtures("no_bus_is_left")
 
@@ -72,7 +71,7 @@ def wiring_with_remote_robots(*remote_robots: int) -> Wiring:
 def remote_robot_in_a_thread(node: RobotNode, bus: can.BusABC) -> Iterator[None]:
     """Run a robot that knows nothing but its bus, as one in another program, until the block ends."""
     is_over = threading.Event()
-    with meanwhile(lambda: run_node(node, BusLink(bus, is_over.is_set))):
+    with running_in_thread(lambda: run_node(node, BusLink(bus, is_over.is_set))):
         try:
             yield
         finally:
@@ -388,7 +387,7 @@ def test_an_error_frame_is_counted_and_is_no_frame_of_a_robot() -> None:
     So the program that drives the remote robot 8 keeps no frame for the next tick, and the robot counts the
     error.
     """
-    robot_8 = remote_robot.remote_robot(robot_setup(8), FrameFormat())
+    robot_8 = remote_robot.remote_robot(setup_of_robot(8), FrameFormat())
     driver = remote_robot.Driver(Mock(), [robot_8], FrameFormat())
     # A bus has no error frames unless its hardware reports some, so one is handed to the driver.
     driver._handle_frame(can.Message(arbitration_id=8, is_error_frame=True))

@@ -12,7 +12,7 @@ from mcp_asdf_tools.bus.frame_layout import Health, Mode, Rejection
 from mcp_asdf_tools.bus.frames import Estimate, FrameFormat, Heartbeat, Telemetry, encode_estimate
 from mcp_asdf_tools.robots.suspicion import Suspicion
 from mcp_asdf_tools.view.roster import Roster
-from wire import node as make_node
+from wire import make_node
 
 FRAME = can.Message()
 """Any frame: of a frame that is not rejected, a roster takes the content alone."""
