@@ -89,20 +89,36 @@ def dispersion_bounds(
     old_dispersion, share = observations.dispersion, observations.share
     if batch_count == 0 or share == 0:
         return old_dispersion, old_dispersion
-    # The ratio of a batch is the square of its deviation, divided by its variance. A larger one than this
-    # limit counts as the limit.
-    ratio_limit = REJECTED_SIGMAS_SQUARED * old_dispersion
+    ratio_limit = REJECTED_SIGMAS_SQUARED * old_dispersion  # a batch of a larger ratio counts with this one
     # The share of black is a quotient, and may be too small.
-    share_bounds = (max(share * (1 - Q30) - Q32, Fraction(0)), share)
+    smallest_share = max(share * (1 - Q30) - Q32, Fraction(0))
+    smallest_ratio, largest_ratio = _ratio_bounds(
+        (smallest_share, share), batch_black_count, batch_count, ratio_limit
+    )
+    smallest_dispersion = _rounded_dispersion(old_dispersion, smallest_ratio)
+    largest_dispersion = _rounded_dispersion(old_dispersion, largest_ratio)
+    return smallest_dispersion, largest_dispersion
+
+
+def _ratio_bounds(
+    share_bounds: Bounds, batch_black_count: int, batch_count: int, ratio_limit: Fraction
+) -> Bounds:
+    """Return the bounds of a batch's ratio: the square of its deviation, divided by its variance.
+
+    The deviation is that of its number of black observations from the expected one, and the variance that of
+    independent observations. Both depend on the share of black, which is within ``share_bounds``. A ratio
+    above ``ratio_limit`` counts as the limit. If by rounding the firmware may find a variance of 0, the
+    bounds are 0 and the limit.
+    """
     smallest_variance, largest_variance = _variance_bounds(share_bounds, batch_count)
     smallest_deviation, largest_deviation = _deviation_bounds(share_bounds, batch_black_count, batch_count)
     # The firmware also limits the square of the deviation, to that with the largest ratio.
     smallest_square_limit = round_down(ratio_limit * smallest_variance, Q22)
     largest_square_limit = ratio_limit * largest_variance
     if smallest_square_limit <= 0:
-        # By rounding the firmware may find a variance of 0, and keep the dispersion. Or it finds one that is
-        # near to 0, so that the ratio may have any size up to its limit.
-        return _average_bounds(old_dispersion, Fraction(0), ratio_limit)
+        # The firmware finds a variance of 0, and keeps the dispersion. Or it finds one that is near to 0, so
+        # that the ratio may have any size up to its limit.
+        return Fraction(0), ratio_limit
     # It divides the square of the deviation by its limit, and multiplies the ratio's limit by this quotient,
     # which may be too small as well.
     smallest_quotient = smallest_deviation**2 / largest_square_limit * (1 - Q30) - Q32
@@ -110,7 +126,7 @@ def dispersion_bounds(
     # A square above its limit counts as the limit: the quotient is 1, or hardly less in the firmware.
     smallest_ratio = ratio_limit * min(max(smallest_quotient, Fraction(0)), 1 - Q30 - Q32)
     largest_ratio = ratio_limit * min(largest_quotient, Fraction(1))
-    return _average_bounds(old_dispersion, smallest_ratio, largest_ratio)
+    return smallest_ratio, largest_ratio
 
 
 def _variance_bounds(share_bounds: Bounds, batch_count: int) -> Bounds:
@@ -146,19 +162,8 @@ def _deviation_bounds(share_bounds: Bounds, batch_black_count: int, batch_count:
     return round_down(smallest_distance, Q11), max(distances)
 
 
-def _average_bounds(old_dispersion: Fraction, smallest_ratio: Fraction, largest_ratio: Fraction) -> Bounds:
-    """Return the bounds of the dispersion after a batch of observations whose ratio is between these two.
-
-    A batch's ratio is the square of the deviation of its number of black observations, divided by the
-    variance of independent ones.
-    """
-    smallest = _rounded_dispersion(old_dispersion, smallest_ratio)
-    largest = _rounded_dispersion(old_dispersion, largest_ratio)
-    return smallest, largest
-
-
 def _rounded_dispersion(old_dispersion: Fraction, ratio: Fraction) -> Fraction:
-    """Return the dispersion that the firmware has after a batch of this ratio (see `_average_bounds`).
+    """Return the dispersion that the firmware has after a batch of this ratio (`_ratio_bounds`).
 
     The dispersion is a moving average of ratios, in which the one before the batch has a weight of 7/8. The
     firmware rounds ratio and average down to multiples of 2**-8, and limits the average to DISPERSION_MIN ..

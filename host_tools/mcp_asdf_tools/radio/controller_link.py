@@ -115,7 +115,7 @@ class ControllerLink:
         self.config = self.setup.config
         self.model_robot = RightModel(self.config, self.setup.id, self.setup.b_hat)
         self.mistaken_models = MistakenModels.beside(self.model_robot, self.setup)
-        self.model_robot.mistaken_models = self.mistaken_models
+        self.model_robot.mistaken_models = self.mistaken_models  # which it calls as it is called itself
         self.model_node = RobotNode(
             self.setup,
             settings.subjects,
@@ -176,6 +176,7 @@ class ControllerLink:
         Raises ``can.CanError`` if the bus takes no frame for 2 seconds, or fails.
         """
         send_all(self.options.bus, frames, _SEND_TIMEOUT)
+        # The bus does not return them; here they are handled as frames that were sent.
         for frame in frames:
             self._handle_frame(frame)
 
