@@ -67,7 +67,7 @@ def run(args: argparse.Namespace) -> int:
         write_tables,
     )
     from mcp_asdf_tools.experiments.result_tables import read_metadata
-    from mcp_asdf_tools.experiments.scores import PAPERS
+    from mcp_asdf_tools.experiments.scores import PAPER_LIMITS
 
     # Path and options are checked before the trials are read, which may take long.
     options.check_results_path(args.output)
@@ -79,7 +79,7 @@ def run(args: argparse.Namespace) -> int:
         tables = _read_tables(files, args.record, report_progress)
         # A row group for each trial would make the time to read them grow with the square of their number.
         write_tables(args.output, collect_rows(tables, min_bytes=ROW_GROUP_BYTES))
-    rows = summarize(stream_experiments(args.output), PAPERS)
+    rows = summarize(stream_experiments(args.output), PAPER_LIMITS)
     if args.json:
         metadata = read_metadata(read_table(args.output, ["trial"]))
         print(json_report({**metadata, "output": str(args.output), "experiments": rows}))

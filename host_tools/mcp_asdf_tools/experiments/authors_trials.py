@@ -40,7 +40,7 @@ _COLUMNS = ("n", "t", "x_hat", "alpha", "x_bar", "beta", "x", "b_hat", "b_hat on
 _SHARES = ("x_hat", "x_bar", "x", "b_hat")
 _CONFIDENCES = ("alpha", "beta")
 
-_KEYS = {
+_KEY_BY_PARAMETER = {
     "robots": "num_robots",
     "flawed": "num_flawed_robots",
     "steps": "num_steps",
@@ -52,7 +52,7 @@ _KEYS = {
     "filter_period": "sensor_filter_period",
 }
 """Their keys of the parameters that all their files have, by our names."""
-_KEYS_OF_MOVING_ROBOTS = {
+_MOVING_KEY_BY_PARAMETER = {
     "observation_period": "meas_period",
     "radio_range": "comms_range",
     "density": "density",
@@ -224,9 +224,9 @@ def _experiment_of(file: _TrialFile) -> Experiment:
     experiment here has.
     """
     has_moving_robots = _has_moving_robots(file)
-    keys = dict(_KEYS)
+    keys = dict(_KEY_BY_PARAMETER)
     if has_moving_robots:
-        keys |= _KEYS_OF_MOVING_ROBOTS
+        keys |= _MOVING_KEY_BY_PARAMETER
     parameters: dict[str, Any] = {"firmware": "reference", "conventions": "authors", "seed": 0}
     for name, key in keys.items():
         read_number = file.whole_number if name in _WHOLE_PARAMETERS else file.number

@@ -23,13 +23,13 @@ from mcp_asdf_tools.experiments.plot_panels import (
     median_intervals,
 )
 from mcp_asdf_tools.experiments.results import Trials
-from mcp_asdf_tools.experiments.scores import PAPERS, Limits
+from mcp_asdf_tools.experiments.scores import PAPER_LIMITS, Limits
 from mcp_asdf_tools.robots.filters import FILTERS
 
 
 def plot_errors_over_time(
     panels: Mapping[str, Sequence[Trials]],
-    limits: Limits = PAPERS,
+    limits: Limits = PAPER_LIMITS,
     series_name: SeriesName | None = None,
 ) -> Figure:
     """Plot the mean error |x - f| of a swarm over time: a panel for each title, in it a line for each filter.

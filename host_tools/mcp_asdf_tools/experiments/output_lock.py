@@ -9,7 +9,7 @@ import errno
 import os
 from pathlib import Path
 
-_LOCKED_FILES: dict[Path, int] = {}
+_DESCRIPTOR_OF_LOCKED_FILE: dict[Path, int] = {}
 """File descriptors of the lock files that this process has locked. They stay open, since a process loses its
 lock when it closes any of its descriptors of the file."""
 _MAX_ID_LENGTH = 20
@@ -27,7 +27,7 @@ def lock_file(path: Path) -> str | None:
         import fcntl  # noqa: PLC0415
     except ImportError:  # Windows
         return None
-    while path not in _LOCKED_FILES:
+    while path not in _DESCRIPTOR_OF_LOCKED_FILE:
         descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
         try:
             fcntl.lockf(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -41,7 +41,7 @@ def lock_file(path: Path) -> str | None:
             # A process that was killed leaves its file, whose id may be longer.
             os.ftruncate(descriptor, 0)
             os.write(descriptor, str(os.getpid()).encode())
-            _LOCKED_FILES[path] = descriptor
+            _DESCRIPTOR_OF_LOCKED_FILE[path] = descriptor
         else:
             # Between opening and locking, the process that had the lock removed the file: try again with the
             # file that is there now, which others try to lock, too.
@@ -56,7 +56,7 @@ def _is_still_at(path: Path, descriptor: int) -> bool:
 
 def unlock_file(path: Path) -> None:
     """Remove a lock file and release its lock, if this process has it."""
-    if path in _LOCKED_FILES:
+    if path in _DESCRIPTOR_OF_LOCKED_FILE:
         # Removed first: once the lock is released, another process may have locked the file.
         path.unlink(missing_ok=True)
-        os.close(_LOCKED_FILES.pop(path))
+        os.close(_DESCRIPTOR_OF_LOCKED_FILE.pop(path))

@@ -16,7 +16,7 @@ from mcp_asdf_tools.common.errors import UsageError, did_you_mean
 from mcp_asdf_tools.common.files import write_atomically
 from mcp_asdf_tools.common.parameters import parameters_of
 from mcp_asdf_tools.experiments.experiment import Experiment
-from mcp_asdf_tools.experiments.scores import PAPERS, SCORES, Limits, score
+from mcp_asdf_tools.experiments.scores import PAPER_LIMITS, SCORES, Limits, score
 
 QUANTITIES = ("t", "n", "x_hat", "alpha", "x_bar", "beta", "x", "b_hat")
 """Recorded values of a robot, named as the attributes of ``Robot``."""
@@ -73,11 +73,11 @@ class Trials:
             raise UsageError(f"there is no trial {number}; choose one of {existing_numbers}")
         return self.numbers.index(number)
 
-    def scores(self, limits: Limits = PAPERS) -> dict[str, NDArray[np.float64]]:
+    def scores(self, limits: Limits = PAPER_LIMITS) -> dict[str, NDArray[np.float64]]:
         """Return the scores H, h_K and h_e of each trial by the score's name, relative to ``limits``."""
         return score(self.convergence_steps, self.errors, *limits.of(self.experiment))
 
-    def measures(self, limits: Limits = PAPERS) -> dict[str, NDArray[np.float64 | np.signedinteger]]:
+    def measures(self, limits: Limits = PAPER_LIMITS) -> dict[str, NDArray[np.float64 | np.signedinteger]]:
         """Return a value for each trial, by name.
 
         The names are those of the scores, "K" and "e" for the means of convergence steps and errors over the
@@ -172,7 +172,7 @@ def _is_same_value(parameter_value: object, requested_value: Any) -> bool:
         return False
 
 
-def write_csv(path: Path, experiments: Iterable[Trials], limits: Limits = PAPERS) -> None:
+def write_csv(path: Path, experiments: Iterable[Trials], limits: Limits = PAPER_LIMITS) -> None:
     """Write a CSV file with a header and a line for each trial.
 
     A line has the parameters and the trial's number; its scores H, h_K and h_e with these ``limits``; over
@@ -182,25 +182,25 @@ def write_csv(path: Path, experiments: Iterable[Trials], limits: Limits = PAPERS
     """
     csv_text = io.StringIO()
     writer = csv.writer(csv_text, lineterminator="\n")
-    writer.writerow([*PARAMETER_NAMES, "trial", *_CSV_RESULTS])
+    writer.writerow([*PARAMETER_NAMES, "trial", *_CSV_RESULT_COLUMNS])
     for trials in experiments:
         # A line repeats its experiment's parameters, so that it can be read alone.
         parameters = list(trials.experiment.parameters().values())
         results = _csv_results(trials, limits)
         for index, number in enumerate(trials.numbers):
-            values = [f"{results[name][index]:.10g}" for name in _CSV_RESULTS]
+            values = [f"{results[name][index]:.10g}" for name in _CSV_RESULT_COLUMNS]
             writer.writerow([*parameters, number, *values])
     write_atomically(path, csv_text.getvalue())
 
 
-_CSV_RESULTS = (*SCORES, "mean_K", "mean_e", "mean_b_hat", "tests", "updates", "K_max", "e_max")
+_CSV_RESULT_COLUMNS = (*SCORES, "mean_K", "mean_e", "mean_b_hat", "tests", "updates", "K_max", "e_max")
 """Columns of a CSV file behind the parameters and the number of the trial."""
 
 
 def _csv_results(trials: Trials, limits: Limits) -> dict[str, NDArray[Any]]:
     """Return the results of trials for a CSV file, a value for each trial, by the name of the column.
 
-    Besides the columns of _CSV_RESULTS there are measures that the file does not have.
+    Besides the columns of _CSV_RESULT_COLUMNS there are measures that the file does not have.
     """
     k_max, e_max = limits.of(trials.experiment)
     trial_count = len(trials.numbers)

@@ -91,7 +91,7 @@ class Limits:
         return k_max, self.e_max
 
 
-PAPERS = Limits()
+PAPER_LIMITS = Limits()
 """The limits of the paper's figures."""
 
 SCORES = ("H", "h_K", "h_e")

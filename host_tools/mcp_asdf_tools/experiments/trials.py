@@ -139,7 +139,7 @@ def _records_in_paper_units(experiment: Experiment, raw_records: NDArray[Any]) -
 
     Args:
         experiment: The experiment, for the initial b_hat of each robot.
-        raw_records: Records in the engine's dtype RECORD, shape (trials, samples, N).
+        raw_records: Records in the engine's dtype RECORD_DTYPE, shape (trials, samples, N).
 
     Returns:
         Values by the name of each quantity, shape (trials, samples + 1, N).

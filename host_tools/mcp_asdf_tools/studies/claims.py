@@ -37,15 +37,15 @@ from mcp_asdf_tools.studies.verdicts import (
     verdict_of,
 )
 
-_FILE = tomllib.loads(Path(__file__).with_name("claims.toml").read_text(encoding="utf-8"))
+_CLAIMS_FILE = tomllib.loads(Path(__file__).with_name("claims.toml").read_text(encoding="utf-8"))
 
-SIZES: Mapping[str, float] = _FILE["sizes"]
+SIZES: Mapping[str, float] = _CLAIMS_FILE["sizes"]
 """Smallest difference that counts, in points of a score, by the paper's word, such as "much"."""
 
-LEVELS: Mapping[str, float] = _FILE["levels"]
+LEVELS: Mapping[str, float] = _CLAIMS_FILE["levels"]
 """Levels of a score from 0 to 100, by the paper's word, such as "excellent"."""
 
-QUESTIONS: Mapping[str, str] = _FILE["questions"]
+QUESTIONS: Mapping[str, str] = _CLAIMS_FILE["questions"]
 """Questions of a user, by the name of the claim that answers each."""
 
 STRONG_WORDS = ("much", "overwhelming")
@@ -147,7 +147,7 @@ class Contrast:
             percent_index = FLAWED_PERCENTS.index(cell.flawed_percent)
             return [replace(cell, flawed_percent=FLAWED_PERCENTS[percent_index - 1])]
         if isinstance(self.than, str):
-            named_changes = _FILE["than"]
+            named_changes = _CLAIMS_FILE["than"]
             changes = dict(named_changes[self.than])
         else:
             changes = dict(self.than)
@@ -188,7 +188,7 @@ def _fill_ratios_and_accuracies(
     """
     pairs: list[tuple[float, float]] = []
     for panel_name in _as_list(panels):
-        panel = _FILE["panels"][panel_name]
+        panel = _CLAIMS_FILE["panels"][panel_name]
         if isinstance(panel, dict):
             pairs += panel[study_part.value]
         else:
@@ -341,7 +341,7 @@ def _claim_from(name: str, row: Mapping[str, Any]) -> Claim:
     )
 
 
-CLAIMS = tuple(_claim_from(name, row) for name, row in _FILE["claims"].items())
+CLAIMS = tuple(_claim_from(name, row) for name, row in _CLAIMS_FILE["claims"].items())
 """All claims, in the order in which they stand in the paper."""
 
 

@@ -73,13 +73,13 @@ def _alpha(black_share: float, b_hat: float) -> float:
     return local_confidence(round(black_share * OBSERVATIONS), OBSERVATIONS, b_hat)
 
 
-def _equal_to_printed_digits(row: str, name: str, value: float, printed: float) -> Comparison:
+def _compare_with_printed_digits(row: str, name: str, value: float, printed: float) -> Comparison:
     """Compare a value with the three digits that the paper prints of it."""
     column = f"{name} less {printed:.3f}"
     return exact_comparison(row, column, _rounded(value - printed), Expectation.SAME, HALF_A_PRINTED_DIGIT)
 
 
-def _above_zero(row: str, column: str, value: float) -> Comparison:
+def _compare_with_zero(row: str, column: str, value: float) -> Comparison:
     """Compare a value with 0: the claim is that it is larger."""
     return exact_comparison(row, column, _rounded(value), Expectation.ABOVE, ROUNDING)
 
@@ -92,7 +92,7 @@ def _rounded(value: float) -> float:
 def table_of_observations() -> list[Comparison]:
     """Compare n/t of each panel, by equation 1, with the digits that the paper's Table I has."""
     return [
-        _equal_to_printed_digits(
+        _compare_with_printed_digits(
             f"f {panel.f:g}, b {panel.b:g}", "p(z = 1)", panel.exact_black_share, panel.black_share
         )
         for panel in TABLE_1
@@ -102,7 +102,7 @@ def table_of_observations() -> list[Comparison]:
 def table_of_local_estimates() -> list[Comparison]:
     """Compare x_hat of each panel and b_hat, by equation 3, with the digits that Table I has."""
     return [
-        _equal_to_printed_digits(
+        _compare_with_printed_digits(
             f"f {panel.f:g}, b {panel.b:g}, b_hat {b_hat:g}",
             "x_hat",
             _x_hat(panel.exact_black_share, b_hat),
@@ -121,7 +121,7 @@ def confidence_increases_with_b_hat() -> list[Comparison]:
         alphas = [_alpha(black_share, b_hat) for b_hat in np.linspace(0.505, 0.995, 99)]
         smallest_ratio = min(higher / lower for lower, higher in pairwise(alphas))
         column = "least ratio of alpha to that of a b_hat 0.005 lower, less 1"
-        comparisons.append(_above_zero(f"n/t {black_share:g}", column, smallest_ratio - 1))
+        comparisons.append(_compare_with_zero(f"n/t {black_share:g}", column, smallest_ratio - 1))
     return comparisons
 
 
@@ -143,7 +143,7 @@ def _compare_alpha_ratios(b_hat_pairs: Iterable[tuple[float, float]], claimed_ra
     each pair and each n/t, the share of black readings.
     """
     return [
-        _above_zero(
+        _compare_with_zero(
             f"n/t {black_share:g}",
             f"alpha of b_hat {high:g} over that of {low:g}, less {claimed_ratio}",
             _alpha(black_share, high) / _alpha(black_share, low) - claimed_ratio,
@@ -161,7 +161,7 @@ def low_b_hat_is_volatile() -> list[Comparison]:
     change_of_low = _x_hat(0.515, b_hat=0.55) - _x_hat(0.505, b_hat=0.55)
     change_of_high = _x_hat(0.515, b_hat=0.95) - _x_hat(0.505, b_hat=0.95)
     column = "change of x_hat: b_hat 0.55 less b_hat 0.95"
-    return [_above_zero("n/t 0.505 to 0.515", column, change_of_low - change_of_high)]
+    return [_compare_with_zero("n/t 0.505 to 0.515", column, change_of_low - change_of_high)]
 
 
 def physical_density() -> list[Comparison]:

@@ -17,7 +17,7 @@ from mcp_asdf_tools.world.arena import Arena, allocate_memory, make_config
 from mcp_asdf_tools.world.graph import Graph
 from mcp_asdf_tools.world.sensors import black_probabilities, make_sensor_model
 
-RECORD = np.dtype(
+RECORD_DTYPE = np.dtype(
     [("beta", "u8"), *((name, "u4") for name in ("t", "n", "x_hat", "alpha", "x_bar", "x", "b_hat"))],
     align=True,
 )
@@ -37,7 +37,7 @@ class EngineTrials:
         x: Informed estimates of steps 0 .. T, shape (trials, 1 or N, T + 1): 1 if the robots of a trial
             always have the same x.
         b_hat: Assumed accuracies after each filter step, shape (trials, T // filter_period, N).
-        records: Values of every robot once per ``sampling_interval`` steps, of dtype RECORD, shape
+        records: Values of every robot once per ``sampling_interval`` steps, of dtype RECORD_DTYPE, shape
             (trials, T // sampling_interval, N).
     """
 
@@ -84,7 +84,7 @@ class EngineTrials:
         self.robots = ffi.new("mcp_asdf_t[]", trials * robots)
         self.b_hat = np.empty((trials, steps // experiment.filter_period, robots), np.uint32)
         samples = steps // sampling_interval if sampling_interval else 0
-        self.records = np.empty((trials, samples, robots), RECORD)
+        self.records = np.empty((trials, samples, robots), RECORD_DTYPE)
 
     def _make_configs(self, experiment: Experiment) -> Any:
         """Return the C array of pointers to each robot's config; robots with equal ones share it."""

@@ -33,12 +33,12 @@ from mcp_asdf_tools.experiments.plot_panels import (
     legend_handle,
 )
 from mcp_asdf_tools.experiments.results import HARM_LIMIT, Trials
-from mcp_asdf_tools.experiments.scores import PAPERS
+from mcp_asdf_tools.experiments.scores import PAPER_LIMITS
 
 _MEDIAN_AND_BAND_PERCENTILES = (50, 5, 95)
 """Percentiles of the line, the lower and the upper edge of a band."""
 
-_MARKS = "lines are medians over robots and trials, bands the middle 90 %"
+_MEANING_OF_MARKS = "lines are medians over robots and trials, bands the middle 90 %"
 
 _TITLE_WIDTH = 56
 """Characters in a line of a title. Those of formulas, which are drawn shorter, count in full."""
@@ -67,7 +67,7 @@ def plot_bands(results: Results, *, where: Mapping[str, Any] | None = None) -> F
         legend_handle(label, colour, marker="", line="-")
         for label, colour in (("flawed", FLAWED), ("healthy", OTHER), ("true", INK))
     ]
-    caption = make_caption(experiments, _MARKS, PAPERS)
+    caption = make_caption(experiments, _MEANING_OF_MARKS, PAPER_LIMITS)
     return label_figure(figure, "step", r"assumed accuracy $\hat{b}$", caption, handles)
 
 

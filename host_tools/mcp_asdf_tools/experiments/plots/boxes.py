@@ -25,9 +25,9 @@ from mcp_asdf_tools.experiments.plot_panels import (
     legend_handle,
     sorted_attributes,
 )
-from mcp_asdf_tools.experiments.scores import PAPERS, Limits
+from mcp_asdf_tools.experiments.scores import PAPER_LIMITS, Limits
 
-_MARKS = (
+_MEANING_OF_MARKS = (
     "a point is a trial; boxes from quartile to quartile with the median, whiskers to the last trial within "
     "1.5 of their length"
 )
@@ -45,7 +45,7 @@ def plot_boxes(
     results: Results,
     *,
     where: Mapping[str, Any] | None = None,
-    limits: Limits = PAPERS,
+    limits: Limits = PAPER_LIMITS,
     series_name: SeriesName | None = None,
 ) -> Figure:
     """Plot boxes of the score H by the share of flawed robots and their accuracy, a panel for each f and b.
@@ -75,7 +75,7 @@ def plot_boxes(
         _draw_box_panel(axes, [_select_panel(series, f, b) for series in all_series], limits)
         axes.set_title(f"$f = {f:g}$, $b = {b:g}$", fontsize=MEDIUM)
     x_label = r"$\hat{b} - b$ of flawed robots, and their proportion $P$"
-    caption = make_caption(experiments, _MARKS, limits)
+    caption = make_caption(experiments, _MEANING_OF_MARKS, limits)
     handles = [legend_handle(series.label, series.colour, "s") for series in all_series]
     return label_figure(figure, x_label, "score $H$", caption, handles)
 

@@ -37,7 +37,7 @@ from mcp_asdf_tools.experiments.plot_panels import (
     median_intervals,
 )
 from mcp_asdf_tools.experiments.results import Trials
-from mcp_asdf_tools.experiments.scores import PAPERS, SCORES, Limits
+from mcp_asdf_tools.experiments.scores import PAPER_LIMITS, SCORES, Limits
 
 MEASURES = (*SCORES, "K", "e")
 
@@ -67,7 +67,7 @@ def plot_curve(  # noqa: PLR0913 (each is given by name)
     """
     if limits is not None and y not in SCORES:
         raise UsageError("limits would do nothing: they are for scores, and y is none; leave them out")
-    limits = limits or PAPERS
+    limits = limits or PAPER_LIMITS
     experiments = experiments_to_plot(results, where)
     _check_axes(experiments, x, hue, y, facet)
     all_series = _series_by_hue(experiments, hue)

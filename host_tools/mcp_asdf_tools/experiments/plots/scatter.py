@@ -24,9 +24,9 @@ from mcp_asdf_tools.experiments.plot_panels import (
     legend_handle,
     sorted_attributes,
 )
-from mcp_asdf_tools.experiments.scores import PAPERS, Limits
+from mcp_asdf_tools.experiments.scores import PAPER_LIMITS, Limits
 
-_MARKS = (
+_MEANING_OF_MARKS = (
     "a point is a trial: blue where flawed robots are overconfident, red where they are underconfident, "
     "darker the farther off"
 )
@@ -34,7 +34,7 @@ _MARKERS = "osD^v"
 
 
 def plot_scatter(
-    results: Results, *, where: Mapping[str, Any] | None = None, limits: Limits = PAPERS
+    results: Results, *, where: Mapping[str, Any] | None = None, limits: Limits = PAPER_LIMITS
 ) -> Figure:
     """Plot the score h_e against h_K with a point for each trial, a row for each f, a column for each P.
 
@@ -70,7 +70,7 @@ def plot_scatter(
         # Scores are 0 to 100; the margin keeps markers at the ends from being cut.
         axes.set(xlim=(-4, 104), ylim=(-4, 104))
         clean(axes)
-    caption = make_caption(experiments, _MARKS, limits)
+    caption = make_caption(experiments, _MEANING_OF_MARKS, limits)
     ordered_handles = [handles[key] for key in sorted(handles)]
     return label_figure(figure, "convergence score $h_K$", "accuracy score $h_e$", caption, ordered_handles)
 
