@@ -494,11 +494,11 @@ def draw_round_for_update(
 
 def draw_distant_estimates(robot: RobotState, rng: Random, m: int = 4) -> list[NeighbourEstimate]:
     """Draw ``m`` estimates that the test rejects: near 0 or 1, whichever is farther from the own x_hat."""
-    farther_end = 0 if robot.x_hat > HALF else ONE
+    farther_end, direction_inwards = (0, 1) if robot.x_hat > HALF else (ONE, -1)
     estimates = []
     for _ in range(m):
         distance_from_end = rng.randint(0, ONE >> 11)
-        x_hat = distance_from_end if farther_end == 0 else ONE - distance_from_end
+        x_hat = farther_end + direction_inwards * distance_from_end
         estimates.append(NeighbourEstimate(x_hat, draw_normal_alpha(rng)))
     return estimates
 

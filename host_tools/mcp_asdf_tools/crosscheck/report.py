@@ -110,9 +110,8 @@ class CrosscheckReport:
         for checked_filter in CHECKED_FILTERS:
             size = max(self.storage[checked_filter.images_key].values())
             filter_name = checked_filter.name  # empty for the paper's filters
-            image_sizes.append(
-                f"{size} with the {filter_name} filter" if filter_name else f"{size} for a saved robot"
-            )
+            robot_text = f"with the {filter_name} filter" if filter_name else "for a saved robot"
+            image_sizes.append(f"{size} {robot_text}")
         lines = [f"memory: 12 + 4 q bytes for a table, {', '.join(image_sizes)}"]
         for filter_name, events in self.audit.events.items():
             lines.append(_format_events(filter_name, events))

@@ -16,6 +16,7 @@ slots are in units of 2**-16, and x_hat in messages is in units of 2**-23.
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Sequence
 
 from mcp_asdf.fixed_point import ALPHA_MAX, HALF, ONE
@@ -176,7 +177,7 @@ def vote_without_own_confidence(bench: Bench) -> None:
     bench.activity = "a re-estimate of b_hat as 1/2"
     bench.skip_to_test_round()
     _set_slots(bench, [estimate] * SLOTS)
-    bench.play_tick(Observation.BLACK)
+    bench.play_tick(Observation.BLACK)  # An observation forms x_hat and alpha from the new b_hat.
     bench.activity = "votes of a robot without confidence"
     _set_slots(bench, [0, SLOT_ESTIMATE_MAX] * (SLOTS // 2))
     _let_rounds_vote(bench, 2 * SLOTS)
@@ -399,9 +400,9 @@ def _play_test_with_estimates(bench: Bench, estimates: Sequence[int]) -> None:
 
 def _observe_in_order(bench: Bench, observations: Sequence[Observation]) -> None:
     """Let the controller make these observations, one a tick."""
-    remaining_observations = iter(observations)
-    # The bench asks for the observation of each tick when it comes to it.
-    bench.skip_ticks(len(observations), lambda: next(remaining_observations))
+    remaining_observations = deque(observations)
+    # The bench takes the observation of each tick when it comes to it.
+    bench.skip_ticks(len(observations), remaining_observations.popleft)
 
 
 def _observe_as_at_three_quarters(bench: Bench) -> None:

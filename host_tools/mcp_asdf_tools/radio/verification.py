@@ -83,7 +83,8 @@ class ControllerVerdict:
     @property
     def has_passed(self) -> bool:
         """Whether every phase has passed and every case was brought about."""
-        return all(phase.outcome == PASSED for phase in self.phases) and not self.not_exercised
+        have_phases_passed = all(phase.outcome == PASSED for phase in self.phases)
+        return have_phases_passed and not self.not_exercised
 
     @property
     def headline(self) -> str:
@@ -168,7 +169,7 @@ def not_checked(setup: RobotSetup) -> list[str]:
     has_robust_filter = config.filter is Filter.ROBUST
     sizes = ", ".join(map(str, UPDATES_BY_CRAFTED_SIZE))
     # Each phrase stands behind the condition under which it applies to this controller.
-    limits = (
+    phrases_by_condition = (
         (config.filter is Filter.ADAPTIVE, f"thresholds of rounds of other sizes than {sizes}"),
         (not has_filter, "the test and re-estimates: it does not filter"),
         (config.filter is Filter.ALWAYS, "the test: it re-estimates always"),
@@ -187,7 +188,7 @@ def not_checked(setup: RobotSetup) -> list[str]:
         (True, "vendor status and spare bits of heartbeats, and frames of other subjects"),
         (True, "the largest alpha of its own, which takes 46,341 observations or more"),
     )
-    return [limit for applies, limit in limits if applies]
+    return [phrase for applies, phrase in phrases_by_condition if applies]
 
 
 class Verification:
