@@ -38,8 +38,6 @@ HAS_TWO_TRIALS = """window.view?.playground?.comparison.filters.every(
 COMMAND = "document.querySelector('#command code').textContent"
 RECORDS = "Array.from(view.playground.records)"
 """These three are expressions of JavaScript, which the web page evaluates."""
-MAX_ROUNDING_ERROR = 1 / 65534
-"""The page keeps a value from 0 to 1 as a number from 0 to 65534."""
 WORDS_PER_RECORD = 10
 X_HAT_WORD, X_WORD, B_HAT_WORD, PADDING_WORD = 4, 7, 8, 9
 """Words of ``mcp_asdf_record_t``, what the engine records of a robot in a step."""
@@ -195,12 +193,12 @@ def test_the_playground_draws_the_computed_values_of_the_last_step(
     """The values are compared with the last records of the native engine, a row of words for each robot.
 
     ``word`` is the column of the value there, where ``one`` stands for 1. The page keeps a value from 0 to 1
-    as a number from 0 to 65534, with a rounding error of half a unit.
+    as a whole number from 0 to 65534.
     """
     drawn_values = read_drawn_values(computed.page, name, step=computed.experiment.steps)
     computed_values = computed.last_records[:, word] / one
     errors = np.abs(drawn_values - computed_values)
-    assert errors.max() <= MAX_ROUNDING_ERROR
+    assert errors.max() <= 1 / 65534
 
 
 @pytest.mark.slow
@@ -217,7 +215,8 @@ def test_the_playground_draws_robots_where_they_are_in_the_arena_after_the_last_
         f"view.history.description.robots.map((_, robot) => view.history.position(robot, {experiment.steps}))"
     )
     errors = np.abs(drawn_positions - last_positions)
-    assert errors.max() <= max(experiment.sides) * MAX_ROUNDING_ERROR
+    longer_side = max(experiment.sides)
+    assert errors.max() <= longer_side / 65534
 
 
 @pytest.mark.slow
