@@ -124,9 +124,9 @@ def _make_frame(
     if timestamp is None:
         return None
     hex_digits = data_text.replace(".", "")
-    byte_count, odd_digits = divmod(len(hex_digits), 2)
+    byte_count, left_over_digits = divmod(len(hex_digits), 2)
     max_bytes = _MAX_CLASSIC_BYTES if fd_flags is None else _MAX_FD_BYTES
-    if odd_digits or byte_count > max_bytes:
+    if left_over_digits > 0 or byte_count > max_bytes:
         return None
     arbitration_id = int(match["id"], 16)
     is_extended_id = len(match["id"]) == 8  # candump writes the 11 bits of a standard one in 3 digits

@@ -247,7 +247,8 @@ class EventsReader:
             raise UsageError(f"cannot read {path}: {error.strerror}") from error
         self._values = self._read_values()
         try:
-            self.header = self._parse_header(next(self._values, None))
+            first_value = next(self._values, None)  # None, of an empty file, is refused as a header
+            self.header = self._parse_header(first_value)
         except UsageError:
             self._file.close()
             raise

@@ -71,7 +71,9 @@ class LogSummary:
         if not self.channels:
             return "no channel"
         *first_names, last_name = self.channels
-        return f"{', '.join(first_names)} and {last_name}" if first_names else last_name
+        if not first_names:
+            return last_name
+        return f"{', '.join(first_names)} and {last_name}"
 
     @property
     def warning(self) -> str | None:
@@ -211,7 +213,7 @@ def _open_binary(path: Path, format_suffix: str) -> Any:
     try:
         return can.LogReader(path)
     except OSError:
-        raise
+        raise  # the caller explains it
     except Exception as error:  # readers raise errors of any kind
         raise UsageError(
             f"the log {path} cannot be opened, or its suffix is wrong: it must be {_SUFFIXES}"
@@ -242,7 +244,8 @@ def _explain_errors(
 ) -> Iterator[can.Message]:
     """Yield the frames of a reader of python-can until one is malformed; that raises UsageError.
 
-    The message names the line if the reader reads ``lines``, and the number of frames before it otherwise.
+    The message names the line if the reader reads ``lines``, and the number of frames before it otherwise. An
+    OSError of the reader passes unchanged.
     """
     frame_count = 0
     try:
@@ -252,7 +255,7 @@ def _explain_errors(
             frame_count += 1
             yield frame
     except OSError:
-        raise
+        raise  # the caller explains it
     except Exception as error:  # readers raise errors of any kind
         position = f"after frame {frame_count}"
         if lines is not None:

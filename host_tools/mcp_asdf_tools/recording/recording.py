@@ -7,6 +7,7 @@ import zlib
 from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from copy import copy
+from functools import partial
 from pathlib import Path
 
 import can
@@ -131,6 +132,11 @@ class Recording:
         self._events = None if header is None else EventsWriter(header, self._write_events_line)
 
     def __enter__(self) -> LogOutputs:
+        """Create the part files, and return what writes to them. Raises UsageError if they cannot be written.
+
+        A part of another run that is there is not replaced, but refused.
+        """
+        # There is one part for events, or none without a header.
         log_part, *events_parts = self._part_by_path.values()
         for part in (log_part, *events_parts):
             if part.exists():  # the data that another run left must not be lost
@@ -149,6 +155,10 @@ class Recording:
         return self._write_frame, self._events
 
     def __exit__(self, error_type: type[BaseException] | None, *_: object) -> None:
+        """Close the files, and rename them after a regular end.
+
+        After an error the parts stay, with a warning, or are deleted if nothing was recorded.
+        """
         if self._events is not None:
             self._events.finish()
         self._do_or_end_recording(self._close_files)
@@ -166,10 +176,9 @@ class Recording:
         log_target = check_target(log_path)
         # A log must never stand beside the events of another run. So the old log and its events are removed
         # first, and the new log gets its name when its events have theirs.
-        rename_drafts(
-            {path: self._part_by_path[path] for path in [*events_paths, log_path]},
-            obsolete=[log_target, events_path(log_target)],
-        )
+        paths_in_order = [*events_paths, log_path]
+        part_by_path = {path: self._part_by_path[path] for path in paths_in_order}
+        rename_drafts(part_by_path, obsolete=[log_target, events_path(log_target)])
 
     def _write_frame(self, frame: can.Message) -> None:
         """Record a frame, which is on disk after the next flush; nothing happens if the recording has failed.
@@ -180,7 +189,8 @@ class Recording:
         logged_frame = copy(frame)
         channel = str(frame.channel or self._channel)
         logged_frame.channel = "_".join(channel.split())  # in candump's format a channel has no spaces
-        self._do_or_end_recording(lambda: self._log_writer.on_message_received(logged_frame))
+        write_frame = partial(self._log_writer.on_message_received, logged_frame)
+        self._do_or_end_recording(write_frame)
 
     def _write_events_line(self, line: str) -> None:
         """Record a line of the file of events, which is on disk after the next flush.

@@ -268,9 +268,9 @@ class _Comparison:
         is_next_broadcast = is_reproduced and index == 0
         frame_text = format_frame(frame)
         if self._foreign_frames[frame_text] > 0 and not is_next_broadcast:
-            self._foreign_frames[frame_text] -= 1
+            self._foreign_frames[frame_text] -= 1  # each of the fault's frames is in the log once
             self.verdict.foreign += 1
-        elif index is not None and is_reproduced:
+        elif index is not None and is_reproduced:  # whatever is reproduced has an index
             self._count_reproduced(broadcasts, index)
         elif self._are_events_cut_off and not broadcasts:
             self.verdict.beyond += 1

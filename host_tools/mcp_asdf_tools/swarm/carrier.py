@@ -166,12 +166,12 @@ class ExpectingConnection:
         return received
 
     def discard_echoes(self) -> None:
-        """Empty the receive buffer while nothing is expected.
+        """Empty the receive buffer, which echoes of frames sent here have filled, while nothing is expected.
 
-        One read is enough: it skips the echoes of frames sent here, which are what fills the buffer. If
-        there is another frame behind them, it is reported as unexpected.
+        If there is another frame behind the echoes, it is reported as unexpected.
         """
-        frame = self._read_frame(0)
+        # One read is enough: it skips all echoes that are ahead of another frame or of the buffer's end.
+        frame = self._read_frame(timeout=0)
         if frame is not None:
             self._on_unexpected(frame)
 
@@ -306,7 +306,7 @@ class Carrier:
             robot_connection.bus.send(sent_frame.frame, timeout=FRAME_TIMEOUT)
         self._unread_frames.append(sent_frame)
         if len(self._unread_frames) == _BATCH_SIZE:
-            self._read_back(sent_frame.tick)
+            self._read_back(sent_frame.tick)  # which empties ``_unread_frames``
             if robot_connection is not None:
                 # What the robot sent may fill the receive buffer of its own connection, too.
                 robot_connection.discard_echoes()
@@ -322,7 +322,7 @@ class Carrier:
         # Frames that follow each other on one bus are awaited together; the order of all frames is kept.
         for connection, frames in groupby(unread_frames, self._connection_to_read):
             if connection is None:
-                self._read_frames += frames
+                self._read_frames += frames  # there is nothing to read: these count as read
             else:
                 self._read_frames += connection.receive_expected(list(frames), self._timeout(tick))
 
@@ -400,27 +400,34 @@ class Carrier:
         # Shape (estimates, robots): the column of a robot says which of the estimates it receives.
         receivers_of_estimates = deliveries.receivers[decoded.is_estimate]
         for robot in self._robots.values():
-            robot.receive_all(estimates[receivers_of_estimates[:, robot.id]])
-        self._count_other_frames(deliveries, np.flatnonzero(~decoded.is_estimate))
+            is_received = receivers_of_estimates[:, robot.id]
+            robot.receive_all(estimates[is_received])
+        other_indices = np.flatnonzero(~decoded.is_estimate)
+        self._count_other_frames(deliveries, other_indices)
 
     def _count_other_frames(self, deliveries: Deliveries, indices: NDArray[np.intp]) -> None:
-        """Let each robot count those frames that hold no estimate, by their kind.
+        """Let each robot count the frames that it receives and that hold no estimate, by their kind.
 
-        ``indices`` are their positions among the deliveries.
+        ``indices`` are the positions of such frames among the deliveries. The kind of a frame is the type of
+        its content or, if it is rejected, the reason.
         """
+        robot_count = deliveries.receivers.shape[1]
         example_by_kind: dict[Rejection | type, FrameContent] = {}
+        # Of each kind an array: the entry of a robot's id is how many of these frames it receives.
         counts_by_kind: dict[Rejection | type, NDArray[np.int64]] = {}
         for index in indices.tolist():
             content = decode_frame(deliveries.received_frame(index), self._frame_format)
             kind = content if isinstance(content, Rejection) else type(content)
-            example_by_kind[kind] = content
-            # The entry of a robot's id is how many of these frames it receives.
-            counts_by_kind[kind] = counts_by_kind.get(kind, 0) + deliveries.receivers[index]
+            if kind not in example_by_kind:
+                example_by_kind[kind] = content
+                counts_by_kind[kind] = np.zeros(robot_count, np.int64)
+            counts_by_kind[kind] += deliveries.receivers[index]  # adds 1 for each receiver
         # Robots count all frames of one kind at once, which is faster in a flood of them.
         for kind, frame_counts in counts_by_kind.items():
             for robot in self._robots.values():
-                if frame_counts[robot.id]:
-                    robot.count_content(example_by_kind[kind], int(frame_counts[robot.id]))
+                frame_count = int(frame_counts[robot.id])
+                if frame_count > 0:
+                    robot.count_content(example_by_kind[kind], frame_count)
 
     @property
     def missed_count(self) -> int:

@@ -89,6 +89,7 @@ class LiveView:
         """Print a line for each robot that has re-estimated b_hat, its assumed accuracy, in this tick.
 
         The line, with tabs, is such as ``robot 3 step 50 b_hat 0.9000 0.8123``: the value before and after.
+        Changes of at most _MIN_CHANGE_SHOWN are left out.
         """
         present_b_hat = [node.robot.b_hat for node in swarm.nodes]
         # After the first tick there are no last values: the values at the start take their place.

@@ -41,7 +41,8 @@ def read_swarm_settings(log: Path, header: EventsHeader) -> SwarmSettings:
 
 def collect_values(robots: Iterable[Robot], quantities: Sequence[str]) -> NDArray[np.float64]:
     """Return the present values of robots, shape (quantities, N); quantities are attributes of ``Robot``."""
-    return np.array([_values_of(robot, quantities) for robot in robots]).T
+    rows_by_robot = [_values_of(robot, quantities) for robot in robots]
+    return np.array(rows_by_robot).T
 
 
 def replay_values(
@@ -58,8 +59,8 @@ def replay_values(
     unknown_values = [np.nan] * len(quantities)
     for tick, values_by_robot in enumerate(_replay_ticks(events, max_ticks, quantities), start=1):
         if tick % spacing == 0:
-            rows = [values_by_robot.get(setup.id, unknown_values) for setup in setups]
-            yield np.array(rows).T
+            rows_by_robot = [values_by_robot.get(setup.id, unknown_values) for setup in setups]
+            yield np.array(rows_by_robot).T
 
 
 def _replay_ticks(

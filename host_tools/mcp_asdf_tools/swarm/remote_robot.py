@@ -67,7 +67,8 @@ def check_remote(settings: SwarmSettings, wiring: Wiring) -> None:
                 f"fault {fault} cannot affect robots that run elsewhere; name others, or use busoff"
             )
     if wiring.is_shared:
-        _check_remote_on_shared_bus(settings, is_every_robot_remote=remote == all_robots)
+        is_every_robot_remote = remote == all_robots
+        _check_remote_on_shared_bus(settings, is_every_robot_remote=is_every_robot_remote)
 
 
 def _check_remote_on_shared_bus(settings: SwarmSettings, *, is_every_robot_remote: bool) -> None:
@@ -144,7 +145,12 @@ def remote_robot(setup: RobotSetup, frames: FrameFormat, recorder: Recorder | No
 
     It counts the robot's ticks and frames, and knows of its firmware what a ``RemoteFirmware`` knows.
     """
-    return BusRobot(setup, frames, recorder, make_firmware=lambda: cast(Robot, RemoteFirmware(setup)))
+
+    def make_firmware() -> Robot:
+        """Return the known state of the robot, which has all that a ``BusRobot`` uses of a ``Robot``."""
+        return cast(Robot, RemoteFirmware(setup))
+
+    return BusRobot(setup, frames, recorder, make_firmware=make_firmware)
 
 
 class Driver:
@@ -275,6 +281,6 @@ class Driver:
         if sender not in self.nodes or isinstance(decode_telemetry(frame), Telemetry):
             return
         if isinstance(decode_estimate(frame, self._frame_format), Estimate):
-            self._estimate_frames.setdefault(sender, frame)
+            self._estimate_frames.setdefault(sender, frame)  # keeps the first
         else:
             self._frames_for_next_tick.append(frame)

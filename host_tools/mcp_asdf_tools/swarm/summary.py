@@ -91,16 +91,15 @@ def comparison(results_by_filter: dict[str, dict[str, Any]], settings: SwarmSett
         for swarm_filter in compared_filters
         if swarm_filter.is_on
     }
-    # All swarms begin with the same robots: any swarm shows what the flawed robots assumed, and whether there
-    # are any.
-    first_change = next(iter(b_hat_changes.values()))
-    if first_change is None:  # there are no flawed robots
+    # All swarms begin with the same robots: any swarm shows what the flawed robots assumed at the start.
+    any_change, *_ = b_hat_changes.values()
+    if any_change is None:  # there are no flawed robots
         return " ".join(sentences)
     changes = [f"{term} {change['after']:.2f}" for term, change in b_hat_changes.items()]
     # Sensors that age have no one true accuracy.
     truth = f" (true: {settings.true_accuracy:.2f})" if settings.drift == "none" else ""
     sentences.append(
-        f"The flawed robots first assumed an accuracy of {first_change['before']:.2f}{truth}, now: "
+        f"The flawed robots first assumed an accuracy of {any_change['before']:.2f}{truth}, now: "
         f"{', '.join(changes)}."
     )
     # The nearer an assumed accuracy is to 1/2, the smaller is the confidence that the robot broadcasts.

@@ -317,17 +317,16 @@ class Swarm:
         sent under another id is recorded as injected.
         """
         recorder = events_writer.recorders[robot]
-        if sent_frame is not None and sent_frame.is_under_own_id:
-            if sent_frame.is_falsified:
-                false_estimate = decode_estimate(sent_frame.frame, self.settings.frames)
-                assert isinstance(false_estimate, Estimate)
-                recorder.record_false_values(false_estimate.x_hat, alpha_float32_bits(sent_frame.frame))
-            return
-        # In a replay the robot's own frame is missing, and one under another id is extra.
-        if sent_frame is not None:
-            events_writer.record_injected_frame(sent_frame.frame)
-        if isinstance(decode_estimate(frame, self.settings.frames), Estimate):
-            recorder.record_silence()
+        if sent_frame is None or not sent_frame.is_under_own_id:
+            # A replay makes the robot's own estimate, which the log lacks, and no frame under another id.
+            if isinstance(decode_estimate(frame, self.settings.frames), Estimate):
+                recorder.record_silence()
+            if sent_frame is not None:
+                events_writer.record_injected_frame(sent_frame.frame)
+        elif sent_frame.is_falsified:
+            false_estimate = decode_estimate(sent_frame.frame, self.settings.frames)
+            assert isinstance(false_estimate, Estimate)  # faults falsify nothing else
+            recorder.record_false_values(false_estimate.x_hat, alpha_float32_bits(sent_frame.frame))
 
     def _send_extra_frames(self, *, before_others: bool) -> None:
         """Send the frames that faulty robots send besides their own, before or after those of all robots.

@@ -137,11 +137,12 @@ def write_firmware(omega: Decimal, q: int, folder: Path, force: bool = False) ->
     other_tables = [path for path in sorted(folder.glob("t_table_*.c")) if path.name not in texts]
     if not force:
         names = [path.name for path in other_tables] + list(texts)
-        _check_unchanged(folder, names, _read_checksums(folder / _CHECKSUMS_FILE), checksums)
+        old_checksums = _read_checksums(folder / _CHECKSUMS_FILE)
+        _check_unchanged(folder, names, old_checksums, new_checksums=checksums)
     # The file of checksums cannot hold its own, so it is added when all others have theirs.
     texts[_CHECKSUMS_FILE] = "".join(f"{checksum}  {name}\n" for name, checksum in checksums.items())
     text_by_path = {folder / name: content for name, content in texts.items()}
-    make_folder(folder / "zephyr")
+    make_folder(folder / "zephyr")  # the only folder inside, and with it ``folder`` itself
     write_together(text_by_path)
     # Only now that the new files are complete: if writing them fails, the old tables stay.
     for path in other_tables:

@@ -128,14 +128,14 @@ def format_c_source(omega: Decimal, q: int) -> str:
 
 def _format_initializers(table: Table) -> str:
     """Return the lines of a table's array in C: one word of 32 bits a line, with its meaning as a comment."""
-    *exact_thresholds, common_threshold = [entry / 2**FRACTION_BITS for entry in table.entries]
+    thresholds = [entry / 2**FRACTION_BITS for entry in table.entries]
+    *exact_thresholds, common_threshold = thresholds
     # The words in their order: two of a header, k_m for m = 2 .. q, one for all m above q, and the checksum.
     comments = ["magic, q", "omega * 2^32"]
     comments += [f"m = {m}: {threshold:.9f}" for m, threshold in enumerate(exact_thresholds, start=2)]
     comments += [f"m > {table.q}: {common_threshold:.9f}", "checksum"]
-    return "\n".join(
-        f"    0x{word:08X}U, /* {comment} */" for word, comment in zip(table.words(), comments, strict=True)
-    )
+    words_and_comments = zip(table.words(), comments, strict=True)
+    return "\n".join(f"    0x{word:08X}U, /* {comment} */" for word, comment in words_and_comments)
 
 
 def write_table(omega: Decimal, q: int, folder: Path) -> list[Path]:
@@ -186,8 +186,9 @@ def check_file(path: Path) -> TableCheck:
         raise UsageError(f"{path} names no array mcp_asdf_t_table_omega.._q..; make it anew with --output")
     try:
         # The name holds the decimal places of omega: omega05 stands for 0.05.
-        omega = parse_omega(f"0.{match[1]}")
-        q = check_q(int(match[2]))
+        decimal_places, q_text = match.groups()
+        omega = parse_omega(f"0.{decimal_places}")
+        q = check_q(int(q_text))
     except UsageError as error:
         raise UsageError(f"{path}: {error}") from error
     # Omega and q determine every byte, so the right file is the one that is generated from them now.

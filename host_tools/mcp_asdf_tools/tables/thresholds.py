@@ -105,7 +105,8 @@ def true_thresholds(omega: Decimal) -> tuple[mpf, ...]:
     Their relative error is below 10**-40.
     """
     with mp.workdps(_DECIMAL_DIGITS):
-        # From many degrees of freedom to few the quantile grows, so each is a start below the next one.
+        # From many degrees of freedom to few the quantile grows, so each is a start below the next one. The
+        # first start is the normal quantile, which is below all of them.
         quantile = _normal_quantile(omega)
         thresholds = []
         for m in range(MAX_MESSAGES, 1, -1):

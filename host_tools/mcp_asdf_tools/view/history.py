@@ -152,14 +152,17 @@ class History:
         present generation and description.
         """
         with self._lock:
+            # Where the states so far have changed, the reader has to take all of them anew.
             first_index = index if generation == self.generation else 0
             return HistoryUpdate(self.generation, self.description, self._states[first_index:])
 
 
 def _with_unknown_robot(state: State) -> State:
     """Return the state with one more robot: its values are NaN, and it has no neighbours."""
-    values = np.pad(state.values, ((0, 0), (0, 1)), constant_values=np.nan)
-    neighbours = np.pad(state.neighbours, (0, 1))
+    nothing_added, one_at_end = (0, 0), (0, 1)
+    # Values get a column, which has the robots, and no row. The matrix of links gets a row and a column.
+    values = np.pad(state.values, (nothing_added, one_at_end), constant_values=np.nan)
+    neighbours = np.pad(state.neighbours, one_at_end)
     return state._replace(values=values, neighbours=neighbours)
 
 
@@ -171,6 +174,7 @@ def steps_between_states(steps: int, robots: int) -> int:
     of a few robots are a matrix, with a bit for each pair of robots; those of many are a list.
     """
     bits_per_robot = robots if robots <= MAX_ON_BUS else _BITS_PER_ROBOT_OF_MANY
-    affordable_states = _MAX_HISTORY_BITS // (robots * bits_per_robot)
+    bits_per_state = robots * bits_per_robot
+    affordable_states = _MAX_HISTORY_BITS // bits_per_state
     states = min(MAX_STATES, affordable_states)
     return math.ceil(steps / states)

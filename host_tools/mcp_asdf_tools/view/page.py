@@ -112,9 +112,9 @@ def _encode_script_url(script: str) -> str:
 
 # --- Histories as JSON --------------------------------------------------------------------------------
 
-_ONE = 65534
+_INTEGER_FOR_ONE = 65534
 """The value 1 in a page, where values 0 .. 1 are 16-bit integers: finer than what a screen shows."""
-_UNKNOWN = 65535
+_INTEGER_FOR_UNKNOWN = 65535
 """A value in a page that is not known."""
 
 
@@ -186,10 +186,10 @@ def _encode_series(values: NDArray[np.float64]) -> bytes:
     Values are limited to 0 .. 1, and NaN means unknown. The first difference of each robot is from 0, and all
     are modulo 65536. Most are small or 0, so that they compress well.
     """
-    scaled_values = np.rint(np.clip(values, 0.0, 1.0) * _ONE)
-    numbers = np.nan_to_num(scaled_values, nan=_UNKNOWN).astype(np.uint16)
-    numbers_by_robot = numbers.T
-    differences = np.diff(numbers_by_robot, axis=1, prepend=np.uint16(0))
+    scaled_values = np.rint(np.clip(values, 0.0, 1.0) * _INTEGER_FOR_ONE)
+    integers = np.nan_to_num(scaled_values, nan=_INTEGER_FOR_UNKNOWN).astype(np.uint16)
+    integers_by_robot = integers.T  # shape (N, states)
+    differences = np.diff(integers_by_robot, axis=1, prepend=np.uint16(0))
     return differences.astype("<u2").tobytes()
 
 

@@ -73,6 +73,7 @@ class LatestRobotValues:
         for robot_id, values in self._values_by_robot.items():
             if self.roster.robots[robot_id].is_silent(now):
                 values[:] = self._unknown_values
+        # A robot that has sent nothing so far has unknown values.
         columns = [self._values_by_robot.get(robot_id, self._unknown_values) for robot_id in robot_ids]
         # States share this matrix, which would otherwise take most of a long history's memory.
         if len(self._no_links) != len(robot_ids):

@@ -106,6 +106,7 @@ class RobotOnBus:
             return True
         if previous is None:
             return False
+        # The other node, which sent the latest heartbeat, has been up for a shorter time than this one.
         skips_latest = latest.uptime < previous.uptime < heartbeat.uptime
         # A node sends a heartbeat each second, so its transfer id grows as its uptime does, modulo 32.
         seconds_passed = heartbeat.uptime - previous.uptime
@@ -177,6 +178,7 @@ def _report_row(robot_id: int, robot: RobotOnBus, now: float) -> dict[str, Any]:
     b_hat and updates before the first telemetry.
     """
     heartbeat, telemetry = robot.heartbeat, robot.telemetry
+    sent_frames = robot.lost_frames + robot.received_frames
     return {
         "robot": robot_id,
         "silent": robot.is_silent(now),
@@ -184,7 +186,7 @@ def _report_row(robot_id: int, robot: RobotOnBus, now: float) -> dict[str, Any]:
         "health": None if heartbeat is None else _format_name(heartbeat.health),
         "mode": None if heartbeat is None else _format_name(heartbeat.mode),
         "rate": round(robot.rate(now), 1),
-        "loss": robot.lost_frames / (robot.lost_frames + robot.received_frames),
+        "loss": robot.lost_frames / sent_frames,
         "conflicts": robot.conflicts,
         "x": None if telemetry is None else telemetry.x / Q23_ONE,
         "b_hat": None if telemetry is None else telemetry.b_hat / B_HAT_UNITS,

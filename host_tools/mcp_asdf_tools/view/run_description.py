@@ -76,6 +76,7 @@ def _compute_unfiltered_errors(settings: Population, trial: int) -> list[float]:
     robot_steps = settings.robots * settings.steps
     if not settings.swarm_filter.is_on or robot_steps > _MAX_UNFILTERED_ROBOT_STEPS:
         return []
+    # ``settings`` may have more parameters than an experiment takes.
     parameters = {name: getattr(settings, name) for name in parameters_of(Population)}
     parameters["filter"] = "none"
     experiment = Experiment(**parameters, trials=trial + 1)
@@ -83,11 +84,12 @@ def _compute_unfiltered_errors(settings: Population, trial: int) -> list[float]:
         return []
     sampling_interval = steps_between_states(settings.steps, settings.robots)
     trials = run_trials(experiment, first=trial, trials=1, sampling_interval=sampling_interval)
-    estimates = trials.records["x"][0]
-    robot_axis = 1  # of the shape (samples, N)
-    mean_errors = abs(estimates - settings.fill_ratio).mean(axis=robot_axis)
+    (estimates,) = trials.records["x"]  # those of the only trial, shape (samples, N)
+    errors = abs(estimates - settings.fill_ratio)
+    robot_axis = 1
+    mean_errors = errors.mean(axis=robot_axis)
     point_count = min(_MAX_ERROR_POINTS, len(mean_errors))
-    return [round(float(errors.mean()), 5) for errors in np.array_split(mean_errors, point_count)]
+    return [round(float(part.mean()), 5) for part in np.array_split(mean_errors, point_count)]
 
 
 def draw_floor(arena: Arena) -> NDArray[np.bool_]:

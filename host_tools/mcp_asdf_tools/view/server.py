@@ -144,7 +144,8 @@ class _PageRequestHandler(BaseHTTPRequestHandler):
         """
         hosts = {f"{name}:{self.server.port}" for name in (HOST, "localhost")}
         own_origins = {f"http://{host}" for host in hosts}
-        # A browser leaves out Origin when a user opens the page, and old ones leave out Sec-Fetch-Site.
+        # A header that is left out is None: a browser leaves out Origin when a user opens the page, and old
+        # ones leave out Sec-Fetch-Site.
         has_own_origin = self.headers.get("Origin") in {None, *own_origins}
         comes_from_own_site = self.headers.get("Sec-Fetch-Site") in {None, "none", "same-origin"}
         return self.headers.get("Host") in hosts and has_own_origin and comes_from_own_site
@@ -187,7 +188,7 @@ def _generate_events(history: History) -> Iterator[str]:
     sent_report = None
     has_ended = False
     while not has_ended:
-        # Read before the states: states that came between the two would otherwise never be sent.
+        # Read before the states. Read after them, it would hide states that were added between the two.
         has_ended = history.has_ended
         update = history.states_since(generation, sent_states)
         events = []

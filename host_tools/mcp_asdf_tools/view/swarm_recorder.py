@@ -31,7 +31,7 @@ class SwarmRecorder:
             raise UsageError(f"--pace is {pace:g}; give steps a second, or 0 for as many as it can")
         self.history = History(describe_run(settings, faults=settings.faults, allow=settings.allow))
         self._spacing = steps_between_states(settings.steps, settings.robots)
-        self._seconds_per_step = 1 / pace if pace else 0.0
+        self._seconds_per_step = 0.0 if pace == 0 else 1 / pace
         self._next_step_time = 0.0
 
     def __call__(self, swarm: Swarm) -> None:

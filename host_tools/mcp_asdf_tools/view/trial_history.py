@@ -38,7 +38,8 @@ def recompute_trial_history(trials: Trials, trial: int) -> History:
     spacing = steps_between_states(experiment.steps, experiment.robots)
     rerun_trials = run_trials(experiment, first=trial, trials=1, sampling_interval=spacing)
     # The results hold no states. Equal errors are the evidence that this run has the states of the first.
-    if not np.array_equal(rerun_trials.errors[0], recorded_errors):
+    (rerun_errors,) = rerun_trials.errors  # of the only trial
+    if not np.array_equal(rerun_errors, recorded_errors):
         raise UsageError(
             f"trial {trial} does not come out again as in the results, which another version or extension "
             "made: run mcp-asdf simulate again"

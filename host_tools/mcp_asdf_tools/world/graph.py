@@ -61,7 +61,9 @@ class Graph:
         Raises UsageError unless all ids are among 0 .. robots - 1, and no robot receives from more than 127
         others.
         """
-        unknown_ids = {robot for link in self.links for robot in link if robot >= robots}
+        senders = {sender for sender, _ in self.links}
+        receivers = {receiver for _, receiver in self.links}
+        unknown_ids = [robot for robot in senders | receivers if robot >= robots]
         if unknown_ids:
             raise UsageError(
                 f"{self.source} names robot {min(unknown_ids)}, but the ids of {robots} robots are 0 to "
@@ -94,6 +96,7 @@ def parse_graph(description: Any) -> Graph:
         return _parse_lines(_format_edges(description), "edge", "graph")
     if isinstance(description, str) and is_text_of_edges(description):
         return _parse_lines(description.split(";"), "edge", "graph")
+    # All else is the path of a file.
     # "utf-8-sig" leaves out the mark with which programs of Windows begin a text.
     try:
         lines = read_at_most(description).decode("utf-8-sig").splitlines()
@@ -145,7 +148,7 @@ def _format_edges(graph: Any) -> list[str]:
         id_pairs = list(graph.edges())
         is_directed = graph.is_directed()
     sign = "> " if is_directed else ""
-    # operator.index takes integers of any kind, and refuses all that is none.
+    # ``index`` is that of the module operator: it takes integers of any kind, and refuses all that is none.
     try:
         return [f"{index(first)} {sign}{index(second)}" for first, second in id_pairs]
     except (TypeError, ValueError):

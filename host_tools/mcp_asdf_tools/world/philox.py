@@ -116,5 +116,6 @@ def arena_seed(seed: int, trial: int) -> int:
     The stream is drawn as for a single robot. Its two steps are the two words.
     """
     seed_words = Stream(ARENA_STREAM, seed, trial, robots=1).draw_words(steps=2)
-    low_word, high_word = seed_words[:, 0].tolist()
+    only_robot = 0
+    low_word, high_word = seed_words[:, only_robot].tolist()
     return int(low_word) | (int(high_word) << 32)

@@ -53,7 +53,7 @@ class DriftingSensors:
         self._next_step += steps
         # The lowest accuracy limits a drift on black tiles; on white the offset may lead below it, down to 0.
         offset = self._settings.white_offset
-        if not offset:
+        if offset == 0:
             return accuracies_on_black, accuracies_on_black
         return accuracies_on_black, np.clip(accuracies_on_black + offset, 0.0, 1.0)
 
@@ -97,8 +97,8 @@ class CheckedSensors:
         black and white if the extension promises so.
         """
         unchecked_on_black, unchecked_on_white = self._model.advance(steps)
-        on_black = self._checked(unchecked_on_black, steps)
-        on_white = self._checked(unchecked_on_white, steps)
+        on_black = self._check_accuracies(unchecked_on_black, steps)
+        on_white = self._check_accuracies(unchecked_on_white, steps)
         # The engine in C has one accuracy for both colours, and would use the wrong one for white in silence.
         if self._has_one_accuracy and not np.array_equal(on_black, on_white):
             raise UsageError(
@@ -107,7 +107,7 @@ class CheckedSensors:
             )
         return on_black, on_white
 
-    def _checked(self, accuracies: object, steps: int) -> NDArray[np.float64]:
+    def _check_accuracies(self, accuracies: object, steps: int) -> NDArray[np.float64]:
         """Return one of the model's two answers for ``steps`` steps as an array of floats.
 
         Raises UsageError unless its shape is (steps or 1, robots or 1) and all values are 0 to 1.
@@ -124,7 +124,8 @@ class CheckedSensors:
                 f"sensor {name} gives shape {values.shape}; return ({steps} or 1, {robots} or 1)"
             )
         # NaN fails both comparisons, and is refused with the rest.
-        if not ((values >= 0) & (values <= 1)).all():
+        is_in_range = (values >= 0) & (values <= 1)
+        if not is_in_range.all():
             raise UsageError(f"sensor {name} gives an accuracy outside 0 to 1; clip it")
         return values
 
@@ -136,7 +137,7 @@ def has_one_accuracy(settings: WorldSettings) -> bool:
     attribute ``has_one_accuracy``. Raises UsageError if the extension cannot be loaded.
     """
     if not settings.sensor:
-        return not settings.white_offset
+        return settings.white_offset == 0
     extension = extensions.load(extensions.SENSORS, settings.sensor)
     return bool(getattr(extension, "has_one_accuracy", False))
 

@@ -319,7 +319,8 @@ def _check_arena(settings: WorldSettings) -> None:
     size_parameter = "width" if settings.width else "density"
     # Robots are placed at random so that none overlap, which fails if they cover too much of the floor.
     covered_area = settings.robots * math.pi * (_BODY_DIAMETER / 2) ** 2
-    has_room = min(width, height) > _BODY_DIAMETER and covered_area <= _MAX_COVERED_SHARE * width * height
+    max_covered_area = _MAX_COVERED_SHARE * width * height
+    has_room = min(width, height) > _BODY_DIAMETER and covered_area <= max_covered_area
     if not has_room:
         message = (
             f"{settings.robots} robots of {_BODY_DIAMETER} m are too many for {size_text}; "

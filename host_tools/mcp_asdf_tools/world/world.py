@@ -85,8 +85,8 @@ class World:
         # Accuracies that do not change, or are the same for all robots, have an axis of length 1.
         mean_accuracy = np.broadcast_to((accuracy_on_black + accuracy_on_white) / 2, draws.shape)
         # Robots observe at the end of every period: with period 3 in the third step, the sixth, and so on.
-        steps_passed = np.arange(first_step, first_step + steps) + 1
-        observes = steps_passed % settings.observation_period == 0
+        step_numbers_from_1 = np.arange(first_step, first_step + steps) + 1
+        observes = step_numbers_from_1 % settings.observation_period == 0
         if isinstance(self._topology, Arena):
             motion = self._topology.record(steps)
             # The arena gives the colour under each robot, so no fill ratio stands in for it.

@@ -119,9 +119,10 @@ class Faults:
         deliveries = [Deliveries(sent_frames, receivers, no_bit_flips)]
         for run in self._runs:
             changed_deliveries: list[Deliveries] = []
-            for unchanged in deliveries:
-                changed_deliveries += run.fault.on_delivery(unchanged, run)
-            # Each fault splits what it gets. Pieces that nobody receives are left out.
+            for earlier in deliveries:
+                # A fault may split deliveries, such as into those that it delays and all others.
+                changed_deliveries += run.fault.on_delivery(earlier, run)
+            # Those that nobody receives are left out.
             deliveries = [changed for changed in changed_deliveries if changed.receivers.any()]
         return deliveries
 

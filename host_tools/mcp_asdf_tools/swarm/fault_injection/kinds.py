@@ -55,15 +55,17 @@ class LinkFault(Fault, ABC):
         # The axes are frames, receivers and words.
         hit_words = random_words[:, :, 0]
         extra_words = random_words[:, :, 1:]
-        hits = deliveries.receivers & (hit_words <= hit_threshold(self.rate))
-        hits[~is_active] = False  # the words of inactive frames are zeros, which would be hits
+        # Whether each frame is hit on its way to each receiver, shape (frames, receivers)
+        is_hit = deliveries.receivers & (hit_words <= hit_threshold(self.rate))
+        is_hit[~is_active] = False  # the words of inactive frames are zeros, which would be hits
         if self.receivers is not None:
-            is_affected = np.isin(np.arange(hits.shape[1]), list(self.receivers))  # by receiver
-            hits &= is_affected
-        run.hit_count += int(np.count_nonzero(hits))
-        spared = replace(deliveries, receivers=deliveries.receivers & ~hits)
-        hit = replace(deliveries, receivers=hits)
-        return [spared, *self.change(hit, extra_words, run)]
+            receiver_ids = np.arange(is_hit.shape[1])
+            is_affected = np.isin(receiver_ids, list(self.receivers))
+            is_hit &= is_affected
+        run.hit_count += int(np.count_nonzero(is_hit))
+        spared_deliveries = replace(deliveries, receivers=deliveries.receivers & ~is_hit)
+        hit_deliveries = replace(deliveries, receivers=is_hit)
+        return [spared_deliveries, *self.change(hit_deliveries, extra_words, run)]
 
     @property
     def extra_words(self) -> int:
@@ -159,7 +161,7 @@ class Corrupt(LinkFault):
         frame_indices, receivers = hit.receivers.nonzero()
         entry_count = len(frame_indices)
         sent_frames = [hit.sent_frames[index] for index in frame_indices.tolist()]
-        # A word of flips has 64 bits, so only the first 8 bytes of a longer frame can be hit.
+        # A word of flips has 64 bits, so only the first 8 bytes (FRAME_BYTES) of a longer frame can be hit.
         byte_counts = [min(len(sent_frame.frame.data), FRAME_BYTES) for sent_frame in sent_frames]
         bit_counts = 8 * np.array(byte_counts, np.int64)
         words_of_entries = extra_words[frame_indices, receivers]  # shape (entries, bits)

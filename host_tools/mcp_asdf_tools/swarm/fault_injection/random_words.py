@@ -75,18 +75,19 @@ class FaultRandom:
 
     def hit_word(self, node: int, tick: int) -> int:
         """Return the word that decides whether the fault hits a node in a tick."""
-        word, _ = self._words_for_node(node, tick, 0)
-        return word
+        hit_word, _ = self._words_for_node(node, tick, repetition=0)
+        return hit_word
 
     def content_word(self, node: int, tick: int, index: int) -> int:
         """Return the word that is the content of the frame of this index among a node's in a tick."""
-        _, word = self._words_for_node(node, tick, index)
-        return word
+        _, content_word = self._words_for_node(node, tick, repetition=index)
+        return content_word
 
     def _words_for_node(self, node: int, tick: int, repetition: int) -> tuple[int, int]:
-        """Return two words for a node in a tick; other repetitions have other words.
+        """Return two words for a node in a tick: for the decision on a hit, and for the content of a frame.
 
-        They are for no frame, so that identifier and copy number are 0.
+        Other repetitions have other words. Both are for no frame on the bus, so that identifier and copy
+        number are 0.
         """
         key = _WordKey(
             tick=tick, repetition=repetition, identifier=0, node=node, copy_number=0, purpose=_Purpose.NODE

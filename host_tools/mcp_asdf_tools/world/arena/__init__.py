@@ -62,7 +62,9 @@ class Arena:
     @property
     def positions(self) -> NDArray[np.float64]:
         """Centres, shape (N, 2), in metres from the middle of the floor."""
-        return np.stack([self._values_now(axis, np.dtype(np.float64)) for axis in "xy"], axis=1)
+        # These are members of the C struct.
+        x, y = (self._values_now(name, np.dtype(np.float64)) for name in ("x", "y"))
+        return np.stack([x, y], axis=1)
 
     def is_black(self, x: float, y: float) -> bool:
         """Return whether the floor is black at (x, y), in metres from its middle, which must be on it."""
@@ -110,8 +112,9 @@ class Arena:
             self.step()
             for name, rows in rows_by_member.items():
                 rows[tick] = current_values[name]
-            # The columns of the pairs. Robots in range of each other receive both ways.
-            lower_ids, higher_ids = self._linked_pairs().T
+            # Robots in range of each other receive both ways.
+            pairs = self._linked_pairs()
+            lower_ids, higher_ids = pairs[:, 0], pairs[:, 1]
             adjacency[tick, lower_ids, higher_ids] = True
             adjacency[tick, higher_ids, lower_ids] = True
         return Motion(position, heading, black, wheels, avoids, adjacency)
@@ -127,8 +130,9 @@ class Arena:
 
     def _values_now(self, name: str, kind: np.dtype[Any]) -> NDArray[Any]:
         """Return a view of a member of the C struct, shape (N,), with the values of the present tick."""
-        size = self.settings.robots * kind.itemsize
-        return np.frombuffer(_arena.ffi.buffer(getattr(self._arena, name), size), kind)
+        pointer = getattr(self._arena, name)
+        byte_count = self.settings.robots * kind.itemsize
+        return np.frombuffer(_arena.ffi.buffer(pointer, byte_count), kind)
 
 
 def allocate_memory(size: int) -> NDArray[np.float64]:
