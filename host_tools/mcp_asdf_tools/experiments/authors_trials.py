@@ -79,9 +79,10 @@ _ACTIVATIONS = {"BRAVO": "adaptive", "ALPHA": "always"}
 
 
 def find_trial_files(paths: Iterable[Path]) -> list[Path]:
-    """Return the files among ``paths``, and all .json files in the folders among them and below, sorted.
+    """Return the files among ``paths``, and all .json files in the folders among them and below.
 
-    Raises UsageError for a path that is neither a file nor a folder, and for a folder without such files.
+    They are sorted, and each is there once. Raises UsageError for a path that is neither a file nor a folder,
+    and for a folder without such files.
     """
     files = []
     for path in paths:
@@ -121,8 +122,9 @@ def read_trials(files: Iterable[Path], sampling_interval: int) -> Iterator[Trial
 def _read_trial(path: Path, sampling_interval: int) -> Trials:
     """Return the trial in a file, with values recorded every ``sampling_interval`` steps (0: never).
 
-    Raises UsageError, which names the file and what is wrong with it, if it is no trial, or one that the
-    paper's method cannot have made.
+    A robot has updated its b_hat in each filter step in which b_hat changed; its number of tests, which the
+    file does not have, is 0. Raises UsageError, which names the file and what is wrong with it, if it is no
+    trial, or one that the paper's method cannot have made.
     """
     file = _TrialFile(path, _read_json(path))
     experiment = _experiment_of(file)
@@ -130,7 +132,8 @@ def _read_trial(path: Path, sampling_interval: int) -> Trials:
     if not 0 <= number < experiment.trials:
         raise file.error("trial_ind", f"it must be 0 to {experiment.trials - 1}, as num_trials says")
     series = _read_series(file, experiment)  # shape (N, steps + 1) each
-    convergence_steps, errors = convergence_and_errors(experiment, series["x"][np.newaxis], unit=1.0)
+    x_of_one_trial = series["x"][np.newaxis]  # shape (1, N, steps + 1)
+    convergence_steps, errors = convergence_and_errors(experiment, x_of_one_trial, unit=1.0)
     b_hat_at_filter_steps = _values_of_one_trial(series["b_hat"], every=experiment.filter_period)
     b_hat_before = b_hat_at_filter_steps[:, :-1]  # from the initial one on
     b_hat_after = b_hat_at_filter_steps[:, 1:]
@@ -159,8 +162,9 @@ def _values_of_one_trial(series: NDArray[np.float64], every: int) -> NDArray[np.
 
     Samples are step 0 and every ``every``-th step from there.
     """
-    values_by_step = series[:, ::every].T
-    return values_by_step[np.newaxis]
+    sampled_values = series[:, ::every]  # shape (N, samples)
+    values_by_sample = sampled_values.T  # shape (samples, N)
+    return values_by_sample[np.newaxis]
 
 
 # --- Parameters ------------------------------------------------------------------------------------------
@@ -188,11 +192,11 @@ class _TrialFile:
         return UsageError(f"{self.path}: {key} is {self.content[key]!r}; {fix}")
 
     def number(self, key: str) -> float:
-        """Return the number under a key. Raises UsageError if there is none."""
+        """Return the number under a key. Raises UsageError if there is none, or for NaN or a huge number."""
         value = self.content.get(key)
         if isinstance(value, bool) or not isinstance(value, int | float):
             raise self.error(key, "it must be a number")
-        if not abs(value) < _NUMBER_LIMIT:  # NaN is not, either
+        if not abs(value) < _NUMBER_LIMIT:  # a comparison with NaN is false
             raise self.error(key, "it must be a smaller number")
         return float(value)
 
@@ -220,22 +224,26 @@ def _read_json(path: Path) -> dict[str, Any]:
 def _experiment_of(file: _TrialFile) -> Experiment:
     """Return the experiment that a file has a trial of.
 
-    Its seed is 0, since their draws cannot be repeated here. Raises UsageError for parameters that no
-    experiment here has.
+    Its firmware is the reference with the authors' conventions, and its seed is 0, since their draws cannot
+    be repeated here. It has no filter if the filtering period is longer than a trial. Raises UsageError for
+    parameters that no experiment here has.
     """
     has_moving_robots = _has_moving_robots(file)
-    keys = dict(_KEY_BY_PARAMETER)
+    key_by_parameter = dict(_KEY_BY_PARAMETER)
     if has_moving_robots:
-        keys |= _MOVING_KEY_BY_PARAMETER
+        key_by_parameter |= _MOVING_KEY_BY_PARAMETER
     parameters: dict[str, Any] = {"firmware": "reference", "conventions": "authors", "seed": 0}
-    for name, key in keys.items():
-        read_number = file.whole_number if name in _WHOLE_PARAMETERS else file.number
-        parameters[name] = read_number(key)
+    for name, key in key_by_parameter.items():
+        if name in _WHOLE_PARAMETERS:
+            parameters[name] = file.whole_number(key)
+        else:
+            parameters[name] = file.number(key)
     if has_moving_robots:
         parameters["topology"] = "dynamic"
         parameters["latency"] = 1
         # Without rounding, 14.14 cm would be 0.14140000000000003 m or the like.
         parameters["speed"] = round(parameters["speed"] / _CM_PER_M, 9)
+        # The authors compute it from positions of walls: further decimals are only rounding errors.
         parameters["density"] = round(parameters["density"], _DENSITY_DECIMALS)
     _check_sensors(file)
     parameters |= _filter_parameters(file)
@@ -245,7 +253,9 @@ def _experiment_of(file: _TrialFile) -> Experiment:
     try:
         return Experiment(**parameters)
     except ParameterError as error:
-        their_key = f" (their {keys[error.key]})" if error.key in keys else ""
+        their_key = ""
+        if error.key in key_by_parameter:
+            their_key = f" (their {key_by_parameter[error.key]})"
         raise UsageError(f"{file.path}: {error}{their_key}") from error
 
 
@@ -271,7 +281,7 @@ def _has_moving_robots(file: _TrialFile) -> bool:
 
 
 def _check_sensors(file: _TrialFile) -> None:
-    """Raise UsageError unless sensors have one accuracy, for black and for white."""
+    """Raise UsageError if correct or flawed sensors have another accuracy on white than on black."""
     for robots in ("correct", "flawed"):
         on_black = file.number(f"{robots}_sensor_acc_b")
         on_white = file.number(f"{robots}_sensor_acc_w")
@@ -283,7 +293,11 @@ def _check_sensors(file: _TrialFile) -> None:
 
 
 def _filter_parameters(file: _TrialFile) -> dict[str, Any]:
-    """Return filter, activation and omega of a file. Raises UsageError if they are not the paper's."""
+    """Return filter and activation of a file, and omega, the error probability of the test in BRAVO.
+
+    There is no omega with the other method, ALPHA, which has no test. Raises UsageError if they are not the
+    paper's.
+    """
     method = file.content.get("method")
     if not isinstance(method, str) or method not in _ACTIVATIONS:
         raise file.error("method", f"the paper's methods are {' and '.join(_ACTIVATIONS)}")
@@ -312,9 +326,8 @@ def _filter_parameters(file: _TrialFile) -> dict[str, Any]:
 def _read_series(file: _TrialFile, experiment: Experiment) -> dict[str, NDArray[np.float64]]:
     """Return the recorded values of all robots by name, shape (N, steps + 1) each, flawed robots first.
 
-    The names are those of _COLUMNS, such as "x" and "b_hat", in the order in which a file has the values of a
-    robot and step. Raises UsageError if robots or steps are missing, or a number is none that a robot can
-    have.
+    The names are those of _COLUMNS, such as "x" and "b_hat". Raises UsageError if robots or steps are
+    missing, or a number is none that a robot can have.
     """
     texts_by_robot = file.content.get("data_str")
     if not isinstance(texts_by_robot, list) or len(texts_by_robot) != experiment.robots:
@@ -328,21 +341,22 @@ def _read_series(file: _TrialFile, experiment: Experiment) -> dict[str, NDArray[
     # In the authors' files the flawed robots are the last ones. Rolled on by their number, they are the
     # first.
     flawed_robots_first = np.roll(np.stack(numbers_by_robot), experiment.flawed, axis=0)
+    # The shape is (N, steps + 1, columns), with the columns in the order of _COLUMNS.
     return {name: flawed_robots_first[:, :, column] for column, name in enumerate(_COLUMNS)}
 
 
 def _parse_texts(texts: Any, steps: int) -> NDArray[np.float64]:
-    """Return the numbers in the texts of a robot, shape (steps + 1, columns).
+    """Return the numbers in the texts of a robot, shape (steps + 1, columns), without the seed in each.
 
-    NaN may be among them: their programs divide by 0 where b_hat becomes 1/2. Raises ValueError for texts
-    that are none of a robot's.
+    NaN may be among them: their programs divide by 0 where b_hat becomes 1/2. Raises ValueError if there is
+    not a text for each step, and for a text or number that no robot can have.
     """
     if not isinstance(texts, list) or len(texts) != steps + 1:
         raise ValueError(f"it must be a list of {steps + 1} texts, one of each step from 0 on")
     for step, text in enumerate(texts):
         if not isinstance(text, str) or not text.strip() or "\n" in text or "\r" in text:
             raise ValueError(f"step {step} is {text!r}, and must be a line of numbers")
-    columns_without_seed = range(1, 1 + len(_COLUMNS))
+    columns_without_seed = range(1, 1 + len(_COLUMNS))  # the seed is column 0
     numbers = np.loadtxt(texts, delimiter=",", usecols=columns_without_seed, comments=None, ndmin=2)
     values_by_column = numbers.T  # a row for each column, with a value of each step
     _check_numbers(dict(zip(_COLUMNS, values_by_column, strict=True)))
@@ -352,7 +366,8 @@ def _parse_texts(texts: Any, steps: int) -> NDArray[np.float64]:
 def _check_numbers(series: dict[str, NDArray[np.float64]]) -> None:
     """Raise ValueError, which names the first such step, if a number is out of its range.
 
-    Only the counts n and t must not be NaN.
+    Counts must be 0 <= n <= t <= step. Estimates and accuracies are 0 to 1, and confidences 0 or more and
+    finite. Accuracies on white and on black must be equal. Only the counts must not be NaN.
     """
     n, t = series["n"], series["t"]
     steps = np.arange(len(t))

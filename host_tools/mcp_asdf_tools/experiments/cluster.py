@@ -33,7 +33,7 @@ def connect_cluster(address: str) -> Iterator[tuple[Executor, Callable[[], int]]
     except ImportError as error:
         message = f"Dask cannot be loaded ({error}); to install it, {install_instruction('cluster')}"
         raise UsageError(message) from error
-    # Whatever matters in Dask's log is raised as well.
+    # What matters in Dask's log is raised as an exception as well.
     logging.getLogger("distributed").setLevel(logging.CRITICAL)
     client = _connect_client(dask, address)
 
@@ -47,7 +47,7 @@ def connect_cluster(address: str) -> Iterator[tuple[Executor, Callable[[], int]]
         # Dask runs pure jobs of equal arguments only once.
         yield client.get_executor(pure=False), count_threads
     except (dask.KilledWorker, CancelledError, OSError) as error:
-        # A question to a scheduler that is gone ends with an OSError: its connection is closed, or timed out.
+        # Asking a scheduler that is gone raises an OSError: the connection is closed, or times out.
         raise _lost_cluster_error(address, error) from error
     except TypeError as error:
         # If a cluster is lost just when a result comes from it, Dask takes the result for an exception, and
@@ -60,9 +60,8 @@ def connect_cluster(address: str) -> Iterator[tuple[Executor, Callable[[], int]]
 
 
 def _lost_cluster_error(address: str, error: BaseException) -> UsageError:
-    """Return the error that says that the cluster has failed, by ``error``, and how to go on."""
-    # Dask's messages have several lines, and an error of ours has one.
-    reason = " ".join(str(error).split())
+    """Return an error in one line that says why the cluster has failed, by ``error``, and how to go on."""
+    reason = " ".join(str(error).split())  # Dask's messages have several lines
     return UsageError(
         f"the cluster at {address} failed; what was finished is kept: run the same again ({reason})"
     )
@@ -78,19 +77,21 @@ def _wait_for_a_worker(client: Any, address: str) -> None:
 
 
 def _connect_client(dask: Any, address: str) -> Any:
-    """Return a Dask client that is connected, once the scheduler has answered a first message of ours.
+    """Return a Dask client of the scheduler at ``address``, once that has answered a first message.
 
-    No client is made before that, for two reasons. A client waits without a limit for a server that is
-    silent. And a client that has failed is closed by the garbage collector, in whatever thread that runs: in
-    the thread of the next client, both would wait for each other. Raises UsageError if nobody answers.
+    Raises UsageError if no scheduler answers in time.
     """
     from distributed.comm import connect  # noqa: PLC0415
 
     async def exchange_first_messages() -> None:
+        """Open a connection to the scheduler, by which first messages are exchanged, and close it."""
         security = dask.Security().get_connection_args("client")
         connection = await connect(address, timeout=_TIMEOUT, **security)
         await connection.close()
 
+    # No client is made before the scheduler has answered. A client would wait without a limit for a server
+    # that is silent. And the garbage collector closes a client that has failed in whatever thread it runs: if
+    # that is the thread of the next client, both wait for each other.
     try:
         # A second more, so that the error is that of connect, which says what went wrong.
         dask.utils.LoopRunner().run_sync(exchange_first_messages, callback_timeout=_TIMEOUT + 1)

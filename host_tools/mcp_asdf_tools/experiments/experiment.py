@@ -41,7 +41,8 @@ class Experiment(Population):
     def __post_init__(self) -> None:
         """Check the values, and bring ``message_bits`` to the one text that its code has.
 
-        Raises ParameterError, naming the field, for values that are wrong or do not fit together.
+        Raises ParameterError, naming the field, for values that are wrong or do not fit together, and for
+        more than MAX_ON_BUS robots in an experiment that the C engine cannot run.
         """
         super().__post_init__()
         if self.conventions == "authors" and self.firmware != "reference":
@@ -51,8 +52,8 @@ class Experiment(Population):
             message_code = parse_message_bits(self.message_bits)
         # One text for each code, so that equal experiments compare equal: not "07+4" beside "7+4".
         message_bits = EXACT if message_code is None else str(message_code)
-        object.__setattr__(self, "message_bits", message_bits)
-        # In a larger swarm ids repeat: the engine in C keeps robots of one id apart, messages on a bus do
+        object.__setattr__(self, "message_bits", message_bits)  # the class is frozen
+        # In a larger swarm several robots have the same id. The C engine tells them apart, but messages do
         # not.
         if self.robots > MAX_ON_BUS and self.parameter_lacking_in_c:
             slow_parameter = self.parameter_lacking_in_c
@@ -113,7 +114,7 @@ def combinations(parameters: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
     if not table_lists:
         yield from _combine_values(plain_parameters)
         return
-    # One table of each list at a time.
+    # Each combination has one table of each list.
     for chosen_tables in product(*table_lists.values()):
         combined = dict(plain_parameters)
         for table in chosen_tables:

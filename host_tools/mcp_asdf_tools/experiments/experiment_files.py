@@ -33,7 +33,9 @@ _KEY = re.compile(r"""(?:^|[{,])\s*["']?([A-Za-z0-9_-]+)["']?\s*=""")
 def read_experiments(path: Path | str) -> list[Experiment]:
     """Return the experiments that a TOML file describes, in its order.
 
-    Raises UsageError, which names the line if it can, if anything is invalid or the file sets no parameter.
+    A path without a suffix that does not exist is the name of a file that comes with the program. Raises
+    UsageError, which names the line if it can, if anything is invalid, the file sets no parameter, or there
+    are more than MAX_EXPERIMENTS.
     """
     path = Path(path)
     if not path.suffix and not path.exists():

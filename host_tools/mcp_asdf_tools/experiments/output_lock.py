@@ -19,8 +19,9 @@ _MAX_ID_LENGTH = 20
 def lock_file(path: Path) -> str | None:
     """Lock a file for this process, and create it if it does not exist.
 
-    Returns None if this process has the lock now or had it before. If another process has it, returns the
-    id of that process as a text. On Windows, and on file systems without locks, every process gets the lock.
+    Returns None if this process has the lock now or had it before. The file then contains this process's id.
+    If another process has the lock, returns the id of that process as a text. On Windows, and on file systems
+    without locks, every process gets the lock.
     Raises OSError if the file cannot be created.
     """
     try:

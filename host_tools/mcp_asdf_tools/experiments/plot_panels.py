@@ -145,7 +145,7 @@ def colours_of_filters(filter_names: Sequence[str]) -> list[str]:
     remaining_colours = {
         name: swarm_filter.colour for name, swarm_filter in FILTERS.items() if swarm_filter.colour is not None
     }
-    # They repeat, as it is not here that too many series are refused.
+    # After the last colour the first one comes again: ``create_panel_grid`` refuses too many series.
     free_colours = cycle([colour for colour in COLOURS if colour not in remaining_colours.values()])
     colours: list[str] = []
     for name in filter_names:

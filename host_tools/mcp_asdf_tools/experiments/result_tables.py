@@ -118,20 +118,28 @@ def column_types() -> dict[str, Any]:
     types: dict[str, Any] = {}
     for name in PARAMETER_NAMES:
         default = getattr(default_experiment, name)
-        types[name] = number_types.get(type(default), pa.string())
+        types[name] = number_types.get(type(default), pa.string())  # what is no number is a text
     types["trial"] = pa.int64()
-    types |= dict.fromkeys(SCORES, pa.float64())
-    for name, (_, element_type_name) in _LIST_COLUMNS.items():
-        element_type = getattr(pa, element_type_name)()
-        types[name] = pa.list_(pa.field("element", element_type))
-    return types | dict.fromkeys(RECORD_COLUMNS.values(), _RECORD_OF_TRIAL)
+    for score_name in SCORES:
+        types[score_name] = pa.float64()
+    for name, (_attribute, element_type_name) in _LIST_COLUMNS.items():
+        make_element_type = getattr(pa, element_type_name)  # such as pa.float64
+        types[name] = pa.list_(pa.field("element", make_element_type()))
+    for record_name in RECORD_COLUMNS.values():
+        types[record_name] = _RECORD_OF_TRIAL
+    return types
 
 
 def column_types_of_format(table_format: int) -> dict[str, Any]:
-    """Return the pyarrow type of each column by its name in one of READABLE_FORMATS."""
+    """Return the pyarrow type of each column by its name in one of READABLE_FORMATS.
+
+    In FLAT_RECORDS_FORMAT a record is one list of numbers, in the present format a list of such lists.
+    """
+    types = dict(column_types())
     if table_format == FLAT_RECORDS_FORMAT:
-        return column_types() | dict.fromkeys(RECORD_COLUMNS.values(), _VALUES_OF_ROBOTS)
-    return column_types()
+        for record_name in RECORD_COLUMNS.values():
+            types[record_name] = _VALUES_OF_ROBOTS
+    return types
 
 
 def to_present_format(table: pa.Table, row_count: int) -> pa.Table:
@@ -177,18 +185,18 @@ def _nest_flat_record(table: pa.Table, column: str) -> pa.ChunkedArray:
     for batch in table.select(["robots", column]).to_batches():
         flat_records = batch[column]
         # In a damaged file any number may stand for the robots, also 0, or one that fits no signed integer.
-        stated_robots = pc.fill_null(batch["robots"], 0).to_numpy()
-        robots_by_trial = np.clip(stated_robots, 0, np.iinfo(np.int32).max).astype(np.int64)
-        values_by_trial = pc.fill_null(pc.list_value_length(flat_records), 0).to_numpy()
-        steps_by_trial = values_by_trial // np.maximum(robots_by_trial, 1)  # rounded down
-        values_in_complete_steps = steps_by_trial * robots_by_trial
-        has_values_left = not np.array_equal(values_in_complete_steps, values_by_trial)
+        stated_robot_counts = pc.fill_null(batch["robots"], 0).to_numpy()
+        robot_counts = np.clip(stated_robot_counts, 0, np.iinfo(np.int32).max).astype(np.int64)  # by trial
+        value_counts = pc.fill_null(pc.list_value_length(flat_records), 0).to_numpy()  # by trial
+        divisors = np.maximum(robot_counts, 1)  # without robots a division by 0
+        step_counts = value_counts // divisors  # complete steps, by trial
+        has_values_left = not np.array_equal(step_counts * robot_counts, value_counts)
         if flat_records.null_count > 0 or has_values_left:
             raise _damage_error(f"column {column} has gaps, or not a value of each robot at each step")
         # The values become lists by robot for each step, and these become a list for each trial.
-        robots_by_step = np.repeat(robots_by_trial, steps_by_trial)
-        values_of_robots = _group_in_lists(flat_records.flatten(), robots_by_step, _VALUES_OF_ROBOTS)
-        nested_chunks.append(_group_in_lists(values_of_robots, steps_by_trial, _RECORD_OF_TRIAL))
+        robot_counts_by_step = np.repeat(robot_counts, step_counts)
+        values_of_robots = _group_in_lists(flat_records.flatten(), robot_counts_by_step, _VALUES_OF_ROBOTS)
+        nested_chunks.append(_group_in_lists(values_of_robots, step_counts, _RECORD_OF_TRIAL))
     return pa.chunked_array(nested_chunks, _RECORD_OF_TRIAL)
 
 
@@ -222,7 +230,10 @@ def _add_missing_parameters(table: pa.Table, row_count: int) -> pa.Table:
 
 
 def read_metadata(table: pa.Table) -> dict[str, Any]:
-    """Return the metadata of a table: format, versions, delta and sampling_interval."""
+    """Return the metadata of a table, without ``columns``, the units and meanings of its columns.
+
+    They are format, versions, delta and sampling_interval, and source if another program ran the trials.
+    """
     metadata: dict[str, Any] = json.loads(table.schema.metadata[METADATA_KEY])
     metadata.pop("columns", None)
     return metadata
@@ -243,7 +254,7 @@ def trials_to_table(trials: Trials) -> pa.Table:
         name: [value] * trial_count for name, value in trials.experiment.parameters().items()
     }
     columns |= {"trial": trials.numbers, **trials.scores()}
-    for name, (attribute, _) in _LIST_COLUMNS.items():
+    for name, (attribute, _element_type_name) in _LIST_COLUMNS.items():
         columns[name] = _flatten_trials(getattr(trials, attribute))
     # Files have the same columns whether anything was recorded or not.
     nothing_recorded = np.empty((trial_count, 0, trials.experiment.robots))
@@ -308,8 +319,9 @@ def trials_from_rows(experiment: Experiment, table: pa.Table) -> Trials:
     """Return the rows of a table as trials of an experiment, sorted by their numbers.
 
     A row is a trial. In the columns "k", convergence steps, "e", errors, "tests" and "updates" it has a list
-    with a value for each robot. "b_hat" has such values for one filter step after the other. All rows must be
-    of the experiment. Raises UsageError if a list has another length than it must have.
+    with a value for each robot. "b_hat" has such values for one filter step after the other, and each column
+    of RECORD_COLUMNS a list of them for each recorded step. All rows must be of the experiment. Raises
+    UsageError if a list has another length than it must have.
     """
     _check_list_lengths(experiment, table)
     table = table.sort_by("trial")

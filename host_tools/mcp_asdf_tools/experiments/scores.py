@@ -35,20 +35,17 @@ def convergence_step(series: NDArray[np.uint32] | NDArray[np.float64], delta: fl
     """
     import numpy as np  # noqa: PLC0415 (it loads slowly, and limits are needed without it)
 
-    # A step is near all later ones if the lowest and the highest value from it to the end are. To find these
-    # for every step would take long: first they are found for chunks of steps.
     chunk_starts = np.arange(0, len(series), _CHUNK)
-    lowest_from_chunk = _extreme_to_end(np.minimum, np.minimum.reduceat(series, chunk_starts))
-    highest_from_chunk = _extreme_to_end(np.maximum, np.maximum.reduceat(series, chunk_starts))
-    # The values after a chunk begin with the next chunk. The last chunk has none after it: its last value
-    # serves.
-    lowest_after_chunk = np.append(lowest_from_chunk[1:], series[-1])
-    highest_after_chunk = np.append(highest_from_chunk[1:], series[-1])
-    # Where the values after a chunk are 2 delta apart, no step in the chunk can be near all of them.
+    # A value is near all later ones if it is near the lowest and the highest of them. To find these for every
+    # step would take long: first they are found for chunks of steps.
+    lowest_after_chunk = _extreme_after_chunks(np.minimum, series, chunk_starts)
+    highest_after_chunk = _extreme_after_chunks(np.maximum, series, chunk_starts)
+    # Where the values after a chunk are 2 delta apart, no value in the chunk can be near all of them.
     may_hold_k = highest_after_chunk - lowest_after_chunk < 2 * delta
     for index in np.flatnonzero(may_hold_k):
         start = chunk_starts[index]
         chunk = series[start : start + _CHUNK]
+        # For each value of the chunk, the lowest and the highest value from it to the end of the series.
         lowest_to_end = _extreme_to_end(np.minimum, np.minimum(chunk, lowest_after_chunk[index]))
         highest_to_end = _extreme_to_end(np.maximum, np.maximum(chunk, highest_after_chunk[index]))
         # Unsigned values allow these differences only, which are never negative.
@@ -56,6 +53,22 @@ def convergence_step(series: NDArray[np.uint32] | NDArray[np.float64], delta: fl
         if stays_near.any():
             return int(start + stays_near.argmax())
     return len(series) - 1
+
+
+def _extreme_after_chunks(
+    extreme: np.ufunc, series: NDArray[Any], chunk_starts: NDArray[np.int64]
+) -> NDArray[Any]:
+    """Return for each chunk of a series the extreme, np.minimum or np.maximum, of all values after it.
+
+    ``chunk_starts`` has the index of the first value of each chunk. The last chunk has no values after it;
+    the last value of the series stands for them.
+    """
+    import numpy as np  # noqa: PLC0415 (it loads slowly, and limits are needed without it)
+
+    extreme_of_chunk = extreme.reduceat(series, chunk_starts)
+    extreme_from_chunk = _extreme_to_end(extreme, extreme_of_chunk)
+    # The values after a chunk begin with the next chunk.
+    return np.append(extreme_from_chunk[1:], series[-1])
 
 
 def _extreme_to_end(extreme: np.ufunc, values: NDArray[Any]) -> NDArray[Any]:
@@ -86,7 +99,7 @@ class Limits:
                 raise UsageError(f"{name} is {value}; it must be above 0")
 
     def of(self, experiment: Experiment) -> tuple[float, float]:
-        """Return K_max and e_max for the trials of an experiment."""
+        """Return K_max and e_max for the trials of an experiment; without a K_max it is their last step."""
         k_max = experiment.steps if self.k_max is None else self.k_max
         return k_max, self.e_max
 

@@ -115,12 +115,13 @@ class EngineTrials:
     def execute(self, lanes: bool) -> Status:
         """Run the trials, fill in the results and return the engine's status: OK, or what went wrong.
 
-        ``lanes`` chooses the faster of two engines with equal results. It makes the array ``x`` and memory
-        for the engine's work.
+        ``lanes`` chooses the faster of two engines with equal results. The array ``x`` is made here, and so
+        is memory in which the engine works.
         """
         engine = _engine.lib
-        columns = engine.mcp_asdf_engine_columns(self.experiment)
-        self.x = np.empty((self.experiment.trials, columns, self.experiment.steps + 1), np.uint32)
+        # A trial has a series of x for each robot, or one if all its robots always have the same x.
+        series_of_trial = engine.mcp_asdf_engine_columns(self.experiment)
+        self.x = np.empty((self.experiment.trials, series_of_trial, self.experiment.steps + 1), np.uint32)
         # In the order of the members of mcp_asdf_outcome_t.
         result_arrays = (
             self.robots,
@@ -159,9 +160,9 @@ class EngineTrials:
         return images
 
     def _array(self, c_type: str, values: Any) -> Any:
-        """Return a C array that lives as long as this object: a copy of a list, or a NumPy array's memory.
+        """Return values as a C array that lives as long as this object; ``c_type`` is its elements' type.
 
-        ``c_type`` is the type of an element. What C writes into a NumPy array's memory, the array shows.
+        It is a copy of a list, but the memory of a NumPy array itself, so that C can write into that array.
         """
         if isinstance(values, np.ndarray):
             array = _engine.ffi.from_buffer(f"{c_type}[]", values)
@@ -219,7 +220,7 @@ def _black_probabilities(experiment: Experiment, first: int, trials: int) -> NDA
 
 
 def _make_c_config(config: Config) -> tuple[Any, Any]:
-    """Return the C struct of a config, and its table, which has to live as long as the struct.
+    """Return the C struct of a config, and its t-table in C, which has to live as long as the struct.
 
     The table is a null pointer for a config without one.
     """

@@ -26,5 +26,7 @@ def load_plot(kind: str) -> Callable[..., Figure]:
 
     Raises UsageError, with the fix, if matplotlib is not installed.
     """
-    plot: Callable[..., Figure] = getattr(import_module(f"{__name__}.{kind}"), f"plot_{kind}")
+    # The decorator turns the ImportError of a missing matplotlib into that UsageError.
+    module = import_module(f"{__name__}.{kind}")
+    plot: Callable[..., Figure] = getattr(module, f"plot_{kind}")
     return plot

@@ -82,7 +82,12 @@ def plot_boxes(
 
 def _select_panel(series: Series, f: float, b: float) -> Series:
     """Return the series with only those experiments that have this f and this b."""
-    return series.select(lambda experiment: (experiment.fill_ratio, experiment.true_accuracy) == (f, b))
+
+    def belongs_to_panel(experiment: Experiment) -> bool:
+        """Return whether an experiment has this f and this b."""
+        return experiment.fill_ratio == f and experiment.true_accuracy == b
+
+    return series.select(belongs_to_panel)
 
 
 def _draw_box_panel(axes: Axes, series_of_panel: Sequence[Series], limits: Limits) -> None:

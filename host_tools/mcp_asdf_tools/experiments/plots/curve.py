@@ -60,10 +60,10 @@ def plot_curve(  # noqa: PLR0913 (each is given by name)
 
     ``y`` is H, h_K, h_e, K, e, or a function of ``Trials`` that returns a number for each trial. There is a
     curve for each value of the parameter ``hue``, and a panel for each value of ``facet``, or the curves are
-    drawn into the axes ``ax``. Flawed robots are a share. Scores are relative to ``limits``, by default the
-    paper's. Raises UsageError for a name that is no parameter, if the experiments differ in what is not
-    shown, for limits where ``y`` is no score, for ``facet`` together with ``ax``, and for more panels or
-    curves than fit a picture.
+    drawn into the axes ``ax``, whose figure is then returned. The parameter ``flawed`` is shown as the share
+    of the robots. Scores are relative to ``limits``, by default the paper's. Raises UsageError for a name
+    that is no parameter, if the experiments differ in what is not shown, for limits where ``y`` is no score,
+    for ``facet`` together with ``ax``, and for more panels or curves than fit a picture.
     """
     if limits is not None and y not in SCORES:
         raise UsageError("limits would do nothing: they are for scores, and y is none; leave them out")
@@ -175,8 +175,10 @@ def _measured_values(trials: Trials, y: str | Measure, limits: Limits) -> NDArra
 
 
 def _axis_value(experiment: Experiment, parameter_name: str) -> Any:
-    """Return the value of a parameter for an axis: flawed robots as a share, choices as words."""
-    return flawed_share(experiment) if parameter_name == "flawed" else experiment.parameters()[parameter_name]
+    """Return the value of a parameter for an axis: of ``flawed`` the share of the robots."""
+    if parameter_name == "flawed":
+        return flawed_share(experiment)
+    return experiment.parameters()[parameter_name]
 
 
 def _sorted_axis_values(experiments: Sequence[Trials], parameter_name: str) -> list[Any]:

@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from mcp_asdf_tools.common.figures import INK, SMALL, clean
+from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.plot_labels import flawed_share, make_caption
 from mcp_asdf_tools.experiments.plot_panels import (
     Results,
@@ -77,7 +78,12 @@ def plot_scatter(
 
 def _select_panel(series: Series, f: float, share: float) -> Series:
     """Return the series with only those experiments that have this f and this share of flawed robots."""
-    return series.select(lambda experiment: (experiment.fill_ratio, flawed_share(experiment)) == (f, share))
+
+    def belongs_to_panel(experiment: Experiment) -> bool:
+        """Return whether an experiment has this f and this share of flawed robots."""
+        return experiment.fill_ratio == f and flawed_share(experiment) == share
+
+    return series.select(belongs_to_panel)
 
 
 def _describe_accuracy(b: float, offset: float) -> str:
