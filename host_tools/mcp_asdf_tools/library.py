@@ -72,7 +72,12 @@ def start_swarm(settings: SwarmSettings, channel: str | None = None) -> Swarm:
     # Frames keep the time that their sender gives them, as with the command ``mcp-asdf swarm``. All robots
     # have the same bus, so the swarm opens one connection for all, which has to return what they send.
     options: dict[str, Any] = {"preserve_timestamps": True, "receive_own_messages": True}
-    return Swarm(settings, Wiring(lambda robot: can.Bus(channel, "virtual", **options)))
+
+    def open_bus(robot: int) -> can.BusABC:
+        """Open the bus, which is the same for each robot."""
+        return can.Bus(channel, "virtual", **options)
+
+    return Swarm(settings, Wiring(open_bus))
 
 
 @naming_extras()
@@ -261,16 +266,16 @@ def _replay_to_tidy_tables(log: Path) -> Iterator[pa.Table]:
         values_by_tick = replay_values(events, settings.steps, QUANTITIES)
         ticks_at_once = max(1, _ROWS_AT_ONCE // settings.robots)
         first_tick = 0
-        # Each array of values_by_tick has the shape (quantities, N).
-        while arrays := list(islice(values_by_tick, ticks_at_once)):
-            ticks = first_tick + np.arange(len(arrays))
-            series_by_quantity = np.stack(arrays, axis=1)  # shape (quantities, ticks, N)
+        # The values of the next ticks, of shape (quantities, N) each; an empty list at the end ends the loop
+        while values_of_ticks := list(islice(values_by_tick, ticks_at_once)):
+            ticks = first_tick + np.arange(len(values_of_ticks))
+            series_by_quantity = np.stack(values_of_ticks, axis=1)  # shape (quantities, ticks, N)
             # The table wants an axis for trials, too: of one trial, the shape (1, ticks, N).
             values = {
                 name: series[np.newaxis] for name, series in zip(QUANTITIES, series_by_quantity, strict=True)
             }
             yield tidy_table(settings, parameter_names=(), trial_numbers=[0], steps=ticks, values=values)
-            first_tick += len(arrays)
+            first_tick += len(values_of_ticks)
 
 
 # --- Pictures --------------------------------------------------------------------------------------------

@@ -57,7 +57,7 @@ def run(args: argparse.Namespace) -> int:
 
     # The parser has no defaults for steps and seed, so that it shows here what the user has typed.
     if args.replay is not None:
-        if (args.steps, args.seed) != (None, None):
+        if args.steps is not None or args.seed is not None:
             raise UsageError("--replay runs one scenario; it does not go with --steps or --seed")
         return _replay(parse_scenario(args.replay), args.json)
     steps = _DEFAULT_STEPS if args.steps is None else args.steps
@@ -76,7 +76,7 @@ def _load_comparable(name: str) -> Firmware:
     return cast("Firmware", load_firmware(name))
 
 
-def _check_with(audit: Audit) -> CheckScenario:
+def _make_scenario_check(audit: Audit) -> CheckScenario:
     """Return a function that runs a scenario on native and mirror, and returns its first failure or None.
 
     A failure is a call after which the two firmwares differ, or for whose results ``audit``, which compares
@@ -102,7 +102,8 @@ def _replay(scenario: Scenario, as_json: bool) -> int:
     from mcp_asdf_tools.crosscheck.compare import RobotUnderTest
     from mcp_asdf_tools.crosscheck.oracle import Audit
 
-    failure = _check_with(Audit())(scenario)
+    check_scenario = _make_scenario_check(Audit())
+    failure = check_scenario(scenario)
     # Both may refuse the settings of the robot: then they agree, and make no call.
     native_robot = RobotUnderTest(_load_comparable("native"), scenario.setup)
     status = native_robot.last_result.outcome  # the outcome of making it
@@ -121,7 +122,10 @@ def _replay(scenario: Scenario, as_json: bool) -> int:
 def _replay_report(
     scenario: Scenario, failure: Failure | None, status: str, is_robot_valid: bool
 ) -> dict[str, Any]:
-    """Return the outcome of one scenario as plain values; ``calls`` counts those that were made."""
+    """Return the outcome of one scenario as plain values; ``calls`` counts those that were made.
+
+    They end with the one that failed, and there is none if both firmwares refuse the robot.
+    """
     if failure is not None:
         call_count = len(failure.scenario.calls)
     elif is_robot_valid:
@@ -150,10 +154,10 @@ def _check_all(steps: int, seed: int, args: argparse.Namespace) -> int:
     from mcp_asdf_tools.crosscheck.report import CrosscheckReport
 
     audit = Audit()
-    check_scenario = _check_with(audit)
+    check_scenario = _make_scenario_check(audit)
     counts = count_operations()
-    with progress("calls", steps, args.json) as on_calls:
-        result = run_crosscheck(check_scenario, seed, steps, on_calls)
+    with progress("calls", steps, args.json) as report_progress:
+        result = run_crosscheck(check_scenario, seed, steps, report_progress)
     if result.failure is not None:
         # A short scenario is easier to understand than the random one that failed.
         result.failure = _find_shortest(result.failure)
@@ -180,7 +184,8 @@ def _find_shortest(failure: Failure) -> Failure:
 
     try:
         # With an audit of its own, as the calls of this search do not count as checked.
-        return shrink(failure, _check_with(Audit()))
+        check_scenario = _make_scenario_check(Audit())
+        return shrink(failure, check_scenario)
     except KeyboardInterrupt:
         print("mcp-asdf crosscheck: interrupted; a shorter scenario may show the same", file=sys.stderr)
         return failure

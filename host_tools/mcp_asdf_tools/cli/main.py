@@ -96,6 +96,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     else:
         command_title = PROGRAM
         work = partial(_show_overview, arguments)
+    # In this context a signal raises KeyboardInterrupt, and a failing print raises OutputError.
     with checked_streams(), stopping(interrupt=True):
         exit_code = _attempt(command_title, work, as_json)
         # Flushed here and not at exit, where a closed pipe or a full disk could not change the exit code. It
@@ -111,7 +112,7 @@ def _attempt(command_title: str, work: Callable[[], int], as_json: bool) -> int:
     that is returned; other exceptions are mistakes of the program and pass.
     """
     try:
-        with naming_extras():
+        with naming_extras():  # which turns the failed import of an optional package into a UsageError
             return work()
     except SystemExit as stop:  # argparse has printed its help or its error
         return stop.code if isinstance(stop.code, int) else 0
@@ -187,7 +188,8 @@ def _log_start(args: argparse.Namespace) -> None:
 
 def _load(command_name: str) -> Command:
     """Import the module of a command. Raises KeyboardInterrupt afterwards if a signal came meanwhile."""
-    (command,) = _import_all([f"{__package__}.{command_name}"])
+    module_name = f"{__package__}.{command_name}"
+    (command,) = _import_all([module_name])
     return cast(Command, command)
 
 
@@ -227,7 +229,7 @@ def _show_overview(arguments: Sequence[str]) -> int:
     parser = Parser(PROGRAM, "Collective perception with self-calibrating robots.", _listing())
     parser.add_argument("--version", action="store_true", help="show program's version number and exit")
     parser.add_argument("command", metavar="COMMAND", nargs="?", help="one of these; each has its own --help")
-    args, _ = parser.parse_known_args(arguments)
+    args, _unknown_arguments = parser.parse_known_args(arguments)
     if args.version:
         from mcp_asdf_tools.common.versions import own_version
 

@@ -111,8 +111,8 @@ def _keywords_of_value(parameter: Parameter) -> dict[str, Any]:
         return {"choices": parameter.choices}
     # A value of another type, such as a count or share, is parsed by the class of the parameters.
     value_type = parameter.kind if parameter.kind in (int, float) else str
-    *_, last_word = parameter.name.split("_")  # such as PERIOD for filter_period
-    return {"type": value_type, "metavar": last_word.upper()}
+    last_word = parameter.name.split("_")[-1]
+    return {"type": value_type, "metavar": last_word.upper()}  # such as PERIOD for filter_period
 
 
 def _keywords_of_names(names: Names) -> dict[str, Any]:
@@ -358,7 +358,8 @@ def bus_of(args: argparse.Namespace) -> BusChoice:
     typed_settings = {
         name: getattr(args, name) for name in ("interface", "channel", "bitrate") if name in args
     }
-    return choose_bus(typed_settings | dict(getattr(args, "bus_kwargs", ())))
+    further_settings = dict(getattr(args, "bus_kwargs", ()))  # pairs of name and value
+    return choose_bus(typed_settings | further_settings)
 
 
 def add_estimate_format(group: argparse._ActionsContainer) -> None:

@@ -63,12 +63,14 @@ class Parser(argparse.ArgumentParser):
         """
         unknown_options = [argument for argument in unknown_arguments if argument.startswith("-")]
         if unknown_options:
-            kind, first = "option", unknown_options[0]
+            kind, unknown = "option", unknown_options[0]
         else:
-            kind, first = "argument", unknown_arguments[0]
-        known_options = [option for action in self._actions for option in action.option_strings]
-        option_name, _, _ = first.partition("=")  # --robot of --robot=3, which may be --robots misspelt
-        self.error(f"no such {kind}: {first}{did_you_mean(option_name, known_options)}")
+            kind, unknown = "argument", unknown_arguments[0]
+        known_options: list[str] = []
+        for action in self._actions:
+            known_options += action.option_strings
+        option_name, _, _ = unknown.partition("=")  # --robot of --robot=3, which may be --robots misspelt
+        self.error(f"no such {kind}: {unknown}{did_you_mean(option_name, known_options)}")
 
     def _check_value(self, action: argparse.Action, value: Any) -> None:
         """Raise ArgumentError, with the nearest choice, for a value that is none of an option's choices."""
@@ -99,7 +101,10 @@ class _HelpFormatter(argparse.RawDescriptionHelpFormatter):
         options, and the options of each required group in ``groups``. Such a group needs one of its mutually
         exclusive options, although argparse marks no option as required.
         """
-        alternatives = [action for group in groups if group.required for action in group._group_actions]
+        alternatives: list[argparse.Action] = []  # the options of required groups
+        for group in groups:
+            if group.required:
+                alternatives += group._group_actions
         shown_actions = []
         for action in actions:
             is_positional = not action.option_strings  # such as FILE

@@ -148,7 +148,8 @@ def settings_of(args: argparse.Namespace) -> RadioSettings:
     # The controller is one of the robots of this world.
     neighbour_ids = choose_ids(controller.id, world.robots - 1, args.first_id)
     # Neighbours assume the true accuracy, as far as the firmware can: it needs a margin to 0 and 1.
-    b_hat = min(max(world.true_accuracy, B_HAT_MARGIN), 1 - B_HAT_MARGIN)
+    lowest_b_hat, highest_b_hat = B_HAT_MARGIN, 1 - B_HAT_MARGIN
+    b_hat = min(max(world.true_accuracy, lowest_b_hat), highest_b_hat)
     config = controller.config
     if world.swarm_filter.filtering_robots is FilteringRobots.FLAWED:
         # Of this swarm the controller alone is in doubt, so its neighbours do not recalibrate.
@@ -249,6 +250,11 @@ def _run_phases(
     log, events = log_outputs
     recorder = None if events is None else events.recorders[settings.controller.id]
     with stopping() as should_stop, console.status("") as status:
+
+        def show_progress(ticks: int) -> None:
+            """Show how far the phases are; called while ``verification``, which is created below, runs."""
+            status.update(f"tick {ticks}   {verification.bench.activity}")
+
         bench_options = BenchOptions(
             bus,
             # Neither can be 0, as _check_run_options has seen to it.
@@ -256,7 +262,7 @@ def _run_phases(
             timeout=args.timeout or _DEFAULT_TIMEOUT,
             wait=args.wait,
             recorder=recorder,
-            progress=lambda ticks: status.update(f"tick {ticks}   {verification.bench.activity}"),
+            progress=show_progress,
             should_stop=should_stop,
         )
         if log is not None:
@@ -288,10 +294,15 @@ def _emulate_neighbours(
             link = BusLink(bus, should_stop, tolerates_failures=True, log=log)
             radio_run = RadioRun(Neighbourhood(settings), link, args.steps)
             with console.status("") as status:
-                radio_run.on_tick = lambda: status.update(
-                    f"tick {radio_run.neighbours.tick}   frames sent {radio_run.sent_count}, "
-                    f"estimates heard {radio_run.estimate_count}"
-                )
+
+                def show_progress() -> None:
+                    """Show the tick and the numbers of frames so far; called in every tick."""
+                    status.update(
+                        f"tick {radio_run.neighbours.tick}   frames sent {radio_run.sent_count}, "
+                        f"estimates heard {radio_run.estimate_count}"
+                    )
+
+                radio_run.on_tick = show_progress
                 radio_run.run()
             report = _make_report(args, settings, bus_choice)
             report["results"] = radio_run.figures()

@@ -105,11 +105,11 @@ def run(args: argparse.Namespace) -> int:
     study_size = study_size_from(args)
     default_folder = "reproduction-quick" if args.quick else "reproduction"
     output_folder = args.output or Path(default_folder)
-    # In the paper's order, whichever the options have.
+    # In the paper's order, whichever the options have. Without --part, which is None then, all of them.
     study_parts = [
         study_part for study_part in StudyPart if args.part is None or study_part.value in args.part
     ]
-    own_firmware, own_filter = own_choice(args)
+    own_firmware, own_filter = firmware_and_filter_of_user(args)
     stores = open_stores(output_folder, study_parts, study_size, own_firmware, own_filter)
     trials_by_cell, own_trials = _run_missing_trials(stores, workers, args)
     study_results = StudyResults(trials_by_cell, own_trials)
@@ -121,7 +121,9 @@ def run(args: argparse.Namespace) -> int:
         print(json_report({"report": str(output_folder / "report.html"), "claims": claims}))
         return 0
     for claim in claims:
-        print(f"{claim['verdict'] or 'too short':10} {claim['part'] or 'equations':16} {claim['claim']}")
+        verdict = claim["verdict"] or "too short"  # as trials are with --quick, which have no verdicts
+        subject = claim["part"] or "equations"  # which are no part of the study
+        print(f"{verdict:10} {subject:16} {claim['claim']}")
     print(output_folder / "report.html")
     print_again(args, seed=study_size.seed)
     return 0
@@ -150,10 +152,10 @@ def study_size_from(args: argparse.Namespace) -> StudySize:
     return study_size
 
 
-def own_choice(args: argparse.Namespace) -> tuple[str, str | None]:
+def firmware_and_filter_of_user(args: argparse.Namespace) -> tuple[str, str | None]:
     """Return the firmware, and the filter if there is one, that the user sets beside the paper's filter.
 
-    Raises UsageError if the firmware is the study's own.
+    Without --firmware it is the paper's. Raises UsageError if the user has typed that one.
     """
     if args.firmware == PAPERS_FIRMWARE:
         raise UsageError(

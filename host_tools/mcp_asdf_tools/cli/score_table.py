@@ -90,9 +90,9 @@ def _describe_score(quartiles: dict[str, float]) -> str:
 def _caption(rows: Sequence[dict[str, Any]]) -> str:
     """Return what a summary's table has below it: the filters, and the limits of the scores."""
     filter_lines = sorted({row["filter"] for row in rows})
-    k_maxima = sorted({row["limits"]["k_max"] for row in rows})
-    e_max = min(row["limits"]["e_max"] for row in rows)
     # Without --k-max each experiment's limit is the length of its own trials.
-    k_max = f"{k_maxima[0]:g}" if len(k_maxima) == 1 else "the length of a trial"
+    k_maxima = {row["limits"]["k_max"] for row in rows}
+    k_max = f"{k_maxima.pop():g}" if len(k_maxima) == 1 else "the length of a trial"
+    e_max = rows[0]["limits"]["e_max"]  # the same for all experiments
     limit_text = f"K_max {k_max}, e_max {e_max:.6g}; medians over the trials, H with quartiles"
     return "\n".join([*filter_lines, limit_text])

@@ -185,7 +185,8 @@ def wiring_of(args: argparse.Namespace, settings: SwarmSettings, bus_choice: Bus
         Robots here that share one bus share this connection, so it has to return what they send.
         """
         returns_own = not bus_choice.has_channels and not remote_robots
-        return devices.get(robot, bus_choice.of_robot(robot)).open(returns_own)
+        robot_bus = devices.get(robot, bus_choice.of_robot(robot))
+        return robot_bus.open(returns_own)
 
     # Without any of these nobody else can be on a bus, and frames go from robot to robot in memory.
     needs_bus = (
@@ -371,7 +372,7 @@ def _emulate(plan: _RunPlan, log_outputs: LogOutputs, recorder: SwarmRecorder | 
             hooks = [hook for hook in (baselines, recorder, live_view) if hook is not None]
             outcome = run_swarm(swarm, hooks, should_stop)
 
-    # A process reports when it ends, and all have ended by now.
+    # A process reports when it ends, and all have ended with the context of ``processes``.
     bus_choice = plan.bus_choice
     report = outcome.report(
         {"interface": bus_choice.interface, "channel": bus_choice.channel, "slcan": slcan_port}

@@ -16,8 +16,10 @@ class UsageError(ValueError):
     """
 
     def __init__(self, message: str) -> None:
+        """Create the error, with ``message`` made one line that can be printed."""
         line = " ".join(message.split())
-        printable_line = "".join(char if char.isprintable() else _escape(char) for char in line)
+        printable_characters = [char if char.isprintable() else _escape(char) for char in line]
+        printable_line = "".join(printable_characters)
         if len(printable_line) > _MAX_LENGTH:
             half = _MAX_LENGTH // 2
             printable_line = f"{printable_line[:half]} ... {printable_line[-half:]}"

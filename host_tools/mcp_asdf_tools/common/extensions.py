@@ -76,6 +76,7 @@ class Names:
         self._group = group
 
     def __contains__(self, name: object) -> bool:
+        """Return whether a name is built in or installed; one of an object or a recording is, in any case."""
         if isinstance(name, ObjectName | RecordedName):
             return True  # neither has to be installed here
         return name in self.built_in or name in installed_names(self._group)
@@ -106,7 +107,7 @@ def check_for_workers(name: str) -> None:
     except Exception as error:  # pickle raises errors of many kinds
         raise UsageError(f"{name} cannot be sent to worker processes: {error}; {fix}") from error
     # What is typed in a Python session or a notebook can be pickled, but no other process has it.
-    is_session = not hasattr(sys.modules["__main__"], "__file__")
+    is_session = not hasattr(sys.modules["__main__"], "__file__")  # only a script has a file
     if is_session and name.extension.__module__ == "__main__":
         raise UsageError(f"{name} exists in this session only, and not in worker processes; {fix}")
 
@@ -135,10 +136,10 @@ def load(group: str, name: str) -> Any:
     if not candidates:
         raise UsageError(f"no extension {name!r} is installed in the entry point group {group}")
     if len(candidates) > 1:
-        offers = [
-            f"{candidate.dist.name if candidate.dist else '?'} ({candidate.value})"
-            for candidate in candidates
-        ]
+        offers = []
+        for candidate in candidates:
+            package_name = candidate.dist.name if candidate.dist else "?"
+            offers.append(f"{package_name} ({candidate.value})")
         raise UsageError(
             f"the extension {name!r} is offered by {' and '.join(offers)}; uninstall all but one"
         )

@@ -95,8 +95,8 @@ _LOW_TO_HIGH = LinearSegmentedColormap.from_list("low to high", ["#440154", "#31
 
 def ordered_colours(count: int) -> list[str]:
     """Return this many colours from dark to light, for lines of values that have an order."""
-    last_index = max(1, count - 1)  # a single colour is the darkest
-    # The map's colours are those of the numbers 0 to 1.
+    last_index = max(1, count - 1)  # at least 1, as a divisor: a single colour is the darkest
+    # The map gives a colour for each number from 0, dark, to 1, light.
     return [to_hex(_LOW_TO_HIGH(index / last_index)) for index in range(count)]
 
 
@@ -111,7 +111,7 @@ class Drawing(Figure):
 def empty_figure(width: float, height: float) -> Figure:
     """Return a new figure of a size in inches, which can be drawn without a display."""
     figure = Drawing(figsize=(width, height), layout="constrained")
-    FigureCanvasAgg(figure)
+    FigureCanvasAgg(figure)  # becomes the figure's canvas, and needs no display
     return figure
 
 
@@ -130,8 +130,9 @@ _MAX_LEGEND_COLUMNS = 6
 def add_legend(figure: Figure, handles: Sequence[Artist]) -> None:
     """Add a legend above the panels, in as many columns as the figure's width has room for, at most six.
 
-    The width of a legend is only known when it has been added, so the largest number is tried first.
+    A single column is taken even if it is too wide.
     """
+    # The width of a legend is only known when it has been added: those that are too wide are removed again.
     for column_count in range(min(len(handles), _MAX_LEGEND_COLUMNS), 0, -1):
         legend = figure.legend(
             handles=handles, loc="outside upper center", ncols=column_count, frameon=False, fontsize=SMALL

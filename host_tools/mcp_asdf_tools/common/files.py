@@ -88,7 +88,7 @@ def write_together(data_by_path: Mapping[Path, bytes | str]) -> None:
         for path, draft in zip(paths, drafts, strict=True):
             content = data_by_path[path]
             data = content.encode() if isinstance(content, str) else content
-            with explaining(path), draft.open("wb") as file:
+            with explaining_write_errors(path), draft.open("wb") as file:
                 file.write(data)
 
 
@@ -109,7 +109,7 @@ def drafts_for(paths: Sequence[Path]) -> Iterator[list[Path]]:
         rename_drafts(dict(zip(paths, drafts, strict=True)))
     finally:
         for draft in drafts:
-            with suppress(OSError):  # a draft that was renamed is there no more
+            with suppress(OSError):  # a draft that was renamed, or never written, is not there
                 draft.unlink()
 
 
@@ -122,14 +122,14 @@ def rename_drafts(draft_by_path: Mapping[Path, Path], obsolete: Iterable[Path] =
     """
     # A file gets its name only when its content is on the disk, since the power may fail in between.
     for path, draft in draft_by_path.items():
-        with explaining(path):
+        with explaining_write_errors(path):
             _sync(draft)
     target_by_path = {path: check_target(path) for path in draft_by_path}
     for path in obsolete:
-        with explaining(path):
+        with explaining_write_errors(path):
             path.unlink(missing_ok=True)
     for path, draft in draft_by_path.items():
-        with explaining(path):
+        with explaining_write_errors(path):
             os.replace(draft, target_by_path[path])
         _logger.info("wrote %s", path)
     for folder in {target.parent for target in target_by_path.values()}:
@@ -154,7 +154,7 @@ def remove_abandoned_drafts(folder: Path) -> None:
 
 def make_folder(folder: Path) -> None:
     """Create a folder, with the folders above it, if it does not exist. Raises UsageError if that fails."""
-    with explaining(folder):
+    with explaining_write_errors(folder):
         folder.mkdir(parents=True, exist_ok=True)
 
 
@@ -163,7 +163,7 @@ def check_target(path: Path | str) -> Path:
 
     Raises UsageError if it is a folder or a device, or if nothing can be written to its folder.
     """
-    with explaining(path):
+    with explaining_write_errors(path):
         target = Path(path).resolve()
         if target.exists() and not target.is_file():
             raise UsageError(f"cannot write {path}: it is not a regular file; choose another name")
@@ -175,7 +175,7 @@ def check_target(path: Path | str) -> Path:
 
 
 def results_beside(path: Path | str) -> Path:
-    """Return the path of the JSON file with the parameters and results that go with an output file.
+    """Check an output file and the JSON file of its run's results beside it; return the JSON file's path.
 
     That of ``run.log`` is ``run.log.json``. Raises UsageError if either of the two cannot be written.
     """
@@ -186,7 +186,7 @@ def results_beside(path: Path | str) -> Path:
 
 
 @contextmanager
-def explaining(path: Path | str) -> Iterator[None]:
+def explaining_write_errors(path: Path | str) -> Iterator[None]:
     """Context manager for writing ``path``: it turns an OSError into a UsageError with the path and a fix."""
     try:
         yield

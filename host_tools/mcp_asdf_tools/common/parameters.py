@@ -87,7 +87,7 @@ class Parameter:
             raise self._error(value, "give a number")
         try:
             if not math.isfinite(value):
-                raise ValueError("it is infinite or NaN")
+                raise ValueError("it is infinite or NaN")  # which is caught below
             number: float = self.kind(value)
         except (TypeError, ValueError, ArithmeticError) as error:
             # Such an error may mean that the value is no number, or an integer too large for a float.
@@ -128,11 +128,11 @@ def parameter(
 
 def parameters_of(kind: Any) -> dict[str, Parameter]:
     """Return the declared parameters of a class by name, in the order of their declaration."""
-    return _declared(kind)  # mypy does not let callers pass a class to a cached function
+    return _parameters_of(kind)  # mypy does not let callers pass a class to a cached function
 
 
 @cache
-def _declared(kind: Any) -> dict[str, Parameter]:
+def _parameters_of(kind: Any) -> dict[str, Parameter]:
     """Return the declared parameters of a dataclass by name, without its fields that are no parameters.
 
     The result is shared by all callers, so do not change it.
@@ -145,6 +145,7 @@ def _declared(kind: Any) -> dict[str, Parameter]:
             continue  # a field that is no parameter
         field_type = types[name]
         is_literal = get_origin(field_type) is Literal
+        # The choices of a Literal type are its arguments.
         choices = get_args(field_type) if is_literal else metadata["choices"]
         parameters[name] = Parameter(
             name=name,

@@ -36,6 +36,7 @@ def progress(unit: str, total: float, quiet: bool = False) -> Iterator[Callable[
         task = bar.add_task(unit, total=total)
 
         def add(count: float) -> None:
+            """Add units that have been done, and show the progress."""
             nonlocal done_count, last_line_time
             done_count += count
             bar.advance(task, count)
@@ -61,7 +62,7 @@ def format_rate(done_count: float, total: float, seconds: float) -> str:
 
     The text is empty as long as nothing is done.
     """
-    if not done_count or not seconds:
+    if done_count == 0 or seconds == 0:
         return ""
     seconds_left = round((total - done_count) * seconds / done_count)
     minutes, remaining_seconds = divmod(seconds_left, 60)

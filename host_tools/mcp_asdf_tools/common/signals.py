@@ -38,9 +38,11 @@ def stopping(interrupt: bool = False) -> Iterator[Callable[[], bool]]:
     count_at_start = len(_received_signals)
 
     def has_signal_come() -> bool:
+        """Return whether a signal has come since the context began."""
         return len(_received_signals) > count_at_start
 
     def handle_signal(signal_number: int, frame: FrameType | None) -> None:
+        """Note that a signal has come, and raise KeyboardInterrupt where ``stopping`` says so."""
         is_first = not has_signal_come()
         _received_signals.append(signal_number)
         if is_first and interrupt:
@@ -62,9 +64,9 @@ def stopping(interrupt: bool = False) -> Iterator[Callable[[], bool]]:
         for number, handler in previous_handlers.items():
             signal.signal(number, handler)
         if interrupt:
-            # A program that was started by "python -m" ends by SIGINT, whatever its exit code, if Python has
-            # seen a KeyboardInterrupt pass through the exec() of a text, which dataclasses use. It forgets
-            # that at the next exec().
+            # This does nothing but make Python forget a KeyboardInterrupt that has passed through the exec()
+            # of a text, which dataclasses use. Otherwise a program that was started by "python -m" would end
+            # by SIGINT, whatever its exit code.
             exec("")
 
 

@@ -71,6 +71,7 @@ class _CheckedOutput(_CheckedStream):
     """Standard output: a failed write raises OutputError."""
 
     def _handle(self, error: OSError) -> None:
+        """Discard all further output, and raise OutputError."""
         _discard_output(self._stream)
         raise OutputError(error) from error
 
@@ -79,6 +80,7 @@ class _CheckedErrors(_CheckedStream):
     """Standard error: a failed write is ignored, since there is nowhere to report it."""
 
     def _handle(self, error: OSError) -> None:
+        """Discard all further output."""
         _discard_output(self._stream)
 
 
@@ -111,9 +113,9 @@ def _discard_output(stream: IO[str]) -> None:
 def standard_input_descriptor() -> int:
     """Return the file descriptor of standard input. Raises UsageError if it is closed or is not a file."""
     try:
-        if sys.stdin is not None:
+        if sys.stdin is not None:  # it is None if it was closed when the program was started
             return sys.stdin.fileno()
-    except (OSError, ValueError):
+    except (OSError, ValueError):  # it has been closed since, or a test has put a text in its place
         pass
     raise UsageError("there is no standard input; give one, or leave out what reads it")
 

@@ -14,9 +14,9 @@ def own_version() -> str:
 
 def software_versions() -> dict[str, str]:
     """Return the versions of the software that results may depend on, by name."""
-    return {name: _version(name) for name in ("mcp-asdf", "numpy", "python-can")} | {
-        "python": platform.python_version()
-    }
+    versions = {name: _version(name) for name in ("mcp-asdf", "numpy", "python-can")}
+    versions["python"] = platform.python_version()
+    return versions
 
 
 @cache

@@ -18,7 +18,7 @@ import pyarrow.parquet as pq  # type: ignore[import-untyped]
 from numpy.typing import NDArray
 
 from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.common.files import drafts_for, explaining
+from mcp_asdf_tools.common.files import drafts_for, explaining_write_errors
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.result_tables import (
     FORMAT,
@@ -63,7 +63,7 @@ def write_tables(
     remaining_tables = iter(tables)
     first_table = next(remaining_tables)
     with (
-        explaining(path),
+        explaining_write_errors(path),
         drafts_for([path]) as [draft],
         open_writer(draft, first_table.schema) as writer,
     ):

@@ -13,7 +13,7 @@ from pathlib import Path
 import can
 
 from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.common.files import check_target, explaining, rename_drafts
+from mcp_asdf_tools.common.files import check_target, explaining_write_errors, rename_drafts
 from mcp_asdf_tools.recording.events import EventsHeader, EventsWriter, events_path
 from mcp_asdf_tools.recording.frame_logs import PART_SUFFIX
 
@@ -143,7 +143,7 @@ class Recording:
                 raise UsageError(
                     f"{part} is there: another program writes it, or its run was cut off; rename or remove it"
                 )
-        with explaining(self._path):
+        with explaining_write_errors(self._path):
             self._files = [_PartFile(log_part, is_compressed=False)]
             self._files += [_PartFile(part, is_compressed=True) for part in events_parts]
         log_file, *events_files = self._files
