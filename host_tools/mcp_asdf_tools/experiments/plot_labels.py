@@ -34,7 +34,9 @@ def flawed_share(experiment: Experiment) -> float:
 
 def sort_key(parameter_name: str, value: Any) -> Any:
     """Return the key that sorts a parameter's value: a filter's position in FILTERS, or the value itself."""
-    return list(FILTERS).index(value) if parameter_name == "filter" else value
+    if parameter_name == "filter":
+        return list(FILTERS).index(value)
+    return value
 
 
 def has_effect(experiment: Experiment, parameter_name: str) -> bool:
@@ -119,9 +121,12 @@ def make_caption(experiments: Sequence[Trials], marks: str, limits: Limits) -> s
     # As a set, so that equal extremes are one number: "30 trials", but "12 to 30 trials".
     extreme_counts = sorted({min(trial_counts), max(trial_counts)})
     details.append(f"{' to '.join(map(str, extreme_counts))} trials of each experiment")
-    limits_by_experiment = [limits.of(trials.experiment) for trials in experiments]
-    k_limits = {k_max for k_max, _ in limits_by_experiment}
-    e_limits = {e_max for _, e_max in limits_by_experiment}
+    k_limits: set[float] = set()
+    e_limits: set[float] = set()
+    for trials in experiments:
+        k_max, e_max = limits.of(trials.experiment)
+        k_limits.add(k_max)
+        e_limits.add(e_max)
     for symbol, different_limits in (("K", k_limits), ("e", e_limits)):
         limit_text = " and ".join(format_for_legend(limit) for limit in sorted(different_limits))
         details.append(f"${symbol}_{{max}}$ = {limit_text}")

@@ -71,9 +71,9 @@ def create_panel_grid(
     # A single panel across the page would be too wide for its height.
     width = WIDTH if column_count > 1 else 0.7 * WIDTH
     figure = empty_figure(width, _LEGEND_AND_CAPTION_HEIGHT + panel_height * row_count)
-    # Panels are compared with each other, so they share the y axis. Without squeeze=False a single row would
-    # have another shape.
-    return figure, figure.subplots(row_count, column_count, sharex=sharex, sharey=True, squeeze=False)
+    # Without squeeze=False a single row would have another shape.
+    panels = figure.subplots(row_count, column_count, sharex=sharex, sharey=True, squeeze=False)
+    return figure, panels
 
 
 def create_panels(
@@ -173,13 +173,12 @@ def group_into_series(experiments: Sequence[Trials], series_name: SeriesName | N
         else:
             series_label = series_name(trials.experiment)
         experiments_by_name.setdefault(series_label, []).append(trials)
-    filter_names = [
-        _common_filter(experiments_of_name) for experiments_of_name in experiments_by_name.values()
-    ]
+    series_labels = list(experiments_by_name)
+    filter_names = [_common_filter(experiments_by_name[label]) for label in series_labels]
     colours = colours_of_filters(filter_names)
     return [
-        Series(series_label, colour, experiments_by_name[series_label])
-        for series_label, colour in zip(experiments_by_name, colours, strict=True)
+        Series(label, colour, experiments_by_name[label])
+        for label, colour in zip(series_labels, colours, strict=True)
     ]
 
 

@@ -120,14 +120,15 @@ def stream_experiments(path: Path) -> Iterator[Trials]:
     row_groups.add(path)
     # Parameters are read first: they say which rows an experiment has. All else, which is far more, is read
     # for one experiment at a time.
-    rows: dict[Experiment, list[NDArray[np.int64]]] = {}
+    row_arrays: dict[Experiment, list[NDArray[np.int64]]] = {}
     for row_group in row_groups:
         parameters = row_group.read(PARAMETER_NAMES)
         for experiment, rows_in_group in rows_by_experiment(parameters).items():
-            rows.setdefault(experiment, []).append(row_group.first_row + rows_in_group)
+            row_arrays.setdefault(experiment, []).append(row_group.first_row + rows_in_group)
     result_columns = [name for name in column_types() if name not in PARAMETER_NAMES]
-    for experiment, row_lists in rows.items():
-        yield trials_from_rows(experiment, row_groups.take(np.concatenate(row_lists), result_columns))
+    for experiment, arrays_of_experiment in row_arrays.items():
+        rows = np.concatenate(arrays_of_experiment)
+        yield trials_from_rows(experiment, row_groups.take(rows, result_columns))
 
 
 # --- Rows of many files ----------------------------------------------------------------------------------
@@ -138,7 +139,7 @@ class _Rows(Protocol):
 
     @property
     def first_row(self) -> int:
-        """Number of the first row, that is of rows before it."""
+        """Number of the first row in the whole sequence, which is how many rows come before it."""
 
     @property
     def row_count(self) -> int:
@@ -301,7 +302,9 @@ def _name_file_in_errors(path: Path) -> Iterator[None]:
         yield
     except (OSError, pa.ArrowException, UnicodeDecodeError) as error:
         parts_path = parts_folder(path)
-        hint = f"; its sweep is not finished, partial data is in {parts_path}" if parts_path.is_dir() else ""
+        hint = ""
+        if parts_path.is_dir():
+            hint = f"; its sweep is not finished, partial data is in {parts_path}"
         reason = error if path.exists() else "there is no such file"
         raise UsageError(f"cannot read {path}: {reason}{hint}") from error
 

@@ -138,7 +138,10 @@ def select_experiments(experiments: Sequence[Trials], where: Mapping[str, Any]) 
 
 
 def single_experiment(experiments: Sequence[Trials]) -> Trials:
-    """Return the only experiment. Raises UsageError, with what would select one, if there are several."""
+    """Return the only experiment of ``experiments``, of which there must be at least one.
+
+    Raises UsageError, with the parameters that would select one, if there are several.
+    """
     if len(experiments) > 1:
         differences = describe_differences(experiments)
         raise UsageError(f"{len(experiments)} experiments match; choose one with where {differences}")

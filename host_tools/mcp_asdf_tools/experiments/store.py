@@ -58,6 +58,18 @@ def _result_key(experiment: Experiment) -> _ResultKey:
     return tuple(value for name, value in experiment.parameters().items() if name != "trials")
 
 
+def _rows_without_results(experiments: Iterable[Experiment]) -> dict[_ResultKey, NDArray[np.int64]]:
+    """Return by ``_result_key`` an array with a -1 for each trial: no row of results belongs to it yet.
+
+    Experiments that differ only in their number of trials share an array, as long as the largest number.
+    """
+    trial_counts: dict[_ResultKey, int] = {}
+    for experiment in experiments:
+        key = _result_key(experiment)
+        trial_counts[key] = max(experiment.trials, trial_counts.get(key, 0))
+    return {key: np.full(trial_count, -1) for key, trial_count in trial_counts.items()}
+
+
 class Store:
     """The results of a sweep on disk and in memory, finished or not.
 
@@ -82,15 +94,9 @@ class Store:
         self._row_groups = RowGroups()
         self._unwritten: list[pa.Table] = []
         self._start_time = self._last_write_time = time.monotonic()
-        # For each trial, the number of its row, or -1 if it has no result. Rows are numbered consecutively,
-        # first those of all files, then those of tables that are not written yet.
-        self._row_of_trial: dict[_ResultKey, NDArray[np.int64]] = {}
-        for experiment in self.experiments:
-            key = _result_key(experiment)
-            # Experiments that differ only in their number of trials share their results: the longest list has
-            # room for all.
-            trials_so_far = len(self._row_of_trial[key]) if key in self._row_of_trial else 0
-            self._row_of_trial[key] = np.full(max(experiment.trials, trials_so_far), -1)
+        # For each trial, the number of its row. Rows are numbered consecutively, first those of all files,
+        # then those of tables that are not written yet.
+        self._row_of_trial = _rows_without_results(self.experiments)
         check_target(output)
         # A folder of parts means an unfinished sweep, which another process may be running right now.
         if self.parts.is_dir():
@@ -128,14 +134,15 @@ class Store:
                 and "source" not in metadata
             )
             for experiment, rows in rows_by_experiment(table).items():
-                # An experiment that is not in the sweep has no trials there.
-                row_of_trial = self._row_of_trial.get(_result_key(experiment), np.empty(0, np.int64))
+                no_trials = np.empty(0, np.int64)  # of an experiment that is not in the sweep
+                row_of_trial = self._row_of_trial.get(_result_key(experiment), no_trials)
                 has_other_trials = trial_numbers[rows].max() >= len(row_of_trial)
                 if has_other_trials or not is_comparable:
                     raise UsageError(
                         f"{self.output} or its parts hold results of other experiments, recordings or "
                         "versions; choose another name or move it away"
                     )
+                # This changes the array in ``_row_of_trial``.
                 row_of_trial[trial_numbers[rows]] = row_group.first_row + rows
 
     def missing(self, experiment: Experiment) -> list[int]:
@@ -146,7 +153,7 @@ class Store:
     @property
     def missing_count(self) -> int:
         """The number of trials of all experiments that have no results yet."""
-        return sum(int((self._rows_of(experiment) < 0).sum()) for experiment in self.experiments)
+        return sum(len(self.missing(experiment)) for experiment in self.experiments)
 
     def _rows_of(self, experiment: Experiment) -> NDArray[np.int64]:
         """Return the row of each trial of an experiment, -1 for those without results."""
@@ -194,15 +201,19 @@ class Store:
         return sum(len(table) for table in self._unwritten)
 
     def _is_part_due(self) -> bool:
-        """Return whether the last part is so old that a kill would lose more work than it may."""
+        """Return whether the last part is so old that a kill would lose more work than it may.
+
+        That is the work of _SECONDS_BETWEEN_PARTS, or a share of the time since the start if this is more.
+        """
         now = time.monotonic()
-        allowed_seconds = max(_SECONDS_BETWEEN_PARTS, _SHARE_BETWEEN_PARTS * (now - self._start_time))
+        seconds_since_start = now - self._start_time
+        allowed_seconds = max(_SECONDS_BETWEEN_PARTS, _SHARE_BETWEEN_PARTS * seconds_since_start)
         return now - self._last_write_time >= allowed_seconds
 
     def flush(self) -> None:
-        """Write the results that are only in memory into a file of their own, a part of the results.
+        """Write the results that are only in memory, if any, into a file of their own: a part.
 
-        Raises UsageError if that fails.
+        The time until the next part is due begins anew. Raises UsageError if writing fails.
         """
         if self._unwritten:
             self.reserve()

@@ -91,7 +91,7 @@ def run_in_memory(
     UsageError if a job cannot be run or a worker process dies.
     """
     unique_experiments = without_repetitions(experiments)
-    # A generator: a job is made when a worker is free for it.
+    # A generator: a job is made when a worker is free to take it.
     jobs = (
         job
         for experiment in unique_experiments
@@ -105,7 +105,12 @@ def run_in_memory(
         report(len(trials.numbers))
     # Worker processes finish jobs in any order.
     position = {experiment: index for index, experiment in enumerate(unique_experiments)}
-    return sorted(results, key=lambda trials: (position[trials.experiment], trials.numbers[0]))
+
+    def experiment_and_trial(trials: Trials) -> tuple[int, int]:
+        """Return the position of the experiment, and the number of the first trial."""
+        return position[trials.experiment], trials.numbers[0]
+
+    return sorted(results, key=experiment_and_trial)
 
 
 def _log_start(trial_count: int, workers: int, scheduler: str | None = None) -> None:
@@ -196,8 +201,13 @@ def run_jobs(jobs: Iterator[Job], workers: int, scheduler: str | None = None) ->
         for job in jobs:
             yield job.run()
     else:
+
+        def count_workers() -> int:
+            """Return the number of processes, which is always the same."""
+            return workers
+
         with _worker_processes(workers) as executor:
-            yield from _run_on_executor(executor, lambda: workers, jobs)
+            yield from _run_on_executor(executor, count_workers, jobs)
 
 
 def _run_on_executor(
@@ -234,7 +244,8 @@ def _worker_processes(workers: int) -> Iterator[Executor]:
     """
     other_children = set(active_children())  # the caller's own, which must not be killed below
     # Workers are started anew, not forked: a fork copies locks that another thread may hold at that moment.
-    pool = ProcessPoolExecutor(workers, get_context("spawn"), end_with_parent)
+    context = get_context("spawn")
+    pool = ProcessPoolExecutor(max_workers=workers, mp_context=context, initializer=end_with_parent)
     try:
         yield pool
     except BrokenProcessPool as error:
@@ -267,7 +278,10 @@ def end_with_parent() -> None:
 
 @contextmanager
 def _interrupts_delayed() -> Iterator[None]:
-    """Delay Ctrl-C and the like until this context ends, and keep them from processes that start in it."""
+    """Delay Ctrl-C and the like until this context ends, and keep them from processes that start in it.
+
+    If a signal came meanwhile, it takes effect at the end, as Ctrl-C.
+    """
     with stopping() as is_stop_requested:  # a signal is only noted, whichever thread receives it
         # This thread receives none: processes that it starts inherit that, from their first moment.
         previous_mask = signal.pthread_sigmask(signal.SIG_BLOCK, ENDING_SIGNALS)

@@ -52,7 +52,8 @@ def run_trials(experiment: Experiment, first: int, trials: int, sampling_interva
     # Elsewhere a trial has a series of x for each robot: a few trials at a time bound the memory.
     bytes_in_value = 4
     bytes_of_trial = bytes_in_value * experiment.robots * (experiment.steps + 1)
-    batch_size = min(max(SERIES_BYTES // bytes_of_trial, 1), TRIALS_AT_ONCE)
+    trials_in_memory = max(1, SERIES_BYTES // bytes_of_trial)
+    batch_size = min(trials_in_memory, TRIALS_AT_ONCE)
     batches = [numbers[start : start + batch_size] for start in range(0, trials, batch_size)]
     return _concatenate([_run_native(experiment, batch, sampling_interval) for batch in batches])
 
@@ -112,12 +113,17 @@ def _load_engine() -> ModuleType:
 
 
 def _run_native(experiment: Experiment, numbers: range, sampling_interval: int) -> Trials:
-    """Run trials of consecutive numbers in the C engine, and convert its integers to the paper's units."""
+    """Run trials of consecutive numbers in the C engine, and convert its integers to the paper's units.
+
+    Values are recorded every ``sampling_interval`` steps, or never if it is 0.
+    """
     engine_trials = _load_engine().run(experiment, numbers[0], len(numbers), sampling_interval)
     # The engine counts x in units of 1 / ONE, and b_hat in units of 2^-32.
     convergence_steps, errors = convergence_and_errors(experiment, engine_trials.x, unit=1 / ONE)
     counters = engine_trials.counters
-    records = _records_in_paper_units(experiment, engine_trials.records) if sampling_interval else {}
+    records = {}
+    if sampling_interval:
+        records = _records_in_paper_units(experiment, engine_trials.records)
     return Trials(
         experiment=experiment,
         numbers=list(numbers),
@@ -195,7 +201,7 @@ def _run_by_message(experiment: Experiment, number: int, sampling_interval: int)
         if sampling_interval and step % sampling_interval == 0:
             snapshots.append(swarm.snapshot())
     # The first axis of all arrays is the trial. There is one here, so its values are an array's only element.
-    x_by_robot = np.transpose(x_by_step)  # a row for each robot in place of each step: shape (N, steps + 1)
+    x_by_robot = np.transpose(x_by_step)  # from shape (steps + 1, N) to shape (N, steps + 1)
     x_series = np.array([x_by_robot])
     convergence_steps, errors = convergence_and_errors(experiment, x_series, unit=1.0)
     # The shape is given, as the list of a trial without a filter step does not tell the number of robots.

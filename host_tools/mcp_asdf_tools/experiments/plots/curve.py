@@ -74,7 +74,7 @@ def plot_curve(  # noqa: PLR0913 (each is given by name)
     x_values = _sorted_axis_values(experiments, x)
     y_label = y if isinstance(y, str) else getattr(y, "__name__", "y")
     handles = []
-    if hue:  # without it there is a single curve, which needs no legend
+    if hue:  # without a hue there is a single curve, which needs no legend
         handles = [legend_handle(series.label, series.colour, line="-") for series in all_series]
 
     def draw_panel(axes: Axes, series_of_panel: Sequence[Series]) -> None:
@@ -86,7 +86,7 @@ def plot_curve(  # noqa: PLR0913 (each is given by name)
             }
             _draw_curve(axes, samples, x_values, series.colour)
 
-    # Either everything is drawn into the caller's axes, whose figure and caption are the caller's ...
+    # Either all is drawn into the caller's axes, and the caller labels their figure ...
     if ax is not None:
         if facet:
             raise UsageError("facet makes panels and ax is one; give one of them")
@@ -151,12 +151,13 @@ def _draw_curve(
     side with shortened labels. A series need not have been measured at every x of the others.
     """
     measured_x = [x for x in x_values if x in samples]
-    has_long_texts = any(isinstance(x, str) and len(x) > MAX_LABEL_LENGTH for x in x_values)
+    long_texts = [x for x in x_values if isinstance(x, str) and len(x) > MAX_LABEL_LENGTH]
+    # Long texts are labels of the axis, at the positions 0, 1, 2 and so on.
+    positions = [x_values.index(x) for x in measured_x] if long_texts else measured_x
     if measured_x:
-        # Long texts are labels of the axis, at the positions 0, 1, 2 and so on.
-        positions = [x_values.index(x) for x in measured_x] if has_long_texts else measured_x
-        draw_band(axes, positions, median_intervals(samples[x] for x in measured_x), colour, "o-")
-    if has_long_texts:
+        band = median_intervals(samples[x] for x in measured_x)
+        draw_band(axes, positions, band, colour, "o-")
+    if long_texts:
         axes.set_xticks(range(len(x_values)), [shorten(x) for x in x_values])
     clean(axes)
 
@@ -197,7 +198,8 @@ def _check_axes(experiments: Sequence[Trials], x: str, hue: str, y: str | Measur
     for option, name in (("x", x), ("hue", hue), ("facet", facet)):
         is_left_out = name == "" and option != "x"
         if name not in parameter_names and not is_left_out:
-            fix = did_you_mean(name, parameter_names) or f"; choose a parameter: {', '.join(parameter_names)}"
+            all_names = f"; choose a parameter: {', '.join(parameter_names)}"
+            fix = did_you_mean(name, parameter_names) or all_names
             raise UsageError(f"{option} is {name!r}{fix}")
     if not callable(y) and y not in MEASURES:
         raise UsageError(f"y is {y!r}; choose one of {', '.join(MEASURES)}")

@@ -94,11 +94,15 @@ def plot_runs(runs: Sequence[Trials], trial_number: int) -> Figure:
 
 
 def _lines_for_legend(panels: NDArray[Any]) -> list[Line2D]:
-    """Return one line of each kind that some panel has: of flawed robots, of healthy ones, and the truth."""
+    """Return a line of each kind that some panel has: of flawed robots, of healthy ones, and the truth.
+
+    The kind of a line is its label.
+    """
     lines = [line for axes in panels.flat for line in axes.lines]
     lines_for_legend = []
     for label in (_FLAWED_LABEL, _HEALTHY_LABEL, _TRUE_LABEL):
         lines_of_kind = [line for line in lines if line.get_label() == label]
+        # A kind may have no lines: the healthy robots, for example, if all are flawed.
         if lines_of_kind:
             lines_for_legend.append(lines_of_kind[-1])
     return lines_for_legend
@@ -126,9 +130,10 @@ def _limits_of_quantity(
     for trials in runs:
         values = _values_of(trials, trial_number, quantity)
         unsettled_samples = len(values) // 50
-        values_within = np.append(values[unsettled_samples:], _true_value(trials.experiment, quantity))
-        lows.append(float(values_within.min()))
-        highs.append(float(values_within.max()))
+        settled_values = values[unsettled_samples:]
+        true_value = _true_value(trials.experiment, quantity)
+        lows.append(min(float(settled_values.min()), true_value))
+        highs.append(max(float(settled_values.max()), true_value))
     low, high = min(lows), max(highs)
     margin = max(0.06 * (high - low), 0.01)
     return low - margin, high + margin
