@@ -10,6 +10,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -99,13 +100,9 @@ def recording_for(
     if log_path is None:
         return NoRecording()
     _logger.info("recording the frames in %s", log_path)
-    return Recording(
-        log_path,
-        header,
-        lambda message: warn(command_name, message),
-        # A log names the bus in every line, and some interfaces have no channel.
-        bus_choice.channel or bus_choice.interface,
-    )
+    # A log names the bus in every line, and some interfaces have no channel.
+    bus_name = bus_choice.channel or bus_choice.interface
+    return Recording(log_path, header, partial(warn, command_name), bus_name)
 
 
 def exit_code_2_if_incomplete(recording: Recording | NoRecording, exit_code: int) -> int:

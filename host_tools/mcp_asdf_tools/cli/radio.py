@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 
     from mcp_asdf_tools.bus.interfaces import BusChoice
     from mcp_asdf_tools.radio.neighbourhood import RadioSettings
+    from mcp_asdf_tools.radio.real_time import RadioRun
     from mcp_asdf_tools.radio.verification import ControllerVerdict
     from mcp_asdf_tools.recording.recording import LogOutputs
 
@@ -293,17 +294,7 @@ def _emulate_neighbours(
             # In real time a run goes on while the bus fails, as a controller does.
             link = BusLink(bus, should_stop, tolerates_failures=True, log=log)
             radio_run = RadioRun(Neighbourhood(settings), link, args.steps)
-            with console.status("") as status:
-
-                def show_progress() -> None:
-                    """Show the tick and the numbers of frames so far; called in every tick."""
-                    status.update(
-                        f"tick {radio_run.neighbours.tick}   frames sent {radio_run.sent_count}, "
-                        f"estimates heard {radio_run.estimate_count}"
-                    )
-
-                radio_run.on_tick = show_progress
-                radio_run.run()
+            _run_with_progress(radio_run, console)
             report = _make_report(args, settings, bus_choice)
             report["results"] = radio_run.figures()
             report_text = _format_results(report["results"], report["filter"])
@@ -317,6 +308,20 @@ def _emulate_neighbours(
     else:
         exit_code = INTERRUPTED if outcome.is_interrupted else 0
     return exit_code_2_if_incomplete(recording, exit_code)
+
+
+def _run_with_progress(radio_run: RadioRun, console: Console) -> None:
+    """Run the neighbours to the end of the run, and show in every tick the numbers of frames so far."""
+    with console.status("") as status:
+
+        def show_progress() -> None:
+            status.update(
+                f"tick {radio_run.neighbours.tick}   frames sent {radio_run.sent_count}, "
+                f"estimates heard {radio_run.estimate_count}"
+            )
+
+        radio_run.on_tick = show_progress
+        radio_run.run()
 
 
 # --- Reports ---------------------------------------------------------------------------------------------

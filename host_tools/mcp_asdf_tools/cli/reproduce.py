@@ -182,15 +182,18 @@ def open_stores(
 
     try:
         # All experiments are made first: a wrong option must leave no folder behind.
-        experiments_by_key = {
-            (study_part, ""): [experiment_of(cell, study_size) for cell in cells_of(study_part)]
-            for study_part in parts
-        }
+        experiments_by_key = {}
+        for study_part in parts:
+            papers_experiments = [experiment_of(cell, study_size) for cell in cells_of(study_part)]
+            experiments_by_key[study_part, ""] = papers_experiments
         has_users_choice = own_firmware != PAPERS_FIRMWARE or own_filter is not None
         if has_users_choice:
             for study_part in parts:
-                experiments = own_experiments_of(study_part, study_size, own_firmware, own_filter)
-                experiments_by_key[study_part, own_name_of(experiments[0])] = experiments
+                own_experiments = own_experiments_of(study_part, study_size, own_firmware, own_filter)
+                any_experiment, *_ = (
+                    own_experiments  # all have the firmware and the filter that give the name
+                )
+                experiments_by_key[study_part, own_name_of(any_experiment)] = own_experiments
     except ParameterError as error:
         raise UsageError(f"--{error.key}: {error}") from error
     make_folder(folder)

@@ -33,6 +33,7 @@ def stopping(interrupt: bool = False) -> Iterator[Callable[[], bool]]:
     if threading.current_thread() is not threading.main_thread():
         yield lambda: False
         return
+    # The context with ``interrupt`` is the outermost one of a program, whose exit code depends on the record.
     if interrupt:
         _received_signals.clear()
     count_at_start = len(_received_signals)

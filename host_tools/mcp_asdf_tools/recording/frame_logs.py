@@ -163,6 +163,7 @@ class _NumberedLines:
     """
 
     def __init__(self, file: IO[str]) -> None:
+        """Iterate over the lines of ``file`` from where it stands."""
         self._file = file
         self.number = 0
         self.line = ""
@@ -171,6 +172,7 @@ class _NumberedLines:
         return self
 
     def __next__(self) -> str:
+        """Return the next line, or its first LONGEST_LINE + 1 characters if it is longer."""
         self.line = self._file.readline(LONGEST_LINE + 1)
         if not self.line:
             raise StopIteration

@@ -257,12 +257,11 @@ class _Comparison:
             return
         broadcasts = self._robots[estimate.sender].broadcasts
         index = _index_of_broadcast(estimate.transfer_id, broadcasts)
-        expected = None if index is None else broadcasts[index]
-        is_reproduced = (
-            expected is not None
-            and expected.x_hat == estimate.x_hat
-            and expected.alpha_bits == alpha_float32_bits(frame)
-        )
+        is_reproduced = False
+        if index is not None:
+            has_equal_x_hat = broadcasts[index].x_hat == estimate.x_hat
+            has_equal_alpha = broadcasts[index].alpha_bits == alpha_float32_bits(frame)
+            is_reproduced = has_equal_x_hat and has_equal_alpha
         # A fault may have sent the same frame as a robot. Then the frame is the robot's if the broadcast is
         # the robot's next one: one that comes later is equal by chance.
         is_next_broadcast = is_reproduced and index == 0
@@ -275,9 +274,9 @@ class _Comparison:
         elif self._are_events_cut_off and not broadcasts:
             self.verdict.beyond += 1
         else:
-            if expected is None and broadcasts:
-                # No broadcast has the frame's transfer_id, so the next one should be in its place.
-                expected = broadcasts[0]
+            # If no broadcast has the frame's transfer_id, the next one should be in its place.
+            index_of_expected = 0 if index is None else index
+            expected = broadcasts[index_of_expected] if broadcasts else None
             self.verdict.difference = _describe_difference(frame_number, frame, estimate, expected)
 
     def _count_reproduced(self, broadcasts: deque[Broadcast], index: int) -> None:

@@ -411,7 +411,7 @@ class Carrier:
         ``indices`` are the positions of such frames among the deliveries. The kind of a frame is the type of
         its content or, if it is rejected, the reason.
         """
-        robot_count = deliveries.receivers.shape[1]
+        _, robot_count = deliveries.receivers.shape
         example_by_kind: dict[Rejection | type, FrameContent] = {}
         # Of each kind an array: the entry of a robot's id is how many of these frames it receives.
         counts_by_kind: dict[Rejection | type, NDArray[np.int64]] = {}

@@ -183,6 +183,7 @@ class Driver:
         self._on_frame = on_frame
         self._order_matters = order_matters
         self._check: Callable[[], None] = lambda: None
+        """Called during waits; it may raise an error that ends them."""
         self._frames_for_next_tick: list[can.Message] = []
         """Frames of the robots that are neither estimates nor answers to commands."""
         self._estimate_frames: dict[int, can.Message] = {}

@@ -95,6 +95,8 @@ class Swarm:
         check_remote(settings, wiring)
         self.settings = settings
         self.ticks = 0
+
+        # The world, the faults and the clock
         self.world = SteppedWorld(settings)
         members = members or Members(settings.robot_setups(), settings.faults)
         self.faults = Faults(members.faults, settings.seed, settings.frames)
@@ -104,7 +106,7 @@ class Swarm:
         self.remote_robots = wiring.remote
         self._external_robot = members.external_robot
 
-        # The world counts robots from 0 by rising id, whatever their ids are.
+        # The robots. The world counts them from 0 by rising id, whatever their ids are.
         records = sorted(members.records, key=lambda record: record.id)
         self._ids = [record.id for record in records]
         self.nodes = [self._create_robot(record) for record in records if record.id != self._external_robot]
@@ -116,6 +118,8 @@ class Swarm:
         self._frames_of_tick: list[can.Message] = []
         """Frames that got onto the bus in the present tick."""
         self.traffic = Traffic([node.reception for node in self.nodes])
+
+        # The transport of frames
         self._delivery_queue = DeliveryQueue(
             self._current_neighbours, self.faults.on_delivery, settings.latency
         )
@@ -153,8 +157,8 @@ class Swarm:
         order_matters = self.settings.swarm_filter.order_matters
         drivers = []
         for nodes in nodes_by_bus:
-            # Any of the nodes gives the bus, as all of them are on it.
-            bus = self._carrier.bus_connections[nodes[0].id].bus
+            any_node = nodes[0]  # all of them are on the same bus
+            bus = self._carrier.bus_connections[any_node.id].bus
             drivers.append(Driver(bus, nodes, self.settings.frames, on_frame, order_matters))
         return drivers
 
@@ -374,6 +378,7 @@ def _mark_as_received(on_frame: FrameTaker, channel: str | None) -> FrameTaker:
     """
 
     def mark_and_pass_on(frame: can.Message) -> None:
+        """Change the frame in place, and call ``on_frame`` with it."""
         # SocketCAN marks frames from this computer as sent.
         frame.is_rx = True
         if channel is not None:

@@ -45,7 +45,7 @@ def complete_states(
         # The scene is of one step, which is the first entry of each of its arrays.
         if settings.robots <= MAX_ON_BUS:
             neighbours: NDArray[Any] = scene.neighbours[0].copy()
-        else:
+        else:  # of many robots a state has pairs in place of a matrix
             neighbours = np.argwhere(scene.neighbours[0])
         positions = None if scene.positions is None else scene.positions[0]
         values = np.vstack([estimates_at_tick, scene.accuracy[0]])

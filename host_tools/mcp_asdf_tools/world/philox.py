@@ -46,13 +46,16 @@ def philox(
     the paper's algorithm.
     """
     c0, c1, c2, c3 = counter
+    first_k0, first_k1 = key
+    k0_increment, k1_increment = _KEY_INCREMENTS
+    c0_multiplier, c2_multiplier = _MULTIPLIERS
     for round_index in range(_ROUNDS):
         # Both words of the key grow from round to round, modulo 2**32.
-        k0 = np.uint64((key[0] + round_index * _KEY_INCREMENTS[0]) & _LOW_WORD)
-        k1 = np.uint64((key[1] + round_index * _KEY_INCREMENTS[1]) & _LOW_WORD)
+        k0 = np.uint64((first_k0 + round_index * k0_increment) & _LOW_WORD)
+        k1 = np.uint64((first_k1 + round_index * k1_increment) & _LOW_WORD)
         # Products have 64 bits; their upper and lower words go different ways.
-        product0 = c0 * _MULTIPLIERS[0]
-        product2 = c2 * _MULTIPLIERS[1]
+        product0 = c0 * c0_multiplier
+        product2 = c2 * c2_multiplier
         c0, c1, c2, c3 = (
             (product2 >> _WORD_BITS) ^ c1 ^ k0,
             product2 & _LOW_WORD_MASK,

@@ -95,7 +95,7 @@ class World:
             neighbours = motion.adjacency
             positions = motion.position
         else:
-            # The floor is not modelled: any tile is black with probability f.
+            # The floor is not modelled: any tile is black with probability f, and both results are equal.
             black_probability, _ = black_probabilities(accuracies, settings.fill_ratio)
             neighbours = self._topology.advance(steps)
             positions = None

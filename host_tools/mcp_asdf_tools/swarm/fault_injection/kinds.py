@@ -59,8 +59,8 @@ class LinkFault(Fault, ABC):
         is_hit = deliveries.receivers & (hit_words <= hit_threshold(self.rate))
         is_hit[~is_active] = False  # the words of inactive frames are zeros, which would be hits
         if self.receivers is not None:
-            receiver_ids = np.arange(is_hit.shape[1])
-            is_affected = np.isin(receiver_ids, list(self.receivers))
+            _, robot_count = is_hit.shape
+            is_affected = np.isin(np.arange(robot_count), list(self.receivers))  # by receiver's id
             is_hit &= is_affected
         run.hit_count += int(np.count_nonzero(is_hit))
         spared_deliveries = replace(deliveries, receivers=deliveries.receivers & ~is_hit)
@@ -169,7 +169,8 @@ class Corrupt(LinkFault):
         # A bit that an earlier fault has flipped is flipped back.
         bit_flips = hit.bit_flips[frame_indices] ^ new_flips
         # A row for each entry, in which only its receiver is true
-        receiver_mask = np.zeros((entry_count, hit.receivers.shape[1]), np.bool_)
+        _, robot_count = hit.receivers.shape
+        receiver_mask = np.zeros((entry_count, robot_count), np.bool_)
         receiver_mask[np.arange(entry_count), receivers] = True
         return [replace(hit, sent_frames=sent_frames, receivers=receiver_mask, bit_flips=bit_flips)]
 

@@ -82,7 +82,10 @@ class Arena:
         row_shares = (np.arange(rows) + 0.5) / rows
         xs = (width * (column_shares - 0.5)).tolist()
         ys = (height * (0.5 - row_shares)).tolist()
-        return np.array([[self.is_black(x, y) for x in xs] for y in ys])
+        pixel_rows = []
+        for y in ys:
+            pixel_rows.append([self.is_black(x, y) for x in xs])
+        return np.array(pixel_rows)
 
     def step(self, ticks: int = 1) -> None:
         """Let ticks pass, one of which is a step of the run. O(ticks robots)."""
