@@ -32,7 +32,7 @@ SOURCES = {
     for module in (mcp_asdf.fixed_point, mcp_asdf.arithmetic, mcp_asdf.robust_filter, mcp_asdf.mirror)
 }
 """Sources of the mirror's arithmetic by module, in the order of their imports."""
-ROBOT = "robot:2:1:64:0:2147483648"
+ROBOT_WITHOUT_FILTER = "robot:2:1:64:0:2147483648"
 """The robot of a scenario, without a filter.
 
 The numbers are filter (``Filter``), filter period, memory, id, and b_hat in units of 2**-32, here 1/2.

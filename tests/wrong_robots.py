@@ -72,8 +72,10 @@ def right_setup(**config: Any) -> RobotSetup:
     return setup_of_robot(**{"robot": ID, "firmware": "mirror", "b_hat": B_HAT, **config})
 
 
-def surroundings(controller: RobotSetup | None = None, faults: str = "", **world: Any) -> RadioSettings:
-    """Return settings of a controller, by default robot 3, among robots 0, 1, 2 and 4."""
+def settings_with_four_neighbours(
+    controller: RobotSetup | None = None, faults: str = "", **world: Any
+) -> RadioSettings:
+    """Return settings of a controller, by default robot 3, among four neighbours, robots 0, 1, 2 and 4."""
     setup = controller or right_setup()
     neighbours = tuple(replace(setup, id=robot, b_hat=0.95) for robot in choose_ids(setup.id, 4))
     swarm = SwarmSettings(robots=5, **{"seed": 6} | world)

@@ -60,7 +60,7 @@ from targets.c_node import (
     unexecuted_lines,
 )
 from targets.unix_bus import UnixBus
-from wrong_robots import surroundings
+from wrong_robots import settings_with_four_neighbours
 
 ID = 101
 CONTROLLER_STATE, GARBLED_FRAME, BUS_OFF, RESTARTED = 0x4, 0x8, 0x40, 0x100
@@ -1091,7 +1091,9 @@ def folder_of_verified_node(bus: UnixBus, tmp_path_factory: pytest.TempPathFacto
         with CNode(command, bus.channel_info, ID, "--lockstep", "--filter", filter_name) as node:
             bus.accept_node()
             setup = RobotSetup(ID, "mirror", 0.95, config)
-            verdict = Verification(surroundings(setup), BenchOptions(bus, ticks=25, timeout=PATIENCE)).run()
+            verdict = Verification(
+                settings_with_four_neighbours(setup), BenchOptions(bus, ticks=25, timeout=PATIENCE)
+            ).run()
             assert verdict.has_passed, verdict.headline
             node.stop()
     return Path(command[-1]).parent

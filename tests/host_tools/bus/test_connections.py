@@ -23,7 +23,7 @@ from mcp_asdf_tools.radio.neighbourhood import Neighbourhood
 from mcp_asdf_tools.radio.real_time import RadioRun
 from mcp_asdf_tools.robots.node import BusLink
 from support import PATIENCE
-from wrong_robots import surroundings
+from wrong_robots import settings_with_four_neighbours
 
 pytestmark = [
     pytest.mark.usefixtures("private_setup"),
@@ -281,7 +281,7 @@ def options_of_bus(bus_choice: BusChoice, command_line: str) -> list[str]:
 
 def radio_run_on(bus: can.BusABC, ticks: int) -> RadioRun:
     """Return a run of ticks of 1 ms with emulated robots as neighbours of a controller on a bus."""
-    neighbours = Neighbourhood(surroundings(steps_per_second=1000))
+    neighbours = Neighbourhood(settings_with_four_neighbours(steps_per_second=1000))
     return RadioRun(neighbours, BusLink(bus, tolerates_failures=True), ticks)
 
 

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple, cast
 
 import pytest
 
-from crosschecks import FAULTS, ROBOT, BrokenRobot, mirror_with
+from crosschecks import FAULTS, ROBOT_WITHOUT_FILTER, BrokenRobot, mirror_with
 from mcp_asdf.mirror import MirrorRobot
 from mcp_asdf.native import NativeRobot
 from mcp_asdf.robot import Observation, Status
@@ -322,7 +322,7 @@ def test_a_replay_without_a_difference_says_that_both_robots_agree() -> None:
 
     Only 1, black, and 0, white, are colours.
     """
-    result = run_crosscheck_command("--replay", f"{ROBOT},observe:1,settle,observe:9")
+    result = run_crosscheck_command("--replay", f"{ROBOT_WITHOUT_FILTER},observe:1,settle,observe:9")
     expected = "native and mirror agree in every bit over 3 calls\n"
     assert result == CommandResult(exit_code=0, output=expected, errors="")
 
@@ -332,7 +332,7 @@ def test_a_replay_without_a_difference_has_no_failure_in_its_json() -> None:
 
     The reported status, OK, is that of making the robots.
     """
-    report = json_report("--replay", f"{ROBOT},observe:1,settle,observe:9")
+    report = json_report("--replay", f"{ROBOT_WITHOUT_FILTER},observe:1,settle,observe:9")
     assert report == {"ok": True, "status": "OK", "calls": 3, "failure": None}
 
 
@@ -359,7 +359,7 @@ def test_a_replay_of_a_robot_that_both_firmwares_refuse_has_their_status_in_its_
 def test_a_replay_with_a_difference_counts_the_calls_up_to_it(monkeypatch: pytest.MonkeyPatch) -> None:
     """BrokenRobot raises an exception in ``settle``, the second of three calls."""
     use_mirror(monkeypatch, cast(Firmware, BrokenRobot))
-    report = json_report("--replay", f"{ROBOT},observe:1,settle,observe:1")
+    report = json_report("--replay", f"{ROBOT_WITHOUT_FILTER},observe:1,settle,observe:1")
     assert not report["ok"]
     assert report["status"] == "OK", "the status of making the robot, before any call"
     assert report["calls"] == 2
@@ -374,8 +374,8 @@ def test_a_replay_with_a_difference_counts_the_calls_up_to_it(monkeypatch: pytes
         (["--steps", "0"], "--steps is 0"),
         (["--seed", "-1"], "--seed is -1"),
         (["--replay", "nonsense"], "starts with"),
-        (["--replay", ROBOT, "--steps", "5"], "--replay runs one scenario"),
-        (["--replay", ROBOT, "--seed", "5"], "--replay runs one scenario"),
+        (["--replay", ROBOT_WITHOUT_FILTER, "--steps", "5"], "--replay runs one scenario"),
+        (["--replay", ROBOT_WITHOUT_FILTER, "--seed", "5"], "--replay runs one scenario"),
     ],
 )
 def test_a_wrong_option_is_refused_with_exit_code_2_and_the_reason(

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from crosschecks import ROBOT, SEED, BrokenRobot, find_failure
+from crosschecks import ROBOT_WITHOUT_FILTER, SEED, BrokenRobot, find_failure
 from mcp_asdf.mirror import MirrorRobot
 from mcp_asdf.native import NativeRobot
 from mcp_asdf.robot import Config, Filter
@@ -85,7 +85,7 @@ def test_a_difference_or_an_exception_is_reported_with_the_calls_up_to_it(
     first: Firmware, second: Firmware, call_count: int, expected_problem: str
 ) -> None:
     """The failure has the first ``call_count`` of three calls; with 0 the robots differ as they are made."""
-    scenario = parse_scenario(f"{ROBOT},observe:1,settle,settle")
+    scenario = parse_scenario(f"{ROBOT_WITHOUT_FILTER},observe:1,settle,settle")
     failure = compare_firmwares(scenario, first, second)
 
     assert failure is not None
@@ -99,10 +99,11 @@ def test_differences_of_two_robots_are_listed_by_field_result_and_word_of_the_sa
     Its count t of observations, word 2, becomes 5. Bit 16 of word 29 says that b_hat was updated after x_hat.
     Each line has the first robot's value and the second's. Names of results, such as t(), have brackets.
     """
-    setup = parse_scenario(ROBOT).setup
-    first, second = RobotUnderTest(MirrorRobot, setup), RobotUnderTest(MirrorRobot, setup)
     bit_16 = 0x10000
-    (restore,) = parse_scenario(f"{ROBOT},restore:2:5:29:{bit_16}").calls  # index and value of each word
+    scenario = parse_scenario(f"{ROBOT_WITHOUT_FILTER},restore:2:5:29:{bit_16}")
+    (restore,) = scenario.calls  # it has the index and the new value of each word
+    first = RobotUnderTest(MirrorRobot, scenario.setup)
+    second = RobotUnderTest(MirrorRobot, scenario.setup)
     second.apply(restore)
     *lines, checksum_line = differences(first.last_result, second.last_result)
 
@@ -122,7 +123,7 @@ def scenario_of_restores(words_of_calls: Iterable[dict[int, int]]) -> Scenario:
     for words in words_of_calls:
         pairs = itertools.chain.from_iterable(words.items())
         calls.append(Call("restore", tuple(pairs)))
-    return Scenario(parse_scenario(ROBOT).setup, tuple(calls))
+    return Scenario(parse_scenario(ROBOT_WITHOUT_FILTER).setup, tuple(calls))
 
 
 @settings(max_examples=25, deadline=None, database=None, derandomize=True)
@@ -137,11 +138,13 @@ def test_shrinking_leaves_exactly_the_calls_and_words_that_the_failure_needs(
     """
 
     def fail_if_all_needed_calls_were_made(scenario: Scenario) -> Failure | None:
-        numbers = {dict(call.pairs).get(1) for call in scenario.calls}
-        is_failing = needed_numbers <= numbers
-        return Failure(scenario, ("all needed calls",)) if is_failing else None
+        numbers_of_calls = {dict(call.pairs).get(1) for call in scenario.calls}
+        if needed_numbers <= numbers_of_calls:
+            return Failure(scenario, ("all needed calls",))
+        return None
 
-    scenario = scenario_of_restores({1: number, 2: 7, 3: number % 3} for number in range(call_count))
+    words_of_calls = ({1: number, 2: 7, 3: number % 3} for number in range(call_count))  # values by index
+    scenario = scenario_of_restores(words_of_calls)
     shortest_failure = shrink(Failure(scenario, ()), fail_if_all_needed_calls_were_made)
 
     expected_scenario = scenario_of_restores({1: number} for number in sorted(needed_numbers))

@@ -8,7 +8,7 @@ from collections.abc import Iterable
 
 import pytest
 
-from crosschecks import ROBOT
+from crosschecks import ROBOT_WITHOUT_FILTER
 from golden import assert_equals_golden_file
 from mcp_asdf.mirror import MirrorRobot
 from mcp_asdf.robot import Filter
@@ -142,17 +142,17 @@ def test_the_scenarios_of_a_seed_stay_the_same() -> None:
         ("table:1.5:30,robot:0:1:64:0:1", "omega is 1.5"),
         ("table:0.05:2:5,robot:0:1:64:0:1", "table:0.05:2:5 needs omega and q"),
         ("robot:0:1:64:256:1", "256 is too large"),
-        (f"{ROBOT},leave:1", "'leave:1' is no call"),
-        (f"{ROBOT},observe:1:1", "takes 1"),
-        (f"{ROBOT},observe:-1", "'-1' is no whole number"),
-        (f"{ROBOT},observe:²", "'²' is no whole number"),
-        (f"{ROBOT},observe:{'1' * 5000}", "is no whole number"),
-        (f"{ROBOT},receive:1:4294967296:0", "4294967296 is too large"),
-        (f"{ROBOT},restore:1", "pairs"),
-        (f"{ROBOT},restore:0:1", "1 to 29"),
-        (f"{ROBOT},restore:30:1", "1 to 29"),
-        (f"{ROBOT},restore:1:4294967296", "32-bit"),
-        (f"{ROBOT},damage:124:1", "124 is too large"),
+        (f"{ROBOT_WITHOUT_FILTER},leave:1", "'leave:1' is no call"),
+        (f"{ROBOT_WITHOUT_FILTER},observe:1:1", "takes 1"),
+        (f"{ROBOT_WITHOUT_FILTER},observe:-1", "'-1' is no whole number"),
+        (f"{ROBOT_WITHOUT_FILTER},observe:²", "'²' is no whole number"),
+        (f"{ROBOT_WITHOUT_FILTER},observe:{'1' * 5000}", "is no whole number"),
+        (f"{ROBOT_WITHOUT_FILTER},receive:1:4294967296:0", "4294967296 is too large"),
+        (f"{ROBOT_WITHOUT_FILTER},restore:1", "pairs"),
+        (f"{ROBOT_WITHOUT_FILTER},restore:0:1", "1 to 29"),
+        (f"{ROBOT_WITHOUT_FILTER},restore:30:1", "1 to 29"),
+        (f"{ROBOT_WITHOUT_FILTER},restore:1:4294967296", "32-bit"),
+        (f"{ROBOT_WITHOUT_FILTER},damage:124:1", "124 is too large"),
     ],
 )
 def test_a_wrong_line_of_a_scenario_is_refused_with_the_reason(line: str, expected_message: str) -> None:

@@ -36,7 +36,7 @@ from mcp_asdf_tools.swarm.run import run_swarm
 from mcp_asdf_tools.swarm.settings import SwarmSettings
 from mcp_asdf_tools.swarm.swarm import Swarm
 from wire import Wire, join_virtual_bus, radio
-from wrong_robots import ID, surroundings
+from wrong_robots import ID, settings_with_four_neighbours
 
 pytestmark = pytest.mark.usefixtures("private_setup")
 
@@ -128,7 +128,7 @@ def test_a_controller_receives_only_from_neighbours_in_range() -> None:
 
 def test_frames_of_neighbours_are_stamped_with_the_time_of_their_tick() -> None:
     """Their times are 0.0 s, 0.1 s and so on, as a second has 10 ticks."""
-    neighbourhood = Neighbourhood(surroundings(steps_per_second=10))
+    neighbourhood = Neighbourhood(settings_with_four_neighbours(steps_per_second=10))
     for tick in range(20):
         neighbourhood.begin_tick()
         frames = neighbourhood.finish_tick(controller_frames=[])
@@ -138,7 +138,7 @@ def test_frames_of_neighbours_are_stamped_with_the_time_of_their_tick() -> None:
 def heartbeats_of_crashing_robot_1(rejoin: str) -> list[tuple[int, int]]:
     """Return tick and uptime of each heartbeat in 60 ticks of a neighbour that is dead in ticks 45 and 46."""
     crash = parse_fault(f"crash,robots=1,from=45,to=47,rejoin={rejoin}")
-    neighbourhood = Neighbourhood(replace(surroundings(), faults=(crash,)))
+    neighbourhood = Neighbourhood(replace(settings_with_four_neighbours(), faults=(crash,)))
     ticks_and_uptimes = []
     for tick in range(60):
         neighbourhood.begin_tick()
@@ -211,7 +211,7 @@ def test_neighbours_in_real_time_go_on_when_the_bus_fails_and_count_the_frames_t
     bus = Mock()
     bus.send.side_effect = cycle([can.CanOperationError("cable pulled"), None])
     bus.recv.return_value = None
-    neighbourhood = Neighbourhood(surroundings(steps_per_second=1000))
+    neighbourhood = Neighbourhood(settings_with_four_neighbours(steps_per_second=1000))
     run = RadioRun(neighbourhood, BusLink(bus, tolerates_failures=True), ticks=20)
     run.run()
     figures = run.figures()
@@ -242,7 +242,7 @@ def run_beside_others(request: pytest.FixtureRequest, monkeypatch: pytest.Monkey
         frame.is_rx = True
         wire.frames_for_tool.append(frame)
     # On a busy machine, too, one of the pauses between ticks is long enough to read all frames.
-    run = RadioRun(Neighbourhood(surroundings(steps_per_second=20)), BusLink(wire), ticks=5)
+    run = RadioRun(Neighbourhood(settings_with_four_neighbours(steps_per_second=20)), BusLink(wire), ticks=5)
     run.run()
     return run
 
@@ -266,7 +266,7 @@ def test_error_frames_on_the_bus_are_counted() -> None:
     """A CAN adapter reports disturbances of the bus, say of a loose cable, by such frames."""
     wire = Wire()
     wire.frames_for_tool.extend([can.Message(is_error_frame=True), can.Message(is_error_frame=True)])
-    run = RadioRun(Neighbourhood(surroundings(steps_per_second=20)), BusLink(wire), ticks=1)
+    run = RadioRun(Neighbourhood(settings_with_four_neighbours(steps_per_second=20)), BusLink(wire), ticks=1)
 
     run.run()
 
@@ -288,7 +288,7 @@ def test_the_figures_of_a_run_have_the_mean_and_the_range_of_the_neighbours_x() 
 
     There are four neighbours.
     """
-    settings = surroundings(faults="loss=0.5", steps_per_second=1000)
+    settings = settings_with_four_neighbours(faults="loss=0.5", steps_per_second=1000)
     run = RadioRun(Neighbourhood(settings), BusLink(Wire()), ticks=5)
     run.run()
     x_of_neighbours = [node.robot.x for node in run.neighbours.nodes.values()]
@@ -307,7 +307,7 @@ def test_neighbours_in_real_time_that_are_asked_to_stop_end_in_that_tick(
 
     An endless run (None) does not, as it has no other end.
     """
-    neighbourhood = Neighbourhood(surroundings(steps_per_second=1000))
+    neighbourhood = Neighbourhood(settings_with_four_neighbours(steps_per_second=1000))
 
     def is_tick_3_reached() -> bool:
         return neighbourhood.tick >= 3

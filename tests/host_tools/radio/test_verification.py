@@ -57,7 +57,7 @@ from wrong_robots import (
     WRONG,
     Wrong,
     right_setup,
-    surroundings,
+    settings_with_four_neighbours,
     with_node,
 )
 
@@ -96,21 +96,25 @@ def verify(
     wire = controller if isinstance(controller, Wire) else Wire(controller)
     bench_options = BenchOptions(wire, TICKS, timeout=0.05, **options)
     with frozen_clock():
-        return Verification(settings or surroundings(), bench_options, phases).run()
+        return Verification(settings or settings_with_four_neighbours(), bench_options, phases).run()
 
 
 def verify_right_controller(
     config: dict[str, Any], phases: Sequence[Phase], faults: str = ""
 ) -> ControllerVerdict:
     """Return the verdict on a right controller with this configuration."""
-    return verify(right_controller(**config), surroundings(right_setup(**config), faults=faults), phases)
+    return verify(
+        right_controller(**config),
+        settings_with_four_neighbours(right_setup(**config), faults=faults),
+        phases,
+    )
 
 
 def verify_wrong_controller(
     wrong: Wrong, seed: int = 6, config: dict[str, Any] = SHORT_RUN_CONFIG
 ) -> ControllerVerdict:
     """Return the verdict on a wrong controller, with other settings that by default make it short."""
-    settings = surroundings(right_setup(**config | wrong.config), seed=seed)
+    settings = settings_with_four_neighbours(right_setup(**config | wrong.config), seed=seed)
     return verify(wrong.make(config), settings)
 
 
@@ -158,7 +162,7 @@ def observe_run(name: str, config: dict[str, Any], phases: Sequence[Phase]) -> O
 
     options = BenchOptions(wire, TICKS, timeout=0.05, progress=progress)
     with frozen_clock():
-        verification = Verification(surroundings(right_setup(**config)), options, phases)
+        verification = Verification(settings_with_four_neighbours(right_setup(**config)), options, phases)
         verification.run()
     return ObservedRun(name, config, controller, wire, verification, settled_ticks, activities)
 
@@ -318,7 +322,7 @@ def test_a_right_controller_of_another_configuration_passes(config: dict[str, An
     """Observations and neighbours are drawn from a seed. The seed is new each time."""
     seed = random.randrange(2**32)
     setup = right_setup(firmware="native", **config)
-    verdict = verify(RobotNode(setup), surroundings(setup, seed=seed))
+    verdict = verify(RobotNode(setup), settings_with_four_neighbours(setup, seed=seed))
     assert verdict.has_passed, (seed, verdict.headline)
 
 
@@ -353,7 +357,7 @@ def test_phases_that_do_not_apply_to_a_controller_are_left_out(
     config: dict[str, Any], omitted_phases: set[str]
 ) -> None:
     """Such are the phases of other filters, "halvings" for a long memory, or "long run" for a short one."""
-    planned_phases, _faults = plan_phases(surroundings(right_setup(**config)), PHASES, TICKS)
+    planned_phases, _faults = plan_phases(settings_with_four_neighbours(right_setup(**config)), PHASES, TICKS)
 
     names_of_planned_phases = {phase.name for phase in planned_phases}
     assert {phase.name for phase in PHASES} - names_of_planned_phases == omitted_phases
@@ -364,7 +368,7 @@ def test_each_fault_that_the_user_asks_for_is_one_more_phase() -> None:
 
     A fault's defaults are filled in: a liar lies in all cases, so its rate is 1.0.
     """
-    settings = surroundings(faults="loss=0.7,receivers=3 liar,robots=1,x=0")
+    settings = settings_with_four_neighbours(faults="loss=0.7,receivers=3 liar,robots=1,x=0")
     phases, _faults = plan_phases(settings, phases_named("alone", "liar"), TICKS)
 
     assert [(phase.name, phase.fault) for phase in phases] == [
@@ -598,7 +602,7 @@ def test_a_verdict_names_the_known_mistake_that_a_controller_makes(mistake: Know
     setup = right_setup() if is_about_the_paper_s_filter else right_setup(**ROBUST_FILTER)
     controller = controller_that_makes(mistake, setup)
 
-    verdict = verify(controller, surroundings(setup), phases_that_show(mistake))
+    verdict = verify(controller, settings_with_four_neighbours(setup), phases_that_show(mistake))
 
     _, _, named_mistakes = str(verdict.difference).partition("so would answer a controller that ")
     assert mistake.name in named_mistakes.split(", or one that ")
