@@ -98,21 +98,22 @@ def peer_rows() -> dict[str, list[Experiment]]:
 
     Each kind is there with the longest and with a short memory.
     """
-    return {
-        kind + memory_label: m.grid(
-            # The peers' tables have a firmware and a filter of their own, which replace the ones here.
-            **{**MOVING, **KINDS_OF_AGEING[kind], "filter": "none"},
-            flawed_accuracy=0.95,
-            fill_ratio=0.75,
-            memory=memory,
-            steps=40_000,
-            trials=4,
-            seed=90126,
-            peers=peers,
-        )
-        for kind, peers in PEERS_BY_KIND.items()
-        for memory_label, memory in MEMORIES.items()
-    }
+    rows: dict[str, list[Experiment]] = {}
+    for kind, peers in PEERS_BY_KIND.items():
+        # Each of the peers has a filter, which replaces any filter here.
+        parameters = {**MOVING, **KINDS_OF_AGEING[kind], "filter": "none"}
+        for memory_label, memory in MEMORIES.items():
+            rows[kind + memory_label] = m.grid(
+                **parameters,
+                flawed_accuracy=0.95,
+                fill_ratio=0.75,
+                memory=memory,
+                steps=40_000,
+                trials=4,
+                seed=90126,
+                peers=peers,
+            )
+    return rows
 
 
 def draw_errors(rows: Rows) -> Figure:

@@ -57,8 +57,9 @@ class AgeingSensors(ABC):
         """Return the changes of the accuracies since the start, in the next steps, shape (steps, 1 or N)."""
 
     def _step_numbers(self, steps: int) -> NDArray[np.float64]:
-        """Return the numbers of the next steps, counted from 0, in a column."""
-        return np.arange(self._next_step, self._next_step + steps, dtype=np.float64)[:, np.newaxis]
+        """Return the numbers of the next steps, counted from 0, shape (steps, 1)."""
+        step_numbers = np.arange(self._next_step, self._next_step + steps, dtype=np.float64)
+        return step_numbers[:, np.newaxis]
 
     def _normal_draws(self, steps: int, first_step: int) -> NDArray[np.float64]:
         """Return a normally distributed number for each of some steps and each robot.
@@ -73,8 +74,9 @@ class SuddenlyWorseSensors(AgeingSensors):
     """Sensors that all lose accuracy at once, in the middle of the study's runs."""
 
     def _changes(self, steps: int) -> NDArray[np.float64]:
-        """Return no change before the loss, and the whole loss after it."""
-        return np.where(self._step_numbers(steps) < STEPS_BEFORE_LOSS, 0.0, -LOSS_AT_ONCE)
+        """Return no change before the loss, and the whole loss after it, for all robots alike."""
+        is_before_loss = self._step_numbers(steps) < STEPS_BEFORE_LOSS
+        return np.where(is_before_loss, 0.0, -LOSS_AT_ONCE)
 
 
 class UnequallyAgeingSensors(AgeingSensors):
@@ -106,7 +108,8 @@ class WanderingSensors(AgeingSensors):
         normal_draws = self._normal_draws(steps, self._next_step)
         if self._next_step == 0:
             normal_draws[0] = 0.0  # the first step has the true accuracy
-        # The first row continues the sums, so how many steps are taken at once does not change a bit.
+        # The first row continues the sums of the steps before: the result does not depend on how many steps
+        # are taken at once.
         normal_draws[0] += self._last_sums
         sums: NDArray[np.float64] = np.cumsum(normal_draws, axis=0)
         self._last_sums = sums[-1]

@@ -34,7 +34,7 @@ class Interval(NamedTuple):
 
     def __neg__(self) -> Interval:
         """Return the interval of the negated number: its ends change places."""
-        return Interval(-self.value, -self.high, -self.low)
+        return Interval(-self.value, low=-self.high, high=-self.low)
 
 
 @dataclass(frozen=True)
@@ -61,10 +61,12 @@ class Resampled:
 
         If all resamples are equal, the range is the value alone.
         """
-        if np.ptp(self.resamples) == 0:
+        are_all_equal = self.resamples.min() == self.resamples.max()
+        if are_all_equal:
             # The resamples are float32, so they may differ from the value by rounding.
-            return Interval(self.value, self.value, self.value)
-        low, high = np.quantile(self.resamples, [(1 - confidence) / 2, (1 + confidence) / 2])
+            return Interval(self.value, low=self.value, high=self.value)
+        share_below = (1 - confidence) / 2
+        low, high = np.quantile(self.resamples, [share_below, (1 + confidence) / 2])
         return Interval(self.value, float(low), float(high))
 
 
@@ -121,9 +123,10 @@ def _spearman(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArra
     first_ranks, second_ranks = rankdata(first, axis=-1), rankdata(second, axis=-1)
     x = first_ranks - first_ranks.mean(axis=-1, keepdims=True)
     y = second_ranks - second_ranks.mean(axis=-1, keepdims=True)
-    # Pearson's coefficient of the ranks, which is 0/0 where all values are equal.
+    # Spearman's coefficient is Pearson's coefficient of the ranks, which is 0/0 where all values are equal.
     scale = np.sqrt((x * x).sum(axis=-1) * (y * y).sum(axis=-1))
-    coefficients: NDArray[np.float64] = (x * y).sum(axis=-1) / np.where(scale == 0, 1, scale)
+    divisor = np.where(scale == 0, 1, scale)
+    coefficients: NDArray[np.float64] = (x * y).sum(axis=-1) / divisor
     return coefficients
 
 

@@ -123,18 +123,21 @@ def _shipped_experiments(study_part: StudyPart) -> list[Experiment]:
 def cells_of(study_part: StudyPart) -> tuple[Cell, ...]:
     """Return the cells of a part of the study, its kinds of swarms, in the order of the part's file.
 
-    Several cells may be the same experiment. The list has one of them, as ``Cell.normal`` chooses.
+    Several cells may be the same experiment. Only one of them is returned, which ``Cell.normal`` chooses.
     """
-    cells = [cell_of(study_part, experiment) for experiment in _shipped_experiments(study_part)]
-    # The files have some experiments more than once, as they are grids: see Cell.normal. The keys of a
-    # dictionary are each cell once, in order.
-    return tuple(dict.fromkeys(cells))
+    cells: list[Cell] = []
+    for experiment in _shipped_experiments(study_part):
+        cell = cell_of(study_part, experiment)
+        # The files are grids, which have the same experiment under several cells.
+        if cell not in cells:
+            cells.append(cell)
+    return tuple(cells)
 
 
 def cell_of(study_part: StudyPart, experiment: Experiment) -> Cell:
     """Return the cell, the kind of swarm, to which an experiment of a part belongs.
 
-    Several cells may be the same experiment. The result is one of them, as ``Cell.normal`` chooses.
+    Several cells may be the same experiment. The result is the one that ``Cell.normal`` chooses.
     """
     cell = Cell(
         study_part=study_part,
@@ -152,11 +155,11 @@ def cell_of(study_part: StudyPart, experiment: Experiment) -> Cell:
 def own_experiments_of(
     study_part: StudyPart, study_size: StudySize, firmware: str, filter_name: str | None
 ) -> list[Experiment]:
-    """Return the experiments that set a firmware or filter of the user's beside the paper's filter.
+    """Return the experiments of a part of the study that are run with a firmware or filter of the user's.
 
-    They are the experiments of a part in which robots filter, with the shortest period, and with this
-    firmware. A filter that is given takes the place of ASDF- and ASDF+. Raises ParameterError for trials,
-    steps or a seed of ``study_size`` that are out of range.
+    They are the part's experiments with a filter and the shortest filter period, but with this firmware. A
+    filter of the user's takes the place of ASDF- and ASDF+; None leaves both. Raises ParameterError for
+    trials, steps or a seed of ``study_size`` that are out of range.
     """
     cells = [
         cell

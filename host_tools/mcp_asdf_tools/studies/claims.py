@@ -94,12 +94,12 @@ class Contrast:
         A cell is a kind of swarm, which is compared with another cell or with a level.
         """
         comparison_of_cells: dict[tuple[Cell, Cell | None], PlannedComparison] = {}
-        # A dictionary drops repeated pairs, and keeps the order of the rest.
         for cell in self._cells(study_part):
             for reference in self._references(cell):
                 # Different values may describe the same experiment, which Cell.normal makes equal.
                 normal_reference = None if reference is None else reference.normal
                 comparison = PlannedComparison(self, cell.normal, normal_reference)
+                # A pair that comes again replaces itself.
                 comparison_of_cells[cell.normal, normal_reference] = comparison
         return list(comparison_of_cells.values())
 
@@ -145,7 +145,8 @@ class Contrast:
         if self.than == "next lower P":
             # Which percentage that is depends on the cell, so no table of changes can describe it.
             percent_index = FLAWED_PERCENTS.index(cell.flawed_percent)
-            return [replace(cell, flawed_percent=FLAWED_PERCENTS[percent_index - 1])]
+            next_lower_percent = FLAWED_PERCENTS[percent_index - 1]
+            return [replace(cell, flawed_percent=next_lower_percent)]
         if isinstance(self.than, str):
             named_changes = _CLAIMS_FILE["than"]
             changes = dict(named_changes[self.than])
@@ -188,11 +189,10 @@ def _fill_ratios_and_accuracies(
     """
     pairs: list[tuple[float, float]] = []
     for panel_name in _as_list(panels):
-        panel = _CLAIMS_FILE["panels"][panel_name]
-        if isinstance(panel, dict):
-            pairs += panel[study_part.value]
-        else:
-            pairs += panel
+        pairs_of_panel = _CLAIMS_FILE["panels"][panel_name]
+        if isinstance(pairs_of_panel, dict):  # which has the pairs by the part of the study
+            pairs_of_panel = pairs_of_panel[study_part.value]
+        pairs += pairs_of_panel
     return pairs
 
 
@@ -220,12 +220,13 @@ class PlannedComparison:
     def compare(self, study_results: StudyResults, confidence: float) -> Comparison:
         """Return the difference by the trials, with an interval of this confidence, 0.95 for example.
 
-        Raises KeyError if ``study_results`` lack one of the two cells.
+        It is the measure of the cell less that of the reference, or less the level if there is none; without
+        either it is the measure itself. Raises KeyError if ``study_results`` lack one of the two cells.
         """
         contrast = self.contrast
-        # Differences are formed resample by resample, so that what both cells have in common cancels.
         difference = study_results.measure(self.cell, contrast.measure)
         if self.reference:
+            # Subtracted resample by resample, so that what both cells have in common cancels.
             difference -= study_results.measure(self.reference, contrast.than_measure or contrast.measure)
         elif contrast.level_in_points is not None:
             difference = difference.minus_constant(contrast.level_in_points)
@@ -264,7 +265,8 @@ class PlannedComparison:
         if self.reference is None:
             return minuend
         changed_labels = [label for name, label in reference_labels.items() if label != cell_labels.get(name)]
-        return f"{minuend} less {', '.join(changed_labels)}"
+        subtrahend = ", ".join(changed_labels)
+        return f"{minuend} less {subtrahend}"
 
 
 def labels_of(cell: Cell) -> dict[str, str]:

@@ -74,13 +74,14 @@ def _alpha(black_share: float, b_hat: float) -> float:
 
 
 def _compare_with_printed_digits(row: str, name: str, value: float, printed: float) -> Comparison:
-    """Compare a value with the three digits that the paper prints of it."""
+    """Compare a value with the three digits that the paper prints of it: it must round to them."""
     column = f"{name} less {printed:.3f}"
-    return exact_comparison(row, column, _rounded(value - printed), Expectation.SAME, HALF_A_PRINTED_DIGIT)
+    difference = _rounded(value - printed)
+    return exact_comparison(row, column, difference, Expectation.SAME, HALF_A_PRINTED_DIGIT)
 
 
 def _compare_with_zero(row: str, column: str, value: float) -> Comparison:
-    """Compare a value with 0: the claim is that it is larger."""
+    """Compare a value with 0: the claim is that it is larger, by more than ROUNDING."""
     return exact_comparison(row, column, _rounded(value), Expectation.ABOVE, ROUNDING)
 
 
@@ -91,26 +92,23 @@ def _rounded(value: float) -> float:
 
 def table_of_observations() -> list[Comparison]:
     """Compare n/t of each panel, by equation 1, with the digits that the paper's Table I has."""
-    return [
-        _compare_with_printed_digits(
-            f"f {panel.f:g}, b {panel.b:g}", "p(z = 1)", panel.exact_black_share, panel.black_share
-        )
-        for panel in TABLE_1
-    ]
+    comparisons: list[Comparison] = []
+    for panel in TABLE_1:
+        row = f"f {panel.f:g}, b {panel.b:g}"
+        share, printed_share = panel.exact_black_share, panel.black_share
+        comparisons.append(_compare_with_printed_digits(row, "p(z = 1)", share, printed_share))
+    return comparisons
 
 
 def table_of_local_estimates() -> list[Comparison]:
     """Compare x_hat of each panel and b_hat, by equation 3, with the digits that Table I has."""
-    return [
-        _compare_with_printed_digits(
-            f"f {panel.f:g}, b {panel.b:g}, b_hat {b_hat:g}",
-            "x_hat",
-            _x_hat(panel.exact_black_share, b_hat),
-            printed_estimate,
-        )
-        for panel in TABLE_1
-        for b_hat, printed_estimate in panel.estimates.items()
-    ]
+    comparisons: list[Comparison] = []
+    for panel in TABLE_1:
+        for b_hat, printed_estimate in panel.estimates.items():
+            row = f"f {panel.f:g}, b {panel.b:g}, b_hat {b_hat:g}"
+            estimate = _x_hat(panel.exact_black_share, b_hat)
+            comparisons.append(_compare_with_printed_digits(row, "x_hat", estimate, printed_estimate))
+    return comparisons
 
 
 def confidence_increases_with_b_hat() -> list[Comparison]:
@@ -142,15 +140,13 @@ def _compare_alpha_ratios(b_hat_pairs: Iterable[tuple[float, float]], claimed_ra
     A ratio is alpha at the second b_hat of a pair divided by alpha at the first. There is a comparison for
     each pair and each n/t, the share of black readings.
     """
-    return [
-        _compare_with_zero(
-            f"n/t {black_share:g}",
-            f"alpha of b_hat {high:g} over that of {low:g}, less {claimed_ratio}",
-            _alpha(black_share, high) / _alpha(black_share, low) - claimed_ratio,
-        )
-        for low, high in b_hat_pairs
-        for black_share in BLACK_SHARES
-    ]
+    comparisons: list[Comparison] = []
+    for low, high in b_hat_pairs:
+        column = f"alpha of b_hat {high:g} over that of {low:g}, less {claimed_ratio}"
+        for black_share in BLACK_SHARES:
+            ratio = _alpha(black_share, high) / _alpha(black_share, low)
+            comparisons.append(_compare_with_zero(f"n/t {black_share:g}", column, ratio - claimed_ratio))
+    return comparisons
 
 
 def low_b_hat_is_volatile() -> list[Comparison]:
@@ -166,7 +162,9 @@ def low_b_hat_is_volatile() -> list[Comparison]:
 
 def physical_density() -> list[Comparison]:
     """Compare the density of eight robots with a radio range of 0.7 m on the paper's platform with 1.3."""
-    density = 8 * pi * 0.7**2 / (3.0353 * 3.0226)  # D = N pi r^2 / (width height)
+    robots, radio_range = 8, 0.7
+    area = 3.0353 * 3.0226  # in square metres
+    density = robots * pi * radio_range**2 / area
     return [exact_comparison("", "D less 1.3", _rounded(density - 1.3), Expectation.SAME, size=0.05)]
 
 

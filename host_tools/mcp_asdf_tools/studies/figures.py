@@ -95,7 +95,7 @@ def _trials_of_users_filter(
 
     ``filter_name`` is the paper's filter, ASDF- or ASDF+. A filter of the user's stands beside either, a
     firmware of the user's only beside the filter that it ran with. Where all robots are flawed, ASDF- is
-    ASDF+: trials with ASDF+ are then returned as ones with ASDF-, if that is asked for.
+    ASDF+: if ``filter_name`` is ASDF-, trials with ASDF+ are then returned as ones with ASDF-.
     """
     selected = []
     for trials in study_results.own_trials_of(study_part):
@@ -109,14 +109,16 @@ def _trials_of_users_filter(
 
 
 def _as_asdf_minus(trials: Trials) -> Trials:
-    """Return trials with ASDF- as their filter, which would be the same: no robot is flawed, or all are."""
+    """Return trials as ones with ASDF-, which would have the same results: no robot is flawed, or all are."""
     return replace(trials, experiment=replace(trials.experiment, filter=ASDF_MINUS))
 
 
 def _name_in_words(experiment: Experiment) -> str:
     """Return the name of an experiment's filter, with a firmware of the user's, such as "beta, ASDF+"."""
     term = experiment.swarm_filter.typeset_term
-    return term if experiment.firmware == PAPERS_FIRMWARE else f"{experiment.firmware}, {term}"
+    if experiment.firmware == PAPERS_FIRMWARE:
+        return term
+    return f"{experiment.firmware}, {term}"
 
 
 def draw_pictures(study_results: StudyResults, study_size: StudySize) -> Iterator[Picture]:
@@ -137,7 +139,7 @@ def draw_pictures(study_results: StudyResults, study_size: StudySize) -> Iterato
         yield _draw_boxes_by_topology(study_results, ASDF_PLUS)
     if StudyPart.FULLY_CONNECTED in parts:
         yield _draw_single_trials(study_results, study_size)
-    # Of physical robots the paper has two such figures, 8a and 8b.
+    # Of physical robots the paper has only boxes and scatters, figures 8a and 8b.
     if StudyPart.PHYSICAL in parts:
         yield _draw_score_boxes(study_results, StudyPart.PHYSICAL, ASDF_PLUS)
         yield from _draw_score_scatters(study_results, StudyPart.PHYSICAL)
@@ -204,9 +206,14 @@ def _draw_score_boxes(study_results: StudyResults, study_part: StudyPart, filter
 
 
 def _filter_and_period(experiment: Experiment) -> str:
-    """Return the legend's label of an experiment by its filter, such as "ASDF+, filter period 1000"."""
+    """Return the legend's label of an experiment by its filter, such as "ASDF+, filter period 1000".
+
+    Without a filter it has no period.
+    """
     name = _name_in_words(experiment)
-    return f"{name}, filter period {experiment.filter_period}" if experiment.swarm_filter.is_on else name
+    if not experiment.swarm_filter.is_on:
+        return name
+    return f"{name}, filter period {experiment.filter_period}"
 
 
 def _draw_score_scatters(study_results: StudyResults, study_part: StudyPart) -> Iterator[Picture]:
@@ -221,12 +228,13 @@ def _draw_score_scatters(study_results: StudyResults, study_part: StudyPart) -> 
         title=f"Accuracy against convergence of {study_part.label} swarms, tau = {SHORTEST_PERIOD}",
         figure=scatter.plot_scatter(experiments),
     )
-    if own_trials := study_results.own_trials_of(study_part):
-        own_name = own_name_of(own_trials[0].experiment)
+    users_trials = study_results.own_trials_of(study_part)
+    if users_trials:
+        users_name = own_name_of(users_trials[0].experiment)
         yield _make_picture(
-            name=f"{study_part.value}_scatter_{own_name}",
-            title=f"The same with {own_name}",
-            figure=scatter.plot_scatter(own_trials),
+            name=f"{study_part.value}_scatter_{users_name}",
+            title=f"The same with {users_name}",
+            figure=scatter.plot_scatter(users_trials),
         )
 
 

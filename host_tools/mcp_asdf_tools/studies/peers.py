@@ -39,7 +39,7 @@ LIARS = {
 FLOOR_AFTER_CHANGE = 0.95
 """f of a ``ChangingFloor`` from the middle of a trial on."""
 
-_LABELS = {
+_LABEL_BY_PEER = {
     "BayesCpfRobot": "BayesCPF",
     "DriftingBayesCpfRobot": "BayesCPF",
     "WanderingBayesCpfRobot": "BayesCPF",
@@ -62,12 +62,15 @@ def firmware_name(experiment: Experiment) -> str:
 
 
 def column_label(experiment: Experiment) -> str:
-    """Return the head of an experiment's column: its filter, or the peer that stands for one."""
+    """Return the head of an experiment's column: its filter, or the peer that stands for one.
+
+    RememberingRobot is a peer that runs with several filters: its heads are such as "ASDF- with memory".
+    """
     name = firmware_name(experiment)
     filter_name = experiment.swarm_filter.term
-    if name == "RememberingRobot":  # which runs with several filters
+    if name == "RememberingRobot":
         return f"{filter_name} with memory"
-    return _LABELS.get(name, filter_name)
+    return _LABEL_BY_PEER.get(name, filter_name)
 
 
 # --- Other filters ---------------------------------------------------------------------------------------
@@ -95,7 +98,8 @@ class RememberingRobot(ReferenceRobot):
             self._messages += 1
             # The gain is 2^-3 up to 63 messages, 2^-4 from 64 on, 2^-5 from 128 on, and so on down to 2^-12.
             halvings = self._messages.bit_length() - 3
-            gain = 2.0 ** -min(max(halvings, 3), 12)
+            limited_halvings = min(max(halvings, 3), 12)
+            gain = 2.0**-limited_halvings
             # The sender's t is not in the message; robots of a swarm have observed equally often.
             weight = alpha / max(self.t, 1)
             self._weight += gain * (weight - self._weight)
@@ -153,7 +157,10 @@ class BayesCpfRobot(ReferenceRobot):
         return super().settle()
 
     def _is_update_needed(self) -> bool:
-        """Return whether a filter step updates b_hat: with any filter, if there are new readings."""
+        """Return whether b_hat is to be estimated anew in a filter step.
+
+        That is so with any filter, if there are readings since the last update.
+        """
         return self._config.filter != Filter.OFF and self._t_since_update > 0
 
     def reestimate_b_hat(self) -> float | None:
@@ -169,8 +176,10 @@ class BayesCpfRobot(ReferenceRobot):
         # The known part of the drift moves b, and the random part makes b less certain.
         self._mean += self.drift_rate * t
         self._variance += self.diffusion**2 * t
-        if t * min(self._mean, 1 - self._mean) < 5:
-            return None  # the binomial count is not near enough to a normal distribution
+        # The filter takes the binomial count for a normally distributed number.
+        is_nearly_normal = t * min(self._mean, 1 - self._mean) >= 5
+        if not is_nearly_normal:
+            return None
         # The measurement is n, a binomial count: of t readings each is black with this probability.
         black_probability = x * self._mean + (1 - x) * (1 - self._mean)
         expected_n = t * black_probability
@@ -193,8 +202,9 @@ class BayesCpfRobot(ReferenceRobot):
         if 0.5 < self._mean < 1:
             return self._mean
         deviation = math.sqrt(self._variance)
-        # The limits 1/2 and 1 in deviations from the mean, as the standard normal distribution takes them
-        low, high = (0.5 - self._mean) / deviation, (1 - self._mean) / deviation
+        # The limits 1/2 and 1, in deviations from the mean, as the standard normal distribution takes them.
+        low = (0.5 - self._mean) / deviation
+        high = (1 - self._mean) / deviation
         standard_normal = NormalDist()
         share_within = standard_normal.cdf(high) - standard_normal.cdf(low)
         if share_within < 5e-13:  # the quotient below would be noise
@@ -360,19 +370,22 @@ class MajorityRobot(ReferenceRobot):
     def _start_dissemination(self) -> None:
         """Begin to broadcast the opinion, for a random time.
 
-        Its mean is proportional to the share of the opinion's colour in the readings of the exploration.
+        Its mean is proportional to the share of the opinion's colour in the readings of the exploration. All
+        opinions that were received before are forgotten.
         """
         self._is_disseminating = True
         self._opinion_by_sender = {}
-        share_of_colour = self._readings_of_opinion / max(1, self._readings)
+        share_of_colour = self._readings_of_opinion / max(1, self._readings)  # 0 without readings
         self._rounds_left = self._draw_duration(self.mean_dissemination * share_of_colour)
 
     def _draw_duration(self, mean: float) -> int:
-        """Return a random number of rounds, at least 1, from an exponential distribution.
+        """Return a random number of rounds, at least 1, from an exponential distribution of this mean.
 
-        The mean is 0 if the opinion's colour has not been read at all.
+        With a mean of 0, which comes if the opinion's colour has not been read at all, it is 1.
         """
-        duration = self._random.expovariate(1 / mean) if mean else 0.0
+        if mean == 0:
+            return 1
+        duration = self._random.expovariate(1 / mean)
         return max(1, round(duration))
 
     def _adopt_majority_opinion(self) -> None:
@@ -385,7 +398,7 @@ class MajorityRobot(ReferenceRobot):
 
     @property
     def x_hat(self) -> float:
-        """The opinion: 1 if black prevails, and otherwise 0."""
+        """The opinion as a number, which messages carry: 1 for black, 0 for white."""
         return float(self._opinion)
 
     @property
@@ -395,7 +408,7 @@ class MajorityRobot(ReferenceRobot):
 
     @property
     def x(self) -> float:
-        """The opinion, which is what the robot would answer."""
+        """The opinion as a number, 1 for black or 0 for white, which is what the robot would answer."""
         return self.x_hat
 
 
@@ -428,7 +441,7 @@ class KnownAccuracyRobot(ReferenceRobot):
         Returns OK, or ERR_OBSERVATION if ``z`` is neither WHITE nor BLACK.
         """
         self._b_hat = min(self._accuracy_to_assume(), 1 - B_HAT_MARGIN)
-        # This b_hat already holds for the observation that is counted below.
+        # The sensor ages after this observation, so b_hat, which is set already, holds for it.
         self._true_accuracy += DRIFT_RATE
         return super().observe(z)
 
@@ -448,7 +461,8 @@ class KnownMeanAccuracyRobot(KnownAccuracyRobot):
         observations = self.t + 1
         mean_accuracy = self._accuracy_sum / observations
         if observations == self._config.memory:
-            self._accuracy_sum /= 2  # as t and n will be
+            # The firmware is about to halve t and n: so the sum stays that of t observations.
+            self._accuracy_sum /= 2
         return mean_accuracy
 
 
@@ -474,7 +488,9 @@ class LossyRobot(NativeRobot):
         Returns the firmware's status, and OK for a lost message.
         """
         is_lost = self._random.random() < LOST_SHARE
-        return Status.OK if is_lost else super().receive_raw(sender, x_hat, alpha)
+        if is_lost:
+            return Status.OK
+        return super().receive_raw(sender, x_hat, alpha)
 
 
 class Liar(NativeRobot):
@@ -493,36 +509,36 @@ class Liar(NativeRobot):
 
 def one_liar(config: Config, robot_id: int, b_hat: float) -> Robot:
     """Make a robot of a swarm whose last robot lies."""
-    return _make_robot(1, config, robot_id, b_hat)
+    return _make_robot(config, robot_id, b_hat, liar_count=1)
 
 
 def two_liars(config: Config, robot_id: int, b_hat: float) -> Robot:
     """Make a robot of a swarm whose last two robots lie."""
-    return _make_robot(2, config, robot_id, b_hat)
+    return _make_robot(config, robot_id, b_hat, liar_count=2)
 
 
 def five_liars(config: Config, robot_id: int, b_hat: float) -> Robot:
     """Make a robot of a swarm whose last five robots lie."""
-    return _make_robot(5, config, robot_id, b_hat)
+    return _make_robot(config, robot_id, b_hat, liar_count=5)
 
 
 def wmsr_robots_and_five_liars(config: Config, robot_id: int, b_hat: float) -> Robot:
     """Make a robot of a swarm that uses W-MSR, and whose last five robots lie."""
-    return _make_robot(5, config, robot_id, b_hat, honest_robot=WmsrRobot)
+    return _make_robot(config, robot_id, b_hat, liar_count=5, honest_robot=WmsrRobot)
 
 
 def trimmed_mean_robots_and_five_liars(config: Config, robot_id: int, b_hat: float) -> Robot:
     """Make a robot of a swarm that uses trimmed means, and whose last five robots lie."""
-    return _make_robot(5, config, robot_id, b_hat, honest_robot=TrimmedMeanRobot)
+    return _make_robot(config, robot_id, b_hat, liar_count=5, honest_robot=TrimmedMeanRobot)
 
 
 def majority_robots_and_five_liars(config: Config, robot_id: int, b_hat: float) -> Robot:
     """Make a robot of a swarm that votes by DMMD, and whose last five robots lie."""
-    return _make_robot(5, config, robot_id, b_hat, honest_robot=MajorityRobot)
+    return _make_robot(config, robot_id, b_hat, liar_count=5, honest_robot=MajorityRobot)
 
 
 def _make_robot(
-    liar_count: int, config: Config, robot_id: int, b_hat: float, honest_robot: RobotMaker = NativeRobot
+    config: Config, robot_id: int, b_hat: float, liar_count: int, honest_robot: RobotMaker = NativeRobot
 ) -> Robot:
     """Make a liar if the id is one of the last ``liar_count`` of the swarm, or else an honest robot."""
     first_liar = ROBOTS_WITH_LIARS - liar_count
@@ -550,8 +566,9 @@ class ChangingFloor:
         """
         f, b = self._settings.fill_ratio, self._settings.true_accuracy  # in the paper's letters
         black_readings_after = FLOOR_AFTER_CHANGE * b + (1 - FLOOR_AFTER_CHANGE) * (1 - b)
-        # f b black readings come from black tiles; white tiles have to give the rest.
-        white_accuracy_after = 1 - (black_readings_after - f * b) / (1 - f)
+        # A share of f b of all readings is black on black tiles; white tiles have to give the rest.
+        black_readings_on_white = black_readings_after - f * b
+        white_accuracy_after = 1 - black_readings_on_white / (1 - f)
         step_numbers = np.arange(self._next_step, self._next_step + steps)
         self._next_step += steps
         is_before_change = step_numbers < self._settings.steps // 2
