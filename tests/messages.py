@@ -135,6 +135,11 @@ def encoded(message: Any) -> can.Message:
     return KINDS[type(message)].encode(message)
 
 
+def decode_as(message_type: type, frame: can.Message) -> Any:
+    """Return the message of a kind that a frame holds, or the reason why it holds none of this kind."""
+    return KINDS[message_type].decode(frame)
+
+
 def write_regulated_types(folder: Path, *file_names: str) -> None:
     """Write definitions of OpenCyphal's own types, which its tools do not bring along, into a folder.
 

@@ -141,7 +141,8 @@ def test_pycyphal_reads_our_frames(dsdl_types: dict[type, Any], message: Any) ->
     """
     transfer = read_with_pycyphal(encoded(message))
     assert transfer is not None
-    assert transfer.subject == KINDS[type(message)].subject
+    subject_of_kind = KINDS[type(message)].subject  # such as 3000 for estimates
+    assert transfer.subject == subject_of_kind
     assert transfer.sender == message.sender
     assert transfer.transfer_id == message.transfer_id
     dsdl_object = pycyphal.dsdl.deserialize(dsdl_types[type(message)], transfer.payload)
@@ -252,7 +253,8 @@ def test_we_decode_the_estimates_of_pycyphal(dsdl_types: dict[type, Any]) -> Non
 
 def test_an_alpha_of_pycyphal_that_robots_cannot_have_is_rounded_down(dsdl_types: dict[type, Any]) -> None:
     """Robots have multiples of 2**-24 up to a largest alpha; pycyphal may send any binary32 number."""
-    largest_float, smallest_float = float32_value(0x7F7FFFFF), float32_value(1)  # by their bits
+    largest_float = float32_value(bits=0x7F7FFFFF)
+    smallest_float = float32_value(bits=1)
     expected_words_by_alpha = {
         alpha_from_word(ALPHA_MAX): ALPHA_MAX,
         largest_float: ALPHA_MAX,

@@ -61,13 +61,16 @@ def test_a_datagram_of_more_than_400_bytes_is_refused() -> None:
 
     Msgpack writes two bytes before so long a name, and one byte in place of no name.
     """
-    bytes_without_name = len(packed()) - 1 + 2
-    longest_name = "c" * (400 - bytes_without_name)
-    longest, too_long = packed(channel=longest_name), packed(channel=longest_name + "c")
+    datagram_without_name = packed(channel=None)
+    bytes_of_all_but_the_name = len(datagram_without_name) - 1 + 2
+    longest_name = "c" * (400 - bytes_of_all_but_the_name)
+    datagram_of_400_bytes = packed(channel=longest_name)
+    datagram_of_401_bytes = packed(channel=longest_name + "c")
 
-    assert (len(longest), len(too_long)) == (400, 401)
-    assert unpack_data_frame(longest) is not None
-    assert unpack_data_frame(too_long) is None
+    assert len(datagram_of_400_bytes) == 400
+    assert unpack_data_frame(datagram_of_400_bytes) is not None
+    assert len(datagram_of_401_bytes) == 401
+    assert unpack_data_frame(datagram_of_401_bytes) is None
 
 
 def test_most_odd_datagrams_are_refused() -> None:

@@ -17,7 +17,7 @@ from mcp_asdf_tools.bus.dbc import ANY_NODE_MASK, dbc_text
 from mcp_asdf_tools.bus.frame_layout import EVERY_ROBOT, MAX_B_HAT, MIN_B_HAT, Action, Health, Mode, Rejection
 from mcp_asdf_tools.bus.frames import Command, Estimate, FrameFormat, Heartbeat, Telemetry, encode_estimate
 from mcp_asdf_tools.cli.main import main
-from messages import DEFAULT, KINDS, encoded, messages
+from messages import DEFAULT, decode_as, encoded, messages
 from support import draws
 
 pytestmark = pytest.mark.random
@@ -71,7 +71,7 @@ def decode_what_cantools_encodes(
     entry = database.get_message_by_name(message_type.__name__)
     data = entry.encode(values, strict=strict)
     frame = can.Message(arbitration_id=entry.frame_id | node, data=data)
-    return KINDS[message_type].decode(frame)
+    return decode_as(message_type, frame)
 
 
 # cantools and our codec read each other's frames

@@ -92,7 +92,8 @@ def test_a_frame_of_a_multicast_group_has_the_channel_and_the_length_of_its_data
         frame = bus.recv(PATIENCE)
 
     assert frame is not None
-    assert (frame.dlc, frame.channel) == (len(frame.data), choice.channel)
+    assert frame.channel == choice.channel
+    assert frame.dlc == len(frame.data)
 
 
 def test_a_burst_of_four_estimates_from_each_robot_waits_in_the_socket_of_a_multicast_group() -> None:
@@ -101,8 +102,7 @@ def test_a_burst_of_four_estimates_from_each_robot_waits_in_the_socket_of_a_mult
     126 robots are the most that a bus has beside a tool: their ids are 0 to 125.
     """
     choice = multicast(group=32)
-    robot_count = 126
-    frame_ids = list(range(4 * robot_count))
+    frame_ids = list(range(4 * 126))  # four frames from each of 126 robots
     with choice.open() as sender, choice.open() as receiver:
         for frame_id in frame_ids:
             sender.send(can.Message(arbitration_id=frame_id))

@@ -29,7 +29,7 @@ def test_the_worst_length_of_a_frame_is_that_with_the_most_stuffed_bits(
     """
     frame = can.Message(arbitration_id=1, is_extended_id=is_extended_id, data=bytes(length))
     identifier = 29 + 3 if is_extended_id else 11 + 1
-    start, length_field, checksum = 1, 6, 15
+    start, length_field, checksum = 1, 6, 15  # in bits
     stuffable_bits = start + identifier + length_field + 8 * length + checksum
 
     # A stuffed bit begins the next run: with the four equal bits behind it, it makes five again.

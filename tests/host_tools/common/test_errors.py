@@ -26,8 +26,8 @@ def test_the_middle_of_a_message_of_more_than_800_characters_is_left_out() -> No
 
     A message of exactly 800 characters is shown as it is.
     """
-    first_400_characters = "cannot read a" + "9" * 387
-    last_400_characters = "9" * 392 + "; fix it"
+    first_400_characters = "cannot read a".ljust(400, "9")
+    last_400_characters = "; fix it".rjust(400, "9")
     too_long_message = first_400_characters + "9" * 4000 + last_400_characters
     assert str(UsageError(too_long_message)) == f"{first_400_characters} ... {last_400_characters}"
 

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from events_files import events_file, read_entries
-from mcp_asdf.robot import Config, Filter, Observation
+from mcp_asdf.robot import Filter, Observation
 from mcp_asdf_tools.bus.frames import FrameFormat
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.recording import events as events_module
@@ -25,7 +25,6 @@ from mcp_asdf_tools.recording.events import (
 )
 from mcp_asdf_tools.recording.frame_logs import read_log
 from mcp_asdf_tools.recording.replay import ReplayVerdict, verify
-from mcp_asdf_tools.robots.robot_setup import RobotSetup
 from mcp_asdf_tools.tables.thresholds import generate
 from messages import FRAMES
 from wire import setup_of_robot
@@ -69,10 +68,10 @@ def test_the_header_of_an_events_file_is_read_as_it_was_written(tmp_path: Path) 
     such as 0.1 + 0.2 and 2**-20 have many digits, and none is lost.
     """
     robots = (
-        setup_of_robot(0, "native", b_hat=0.1 + 0.2),
-        setup_of_robot(7, "mirror", filter=Filter.ALWAYS, comms_period=5, memory=64),
-        RobotSetup(127, "reference", 0.95, Config(None, Filter.OFF, filter_period=3)),
-        RobotSetup(3, "native", 2.0**-20, Config(generate(Decimal("0.123456789"), 2))),
+        setup_of_robot(0, firmware="native", b_hat=0.1 + 0.2),
+        setup_of_robot(7, firmware="mirror", filter=Filter.ALWAYS, comms_period=5, memory=64),
+        setup_of_robot(127, firmware="reference", b_hat=0.95, filter=Filter.OFF, filter_period=3, table=None),
+        setup_of_robot(3, b_hat=2.0**-20, table=generate(omega=Decimal("0.123456789"), q=2)),
     )
     header = EventsHeader(
         robots,
@@ -139,8 +138,8 @@ def test_frames_injected_by_a_fault_are_recorded_as_candump_writes_them(tmp_path
         for frame in FRAMES.values():
             writer.record_injected_frame(frame)
 
-    candump_texts = FRAMES.keys()
-    assert read_entries(tmp_path / "x") == [InjectedFrame(text) for text in candump_texts]
+    expected_entries = [InjectedFrame(text_of_candump) for text_of_candump in FRAMES]
+    assert read_entries(tmp_path / "x") == expected_entries
 
 
 def test_a_flood_of_estimates_is_written_in_several_lines(

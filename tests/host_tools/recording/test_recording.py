@@ -402,6 +402,7 @@ def test_a_full_disk_ends_the_recording_but_not_the_swarm(tmp_path: Path, capsys
     """The user gets the results of all 200 steps, the exit code 2, and a warning that names what is left.
 
     A file may have 8000 bytes here, which fails like a full disk. The log would have more than 600 lines.
+    The file of results, run.log.json, is shorter, so it is complete.
     """
     log = tmp_path / "run.log"
     with limited_file_size(8000):

@@ -251,7 +251,7 @@ def test_an_estimate_that_a_wrong_bit_makes_illegal_counts_as_not_logged(swarm_l
     assert verdict.not_logged == 1
 
 
-def broadcast_with_events_beside(log: Path, foreign_frame: can.Message | None = None) -> can.Message:
+def write_events_and_return_broadcast(log: Path, foreign_frame: can.Message | None = None) -> can.Message:
     """Let robot 5 observe black once; write that into the events beside a log, and return its broadcast.
 
     The events may also have a foreign frame: one that another node sent under the id of the robot.
@@ -270,7 +270,7 @@ def test_a_difference_is_described_with_both_values(tmp_path: Path) -> None:
 
     So the log has the alpha 0x3f100001, and robot 5 makes 0x3f100000 of the events.
     """
-    broadcast = broadcast_with_events_beside(tmp_path / "x")
+    broadcast = write_events_and_return_broadcast(tmp_path / "x")
     broadcast.timestamp = 12.5
     verdict = replay([with_flipped_bit(broadcast, LOWEST_BIT_OF_ALPHA)], tmp_path / "x")
 
@@ -283,7 +283,7 @@ def test_a_difference_is_described_with_both_values(tmp_path: Path) -> None:
 
 def test_a_broadcast_that_is_twice_in_a_log_is_a_difference(tmp_path: Path) -> None:
     """Robot 5 has observed once, and so makes one broadcast. Replay reports the second one in the log."""
-    broadcast = broadcast_with_events_beside(tmp_path / "x")
+    broadcast = write_events_and_return_broadcast(tmp_path / "x")
     verdict = replay([broadcast, broadcast], tmp_path / "x")
 
     assert verdict.reproduced == 1
@@ -305,7 +305,7 @@ def test_a_foreign_frame_may_come_before_or_after_the_robots_broadcast(
 ) -> None:
     """Foreign is a frame that another node sent under the robot's id. Replay counts it in either order."""
     foreign_frame = estimate_of_robot_5(x_hat=77, transfer_id=1)
-    broadcast = broadcast_with_events_beside(tmp_path / "x", foreign_frame)
+    broadcast = write_events_and_return_broadcast(tmp_path / "x", foreign_frame=foreign_frame)
     frames = [foreign_frame, broadcast] if is_foreign_first else [broadcast, foreign_frame]
     assert replay(frames, tmp_path / "x") == ReplayVerdict(reproduced=1, foreign=1)
 
@@ -313,7 +313,7 @@ def test_a_foreign_frame_may_come_before_or_after_the_robots_broadcast(
 def test_a_foreign_frame_that_the_events_do_not_know_is_a_difference(tmp_path: Path) -> None:
     """The events know of one frame that another node sent under the id of the robot; the log has two."""
     foreign_frame = estimate_of_robot_5(x_hat=0x77, transfer_id=1)
-    broadcast = broadcast_with_events_beside(tmp_path / "x", foreign_frame)
+    broadcast = write_events_and_return_broadcast(tmp_path / "x", foreign_frame=foreign_frame)
     verdict = replay([foreign_frame, foreign_frame, broadcast], tmp_path / "x")
 
     assert verdict.foreign == 1
@@ -324,7 +324,7 @@ def test_a_foreign_frame_that_the_events_do_not_know_is_a_difference(tmp_path: P
 def test_rerun_yields_no_robot_in_a_tick_that_has_not_ended(tmp_path: Path) -> None:
     """The events tell of an observation and a foreign frame, but not of the end of the tick."""
     foreign_frame = estimate_of_robot_5(x_hat=77, transfer_id=1)
-    broadcast_with_events_beside(tmp_path / "x", foreign_frame)
+    write_events_and_return_broadcast(tmp_path / "x", foreign_frame=foreign_frame)
     with EventsReader(events_path(tmp_path / "x")) as reader:
         assert list(rerun(reader)) == []
 
@@ -334,7 +334,7 @@ def test_broadcasts_after_the_events_were_cut_off_are_no_difference(tmp_path: Pa
 
     The three later ones of the log are counted as beyond.
     """
-    broadcast = broadcast_with_events_beside(tmp_path / "x")
+    broadcast = write_events_and_return_broadcast(tmp_path / "x")
     events_path(tmp_path / "x").rename(events_path(tmp_path / "x.part"))
     later_broadcasts = [estimate_of_robot_5(x_hat=0, transfer_id=number) for number in (1, 2, 3)]
     verdict = replay([broadcast, *later_broadcasts], tmp_path / "x.part")

@@ -415,16 +415,17 @@ def test_faults_disturb_frames_as_a_plain_program_of_the_same_rules_does(
     In each tick, the frames that four robots send are compared, and what each robot receives, in order. In
     the end the numbers of hits and of frames delivered are.
     """
-    replay = f"{[str(fault) for fault in all_faults]}, seed {seed}, latency {has_latency}"
+    texts_of_faults = [str(fault) for fault in all_faults]
+    failing_case = f"{texts_of_faults}, seed {seed}, latency {has_latency}"  # shown if a comparison fails
     swarms = TwoDisturbedSwarms(all_faults, seed, has_latency)
     for _tick in range(TICKS):
         sent_frames, expected_sent_frames = swarms.send()
-        assert sent_frames == expected_sent_frames, replay
+        assert sent_frames == expected_sent_frames, failing_case
         received_frames, expected_received_frames = swarms.receive()
-        assert received_frames == expected_received_frames, replay
+        assert received_frames == expected_received_frames, failing_case
 
-    assert swarms.hit_counts == swarms.reference.hit_counts, replay
-    assert swarms.queue.delivered_count == swarms.expected_delivered_count, replay
+    assert swarms.hit_counts == swarms.reference.hit_counts, failing_case
+    assert swarms.queue.delivered_count == swarms.expected_delivered_count, failing_case
 
 
 def test_a_swarm_with_faults_of_all_kinds_shows_each_of_them() -> None:
@@ -581,7 +582,7 @@ def test_a_robot_whose_bus_is_off_goes_on_observing() -> None:
     """Robot 3 is off the bus, but has no outage of its own, as it would have after a crash."""
     bus_off = BusOff(rate=1.0, robots=frozenset({3}))
     faults = Faults([bus_off], seed=1, frame_format=FORMAT)
-    faults.begin_tick(0, [3])
+    faults.begin_tick(tick=0, nodes=[3])
     assert faults.is_off_bus(3)
     assert faults.robot_outage(3) is None
 
@@ -596,15 +597,16 @@ def test_each_choice_of_bits_to_flip_is_equally_likely(width: int, count: int) -
     With one case for each combination of remainders, each choice comes up equally often. A choice is a mask:
     a number with these bits. If there are fewer bits than words, all bits are chosen.
     """
-    words = words_with_all_remainders(width, count)
-    widths = np.full(len(words), width)
-    times_chosen_by_mask = Counter(choose_bits(widths, words).tolist())
+    words_of_cases = words_with_all_remainders(width, count)
+    number_of_cases = len(words_of_cases)
+    chosen_masks = choose_bits(np.full(number_of_cases, width), words_of_cases)
 
-    all_choices = list(itertools.combinations(range(width), min(count, width)))
-    for bits in all_choices:
-        mask = sum(1 << bit for bit in bits)
-        assert times_chosen_by_mask.pop(mask) == len(words) // len(all_choices), bits
-    assert times_chosen_by_mask == {}  # no other choice has come up
+    number_of_chosen_bits = min(count, width)
+    possible_masks = []
+    for bits in itertools.combinations(range(width), number_of_chosen_bits):
+        possible_masks.append(sum(1 << bit for bit in bits))
+    times_of_each_mask = number_of_cases // len(possible_masks)
+    assert Counter(chosen_masks.tolist()) == dict.fromkeys(possible_masks, times_of_each_mask)
 
 
 def words_with_all_remainders(width: int, count: int) -> NDArray[np.uint64]:

@@ -12,6 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from types import SimpleNamespace
 from typing import Any
+from unittest.mock import Mock
 
 import pytest
 from rich.cells import cell_len
@@ -203,9 +204,8 @@ def test_the_baselines_of_a_swarm_in_real_time_have_no_clock() -> None:
 
 def test_baselines_measure_the_seconds_that_they_take_of_a_run(monkeypatch: pytest.MonkeyPatch) -> None:
     """Each of 5 ticks takes 10 s: the clock is read before and after it, and goes on by 10 s a reading."""
-    readings = itertools.count(start=1000.0, step=10.0)
-    clock = SimpleNamespace(monotonic=lambda: next(readings))
-    monkeypatch.setattr(run_module, "time", clock)
+    read_clock = Mock(side_effect=itertools.count(start=1000.0, step=10.0))
+    monkeypatch.setattr(run_module, "time", SimpleNamespace(monotonic=read_clock))
     settings = replace(MOVING_SWARM, steps=5)
     baselines = Baselines(settings)
     assert baselines.seconds == 0

@@ -80,10 +80,11 @@ def test_a_swarm_on_a_bus_ends_in_the_same_bits_as_the_same_simulated_experiment
     run, _frames = run_and_record(SwarmSettings(**parameters))
     states_on_the_bus = saved_robots(run.nodes)
 
-    assert states_on_the_bus == images_by_message(experiment, trial=0)
+    states_in_python = images_by_message(experiment, trial=0)
+    assert states_on_the_bus == states_in_python
     if not experiment.parameter_lacking_in_c:
-        trials_in_c = native.run(experiment, first=0, trials=1)
-        assert states_on_the_bus == trials_in_c.images()
+        states_in_c = native.run(experiment, first=0, trials=1).images()
+        assert states_on_the_bus == states_in_c
 
 
 @pytest.mark.parametrize(
@@ -390,11 +391,12 @@ def test_frames_are_received_in_the_order_in_which_they_are_expected(
 ) -> None:
     """The bus delivers the second frame first, and the connection returns it last."""
     bus, connection, _unexpected_frames = bus_and_connection
-    first, second = sent_estimate(sender=1, tick=0), sent_estimate(sender=2, tick=0)
+    first = sent_estimate(sender=1, tick=0)
+    second = sent_estimate(sender=2, tick=0)
     bus.send(second.frame)
     bus.send(first.frame)
 
-    received_frames = receive_within_10_ms(connection, [first, second])
+    received_frames = receive_within_10_ms(connection, expected=[first, second])
     assert received_frames == identifiers_and_data([first.frame, second.frame])
 
 
@@ -419,7 +421,8 @@ def test_a_late_frame_is_received_with_the_next_ones_and_counted_once(
     It is received before the frame that is expected the third time, and is not reported as unexpected.
     """
     bus, connection, unexpected_frames = bus_and_connection
-    late, following = sent_estimate(sender=1, tick=0), sent_estimate(sender=1, tick=1)
+    late = sent_estimate(sender=1, tick=0)
+    following = sent_estimate(sender=1, tick=1)
     assert receive_within_10_ms(connection, expected=[late]) == []
     assert receive_within_10_ms(connection, expected=[]) == []
     bus.send(following.frame)
@@ -482,14 +485,17 @@ def run_with_foreign_frames() -> tuple[SwarmRun, list[can.Message]]:
 
 
 def test_frames_of_another_program_are_recorded_as_received_in_their_place_after_tick_5() -> None:
-    """Before and after them are the frames that the swarm of five robots sends when it is alone.
+    """The other program sends FOREIGN_FRAMES, a list of seven, after tick 5.
 
-    In five ticks each robot sends a heartbeat and five estimates.
+    Before and after them are the frames that the swarm of five robots sends when it is alone. In five ticks
+    each robot sends a heartbeat and five estimates.
     """
     _run, frames = run_with_foreign_frames()
     _run, frames_of_swarm = run_and_record(small_swarm())
-    number_in_5_ticks = 5 * (1 + 5)
-    before, after = frames_of_swarm[:number_in_5_ticks], frames_of_swarm[number_in_5_ticks:]
+    robots, heartbeats, estimates = 5, 1, 5
+    number_in_5_ticks = robots * (heartbeats + estimates)
+    before = frames_of_swarm[:number_in_5_ticks]
+    after = frames_of_swarm[number_in_5_ticks:]
     expected_frames = [*before, *FOREIGN_FRAMES, *after]
     assert identifiers_and_data(frames) == identifiers_and_data(expected_frames)
     assert all(frame.is_rx for frame in frames)
@@ -509,7 +515,8 @@ def test_frames_of_another_program_are_counted_by_each_of_five_robots() -> None:
     of the swarm has sent is a stray.
     """
     run, _frames = run_with_foreign_frames()
-    frame_counts, robots = run.results["frames"], 5
+    robots = 5
+    frame_counts = run.results["frames"]
     assert frame_counts["strays"] == 2 * robots
     assert frame_counts["id_conflicts"] == {"1": 1}  # the count of each id
     assert frame_counts["errors_heard"] == 1 * robots
@@ -531,11 +538,10 @@ def test_results_have_the_mean_estimate_and_its_error(seed: int, is_low: bool) -
     run = run_of_disagreeing_robots(seed)
     estimates = [node.robot.x for node in run.nodes]
     errors = [abs(estimate - 0.55) for estimate in estimates]
-    mean_estimate, mean_error = run.results["mean_x"], run.results["mean_error"]
 
-    assert mean_estimate == pytest.approx(sum(estimates) / 5, abs=1e-15)
-    assert mean_error == pytest.approx(sum(errors) / 5, abs=1e-15)
-    assert (mean_estimate < 0.55) == is_low
+    assert run.results["mean_x"] == pytest.approx(sum(estimates) / 5, abs=1e-15)
+    assert run.results["mean_error"] == pytest.approx(sum(errors) / 5, abs=1e-15)
+    assert (run.results["mean_x"] < 0.55) == is_low
 
 
 @pytest.mark.parametrize("name", ["x", "x_hat"])
@@ -568,7 +574,8 @@ def test_results_have_mean_and_limits_of_b_hat_of_flawed_and_of_other_robots(
 def test_results_have_the_sums_of_the_robots_tests_and_updates() -> None:
     """A robot's filter tests the assumed accuracy, and updates it if the test rejects it."""
     run = run_of_disagreeing_robots()
-    tests, updates = run.results["tests"], run.results["updates"]
-    assert tests == sum(node.robot.counters.tests for node in run.nodes)
-    assert updates == sum(node.robot.counters.updates for node in run.nodes)
-    assert tests > updates > 0
+    tests_by_robot = [node.robot.counters.tests for node in run.nodes]
+    updates_by_robot = [node.robot.counters.updates for node in run.nodes]
+    assert run.results["tests"] == sum(tests_by_robot)
+    assert run.results["updates"] == sum(updates_by_robot)
+    assert sum(tests_by_robot) > sum(updates_by_robot) > 0

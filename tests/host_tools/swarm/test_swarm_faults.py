@@ -333,7 +333,8 @@ def test_a_robot_that_rejoins_assumes_the_accuracy_of_its_start_unless_it_is_res
 
     run_and_record(settings_with_a_crash_in_ticks_45_and_46(rejoin), hooks=[record_b_hat_of_robot_0])
 
-    before_crash, after_return = b_hat_by_tick[44], b_hat_by_tick[47]
+    before_crash = b_hat_by_tick[44]
+    after_return = b_hat_by_tick[47]
     expected_after_return = before_crash if rejoin == "restored" else 0.55
     assert before_crash > 0.9
     assert after_return == pytest.approx(expected_after_return, abs=1e-6)

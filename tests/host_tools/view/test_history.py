@@ -51,11 +51,12 @@ def test_a_robot_that_joins_has_neither_values_nor_links_in_earlier_states(histo
     """
     history.add_robot(7)
     *_, last_state = history.states_since().states
-    _robot_0, _robot_1, robot_7 = last_state.values.T
+    values_by_robot = last_state.values.T
+    _robot_0, _robot_1, values_of_robot_7 = values_by_robot
 
     assert history.generation == 1
     assert history.description.robots == [0, 1, 7]
-    assert np.isnan(robot_7).all()
+    assert np.isnan(values_of_robot_7).all()
     assert last_state.neighbours.tolist() == [
         [True, True, False],
         [True, True, False],

@@ -32,12 +32,13 @@ def bytes_of_states(states: list[State], robots: int, **fields: Any) -> bytes:
     return decompress(block["data"])
 
 
-BYTES_PER_TICK = 4
+BYTES_PER_STEP_NUMBER = 4
 
 
-def numbers_behind_ticks(data: bytes, count: int, states: int = 1) -> list[int]:
-    """Return the first 16-bit numbers in the bytes of states, which stand behind the ticks of all states."""
-    numbers: list[int] = np.frombuffer(data, "<u2", count, offset=states * BYTES_PER_TICK).tolist()
+def numbers_behind_step_numbers(data: bytes, count: int, states: int) -> list[int]:
+    """Return the first 16-bit numbers in the bytes of states behind the numbers of steps of all states."""
+    offset = states * BYTES_PER_STEP_NUMBER
+    numbers: list[int] = np.frombuffer(data, "<u2", count, offset).tolist()
     return numbers
 
 
@@ -98,14 +99,16 @@ def test_states_are_counted_and_their_bytes_begin_with_their_numbers_of_steps() 
 def test_each_robot_s_values_are_encoded_as_differences_to_the_state_before() -> None:
     """Differences compress better. Robot 0 has x = 0.5, 1, 1 and robot 1 has 0, 0, 0.25.
 
-    A value of 1 is encoded as 65534, so 0.5 is 32767 and 0.25 is 16384.
+    A value of 1 is encoded as 65534, so 0.5 is 32767 and 0.25 is 16384. The values of x stand behind the
+    numbers of steps of all states: first those of robot 0, then those of robot 1.
     """
     states = [make_state(0, x=[0.5, 0]), make_state(1, x=[1, 0]), make_state(2, x=[1, 0.25])]
     data = bytes_of_states(states, robots=2)
 
     differences_of_robot_0 = [32767, 32767, 0]  # 0.5, another 0.5, nothing
     differences_of_robot_1 = [0, 0, 16384]  # nothing, nothing, 0.25
-    assert numbers_behind_ticks(data, count=6, states=3) == differences_of_robot_0 + differences_of_robot_1
+    numbers = numbers_behind_step_numbers(data, count=3 + 3, states=3)
+    assert numbers == differences_of_robot_0 + differences_of_robot_1
 
 
 @pytest.mark.parametrize(("x", "expected_number"), [(0.5, 32767), (-0.1, 0), (1.1, 65534), (np.nan, 65535)])
@@ -114,7 +117,7 @@ def test_a_value_is_encoded_as_a_number_up_to_65534_and_an_unknown_one_as_65535(
 ) -> None:
     """Values below 0 and above 1 are encoded as these limits. A state has NaN for what is unknown."""
     data = bytes_of_states([make_state(0, x=[x])], robots=1)
-    assert numbers_behind_ticks(data, count=1) == [expected_number]
+    assert numbers_behind_step_numbers(data, count=1, states=1) == [expected_number]
 
 
 def test_a_position_is_encoded_as_shares_of_the_arena_s_width_and_height() -> None:
@@ -126,7 +129,8 @@ def test_a_position_is_encoded_as_shares_of_the_arena_s_width_and_height() -> No
     state = make_state(0, x=[0], positions=np.array([[2.0, -0.5]]))
     data = bytes_of_states([state], robots=1, sides=(4.0, 2.0))
 
-    _x, _x_hat, _b_hat, _true_accuracy, share_of_width, share_of_height = numbers_behind_ticks(data, count=6)
+    numbers = numbers_behind_step_numbers(data, count=4 + 2, states=1)
+    _x, _x_hat, _b_hat, _true_accuracy, share_of_width, share_of_height = numbers
     assert share_of_width == 65534
     assert share_of_height == 16384
 

@@ -199,8 +199,9 @@ def test_an_alpha_that_doubles_after_32_estimates_is_a_jump_in_the_table_as_in_a
     for tick, alpha in enumerate(alphas):
         alpha_word = alpha << 8  # the lowest 8 bits of an alpha word are its shift, 0 here
         estimate = Estimate(sender=3, x_hat=0, alpha=alpha_word, transfer_id=tick % 32)
-        roster.receive(FRAME, estimate, now=0.0)
-        robot_5.receive_frame(encode_estimate(estimate, FrameFormat()))
+        frame = encode_estimate(estimate, FrameFormat())
+        roster.receive(frame, estimate, now=0.0)
+        robot_5.receive_frame(frame)
 
     jumps_of_robot_3_seen_by_robot_5 = robot_5.reception.events[Suspicion.JUMP, 3]
     assert roster.row(now=0.0, robot=3)["jumps"] == expected_jumps

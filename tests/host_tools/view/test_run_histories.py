@@ -335,13 +335,12 @@ def test_the_drawn_floor_has_a_pixel_for_each_tile_but_no_more_than_800_a_side(
 
 # --- Faults -------------------------------------------------------------------------------------------
 
-CRASH_OF_ROBOT_2 = "crash=1.0,from=20,to=21,robots=2,ticks=15"
-
 
 @pytest.fixture(scope="module")
 def crash_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The log of a swarm of 110 steps whose robot 2 crashes in step 21 and is dead for 15 steps."""
-    return write_log(tmp_path_factory.mktemp("crash") / "run.log", fault=CRASH_OF_ROBOT_2)
+    log = tmp_path_factory.mktemp("crash") / "run.log"
+    return write_log(log, fault="crash=1.0,from=20,to=21,robots=2,ticks=15")
 
 
 def test_a_robot_has_no_estimates_in_the_15_steps_in_which_it_is_dead(crash_log: Path) -> None:
@@ -351,18 +350,22 @@ def test_a_robot_has_no_estimates_in_the_15_steps_in_which_it_is_dead(crash_log:
     """
     steps_without_estimates = []
     for state in states_of(recompute_swarm_history(crash_log)):
-        robot_0, robot_1, robot_2, *robots_3_to_6 = state.values.T
-        x, x_hat, b_hat, _true_accuracy = robot_2
+        values_by_robot = state.values.T
+        x, x_hat, b_hat, _true_accuracy = values_by_robot[2]
         if np.isnan([x, x_hat, b_hat]).all():
             steps_without_estimates.append(state.tick)
-        assert np.isfinite([robot_0, robot_1, *robots_3_to_6]).all()
+        values_of_other_robots = np.delete(values_by_robot, 2, axis=0)
+        assert np.isfinite(values_of_other_robots).all()
 
     assert steps_without_estimates == list(range(21, 21 + 15))
 
 
 def test_a_log_with_a_crash_is_shown_with_the_states_that_the_running_swarm_had(crash_log: Path) -> None:
-    """In both, robot 2 crashes in step 21. The log has a state before the first step as well."""
-    running_swarm = record_swarm(faults=(CRASH_OF_ROBOT_2,))
+    """In both, robot 2 crashes in step 21, which is tick 20 in the text of a fault, counted from 0.
+
+    The log has a state before the first step as well.
+    """
+    running_swarm = record_swarm(faults=("crash=1.0,from=20,to=21,robots=2,ticks=15",))
     _initial_state, *states_of_log = states_of(recompute_swarm_history(crash_log))
     assert differing_ticks(states_of_log, states_of(running_swarm)) == []
 
@@ -494,8 +497,8 @@ def test_a_state_of_the_authors_trial_has_the_recorded_values_of_all_robots(
 
     for name, values_of_robots in (("x", x), ("x_hat", x_hat), ("b_hat", b_hat)):
         (records_of_only_trial,) = trials_of_the_authors.records[name]
-        *_, last_record = records_of_only_trial
-        assert np.array_equal(values_of_robots, last_record), name
+        *_, record_of_last_step = records_of_only_trial
+        assert np.array_equal(values_of_robots, record_of_last_step), name
     assert (true_accuracy == 0.95).all()
 
 

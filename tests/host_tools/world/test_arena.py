@@ -154,7 +154,8 @@ def test_bodies_stay_inside_the_walls(settings: WorldSettings, trial: int) -> No
 @ARENAS
 def test_bodies_of_robots_overlap_by_less_than_half_a_millimetre(settings: WorldSettings, trial: int) -> None:
     """The nearest centres are at least two radii less 0.5 mm apart."""
-    radius, half_a_millimetre = 0.0704, 0.0005
+    radius = 0.0704
+    half_a_millimetre = 0.0005
     distance_of_nearest_centres = nearest_distances(settings, trial=trial).min()
     assert distance_of_nearest_centres >= 2 * radius - half_a_millimetre
 
@@ -187,7 +188,8 @@ def test_robots_in_a_crowd_touch_each_other() -> None:
 def test_half_of_the_robots_in_a_crowd_get_farther_than_a_decimetre_in_a_minute() -> None:
     """So robots that touch each other get away again. The minute is the last 600 of 2000 ticks."""
     positions_by_tick = motion_in_2000_ticks(CROWD, trial=4).position
-    position_at_end, position_a_minute_before = positions_by_tick[1999], positions_by_tick[1999 - 600]
+    position_at_end = positions_by_tick[1999]
+    position_a_minute_before = positions_by_tick[1999 - 600]
     distances_travelled = np.linalg.norm(position_at_end - position_a_minute_before, axis=1)
     assert np.median(distances_travelled) > 0.1
 
@@ -510,11 +512,12 @@ def test_the_ground_sensor_is_in_the_right_front_of_a_robot(floor: dict[str, Any
 
     ``heading`` is the direction ahead as a vector of length 1, and ``black`` is what a robot sees.
     """
-    arena = Arena(moving(20, 3, 2, **floor), trial=9)
+    arena = Arena(moving(robots=20, width=3, height=2, **floor), trial=9)
     motion = arena.record(100)
     for tick in range(100):
         for robot in range(20):
-            (x, y), (x_ahead, y_ahead) = motion.position[tick, robot], motion.heading[tick, robot]
+            x, y = motion.position[tick, robot]
+            x_ahead, y_ahead = motion.heading[tick, robot]
             x_right, y_right = y_ahead, -x_ahead  # the direction ahead, turned clockwise by 90 degrees
             sensor_x = x + 0.0614 * x_ahead + 0.01 * x_right
             sensor_y = y + 0.0614 * y_ahead + 0.01 * y_right
@@ -622,8 +625,9 @@ def test_robots_move_and_meet_as_often_as_in_the_authors_simulation(
     """
     expected_mean = STATISTICS_OF_AUTHORS[name]
     values = np.array([statistics[name] for statistics in statistics_of_trials])  # by trial
-    sampling_error = values.std(ddof=1) / math.sqrt(12)
-    tolerance = 0.05 * abs(expected_mean) + 3 * sampling_error + half_of_last_digit(expected_mean)
+    five_percent = 0.05 * abs(expected_mean)
+    sampling_error = values.std(ddof=1) / math.sqrt(12)  # ddof=1: of a sample
+    tolerance = five_percent + 3 * sampling_error + half_of_last_digit(expected_mean)
 
     assert len(values) == 12
     assert values.mean() == pytest.approx(expected_mean, abs=tolerance)

@@ -36,6 +36,7 @@ def test_a_file_of_edges_says_which_robots_receive_from_which(tmp_path: Path) ->
 
 
 def test_a_graph_knows_its_file(tmp_path: Path) -> None:
+    """``parse_graph`` gets the path of the file, and keeps it as the source of the graph."""
     path = tmp_path / "edges.txt"
     path.write_text("0 1")
     assert parse_graph(path).source == str(path)
@@ -76,6 +77,7 @@ def test_edge_lists_of_other_tools_are_read(text: str, tmp_path: Path) -> None:
 
 
 def test_a_weight_may_follow_an_edge_of_one_direction(tmp_path: Path) -> None:
+    """Networkx writes {} behind an edge without a weight. The second edge has the weight 7."""
     graph = parse_file("0 > 1 {}\n2>1 7\n", tmp_path)
     assert str(graph) == "0 > 1; 2 > 1"
 
@@ -115,6 +117,7 @@ def test_any_graph_is_the_same_when_it_is_written_and_parsed_again(links: frozen
     ],
 )
 def test_an_error_in_a_file_of_edges_names_its_line(text: str, expected_message: str, tmp_path: Path) -> None:
+    """For example, the file with the text "0 1 two" is refused: "line 1: '0 1 two' is not an edge"."""
     with pytest.raises(UsageError) as raised:
         parse_file(text, tmp_path)
     assert expected_message in str(raised.value)

@@ -135,6 +135,7 @@ def test_each_random_number_becomes_black_with_the_probability_of_the_paper_s_eq
 
 
 def test_the_reported_accuracy_of_a_sensor_is_the_mean_of_those_on_black_and_on_white() -> None:
+    """The accuracy on black tiles is 0.7, and that on white ones is lower by the offset, 0.125."""
     world = make_world(true_accuracy=0.7, white_offset=-0.125)
     on_black, on_white = 0.7, 0.7 - 0.125
     assert world.advance(200).accuracy == pytest.approx((on_black + on_white) / 2)
@@ -497,7 +498,7 @@ def test_accuracies_of_an_extension_may_be_alike_for_all_steps_or_robots(
     accuracies: NDArray[np.float64],
 ) -> None:
     """One row stands for all 5 steps, one column for all 4 robots. The arrays are returned unchanged."""
-    one_accuracy = np.full((1, 1), 0.5)  # in all steps, of all robots
+    one_accuracy = np.array([[0.5]])  # in all steps, of all robots
     extension = extension_whose_advance_returns((one_accuracy, accuracies))
     sensors = CheckedSensors(extension, make_settings(robots=4))
     on_black, on_white = sensors.advance(5)
@@ -527,7 +528,8 @@ def test_accuracies_of_an_extension_of_a_wrong_shape_or_outside_0_to_1_are_refus
 
     There are 4 robots and 5 steps.
     """
-    right_accuracies, wrong_accuracies = np.full((1, 1), 0.5), np.full(shape, accuracy)
+    right_accuracies = np.array([[0.5]])  # in all steps, of all robots
+    wrong_accuracies = np.full(shape, accuracy)
     on_black = right_accuracies if is_on_white else wrong_accuracies
     on_white = wrong_accuracies if is_on_white else right_accuracies
     extension = extension_whose_advance_returns((on_black, on_white))
@@ -541,7 +543,8 @@ def test_a_sensor_model_of_the_user_takes_the_place_of_the_built_in_one() -> Non
     """The user's model has the accuracies 1/4 on black tiles and 3/4 on white ones, in all of 5 steps."""
 
     def make_extension(settings: WorldSettings, trial: int) -> Any:
-        on_black, on_white = np.full((1, 1), 0.25), np.full((1, 1), 0.75)  # of all steps and robots
+        on_black = np.array([[0.25]])  # in all steps, of all robots
+        on_white = np.array([[0.75]])
         return extension_whose_advance_returns((on_black, on_white))
 
     sensor_model = make_sensor_model(make_settings(sensor=make_extension), trial=0)
@@ -561,7 +564,8 @@ def test_a_sensor_that_breaks_its_promise_of_one_accuracy_is_refused() -> None:
             pass
 
         def advance(self, steps: int) -> Any:
-            return np.full((1, 1), 0.9), np.full((1, 1), 0.8)
+            on_black, on_white = np.array([[0.9]]), np.array([[0.8]])
+            return on_black, on_white
 
     sensors = make_sensor_model(make_settings(sensor=Sensors), trial=0)
     with pytest.raises(UsageError, match="on white tiles that differ from those on black ones; remove has_"):
@@ -572,7 +576,7 @@ def test_right_neighbours_of_an_extension_are_passed_on_unchanged() -> None:
     """The array of a user's topology, by step, receiver and sender, comes out of the check itself."""
     neighbours = np.zeros((5, 4, 4), np.bool_)
     extension = extension_whose_advance_returns(neighbours)
-    topology = CheckedTopology(extension, "mine", robots=4)
+    topology = CheckedTopology(extension, name="mine", robots=4)
     assert topology.advance(5) is neighbours
 
 
@@ -593,7 +597,7 @@ def test_wrong_neighbours_of_an_extension_are_refused(
     There are 4 robots and 5 steps.
     """
     extension = extension_whose_advance_returns(wrong_neighbours)
-    topology = CheckedTopology(extension, "mine", robots=4)
+    topology = CheckedTopology(extension, name="mine", robots=4)
     with pytest.raises(UsageError, match=expected_message):
         topology.advance(5)
 
