@@ -87,7 +87,7 @@ class BusChoice:
         return str(channel)
 
     @property
-    def has_channels(self) -> bool:
+    def has_bus_per_robot(self) -> bool:
         """True if each robot has a bus of its own: the channel has a place for the id, as in vcan{robot}."""
         return _ROBOT_PLACEHOLDER in (self.channel or "")
 
@@ -99,7 +99,7 @@ class BusChoice:
 
     def of_robot(self, robot: int) -> BusChoice:
         """Return the bus of a robot, if each has one for itself, else this bus."""
-        if self.channel is None or not self.has_channels:
+        if self.channel is None or not self.has_bus_per_robot:
             return self
         own_settings: dict[str, Any] = {"channel": self.channel.replace(_ROBOT_PLACEHOLDER, str(robot))}
         if self.interface == "udp_multicast":

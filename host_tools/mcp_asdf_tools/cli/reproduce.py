@@ -229,7 +229,7 @@ def _run_missing_trials(
                 run_sweep(store, workers, report_progress, args.scheduler)
             # Read from the file, which also has the trials of earlier runs.
             for trials in stream_experiments(store.output):
-                if own_name:
+                if own_name:  # the store is that of the user's firmware or filter
                     own_trials.setdefault(study_part, []).append(trials)
                 else:
                     trials_by_cell[cell_of(study_part, trials.experiment)] = trials

@@ -184,17 +184,17 @@ def wiring_of(args: argparse.Namespace, settings: SwarmSettings, bus_choice: Bus
 
         Robots here that share one bus share this connection, so it has to return what they send.
         """
-        returns_own = not bus_choice.has_channels and not remote_robots
+        returns_own = not bus_choice.has_bus_per_robot and not remote_robots
         robot_bus = devices.get(robot, bus_choice.of_robot(robot))
         return robot_bus.open(returns_own)
 
     # Without any of these nobody else can be on a bus, and frames go from robot to robot in memory.
     needs_bus = (
-        remote_robots or args.slcan is not None or bus_choice.has_channels or not bus_choice.is_private
+        remote_robots or args.slcan is not None or bus_choice.has_bus_per_robot or not bus_choice.is_private
     )
     wiring = Wiring(
         open_bus=open_bus if needs_bus else None,
-        is_shared=not bus_choice.has_channels,
+        is_shared=not bus_choice.has_bus_per_robot,
         remote=remote_robots,
         channel=bus_choice.channel or "",
     )
@@ -262,7 +262,7 @@ def _plan_run(args: argparse.Namespace) -> _RunPlan:
         raise UsageError(
             "--compare runs the swarm again with other filters, but robots elsewhere run once; leave it out"
         )
-    if args.slcan is not None and bus_choice.has_channels:
+    if args.slcan is not None and bus_choice.has_bus_per_robot:
         raise UsageError(
             f"--slcan needs one bus for all, and {bus_choice} is one for each robot; choose one of them"
         )

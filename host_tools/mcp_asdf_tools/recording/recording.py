@@ -121,12 +121,15 @@ class Recording:
         self._header = header
         self._channel = channel
         self._warn = warn
+        # The files of the recording by the paths that they get at a regular end
         self._part_by_path = {path: _part_of(path)}
         if header is not None:
             self._part_by_path[events_path(path)] = _part_of(events_path(path))
         self._files: list[_PartFile] = []
         self._is_empty = True
+        """Whether neither a frame nor an event was recorded."""
         self._is_over = False
+        """Whether the recording has failed, so that nothing more is recorded."""
         self._unflushed_count = 0
         self._flush_time = time.monotonic() + _FLUSH_PERIOD
         self._events = None if header is None else EventsWriter(header, self._write_events_line)

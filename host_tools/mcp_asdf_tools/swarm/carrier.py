@@ -121,14 +121,14 @@ class ExpectingConnection:
         awaited = [*self._overdue, *expected]
         seconds = FRAME_TIMEOUT if timeout is None else timeout
         received = self._read_awaited(awaited, seconds)
-        missing_indices = [index for index in range(len(awaited)) if index not in received]
-        missing = [awaited[index] for index in missing_indices]
+        missing = [sent_frame for index, sent_frame in enumerate(awaited) if index not in received]
         # In lockstep every frame has to arrive, since the run could not be repeated otherwise.
         if missing and timeout is None:
             raise self._loss_error(missing)
         # The overdue frames are the first in ``awaited``, and an earlier call has counted them as missed.
-        newly_missing_indices = [index for index in missing_indices if index >= len(self._overdue)]
-        self.missed_count += len(newly_missing_indices)
+        overdue_count = len(self._overdue)
+        newly_missed = [index for index in range(overdue_count, len(awaited)) if index not in received]
+        self.missed_count += len(newly_missed)
         self._overdue = missing
         return [received[index] for index in sorted(received)]
 
@@ -301,6 +301,7 @@ class Carrier:
         frame, and SwarmError if a frame is lost in a swarm without a clock, where none may be missing.
         """
         self._on_frame_without_bus(sent_frame.frame)  # with a bus nothing: the frame will be read from it
+        # There is no connection without a bus, and none for a remote sender.
         robot_connection = self._robot_connections.get(sent_frame.sender)
         if robot_connection is not None:
             robot_connection.bus.send(sent_frame.frame, timeout=FRAME_TIMEOUT)

@@ -129,6 +129,7 @@ def encode_description(description: RunDescription) -> dict[str, Any]:
         rows, columns = description.floor.shape
         row_bytes = np.packbits(description.floor, axis=1).tobytes()
         floor = {"rows": rows, "columns": columns, "bits": _compress_to_base64(row_bytes)}
+    # Those that JSON cannot express are replaced.
     return vars(description) | {
         "flawed": list(description.flawed),
         "unfiltered_errors": list(description.unfiltered_errors),

@@ -106,13 +106,13 @@ class RobotOnBus:
             return True
         if previous is None:
             return False
-        # The other node, which sent the latest heartbeat, has been up for a shorter time than this one.
-        skips_latest = latest.uptime < previous.uptime < heartbeat.uptime
+        # Another node, which has been up for a shorter time, may have sent the latest heartbeat.
+        latest_is_of_other_node = latest.uptime < previous.uptime < heartbeat.uptime
         # A node sends a heartbeat each second, so its transfer id grows as its uptime does, modulo 32.
         seconds_passed = heartbeat.uptime - previous.uptime
         heartbeats_passed = heartbeat.transfer_id - previous.transfer_id
         continues_previous = (heartbeats_passed - seconds_passed) % TRANSFER_IDS == 0
-        return skips_latest and continues_previous
+        return latest_is_of_other_node and continues_previous
 
     def is_silent(self, now: float) -> bool:
         """Return whether no frame was received in the last SILENT_SECONDS."""

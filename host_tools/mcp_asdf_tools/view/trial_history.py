@@ -96,4 +96,6 @@ def _recorded_estimates(trials: Trials, trial: int) -> NDArray[np.float64]:
     Raises UsageError if there is no such trial.
     """
     index = trials.index_of(trial)
-    return np.stack([trials.records[name][index] for name in ESTIMATES], axis=1)
+    # Arrays of shape (recorded steps, N), which are stacked along a new axis between the two
+    values_by_name = [trials.records[name][index] for name in ESTIMATES]
+    return np.stack(values_by_name, axis=1)

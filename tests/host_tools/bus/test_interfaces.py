@@ -284,9 +284,9 @@ def test_a_bus_with_a_place_for_the_id_has_a_channel_for_each_robot() -> None:
     bus_of_all = bus_from_options("-i", "udp_multicast", "-c", "239.1.1.{robot}")
     bus_of_robot_7 = bus_of_all.of_robot(7)
 
-    assert bus_of_all.has_channels
+    assert bus_of_all.has_bus_per_robot
     assert str(bus_of_robot_7) == "udp_multicast 239.1.1.7"
-    assert not bus_of_robot_7.has_channels
+    assert not bus_of_robot_7.has_bus_per_robot
     assert bus_of_robot_7.of_robot(3) is bus_of_robot_7  # there is no place left for another id
 
 
