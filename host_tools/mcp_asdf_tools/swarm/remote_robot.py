@@ -117,7 +117,7 @@ class RemoteFirmware:
         self.t += 1
 
     def receive_all(self, estimates: EstimateRows) -> int:
-        """Return how many estimates are accepted: all, as far as is known here. The robot itself gets them."""
+        """Return how many estimates are accepted: all, as far as it is known here. The robot gets them."""
         return len(estimates)
 
     def settle(self) -> None:
