@@ -49,31 +49,39 @@ class IndependentReadings:
 
         Those on black come first, then those on white; the shape of each is (steps, robots).
         """
-        first_tile, steps_to_skip = divmod(self._next_step, READINGS_OF_TILE)
+        first_tile, readings_to_skip = divmod(self._next_step, READINGS_OF_TILE)
         self._next_step += steps
-        # The last tile may have only its first reading in these steps.
+        # A step is a reading. The first tile may have had its first reading before these steps, and the last
+        # tile may have its second reading after them.
         end_tile = math.ceil(self._next_step / READINGS_OF_TILE)
         readings = self._draw_readings(first_tile, end_tile - first_tile)
-        is_black = readings[steps_to_skip : steps_to_skip + steps].astype(np.float64)
-        # A sensor reads black if it is always right on black tiles, and never on white ones.
-        return is_black, 1 - is_black
+        is_black = readings[readings_to_skip : readings_to_skip + steps].astype(np.float64)
+        # To read black, a sensor is always right on black tiles, and never on white ones.
+        accuracies_on_black = is_black
+        accuracies_on_white = 1 - is_black
+        return accuracies_on_black, accuracies_on_white
 
     def _draw_readings(self, first_tile: int, tiles: int) -> NDArray[np.bool_]:
-        """Return whether the readings of some tiles are black, in their order, shape (2 tiles, robots)."""
+        """Return whether the readings of some tiles are black, in their order, shape (2 tiles, robots).
+
+        A second reading repeats the first one with the probability ``repeated_share``.
+        """
         draws_of_tile = 4  # for its colour, for an error of either reading, and for a repetition
         # The stream counts draws as steps. Each tile takes four draws.
         uniforms = self._draws.draw_uniforms(draws_of_tile * tiles, draws_of_tile * first_tile)
         draws = uniforms.reshape(tiles, draws_of_tile, self._settings.robots)
-        colour_draws, first_draws, second_draws, repetition_draws = draws.swapaxes(0, 1)
+        draws_by_purpose = draws.swapaxes(0, 1)  # shape (4, tiles, robots)
+        colour_draws, first_draws, second_draws, repetition_draws = draws_by_purpose
         tile_is_black = colour_draws < self._settings.fill_ratio
         first_is_right = first_draws < self._settings.true_accuracy
         second_is_right = second_draws < self._settings.true_accuracy
         is_repeated = repetition_draws < self.repeated_share
         # A reading is black where it is right on a black tile, or wrong on a white one.
         first_is_black = tile_is_black == first_is_right
-        second_is_black = np.where(is_repeated, first_is_black, tile_is_black == second_is_right)
+        second_would_be_black = tile_is_black == second_is_right
+        second_is_black = np.where(is_repeated, first_is_black, second_would_be_black)
         # The readings of a tile follow each other.
-        readings = np.stack([first_is_black, second_is_black], axis=1)
+        readings = np.stack([first_is_black, second_is_black], axis=1)  # shape (tiles, 2, robots)
         return readings.reshape(READINGS_OF_TILE * tiles, self._settings.robots)
 
 
@@ -132,7 +140,7 @@ class TwoReadingsRobot(ReferenceRobot):
         Returns UPDATED if the readings disagree too often, or too rarely, for the b_hat at the start;
         otherwise OK, with b_hat as at the start.
         """
-        super()._update_b_hat()  # the b_hat that it leaves is replaced below
+        super()._update_b_hat()  # it also sets b_hat, which is replaced below
         initial_b_hat = self._robust.initial_b_hat
         if disagreement_test_rejects(self._disagreements, self._pairs, initial_b_hat):
             self._b_hat = accuracy_of_disagreements(self._disagreements, self._pairs)
@@ -145,12 +153,13 @@ def disagreement_test_rejects(disagreements: int, pairs: int, b_hat: float) -> b
     """Return whether so many pairs of readings disagree, or so few, that b_hat cannot be the accuracy.
 
     ``disagreements`` of ``pairs`` pairs disagree. With the accuracy b_hat that is a binomial count, of
-    probability 2 b_hat (1 - b_hat). The test rejects beyond sqrt(12) of its standard deviations, and never if
-    there are no pairs.
+    probability 2 b_hat (1 - b_hat). The test rejects if the count is more than sqrt(12) standard deviations
+    from its mean, and never if there are no pairs.
     """
     expected_rate = 2 * b_hat * (1 - b_hat)
     deviation = disagreements - pairs * expected_rate
     variance = pairs * expected_rate * (1 - expected_rate)
+    # Squares are compared, so that no root is needed.
     return deviation**2 > REJECTED_SIGMAS_SQUARED * variance
 
 
@@ -161,7 +170,7 @@ def accuracy_of_disagreements(disagreements: int, pairs: int) -> float:
     stays below 1 by the firmware's margin for b_hat.
     """
     rate = disagreements / pairs
-    # b and 1 - b have the same rate; a sensor that is wrong more often than right cannot be told from it.
     discriminant = max(0.0, 1 - 2 * rate)  # 0 if more than half of the pairs disagree
+    # The other solution, with a minus, is 1 - b: a sensor that is wrong more often than right.
     accuracy = (1 + math.sqrt(discriminant)) / 2
     return min(accuracy, 1 - B_HAT_MARGIN)

@@ -86,7 +86,8 @@ def _with_liars(firmwares: list[Any]) -> dict[str, Any]:
     firmware, without a filter and with the robust one.
     """
     own_robots = {"firmware": five_liars, "filter": ["none", "robust"]}
-    return {"flawed": 0, "robots_and_filters": [own_robots, {"firmware": firmwares, "filter": "none"}]}
+    compared_robots = {"firmware": firmwares, "filter": "none"}
+    return {"flawed": 0, "robots_and_filters": [own_robots, compared_robots]}
 
 
 def _with_flawed_robots(firmwares: list[Any]) -> dict[str, Any]:
@@ -96,7 +97,8 @@ def _with_flawed_robots(firmwares: list[Any]) -> dict[str, Any]:
     firmware, without a filter, with ASDF- and with the robust filter.
     """
     own_robots = {"filter": ["none", "asdf-minus", "robust"]}
-    return {"flawed": "30%", "robots_and_filters": [own_robots, {"firmware": firmwares, "filter": "none"}]}
+    compared_robots = {"firmware": firmwares, "filter": "none"}
+    return {"flawed": "30%", "robots_and_filters": [own_robots, compared_robots]}
 
 
 def _rows_of_swarms(swarms: dict[str, dict[str, Any]], steps: int) -> dict[str, list[Experiment]]:
@@ -137,14 +139,17 @@ def right_percents(trials: Trials) -> Sample:
 
     A robot answers that black prevails if its recorded estimate x is above 1/2; that is right if f is, too.
     """
-    is_right = (late_estimates(trials) > 0.5) == (trials.experiment.fill_ratio > 0.5)
+    answers_black = late_estimates(trials) > 0.5  # shape (trials, recorded steps, robots)
+    is_mostly_black = trials.experiment.fill_ratio > 0.5
+    is_right = answers_black == is_mostly_black
     percents: Sample = 100 * is_right.mean(axis=(1, 2))  # over recorded steps and robots
     return percents
 
 
 def right_text(experiments: Sequence[Trials]) -> str:
     """Format the percentage of right answers of experiments that share a cell, such as "98.1"."""
-    return format_tenths(mean_over_experiments(right_percents, experiments, resample_mean).value)
+    right_percent = mean_over_experiments(right_percents, experiments, resample_mean)
+    return format_tenths(right_percent.value)
 
 
 def draw_errors(rows: Rows) -> Figure:

@@ -149,7 +149,7 @@ def render_page(markdown: str, images: Mapping[str, bytes]) -> str:
     from markdown_it import MarkdownIt  # noqa: PLC0415 (loads slowly)
 
     def embed_image(link_attribute: re.Match[str]) -> str:
-        """Return the attribute src of an image with its content in place of its link."""
+        """Return the attribute src of an image with its content, in base64, in place of its link."""
         image_text = base64.b64encode(images[link_attribute[1]]).decode()
         return f'src="data:image/png;base64,{image_text}"'
 
@@ -178,11 +178,12 @@ def _describe_run(study_part: StudyPart, study_size: StudySize) -> list[object]:
     The row has the part's name, its number of experiments, their robots and steps, the trials of each, and
     the seed.
     """
-    experiment = experiment_of(cells_of(study_part)[0], study_size)
-    cell_count = len(cells_of(study_part))
+    cells = cells_of(study_part)
+    # All experiments of a part have as many robots and steps as its first one.
+    experiment = experiment_of(cells[0], study_size)
     return [
         study_part.label,
-        cell_count,
+        len(cells),
         experiment.robots,
         experiment.steps,
         study_size.trials,
@@ -191,7 +192,10 @@ def _describe_run(study_part: StudyPart, study_size: StudySize) -> list[object]:
 
 
 def heading_of(claim_name: str) -> str:
-    """Return a claim's heading: its name with spaces, a capital, and the paper's symbols, such as "P"."""
+    """Return a claim's heading: its name with spaces, a capital, and the paper's symbols.
+
+    Of "short_runs_do_not_depend_on_p", for example, this is "Short runs do not depend on P".
+    """
     heading = claim_name.replace("_", " ").replace("b hat", "b_hat")
     # Only whole words are symbols: p, but not the p in period.
     heading = re.sub(r"\bp\b", "P", heading)
@@ -236,8 +240,8 @@ def format_difference(comparison: Comparison) -> str:
     chance, whose interval has no width, is formatted without it.
     """
     interval = comparison.interval
-    # "Seen" is the smallest size of a difference of scores, whose unit is a point of 100. Confidences,
-    # correlations and b_hat have smaller sizes, and are shown with three digits.
+    # "Seen" is the smallest size that a difference of scores can have, in points of 100. Confidences,
+    # correlations and b_hat have smaller sizes.
     is_score = comparison.size >= SIZES["seen"]
     layout = ".1f" if is_score else ".3g"
     value_text, low_text, high_text = (
@@ -273,17 +277,17 @@ def summarize(decision: Decision) -> str:
 def _relative_agreement(comparison: Comparison) -> float:
     """Return how far a difference lies on the expected side of 0, in multiples of the smallest that counts.
 
-    It is below 0 on the other side. Where no difference is expected, it is minus the distance from 0.
-    Relative to its size, a difference of scores can be compared with one of b_hat.
+    It is below 0 on the other side. Where no difference is expected, it is minus the distance from 0. In such
+    multiples a difference of scores can be compared with one of b_hat.
     """
-    value = comparison.interval.value / comparison.size
+    relative_difference = comparison.interval.value / comparison.size
     match comparison.expectation:
         case Expectation.SAME:
-            return -abs(value)
+            return -abs(relative_difference)
         case Expectation.ABOVE | Expectation.NOT_BELOW:
-            return value
+            return relative_difference
         case Expectation.BELOW | Expectation.NOT_ABOVE:
-            return -value
+            return -relative_difference
 
 
 def comparisons_as_csv(decisions: Sequence[Decision], study_size: StudySize) -> str:
@@ -308,9 +312,10 @@ def comparisons_as_csv(decisions: Sequence[Decision], study_size: StudySize) -> 
             interval = comparison.interval
             numbers = (comparison.size, interval.value, interval.low, interval.high)
             number_texts = [f"{number:.6g}" for number in numbers]
-            holds = {True: "yes", False: "no", None: "open"}[comparison.holds]
+            text_by_outcome = {True: "yes", False: "no", None: "open"}
+            holds_text = text_by_outcome[comparison.holds]
             expected = comparison.expectation.value
-            writer.writerow([*claim_columns, comparison.label, expected, *number_texts, holds])
+            writer.writerow([*claim_columns, comparison.label, expected, *number_texts, holds_text])
     return csv_text.getvalue()
 
 

@@ -92,13 +92,18 @@ def grid_rows() -> dict[str, list[Experiment]]:
     }
     swarms["0 % flawed"] = healthy
     topologies: dict[str, dict[str, Any]] = {"moving": MOVING, "fully connected": {"robots": 10}}
-    return {
-        f"{topology}, {label}": m.grid(
-            **parameters, **swarm, fill_ratio=[0.55, 0.95], steps=40_000, trials=30, seed=4711
-        )
-        for topology, parameters in topologies.items()
-        for label, swarm in swarms.items()
-    }
+    rows: dict[str, list[Experiment]] = {}
+    for topology, topology_parameters in topologies.items():
+        for label, swarm in swarms.items():
+            rows[f"{topology}, {label}"] = m.grid(
+                **topology_parameters,
+                **swarm,
+                fill_ratio=[0.55, 0.95],
+                steps=40_000,
+                trials=30,
+                seed=4711,
+            )
+    return rows
 
 
 def beyond_rows() -> dict[str, list[Experiment]]:
@@ -152,12 +157,13 @@ def static_graph(steps_to_neighbours: Sequence[int]) -> str:
     for each pair that hear each other, with "; " between edges. The flawed robots of an experiment are its
     first ones, so robots stand in a random order, always the same one.
     """
-    circle = random.Random(1).sample(range(ROBOTS_OF_STATIC_GRAPHS), ROBOTS_OF_STATIC_GRAPHS)
+    robots = range(ROBOTS_OF_STATIC_GRAPHS)
+    circle = random.Random(1).sample(robots, len(robots))  # all of them, in a random order
     edges = []
     for position, robot in enumerate(circle):
         for step in steps_to_neighbours:
-            neighbour = circle[(position + step) % ROBOTS_OF_STATIC_GRAPHS]
-            edges.append(f"{robot} {neighbour}")
+            position_of_neighbour = (position + step) % ROBOTS_OF_STATIC_GRAPHS
+            edges.append(f"{robot} {circle[position_of_neighbour]}")
     return "; ".join(edges)
 
 
@@ -251,7 +257,10 @@ def without_liars(rows: Rows) -> dict[str, list[Trials]]:
 
     Where the floor changes in a trial, the experiments have the share of black floor at its end.
     """
-    return {label: [as_honest_robots_see_it(trials) for trials in row] for label, row in rows.items()}
+    return {
+        label: [as_honest_robots_see_it(trials) for trials in experiments]
+        for label, experiments in rows.items()
+    }
 
 
 def grid_text(experiments: Sequence[Trials]) -> str:
@@ -259,10 +268,10 @@ def grid_text(experiments: Sequence[Trials]) -> str:
 
     These are H, the score from 0 to 100, the mean of |x - f| in the last quarter of a trial, e, which is
     |x - f| when a robot has converged, and the share of healthy robots that a filter harmed. The share is
-    left out where all robots are flawed. An interval in brackets follows a number where it is wide. Beside
-    the late error, e shows the beginnings, as convergence may come early.
+    left out where all robots are flawed. An interval in brackets follows a number where it is wide.
     """
     e = mean_over_experiments(mean_e_of_robots, experiments).value
+    # Convergence may come early, so that e shows the beginnings, and the late error the end.
     texts = [score_text(experiments), late_error_text(experiments), format_error(e)]
     return ", ".join([*texts, *harm_texts(experiments)])
 

@@ -161,7 +161,7 @@ def mean_over_experiments(
 def mean_harmed_percent(experiments: Sequence[Trials]) -> Interval | None:
     """Return the mean percentage of healthy robots that a filter harmed, or None if all are flawed.
 
-    So few robots are harmed that most medians would be 0.
+    It is the mean over trials and experiments: so few robots are harmed that most medians would be 0.
     """
     harmed_percent = mean_over_experiments(harmed_percents, experiments, resample_mean)
     has_healthy_robots = not np.isnan(harmed_percent.value)
@@ -244,7 +244,8 @@ def plot_errors_of_swarms(rows: Rows, swarms: Sequence[str]) -> Figure:
     the ``swarms``: the labels of rows are these, with the kind of flaws after a comma.
     """
     labels = [f"{swarm}, {flaw}" for flaw in FLAWS for swarm in swarms]
-    return plot_errors_over_time({label: rows[label] for label in labels}, series_name=column_label)
+    panels = {label: rows[label] for label in labels}
+    return plot_errors_over_time(panels, series_name=column_label)
 
 
 # --- Tables ----------------------------------------------------------------------------------------------
@@ -253,9 +254,9 @@ def plot_errors_of_swarms(rows: Rows, swarms: Sequence[str]) -> Figure:
 def markdown_table(head: str, rows: Rows, text_of: Callable[[Sequence[Trials]], str]) -> str:
     """Return a table in Markdown with a row for each label, and a column for each filter or peer.
 
-    ``text_of`` formats the experiments that share a cell; a cell without experiments is empty. The columns
-    are in the order in which the rows need them. ``head`` is the text of the upper left corner, which says
-    what the numbers are.
+    ``text_of`` formats the experiments that share a cell, which differ only in f, b or b_hat; a cell without
+    experiments is empty. The columns are in the order in which they first come in the rows. ``head`` is the
+    text of the upper left corner, which says what the numbers are.
     """
     cells: dict[tuple[str, str], list[Trials]] = {}
     columns: list[str] = []
@@ -264,11 +265,13 @@ def markdown_table(head: str, rows: Rows, text_of: Callable[[Sequence[Trials]], 
             column = column_label(trials.experiment)
             if column not in columns:
                 columns.append(column)
-            # Experiments that differ only in f, b or b_hat share a cell.
             cells.setdefault((row, column), []).append(trials)
     lines = [f"| {head} | {' | '.join(columns)} |", "|---" * (len(columns) + 1) + "|"]
     for row in rows:
-        texts = [text_of(cells[row, column]) if (row, column) in cells else "" for column in columns]
+        texts: list[str] = []
+        for column in columns:
+            experiments_of_cell = cells.get((row, column), [])
+            texts.append(text_of(experiments_of_cell) if experiments_of_cell else "")
         lines.append(f"| {row} | {' | '.join(texts)} |")
     return "\n".join(lines)
 

@@ -71,9 +71,11 @@ class StudyResults:
     @property
     def own_name(self) -> str:
         """The firmware or filter of the user's that these results have, such as "beta"; empty without one."""
-        all_own_trials = [trials for own_trials in self._own_trials.values() for trials in own_trials]
-        # They all have the same name.
-        return own_name_of(all_own_trials[0].experiment) if all_own_trials else ""
+        for own_trials in self._own_trials.values():
+            # All trials have the same name, so that of the first ones will do.
+            if own_trials:
+                return own_name_of(own_trials[0].experiment)
+        return ""
 
     def sample(self, cell: Cell, name: str) -> Sample:
         """Return a value for each trial of a cell, which is one kind of swarm.
@@ -121,10 +123,10 @@ class StudyResults:
         k_differences: list[float] = []
         e_differences: list[float] = []
         for trials in self.trials_of(study_part):
-            # Both arrays have the shape (trials, robots).
-            # ptp is the largest value less the smallest, here over the robots of a trial.
-            k_differences.append(float(np.ptp(trials.convergence_steps, axis=1).max()))
-            e_differences.append(float(np.ptp(trials.errors, axis=1).max()))
+            robot_axis = 1  # of the shape (trials, robots)
+            # ptp is the largest value less the smallest.
+            k_differences.append(float(np.ptp(trials.convergence_steps, axis=robot_axis).max()))
+            e_differences.append(float(np.ptp(trials.errors, axis=robot_axis).max()))
         return {"K": max(k_differences), "e": max(e_differences)}
 
 
@@ -133,7 +135,9 @@ def own_name_of(experiment: Experiment) -> str:
 
     The name is "beta_robust" if neither is the paper's, and an empty text if both are.
     """
-    names = [] if experiment.firmware == PAPERS_FIRMWARE else [experiment.firmware]
+    names: list[str] = []
+    if experiment.firmware != PAPERS_FIRMWARE:
+        names.append(experiment.firmware)
     if experiment.filter not in PAPERS_FILTERS:
         names.append(experiment.filter)
     return "_".join(names)
@@ -144,6 +148,7 @@ def final_b_hat_of_healthy_robots(trials: Trials) -> Sample:
 
     b_hat is the accuracy that a robot assumes for its sensor.
     """
-    healthy_robots = slice(trials.experiment.flawed, None)  # the first robots are the flawed ones
-    final_b_hat: Sample = trials.b_hat[:, -1, healthy_robots].mean(axis=1)
-    return final_b_hat
+    first_healthy_robot = trials.experiment.flawed  # the robots before it are the flawed ones
+    final_b_hat = trials.b_hat[:, -1, first_healthy_robot:]  # shape (trials, healthy robots)
+    means: Sample = final_b_hat.mean(axis=1)
+    return means

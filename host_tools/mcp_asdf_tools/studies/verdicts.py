@@ -130,7 +130,11 @@ def _holds_above(interval: Interval, size: float, is_strong: bool) -> bool | Non
 
 
 def _holds_not_below(interval: Interval, size: float) -> bool | None:
-    """Return whether a difference is above minus the size; None if the interval leaves it open."""
+    """Return whether a difference is above minus the size; None if the interval leaves it open.
+
+    It is if all of the interval is. It is not if the interval is below 0, and the difference is minus the
+    size or less.
+    """
     if interval.low > -size:
         return True
     is_surely_below = _is_surely_above(-interval, size)
@@ -140,7 +144,11 @@ def _holds_not_below(interval: Interval, size: float) -> bool | None:
 
 
 def _holds_same(interval: Interval, size: float) -> bool | None:
-    """Return whether a difference lies between minus the size and the size; None if it is open."""
+    """Return whether a difference lies between minus the size and the size; None if it is open.
+
+    It does if all of the interval does. It does not if the interval is on one side of 0, and the difference
+    is as far from 0 as the size, or farther.
+    """
     if -size < interval.low and interval.high < size:
         return True
     is_surely_above = _is_surely_above(interval, size)
