@@ -522,7 +522,7 @@ def test_a_robot_that_was_misled_trusts_its_sensor_again_when_the_others_agree_w
 
 @for_fixed_point_firmwares
 def test_a_robot_tests_the_accuracy_that_it_had_at_the_start(firmware: FixedPointFirmware) -> None:
-    """The others lead it to another accuracy, with which it agrees with them.
+    """It sees a share of 0.545 black, and all others estimate 0.95. An accuracy of 0.55 explains both.
 
     If it tested that one in the next round, it would return to the old one, and so forth and back for ever.
     """
@@ -531,7 +531,7 @@ def test_a_robot_tests_the_accuracy_that_it_had_at_the_start(firmware: FixedPoin
     receive_estimates(robot, 0.95, 0.95, 0.95, 0.95, 0.95)
     robot.settle()  # the filter runs, and finds another accuracy
     new_accuracy = robot.b_hat
-    assert new_accuracy != 0.95
+    assert new_accuracy == pytest.approx(0.55, abs=1e-4)
 
     status = robot.settle()  # the filter runs again, on the same observations and estimates
 
@@ -568,9 +568,10 @@ def test_others_that_estimate_a_half_say_nothing_about_a_robot_s_accuracy(
 def test_a_robot_that_more_than_two_fifths_support_keeps_its_accuracy(
     firmware: FixedPointFirmware, supporters: int, opponents: int, expected_status: Status
 ) -> None:
-    """It sees 0.545 black and infers that 0.55 of the tiles are, so those who send 0.55 support it.
+    """It sees a share of 0.545 black, and 0.95 * 0.55 + 0.05 * 0.45 is 0.545.
 
-    The status is UPDATED where the robot changes its accuracy, and OK where it does not. Opponents send 0.95.
+    So with its b_hat of 0.95 it infers that 0.55 of the tiles are black, which supporters estimate, too, and
+    opponents estimate 0.95. The status is UPDATED where it changes its accuracy, and OK where it does not.
     """
     robot = make_robust_robot(firmware, b_hat=0.95, filter_period=1)
     observe_tiles(robot, black=545, white=455)
@@ -585,7 +586,10 @@ def test_a_robot_that_more_than_two_fifths_support_keeps_its_accuracy(
 def test_one_liar_among_five_neighbours_does_not_make_a_robot_doubt_its_sensor(
     firmware: FixedPointFirmware,
 ) -> None:
-    """It sees 0.905 of the tiles black: what a sensor that is right in 0.95 sees where 0.95 are black."""
+    """It sees a share of 0.905 black: what a sensor with an accuracy of 0.95 sees where 0.95 are black.
+
+    For 0.95 * 0.95 + 0.05 * 0.05 is 0.905. Four neighbours agree with that.
+    """
     robot = make_robust_robot(firmware, b_hat=0.95, filter_period=1)
     observe_tiles(robot, black=905, white=95)
     receive_estimates(robot, 0.94, 0.95, 0.95, 0.96, 0.0)  # 0.0 is a lie
@@ -608,9 +612,16 @@ def test_a_robot_keeps_its_accuracy_at_the_very_limit_of_its_test(
     equal are rare, and were searched for: with a t of 3804264 both are 43681824.
     """
     largest_b_hat = 2**32 - 2**12  # 1 - 2**-20 in units of 2**-32
-    counts = {"t": t, "n": 3227, "batch_t": t, "batch_n": 3227}  # a new batch has just begun
-    b_hats = {"b_hat": largest_b_hat, "initial_b_hat": largest_b_hat}
-    robot = restore_robust_robot(firmware, **counts, **b_hats, estimates=[0] * 5)
+    robot = restore_robust_robot(
+        firmware,
+        t=t,
+        n=3227,
+        batch_t=t,  # a new batch has just begun
+        batch_n=3227,
+        b_hat=largest_b_hat,
+        initial_b_hat=largest_b_hat,
+        estimates=[0, 0, 0, 0, 0],
+    )
 
     status = robot.settle()  # ends a round, in which the filter runs
 
@@ -839,20 +850,23 @@ def test_a_new_batch_begins_where_the_robot_halves_its_counts(firmware: FixedPoi
 def test_a_robot_whose_observations_vary_more_than_chance_forgives_a_larger_deviation(
     firmware: FixedPointFirmware, dispersion: int, expected_status: Status
 ) -> None:
-    """850 of 1000 tiles black instead of 905 are 4.9 standard deviations of independent tiles too few.
+    """By its accuracy, 0.95, and five neighbours who estimate 0.95, it should see 905 of 1000 tiles black.
 
-    It forgives 3.5 of them, the root of 12, times the root of the dispersion. The status is UPDATED where the
+    850 are 4.9 standard deviations of independent tiles too few, which is sqrt(1000 * 0.85 * 0.15) = 11.3. It
+    forgives 3.5 of them, the root of 12, times the root of the dispersion. The status is UPDATED where the
     robot changes its accuracy, and OK where it does not.
     """
     b_hat = round(0.95 * 2**32)  # in units of 2**-32
-    counts = {"t": 1000, "n": 850, "batch_t": 1000, "batch_n": 850}  # a new batch has just begun
-    estimates = [int(0.95 * 2**16)] * 5  # five neighbours, in units of 2**-16
+    estimate = int(0.95 * 2**16)  # in units of 2**-16
     robot = restore_robust_robot(
         firmware,
-        **counts,
-        initial_b_hat=b_hat,
+        t=1000,
+        n=850,
+        batch_t=1000,  # a new batch has just begun
+        batch_n=850,
         b_hat=b_hat,
-        estimates=estimates,
+        initial_b_hat=b_hat,
+        estimates=[estimate] * 5,
         dispersion=dispersion * 2**8,  # in units of 2**-8
     )
 

@@ -383,19 +383,22 @@ def test_the_sides_of_the_test_in_float64_are_right_to_the_last_bits() -> None:
     """
     rng = random.Random(23)
     for _ in range(500):
-        t, dispersion = 10**6, rng.uniform(1, 256)
-        n = rng.randint(0, t)
-        b_hat, centre, spread = rng.uniform(0.01, 0.99), rng.random(), 2 ** rng.uniform(-12, -2)
+        dispersion = rng.uniform(1, 256)
+        observations = Observations(n=rng.randint(0, 10**6), t=10**6, dispersion=dispersion)
+        b_hat = rng.uniform(0.01, 0.99)
+        centre = rng.random()
+        spread = 2 ** rng.uniform(-12, -2)
 
-        squared_deviation, limit = robust_test_sides(Observations(n, t, dispersion), b_hat, centre, spread)
+        squared_deviation, limit = robust_test_sides(observations, b_hat, centre, spread)
 
+        exact_observations = Observations(observations.n, observations.t, Fraction(dispersion))
         exact_squared_deviation, exact_limit = robust_test_sides(
-            Observations(n, t, Fraction(dispersion)), Fraction(b_hat), Fraction(centre), Fraction(spread)
+            exact_observations, Fraction(b_hat), Fraction(centre), Fraction(spread)
         )
         error = abs(Fraction(squared_deviation) - exact_squared_deviation)
         error_of_limit = abs(Fraction(limit) - exact_limit)
-        assert error <= 8 * ROUNDING, (n, dispersion, b_hat, centre, spread)
-        assert error_of_limit <= 16 * ROUNDING * exact_limit, (n, dispersion, b_hat, centre, spread)
+        assert error <= 8 * ROUNDING, (observations, b_hat, centre, spread)
+        assert error_of_limit <= 16 * ROUNDING * exact_limit, (observations, b_hat, centre, spread)
 
 
 @pytest.mark.parametrize(

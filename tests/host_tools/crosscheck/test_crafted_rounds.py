@@ -111,10 +111,13 @@ def test_most_drawn_estimates_are_decided_by_the_last_bits_of_the_threshold(omeg
     wrong last bit shows.
     """
     rng = Random(5)
-    rejected_by_smaller_threshold = passed_by_larger_threshold = 0
+    rejected_by_smaller_threshold = 0
+    passed_by_larger_threshold = 0
     for _ in range(100):
-        m, own_x_hat = rng.randint(2, 127), rng.randint(0, ONE)
-        pair = draw_x_hats_at_threshold(own_x_hat, table_of(omega).entry(m), m, rng, gap_share=1)
+        m = rng.randint(2, 127)  # number of estimates
+        own_x_hat = rng.randint(0, ONE)
+        entry_for_m = table_of(omega).entry(m)
+        pair = draw_x_hats_at_threshold(own_x_hat, table_entry=entry_for_m, m=m, rng=rng, gap_share=1)
         if pair is not None:
             passing, rejected = pair
             threshold = threshold_of(omega, m)
@@ -133,22 +136,24 @@ def test_most_drawn_estimates_are_decided_by_the_last_bits_of_the_threshold(omeg
 def test_drawn_estimates_are_fill_ratios_between_0_and_1(own_x_hat: int, m: int, seed: int) -> None:
     """Estimates are in units of 2**-23, so ONE stands for 1. With ``gap_share=1`` they may fill 0 to ONE.
 
-    A robot gets m of them, whose test has a threshold for each m. Two lists are drawn: of estimates just
-    inside the threshold, and of estimates just outside.
+    A robot gets m of them. Its test has a threshold for each m, which is an entry of its table. Two lists are
+    drawn: of estimates just inside the threshold, and of estimates just outside.
     """
-    x_hats = draw_x_hats_at_threshold(own_x_hat, TABLE.entry(m), m, Random(seed), gap_share=1)
-    assume(x_hats is not None)  # as some draws leave no room
-    assert x_hats is not None
-    inside, outside = x_hats
+    rng = Random(seed)
+    pair = draw_x_hats_at_threshold(own_x_hat, table_entry=TABLE.entry(m), m=m, rng=rng, gap_share=1)
+    assume(pair is not None)  # hypothesis tries other numbers where the estimates have no room
+    assert pair is not None  # tells mypy
+    inside, outside = pair
 
     for x_hat in [*inside, *outside]:
         assert 0 <= x_hat <= ONE
 
 
 def test_no_estimates_are_drawn_if_they_would_differ_by_less_than_a_unit() -> None:
-    """The robot's own x_hat is 2**22 units. The estimates may fill 1 / 2**30 of the room beside it."""
-    x_hats = draw_x_hats_at_threshold(2**22, TABLE.entry(5), m=5, rng=Random(1), gap_share=2**-30)
-    assert x_hats is None
+    """They may fill 1 / 2**30 of the room on either side of the robot's own x_hat, which is 2**22 units."""
+    half = 2**22  # of 2**23 units
+    pair = draw_x_hats_at_threshold(half, table_entry=TABLE.entry(5), m=5, rng=Random(1), gap_share=2**-30)
+    assert pair is None
 
 
 @given(value=st.fractions(0, 3), max_denominator=st.integers(1, 100))

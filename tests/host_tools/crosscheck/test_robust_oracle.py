@@ -276,13 +276,17 @@ def receive(sender: int, x_hat: float) -> str:
 
 
 def test_votes_and_a_filter_that_has_too_few_estimates_are_counted() -> None:
-    """A vote weighs one estimate; each of three rounds has one: of robot 1, of the robot itself, of robot 1.
+    """A vote weighs one estimate, and each ``settle`` ends a round with a vote and a run of the filter.
 
-    The filter runs at the end of each round, with fewer estimates than its test needs.
+    The filter's test needs five estimates, and the robot has two: that of robot 1 and its own.
     """
     scenario = f"{ROBUST_ROBOT},{receive(sender=1, x_hat=0)},observe:1,settle,settle,settle"
     events, tests = count_robust_events(scenario)
-    assert events == {"vote": 2, "own vote": 1, "too few": 3}
+    assert events == {
+        "vote": 2,  # of robot 1, in the first and the third round
+        "own vote": 1,  # of the robot itself, in the second round
+        "too few": 3,  # in each round
+    }
     assert tests == 0
 
 

@@ -127,7 +127,7 @@ def test_a_controller_receives_only_from_neighbours_in_range() -> None:
 
 
 def test_frames_of_neighbours_are_stamped_with_the_time_of_their_tick() -> None:
-    """Their times are 0.0 s, 0.1 s and so on, as a second has 10 ticks."""
+    """Their times are 0.0 s, 0.1 s and so on, as a second has 10 ticks. The controller sends nothing."""
     neighbourhood = Neighbourhood(settings_with_four_neighbours(steps_per_second=10))
     for tick in range(20):
         neighbourhood.begin_tick()
@@ -179,7 +179,7 @@ def test_emulated_neighbours_have_the_lowest_allowed_ids_except_the_id_of_the_co
     controller: int, count: int, first: int, expected_ids: tuple[int, ...]
 ) -> None:
     """``controller`` is its id, ``first`` the first allowed id, and ``count`` the number of neighbours."""
-    assert choose_ids(controller, count, first) == expected_ids
+    assert choose_ids(controller=controller, count=count, first=first) == expected_ids
 
 
 @pytest.mark.parametrize(
@@ -206,15 +206,22 @@ def test_more_neighbours_than_there_are_ids_are_refused(
 # --- Neighbours in real time ---
 
 
+def run_four_neighbours(
+    link: BusLink, *, ticks: int, steps_per_second: int = 1000, faults: str = ""
+) -> RadioRun:
+    """Run four neighbours of robot 3 in real time, and return the run when it has ended."""
+    settings = settings_with_four_neighbours(faults=faults, steps_per_second=steps_per_second)
+    run = RadioRun(Neighbourhood(settings), link, ticks)
+    run.run()
+    return run
+
+
 def test_neighbours_in_real_time_go_on_when_the_bus_fails_and_count_the_frames_that_were_lost() -> None:
     """The bus refuses every other frame. All 20 ticks are done, and half of the frames count as failures."""
     bus = Mock()
     bus.send.side_effect = cycle([can.CanOperationError("cable pulled"), None])
     bus.recv.return_value = None
-    neighbourhood = Neighbourhood(settings_with_four_neighbours(steps_per_second=1000))
-    run = RadioRun(neighbourhood, BusLink(bus, tolerates_failures=True), ticks=20)
-    run.run()
-    figures = run.figures()
+    figures = run_four_neighbours(BusLink(bus, tolerates_failures=True), ticks=20).figures()
 
     assert figures["steps"] == 20
     assert figures["ending"] == "all ticks done"
@@ -242,9 +249,7 @@ def run_beside_others(request: pytest.FixtureRequest, monkeypatch: pytest.Monkey
         frame.is_rx = True
         wire.frames_for_tool.append(frame)
     # On a busy machine, too, one of the pauses between ticks is long enough to read all frames.
-    run = RadioRun(Neighbourhood(settings_with_four_neighbours(steps_per_second=20)), BusLink(wire), ticks=5)
-    run.run()
-    return run
+    return run_four_neighbours(BusLink(wire), ticks=5, steps_per_second=20)
 
 
 def test_estimates_on_the_bus_are_counted_as_those_of_the_controller_of_strangers_or_of_a_conflict(
@@ -266,9 +271,8 @@ def test_error_frames_on_the_bus_are_counted() -> None:
     """A CAN adapter reports disturbances of the bus, say of a loose cable, by such frames."""
     wire = Wire()
     wire.frames_for_tool.extend([can.Message(is_error_frame=True), can.Message(is_error_frame=True)])
-    run = RadioRun(Neighbourhood(settings_with_four_neighbours(steps_per_second=20)), BusLink(wire), ticks=1)
 
-    run.run()
+    run = run_four_neighbours(BusLink(wire), ticks=1, steps_per_second=20)
 
     assert run.figures()["error_frames"] == 2
 
@@ -288,9 +292,8 @@ def test_the_figures_of_a_run_have_the_mean_and_the_range_of_the_neighbours_x() 
 
     There are four neighbours.
     """
-    settings = settings_with_four_neighbours(faults="loss=0.5", steps_per_second=1000)
-    run = RadioRun(Neighbourhood(settings), BusLink(Wire()), ticks=5)
-    run.run()
+    quiet_bus = Wire()
+    run = run_four_neighbours(BusLink(quiet_bus), ticks=5, faults="loss=0.5")
     x_of_neighbours = [node.robot.x for node in run.neighbours.nodes.values()]
 
     figures = run.figures()
@@ -312,7 +315,9 @@ def test_neighbours_in_real_time_that_are_asked_to_stop_end_in_that_tick(
     def is_tick_3_reached() -> bool:
         return neighbourhood.tick >= 3
 
-    run = RadioRun(neighbourhood, BusLink(Wire(), should_stop=is_tick_3_reached), ticks)
+    quiet_bus = Wire()
+    link = BusLink(quiet_bus, should_stop=is_tick_3_reached)
+    run = RadioRun(neighbourhood, link, ticks=ticks)
     run.run()
 
     assert neighbourhood.tick == 3

@@ -215,7 +215,7 @@ def test_each_phase_reports_its_ticks_and_the_faults_that_it_injected(run: Obser
         phase = phase_by_name[result.name]
         is_among_neighbours = phase.play is None
         if is_among_neighbours:
-            assert result.ticks == TICKS == 25
+            assert result.ticks == 25
         has_fault = phase.fault != ""
         assert (result.injected > 0) == has_fault
 
@@ -766,9 +766,13 @@ def test_a_controller_must_not_report_the_health_caution_after_a_tick_that_was_l
 
 
 def test_a_controller_that_sends_frames_of_another_subject_too_passes() -> None:
-    """No estimate, telemetry, command or heartbeat has the subject 7510, so the frame is ignored."""
-    priority, reserved_bits, subject = 4 << 26, 3 << 21, 7510 << 8
-    frame = can.Message(arbitration_id=priority | reserved_bits | subject | ID, data=b"any")
+    """No estimate, telemetry, command or heartbeat has the subject 7510, so the frame is ignored.
+
+    An identifier of 29 bits has the priority from bit 26 on, reserved bits from 21, the subject from 8, and
+    the sender, here robot 3.
+    """
+    identifier = (4 << 26) | (3 << 21) | (7510 << 8) | 3
+    frame = can.Message(arbitration_id=identifier, data=b"any")
 
     def settle_with_one_more_frame(node: RobotNode, usual_settle: Any) -> list[can.Message]:
         return [*usual_settle(), frame]

@@ -174,7 +174,7 @@ HEARTBEAT_OF_8 = Heartbeat(sender=8, uptime=1, transfer_id=0)
 def test_a_robot_that_has_crashed_receives_nothing() -> None:
     """It gets an estimate of robot 6, one under its own id, 5, and a heartbeat, and counts none of them.
 
-    Each comes as a frame of the swarm and as a frame of another program.
+    Each comes as a frame of the swarm and as a frame of another program, and the first without a frame, too.
     """
     robot = BusRobot(setup_of_robot(5), ESTIMATE_FORMAT)
     robot.crash(loses_state=False)
@@ -235,18 +235,18 @@ def test_the_first_line_of_events_after_a_crash_that_lost_the_state_begins_with_
 
 
 def test_frames_without_an_estimate_are_counted_by_their_kind() -> None:
-    """Heartbeats, telemetry, error frames and each other reason for a rejection come three times.
+    """Heartbeats, telemetry and frames that are rejected, for each of the reasons, come three times.
 
-    Error frames are counted apart from the other rejections. An estimate is not counted here.
+    An error frame is one of the reasons, but is counted apart. An estimate comes, too, and is not counted.
     """
     robot = BusRobot(setup_of_robot(5), ESTIMATE_FORMAT)
     telemetry = Telemetry(sender=8, x=9, b_hat=1 << 23, updates=1, transfer_id=0)
     for content in (HEARTBEAT_OF_8, telemetry, ESTIMATE_OF_6, *Rejection):
         robot.count_content(content, frame_count=3)
 
-    other_rejections = Counter(dict.fromkeys(Rejection, 3))
-    del other_rejections[Rejection.ERROR_FRAME]
-    assert robot.reception == Reception(heartbeats=3, telemetry=3, errors=3, rejected=other_rejections)
+    other_reasons = set(Rejection) - {Rejection.ERROR_FRAME}
+    rejections = Counter(dict.fromkeys(other_reasons, 3))
+    assert robot.reception == Reception(heartbeats=3, telemetry=3, errors=3, rejected=rejections)
 
 
 def test_estimates_from_outside_the_swarm_are_counted_as_strays() -> None:
@@ -295,14 +295,14 @@ def test_a_table_that_was_not_made_here_cannot_be_put_into_json() -> None:
 
 def test_a_setup_makes_a_robot_with_its_configuration() -> None:
     """The mirror is the firmware in Python. A round has 2 ticks, and the filter runs every 5 rounds."""
-    config = Config(TABLE, Filter.ADAPTIVE, filter_period=5, memory=64)
-    setup = RobotSetup(5, "mirror", b_hat=0.55, config=config, comms_period=2)
+    config = Config(table=TABLE, filter=Filter.ADAPTIVE, filter_period=5, memory=64)
+    setup = RobotSetup(id=5, firmware="mirror", b_hat=0.55, config=config, comms_period=2)
 
     robot = setup.make_robot()
 
     assert isinstance(robot, MirrorRobot)
     assert robot.config == config
-    assert robot.state() == MirrorRobot(config, 5, b_hat=0.55).state()
+    assert robot.state() == MirrorRobot(config, robot_id=5, b_hat=0.55).state()
 
 
 @pytest.mark.parametrize(
@@ -383,9 +383,10 @@ ROBUST_CONFIG = replace(OFF_CONFIG, filter=Filter.ROBUST)
 def test_the_filter_of_a_swarm_decides_on_the_filter_of_flawed_and_of_other_robots(
     filters: str, activation: Activation, flawed_config: Config, other_config: Config
 ) -> None:
-    """Robots 0 and 1 are flawed: they assume an accuracy of 0.3, the others nearly 1.
+    """Robots 0 and 1 are flawed: they assume an accuracy of 0.3, and robots 2 and 3 one of nearly 1.
 
-    The parameter ``activation`` is "always" for a filter that re-estimates without a test.
+    The parameter ``activation`` is "always" for a filter that re-estimates without a test. The expected
+    configurations are those of flawed and of other robots.
     """
     population = Population(
         robots=4,
@@ -401,12 +402,12 @@ def test_the_filter_of_a_swarm_decides_on_the_filter_of_flawed_and_of_other_robo
     )
 
     largest_b_hat = 1 - 2**-20  # the firmware refuses 1.0
-    flawed_robot = RobotSetup(0, "native", b_hat=0.3, config=flawed_config, comms_period=2)
-    other_robot = RobotSetup(2, "native", b_hat=largest_b_hat, config=other_config, comms_period=2)
-    assert population.setup_of(0) == flawed_robot
-    assert population.setup_of(1) == replace(flawed_robot, id=1)
-    assert population.setup_of(2) == other_robot
-    assert population.setup_of(3) == replace(other_robot, id=3)
+    robot_0 = RobotSetup(id=0, firmware="native", b_hat=0.3, config=flawed_config, comms_period=2)
+    robot_2 = RobotSetup(id=2, firmware="native", b_hat=largest_b_hat, config=other_config, comms_period=2)
+    assert population.setup_of(0) == robot_0
+    assert population.setup_of(1) == replace(robot_0, id=1)
+    assert population.setup_of(2) == robot_2
+    assert population.setup_of(3) == replace(robot_2, id=3)
 
 
 @pytest.mark.parametrize(

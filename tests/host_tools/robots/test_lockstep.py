@@ -14,6 +14,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from unittest.mock import Mock
 
 import can
 import pytest
@@ -111,7 +112,7 @@ EIGHT_LOST_COMMANDS = {
 """Commands that are lost when they are sent first: tick, robot and the beginning of the action's name."""
 
 
-def is_one_of_eight_and_sent_first(command: Command, times_sent: int) -> bool:
+def is_first_try_of_one_of_eight_commands(command: Command, times_sent: int) -> bool:
     action, _, _ = command.action.name.partition("_")
     return times_sent == 1 and (command.tick, command.target, action) in EIGHT_LOST_COMMANDS
 
@@ -183,14 +184,15 @@ def test_robots_commanded_over_a_bus_compute_what_the_same_robots_do_when_called
     Four robots observe drawn colours. Eight commands are lost on the bus, and are repeated.
     """
     lockstep = Lockstep(
-        LossyWire(*make_four_nodes(firmware), is_lost=is_one_of_eight_and_sent_first), timeout=0.02
+        LossyWire(*make_four_nodes(firmware), is_lost=is_first_try_of_one_of_eight_commands), timeout=0.02
     )
-    called_robots = [called_node.robot for called_node in make_four_nodes(firmware)]
+    called_robots = [node.robot for node in make_four_nodes(firmware)]
 
-    for tick in drive_four_robots(lockstep, ticks=60):
-        call_robots_as_driven(called_robots, tick)
-        for robot in called_robots:
-            assert tick.numbers_answered_by(robot.id) == numbers_in_frames_of(robot)
+    for driven_tick in drive_four_robots(lockstep, ticks=60):
+        call_robots_as_driven(called_robots, driven_tick)  # with the same observations and estimates
+        for called_robot in called_robots:
+            numbers_from_bus = driven_tick.numbers_answered_by(called_robot.id)
+            assert numbers_from_bus == numbers_in_frames_of(called_robot)
 
     assert any(robot.counters.updates > 0 for robot in called_robots), "no robot has re-estimated b_hat"
 
@@ -201,7 +203,7 @@ def test_a_lost_command_is_sent_once_more_to_the_robots_that_have_not_answered()
 
     A command that is repeated to a robot that has obeyed it would count as disobeyed.
     """
-    wire = LossyWire(*make_four_nodes(firmware="native"), is_lost=is_one_of_eight_and_sent_first)
+    wire = LossyWire(*make_four_nodes(firmware="native"), is_lost=is_first_try_of_one_of_eight_commands)
     lockstep = Lockstep(wire, timeout=0.02)
 
     run_four_robots(lockstep, ticks=25)
@@ -511,9 +513,18 @@ def test_the_command_line_of_a_robot_s_process_has_all_settings_of_the_robot(set
     The three kinds of messages have other subjects and priorities than by default.
     """
     bus_choice = BusChoice("udp_multicast", {"channel": "239.1.1.1"})
-    subjects = Subjects(FrameFormat(7, 1), FrameFormat(8, 6), FrameFormat(9, 3))
-    nodes = NodeProcesses([setup], lambda robot: bus_choice, subjects, steps_per_second=3)
-    arguments = parse_node_command(nodes._commands[setup.id])
+    subjects = Subjects(
+        estimates=FrameFormat(subject=7, priority=1),
+        telemetry=FrameFormat(subject=8, priority=6),
+        commands=FrameFormat(subject=9, priority=3),
+    )
+
+    def bus_of_robot(robot: int) -> BusChoice:
+        return bus_choice
+
+    nodes = NodeProcesses([setup], bus_of_robot, subjects, steps_per_second=3)
+    command_of_robot = nodes._commands[setup.id]
+    arguments = parse_node_command(command_of_robot)
 
     assert setup_of(arguments) == setup
     assert subjects_of(arguments) == subjects
@@ -579,26 +590,26 @@ def test_ctrl_c_in_a_terminal_does_not_reach_the_robots_processes() -> None:
         assert session_of_robot != session_of_this_process
 
 
-@pytest.fixture
-def processor_restrictions(monkeypatch: pytest.MonkeyPatch) -> list[set[int]]:
-    """The sets of processors to which this process restricts itself, and so the processes that it starts."""
-    restrictions: list[set[int]] = []
-    monkeypatch.setattr("os.sched_getaffinity", lambda process: {3, 2, 4})
-    monkeypatch.setattr("os.sched_setaffinity", lambda process, processors: restrictions.append(processors))
-    return restrictions
-
-
 @pytest.mark.parametrize(
     ("interface", "expected_restrictions"), [("socketcan", [{2}]), ("udp_multicast", [])]
 )
 def test_robots_processes_run_on_one_processor_alone_if_a_robot_is_on_socketcan(
-    interface: str, expected_restrictions: list[set[int]], processor_restrictions: list[set[int]]
+    interface: str, expected_restrictions: list[set[int]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """SocketCAN keeps the order of frames only if all processes are on one processor, here the first one.
+    """SocketCAN keeps the order of frames only if all processes are on one processor.
 
-    That is number 2 of the processors 3, 2 and 4 that this process may use. Robot 10 is on the interface, and
-    robot 11 on multicast. Processes inherit the restrictions of this process, of which there may be none.
+    So this process restricts itself to the processor with the lowest number, and the robots' processes, which
+    it starts then, inherit that. Robot 10 is on ``interface``. If it is on multicast, as robot 11 is, there
+    is no restriction.
     """
+    allowed_processors = {3, 2, 4}
+    restrictions: list[set[int]] = []
+
+    def restrict_process(process: int, processors: set[int]) -> None:
+        restrictions.append(processors)
+
+    monkeypatch.setattr("os.sched_getaffinity", Mock(return_value=allowed_processors))
+    monkeypatch.setattr("os.sched_setaffinity", restrict_process)
 
     def bus_of_robot(robot: int) -> BusChoice:
         return BusChoice(interface if robot == 10 else "udp_multicast", {})
@@ -606,4 +617,4 @@ def test_robots_processes_run_on_one_processor_alone_if_a_robot_is_on_socketcan(
     setups = [setup_of_robot(10), setup_of_robot(11)]
     NodeProcesses(setups, bus_of_robot, Subjects(), steps_per_second=10)
 
-    assert processor_restrictions == expected_restrictions
+    assert restrictions == expected_restrictions

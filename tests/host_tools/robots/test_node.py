@@ -301,7 +301,7 @@ def drive_robot_5(model: RobotNode, bus: can.BusABC) -> None:
         model.settle()
 
 
-def run_robot_5(*options: str, command: Sequence[str] = ROBOT_5.split()) -> RobotNode:
+def run_robot_5_for_40_ticks(*options: str, command: Sequence[str] = ROBOT_5.split()) -> RobotNode:
     """Run the command of robot 5 while it is driven for 40 ticks, and return its model."""
     model = make_node(5, "mirror", 0.7, comms_period=2)
     with join_virtual_bus() as bus, running_in_thread(lambda: drive_robot_5(model, bus)):
@@ -316,7 +316,7 @@ def test_a_robot_that_a_driver_commands_over_the_bus_ends_in_the_state_of_its_mo
 
     Both make 40 observations, and receive the same frames.
     """
-    model = run_robot_5().robot
+    model = run_robot_5_for_40_ticks().robot
     reported_robot = json.loads(capsys.readouterr().out)["results"]["robot"]
 
     assert isinstance(model, FixedPointRobot)
@@ -338,7 +338,7 @@ def test_a_node_that_a_driver_commands_for_40_ticks_reports_the_frames_that_it_s
 
     Another node sends three estimates and three frames that are too short under the id of robot 5.
     """
-    run_robot_5()
+    run_robot_5_for_40_ticks()
 
     assert json.loads(capsys.readouterr().out)["results"]["frames"] == {
         "estimates_sent": 40 // 2,
@@ -356,8 +356,8 @@ def test_a_node_that_a_driver_commands_for_40_ticks_reports_the_frames_that_it_s
 
 
 def test_a_node_reports_its_setup_and_why_it_ended(capsys: pytest.CaptureFixture[str]) -> None:
-    """The report has the setup of robot 5, with the options b_hat and comms_period, and its 40 ticks."""
-    run_robot_5()
+    """Robot 5 is run for 40 ticks, with the options ``--b-hat 0.7`` and ``--comms-period 2`` among others."""
+    run_robot_5_for_40_ticks()
     report = json.loads(capsys.readouterr().out)
 
     assert report["parameters"]["robot"] == setup_of_robot(5, "native", b_hat=0.7, comms_period=2).plain()
@@ -368,13 +368,14 @@ def test_a_node_reports_its_setup_and_why_it_ended(capsys: pytest.CaptureFixture
 def test_a_node_with_the_setup_that_another_reported_ends_in_the_same_state(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """The first run of robot 5 has its options, and the second one the setup that the first one reports."""
-    run_robot_5()
+    """The first run of robot 5 has options such as ``--b-hat``, the second one the setup that it reports."""
+    run_robot_5_for_40_ticks()
     first_report = json.loads(capsys.readouterr().out)
     setup_text = json.dumps(first_report["parameters"]["robot"])
-    run_robot_5(command=["node", "--setup", setup_text, "--steps=40", "--json"])
+    run_robot_5_for_40_ticks(command=["node", "--setup", setup_text, "--steps=40", "--json"])
+    second_report = json.loads(capsys.readouterr().out)
 
-    assert json.loads(capsys.readouterr().out) == first_report
+    assert second_report == first_report
 
 
 @pytest.mark.parametrize(
@@ -417,7 +418,7 @@ def test_the_log_of_a_node_is_replayed_with_the_frames_that_others_sent_under_it
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     """Three estimates come under the id of the node, robot 5, from another node. The replay counts them."""
-    run_robot_5("--log", f"{tmp_path}/run.log")
+    run_robot_5_for_40_ticks("--log", f"{tmp_path}/run.log")
     assert main(["replay", f"{tmp_path}/run.log"]) == 0
     assert "3  frames under a robot's id that it did not send" in capsys.readouterr().out
 
@@ -484,16 +485,17 @@ def run_among_suspicious_neighbours(capsys: pytest.CaptureFixture[str]) -> tuple
 def test_a_node_counts_suspicious_estimates_and_drops_those_of_ids_that_are_not_allowed(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """Robot 6 sends 33 estimates in one round. The firmware takes only the first.
+    """The node is robot 5, and only robots 6 to 9 are allowed. It gets 38 estimates in one round.
 
-    The two under the node's own id are not dropped: they reach the firmware, which refuses them. The three of
-    robot 30 are not allowed. A jump is a confidence alpha that doubles, in the last estimate of robot 6.
+    33 are of robot 6, of which the firmware takes only the first. In the last of them the confidence alpha
+    doubles, which is a jump. Two are under the node's own id: they are not dropped, but the firmware refuses
+    them. Three are of robot 30, which is not allowed: they are dropped.
     """
     report, _errors = run_among_suspicious_neighbours(capsys)
     frames = report["results"]["frames"]
 
-    assert frames["delivered"] == 33 + 2
-    assert frames["refused"] == 32 + 2
+    assert frames["delivered"] == 33 + 2  # of robot 6, and under the node's own id
+    assert frames["refused"] == 32 + 2  # all but the first of robot 6, and those two
     events = sorted((event["event"], event["sender"], event["estimates"]) for event in frames["events"])
     two_under_its_own_id, one_jump, three_unknown = ("conflict", 5, 2), ("jump", 6, 1), ("unknown", 30, 3)
     assert events == [two_under_its_own_id, one_jump, three_unknown]
