@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from mcp_asdf_tools.radio.real_time import RadioRun
     from mcp_asdf_tools.radio.verification import ControllerVerdict
     from mcp_asdf_tools.recording.recording import LogOutputs
+    from mcp_asdf_tools.robots.robot_setup import RobotSetup
 
 EPILOG = """\
 examples:
@@ -140,14 +141,25 @@ def settings_of(args: argparse.Namespace) -> RadioSettings:
 
     Raises UsageError for a value out of range and for options that contradict each other.
     """
-    from mcp_asdf_tools.radio.neighbourhood import RadioSettings, choose_ids
+    from mcp_asdf_tools.radio.neighbourhood import RadioSettings
     from mcp_asdf_tools.swarm.fault_injection.parsing import parse_fault
 
     _check_run_options(args)
     controller = options.robot_of(args)
     world = options.settings_from(args, SwarmSettings, steps=_DEFAULT_PHASE_TICKS)
-    # The controller is one of the robots of this world.
-    neighbour_ids = choose_ids(controller.id, world.robots - 1, args.first_id)
+    neighbours = _make_neighbours(controller, world, args.first_id)
+    faults = tuple(parse_fault(text) for text in args.faults)
+    return RadioSettings(controller, neighbours, world, options.subjects_of(args), faults)
+
+
+def _make_neighbours(controller: RobotSetup, world: SwarmSettings, first_id: int) -> tuple[RobotSetup, ...]:
+    """Return the robots of a world that are emulated: all but the controller, which they resemble.
+
+    Their ids rise from ``first_id`` on, without the controller's. Raises UsageError if ids do not suffice.
+    """
+    from mcp_asdf_tools.radio.neighbourhood import choose_ids
+
+    neighbour_ids = choose_ids(controller.id, world.robots - 1, first_id)
     # Neighbours assume the true accuracy, as far as the firmware can: it needs a margin to 0 and 1.
     lowest_b_hat, highest_b_hat = B_HAT_MARGIN, 1 - B_HAT_MARGIN
     b_hat = min(max(world.true_accuracy, lowest_b_hat), highest_b_hat)
@@ -155,9 +167,7 @@ def settings_of(args: argparse.Namespace) -> RadioSettings:
     if world.swarm_filter.filtering_robots is FilteringRobots.FLAWED:
         # Of this swarm the controller alone is in doubt, so its neighbours do not recalibrate.
         config = replace(config, table=None, filter=Filter.OFF)
-    neighbours = tuple(replace(controller, id=robot, b_hat=b_hat, config=config) for robot in neighbour_ids)
-    faults = tuple(parse_fault(text) for text in args.faults)
-    return RadioSettings(controller, neighbours, world, options.subjects_of(args), faults)
+    return tuple(replace(controller, id=robot, b_hat=b_hat, config=config) for robot in neighbour_ids)
 
 
 def _check_run_options(args: argparse.Namespace) -> None:

@@ -374,12 +374,10 @@ def _emulate(plan: _RunPlan, log_outputs: LogOutputs, recorder: SwarmRecorder | 
 
     # A process reports when it ends, and all have ended with the context of ``processes``.
     bus_choice = plan.bus_choice
-    report = outcome.report(
-        {"interface": bus_choice.interface, "channel": bus_choice.channel, "slcan": slcan_port}
-    )
-    report["processes"] = {
-        str(robot): node_report for robot, node_report in sorted(processes.reports.items())
-    }
+    bus = {"interface": bus_choice.interface, "channel": bus_choice.channel, "slcan": slcan_port}
+    report = outcome.report(bus)
+    reports_by_robot = sorted(processes.reports.items())
+    report["processes"] = {str(robot): node_report for robot, node_report in reports_by_robot}
     seconds = time.monotonic() - start_time
     if baselines is not None:
         # The baselines took their ticks between the ticks of the swarm. Their time does not count.

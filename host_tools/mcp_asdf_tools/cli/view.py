@@ -93,7 +93,10 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _frame_format_of(args: argparse.Namespace) -> FrameFormat:
-    """Return the format of estimates. Raises UsageError if --subject is none."""
+    """Return the format of estimates, with the subject of --subject or the default one.
+
+    Raises UsageError if the subject is out of range.
+    """
     from mcp_asdf_tools.bus.frames import FrameFormat
 
     return FrameFormat() if args.subject is None else FrameFormat(args.subject)

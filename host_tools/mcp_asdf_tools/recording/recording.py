@@ -128,8 +128,8 @@ class Recording:
         self._files: list[_PartFile] = []
         self._is_empty = True
         """Whether neither a frame nor an event was recorded."""
-        self._is_over = False
-        """Whether the recording has failed, so that nothing more is recorded."""
+        self._has_failed = False
+        """Whether the recording has ended before the run, so that nothing more is recorded."""
         self._unflushed_count = 0
         self._flush_time = time.monotonic() + _FLUSH_PERIOD
         self._events = None if header is None else EventsWriter(header, self._write_events_line)
@@ -201,7 +201,7 @@ class Recording:
         Nothing happens if the recording has failed.
         """
         self._flush_if_due()
-        if not self._is_over:
+        if not self._has_failed:
             _, events_file = self._files
             events_file.write(line)
 
@@ -229,7 +229,7 @@ class Recording:
 
     def _do_or_end_recording(self, action: Callable[[], object]) -> None:
         """Call ``action`` unless the recording has ended; an OSError or UsageError in it ends that."""
-        if self._is_over:
+        if self._has_failed:
             return
         try:
             action()
@@ -244,9 +244,9 @@ class Recording:
         The warning has the reason, ``data_on_disk``, which says what of the data is there, and the names of
         the files that it is in. These are closed.
         """
-        if self._is_over:
+        if self._has_failed:
             return
-        self._is_over = True
+        self._has_failed = True
         self.failure = reason
         parts = " and ".join(str(part) for part in self._part_by_path.values())
         self._warn(f"the log {self._path} is not complete: {reason}; {data_on_disk} in {parts}")

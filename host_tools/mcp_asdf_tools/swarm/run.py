@@ -124,18 +124,10 @@ def results_of(swarm: Swarm) -> dict[str, Any]:
     """
     settings = swarm.settings
     nodes = swarm.nodes
-    traffic = swarm.traffic
     x = [node.robot.x for node in nodes]
     x_hat = [node.robot.x_hat for node in nodes]
     # Remote robots do not report how many tests they have made.
     total_tests = None if swarm.remote_robots else sum(node.counters.tests for node in nodes)
-    seconds_per_tick = 1 / settings.steps_per_second
-    bus_loads = {}
-    for bit_rate in BIT_RATES:
-        # Before the first tick no time has passed, so there is no load per second.
-        mean_load = bus_load(traffic.bits, swarm.ticks * seconds_per_tick, bit_rate) if swarm.ticks else 0.0
-        peak_load = bus_load(traffic.peak_bits, seconds_per_tick, bit_rate)
-        bus_loads[str(bit_rate)] = {"mean": mean_load, "peak": peak_load}
     return {
         "filter": settings.filter_description,
         "steps": swarm.ticks,
@@ -149,12 +141,30 @@ def results_of(swarm: Swarm) -> dict[str, Any]:
             "flawed": _b_hat_before_and_after(swarm, range(settings.flawed)),
             "other": _b_hat_before_and_after(swarm, range(settings.flawed, settings.robots)),
         },
-        "frames": traffic.figures(),
+        "frames": swarm.traffic.figures(),
         "faults": swarm.faults.figures(),
-        "bus_load": bus_loads,
+        "bus_load": _bus_loads(swarm),
         "clock": None if swarm.clock is None else swarm.clock.figures(),
         "robots": [_robot_results(swarm, node) for node in nodes],
     }
+
+
+def _bus_loads(swarm: Swarm) -> dict[str, dict[str, float]]:
+    """Return the share of the time for which a real bus would be busy, at each usual bit rate.
+
+    The keys are bit rates as texts, as JSON has them, then "mean", over all ticks so far, and "peak", in the
+    tick with the most bits.
+    """
+    traffic = swarm.traffic
+    seconds_per_tick = 1 / swarm.settings.steps_per_second
+    bus_loads = {}
+    for bit_rate in BIT_RATES:
+        mean_load = 0.0  # before the first tick, when no time has passed
+        if swarm.ticks > 0:
+            mean_load = bus_load(traffic.bits, swarm.ticks * seconds_per_tick, bit_rate)
+        peak_load = bus_load(traffic.peak_bits, seconds_per_tick, bit_rate)
+        bus_loads[str(bit_rate)] = {"mean": mean_load, "peak": peak_load}
+    return bus_loads
 
 
 def mean_error(swarm: Swarm) -> float:

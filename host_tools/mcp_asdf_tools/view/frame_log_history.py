@@ -71,17 +71,22 @@ def read_frame_history(
     summary = LogSummary()
     last_tick = int(extent.seconds * STATES_PER_SECOND) + 1  # the first one after the last frame
     spacing = steps_between_states(last_tick, len(extent.robot_ids))
-    tick = 0
+
+    def add_state(tick: int, seconds: float) -> None:
+        """Add a state with what robots have sent up to ``seconds`` after the first frame."""
+        history.add(robot_values.make_state(tick, seconds, extent.robot_ids))
+
+    next_tick = 0
     for seconds, frame in _time_frames(read_log(log, channel, summary), extent.start_time):
         # The states at all ticks before this frame
-        while tick / STATES_PER_SECOND < seconds:
-            history.add(robot_values.make_state(tick, tick / STATES_PER_SECOND, extent.robot_ids))
-            tick += spacing
+        while next_tick / STATES_PER_SECOND < seconds:
+            add_state(next_tick, next_tick / STATES_PER_SECOND)
+            next_tick += spacing
         robot_values.receive(frame, seconds)
     # The remaining ticks have the state at the log's end. The last state is at ``last_tick`` or, if that is
     # between two states, at the next.
-    for tick_after_frames in range(tick, last_tick + spacing, spacing):
-        history.add(robot_values.make_state(tick_after_frames, extent.seconds, extent.robot_ids))
+    for tick_after_frames in range(next_tick, last_tick + spacing, spacing):
+        add_state(tick_after_frames, extent.seconds)
     history.report = robot_values.roster.report(extent.seconds)
     history.has_ended = True
     return FrameLogHistory(history, robot_values.has_telemetry, summary)
