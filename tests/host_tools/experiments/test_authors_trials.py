@@ -155,9 +155,10 @@ def test_the_method_alpha_of_the_authors_is_a_filter_that_is_always_active(tmp_p
 
 
 def test_a_robot_whose_b_hat_became_nan_has_a_nan_as_its_error_and_the_swarm_a_score(tmp_path: Path) -> None:
-    """The authors' files have healthy robots first, so the last of five is the second of the results.
+    """Two of five robots are flawed. The authors' files have them last, and results have them first.
 
-    Its estimates are lost in the last step, 60, as can happen in their programs and in our float reference.
+    So the last robot of the file is the second of the results. Its estimates are lost in the last step, 60,
+    as can happen in the authors' programs and in our float reference.
     The numbers of a step are -1, n, t, x_hat, alpha, x_bar, beta, x, and b_hat on black and on white.
     """
     texts_by_robot = trial_content(FIXED_NETWORK, number=0)["data_str"]
@@ -175,7 +176,7 @@ def test_a_robot_whose_b_hat_became_nan_has_a_nan_as_its_error_and_the_swarm_a_s
 
 
 def test_all_json_files_of_a_folder_and_below_are_found_once(tmp_path: Path) -> None:
-    """The arguments are a folder with two files, and one of these files again."""
+    """The arguments are a folder and one of its two files of JSON again. A text file there is left out."""
     subfolder = tmp_path / "flw2"
     subfolder.mkdir()
     for path in (subfolder / "t1.json", subfolder / "t0.json", tmp_path / "notes.txt"):

@@ -165,7 +165,10 @@ def median_score(swarms: list[Trials], robots: int, filter_name: str, flawed: in
 def test_a_panel_has_a_curve_of_median_scores_for_each_filter_that_its_swarms_have(
     panel: int, robots: int, filters: list[str], curves_in_panels: Figure, swarms_of_four_sizes: list[Trials]
 ) -> None:
-    """A curve has two points: the medians of H with one and with two flawed robots."""
+    """A curve has two points: the medians of H with one and with two flawed robots.
+
+    Swarms have 4 to 7 robots, one number in each panel. Those of 6 have not run with the robust filter.
+    """
     lines = curves_in_panels.axes[panel].lines
     for line, filter_name in zip(lines, filters, strict=True):
         assert y_values_of(line) == [
@@ -282,8 +285,11 @@ def test_a_facet_makes_several_panels_so_axes_of_the_user_are_refused(
 def test_numbers_shares_and_names_can_be_along_the_x_axis(
     parameter: str, values: list[Any], expected_positions: list[Any]
 ) -> None:
-    """Names of filters stand in their usual order, whatever the order of the experiments."""
-    experiments = grid(**{**SIX_MOVING_ROBOTS, parameter: values})  # an experiment for each value
+    """There is an experiment for each value. Flawed robots stand at their share, from 0 to 1.
+
+    Names of filters stand in their usual order, whatever the order of the experiments.
+    """
+    experiments = grid(**SIX_MOVING_ROBOTS | {parameter: values})
     (axes,) = plot_curve([results_of(experiment) for experiment in experiments], parameter).axes
     (line,) = axes.lines
     assert x_values_of(line) == expected_positions

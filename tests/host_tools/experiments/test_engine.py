@@ -64,13 +64,14 @@ MOVING_ROBUST = replace(MOVING, filter="robust")
 # --- The lanes are the firmware to the bit ----------------------------------------------------------------
 
 
-def differences_between_lanes_and_firmware(experiment: Experiment, first: int, trials: int) -> list[str]:
+def differences_between_lanes_and_firmware(experiment: Experiment, trial_numbers: range) -> list[str]:
     """Run trials in lanes and call by call, and return what is not the same to the bit, and how to repeat it.
 
     In lanes the engine computes many trials or robots at once, in vectors. Call by call it calls the
     firmware's own functions for one robot after the other. Compared are estimates x, accuracies b_hat,
     counters, and the robots' whole states at the end.
     """
+    first, trials = trial_numbers.start, len(trial_numbers)
     by_calls = native.run(experiment, first, trials, lanes=False)
     in_lanes = native.run(experiment, first, trials, lanes=True)
     pairs = {"x": (by_calls.x, in_lanes.x), "b_hat": (by_calls.b_hat, in_lanes.b_hat)}
@@ -142,15 +143,21 @@ with_each_latency = pytest.mark.parametrize("latency", [0, 1])
 
 @varied(FULLY_CONNECTED, EXTREME_PARAMETERS)
 def test_many_trials_computed_at_once_equal_the_firmware_to_the_bit(experiment: Experiment) -> None:
-    """There are 16 lanes with a trial in each, so 17 trials are more than the engine computes at once."""
-    assert differences_between_lanes_and_firmware(experiment, first=4, trials=17) == []
+    """There are 16 lanes with a trial in each, so 17 trials are more than the engine computes at once.
+
+    They are the trials 4 to 20, as trials need not begin with number 0.
+    """
+    assert differences_between_lanes_and_firmware(experiment, trial_numbers=range(4, 21)) == []
 
 
 @pytest.mark.slow
 @varied(FULLY_CONNECTED, EXTREMES_OF_LONG_TRIALS)
 def test_long_trials_computed_at_once_equal_the_firmware_to_the_bit(experiment: Experiment) -> None:
-    """They have more than 200,000 steps. There are 16 lanes, so 17 trials are more than one in each."""
-    assert differences_between_lanes_and_firmware(experiment, first=4, trials=17) == []
+    """They have more than 200,000 steps. There are 16 lanes, so 17 trials are more than one in each.
+
+    They are the trials 4 to 20, as trials need not begin with number 0.
+    """
+    assert differences_between_lanes_and_firmware(experiment, trial_numbers=range(4, 21)) == []
 
 
 @with_each_latency
@@ -158,17 +165,23 @@ def test_long_trials_computed_at_once_equal_the_firmware_to_the_bit(experiment: 
 def test_moving_robots_computed_at_once_equal_the_firmware_to_the_bit(
     experiment: Experiment, latency: int
 ) -> None:
-    """With a latency of 1, messages arrive a step late. Each lane has a robot of the same trial."""
-    experiment = replace(experiment, latency=latency)
-    assert differences_between_lanes_and_firmware(experiment, first=4, trials=3) == []
+    """With a latency of 1, messages arrive a step late. Each lane has a robot of the same trial.
+
+    They are the trials 4 to 6, as trials need not begin with number 0.
+    """
+    experiment_with_latency = replace(experiment, latency=latency)
+    assert differences_between_lanes_and_firmware(experiment_with_latency, trial_numbers=range(4, 7)) == []
 
 
 @varied(FULLY_CONNECTED_ROBUST, EXTREME_PARAMETERS | EXTREMES_OF_THE_ROBUST_FILTER)
 def test_trials_with_the_robust_filter_computed_at_once_equal_the_firmware_to_the_bit(
     experiment: Experiment,
 ) -> None:
-    """There are 16 lanes with a trial in each, so 17 trials are more than the engine computes at once."""
-    assert differences_between_lanes_and_firmware(experiment, first=4, trials=17) == []
+    """There are 16 lanes with a trial in each, so 17 trials are more than the engine computes at once.
+
+    They are the trials 4 to 20, as trials need not begin with number 0.
+    """
+    assert differences_between_lanes_and_firmware(experiment, trial_numbers=range(4, 21)) == []
 
 
 @with_each_latency
@@ -176,9 +189,12 @@ def test_trials_with_the_robust_filter_computed_at_once_equal_the_firmware_to_th
 def test_moving_robots_with_the_robust_filter_computed_at_once_equal_the_firmware_to_the_bit(
     experiment: Experiment, latency: int
 ) -> None:
-    """With a latency of 1, messages arrive a step late. Each lane has a robot of the same trial."""
-    experiment = replace(experiment, latency=latency)
-    assert differences_between_lanes_and_firmware(experiment, first=4, trials=3) == []
+    """With a latency of 1, messages arrive a step late. Each lane has a robot of the same trial.
+
+    They are the trials 4 to 6, as trials need not begin with number 0.
+    """
+    experiment_with_latency = replace(experiment, latency=latency)
+    assert differences_between_lanes_and_firmware(experiment_with_latency, trial_numbers=range(4, 7)) == []
 
 
 def random_experiments(seed: int, count: int) -> Iterator[Experiment]:
@@ -218,11 +234,12 @@ def random_experiments(seed: int, count: int) -> Iterator[Experiment]:
 def test_random_experiments_computed_at_once_equal_the_firmware_to_the_bit(count: int) -> None:
     """They have values from the whole range of each parameter; about half of the swarms move.
 
-    The 16 lanes hold robots of one trial if these move, and else trials, so that there are two more of them.
+    The 16 lanes hold robots of one trial if these move, and two trials are run. If they do not move, each
+    lane holds a trial, and two more trials are run than there are lanes.
     """
     for experiment in random_experiments(seed=20241, count=count):
-        trials = 2 if experiment.is_dynamic else 16 + 2
-        assert differences_between_lanes_and_firmware(experiment, first=0, trials=trials) == []
+        trial_count = 2 if experiment.is_dynamic else 16 + 2
+        assert differences_between_lanes_and_firmware(experiment, trial_numbers=range(trial_count)) == []
 
 
 class Mixed(Experiment):
@@ -306,7 +323,7 @@ def test_an_engine_built_for_each_size_of_vectors_equals_the_firmware_to_the_bit
     """Skips sizes that the processor lacks; /proc/cpuinfo has a flag for each.
 
     In place of the installed engine, the one that was built computes experiments at the ends of parameters'
-    ranges, with 17 trials, which are more than the 16 lanes, and random ones.
+    ranges, with the 17 trials 4 to 20, which are more than the 16 lanes, and random ones.
     """
     if not processor_has(flag):
         pytest.skip(f"this processor has no vectors of {architecture}")
@@ -314,9 +331,9 @@ def test_an_engine_built_for_each_size_of_vectors_equals_the_firmware_to_the_bit
     for extreme_parameters in EXTREME_PARAMETERS.values():
         for swarm in (FULLY_CONNECTED, FULLY_CONNECTED_ROBUST, MOVING_WITH_LATENCY):
             experiment = replace(swarm, **extreme_parameters)
-            assert differences_between_lanes_and_firmware(experiment, first=4, trials=17) == []
+            assert differences_between_lanes_and_firmware(experiment, trial_numbers=range(4, 21)) == []
     for experiment in random_experiments(seed=20242, count=60):
-        assert differences_between_lanes_and_firmware(experiment, first=0, trials=16) == []
+        assert differences_between_lanes_and_firmware(experiment, trial_numbers=range(16)) == []
 
 
 def random_worlds(seed: int, count: int) -> Iterator[WorldSettings]:
@@ -346,12 +363,14 @@ def test_robots_move_in_vectors_as_they_do_one_by_one(
     Robots move 150 steps in 60 random worlds. All arrays of their motions are compared, such as positions.
     """
     worlds = list(random_worlds(seed=20261, count=60))
-    motions_in_vectors = [Arena(settings, trial).record(150) for trial, settings in enumerate(worlds)]
+    motions_in_vectors = [Arena(settings, trial).record(ticks=150) for trial, settings in enumerate(worlds)]
+    # From here on ``Arena`` moves robots by this build of its source, one robot after the other.
     monkeypatch.setattr(arena, "_arena", build_engine("x86-64", tmp_path, "-fno-tree-vectorize"))
     for trial, settings in enumerate(worlds):
-        motion_one_by_one = Arena(settings, trial).record(150)
+        motion_in_vectors = motions_in_vectors[trial]
+        motion_one_by_one = Arena(settings, trial).record(ticks=150)
         for array_name, expected_array in vars(motion_one_by_one).items():
-            array = getattr(motions_in_vectors[trial], array_name)
+            array = getattr(motion_in_vectors, array_name)
             assert np.array_equal(array, expected_array), f"replay: {settings}, {trial=}: {array_name}"
 
 
@@ -543,7 +562,7 @@ def test_a_trial_has_the_same_results_alone_and_among_others_and_with_recorded_v
     x and b_hat of these trials are the same to the bit. A sampling interval of 0 records nothing.
     """
     all_trials = native.run(experiment, first=0, trials=20)
-    some_trials = native.run(experiment, first, trials, sampling_interval)
+    some_trials = native.run(experiment, first=first, trials=trials, sampling_interval=sampling_interval)
     end = first + trials
     assert np.array_equal(some_trials.x, all_trials.x[first:end])
     assert np.array_equal(some_trials.b_hat, all_trials.b_hat[first:end])
@@ -613,9 +632,12 @@ with_liars = pytest.mark.parametrize(
 
 @with_liars
 def test_robots_that_lie_have_the_same_effect_in_the_engine_as_on_a_bus(experiment: Experiment) -> None:
-    """The last two broadcast that nothing is black, with an alpha of 10^6, which is great confidence."""
+    """The last two broadcast that nothing is black, with an alpha of 10^6, which is great confidence.
+
+    The engine computes robots one by one. The estimates x of all robots at the end are compared.
+    """
     trial = prepare_trial_with_two_liars(experiment)
-    assert trial.execute(lanes=False) is Status.OK
+    assert trial.execute(lanes=False) is Status.OK  # lanes are of robots computed at once
 
     [x_by_robot_and_step] = trial.x  # of the only trial
     x_at_end = x_by_robot_and_step[:, -1]
@@ -629,7 +651,8 @@ def test_trials_are_computed_one_by_one_if_robots_lie(experiment: Experiment) ->
     Lanes, in which many trials or robots are computed at once, have only one estimate of a robot.
     """
     trial = prepare_trial_with_two_liars(experiment)
-    assert not _engine.lib.mcp_asdf_engine_has_lanes(trial.experiment)
+    experiment_in_c = trial.experiment  # as a struct of C, which the engine's functions take
+    assert not _engine.lib.mcp_asdf_engine_has_lanes(experiment_in_c)
 
 
 # --- More than 128 robots ----------------------------------------------------------------------------------
@@ -655,7 +678,7 @@ GRAPH_OF_2100 = replace(
 )
 def test_hundreds_of_robots_computed_at_once_equal_the_firmware_to_the_bit(experiment: Experiment) -> None:
     """There are 300 that move, or 2100 in a graph, which take many rows of vectors."""
-    assert differences_between_lanes_and_firmware(experiment, first=0, trials=1) == []
+    assert differences_between_lanes_and_firmware(experiment, trial_numbers=range(1)) == []
 
 
 @pytest.mark.parametrize("filter_name", ["robust", "asdf-plus"])
@@ -725,15 +748,15 @@ def test_neighbours_whose_ids_have_the_same_7_bits_are_told_apart_in_a_graph(fil
         steps=60,
         filter_period=20,
     )
-    robots = run_with_ids_that_differ(experiment)
+    robots_with_different_ids = run_with_ids_that_differ(experiment)
     trials = run_trials(experiment, first=0, trials=1, sampling_interval=60)
 
-    [x_by_step_and_robot] = trials.records["x"].tolist()  # of the only trial, recorded twice
+    [x_by_step_and_robot] = trials.records["x"].tolist()  # of the only trial, at steps 0 and 60
     _x_at_start, x_at_end = x_by_step_and_robot
     [b_hat_by_filter_step_and_robot] = trials.b_hat.tolist()
     *_, b_hat_at_end = b_hat_by_filter_step_and_robot
-    assert x_at_end == [robot.x for robot in robots]
-    assert b_hat_at_end == [robot.b_hat for robot in robots]
+    assert x_at_end == [robot.x for robot in robots_with_different_ids]
+    assert b_hat_at_end == [robot.b_hat for robot in robots_with_different_ids]
 
 
 def engine_bytes_per_robot(robots: int) -> float:

@@ -50,7 +50,8 @@ def test_the_stored_scores_of_the_float64_program_follow_our_definition_of_score
         for h_k, h_e, h in stored.scores:  # of each trial
             step = round(40_000 * (1 - h_k / 100))
             error = 0.45 * (1 - h_e / 100)
-            steps_of_robots, errors_of_robots = [step] * 10, [error] * 10
+            steps_of_robots = [step] * 10
+            errors_of_robots = [error] * 10
             # The function takes lists of trials, here of one, and returns lists.
             scores = score([steps_of_robots], [errors_of_robots], k_max=40_000, e_max=0.45)
             assert scores["h_K"] == pytest.approx([h_k], abs=1e-5)

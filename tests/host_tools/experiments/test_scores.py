@@ -35,7 +35,8 @@ def test_the_step_of_convergence_is_the_first_from_which_on_no_value_differs_by_
 
     A long series is searched in chunks; their size is set to ``values_at_once``, so that short ones are, too.
     """
-    integers, floats = np.array(values, np.uint32), np.array(values, np.float64)
+    integers = np.array(values, np.uint32)
+    floats = np.array(values, np.float64)
     expected_step = convergence_step_by_definition(floats, delta=3.0)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(scores, "_CHUNK", values_at_once)

@@ -321,8 +321,8 @@ def test_a_worker_process_that_is_killed_ends_the_sweep_with_an_error() -> None:
 # Parts of a sweep are files of the results so far, in a folder beside the output that there will be.
 
 
-def row_counts(folder: Path) -> list[int]:
-    """Return the number of rows of each file of results in a folder. A row is a trial."""
+def row_count_of_each_part(folder: Path) -> list[int]:
+    """Return the number of rows, which are trials, of each file of results in a folder of parts."""
     return [pq.read_metadata(path).num_rows for path in sorted(folder.glob("*.parquet"))]
 
 
@@ -375,14 +375,14 @@ def test_parts_of_a_sweep_are_a_hundredth_of_its_time_apart_but_at_least_a_secon
 ) -> None:
     """So writing takes little time in comparison with the work. After 1000 s a hundredth is 10 s.
 
-    A trial is finished at each of these times, in seconds. A part has a row for each trial since the last
-    part. Expected is, for each time, the list of how many rows the parts have that are there by then.
+    One trial is finished at each of the times, which are in seconds. A part has a row for each trial since
+    the part before. ``expected_row_counts`` has a list for each time, with the rows of each part by then.
     """
     store = Store(output, [EXPERIMENT])
-    for trial, (seconds, row_counts_by_then) in enumerate(zip(times, expected_row_counts, strict=True)):
+    for trial, seconds in enumerate(times):
         set_clock(seconds)
         store.add(Job(EXPERIMENT, first=trial, count=1).run())
-        assert row_counts(store.parts) == row_counts_by_then
+        assert row_count_of_each_part(store.parts) == expected_row_counts[trial]
 
 
 def test_a_part_is_written_when_as_many_rows_wait_as_a_part_may_have(
@@ -393,10 +393,10 @@ def test_a_part_is_written_when_as_many_rows_wait_as_a_part_may_have(
     monkeypatch.setattr(store_module, "_MAX_ROWS", 10)
     store = Store(output, [EXPERIMENT])
     store.add(Job(EXPERIMENT, first=0, count=9).run())
-    assert row_counts(store.parts) == []  # there is no part yet
+    assert row_count_of_each_part(store.parts) == []  # there is no part yet
 
     store.add(Job(EXPERIMENT, first=9, count=1).run())
-    assert row_counts(store.parts) == [10]  # there is one with ten rows
+    assert row_count_of_each_part(store.parts) == [10]  # there is one with ten rows
 
 
 @pytest.fixture(scope="module")
@@ -913,7 +913,7 @@ def test_ctrl_c_ends_a_sweep_with_the_number_of_trials_that_are_left(
 
     Ctrl-C comes after the first job. The exit code is 128 and the number of the signal, as in shells.
     """
-    record_jobs(monkeypatch, max_jobs=1)
+    record_jobs(monkeypatch, max_jobs=1)  # raises KeyboardInterrupt, as Ctrl-C does, in the second job
     output = str(tmp_path / "grid.parquet")
     exit_code = cli.main(["sweep", str(grid_file), "--workers", "1", "--output", output])
 
@@ -938,7 +938,7 @@ def test_a_signal_ends_a_sweep_with_advice_and_keeps_the_finished_trials(
     assert slow_sweep.returncode == 128 + sent_signal  # as shells report the end by a signal
     assert "the same command goes on" in errors
     assert "Traceback" not in errors
-    finished_trials = sum(row_counts(parts))
+    finished_trials = sum(row_count_of_each_part(parts))
     assert finished_trials > 0
     experiment_of_the_sweep = Experiment(firmware="mirror", steps=400, trials=400, robots=4)
     missing_trials = Store(tmp_path / "slow.parquet", [experiment_of_the_sweep]).missing_count
@@ -952,7 +952,7 @@ def ctrl_c_in_the_first_part(monkeypatch: pytest.MonkeyPatch) -> None:
 
     def write_and_interrupt(path: Path, tables: Any) -> None:
         write_tables(path, tables)
-        if len(row_counts(path.parent)) == 1:
+        if len(row_count_of_each_part(path.parent)) == 1:
             signal.raise_signal(signal.SIGINT)
 
     monkeypatch.setattr(store_module, "_SECONDS_BETWEEN_PARTS", 0.0)
@@ -963,7 +963,8 @@ def ctrl_c_in_the_first_part(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_ctrl_c_while_a_part_of_the_results_is_written_loses_no_finished_trial(output: Path) -> None:
     """The files lack exactly the trials that the interrupted sweep counts as missing.
 
-    Each trial is a job, after which a part is written. Ctrl-C comes when the first of 100 is there.
+    Each trial is a job, after which a part is written. A fixture sends Ctrl-C when the first of 100 parts is
+    there.
     """
     experiment = Experiment(firmware="mirror", steps=20, trials=100, robots=4)
     store = Store(output, [experiment])

@@ -56,6 +56,11 @@ def cluster_of(workers: int, folder: Path) -> Iterator[tuple[str, IO[str]]]:
             process.stdin.close()
 
 
+@pytest.fixture(autouse=True)
+def skip_without_distributed() -> None:
+    pytest.importorskip("distributed", reason="distributed is not installed: make setup")
+
+
 @pytest.fixture
 def scheduler(tmp_path: Path) -> Iterator[str]:
     """The address of a scheduler that has one worker process."""
@@ -66,7 +71,6 @@ def scheduler(tmp_path: Path) -> Iterator[str]:
 @pytest.fixture
 def store(tmp_path: Path) -> Store:
     """A sweep of 12 jobs. No job has been run."""
-    pytest.importorskip("distributed", reason="distributed is not installed: make setup")
     return Store(tmp_path / "x.parquet", [SLOW_EXPERIMENT])
 
 
@@ -77,7 +81,6 @@ def run_sweep_command(output: Path, *options: str, trials: int) -> None:
     assert cli.main(["sweep", str(path), "--output", str(output), *options]) == 0
 
 
-@pytest.mark.usefixtures("store")
 def test_a_sweep_that_goes_on_on_a_cluster_gives_the_results_of_this_computer(
     scheduler: str, tmp_path: Path
 ) -> None:
@@ -107,7 +110,7 @@ def test_a_cluster_whose_workers_have_another_version_is_refused(
         run_sweep(store, workers=1, scheduler=scheduler)
 
 
-def test_trials_that_a_cluster_has_finished_are_kept_if_it_is_lost(tmp_path: Path, store: Store) -> None:
+def test_trials_that_a_cluster_has_finished_are_kept_if_it_is_lost(tmp_path: Path) -> None:
     """The cluster ends when the sweep reports the first of 500 trials, each of which is a job."""
     experiment = replace(SLOW_EXPERIMENT, trials=500)
     sweep = Store(tmp_path / "long.parquet", [experiment])
@@ -126,7 +129,7 @@ def test_trials_that_a_cluster_has_finished_are_kept_if_it_is_lost(tmp_path: Pat
 
 @pytest.mark.parametrize("error", [OSError("Timed out trying to connect"), TimeoutError("no answer")])
 def test_a_scheduler_that_does_not_answer_any_more_is_reported_as_a_usage_error(
-    error: OSError, store: Store, scheduler: str
+    error: OSError, scheduler: str
 ) -> None:
     """Dask raises these errors where a sweep asks a scheduler that is gone for its number of threads.
 
@@ -139,10 +142,11 @@ def test_a_scheduler_that_does_not_answer_any_more_is_reported_as_a_usage_error(
         raise error
 
 
-def test_a_result_that_dask_loses_with_the_cluster_is_reported_as_a_usage_error(
-    store: Store, tmp_path: Path
-) -> None:
-    """If a result comes just when the cluster is lost, Dask raises a TypeError in its place."""
+def test_a_result_that_dask_loses_with_the_cluster_is_reported_as_a_usage_error(tmp_path: Path) -> None:
+    """If a result comes just when the cluster is lost, Dask raises a TypeError in its place.
+
+    Here the test raises this error itself, when the cluster is lost.
+    """
     with (
         cluster_of(workers=1, folder=tmp_path) as (scheduler, cluster_input),
         pytest.raises(UsageError, match="what was finished is kept"),
@@ -154,7 +158,7 @@ def test_a_result_that_dask_loses_with_the_cluster_is_reported_as_a_usage_error(
         raise TypeError("cannot unpack non-iterable Trials object")
 
 
-def test_a_type_error_of_a_job_is_not_taken_for_a_lost_cluster(store: Store, scheduler: str) -> None:
+def test_a_type_error_of_a_job_is_not_taken_for_a_lost_cluster(scheduler: str) -> None:
     """The error is in an extension of the user's. The user has to see where, so it is not replaced."""
     with (
         pytest.raises(TypeError, match="unsupported operand"),

@@ -102,9 +102,11 @@ def test_results_of_an_earlier_version_become_tidy_tables() -> None:
     """The file has two trials of 3 robots and two of 2, recorded after 0, 10 and 20 observations, t."""
     tidy = pa.concat_tables(stream_tidy_results(FORMAT_5_FILE))
 
-    rows_of_3_robots, rows_of_2_robots = 2 * 3 * 3, 2 * 3 * 2  # trials * recorded steps * robots
+    rows_of_3_robots = 2 * 3 * 3  # trials * recorded steps * robots
+    rows_of_2_robots = 2 * 3 * 2
     assert tidy["robots"].to_pylist() == [3] * rows_of_3_robots + [2] * rows_of_2_robots
-    t_in_trial_of_3_robots, t_in_trial_of_2_robots = [0, 0, 0, 10, 10, 10, 20, 20, 20], [0, 0, 10, 10, 20, 20]
+    t_in_trial_of_3_robots = [0, 0, 0, 10, 10, 10, 20, 20, 20]
+    t_in_trial_of_2_robots = [0, 0, 10, 10, 20, 20]
     assert tidy["t"].to_pylist() == t_in_trial_of_3_robots * 2 + t_in_trial_of_2_robots * 2
 
 

@@ -215,7 +215,8 @@ def test_a_title_of_assumed_accuracies_has_parameters_and_the_share_of_healthy_r
 def test_healthy_robots_are_off_if_they_end_far_from_what_they_assumed_at_first(half_flawed: Trials) -> None:
     """They assume 0.8 at first and 0.84 in the end, which is less than 0.05 from 0.8, but not from 0.95."""
     experiment = replace(half_flawed.experiment, unflawed_accuracy=0.8)
-    healthy_robots, last_filter_step = [2, 3], 2
+    healthy_robots = [2, 3]
+    last_filter_step = 2  # of three
     b_hat = half_flawed.b_hat.copy()  # by trial, filter step and robot
     b_hat[:, last_filter_step, healthy_robots] = 0.84
     figure = plot_bands([replace(half_flawed, experiment=experiment, b_hat=b_hat)])
@@ -226,8 +227,8 @@ def test_healthy_robots_are_off_if_they_end_far_from_what_they_assumed_at_first(
 def test_five_experiments_have_a_row_of_three_panels_of_bands_and_one_of_two(bands_figure: Figure) -> None:
     """The sixth place is empty."""
     assert layout_of(bands_figure) == Layout(rows=2, columns=3, width=9, panel_height=2.1)
-    has_axes_by_place = [axes.axison for axes in bands_figure.axes]
-    assert has_axes_by_place == [True, True, True, True, True, False]
+    is_drawn = [axes.axison for axes in bands_figure.axes]  # off at an empty place
+    assert is_drawn == [True, True, True, True, True, False]
 
 
 def test_four_experiments_have_two_rows_of_two_panels_of_bands(half_flawed: Trials) -> None:
@@ -359,7 +360,7 @@ def test_an_axis_of_recorded_values_has_room_for_all_but_those_of_the_first_mome
     first_run, second_run = recorded_runs
     [values_of_first_run] = first_run.records[quantity]  # of its only trial, by step and robot
     [values_of_second_run] = second_run.records[quantity]
-    # The first moments are a fiftieth of the first run's 147 steps recorded; the second run has too few.
+    # A fiftieth of a run's recorded steps are its first moments: 2 of 147, and none of the second run's 7.
     values_after_first_moments = values_of_first_run[2:]
     values = [*values_after_first_moments.ravel(), *values_of_second_run.ravel(), true_value]
     margin = max(0.06 * (max(values) - min(values)), 0.01)

@@ -57,7 +57,7 @@ def test_a_statistic_of_a_sample_and_of_each_of_its_resamples_is_that_of_numpy_o
     resampled = resample(sample)
 
     assert resampled.value == pytest.approx(statistic(sample, axis=0))
-    statistic_of_each_resample = statistic(values_by_resample_and_trial, axis=1)
+    statistic_of_each_resample = statistic(values_by_resample_and_trial, axis=1)  # over its trials
     # Resamples are kept in single precision.
     assert resampled.resamples == pytest.approx(statistic_of_each_resample, abs=1e-6)
 

@@ -106,13 +106,14 @@ def cell_with_asdf_minus(flawed_percent: int) -> Cell:
 def test_the_normal_form_of_a_cell_with_asdf_minus_and_no_flawed_robots_is_one_without_a_filter() -> None:
     """With ASDF- only flawed robots filter, so no robot does.
 
-    What flawed robots would assume, and how often a filter would run, makes no difference then.
+    What flawed robots would assume, and how often a filter would run, makes no difference then. So in the
+    normal form they would assume the true accuracy, 0.95, and the filter would have the shortest period.
     """
     normal_cell = cell_with_asdf_minus(flawed_percent=0).normal
 
     assert normal_cell.filter == "none"
-    assert normal_cell.flawed_accuracy == 0.95  # the true one
-    assert normal_cell.filter_period == 1000  # the first choice
+    assert normal_cell.flawed_accuracy == 0.95
+    assert normal_cell.filter_period == 1000
 
 
 def test_the_normal_form_of_a_cell_with_asdf_minus_and_flawed_robots_alone_is_one_with_asdf_plus() -> None:

@@ -84,7 +84,7 @@ def test_a_claim_of_the_paper_agrees_and_disagrees_with_the_results_planted_for_
     """planted.toml has two expressions for each claim: results that agree with it, and results that do not.
 
     With the expression "90 - P / 2", for example, the score of a swarm falls with P, the percentage of its
-    robots that are flawed.
+    robots that are flawed. Only the parts of the study that a claim needs have results.
     """
     parts = parts_needed(claim, study_part)
     agreeing_expression, disagreeing_expression = PLANTED_EXPRESSIONS[claim.name]
@@ -357,7 +357,8 @@ def test_a_comparison_is_labelled_by_its_swarm_and_by_what_is_subtracted_from_wh
     """
     row_with_flawed_robots = {"flawed_percents": 10, "flawed_accuracies": 0.75, **row}
     [planned_comparison] = plan_comparisons(**row_with_flawed_robots)
-    comparison = planned_comparison.compare(PlantedResults("70"), confidence=0.9)
+    any_results = PlantedResults("70")  # all swarms have the same score
+    comparison = planned_comparison.compare(any_results, confidence=0.9)
 
     assert comparison.row == row_label
     assert comparison.column == column_label
@@ -372,7 +373,8 @@ def test_a_comparison_is_strong_only_where_the_paper_says_much(size: str | float
     [planned_comparison] = plan_comparisons(
         size=size, than="flawless", flawed_percents=30, flawed_accuracies=0.75
     )
-    comparison = planned_comparison.compare(PlantedResults("70"), confidence=0.9)
+    any_results = PlantedResults("70")  # all swarms have the same score
+    comparison = planned_comparison.compare(any_results, confidence=0.9)
     assert comparison.is_strong is is_strong
 
 

@@ -80,7 +80,7 @@ def test_the_physical_experiment_has_a_twentieth_of_the_observations_as_the_pape
 def test_all_claims_that_equations_decide_hold_but_that_confidence_grows_a_hundredfold() -> None:
     failing_claims = set()
     for claim, compare in EQUATIONS.items():
-        failing_comparisons = count_holding(compare(), False)
+        failing_comparisons = count_holding(compare(), holds=False)
         if failing_comparisons > 0:
             failing_claims.add(claim)
 
@@ -90,6 +90,6 @@ def test_all_claims_that_equations_decide_hold_but_that_confidence_grows_a_hundr
 def test_eight_of_twelve_ratios_of_confidence_are_not_a_hundredfold() -> None:
     """Four pairs of assumed accuracies are compared for three shares of black readings."""
     comparisons = EQUATIONS["confidence_grows_a_hundredfold"]()
-    failing_comparisons = count_holding(comparisons, False)
+    failing_comparisons = count_holding(comparisons, holds=False)
     assert len(comparisons) == 4 * 3
     assert failing_comparisons == 8

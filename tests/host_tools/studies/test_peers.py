@@ -40,6 +40,7 @@ def final_error_of_swarm(expected_x: float = 0.55, **changes: Any) -> float:
 
 @pytest.mark.slow
 def test_a_memory_of_received_messages_halves_the_error_of_a_flawed_swarm_without_a_filter() -> None:
+    """The error is the mean distance of the robots' x from the share of black, at the end of a trial."""
     error_with_memory = final_error_of_swarm(firmware=peers.RememberingRobot, filter="none", flawed=6)
     error_without_memory = final_error_of_swarm(firmware="native", filter="none", flawed=6)
     assert error_with_memory < error_without_memory / 2
@@ -47,6 +48,7 @@ def test_a_memory_of_received_messages_halves_the_error_of_a_flawed_swarm_withou
 
 @pytest.mark.slow
 def test_a_swarm_without_a_filter_is_misled_by_one_liar_and_more_so_by_five() -> None:
+    """The error is the mean distance of honest robots' x from the share of black, at the end of a trial."""
     error_of_honest_swarm = final_error_of_swarm(firmware="native", filter="none", flawed=0)
     error_with_one_liar = final_error_of_swarm(firmware=peers.one_liar, filter="none", flawed=0)
     error_with_five_liars = final_error_of_swarm(firmware=peers.five_liars, filter="none", flawed=0)
@@ -55,6 +57,7 @@ def test_a_swarm_without_a_filter_is_misled_by_one_liar_and_more_so_by_five() ->
 
 @pytest.mark.slow
 def test_two_liars_mislead_the_robust_filter_less_than_half_as_much_as_five_mislead_no_filter() -> None:
+    """The error is the mean distance of honest robots' x from the share of black, at the end of a trial."""
     error_of_robust_filter = final_error_of_swarm(firmware=peers.two_liars, filter="robust", flawed=0)
     error_without_filter = final_error_of_swarm(firmware=peers.five_liars, filter="none", flawed=0)
     assert error_of_robust_filter < error_without_filter / 2
@@ -126,7 +129,7 @@ def test_a_robot_that_knows_the_accuracy_of_its_sensor_at_one_moment_only_has_a_
 @pytest.mark.parametrize("memory", [2**31, 1024])
 def test_a_robot_that_knows_the_mean_accuracy_of_what_it_counted_has_a_small_error(memory: int) -> None:
     """The sensor ages. When the observations fill the memory, the robot halves its counts."""
-    assert final_error_of_ageing_swarm(peers.KnownMeanAccuracyRobot, memory) < 0.03
+    assert final_error_of_ageing_swarm(peers.KnownMeanAccuracyRobot, memory=memory) < 0.03
 
 
 # --- Memory ----------------------------------------------------------------------------------------------
@@ -600,7 +603,8 @@ def test_the_last_robots_of_a_swarm_of_20_are_the_liars(
 
     The number of liars is also listed for the errors of a swarm, which leave out its liars.
     """
-    swarm = [make_robot(WITHOUT_FILTER, robot_id, 0.9) for robot_id in range(20)]
+    accuracy = 0.9
+    swarm = [make_robot(WITHOUT_FILTER, robot_id, accuracy) for robot_id in range(20)]
 
     classes = [type(robot) for robot in swarm]
     assert classes == [honest_class] * (20 - liars) + [peers.Liar] * liars

@@ -69,9 +69,10 @@ def test_readings_of_successive_tiles_are_independent() -> None:
     In half of the cases the second reading of a tile repeats the first. The next tile is read afresh.
     """
     first_readings, _second_readings = first_and_second_readings(HalfRepeated)
-    readings_of_robot_0, _readings_of_robot_1 = first_readings.T
+    readings_of_robot_0 = first_readings[:, 0]  # of all tiles
+    readings_of_tiles, readings_of_next_tiles = readings_of_robot_0[:-1], readings_of_robot_0[1:]
 
-    correlation = pearsonr(readings_of_robot_0[:-1], readings_of_robot_0[1:]).statistic
+    correlation = pearsonr(readings_of_tiles, readings_of_next_tiles).statistic
 
     # The correlation of 20,000 independent pairs has a standard deviation of 0.007.
     assert correlation == pytest.approx(0, abs=0.03)

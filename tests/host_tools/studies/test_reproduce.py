@@ -244,8 +244,12 @@ def test_a_firmware_of_the_user_s_runs_in_the_60_swarms_of_asdf_minus_and_asdf_p
     size = StudySize(trials=2, steps=4000)
     experiments = own_experiments_of(StudyPart.DYNAMIC, size, firmware="mirror", filter_name=None)
 
+    filters, percentages, accuracies = 2, 3, 2
+    partly_flawed = filters * percentages * accuracies
+    wholly_flawed = accuracies
+    not_flawed = 1
     different_experiments = set(experiments)
-    assert len(experiments) == 4 * (2 * (2 * 3 + 1) + 1)
+    assert len(experiments) == 4 * (partly_flawed + wholly_flawed + not_flawed)
     assert len(different_experiments) == 60
     assert values_of(experiments, "firmware") == {"mirror"}
     assert values_of(experiments, "trials") == {2}

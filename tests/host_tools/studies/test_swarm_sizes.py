@@ -36,7 +36,10 @@ def seconds_of_next_trials(monkeypatch: pytest.MonkeyPatch) -> list[float]:
 def test_the_processor_time_of_a_trial_is_the_shortest_of_three_after_a_first_one_that_does_not_count(
     seconds_of_next_trials: list[float],
 ) -> None:
-    """The first of four trials would be the shortest. Of the other three the last one is."""
+    """The first of four trials would be the shortest. Of the other three the last one is.
+
+    The fixture is a list; in place of the next trials that are run, only so many seconds of it pass.
+    """
     seconds_of_next_trials += [1.0, 5.0, 7.0, 2.0]
     assert swarm_sizes.processor_seconds(Experiment(robots=2)) == 2.0
 
@@ -80,11 +83,12 @@ def step_costs_2_ns(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(swarm_sizes, "step_cost", lambda trials: np.full(2, 2.0))
 
 
-@pytest.mark.usefixtures("few_resamples")
-def test_a_cell_has_the_score_the_late_error_and_the_nanoseconds_of_a_robot_s_step(
-    step_costs_2_ns: None,
-) -> None:
-    """All robots converge at once without an error, worth 100 points. Later they estimate 0.6 for 0.5."""
+@pytest.mark.usefixtures("few_resamples", "step_costs_2_ns")
+def test_a_cell_has_the_score_the_late_error_and_the_nanoseconds_of_a_robot_s_step() -> None:
+    """All robots converge at once without an error, worth 100 points. Later they estimate 0.6 for 0.5.
+
+    A fixture lets the step of a robot cost 2 ns.
+    """
     trials = two_trials_with(fill_ratio=0.5, x=0.6)
     score, late_error, nanoseconds = "100.0", "0.100", "2"
     assert swarm_sizes.size_text([trials]) == f"{score}, {late_error}, {nanoseconds}"

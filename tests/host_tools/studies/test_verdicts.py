@@ -132,9 +132,9 @@ def test_comparisons_are_counted_by_whether_they_hold_fail_or_are_open() -> None
     """``count_holding`` counts comparisons by ``holds``: True, False, or None if the comparison is open."""
     nine_comparisons = make_comparisons(holding=4, failing=3, open_count=2)
 
-    assert count_holding(nine_comparisons, True) == 4
-    assert count_holding(nine_comparisons, False) == 3
-    assert count_holding(nine_comparisons, None) == 2
+    assert count_holding(nine_comparisons, holds=True) == 4
+    assert count_holding(nine_comparisons, holds=False) == 3
+    assert count_holding(nine_comparisons, holds=None) == 2
 
 
 AGREE, MIXED, DISAGREE, UNDECIDED = Verdict.AGREE, Verdict.MIXED, Verdict.DISAGREE, Verdict.UNDECIDED
@@ -170,7 +170,7 @@ def test_the_verdict_follows_from_how_many_comparisons_hold_and_from_how_many_th
     holding: int, failing: int, open_count: int, verdicts: Verdicts
 ) -> None:
     """For "most", three quarters must hold. UNDECIDED means that open comparisons may change the verdict."""
-    comparisons = make_comparisons(holding, failing, open_count)
+    comparisons = make_comparisons(holding=holding, failing=failing, open_count=open_count)
 
     assert verdict_of(comparisons, Scope.ALL) is verdicts.all_must_hold
     assert verdict_of(comparisons, Scope.MOST) is verdicts.most_must_hold

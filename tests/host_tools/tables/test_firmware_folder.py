@@ -182,9 +182,6 @@ def test_cmake_refuses_a_project_with_folders_of_two_versions(tmp_path: Path) ->
     assert f"another version ({own_version()}) than this folder (9.8.7)" in output_of_cmake
 
 
-FAIL_TO_COMPILE_UNLESS = "#if {}\n#else\n#error the filters are others\n#endif\n"
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("setting", "condition", "config", "config_of_missing_filter"),
@@ -213,7 +210,7 @@ def test_a_filter_that_is_switched_off_is_left_out_of_header_and_library(
     write_firmware_folder(tmp_path / "vendor/mcp_asdf", *OPTIONS_FOR_TABLE_OF_PROGRAM)
     config_with_table = "MCP_ASDF_CONFIG_ASDF(mcp_asdf_t_table_omega10_q30)"
     program_without_filter = PROGRAM_THAT_STARTS_A_ROBOT.replace(config_with_table, config)
-    check_of_header = FAIL_TO_COMPILE_UNLESS.format(condition)
+    check_of_header = f"#if !({condition})\n#error the header has other filters\n#endif\n"
     build_project(tmp_path, program_without_filter + check_of_header, f"-D{setting}=OFF")
     run_robot(tmp_path / "build/robot")
 
