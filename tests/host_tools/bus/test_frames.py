@@ -192,9 +192,10 @@ def test_the_example_frames_of_the_specification_are_what_robots_send() -> None:
     x is in units of 2**-23, and b_hat in units of 2**-24.
     """
     page = (ROOT / "docs/design.md").read_text(encoding="utf-8")
-    estimate = Estimate(42, x_hat=int(0.5 * 2**23), alpha=ALPHA_ONE, transfer_id=0)
+    estimate = Estimate(sender=42, x_hat=int(0.5 * 2**23), alpha=ALPHA_ONE, transfer_id=0)
     estimate_frame = encode_estimate(estimate, DEFAULT)
-    telemetry = Telemetry(42, x=int(0.75 * 2**23), b_hat=int(0.95 * 2**24), updates=7, transfer_id=5)
+    b_hat = int(0.95 * 2**24)
+    telemetry = Telemetry(sender=42, x=int(0.75 * 2**23), b_hat=b_hat, updates=7, transfer_id=5)
     telemetry_frame = encode_telemetry(telemetry, TELEMETRY_FORMAT)
 
     assert f"x_hat = 0.5 with alpha = 1.0, first broadcast: `{format_frame(estimate_frame)}`; " in page

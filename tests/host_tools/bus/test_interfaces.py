@@ -139,8 +139,8 @@ def test_equal_frames_of_several_senders_reach_all_others() -> None:
     choice = multicast(group=35)
     with choice.open() as bus_0, choice.open() as bus_1, choice.open(returns_own=True) as bus_2:
         for identifier in (1, 2, 1):
-            for sender in (bus_0, bus_1, bus_2):
-                sender.send(can.Message(arbitration_id=identifier), timeout=1)
+            for bus in (bus_0, bus_1, bus_2):
+                bus.send(can.Message(arbitration_id=identifier), timeout=1)
         received_counts = [len(receive_all(bus)) for bus in (bus_0, bus_1, bus_2)]
 
     assert received_counts == [2 * 3, 2 * 3, 3 * 3]

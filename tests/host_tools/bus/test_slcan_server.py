@@ -215,8 +215,9 @@ def test_a_slow_program_loses_whole_frames_and_the_bus_goes_on(
     slow_program.shutdown(socket.SHUT_WR)  # by which the server notices that the program leaves
     text = read_to_the_end(slow_program)
 
-    answer_to_opening, line_of_frame = ANSWER_OK, format_frame_line(FRAME_OF_ROBOT)
+    line_of_frame = format_frame_line(FRAME_OF_ROBOT)
     number_of_lines = text.count(line_of_frame)
+    answer_to_opening = ANSWER_OK
     assert text == answer_to_opening + line_of_frame * number_of_lines
 
 
@@ -233,7 +234,8 @@ def test_a_line_that_is_read_as_a_frame_is_what_the_server_writes_for_that_frame
     """
     frame = parse_frame(line)
     if frame is not None:
-        command, digits = line[:1], line[1:]
+        command = line[:1]
+        digits = line[1:]
         assert format_frame_line(frame) == command + digits.upper() + b"\r"
 
 

@@ -116,7 +116,7 @@ def test_the_same_command_writes_the_same_files_again(tmp_path: Path) -> None:
 def test_a_piped_output_has_steps_robots_results_and_the_line_that_repeats_the_run(capsys: Capture) -> None:
     """Lines of "step" and "robot" come during the run. The results come at its end.
 
-    Fields are separated by tabs. The first field of a result is its name.
+    Fields are separated by tabs. The first field of a result is its name: "run", "estimate" and so on.
     """
     options = "--robots 4 --steps 30 --filter-period 10 --seed 42"
     assert main(["swarm", *options.split()]) == 0
@@ -503,7 +503,8 @@ def test_the_last_line_of_a_comparison_describes_the_results_of_all_filters(caps
 
 def test_the_log_of_a_comparison_is_the_log_of_the_chosen_filter(tmp_path: Path) -> None:
     """A run with this filter and without a comparison writes the same log."""
-    log_alone, log_of_comparison = tmp_path / "alone.log", tmp_path / "compared.log"
+    log_alone = tmp_path / "alone.log"
+    log_of_comparison = tmp_path / "compared.log"
     options = [*COMPARED_SWARM, "--filter", "asdf-plus", "--steps", "100", "--quiet"]
     assert main([*options, "--log", str(log_alone)]) == 0
     assert main([*options, "--log", str(log_of_comparison), "--compare"]) == 0

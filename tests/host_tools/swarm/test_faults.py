@@ -583,8 +583,8 @@ def test_a_robot_whose_bus_is_off_goes_on_observing() -> None:
     bus_off = BusOff(rate=1.0, robots=frozenset({3}))
     faults = Faults([bus_off], seed=1, frame_format=FORMAT)
     faults.begin_tick(tick=0, nodes=[3])
-    assert faults.is_off_bus(3)
-    assert faults.robot_outage(3) is None
+    assert faults.is_off_bus(node=3)
+    assert faults.robot_outage(node=3) is None
 
 
 # Bits

@@ -119,7 +119,8 @@ def test_a_pipe_gets_each_change_of_b_hat_that_is_more_than_a_correction() -> No
     expected_lines = []
     for step in range(1, 391):
         for robot in range(8):
-            before, after = b_hat[step - 1][robot], b_hat[step][robot]
+            before = b_hat[step - 1][robot]
+            after = b_hat[step][robot]
             if abs(after - before) > 0.002:
                 expected_lines.append(f"robot\t{robot}\tstep\t{step}\tb_hat\t{before:.4f}\t{after:.4f}")
 

@@ -112,9 +112,9 @@ def largest_difference(first: Any, second: Any) -> float:
 def test_the_browser_decodes_the_values_links_and_positions_of_all_states(
     browser: Page, page_file: Path, history: History
 ) -> None:
-    """An exported web page holds values as 16-bit numbers, so they differ by one part in 65534 at most.
+    """An exported web page holds 16-bit numbers from 0 to 65534 for values from 0 to 1, and for positions.
 
-    The part of a value is of 1, and that of a position is of the arena's side.
+    So decoding gives numbers that differ by one part in 65534 at most, of 1 or of the arena's longest side.
     """
     open_file(browser, page_file)
     longest_side = max(SETTINGS.sides)
@@ -508,8 +508,9 @@ def test_a_robot_that_joins_a_bus_has_no_values_before(bus_browser: Page) -> Non
 
 
 def test_the_table_of_robots_has_a_row_for_each_robot_of_a_bus(bus_browser: Page) -> None:
-    """A row has id, time since the last frame, health, mode, frames a second, loss and five other values.
+    """A row has id, time since the last frame, health, mode, frames a second and loss.
 
+    Then come conflicts, x, b_hat, its updates, and jumps; x, b_hat and its updates are unknown (a dash).
     Robot 5 sent its last frame one second ago, and robot 9 ten seconds ago.
     """
     texts_of_rows = bus_browser.locator("#roster tbody tr").all_inner_texts()

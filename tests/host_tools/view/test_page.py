@@ -102,7 +102,7 @@ def test_each_robot_s_values_are_encoded_as_differences_to_the_state_before() ->
     A value of 1 is encoded as 65534, so 0.5 is 32767 and 0.25 is 16384. The values of x stand behind the
     numbers of steps of all states: first those of robot 0, then those of robot 1.
     """
-    states = [make_state(0, x=[0.5, 0]), make_state(1, x=[1, 0]), make_state(2, x=[1, 0.25])]
+    states = [make_state(tick=0, x=[0.5, 0]), make_state(tick=1, x=[1, 0]), make_state(tick=2, x=[1, 0.25])]
     data = bytes_of_states(states, robots=2)
 
     differences_of_robot_0 = [32767, 32767, 0]  # 0.5, another 0.5, nothing
@@ -116,7 +116,7 @@ def test_a_value_is_encoded_as_a_number_up_to_65534_and_an_unknown_one_as_65535(
     x: float, expected_number: int
 ) -> None:
     """Values below 0 and above 1 are encoded as these limits. A state has NaN for what is unknown."""
-    data = bytes_of_states([make_state(0, x=[x])], robots=1)
+    data = bytes_of_states([make_state(tick=0, x=[x])], robots=1)
     assert numbers_behind_step_numbers(data, count=1, states=1) == [expected_number]
 
 
@@ -126,7 +126,7 @@ def test_a_position_is_encoded_as_shares_of_the_arena_s_width_and_height() -> No
     So it has all of the width, which is encoded as 65534, and a quarter of the height, which is encoded as
     16384. These numbers stand behind the robot's four values.
     """
-    state = make_state(0, x=[0], positions=np.array([[2.0, -0.5]]))
+    state = make_state(tick=0, x=[0], positions=np.array([[2.0, -0.5]]))
     data = bytes_of_states([state], robots=1, sides=(4.0, 2.0))
 
     numbers = numbers_behind_step_numbers(data, count=4 + 2, states=1)
@@ -171,7 +171,7 @@ def test_links_between_more_than_128_robots_are_encoded_as_pairs_of_receiver_and
 @pytest.fixture(scope="module")
 def exported_page() -> str:
     """The page of a history whose title tries to end the script that it is in."""
-    return make_page(History(RunDescription("a </script> run", [0]), [make_state(0, x=[0.5])]))
+    return make_page(History(RunDescription("a </script> run", [0]), [make_state(tick=0, x=[0.5])]))
 
 
 def history_in(page: str) -> Any:

@@ -305,7 +305,7 @@ def test_a_pixel_of_the_drawn_floor_is_black_where_a_robot_would_observe_black(
     settings = SwarmSettings(robots=3, topology="dynamic", steps=1, **parameters)
     floor = SwarmRecorder(settings).history.description.floor
     assert floor is not None
-    arena = Arena(settings, 0)
+    arena = Arena(settings, trial=0)
     rows, columns = floor.shape
     corners = [(0, 0), (0, columns - 1), (rows - 1, 0)]
     inside = (17, 31)

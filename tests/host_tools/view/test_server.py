@@ -278,7 +278,7 @@ def test_two_open_pages_both_get_the_states_of_a_swarm() -> None:
     """
     history = history_of_running_swarm()
     with serve_page(history) as url, connect(url, request_for(url, "/events")) as first_page:
-        history.add(make_state(0))
+        history.add(make_state(tick=0))
         with connect(url, request_for(url, "/events")) as second_page:
             history.has_ended = True
             first_text = read_until_server_closes(first_page)

@@ -85,7 +85,7 @@ def test_a_seed_gives_the_same_bits_everywhere(settings: WorldSettings, name: st
 
     A difference in any tick changes all later positions, as robots meet and turn.
     """
-    motion = Arena(settings, trial=1).record(3000)
+    motion = Arena(settings, trial=1).record(ticks=3000)
     lines = list(describe_motion(motion))
     assert_equals_golden_file(f"motion_{name}.txt", lines)
 
@@ -101,11 +101,11 @@ def test_robots_move_the_same_way_however_many_ticks_are_taken_at_once() -> None
 
     All arrays of the motion, such as the positions by tick, are the same in the last 400 ticks.
     """
-    motion_in_500_ticks = Arena(CROWD, trial=7).record(500)
+    motion_in_500_ticks = Arena(CROWD, trial=7).record(ticks=500)
     arena = Arena(CROWD, trial=7)
     for ticks in (0, 1, 2, 97):
         arena.step(ticks)
-    motion_in_last_400 = arena.record(400)
+    motion_in_last_400 = arena.record(ticks=400)
     for name, values_by_tick in vars(motion_in_500_ticks).items():
         assert np.array_equal(getattr(motion_in_last_400, name), values_by_tick[100:]), name
 
@@ -113,7 +113,7 @@ def test_robots_move_the_same_way_however_many_ticks_are_taken_at_once() -> None
 def test_the_present_positions_are_those_after_the_last_tick() -> None:
     """They are compared with those that have been recorded in 50 ticks."""
     arena = Arena(CROWD, trial=7)
-    *_, positions_after_last_tick = arena.record(50).position
+    *_, positions_after_last_tick = arena.record(ticks=50).position
     assert np.array_equal(arena.positions, positions_after_last_tick)
 
 
@@ -126,7 +126,7 @@ FAST_CROWD = replace(CROWD, speed=0.8)
 @cache
 def motion_in_2000_ticks(settings: WorldSettings, trial: int) -> Motion:
     """Return the motion of robots in 2000 ticks, 200 s. Positions and headings are (ticks, robots, 2)."""
-    return Arena(settings, trial).record(2000)
+    return Arena(settings, trial).record(ticks=2000)
 
 
 @cache
@@ -239,7 +239,7 @@ def positions_and_links_after(ticks: int, arena: Arena) -> tuple[NDArray[np.floa
 
 def test_robots_in_between_cut_more_than_a_fifth_of_the_links_in_a_crowd() -> None:
     """After 200 ticks fewer than 0.8 of the pairs in range of each other's radio, 0.5 m, are linked."""
-    position, is_linked = positions_and_links_after(200, Arena(CROWD, trial=11))
+    position, is_linked = positions_and_links_after(ticks=200, arena=Arena(CROWD, trial=11))
     is_in_range = distances_of_pairs(position) < 0.5
     assert is_linked.any()
     assert is_linked.sum() < 0.8 * is_in_range.sum()
@@ -279,7 +279,7 @@ def test_a_search_in_a_grid_finds_the_same_pairs_of_robots_as_comparing_all(dens
     """
     arena = random_large_arena(density)
     assert candidates_of_search(arena) == candidates_by_definition(arena), arena.settings
-    arena.step(13)
+    arena.step(ticks=13)
     assert candidates_of_search(arena) == candidates_by_definition(arena), arena.settings
 
 
@@ -309,8 +309,8 @@ def bytes_per_robot(robots: int) -> float:
 
 def test_an_arena_needs_as_much_memory_for_each_of_10000_robots_as_for_each_of_1000() -> None:
     """A robot takes 1000 to 2000 bytes. With stored pairs this would grow with the number of robots."""
-    assert 1000 < bytes_per_robot(10_000) < 2000
-    assert bytes_per_robot(1000) == pytest.approx(bytes_per_robot(10_000), rel=0.01)
+    assert 1000 < bytes_per_robot(robots=10_000) < 2000
+    assert bytes_per_robot(robots=1000) == pytest.approx(bytes_per_robot(robots=10_000), rel=0.01)
 
 
 # ---------------------------------------------------------------- wheels
@@ -392,7 +392,7 @@ def test_robots_turn_away_from_obstacles_as_the_authors_controller_does() -> Non
     default_speed = 0.1414  # metres a second, which the arena in C has, too
     wheels, expected_wheels = WheelsInC(), WheelsByTheRules()
     states = set()
-    for ahead, left in random_vectors(4000):
+    for ahead, left in random_vectors(count=4000):
         expected_speed_and_spin = expected_wheels.steer(ahead, left, default_speed)
         assert wheels.steer(ahead, left) == pytest.approx(expected_speed_and_spin, abs=1e-12), (ahead, left)
         assert wheels.state == expected_wheels.state
@@ -475,8 +475,8 @@ def floor_like_a_qr_code(width: float, height: float) -> Arena:
 
 def test_a_picture_of_a_floor_like_a_qr_code_is_the_code() -> None:
     """A picture with a pixel for each of 100 x 100 modules, first row in the north, is the same array."""
-    picture = floor_like_a_qr_code(width=3, height=2).pixels(100, 100)
-    assert np.array_equal(picture, make_floor_code(0.448))
+    picture = floor_like_a_qr_code(width=3, height=2).pixels(columns=100, rows=100)
+    assert np.array_equal(picture, make_floor_code(fill_ratio=0.448))
 
 
 def test_a_floor_like_a_qr_code_lies_with_its_first_row_in_the_north() -> None:
@@ -484,7 +484,7 @@ def test_a_floor_like_a_qr_code_lies_with_its_first_row_in_the_north() -> None:
 
     The origin is in the middle of the floor, and y grows to the north.
     """
-    code = make_floor_code(0.448)  # by row and column
+    code = make_floor_code(fill_ratio=0.448)  # by row and column
     width, height = 3, 2
     floor = floor_like_a_qr_code(width, height)
     for row in range(100):
@@ -501,7 +501,7 @@ def test_a_corner_of_the_floor_has_the_colour_of_the_nearest_module(
     x: float, y: float, row: int, column: int
 ) -> None:
     """The floor is 3 m wide and 2 m high with its origin in the middle, and has 100 x 100 modules."""
-    code = make_floor_code(0.448)
+    code = make_floor_code(fill_ratio=0.448)
     floor = floor_like_a_qr_code(width=3, height=2)
     assert floor.is_black(x, y) == code[row, column]
 
@@ -513,7 +513,7 @@ def test_the_ground_sensor_is_in_the_right_front_of_a_robot(floor: dict[str, Any
     ``heading`` is the direction ahead as a vector of length 1, and ``black`` is what a robot sees.
     """
     arena = Arena(moving(robots=20, width=3, height=2, **floor), trial=9)
-    motion = arena.record(100)
+    motion = arena.record(ticks=100)
     for tick in range(100):
         for robot in range(20):
             x, y = motion.position[tick, robot]

@@ -82,7 +82,7 @@ def test_a_random_number_depends_on_seed_step_robot_trial_and_purpose_alone() ->
     """
     purpose, trial, robot = 1, 7, 2
     stream = Stream(purpose, seed=0x299F31D0_A4093822, trial=trial, robots=3)
-    words_of_steps_0_to_3 = stream.draw_words(4)[:, robot]  # from (steps, robots)
+    words_of_steps_0_to_3 = stream.draw_words(steps=4)[:, robot]  # from (steps, robots)
 
     key = (0xA4093822, 0x299F31D0)
     counter = (0, robot, trial, purpose)
@@ -93,24 +93,24 @@ def test_a_random_number_depends_on_seed_step_robot_trial_and_purpose_alone() ->
 def test_random_numbers_of_a_step_do_not_depend_on_the_first_step_asked_for(first_step: int) -> None:
     """Nine steps have the same numbers as among all twenty, although they are made for four steps at once."""
     stream = Stream(OBSERVATION_STREAM, SEED, trial=0, robots=3)
-    words_of_20_steps = stream.draw_words(20)
-    words_of_9_steps = stream.draw_words(9, first_step)
+    words_of_20_steps = stream.draw_words(steps=20)
+    words_of_9_steps = stream.draw_words(steps=9, first_step=first_step)
     assert np.array_equal(words_of_9_steps, words_of_20_steps[first_step : first_step + 9])
 
 
 def test_uniform_draws_are_the_middles_of_equal_intervals() -> None:
     """A draw is (word + 1/2) / 2**32, so that none is 0 or 1."""
     stream = Stream(SENSOR_STREAM, SEED, trial=0, robots=3)
-    words = stream.draw_words(5)
-    assert np.array_equal(stream.draw_uniforms(5), (words + 0.5) / 2.0**32)
+    words = stream.draw_words(steps=5)
+    assert np.array_equal(stream.draw_uniforms(steps=5), (words + 0.5) / 2.0**32)
 
 
 # --- Observations ----------------------------------------------------------------------------------------
 
 
-def draws_of_31_bits() -> NDArray[np.uint32]:
-    """Return the random numbers by which four robots observe in 200 steps of trial 0, by step and robot."""
-    words = Stream(OBSERVATION_STREAM, SEED, trial=0, robots=4).draw_words(200)
+def draw_31_bits(steps: int, robots: int) -> NDArray[np.uint32]:
+    """Return the random numbers by which robots observe in the first steps of trial 0, by step and robot."""
+    words = Stream(OBSERVATION_STREAM, SEED, trial=0, robots=robots).draw_words(steps)
     return words // np.uint32(2)
 
 
@@ -129,16 +129,17 @@ def test_each_random_number_becomes_black_with_the_probability_of_the_paper_s_eq
     world = make_world(robots=4, fill_ratio=0.4, true_accuracy=0.7, white_offset=white_offset)
     rightly_black = Fraction(2, 5) * Fraction(7, 10)
     wrongly_black = Fraction(3, 5) * (1 - accuracy_on_white)
-    expected_black = draws_of_31_bits() < float((rightly_black + wrongly_black) * 2**31)
+    random_numbers = draw_31_bits(steps=200, robots=4)
+    expected_black = random_numbers < float((rightly_black + wrongly_black) * 2**31)
 
-    assert np.array_equal(world.advance(200).black, expected_black)
+    assert np.array_equal(world.advance(steps=200).black, expected_black)
 
 
 def test_the_reported_accuracy_of_a_sensor_is_the_mean_of_those_on_black_and_on_white() -> None:
     """The accuracy on black tiles is 0.7, and that on white ones is lower by the offset, 0.125."""
     world = make_world(true_accuracy=0.7, white_offset=-0.125)
-    on_black, on_white = 0.7, 0.7 - 0.125
-    assert world.advance(200).accuracy == pytest.approx((on_black + on_white) / 2)
+    mean_of_both = (0.7 + (0.7 - 0.125)) / 2
+    assert world.advance(steps=200).accuracy == pytest.approx(mean_of_both)
 
 
 def test_moving_robots_observe_the_colour_under_them_with_the_accuracy_of_their_sensor() -> None:
@@ -147,11 +148,12 @@ def test_moving_robots_observe_the_colour_under_them_with_the_accuracy_of_their_
     A random number of 31 bits becomes black if it is below the probability of black, times 2**31.
     """
     settings = make_settings(topology="dynamic", fill_ratio=0.4, true_accuracy=0.75, white_offset=0.125)
-    is_on_black_tile = Arena(settings, trial=0).record(200).black.astype(bool)  # by step and robot
-    probability_of_black = np.where(is_on_black_tile, 0.75, 1 - 0.875)
-    expected_black = draws_of_31_bits() < probability_of_black * 2**31
+    is_on_black_tile = Arena(settings, trial=0).record(ticks=200).black.astype(bool)  # by step and robot
+    right_on_black, wrong_on_white = 0.75, 1 - (0.75 + 0.125)
+    probability_of_black = np.where(is_on_black_tile, right_on_black, wrong_on_white)
+    expected_black = draw_31_bits(steps=200, robots=4) < probability_of_black * 2**31
 
-    assert np.array_equal(World(settings).advance(200).black, expected_black)
+    assert np.array_equal(World(settings).advance(steps=200).black, expected_black)
 
 
 @pytest.mark.parametrize("topology", ["fully-connected", "dynamic"])
@@ -170,7 +172,7 @@ def test_a_draw_is_observed_as_black_only_if_it_is_below_the_probability_of_blac
     monkeypatch.setattr(Stream, "draw_words", draw_three_quarters)
     world = make_world(topology=topology, fill_ratio=1.0, true_accuracy=true_accuracy)
 
-    assert (world.advance(20).black == is_black).all()
+    assert (world.advance(steps=20).black == is_black).all()
 
 
 def test_robots_of_other_trials_and_seeds_observe_differently() -> None:
@@ -182,7 +184,7 @@ def test_robots_of_other_trials_and_seeds_observe_differently() -> None:
     ]
     sequences = set()
     for world in worlds:
-        observations = world.advance(200).black  # by step and robot
+        observations = world.advance(steps=200).black  # by step and robot
         for robot in range(4):
             sequences.add(tuple(observations[:, robot]))
 
@@ -191,8 +193,8 @@ def test_robots_of_other_trials_and_seeds_observe_differently() -> None:
 
 def test_what_a_robot_observes_does_not_depend_on_the_size_of_the_swarm() -> None:
     """The first four robots of thirty observe what four robots alone do."""
-    black_in_small_swarm = make_world(robots=4).advance(200).black  # by step and robot
-    black_in_large_swarm = make_world(robots=30).advance(200).black
+    black_in_small_swarm = make_world(robots=4).advance(steps=200).black  # by step and robot
+    black_in_large_swarm = make_world(robots=30).advance(steps=200).black
     assert np.array_equal(black_in_small_swarm, black_in_large_swarm[:, :4])
 
 
@@ -202,7 +204,7 @@ def test_what_a_robot_observes_does_not_depend_on_the_size_of_the_swarm() -> Non
 @pytest.mark.parametrize("period", [1, 3])
 def test_robots_observe_in_the_last_step_of_each_observation_period(period: int) -> None:
     """Steps are counted from 0, so with a period of 3 they observe in steps 2, 5, 8 and so on."""
-    observes = make_world(observation_period=period).advance(200).observes
+    observes = make_world(observation_period=period).advance(steps=200).observes
     steps_with_observations = np.flatnonzero(observes).tolist()
     assert steps_with_observations == list(range(period - 1, 200, period))
 
@@ -213,9 +215,9 @@ def test_a_world_is_the_same_however_many_steps_are_taken_at_once(changes: dict[
 
     The worlds differ in some settings, such as the topology.
     """
-    scene_at_once = make_world(**changes).advance(200)
+    scene_at_once = make_world(**changes).advance(steps=200)
     world = make_world(**changes)
-    scenes = [world.advance(steps) for steps in (7, 1, 130, 62)]
+    scenes = [world.advance(steps=steps) for steps in (7, 1, 130, 62)]
     for name in ("black", "observes", "neighbours", "accuracy"):
         joined_values = np.concatenate([getattr(scene, name) for scene in scenes])
         assert np.array_equal(joined_values, getattr(scene_at_once, name)), name
@@ -226,11 +228,11 @@ def test_observations_after_skipped_steps_are_the_same_as_if_these_had_been_take
     changes: dict[str, Any],
 ) -> None:
     """The last 63 of 200 steps have the same observations. The first 137 are skipped in two parts."""
-    scene_without_skipping = make_world(**changes).advance(200)
+    scene_without_skipping = make_world(**changes).advance(steps=200)
     world = make_world(**changes)
-    world.skip(7)
-    world.skip(130)
-    scene_after_skipping = world.advance(63)
+    world.skip(steps=7)
+    world.skip(steps=130)
+    scene_after_skipping = world.advance(steps=63)
 
     assert np.array_equal(scene_after_skipping.black, scene_without_skipping.black[7 + 130 :])
 
@@ -252,7 +254,7 @@ def test_a_world_taken_step_by_step_equals_a_world_of_all_steps_at_once(changes:
 
     Only moving robots have positions.
     """
-    scene = make_world(**changes).advance(200)
+    scene = make_world(**changes).advance(steps=200)
     stepped_world = SteppedWorld(make_settings(**changes))
     for step, expected_observations in enumerate(observations_by_step(scene)):
         assert list(stepped_world.step()) == expected_observations
@@ -266,7 +268,7 @@ def test_a_world_taken_step_by_step_equals_a_world_of_all_steps_at_once(changes:
 @pytest.mark.parametrize("topology", [{"topology": "fully-connected"}, {"topology": "graph", "graph": "0 1"}])
 def test_robots_that_do_not_move_have_no_positions(topology: dict[str, str]) -> None:
     """``positions`` is None if 200 steps are taken at once, and step by step."""
-    scene_at_once = make_world(**topology).advance(200)
+    scene_at_once = make_world(**topology).advance(steps=200)
     stepped_world = SteppedWorld(make_settings(**topology))
     stepped_world.step()
 
@@ -427,9 +429,9 @@ def test_every_setting_of_moving_robots_reaches_their_simulation_in_c() -> None:
     same_in_c = {"robots": 2, "width": 2.0, "height": 1.5, "speed": 0.1, "tile": 0.02, "fill_ratio": 0.4}
     settings = make_settings(**same_in_c, topology="dynamic", radio_range=0.5, steps_per_second=20, seed=11)
 
-    members_in_c, _ = make_config(settings, trial=0, ffi=_arena.ffi)
+    members_in_c, _picture_of_floor = make_config(settings, trial=0, ffi=_arena.ffi)
 
-    other_members = {"range": 0.5, "tick": 1 / 20, "seed": arena_seed(11, trial=0)}
+    other_members = {"range": 0.5, "tick": 1 / 20, "seed": arena_seed(seed=11, trial=0)}
     assert members_in_c == same_in_c | other_members
 
 
@@ -501,7 +503,7 @@ def test_accuracies_of_an_extension_may_be_alike_for_all_steps_or_robots(
     one_accuracy = np.array([[0.5]])  # in all steps, of all robots
     extension = extension_whose_advance_returns((one_accuracy, accuracies))
     sensors = CheckedSensors(extension, make_settings(robots=4))
-    on_black, on_white = sensors.advance(5)
+    on_black, on_white = sensors.advance(steps=5)
     assert on_black is one_accuracy
     assert on_white is accuracies
 
@@ -536,7 +538,7 @@ def test_accuracies_of_an_extension_of_a_wrong_shape_or_outside_0_to_1_are_refus
     sensors = CheckedSensors(extension, make_settings(robots=4))
 
     with pytest.raises(UsageError, match=expected_message):
-        sensors.advance(5)
+        sensors.advance(steps=5)
 
 
 def test_a_sensor_model_of_the_user_takes_the_place_of_the_built_in_one() -> None:
@@ -548,7 +550,7 @@ def test_a_sensor_model_of_the_user_takes_the_place_of_the_built_in_one() -> Non
         return extension_whose_advance_returns((on_black, on_white))
 
     sensor_model = make_sensor_model(make_settings(sensor=make_extension), trial=0)
-    on_black, on_white = sensor_model.advance(5)
+    on_black, on_white = sensor_model.advance(steps=5)
 
     assert on_black.tolist() == [[0.25]]
     assert on_white.tolist() == [[0.75]]
@@ -564,12 +566,13 @@ def test_a_sensor_that_breaks_its_promise_of_one_accuracy_is_refused() -> None:
             pass
 
         def advance(self, steps: int) -> Any:
-            on_black, on_white = np.array([[0.9]]), np.array([[0.8]])
+            on_black = np.array([[0.9]])
+            on_white = np.array([[0.8]])
             return on_black, on_white
 
     sensors = make_sensor_model(make_settings(sensor=Sensors), trial=0)
     with pytest.raises(UsageError, match="on white tiles that differ from those on black ones; remove has_"):
-        sensors.advance(5)
+        sensors.advance(steps=5)
 
 
 def test_right_neighbours_of_an_extension_are_passed_on_unchanged() -> None:
@@ -577,7 +580,7 @@ def test_right_neighbours_of_an_extension_are_passed_on_unchanged() -> None:
     neighbours = np.zeros((5, 4, 4), np.bool_)
     extension = extension_whose_advance_returns(neighbours)
     topology = CheckedTopology(extension, name="mine", robots=4)
-    assert topology.advance(5) is neighbours
+    assert topology.advance(steps=5) is neighbours
 
 
 @pytest.mark.parametrize(
@@ -599,7 +602,7 @@ def test_wrong_neighbours_of_an_extension_are_refused(
     extension = extension_whose_advance_returns(wrong_neighbours)
     topology = CheckedTopology(extension, name="mine", robots=4)
     with pytest.raises(UsageError, match=expected_message):
-        topology.advance(5)
+        topology.advance(steps=5)
 
 
 # --- Drifting sensors ------------------------------------------------------------------------------------
