@@ -135,7 +135,8 @@ def test_an_alpha_that_is_no_confidence_raises_and_changes_nothing(
     rejected, whether its sender and its x_hat are valid or both are not.
     """
     robot = make_used_robot(firmware)
-    state_before, counters_before = visible_state_without_rejected_count(robot), robot.counters
+    state_before = visible_state_without_rejected_count(robot)
+    counters_before = robot.counters
 
     with pytest.raises(ValueError, match="alpha is"):
         robot.receive(sender, x_hat, alpha)
@@ -319,8 +320,10 @@ def test_restoring_a_robot_from_a_number_raises(firmware: FixedPointFirmware) ->
 def test_no_robot_is_restored_from_bytes_that_no_robot_saved(firmware: FixedPointFirmware) -> None:
     """An image is the bytes of a saved robot. Here it is too short, too long, all zeros, or backwards."""
     image = image_with_80_observations_and_8_rounds_left(firmware)
-    without_last_byte, with_a_byte_more = image[:-1], image + b"\0"
-    all_zeros, backwards = bytes(IMAGE_SIZE), bytes(reversed(image))
+    without_last_byte = image[:-1]
+    with_a_byte_more = image + b"\0"
+    all_zeros = bytes(IMAGE_SIZE)
+    backwards = bytes(reversed(image))
 
     for wrong_image in (b"", without_last_byte, with_a_byte_more, all_zeros, backwards):
         assert status_of_restore(firmware, FITTING_CONFIG, wrong_image) == Status.ERR_IMAGE, wrong_image.hex()

@@ -104,8 +104,9 @@ def test_the_robust_filter_has_the_same_constants_in_c_and_python(name: str) -> 
 )
 def test_the_robust_filter_has_the_same_constants_in_integers_and_in_floats(name: str, unit: float) -> None:
     """The mirror computes with integers, whose unit is ``unit``, and the reference with floats."""
-    integer, number = getattr(robust_filter, name), getattr(robust_reference, name)
-    assert integer * unit == number
+    integer_of_mirror = getattr(robust_filter, name)
+    float_of_reference = getattr(robust_reference, name)
+    assert integer_of_mirror * unit == float_of_reference
 
 
 def test_an_accuracy_carries_no_information_at_the_same_limit_in_integers_and_in_floats() -> None:

@@ -113,7 +113,8 @@ def test_a_confidence_becomes_the_largest_alpha_word_not_above_it(units: int) ->
     word = alpha_word_from_units(units)
 
     mantissa, shift = word >> 8, word & 0xFF
-    units_of_word, units_of_next_word = mantissa << shift, (mantissa + 1) << shift
+    units_of_word = mantissa << shift
+    units_of_next_word = (mantissa + 1) << shift
     units_of_largest_word = (2**24 - 1) << 31  # the largest mantissa and the largest shift
     assert alpha_units(word) == units_of_word
     if units < units_of_largest_word:
@@ -351,7 +352,10 @@ def test_black_and_white_are_treated_alike(
     n = t * share // 2**32
     x_hat, alpha = estimate_after_observation(firmware, t, n, b_hat, z)
 
-    other_n, other_z, other_b_hat = t - n, Observation(1 - z), 2**32 - b_hat
+    # What was black is white, and a sensor that is right in a share b_hat is right in 1 - b_hat.
+    other_n = t - n
+    other_z = Observation(1 - z)
+    other_b_hat = 2**32 - b_hat
     with_other_colours = estimate_after_observation(firmware, t, other_n, b_hat, other_z)
     with_other_sensor = estimate_after_observation(firmware, t, n, other_b_hat, z)
     with_both = estimate_after_observation(firmware, t, other_n, other_b_hat, other_z)

@@ -316,7 +316,8 @@ def test_estimates_in_float64_are_right_to_the_last_bits(seed: int) -> None:
         n, t = draw_counts(rng)
         b = draw_accuracy(rng, n, t)
 
-        x_hat, exact_x_hat = local_estimate(n, t, b), local_estimate(n, t, Fraction(b))
+        x_hat = local_estimate(n, t, b)
+        exact_x_hat = local_estimate(n, t, Fraction(b))
 
         largest_error = 4 * ROUNDING / abs(2 * Fraction(b) - 1)
         assert abs(Fraction(x_hat) - exact_x_hat) <= largest_error, (n, t, b)
@@ -341,7 +342,8 @@ def test_confidences_in_float64_are_right_to_the_last_bits(seed: int) -> None:
         b = draw_accuracy(rng, n, t)
         exact_b = Fraction(b)
 
-        alpha, exact_alpha = local_confidence(n, t, b), local_confidence(n, t, exact_b)
+        alpha = local_confidence(n, t, b)
+        exact_alpha = local_confidence(n, t, exact_b)
 
         largest_relative_error = 8 * ROUNDING
         float_case = case_of_eq_4(local_estimate(n, t, b))
@@ -398,7 +400,8 @@ def test_means_of_estimates_in_float64_are_right_to_the_last_bits() -> None:
     for _ in range(100):
         own, *others = draw_estimates(rng)
 
-        social, informed = social_estimate(others), informed_estimate(own, others)
+        social = social_estimate(others)
+        informed = informed_estimate(own, others)
 
         four_roundings = 4 * float(ROUNDING)
         assert social == pytest.approx(float(exact_mean(others)), rel=four_roundings)
@@ -445,7 +448,8 @@ def test_t_scores_are_those_of_scipy_and_the_authors_have_one_degree_of_freedom_
     scipy computes the t above which there is a given probability.
     """
     probability_above = (1 - omega) / 2
-    paper_t, authors_t = t_score(m, omega), t_score(m, omega, AUTHORS)
+    paper_t = t_score(m, omega)
+    authors_t = t_score(m, omega, conventions=AUTHORS)
     assert paper_t == pytest.approx(stats.t.isf(probability_above, df=m - 1), rel=1e-9)
     assert authors_t == pytest.approx(stats.t.isf(probability_above, df=m), rel=1e-9)
 
@@ -566,7 +570,8 @@ def test_without_neighbours_their_estimate_is_a_half_and_their_confidence_0() ->
 
 def test_where_nobody_has_confidence_a_robot_believes_its_own_estimate() -> None:
     """The mean of all estimates, weighted by their confidences alpha, would be 0 by 0."""
-    own, neighbour = Estimate(x_hat=0.7, alpha=0.0), Estimate(x_hat=0.2, alpha=0.0)
+    own = Estimate(x_hat=0.7, alpha=0.0)
+    neighbour = Estimate(x_hat=0.2, alpha=0.0)
     assert informed_estimate(own, [neighbour]) == 0.7
 
 

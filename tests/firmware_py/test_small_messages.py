@@ -37,7 +37,8 @@ def test_a_message_has_the_bytes_that_the_specification_shows() -> None:
     """
     message = encode_message(sender=42, x_hat=ONE, alpha=alpha_word_from_float(1.0))
 
-    code_of_x_hat, code_of_alpha = 0xFFFF, 80
+    code_of_x_hat = 0xFFFF  # the largest of 16 bits
+    code_of_alpha = 80  # code 16 is 1/16, and each 16 codes double it
     word = (42 << 25) | (code_of_x_hat << 9) | code_of_alpha
     assert message == word.to_bytes(4, "little")
     assert message == bytes.fromhex("50FEFF55")
@@ -187,8 +188,8 @@ def test_a_confidence_in_9_bits_is_rounded_down_by_less_than_a_seventeenth_of_it
         code = encode_alpha(word, bits=9)
         decoded_word = decode_alpha(code, bits=9)
 
-        exact, decoded = alpha_units(word), alpha_units(decoded_word)
-        assert 16 / 17 * exact < decoded <= exact, hex(word)
+        units, decoded_units = alpha_units(word), alpha_units(decoded_word)
+        assert 16 / 17 * units < decoded_units <= units, hex(word)
 
 
 # --- The codec in C --------------------------------------------------------------------------------------
@@ -263,7 +264,8 @@ def test_c_and_python_encode_alpha_alike(c_library: Any) -> None:
 @pytest.mark.slow
 def test_every_word_of_32_bits_is_decoded_and_encoded_to_itself(tmp_path: Path) -> None:
     """A small message has 32 bits, and a program in C tries all of them."""
-    source, program = Path(__file__).with_name("every_small_message.c"), tmp_path / "every_small_message"
+    source = Path(__file__).with_name("every_small_message.c")
+    program = tmp_path / "every_small_message"
     include = f"-I{CORE.parent}"
     run(require("gcc", "gcc"), "-std=c99", "-O2", include, source, C_SOURCE, "-o", program)
 

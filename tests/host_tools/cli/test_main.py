@@ -372,7 +372,7 @@ def test_commands_for_swarms_and_robots_need_no_library_of_the_extra_study(tmp_p
     assert exit_codes == [0] * len(lines), errors
 
 
-MODULES_NEEDED_BY_LINES = {
+MISSING_MODULES_BY_COMMAND_LINE = {
     "simulate --steps 1000 --trials 1": "pyarrow",
     "sweep physical --output physical.parquet": "pyarrow",
     "score x.parquet": "pyarrow",
@@ -392,11 +392,12 @@ def test_commands_whose_libraries_are_not_installed_say_how_to_install_them_and_
 
     Each command prints two lines, and the second one names --help.
     """
-    lines, missing_modules = MODULES_NEEDED_BY_LINES.keys(), MODULES_NEEDED_BY_LINES.values()
+    lines = MISSING_MODULES_BY_COMMAND_LINE.keys()
+    missing_modules = MISSING_MODULES_BY_COMMAND_LINE.values()
 
     exit_codes, error_lines = run_commands_without_extras(lines, tmp_path)
 
-    messages = error_lines[::2]  # without the lines that name --help
+    messages = error_lines[::2]  # every first line, without those that name --help
     how_to_install = install_instruction("study")
     assert exit_codes == [2] * len(lines)
     assert list(tmp_path.iterdir()) == []

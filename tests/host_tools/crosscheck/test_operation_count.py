@@ -114,7 +114,10 @@ def test_workloads_with_64_observations_have_all_kinds_of_accuracies_and_counts(
     Its b_hat is in units of 2**-32, and n of its t tiles are black: none, two fifths or all. The accuracies
     b_hat are the least, 1/2, 0.95 and the largest. The last workload halves its memory.
     """
-    smallest_b_hat, one_half, b_hat_95, largest_b_hat = 2**12, 2**31, round(0.95 * 2**32), 2**32 - 2**12
+    smallest_b_hat = 2**12
+    one_half = 2**31
+    b_hat_95 = round(0.95 * 2**32)
+    largest_b_hat = 2**32 - 2**12
     expected_workloads = []
     for b_hat in (smallest_b_hat, one_half, b_hat_95, largest_b_hat):
         for n in (0, 25, 64):
@@ -351,7 +354,8 @@ def test_the_end_of_a_round_takes_longer_with_each_slot_that_the_robust_filter_f
 @pytest.mark.slow
 def test_a_step_takes_longer_than_an_observation_and_the_end_of_a_round(operations: Counts) -> None:
     """``step`` is both in one call. It is compared after 127 messages."""
-    step, settle = operations["step"]["m"][127], operations["settle"]["m"][127]
+    step = operations["step"]["m"][127]
+    settle = operations["settle"]["m"][127]
     shortest_observation = min(operations["observe"]["m"].values())
     assert step > shortest_observation + settle
 

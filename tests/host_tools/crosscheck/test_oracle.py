@@ -109,8 +109,10 @@ def test_bounds_of_alpha_have_room_for_an_alpha_word(n: int, b: Fraction) -> Non
     """
     exact = exact_alpha(n, t=10**6, b=b)
     too_small, too_large = alpha_error(n, t=10**6, b=b)
-    smallest_computed, largest_computed = exact * (1 - too_small), exact * (1 + too_large)
-    part_cut_off_by_24_bits, unit_of_small_words = Fraction(1, 2**23), Fraction(1, 2**24)
+    smallest_computed = exact * (1 - too_small)
+    largest_computed = exact * (1 + too_large)
+    part_cut_off_by_24_bits = Fraction(1, 2**23)
+    unit_of_small_words = Fraction(1, 2**24)
     smallest_word = smallest_computed * (1 - part_cut_off_by_24_bits) - unit_of_small_words
 
     lower, upper = alpha_bounds(n, t=10**6, b=b)

@@ -153,8 +153,9 @@ def test_a_decision_of_the_robust_test_that_hangs_on_rounding_is_left_open(
     with 554,154 a firmware that rounds may reject or not, and ``robust_test_outcome`` says None.
     """
     observations = Observations(n=black_count, t=10**6, dispersion=Fraction(1))
-    b_hat, centre, spread = Fraction(3, 4), Fraction(1, 2), Fraction(1, 32)
-    is_rejected = robust_test_outcome(observations, b_hat, centre, spread)
+    is_rejected = robust_test_outcome(
+        observations, b=Fraction(3, 4), centre=Fraction(1, 2), spread=Fraction(1, 32)
+    )
     assert is_rejected is expected_outcome
 
 
@@ -175,8 +176,10 @@ def test_supporters_are_more_than_two_of_five_unless_one_is_in_the_middle(
     there are enough supporters, or None if rounding may decide.
     """
     observations = Observations(n=3, t=4, dispersion=Fraction(1))
-    b_hat, centre = Fraction(3, 4), Fraction(0)
-    has_support = support_outcome(observations, b_hat, [Fraction(x) for x in estimates], centre)
+    exact_estimates = [Fraction(estimate) for estimate in estimates]
+    has_support = support_outcome(
+        observations, b=Fraction(3, 4), estimates=exact_estimates, centre=Fraction(0)
+    )
     assert has_support is expected_outcome
 
 

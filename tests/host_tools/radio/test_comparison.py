@@ -101,7 +101,8 @@ def test_an_alpha_with_another_mantissa_gets_no_hint(received_alpha_word: int) -
 
     It is larger by 1, or 0. The hint is empty.
     """
-    received, expected = estimate(alpha_word=received_alpha_word), estimate(alpha_word=0x9ABCDE05)
+    received = estimate(alpha_word=received_alpha_word)
+    expected = estimate(alpha_word=0x9ABCDE05)  # the mantissa, and 5 as the shift
     assert hint_of(received, expected) == ""
 
 
@@ -163,8 +164,9 @@ def test_the_text_of_a_difference_without_a_hint_ends_with_the_received_frames()
 
 def test_a_b_hat_is_described_as_a_fraction() -> None:
     """The received b_hat 0xC00000, in units of 2**-24, is described as 0.75."""
-    received, expected = telemetry(b_hat=0xC00000), telemetry(b_hat=0xABCDEF)
-    difference = difference_between(received=[received], expected=[expected])
+    difference = difference_between(
+        received=[telemetry(b_hat=0xC00000)], expected=[telemetry(b_hat=0xABCDEF)]
+    )
     assert difference.field == "b_hat"
     assert "b_hat 0xc00000 (0.7500000)" in difference.received
 

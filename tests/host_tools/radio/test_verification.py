@@ -248,7 +248,8 @@ def test_the_model_of_a_verification_ends_in_the_state_of_the_controller(run: Ob
 
     By then it has re-estimated b_hat often and, unless its memory is short, has observed many tiles.
     """
-    robot, model = run.controller.robot, run.verification.bench.model_robot
+    robot = run.controller.robot
+    model = run.verification.bench.model_robot
     assert isinstance(robot, FixedPointRobot)
     assert robot.state() == model.state()
     assert robot.counters == model.counters
@@ -357,7 +358,8 @@ def test_phases_that_do_not_apply_to_a_controller_are_left_out(
     config: dict[str, Any], omitted_phases: set[str]
 ) -> None:
     """Such are the phases of other filters, "halvings" for a long memory, or "long run" for a short one."""
-    planned_phases, _faults = plan_phases(settings_with_four_neighbours(right_setup(**config)), PHASES, TICKS)
+    settings = settings_with_four_neighbours(right_setup(**config))
+    planned_phases, _faults = plan_phases(settings, PHASES, ticks=25)
 
     names_of_planned_phases = {phase.name for phase in planned_phases}
     assert {phase.name for phase in PHASES} - names_of_planned_phases == omitted_phases
@@ -369,7 +371,7 @@ def test_each_fault_that_the_user_asks_for_is_one_more_phase() -> None:
     A fault's defaults are filled in: a liar lies in all cases, so its rate is 1.0.
     """
     settings = settings_with_four_neighbours(faults="loss=0.7,receivers=3 liar,robots=1,x=0")
-    phases, _faults = plan_phases(settings, phases_named("alone", "liar"), TICKS)
+    phases, _faults = plan_phases(settings, phases_named("alone", "liar"), ticks=25)
 
     assert [(phase.name, phase.fault) for phase in phases] == [
         ("alone", ""),
@@ -535,7 +537,8 @@ def test_a_wrong_controller_fails_in_the_phase_that_is_about_its_mistake(mistake
     assert str(verdict.difference).startswith(f'phase "{wrong_controller.phase}'), verdict
     outcomes = [phase.outcome for phase in verdict.phases]
     failed_index = outcomes.index("failed")
-    earlier_outcomes, later_outcomes = outcomes[:failed_index], outcomes[failed_index + 1 :]
+    earlier_outcomes = outcomes[:failed_index]
+    later_outcomes = outcomes[failed_index + 1 :]
     assert all(outcome == "passed" for outcome in earlier_outcomes)
     assert all(outcome == "not run" for outcome in later_outcomes)
 

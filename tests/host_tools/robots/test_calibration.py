@@ -168,7 +168,8 @@ def test_the_bias_is_the_error_of_a_robot_with_such_a_sensor() -> None:
     The sensor is right on 0.97 of the black tiles and on 0.87 of the white ones.
     """
     calibration = calibrate_with_accuracies(on_black=0.97, on_white=0.87)
-    right_black_observations, wrong_black_observations = round(0.97 * 400), round((1 - 0.87) * 600)
+    right_black_observations = round(0.97 * 400)
+    wrong_black_observations = round((1 - 0.87) * 600)  # of white tiles
     black_observations = right_black_observations + wrong_black_observations
 
     robot = setup_of_robot(1, "native", b_hat=calibration.b_hat).make_robot()

@@ -11,6 +11,7 @@ import signal
 import time
 from collections.abc import Sequence
 from itertools import cycle
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 from unittest.mock import Mock, call
@@ -496,9 +497,11 @@ def test_a_node_counts_suspicious_estimates_and_drops_those_of_ids_that_are_not_
 
     assert frames["delivered"] == 33 + 2  # of robot 6, and under the node's own id
     assert frames["refused"] == 32 + 2  # all but the first of robot 6, and those two
-    events = sorted((event["event"], event["sender"], event["estimates"]) for event in frames["events"])
-    two_under_its_own_id, one_jump, three_unknown = ("conflict", 5, 2), ("jump", 6, 1), ("unknown", 30, 3)
-    assert events == [two_under_its_own_id, one_jump, three_unknown]
+    assert sorted(frames["events"], key=itemgetter("sender")) == [
+        {"event": "conflict", "sender": 5, "estimates": 2},
+        {"event": "jump", "sender": 6, "estimates": 1},
+        {"event": "unknown", "sender": 30, "estimates": 3},
+    ]
 
 
 def test_a_node_warns_once_of_each_kind_of_suspicious_estimates_and_each_sender(
@@ -569,8 +572,8 @@ def test_a_node_that_is_asked_to_end_stops_after_its_tick_and_its_log_can_be_rep
     """
     arguments = [*options, "--log", f"{tmp_path}/run.log"]
     assert run_robot_3_until_it_is_asked_to_end(arguments, ending_signal) == exit_code
-    words_of_output = capsys.readouterr().out.split()
-    assert "1 ticks as robot 3; stopped" in " ".join(words_of_output)
+    output_in_one_line = " ".join(capsys.readouterr().out.split())  # it may be wrapped at any space
+    assert "1 ticks as robot 3; stopped" in output_in_one_line
     assert main(["replay", f"{tmp_path}/run.log"]) == 0
 
 
