@@ -22,7 +22,7 @@ from mcp_asdf_tools.studies.cells import (
     cell_of,
     cells_of,
     experiment_of,
-    own_experiments_of,
+    users_experiments_of,
 )
 
 if TYPE_CHECKING:
@@ -111,8 +111,8 @@ def run(args: argparse.Namespace) -> int:
     ]
     own_firmware, own_filter = firmware_and_filter_of_user(args)
     stores = open_stores(output_folder, study_parts, study_size, own_firmware, own_filter)
-    trials_by_cell, own_trials = _run_missing_trials(stores, workers, args)
-    study_results = StudyResults(trials_by_cell, own_trials)
+    trials_by_cell, users_trials = _run_missing_trials(stores, workers, args)
+    study_results = StudyResults(trials_by_cell, users_trials)
     decisions = decide(study_results)
     report.write_report(output_folder, study_results, decisions, study_size)
 
@@ -178,7 +178,7 @@ def open_stores(
     """
     from mcp_asdf_tools.common.files import make_folder
     from mcp_asdf_tools.experiments.store import Store
-    from mcp_asdf_tools.studies.study_results import own_name_of
+    from mcp_asdf_tools.studies.study_results import users_name_of
 
     try:
         # All experiments are made first: a wrong option must leave no folder behind.
@@ -189,18 +189,18 @@ def open_stores(
         has_users_choice = own_firmware != PAPERS_FIRMWARE or own_filter is not None
         if has_users_choice:
             for study_part in parts:
-                own_experiments = own_experiments_of(study_part, study_size, own_firmware, own_filter)
+                users_experiments = users_experiments_of(study_part, study_size, own_firmware, own_filter)
                 any_experiment, *_ = (
-                    own_experiments  # all have the firmware and the filter that give the name
+                    users_experiments  # all have the firmware and the filter that give the name
                 )
-                experiments_by_key[study_part, own_name_of(any_experiment)] = own_experiments
+                experiments_by_key[study_part, users_name_of(any_experiment)] = users_experiments
     except ParameterError as error:
         raise UsageError(f"--{error.key}: {error}") from error
     make_folder(folder)
     stores = {}
-    for (study_part, own_name), experiments in experiments_by_key.items():
-        file_name = f"{study_part.value}_{own_name}" if own_name else study_part.value
-        stores[study_part, own_name] = Store(folder / f"{file_name}.parquet", experiments)
+    for (study_part, users_name), experiments in experiments_by_key.items():
+        file_name = f"{study_part.value}_{users_name}" if users_name else study_part.value
+        stores[study_part, users_name] = Store(folder / f"{file_name}.parquet", experiments)
     return stores
 
 
@@ -221,16 +221,16 @@ def _run_missing_trials(
         missing_count = sum(store.missing_count for store in stores.values())
         print(f"{missing_count} trials to run", file=sys.stderr)
     trials_by_cell: dict[Cell, Trials] = {}
-    own_trials: dict[StudyPart, list[Trials]] = {}
+    users_trials: dict[StudyPart, list[Trials]] = {}
     with reporting_missing_trials(list(stores.values())):
-        for (study_part, own_name), store in stores.items():
-            label = f"{study_part.value} {own_name}".rstrip()
+        for (study_part, users_name), store in stores.items():
+            label = f"{study_part.value} {users_name}".rstrip()
             with progress(f"{label}: trials", store.missing_count, args.json) as report_progress:
                 run_sweep(store, workers, report_progress, args.scheduler)
             # Read from the file, which also has the trials of earlier runs.
             for trials in stream_experiments(store.output):
-                if own_name:  # the store is that of the user's firmware or filter
-                    own_trials.setdefault(study_part, []).append(trials)
+                if users_name:  # the store is that of the user's firmware or filter
+                    users_trials.setdefault(study_part, []).append(trials)
                 else:
                     trials_by_cell[cell_of(study_part, trials.experiment)] = trials
-    return trials_by_cell, own_trials
+    return trials_by_cell, users_trials

@@ -77,20 +77,20 @@ def ageing_rows() -> dict[str, list[Experiment]]:
 
     Each row has three shares of black floor, and all filters that make a difference.
     """
-    return {
-        kind + memory_label: m.grid(
-            **MOVING,
-            **parameters,
-            flawed_accuracy=0.95,
-            fill_ratio=[0.55, 0.75, 0.95],
-            memory=memory,
-            steps=40_000,
-            trials=30,
-            seed=90125,  # which no tuning has seen
-        )
-        for kind, parameters in KINDS_OF_AGEING.items()
-        for memory_label, memory in MEMORIES.items()
-    }
+    rows: dict[str, list[Experiment]] = {}
+    for kind, parameters in KINDS_OF_AGEING.items():
+        for memory_label, memory in MEMORIES.items():
+            rows[kind + memory_label] = m.grid(
+                **MOVING,
+                **parameters,
+                flawed_accuracy=0.95,
+                fill_ratio=[0.55, 0.75, 0.95],
+                memory=memory,
+                steps=40_000,
+                trials=30,
+                seed=90125,  # which no tuning has seen
+            )
+    return rows
 
 
 def peer_rows() -> dict[str, list[Experiment]]:

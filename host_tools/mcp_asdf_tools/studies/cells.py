@@ -23,6 +23,7 @@ FLAWED_PERCENTS = (0, 10, 30, 50, 100)
 
 FILTER_PERIODS = (1000, 2000, 4000)
 """tau, the steps from one filter step of a robot to the next."""
+SHORTEST_FILTER_PERIOD = FILTER_PERIODS[0]
 
 PAPERS_FIRMWARE, PAPERS_FILTERS = "native", ("none", "asdf-minus", "asdf-plus")
 """Firmware that runs the paper's filter here, and the paper's choices of ``Experiment.filter``."""
@@ -64,7 +65,7 @@ class Cell:
     flawed_accuracy: float
     flawed_percent: int
     filter: str = "none"
-    filter_period: int = FILTER_PERIODS[0]
+    filter_period: int = SHORTEST_FILTER_PERIOD
 
     @property
     def normal(self) -> Cell:
@@ -84,7 +85,7 @@ class Cell:
             # All robots are flawed, so all filter.
             filter_name = "asdf-plus"
         if filter_name == "none":
-            filter_period = FILTER_PERIODS[0]
+            filter_period = SHORTEST_FILTER_PERIOD
         return replace(self, filter=filter_name, flawed_accuracy=flawed_accuracy, filter_period=filter_period)
 
     @property
@@ -152,7 +153,7 @@ def cell_of(study_part: StudyPart, experiment: Experiment) -> Cell:
     return cell.normal
 
 
-def own_experiments_of(
+def users_experiments_of(
     study_part: StudyPart, study_size: StudySize, firmware: str, filter_name: str | None
 ) -> list[Experiment]:
     """Return the experiments of a part of the study that are run with a firmware or filter of the user's.
@@ -164,7 +165,7 @@ def own_experiments_of(
     cells = [
         cell
         for cell in cells_of(study_part)
-        if cell.filter != "none" and cell.filter_period == FILTER_PERIODS[0]
+        if cell.filter != "none" and cell.filter_period == SHORTEST_FILTER_PERIOD
     ]
     if filter_name is not None:
         cells = [replace(cell, filter=filter_name) for cell in cells]

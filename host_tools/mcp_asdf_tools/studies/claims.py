@@ -18,9 +18,9 @@ from typing import Any
 from mcp_asdf_tools.experiments.experiment import combinations
 from mcp_asdf_tools.robots.filters import FILTERS
 from mcp_asdf_tools.studies.cells import (
-    FILTER_PERIODS,
     FLAWED_ACCURACIES,
     FLAWED_PERCENTS,
+    SHORTEST_FILTER_PERIOD,
     Cell,
     StudyPart,
 )
@@ -84,7 +84,7 @@ class Contrast:
     flawed_accuracies: float | Sequence[float] = FLAWED_ACCURACIES
     flawed_percents: int | Sequence[int] = (10, 30, 50)
     filters: str | Sequence[str] = "none"
-    filter_periods: int | Sequence[int] = FILTER_PERIODS[0]
+    filter_periods: int | Sequence[int] = SHORTEST_FILTER_PERIOD
     than: str | Mapping[str, Any] | None = None
     level: str | float | None = None
 

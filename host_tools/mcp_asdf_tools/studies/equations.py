@@ -117,9 +117,9 @@ def confidence_increases_with_b_hat() -> list[Comparison]:
     for black_share in BLACK_SHARES:
         # 99 values of b_hat, 0.005 apart.
         alphas = [_alpha(black_share, b_hat) for b_hat in np.linspace(0.505, 0.995, 99)]
-        smallest_ratio = min(higher / lower for lower, higher in pairwise(alphas))
+        ratios = [alpha / alpha_before for alpha_before, alpha in pairwise(alphas)]
         column = "least ratio of alpha to that of a b_hat 0.005 lower, less 1"
-        comparisons.append(_compare_with_zero(f"n/t {black_share:g}", column, smallest_ratio - 1))
+        comparisons.append(_compare_with_zero(f"n/t {black_share:g}", column, min(ratios) - 1))
     return comparisons
 
 

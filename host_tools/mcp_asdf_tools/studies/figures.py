@@ -20,22 +20,20 @@ from mcp_asdf_tools.experiments.results import Trials
 from mcp_asdf_tools.experiments.trials import run_trials
 from mcp_asdf_tools.robots.filters import FILTERS
 from mcp_asdf_tools.studies.cells import (
-    FILTER_PERIODS,
     PAPERS_FIRMWARE,
+    SHORTEST_FILTER_PERIOD,
     Cell,
     StudyPart,
     StudySize,
     cell_of,
     experiment_of,
 )
-from mcp_asdf_tools.studies.study_results import StudyResults, own_name_of
+from mcp_asdf_tools.studies.study_results import StudyResults, users_name_of
 
-UNFILTERED: str = "none"
+NO_FILTER: str = "none"
 ASDF_MINUS: str = "asdf-minus"
 ASDF_PLUS: str = "asdf-plus"
 """Values of ``Experiment.filter``: no robot filters, only the flawed robots do, or all do."""
-
-SHORTEST_PERIOD = FILTER_PERIODS[0]
 
 PAPER_FIGURES = {
     "dynamic_asdf-minus": "3a",
@@ -49,13 +47,13 @@ PAPER_FIGURES = {
 }
 """Numbers of the paper's figures, by the name of the picture that shows the same."""
 
-UNFILTERED_SERIES_CELL = Cell(
+SERIES_CELL = Cell(
     study_part=StudyPart.FULLY_CONNECTED,
     fill_ratio=0.95,
     true_accuracy=0.55,
     flawed_accuracy=0.95,
     flawed_percent=50,
-    filter=UNFILTERED,
+    filter=NO_FILTER,
 )
 """The swarm of which the paper's figure 6 shows a trial, without a filter."""
 
@@ -98,10 +96,10 @@ def _trials_of_users_filter(
     ASDF+: if ``filter_name`` is ASDF-, trials with ASDF+ are then returned as ones with ASDF-.
     """
     selected = []
-    for trials in study_results.own_trials_of(study_part):
-        own_filter = trials.experiment.filter
-        is_users_filter = own_filter not in (ASDF_MINUS, ASDF_PLUS)
-        if is_users_filter or own_filter == filter_name:
+    for trials in study_results.users_trials_of(study_part):
+        filter_of_trials = trials.experiment.filter
+        is_users_filter = filter_of_trials not in (ASDF_MINUS, ASDF_PLUS)
+        if is_users_filter or filter_of_trials == filter_name:
             selected.append(trials)
         elif filter_name == ASDF_MINUS and _all_flawed(trials.experiment):
             selected.append(_as_asdf_minus(trials))
@@ -149,32 +147,31 @@ def _select_by_filter(
     study_results: StudyResults, study_part: StudyPart, filter_names: Sequence[str]
 ) -> list[Trials]:
     """Return the trials of a part's experiments with these filters, in the order of ``filter_names``."""
-    return [
-        trials
-        for filter_name in filter_names
-        for trials in study_results.trials_of(study_part)
-        if trials.experiment.filter == filter_name
-    ]
+    trials_of_part = study_results.trials_of(study_part)
+    selected: list[Trials] = []
+    for filter_name in filter_names:
+        selected += [trials for trials in trials_of_part if trials.experiment.filter == filter_name]
+    return selected
 
 
 def _select_with_shortest_period(
     study_results: StudyResults, study_part: StudyPart, filter_names: Sequence[str]
 ) -> list[Trials]:
-    """Return the trials of a part's experiments that have one of these filters, with SHORTEST_PERIOD.
+    """Return the trials of a part's experiments that have one of these filters, with its shortest period.
 
-    Experiments without a filter have no period, and are returned if ``filter_names`` has UNFILTERED. ASDF- is
-    another filter where no robot is flawed, or all are: none at P = 0 %, where P is the share of flawed
-    robots, and ASDF+ at P = 100 %. If ``filter_names`` has ASDF-, these experiments are returned as
-    experiments with ASDF-, too, since the study does not run them twice.
+    Experiments without a filter, which have no period, are returned if ``filter_names`` has NO_FILTER. If it
+    has ASDF-, two kinds of experiments are returned as ones with ASDF-, too: those without a filter and
+    without flawed robots, and those with ASDF+ in which all robots are flawed.
     """
-    unfiltered = _select_by_filter(study_results, study_part, [UNFILTERED])
+    unfiltered = _select_by_filter(study_results, study_part, [NO_FILTER])
     filtered = [
         trials
         for trials in _select_by_filter(study_results, study_part, [ASDF_MINUS, ASDF_PLUS])
-        if trials.experiment.filter_period == SHORTEST_PERIOD
+        if trials.experiment.filter_period == SHORTEST_FILTER_PERIOD
     ]
     selected = [trials for trials in [*unfiltered, *filtered] if trials.experiment.filter in filter_names]
-    # The study has run these swarms once, under the name of the other filter.
+    # With ASDF- only flawed robots filter. So without flawed robots it is no filter, and if all are flawed it
+    # is ASDF+: the study has run these swarms once, under the name of the other filter.
     if ASDF_MINUS in filter_names:
         same_as_asdf_minus = [trials for trials in unfiltered if trials.experiment.flawed == 0]
         same_as_asdf_minus += [trials for trials in filtered if _all_flawed(trials.experiment)]
@@ -192,7 +189,7 @@ def _draw_score_boxes(study_results: StudyResults, study_part: StudyPart, filter
 
     A box shows the trials of one experiment.
     """
-    experiments = _select_by_filter(study_results, study_part, [UNFILTERED, filter_name])
+    experiments = _select_by_filter(study_results, study_part, [NO_FILTER, filter_name])
     users_trials = _trials_of_users_filter(study_results, study_part, filter_name)
     if filter_name == ASDF_MINUS:
         # Where all robots are flawed, ASDF- is ASDF+, whose picture shows these swarms.
@@ -222,15 +219,15 @@ def _draw_score_scatters(study_results: StudyResults, study_part: StudyPart) -> 
     It shows swarms without a filter, and with ASDF- and ASDF+ where their period tau is the shortest one. A
     firmware or filter of the user's has a picture for itself, since both would not fit.
     """
-    experiments = _select_with_shortest_period(study_results, study_part, [UNFILTERED, ASDF_MINUS, ASDF_PLUS])
+    experiments = _select_with_shortest_period(study_results, study_part, [NO_FILTER, ASDF_MINUS, ASDF_PLUS])
     yield _make_picture(
         name=f"{study_part.value}_scatter",
-        title=f"Accuracy against convergence of {study_part.label} swarms, tau = {SHORTEST_PERIOD}",
+        title=f"Accuracy against convergence of {study_part.label} swarms, tau = {SHORTEST_FILTER_PERIOD}",
         figure=scatter.plot_scatter(experiments),
     )
-    users_trials = study_results.own_trials_of(study_part)
+    users_trials = study_results.users_trials_of(study_part)
     if users_trials:
-        users_name = own_name_of(users_trials[0].experiment)
+        users_name = users_name_of(users_trials[0].experiment)
         yield _make_picture(
             name=f"{study_part.value}_scatter_{users_name}",
             title=f"The same with {users_name}",
@@ -250,7 +247,7 @@ def _draw_b_hat_bands(study_results: StudyResults, study_part: StudyPart) -> Pic
     ]
     return _make_picture(
         name=f"{study_part.value}_bands",
-        title=f"b_hat of all robots of {study_part.label} swarms with ASDF+, tau = {SHORTEST_PERIOD}",
+        title=f"b_hat of all robots of {study_part.label} swarms with ASDF+, tau = {SHORTEST_FILTER_PERIOD}",
         figure=bands.plot_bands(experiments),
     )
 
@@ -263,12 +260,12 @@ def _draw_boxes_by_topology(study_results: StudyResults, filter_name: str) -> Pi
     """
     experiments: list[Trials] = []
     for study_part in (StudyPart.DYNAMIC, StudyPart.FULLY_CONNECTED):
-        experiments += _select_with_shortest_period(study_results, study_part, [UNFILTERED, filter_name])
+        experiments += _select_with_shortest_period(study_results, study_part, [NO_FILTER, filter_name])
         experiments += _trials_of_users_filter(study_results, study_part, filter_name)
     filters_shown = f"without filter and with {FILTERS[filter_name].typeset_term}"
     return _make_picture(
         name=f"topologies_{filter_name}",
-        title=f"H in both topologies {filters_shown}, tau = {SHORTEST_PERIOD}",
+        title=f"H in both topologies {filters_shown}, tau = {SHORTEST_FILTER_PERIOD}",
         figure=boxes.plot_boxes(experiments, series_name=_topology_and_filter),
     )
 
@@ -283,16 +280,16 @@ def _draw_single_trials(study_results: StudyResults, study_size: StudySize) -> P
     """Draw what each robot estimates and assumes over time, in one trial without a filter and one with ASDF+.
 
     With a firmware or filter of the user's there is one with that, too. All are trial SERIES_TRIAL of the
-    swarm of UNFILTERED_SERIES_CELL. They are run again here with the steps and the seed of ``study_size``,
+    swarm of SERIES_CELL. They are run again here with the steps and the seed of ``study_size``,
     and recorded every SERIES_SAMPLING_INTERVAL steps.
     """
     experiments = [
-        experiment_of(replace(UNFILTERED_SERIES_CELL, filter=filter_name), study_size)
-        for filter_name in (UNFILTERED, ASDF_PLUS)
+        experiment_of(replace(SERIES_CELL, filter=filter_name), study_size)
+        for filter_name in (NO_FILTER, ASDF_PLUS)
     ]
     for trials in _trials_of_users_filter(study_results, StudyPart.FULLY_CONNECTED, ASDF_PLUS):
-        own_cell = cell_of(StudyPart.FULLY_CONNECTED, trials.experiment)
-        is_swarm_of_series = replace(own_cell, filter=UNFILTERED) == UNFILTERED_SERIES_CELL
+        cell = cell_of(StudyPart.FULLY_CONNECTED, trials.experiment)
+        is_swarm_of_series = replace(cell, filter=NO_FILTER) == SERIES_CELL
         if is_swarm_of_series:
             experiments.append(trials.experiment)
     # The study keeps no values over time, but a trial that is run again gives the same values.

@@ -109,12 +109,16 @@ class RememberingRobot(ReferenceRobot):
     @property
     def x_bar(self) -> float:
         """The running mean of the received estimates; 1/2 before the first one."""
-        return self._weighted_sum / self._weight if self._weight else 0.5
+        if self._weight == 0:
+            return 0.5
+        return self._weighted_sum / self._weight
 
     @property
     def x(self) -> float:
         """The running mean of the received estimates; the own estimate before the first one."""
-        return self._weighted_sum / self._weight if self._weight else self.x_hat
+        if self._weight == 0:
+            return self.x_hat
+        return self._weighted_sum / self._weight
 
 
 class BayesCpfRobot(ReferenceRobot):

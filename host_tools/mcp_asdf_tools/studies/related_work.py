@@ -103,17 +103,17 @@ def _with_flawed_robots(firmwares: list[Any]) -> dict[str, Any]:
 
 def _rows_of_swarms(swarms: dict[str, dict[str, Any]], steps: int) -> dict[str, list[Experiment]]:
     """Return the experiments of each swarm, with both kinds of flaws, by labels that end in that kind."""
-    return {
-        f"{label}, {flaw}": m.grid(
-            **swarm,
-            **accuracies,
-            steps=steps,
-            trials=6,
-            seed=4714,  # which no tuning has seen
-        )
-        for label, swarm in swarms.items()
-        for flaw, accuracies in FLAWS.items()
-    }
+    rows: dict[str, list[Experiment]] = {}
+    for label, swarm in swarms.items():
+        for flaw, accuracies in FLAWS.items():
+            rows[f"{label}, {flaw}"] = m.grid(
+                **swarm,
+                **accuracies,
+                steps=steps,
+                trials=6,
+                seed=4714,  # which no tuning has seen
+            )
+    return rows
 
 
 def early_errors(trials: Trials) -> Sample:

@@ -16,9 +16,15 @@ from mcp_asdf_tools.common.files import make_folder, write_atomically
 from mcp_asdf_tools.common.versions import software_versions
 from mcp_asdf_tools.experiments.scores import E_MAX
 from mcp_asdf_tools.studies.bootstrap import RESAMPLES
-from mcp_asdf_tools.studies.cells import StudyPart, StudySize, cells_of, experiment_of
+from mcp_asdf_tools.studies.cells import (
+    SHORTEST_FILTER_PERIOD,
+    StudyPart,
+    StudySize,
+    cells_of,
+    experiment_of,
+)
 from mcp_asdf_tools.studies.claims import LEVELS, QUESTIONS, SIZES, Decision
-from mcp_asdf_tools.studies.figures import SHORTEST_PERIOD, Picture, draw_pictures
+from mcp_asdf_tools.studies.figures import Picture, draw_pictures
 from mcp_asdf_tools.studies.study_results import StudyResults
 from mcp_asdf_tools.studies.verdicts import (
     CONFIDENCE,
@@ -121,8 +127,8 @@ def render_markdown(
         runs=[_describe_run(study_part, study_size) for study_part in study_results.parts],
         versions=", ".join(f"{name} {version}" for name, version in software_versions().items()),
         pictures=pictures,
-        own_name=study_results.own_name,
-        own_period=SHORTEST_PERIOD,  # that of a filter or firmware of the user's
+        users_name=study_results.users_name,
+        users_period=SHORTEST_FILTER_PERIOD,  # that of a filter or firmware of the user's
         # Functions and constants that the template uses: how claims are shown, and the limits of verdicts
         Verdict=Verdict,
         heading_of=heading_of,
@@ -325,12 +331,16 @@ def decisions_as_json(decisions: Sequence[Decision], study_size: StudySize) -> l
     The part is None where equations decide. The verdict is None if the trials are fewer or shorter than the
     paper's.
     """
-    return [
-        {
-            "claim": decision.claim.name,
-            "part": decision.study_part.value if decision.study_part else None,
-            "verdict": decision.verdict.value if study_size.allows_verdicts else None,
-            "numbers": summarize(decision),
-        }
-        for decision in decisions
-    ]
+    records: list[dict[str, object]] = []
+    for decision in decisions:
+        part_name = decision.study_part.value if decision.study_part else None
+        verdict = decision.verdict.value if study_size.allows_verdicts else None
+        records.append(
+            {
+                "claim": decision.claim.name,
+                "part": part_name,
+                "verdict": verdict,
+                "numbers": summarize(decision),
+            }
+        )
+    return records

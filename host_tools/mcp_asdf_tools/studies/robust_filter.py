@@ -328,11 +328,10 @@ def draw_errors(grid: Rows, worlds: Rows) -> Figure:
         "30 % flawed and 5 liars": worlds["moving, 5 liars"],
         "50 % flawed": grid["moving, 50 % flawed"],
     }
-    panels = {
-        f"{column}, {flaw}": select_experiments(experiments, where=sensor_parameters)
-        for flaw, sensor_parameters in FLAWS.items()
-        for column, experiments in columns.items()
-    }
+    panels: dict[str, list[Trials]] = {}
+    for flaw, sensor_parameters in FLAWS.items():  # a row of panels for each kind of flaws
+        for column, experiments in columns.items():
+            panels[f"{column}, {flaw}"] = select_experiments(experiments, where=sensor_parameters)
     figure = plot_errors_over_time(panels)
     figure.supxlabel("step")  # instead of the caption, which the page has
     return figure

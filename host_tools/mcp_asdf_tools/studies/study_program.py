@@ -11,6 +11,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -89,21 +90,20 @@ def run_rows(
     trials are also written into ``FOLDER/name.parquet``, with x, every robot's estimate, at every
     ``record``-th step. If an earlier call was interrupted, only what the file lacks is run.
     """
+    experiments_to_run: dict[str, Sequence[Experiment]] = dict(experiments_by_row)
     if arguments.quick:
-        experiments_by_row = {
-            label: [_shorten(experiment) for experiment in experiments]
-            for label, experiments in experiments_by_row.items()
-        }
+        for label, experiments in experiments_by_row.items():
+            experiments_to_run[label] = [_shorten(experiment) for experiment in experiments]
     # One call for all rows, so that no worker waits at the end of each row.
-    all_experiments = [experiment for row in experiments_by_row.values() for experiment in row]
+    all_experiments = list(chain.from_iterable(experiments_to_run.values()))
     make_folder(arguments.folder)
     output = arguments.folder / f"{name}.parquet"
     table = m.simulate(all_experiments, output, workers=arguments.workers, record=record)
     trials_by_experiment = {trials.experiment: trials for trials in m.experiments_in(table)}
-    return {
-        label: [trials_by_experiment[experiment] for experiment in experiments]
-        for label, experiments in experiments_by_row.items()
-    }
+    rows: dict[str, list[Trials]] = {}
+    for label, experiments in experiments_to_run.items():
+        rows[label] = [trials_by_experiment[experiment] for experiment in experiments]
+    return rows
 
 
 def _shorten(experiment: Experiment) -> Experiment:
@@ -270,8 +270,8 @@ def markdown_table(head: str, rows: Rows, text_of: Callable[[Sequence[Trials]], 
     for row in rows:
         texts: list[str] = []
         for column in columns:
-            experiments_of_cell = cells.get((row, column), [])
-            texts.append(text_of(experiments_of_cell) if experiments_of_cell else "")
+            is_empty = (row, column) not in cells
+            texts.append("" if is_empty else text_of(cells[row, column]))
         lines.append(f"| {row} | {' | '.join(texts)} |")
     return "\n".join(lines)
 

@@ -42,17 +42,17 @@ class StudyResults:
     def __init__(
         self,
         trials_by_cell: Mapping[Cell, Trials],
-        own_trials: Mapping[StudyPart, Sequence[Trials]] | None = None,
+        users_trials: Mapping[StudyPart, Sequence[Trials]] | None = None,
     ) -> None:
         """Keep trials by cell; every cell must be a normal one, equal to its ``Cell.normal``.
 
-        ``own_trials`` are those of ``own_experiments_of``, which stand beside them in pictures; no claim is
-        about them.
+        ``users_trials`` are those of ``users_experiments_of``, which stand beside them in pictures; no claim
+        is about them.
         """
         self._trials_by_cell = dict(trials_by_cell)
-        self._own_trials = dict(own_trials or {})
+        self._users_trials = dict(users_trials or {})
         self._scores = {cell: trials.scores() for cell, trials in trials_by_cell.items()}
-        self._measured: dict[tuple[Cell, str], Resampled] = {}
+        self._computed_measures: dict[tuple[Cell, str], Resampled] = {}
 
     @property
     def parts(self) -> list[StudyPart]:
@@ -64,17 +64,17 @@ class StudyResults:
         """Return the trials of all cells of a part, a list entry for each cell."""
         return [trials for cell, trials in self._trials_by_cell.items() if cell.study_part is study_part]
 
-    def own_trials_of(self, study_part: StudyPart) -> Sequence[Trials]:
+    def users_trials_of(self, study_part: StudyPart) -> Sequence[Trials]:
         """Return the trials of a firmware or filter of the user's in a part, if there is one."""
-        return self._own_trials.get(study_part, ())
+        return self._users_trials.get(study_part, ())
 
     @property
-    def own_name(self) -> str:
-        """The firmware or filter of the user's that these results have, such as "beta"; empty without one."""
-        for own_trials in self._own_trials.values():
+    def users_name(self) -> str:
+        """The name of the user's firmware or filter in these results, such as "beta"; empty without one."""
+        for users_trials in self._users_trials.values():
             # All trials have the same name, so that of the first ones will do.
-            if own_trials:
-                return own_name_of(own_trials[0].experiment)
+            if users_trials:
+                return users_name_of(users_trials[0].experiment)
         return ""
 
     def sample(self, cell: Cell, name: str) -> Sample:
@@ -97,9 +97,9 @@ class StudyResults:
         - "rank correlation of h_K and h_e": Spearman's coefficient over the trials
         """
         key = (cell.normal, name)  # many claims compare the same cells, and resampling is what takes long
-        if key not in self._measured:
-            self._measured[key] = self._compute_measure(cell.normal, name)
-        return self._measured[key]
+        if key not in self._computed_measures:
+            self._computed_measures[key] = self._compute_measure(cell.normal, name)
+        return self._computed_measures[key]
 
     def _compute_measure(self, cell: Cell, name: str) -> Resampled:
         """Compute the measure called ``name`` of a cell, one kind of swarm, with its bootstrap resamples."""
@@ -130,7 +130,7 @@ class StudyResults:
         return {"K": max(k_differences), "e": max(e_differences)}
 
 
-def own_name_of(experiment: Experiment) -> str:
+def users_name_of(experiment: Experiment) -> str:
     """Return the name of an experiment's firmware, or filter, that is not the paper's, such as "beta".
 
     The name is "beta_robust" if neither is the paper's, and an empty text if both are.

@@ -66,21 +66,21 @@ def two_readings_rows() -> dict[str, list[Experiment]]:
         {"filter": ["none", "asdf-minus", "robust"], "observation_period": READINGS_OF_TILE},
         {"firmware": TwoReadingsRobot, "filter": "robust"},
     ]
-    return {
-        f"{label}, {flaw}": m.grid(
-            **MOVING,
-            **accuracies,
-            **swarm,
-            robots_and_filters=robots_and_filters,
-            comms_period=READINGS_OF_TILE,
-            filter_period=READINGS_OF_TILE * 1000,
-            steps=READINGS_OF_TILE * 10_000,
-            trials=6,
-            seed=4715,  # which no tuning has seen
-        )
-        for flaw, accuracies in FLAWS.items()
-        for label, swarm in SWARMS.items()
-    }
+    rows: dict[str, list[Experiment]] = {}
+    for flaw, accuracies in FLAWS.items():
+        for label, swarm in SWARMS.items():
+            rows[f"{label}, {flaw}"] = m.grid(
+                **MOVING,
+                **accuracies,
+                **swarm,
+                robots_and_filters=robots_and_filters,
+                comms_period=READINGS_OF_TILE,
+                filter_period=READINGS_OF_TILE * 1000,
+                steps=READINGS_OF_TILE * 10_000,
+                trials=6,
+                seed=4715,  # which no tuning has seen
+            )
+    return rows
 
 
 def harm_text(experiments: Sequence[Trials]) -> str:

@@ -11,7 +11,7 @@ import pytest
 
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.plots import bands, boxes, scatter, series
-from mcp_asdf_tools.studies.cells import StudyPart, StudySize, cells_of, experiment_of, own_experiments_of
+from mcp_asdf_tools.studies.cells import StudyPart, StudySize, cells_of, experiment_of, users_experiments_of
 from mcp_asdf_tools.studies.figures import Picture, draw_pictures
 from mcp_asdf_tools.studies.study_results import StudyResults
 
@@ -32,7 +32,7 @@ class ResultsWithoutTrials(StudyResults):
         own: dict[StudyPart, Any] = {}
         if (firmware, own_filter) != ("native", None):
             for study_part in parts:
-                experiments = own_experiments_of(study_part, SHORT_STUDY, firmware, own_filter)
+                experiments = users_experiments_of(study_part, SHORT_STUDY, firmware, own_filter)
                 own[study_part] = [ExperimentOnly(experiment) for experiment in experiments]
         super().__init__({}, own)
         self._parts = [study_part for study_part in StudyPart if study_part in parts]

@@ -22,7 +22,7 @@ from mcp_asdf_tools.cli import reproduce
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.experiments.trials import Job, run_trials
 from mcp_asdf_tools.studies import report
-from mcp_asdf_tools.studies.cells import Cell, StudyPart, StudySize, experiment_of, own_experiments_of
+from mcp_asdf_tools.studies.cells import Cell, StudyPart, StudySize, experiment_of, users_experiments_of
 from mcp_asdf_tools.studies.claims import CLAIMS, Claim, Decision, decide
 from mcp_asdf_tools.studies.study_results import StudyResults
 from support import ROOT
@@ -242,7 +242,7 @@ def test_a_firmware_of_the_user_s_runs_in_the_60_swarms_of_asdf_minus_and_asdf_p
     none is. The swarms have the study's trials and steps, and the shortest filter period.
     """
     size = StudySize(trials=2, steps=4000)
-    experiments = own_experiments_of(StudyPart.DYNAMIC, size, firmware="mirror", filter_name=None)
+    experiments = users_experiments_of(StudyPart.DYNAMIC, size, firmware="mirror", filter_name=None)
 
     filters, percentages, accuracies = 2, 3, 2
     partly_flawed = filters * percentages * accuracies
@@ -260,7 +260,9 @@ def test_a_firmware_of_the_user_s_runs_in_the_60_swarms_of_asdf_minus_and_asdf_p
 
 def test_a_filter_of_the_user_s_runs_once_where_asdf_minus_and_asdf_plus_are_two_swarms() -> None:
     """The paper's two filters have 60 swarms. 24 of these differ only in the filter from another one."""
-    experiments = own_experiments_of(StudyPart.DYNAMIC, StudySize(), firmware="native", filter_name="robust")
+    experiments = users_experiments_of(
+        StudyPart.DYNAMIC, StudySize(), firmware="native", filter_name="robust"
+    )
 
     different_experiments = set(experiments)
     assert len(experiments) == 60 - 24
@@ -306,14 +308,14 @@ def reported_results(monkeypatch: pytest.MonkeyPatch) -> list[StudyResults]:
 def test_the_report_is_made_with_the_trials_that_ran_with_a_filter_of_the_user_s(
     copied_study: Path, reported_results: list[StudyResults]
 ) -> None:
-    """The results that the report gets have the filter as ``own_name``, and trials of its experiments."""
+    """The results that the report gets have the filter as ``users_name``, and trials of its experiments."""
     run_short_study(copied_study, "--filter", "robust")
 
     [results_of_report] = reported_results
-    assert results_of_report.own_name == "robust"
-    own_trials = results_of_report.own_trials_of(StudyPart.PHYSICAL)
+    assert results_of_report.users_name == "robust"
+    users_trials = results_of_report.users_trials_of(StudyPart.PHYSICAL)
     size = StudySize(trials=2, steps=4000)
-    assert [trials.experiment for trials in own_trials] == own_experiments_of(
+    assert [trials.experiment for trials in users_trials] == users_experiments_of(
         StudyPart.PHYSICAL, size, firmware="native", filter_name="robust"
     )
 
