@@ -287,7 +287,8 @@ def test_the_smallest_confidence_is_enough_for_a_robot_to_vote(
     """
     mirror = restore_robust_robot(MirrorRobot, t=1, estimates=[0], turn=1, votes=1)
     assert isinstance(mirror, MirrorRobot)
-    mirror.s.alpha, mirror.s.updated = alpha, 1
+    mirror.s.alpha = alpha
+    mirror.s.updated = 1  # b_hat was just updated
     robot = firmware.restore(ROBUST, mirror.save())
 
     [voter] = voters_of_rounds(robot, rounds=1)
@@ -724,9 +725,9 @@ def dispersion_after_batch(robot: FixedPoint, black: int, white: int) -> int:
 def test_batches_with_equal_shares_of_black_keep_the_dispersion_at_1(firmware: FixedPointFirmware) -> None:
     """The dispersion says how much more batches vary than independent tiles would; it is at least 1."""
     robot = make_robust_robot(firmware, b_hat=0.95, filter_period=1)
-    dispersion_after_batch(robot, black=60, white=40)
+    dispersion_after_batch(robot, black=60, white=40)  # the first batch
 
-    dispersion = dispersion_after_batch(robot, black=60, white=40)
+    dispersion = dispersion_after_batch(robot, black=60, white=40)  # the second one
 
     assert dispersion == 2**8  # 1 in units of 2**-8
 
@@ -741,9 +742,9 @@ def test_a_batch_that_is_off_raises_the_dispersion_by_an_eighth_of_its_ratio(
     100 * 0.4 * 0.6 = 24.
     """
     robot = make_robust_robot(firmware, b_hat=0.95, filter_period=1)
-    dispersion_after_batch(robot, black=50, white=50)
+    dispersion_after_batch(robot, black=50, white=50)  # the first batch
 
-    dispersion = dispersion_after_batch(robot, black=30, white=70)
+    dispersion = dispersion_after_batch(robot, black=30, white=70)  # the second one
 
     ratio = (40 - 30) ** 2 / 24
     expected_dispersion = 7 / 8 * 1 + 1 / 8 * ratio
@@ -754,13 +755,13 @@ def test_a_batch_that_is_off_raises_the_dispersion_by_an_eighth_of_its_ratio(
 def test_a_batch_that_is_far_off_counts_as_12_times_the_dispersion(firmware: FixedPointFirmware) -> None:
     """The dispersion says how much more batches vary than independent tiles would; it is 1 at first.
 
-    Here a white batch follows a black one. The squared deviation is 100 times the variance of independent
-    tiles, and counts as 12 times. The new dispersion has an eighth of that.
+    Here a white batch follows a black one, so of its 100 tiles 50 should be black, with a variance of 25. The
+    squared deviation is 100 times that, and counts as 12 times. The new dispersion has an eighth of it.
     """
     robot = make_robust_robot(firmware, b_hat=0.95, filter_period=1)
-    dispersion_after_batch(robot, black=100, white=0)
+    dispersion_after_batch(robot, black=100, white=0)  # the first batch
 
-    dispersion = dispersion_after_batch(robot, black=0, white=100)
+    dispersion = dispersion_after_batch(robot, black=0, white=100)  # the second one
 
     expected_dispersion = 7 / 8 * 1 + 1 / 8 * 12
     rounding = 1  # integers are rounded down

@@ -192,7 +192,8 @@ def test_the_dispersion_does_not_fall_below_1() -> None:
 def test_the_dispersion_does_not_rise_above_16_bits_of_the_firmware() -> None:
     """There it is in units of 1/256. Here the last 500 tiles are black, and the 500 before them white.
 
-    That is 500 variances off, so the dispersion would rise from 250 to 7/8 * 250 + 500 / 8 = 281.
+    Of the last 500 half should be black, with a variance of 125. The number is 250 off, and 250**2 is 500
+    variances. So the dispersion would rise from 250 to 7/8 * 250 + 500 / 8 = 281.
     """
     observations = Observations(n=500, t=1000, dispersion=250.0)
     dispersion = dispersion_after_batch(observations, batch_black_count=500, batch_count=500)

@@ -634,9 +634,9 @@ def run_swarm_and_return_log(*options: str, capsys: Capture) -> list[str]:
 
 
 def test_a_command_logs_nothing_without_the_option_v(capsys: Capture) -> None:
-    """The second swarm opens a port for other programs (``--slcan``), which it would log with ``-v``.
+    """The first swarm logs. The second one must not go on with that, although it is in the same process.
 
-    It does not log only because an earlier command in the same process did.
+    It opens a port for other programs (``--slcan``), which it would log with ``-v``.
     """
     assert run_swarm_and_return_log("-v", capsys=capsys) != []
     assert run_swarm_and_return_log("--slcan", "0", capsys=capsys) == []

@@ -33,7 +33,7 @@ def robot_that_observed(*, black: int, white: int, b_hat: float) -> MirrorRobot:
     return robot
 
 
-def copy_that_received(robot: MirrorRobot, estimates: Sequence[int]) -> MirrorRobot:
+def copy_after_round_with(robot: MirrorRobot, estimates: Sequence[int]) -> MirrorRobot:
     """Return a copy of the robot that has received these estimates and ended the round.
 
     It has tested itself by them if they are five or more.
@@ -68,7 +68,8 @@ for_pairs = pytest.mark.parametrize(
 def test_the_estimates_of_a_pair_differ_by_one_unit_in_one_slot(count: int, width: int, seed: int) -> None:
     """The first estimates of a pair just let a robot keep its b_hat. The second just make it change b_hat.
 
-    A slot holds the estimate of one neighbour, in units of 2**-16, and each of a pair has ``count`` of them.
+    A slot holds the estimate of one neighbour, in units of 2**-16. Either of the pair has ``count`` of them,
+    which are at most ``width`` units from their middle.
     """
     robot = robot_that_observed(black=300, white=200, b_hat=0.8)
     kept, rejected = draw_kept_and_rejected_slots(robot, count, width, seed)
@@ -86,7 +87,7 @@ def test_a_robot_keeps_its_b_hat_by_the_first_estimates_of_a_pair(count: int, wi
     robot = robot_that_observed(black=300, white=200, b_hat=0.8)
     kept, _rejected = draw_kept_and_rejected_slots(robot, count, width, seed)
 
-    assert copy_that_received(robot, kept.estimates).counters.updates == 0
+    assert copy_after_round_with(robot, kept.estimates).counters.updates == 0
     assert not kept.is_rejected()
 
 
@@ -101,7 +102,7 @@ def test_a_robot_re_estimates_b_hat_by_the_second_estimates_of_a_pair(
     robot = robot_that_observed(black=300, white=200, b_hat=0.8)
     _kept, rejected = draw_kept_and_rejected_slots(robot, count, width, seed)
 
-    assert copy_that_received(robot, rejected.estimates).counters.updates == 1
+    assert copy_after_round_with(robot, rejected.estimates).counters.updates == 1
     assert rejected.is_rejected()
     assert not rejected.is_supported, "more than two fifths agree with the robot, which would keep its b_hat"
 
@@ -149,7 +150,7 @@ def test_a_robot_re_estimates_b_hat_unless_more_than_two_fifths_of_its_neighbour
     assert slots.estimates == (two_thirds,) * supporters + (0,) * opponents
     assert slots.is_rejected(), "the test itself, which does not count supporters"
 
-    assert copy_that_received(robot, slots.estimates).counters.updates == expected_updates
+    assert copy_after_round_with(robot, slots.estimates).counters.updates == expected_updates
 
 
 def test_no_neighbours_can_contradict_a_robot_with_a_b_hat_of_one_half() -> None:

@@ -120,7 +120,7 @@ def test_workloads_with_64_observations_have_all_kinds_of_accuracies_and_counts(
     largest_b_hat = 2**32 - 2**12
     expected_workloads = []
     for b_hat in (smallest_b_hat, one_half, b_hat_95, largest_b_hat):
-        for n in (0, 25, 64):
+        for n in (0, 25, 64):  # none, two fifths (rounded down) or all
             expected_workloads.append(workload_class(t=64, n=n, b_hat=b_hat))
     expected_workloads.append(workload_class(t=64, n=32, halves=True))
 

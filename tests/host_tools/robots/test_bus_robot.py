@@ -466,6 +466,7 @@ def test_the_table_of_thresholds_is_for_as_many_neighbours_as_a_robot_can_hear(
     robots: int, expected_neighbours: int
 ) -> None:
     """A robot can hear all others. The table is for at least 2, and at most 127, as there are 128 ids."""
+    # Fully connected swarms of 129 robots are refused, and those with a dynamic topology are not.
     population = Population(robots=robots, topology="dynamic", filter="asdf-plus")
     table = population.config(0).table
     assert table is not None

@@ -164,7 +164,8 @@ def test_a_frame_is_sent_again_until_the_bus_has_room_for_it(pauses: list[float]
     assert len(pauses) == 2 * 2, "two failures of each of two frames"
 
 
-def test_frames_do_not_wait_for_a_bus_that_is_down(pauses: list[float]) -> None:
+@pytest.mark.usefixtures("pauses")
+def test_frames_do_not_wait_for_a_bus_that_is_down() -> None:
     """The queue is full at the first attempt. At the second the bus is down, and its error is raised."""
     bus = bus_whose_sends_end_with(QUEUE_FULL, BUS_DOWN)
     with pytest.raises(can.CanOperationError, match="no luck"):
@@ -172,7 +173,8 @@ def test_frames_do_not_wait_for_a_bus_that_is_down(pauses: list[float]) -> None:
     assert frames_given_to(bus) == [FRAME, FRAME]
 
 
-def test_frames_do_not_wait_longer_than_the_timeout_for_a_bus_that_stays_full(pauses: list[float]) -> None:
+@pytest.mark.usefixtures("pauses")
+def test_frames_do_not_wait_longer_than_the_timeout_for_a_bus_that_stays_full() -> None:
     """The timeout of 0 s is over after the first attempt, and CanTimeoutError is raised."""
     bus = bus_whose_sends_end_with(QUEUE_FULL)
     with pytest.raises(can.CanTimeoutError, match="the bus took no frame for 0 s"):
