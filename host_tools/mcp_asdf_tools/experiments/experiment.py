@@ -124,11 +124,10 @@ def combinations(parameters: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
 
 
 def without_repetitions(experiments: Iterable[Experiment]) -> list[Experiment]:
-    """Return each of several experiments once, in the order in which they first come.
-
-    The keys of a dictionary keep their order, unlike the elements of a set.
-    """
-    return list(dict.fromkeys(experiments))
+    """Return each of several experiments once, in the order in which they first come."""
+    experiments_as_keys = dict.fromkeys(experiments)
+    # The keys of a dictionary keep their order, unlike the elements of a set.
+    return list(experiments_as_keys)
 
 
 def _is_list_of_tables(value: Any) -> bool:
@@ -142,12 +141,14 @@ def _combine_values(parameters: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
 
     Raises ParameterError for an empty list, and for lists that make more than MAX_EXPERIMENTS combinations.
     """
-    value_lists = [value if isinstance(value, list | tuple) else [value] for value in parameters.values()]
-    # The number is checked before any combination is made, list by list, so that the error names the first
-    # list that makes too many. An empty list would make none.
+    value_lists = []
     combination_count = 1
-    for key, values in zip(parameters, value_lists, strict=True):
+    for key, value in parameters.items():
+        values = value if isinstance(value, list | tuple) else [value]
+        value_lists.append(values)
         combination_count *= len(values)
+        # Checked list by list, so that the error names the first list that makes too many or, as it is empty,
+        # none.
         if not 0 < combination_count <= MAX_EXPERIMENTS:
             message = f"{key} makes {combination_count} experiments; give 1 to {MAX_EXPERIMENTS}"
             raise ParameterError(key, message)

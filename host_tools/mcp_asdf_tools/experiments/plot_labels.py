@@ -39,6 +39,12 @@ def sort_key(parameter_name: str, value: Any) -> Any:
     return value
 
 
+def sorted_by_filter(experiments: Sequence[Trials]) -> list[Trials]:
+    """Return experiments in the order of FILTERS; those of the same filter keep their order."""
+    filter_names = list(FILTERS)
+    return sorted(experiments, key=lambda trials: filter_names.index(trials.experiment.filter))
+
+
 def has_effect(experiment: Experiment, parameter_name: str) -> bool:
     """Return whether a parameter has an effect in an experiment.
 

@@ -20,7 +20,7 @@ from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.plot_labels import (
     ALWAYS_SHOWN_PARAMETERS,
     name_series,
-    sort_key,
+    sorted_by_filter,
     varying_parameters,
 )
 from mcp_asdf_tools.experiments.result_tables import experiments_in
@@ -166,8 +166,7 @@ def group_into_series(experiments: Sequence[Trials], series_name: SeriesName | N
     """
     varying_names = varying_parameters(experiments, excluded=ALWAYS_SHOWN_PARAMETERS)
     experiments_by_name: dict[str, list[Trials]] = {}
-    # Sorting keeps the order of experiments that have the same filter.
-    for trials in sorted(experiments, key=lambda trials: sort_key("filter", trials.experiment.filter)):
+    for trials in sorted_by_filter(experiments):
         if series_name is None:
             series_label = name_series(trials.experiment, varying_names)
         else:

@@ -91,15 +91,9 @@ def run_in_memory(
     UsageError if a job cannot be run or a worker process dies.
     """
     unique_experiments = without_repetitions(experiments)
-    # A generator: a job is made when a worker is free to take it.
-    jobs = (
-        job
-        for experiment in unique_experiments
-        for job in jobs_of_experiment(experiment, range(experiment.trials), sampling_interval)
-    )
     _log_start(sum(experiment.trials for experiment in unique_experiments), workers)
     results = []
-    for trials in run_jobs(jobs, workers):
+    for trials in run_jobs(_jobs_of_all_trials(unique_experiments, sampling_interval), workers):
         results.append(trials)
         _log_finished(trials)
         report(len(trials.numbers))
@@ -135,6 +129,15 @@ def jobs_of(store: Store) -> Iterator[Job]:
     """Yield jobs that together run the trials that are missing in the store, experiment by experiment."""
     for experiment in store.experiments:
         yield from jobs_of_experiment(experiment, store.missing(experiment), store.sampling_interval)
+
+
+def _jobs_of_all_trials(experiments: Iterable[Experiment], sampling_interval: int) -> Iterator[Job]:
+    """Yield jobs that together run all trials of experiments, experiment by experiment.
+
+    Values of robots are recorded every ``sampling_interval`` steps, or never if it is 0.
+    """
+    for experiment in experiments:
+        yield from jobs_of_experiment(experiment, range(experiment.trials), sampling_interval)
 
 
 def jobs_of_experiment(

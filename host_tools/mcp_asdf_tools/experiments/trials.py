@@ -60,14 +60,15 @@ def run_trials(experiment: Experiment, first: int, trials: int, sampling_interva
 
 def _concatenate(batches: Sequence[Trials]) -> Trials:
     """Return the trials of all batches of one experiment as one batch."""
-    arrays: dict[str, Any] = {
-        name: np.concatenate([getattr(trials, name) for trials in batches])
-        for name in ("convergence_steps", "errors", "b_hat", "tests", "updates")
-    }
-    records = {
-        name: np.concatenate([trials.records[name] for trials in batches]) for name in batches[0].records
-    }
-    numbers = [number for trials in batches for number in trials.numbers]
+    numbers: list[int] = []
+    for trials in batches:
+        numbers += trials.numbers
+    arrays: dict[str, Any] = {}
+    for name in ("convergence_steps", "errors", "b_hat", "tests", "updates"):
+        arrays[name] = np.concatenate([getattr(trials, name) for trials in batches])
+    records: dict[str, Floats] = {}
+    for quantity in batches[0].records:
+        records[quantity] = np.concatenate([trials.records[quantity] for trials in batches])
     # Experiment and sampling interval are the same in all batches.
     return replace(batches[0], numbers=numbers, records=records, **arrays)
 
@@ -209,6 +210,7 @@ def _run_by_message(experiment: Experiment, number: int, sampling_interval: int)
     b_hat = np.reshape(b_hat_by_filter_step, b_hat_shape)
     tests_by_robot = [robot.counters.tests for robot in swarm.robots]
     updates_by_robot = [robot.counters.updates for robot in swarm.robots]
+    records = _records_of_snapshots(snapshots) if sampling_interval else {}
     return Trials(
         experiment=experiment,
         numbers=[number],
@@ -217,7 +219,7 @@ def _run_by_message(experiment: Experiment, number: int, sampling_interval: int)
         b_hat=b_hat,
         tests=np.array([tests_by_robot]),
         updates=np.array([updates_by_robot]),
-        records=_records_of_snapshots(snapshots) if sampling_interval else {},
+        records=records,
         sampling_interval=sampling_interval,
     )
 

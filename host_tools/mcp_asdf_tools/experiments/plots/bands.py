@@ -21,7 +21,7 @@ from mcp_asdf_tools.experiments.plot_labels import (
     has_effect,
     make_caption,
     parameter_with_value,
-    sort_key,
+    sorted_by_filter,
     varying_parameters,
 )
 from mcp_asdf_tools.experiments.plot_panels import (
@@ -58,7 +58,7 @@ def plot_bands(results: Results, *, where: Mapping[str, Any] | None = None) -> F
         raise UsageError("these trials have no filter step; run more steps, or a shorter filter_period")
     max_columns = 2 if len(experiments) == 4 else 3  # four make a square
     figure, panels = create_panels(len(experiments), panel_height=2.1, max_columns=max_columns)
-    ordered_experiments = sorted(experiments, key=lambda trials: sort_key("filter", trials.experiment.filter))
+    ordered_experiments = sorted_by_filter(experiments)
     titles = _panel_titles(ordered_experiments)
     for axes, trials, title in zip(panels, ordered_experiments, titles, strict=True):
         _draw_accuracy_bands(axes, trials)

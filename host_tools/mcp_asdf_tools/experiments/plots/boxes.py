@@ -96,9 +96,10 @@ def _draw_box_panel(axes: Axes, series_of_panel: Sequence[Series], limits: Limit
     Along the x axis there is a slot for each share P of flawed robots and offset of their b_hat from b, in
     which the boxes of the series stand side by side.
     """
-    slots = sorted(
-        {_slot_of(trials.experiment) for series in series_of_panel for trials in series.experiments}
-    )
+    different_slots: set[tuple[float, float]] = set()
+    for series in series_of_panel:
+        different_slots |= {_slot_of(trials.experiment) for trials in series.experiments}
+    slots = sorted(different_slots)
     box_width = _SLOT_WIDTH / len(series_of_panel)
     for series_index, series in enumerate(series_of_panel):
         # Slots have whole numbers as their middles. In each the boxes stand beside each other.
@@ -114,7 +115,7 @@ def _draw_box_panel(axes: Axes, series_of_panel: Sequence[Series], limits: Limit
 
 
 def _slot_of(experiment: Experiment) -> tuple[float, float]:
-    """Return P, the share of flawed robots, and the offset of the accuracy that they assume."""
+    """Return P, the share of flawed robots, and the offset of the accuracy that they assume from b."""
     return flawed_share(experiment), accuracy_offset(experiment)
 
 
