@@ -36,10 +36,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Calibrate the sensor by its readings, and print threshold and accuracy; return exit code 0.
+    """Calibrate the sensor by its readings, and print its threshold and accuracies; return exit code 0.
 
-    Raises UsageError if the file cannot be read, or has readings of another form, too few of them, or ones
-    that do not distinguish the colours.
+    Also printed are how many lines were left out, and the accuracy that the robot should assume. Raises
+    UsageError if the file cannot be read, or has readings of another form, too few of them, or ones that do
+    not distinguish the colours.
     """
     name = "standard input" if args.file == "-" else args.file
     readings = parse_readings(read_text(args.file), name)

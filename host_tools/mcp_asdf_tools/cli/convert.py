@@ -81,6 +81,7 @@ def run(args: argparse.Namespace) -> int:
         write_tables(args.output, collect_rows(tables, min_bytes=ROW_GROUP_BYTES))
     rows = summarize(stream_experiments(args.output), PAPER_LIMITS)
     if args.json:
+        # The metadata come with any column, so that a single small one is read.
         metadata = read_metadata(read_table(args.output, ["trial"]))
         print(json_report({**metadata, "output": str(args.output), "experiments": rows}))
     else:

@@ -77,7 +77,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Run the robot until it ends, write its log, and print its results; return the exit code.
 
-    Raises UsageError for wrong options, and if the bus or the log cannot be opened.
+    That is 0, 1 if the bus failed, INTERRUPTED if a signal came, and 2 if the log is not complete. Raises
+    UsageError for wrong options, and if the bus or the log cannot be opened.
     """
     from mcp_asdf_tools.common.versions import software_versions
     from mcp_asdf_tools.recording.events import EventsHeader

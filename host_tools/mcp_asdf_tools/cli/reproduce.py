@@ -95,7 +95,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Run the trials that are missing, decide the claims and write the report; return exit code 0.
 
-    Raises UsageError for wrong options, and if trials cannot be run or files not be written.
+    The verdict on each claim and the path of the report are printed. Raises UsageError for wrong options, and
+    if trials cannot be run or files not be written.
     """
     from mcp_asdf_tools.studies import report
     from mcp_asdf_tools.studies.claims import decide
@@ -109,8 +110,8 @@ def run(args: argparse.Namespace) -> int:
     study_parts = [
         study_part for study_part in StudyPart if args.part is None or study_part.value in args.part
     ]
-    own_firmware, own_filter = firmware_and_filter_of_user(args)
-    stores = open_stores(output_folder, study_parts, study_size, own_firmware, own_filter)
+    users_firmware, users_filter = firmware_and_filter_of_user(args)
+    stores = open_stores(output_folder, study_parts, study_size, users_firmware, users_filter)
     trials_by_cell, users_trials = _run_missing_trials(stores, workers, args)
     study_results = StudyResults(trials_by_cell, users_trials)
     decisions = decide(study_results)
@@ -168,8 +169,8 @@ def open_stores(
     folder: Path,
     parts: list[StudyPart],
     study_size: StudySize,
-    own_firmware: str = PAPERS_FIRMWARE,
-    own_filter: str | None = None,
+    users_firmware: str = PAPERS_FIRMWARE,
+    users_filter: str | None = None,
 ) -> dict[StoreKey, Store]:
     """Open the results of each part in a folder, which is made if need be; those that exist are kept.
 
@@ -186,13 +187,11 @@ def open_stores(
         for study_part in parts:
             papers_experiments = [experiment_of(cell, study_size) for cell in cells_of(study_part)]
             experiments_by_key[study_part, ""] = papers_experiments
-        has_users_choice = own_firmware != PAPERS_FIRMWARE or own_filter is not None
+        has_users_choice = users_firmware != PAPERS_FIRMWARE or users_filter is not None
         if has_users_choice:
             for study_part in parts:
-                users_experiments = users_experiments_of(study_part, study_size, own_firmware, own_filter)
-                any_experiment, *_ = (
-                    users_experiments  # all have the firmware and the filter that give the name
-                )
+                users_experiments = users_experiments_of(study_part, study_size, users_firmware, users_filter)
+                any_experiment = users_experiments[0]  # all have what the name is made of
                 experiments_by_key[study_part, users_name_of(any_experiment)] = users_experiments
     except ParameterError as error:
         raise UsageError(f"--{error.key}: {error}") from error

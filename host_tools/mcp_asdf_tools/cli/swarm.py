@@ -295,7 +295,9 @@ class _RunResult:
 def run(args: argparse.Namespace) -> int:
     """Run the swarm, write its log and results, and print a summary; return the exit code.
 
-    Raises UsageError for wrong options, and if a bus or file cannot be opened.
+    That is 0, 1 if the bus or a robot elsewhere failed, INTERRUPTED if a signal came, and 2 if the log is not
+    complete. With --view the page is served until Ctrl-C. Raises UsageError for wrong options, and if a bus
+    or file cannot be opened.
     """
     from can import CanError
 
@@ -350,9 +352,10 @@ def _run_and_record(
 def _emulate(plan: _RunPlan, log_outputs: LogOutputs, recorder: SwarmRecorder | None) -> _RunResult:
     """Run the swarm to its end or Ctrl-C, and return how it has ended, with the report for JSON.
 
-    With --compare the same swarm also runs with other filters, its baselines. ``log_outputs`` get frames and
-    events for the log, and ``recorder``, if there is one, states for the web page. Raises LockstepError if
-    robots in other processes or at devices do not start, can.CanError if their bus fails before they have.
+    With --compare the same swarm also runs with other filters, its baselines, whose results are in the report
+    unless the run has failed. ``log_outputs`` get frames and events for the log, and
+    ``recorder``, if there is one, states for the web page. Raises LockstepError if robots in other processes
+    or at devices do not start, can.CanError if their bus fails before they have.
     """
     from mcp_asdf_tools.swarm.live_view import LiveView
     from mcp_asdf_tools.swarm.run import Baselines, results_of, run_swarm
@@ -363,7 +366,8 @@ def _emulate(plan: _RunPlan, log_outputs: LogOutputs, recorder: SwarmRecorder | 
     baselines = Baselines(settings) if plan.args.compare else None
     with ExitStack() as stack:
         slcan_port = _serve_slcan(plan, stack)
-        swarm = stack.enter_context(Swarm(settings, plan.wiring, *log_outputs))
+        record_frame, events_writer = log_outputs
+        swarm = stack.enter_context(Swarm(settings, plan.wiring, record_frame, events_writer))
         processes = stack.enter_context(_prepare_processes(plan))
         _wait_for_robots(plan, swarm, processes)
         # A signal counts between two ticks, so that log and results end on a whole one.

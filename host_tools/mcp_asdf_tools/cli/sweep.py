@@ -60,6 +60,7 @@ def run(args: argparse.Namespace) -> int:
         run_sweep(store, workers, report_progress, args.scheduler)
     rows = summarize(stream_experiments(output), limits)
     if args.json:
+        # The metadata come with any column, so that a single small one is read.
         metadata = read_metadata(read_table(output, ["trial"]))
         print(json_report({**metadata, "run": missing_count, "output": str(output), "experiments": rows}))
         return 0

@@ -114,6 +114,8 @@ def _make_frame(
 ) -> can.Message | None:
     """Return the frame of a line, or None if it has an impossible time, identifier or amount of data.
 
+    A frame whose identifier says that it is an error frame becomes one without data.
+
     Args:
         match: The groups time, channel, id and direction of the line.
         data_text: Hexadecimal digits of the data; points between bytes are ignored.

@@ -253,7 +253,7 @@ def _explain_errors(
     try:
         for frame in frames:
             if not _has_possible_time(frame):
-                raise ValueError(f"its time is {frame.timestamp:g} s")
+                raise ValueError(f"its time is {frame.timestamp:g} s")  # which is caught below
             frame_count += 1
             yield frame
     except OSError:

@@ -78,7 +78,7 @@ def comparison(results_by_filter: dict[str, dict[str, Any]], settings: SwarmSett
 
     The first has the mean error with each filter, the second what the flawed robots assumed of their sensors
     at first, and assume now with each filter; without flawed robots there is none. A third sentence follows
-    if the swarm is one that needs no filter.
+    if the swarm needs no filter, as all hear all and the flawed robots trust their sensors too little.
     """
     compared_filters = [item for item in FILTERS.values() if item.name in results_by_filter]
     errors = [

@@ -61,8 +61,9 @@ class Traffic:
 
         Keys are the counts of this class, and counts of what all robots together received, by kind of frame.
         ``id_conflicts`` has the count of each robot whose id another node used, by id; ``rejected`` a count
-        for each reason. All attributes but the receptions are plain numbers.
+        for each reason.
         """
+        # All attributes but the receptions are plain numbers.
         counts = {name: value for name, value in vars(self).items() if name != "receptions"}
         rejected = Counter[Rejection]()
         id_conflicts = {}

@@ -55,7 +55,8 @@ class BusRecorder:
     def record(self, should_stop: Callable[[], bool]) -> None:
         """Receive frames and add states to the history until ``should_stop``, which is asked after each.
 
-        Time starts anew with each call. Raises can.CanError if the bus fails.
+        States come STATES_PER_SECOND times a second, and time starts anew with each call. Raises can.CanError
+        if the bus fails.
         """
         self._start_time = time.monotonic()
         tick = 0

@@ -96,8 +96,8 @@ def parse_graph(description: Any) -> Graph:
         return _parse_lines(_format_edges(description), "edge", "graph")
     if isinstance(description, str) and is_text_of_edges(description):
         return _parse_lines(description.split(";"), "edge", "graph")
-    # All else is the path of a file.
-    # "utf-8-sig" leaves out the mark with which programs of Windows begin a text.
+    # All else is the path of a file. "utf-8-sig" leaves out the mark with which programs of Windows begin a
+    # text.
     try:
         lines = read_at_most(description).decode("utf-8-sig").splitlines()
     except (OSError, ValueError) as error:

@@ -262,7 +262,10 @@ class WorldSettings:
 
 
 def _check_neighbours_of_many(settings: WorldSettings) -> None:
-    """Raise ParameterError for a swarm of more than 128 robots if one could have more than 127 neighbours."""
+    """Raise ParameterError for a swarm of more than 128 robots if one could have more than 127 neighbours.
+
+    The topology of an extension is refused in any case.
+    """
     if settings.is_dynamic:
         # Within a short range only some robots fit into a robot's line of sight, however many there are.
         if settings.radio_range > _MAX_RANGE_OF_MANY:

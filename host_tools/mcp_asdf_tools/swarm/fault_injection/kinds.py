@@ -46,7 +46,8 @@ class LinkFault(Fault, ABC):
 
         Deliveries are frames on their way, with the robots that receive each of them. Random words are drawn
         for each frame and receiver. The first word decides whether the frame is hit on its way to the
-        receiver, and ``change`` gets the other words. The hits are counted. O(frames receivers).
+        receiver, and ``change`` gets the other words. Only frames for which the fault is active, and of these
+        only the deliveries to its ``receivers``, can be hit. The hits are counted. O(frames receivers).
         """
         import numpy as np  # noqa: PLC0415 (it loads slowly, and the help of faults needs none of it)
 

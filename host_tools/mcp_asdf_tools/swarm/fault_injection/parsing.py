@@ -64,21 +64,21 @@ def _parse_option(fault_text: str, kind: type[Fault], option: str, value: str) -
     Raises UsageError if the value is no such thing, or a number out of the option's range.
     """
     field_name = _FIELD_OF_OPTION.get(option, option)
-    declared = parameters_of(kind).get(field_name)
-    if declared is None:  # all options that are no declared parameters are sets of ids
+    parameter = parameters_of(kind).get(field_name)
+    if parameter is None:  # all options that are no declared parameters are sets of ids
         return parse_ids(value, f"fault {fault_text!r}: {option}")
-    if declared.choices:
-        if value not in declared.choices:
-            raise _option_error(fault_text, option, value, " or ".join(declared.choices))
+    if parameter.choices:
+        if value not in parameter.choices:
+            raise _option_error(fault_text, option, value, " or ".join(parameter.choices))
         return value
-    number_type = float if declared.kind is float else int
-    limits = f"{declared.minimum:g} to {declared.maximum:g}"
-    requirement = f"a whole number, {limits}" if number_type is int else f"a number, {limits}"
+    is_float = parameter.kind is float
+    limits = f"{parameter.minimum:g} to {parameter.maximum:g}"
+    requirement = f"a number, {limits}" if is_float else f"a whole number, {limits}"
     try:
-        number = number_type(value)
+        number = float(value) if is_float else int(value)
     except ValueError:
         raise _option_error(fault_text, option, value, requirement) from None
-    if not declared.minimum <= number <= declared.maximum:  # this refuses NaN, too
+    if not parameter.minimum <= number <= parameter.maximum:  # this refuses NaN, too
         raise _option_error(fault_text, option, value, requirement)
     return number
 
