@@ -17,7 +17,7 @@ from mcp_asdf_tools.bus.frame_layout import EVERY_ROBOT, MAX_B_HAT, MIN_B_HAT, A
 from mcp_asdf_tools.bus.frames import Command, Estimate, FrameFormat, Heartbeat, Telemetry
 from support import ROOT
 
-DEFAULT = FrameFormat()
+DEFAULT_FORMAT = FrameFormat()
 FRAMES = {
     "186BB92A#0000603333F307E5": can.Message(
         arbitration_id=0x186BB92A, data=bytes.fromhex("0000603333F307E5")
@@ -49,8 +49,8 @@ KINDS: dict[type, Kind] = {
     Estimate: Kind(
         3000,
         "estimate",
-        lambda estimate: frames.encode_estimate(estimate, DEFAULT),
-        lambda frame: frames.decode_estimate(frame, DEFAULT),
+        lambda estimate: frames.encode_estimate(estimate, DEFAULT_FORMAT),
+        lambda frame: frames.decode_estimate(frame, DEFAULT_FORMAT),
     ),
     Heartbeat: Kind(7509, "heartbeat", frames.encode_heartbeat, frames.decode_heartbeat),
     Telemetry: Kind(3001, "telemetry", frames.encode_telemetry, frames.decode_telemetry),

@@ -77,7 +77,7 @@ def adapter_that_sends(lines: Sequence[bytes], stays_open: bool = True) -> Itera
 
 def receive(bus: can.BusABC) -> can.Message:
     """Return the next frame, which must come in time."""
-    frame = bus.recv(PATIENCE)
+    frame = bus.recv(timeout=PATIENCE)
     assert frame is not None
     return frame
 
@@ -117,7 +117,7 @@ def test_reading_from_an_adapter_that_has_closed_raises_that_the_bus_is_gone() -
     with adapter_that_sends([LINE_OF_ESTIMATE], stays_open=False) as adapter, adapter.open() as bus:
         receive(bus)
         with pytest.raises(BusGoneError, match="socket disconnected"):
-            bus.recv(PATIENCE)
+            bus.recv(timeout=PATIENCE)
 
 
 def test_leaving_a_bus_closes_its_socket_though_the_adapter_has_closed_first() -> None:
@@ -126,7 +126,7 @@ def test_leaving_a_bus_closes_its_socket_though_the_adapter_has_closed_first() -
         bus = adapter.open()
         assert isinstance(bus, SerialAdapter)
         with pytest.raises(BusGoneError):
-            bus.recv(PATIENCE)
+            bus.recv(timeout=PATIENCE)
         connection = bus._socket
         bus.shutdown()
 

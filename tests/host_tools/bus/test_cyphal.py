@@ -18,7 +18,7 @@ from mcp_asdf_tools.bus import frames
 from mcp_asdf_tools.bus.alpha_words import float32_value
 from mcp_asdf_tools.bus.frame_layout import EVERY_ROBOT, MAX_B_HAT, Action, Health, Mode, Rejection
 from mcp_asdf_tools.bus.frames import Command, Estimate, Heartbeat, Telemetry
-from messages import DEFAULT, KINDS, encoded, estimates, messages, write_regulated_types
+from messages import DEFAULT_FORMAT, KINDS, encoded, estimates, messages, write_regulated_types
 from robots import ALPHA_MIN, ALPHA_ONE
 from support import PATIENCE, ROOT, draws
 
@@ -184,10 +184,10 @@ def test_pycyphal_takes_a_frame_with_a_flipped_bit_for_an_estimate_exactly_if_we
 
     The default subject of estimates is 3000; anonymous nodes, which have no id, send none.
     """
-    frame = frames.encode_estimate(message, DEFAULT)
+    frame = frames.encode_estimate(message, DEFAULT_FORMAT)
     flip_bit(frame, bit)
 
-    decoded = frames.decode_estimate(frame, DEFAULT)
+    decoded = frames.decode_estimate(frame, DEFAULT_FORMAT)
     is_rejected_for_its_content = decoded in (Rejection.X_HAT, Rejection.ALPHA)
     is_estimate_for_us = isinstance(decoded, Estimate) or is_rejected_for_its_content
     transfer = read_with_pycyphal(frame)
@@ -218,7 +218,7 @@ async def frames_sent_by_pycyphal(subject: int, dsdl_objects: Sequence[Any]) -> 
             )
             deadline = asyncio.get_running_loop().time() + PATIENCE
             assert await session.send(transfer, deadline)
-        received_frames = [bus.recv(PATIENCE) for _ in dsdl_objects]
+        received_frames = [bus.recv(timeout=PATIENCE) for _ in dsdl_objects]
         node.close()
     assert None not in received_frames
     return [frame for frame in received_frames if frame is not None]
@@ -234,7 +234,7 @@ def frames_of_estimates(
 
 def decode_estimates(received_frames: Sequence[can.Message]) -> list[Estimate]:
     """Return the estimates that our decoder reads in frames. Each frame must hold an estimate."""
-    decoded = [frames.decode_estimate(frame, DEFAULT) for frame in received_frames]
+    decoded = [frames.decode_estimate(frame, DEFAULT_FORMAT) for frame in received_frames]
     estimates_of_frames = [estimate for estimate in decoded if isinstance(estimate, Estimate)]
     assert len(estimates_of_frames) == len(received_frames)
     return estimates_of_frames

@@ -17,7 +17,7 @@ from mcp_asdf_tools.bus.dbc import ANY_NODE_MASK, dbc_text
 from mcp_asdf_tools.bus.frame_layout import EVERY_ROBOT, MAX_B_HAT, MIN_B_HAT, Action, Health, Mode, Rejection
 from mcp_asdf_tools.bus.frames import Command, Estimate, FrameFormat, Heartbeat, Telemetry, encode_estimate
 from mcp_asdf_tools.cli.main import main
-from messages import DEFAULT, decode_as, encoded, messages
+from messages import DEFAULT_FORMAT, decode_as, encoded, messages
 from support import draws
 
 pytestmark = pytest.mark.random
@@ -37,7 +37,7 @@ def load_database(text: str) -> Any:
 @pytest.fixture(scope="module")
 def database() -> Any:
     """The file for the default format, as cantools reads it."""
-    return load_database(dbc_text(DEFAULT))
+    return load_database(dbc_text(DEFAULT_FORMAT))
 
 
 def physical_values(message: Any) -> dict[str, float]:
@@ -130,29 +130,6 @@ def test_we_decode_the_frames_of_cantools(database: Any, message: Any) -> None:
 
 MAX_FLOAT32 = 2.0**128 - 2.0**104
 """The largest finite binary32 number."""
-EXPECTED_RANGES = {
-    ("Estimate", "x_hat"): (0, 1),
-    ("Estimate", "alpha"): (0, MAX_FLOAT32),
-    ("Estimate", "transfer_id"): (0, 31),
-    ("Estimate", "start_end_toggle"): (7, 7),
-    ("Heartbeat", "uptime"): (0, 2**32 - 1),
-    ("Heartbeat", "health"): (0, 3),
-    ("Heartbeat", "mode"): (0, 3),
-    ("Heartbeat", "vendor_status"): (0, 255),
-    ("Heartbeat", "transfer_id"): (0, 31),
-    ("Heartbeat", "start_end_toggle"): (7, 7),
-    ("Telemetry", "x"): (0, 1),
-    ("Telemetry", "b_hat"): (2.0**-20, 1 - 2.0**-20),
-    ("Telemetry", "updates"): (0, 255),
-    ("Telemetry", "transfer_id"): (0, 31),
-    ("Telemetry", "start_end_toggle"): (7, 7),
-    ("Command", "tick"): (0, 2**32 - 1),
-    ("Command", "target"): (0, 255),
-    ("Command", "action"): (0, 3),
-    ("Command", "transfer_id"): (0, 31),
-    ("Command", "start_end_toggle"): (7, 7),
-}
-"""Smallest and largest value of each signal, by the names of its message and of the signal."""
 
 
 def test_the_file_states_the_range_of_every_signal(database: Any) -> None:
@@ -160,11 +137,34 @@ def test_the_file_states_the_range_of_every_signal(database: Any) -> None:
 
     The expected ranges are those of the specification, by the names of message and signal.
     """
+    expected_ranges = {
+        ("Estimate", "x_hat"): (0, 1),
+        ("Estimate", "alpha"): (0, MAX_FLOAT32),
+        ("Estimate", "transfer_id"): (0, 31),
+        ("Estimate", "start_end_toggle"): (7, 7),
+        ("Heartbeat", "uptime"): (0, 2**32 - 1),
+        ("Heartbeat", "health"): (0, 3),
+        ("Heartbeat", "mode"): (0, 3),
+        ("Heartbeat", "vendor_status"): (0, 255),
+        ("Heartbeat", "transfer_id"): (0, 31),
+        ("Heartbeat", "start_end_toggle"): (7, 7),
+        ("Telemetry", "x"): (0, 1),
+        ("Telemetry", "b_hat"): (2.0**-20, 1 - 2.0**-20),
+        ("Telemetry", "updates"): (0, 255),
+        ("Telemetry", "transfer_id"): (0, 31),
+        ("Telemetry", "start_end_toggle"): (7, 7),
+        ("Command", "tick"): (0, 2**32 - 1),
+        ("Command", "target"): (0, 255),
+        ("Command", "action"): (0, 3),
+        ("Command", "transfer_id"): (0, 31),
+        ("Command", "start_end_toggle"): (7, 7),
+    }
     stated_ranges = {}
     for message in database.messages:
         for signal in message.signals:
             stated_ranges[message.name, signal.name] = (signal.minimum, signal.maximum)
-    assert stated_ranges == EXPECTED_RANGES
+
+    assert stated_ranges == expected_ranges
 
 
 LEGAL_MESSAGES = {

@@ -54,7 +54,7 @@ from mcp_asdf_tools.bus.frames import (
     format_frame,
 )
 from messages import (
-    DEFAULT,
+    DEFAULT_FORMAT,
     FRAMES,
     KINDS,
     any_command,
@@ -180,7 +180,7 @@ def c_codec(tmp_path_factory: pytest.TempPathFactory) -> CCodec:
 def test_the_documented_estimate_has_the_documented_identifier_and_bytes() -> None:
     """The example of README and specification: robot 42 estimates 1/2 with a confidence of 1."""
     half = 2**22  # in units of 2**-23
-    frame = encode_estimate(Estimate(sender=42, x_hat=half, alpha=ALPHA_ONE, transfer_id=0), DEFAULT)
+    frame = encode_estimate(Estimate(sender=42, x_hat=half, alpha=ALPHA_ONE, transfer_id=0), DEFAULT_FORMAT)
     x_hat, alpha, tail_byte = "000040", "0000803f", "e0"  # 0x400000 and 0x3f800000, low bytes first
     assert frame.arbitration_id == 0x106BB82A
     assert frame.data.hex() == x_hat + alpha + tail_byte
@@ -193,7 +193,7 @@ def test_the_example_frames_of_the_specification_are_what_robots_send() -> None:
     """
     page = (ROOT / "docs/design.md").read_text(encoding="utf-8")
     estimate = Estimate(sender=42, x_hat=int(0.5 * 2**23), alpha=ALPHA_ONE, transfer_id=0)
-    estimate_frame = encode_estimate(estimate, DEFAULT)
+    estimate_frame = encode_estimate(estimate, DEFAULT_FORMAT)
     b_hat = int(0.95 * 2**24)
     telemetry = Telemetry(sender=42, x=int(0.75 * 2**23), b_hat=b_hat, updates=7, transfer_id=5)
     telemetry_frame = encode_telemetry(telemetry, TELEMETRY_FORMAT)
@@ -221,7 +221,7 @@ def test_the_specification_lists_the_codes_of_the_header_in_their_order() -> Non
 def test_an_estimate_is_a_classic_data_frame_with_an_extended_identifier_and_its_time() -> None:
     """Extended identifiers have 29 bits. Python-can's ``is_rx`` is true for frames that others sent."""
     estimate = Estimate(sender=42, x_hat=2**22, alpha=ALPHA_ONE, transfer_id=0)
-    frame = encode_estimate(estimate, DEFAULT, timestamp=1.5)
+    frame = encode_estimate(estimate, DEFAULT_FORMAT, timestamp=1.5)
     assert frame.is_extended_id
     assert frame.dlc == 8
     assert not (frame.is_fd or frame.is_remote_frame or frame.is_error_frame or frame.is_rx)
@@ -297,14 +297,14 @@ def test_decoding_returns_what_was_encoded(message: Any) -> None:
 @given(any_message_of_robots())
 def test_a_frame_is_decoded_as_the_kind_of_message_that_its_subject_says(message: Any) -> None:
     """``decode_frame`` is not told the kind: an estimate, a heartbeat or telemetry."""
-    assert decode_frame(encoded(message), DEFAULT) == as_decoded(message)
+    assert decode_frame(encoded(message), DEFAULT_FORMAT) == as_decoded(message)
 
 
 @fixed_examples
 @given(any_command())
 def test_a_command_is_not_taken_for_a_frame_of_a_robot(command: Command) -> None:
     """A command is rejected for its subject, the number of its kind. Robots send no frames of this kind."""
-    assert decode_frame(encoded(command), DEFAULT) is Rejection.SUBJECT
+    assert decode_frame(encoded(command), DEFAULT_FORMAT) is Rejection.SUBJECT
 
 
 @pytest.mark.parametrize(
@@ -455,7 +455,7 @@ EstimateRow = list[int] | None
 
 def decode_in_an_array(frames: list[can.Message], bit_flips: list[int]) -> list[EstimateRow]:
     """Decode frames, in which these bits of the data are flipped, as one array."""
-    decoded = decode_estimates(frames, DEFAULT, np.array(bit_flips, np.uint64))
+    decoded = decode_estimates(frames, DEFAULT_FORMAT, np.array(bit_flips, np.uint64))
     return [
         row if is_estimate else None
         for row, is_estimate in zip(decoded.rows.tolist(), decoded.is_estimate, strict=True)
@@ -466,7 +466,7 @@ def decode_alone(frames: list[can.Message], bit_flips: list[int]) -> list[Estima
     """Decode frames, in which these bits of the data are flipped, one after the other."""
     rows: list[EstimateRow] = []
     for frame, flips in zip(frames, bit_flips, strict=True):
-        estimate = decode_estimate(flipped(frame, flips), DEFAULT)
+        estimate = decode_estimate(flipped(frame, flips), DEFAULT_FORMAT)
         if isinstance(estimate, Estimate):
             rows.append([estimate.sender, estimate.x_hat, estimate.alpha])
         else:
@@ -516,7 +516,7 @@ def test_an_estimate_with_any_bit_flipped_is_decoded_the_same_in_an_array_and_al
 
 def test_an_empty_array_of_frames_is_decoded_to_an_empty_array() -> None:
     """The result has no rows, but the three columns sender, x_hat and alpha."""
-    decoded = decode_estimates([], DEFAULT, np.zeros(0, np.uint64))
+    decoded = decode_estimates([], DEFAULT_FORMAT, np.zeros(0, np.uint64))
     assert decoded.rows.shape == (0, 3)
     assert decoded.is_estimate.shape == (0,)
 
@@ -635,7 +635,7 @@ def test_health_mode_and_action_have_the_same_numbers_in_c_and_python(
 
 @pytest.mark.parametrize(
     ("macro", "frame_format"),
-    [("ESTIMATE", DEFAULT), ("TELEMETRY", TELEMETRY_FORMAT), ("COMMAND", COMMAND_FORMAT)],
+    [("ESTIMATE", DEFAULT_FORMAT), ("TELEMETRY", TELEMETRY_FORMAT), ("COMMAND", COMMAND_FORMAT)],
 )
 def test_c_and_python_send_by_default_with_the_same_subjects_and_priorities(
     macro: str, frame_format: FrameFormat

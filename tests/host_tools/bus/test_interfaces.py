@@ -42,7 +42,7 @@ def contents_before_robot_8(bus: can.BusABC) -> list[Estimate | Rejection]:
     """Receive frames up to the estimate of robot 8, and return what those before hold, or are refused for."""
     contents: list[Estimate | Rejection] = []
     while True:
-        frame = bus.recv(PATIENCE)
+        frame = bus.recv(timeout=PATIENCE)
         assert frame is not None
         content = decode_estimate(frame, FrameFormat())
         if content == ESTIMATE_OF_ROBOT_8:
@@ -89,7 +89,7 @@ def test_a_frame_of_a_multicast_group_has_the_channel_and_the_length_of_its_data
     choice = multicast(group=31)
     with choice.open() as bus, foreign_program(choice) as send_datagram:
         send_datagram(datagram)
-        frame = bus.recv(PATIENCE)
+        frame = bus.recv(timeout=PATIENCE)
 
     assert frame is not None
     assert frame.channel == choice.channel
@@ -106,7 +106,7 @@ def test_a_burst_of_four_estimates_from_each_robot_waits_in_the_socket_of_a_mult
     with choice.open() as sender, choice.open() as receiver:
         for frame_id in frame_ids:
             sender.send(can.Message(arbitration_id=frame_id))
-        received_frames = [receiver.recv(PATIENCE) for _ in frame_ids]
+        received_frames = [receiver.recv(timeout=PATIENCE) for _ in frame_ids]
 
     assert [frame.arbitration_id for frame in received_frames if frame is not None] == frame_ids
 
@@ -123,7 +123,7 @@ def test_a_connection_that_returns_its_own_frames_does_so_once() -> None:
     """A program asks for it that logs what has been on the bus, with the time of each frame."""
     with multicast(group=34).open(returns_own=True) as bus:
         bus.send(can.Message(arbitration_id=1, data=b"a"))
-        returned_frame = bus.recv(PATIENCE)
+        returned_frame = bus.recv(timeout=PATIENCE)
         assert returned_frame is not None
         assert identifier_and_data(returned_frame) == (1, b"a")
         assert returned_frame.timestamp > 0

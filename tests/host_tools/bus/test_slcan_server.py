@@ -172,7 +172,7 @@ def test_a_server_that_closes_ends_its_thread_though_a_program_connects_just_the
     with SlcanServer(join_bus_of_server()) as server:
         server._is_closing = True  # the first thing that the server does at the end of the block
         with connect(server):
-            server._server_thread.join(PATIENCE)
+            server._server_thread.join(timeout=PATIENCE)
             assert not server._server_thread.is_alive()
 
 

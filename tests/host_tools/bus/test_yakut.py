@@ -19,7 +19,7 @@ from mcp_asdf.fixed_point import alpha_word_from_float
 from mcp_asdf_tools.bus import frames
 from mcp_asdf_tools.bus.frames import Estimate
 from mcp_asdf_tools.recording.frame_logs import read_log
-from messages import DEFAULT, write_regulated_types
+from messages import DEFAULT_FORMAT, write_regulated_types
 from support import PATH, PATIENCE, ROOT, interruptible, require
 
 PAGE_OF_CAN_TOOLS = (ROOT / "docs/platforms/can_tools.md").read_text(encoding="utf-8")
@@ -91,5 +91,5 @@ def estimate_in_line(line: bytes) -> Estimate:
 
 def estimates_in_log(log: Path) -> set[Estimate]:
     """Return all estimates in a log."""
-    decoded = [frames.decode_estimate(frame, DEFAULT) for frame in read_log(log)]
+    decoded = [frames.decode_estimate(frame, DEFAULT_FORMAT) for frame in read_log(log)]
     return {estimate for estimate in decoded if isinstance(estimate, Estimate)}

@@ -276,7 +276,7 @@ def test_a_full_disk_leaves_both_old_files(failing_call: str, tmp_path: Path) ->
     ``failing_call`` is "write 2", for example, if the second call of write fails.
     """
     with pytest.raises(UsageError, match=r"cannot write .*/[ab]: No space left on device; choose a folder"):
-        replace_files_a_and_b(tmp_path, failing_call, DISK_IS_FULL)
+        replace_files_a_and_b(tmp_path, failing_call, failure=DISK_IS_FULL)
     assert contents_of(tmp_path) == {"a": "old", "b": "old"}
 
 
@@ -287,14 +287,14 @@ def test_ctrl_c_leaves_both_old_files(failing_call: str, tmp_path: Path) -> None
     ``failing_call`` is "write 2", for example, if it comes in the second call of write.
     """
     with pytest.raises(KeyboardInterrupt):
-        replace_files_a_and_b(tmp_path, failing_call, KeyboardInterrupt())
+        replace_files_a_and_b(tmp_path, failing_call, failure=KeyboardInterrupt())
     assert contents_of(tmp_path) == {"a": "old", "b": "old"}
 
 
 def test_a_failure_between_the_renamings_leaves_two_complete_files(tmp_path: Path) -> None:
     """The new file "a" has got its name, and then the second call of replace, for "b", fails."""
     with pytest.raises(UsageError, match=r"cannot write .*/b: No space left on device"):
-        replace_files_a_and_b(tmp_path, "replace 2", DISK_IS_FULL)
+        replace_files_a_and_b(tmp_path, failing_call="replace 2", failure=DISK_IS_FULL)
     assert contents_of(tmp_path) == {"a": "new", "b": "old"}
 
 
@@ -303,7 +303,7 @@ def test_a_folder_that_cannot_be_synced_is_no_error(tmp_path: Path) -> None:
 
     The first two calls of fsync are for the files "a" and "b", and the third one is for the folder.
     """
-    replace_files_a_and_b(tmp_path, "fsync 3", DISK_IS_FULL)
+    replace_files_a_and_b(tmp_path, failing_call="fsync 3", failure=DISK_IS_FULL)
     assert contents_of(tmp_path) == {"a": "new", "b": "new"}
 
 

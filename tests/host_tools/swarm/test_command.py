@@ -35,14 +35,12 @@ from support import ROOT, block_with, interruptible
 pytestmark = pytest.mark.usefixtures("private_setup")
 
 Capture = pytest.CaptureFixture[str]
-SMALL_OPTIONS = ("--robots", "4", "--steps", "30", "--filter-period", "10")
-SMALL_SETTINGS = SwarmSettings(robots=4, steps=30, filter_period=10)
-"""The settings of the swarm that these options describe."""
 
 
 def run_swarm_command(*arguments: str | Path) -> int:
-    """Run ``mcp-asdf swarm`` with a small swarm; return its exit code."""
-    return main(["swarm", *SMALL_OPTIONS, *map(str, arguments)])
+    """Run ``mcp-asdf swarm`` with four robots in 30 steps; return its exit code."""
+    options_of_small_swarm = ("--robots", "4", "--steps", "30", "--filter-period", "10")
+    return main(["swarm", *options_of_small_swarm, *map(str, arguments)])
 
 
 def json_report(capsys: Capture, *arguments: str | Path) -> dict[str, Any]:
@@ -82,10 +80,11 @@ def test_the_log_of_a_swarm_has_every_frame_with_its_channel_and_its_time(tmp_pa
     Times begin at 0 s with the first frame, and are compared in whole milliseconds.
     """
     log = tmp_path / "my.run.log"
-    assert run_swarm_command("--quiet", "--log", log, "--channel", "mine") == 0
+    options = ["--robots", "4", "--steps", "30", "--filter-period", "10", "--channel", "mine"]
+    assert main(["swarm", *options, "--quiet", "--log", str(log)]) == 0
     with can.LogReader(log) as reader:
         logged_frames = list(reader)
-    _run, sent_frames = run_and_record(SMALL_SETTINGS)
+    _run, sent_frames = run_and_record(SwarmSettings(robots=4, steps=30, filter_period=10))
 
     assert identifiers_and_data(logged_frames) == identifiers_and_data(sent_frames)
     assert {frame.channel for frame in logged_frames} == {"mine"}
@@ -116,7 +115,7 @@ def test_the_same_command_writes_the_same_files_again(tmp_path: Path) -> None:
 def test_a_piped_output_has_steps_robots_results_and_the_line_that_repeats_the_run(capsys: Capture) -> None:
     """Lines of "step" and "robot" come during the run. The results come at its end.
 
-    Fields are separated by tabs. The first field of a result is its name: "run", "estimate" and so on.
+    Fields are separated by tabs. The first field of a result is its name.
     """
     options = "--robots 4 --steps 30 --filter-period 10 --seed 42"
     assert main(["swarm", *options.split()]) == 0
@@ -125,10 +124,11 @@ def test_a_piped_output_has_steps_robots_results_and_the_line_that_repeats_the_r
     for line in lines:
         first_field, *_other_fields = line.split("\t")
         first_fields.append(first_field)
+    usual_results = ["run", "estimate", "b_hat, flawed", "b_hat, other", "filter", "frames", "bus load"]
     start_of_results = first_fields.index("run")
 
     assert set(first_fields[:start_of_results]) <= {"step", "robot"}
-    assert first_fields[start_of_results:] == USUAL_RESULT_NAMES
+    assert first_fields[start_of_results:] == usual_results
     assert last_line == f"again: mcp-asdf swarm {options}"
 
 
@@ -138,28 +138,6 @@ def test_quiet_prints_one_line(capsys: Capture) -> None:
     output = capsys.readouterr().out
     assert output.startswith("seed 42: ")
     assert output.count("\n") == 1
-
-
-USUAL_RESULT_NAMES = ["run", "estimate", "b_hat, flawed", "b_hat, other", "filter", "frames", "bus load"]
-"""The names of the lines of a summary if nothing went wrong."""
-SUMMARY_OF_INTERRUPTED_RUN_WITH_FAULTS = """\
-run\t60 of 60 steps in 1.3 s; interrupted
-estimate\tmean x 0.50078, f 0.55, mean error 0.04922, spread of x 0.05334, of x_hat 0.15370
-b_hat, flawed\tno such robots
-b_hat, other\t0.9500 -> 0.9667 (0.9500 to 1.0000, 3 robots; b 0.95)
-filter\tASDF+: all robots recalibrate; an unknown number of tests, 2 updates
-frames\t180 messages and 18 heartbeats sent on vcan0, 337 messages delivered, 25 frames rejected, 98 \
-messages refused, 0 strays
-arrived\t396 of 396 frames, 100.0%; 198 on the bus
-fault\tcorrupt=0.5,receivers=0,bits=5: 62 injected
-fault\tcollide=1.0,robots=2,id=1: 66 injected
-robot 0\t97 messages delivered; 16 MULTI_FRAME, 3 X_HAT, 4 ALPHA, 2 SUBJECT, 38 refused
-robot 1\t120 messages delivered; 60 refused
-node-id conflict\tanother node sent 60 messages as robot 1; give it a free id
-clock\tticks began 1.000 ms late on average, 20.000 ms at most, 3 of them by more than half a tick; drift \
--0.500 ms; 0 frames late or lost
-bus load\t125 kbit/s 4.2% (peak 8%), 250 kbit/s 2.1% (peak 4%), 500 kbit/s 1.1% (peak 2%), 1 Mbit/s 0.5% \
-(peak 1%)"""
 
 
 def interrupted_run_with_faults() -> SwarmRun:
@@ -173,14 +151,40 @@ def interrupted_run_with_faults() -> SwarmRun:
 def test_a_summary_has_faults_conflicts_the_clock_and_robots_in_trouble() -> None:
     """Robot 0 of three receives damaged frames, robot 2 sends as robot 1, and the user interrupts the run.
 
-    Results are added that only a swarm of robots elsewhere, in real time, has. All lines are compared, in
-    which a tab separates name and text, as in "run, 60 of 60 steps in 1.3 s; interrupted".
+    Results are added that only a swarm of robots elsewhere, in real time, has. A line is a name and a text.
     """
     run = interrupted_run_with_faults()
     run.results["tests"] = None  # no frame of a robot elsewhere has this number
     run.results["clock"] = {"mean_lateness": 0.001, "max_lateness": 0.02, "drift": -0.0005, "late_ticks": 3}
-    lines = ["\t".join(fields) for fields in summary(run, bus="vcan0", seconds=1.26)]
-    assert "\n".join(lines) == SUMMARY_OF_INTERRUPTED_RUN_WITH_FAULTS
+
+    assert summary(run, bus="vcan0", seconds=1.26) == [
+        ("run", "60 of 60 steps in 1.3 s; interrupted"),
+        ("estimate", "mean x 0.50078, f 0.55, mean error 0.04922, spread of x 0.05334, of x_hat 0.15370"),
+        ("b_hat, flawed", "no such robots"),
+        ("b_hat, other", "0.9500 -> 0.9667 (0.9500 to 1.0000, 3 robots; b 0.95)"),
+        ("filter", "ASDF+: all robots recalibrate; an unknown number of tests, 2 updates"),
+        (
+            "frames",
+            "180 messages and 18 heartbeats sent on vcan0, 337 messages delivered, 25 frames rejected, "
+            "98 messages refused, 0 strays",
+        ),
+        ("arrived", "396 of 396 frames, 100.0%; 198 on the bus"),
+        ("fault", "corrupt=0.5,receivers=0,bits=5: 62 injected"),
+        ("fault", "collide=1.0,robots=2,id=1: 66 injected"),
+        ("robot 0", "97 messages delivered; 16 MULTI_FRAME, 3 X_HAT, 4 ALPHA, 2 SUBJECT, 38 refused"),
+        ("robot 1", "120 messages delivered; 60 refused"),
+        ("node-id conflict", "another node sent 60 messages as robot 1; give it a free id"),
+        (
+            "clock",
+            "ticks began 1.000 ms late on average, 20.000 ms at most, 3 of them by more than half a tick; "
+            "drift -0.500 ms; 0 frames late or lost",
+        ),
+        (
+            "bus load",
+            "125 kbit/s 4.2% (peak 8%), 250 kbit/s 2.1% (peak 4%), 500 kbit/s 1.1% (peak 2%), "
+            "1 Mbit/s 0.5% (peak 1%)",
+        ),
+    ]
 
 
 def test_the_summary_in_one_line_says_that_the_run_was_interrupted() -> None:
@@ -194,7 +198,8 @@ def test_a_summary_of_a_run_without_faults_has_no_lines_about_faults_and_says_wh
     run, _frames = run_and_record(small_swarm(robots=3))
     run.failure = "tick 41: bus off"
     text_by_name = dict(summary(run, bus="vcan0", seconds=1.26))
-    assert list(text_by_name) == USUAL_RESULT_NAMES
+    usual_results = ["run", "estimate", "b_hat, flawed", "b_hat, other", "filter", "frames", "bus load"]
+    assert list(text_by_name) == usual_results
     assert text_by_name["run"] == "60 of 60 steps in 1.3 s; failed in tick 41: bus off"
 
 

@@ -47,13 +47,13 @@ class ViewedRun:
     b_hat: list[list[float]] = field(default_factory=list)
 
 
-def view_run(steps: int, compare: bool, **console_options: Any) -> ViewedRun:
+def view_run(steps: int, with_baselines: bool, **console_options: Any) -> ViewedRun:
     """Run a swarm of eight robots, and return what its view has shown on a console.
 
-    If ``compare``, the same swarm without a filter and with the robust one run with it, as baselines.
+    If ``with_baselines``, the same swarm without a filter and with the robust one run with it, as baselines.
     """
     settings = replace(MOVING_SWARM, steps=steps)
-    baselines = Baselines(settings) if compare else None
+    baselines = Baselines(settings) if with_baselines else None
     console_file = io.StringIO()
     console = Console(file=console_file, **console_options)
     viewed_run = ViewedRun()
@@ -84,7 +84,7 @@ def lines_that_begin_with(word: str, output: str) -> list[str]:
 
 def test_a_pipe_gets_the_mean_error_of_the_swarm_twenty_times_in_a_run() -> None:
     """A run of 100 steps has a line after step 5, 10, 15 and so on to 100."""
-    viewed_run = view_run(steps=100, compare=False)
+    viewed_run = view_run(steps=100, with_baselines=False)
     expected_lines = []
     for step in range(5, 101, 5):
         expected_lines.append(f"step\t{step}\tmean_error\t{viewed_run.mean_errors[step]:.5f}")
@@ -94,14 +94,14 @@ def test_a_pipe_gets_the_mean_error_of_the_swarm_twenty_times_in_a_run() -> None
 
 def test_a_pipe_gets_no_mean_error_at_the_end_of_an_incomplete_twentieth() -> None:
     """A twentieth of 98 steps is rounded up to 5 steps, so the last line shows step 95."""
-    viewed_run = view_run(steps=98, compare=False)
+    viewed_run = view_run(steps=98, with_baselines=False)
     *_, last_line = lines_that_begin_with("step", viewed_run.output)
     assert last_line.startswith("step\t95\t")
 
 
 def test_a_pipe_gets_the_mean_errors_of_baselines_behind_the_swarm_s_mean_error() -> None:
     """Baselines are the same swarm without a filter and with the robust one. The last line is compared."""
-    viewed_run = view_run(steps=20, compare=True)
+    viewed_run = view_run(steps=20, with_baselines=True)
     swarm_error = viewed_run.mean_errors[20]  # after step 20
     error_without_filter, error_with_robust_filter = viewed_run.mean_errors_of_baselines
 
@@ -114,7 +114,7 @@ def test_a_pipe_gets_the_mean_errors_of_baselines_behind_the_swarm_s_mean_error(
 
 def test_a_pipe_gets_each_change_of_b_hat_that_is_more_than_a_correction() -> None:
     """b_hat is the accuracy that a robot assumes of its sensor; changes up to 0.002 are corrections."""
-    viewed_run = view_run(steps=390, compare=False)
+    viewed_run = view_run(steps=390, with_baselines=False)
     b_hat = viewed_run.b_hat  # by step and robot; before the first step at index 0
     expected_lines = []
     for step in range(1, 391):
@@ -137,7 +137,9 @@ def pictures_of_bar(output: str) -> list[str]:
     return [line for line in separated.splitlines() if line.strip()]
 
 
-TERMINAL: dict[str, Any] = {"force_terminal": True, "color_system": None}
+def view_run_on_terminal(steps: int, with_baselines: bool, width: int) -> ViewedRun:
+    """Run the swarm of ``view_run``, and return what its view has shown on a terminal of so many columns."""
+    return view_run(steps, with_baselines, width=width, force_terminal=True, color_system=None)
 
 
 def test_a_terminal_gets_a_progress_bar_from_the_first_step_to_the_last() -> None:
@@ -145,7 +147,7 @@ def test_a_terminal_gets_a_progress_bar_from_the_first_step_to_the_last() -> Non
 
     A full bar has ten marks.
     """
-    viewed_run = view_run(steps=200, compare=False, width=80, **TERMINAL)
+    viewed_run = view_run_on_terminal(steps=200, with_baselines=False, width=80)
     first_picture, *other_pictures, last_picture = pictures_of_bar(viewed_run.output)
     assert first_picture.startswith("1/200 ")
     assert len(other_pictures) < 198
@@ -155,7 +157,7 @@ def test_a_terminal_gets_a_progress_bar_from_the_first_step_to_the_last() -> Non
 
 def test_the_progress_bar_of_a_swarm_without_baselines_ends_with_its_mean_error_alone() -> None:
     """Baselines, the same swarm with other filters, would follow, as in "no filter 0.0300"."""
-    viewed_run = view_run(steps=20, compare=False, width=80, **TERMINAL)
+    viewed_run = view_run_on_terminal(steps=20, with_baselines=False, width=80)
     *_, last_picture = pictures_of_bar(viewed_run.output)
     assert f"mean error {viewed_run.mean_errors[20]:.4f}" in last_picture
     assert "no filter" not in viewed_run.output
@@ -163,7 +165,7 @@ def test_the_progress_bar_of_a_swarm_without_baselines_ends_with_its_mean_error_
 
 def test_the_progress_bar_of_a_swarm_with_baselines_ends_with_the_mean_error_of_each() -> None:
     """Baselines are the same swarm without a filter and with the robust one."""
-    viewed_run = view_run(steps=20, compare=True, width=200, **TERMINAL)
+    viewed_run = view_run_on_terminal(steps=20, with_baselines=True, width=200)
     swarm_error = viewed_run.mean_errors[20]  # after step 20
     error_without_filter, error_with_robust_filter = viewed_run.mean_errors_of_baselines
 
@@ -176,7 +178,7 @@ def test_the_progress_bar_of_a_swarm_with_baselines_ends_with_the_mean_error_of_
 
 def test_a_progress_bar_on_a_narrow_terminal_is_cut_off_behind_the_mean_error_of_the_swarm() -> None:
     """The errors of the baselines, the same swarm with other filters, have no room in 60 columns."""
-    viewed_run = view_run(steps=20, compare=True, width=60, **TERMINAL)
+    viewed_run = view_run_on_terminal(steps=20, with_baselines=True, width=60)
     pictures = pictures_of_bar(viewed_run.output)
     *_, last_picture = pictures
     assert max(cell_len(picture) for picture in pictures) <= 60
@@ -186,7 +188,7 @@ def test_a_progress_bar_on_a_narrow_terminal_is_cut_off_behind_the_mean_error_of
 @pytest.mark.parametrize("is_terminal", [False, True])
 def test_a_quiet_console_stays_empty(is_terminal: bool) -> None:
     """Neither a pipe nor a terminal gets anything of a run with baselines."""
-    viewed_run = view_run(steps=20, compare=True, quiet=True, force_terminal=is_terminal)
+    viewed_run = view_run(steps=20, with_baselines=True, quiet=True, force_terminal=is_terminal)
     assert viewed_run.output == ""
 
 

@@ -97,6 +97,10 @@ class Comparison:
     local_frames: list[can.Message]
 
     @property
+    def remote_robot_ids(self) -> list[int]:
+        return list(self.remote_nodes)
+
+    @property
     def saved_remote_robots(self) -> dict[int, bytes]:
         """The saved state of each remote robot itself, by id."""
         nodes = [node.bus_robot for node in self.remote_nodes.values()]
@@ -184,7 +188,7 @@ def test_what_is_reported_of_a_remote_robot_comes_from_its_telemetry(comparison:
 
     The number of observations, t, is counted by the program that drives the robot.
     """
-    for robot_id in comparison.remote_nodes:
+    for robot_id in comparison.remote_robot_ids:
         reported_robot = comparison.remote_run.nodes[robot_id].robot
         local_robot = comparison.local_run.nodes[robot_id].robot
         assert reported_robot.t == local_robot.t

@@ -45,7 +45,6 @@ from trials import images_by_message
 pytestmark = pytest.mark.usefixtures("private_setup")
 
 
-PARAMETERS: dict[str, Any] = {"robots": 6, "flawed": "50%", "steps": 250, "filter_period": 20, "seed": 7}
 CASES: dict[str, dict[str, Any]] = {
     "fully connected": {},
     "no filter": {"filter": "none"},
@@ -75,7 +74,8 @@ def test_a_swarm_on_a_bus_ends_in_the_same_bits_as_the_same_simulated_experiment
 
     The engine in C computes it, too, unless it lacks one of the parameters.
     """
-    parameters = PARAMETERS | changes | {"firmware": firmware}
+    usual_parameters = {"robots": 6, "flawed": "50%", "steps": 250, "filter_period": 20, "seed": 7}
+    parameters: dict[str, Any] = usual_parameters | changes | {"firmware": firmware}
     experiment = Experiment(**parameters, trials=1)
     run, _frames = run_and_record(SwarmSettings(**parameters))
     states_on_the_bus = saved_robots(run.nodes)
@@ -355,7 +355,7 @@ def test_a_wait_for_frames_ends_on_a_bus_that_is_never_quiet(monkeypatch: pytest
 
     frame_of_robot_1 = sent_estimate(sender=1, tick=0)
     with virtual.VirtualBus() as bus:
-        connection = ExpectingConnection(bus, "robot 7")
+        connection = ExpectingConnection(bus, listener="robot 7")
         monkeypatch.setattr(bus, "recv", receive_from_robot_9)
         received_frames = connection.receive_expected([frame_of_robot_1], timeout=0.02)
 

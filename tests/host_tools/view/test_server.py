@@ -310,7 +310,8 @@ def test_a_client_that_resets_its_connection_causes_no_message(capfd: pytest.Cap
     with serve_page(history_of_ended_swarm(states=5000)) as url:
         client = connect(url, request_for(url, "/events"))
         # Without lingering, closing a connection resets it, which fails the server's next write.
-        client.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+        is_lingering_for_0_s = struct.pack("ii", True, 0)
+        client.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, is_lingering_for_0_s)
         client.close()
         status, _content = get(url)
 
