@@ -12,7 +12,7 @@ from authors_files import FIXED as FIXED_NETWORK
 from authors_files import MOVING as MOVING_SWARM
 from authors_files import trial_content, write_trial
 from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.experiments.authors_trials import SOURCE, find_trial_files, read_trials
+from mcp_asdf_tools.experiments.authors_trials import find_trial_files, read_trials
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.result_files import stream_experiments, write_tables
 from mcp_asdf_tools.experiments.result_tables import trials_to_table
@@ -42,15 +42,16 @@ def test_a_trial_read_from_the_authors_format_has_its_parameters_and_number(
     experiment: Experiment, tmp_path: Path
 ) -> None:
     """The parameters are those of an experiment, and the number says which of its trials this is."""
-    trials = read_trial(write_trial(tmp_path / "trial.json", experiment, number=2))
+    path = write_trial(tmp_path / "trial.json", experiment, number=2)
+    trials = read_trial(path)
     assert trials.experiment == experiment
     assert trials.numbers == [2]
 
 
 def test_the_source_of_a_trial_says_that_the_authors_programs_have_run_it(tmp_path: Path) -> None:
     """So nobody takes results of other programs for results of this program."""
-    trials = read_trial(write_trial(tmp_path / "trial.json", FIXED_NETWORK, number=2))
-    assert trials.source == SOURCE
+    path = write_trial(tmp_path / "trial.json", FIXED_NETWORK, number=2)
+    assert read_trial(path).source == "NESTLab/sensor-degradation-filter"
 
 
 @with_fixed_and_with_moving_robots
@@ -221,8 +222,9 @@ def test_a_sweep_does_not_take_results_of_the_authors_programs_for_its_own(autho
 
 
 def test_a_file_of_results_keeps_that_the_authors_programs_have_run_them(authors_results: Path) -> None:
+    """The repository of the authors' programs is the source of their trials."""
     [trials] = stream_experiments(authors_results)
-    assert trials.source == SOURCE
+    assert trials.source == "NESTLab/sensor-degradation-filter"
 
 
 # --- What is refused -------------------------------------------------------------------------------------

@@ -262,7 +262,7 @@ def test_points_are_the_scores_for_convergence_and_error_of_the_trials_of_a_pane
     assert len(experiments_of_panel) == experiment_count
 
     for line, trials in zip(panel.lines, experiments_of_panel, strict=True):
-        scores = trials.scores(LIMITS_OF_SCORES)
+        scores = trials.scores(LIMITS_OF_SCORES)  # those of the picture
         assert x_values_of(line) == scores["h_K"].tolist()
         assert y_values_of(line) == scores["h_e"].tolist()
 

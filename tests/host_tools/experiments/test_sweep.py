@@ -751,17 +751,19 @@ def test_the_command_sweep_prints_the_score_h_of_each_experiment_with_its_quarti
 
 
 @pytest.fixture
-def one_experiment(tmp_path: Path) -> Path:
+def file_of_one_experiment(tmp_path: Path) -> Path:
     """A file that describes one short experiment."""
     path = tmp_path / "one.toml"
     path.write_text("steps = 100\nrobots = 3\nflawed = 1\n")
     return path
 
 
-def test_options_of_the_command_simulate_change_the_experiment_of_a_file(one_experiment: Path) -> None:
+def test_options_of_the_command_simulate_change_the_experiment_of_a_file(
+    file_of_one_experiment: Path,
+) -> None:
     """The file's experiment has 100 steps, for which no option is given, and other robots and trials."""
     options = "--robots 6 --flawed 50% --trials 4 --omega 0.1"
-    answer = run_for_json("simulate", one_experiment, *options.split())
+    answer = run_for_json("simulate", file_of_one_experiment, *options.split())
     parameters = answer["parameters"]
 
     assert parameters["steps"] == 100
@@ -771,20 +773,20 @@ def test_options_of_the_command_simulate_change_the_experiment_of_a_file(one_exp
     assert answer["trials"] == 4
 
 
-def test_the_command_simulate_scores_with_the_paper_s_limits(one_experiment: Path) -> None:
+def test_the_command_simulate_scores_with_the_paper_s_limits(file_of_one_experiment: Path) -> None:
     """The limits are the length of a trial, here 100 steps, and an error of 0.45."""
-    answer = run_for_json("simulate", one_experiment, "--trials", "1")
+    answer = run_for_json("simulate", file_of_one_experiment, "--trials", "1")
     assert answer["limits"] == {"k_max": 100, "e_max": 0.45}
 
 
 def test_the_command_simulate_writes_results_only_if_it_is_given_an_output(
-    one_experiment: Path, tmp_path: Path
+    file_of_one_experiment: Path, tmp_path: Path
 ) -> None:
     """The output has a row for each trial, 30 by default. --record is an option of such an output."""
-    run_for_json("simulate", one_experiment)
-    assert list(tmp_path.iterdir()) == [one_experiment]
+    run_for_json("simulate", file_of_one_experiment)
+    assert list(tmp_path.iterdir()) == [file_of_one_experiment]
 
-    run_for_json("simulate", one_experiment, "--output", tmp_path / "one.parquet", "--record", "100")
+    run_for_json("simulate", file_of_one_experiment, "--output", tmp_path / "one.parquet", "--record", "100")
     assert len(read_table(tmp_path / "one.parquet")) == 30
 
 
@@ -799,7 +801,7 @@ def test_the_command_simulate_writes_results_only_if_it_is_given_an_output(
 def test_the_command_simulate_runs_only_a_short_experiment_in_its_own_process(
     options: str, expected_workers: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Starting others would take longer. The user asks for 1024 processes.
+    """Starting others would take longer. The user asks for 1024 processes, and gets them for longer ones.
 
     No trial is run here, as the command is ended by an error where it calls the library.
     """

@@ -295,14 +295,15 @@ def test_a_comparison_is_the_measure_of_the_first_cell_less_the_measure_of_the_s
     H is 3 higher without flawed robots ("flawless"), 2 lower with 50 % of them, and 4 higher in fully
     connected swarms than in dynamic ones. H is compared with a level if the row has one; "quite high" is 80.
     """
-    h_by_filter = {"none": 57, "asdf-minus": 72, "asdf-plus": 77}
-    change_by_flawed_percent = {0: 3, 30: 0, 50: -2}
-    change_by_part = {"dynamic": 0, "fully_connected": 4}
-    # PlantedResults evaluates this for each swarm, by its filter, its percentage P and its part of the study.
-    h = f"{h_by_filter}[filter] + {change_by_flawed_percent}[P] + {change_by_part}[part]"
+    # This is evaluated for each swarm, by its filter, its percentage P and its part of the study.
+    expression_of_h = (
+        "{'none': 57, 'asdf-minus': 72, 'asdf-plus': 77}[filter]"
+        " + {0: 3, 30: 0, 50: -2}[P]"
+        " + {'dynamic': 0, 'fully_connected': 4}[part]"
+    )
 
     [planned_comparison] = plan_comparisons(flawed_percents=30, flawed_accuracies=0.75, **row)
-    comparison = planned_comparison.compare(PlantedResults(h), confidence=0.9)
+    comparison = planned_comparison.compare(PlantedResults(expression_of_h), confidence=0.9)
 
     # The trials of a planted swarm scatter by 0.01.
     assert comparison.interval.value == pytest.approx(expected_difference, abs=0.02)

@@ -146,7 +146,8 @@ def test_the_title_of_a_picture_ends_with_the_number_of_the_papers_figure_that_s
     name: str, figure: str
 ) -> None:
     """A title ends with "(the paper's figure 3a)", for example."""
-    picture = pictures_of(*StudyPart)[name]
+    pictures_of_whole_study = pictures_of(*StudyPart)
+    picture = pictures_of_whole_study[name]
     assert picture.title.endswith(f" (the paper's figure {figure})")
 
 
@@ -209,7 +210,8 @@ def test_trial_0_runs_again_with_recorded_values_to_be_drawn_over_time() -> None
 
 def test_the_title_of_a_picture_has_the_name_of_its_filter_with_a_minus_sign() -> None:
     """The filter ASDF- is written with a minus sign instead of a hyphen."""
-    picture = pictures_of(*StudyPart)["dynamic_asdf-minus"]
+    pictures_of_whole_study = pictures_of(*StudyPart)
+    picture = pictures_of_whole_study["dynamic_asdf-minus"]
     assert picture.title.startswith("H of dynamic swarms without filter and with ASDF\N{MINUS SIGN}")
 
 

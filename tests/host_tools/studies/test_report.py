@@ -242,7 +242,8 @@ def test_decisions_for_json_have_claim_part_verdict_and_a_summary(planted_report
 def test_the_report_gives_no_verdicts_by_fewer_trials_than_the_papers(tmp_path: Path) -> None:
     """The page says why, no claim is said to agree, and the verdicts in JSON are None."""
     ten_trials = StudySize(trials=10)  # the paper has 30
-    short_report = write_planted_report(tmp_path, ten_trials, claims=CLAIMS[:5])
+    some_claims = CLAIMS[:5]
+    short_report = write_planted_report(tmp_path, ten_trials, some_claims)
 
     assert "Too short for verdicts" in short_report.html
     assert ": agree" not in short_report.markdown

@@ -314,9 +314,9 @@ def test_the_report_is_made_with_the_trials_that_ran_with_a_filter_of_the_user_s
     [results_of_report] = reported_results
     assert results_of_report.users_name == "robust"
     users_trials = results_of_report.users_trials_of(StudyPart.PHYSICAL)
-    size = StudySize(trials=2, steps=4000)
+    size_of_short_study = StudySize(trials=2, steps=4000)
     assert [trials.experiment for trials in users_trials] == users_experiments_of(
-        StudyPart.PHYSICAL, size, firmware="native", filter_name="robust"
+        StudyPart.PHYSICAL, size_of_short_study, firmware="native", filter_name="robust"
     )
 
 

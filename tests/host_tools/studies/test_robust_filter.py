@@ -133,9 +133,10 @@ def test_a_cell_of_the_grid_has_score_late_error_error_at_convergence_and_harm(
 
 @pytest.mark.usefixtures("few_resamples")
 def test_a_cell_of_other_tables_has_both_errors_and_the_percentage_of_harmed_robots() -> None:
-    """The error of underconfident robots stands before the error of overconfident ones. None is harmed.
+    """The error of underconfident robots stands before the error of overconfident ones.
 
-    The floor of underconfident swarms is 0.55 black, and the floor of overconfident ones 0.95.
+    The floor of underconfident swarms is 0.55 black, and the floor of overconfident ones 0.95. b_hat of all
+    robots is the accuracy of their sensors, so none is harmed.
     """
     underconfident = two_trials_with(**FLAWS["underconfident"], x=0.65, b_hat=0.95)
     overconfident = two_trials_with(**FLAWS["overconfident"], x=0.75, b_hat=0.55)

@@ -73,7 +73,7 @@ def test_more_bits_of_alpha_change_nothing_for_the_robust_filter() -> None:
 
 def test_two_codes_about_which_30_trials_decide_nothing_can_run_with_600() -> None:
     """The study is made for these codes alone, and for exact messages, with which they are compared."""
-    close_codes = [MessageCode(7, 4), MessageCode(8, 4)]
+    close_codes = [MessageCode(x_hat_bits=7, alpha_bits=4), MessageCode(x_hat_bits=8, alpha_bits=4)]
     experiments_by_row = small_messages.experiments_of("asdf-minus", close_codes, trials=600)
 
     experiments = all_experiments(experiments_by_row)
@@ -112,12 +112,14 @@ def test_the_error_ratio_of_a_code_is_the_largest_ratio_of_its_swarms(
 
     monkeypatch.setattr(small_messages, "late_error", planted_error)
 
+    code_with_larger_error = MessageCode(x_hat_bits=4, alpha_bits=1)
+    other_code = MessageCode(x_hat_bits=16, alpha_bits=9)
     no_results: dict[str, list[Trials]] = {}  # as the errors are planted
-    ratios = small_messages.worst_ratios(no_results, [MessageCode(4, 1), MessageCode(16, 9)])
+    ratios = small_messages.worst_ratios(no_results, [code_with_larger_error, other_code])
 
     larger_ratio = Interval(value=0.3 / 0.1, low=0.2 / 0.1, high=0.4 / 0.1)
-    assert ratios[MessageCode(4, 1)] == pytest.approx(larger_ratio)
-    assert ratios[MessageCode(16, 9)] == pytest.approx(Interval(value=1, low=1, high=1))
+    assert ratios[code_with_larger_error] == pytest.approx(larger_ratio)
+    assert ratios[other_code] == pytest.approx(Interval(value=1, low=1, high=1))
 
 
 @pytest.mark.parametrize(("high_end", "text"), [(1.1, "**1.02**"), (1.11, "1.02")])
@@ -130,7 +132,8 @@ def test_a_ratio_is_bold_if_its_interval_goes_no_higher_than_1_1(high_end: float
 def test_a_table_shows_a_ratio_and_both_ends_of_its_interval_with_two_decimals() -> None:
     """The row begins with the bits of the code, 7 for x_hat and 4 for alpha."""
     ratio = Interval(value=1.107, low=1.0685, high=1.155)
-    table = small_messages.interval_table({MessageCode(7, 4): ratio})
+    code = MessageCode(x_hat_bits=7, alpha_bits=4)
+    table = small_messages.interval_table({code: ratio})
 
     _column_heads, _separator, row = table.splitlines()
     assert row == "| 7 | 4 | 1.11 | 1.07 | 1.16 |"

@@ -228,11 +228,10 @@ def test_the_page_t_tables_has_how_often_an_estimate_of_the_same_kind_is_rejecte
 
 @with_each_choice
 def test_the_page_t_tables_has_how_often_an_estimate_at_a_distance_is_rejected(row: dict[str, str]) -> None:
-    """The mean of m estimates less the distant one is divided by their spread and multiplied by sqrt(m).
+    """Its difference from the mean of m estimates, over their spread, has a noncentral t distribution.
 
-    The result has a noncentral t distribution.
-
-    The row has columns for distances of some standard deviations, such as "2 sigma".
+    This is so after it is multiplied by sqrt(m). The row has columns for distances of some standard
+    deviations, such as "2 sigma".
     """
     m, omega = int(row["m"]), float(row["omega"])
     limit_of_t = limit_in_spreads(omega, m) * math.sqrt(m)
