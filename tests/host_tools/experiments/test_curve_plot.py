@@ -61,7 +61,7 @@ def test_each_curve_goes_through_the_medians_of_trials_in_a_band_of_their_interv
     The band of a curve reaches at each omega over the 95 % interval of the median there.
     """
     all_trials = [*trials_by_density_and_omega.values()]
-    (axes,) = plot_curve(all_trials, "omega", measure, hue="density").axes
+    (axes,) = plot_curve(all_trials, x="omega", y=measure, hue="density").axes
     lines, bands = axes.lines, axes.collections
 
     densities, omegas = (0.5, 2.0), (0.02, 0.05, 0.9)  # ascending, as they are drawn
@@ -81,7 +81,7 @@ def test_curves_are_drawn_into_one_large_panel_with_the_score_over_the_parameter
     The label along the y axis is the score, H. The label along the x axis, omega, begins the caption.
     """
     all_trials = [*trials_by_density_and_omega.values()]
-    figure = plot_curve(all_trials, "omega", hue="density")
+    figure = plot_curve(all_trials, x="omega", hue="density")
 
     assert layout_of(figure) == Layout(rows=1, columns=1, width=6.3, panel_height=3.8)
     assert legend_of(figure) == ["density 0.5", "density 2"]
@@ -138,7 +138,7 @@ def swarms_of_four_robots(swarms_of_four_sizes: list[Trials]) -> list[Trials]:
 
 @pytest.fixture(scope="module")
 def curves_in_panels(swarms_of_four_sizes: list[Trials]) -> Figure:
-    return plot_curve(swarms_of_four_sizes, "flawed", hue="filter", facet="robots")
+    return plot_curve(swarms_of_four_sizes, x="flawed", hue="filter", facet="robots")
 
 
 def test_curves_have_a_panel_for_each_value_of_the_parameter_given_as_facet(curves_in_panels: Figure) -> None:
@@ -205,7 +205,7 @@ def test_the_caption_of_curves_counts_trials_and_says_where_bands_are_no_interva
 
 def test_a_facet_with_a_single_value_gives_one_large_panel(swarms_of_four_robots: list[Trials]) -> None:
     """The facet is the number of robots, which is the same in all of these swarms."""
-    figure = plot_curve(swarms_of_four_robots, "flawed", hue="filter", facet="robots")
+    figure = plot_curve(swarms_of_four_robots, x="flawed", hue="filter", facet="robots")
     assert titles_of(figure) == ["robots 4"]
     assert layout_of(figure) == Layout(rows=1, columns=1, width=6.3, panel_height=3.8)
 
@@ -223,7 +223,7 @@ def unfiltered_swarms(swarms_of_four_robots: list[Trials]) -> list[Trials]:
 
 def test_a_curve_can_be_of_a_function_of_the_user(unfiltered_swarms: list[Trials]) -> None:
     """The function gives a value of each trial, here an error. The curve goes through the swarms' medians."""
-    (axes,) = plot_curve(unfiltered_swarms, "flawed", y=error_of_first_robot).axes
+    (axes,) = plot_curve(unfiltered_swarms, x="flawed", y=error_of_first_robot).axes
     (line,) = axes.lines
 
     medians = [np.median(error_of_first_robot(trials)) for trials in unfiltered_swarms]
@@ -239,7 +239,7 @@ def test_a_curve_can_be_drawn_into_axes_of_the_user(unfiltered_swarms: list[Tria
     part_of_figure = figure.subfigures()
     axes = part_of_figure.subplots()
 
-    returned_figure = plot_curve(unfiltered_swarms, "flawed", y=error_of_first_robot, ax=axes)
+    returned_figure = plot_curve(unfiltered_swarms, x="flawed", y=error_of_first_robot, ax=axes)
 
     assert returned_figure is figure
     assert (axes.get_xlabel(), axes.get_ylabel()) == ("share of flawed robots", "error_of_first_robot")
@@ -251,7 +251,7 @@ def test_axes_of_the_user_get_a_legend_if_several_curves_are_drawn(
 ) -> None:
     """There are two curves, without a filter and with the robust one."""
     axes = Figure().subplots()
-    plot_curve(swarms_of_four_robots, "flawed", hue="filter", ax=axes)
+    plot_curve(swarms_of_four_robots, x="flawed", hue="filter", ax=axes)
     legend = axes.get_legend()
 
     assert legend is not None
@@ -264,7 +264,7 @@ def test_a_facet_makes_several_panels_so_axes_of_the_user_are_refused(
 ) -> None:
     axes = Figure().subplots()
     with pytest.raises(UsageError, match="give one of them"):
-        plot_curve(swarms_of_four_robots, "flawed", hue="filter", facet="robots", ax=axes)
+        plot_curve(swarms_of_four_robots, x="flawed", hue="filter", facet="robots", ax=axes)
 
 
 # --- Parameters ------------------------------------------------------------------------------------------
@@ -290,7 +290,7 @@ def test_numbers_shares_and_names_can_be_along_the_x_axis(
     Names of filters stand in their usual order, whatever the order of the experiments.
     """
     experiments = grid(**SIX_MOVING_ROBOTS | {parameter: values})
-    (axes,) = plot_curve([results_of(experiment) for experiment in experiments], parameter).axes
+    (axes,) = plot_curve([results_of(experiment) for experiment in experiments], x=parameter).axes
     (line,) = axes.lines
     assert x_values_of(line) == expected_positions
 
@@ -300,7 +300,7 @@ def test_graphs_stand_side_by_side_on_the_x_axis_with_shortened_labels() -> None
     complete_graph_of_four = [(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)]
     graphs = [[(0, 1)], [(0, 1), (0, 2), (0, 10), (0, 11)], complete_graph_of_four]
     experiments = grid(robots=12, steps=200, filter_period=50, trials=7, topology="graph", graph=graphs)
-    (axes,) = plot_curve([results_of(experiment) for experiment in experiments], "graph").axes
+    (axes,) = plot_curve([results_of(experiment) for experiment in experiments], x="graph").axes
     (line,) = axes.lines
     labels = [label.get_text() for label in axes.get_xticklabels()]
 
@@ -312,7 +312,7 @@ def test_curves_of_the_four_filters_have_the_colours_of_all_pictures(
     results_by_filter: dict[str, Trials],
 ) -> None:
     """The order of the filters is: none (grey), ASDF-, ASDF+ and the robust filter (green)."""
-    (axes,) = plot_curve([*results_by_filter.values()], "flawed", hue="filter").axes
+    (axes,) = plot_curve([*results_by_filter.values()], x="flawed", hue="filter").axes
     asdf_minus_colour, asdf_plus_colour, *_other_colours = COLOURS
     assert [line.get_color() for line in axes.lines] == [GREY, asdf_minus_colour, asdf_plus_colour, GREEN]
 
@@ -331,7 +331,7 @@ def test_a_curve_may_be_of_swarms_that_differ_in_a_parameter_without_effect(
     """
     asdf_plus = with_omega(results_by_filter["asdf-plus"], 0.05)
     robust = with_omega(results_by_filter["robust"], 0.1)
-    (axes,) = visible_axes(plot_curve([asdf_plus, robust], "filter"))
+    (axes,) = visible_axes(plot_curve([asdf_plus, robust], x="filter"))
     (line,) = axes.lines
     assert len(y_values_of(line)) == 2
 
@@ -340,6 +340,6 @@ def test_swarms_of_two_sizes_with_the_same_share_of_flawed_robots_can_be_on_one_
     """2 of 4 and 4 of 8 robots are flawed: these numbers differ, and the shares do not."""
     small_swarm = replace(SHORT_EXPERIMENT, robots=4, flawed=2, trials=1)
     large_swarm = replace(SHORT_EXPERIMENT, robots=8, flawed=4, trials=1)
-    (axes,) = plot_curve([results_of(small_swarm), results_of(large_swarm)], "robots").axes
+    (axes,) = plot_curve([results_of(small_swarm), results_of(large_swarm)], x="robots").axes
     (line,) = axes.lines
     assert x_values_of(line) == [4, 8]

@@ -165,14 +165,14 @@ def test_a_curve_of_experiments_that_differ_in_a_parameter_not_shown_is_refused(
     # It is a parameter that is the same in both experiments.
     parameter_on_x_axis = "seed" if parameter == "comms_period" else "comms_period"
     with pytest.raises(UsageError, match=f"the results differ in {parameter} too"):
-        plot_curve(run_two_that_differ_in(parameter), parameter_on_x_axis)
+        plot_curve(run_two_that_differ_in(parameter), x=parameter_on_x_axis)
 
 
 @pytest.mark.parametrize("parameter", DRAWN_CASES)
 def test_a_curve_over_a_parameter_has_a_point_at_the_median_error_for_each_value(parameter: str) -> None:
     """The error of a trial is called e. There are two values, and the curve may go up or down."""
     first, second = run_two_that_differ_in(parameter)
-    (axes,) = plot_curve([first, second], parameter, "e").axes
+    (axes,) = plot_curve([first, second], x=parameter, y="e").axes
     (line,) = axes.lines
 
     heights = np.asarray(line.get_ydata())

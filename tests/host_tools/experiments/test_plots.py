@@ -77,7 +77,7 @@ def test_plot_curve_names_all_parameters_in_which_results_differ_and_that_are_no
     The plot would show the effect of these parameters as if it were omega's alone.
     """
     with pytest.raises(UsageError, match="the results differ in flawed_accuracy, flawed too"):
-        library.plot_curve([unfiltered, flawed], "omega")
+        library.plot_curve([unfiltered, flawed], x="omega")
 
 
 @pytest.mark.parametrize(

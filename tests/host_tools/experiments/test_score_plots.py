@@ -337,7 +337,7 @@ def unfiltered(results: list[Trials]) -> Trials:
 
 def plot_curves_by_seed(experiments: list[Trials]) -> Figure:
     """Draw a curve for each seed."""
-    return plot_curve(experiments, "omega", hue="seed")
+    return plot_curve(experiments, x="omega", hue="seed")
 
 
 @pytest.mark.parametrize("plot", [plot_boxes, plot_scatter, plot_curves_by_seed])

@@ -40,15 +40,14 @@ def test_the_step_of_convergence_is_the_first_from_which_on_no_value_differs_by_
     expected_step = convergence_step_by_definition(floats, delta=3.0)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(scores, "_CHUNK", values_at_once)
-        assert convergence_step(integers, 3.0) == expected_step
-        assert convergence_step(floats, 3.0) == expected_step
+        assert convergence_step(integers, delta=3.0) == expected_step
+        assert convergence_step(floats, delta=3.0) == expected_step
 
 
 @pytest.mark.parametrize("series", [[0.5, math.nan, 0.5], [0.5, 0.5, math.nan]])
 def test_a_series_with_a_nan_converges_only_in_its_last_step(series: list[float]) -> None:
     """A NaN is near no number, not even a NaN. The last step is step 2, as the first one is step 0."""
-    largest_difference = 0.25
-    assert convergence_step(np.array(series), largest_difference) == 2
+    assert convergence_step(np.array(series), delta=0.25) == 2
 
 
 @pytest.mark.parametrize(

@@ -240,7 +240,7 @@ def test_a_sweep_into_the_results_of_another_one_is_refused_and_leaves_them_alon
     content_before = output.read_bytes()
 
     with pytest.raises(UsageError, match="choose another name"):
-        Store(output, experiments, sampling_interval)
+        Store(output, experiments, sampling_interval=sampling_interval)
     assert output.read_bytes() == content_before
 
 

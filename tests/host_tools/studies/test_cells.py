@@ -148,4 +148,4 @@ def test_claims_get_verdicts_only_if_trials_are_as_many_and_as_long_as_the_paper
     trials: int, steps: int, allows_verdicts: bool
 ) -> None:
     """The paper has 30 trials of at most 40,000 steps."""
-    assert StudySize(trials, steps).allows_verdicts is allows_verdicts
+    assert StudySize(trials=trials, steps=steps).allows_verdicts is allows_verdicts

@@ -418,7 +418,10 @@ def test_w_msr_leaves_out_as_many_estimates_above_and_below_the_robot_s_own_one_
 ) -> None:
     """W-MSR takes the mean of the own estimate, 0.5, and of those that it keeps."""
     mean_of_kept = np.mean([0.5, *kept])
-    assert peers.wmsr_mean(0.5, received, tolerated_liars) == pytest.approx(mean_of_kept)
+    mean_by_w_msr = peers.wmsr_mean(
+        own_estimate=0.5, received_estimates=received, tolerated_liars=tolerated_liars
+    )
+    assert mean_by_w_msr == pytest.approx(mean_of_kept)
 
 
 def receive_in_one_round(robot: ReferenceRobot, x_hats: Sequence[float]) -> None:

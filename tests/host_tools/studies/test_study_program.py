@@ -118,7 +118,9 @@ def test_a_measure_that_is_rarely_above_0_can_be_averaged_by_means_instead_of_me
     """
     experiments: Any = [[1] + [0] * 19, [0] * 20]
 
-    value, low, high = study_program.mean_over_experiments(measure_numbers, experiments, resample_mean)
+    value, low, high = study_program.mean_over_experiments(
+        measure_numbers, experiments, resample=resample_mean
+    )
 
     assert value == pytest.approx(1 / 40)
     assert low == 0
