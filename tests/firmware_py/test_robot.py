@@ -207,7 +207,7 @@ def test_a_robot_that_has_observed_nothing_keeps_its_accuracy(firmware: Firmware
     assert robot.counters == Counters(accepted=5, tests=0, updates=0)
 
 
-def run_round(swarm: list[Robot], rng: random.Random) -> None:
+def observe_and_exchange_estimates(swarm: list[Robot], rng: random.Random) -> None:
     """Let each robot observe a random tile, and receive the estimates of all others in a random order."""
     for robot in swarm:
         robot.observe(rng.choice([BLACK, WHITE]))
@@ -236,6 +236,6 @@ def test_robots_that_all_receive_each_other_s_estimates_believe_the_same_to_the_
     ]
 
     for _ in range(30):
-        run_round(swarm, rng)
+        observe_and_exchange_estimates(swarm, rng)
         different_values = {robot.x for robot in swarm}
         assert len(different_values) == 1

@@ -213,10 +213,11 @@ def test_view_of_a_silent_bus_prints_the_page_s_address_and_that_no_robot_sent_t
 ) -> None:
     """Ctrl-C ends it when it looks for the second time whether it should stop.
 
-    No robot sends on the bus, which is one inside this process.
+    No robot sends on the bus, which is one inside this process. The command looks by calling what
+    ``with stopping() as should_stop`` gives it.
     """
     is_ctrl_c_pressed = Mock(side_effect=[False, True])
-    monkeypatch.setattr(view, "stopping", lambda: nullcontext(is_ctrl_c_pressed))
+    monkeypatch.setattr(view, "stopping", Mock(return_value=nullcontext(is_ctrl_c_pressed)))
     assert main(["view", "--interface", "udp_multicast", "--channel", "239.74.163.77", "--json"]) == 0
     output, errors = capsys.readouterr()
 
@@ -250,9 +251,13 @@ def test_swarm_with_a_web_page_ends_with_an_error_and_does_not_wait_when_the_bus
 
 
 def test_ctrl_c_that_ends_a_swarm_ends_its_page_too(monkeypatch: pytest.MonkeyPatch, capsys: Capture) -> None:
-    """The command does not wait for a second Ctrl-C, as the printed line with the address says."""
+    """The command does not wait for a second Ctrl-C, as the printed line with the address says.
+
+    It looks for Ctrl-C by calling what ``with stopping() as should_stop`` gives it.
+    """
     is_ctrl_c_pressed = Mock(return_value=True)
-    monkeypatch.setattr("mcp_asdf_tools.cli.swarm.stopping", lambda: nullcontext(is_ctrl_c_pressed))
+    stopping = Mock(return_value=nullcontext(is_ctrl_c_pressed))
+    monkeypatch.setattr("mcp_asdf_tools.cli.swarm.stopping", stopping)
     fail_instead_of_waiting = Mock(side_effect=AssertionError("it waits for Ctrl-C"))
     monkeypatch.setattr("mcp_asdf_tools.cli.swarm.sleep_until", fail_instead_of_waiting)
 

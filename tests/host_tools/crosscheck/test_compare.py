@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from crosschecks import ROBOT_WITHOUT_FILTER, SEED, BrokenRobot, find_failure
+from crosschecks import ROBOT_WITHOUT_FILTER, BrokenRobot, find_failure
 from mcp_asdf.mirror import MirrorRobot
 from mcp_asdf.native import NativeRobot
 from mcp_asdf.robot import Config, Filter
@@ -172,7 +172,7 @@ def test_a_crosscheck_that_fails_has_counted_the_calls_up_to_the_failing_one(
         passed_call_counts.append(len(scenario.calls))
         return None
 
-    result = run_crosscheck(fail_in_fourth_scenario, SEED, calls=5000, on_calls=ignore_progress)
+    result = run_crosscheck(fail_in_fourth_scenario, seed=1, calls=5000, on_calls=ignore_progress)
     assert result.failure is not None
     assert result.calls == sum(passed_call_counts) + calls_up_to_failure
     assert result.scenarios == 3 + 1
@@ -188,7 +188,7 @@ def test_a_crosscheck_without_a_failure_ends_after_exactly_the_calls_asked_for()
         return None
 
     reported_calls: list[int] = []
-    result = run_crosscheck(find_nothing_wrong, SEED, calls=1234, on_calls=reported_calls.append)
+    result = run_crosscheck(find_nothing_wrong, seed=1, calls=1234, on_calls=reported_calls.append)
     assert result.failure is None
     assert not result.interrupted
     assert result.calls == 1234
@@ -202,7 +202,7 @@ def test_every_fourth_scenario_of_a_crosscheck_has_a_robot_with_the_robust_filte
     def record_filter(scenario: Scenario) -> None:
         is_robust.append(scenario.setup.filter == Filter.ROBUST)
 
-    run_crosscheck(record_filter, SEED, calls=1234, on_calls=ignore_progress)
+    run_crosscheck(record_filter, seed=1, calls=1234, on_calls=ignore_progress)
 
     first_four, next_four = is_robust[:4], is_robust[4:8]
     assert first_four == [False, False, False, True]

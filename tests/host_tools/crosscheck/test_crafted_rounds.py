@@ -200,7 +200,8 @@ def test_widely_scattered_estimates_pass_the_test(omega: str, own_x_hat: int) ->
     There are 126 of them.
     """
     robot = robot_with_test(own_x_hat, omega)
-    x_hats = x_hats_of(draw_round_of_large_scatter(robot, Random(1)))
+    estimates = draw_round_of_large_scatter(robot, rng=Random(1))
+    x_hats = x_hats_of(estimates)
     assert not is_rejected(x_hats, own_x_hat, threshold_of(omega, m=126))
 
 
@@ -216,7 +217,8 @@ def test_widely_scattered_estimates_would_be_rejected_by_firmware_with_a_sum_of_
     56 bits. There are 126 estimates.
     """
     robot = robot_with_test(own_x_hat, omega)
-    x_hats = x_hats_of(draw_round_of_large_scatter(robot, Random(1)))
+    estimates = draw_round_of_large_scatter(robot, rng=Random(1))
+    x_hats = x_hats_of(estimates)
     difference_squared = (sum(x_hats) - 126 * own_x_hat) ** 2
     scatter_in_56_bits = scatter_of(x_hats) % 2**56
     k = threshold_of(omega, m=126)
@@ -228,7 +230,8 @@ def test_widely_scattered_estimates_would_be_rejected_by_firmware_with_a_sum_of_
 def test_estimates_far_from_the_robot_s_own_are_rejected(own_x_hat: int) -> None:
     """The 126 estimates are near each other, and their mean is far from the robot's own x_hat."""
     robot = robot_with_test(own_x_hat, omega="0.05")
-    x_hats = x_hats_of(draw_round_of_distant_sum(robot, Random(1)))
+    estimates = draw_round_of_distant_sum(robot, rng=Random(1))
+    x_hats = x_hats_of(estimates)
     assert is_rejected(x_hats, own_x_hat, threshold_of(omega="0.05", m=126))
 
 
@@ -240,7 +243,8 @@ def test_estimates_far_from_the_robot_s_own_would_pass_in_firmware_with_54_bits(
     The difference is that of the sum of 126 estimates from 126 times the robot's own.
     """
     robot = robot_with_test(own_x_hat, omega="0.05")
-    x_hats = x_hats_of(draw_round_of_distant_sum(robot, Random(1)))
+    estimates = draw_round_of_distant_sum(robot, rng=Random(1))
+    x_hats = x_hats_of(estimates)
     difference = sum(x_hats) - 126 * own_x_hat
     lowest_54_bits = difference**2 % 2**54
     assert lowest_54_bits == 0

@@ -30,12 +30,23 @@ def outcomes_of(scenarios: Iterable[Scenario]) -> set[str]:
 
 
 def test_random_scenarios_bring_about_every_result_of_every_call() -> None:
-    """An outcome is a call's name and result. There are 20 scenarios."""
+    """An outcome is a call's name and result. In 20 scenarios each occurs, and no other does."""
     outcomes = outcomes_of(random_scenario(seed=1, index=index) for index in range(20))
     assert outcomes == {
-        *("observe OK", "observe ERR_OBSERVATION", "step OK", "step UPDATED", "step ERR_OBSERVATION"),
-        *("receive OK", "receive REPEATED", "receive ERR_SENDER", "receive ERR_X_HAT"),
-        *("settle OK", "settle UPDATED", "restore OK", "restore ERR_IMAGE", "damage ERR_IMAGE"),
+        "observe OK",
+        "observe ERR_OBSERVATION",
+        "step OK",
+        "step UPDATED",
+        "step ERR_OBSERVATION",
+        "receive OK",
+        "receive REPEATED",
+        "receive ERR_SENDER",
+        "receive ERR_X_HAT",
+        "settle OK",
+        "settle UPDATED",
+        "restore OK",
+        "restore ERR_IMAGE",
+        "damage ERR_IMAGE",
     }
 
 

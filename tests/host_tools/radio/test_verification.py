@@ -1067,12 +1067,11 @@ def test_the_command_radio_ends_with_the_exit_code_of_a_signal_that_stops_a_veri
 ) -> None:
     """A script must not take the verdict of a run that Ctrl-C has ended for one that passed or failed.
 
-    ``stopping`` gives the command a function that tells whether a signal has come. Here one has, at once.
+    ``with stopping() as should_stop`` gives the command a function that tells whether a signal has come. Here
+    one has, at once.
     """
-
-    def has_signal_come() -> bool:
-        return True
-
-    monkeypatch.setattr("mcp_asdf_tools.cli.radio.stopping", lambda: nullcontext(has_signal_come))
+    has_signal_come = Mock(return_value=True)
+    stopping = Mock(return_value=nullcontext(has_signal_come))
+    monkeypatch.setattr("mcp_asdf_tools.cli.radio.stopping", stopping)
     assert radio(f"{CONTROLLER_OPTIONS} --verify --robots 5") == INTERRUPTED
     assert "INTERRUPTED: 0 of " in capsys.readouterr().out
