@@ -97,7 +97,8 @@ LARGEST_COMMAND = Command(127, tick=2**32 - 1, target=EVERY_ROBOT, action=Action
 def test_cantools_decodes_our_frames(database: Any, message: Any) -> None:
     """With our DBC file, ``database``, cantools finds the values that we have encoded in a frame.
 
-    A DBC file describes frames to other programs. Its entry for a kind of frame serves all nodes.
+    A DBC file describes frames to other programs. Its entry for a kind of frame serves all nodes, and says
+    that identifiers are extended ones, of 29 bits.
     """
     frame = encoded(message)
     identifier_without_node = frame.arbitration_id & ANY_NODE_MASK
@@ -288,7 +289,10 @@ def test_dbc_for_three_nodes_has_four_messages_for_each_of_them(capsys: pytest.C
 def test_dbc_for_each_node_decodes_its_estimates_by_their_whole_identifier(
     node: int, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The entry is found by all bits of the identifier: subject, priority, and the id of the node."""
+    """The entry is found by all bits of the identifier: subject, priority, and the id of the node.
+
+    It has the node in its name and as the sender.
+    """
     database = database_of_command("--per-node 0 7 127 --subject 1234 --priority 1", capsys)
     estimate = Estimate(node, x_hat=5, alpha=0x600, transfer_id=7)
     frame = encode_estimate(estimate, FrameFormat(subject=1234, priority=1))

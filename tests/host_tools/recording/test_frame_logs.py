@@ -96,7 +96,8 @@ def test_a_malformed_line_of_another_format_is_refused_with_its_number(suffix: s
     """The last line of a log repeats the line before, but has "xyz" in place of the identifier, 123."""
     log = tmp_path / f"run{suffix}"
     lines = lines_of_log_of_one_frame(log)
-    malformed_line = lines[-1].replace("123", "xyz")
+    *_, last_line = lines
+    malformed_line = last_line.replace("123", "xyz")
     lines.append(malformed_line)
     log.write_text("\n".join(lines))
 

@@ -39,9 +39,9 @@ def record_swarm(log: Path, options: str) -> list[can.Message]:
     return list(read_log(log))
 
 
-def replay(frames: Sequence[can.Message], log: Path) -> ReplayVerdict:
+def replay(frames: Sequence[can.Message], events_beside: Path) -> ReplayVerdict:
     """Compare frames with the broadcasts that follow from the events beside a log."""
-    with EventsReader(events_path(log)) as reader:
+    with EventsReader(events_path(events_beside)) as reader:
         return verify(frames, reader)
 
 
@@ -61,7 +61,8 @@ def test_replay_reproduces_a_log_in_any_format(
 ) -> None:
     """Replay computes all broadcasts of a converted log again, bit for bit; the suffix gives the format.
 
-    The log of four robots in 40 steps has 4 * 40 broadcasts, and 16 other frames, which are heartbeats.
+    The log of four robots in 40 steps has 4 * 40 broadcasts, and 16 other frames, which are heartbeats. The
+    report says that the log is not an incomplete one, as that of a killed run would be.
     """
     converted_log = tmp_path / f"run{suffix}"
     convert(swarm_log, converted_log)
@@ -93,7 +94,7 @@ def test_replay_reproduces_robots_of_any_firmware_filter_and_period(
     Each sends a heartbeat in every tenth tick.
     """
     frames = record_swarm(tmp_path / "run.log", f"{FOUR_ROBOTS_IN_40_STEPS} {options}")
-    verdict = replay(frames, tmp_path / "run.log")
+    verdict = replay(frames, events_beside=tmp_path / "run.log")
     assert verdict == ReplayVerdict(reproduced=expected_broadcasts, other=4 * 4)
 
 
@@ -107,7 +108,7 @@ def test_broadcasts_that_a_log_lacks_are_counted_and_are_no_difference(swarm_log
     frames_left = [frame for frame in read_log(swarm_log) if random_numbers.random() < 0.3]
     broadcasts_left = count_estimates(frames_left)
 
-    verdict = replay(frames_left, swarm_log)
+    verdict = replay(frames_left, events_beside=swarm_log)
 
     assert verdict == ReplayVerdict(
         difference=None,
@@ -149,7 +150,7 @@ def test_what_injected_faults_did_is_not_reported_as_a_difference(options: str, 
     results = json.loads((tmp_path / "run.log.json").read_text())["results"]
     assert all(fault["injected"] > 0 for fault in results["faults"])
 
-    verdict = replay(frames, tmp_path / "run.log")
+    verdict = replay(frames, events_beside=tmp_path / "run.log")
 
     assert verdict.difference is None
     counts = (verdict.foreign, verdict.reproduced, verdict.falsified, verdict.other)
@@ -171,7 +172,7 @@ def test_the_events_of_many_robots_are_hardly_larger_than_the_log(
 
     ratio = events_path(log).stat().st_size / log.stat().st_size
     assert largest_ratio - 0.2 < ratio < largest_ratio
-    assert replay(frames, log).reproduced == 100 * 12
+    assert replay(frames, events_beside=log).reproduced == 100 * 12
 
 
 def test_rerun_yields_each_robot_at_the_end_of_each_of_its_ticks(swarm_log: Path) -> None:
@@ -223,12 +224,13 @@ The firmware ignores the lowest one, but replay does not.
 def test_replay_finds_one_wrong_bit_in_one_frame_of_a_log(bit: int, swarm_log: Path) -> None:
     """The bit is flipped in the 51st frame, the estimate of robot 2 in tick 11. It is of x_hat or alpha.
 
-    The difference that replay finds has the frame, and what robot 2 makes in tick 11.
+    The difference that replay finds has the frame, and what robot 2 makes in tick 11. Before that frame are
+    ten ticks of four estimates, two times four heartbeats, and the estimates of robots 0 and 1: 50 frames.
     """
     frames = list(read_log(swarm_log))
     frames[50] = with_flipped_bit(frames[50], bit)
 
-    verdict = replay(frames, swarm_log)
+    verdict = replay(frames, events_beside=swarm_log)
 
     assert verdict.difference is not None
     assert verdict.difference.startswith("frame 51 at 1.000000 s: robot 2 broadcast x_hat ")
@@ -245,7 +247,7 @@ def test_an_estimate_that_a_wrong_bit_makes_illegal_counts_as_not_logged(swarm_l
     frames[50] = with_flipped_bit(frames[50], HIGHEST_BIT_OF_X_HAT)
     assert not is_estimate(frames[50])
 
-    verdict = replay(frames, swarm_log)
+    verdict = replay(frames, events_beside=swarm_log)
 
     assert verdict.difference is None
     assert verdict.not_logged == 1
@@ -272,7 +274,7 @@ def test_a_difference_is_described_with_both_values(tmp_path: Path) -> None:
     """
     broadcast = write_events_and_return_broadcast(tmp_path / "x")
     broadcast.timestamp = 12.5
-    verdict = replay([with_flipped_bit(broadcast, LOWEST_BIT_OF_ALPHA)], tmp_path / "x")
+    verdict = replay([with_flipped_bit(broadcast, LOWEST_BIT_OF_ALPHA)], events_beside=tmp_path / "x")
 
     assert verdict.difference == (
         "frame 1 at 12.500000 s: robot 5 broadcast x_hat 0x800000 (1.0000000), alpha 0x3f100001 (0.5625001), "
@@ -284,7 +286,7 @@ def test_a_difference_is_described_with_both_values(tmp_path: Path) -> None:
 def test_a_broadcast_that_is_twice_in_a_log_is_a_difference(tmp_path: Path) -> None:
     """Robot 5 has observed once, and so makes one broadcast. Replay reports the second one in the log."""
     broadcast = write_events_and_return_broadcast(tmp_path / "x")
-    verdict = replay([broadcast, broadcast], tmp_path / "x")
+    verdict = replay([broadcast, broadcast], events_beside=tmp_path / "x")
 
     assert verdict.reproduced == 1
     assert verdict.difference is not None
@@ -307,14 +309,14 @@ def test_a_foreign_frame_may_come_before_or_after_the_robots_broadcast(
     foreign_frame = estimate_of_robot_5(x_hat=77, transfer_id=1)
     broadcast = write_events_and_return_broadcast(tmp_path / "x", foreign_frame=foreign_frame)
     frames = [foreign_frame, broadcast] if is_foreign_first else [broadcast, foreign_frame]
-    assert replay(frames, tmp_path / "x") == ReplayVerdict(reproduced=1, foreign=1)
+    assert replay(frames, events_beside=tmp_path / "x") == ReplayVerdict(reproduced=1, foreign=1)
 
 
 def test_a_foreign_frame_that_the_events_do_not_know_is_a_difference(tmp_path: Path) -> None:
     """The events know of one frame that another node sent under the id of the robot; the log has two."""
     foreign_frame = estimate_of_robot_5(x_hat=0x77, transfer_id=1)
     broadcast = write_events_and_return_broadcast(tmp_path / "x", foreign_frame=foreign_frame)
-    verdict = replay([foreign_frame, foreign_frame, broadcast], tmp_path / "x")
+    verdict = replay([foreign_frame, foreign_frame, broadcast], events_beside=tmp_path / "x")
 
     assert verdict.foreign == 1
     assert verdict.difference is not None
@@ -337,7 +339,7 @@ def test_broadcasts_after_the_events_were_cut_off_are_no_difference(tmp_path: Pa
     broadcast = write_events_and_return_broadcast(tmp_path / "x")
     events_path(tmp_path / "x").rename(events_path(tmp_path / "x.part"))
     later_broadcasts = [estimate_of_robot_5(x_hat=0, transfer_id=number) for number in (1, 2, 3)]
-    verdict = replay([broadcast, *later_broadcasts], tmp_path / "x.part")
+    verdict = replay([broadcast, *later_broadcasts], events_beside=tmp_path / "x.part")
 
     assert verdict == ReplayVerdict(reproduced=1, beyond=3)
 
@@ -355,7 +357,7 @@ def test_events_with_a_false_or_missing_broadcast_before_the_first_broadcast_are
     events_path(tmp_path / "x").write_text(f"{header}[5,3]\n[5,3,{event}]")
 
     with pytest.raises(UsageError, match=r"x\.events, line 3: robot 5 has a broadcast .* before it made one"):
-        replay([], tmp_path / "x")
+        replay([], events_beside=tmp_path / "x")
 
 
 # --- The command --------------------------------------------------------------------------------------

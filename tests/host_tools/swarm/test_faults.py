@@ -114,6 +114,7 @@ BAD_TEXTS = {
 def test_a_wrong_text_of_a_fault_is_refused_with_the_error_and_its_fix(
     wrong_text: str, expected_message: str
 ) -> None:
+    """For example, "loss=2" is refused, as a rate is a probability: "it must be a number, 0 to 1"."""
     with pytest.raises(UsageError) as raised:
         parse_fault(wrong_text)
     assert expected_message in str(raised.value)

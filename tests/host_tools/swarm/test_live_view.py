@@ -159,7 +159,8 @@ def test_the_progress_bar_of_a_swarm_without_baselines_ends_with_its_mean_error_
     """Baselines, the same swarm with other filters, would follow, as in "no filter 0.0300"."""
     viewed_run = view_run_on_terminal(steps=20, with_baselines=False, width=80)
     *_, last_picture = pictures_of_bar(viewed_run.output)
-    assert f"mean error {viewed_run.mean_errors[20]:.4f}" in last_picture
+    swarm_error = viewed_run.mean_errors[20]  # after step 20
+    assert f"mean error {swarm_error:.4f}" in last_picture
     assert "no filter" not in viewed_run.output
 
 
@@ -182,7 +183,8 @@ def test_a_progress_bar_on_a_narrow_terminal_is_cut_off_behind_the_mean_error_of
     pictures = pictures_of_bar(viewed_run.output)
     *_, last_picture = pictures
     assert max(cell_len(picture) for picture in pictures) <= 60
-    assert f"mean error {viewed_run.mean_errors[20]:.4f}" in last_picture
+    swarm_error = viewed_run.mean_errors[20]  # after step 20
+    assert f"mean error {swarm_error:.4f}" in last_picture
 
 
 @pytest.mark.parametrize("is_terminal", [False, True])

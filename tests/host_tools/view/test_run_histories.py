@@ -351,7 +351,7 @@ def test_a_robot_has_no_estimates_in_the_15_steps_in_which_it_is_dead(crash_log:
     steps_without_estimates = []
     for state in states_of(recompute_swarm_history(crash_log)):
         values_by_robot = state.values.T
-        x, x_hat, b_hat, _true_accuracy = values_by_robot[2]
+        x, x_hat, b_hat, _true_accuracy = values_by_robot[2]  # of robot 2
         if np.isnan([x, x_hat, b_hat]).all():
             steps_without_estimates.append(state.tick)
         values_of_other_robots = np.delete(values_by_robot, 2, axis=0)

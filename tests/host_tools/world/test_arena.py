@@ -91,6 +91,7 @@ def test_a_seed_gives_the_same_bits_everywhere(settings: WorldSettings, name: st
 
 
 def test_robots_of_another_trial_start_elsewhere() -> None:
+    """The settings of both trials are the same, those of 60 robots in a crowd."""
     positions_of_trial_7 = Arena(CROWD, trial=7).positions
     positions_of_trial_8 = Arena(CROWD, trial=8).positions
     assert not np.array_equal(positions_of_trial_7, positions_of_trial_8)

@@ -56,6 +56,7 @@ def test_a_graph_file_without_edges_is_refused(text: str, tmp_path: Path) -> Non
 
 @pytest.mark.parametrize("graph_without_edges", [[], "", " ; ", np.zeros((3, 3), np.bool_)])
 def test_an_object_or_a_text_without_edges_is_refused(graph_without_edges: object) -> None:
+    """For example an empty list, or an array that has no robot receive from another."""
     with pytest.raises(UsageError, match="graph has no edge"):
         parse_graph(graph_without_edges)
 

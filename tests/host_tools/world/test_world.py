@@ -371,6 +371,7 @@ def test_settings_at_a_limit_are_accepted(parameters: dict[str, Any]) -> None:
 def test_an_unknown_parameter_is_refused_with_the_nearest_known_one_or_with_all(
     unknown_name: str, expected_advice: str
 ) -> None:
+    """For "robotz" the error asks "did you mean robots"; for "zzz", like no parameter, it lists all."""
     with pytest.raises(ParameterError, match=f"unknown key '{unknown_name}'; {expected_advice}"):
         WorldSettings.from_parameters({unknown_name: 3})
 
@@ -634,6 +635,7 @@ def test_a_linear_drift_ends_at_the_lowest_accuracy() -> None:
 
 
 def test_a_drift_that_starts_at_the_lowest_accuracy_stays_there() -> None:
+    """The accuracy is 0.6 in all steps of all robots, though it would lose a thousandth in each step."""
     settings = WorldSettings(
         steps=1000, drift="linear", true_accuracy=0.6, drift_rate=-1e-3, lowest_accuracy=0.6
     )
