@@ -30,7 +30,7 @@ from mcp_asdf_tools.crosscheck.scenario import parse_scenario
 from mcp_asdf_tools.experiments import experiment_files
 from mcp_asdf_tools.experiments.authors_trials import read_trials
 from mcp_asdf_tools.experiments.experiment import Experiment
-from mcp_asdf_tools.experiments.experiment_files import STUDIES, read_experiments
+from mcp_asdf_tools.experiments.experiment_files import SHIPPED_STUDIES, read_experiments
 from mcp_asdf_tools.experiments.result_files import read_table, stream_experiments
 from mcp_asdf_tools.experiments.result_tables import experiments_in, read_metadata, trials_to_table
 from mcp_asdf_tools.experiments.trials import run_trials
@@ -150,7 +150,7 @@ PARSERS = {
     "log .log.gz": Parser(".log.gz", read_frames, lambda: gzip.compress(valid_log(".log"), mtime=0)),
     "events": Parser(".events", read_entries, valid_events),
     "compressed events": Parser(".events", read_entries, lambda: gzip.compress(valid_events(), mtime=0)),
-    "TOML": Parser(".toml", read_experiments, (STUDIES / "physical.toml").read_bytes),
+    "TOML": Parser(".toml", read_experiments, (SHIPPED_STUDIES / "physical.toml").read_bytes),
     "results": Parser(".parquet", read_results, valid_results),
     "results in format 5": Parser(".parquet", read_results, FORMAT_5_FILE.read_bytes),
     "authors' trial": Parser(".json", read_authors_trial, valid_authors_trial),

@@ -35,9 +35,9 @@ SOURCE = "NESTLab/sensor-degradation-filter"
 _MAX_BYTES = 2**30
 """Maximum size of a file. One of 20 robots and 40,000 steps has 103 MB."""
 
-_COLUMNS = ("n", "t", "x_hat", "alpha", "x_bar", "beta", "x", "b_hat", "b_hat on white")
+_COLUMN_NAMES = ("n", "t", "x_hat", "alpha", "x_bar", "beta", "x", "b_hat", "b_hat on white")
 """What the numbers of a text mean, without the seed, which is the first."""
-_SHARES = ("x_hat", "x_bar", "x", "b_hat")
+_QUANTITIES_FROM_0_TO_1 = ("x_hat", "x_bar", "x", "b_hat")
 _CONFIDENCES = ("alpha", "beta")
 
 _KEY_BY_PARAMETER = {
@@ -59,7 +59,7 @@ _MOVING_KEY_BY_PARAMETER = {
     "speed": "speed",
 }
 """Their keys of the parameters that only files of moving robots have."""
-_WHOLE_PARAMETERS = (
+_WHOLE_NUMBER_PARAMETERS = (
     "robots",
     "flawed",
     "steps",
@@ -234,7 +234,7 @@ def _experiment_of(file: _TrialFile) -> Experiment:
         key_by_parameter |= _MOVING_KEY_BY_PARAMETER
     parameters: dict[str, Any] = {"firmware": "reference", "conventions": "authors", "seed": 0}
     for name, key in key_by_parameter.items():
-        if name in _WHOLE_PARAMETERS:
+        if name in _WHOLE_NUMBER_PARAMETERS:
             parameters[name] = file.whole_number(key)
         else:
             parameters[name] = file.number(key)
@@ -326,7 +326,7 @@ def _filter_parameters(file: _TrialFile) -> dict[str, Any]:
 def _read_series(file: _TrialFile, experiment: Experiment) -> dict[str, NDArray[np.float64]]:
     """Return the recorded values of all robots by name, shape (N, steps + 1) each, flawed robots first.
 
-    The names are those of _COLUMNS, such as "x" and "b_hat". Raises UsageError if robots or steps are
+    The names are those of _COLUMN_NAMES, such as "x" and "b_hat". Raises UsageError if robots or steps are
     missing, or a number is none that a robot can have.
     """
     texts_by_robot = file.content.get("data_str")
@@ -341,8 +341,8 @@ def _read_series(file: _TrialFile, experiment: Experiment) -> dict[str, NDArray[
     # In the authors' files the flawed robots are the last ones. Rolled on by their number, they are the
     # first.
     flawed_robots_first = np.roll(np.stack(numbers_by_robot), experiment.flawed, axis=0)
-    # The shape is (N, steps + 1, columns), with the columns in the order of _COLUMNS.
-    return {name: flawed_robots_first[:, :, column] for column, name in enumerate(_COLUMNS)}
+    # The shape is (N, steps + 1, columns), with the columns in the order of _COLUMN_NAMES.
+    return {name: flawed_robots_first[:, :, column] for column, name in enumerate(_COLUMN_NAMES)}
 
 
 def _parse_texts(texts: Any, steps: int) -> NDArray[np.float64]:
@@ -356,10 +356,10 @@ def _parse_texts(texts: Any, steps: int) -> NDArray[np.float64]:
     for step, text in enumerate(texts):
         if not isinstance(text, str) or not text.strip() or "\n" in text or "\r" in text:
             raise ValueError(f"step {step} is {text!r}, and must be a line of numbers")
-    columns_without_seed = range(1, 1 + len(_COLUMNS))  # the seed is column 0
+    columns_without_seed = range(1, 1 + len(_COLUMN_NAMES))  # the seed is column 0
     numbers = np.loadtxt(texts, delimiter=",", usecols=columns_without_seed, comments=None, ndmin=2)
     values_by_column = numbers.T  # a row for each column, with a value of each step
-    _check_numbers(dict(zip(_COLUMNS, values_by_column, strict=True)))
+    _check_numbers(dict(zip(_COLUMN_NAMES, values_by_column, strict=True)))
     return numbers
 
 
@@ -375,7 +375,7 @@ def _check_numbers(series: dict[str, NDArray[np.float64]]) -> None:
     is_possible_n = (n >= 0) & (n <= t)
     is_possible_t = (t >= 0) & (t <= steps)
     is_wrong_by_name = {"n": ~is_possible_n, "t": ~is_possible_t}  # a truth value for each step
-    for name in _SHARES:
+    for name in _QUANTITIES_FROM_0_TO_1:
         is_wrong_by_name[name] = (series[name] < 0) | (series[name] > 1)
     for name in _CONFIDENCES:
         is_wrong_by_name[name] = (series[name] < 0) | np.isinf(series[name])

@@ -22,12 +22,12 @@ from mcp_asdf_tools.common.parameters import ParameterError
 from mcp_asdf_tools.experiments.experiment import MAX_EXPERIMENTS, Experiment, combinations
 from mcp_asdf_tools.world.graph import is_text_of_edges
 
-STUDIES = Path(__file__).with_name("studies")
-GRID = "grid"
+SHIPPED_STUDIES = Path(__file__).with_name("studies")
+GRID_KEY = "grid"
 
-_GRID_LINE = re.compile(r"\s*\[\[\s*grid\s*\]\]")
+_GRID_LINE_PATTERN = re.compile(r"\s*\[\[\s*grid\s*\]\]")
 # A key stands at the beginning of a line, or in an inline table behind its brace or a comma.
-_KEY = re.compile(r"""(?:^|[{,])\s*["']?([A-Za-z0-9_-]+)["']?\s*=""")
+_KEY_PATTERN = re.compile(r"""(?:^|[{,])\s*["']?([A-Za-z0-9_-]+)["']?\s*=""")
 
 
 def read_experiments(path: Path | str) -> list[Experiment]:
@@ -80,7 +80,7 @@ def _parse_grids(path: Path, text: str) -> tuple[dict[str, Any], list[dict[str, 
         content = tomllib.loads(text)
     except (ValueError, RecursionError) as error:  # a number with thousands of digits, deep lists
         raise UsageError(f"{path}: {error}") from error
-    grids = content.pop(GRID, [{}])
+    grids = content.pop(GRID_KEY, [{}])
     is_list_of_tables = isinstance(grids, list) and all(isinstance(grid, dict) for grid in grids)
     if not (is_list_of_tables and grids):
         raise UsageError(f"{path}: grid is not a table; write [[grid]] above its keys")
@@ -95,7 +95,7 @@ def _shipped_file(name: Path) -> Path:
     Raises UsageError if there is none of that name. Names of files alone are compared, so that no name leads
     out of this folder.
     """
-    shipped_files = {path.stem: path for path in sorted(STUDIES.glob("*.toml"))}
+    shipped_files = {path.stem: path for path in sorted(SHIPPED_STUDIES.glob("*.toml"))}
     if str(name) not in shipped_files:
         names = ", ".join(shipped_files)
         raise UsageError(f"there is no file {name}; those that come with the program are {names}")
@@ -115,9 +115,9 @@ class _KeyLines:
         self._line_numbers: dict[tuple[int, str], list[str]] = {}
         grid_number = 0
         for line_number, line in enumerate(text.splitlines(), start=1):
-            if _GRID_LINE.match(line):
+            if _GRID_LINE_PATTERN.match(line):
                 grid_number += 1
-            for key in _KEY.findall(line):
+            for key in _KEY_PATTERN.findall(line):
                 self._line_numbers.setdefault((grid_number, key), []).append(str(line_number))
 
     def error_at(self, grid_number: int, key: str, message: str) -> UsageError:

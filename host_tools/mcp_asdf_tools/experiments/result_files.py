@@ -21,8 +21,8 @@ from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.files import drafts_for, explaining_write_errors
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.result_tables import (
-    FORMAT,
     METADATA_KEY,
+    PRESENT_FORMAT,
     READABLE_FORMATS,
     column_types,
     column_types_of_format,
@@ -319,10 +319,14 @@ def _check_metadata(path: Path, file_metadata: dict[bytes, bytes]) -> int:
     except (ValueError, RecursionError):  # another program may use the same key
         metadata = {}
     if not isinstance(metadata, dict) or "format" not in metadata:
-        raise UsageError(f"{path} holds no results; format {FORMAT} is needed: run mcp-asdf sweep again")
+        raise UsageError(
+            f"{path} holds no results; format {PRESENT_FORMAT} is needed: run mcp-asdf sweep again"
+        )
     if metadata["format"] not in READABLE_FORMATS:
         content = f"results in format {metadata['format']}"
-        raise UsageError(f"{path} holds {content}; format {FORMAT} is needed: run mcp-asdf sweep again")
+        raise UsageError(
+            f"{path} holds {content}; format {PRESENT_FORMAT} is needed: run mcp-asdf sweep again"
+        )
     # Later code relies on these, whatever program has written the file.
     sampling_interval = metadata.get("sampling_interval")
     has_interval = isinstance(sampling_interval, int) and sampling_interval >= 0

@@ -37,11 +37,11 @@ from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.results import PARAMETER_NAMES, QUANTITIES, Trials
 from mcp_asdf_tools.experiments.scores import DELTA, SCORES, Limits, score
 
-FORMAT = 6
+PRESENT_FORMAT = 6
 FLAT_RECORDS_FORMAT = 5
 """The format before the present one. The record of a trial was one list in it: the values of all robots at
 step 0, then those at the next recorded step, and so on."""
-READABLE_FORMATS = (FLAT_RECORDS_FORMAT, FORMAT)
+READABLE_FORMATS = (FLAT_RECORDS_FORMAT, PRESENT_FORMAT)
 
 METADATA_KEY = b"mcp-asdf"
 
@@ -169,9 +169,9 @@ def _describe_as_present_format(table: pa.Table) -> pa.Table:
     if METADATA_KEY not in metadata:
         return table
     description = json.loads(metadata[METADATA_KEY])
-    if description.get("format") == FORMAT:
+    if description.get("format") == PRESENT_FORMAT:
         return table
-    present_description = description | {"format": FORMAT, "columns": describe_columns()}
+    present_description = description | {"format": PRESENT_FORMAT, "columns": describe_columns()}
     return table.replace_schema_metadata({**metadata, METADATA_KEY: json.dumps(present_description)})
 
 
@@ -261,7 +261,7 @@ def trials_to_table(trials: Trials) -> pa.Table:
     for name, column in RECORD_COLUMNS.items():
         columns[column] = _nest_records(trials.records.get(name, nothing_recorded))
     metadata = {
-        "format": FORMAT,
+        "format": PRESENT_FORMAT,
         "versions": software_versions(),
         "delta": DELTA,
         "sampling_interval": trials.sampling_interval,

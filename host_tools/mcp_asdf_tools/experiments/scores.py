@@ -22,7 +22,7 @@ DELTA = 0.01
 E_MAX = 0.45
 """e_max of all the paper's figures."""
 
-_CHUNK = 1024
+_CHUNK_LENGTH = 1024
 """Values that ``convergence_step`` examines at a time."""
 
 
@@ -35,7 +35,7 @@ def convergence_step(series: NDArray[np.uint32] | NDArray[np.float64], delta: fl
     """
     import numpy as np  # noqa: PLC0415 (it loads slowly, and limits are needed without it)
 
-    chunk_starts = np.arange(0, len(series), _CHUNK)
+    chunk_starts = np.arange(0, len(series), _CHUNK_LENGTH)
     # A value is near all later ones if it is near the lowest and the highest of them. To find these for every
     # step would take long: first they are found for chunks of steps.
     lowest_after_chunk = _extreme_after_chunks(np.minimum, series, chunk_starts)
@@ -44,7 +44,7 @@ def convergence_step(series: NDArray[np.uint32] | NDArray[np.float64], delta: fl
     may_hold_k = highest_after_chunk - lowest_after_chunk < 2 * delta
     for index in np.flatnonzero(may_hold_k):
         start = chunk_starts[index]
-        chunk = series[start : start + _CHUNK]
+        chunk = series[start : start + _CHUNK_LENGTH]
         # For each value of the chunk, the lowest and the highest value from it to the end of the series.
         lowest_to_end = _extreme_to_end(np.minimum, np.minimum(chunk, lowest_after_chunk[index]))
         highest_to_end = _extreme_to_end(np.maximum, np.maximum(chunk, highest_after_chunk[index]))

@@ -45,7 +45,7 @@ _MIN_ROWS_WRITTEN = 2**17
 """Number of rows that are collected before they are written, unless they are the last. In Parquet they become
 a row group, of which a file should have few."""
 
-_TYPES = {"trial": pa.int64(), "step": pa.int64(), "robot": pa.int32(), "is_flawed": pa.bool_()}
+_TYPE_BY_COLUMN = {"trial": pa.int64(), "step": pa.int64(), "robot": pa.int32(), "is_flawed": pa.bool_()}
 """Types of the columns that are neither parameters nor QUANTITIES, which are doubles."""
 
 _UNITS_AND_MEANINGS = {
@@ -136,7 +136,7 @@ def _schema_with(parameter_names: tuple[str, ...]) -> pa.Schema:
             column_type = column_types()[name]
             description = describe_columns()[name]
         else:
-            column_type = _TYPES.get(name, pa.float64())
+            column_type = _TYPE_BY_COLUMN.get(name, pa.float64())
             unit, meaning = _UNITS_AND_MEANINGS[name]
             description = {"unit": unit, "meaning": meaning}
         fields.append(pa.field(name, column_type, metadata=description))

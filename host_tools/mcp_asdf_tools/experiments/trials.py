@@ -30,10 +30,10 @@ from mcp_asdf_tools.world.world import SteppedWorld
 
 Floats = NDArray[np.float64]
 
-TRIALS_AT_ONCE = 8
+MAX_TRIALS_AT_ONCE = 8
 """Trials of moving swarms, and of graphs, that the engine runs side by side."""
 
-SERIES_BYTES = 32 * 2**20
+MAX_SERIES_BYTES = 32 * 2**20
 """Size of the series of x of the trials that run side by side, unless one trial has more."""
 
 
@@ -52,8 +52,8 @@ def run_trials(experiment: Experiment, first: int, trials: int, sampling_interva
     # Elsewhere a trial has a series of x for each robot: a few trials at a time bound the memory.
     bytes_in_value = 4
     bytes_of_trial = bytes_in_value * experiment.robots * (experiment.steps + 1)
-    trials_in_memory = max(1, SERIES_BYTES // bytes_of_trial)
-    batch_size = min(trials_in_memory, TRIALS_AT_ONCE)
+    trials_in_memory = max(1, MAX_SERIES_BYTES // bytes_of_trial)
+    batch_size = min(trials_in_memory, MAX_TRIALS_AT_ONCE)
     batches = [numbers[start : start + batch_size] for start in range(0, trials, batch_size)]
     return _concatenate([_run_native(experiment, batch, sampling_interval) for batch in batches])
 

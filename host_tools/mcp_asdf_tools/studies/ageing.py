@@ -33,7 +33,7 @@ from mcp_asdf_tools.studies.peers import (
 from mcp_asdf_tools.studies.study_program import (
     ALL_FILTERS,
     FILTERS_OF_HEALTHY_SWARMS,
-    MOVING,
+    MOVING_SWARM,
     PLAIN_NOTE,
     Rows,
     markdown_table,
@@ -81,7 +81,7 @@ def ageing_rows() -> dict[str, list[Experiment]]:
     for kind, parameters in KINDS_OF_AGEING.items():
         for memory_label, memory in MEMORIES.items():
             rows[kind + memory_label] = m.grid(
-                **MOVING,
+                **MOVING_SWARM,
                 **parameters,
                 flawed_accuracy=0.95,
                 fill_ratio=[0.55, 0.75, 0.95],
@@ -101,7 +101,7 @@ def peer_rows() -> dict[str, list[Experiment]]:
     rows: dict[str, list[Experiment]] = {}
     for kind, peers in PEERS_BY_KIND.items():
         # Each of the peers has a filter, which replaces any filter here.
-        parameters = {**MOVING, **KINDS_OF_AGEING[kind], "filter": "none"}
+        parameters = {**MOVING_SWARM, **KINDS_OF_AGEING[kind], "filter": "none"}
         for memory_label, memory in MEMORIES.items():
             rows[kind + memory_label] = m.grid(
                 **parameters,

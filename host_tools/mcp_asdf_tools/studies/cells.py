@@ -13,7 +13,7 @@ from functools import cache
 from typing import Any
 
 from mcp_asdf_tools.experiments.experiment import Experiment, without_repetitions
-from mcp_asdf_tools.experiments.experiment_files import STUDIES, read_experiments
+from mcp_asdf_tools.experiments.experiment_files import SHIPPED_STUDIES, read_experiments
 
 FLAWED_ACCURACIES = (0.55, 0.75, 0.95)
 """b_hat, the accuracy that flawed robots assume for their sensors at the start."""
@@ -117,7 +117,7 @@ class StudySize:
 @cache
 def _shipped_experiments(study_part: StudyPart) -> list[Experiment]:
     """Return the experiments of a part of the study, read from the file that comes with the program."""
-    return read_experiments(STUDIES / f"{study_part.value}.toml")
+    return read_experiments(SHIPPED_STUDIES / f"{study_part.value}.toml")
 
 
 @cache

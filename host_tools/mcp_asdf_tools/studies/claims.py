@@ -24,7 +24,7 @@ from mcp_asdf_tools.studies.cells import (
     Cell,
     StudyPart,
 )
-from mcp_asdf_tools.studies.equations import EQUATIONS, ROUNDING
+from mcp_asdf_tools.studies.equations import EQUATION_CLAIMS, ROUNDING
 from mcp_asdf_tools.studies.study_results import StudyResults
 from mcp_asdf_tools.studies.verdicts import (
     CONFIDENCE,
@@ -330,7 +330,7 @@ def _claim_from(name: str, row: Mapping[str, Any]) -> Claim:
             contrasts.append(Contrast(**{**contrast_row, "measure": measure}))
     # None stands for the equations, which need no trials.
     parts: tuple[StudyPart | None, ...] = (None,)
-    if name not in EQUATIONS:
+    if name not in EQUATION_CLAIMS:
         parts = tuple(StudyPart(part_name) for part_name in row["parts"])
     return Claim(
         name=name,
@@ -422,7 +422,7 @@ def _compare(claim: Claim, study_part: StudyPart | None, study_results: StudyRes
     """
     if study_part is None:
         # Two kinds of claims have no contrasts: those of the equations, and the one about single robots.
-        return EQUATIONS[claim.name]()
+        return EQUATION_CLAIMS[claim.name]()
     if claim.name == IDENTICAL_ROBOTS:
         return _compare_robots(study_part, study_results)
     plans = claim.plan(study_part)

@@ -174,7 +174,7 @@ def physical_observations() -> list[Comparison]:
     return [exact_comparison("", "ratio less 20", _rounded(ratio - 20), Expectation.SAME, size=0.5)]
 
 
-EQUATIONS: Mapping[str, Callable[[], list[Comparison]]] = {
+EQUATION_CLAIMS: Mapping[str, Callable[[], list[Comparison]]] = {
     function.__name__: function
     for function in (
         confidence_increases_with_b_hat,

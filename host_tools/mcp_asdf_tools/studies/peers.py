@@ -26,7 +26,7 @@ from mcp_asdf_tools.world.settings import WorldSettings
 ROBOTS_WITH_LIARS = 20
 """Number of robots of the swarms with liars."""
 
-LIARS = {
+LIAR_COUNT_BY_FIRMWARE = {
     "one_liar": 1,
     "two_liars": 2,
     "five_liars": 5,

@@ -31,8 +31,8 @@ from mcp_asdf_tools.studies.peers import (
 )
 from mcp_asdf_tools.studies.robust_filter import without_liars
 from mcp_asdf_tools.studies.study_program import (
-    FLAWS,
-    MOVING,
+    MOVING_SWARM,
+    PARAMETERS_BY_FLAW,
     PLAIN_NOTE,
     Rows,
     format_tenths,
@@ -52,7 +52,7 @@ COLOUR_HEAD = "robots that name the right colour, in percent"
 
 DRAWN_SWARMS = ("fully connected, 5 liars", "moving, 5 liars", "moving, 6 flawed")
 
-DENSE: dict[str, Any] = {**MOVING, "density": 12.0}
+DENSE_SWARM: dict[str, Any] = {**MOVING_SWARM, "density": 12.0}
 """Parameters of moving swarms whose robots receive from about twelve others at a time."""
 
 
@@ -62,10 +62,10 @@ def resilience_rows() -> dict[str, list[Experiment]]:
     flawed = _with_flawed_robots([WmsrRobot, TrimmedMeanRobot])
     swarms: dict[str, dict[str, Any]] = {
         "fully connected, 5 liars": liars,
-        "moving, dense, 5 liars": {**DENSE, **liars},
-        "moving, 5 liars": {**MOVING, **liars},
+        "moving, dense, 5 liars": {**DENSE_SWARM, **liars},
+        "moving, 5 liars": {**MOVING_SWARM, **liars},
         "fully connected, 6 flawed": flawed,
-        "moving, 6 flawed": {**MOVING, **flawed},
+        "moving, 6 flawed": {**MOVING_SWARM, **flawed},
     }
     return _rows_of_swarms(swarms, steps=4000)
 
@@ -73,8 +73,8 @@ def resilience_rows() -> dict[str, list[Experiment]]:
 def colour_rows() -> dict[str, list[Experiment]]:
     """Return moving swarms for the question which colour prevails; the answer is black."""
     swarms: dict[str, dict[str, Any]] = {
-        "moving, 6 flawed": {**MOVING, **_with_flawed_robots([MajorityRobot])},
-        "moving, 5 liars": {**MOVING, **_with_liars([majority_robots_and_five_liars])},
+        "moving, 6 flawed": {**MOVING_SWARM, **_with_flawed_robots([MajorityRobot])},
+        "moving, 5 liars": {**MOVING_SWARM, **_with_liars([majority_robots_and_five_liars])},
     }
     return _rows_of_swarms(swarms, steps=10_000)
 
@@ -105,10 +105,10 @@ def _rows_of_swarms(swarms: dict[str, dict[str, Any]], steps: int) -> dict[str, 
     """Return the experiments of each swarm, with both kinds of flaws, by labels that end in that kind."""
     rows: dict[str, list[Experiment]] = {}
     for label, swarm in swarms.items():
-        for flaw, accuracies in FLAWS.items():
+        for flaw, flaw_parameters in PARAMETERS_BY_FLAW.items():
             rows[f"{label}, {flaw}"] = m.grid(
                 **swarm,
-                **accuracies,
+                **flaw_parameters,
                 steps=steps,
                 trials=6,
                 seed=4714,  # which no tuning has seen

@@ -35,7 +35,7 @@ from mcp_asdf_tools.studies.verdicts import (
     Verdict,
 )
 
-MARKS = {True: "\N{CHECK MARK}", False: "\N{BALLOT X}", None: "?"}
+MARK_OF_OUTCOME = {True: "\N{CHECK MARK}", False: "\N{BALLOT X}", None: "?"}
 """How a table shows that a comparison holds, fails or is open."""
 
 EXPECTED_RANGES = {
@@ -134,7 +134,7 @@ def render_markdown(
         heading_of=heading_of,
         summarize=summarize,
         comparison_table=comparison_table,
-        marks=MARKS,
+        marks=MARK_OF_OUTCOME,
         sizes=SIZES,
         levels=LEVELS,
         confidence=CONFIDENCE,
@@ -213,8 +213,8 @@ def heading_of(claim_name: str) -> str:
 def comparison_table(decision: Decision) -> list[list[str]]:
     """Return a claim's comparisons as a table: rows of texts, the first of them with the columns' heads.
 
-    The first column has the labels of the rows. The other cells have a mark of MARKS and the difference with
-    its interval; they are empty where the claim has no comparison.
+    The first column has the labels of the rows. The other cells have a mark of MARK_OF_OUTCOME and the
+    difference with its interval; they are empty where the claim has no comparison.
     """
     row_labels: list[str] = []
     column_heads: list[str] = []
@@ -225,7 +225,9 @@ def comparison_table(decision: Decision) -> list[list[str]]:
             row_labels.append(row_label)
         if column_head not in column_heads:
             column_heads.append(column_head)
-        cell_texts[row_label, column_head] = f"{MARKS[comparison.holds]} {format_difference(comparison)}"
+        cell_texts[row_label, column_head] = (
+            f"{MARK_OF_OUTCOME[comparison.holds]} {format_difference(comparison)}"
+        )
     table = [["", *column_heads]]
     for row_label in row_labels:
         cells_of_row = [cell_texts.get((row_label, column_head), "") for column_head in column_heads]

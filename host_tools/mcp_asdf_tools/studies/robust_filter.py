@@ -27,7 +27,7 @@ from mcp_asdf_tools.studies.ageing_sensors import DRIFT_RATE, WanderingSensors
 from mcp_asdf_tools.studies.bootstrap import Sample
 from mcp_asdf_tools.studies.peers import (
     FLOOR_AFTER_CHANGE,
-    LIARS,
+    LIAR_COUNT_BY_FIRMWARE,
     BayesCpfRobot,
     ChangingFloor,
     LossyRobot,
@@ -41,8 +41,8 @@ from mcp_asdf_tools.studies.study_program import (
     ALL_FILTERS,
     BOTH_FLAWS,
     FILTERS_OF_HEALTHY_SWARMS,
-    FLAWS,
-    MOVING,
+    MOVING_SWARM,
+    PARAMETERS_BY_FLAW,
     Rows,
     format_error,
     format_interval,
@@ -61,7 +61,7 @@ from mcp_asdf_tools.studies.study_program import (
 GRID_HEAD = "H, error of the last quarter, e, healthy robots harmed"
 ERRORS_HEAD = "errors of the last quarter, underconfident and overconfident, then healthy robots harmed"
 
-SLOW = 0.007
+SLOW_SPEED = 0.007
 """Speed in m/s with which a robot takes many readings of one tile, and meets few others."""
 
 ROBOTS_OF_STATIC_GRAPHS = 20
@@ -91,7 +91,7 @@ def grid_rows() -> dict[str, list[Experiment]]:
         for percent in (10, 30, 50, 100)
     }
     swarms["0 % flawed"] = healthy
-    topologies: dict[str, dict[str, Any]] = {"moving": MOVING, "fully connected": {"robots": 10}}
+    topologies: dict[str, dict[str, Any]] = {"moving": MOVING_SWARM, "fully connected": {"robots": 10}}
     rows: dict[str, list[Experiment]] = {}
     for topology, topology_parameters in topologies.items():
         for label, swarm in swarms.items():
@@ -113,37 +113,37 @@ def beyond_rows() -> dict[str, list[Experiment]]:
     """
     flawed: dict[str, Any] = {"flawed": "30%", "sensors": BOTH_FLAWS, "filter": ALL_FILTERS}
     healthy: dict[str, Any] = {"flawed": "0%", "fill_ratio": 0.75, "filter": FILTERS_OF_HEALTHY_SWARMS}
-    worse_on_white: dict[str, Any] = {"sensors": [FLAWS["underconfident"]], "white_offset": -0.1}
+    worse_on_white: dict[str, Any] = {"sensors": [PARAMETERS_BY_FLAW["underconfident"]], "white_offset": -0.1}
     # Robots that never move, each with four neighbours.
     ring: dict[str, Any] = {"topology": "graph", "graph": static_graph((1, 2)), "latency": 1}
     # Four rows of five robots: the end of a row is joined to the start of the next one.
     grid: dict[str, Any] = {"topology": "graph", "graph": static_graph((1, 5)), "latency": 1}
     swarms: dict[str, dict[str, Any]] = {
         "moving, latency 0": {"topology": "dynamic", **flawed},
-        "moving": {**MOVING, **flawed},
-        "moving, density 0.25": {**MOVING, **flawed, "density": 0.25},
-        "moving, density 4": {**MOVING, **flawed, "density": 4.0},
-        "moving slowly": {**MOVING, **flawed, "speed": SLOW},
+        "moving": {**MOVING_SWARM, **flawed},
+        "moving, density 0.25": {**MOVING_SWARM, **flawed, "density": 0.25},
+        "moving, density 4": {**MOVING_SWARM, **flawed, "density": 4.0},
+        "moving slowly": {**MOVING_SWARM, **flawed, "speed": SLOW_SPEED},
         "moving slowly, 0 % flawed": {
-            **MOVING,
+            **MOVING_SWARM,
             "flawed": "0%",
             "sensors": BOTH_FLAWS,
             "filter": FILTERS_OF_HEALTHY_SWARMS,
-            "speed": SLOW,
+            "speed": SLOW_SPEED,
         },
         "static ring": {**flawed, **ring},
         "static grid": {**flawed, **grid},
-        "moving, 3 robots": {**MOVING, **flawed, "robots": 3},
-        "moving, 5 robots": {**MOVING, **flawed, "robots": 5},
-        "moving, 10 robots": {**MOVING, **flawed, "robots": 10},
-        "moving, 127 robots": {**MOVING, **flawed, "robots": 127},
+        "moving, 3 robots": {**MOVING_SWARM, **flawed, "robots": 3},
+        "moving, 5 robots": {**MOVING_SWARM, **flawed, "robots": 5},
+        "moving, 10 robots": {**MOVING_SWARM, **flawed, "robots": 10},
+        "moving, 127 robots": {**MOVING_SWARM, **flawed, "robots": 127},
         "fully connected, 3 robots": {**flawed, "robots": 3},
         "fully connected, 5 robots": {**flawed, "robots": 5},
         "fully connected": flawed,
         "fully connected, 127 robots": {**flawed, "robots": 127, "trials": 12},
-        "moving, b -0.1 on white": {**MOVING, **flawed, **worse_on_white},
-        "moving, sensors age alike": {**MOVING, **healthy, "drift": "linear", "drift_rate": DRIFT_RATE},
-        "moving, sensors age each in its own way": {**MOVING, **healthy, "sensor": WanderingSensors},
+        "moving, b -0.1 on white": {**MOVING_SWARM, **flawed, **worse_on_white},
+        "moving, sensors age alike": {**MOVING_SWARM, **healthy, "drift": "linear", "drift_rate": DRIFT_RATE},
+        "moving, sensors age each in its own way": {**MOVING_SWARM, **healthy, "sensor": WanderingSensors},
     }
     common = {"steps": 20_000, "trials": 30, "seed": 4712}
     # Of two values for a parameter the row's own holds.
@@ -179,8 +179,8 @@ def peer_rows() -> dict[str, list[Experiment]]:
         {"filter": ALL_FILTERS},
     ]
     swarms: dict[str, dict[str, Any]] = {
-        "moving, 0 % flawed": {**MOVING, "flawed": "0%", "steps": 20_000},
-        "moving, 30 % flawed": {**MOVING, "flawed": "30%", "steps": 20_000},
+        "moving, 0 % flawed": {**MOVING_SWARM, "flawed": "0%", "steps": 20_000},
+        "moving, 30 % flawed": {**MOVING_SWARM, "flawed": "30%", "steps": 20_000},
         "fully connected, 30 % flawed, 10,000 steps": {"robots": 10, "flawed": "30%", "steps": 10_000},
     }
     return {
@@ -196,20 +196,20 @@ def world_rows() -> dict[str, list[Experiment]]:
     ``one_liar`` makes the last robots of a swarm lie.
     """
     connected_swarm: dict[str, Any] = {
-        "sensors": [FLAWS["underconfident"]],
+        "sensors": [PARAMETERS_BY_FLAW["underconfident"]],
         "filter": FILTERS_OF_HEALTHY_SWARMS,
         "trials": 12,
     }
     # With the longest memory the old floor would be forgotten too slowly to see anything.
     changing_floor: dict[str, Any] = {
-        **MOVING,
-        "sensors": [FLAWS["underconfident"]],
+        **MOVING_SWARM,
+        "sensors": [PARAMETERS_BY_FLAW["underconfident"]],
         "sensor": ChangingFloor,
         "memory": 4096,
         "steps": 40_000,
         "filter": ["none", "robust"],
     }
-    moving_swarm: dict[str, Any] = {**MOVING, "sensors": BOTH_FLAWS, "filter": ALL_FILTERS}
+    moving_swarm: dict[str, Any] = {**MOVING_SWARM, "sensors": BOTH_FLAWS, "filter": ALL_FILTERS}
     worlds: dict[str, dict[str, Any]] = {
         "fully connected, 1 liar": {**connected_swarm, "firmware": one_liar},
         "fully connected, 5 liars": {**connected_swarm, "firmware": five_liars},
@@ -242,7 +242,7 @@ def as_honest_robots_see_it(trials: Trials) -> Trials:
     Where the floor changes in the middle of a trial, the share at the end is FLOOR_AFTER_CHANGE.
     """
     experiment = trials.experiment
-    liar_count = LIARS.get(firmware_name(experiment), 0)
+    liar_count = LIAR_COUNT_BY_FIRMWARE.get(firmware_name(experiment), 0)
     honest_robots = experiment.robots - liar_count  # which have the lowest ids
     # Axes are trials, recorded steps or filter steps, and robots.
     x = trials.records["x"][:, :, :honest_robots]
@@ -329,9 +329,9 @@ def draw_errors(grid: Rows, worlds: Rows) -> Figure:
         "50 % flawed": grid["moving, 50 % flawed"],
     }
     panels: dict[str, list[Trials]] = {}
-    for flaw, sensor_parameters in FLAWS.items():  # a row of panels for each kind of flaws
+    for flaw, flaw_parameters in PARAMETERS_BY_FLAW.items():  # a row of panels for each kind of flaws
         for column, experiments in columns.items():
-            panels[f"{column}, {flaw}"] = select_experiments(experiments, where=sensor_parameters)
+            panels[f"{column}, {flaw}"] = select_experiments(experiments, where=flaw_parameters)
     figure = plot_errors_over_time(panels)
     figure.supxlabel("step")  # instead of the caption, which the page has
     return figure

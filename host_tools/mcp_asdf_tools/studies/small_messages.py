@@ -24,8 +24,8 @@ from mcp_asdf_tools.robots.filters import FILTERS
 from mcp_asdf_tools.studies.bootstrap import Interval, Resampled, mean_of_resampled, resample_median
 from mcp_asdf_tools.studies.study_program import (
     CONFIDENCE,
-    FLAWS,
-    MOVING,
+    MOVING_SWARM,
+    PARAMETERS_BY_FLAW,
     Rows,
     late_errors,
     markdown_table,
@@ -45,16 +45,16 @@ CLOSE_TRIALS = 600
 """Codes about which 30 trials leave open whether they suffice: the filter and the trials that decide it."""
 
 _WORLDS: dict[str, dict[str, Any]] = {
-    "moving": {**MOVING, "robots": 20},
+    "moving": {**MOVING_SWARM, "robots": 20},
     "fully connected": {"robots": 10},
 }
 FILL_RATIOS = [0.55, 0.65, 0.75, 0.85, 0.95]
 """Shares of black floor: several, since some are nearer to a code of x_hat than others."""
 
 SWARMS: dict[str, dict[str, Any]] = {
-    f"{world}, {flaw}": {**_WORLDS[world], **FLAWS[flaw], "fill_ratio": FILL_RATIOS}
+    f"{world}, {flaw}": {**_WORLDS[world], **PARAMETERS_BY_FLAW[flaw], "fill_ratio": FILL_RATIOS}
     for world in _WORLDS
-    for flaw in FLAWS
+    for flaw in PARAMETERS_BY_FLAW
 }
 """Parameters of the four kinds of swarms."""
 

@@ -34,16 +34,16 @@ from mcp_asdf_tools.studies.bootstrap import (
 )
 from mcp_asdf_tools.studies.peers import column_label
 
-MOVING: dict[str, Any] = {"topology": "dynamic", "latency": 1}
+MOVING_SWARM: dict[str, Any] = {"topology": "dynamic", "latency": 1}
 """Parameters of swarms that move; without them, every robot receives from all others."""
 
-FLAWS: dict[str, dict[str, Any]] = {
+PARAMETERS_BY_FLAW: dict[str, dict[str, Any]] = {
     "underconfident": {"fill_ratio": 0.55, "true_accuracy": 0.95, "flawed_accuracy": 0.55},
     "overconfident": {"fill_ratio": 0.95, "true_accuracy": 0.55, "flawed_accuracy": 0.95},
 }
 """Parameters of the two kinds of flawed robots, which assume a far worse or a far better accuracy than b."""
 
-BOTH_FLAWS = list(FLAWS.values())
+BOTH_FLAWS = list(PARAMETERS_BY_FLAW.values())
 ALL_FILTERS = ["none", "asdf-minus", "asdf-plus", "robust"]
 FILTERS_OF_HEALTHY_SWARMS = ["none", "asdf-plus", "robust"]
 """The filters that differ where no robot is flawed: only flawed robots filter with ASDF-."""
@@ -240,10 +240,10 @@ def under_and_over_text(experiments: Sequence[Trials]) -> str:
 def plot_errors_of_swarms(rows: Rows, swarms: Sequence[str]) -> Figure:
     """Draw |x - f|, the error of the estimates, over time: a line for each filter or peer.
 
-    The panels of a row have the same kind of flaws of FLAWS, the underconfident ones first. Its columns are
-    the ``swarms``: the labels of rows are these, with the kind of flaws after a comma.
+    The panels of a row have the same kind of flaws of PARAMETERS_BY_FLAW, the underconfident ones first. Its
+    columns are the ``swarms``: the labels of rows are these, with the kind of flaws after a comma.
     """
-    labels = [f"{swarm}, {flaw}" for flaw in FLAWS for swarm in swarms]
+    labels = [f"{swarm}, {flaw}" for flaw in PARAMETERS_BY_FLAW for swarm in swarms]
     panels = {label: rows[label] for label in labels}
     return plot_errors_over_time(panels, series_name=column_label)
 

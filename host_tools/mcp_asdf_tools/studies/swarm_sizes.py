@@ -21,8 +21,8 @@ from mcp_asdf_tools.experiments.results import Trials
 from mcp_asdf_tools.experiments.trials import run_trials
 from mcp_asdf_tools.studies.bootstrap import Sample
 from mcp_asdf_tools.studies.study_program import (
-    FLAWS,
-    MOVING,
+    MOVING_SWARM,
+    PARAMETERS_BY_FLAW,
     Measure,
     Rows,
     late_error_text,
@@ -51,11 +51,11 @@ def size_rows() -> dict[str, list[Experiment]]:
     are flawed.
     """
     rows: dict[str, list[Experiment]] = {}
-    for flaw, sensors in FLAWS.items():
+    for flaw, flaw_parameters in PARAMETERS_BY_FLAW.items():
         for robots, trials in TRIALS_BY_SIZE.items():
             rows[f"{robots:,} robots, {flaw}"] = m.grid(
-                **MOVING,
-                **sensors,
+                **MOVING_SWARM,
+                **flaw_parameters,
                 robots=robots,
                 flawed="30%",
                 filter=["none", "robust"],
@@ -119,11 +119,11 @@ def draw_sizes(rows: Rows) -> Figure:
     """
     experiments = [trials for experiments_of_row in rows.values() for trials in experiments_of_row]
     figure = empty_figure(WIDTH, 4.8)
-    rows_of_axes = figure.subplots(nrows=len(FLAWS), ncols=3)
+    rows_of_axes = figure.subplots(nrows=len(PARAMETERS_BY_FLAW), ncols=3)
     measures: tuple[str | Measure, ...] = ("H", late_errors, step_cost)
-    for (flaw, sensor_parameters), axes_of_row in zip(FLAWS.items(), rows_of_axes, strict=True):
+    for (flaw, flaw_parameters), axes_of_row in zip(PARAMETERS_BY_FLAW.items(), rows_of_axes, strict=True):
         for axes, measure in zip(axes_of_row, measures, strict=True):
-            m.plot_curve(experiments, "robots", measure, hue="filter", where=sensor_parameters, ax=axes)
+            m.plot_curve(experiments, "robots", measure, hue="filter", where=flaw_parameters, ax=axes)
             # Sizes go from 20 to 10,000 robots.
             axes.set(xscale="log", title=flaw)
         score_axes, error_axes, cost_axes = axes_of_row

@@ -26,8 +26,8 @@ from mcp_asdf_tools.studies.reading_pairs import (
     TwoReadingsRobot,
 )
 from mcp_asdf_tools.studies.study_program import (
-    FLAWS,
-    MOVING,
+    MOVING_SWARM,
+    PARAMETERS_BY_FLAW,
     PLAIN_NOTE,
     Rows,
     format_tenths,
@@ -67,11 +67,11 @@ def two_readings_rows() -> dict[str, list[Experiment]]:
         {"firmware": TwoReadingsRobot, "filter": "robust"},
     ]
     rows: dict[str, list[Experiment]] = {}
-    for flaw, accuracies in FLAWS.items():
+    for flaw, flaw_parameters in PARAMETERS_BY_FLAW.items():
         for label, swarm in SWARMS.items():
             rows[f"{label}, {flaw}"] = m.grid(
-                **MOVING,
-                **accuracies,
+                **MOVING_SWARM,
+                **flaw_parameters,
                 **swarm,
                 robots_and_filters=robots_and_filters,
                 comms_period=READINGS_OF_TILE,

@@ -12,7 +12,7 @@ import pytest
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.parameters import parameters_of
 from mcp_asdf_tools.experiments.experiment import MAX_EXPERIMENTS, Experiment, combinations, grid
-from mcp_asdf_tools.experiments.experiment_files import STUDIES, read_experiments
+from mcp_asdf_tools.experiments.experiment_files import SHIPPED_STUDIES, read_experiments
 from support import ROOT, block_with
 
 # --- Values ----------------------------------------------------------------------------------------------
@@ -55,7 +55,7 @@ def experiments_of(folder: Path, text: str) -> list[Experiment]:
 
 
 def test_a_study_that_comes_with_the_program_is_read_by_its_name() -> None:
-    assert read_experiments("physical") == read_experiments(STUDIES / "physical.toml")
+    assert read_experiments("physical") == read_experiments(SHIPPED_STUDIES / "physical.toml")
 
 
 def test_lists_of_values_in_a_file_describe_experiments_of_all_their_combinations(tmp_path: Path) -> None:

@@ -21,7 +21,7 @@ from mcp_asdf_tools.common.versions import software_versions
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.result_files import collect_rows, read_table, stream_experiments, write_tables
 from mcp_asdf_tools.experiments.result_tables import (
-    FORMAT,
+    PRESENT_FORMAT,
     experiments_in,
     read_metadata,
     score_table,
@@ -209,7 +209,7 @@ def test_the_metadata_of_results_say_how_they_were_made(results_path: Path) -> N
     delta is how much an estimate that counts as converged may still change.
     """
     assert read_metadata(read_table(results_path)) == {
-        "format": FORMAT,
+        "format": PRESENT_FORMAT,
         "versions": software_versions(),
         "delta": 0.01,
         "sampling_interval": 10,
@@ -381,7 +381,7 @@ def damaged_tables() -> Iterator[tuple[pa.Table, str]]:
     yield table.slice(0, 0), "holds no trials; run mcp-asdf sweep again"
     yield table.drop_columns(["e", "k"]), "it has no e, k; run mcp-asdf sweep again"
     older = table.replace_schema_metadata({b"mcp-asdf": json.dumps({"format": 4})})
-    yield older, f"in format 4; format {FORMAT} is needed: run mcp-asdf sweep again"
+    yield older, f"in format 4; format {PRESENT_FORMAT} is needed: run mcp-asdf sweep again"
     for name in table.column_names:
         yield from tables_with_damaged_column(table, name)
     yield table.append_column("k", table["k"]), "k"

@@ -39,7 +39,7 @@ def test_the_step_of_convergence_is_the_first_from_which_on_no_value_differs_by_
     floats = np.array(values, np.float64)
     expected_step = convergence_step_by_definition(floats, delta=3.0)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(scores, "_CHUNK", values_at_once)
+        patch.setattr(scores, "_CHUNK_LENGTH", values_at_once)
         assert convergence_step(integers, delta=3.0) == expected_step
         assert convergence_step(floats, delta=3.0) == expected_step
 

@@ -27,9 +27,7 @@ from host_tools.experiments.drawn_figures import (
     y_values_of,
 )
 from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.common.figures import FLAWED as COLOUR_OF_FLAWED_ROBOTS
-from mcp_asdf_tools.common.figures import INK
-from mcp_asdf_tools.common.figures import OTHER as COLOUR_OF_OTHER_ROBOTS
+from mcp_asdf_tools.common.figures import COLOUR_OF_FLAWED_ROBOTS, COLOUR_OF_HEALTHY_ROBOTS, INK
 from mcp_asdf_tools.experiments.error_plot import plot_errors_over_time
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.plots.bands import plot_bands
@@ -168,8 +166,8 @@ def test_flawed_and_healthy_robots_have_different_colours_and_the_true_accuracy_
     """The true accuracy is 0.95 in all steps. INK is the black of all pictures."""
     flawed_line, healthy_line, true_line = bands_figure.axes[0].lines
     assert flawed_line.get_color() == COLOUR_OF_FLAWED_ROBOTS
-    assert healthy_line.get_color() == COLOUR_OF_OTHER_ROBOTS
-    assert COLOUR_OF_FLAWED_ROBOTS != COLOUR_OF_OTHER_ROBOTS
+    assert healthy_line.get_color() == COLOUR_OF_HEALTHY_ROBOTS
+    assert COLOUR_OF_FLAWED_ROBOTS != COLOUR_OF_HEALTHY_ROBOTS
     assert (true_line.get_color(), true_line.get_linestyle()) == (INK, "--")
     assert set(y_values_of(true_line)) == {0.95}
 
@@ -320,7 +318,7 @@ def test_a_panel_of_a_trial_has_a_line_of_what_was_recorded_of_each_robot(
 
 def test_lines_of_flawed_robots_lie_on_top_of_those_of_healthy_ones(runs_figure: Figure) -> None:
     """A panel has three healthy robots, a flawed one, and the true value; what is drawn later lies on top."""
-    colours_of_healthy_robots = [COLOUR_OF_OTHER_ROBOTS] * 3
+    colours_of_healthy_robots = [COLOUR_OF_HEALTHY_ROBOTS] * 3
     for axes in runs_figure.axes:
         colours = [line.get_color() for line in axes.lines]
         assert colours == [*colours_of_healthy_robots, COLOUR_OF_FLAWED_ROBOTS, INK]

@@ -26,7 +26,7 @@ from mcp_asdf_tools.studies.claims import (
     decide,
     parts_needed,
 )
-from mcp_asdf_tools.studies.equations import EQUATIONS
+from mcp_asdf_tools.studies.equations import EQUATION_CLAIMS
 from mcp_asdf_tools.studies.study_results import MEASURES, StudyResults
 from mcp_asdf_tools.studies.verdicts import Expectation, Verdict
 
@@ -98,7 +98,7 @@ def test_a_claim_of_the_paper_agrees_and_disagrees_with_the_results_planted_for_
 
 def test_every_claim_is_tested_with_planted_results_or_decided_by_equations_or_about_single_robots() -> None:
     claims_with_planted_results = set(PLANTED_EXPRESSIONS)
-    claims_that_equations_decide = set(EQUATIONS)
+    claims_that_equations_decide = set(EQUATION_CLAIMS)
     claims_about_single_robots = {IDENTICAL_ROBOTS}
 
     names_of_all_claims = {claim.name for claim in CLAIMS}

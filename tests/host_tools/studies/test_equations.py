@@ -6,13 +6,13 @@ import math
 
 import pytest
 
-from mcp_asdf_tools.studies.equations import EQUATIONS
+from mcp_asdf_tools.studies.equations import EQUATION_CLAIMS
 from mcp_asdf_tools.studies.verdicts import count_holding
 
 
 def differences_from_claim(claim: str) -> list[float]:
     """Return what the equations give for each comparison of a claim, less the number that the claim says."""
-    return [comparison.interval.value for comparison in EQUATIONS[claim]()]
+    return [comparison.interval.value for comparison in EQUATION_CLAIMS[claim]()]
 
 
 @pytest.mark.parametrize(("claim", "count"), [("table_of_observations", 4), ("table_of_local_estimates", 12)])
@@ -47,7 +47,7 @@ def test_confidence_grows_only_81_fold_from_an_assumed_accuracy_of_0_55_to_0_95(
 
     From 0.75 to 0.95 it grows even less. n/t is the share of a robot's readings that are black.
     """
-    comparisons = EQUATIONS["confidence_grows_a_hundredfold"]()
+    comparisons = EQUATION_CLAIMS["confidence_grows_a_hundredfold"]()
     differences = {comparison.label: comparison.interval.value for comparison in comparisons}
     from_055_to_095 = differences[f"n/t {black_share}: alpha of b_hat 0.95 over that of 0.55, less 100"]
     from_075_to_095 = differences[f"n/t {black_share}: alpha of b_hat 0.95 over that of 0.75, less 100"]
@@ -79,7 +79,7 @@ def test_the_physical_experiment_has_a_twentieth_of_the_observations_as_the_pape
 
 def test_all_claims_that_equations_decide_hold_but_that_confidence_grows_a_hundredfold() -> None:
     failing_claims = set()
-    for claim, compare in EQUATIONS.items():
+    for claim, compare in EQUATION_CLAIMS.items():
         failing_comparisons = count_holding(compare(), holds=False)
         if failing_comparisons > 0:
             failing_claims.add(claim)
@@ -89,7 +89,7 @@ def test_all_claims_that_equations_decide_hold_but_that_confidence_grows_a_hundr
 
 def test_eight_of_twelve_ratios_of_confidence_are_not_a_hundredfold() -> None:
     """Four pairs of assumed accuracies are compared for three shares of black readings."""
-    comparisons = EQUATIONS["confidence_grows_a_hundredfold"]()
+    comparisons = EQUATION_CLAIMS["confidence_grows_a_hundredfold"]()
     failing_comparisons = count_holding(comparisons, holds=False)
     assert len(comparisons) == 4 * 3
     assert failing_comparisons == 8

@@ -20,7 +20,7 @@ from mcp_asdf_tools.experiments.trials import run_trials
 from mcp_asdf_tools.robots.firmwares import RobotMaker
 from mcp_asdf_tools.studies import peers
 from mcp_asdf_tools.studies.ageing_sensors import DRIFT_RATE
-from mcp_asdf_tools.studies.study_program import FLAWS
+from mcp_asdf_tools.studies.study_program import PARAMETERS_BY_FLAW
 
 # --- Swarms ----------------------------------------------------------------------------------------------
 
@@ -31,7 +31,12 @@ def final_error_of_swarm(expected_x: float = 0.55, **changes: Any) -> float:
     The last five robots are left out. ``changes`` are parameters of the experiment. Without any 0.55 of the
     floor is black, and six robots are flawed and underconfident.
     """
-    world: dict[str, Any] = {**FLAWS["underconfident"], "topology": "dynamic", "latency": 1, "steps": 4000}
+    world: dict[str, Any] = {
+        **PARAMETERS_BY_FLAW["underconfident"],
+        "topology": "dynamic",
+        "latency": 1,
+        "steps": 4000,
+    }
     (experiment,) = m.grid(**{**world, "trials": 1, "seed": 77, **changes})
     x = run_trials(experiment, first=0, trials=1, sampling_interval=50).records["x"]
     late_x_of_honest_robots = x[0, -20:, :15]  # by trial, sample and robot
@@ -611,7 +616,7 @@ def test_the_last_robots_of_a_swarm_of_20_are_the_liars(
 
     classes = [type(robot) for robot in swarm]
     assert classes == [honest_class] * (20 - liars) + [peers.Liar] * liars
-    assert peers.LIARS[make_robot.__name__] == liars
+    assert peers.LIAR_COUNT_BY_FIRMWARE[make_robot.__name__] == liars
 
 
 def test_a_liar_that_reads_black_broadcasts_no_black_with_the_largest_confidence() -> None:

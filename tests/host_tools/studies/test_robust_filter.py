@@ -14,7 +14,7 @@ from host_tools.studies.conftest import page_path, parse_table, two_trials_with
 from mcp_asdf_tools.experiments.results import Trials
 from mcp_asdf_tools.experiments.trials import run_trials
 from mcp_asdf_tools.studies import peers, robust_filter, study_program
-from mcp_asdf_tools.studies.study_program import FLAWS
+from mcp_asdf_tools.studies.study_program import PARAMETERS_BY_FLAW
 
 # --- Experiments -----------------------------------------------------------------------------------------
 
@@ -138,8 +138,8 @@ def test_a_cell_of_other_tables_has_both_errors_and_the_percentage_of_harmed_rob
     The floor of underconfident swarms is 0.55 black, and the floor of overconfident ones 0.95. b_hat of all
     robots is the accuracy of their sensors, so none is harmed.
     """
-    underconfident = two_trials_with(**FLAWS["underconfident"], x=0.65, b_hat=0.95)
-    overconfident = two_trials_with(**FLAWS["overconfident"], x=0.75, b_hat=0.55)
+    underconfident = two_trials_with(**PARAMETERS_BY_FLAW["underconfident"], x=0.65, b_hat=0.95)
+    overconfident = two_trials_with(**PARAMETERS_BY_FLAW["overconfident"], x=0.75, b_hat=0.55)
 
     error_of_underconfident, error_of_overconfident = 0.65 - 0.55, 0.95 - 0.75
     assert robust_filter.errors_text([overconfident, underconfident]) == (
@@ -168,7 +168,9 @@ def test_ten_trials_of_another_seed_give_about_the_errors_on_the_page_of_the_rob
 ) -> None:
     """The page has medians over 40 trials of moving swarms with 30 % flawed robots."""
     swarm: dict[str, Any] = {"topology": "dynamic", "latency": 1, "robots": 20, "flawed": 6}
-    (experiment,) = m.grid(**swarm, **FLAWS[flaw], filter=filter_name, steps=40_000, trials=10, seed=5)
+    (experiment,) = m.grid(
+        **swarm, **PARAMETERS_BY_FLAW[flaw], filter=filter_name, steps=40_000, trials=10, seed=5
+    )
     trials = run_trials(experiment, first=0, trials=10, sampling_interval=1000)
 
     median_error = float(np.median(study_program.late_errors(trials)))
@@ -200,8 +202,8 @@ def test_the_picture_of_the_robust_filter_has_a_panel_for_each_swarm_and_kind_of
 
     Each swarm has run with underconfident and with overconfident flawed robots, which get a panel each.
     """
-    underconfident = two_trials_with(**FLAWS["underconfident"])
-    overconfident = two_trials_with(**FLAWS["overconfident"])
+    underconfident = two_trials_with(**PARAMETERS_BY_FLAW["underconfident"])
+    overconfident = two_trials_with(**PARAMETERS_BY_FLAW["overconfident"])
     both_results = [underconfident, overconfident]
     swarms_without_liars = {"moving, 30 % flawed": both_results, "moving, 50 % flawed": both_results}
     swarms_with_liars = {"moving, 5 liars": both_results}

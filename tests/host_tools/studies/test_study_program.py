@@ -26,7 +26,7 @@ from mcp_asdf_tools.studies import (
     two_readings,
 )
 from mcp_asdf_tools.studies.bootstrap import Interval, resample_mean
-from mcp_asdf_tools.studies.study_program import FLAWS
+from mcp_asdf_tools.studies.study_program import PARAMETERS_BY_FLAW
 
 # --- Measures ------------------------------------------------------------------------------------------
 
@@ -180,8 +180,8 @@ def test_the_error_of_underconfident_swarms_stands_before_that_of_overconfident_
 
     The floor of underconfident swarms is 0.55 black, and the floor of overconfident ones 0.95.
     """
-    underconfident = two_trials_with(**FLAWS["underconfident"], x=0.75)
-    overconfident = two_trials_with(**FLAWS["overconfident"], x=0.9)
+    underconfident = two_trials_with(**PARAMETERS_BY_FLAW["underconfident"], x=0.75)
+    overconfident = two_trials_with(**PARAMETERS_BY_FLAW["overconfident"], x=0.9)
 
     error_of_underconfident, error_of_overconfident = 0.75 - 0.55, 0.95 - 0.9
     assert study_program.under_and_over_text([overconfident, underconfident]) == (

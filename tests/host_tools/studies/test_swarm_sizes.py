@@ -12,7 +12,7 @@ from host_tools.studies.conftest import two_trials_with
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.results import Trials
 from mcp_asdf_tools.studies import swarm_sizes
-from mcp_asdf_tools.studies.study_program import FLAWS
+from mcp_asdf_tools.studies.study_program import PARAMETERS_BY_FLAW
 
 # --- Costs -----------------------------------------------------------------------------------------------
 
@@ -97,7 +97,7 @@ def test_a_cell_has_the_score_the_late_error_and_the_nanoseconds_of_a_robot_s_st
 def rows_of_two_sizes() -> dict[str, list[Trials]]:
     """Return results of swarms of 3 and of 9 robots with errors of 0.3 and of 0.1, of both kinds of flaws."""
     rows = {}
-    for flaw, sensors in FLAWS.items():
+    for flaw, sensors in PARAMETERS_BY_FLAW.items():
         for robots, error in ((3, 0.3), (9, 0.1)):
             rows[f"{robots} robots, {flaw}"] = [
                 two_trials_with(

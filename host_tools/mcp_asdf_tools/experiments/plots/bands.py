@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.common.figures import FLAWED, INK, OTHER, SMALL, clean
+from mcp_asdf_tools.common.figures import COLOUR_OF_FLAWED_ROBOTS, COLOUR_OF_HEALTHY_ROBOTS, INK, SMALL, clean
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.plot_labels import (
     ALWAYS_SHOWN_PARAMETERS,
@@ -65,7 +65,11 @@ def plot_bands(results: Results, *, where: Mapping[str, Any] | None = None) -> F
         axes.set_title(f"{title}\n{_describe_harmed(trials)}", fontsize=SMALL)
     handles = [
         legend_handle(label, colour, marker="", line="-")
-        for label, colour in (("flawed", FLAWED), ("healthy", OTHER), ("true", INK))
+        for label, colour in (
+            ("flawed", COLOUR_OF_FLAWED_ROBOTS),
+            ("healthy", COLOUR_OF_HEALTHY_ROBOTS),
+            ("true", INK),
+        )
     ]
     caption = make_caption(experiments, _MEANING_OF_MARKS, PAPER_LIMITS)
     return label_figure(figure, "step", r"assumed accuracy $\hat{b}$", caption, handles)
@@ -124,7 +128,7 @@ def _draw_accuracy_bands(axes: Axes, trials: Trials) -> None:
     # The first filter step is at step filter_period, not at step 0.
     steps = experiment.filter_period * np.arange(1, _filter_step_count(trials) + 1)
     flawed, healthy = _flawed_and_healthy(trials)
-    for colour, b_hat in ((FLAWED, flawed), (OTHER, healthy)):
+    for colour, b_hat in ((COLOUR_OF_FLAWED_ROBOTS, flawed), (COLOUR_OF_HEALTHY_ROBOTS, healthy)):
         if b_hat.size:
             trial_axis, robot_axis = 0, 2  # of the shape (trials, filter steps, robots)
             band = np.percentile(b_hat, _MEDIAN_AND_BAND_PERCENTILES, axis=(trial_axis, robot_axis))

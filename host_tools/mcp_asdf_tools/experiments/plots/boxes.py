@@ -34,7 +34,7 @@ _MEANING_OF_MARKS = (
 _SLOT_WIDTH = 0.86
 """Width that the boxes of a slot share, where slots are 1 apart."""
 
-_DRAWN_SHARE = 0.85
+_DRAWN_SHARE_OF_WIDTH = 0.85
 """Share of a box's width that it is drawn with, so that neighbouring boxes do not touch."""
 
 _GOLDEN_RATIO = 0.618
@@ -106,7 +106,7 @@ def _draw_box_panel(axes: Axes, series_of_panel: Sequence[Series], limits: Limit
         distance_from_middle = (series_index + 0.5) * box_width - _SLOT_WIDTH / 2
         for trials in series.experiments:
             middle = slots.index(_slot_of(trials.experiment)) + distance_from_middle
-            drawn_width = _DRAWN_SHARE * box_width
+            drawn_width = _DRAWN_SHARE_OF_WIDTH * box_width
             _draw_box(axes, trials.scores(limits)["H"], middle, drawn_width, series.colour)
     # H is at most 100; above it is room for the outlines of boxes and points there.
     axes.set(ylim=(0, 103), xlim=(-0.5, len(slots) - 0.5))

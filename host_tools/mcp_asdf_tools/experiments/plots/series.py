@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.figures import (
-    FLAWED,
+    COLOUR_OF_FLAWED_ROBOTS,
+    COLOUR_OF_HEALTHY_ROBOTS,
     INK,
     MEDIUM,
-    OTHER,
     SMALL,
     WIDTH,
     add_legend,
@@ -169,9 +169,9 @@ def _draw_quantity(axes: Axes, trials: Trials, trial_number: int, quantity: _Qua
     # Flawed robots have the lowest ids, and what is drawn last lies on top.
     for robot in reversed(range(experiment.robots)):
         if experiment.is_flawed(robot):
-            colour, label = FLAWED, _FLAWED_LABEL
+            colour, label = COLOUR_OF_FLAWED_ROBOTS, _FLAWED_LABEL
         else:
-            colour, label = OTHER, _HEALTHY_LABEL
+            colour, label = COLOUR_OF_HEALTHY_ROBOTS, _HEALTHY_LABEL
         axes.plot(
             steps,
             values[:, robot],
