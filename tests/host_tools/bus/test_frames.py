@@ -590,8 +590,9 @@ def test_equal_confidences_are_decoded_to_equal_words(bits: int) -> None:
 def test_a_float_becomes_the_nearest_binary32_number_ties_to_even() -> None:
     """Next to 1, binary32 has steps of 2**-23; both floats lie in the middle between two of its numbers."""
     bits_of_1 = 0x3F800000  # an even number; the next binary32 numbers have odd and even bits in turn
-    assert float32_bits(1 + 0.5 * 2**-23) == bits_of_1
-    assert float32_bits(1 + 1.5 * 2**-23) == bits_of_1 + 2
+    step = 2**-23
+    assert float32_bits(1 + 0.5 * step) == bits_of_1
+    assert float32_bits(1 + 1.5 * step) == bits_of_1 + 2
 
 
 def test_a_float_beyond_binary32_is_an_error() -> None:

@@ -444,7 +444,8 @@ def test_replay_refuses_a_bus_that_the_log_lacks(swarm_log: Path, capsys: Captur
 def test_replay_warns_of_lines_that_are_no_frames(swarm_log: Path, tmp_path: Path, capsys: Capture) -> None:
     """Behind the 176 frames of the log there are a comment and a frame with half a byte."""
     log = tmp_path / "odd.log"
-    log.write_text(swarm_log.read_text() + "# the end\n" + "(1.0) vcan0 186BB92A#0\n")
+    comment, frame_with_half_a_byte = "# the end\n", "(1.0) vcan0 186BB92A#0\n"
+    log.write_text(swarm_log.read_text() + comment + frame_with_half_a_byte)
     assert main(["replay", str(log), "--events", str(events_path(swarm_log)), "--json"]) == 0
     output, errors = capsys.readouterr()
 

@@ -194,7 +194,8 @@ def test_what_is_reported_of_a_remote_robot_comes_from_its_telemetry(comparison:
         assert reported_robot.t == local_robot.t
         assert reported_robot.x == local_robot.x
         assert reported_robot.counters.updates == local_robot.counters.updates
-        b_hat_rounded_down = int(local_robot.b_hat * 2**24) / 2**24
+        units_of_b_hat = int(local_robot.b_hat * 2**24)
+        b_hat_rounded_down = units_of_b_hat / 2**24
         assert reported_robot.b_hat == b_hat_rounded_down
 
 

@@ -137,7 +137,7 @@ def test_each_robot_s_estimate_is_the_weighted_mean_of_all_estimates_on_the_bus(
     x_by_round: list[list[float]] = []
 
     def record_x(swarm: Swarm) -> None:
-        x_by_round.append([node.robot.x * 2**23 for node in swarm.nodes])
+        x_by_round.append([node.robot.x * 2**23 for node in swarm.nodes])  # in units of 2**-23
 
     settings = small_swarm(robots=5, steps=60, firmware=firmware)
     run, frames = run_and_record(settings, hooks=[record_x])

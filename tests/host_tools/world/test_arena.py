@@ -437,7 +437,7 @@ def test_a_share_of_the_tiles_as_large_as_the_fill_ratio_is_black(fill_ratio: fl
 def test_the_colour_of_a_tile_does_not_depend_on_its_neighbours(fill_ratio: float) -> None:
     """Both tiles of a pair are black with a probability of the fill ratio's square.
 
-    The share among 200 x 150 pairs is off by at most five standard deviations.
+    The share among 200 x 150 pairs is off by at most five standard deviations of the share of black tiles.
     """
     is_black = tile_colours(fill_ratio)  # by column and row
     standard_deviation = math.sqrt(fill_ratio * (1 - fill_ratio) / (200 * 150))
