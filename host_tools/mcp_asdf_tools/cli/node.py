@@ -184,8 +184,9 @@ def _suspicion_printer(node: RobotNode, console: Console) -> Callable[[], None]:
 
     def print_new_suspicions() -> None:
         """Print the pairs of kind and sender, by which the node counts, that have not been printed yet."""
-        for kind, sender in node.reception.events.keys() - reported:
-            reported.add((kind, sender))
+        new_suspicions = node.reception.events.keys() - reported
+        reported.update(new_suspicions)
+        for kind, sender in new_suspicions:
             console.print(f"mcp-asdf node: node {sender}: {MEANINGS[kind]}", soft_wrap=True)
 
     return print_new_suspicions

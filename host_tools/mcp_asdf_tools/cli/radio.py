@@ -155,7 +155,8 @@ def settings_of(args: argparse.Namespace) -> RadioSettings:
 def _make_neighbours(controller: RobotSetup, world: SwarmSettings, first_id: int) -> tuple[RobotSetup, ...]:
     """Return the robots of a world that are emulated: all but the controller, which they resemble.
 
-    Their ids rise from ``first_id`` on, without the controller's. Raises UsageError if ids do not suffice.
+    Their ids rise from ``first_id`` on, without the controller's. They assume the true accuracy and, where
+    only flawed robots filter, have no filter. Raises UsageError if ids do not suffice.
     """
     from mcp_asdf_tools.radio.neighbourhood import choose_ids
 

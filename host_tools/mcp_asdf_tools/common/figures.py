@@ -173,7 +173,7 @@ def format_for_legend(value: float | str) -> str:
     if value != int(value):
         return f"{value:g}"
     integer = int(value)
-    is_power_of_two = integer & (integer - 1) == 0
+    is_power_of_two = integer.bit_count() == 1
     if integer >= _LARGE_NUMBER and is_power_of_two:
         return f"2^{integer.bit_length() - 1}"
     return f"{integer}"

@@ -60,7 +60,7 @@ class _Rate(ProgressColumn):
 def format_rate(done_count: float, total: float, seconds: float) -> str:
     """Return the rate so far and the time left at that rate, such as ``2.5/s, 0:01:20 left``.
 
-    The text is empty as long as nothing is done.
+    The text is empty as long as nothing is done, or no time has passed.
     """
     if done_count == 0 or seconds == 0:
         return ""

@@ -427,8 +427,10 @@ def _is_event(event: Any) -> bool:
     """
     if isinstance(event, list):
         # An estimate is [sender, x_hat, alpha], a broadcast that a fault has changed [x_hat, alpha].
-        has_possible_length = len(event) in (2, 3)
-        return has_possible_length and all(map(_is_whole_number, event)) and max(event) <= _MAX_INTEGER
+        if len(event) not in (2, 3):
+            return False
+        has_whole_numbers = all(map(_is_whole_number, event))
+        return has_whole_numbers and max(event) <= _MAX_INTEGER
     if isinstance(event, str):
         return event in (SILENT, RESTART)
     # The numbers of actions are 0 to 3, and that of SETTLE is the last.

@@ -101,7 +101,7 @@ class RepeatedRobot:
             self.robot.restart()
         elif event == SETTLE:
             self.robot.settle()
-        else:
+        else:  # one of the actions with which a tick begins
             self._observe_and_broadcast(Action(event).observation)
 
     def _observe_and_broadcast(self, observation: Observation | None) -> None:
@@ -171,6 +171,7 @@ def verify(log: Iterable[can.Message], events: EventsReader) -> ReplayVerdict:
         comparison.compare_frame(frame_number, frame)
         if comparison.verdict.difference is not None:
             return comparison.verdict
+    # The broadcasts that the robots still have were in no frame of the log.
     comparison.verdict.not_logged += sum(len(robot.broadcasts) for robot in robots.values())
     return comparison.verdict
 

@@ -288,7 +288,8 @@ class Swarm:
         """
         robot_frames: list[RobotFrame] = []
         for driver in self._drivers:
-            for node, frame in driver.observe({robot: observations[robot] for robot in driver.nodes}):
+            observations_of_driver = {robot: observations[robot] for robot in driver.nodes}
+            for node, frame in driver.observe(observations_of_driver):
                 # The driver leaves out telemetry, and by docs/design.md a robot sends nothing else but
                 # heartbeats.
                 if isinstance(decode_estimate(frame, self.settings.frames), Estimate):
@@ -354,7 +355,8 @@ class Swarm:
         has_ids_from_zero = self._ids == list(range(len(self._ids)))
         if has_ids_from_zero:
             return neighbours
-        # The world counts robots from 0: move its rows and columns to the robots' ids.
+        # The world counts robots from 0: move its rows and columns to the robots' ids, in a matrix for all
+        # possible ids.
         neighbours_by_id = np.zeros((MAX_ID + 1, MAX_ID + 1), np.bool_)
         neighbours_by_id[np.ix_(self._ids, self._ids)] = neighbours
         return neighbours_by_id

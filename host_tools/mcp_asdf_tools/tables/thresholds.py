@@ -129,15 +129,15 @@ def _threshold(quantile: mpf, m: int) -> mpf:
 
 
 def _t_quantile(omega: mpf, degrees_of_freedom: int, start: mpf) -> mpf:
-    """Return t with P(|T| < t) = omega, that is P(T > t) = (1 - omega)/2; ``start`` must not lie above it.
+    """Return t with P(|T| < t) = omega, where T has Student's distribution.
 
-    P is concave for t > 0, so steps of Newton's method from below never pass the root: the first step that
-    is not upward is rounding noise.
+    ``start`` must not lie above the result.
     """
+    # Newton's method for the root of P(|T| < t) - omega, whose derivative is the density of |T|. P is concave
+    # for t > 0, so steps from below never pass the root: the first that is not upward is rounding noise.
     quantile = start
     step = mp.inf
     while step > _NEGLIGIBLE_STEP:
-        # Newton's method for the root of P(|T| < t) - omega, whose derivative is the density of |T|.
         missing_probability = omega - _central_probability(quantile, degrees_of_freedom)
         step = missing_probability / _density(quantile, degrees_of_freedom)
         quantile += step

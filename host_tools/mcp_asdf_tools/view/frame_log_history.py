@@ -120,7 +120,7 @@ def _measure_log(log: Path, frame_format: FrameFormat, channel: str | None) -> _
 
 
 def _time_frames(frames: Iterable[can.Message], start_time: float) -> Iterator[tuple[float, can.Message]]:
-    """Yield each frame behind its seconds since ``start_time``, which never decrease.
+    """Yield for each frame the seconds since ``start_time``, which never decrease, and the frame.
 
     Frames of two buses may be out of order in a log, but the time of a history must not go back: such a frame
     gets the seconds of the frame before.

@@ -106,20 +106,22 @@ class Fault:
     @classmethod
     def own_options(cls) -> list[str]:
         """Return the names of the options that this kind has besides those of all faults."""
-        common_fields = {item.name for item in fields(Fault)}
-        return [item.name for item in fields(cls) if item.name not in common_fields]
+        common_options = {option_field.name for option_field in fields(Fault)}
+        all_options = [option_field.name for option_field in fields(cls)]
+        return [option for option in all_options if option not in common_options]
 
     def __str__(self) -> str:
         """Return the text that ``parse_fault`` reads back: the rate, and all options but the defaults.
 
         The rate is written by repr(), which has all the digits of a float that the same fault needs.
         """
-        items = [f"{self.name}={self.rate!r}"]
-        for item in fields(self):
-            value = getattr(self, item.name)
-            if item.name != "rate" and value != item.default:
-                items.append(f"{OPTION_OF_FIELD.get(item.name, item.name)}={_option_text(value)}")
-        return ",".join(items)
+        option_texts = [f"{self.name}={self.rate!r}"]
+        for option_field in fields(self):
+            value = getattr(self, option_field.name)
+            if option_field.name != "rate" and value != option_field.default:
+                option = OPTION_OF_FIELD.get(option_field.name, option_field.name)
+                option_texts.append(f"{option}={_option_text(value)}")
+        return ",".join(option_texts)
 
 
 def _option_text(value: object) -> str:

@@ -92,7 +92,8 @@ class Faults:
     def on_send(self, frame: can.Message, sender: int) -> SentFrame | None:
         """Return what gets onto the bus when a node sends ``frame`` in this tick; None while it is off.
 
-        Call this once per frame, in the order in which they are sent.
+        Faults may have changed the frame, its id or its estimate. Call this once per frame, in the order in
+        which they are sent.
         """
         if not self._runs:
             return SentFrame(frame, sender, self._tick)

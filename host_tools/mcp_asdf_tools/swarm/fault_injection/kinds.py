@@ -197,7 +197,6 @@ class OutageFault(Fault, ABC):
         ticks counts as a hit of the fault.
         """
         outage_end = run.memory.get(node, 0)  # the first tick after the node's latest outage
-        # A node that is off the bus already is not hit again.
         if tick >= outage_end and run.hits_node(node, tick):
             outage_end = tick + self.ticks
             run.memory[node] = outage_end
@@ -246,10 +245,10 @@ class Freeze(Fault):
     summary = "a broadcast repeats the estimate of the robot's last regular one"
 
     def on_send(self, sent_frame: SentFrame, run: FaultRun) -> SentFrame:
-        """Return the frame with the values of the robot's last estimate that was not frozen, if it is frozen.
+        """Return the frame or, if the fault hits it, one with the values of an earlier estimate of the robot.
 
-        That is so if the fault hits it. Its transfer_id stays. Frames that are no estimate are not changed,
-        nor is a robot's first estimate.
+        They are those of its last estimate that the fault did not hit; the transfer_id stays. Frames that are
+        no estimate are not changed, nor is a robot's first estimate.
         """
         estimate = decode_estimate(sent_frame.frame, run.frame_format)
         if not isinstance(estimate, Estimate):
@@ -348,10 +347,8 @@ class Babble(Fault):
         run.hit_count += self.frames
         identifier = run.frame_format.identifier(node)
         # The subject is that of estimates, but with random tail bytes decoders refuse seven of eight frames.
-        return [
-            make_frame(identifier, run.random.content_word(node, tick, index), timestamp)
-            for index in range(self.frames)
-        ]
+        contents = [run.random.content_word(node, tick, index) for index in range(self.frames)]
+        return [make_frame(identifier, content, timestamp) for content in contents]
 
 
 @dataclass(frozen=True, kw_only=True)

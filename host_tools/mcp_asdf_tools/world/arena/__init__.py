@@ -53,8 +53,9 @@ class Arena:
         members, self._floor_image = make_config(settings, trial, _arena.ffi)
         config = _arena.ffi.new("mcp_asdf_arena_config_t *", members)
         self._memory = allocate_memory(_arena.lib.mcp_asdf_arena_bytes(config))
-        memory = _arena.ffi.from_buffer(self._memory)
-        if not _arena.lib.mcp_asdf_arena_init(self._arena, config, memory):
+        memory_pointer = _arena.ffi.from_buffer(self._memory)
+        has_room = _arena.lib.mcp_asdf_arena_init(self._arena, config, memory_pointer)
+        if not has_room:
             width, height = settings.sides  # all other settings have been checked
             problem = f"{settings.robots} robots found no room in {width} x {height} m"
             raise UsageError(f"{problem}; take fewer or a larger arena")
