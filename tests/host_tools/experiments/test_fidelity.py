@@ -75,7 +75,10 @@ def test_the_stored_scores_of_the_authors_simulation_are_of_11_experiments_with_
 def test_scores_of_simulate_have_the_distribution_of_those_of_independent_programs(
     stored_experiments: list[fidelity.StoredExperiment], trials: int
 ) -> None:
-    """If it is, a difference as large as the largest one has a probability, p, of at least 1 %."""
+    """Programs of others made the stored scores; trials of the same experiments are simulated here.
+
+    If the distribution is the same, a difference as large as the largest has a probability of at least 1 %.
+    """
     assert smallest_p_value_of_simulated_scores(stored_experiments, trials) >= 0.01
 
 

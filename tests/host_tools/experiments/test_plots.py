@@ -65,6 +65,7 @@ def test_plot_series_refuses_two_experiments_and_says_how_to_choose_one(
 
 
 def test_plot_series_refuses_results_without_values_recorded_over_time(unfiltered: Trials) -> None:
+    """Nothing is recorded in a trial unless the user asks for it. It is what this plot would draw."""
     with pytest.raises(UsageError, match="nothing was recorded over time"):
         library.plot_series([unfiltered])
 

@@ -454,7 +454,7 @@ def test_a_part_has_fewer_rows_the_longer_their_lists_are(
 ) -> None:
     """The limit is set to the bytes of a thousand rows, with values recorded every 400 of 8,000 steps.
 
-    Of 10 million steps, a single trial has more. A part has one row at least.
+    The lists of a trial of 10 million steps take more than that. A part has one row at least.
     """
     experiment = replace(EXPERIMENT, steps=8000)
     long_experiment = replace(EXPERIMENT, steps=10_000_000)
@@ -510,7 +510,7 @@ def test_a_sweep_goes_on_with_an_output_when_the_other_process_has_ended(output:
 
 def test_a_process_does_not_lock_itself_out_of_its_output(output: Path) -> None:
     """It locks an output to work on it, and opens it a second time: all 40 trials are missing."""
-    Store(output, [EXPERIMENT]).reserve()
+    Store(output, [EXPERIMENT]).reserve()  # locks the output
     opened_again = Store(output, [EXPERIMENT])
     assert opened_again.missing_count == 40
 
@@ -558,7 +558,8 @@ def test_progress_is_a_line_a_minute_where_there_is_no_terminal(
 ) -> None:
     """Three of the eight trials are finished after a minute, and six of them after two minutes.
 
-    With FORCE_COLOR, rich, which draws a bar in terminals, would take any output for one.
+    So a trial takes 20 s: the five that are left take 100 s, and the last two 40 s. FORCE_COLOR is emptied.
+    With it rich, which draws a bar in terminals, would take any output for a terminal.
     """
     monkeypatch.setenv("FORCE_COLOR", "")
     report_six_of_eight_trials_in_two_minutes(monkeypatch, quiet=False)

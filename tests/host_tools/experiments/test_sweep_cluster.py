@@ -113,17 +113,17 @@ def test_a_cluster_whose_workers_have_another_version_is_refused(
 def test_trials_that_a_cluster_has_finished_are_kept_if_it_is_lost(tmp_path: Path) -> None:
     """The cluster ends when the sweep reports the first of 500 trials, each of which is a job."""
     experiment = replace(SLOW_EXPERIMENT, trials=500)
-    sweep = Store(tmp_path / "long.parquet", [experiment])
+    store = Store(tmp_path / "long.parquet", [experiment])
     with cluster_of(workers=1, folder=tmp_path) as (scheduler, cluster_input):
 
         def end_cluster(_finished_trials: int) -> None:
             cluster_input.close()  # the cluster's program ends with its input
 
         with pytest.raises(UsageError, match="what was finished is kept"):
-            run_sweep(sweep, workers=1, report=end_cluster, scheduler=scheduler)
+            run_sweep(store, workers=1, report=end_cluster, scheduler=scheduler)
 
-    missing_on_disk = Store(sweep.output, [experiment]).missing_count
-    assert missing_on_disk == sweep.missing_count
+    missing_on_disk = Store(store.output, [experiment]).missing_count
+    assert missing_on_disk == store.missing_count
     assert 0 < missing_on_disk < 500
 
 

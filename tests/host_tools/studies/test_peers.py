@@ -123,9 +123,10 @@ def final_error_of_ageing_swarm(firmware: Any, memory: int = 2**31) -> float:
 def test_a_robot_that_knows_the_accuracy_of_its_sensor_at_one_moment_only_has_a_large_error(
     firmware: Any,
 ) -> None:
-    """The firmware "reference" knows the first accuracy of its ageing sensor, and the other one the last.
+    """The firmware "reference" knows only the first accuracy of its ageing sensor.
 
-    Most of the counted observations are from when the sensor was worse, or better.
+    ``KnownAccuracyRobot`` knows the present one. Most of the counted observations are from when the sensor
+    was worse, or better.
     """
     assert final_error_of_ageing_swarm(firmware) > 0.06
 

@@ -401,7 +401,8 @@ def test_60_trials_lead_to_the_verdict_on_a_claim_that_is_recorded_of_more_trial
 ) -> None:
     """A recorded line has the claim, the part of the study, the verdict, and how many comparisons hold."""
     decision = decisions_of_60_trials[claim]
-    holding_count, count = decision.count(True), len(decision.comparisons)
+    holding_count = decision.count(holds=True)
+    count = len(decision.comparisons)
     line = f"{claim},fully connected,{decision.verdict.value},{holding_count},{count}"
 
     recorded_lines = (ROOT / "tests/data/study_verdicts.csv").read_text(encoding="utf-8").splitlines()

@@ -169,7 +169,10 @@ def test_an_error_shows_its_interval_if_an_end_is_more_than_a_tenth_of_the_error
 
 
 def test_a_plain_error_has_no_interval_even_if_trials_differ() -> None:
-    """All robots estimate 0.6 in one trial, and 0.7 in the other, for a floor that is half black."""
+    """All robots estimate 0.6 in one trial, and 0.7 in the other, for a floor that is half black.
+
+    So the errors of the trials are 0.1 and 0.2, with a mean of 0.15.
+    """
     x_by_trial_sample_and_robot = [[[0.6] * 4], [[0.7] * 4]]
     trials = two_trials_with(fill_ratio=0.5, x=x_by_trial_sample_and_robot)
     assert study_program.plain_error_text([trials]) == "0.150"

@@ -38,7 +38,7 @@ def test_the_processor_time_of_a_trial_is_the_shortest_of_three_after_a_first_on
 ) -> None:
     """The first of four trials would be the shortest. Of the other three the last one is.
 
-    The fixture is a list; in place of the next trials that are run, only so many seconds of it pass.
+    No trial is run. By a fixture, each one takes the next number of seconds in this list.
     """
     seconds_of_next_trials += [1.0, 5.0, 7.0, 2.0]
     assert swarm_sizes.processor_seconds(Experiment(robots=2)) == 2.0

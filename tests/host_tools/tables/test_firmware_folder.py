@@ -205,7 +205,8 @@ def test_a_filter_that_is_switched_off_is_left_out_of_header_and_library(
 ) -> None:
     """The first program does not use the filter, and fails to compile if the header has it.
 
-    The second program needs the filter. Its robot does not start, so that it ends with exit code 1.
+    The second program needs the filter. Its robot does not start, so that it ends with exit code 1. Condition
+    and configurations are texts in C.
     """
     write_firmware_folder(tmp_path / "vendor/mcp_asdf", *OPTIONS_FOR_TABLE_OF_PROGRAM)
     config_with_table = "MCP_ASDF_CONFIG_ASDF(mcp_asdf_t_table_omega10_q30)"

@@ -197,9 +197,8 @@ def test_check_notices_a_changed_character_anywhere(file: Path, tmp_path: Path) 
     text = file.read_text()
     path = tmp_path / file.name
     for index in range(0, len(text), 97):
-        text_before, character, text_after = text[:index], text[index], text[index + 1 :]
-        other_character = "8" if character == "7" else "7"
-        path.write_text(text_before + other_character + text_after)
+        other_character = "8" if text[index] == "7" else "7"
+        path.write_text(text[:index] + other_character + text[index + 1 :])
         assert check_finds_a_problem(path), f"the change at {index} went unnoticed"
 
 
