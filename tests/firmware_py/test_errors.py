@@ -112,7 +112,7 @@ def test_if_sender_and_estimate_are_wrong_the_sender_is_reported(firmware: Firmw
 def test_a_rejected_message_is_counted_and_changes_nothing_else(
     firmware: Firmware, sender: int, x_hat: float
 ) -> None:
-    """Its sender is above 127, or its estimate x_hat above 1. It raises an error, too."""
+    """The message has a sender above 127, or an estimate x_hat above 1. It raises an error, too."""
     robot = make_used_robot(firmware)
     state_before = visible_state_without_rejected_count(robot)
 

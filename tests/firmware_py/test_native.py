@@ -26,7 +26,7 @@ from support import ROOT
     [("mcp_asdf_status_t", Status), ("mcp_asdf_filter_t", Filter), ("mcp_asdf_observation_t", Observation)],
 )
 def test_enums_are_those_of_the_header(c_type: str, enum: type[IntEnum]) -> None:
-    """They are the results of calls, the filters and the two colours, with the same names and numbers.
+    """The enums are the results of calls, the filters and the two colours, with the same names and numbers.
 
     In C the names begin with MCP_ASDF_, as in MCP_ASDF_OK.
     """
@@ -76,7 +76,7 @@ def test_the_default_config_is_that_of_the_header() -> None:
     "name", ["VOTES_OF_MAX_GAIN", "HUBER_STEPS", "REJECTED_SIGMAS_SQUARED", "DISPERSION_SHIFT"]
 )
 def test_the_robust_filter_has_the_same_constants_in_c_and_python(name: str) -> None:
-    """They are macros of a private header, which the compiled module does not show: so its text is read."""
+    """In C they are macros of a private header. The compiled module hides them, so its text is read."""
     header = (ROOT / "c_ref/src/mcp_asdf_robust.h").read_text(encoding="utf-8")
 
     # The line is "#define NAME 12", in which the number may also be 12U or UINT32_C(12).
@@ -165,7 +165,7 @@ def test_a_table_in_c_is_followed_by_zeros_up_to_the_length_of_the_longest_one()
 
 
 def test_the_package_offers_the_compiled_firmware() -> None:
-    """It is loaded when it is first used, so that the package works where nothing could be compiled."""
+    """It is loaded at its first use, so that the package also works where nothing could be compiled."""
     assert mcp_asdf.NativeRobot is NativeRobot
 
 

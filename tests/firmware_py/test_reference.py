@@ -409,7 +409,7 @@ def test_means_of_estimates_in_float64_are_right_to_the_last_bits() -> None:
 
 
 def test_the_neighbours_confidence_is_the_rounded_sum_of_their_confidences() -> None:
-    """It is rounded once. If each addition were rounded, the error could be as large as 128 roundings."""
+    """The sum is rounded once. If each addition were rounded, the error could be up to 128 roundings."""
     rng = random.Random(0)
     for _ in range(100):
         estimates = draw_estimates(rng)
@@ -467,7 +467,7 @@ def tolerated_distance(neighbours: Sequence[float], omega: float) -> float:
 def test_the_paper_s_test_rejects_an_estimate_just_beyond_the_distance_that_scipy_gives(
     omega: float, side: int
 ) -> None:
-    """It does not reject an estimate just within that distance. The neighbours' estimates are random.
+    """The test does not reject one just within that distance. The neighbours' estimates are random.
 
     ``side`` is 1 for estimates above their mean, and -1 for estimates below it.
     """
@@ -622,7 +622,7 @@ def test_only_the_authors_robots_may_assume_an_accuracy_next_to_0_or_1(
 
 @pytest.mark.parametrize(("n", "b"), [(0, 1.0), (5, 0.0), (0, 0.0), (5, 1.0)])
 def test_a_perfect_sensor_has_no_finite_confidence_after_one_colour(n: int, b: float) -> None:
-    """It is always right or always wrong, b = 1 or 0, and n of 5 tiles, all or none, are black.
+    """The sensor is always right or wrong, b = 1 or 0, and n of 5 tiles, all or none, are black.
 
     There eq. 4 divides by 0.
     """

@@ -142,7 +142,7 @@ def test_a_robot_that_hears_nobody_believes_its_own_estimate_again(firmware: Fir
 # design: R13
 @for_every_firmware
 def test_a_counter_begins_at_0_again_after_65535(firmware: Firmware) -> None:
-    """It has 16 bits. Of messages with the robot's own id, which are rejected, 65536 and three more come."""
+    """A counter has 16 bits. 65536 and three more messages have the robot's own id, and so are rejected."""
     robot = make_robot(firmware, robot_id=5)
 
     for _ in range(65536 + 3):

@@ -261,7 +261,7 @@ def voters_of_rounds(robot: FixedPoint, rounds: int) -> list[int | str]:
 def test_neighbours_vote_in_ascending_order_and_the_robot_itself_after_them(
     firmware: FixedPointFirmware, senders: list[int], black_tiles: int, expected_voters: list[int | str]
 ) -> None:
-    """One of them votes in each round. Neighbours are named by their slots, here 6, 9 and 31 as their ids.
+    """Each round has one vote. Neighbours are named by their slots, here 6, 9 and 31 as their ids.
 
     The robot itself votes only if it has observed a tile.
     """
@@ -416,7 +416,7 @@ def test_a_vote_outside_the_spread_widens_it_by_a_sixteenth_and_one_inside_narro
 def test_no_vote_brings_the_spread_beyond_its_limits(
     firmware: FixedPointFirmware, limit: int, slot_estimate: int
 ) -> None:
-    """They are 2**-12 and 1/4. A vote at the centre would narrow the first, one far away widen the second.
+    """The limits are 2**-12 and 1/4. A vote at the centre would narrow the spread, and one far away widen it.
 
     Centre and spread are in units of 2**-30, and estimates of neighbours in units of 2**-16.
     """
@@ -690,7 +690,7 @@ def test_an_estimate_far_away_counts_as_one_at_the_distance_of_the_spread() -> N
 
 
 def test_the_centre_of_estimates_within_the_spread_is_their_mean() -> None:
-    """It is computed in steps, and may be wrong by two units of 2**-24, in which all estimates are."""
+    """The centre is computed in steps, and may be wrong by two units of 2**-24, in which all numbers are."""
     estimates = [256_000, 512_000, 1_536_000]
     mean = (256_000 + 512_000 + 1_536_000) / 3
     centre = huber_centre(estimates, median=512_000, spread=1_280_000)
@@ -772,7 +772,7 @@ def test_a_batch_that_is_far_off_counts_as_12_times_the_dispersion(firmware: Fix
 def test_the_dispersion_falls_by_an_eighth_with_each_batch_that_is_as_expected(
     firmware: FixedPointFirmware,
 ) -> None:
-    """It says how much more batches of tiles vary than independent ones would, in units of 2**-8.
+    """The dispersion says how much more batches vary than independent tiles would, in units of 2**-8.
 
     Half of 100 tiles were black so far, and half of the next 100 are black, too.
     """
@@ -785,7 +785,7 @@ def test_the_dispersion_falls_by_an_eighth_with_each_batch_that_is_as_expected(
 
 @for_fixed_point_firmwares
 def test_the_dispersion_does_not_overflow_its_16_bits(firmware: FixedPointFirmware) -> None:
-    """It says how much more batches of tiles vary than independent ones would; here it is the largest.
+    """The dispersion says how much more batches vary than independent tiles would; here it is the largest.
 
     Of a million tiles all were black but the last one, and 5000 white ones follow, which would raise it.
     """

@@ -190,7 +190,7 @@ def test_the_dispersion_does_not_fall_below_1() -> None:
 
 
 def test_the_dispersion_does_not_rise_above_16_bits_of_the_firmware() -> None:
-    """There it is in units of 1/256. Here the last 500 tiles are black, and the 500 before them white.
+    """The firmware has units of 1/256. Here the last 500 tiles are black, and the 500 before them white.
 
     Of the last 500 half should be black, with a variance of 125. The number is 250 off, and 250**2 is 500
     variances. So the dispersion would rise from 250 to 7/8 * 250 + 500 / 8 = 281.
@@ -212,7 +212,7 @@ def test_a_batch_without_deviation_leaves_the_dispersion(n: int, batch_count: in
 
 
 def test_the_dispersion_is_computed_from_the_observations_since_the_last_batch() -> None:
-    """It says how much more batches of tiles vary than independent ones would.
+    """The dispersion says how much more batches of tiles vary than independent ones would.
 
     Of the last 100 tiles 60 are black, and of all 1000 half: two standard deviations of 5 more. Their square,
     4 variances, counts an eighth, and the dispersion so far, 2, seven eighths.
@@ -274,7 +274,7 @@ def test_an_estimate_at_the_distance_of_the_spread_is_inside() -> None:
 
 
 def test_a_step_is_not_divided_if_no_estimate_is_inside_the_spread() -> None:
-    """Otherwise it would be divided by their number, which is 0 here.
+    """Otherwise it would be divided by the number of estimates inside, which is 0 here.
 
     The only estimate is two spreads away, and counts as one spread.
     """
@@ -363,7 +363,7 @@ def test_observations_at_the_limit_of_the_test_contradict_nothing() -> None:
 
 
 def test_the_spread_widens_the_limit_of_the_test() -> None:
-    """It is 12 times the sum of two variances: of 1024 tiles, half of them black, and of the expected share.
+    """The limit is 12 times the sum of two variances: of 1024 tiles, half black, and of the expected share.
 
     The spread is how far the centre of the others' estimates may be off. With b = 3/4 the expected share
     changes by 2 b - 1 = 1/2 of a change of the centre.
@@ -455,7 +455,7 @@ def test_a_robot_tests_itself_only_against_five_neighbours_or_more(
 
 
 def test_a_robot_that_was_misled_returns_to_its_initial_accuracy() -> None:
-    """It is 3/4. The robot sees half of the tiles black, and at first all others say that none is.
+    """This accuracy is 3/4. The robot sees half of the tiles black, and at first all others say that none is.
 
     A sensor that is right in half of the cases would explain that. Then the others agree with the robot.
     """

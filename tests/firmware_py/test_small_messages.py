@@ -31,7 +31,7 @@ C_SOURCE = CORE.with_name("mcp_asdf_small.c")
 
 
 def test_a_message_has_the_bytes_that_the_specification_shows() -> None:
-    """They are a word of 32 bits, lowest byte first: an id of 7, an x_hat of 16 and an alpha of 9.
+    """The bytes are a word of 32 bits, lowest byte first: an id of 7, an x_hat of 16 and an alpha of 9.
 
     Here x_hat and alpha are 1.0, which ONE is in the units of x_hat.
     """
@@ -45,7 +45,7 @@ def test_a_message_has_the_bytes_that_the_specification_shows() -> None:
 
 
 def test_a_message_is_decoded_to_sender_x_hat_and_alpha() -> None:
-    """It is the message that the specification shows: from robot 42, with x_hat and alpha of 1.0.
+    """The message is the one that the specification shows: from robot 42, with x_hat and alpha of 1.0.
 
     ONE is 1.0 in the units of x_hat, and alpha is a word as the firmware has it.
     """

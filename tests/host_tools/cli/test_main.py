@@ -60,7 +60,7 @@ def test_help_lists_every_command_with_its_purpose_under_three_titles(capsys: Ca
 
 
 def test_mcp_asdf_without_arguments_prints_the_list_of_commands_as_an_error(capsys: Capture) -> None:
-    """It goes to standard error, and the exit code is 2."""
+    """The list goes to standard error, and the exit code is 2."""
     assert cli.main([]) == 2
     out, err = capsys.readouterr()
 

@@ -77,7 +77,7 @@ def test_plot_draws_only_the_experiments_that_meet_all_conditions_of_where(
 
 
 def test_view_exports_a_log_of_60_steps_as_a_web_page_with_61_states(tmp_path: Path, capsys: Capture) -> None:
-    """It shows the state at the beginning and after each step, and names the swarm.
+    """The page shows the state at the beginning and after each step, and names the swarm.
 
     With ``--json`` the command reports the page's file, size and number of states.
     """

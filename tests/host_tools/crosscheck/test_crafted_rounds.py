@@ -150,7 +150,7 @@ def test_drawn_estimates_are_fill_ratios_between_0_and_1(own_x_hat: int, m: int,
 
 
 def test_no_estimates_are_drawn_if_they_would_differ_by_less_than_a_unit() -> None:
-    """They may fill 1 / 2**30 of the room on either side of the robot's own x_hat, which is 2**22 units."""
+    """The estimates may fill 1 / 2**30 of the 2**22 units of room on either side of the robot's own x_hat."""
     half = 2**22  # of 2**23 units
     pair = draw_x_hats_at_threshold(half, table_entry=TABLE.entry(5), m=5, rng=Random(1), gap_share=2**-30)
     assert pair is None

@@ -28,7 +28,7 @@ from robots import ALPHA_ONE
 
 
 def test_the_exact_confidence_alpha_is_the_fisher_information_of_the_observations() -> None:
-    """It is t (2 b - 1)^2 / (h (1 - h)) for t observations with accuracy b, of which a share h is black.
+    """alpha is t (2 b - 1)^2 / (h (1 - h)) for t observations with accuracy b, of which a share h is black.
 
     Here one of two observations is black, and b is 3/4.
     """

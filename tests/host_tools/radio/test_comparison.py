@@ -214,14 +214,14 @@ def test_an_estimate_before_the_heartbeat_is_no_difference_before_telemetry_was_
 
 
 def test_the_heartbeat_with_which_a_controller_starts_may_come_several_times_before_telemetry() -> None:
-    """It comes twice where none is expected, but there is no difference, as each reset sends it again."""
+    """The heartbeat comes twice where none is expected, but each reset sends it: there is no difference."""
     received = [heartbeat(uptime=0), heartbeat(uptime=0), telemetry()]
     difference = new_comparison().check(received, expected=[telemetry()])
     assert difference is None
 
 
 def test_the_heartbeat_with_which_a_controller_starts_is_a_difference_after_telemetry() -> None:
-    """It is reported as "extra": the controller has started anew meanwhile."""
+    """The heartbeat is reported as "extra": the controller has started anew meanwhile."""
     difference = comparison_after_telemetry().check(received=[heartbeat(uptime=0)], expected=[])
     assert difference is not None
     assert difference.field == "extra"

@@ -150,7 +150,10 @@ def heartbeats_of_crashing_robot_1(rejoin: str) -> list[tuple[int, int]]:
 
 
 def test_a_neighbour_that_rejoins_as_a_new_robot_begins_with_uptime_0() -> None:
-    """It is dead in ticks 45 and 46. A pair is a heartbeat's tick and uptime in seconds (10 ticks)."""
+    """It crashes, and is dead in ticks 45 and 46. A pair has a heartbeat's tick and uptime in seconds.
+
+    A second has 10 ticks.
+    """
     heartbeats = heartbeats_of_crashing_robot_1(rejoin="new")
     heartbeats_before_crash = [(0, 0), (10, 1), (20, 2), (30, 3), (40, 4)]
     assert heartbeats == [*heartbeats_before_crash, (47, 0), (57, 1)]

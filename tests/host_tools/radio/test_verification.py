@@ -357,7 +357,7 @@ TEST_PHASES = THRESHOLD_PHASES | {"large sums", "own estimate"}
 def test_phases_that_do_not_apply_to_a_controller_are_left_out(
     config: dict[str, Any], omitted_phases: set[str]
 ) -> None:
-    """Such are the phases of other filters, "halvings" for a long memory, or "long run" for a short one."""
+    """Left out are those of other filters, "halvings" for a long memory, or "long run" for a short one."""
     settings = settings_with_four_neighbours(right_setup(**config))
     planned_phases, _faults = plan_phases(settings, PHASES, ticks=25)
 

@@ -192,7 +192,7 @@ def test_a_link_that_survives_failures_counts_the_frames_that_it_could_not_send(
 
 
 def test_a_link_that_survives_failures_pauses_when_it_cannot_receive(pauses: list[float]) -> None:
-    """It returns None after 0.1 s, so that it does not ask a bus that is down again and again.
+    """The link returns None after 0.1 s, and so does not ask a bus that is down again and again.
 
     The caller would wait for 9 s. The failure is counted.
     """
