@@ -62,9 +62,12 @@ def test_each_curve_goes_through_the_medians_of_trials_in_a_band_of_their_interv
     """
     all_trials = [*trials_by_density_and_omega.values()]
     (axes,) = plot_curve(all_trials, x="omega", y=measure, hue="density").axes
-    lines, bands = axes.lines, axes.collections
+    lines = axes.lines
+    bands = axes.collections
 
-    densities, omegas = (0.5, 2.0), (0.02, 0.05, 0.9)  # ascending, as they are drawn
+    # Both are ascending, as they are drawn.
+    densities = (0.5, 2.0)
+    omegas = (0.02, 0.05, 0.9)
     for line, band, density in zip(lines, bands, densities, strict=True):
         samples_by_omega = {}
         for omega in omegas:

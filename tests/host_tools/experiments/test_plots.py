@@ -120,10 +120,12 @@ def test_the_command_plot_writes_the_same_bytes_each_time_in_the_format_of_the_s
     suffix: str, first_bytes: bytes, results_file: Path, tmp_path: Path
 ) -> None:
     """The results are drawn twice. The first bytes of a file tell its format."""
-    first_path, second_path = tmp_path / f"1.{suffix}", tmp_path / f"2.{suffix}"
+    first_path = tmp_path / f"1.{suffix}"
+    second_path = tmp_path / f"2.{suffix}"
     assert cli.main(["plot", str(results_file), str(first_path)]) == 0
     assert cli.main(["plot", str(results_file), str(second_path)]) == 0
 
-    first_picture, second_picture = first_path.read_bytes(), second_path.read_bytes()
+    first_picture = first_path.read_bytes()
+    second_picture = second_path.read_bytes()
     assert first_picture == second_picture
     assert first_picture.startswith(first_bytes)

@@ -237,7 +237,9 @@ def test_points_of_scores_have_a_row_for_each_filter_and_floor_and_a_column_for_
     scatter: Figure,
 ) -> None:
     """f is the fill ratio of the floor, and P the share of flawed robots. These are the first four titles."""
-    filters, fill_ratios, shares = 3, 2, 3
+    filters = 3
+    fill_ratios = 2
+    shares = 3
     assert layout_of(scatter) == Layout(rows=filters * fill_ratios, columns=shares, width=9, panel_height=1.7)
     assert titles_of(scatter)[:4] == [
         "no filter\n$f = 0.55$, $P$ = 0%",

@@ -76,7 +76,8 @@ def test_the_score_of_errors_has_a_limit_of_its_own() -> None:
 
     The score is 100 (1 - mean / limit) exp(-(upper - lower quartile) / limit), like that of convergence.
     """
-    steps_of_robots, errors_of_robots = [0, 0, 0, 0], [0.1, 0.1, 0.1, 0.3]
+    steps_of_robots = [0, 0, 0, 0]
+    errors_of_robots = [0.1, 0.1, 0.1, 0.3]
     scores_of_trials = score([steps_of_robots], [errors_of_robots], k_max=1000, e_max=0.5)
 
     expected_score = 100 * (1 - 0.15 / 0.5) * math.exp(-(0.2 - 0.1) / 0.5)
@@ -85,10 +86,12 @@ def test_the_score_of_errors_has_a_limit_of_its_own() -> None:
 
 def test_the_score_h_is_the_mean_of_those_for_convergence_and_for_errors() -> None:
     """There is one trial with four robots."""
-    steps_of_robots, errors_of_robots = [0, 100, 200, 300], [0.1, 0.1, 0.1, 0.3]
+    steps_of_robots = [0, 100, 200, 300]
+    errors_of_robots = [0.1, 0.1, 0.1, 0.3]
     scores_of_trials = score([steps_of_robots], [errors_of_robots], k_max=1000, e_max=0.5)
 
-    [h_k], [h_e] = scores_of_trials["h_K"], scores_of_trials["h_e"]
+    [h_k] = scores_of_trials["h_K"]
+    [h_e] = scores_of_trials["h_e"]
     assert scores_of_trials["H"] == pytest.approx([(h_k + h_e) / 2])
 
 

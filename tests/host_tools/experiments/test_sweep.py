@@ -295,7 +295,8 @@ def test_experiments_that_are_given_twice_are_run_once(output: Path, jobs_run: l
     run_sweep(Store(output, overlapping_experiments), workers=1)
 
     assert [trials.experiment for trials in in_memory] == [experiment, other_experiment]
-    trials_of_experiment, trials_of_other_experiment = [0, 1, 2], [0, 1]
+    trials_of_experiment = [0, 1, 2]
+    trials_of_other_experiment = [0, 1]
     assert read_table(output)["trial"].to_pylist() == trials_of_experiment + trials_of_other_experiment
     assert len(jobs_run) == 2 * 2  # a job for each of two experiments, in memory and into the output
 

@@ -85,7 +85,8 @@ def test_a_sweep_that_goes_on_on_a_cluster_gives_the_results_of_this_computer(
     scheduler: str, tmp_path: Path
 ) -> None:
     """The first 20 of 50 trials were run on this computer."""
-    cluster_output, local_output = tmp_path / "cluster.parquet", tmp_path / "local.parquet"
+    cluster_output = tmp_path / "cluster.parquet"
+    local_output = tmp_path / "local.parquet"
     run_sweep_command(cluster_output, "--workers", "1", trials=20)
     run_sweep_command(cluster_output, "--scheduler", scheduler, trials=50)
     run_sweep_command(local_output, "--workers", "1", trials=50)

@@ -150,7 +150,8 @@ def test_a_panel_of_assumed_accuracies_has_the_medians_of_flawed_and_of_healthy_
     Robots 0 and 1 are flawed, and 2 and 3 healthy.
     """
     flawed_line, healthy_line, _true_accuracy = bands_figure.axes[0].lines
-    flawed_medians, healthy_medians = [], []
+    flawed_medians = []
+    healthy_medians = []
     for filter_step in (0, 1, 2):
         flawed_medians.append(np.median(b_hat_after(filter_step, half_flawed, robots=[0, 1])))
         healthy_medians.append(np.median(b_hat_after(filter_step, half_flawed, robots=[2, 3])))
@@ -393,7 +394,8 @@ def test_axes_of_trials_are_named_on_the_left_and_at_the_bottom_and_lines_in_the
 ) -> None:
     """There are three rows of panels, in which a left one is followed by a right one."""
     y_labels = [axes.get_ylabel() for axes in runs_figure.axes]
-    labels_on_the_left, labels_on_the_right = y_labels[0::2], y_labels[1::2]
+    labels_on_the_left = y_labels[0::2]
+    labels_on_the_right = y_labels[1::2]
     assert labels_on_the_left == [
         r"assumed accuracy $\hat{b}$",
         r"local estimate $\hat{x}$",

@@ -42,7 +42,8 @@ def test_sensors_that_are_suddenly_worse_lose_0_2_of_their_accuracy_at_step_20_0
     """The accuracies of all robots are 0.75 before this step, and 0.55 from it on."""
     accuracies = accuracies_of_20_robots(SuddenlyWorseSensors, steps=20_002, true_accuracy=0.75)
 
-    before, after = accuracies[:20_000], accuracies[20_000:]
+    before = accuracies[:20_000]
+    after = accuracies[20_000:]
     assert set(before.ravel()) == {0.75}
     assert after == pytest.approx(0.75 - 0.2)
 

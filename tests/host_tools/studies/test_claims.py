@@ -229,7 +229,8 @@ def test_lists_in_a_row_of_a_claim_make_all_their_combinations() -> None:
 
     combinations = []
     for comparison in comparisons:
-        cell, reference = comparison.cell, comparison.reference
+        cell = comparison.cell
+        reference = comparison.reference
         assert reference is not None
         combinations.append((cell.flawed_accuracy, cell.flawed_percent, cell.filter, reference.filter))
     assert combinations == [

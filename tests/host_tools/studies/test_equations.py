@@ -58,7 +58,8 @@ def test_confidence_grows_only_81_fold_from_an_assumed_accuracy_of_0_55_to_0_95(
 
 def test_an_estimate_moves_more_at_an_assumed_accuracy_of_0_55_than_at_0_95() -> None:
     """If the share of black readings grows by 0.01, the estimate does by 0.01 / (2 b_hat - 1)."""
-    movement_at_055, movement_at_095 = 0.01 / 0.1, 0.01 / 0.9
+    movement_at_055 = 0.01 / 0.1
+    movement_at_095 = 0.01 / 0.9
     assert differences_from_claim("low_b_hat_is_volatile") == pytest.approx(
         [movement_at_055 - movement_at_095]
     )

@@ -168,7 +168,8 @@ def test_a_memory_weighs_messages_by_their_confidence_and_older_ones_seven_eight
     robot.receive(sender=1, x_hat=0.2, alpha=8.0)
     robot.receive(sender=2, x_hat=0.8, alpha=4.0)
 
-    older_weight, newer_weight = 7 / 8 * 8.0 / 2, 4.0 / 2
+    older_weight = 7 / 8 * 8.0 / 2  # alpha is 8.0
+    newer_weight = 4.0 / 2
     weighted_mean = (older_weight * 0.2 + newer_weight * 0.8) / (older_weight + newer_weight)
     assert robot.x_bar == pytest.approx(weighted_mean)
     assert robot.x == robot.x_bar
@@ -201,7 +202,8 @@ def test_messages_without_confidence_do_not_count_in_a_memory() -> None:
     robot.receive(sender=63, x_hat=0.0, alpha=1.0)
     robot.receive(sender=64, x_hat=1.0, alpha=1.0)
 
-    older_weight, newer_weight = 7 / 8, 1
+    older_weight = 7 / 8
+    newer_weight = 1
     weighted_mean = (older_weight * 0.0 + newer_weight * 1.0) / (older_weight + newer_weight)
     assert robot.x == pytest.approx(weighted_mean)
 
@@ -313,10 +315,13 @@ def test_bayescpf_updates_its_accuracy_in_each_hundredth_step_unless_the_filter_
 def test_bayescpf_cuts_its_estimate_as_a_truncated_normal_distribution(mean: float) -> None:
     """The estimate is the mean of a normal distribution, cut to the possible accuracies 0.5 to 1."""
     robot = peers.BayesCpfRobot(EVERY_ROUND, robot_id=0, b_hat=0.8)
-    robot._mean, robot._variance = mean, 0.1**2  # what an update has left
+    # These are what an update has left.
+    robot._mean = mean
+    robot._variance = 0.1**2
 
     # SciPy expects the ends of the range in standard deviations from the mean.
-    lower_end, upper_end = (0.5 - mean) / 0.1, (1 - mean) / 0.1
+    lower_end = (0.5 - mean) / 0.1
+    upper_end = (1 - mean) / 0.1
     mean_within_range = truncnorm.mean(lower_end, upper_end, loc=mean, scale=0.1)
     assert robot._truncated_mean() == pytest.approx(mean_within_range)
 
@@ -324,7 +329,9 @@ def test_bayescpf_cuts_its_estimate_as_a_truncated_normal_distribution(mean: flo
 def test_bayescpf_does_not_cut_an_estimate_far_outside_the_possible_range() -> None:
     """A mean of 3 with a deviation of 0.01: next to nothing of the distribution is between 0.5 and 1."""
     robot = peers.BayesCpfRobot(EVERY_ROUND, robot_id=0, b_hat=0.8)
-    robot._mean, robot._variance = 3.0, 0.01**2  # what an update has left
+    # These are what an update has left.
+    robot._mean = 3.0
+    robot._variance = 0.01**2
     assert robot._truncated_mean() == 3.0
 
 
@@ -402,7 +409,8 @@ def test_a_robot_that_halves_its_counts_at_the_end_of_its_memory_halves_its_sum_
     robot._true_accuracy = 0.6  # which robots of this class know
     robot.observe(Observation.BLACK)
 
-    sum_of_accuracies, observations = 32 * 0.9 + 0.6, 32 + 1
+    sum_of_accuracies = 32 * 0.9 + 0.6
+    observations = 32 + 1
     assert robot.b_hat == pytest.approx(sum_of_accuracies / observations)
 
 
@@ -653,7 +661,8 @@ def test_a_floor_that_changes_looks_as_if_95_percent_were_black_in_the_second_ha
     accuracy_on_black, accuracy_on_white = changing_floor.advance(steps=100)  # by step and robot
 
     black_share = share_of_black_readings(0.55, accuracy_on_black, accuracy_on_white)
-    first_half, second_half = black_share[:50], black_share[50:]
+    first_half = black_share[:50]
+    second_half = black_share[50:]
     assert first_half == pytest.approx(share_of_black_readings(0.55, 0.9, 0.9))
     assert second_half == pytest.approx(share_of_black_readings(0.95, 0.9, 0.9))
 

@@ -58,7 +58,8 @@ def test_two_readings_of_a_tile_disagree_if_one_is_wrong_and_the_second_does_not
     """A reading is right with a probability of 0.9. Some sensors repeat a share of their first readings."""
     first_readings, second_readings = first_and_second_readings(sensors)
 
-    right_then_wrong, wrong_then_right = 0.9 * 0.1, 0.1 * 0.9
+    right_then_wrong = 0.9 * 0.1
+    wrong_then_right = 0.1 * 0.9
     disagreeing_share = (1 - repeated_share) * (right_then_wrong + wrong_then_right)
     assert (first_readings != second_readings).mean() == pytest.approx(disagreeing_share, abs=0.01)
 
@@ -70,7 +71,8 @@ def test_readings_of_successive_tiles_are_independent() -> None:
     """
     first_readings, _second_readings = first_and_second_readings(HalfRepeated)
     readings_of_robot_0 = first_readings[:, 0]  # of all tiles
-    readings_of_tiles, readings_of_next_tiles = readings_of_robot_0[:-1], readings_of_robot_0[1:]
+    readings_of_tiles = readings_of_robot_0[:-1]
+    readings_of_next_tiles = readings_of_robot_0[1:]
 
     correlation = pearsonr(readings_of_tiles, readings_of_next_tiles).statistic
 

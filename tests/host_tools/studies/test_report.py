@@ -91,8 +91,10 @@ def test_the_report_counts_the_verdicts_on_the_claims_about_dynamic_swarms(
     verdicts = [
         decision.verdict for decision in planted_report.decisions if decision.study_part is StudyPart.DYNAMIC
     ]
-    agree, mixed = verdicts.count(Verdict.AGREE), verdicts.count(Verdict.MIXED)
-    disagree, undecided = verdicts.count(Verdict.DISAGREE), verdicts.count(Verdict.UNDECIDED)
+    agree = verdicts.count(Verdict.AGREE)
+    mixed = verdicts.count(Verdict.MIXED)
+    disagree = verdicts.count(Verdict.DISAGREE)
+    undecided = verdicts.count(Verdict.UNDECIDED)
 
     assert f"| dynamic | {agree} | {mixed} | {disagree} | {undecided} |\n" in planted_report.markdown
 

@@ -244,7 +244,9 @@ def test_a_firmware_of_the_user_s_runs_in_the_60_swarms_of_asdf_minus_and_asdf_p
     size = StudySize(trials=2, steps=4000)
     experiments = users_experiments_of(StudyPart.DYNAMIC, size, firmware="mirror", filter_name=None)
 
-    filters, percentages, accuracies = 2, 3, 2
+    filters = 2
+    percentages = 3
+    accuracies = 2
     partly_flawed = filters * percentages * accuracies
     wholly_flawed = accuracies
     not_flawed = 1
@@ -417,7 +419,8 @@ def test_60_trials_give_about_the_gain_of_asdf_plus_that_the_page_about_the_stud
     page = page_path("study").read_text(encoding="utf-8")
     sentence = re.search(r"helps overconfident swarms only at P = 10 %\*\*, by (\d+) to (\d+) points", page)
     assert sentence is not None
-    lowest_gain_on_page, highest_gain_on_page = int(sentence[1]), int(sentence[2])
+    lowest_gain_on_page = int(sentence[1])
+    highest_gain_on_page = int(sentence[2])
 
     comparisons = decisions_of_60_trials["plus_improves_few_overconfident"].comparisons
     lowest_gain, highest_gain = sorted(comparison.interval.value for comparison in comparisons)

@@ -141,7 +141,8 @@ def test_a_cell_of_other_tables_has_both_errors_and_the_percentage_of_harmed_rob
     underconfident = two_trials_with(**PARAMETERS_BY_FLAW["underconfident"], x=0.65, b_hat=0.95)
     overconfident = two_trials_with(**PARAMETERS_BY_FLAW["overconfident"], x=0.75, b_hat=0.55)
 
-    error_of_underconfident, error_of_overconfident = 0.65 - 0.55, 0.95 - 0.75
+    error_of_underconfident = 0.65 - 0.55
+    error_of_overconfident = 0.95 - 0.75
     assert robust_filter.errors_text([overconfident, underconfident]) == (
         f"{error_of_underconfident:.3f}, {error_of_overconfident:.3f}, 0.0 %"
     )

@@ -34,7 +34,9 @@ def test_each_of_four_swarms_runs_with_thirty_codes_and_with_exact_messages() ->
     """A code such as 7+4 has 7 bits for the estimate, one of six choices, and 4 for alpha, one of five."""
     experiments_by_row = small_messages.experiments_of("asdf-minus")
 
-    swarms, codes, exact = 4, 6 * 5, 1
+    swarms = 4
+    codes = 6 * 5
+    exact = 1
     assert len(experiments_by_row) == swarms * (codes + exact)
     experiments_with_code = experiments_by_row["7+4, moving, overconfident"]
     assert values_of(experiments_with_code, "message_bits") == {"7+4"}

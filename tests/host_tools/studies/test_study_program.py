@@ -81,8 +81,8 @@ def test_robots_whose_b_hat_is_wrong_only_before_the_last_filter_step_are_not_ha
 
 def test_a_trial_that_ends_before_the_first_filter_step_harms_no_robot() -> None:
     """b_hat is recorded after each filter step, so nothing is recorded in such trials."""
-    trials, filter_steps, robots = 2, 0, 4
-    trials_without_filter_steps = two_trials_with(b_hat=np.empty((trials, filter_steps, robots)))
+    no_b_hat = np.empty((2, 0, 4))  # of two trials, no filter step and four robots
+    trials_without_filter_steps = two_trials_with(b_hat=no_b_hat)
     assert study_program.harmed_percents(trials_without_filter_steps).tolist() == [0, 0]
 
 
@@ -186,7 +186,8 @@ def test_the_error_of_underconfident_swarms_stands_before_that_of_overconfident_
     underconfident = two_trials_with(**PARAMETERS_BY_FLAW["underconfident"], x=0.75)
     overconfident = two_trials_with(**PARAMETERS_BY_FLAW["overconfident"], x=0.9)
 
-    error_of_underconfident, error_of_overconfident = 0.75 - 0.55, 0.95 - 0.9
+    error_of_underconfident = 0.75 - 0.55
+    error_of_overconfident = 0.95 - 0.9
     assert study_program.under_and_over_text([overconfident, underconfident]) == (
         f"{error_of_underconfident:.3f}, {error_of_overconfident:.3f}"
     )

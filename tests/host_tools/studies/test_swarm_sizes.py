@@ -90,7 +90,9 @@ def test_a_cell_has_the_score_the_late_error_and_the_nanoseconds_of_a_robot_s_st
     A fixture lets the step of a robot cost 2 ns.
     """
     trials = two_trials_with(fill_ratio=0.5, x=0.6)
-    score, late_error, nanoseconds = "100.0", "0.100", "2"
+    score = "100.0"
+    late_error = "0.100"
+    nanoseconds = "2"
     assert swarm_sizes.size_text([trials]) == f"{score}, {late_error}, {nanoseconds}"
 
 

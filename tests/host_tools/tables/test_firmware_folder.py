@@ -389,9 +389,12 @@ def test_a_changed_file_is_not_replaced(folder: Path, capsys: pytest.CaptureFixt
 
 def test_a_file_of_an_earlier_version_is_replaced(folder: Path) -> None:
     """A file is of an earlier version if its checksum stands in the folder, although its text is another."""
-    file, checksums = folder / "mcp_asdf.c", folder / "sha256sums.txt"
-    new_text, old_text = file.read_bytes(), b"/* earlier */"
-    new_checksum, old_checksum = hashlib.sha256(new_text).hexdigest(), hashlib.sha256(old_text).hexdigest()
+    file = folder / "mcp_asdf.c"
+    checksums = folder / "sha256sums.txt"
+    new_text = file.read_bytes()
+    old_text = b"/* earlier */"
+    new_checksum = hashlib.sha256(new_text).hexdigest()
+    old_checksum = hashlib.sha256(old_text).hexdigest()
     file.write_bytes(old_text)
     checksums.write_text(checksums.read_text().replace(new_checksum, old_checksum))
 

@@ -147,7 +147,8 @@ def test_a_word_next_to_that_of_an_omega_has_no_omega_or_the_next_with_nine_deci
     """A table stores omega in units of 2**-32. Neighbouring omegas are four or five units apart."""
     for omega in smallest_largest_and_random_omegas():
         word = omega_word(omega)
-        next_lower_omega, next_higher_omega = omega - Decimal("1e-9"), omega + Decimal("1e-9")
+        next_lower_omega = omega - Decimal("1e-9")
+        next_higher_omega = omega + Decimal("1e-9")
         assert omega_from_word(word - 1) in (None, next_lower_omega)
         assert omega_from_word(word + 1) in (None, next_higher_omega)
 
@@ -219,7 +220,8 @@ def test_the_page_t_tables_has_how_often_an_estimate_of_the_same_kind_is_rejecte
 
     Its difference from their mean, over their spread, has Student's t distribution times sqrt(1 + 1/m).
     """
-    m, omega = int(row["m"]), float(row["omega"])
+    m = int(row["m"])
+    omega = float(row["omega"])
     limit_of_t = limit_in_spreads(omega, m) / math.sqrt(1 + 1 / m)
     rate_of_too_high = scipy.stats.t.sf(limit_of_t, df=m - 1)
     rate_of_too_low = rate_of_too_high  # the distribution is symmetric
@@ -233,7 +235,8 @@ def test_the_page_t_tables_has_how_often_an_estimate_at_a_distance_is_rejected(r
     This is so after it is multiplied by sqrt(m). The row has columns for distances of some standard
     deviations, such as "2 sigma".
     """
-    m, omega = int(row["m"]), float(row["omega"])
+    m = int(row["m"])
+    omega = float(row["omega"])
     limit_of_t = limit_in_spreads(omega, m) * math.sqrt(m)
     columns_of_distances = [column for column in row if column.endswith(" sigma")]
     assert len(columns_of_distances) > 1
