@@ -115,7 +115,7 @@ def empty_figure(width: float, height: float) -> Figure:
     return figure
 
 
-def clean(axes: Axes) -> None:
+def style_panel(axes: Axes) -> None:
     """Style a panel: light horizontal lines to read values by, small letters, no frame above and right."""
     axes.grid(axis="y", color="#dddddd", linewidth=0.6)
     axes.set_axisbelow(True)

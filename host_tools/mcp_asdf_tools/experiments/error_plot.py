@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from mcp_asdf_tools.common.figures import SMALL, clean
+from mcp_asdf_tools.common.figures import SMALL, style_panel
 from mcp_asdf_tools.experiments.plot_labels import filter_name, make_caption
 from mcp_asdf_tools.experiments.plot_panels import (
     Series,
@@ -55,7 +55,7 @@ def plot_errors_over_time(
             _draw_errors(axes, experiments_of_line, series.colour)
         # The errors of the filters differ by more than a factor of ten.
         axes.set_yscale("log")
-        clean(axes)
+        style_panel(axes)
     handles = [legend_handle(series.label, series.colour, marker="", line="-") for series in all_series]
     intervals = describe_intervals(all_experiments)
     marks = f"lines are medians over the trials of a swarm's mean error, {intervals}"

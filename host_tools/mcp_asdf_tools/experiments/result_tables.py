@@ -102,8 +102,8 @@ _MEANINGS = {
 @cache
 def describe_columns() -> dict[str, dict[str, str]]:
     """Return the unit and the meaning of each column by its name. The unit is "1" if there is none."""
-    parameter_meanings = {name: declared.meaning for name, declared in parameters_of(Experiment).items()}
-    meanings = parameter_meanings | _MEANINGS
+    meanings = {name: parameter.meaning for name, parameter in parameters_of(Experiment).items()}
+    meanings |= _MEANINGS
     return {name: {"unit": _UNITS.get(name, "1"), "meaning": meaning} for name, meaning in meanings.items()}
 
 
@@ -281,10 +281,11 @@ def _flatten_trials(values: NDArray[Any]) -> list[NDArray[Any]]:
 def _nest_records(values: NDArray[np.float64]) -> pa.Array:
     """Return records, shape (trials, samples, N), as an array with a list of lists for each trial."""
     trial_count, sample_count, robots = values.shape
-    robots_by_sample = np.full(trial_count * sample_count, robots)
-    samples_by_trial = np.full(trial_count, sample_count)
-    values_of_robots = _group_in_lists(pa.array(values.ravel()), robots_by_sample, _VALUES_OF_ROBOTS)
-    return _group_in_lists(values_of_robots, samples_by_trial, _RECORD_OF_TRIAL)
+    # The values become lists by robot for each sample, and these become a list for each trial.
+    lengths_of_samples = np.full(trial_count * sample_count, robots)
+    lengths_of_trials = np.full(trial_count, sample_count)
+    values_of_robots = _group_in_lists(pa.array(values.ravel()), lengths_of_samples, _VALUES_OF_ROBOTS)
+    return _group_in_lists(values_of_robots, lengths_of_trials, _RECORD_OF_TRIAL)
 
 
 def experiments_in(table: pa.Table) -> list[Trials]:

@@ -122,15 +122,16 @@ def select_experiments(experiments: Sequence[Trials], where: Mapping[str, Any]) 
                 f"where {parameter_name}={value}: no parameter is called so{nearest}; "
                 f"the experiments differ in {describe_differences(selected)}"
             )
-        # Collected before the choice, for the message if none is left.
-        existing_values = {str(trials.experiment.parameters()[parameter_name]) for trials in selected}
-        selected = [
-            trials
-            for trials in selected
-            if _is_same_value(trials.experiment.parameters()[parameter_name], value)
-        ]
+        existing_texts: set[str] = set()  # for the message if no experiment is left
+        still_selected = []
+        for trials in selected:
+            existing_value = trials.experiment.parameters()[parameter_name]
+            existing_texts.add(str(existing_value))
+            if _is_same_value(existing_value, value):
+                still_selected.append(trials)
+        selected = still_selected
         if not selected:
-            alternatives = " or ".join(sorted(existing_values))
+            alternatives = " or ".join(sorted(existing_texts))
             raise UsageError(
                 f"where {parameter_name}={value}: no experiment has it; {parameter_name} is {alternatives}"
             )

@@ -326,8 +326,10 @@ def _claim_from(name: str, row: Mapping[str, Any]) -> Claim:
     """
     contrasts: list[Contrast] = []
     for contrast_row in row.get("contrasts", []):
-        for measure in _as_list(contrast_row.get("measure", Contrast.measure)):
-            contrasts.append(Contrast(**{**contrast_row, "measure": measure}))
+        default_measure = Contrast.measure
+        for measure in _as_list(contrast_row.get("measure", default_measure)):
+            attributes = {**contrast_row, "measure": measure}
+            contrasts.append(Contrast(**attributes))
     # None stands for the equations, which need no trials.
     parts: tuple[StudyPart | None, ...] = (None,)
     if name not in EQUATION_CLAIMS:

@@ -460,7 +460,10 @@ class KnownMeanAccuracyRobot(KnownAccuracyRobot):
     _accuracy_sum = 0.0
 
     def _accuracy_to_assume(self) -> float:
-        """Return the mean accuracy of all observations that t counts, the next one included."""
+        """Return the mean accuracy of all observations that t counts, the next one included.
+
+        The sum of these accuracies is kept from call to call, so there must be a call for each observation.
+        """
         self._accuracy_sum += self._true_accuracy
         observations = self.t + 1
         mean_accuracy = self._accuracy_sum / observations

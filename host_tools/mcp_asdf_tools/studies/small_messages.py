@@ -182,7 +182,7 @@ def draw_ratios(ratios_by_filter: Mapping[str, RatiosByCode]) -> Figure:
     There is a panel for each filter, and in it a line for each number of bits of alpha.
     """
     figure = empty_figure(WIDTH, 3.2)
-    [panels] = figure.subplots(nrows=1, ncols=len(ratios_by_filter), sharey=True, squeeze=False)
+    [panels] = figure.subplots(nrows=1, ncols=len(ratios_by_filter), sharey=True, squeeze=False)  # the row
     for axes, (filter_name, ratios) in zip(panels, ratios_by_filter.items(), strict=True):
         for alpha_bits in ALPHA_BITS[filter_name]:
             ratio_values = [ratios[MessageCode(x_hat_bits, alpha_bits)].value for x_hat_bits in X_HAT_BITS]

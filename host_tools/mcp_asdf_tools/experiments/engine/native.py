@@ -47,32 +47,42 @@ class EngineTrials:
         Robots are recorded once per ``sampling_interval`` steps, or never if it is 0. Raises UsageError if a
         sensor extension cannot be loaded or gives wrong accuracies.
         """
-        ffi = _engine.ffi
         robots, steps = experiment.robots, experiment.steps
         # C structs hold bare addresses, and Python would free what nothing else refers to: what they point to
         # is kept in this list, to live as long as this object.
         self._referenced_memory: list[Any] = []
+        members = self._make_members(experiment, first, trials)
+        members["sampling_interval"] = sampling_interval
+        self.experiment = _engine.ffi.new("mcp_asdf_experiment_t *", members)
+        self.robots = _engine.ffi.new("mcp_asdf_t[]", trials * robots)
+        self.b_hat = np.empty((trials, steps // experiment.filter_period, robots), np.uint32)
+        samples = steps // sampling_interval if sampling_interval else 0
+        self.records = np.empty((trials, samples, robots), RECORD_DTYPE)
+
+    def _make_members(self, experiment: Experiment, first: int, trials: int) -> dict[str, Any]:
+        """Return the members of the C struct of an experiment, but for ``sampling_interval``, by their names.
+
+        The trials are ``first`` .. ``first + trials - 1``.
+        """
+        initial_b_hat = [b_hat_to_raw(experiment.b_hat(robot)) for robot in range(experiment.robots)]
         members: dict[str, Any] = {
             "seed": experiment.seed,
             "first_trial": first,
             "trials": trials,
-            "robots": robots,
-            "steps": steps,
-            "sampling_interval": sampling_interval,
+            "robots": experiment.robots,
+            "steps": experiment.steps,
             "comms_period": experiment.comms_period,
             "observation_period": experiment.observation_period,
             "latency": experiment.latency,
             "configs": self._make_configs(experiment),
-            "b_hat": self._array(
-                "uint32_t", [b_hat_to_raw(experiment.b_hat(robot)) for robot in range(robots)]
-            ),
+            "b_hat": self._array("uint32_t", initial_b_hat),
         }
         if experiment.message_code is not None:
             members["x_hat_bits"] = experiment.message_code.x_hat_bits
             members["alpha_bits"] = experiment.message_code.alpha_bits
         members |= self._make_probabilities(experiment, first, trials)
         if experiment.is_dynamic:
-            arenas = [make_config(experiment, first + index, ffi) for index in range(trials)]
+            arenas = [make_config(experiment, first + index, _engine.ffi) for index in range(trials)]
             self._referenced_memory.append(arenas)
             arena_members = [members_of_arena for members_of_arena, _image in arenas]
             members["arenas"] = self._array("mcp_asdf_arena_config_t", arena_members)
@@ -80,11 +90,7 @@ class EngineTrials:
             # The order of arcs is that in which C delivers, which has to be by ascending senders.
             arcs = self._array("mcp_asdf_pair_t", sorted(experiment.graph.links))
             members |= {"arcs": arcs, "arc_count": len(arcs)}
-        self.experiment = ffi.new("mcp_asdf_experiment_t *", members)
-        self.robots = ffi.new("mcp_asdf_t[]", trials * robots)
-        self.b_hat = np.empty((trials, steps // experiment.filter_period, robots), np.uint32)
-        samples = steps // sampling_interval if sampling_interval else 0
-        self.records = np.empty((trials, samples, robots), RECORD_DTYPE)
+        return members
 
     def _make_configs(self, experiment: Experiment) -> Any:
         """Return the C array of pointers to each robot's config; robots with equal ones share it."""

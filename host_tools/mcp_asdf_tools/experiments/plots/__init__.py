@@ -26,7 +26,8 @@ def load_plot(kind: str) -> Callable[..., Figure]:
 
     Raises UsageError, with the fix, if matplotlib is not installed.
     """
+    module_name = f"{__name__}.{kind}"
     # The decorator turns the ImportError of a missing matplotlib into that UsageError.
-    module = import_module(f"{__name__}.{kind}")
+    module = import_module(module_name)
     plot: Callable[..., Figure] = getattr(module, f"plot_{kind}")
     return plot

@@ -12,7 +12,13 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.common.figures import COLOUR_OF_FLAWED_ROBOTS, COLOUR_OF_HEALTHY_ROBOTS, INK, SMALL, clean
+from mcp_asdf_tools.common.figures import (
+    COLOUR_OF_FLAWED_ROBOTS,
+    COLOUR_OF_HEALTHY_ROBOTS,
+    INK,
+    SMALL,
+    style_panel,
+)
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.plot_labels import (
     ALWAYS_SHOWN_PARAMETERS,
@@ -134,7 +140,7 @@ def _draw_accuracy_bands(axes: Axes, trials: Trials) -> None:
             band = np.percentile(b_hat, _MEDIAN_AND_BAND_PERCENTILES, axis=(trial_axis, robot_axis))
             draw_band(axes, steps, band, colour)
     axes.axhline(experiment.true_accuracy, color=INK, linewidth=1.2, linestyle="--")
-    clean(axes)
+    style_panel(axes)
 
 
 def _flawed_and_healthy(trials: Trials) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

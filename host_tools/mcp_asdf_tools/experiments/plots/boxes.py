@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from mcp_asdf_tools.common.figures import INK, MEDIUM, clean
+from mcp_asdf_tools.common.figures import INK, MEDIUM, style_panel
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.plot_labels import flawed_share, make_caption
 from mcp_asdf_tools.experiments.plot_panels import (
@@ -111,7 +111,7 @@ def _draw_box_panel(axes: Axes, series_of_panel: Sequence[Series], limits: Limit
     # H is at most 100; above it is room for the outlines of boxes and points there.
     axes.set(ylim=(0, 103), xlim=(-0.5, len(slots) - 0.5))
     axes.set_xticks(range(len(slots)), [f"{offset:+.2g}\n{share:.0%}" for share, offset in slots])
-    clean(axes)
+    style_panel(axes)
 
 
 def _slot_of(experiment: Experiment) -> tuple[float, float]:

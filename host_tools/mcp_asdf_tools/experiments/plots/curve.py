@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from mcp_asdf_tools.common.errors import UsageError, did_you_mean
-from mcp_asdf_tools.common.figures import MEDIUM, SMALL, clean, ordered_colours
+from mcp_asdf_tools.common.figures import MEDIUM, SMALL, ordered_colours, style_panel
 from mcp_asdf_tools.common.parameters import parameters_of
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.plot_labels import (
@@ -159,7 +159,7 @@ def _draw_curve(
         draw_band(axes, positions, band, colour, "o-")
     if long_texts:
         axes.set_xticks(range(len(x_values)), [shorten(x) for x in x_values])
-    clean(axes)
+    style_panel(axes)
 
 
 def _measured_values(trials: Trials, y: str | Measure, limits: Limits) -> NDArray[np.float64]:

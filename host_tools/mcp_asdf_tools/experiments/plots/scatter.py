@@ -11,7 +11,7 @@ from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from mcp_asdf_tools.common.figures import INK, SMALL, clean
+from mcp_asdf_tools.common.figures import INK, SMALL, style_panel
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.plot_labels import flawed_share, make_caption
 from mcp_asdf_tools.experiments.plot_panels import (
@@ -70,7 +70,7 @@ def plot_scatter(
         axes.set_title(f"{series.label}\n$f = {f:g}$, $P$ = {share:.0%}", fontsize=SMALL)
         # Scores are 0 to 100; the margin keeps markers at the ends from being cut.
         axes.set(xlim=(-4, 104), ylim=(-4, 104))
-        clean(axes)
+        style_panel(axes)
     caption = make_caption(experiments, _MEANING_OF_MARKS, limits)
     ordered_handles = [handles[key] for key in sorted(handles)]
     return label_figure(figure, "convergence score $h_K$", "accuracy score $h_e$", caption, ordered_handles)

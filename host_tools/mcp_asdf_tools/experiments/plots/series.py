@@ -21,8 +21,8 @@ from mcp_asdf_tools.common.figures import (
     SMALL,
     WIDTH,
     add_legend,
-    clean,
     empty_figure,
+    style_panel,
 )
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.plot_labels import filter_name
@@ -193,4 +193,4 @@ def _draw_quantity(axes: Axes, trials: Trials, trial_number: int, quantity: _Qua
         va="center",
         fontsize=SMALL,
     )
-    clean(axes)
+    style_panel(axes)
