@@ -76,7 +76,7 @@ def test_the_default_config_is_that_of_the_header() -> None:
     "name", ["VOTES_OF_MAX_GAIN", "HUBER_STEPS", "REJECTED_SIGMAS_SQUARED", "DISPERSION_SHIFT"]
 )
 def test_the_robust_filter_has_the_same_constants_in_c_and_python(name: str) -> None:
-    """In C they are macros of a private header. The compiled module hides them, so its text is read."""
+    """In C they are macros of a private header, which the compiled module hides: so the header is read."""
     header = (ROOT / "c_ref/src/mcp_asdf_robust.h").read_text(encoding="utf-8")
 
     # The line is "#define NAME 12", in which the number may also be 12U or UINT32_C(12).
