@@ -55,12 +55,8 @@ def print_scores(rows: Sequence[dict[str, Any]], title: str) -> None:
     The columns are the parameters in which the experiments differ, the number of trials, the score H with its
     quartiles over the trials, and the medians of h_K, h_e, K, e and the number of updates.
     """
-    varying_parameters = []
-    for name in rows[0]["parameters"]:
-        values = {row["parameters"][name] for row in rows}
-        # What all experiments have in common would only make the table wide.
-        if len(values) > 1:
-            varying_parameters.append(name)
+    # What all experiments have in common would only make the table wide.
+    varying_parameters = _find_varying_parameters(rows)
     table = Table(title=title, title_justify="left", caption=_caption(rows), caption_justify="left")
     for name in (*varying_parameters, "trials", "H", *_FORMAT_OF_MEASURE):
         table.add_column(name, justify="right", no_wrap=True)
@@ -74,6 +70,16 @@ def print_scores(rows: Sequence[dict[str, Any]], title: str) -> None:
     # As wide as the table is: lines longer than a terminal wrap, but columns that shrink would lose figures.
     width = Console(width=_WIDER_THAN_ANY_TABLE).measure(table).maximum
     Console(width=width).print(table)
+
+
+def _find_varying_parameters(rows: Sequence[dict[str, Any]]) -> list[str]:
+    """Return the names of the parameters of which rows of ``summarize`` have more than one value."""
+    varying_parameters = []
+    for name in rows[0]["parameters"]:
+        values = {row["parameters"][name] for row in rows}
+        if len(values) > 1:
+            varying_parameters.append(name)
+    return varying_parameters
 
 
 def _describe_trial_count(row: dict[str, Any]) -> str:

@@ -7,6 +7,7 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
+from typing import Any
 
 ENDING_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 """Signals that ask a program to end: Ctrl-C, a kill or service manager, a terminal that closes."""
@@ -52,13 +53,7 @@ def stopping(interrupt: bool = False) -> Iterator[Callable[[], bool]]:
         if not is_first and signal_number == signal.SIGINT:
             raise KeyboardInterrupt
 
-    previous_handlers = {}
-    for number in ENDING_SIGNALS:
-        handler = signal.getsignal(number)
-        # The handler is None if it was not set by Python.
-        if handler is not None and handler != signal.SIG_IGN:
-            previous_handlers[number] = handler
-            signal.signal(number, handle_signal)
+    previous_handlers = _replace_handlers(handle_signal)
     try:
         yield has_signal_come
     finally:
@@ -69,6 +64,21 @@ def stopping(interrupt: bool = False) -> Iterator[Callable[[], bool]]:
             # of a text, which dataclasses use. Otherwise a program that was started by "python -m" would end
             # by SIGINT, whatever its exit code.
             exec("")
+
+
+def _replace_handlers(new_handler: Callable[[int, FrameType | None], None]) -> dict[signal.Signals, Any]:
+    """Let ``new_handler`` handle ENDING_SIGNALS, and return the handlers that it has replaced, by signal.
+
+    Signals that are ignored stay so, and those whose handler was not set by Python keep it.
+    """
+    previous_handlers = {}
+    for number in ENDING_SIGNALS:
+        handler = signal.getsignal(number)
+        # The handler is None if it was not set by Python.
+        if handler is not None and handler != signal.SIG_IGN:
+            previous_handlers[number] = handler
+            signal.signal(number, new_handler)
+    return previous_handlers
 
 
 def exit_code_of_signal(code: int) -> int:

@@ -380,15 +380,8 @@ class EventsReader:
             raise self.error_in_line(str(error)) from error
         if len({robot.id for robot in robots}) < len(robots):
             raise self.error_in_line("two robots have the same id")
-        ids_with_robust_filter = frozenset(
-            robot.id for robot in robots if robot.config.filter == Filter.ROBUST
-        )
-        # Earlier versions are read, too, but in them robots with this filter did something else.
-        if ids_with_robust_filter and version < _FIRST_VERSION_OF_ROBUST_FILTER:
-            raise self.error_in_line(
-                f"robots {format_ids(ids_with_robust_filter)} have the robust filter of an earlier mcp-asdf, "
-                f"which cannot be repeated here; {_USE_OTHER_VERSION}"
-            )
+        if version < _FIRST_VERSION_OF_ROBUST_FILTER:
+            self._check_without_robust_filter(robots)
         return EventsHeader(
             robots,
             plain_header.get("seed"),
@@ -396,6 +389,17 @@ class EventsReader:
             parameters=self._object_in(plain_header, "parameters"),
             versions=self._object_in(plain_header, "versions"),
         )
+
+    def _check_without_robust_filter(self, robots: Sequence[RobotSetup]) -> None:
+        """Raise UsageError if one of the robots of an earlier version has that version's robust filter."""
+        ids_with_robust_filter = frozenset(
+            robot.id for robot in robots if robot.config.filter == Filter.ROBUST
+        )
+        if ids_with_robust_filter:
+            raise self.error_in_line(
+                f"robots {format_ids(ids_with_robust_filter)} have the robust filter of an earlier mcp-asdf, "
+                f"which cannot be repeated here; {_USE_OTHER_VERSION}"
+            )
 
     def _object_in(self, plain_header: dict[str, Any], key: str) -> dict[str, Any]:
         """Return the JSON object at a key of the header, or an empty one. Raises UsageError if it is none."""

@@ -86,6 +86,9 @@ def comparison(results_by_filter: dict[str, dict[str, Any]], settings: SwarmSett
         for swarm_filter in compared_filters
     ]
     sentences = [f"Mean error on the same seed: {', '.join(errors)}."]
+    if settings.flawed == 0:
+        return " ".join(sentences)
+
     b_hat_changes = {
         swarm_filter.term: results_by_filter[swarm_filter.name]["b_hat"]["flawed"]
         for swarm_filter in compared_filters
@@ -93,14 +96,12 @@ def comparison(results_by_filter: dict[str, dict[str, Any]], settings: SwarmSett
     }
     # All swarms begin with the same robots: any swarm shows what the flawed robots assumed at the start.
     any_change, *_ = b_hat_changes.values()
-    if any_change is None:  # there are no flawed robots
-        return " ".join(sentences)
-    changes = [f"{term} {change['after']:.2f}" for term, change in b_hat_changes.items()]
+    present_b_hats = [f"{term} {change['after']:.2f}" for term, change in b_hat_changes.items()]
     # Sensors that age have no one true accuracy.
     truth = f" (true: {settings.true_accuracy:.2f})" if settings.drift == "none" else ""
     sentences.append(
         f"The flawed robots first assumed an accuracy of {any_change['before']:.2f}{truth}, now: "
-        f"{', '.join(changes)}."
+        f"{', '.join(present_b_hats)}."
     )
     # The nearer an assumed accuracy is to 1/2, the smaller is the confidence that the robot broadcasts.
     is_underconfident = abs(settings.flawed_accuracy - 0.5) < abs(settings.true_accuracy - 0.5)

@@ -60,17 +60,6 @@ def recorded_trial_history(trials: Trials, trial: int) -> History:
             f"nothing is recorded of the trials of {trials.source}; run mcp-asdf convert again, without "
             "--record 0"
         )
-    filter_term = experiment.swarm_filter.typeset_term
-    swarm_term = f"{experiment.robots} robots, {experiment.flawed} flawed, {filter_term}"
-    description = RunDescription(
-        title=f"{swarm_term}, trial {trial} of {trials.source}",
-        robots=list(range(experiment.robots)),
-        flawed=range(experiment.flawed),
-        fill_ratio=experiment.fill_ratio,
-        steps=experiment.steps,
-        steps_per_second=experiment.steps_per_second,
-        filter=experiment.filter,
-    )
     estimates = _recorded_estimates(trials, trial)
     true_accuracies = np.full(experiment.robots, experiment.true_accuracy)
     unknown_neighbours = np.zeros((experiment.robots, experiment.robots), bool)
@@ -87,7 +76,23 @@ def recorded_trial_history(trials: Trials, trial: int) -> History:
         )
         for sample in range(0, len(estimates), stride)
     ]
-    return History(description, states)
+    return History(_describe_recorded_trial(trials, trial), states)
+
+
+def _describe_recorded_trial(trials: Trials, trial: int) -> RunDescription:
+    """Return the description of a trial that another program has run: it has neither a floor nor an arena."""
+    experiment = trials.experiment
+    filter_term = experiment.swarm_filter.typeset_term
+    swarm_term = f"{experiment.robots} robots, {experiment.flawed} flawed, {filter_term}"
+    return RunDescription(
+        title=f"{swarm_term}, trial {trial} of {trials.source}",
+        robots=list(range(experiment.robots)),
+        flawed=range(experiment.flawed),
+        fill_ratio=experiment.fill_ratio,
+        steps=experiment.steps,
+        steps_per_second=experiment.steps_per_second,
+        filter=experiment.filter,
+    )
 
 
 def _recorded_estimates(trials: Trials, trial: int) -> NDArray[np.float64]:

@@ -177,20 +177,27 @@ class WorldSettings:
                     name, f"{name} is {value}, a parameter of earlier versions; use one of these versions"
                 )
         parameters = {name: recorded[name] for name in parameters_of(cls) if name in recorded}
-        for name, group in _EXTENSION_GROUPS.items():
-            value = parameters.get(name, "")
-            if not isinstance(value, str) or value == "":
-                continue  # there is no name; a value of another type is refused below
-            # The parameter ``sensor`` lists no choices: only installed sensors have names.
-            known_names = parameters_of(cls)[name].choices or extensions.Names((), group)
-            if value not in known_names:
-                # The extension that the recording was made with may not be installed here.
-                parameters[name] = extensions.RecordedName(value)
+        cls._keep_unknown_extensions(parameters)
         graph = parameters.get("graph", "")
         if graph != "":
             with naming_parameter("graph"):
                 parameters["graph"] = parse_edges(graph)
         return cls(**parameters)
+
+    @classmethod
+    def _keep_unknown_extensions(cls, parameters: dict[str, Any]) -> None:
+        """Mark the names of extensions that are not installed here as recorded ones, which no check refuses.
+
+        ``parameters`` are changed in place.
+        """
+        for name, group in _EXTENSION_GROUPS.items():
+            value = parameters.get(name, "")
+            if not isinstance(value, str) or value == "":
+                continue  # there is no name; a value of another type is refused later
+            # The parameter ``sensor`` lists no choices: only installed sensors have names.
+            known_names = parameters_of(cls)[name].choices or extensions.Names((), group)
+            if value not in known_names:
+                parameters[name] = extensions.RecordedName(value)
 
     @property
     def is_dynamic(self) -> bool:
