@@ -202,13 +202,17 @@ def test_the_playground_draws_the_computed_values_of_the_last_step(
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize(
+    "computed", [address for address in ADDRESSES if "everybody=1" not in address], indirect=True
+)
 def test_the_playground_draws_robots_where_they_are_in_the_arena_after_the_last_step(
     computed: Computed,
 ) -> None:
-    """The page rounds a position to a 65534th of the arena's side. Some swarms do not move, and have none."""
+    """The page rounds a position to a 65534th of the arena's side.
+
+    In its other swarms everybody receives from everybody: there are no positions, as nobody moves.
+    """
     experiment = computed.experiment
-    if not experiment.is_dynamic:
-        return
     first_trial = 0
     *_, last_positions = Arena(experiment, first_trial).record(experiment.steps).position
     drawn_positions = computed.page.evaluate(

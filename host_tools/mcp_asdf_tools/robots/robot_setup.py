@@ -149,7 +149,8 @@ class RobotSetup:
         values = _DEFAULTS | plain
         for name, value in values.items():
             if name not in _TYPES:
-                raise UsageError(f"a robot has no setting {name!r}{did_you_mean(name, _TYPES)}")
+                advice = did_you_mean(name, _TYPES) or f"; its settings are {', '.join(_TYPES)}"
+                raise UsageError(f"a robot has no setting {name!r}{advice}")
             # Not isinstance(), which would take True for a whole number.
             if type(value) is not _TYPES[name]:
                 raise UsageError(f"{name} is {value!r}; give {_TYPE_NAMES[_TYPES[name]]}")
