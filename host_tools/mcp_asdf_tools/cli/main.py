@@ -226,7 +226,7 @@ def _show_overview(arguments: Sequence[str]) -> int:
 
     ``arguments`` do not start with a known command. Raises UsageError for an unknown command or option.
     """
-    parser = Parser(PROGRAM, "Collective perception with self-calibrating robots.", _listing())
+    parser = Parser(PROGRAM, "Collective perception with self-calibrating robots.", _list_commands())
     parser.add_argument("--version", action="store_true", help="show program's version number and exit")
     parser.add_argument("command", metavar="COMMAND", nargs="?", help="one of these; each has its own --help")
     args, _unknown_arguments = parser.parse_known_args(arguments)
@@ -245,7 +245,7 @@ def _show_overview(arguments: Sequence[str]) -> int:
     return 2
 
 
-def _listing() -> str:
+def _list_commands() -> str:
     """Return the list of all commands by purpose, with a line on each."""
     name_width = max(len(command_name) for command_name in COMMANDS)
     paragraphs = []

@@ -236,9 +236,9 @@ class Carrier:
         self._has_bus_per_robot = False
         self._robot_connections: dict[int, ExpectingConnection] = {}
         """The connections of robots in this process, by id: on a shared bus the carrier's."""
-        self._unread_frames: list[SentFrame] = []
+        self._frames_to_read_back: list[SentFrame] = []
         """Frames of this tick that are on their buses, and that the carrier has not read yet."""
-        self._read_frames: list[SentFrame] = []
+        self._frames_read_back: list[SentFrame] = []
         """Frames of this tick that the carrier has read."""
         self._open_buses = ExitStack()
 
@@ -305,9 +305,9 @@ class Carrier:
         robot_connection = self._robot_connections.get(sent_frame.sender)
         if robot_connection is not None:
             robot_connection.bus.send(sent_frame.frame, timeout=FRAME_TIMEOUT)
-        self._unread_frames.append(sent_frame)
-        if len(self._unread_frames) == _BATCH_SIZE:
-            self._read_back(sent_frame.tick)  # which empties ``_unread_frames``
+        self._frames_to_read_back.append(sent_frame)
+        if len(self._frames_to_read_back) == _BATCH_SIZE:
+            self._read_back(sent_frame.tick)  # which empties ``_frames_to_read_back``
             if robot_connection is not None:
                 # What the robot sent may fill the receive buffer of its own connection, too.
                 robot_connection.discard_echoes()
@@ -315,17 +315,18 @@ class Carrier:
     def _read_back(self, tick: int) -> None:
         """Read the frames that are on the buses, and keep them in the order in which they were sent.
 
-        The attribute ``_read_frames`` gets them. Frames that are late are left out, and follow in a later
-        call. Raises SwarmError if a frame is lost in a swarm without a clock, where none may be missing.
+        The attribute ``_frames_read_back`` gets them. Frames that are late are left out, and follow in a
+        later call. Raises SwarmError if a frame is lost in a swarm without a clock, where none may be
+        missing.
         """
-        unread_frames = self._unread_frames
-        self._unread_frames = []
+        frames_to_read_back = self._frames_to_read_back
+        self._frames_to_read_back = []
         # Frames that follow each other on one bus are awaited together; the order of all frames is kept.
-        for connection, frames in groupby(unread_frames, self._connection_to_read):
+        for connection, frames in groupby(frames_to_read_back, self._connection_to_read):
             if connection is None:
-                self._read_frames += frames  # there is nothing to read: these count as read
+                self._frames_read_back += frames  # there is nothing to read: these count as read
             else:
-                self._read_frames += connection.receive_expected(list(frames), self._timeout(tick))
+                self._frames_read_back += connection.receive_expected(list(frames), self._timeout(tick))
 
     def _connection_to_read(self, sent_frame: SentFrame) -> ExpectingConnection | None:
         """Return where the carrier has to read a frame; None without a bus, or if it has read it already."""
@@ -348,8 +349,8 @@ class Carrier:
         """
         self._read_back(tick)
         # Now all frames of this tick are read back: some were by ``send``, and this has read the others.
-        frames_of_tick = self._read_frames
-        self._read_frames = []
+        frames_of_tick = self._frames_read_back
+        self._frames_read_back = []
         deliveries = self._delivery_queue.deliver(tick, frames_of_tick)
         if self._has_bus_per_robot:
             self._deliver_over_buses(deliveries, tick)

@@ -44,12 +44,12 @@ class Members:
     """Robots of a swarm, and the faults between them.
 
     Attributes:
-        records: Initial state of each robot.
+        setups: Initial state of each robot.
         faults: The faults, in the order in which they act.
         external_robot: Id of the robot whose frames are passed to ``Swarm.finish_tick``; None for none.
     """
 
-    records: Sequence[RobotSetup]
+    setups: Sequence[RobotSetup]
     faults: Sequence[Fault]
     external_robot: int | None = None
 
@@ -107,9 +107,9 @@ class Swarm:
         self._external_robot = members.external_robot
 
         # The robots. The world counts them from 0 by rising id, whatever their ids are.
-        records = sorted(members.records, key=lambda record: record.id)
-        self._ids = [record.id for record in records]
-        self.nodes = [self._create_robot(record) for record in records if record.id != self._external_robot]
+        setups = sorted(members.setups, key=lambda setup: setup.id)
+        self._ids = [setup.id for setup in setups]
+        self.nodes = [self._create_robot(setup) for setup in setups if setup.id != self._external_robot]
         self._local_nodes = [node for node in self.nodes if node.id not in self.remote_robots]
         self.b_hat_at_start = [node.robot.b_hat for node in self.nodes]
 
