@@ -16,7 +16,7 @@ from mcp_asdf_tools.common.errors import UsageError
 
 FRAME_BYTES = 8
 MAX_NODE_ID = 127
-TRANSFER_IDS = 32
+TRANSFER_ID_MODULUS = 32
 """Different values of a transfer_id, which counts a node's frames of one kind modulo this."""
 
 Q23_ONE = 1 << 23
@@ -171,7 +171,11 @@ class Field:
 
 
 TRANSFER_ID = Field(
-    "transfer_id", 56, 5, "number of the sender's messages of this kind modulo 32", maximum=TRANSFER_IDS - 1
+    "transfer_id",
+    56,
+    5,
+    "number of the sender's messages of this kind modulo 32",
+    maximum=TRANSFER_ID_MODULUS - 1,
 )
 START_END_TOGGLE = Field("start_end_toggle", 61, 3, "7: the transfer is this one frame", minimum=7, maximum=7)
 _TAIL_BYTE = (TRANSFER_ID, START_END_TOGGLE)

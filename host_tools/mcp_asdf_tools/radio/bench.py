@@ -10,7 +10,7 @@ import can
 
 from mcp_asdf.mirror import State
 from mcp_asdf.robot import MAX_ID, Filter, Observation
-from mcp_asdf_tools.bus.frame_layout import TRANSFER_IDS, Action
+from mcp_asdf_tools.bus.frame_layout import TRANSFER_ID_MODULUS, Action
 from mcp_asdf_tools.bus.frames import Command, Estimate, encode_estimate
 from mcp_asdf_tools.crosscheck.crafted_rounds import NeighbourEstimate, RobotState
 from mcp_asdf_tools.radio.controller_link import BenchOptions, ControllerLink
@@ -87,7 +87,7 @@ class Bench(ControllerLink):
         pairs = estimates.items() if isinstance(estimates, dict) else estimates
         frames = []
         for sender, (x_hat, alpha) in pairs:
-            transfer_id = self._estimate_count_by_sender[sender] % TRANSFER_IDS
+            transfer_id = self._estimate_count_by_sender[sender] % TRANSFER_ID_MODULUS
             self._estimate_count_by_sender[sender] += 1
             estimate = Estimate(sender, x_hat, alpha, transfer_id)
             frames.append(encode_estimate(estimate, self.settings.subjects.estimates))
@@ -95,7 +95,9 @@ class Bench(ControllerLink):
 
     def make_command(self, action: Action) -> Command:
         """Return the command for this action of the controller in the present tick, without sending it."""
-        return Command(DRIVER_ID, self.lockstep.tick, self.setup.id, action, self.rng.randrange(TRANSFER_IDS))
+        return Command(
+            DRIVER_ID, self.lockstep.tick, self.setup.id, action, self.rng.randrange(TRANSFER_ID_MODULUS)
+        )
 
     # --- Ticks ---
 

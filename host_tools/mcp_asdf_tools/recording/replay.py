@@ -15,7 +15,7 @@ import numpy as np
 
 from mcp_asdf.robot import Observation, Robot
 from mcp_asdf_tools.bus.alpha_words import float32_bits_from_alpha_word, float32_value
-from mcp_asdf_tools.bus.frame_layout import Q23_ONE, TRANSFER_IDS, Action
+from mcp_asdf_tools.bus.frame_layout import Q23_ONE, TRANSFER_ID_MODULUS, Action
 from mcp_asdf_tools.bus.frames import Estimate, FrameFormat, alpha_float32_bits, decode_estimate, format_frame
 from mcp_asdf_tools.recording.events import (
     RESTART,
@@ -319,7 +319,7 @@ def _index_of_broadcast(transfer_id: int, broadcasts: deque[Broadcast]) -> int |
     Returns None if none of the next 32 broadcasts has it. More are not searched, as transfer_ids, which count
     broadcasts modulo 32, repeat then.
     """
-    for index in range(min(len(broadcasts), TRANSFER_IDS)):
+    for index in range(min(len(broadcasts), TRANSFER_ID_MODULUS)):
         if broadcasts[index].transfer_id == transfer_id:
             return index
     return None

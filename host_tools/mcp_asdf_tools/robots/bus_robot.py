@@ -26,7 +26,7 @@ from mcp_asdf_tools.bus.frame_layout import (
     MAX_NODE_ID,
     MIN_B_HAT,
     Q23_ONE,
-    TRANSFER_IDS,
+    TRANSFER_ID_MODULUS,
     UPDATE_COUNT_MODULUS,
     Rejection,
 )
@@ -273,7 +273,7 @@ class BusRobot:
 
     def next_estimate(self) -> Estimate:
         """Return the present estimate with the next transfer_id, and count it as sent."""
-        transfer_id = self.sent.estimates % TRANSFER_IDS
+        transfer_id = self.sent.estimates % TRANSFER_ID_MODULUS
         self.sent.estimates += 1
         return Estimate(self.id, self._integer_robot.x_hat_raw, self._integer_robot.alpha_raw, transfer_id)
 
@@ -290,7 +290,7 @@ class BusRobot:
         """Return the next heartbeat, stamped ``now`` (seconds), and count it; see ``is_heartbeat_due``."""
         uptime = self.sent.heartbeats  # there is one heartbeat a second, from second 0 on
         self.sent.heartbeats += 1
-        return encode_heartbeat(Heartbeat(self.id, uptime, uptime % TRANSFER_IDS), timestamp=now)
+        return encode_heartbeat(Heartbeat(self.id, uptime, uptime % TRANSFER_ID_MODULUS), timestamp=now)
 
     def telemetry(self, now: float) -> can.Message:
         """Return a frame with the robot's present state, stamped ``now`` (seconds), and count it.
@@ -303,7 +303,7 @@ class BusRobot:
         # A robot that computes in float64 may be nearer to 0 or 1 than telemetry allows.
         b_hat = min(max(b_hat_units, MIN_B_HAT), MAX_B_HAT)
         updates = self.robot.counters.updates % UPDATE_COUNT_MODULUS
-        transfer_id = self.sent.telemetry % TRANSFER_IDS
+        transfer_id = self.sent.telemetry % TRANSFER_ID_MODULUS
         self.sent.telemetry += 1
         telemetry = Telemetry(self.id, x, b_hat, updates, transfer_id)
         return encode_telemetry(telemetry, self._telemetry_format, now)

@@ -23,7 +23,7 @@ from typing import TypeVar
 import can
 
 from mcp_asdf.robot import Observation
-from mcp_asdf_tools.bus.frame_layout import TRANSFER_IDS, Action
+from mcp_asdf_tools.bus.frame_layout import TRANSFER_ID_MODULUS, Action
 from mcp_asdf_tools.bus.frames import (
     Command,
     Estimate,
@@ -164,10 +164,10 @@ class Lockstep:
             # answer to nobody's command.
             raise LockstepError(
                 f"robot {robot} answered in tick {self.tick} with transfer_id {transfer_id}, not "
-                f"{self._next_transfer_ids[robot]} (modulo {TRANSFER_IDS}): it restarted or sends telemetry "
-                "of its own accord"
+                f"{self._next_transfer_ids[robot]} (modulo {TRANSFER_ID_MODULUS}): it restarted or sends "
+                "telemetry of its own accord"
             )
-        self._next_transfer_ids[robot] = (transfer_id + 1) % TRANSFER_IDS
+        self._next_transfer_ids[robot] = (transfer_id + 1) % TRANSFER_ID_MODULUS
 
     def _send_commands(self, actions: Mapping[int, Action]) -> None:
         """Send each robot, by id, the command for its action in the present tick, and report the frames.
@@ -177,7 +177,7 @@ class Lockstep:
         frames = []
         # All commands are encoded before the first is sent, so that a wrong id sends none of them.
         for robot, action in actions.items():
-            transfer_id = self._sent_command_count % TRANSFER_IDS
+            transfer_id = self._sent_command_count % TRANSFER_ID_MODULUS
             command = Command(DRIVER_ID, self.tick, robot, action, transfer_id)
             frames.append(encode_command(command, self._subjects.commands))
             self._sent_command_count += 1

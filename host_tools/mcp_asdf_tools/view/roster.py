@@ -10,7 +10,7 @@ from typing import Any
 import can
 
 from mcp_asdf_tools.bus.alpha_words import float32_bits_from_alpha_word, float32_value
-from mcp_asdf_tools.bus.frame_layout import B_HAT_UNITS, Q23_ONE, TRANSFER_IDS, Rejection
+from mcp_asdf_tools.bus.frame_layout import B_HAT_UNITS, Q23_ONE, TRANSFER_ID_MODULUS, Rejection
 from mcp_asdf_tools.bus.frames import Estimate, FrameContent, Heartbeat, Telemetry, format_frame
 from mcp_asdf_tools.robots.suspicion import AlphaWatch
 
@@ -87,7 +87,7 @@ class RobotOnBus:
         self._last_transfer_ids[kind] = content.transfer_id
         self.received_frames += 1
         if last_id is not None and content.transfer_id != last_id:
-            frames_since_last = (content.transfer_id - last_id) % TRANSFER_IDS
+            frames_since_last = (content.transfer_id - last_id) % TRANSFER_ID_MODULUS
             self.lost_frames += frames_since_last - 1  # one of them is this frame
 
     def _shows_conflict(self, heartbeat: Heartbeat) -> bool:
@@ -111,7 +111,7 @@ class RobotOnBus:
         # A node sends a heartbeat each second, so its transfer id grows as its uptime does, modulo 32.
         seconds_passed = heartbeat.uptime - previous.uptime
         heartbeats_passed = heartbeat.transfer_id - previous.transfer_id
-        continues_previous = (heartbeats_passed - seconds_passed) % TRANSFER_IDS == 0
+        continues_previous = (heartbeats_passed - seconds_passed) % TRANSFER_ID_MODULUS == 0
         return latest_is_of_other_node and continues_previous
 
     def is_silent(self, now: float) -> bool:

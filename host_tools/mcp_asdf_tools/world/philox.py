@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 OBSERVATION_STREAM, SENSOR_STREAM, ARENA_STREAM = 0, 1, 2
 
-CERTAIN = 1 << 31
+PROBABILITY_ONE = 1 << 31
 """Probability 1 in units of 2**-31."""
 
 _ROUNDS = 10

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from mcp_asdf_tools.common import extensions
 from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.world.philox import CERTAIN
+from mcp_asdf_tools.world.philox import PROBABILITY_ONE
 from mcp_asdf_tools.world.settings import WorldSettings
 
 Accuracies = tuple[NDArray[np.float64], NDArray[np.float64]]
@@ -172,10 +172,10 @@ def black_probabilities(
         return probability, probability
     # On white a robot reports black by mistake: with the probability that is left.
     black_on_black = _to_integer_units(accuracy_on_black)
-    black_on_white = np.uint32(CERTAIN) - _to_integer_units(accuracy_on_white)
+    black_on_white = np.uint32(PROBABILITY_ONE) - _to_integer_units(accuracy_on_white)
     return black_on_black, black_on_white
 
 
 def _to_integer_units(probabilities: NDArray[np.float64]) -> NDArray[np.uint32]:
     """Return probabilities in units of 2**-31, rounded to the nearest, as the engine in C takes them."""
-    return np.rint(probabilities * CERTAIN).astype(np.uint32)
+    return np.rint(probabilities * PROBABILITY_ONE).astype(np.uint32)

@@ -14,7 +14,7 @@ from mcp_asdf_tools.bus.frame_layout import (
     MAX_FLOAT32_BITS,
     MAX_NODE_ID,
     Q23_ONE,
-    TRANSFER_IDS,
+    TRANSFER_ID_MODULUS,
 )
 from mcp_asdf_tools.bus.frames import NODE_ID_MASK, Estimate, decode_estimate, encode_estimate, make_frame
 from mcp_asdf_tools.common.errors import UsageError
@@ -383,7 +383,7 @@ class Sybil(Fault):
         if self.ids is None or not run.hits_node(node, tick):
             return []
         run.hit_count += len(self.ids)
-        payload = _encode_claim(self.x, self.alpha, tick % TRANSFER_IDS)
+        payload = _encode_claim(self.x, self.alpha, tick % TRANSFER_ID_MODULUS)
         # Sorted, as a set has no order that a repeated run could rely on.
         identifiers = [run.frame_format.identifier(robot) for robot in sorted(self.ids)]
         return [make_frame(identifier, payload, timestamp) for identifier in identifiers]
