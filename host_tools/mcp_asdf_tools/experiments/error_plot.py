@@ -37,7 +37,8 @@ def plot_errors_over_time(
     x is a robot's informed estimate and f the true share of black tiles, so this is the mean over the robots
     of a trial; the line is the median over the trials. Trials of one panel and filter are taken together. All
     must have been recorded, with the same interval. With ``series_name`` there is a line for each name that
-    it returns, in place of a line for each filter. Raises UsageError if there are too many panels.
+    it returns, in place of a line for each filter. Only the caption has the ``limits``. Raises UsageError if
+    there are too many panels.
     """
     all_experiments = [trials for experiments in panels.values() for trials in experiments]
     if series_name is None:

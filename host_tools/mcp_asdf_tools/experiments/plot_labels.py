@@ -123,10 +123,7 @@ def make_caption(experiments: Sequence[Trials], marks: str, limits: Limits) -> s
         values = _effective_values(experiments, parameter_name)
         if len(values) == 1:
             details.append(f"{parameter_name.replace('_', ' ')} {format_for_legend(values.pop())}")
-    trial_counts = {len(trials.numbers) for trials in experiments}
-    # As a set, so that equal extremes are one number: "30 trials", but "12 to 30 trials".
-    extreme_counts = sorted({min(trial_counts), max(trial_counts)})
-    details.append(f"{' to '.join(map(str, extreme_counts))} trials of each experiment")
+    details.append(f"{_describe_trial_counts(experiments)} trials of each experiment")
     k_limits: set[float] = set()
     e_limits: set[float] = set()
     for trials in experiments:
@@ -137,3 +134,12 @@ def make_caption(experiments: Sequence[Trials], marks: str, limits: Limits) -> s
         limit_text = " and ".join(format_for_legend(limit) for limit in sorted(different_limits))
         details.append(f"${symbol}_{{max}}$ = {limit_text}")
     return f"{', '.join(details)}; {marks}."
+
+
+def _describe_trial_counts(experiments: Sequence[Trials]) -> str:
+    """Return how many trials each experiment has: "30", or "12 to 30" if they have different numbers."""
+    trial_counts = [len(trials.numbers) for trials in experiments]
+    fewest, most = min(trial_counts), max(trial_counts)
+    if fewest == most:
+        return str(fewest)
+    return f"{fewest} to {most}"

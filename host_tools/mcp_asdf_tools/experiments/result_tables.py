@@ -188,7 +188,7 @@ def _nest_flat_record(table: pa.Table, column: str) -> pa.ChunkedArray:
         stated_robot_counts = pc.fill_null(batch["robots"], 0).to_numpy()
         robot_counts = np.clip(stated_robot_counts, 0, np.iinfo(np.int32).max).astype(np.int64)  # by trial
         value_counts = pc.fill_null(pc.list_value_length(flat_records), 0).to_numpy()  # by trial
-        divisors = np.maximum(robot_counts, 1)  # without robots a division by 0
+        divisors = np.maximum(robot_counts, 1)  # so that none is 0
         step_counts = value_counts // divisors  # complete steps, by trial
         has_values_left = not np.array_equal(step_counts * robot_counts, value_counts)
         if flat_records.null_count > 0 or has_values_left:
@@ -371,8 +371,9 @@ def _check_list_lengths(experiment: Experiment, table: pa.Table) -> None:
         _check_lists(column, table[column], length)
         _check_no_gaps(column, pc.list_flatten(table[column]))
     # How often values were recorded is not a parameter. So the first list gives the length of all of them. If
-    # it is missing, it has no length, and the check below refuses it.
-    sample_count = pc.list_value_length(table[RECORD_COLUMNS["t"]])[0].as_py() or 0
+    # it is missing, which the check below refuses, it has no length.
+    first_length = pc.list_value_length(table[RECORD_COLUMNS["t"]])[0].as_py()
+    sample_count = 0 if first_length is None else first_length
     for column in RECORD_COLUMNS.values():
         values_of_robots = pc.list_flatten(table[column])
         _check_lists(column, table[column], sample_count)

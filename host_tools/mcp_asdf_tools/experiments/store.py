@@ -191,7 +191,8 @@ class Store:
         table = trials_to_table(trials)
         first_row = self._row_groups.row_count + self._unwritten_row_count()
         new_rows = np.arange(first_row, first_row + len(table))
-        self._row_of_trial[_result_key(trials.experiment)][trials.numbers] = new_rows
+        row_of_trial = self._row_of_trial[_result_key(trials.experiment)]
+        row_of_trial[trials.numbers] = new_rows
         self._unwritten.append(table)
         if self._unwritten_row_count() >= self._rows_per_part or self._is_part_due():
             self.flush()

@@ -255,7 +255,11 @@ class MessageSwarm:
         self._deliver = self._deliver_raw if have_raw_values else self._deliver_floats
 
     def steps(self) -> Iterator[int]:
-        """Take all steps of the trial, and yield the number of each, from 1, when it is over."""
+        """Take all steps of the trial, and yield the number of each, from 1, when it is over.
+
+        Robots may observe in any step. In every ``comms_period``-th step they broadcast their estimates and
+        end the round. Their messages arrive before that or, with latency, in the next step.
+        """
         comms_period = self._experiment.comms_period
         has_latency = self._experiment.latency > 0
         are_messages_under_way = False

@@ -123,7 +123,7 @@ def draw_pictures(study_results: StudyResults, study_size: StudySize) -> Iterato
     """Draw the pictures of all parts of the study that have results, one after the other.
 
     A picture of two parts is drawn only if both have results. The picture of single trials needs values over
-    time, which the results do not have: for this picture two trials of length ``study_size.steps`` run again.
+    time, which the results do not have: for this picture a few trials of ``study_size.steps`` run again.
     """
     parts = study_results.parts
     for study_part in (StudyPart.DYNAMIC, StudyPart.FULLY_CONNECTED):

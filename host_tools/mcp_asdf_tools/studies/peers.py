@@ -84,8 +84,8 @@ class RememberingRobot(ReferenceRobot):
     """
 
     _messages = 0
-    _weight = 0.0
-    _weighted_sum = 0.0
+    _mean_weight = 0.0
+    _mean_weighted_x_hat = 0.0
 
     def receive(self, sender: int, x_hat: float, alpha: float) -> Status:
         """Receive a neighbour's estimate, and add it to the running means unless it has no confidence.
@@ -102,23 +102,23 @@ class RememberingRobot(ReferenceRobot):
             gain = 2.0**-limited_halvings
             # The sender's t is not in the message; robots of a swarm have observed equally often.
             weight = alpha / max(self.t, 1)
-            self._weight += gain * (weight - self._weight)
-            self._weighted_sum += gain * (weight * x_hat - self._weighted_sum)
+            self._mean_weight += gain * (weight - self._mean_weight)
+            self._mean_weighted_x_hat += gain * (weight * x_hat - self._mean_weighted_x_hat)
         return status
 
     @property
     def x_bar(self) -> float:
         """The running mean of the received estimates; 1/2 before the first one."""
-        if self._weight == 0:
+        if self._mean_weight == 0:
             return 0.5
-        return self._weighted_sum / self._weight
+        return self._mean_weighted_x_hat / self._mean_weight
 
     @property
     def x(self) -> float:
         """The running mean of the received estimates; the own estimate before the first one."""
-        if self._weight == 0:
+        if self._mean_weight == 0:
             return self.x_hat
-        return self._weighted_sum / self._weight
+        return self._mean_weighted_x_hat / self._mean_weight
 
 
 class BayesCpfRobot(ReferenceRobot):
@@ -247,8 +247,8 @@ def wmsr_mean(own_estimate: float, received_estimates: Sequence[float], tolerate
     """Return the mean of a robot's own estimate and of the received ones that W-MSR keeps.
 
     Of the estimates above the own one, the ``tolerated_liars`` largest are removed, and of those below it as
-    many of the smallest. If there are no more of them on a side, all on that side are removed. Estimates that
-    equal the own one are kept. Every kept estimate has the same weight.
+    many of the smallest; on a side with fewer estimates all are removed. Estimates that equal the own one are
+    kept. Every kept estimate has the same weight.
     """
     ascending = sorted(received_estimates)
     below = [estimate for estimate in ascending if estimate < own_estimate]

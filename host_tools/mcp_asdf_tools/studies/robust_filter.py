@@ -146,7 +146,7 @@ def beyond_rows() -> dict[str, list[Experiment]]:
         "moving, sensors age each in its own way": {**MOVING_SWARM, **healthy, "sensor": WanderingSensors},
     }
     common = {"steps": 20_000, "trials": 30, "seed": 4712}
-    # Of two values for a parameter the row's own holds.
+    # A row's own value for a parameter replaces the common one.
     return {label: m.grid(**{**common, **swarm}) for label, swarm in swarms.items()}
 
 
@@ -228,7 +228,7 @@ def world_rows() -> dict[str, list[Experiment]]:
         },
     }
     common = {"flawed": "30%", "steps": 20_000, "trials": 8, "seed": 4713}
-    # Of two values for a parameter the row's own holds.
+    # A row's own value for a parameter replaces the common one.
     return {label: m.grid(**{**common, **world}) for label, world in worlds.items()}
 
 

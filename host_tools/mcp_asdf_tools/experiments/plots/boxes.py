@@ -62,13 +62,12 @@ def plot_boxes(
     all_series = group_into_series(experiments, series_name)
     fill_ratios = sorted_attributes(experiments, "fill_ratio")
     accuracies = sorted_attributes(experiments, "true_accuracy")
-    # Panels may have different slots along x: not every b goes with every b_hat.
     figure, grid = create_panel_grid(
         row_count=len(fill_ratios),
         column_count=len(accuracies),
         panel_height=2.6,
         series_count=len(all_series),
-        sharex=False,
+        sharex=False,  # panels have different slots along x, as not every b goes with every b_hat
     )
     for (row, column), axes in np.ndenumerate(grid):
         f, b = fill_ratios[row], accuracies[column]
@@ -102,10 +101,12 @@ def _draw_box_panel(axes: Axes, series_of_panel: Sequence[Series], limits: Limit
     slots = sorted(different_slots)
     box_width = _SLOT_WIDTH / len(series_of_panel)
     for series_index, series in enumerate(series_of_panel):
-        # Slots have whole numbers as their middles. In each the boxes stand beside each other.
-        distance_from_middle = (series_index + 0.5) * box_width - _SLOT_WIDTH / 2
+        # In each slot the boxes stand beside each other.
+        distance_from_left_end = (series_index + 0.5) * box_width
+        distance_from_middle = distance_from_left_end - _SLOT_WIDTH / 2
         for trials in series.experiments:
-            middle = slots.index(_slot_of(trials.experiment)) + distance_from_middle
+            middle_of_slot = slots.index(_slot_of(trials.experiment))  # 0, 1, 2 and so on
+            middle = middle_of_slot + distance_from_middle
             drawn_width = _DRAWN_SHARE_OF_WIDTH * box_width
             _draw_box(axes, trials.scores(limits)["H"], middle, drawn_width, series.colour)
     # H is at most 100; above it is room for the outlines of boxes and points there.
