@@ -326,6 +326,7 @@ def _run_with_progress(radio_run: RadioRun, console: Console) -> None:
     with console.status("") as status:
 
         def show_progress() -> None:
+            """Show the tick and how many frames were sent and heard; called in every tick."""
             status.update(
                 f"tick {radio_run.neighbours.tick}   frames sent {radio_run.sent_count}, "
                 f"estimates heard {radio_run.estimate_count}"

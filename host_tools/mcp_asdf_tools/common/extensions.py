@@ -44,6 +44,7 @@ class ObjectName(str):
         return name
 
     def __eq__(self, other: object) -> bool:
+        """Return whether both name the same object; to another text compare as a text."""
         if isinstance(other, ObjectName):
             return self.extension is other.extension
         return super().__eq__(other)
@@ -72,6 +73,7 @@ class Names:
     """
 
     def __init__(self, built_in_names: Iterable[str], group: str) -> None:
+        """Take the built-in names, and the entry point group of the extensions, which is not searched yet."""
         self.built_in = list(built_in_names)
         self._group = group
 

@@ -26,6 +26,7 @@ class ParameterError(UsageError):
     """
 
     def __init__(self, key: str, message: str) -> None:
+        """Create the error with the name of the parameter and the whole message."""
         super().__init__(message)
         self.key = key
 

@@ -43,7 +43,10 @@ class _CheckedStream(ABC):
         return getattr(self._stream, name)
 
     def write(self, text: str) -> int:
-        """Write a text, and return the number of its characters, as streams do."""
+        """Write a text, and return the number of its characters, as streams do.
+
+        A failed write counts as done if ``_handle`` does not raise.
+        """
         try:
             return self._stream.write(text)
         except OSError as error:
@@ -56,7 +59,7 @@ class _CheckedStream(ABC):
             self.write(line)
 
     def flush(self) -> None:
-        """Write all text that is buffered."""
+        """Write all text that is buffered. A failure counts as success if ``_handle`` does not raise."""
         try:
             self._stream.flush()
         except OSError as error:

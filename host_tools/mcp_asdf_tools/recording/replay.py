@@ -281,7 +281,10 @@ class _Comparison:
             self.verdict.difference = _describe_difference(frame_number, frame, estimate, expected)
 
     def _count_reproduced(self, broadcasts: deque[Broadcast], index: int) -> None:
-        """Remove and count the broadcast at ``index``, and those before it, which the log lacks."""
+        """Remove and count the broadcast at ``index``, and those before it, which count as not logged.
+
+        The broadcast itself counts as falsified if a fault had changed its values, else as reproduced.
+        """
         for _ in range(index):
             broadcasts.popleft()
         self.verdict.not_logged += index

@@ -113,7 +113,7 @@ class RemoteFirmware:
         self.counters = Counters()
 
     def observe(self, z: Observation) -> None:
-        """Count an observation that the robot was commanded to make."""
+        """Count an observation that the robot was commanded to make, whatever its colour."""
         self.t += 1
 
     def receive_all(self, estimates: EstimateRows) -> int:
