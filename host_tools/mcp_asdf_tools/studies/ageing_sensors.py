@@ -44,10 +44,10 @@ class AgeingSensors(ABC):
     def advance(self, steps: int) -> Accuracies:
         """Return the accuracies in the next steps, which are the same on black and on white tiles.
 
-        They are limited to the range from ``lowest_accuracy`` to 1.
+        They are limited to the range from ``lowest_accuracy`` to 1. As changes count from the start, a limit
+        that was reached does not shift later accuracies.
         """
         unlimited = self._settings.true_accuracy + self._changes(steps)
-        # Changes count from the start, so that a limit that was reached does not shift what follows.
         self._next_step += steps
         accuracies = np.clip(unlimited, self._settings.lowest_accuracy, 1.0)
         return accuracies, accuracies

@@ -121,6 +121,7 @@ def _spearman(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArra
     from scipy.stats import rankdata  # type: ignore[import-untyped]  # noqa: PLC0415 (loads slowly)
 
     first_ranks, second_ranks = rankdata(first, axis=-1), rankdata(second, axis=-1)
+    # Deviations from the mean rank of the row.
     x = first_ranks - first_ranks.mean(axis=-1, keepdims=True)
     y = second_ranks - second_ranks.mean(axis=-1, keepdims=True)
     # Spearman's coefficient is Pearson's coefficient of the ranks, which is 0/0 where all values are equal.
