@@ -90,7 +90,8 @@ class Store:
         self.parts = parts_folder(output)
         self.experiments = without_repetitions(experiments)
         self.sampling_interval = sampling_interval
-        self._rows_per_part = min([_MAX_ROWS, *map(self._rows_that_fit, self.experiments)])
+        rows_that_fit = [self._rows_that_fit(experiment) for experiment in self.experiments]
+        self._rows_per_part = min([_MAX_ROWS, *rows_that_fit])
         self._row_groups = RowGroups()
         self._unwritten: list[pa.Table] = []
         self._start_time = self._last_write_time = time.monotonic()

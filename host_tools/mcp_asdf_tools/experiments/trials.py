@@ -40,8 +40,9 @@ MAX_SERIES_BYTES = 32 * 2**20
 def run_trials(experiment: Experiment, first: int, trials: int, sampling_interval: int = 0) -> Trials:
     """Run ``trials`` trials from number ``first`` on, recorded every ``sampling_interval`` steps (0: never).
 
+    The C engine runs them, or if it lacks something that the experiment has, Python does, message by message.
     Raises UsageError if the firmware or an extension cannot be loaded, or if an arena has too little room.
-    O(trials steps robots), robots squared where the C engine cannot run the experiment.
+    O(trials steps robots), robots squared in Python.
     """
     numbers = range(first, first + trials)
     if experiment.parameter_lacking_in_c:

@@ -197,12 +197,10 @@ def draw_ratios(ratios_by_filter: Mapping[str, RatiosByCode]) -> Figure:
 def main() -> None:
     """Run the experiments, or resume them, and write small_messages.md and small_messages.png."""
     arguments = parse_arguments(__doc__)
-    rows_by_filter = {
-        filter_name: run_rows(
-            f"small_messages_{filter_name}", experiments_of(filter_name), arguments, record=250
-        )
-        for filter_name in ALPHA_BITS
-    }
+    rows_by_filter: dict[str, Rows] = {}
+    for filter_name in ALPHA_BITS:
+        file_name = f"small_messages_{filter_name}"
+        rows_by_filter[filter_name] = run_rows(file_name, experiments_of(filter_name), arguments, record=250)
     tables = {"exact": exact_table(rows_by_filter)}
     ratios_by_filter: dict[str, RatiosByCode] = {}
     for filter_name, rows in rows_by_filter.items():

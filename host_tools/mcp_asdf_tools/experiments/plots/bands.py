@@ -69,14 +69,8 @@ def plot_bands(results: Results, *, where: Mapping[str, Any] | None = None) -> F
     for axes, trials, title in zip(panels, ordered_experiments, titles, strict=True):
         _draw_accuracy_bands(axes, trials)
         axes.set_title(f"{title}\n{_describe_harmed(trials)}", fontsize=SMALL)
-    handles = [
-        legend_handle(label, colour, marker="", line="-")
-        for label, colour in (
-            ("flawed", COLOUR_OF_FLAWED_ROBOTS),
-            ("healthy", COLOUR_OF_HEALTHY_ROBOTS),
-            ("true", INK),
-        )
-    ]
+    colours = {"flawed": COLOUR_OF_FLAWED_ROBOTS, "healthy": COLOUR_OF_HEALTHY_ROBOTS, "true": INK}
+    handles = [legend_handle(label, colour, marker="", line="-") for label, colour in colours.items()]
     caption = make_caption(experiments, _MEANING_OF_MARKS, PAPER_LIMITS)
     return label_figure(figure, "step", r"assumed accuracy $\hat{b}$", caption, handles)
 
