@@ -59,7 +59,7 @@ def test_every_proof_that_is_named_beside_a_statement_is_run() -> None:
     named_proofs = {place for place in places if place.startswith("proofs/") and ": test_" not in place}
     assert len(named_proofs) > 10
 
-    proof_with_a_test_of_its_own = "proofs/calls.py: of_a_message"
+    proof_with_a_test_of_its_own = "proofs/calls.py: one_more_message_claims"
 
     assert named_proofs - proofs_that_are_run() == {proof_with_a_test_of_its_own}
 

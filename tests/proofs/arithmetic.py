@@ -13,270 +13,324 @@ from typing import Any
 import z3
 
 from proofs.machine import Machine
-from proofs.numbers import Integers, Type, known
-from proofs.prove import Contract
+from proofs.numbers import IntegerArithmetic, IntegerType, constant_value
+from proofs.prove import Contract, Formula
 from proofs.source import BITS, HARDWARE, LANES, TABLE, Variant
 
-PREPARED = {TABLE: (2**30, Fraction(710, 1000)), LANES: (2**29, Fraction(252, 1000))}
+RECIPROCAL_LIMITS = {TABLE: (2**30, Fraction(710, 1000)), LANES: (2**29, Fraction(252, 1000))}
 """The least divisor that prepare() is given, and how much of it 2^46 / d may be too small, in units of 2^-13;
 the solver takes this for granted, and ``every_divisor.c`` tries all divisors."""
 
 
-def _counts(_: Any, count: Any) -> Any:
-    return z3.ULE(count, 31)
-
-
-def widen(word: Any, bits: int = 64) -> Any:
+def zero_extend(word: Any, bits: int = 64) -> Any:
     """Return a word with zeros in front, so that it has so many bits."""
     return z3.ZeroExt(bits - word.size(), word)
 
 
-def _word(high: int, value: Any) -> Any:
-    return z3.Extract(high, high - 31, value)
+def _extract_word(highest_bit: int, value: Any) -> Any:
+    """Return the 32 bits of a value that end at this one."""
+    return z3.Extract(highest_bit, highest_bit - 31, value)
 
 
-EXACT: dict[str, Callable[..., Any]] = {
+# --- Results to the bit -----------------------------------------------------------------------------------
+
+EXACT_RESULTS: dict[str, Callable[..., Any]] = {
     "join": z3.Concat,
-    "high_word": partial(_word, 63),
-    "low_word": partial(_word, 31),
+    "high_word": partial(_extract_word, 63),
+    "low_word": partial(_extract_word, 31),
     "add": lambda sum_, term: sum_ + term,
-    "one_minus": lambda share: _word(31, 2**32 - widen(share)),
+    "one_minus": lambda share: _extract_word(31, 2**32 - zero_extend(share)),
     "hash_word": lambda hash_, word: (hash_ ^ word) * 0x01000193,
-    "shift_right_64": lambda value, count: z3.LShR(value, widen(count & 63)),
+    "shift_right_64": lambda value, count: z3.LShR(value, zero_extend(count & 63)),
 }
 """What these functions give for any arguments, to the bit."""
 
-
-def _gives(exact: Callable[..., Any]) -> Contract:
-    return Contract(lambda found, *given: found == exact(*given))
-
-
-WORDS = {name: _gives(exact) for name, exact in EXACT.items()}
-
-
-def _is_shifted_wide(found: Any, value: Any, count: Any) -> Any:
-    return z3.Concat(found["high"], found["low"]) == widen(value) << widen(count & 31)
-
-
-SHIFTED: dict[str, Callable[..., Any]] = {
-    "shift_left_by": lambda value, count: value << widen(count, 32),
-    "shift_right_by": lambda value, count: z3.LShR(value, widen(count, 32)),
+SHIFT_RESULTS: dict[str, Callable[..., Any]] = {
+    "shift_left_by": lambda value, count: value << zero_extend(count, 32),
+    "shift_right_by": lambda value, count: z3.LShR(value, zero_extend(count, 32)),
     "shift_left": lambda value, count: value << count,
     "shift_right": z3.LShR,
     "lowest_bits_to_top": lambda value, count: value << (32 - count),
     "highest_bits_to_bottom": lambda value, count: z3.LShR(value, 32 - count),
-    "shifted_high_word": lambda value, count: _word(63, value << widen(count)),
+    "shifted_high_word": lambda value, count: _extract_word(63, value << zero_extend(count)),
 }
-"""What shifts by a count of 0 to 31 give."""
+"""What shifts by a count of 0 to 31 give, to the bit."""
 
 
-def _shifts(shifted: Callable[..., Any]) -> Contract:
-    return Contract(lambda found, value, count: found == shifted(value, count), requires=_counts)
+def _equals(exact_result: Callable[..., Any]) -> Formula:
+    """Return the formula that a result is the exact one for the arguments."""
+    return lambda result, *arguments: result == exact_result(*arguments)
 
 
-SHIFTS = {name: _shifts(shifted) for name, shifted in SHIFTED.items()}
-SHIFTS["shift_left_wide"] = Contract(_is_shifted_wide)
+def _is_shift_count(_value: Any, count: Any) -> Any:
+    return z3.ULE(count, 31)
 
 
-def are_leading_zeros(found: Any, value: Any) -> Any:
-    """The value, or 1 for 0, has its highest bit in front after a shift by them, and lost none."""
+def _is_shifted_wide(result: Any, value: Any, count: Any) -> Any:
+    return z3.Concat(result["high"], result["low"]) == zero_extend(value) << zero_extend(count & 31)
+
+
+def are_leading_zeros(result: Any, value: Any) -> Any:
+    """Return that the result is the number of zeros before the highest bit that is set; 31 for 0.
+
+    Shifted left by it, the value, or 1 for 0, has its highest bit in front and has lost none.
+    """
     positive = z3.If(value == 0, z3.BitVecVal(1, 32), value)
-    shifted = positive << found
-    return z3.And(z3.ULE(found, 31), _word(31, shifted) >> 31 == -1, z3.LShR(shifted, found) == positive)
+    shifted = positive << result
+    has_highest_bit = _extract_word(31, shifted) >> 31 == -1  # a signed shift copies the bit to all others
+    return z3.And(z3.ULE(result, 31), has_highest_bit, z3.LShR(shifted, result) == positive)
 
 
-WORDS["leading_zeros"] = Contract(are_leading_zeros)
+WORD_CONTRACTS = {name: Contract(_equals(exact_result)) for name, exact_result in EXACT_RESULTS.items()}
+WORD_CONTRACTS["leading_zeros"] = Contract(are_leading_zeros)
+SHIFT_CONTRACTS = {
+    name: Contract(_equals(exact_result), requires=_is_shift_count)
+    for name, exact_result in SHIFT_RESULTS.items()
+}
+SHIFT_CONTRACTS["shift_left_wide"] = Contract(_is_shifted_wide)
+
+# --- Products: in mathematical integers -------------------------------------------------------------------
 
 
-def _halves(number: Any) -> tuple[Any, Any]:
+def _split_halves(word: Any) -> tuple[Any, Any]:
     """Return the upper and the lower half of a word."""
-    return number / 2**16, number % 2**16
+    return word / 2**16, word % 2**16
 
 
-def _halves_fit(_: Any, a: Any, b: Any) -> Any:
-    """Each product of halves is (2^16 - 1)^2 at most."""
-    products = [x * y for x in _halves(a) for y in _halves(b)]
-    return z3.And([z3.And(each >= 0, each <= (2**16 - 1) ** 2) for each in products])
+def _products_of_halves_fit(_result: Any, a: Any, b: Any) -> Any:
+    """Return that each product of halves is (2^16 - 1)^2 at most."""
+    products = [x * y for x in _split_halves(a) for y in _split_halves(b)]
+    return z3.And([z3.And(product >= 0, product <= (2**16 - 1) ** 2) for product in products])
 
 
-def _multiplied_out(_: Any, a: Any, b: Any) -> Any:
-    """(2^16 a1 + a0) (2^16 b1 + b0)."""
-    (a1, a0), (b1, b0) = _halves(a), _halves(b)
+def _is_product_of_halves(_result: Any, a: Any, b: Any) -> Any:
+    """Return that a b is (2^16 a1 + a0) (2^16 b1 + b0), multiplied out."""
+    (a1, a0), (b1, b0) = _split_halves(a), _split_halves(b)
     return a * b == 2**32 * (a1 * b1) + 2**16 * (a1 * b0 + a0 * b1) + a0 * b0
 
 
-def _product(ensures: Callable[..., Any]) -> Contract:
-    return Contract(ensures, Integers, steps=(_halves_fit, _multiplied_out))
+def _is_floor(result: Any, dividend: Any, divisor: Any) -> Any:
+    """Return that the result is the quotient of two integers, rounded down."""
+    return z3.And(result >= 0, result * divisor <= dividend, dividend < result * divisor + divisor)
 
 
-def multiply_high(found: Any, a: Any, b: Any) -> Any:
-    return _is_floor(found, a * b, 2**32)
+def is_upper_product(result: Any, a: Any, b: Any) -> Any:
+    """Return that the result is a b / 2^32, rounded down."""
+    return _is_floor(result, a * b, 2**32)
 
 
-PRODUCTS = {
-    "multiply": _product(lambda found, a, b: found == a * b),
-    "multiply_high": _product(multiply_high),
+def _product_contract(ensures: Formula) -> Contract:
+    proof_steps = (_products_of_halves_fit, _is_product_of_halves)
+    return Contract(ensures, IntegerArithmetic, proof_steps=proof_steps)
+
+
+PRODUCT_CONTRACTS = {
+    "multiply": _product_contract(lambda result, a, b: result == a * b),
+    "multiply_high": _product_contract(is_upper_product),
 }
 
-# --- Quotients: in whole numbers ------------------------------------------------------------------------
+# --- Quotients: in mathematical integers ------------------------------------------------------------------
 
 
-def _is_floor(found: Any, dividend: Any, divisor: Any) -> Any:
-    return z3.And(found >= 0, found * divisor <= dividend, dividend < found * divisor + divisor)
+def _is_divisible(least_divisor: int) -> Formula:
+    """Return the formula that a quotient a / d is below 2, and that d is a divisor from the least to 2^31."""
+    return lambda a, d, *_: z3.And(a < 2 * d, least_divisor <= d, d <= 2**31)
 
 
-def _divisible(least: int) -> Callable[..., Any]:
-    return lambda a, d, *_: z3.And(a < 2 * d, least <= d, d <= 2**31)
+class DivisionInvariant:
+    """The loop invariant of divide_by_bits().
 
-
-class Remainder:
-    """Invariant of divide_by_bits() after i turns, with the quotient q so far and the present a < 2 d:
-    2^i dividend = 2 d q + a."""
+    After i turns, with the quotient q so far and the present a < 2 d: 2^i dividend = 2 d q + a.
+    """
 
     def __init__(self) -> None:
         self.turns = self.turns_in_byte = 0
-        self.facts: list[Any] = []
+        self.facts_before_loop: list[Any] | None = None
 
     def after_turn(self, machine: Machine) -> None:
-        """The code after a turn may rely on nothing else that the turn did."""
-        self.facts = self.facts or list(machine.facts)
+        """Claim the invariant, and let the code after a turn rely on nothing else that the turn did."""
+        if self.facts_before_loop is None:
+            self.facts_before_loop = list(machine.facts)
         self.turns, self.turns_in_byte = self.turns + 1, self.turns_in_byte + 1
-        machine.claim(self._holds(machine), f"turn {self.turns}")
+        machine.require(self._formula(machine), f"turn {self.turns}")
         for name in ("a", "byte", "quotient"):
-            place = machine.variable(name)
-            machine.store(place, machine.unknown(name, machine.load(place).type))
-        machine.facts[:] = [*self.facts, self._holds(machine)]
-        if known(machine.load(machine.variable("turns")).term) == 1:
-            self.turns_in_byte = 0
+            variable = machine.local_variable(name)
+            machine.store(variable, machine.fresh_number(name, machine.load(variable).type))
+        machine.facts[:] = [*self.facts_before_loop, self._formula(machine)]
+        if constant_value(machine.load(machine.local_variable("turns")).term) == 1:
+            self.turns_in_byte = 0  # the inner loop ends here, and its byte joins the quotient
 
-    def _holds(self, machine: Machine) -> Any:
-        a, byte, bytes_ = (machine.load(machine.variable(name)).term for name in ("a", "byte", "quotient"))
-        quotient, d = bytes_ * 2**self.turns_in_byte + byte, machine.given["d"]
+    def _formula(self, machine: Machine) -> Any:
+        a, byte, full_bytes = (
+            machine.load(machine.local_variable(name)).term for name in ("a", "byte", "quotient")
+        )
+        quotient = full_bytes * 2**self.turns_in_byte + byte
+        dividend, d = machine.argument_terms["a"], machine.argument_terms["d"]
         return z3.And(
             *(a >= 0, a < 2 * d, byte >= 0, byte < 2**self.turns_in_byte),
-            *(bytes_ >= 0, bytes_ < 2 ** (self.turns - self.turns_in_byte)),
-            2**self.turns * machine.given["a"] == 2 * (d * quotient) + a,
+            *(full_bytes >= 0, full_bytes < 2 ** (self.turns - self.turns_in_byte)),
+            2**self.turns * dividend == 2 * (d * quotient) + a,
         )
 
 
-def _is_prepared(divide: int) -> Callable[[Any, Any], Any]:
-    """The properties of prepare(d)."""
+def _is_prepared(divide: int) -> Formula:
+    """Return the formula for what prepare(d) gives: a divisor of 16 bits or a reciprocal."""
     if divide == HARDWARE:
         return lambda prepared, d: z3.And(d < prepared * 2**15, prepared * 2**15 <= d + 2**15)
-    _, lost = PREPARED[divide]
+    _, lost_share = RECIPROCAL_LIMITS[divide]
     return lambda prepared, d: z3.And(
         prepared > 0,
         prepared * d <= 2**46,
-        (2**46 - prepared * d) * lost.denominator <= lost.numerator * 2**33,
+        (2**46 - prepared * d) * lost_share.denominator <= lost_share.numerator * 2**33,
     )
 
 
-def _estimate(divide: int) -> Contract:
-    """Return a quotient of upper bits, and that its product is no longer than a word."""
+def _estimate_contract(divide: int) -> Contract:
+    """Promise a quotient of upper bits; with a reciprocal, their product must not be longer than a word."""
 
-    def by_hardware(digit: Any, rest: Any, prepared: Any, bits: Any) -> Any:
-        return _is_floor(digit, rest / 2 ** (15 - known(bits)), prepared)
+    def is_quotient_by_hardware(digit: Any, rest: Any, prepared: Any, bits: Any) -> Any:
+        return _is_floor(digit, rest / 2 ** (15 - constant_value(bits)), prepared)
 
-    def by_reciprocal(digit: Any, rest: Any, prepared: Any, bits: Any) -> Any:
-        return _is_floor(digit, rest / 2**15 * prepared, 2 ** (31 - known(bits)))
+    def is_product_with_reciprocal(digit: Any, rest: Any, prepared: Any, bits: Any) -> Any:
+        return _is_floor(digit, rest / 2**15 * prepared, 2 ** (31 - constant_value(bits)))
 
-    divides = divide == HARDWARE
+    def has_divisor(_rest: Any, prepared: Any, _bits: Any) -> Any:
+        return prepared > 0
+
+    def product_fits(rest: Any, prepared: Any, _bits: Any) -> Any:
+        return rest / 2**15 * prepared < 2**32
+
+    divides_in_hardware = divide == HARDWARE
     return Contract(
-        by_hardware if divides else by_reciprocal,
-        Integers,
-        requires=lambda rest, prepared, _: prepared > 0 if divides else rest / 2**15 * prepared < 2**32,
-        cases=("bits", (7, 12)),
+        is_quotient_by_hardware if divides_in_hardware else is_product_with_reciprocal,
+        IntegerArithmetic,
+        requires=has_divisor if divides_in_hardware else product_fits,
+        constant_parameter="bits",
+        constant_values=(7, 12),
     )
 
 
-def _digit(divide: int, least: int) -> Contract:
-    """A digit is never too large and less than 2 too small, so the rest stays below 2 d."""
+def _digit_contract(divide: int, least_divisor: int) -> Contract:
+    """Promise that a digit is never too large and less than 2 too small, so the rest stays below 2 d."""
+
+    def is_digit(digit: Any, new_rest: Any, rest: Any, d: Any, _prepared: Any, bits: Any) -> Any:
+        is_exact = digit * d + new_rest == rest * 2 ** constant_value(bits)
+        return z3.And(digit >= 0, is_exact, new_rest >= 0, new_rest < 2 * d)
+
+    def is_not_too_large(digit: Any, _new_rest: Any, rest: Any, d: Any, _prepared: Any, bits: Any) -> Any:
+        return digit * d <= rest * 2 ** constant_value(bits)
+
+    def is_not_too_small(digit: Any, _new_rest: Any, rest: Any, d: Any, _prepared: Any, bits: Any) -> Any:
+        return rest * 2 ** constant_value(bits) < digit * d + 2 * d
+
+    def requires(rest: Any, d: Any, prepared: Any, _bits: Any) -> Any:
+        return z3.And(_is_divisible(least_divisor)(rest, d), _is_prepared(divide)(prepared, d))
+
     return Contract(
-        lambda digit, after, rest, d, prepared, bits: z3.And(
-            digit >= 0, digit * d + after == rest * 2 ** known(bits), after >= 0, after < 2 * d
-        ),
-        Integers,
-        requires=lambda rest, d, prepared, bits: z3.And(
-            _divisible(least)(rest, d), _is_prepared(divide)(prepared, d)
-        ),
-        steps=(
-            lambda digit, after, rest, d, prepared, bits: digit * d <= rest * 2 ** known(bits),
-            lambda digit, after, rest, d, prepared, bits: rest * 2 ** known(bits) < digit * d + 2 * d,
-        ),
-        cases=("bits", (7, 12)),
-        uses=("estimate_digit",),
+        is_digit,
+        IntegerArithmetic,
+        requires=requires,
+        proof_steps=(is_not_too_large, is_not_too_small),
+        constant_parameter="bits",
+        constant_values=(7, 12),
+        used_lemmas=("estimate_digit",),
     )
 
 
-def _by_digits(divide: int) -> dict[str, Contract]:
-    least = 2**29 if divide == HARDWARE else PREPARED[divide][0]
-    prepare = Contract(_is_prepared(divide), Integers, requires=lambda d: z3.And(least <= d, d <= 2**31))
-    digit = _digit(divide, least)
+def is_quotient_24(result: Any, a: Any, d: Any) -> Any:
+    """Return that the result is 2^24 a / d, rounded down."""
+    return _is_floor(result, 2**24 * a, d)
+
+
+def is_quotient_31(result: Any, a: Any, d: Any) -> Any:
+    """Return that the result is 2^31 a / d, rounded down."""
+    return _is_floor(result, 2**31 * a, d)
+
+
+def _division_contracts(*used_lemmas: str) -> dict[str, Contract]:
+    """Return the contracts of the two divisions, which call these functions for digits or bits."""
     return {
-        "prepare": prepare,
-        "estimate_digit": _estimate(divide),
-        "take_digit": digit,
-        **_quotients("prepare", "take_digit"),
+        "divide_24": Contract(
+            is_quotient_24, IntegerArithmetic, _is_divisible(2**29), used_lemmas=used_lemmas
+        ),
+        "divide_31": Contract(
+            is_quotient_31, IntegerArithmetic, _is_divisible(2**30), used_lemmas=used_lemmas
+        ),
     }
 
 
-def _quotients(*uses: str) -> dict[str, Contract]:
-    """The callers of digits or bits."""
+def _digit_division_contracts(divide: int) -> dict[str, Contract]:
+    """Return the contracts of a division that takes several bits of the quotient at once."""
+    least_divisor = 2**29 if divide == HARDWARE else RECIPROCAL_LIMITS[divide][0]
+
+    def is_divisor(d: Any) -> Any:
+        return z3.And(least_divisor <= d, d <= 2**31)
 
     return {
-        "divide_24": Contract(divide_24, Integers, _divisible(2**29), uses=uses),
-        "divide_31": Contract(divide_31, Integers, _divisible(2**30), uses=uses),
+        "prepare": Contract(_is_prepared(divide), IntegerArithmetic, requires=is_divisor),
+        "estimate_digit": _estimate_contract(divide),
+        "take_digit": _digit_contract(divide, least_divisor),
+        **_division_contracts("prepare", "take_digit"),
     }
 
 
-def divide_24(found: Any, a: Any, d: Any) -> Any:
-    return _is_floor(found, 2**24 * a, d)
+def _bit_division_contracts() -> dict[str, Contract]:
+    """Return the contracts of a division that takes one bit of the quotient after the other."""
 
+    def is_quotient(result: Any, a: Any, d: Any, bits: Any) -> Any:
+        return _is_floor(result, 2 ** constant_value(bits) * a, d)
 
-def divide_31(found: Any, a: Any, d: Any) -> Any:
-    return _is_floor(found, 2**31 * a, d)
+    def requires(a: Any, d: Any, _bits: Any) -> Any:
+        return z3.And(a < 2 * d, d <= 2**31)
 
-
-def _by_bits() -> dict[str, Contract]:
-    one_by_one = Contract(
-        lambda found, a, d, bits: _is_floor(found, 2 ** known(bits) * a, d),
-        Integers,
-        requires=lambda a, d, bits: z3.And(a < 2 * d, d <= 2**31),
-        cases=("bits", (24, 31)),
-        invariant=lambda: Remainder().after_turn,
+    divide_by_bits = Contract(
+        is_quotient,
+        IntegerArithmetic,
+        requires=requires,
+        constant_parameter="bits",
+        constant_values=(24, 31),
+        make_loop_invariant=lambda: DivisionInvariant().after_turn,
     )
-    return {"divide_by_bits": one_by_one, **_quotients("divide_by_bits")}
+    return {"divide_by_bits": divide_by_bits, **_division_contracts("divide_by_bits")}
 
 
-def normalised(value: Any) -> tuple[Any, Any]:
+# --- Quotients of long words ------------------------------------------------------------------------------
+
+
+def normalise(value: Any) -> tuple[Any, Any]:
     """Return a long word shifted until its highest bit is set, and by how much."""
     shift = z3.BitVecVal(0, 64)
     for step in (32, 16, 8, 4, 2, 1):
-        more = z3.If(z3.LShR(value, 64 - step) == 0, z3.BitVecVal(step, 64), z3.BitVecVal(0, 64))
-        value, shift = value << more, shift + more
+        are_upper_bits_clear = z3.LShR(value, 64 - step) == 0
+        added_shift = z3.If(are_upper_bits_clear, z3.BitVecVal(step, 64), z3.BitVecVal(0, 64))
+        value, shift = value << added_shift, shift + added_shift
     return value, shift
 
 
-def _no_bit_is_lost(_: Any, a: Any, d: Any) -> Any:
-    """Claim that no bit is lost if both are shifted until d has its highest bit set."""
-    divisor, shift = normalised(d)
+def _loses_no_bit(_result: Any, a: Any, d: Any) -> Any:
+    """Return that no bit is lost if both are shifted until d has its highest bit set."""
+    divisor, shift = normalise(d)
     return z3.And(z3.LShR(a << shift, shift) == a, z3.LShR(divisor, shift) == d)
 
 
-def _upper_bits(found: Any, a: Any, d: Any) -> Any:
-    """Return the upper word of the shifted dividend, and half of that of the divisor, rounded up."""
-    divisor, shift = normalised(d)
-    half = _word(31, z3.LShR(divisor, 33)) + 1
-    return z3.And(found["high"] == _word(63, a << shift), found["low"] == half)
+def _has_upper_bits(result: Any, a: Any, d: Any) -> Any:
+    """Return that the result is the upper word of the shifted a, and half of that of the shifted d.
+
+    The half is rounded up.
+    """
+    divisor, shift = normalise(d)
+    half_of_upper_word = _extract_word(31, z3.LShR(divisor, 33)) + 1
+    upper_word = _extract_word(63, a << shift)
+    return z3.And(result["high"] == upper_word, result["low"] == half_of_upper_word)
 
 
 def ratio_requires(a: Any, d: Any) -> Any:
-    """Return what a ratio a / d requires, for whole numbers and for words wide enough to be like them."""
+    """Return what a ratio a / d requires, for integers and for words wide enough to be like them."""
     return z3.And(d > 0, a <= d)
 
 
 def is_ratio(upper_a: Any, half_d: Any, long_a: Any, long_d: Any) -> Any:
-    """Return what is known of the result of ratio(): the upper parts of a and d, times a power of two."""
+    """Return that the result of ratio() is the upper parts of a and d, both times a power of two."""
     return z3.And(
         *(long_a < 2**64, long_d >= 2**63, long_d < 2**64),
         *(2**32 * upper_a <= long_a, long_a < 2**32 * (upper_a + 1)),
@@ -284,56 +338,65 @@ def is_ratio(upper_a: Any, half_d: Any, long_a: Any, long_d: Any) -> Any:
     )
 
 
-def _whole(word: Any) -> Any:
+def _like_integer(word: Any) -> Any:
     """Return the word with so many bits that nothing in these formulas wraps, nor in a shift by 63."""
-    return widen(word, 128)
+    return zero_extend(word, 128)
 
 
-def _is_ratio_of_words(found: Any, a: Any, d: Any) -> Any:
-    shift = _whole(normalised(d)[1])
-    return is_ratio(_whole(found["high"]), _whole(found["low"]), _whole(a) << shift, _whole(d) << shift)
+def _words_are_ratio(result: Any, a: Any, d: Any) -> Any:
+    _, shift = normalise(d)
+    wide_shift = _like_integer(shift)
+    upper_a, half_d = _like_integer(result["high"]), _like_integer(result["low"])
+    return is_ratio(upper_a, half_d, _like_integer(a) << wide_shift, _like_integer(d) << wide_shift)
 
 
 RATIO = Contract(
-    _is_ratio_of_words,
-    requires=lambda a, d: ratio_requires(_whole(a), _whole(d)),
-    steps=(_no_bit_is_lost, _upper_bits),
-    uses=("leading_zeros", "shifted_high_word"),
+    _words_are_ratio,
+    requires=lambda a, d: ratio_requires(_like_integer(a), _like_integer(d)),
+    proof_steps=(_loses_no_bit, _has_upper_bits),
+    used_lemmas=("leading_zeros", "shifted_high_word"),
 )
 
 
-def _ratio_in_integers(machine: Machine, a: Any, d: Any) -> Any:
-    """ratio() for quotient()."""
-    machine.claim(ratio_requires(a.term, d.term), "what ratio requires")
-    upper_a, half_d, scale = (machine.unknown("ratio", Type(bits)) for bits in (32, 32, 64))
+def _ratio_of_integers(machine: Machine, a: Any, d: Any) -> Any:
+    """Stand in for ratio() by its lemma, which is proved with words, in the proof of quotient()."""
+    machine.require(ratio_requires(a.term, d.term), "what ratio requires")
+    upper_a, half_d, scale = (machine.fresh_number("ratio", IntegerType(bits)) for bits in (32, 32, 64))
     long_a, long_d = a.term * scale.term, d.term * scale.term
-    machine.know(z3.And(scale.term >= 1, is_ratio(upper_a.term, half_d.term, long_a, long_d)))
+    machine.assume(z3.And(scale.term >= 1, is_ratio(upper_a.term, half_d.term, long_a, long_d)))
     return {"high": upper_a, "low": half_d}
 
 
-def quotient_ensures(found: Any, a: Any, d: Any) -> Any:
-    """At most 7 units of 2^-32 too small, never too large."""
-    return z3.And(found * d <= 2**32 * a, 2**32 * a <= (found + 7) * d, found < 2**32)
+def is_near_quotient(result: Any, a: Any, d: Any) -> Any:
+    """Return that the result is a / d in units of 2^-32, at most 7 units too small and never too large."""
+    return z3.And(result * d <= 2**32 * a, 2**32 * a <= (result + 7) * d, result < 2**32)
 
 
 QUOTIENT = Contract(
-    quotient_ensures,
-    Integers,
+    is_near_quotient,
+    IntegerArithmetic,
     requires=ratio_requires,
-    uses=("divide_31",),
-    instead={"ratio": _ratio_in_integers},
+    used_lemmas=("divide_31",),
+    stand_ins={"ratio": _ratio_of_integers},
 )
 
 
 def is_tried(variant: Variant, name: str) -> bool:
     """Return whether every argument of a function is tried instead of a proof."""
-    return name == "prepare" and variant.divide in PREPARED
+    return name == "prepare" and variant.divide in RECIPROCAL_LIMITS
 
 
 @cache
 def _contracts(divide: int) -> dict[str, Contract]:
-    quotients = _by_bits() if divide == BITS else _by_digits(divide)
-    return {**WORDS, **SHIFTS, **PRODUCTS, **quotients, "ratio": RATIO, "quotient": QUOTIENT}
+    divisions = _bit_division_contracts() if divide == BITS else _digit_division_contracts(divide)
+    return {
+        **WORD_CONTRACTS,
+        **SHIFT_CONTRACTS,
+        **PRODUCT_CONTRACTS,
+        **divisions,
+        "ratio": RATIO,
+        "quotient": QUOTIENT,
+    }
 
 
 def contracts(variant: Variant) -> dict[str, Contract]:

@@ -1,7 +1,13 @@
-"""Runs a function of the firmware on unknown numbers: every path at once, each value a term of the solver.
+"""Symbolic execution: run a function of the firmware on unknown numbers, on all paths at once.
 
-A small part of C, that of the firmware's arithmetic: what is not in it raises an error. Where paths meet, a
-variable becomes a choice between its values. A loop is unrolled until the solver shows that no path goes on.
+A value is a term of the solver instead of a number. The machine knows the small part of C that the firmware
+uses; anything else raises an error. A value in memory is one of these:
+
+- a ``Number``
+- a ``Location``, which stands for a pointer
+- a ``ConstantTable``
+- a dictionary for a structure or an array: values by the names of members, or by the indices of elements as
+  text. A union has its first member alone.
 """
 
 from __future__ import annotations
@@ -14,126 +20,166 @@ from typing import Any
 import z3
 from pycparser import c_ast
 
-from proofs.numbers import Integers, Number, Type, Words, known
-from proofs.source import Program, nodes, stated_shift, stated_turns
+from proofs.numbers import (
+    BitVectorArithmetic,
+    IntegerArithmetic,
+    IntegerType,
+    Number,
+    constant_value,
+    is_constant,
+)
+from proofs.source import Program, documented_max_shift, documented_max_turns, nodes
 
-_COMPARISONS = ("<", "<=", ">", ">=", "==", "!=")
-INTEGERS = {
-    "_Bool": Type(1),
-    **{f"uint{bits}_t": Type(bits) for bits in (8, 16, 32, 64)},
-    **{f"int{bits}_t": Type(bits, signed=True) for bits in (8, 16, 32, 64)},
+_COMPARISON_SYMBOLS = ("<", "<=", ">", ">=", "==", "!=")
+INTEGER_TYPES = {
+    "_Bool": IntegerType(1),
+    **{f"uint{bits}_t": IntegerType(bits) for bits in (8, 16, 32, 64)},
+    **{f"int{bits}_t": IntegerType(bits, signed=True) for bits in (8, 16, 32, 64)},
 }
 
 
 @dataclass(frozen=True)
-class Place:
-    """Where a value is: a variable, and members or elements on the way down from it. An element that is not
-    known before is a number."""
+class Location:
+    """Where a value is stored: in a variable, or in a member or element of it.
+
+    Attributes:
+        variable: The number of the call that declares the variable, and its name.
+        path: Members and elements on the way down from the variable. The index of an element is text, or a
+            number if it is not a constant.
+    """
 
     variable: tuple[int, str]
     path: tuple[str | Number, ...] = ()
 
-    def below(self, *steps: str | Number) -> Place:
-        return Place(self.variable, (*self.path, *steps))
+    def select(self, *steps: str | Number) -> Location:
+        """Return the location of a member or element, some steps further down."""
+        return Location(self.variable, (*self.path, *steps))
 
-    def whole(self) -> Place:
-        """Return the array, if this is an element of one."""
-        return Place(self.variable, self.path[:-1])
-
-
-Fields = dict[str, Any]
-"""A structure or an array: values by the names of its members, or by the numbers of its elements. A union has
-its first member."""
+    def enclosing_array(self) -> Location:
+        """Return the array of which this is an element."""
+        return Location(self.variable, self.path[:-1])
 
 
 @dataclass(frozen=True)
-class Table:
-    """Constant words, any number of them."""
+class ConstantTable:
+    """An array of constant words, any number of them.
 
-    word: Any
-    type: Type
+    Attributes:
+        word_at: Takes the term of an index, and returns the term of the word there.
+        word_type: The type of each word, and of indices.
+    """
+
+    word_at: Any
+    word_type: IntegerType
 
 
 @dataclass(frozen=True)
 class Obligation:
-    """A formula that must hold, under everything known when the program was there."""
+    """A claim that must hold under everything that is known where the program makes it."""
 
-    known: tuple[Any, ...]
+    assumptions: tuple[Any, ...]
     claim: Any
-    about: str
+    description: str
+
+
+@dataclass(frozen=True)
+class Return:
+    """A return statement that the program reached: under which condition, with which result and memory."""
+
+    path_condition: Any
+    result: Any
+    memory: dict[tuple[int, str], Any]
 
 
 @dataclass
-class Frame:
-    """A call: its number, its function, and its returns. Each has a condition, a result and the memory."""
+class CallFrame:
+    """A call of a function.
 
-    number: int
-    definition: Any = None
-    types: dict[str, Any] = field(default_factory=dict)
-    returned: list[tuple[Any, Any, Any]] = field(default_factory=list)
+    Attributes:
+        call_number: Tells the variables of this call from those of other calls.
+        function: The definition of the called function.
+        declared_types: The types of its variables by name, as declared.
+        returns: The return statements that were reached.
+    """
+
+    call_number: int
+    function: Any = None
+    declared_types: dict[str, Any] = field(default_factory=dict)
+    returns: list[Return] = field(default_factory=list)
 
 
 Summary = Callable[..., Any]
-"""Stands for a called function: takes the machine and the arguments, returns the result."""
+"""Stands for a called function: takes the machine and the arguments, returns the result.
+
+A caller then relies on what the function's contract says, and the proof does not enter its code again.
+"""
 
 
 class Machine:
-    """One run.
+    """One symbolic execution.
+
+    The machine keeps one memory for all paths, and the path condition: the conditions under which the program
+    gets to where it is. A branch whose condition is open runs both ways, each with its condition added to the
+    path condition. Where the two meet, each variable becomes a choice between its two values. So the number
+    of paths does not double with every branch.
 
     Attributes:
         facts: What is known of the unknown numbers.
-        obligations: What was met on the way and must be proved.
-        given: Terms of the function's arguments, by name.
-        after_turn: Called after each turn of a loop that has none within it.
+        obligations: The claims that were met on the way and must be proved.
+        argument_terms: Terms of the function's arguments, by name.
+        after_loop_turn: Called after each turn of an innermost loop.
     """
 
     def __init__(
         self,
         program: Program,
-        arithmetic: type[Words | Integers],
+        arithmetic: type[BitVectorArithmetic | IntegerArithmetic],
         summaries: Mapping[str, Summary] | None = None,
     ) -> None:
         self.program = program
-        self.arithmetic = arithmetic(self.claim)
+        self.arithmetic = arithmetic(self.require)
         self.summaries = summaries or {}
-        self.int = Type(program.variant.int_bits, signed=True)
+        self.int_type = IntegerType(program.variant.int_bits, signed=True)
         self.facts: list[Any] = []
         self.obligations: list[Obligation] = []
-        self.given: dict[str, Any] = {}
-        self.after_turn: Callable[[Machine], None] | None = None
-        self._path: list[Any] = []
+        self.argument_terms: dict[str, Any] = {}
+        self.after_loop_turn: Callable[[Machine], None] | None = None
+        self._path_condition: list[Any] = []
         self._memory: dict[tuple[int, str], Any] = {}
-        self._frames: list[Frame] = [Frame(0)]
-        self._names = 0
+        self._call_frames: list[CallFrame] = [CallFrame(0)]
+        self._name_count = 0
 
-    # --- What proofs use ---
+    # --- Unknown values ---
 
-    def unknown(self, name: str, type_: Type) -> Number:
+    def fresh_number(self, name: str, type_: IntegerType) -> Number:
         """Return a number of this type with any value."""
-        self._names += 1
-        number, fact = self.arithmetic.unknown(f"{name}_{self._names}", type_)
-        self.facts.append(fact)
+        self._name_count += 1
+        number, is_in_range = self.arithmetic.fresh_number(f"{name}_{self._name_count}", type_)
+        self.facts.append(is_in_range)
         return number
 
-    def unknown_of(self, declared: Any, name: str) -> Any:
+    def fresh_value(self, declaration: Any, name: str) -> Any:
         """Return an unknown value of a declared type: a number, or a structure of them."""
-        return self._filled(declared, name, self.unknown)
+        return self._build_value(declaration, name, self.fresh_number)
 
-    def _filled(self, declared: Any, name: str, number: Callable[[str, Type], Number]) -> Any:
-        kind = self._resolve(declared)
-        if kind == "void":
+    def _build_value(
+        self, declaration: Any, name: str, make_number: Callable[[str, IntegerType], Number]
+    ) -> Any:
+        """Return a value of a declared type, whose numbers ``make_number`` makes. It is None for void."""
+        type_ = self._resolve_type(declaration)
+        if type_ == "void":
             return None
-        if isinstance(kind, Type):
-            return number(name, kind)
-        if isinstance(kind, c_ast.PtrDecl):
-            return self._pointer_to(kind.type, name)
-        if isinstance(kind, c_ast.ArrayDecl):
-            size = known(self.value(kind.dim).term)
-            return {str(index): self._filled(kind.type, name, number) for index in range(size)}
-        members = kind.decls
-        if isinstance(kind, c_ast.Union) and not self._has_separate_members(kind):
-            members = kind.decls[:1]
-        return {each.name: self._filled(each.type, each.name, number) for each in members}
+        if isinstance(type_, IntegerType):
+            return make_number(name, type_)
+        if isinstance(type_, c_ast.PtrDecl):
+            return self._pointer_to_fresh_target(type_.type, name)
+        if isinstance(type_, c_ast.ArrayDecl):
+            length = constant_value(self.evaluate(type_.dim).term)
+            return {str(index): self._build_value(type_.type, name, make_number) for index in range(length)}
+        members = type_.decls
+        if isinstance(type_, c_ast.Union) and not self._has_separate_members(type_):
+            members = type_.decls[:1]
+        return {member.name: self._build_value(member.type, member.name, make_number) for member in members}
 
     @staticmethod
     def _has_separate_members(union: Any) -> bool:
@@ -144,487 +190,603 @@ class Machine:
         """
         return "sums" in [member.name for member in union.decls]
 
-    def _pointer_to(self, declared: Any, name: str) -> Place:
-        """To something unknown: constant words may be any number of them."""
-        kind = self._resolve(declared)
-        if not isinstance(kind, Type) or "const" not in declared.quals:
-            return self.at(name, self.unknown_of(declared, name))
-        word = self.arithmetic.constant(0, kind).term.sort()
-        return self.at(name, Table(z3.Function(f"{name}_{self._names}", word, word), kind)).below("0")
+    def _pointer_to_fresh_target(self, declaration: Any, name: str) -> Location:
+        """Return a pointer to an unknown value. Constant words become a table of any length."""
+        target_type = self._resolve_type(declaration)
+        if not isinstance(target_type, IntegerType) or "const" not in declaration.quals:
+            return self.new_variable(name, self.fresh_value(declaration, name))
+        word_sort = self.arithmetic.constant(0, target_type).term.sort()
+        # An uninterpreted function: any word for each index, and always the same one.
+        word_at = z3.Function(f"{name}_{self._name_count}", word_sort, word_sort)
+        return self.new_variable(name, ConstantTable(word_at, target_type)).select("0")
 
-    def parameter_of(self, parameter: Any) -> Any:
+    def fresh_argument(self, parameter: Any) -> Any:
         """Return an unknown argument: for an array, a pointer to its first element."""
-        value = self.unknown_of(parameter.type, parameter.name)
-        is_array = isinstance(parameter.type, c_ast.ArrayDecl)
-        return self.at(parameter.name, value).below("0") if is_array else value
-
-    def seen(self, value: Any) -> Any:
-        """Return the solver's terms in a value and in what its pointers point to, by name."""
-        if isinstance(value, Place):
-            return self.seen(self.load(value.whole() if value.path[-1:] == ("0",) else value))
-        if isinstance(value, dict):
-            return {name: self.seen(each) for name, each in value.items()}
-        return value.term if isinstance(value, Number) else value
-
-    def constant_of(self, declared: Any, value: int) -> Number:
-        """Return a known number of a declared type."""
-        return self.arithmetic.constant(value, self._resolve(declared))
-
-    def variable(self, name: str) -> Place:
-        """Return a variable of the function that runs."""
-        return Place((self._frames[-1].number, name))
-
-    def declare(self, declaration: Any) -> None:
-        """A variable of this type with any value."""
-        self._declare(declaration.name, declaration.type, self.unknown_of(declaration.type, declaration.name))
-
-    def at(self, name: str, value: Any) -> Place:
-        """Return a pointer to a new variable with this value."""
-        self._names += 1
-        place = Place((0, f"{name}_{self._names}"))
-        self._memory[place.variable] = value
-        return place
-
-    def load(self, place: Place) -> Any:
-        value = self._memory[place.variable]
-        for step in place.path:
-            value = self._element(value, step)
+        value = self.fresh_value(parameter.type, parameter.name)
+        if isinstance(parameter.type, c_ast.ArrayDecl):
+            return self.new_variable(parameter.name, value).select("0")
         return value
 
-    def _element(self, whole: Any, step: str | Number) -> Any:
-        if isinstance(whole, Table):
-            index = step if isinstance(step, Number) else self.arithmetic.constant(int(step), whole.type)
-            word = Number(whole.word(self._converted(index, whole.type).term), whole.type)
-            self.facts.append(self.arithmetic.fits(word))
+    def constant_argument(self, parameter: Any, value: int) -> Number:
+        """Return an argument with a known value."""
+        return self.arithmetic.constant(value, self._resolve_type(parameter.type))
+
+    def terms_of(self, value: Any) -> Any:
+        """Return the solver's terms in a value and in what its pointers point to, by name."""
+        if isinstance(value, Location):
+            # A pointer to the first element stands for the array.
+            points_to_array = value.path[-1:] == ("0",)
+            return self.terms_of(self.load(value.enclosing_array() if points_to_array else value))
+        if isinstance(value, dict):
+            return {name: self.terms_of(member) for name, member in value.items()}
+        return value.term if isinstance(value, Number) else value
+
+    # --- Assumptions and claims ---
+
+    def assume(self, formula: Any) -> None:
+        """Add something that holds wherever the program gets here."""
+        path_condition = self._path_condition
+        self.facts.append(z3.Implies(z3.And(path_condition), formula) if path_condition else formula)
+
+    def require(self, formula: Any, description: str) -> None:
+        """Add an obligation: the formula must hold here."""
+        if not z3.is_true(z3.simplify(formula)):
+            self.obligations.append(Obligation(self.assumptions_here(), formula, description))
+
+    def assumptions_here(self) -> tuple[Any, ...]:
+        """Return the facts, and the conditions under which the program gets here."""
+        return (*self.facts, *self._path_condition)
+
+    # --- Memory ---
+
+    def new_variable(self, name: str, value: Any) -> Location:
+        """Return a pointer to a new variable with this value."""
+        self._name_count += 1
+        location = Location((0, f"{name}_{self._name_count}"))
+        self._memory[location.variable] = value
+        return location
+
+    def local_variable(self, name: str) -> Location:
+        """Return the location of a variable of the function that runs."""
+        return Location((self._call_frames[-1].call_number, name))
+
+    def declare_unknown(self, declaration: Any) -> None:
+        """Declare a variable that may have any value."""
+        value = self.fresh_value(declaration.type, declaration.name)
+        self._declare(declaration.name, declaration.type, value)
+
+    def _declare(self, name: str, declaration: Any, value: Any) -> None:
+        self._call_frames[-1].declared_types[name] = declaration
+        location = self.local_variable(name)
+        self._memory[location.variable] = self._convert(value, self._resolve_type(declaration))
+
+    def load(self, location: Location) -> Any:
+        """Return the value at a location."""
+        value = self._memory[location.variable]
+        for step in location.path:
+            value = self._load_element(value, step)
+        return value
+
+    def _load_element(self, container: Any, step: str | Number) -> Any:
+        """Return a member or element of a value."""
+        if isinstance(container, ConstantTable):
+            word_type = container.word_type
+            index = step if isinstance(step, Number) else self.arithmetic.constant(int(step), word_type)
+            word = Number(container.word_at(self._convert(index, word_type).term), word_type)
+            self.facts.append(self.arithmetic.is_in_range(word))
             return word
         if isinstance(step, str):
-            return whole[step]
-        first, *others = whole.items()
-        found = first[1]
-        for at, each in others:
-            found = _merged(self._is_at(step, at), each, found)
-        return found
+            return container[step]
+        # The index is not a constant: choose among all elements. It is claimed elsewhere to be one of them.
+        first_item, *other_items = container.items()
+        _, loaded_value = first_item
+        for index_text, element in other_items:
+            loaded_value = merge_values(self._is_index(step, index_text), element, loaded_value)
+        return loaded_value
 
-    def _is_at(self, index: Number, at: str) -> Any:
-        return index.term == self.arithmetic.constant(int(at), index.type).term
+    def _is_index(self, index: Number, index_text: str) -> Any:
+        return index.term == self.arithmetic.constant(int(index_text), index.type).term
 
-    def know(self, formula: Any) -> None:
-        """Add something that holds wherever the program gets here."""
-        self.facts.append(z3.Implies(z3.And(self._path), formula) if self._path else formula)
+    def store(self, location: Location, value: Any) -> Any:
+        """Store a value, converted to the type of what it replaces. Return the stored value."""
+        if location.path[-2:-1] == ("all",):
+            return self._clear_eight_bytes(location, value)
+        old_value = self.load(location)
+        if isinstance(old_value, Number):
+            value = self._convert(value, old_value.type)
+        variable = location.variable
+        self._memory[variable] = self._replace_element(self._memory[variable], location.path, value)
+        return value
 
-    def claim(self, formula: Any, about: str) -> None:
-        """Add something that must hold here."""
-        if not z3.is_true(z3.simplify(formula)):
-            self.obligations.append(Obligation(self.known_here(), formula, about))
+    def _clear_eight_bytes(self, location: Location, value: Any) -> Any:
+        """Store 0 in a long word of the union of senders heard, which has its bytes in ``of`` alone."""
+        assert constant_value(value.term) == 0, "long words of a union of bytes are cleared, nothing else"
+        *union_path, _all, word_index = location.path
+        first_byte = 8 * int(str(word_index))
+        for byte_index in range(first_byte, first_byte + 8):
+            self.store(Location(location.variable, (*union_path, "of", str(byte_index))), value)
+        return value
 
-    def known_here(self) -> tuple[Any, ...]:
-        """Return the facts, and the conditions under which the program gets here."""
-        return (*self.facts, *self._path)
+    def _replace_element(self, container: Any, path: tuple[str | Number, ...], value: Any) -> Any:
+        """Return a copy of a value in which the member or element at the end of a path is another one."""
+        if not path:
+            return value
+        step, *remaining_steps = path
+        remaining_path = tuple(remaining_steps)
+        if isinstance(step, str):
+            return {**container, step: self._replace_element(container[step], remaining_path, value)}
+        # The index is not a constant: each element becomes the new value if the index is its own.
+        new_elements = {}
+        for index_text, element in container.items():
+            new_element = self._replace_element(element, remaining_path, value)
+            new_elements[index_text] = merge_values(self._is_index(step, index_text), new_element, element)
+        return new_elements
+
+    # --- Calls ---
 
     def call(self, name: str, *arguments: Any) -> Any:
-        """Call a function; returns its result, None without one."""
+        """Call a function, or its summary if there is one. Return its result, or None without one."""
         if name in self.summaries:
             return self.summaries[name](self, *arguments)
-        definition = self.program.functions[name]
-        self._names += 1
-        frame, outside = Frame(self._names, definition), list(self._memory)
-        self._frames.append(frame)
+        function = self.program.functions[name]
+        self._name_count += 1
+        frame = CallFrame(self._name_count, function)
+        variables_of_callers = list(self._memory)
+        self._call_frames.append(frame)
         for parameter, argument in zip(self.program.parameters(name), arguments, strict=True):
             self._declare(parameter.name, parameter.type, argument)
-        depth = len(self._path)
-        self.execute(definition.body)
-        del self._path[depth:]
-        self._frames.pop()
-        for condition, _, memory in reversed(frame.returned):
-            for key in outside:
-                self._memory[key] = _merged(condition, memory[key], self._memory[key])
-        return self._chosen(frame.returned)
+        path_length = len(self._path_condition)
+        self.execute(function.body)
+        # A return ends its path within the function, and the caller goes on after each of them.
+        del self._path_condition[path_length:]
+        self._call_frames.pop()
+        return self._merge_returns(frame.returns, variables_of_callers)
+
+    def _merge_returns(self, returns: list[Return], variables_of_callers: list[tuple[int, str]]) -> Any:
+        """Make memory and result a choice between those of all returns. Return the result."""
+        for return_ in reversed(returns):
+            for variable in variables_of_callers:
+                self._memory[variable] = merge_values(
+                    return_.path_condition, return_.memory[variable], self._memory[variable]
+                )
+        if not returns:
+            return None
+        # On a path that reaches none of the others, the last return is the one.
+        result = returns[-1].result
+        for return_ in reversed(returns[:-1]):
+            result = merge_values(return_.path_condition, return_.result, result)
+        return result
 
     # --- Statements ---
 
     def execute(self, node: Any) -> None:
-        getattr(self, f"_{type(node).__name__}", self._expression_statement)(node)
+        """Execute a statement. Each kind has a method, ``_execute_if`` for c_ast.If."""
+        method_name = f"_execute_{type(node).__name__.lower()}"
+        getattr(self, method_name, self.evaluate)(node)
 
-    def _expression_statement(self, node: Any) -> None:
-        self.value(node)
+    def _execute_compound(self, node: Any) -> None:
+        for statement in node.block_items or []:
+            self.execute(statement)
 
-    def _Compound(self, node: Any) -> None:  # noqa: N802
-        for item in node.block_items or []:
-            self.execute(item)
+    def _execute_decllist(self, node: Any) -> None:
+        for declaration in node.decls:
+            self.execute(declaration)
 
-    def _DeclList(self, node: Any) -> None:  # noqa: N802
-        for each in node.decls:
-            self.execute(each)
-
-    def _Decl(self, node: Any) -> None:  # noqa: N802
-        value = None
+    def _execute_decl(self, node: Any) -> None:
+        initial_value = None
         if isinstance(node.init, c_ast.InitList):
-            value = self._initialised(self._resolve(node.type), node.init)
+            initial_value = self._evaluate_initializer(self._resolve_type(node.type), node.init)
         elif node.init is not None:
-            value = self.value(node.init)
+            initial_value = self.evaluate(node.init)
         elif isinstance(node.type, c_ast.ArrayDecl):
-            value = self.unknown_of(node.type, node.name)
-        self._declare(node.name, node.type, value)
+            initial_value = self.fresh_value(node.type, node.name)
+        self._declare(node.name, node.type, initial_value)
 
-    def _Return(self, node: Any) -> None:  # noqa: N802
-        frame = self._frames[-1]
-        value = None if node.expr is None else self.value(node.expr)
-        value = self._converted(value, self._resolve(frame.definition.decl.type.type))
-        frame.returned.append((z3.And(self._path), value, dict(self._memory)))
-        self._path.append(z3.BoolVal(False))
+    def _execute_return(self, node: Any) -> None:
+        frame = self._call_frames[-1]
+        result = None if node.expr is None else self.evaluate(node.expr)
+        result = self._convert(result, self._resolve_type(frame.function.decl.type.type))
+        frame.returns.append(Return(z3.And(self._path_condition), result, dict(self._memory)))
+        # Nothing behind a return is reached on this path, so anything may be claimed there.
+        self._path_condition.append(z3.BoolVal(False))
 
-    def _If(self, node: Any) -> None:  # noqa: N802
-        self._branch(
-            self.truth(node.cond),
-            lambda: self.execute(node.iftrue),
-            lambda: None if node.iffalse is None else self.execute(node.iffalse),
-        )
+    def _execute_if(self, node: Any) -> None:
+        def execute_else() -> None:
+            if node.iffalse is not None:
+                self.execute(node.iffalse)
 
-    def _For(self, node: Any) -> None:  # noqa: N802
+        condition = self.evaluate_condition(node.cond)
+        self._execute_branches(condition, lambda: self.execute(node.iftrue), execute_else)
+
+    def _execute_for(self, node: Any) -> None:
         if node.init is not None:
             self.execute(node.init)
-        self._turn(node, 0)
+        self._execute_turns(node, 0)
 
-    def _While(self, node: Any) -> None:  # noqa: N802
-        self._turn(node, 0)
+    def _execute_while(self, node: Any) -> None:
+        self._execute_turns(node, 0)
 
-    def _EmptyStatement(self, node: Any) -> None:  # noqa: N802
-        """Nothing."""
+    def _execute_emptystatement(self, node: Any) -> None:
+        """Do nothing."""
 
-    def _turn(self, node: Any, made: int) -> None:
-        condition = z3.simplify(self.truth(node.cond))
-        most = stated_turns(node)
+    def _execute_turns(self, loop: Any, turns_before: int) -> None:
+        """Execute what remains of a loop after some turns.
+
+        The loop is unrolled: a turn is a branch within the turn before. It ends when the condition simplifies
+        to false. After the documented number of turns it must be false, which becomes an obligation.
+        """
+        condition = z3.simplify(self.evaluate_condition(loop.cond))
+        max_turns = documented_max_turns(loop)
         if z3.is_false(condition):
             return
-        if made == most:
-            self.claim(z3.Not(condition), f"at most {made} turns of the loop in line {node.coord.line}")
+        if turns_before == max_turns:
+            description = f"at most {max_turns} turns of the loop in line {loop.coord.line}"
+            self.require(z3.Not(condition), description)
             return
 
-        def go_on() -> None:
-            self.execute(node.stmt)
-            if self.after_turn is not None and not any(nodes(node.stmt, c_ast.For)):
-                self.after_turn(self)
-            if isinstance(node, c_ast.For):
-                self.value(node.next)
-            self._turn(node, made + 1)
+        def execute_next_turn() -> None:
+            self.execute(loop.stmt)
+            if self.after_loop_turn is not None and not any(nodes(loop.stmt, c_ast.For)):
+                self.after_loop_turn(self)
+            if isinstance(loop, c_ast.For):
+                self.evaluate(loop.next)
+            self._execute_turns(loop, turns_before + 1)
 
-        self._branch(condition, go_on, lambda: None)
+        self._execute_branches(condition, execute_next_turn, lambda: None)
 
-    def _branch(self, condition: Any, then: Callable[[], None], otherwise: Callable[[], None]) -> None:
+    def _execute_branches(
+        self, condition: Any, execute_then: Callable[[], None], execute_else: Callable[[], None]
+    ) -> None:
+        """Execute one branch if the condition is a constant, else both, and merge the two memories."""
         condition = z3.simplify(condition)
         if z3.is_true(condition):
-            then()
-        elif z3.is_false(condition):
-            otherwise()
-        else:
-            before = dict(self._memory)
-            with self._under(condition) as after_first:
-                then()
-            after_then, self._memory = self._memory, before
-            with self._under(z3.Not(condition)) as after_second:
-                otherwise()
-            self._memory = {
-                key: _merged(condition, after_then[key], value)
-                for key, value in self._memory.items()
-                if key in after_then
-            }
-            self._path += after_first + after_second
+            execute_then()
+            return
+        if z3.is_false(condition):
+            execute_else()
+            return
+        memory_before = dict(self._memory)
+        with self._path_under(condition) as assumptions_after_then:
+            execute_then()
+        memory_after_then, self._memory = self._memory, memory_before
+        with self._path_under(z3.Not(condition)) as assumptions_after_else:
+            execute_else()
+        # Where the paths meet, variables that only one branch has declared are out of scope.
+        self._memory = {
+            variable: merge_values(condition, memory_after_then[variable], value)
+            for variable, value in self._memory.items()
+            if variable in memory_after_then
+        }
+        self._path_condition += assumptions_after_then + assumptions_after_else
 
     @contextmanager
-    def _under(self, condition: Any) -> Iterator[list[Any]]:
-        """On a path of its own; the list says afterwards what is known behind it: where the condition holds,
-        that no return has ended the path."""
-        depth, behind = len(self._path), list[Any]()
-        self._path.append(condition)
-        yield behind
-        behind += [z3.Implies(condition, each) for each in self._path[depth + 1 :]]
-        del self._path[depth:]
+    def _path_under(self, condition: Any) -> Iterator[list[Any]]:
+        """Execute the block under a path condition that is longer by this condition.
+
+        Yields an empty list. When the block ends, the list has the formulas that then hold on all paths: if
+        the condition was true, no return has ended the path within the block.
+        """
+        path_length = len(self._path_condition)
+        assumptions_afterwards = list[Any]()
+        self._path_condition.append(condition)
+        yield assumptions_afterwards
+        conditions_of_block = self._path_condition[path_length + 1 :]
+        assumptions_afterwards += [z3.Implies(condition, added) for added in conditions_of_block]
+        del self._path_condition[path_length:]
 
     @contextmanager
-    def _only(self, condition: Any) -> Iterator[None]:
-        """For a part of an expression: what it changes is changed only where the condition holds."""
-        before = dict(self._memory)
-        with self._under(condition):
+    def _effects_only_if(self, condition: Any) -> Iterator[None]:
+        """Evaluate a part of an expression in the block: it changes memory only where the condition holds."""
+        memory_before = dict(self._memory)
+        with self._path_under(condition):
             yield
-        for key, value in before.items():
-            self._memory[key] = _merged(condition, self._memory[key], value)
+        for variable, old_value in memory_before.items():
+            self._memory[variable] = merge_values(condition, self._memory[variable], old_value)
 
     # --- Expressions ---
 
-    def value(self, node: Any) -> Any:
-        """Return the value of an expression."""
-        return getattr(self, f"_value_{type(node).__name__}")(node)
+    def evaluate(self, node: Any) -> Any:
+        """Return the value of an expression. Each kind has a method, ``_evaluate_cast`` for c_ast.Cast."""
+        method_name = f"_evaluate_{type(node).__name__.lower()}"
+        return getattr(self, method_name)(node)
 
-    def truth(self, node: Any) -> Any:
-        """Return the formula that the expression is not 0."""
+    def evaluate_condition(self, node: Any) -> Any:
+        """Return the formula that an expression is not 0."""
         if isinstance(node, c_ast.BinaryOp) and node.op in ("&&", "||"):
-            left = self.truth(node.left)
-            with self._only(left if node.op == "&&" else z3.Not(left)):
-                right = self.truth(node.right)
-            return z3.And(left, right) if node.op == "&&" else z3.Or(left, right)
+            left_condition = self.evaluate_condition(node.left)
+            # The right operand is only evaluated if the left one does not settle the result.
+            needs_right = left_condition if node.op == "&&" else z3.Not(left_condition)
+            with self._effects_only_if(needs_right):
+                right_condition = self.evaluate_condition(node.right)
+            combine = z3.And if node.op == "&&" else z3.Or
+            return combine(left_condition, right_condition)
         if isinstance(node, c_ast.UnaryOp) and node.op == "!":
-            return z3.Not(self.truth(node.expr))
-        if isinstance(node, c_ast.BinaryOp) and node.op in _COMPARISONS:
-            left, right = self.value(node.left), self.value(node.right)
-            return self.arithmetic.compare(node.op, *self._common(left, right))
-        return self.value(node).term != 0
+            return z3.Not(self.evaluate_condition(node.expr))
+        if isinstance(node, c_ast.BinaryOp) and node.op in _COMPARISON_SYMBOLS:
+            left_operand, right_operand = self.evaluate(node.left), self.evaluate(node.right)
+            return self.arithmetic.compare(node.op, *self._to_common_type(left_operand, right_operand))
+        return self.evaluate(node).term != 0
 
-    def _value_Constant(self, node: Any) -> Number:  # noqa: N802
+    def _evaluate_constant(self, node: Any) -> Number:
+        """Return a literal number, whose type is the first of C's list that holds its value."""
         digits = node.value.rstrip("uUlL")
         value = int(digits, 0)
-        sizes = [Type(bits, signed) for bits in (self.int.bits, 32, 64) for signed in (True, False)]
-        unsigned_only, may_be_unsigned = "u" in node.value.lower(), digits.startswith("0x")
-        for type_ in sizes:
-            allowed = not type_.signed if unsigned_only else type_.signed or may_be_unsigned
-            if allowed and value <= type_.most:
-                return self.arithmetic.constant(value, type_)
+        is_unsigned_only = "u" in node.value.lower()
+        may_be_unsigned = is_unsigned_only or digits.startswith("0x")
+        for bits in (self.int_type.bits, 32, 64):
+            for signed in (True, False):
+                is_allowed = not is_unsigned_only if signed else may_be_unsigned
+                type_ = IntegerType(bits, signed)
+                if is_allowed and value <= type_.maximum:
+                    return self.arithmetic.constant(value, type_)
         raise NotImplementedError(node.value)
 
-    def _value_ID(self, node: Any) -> Any:  # noqa: N802
-        constant = self.program.constants.get(node.name)
-        return self.load(self._place(node)) if constant is None else self.value(constant)
+    def _evaluate_id(self, node: Any) -> Any:
+        enumeration_value = self.program.constants.get(node.name)
+        if enumeration_value is not None:
+            return self.evaluate(enumeration_value)
+        return self.load(self.local_variable(node.name))
 
-    def _value_StructRef(self, node: Any) -> Any:  # noqa: N802
-        whole = self.value(node.name) if node.type == "." else self.load(self.value(node.name))
-        return whole[node.field.name]
+    def _evaluate_structref(self, node: Any) -> Any:
+        structure = self.evaluate(node.name)
+        if node.type == "->":
+            structure = self.load(structure)
+        return structure[node.field.name]
 
-    def _value_ArrayRef(self, node: Any) -> Any:  # noqa: N802
-        array, index = self.value(node.name), z3.simplify(self.value(node.subscript).term)
-        if isinstance(array, Place) or not (z3.is_int_value(index) or z3.is_bv_value(index)):
-            return self.load(self._place(node))
+    def _evaluate_arrayref(self, node: Any) -> Any:
+        array = self.evaluate(node.name)
+        index = z3.simplify(self.evaluate(node.subscript).term)
+        if isinstance(array, Location) or not is_constant(index):
+            return self.load(self._locate(node))
         return array[str(index.as_long())]
 
-    def _value_Cast(self, node: Any) -> Any:  # noqa: N802
-        kind, value = self._resolve(node.to_type.type), self.value(node.expr)
-        return as_binary32(value) if kind == "float" else self._converted(value, kind)
+    def _evaluate_cast(self, node: Any) -> Any:
+        type_ = self._resolve_type(node.to_type.type)
+        value = self.evaluate(node.expr)
+        return round_to_binary32(value) if type_ == "float" else self._convert(value, type_)
 
-    def _value_TernaryOp(self, node: Any) -> Any:  # noqa: N802
-        condition = z3.simplify(self.truth(node.cond))
-        if z3.is_true(condition) or z3.is_false(condition):
-            return self.value(node.iftrue if z3.is_true(condition) else node.iffalse)
-        with self._only(condition):
-            first = self.value(node.iftrue)
-        with self._only(z3.Not(condition)):
-            second = self.value(node.iffalse)
-        if isinstance(first, Number):
-            first, second = self._common(first, second)
-        return _merged(condition, first, second)
+    def _evaluate_ternaryop(self, node: Any) -> Any:
+        condition = z3.simplify(self.evaluate_condition(node.cond))
+        if z3.is_true(condition):
+            return self.evaluate(node.iftrue)
+        if z3.is_false(condition):
+            return self.evaluate(node.iffalse)
+        with self._effects_only_if(condition):
+            value_if_true = self.evaluate(node.iftrue)
+        with self._effects_only_if(z3.Not(condition)):
+            value_if_false = self.evaluate(node.iffalse)
+        if isinstance(value_if_true, Number):
+            value_if_true, value_if_false = self._to_common_type(value_if_true, value_if_false)
+        return merge_values(condition, value_if_true, value_if_false)
 
-    def _value_UnaryOp(self, node: Any) -> Any:  # noqa: N802
+    def _evaluate_unaryop(self, node: Any) -> Any:
         if node.op == "&":
-            return self._place(node.expr)
+            return self._locate(node.expr)
         if node.op == "*":
-            return self.load(self.value(node.expr))
+            return self.load(self.evaluate(node.expr))
         if node.op in ("++", "--", "p++", "p--"):
-            before = self.value(node.expr)
-            after = self._changed(node.expr, node.op[-1], self.arithmetic.constant(1, self.int))
-            return before if node.op[0] == "p" else after
+            old_value = self.evaluate(node.expr)
+            new_value = self._update(node.expr, node.op[-1], self.arithmetic.constant(1, self.int_type))
+            return old_value if node.op.startswith("p") else new_value  # p: the operator stands behind
         if node.op == "!":
-            return self._truth_value(self.truth(node))
-        number = self._promoted(self.value(node.expr))
-        operator, left = {"-": ("-", 0), "~": ("^", -1)}[node.op]
-        return self.arithmetic.binary(operator, self.arithmetic.constant(left, number.type), number)
+            return self._to_int(self.evaluate_condition(node))
+        number = self._promote(self.evaluate(node.expr))
+        # -x is 0 - x, and ~x is x with all bits of -1 flipped.
+        symbol, left_value = {"-": ("-", 0), "~": ("^", -1)}[node.op]
+        return self.arithmetic.binary(symbol, self.arithmetic.constant(left_value, number.type), number)
 
-    def _value_BinaryOp(self, node: Any) -> Number:  # noqa: N802
-        if node.op in ("&&", "||", *_COMPARISONS):
-            return self._truth_value(self.truth(node))
-        left, right = self.value(node.left), self.value(node.right)
-        self._claim_stated(node, node.op, right)
-        return self._combined(node.op, left, right)
+    def _evaluate_binaryop(self, node: Any) -> Number:
+        if node.op in ("&&", "||", *_COMPARISON_SYMBOLS):
+            return self._to_int(self.evaluate_condition(node))
+        left_operand, right_operand = self.evaluate(node.left), self.evaluate(node.right)
+        self._require_documented_shift(node, node.op, right_operand)
+        return self._apply_operator(node.op, left_operand, right_operand)
 
-    def _value_Assignment(self, node: Any) -> Any:  # noqa: N802
-        if node.op != "=":
-            by = self.value(node.rvalue)
-            self._claim_stated(node, node.op[:-1], by)
-            return self._changed(node.lvalue, node.op[:-1], by)
-        return self.store(self._place(node.lvalue), self.value(node.rvalue))
+    def _evaluate_assignment(self, node: Any) -> Any:
+        if node.op == "=":
+            value = self.evaluate(node.rvalue)
+            return self.store(self._locate(node.lvalue), value)
+        symbol = node.op.removesuffix("=")
+        right_operand = self.evaluate(node.rvalue)
+        self._require_documented_shift(node, symbol, right_operand)
+        return self._update(node.lvalue, symbol, right_operand)
 
-    def _value_FuncCall(self, node: Any) -> Any:  # noqa: N802
-        arguments, name = [self._argument(each) for each in node.args.exprs], node.name.name
+    def _evaluate_funccall(self, node: Any) -> Any:
+        arguments = [self._evaluate_argument(argument) for argument in node.args.exprs]
+        name = node.name.name
         if name == "__builtin_clz":
             return self._count_leading_zeros(arguments[0])
-        kinds = [self._resolve(each.type) for each in self.program.parameters(name)]
-        return self.call(name, *map(self._converted, arguments, kinds))
+        types = [self._resolve_type(parameter.type) for parameter in self.program.parameters(name)]
+        return self.call(name, *map(self._convert, arguments, types))
 
-    def _argument(self, node: Any) -> Any:
-        """Return the value of an argument: of a local array, a pointer to its first element."""
-        declared = self._frames[-1].types.get(node.name) if isinstance(node, c_ast.ID) else None
-        if isinstance(declared, c_ast.ArrayDecl) and isinstance(self.load(self.variable(node.name)), dict):
-            return self.variable(node.name).below("0")
-        return self.value(node)
+    def _evaluate_argument(self, node: Any) -> Any:
+        """Return the value of an argument: for a local array, a pointer to its first element."""
+        if isinstance(node, c_ast.ID):
+            declaration = self._call_frames[-1].declared_types.get(node.name)
+            location = self.local_variable(node.name)
+            if isinstance(declaration, c_ast.ArrayDecl) and isinstance(self.load(location), dict):
+                return location.select("0")
+        return self.evaluate(node)
 
     def _count_leading_zeros(self, number: Number) -> Number:
-        """gcc's and clang's, which leave it open for 0."""
-        self.claim(number.term != 0, "leading zeros of 0")
-        zeros = [self.arithmetic.constant(31 - place, self.int).term for place in range(32)]
-        found = zeros[0]
-        for place, each in enumerate(zeros):
-            found = z3.If(z3.Extract(place, place, number.term) == 1, each, found)
-        return Number(found, self.int)
+        """Return what __builtin_clz() of gcc and clang does. It is undefined for 0."""
+        self.require(number.term != 0, "leading zeros of 0")
+        count = self.arithmetic.constant(31, self.int_type).term
+        for bit in range(32):  # from the lowest, so that the highest bit that is set decides
+            count_if_set = self.arithmetic.constant(31 - bit, self.int_type).term
+            count = z3.If(z3.Extract(bit, bit, number.term) == 1, count_if_set, count)
+        return Number(count, self.int_type)
 
-    # --- Values and places ---
+    # --- Locations of expressions ---
 
-    def _place(self, node: Any) -> Place:
+    def _locate(self, node: Any) -> Location:
+        """Return the location that an expression names; one that names none is an error."""
         if isinstance(node, c_ast.ID):
-            return self.variable(node.name)
+            return self.local_variable(node.name)
         if isinstance(node, c_ast.StructRef):
-            whole: Place = self._place(node.name) if node.type == "." else self.value(node.name)
-            return whole.below(node.field.name)
+            structure = self._locate(node.name) if node.type == "." else self.evaluate(node.name)
+            assert isinstance(structure, Location)
+            return structure.select(node.field.name)
         if isinstance(node, c_ast.ArrayRef):
-            return self._place_of_element(node)
+            return self._locate_element(node)
         if isinstance(node, c_ast.UnaryOp) and node.op == "*":
-            place = self.value(node.expr)
-            assert isinstance(place, Place)
-            return place
+            target = self.evaluate(node.expr)
+            assert isinstance(target, Location)
+            return target
         raise NotImplementedError(f"{type(node).__name__} as a place")
 
-    def _place_of_element(self, node: Any) -> Place:
-        """Return the place of an element: of an array, or counted from where a pointer points to."""
-        index = self.value(node.subscript)
+    def _locate_element(self, node: Any) -> Location:
+        """Return the location of an element: of an array, or counted from where a pointer points to."""
+        index = self.evaluate(node.subscript)
         if isinstance(node.name, c_ast.StructRef) and node.name.field.name == "all":
-            return self._place(node.name).below(str(known(index.term)))
-        array = self.value(node.name)
-        place = self._place(node.name) if isinstance(array, dict) else array.whole()
-        start = 0 if isinstance(array, dict) else int(array.path[-1])
-        constant = z3.simplify(index.term)
-        if z3.is_int_value(constant) or z3.is_bv_value(constant):
-            return place.below(str(start + constant.as_long()))
-        assert start == 0, "a pointer into an array, and an unknown distance"
-        elements = self.load(place)
+            return self._locate(node.name).select(str(constant_value(index.term)))
+        array = self.evaluate(node.name)
+        if isinstance(array, dict):
+            array_location, start_index = self._locate(node.name), 0
+        else:
+            array_location, start_index = array.enclosing_array(), int(array.path[-1])
+        simplified_index = z3.simplify(index.term)
+        if is_constant(simplified_index):
+            return array_location.select(str(start_index + simplified_index.as_long()))
+        assert start_index == 0, "a pointer into an array, and an unknown distance"
+        elements = self.load(array_location)
         if isinstance(elements, dict):
-            bounds = (self.arithmetic.constant(each, index.type) for each in (0, len(elements)))
-            holds = map(self.arithmetic.compare, (">=", "<"), (index, index), bounds)
-            self.claim(z3.And(*holds), "an element of the array")
-        return place.below(index)
+            zero, length = (self.arithmetic.constant(bound, index.type) for bound in (0, len(elements)))
+            is_at_least_0 = self.arithmetic.compare(">=", index, zero)
+            is_below_length = self.arithmetic.compare("<", index, length)
+            self.require(z3.And(is_at_least_0, is_below_length), "an element of the array")
+        return array_location.select(index)
 
-    def store(self, place: Place, value: Any) -> Any:
-        if place.path[-2:-1] == ("all",):
-            assert known(value.term) == 0, "long words of a union of bytes are cleared, nothing else"
-            for byte in range(8 * int(str(place.path[-1])), 8 * int(str(place.path[-1])) + 8):
-                self.store(Place(place.variable, (*place.path[:-2], "of", str(byte))), value)
+    # --- Operators and types ---
+
+    def _update(self, target: Any, symbol: str, right_operand: Number) -> Any:
+        """Execute ``target symbol= right``, and return the new value."""
+        location = self._locate(target)
+        return self.store(location, self._apply_operator(symbol, self.load(location), right_operand))
+
+    def _apply_operator(self, symbol: str, left_operand: Number, right_operand: Number) -> Number:
+        """Return the result of an arithmetic operator, after C's usual conversions."""
+        if symbol in ("<<", ">>"):  # the count does not change the type of the result
+            return self.arithmetic.binary(symbol, self._promote(left_operand), self._promote(right_operand))
+        return self.arithmetic.binary(symbol, *self._to_common_type(left_operand, right_operand))
+
+    def _require_documented_shift(self, node: Any, symbol: str, count: Number) -> None:
+        """Require that a shift's count is at most the bound in the comment beside it."""
+        max_shift = documented_max_shift(node) if symbol in ("<<", ">>") else None
+        if max_shift is not None:
+            limit = self.arithmetic.constant(max_shift, count.type)
+            self.require(self.arithmetic.compare("<=", count, limit), f"a shift by at most {max_shift}")
+
+    def _promote(self, number: Number) -> Number:
+        """Return a number as an int, if its type is shorter."""
+        if number.type.bits >= self.int_type.bits:
+            return number
+        return self.arithmetic.convert(number, self.int_type)
+
+    def _to_common_type(self, left_operand: Number, right_operand: Number) -> tuple[Number, Number]:
+        """Return two numbers as ones of the type in which C computes: the longer one, or the unsigned one."""
+        left_operand, right_operand = self._promote(left_operand), self._promote(right_operand)
+        bits = max(left_operand.type.bits, right_operand.type.bits)
+        longest_types = [number.type for number in (left_operand, right_operand) if number.type.bits == bits]
+        common_type = IntegerType(bits, signed=all(type_.signed for type_ in longest_types))
+        return self._convert(left_operand, common_type), self._convert(right_operand, common_type)
+
+    def _convert(self, value: Any, type_: Any) -> Any:
+        """Return a number as one of an integer type, and anything else unchanged."""
+        if not isinstance(type_, IntegerType) or not isinstance(value, Number) or value.type == type_:
             return value
-        before = self.load(place)
-        if isinstance(before, Number):
-            value = self._converted(value, before.type)
-        self._memory[place.variable] = self._replaced(self._memory[place.variable], place.path, value)
-        return value
+        return self.arithmetic.convert(value, type_)
 
-    def _replaced(self, whole: Any, path: tuple[str | Number, ...], value: Any) -> Any:
-        if not path:
-            return value
-        step, *below = path
-        if isinstance(step, str):
-            return {**whole, step: self._replaced(whole[step], tuple(below), value)}
-        return {
-            at: _merged(self._is_at(step, at), self._replaced(each, tuple(below), value), each)
-            for at, each in whole.items()
-        }
+    def _to_int(self, condition: Any) -> Number:
+        """Return 1 where a condition holds, and 0 elsewhere."""
+        true_term, false_term = (self.arithmetic.constant(value, self.int_type).term for value in (1, 0))
+        return Number(z3.If(condition, true_term, false_term), self.int_type)
 
-    def _changed(self, target: Any, operator: str, by: Number) -> Any:
-        place = self._place(target)
-        return self.store(place, self._combined(operator, self.load(place), by))
+    def _evaluate_initializer(self, type_: Any, node: Any) -> Any:
+        """Return the value of a structure or union that is declared with a list of values."""
+        if isinstance(type_, c_ast.Union):
+            return self._evaluate_union_initializer(node)
+        member_types = {member.name: self._resolve_type(member.type) for member in type_.decls}
+        # Members that the list leaves out are 0.
+        members = self._build_value(
+            type_, "", lambda _, number_type: self.arithmetic.constant(0, number_type)
+        )
+        for (name, member_type), expression in zip(member_types.items(), node.exprs, strict=False):
+            if isinstance(member_type, (IntegerType, c_ast.PtrDecl)):
+                members[name] = self._convert(self.evaluate(expression), member_type)
+        return members
 
-    def _combined(self, operator: str, left: Number, right: Number) -> Number:
-        if operator in ("<<", ">>"):
-            return self.arithmetic.binary(operator, self._promoted(left), self._promoted(right))
-        return self.arithmetic.binary(operator, *self._common(left, right))
+    def _evaluate_union_initializer(self, node: Any) -> dict[str, Any]:
+        """Return the member that a union is read by: one list initialises one, and the other one is read.
 
-    def _claim_stated(self, node: Any, operator: str, count: Number) -> None:
-        """Claim that a shift's count is at most the bound in the comment beside it."""
-        most = stated_shift(node) if operator in ("<<", ">>") else None
-        if most is not None:
-            limit = self.arithmetic.constant(most, count.type)
-            self.claim(self.arithmetic.compare("<=", count, limit), f"a shift by at most {most}")
+        The headers have two unions: a binary32 and its bits; a long word and its two halves on an AVR.
+        """
+        (initializer,) = node.exprs
+        if isinstance(initializer, c_ast.Cast):
+            return {"bits": Number(z3.fpToIEEEBV(self.evaluate(initializer)), INTEGER_TYPES["int32_t"])}
+        long_type, half_bits = INTEGER_TYPES["uint64_t"], self.arithmetic.constant(32, self.int_type)
+        if initializer.name[0].name == "both":
+            both = self.evaluate(initializer.expr)
+            halves = (both, self.arithmetic.binary(">>", both, half_bits))
+            low, high = (self._convert(half, INTEGER_TYPES["uint32_t"]) for half in halves)
+            return {"word": {"0": low, "1": high}}
+        low, high = (self._convert(self.evaluate(half), long_type) for half in initializer.expr.exprs)
+        return {"both": self.arithmetic.binary("+", self.arithmetic.binary("<<", high, half_bits), low)}
 
-    def _promoted(self, number: Number) -> Number:
-        return number if number.type.bits >= self.int.bits else self.arithmetic.convert(number, self.int)
+    def _resolve_type(self, declaration: Any) -> Any:
+        """Return the integer type, structure, union, array or pointer that is declared.
 
-    def _common(self, left: Number, right: Number) -> tuple[Number, Number]:
-        left, right = self._promoted(left), self._promoted(right)
-        bits = max(left.type.bits, right.type.bits)
-        signed = all(each.type.signed for each in (left, right) if each.type.bits == bits)
-        return self._converted(left, Type(bits, signed)), self._converted(right, Type(bits, signed))
-
-    def _converted(self, value: Any, kind: Any) -> Any:
-        """Return a number as one of this type; anything else as it is."""
-        if not isinstance(kind, Type) or not isinstance(value, Number) or value.type == kind:
-            return value
-        return self.arithmetic.convert(value, kind)
-
-    def _truth_value(self, condition: Any) -> Number:
-        one, zero = (self.arithmetic.constant(value, self.int).term for value in (1, 0))
-        return Number(z3.If(condition, one, zero), self.int)
-
-    def _declare(self, name: str, declared: Any, value: Any) -> None:
-        self._frames[-1].types[name] = declared
-        self._memory[self._frames[-1].number, name] = self._converted(value, self._resolve(declared))
-
-    def _initialised(self, kind: Any, node: Any) -> Any:
-        if isinstance(kind, c_ast.Union):
-            return self._union(node)
-        members = {each.name: self._resolve(each.type) for each in kind.decls}
-        found = self._filled(kind, "", lambda _, type_: self.arithmetic.constant(0, type_))
-        for name, each in zip(members, node.exprs, strict=False):
-            if isinstance(members[name], (Type, c_ast.PtrDecl)):
-                found[name] = self._converted(self.value(each), members[name])
-        return found
-
-    def _union(self, node: Any) -> Fields:
-        """The headers' two unions: a binary32 and its bits; a long word and its two halves on an AVR."""
-        (given,) = node.exprs
-        if isinstance(given, c_ast.Cast):
-            return {"bits": Number(z3.fpToIEEEBV(self.value(given)), INTEGERS["int32_t"])}
-        long, by = INTEGERS["uint64_t"], self.arithmetic.constant(32, self.int)
-        if given.name[0].name == "both":
-            both = self.value(given.expr)
-            halves = (both, self.arithmetic.binary(">>", both, by))
-            words = (self._converted(each, INTEGERS["uint32_t"]) for each in halves)
-            return {"word": {str(index): each for index, each in enumerate(words)}}
-        low, high = (self._converted(self.value(each), long) for each in given.expr.exprs)
-        return {"both": self.arithmetic.binary("+", self.arithmetic.binary("<<", high, by), low)}
-
-    def _resolve(self, declared: Any) -> Any:
-        """Return the integer type, structure, union or pointer that is declared."""
-        if isinstance(declared, c_ast.TypeDecl):
-            return self._resolve(declared.type)
-        if isinstance(declared, c_ast.IdentifierType):
-            (*_, name) = declared.names
-            if name in INTEGERS or name == "int":
-                return INTEGERS.get(name, self.int)
-            return self._resolve(self.program.types[name]) if name in self.program.types else name
-        return self.int if isinstance(declared, c_ast.Enum) else declared
-
-    def _chosen(self, returned: list[tuple[Any, Any, Any]]) -> Any:
-        if not returned:
-            return None
-        found = returned[-1][1]
-        for condition, value, _ in reversed(returned[:-1]):
-            found = _merged(condition, value, found)
-        return found
+        Any other type is returned by its name, such as "void" or "float".
+        """
+        if isinstance(declaration, c_ast.TypeDecl):
+            return self._resolve_type(declaration.type)
+        if isinstance(declaration, c_ast.IdentifierType):
+            name = declaration.names[-1]
+            if name == "int":
+                return self.int_type
+            if name in INTEGER_TYPES:
+                return INTEGER_TYPES[name]
+            return self._resolve_type(self.program.types[name]) if name in self.program.types else name
+        return self.int_type if isinstance(declaration, c_ast.Enum) else declaration
 
 
-def as_binary32(number: Number) -> Any:
+def round_to_binary32(number: Number) -> Any:
     """Return a signed word rounded to binary32, to nearest."""
     return z3.fpSignedToFP(z3.RNE(), number.term, z3.Float32())
 
 
-def _merged(condition: Any, first: Any, second: Any) -> Any:
-    """Return the first value where the condition holds, and the second elsewhere."""
-    if first is second or first is None or second is None:
-        return second if first is None else first
-    if isinstance(first, Number):
-        same = first.term.eq(second.term)
-        return first if same else Number(z3.If(condition, first.term, second.term), first.type)
-    if isinstance(first, dict):
-        return {name: _merged(condition, first[name], second[name]) for name in first}
-    assert first == second, "a pointer that depends on a condition"
-    return first
+def merge_values(condition: Any, value_if_true: Any, value_if_false: Any) -> Any:
+    """Return a value of memory that is the first one where the condition holds, and the second elsewhere.
+
+    A value that does not exist on one of the two paths is the one of the other path.
+    """
+    if value_if_true is value_if_false or value_if_false is None:
+        return value_if_true
+    if value_if_true is None:
+        return value_if_false
+    if isinstance(value_if_true, Number):
+        if value_if_true.term.eq(value_if_false.term):
+            return value_if_true
+        return Number(z3.If(condition, value_if_true.term, value_if_false.term), value_if_true.type)
+    if isinstance(value_if_true, dict):
+        return {
+            name: merge_values(condition, member, value_if_false[name])
+            for name, member in value_if_true.items()
+        }
+    assert value_if_true == value_if_false, "a pointer that depends on a condition"
+    return value_if_true
 
 
-def chosen(condition: Any, first: Any, second: Any) -> Any:
-    """Return the first terms where the condition holds, the second elsewhere."""
-    if isinstance(first, dict):
-        return {name: chosen(condition, first[name], second[name]) for name in first}
-    if isinstance(first, Table):
-        return Table(lambda index: z3.If(condition, first.word(index), second.word(index)), first.type)
-    return z3.If(condition, first, second)
+def choose_terms(condition: Any, terms_if_true: Any, terms_if_false: Any) -> Any:
+    """Return, in a formula, the first terms where the condition holds, and the second elsewhere."""
+    if isinstance(terms_if_true, dict):
+        return {
+            name: choose_terms(condition, member, terms_if_false[name])
+            for name, member in terms_if_true.items()
+        }
+    if isinstance(terms_if_true, ConstantTable):
+        return ConstantTable(
+            lambda index: z3.If(condition, terms_if_true.word_at(index), terms_if_false.word_at(index)),
+            terms_if_true.word_type,
+        )
+    return z3.If(condition, terms_if_true, terms_if_false)

@@ -1,8 +1,8 @@
-"""C's integers as terms of the solver: as words of bits, or as whole numbers.
+"""C's integers as terms of the solver: as bit vectors, or as mathematical integers.
 
-Words are exact for every operator, and settle what shifts and masks do. Whole numbers know products and
-quotients, which words of bits take too long for; an operator is only allowed where it means arithmetic. Both
-state what C leaves undefined as a claim, to be proved where the operator stands.
+Bit vectors are exact for every operator, and settle what shifts and masks do. Mathematical integers suit
+products and quotients, which take the solver too long on bit vectors; there an operator is only allowed where
+it means arithmetic. Both state what C leaves undefined as a claim, to be proved where the operator stands.
 """
 
 from __future__ import annotations
@@ -14,23 +14,25 @@ from typing import Any
 
 import z3
 
-Claim = Callable[[Any, str], None]
-"""Takes a formula that must hold where the program is, and what it is about."""
+Require = Callable[[Any, str], None]
+"""Takes a formula that must hold where the program is, and a description of it."""
 
 
 @dataclass(frozen=True)
-class Type:
-    """An integer type."""
+class IntegerType:
+    """An integer type of C."""
 
     bits: int
     signed: bool = False
 
     @property
-    def least(self) -> int:
+    def minimum(self) -> int:
+        """The smallest value of the type."""
         return -(1 << self.bits - 1) if self.signed else 0
 
     @property
-    def most(self) -> int:
+    def maximum(self) -> int:
+        """The largest value of the type."""
         return (1 << self.bits - self.signed) - 1
 
 
@@ -39,150 +41,178 @@ class Number:
     """A value of an integer type, as a term of the solver."""
 
     term: Any
-    type: Type
+    type: IntegerType
 
 
-class Words:
-    """Integers as words of bits. Of two numbers, an operator takes those of one type; a shift may differ."""
+class BitVectorArithmetic:
+    """C's operators on bit vectors. Both operands have the same type, but for a shift's count.
 
-    def __init__(self, claim: Claim) -> None:
-        self.claim = claim
+    ``require`` is called with each claim on which the meaning of an operator depends.
+    """
 
-    def constant(self, value: int, type_: Type) -> Number:
+    def __init__(self, require: Require) -> None:
+        self.require = require
+
+    def constant(self, value: int, type_: IntegerType) -> Number:
+        """Return a number with this value."""
         return Number(z3.BitVecVal(value, type_.bits), type_)
 
-    def unknown(self, name: str, type_: Type) -> tuple[Number, Any]:
-        """Return a number about which only this formula is known."""
-        return Number(z3.BitVec(name, type_.bits), type_), z3.BoolVal(True)
+    def fresh_number(self, name: str, type_: IntegerType) -> tuple[Number, Any]:
+        """Return a number with any value, and the formula that it is in the range of its type."""
+        number = Number(z3.BitVec(name, type_.bits), type_)
+        return number, self.is_in_range(number)
 
-    def fits(self, _: Number) -> Any:
-        """Return the claim that the number is one of its type."""
+    def is_in_range(self, _number: Number) -> Any:
+        """Return the formula that a number is in the range of its type: every bit vector is."""
         return z3.BoolVal(True)
 
-    def convert(self, number: Number, type_: Type) -> Number:
-        more = type_.bits - number.type.bits
-        if type_.bits == 1:
+    def convert(self, number: Number, type_: IntegerType) -> Number:
+        """Return a number as C converts it to another type."""
+        if type_.bits == 1:  # _Bool is 1 for every number but 0
             return Number(z3.If(number.term != 0, z3.BitVecVal(1, 1), z3.BitVecVal(0, 1)), type_)
-        if more > 0:
+        added_bits = type_.bits - number.type.bits
+        if added_bits > 0:
             extend = z3.SignExt if number.type.signed else z3.ZeroExt
-            return Number(extend(more, number.term), type_)
-        return Number(z3.Extract(type_.bits - 1, 0, number.term) if more else number.term, type_)
+            return Number(extend(added_bits, number.term), type_)
+        if added_bits < 0:
+            return Number(z3.Extract(type_.bits - 1, 0, number.term), type_)
+        return Number(number.term, type_)
 
-    def binary(self, name: str, left: Number, right: Number) -> Number:
-        if name in ("<<", ">>"):
-            right = self._count(left, right)
-        elif name in ("/", "%"):
-            self.claim(right.term != 0, "division by 0")
-        elif left.type.signed and name in _NO_OVERFLOW:
-            for fits in _NO_OVERFLOW[name]:
-                self.claim(fits(left.term, right.term), f"overflow of {name}")
-        return Number(_ON_WORDS[left.type.signed][name](left.term, right.term), left.type)
+    def binary(self, symbol: str, left_operand: Number, right_operand: Number) -> Number:
+        """Return the result of an operator, and require that it is defined: C forbids signed overflow."""
+        if symbol in ("<<", ">>"):
+            self.require(z3.ULT(right_operand.term, left_operand.type.bits), "shift by the width or more")
+            right_operand = self.convert(right_operand, IntegerType(left_operand.type.bits))
+        elif symbol in ("/", "%"):
+            self.require(right_operand.term != 0, "division by 0")
+        elif left_operand.type.signed and symbol in _OVERFLOW_CHECKS:
+            for is_within_range in _OVERFLOW_CHECKS[symbol]:
+                self.require(is_within_range(left_operand.term, right_operand.term), f"overflow of {symbol}")
+        result_term = _BIT_VECTOR_OPERATORS[left_operand.type.signed][symbol](
+            left_operand.term, right_operand.term
+        )
+        return Number(result_term, left_operand.type)
 
-    def _count(self, left: Number, right: Number) -> Number:
-        self.claim(z3.ULT(right.term, left.type.bits), "shift by the width or more")
-        return self.convert(right, Type(left.type.bits))
-
-    def compare(self, name: str, left: Number, right: Number) -> Any:
-        return _ON_WORDS[left.type.signed][name](left.term, right.term)
+    def compare(self, symbol: str, left_operand: Number, right_operand: Number) -> Any:
+        """Return the formula that a comparison of two numbers is true."""
+        return _BIT_VECTOR_OPERATORS[left_operand.type.signed][symbol](left_operand.term, right_operand.term)
 
 
-_NO_OVERFLOW: dict[str, tuple[Callable[[Any, Any], Any], ...]] = {
+Operator = Callable[[Any, Any], Any]
+_OVERFLOW_CHECKS: dict[str, tuple[Operator, ...]] = {
     "+": (lambda a, b: z3.BVAddNoOverflow(a, b, True), z3.BVAddNoUnderflow),
     "-": (z3.BVSubNoOverflow, lambda a, b: z3.BVSubNoUnderflow(a, b, True)),
     "*": (lambda a, b: z3.BVMulNoOverflow(a, b, True), z3.BVMulNoUnderflow),
 }
-Operator = Callable[[Any, Any], Any]
-_OF_PYTHON: dict[str, Operator] = {
+"""The formulas that a signed operator neither exceeds the largest value nor falls below the smallest."""
+_PYTHON_OPERATORS: dict[str, Operator] = {
     **{"+": operator.add, "-": operator.sub, "*": operator.mul, "<<": operator.lshift},
     **{"&": operator.and_, "|": operator.or_, "^": operator.xor},
 }
-_COMPARED: dict[str, Operator] = {
+_COMPARISONS: dict[str, Operator] = {
     **{"<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge},
     **{"==": operator.eq, "!=": operator.ne},
 }
-_ON_UNSIGNED: dict[str, Operator] = {
+# Python's operators on bit vectors mean signed numbers, so unsigned ones need functions of the solver.
+_UNSIGNED_OPERATORS: dict[str, Operator] = {
     **{"/": z3.UDiv, "%": z3.URem, ">>": z3.LShR},
     **{"<": z3.ULT, "<=": z3.ULE, ">": z3.UGT, ">=": z3.UGE},
 }
-_ON_WORDS = {
-    False: {**_OF_PYTHON, **_COMPARED, **_ON_UNSIGNED},
-    True: {**_OF_PYTHON, **_COMPARED, ">>": operator.rshift},
+_BIT_VECTOR_OPERATORS = {
+    False: {**_PYTHON_OPERATORS, **_COMPARISONS, **_UNSIGNED_OPERATORS},
+    True: {**_PYTHON_OPERATORS, **_COMPARISONS, ">>": operator.rshift},
 }
-"""By signedness; the firmware divides no signed number."""
+"""Operators by signedness and symbol; the firmware divides no signed number."""
 
 
-class Integers:
-    """Integers as whole numbers, brought into their type's range where an operator might leave it."""
+class IntegerArithmetic:
+    """C's operators on mathematical integers.
 
-    def __init__(self, claim: Claim) -> None:
-        self.claim = claim
+    Where an operator might leave the range of its type, an unsigned result is reduced modulo 2^bits, as C
+    says, and a signed result has a claim that it is in range. An operator without a meaning in arithmetic
+    is an error. ``require`` is called with each claim.
+    """
 
-    def constant(self, value: int, type_: Type) -> Number:
+    def __init__(self, require: Require) -> None:
+        self.require = require
+
+    def constant(self, value: int, type_: IntegerType) -> Number:
+        """Return a number with this value."""
         return Number(z3.IntVal(value), type_)
 
-    def unknown(self, name: str, type_: Type) -> tuple[Number, Any]:
+    def fresh_number(self, name: str, type_: IntegerType) -> tuple[Number, Any]:
+        """Return a number with any value, and the formula that it is in the range of its type."""
         number = Number(z3.Int(name), type_)
-        return number, self.fits(number)
+        return number, self.is_in_range(number)
 
-    def fits(self, number: Number) -> Any:
-        return z3.And(number.type.least <= number.term, number.term <= number.type.most)
+    def is_in_range(self, number: Number) -> Any:
+        """Return the formula that a number is in the range of its type."""
+        return z3.And(number.type.minimum <= number.term, number.term <= number.type.maximum)
 
-    def convert(self, number: Number, type_: Type) -> Number:
-        if number.type.least >= type_.least and number.type.most <= type_.most:
+    def convert(self, number: Number, type_: IntegerType) -> Number:
+        """Return a number as C converts it to another type."""
+        if number.type.minimum >= type_.minimum and number.type.maximum <= type_.maximum:
             return Number(number.term, type_)
         assert not type_.signed, "whole numbers cannot be made signed"
-        return Number(number.term % (type_.most + 1), type_)
+        return Number(number.term % (type_.maximum + 1), type_)
 
-    def binary(self, name: str, left: Number, right: Number) -> Number:
-        exact = _ON_INTEGERS[name](left, right, self.claim)
-        if left.type.signed:
-            fits = z3.And(left.type.least <= exact, exact <= left.type.most)
-            self.claim(fits, f"overflow of {name}")
-            return Number(exact, left.type)
-        grows = name in ("+", "-", "*", "<<")
-        return Number(exact % (left.type.most + 1) if grows else exact, left.type)
+    def binary(self, symbol: str, left_operand: Number, right_operand: Number) -> Number:
+        """Return the result of an operator, and require that it is defined."""
+        exact_term = self._exact_result(symbol, left_operand.term, right_operand.term)
+        if left_operand.type.signed:
+            is_in_range = z3.And(
+                left_operand.type.minimum <= exact_term, exact_term <= left_operand.type.maximum
+            )
+            self.require(is_in_range, f"overflow of {symbol}")
+            return Number(exact_term, left_operand.type)
+        # The other operators give no more than their left operand, or bits that both have.
+        may_wrap = symbol in ("+", "-", "*", "<<")
+        return Number(
+            exact_term % (left_operand.type.maximum + 1) if may_wrap else exact_term, left_operand.type
+        )
 
-    def compare(self, name: str, left: Number, right: Number) -> Any:
-        return _COMPARED[name](left.term, right.term)
+    def compare(self, symbol: str, left_operand: Number, right_operand: Number) -> Any:
+        """Return the formula that a comparison of two numbers is true."""
+        return _COMPARISONS[symbol](left_operand.term, right_operand.term)
+
+    def _exact_result(self, symbol: str, left_operand: Any, right_operand: Any) -> Any:
+        """Return the term of an operator's result, not reduced to its type."""
+        if symbol in ("+", "-", "*"):
+            return _PYTHON_OPERATORS[symbol](left_operand, right_operand)
+        if symbol == "<<":
+            return left_operand * (1 << constant_value(right_operand))
+        if symbol == ">>":
+            return left_operand / (1 << constant_value(right_operand))
+        if symbol == "/":
+            self.require(right_operand > 0, "division by 0")
+            return left_operand / right_operand
+        if symbol == "&":
+            mask = constant_value(right_operand)
+            assert mask & (mask + 1) == 0, "whole numbers know no mask but the lower bits"
+            return left_operand % (mask + 1)
+        if symbol == "|":
+            return self._join_bits(left_operand, right_operand)
+        raise NotImplementedError(f"{symbol} of whole numbers")
+
+    def _join_bits(self, left_operand: Any, right_operand: Any) -> Any:
+        """Return ``|`` of terms, and require that no bit is set in both: then it is their sum."""
+        have_separate_bits = [
+            z3.And(high % (1 << boundary) == 0, low < 1 << boundary)
+            for high, low in ((left_operand, right_operand), (right_operand, left_operand))
+            for boundary in (1, 8, 9, 16, 32)
+        ]
+        self.require(z3.Or(have_separate_bits), "bits in the same place")
+        return left_operand + right_operand
 
 
-def known(term: Any) -> int:
-    """Return the value of a term that is a constant."""
-    simple = z3.simplify(term)
-    if z3.is_int_value(simple) or z3.is_bv_value(simple):
-        return int(simple.as_long())
-    raise NotImplementedError(f"{simple} would have to be a constant")
+def is_constant(term: Any) -> bool:
+    """Return whether a term is a literal number."""
+    return bool(z3.is_int_value(term) or z3.is_bv_value(term))
 
 
-def _divided(left: Number, right: Number, claim: Claim) -> Any:
-    claim(right.term > 0, "division by 0")
-    return left.term / right.term
-
-
-def _masked(left: Number, right: Number, _: Claim) -> Any:
-    mask = known(right.term)
-    assert mask & (mask + 1) == 0, "whole numbers know no mask but the lower bits"
-    return left.term % (mask + 1)
-
-
-def _joined(left: Number, right: Number, claim: Claim) -> Any:
-    """Return ``|`` of numbers whose bits are in different places, which is their sum."""
-    apart = [
-        z3.And(high % (1 << place) == 0, low < 1 << place)
-        for high, low in ((left.term, right.term), (right.term, left.term))
-        for place in (1, 8, 9, 16, 32)
-    ]
-    claim(z3.Or(apart), "bits in the same place")
-    return left.term + right.term
-
-
-_ON_INTEGERS: dict[str, Callable[[Number, Number, Claim], Any]] = {
-    "+": lambda a, b, _: a.term + b.term,
-    "-": lambda a, b, _: a.term - b.term,
-    "*": lambda a, b, _: a.term * b.term,
-    "<<": lambda a, b, _: a.term * (1 << known(b.term)),
-    ">>": lambda a, b, _: a.term / (1 << known(b.term)),
-    "/": _divided,
-    "&": _masked,
-    "|": _joined,
-}
+def constant_value(term: Any) -> int:
+    """Return the value of a term that simplifies to a constant; another term is an error."""
+    simplified_term = z3.simplify(term)
+    if is_constant(simplified_term):
+        return int(simplified_term.as_long())
+    raise NotImplementedError(f"{simplified_term} would have to be a constant")

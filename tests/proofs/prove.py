@@ -4,80 +4,95 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import z3
 
-from proofs.machine import Machine, Place, Summary
-from proofs.numbers import Integers, Words
+from proofs.machine import Location, Machine, Summary
+from proofs.numbers import BitVectorArithmetic, IntegerArithmetic
 from proofs.source import Program
 
-EFFORTS = (10**6, 8 * 10**6, 64 * 10**6)
+STEP_LIMITS = (10**6, 8 * 10**6, 64 * 10**6)
 """The solver's steps for one query, in one attempt after the other. With ten seeds none needed more than 5
 million: the last attempt gives twelve times as many."""
-SOLVERS = (z3.SimpleSolver, z3.Solver)
-"""The solvers of each attempt. The first settles whole numbers within moments, the second long words."""
+SOLVER_KINDS = (z3.SimpleSolver, z3.Solver)
+"""The solvers of each attempt. The first settles integers within moments, the second long bit vectors."""
 Formula = Callable[..., Any]
+"""Takes terms, and returns a formula of them."""
 
 
 class UnprovenError(AssertionError):
     """Some values break a claim, or the solver cannot settle it."""
 
 
-def prove(claim: Any, *known: Any, about: str = "") -> None:
-    """Prove that the claim holds for all values for which the rest is known to hold."""
-    answer, solver = _answer(*known, z3.Not(claim))
+class Claim(NamedTuple):
+    """A formula to prove, with its name, for all values for which the assumptions hold."""
+
+    name: str
+    formula: Any
+    assumptions: list[Any]
+
+
+def prove(formula: Any, *assumptions: Any, description: str = "") -> None:
+    """Prove that the formula holds for all values for which the assumptions hold.
+
+    Raises UnprovenError, with values that break the formula or with the reason why the solver gave up.
+    """
+    # There is a proof if nothing satisfies the assumptions and the opposite.
+    answer, solver = _check_satisfiable(*assumptions, z3.Not(formula))
     if answer == z3.sat:
-        raise UnprovenError(f"{about}: broken by {solver.model()}")
+        raise UnprovenError(f"{description}: broken by {solver.model()}")
     if answer == z3.unknown:
-        raise UnprovenError(f"{about}: not settled, {solver.reason_unknown()}")
+        raise UnprovenError(f"{description}: not settled, {solver.reason_unknown()}")
 
 
-def _text(formulas: Iterable[Any]) -> str:
+def _solver_text(formulas: Iterable[Any]) -> str:
     """Return the text that the solver reads: the formulas, and the sort of each name in them."""
-    query = z3.Solver()
-    query.add(*formulas)
-    return str(query.sexpr())
+    solver = z3.Solver()
+    solver.add(*formulas)
+    return str(solver.sexpr())
 
 
-def _answer(*formulas: Any) -> tuple[Any, Any]:
-    """Return whether all of the formulas can hold, and the solver that knows.
+def _check_satisfiable(*formulas: Any) -> tuple[Any, Any]:
+    """Return z3's answer whether all of the formulas can hold, and the solver that gave it.
 
     Each attempt has a context of its own and counts steps, not time. So the answer depends on the text of the
     formulas alone, and not on queries before or on the load of the machine.
     """
-    text = _text(formulas)
-    for seed, steps in enumerate(EFFORTS):
-        for make in SOLVERS:
-            solver = make(ctx=z3.Context())
-            solver.set(random_seed=seed, rlimit=steps)
-            solver.from_string(text)
+    query_text = _solver_text(formulas)
+    for seed, step_limit in enumerate(STEP_LIMITS):
+        for make_solver in SOLVER_KINDS:
+            solver = make_solver(ctx=z3.Context())
+            solver.set(random_seed=seed, rlimit=step_limit)
+            solver.from_string(query_text)
             answer = solver.check()
             if answer != z3.unknown:
                 return answer, solver
     return answer, solver
 
 
-def require_possible(known: Iterable[Any], about: str) -> None:
-    """Require that something satisfies the premises of a proof: anything follows from a contradiction."""
-    if _answer(*known)[0] != z3.sat:
-        raise UnprovenError(f"{about}: nothing is found that satisfies what is taken for known")
+def require_satisfiable(assumptions: Iterable[Any], description: str) -> None:
+    """Require that something satisfies the assumptions of a proof: anything follows from a contradiction."""
+    answer, _solver = _check_satisfiable(*assumptions)
+    if answer != z3.sat:
+        raise UnprovenError(f"{description}: nothing is found that satisfies what is taken for known")
 
 
-def prove_all(claims: Iterable[tuple[str, Any, list[Any]]]) -> None:
-    """Prove each claim, which has a name, from what is known of it."""
-    possible = set[str]()
-    for about, claim, known in claims:
-        text = _text(known)
-        if text not in possible:
-            require_possible(known, about)
-        possible.add(text)
-        prove(claim, *known, about=about)
-    if not possible:
+def prove_all(claims: Iterable[Claim]) -> None:
+    """Prove each claim, and that its assumptions can be satisfied. No claims at all are an error."""
+    satisfiable_texts = set[str]()
+    for claim in claims:
+        query_text = _solver_text(claim.assumptions)
+        if query_text not in satisfiable_texts:
+            require_satisfiable(claim.assumptions, claim.name)
+        satisfiable_texts.add(query_text)
+        prove(claim.formula, *claim.assumptions, description=claim.name)
+    if not satisfiable_texts:
         raise UnprovenError("nothing is claimed")
 
 
-def always(*_: Any) -> Any:
+def always(*_terms: Any) -> Any:
+    """Return a formula that holds for any terms."""
     return z3.BoolVal(True)
 
 
@@ -88,36 +103,42 @@ class Contract:
     Attributes:
         ensures: What holds of the result, the first argument, if ``requires`` did. Of a pointer, the argument
             is what it pointed to, and what it then points to stands behind the result.
-        arithmetic: Integers in which ``ensures`` is proved.
+        arithmetic: The kind of terms with which ``ensures`` is proved.
         requires: What a caller has to fulfil.
-        cases: A parameter that is a constant in all calls, and its values. Each value has a proof of its own.
-        uses: Called functions that are known by their lemmas in the proof of ``ensures``.
-        instead: Stand-ins for other called functions in that proof.
-        steps: Claims that lead to ``ensures``. Each is proved with the claims before it.
-        invariant: Makes what is called after each turn of its loops, for one run: it claims what the turn
-            left, and lets nothing else be known of that.
+        constant_parameter: A parameter that is a constant in all calls, or "".
+        constant_values: The values of that parameter. Each has a proof of its own.
+        used_lemmas: Called functions of which the proof of ``ensures`` knows their contracts alone.
+        stand_ins: Summaries of other called functions in that proof.
+        proof_steps: Claims that lead to ``ensures``. Each is proved with the claims before it.
+        make_loop_invariant: Makes what is called after each turn of the function's loops, for one run: it
+            claims what holds after the turn, and lets nothing else be known of what the turn did.
     """
 
     ensures: Formula
-    arithmetic: type[Words | Integers] = Words
+    arithmetic: type[BitVectorArithmetic | IntegerArithmetic] = BitVectorArithmetic
     requires: Formula = always
-    cases: tuple[str, tuple[int, ...]] = ("", (0,))
-    uses: tuple[str, ...] = ()
-    instead: Mapping[str, Summary] = field(default_factory=dict)
-    steps: tuple[Formula, ...] = ()
-    invariant: Callable[[], Callable[[Machine], None]] | None = None
+    constant_parameter: str = ""
+    constant_values: tuple[int, ...] = (0,)
+    used_lemmas: tuple[str, ...] = ()
+    stand_ins: Mapping[str, Summary] = field(default_factory=dict)
+    proof_steps: tuple[Formula, ...] = ()
+    make_loop_invariant: Callable[[], Callable[[Machine], None]] | None = None
 
-    def stands_in(self, name: str) -> Summary:
-        """Return the function as its callers may see it."""
+    def as_summary(self, name: str) -> Summary:
+        """Return a stand-in for the function ``name`` that knows its contract alone.
 
-        def summary(machine: Machine, *arguments: Any) -> Any:
-            before = [machine.seen(each) for each in arguments]
-            machine.claim(self.requires(*before), f"what {name} requires")
+        Each call becomes an obligation to fulfil ``requires``. The result is any that fulfils ``ensures``.
+        """
+
+        def call_by_contract(machine: Machine, *arguments: Any) -> Any:
+            argument_terms = [machine.terms_of(argument) for argument in arguments]
+            machine.require(self.requires(*argument_terms), f"what {name} requires")
             result = any_result(name)(machine, *arguments)
-            machine.know(self.ensures(*_results(machine, result, arguments), *before))
+            result_terms = _result_terms(machine, result, arguments)
+            machine.assume(self.ensures(*result_terms, *argument_terms))
             return result
 
-        return summary
+        return call_by_contract
 
 
 Contracts = Mapping[str, Contract]
@@ -125,39 +146,46 @@ Contracts = Mapping[str, Contract]
 
 
 def prove_contract(program: Program, name: str, contracts: Contracts) -> None:
-    """Prove that the function keeps its contract, and what its code relies on."""
+    """Prove that the function keeps its contract, and what its code relies on.
+
+    Raises UnprovenError if the function breaks its contract for some arguments.
+    """
     contract = contracts[name]
-    lemmas = {each: contracts[each].stands_in(each) for each in contract.uses}
-    constant, values = contract.cases
-    if not values:
+    lemmas = {lemma: contracts[lemma].as_summary(lemma) for lemma in contract.used_lemmas}
+    if not contract.constant_values:
         raise UnprovenError(f"{name}: there is no case")
-    for value in values:
-        machine = Machine(program, contract.arithmetic, {**lemmas, **contract.instead})
-        machine.after_turn = contract.invariant() if contract.invariant else None
-        before, results = _run(machine, name, contract.requires, {constant: value})
+    for constant_value in contract.constant_values:
+        machine = Machine(program, contract.arithmetic, {**lemmas, **contract.stand_ins})
+        if contract.make_loop_invariant is not None:
+            machine.after_loop_turn = contract.make_loop_invariant()
+        constants = {contract.constant_parameter: constant_value}
+        argument_terms, result_terms = _run_function(machine, name, contract.requires, constants)
         prove_obligations(machine, name)
-        require_possible(machine.facts, name)
-        shown: list[Any] = []
-        for number, step in enumerate((*contract.steps, contract.ensures), 1):
-            formula = step(*results, *before)
-            prove(formula, *machine.facts, *shown, about=f"{name}: step {number}")
-            shown.append(formula)
+        require_satisfiable(machine.facts, name)
+        proved_formulas: list[Any] = []
+        for step_number, make_formula in enumerate((*contract.proof_steps, contract.ensures), start=1):
+            formula = make_formula(*result_terms, *argument_terms)
+            description = f"{name}: step {step_number}"
+            prove(formula, *machine.facts, *proved_formulas, description=description)
+            proved_formulas.append(formula)
 
 
-def prove_lemma(program: Program, name: str, contracts: Contracts, done: set[Any] | None = None) -> None:
-    """Prove that the function keeps its contract, unless this proof is among the ``done`` proofs.
+def prove_lemma(
+    program: Program, name: str, contracts: Contracts, done_proofs: set[Any] | None = None
+) -> None:
+    """Prove that the function keeps its contract, unless this proof is among ``done_proofs``, and add it.
 
     A proof is done if the contract, the text of the function, and the lemmas that it relies on are the same.
     Raises UnprovenError if the function breaks its contract for some arguments.
     """
-    if done is None:
-        done = set()
     contract = contracts[name]
-    text = program.text(name, {*contract.uses, *contract.instead})
-    key = (text, contract, *(contracts[each] for each in contract.uses))
-    if key not in done:
-        prove_contract(program, name, contracts)
-    done.add(key)
+    code_text = program.definition_text(name, {*contract.used_lemmas, *contract.stand_ins})
+    proof_key = (code_text, contract, *(contracts[lemma] for lemma in contract.used_lemmas))
+    if done_proofs is not None and proof_key in done_proofs:
+        return
+    prove_contract(program, name, contracts)
+    if done_proofs is not None:
+        done_proofs.add(proof_key)
 
 
 def any_result(name: str) -> Summary:
@@ -166,42 +194,53 @@ def any_result(name: str) -> Summary:
     Only pointers in structures stay as they are: no function writes one.
     """
 
-    def summary(machine: Machine, *arguments: Any) -> Any:
-        for parameter, each in zip(machine.program.parameters(name), arguments, strict=True):
-            if isinstance(each, Place) and "const" not in parameter.type.type.quals:
-                before, after = machine.load(each), machine.unknown_of(parameter.type.type, name)
-                if isinstance(before, dict):
-                    after |= {member: at for member, at in before.items() if isinstance(at, Place)}
-                machine.store(each, after)
-        return machine.unknown_of(machine.program.heads[name].type, name)
+    def call_anything(machine: Machine, *arguments: Any) -> Any:
+        for parameter, argument in zip(machine.program.parameters(name), arguments, strict=True):
+            if not isinstance(argument, Location):
+                continue
+            target_type = parameter.type.type
+            if "const" in target_type.quals:
+                continue
+            old_value, new_value = machine.load(argument), machine.fresh_value(target_type, name)
+            if isinstance(old_value, dict):
+                pointers = {key: member for key, member in old_value.items() if isinstance(member, Location)}
+                new_value |= pointers
+            machine.store(argument, new_value)
+        return machine.fresh_value(machine.program.signatures[name].type, name)
 
-    return summary
+    return call_anything
 
 
-def _run(
+def _run_function(
     machine: Machine, name: str, requires: Formula, constants: Mapping[str, int]
 ) -> tuple[list[Any], list[Any]]:
-    """Run a function on unknown arguments that fulfil ``requires``. Return the terms of the arguments before,
-    and the terms of the result and of the targets of pointers after."""
+    """Run a function on unknown arguments that fulfil ``requires``, and on some constants by parameter.
+
+    Return the terms of the arguments before the call, and the result terms of ``Contract.ensures`` after it.
+    """
     parameters = machine.program.parameters(name)
-    arguments = [
-        machine.constant_of(each.type, constants[each.name])
-        if each.name in constants
-        else machine.parameter_of(each)
-        for each in parameters
-    ]
-    before = [machine.seen(each) for each in arguments]
-    machine.given = {each.name: term for each, term in zip(parameters, before, strict=True)}
-    machine.facts.append(requires(*before))
+    arguments: list[Any] = []
+    for parameter in parameters:
+        if parameter.name in constants:
+            arguments.append(machine.constant_argument(parameter, constants[parameter.name]))
+        else:
+            arguments.append(machine.fresh_argument(parameter))
+    argument_terms = [machine.terms_of(argument) for argument in arguments]
+    parameter_names = [parameter.name for parameter in parameters]
+    machine.argument_terms = dict(zip(parameter_names, argument_terms, strict=True))
+    machine.facts.append(requires(*argument_terms))
     result = machine.call(name, *arguments)
-    return before, _results(machine, result, arguments)
+    return argument_terms, _result_terms(machine, result, arguments)
 
 
-def _results(machine: Machine, result: Any, arguments: Iterable[Any]) -> list[Any]:
-    pointed_to = [machine.seen(each) for each in arguments if isinstance(each, Place)]
-    return [*([] if result is None else [machine.seen(result)]), *pointed_to]
+def _result_terms(machine: Machine, result: Any, arguments: Iterable[Any]) -> list[Any]:
+    """Return the terms of a result, if there is one, and of what pointers among the arguments point to."""
+    targets = [machine.terms_of(argument) for argument in arguments if isinstance(argument, Location)]
+    return targets if result is None else [machine.terms_of(result), *targets]
 
 
 def prove_obligations(machine: Machine, name: str) -> None:
-    for each in machine.obligations:
-        prove(each.claim, *each.known, about=f"{name}: {each.about}")
+    """Prove the claims that the machine met in a function, each from what was known there."""
+    for obligation in machine.obligations:
+        description = f"{name}: {obligation.description}"
+        prove(obligation.claim, *obligation.assumptions, description=description)

@@ -18,9 +18,9 @@ HEADER = SOURCES / "mcp_asdf_arithmetic.h"
 ARITHMETIC = (HEADER, *matching_files(SOURCES, "mcp_asdf_target*.h"))
 """The private headers. The first includes all others."""
 LANES_HEADER = ROOT / "host_tools/mcp_asdf_tools/experiments/engine/lanes_arithmetic.h"
-"""What the experiments' engine divides with: it includes the core and brings this."""
+"""The header that divides in the experiments' engine, which includes the core."""
 INCLUDE = Path(__file__).parent / "include"
-CHOICES = ("DIVIDE", "SPLIT_MULTIPLY", "SHIFT_BYTES", "HAS_CLZ")
+CHOICE_MACROS = ("DIVIDE", "SPLIT_MULTIPLY", "SHIFT_BYTES", "HAS_CLZ")
 """The macros, without their prefix."""
 HARDWARE, TABLE, BITS, LANES = range(1, 5)
 """Values of the first choice; all other choices are 0 or 1."""
@@ -28,7 +28,12 @@ HARDWARE, TABLE, BITS, LANES = range(1, 5)
 
 @dataclass(frozen=True)
 class Variant:
-    """Definitions for the preprocessor: the digits are values of ``CHOICES``, the macro names a target."""
+    """The definitions with which a target compiles the firmware.
+
+    Attributes:
+        digits: The values of ``CHOICE_MACROS``, one digit each.
+        target: The compiler's macro for a target that has code of its own, or "".
+    """
 
     digits: str
     target: str = ""
@@ -38,18 +43,24 @@ class Variant:
 
     @property
     def divide(self) -> int:
+        """How the variant divides: HARDWARE, TABLE, BITS or LANES."""
         return int(self.digits[0])
 
     @property
     def int_bits(self) -> int:
+        """The bits of C's int."""
         return 16 if self.target == "__AVR__" else 32
 
     def flags(self) -> list[str]:
-        chosen = zip(CHOICES, self.digits, strict=True)
-        flags = [f"-DMCP_ASDF_{name}={digit}" for name, digit in chosen]
+        """Return the arguments of the preprocessor that select this variant."""
+        flags = [
+            f"-DMCP_ASDF_{macro}={digit}" for macro, digit in zip(CHOICE_MACROS, self.digits, strict=True)
+        ]
         if self.divide == LANES:
             flags += [f"-I{LANES_HEADER.parent}", "-include", LANES_HEADER.name]
-        return [*flags, f"-D{self.target}"] if self.target else flags
+        if self.target:
+            flags.append(f"-D{self.target}")
+        return flags
 
 
 HERE = tuple(Variant(digits) for digits in ("1001", "2100", "1000", "3010", "4000", "2000"))
@@ -64,58 +75,69 @@ class Program:
     """One C file, preprocessed for one variant and parsed.
 
     Attributes:
+        variant: The variant for which the file was preprocessed.
         functions: Definitions by name.
-        heads: What functions take and return, by name, where they are only declared, too.
+        signatures: What functions take and return, by name, also of those that are only declared.
         types: What each typedef stands for, by name.
         constants: The values of enumerations, by name.
     """
 
     def __init__(self, path: Path, variant: Variant) -> None:
-        text = run(
+        preprocessed_text = run(
             *("gcc", "-E", "-undef", "-nostdinc", f"-I{INCLUDE}", f"-I{SOURCES}", *variant.flags()),
             *("-x", "c", path),
         )
+        # pycparser takes no pragmas, and they change no result.
+        c_text = re.sub(r"^# .*pragma.*$", "", preprocessed_text, flags=re.MULTILINE)
+        syntax_tree = c_parser.CParser().parse(c_text, str(path))
+
         self.variant = variant
-        tree = c_parser.CParser().parse(re.sub(r"^# .*pragma.*$", "", text, flags=re.MULTILINE), str(path))
-        self.functions = {each.decl.name: each for each in tree.ext if isinstance(each, c_ast.FuncDef)}
-        declared = [getattr(each, "decl", each) for each in tree.ext]
-        self.heads = {each.name: each.type for each in declared if isinstance(each.type, c_ast.FuncDecl)}
-        self.constants = {each.name: each.value for each in nodes(tree, c_ast.Enumerator)}
-        self.types = {each.name: each.type for each in tree.ext if isinstance(each, c_ast.Typedef)}
+        self.functions: dict[str, Any] = {}
+        self.signatures: dict[str, Any] = {}
+        self.types: dict[str, Any] = {}
+        for node in syntax_tree.ext:
+            declaration = node
+            if isinstance(node, c_ast.FuncDef):
+                declaration = node.decl
+                self.functions[declaration.name] = node
+            if isinstance(declaration.type, c_ast.FuncDecl):
+                self.signatures[declaration.name] = declaration.type
+            if isinstance(node, c_ast.Typedef):
+                self.types[node.name] = node.type
+        self.constants = {node.name: node.value for node in nodes(syntax_tree, c_ast.Enumerator)}
 
     def defined_in(self, *paths: Path) -> list[str]:
         """Return the names of the functions that these files define."""
-        return [name for name, each in self.functions.items() if Path(each.coord.file) in paths]
+        return [name for name, function in self.functions.items() if Path(function.coord.file) in paths]
 
     def parameters(self, name: str) -> list[Any]:
         """Return the declarations of a function's parameters."""
-        return list(self.heads[name].args.params)
+        return list(self.signatures[name].args.params)
 
     def callees(self, name: str) -> set[str]:
         """Return the functions of the program that a function calls."""
-        return {
-            node.name.name
-            for node in nodes(self.functions[name], c_ast.FuncCall)
-            if node.name.name in self.functions
-        }
+        called_names = {call.name.name for call in nodes(self.functions[name], c_ast.FuncCall)}
+        return called_names & set(self.functions)
 
-    def closure(self, name: str, without: Collection[str] = ()) -> set[str]:
-        """Return a function and all that it calls, directly or not."""
-        found, new = set[str](), {name}
-        while new:
-            found |= new
-            new = set().union(*(self.callees(each) for each in new)) - found - set(without)
-        return found
+    def closure(self, name: str, excluded_names: Collection[str] = ()) -> set[str]:
+        """Return a function and all that it calls, directly or not; excluded functions are not followed."""
+        reached_names, new_names = set[str](), {name}
+        while new_names:
+            reached_names |= new_names
+            called_names = set[str]().union(*(self.callees(new_name) for new_name in new_names))
+            new_names = called_names - reached_names - set(excluded_names)
+        return reached_names
 
-    def text(self, name: str, without: Collection[str] = ()) -> str:
+    def definition_text(self, name: str, excluded_names: Collection[str] = ()) -> str:
         """Return the text of all that can change what a function does; equal texts need one proof."""
         generator = c_generator.CGenerator()
-        parts = [generator.visit(self.functions[each]) for each in sorted(self.closure(name, without))]
-        return "\n".join([str(self.variant.int_bits), *parts])
+        reached_names = sorted(self.closure(name, excluded_names))
+        definitions = [generator.visit(self.functions[reached_name]) for reached_name in reached_names]
+        return "\n".join([str(self.variant.int_bits), *definitions])
 
 
 def nodes(root: Any, kind: type[Any]) -> Iterator[Any]:
-    """Yield all nodes of one kind below this one, in the order of the text."""
+    """Yield all nodes of one kind in a syntax tree, its root included, in the order of the text."""
     if isinstance(root, kind):
         yield root
     for child in root:
@@ -124,26 +146,28 @@ def nodes(root: Any, kind: type[Any]) -> Iterator[Any]:
 
 @cache
 def program(variant: Variant, path: Path = HEADER) -> Program:
+    """Return the program of a file and a variant; each is parsed once."""
     return Program(path, variant)
 
 
 @cache
-def _lines(path: str) -> list[str]:
+def _source_lines(path: str) -> list[str]:
     return Path(path).read_text(encoding="utf-8").splitlines()
 
 
-def stated_turns(loop: Any) -> int:
-    """Return the bound in the comment beside a loop, ``at most 3 turns``."""
-    most = _stated(loop, r"/\* at most (\d+)")
-    assert most is not None, f"the loop in line {loop.coord.line} states no bound"
-    return most
+def documented_max_turns(loop: Any) -> int:
+    """Return the bound in the comment beside a loop, ``at most 3 turns``. A loop without one is an error."""
+    max_turns = _number_beside(loop, r"/\* at most (\d+)")
+    assert max_turns is not None, f"the loop in line {loop.coord.line} states no bound"
+    return max_turns
 
 
-def stated_shift(node: Any) -> int | None:
-    """Return the bound in the comment beside a shift, ``a shift by at most 7``."""
-    return _stated(node, r"a shift by at most (\d+)")
+def documented_max_shift(node: Any) -> int | None:
+    """Return the bound in the comment beside a shift, ``a shift by at most 7``, or None without one."""
+    return _number_beside(node, r"a shift by at most (\d+)")
 
 
-def _stated(node: Any, pattern: str) -> int | None:
-    found = re.search(pattern, _lines(node.coord.file)[node.coord.line - 1])
-    return int(found[1]) if found else None
+def _number_beside(node: Any, pattern: str) -> int | None:
+    # The parser drops comments, so they are read from the line of the source where the node stands.
+    match = re.search(pattern, _source_lines(node.coord.file)[node.coord.line - 1])
+    return int(match[1]) if match else None

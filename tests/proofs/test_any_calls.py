@@ -67,9 +67,9 @@ def test_eva_finds_a_shift_that_damaged_memory_makes_too_large(tmp_path: Path) -
     Eva reads the firmware as it is for a Cortex-M4.
     """
     shutil.copytree(SOURCES, tmp_path, dirs_exist_ok=True)
-    text = CORE.read_text(encoding="utf-8")
-    assert "accuracy->g_shift & 31U" in text
-    without_mask = text.replace("accuracy->g_shift & 31U", "accuracy->g_shift")
+    core_text = CORE.read_text(encoding="utf-8")
+    assert "accuracy->g_shift & 31U" in core_text
+    without_mask = core_text.replace("accuracy->g_shift & 31U", "accuracy->g_shift")
     (tmp_path / CORE.name).write_text(without_mask, encoding="utf-8")
 
     cortex_m4 = VARIANTS[0]

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from proofs.arithmetic import PREPARED, contracts, is_tried
+from proofs.arithmetic import RECIPROCAL_LIMITS, contracts, is_tried
 from proofs.prove import prove_lemma
 from proofs.source import ARITHMETIC, HEADER, HERE, LANES, LANES_HEADER, VARIANTS, Variant, program
 from support import ROOT, require, run
@@ -43,12 +43,12 @@ def test_a_function_of_the_arithmetic_keeps_its_contract_in_a_variant(name: str)
 def test_a_function_of_the_arithmetic_keeps_its_contract_in_every_variant(name: str) -> None:
     """A variant is how a target divides, multiplies and shifts. The same text in two is proved once.
 
-    ``prove_lemma`` notes in ``done`` what it has proved, and raises UnprovenError if there is no proof.
+    ``prove_lemma`` adds to ``done_proofs`` what it has proved. It raises UnprovenError without a proof.
     """
-    done = set[Any]()
+    done_proofs = set[Any]()
     for variant in variants_to_prove(name):
-        prove_lemma(program(variant), name, contracts(variant), done)
-    assert len(done) > 0
+        prove_lemma(program(variant), name, contracts(variant), done_proofs)
+    assert len(done_proofs) > 0
 
 
 def build_every_divisor(divide: int, folder: Path) -> Path:
@@ -57,7 +57,7 @@ def build_every_divisor(divide: int, folder: Path) -> Path:
     Its exit code is 0 if all reciprocals are within the limits that the proofs assume. A sanitizer ends it
     at a conversion that does not fit.
     """
-    least_divisor, lost_share = PREPARED[divide]
+    least_divisor, lost_share = RECIPROCAL_LIMITS[divide]
     definitions = {
         "MCP_ASDF_DIVIDE": divide,
         "LEAST": least_divisor,
@@ -73,7 +73,7 @@ def build_every_divisor(divide: int, folder: Path) -> Path:
     return built
 
 
-@pytest.mark.parametrize("divide", PREPARED)
+@pytest.mark.parametrize("divide", RECIPROCAL_LIMITS)
 def test_the_reciprocal_of_every_divisor_is_as_good_as_the_proofs_assume(divide: int, tmp_path: Path) -> None:
     """A program tries all divisors, and ends with an error if a reciprocal is not as near as assumed.
 
@@ -88,24 +88,24 @@ Place = tuple[Path, int, str]
 
 def written_definitions() -> set[Place]:
     """Return the definitions of functions in the texts of the arithmetic's headers, in all variants."""
-    places = set[Place]()
+    definitions = set[Place]()
     for path in ARITHMETIC:
         for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), start=1):
             definition = DEFINITION.match(line)
             if definition is not None:
-                places.add((path, number, definition[1]))
-    return places
+                definitions.add((path, number, definition[1]))
+    return definitions
 
 
 def parsed_definitions() -> set[Place]:
     """Return the definitions that some variant has."""
-    places = set[Place]()
+    definitions = set[Place]()
     for variant in VARIANTS:
         code = program(variant)
         for name in code.defined_in(*ARITHMETIC):
-            place = code.functions[name].coord
-            places.add((Path(place.file), place.line, name))
-    return places
+            coordinates = code.functions[name].coord
+            definitions.add((Path(coordinates.file), coordinates.line, name))
+    return definitions
 
 
 def test_every_function_of_the_arithmetic_is_proved_in_some_variant() -> None:

@@ -24,14 +24,14 @@ class Mistake:
 
     Attributes:
         function: Name of the function that loses its contract.
-        right: What stands in the firmware.
-        wrong: What stands there instead.
+        original_code: What stands in the firmware.
+        mistaken_code: What stands there instead.
         variant: How the firmware divides, multiplies and shifts.
     """
 
     function: str
-    right: str
-    wrong: str
+    original_code: str
+    mistaken_code: str
     variant: Variant = WITHOUT_CHOICES
 
 
@@ -82,20 +82,22 @@ QUICK_FUNCTIONS = ("shift_left_wide", "multiply", "mcp_asdf_settle")
 def parse_with_mistake(folder: Path, mistake: Mistake, file: Path) -> Program:
     """Parse a file of the firmware's sources, which are copied into a folder with a mistake in them.
 
-    In the core the right text is replaced from the function's definition on, or everywhere if it stands only
-    before, in a function that this one calls.
+    In the core the original code is replaced from the function's definition on, or everywhere if it stands
+    only before, in a function that this one calls.
     """
     is_found = False
     for path in (*ARITHMETIC, CORE, SOURCES / "mcp_asdf_robust.h"):
-        text = path.read_text(encoding="utf-8")
-        is_found |= mistake.right in text
-        before, definition, after = text.partition(f" {mistake.function}(")
-        if path == CORE and mistake.right in after:
-            wrong_text = before + definition + after.replace(mistake.right, mistake.wrong)
+        source_text = path.read_text(encoding="utf-8")
+        is_found |= mistake.original_code in source_text
+        code_before, definition, code_after = source_text.partition(f" {mistake.function}(")
+        if path == CORE and mistake.original_code in code_after:
+            mistaken_text = (
+                code_before + definition + code_after.replace(mistake.original_code, mistake.mistaken_code)
+            )
         else:
-            wrong_text = text.replace(mistake.right, mistake.wrong)
-        (folder / path.name).write_text(wrong_text, encoding="utf-8")
-    assert is_found, mistake.right
+            mistaken_text = source_text.replace(mistake.original_code, mistake.mistaken_code)
+        (folder / path.name).write_text(mistaken_text, encoding="utf-8")
+    assert is_found, mistake.original_code
     return Program(folder / file.name, mistake.variant)
 
 
@@ -105,7 +107,7 @@ def parse_with_mistake(folder: Path, mistake: Mistake, file: Path) -> Program:
         *(mistake for mistake in MISTAKES if mistake.function in QUICK_FUNCTIONS),
         *slow(mistake for mistake in MISTAKES if mistake.function not in QUICK_FUNCTIONS),
     ],
-    ids=lambda mistake: f"{mistake.function}: {mistake.wrong}",
+    ids=lambda mistake: f"{mistake.function}: {mistake.mistaken_code}",
 )
 def test_a_function_with_a_mistake_has_no_proof_of_its_contract(mistake: Mistake, tmp_path: Path) -> None:
     """A contract says what a function promises for all arguments. A mistake replaces a text of the C.
@@ -142,7 +144,9 @@ def test_a_function_with_a_mistake_does_not_compute_the_documented_integers(
 
 def prove_of_any_result(name: str, variant: Variant, contract: Contract) -> None:
     """Prove a contract of a function that returns and writes anything. Only an empty contract holds."""
-    anything = replace(contract, steps=(), uses=(), invariant=None, instead={name: any_result(name)})
+    anything = replace(
+        contract, proof_steps=(), used_lemmas=(), make_loop_invariant=None, stand_ins={name: any_result(name)}
+    )
     prove_contract(program(variant, CORE), name, {name: anything})
 
 

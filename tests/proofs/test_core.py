@@ -14,7 +14,7 @@ from pycparser import c_ast
 from proofs import calls, formulas, robust
 from proofs.formulas import CORE
 from proofs.machine import Machine
-from proofs.numbers import Words
+from proofs.numbers import BitVectorArithmetic
 from proofs.prove import Contract, always, prove, prove_all, prove_contract, prove_lemma, prove_obligations
 from proofs.source import SOURCES, VARIANTS, Program, Variant, nodes, program
 from support import slow
@@ -54,7 +54,7 @@ def test_one_more_message_keeps_the_sums_of_a_round_in_their_ranges() -> None:
 
     ``prove_all`` raises UnprovenError if one of the claims about them is broken for some numbers.
     """
-    claims_about_a_message = calls.of_a_message()
+    claims_about_a_message = calls.one_more_message_claims()
     prove_all(claims_about_a_message)
 
 
@@ -84,13 +84,13 @@ def prove_ends(code: Program, name: str, loop: Any) -> None:
     if isinstance(loop, c_ast.While):
         prove_contract(code, name, {name: Contract(always, requires=REQUIREMENTS.get(name, always))})
         return
-    machine = Machine(code, Words)
+    machine = Machine(code, BitVectorArithmetic)
     for declaration in nodes(code.functions[name], c_ast.Decl):
         if (name, declaration.name) in LIMITS:
             lowest, highest = LIMITS[name, declaration.name]
-            machine.declare(declaration)
-            value = machine.load(machine.variable(declaration.name)).term
-            machine.know(z3.And(z3.UGE(value, lowest), z3.ULE(value, highest)))
+            machine.declare_unknown(declaration)
+            value = machine.load(machine.local_variable(declaration.name)).term
+            machine.assume(z3.And(z3.UGE(value, lowest), z3.ULE(value, highest)))
     machine.execute(c_ast.For(loop.init, loop.cond, loop.next, c_ast.EmptyStatement(), loop.coord))
     prove_obligations(machine, name)
 
@@ -136,15 +136,15 @@ def test_a_table_whose_length_is_accepted_has_at_most_129_words() -> None:
     last_index = z3.Extract(7, 0, first_word + 2)  # bits 7 to 0: the lowest byte
 
     at_most_129 = z3.ULE(last_index, 129)
-    prove(at_most_129, is_accepted, about="q + 2")
+    prove(at_most_129, is_accepted, description="q + 2")
 
 
 def test_the_length_of_a_table_is_checked_before_it_is_read() -> None:
     """In the function's text, the condition that refuses a table stands before the loop that reads it."""
-    text = CORE.read_text(encoding="utf-8")
+    core_text = CORE.read_text(encoding="utf-8")
 
-    refusal = text.index("if (head < TABLE_MAGIC + 2U || head > TABLE_MAGIC + MCP_ASDF_MAX_ID) {")
-    length = text.index("const uint8_t hash_index = (uint8_t)(head + 2U);")
-    loop = text.index("for (uint8_t i = 0; i < hash_index; ++i)")
+    refusal = core_text.index("if (head < TABLE_MAGIC + 2U || head > TABLE_MAGIC + MCP_ASDF_MAX_ID) {")
+    length = core_text.index("const uint8_t hash_index = (uint8_t)(head + 2U);")
+    loop = core_text.index("for (uint8_t i = 0; i < hash_index; ++i)")
 
     assert length < refusal < loop

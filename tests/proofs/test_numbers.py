@@ -6,20 +6,20 @@ from __future__ import annotations
 import pytest
 
 from proofs import calls, robust, sums
-from proofs.formulas import BY_LEMMA, CORE, RESULTS, Claims
+from proofs.formulas import CORE, LEMMA_SUMMARIES, RESULT_BITS, Claims
 from proofs.prove import prove_all
 from proofs.source import VARIANTS, Variant, program
 from support import slow
 
 CLAIMS_OF_THE_CODE = (*sums.OF_THE_CODE, *robust.OF_THE_CODE, *calls.OF_THE_CODE)
 CLAIMS_OF_NUMBERS = (*sums.OF_THE_NUMBERS, *robust.OF_THE_NUMBERS)
-SLOW_CLAIMS = (robust.of_the_decision,)
+SLOW_CLAIMS = (robust.exact_decision_claims,)
 
 CALLEES_BY_FUNCTION = {
     "round_mean": ("quotient",),
     "informed_estimate": ("round_mean", "multiply"),
-    "update_b_hat": tuple(RESULTS),
-    "robust_test_rejects": tuple(RESULTS),
+    "update_b_hat": tuple(RESULT_BITS),
+    "robust_test_rejects": tuple(RESULT_BITS),
 }
 """The functions that claims of the code are about, each with the callees that may compute anything there."""
 
@@ -32,13 +32,14 @@ def prove_claims_of_the_code(variants: tuple[Variant, ...]) -> int:
     proved_texts = set[str]()
     for variant in variants:
         code = program(variant, CORE)
-        text = "\n".join(
-            code.text(name, {*callees, *BY_LEMMA}) for name, callees in CALLEES_BY_FUNCTION.items()
+        code_text = "\n".join(
+            code.definition_text(name, {*callees, *LEMMA_SUMMARIES})
+            for name, callees in CALLEES_BY_FUNCTION.items()
         )
-        if text not in proved_texts:
+        if code_text not in proved_texts:
             for claims in CLAIMS_OF_THE_CODE:
                 prove_all(claims(code))
-        proved_texts.add(text)
+        proved_texts.add(code_text)
     return len(proved_texts)
 
 

@@ -8,7 +8,16 @@ import pytest
 import z3
 
 from proofs import prove as prover
-from proofs.prove import Contract, UnprovenError, always, prove, prove_all, prove_lemma, require_possible
+from proofs.prove import (
+    Claim,
+    Contract,
+    UnprovenError,
+    always,
+    prove,
+    prove_all,
+    prove_lemma,
+    require_satisfiable,
+)
 from proofs.source import VARIANTS, program
 
 NEVER = z3.BoolVal(False)
@@ -23,7 +32,7 @@ def never(*_arguments: Any) -> z3.BoolRef:
 
 @pytest.fixture(autouse=True)
 def _give_up_soon(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(prover, "EFFORTS", (10**5,))
+    monkeypatch.setattr(prover, "STEP_LIMITS", (10**5,))
 
 
 def factors_of_a_large_prime() -> tuple[Any, list[Any]]:
@@ -52,15 +61,15 @@ def test_premises_that_the_solver_cannot_satisfy_prove_nothing() -> None:
     """
     is_product, exceed_1 = factors_of_a_large_prime()
     with pytest.raises(UnprovenError, match="nothing is found"):
-        require_possible([is_product, *exceed_1], about="factors of a prime")
+        require_satisfiable([is_product, *exceed_1], description="factors of a prime")
 
 
 def test_premises_that_contradict_each_other_prove_nothing() -> None:
     """Everything follows from a contradiction. A real number may be between 0 and 1, and no integer is."""
     real, integer = z3.Real("p"), z3.Int("p")
-    claims = [  # name, claim, and premises
-        ("of reals", real * real < 1, [real > 0, real < 1]),
-        ("of integers", NEVER, [integer > 0, integer < 1]),
+    claims = [
+        Claim("of reals", real * real < 1, [real > 0, real < 1]),
+        Claim("of integers", NEVER, [integer > 0, integer < 1]),
     ]
 
     with pytest.raises(UnprovenError, match="of integers: nothing is found"):
@@ -87,7 +96,7 @@ def test_a_call_that_breaks_what_the_called_function_requires_has_no_proof() -> 
         return z3.UGT(first, 7)
 
     contracts = {
-        "multiply_high": Contract(always, uses=("multiply",)),
+        "multiply_high": Contract(always, used_lemmas=("multiply",)),
         "multiply": Contract(always, requires=first_number_is_above_7),
     }
 
@@ -96,10 +105,10 @@ def test_a_call_that_breaks_what_the_called_function_requires_has_no_proof() -> 
 
 
 def test_a_function_that_was_proved_for_one_contract_is_not_taken_as_proved_for_another() -> None:
-    """``prove_lemma`` notes in ``done`` what it has proved. The second contract is never kept by add()."""
-    code, done = program(CORTEX_M4), set[Any]()
+    """``prove_lemma`` adds to ``done_proofs`` what it has proved. add() never keeps the second contract."""
+    code, done_proofs = program(CORTEX_M4), set[Any]()
     always_kept, never_kept = Contract(always), Contract(never)
-    prove_lemma(code, "add", {"add": always_kept}, done)
+    prove_lemma(code, "add", {"add": always_kept}, done_proofs)
 
     with pytest.raises(UnprovenError):
-        prove_lemma(code, "add", {"add": never_kept}, done)
+        prove_lemma(code, "add", {"add": never_kept}, done_proofs)

@@ -10,9 +10,9 @@ from typing import Any
 import pytest
 import z3
 
-from proofs.arithmetic import PREPARED
-from proofs.machine import INTEGERS, Machine
-from proofs.numbers import Number, Type, Words
+from proofs.arithmetic import RECIPROCAL_LIMITS
+from proofs.machine import INTEGER_TYPES, Machine
+from proofs.numbers import BitVectorArithmetic, IntegerType, Number
 from proofs.source import ARITHMETIC, HEADER, HERE, Program, Variant, program
 from support import run, slow
 
@@ -49,7 +49,7 @@ def functions_of_numbers(code: Program) -> list[str]:
     for name in code.defined_in(*ARITHMETIC):
         has_numbers_alone = None not in types_of_parameters(code, name)
         needs_reciprocal = "prepare" in code.closure(name)
-        if has_numbers_alone and not (needs_reciprocal and code.variant.divide in PREPARED):
+        if has_numbers_alone and not (needs_reciprocal and code.variant.divide in RECIPROCAL_LIMITS):
             names.append(name)
     return names
 
@@ -59,7 +59,7 @@ def types_of_parameters(code: Program, name: str) -> list[Any]:
     types = []
     for parameter in code.parameters(name):
         *_, type_name = getattr(parameter.type.type, "names", [""])
-        types.append(INTEGERS.get(type_name))
+        types.append(INTEGER_TYPES.get(type_name))
     return types
 
 
@@ -69,12 +69,12 @@ def draw_arguments(code: Program, name: str, rng: random.Random) -> list[int]:
     return [draw_argument(parameter.name, type_, rng) for parameter, type_ in parameters]
 
 
-def draw_argument(name: str, type_: Type, rng: random.Random) -> int:
+def draw_argument(name: str, type_: IntegerType, rng: random.Random) -> int:
     """Draw an edge, or a number of any length, for a parameter of that name."""
     if name in COUNTS:
         return rng.randint(1, COUNTS[name])
     if rng.random() < 0.3:
-        return rng.choice(EDGES) & type_.most
+        return rng.choice(EDGES) & type_.maximum
     return rng.getrandbits(rng.randint(1, type_.bits))
 
 
@@ -84,8 +84,8 @@ def interpret(code: Program, name: str, arguments: list[int]) -> int:
     numbers = []
     for argument, type_ in zip(arguments, types, strict=True):
         numbers.append(Number(z3.BitVecVal(argument, type_.bits), type_))
-    machine = Machine(code, Words)
-    result = machine.seen(machine.call(name, *numbers))
+    machine = Machine(code, BitVectorArithmetic)
+    result = machine.terms_of(machine.call(name, *numbers))
     if isinstance(result, dict):  # a pair of words
         result = z3.Concat(result["high"], result["low"])
     return int(z3.simplify(result).as_long())
