@@ -67,6 +67,7 @@ def _is_shift_count(_value: Any, count: Any) -> Any:
 
 
 def _is_shifted_wide(result: Any, value: Any, count: Any) -> Any:
+    """Return that the result is the value shifted left by count modulo 32, as a pair of words."""
     return z3.Concat(result["high"], result["low"]) == zero_extend(value) << zero_extend(count & 31)
 
 
@@ -120,6 +121,7 @@ def is_upper_product(result: Any, a: Any, b: Any) -> Any:
 
 
 def _product_contract(ensures: Formula) -> Contract:
+    """Return a contract whose proof goes by the products of halves of words."""
     proof_steps = (_products_of_halves_fit, _is_product_of_halves)
     return Contract(ensures, IntegerArithmetic, proof_steps=proof_steps)
 
@@ -153,6 +155,8 @@ class DivisionInvariant:
             self.facts_before_loop = list(machine.facts)
         self.turns, self.turns_in_byte = self.turns + 1, self.turns_in_byte + 1
         machine.require(self._formula(machine), f"turn {self.turns}")
+        # Forget what the turn did: the variables may hold anything that fulfils the invariant. So the
+        # formulas stay as short as for one turn.
         for name in ("a", "byte", "quotient"):
             variable = machine.local_variable(name)
             machine.store(variable, machine.fresh_number(name, machine.load(variable).type))
@@ -161,9 +165,11 @@ class DivisionInvariant:
             self.turns_in_byte = 0  # the inner loop ends here, and its byte joins the quotient
 
     def _formula(self, machine: Machine) -> Any:
+        """Return the invariant, with the present values of the loop's variables."""
         a, byte, full_bytes = (
             machine.load(machine.local_variable(name)).term for name in ("a", "byte", "quotient")
         )
+        # The quotient so far: complete bytes, and the bits of the byte that is being filled.
         quotient = full_bytes * 2**self.turns_in_byte + byte
         dividend, d = machine.argument_terms["a"], machine.argument_terms["d"]
         return z3.And(
@@ -176,7 +182,9 @@ class DivisionInvariant:
 def _is_prepared(divide: int) -> Formula:
     """Return the formula for what prepare(d) gives: a divisor of 16 bits or a reciprocal."""
     if divide == HARDWARE:
+        # d / 2^15, rounded down, and 1: always above d / 2^15, so that no digit is too large.
         return lambda prepared, d: z3.And(d < prepared * 2**15, prepared * 2**15 <= d + 2**15)
+    # 2^46 / d, less a share of it: at most lost_share in units of 2^-13.
     _, lost_share = RECIPROCAL_LIMITS[divide]
     return lambda prepared, d: z3.And(
         prepared > 0,
@@ -299,6 +307,7 @@ def _bit_division_contracts() -> dict[str, Contract]:
 
 def normalise(value: Any) -> tuple[Any, Any]:
     """Return a long word shifted until its highest bit is set, and by how much."""
+    # A binary search: shift by 32 if the upper 32 bits are 0, then by 16 if the upper 16 are, and so on.
     shift = z3.BitVecVal(0, 64)
     for step in (32, 16, 8, 4, 2, 1):
         are_upper_bits_clear = z3.LShR(value, 64 - step) == 0
@@ -344,6 +353,7 @@ def _like_integer(word: Any) -> Any:
 
 
 def _words_are_ratio(result: Any, a: Any, d: Any) -> Any:
+    """Return ``is_ratio`` of words, with the shift that sets the highest bit of d."""
     _, shift = normalise(d)
     wide_shift = _like_integer(shift)
     upper_a, half_d = _like_integer(result["high"]), _like_integer(result["low"])
@@ -361,6 +371,7 @@ RATIO = Contract(
 def _ratio_of_integers(machine: Machine, a: Any, d: Any) -> Any:
     """Stand in for ratio() by its lemma, which is proved with words, in the proof of quotient()."""
     machine.require(ratio_requires(a.term, d.term), "what ratio requires")
+    # ratio() shifts both by a power of two, which may be any scale from 1 on in this proof.
     upper_a, half_d, scale = (machine.fresh_number("ratio", IntegerType(bits)) for bits in (32, 32, 64))
     long_a, long_d = a.term * scale.term, d.term * scale.term
     machine.assume(z3.And(scale.term >= 1, is_ratio(upper_a.term, half_d.term, long_a, long_d)))

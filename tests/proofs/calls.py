@@ -57,6 +57,7 @@ def uninterpreted_result(name: str, shape: Any, *arguments: Any) -> Any:
             member_name: uninterpreted_result(f"{name} {member_name}", member, *arguments)
             for member_name, member in shape.items()
         }
+    # A function of the solver, of which nothing is known: it takes all words of all arguments.
     argument_terms = [term for argument in arguments for term in iterate_terms(argument)]
     argument_sorts = [term.sort() for term in argument_terms]
     return z3.Function(name, *argument_sorts, shape.sort())(*argument_terms)
@@ -113,6 +114,7 @@ def _may_observe(robot: Any, _z: Any) -> Any:
 def _is_observed(status: Any, robot_after: Any, robot: Any, z: Any) -> Any:
     """Return what observe promises: t and n count the observation, and I2 holds again."""
     is_colour = z3.Or(z == 0, z == 1)
+    # With 64 bits neither sum can wrap.
     counted_t, counted_n = zero_extend(robot["t"]) + 1, zero_extend(robot["n"]) + zero_extend(z)
     has_reached_memory = counted_t == zero_extend(robot["config"]["memory"])
     # An odd n is halved to the even one of the two nearest integers.
@@ -162,6 +164,7 @@ def _is_received(status: Any, robot_after: Any, robot: Any, *message: Any) -> An
     is_sender = z3.And(z3.ULE(sender, 127), sender != robot["id"])
     is_valid = z3.And(is_sender, z3.ULE(x_hat, ONE))
     heard_senders = _heard_senders(robot)
+    # A sender of more than 127 has no bit, and is refused anyway.
     sender_bit = z3.BitVecVal(1, 128) << zero_extend(sender, 128)
     is_new = heard_senders & sender_bit == 0
     is_accepted = z3.And(is_valid, is_new)
@@ -272,6 +275,7 @@ def _is_settled(status: Any, robot_after: Any, robot: Any) -> Any:
     A vote is taken or the sums are published; then the filter runs, and the next round begins. With the
     robust filter the sums stay, with another one the estimates stay.
     """
+    # The counter is decremented first, and the filter runs when it reaches 0.
     filter_left, period = robot["filter_left"] - 1, robot["config"]["filter_period"]
     filter_runs, takes_vote = filter_left == 0, is_robust(robot["config"])
     sums = robot["received"]["sums"]
@@ -293,6 +297,7 @@ def _is_settled(status: Any, robot_after: Any, robot: Any) -> Any:
         {**robot_after_round, **changes_of_filter},
         {**robot_after_round, "filter_left": filter_left},
     )
+    # The filter has run on the sums of the round; now they are cleared for the next one.
     next_sums = {**published_sums, "open": zeros_like(sums["open"])}
     expected_robot["received"] = {**robot["received"], "sums": choose_terms(takes_vote, sums, next_sums)}
     expected_robot["heard"] = zeros_like(robot["heard"])
@@ -336,6 +341,7 @@ def update_b_hat_claims(program: Program) -> Iterator[Claim]:
     """
     robot, status, robot_after = function_terms(program, "update_b_hat")
     counters, accuracy = robot["counters"], robot["accuracy"]
+    # Without an observation there is no estimate that a filter could judge.
     has_observed, has_robust_filter = robot["t"] != 0, is_robust(robot["config"])
     b_hat_of_paper, counts_test = _b_hat_of_paper_filters(robot)
     b_hat = z3.If(has_robust_filter, result_of("run_robust_filter"), b_hat_of_paper)
@@ -395,6 +401,7 @@ def _test_terms(robot: Any) -> tuple[Any, Any, Any]:
     """Return (sum x - m x_hat)^2; k_m, the entry for m > q where m > q; and m sum x^2 - (sum x)^2."""
     sums, word_at = robot["received"]["sums"]["open"], robot["config"]["table"].word_at
     m, x, q = sums["count"], sums["x"], word_at(0) % 256
+    # The lowest byte of the table's first word is q, its number of thresholds.
     difference = x - m * robot["x_hat"]
     k = word_at(z3.If(m <= q, m, q + 1))
     spread = m * sums["x_squared"] - x * x

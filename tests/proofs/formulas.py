@@ -42,6 +42,7 @@ def _uninterpreted_summary(name: str) -> Summary:
     """Return a stand-in that gives ``result_of`` its arguments, and may write anything."""
 
     def call_uninterpreted(machine: Machine, *arguments: Any) -> Number:
+        # Whatever its pointers point to may have changed; only the result is tied to the arguments.
         any_result(name)(machine, *arguments)
         argument_words = [argument.term for argument in arguments if isinstance(argument, Number)]
         return Number(result_of(name, *argument_words), IntegerType(RESULT_BITS[name]))
@@ -103,6 +104,7 @@ def zeros_like(structure: Any) -> Any:
 def returns_code_of_first(status: Any, *cases: tuple[Any, int]) -> Any:
     """Return the formula that a status is the code of the first case whose condition holds, or else 0."""
     expected_status = z3.BitVecVal(0, status.size())
+    # From the last case to the first, so that the first one is asked first.
     for condition, code in reversed(cases):
         expected_status = z3.If(condition, z3.BitVecVal(code, status.size()), expected_status)
     return status == expected_status
@@ -123,6 +125,7 @@ def function_terms(
     """
     summaries = dict(LEMMA_SUMMARIES)
     for called_name in uninterpreted_names:
+        # The function itself is executed, even if others know it as uninterpreted.
         if called_name != name:
             summaries[called_name] = _uninterpreted_summary(called_name)
     summaries["set_b_hat"] = _call_set_b_hat
@@ -156,6 +159,7 @@ def _is_rounded_alpha(result: Any, mantissa: Any, exponent: Any) -> Any:
 
     Otherwise it is the number itself, or whole units of it, rounded down, with shift 0.
     """
+    # An alpha word has the mantissa in its upper 24 bits, and the shift, up to 31, below it.
     largest_alpha, exact_alpha = 0xFFFFFF1F, mantissa << 8 | exponent
     whole_units = z3.LShR(mantissa, -exponent) << 8
     return z3.If(

@@ -40,7 +40,7 @@ INTEGER_TYPES = {
 
 @dataclass(frozen=True)
 class Location:
-    """Where a value is stored: in a variable, or in a member or element of it.
+    """The location of a value in memory: a variable, or a member or element of it.
 
     Attributes:
         variable: The number of the call that declares the variable, and its name.
@@ -116,7 +116,7 @@ A caller then relies on what the function's contract says, and the proof does no
 
 
 class Machine:
-    """One symbolic execution.
+    """A symbolic execution of one function.
 
     The machine keeps one memory for all paths, and the path condition: the conditions under which the program
     gets to where it is. A branch whose condition is open runs both ways, each with its condition added to the
@@ -146,8 +146,9 @@ class Machine:
         self.after_loop_turn: Callable[[Machine], None] | None = None
         self._path_condition: list[Any] = []
         self._memory: dict[tuple[int, str], Any] = {}
+        # The outermost frame belongs to no function, and is never left.
         self._call_frames: list[CallFrame] = [CallFrame(0)]
-        self._name_count = 0
+        self._name_count = 0  # makes the names of the solver's variables unique
 
     # --- Unknown values ---
 
@@ -176,6 +177,7 @@ class Machine:
         if isinstance(type_, c_ast.ArrayDecl):
             length = constant_value(self.evaluate(type_.dim).term)
             return {str(index): self._build_value(type_.type, name, make_number) for index in range(length)}
+        # A structure has all its members here, and a union its first one.
         members = type_.decls
         if isinstance(type_, c_ast.Union) and not self._has_separate_members(type_):
             members = type_.decls[:1]
@@ -225,11 +227,13 @@ class Machine:
 
     def assume(self, formula: Any) -> None:
         """Add something that holds wherever the program gets here."""
+        # Facts are global, so one that holds on this path alone has the path condition as its premise.
         path_condition = self._path_condition
         self.facts.append(z3.Implies(z3.And(path_condition), formula) if path_condition else formula)
 
     def require(self, formula: Any, description: str) -> None:
         """Add an obligation: the formula must hold here."""
+        # What simplifies to true needs no proof.
         if not z3.is_true(z3.simplify(formula)):
             self.obligations.append(Obligation(self.assumptions_here(), formula, description))
 
@@ -256,6 +260,7 @@ class Machine:
         self._declare(declaration.name, declaration.type, value)
 
     def _declare(self, name: str, declaration: Any, value: Any) -> None:
+        """Declare a variable of the function that runs, with a value converted to its type."""
         self._call_frames[-1].declared_types[name] = declaration
         location = self.local_variable(name)
         self._memory[location.variable] = self._convert(value, self._resolve_type(declaration))
@@ -285,6 +290,7 @@ class Machine:
         return loaded_value
 
     def _is_index(self, index: Number, index_text: str) -> Any:
+        """Return the formula that an index is this constant one."""
         return index.term == self.arithmetic.constant(int(index_text), index.type).term
 
     def store(self, location: Location, value: Any) -> Any:
@@ -294,6 +300,7 @@ class Machine:
         old_value = self.load(location)
         if isinstance(old_value, Number):
             value = self._convert(value, old_value.type)
+        # Values are shared between paths, so the variable gets a new value instead of a changed one.
         variable = location.variable
         self._memory[variable] = self._replace_element(self._memory[variable], location.path, value)
         return value
@@ -331,6 +338,7 @@ class Machine:
         function = self.program.functions[name]
         self._name_count += 1
         frame = CallFrame(self._name_count, function)
+        # When the function has returned, its own variables are out of scope.
         variables_of_callers = list(self._memory)
         self._call_frames.append(frame)
         for parameter, argument in zip(self.program.parameters(name), arguments, strict=True):
@@ -373,16 +381,19 @@ class Machine:
             self.execute(declaration)
 
     def _execute_decl(self, node: Any) -> None:
+        """Declare a variable. Without an initial value an array is unknown, and others have no value."""
         initial_value = None
         if isinstance(node.init, c_ast.InitList):
             initial_value = self._evaluate_initializer(self._resolve_type(node.type), node.init)
         elif node.init is not None:
             initial_value = self.evaluate(node.init)
         elif isinstance(node.type, c_ast.ArrayDecl):
+            # Elements are stored one by one, into an array that must exist and may hold anything.
             initial_value = self.fresh_value(node.type, node.name)
         self._declare(node.name, node.type, initial_value)
 
     def _execute_return(self, node: Any) -> None:
+        """Record the result and the memory of this path for the caller, and end the path."""
         frame = self._call_frames[-1]
         result = None if node.expr is None else self.evaluate(node.expr)
         result = self._convert(result, self._resolve_type(frame.function.decl.type.type))
@@ -426,6 +437,7 @@ class Machine:
 
         def execute_next_turn() -> None:
             self.execute(loop.stmt)
+            # An invariant replaces what is known after the turn, before the counter moves.
             if self.after_loop_turn is not None and not any(nodes(loop.stmt, c_ast.For)):
                 self.after_loop_turn(self)
             if isinstance(loop, c_ast.For):
@@ -445,13 +457,15 @@ class Machine:
         if z3.is_false(condition):
             execute_else()
             return
+        # The condition is open, so both branches begin with the same memory.
         memory_before = dict(self._memory)
         with self._path_under(condition) as assumptions_after_then:
             execute_then()
         memory_after_then, self._memory = self._memory, memory_before
         with self._path_under(z3.Not(condition)) as assumptions_after_else:
             execute_else()
-        # Where the paths meet, variables that only one branch has declared are out of scope.
+        # The join: a variable becomes a choice between what the two branches left in it. Variables that only
+        # one branch has declared are out of scope.
         self._memory = {
             variable: merge_values(condition, memory_after_then[variable], value)
             for variable, value in self._memory.items()
@@ -513,6 +527,7 @@ class Machine:
         value = int(digits, 0)
         is_unsigned_only = "u" in node.value.lower()
         may_be_unsigned = is_unsigned_only or digits.startswith("0x")
+        # int, long and long long, each signed first; decimal literals without a U are never unsigned.
         for bits in (self.int_type.bits, 32, 64):
             for signed in (True, False):
                 is_allowed = not is_unsigned_only if signed else may_be_unsigned
@@ -522,25 +537,30 @@ class Machine:
         raise NotImplementedError(node.value)
 
     def _evaluate_id(self, node: Any) -> Any:
+        """Return the value of an enumeration's constant or of a variable."""
         enumeration_value = self.program.constants.get(node.name)
         if enumeration_value is not None:
             return self.evaluate(enumeration_value)
         return self.load(self.local_variable(node.name))
 
     def _evaluate_structref(self, node: Any) -> Any:
+        """Return a member of a structure, or of one that a pointer points to."""
         structure = self.evaluate(node.name)
         if node.type == "->":
             structure = self.load(structure)
         return structure[node.field.name]
 
     def _evaluate_arrayref(self, node: Any) -> Any:
+        """Return an element of an array, or of one that a pointer points into."""
         array = self.evaluate(node.name)
         index = z3.simplify(self.evaluate(node.subscript).term)
+        # An array that is a value is a dictionary, of which a constant index needs no location.
         if isinstance(array, Location) or not is_constant(index):
             return self.load(self._locate(node))
         return array[str(index.as_long())]
 
     def _evaluate_cast(self, node: Any) -> Any:
+        """Return a value converted to another type; the only other one than an integer type is float."""
         type_ = self._resolve_type(node.to_type.type)
         value = self.evaluate(node.expr)
         return round_to_binary32(value) if type_ == "float" else self._convert(value, type_)
@@ -551,6 +571,7 @@ class Machine:
             return self.evaluate(node.iftrue)
         if z3.is_false(condition):
             return self.evaluate(node.iffalse)
+        # C evaluates one of the two, so each may change memory on its own path alone.
         with self._effects_only_if(condition):
             value_if_true = self.evaluate(node.iftrue)
         with self._effects_only_if(z3.Not(condition)):
@@ -592,6 +613,7 @@ class Machine:
         return self._update(node.lvalue, symbol, right_operand)
 
     def _evaluate_funccall(self, node: Any) -> Any:
+        """Call a function with its arguments converted to the types of its parameters."""
         arguments = [self._evaluate_argument(argument) for argument in node.args.exprs]
         name = node.name.name
         if name == "__builtin_clz":
@@ -630,6 +652,7 @@ class Machine:
         if isinstance(node, c_ast.ArrayRef):
             return self._locate_element(node)
         if isinstance(node, c_ast.UnaryOp) and node.op == "*":
+            # The value of a pointer is the location that it points to.
             target = self.evaluate(node.expr)
             assert isinstance(target, Location)
             return target
@@ -644,6 +667,7 @@ class Machine:
         if isinstance(array, dict):
             array_location, start_index = self._locate(node.name), 0
         else:
+            # A pointer into an array ends with the index of the element that it points to.
             array_location, start_index = array.enclosing_array(), int(array.path[-1])
         simplified_index = z3.simplify(index.term)
         if is_constant(simplified_index):
@@ -687,6 +711,7 @@ class Machine:
         """Return two numbers as ones of the type in which C computes: the longer one, or the unsigned one."""
         left_operand, right_operand = self._promote(left_operand), self._promote(right_operand)
         bits = max(left_operand.type.bits, right_operand.type.bits)
+        # A longer signed type can hold all values of a shorter unsigned one.
         longest_types = [number.type for number in (left_operand, right_operand) if number.type.bits == bits]
         common_type = IntegerType(bits, signed=all(type_.signed for type_ in longest_types))
         return self._convert(left_operand, common_type), self._convert(right_operand, common_type)

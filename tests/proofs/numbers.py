@@ -28,12 +28,13 @@ class IntegerType:
     @property
     def minimum(self) -> int:
         """The smallest value of the type."""
-        return -(1 << self.bits - 1) if self.signed else 0
+        return -(1 << (self.bits - 1)) if self.signed else 0
 
     @property
     def maximum(self) -> int:
         """The largest value of the type."""
-        return (1 << self.bits - self.signed) - 1
+        value_bits = self.bits - 1 if self.signed else self.bits
+        return (1 << value_bits) - 1
 
 
 @dataclass(frozen=True)
@@ -72,9 +73,11 @@ class BitVectorArithmetic:
             return Number(z3.If(number.term != 0, z3.BitVecVal(1, 1), z3.BitVecVal(0, 1)), type_)
         added_bits = type_.bits - number.type.bits
         if added_bits > 0:
+            # A longer type keeps the value: a signed one repeats its sign.
             extend = z3.SignExt if number.type.signed else z3.ZeroExt
             return Number(extend(added_bits, number.term), type_)
         if added_bits < 0:
+            # A shorter type keeps the lower bits.
             return Number(z3.Extract(type_.bits - 1, 0, number.term), type_)
         return Number(number.term, type_)
 
@@ -82,6 +85,7 @@ class BitVectorArithmetic:
         """Return the result of an operator, and require that it is defined: C forbids signed overflow."""
         if symbol in ("<<", ">>"):
             self.require(z3.ULT(right_operand.term, left_operand.type.bits), "shift by the width or more")
+            # The solver shifts by a count of the same length only.
             right_operand = self.convert(right_operand, IntegerType(left_operand.type.bits))
         elif symbol in ("/", "%"):
             self.require(right_operand.term != 0, "division by 0")
@@ -151,6 +155,7 @@ class IntegerArithmetic:
 
     def convert(self, number: Number, type_: IntegerType) -> Number:
         """Return a number as C converts it to another type."""
+        # A range within the other one needs no reduction.
         if number.type.minimum >= type_.minimum and number.type.maximum <= type_.maximum:
             return Number(number.term, type_)
         assert not type_.signed, "whole numbers cannot be made signed"
@@ -184,6 +189,7 @@ class IntegerArithmetic:
         if symbol == ">>":
             return left_operand / (1 << constant_value(right_operand))
         if symbol == "/":
+            # The solver rounds down and C towards 0, which is the same here, as no operand is negative.
             self.require(right_operand > 0, "division by 0")
             return left_operand / right_operand
         if symbol == "&":
@@ -196,6 +202,7 @@ class IntegerArithmetic:
 
     def _join_bits(self, left_operand: Any, right_operand: Any) -> Any:
         """Return ``|`` of terms, and require that no bit is set in both: then it is their sum."""
+        # One operand has zeros below a boundary, and the other is below it. These boundaries occur.
         have_separate_bits = [
             z3.And(high % (1 << boundary) == 0, low < 1 << boundary)
             for high, low in ((left_operand, right_operand), (right_operand, left_operand))

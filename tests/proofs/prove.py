@@ -60,6 +60,7 @@ def _check_satisfiable(*formulas: Any) -> tuple[Any, Any]:
     formulas alone, and not on queries before or on the load of the machine.
     """
     query_text = _solver_text(formulas)
+    # Another seed and more steps may settle what an attempt has not: the solver's search is a heuristic.
     for seed, step_limit in enumerate(STEP_LIMITS):
         for make_solver in SOLVER_KINDS:
             solver = make_solver(ctx=z3.Context())
@@ -83,6 +84,7 @@ def prove_all(claims: Iterable[Claim]) -> None:
     satisfiable_texts = set[str]()
     for claim in claims:
         query_text = _solver_text(claim.assumptions)
+        # Many claims share their assumptions, which need one check.
         if query_text not in satisfiable_texts:
             require_satisfiable(claim.assumptions, claim.name)
         satisfiable_texts.add(query_text)
@@ -131,6 +133,7 @@ class Contract:
         """
 
         def call_by_contract(machine: Machine, *arguments: Any) -> Any:
+            # The contract speaks of arguments as they were before the call, which may change their targets.
             argument_terms = [machine.terms_of(argument) for argument in arguments]
             machine.require(self.requires(*argument_terms), f"what {name} requires")
             result = any_result(name)(machine, *arguments)
@@ -161,6 +164,7 @@ def prove_contract(program: Program, name: str, contracts: Contracts) -> None:
         constants = {contract.constant_parameter: constant_value}
         argument_terms, result_terms = _run_function(machine, name, contract.requires, constants)
         prove_obligations(machine, name)
+        # If no arguments fulfilled the facts, any result would.
         require_satisfiable(machine.facts, name)
         proved_formulas: list[Any] = []
         for step_number, make_formula in enumerate((*contract.proof_steps, contract.ensures), start=1):
@@ -179,6 +183,7 @@ def prove_lemma(
     Raises UnprovenError if the function breaks its contract for some arguments.
     """
     contract = contracts[name]
+    # The code of functions with a stand-in is not executed, so it does not belong to the key.
     code_text = program.definition_text(name, {*contract.used_lemmas, *contract.stand_ins})
     proof_key = (code_text, contract, *(contracts[lemma] for lemma in contract.used_lemmas))
     if done_proofs is not None and proof_key in done_proofs:
@@ -199,6 +204,7 @@ def any_result(name: str) -> Summary:
             if not isinstance(argument, Location):
                 continue
             target_type = parameter.type.type
+            # A function only reads through a pointer to constants.
             if "const" in target_type.quals:
                 continue
             old_value, new_value = machine.load(argument), machine.fresh_value(target_type, name)

@@ -110,6 +110,7 @@ def _next_slot(robot: dict[str, Any]) -> Any:
 
 def _vote_of(robot: dict[str, Any]) -> Any:
     """Return the vote in units of 2^-30: 2^14 times a slot's estimate, or 2^7 times the robot's own x_hat."""
+    # Of x_hat in units of 2^-23, and of slots in units of 2^-16.
     slot, vote = _next_slot(robot), robot["x_hat"] << 7
     for index, estimate in robot["received"]["estimates"].items():
         vote = z3.If(slot == int(index), zero_extend(estimate, 32) << 14, vote)
@@ -124,6 +125,7 @@ def _vote_formulas(robot_after: dict[str, Any], robot: dict[str, Any]) -> tuple[
     shift = gain_shift(new_votes)
     is_above = z3.UGT(vote, centre)
     distance = z3.If(is_above, vote - centre, centre - vote)
+    # The centre moves towards the vote, the spread towards the median distance of votes.
     centre_step = z3.LShR(minimum_of(distance, spread), shift)
     spread_step = z3.LShR(spread, shift + 1)
     new_spread = z3.If(z3.UGT(distance, spread), spread + spread_step, spread - spread_step)
@@ -266,6 +268,7 @@ def _is_run_of_filter(b_hat: Any, robot_after: dict[str, Any], robot: dict[str, 
     initial_b_hat, tests = robust_before["initial_b_hat"], robot["counters"]["tests"]
     is_tested = z3.UGE(ESTIMATE_COUNT, 5)
     is_updated = z3.And(REJECTS != 0, IS_SUPPORTED == 0)
+    # 0 means that b_hat stays as it is.
     kept_b_hat = z3.If(robot["accuracy"]["b_hat"] == initial_b_hat, z3.BitVecVal(0, 32), initial_b_hat)
     expected_b_hat = z3.If(is_updated, NEW_B_HAT, kept_b_hat)
     kept_members = {name: member for name, member in robust_before.items() if name not in RUN_CHANGES}
@@ -335,6 +338,7 @@ WORD_MAX = 2**32 - 1
 
 
 def _to_real(value: Fraction) -> Any:
+    """Return a fraction as a term."""
     return z3.Q(value.numerator, value.denominator)
 
 
@@ -448,6 +452,7 @@ def rounding_error_claims() -> Iterator[Claim]:
     yield Claim("n / t", share_is_near, share_assumptions)
 
     g, h, p = z3.Reals("g h p")
+    # p = (1 + g h) / 2, where the fill ratio is (1 + h) / 2.
     p_of_g = [h >= -1, h <= 1, 2 * p - 1 == g * h]
     yield Claim("v is at least b_hat (1 - b_hat)", 4 * p * (1 - p) >= 1 - g * g, p_of_g)
 
@@ -519,6 +524,7 @@ def rounded_decision_claims() -> Iterator[Claim]:
     u = _to_real(UNIT)
     x_assumptions = [x <= 1, p >= formed_p, p < formed_p + 4 * u]
     x_assumptions += [x >= formed_x, x < formed_x + (4 * x + 1) * u]
+    # x and p are each formed too small, so their distance may be off either way.
     exact_distance = z3.If(x > p, x - p, p - x)
     formed_distance = z3.If(formed_x > formed_p, formed_x - formed_p, formed_p - formed_x)
     d_error = exact_distance - formed_distance

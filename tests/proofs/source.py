@@ -72,7 +72,7 @@ VARIANTS = (*HERE, AVR, Variant("1000", "__riscv"))
 
 
 class Program:
-    """One C file, preprocessed for one variant and parsed.
+    """A C file, preprocessed for one variant and parsed.
 
     Attributes:
         variant: The variant for which the file was preprocessed.
@@ -96,6 +96,7 @@ class Program:
         self.signatures: dict[str, Any] = {}
         self.types: dict[str, Any] = {}
         for node in syntax_tree.ext:
+            # A declaration stands by itself, or at the head of a definition.
             declaration = node
             if isinstance(node, c_ast.FuncDef):
                 declaration = node.decl
@@ -116,6 +117,7 @@ class Program:
 
     def callees(self, name: str) -> set[str]:
         """Return the functions of the program that a function calls."""
+        # What has no definition here, such as a builtin of the compiler, is left out.
         called_names = {call.name.name for call in nodes(self.functions[name], c_ast.FuncCall)}
         return called_names & set(self.functions)
 
@@ -123,6 +125,7 @@ class Program:
         """Return a function and all that it calls, directly or not; excluded functions are not followed."""
         reached_names, new_names = set[str](), {name}
         while new_names:
+            # Each round goes one call further from the function.
             reached_names |= new_names
             called_names = set[str]().union(*(self.callees(new_name) for new_name in new_names))
             new_names = called_names - reached_names - set(excluded_names)
@@ -133,6 +136,7 @@ class Program:
         generator = c_generator.CGenerator()
         reached_names = sorted(self.closure(name, excluded_names))
         definitions = [generator.visit(self.functions[reached_name]) for reached_name in reached_names]
+        # The same text means something else where an int has another length.
         return "\n".join([str(self.variant.int_bits), *definitions])
 
 
@@ -168,6 +172,7 @@ def documented_max_shift(node: Any) -> int | None:
 
 
 def _number_beside(node: Any, pattern: str) -> int | None:
+    """Return the number that a pattern captures in the line of a node, or None without a match."""
     # The parser drops comments, so they are read from the line of the source where the node stands.
     match = re.search(pattern, _source_lines(node.coord.file)[node.coord.line - 1])
     return int(match[1]) if match else None

@@ -33,6 +33,7 @@ def round_mean_claims(program: Program) -> Iterator[Claim]:
     assumptions = [alpha != 0, z3.ULT(alpha, 2**62), z3.ULT(low, 2**62), z3.ULT(high, 2**53)]
     assumptions += [z3.ULE(total, wide_alpha << 23)]
     is_short = z3.ULT(alpha, 2**32)
+    # Dividend and divisor of each case.
     cases = {
         "long": (z3.LShR(total, 23), wide_alpha, [*assumptions, z3.Not(is_short)]),
         "short": (total << 9, wide_alpha << 32, [*assumptions, is_short]),
@@ -59,6 +60,7 @@ def informed_estimate_claims(program: Program) -> Iterator[Claim]:
     alpha = arguments["alpha"] + own_units
     low = arguments["alpha_x_low"] + result_of("multiply", low_word(own_units), x_hat)
     high = arguments["alpha_x_high"] + result_of("multiply", high_word(own_units), x_hat)
+    # The mean is in units of 2^-32, and x in units of 2^-23.
     x = z3.LShR(result_of("round_mean", alpha, low, high), 9)
     zero_word = z3.BitVecVal(0, 32)
     upper_product = z3.Concat(x * high_word(alpha), zero_word)
@@ -74,6 +76,7 @@ def mean_error_claims() -> Iterator[Claim]:
     total, alpha, dividend, q = z3.Ints("S alpha dividend q")
     assumptions = [total >= 0, alpha > 0, total <= ONE * alpha, q >= 0]
     is_mean = z3.And(q * ONE * alpha <= 2**32 * total, 2**32 * total < (q + 8) * ONE * alpha)
+    # A long alpha loses the bits of S below ONE, which is less than a unit of the dividend.
     is_long = [*assumptions, alpha >= 2**32, total >= ONE * dividend, total < ONE * (dividend + 1)]
     yield Claim("long", is_mean, [*is_long, QUOTIENT.ensures(q, dividend, alpha)])
     is_short = [*assumptions, dividend == 2**9 * total, QUOTIENT.ensures(q, dividend, 2**32 * alpha)]
