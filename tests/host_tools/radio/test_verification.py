@@ -427,16 +427,18 @@ def test_a_phase_does_not_wait_for_a_filter_that_runs_too_rarely() -> None:
 def test_a_verdict_lists_the_observations_before_a_test_of_the_robust_filter_that_were_not_found(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """The tool searches for observations after which a test just rejects, or just does not.
+    """In three phases the tool searches for observations after which a test just rejects, or just does not.
 
-    Here it finds none, and ``not_exercised`` has an entry for each search.
+    Their tests are against 5, 6 and 32 estimates. Here the tool may not try any observations, so it finds
+    none, and ``not_exercised`` has an entry for each search.
     """
-    monkeypatch.setattr(robust_phases, "_MAX_BURSTS", 0)  # as if all attempts had been in vain
+    monkeypatch.setattr(robust_phases, "_MAX_BURSTS", 0)  # the largest number of bursts of observations
     phases = phases_named("first estimates", "test of a wide spread", "many rejections")
     verdict = verify_right_controller(ROBUST_FILTER, phases)
 
     assert verdict.difference is None
-    # Before each test two kinds of observations are searched for.
+    # Two searches for each test: one that just rejects, and one that just does not. The phase "many
+    # rejections" searches once, for any rejection.
     assert verdict.not_exercised == [
         "observations before a test of 5 estimates",
         "observations before a test of 5 estimates",

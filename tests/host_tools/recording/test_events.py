@@ -170,7 +170,7 @@ def test_a_mask_in_a_file_of_version_3_is_read_as_the_last_estimates_of_its_send
     """
     first_line_of_version_3 = FIRST_LINE_OF_ROBOTS_0_AND_7.replace('"version": 5', '"version": 3')
     line_of_robot_7 = "[7,1,[3,9,8],[0,1,2],3]"
-    line_of_robot_0 = '[0,1,"9",3]'
+    line_of_robot_0 = '[0,1,"9",3]'  # the estimates are received in the order of their senders
     (tmp_path / "x").write_text(f"{first_line_of_version_3}{line_of_robot_7}\n{line_of_robot_0}\n")
 
     assert read_entries(tmp_path / "x") == [
