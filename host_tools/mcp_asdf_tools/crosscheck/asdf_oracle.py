@@ -66,17 +66,20 @@ def _check_filter(
 def _test_rejects(setup: Setup, state: State, x_hat: int) -> bool:
     """Return whether the test (eq. 12) rejects the robot's x_hat by the messages of the open round.
 
-    ``state`` is the robot's before the end of that round, and x_hat is in units of 2**-23.
+    ``state`` is the robot's before the end of that round, and x_hat is in units of 2**-23. Equality is no
+    rejection.
     """
     assert setup.table is not None
     m = state["open_count"]
-    # Eq. 12 squared and multiplied out, which whole numbers decide exactly. Equality is no rejection.
-    difference_squared = (state["open_x"] - m * x_hat) ** 2
-    scaled_variance = m * state["open_x_squared"] - state["open_x"] ** 2
-    # The threshold has FRACTION_BITS bits after the point, so the other side gets as many.
-    threshold = setup.table.build().entry(m)
-    scaled_difference_squared = difference_squared << FRACTION_BITS
-    return scaled_difference_squared > threshold * scaled_variance
+    sum_x, sum_x_squared = state["open_x"], state["open_x_squared"]
+    # X and S are the mean and the standard deviation of the m estimates, and eq. 12 is
+    #     |X - x_hat| > (t / sqrt(m) + 1) S
+    # Whole numbers decide it exactly, once both sides are squared and multiplied by m**2. What then stands
+    # before m (m - 1) S**2 is the table's entry, (t / sqrt(m) + 1)**2 m / (m - 1).
+    threshold = setup.table.build().entry(m)  # with FRACTION_BITS bits after the point
+    squared_difference = (sum_x - m * x_hat) ** 2  # m**2 (X - x_hat)**2
+    scaled_variance = m * sum_x_squared - sum_x**2  # m (m - 1) S**2
+    return (squared_difference << FRACTION_BITS) > threshold * scaled_variance
 
 
 def _closed_alpha_x(state: State) -> int:

@@ -451,12 +451,14 @@ class RobustScenarioWriter(ScenarioWriter):
 
     def _draw_estimates_at_threshold(self, robot: DrawnRobot, count: int) -> tuple[int, ...] | None:
         """Draw estimates by which the robot's test just rejects, or just does not; None if there are none."""
+        # How far the estimates are from their middle at most, in units of 2**-16: a number of 1 to 15 bits.
         width = draw_number_of_any_size(self._rng, 1, 15)
-        slots_on_both_sides = draw_slots_at_threshold(self._mirror_of(robot), count, width, self._rng)
-        if slots_on_both_sides is None:
+        drawn_slots = draw_slots_at_threshold(self._mirror_of(robot), count, width, self._rng)
+        if drawn_slots is None:
             return None
-        slots = self._rng.choice(slots_on_both_sides)
-        return slots.estimates
+        accepted_slots, rejected_slots = drawn_slots
+        chosen_slots = self._rng.choice([accepted_slots, rejected_slots])
+        return chosen_slots.estimates
 
     def _draw_supporters_and_others(self, robot: DrawnRobot, count: int) -> tuple[int, ...] | None:
         """Draw estimates by which the robot's test rejects, though about two in five support the robot.

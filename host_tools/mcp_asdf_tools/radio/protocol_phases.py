@@ -254,7 +254,8 @@ def receive_before_observing(bench: Bench) -> None:
     """
     bench.activity = "no observation"
     bench.play_tick(None)
-    # A filter that keeps estimates beyond their round gets the first ones in a phase of its own.
+    # The robust filter, for which the order of messages matters, keeps estimates beyond their round: it gets
+    # its first ones in a phase of its own, and no estimates here.
     keeps_estimates = filter_of_one_robot(bench.config.filter).order_matters
     if not keeps_estimates:
         receive_extremes(bench)
