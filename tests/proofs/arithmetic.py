@@ -172,11 +172,9 @@ class DivisionInvariant:
         # The quotient so far: complete bytes, and the bits of the byte that is being filled.
         quotient = full_bytes * 2**self.turns_in_byte + byte
         dividend, d = machine.argument_terms["a"], machine.argument_terms["d"]
-        return z3.And(
-            *(a >= 0, a < 2 * d, byte >= 0, byte < 2**self.turns_in_byte),
-            *(full_bytes >= 0, full_bytes < 2 ** (self.turns - self.turns_in_byte)),
-            2**self.turns * dividend == 2 * (d * quotient) + a,
-        )
+        ranges = [a >= 0, a < 2 * d, byte >= 0, byte < 2**self.turns_in_byte]
+        ranges += [full_bytes >= 0, full_bytes < 2 ** (self.turns - self.turns_in_byte)]
+        return z3.And(*ranges, 2**self.turns * dividend == 2 * (d * quotient) + a)
 
 
 def _is_prepared(divide: int) -> Formula:
@@ -340,11 +338,10 @@ def ratio_requires(a: Any, d: Any) -> Any:
 
 def is_ratio(upper_a: Any, half_d: Any, long_a: Any, long_d: Any) -> Any:
     """Return that the result of ratio() is the upper parts of a and d, both times a power of two."""
-    return z3.And(
-        *(long_a < 2**64, long_d >= 2**63, long_d < 2**64),
-        *(2**32 * upper_a <= long_a, long_a < 2**32 * (upper_a + 1)),
-        *(2**33 * (half_d - 1) <= long_d, long_d < 2**33 * half_d),
-    )
+    ranges = [long_a < 2**64, long_d >= 2**63, long_d < 2**64]
+    is_upper_a = [2**32 * upper_a <= long_a, long_a < 2**32 * (upper_a + 1)]
+    is_half_d = [2**33 * (half_d - 1) <= long_d, long_d < 2**33 * half_d]
+    return z3.And(*ranges, *is_upper_a, *is_half_d)
 
 
 def _like_integer(word: Any) -> Any:

@@ -341,7 +341,7 @@ def update_b_hat_claims(program: Program) -> Iterator[Claim]:
     """
     robot, status, robot_after = function_terms(program, "update_b_hat")
     counters, accuracy = robot["counters"], robot["accuracy"]
-    # Without an observation there is no estimate that a filter could judge.
+    # Without an observation there is no estimate that a filter could test.
     has_observed, has_robust_filter = robot["t"] != 0, is_robust(robot["config"])
     b_hat_of_paper, counts_test = _b_hat_of_paper_filters(robot)
     b_hat = z3.If(has_robust_filter, result_of("run_robust_filter"), b_hat_of_paper)
@@ -374,11 +374,10 @@ def update_b_hat_claims(program: Program) -> Iterator[Claim]:
 def is_possible_round(sums: Any) -> Any:
     """Return that integers are sums of a round that are possible (I7, section 10)."""
     alpha, low, high, _, x, m = (sums[name] for name in SUM_NAMES)
-    return z3.And(
-        *(are_possible_estimates(sums), m <= alpha, alpha <= m * ALPHA_MAX),
-        *(low >= 0, low <= (2**32 - 1) * x, high >= 0, high <= (2**23 - 1) * x),
-        2**32 * high + low <= ONE * alpha,
-    )
+    alpha_range = [m <= alpha, alpha <= m * ALPHA_MAX]
+    word_ranges = [low >= 0, low <= (2**32 - 1) * x, high >= 0, high <= (2**23 - 1) * x]
+    mean_is_at_most_one = 2**32 * high + low <= ONE * alpha
+    return z3.And(are_possible_estimates(sums), *alpha_range, *word_ranges, mean_is_at_most_one)
 
 
 def are_possible_estimates(sums: Any) -> Any:
@@ -400,8 +399,8 @@ def _may_test(robot: Any) -> Any:
 def _test_terms(robot: Any) -> tuple[Any, Any, Any]:
     """Return (sum x - m x_hat)^2; k_m, the entry for m > q where m > q; and m sum x^2 - (sum x)^2."""
     sums, word_at = robot["received"]["sums"]["open"], robot["config"]["table"].word_at
-    m, x, q = sums["count"], sums["x"], word_at(0) % 256
     # The lowest byte of the table's first word is q, its number of thresholds.
+    m, x, q = sums["count"], sums["x"], word_at(0) % 256
     difference = x - m * robot["x_hat"]
     k = word_at(z3.If(m <= q, m, q + 1))
     spread = m * sums["x_squared"] - x * x

@@ -354,11 +354,10 @@ def _phi_in_range(phi: Any) -> list[Any]:
 
 def _products_of_p(b_hat: Any, fill_ratio: Any, product: Any, other_product: Any) -> list[Any]:
     """Return what is known of the two products that the test adds up to p. Each is rounded down."""
-    return [
-        *(b_hat >= B_HAT_RANGE[0], b_hat <= B_HAT_RANGE[1], fill_ratio >= 0, fill_ratio <= WORD_MAX),
-        _is_upper_word(product, b_hat * fill_ratio),
-        _is_upper_word(other_product, (WORD_MAX - b_hat) * (WORD_MAX - fill_ratio)),
-    ]
+    is_product = _is_upper_word(product, b_hat * fill_ratio)
+    is_other_product = _is_upper_word(other_product, (WORD_MAX - b_hat) * (WORD_MAX - fill_ratio))
+    ranges = [b_hat >= B_HAT_RANGE[0], b_hat <= B_HAT_RANGE[1], fill_ratio >= 0, fill_ratio <= WORD_MAX]
+    return [*ranges, is_product, is_other_product]
 
 
 def wrapping_claims() -> Iterator[Claim]:

@@ -83,10 +83,9 @@ class Program:
     """
 
     def __init__(self, path: Path, variant: Variant) -> None:
-        preprocessed_text = run(
-            *("gcc", "-E", "-undef", "-nostdinc", f"-I{INCLUDE}", f"-I{SOURCES}", *variant.flags()),
-            *("-x", "c", path),
-        )
+        # Own headers instead of the system's, and no macros of the compiler for this machine.
+        flags = ["-undef", "-nostdinc", f"-I{INCLUDE}", f"-I{SOURCES}", *variant.flags(), "-x", "c"]
+        preprocessed_text = run("gcc", "-E", *flags, path)
         # pycparser takes no pragmas, and they change no result.
         c_text = re.sub(r"^# .*pragma.*$", "", preprocessed_text, flags=re.MULTILINE)
         syntax_tree = c_parser.CParser().parse(c_text, str(path))
