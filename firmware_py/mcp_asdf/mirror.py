@@ -255,7 +255,8 @@ def estimate(t: int, n: int, accuracy: Accuracy) -> tuple[int, int]:
         x_hat = (n / t + b_hat - 1) / (2 b_hat - 1)     clamped to 0 .. 1
 
     but 1/2, with no confidence, if |2 b_hat - 1| < 2**-12: then b_hat carries no information. An alpha word
-    has a mantissa in bits 8 to 31 and a shift in bits 0 to 4; the word 0 is no confidence.
+    has a mantissa in bits 8 to 31 and a shift in bits 0 to 4; the word 0 is no confidence. Both are computed
+    by ``estimate_of_rarer_colour`` as if the rarer colour were black and the sensor mostly right.
     """
     if accuracy.c == C_WITHOUT_INFORMATION:
         return HALF, 0

@@ -27,7 +27,7 @@ LIBRARIES = ()
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments and options of the command."""
+    """Declare the file of readings and the options of ``mcp-asdf calibrate``."""
     parser.add_argument(
         "file",
         metavar="FILE",

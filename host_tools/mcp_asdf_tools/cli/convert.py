@@ -29,7 +29,7 @@ _DEFAULT_RECORD = 10
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments and options of the command."""
+    """Declare the trial files, the file of results and the options of ``mcp-asdf convert``."""
     parser.add_argument(
         "files",
         metavar="FILE",

@@ -34,7 +34,7 @@ _DEFAULT_SEED = 1
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments and options of the command."""
+    """Declare the options of ``mcp-asdf crosscheck``, and the scenario that it may replay."""
     parser.add_argument(
         "--steps", type=int, metavar="N", help=f"make and compare this many calls (default {_DEFAULT_STEPS})"
     )

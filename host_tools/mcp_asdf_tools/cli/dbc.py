@@ -22,7 +22,7 @@ LIBRARIES = ()
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments and options of the command."""
+    """Declare the output file and the frame format of ``mcp-asdf dbc``."""
     parser.add_argument(
         "--output", metavar="FILE", type=Path, help="write to this file (default: standard output)"
     )

@@ -19,7 +19,7 @@ LIBRARIES = ("numpy", "pyarrow")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments of the command."""
+    """Declare the input and the output file of ``mcp-asdf export``."""
     parser.add_argument(
         "source", metavar="RESULTS", type=Path, help="read results (.parquet), or the log of a swarm (.log)"
     )

@@ -49,7 +49,7 @@ _logger = logging.getLogger(__name__)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options of the command."""
+    """Declare the options of ``mcp-asdf node``: the robot, its bus, the run and the output."""
     group = parser.add_argument_group("robot", options.describe_filters())
     identity = group.add_mutually_exclusive_group(required=True)
     identity.add_argument(

@@ -28,7 +28,7 @@ _PLOT_OPTIONS = ("trial", "x", "hue", "y", "facet")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments and options of the command."""
+    """Declare the results, the picture and the options of ``mcp-asdf plot``."""
     parser.add_argument("file", metavar="FILE", type=Path, help="read the results from a .parquet file")
     parser.add_argument("picture", metavar="PICTURE", type=Path, help="draw into a .png, .svg or .pdf file")
     parser.add_argument(

@@ -69,7 +69,7 @@ _DEFAULT_TIMEOUT = 2.0
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options of the command."""
+    """Declare the options of ``mcp-asdf radio``: controller, neighbours, bus, run and output."""
     group = parser.add_argument_group("controller", options.describe_filters())
     group.add_argument("--id", type=int, metavar="ID", required=True, help="id of the controller, 0 to 127")
     options.add_robot_options(group, "mirror")

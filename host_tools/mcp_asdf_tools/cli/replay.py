@@ -29,7 +29,7 @@ LIBRARIES = ("numpy", "can", "rich.console")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments and options of the command."""
+    """Declare the log that ``mcp-asdf replay`` checks, its file of events, and which bus is meant."""
     parser.add_argument(
         "log", metavar="LOG", type=Path, help="log to check: .log (candump), .asc, .blf, .csv, .mf4 or .trc"
     )

@@ -50,7 +50,7 @@ QUICK_SIZE = StudySize(trials=10, steps=10_000)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options of the command."""
+    """Declare the options of ``mcp-asdf reproduce``."""
     parser.add_argument(
         "--quick",
         action="store_true",

@@ -18,7 +18,7 @@ LIBRARIES = ("numpy", "pyarrow", "rich.console")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments and options of the command."""
+    """Declare the results and the output of ``mcp-asdf score``."""
     parser.add_argument(
         "file", metavar="FILE", type=Path, help="read the results from a .parquet file, such as grid.parquet"
     )

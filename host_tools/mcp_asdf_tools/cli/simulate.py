@@ -25,7 +25,7 @@ _ROBOT_STEPS_FOR_PROCESSES = 10**8
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments and options of the command."""
+    """Declare the parameters of the experiment, and the output, of ``mcp-asdf simulate``."""
     parser.add_argument(
         "file",
         metavar="FILE",

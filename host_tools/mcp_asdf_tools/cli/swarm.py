@@ -67,7 +67,7 @@ _DEFAULT_PACE = 500.0
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare all options of the command."""
+    """Declare the options of ``mcp-asdf swarm``: the swarm, its faults, the bus, the run and the output."""
     options.add_parameters(parser, SwarmSettings, "swarm and world", options.COMMON_PARAMETERS)
     _add_fault_options(parser)
     options.add_bus_options(parser)

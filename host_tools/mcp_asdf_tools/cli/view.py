@@ -38,7 +38,7 @@ _OPTIONS_OF_FRAMES = ("fill_ratio", "true_accuracy", "subject", "channel")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments and options of the command."""
+    """Declare what ``mcp-asdf view`` shows, a recording or a bus, and its options."""
     from mcp_asdf_tools.bus.frames import FrameFormat
 
     parser.add_argument(

@@ -92,7 +92,9 @@ class Audit:
         return problems + check_call_of_filter(self, setup, call, before, after)
 
     def _check_estimate(self, units_of_b_hat: int, state: State) -> list[str]:
-        """Collect the errors of x_hat and alpha after an observation, and return a line for each wrong one.
+        """Check x_hat and alpha after an observation, and return a line for each that is out of its bounds.
+
+        Their errors are collected in ``errors``, by the range in which |2 b_hat - 1| is, for the report.
 
         ``units_of_b_hat`` is b_hat, the accuracy with which they were computed, in units of 2**-32. The error
         of an alpha below 1/2 is not collected.
@@ -103,15 +105,17 @@ class Audit:
         alpha = Fraction(alpha_units(state["alpha"]), 2**24)
         region = region_of(2 * b_hat - 1)
 
-        # Errors are collected against float64, too, with which users compare the firmware.
+        # Errors against exact numbers and, as users compare the firmware with it, against float64
         exact_error = x_hat - local_estimate(n, t, b_hat)
         float64_error = float(x_hat) - local_estimate(n, t, float(b_hat))
         self.errors["x_hat", region].add(exact_error, float64_error)
         right_alpha = exact_alpha(n, t, b_hat)
         if right_alpha >= Fraction(1, 2):
+            # The firmware has no larger alpha than this; the equation has.
             float64_alpha = min(local_confidence(n, t, float(b_hat)), float(LARGEST_ALPHA))
-            relative_error = alpha / right_alpha - 1
-            self.errors["alpha", region].add(relative_error, float(alpha) / float64_alpha - 1)
+            exact_error = alpha / right_alpha - 1  # relative
+            float64_error = float(alpha) / float64_alpha - 1
+            self.errors["alpha", region].add(exact_error, float64_error)
         problems = check_bounds("x_hat", x_hat, x_hat_bounds(n, t, b_hat))
         problems += check_bounds("alpha", alpha, alpha_bounds(n, t, b_hat))
         return problems

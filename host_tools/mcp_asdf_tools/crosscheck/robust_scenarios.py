@@ -484,7 +484,10 @@ class RobustScenarioWriter(ScenarioWriter):
         supporter, tied, other = self._rng.sample(range(SLOT_ONE), 3)
         other_count = count - supporter_count - 1
         estimates = (supporter,) * supporter_count + (tied,) + (other,) * other_count
-        centre, _ = centre_and_spread(estimates)  # in units of 2**-24
+        # An estimate supports the robot if the share of black that it predicts is nearer to the robot's than
+        # to the share that the Huber centre of all estimates predicts. A b_hat is searched with which the
+        # prediction of the tied one is as far from both.
+        centre, _spread = centre_and_spread(estimates)  # in units of 2**-24
         b_hat = _find_b_hat_of_tie(robot, q24_from_q16(tied), centre)
         if b_hat is None:
             return None
