@@ -24,7 +24,9 @@ IN_LOOPS philox_t philox_round(philox_t counter, uint32_t key0, uint32_t key1)
     const uint64_t product2 = (uint64_t)counter.word[2] * UINT32_C(0xCD9E8D57);
     const uint32_t upper0 = (uint32_t)(product0 >> 32), lower0 = (uint32_t)product0;
     const uint32_t upper2 = (uint32_t)(product2 >> 32), lower2 = (uint32_t)product2;
-    return (philox_t){{upper2 ^ counter.word[1] ^ key0, lower2, upper0 ^ counter.word[3] ^ key1, lower0}};
+    const uint32_t mixed1 = upper2 ^ counter.word[1] ^ key0;
+    const uint32_t mixed3 = upper0 ^ counter.word[3] ^ key1;
+    return (philox_t){{mixed1, lower2, mixed3, lower0}};
 }
 
 /* Returns four random words, a function of the counter and the key of two words alone. The key grows by
@@ -35,17 +37,21 @@ IN_LOOPS philox_t philox(philox_t counter, uint32_t key0, uint32_t key1)
 #pragma GCC unroll 10 /* so that a loop over many generators has no inner loop */
 #endif
     for (uint32_t round = 0; round < PHILOX_ROUNDS; ++round) {
-        counter =
-            philox_round(counter, key0 + round * UINT32_C(0x9E3779B9), key1 + round * UINT32_C(0xBB67AE85));
+        const uint32_t round_key0 = key0 + round * UINT32_C(0x9E3779B9); /* modulo 2^32 */
+        const uint32_t round_key1 = key1 + round * UINT32_C(0xBB67AE85);
+        counter = philox_round(counter, round_key0, round_key1);
     }
     return counter;
 }
 
-/* Returns the four draws that decide the observations of a robot in steps 4 block .. 4 block + 3 (from 0) of
- * a trial. */
+/* Returns the four draws, of 32 bits each, that decide the observations of a robot in the steps 4 block to
+ * 4 block + 3 of a trial, all counted from 0. The words of the seed are the generator's key; block, robot and
+ * trial are its counter, whose last word is always 0. */
 IN_LOOPS philox_t draw_block(uint64_t seed, uint32_t trial, uint32_t robot, uint32_t block)
 {
-    return philox((philox_t){{block, robot, trial, 0}}, (uint32_t)seed, (uint32_t)(seed >> 32));
+    const philox_t counter = {{block, robot, trial, 0}};
+    const uint32_t lower_seed = (uint32_t)seed, upper_seed = (uint32_t)(seed >> 32);
+    return philox(counter, lower_seed, upper_seed);
 }
 
 #endif

@@ -18,8 +18,8 @@ uint32_t mcp_asdf_engine_columns(const mcp_asdf_experiment_t *experiment)
 {
     bool has_common_x = !trial_is_linked(experiment) && experiment->comms_period == 1 &&
                         experiment->liars == 0 && experiment->x_hat_bits == 0;
-    for (uint32_t j = 0; j < experiment->robots && has_common_x; ++j) {
-        has_common_x = !mcp_asdf_is_robust(experiment->configs[j]);
+    for (uint32_t robot = 0; robot < experiment->robots && has_common_x; ++robot) {
+        has_common_x = !mcp_asdf_is_robust(experiment->configs[robot]);
     }
     return has_common_x ? 1 : experiment->robots;
 }
@@ -42,22 +42,23 @@ trial_t trial_outcome(const mcp_asdf_experiment_t *experiment, const mcp_asdf_ou
                      .records = records_of_trial == 0 ? NULL : outcome->records + index * records_of_trial};
 }
 
-/* Returns the sums `all` without the message whose sums are `one`: exact, so equal to adding the others. */
-static mcp_asdf_open_t subtract_message(mcp_asdf_open_t all, const mcp_asdf_open_t *one)
+/* Returns the sums of a round without one of its messages: `message` has the sums of a round of this message
+ * alone. The sums are integers, so the result is exactly the sums of the other messages. */
+static mcp_asdf_open_t subtract_message(mcp_asdf_open_t sums, const mcp_asdf_open_t *message)
 {
-    all.alpha -= one->alpha;
-    all.alpha_x_low -= one->alpha_x_low;
-    all.alpha_x_high -= one->alpha_x_high;
-    all.x_squared -= one->x_squared;
-    all.x -= one->x;
-    all.count -= one->count;
-    return all;
+    sums.alpha -= message->alpha;
+    sums.alpha_x_low -= message->alpha_x_low;
+    sums.alpha_x_high -= message->alpha_x_high;
+    sums.x_squared -= message->x_squared;
+    sums.x -= message->x;
+    sums.count -= message->count;
+    return sums;
 }
 
-/* Let `robot` receive what robot number `sender` of `robots` broadcasts: its estimate or, for the liars,
- * which are the last robots, the experiment's lie; either value is rounded to the bits of a message, if the
- * experiment has x_hat_bits. In a swarm of more than 128 robots, where ids repeat, the set of senders that
- * the robot has received from in this round is cleared before. */
+/* Let `robot` receive what robot number `sender` of `robots` broadcasts: its x_hat and alpha or, for the
+ * liars, which are the last robots, the experiment's lie; both values are rounded to the bits of a message,
+ * if the experiment has x_hat_bits. In a swarm of more than 128 robots, where ids repeat, the set of senders
+ * that the robot has received from in this round is cleared before. The robot's id is the same afterwards. */
 static void receive_from(const mcp_asdf_experiment_t *experiment, const mcp_asdf_t *robots, mcp_asdf_t *robot,
                          uint32_t sender)
 {
@@ -73,67 +74,73 @@ static void receive_from(const mcp_asdf_experiment_t *experiment, const mcp_asdf
     }
     if (experiment->robots > MCP_ASDF_ENGINE_MAX_CONNECTED) {
         /* Ids repeat among so many robots. The firmware must not take the sender for one that it has received
-         * from in this round, nor for itself: until the message is received it has another id. */
+         * from in this round: so the set of senders becomes empty, which has a bit for each id in two words.
+         * Nor must it take the sender for itself: until the message is received it has another id. */
         robot->heard.all[0] = 0;
         robot->heard.all[1] = 0;
-        robot->id = sender_id ^ 1; /* any but the sender's */
+        robot->id = sender_id ^ 1; /* any id but the sender's */
     }
     (void)mcp_asdf_receive(robot, sender_id, x_hat, alpha);
     robot->id = own_id;
 }
 
-/* Returns the sums of the messages of robots first .. end - 1: the open round of a made-up neighbour that
- * receives nothing else. */
+/* Returns the sums of the messages of the robots `first` to `end` - 1. They are formed by the firmware: as
+ * the sums of the open round of a made-up neighbour, which receives these messages and nothing else. */
 static mcp_asdf_open_t sum_messages(const mcp_asdf_experiment_t *experiment, const mcp_asdf_t *robots,
                                     uint32_t first, uint32_t end)
 {
     const mcp_asdf_config_t config_without_filter = {
         .filter_period = 1, .memory = MCP_ASDF_MEMORY_MAX, .filter = MCP_ASDF_OFF};
     mcp_asdf_t neighbour = {.config = &config_without_filter};
-    for (uint32_t j = first; j < end; ++j) {
-        neighbour.id = mcp_asdf_id(&robots[j]) ^ 1; /* any id but the sender's */
-        receive_from(experiment, robots, &neighbour, j);
+    for (uint32_t sender = first; sender < end; ++sender) {
+        neighbour.id = mcp_asdf_id(&robots[sender]) ^ 1; /* any id but the sender's */
+        receive_from(experiment, robots, &neighbour, sender);
     }
     return neighbour.received.sums.open;
 }
 
 /* Deliver all messages to all other robots. Those with the robust filter receive one by one, in ascending
- * order of ids. The open rounds of the others, still empty, become what receiving message by message would
- * make of them; marks of the senders are left out, since the rounds close at once. */
+ * order of senders. The open rounds of the others, still empty, become what receiving message by message
+ * would make of them, and `accepted` counts the messages; only the set of the round's senders is left empty,
+ * since the round closes at once. */
 static void deliver_to_all(const mcp_asdf_experiment_t *experiment, mcp_asdf_t *robots)
 {
     const uint32_t count = experiment->robots;
-    const mcp_asdf_open_t all = sum_messages(experiment, robots, 0, count);
-    for (uint32_t j = 0; j < count; ++j) {
-        if (!mcp_asdf_is_robust(experiment->configs[j])) {
-            const mcp_asdf_open_t own_message = sum_messages(experiment, robots, j, j + 1);
-            robots[j].received.sums.open = subtract_message(all, &own_message);
-            robots[j].counters.accepted = (uint16_t)(robots[j].counters.accepted + count - 1);
+    const mcp_asdf_open_t sums_of_all = sum_messages(experiment, robots, 0, count);
+    for (uint32_t receiver = 0; receiver < count; ++receiver) {
+        mcp_asdf_t *const robot = &robots[receiver];
+        if (!mcp_asdf_is_robust(experiment->configs[receiver])) {
+            const mcp_asdf_open_t own_message = sum_messages(experiment, robots, receiver, receiver + 1);
+            robot->received.sums.open = subtract_message(sums_of_all, &own_message);
+            robot->counters.accepted = (uint16_t)(robot->counters.accepted + count - 1); /* modulo 2^16 */
             continue;
         }
-        for (uint32_t i = 0; i < count; ++i) {
-            if (i != j) {
-                receive_from(experiment, robots, &robots[j], i);
+        for (uint32_t sender = 0; sender < count; ++sender) {
+            if (sender != receiver) {
+                receive_from(experiment, robots, robot, sender);
             }
         }
     }
 }
 
-/* Deliver the last message of each robot to the robots that are linked to it now. The order of links and arcs
- * gives each robot its messages by ascending ids: for the robust filter it matters which of two senders with
- * ids equal modulo 32 is the last. */
+/* Deliver the last message of each robot to the robots that are linked to it now: along the links of `arena`,
+ * both ways, or if that is NULL along the arcs of the experiment's graph, from a to b. The order of links and
+ * arcs gives each robot its messages by ascending ids: for the robust filter it matters which of two senders
+ * with ids equal modulo 32 is the last. */
 static void deliver_along_links(const mcp_asdf_experiment_t *experiment, mcp_asdf_t *robots,
                                 const mcp_asdf_arena_t *arena)
 {
-    if (arena == NULL) { /* a graph, whose arcs lead from a to b */
-        for (size_t p = 0; p < experiment->arc_count; ++p) {
-            receive_from(experiment, robots, &robots[experiment->arcs[p].b], experiment->arcs[p].a);
+    if (arena == NULL) {
+        for (size_t i = 0; i < experiment->arc_count; ++i) {
+            const mcp_asdf_pair_t arc = experiment->arcs[i];
+            receive_from(experiment, robots, &robots[arc.b], arc.a);
         }
         return;
     }
-    for (uint32_t p = 0; p < arena->link_count; ++p) { /* both ways */
-        receive_from(experiment, robots, &robots[arena->links[p].a], arena->links[p].b);
-        receive_from(experiment, robots, &robots[arena->links[p].b], arena->links[p].a);
+    for (uint32_t i = 0; i < arena->link_count; ++i) {
+        const mcp_asdf_pair_t link = arena->links[i];
+        receive_from(experiment, robots, &robots[link.a], link.b);
+        receive_from(experiment, robots, &robots[link.b], link.a);
     }
 }
 
@@ -150,24 +157,26 @@ static void deliver_messages(const mcp_asdf_experiment_t *experiment, mcp_asdf_t
     }
 }
 
-/* Take step k of a trial: robots receive the messages of the step before if there is latency, observe if it
- * is time, receive the messages of this step if there is no latency, and settle at the end of a round. */
-void trial_tick(const mcp_asdf_experiment_t *experiment, const trial_t *trial, const mcp_asdf_arena_t *arena,
-                uint32_t k, trial_observations_t observations)
+/* Take step `step_index`, from 0, of a trial by calls of the firmware: robots receive the messages of the
+ * step before if there is latency, observe if it is time, receive the messages of this step if there is no
+ * latency, and settle at the end of a round. What they observe is decided by the draws in the lanes. */
+void trial_step(const mcp_asdf_experiment_t *experiment, const trial_t *trial, const mcp_asdf_arena_t *arena,
+                uint32_t step_index, trial_observations_t observations)
 {
     const uint32_t count = experiment->robots;
-    const bool is_late = experiment->latency != 0, closes_round = trial_closes_round(experiment, k);
+    const bool is_late = experiment->latency != 0;
+    const bool closes_round = trial_closes_round(experiment, step_index);
     /* Before robots observe, their x_hat and alpha are still the messages of the step before. */
-    if (is_late && k > 0 && trial_closes_round(experiment, k - 1)) {
+    if (is_late && step_index > 0 && trial_closes_round(experiment, step_index - 1)) {
         deliver_messages(experiment, trial->robots, arena);
     }
-    if (trial_observes(experiment, k)) {
-        for (uint32_t j = 0; j < count; ++j) {
+    if (trial_observes(experiment, step_index)) {
+        for (uint32_t robot = 0; robot < count; ++robot) {
             /* Lanes are counted through all rows, which have LANES of them each. */
-            const uint32_t lane = observations.first_lane + j * observations.parallel_trials;
-            const lanes_t *const row = &observations.lanes[lane / LANES];
-            const uint32_t is_black = lanes_is_black(row, lane % LANES, k);
-            (void)mcp_asdf_observe(&trial->robots[j], is_black ? MCP_ASDF_BLACK : MCP_ASDF_WHITE);
+            const uint32_t lane_index = observations.first_lane + robot * observations.parallel_trials;
+            const lanes_t *const row = &observations.lanes[lane_index / LANES];
+            const uint32_t is_black = lanes_is_black(row, lane_index % LANES, step_index);
+            (void)mcp_asdf_observe(&trial->robots[robot], is_black ? MCP_ASDF_BLACK : MCP_ASDF_WHITE);
         }
     }
     if (!closes_round) {
@@ -176,8 +185,8 @@ void trial_tick(const mcp_asdf_experiment_t *experiment, const trial_t *trial, c
     if (!is_late) {
         deliver_messages(experiment, trial->robots, arena);
     }
-    for (uint32_t j = 0; j < count; ++j) {
-        (void)mcp_asdf_settle(&trial->robots[j]);
+    for (uint32_t robot = 0; robot < count; ++robot) {
+        (void)mcp_asdf_settle(&trial->robots[robot]);
     }
 }
 
@@ -196,8 +205,8 @@ static mcp_asdf_record_t record_of_robot(const mcp_asdf_t *robot)
                                .b_hat = mcp_asdf_b_hat(robot)};
 }
 
-/* Store the informed estimates x after `step`, 0 .. T, Q23, as that entry of the outcome's series of x: of
- * all robots, or of robot 0 alone where all have the same. */
+/* Store the informed estimates x (Q23) after step number `step`, 0 .. T, in the outcome: as entry `step` of
+ * each robot's series of x, or of the one series, robot 0's, where all robots have the same x. */
 static void record_x(const mcp_asdf_experiment_t *experiment, const trial_t *trial, uint32_t step)
 {
     const uint32_t columns = mcp_asdf_engine_columns(experiment);
@@ -207,8 +216,8 @@ static void record_x(const mcp_asdf_experiment_t *experiment, const trial_t *tri
     }
 }
 
-/* Store the robots' values after `step` in the outcome: x always, b_hat after a step in which the filter may
- * have changed it, and all values of a robot at the sampling interval. */
+/* Store the robots' values after step number `step`, 1 .. T, in the outcome: x always, b_hat after a step in
+ * which the filter may have changed it, and all values of a robot at the sampling interval. */
 void trial_record(const mcp_asdf_experiment_t *experiment, const trial_t *trial, uint32_t step)
 {
     const uint32_t count = experiment->robots, interval = experiment->sampling_interval;
@@ -216,16 +225,16 @@ void trial_record(const mcp_asdf_experiment_t *experiment, const trial_t *trial,
     record_x(experiment, trial, step);
     if (step % period == 0) {
         const uint64_t earlier_tests = step / period - 1;
-        uint32_t *const b_hat = trial->b_hat + earlier_tests * count; /* of this test */
-        for (uint32_t j = 0; j < count; ++j) {
-            b_hat[j] = mcp_asdf_b_hat(&trial->robots[j]);
+        uint32_t *const b_hats = trial->b_hat + earlier_tests * count; /* an entry for each robot */
+        for (uint32_t robot = 0; robot < count; ++robot) {
+            b_hats[robot] = mcp_asdf_b_hat(&trial->robots[robot]);
         }
     }
     if (trial->records != NULL && step % interval == 0) {
         const size_t earlier_samples = step / interval - 1;
-        mcp_asdf_record_t *const records = trial->records + earlier_samples * count; /* of this sample */
-        for (uint32_t j = 0; j < count; ++j) {
-            records[j] = record_of_robot(&trial->robots[j]);
+        mcp_asdf_record_t *const records = trial->records + earlier_samples * count; /* likewise */
+        for (uint32_t robot = 0; robot < count; ++robot) {
+            records[robot] = record_of_robot(&trial->robots[robot]);
         }
     }
 }
@@ -234,10 +243,10 @@ void trial_record(const mcp_asdf_experiment_t *experiment, const trial_t *trial,
  * step 0. Returns the first error of mcp_asdf_init(). */
 mcp_asdf_status_t trial_start(const mcp_asdf_experiment_t *experiment, const trial_t *trial)
 {
-    for (uint32_t j = 0; j < experiment->robots; ++j) {
+    for (uint32_t robot = 0; robot < experiment->robots; ++robot) {
         const mcp_asdf_status_t status =
-            mcp_asdf_init(&trial->robots[j], experiment->configs[j],
-                          (uint8_t)(j % MCP_ASDF_ENGINE_MAX_CONNECTED), experiment->b_hat[j]);
+            mcp_asdf_init(&trial->robots[robot], experiment->configs[robot],
+                          (uint8_t)(robot % MCP_ASDF_ENGINE_MAX_CONNECTED), experiment->b_hat[robot]);
         if (status != MCP_ASDF_OK) {
             return status;
         }
