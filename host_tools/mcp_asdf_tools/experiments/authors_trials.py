@@ -32,7 +32,7 @@ from mcp_asdf_tools.experiments.trials import convergence_and_errors
 SOURCE = "NESTLab/sensor-degradation-filter"
 """``Trials.source`` of trials that come from these files."""
 
-_MAX_BYTES = 2**30
+_MAX_FILE_BYTES = 2**30
 """Maximum size of a file. One of 20 robots and 40,000 steps has 103 MB."""
 
 _COLUMN_NAMES = ("n", "t", "x_hat", "alpha", "x_bar", "beta", "x", "b_hat", "b_hat on white")
@@ -74,7 +74,7 @@ _CM_PER_M = 100
 _DENSITY_DECIMALS = 3
 """Decimal places to which a density is rounded. The authors compute it from the positions of the walls, so
 further places are only rounding errors."""
-_ACTIVATIONS = {"BRAVO": "adaptive", "ALPHA": "always"}
+_ACTIVATION_BY_METHOD = {"BRAVO": "adaptive", "ALPHA": "always"}
 """What their methods are called here."""
 
 
@@ -209,9 +209,12 @@ class _TrialFile:
 
 
 def _read_json(path: Path) -> dict[str, Any]:
-    """Return the JSON object in a file. Raises UsageError if there is none."""
+    """Return the JSON object in a file.
+
+    Raises UsageError if the file has none, cannot be read, or has more than _MAX_FILE_BYTES bytes.
+    """
     try:
-        content = json.loads(read_at_most(path, _MAX_BYTES))
+        content = json.loads(read_at_most(path, _MAX_FILE_BYTES))
     except OSError as error:
         raise UsageError(f"cannot read {path}: {error.strerror or error}") from error
     except (ValueError, RecursionError) as error:  # no JSON, or no UTF-8, or too large
@@ -225,8 +228,9 @@ def _experiment_of(file: _TrialFile) -> Experiment:
     """Return the experiment that a file has a trial of.
 
     Its firmware is the reference with the authors' conventions, and its seed is 0, since their draws cannot
-    be repeated here. It has no filter if the filtering period is longer than a trial. Raises UsageError for
-    parameters that no experiment here has.
+    be repeated here. It has no filter if the filtering period is longer than a trial. Moving robots have a
+    latency of 1, and their speed is converted from cm to m. Raises UsageError for parameters that no
+    experiment here has.
     """
     has_moving_robots = _has_moving_robots(file)
     key_by_parameter = dict(_KEY_BY_PARAMETER)
@@ -293,20 +297,20 @@ def _check_sensors(file: _TrialFile) -> None:
 
 
 def _filter_parameters(file: _TrialFile) -> dict[str, Any]:
-    """Return filter and activation of a file, and omega, the error probability of the test in BRAVO.
+    """Return the parameters "filter" and "activation" of a file, and "omega" if its method is BRAVO.
 
-    There is no omega with the other method, ALPHA, which has no test. Raises UsageError if they are not the
-    paper's.
+    Omega is the error probability of the test in BRAVO; the other method, ALPHA, has no test. Raises
+    UsageError if a value in the file is not one of the paper's.
     """
     method = file.content.get("method")
-    if not isinstance(method, str) or method not in _ACTIVATIONS:
-        raise file.error("method", f"the paper's methods are {' and '.join(_ACTIVATIONS)}")
+    if not isinstance(method, str) or method not in _ACTIVATION_BY_METHOD:
+        raise file.error("method", f"the paper's methods are {' and '.join(_ACTIVATION_BY_METHOD)}")
     all_robots_filter = file.content.get("correct_robot_filter")
     if not isinstance(all_robots_filter, bool):
         raise file.error("correct_robot_filter", "it must be true or false")
     parameters = {
         "filter": "asdf-plus" if all_robots_filter else "asdf-minus",
-        "activation": _ACTIVATIONS[method],
+        "activation": _ACTIVATION_BY_METHOD[method],
     }
     if method == "BRAVO":
         # One simulator writes {"type_2_err_prob": "0.05"}, the other [0.05].
@@ -364,10 +368,10 @@ def _parse_texts(texts: Any, steps: int) -> NDArray[np.float64]:
 
 
 def _check_numbers(series: dict[str, NDArray[np.float64]]) -> None:
-    """Raise ValueError, which names the first such step, if a number is out of its range.
+    """Raise ValueError, which names a quantity and the first step where it is wrong, if a number is wrong.
 
     Counts must be 0 <= n <= t <= step. Estimates and accuracies are 0 to 1, and confidences 0 or more and
-    finite. Accuracies on white and on black must be equal. Only the counts must not be NaN.
+    finite. The b_hat on white must equal the b_hat on black. Only the counts must not be NaN.
     """
     n, t = series["n"], series["t"]
     steps = np.arange(len(t))

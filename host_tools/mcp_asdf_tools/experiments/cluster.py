@@ -47,7 +47,8 @@ def connect_cluster(address: str) -> Iterator[tuple[Executor, Callable[[], int]]
         # Dask runs pure jobs of equal arguments only once.
         yield client.get_executor(pure=False), count_threads
     except (dask.KilledWorker, CancelledError, OSError) as error:
-        # Asking a scheduler that is gone raises an OSError: the connection is closed, or times out.
+        # A job keeps killing its workers, or was cancelled since the scheduler is lost. An OSError comes from
+        # asking a scheduler that is gone: the connection is closed, or times out.
         raise _lost_cluster_error(address, error) from error
     except TypeError as error:
         # If a cluster is lost just when a result comes from it, Dask takes the result for an exception, and

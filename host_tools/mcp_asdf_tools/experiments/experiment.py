@@ -48,7 +48,7 @@ class Experiment(Population):
         if self.conventions == "authors" and self.firmware != "reference":
             message = f"firmware {self.firmware} has no conventions of the authors; choose firmware reference"
             raise ParameterError("conventions", message)
-        with naming_parameter("message_bits"):
+        with naming_parameter("message_bits"):  # turns a UsageError into a ParameterError for this name
             message_code = parse_message_bits(self.message_bits)
         # One text for each code, so that equal experiments compare equal: not "07+4" beside "7+4".
         message_bits = EXACT if message_code is None else str(message_code)
@@ -71,7 +71,10 @@ class Experiment(Population):
     def parameter_lacking_in_c(self) -> str:
         """The parameter whose value the engine in C lacks, so that trials run in Python, message by message.
 
-        It is the name of a parameter, such as "firmware", or empty if the engine can run the experiment.
+        It is the name of a parameter, or empty if the engine can run the experiment. The engine lacks any
+        firmware but "native", moving robots with two accuracies, for black and for white, latency where all
+        robots are connected, and topologies that are extensions.
+
         Raises UsageError if the sensor is an extension that cannot be loaded.
         """
         from mcp_asdf_tools.world.sensors import has_one_accuracy  # noqa: PLC0415 (numpy loads slowly)

@@ -33,9 +33,9 @@ _KEY_PATTERN = re.compile(r"""(?:^|[{,])\s*["']?([A-Za-z0-9_-]+)["']?\s*=""")
 def read_experiments(path: Path | str) -> list[Experiment]:
     """Return the experiments that a TOML file describes, in its order.
 
-    A path without a suffix that does not exist is the name of a file that comes with the program. Raises
-    UsageError, which names the line if it can, if anything is invalid, the file sets no parameter, or there
-    are more than MAX_EXPERIMENTS.
+    A path without a suffix that does not exist is the name of a file that comes with the program. Paths of
+    graphs in the file begin at the file's folder. Raises UsageError, which names the line if it can, if
+    anything is invalid, the file sets no parameter, or there are more than MAX_EXPERIMENTS.
     """
     path = Path(path)
     if not path.suffix and not path.exists():

@@ -28,6 +28,7 @@ def lock_file(path: Path) -> str | None:
         import fcntl  # noqa: PLC0415
     except ImportError:  # Windows
         return None
+    # Repeated only if the file was removed by another process meanwhile.
     while path not in _DESCRIPTOR_OF_LOCKED_FILE:
         descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
         try:

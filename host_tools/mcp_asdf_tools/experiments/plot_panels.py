@@ -42,9 +42,10 @@ _LEGEND_AND_CAPTION_HEIGHT = 1.4  # inches
 
 
 def experiments_to_plot(results: Results, where: Mapping[str, Any] | None) -> list[Trials]:
-    """Return the experiments of results whose parameters have the values in ``where``.
+    """Return the experiments of results whose parameters have the values in ``where``; None selects all.
 
-    Raises UsageError if there is none.
+    ``results`` are a list of experiments with their trials, or a table whose rows are trials. Raises
+    UsageError if no experiment is left.
     """
     experiments = results if isinstance(results, Sequence) else experiments_in(results)
     selected = select_experiments(experiments, where or {})

@@ -124,7 +124,8 @@ def stream_experiments(path: Path) -> Iterator[Trials]:
     for row_group in row_groups:
         parameters = row_group.read(PARAMETER_NAMES)
         for experiment, rows_in_group in rows_by_experiment(parameters).items():
-            row_arrays.setdefault(experiment, []).append(row_group.first_row + rows_in_group)
+            rows_in_all_files = row_group.first_row + rows_in_group
+            row_arrays.setdefault(experiment, []).append(rows_in_all_files)
     result_columns = [name for name in column_types() if name not in PARAMETER_NAMES]
     for experiment, arrays_of_experiment in row_arrays.items():
         rows = np.concatenate(arrays_of_experiment)
@@ -217,7 +218,7 @@ class RowGroups:
     """
 
     def __init__(self) -> None:
-        """Create an empty sequence."""
+        """Create an empty sequence, with an empty cache for the row groups that ``take`` read last."""
         self._row_groups: list[_Rows] = []
         # A cache of this object alone: one that decorates the method would keep every object alive.
         self._read_cached = lru_cache(maxsize=_ROW_GROUPS_IN_MEMORY)(self._read)
@@ -229,7 +230,8 @@ class RowGroups:
     def add(self, path: Path) -> None:
         """Append the rows of a file, or those of all Parquet files in a folder in the order of their names.
 
-        Raises UsageError if a file cannot be read or has anything but results in one of READABLE_FORMATS.
+        Only what describes the rows is read here. Raises UsageError if a file cannot be read, has anything
+        but results in one of READABLE_FORMATS, or trials that this version cannot repeat.
         """
         files_in_folder = sorted(path.glob("*.parquet"))
         # In a path that is itself a file, no files are found.

@@ -180,24 +180,33 @@ def _nest_flat_record(table: pa.Table, column: str) -> pa.ChunkedArray:
 
     Raises UsageError for a record that has not a value of each robot at each step.
     """
-    nested_chunks = []
+    nested_chunks: list[pa.Array] = []
     # Chunk by chunk: the lists of a chunk have at most 2^31 values together, those of a column may have more.
     for batch in table.select(["robots", column]).to_batches():
         flat_records = batch[column]
-        # In a damaged file any number may stand for the robots, also 0, or one that fits no signed integer.
-        stated_robot_counts = pc.fill_null(batch["robots"], 0).to_numpy()
-        robot_counts = np.clip(stated_robot_counts, 0, np.iinfo(np.int32).max).astype(np.int64)  # by trial
+        robot_counts = _robot_counts(batch)
         value_counts = pc.fill_null(pc.list_value_length(flat_records), 0).to_numpy()  # by trial
         divisors = np.maximum(robot_counts, 1)  # so that none is 0
         step_counts = value_counts // divisors  # complete steps, by trial
-        has_values_left = not np.array_equal(step_counts * robot_counts, value_counts)
-        if flat_records.null_count > 0 or has_values_left:
+        are_all_complete = np.array_equal(step_counts * robot_counts, value_counts)
+        if flat_records.null_count > 0 or not are_all_complete:
             raise _damage_error(f"column {column} has gaps, or not a value of each robot at each step")
         # The values become lists by robot for each step, and these become a list for each trial.
         robot_counts_by_step = np.repeat(robot_counts, step_counts)
         values_of_robots = _group_in_lists(flat_records.flatten(), robot_counts_by_step, _VALUES_OF_ROBOTS)
         nested_chunks.append(_group_in_lists(values_of_robots, step_counts, _RECORD_OF_TRIAL))
     return pa.chunked_array(nested_chunks, _RECORD_OF_TRIAL)
+
+
+def _robot_counts(batch: pa.RecordBatch) -> NDArray[np.int64]:
+    """Return the number of robots in each row of a batch of trials; 0 where it is missing.
+
+    In a damaged file any number of 64 bits may stand there. Numbers above 2**31 - 1 become 2**31 - 1, as the
+    results are signed.
+    """
+    stated_counts = pc.fill_null(batch["robots"], 0).to_numpy()
+    limited_counts: NDArray[np.int64] = np.clip(stated_counts, 0, np.iinfo(np.int32).max).astype(np.int64)
+    return limited_counts
 
 
 def _group_in_lists(values: pa.Array, lengths: NDArray[np.int64], list_type: Any) -> pa.Array:

@@ -45,14 +45,28 @@ def convergence_step(series: NDArray[np.uint32] | NDArray[np.float64], delta: fl
     for index in np.flatnonzero(may_hold_k):
         start = chunk_starts[index]
         chunk = series[start : start + _CHUNK_LENGTH]
-        # For each value of the chunk, the lowest and the highest value from it to the end of the series.
-        lowest_to_end = _extreme_to_end(np.minimum, np.minimum(chunk, lowest_after_chunk[index]))
-        highest_to_end = _extreme_to_end(np.maximum, np.maximum(chunk, highest_after_chunk[index]))
-        # Unsigned values allow these differences only, which are never negative.
-        stays_near = (chunk - lowest_to_end < delta) & (highest_to_end - chunk < delta)
+        stays_near = _stays_near(chunk, lowest_after_chunk[index], highest_after_chunk[index], delta)
         if stays_near.any():
-            return int(start + stays_near.argmax())
+            first_in_chunk = stays_near.argmax()
+            return int(start + first_in_chunk)
     return len(series) - 1
+
+
+def _stays_near(
+    chunk: NDArray[Any], lowest_after: Any, highest_after: Any, delta: float
+) -> NDArray[np.bool_]:
+    """Return for each value of a chunk whether all later values of its series are within ``delta`` of it.
+
+    ``lowest_after`` and ``highest_after`` are the extremes of all values after the chunk.
+    """
+    import numpy as np  # noqa: PLC0415 (it loads slowly, and limits are needed without it)
+
+    # For each value of the chunk, the lowest and the highest value from it to the end of the series.
+    lowest_to_end = _extreme_to_end(np.minimum, np.minimum(chunk, lowest_after))
+    highest_to_end = _extreme_to_end(np.maximum, np.maximum(chunk, highest_after))
+    # The values may be unsigned; both differences are never negative.
+    is_near: NDArray[np.bool_] = (chunk - lowest_to_end < delta) & (highest_to_end - chunk < delta)
+    return is_near
 
 
 def _extreme_after_chunks(

@@ -223,9 +223,10 @@ def _run_on_executor(
     """
     submitted: set[Future[Trials]] = set()
     while True:
+        # Submitting may start worker processes, which must not receive interrupts.
         with _interrupts_delayed():
             wanted_jobs = 2 * count_workers()
-            # A cluster may have lost workers, so that it has more jobs already.
+            # The difference is negative if a cluster has lost workers since the last jobs were submitted.
             missing_jobs = max(0, wanted_jobs - len(submitted))
             next_jobs = islice(jobs, missing_jobs)  # or fewer, if these are the last ones
             submitted |= {executor.submit(job.run) for job in next_jobs}

@@ -203,7 +203,7 @@ def write_tidy_tables(path: Path, tables: Iterable[pa.Table]) -> int:
     """Write tidy tables of the same columns, at least one, to a file, and return its number of rows.
 
     The suffix of the path, CSV or Parquet, gives the format. In CSV ``is_flawed`` is 0 or 1. The file has its
-    name only once it is complete. Raises UsageError if it cannot be written.
+    name only once it is complete. Raises UsageError if it cannot be written, or would replace results.
     """
     check_tidy_path(path)
     # The tables of experiments may have few rows each, and writing many small ones takes long.

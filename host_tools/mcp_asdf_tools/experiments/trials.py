@@ -175,7 +175,8 @@ def _records_in_paper_units(experiment: Experiment, raw_records: NDArray[Any]) -
 def _alpha_of_words(alpha_words: NDArray[np.uint32]) -> Floats:
     """Return the exact values of alpha words, the robots' confidences as the firmware packs them in 32 bits.
 
-    The upper 24 bits of a word are its mantissa, the lowest five bits are the shift of the mantissa.
+    The upper 24 bits of a word are its mantissa, in units of 1 / UNITS_PER_ALPHA. The lowest five bits are a
+    shift: alpha is the mantissa times 2 to the power of the shift.
     """
     bits_below_mantissa = 8
     mantissas = alpha_words >> bits_below_mantissa
@@ -288,7 +289,10 @@ class MessageSwarm:
         return pairs
 
     def _deliver_floats(self) -> None:
-        """Let each robot receive its neighbours' estimates as floats."""
+        """Let each robot receive its neighbours' estimates as floats, rounded as the experiment's code does.
+
+        Without a code, as with most experiments, they are exact.
+        """
         estimates = [(robot.x_hat, robot.alpha) for robot in self.robots]
         if self._message_code is not None:
             estimates = [self._message_code.round_floats(*estimate) for estimate in estimates]
@@ -297,7 +301,10 @@ class MessageSwarm:
             self.robots[receiver].receive(sender, x_hat, alpha)
 
     def _deliver_raw(self) -> None:
-        """Let each robot receive its neighbours' estimates in the firmware's integers."""
+        """Let each robot receive its neighbours' estimates in the firmware's integers.
+
+        They are rounded as the experiment's code does; without a code, as with most experiments, exact.
+        """
         robots = cast(Sequence[FixedPointRobot], self.robots)
         estimates = [(robot.x_hat_raw, robot.alpha_raw) for robot in robots]
         if self._message_code is not None:

@@ -62,7 +62,8 @@ class EngineTrials:
     def _make_members(self, experiment: Experiment, first: int, trials: int) -> dict[str, Any]:
         """Return the members of the C struct of an experiment, but for ``sampling_interval``, by their names.
 
-        The trials are ``first`` .. ``first + trials - 1``.
+        The trials are ``first`` .. ``first + trials - 1``. Members that the experiment does not use are left
+        out: bits of rounded messages, arenas of moving robots, and arcs of a graph.
         """
         initial_b_hat = [b_hat_to_raw(experiment.b_hat(robot)) for robot in range(experiment.robots)]
         members: dict[str, Any] = {
@@ -207,19 +208,22 @@ def run(
 
 
 def _black_probabilities(experiment: Experiment, first: int, trials: int) -> NDArray[np.uint32]:
-    """Return the probabilities of a black observation, by trial, step and robot, in the engine's unit.
+    """Return the probabilities of a black observation, by trial, step and robot, in units of 2**-31.
 
-    They are those of ``trials`` trials from number ``first`` on. An axis along which all values are alike has
-    the length 1. Raises UsageError if a sensor extension answers otherwise than it should.
+    They are those of ``trials`` trials from number ``first`` on. Where robots move, they are the
+    probabilities on a black tile, otherwise those on a floor with the experiment's share of black. An axis
+    along which all values are alike has the length 1. Raises UsageError if a sensor extension answers
+    otherwise than it should.
     """
+    # A moving robot's tile has a colour; robots that do not move get black with the probability fill_ratio.
     fill_ratio = None if experiment.is_dynamic else experiment.fill_ratio
     # Built-in sensors are alike in all trials, so that one trial stands for all.
     distinct_trial_count = trials if experiment.sensor else 1
     probabilities = []
     for index in range(distinct_trial_count):
         accuracies = make_sensor_model(experiment, first + index).advance(experiment.steps)
-        # A moving robot's tile has a colour: the engine takes the probability on black and derives that on
-        # white, as trials run in C only where both accuracies are equal. Without a colour both are the same.
+        # The engine derives the probability on white tiles: trials run in C only where the accuracies on both
+        # colours are equal.
         on_black, _on_white = black_probabilities(accuracies, fill_ratio)
         probabilities.append(on_black)
     return np.stack(probabilities)

@@ -120,9 +120,10 @@ def _title_lines(experiment: Experiment, varying_names: Sequence[str]) -> list[s
 
 
 def _draw_accuracy_bands(axes: Axes, trials: Trials) -> None:
-    """Draw b_hat of flawed and of healthy robots over time, and the true accuracy as a dashed line.
+    """Draw the median and the middle 90 % of b_hat over time, and the true accuracy as a dashed line.
 
-    Robots of either kind are left out if there are none.
+    Flawed and healthy robots have a band each, over all trials and all robots of that kind; a kind without
+    robots has none.
     """
     experiment = trials.experiment
     # The first filter step is at step filter_period, not at step 0.

@@ -163,7 +163,10 @@ def _draw_curve(
 
 
 def _measured_values(trials: Trials, y: str | Measure, limits: Limits) -> NDArray[np.float64]:
-    """Return ``y`` of each trial. Raises UsageError if a function does not give one number for each."""
+    """Return ``y`` of each trial; it is the name of one of MEASURES, or a function of the trials.
+
+    ``limits`` are those of scores. Raises UsageError if the function does not give one number for each trial.
+    """
     if isinstance(y, str):
         # For the type alone: all MEASURES are floats, but measures() also returns counts.
         return np.asarray(trials.measures(limits)[y], dtype=np.float64)
