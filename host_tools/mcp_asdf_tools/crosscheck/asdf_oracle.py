@@ -46,7 +46,7 @@ def _check_filter(
     b_hat must have been re-estimated, to the right value (eq. 8), if the adaptive filter's test (eq. 12)
     rejects, or if the filter is the one without a test. It must not have been where the filter does not run,
     where the round has no message, or where it has a single one and the filter is adaptive. Each test is
-    counted in ``audit.tests``.
+    counted in ``audit.tests``, and the error of a re-estimated b_hat is added to ``audit.errors``.
     """
     message_count = old_state["open_count"]
     is_adaptive = setup.filter == Filter.ADAPTIVE

@@ -24,7 +24,15 @@ Q22, Q23, Q24, Q27, Q28, Q30, Q31, Q32 = (Fraction(1, 2**bits) for bits in (22, 
 LARGEST_ALPHA = Fraction(2**31 - 2**7)
 
 ROBUST_TEST_MARGIN = Fraction(1, 2**13)
-"""The firmware's robust test is right if its sides differ by more than this share of the larger one."""
+"""The firmware's robust test is right if its sides differ by more than this share of the larger one.
+
+The sides are (n/t - p)**2 and 12 (dispersion v/t + g**2 spread**2), with the names of `robust_test_outcome`.
+Where they are alike, rounding changes them by less: both are at least 12 2**-33, since t < 2**31,
+v >= (1 - g**2) / 4, dispersion >= 1 and spread >= 2**-12. So n/t - p is at least 160,000 units of 2**-32.
+p is less than 4 units too small, and n/t less than 5: the square of the difference is off by 2**-13.9 of
+itself. The product of g and the spread, rounded down, takes 2**-15.5 from the other side. There v lacks at
+most 6 units: if it is below 2**-10, g is near 1, n/t - p is at least sqrt(12) 2**-12, and v has at least
+350,000 units."""
 
 Bounds = tuple[Fraction, Fraction]
 """Smallest and largest value that the firmware may have."""
@@ -75,8 +83,8 @@ def alpha_error(n: int, t: int, b: Fraction) -> tuple[Fraction, Fraction]:
     if is_estimate_at_end:
         # With g = 1 - 2 c the firmware computes alpha as k (g / c)**2 + (t - k) (g / (1 - c))**2. Both ratios
         # lose up to 2**-23 of themselves, both squares 2**-28, and the second term 2**-28 of the first. So at
-        # least (1 - 2**-23)**2 (1 - 2**-28)**2 is left.
-        too_small = Q22 + Q27
+        # least (1 - 2**-23)**2 (1 - 2**-28)**2 is left, which is a little more than 1 less this sum.
+        too_small = 2 * Q23 + 2 * Q28
         # 1 - c may lose half a unit of 2**-31, which makes the square in the second term larger.
         too_large = Q30
         return too_small, too_large

@@ -39,12 +39,18 @@ class CheckedFilter:
     workload: type[Workload]
 
     def label(self, call_name: str) -> str:
-        """Return the name of a call of robots with this filter, such as "settle, robust"."""
+        """Return the name of a call of robots with this filter, such as "settle, robust".
+
+        The paper's filters have an empty name, and are left out of it: "settle".
+        """
         return f"{call_name}, {self.name}" if self.name else call_name
 
     @property
     def images_key(self) -> str:
-        """Key of the sizes of saved robots in the report."""
+        """Key of the sizes of saved robots in the report: "images" for the paper's filters.
+
+        For the robust filter it is "robust_images".
+        """
         return f"{self.name}_images" if self.name else "images"
 
 

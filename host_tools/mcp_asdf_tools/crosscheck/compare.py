@@ -278,7 +278,8 @@ def shrink(failure: Failure, check_scenario: CheckScenario) -> Failure:
     this takes a few hundred runs of the check.
     """
     block_length = len(failure.scenario.calls)
-    # Long blocks of calls are left out first, since most calls are not needed, then half as long ones.
+    # Long blocks of calls are left out first, since most calls are not needed. When a failing scenario needs
+    # all its blocks of this length, blocks of half the length are tried.
     while block_length > 0:
         shorter_scenarios = _shorter_scenarios(failure.scenario, block_length)
         shorter_failure = _first_failure(shorter_scenarios, check_scenario)

@@ -83,7 +83,8 @@ class RobotState:
 
         The test passes if it does not reject the robot's x_hat by these estimates. Then b_hat is not
         re-estimated, and neither is it after a single estimate. A robot without a table has no test, and
-        re-estimates b_hat in any case.
+        re-estimates b_hat in any case. `Update.KEPT` is returned if the mean of the estimates is too close to
+        1/2 for a re-estimate.
         """
         sums = Sums()
         for estimate in estimates:
@@ -100,7 +101,9 @@ class RobotState:
 def classify_update(b_hat: int | None) -> Update:
     """Return the kind of update that sets b_hat, the accuracy that the robot assumes, to this value.
 
-    ``b_hat`` is in units of 2**-32; None means that the re-estimate has kept the old value.
+    The kinds are KEPT, both limits (MINIMUM and MAXIMUM), HALF for about 1/2, which carries no information,
+    FAINT for values next to that, and ABOVE and BELOW for all others, by their side of 1/2. ``b_hat`` is in
+    units of 2**-32; None means that the re-estimate has kept the old value.
     """
     if b_hat is None:
         return Update.KEPT
@@ -108,7 +111,7 @@ def classify_update(b_hat: int | None) -> Update:
         return Update.MINIMUM
     if b_hat == B_HAT_MAX:
         return Update.MAXIMUM
-    information = 2 * b_hat - (1 << 32)  # 2 b_hat - 1
+    information = 2 * b_hat - (1 << 32)  # 2 b_hat - 1, in units of 2**-32
     if abs(information) < INFORMATIVE_G:
         return Update.HALF
     if abs(information) < _LITTLE_INFORMATION:
@@ -146,7 +149,7 @@ def draw_alphas_of_one_scale(rng: Random, count: int, scale: tuple[int, int] | N
     alphas = []
     for _ in range(count):
         bit_count = rng.randint(min_bits, max_bits)
-        leading_one = 1 << (bit_count - 1)
+        leading_one = 1 << (bit_count - 1)  # The bits below it are random.
         units = leading_one + rng.randrange(leading_one)
         alphas.append(alpha_word_from_units(units))
     return alphas
@@ -272,7 +275,8 @@ class _TwoGroups:
     def threshold_of_ratio(self, table_entry: int) -> Fraction:
         """Return the ratio u / gap above which the test rejects; ``table_entry`` is k_m, as in a table.
 
-        That is (sqrt(k_m near_count far_count) - far_count) / m, with the root rounded down to 100 bits.
+        The near group is at distance u from the robot's own x_hat, and the far group at u + gap. The ratio is
+        (sqrt(k_m near_count far_count) - far_count) / m, with the root rounded down to 100 bits.
         """
         # Entries of the table have FRACTION_BITS fraction bits, so this product has as many. A square whose
         # root is to have _ROOT_BITS needs twice as many as the root.
@@ -283,7 +287,11 @@ class _TwoGroups:
         return (root - self.far_count) / m
 
     def largest_gap(self, ratio: Fraction) -> Fraction:
-        """Return the largest gap for which both groups are between 0 and 1, with this ratio of u to it."""
+        """Return the largest gap between the groups for which all their x_hat are between 0 and 1.
+
+        ``ratio`` is that of u to the gap. The near group is at distance u from the robot's own x_hat, and the
+        far group at u + gap.
+        """
         room_above, room_below = ONE - self.own_x_hat, self.own_x_hat
         # Ahead is the direction in which the far group lies.
         if self.direction > 0:
@@ -300,6 +308,8 @@ class _TwoGroups:
 
     def make_x_hats(self, ratio: Fraction, max_gap: int) -> list[int]:
         """Return x_hat of both groups for a ratio of u to the gap, with the largest gap up to ``max_gap``.
+
+        The near group is at distance u from the robot's own x_hat, and the far group at u + gap.
 
         Pairs of equal x_hat come first: the near group's pairs, then the far group's. At the end there is one
         x_hat of each group that has an odd size.
@@ -446,7 +456,7 @@ def limit_in_float64(table: Table, m: int, scatter: int) -> float:
 
 # --- Rounds with another purpose ---
 
-_X_BAR_RANGES = {
+_X_BAR_RANGE_BY_UPDATE = {
     Update.ABOVE: (0.65, 0.98),
     Update.BELOW: (0.02, 0.35),
     Update.MAXIMUM: (0.51, 0.58),
@@ -460,6 +470,12 @@ _X_BAR_RANGES = {
 That holds where a bit more than half of the observations are black; for HALF exactly half must be, for FAINT
 nearly half."""
 _MAX_DRAWS_FOR_UPDATE = 300
+_MAX_DISTANCE_FROM_HALF = ONE >> 11
+"""Largest distance from 1/2 of two estimates whose mean is 1/2, in units of 2**-23."""
+_MAX_DISTANCE_FROM_X_BAR = ONE >> 7
+"""Largest distance of estimates from the mean for which they are drawn, in units of 2**-23."""
+_MAX_DISTANCE_FROM_END = ONE >> 11
+"""Largest distance from 0 or 1 of estimates that are near it, in units of 2**-23."""
 
 
 def draw_estimate(rng: Random, max_shift: int = 17) -> NeighbourEstimate:
@@ -470,35 +486,54 @@ def draw_estimate(rng: Random, max_shift: int = 17) -> NeighbourEstimate:
 def draw_round_for_update(
     robot: RobotState, update: Update, rng: Random, m: int = 5
 ) -> list[NeighbourEstimate] | None:
-    """Draw ``m`` estimates that bring about this update of the robot's b_hat; two for KEPT, which keeps it.
+    """Draw ``m`` estimates after which the robot's b_hat is updated in this way.
 
-    Returns None if none of many draws has this effect.
+    For KEPT, which keeps b_hat, there are two, whatever ``m``. Returns None if none of many draws has this
+    effect.
     """
     for _ in range(_MAX_DRAWS_FOR_UPDATE):
         if update is Update.KEPT:
-            # Two estimates of the same confidence whose mean is 1/2
-            distance, alpha = rng.randint(1, 1 << 12), draw_normal_alpha(rng)
-            estimates = [NeighbourEstimate(HALF - distance, alpha), NeighbourEstimate(HALF + distance, alpha)]
+            estimates = _draw_pair_around_half(rng)
         else:
-            lowest_x_bar, highest_x_bar = _X_BAR_RANGES[update]
-            x_bar = round(rng.uniform(lowest_x_bar, highest_x_bar) * ONE)
-            max_distance = rng.randint(1, ONE >> 7)
-            x_hats = [x_bar + rng.randint(-max_distance, max_distance) for _ in range(m)]
-            limited_x_hats = [min(max(x_hat, 0), ONE) for x_hat in x_hats]
-            alphas = draw_alphas_of_one_scale(rng, m)
-            estimates = list(map(NeighbourEstimate, limited_x_hats, alphas))
+            estimates = _draw_estimates_near_x_bar(_X_BAR_RANGE_BY_UPDATE[update], rng, m)
         if robot.update_after(estimates) is update:
             return estimates
     return None
 
 
+def _draw_pair_around_half(rng: Random) -> list[NeighbourEstimate]:
+    """Draw two estimates of the same confidence whose mean is exactly 1/2."""
+    distance = rng.randint(1, _MAX_DISTANCE_FROM_HALF)
+    alpha = draw_normal_alpha(rng)
+    return [NeighbourEstimate(HALF - distance, alpha), NeighbourEstimate(HALF + distance, alpha)]
+
+
+def _draw_estimates_near_x_bar(
+    x_bar_range: tuple[float, float], rng: Random, m: int
+) -> list[NeighbourEstimate]:
+    """Draw ``m`` estimates of similar confidence, all of them near one x_bar that is drawn from a range.
+
+    The range is from a smallest to a largest x_bar, between 0 and 1. The estimates are limited to 0 .. 1.
+    """
+    lowest_x_bar, highest_x_bar = x_bar_range
+    x_bar = round(rng.uniform(lowest_x_bar, highest_x_bar) * ONE)  # in units of 2**-23
+    max_distance = rng.randint(1, _MAX_DISTANCE_FROM_X_BAR)
+    x_hats = [x_bar + rng.randint(-max_distance, max_distance) for _ in range(m)]
+    limited_x_hats = [min(max(x_hat, 0), ONE) for x_hat in x_hats]
+    alphas = draw_alphas_of_one_scale(rng, m)
+    return list(map(NeighbourEstimate, limited_x_hats, alphas))
+
+
 def draw_distant_estimates(robot: RobotState, rng: Random, m: int = 4) -> list[NeighbourEstimate]:
-    """Draw ``m`` estimates that the test rejects: near 0 or 1, whichever is farther from the own x_hat."""
-    farther_end, direction_inwards = (0, 1) if robot.x_hat > HALF else (ONE, -1)
+    """Draw ``m`` estimates near 0 or 1, whichever is farther from the robot's own x_hat.
+
+    They are so far from it that a test against two or more of them rejects.
+    """
+    is_zero_farther = robot.x_hat > HALF
     estimates = []
     for _ in range(m):
-        distance_from_end = rng.randint(0, ONE >> 11)
-        x_hat = farther_end + direction_inwards * distance_from_end
+        distance_from_end = rng.randint(0, _MAX_DISTANCE_FROM_END)
+        x_hat = distance_from_end if is_zero_farther else ONE - distance_from_end
         estimates.append(NeighbourEstimate(x_hat, draw_normal_alpha(rng)))
     return estimates
 

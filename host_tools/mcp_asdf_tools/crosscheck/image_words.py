@@ -46,21 +46,21 @@ class ImageLayout:
 
     @property
     def accepted_and_repeated_word(self) -> int:
-        """Word of the counters of accepted and of repeated messages."""
+        """Index of the word of the counters of accepted and of repeated messages."""
         return self.word_count - 4
 
     @property
     def rejected_and_tests_word(self) -> int:
-        """Word of the counters of rejected messages and of tests."""
+        """Index of the word of the counters of rejected messages and of tests."""
         return self.word_count - 3
 
     @property
     def updates_and_id_word(self) -> int:
-        """Word of the counter of updates, of the flag that b_hat is newer than x_hat, and of the id."""
+        """Index of the word of the counter of updates, the flag of a b_hat newer than x_hat, and the id."""
         return self.word_count - 2
 
     def pack_sender(self, sender: int) -> dict[int, int]:
-        """Return the word of the open round's senders that has the bit of this id, with no other bit set."""
+        """Return the word of the open round's senders, by its index, with the bit of this id alone set."""
         # Four words of senders are followed by three with the counters, and by the checksum.
         first_senders_word = self.word_count - 8
         word_index = first_senders_word + sender // 32

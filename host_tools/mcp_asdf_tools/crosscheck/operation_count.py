@@ -137,7 +137,7 @@ def _workloads_along_q() -> Iterator[Workload]:
 
 
 def count_operations(firmware: type[MirrorRobot] = MirrorRobot, axes: Collection[str] = AXES) -> Counts:
-    """Count the instructions of every call of a robot while t, m or q grows, whichever ``axes`` name.
+    """Count the instructions of every call of a robot while t, m or q grows: those that are in ``axes``.
 
     Returns the largest number by call, axis and value on the axis. It takes a few seconds for all axes.
     """
@@ -194,8 +194,9 @@ def find_growth(counts: Counts) -> list[str]:
 def measure_storage(firmware: type[MirrorRobot] = MirrorRobot) -> dict[str, dict[int, int]]:
     """Return the bytes of tables by number of entries, and of saved robots by number of messages.
 
-    The sizes of tables are under "tables", the sizes of robots under the ``images_key`` of their filter. The
-    open round has that many messages, and so has the last closed round.
+    The sizes of tables are under "tables", those of robots with one of the paper's filters under "images",
+    and those of robots with the robust filter under "robust_images". The open round has that many messages,
+    and so has the last closed round.
     """
     table_sizes = {}
     for q in range(MIN_Q, MAX_Q + 1):

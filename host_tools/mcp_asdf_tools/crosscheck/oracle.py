@@ -54,7 +54,7 @@ class Errors:
     float64: float = 0.0
 
     def add(self, exact_error: Fraction, float64_error: float) -> None:
-        """Add the error of one value. O(1)."""
+        """Count a value, and keep its errors, without their signs, if they are the largest so far. O(1)."""
         self.samples += 1
         self.exact = max(self.exact, abs(float(exact_error)))
         self.float64 = max(self.float64, abs(float64_error))
@@ -132,6 +132,8 @@ class Audit:
             return check_whether_updated(is_updated, is_expected)
         n, t = state["n"], state["t"]
         b_hat = Fraction(state["b_hat()"], 2**32)
+        # By rounding the firmware may re-estimate where the exact x_bar carries no information. Without its
+        # guard the equation has a result there, too.
         exact_b_hat = assumed_accuracy_update(n, t, x_bar, UNGUARDED)
         assert exact_b_hat is not None
         float64_b_hat = assumed_accuracy_update(n, t, float(x_bar))

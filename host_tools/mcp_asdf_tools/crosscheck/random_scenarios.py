@@ -93,6 +93,7 @@ class ScenarioWriter:
     """
 
     def __init__(self, rng: Random, setup: Setup) -> None:
+        """Begin a scenario of a robot with this setup, without any call."""
         self._rng = rng
         self._setup = setup
         self._layout = layout_of(setup.filter)

@@ -57,7 +57,11 @@ class CrosscheckReport:
         return self.result.failure is None and not self.problems
 
     def as_dict(self) -> dict[str, Any]:
-        """Return everything as plain data."""
+        """Return everything as plain data, for JSON.
+
+        ``ok`` says whether all is good, and ``steps`` is the number of calls that were compared. The audit
+        adds ``errors``, ``tests`` and the events of each filter under its name.
+        """
         failure = self.result.failure
         return {
             "ok": self.is_good,

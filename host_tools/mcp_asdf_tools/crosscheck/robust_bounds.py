@@ -211,13 +211,6 @@ def robust_test_outcome(
     difference_squared, limit = robust_test_sides(observations, b, centre, spread)
     # With g = 2 b - 1, the test rejects if (n/t - p)**2 is above 12 (dispersion v/t + g**2 spread**2). Here
     # p is the probability of black by b and the centre, and v the larger of p (1 - p) and n/t (1 - n/t).
-    #
-    # Where both sides are alike, rounding changes them by less than the margin: both are at least 12 2**-33,
-    # since t < 2**31, v >= (1 - g**2) / 4, dispersion >= 1 and spread >= 2**-12. So n/t - p is at least
-    # 160,000 units of 2**-32. p is less than 4 units too small, and n/t less than 5: the square of the
-    # difference is off by 2**-13.9 of itself. The product of g and the spread, rounded down, takes 2**-15.5
-    # from the other side. There v lacks at most 6 units: if it is below 2**-10, g is near 1, n/t - p is at
-    # least sqrt(12) 2**-12, and v has at least 350,000 units.
     margin = ROBUST_TEST_MARGIN * max(difference_squared, limit)
     if abs(difference_squared - limit) <= margin:
         return None
@@ -238,6 +231,7 @@ def support_outcome(
         prediction = probability_of_black(b, estimate)
         distance_from_centre = abs(prediction - prediction_of_centre)
         distance_from_robot = abs(prediction - observations.share)
+        # In the firmware, rounding may change the sign of a lead that is within SUPPORT_MARGIN of 0.
         lead = distance_from_centre - distance_from_robot
         if lead > SUPPORT_MARGIN:
             certain_supporters += 1

@@ -409,7 +409,7 @@ class RobustScenarioWriter(ScenarioWriter):
         return clamp(spread, SPREAD_MIN, SPREAD_MAX)
 
     def _draw_estimates(self, robust: RobustFilter) -> list[int]:
-        """Draw the estimates of all slots, which is 0 for an empty one.
+        """Draw the estimates of all slots, in units of 2**-16: 0 for an empty slot.
 
         About half of the filled slots share one estimate, which is next to the centre of the votes or at the
         distance of the spread from it. The others have estimates as of messages.
@@ -444,7 +444,7 @@ class RobustScenarioWriter(ScenarioWriter):
     # --- Estimates for a test ---
 
     def _mirror_of(self, robot: DrawnRobot) -> MirrorRobot:
-        """Return a mirror with what the filter's test of the drawn robot needs: t, n, and the memory."""
+        """Return a mirror with what the filter's test of the drawn robot needs: t, n, and the same memory."""
         mirror = MirrorRobot(self._setup.config(), self._setup.robot_id, robot.b_hat / Q32_ONE)
         mirror.s.t, mirror.s.n, mirror.s.robust = robot.t, robot.n, robot.robust
         return mirror

@@ -52,11 +52,12 @@ class Workload:
         Its last closed round is a copy of the open one. Its x_hat is the mean of the messages if it agrees
         with them, and 1.0 if it does not.
         """
+        # With a memory of t the next observation fills it, so that t and n are halved.
         memory = self.t if self.halves else DEFAULT_MEMORY
         config = Config(table_of_size(self.q), self.filter, filter_period=1, memory=memory)
         robot = firmware(config, OWN_ID, self.b_hat / 2**32)
         state = robot.s
-        state.t = self.t - 1
+        state.t = self.t - 1  # before the observation that is to come
         state.n = min(self.n, self.t - 1)
         for sender in range(self.m):
             alpha = self.alpha ^ (sender << 8)  # differs in the lower bits of the mantissa

@@ -35,7 +35,11 @@ class Bench(ControllerLink):
     """
 
     def __init__(self, settings: RadioSettings, options: BenchOptions) -> None:
-        """Start the model and the neighbours. Nothing is sent to the controller yet."""
+        """Start the model and the neighbours. Nothing is sent to the controller yet.
+
+        ``activity`` is what a phase does at present, for the report of a difference, and ``not_exercised``
+        are the cases that phases could not bring about.
+        """
         super().__init__(settings, options)
         self.neighbours = Neighbourhood(settings)
         self.rng = random.Random(settings.swarm.seed)
@@ -94,7 +98,10 @@ class Bench(ControllerLink):
         return frames
 
     def make_command(self, action: Action) -> Command:
-        """Return the command for this action of the controller in the present tick, without sending it."""
+        """Return a command for this action of the controller in the present tick, without sending it.
+
+        Its transfer_id is drawn at random.
+        """
         return Command(
             DRIVER_ID, self.lockstep.tick, self.setup.id, action, self.rng.randrange(TRANSFER_ID_MODULUS)
         )
@@ -152,7 +159,7 @@ class Bench(ControllerLink):
     def play_round_of_frames(self, frames: Sequence[can.Message]) -> None:
         """Wait for the next round, and run it without observations.
 
-        Half of these frames come in its first tick, the others in its last.
+        Half of these frames come in its first tick, the others in its last; all in a round of a single tick.
         """
         self.skip_to_round()
         ticks_in_round = self.setup.comms_period

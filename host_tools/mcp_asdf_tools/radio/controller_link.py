@@ -108,7 +108,10 @@ class ControllerLink:
     """
 
     def __init__(self, settings: RadioSettings, options: BenchOptions) -> None:
-        """Start the model. Nothing is sent to the controller yet."""
+        """Start the model, and beside it a model for each known mistake of controllers.
+
+        Nothing is sent to the controller yet.
+        """
         self.settings = settings
         self.options = options
         self.setup = settings.controller
@@ -148,6 +151,7 @@ class ControllerLink:
     def observe(self, observation: Observation | None) -> None:
         """Begin a tick with this observation, or none, and wait for the controller's broadcast if one is due.
 
+        ``tick_index`` is the index of this tick from now on.
         Raises LockstepError if the broadcast does not come, and KeyboardInterrupt if asked to stop.
         """
         self._check_stop()

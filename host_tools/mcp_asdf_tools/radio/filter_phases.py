@@ -35,6 +35,8 @@ LONG_RUN = 20_000
 2**14, so that narrower counts show."""
 _WHITE_TILES = 60
 """White tiles before the re-estimate, beside the white tiles of earlier phases."""
+_SMALL_COUNT = 2**12
+"""Observations below which the divisor of eq. 8, t (2 x_bar - 1), is below 1 for an x_bar of 1/2 + 2**-13."""
 _EARLY_COUNTS = (250, 350, 480)
 """Observations after which b_hat is re-estimated early."""
 _MAX_PERIOD_FOR_MANY_UPDATES = 50
@@ -53,6 +55,7 @@ _MAX_ATTEMPTS_TO_UPDATE = 4
 """Tests after which it is given up to bring a robot to a kind of update."""
 _NEAR_HALF = (Update.HALF, Update.FAINT)
 """Updates for which the share of black tiles must be near 1/2."""
+_HALF_BLACK = "many observations, half of them black"
 _MANY_OBSERVATIONS = "many observations in a row"
 _ROUND_SIZE = 5
 """Estimates in a round whose size does not matter. The adaptive filter tests rounds of two or more."""
@@ -61,26 +64,43 @@ _ROUND_SIZE = 5
 def re_estimate_to_half(bench: Bench) -> None:
     """Bring b_hat to 1/2, and then to almost 1/2, by re-estimates, and let the controller observe with it.
 
-    With a b_hat of 1/2 its observations carry no information, and next to 1/2 hardly any. If the controller
-    has made fewer than 4096 observations, it first tests estimates whose mean is 2**-13 above 1/2.
+    With a b_hat of 1/2 its observations carry no information, and next to 1/2 hardly any. After either
+    re-estimate it observes three times. If it has made fewer than 4096 observations when half of them are
+    black, it first tests estimates whose mean is 2**-13 above 1/2.
     """
     state = bench.model_state
-    for update in _NEAR_HALF:
-        bench.activity = "many observations, half of them black"
-        # As many black tiles as white ones for 1/2, and few more for almost 1/2.
-        excess_of_black = 0 if update is Update.HALF else state.t // 4096 + 1
-        observe_until_excess_of_black(bench, excess_of_black)
-        # Eq. 8 divides by t (2 x_bar - 1), which is below 1 if x_bar is 2**-13 above 1/2 and t below 2**12.
-        if update is Update.HALF and state.t < 2**12:
-            bench.skip_to_test_round()
-            bench.activity = "a mean so close to 1/2 that the divisor of eq. 8 is below 1"
-            distance = 2**10  # 2**-13 in units of 2**-23
-            x_hats = [HALF + distance + offset for offset in (1, 2, 3)]
-            _play_test_round(bench, [NeighbourEstimate(x_hat, ALPHA_ONE) for x_hat in x_hats])
-        _play_update(bench, update)
-        bench.activity = "observations of a robot that knows hardly anything"
-        for _ in range(3):
-            bench.play_tick(bench.draw_observation())
+    bench.activity = _HALF_BLACK
+    observe_until_excess_of_black(bench, 0)
+    if state.t < _SMALL_COUNT:
+        _test_with_divisor_below_1(bench)
+    _play_update(bench, Update.HALF)
+    _observe_three_times_without_knowledge(bench)
+
+    bench.activity = _HALF_BLACK
+    # Few more black tiles than white ones: about one of 4096.
+    observe_until_excess_of_black(bench, state.t // 4096 + 1)
+    _play_update(bench, Update.FAINT)
+    _observe_three_times_without_knowledge(bench)
+
+
+def _test_with_divisor_below_1(bench: Bench) -> None:
+    """Play a test of three estimates whose mean is about 2**-13 above 1/2.
+
+    The robot must have made fewer than 2**12 observations. Then the divisor of eq. 8, t (2 x_bar - 1), is
+    below 1.
+    """
+    bench.skip_to_test_round()
+    bench.activity = "a mean so close to 1/2 that the divisor of eq. 8 is below 1"
+    distance = 2**10  # 2**-13 in units of 2**-23
+    x_hats = [HALF + distance + offset for offset in (1, 2, 3)]
+    _play_test_round(bench, [NeighbourEstimate(x_hat, ALPHA_ONE) for x_hat in x_hats])
+
+
+def _observe_three_times_without_knowledge(bench: Bench) -> None:
+    """Let the controller make three observations with a b_hat at 1/2 or next to it."""
+    bench.activity = "observations of a robot that knows hardly anything"
+    for _ in range(3):
+        bench.play_tick(bench.draw_observation())
 
 
 def observe_until_excess_of_black(bench: Bench, excess: int) -> None:
@@ -104,7 +124,10 @@ def observe_until_excess_of_black(bench: Bench, excess: int) -> None:
 
 
 def re_estimate_without_black(bench: Bench) -> None:
-    """Let the controller re-estimate b_hat before its first black tile, from five estimates near 1/4."""
+    """Let the controller observe a few white tiles, and re-estimate b_hat before its first black one.
+
+    It re-estimates from five estimates near 1/4. After the white tiles it observes nothing until the test.
+    """
     bench.activity = "white tiles, and then none until the test"
     # So few that t is still small in the next phases.
     bench.skip_ticks(_WHITE_TILES, lambda: Observation.WHITE)
@@ -245,7 +268,8 @@ def required_updates(setup: RobotSetup) -> int:
 def re_estimate_often(bench: Bench) -> None:
     """Let the controller re-estimate b_hat so often that a counter of updates with too few bits shows.
 
-    The estimates have confidences (alpha) of every size, one size a round.
+    The estimates have confidences (alpha) of every size, one size a round. There are at least as many rounds
+    as sizes, also if earlier phases have made all required re-estimates.
     """
     missing_updates = required_updates(bench.setup) - bench.model_state.updates
     round_count = max(missing_updates, len(ALPHA_SCALES))
@@ -320,11 +344,12 @@ def halve_memory(bench: Bench) -> None:
     When t, the number of observations, reaches ``memory``, the controller halves t and n. The half of an n
     with remainder 1 is rounded down, to an even number. With remainder 3 it is rounded up. Other halves are
     exact. The last four observations give n its remainder: black ones until n has it, and then white ones.
+    If fewer than four observations are missing at the beginning, the memory is filled once more before that.
     """
     state = bench.model_state
     t_before_last_four = bench.config.memory - 4
     bench.activity = "observations until the memory is halved"
-    # Earlier phases may have left fewer than four to go. Then the memory is halved once more.
+    # Fewer than four are missing now, so these fill the memory once more.
     while state.t > t_before_last_four:
         bench.play_tick(bench.draw_observation())
     for remainder in (1, 3, 0, 2):
@@ -335,7 +360,10 @@ def halve_memory(bench: Bench) -> None:
 
 
 def observe_long(bench: Bench) -> None:
-    """Let the controller make 20,000 observations in all, so that a memory that is too short shows."""
+    """Let the controller make 20,000 observations in all, so that a memory that is too short shows.
+
+    It makes at least 16 more, even if it has made as many in earlier phases.
+    """
     bench.activity = _MANY_OBSERVATIONS
     missing_observations = LONG_RUN - bench.model_state.t
     bench.skip_ticks(max(missing_observations, BURST), bench.draw_observation)

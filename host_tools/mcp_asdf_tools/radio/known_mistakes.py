@@ -77,6 +77,7 @@ def _cut_fraction(value: float, bits: int | None) -> float:
     """
     if bits is None:
         return value
+    # ldexp(number, exponent) is number * 2**exponent, and int rounds down.
     units = int(ldexp(value, bits))
     return ldexp(units, -bits)
 

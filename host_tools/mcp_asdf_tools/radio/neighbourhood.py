@@ -70,7 +70,10 @@ class Neighbourhood:
     """
 
     def __init__(self, settings: RadioSettings) -> None:
-        """Make the neighbours, in a swarm to which the controller belongs as a robot from outside."""
+        """Make the neighbours, in a swarm to which the controller belongs as a robot from outside.
+
+        The faults between them are those of ``settings`` alone: the swarm's own parameter is left out.
+        """
         self.settings = settings
         robots = [settings.controller, *settings.neighbours]
         self._swarm = Swarm(

@@ -298,7 +298,10 @@ def observe_first_black(bench: Bench) -> None:
 
 
 def receive_and_wait(bench: Bench) -> None:
-    """Play a tick with three estimates of similar confidence, then one or two without any; all six times."""
+    """Play a tick with three estimates of similar confidence, and then one or two ticks without estimates.
+
+    This is done six times, and the controller observes in these ticks.
+    """
     for _ in range(6):
         bench.wait_for_round_without_test()
         bench.activity = "a few messages"
@@ -318,7 +321,7 @@ def lose_settles(bench: Bench) -> None:
         bench.activity = "messages in a tick whose settle is lost"
         bench.observe(bench.draw_observation())
         _send_random_estimates(bench, bench.other_ids[5:8])
-        bench.skip_settle()  # without the settle
+        bench.skip_settle()
         bench.activity = "the tick after one whose settle was lost"
         bench.play_tick(bench.draw_observation())
 
@@ -510,6 +513,7 @@ def receive_extremes(bench: Bench) -> None:
     """Play rounds of estimates at the ends of their ranges, and of confidences that robots never send.
 
     The latter are legal numbers of 32 bits that the firmware cannot hold exactly, and must round or limit.
+    Each comes together with an estimate of the smallest confidence.
     """
     for name, estimates in EXTREME_ROUNDS.items():
         bench.wait_for_round_without_test()
@@ -529,7 +533,10 @@ def receive_extremes(bench: Bench) -> None:
 
 
 def receive_repeated_sender(bench: Bench) -> None:
-    """Send two, three and six estimates of one sender in a round: only the first must count."""
+    """Send two, three and six estimates of one sender in a round: only the first must count.
+
+    After the first comes an estimate of another sender, which must count, too.
+    """
     for repeats in (1, 2, 5):
         bench.wait_for_round_without_test()
         bench.activity = "different messages of one sender in a round"

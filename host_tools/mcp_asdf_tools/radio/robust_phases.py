@@ -62,6 +62,8 @@ _MAX_DRAWS = 400
 """Number of draws of estimates at a test's threshold. One draw is chosen."""
 _MAX_BURSTS = 500
 """Number of bursts of observations after which a test that has not come about is given up."""
+_OBSERVATIONS_TO_KNOW_SHARE = 64
+"""Number of observations up to which their share of black ones is not yet taken as brought about."""
 _MAX_OBSERVATIONS_FOR_SHARE = 4096
 """Number of observations after which a share of black ones that has not come about is given up."""
 _MAX_PAIRS_OF_COLOURS = 4096
@@ -427,7 +429,7 @@ def _observe_until_black_share(
         return Observation(is_share_too_low)
 
     for _ in range(_MAX_OBSERVATIONS_FOR_SHARE // BURST):
-        has_observed_enough = state.t > 4 * BURST
+        has_observed_enough = state.t > _OBSERVATIONS_TO_KNOW_SHARE
         is_near = has_observed_enough and abs(state.n - black_share * state.t) < 0.01 * state.t
         if is_near and is_enough():
             return True

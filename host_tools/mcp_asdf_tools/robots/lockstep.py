@@ -200,7 +200,8 @@ class Lockstep:
             missing_robots, expected_answer, self._timeout, self._last_actions
         )
         for _frame in received_frames:
-            # Each frame that is an answer is among ``answers`` by now. An empty set ends the loop.
+            # The answer in this frame, if it has one, is in ``answers`` by now. ``received_frames`` ends when
+            # this set is empty.
             missing_robots.difference_update(answers)
         return {robot: answers[robot] for robot in robots}
 

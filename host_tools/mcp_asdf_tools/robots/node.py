@@ -284,8 +284,8 @@ class RobotNode:
             return []
         is_settle = command.action is Action.SETTLE
         is_tick_open = not self.is_settled and command.tick == self._tick_of_command
-        # A settle needs the open tick, and a command to observe another one.
-        is_in_turn = is_settle == is_tick_open
+        # While its tick is open, a command to observe is a repetition.
+        is_in_turn = is_tick_open if is_settle else not is_tick_open
         if not is_in_turn:
             self.disobeyed += 1
             return []

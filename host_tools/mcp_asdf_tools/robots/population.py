@@ -71,6 +71,8 @@ class Population(WorldSettings):
     def __post_init__(self) -> None:
         """Check the parameters, and replace ``flawed`` by a count and ``omega`` by a Decimal.
 
+        Beside the range of each, ``filter_period`` must be a multiple of ``comms_period``, ``memory`` a
+        multiple of 4, and a choice of drifting robots needs a drift.
         Raises ParameterError, which names the wrong parameter.
         """
         from mcp_asdf_tools.tables.thresholds import parse_omega  # noqa: PLC0415 (mpmath loads slowly)

@@ -43,12 +43,15 @@ class AlphaWatch:
     """
 
     def __init__(self) -> None:
+        """Begin without any sender."""
         self._last_alpha_and_count: dict[int, tuple[int, int]] = {}
         """By sender: its last alpha in units of 2^-24, and the number of its estimates since it began."""
 
     def is_jump(self, sender: int, alpha_word: int) -> bool:
         """Count the next estimate of ``sender``, and return whether its alpha is a jump. O(1).
 
+        It is if it is at least twice the sender's last alpha. The first 32 estimates (``WATCHED_AFTER``) of a
+        sender are not watched, and an alpha of at most half the last one starts counting them anew.
         ``alpha_word`` is the alpha as frames' decoders return it: mantissa and shift in 32 bits.
         """
         last_alpha, estimate_count = self._last_alpha_and_count.get(sender, (0, 0))
@@ -58,6 +61,6 @@ class AlphaWatch:
         next_count = 0 if has_begun_anew else estimate_count + 1
         self._last_alpha_and_count[sender] = (alpha, next_count)
         is_watched = estimate_count >= WATCHED_AFTER
-        # A last alpha of 0 has reset the count, so that twice that is no limit here.
+        # A last alpha of 0 does no harm here: it has started the count anew, so that nothing is watched.
         has_doubled = alpha >= 2 * last_alpha
         return is_watched and has_doubled
