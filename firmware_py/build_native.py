@@ -29,10 +29,13 @@ def declarations(header: str) -> str:
     """
     text = _CONTINUED_LINE.sub(" ", _COMMENT.sub("", header))
     text = _ONLY_CPLUSPLUS.sub("", text)
-    constants = [
-        _declare_constant(name, value) for name, value in _CONSTANT.findall(text) if re.search(r"\d", value)
-    ]
-    code = _INLINE_FUNCTION.sub(r"\1;", _DIRECTIVE.sub("", text))
+    constants = []
+    for name, value in _CONSTANT.findall(text):
+        is_number = re.search(r"\d", value) is not None  # other macros have no digit in their value
+        if is_number:
+            constants.append(_declare_constant(name, value))
+    text_without_directives = _DIRECTIVE.sub("", text)
+    code = _INLINE_FUNCTION.sub(r"\1;", text_without_directives)  # \1 is the head of the function
     return "\n".join([*constants, code])
 
 

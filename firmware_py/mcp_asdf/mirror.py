@@ -550,6 +550,10 @@ class MirrorRobot(FixedPointView):
     """
 
     def __init__(self, config: Config, robot_id: int, b_hat: float) -> None:
+        """Make a robot without observations, which assumes that its sensor has the accuracy ``b_hat``.
+
+        Raises FirmwareError for an argument that the firmware would refuse.
+        """
         check_config(config)
         check_id_and_b_hat(robot_id, b_hat)
         self.config = config

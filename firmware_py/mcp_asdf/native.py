@@ -57,6 +57,10 @@ class NativeRobot(FixedPointView):
     """
 
     def __init__(self, config: Config, robot_id: int, b_hat: float) -> None:
+        """Make a robot without observations, which assumes that its sensor has the accuracy ``b_hat``.
+
+        Raises FirmwareError for an argument that the firmware refuses.
+        """
         self._allocate(config)
         is_b_hat_valid = B_HAT_MARGIN <= b_hat <= 1 - B_HAT_MARGIN
         raw_b_hat = b_hat_to_raw(b_hat) if is_b_hat_valid else 0  # the C refuses 0
@@ -241,6 +245,10 @@ class _CConfig:
     """
 
     def __init__(self, config: Config) -> None:
+        """Copy the settings, and the table of the adaptive filter, to C.
+
+        A number that does not fit its C type becomes one that the C refuses.
+        """
         # An attribute keeps the array of the table alive; the pointer in the C struct does not. The other
         # filters read no table.
         self._table = ffi.NULL

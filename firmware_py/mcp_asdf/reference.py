@@ -370,6 +370,11 @@ class ReferenceRobot:
         *,
         omega: float | None = None,
     ) -> None:
+        """Make a robot without observations, which assumes that its sensor has the accuracy ``b_hat``.
+
+        ``omega``, or for None the table's, is the type II error probability of the adaptive filter's test;
+        other filters do not use it. Raises FirmwareError for an argument that the firmware would refuse.
+        """
         check_settings(config)
         self._omega = 0.0  # not used by the other filters
         if config.filter == Filter.ADAPTIVE:

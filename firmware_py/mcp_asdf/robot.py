@@ -115,6 +115,7 @@ class FirmwareError(ValueError):
     """
 
     def __init__(self, status: Status, message: str) -> None:
+        """Create the error, whose text is the message with the status in parentheses."""
         super().__init__(f"{message} ({status.name})")
         self.status = status
 

@@ -70,7 +70,7 @@ def _long_code(units: int) -> int:
         return (1 << MAX_ALPHA_BITS) - 1
     significand = units >> (exponent - 1)  # 21 bits
     fraction = significand - _FRACTIONS  # without the highest bit, which is always set and not stored
-    return exponent * _FRACTIONS + fraction
+    return exponent * _FRACTIONS + fraction  # _FRACTIONS is 2**20
 
 
 def decode_alpha(code: int, bits: int) -> int:

@@ -68,12 +68,18 @@ class Table:
         return self.omega_word / 2**32
 
     def entry(self, m: int) -> int:
-        """Return the threshold k for ``m`` >= 2 messages, in units of 2**-26. O(1)."""
+        """Return the threshold k for ``m`` >= 2 messages, in units of 2**-26. O(1).
+
+        All m above q have the same threshold.
+        """
         m_of_entry = min(m, self.q + 1)  # the last entry is for every m > q
         return self.entries[m_of_entry - 2]  # the first entry is for m = 2
 
     def words(self) -> tuple[int, ...]:
-        """Return the table as the 32-bit words that the firmware reads, the last one a checksum. O(q)."""
+        """Return the table as the 32-bit words that the firmware reads. O(q).
+
+        These are "MCT" and q, omega in units of 2**-32, the thresholds, and a checksum.
+        """
         body = (MAGIC | self.q, self.omega_word, *self.entries)
         return (*body, checksum(body))
 

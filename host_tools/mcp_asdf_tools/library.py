@@ -126,7 +126,11 @@ def simulate(
 
 
 def _check_run(experiments: list[Experiment], workers: int, record: int) -> None:
-    """Raise UsageError, with the fix, for arguments of ``simulate`` that cannot be run."""
+    """Raise UsageError, with the fix, for arguments of ``simulate`` that cannot be run.
+
+    These are no experiments at all, an item that is no Experiment, a ``record`` below 0 or above the steps of
+    an experiment, ``workers`` below 1, and extensions that `_check_extension_objects` refuses.
+    """
     if not experiments:
         raise UsageError("there is no experiment to run; give one or more")
     for experiment in experiments:

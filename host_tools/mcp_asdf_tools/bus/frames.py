@@ -382,7 +382,10 @@ def _rejection_of_special_frame(frame: can.Message) -> Rejection:
 # Cached, as a robot sends many frames under the same few identifiers.
 @cache
 def _identifier(priority: int, subject: int, node_id: int) -> int:
-    """Return the 29-bit identifier of a message. Raises UsageError if ``node_id`` is not 0 .. 127."""
+    """Return the 29-bit identifier of a message, in which two bits are 1 that receivers ignore.
+
+    Raises UsageError if ``node_id`` is not 0 .. 127.
+    """
     check_range("sender", node_id, 0, MAX_NODE_ID)
     return (priority << PRIORITY_SHIFT) | _SENT_AS_ONE | (subject << SUBJECT_SHIFT) | node_id
 

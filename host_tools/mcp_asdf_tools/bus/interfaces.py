@@ -98,7 +98,11 @@ class BusChoice:
         return self.interface == DEFAULT_INTERFACE and self.settings == default_settings
 
     def of_robot(self, robot: int) -> BusChoice:
-        """Return the bus of a robot, if each has one for itself, else this bus."""
+        """Return the bus of a robot, if each has one for itself, else this bus.
+
+        In the channel the robot's id takes the place of ``{robot}``. On UDP multicast it is also added to the
+        port.
+        """
         if self.channel is None or not self.has_bus_per_robot:
             return self
         own_settings: dict[str, Any] = {"channel": self.channel.replace(_ROBOT_PLACEHOLDER, str(robot))}

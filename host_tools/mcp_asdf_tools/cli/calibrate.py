@@ -27,7 +27,7 @@ LIBRARIES = ()
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the file of readings and the options of ``mcp-asdf calibrate``."""
+    """Declare FILE, which has the readings; ``-`` stands for standard input."""
     parser.add_argument(
         "file",
         metavar="FILE",
@@ -38,9 +38,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Calibrate the sensor by its readings, and print its threshold and accuracies; return exit code 0.
 
-    Also printed are how many lines were left out, and the accuracy that the robot should assume. Raises
-    UsageError if the file cannot be read, or has readings of another form, too few of them, or ones that do
-    not distinguish the colours.
+    Also printed are how many lines were left out, and the accuracy that the robot should assume; a warning
+    about the sensor goes to standard error. With --json all of it is printed as one object. Raises UsageError
+    if the file cannot be read, or has readings of another form, too few of them, or ones that do not
+    distinguish the colours.
     """
     name = "standard input" if args.file == "-" else args.file
     readings = parse_readings(read_text(args.file), name)

@@ -29,7 +29,7 @@ _DEFAULT_RECORD = 10
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the trial files, the file of results and the options of ``mcp-asdf convert``."""
+    """Declare the trial files, ``--output``, the results, and ``--record``, how often to keep values."""
     parser.add_argument(
         "files",
         metavar="FILE",
@@ -52,8 +52,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Read the trials, write them to the file of results, and print their scores; return exit code 0.
 
-    Raises UsageError for options out of range, for a file that is no trial of the paper's method, and if the
-    results cannot be written.
+    With --json the scores are printed as JSON, with the metadata and the path of the results. Raises
+    UsageError for options out of range, for a file that is no trial of the paper's method, and if the results
+    cannot be written.
     """
     from mcp_asdf_tools.cli.score_table import print_scores, summarize
     from mcp_asdf_tools.common.files import check_target

@@ -34,7 +34,7 @@ _DEFAULT_SEED = 1
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options of ``mcp-asdf crosscheck``, and the scenario that it may replay."""
+    """Declare ``--steps`` and ``--seed`` of the whole check, and ``--replay``, one scenario in its place."""
     parser.add_argument(
         "--steps", type=int, metavar="N", help=f"make and compare this many calls (default {_DEFAULT_STEPS})"
     )
@@ -143,7 +143,9 @@ def _replay_report(
 def _check_all(steps: int, seed: int, args: argparse.Namespace) -> int:
     """Run random scenarios of ``steps`` calls, and the checks of cost and storage; print what was found.
 
-    Returns exit code 1 if a check failed, and INTERRUPTED if Ctrl-C ended it before that.
+    That is a report of tables and a verdict, or JSON with --json. A failure is reported with the shortest
+    scenario that shows it. Returns exit code 1 if a check failed, and INTERRUPTED if Ctrl-C ended it before
+    that.
     """
     from rich.console import Console
 

@@ -22,7 +22,7 @@ LIBRARIES = ()
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the output file and the frame format of ``mcp-asdf dbc``."""
+    """Declare ``--output``, ``--per-node``, nodes with entries of their own, and the format of estimates."""
     parser.add_argument(
         "--output", metavar="FILE", type=Path, help="write to this file (default: standard output)"
     )
@@ -37,9 +37,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Write the DBC file, or print its text without ``--output``; return exit code 0.
+    """Write the DBC file and print its path, or print its text without ``--output``; return exit code 0.
 
-    Raises UsageError for nodes or a format that are impossible, and if the file cannot be written.
+    With --json path and text are printed as JSON in either case. Raises UsageError for nodes or a format that
+    are impossible, and if the file cannot be written.
     """
     from mcp_asdf_tools.common.files import write_atomically
 

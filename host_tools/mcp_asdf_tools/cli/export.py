@@ -19,7 +19,7 @@ LIBRARIES = ("numpy", "pyarrow")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the input and the output file of ``mcp-asdf export``."""
+    """Declare RESULTS, the results or log to be read, and TABLE, the file to be written."""
     parser.add_argument(
         "source", metavar="RESULTS", type=Path, help="read results (.parquet), or the log of a swarm (.log)"
     )
@@ -29,7 +29,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Write the table, and print its path and number of rows; return exit code 0.
 
-    Raises UsageError if the source has no values over time, or the table cannot be written or is the source.
+    With --json the path of the source is printed, too. Raises UsageError if the source has no values over
+    time, or the table cannot be written or is the source.
     """
     from mcp_asdf_tools.experiments.tidy_tables import check_tidy_path, write_tidy_tables
     from mcp_asdf_tools.library import stream_tidy_tables

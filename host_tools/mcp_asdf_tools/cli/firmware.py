@@ -29,7 +29,7 @@ Its answer, to be printed: mcp_asdf_thousandths(mcp_asdf_x(&robot))"""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the folder and the options of ``mcp-asdf firmware``."""
+    """Declare the folder to be written, ``--force``, to replace changed files, and the t-table's options."""
     parser.add_argument(
         "folder", metavar="DIR", type=Path, help="folder for the files; it is made if it does not exist"
     )

@@ -84,7 +84,8 @@ class Command(Protocol):
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the program on ``argv`` (default: the process's own arguments); returns the exit code.
 
-    Wrong usage and failures that the user can mend are printed, and raise nothing.
+    Wrong usage and failures that the user can mend are printed, and raise nothing. If standard output cannot
+    be written to its end, the exit code says so, whatever the command has returned.
     """
     arguments = sys.argv[1:] if argv is None else list(argv)
     # Before anything is parsed, since an error of parsing is printed as JSON, too.
@@ -222,9 +223,10 @@ def _parser_for(command_name: str, command: Command) -> Parser:
 
 
 def _show_overview(arguments: Sequence[str]) -> int:
-    """Print the overview or the version; returns exit code 2 where neither was asked for.
+    """Print the version if ``--version`` is among the arguments, which begin with no known command; return 0.
 
-    ``arguments`` do not start with a known command. Raises UsageError for an unknown command or option.
+    Without any arguments print the overview to standard error, and return exit code 2. Raises UsageError for
+    an unknown command or option, and SystemExit once ``--help`` has printed the overview.
     """
     parser = Parser(PROGRAM, "Collective perception with self-calibrating robots.", _list_commands())
     parser.add_argument("--version", action="store_true", help="show program's version number and exit")

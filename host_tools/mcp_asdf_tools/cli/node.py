@@ -49,7 +49,11 @@ _logger = logging.getLogger(__name__)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options of ``mcp-asdf node``: the robot, its bus, the run and the output."""
+    """Declare the options of the robot, its bus, the run and the output.
+
+    The robot is described by ``--id`` and further options, or by ``--setup`` alone: one of the two is
+    required.
+    """
     group = parser.add_argument_group("robot", options.describe_filters())
     identity = group.add_mutually_exclusive_group(required=True)
     identity.add_argument(
@@ -77,8 +81,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Run the robot until it ends, write its log, and print its results; return the exit code.
 
-    That is 0, 1 if the bus failed, INTERRUPTED if a signal came, and 2 if the log is not complete. Raises
-    UsageError for wrong options, and if the bus or the log cannot be opened.
+    With --json the results are printed with all parameters, and with --quiet not at all. The exit code is 0,
+    1 if the bus failed, INTERRUPTED if a signal came, and 2 if the log is not complete. Raises UsageError for
+    wrong options, and if the bus or the log cannot be opened.
     """
     from mcp_asdf_tools.common.versions import software_versions
     from mcp_asdf_tools.recording.events import EventsHeader

@@ -165,7 +165,7 @@ class _StandardErrorHandler(logging.Handler):
     """
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Print one record as a line."""
+        """Print one record as a line. A failure to do so is left to ``logging``, and ends nothing."""
         try:
             print(self.format(record), file=sys.stderr, flush=True)
         except Exception:

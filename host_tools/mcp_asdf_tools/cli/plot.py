@@ -28,7 +28,11 @@ _PLOT_OPTIONS = ("trial", "x", "hue", "y", "facet")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the results, the picture and the options of ``mcp-asdf plot``."""
+    """Declare FILE, the results, PICTURE, the file to draw into, the kind of picture, and what it shows.
+
+    ``--trial`` is for series, ``--x``, ``--hue``, ``--y`` and ``--facet`` are for curves, and the limits for
+    pictures of scores.
+    """
     parser.add_argument("file", metavar="FILE", type=Path, help="read the results from a .parquet file")
     parser.add_argument("picture", metavar="PICTURE", type=Path, help="draw into a .png, .svg or .pdf file")
     parser.add_argument(

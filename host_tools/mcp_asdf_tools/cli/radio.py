@@ -82,7 +82,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _add_neighbour_options(parser: argparse.ArgumentParser) -> None:
-    """Declare the options of the world, the neighbours and the disturbances."""
+    """Declare ``--first-id``, ``--steps`` and ``--fault``, and the parameters of the world of all robots."""
     group = parser.add_argument_group("neighbours")
     group.add_argument(
         "--first-id",
@@ -112,7 +112,7 @@ def _add_neighbour_options(parser: argparse.ArgumentParser) -> None:
 
 
 def _add_verification_options(parser: argparse.ArgumentParser) -> None:
-    """Declare the options that go with --verify."""
+    """Declare ``--verify``, and ``--timeout``, ``--wait`` and ``--report``, which need it."""
     group = parser.add_argument_group("verification")
     group.add_argument(
         "--verify",
@@ -265,7 +265,8 @@ def _run_phases(
 
         def show_progress(ticks: int) -> None:
             """Show how far the phases are; called while ``verification``, which is created below, runs."""
-            status.update(f"tick {ticks}   {verification.bench.activity}")
+            present_phase = verification.bench.activity  # in words
+            status.update(f"tick {ticks}   {present_phase}")
 
         bench_options = BenchOptions(
             bus,
@@ -277,7 +278,7 @@ def _run_phases(
             progress=show_progress,
             should_stop=should_stop,
         )
-        if log is not None:
+        if log is not None:  # otherwise the default stays, which records nothing
             bench_options.log = log
         verification = Verification(settings, bench_options)
         return verification.run()

@@ -29,7 +29,7 @@ LIBRARIES = ("numpy", "can", "rich.console")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the log that ``mcp-asdf replay`` checks, its file of events, and which bus is meant."""
+    """Declare LOG, the log to check, ``--events``, its file of events, and ``--channel``, one bus of it."""
     parser.add_argument(
         "log", metavar="LOG", type=Path, help="log to check: .log (candump), .asc, .blf, .csv, .mf4 or .trc"
     )
@@ -45,7 +45,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Run the robots of a log again, and print how many of their broadcasts come out as logged.
 
-    Returns exit code 1 if one does not. Raises UsageError if there is nothing to compare.
+    That is a table, or JSON with --json. The first broadcast that differs, and lines of the log that are no
+    frames, are reported on standard error. Returns exit code 1 if a broadcast differs, and otherwise 0.
+    Raises UsageError if there is nothing to compare.
     """
     from rich.console import Console
 

@@ -50,7 +50,10 @@ QUICK_SIZE = StudySize(trials=10, steps=10_000)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options of ``mcp-asdf reproduce``."""
+    """Declare which parts of the study run, with how many trials and steps, by which workers, and the output.
+
+    ``--firmware`` and ``--filter`` are of the user's, to be compared with the paper's.
+    """
     parser.add_argument(
         "--quick",
         action="store_true",
@@ -95,8 +98,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Run the trials that are missing, decide the claims and write the report; return exit code 0.
 
-    The verdict on each claim and the path of the report are printed. Raises UsageError for wrong options, and
-    if trials cannot be run or files not be written.
+    The verdict on each claim and the path of the report are printed, as JSON with --json. Raises UsageError
+    for wrong options, and if trials cannot be run or files not be written.
     """
     from mcp_asdf_tools.studies import report
     from mcp_asdf_tools.studies.claims import decide

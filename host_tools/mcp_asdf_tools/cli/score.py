@@ -18,7 +18,7 @@ LIBRARIES = ("numpy", "pyarrow", "rich.console")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the results and the output of ``mcp-asdf score``."""
+    """Declare FILE, the results, ``--csv``, the file for a line on each trial, and the limits of scores."""
     parser.add_argument(
         "file", metavar="FILE", type=Path, help="read the results from a .parquet file, such as grid.parquet"
     )
@@ -32,7 +32,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Read results, write their trials as CSV if asked to, and print their scores; return exit code 0."""
+    """Read results, write their trials as CSV if asked to, and print their scores; return exit code 0.
+
+    With --json the scores are printed as JSON, with the metadata. Raises UsageError if the results cannot be
+    read, the CSV file cannot be written, or a limit is out of range.
+    """
     from mcp_asdf_tools.cli.score_table import print_scores, summarize
     from mcp_asdf_tools.experiments.result_files import read_table, stream_experiments
     from mcp_asdf_tools.experiments.result_tables import read_metadata

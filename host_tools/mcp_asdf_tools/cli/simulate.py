@@ -25,7 +25,11 @@ _ROBOT_STEPS_FOR_PROCESSES = 10**8
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the parameters of the experiment, and the output, of ``mcp-asdf simulate``."""
+    """Declare FILE, the experiment, which may be left out, and the options of experiments.
+
+    These are ``--output``, ``--record``, ``--workers``, parameters that replace those of FILE, and the limits
+    of scores.
+    """
     parser.add_argument(
         "file",
         metavar="FILE",
@@ -41,8 +45,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Run the experiment, write its results if ``--output`` names a file, and print its scores; return 0.
 
-    Raises UsageError for wrong options, for a file of several experiments, and if the results cannot be
-    written.
+    An experiment of the native firmware that takes a second or two runs in this process, whatever the number
+    of workers. With --json the scores are printed as JSON, with the metadata. Raises UsageError for wrong
+    options, for a file of several experiments, and if the results cannot be written.
     """
     from mcp_asdf_tools.cli.score_table import print_scores, summarize
     from mcp_asdf_tools.experiments.result_tables import experiments_in, read_metadata

@@ -353,9 +353,9 @@ def _emulate(plan: _RunPlan, log_outputs: LogOutputs, recorder: SwarmRecorder | 
     """Run the swarm to its end or Ctrl-C, and return how it has ended, with the report for JSON.
 
     With --compare the same swarm also runs with other filters, its baselines, whose results are in the report
-    unless the run has failed. ``log_outputs`` get frames and events for the log, and
-    ``recorder``, if there is one, states for the web page. Raises LockstepError if robots in other processes
-    or at devices do not start, can.CanError if their bus fails before they have.
+    unless the run has failed. ``log_outputs`` get frames and events for the log, and ``recorder``, if there
+    is one, states for the web page. Raises LockstepError if robots in other processes or at devices do not
+    start, and can.CanError if their bus fails before they have.
     """
     from mcp_asdf_tools.swarm.live_view import LiveView
     from mcp_asdf_tools.swarm.run import Baselines, results_of, run_swarm

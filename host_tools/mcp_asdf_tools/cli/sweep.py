@@ -21,7 +21,7 @@ LIBRARIES = ("numpy", "pyarrow", "rich.progress")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the file of experiments, the output and the options of ``mcp-asdf sweep``."""
+    """Declare FILE, the experiments, the options of experiments, such as ``--output``, and the scheduler."""
     parser.add_argument(
         "file", metavar="FILE", type=Path, help="read the experiments from a .toml file, such as grid.toml"
     )

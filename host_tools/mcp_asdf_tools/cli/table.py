@@ -26,7 +26,10 @@ LIBRARIES = ("mpmath",)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options: exactly one of two jobs, and what the first one needs."""
+    """Declare ``--output`` and ``--check``, of which exactly one is required, and the options of the t-table.
+
+    The latter are for ``--output``.
+    """
     job = parser.add_mutually_exclusive_group(required=True)
     job.add_argument(
         "--output", metavar="DIR", type=Path, help="write a t-table as a C and a JSON file into this folder"

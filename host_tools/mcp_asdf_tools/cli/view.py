@@ -38,7 +38,11 @@ _OPTIONS_OF_FRAMES = ("fill_ratio", "true_accuracy", "subject", "channel")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare what ``mcp-asdf view`` shows, a recording or a bus, and its options."""
+    """Declare FILE, the recording to be shown, and the options of a bus, which is shown without a FILE.
+
+    Further options choose a trial, write the page to a file, draw the truth beside the estimates, and set the
+    page's port.
+    """
     from mcp_asdf_tools.bus.frames import FrameFormat
 
     parser.add_argument(

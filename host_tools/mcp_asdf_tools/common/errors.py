@@ -16,7 +16,10 @@ class UsageError(ValueError):
     """
 
     def __init__(self, message: str) -> None:
-        """Create the error, with ``message`` made one line that can be printed."""
+        """Create the error, with ``message`` made one line that can be printed.
+
+        The middle of a line of more than _MAX_LENGTH characters is left out.
+        """
         line = " ".join(message.split())
         printable_characters = [char if char.isprintable() else _escape(char) for char in line]
         printable_line = "".join(printable_characters)
@@ -30,8 +33,9 @@ class UsageError(ValueError):
 def refusing_wrong_values() -> Iterator[None]:
     """Context manager, or decorator, for code that reads JSON values: it fails with UsageError alone.
 
-    The values may be of any JSON type and size, and an entry may be missing. What they raise becomes the
-    message.
+    The values may be of any JSON type and size, and an entry may be missing. A KeyError becomes a UsageError
+    that says what is missing; an ArithmeticError, AttributeError, TypeError or ValueError becomes one with
+    its text.
     """
     try:
         yield

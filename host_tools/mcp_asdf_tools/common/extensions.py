@@ -50,7 +50,8 @@ class ObjectName(str):
         return super().__eq__(other)
 
     def __ne__(self, other: object) -> bool:
-        return not self == other  # str has a comparison of its own
+        """Return the opposite of ``==``; the ``!=`` of texts would compare the texts alone."""
+        return not self == other
 
     __hash__ = str.__hash__
 
@@ -84,6 +85,7 @@ class Names:
         return name in self.built_in or name in installed_names(self._group)
 
     def __iter__(self) -> Iterator[str]:
+        """Yield the built-in names, then those of the installed extensions."""
         return iter(self.built_in + installed_names(self._group))
 
 

@@ -156,14 +156,18 @@ def _make_frame(
 
 
 def _parse_time(text: str | None) -> float | None:
-    """Return a time stamp in seconds: 0 if there is none, None if it is neither a number nor a date."""
+    """Return a time stamp in seconds: 0 if there is none, None if it is neither a number nor a date.
+
+    A date with its time of day is taken for UTC, even if it names another offset; candump writes none.
+    """
     if text is None:
         return 0.0
     try:
         return float(text)
     except ValueError:
-        pass
+        pass  # it may be a date
     try:
-        return datetime.fromisoformat(text.strip()).replace(tzinfo=UTC).timestamp()
+        date_and_time = datetime.fromisoformat(text.strip())
+        return date_and_time.replace(tzinfo=UTC).timestamp()
     except (ValueError, OverflowError):
         return None

@@ -143,13 +143,16 @@ class EventRecorder:
         self._events.append(Action.to_observe(observation).value)
 
     def record_estimates(self, estimates: Sequence[list[int]]) -> None:
-        """Record that the robot received estimates, each a list of sender, x_hat and alpha. O(estimates)."""
+        """Record that the robot received estimates, each a list of sender, x_hat and alpha. O(estimates).
+
+        If the events of this tick have become too many for one line, they are written at once.
+        """
         self._events += estimates
         if len(self._events) > _MAX_EVENTS_PER_LINE:
             self.flush()
 
     def record_settle(self) -> None:
-        """Record that the robot ended the tick."""
+        """Record that the robot ended the tick, and write the line of its events."""
         self._events.append(SETTLE)
         self.flush()
 
@@ -254,9 +257,11 @@ class EventsReader:
             raise
 
     def __enter__(self) -> EventsReader:
+        """Return the reader, whose file is open since it was made."""
         return self
 
     def __exit__(self, *_: object) -> None:
+        """Close the file."""
         self._file.close()
 
     def entries(self) -> Iterator[RobotEvents | InjectedFrame]:

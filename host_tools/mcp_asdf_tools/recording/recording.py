@@ -77,6 +77,7 @@ class NoRecording(nullcontext[LogOutputs]):
     failure: str | None = None
 
     def __init__(self) -> None:
+        """Create a context that yields None in place of both outputs: nothing takes frames or events."""
         super().__init__((None, None))
 
 

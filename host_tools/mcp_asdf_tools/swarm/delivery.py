@@ -42,7 +42,10 @@ class SentFrame:
         return sender_of(self.frame) == self.sender
 
     def with_false_estimate(self, frame: can.Message) -> SentFrame:
-        """Return this frame with the estimate of ``frame`` in its place; an equal one falsifies nothing."""
+        """Return a copy of this that carries ``frame``, which has another estimate, in place of its own.
+
+        It is marked as falsified if the data of the two frames differ, or if it has been falsified before.
+        """
         is_different = frame.data != self.frame.data
         return replace(self, frame=frame, is_falsified=self.is_falsified or is_different)
 
@@ -120,11 +123,12 @@ class DeliveryQueue:
         """Deliveries by the tick in which they arrive."""
 
     def deliver(self, tick: int, sent_frames: Sequence[SentFrame]) -> Deliveries:
-        """Take the frames sent in ``tick``, and return what robots receive in it; both counters rise.
+        """Take the frames sent in ``tick``, and return what robots receive in it.
 
         Without latency these frames go to the robots in range. With latency the frames of the last tick do,
-        while these wait. Faults may take some away, delay or duplicate them. Call this once per tick, in
-        order. O(faults frames robots).
+        while these wait. Faults may take some away, delay or duplicate them. ``in_range_count`` and
+        ``delivered_count`` grow by one for each frame and robot. Call this once per tick, in order.
+        O(faults frames robots).
         """
         arriving_frames = self._exchange_for_arriving(sent_frames)
         senders = np.array([sent_frame.sender for sent_frame in arriving_frames], np.intp)

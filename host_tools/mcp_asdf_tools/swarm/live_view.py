@@ -43,12 +43,14 @@ class LiveView:
         self._last_b_hat: list[float] = []
 
     def __enter__(self) -> LiveView:
+        """Start the bar, which stays invisible until the first tick."""
         self._progress.start()
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        """Stop the bar, and leave it on the screen as it is."""
         self._progress.stop()
 
     def __call__(self, swarm: Swarm) -> None:
@@ -56,7 +58,7 @@ class LiveView:
 
         On a terminal the bar is drawn anew, unless that was done a moment ago. In a pipe a line is printed
         for each robot that has re-estimated b_hat, and a line with the mean errors some twenty times in a
-        run.
+        run. A quiet console shows nothing.
         """
         if self._has_bar:
             # The last tick is always drawn, so that the bar ends with the final state.

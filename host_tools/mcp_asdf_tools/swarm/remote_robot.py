@@ -172,7 +172,7 @@ class Driver:
 
         Args:
             bus: A connection to their bus, which is left open at the end.
-            nodes: The halves of the robots in this process.
+            nodes: The robots' counterparts in this process.
             frame_format: Format of their estimates.
             on_frame: Called with every frame that comes over the bus, and with every command.
             order_matters: Whether robots have to broadcast by rising id, as the robust filter needs it. A

@@ -92,9 +92,10 @@ class Baselines:
     """
 
     def __init__(self, settings: SwarmSettings) -> None:
-        """Create the baselines of a swarm with these settings: one for each filter to compare, but its own.
+        """Create the baselines of a swarm with these settings: the same swarm with each filter to compare.
 
-        Raises UsageError if the robots' firmware is not available here.
+        The swarm's own filter is left out. Baselines run in lockstep and without a bus. Raises UsageError if
+        the robots' firmware is not available here.
         """
         self.swarms: dict[str, Swarm] = {}
         self.seconds = 0.0

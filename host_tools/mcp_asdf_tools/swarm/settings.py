@@ -56,9 +56,10 @@ class SwarmSettings(Population):
             return replace(super().from_recording(recorded), faults=tuple(map(str, faults)))
 
     def __post_init__(self) -> None:
-        """Check the values, parse the faults, and bring ``allow`` to the one text for its ids.
+        """Check the values, parse the texts in ``faults``, and write the ids in ``allow`` in rising order.
 
-        Raises ParameterError, naming the field, for a value that it cannot have.
+        Raises ParameterError, naming the field, for a value that it cannot have, for a fault of a robot that
+        the swarm does not have, and if robots send telemetry but estimates have its subject.
         """
         # The kinds of faults take as long to load as all else here, and only the help of swarm shows them.
         from mcp_asdf_tools.swarm.fault_injection.parsing import parse_fault  # noqa: PLC0415

@@ -163,9 +163,11 @@ class Swarm:
         return drivers
 
     def __enter__(self) -> Swarm:
+        """Return the swarm, whose buses are open since it was made."""
         return self
 
     def __exit__(self, *_: object) -> None:
+        """Close all buses."""
         self._carrier.close()
 
     def wait_until_up(self, timeout: float, check: Callable[[], None] = lambda: None) -> None:

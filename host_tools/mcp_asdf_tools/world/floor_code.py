@@ -15,7 +15,8 @@ CODE_MODULES = 100
 _FINDER_MODULES = 7
 """Modules along a side of a finder pattern."""
 _LOGO_MODULES = 32
-"""Modules along a side of the logo."""
+"""Modules along a side of the logo. At this size half of the modules outside the fixed patterns are black
+where the fill ratio is 0.448."""
 _SEED = 448
 """Seed of the modules that are black outside the fixed patterns."""
 
@@ -24,11 +25,10 @@ _SEED = 448
 def make_floor_code(fill_ratio: float) -> NDArray[np.bool_]:
     """Return a pattern like a QR code's, True where black, shape (CODE_MODULES, CODE_MODULES).
 
-    It has finder patterns in three corners, timing lines between them and a white logo in the middle, so
-    large that half of the other modules are black where ``fill_ratio`` is 0.448. Of all modules exactly the
-    share ``fill_ratio`` is black, always the same ones. Equal calls return the same array, so do not change
-    it. Raises ParameterError if that share is no whole number of modules, or fewer or more than the fixed
-    patterns leave open. O(modules).
+    It has finder patterns in three corners, timing lines between them and a white logo in the middle. Of all
+    modules exactly the share ``fill_ratio`` is black: those of the fixed patterns, and others that are always
+    the same ones. Equal calls return the same array, so do not change it. Raises ParameterError if that share
+    is no whole number of modules, or fewer or more than the fixed patterns leave open. O(modules).
     """
     modules = CODE_MODULES**2
     black_modules = round(fill_ratio * modules)

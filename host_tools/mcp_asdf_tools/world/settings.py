@@ -296,7 +296,7 @@ def _check_neighbours_of_many(settings: WorldSettings) -> None:
 
 
 def _default_of(settings: Any, name: str) -> Any:
-    """Return the default of the parameter ``name`` of ``settings``, which may be of a subclass."""
+    """Return the default of the parameter ``name`` in the class of ``settings``."""
     return parameters_of(type(settings))[name].default
 
 

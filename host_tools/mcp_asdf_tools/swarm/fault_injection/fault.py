@@ -98,7 +98,11 @@ class Fault:
         return [deliveries]
 
     def is_active(self, tick: int, node: int) -> bool:
-        """Return whether the fault may hit ``node`` in this tick."""
+        """Return whether the fault may hit ``node`` in this tick.
+
+        It may from tick ``start`` on and before tick ``stop``, if ``robots`` has the node. None as ``stop``
+        stands for no end, and None as ``robots`` for all nodes.
+        """
         has_ended = self.stop is not None and tick >= self.stop
         is_affected = self.robots is None or node in self.robots
         return tick >= self.start and not has_ended and is_affected

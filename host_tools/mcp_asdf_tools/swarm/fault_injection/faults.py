@@ -79,7 +79,8 @@ class Faults:
         """Return the frames that a node sends in this tick besides its own, stamped ``timestamp`` (seconds).
 
         ``before_others`` asks for those that precede the frames of all robots, otherwise for those that
-        follow them. Call this once per tick for either, and pass each frame to ``on_send``.
+        follow them. A node that is off the bus sends none. Call this once per tick for either, and pass each
+        frame to ``on_send``.
         """
         if self.is_off_bus(node):
             return []
@@ -110,8 +111,8 @@ class Faults:
     def on_delivery(self, sent_frames: Sequence[SentFrame], in_range: ReceiverMask) -> list[Deliveries]:
         """Return what becomes of frames at the receivers that are in range in this tick.
 
-        Some may be lost, or delayed to a later tick. Call this once per tick with all frames.
-        O(faults frames receivers).
+        Some may be lost, changed, duplicated, or delayed to a later tick. Nodes that are off the bus receive
+        nothing. Call this once per tick with all frames. O(faults frames receivers).
         """
         receivers = in_range.copy()
         nodes_off_bus = list(self._outages)

@@ -377,8 +377,8 @@ class Sybil(Fault):
     def extra_frames(self, node: int, tick: int, timestamp: float, run: FaultRun) -> list[can.Message]:
         """Return a false estimate, ``x`` with confidence ``alpha``, under each of the fault's ``ids``.
 
-        Returns none in a tick in which the fault does not hit the node. The frames count as hits of the
-        fault.
+        Their transfer_id is the tick, modulo TRANSFER_ID_MODULUS. Returns none in a tick in which the fault
+        does not hit the node. The frames count as hits of the fault.
         """
         if self.ids is None or not run.hits_node(node, tick):
             return []

@@ -95,7 +95,11 @@ class Arena:
             _arena.lib.mcp_asdf_arena_step(self._arena, arena_count)
 
     def record(self, ticks: int) -> Motion:
-        """Let ticks pass, and return the state after each. O(ticks N^2)."""
+        """Let ticks pass, and return the state after each. O(ticks N^2).
+
+        The result has arrays whose first axis is the tick: positions and headings, the colour under each
+        robot, how wheels turn, who avoids an obstacle, and who receives from whom.
+        """
         shape = (ticks, self.settings.robots)
         position, heading = np.empty((2, *shape, 2))  # two arrays, each with x and y along its last axis
         black, wheels, avoids = np.empty((3, *shape), np.uint8)
