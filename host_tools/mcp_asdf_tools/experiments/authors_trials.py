@@ -14,7 +14,7 @@ The format was read in github.com/NESTLab/sensor-degradation-filter at commit 7b
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -237,11 +237,7 @@ def _experiment_of(file: _TrialFile) -> Experiment:
     if has_moving_robots:
         key_by_parameter |= _MOVING_KEY_BY_PARAMETER
     parameters: dict[str, Any] = {"firmware": "reference", "conventions": "authors", "seed": 0}
-    for name, key in key_by_parameter.items():
-        if name in _WHOLE_NUMBER_PARAMETERS:
-            parameters[name] = file.whole_number(key)
-        else:
-            parameters[name] = file.number(key)
+    parameters |= _read_numbers(file, key_by_parameter)
     if has_moving_robots:
         parameters["topology"] = "dynamic"
         parameters["latency"] = 1
@@ -261,6 +257,20 @@ def _experiment_of(file: _TrialFile) -> Experiment:
         if error.key in key_by_parameter:
             their_key = f" (their {key_by_parameter[error.key]})"
         raise UsageError(f"{file.path}: {error}{their_key}") from error
+
+
+def _read_numbers(file: _TrialFile, key_by_parameter: Mapping[str, str]) -> dict[str, int | float]:
+    """Return numbers of a file by the names of our parameters, from the authors' key of each.
+
+    Raises UsageError if one is missing or no number, or if a parameter that must be whole is not.
+    """
+    numbers: dict[str, int | float] = {}
+    for parameter_name, key in key_by_parameter.items():
+        if parameter_name in _WHOLE_NUMBER_PARAMETERS:
+            numbers[parameter_name] = file.whole_number(key)
+        else:
+            numbers[parameter_name] = file.number(key)
+    return numbers
 
 
 def _has_moving_robots(file: _TrialFile) -> bool:

@@ -94,9 +94,9 @@ class Trials:
     def find_harmed_robots(self) -> NDArray[np.bool_]:
         """Return which of the healthy robots their filter has harmed, shape (trials, healthy robots).
 
-        After the last filter step these have a b_hat, the accuracy that they assume, that is more than
-        HARM_LIMIT from the one that they started with. Trials that end before the first filter step harm
-        nobody. The first robots are the flawed ones, and all others start with the same b_hat.
+        A robot is harmed if its b_hat, the accuracy that it assumes, is more than HARM_LIMIT from its initial
+        b_hat after the last filter step. In trials that end before the first filter step no robot is. The
+        first robots are the flawed ones, and all others start with the same b_hat.
         """
         b_hat_of_healthy_robots = self.b_hat[:, :, self.experiment.flawed :]
         trial_count, filter_step_count, healthy_robots = b_hat_of_healthy_robots.shape

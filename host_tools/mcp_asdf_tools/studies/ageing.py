@@ -75,7 +75,7 @@ PEERS_BY_KIND: dict[str, list[dict[str, Any]]] = {
 def ageing_rows() -> dict[str, list[Experiment]]:
     """Return the experiments of each row by its label: a kind of ageing, with the longest or a short memory.
 
-    Each row has three shares of black floor, and all filters that make a difference.
+    Each row has three shares of black floor, and the filters that its KINDS_OF_AGEING names.
     """
     rows: dict[str, list[Experiment]] = {}
     for kind, parameters in KINDS_OF_AGEING.items():

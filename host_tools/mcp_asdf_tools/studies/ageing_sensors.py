@@ -62,11 +62,13 @@ class AgeingSensors(ABC):
         return step_numbers[:, np.newaxis]
 
     def _normal_draws(self, steps: int, first_step: int) -> NDArray[np.float64]:
-        """Return a normally distributed number for each of some steps and each robot.
+        """Return normally distributed numbers of mean 0 and deviation 1 for the steps from ``first_step`` on.
 
-        The inverse of the normal distribution function turns uniform numbers into normal ones.
+        Their shape is (steps, N). Calls for the same steps return the same numbers.
         """
-        draws: NDArray[np.float64] = ndtri(self._draws.draw_uniforms(steps, first_step))
+        uniforms = self._draws.draw_uniforms(steps, first_step)
+        # The inverse of the normal distribution function turns uniform numbers into normal ones.
+        draws: NDArray[np.float64] = ndtri(uniforms)
         return draws
 
 
@@ -88,7 +90,7 @@ class UnequallyAgeingSensors(AgeingSensors):
         The rates follow from the same draws, those of step 0, whenever this is called: a robot keeps its
         rate.
         """
-        rates = MEAN_RATE + RATE_DEVIATION * self._normal_draws(1, first_step=0)
+        rates = MEAN_RATE + RATE_DEVIATION * self._normal_draws(1, first_step=0)  # shape (1, N)
         return rates * self._step_numbers(steps)
 
 

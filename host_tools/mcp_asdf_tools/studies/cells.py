@@ -74,7 +74,9 @@ class Cell:
         Without flawed robots it does not matter what these would assume; where all are flawed, ASDF- is
         ASDF+; and without a filter there is no filter period.
         """
-        filter_name, flawed_accuracy, filter_period = self.filter, self.flawed_accuracy, self.filter_period
+        filter_name = self.filter
+        flawed_accuracy = self.flawed_accuracy
+        filter_period = self.filter_period
         if self.flawed_percent == 0:
             # No robot starts with this value, so any one stands for all.
             flawed_accuracy = self.true_accuracy

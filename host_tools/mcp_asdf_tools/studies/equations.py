@@ -64,12 +64,12 @@ WIDEST_B_HAT_PAIR = (0.505, 0.995)
 
 
 def _x_hat(black_share: float, b_hat: float) -> float:
-    """Return the local estimate of a robot that has read a share of its tiles as black (eq. 3)."""
+    """Return the local estimate (eq. 3) of a robot that has read a share of its OBSERVATIONS as black."""
     return local_estimate(round(black_share * OBSERVATIONS), OBSERVATIONS, b_hat)
 
 
 def _alpha(black_share: float, b_hat: float) -> float:
-    """Return the local confidence of a robot that has read a share of its tiles as black (eq. 4)."""
+    """Return the local confidence (eq. 4) of a robot that has read a share of its OBSERVATIONS as black."""
     return local_confidence(round(black_share * OBSERVATIONS), OBSERVATIONS, b_hat)
 
 

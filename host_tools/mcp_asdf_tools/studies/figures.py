@@ -187,7 +187,8 @@ def _all_flawed(experiment: Experiment) -> bool:
 def _draw_score_boxes(study_results: StudyResults, study_part: StudyPart, filter_name: str) -> Picture:
     """Draw box plots of H, a trial's score from 0 to 100, of a part's swarms without and with a filter.
 
-    A box shows the trials of one experiment.
+    A box shows the trials of one experiment; there are boxes of the user's firmware or filter, too. With
+    ASDF- swarms of which all robots are flawed are left out.
     """
     experiments = _select_by_filter(study_results, study_part, [NO_FILTER, filter_name])
     users_trials = _trials_of_users_filter(study_results, study_part, filter_name)

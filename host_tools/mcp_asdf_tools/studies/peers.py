@@ -90,8 +90,9 @@ class RememberingRobot(ReferenceRobot):
     def receive(self, sender: int, x_hat: float, alpha: float) -> Status:
         """Receive a neighbour's estimate, and add it to the running means unless it has no confidence.
 
-        Returns OK, or REPEATED if there is one of this sender in the round already. Raises FirmwareError for
-        a sender or an x_hat that is impossible.
+        At first a message has the share 2^-3 of a mean; with more messages this falls to 2^-12. Returns OK,
+        or REPEATED if there is one of this sender in the round already. Raises FirmwareError for a sender or
+        an x_hat that is impossible.
         """
         status = super().receive(sender, x_hat, alpha)
         if status is Status.OK and alpha > 0:
@@ -139,8 +140,11 @@ class BayesCpfRobot(ReferenceRobot):
     def __init__(self, config: Config, robot_id: int, b_hat: float) -> None:
         """Start with b_hat as the estimate of b, and with nothing measured."""
         super().__init__(config, robot_id, b_hat)
-        self._mean, self._variance = b_hat, 0.04  # of the estimate of b: a standard deviation of 0.2
-        self._n_since_update, self._t_since_update = 0, 0
+        # Mean and variance of the estimate of b, whose standard deviation is 0.2 at first
+        self._mean = b_hat
+        self._variance = 0.04
+        self._n_since_update = 0
+        self._t_since_update = 0
         self._x_since_update: list[float] = []
 
     def observe(self, z: Observation) -> Status:
@@ -170,13 +174,17 @@ class BayesCpfRobot(ReferenceRobot):
     def reestimate_b_hat(self) -> float | None:
         """Return b_hat after a step of the Kalman filter; None if there are too few readings to measure by.
 
-        All that was counted since the last step is used up by this one.
+        A step moves the estimate of b by the expected drift, and then corrects it by the share of readings
+        that were black. In either case all that was counted since the last step is used up.
         """
-        n, t = self._n_since_update, self._t_since_update  # black readings, and all readings
+        n = self._n_since_update  # black readings
+        t = self._t_since_update  # all readings
         # The oldest of the informed estimates weighs most, the newest has the weight 1.
         weights = range(len(self._x_since_update), 0, -1)
         x = float(np.average(self._x_since_update, weights=weights))
-        self._n_since_update, self._t_since_update, self._x_since_update = 0, 0, []
+        self._n_since_update = 0
+        self._t_since_update = 0
+        self._x_since_update = []
         # The known part of the drift moves b, and the random part makes b less certain.
         self._mean += self.drift_rate * t
         self._variance += self.diffusion**2 * t
@@ -184,7 +192,17 @@ class BayesCpfRobot(ReferenceRobot):
         is_nearly_normal = t * min(self._mean, 1 - self._mean) >= 5
         if not is_nearly_normal:
             return None
-        # The measurement is n, a binomial count: of t readings each is black with this probability.
+        self._correct_by_count(n, t, x)
+        # b_hat stays off these ends, since at 1/2 the local estimate would divide by 0.
+        lowest, highest = 0.5 + 1e-6, 1 - 1e-6
+        return min(max(self._truncated_mean(), lowest), highest)
+
+    def _correct_by_count(self, n: int, t: int, x: float) -> None:
+        """Correct mean and variance of the estimate of b: ``n`` of ``t`` readings were black.
+
+        ``x`` is the mean of the informed estimates of that time, and stands for the share of black floor.
+        """
+        # n is a binomial count: each of the t readings is black with this probability.
         black_probability = x * self._mean + (1 - x) * (1 - self._mean)
         expected_n = t * black_probability
         variance_of_n = t * black_probability * (1 - black_probability)
@@ -193,9 +211,6 @@ class BayesCpfRobot(ReferenceRobot):
         gain = self._variance * slope / (slope**2 * self._variance + variance_of_n)
         self._mean += gain * (n - expected_n)
         self._variance *= 1 - gain * slope
-        # b_hat stays off these ends, since at 1/2 the local estimate would divide by 0.
-        lowest, highest = 0.5 + 1e-6, 1 - 1e-6
-        return min(max(self._truncated_mean(), lowest), highest)
 
     def _truncated_mean(self) -> float:
         """Return the mean of the estimate of b, moved into the range from 1/2 to 1 if it is outside.
@@ -315,7 +330,10 @@ class MajorityRobot(ReferenceRobot):
     listening_time = 30
 
     def __init__(self, config: Config, robot_id: int, b_hat: float) -> None:
-        """Start to explore, with an opinion and a random sequence that belong to the robot's id."""
+        """Start to explore, with the opinion black if the id is odd, otherwise white.
+
+        The robot's random sequence is seeded by its id.
+        """
         super().__init__(config, robot_id, b_hat)
         self._random = random.Random(robot_id)
         has_odd_id = robot_id % 2 == 1

@@ -252,8 +252,9 @@ def format_difference(comparison: Comparison) -> str:
     # correlations and b_hat have smaller sizes.
     is_score = comparison.size >= SIZES["seen"]
     layout = ".1f" if is_score else ".3g"
+    numbers = (interval.value, interval.low, interval.high)
     value_text, low_text, high_text = (
-        format(number, layout).replace("-", "\N{MINUS SIGN}") for number in interval
+        format(number, layout).replace("-", "\N{MINUS SIGN}") for number in numbers
     )
     if interval.low == interval.high:
         return value_text
@@ -264,7 +265,8 @@ def summarize(decision: Decision) -> str:
     """Return how many comparisons of a claim hold, fail and are open, and the best and the worst difference.
 
     "3 of 4 hold, 1 open; best 12.3 [10.1, 14.0], worst 1.2 [0.5, 3.0]" is an example. The best difference
-    lies farthest on the side that the claim expects, in multiples of the smallest difference that counts.
+    lies farthest on the side that the claim expects, in multiples of the smallest difference that counts. If
+    there is only one comparison, its difference stands there without a word.
     """
     total = len(decision.comparisons)
     counts = f"{decision.count(True)} of {total} hold"

@@ -247,7 +247,7 @@ def as_honest_robots_see_it(trials: Trials) -> Trials:
     # Axes are trials, recorded steps or filter steps, and robots.
     x = trials.records["x"][:, :, :honest_robots]
     b_hat = trials.b_hat[:, :, :honest_robots]
-    if experiment.sensor:  # in hard worlds, this is always ChangingFloor
+    if experiment.sensor:  # in ``world_rows`` a sensor of its own is always ChangingFloor
         experiment = replace(experiment, fill_ratio=FLOOR_AFTER_CHANGE)
     return replace(trials, experiment=experiment, b_hat=b_hat, records={"x": x})
 

@@ -124,6 +124,7 @@ def worst_ratios(rows: Rows, codes: Sequence[MessageCode]) -> RatiosByCode:
     worst: dict[MessageCode, Interval] = {}
     for code in codes:
         ratios = [late_error(rows, str(code), swarm) / exact_errors[swarm] for swarm in SWARMS]
+        # The largest is taken of the values, and again of each resample, so that its interval is known, too.
         largest_value = max(ratio.value for ratio in ratios)
         resamples_by_swarm = np.stack([ratio.resamples for ratio in ratios])  # shape (swarms, resamples)
         largest_of_each_resample = resamples_by_swarm.max(axis=0)
@@ -179,7 +180,8 @@ def interval_table(ratios: RatiosByCode) -> str:
 def draw_ratios(ratios_by_filter: Mapping[str, RatiosByCode]) -> Figure:
     """Draw the ratios of errors over the bits of x_hat.
 
-    There is a panel for each filter, and in it a line for each number of bits of alpha.
+    There is a panel for each filter, and in it a line for each number of bits of alpha. A dotted line is at
+    TOLERANCE, the largest ratio that is good enough.
     """
     figure = empty_figure(WIDTH, 3.2)
     [panels] = figure.subplots(nrows=1, ncols=len(ratios_by_filter), sharey=True, squeeze=False)  # the row

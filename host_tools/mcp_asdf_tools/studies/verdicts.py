@@ -182,15 +182,21 @@ def verdict_of(comparisons: Sequence[Comparison], scope: Scope) -> Verdict:
 
 
 def _verdict_of_count(holding_count: int, total: int, scope: Scope) -> Verdict:
-    """Return the verdict if ``holding_count`` of ``total`` comparisons hold and all others fail."""
+    """Return the verdict if ``holding_count`` of ``total`` comparisons hold and all others fail.
+
+    For SOME it is AGREE or DISAGREE: one that holds is enough. For MOST and ALL there is a share from which
+    on the verdict is AGREE, a smaller one up to which it is DISAGREE, and MIXED between the two.
+    """
     match scope:
         case Scope.SOME:
             return Verdict.AGREE if holding_count > 0 else Verdict.DISAGREE
         case Scope.MOST:
+            agreeing_share = MOST_SHARE
             # As many that fail as would have to hold refute the claim.
-            agreeing_share, refuted_share = MOST_SHARE, 1 - MOST_SHARE
+            refuted_share = 1 - MOST_SHARE
         case Scope.ALL:
-            agreeing_share, refuted_share = 1.0, REFUTED_SHARE
+            agreeing_share = 1.0
+            refuted_share = REFUTED_SHARE
     if holding_count >= agreeing_share * total:
         return Verdict.AGREE
     if holding_count <= refuted_share * total:

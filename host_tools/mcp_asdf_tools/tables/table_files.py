@@ -173,8 +173,8 @@ class TableCheck:
 def check_file(path: Path) -> TableCheck:
     """Compare a ``.c`` or ``.json`` file with the generated one, line ends aside.
 
-    The name of the array in it says which table it claims to be. Raises UsageError if the file cannot be
-    read or has no such name.
+    The name of the array in it says which table it claims to be. The result has the first line that differs,
+    or None if there is none. Raises UsageError if the file cannot be read or has no such name.
     """
     formatters = {".json": format_json, ".c": format_c_source}
     if path.suffix not in formatters:

@@ -69,8 +69,8 @@ class BusRecorder:
                 self._receive(frame)
             if seconds_to_tick <= 0:
                 self._add_state(tick)
-                # The next tick that is still to come. On a busy computer some are left out so, rather than
-                # that the states fall further and further behind.
+                # The next tick that is still to come. A busy computer leaves out ticks that have passed, so
+                # that the states do not fall further and further behind.
                 present_tick = int(self._seconds_since_start() * STATES_PER_SECOND)
                 tick = present_tick + 1
 

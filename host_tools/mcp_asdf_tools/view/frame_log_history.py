@@ -13,7 +13,7 @@ from mcp_asdf_tools.bus.frames import FrameFormat
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.recording.frame_logs import LogSummary, read_log
 from mcp_asdf_tools.view.bus_recorder import STATES_PER_SECOND
-from mcp_asdf_tools.view.history import History, RunDescription, steps_between_states
+from mcp_asdf_tools.view.history import History, RunDescription, State, steps_between_states
 from mcp_asdf_tools.view.robot_values import LatestRobotValues
 
 _MAX_LOG_SECONDS = 366 * 24 * 3600.0
@@ -69,24 +69,9 @@ def read_frame_history(
     )
     robot_values = LatestRobotValues(frame_format, true_accuracy)
     summary = LogSummary()
-    last_tick = int(extent.seconds * STATES_PER_SECOND) + 1  # the first one after the last frame
-    spacing = steps_between_states(last_tick, len(extent.robot_ids))
-
-    def add_state(tick: int, seconds: float) -> None:
-        """Add a state with what robots have sent up to ``seconds`` after the first frame."""
-        history.add(robot_values.make_state(tick, seconds, extent.robot_ids))
-
-    next_tick = 0
-    for seconds, frame in _time_frames(read_log(log, channel, summary), extent.start_time):
-        # The states at all ticks before this frame
-        while next_tick / STATES_PER_SECOND < seconds:
-            add_state(next_tick, next_tick / STATES_PER_SECOND)
-            next_tick += spacing
-        robot_values.receive(frame, seconds)
-    # The remaining ticks have the state at the log's end. The last state is at ``last_tick`` or, if that is
-    # between two states, at the next.
-    for tick_after_frames in range(next_tick, last_tick + spacing, spacing):
-        add_state(tick_after_frames, extent.seconds)
+    timed_frames = _time_frames(read_log(log, channel, summary), extent.start_time)
+    for state in _make_states(timed_frames, robot_values, extent):
+        history.add(state)
     history.report = robot_values.roster.report(extent.seconds)
     history.has_ended = True
     return FrameLogHistory(history, robot_values.has_telemetry, summary)
@@ -117,6 +102,29 @@ def _measure_log(log: Path, frame_format: FrameFormat, channel: str | None) -> _
             "absolute times of one clock: candump -L, or candump -t a"
         )
     return _LogExtent(robot_values.robot_ids, start_time, seconds)
+
+
+def _make_states(
+    timed_frames: Iterable[tuple[float, can.Message]], robot_values: LatestRobotValues, extent: _LogExtent
+) -> Iterator[State]:
+    """Let ``robot_values`` receive all frames of a log, and yield states with what was sent up to each.
+
+    States are evenly spaced, at most STATES_PER_SECOND a second, from the first frame on. The last one comes
+    after the last frame, and shows the log's end.
+    """
+    last_tick = int(extent.seconds * STATES_PER_SECOND) + 1  # the first one after the last frame
+    spacing = steps_between_states(last_tick, len(extent.robot_ids))
+    next_tick = 0
+    for seconds, frame in timed_frames:
+        # The states at all ticks before this frame
+        while next_tick / STATES_PER_SECOND < seconds:
+            yield robot_values.make_state(next_tick, next_tick / STATES_PER_SECOND, extent.robot_ids)
+            next_tick += spacing
+        robot_values.receive(frame, seconds)
+    # The remaining ticks have the state at the log's end. The last state is at ``last_tick`` or, if that is
+    # between two states, at the next.
+    for tick_after_frames in range(next_tick, last_tick + spacing, spacing):
+        yield robot_values.make_state(tick_after_frames, extent.seconds, extent.robot_ids)
 
 
 def _time_frames(frames: Iterable[can.Message], start_time: float) -> Iterator[tuple[float, can.Message]]:

@@ -56,7 +56,9 @@ class RobotOnBus:
     def receive(self, content: Estimate | Heartbeat | Telemetry, now: float) -> None:
         """Update all attributes by the content of one of the robot's frames, received at ``now``. O(1).
 
-        Frames that were lost during a silence of SILENT_SECONDS or more are not counted.
+        Of all frames, those lost before it are counted, but not those lost in a silence of SILENT_SECONDS or
+        more. Of estimates, jumps of their confidence are counted, and of heartbeats, those that show a second
+        node with this id. The latest heartbeat and telemetry are kept.
         """
         if self.is_silent(now):
             # In a long silence transfer ids may have wrapped around any number of times, so a gap between
