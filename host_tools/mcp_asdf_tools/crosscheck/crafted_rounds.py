@@ -167,6 +167,9 @@ _ENOUGH_DRAWS = 60
 """Rounds of few estimates that are drawn to find one about which tests in float64 err.
 
 Of many estimates one or two of a hundred rounds do, and all draws are made to find one."""
+_MIN_GAP_SHARE, _MIN_GAP_SHARE_OF_MANY = 0.05, 0.8
+"""Smallest distance between two groups of x_hat, as a share of the largest possible one, and the same for
+rounds of many estimates. These are wide, so that their large sums have bits that floats lose."""
 _MIN_RANGE = 1 << 13
 """Smallest distance between the smallest and the largest x_hat of a round that serves.
 
@@ -201,10 +204,9 @@ def draw_rounds_at_threshold(
     must have a table.
     """
     assert robot.table is not None
-    is_large = m >= _MANY_ESTIMATES
-    max_draws = _MAX_DRAWS_OF_MANY if is_large else _MAX_DRAWS
-    # Large rounds are wide, too: large sums have the bits that floats lose.
-    min_gap_share = 0.8 if is_large else 0.05
+    has_many_estimates = m >= _MANY_ESTIMATES
+    max_draws = _MAX_DRAWS_OF_MANY if has_many_estimates else _MAX_DRAWS
+    min_gap_share = _MIN_GAP_SHARE_OF_MANY if has_many_estimates else _MIN_GAP_SHARE
     best_rounds: RoundsAtThreshold | None = None
     best_rank = (-1, False)  # below the rank of any pair
     for draw_index in range(max_draws):
@@ -216,8 +218,8 @@ def draw_rounds_at_threshold(
         if rank > best_rank:
             best_rounds, best_rank = rounds, rank
         wrong_float_tests, has_preferred_update = best_rank
-        is_good_enough = wrong_float_tests == 2 or (draw_index >= _ENOUGH_DRAWS and not is_large)
-        if has_preferred_update and is_good_enough:
+        has_drawn_enough = draw_index >= _ENOUGH_DRAWS and not has_many_estimates
+        if has_preferred_update and (wrong_float_tests == 2 or has_drawn_enough):
             break
     assert best_rounds is not None, f"no round of {m} estimates lies at the threshold of {robot}"
     return best_rounds

@@ -354,10 +354,7 @@ class RobustScenarioWriter(ScenarioWriter):
         rng = self._rng
         if t == 0:
             return
-        small_dispersion = DISPERSION_MIN + draw_number_of_any_size(rng, 1, 8)
-        any_dispersion = clamp(draw_number_of_any_size(rng, 9, 16), DISPERSION_MIN, DISPERSION_MAX)
-        large_dispersion = DISPERSION_MAX - rng.randrange(2)
-        robust.dispersion = rng.choice([DISPERSION_MIN, small_dispersion, any_dispersion, large_dispersion])
+        robust.dispersion = self._draw_dispersion()
         white_count = t - n
         # Number of observations in the batch
         count_of_any_size = min(draw_number_of_any_size(rng, 1, 31), t)
@@ -365,12 +362,7 @@ class RobustScenarioWriter(ScenarioWriter):
         smallest_black_count = max(count - white_count, 0)
         largest_black_count = min(count, n)
         expected_black_count = count * n // t
-        # A batch is an outlier if the square of its deviation is more than 12 times the dispersion times the
-        # variance, which is count * n / t * (1 - n / t).
-        variance_times_t_squared = count * n * white_count
-        scaled_limit = REJECTED_SIGMAS_SQUARED * robust.dispersion * variance_times_t_squared // (t * t)
-        square_limit = scaled_limit >> 8  # the dispersion is in units of 2**-8
-        largest_deviation = isqrt(square_limit)
+        largest_deviation = _largest_usual_deviation(robust.dispersion, count, t, n)
         deviation = rng.choice([0, draw_number_of_any_size(rng, 0, 8), largest_deviation])
         deviating_black_count = expected_black_count + rng.choice([-1, 1]) * deviation + rng.randint(-1, 1)
         black_count = rng.choice([deviating_black_count, smallest_black_count, largest_black_count])
@@ -379,6 +371,14 @@ class RobustScenarioWriter(ScenarioWriter):
         if robust.batch_t == 0:
             # No batch has ended yet.
             robust.batch_n, robust.dispersion = 0, DISPERSION_MIN
+
+    def _draw_dispersion(self) -> int:
+        """Draw a dispersion of observations, in units of 2**-8: at either limit, or of any size between."""
+        rng = self._rng
+        small_dispersion = DISPERSION_MIN + draw_number_of_any_size(rng, 1, 8)
+        any_dispersion = clamp(draw_number_of_any_size(rng, 9, 16), DISPERSION_MIN, DISPERSION_MAX)
+        large_dispersion = DISPERSION_MAX - rng.randrange(2)
+        return rng.choice([DISPERSION_MIN, small_dispersion, any_dispersion, large_dispersion])
 
     def _draw_centre(self) -> int:
         """Draw a centre of the votes in units of 2**-30: near the x_hat of messages, anywhere, 0 or 1.
@@ -415,7 +415,7 @@ class RobustScenarioWriter(ScenarioWriter):
         distance of the spread from it. The others have estimates as of messages.
         """
         rng = self._rng
-        position = robust.centre + rng.choice([-1, 0, 1]) * robust.spread
+        position = robust.centre + rng.choice([-1, 0, 1]) * robust.spread  # in units of 2**-30
         at_spread = clamp(position // _SLOT_UNIT + rng.randint(-1, 1), 0, SLOT_ESTIMATE_MAX)
         estimates = [0] * SLOTS
         for slot in range(SLOTS):
@@ -430,7 +430,7 @@ class RobustScenarioWriter(ScenarioWriter):
         In half of the cases it is at the centre of the votes, or at the distance of the spread from it.
         """
         rng = self._rng
-        position = robust.centre + rng.choice([-1, 0, 1]) * robust.spread
+        position = robust.centre + rng.choice([-1, 0, 1]) * robust.spread  # in units of 2**-30
         at_spread = clamp(q23_from_q30(position) + rng.randint(-1, 1), 0, ONE)
         return rng.choice([at_spread, min(self._draw_x_hat(), ONE)])
 
@@ -539,6 +539,20 @@ def _pack_robust_filter(robust: RobustFilter, estimates: Sequence[int]) -> dict[
     ]
     slot_words = [pack_pair(estimates[slot], estimates[slot + 1]) for slot in range(0, SLOTS, 2)]
     return dict(enumerate(words, _FIRST_FILTER_WORD)) | dict(enumerate(slot_words, _FIRST_SLOTS_WORD))
+
+
+def _largest_usual_deviation(dispersion: int, batch_count: int, t: int, n: int) -> int:
+    """Return the largest deviation from the expected number of black ones with which a batch is no outlier.
+
+    ``batch_count`` observations are in the batch, and ``n`` of all ``t`` observations are black. The
+    dispersion is in units of 2**-8.
+    """
+    # A batch is an outlier if the square of its deviation is more than 12 times the dispersion times the
+    # variance, which is count * n / t * (1 - n / t).
+    variance_times_t_squared = batch_count * n * (t - n)
+    limit_in_units = REJECTED_SIGMAS_SQUARED * dispersion * variance_times_t_squared // (t * t)
+    square_limit = limit_in_units >> 8  # from the units of the dispersion, 2**-8
+    return isqrt(square_limit)
 
 
 def _find_b_hat_of_tie(robot: DrawnRobot, estimate: int, centre: int) -> int | None:

@@ -25,7 +25,7 @@ from mcp_asdf_tools.tables.thresholds import check_q, generate, parse_omega
 _MAX_8_BITS, _MAX_32_BITS = 2**8 - 1, 2**32 - 1
 """Largest number of 8 and of 32 bits."""
 _LARGEST_IMAGE_WORDS = max(image_word_count(robot_filter) for robot_filter in Filter)
-_LARGEST_NUMBERS = {
+_LARGEST_NUMBERS_OF_ITEM = {
     "robot": (_MAX_8_BITS, _MAX_32_BITS, _MAX_32_BITS, _MAX_8_BITS, _MAX_32_BITS),
     "observe": (_MAX_32_BITS,),
     "step": (_MAX_32_BITS,),
@@ -35,6 +35,8 @@ _LARGEST_NUMBERS = {
 }
 """The largest value of every number of an item, by the item's name: ``robot``, which makes the robot, or that
 of a call. ``restore`` is not here, as it takes any number of pairs."""
+_CALL_NAMES = ("restore", "observe", "step", "settle", "receive", "damage")
+"""Names of all calls, in the order in which an error lists them."""
 _MAX_DIGITS = 20
 """Digits of a number in a line, more than any legal one has."""
 
@@ -217,10 +219,8 @@ def _parse_call(item: str, image_words: int) -> Call:
         if not _are_replacements_legal(numbers, image_words):
             raise UsageError(f"{item} needs pairs of an index, 1 to {image_words - 2}, and a 32-bit word")
         return Call(name, numbers)
-    call_names = ["restore", *_LARGEST_NUMBERS]
-    call_names.remove("robot")  # The item that makes the robot is no call.
-    if name not in call_names:
-        raise UsageError(f"{item!r} is no call; there are {', '.join(call_names)}")
+    if name not in _CALL_NAMES:
+        raise UsageError(f"{item!r} is no call; there are {', '.join(_CALL_NAMES)}")
     numbers = _parse_numbers(item)
     image_bytes = 4 * image_words
     if name == "damage" and numbers[0] >= image_bytes:
@@ -250,7 +250,7 @@ def _parse_numbers(item: str) -> tuple[int, ...]:
     """
     name, *texts = item.split(":")
     numbers = tuple(_parse_integer(text, item) for text in texts)
-    max_numbers = _LARGEST_NUMBERS[name]
+    max_numbers = _LARGEST_NUMBERS_OF_ITEM[name]
     if len(numbers) != len(max_numbers):
         raise UsageError(f"{item} has {len(numbers)} numbers; {name} takes {len(max_numbers)}")
     for number, max_number in zip(numbers, max_numbers, strict=True):

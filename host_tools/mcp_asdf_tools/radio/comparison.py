@@ -318,7 +318,8 @@ def _hint_for_value(field: Field, received: int, expected: int) -> str:
     if has_reversed_bytes:
         return f"its {byte_count} bytes are in reverse order"
     # Two numbers have the same significant digits if one is the other times a power of two.
-    received_digits, expected_digits = (_significant_digits(field, value) for value in (received, expected))
+    received_digits = _significant_digits(field, received)
+    expected_digits = _significant_digits(field, expected)
     if received_digits < _MIN_DIGITS_FOR_HINT or received_digits != expected_digits:
         return ""
     to_number = float32_value if field.is_float else float
@@ -333,19 +334,24 @@ def _significant_digits(field: Field, value: int) -> int:
     and normal.
     """
     if field.is_float:
-        # Sign and exponent are in bits 23 to 31. The exponent is 0 for subnormal numbers and 0xFF for
-        # infinity and NaN, and the sign would be 0x100.
-        sign_and_exponent = value >> 23
-        is_positive_and_normal = 0 < sign_and_exponent < 0xFF
-        if not is_positive_and_normal:
-            return 0
-        stored_digits = value & 0x7F_FFFF  # bits 0 to 22
-        leading_digit = 0x80_0000  # bit 23, a 1 that is not stored
-        return leading_digit | stored_digits
+        return _mantissa_of_float32(value)
     if value == 0:
         return 0
     largest_power_of_two = value & -value  # the lowest bit that is set, which divides all of the value
     return value // largest_power_of_two
+
+
+def _mantissa_of_float32(float32_bits: int) -> int:
+    """Return the 24 bits of the mantissa of a binary32 number; 0 if it is not positive, finite and normal."""
+    # Sign and exponent are in bits 23 to 31. The exponent is 0 for subnormal numbers and 0xFF for infinity
+    # and NaN, and the sign would be 0x100.
+    sign_and_exponent = float32_bits >> 23
+    is_positive_and_normal = 0 < sign_and_exponent < 0xFF
+    if not is_positive_and_normal:
+        return 0
+    stored_digits = float32_bits & 0x7F_FFFF  # bits 0 to 22
+    leading_digit = 0x80_0000  # bit 23, a 1 that is not stored
+    return leading_digit | stored_digits
 
 
 # --- Frames as text ---

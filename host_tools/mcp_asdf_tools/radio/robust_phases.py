@@ -292,9 +292,8 @@ def re_estimate_near_half(bench: Bench) -> None:
     observations make a test reject, this is noted as not exercised, and the tests after it are left out.
     """
     nearest_above = SLOT_INFORMATIVE_DISTANCE
-    # Below 1/2 the firmware exchanges the colours, and computes 1 - x as 2**32 - 1 - X from an X in units of
-    # 2**-32. That is one unit too small, and brings an estimate at the exact limit too close to 1/2. The
-    # nearest that is far enough is one unit of a slot below.
+    # Below 1/2 the firmware computes with 1 - x, which becomes one unit of 2**-32 too small. So an estimate
+    # at the exact limit is too close to 1/2 there, and the nearest far enough is one unit of a slot below.
     nearest_below = -SLOT_INFORMATIVE_DISTANCE - 1
     for offset in (nearest_above, nearest_above - 1, nearest_below + 1, nearest_below, 0):
         bench.activity = f"observations that contradict estimates {offset:+} units from 1/2"

@@ -113,7 +113,7 @@ class ControllerVerdict:
         return {title: entries for title, entries in lists.items() if entries}
 
     def plain(self) -> dict[str, Any]:
-        """Return the attributes as plain values, for JSON, and whether the controller has passed."""
+        """Return the attributes as plain values, for JSON, and under "passed" whether the controller has."""
         phases = [vars(phase) for phase in self.phases]
         return {"passed": self.has_passed, **vars(self), "phases": phases}
 
@@ -136,6 +136,23 @@ def plan_phases(
             f"comms-period is {comms_period}; a verification has hundreds of rounds, so "
             f"set the controller up with at most {_MAX_COMMS_PERIOD} ticks"
         )
+    chosen_phases = _choose_phases(settings, phases)
+    phases_among_neighbours = [phase for phase in chosen_phases if phase.play is None]
+    faults = []
+    for index, phase in enumerate(phases_among_neighbours):
+        first_tick = index * ticks
+        for fault_text in phase.fault.split():
+            fault = parse_fault(fault_text)
+            faults.append(replace(fault, start=first_tick, stop=first_tick + ticks))
+    return chosen_phases, faults
+
+
+def _choose_phases(settings: RadioSettings, phases: Sequence[Phase]) -> list[Phase]:
+    """Return the phases that apply to this controller, and then one for each fault of the settings.
+
+    In the texts of faults {me} becomes the controller's id, {them} all ids of neighbours, joined by "+", and
+    {one} the id of the first neighbour.
+    """
     neighbour_ids = [str(neighbour.id) for neighbour in settings.neighbours]
     ids_by_placeholder = {
         "me": settings.controller.id,
@@ -147,15 +164,8 @@ def plan_phases(
         if phase.applies(settings.controller):
             fault_with_ids = phase.fault.format(**ids_by_placeholder)
             chosen_phases.append(replace(phase, fault=fault_with_ids))
-    chosen_phases += [Phase(fault.name, fault=str(fault)) for fault in settings.faults]
-    phases_among_neighbours = [phase for phase in chosen_phases if phase.play is None]
-    faults = []
-    for index, phase in enumerate(phases_among_neighbours):
-        first_tick = index * ticks
-        for fault_text in phase.fault.split():
-            fault = parse_fault(fault_text)
-            faults.append(replace(fault, start=first_tick, stop=first_tick + ticks))
-    return chosen_phases, faults
+    phases_of_settings = [Phase(fault.name, fault=str(fault)) for fault in settings.faults]
+    return chosen_phases + phases_of_settings
 
 
 def not_checked(setup: RobotSetup) -> list[str]:

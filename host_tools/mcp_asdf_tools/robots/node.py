@@ -304,8 +304,9 @@ class RobotNode:
 def state_of(node: RobotNode) -> dict[str, Any]:
     """Return a robot's estimates and counters as plain values, for JSON.
 
-    The keys are the names of the estimates, ``counters`` and, if the firmware computes in fixed point,
-    ``raw`` with the integers behind the estimates.
+    The keys are ``t``, ``n``, ``x_hat``, ``alpha``, ``x_bar``, ``beta``, ``x``, ``b_hat`` and ``counters``.
+    If the firmware computes in fixed point there is ``raw``, too, with the integers behind those from
+    ``x_hat`` to ``b_hat``.
     """
     robot = node.robot
     state: dict[str, Any] = {name: getattr(robot, name) for name in _STATE_ATTRIBUTES}

@@ -147,13 +147,7 @@ class RobotSetup:
         if not isinstance(plain, dict):
             raise UsageError(f"a robot is {plain!r}; give its settings as an object in braces")
         values = _DEFAULTS | plain
-        for name, value in values.items():
-            if name not in _TYPES:
-                advice = did_you_mean(name, _TYPES) or f"; its settings are {', '.join(_TYPES)}"
-                raise UsageError(f"a robot has no setting {name!r}{advice}")
-            # Not isinstance(), which would take True for a whole number.
-            if type(value) is not _TYPES[name]:
-                raise UsageError(f"{name} is {value!r}; give {_TYPE_NAMES[_TYPES[name]]}")
+        _check_types(values)
         table = _table_from_plain(values["table"], values["id"]) if "table" in values else None
         if values["filter"] not in _FILTERS_BY_NAME:
             raise UsageError(
@@ -186,6 +180,17 @@ class RobotSetup:
         # This robot is not used, but the firmware refuses here what is wrong with its id or b_hat.
         setup.make_robot()
         return setup
+
+
+def _check_types(values: dict[str, Any]) -> None:
+    """Raise UsageError for a value whose name is no setting of a robot, or that has another type than it."""
+    for name, value in values.items():
+        if name not in _TYPES:
+            advice = did_you_mean(name, _TYPES) or f"; its settings are {', '.join(_TYPES)}"
+            raise UsageError(f"a robot has no setting {name!r}{advice}")
+        # Not isinstance(), which would take True for a whole number.
+        if type(value) is not _TYPES[name]:
+            raise UsageError(f"{name} is {value!r}; give {_TYPE_NAMES[_TYPES[name]]}")
 
 
 def _check_periods(comms_period: int, filter_period: int) -> None:
