@@ -127,7 +127,9 @@ class Accuracy:
 
 def square_of_ratio(g: int, p: int) -> int:
     """Return (g / p)**2 in units of 2**-30, for g and p in [2**31, 2**32)."""
-    half_of_g, half_of_p = g >> 1, p >> 1  # divide_24 takes numbers of 31 bits; the ratio stays
+    # divide_24 takes numbers of 31 bits. The ratio of the halves is the same.
+    half_of_g = g >> 1
+    half_of_p = p >> 1
     ratio_24 = divide_24(half_of_g, half_of_p)  # units of 2**-24
     ratio = ratio_24 << 7  # units of 2**-31
     return multiply_high(ratio, ratio)  # the square's unit is 2**-62, and that of its upper word 2**-30

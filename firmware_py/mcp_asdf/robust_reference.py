@@ -284,7 +284,8 @@ class RobustReference:
 
     def begin_batch(self, n: int, t: int) -> None:
         """Begin a new batch of observations, after ``t`` observations of which ``n`` were black."""
-        self.batch_t, self.batch_n = t, n
+        self.batch_t = t
+        self.batch_n = n
 
     def end_batch(self, n: int, t: int) -> None:
         """Update the dispersion by the batch of observations that ends now, and begin the next batch.

@@ -16,7 +16,7 @@ import serial  # type: ignore[import-untyped]
 _DECODING_ERRORS = (ValueError, LookupError, TypeError, ArithmeticError, AttributeError, struct.error)
 """What decoders raise for input that they do not expect."""
 
-_PASSING_FAILURES = frozenset(
+_TEMPORARY_FAILURES = frozenset(
     {
         *(errno.EAGAIN, errno.EINTR, errno.ENOBUFS, errno.ENOMEM, errno.EPERM, errno.ETIMEDOUT),
         *(errno.ENETDOWN, errno.ENETUNREACH, errno.EHOSTUNREACH, errno.EADDRNOTAVAIL, errno.ECONNREFUSED),
@@ -40,7 +40,7 @@ def failure_of_bus(error: Exception, bus: can.BusABC) -> can.CanError | None:
     # An error of the operating system decides, also where a driver has wrapped it in one of its own.
     system_error = _system_error_among(causes)
     if system_error is not None:
-        if not _may_pass(system_error):
+        if not _is_temporary(system_error):
             return _create_bus_gone_error(error, system_error)
         if isinstance(error, can.CanError):
             return error
@@ -72,13 +72,13 @@ def _system_error_among(causes: Iterable[BaseException]) -> OSError | None:
     return None
 
 
-def _may_pass(error: OSError) -> bool:
+def _is_temporary(error: OSError) -> bool:
     """Return whether the bus may work again after ``error``.
 
-    Among pyserial's errors, which have no number, only a full output buffer passes.
+    Among pyserial's errors, which have no number, only a full output buffer is temporary.
     """
     is_timeout = isinstance(error, TimeoutError | serial.SerialTimeoutException)
-    return is_timeout or error.errno in _PASSING_FAILURES
+    return is_timeout or error.errno in _TEMPORARY_FAILURES
 
 
 def _create_bus_gone_error(error: Exception, cause: BaseException) -> BusGoneError:

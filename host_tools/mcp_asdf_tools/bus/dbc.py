@@ -119,7 +119,8 @@ def _signal(field: Field) -> str:
     """
     if field.is_float:
         sign = "-"
-        minimum, maximum = "0", _LARGEST_FLOAT32
+        minimum = "0"
+        maximum = _LARGEST_FLOAT32
     else:
         sign = "+"
         # The file has no way to describe a gap, so a special value belongs to the range.

@@ -51,6 +51,9 @@ def decode_estimates(
 ) -> EstimateArray:
     """Decode the estimates in many frames exactly as ``decode_estimate`` would one by one, in O(frames).
 
+    The result has a row of sender, x_hat and alpha word for each frame, and says which frames are estimates;
+    the rows of other frames mean nothing.
+
     ``bit_flips``, shape (frames,), are the bits of each frame's data that are inverted before decoding;
     bit 0 is the lowest of the first byte.
     """

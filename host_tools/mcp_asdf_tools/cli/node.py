@@ -212,7 +212,9 @@ def _results_of(node: RobotNode, robot_setup: RobotSetup, outcome: RunOutcome) -
 
 def _format_summary(node: RobotNode, results: dict[str, Any], bus_name: str) -> str:
     """Return the lines that sum up a run for a reader; ``bus_name`` is such as "virtual vcan0"."""
-    robot, frames, counters = node.robot, results["frames"], node.counters
+    robot = node.robot
+    frames = results["frames"]
+    counters = node.counters
     return (
         f"run       {node.ticks} ticks as robot {node.id}; {results['ending']}\n"
         f"estimate  x {robot.x:.5f}, x_hat {robot.x_hat:.5f}, alpha {robot.alpha:.5g}\n"

@@ -162,7 +162,8 @@ def _make_neighbours(controller: RobotSetup, world: SwarmSettings, first_id: int
 
     neighbour_ids = choose_ids(controller.id, world.robots - 1, first_id)
     # Neighbours assume the true accuracy, as far as the firmware can: it needs a margin to 0 and 1.
-    lowest_b_hat, highest_b_hat = B_HAT_MARGIN, 1 - B_HAT_MARGIN
+    lowest_b_hat = B_HAT_MARGIN
+    highest_b_hat = 1 - B_HAT_MARGIN
     b_hat = min(max(world.true_accuracy, lowest_b_hat), highest_b_hat)
     config = controller.config
     if world.swarm_filter.filtering_robots is FilteringRobots.FLAWED:

@@ -83,8 +83,9 @@ def _find_varying_parameters(rows: Sequence[dict[str, Any]]) -> list[str]:
 
 
 def _describe_trial_count(row: dict[str, Any]) -> str:
-    """Return the number of trials, with "of" how many if some have not run yet."""
-    trial_count, planned_count = row["trials"], row["parameters"]["trials"]
+    """Return the number of an experiment's trials, such as "100", or "40 of 100" if some have not run yet."""
+    trial_count = row["trials"]
+    planned_count = row["parameters"]["trials"]
     return f"{trial_count}" if trial_count >= planned_count else f"{trial_count} of {planned_count}"
 
 

@@ -30,7 +30,8 @@ def progress(unit: str, total: float, quiet: bool = False) -> Iterator[Callable[
     can_show_bar = console.is_terminal or console.is_jupyter
     prints_lines = not can_show_bar and not quiet
     columns = (TextColumn(unit), BarColumn(), MofNCompleteColumn(), _Rate())
-    start_time = last_line_time = time.monotonic()
+    start_time = time.monotonic()
+    last_line_time = start_time
     done_count = 0.0
     with Progress(*columns, console=console, disable=quiet or not can_show_bar, transient=True) as bar:
         task = bar.add_task(unit, total=total)

@@ -31,6 +31,7 @@ import re
 import zlib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field
+from itertools import count
 from pathlib import Path
 from typing import IO, Any
 
@@ -332,30 +333,37 @@ class EventsReader:
         """Yield the lines of the file; if the run was cut off, those before an incomplete last one.
 
         Sets ``_line_number`` to the number of each line before it is yielded, or of the line in which an
-        error is. Raises UsageError if the file is damaged, or if it ends in the middle though the run was not
-        cut off.
+        error is. Raises UsageError if the file is damaged, if it ends in the middle though the run was not
+        cut off, or if a line is too long.
         """
-        line_number = 0
-        # At the end of the file ``_line_number`` stays at the last line, for later errors.
-        while True:
-            line_number += 1
-            try:
-                line = self._file.readline(MAX_LINE_LENGTH + 1)
-            except EOFError as error:  # the end of the compressed data is missing
-                if self.is_part:
-                    return
-                self._line_number = line_number
-                raise self.error_in_line("the file ends here, in the middle; was it cut?") from error
-            except (OSError, zlib.error) as error:
-                self._line_number = line_number
-                raise self.error_in_line(f"the file is damaged here: {error}") from error
+        for line_number in count(1):
+            line = self._read_line(line_number)
             is_incomplete = self.is_part and not line.endswith("\n")
+            # At the end of the file ``_line_number`` stays at the last line, for later errors.
             if not line or is_incomplete:
                 return
             self._line_number = line_number
             if len(line) > MAX_LINE_LENGTH:
                 raise self.error_in_line(f"not JSON of at most {MAX_LINE_LENGTH} characters")
             yield line
+
+    def _read_line(self, line_number: int) -> str:
+        """Return the next line, at most the first MAX_LINE_LENGTH + 1 characters; an empty text at the end.
+
+        If the run was cut off, compressed data may end without a mark of their end. ``line_number`` is that
+        of the line, for errors. Raises UsageError if the file is damaged there, or lacks its end though the
+        run was not cut off.
+        """
+        try:
+            return self._file.readline(MAX_LINE_LENGTH + 1)
+        except EOFError as error:  # the end of the compressed data is missing
+            if self.is_part:
+                return ""
+            self._line_number = line_number
+            raise self.error_in_line("the file ends here, in the middle; was it cut?") from error
+        except (OSError, zlib.error) as error:
+            self._line_number = line_number
+            raise self.error_in_line(f"the file is damaged here: {error}") from error
 
     def _parse_header(self, plain_header: Any) -> EventsHeader:
         """Return the description of a run in the JSON value of the first line.

@@ -109,7 +109,8 @@ def read_log(
     check_log(path)  # some readers of python-can would create a missing file
     if summary is None:
         summary = LogSummary()
-    has_frame = has_frame_of_channel = False
+    has_frame = False
+    has_frame_of_channel = False
     for frame in _read_frames(Path(path), summary):
         has_frame = True
         if frame.channel is not None:

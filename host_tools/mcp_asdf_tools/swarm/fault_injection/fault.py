@@ -129,7 +129,10 @@ class Fault:
 
 
 def _option_text(value: object) -> str:
-    """Return the value of an option as a fault's text has it."""
+    """Return the value of an option as a fault's text has it.
+
+    A set of ids becomes a text such as ``0+3-5``, a text stays as it is, and a number gets all its digits.
+    """
     if isinstance(value, frozenset):
         return format_ids(value)
     return value if isinstance(value, str) else repr(value)

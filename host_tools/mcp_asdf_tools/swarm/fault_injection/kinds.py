@@ -24,6 +24,8 @@ from mcp_asdf_tools.swarm.fault_injection.random_words import choose_bits, hit_t
 
 if TYPE_CHECKING:
     import can
+    import numpy as np
+    from numpy.typing import NDArray
 
     from mcp_asdf_tools.swarm.delivery import Deliveries, SentFrame
     from mcp_asdf_tools.swarm.fault_injection.random_words import RandomWords
@@ -46,8 +48,7 @@ class LinkFault(Fault, ABC):
 
         Deliveries are frames on their way, with the robots that receive each of them. Random words are drawn
         for each frame and receiver. The first word decides whether the frame is hit on its way to the
-        receiver, and ``change`` gets the other words. Only frames for which the fault is active, and of these
-        only the deliveries to its ``receivers``, can be hit. The hits are counted. O(frames receivers).
+        receiver, and ``change`` gets the other words. The hits are counted. O(frames receivers).
         """
         import numpy as np  # noqa: PLC0415 (it loads slowly, and the help of faults needs none of it)
 
@@ -56,17 +57,30 @@ class LinkFault(Fault, ABC):
         # The axes are frames, receivers and words.
         hit_words = random_words[:, :, 0]
         extra_words = random_words[:, :, 1:]
-        # Whether each frame is hit on its way to each receiver, shape (frames, receivers)
-        is_hit = deliveries.receivers & (hit_words <= hit_threshold(self.rate))
+        is_hit = self._choose_hits(deliveries.receivers, is_active, hit_words)
+        run.hit_count += int(np.count_nonzero(is_hit))
+        spared_deliveries = replace(deliveries, receivers=deliveries.receivers & ~is_hit)
+        hit_deliveries = replace(deliveries, receivers=is_hit)
+        return [spared_deliveries, *self.change(hit_deliveries, extra_words, run)]
+
+    def _choose_hits(
+        self, is_received: NDArray[np.bool_], is_active: NDArray[np.bool_], hit_words: RandomWords
+    ) -> NDArray[np.bool_]:
+        """Return whether each frame is hit on its way to each receiver, shape (frames, receivers).
+
+        It is hit if the receiver would receive it (``is_received``), if the fault is active for the frame
+        (``is_active``, shape (frames,)) and affects the receiver, and if the random word is low enough for
+        the fault's rate. All other arrays have the shape of the result.
+        """
+        import numpy as np  # noqa: PLC0415 (it loads slowly, and the help of faults needs none of it)
+
+        is_hit = is_received & (hit_words <= hit_threshold(self.rate))
         is_hit[~is_active] = False  # the words of inactive frames are zeros, which would be hits
         if self.receivers is not None:
             _, robot_count = is_hit.shape
             is_affected = np.isin(np.arange(robot_count), list(self.receivers))  # by receiver's id
             is_hit &= is_affected
-        run.hit_count += int(np.count_nonzero(is_hit))
-        spared_deliveries = replace(deliveries, receivers=deliveries.receivers & ~is_hit)
-        hit_deliveries = replace(deliveries, receivers=is_hit)
-        return [spared_deliveries, *self.change(hit_deliveries, extra_words, run)]
+        return is_hit
 
     @property
     def extra_words(self) -> int:
@@ -160,7 +174,6 @@ class Corrupt(LinkFault):
 
         # The new entries: the number of the frame in ``hit``, and of its only receiver
         frame_indices, receivers = hit.receivers.nonzero()
-        entry_count = len(frame_indices)
         sent_frames = [hit.sent_frames[index] for index in frame_indices.tolist()]
         # A word of flips has 64 bits, so only the first 8 bytes (FRAME_BYTES) of a longer frame can be hit.
         byte_counts = [min(len(sent_frame.frame.data), FRAME_BYTES) for sent_frame in sent_frames]
@@ -169,10 +182,8 @@ class Corrupt(LinkFault):
         new_flips = choose_bits(bit_counts, words_of_entries)
         # A bit that an earlier fault has flipped is flipped back.
         bit_flips = hit.bit_flips[frame_indices] ^ new_flips
-        # A row for each entry, in which only its receiver is true
         _, robot_count = hit.receivers.shape
-        receiver_mask = np.zeros((entry_count, robot_count), np.bool_)
-        receiver_mask[np.arange(entry_count), receivers] = True
+        receiver_mask = _mask_of_single_receivers(receivers, robot_count)
         return [replace(hit, sent_frames=sent_frames, receivers=receiver_mask, bit_flips=bit_flips)]
 
 
@@ -387,6 +398,16 @@ class Sybil(Fault):
         # Sorted, as a set has no order that a repeated run could rely on.
         identifiers = [run.frame_format.identifier(robot) for robot in sorted(self.ids)]
         return [make_frame(identifier, payload, timestamp) for identifier in identifiers]
+
+
+def _mask_of_single_receivers(receivers: NDArray[np.intp], robot_count: int) -> NDArray[np.bool_]:
+    """Return a mask with a row for each of ``receivers``, in which only the column of that id is true."""
+    import numpy as np  # noqa: PLC0415 (it loads slowly, and the help of faults needs none of it)
+
+    entry_count = len(receivers)
+    mask = np.zeros((entry_count, robot_count), np.bool_)
+    mask[np.arange(entry_count), receivers] = True
+    return mask
 
 
 def _encode_claim(x: float, alpha: float, transfer_id: int) -> int:

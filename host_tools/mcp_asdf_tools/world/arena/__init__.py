@@ -101,8 +101,11 @@ class Arena:
         robot, how wheels turn, who avoids an obstacle, and who receives from whom.
         """
         shape = (ticks, self.settings.robots)
-        position, heading = np.empty((2, *shape, 2))  # two arrays, each with x and y along its last axis
-        black, wheels, avoids = np.empty((3, *shape), np.uint8)
+        position = np.empty((*shape, 2))  # x and y along the last axis, as in the next array
+        heading = np.empty((*shape, 2))
+        black = np.empty(shape, np.uint8)
+        wheels = np.empty(shape, np.uint8)
+        avoids = np.empty(shape, np.uint8)
         adjacency = np.zeros((*shape, self.settings.robots), np.bool_)
         # The arrays of the C struct have the values of the present tick, which are copied to a row each tick.
         rows_by_member: dict[str, NDArray[Any]] = {
@@ -122,7 +125,8 @@ class Arena:
                 rows[tick] = current_values[name]
             # Robots in range of each other receive both ways.
             pairs = self._linked_pairs()
-            lower_ids, higher_ids = pairs[:, 0], pairs[:, 1]
+            lower_ids = pairs[:, 0]
+            higher_ids = pairs[:, 1]
             adjacency[tick, lower_ids, higher_ids] = True
             adjacency[tick, higher_ids, lower_ids] = True
         return Motion(position, heading, black, wheels, avoids, adjacency)
