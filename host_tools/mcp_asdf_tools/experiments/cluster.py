@@ -43,9 +43,22 @@ def connect_cluster(address: str) -> Iterator[tuple[Executor, Callable[[], int]]
         return max(1, thread_count)
 
     try:
-        _wait_for_a_worker(client, address)
-        # Dask runs pure jobs of equal arguments only once.
-        yield client.get_executor(pure=False), count_threads
+        with _explaining_losses(dask, client, address):
+            _wait_for_a_worker(client, address)
+            # Dask runs pure jobs of equal arguments only once.
+            yield client.get_executor(pure=False), count_threads
+    finally:
+        client.close()
+
+
+@contextmanager
+def _explaining_losses(dask: Any, client: Any, address: str) -> Iterator[None]:
+    """Context manager that raises UsageError, with the fix, where Dask raises that a job or cluster is lost.
+
+    What a job itself has raised passes unchanged, unless it is an OSError.
+    """
+    try:
+        yield
     except (dask.KilledWorker, CancelledError, OSError) as error:
         # A job keeps killing its workers, or was cancelled since the scheduler is lost. An OSError comes from
         # asking a scheduler that is gone: the connection is closed, or times out.
@@ -56,8 +69,6 @@ def connect_cluster(address: str) -> Iterator[tuple[Executor, Callable[[], int]]
         if client.status == "running":
             raise
         raise _lost_cluster_error(address, error) from error
-    finally:
-        client.close()
 
 
 def _lost_cluster_error(address: str, error: BaseException) -> UsageError:

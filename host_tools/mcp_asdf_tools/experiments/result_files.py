@@ -298,6 +298,7 @@ def _open_checked(path: Path) -> pq.ParquetFile:
 def _name_file_in_errors(path: Path) -> Iterator[None]:
     """Context manager for reading ``path``: it turns an error into a UsageError that names the path.
 
+    These are errors of the system, of pyarrow and of the encoding of texts; a UsageError passes unchanged.
     If the file is missing since its sweep is not finished, the message says so.
     """
     try:

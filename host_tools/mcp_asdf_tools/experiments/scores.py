@@ -106,7 +106,7 @@ class Limits:
     e_max: float = E_MAX
 
     def __post_init__(self) -> None:
-        """Check the values. Raises UsageError for a limit that is 0 or less, or infinite."""
+        """Check the values; None is legal. Raises UsageError for a limit that is not above 0 and finite."""
         for name, value in (("K_max", self.k_max), ("e_max", self.e_max)):
             is_legal = value is None or 0 < value < float("inf")
             if not is_legal:

@@ -240,7 +240,10 @@ class PlannedComparison:
         )
 
     def _row_label(self) -> str:
-        """Return the label of the comparison's row in the report, such as "f 0.95, b 0.55, b_hat 0.95"."""
+        """Return the label of the comparison's row in the report, such as "f 0.95, b 0.55, b_hat 0.95".
+
+        Without flawed robots there is no b_hat.
+        """
         cell_labels = labels_of(self.cell)
         attributes = ("fill_ratio", "true_accuracy", "flawed_accuracy")
         return ", ".join(cell_labels[name] for name in attributes if name in cell_labels)

@@ -90,9 +90,9 @@ class RememberingRobot(ReferenceRobot):
     def receive(self, sender: int, x_hat: float, alpha: float) -> Status:
         """Receive a neighbour's estimate, and add it to the running means unless it has no confidence.
 
-        At first a message has the share 2^-3 of a mean; with more messages this falls to 2^-12. Returns OK,
-        or REPEATED if there is one of this sender in the round already. Raises FirmwareError for a sender or
-        an x_hat that is impossible.
+        An estimate has the weight alpha / t. The gain of the means is 2^-3 at first, and falls with the
+        number of messages to 2^-12. Returns OK, or REPEATED if there is one of this sender in the round
+        already. Raises FirmwareError for a sender or an x_hat that is impossible.
         """
         status = super().receive(sender, x_hat, alpha)
         if status is Status.OK and alpha > 0:
@@ -458,9 +458,10 @@ class KnownAccuracyRobot(ReferenceRobot):
         self._true_accuracy = b_hat
 
     def observe(self, z: Observation) -> Status:
-        """Set b_hat to the present accuracy, and count an observation with it in t and n.
+        """Set b_hat to the accuracy to assume, count an observation in t and n, and let the sensor age.
 
-        Returns OK, or ERR_OBSERVATION if ``z`` is neither WHITE nor BLACK.
+        b_hat stays below 1 by B_HAT_MARGIN. Returns OK, or ERR_OBSERVATION if ``z`` is neither WHITE nor
+        BLACK.
         """
         self._b_hat = min(self._accuracy_to_assume(), 1 - B_HAT_MARGIN)
         # The sensor ages after this observation, so b_hat, which is set already, holds for it.

@@ -118,11 +118,12 @@ def format_c_source(omega: Decimal, q: int) -> str:
     texts = {
         "omega": f"{omega:f}",
         "stem": table_name(omega, q),
-        "words": EXTRA_WORDS + q,
+        "words": EXTRA_WORDS + q,  # the extra words are a header of two, and the checksum
         "rounding": f"{error['rounding']:.2e}",
         "beyond_q": error_beyond_q,
         "body": _format_initializers(generate(omega, q)),
     }
+    # Where both have a value of one name, as for omega, the text is taken.
     return _C_FILE.format_map(description | texts)
 
 

@@ -43,8 +43,8 @@ def show(results: Any, *, trial: int = 0, where: Mapping[str, Any] | None = None
     """Return the page of one trial, the same that the command ``mcp-asdf view`` shows in a browser.
 
     ``results`` is an Experiment, whose trial is run for this, or a table of results. ``trial`` is the trial's
-    number. ``where`` chooses one of several experiments of a table by its parameters. Raises UsageError if
-    several are left, or there is no such trial.
+    number. ``where`` chooses one of several experiments of a table by its parameters; it does nothing for an
+    Experiment. Raises UsageError if several are left, or there is no such trial.
     """
     if trial < 0:
         raise UsageError(f"trial is {trial}; give 0 or more")

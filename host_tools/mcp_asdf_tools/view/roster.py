@@ -149,7 +149,8 @@ class Roster:
     def receive(self, frame: can.Message, content: FrameContent, now: float) -> None:
         """Take a frame, its decoded ``content`` and the time in seconds at which it was received. O(1).
 
-        A rejected frame is listed in the next report, but counts for no robot.
+        The frame is listed in the next report, and counts for its sender, who is added to ``robots`` with its
+        first frame. A rejected frame is listed, but counts for no robot.
         """
         sender = None if isinstance(content, Rejection) else content.sender
         self._frame_lines.append((round(now, 3), sender, format_content(frame, content)))

@@ -89,13 +89,15 @@ def _compute_unfiltered_errors(settings: Population, trial: int) -> list[float]:
     robot_axis = 1
     mean_errors = errors.mean(axis=robot_axis)
     point_count = min(_MAX_ERROR_POINTS, len(mean_errors))
-    return [round(float(part.mean()), 5) for part in np.array_split(mean_errors, point_count)]
+    parts = np.array_split(mean_errors, point_count)
+    return [round(float(part.mean()), 5) for part in parts]
 
 
 def draw_floor(arena: Arena) -> NDArray[np.bool_]:
     """Return the floor as pixels, True where it is black, the first row in the north. O(pixels).
 
-    Every tile is one pixel. A side with more than _MAX_FLOOR_PIXELS tiles is drawn with that many pixels.
+    Every tile is one pixel. A side with more than _MAX_FLOOR_PIXELS tiles is drawn with that many pixels. A
+    floor of the kind "code" has a pixel for each module of its pattern.
     """
     settings = arena.settings
     if settings.floor == "code":

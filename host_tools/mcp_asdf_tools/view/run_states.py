@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from mcp_asdf_tools.view.history import State
 from mcp_asdf_tools.world.graph import MAX_ON_BUS
 from mcp_asdf_tools.world.settings import WorldSettings
-from mcp_asdf_tools.world.world import World
+from mcp_asdf_tools.world.world import Scene, World
 
 ESTIMATES = ("x", "x_hat", "b_hat")
 """What a state has of each robot besides its true accuracy, as attributes of ``Robot``."""
@@ -36,11 +36,7 @@ def complete_states(
     for index, estimates_at_tick in enumerate(estimates):
         tick = index * spacing
         if tick > world_tick:
-            # Only the scene of the last of these steps is needed; to skip the others is faster.
-            steps_to_skip = tick - world_tick - 1
-            if steps_to_skip > 0:
-                world.skip(steps_to_skip)
-            scene = world.advance(1)
+            scene = _scene_after(world, tick - world_tick)
             world_tick = tick
         # The scene is of one step, which is the first entry of each of its arrays.
         if settings.robots <= MAX_ON_BUS:
@@ -50,3 +46,12 @@ def complete_states(
         positions = None if scene.positions is None else scene.positions[0]
         values = np.vstack([estimates_at_tick, scene.accuracy[0]])
         yield State(tick, values, neighbours, positions)
+
+
+def _scene_after(world: World, steps: int) -> Scene:
+    """Let ``steps`` steps of a world pass, at least one, and return the Scene of the last one alone."""
+    # To skip steps is faster than to compute their scenes.
+    steps_to_skip = steps - 1
+    if steps_to_skip > 0:
+        world.skip(steps_to_skip)
+    return world.advance(1)

@@ -178,10 +178,11 @@ class _PageRequestHandler(BaseHTTPRequestHandler):
 
 
 def _generate_events(history: History) -> Iterator[str]:
-    """Yield the new server-sent events of a history, perhaps none, at each step, until it has ended.
+    """Yield the server-sent events that are new since the last yield, until the history has ended.
 
-    The events are a "description" at the start and for each new generation, after which all
-    states come again; a "block" for the states that are new; a "report" for each new one; at last an "end".
+    The text is empty if nothing is new. The events are a "description" at the start and for each new
+    generation, after which all states come again; a "block" for the states that are new; a "report" for each
+    new one; at last an "end".
     """
     generation = -1  # no history has this one, so the first update begins with a description
     sent_states = 0

@@ -186,7 +186,7 @@ def _axis_value(experiment: Experiment, parameter_name: str) -> Any:
 
 
 def _sorted_axis_values(experiments: Sequence[Trials], parameter_name: str) -> list[Any]:
-    """Return the different values of a parameter for an axis, in order."""
+    """Return the different values of a parameter for an axis, in order; filters in the order of FILTERS."""
     values = {_axis_value(trials.experiment, parameter_name) for trials in experiments}
     return sorted(values, key=lambda value: sort_key(parameter_name, value))
 
@@ -202,6 +202,7 @@ def _check_axes(experiments: Sequence[Trials], x: str, hue: str, y: str | Measur
         is_left_out = name == "" and option != "x"
         if name not in parameter_names and not is_left_out:
             all_names = f"; choose a parameter: {', '.join(parameter_names)}"
+            # Without a similar name the first one is empty.
             fix = did_you_mean(name, parameter_names) or all_names
             raise UsageError(f"{option} is {name!r}{fix}")
     if not callable(y) and y not in MEASURES:

@@ -147,8 +147,8 @@ def _true_value(experiment: Experiment, quantity: _Quantity) -> float:
 def _series_title(experiment: Experiment, trial_number: int) -> str:
     """Return a title of two lines for the plot of a trial.
 
-    The first line has the filter, with its period tau in steps if it is on, and the numbers of robots and of
-    flawed robots; the second has topology, seed and trial.
+    The first line has the firmware unless it is the usual one, the filter, with its period tau in steps if it
+    is on, and the numbers of robots and of flawed robots; the second has topology, seed and trial.
     """
     title = filter_name(experiment)
     if experiment.firmware != "native":
