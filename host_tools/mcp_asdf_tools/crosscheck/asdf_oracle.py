@@ -83,7 +83,10 @@ def _test_rejects(setup: Setup, state: State, x_hat: int) -> bool:
 
 
 def _closed_alpha_x(state: State) -> int:
-    """Return the sum of alpha x_hat of the last closed round, of which a robot keeps two parts."""
+    """Return the sum of alpha x_hat of the last closed round.
+
+    A robot keeps it in two parts: with the lowest 32 bits of each alpha, and with the bits above these.
+    """
     return (state["closed_alpha_x_high"] << 32) + state["closed_alpha_x_low"]
 
 

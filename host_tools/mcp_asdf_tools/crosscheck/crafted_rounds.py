@@ -359,16 +359,26 @@ def draw_x_hats_at_threshold(
     outside = groups.make_x_hats(ratio_above, max_gap)
     pair_count = groups.near_count // 2 + groups.far_count // 2
     if pair_count > 0:
-        # Eq. 12 in integers: it rejects while entry * scatter < difference**2 * 2**FRACTION_BITS. Both rounds
-        # are made of the rejected one, with a scatter just above and just below that limit.
-        rejected = outside
-        difference = sum(rejected) - m * own_x_hat
-        largest_rejected_scatter = (difference**2 * 2**FRACTION_BITS - 1) // table_entry
-        inside = _move_apart_in_pairs(rejected, pair_count, largest_rejected_scatter + 1, is_at_least=True)
-        outside = _move_apart_in_pairs(rejected, pair_count, largest_rejected_scatter, is_at_least=False)
+        inside, outside = _bring_scatter_to_threshold(outside, pair_count, own_x_hat, table_entry)
     smallest_x_hat, largest_x_hat = min(inside + outside), max(inside + outside)
     if smallest_x_hat < 0 or largest_x_hat > ONE:
         return None
+    return inside, outside
+
+
+def _bring_scatter_to_threshold(
+    rejected_x_hats: Sequence[int], pair_count: int, own_x_hat: int, table_entry: int
+) -> tuple[list[int], list[int]]:
+    """Return two rounds made of one that the test rejects: one just passes, and the other is just rejected.
+
+    They have the sum of ``rejected_x_hats``, and a scatter on either side of the test's limit. For that the
+    first ``pair_count`` pairs, of equal x_hat each, are moved apart. ``table_entry`` is k_m, as in a table.
+    """
+    # The test (eq. 12) in integers: it rejects if entry * scatter < difference**2 * 2**FRACTION_BITS.
+    difference = sum(rejected_x_hats) - len(rejected_x_hats) * own_x_hat
+    largest_rejected_scatter = (difference**2 * 2**FRACTION_BITS - 1) // table_entry
+    inside = _move_apart_in_pairs(rejected_x_hats, pair_count, largest_rejected_scatter + 1, is_at_least=True)
+    outside = _move_apart_in_pairs(rejected_x_hats, pair_count, largest_rejected_scatter, is_at_least=False)
     return inside, outside
 
 
@@ -552,9 +562,10 @@ def draw_round_of_large_scatter(robot: RobotState, rng: Random) -> list[Neighbou
     """
     assert robot.table is not None
     m = _ESTIMATES_OF_LARGE_ROUND
-    threshold = robot.table.entry(m) / 2**FRACTION_BITS
-    best_count, best_margin = 0, 0.0
-    for count_of_ones in range(1, m):
+    threshold: float = robot.table.entry(m) / 2**FRACTION_BITS
+
+    def margin_of(count_of_ones: int) -> float:
+        """Return by which factor the right scatter passes and the wrong one rejects, the smaller of both."""
         # In units of ONE**2, that is 2**46, the scatter of 0 and 1 is this product. Its bits from 2**56 on
         # are those from 2**10 on in these units.
         scatter = count_of_ones * (m - count_of_ones)
@@ -564,9 +575,9 @@ def draw_round_of_large_scatter(robot: RobotState, rng: Random) -> list[Neighbou
         # clearly pass, and the scatter without these bits clearly reject.
         margin_of_passing = threshold * scatter / difference_squared
         margin_of_rejecting = difference_squared / (threshold * scatter_without_bits)
-        smaller_margin = min(margin_of_passing, margin_of_rejecting)
-        if smaller_margin > best_margin:
-            best_count, best_margin = count_of_ones, smaller_margin
+        return min(margin_of_passing, margin_of_rejecting)
+
+    best_count = max(range(1, m), key=margin_of)  # of ones
     x_hats = [ONE] * best_count + [0] * (m - best_count)
     return list(map(NeighbourEstimate, x_hats, draw_alphas_of_one_scale(rng, m)))
 

@@ -94,10 +94,9 @@ class Audit:
     def _check_estimate(self, units_of_b_hat: int, state: State) -> list[str]:
         """Check x_hat and alpha after an observation, and return a line for each that is out of its bounds.
 
-        Their errors are collected in ``errors``, by the range in which |2 b_hat - 1| is, for the report.
-
-        ``units_of_b_hat`` is b_hat, the accuracy with which they were computed, in units of 2**-32. The error
-        of an alpha below 1/2 is not collected.
+        ``units_of_b_hat`` is b_hat, the accuracy with which they were computed, in units of 2**-32. For the
+        report their errors are added to ``errors``, by the range in which |2 b_hat - 1| is, but not the error
+        of an alpha below 1/2.
         """
         n, t = state["n"], state["t"]
         b_hat = Fraction(units_of_b_hat, 2**32)

@@ -121,7 +121,7 @@ class Bench(ControllerLink):
         """Run a tick in which the controller and the emulated neighbours receive each other's frames."""
         observation = self.neighbours.begin_tick()
         self.observe(observation)
-        controller_frames = list(self._received)
+        controller_frames = list(self._received)  # those since the last comparison, which are of this tick
         neighbour_frames = self.neighbours.finish_tick(controller_frames)
         self.send(neighbour_frames)
         self.settle_and_compare()

@@ -26,7 +26,8 @@ from mcp_asdf_tools.swarm.swarm import Members, Swarm
 def choose_ids(controller: int, count: int, first: int = 0) -> tuple[int, ...]:
     """Return ids for ``count`` neighbours: the lowest from ``first`` on, without the controller's.
 
-    Raises UsageError if ``count`` is not 1 or more, or the ids up to 125 are too few.
+    Raises UsageError if ``count`` is not 1 or more, ``first`` is not 0 to 125, or the ids up to 125 do not
+    suffice.
     """
     if not 0 <= first < MAX_ROBOTS_AND_TOOLS:
         raise UsageError(f"first-id is {first}; it must be 0 to {MAX_ROBOTS_AND_TOOLS - 1}")

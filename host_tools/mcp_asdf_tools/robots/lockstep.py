@@ -243,7 +243,7 @@ class Lockstep:
                 self._on_frame(frame)
                 self._store_answer(frame)
                 yield frame
-            # What is already in the receive buffer still counts after the time, but not without end.
+            # While frames keep coming, those in the receive buffer still count: for as long once more.
             last_moment = deadline if frame is None else deadline + seconds
             if missing_robots and now > last_moment:
                 raise self._missing_error(missing_robots, expected_answer, seconds)

@@ -66,9 +66,7 @@ class NodeProcesses:
         if "socketcan" in interfaces:
             # A virtual CAN interface of Linux delivers a frame on the processor of its sender. With several
             # one robot may receive a command before the estimate that it followed; lockstep needs one order.
-            this_process = 0
-            first_processor = min(os.sched_getaffinity(this_process))
-            os.sched_setaffinity(this_process, {first_processor})
+            _stay_on_one_processor()
 
     def __enter__(self) -> NodeProcesses:
         """Start all processes. They may not be up yet when this returns."""
@@ -111,3 +109,10 @@ class NodeProcesses:
             # A process that was killed, or failed early, has printed no report: its robot gets no entry.
             with suppress(ValueError):
                 self.reports[robot] = json.loads(report)
+
+
+def _stay_on_one_processor() -> None:
+    """Let this process, and those it starts from now on, run on the first of its processors alone."""
+    this_process = 0
+    first_processor = min(os.sched_getaffinity(this_process))
+    os.sched_setaffinity(this_process, {first_processor})

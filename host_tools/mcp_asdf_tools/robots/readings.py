@@ -67,17 +67,26 @@ def parse_readings(readings_text: str, name: str) -> Readings:
             readings.left_out["header"] += 1
             continue
         reading_text, colour_text = columns.choose(fields, position)
-        if colour_text not in _IS_BLACK:
-            raise UsageError(f"{position} has the colour {colour_text!r}; write black or white, or 1 or 0")
-        reading = _parse_number(reading_text, position)
-        if reading is None:
-            readings.left_out["no number"] += 1
-        elif reading == _NO_ANSWER:
-            # The sensor did not answer, so that this is no reading of either colour.
-            readings.left_out["reading -1"] += 1
-        else:
-            readings.rows.append((reading, _IS_BLACK[colour_text]))
+        _add_reading(readings, reading_text, colour_text, position)
     return readings
+
+
+def _add_reading(readings: Readings, reading_text: str, colour_text: str, position: str) -> None:
+    """Add the reading and the colour of a line to ``readings``, or count the line as left out.
+
+    Left out are texts without digits, such as ``NA``, and readings of -1. Raises UsageError, which begins
+    with ``position``, for a text that is no colour, or has digits and is no number.
+    """
+    if colour_text not in _IS_BLACK:
+        raise UsageError(f"{position} has the colour {colour_text!r}; write black or white, or 1 or 0")
+    reading = _parse_number(reading_text, position)
+    if reading is None:
+        readings.left_out["no number"] += 1
+    elif reading == _NO_ANSWER:
+        # The sensor did not answer, so that this is no reading of either colour.
+        readings.left_out["reading -1"] += 1
+    else:
+        readings.rows.append((reading, _IS_BLACK[colour_text]))
 
 
 @dataclass(frozen=True)

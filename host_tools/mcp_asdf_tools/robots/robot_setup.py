@@ -167,6 +167,7 @@ class RobotSetup:
         )
         check_settings(config)  # names the wrong setting, which the C cannot
         allow = parse_ids(values["allow"], "allow") if "allow" in values else None
+        # A missing id or b_hat raises KeyError, of which `refusing_wrong_values` makes a UsageError.
         setup = cls(
             id=values["id"],
             firmware=values["firmware"],
@@ -217,7 +218,7 @@ def _plain_table(table: Table) -> dict[str, Any]:
     omega = omega_from_word(table.omega_word)
     if omega is None:
         raise UsageError(f"the t-table's omega is {table.omega}; make one with mcp-asdf table")
-    *_, checksum = table.words()
+    *_, checksum = table.words()  # the last word
     return {"omega": str(omega), "q": table.q, "checksum": checksum}
 
 
@@ -233,7 +234,7 @@ def _table_from_plain(plain_table: Any, robot_id: Any) -> Table:
     if type(q) is not int:
         raise UsageError(f"q of the t-table is {q!r}; give {_TYPE_NAMES[int]}")
     table = generate(parse_omega(str(plain_table["omega"])), q)
-    *_, checksum = table.words()
+    *_, checksum = table.words()  # the last word
     if checksum != plain_table["checksum"]:
         raise UsageError(
             f"the t-table of robot {robot_id} has checksum {plain_table['checksum']}, "
