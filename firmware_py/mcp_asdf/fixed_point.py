@@ -277,6 +277,7 @@ class FixedPointView(FixedPointRobot):
         return status
 
     def __repr__(self) -> str:
+        """Return class, id, observations and estimates in one line."""
         return describe_robot(self)
 
     @property

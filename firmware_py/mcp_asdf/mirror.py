@@ -346,7 +346,8 @@ def asdf_test_rejects(table: Table, open_round: Sums, x_hat: int) -> bool:
     sum_x_squared = open_round.x_squared  # units of 2**-46, as both sides of the comparison
     difference = sum_x - m * x_hat  # m (X - x_hat)
     scaled_variance = m * sum_x_squared - sum_x * sum_x  # m (m - 1) S**2
-    limit = (table.entry(m) * scaled_variance) >> FRACTION_BITS  # entries have 26 fraction bits
+    # ``table.entry(m)`` is k_m with 26 fraction bits, which the shift removes.
+    limit = (table.entry(m) * scaled_variance) >> FRACTION_BITS
     return difference * difference > limit
 
 
@@ -788,7 +789,7 @@ class MirrorRobot(FixedPointView):
 
     @property
     def beta_raw(self) -> int:
-        """Social confidence in units of 2**-24."""
+        """Social confidence, the sum of alpha of the last closed round, in units of 2**-24."""
         return self.s.closed.alpha
 
     @property

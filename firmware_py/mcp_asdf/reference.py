@@ -580,6 +580,7 @@ class ReferenceRobot:
         self._counts[counter] = (self._counts[counter] + 1) % COUNTER_MODULUS
 
     def __repr__(self) -> str:
+        """Return class, id, observations and estimates in one line."""
         return describe_robot(self)
 
     @property

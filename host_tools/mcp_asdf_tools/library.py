@@ -82,7 +82,10 @@ def start_swarm(settings: SwarmSettings, channel: str | None = None) -> Swarm:
 
 @naming_extras()
 def emulate(settings: SwarmSettings) -> SwarmRun:
-    """Run a swarm with its CAN frames to its end. Ctrl-C ends it early and keeps what was done."""
+    """Run a swarm with its CAN frames to its end, and return its results.
+
+    Ctrl-C ends it early, and the results are of what was done.
+    """
     from mcp_asdf_tools.swarm.run import run_swarm
 
     with start_swarm(settings) as swarm:

@@ -115,7 +115,8 @@ def _signal(field: Field) -> str:
     """Return a signal's name, bits, scale and range, such as ``SG_ x : 0|24@1+ (1,0) [0|5]``.
 
     There, 0 is the first bit, 24 the number of bits, 1 stands for little endian and + for unsigned, - for a
-    number with a sign; (1,0) are factor and offset, and [0|5] is the range.
+    number with a sign; (1,0) are factor and offset, and [0|5] is the range. If the field may also have a
+    special value above its range, the range ends with that value.
     """
     if field.is_float:
         sign = "-"

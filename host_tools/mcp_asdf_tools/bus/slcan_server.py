@@ -49,7 +49,8 @@ class SlcanServer:
     def __init__(self, bus: can.BusABC, port: int = 0) -> None:
         """Listen at ``port`` of this machine, 1 .. 65535, or at a free one if 0.
 
-        ``bus`` is a connection for the server alone. Raises UsageError if the port is not available.
+        ``bus`` is a connection for the server alone, which closes it. Raises UsageError if the port is not
+        available.
         """
         self.dropped = 0
         self._bus = bus

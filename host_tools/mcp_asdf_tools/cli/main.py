@@ -109,8 +109,10 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _attempt(command_title: str, work: Callable[[], int], as_json: bool) -> int:
     """Call ``work`` and return its exit code.
 
-    What it raises for the user, such as UsageError, is printed under ``command_title``, and the exit code for
-    that is returned; other exceptions are mistakes of the program and pass.
+    A UsageError, OutputError or OSError is printed under ``command_title`` as bad usage, with exit code 2,
+    and Ctrl-C as an interruption, with INTERRUPTED. A reader of the output that has gone away gives
+    _BROKEN_PIPE without a message, and argparse its own exit code. Other exceptions are mistakes of the
+    program and pass.
     """
     try:
         with naming_extras():  # which turns the failed import of an optional package into a UsageError

@@ -103,7 +103,8 @@ def _add_option(group: argparse._ArgumentGroup, parameter: Parameter) -> None:
 def _keywords_of_value(parameter: Parameter) -> dict[str, Any]:
     """Return the keyword arguments of ``add_argument`` for the values of a parameter.
 
-    They are ``choices``, or ``type`` and ``metavar``, the word for a value in the help.
+    They are ``choices``, or ``type`` and ``metavar``, the word for a value in the help. The type is int,
+    float or a text.
     """
     if isinstance(parameter.choices, Names):
         return _keywords_of_names(parameter.choices)
@@ -232,7 +233,8 @@ def add_robot_options(group: argparse._ArgumentGroup, default_firmware: str) -> 
 def robot_of(args: argparse.Namespace) -> RobotSetup:
     """Return the robot that the options describe, checked by making it once.
 
-    Raises UsageError for a value out of range and for options that contradict each other.
+    It has a t-table only if its filter needs one, and ``--neighbours`` is refused if not. Raises UsageError
+    for a value out of range and for options that contradict each other.
     """
     from mcp_asdf.robot import MAX_ID, FirmwareError
     from mcp_asdf_tools.robots.population import Population

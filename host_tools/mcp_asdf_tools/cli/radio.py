@@ -342,7 +342,10 @@ def _run_with_progress(radio_run: RadioRun, console: Console) -> None:
 
 
 def _make_report(args: argparse.Namespace, settings: RadioSettings, bus_choice: BusChoice) -> dict[str, Any]:
-    """Return everything that is needed to repeat the run, as plain values; results are still to be added."""
+    """Return everything that is needed to repeat the run, as plain values; results are still to be added.
+
+    That is the time, the filter, all parameters, the bus and the versions of software.
+    """
     from mcp_asdf_tools.common.versions import software_versions
 
     robots = [settings.controller, *settings.neighbours]

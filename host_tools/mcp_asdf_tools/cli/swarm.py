@@ -442,7 +442,7 @@ def _start_view(plan: _RunPlan, at_end: ExitStack) -> SwarmRecorder | None:
 
 
 def _keep_page(history: History) -> None:
-    """Mark the run on the page as over, and wait for Ctrl-C."""
+    """Mark the run on the page as over, pass on what was printed, and wait for Ctrl-C."""
     history.has_ended = True
     # Who reads the results through a pipe should not wait until the page is closed.
     sys.stdout.flush()

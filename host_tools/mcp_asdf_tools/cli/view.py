@@ -110,7 +110,11 @@ def _frame_format_of(args: argparse.Namespace) -> FrameFormat:
 
 
 def _check_recording_options(args: argparse.Namespace) -> None:
-    """Raise UsageError for an option that does nothing where a recording is shown."""
+    """Raise UsageError for an option that does nothing where a recording is shown.
+
+    These are the options of a bus and, if the recording states its parameters, those that say what frames
+    mean. With ``--export`` there is no port, either.
+    """
     from mcp_asdf_tools.experiments.results import is_results_path
     from mcp_asdf_tools.recording.events import events_path
 
@@ -129,7 +133,9 @@ def _check_recording_options(args: argparse.Namespace) -> None:
 def _read_recording(args: argparse.Namespace) -> History:
     """Return the history of the recording ``args.file``: a trial of results, or a log.
 
-    Raises UsageError if there is none, or for options that do not go with it.
+    A trial of another program has only what it recorded; any other is run again. So are the robots of a log,
+    if it has events beside it; without them the frames are shown. Raises UsageError if there is no recording,
+    or for options that do not go with it.
     """
     from mcp_asdf_tools.experiments.results import is_results_path, single_experiment
     from mcp_asdf_tools.recording.events import events_path

@@ -36,6 +36,7 @@ class _CheckedStream(ABC):
     """Text stream that passes everything on to another one; a subclass handles the OSErrors of its writes."""
 
     def __init__(self, stream: IO[str]) -> None:
+        """Take the stream to which all texts are passed on."""
         self._stream = stream
 
     def __getattr__(self, name: str) -> Any:

@@ -13,7 +13,7 @@ def own_version() -> str:
 
 
 def software_versions() -> dict[str, str]:
-    """Return the versions of the software that results may depend on, by name."""
+    """Return the versions of what results may depend on, by name: this project, NumPy, python-can, Python."""
     versions = {name: _version(name) for name in ("mcp-asdf", "numpy", "python-can")}
     versions["python"] = platform.python_version()
     return versions

@@ -102,7 +102,10 @@ def _frame_of_console_line(match: re.Match[str]) -> can.Message | None:
 
 
 def _parse_console_flags(match: re.Match[str]) -> int:
-    """Return the flags of a CAN FD frame, which are 0 if the line lacks them: only candump -x shows them."""
+    """Return the flags of a CAN FD frame: B in the line stands for a bit rate switch, E for an error state.
+
+    They are 0 if the line lacks them, as only candump -x shows them.
+    """
     letters = match["fd_flags"] or ""
     bit_rate_switch = _BIT_RATE_SWITCH if "B" in letters else 0
     error_state = _ERROR_STATE if "E" in letters else 0

@@ -170,6 +170,7 @@ class _NumberedLines:
         self.line = ""
 
     def __iter__(self) -> _NumberedLines:
+        """Return this object: it is its own iterator."""
         return self
 
     def __next__(self) -> str:

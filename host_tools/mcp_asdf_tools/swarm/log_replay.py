@@ -19,7 +19,8 @@ from mcp_asdf_tools.swarm.settings import SwarmSettings
 def read_swarm_settings(log: Path, header: EventsHeader) -> SwarmSettings:
     """Return the settings of the swarm that wrote a log; a parameter that the header lacks has its default.
 
-    Raises UsageError for the log of a node or a controller, and for settings that contradict its robots.
+    Raises UsageError for the log of a node or a controller, for settings that are impossible, and unless the
+    robots of the log have the ids 0, 1, 2 and so on, as many as the settings say.
     """
     is_of_swarm = "flawed" in header.parameters  # all versions of swarm write it, and no other command does
     if not is_of_swarm:

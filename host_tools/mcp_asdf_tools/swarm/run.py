@@ -44,7 +44,8 @@ class SwarmRun:
     def report(self, bus: dict[str, Any]) -> dict[str, Any]:
         """Return the results with all that is needed to repeat the run, as plain values for JSON.
 
-        Equal runs have equal reports. ``bus`` describes the bus.
+        That is the parameters, ``bus``, a description of the bus, the versions of software, and whether and
+        why the run ended early. Equal runs have equal reports.
         """
         return {
             "parameters": self.settings.plain(),

@@ -100,7 +100,7 @@ class SwarmSettings(Population):
         return [replace(self.setup_of(robot), allow=allowed_ids) for robot in range(self.robots)]
 
     def plain(self) -> dict[str, Any]:
-        """Return all settings as plain values, for JSON."""
+        """Return all settings as plain values, for JSON: the parameters, and frames, faults and clock."""
         return self.parameters() | {
             "frames": {"subject": self.frames.subject, "priority": self.frames.priority},
             "faults": [str(fault) for fault in self.faults],

@@ -20,7 +20,9 @@ Row = tuple[str, str]
 def summary(run: SwarmRun, bus: str, seconds: float) -> list[Row]:
     """Return a summary of a run as lines, each a pair of its name and its text.
 
-    ``bus`` is a description of the bus, ``seconds`` the time that the run took.
+    They are about the run, the robots' estimates and b_hat, the filter, the frames, faults, robots that
+    rejected frames, the clock and the load of the bus. ``bus`` is a description of the bus, ``seconds`` the
+    time that the run took.
     """
     settings = run.settings
     results = run.results
@@ -64,7 +66,7 @@ def summary_table(rows: Sequence[Row]) -> Table:
 
 
 def one_line(run: SwarmRun) -> str:
-    """Return a summary in one line, for quiet runs."""
+    """Return a summary in one line, for quiet runs: seed, robots, filter, steps, errors, any early end."""
     results = run.results
     return (
         f"seed {run.settings.seed}: {run.settings.robots} robots, {run.settings.swarm_filter.term}, "

@@ -65,7 +65,11 @@ class FaultRandom:
     """
 
     def __init__(self, seed: int, fault_name: str, fault_number: int) -> None:
-        """Prepare the hash. ``seed`` has up to 128 bits."""
+        """Prepare random words for one fault of a run, which differ from those of all its other faults.
+
+        ``fault_name`` is the kind of the fault, and ``fault_number`` counts the faults of this kind from 0.
+        ``seed`` has up to 128 bits.
+        """
         import hashlib  # noqa: PLC0415 (it loads slowly, and the help of faults needs none of it)
 
         self.fault_number = fault_number
