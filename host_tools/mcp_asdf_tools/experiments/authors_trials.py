@@ -135,11 +135,7 @@ def _read_trial(path: Path, sampling_interval: int) -> Trials:
     x_of_one_trial = series["x"][np.newaxis]  # shape (1, N, steps + 1)
     convergence_steps, errors = convergence_and_errors(experiment, x_of_one_trial, unit=1.0)
     b_hat_at_filter_steps = _values_of_one_trial(series["b_hat"], every=experiment.filter_period)
-    b_hat_before = b_hat_at_filter_steps[:, :-1]  # from the initial one on
-    b_hat_after = b_hat_at_filter_steps[:, 1:]
-    # NaN, where their programs have divided by 0, is no update.
-    is_update = (b_hat_after != b_hat_before) & ~np.isnan(b_hat_after)
-    filter_step_axis = 1  # of the shape (trials, filter steps, N)
+    b_hat_after_filter_steps = b_hat_at_filter_steps[:, 1:]  # without the initial one, at step 0
     records = {}
     if sampling_interval:
         records = {name: _values_of_one_trial(series[name], every=sampling_interval) for name in QUANTITIES}
@@ -148,13 +144,27 @@ def _read_trial(path: Path, sampling_interval: int) -> Trials:
         numbers=[number],
         convergence_steps=convergence_steps,
         errors=errors,
-        b_hat=b_hat_after,
+        b_hat=b_hat_after_filter_steps,
         tests=np.zeros((1, experiment.robots), np.int64),  # their files do not say
-        updates=is_update.sum(axis=filter_step_axis),
+        updates=_count_updates(b_hat_at_filter_steps),
         records=records,
         sampling_interval=sampling_interval,
         source=SOURCE,
     )
+
+
+def _count_updates(b_hat: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Return in how many filter steps b_hat has changed, shape (trials, N).
+
+    ``b_hat`` has the initial values and those after each filter step, shape (trials, filter steps + 1, N).
+    """
+    b_hat_before = b_hat[:, :-1]
+    b_hat_after = b_hat[:, 1:]
+    # NaN, where their programs have divided by 0, is no update.
+    is_update = (b_hat_after != b_hat_before) & ~np.isnan(b_hat_after)
+    filter_step_axis = 1
+    updates: NDArray[np.int64] = is_update.sum(axis=filter_step_axis)
+    return updates
 
 
 def _values_of_one_trial(series: NDArray[np.float64], every: int) -> NDArray[np.float64]:

@@ -338,32 +338,40 @@ def trials_from_rows(experiment: Experiment, table: pa.Table) -> Trials:
 
     robots = experiment.robots
     filter_steps = experiment.steps // experiment.filter_period
-
-    def read_lists(column: str, *shape_of_trial: int) -> NDArray[Any]:
-        """Return the values in a column of lists, shape (trials, *shape_of_trial)."""
-        flat_values: NDArray[Any] = pc.list_flatten(table[column]).to_numpy()
-        return flat_values.reshape(len(table), *shape_of_trial)
-
-    records = {}
-    for name, column in RECORD_COLUMNS.items():
-        # All trials have equally many recorded steps, as was checked above.
-        sample_count = len(table[column][0])
-        if sample_count > 0:
-            values: NDArray[Any] = pc.list_flatten(pc.list_flatten(table[column])).to_numpy()
-            records[name] = values.reshape(len(table), sample_count, robots)
     metadata = read_metadata(table)
     return Trials(
         experiment=experiment,
         numbers=table["trial"].to_pylist(),
-        convergence_steps=read_lists("k", robots),
-        errors=read_lists("e", robots),
-        b_hat=read_lists("b_hat", filter_steps, robots),
-        tests=read_lists("tests", robots),
-        updates=read_lists("updates", robots),
-        records=records,
+        convergence_steps=_read_lists(table, "k", (robots,)),
+        errors=_read_lists(table, "e", (robots,)),
+        b_hat=_read_lists(table, "b_hat", (filter_steps, robots)),
+        tests=_read_lists(table, "tests", (robots,)),
+        updates=_read_lists(table, "updates", (robots,)),
+        records=_read_records(table, robots),
         sampling_interval=metadata["sampling_interval"],
         source=metadata.get("source", ""),
     )
+
+
+def _read_lists(table: pa.Table, column: str, shape_of_trial: tuple[int, ...]) -> NDArray[Any]:
+    """Return the values in a column of lists, with an axis of the trials before those of a trial."""
+    flat_values: NDArray[Any] = pc.list_flatten(table[column]).to_numpy()
+    return flat_values.reshape(len(table), *shape_of_trial)
+
+
+def _read_records(table: pa.Table, robots: int) -> dict[str, NDArray[Any]]:
+    """Return the recorded values by quantity, shape (trials, samples, N) each; none if nothing was recorded.
+
+    The lists of all trials must be equally long.
+    """
+    records: dict[str, NDArray[Any]] = {}
+    for name, column in RECORD_COLUMNS.items():
+        sample_count = len(table[column][0])
+        if sample_count > 0:
+            values_of_robots = pc.list_flatten(table[column])  # a list for each sample of each trial
+            values: NDArray[Any] = pc.list_flatten(values_of_robots).to_numpy()
+            records[name] = values.reshape(len(table), sample_count, robots)
+    return records
 
 
 def _check_list_lengths(experiment: Experiment, table: pa.Table) -> None:

@@ -9,7 +9,7 @@ on where it stopped, and one with more trials runs only those that are new.
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -127,13 +127,7 @@ class Store:
         for row_group in self._row_groups:
             table = row_group.read(INDEX_COLUMNS)
             trial_numbers = table["trial"].to_numpy()
-            metadata = read_metadata(table)
-            # With a "source", another program has run the trials.
-            is_comparable = (
-                metadata["sampling_interval"] == self.sampling_interval
-                and metadata["versions"]["mcp-asdf"] == software_versions()["mcp-asdf"]
-                and "source" not in metadata
-            )
+            is_comparable = self._can_continue(read_metadata(table))
             for experiment, rows in rows_by_experiment(table).items():
                 no_trials = np.empty(0, np.int64)  # of an experiment that is not in the sweep
                 row_of_trial = self._row_of_trial.get(_result_key(experiment), no_trials)
@@ -145,6 +139,16 @@ class Store:
                     )
                 # This changes the array in ``_row_of_trial``.
                 row_of_trial[trial_numbers[rows]] = row_group.first_row + rows
+
+    def _can_continue(self, metadata: Mapping[str, Any]) -> bool:
+        """Return whether this sweep can continue the results in a file with this metadata.
+
+        They must have been recorded as often, by the same version of this program. Results of another program
+        have a "source".
+        """
+        has_same_interval = metadata["sampling_interval"] == self.sampling_interval
+        has_same_version = metadata["versions"]["mcp-asdf"] == software_versions()["mcp-asdf"]
+        return has_same_interval and has_same_version and "source" not in metadata
 
     def missing(self, experiment: Experiment) -> list[int]:
         """Return the numbers of the trials of an experiment that have no results yet."""

@@ -99,20 +99,8 @@ def tidy_table(
         steps: Numbers of the steps.
         values: QUANTITIES by name, shape (trials, steps, N); NaN where one is missing.
     """
-    robot_ids = np.arange(population.robots)
-    is_flawed_by_robot = np.array([population.is_flawed(robot) for robot in range(population.robots)])
-    shape = (len(trial_numbers), len(steps), len(robot_ids))
-    # The axes are trials, steps and robots. Below, values are repeated along axes of the length 1. Values of
-    # robots have the last axis alone, and are repeated along both others.
-    numbers_by_trial = np.reshape(trial_numbers, (len(trial_numbers), 1, 1))
-    numbers_by_step = np.reshape(steps, (1, len(steps), 1))
-    columns: dict[str, Any] = {
-        "trial": np.broadcast_to(numbers_by_trial, shape),
-        "step": np.broadcast_to(numbers_by_step, shape),
-        "robot": np.broadcast_to(robot_ids, shape),
-        "is_flawed": np.broadcast_to(is_flawed_by_robot, shape),
-        **{name: values[name] for name in QUANTITIES},
-    }
+    columns: dict[str, NDArray[Any]] = _index_columns(population, trial_numbers, steps)
+    columns |= {name: values[name] for name in QUANTITIES}
     schema = _schema_with(tuple(parameter_names))
     row_count = columns["trial"].size
     parameters = population.parameters()
@@ -124,6 +112,25 @@ def tidy_table(
             # With this option NaN becomes a missing value, which all programs know, also in CSV.
             arrays.append(pa.array(columns[field.name].ravel(), field.type, from_pandas=True))
     return pa.table(arrays, schema=schema)
+
+
+def _index_columns(
+    population: Population, trial_numbers: Sequence[int], steps: NDArray[np.int64]
+) -> dict[str, NDArray[Any]]:
+    """Return the columns "trial", "step", "robot" and "is_flawed", shape (trials, steps, N) each."""
+    robot_ids = np.arange(population.robots)
+    is_flawed_by_robot = np.array([population.is_flawed(robot) for robot in range(population.robots)])
+    shape = (len(trial_numbers), len(steps), len(robot_ids))
+    # Values are repeated along axes of the length 1. Values of robots have the last axis alone, and are
+    # repeated along both others.
+    numbers_by_trial = np.reshape(trial_numbers, (len(trial_numbers), 1, 1))
+    numbers_by_step = np.reshape(steps, (1, len(steps), 1))
+    return {
+        "trial": np.broadcast_to(numbers_by_trial, shape),
+        "step": np.broadcast_to(numbers_by_step, shape),
+        "robot": np.broadcast_to(robot_ids, shape),
+        "is_flawed": np.broadcast_to(is_flawed_by_robot, shape),
+    }
 
 
 @cache

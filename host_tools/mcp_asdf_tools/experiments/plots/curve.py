@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Any, cast
 
 import numpy as np
@@ -76,21 +77,12 @@ def plot_curve(  # noqa: PLR0913 (each is given by name)
     handles = []
     if hue:  # without a hue there is a single curve, which needs no legend
         handles = [legend_handle(series.label, series.colour, line="-") for series in all_series]
-
-    def draw_panel(axes: Axes, series_of_panel: Sequence[Series]) -> None:
-        """Draw a curve for each series: its values of ``y`` by those of ``x``."""
-        for series in series_of_panel:
-            samples = {
-                _axis_value(trials.experiment, x): _measured_values(trials, y, limits)
-                for trials in series.experiments
-            }
-            _draw_curve(axes, samples, x_values, series.colour)
-
+    measure = partial(_measured_values, y=y, limits=limits)
     # Either all is drawn into the caller's axes, and the caller labels their figure ...
     if ax is not None:
         if facet:
             raise UsageError("facet makes panels and ax is one; give one of them")
-        draw_panel(ax, all_series)
+        _draw_curves(ax, all_series, x, x_values, measure)
         ax.set(xlabel=parameter_in_words(x), ylabel=y_label)
         if hue:
             ax.legend(handles=handles, frameon=False, fontsize=SMALL)
@@ -100,7 +92,7 @@ def plot_curve(  # noqa: PLR0913 (each is given by name)
     panel_height = 2.6 if len(titles_and_series) > 1 else 3.8
     figure, panels = create_panels(len(titles_and_series), panel_height, len(all_series))
     for axes, (title, series_of_panel) in zip(panels, titles_and_series, strict=True):
-        draw_panel(axes, series_of_panel)
+        _draw_curves(axes, series_of_panel, x, x_values, measure)
         axes.set_title(title, fontsize=MEDIUM)
     marks = f"points are medians over the trials, {describe_intervals(experiments)}"
     caption = make_caption(experiments, marks, limits)
@@ -140,6 +132,18 @@ def _split_into_panels(
 def _select_value(series: Series, parameter_name: str, value: Any) -> Series:
     """Return the series with only those experiments whose parameter has this value."""
     return series.select(lambda experiment: _axis_value(experiment, parameter_name) == value)
+
+
+def _draw_curves(
+    axes: Axes, all_series: Sequence[Series], x: str, x_values: Sequence[Any], measure: Measure
+) -> None:
+    """Draw a curve for each series: medians of the ``measure`` of its trials over the parameter ``x``.
+
+    ``x_values`` are the values of the parameter in all panels.
+    """
+    for series in all_series:
+        samples = {_axis_value(trials.experiment, x): measure(trials) for trials in series.experiments}
+        _draw_curve(axes, samples, x_values, series.colour)
 
 
 def _draw_curve(
