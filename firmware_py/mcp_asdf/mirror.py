@@ -706,10 +706,11 @@ class MirrorRobot(FixedPointView):
         In place of a new b_hat the result is None, too, if x_bar is so near 1/2 that it carries no
         information (see `reestimate`).
         """
-        s, config = self.s, self.config
-        # The round that is ending is in the state twice: ``s.open`` still has all of its sums, those of the
-        # test among them, and ``s.closed`` has the copy of some that stays, from which x_bar is computed.
-        ending_round, sums_for_x_bar = s.open, s.closed
+        s = self.s
+        config = self.config
+        # The round that is ending is in the state twice.
+        ending_round = s.open  # still has all of its sums, those of the test among them
+        sums_for_x_bar = s.closed  # has the copy of some that stays, from which x_bar is computed
         # The variance in eq. 12 takes two estimates, a re-estimate without a test takes one.
         messages_needed = 2 if config.filter == Filter.ADAPTIVE else 1
         if config.filter == Filter.OFF or ending_round.count < messages_needed:
@@ -734,7 +735,8 @@ class MirrorRobot(FixedPointView):
           None if the centre carries no information (see `reestimate`).
         - Otherwise: the initial b_hat, or None if that is the present b_hat.
         """
-        s, robust = self.s, self.s.robust
+        s = self.s
+        robust = s.robust
         end_batch(robust, s.t, s.n)
         estimates = sorted_estimates(robust, s.estimates)
         if len(estimates) < TESTED_ESTIMATES_MIN:
@@ -849,7 +851,8 @@ class MirrorRobot(FixedPointView):
         - b_hat is in its range, and x_hat and alpha can follow from it and the counts.
         - What the filter remembers, and the senders of the open round, are possible.
         """
-        s, config = self.s, self.config
+        s = self.s
+        config = self.config
         if s.id > MAX_ID:
             return False  # nor has the set of senders, which is checked below, a bit for this id
         are_counts_valid = s.n <= s.t < config.memory  # at the memory both would have been halved

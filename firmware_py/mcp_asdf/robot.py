@@ -348,7 +348,8 @@ def check_settings(config: Config) -> None:
 
     The table is not checked here but in `check_table`.
     """
-    period, memory = config.filter_period, config.memory
+    period = config.filter_period
+    memory = config.memory
     if config.filter not in tuple(Filter):
         raise FirmwareError(Status.ERR_CONFIG, f"filter is {config.filter}; choose a Filter")
     if not 1 <= period <= MAX_FILTER_PERIOD:

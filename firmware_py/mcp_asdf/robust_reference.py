@@ -140,7 +140,8 @@ def dispersion_after_batch(
     all observations of the robot are of one colour, the dispersion stays as it is.
     """
     to_number = type(observations.dispersion)
-    dispersion, share = observations.dispersion, observations.share
+    dispersion = observations.dispersion
+    share = observations.share
     variance = batch_count * share * (1 - share)
     if variance == 0:
         return dispersion

@@ -58,6 +58,7 @@ def print_scores(rows: Sequence[dict[str, Any]], title: str) -> None:
     # What all experiments have in common would only make the table wide.
     varying_parameters = _find_varying_parameters(rows)
     table = Table(title=title, title_justify="left", caption=_caption(rows), caption_justify="left")
+    # _FORMAT_OF_MEASURE has the other measures by name, each with the format of its medians.
     for name in (*varying_parameters, "trials", "H", *_FORMAT_OF_MEASURE):
         table.add_column(name, justify="right", no_wrap=True)
     for row in rows:

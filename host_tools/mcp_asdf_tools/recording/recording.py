@@ -140,21 +140,22 @@ class Recording:
 
         A part of another run that is there is not replaced, but refused.
         """
-        # There is one part for events, or none without a header.
-        log_part, *events_parts = self._part_by_path.values()
-        for part in (log_part, *events_parts):
+        for part in self._part_by_path.values():
             if part.exists():  # the data that another run left must not be lost
                 raise UsageError(
                     f"{part} is there: another program writes it, or its run was cut off; rename or remove it"
                 )
+        # The log's part comes first. There is one part for events, or none without a header.
+        log_part, *events_parts = self._part_by_path.values()
         with explaining_write_errors(self._path):
-            self._files = [_PartFile(log_part, is_compressed=False)]
-            self._files += [_PartFile(part, is_compressed=True) for part in events_parts]
-        log_file, *events_files = self._files
+            log_file = _PartFile(log_part, is_compressed=False)
+            self._files = [log_file]
+            for events_part in events_parts:
+                self._files.append(_PartFile(events_part, is_compressed=True))
         # The writer uses no method of a file but "write".
         self._log_writer = can.CanutilsLogWriter(log_file)  # type: ignore[arg-type]
         if self._header is not None:
-            (events_file,) = events_files
+            _, events_file = self._files
             events_file.write(self._header.to_line())
         return self._write_frame, self._events
 

@@ -24,7 +24,10 @@ class LiveView:
     """Hook that shows a run while it goes on: a bar on a terminal, lines in a pipe, nothing if quiet."""
 
     def __init__(self, console: Console, baselines: Baselines | None = None) -> None:
-        """Show a swarm on ``console``, and the mean errors of ``baselines`` if there are any."""
+        """Show a swarm on ``console``, and the mean errors of ``baselines`` if there are any.
+
+        A terminal gets a bar, unless it cannot move its cursor or is to be quiet. A pipe gets lines.
+        """
         self._console = console
         self._baselines = baselines
         self._has_bar = console.is_terminal and not console.is_dumb_terminal and not console.quiet
