@@ -230,6 +230,7 @@ class ScenarioWriter:
         ``alpha`` the word of the robot's confidence in the change that sets that.
         """
         rng = self._rng
+        updates_word = self._layout.updates_and_id_word  # with the counter of updates, "updated" and the id
         filter_words = self._draw_filter_words_at_limits()
         filter_left = self._draw_filter_left()
         repeated_tests_updates, accepted_rejected = self._pack_counters(counter)
@@ -237,24 +238,22 @@ class ScenarioWriter:
             ALPHA_WORD: alpha,
             X_HAT_WORD: self._draw_x_hat(),
             # Legal only if b_hat is newer, and if alpha is written as robots write it
-            self._layout.updates_and_id_word: self._pack_updates(updated=rng.choice([0, 1, 1])),
+            updates_word: self._pack_updates(updated=rng.choice([0, 1, 1])),
         }
         itself_among_senders = self._layout.pack_sender(self._setup.robot_id)  # is impossible
         # Only 0 and 1 are legal.
-        updated_flag = {
-            self._layout.updates_and_id_word: self._pack_updates(updated=rng.choice([0, 1, 2, 3, 128, 255]))
-        }
-        # Ids up to 127 are legal.
-        id_near_limit = rng.choice([self._setup.robot_id ^ 1, MAX_ID, MAX_ID + 1, 255])
-        another_id = {self._layout.updates_and_id_word: pack_updates_and_id(id_near_limit)}
+        updated_flag = {updates_word: self._pack_updates(updated=rng.choice([0, 1, 2, 3, 128, 255]))}
+        # Ids up to 127 are legal. One differs from the robot's in the lowest bit.
+        another_robot_id = rng.choice([self._setup.robot_id ^ 1, MAX_ID, MAX_ID + 1, 255])
+        another_id = {updates_word: pack_updates_and_id(another_robot_id)}
         # Three illegal ones, and one that x_hat and alpha hardly follow from
         b_hat = {B_HAT_WORD: rng.choice([0, B_HAT_MIN - 1, B_HAT_MAX + 1, draw_b_hat(rng)])}
         # Only below the memory t is legal: it would have been halved there.
         t_at_memory = {
             T_WORD: self._setup.memory - rng.randrange(2),
-            self._layout.updates_and_id_word: self._pack_updates(updated=1),
+            updates_word: self._pack_updates(updated=1),
         }
-        word_index = rng.randint(B_HAT_WORD, self._layout.updates_and_id_word)
+        word_index = rng.randint(B_HAT_WORD, updates_word)
         one_bit = 1 << rng.randrange(32)
         any_word = {word_index: rng.choice([0, 1, one_bit, MAX_32_BITS])}  # from b_hat to the last counter
         return [

@@ -10,6 +10,7 @@ Names of the state's fields are those of ``MirrorRobot.state``.
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 from enum import Enum
 from fractions import Fraction
 from typing import TYPE_CHECKING
@@ -211,26 +212,14 @@ def _estimate_of_slot(state: State, slot: int) -> Fraction:
 def _votes_after_round(old_state: State, new_state: State, events: Counter[str]) -> State:
     """Return the new values of the fields that the vote at the end of a round changes, by name.
 
-    One of the estimates in the slots is the vote, in turn, and after the last of them the robot's own
-    estimate if it has confidence. That is the one of the new state, as a ``step`` observes before it ends the
-    round. If all slots are empty there is no vote, and the result is empty. The vote is counted in
+    These are the centre, the spread and the number of the votes, and the slot from which on the next vote is
+    looked for. If all slots are empty there is no vote, and the result is empty. The vote is counted in
     ``events``.
     """
     slots = _filled_slots(old_state)
     if not slots:
         return {}
-    remaining_slots = [slot for slot in slots if slot >= old_state["robust_turn"]]
-    has_own_confidence = alpha_units(new_state["alpha"]) > 0
-    if not remaining_slots and has_own_confidence:
-        events["own vote"] += 1
-        x_hat = Fraction(new_state["x_hat"], ONE)
-        next_turn = 0
-    else:
-        events["vote"] += 1
-        # After the last filled slot it is the turn of the first one again.
-        slot = remaining_slots[0] if remaining_slots else slots[0]
-        x_hat = _estimate_of_slot(old_state, slot)
-        next_turn = slot + 1
+    x_hat, next_turn = _vote_and_next_turn(slots, old_state, new_state, events)
     old_votes = Votes(
         centre=Fraction(old_state["robust_centre"], _VOTE_UNITS),
         spread=Fraction(old_state["robust_spread"], _VOTE_UNITS),
@@ -243,6 +232,26 @@ def _votes_after_round(old_state: State, new_state: State, events: Counter[str])
         "robust_votes": votes.count,
         "robust_turn": next_turn,
     }
+
+
+def _vote_and_next_turn(
+    filled_slots: Sequence[int], old_state: State, new_state: State, events: Counter[str]
+) -> tuple[Fraction, int]:
+    """Return the x_hat that votes at the end of a round, and the slot from which on the next vote comes.
+
+    The estimates in the slots vote by turns, and after the last of them the robot's own estimate if it has
+    confidence. That is the one of the new state, as a ``step`` observes before it ends the round. There must
+    be a filled slot. The vote is counted in ``events``.
+    """
+    remaining_slots = [slot for slot in filled_slots if slot >= old_state["robust_turn"]]
+    has_own_confidence = alpha_units(new_state["alpha"]) > 0
+    if not remaining_slots and has_own_confidence:
+        events["own vote"] += 1
+        return Fraction(new_state["x_hat"], ONE), 0
+    events["vote"] += 1
+    # After the last filled slot it is the turn of the first one again.
+    slot = remaining_slots[0] if remaining_slots else filled_slots[0]
+    return _estimate_of_slot(old_state, slot), slot + 1
 
 
 def _check_dispersion(old_memory: State, new_state: State) -> list[str]:

@@ -270,24 +270,11 @@ class RobustScenarioWriter(ScenarioWriter):
         robust = robot.robust
         if robot.may_have_been_tested:
             robot.b_hat = rng.choice([robot.b_hat, draw_b_hat(rng)])
-        white_count = robot.t - robot.n
-        limits = {
-            "centre": (0, _CENTRE_ONE, CENTRE_START),
-            "spread": (SPREAD_MIN, SPREAD_MAX),
-            "initial_b_hat": (B_HAT_MIN, B_HAT_MAX, robot.b_hat),
-            # The same slots, and without the first of them: the lowest bit is cleared.
-            "filled_slots": (robust.filled_slots, robust.filled_slots & (robust.filled_slots - 1)),
-            # No more observations of either colour at the beginning of the batch than now.
-            "batch_t": (0, robust.batch_n, robust.batch_n + white_count),
-            "batch_n": (0, robot.n, robust.batch_t, max(robust.batch_t - white_count, 0)),
-            "votes": (0, VOTES_MAX),
-            "dispersion": (DISPERSION_MIN, DISPERSION_MAX),
-            "turn": (0, SLOTS, robust.turn),
-        }
         names = [field.name for field in fields(RobustFilter)]
         name = rng.choice(names)
+        limits = _limits_by_name(robot)[name]
         # One unit more or less may be beyond the limit, and must be refused then.
-        value = rng.choice(limits[name]) + rng.choice([-1, 0, 0, 1])
+        value = rng.choice(limits) + rng.choice([-1, 0, 0, 1])
         max_value = MAX_16_BITS if name in ("votes", "dispersion") else MAX_32_BITS
         setattr(robust, name, clamp(value, 0, max_value))
         if rng.random() < 0.1:
@@ -519,6 +506,29 @@ class RobustScenarioWriter(ScenarioWriter):
         start = rng.randint(0, SLOT_ESTIMATE_MAX)
         distances = [scale * distance for distance in _DISTANCES_OF_SLOW_CENTRE]
         return tuple(clamp(start + direction * distance, 0, SLOT_ESTIMATE_MAX) for distance in distances)
+
+
+def _limits_by_name(robot: DrawnRobot) -> dict[str, tuple[int, ...]]:
+    """Return the limits of each value that a robot's robust filter remembers, by the value's name.
+
+    Values that are legal only in connection with others have the limits that these allow. Among the limits
+    there may be the present value.
+    """
+    robust = robot.robust
+    white_count = robot.t - robot.n
+    return {
+        "centre": (0, _CENTRE_ONE, CENTRE_START),
+        "spread": (SPREAD_MIN, SPREAD_MAX),
+        "initial_b_hat": (B_HAT_MIN, B_HAT_MAX, robot.b_hat),
+        # The same slots, and without the first of them: the lowest bit is cleared.
+        "filled_slots": (robust.filled_slots, robust.filled_slots & (robust.filled_slots - 1)),
+        # No more observations of either colour at the beginning of the batch than now.
+        "batch_t": (0, robust.batch_n, robust.batch_n + white_count),
+        "batch_n": (0, robot.n, robust.batch_t, max(robust.batch_t - white_count, 0)),
+        "votes": (0, VOTES_MAX),
+        "dispersion": (DISPERSION_MIN, DISPERSION_MAX),
+        "turn": (0, SLOTS, robust.turn),
+    }
 
 
 def _pack_robust_filter(robust: RobustFilter, estimates: Sequence[int]) -> dict[int, int]:

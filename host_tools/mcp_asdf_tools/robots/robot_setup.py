@@ -148,35 +148,18 @@ class RobotSetup:
             raise UsageError(f"a robot is {plain!r}; give its settings as an object in braces")
         values = _DEFAULTS | plain
         _check_types(values)
-        table = _table_from_plain(values["table"], values["id"]) if "table" in values else None
-        if values["filter"] not in _FILTERS_BY_NAME:
-            raise UsageError(
-                f"filter is {values['filter']!r}; it must be one of {', '.join(_FILTERS_BY_NAME)}"
-            )
-        comms_period = values["comms_period"]
-        filter_period = values["filter_period"]
-        _check_periods(comms_period, filter_period)
-        firmware_filter = _FILTERS_BY_NAME[values["filter"]]
-        # The firmware counts rounds, of comms_period ticks each.
-        rounds_between_tests = filter_period // comms_period
-        config = Config(
-            table=table,
-            filter=firmware_filter,
-            filter_period=rounds_between_tests,
-            memory=values["memory"],
-        )
-        check_settings(config)  # names the wrong setting, which the C cannot
+        config = _config_from_plain(values)
         allow = parse_ids(values["allow"], "allow") if "allow" in values else None
-        # A missing id or b_hat raises KeyError, of which `refusing_wrong_values` makes a UsageError.
+        # The decorator makes a UsageError of a KeyError, as for a missing id, and of the firmware's errors.
         setup = cls(
             id=values["id"],
             firmware=values["firmware"],
             b_hat=values["b_hat"],
             config=config,
-            comms_period=comms_period,
+            comms_period=values["comms_period"],
             allow=allow,
         )
-        if firmware_filter is Filter.ADAPTIVE and table is None:
+        if config.filter is Filter.ADAPTIVE and config.table is None:
             raise UsageError("filter is 'adaptive', which needs table: give its omega, q and checksum")
         # This robot is not used, but the firmware refuses here what is wrong with its id or b_hat.
         setup.make_robot()
@@ -192,6 +175,28 @@ def _check_types(values: dict[str, Any]) -> None:
         # Not isinstance(), which would take True for a whole number.
         if type(value) is not _TYPES[name]:
             raise UsageError(f"{name} is {value!r}; give {_TYPE_NAMES[_TYPES[name]]}")
+
+
+def _config_from_plain(values: dict[str, Any]) -> Config:
+    """Return the configuration of a robot's firmware from its settings, of which only ``table`` is optional.
+
+    Raises UsageError for an impossible value, and FirmwareError for a memory that the firmware would refuse.
+    That an adaptive filter needs a table is not checked here.
+    """
+    table = _table_from_plain(values["table"], values["id"]) if "table" in values else None
+    if values["filter"] not in _FILTERS_BY_NAME:
+        raise UsageError(f"filter is {values['filter']!r}; it must be one of {', '.join(_FILTERS_BY_NAME)}")
+    _check_periods(values["comms_period"], values["filter_period"])
+    # The firmware counts rounds, of comms_period ticks each.
+    rounds_between_tests = values["filter_period"] // values["comms_period"]
+    config = Config(
+        table=table,
+        filter=_FILTERS_BY_NAME[values["filter"]],
+        filter_period=rounds_between_tests,
+        memory=values["memory"],
+    )
+    check_settings(config)  # names the wrong setting, which the C cannot
+    return config
 
 
 def _check_periods(comms_period: int, filter_period: int) -> None:
