@@ -42,7 +42,7 @@ static void receive(void)
 /* Send x_hat and alpha to the neighbours. */
 static void broadcast(void)
 {
-    static uint8_t transfer_id;
+    static uint8_t transfer_id; /* the number of earlier estimates, modulo 256 */
     mcp_asdf_frame_t frame;
     const mcp_asdf_estimate_t estimate = {.node = DEMO_ID,
                                           .transfer_id = transfer_id,
@@ -58,12 +58,12 @@ static void broadcast(void)
  * once a second. */
 static void report(void)
 {
-    static uint32_t seconds; /* since the start, and so the number of reports */
-    const uint8_t transfer_id = (uint8_t)seconds;
+    static uint32_t seconds;                      /* since the start, and so the number of reports */
+    const uint8_t transfer_id = (uint8_t)seconds; /* the number of earlier reports, modulo 256 */
     ++seconds;
     const uint8_t health =
         mcp_asdf_invariants_hold(&robot) ? MCP_ASDF_HEALTH_NOMINAL : MCP_ASDF_HEALTH_WARNING;
-    const uint8_t updates = (uint8_t)mcp_asdf_counters(&robot).updates;
+    const uint8_t updates = (uint8_t)mcp_asdf_counters(&robot).updates; /* modulo 256 */
     const mcp_asdf_heartbeat_t heartbeat = {.node = DEMO_ID,
                                             .transfer_id = transfer_id,
                                             .health = health,
@@ -84,10 +84,11 @@ static void report(void)
     }
 }
 
-/* Run a control tick: observe, broadcast, receive, settle; report once a second. */
+/* Run a control tick: pass the colour of the tile to the firmware, if the sensor recognises it, send the
+ * robot's estimate, receive those of its neighbours, and close the round. Reports once a second. */
 static void tick(void)
 {
-    static uint8_t ticks;
+    static uint8_t ticks; /* since the last report */
     mcp_asdf_observation_t tile;
     if (board_read_tile(&tile)) {
         mcp_asdf_observe(&robot, tile);
@@ -95,13 +96,14 @@ static void tick(void)
     broadcast();
     receive();
     mcp_asdf_settle(&robot);
-    if (++ticks == TICKS_PER_SECOND) {
+    ++ticks;
+    if (ticks == TICKS_PER_SECOND) {
         ticks = 0;
         report();
     }
 }
 
-/* Run the robot for ever. Ends with status 1 only if the firmware refuses its configuration. */
+/* Run the robot for ever. Ends the program, with status 1, only if the firmware refuses its configuration. */
 int main(void)
 {
     if (mcp_asdf_init(&robot, &config, DEMO_ID, B_HAT) != MCP_ASDF_OK) {

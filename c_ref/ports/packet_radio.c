@@ -22,37 +22,41 @@ static volatile uint8_t
     rejected_packets;           /* lost since the queue was full, modulo 256; by the receiving side */
 static uint8_t damaged_packets; /* with a wrong checksum, modulo 256; written by the other side */
 
-/* Collect the bytes of a packet, and add the packet to the queue when it is complete. Bytes before a mark are
- * skipped. A packet for which the queue had no room when it began counts in rejected_packets. */
+/* Collect the bytes of a packet: the byte MARK, then PACKET_BYTES bytes, which go to the next free slot of
+ * the queue. When the last of them has come, the packet counts in received_packets, which hands its slot over
+ * to radio_next_frame(). Bytes before a mark are skipped. If the queue had no room at the mark, the bytes of
+ * the packet are dropped, and it counts in rejected_packets. */
 void radio_receive_byte(uint8_t byte)
 {
-    static uint8_t byte_count; /* bytes of this packet so far, with its mark; 0 before that */
-    static bool has_room;      /* whether this packet has a slot in the queue */
-    if (byte_count == 0) {
+    static bool is_in_packet;  /* whether a mark has come whose packet is not complete yet */
+    static bool has_slot;      /* whether this packet has a slot in the queue */
+    static uint8_t byte_count; /* bytes of this packet so far, without its mark */
+    if (!is_in_packet) {
         if (byte == MARK) {
-            const uint8_t waiting_packets = (uint8_t)(received_packets - taken_packets);
-            has_room = waiting_packets < QUEUE_SLOTS;
-            byte_count = 1;
+            const uint8_t waiting_packets = (uint8_t)(received_packets - taken_packets); /* modulo 256 */
+            has_slot = waiting_packets < QUEUE_SLOTS;
+            byte_count = 0;
+            is_in_packet = true;
         }
         return;
     }
-    if (has_room) {
-        queue[received_packets % QUEUE_SLOTS][byte_count - 1] = byte; /* the mark is counted, but not kept */
+    if (has_slot) {
+        queue[received_packets % QUEUE_SLOTS][byte_count] = byte;
     }
-    if (byte_count < PACKET_BYTES) { /* with so many before it, the mark included, a byte is the last */
-        ++byte_count;
+    ++byte_count;
+    if (byte_count < PACKET_BYTES) {
         return;
     }
-    /* That was the last byte, the checksum. Counting the packet hands its slot over to radio_next_frame(). */
-    byte_count = 0;
-    if (has_room) {
+    is_in_packet = false;
+    if (has_slot) {
         received_packets = (uint8_t)(received_packets + 1);
     } else {
         rejected_packets = (uint8_t)(rejected_packets + 1);
     }
 }
 
-/* Returns the CRC-8 of the first FRAME_BYTES bytes of `packet`: all but the checksum. */
+/* Returns the CRC-8 of the first FRAME_BYTES bytes of `packet`, which are all but the checksum: the
+ * polynomial CRC_POLYNOMIAL, the highest bit of each byte first, and 0 at the start. */
 static uint8_t checksum(const uint8_t *packet)
 {
     uint8_t crc = 0;
@@ -78,13 +82,13 @@ bool radio_next_frame(mcp_asdf_frame_t *frame)
             packet[i] = queue[taken_packets % QUEUE_SLOTS][i];
         }
         taken_packets = (uint8_t)(taken_packets + 1);
-        if (packet[FRAME_BYTES] != checksum(packet)) {
+        if (packet[FRAME_BYTES] != checksum(packet)) { /* its last byte is the checksum of those before */
             damaged_packets = (uint8_t)(damaged_packets + 1);
             continue;
         }
         *frame = (mcp_asdf_frame_t){.length = DATA_BYTES};
         for (uint8_t i = 0; i < ID_BYTES; ++i) {
-            frame->id |= (uint32_t)packet[i] << (8 * i);
+            frame->id |= (uint32_t)packet[i] << (8 * i); /* lowest byte first */
         }
         for (uint8_t i = 0; i < DATA_BYTES; ++i) {
             frame->data[i] = packet[ID_BYTES + i];
@@ -100,7 +104,7 @@ void radio_send(const mcp_asdf_frame_t *frame)
 {
     uint8_t packet[PACKET_BYTES];
     for (uint8_t i = 0; i < ID_BYTES; ++i) {
-        packet[i] = (uint8_t)(frame->id >> (8 * i));
+        packet[i] = (uint8_t)(frame->id >> (8 * i)); /* lowest byte first */
     }
     for (uint8_t i = 0; i < DATA_BYTES; ++i) {
         packet[ID_BYTES + i] = frame->data[i];

@@ -12,7 +12,8 @@
 static const uint8_t all_robots[ESP_NOW_ETH_ALEN] = {0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF};
 static QueueHandle_t received_messages;
 
-/* Runs in the task of the Wi-Fi driver, where nothing of the robot may be touched. */
+/* Put a received packet into the queue if it has the size of a message; else ignore it. Runs in the task of
+ * the Wi-Fi driver, where nothing of the robot may be touched. */
 static void queue_message(const esp_now_recv_info_t *info, const uint8_t *data, int length)
 {
     (void)info;
@@ -21,6 +22,8 @@ static void queue_message(const esp_now_recv_info_t *info, const uint8_t *data, 
     }
 }
 
+/* Make the queue, start ESP-NOW with a peer that stands for all robots in range, and let the driver call
+ * queue_message() for each packet that it receives. An error ends the program. */
 void radio_start(void)
 {
     esp_now_peer_info_t peer = {.ifidx = WIFI_IF_STA};
@@ -31,14 +34,17 @@ void radio_start(void)
     ESP_ERROR_CHECK(esp_now_register_recv_cb(queue_message));
 }
 
+/* Send the robot's estimate to all robots in range. A message that cannot be sent is lost. */
 void radio_broadcast(const mcp_asdf_t *robot)
 {
-    static uint8_t transfer_id;
+    static uint8_t transfer_id; /* the number of earlier messages, modulo 256 */
     uint8_t message[MESSAGE_SIZE];
-    write_message(message, robot, transfer_id++);
+    write_message(message, robot, transfer_id);
+    ++transfer_id;
     (void)esp_now_send(all_robots, message, sizeof message);
 }
 
+/* Take all messages out of the queue, without waiting, and let the robot receive them. */
 void radio_receive(mcp_asdf_t *robot)
 {
     uint8_t message[MESSAGE_SIZE];

@@ -23,7 +23,7 @@ static void uart_start(void) __attribute__((constructor));
 static void uart_start(void)
 {
     UART_STATE = DOUBLE_SPEED;
-    UART_DIVISOR = BAUD_DIVISOR - 1;
+    UART_DIVISOR = BAUD_DIVISOR - 1; /* the UART divides by one more than the register has */
     UART_CONTROL = ENABLE_SENDER;
 }
 
@@ -32,7 +32,9 @@ void port_put(char byte)
 {
     while ((UART_STATE & HAS_ROOM) == 0) {
     }
-    UART_STATE = ALL_SENT | DOUBLE_SPEED; /* writing 1 clears ALL_SENT */
+    /* Writing 1 to ALL_SENT clears it: it is set again when all has been sent. The same register holds
+     * DOUBLE_SPEED, which is to stay. */
+    UART_STATE = ALL_SENT | DOUBLE_SPEED;
     UART_DATA = (uint8_t)byte;
 }
 

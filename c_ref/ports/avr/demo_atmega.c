@@ -11,7 +11,7 @@
 #define TICKS_PER_SECOND 10
 #define ADC_HALF 512 /* half of the supply */
 
-/* A byte has been received. */
+/* Interrupt of the UART when it has received a byte, which reading UDR0 fetches. */
 ISR(USART_RX_vect) { radio_receive_byte(UDR0); }
 
 /* Switch on the receiver, timer 1, and the converter of the ground sensor. */
@@ -25,21 +25,23 @@ void board_start(void)
     sei();                                                     /* from now on interrupts are handled */
 }
 
-/* Whether the timer has reached its end since the last call. */
+/* Whether timer 1 has reached its end, the end of a tick, since the last call. The timer sets its flag OCF1A
+ * then; this function clears it. */
 bool board_has_tick_begun(void)
 {
     const bool has_begun = (TIFR1 & _BV(OCF1A)) != 0;
     if (has_begun) {
-        TIFR1 = _BV(OCF1A); /* cleared by writing 1 */
+        TIFR1 = _BV(OCF1A); /* writing 1 clears the flag */
     }
     return has_begun;
 }
 
-/* Measure the ground sensor: it always recognises a colour. */
+/* Measure the voltage of the ground sensor, and wait for the result. Less than half of the supply is black,
+ * and any other voltage white; so it always returns true: there is a colour, in *tile. */
 bool board_read_tile(mcp_asdf_observation_t *tile)
 {
-    ADCSRA |= _BV(ADSC);
-    while ((ADCSRA & _BV(ADSC)) != 0) { /* until the conversion has ended */
+    ADCSRA |= _BV(ADSC); /* starts a conversion, and is 1 until it has ended */
+    while ((ADCSRA & _BV(ADSC)) != 0) {
     }
     *tile = ADC < ADC_HALF ? MCP_ASDF_BLACK : MCP_ASDF_WHITE;
     return true;

@@ -36,6 +36,7 @@ typedef struct {
 static volatile int16_t queue[QUEUE_SIZE];
 static volatile uint8_t entries_put, entries_taken;
 
+/* Whether port_put() would find room at once. */
 bool port_has_room(void) { return (UART->state & NO_ROOM) == 0; }
 
 /* Wait for room in the UART, and send a byte. */
@@ -46,22 +47,30 @@ void port_put(char byte)
     UART->data = (uint8_t)byte;
 }
 
+/* Append an entry, a byte or PORT_LOST, to the queue, which must have room for it. */
+static void put_in_queue(int16_t entry)
+{
+    queue[entries_put % QUEUE_SIZE] = entry;
+    ++entries_put; /* modulo 256; only now port_get() may read the entry */
+}
+
 /* Interrupt 0: a byte has been received. Puts it into the queue, after PORT_LOST if the UART has lost bytes.
  * If there is no room for two entries, the interrupt is disabled until port_get() has taken one: the UART
  * keeps one byte, and reports that it has lost those which follow. */
 void handle_first_interrupt(void)
 {
-    const uint8_t waiting_entries = (uint8_t)(entries_put - entries_taken);
-    if (waiting_entries > QUEUE_SIZE - 2) {
+    const uint8_t waiting_entries = (uint8_t)(entries_put - entries_taken); /* modulo 256 */
+    const bool has_room_for_two = waiting_entries + 2U <= QUEUE_SIZE;
+    if (!has_room_for_two) {
         NVIC_CLEAR_ENABLE = RECEIVER_ENABLE_BIT;
         return;
     }
-    UART->interrupt = RECEIVER_INTERRUPT;
+    UART->interrupt = RECEIVER_INTERRUPT; /* writing 1 acknowledges it */
     if ((UART->state & HAS_LOST) != 0) {
-        UART->state = HAS_LOST;
-        queue[entries_put++ % QUEUE_SIZE] = PORT_LOST;
+        UART->state = HAS_LOST; /* writing 1 clears it */
+        put_in_queue(PORT_LOST);
     }
-    queue[entries_put++ % QUEUE_SIZE] = (uint8_t)UART->data;
+    put_in_queue((uint8_t)UART->data);
 }
 
 /* Set the speed of the serial line, and switch on sender, receiver and the receiver's interrupt. */
@@ -72,15 +81,17 @@ void uart_start(void)
     UART->control = ENABLE_SENDER | ENABLE_RECEIVER;
 }
 
-/* Take the oldest entry out of the queue, and enable the interrupt again, as there is room now. */
+/* Take the oldest entry out of the queue, and return it: a byte, or PORT_LOST. Returns PORT_NOTHING if the
+ * queue is empty. Enables the interrupt, which handle_first_interrupt() disables when there is no room. */
 int port_get(void)
 {
     if (entries_taken == entries_put) {
         return PORT_NOTHING;
     }
-    const int byte = queue[entries_taken++ % QUEUE_SIZE];
+    const int entry = queue[entries_taken % QUEUE_SIZE];
+    ++entries_taken; /* modulo 256; only now the interrupt may use the entry again */
     NVIC_SET_ENABLE = RECEIVER_ENABLE_BIT;
-    return byte;
+    return entry;
 }
 
 /* Sleep if the queue is empty. Interrupts are masked meanwhile, so that none can come between the check and

@@ -24,7 +24,7 @@ void uart_start(void)
 /* Send a byte, and wait until it has been sent. */
 void port_put(char byte)
 {
-    IS_SENT = 0;
+    IS_SENT = 0; /* cleared here, and set by the UART when it has sent the byte */
     DATA = (uint8_t)byte;
     while (IS_SENT == 0) {
     }

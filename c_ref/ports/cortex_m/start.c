@@ -14,7 +14,7 @@ void reset(void);
 /* First function after a reset: initialise all variables, run the program, and end with its status. */
 void reset(void)
 {
-    const uint32_t *from = data_image;
+    const uint32_t *from = data_image; /* in flash: the values that variables begin with */
     for (uint32_t *to = data_start; to < data_end; ++to) {
         *to = *from++;
     }
@@ -49,11 +49,11 @@ const vectors_t vectors = {
  * "application exit" (0x20026) and the status. */
 __attribute__((naked)) void port_exit(int status __attribute__((unused))) /* in r0 */
 {
-    __asm__("mov r2, r0\n"
-            "ldr r1, =0x20026\n"
-            "push {r1, r2}\n"
-            "mov r1, sp\n"
-            "movs r0, #0x20\n"
-            "bkpt 0xAB\n"
-            "b .\n");
+    __asm__("mov r2, r0\n"       /* the status */
+            "ldr r1, =0x20026\n" /* the reason */
+            "push {r1, r2}\n"    /* a block of both, in this order, on the stack */
+            "mov r1, sp\n"       /* its address */
+            "movs r0, #0x20\n"   /* the number of the call */
+            "bkpt 0xAB\n"        /* semihosting calls are this breakpoint */
+            "b .\n");            /* if there is no debugger, stay here for ever */
 }

@@ -168,7 +168,7 @@ static void handle_error_frame(bus_t *bus, const struct canfd_frame *frame)
     } else if ((frame->can_id & CAN_ERR_RESTARTED) != 0) {
         bus->health = MCP_ASDF_HEALTH_NOMINAL;
     } else if ((frame->can_id & CAN_ERR_CRTL) != 0) {
-        bus->health = health_of_controller(frame->data[1]);
+        bus->health = health_of_controller(frame->data[1]); /* where error frames have this state */
     }
 }
 
@@ -187,7 +187,8 @@ static void read_overflow_count(bus_t *bus, struct msghdr *message)
     }
 }
 
-/* Convert the kernel's frame to one of the codec. Of an FD frame only the first 8 bytes are copied. */
+/* Convert the kernel's frame `raw` to one of the codec, mcp_asdf_frame.h. The kernel has flags in the upper
+ * bits of can_id. Of an FD frame only the first 8 bytes are copied, but `length` is that of all. */
 static void convert_frame(mcp_asdf_frame_t *frame, const struct canfd_frame *raw, bool is_fd)
 {
     if ((raw->can_id & CAN_EFF_FLAG) != 0) {
@@ -266,7 +267,7 @@ bus_event_t bus_receive(bus_t *bus, mcp_asdf_frame_t *frame)
     uint8_t packet[MULTICAST_SIZE];
     struct sockaddr_storage sender = {0};
     union {
-        struct cmsghdr align;
+        struct cmsghdr alignment; /* not used: `bytes` begin at an address that is right for it */
         char bytes[CMSG_SPACE(sizeof(uint32_t))];
     } control;
     struct iovec packet_buffer = {.iov_base = packet, .iov_len = sizeof packet};

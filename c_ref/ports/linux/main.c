@@ -334,7 +334,7 @@ static void run_until_end(run_t *run)
     const int64_t tick_duration = NS_PER_SECOND / run->options.node.ticks_per_second;
     run->reopen_timer = (periodic_timer_t){.period = NS_PER_SECOND, .next_expiry = now_ns()};
     run->tick_timer = (periodic_timer_t){.period = tick_duration, .next_expiry = now_ns()};
-    run->start_timer = run->reopen_timer;
+    run->start_timer = run->reopen_timer; /* every second, too */
     while (run->end_reason == NULL) {
         /* The first heartbeat is repeated until the first tick: whoever commands this node in lockstep may
          * have joined the bus later. */

@@ -41,13 +41,13 @@ static bool parse_group_name(address_t *address, const char *name)
     if (is_ipv6) {
         address->ipv6.sin6_family = AF_INET6;
         address->ipv6.sin6_port = htons((uint16_t)port);
-        return inet_pton(AF_INET6, host, &address->ipv6.sin6_addr) == 1 &&
-               IN6_IS_ADDR_MULTICAST(&address->ipv6.sin6_addr);
+        const bool is_address = inet_pton(AF_INET6, host, &address->ipv6.sin6_addr) == 1;
+        return is_address && IN6_IS_ADDR_MULTICAST(&address->ipv6.sin6_addr);
     }
     address->ipv4.sin_family = AF_INET;
     address->ipv4.sin_port = htons((uint16_t)port);
-    return inet_pton(AF_INET, host, &address->ipv4.sin_addr) == 1 &&
-           IN_MULTICAST(ntohl(address->ipv4.sin_addr.s_addr));
+    const bool is_address = inet_pton(AF_INET, host, &address->ipv4.sin_addr) == 1;
+    return is_address && IN_MULTICAST(ntohl(address->ipv4.sin_addr.s_addr));
 }
 
 /* Returns the size of an address in bytes, by its family. */
@@ -66,8 +66,9 @@ static bool open_receiver(multicast_t *group, const address_t *address, unsigned
     group->receive_fd = fd;
     /* Other sockets of this machine may be bound to the group's port, too. Bound to the group's own address,
      * this one receives no datagrams of other groups on the same port. */
-    if (fd < 0 || setsockopt(fd, SOL_SOCKET, SO_REUSEADDR, &on, sizeof on) != 0 ||
-        bind(fd, &address->any, address_size(address)) != 0) {
+    const bool is_bound = fd >= 0 && setsockopt(fd, SOL_SOCKET, SO_REUSEADDR, &on, sizeof on) == 0 &&
+                          bind(fd, &address->any, address_size(address)) == 0;
+    if (!is_bound) {
         return false;
     }
     if (address->any.sa_family == AF_INET6) {
@@ -86,23 +87,23 @@ static bool open_receiver(multicast_t *group, const address_t *address, unsigned
 static bool prepare_to_send(int fd, const address_t *address, unsigned interface_index, int hop_limit)
 {
     const bool is_ipv6 = address->any.sa_family == AF_INET6;
-    int error = 0;
+    int result = 0; /* of setsockopt(): 0, or -1 if it failed */
     if (interface_index != 0 && is_ipv6) {
-        error = setsockopt(fd, IPPROTO_IPV6, IPV6_MULTICAST_IF, &interface_index, sizeof interface_index);
+        result = setsockopt(fd, IPPROTO_IPV6, IPV6_MULTICAST_IF, &interface_index, sizeof interface_index);
     } else if (interface_index != 0) {
         const struct ip_mreqn interface = {.imr_ifindex = (int)interface_index};
-        error = setsockopt(fd, IPPROTO_IP, IP_MULTICAST_IF, &interface, sizeof interface);
+        result = setsockopt(fd, IPPROTO_IP, IP_MULTICAST_IF, &interface, sizeof interface);
     }
-    if (error != 0) {
+    if (result != 0) {
         return false;
     }
     if (is_ipv6) {
-        error = setsockopt(fd, IPPROTO_IPV6, IPV6_MULTICAST_HOPS, &hop_limit, sizeof hop_limit);
+        result = setsockopt(fd, IPPROTO_IPV6, IPV6_MULTICAST_HOPS, &hop_limit, sizeof hop_limit);
     } else {
-        error = setsockopt(fd, IPPROTO_IP, IP_MULTICAST_TTL, &hop_limit, sizeof hop_limit);
+        result = setsockopt(fd, IPPROTO_IP, IP_MULTICAST_TTL, &hop_limit, sizeof hop_limit);
     }
     /* By connect() the kernel chooses the sender's address now, so that own datagrams can be recognised. */
-    return error == 0 && connect(fd, &address->any, address_size(address)) == 0;
+    return result == 0 && connect(fd, &address->any, address_size(address)) == 0;
 }
 
 /* Open the socket that sends, group->send_fd, and store the address of its datagrams in group->own_address.
@@ -278,7 +279,8 @@ static bool read_byte(reader_t *reader, uint8_t *byte)
 static bool skip_text(reader_t *reader, const char *text)
 {
     const uint8_t *const start = reader->next;
-    return skip(reader, strlen(text)) && memcmp(start, text, strlen(text)) == 0;
+    const size_t length = strlen(text);
+    return skip(reader, length) && memcmp(start, text, length) == 0;
 }
 
 /* Read an unsigned number of up to 32 bits, in any of the forms that msgpack has for it. Returns false if
@@ -317,8 +319,10 @@ static bool skip_value(reader_t *reader)
         return false;
     }
     const uint8_t first_byte = *reader->next;
-    if ((first_byte & 0xE0) == 0xA0) { /* a text of up to 31 bytes: its length is in the lower 5 bits */
-        return skip(reader, 1 + (first_byte & 0x1FU));
+    const bool is_short_text = (first_byte & 0xE0) == 0xA0; /* up to 31 bytes: the upper 3 bits say so */
+    if (is_short_text) {
+        const uint32_t text_length = first_byte & 0x1FU; /* in the lower 5 bits */
+        return skip(reader, 1 + text_length);
     }
     if (first_byte == MSGPACK_FLOAT32) {
         return skip(reader, 1 + sizeof(uint32_t));
@@ -327,12 +331,13 @@ static bool skip_value(reader_t *reader)
         return skip(reader, 1 + sizeof(uint64_t));
     }
     if (first_byte == MSGPACK_STRING8) {
-        return reader->bytes_left > 1 && skip(reader, 2U + reader->next[1]); /* after two bytes the text */
+        /* The second byte is the length of the text, which follows. */
+        return reader->bytes_left > 1 && skip(reader, 2U + reader->next[1]);
     }
     if (first_byte == MSGPACK_NIL) {
         return skip(reader, 1);
     }
-    uint32_t number;
+    uint32_t number; /* skipped, too */
     return read_number(reader, &number);
 }
 

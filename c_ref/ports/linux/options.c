@@ -121,8 +121,9 @@ static uint32_t parse_number(const option_texts_t texts, enum option_index optio
     errno = 0;
     const unsigned long long value = strtoull(text, &end, 10);
     /* strtoull() would read -1 as a large number. */
-    if (errno != 0 || end == text || *end != '\0' || strchr(text, '-') != NULL || value < minimum ||
-        value > maximum) {
+    const bool has_minus = strchr(text, '-') != NULL;
+    const bool is_number = errno == 0 && end != text && *end == '\0' && !has_minus;
+    if (!is_number || value < minimum || value > maximum) {
         char fix[64];
         (void)snprintf(fix, sizeof fix, "choose a whole number, %lu to %lu", (unsigned long)minimum,
                        (unsigned long)maximum);
@@ -172,11 +173,12 @@ static void parse_allowed_senders(uint8_t ignored_senders[], const char *list)
 /* Convert an accuracy such as 0.95 to units of 2^-32. Ends the program if it is no number or out of range. */
 static uint32_t parse_b_hat(const char *text)
 {
-    const double units_of_one = 4294967296.0;
+    const double units_of_one = 4294967296.0; /* 2^32 */
     char *end = NULL;
     const double value = strtod(text, &end) * units_of_one;
-    /* Written so that NaN is out of range, too. */
-    if (end == text || *end != '\0' || !(value >= MCP_ASDF_B_HAT_MIN && value <= MCP_ASDF_B_HAT_MAX)) {
+    /* NaN is out of range, too, as comparisons with it are false. */
+    const bool is_in_range = value >= MCP_ASDF_B_HAT_MIN && value <= MCP_ASDF_B_HAT_MAX;
+    if (end == text || *end != '\0' || !is_in_range) {
         fail(B_HAT, text, "choose 2^-20 to 1 - 2^-20, for example 0.95");
     }
     return (uint32_t)llrint(value);
@@ -219,7 +221,7 @@ static uint8_t parse_filter(const option_texts_t texts)
 static void collect_texts(option_texts_t texts, int argument_count, char *const arguments[])
 {
     enum { FIRST_CODE = 256 }; /* above all characters, one of which getopt_long() returns for an error */
-    struct option options[OPTION_COUNT + 1] = {0};
+    struct option options[OPTION_COUNT + 1] = {0}; /* an entry of zeros at the end, for getopt_long() */
     for (int i = 0; i < OPTION_COUNT; ++i) {
         texts[i] = option_table[i].default_text;
         options[i].name = option_table[i].name;
@@ -264,8 +266,13 @@ static void check_required_options(const option_texts_t texts)
     if (texts[ID] == NULL) {
         fail(ID, "missing", "see --help");
     }
-    const int source_count =
-        (texts[LOCKSTEP] != NULL) + (texts[OBSERVATIONS] != NULL) + (texts[SENSOR] != NULL);
+    const enum option_index sources[] = {LOCKSTEP, OBSERVATIONS, SENSOR};
+    int source_count = 0;
+    for (size_t i = 0; i < sizeof sources / sizeof sources[0]; ++i) {
+        if (texts[sources[i]] != NULL) {
+            ++source_count;
+        }
+    }
     if (source_count != 1) {
         fail(LOCKSTEP, texts[LOCKSTEP] == NULL ? "not given" : "given",
              "choose one of --lockstep, --observations, --sensor");
@@ -286,8 +293,10 @@ static void check_node_settings(const node_settings_t *settings, const option_te
     if (settings->memory % 4 != 0) {
         fail(MEMORY, texts[MEMORY], "choose a multiple of 4");
     }
-    if (estimate_subject == telemetry_subject || estimate_subject == command_subject ||
-        telemetry_subject == command_subject) {
+    const bool are_subjects_different = estimate_subject != telemetry_subject &&
+                                        estimate_subject != command_subject &&
+                                        telemetry_subject != command_subject;
+    if (!are_subjects_different) {
         fail(SUBJECT, texts[SUBJECT],
              "choose three different subjects for estimates, telemetry and commands");
     }

@@ -77,7 +77,7 @@ static int sync_folder(char *path)
     char *last_slash = strrchr(path, '/');
     const char *folder = ".";
     if (last_slash != NULL) {
-        /* The root's name is its slash; others end before theirs. */
+        /* The name of the root folder is the slash itself; other names end before the slash. */
         char *const end = last_slash == path ? last_slash + 1 : last_slash;
         *end = '\0';
         folder = path;

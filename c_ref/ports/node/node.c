@@ -38,8 +38,10 @@ static void send_frame(node_t *node, const mcp_asdf_frame_t *frame)
  * modulo 2^8. */
 static void send_heartbeat(node_t *node)
 {
+    const uint8_t transfer_id = (uint8_t)node->counts.heartbeats;
+    ++node->counts.heartbeats;
     const mcp_asdf_heartbeat_t heartbeat = {.node = node->settings->id,
-                                            .transfer_id = (uint8_t)node->counts.heartbeats++,
+                                            .transfer_id = transfer_id,
                                             .health = node->health,
                                             .mode = MCP_ASDF_MODE_OPERATIONAL,
                                             .uptime = node->ticks / node->settings->ticks_per_second};
@@ -49,11 +51,14 @@ static void send_heartbeat(node_t *node)
     }
 }
 
-/* Send x_hat and alpha to the neighbours, and count the estimate. */
+/* Send x_hat and alpha to the neighbours, and count the estimate. Its transfer id is the number of those
+ * before it, modulo 2^8. */
 static void send_estimate(node_t *node)
 {
+    const uint8_t transfer_id = (uint8_t)node->counts.estimates;
+    ++node->counts.estimates;
     const mcp_asdf_estimate_t estimate = {.node = node->settings->id,
-                                          .transfer_id = (uint8_t)node->counts.estimates++,
+                                          .transfer_id = transfer_id,
                                           .x_hat = mcp_asdf_x_hat(&node->robot),
                                           .alpha = mcp_asdf_alpha(&node->robot)};
     mcp_asdf_frame_t frame;
@@ -62,11 +67,14 @@ static void send_estimate(node_t *node)
     }
 }
 
-/* Send x, b_hat and the number of updates to observers of the bus, and count the telemetry. */
+/* Send x, b_hat and the number of updates modulo 2^8 to observers of the bus, and count the telemetry. Its
+ * transfer id is the number of telemetry frames before it, modulo 2^8. */
 static void send_telemetry(node_t *node)
 {
+    const uint8_t transfer_id = (uint8_t)node->counts.telemetry;
+    ++node->counts.telemetry;
     const mcp_asdf_telemetry_t telemetry = {.node = node->settings->id,
-                                            .transfer_id = (uint8_t)node->counts.telemetry++,
+                                            .transfer_id = transfer_id,
                                             .updates = (uint8_t)mcp_asdf_counters(&node->robot).updates,
                                             .x = mcp_asdf_x(&node->robot),
                                             .b_hat = mcp_asdf_b_hat(&node->robot) >> 8}; /* Q32 to Q24 */
@@ -105,7 +113,7 @@ static void end_tick(node_t *node)
 void node_observe(node_t *node, mcp_asdf_action_t observation)
 {
     if (!node->is_settled) {
-        ++node->counts.unsettled_ticks;
+        ++node->counts.unsettled_ticks; /* no settle has come for the tick before */
         end_tick(node);
     }
     /* node_start() has sent the heartbeat that belongs to the first tick. */
@@ -115,7 +123,8 @@ void node_observe(node_t *node, mcp_asdf_action_t observation)
     if (observation != MCP_ASDF_OBSERVE_NONE) {
         (void)mcp_asdf_observe(&node->robot, (mcp_asdf_observation_t)observation);
     }
-    if (--node->ticks_until_broadcast == 0) {
+    --node->ticks_until_broadcast;
+    if (node->ticks_until_broadcast == 0) { /* a broadcast tick; end_tick() starts the count again */
         send_estimate(node);
     }
     ++node->ticks;
@@ -145,11 +154,13 @@ void node_settle(node_t *node)
  * So an observe command for the tick that was settled last begins a tick of this number again. */
 static void handle_command(node_t *node, const mcp_asdf_command_t *command)
 {
-    const bool is_settle = command->action == MCP_ASDF_SETTLE;
-    const bool is_for_open_tick = !node->is_settled && command->tick == node->tick_of_command;
-    if (command->target != node->settings->id && command->target != MCP_ASDF_EVERY_ROBOT) {
+    const bool is_for_this_robot =
+        command->target == node->settings->id || command->target == MCP_ASDF_EVERY_ROBOT;
+    if (!is_for_this_robot) {
         return;
     }
+    const bool is_settle = command->action == MCP_ASDF_SETTLE;
+    const bool is_for_open_tick = !node->is_settled && command->tick == node->tick_of_command;
     /* An observe command may be for any other tick: numbers of ticks may go back, as after a restart of the
      * simulator. */
     const bool is_in_order = is_settle ? is_for_open_tick : !is_for_open_tick;
@@ -170,7 +181,9 @@ static void handle_command(node_t *node, const mcp_asdf_command_t *command)
  * below 2^55. */
 static uint64_t alpha_to_units(uint32_t alpha_word)
 {
-    return (uint64_t)(alpha_word >> 8) << (alpha_word & 31U); /* mantissa 2^shift */
+    const uint64_t mantissa = alpha_word >> 8;
+    const uint32_t shift = alpha_word & 31U;
+    return mantissa << shift;
 }
 
 /* Compare an estimate's alpha with the sender's last one, and remember it as the last one. Counts a jump if

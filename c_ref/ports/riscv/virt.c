@@ -8,7 +8,8 @@
 /* Register of the test device: what is written to it ends the emulation. */
 #define TEST (*(volatile uint32_t *)0x00100000)
 #define TEST_PASS 0x5555 /* with status 0 */
-#define TEST_FAIL 0x3333 /* with the status in the bits from 16 on */
+#define TEST_FAIL 0x3333 /* with the status in the bits from STATUS_SHIFT on */
+#define STATUS_SHIFT 16
 
 int main(void);
 void start(void);
@@ -48,7 +49,8 @@ __attribute__((used, aligned(4))) void fault(void) { port_exit(1); }
 /* End the emulation with a status. */
 void port_exit(int status)
 {
-    TEST = status == 0 ? TEST_PASS : (uint32_t)status << 16 | TEST_FAIL;
+    const uint32_t failure = ((uint32_t)status << STATUS_SHIFT) | TEST_FAIL;
+    TEST = status == 0 ? TEST_PASS : failure; /* the emulation ends here */
     for (;;) {
     }
 }

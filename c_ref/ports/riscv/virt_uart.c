@@ -20,11 +20,15 @@
 #define UART_PRIORITY (*(volatile uint32_t *)0x0C000028) /* interrupt 10 */
 #define ENABLED_INTERRUPTS (*(volatile uint32_t *)0x0C002000)
 #define CLAIMED_INTERRUPT (*(volatile uint32_t *)0x0C200004)
-#define UART_BIT (UINT32_C(1) << 10)
+#define UART_BIT (UINT32_C(1) << 10) /* in ENABLED_INTERRUPTS */
+
+/* In the processor's register mie: the interrupts that the controller passes on. */
+#define EXTERNAL_INTERRUPTS_BIT (1U << 11)
 
 static bool has_lost_bytes; /* kept here, since reading the state clears it there */
 
-/* Read the state of the UART, and remember whether it has lost bytes. */
+/* Read the state of the UART, and return it. If the UART has lost bytes, has_lost_bytes is set, since this
+ * reading clears the UART's own flag. */
 static uint8_t read_state(void)
 {
     const uint8_t state = UART_STATE;
@@ -32,6 +36,7 @@ static uint8_t read_state(void)
     return state;
 }
 
+/* Whether port_put() would find room at once. */
 bool port_has_room(void) { return (read_state() & HAS_ROOM) != 0; }
 
 /* Wait for room in the UART, and send a byte. */
@@ -42,8 +47,8 @@ void port_put(char byte)
     UART_DATA = (uint8_t)byte;
 }
 
-/* Returns PORT_LOST once if bytes were lost, which read_state() notes in has_lost_bytes. Otherwise it returns
- * the next byte, or PORT_NOTHING if there is none. */
+/* Returns PORT_LOST, once, if bytes were lost, which read_state() stores in has_lost_bytes. The next byte
+ * then waits for the next call. Otherwise returns the next byte, or PORT_NOTHING if there is none. */
 int port_get(void)
 {
     const bool has_byte = (read_state() & HAS_BYTE) != 0;
@@ -67,7 +72,7 @@ void uart_start(void)
     ENABLED_INTERRUPTS = UART_BIT;
     /* The number is the instruction "csrs mie, a0", which sets in mie the bits that are set in a0. Assemblers
      * differ in the extension that they need for its name. */
-    register uint32_t external_interrupts __asm__("a0") = 1U << 11;
+    register uint32_t external_interrupts __asm__("a0") = EXTERNAL_INTERRUPTS_BIT;
     __asm__ volatile(".4byte 0x30452073" ::"r"(external_interrupts));
 }
 

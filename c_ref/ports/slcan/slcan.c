@@ -9,6 +9,8 @@
 #define STANDARD_ID_MAX UINT32_C(0x7FF)
 #define DATA_LENGTH_MAX 8U
 #define NO_DIGIT 16U
+#define STATUS_UNSENT (1U << 1) /* flags of the answer to F: the adapters' "transmit queue full" */
+#define STATUS_DROPPED (1U << 3)
 
 /* ---- Lines of frames -------------------------------------------------------------------------------- */
 
@@ -18,7 +20,8 @@ static char *write_hex(char *text, uint32_t value, uint8_t digit_count)
 {
     for (uint8_t digits_left = digit_count; digits_left > 0; --digits_left) {
         const uint32_t shift = 4 * (digits_left - 1U); /* of 4 bits a digit, those of the digits behind it */
-        *text++ = "0123456789ABCDEF"[(value >> shift) & 15];
+        const uint32_t digit = (value >> shift) & 0xF;
+        *text++ = "0123456789ABCDEF"[digit];
     }
     return text;
 }
@@ -29,7 +32,7 @@ static uint8_t parse_digit(char letter)
     if (letter >= '0' && letter <= '9') {
         return (uint8_t)(letter - '0');
     }
-    const char capital = (char)(letter & ~0x20); /* small letters have one bit more */
+    const char capital = (char)(letter & ~0x20); /* a small letter is the capital with this bit set */
     return capital >= 'A' && capital <= 'F' ? (uint8_t)(capital - 'A' + 10) : NO_DIGIT;
 }
 
@@ -63,22 +66,25 @@ uint8_t slcan_format_frame(char line[SLCAN_LINE_MAX], const mcp_asdf_frame_t *fr
 {
     const bool is_standard = (frame->flags & MCP_ASDF_FRAME_STANDARD) != 0;
     const bool is_remote = (frame->flags & MCP_ASDF_FRAME_REMOTE) != 0;
+    const bool is_fd_or_error = (frame->flags & (MCP_ASDF_FRAME_FD | MCP_ASDF_FRAME_ERROR)) != 0;
     const uint32_t id_max = is_standard ? STANDARD_ID_MAX : EXTENDED_ID_MAX;
-    if ((frame->flags & (MCP_ASDF_FRAME_FD | MCP_ASDF_FRAME_ERROR)) != 0 || frame->length > DATA_LENGTH_MAX ||
-        frame->id > id_max) {
+    if (is_fd_or_error || frame->length > DATA_LENGTH_MAX || frame->id > id_max) {
         return 0;
     }
     char *end = line;
     *end++ = kind_of_line(is_standard, is_remote);
     end = write_hex(end, frame->id, is_standard ? STANDARD_ID_DIGITS : EXTENDED_ID_DIGITS);
     end = write_hex(end, frame->length, 1);
-    for (uint8_t i = 0; i < frame->length && !is_remote; ++i) { /* remote frames have a length, but no data */
-        end = write_hex(end, frame->data[i], 2);
+    if (!is_remote) { /* remote frames have a length, but no data */
+        for (uint8_t i = 0; i < frame->length; ++i) {
+            end = write_hex(end, frame->data[i], 2);
+        }
     }
     return (uint8_t)(end - line);
 }
 
-/* Convert the hexadecimal digits of a frame's data, two for each byte. Returns false if one is no digit. */
+/* Convert the hexadecimal digits of a frame's data, two for each of `byte_count` bytes, and write the bytes
+ * to `data`. Returns false if one of the characters is no digit; `data` is then of no use. */
 static bool parse_data(uint8_t *data, const char *digits, uint8_t byte_count)
 {
     for (uint8_t i = 0; i < byte_count; ++i) {
@@ -92,7 +98,9 @@ static bool parse_data(uint8_t *data, const char *digits, uint8_t byte_count)
     return true;
 }
 
-/* Convert a line to a frame. Returns false, and leaves *frame as it was, if the line is no frame. */
+/* Convert a line of `length` characters, without the carriage return at its end, to a frame: a letter for its
+ * kind, the id in 3 or 8 hexadecimal digits, a digit for the number of bytes, and two digits for each byte.
+ * Returns false, and leaves *frame as it was, if the line is no frame. */
 bool slcan_parse_frame(mcp_asdf_frame_t *frame, const char *line, uint8_t length)
 {
     if (length == 0) {
@@ -105,8 +113,9 @@ bool slcan_parse_frame(mcp_asdf_frame_t *frame, const char *line, uint8_t length
     const uint32_t id_max = is_standard ? STANDARD_ID_MAX : EXTENDED_ID_MAX;
     const bool is_kind_of_frame = is_standard || is_remote || kind == 'T';
     const uint8_t header_length = 1 + id_digits + 1; /* the kind, the id, and a digit for the length */
-    if (!is_kind_of_frame || length < header_length || !parse_hex(&parsed.id, line + 1, id_digits) ||
-        parsed.id > id_max) {
+    const bool has_header = is_kind_of_frame && length >= header_length &&
+                            parse_hex(&parsed.id, line + 1, id_digits) && parsed.id <= id_max;
+    if (!has_header) {
         return false;
     }
     if (is_standard) {
@@ -119,8 +128,9 @@ bool slcan_parse_frame(mcp_asdf_frame_t *frame, const char *line, uint8_t length
     const uint8_t byte_count = is_remote ? 0 : parsed.length;   /* remote frames have a length, but no data */
     const int expected_length = header_length + 2 * byte_count; /* two digits a byte */
     /* NO_DIGIT, for a length that is no digit, is above the maximum, too. */
-    if (parsed.length > DATA_LENGTH_MAX || length != expected_length ||
-        !parse_data(parsed.data, line + header_length, byte_count)) {
+    const bool has_data = parsed.length <= DATA_LENGTH_MAX && length == expected_length &&
+                          parse_data(parsed.data, line + header_length, byte_count);
+    if (!has_data) {
         return false;
     }
     *frame = parsed;
@@ -187,13 +197,14 @@ static void drop_line(slcan_link_t *link)
     send_answer(link, "\a");
 }
 
-/* Answer with the status flags: bit 1 is set if lines were unsent, bit 3 if lines were dropped. */
+/* Answer with the status flags: F, then two hexadecimal digits. Bit 1 is set if lines were unsent, bit 3 if
+ * lines were dropped. */
 static void send_status_flags(slcan_link_t *link)
 {
     char answer[] = "F00\r";
-    const uint32_t unsent_flag = link->unsent_lines > 0 ? 1U << 1 : 0;
-    const uint32_t dropped_flag = link->dropped_lines > 0 ? 1U << 3 : 0;
-    (void)write_hex(&answer[1], unsent_flag | dropped_flag, 2);
+    const uint32_t unsent_flag = link->unsent_lines > 0 ? STATUS_UNSENT : 0;
+    const uint32_t dropped_flag = link->dropped_lines > 0 ? STATUS_DROPPED : 0;
+    (void)write_hex(&answer[1], unsent_flag | dropped_flag, 2); /* in place of the two zeros */
     send_answer(link, answer);
 }
 
@@ -227,7 +238,8 @@ static char parse_command(const slcan_link_t *link)
     return letter;
 }
 
-/* Carry out the command on the received line, and answer it. Returns SLCAN_OPENED if it opens the bus. */
+/* Carry out the command on the received line, and answer it: with a carriage return if it is accepted, and
+ * with a bell if it is refused. Returns SLCAN_OPENED if it opens the bus, else SLCAN_NOTHING. */
 static slcan_event_t handle_command(slcan_link_t *link)
 {
     switch (parse_command(link)) {
@@ -277,13 +289,16 @@ static slcan_event_t handle_line(slcan_link_t *link, mcp_asdf_frame_t *frame)
         send_answer(link, "\a");
         return SLCAN_NOTHING;
     }
-    send_answer(link, (frame->flags & MCP_ASDF_FRAME_STANDARD) != 0 ? "z\r" : "Z\r");
+    /* The answer to a frame is a z, small for an 11-bit identifier. */
+    const bool is_standard = (frame->flags & MCP_ASDF_FRAME_STANDARD) != 0;
+    send_answer(link, is_standard ? "z\r" : "Z\r");
     return SLCAN_FRAME;
 }
 
-/* Append a received byte to the line, or at the end of a line handle it. Returns SLCAN_FRAME, and writes
- * *frame, if the line was a frame, or SLCAN_OPENED if it opened the bus. A line that is too long or has lost
- * bytes is marked as damaged, and dropped at its end. */
+/* Append a received byte to the line, or handle the line if the byte ends it: a carriage return does, and a
+ * bell, which also drops it. `byte` may be PORT_NOTHING, for which nothing happens, or PORT_LOST. Returns
+ * SLCAN_FRAME, and writes *frame, if the line was a frame, or SLCAN_OPENED if it opened the bus, and else
+ * SLCAN_NOTHING. A line that is too long or has lost bytes is marked as damaged, and dropped at its end. */
 slcan_event_t slcan_handle_byte(slcan_link_t *link, int byte, mcp_asdf_frame_t *frame)
 {
     slcan_event_t event = SLCAN_NOTHING;
@@ -291,9 +306,13 @@ slcan_event_t slcan_handle_byte(slcan_link_t *link, int byte, mcp_asdf_frame_t *
         return event;
     }
     if (byte != '\r' && byte != '\a') {
-        link->is_line_damaged |= byte == PORT_LOST || link->line_length == SLCAN_LINE_MAX;
+        const bool is_too_long = link->line_length == SLCAN_LINE_MAX;
+        if (byte == PORT_LOST || is_too_long) {
+            link->is_line_damaged = true; /* until its end */
+        }
         if (!link->is_line_damaged) {
-            link->line[link->line_length++] = (char)byte;
+            link->line[link->line_length] = (char)byte;
+            ++link->line_length;
         }
         return event;
     }

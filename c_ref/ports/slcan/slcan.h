@@ -53,7 +53,9 @@ static inline bool outbox_put(outbox_t *outbox, const char *text, uint8_t length
         return false;
     }
     for (uint8_t i = 0; i < length; ++i) {
-        outbox->bytes[(uint8_t)(outbox->oldest_index + outbox->byte_count)] = text[i];
+        /* The conversion wraps the index at 256, the size of the ring. */
+        const uint8_t end_index = (uint8_t)(outbox->oldest_index + outbox->byte_count);
+        outbox->bytes[end_index] = text[i];
         ++outbox->byte_count;
     }
     return true;
@@ -62,8 +64,10 @@ static inline bool outbox_put(outbox_t *outbox, const char *text, uint8_t length
 /* Remove and return the byte that has waited longest. The outbox must not be empty. */
 static inline char outbox_take(outbox_t *outbox)
 {
+    const char oldest_byte = outbox->bytes[outbox->oldest_index];
+    ++outbox->oldest_index; /* a uint8_t: wraps at 256, the size of the ring */
     --outbox->byte_count;
-    return outbox->bytes[outbox->oldest_index++];
+    return oldest_byte;
 }
 
 /* ---- The adapter ------------------------------------------------------------------------------------ */

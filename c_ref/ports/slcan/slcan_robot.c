@@ -38,7 +38,7 @@ static const node_settings_t settings = {
     .estimate_format = MCP_ASDF_FORMAT_ESTIMATE,
     .telemetry_format = MCP_ASDF_FORMAT_TELEMETRY,
     .command_format = MCP_ASDF_FORMAT_COMMAND,
-    .b_hat = (uint32_t)(ROBOT_B_HAT * 4294967296.0 + 0.5),
+    .b_hat = (uint32_t)(ROBOT_B_HAT * 4294967296.0 + 0.5), /* times 2^32, to nearest */
     .ticks_per_second = 10,
     .id = ROBOT_ID,
     .lockstep = true,
@@ -66,8 +66,9 @@ static void handle_frame(const mcp_asdf_frame_t *frame)
     node_handle_frame(&node, frame);
 }
 
-/* Send one byte of the outbox, or else receive one; sleep if there is nothing to send or receive. Returns
- * what the byte brought, and writes *frame if it completes one. */
+/* Send one byte of the outbox if the serial line has room, or else receive one; sleep if there is nothing to
+ * send or receive. Returns what a received byte brought, and writes *frame if it completes a frame; otherwise
+ * returns SLCAN_NOTHING. */
 static slcan_event_t exchange_byte(mcp_asdf_frame_t *frame)
 {
     if (serial.outbox.byte_count > 0 && port_has_room()) {

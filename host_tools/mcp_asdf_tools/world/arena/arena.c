@@ -27,7 +27,8 @@ IN_LOOPS uint64_t splitmix(uint64_t z)
 static inline double splitmix_uniform(uint64_t *counter)
 {
     *counter += 0x9E3779B97F4A7C15U;
-    return (double)(splitmix(*counter) >> 11) * 0x1p-53;
+    const uint64_t random_53_bits = splitmix(*counter) >> (64 - 53);
+    return (double)random_53_bits * 0x1p-53;
 }
 
 /* ---- The floor -------------------------------------------------------------------------------------------
@@ -60,11 +61,14 @@ static bool pixel_is_black(const mcp_asdf_arena_config_t *config, double x, doub
  * the limit. */
 IN_LOOPS bool tile_is_black(const mcp_asdf_arena_t *arena, double x, double y)
 {
+    /* Counted from the south-west corner. Numbers are converted by way of signed integers, for which
+     * processors have an instruction. */
     const uint64_t column = (uint64_t)(int64_t)((x + arena->config.width / 2) * arena->tiles_per_metre);
     const uint64_t row = (uint64_t)(int64_t)((y + arena->config.height / 2) * arena->tiles_per_metre);
-    /* Doubles are converted by way of signed numbers, for which processors have an instruction. */
-    const uint64_t hash = splitmix(arena->colour_seed + ((column << 32) | row));
-    return (double)(int64_t)(hash >> 11) < arena->black_limit;
+    const uint64_t tile_number = (column << 32) | row;
+    const uint64_t hash = splitmix(arena->colour_seed + tile_number);
+    const uint64_t hash_of_53_bits = hash >> (64 - 53);
+    return (double)(int64_t)hash_of_53_bits < arena->black_limit;
 }
 
 /* Returns 1 if the floor, a picture or tiles, is black at (x, y), else 0. */
@@ -127,7 +131,8 @@ static void read_floor(const mcp_asdf_arena_t *arena)
 static void *allocate(uint8_t *memory, size_t *used, size_t count, size_t size)
 {
     void *const entries = memory == NULL ? NULL : memory + *used;
-    *used += (count * size + VECTOR_BYTES - 1) / VECTOR_BYTES * VECTOR_BYTES;
+    const size_t whole_vectors = (count * size + VECTOR_BYTES - 1) / VECTOR_BYTES; /* rounded up */
+    *used += whole_vectors * VECTOR_BYTES;
     return entries;
 }
 
@@ -137,17 +142,20 @@ static void *allocate(uint8_t *memory, size_t *used, size_t count, size_t size)
  */
 static uint32_t max_neighbours_within(const mcp_asdf_arena_config_t *config, double distance)
 {
-    const double radii = distance / BODY_RADIUS + 1; /* radius of the disc, in radii of a body */
-    const double bodies = radii * radii - 1;         /* in areas of a body, without the one in the middle */
-    return bodies < config->robots ? (uint32_t)bodies : config->robots - 1;
+    const double disc_radius = distance / BODY_RADIUS + 1; /* in radii of a body */
+    const double disc_area = disc_radius * disc_radius;    /* in areas of a body */
+    const double max_neighbours = disc_area - 1;           /* without the body in the middle */
+    return max_neighbours < config->robots ? (uint32_t)max_neighbours : config->robots - 1;
 }
 
 /* Reserve memory, as allocate() does, for all pairs of robots that can be within `distance` of each other. */
 static mcp_asdf_pair_t *allocate_pairs(const mcp_asdf_arena_config_t *config, double distance,
                                        uint8_t *memory, size_t *used)
 {
+    /* Each pair is in the neighbourhoods of two robots. */
     const size_t max_pairs = (size_t)config->robots * max_neighbours_within(config, distance) / 2;
-    return allocate(memory, used, max_pairs + 1, sizeof(mcp_asdf_pair_t)); /* loops write one beyond */
+    /* One more, as loops write a pair behind the last before they know whether to keep it. */
+    return allocate(memory, used, max_pairs + 1, sizeof(mcp_asdf_pair_t));
 }
 
 /* Point the arena's arrays into its memory, or to NULL if that is NULL. Returns the number of bytes that they
@@ -157,28 +165,28 @@ static size_t lay_out_memory(mcp_asdf_arena_t *arena, const mcp_asdf_arena_confi
     const uint32_t robots = config->robots;
     mcp_asdf_bodies_t *const bodies = &arena->touching;
     /* The addresses of those members that point to arrays of doubles or of bytes. */
-    double **const numbers[] = {&arena->x,
-                                &arena->y,
-                                &arena->cx,
-                                &arena->cy,
-                                &arena->vx,
-                                &arena->vy,
-                                &arena->spin,
-                                &arena->target_speed,
-                                &arena->target_spin,
-                                &bodies->target_vx,
-                                &bodies->target_vy,
-                                &bodies->motor_change_x,
-                                &bodies->motor_change_y};
-    uint8_t **const flags[] = {&arena->black, &arena->wheels, &arena->avoids};
+    double **const double_arrays[] = {&arena->x,
+                                      &arena->y,
+                                      &arena->cx,
+                                      &arena->cy,
+                                      &arena->vx,
+                                      &arena->vy,
+                                      &arena->spin,
+                                      &arena->target_speed,
+                                      &arena->target_spin,
+                                      &bodies->target_vx,
+                                      &bodies->target_vy,
+                                      &bodies->motor_change_x,
+                                      &bodies->motor_change_y};
+    uint8_t **const byte_arrays[] = {&arena->black, &arena->wheels, &arena->avoids};
     /* The first array begins at a whole vector, behind so many unused bytes. Without memory it is not known
      * where that is, and the most that there can be are counted. */
     size_t used = memory == NULL ? VECTOR_BYTES - 1 : bytes_before_vector(memory);
-    for (size_t k = 0; k < sizeof numbers / sizeof *numbers; ++k) {
-        *numbers[k] = allocate(memory, &used, robots, sizeof(double));
+    for (size_t k = 0; k < sizeof double_arrays / sizeof *double_arrays; ++k) {
+        *double_arrays[k] = allocate(memory, &used, robots, sizeof(double));
     }
-    for (size_t k = 0; k < sizeof flags / sizeof *flags; ++k) {
-        *flags[k] = allocate(memory, &used, robots, 1);
+    for (size_t k = 0; k < sizeof byte_arrays / sizeof *byte_arrays; ++k) {
+        *byte_arrays[k] = allocate(memory, &used, robots, sizeof(uint8_t));
     }
     arena->may_touch = allocate(memory, &used, robots, sizeof *arena->may_touch);
     arena->needs_steering = allocate(memory, &used, robots, sizeof *arena->needs_steering);
@@ -285,8 +293,8 @@ static void set_constants(mcp_asdf_arena_t *arena, const mcp_asdf_arena_config_t
     arena->max_motor_change = ACCELERATION * arena->substep;
 }
 
-/* Place all robots at rest, with random headings, and let them sense their surroundings. Returns 0 if there
- * is no room for one of them. */
+/* Place all robots at rest, with random headings, and let them sense their surroundings. Returns 1; or 0 if
+ * there is no room for one of them, and the arena is then of no use. */
 int mcp_asdf_arena_init(mcp_asdf_arena_t *arena, const mcp_asdf_arena_config_t *config, void *memory)
 {
     uint64_t counter = splitmix(config->seed ^ POSITION_STREAM);
@@ -296,7 +304,7 @@ int mcp_asdf_arena_init(mcp_asdf_arena_t *arena, const mcp_asdf_arena_config_t *
             return 0;
         }
         draw_heading(arena, i, &counter);
-        mcp_asdf_arena_steer(arena, i, 0, 0);
+        mcp_asdf_arena_steer(arena, i, 0, 0); /* no obstacle: straight on */
     }
     sense_surroundings(arena, 1);
     return 1;

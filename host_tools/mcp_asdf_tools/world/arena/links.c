@@ -16,8 +16,9 @@ static uint32_t find_candidates_among_all(mcp_asdf_arena_t *arena, double limit)
         for (uint32_t j = i + 1; j < arena->config.robots; ++j) {
             /* Every pair is written, and the next one overwrites it unless it is near: this takes no branch,
              * which a processor could not predict. */
+            const bool is_near = squared_distance(arena, i, j) < limit * limit;
             arena->candidates[count] = (mcp_asdf_pair_t){(uint16_t)i, (uint16_t)j};
-            count += squared_distance(arena, i, j) < limit * limit;
+            count += is_near ? 1 : 0;
         }
     }
     return count;
@@ -87,11 +88,14 @@ static uint32_t add_candidates_of_row(mcp_asdf_arena_t *arena, uint32_t i, uint3
     /* Cells of a row follow each other, and so do their robots. */
     const uint32_t first_cell = row * grid->columns + first_column;
     const uint32_t last_cell = row * grid->columns + last_column;
-    for (uint32_t k = grid->first_of_cell[first_cell]; k < grid->first_of_cell[last_cell + 1]; ++k) {
-        const uint32_t j = grid->robots_by_cell[k];
-        /* Written always, and overwritten unless it counts: a branch could not be predicted. */
+    for (uint32_t entry = grid->first_of_cell[first_cell]; entry < grid->first_of_cell[last_cell + 1];
+         ++entry) {
+        const uint32_t j = grid->robots_by_cell[entry];
+        const bool is_candidate = (j > i) & (squared_distance(arena, i, j) < limit * limit);
+        /* A branch could not be predicted: every pair is written, and the next one overwrites it unless it is
+         * a candidate. */
         arena->candidates[count] = (mcp_asdf_pair_t){(uint16_t)i, (uint16_t)j};
-        count += (j > i) & (squared_distance(arena, i, j) < limit * limit);
+        count += is_candidate ? 1 : 0;
     }
     return count;
 }
@@ -99,17 +103,19 @@ static uint32_t add_candidates_of_row(mcp_asdf_arena_t *arena, uint32_t i, uint3
 /* Sort `count` pairs with the same first robot by their second robot, by insertion, as they are few. */
 static void sort_by_second_robot(mcp_asdf_pair_t *pairs, uint32_t count)
 {
-    for (uint32_t p = 1; p < count; ++p) {
-        const mcp_asdf_pair_t pair = pairs[p];
-        uint32_t index = p;
-        for (; index > 0 && pairs[index - 1].b > pair.b; --index) {
+    for (uint32_t sorted_count = 1; sorted_count < count; ++sorted_count) {
+        const mcp_asdf_pair_t pair = pairs[sorted_count];
+        uint32_t index = sorted_count; /* where the pair belongs; those above it make room */
+        while (index > 0 && pairs[index - 1].b > pair.b) {
             pairs[index] = pairs[index - 1];
+            --index;
         }
         pairs[index] = pair;
     }
 }
 
-/* Write the same pairs as find_candidates_among_all() in the same order, found by cells. Returns their
+/* Write all pairs whose centres are closer than `limit` metres to arena->candidates, as
+ * find_candidates_among_all() does and in the same order, but search only cells that touch. Returns their
  * number. */
 static uint32_t find_candidates_in_cells(mcp_asdf_arena_t *arena, double limit)
 {
@@ -117,7 +123,8 @@ static uint32_t find_candidates_in_cells(mcp_asdf_arena_t *arena, double limit)
     uint32_t count = 0;
     sort_robots_into_cells(arena, limit);
     for (uint32_t i = 0; i < arena->config.robots; ++i) {
-        const uint32_t row = grid->cell_of_robot[i] / grid->columns, count_before = count;
+        const uint32_t count_before = count; /* the pairs of robot i begin here */
+        const uint32_t row = grid->cell_of_robot[i] / grid->columns;
         const uint32_t first_row = row == 0 ? 0 : row - 1;
         const uint32_t last_row = row + 1 < grid->rows ? row + 1 : row;
         for (uint32_t near_row = first_row; near_row <= last_row; ++near_row) {
@@ -146,7 +153,7 @@ static void list_candidates_by_robot(mcp_asdf_arena_t *arena)
         ++length_of_list[pairs[p].b];
     }
     for (uint32_t i = 0; i < robots; ++i) {
-        end_of_list[i + 1] += end_of_list[i]; /* its length so far, and the end of the list before */
+        end_of_list[i + 1] += end_of_list[i]; /* its length, so far, plus the end of the list before it */
     }
     for (uint32_t p = 0; p < arena->candidate_count; ++p) {
         const uint16_t a = pairs[p].a, b = pairs[p].b;
@@ -174,22 +181,25 @@ static void find_candidates(mcp_asdf_arena_t *arena)
 FOR_EACH_TARGET static void reset_tick(mcp_asdf_arena_t *arena)
 {
     const uint32_t robots = arena->config.robots;
-    const double distance = arena->config.speed * arena->config.tick; /* at most, of a body in this tick */
+    const double max_distance = arena->config.speed * arena->config.tick; /* of a body in this tick */
     /* Beyond these coordinates a body may touch a wall, or its sensors may see one. All coordinates are
      * counted from the centre of the arena. */
-    const double touch_x = position_before_wall(arena->config.width, distance);
-    const double touch_y = position_before_wall(arena->config.height, distance);
+    const double touch_x = position_before_wall(arena->config.width, max_distance);
+    const double touch_y = position_before_wall(arena->config.height, max_distance);
     const double see_x = position_before_wall(arena->config.width, SENSOR_REACH);
     const double see_y = position_before_wall(arena->config.height, SENSOR_REACH);
     const double *const x = arena->x, *const y = arena->y;
     uint64_t *const may_touch = arena->may_touch, *const needs_steering = arena->needs_steering;
     memset(arena->in_range, 0, robots * sizeof *arena->in_range);
+    /* With | in place of ||, as vectors have no branches. */
     SIDE_BY_SIDE
     for (uint32_t i = 0; i < WHOLE_VECTORS(robots); ++i) {
         may_touch[i] = (fabs(x[i]) > touch_x) | (fabs(y[i]) > touch_y);
         needs_steering[i] |= (fabs(x[i]) > see_x) | (fabs(y[i]) > see_y);
     }
-    arena->link_count = arena->visible_count = arena->touchable_count = 0;
+    arena->link_count = 0;
+    arena->visible_count = 0;
+    arena->touchable_count = 0;
 }
 
 /* Add `pair`, whose squared distance is `squared` (m^2), to the visible pairs and to the touchable ones if it
@@ -197,12 +207,12 @@ FOR_EACH_TARGET static void reset_tick(mcp_asdf_arena_t *arena)
  * may_touch. */
 static void add_near_pair(mcp_asdf_arena_t *arena, mcp_asdf_pair_t pair, double squared)
 {
-    const double touching = touching_distance(&arena->config);
+    const double touching_limit = touching_distance(&arena->config);
     if (squared < SEEING_DISTANCE * SEEING_DISTANCE) {
         arena->needs_steering[pair.a] = arena->needs_steering[pair.b] = 1;
         arena->visible[arena->visible_count++] = pair;
     }
-    if (squared < touching * touching) {
+    if (squared < touching_limit * touching_limit) {
         arena->may_touch[pair.a] = arena->may_touch[pair.b] = 1;
         arena->touchable[arena->touchable_count++] = pair;
     }
@@ -221,17 +231,19 @@ static void classify_candidates(mcp_asdf_arena_t *arena)
     uint64_t *const in_range = arena->in_range;
     uint32_t link_count = 0;
     for (uint32_t p = 0; p < count; ++p) {
-        const double squared = squared_distance(arena, candidates[p].a, candidates[p].b);
+        const mcp_asdf_pair_t pair = candidates[p];
+        const double squared = squared_distance(arena, pair.a, pair.b);
         const uint64_t is_in_range = squared < range * range; /* 1 or 0 */
-        /* Written always, and overwritten by the next one unless it is in range: about half are, which no
-         * branch could predict. */
-        links[link_count] = candidates[p];
+        /* Every pair is written, and the next one overwrites it unless it is in range: about half are, which
+         * no branch could predict. */
+        links[link_count] = pair;
         link_count += (uint32_t)is_in_range;
-        /* A set has 64 bits: robot j is bit j % 64, which other robots may share. */
-        in_range[candidates[p].a] |= is_in_range << (candidates[p].b % 64);
-        in_range[candidates[p].b] |= is_in_range << (candidates[p].a % 64);
+        /* A set has 64 bits: robot j is bit j % 64, which other robots may share. A pair out of range sets no
+         * bit. */
+        in_range[pair.a] |= is_in_range << (pair.b % 64);
+        in_range[pair.b] |= is_in_range << (pair.a % 64);
         if (squared < near_distance * near_distance) {
-            add_near_pair(arena, candidates[p], squared);
+            add_near_pair(arena, pair, squared);
         }
     }
     arena->link_count = link_count;
@@ -243,11 +255,13 @@ static bool blocks_line(const mcp_asdf_arena_t *arena, uint32_t i, uint32_t j, u
 {
     const double dx = arena->x[j] - arena->x[i], dy = arena->y[j] - arena->y[i];
     const double body_x = arena->x[k] - arena->x[i], body_y = arena->y[k] - arena->y[i];
-    /* Where the body is along the line and across it, both times the length of the line, so that no root is
-     * needed. */
-    const double squared = dx * dx + dy * dy;
+    /* Where the body is along the line and across it. Both are multiplied by the length of the line, so that
+     * no root is needed: the far end is at along = squared. */
+    const double squared = dx * dx + dy * dy; /* length of the line */
     const double along = body_x * dx + body_y * dy, across = body_x * dy - body_y * dx;
-    return (along > 0) & (along < squared) & (across * across < BODY_RADIUS * BODY_RADIUS * squared);
+    const bool is_between_ends = (along > 0) & (along < squared);
+    const bool is_near_line = across * across < BODY_RADIUS * BODY_RADIUS * squared;
+    return is_between_ends & is_near_line;
 }
 
 /* Whether a body is on the line between robots i and j. Bodies do not overlap, so one between two others is
@@ -269,7 +283,7 @@ static bool is_blocked(const mcp_asdf_arena_t *arena, uint32_t i, uint32_t j)
 /* Remove the links whose line a body blocks, and keep the order of the others. */
 static void remove_blocked_links(mcp_asdf_arena_t *arena)
 {
-    uint32_t kept_count = 0; /* never above p: a link is moved down or stays */
+    uint32_t kept_count = 0; /* never above p: a link that is kept moves down or stays where it is */
     for (uint32_t p = 0; p < arena->link_count; ++p) {
         if (!is_blocked(arena, arena->links[p].a, arena->links[p].b)) {
             arena->links[kept_count++] = arena->links[p];
@@ -278,8 +292,9 @@ static void remove_blocked_links(mcp_asdf_arena_t *arena)
     arena->link_count = kept_count;
 }
 
-/* Find the links and the near pairs of this tick among the candidates. When robots may have come near that
- * are no candidates, once in ticks_to_search ticks, the candidates are found first. */
+/* Find the links, and the visible and touchable pairs, of this tick among the candidates. ticks_to_search
+ * counts the ticks down for which the candidates still hold; at 0 they are searched again first, as other
+ * robots may have come near. */
 void arena_find_links(mcp_asdf_arena_t *arena)
 {
     if (arena->ticks_to_search == 0) {

@@ -28,23 +28,24 @@ IN_LOOPS double turn_in_tick(const mcp_asdf_arena_t *arena, uint32_t i)
     return (arena->spin[i] + (SUBSTEPS - 1) * arena->target_spin[i]) * arena->substep;
 }
 
-/* Store in *bodies which bodies may touch something in this tick, with the velocities that their wheels ask
- * for.
- */
+/* List in *bodies the bodies that may touch something in this tick, in ascending order, with the velocities
+ * that their wheels ask for: target_speed along the heading (cx, cy), its cosine and sine. */
 static void collect_touching_bodies(const mcp_asdf_arena_t *arena, mcp_asdf_bodies_t *bodies)
 {
     bodies->count = 0;
     for (uint32_t i = 0; i < arena->config.robots; ++i) {
         if (arena->may_touch[i]) {
-            bodies->target_vx[bodies->count] = arena->target_speed[i] * arena->cx[i];
-            bodies->target_vy[bodies->count] = arena->target_speed[i] * arena->cy[i];
-            bodies->robot[bodies->count++] = (uint16_t)i;
+            const uint32_t entry = bodies->count;
+            bodies->robot[entry] = (uint16_t)i;
+            bodies->target_vx[entry] = arena->target_speed[i] * arena->cx[i];
+            bodies->target_vy[entry] = arena->target_speed[i] * arena->cy[i];
+            ++bodies->count;
         }
     }
 }
 
-/* Append a contact to the list in *bodies, or drop it if there is no room, as only numbers that no arena has
- * could bring about: there is room for CONTACTS_PER_BODY contacts of each robot. */
+/* Append a contact to the list in *bodies. There is room for CONTACTS_PER_BODY contacts of each robot: as
+ * many as fit around bodies of one size. A contact beyond that, which no arena has, is dropped. */
 static void add_contact(const mcp_asdf_arena_t *arena, mcp_asdf_bodies_t *bodies, mcp_asdf_contact_t contact)
 {
     if (bodies->contact_count < CONTACTS_PER_BODY * arena->config.robots) {
@@ -111,7 +112,8 @@ static void run_motors(mcp_asdf_arena_t *arena, mcp_asdf_bodies_t *bodies)
     const double limit = arena->max_motor_change;
     for (uint32_t m = 0; m < bodies->count; ++m) {
         const uint32_t i = bodies->robot[m];
-        /* What all passes together would have to change for the body to reach its target velocity now. */
+        /* What all passes together would have to change for the body to reach its target velocity now: what
+         * the passes before have changed, and what is left. It is shortened to the limit if it is longer. */
         double change_x = bodies->motor_change_x[m] + bodies->target_vx[m] - arena->vx[i];
         double change_y = bodies->motor_change_y[m] + bodies->target_vy[m] - arena->vy[i];
         const double squared = change_x * change_x + change_y * change_y;
@@ -156,10 +158,10 @@ static void resolve_contact(mcp_asdf_arena_t *arena, mcp_asdf_contact_t *contact
     const double new_tangent_change =
         clamp(contact->tangent_change + share * sliding_speed, -max_tangent_change, max_tangent_change);
     /* What this pass changes, along the normal and across it, and then along x and y. */
-    const double along = new_normal_change - contact->normal_change;
-    const double across = new_tangent_change - contact->tangent_change;
-    const double change_x = along * normal_x - across * normal_y;
-    const double change_y = along * normal_y + across * normal_x;
+    const double change_along = new_normal_change - contact->normal_change;
+    const double change_across = new_tangent_change - contact->tangent_change;
+    const double change_x = change_along * normal_x - change_across * normal_y;
+    const double change_y = change_along * normal_y + change_across * normal_x;
     contact->normal_change = new_normal_change;
     contact->tangent_change = new_tangent_change;
     arena->vx[a] -= change_x;
@@ -255,9 +257,10 @@ IN_LOOPS uint64_t drive_free_bodies(free_bodies_t *bodies)
         const double change_y = bodies->target_vy[n] - bodies->vy[n];
         const double squared_change = change_x * change_x + change_y * change_y;
         const double max_change = bodies->max_change[n], squared_limit = max_change * max_change;
-        /* The share of the change that the motors can make; 1 if it is within the limit. */
+        /* The share of the change that the motors can make in a substep; 1 if it is within the limit. */
         const double share = squared_change > squared_limit ? max_change / sqrt(squared_change) : 1;
         const bool falls_short = share < 1;
+        /* Moved by the velocity before the change. No branches, as vectors have none. */
         bodies->x[n] = accelerates ? bodies->x[n] + bodies->vx[n] * bodies->substep[n] : bodies->x[n];
         bodies->y[n] = accelerates ? bodies->y[n] + bodies->vy[n] * bodies->substep[n] : bodies->y[n];
         bodies->vx[n] = falls_short ? bodies->vx[n] + share * change_x : bodies->target_vx[n];
@@ -315,8 +318,9 @@ IN_LOOPS void store_free_bodies(const free_bodies_t *bodies)
 /* Move and turn the free bodies on the list for one tick, store them in their arenas, and empty the list. */
 FOR_EACH_TARGET static void move_free_bodies(free_bodies_t *bodies)
 {
-    uint64_t accelerating_count = bodies->count;
+    uint64_t accelerating_count = bodies->count; /* bodies that may not have reached their target velocity */
     load_free_bodies(bodies);
+    /* Once all have reached it, store_free_bodies() moves them for the substeps that are left. */
     for (int substep = 0; substep < SUBSTEPS && accelerating_count != 0; ++substep) {
         accelerating_count = drive_free_bodies(bodies);
     }
@@ -328,13 +332,14 @@ FOR_EACH_TARGET static void move_free_bodies(free_bodies_t *bodies)
     bodies->count = 0;
 }
 
-/* Move the cruising ones of `count` bodies, from number `first` on, for one tick: those that touch nothing,
- * keep their velocity and do not turn. They get the same bits as from move_free_bodies(), for less.
- *
- * Of the other bodies, is_accelerating[i] becomes 1 for those that touch nothing but change their velocity or
- * turn, and 0 for those that may touch something. Returns whether there are any of the latter. */
+/* Sort `count` bodies, from number `first` on, into three kinds, and move the first kind for one tick:
+ *   cruising       touches nothing in this tick, keeps its velocity and does not turn
+ *   free           touches nothing, but changes its velocity or turns: left to move_free_bodies()
+ *   may touch      left to move_touching_bodies()
+ * is_free[i] becomes 1 for each free body first + i, and 0 for all others. Returns whether any body may touch
+ * something. Cruising bodies get the same bits as move_free_bodies() would give them, at less cost. */
 FOR_EACH_TARGET static bool move_cruising_bodies(mcp_asdf_arena_t *arena, uint32_t first, uint32_t count,
-                                                 uint64_t *restrict is_accelerating)
+                                                 uint64_t *restrict is_free)
 {
     double *restrict const x = arena->x + first, *restrict const y = arena->y + first;
     const double *const cx = arena->cx + first, *const cy = arena->cy + first;
@@ -342,38 +347,43 @@ FOR_EACH_TARGET static bool move_cruising_bodies(mcp_asdf_arena_t *arena, uint32
     const double *const speed = arena->target_speed + first;
     const double *const spin = arena->spin + first, *const target_spin = arena->target_spin + first;
     const uint64_t *const may_touch = arena->may_touch + first;
-    const double time = SUBSTEPS * arena->substep;
-    uint64_t some_may_touch = 0;
+    const double tick = SUBSTEPS * arena->substep; /* in seconds */
+    uint64_t some_may_touch = 0;                   /* 1 as soon as one body may touch something */
     SIDE_BY_SIDE
     for (uint32_t i = 0; i < count; ++i) {
         /* With | and & in place of || and &&, as vectors have no branches. */
-        const bool accelerates = (vx[i] != speed[i] * cx[i]) | (vy[i] != speed[i] * cy[i]) | (spin[i] != 0) |
-                                 (target_spin[i] != 0);
-        const bool keeps_velocity = (!accelerates) & (may_touch[i] == 0);
-        x[i] = keeps_velocity ? x[i] + vx[i] * time : x[i];
-        y[i] = keeps_velocity ? y[i] + vy[i] * time : y[i];
-        is_accelerating[i] = (accelerates & (may_touch[i] == 0)) != 0;
+        const bool changes_velocity = (vx[i] != speed[i] * cx[i]) | (vy[i] != speed[i] * cy[i]);
+        const bool turns = (spin[i] != 0) | (target_spin[i] != 0);
+        const bool changes_motion = changes_velocity | turns;
+        const bool is_cruising = (!changes_motion) & (may_touch[i] == 0);
+        x[i] = is_cruising ? x[i] + vx[i] * tick : x[i];
+        y[i] = is_cruising ? y[i] + vy[i] * tick : y[i];
+        is_free[i] = (changes_motion & (may_touch[i] == 0)) != 0;
         some_may_touch |= may_touch[i];
     }
     return some_may_touch != 0;
 }
 
-/* Move the bodies of an arena that keep their velocity and those that may touch something, and list the
- * others; whenever the list is full, these are moved, too. */
+/* Move the bodies of an arena for one tick: first those that cruise, and at the end those that may touch
+ * something. The rest, the free bodies, which touch nothing but change their velocity or turn, are appended
+ * to the list `free_bodies`. Whenever it has BATCH bodies they are moved, and the list is empty again; those
+ * on the list at the end are left to the caller. */
 static void move_bodies_of(mcp_asdf_arena_t *arena, free_bodies_t *free_bodies)
 {
     const uint32_t robots = arena->config.robots;
     bool some_may_touch = false;
     for (uint32_t first = 0; first < robots; first += BATCH) {
-        uint64_t is_accelerating[BATCH] = {0};
+        uint64_t is_free[BATCH] = {0};
         const uint32_t robots_left = robots - first;
         const uint32_t count = robots_left < BATCH ? robots_left : BATCH;
-        some_may_touch |= move_cruising_bodies(arena, first, WHOLE_VECTORS(count), is_accelerating);
+        /* Entries behind the last robot, up to a whole vector, are computed too, and not used. */
+        some_may_touch |= move_cruising_bodies(arena, first, WHOLE_VECTORS(count), is_free);
         for (uint32_t i = 0; i < count; ++i) {
-            /* Written always, and overwritten unless it counts: a branch could not be predicted. */
+            /* A branch could not be predicted: so every body is written behind the end of the list, and only
+             * if it is free the end moves on. Otherwise the next body overwrites it. */
             free_bodies->arena[free_bodies->count] = arena;
             free_bodies->robot[free_bodies->count] = first + i;
-            free_bodies->count += (uint32_t)is_accelerating[i];
+            free_bodies->count += (uint32_t)is_free[i]; /* 1 or 0 */
             if (free_bodies->count == BATCH) {
                 move_free_bodies(free_bodies);
             }
@@ -384,8 +394,8 @@ static void move_bodies_of(mcp_asdf_arena_t *arena, free_bodies_t *free_bodies)
     }
 }
 
-/* Move all bodies of `count` arenas for one tick. Those that move freely but change their velocities are
- * collected over all arenas, and moved side by side. */
+/* Move all bodies of `count` arenas for one tick. The free ones, which touch nothing but change their
+ * velocity or turn, are collected over all arenas, and moved many at a time, side by side. */
 void arena_move(mcp_asdf_arena_t *arenas, uint32_t count)
 {
     free_bodies_t free_bodies;
@@ -393,5 +403,5 @@ void arena_move(mcp_asdf_arena_t *arenas, uint32_t count)
     for (uint32_t a = 0; a < count; ++a) {
         move_bodies_of(&arenas[a], &free_bodies);
     }
-    move_free_bodies(&free_bodies);
+    move_free_bodies(&free_bodies); /* those that are left on the list */
 }

@@ -26,17 +26,18 @@ IN_LOOPS void shorten_rays_at_body(const mcp_asdf_arena_t *arena, uint32_t i, ui
 {
     const double dx = arena->x[j] - arena->x[i], dy = arena->y[j] - arena->y[i]; /* to the other's centre */
     const double cx = arena->cx[i], cy = arena->cy[i];
-    const double radius_squared = BODY_RADIUS * BODY_RADIUS, squared = dx * dx + dy * dy;
+    const double radius_squared = BODY_RADIUS * BODY_RADIUS, centres_squared = dx * dx + dy * dy;
     double *const free_distance = arena->free_distance + (size_t)i * SENSORS;
     SIDE_BY_SIDE
     for (uint32_t k = 0; k < SENSORS; ++k) {
         /* The ray passes the other's centre `along` metres from this one. By Pythagoras the squared distance
-         * at which it does so is squared - along^2, and half of the chord within the circle has the square
-         * radius^2 - that. */
+         * at which it does so is centres_squared - along^2; and by Pythagoras again, half of the chord within
+         * the circle has the square radius^2 minus that, which is negative if the ray misses the circle. */
         const double along = dx * ray_component(cx, cy, k) + dy * ray_component(cy, -cx, k);
-        const double half_chord_squared = radius_squared - (squared - along * along);
+        const double passing_squared = centres_squared - along * along;
+        const double half_chord_squared = radius_squared - passing_squared;
         const double distance = along - BODY_RADIUS - sqrt(max_of(half_chord_squared, 0)); /* from the edge */
-        /* Without branches, so that the rays become a vector. */
+        /* Without branches, so that the rays become a vector. A body behind the robot has along < 0. */
         const bool meets = (along > 0) & (half_chord_squared >= 0) & (distance < free_distance[k]);
         free_distance[k] = meets ? distance : free_distance[k];
     }
@@ -47,8 +48,8 @@ IN_LOOPS void shorten_rays_at_body(const mcp_asdf_arena_t *arena, uint32_t i, ui
 FOR_EACH_TARGET static void shorten_rays_at_bodies(const mcp_asdf_arena_t *arena)
 {
     double *const free_distance = arena->free_distance;
-    for (size_t r = 0; r < (size_t)arena->config.robots * SENSORS; ++r) {
-        free_distance[r] = BEYOND_REACH;
+    for (size_t ray = 0; ray < (size_t)arena->config.robots * SENSORS; ++ray) {
+        free_distance[ray] = BEYOND_REACH;
     }
     for (uint32_t p = 0; p < arena->visible_count; ++p) {
         shorten_rays_at_body(arena, arena->visible[p].a, arena->visible[p].b);
@@ -89,7 +90,8 @@ IN_LOOPS void shorten_rays_at_walls(double *free_distance, double cx, double cy,
  * source of the numbers. */
 IN_LOOPS double sensor_reading(double distance)
 {
-    const double far_reading = clamp(4.14 * arena_fading(33 * distance) - 0.085, 0, 1);
+    const double fading = arena_fading(33 * distance); /* exp(-33 distance) */
+    const double far_reading = clamp(4.14 * fading - 0.085, 0, 1);
     return distance < 0.04 ? 1 : far_reading;
 }
 
@@ -137,9 +139,11 @@ IN_LOOPS void steer(mcp_asdf_arena_t *arena, uint32_t robot, double ahead, doubl
     arena->wheels[robot] = wheels;
     arena->needs_steering[robot] = wheels != MCP_ASDF_STRAIGHT || !is_weak;
     arena->target_speed[robot] = (outer_speed + slower_speed) / 2;
-    /* To the right, away from an obstacle on the left, unless it is on the right. */
+    /* An obstacle on the right turns the robot to the left, which is a positive spin, and any other one to
+     * the right. */
+    const bool is_obstacle_right = left < 0;
     arena->target_spin[robot] =
-        (left < 0 ? outer_speed - slower_speed : slower_speed - outer_speed) / WHEEL_DISTANCE;
+        (is_obstacle_right ? outer_speed - slower_speed : slower_speed - outer_speed) / WHEEL_DISTANCE;
 }
 
 /* Set the wheels of a robot, and so its speed and spin for the coming tick, so that it turns away from the
@@ -199,23 +203,24 @@ IN_LOOPS void cast_rays(steered_t *batch, uint32_t n)
  * loop of its own over all robots or hits, so that the costly ones become vectors. */
 FOR_EACH_TARGET static void steer_batch(steered_t *batch)
 {
-    double weight[BATCH * SENSORS];
+    double reading[BATCH * SENSORS];
     batch->hit_count = 0;
     for (uint32_t n = 0; n < batch->count; ++n) {
         cast_rays(batch, n);
     }
     SIDE_BY_SIDE
-    for (uint32_t r = 0; r < batch->hit_count; ++r) {
-        weight[r] = sensor_reading(batch->distance[r]);
+    for (uint32_t hit = 0; hit < batch->hit_count; ++hit) {
+        reading[hit] = sensor_reading(batch->distance[hit]);
     }
-    for (uint32_t r = 0; r < batch->hit_count; ++r) {
-        const uint32_t n = batch->ray[r] / SENSORS, k = batch->ray[r] % SENSORS;
-        batch->ahead[n] += weight[r] * SENSOR_AHEAD[k];
-        batch->left[n] += weight[r] * SENSOR_LEFT[k];
+    /* The obstacle vector of a robot is the sum of its sensors' directions, weighted by their readings. */
+    for (uint32_t hit = 0; hit < batch->hit_count; ++hit) {
+        const uint32_t n = batch->ray[hit] / SENSORS, sensor = batch->ray[hit] % SENSORS;
+        batch->ahead[n] += reading[hit] * SENSOR_AHEAD[sensor];
+        batch->left[n] += reading[hit] * SENSOR_LEFT[sensor];
     }
     SIDE_BY_SIDE
     for (uint32_t n = 0; n < batch->count; ++n) {
-        batch->away[n] = arena_bearing(-batch->ahead[n], -batch->left[n]);
+        batch->away[n] = arena_bearing(-batch->ahead[n], -batch->left[n]); /* of the opposite direction */
     }
     for (uint32_t n = 0; n < batch->count; ++n) {
         steer(batch->arena[n], batch->robot[n], batch->ahead[n], batch->left[n], batch->away[n]);
@@ -234,14 +239,15 @@ void arena_set_wheels(mcp_asdf_arena_t *arenas, uint32_t count)
         mcp_asdf_arena_t *const arena = &arenas[a];
         shorten_rays_at_bodies(arena);
         for (uint32_t i = 0; i < arena->config.robots; ++i) {
-            /* Written always, and overwritten unless it counts: a branch could not be predicted. */
+            /* A branch could not be predicted: so every robot is written behind the end of the batch, and
+             * only if it needs steering the end moves on. Otherwise the next robot overwrites it. */
             batch.arena[batch.count] = arena;
             batch.robot[batch.count] = i;
-            batch.count += (uint32_t)arena->needs_steering[i];
+            batch.count += (uint32_t)arena->needs_steering[i]; /* 1 or 0 */
             if (batch.count == BATCH) {
                 steer_batch(&batch);
             }
         }
     }
-    steer_batch(&batch);
+    steer_batch(&batch); /* the robots that are left */
 }
