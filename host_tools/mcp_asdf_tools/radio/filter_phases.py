@@ -177,7 +177,8 @@ def threshold_phase(m: int) -> Callable[[Bench], None]:
     """Return a phase that plays two tests of ``m`` estimates: one just passes, and the other just rejects.
 
     The estimates are drawn so that both are as near as possible to k_m, the threshold of the test for m. The
-    test that rejects leads to the kind of update in ``UPDATES_BY_CRAFTED_SIZE``.
+    test that rejects leads to the kind of update in ``UPDATES_BY_CRAFTED_SIZE`` if such estimates are found,
+    and otherwise to another one.
     """
 
     def play(bench: Bench) -> None:

@@ -246,7 +246,8 @@ def test_estimates_far_apart(bench: Bench) -> None:
     1/2, estimates cannot decide the test. In these three cases no test is played.
     """
     # Many observations are rejected if their share of black deviates from the prediction by more than
-    # sqrt(12) g spread, with g the information: 0.87 g with a spread of 1/4, 1.3 g with one of 3/8.
+    # sqrt(12) g spread, with g the information: 0.87 g with a spread of 1/4, 1.3 g with one of 3/8. So they
+    # are to deviate by 1.1 g.
     deviation = 1.1 * _initial_information(bench)
     black_share = _predict_black_share(bench, fill_ratio=3 / 8) + deviation
     is_share_possible = black_share < 1
@@ -453,7 +454,7 @@ def _observe_until_rejection(bench: Bench, estimate: int | None = None) -> bool:
     """Observe the more frequent colour until a test would reject if all kept estimates were ``estimate``.
 
     By default, that is the estimate that contradicts the observations most. Returns whether that has come
-    about within many observations.
+    about within 8000 observations.
     """
     for _ in range(_MAX_BURSTS):
         tested_estimate = _most_contradicting_estimate(bench) if estimate is None else estimate
@@ -470,8 +471,8 @@ def _observe_until_slots_can_be_crafted(
 
     All observations of a burst have one colour. It is the more frequent colour while no estimate contradicts
     the observations enough for the test to reject. Once some estimate does, it is the other colour, so that
-    the contradiction does not become too large. If there are no estimates for the test after many bursts, the
-    result is None, and ``activity`` of the bench is noted as not exercised.
+    the contradiction does not become too large. If there are no estimates for the test after 500 bursts of 16
+    observations, the result is None, and ``activity`` of the bench is noted as not exercised.
     """
     for _ in range(_MAX_BURSTS):
         slots = craft_slots()

@@ -229,7 +229,8 @@ class Verification:
     def run(self) -> ControllerVerdict:
         """Run the phases up to the first difference, and return the verdict.
 
-        A disturbed bus or a request to stop ends the run, too. The controller's failures are never raised.
+        A disturbed bus, a request to stop or a missing answer ends the run, too. If a wrong frame has come in
+        place of the answer, the verdict names the frame. The controller's failures are never raised.
         """
         verdict, bench = self.verdict, self.bench
         try:

@@ -217,7 +217,8 @@ class RobotNode:
 
         Only commands that the robot follows have answers: one to observe may have a heartbeat and an
         estimate, and one to settle has telemetry. An estimate goes to the robot, and also to the recorder if
-        another node sent it under this robot's id. Any other frame is counted as rejected.
+        another node sent it under this robot's id; it counts as suspicious if the sender's confidence jumps.
+        Any other frame is counted as rejected.
         """
         content: Estimate | Command | Rejection = decode_estimate(frame, self.subjects.estimates)
         if content is Rejection.SUBJECT:  # a message, but no estimate

@@ -109,6 +109,7 @@ class _Columns:
     def choose(self, fields: Sequence[str], position: str) -> tuple[str, str]:
         """Return the reading and the colour of a line.
 
+        Below a header a line may have one more column: the name of the row, which comes first and is ignored.
         Raises UsageError, which begins with ``position``, if the line has another number of columns.
         """
         has_row_name = self.has_header and len(fields) == self.count + 1
@@ -118,7 +119,7 @@ class _Columns:
                 f"{position} has {column_count} where {self.count} are expected; write a "
                 "reading and the colour of its tile, such as 512,black, or name the columns in the first line"
             )
-        # A name of the row stands first, and moves the columns that the header names.
+        # The name of the row moves the columns that the header names.
         offset = 1 if has_row_name else 0
         reading_text = fields[self.reading_index + offset]
         colour_text = fields[self.colour_index + offset]
