@@ -40,15 +40,20 @@ def lock_file(path: Path) -> str | None:
             has_owner = error.errno in (errno.EACCES, errno.EAGAIN)
             return owner_id if has_owner else None
         if _is_still_at(path, descriptor):
-            # A process that was killed leaves its file, whose id may be longer.
-            os.ftruncate(descriptor, 0)
-            os.write(descriptor, str(os.getpid()).encode())
+            _write_own_id(descriptor)
             _DESCRIPTOR_OF_LOCKED_FILE[path] = descriptor
         else:
             # Between opening and locking, the process that had the lock removed the file: try again with the
             # file that is there now, which others try to lock, too.
             os.close(descriptor)
     return None
+
+
+def _write_own_id(descriptor: int) -> None:
+    """Write this process's id into an open file, in place of what the file has contained."""
+    # A process that was killed leaves its file, whose id may be longer.
+    os.ftruncate(descriptor, 0)
+    os.write(descriptor, str(os.getpid()).encode())
 
 
 def _is_still_at(path: Path, descriptor: int) -> bool:

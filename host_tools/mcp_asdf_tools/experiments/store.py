@@ -90,11 +90,13 @@ class Store:
         self.parts = parts_folder(output)
         self.experiments = without_repetitions(experiments)
         self.sampling_interval = sampling_interval
+        # So few that the trials of any experiment fit a row group.
         rows_that_fit = [self._rows_that_fit(experiment) for experiment in self.experiments]
         self._rows_per_part = min([_MAX_ROWS, *rows_that_fit])
         self._row_groups = RowGroups()
         self._unwritten: list[pa.Table] = []
-        self._start_time = self._last_write_time = time.monotonic()
+        self._start_time = time.monotonic()
+        self._last_write_time = self._start_time
         # For each trial, the number of its row. Rows are numbered consecutively, first those of all files,
         # then those of tables that are not written yet.
         self._row_of_trial = _rows_without_results(self.experiments)
@@ -108,7 +110,7 @@ class Store:
         self._find_existing_trials()
 
     def _rows_that_fit(self, experiment: Experiment) -> int:
-        """Return how many trials of an experiment have lists of at most ROW_GROUP_BYTES together, or 1."""
+        """Return how many trials of an experiment have lists of ROW_GROUP_BYTES together, at least 1."""
         filter_steps = experiment.steps // experiment.filter_period
         values_per_robot = 4 + filter_steps  # K, e, tests and updates, and b_hat after each filter step
         if self.sampling_interval:
@@ -222,7 +224,7 @@ class Store:
         The time until the next part is due begins anew. Raises UsageError if writing fails.
         """
         if self._unwritten:
-            self.reserve()
+            self.reserve()  # creates the folder for this part, if it is the first
             part_table = pa.concat_tables(self._unwritten)
             # Sorted by their names, parts are in the order of their rows.
             part_path = self.parts / f"{self._row_groups.row_count:012}-{len(part_table)}.parquet"

@@ -290,6 +290,7 @@ def _draw_single_trials(study_results: StudyResults, study_size: StudySize) -> P
     ]
     for trials in _trials_of_users_filter(study_results, StudyPart.FULLY_CONNECTED, ASDF_PLUS):
         cell = cell_of(StudyPart.FULLY_CONNECTED, trials.experiment)
+        # SERIES_CELL has no filter, so swarms are compared with it without theirs.
         is_swarm_of_series = replace(cell, filter=NO_FILTER) == SERIES_CELL
         if is_swarm_of_series:
             experiments.append(trials.experiment)

@@ -356,6 +356,7 @@ class MajorityRobot(ReferenceRobot):
     def receive(self, sender: int, x_hat: float, alpha: float) -> Status:
         """Receive a neighbour's message, and keep its opinion if this robot is about to decide.
 
+        That is so in the last ``listening_time`` rounds in which it broadcasts its own opinion.
         A message without confidence has no opinion. Of several messages of a sender the last one counts.
         Returns OK, or REPEATED if there is one of this sender in the round already. Raises FirmwareError for
         a sender or an x_hat that is impossible.

@@ -85,6 +85,7 @@ def _with_liars(firmwares: list[Any]) -> dict[str, Any]:
     All robots of a swarm have one of the given firmwares, whose rules need no filter, or the project's own
     firmware, without a filter and with the robust one.
     """
+    # The experiments have the parameters of either table; its key in the result may be any name.
     own_robots = {"firmware": five_liars, "filter": ["none", "robust"]}
     compared_robots = {"firmware": firmwares, "filter": "none"}
     return {"flawed": 0, "robots_and_filters": [own_robots, compared_robots]}
@@ -96,6 +97,7 @@ def _with_flawed_robots(firmwares: list[Any]) -> dict[str, Any]:
     All robots of a swarm have one of the given firmwares, whose rules need no filter, or the project's own
     firmware, without a filter, with ASDF- and with the robust filter.
     """
+    # The experiments have the parameters of either table; its key in the result may be any name.
     own_robots = {"filter": ["none", "asdf-minus", "robust"]}
     compared_robots = {"firmware": firmwares, "filter": "none"}
     return {"flawed": "30%", "robots_and_filters": [own_robots, compared_robots]}

@@ -81,7 +81,7 @@ def grid_rows() -> dict[str, list[Experiment]]:
         "true_accuracy": [0.55, 0.95],
         "filter": FILTERS_OF_HEALTHY_SWARMS,
     }
-    # Which of the paper's b_hat are wrong depends on b.
+    # Which of the paper's b_hat are wrong depends on b. Each experiment has the parameters of one table.
     flaws = [
         {"true_accuracy": 0.95, "flawed_accuracy": [0.55, 0.75]},
         {"true_accuracy": 0.55, "flawed_accuracy": [0.75, 0.95]},
@@ -173,6 +173,7 @@ def peer_rows() -> dict[str, list[Experiment]]:
     A peer is a robot class with another filter than the project's; it stands in place of the firmware.
     BayesCPF runs with any filter but none; with asdf-plus it runs in all robots.
     """
+    # Each experiment has the parameters of one of these tables.
     filters = [
         {"firmware": RememberingRobot, "filter": ["none", "asdf-minus"]},
         {"firmware": BayesCpfRobot, "filter": "asdf-plus"},

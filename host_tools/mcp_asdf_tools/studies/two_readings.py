@@ -74,6 +74,7 @@ def two_readings_rows() -> dict[str, list[Experiment]]:
                 **flaw_parameters,
                 **swarm,
                 robots_and_filters=robots_and_filters,
+                # A step is a reading: with these periods and steps there are as many tiles as usual.
                 comms_period=READINGS_OF_TILE,
                 filter_period=READINGS_OF_TILE * 1000,
                 steps=READINGS_OF_TILE * 10_000,

@@ -54,6 +54,7 @@ class EngineTrials:
         members = self._make_members(experiment, first, trials)
         members["sampling_interval"] = sampling_interval
         self.experiment = _engine.ffi.new("mcp_asdf_experiment_t *", members)
+        # Results, into which ``execute`` lets C write
         self.robots = _engine.ffi.new("mcp_asdf_t[]", trials * robots)
         self.b_hat = np.empty((trials, steps // experiment.filter_period, robots), np.uint32)
         samples = steps // sampling_interval if sampling_interval else 0
@@ -236,5 +237,5 @@ def _make_c_config(config: Config) -> tuple[Any, Any]:
     """
     ffi = _engine.ffi
     table = ffi.NULL if config.table is None else ffi.new("uint32_t[]", list(config.table.words()))
-    members = (table, config.filter_period, config.memory, int(config.filter))
-    return ffi.new("mcp_asdf_config_t *", members), table
+    members_in_order = (table, config.filter_period, config.memory, int(config.filter))
+    return ffi.new("mcp_asdf_config_t *", members_in_order), table

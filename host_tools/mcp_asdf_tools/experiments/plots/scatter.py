@@ -66,6 +66,7 @@ def plot_scatter(
             marker = _MARKERS[accuracies.index(b) % len(_MARKERS)]
             scores = trials.scores(limits)
             axes.plot(scores["h_K"], scores["h_e"], marker, color=colour, markersize=3, alpha=0.6)
+            # Trials of the same b and offset have equal entries, which replace each other.
             handles[b, offset] = legend_handle(_describe_accuracy(b, offset), colour, marker)
         axes.set_title(f"{series.label}\n$f = {f:g}$, $P$ = {share:.0%}", fontsize=SMALL)
         # Scores are 0 to 100; the margin keeps markers at the ends from being cut.
