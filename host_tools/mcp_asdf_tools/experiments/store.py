@@ -110,7 +110,7 @@ class Store:
         self._find_existing_trials()
 
     def _rows_that_fit(self, experiment: Experiment) -> int:
-        """Return how many trials of an experiment have lists of ROW_GROUP_BYTES together, at least 1."""
+        """Return how many trials of an experiment fit ROW_GROUP_BYTES with their lists, at least 1."""
         filter_steps = experiment.steps // experiment.filter_period
         values_per_robot = 4 + filter_steps  # K, e, tests and updates, and b_hat after each filter step
         if self.sampling_interval:

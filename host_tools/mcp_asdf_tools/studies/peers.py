@@ -174,8 +174,8 @@ class BayesCpfRobot(ReferenceRobot):
     def reestimate_b_hat(self) -> float | None:
         """Return b_hat after a step of the Kalman filter; None if there are too few readings to measure by.
 
-        A step moves the estimate of b by the expected drift, and then corrects it by the share of readings
-        that were black. In either case all that was counted since the last step is used up.
+        A step moves the estimate of b by the expected drift and then, with enough readings, corrects it by
+        the number of black ones. In either case all that was counted since the last step is used up.
         """
         n = self._n_since_update  # black readings
         t = self._t_since_update  # all readings
