@@ -49,16 +49,19 @@ static uint32_t square_of_ratio(uint32_t g, uint32_t p)
 /* Assume an accuracy b_hat, as Q32 from MCP_ASDF_B_HAT_MIN to MCP_ASDF_B_HAT_MAX, and compute what eq. 3 and
  * 4 need of it, so that an observation needs no division for it: the probability c that the sensor is wrong,
  * with colours exchanged if b_hat is below 1/2, and with g = 1 - 2c the weights (g / (1 - c))^2 of a reading
- * of the common colour and (g / c)^2 of one of the rare colour. A b_hat so close to 1/2 that readings carry
- * no information is stored as the largest c. */
+ * of the common colour and (g / c)^2 of one of the rare colour. They are stored in robot->accuracy, the
+ * weights with the shifts that give their units. For a b_hat so close to 1/2 that readings carry no
+ * information, the largest c, 2^32 - 1, is stored in place of c. */
 static void set_b_hat(mcp_asdf_t *robot, uint32_t b_hat)
 {
     mcp_asdf_accuracy_t *const accuracy = &robot->accuracy;
     const uint32_t c = b_hat < Q32_HALF ? b_hat : one_minus(b_hat); /* min(b_hat, 1 - b_hat): [2^12, 2^31] */
     const uint32_t g = one_minus(2U * c);                           /* [0, 2^32 - 2^13] */
-    const uint32_t g_shift = leading_zeros(g), c_shift = leading_zeros(c); /* [0, 31], [0, 19] */
+    const uint32_t g_shift = leading_zeros(g);                      /* [0, 31] */
+    const uint32_t c_shift = leading_zeros(c);                      /* [0, 19] */
+    const bool has_information = g >= INFORMATIVE_G;
     accuracy->b_hat = b_hat;
-    accuracy->c = g < INFORMATIVE_G ? UINT32_MAX : c;
+    accuracy->c = has_information ? c : UINT32_MAX;
     /* Both sides of a ratio are shifted until their highest bit is set, so that its quotient has as many
      * significant bits as it can; 1 - c is at least 1/2 and needs no shift. Each weight is too large then by
      * 2^(2 g_shift), and the weight of the rare colour too small by 2^(2 c_shift). confidence_at_end() makes
@@ -90,7 +93,8 @@ HOT uint32_t alpha_word_from_mantissa(uint32_t mantissa, uint32_t exponent)
     if (is_negative) {
         /* 0U - exponent is the amount of the negative exponent, at most 22; the mask keeps the shift in its
          * range where memory is damaged. */
-        return shift_right(mantissa, (0U - exponent) & 31U) << 8;
+        const uint32_t lost_bits = (0U - exponent) & 31U;
+        return shift_right(mantissa, lost_bits) << 8; /* with a shift of 0 */
     }
     return exponent <= ALPHA_SHIFT_MAX ? (mantissa << 8) | exponent : ALPHA_MAX;
 }
@@ -102,7 +106,7 @@ HOT uint32_t alpha_word_from_mantissa(uint32_t mantissa, uint32_t exponent)
 ALWAYS_INLINE confidence_t confidence_of_sum(uint64_t sum, uint32_t exponent)
 {
     if (high_word(sum) == 0U) {
-        sum = join(low_word(sum), 0);
+        sum = join(low_word(sum), 0); /* shifted left by 32 */
         exponent -= 32U;
     }
     const uint32_t sum_shift = leading_zeros(high_word(sum));
@@ -206,7 +210,8 @@ ALWAYS_INLINE confidence_t confidence_inside(uint32_t total, uint32_t rarer, uin
 HOT estimate_t estimate(uint32_t t, uint32_t n, const mcp_asdf_accuracy_t *accuracy)
 {
     const uint32_t g_shift = accuracy->g_shift & 31U; /* whatever damaged memory holds */
-    const uint32_t white = t - n, rare_observations = n < white ? n : white;
+    const uint32_t white = t - n;                     /* observations, as n are black */
+    const uint32_t rare_observations = n < white ? n : white;
     /* Numbers of observations are multiplied by 2^shift, with which t fills 32 bits. */
     const uint32_t shift = leading_zeros(t);
     const uint32_t total = shift_left(t, shift);                 /* t: [2^31, 2^32) */
@@ -232,8 +237,9 @@ HOT estimate_t estimate(uint32_t t, uint32_t n, const mcp_asdf_accuracy_t *accur
     }
     /* x is the share of black if black is the rarer colour (n - white is negative: bit 31 is set) and the
      * sensor is right more often than wrong (bit 31 of b_hat is set), or if neither is so. If only one is so,
-     * the bits differ, and x is the share of white. */
-    const bool is_mirrored = ((n - white) ^ accuracy->b_hat) >> 31 != 0U;
+     * these bits differ, and x is the share of white. */
+    const uint32_t differing_bits = (n - white) ^ accuracy->b_hat;
+    const bool is_mirrored = differing_bits >> 31 != 0U;
     const estimate_t result = {is_mirrored ? MCP_ASDF_ONE - x : x,
                                alpha_word_from_mantissa(alpha.mantissa, alpha.exponent)};
     return result;
@@ -252,9 +258,12 @@ HOT_PUBLIC mcp_asdf_status_t mcp_asdf_observe(mcp_asdf_t *robot, mcp_asdf_observ
     const bool is_halved = t >= robot->config->memory;
     if (is_halved) {
         t >>= 1; /* exact, as the memory is even */
-        /* An odd n lies between two halves: 1 is added first if the lower of them is odd, so that the result
-         * is the even one. */
-        n = (n + ((n >> 1) & 1U)) >> 1;
+        /* To nearest, ties to even. Half of an odd n lies between two integers, of which the even one is
+         * wanted: the upper one, if the lower one is odd. 1 is added to n for that. If n is even, a 1 that is
+         * added is lost in the shift. */
+        const uint32_t rounded_down = n >> 1;
+        const uint32_t is_rounded_down_odd = rounded_down & 1U;
+        n = (n + is_rounded_down_odd) >> 1;
     }
     robot->t = t;
     robot->n = n;
@@ -334,7 +343,8 @@ HOT uint32_t informed_estimate(const mcp_asdf_closed_t *closed, uint32_t x_hat, 
     /* The remainder sum - x alpha of the division shows which: it is below 2 alpha < 2^63, and at least alpha
      * if x is one too small. Sum and product may have more than 64 bits; their lower 64 are enough, as their
      * difference modulo 2^64 is the remainder. */
-    const uint64_t sum = alpha_x_low + join(low_word(alpha_x_high), 0);
+    const uint64_t sum = alpha_x_low + join(low_word(alpha_x_high), 0); /* 2^32 alpha_x_high + alpha_x_low */
+    /* x alpha: x times the lower word of alpha, and x times the upper one, which counts 2^32 times as much */
     const uint64_t product = multiply(x, low_word(alpha)) + join(x * high_word(alpha), 0);
     const bool is_one_too_small = sum - product >= alpha;
     return x + (uint32_t)is_one_too_small;
@@ -356,7 +366,10 @@ ALWAYS_INLINE uint32_t combine_with_round(const mcp_asdf_t *robot, uint32_t x_ha
 static bool asdf_test_rejects(const mcp_asdf_t *robot)
 {
     const uint32_t *const table = robot->config->table;
-    const uint32_t q = MCP_ASDF_READ_WORD(&table[0]) & 0xFFU, m = robot->received.sums.open.count;
+    /* The last byte of the table's first word is q: word m has the threshold for m estimates, up to m = q,
+     * and word q + 1 the threshold for more. */
+    const uint32_t q = MCP_ASDF_READ_WORD(&table[0]) & 0xFFU;
+    const uint32_t m = robot->received.sums.open.count;
     const uint32_t k = MCP_ASDF_READ_WORD(&table[m <= q ? m : q + 1U]);              /* Q26 */
     const uint32_t x_sum = robot->received.sums.open.x, m_x_hat = m * robot->x_hat;  /* Q23: < 2^30 */
     const uint32_t difference = x_sum > m_x_hat ? x_sum - m_x_hat : m_x_hat - x_sum; /* < 2^30 */
@@ -377,10 +390,11 @@ static bool asdf_test_rejects(const mcp_asdf_t *robot)
  * stays: there are too few estimates, the test does not reject x_hat, or the mean carries no information. */
 ALWAYS_INLINE uint32_t run_asdf_filter(mcp_asdf_t *robot)
 {
-    /* The sums of the round that ends have been copied to `closed`, but not the number of estimates. */
+    /* The sums of the round that ends have been copied to `closed`; its number of estimates is only in
+     * `open`, which is cleared after the filter. */
     const mcp_asdf_closed_t *const closed = &robot->received.sums.closed;
     const uint8_t filter = robot->config->filter;
-    /* The variance in eq. 12 takes two estimates, a re-estimate without a test takes one. */
+    /* At least two estimates are needed for the variance in eq. 12, one for a re-estimate without a test. */
     if (filter == MCP_ASDF_OFF || robot->received.sums.open.count < (filter == MCP_ASDF_ADAPTIVE ? 2U : 1U)) {
         return 0;
     }
@@ -390,7 +404,8 @@ ALWAYS_INLINE uint32_t run_asdf_filter(mcp_asdf_t *robot)
             return 0;
         }
     }
-    return reestimate(robot, round_mean(closed->alpha, closed->alpha_x_low, closed->alpha_x_high));
+    const uint32_t x_bar = round_mean(closed->alpha, closed->alpha_x_low, closed->alpha_x_high); /* Q32 */
+    return reestimate(robot, x_bar);
 }
 
 /* Copy the sums of the open round that x and x_bar need, which stay until the next round closes. */
@@ -444,9 +459,8 @@ static bool is_valid_table(const uint32_t *table)
         previous = word;
         hash = hash_word(hash, word);
     }
-    /* `previous` is word q + 1 now, the least threshold. The last comparison is that omega, word 1, is from 1
-     * to TABLE_OMEGA_MAX: omega - 1 is below that, and of an omega of 0 it wraps to 2^32 - 1, which is not.
-     */
+    /* `previous` is word q + 1 now, the least threshold. omega, word 1, must be from 1 to TABLE_OMEGA_MAX:
+     * one comparison shows both, as an omega of 0 less 1 wraps to 2^32 - 1, which is not below the limit. */
     return previous > THRESHOLD_ONE && hash == MCP_ASDF_READ_WORD(&table[hash_index]) &&
            MCP_ASDF_READ_WORD(&table[1]) - 1U < TABLE_OMEGA_MAX;
 }
@@ -504,15 +518,16 @@ mcp_asdf_status_t mcp_asdf_receive(mcp_asdf_t *robot, uint8_t sender, uint32_t x
     /* The set of this round's senders has bit (id mod 8) of byte (id div 8) for each id: `senders` is the
      * byte that has the bit of this sender. */
     uint8_t *const senders = &robot->heard.of[sender >> 3];
-    const uint32_t old_senders = *senders, new_senders = old_senders | (UINT32_C(1) << (sender & 7U));
-    if (old_senders == new_senders) {
+    const uint32_t bit_of_sender = UINT32_C(1) << (sender & 7U);
+    const uint32_t old_senders = *senders, new_senders = old_senders | bit_of_sender;
+    if (old_senders == new_senders) { /* the bit was set before */
         ++robot->counters.repeated;
         return MCP_ASDF_REPEATED;
     }
     ++robot->counters.accepted;
     *senders = (uint8_t)new_senders;
-    /* With a mantissa of 0 (the upper 24 bits of an alpha word) alpha is 0, whatever the shift below it. */
-    if ((alpha >> 8) == 0U) {
+    const uint32_t alpha_mantissa = alpha >> 8;
+    if (alpha_mantissa == 0U) { /* alpha is 0, whatever the shift in the lower bits of the word */
         return MCP_ASDF_OK;
     }
     if (mcp_asdf_is_robust(robot->config)) {
@@ -544,7 +559,8 @@ static uint32_t reestimate(const mcp_asdf_t *robot, uint32_t x_bar)
     /* n - t (1 - x_bar), in two's complement: within 2^63 of 0 */
     const uint64_t difference = join(n, 0) - multiply(t, one_minus(x_bar));
     const uint64_t dividend = difference >> 63 == 0U ? difference : 0U; /* 0 if it is negative */
-    uint32_t b_hat = quotient(dividend < divisor ? dividend : divisor, divisor);
+    const uint64_t limited_dividend = dividend < divisor ? dividend : divisor;
+    uint32_t b_hat = quotient(limited_dividend, divisor);
     b_hat = b_hat > MCP_ASDF_B_HAT_MIN ? b_hat : MCP_ASDF_B_HAT_MIN;
     return b_hat < MCP_ASDF_B_HAT_MAX ? b_hat : MCP_ASDF_B_HAT_MAX;
 }
@@ -571,8 +587,9 @@ NOINLINE mcp_asdf_status_t update_b_hat(mcp_asdf_t *robot)
 /* ---- Rounds ---- */
 
 /* Close the round: publish its sums, from which x and x_bar are computed, or with the robust filter take a
- * vote. Then begin the next round with empty sums and no senders. Every filter_period rounds the filter runs
- * in between. Returns UPDATED if it has re-estimated b_hat, else OK. */
+ * vote. Then begin the next round with empty sums, which robots with the robust filter do not have, and
+ * without senders. Every filter_period rounds the filter runs in between. Returns UPDATED if it has
+ * re-estimated b_hat, else OK. */
 HOT_PUBLIC mcp_asdf_status_t mcp_asdf_settle(mcp_asdf_t *robot)
 {
     /* The constant spares a build without the robust filter a load of robot->config. */
@@ -591,6 +608,7 @@ HOT_PUBLIC mcp_asdf_status_t mcp_asdf_settle(mcp_asdf_t *robot)
     if (!is_robust) {
         clear_round_sums(robot);
     }
+    /* The set of senders, a bit for each id: `all` has the 128 bits in two words. */
     robot->heard.all[0] = 0;
     robot->heard.all[1] = 0;
     return status;
@@ -611,9 +629,13 @@ mcp_asdf_status_t mcp_asdf_step(mcp_asdf_t *robot, mcp_asdf_observation_t z)
 static mcp_asdf_status_t check_init_arguments(const mcp_asdf_config_t *config, uint8_t id, uint32_t b_hat)
 {
     if (config->filter_period == 0U || config->memory < MCP_ASDF_MEMORY_MIN ||
-        config->memory > MCP_ASDF_MEMORY_MAX || config->memory % 4U != 0U ||
-        /* The difference checks both ends of the range: a number below FILTER_FIRST wraps. */
-        (uint32_t)config->filter - FILTER_FIRST > FILTER_LAST - FILTER_FIRST) {
+        config->memory > MCP_ASDF_MEMORY_MAX || config->memory % 4U != 0U) {
+        return MCP_ASDF_ERR_CONFIG;
+    }
+    /* One comparison checks both ends of the range: for a filter below FILTER_FIRST the difference wraps to a
+     * large number. */
+    const uint32_t filters_from_first = (uint32_t)config->filter - FILTER_FIRST;
+    if (filters_from_first > FILTER_LAST - FILTER_FIRST) {
         return MCP_ASDF_ERR_CONFIG;
     }
     if (config->filter == MCP_ASDF_ADAPTIVE && (config->table == NULL || !is_valid_table(config->table))) {

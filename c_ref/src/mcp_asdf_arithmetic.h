@@ -24,14 +24,14 @@ ALWAYS_INLINE uint32_t low_word(uint64_t value) { return (uint32_t)value; }
  * turn each 0 into a 1 and each 1 into a 0. */
 ALWAYS_INLINE uint32_t lowest_bits_to_top(uint32_t value, uint32_t count)
 {
-    return shift_left(value << 1, count ^ 31U);
+    return shift_left(value << 1, count ^ 31U); /* for a count of 0: by 1 and by 31, which leaves 0 */
 }
 
 /* Returns a word whose lowest bits are the highest `count` bits of `value`, and whose other bits are 0; count
  * in [0, 31]. That is value >> (32 - count), in two shifts as above. Lemma highest_bits_to_bottom. */
 ALWAYS_INLINE uint32_t highest_bits_to_bottom(uint32_t value, uint32_t count)
 {
-    return shift_right(value >> 1, count ^ 31U);
+    return shift_right(value >> 1, count ^ 31U); /* for a count of 0: by 1 and by 31, which leaves 0 */
 }
 
 /* Returns floor(value / 2^count), count in [0, 63]; of other counts the lower 6 bits. Lemma
@@ -59,10 +59,10 @@ typedef struct {
 ALWAYS_INLINE word_pair_t shift_left_wide(uint32_t value, uint32_t count)
 {
     const uint32_t masked = count & 31U;
-    /* The upper word gets the highest `count` bits of the value: value >> (32 - count), in shifts by 1 and by
-     * 31 - count, as no shift may be 32. The lower word gets the rest. */
-    const word_pair_t shifted = {shift_right(value >> 1, COMPLEMENT(count, masked)),
-                                 shift_left(value, masked)};
+    const uint32_t complement = COMPLEMENT(count, masked); /* 31 - masked */
+    /* The upper word gets the highest `masked` bits of the value: value >> (32 - masked), in shifts by 1 and
+     * by 31 - masked, as no shift may be 32. The lower word gets the rest. */
+    const word_pair_t shifted = {shift_right(value >> 1, complement), shift_left(value, masked)};
     return shifted;
 }
 
@@ -87,18 +87,20 @@ ALWAYS_INLINE void add(uint64_t *sum, uint64_t term)
     FENCE();
 }
 
-/* Returns a dividend and a divisor of 32 bits for divide_31(), for 0 <= a <= d, d > 0. The dividend is the
- * upper 32 bits of a. The divisor is half of the upper 32 bits of d, rounded up, and is in [2^30, 2^31]. Half
- * of their quotient is at most 2^-31 + 2^-30 a / d less than a / d, and never more. Before that a and d are
- * shifted alike until the highest bit of d is set, by a whole word first. Lemma ratio. */
+/* Returns a dividend (as `high`) and a divisor (as `low`) of 32 bits for divide_31(), for 0 <= a <= d, d > 0.
+ * First a and d are shifted alike until the highest bit of d is set, by a whole word if the upper word of d
+ * is 0, and then by the rest. The dividend is the upper word of a then. The divisor is half of the upper word
+ * of d, rounded down, plus 1, and is in [2^30, 2^31]. Half of their quotient is at most 2^-31 + 2^-30 a / d
+ * less than a / d, and never more. Lemma ratio. */
 ALWAYS_INLINE word_pair_t ratio(uint64_t a, uint64_t d)
 {
     if (high_word(d) == 0U) {
-        a = join(low_word(a), 0);
+        a = join(low_word(a), 0); /* shifted left by 32; no bit is lost, as a <= d */
         d = join(low_word(d), 0);
     }
     const uint32_t shift = leading_zeros(high_word(d));
     const uint32_t dividend = shifted_high_word(a, shift), divisor = shifted_high_word(d, shift);
+    /* The bits of d that are left out here are worth less than 1, so that the divisor is never too small. */
     const word_pair_t words = {dividend, (divisor >> 1) + 1U};
     return words;
 }

@@ -18,11 +18,13 @@
 #define ID_ANONYMOUS (UINT32_C(1) << 24)
 #define ID_RESERVED ((UINT32_C(1) << 23) | (UINT32_C(1) << 7))
 #define ID_NODE_MASK 0x7FU
+#define ID_PRIORITY_START 26U          /* the lowest of the priority's bits, 26 to 28 */
 #define NOT_IN_ID UINT32_C(0xE0000000) /* bits 29 .. 31, which no identifier has */
 /* All bits that must be as the subject has them. Priority, sender and the bits sent as 1 may be anything. */
 #define CHECKED_ID_BITS (MCP_ASDF_FRAME_MASK | NOT_IN_ID)
 
-/* The tail byte. */
+/* The tail byte, the last of a frame's data. */
+#define TAIL_BYTE 7U
 #define TAIL_SINGLE_FRAME 0xE0U /* start, end and toggle bit */
 #define TAIL_TRANSFER_ID_MASK 0x1FU
 
@@ -80,10 +82,11 @@ static void write_envelope(mcp_asdf_frame_t *frame, uint8_t priority, uint16_t s
                            uint8_t transfer_id)
 {
     /* MCP_ASDF_FRAME_FILTER() returns an identifier with the bits of the subject alone. */
-    frame->id = ((uint32_t)priority << 26) | ID_BITS_SENT_AS_ONE | MCP_ASDF_FRAME_FILTER(subject) | node;
+    frame->id = ((uint32_t)priority << ID_PRIORITY_START) | ID_BITS_SENT_AS_ONE |
+                MCP_ASDF_FRAME_FILTER(subject) | node;
     frame->flags = 0;
     frame->length = FRAME_BYTES;
-    frame->data[7] = (uint8_t)(TAIL_SINGLE_FRAME | (transfer_id & TAIL_TRANSFER_ID_MASK));
+    frame->data[TAIL_BYTE] = (uint8_t)(TAIL_SINGLE_FRAME | (transfer_id & TAIL_TRANSFER_ID_MASK));
 }
 
 /* Returns the reason to refuse a frame in which check_envelope() has found a flag or an unexpected
@@ -120,13 +123,15 @@ static status_t find_refusal_reason(const mcp_asdf_frame_t *frame)
  * mcp_asdf_frame_status_t. */
 static status_t check_envelope(const mcp_asdf_frame_t *frame, uint16_t subject)
 {
+    /* Any flag is wrong, and so is any bit of the identifier that the subject has not, except in the
+     * priority, the sender and the bits that are sent as 1. */
     if ((frame->flags & ANY_FLAG) != 0U || (frame->id & CHECKED_ID_BITS) != MCP_ASDF_FRAME_FILTER(subject)) {
         return find_refusal_reason(frame);
     }
     if (frame->length != FRAME_BYTES) {
         return MCP_ASDF_FRAME_ERR_LENGTH;
     }
-    if ((frame->data[7] & TAIL_SINGLE_FRAME) != TAIL_SINGLE_FRAME) {
+    if ((frame->data[TAIL_BYTE] & TAIL_SINGLE_FRAME) != TAIL_SINGLE_FRAME) {
         return MCP_ASDF_FRAME_ERR_MULTI_FRAME;
     }
     return MCP_ASDF_FRAME_OK;
@@ -138,21 +143,22 @@ static uint8_t read_node(const mcp_asdf_frame_t *frame) { return (uint8_t)(frame
 /* Returns the number of the message in `frame` among those of its sender and kind, modulo 32. */
 static uint8_t read_transfer_id(const mcp_asdf_frame_t *frame)
 {
-    return (uint8_t)(frame->data[7] & TAIL_TRANSFER_ID_MASK);
+    return (uint8_t)(frame->data[TAIL_BYTE] & TAIL_TRANSFER_ID_MASK);
 }
 
 /* ---- Confidence: alpha words and binary32 ----------------------------------------------------------- */
 
 /* Whether a binary32 number, given by its bits, can be an alpha: finite and not negative. As integers, the
  * bits of infinity, of all NaN and of all numbers with the sign bit set are at least BINARY32_INFINITY. */
-static bool is_finite_and_positive(uint32_t binary32) { return binary32 < BINARY32_INFINITY; }
+static bool is_finite_and_not_negative(uint32_t binary32) { return binary32 < BINARY32_INFINITY; }
 
 /* Returns the bits of the binary32 number that an alpha word stands for: mantissa (bits 8 to 31) times
  * 2^shift (bits 0 to 4) in units of 2^-24. Exact for every word. */
 static uint32_t binary32_from_alpha_word(uint32_t alpha)
 {
     /* ALPHA_SHIFT_MAX, 31, is also the mask of the 5 bits that hold the shift. */
-    uint32_t mantissa = alpha >> 8, exponent = BINARY32_UNIT_EXPONENT + (alpha & ALPHA_SHIFT_MAX);
+    uint32_t mantissa = alpha >> 8;
+    uint32_t exponent = BINARY32_UNIT_EXPONENT + (alpha & ALPHA_SHIFT_MAX); /* of a mantissa of 24 bits */
     if (mantissa == 0U) {
         return 0;
     }
@@ -216,11 +222,12 @@ mcp_asdf_frame_status_t mcp_asdf_decode_estimate(mcp_asdf_estimate_t *message, u
         return status;
     }
     /* Bytes 0 to 2: x_hat; 3 to 6: alpha. */
-    const uint32_t x_hat = read_24(&frame->data[0]), alpha_binary32 = read_32(&frame->data[3]);
+    const uint32_t x_hat = read_24(&frame->data[0]);
+    const uint32_t alpha_binary32 = read_32(&frame->data[3]);
     if (x_hat > MCP_ASDF_ONE) {
         return MCP_ASDF_FRAME_ERR_X_HAT;
     }
-    if (!is_finite_and_positive(alpha_binary32)) {
+    if (!is_finite_and_not_negative(alpha_binary32)) {
         return MCP_ASDF_FRAME_ERR_ALPHA;
     }
     message->node = read_node(frame);
@@ -232,13 +239,13 @@ mcp_asdf_frame_status_t mcp_asdf_decode_estimate(mcp_asdf_estimate_t *message, u
 
 /* ---- Heartbeat -------------------------------------------------------------------------------------- */
 
-/* Write a heartbeat to a frame, with the standard's fixed subject. Returns OK; or the first of ERR_NODE
- * (above 127), ERR_FORMAT (the priority is above 7), ERR_HEALTH and ERR_MODE that applies, and leaves *frame
- * as it was. */
+/* Write a heartbeat (uptime in seconds, health, mode, and the vendor's status) to a frame, with the
+ * standard's fixed subject. Returns OK; or the first of ERR_NODE (above 127), ERR_FORMAT (the priority is
+ * above 7), ERR_HEALTH and ERR_MODE that applies, and leaves *frame as it was. */
 mcp_asdf_frame_status_t mcp_asdf_encode_heartbeat(mcp_asdf_frame_t *frame, uint8_t priority,
                                                   const mcp_asdf_heartbeat_t *message)
 {
-    const mcp_asdf_frame_format_t format = {0, priority};
+    const mcp_asdf_frame_format_t format = {.subject = 0, .priority = priority};
     /* check_sender_and_format() checks a subject, too, but the subject of heartbeats is fixed. So the
      * function gets subject 0, which is always valid, and finds only errors of node and priority. */
     const status_t status = check_sender_and_format(&format, message->node);
@@ -262,8 +269,9 @@ mcp_asdf_frame_status_t mcp_asdf_encode_heartbeat(mcp_asdf_frame_t *frame, uint8
 
 /* ---- Telemetry -------------------------------------------------------------------------------------- */
 
-/* Write telemetry to a frame. Returns OK; or the first of ERR_NODE, ERR_FORMAT, ERR_X (above 1.0) and
- * ERR_B_HAT (out of range) that applies, and leaves *frame as it was. */
+/* Write telemetry to a frame: x as Q23, b_hat as Q24, and the number of updates, modulo 256. Returns OK; or
+ * the first of ERR_NODE, ERR_FORMAT, ERR_X (above 1.0) and ERR_B_HAT (out of range) that applies, and leaves
+ * *frame as it was. */
 mcp_asdf_frame_status_t mcp_asdf_encode_telemetry(mcp_asdf_frame_t *frame,
                                                   const mcp_asdf_frame_format_t *format,
                                                   const mcp_asdf_telemetry_t *message)

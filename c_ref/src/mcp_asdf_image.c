@@ -11,6 +11,8 @@
 #define ROBUST_IMAGE UINT32_C(0x80) /* added to the magic word if the filter is the robust one */
 /* The largest alpha is ALPHA_MANTISSA times 2^31 units. */
 #define ALPHA_MANTISSA ((uint64_t)ALPHA_MANTISSA_MAX)
+/* Bits 5 to 7 of an alpha word, between its shift and its mantissa. */
+#define ALPHA_UNUSED_BITS UINT32_C(0xE0)
 
 /* ---- Invariants ---- */
 
@@ -38,7 +40,8 @@ static bool recompute_estimate(const mcp_asdf_t *robot, const mcp_asdf_config_t 
  * unless the highest bit of the mantissa (bit 31) is set, so that no smaller shift would do. */
 static bool is_possible_alpha(uint32_t alpha)
 {
-    return (alpha & 0xE0U) == 0U && ((alpha >> 31) != 0U || (alpha & 0x1FU) == 0U);
+    /* ALPHA_SHIFT_MAX, 31, is also the mask of the 5 bits that hold the shift. */
+    return (alpha & ALPHA_UNUSED_BITS) == 0U && ((alpha >> 31) != 0U || (alpha & ALPHA_SHIFT_MAX) == 0U);
 }
 
 /* Whether two accuracies with the same b_hat agree in all that follows from it. */
@@ -100,10 +103,11 @@ static bool is_valid_mean(uint64_t alpha, uint64_t alpha_x_low, uint64_t alpha_x
     const uint64_t upper_sum = alpha_x_high + (alpha_x_low >> 32);
     const uint64_t upper_limit = alpha >> 9; /* 2^23 alpha / 2^32 */
     /* MCP_ASDF_MAX_ID, 127, is also the number of messages: a robot has 127 others. */
-    return alpha <= (MCP_ASDF_MAX_ID * ALPHA_MANTISSA) << 31 && alpha_x_low < (UINT64_C(1) << 62) &&
+    const uint64_t largest_alpha_sum = (MCP_ASDF_MAX_ID * ALPHA_MANTISSA) << 31;
+    return alpha <= largest_alpha_sum && alpha_x_low < (UINT64_C(1) << 62) &&
            alpha_x_high < (UINT64_C(1) << 53) &&
            (upper_sum < upper_limit ||
-            /* The lower 32 bits of the sum and of 2^23 alpha decide where the upper ones are equal. */
+            /* The lower 32 bits decide if the upper ones are equal. The shift keeps 9 bits of alpha. */
             (upper_sum == upper_limit && (uint32_t)alpha_x_low <= ((uint32_t)alpha << 23)));
 }
 
@@ -173,8 +177,9 @@ static bool are_valid_slots(const mcp_asdf_t *robot)
 {
     uint32_t filled_count = 0;
     for (uint8_t i = 0; i < MCP_ASDF_SLOTS; ++i) { /* at most 32 turns */
-        filled_count += is_filled(&robot->robust, i) ? 1U : 0U;
-        if (!is_filled(&robot->robust, i) && robot->received.estimates[i] != 0U) {
+        const bool is_slot_filled = is_filled(&robot->robust, i);
+        filled_count += is_slot_filled ? 1U : 0U;
+        if (!is_slot_filled && robot->received.estimates[i] != 0U) {
             return false;
         }
     }
@@ -307,7 +312,7 @@ static uint32_t pass_word(image_t *image, uint32_t value)
         if (image->is_read) {
             word |= (uint32_t)*image->source++ << shift;
         } else {
-            *image->target++ = (uint8_t)(value >> shift);
+            *image->target++ = (uint8_t)(value >> shift); /* the lowest 8 bits of what is left */
         }
     }
     image->hash = hash_word(image->hash, word);
@@ -319,7 +324,7 @@ static uint32_t pass_word(image_t *image, uint32_t value)
 static void pass_half_words(image_t *image, uint16_t *first, uint16_t *second)
 {
     const uint32_t word = pass_word(image, ((uint32_t)*second << 16) | *first);
-    *first = (uint16_t)word;
+    *first = (uint16_t)word; /* bits 0 to 15 */
     *second = (uint16_t)(word >> 16);
 }
 
@@ -343,7 +348,8 @@ static void pass_bytes(image_t *image, uint8_t *bytes)
 static void pass_sum(image_t *image, uint64_t *sum)
 {
     const uint32_t low = pass_word(image, (uint32_t)*sum);
-    *sum = ((uint64_t)pass_word(image, (uint32_t)(*sum >> 32)) << 32) | low;
+    const uint32_t high = pass_word(image, (uint32_t)(*sum >> 32));
+    *sum = ((uint64_t)high << 32) | low;
 }
 
 /* Pass the sums of the closed and of the open round through the image: 16 words. */
@@ -421,8 +427,8 @@ static void pass_state(image_t *image, mcp_asdf_t *robot, bool is_robust)
     pass_half_words(image, &robot->counters.accepted, &robot->counters.repeated);
     pass_half_words(image, &robot->counters.rejected, &robot->counters.tests);
     /* The last word: updates in bits 0 to 15, `updated` in bits 16 to 23, the id in bits 24 to 31. */
-    const uint32_t last_word = pass_word(image, robot->counters.updates | ((uint32_t)robot->updated << 16) |
-                                                    ((uint32_t)robot->id << 24));
+    const uint32_t upper_half = ((uint32_t)robot->updated << 16) | ((uint32_t)robot->id << 24);
+    const uint32_t last_word = pass_word(image, robot->counters.updates | upper_half);
     robot->counters.updates = (uint16_t)last_word;
     robot->updated = (uint8_t)(last_word >> 16);
     robot->id = (uint8_t)(last_word >> 24);
@@ -441,7 +447,7 @@ void mcp_asdf_save(const mcp_asdf_t *robot, uint8_t image[MCP_ASDF_IMAGE_SIZE])
     const bool is_robust = mcp_asdf_is_robust(robot->config);
     (void)pass_word(&output, magic_word(is_robust));
     pass_state(&output, &copy, is_robust);
-    (void)pass_word(&output, output.hash);
+    (void)pass_word(&output, output.hash); /* the hash of all words before this one */
 }
 
 /* Read a robot from `image`, check it, and only then write *robot. Returns OK; ERR_CONFIG or ERR_TABLE if
@@ -456,7 +462,8 @@ mcp_asdf_status_t mcp_asdf_restore(mcp_asdf_t *robot, const mcp_asdf_config_t *c
     /* While an image is read, the value that is passed to pass_word() does not matter. */
     const bool has_magic_word = pass_word(&input, 0) == magic_word(is_robust);
     pass_state(&input, &restored, is_robust);
-    const uint32_t hash = input.hash; /* before the last word, which is read next and should be equal to it */
+    const uint32_t hash = input.hash; /* of all words but the last, which should be equal to it */
+    /* pass_word() reads the last word here. Without the magic word it need not be read. */
     const bool is_undamaged = has_magic_word && pass_word(&input, 0) == hash;
     /* Errors of the config come before those of the image. The new robot gives the restored one what an image
      * leaves out: what follows from b_hat, and the robust filter's memory where the filter is another. */

@@ -62,7 +62,7 @@ ALWAYS_INLINE void init_robust_filter(mcp_asdf_t *robot, uint32_t b_hat)
 /* Returns x_hat (Q23) as a slot keeps it: Q16, to nearest, and 1 - 2^-16 for 1.0, as a slot has 16 bits. */
 ALWAYS_INLINE uint16_t slot_estimate(uint32_t x_hat)
 {
-    const uint32_t rounded = (x_hat + 64U) >> 7; /* <= 2^16 */
+    const uint32_t rounded = (x_hat + 64U) >> 7; /* 64 is half of 2^7: to nearest, halves up; <= 2^16 */
     return (uint16_t)(rounded < UINT16_MAX ? rounded : UINT16_MAX);
 }
 
@@ -93,7 +93,8 @@ ALWAYS_INLINE vote_statistics_t statistics_after_vote(vote_statistics_t statisti
     const uint32_t centre = statistics.centre, spread = statistics.spread;
     const uint32_t votes = statistics.votes + (statistics.votes < MCP_ASDF_VOTES_MAX ? 1U : 0U);
     /* The gain is 2^-gain_shift. 31 - leading_zeros() is the index of the highest bit, log2(votes) rounded
-     * down, and the shift is 2 less: 3 for 32 votes, 4 for 64. The OR makes fewer votes count as 32. */
+     * down, and the shift is 2 less: 3 for 32 votes, 4 for 64. The OR gives fewer votes the highest bit
+     * of 32. */
     const uint32_t gain_shift = 29U - leading_zeros(votes | VOTES_OF_MAX_GAIN); /* [3, 7] */
     const uint32_t spread_step = shift_right(spread, gain_shift + 1U);          /* <= spread / 16 */
     const uint32_t difference = centre - q30_from_q23(x_hat); /* within 2^30 of 0, in two's complement */
@@ -128,7 +129,8 @@ ALWAYS_INLINE uint32_t next_slot(uint32_t filled_slots, uint32_t turn, bool has_
         remaining_slots = filled_slots;
     }
     /* slots & -slots is the lowest bit that is set, alone; 31 - leading_zeros() is its index. */
-    return 31U - leading_zeros(remaining_slots & (0U - remaining_slots));
+    const uint32_t lowest_slot_bit = remaining_slots & (0U - remaining_slots);
+    return 31U - leading_zeros(lowest_slot_bit);
 }
 
 /* Count one estimate as a vote, at the end of a round: the next slot's or the robot's own, which is left out
@@ -184,7 +186,9 @@ ALWAYS_INLINE uint32_t times_half_word(uint32_t factor, uint16_t half_word)
  * left. */
 ALWAYS_INLINE uint64_t ratio_times_variance(uint32_t ratio, uint64_t variance)
 {
-    return (multiply(ratio, high_word(variance)) << 14) + (multiply(ratio, low_word(variance)) >> 18);
+    const uint64_t upper_part = multiply(ratio, high_word(variance)) << 14;
+    const uint64_t lower_part = multiply(ratio, low_word(variance)) >> 18;
+    return upper_part + lower_part;
 }
 
 /* Returns (black - count share)^2 as Q22, for the share as Q32: the square of how far the number of black
@@ -195,8 +199,9 @@ ALWAYS_INLINE uint64_t square_of_deviation(uint32_t black, uint32_t count, uint3
     const uint64_t observed = join(black, 0), expected = multiply(count, share); /* Q32: < 2^63 */
     const uint64_t deviation = observed > expected ? observed - expected : expected - observed;
     const uint64_t short_deviation = deviation >> 21; /* Q11, so that its square, Q22, has 64 bits */
-    const uint32_t word = high_word(short_deviation) == 0U ? low_word(short_deviation) : UINT32_MAX;
-    return multiply(word, word);
+    const uint32_t limited_deviation =
+        high_word(short_deviation) == 0U ? low_word(short_deviation) : UINT32_MAX;
+    return multiply(limited_deviation, limited_deviation);
 }
 
 /* End a batch of observations: let it enter the dispersion, and begin the next batch. `share` is n / t, Q32.
@@ -213,7 +218,8 @@ ALWAYS_INLINE uint64_t square_of_deviation(uint32_t black, uint32_t count, uint3
 static void end_batch(mcp_asdf_t *robot, uint32_t share)
 {
     mcp_asdf_robust_t *const robust = &robot->robust;
-    const uint32_t count = robot->t - robust->batch_t, black = robot->n - robust->batch_n;
+    const uint32_t count = robot->t - robust->batch_t; /* observations in the batch */
+    const uint32_t black = robot->n - robust->batch_n; /* the black ones among them */
     const uint64_t variance = multiply(count, multiply_high(share, one_minus(share)));           /* < 2^61 */
     const uint32_t largest_ratio = times_half_word(REJECTED_SIGMAS_SQUARED, robust->dispersion); /* < 2^20 */
     /* The square of the deviation at which the ratio is the largest. It is 0 where the variance is. */
@@ -230,7 +236,8 @@ static void end_batch(mcp_asdf_t *robot, uint32_t share)
     const uint32_t fraction_of_largest = quotient(limited_square, largest_square); /* Q32 */
     const uint32_t ratio = multiply_high(largest_ratio, fraction_of_largest);      /* < 2^20 */
     const uint32_t old_weight = (UINT32_C(1) << DISPERSION_SHIFT) - 1U; /* 7, where a batch has 1 */
-    const uint32_t average = (times_half_word(old_weight, robust->dispersion) + ratio) >> DISPERSION_SHIFT;
+    const uint32_t weighted_sum = times_half_word(old_weight, robust->dispersion) + ratio; /* of weight 8 */
+    const uint32_t average = weighted_sum >> DISPERSION_SHIFT;                             /* rounded down */
     const uint32_t limited_average = average < UINT16_MAX ? average : UINT16_MAX;
     robust->dispersion =
         (uint16_t)(limited_average > MCP_ASDF_DISPERSION_MIN ? limited_average : MCP_ASDF_DISPERSION_MIN);
@@ -245,7 +252,8 @@ static uint32_t sort_estimates(const mcp_asdf_t *robot, uint16_t sorted[MCP_ASDF
         sorted[slot] = 0;
         if ((robot->robust.filled_slots & shift_left(1, slot)) != 0U) {
             const uint16_t estimate = robot->received.estimates[slot];
-            uint32_t i = count++;
+            uint32_t i = count++; /* the first free entry; the estimates before it are sorted */
+            /* Larger estimates move up by one entry, until there is room for this one. */
             for (; i > 0U && sorted[i - 1U] > estimate; --i) { /* at most 31 turns, 496 in all */
                 sorted[i] = sorted[i - 1U];
             }
@@ -280,8 +288,9 @@ static uint32_t median_distance(const uint16_t *sorted, uint32_t count, uint32_t
     }
     /* An even number of estimates has two in the middle: the mean of their distances. */
     distance = count % 2U == 0U ? (distance + last_distance) / 2U : distance;
-    distance = distance < MCP_ASDF_SPREAD_MAX >> 6 ? distance : MCP_ASDF_SPREAD_MAX >> 6; /* Q30 to Q24 */
-    return distance > MCP_ASDF_SPREAD_MIN >> 6 ? distance : MCP_ASDF_SPREAD_MIN >> 6;
+    const uint32_t largest = MCP_ASDF_SPREAD_MAX >> 6, least = MCP_ASDF_SPREAD_MIN >> 6; /* Q30 to Q24 */
+    distance = distance < largest ? distance : largest;
+    return distance > least ? distance : least;
 }
 
 /* Returns the centre of the estimates (Q16) after one step of Newton's method from `centre`, by Huber's
@@ -309,10 +318,12 @@ static uint32_t huber_step(const uint16_t *estimates, uint32_t count, uint32_t c
     const uint32_t balance = distance_between(sum, sum_at_centre); /* without its sign */
     /* `inside` as Q24, as the balance is; <= 2^29. The quotient is a Q32, and the step at most 1.0. */
     const uint32_t divisor = (inside > 0U ? inside : 1U) << 24;
-    const uint32_t step = quotient(balance < divisor ? balance : divisor, divisor) >> 8; /* Q24 */
+    const uint32_t limited_balance = balance < divisor ? balance : divisor;
+    const uint32_t step = quotient(limited_balance, divisor) >> 8; /* Q24 */
     const uint32_t below = centre > step ? centre - step : 0U;
-    const uint32_t above = centre + step, largest = q24_from_q16(UINT16_MAX);
+    const uint32_t above = centre + step, largest = q24_from_q16(UINT16_MAX); /* of all estimates */
     const uint32_t limited_above = above < largest ? above : largest;
+    /* A sum that is too small comes from estimates below the centre. */
     return sum < sum_at_centre ? below : limited_above;
 }
 
@@ -368,9 +379,10 @@ static bool robust_test_rejects(const mcp_asdf_t *robot, uint32_t share, uint32_
     const uint32_t variance = variance_of_share > variance_of_p ? variance_of_share : variance_of_p; /* v */
     /* Both sides are multiplied by t, so that v needs no division. */
     const uint64_t t_excess = times_q64(robot->t, square - spread_limit);
-    /* 12 dispersion v, a Q40 before the shift: < 2^20 2^30 */
-    const uint64_t t_variance_limit =
-        multiply(times_half_word(REJECTED_SIGMAS_SQUARED, robot->robust.dispersion), variance) >> 8;
+    /* 12 dispersion v: < 2^20 2^30, a Q40 before the shift and then a Q32, rounded down */
+    const uint32_t dispersion_limit =
+        times_half_word(REJECTED_SIGMAS_SQUARED, robot->robust.dispersion); /* < 2^20 */
+    const uint64_t t_variance_limit = multiply(dispersion_limit, variance) >> 8;
     return t_excess > t_variance_limit;
 }
 
@@ -388,7 +400,8 @@ static bool is_supported(const mcp_asdf_t *robot, const uint16_t *estimates, uin
         const uint32_t p_of_estimate = probability_of_black(robot, q32_from_q16(estimates[i]));
         const uint32_t distance_from_robot = distance_between(p_of_estimate, share);
         const uint32_t distance_from_centre = distance_between(p_of_estimate, p_of_centre);
-        supporters += distance_from_robot < distance_from_centre ? 1U : 0U;
+        const bool supports_robot = distance_from_robot < distance_from_centre;
+        supporters += supports_robot ? 1U : 0U;
     }
     return 5U * supporters > 2U * count; /* supporters / count > 2 / 5 */
 }

@@ -50,14 +50,15 @@ uint32_t mcp_asdf_x_hat_from_code(uint32_t code, uint32_t bits)
 static uint32_t long_code_from_alpha(uint32_t alpha)
 {
     /* ALPHA_SHIFT_MAX, 31, is also the mask of the 5 bits that hold the shift. */
-    uint32_t mantissa = alpha >> 8, length = 24U + (alpha & ALPHA_SHIFT_MAX);
-    /* Shift until the highest of 24 bits is set. `length`, the number of bits of the value, was right for
-     * such a mantissa, and is one less for each shift. */
+    uint32_t mantissa = alpha >> 8;
+    /* The number of bits of the value, if the highest of the mantissa's 24 bits is set. */
+    uint32_t length = 24U + (alpha & ALPHA_SHIFT_MAX);
+    /* Shift the mantissa until this bit is set. Each shift shows that the value has one bit less. */
     while (mantissa >> 23 == 0U) { /* at most 23 turns, so the length stays above 0 */
         mantissa <<= 1;
         --length;
     }
-    if (length > ALPHA_LINEAR_BITS + 31U) {
+    if (length > ALPHA_LINEAR_BITS + 31U) { /* the exponent, of 5 bits, is 31 at most */
         return UINT32_MAX;
     }
     /* The highest bit moves from bit 23 to bit 27, with the fraction in the 27 bits below it: [2^27, 2^28) */
@@ -70,18 +71,20 @@ static uint32_t long_code_from_alpha(uint32_t alpha)
     return ((length - ALPHA_LINEAR_BITS - 1U) << ALPHA_FRACTION_LENGTH) + significand;
 }
 
-/* Returns the code of an alpha word in 1 to 25 bits: the beginning of its long code, so that it is rounded
- * down, but not to 0, which is the code of no confidence. */
+/* Returns the code of an alpha word in 1 to 25 bits: the first bits of its long code, so that it is rounded
+ * down, but not to 0, which is the code of no confidence (alpha 0). */
 uint32_t mcp_asdf_alpha_to_code(uint32_t alpha, uint32_t bits)
 {
-    if (alpha >> 8 == 0U) {
+    if (alpha >> 8 == 0U) { /* the mantissa is 0, and so is alpha */
         return 0;
     }
     const uint32_t code = long_code_from_alpha(alpha) >> (32U - bits);
     return code != 0U ? code : 1U;
 }
 
-/* Returns the alpha word of a code of 1 to 25 bits, with the smallest shift. */
+/* Returns the alpha word that a code of 1 to 25 bits stands for, with the smallest shift: mantissa in bits 31
+ * to 8, times 2 to the power of bits 4 to 0, in units of 2^-24. Exact for every code. Bits of `code` above
+ * its length are ignored. */
 uint32_t mcp_asdf_alpha_from_code(uint32_t code, uint32_t bits)
 {
     const uint32_t long_code = code << (32U - bits);
@@ -90,15 +93,18 @@ uint32_t mcp_asdf_alpha_from_code(uint32_t code, uint32_t bits)
     if (exponent == 0U) { /* the fraction is the value times 2^7, and the value a mantissa with shift 0 */
         return (long_code >> (ALPHA_FRACTION_LENGTH - ALPHA_LINEAR_BITS)) << 8;
     }
-    /* The highest bit of the 24, which codes leave out, and 23 of the fraction, without the exponent. */
-    const uint32_t mantissa = (UINT32_C(1) << 23) | ((long_code << ALPHA_EXPONENT_LENGTH) >> 9);
+    /* The mantissa has 24 bits: the highest, which codes leave out, and 23 of the fraction. The shift to the
+     * left drops the exponent; the shift to the right leaves 32 - 9 bits. */
+    const uint32_t fraction = (long_code << ALPHA_EXPONENT_LENGTH) >> 9; /* [0, 2^23) */
+    const uint32_t mantissa = (UINT32_C(1) << 23) | fraction;
     /* The value is mantissa 2^(exponent - 4) units. */
     return exponent < 4U ? (mantissa >> (4U - exponent)) << 8 : (mantissa << 8) | (exponent - 4U);
 }
 
 /* ---- Messages --------------------------------------------------------------------------------------- */
 
-/* Write a message to 4 bytes, the lowest bits first: 9 bits of alpha's code, 16 of x_hat's, 7 of the node.
+/* Write a message to 4 bytes, the lowest bits first: 9 bits of alpha's code, 16 of x_hat's, 7 of the node. In
+ * the message x_hat is Q23 and alpha an alpha word; codes round them.
  * Returns OK; or ERR_SENDER if the node is above 127, else ERR_X_HAT if x_hat is above 1.0, and leaves the
  * bytes as they were. */
 mcp_asdf_status_t mcp_asdf_encode_small(uint8_t bytes[MCP_ASDF_SMALL_BYTES],
@@ -121,7 +127,8 @@ mcp_asdf_status_t mcp_asdf_encode_small(uint8_t bytes[MCP_ASDF_SMALL_BYTES],
     return MCP_ASDF_OK;
 }
 
-/* Read a message from any 4 bytes, the lowest bits first. */
+/* Read a message from 4 bytes, the lowest bits first: 9 bits of alpha's code, 16 of x_hat's, 7 of the node.
+ * In the message x_hat is Q23 and alpha an alpha word. Any bytes are a valid message. */
 void mcp_asdf_decode_small(mcp_asdf_small_message_t *message, const uint8_t bytes[MCP_ASDF_SMALL_BYTES])
 {
     const uint32_t word =
