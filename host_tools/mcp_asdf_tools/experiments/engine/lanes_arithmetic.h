@@ -25,7 +25,7 @@ LANES_INLINE uint32_t leading_zeros(uint32_t value)
     const union {
         float number;
         int32_t bits;
-    } as = {.number = (float)(int32_t)sparse}; /* its other member, as.bits, reads the bits of the number */
+    } as = {(float)(int32_t)sparse}; /* its other member, as.bits, reads the bits of the number */
     /* A binary32 number in its 32 bits:
      *
      *     bit 31    bits 30 to 23                   bits 22 to 0
