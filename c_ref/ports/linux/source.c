@@ -53,7 +53,8 @@ static bool fill_buffer(source_t *source)
     if (source->next_index < source->buffer_length) {
         return true;
     }
-    if (source->has_ended || poll(&input, 1, 0) <= 0) {
+    const int no_wait = 0; /* milliseconds */
+    if (source->has_ended || poll(&input, 1, no_wait) <= 0) {
         return false;
     }
     const ssize_t size = read(source->fd, source->buffer, sizeof source->buffer);

@@ -93,8 +93,8 @@ typedef struct {
     double tangent_change;
 } mcp_asdf_contact_t;
 
-/* Private: bodies that may touch something within a tick, and their contacts in the present substep. Entry m
- * of each array describes the m-th of these bodies.
+/* Private: bodies that may touch something within a tick, and their contacts in the present substep. An
+ * entry of all arrays together describes one of these bodies.
  *   robot                            number of the body in the arena
  *   target_vx, target_vy             velocity that the wheels ask for
  *   motor_change_x, motor_change_y   change of velocity that the motors have made so far in this substep */

@@ -75,9 +75,9 @@ static void sort_robots_into_cells(mcp_asdf_arena_t *arena, double limit)
     }
 }
 
-/* Append to the candidates the pairs of robot i with robots of higher numbers that are closer than `limit`
+/* Append to arena->candidates the pairs of robot i with robots of higher numbers that are closer than `limit`
  * metres, in the cells of a row around its column: three cells or, at a wall, two. `count` is the number of
- * candidates so far; returns the new one. */
+ * candidates so far; returns the number after that. */
 static uint32_t add_candidates_of_row(mcp_asdf_arena_t *arena, uint32_t i, uint32_t row, double limit,
                                       uint32_t count)
 {

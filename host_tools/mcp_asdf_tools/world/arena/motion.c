@@ -99,8 +99,8 @@ static void find_contacts(const mcp_asdf_arena_t *arena, mcp_asdf_bodies_t *bodi
     const double margin = 2 * arena->config.speed * arena->substep;
     bodies->contact_count = 0;
     find_robot_contacts(arena, bodies, margin);
-    for (uint32_t m = 0; m < bodies->count; ++m) {
-        find_wall_contacts(arena, bodies, bodies->robot[m], margin);
+    for (uint32_t entry = 0; entry < bodies->count; ++entry) {
+        find_wall_contacts(arena, bodies, bodies->robot[entry], margin);
     }
 }
 
@@ -110,20 +110,21 @@ static void find_contacts(const mcp_asdf_arena_t *arena, mcp_asdf_bodies_t *bodi
 static void run_motors(mcp_asdf_arena_t *arena, mcp_asdf_bodies_t *bodies)
 {
     const double limit = arena->max_motor_change;
-    for (uint32_t m = 0; m < bodies->count; ++m) {
-        const uint32_t i = bodies->robot[m];
+    for (uint32_t entry = 0; entry < bodies->count; ++entry) {
+        const uint32_t i = bodies->robot[entry];
         /* What all passes together would have to change for the body to reach its target velocity now: what
          * the passes before have changed, and what is left. It is shortened to the limit if it is longer. */
-        double change_x = bodies->motor_change_x[m] + bodies->target_vx[m] - arena->vx[i];
-        double change_y = bodies->motor_change_y[m] + bodies->target_vy[m] - arena->vy[i];
+        double change_x = bodies->motor_change_x[entry] + bodies->target_vx[entry] - arena->vx[i];
+        double change_y = bodies->motor_change_y[entry] + bodies->target_vy[entry] - arena->vy[i];
         const double squared = change_x * change_x + change_y * change_y;
-        const double share = squared > limit * limit ? limit / sqrt(squared) : 1;
+        const double share = squared > limit * limit ? limit / sqrt(squared) : 1; /* of the change */
         change_x *= share;
         change_y *= share;
-        arena->vx[i] += change_x - bodies->motor_change_x[m];
-        arena->vy[i] += change_y - bodies->motor_change_y[m];
-        bodies->motor_change_x[m] = change_x;
-        bodies->motor_change_y[m] = change_y;
+        /* This pass adds only what the passes before have not changed yet. */
+        arena->vx[i] += change_x - bodies->motor_change_x[entry];
+        arena->vy[i] += change_y - bodies->motor_change_y[entry];
+        bodies->motor_change_x[entry] = change_x;
+        bodies->motor_change_y[entry] = change_y;
     }
 }
 
@@ -199,8 +200,8 @@ static void change_velocities(mcp_asdf_arena_t *arena, mcp_asdf_bodies_t *bodies
             resolve_contact(arena, &bodies->contacts[c]);
         }
     }
-    for (uint32_t m = 0; m < bodies->count; ++m) {
-        limit_speed(arena, bodies->robot[m]);
+    for (uint32_t entry = 0; entry < bodies->count; ++entry) {
+        limit_speed(arena, bodies->robot[entry]);
     }
 }
 
@@ -211,14 +212,14 @@ static void move_touching_bodies(mcp_asdf_arena_t *arena)
     mcp_asdf_bodies_t *const bodies = &arena->touching;
     collect_touching_bodies(arena, bodies);
     for (int substep = 0; substep < SUBSTEPS; ++substep) {
-        for (uint32_t m = 0; m < bodies->count; ++m) {
-            move_body(arena, bodies->robot[m], arena->substep);
+        for (uint32_t entry = 0; entry < bodies->count; ++entry) {
+            move_body(arena, bodies->robot[entry], arena->substep);
         }
         find_contacts(arena, bodies);
         change_velocities(arena, bodies);
     }
-    for (uint32_t m = 0; m < bodies->count; ++m) {
-        const uint32_t i = bodies->robot[m];
+    for (uint32_t entry = 0; entry < bodies->count; ++entry) {
+        const uint32_t i = bodies->robot[entry];
         arena_rotate(&arena->cx[i], &arena->cy[i], turn_in_tick(arena, i));
         arena->spin[i] = arena->target_spin[i];
     }
