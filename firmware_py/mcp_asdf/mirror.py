@@ -327,20 +327,16 @@ def informed_estimate(closed: Closed, x_hat: int, alpha: int) -> int:
 def asdf_test_rejects(table: Table, open_round: Sums, x_hat: int) -> bool:
     """Return whether a robot's x_hat differs too much from the m >= 2 estimates received in a round (eq. 12).
 
-    With X and S, the mean and the standard deviation of the received x_hat, and the t-score t, eq. 12 is
+    With X and S, the mean and the standard deviation of the received x_hat, and the t-score t, it does if
 
         |X - x_hat| > (t / sqrt(m) + 1) S
 
-    Squared and multiplied by m**2, so that it takes neither a root nor a division, this is
-
-        (sum_x - m x_hat)**2 > k_m (m sum_x_squared - sum_x**2)
-
-    where the sums are over the m estimates of the open round. The table has the threshold
-
-        k_m = (t / sqrt(m) + 1)**2 m / (m - 1)
-
-    ``x_hat`` is in units of 2**-23.
+    ``open_round`` has the sums over the m estimates, and ``table`` has the thresholds that take the place of
+    the t-scores. ``x_hat`` is in units of 2**-23.
     """
+    # Squared and multiplied by m**2, so that it takes neither a root nor a division, the inequality is
+    #     (sum_x - m x_hat)**2 > k_m (m sum_x_squared - sum_x**2)
+    # with the threshold k_m = (t / sqrt(m) + 1)**2 m / (m - 1).
     m = open_round.count
     sum_x = open_round.x  # units of 2**-23, as x_hat
     sum_x_squared = open_round.x_squared  # units of 2**-46, as both sides of the comparison

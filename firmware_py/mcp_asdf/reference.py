@@ -131,9 +131,6 @@ def local_confidence(n: int, t: int, b: Number, conventions: Conventions = PAPER
                 d ((t - n) / (1 - b)**2 + n / b**2)     if x_hat is 1
                 d t**3 / (n (t - n))                    otherwise
 
-    The paper prints the first case as d (t b**2 - (2 b - 1) (t - n)) / (b**2 (b - 1)**2), which is the same.
-    The second one is the first with the colours exchanged.
-
     It is 0 before the first observation, and ``conventions.zero_confidence`` for a ``b`` so near 1/2 that the
     sensor carries no information. Raises ZeroDivisionError where alpha is infinite: for a perfect sensor,
     ``b`` 0 or 1, after observations of one colour only.
@@ -145,7 +142,9 @@ def local_confidence(n: int, t: int, b: Number, conventions: Conventions = PAPER
     if _carries_no_information(b, conventions):
         return to_number(conventions.zero_confidence)
     d = (2 * b - 1) ** 2  # the paper's name
-    # The first two cases are sums: unlike in the paper's form, nothing is subtracted that could cancel.
+    # The paper prints the first case as d (t b**2 - (2 b - 1) (t - n)) / (b**2 (b - 1)**2), which is equal.
+    # Here it is a sum, so that nothing is subtracted that could cancel. The second case is the first one with
+    # the colours exchanged.
     if x_hat == 0:
         alpha = d * (n / (1 - b) ** 2 + (t - n) / b**2)
     elif x_hat == 1:

@@ -225,25 +225,19 @@ def begin_batch(robust: RobustFilter, t: int, n: int) -> None:
 def end_batch(robust: RobustFilter, t: int, n: int) -> None:
     """Update the dispersion by the batch of observations that ends now, and begin the next batch.
 
-    ``t`` is the number of all observations so far, ``n`` the number of black ones, and share = n / t. Of the
-    batch's observations, count in number, count * share are expected to be black. The deviation is how far
-    the number of black ones is from count * share. For independent observations its square is on average the
-    variance, count * share * (1 - share). If a robot observes the same tile several times they are not
-    independent, and the square is larger: the dispersion says how many times. This is the phi of
-    overdispersed binomial models.
-
-    The dispersion is a moving average of the ratio deviation**2 / variance, in which a batch has a weight of
-    1/8. A batch whose ratio is above 12 times the dispersion enters with 12 times the dispersion instead: it
-    is an outlier, as after a change of the floor.
-
-    Without observations in the batch, or while no observation at all was black, the dispersion stays as it
-    is.
+    ``t`` is the number of all observations so far, ``n`` the number of black ones. The dispersion says how
+    many times more the number of black ones varies from batch to batch than that of independent observations
+    would: more if a robot observes the same tile several times. It is a moving average of the ratio
+    deviation**2 / variance (see `ratio_of_batch`), in which a batch has a weight of 1/8. Without observations
+    in the batch, or while no observation at all was black, the dispersion stays as it is.
     """
     count = t - robust.batch_t
     black_count = n - robust.batch_n
     begin_batch(robust, t, n)
 
     share = q32_quotient(n, t)
+    # The ratio, on average 1 for independent observations, is the phi of overdispersed binomial models. At
+    # most 12 times the dispersion enters: more is an outlier, such as after a change of the floor.
     ratio = ratio_of_batch(robust, count, black_count, share)
     if ratio is None:
         return

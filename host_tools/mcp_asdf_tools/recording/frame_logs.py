@@ -93,10 +93,9 @@ def read_log(
 ) -> Iterator[can.Message]:
     """Yield the frames of a log in its order: all of them, or those of one channel.
 
-    Everything that reads recorded frames does it here, so every format can be read everywhere. The suffix
-    gives the format, such as ``.log`` for candump's. Behind it ``.part`` may stand for a run that was cut
-    off, and ``.gz`` for a compressed log. A run that was cut off yields its complete frames. In candump's
-    format lines that are no frames are skipped, in all other formats they are errors.
+    The suffix gives the format, such as ``.log`` for candump's. Behind it ``.part`` may stand for a run that
+    was cut off, and ``.gz`` for a compressed log. A run that was cut off yields its complete frames. In
+    candump's format lines that are no frames are skipped, in all other formats they are errors.
 
     Args:
         path: The log.

@@ -123,14 +123,21 @@ class Swarm:
         self._delivery_queue = DeliveryQueue(
             self._current_neighbours, self.faults.on_delivery, settings.latency
         )
+        self._carrier = Carrier(self.nodes, self._delivery_queue, settings.frames, self.clock)
+        self._drivers = self._open_buses(wiring, on_frame)
+
+    def _open_buses(self, wiring: Wiring, on_frame: FrameTaker | None) -> list[Driver]:
+        """Open the buses of ``wiring``, and return the drivers of remote robots, one for each bus.
+
+        ``on_frame`` is called with every frame, which is marked as received before that.
+        """
         if on_frame is not None:
             # Without a bus frames have no channel, so they get the name that logs are to have.
             channel = wiring.channel if wiring.open_bus is None else None
             on_frame = _mark_as_received(on_frame, channel)
-        self._carrier = Carrier(self.nodes, self._delivery_queue, settings.frames, self.clock)
         # The drivers command over connections that the carrier opens.
         self._carrier.join(wiring, on_frame)
-        self._drivers = self._create_drivers(wiring, on_frame)
+        return self._create_drivers(wiring, on_frame)
 
     def _create_robot(self, setup: RobotSetup) -> BusRobot:
         """Create a robot that starts as ``setup`` says or, if it is remote, its counterpart in this process.
