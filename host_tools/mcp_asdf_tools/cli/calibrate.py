@@ -43,8 +43,8 @@ def run(args: argparse.Namespace) -> int:
     if the file cannot be read, or has readings of another form, too few of them, or ones that do not
     distinguish the colours.
     """
-    name = "standard input" if args.file == "-" else args.file
-    readings = parse_readings(read_text(args.file), name)
+    source_name = "standard input" if args.file == "-" else args.file
+    readings = parse_readings(read_text(args.file), source_name)
     left_out = _describe_left_out_lines(readings)
     try:
         calibration = calibrate(readings.rows)
@@ -53,6 +53,7 @@ def run(args: argparse.Namespace) -> int:
         remark = f" ({left_out})" if left_out else ""
         raise UsageError(f"{error}{remark}") from error
     if args.json:
+        # These are properties, which asdict() leaves out.
         derived_values = {
             name: getattr(calibration, name) for name in ("b_hat", "uncertainty", "bias", "warning")
         }

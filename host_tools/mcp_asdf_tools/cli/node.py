@@ -96,7 +96,7 @@ def run(args: argparse.Namespace) -> int:
         raise UsageError(f"steps is {args.steps}; it must be 1 or more")
     steps_per_second = options.typed_value_or_default(args, Population, "steps_per_second")
     parameters = {"steps_per_second": steps_per_second, "steps": args.steps}
-    # No seed: the robot's observations come from the bus.
+    # There is no seed, as the robot's observations come from the bus.
     events_header = EventsHeader([robot_setup], seed=None, frames=subjects.estimates, parameters=parameters)
     recording = recording_for("node", args.log, events_header, bus_choice)
     with recording as (log, events):

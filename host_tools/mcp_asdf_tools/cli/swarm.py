@@ -173,6 +173,7 @@ def wiring_of(args: argparse.Namespace, settings: SwarmSettings, bus_choice: Bus
     from mcp_asdf_tools.swarm.remote_robot import check_remote
 
     devices = dict(_parse_device(device) for device in args.device)
+    # In the dictionary devices with the same id are one.
     if len(devices) < len(args.device):
         raise UsageError(f"two devices are one robot: {', '.join(args.device)}; give each an id of its own")
 
@@ -248,7 +249,9 @@ class _RunPlan:
 def _plan_run(args: argparse.Namespace) -> _RunPlan:
     """Return the run that the options describe.
 
-    Raises UsageError for options that contradict each other, or that would do nothing.
+    Raises UsageError for options that contradict each other, or that would do nothing: --pace or --port
+    without --view, --compare with robots elsewhere, and --slcan with a bus for each robot or with so many
+    robots that tools have no ids.
     """
     from rich.console import Console
 

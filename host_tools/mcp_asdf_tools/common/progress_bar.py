@@ -29,6 +29,7 @@ def progress(unit: str, total: float, quiet: bool = False) -> Iterator[Callable[
     console = Console(stderr=True)
     can_show_bar = console.is_terminal or console.is_jupyter
     prints_lines = not can_show_bar and not quiet
+    # A disabled bar is made, too, but never shown.
     columns = (TextColumn(unit), BarColumn(), MofNCompleteColumn(), _Rate())
     start_time = time.monotonic()
     last_line_time = start_time

@@ -140,7 +140,7 @@ def _make_frame(
     id_bits = 29 if is_extended_id else 11
     if arbitration_id.bit_length() > id_bits:
         return None
-    flags = fd_flags or 0
+    flags = fd_flags or 0  # a classic frame has none
     direction = match["direction"] or "R"  # a line without a direction counts as received
     length = byte_count if remote_length is None else remote_length
     return can.Message(

@@ -373,6 +373,7 @@ class EventsReader:
         another robust filter, if a robot has that filter; for robots that are no list or share an id; and for
         a value that is missing without a default, unknown or impossible.
         """
+        # Format and version come first: in another one all else may have another meaning.
         if not isinstance(plain_header, dict) or plain_header.get("format") != FORMAT:
             raise self.error_in_line(f'"format": "{FORMAT}" is missing')
         version = plain_header.get("version")
@@ -387,6 +388,7 @@ class EventsReader:
             )
         try:
             robots = tuple(RobotSetup.from_plain(plain_robot) for plain_robot in plain_header["robots"])
+            # An unknown key gives a TypeError, which becomes a UsageError.
             with refusing_wrong_values():
                 frames = FrameFormat(**plain_header.get("frames", {}))
         except UsageError as error:

@@ -201,6 +201,7 @@ def _parse_lines(lines: Iterable[str], unit: str, source: str) -> Graph:
             continue
         edge = _parse_edge(edge_text, f"{source}, {unit} {line_number}", line_number)
         for sender, receiver in edge.links:
+            # A link that is there already is an error, unless both are one edge, written from either end.
             earlier_edge = first_edge_of_link.get((sender, receiver))
             if earlier_edge is None:
                 first_edge_of_link[sender, receiver] = edge
