@@ -79,16 +79,8 @@ static bool is_valid_estimate(const mcp_asdf_t *robot, mcp_asdf_t *fresh)
 #if MCP_ASDF_WITH_ASDF
 
 /* Whether sums over at most 127 messages of a round can be these, and give a mean of x_hat weighted by alpha
- * of at most 1.0. `alpha` is the sum of alpha in units of 2^-24, and the sum of alpha x_hat in units of 2^-47
- * is 2^32 alpha_x_high + alpha_x_low: with alpha = 2^32 high + low, the sums of high x_hat and of low x_hat.
- * One message adds to them at most
- *
- *     alpha          ALPHA_MANTISSA 2^31
- *     alpha_x_low    (2^32 - 1) 2^23          the lower word of alpha, and an x_hat of 1.0, which is 2^23
- *     alpha_x_high   (2^23 - 1) 2^23          the upper word: alpha is below 2^55 units
- *
- * and 127 messages, which is less than 2^7, give the limits below. The last two are rounded up to powers of
- * two.
+ * of at most 1.0. `alpha` is the sum of alpha in units of 2^-24. The sum of alpha x_hat in units of 2^-47 is
+ * 2^32 alpha_x_high + alpha_x_low: with alpha = 2^32 high + low, the sums of high x_hat and of low x_hat.
  *
  * The mean is at most 1.0, which is 2^23 as x_hat, if the sum of alpha x_hat is at most 2^23 alpha. Neither
  * fits in 64 bits, so that both are compared in two pieces:
@@ -102,10 +94,12 @@ static bool is_valid_mean(uint64_t alpha, uint64_t alpha_x_low, uint64_t alpha_x
      * before the sum is used. */
     const uint64_t upper_sum = alpha_x_high + (alpha_x_low >> 32);
     const uint64_t upper_limit = alpha >> 9; /* 2^23 alpha / 2^32 */
-    /* MCP_ASDF_MAX_ID, 127, is also the number of messages: a robot has 127 others. */
+    /* Of one message alpha is at most ALPHA_MANTISSA 2^31, which is below 2^55: its upper word is below 2^23,
+     * its lower word below 2^32, and x_hat is at most 2^23. A robot receives from up to 127 others, which is
+     * also MCP_ASDF_MAX_ID, and less than 2^7. */
     const uint64_t largest_alpha_sum = (MCP_ASDF_MAX_ID * ALPHA_MANTISSA) << 31;
-    return alpha <= largest_alpha_sum && alpha_x_low < (UINT64_C(1) << 62) &&
-           alpha_x_high < (UINT64_C(1) << 53) &&
+    return alpha <= largest_alpha_sum && alpha_x_low < (UINT64_C(1) << 62) && /* 2^7 2^32 2^23 */
+           alpha_x_high < (UINT64_C(1) << 53) &&                              /* 2^7 2^23 2^23 */
            (upper_sum < upper_limit ||
             /* The lower 32 bits decide if the upper ones are equal. The shift keeps 9 bits of alpha. */
             (upper_sum == upper_limit && (uint32_t)alpha_x_low <= ((uint32_t)alpha << 23)));

@@ -175,8 +175,9 @@ SHARED uint32_t divide_24(uint32_t a, uint32_t d)
         a <<= 1; /* The reciprocals of the table begin at 2^30. Both are doubled: the quotient stays. */
         d <<= 1;
     }
-    /* Two digits of 12 bits, and one more if the rest is not below d. */
-    const uint32_t prepared = prepare(d), first = take_digit(&a, d, prepared, 12);
+    /* Two digits of 12 bits; each call leaves the rest in `a`. One more if the last rest is not below d. */
+    const uint32_t prepared = prepare(d);
+    const uint32_t first = take_digit(&a, d, prepared, 12);
     const uint32_t second = take_digit(&a, d, prepared, 12);
     return (first << 12) + second + (uint32_t)(a >= d);
 }
@@ -185,8 +186,10 @@ SHARED uint32_t divide_24(uint32_t a, uint32_t d)
  * digits of 12, 12 and 7 bits, and is one more if the rest is not below d. Lemma divide_31. */
 ALWAYS_INLINE uint32_t divide_31(uint32_t a, uint32_t d)
 {
-    const uint32_t prepared = prepare(d), first = take_digit(&a, d, prepared, 12);
-    const uint32_t second = take_digit(&a, d, prepared, 12), third = take_digit(&a, d, prepared, 7);
+    const uint32_t prepared = prepare(d);
+    const uint32_t first = take_digit(&a, d, prepared, 12); /* each call leaves the rest in `a` */
+    const uint32_t second = take_digit(&a, d, prepared, 12);
+    const uint32_t third = take_digit(&a, d, prepared, 7);
     return (first << 19) + (second << 7) + third + (uint32_t)(a >= d);
 }
 #endif

@@ -82,7 +82,8 @@ ALWAYS_INLINE uint32_t prepare(uint32_t d)
     const uint32_t step = (d >> 24) - 64U; /* above 64 only where memory is damaged */
     const uint32_t index = step <= 64U ? step : 64U;
     const uint32_t r = 255U + (uint32_t)MCP_ASDF_READ_BYTE(&reciprocals[index]); /* Q8: [256, 508] */
-    const uint32_t y_r = ((d >> 8) + 1U) * r;                                    /* Q23 Q8 = Q31: 1 +- 2^-6 */
+    const uint32_t y = (d >> 8) + 1U;                                            /* Q23, rounded up */
+    const uint32_t y_r = y * r;                                                  /* Q23 Q8 = Q31: 1 +- 2^-6 */
     const uint32_t two_minus_y_r = 0U - y_r; /* as Q31, where 2.0 is 2^32, and so 0 in 32 bits */
     return (r * (two_minus_y_r >> 9)) >> 15; /* Q8 Q22 = Q30 <= 2.0; then Q15 */
 }
