@@ -176,7 +176,9 @@ def are_valid_sums(sums: Sums) -> bool:
     - the variance of x_hat is not negative;
     - the sum of alpha is at least m times the smallest confidence above 0, and at most m times the largest;
     - the sum of (lower 32 bits of alpha) * x_hat is at most the sum of x_hat times the largest number of 32
-      bits, and that of (the bits of alpha above) * x_hat likewise, times the largest number of these bits;
+      bits;
+    - the sum of (the bits of alpha above) * x_hat is at most the sum of x_hat times the largest number that
+      these bits can be;
     - the sums of alpha and alpha x_hat pass `is_valid_mean`.
 
     No sum may be negative. Sums that keep the bounds need not be those of a round.
@@ -251,7 +253,7 @@ class FixedPointView(FixedPointRobot):
         """Add messages to the open round, in order, and return how many of them were accepted.
 
         A row of the array is a message, with the columns sender, x_hat and alpha as ``receive_raw`` takes
-        them. Messages that it would not accept are ignored or rejected likewise. Raises ValueError, and
+        them. Messages that it would ignore, or reject and count, are so here. Raises ValueError, and
         changes nothing, for an array that is not C-contiguous, of uint32 and of shape (messages, 3).
         """
         has_three_columns = messages.shape[1:] == (3,)  # for two axes, the second of length 3

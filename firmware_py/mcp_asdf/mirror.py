@@ -111,8 +111,8 @@ class Accuracy:
         c: Probability of an error, in units of 2**-32; C_WITHOUT_INFORMATION if b_hat carries none.
         common: Weight of an observation of the more frequent colour in alpha, (g / (1 - c))**2, in units of
             2**-30. For this and for ``rare``, g is shifted until its highest bit is set.
-        rare: Weight of an observation of the rarer colour, (g / c)**2, in units of 2**-30; c is shifted
-            likewise.
+        rare: Weight of an observation of the rarer colour, (g / c)**2, in units of 2**-30; c is shifted as
+            g is.
         g_shift: Number of bits by which g was shifted.
         rare_shift: Twice the number of bits by which c was shifted, because ``rare`` has c squared.
     """

@@ -235,9 +235,9 @@ class Connection(can.BusABC):
     def _receive(self, timeout: float) -> tuple[can.Message | None, bool]:
         """Return the next frame, or None after ``timeout`` seconds, and whether it has passed the filters.
 
-        Input that cannot be decoded, or that no CAN controller can have sent, gives an error frame, which has
-        passed them, after a short pause if the input before was such, too. Raises can.CanError if the bus
-        fails.
+        Input that cannot be decoded, or that no CAN controller can have sent, gives an error frame, which
+        passes all filters. If the input before has given one, too, there is a short pause. Raises
+        can.CanError if the bus fails.
         """
         try:
             frame, has_passed_filters = self._recv_internal(timeout)

@@ -65,7 +65,7 @@ class Command(Protocol):
 
     ``EPILOG`` holds the examples that ``--help`` ends with, one a line, indented, starting with the
     program's name, explained behind a ``#`` if need be. The options ``--json`` and ``--verbose`` are added
-    to every command here, and ``run`` finds the former as ``args.json``.
+    to every command here, and ``run`` finds ``--json`` as ``args.json``.
 
     What takes long to import, the module imports within functions, so that ``--help`` is quick. ``LIBRARIES``
     names such modules of others that ``run`` cannot do without; they are imported before it is called.

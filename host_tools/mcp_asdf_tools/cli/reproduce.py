@@ -159,7 +159,7 @@ def study_size_from(args: argparse.Namespace) -> StudySize:
 def firmware_and_filter_of_user(args: argparse.Namespace) -> tuple[str, str | None]:
     """Return the firmware, and the filter if there is one, that the user sets beside the paper's filter.
 
-    Without --firmware it is the paper's. Raises UsageError if the user has typed that one.
+    Without --firmware the firmware is the paper's. Raises UsageError if the user has typed the paper's.
     """
     if args.firmware == PAPERS_FIRMWARE:
         raise UsageError(

@@ -28,7 +28,7 @@ LIBRARIES = ("mpmath",)
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare ``--output`` and ``--check``, of which exactly one is required, and the options of the t-table.
 
-    The latter are for ``--output``.
+    The options of the t-table are for ``--output`` alone.
     """
     job = parser.add_mutually_exclusive_group(required=True)
     job.add_argument(
