@@ -895,8 +895,8 @@ class MirrorRobot(FixedPointView):
         if error is not None:
             raise FirmwareError(Status.ERR_IMAGE, error)
         image_words = _image_struct(config).unpack(image_bytes)
-        # b_hat comes before the other checks, because values of the state are computed from it.
-        _, b_hat, *_ = image_words
+        # b_hat, word 1, is checked before all else, because values of the state are computed from it.
+        b_hat = image_words[1]
         if not B_HAT_MIN <= b_hat <= B_HAT_MAX:
             raise FirmwareError(Status.ERR_IMAGE, f"b_hat = {b_hat} is out of range")
         # Without __init__, which would make a new robot, and needs an id and a b_hat that are valid.

@@ -216,6 +216,7 @@ class Connection(can.BusABC):
         deadline = math.inf if timeout is None else time.monotonic() + timeout
         while True:
             seconds_left = deadline - time.monotonic()
+            # python-can waits by the time of day, which may be set back: a read waits for a second at most.
             seconds_to_wait = min(max(seconds_left, 0.0), _MAX_SECONDS_PER_READ)
             frame, has_passed_filters = self._receive(seconds_to_wait)
             # Some interfaces filter by themselves; for the others it is done here.

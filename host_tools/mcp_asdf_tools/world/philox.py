@@ -56,6 +56,7 @@ def philox(
         # Products have 64 bits; their upper and lower words go different ways.
         product0 = c0 * c0_multiplier
         product2 = c2 * c2_multiplier
+        # All four change at once, as each new word is made of old ones.
         c0, c1, c2, c3 = (
             (product2 >> _WORD_BITS) ^ c1 ^ k0,
             product2 & _LOW_WORD_MASK,
