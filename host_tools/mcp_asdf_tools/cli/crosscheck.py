@@ -95,9 +95,10 @@ def _make_scenario_check(audit: Audit) -> CheckScenario:
 
 
 def _replay(scenario: Scenario, as_json: bool) -> int:
-    """Run one scenario through native and mirror, and print whether they agree; return 1 if they differ.
+    """Run one scenario through native and mirror, and print whether they agree, as JSON with ``as_json``.
 
-    They agree, too, if both refuse the settings of the scenario's robot.
+    They agree, too, if both refuse the settings of the scenario's robot. Returns exit code 0 if they agree,
+    and 1 if they differ.
     """
     from mcp_asdf_tools.crosscheck.compare import RobotUnderTest
     from mcp_asdf_tools.crosscheck.oracle import Audit

@@ -109,10 +109,10 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _attempt(command_title: str, work: Callable[[], int], as_json: bool) -> int:
     """Call ``work`` and return its exit code.
 
-    A UsageError, OutputError or OSError is printed under ``command_title`` as bad usage, with exit code 2,
-    and Ctrl-C as an interruption, with INTERRUPTED. A reader of the output that has gone away gives
-    _BROKEN_PIPE without a message, and argparse its own exit code. Other exceptions are mistakes of the
-    program and pass.
+    Errors are printed under ``command_title``. A UsageError, OutputError or OSError is bad usage, as JSON
+    with ``as_json``, and gives exit code 2; Ctrl-C is an interruption, and gives INTERRUPTED. A reader of the
+    output that has gone away gives _BROKEN_PIPE without a message, and argparse its own exit code. Other
+    exceptions are mistakes of the program and pass.
     """
     try:
         with naming_extras():  # which turns the failed import of an optional package into a UsageError

@@ -198,7 +198,11 @@ def _suspicion_printer(node: RobotNode, console: Console) -> Callable[[], None]:
 
 
 def _results_of(node: RobotNode, robot_setup: RobotSetup, outcome: RunOutcome) -> dict[str, Any]:
-    """Return how a run has ended, its robot's state and the numbers of its frames, as plain values."""
+    """Return how a run has ended, its robot's state and the numbers of its frames, as plain values.
+
+    The keys are ``filter``, which is a description, ``steps``, ``robot``, ``frames``, and the attributes of
+    ``RunOutcome``.
+    """
     from mcp_asdf_tools.robots.node import state_of
 
     return {

@@ -290,8 +290,8 @@ def _emulate_neighbours(
 ) -> int:
     """Run the neighbours until --steps are done or Ctrl-C, print and write results; return the exit code.
 
-    That is 0, 1 if the bus failed, INTERRUPTED if a signal came before the end, and 2 if the log is not
-    complete.
+    The results are written beside a log, if there is one, as JSON. The exit code is 0, 1 if the bus failed,
+    INTERRUPTED if a signal came before the end, and 2 if the log is not complete.
     """
     from mcp_asdf_tools.common.files import results_beside, write_atomically
     from mcp_asdf_tools.radio.neighbourhood import Neighbourhood

@@ -247,7 +247,7 @@ class _RunPlan:
 
 
 def _plan_run(args: argparse.Namespace) -> _RunPlan:
-    """Return the run that the options describe.
+    """Return the run that the options describe, with a console that is silent with --quiet or --json.
 
     Raises UsageError for options that contradict each other, or that would do nothing: --pace or --port
     without --view, --compare with robots elsewhere, and --slcan with a bus for each robot or with so many
@@ -430,7 +430,7 @@ def _wait_for_robots(plan: _RunPlan, swarm: Swarm, processes: NodeProcesses) -> 
 def _start_view(plan: _RunPlan, at_end: ExitStack) -> SwarmRecorder | None:
     """Return a recorder of the run whose page is served until ``at_end`` closes, or None without --view.
 
-    The page's address is printed.
+    The page's address is printed, as JSON with --json.
     """
     if not plan.args.view:
         return None

@@ -85,7 +85,10 @@ def _write(omega: Decimal, q: int, args: argparse.Namespace) -> int:
 
 
 def _print_checks(checks: Sequence[TableCheck], as_json: bool) -> int:
-    """Print the outcome of checks; return the exit code, 1 if a table is not what it should be."""
+    """Print the outcome of checks; return the exit code, 1 if a table is not what it should be, else 0.
+
+    There is a line for each file or, with ``as_json``, one object with all of them.
+    """
     ok = all(check.problem is None for check in checks)
     if as_json:
         tables = [

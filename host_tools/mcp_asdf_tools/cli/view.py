@@ -208,7 +208,7 @@ def _export_recording(args: argparse.Namespace, history: History) -> int:
 
 
 def _serve_recording(args: argparse.Namespace, history: History) -> int:
-    """Serve the page of a history until Ctrl-C; return exit code 0."""
+    """Print the address of the page of a history, and serve it until Ctrl-C; return exit code 0."""
     from mcp_asdf_tools.view.server import serve_page
 
     with stopping() as should_stop, serve_page(history, args.port) as url:

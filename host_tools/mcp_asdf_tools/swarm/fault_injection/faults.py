@@ -129,7 +129,7 @@ class Faults:
         return deliveries
 
     def figures(self) -> list[dict[str, Any]]:
-        """Return each fault's text and its hits as plain values, for JSON.
+        """Return each fault's text, ``fault``, and its hits, ``injected``, as plain values for JSON.
 
         Outages count ticks of a robot, all other kinds frames.
         """
