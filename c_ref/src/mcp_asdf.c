@@ -203,7 +203,9 @@ ALWAYS_INLINE confidence_t confidence_inside(uint32_t total, uint32_t rarer, uin
  * result is mirrored in the others: how much of the floor has the rarer colour, if a share p of the
  * observations has it and the sensor is wrong with probability c = min(b_hat, 1 - b_hat). That is
  *
- *     x = (p - c) / (1 - 2c), or 0 if p is below c.
+ *     x = (p - c) / (1 - 2c), or 0 if p is at most c.
+ *
+ * Alpha has an equation for each of these two cases: confidence_inside() and confidence_at_end().
  *
  * A sensor that is as often right as wrong has no information, which a `c` of 2^32 - 1 says: then x_hat is
  * 1/2 and alpha 0. */

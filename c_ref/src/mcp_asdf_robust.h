@@ -213,8 +213,9 @@ ALWAYS_INLINE uint64_t square_of_deviation(uint32_t black, uint32_t count, uint3
  * 1/8, the average before it 7/8. A ratio above 12 times the dispersion counts as 12 times: it comes from a
  * change of the floor.
  *
- * Without observations in the batch, or while the share is 0, the dispersion stays as it is. Dispersion and
- * ratios are Q8, the variance is Q32, and squares are Q22. */
+ * Without observations in the batch, or while the share is 0, the dispersion stays as it is. It is at least
+ * MCP_ASDF_DISPERSION_MIN, 1, and at most what its 16 bits hold. Dispersion and ratios are Q8, the variance
+ * is Q32, and squares are Q22. */
 static void end_batch(mcp_asdf_t *robot, uint32_t share)
 {
     mcp_asdf_robust_t *const robust = &robot->robust;
@@ -230,8 +231,8 @@ static void end_batch(mcp_asdf_t *robot, uint32_t share)
     if (largest_square == 0U) {
         return;
     }
-    /* The ratio grows in proportion to the square. Unlike square / variance, this fraction is at most 1, as
-     * quotient() needs it. */
+    /* The ratio is to the largest ratio as the square is to the largest square. Unlike square / variance,
+     * this fraction is at most 1, as quotient() needs it. */
     const uint64_t limited_square = square < largest_square ? square : largest_square;
     const uint32_t fraction_of_largest = quotient(limited_square, largest_square); /* Q32 */
     const uint32_t ratio = multiply_high(largest_ratio, fraction_of_largest);      /* < 2^20 */

@@ -609,8 +609,9 @@ def test_a_robot_keeps_its_accuracy_at_the_very_limit_of_its_test(
 ) -> None:
     """The test compares a deviation with a limit. After one observation less the robot changes its accuracy.
 
-    3227 of t tiles were black, and five neighbours say that none is. Counts for which deviation and limit are
-    equal are rare, and were searched for: with a t of 3804264 both are 43681824.
+    3227 of t tiles were black, and five neighbours say that none is. Numbers for which deviation and limit
+    are equal are rare. These were found by a search: with a t of 3804264 both are 43681824. The firmware
+    returns UPDATED if it has changed the accuracy, and OK if not.
     """
     largest_b_hat = 2**32 - 2**12  # 1 - 2**-20 in units of 2**-32
     robot = restore_robust_robot(

@@ -49,8 +49,8 @@ class Workload:
     def make_robot(self, firmware: type[MirrorRobot]) -> MirrorRobot:
         """Make a robot of this firmware in the state that the attributes describe, before an observation.
 
-        Its last closed round is a copy of the open one. Its x_hat is the mean of the messages if it agrees
-        with them, and 1.0 if it does not.
+        Its last closed round has the sums of the open one, which has a message of each of m senders. Its
+        x_hat is the mean of the messages if it agrees with them, and 1.0 if it does not or has none.
         """
         # With a memory of t the next observation fills it, so that t and n are halved.
         memory = self.t if self.halves else DEFAULT_MEMORY
@@ -60,8 +60,10 @@ class Workload:
         state.t = self.t - 1  # before the observation that is to come
         state.n = min(self.n, self.t - 1)
         for sender in range(self.m):
-            alpha = self.alpha ^ (sender << 8)  # differs in the lower bits of the mantissa
-            robot.receive_raw(sender, self._smallest_x_hat + 1000 * sender, alpha)
+            # All messages differ: alpha in the lower bits of the mantissa, and x_hat by 1000 units.
+            alpha = self.alpha ^ (sender << 8)
+            x_hat = self._smallest_x_hat + 1000 * sender
+            robot.receive_raw(sender, x_hat, alpha)
         sums = state.open
         state.x_hat = ONE
         if self.agrees and sums.count > 0:

@@ -181,12 +181,15 @@ def test_rejected_estimates_change_b_hat_in_another_way_if_the_preferred_way_is_
     is asked for, but it follows only if half of the observations are black, and here 300 of 500 are.
     """
     robot = RobotState(t=500, n=300, x_hat=ONE // 3, table=TABLE)
-    # Two rounds of 3 estimates, on either side of the test's threshold: it rejects the one outside.
+    # Two rounds of 3 estimates, on either side of the test's threshold: it just rejects the one outside.
     rounds = draw_rounds_at_threshold(robot, m=3, preferred_update=Update.HALF, rng=Random(1))
     rejected_estimates = rounds.outside
-    update = robot.update_after(rejected_estimates)  # what b_hat becomes, or None if it stays
-    assert update is not None
-    assert update is not Update.HALF
+
+    kind_of_new_b_hat = robot.update_after(rejected_estimates)
+
+    is_b_hat_changed = kind_of_new_b_hat is not None
+    assert is_b_hat_changed
+    assert kind_of_new_b_hat is not Update.HALF
 
 
 # --- Other rounds that the test decides ---

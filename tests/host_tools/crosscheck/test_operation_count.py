@@ -206,20 +206,21 @@ def test_a_robot_whose_calls_are_counted_has_observed_all_but_one_of_its_t_tiles
 
 
 def test_a_workload_has_messages_in_its_open_round_and_as_many_in_the_closed_round_before() -> None:
-    """Robots 0, 1 and 2 estimate 1/3, which is 2**23 / 3 units, and 0, 1000 and 2000 units more.
+    """Three robots have sent estimates: 1/3, which is 2**23 / 3 units, and 1000 and 2000 units more.
 
-    Of the closed round the robot, 127, keeps the sum of the confidences alpha, which is the same, and that of
-    alpha x_hat.
+    A robot keeps the sums of its rounds. Those of the confidences alpha are equal in both rounds, as they
+    have the same messages.
     """
     robot = Workload(m=3).make_robot(MirrorRobot)
-    open_round, closed_round = robot.s.open, robot.s.closed
+    sums_of_open_round = robot.s.open
+    sums_of_closed_round = robot.s.closed
     third = 2**23 // 3
-    assert robot.id == 127
-    assert open_round.count == 3
-    assert open_round.x == third + (third + 1000) + (third + 2000)
-    assert open_round.alpha > 0
-    assert closed_round.alpha == open_round.alpha
-    assert closed_round.alpha_x > 0
+    assert sums_of_open_round.count == 3
+    assert sums_of_open_round.x == third + (third + 1000) + (third + 2000)
+    assert sums_of_open_round.alpha > 0
+    assert sums_of_closed_round.alpha == sums_of_open_round.alpha
+    assert sums_of_closed_round.alpha_x > 0
+    assert robot.id == 127  # none of the senders
 
 
 def test_a_workload_without_messages_has_an_x_hat_of_1() -> None:

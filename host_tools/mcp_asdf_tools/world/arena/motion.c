@@ -132,7 +132,8 @@ static void run_motors(mcp_asdf_arena_t *arena, mcp_asdf_bodies_t *bodies)
  * contact. If they approach each other so fast that a substep would more than close the gap, what is too much
  * is taken from their speed along the normal, which points from a to the other. Friction takes the speed at
  * which they slide along each other, but at most `friction` times the change along the normal. Each of two
- * bodies gets half of a change; at a wall the body gets all of it. */
+ * bodies gets half of a change; at a wall the body gets all of it. The limits hold for the changes of all
+ * passes of a substep together: *contact has these sums. */
 static void resolve_contact(mcp_asdf_arena_t *arena, mcp_asdf_contact_t *contact)
 {
     const int a = contact->a, b = contact->b;
