@@ -1059,7 +1059,8 @@ def test_a_folder_that_cannot_be_closed_after_a_save_does_no_harm(
 
 NOT_EXECUTED = {
     "configurations that the node refuses before it is there": r"mcp_asdf\.c: (.*config->(filter|memory).*"
-    r"|return (MCP_ASDF_ERR_(CONFIG|TABLE|ID|B_HAT)|false);|if \((id|b_hat|head|word|status) .*"
+    r"|return (MCP_ASDF_ERR_(CONFIG|TABLE|ID|B_HAT)|false);"
+    r"|if \((filters_from_first|id|b_hat|head|word|status) .*"
     r"|.*(THRESHOLD_ONE|TABLE_OMEGA_MAX).*)",
     "arguments that its codec refuses before": r"mcp_asdf\.c: (if \((\(uint32_t\)z|x_hat|sender) .*"
     r"|return MCP_ASDF_ERR_(OBSERVATION|X_HAT);|\+\+robot->counters\.rejected;)",
@@ -1069,11 +1070,12 @@ NOT_EXECUTED = {
     r"|return MCP_ASDF_FRAME_ERR_(ACTION|B_HAT|(ERROR|FD)_FRAME|FORMAT|HEALTH|MODE|NODE|TARGET|X|X_HAT);)",
     "step(), which the node does not call": r"mcp_asdf\.c: (.*_(step|observe)\(.*|return status == .*)",
     "other configurations: another filter, table or memory, b_hat below 1/2": r"mcp_asdf\.c: "
-    r"(if \(filter == .*|const uint32_t k = .*|if \(is_halved\) .*|begin_batch\(robot\);|t >>= 1;|n = \(n .*)"
+    r"(if \(filter == .*|const uint32_t k = .*|if \(is_halved\) .*|begin_batch\(robot\);|t >>= 1;|n = \(n .*"
+    r"|const uint32_t (rounded_down|is_rounded_down_odd) = .*)"
     r"|mcp_asdf_robust\.h: (return b_hat < UINT32_C\(1\) .*|if \(mcp_asdf_is_robust\(robot->config\)\) .*)",
     "46,341 observations or more: the largest alpha": r"mcp_asdf\.c: return exponent <= ALPHA_SHIFT_MAX .*"
     r"|mcp_asdf_arithmetic\.h: (if \(\(count & 32U\).*|value = high_word\(value\);)",
-    "2^21 observations in a filter period": r"mcp_asdf_robust\.h: const uint32_t word = .*",
+    "2^21 observations in a filter period": r"mcp_asdf_robust\.h: high_word\(short_deviation\) .*",
     "slots whose lower half is nearer to their median than all others": r"mcp_asdf_robust\.h: "
     r"(const uint32_t distance_below = .*|if \(below > 0U .*)",
 }
