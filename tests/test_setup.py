@@ -173,4 +173,4 @@ def test_where_no_supported_python_can_be_had_the_run_with_the_newest_fails(tmp_
     result = take_newest_python(tmp_path, available="2.7")
 
     assert result.returncode == 1
-    assert len(result.stdout.splitlines()) == 3, "a line for each Python that cannot be had"
+    assert len(result.stdout.splitlines()) == 3, "3.9, 3.10 and 3.11 have a line: they cannot be had"

@@ -423,8 +423,8 @@ static uint32_t run_robust_filter(mcp_asdf_t *robot)
     if (count < MCP_ASDF_TESTED_ESTIMATES_MIN) {
         return 0;
     }
-    /* The median is the mean of the two estimates in the middle. If the count is odd, the estimate in the
-     * middle is taken twice. The sum is a Q16; half of it as Q24 is the sum shifted by 8 - 1. */
+    /* The median: the mean of the two estimates in the middle or, if the count is odd, of the middle one with
+     * itself. The sum is a Q16. Shifted by 8 it would be a Q24, and shifted by 7 it is half of that. */
     uint32_t centre = ((uint32_t)sorted[(count - 1U) / 2U] + sorted[count / 2U]) << 7;
     const uint32_t spread = median_distance(sorted, count, centre);
     for (uint32_t i = 0; i < HUBER_STEPS; ++i) { /* at most 3 turns */

@@ -253,7 +253,7 @@ class FixedPointView(FixedPointRobot):
         """Add messages to the open round, in order, and return how many of them were accepted.
 
         A row of the array is a message, with the columns sender, x_hat and alpha as ``receive_raw`` takes
-        them. Messages that it would ignore, or reject and count, are so here. Raises ValueError, and
+        them. Repeated messages are ignored, and invalid ones rejected and counted. Raises ValueError, and
         changes nothing, for an array that is not C-contiguous, of uint32 and of shape (messages, 3).
         """
         has_three_columns = messages.shape[1:] == (3,)  # for two axes, the second of length 3

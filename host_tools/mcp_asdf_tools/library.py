@@ -74,7 +74,7 @@ def start_swarm(settings: SwarmSettings, channel: str | None = None) -> Swarm:
     options: dict[str, Any] = {"preserve_timestamps": True, "receive_own_messages": True}
 
     def open_bus(robot: int) -> can.BusABC:
-        """Open the bus, which is the same for each robot."""
+        """Open the bus, which all robots share; ``robot`` is not used."""
         return can.Bus(channel, "virtual", **options)
 
     return Swarm(settings, Wiring(open_bus))

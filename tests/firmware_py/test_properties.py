@@ -248,7 +248,8 @@ def test_all_neighbours_and_the_robot_itself_vote_equally_often(
     it has once it has observed a tile. After the vote of slot i the turn is i + 1, and after the robot's own
     vote it is 0.
     """
-    filled_slots = slots | {(turn - 1) % 32}  # the one that voted last, or no robot could have this turn
+    slot_of_last_vote = (turn - 1) % 32  # it is filled, or no robot could have this turn
+    filled_slots = slots | {slot_of_last_vote}
     mask_of_filled_slots = sum(1 << slot for slot in filled_slots)
     observation_count = 1 if has_confidence else 0
     robot = restore_robust_robot(

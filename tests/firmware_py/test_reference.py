@@ -518,7 +518,7 @@ NEARLY_HALF = [0.5, 0.5 + 2**-13 - 2**-40, 0.5 - 2**-13 + 2**-40]
 def test_a_sensor_that_guesses_gives_an_estimate_of_a_half_without_confidence(
     b: float, n: int, t: int
 ) -> None:
-    """b, the probability that it is right, is so near to 1/2 that it says nothing. n of t tiles were black.
+    """The sensor is right with probability b, so near to 1/2 that it says nothing. n of t tiles were black.
 
     The authors' programs have a small confidence in place of 0.
     """
@@ -570,9 +570,9 @@ def test_without_neighbours_their_estimate_is_a_half_and_their_confidence_0() ->
 
 def test_where_nobody_has_confidence_a_robot_believes_its_own_estimate() -> None:
     """The mean of all estimates, weighted by their confidences alpha, would be 0 by 0."""
-    own = Estimate(x_hat=0.7, alpha=0.0)
-    neighbour = Estimate(x_hat=0.2, alpha=0.0)
-    assert informed_estimate(own, [neighbour]) == 0.7
+    own_estimate = Estimate(x_hat=0.7, alpha=0.0)
+    neighbours_estimate = Estimate(x_hat=0.2, alpha=0.0)
+    assert informed_estimate(own_estimate, [neighbours_estimate]) == 0.7
 
 
 @pytest.mark.parametrize(

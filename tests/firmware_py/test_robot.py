@@ -39,7 +39,7 @@ def test_a_robot_that_has_observed_and_received_nothing_guesses_a_half(
 ) -> None:
     """x_hat is its own estimate, with the confidence alpha, and x_bar its neighbours', with beta.
 
-    That is so when the robot is new, and when a round without messages has ended.
+    The robot is new, or has ended a round without messages.
     """
     robot = make_robot(firmware)
 

@@ -339,8 +339,8 @@ def test_the_sides_of_the_test_are_a_squared_deviation_and_12_variances() -> Non
 def test_the_limit_of_the_test_has_the_larger_variance_of_two_shares(n: int, centre: float) -> None:
     """A share s of black has the variance s (1 - s), which is largest, 1/4, for s = 1/2.
 
-    The shares are the one that the robot has observed, n of 2 tiles, and the one to be expected by the centre
-    of the others' estimates. One of them is 1/2 here.
+    One share is what the robot has observed, n of 2 tiles. The other is to be expected by the centre of its
+    neighbours' estimates. Here one of the two shares is 1/2.
     """
     observations = Observations(n=n, t=2, dispersion=1.0)
     _squared_deviation, limit = robust_test_sides(observations, b=0.75, centre=centre, spread=0.0)

@@ -45,7 +45,7 @@ def test_a_message_has_the_bytes_that_the_specification_shows() -> None:
 
 
 def test_a_message_is_decoded_to_sender_x_hat_and_alpha() -> None:
-    """The message is the one that the specification shows: from robot 42, with x_hat and alpha of 1.0.
+    """The specification shows this message: robot 42 sends an x_hat of 1.0 and an alpha of 1.0.
 
     ONE is 1.0 in the units of x_hat, and alpha is a word as the firmware has it.
     """

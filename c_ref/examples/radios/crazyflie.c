@@ -20,7 +20,7 @@ static void queue_message(P2PPacket *packet)
     }
 }
 
-/* Make the queue, and let the radio link call queue_message() for each packet that it receives. */
+/* Make the queue, and let the radio link call queue_message() with every packet that it receives. */
 void radio_start(void)
 {
     received_messages = xQueueCreate(QUEUE_LENGTH, MESSAGE_SIZE);

@@ -23,7 +23,7 @@ static void queue_message(const esp_now_recv_info_t *info, const uint8_t *data, 
 }
 
 /* Make the queue, start ESP-NOW with a peer that stands for all robots in range, and let the driver call
- * queue_message() for each packet that it receives. An error ends the program. */
+ * queue_message() with every packet that it receives. An error ends the program. */
 void radio_start(void)
 {
     esp_now_peer_info_t peer = {.ifidx = WIFI_IF_STA};

@@ -123,9 +123,9 @@ def _replay(scenario: Scenario, as_json: bool) -> int:
 def _replay_report(
     scenario: Scenario, failure: Failure | None, status: str, is_robot_valid: bool
 ) -> dict[str, Any]:
-    """Return the outcome of one scenario as plain values; ``calls`` counts those that were made.
+    """Return the outcome of one scenario as plain values; ``calls`` is the number of calls that were made.
 
-    They end with the one that failed, and there is none if both firmwares refuse the robot.
+    The call that failed was the last one. No call was made if both firmwares refuse the robot.
     """
     if failure is not None:
         call_count = len(failure.scenario.calls)

@@ -30,12 +30,12 @@ _DOTS_PER_INCH = 150
 
 def check_plot_path(path: Path) -> Path:
     """Return the path of a picture unchanged. Raises UsageError if no picture can be written there."""
-    _check_suffix(path)
+    _suffix_of_picture(path)  # raises UsageError for any other suffix
     check_target(path)
     return path
 
 
-def _check_suffix(path: Path) -> str:
+def _suffix_of_picture(path: Path) -> str:
     """Return the suffix of a picture in lower case. Raises UsageError if it is not one of a picture."""
     suffix = path.suffix.lower()
     if suffix not in _METADATA_BY_SUFFIX:
@@ -55,7 +55,7 @@ def image_of(figure: Figure, path: Path) -> bytes:
     Nothing is written. Raises UsageError if the suffix is not one of a picture.
     """
     image = io.BytesIO()
-    suffix = _check_suffix(path)
+    suffix = _suffix_of_picture(path)
     # The salt is for the names inside an SVG file, which would otherwise be random.
     with rc_context({"svg.hashsalt": "mcp-asdf", "svg.fonttype": "path"}):
         figure.savefig(

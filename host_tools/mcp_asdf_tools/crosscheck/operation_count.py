@@ -169,7 +169,7 @@ def _copy_robot(robot: MirrorRobot) -> MirrorRobot:
 
 
 def find_growth(counts: Counts) -> list[str]:
-    """Return a line for each call that takes more instructions in the upper half of an axis than below.
+    """Return which calls take more instructions in the upper half of an axis than below, one line a call.
 
     Calls that were cut short in the upper half are among them. An axis without counts is left out.
     """

@@ -102,8 +102,8 @@ def _connect_client(dask: Any, address: str) -> Any:
         await connection.close()
 
     # No client is made before the scheduler has answered. A client would wait without a limit for a server
-    # that is silent. And the garbage collector closes a client that has failed in whatever thread it runs: if
-    # that is the thread of the next client, both wait for each other.
+    # that is silent. And a client that has failed is closed by the garbage collector, in any thread. In the
+    # thread of the next client, both clients would wait for each other.
     try:
         # A second more, so that the error is that of connect, which says what went wrong.
         dask.utils.LoopRunner().run_sync(exchange_first_messages, callback_timeout=_TIMEOUT + 1)

@@ -209,9 +209,10 @@ class Store:
         return sum(len(table) for table in self._unwritten)
 
     def _is_part_due(self) -> bool:
-        """Return whether the last part is so old that a kill would lose more work than it may.
+        """Return whether the last part is so old that results since then have to be written.
 
-        That is the work of _SECONDS_BETWEEN_PARTS, or a share of the time since the start if this is more.
+        A kill may lose the work of _SECONDS_BETWEEN_PARTS or, if this is more, of a share of the time since
+        the start.
         """
         now = time.monotonic()
         seconds_since_start = now - self._start_time

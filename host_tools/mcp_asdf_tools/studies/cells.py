@@ -126,7 +126,7 @@ def _shipped_experiments(study_part: StudyPart) -> list[Experiment]:
 def cells_of(study_part: StudyPart) -> tuple[Cell, ...]:
     """Return the cells of a part of the study, its kinds of swarms, in the order of the part's file.
 
-    Several cells may be the same experiment. Only one of them is returned, which ``Cell.normal`` chooses.
+    If several cells are the same experiment, only the cell is returned that ``Cell.normal`` chooses.
     """
     cells: list[Cell] = []
     for experiment in _shipped_experiments(study_part):

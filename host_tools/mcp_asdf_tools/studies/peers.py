@@ -167,7 +167,7 @@ class BayesCpfRobot(ReferenceRobot):
     def _is_update_needed(self) -> bool:
         """Return whether b_hat is to be estimated anew in a filter step.
 
-        That is so with any filter, if there are readings since the last update.
+        It is if there are readings since the last update, whichever filter runs; without a filter it is not.
         """
         return self._config.filter != Filter.OFF and self._t_since_update > 0
 
@@ -356,7 +356,7 @@ class MajorityRobot(ReferenceRobot):
     def receive(self, sender: int, x_hat: float, alpha: float) -> Status:
         """Receive a neighbour's message, and keep its opinion if this robot is about to decide.
 
-        That is so in the last ``listening_time`` rounds in which it broadcasts its own opinion.
+        The robot listens in the last ``listening_time`` rounds in which it broadcasts its own opinion.
         A message without confidence has no opinion. Of several messages of a sender the last one counts.
         Returns OK, or REPEATED if there is one of this sender in the round already. Raises FirmwareError for
         a sender or an x_hat that is impossible.

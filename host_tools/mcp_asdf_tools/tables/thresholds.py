@@ -181,8 +181,8 @@ class ThresholdError(NamedTuple):
 def worst_threshold_error(omega: Decimal, table: Table) -> ThresholdError:
     """Return the largest errors of the thresholds that ``table`` gives for m = 2 .. 127 messages.
 
-    They are relative errors of sqrt(k_m), rounded up to three digits: one for m up to q, which have an entry
-    each, and one for all m above q, which share an entry. The latter is 0 if q is 127.
+    They are relative errors of sqrt(k_m), rounded up to three digits. One error is for m up to q, which have
+    entries of their own; the other is for all m above q, which share an entry, and is 0 if q is 127.
     """
     with mp.workdps(_DECIMAL_DIGITS):
         errors = []

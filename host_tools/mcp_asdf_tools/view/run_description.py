@@ -49,14 +49,8 @@ def describe_run(
     unfiltered_errors = []
     if not faults and not allow:
         unfiltered_errors = _compute_unfiltered_errors(settings, trial)
-    description = RunDescription(
-        title=_format_title(settings, trial),
-        robots=list(range(settings.robots)),
-        flawed=range(settings.flawed),
-        fill_ratio=settings.fill_ratio,
-        steps=settings.steps,
-        steps_per_second=settings.steps_per_second,
-        filter=settings.filter,
+    description = replace(
+        describe_population(settings, _format_title(settings, trial)),
         unfiltered_errors=unfiltered_errors,
         faults=[(str(fault), fault.start, fault.stop) for fault in faults],
     )
@@ -64,6 +58,19 @@ def describe_run(
         return description
     floor = draw_floor(Arena(settings, trial))
     return replace(description, sides=settings.sides, radio_range=settings.radio_range, floor=floor)
+
+
+def describe_population(settings: Population, title: str) -> RunDescription:
+    """Return what the parameters alone say of a run: of its robots, their filter, the floor and the steps."""
+    return RunDescription(
+        title=title,
+        robots=list(range(settings.robots)),
+        flawed=range(settings.flawed),
+        fill_ratio=settings.fill_ratio,
+        steps=settings.steps,
+        steps_per_second=settings.steps_per_second,
+        filter=settings.filter,
+    )
 
 
 def _compute_unfiltered_errors(settings: Population, trial: int) -> list[float]:

@@ -14,7 +14,7 @@ from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.experiments.results import Trials
 from mcp_asdf_tools.experiments.trials import run_trials
 from mcp_asdf_tools.view.history import History, RunDescription, State, steps_between_states
-from mcp_asdf_tools.view.run_description import describe_run
+from mcp_asdf_tools.view.run_description import describe_population, describe_run
 from mcp_asdf_tools.view.run_states import ESTIMATES, complete_states
 
 _MAX_TRIAL_ROBOT_STEPS = 200_000_000
@@ -84,15 +84,7 @@ def _describe_recorded_trial(trials: Trials, trial: int) -> RunDescription:
     experiment = trials.experiment
     filter_term = experiment.swarm_filter.typeset_term
     swarm_term = f"{experiment.robots} robots, {experiment.flawed} flawed, {filter_term}"
-    return RunDescription(
-        title=f"{swarm_term}, trial {trial} of {trials.source}",
-        robots=list(range(experiment.robots)),
-        flawed=range(experiment.flawed),
-        fill_ratio=experiment.fill_ratio,
-        steps=experiment.steps,
-        steps_per_second=experiment.steps_per_second,
-        filter=experiment.filter,
-    )
+    return describe_population(experiment, f"{swarm_term}, trial {trial} of {trials.source}")
 
 
 def _recorded_estimates(trials: Trials, trial: int) -> NDArray[np.float64]:

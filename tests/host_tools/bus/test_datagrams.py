@@ -86,7 +86,10 @@ def test_most_odd_datagrams_are_refused() -> None:
 
 
 def test_odd_datagrams_leave_nothing_in_memory() -> None:
-    """A hostile program could send them without end. Less than a byte for each may stay allocated."""
+    """A hostile program could send such datagrams without end, and so fill the memory.
+
+    Less than one byte a datagram may stay allocated.
+    """
     datagrams = odd_datagrams()
     tracemalloc.start()
     try:

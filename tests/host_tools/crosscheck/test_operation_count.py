@@ -283,7 +283,7 @@ def operations() -> Counts:
 def test_no_call_of_a_robot_takes_longer_with_more_observations_messages_or_neighbours(
     operations: Counts,
 ) -> None:
-    """``find_growth`` returns a line for each call that takes more instructions in the later half of a range.
+    """``find_growth`` returns a line about a call that takes more instructions in the upper half of a range.
 
     A range is of the observations t, of the messages m or of the table's entries q. ``operations`` has the
     counts of all calls of a robot with the paper's filter, and of one with the robust filter.
@@ -453,6 +453,6 @@ def test_a_table_takes_4_bytes_an_entry_and_12_more() -> None:
 
 
 def test_a_saved_robot_that_grows_with_each_message_is_measured() -> None:
-    """This one saves a byte more for each of 0 to 127 messages. Without them it takes 124 bytes."""
+    """The saved robot takes 124 bytes without messages, and one byte more with every message, up to 127."""
     size_by_messages = measure_storage(RobotThatSavesAByteForEachMessage)["images"]
     assert size_by_messages == {m: 124 + m for m in range(128)}

@@ -213,7 +213,7 @@ def problems_of_changed_update(value_name: str, change: int) -> list[str]:
 def test_a_value_out_of_bounds_is_reported(value_name: str, change: int, expected_problem: str) -> None:
     """One value after a call that updates b_hat is changed by more than rounding explains.
 
-    The oracle returns a line for each problem, which begins with the name of the value.
+    The oracle returns its problems as lines that begin with the name of the value.
     """
     problems = problems_of_changed_update(value_name, change)
     assert any(problem.startswith(expected_problem) for problem in problems)

@@ -80,7 +80,7 @@ def test_the_documentation_of_argos_shows_the_medians_of_the_stored_results() ->
 
 @pytest.mark.slow
 def test_the_documentation_of_argos_shows_the_table_that_the_comparison_prints() -> None:
-    """Beside ARGoS's medians it has medians of ``mcp-asdf simulate``. The test computes the latter again."""
+    """The table has ARGoS's medians, and medians of ``mcp-asdf simulate``, which the test computes again."""
     assert shown_table() == argos.format_table()
 
 

@@ -41,7 +41,7 @@ def read_trial(path: Path, sampling_interval: int = 0) -> Trials:
 def test_a_trial_read_from_the_authors_format_has_its_parameters_and_number(
     experiment: Experiment, tmp_path: Path
 ) -> None:
-    """The parameters are those of an experiment, and the number says which of its trials this is."""
+    """An experiment has several trials, numbered from 0: the file is of its trial 2."""
     path = write_trial(tmp_path / "trial.json", experiment, number=2)
     trials = read_trial(path)
     assert trials.experiment == experiment

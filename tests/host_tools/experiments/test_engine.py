@@ -322,8 +322,9 @@ def test_an_engine_built_for_each_size_of_vectors_equals_the_firmware_to_the_bit
 ) -> None:
     """Skips sizes that the processor lacks; /proc/cpuinfo has a flag for each.
 
-    In place of the installed engine, the one that was built computes experiments at the ends of parameters'
-    ranges, with the 17 trials 4 to 20, which are more than the 16 lanes, and random ones.
+    An engine that was built for these vectors takes the place of the installed one. It computes experiments
+    at the ends of parameters' ranges, with the 17 trials 4 to 20, which are more than the 16 lanes, and
+    random experiments.
     """
     if not processor_has(flag):
         pytest.skip(f"this processor has no vectors of {architecture}")

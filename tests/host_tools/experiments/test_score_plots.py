@@ -142,7 +142,7 @@ def test_the_three_boxes_of_one_kind_of_swarm_stand_side_by_side(boxes: Figure) 
 
 
 def test_no_two_points_of_a_box_lie_in_one_column_and_all_are_within_its_width(boxes: Figure) -> None:
-    """A column is a place along the x axis. So each trial can be seen."""
+    """Two points at the same place along the x axis could hide each other: then a trial could not be seen."""
     box_width = 0.86 / 3  # three boxes are 0.86 wide together
     for box in points_of_boxes(boxes.axes[0]):
         assert len(set(box.x)) == len(box.x)
@@ -359,7 +359,7 @@ def test_eight_series_fit_a_picture(unfiltered: Trials) -> None:
 
 
 def test_33_panels_are_too_many_for_a_picture_and_are_refused(unfiltered: Trials) -> None:
-    """There is a panel for each fill ratio. The fill ratios are 0, 1/40, 2/40 and so on."""
+    """Every fill ratio, 0, 1/40, 2/40 and so on, has a panel of its own."""
     experiments = [with_parameters(unfiltered, fill_ratio=index / 40) for index in range(33)]
     with pytest.raises(UsageError, match="33 panels"):
         plot_boxes(experiments)
@@ -367,7 +367,7 @@ def test_33_panels_are_too_many_for_a_picture_and_are_refused(unfiltered: Trials
 
 @pytest.mark.slow
 def test_32_panels_fit_a_picture(unfiltered: Trials) -> None:
-    """There is a panel for each fill ratio. The fill ratios are 0, 1/40, 2/40 and so on."""
+    """Every fill ratio, 0, 1/40, 2/40 and so on, has a panel of its own."""
     experiments = [with_parameters(unfiltered, fill_ratio=index / 40) for index in range(32)]
     assert len(plot_boxes(experiments).axes) == 32
 

@@ -649,9 +649,9 @@ def test_the_command_sweep_runs_the_experiments_of_a_file_into_results_beside_it
 def test_the_command_sweep_writes_the_results_into_the_file_that_output_names(
     grid_file: Path, tmp_path: Path
 ) -> None:
-    """Nothing is written to grid.parquet beside the file of experiments, where earlier results may be.
+    """Without --output they go to grid.parquet, where earlier results may be: that file is not written now.
 
-    The file has two experiments of three trials.
+    The file of experiments has two experiments of three trials.
     """
     shutil.copy(grid_file, tmp_path / "grid.toml")
     output = tmp_path / "new.parquet"

@@ -135,9 +135,9 @@ def test_a_number_of_updates_that_is_half_of_the_expected_one_gets_no_hint() -> 
 
 
 def test_the_hint_is_about_the_first_frame_that_differs() -> None:
-    """The first received frame is right, the second has twice the x_hat, and the third four times.
+    """Three frames are received where two are expected.
 
-    Two frames are expected, so the third is too much as well.
+    The first frame is right, the x_hat of the second is twice as large, and that of the third four times.
     """
     right_frame = estimate(0x123456)
     received = [right_frame, estimate(2 * 0x123456), estimate(4 * 0x123456)]

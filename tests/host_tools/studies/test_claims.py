@@ -81,7 +81,7 @@ QUICK_CLAIMS = (
 def test_a_claim_of_the_paper_agrees_and_disagrees_with_the_results_planted_for_that(
     claim: Claim, study_part: StudyPart
 ) -> None:
-    """planted.toml has two expressions for each claim: results that agree with it, and results that do not.
+    """In planted.toml a claim has two expressions: results that agree with it, and results that do not.
 
     With the expression "90 - P / 2", for example, the score of a swarm falls with P, the percentage of its
     robots that are flawed. Only the parts of the study that a claim needs have results.
@@ -398,7 +398,7 @@ def test_the_intervals_of_24_comparisons_are_so_wide_that_all_together_are_right
 
 
 def test_a_claim_is_left_out_where_a_part_of_the_study_that_it_needs_has_not_been_run() -> None:
-    """The claim compares fully connected swarms with dynamic ones, and only the former have been run."""
+    """The claim compares fully connected swarms with dynamic ones, and no dynamic swarm has been run."""
     claim_about_both_parts = claim_named("connected_overconfident_score_higher")
     results_of_one_part = PlantedResults("70", parts=[StudyPart.FULLY_CONNECTED])
     assert decide(results_of_one_part, [claim_about_both_parts]) == []
@@ -413,8 +413,8 @@ def test_robots_of_a_connected_swarm_must_converge_in_the_same_step_with_the_sam
 ) -> None:
     """In a trial three robots converge at step 100 with an error of 0.25. The fourth may differ.
 
-    The claim agrees if steps and errors are the same, is mixed if only one of both is, and disagrees if none
-    is.
+    The claim is that steps and errors are the same. It agrees if they are, is mixed if only the steps or only
+    the errors are the same, and disagrees if both differ.
     """
     cell = Cell(
         StudyPart.FULLY_CONNECTED,

@@ -98,9 +98,10 @@ def measure_numbers(trials: Any) -> Any:
 
 
 def test_a_measure_of_two_experiments_is_the_mean_of_their_medians_with_an_interval() -> None:
-    """Each experiment has nine trials; their measures are the numbers 0 to 8, and 100 to 108.
+    """One experiment has nine trials with the measures 0 to 8, the other nine trials with 100 to 108.
 
-    So the medians are 4 and 104. Trials that are drawn again for the interval have medians around these.
+    So the medians are 4 and 104, and their mean is 54. The trials are drawn again, at random, for the
+    interval: their medians are around these.
     """
     experiments: Any = [range(9), range(100, 109)]
 

@@ -75,7 +75,7 @@ def test_the_file_beside_a_log_has_the_json_report(tmp_path: Path, capsys: Captu
 
 
 def test_the_log_of_a_swarm_has_every_frame_with_its_channel_and_its_time(tmp_path: Path) -> None:
-    """The frames equal the ones that the same swarm sends without the command.
+    """The same swarm, run without the command, sends the same frames.
 
     Times begin at 0 s with the first frame, and are compared in whole milliseconds.
     """

@@ -544,7 +544,7 @@ def rows_of_threats_page() -> list[list[str]]:
 
 
 def test_the_page_of_threats_puts_the_errors_of_six_attacks_in_words() -> None:
-    """For each attack it has two words, for ASDF and for the robust filter, and the error of the latter.
+    """An attack has a word for ASDF, a word for the robust filter, and the robust filter's error.
 
     The errors are those of docs/internals/threats.csv.
     """

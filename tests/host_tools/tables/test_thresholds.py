@@ -230,9 +230,9 @@ def test_the_page_t_tables_has_how_often_an_estimate_of_the_same_kind_is_rejecte
 
 @with_each_choice
 def test_the_page_t_tables_has_how_often_an_estimate_at_a_distance_is_rejected(row: dict[str, str]) -> None:
-    """Its difference from the mean of m estimates, over their spread, has a noncentral t distribution.
+    """Its difference from the mean of m estimates, over their spread, is multiplied by sqrt(m).
 
-    This is so after it is multiplied by sqrt(m). The row has columns for distances of some standard
+    The product has a noncentral t distribution. The row has columns for distances of some standard
     deviations, such as "2 sigma".
     """
     m = int(row["m"])

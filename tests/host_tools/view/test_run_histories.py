@@ -192,9 +192,9 @@ def test_a_long_trial_and_a_long_log_are_shown_with_every_fourth_state(
 
 
 def test_links_between_more_robots_than_fit_a_bus_are_pairs_of_receiver_and_sender() -> None:
-    """A bus has ids for 128 robots. A trial may have more, here 140 that move for 40 steps.
+    """A bus has ids for 128 robots. A trial may have more, here 140 robots that move for 40 steps.
 
-    The arena of the trial has a matrix for each step: whether a robot (row) receives another (column).
+    In every step, the trial's arena has a matrix: it says whether a robot (row) receives another (column).
     """
     experiment = Experiment(topology="dynamic", robots=140, steps=40, trials=1)
     trials = run_trials(experiment, first=0, trials=1)

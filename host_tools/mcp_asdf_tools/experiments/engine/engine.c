@@ -72,9 +72,9 @@ FOR_EACH_TARGET static void draw_words(lanes_t *rows, uint32_t count, uint64_t s
     }
 }
 
-/* Returns the probability that a robot observes black, for one that does so with the probability `black` on a
- * black floor: that is `black`, and on a white floor 1 - black, the probability of a mistake. Probabilities
- * are in units of 2^-31; `is_floor_white` is 1 or 0. */
+/* Returns the probability that a robot observes black. On a black floor that is `black`, the probability that
+ * its sensor is right; on a white floor it is 1 - black, the probability of a mistake. Probabilities are in
+ * units of 2^-31; `is_floor_white` is 1 or 0. */
 static uint32_t probability_of_black(uint32_t black, uint32_t is_floor_white)
 {
     /* What is added to `black` gives 1 - black; it may be negative, that is modulo 2^32. The floor is random,

@@ -40,9 +40,9 @@ def plot_scatter(
     """Plot the score h_e against h_K with a point for each trial, a row for each f, a column for each P.
 
     h_e is the score for a small error, and h_K the score for fast convergence; f is the share of black tiles,
-    and P the share of flawed robots. As in the paper's figure 4, there are rows for each series, too; swarms
-    whose flawed robots assume a better accuracy than the true one, b, are blue, those who assume a worse one
-    red; each b has a marker. ``where`` chooses experiments by their parameters. Raises UsageError if no
+    and P the share of flawed robots. As in the paper's figure 4, every series has rows of its own. Swarms are
+    blue if their flawed robots assume a better accuracy than the true one, b, and red if they assume a worse
+    one; b decides the marker. ``where`` chooses experiments by their parameters. Raises UsageError if no
     experiment is left, or there are more panels or series than fit a picture.
     """
     experiments = experiments_to_plot(results, where)

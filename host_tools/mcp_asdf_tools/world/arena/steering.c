@@ -30,9 +30,10 @@ IN_LOOPS void shorten_rays_at_body(const mcp_asdf_arena_t *arena, uint32_t i, ui
     double *const free_distance = arena->free_distance + (size_t)i * SENSORS;
     SIDE_BY_SIDE
     for (uint32_t k = 0; k < SENSORS; ++k) {
-        /* The ray passes the other's centre `along` metres from this one. By Pythagoras the squared distance
-         * at which it does so is centres_squared - along^2; and by Pythagoras again, half of the chord within
-         * the circle has the square radius^2 minus that, which is negative if the ray misses the circle. */
+        /* The ray passes the other robot's centre after `along` metres. By Pythagoras it passes the centre at
+         * the squared distance centres_squared - along^2. By Pythagoras again, half of the chord within the
+         * circle has the square radius^2 - passing_squared, which is negative if the ray misses the circle.
+         */
         const double along = dx * ray_component(cx, cy, k) + dy * ray_component(cy, -cx, k);
         const double passing_squared = centres_squared - along * along;
         const double half_chord_squared = radius_squared - passing_squared;
