@@ -131,8 +131,9 @@ def setup_of(args: argparse.Namespace) -> RobotSetup:
     if args.setup is None:
         allow = None if args.allow is None else parse_ids(args.allow, "--allow")
         return replace(options.robot_of(args), allow=allow)
+    all_typed_options = typed_options(args)
     for option in (*options.ROBOT_OPTIONS, "--allow"):
-        if option in typed_options(args):
+        if option in all_typed_options:
             raise UsageError(f"--setup and {option} both describe the robot; leave out one of them")
     try:
         plain_setup = json.loads(args.setup)
