@@ -87,31 +87,33 @@ class LongestPath:
         graph = {number: [after for after in self._graph[number] if after in inside] for number in numbers}
         components = _strong_components(graph)
         component_of = {number: index for index, component in enumerate(components) for number in component}
-        before: dict[int, set[int]] = {index: set() for index in range(len(components))}
+        # By component: the components from which it is reached, the instructions at which it is entered, and
+        # the largest cost of a path that leads there.
+        earlier_components: dict[int, set[int]] = {index: set() for index in range(len(components))}
         entries: dict[int, set[int]] = {index: set() for index in range(len(components))}
         costs_before: dict[int, int] = dict.fromkeys(range(len(components)), 0)
         for entry in region_entries:
             entries[component_of[entry]].add(entry)
         for number, following in graph.items():
             for after in following:
-                if component_of[after] != component_of[number]:
-                    before[component_of[after]].add(component_of[number])
-                    entries[component_of[after]].add(after)
+                index_after = component_of[after]
+                if index_after != component_of[number]:
+                    earlier_components[index_after].add(component_of[number])
+                    entries[index_after].add(after)
 
         region = _Region({}, 0, set())
-        for index in TopologicalSorter(before).static_order():
+        for index in TopologicalSorter(earlier_components).static_order():
             component = components[index]
-            [number] = component if len(component) == 1 else [min(component)]
-            is_loop = len(component) > 1 or number in graph[number]
+            # A component of one instruction is a loop only if that instruction jumps to itself.
+            is_loop = len(component) > 1 or any(number in graph[number] for number in component)
             inner = self._loop(component, entries[index]) if is_loop else None
             for member in component:
                 own_cost = self._weights[member] if inner is None else inner.costs[member]
                 region.costs[member] = costs_before[index] + own_cost
                 for after in graph[member]:
-                    if component_of[after] != index:
-                        costs_before[component_of[after]] = max(
-                            costs_before[component_of[after]], region.costs[member]
-                        )
+                    index_after = component_of[after]
+                    if index_after != index:
+                        costs_before[index_after] = max(costs_before[index_after], region.costs[member])
             if inner is not None:
                 region.cost_of_loops_in_all += inner.cost_of_loops_in_all
                 region.places |= inner.places
