@@ -296,13 +296,17 @@ def test_the_server_ends_its_thread_for_a_page_that_was_closed() -> None:
 
     The page has read its first event when it is closed, by the end of the inner block.
     """
-    threads_before = threading.active_count()
+    threads_before = set(threading.enumerate())  # some may be of earlier tests and end meanwhile
+
+    def count_threads_of_server_and_pages() -> int:
+        return len(set(threading.enumerate()) - threads_before)
+
     with serve_page(history_of_running_swarm()) as url:
         with connect(url, request_for(url, "/events")) as client:
             read_first_event(client)
-            assert threading.active_count() == threads_before + 2  # one of the server, one of the page
+            assert count_threads_of_server_and_pages() == 2  # one of the server, one of the page
 
-        wait_until(lambda: threading.active_count() == threads_before + 1)
+        wait_until(lambda: count_threads_of_server_and_pages() == 1)
 
 
 def test_a_client_that_resets_its_connection_causes_no_message(capfd: pytest.CaptureFixture[str]) -> None:
