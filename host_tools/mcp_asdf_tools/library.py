@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.extensions import check_for_workers
 from mcp_asdf_tools.common.extras import naming_extras
-from mcp_asdf_tools.experiments.experiment import Experiment, grid, without_repetitions
+from mcp_asdf_tools.experiments.experiment import Experiment, grid
 from mcp_asdf_tools.experiments.experiment_files import read_experiments
 from mcp_asdf_tools.experiments.plots import KINDS, load_plot
 from mcp_asdf_tools.experiments.scores import E_MAX, Limits
@@ -114,18 +114,16 @@ def simulate(
     """
     experiment_list = [experiments] if isinstance(experiments, Experiment) else list(experiments)
     _check_run(experiment_list, workers, record)
-    if output is None:
-        return _simulate_in_memory(experiment_list, workers, record, quiet)
 
     from mcp_asdf_tools.common.progress_bar import progress
     from mcp_asdf_tools.experiments.store import Store
     from mcp_asdf_tools.experiments.sweep import run_sweep
 
     # The store finds what earlier calls have finished, so that only the rest is run.
-    store = Store(Path(output), experiment_list, record)
+    store = Store(None if output is None else Path(output), experiment_list, record)
     with progress("trials", store.missing_count, quiet) as report:
         run_sweep(store, workers, report)
-    return read_table(output)
+    return store.read_table()
 
 
 def _check_run(experiments: list[Experiment], workers: int, record: int) -> None:
@@ -164,21 +162,6 @@ def _check_extension_objects(experiments: list[Experiment], workers: int) -> Non
                 raise UsageError(f"two objects are called {name}; give them different names")
             if workers > 1:
                 check_for_workers(name)
-
-
-def _simulate_in_memory(experiments: list[Experiment], workers: int, record: int, quiet: bool) -> pa.Table:
-    """Run experiments, equal ones once, and return the table of their trials without a file."""
-    import pyarrow as pa
-
-    from mcp_asdf_tools.common.progress_bar import progress
-    from mcp_asdf_tools.experiments.result_tables import trials_to_table
-    from mcp_asdf_tools.experiments.sweep import run_in_memory
-
-    # Equal experiments are run once.
-    trial_count = sum(experiment.trials for experiment in without_repetitions(experiments))
-    with progress("trials", trial_count, quiet) as report:
-        results = run_in_memory(experiments, record, workers, report)
-    return pa.concat_tables([trials_to_table(trials) for trials in results]).combine_chunks()
 
 
 @naming_extras()
@@ -229,10 +212,10 @@ def to_frame(source: pa.Table | Path | str) -> pa.Table:
     """
     import pyarrow as pa
 
-    from mcp_asdf_tools.experiments.tidy_tables import tidy_results
+    from mcp_asdf_tools.experiments.tidy_tables import stream_tidy_results
 
     if isinstance(source, pa.Table):
-        return tidy_results(source)
+        return pa.concat_tables(stream_tidy_results(source))
     return pa.concat_tables(stream_tidy_tables(Path(source)))
 
 

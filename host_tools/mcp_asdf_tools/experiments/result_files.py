@@ -7,10 +7,10 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from itertools import chain
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import pyarrow as pa  # type: ignore[import-untyped]
@@ -21,11 +21,12 @@ from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.files import drafts_for, explaining_write_errors
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.result_tables import (
+    FLAT_RECORD,
     METADATA_KEY,
     PRESENT_FORMAT,
     READABLE_FORMATS,
+    RECORD_COLUMNS,
     column_types,
-    column_types_of_format,
     rows_by_experiment,
     to_present_format,
     trials_from_rows,
@@ -105,9 +106,7 @@ def read_table(path: Path | str, columns: Sequence[str] | None = None) -> pa.Tab
     ``columns`` names the columns to be read; None stands for all. Raises UsageError if a file cannot be read
     or has anything but results in one of READABLE_FORMATS.
     """
-    row_groups = RowGroups()
-    row_groups.add(Path(path))
-    return pa.concat_tables([row_group.read(columns) for row_group in row_groups])
+    return pa.concat_tables([row_group.read(columns) for row_group in RowGroups(Path(path))])
 
 
 def stream_experiments(path: Path) -> Iterator[Trials]:
@@ -116,8 +115,7 @@ def stream_experiments(path: Path) -> Iterator[Trials]:
     Only one experiment at a time is in memory. Raises UsageError if a file cannot be read or has anything but
     results in one of READABLE_FORMATS.
     """
-    row_groups = RowGroups()
-    row_groups.add(path)
+    row_groups = RowGroups(path)
     # Parameters are read first: they say which rows an experiment has. All else, which is far more, is read
     # for one experiment at a time.
     row_arrays: dict[Experiment, list[NDArray[np.int64]]] = {}
@@ -135,121 +133,66 @@ def stream_experiments(path: Path) -> Iterator[Trials]:
 # --- Rows of many files ----------------------------------------------------------------------------------
 
 
-class _Rows(Protocol):
-    """Consecutive rows of a ``RowGroups``, in a file or in memory."""
-
-    @property
-    def first_row(self) -> int:
-        """Number of the first row in the whole sequence, which is how many rows come before it."""
-
-    @property
-    def row_count(self) -> int:
-        """Number of rows."""
-
-    def read(self, columns: Sequence[str] | None = None) -> pa.Table:
-        """Return the rows, with some columns or all."""
-
-
 @dataclass(frozen=True)
 class RowGroup:
-    """A row group of a file.
+    """Consecutive rows of a ``RowGroups``: a row group of a file, or a table in memory.
 
     Attributes:
-        path: The file.
-        index: Position of the row group in the file.
         first_row: Number of rows before it in ``RowGroups``.
         row_count: Its number of rows.
+        read: Returns the rows in the present format, with the columns of these names, or all for None.
+            Raises UsageError if the file cannot be read.
     """
 
-    path: Path
-    index: int
     first_row: int
     row_count: int
-
-    def read(self, columns: Sequence[str] | None = None) -> pa.Table:
-        """Return the rows in the present format, with some columns or all.
-
-        A parameter without a column has its default. Raises UsageError if the file cannot be read, or has
-        records that cannot be converted to the present format.
-        """
-        file = _open_checked(self.path)
-        stored_columns = None
-        if columns is not None:
-            # The number of robots is needed to convert records of an earlier format.
-            needed_columns = {*columns, "robots"}
-            stored_columns = [name for name in file.schema_arrow.names if name in needed_columns]
-        with _name_file_in_errors(self.path):
-            table = file.read_row_group(self.index, columns=stored_columns)
-            # A damaged or hostile file may hold lists that end beyond their values.
-            table.validate(full=True)
-        # A file has its metadata twice, and the two may differ; these are the ones that were checked.
-        table = table.replace_schema_metadata(file.schema_arrow.metadata)
-        table = to_present_format(table, self.row_count)
-        return table if columns is None else table.select(columns)
-
-
-@dataclass(frozen=True)
-class RowsInMemory:
-    """A table that is in no file.
-
-    Attributes:
-        table: The table.
-        first_row: Number of rows before it in ``RowGroups``.
-    """
-
-    table: pa.Table
-    first_row: int
-
-    @property
-    def row_count(self) -> int:
-        """The number of rows."""
-        return len(self.table)
-
-    def read(self, columns: Sequence[str] | None = None) -> pa.Table:
-        """Return the rows, with some columns or all."""
-        return self.table if columns is None else self.table.select(columns)
+    read: Callable[[Sequence[str] | None], pa.Table]
 
 
 class RowGroups:
-    """The rows of many files as one sequence, with only a few row groups in memory.
+    """The rows of many files and tables as one sequence, with only a few row groups of files in memory.
 
     Attributes:
         row_count: Number of rows.
     """
 
-    def __init__(self) -> None:
-        """Create an empty sequence, with an empty cache for the row groups that ``take`` read last."""
-        self._row_groups: list[_Rows] = []
+    def __init__(self, *sources: Path | pa.Table) -> None:
+        """Create a sequence of the rows of some files, folders or tables, in their order, as ``add`` does.
+
+        Its cache is for the row groups that ``take`` read last.
+        """
+        self._row_groups: list[RowGroup] = []
         # A cache of this object alone: one that decorates the method would keep every object alive.
         self._read_cached = lru_cache(maxsize=_ROW_GROUPS_IN_MEMORY)(self._read)
         self.row_count = 0
+        for source in sources:
+            self.add(source)
 
-    def __iter__(self) -> Iterator[_Rows]:
+    def __iter__(self) -> Iterator[RowGroup]:
         return iter(self._row_groups)
 
-    def add(self, path: Path) -> None:
-        """Append the rows of a file, or those of all Parquet files in a folder in the order of their names.
+    def add(self, source: Path | pa.Table) -> None:
+        """Append rows: those of a table, of a file, or of all Parquet files in a folder in name order.
 
-        Only what describes the rows is read here. Raises UsageError if a file cannot be read, has anything
-        but results in one of READABLE_FORMATS, or trials that this version cannot repeat.
+        Of files only what describes the rows is read here. Raises UsageError if a file cannot be read, has
+        anything but results in one of READABLE_FORMATS, or trials that this version cannot repeat.
         """
-        files_in_folder = sorted(path.glob("*.parquet"))
+        if isinstance(source, pa.Table):
+            self._append(len(source), partial(_select_columns, source))
+            return
+        files_in_folder = sorted(source.glob("*.parquet"))
         # In a path that is itself a file, no files are found.
-        for file_path in files_in_folder or [path]:
-            file = _open_checked(file_path)
+        for path in files_in_folder or [source]:
+            file = _open_checked(path)
             for index in range(file.num_row_groups):
-                _check_former_parameters(file_path, file, index)
+                _check_former_parameters(path, file, index)
                 row_count = file.metadata.row_group(index).num_rows
-                self._append(RowGroup(file_path, index, self.row_count, row_count))
+                self._append(row_count, partial(_read_row_group, path, index, row_count))
 
-    def add_table(self, table: pa.Table) -> None:
-        """Append the rows of a table, which stay in memory."""
-        self._append(RowsInMemory(table, self.row_count))
-
-    def _append(self, rows: _Rows) -> None:
-        """Append rows, which begin where the sequence has ended so far."""
-        self._row_groups.append(rows)
-        self.row_count += rows.row_count
+    def _append(self, row_count: int, read: Callable[[Sequence[str] | None], pa.Table]) -> None:
+        """Append ``row_count`` rows, which ``read`` returns; they begin where the sequence has ended."""
+        self._row_groups.append(RowGroup(self.row_count, row_count, read))
+        self.row_count += row_count
 
     def take(self, rows: NDArray[np.int64], columns: Sequence[str] | None = None) -> pa.Table:
         """Return the rows of these numbers, in the order of ``rows``, with some columns or all.
@@ -280,6 +223,32 @@ class RowGroups:
         return self._row_groups[group_index].read(columns).combine_chunks()
 
 
+def _select_columns(table: pa.Table, columns: Sequence[str] | None) -> pa.Table:
+    """Return a table with the columns of these names, or with all for None."""
+    return table if columns is None else table.select(columns)
+
+
+def _read_row_group(path: Path, index: int, row_count: int, columns: Sequence[str] | None) -> pa.Table:
+    """Return the rows of a file's row group in the present format, with some columns or all.
+
+    A parameter without a column has its default. Raises UsageError if the file cannot be read, or has records
+    that cannot be converted to the present format.
+    """
+    file = _open_checked(path)
+    stored_columns = None
+    if columns is not None:
+        # The number of robots is needed to convert records of an earlier format.
+        needed_columns = {*columns, "robots"}
+        stored_columns = [name for name in file.schema_arrow.names if name in needed_columns]
+    with _name_file_in_errors(path):
+        table = file.read_row_group(index, columns=stored_columns)
+        # A damaged or hostile file may hold lists that end beyond their values.
+        table.validate(full=True)
+    # A file has its metadata twice, and the two may differ; these are the ones that were checked.
+    table = table.replace_schema_metadata(file.schema_arrow.metadata)
+    return _select_columns(to_present_format(table, row_count), columns)
+
+
 # --- Checks ----------------------------------------------------------------------------------------------
 
 
@@ -287,8 +256,8 @@ def _open_checked(path: Path) -> pq.ParquetFile:
     """Open a file of results. Raises UsageError unless it is one in READABLE_FORMATS, and has rows."""
     with _name_file_in_errors(path):
         file = pq.ParquetFile(path)
-        format_number = _check_metadata(path, file.schema_arrow.metadata or {})
-        _check_schema(path, file.schema_arrow, format_number)
+        _check_metadata(path, file.schema_arrow.metadata or {})
+        _check_schema(path, file.schema_arrow)
         if not file.metadata.num_rows:
             raise UsageError(f"{path} holds no trials; run mcp-asdf sweep again")
     return file
@@ -312,11 +281,8 @@ def _name_file_in_errors(path: Path) -> Iterator[None]:
         raise UsageError(f"cannot read {path}: {reason}{hint}") from error
 
 
-def _check_metadata(path: Path, file_metadata: dict[bytes, bytes]) -> int:
-    """Return the format of results, one of READABLE_FORMATS, that a file's metadata have.
-
-    Raises UsageError if the metadata are not those of such results.
-    """
+def _check_metadata(path: Path, file_metadata: dict[bytes, bytes]) -> None:
+    """Raise UsageError if the metadata of a file are not those of results in one of READABLE_FORMATS."""
     try:
         metadata = json.loads(file_metadata.get(METADATA_KEY, b"{}"))
     except (ValueError, RecursionError):  # another program may use the same key
@@ -337,8 +303,6 @@ def _check_metadata(path: Path, file_metadata: dict[bytes, bytes]) -> int:
         raise UsageError(f"{path} is damaged: its metadata lack versions or sampling_interval; run it again")
     if not isinstance(metadata.get("source", ""), str):
         raise UsageError(f"{path} is damaged: source in its metadata is no text; make the file again")
-    format_number: int = metadata["format"]
-    return format_number
 
 
 def _check_former_parameters(path: Path, file: pq.ParquetFile, row_group_index: int) -> None:
@@ -361,21 +325,23 @@ def _check_former_parameters(path: Path, file: pq.ParquetFile, row_group_index: 
             )
 
 
-def _check_schema(path: Path, schema: Any, format_number: int) -> None:
-    """Raise UsageError if columns are missing, there twice or of another type than those of a format.
+def _check_schema(path: Path, schema: Any) -> None:
+    """Raise UsageError if columns of results are missing, there twice or of another type than they have.
 
-    A parameter may be missing, since it may be newer than the file.
+    A parameter may be missing, since it may be newer than the file. Records may be flat, as in format 5.
     """
-    column_types = column_types_of_format(format_number)
-    missing_columns = set(column_types) - set(PARAMETER_NAMES) - set(schema.names)
+    missing_columns = set(column_types()) - set(PARAMETER_NAMES) - set(schema.names)
     if missing_columns:
         missing_names = ", ".join(sorted(missing_columns))
         raise UsageError(f"{path} is damaged: it has no {missing_names}; run mcp-asdf sweep again")
-    for column_name, column_type in column_types.items():
+    for column_name, column_type in column_types().items():
+        allowed_types = [column_type]
+        if column_name in RECORD_COLUMNS.values():
+            allowed_types.append(FLAT_RECORD)
         column_count = schema.names.count(column_name)
         if column_count == 0:
             continue  # a parameter that is newer than the file
         # Parquet allows two columns of one name, which could not be told apart.
-        if column_count > 1 or schema.field(column_name).type != column_type:
+        if column_count > 1 or schema.field(column_name).type not in allowed_types:
             problem = f"column {column_name} is not {column_type}"
             raise UsageError(f"{path} is damaged: {problem}; run mcp-asdf sweep again")

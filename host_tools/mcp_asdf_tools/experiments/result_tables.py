@@ -38,10 +38,9 @@ from mcp_asdf_tools.experiments.results import PARAMETER_NAMES, QUANTITIES, Tria
 from mcp_asdf_tools.experiments.scores import DELTA, SCORES, Limits, score
 
 PRESENT_FORMAT = 6
-FLAT_RECORDS_FORMAT = 5
-"""The format before the present one. The record of a trial was one list in it: the values of all robots at
-step 0, then those at the next recorded step, and so on."""
-READABLE_FORMATS = (FLAT_RECORDS_FORMAT, PRESENT_FORMAT)
+READABLE_FORMATS = (5, PRESENT_FORMAT)
+"""In format 5 the record of a trial was one flat list: the values of all robots at step 0, then those at the
+next recorded step, and so on."""
 
 METADATA_KEY = b"mcp-asdf"
 
@@ -54,9 +53,6 @@ _LIST_COLUMNS = {
 }
 """Columns of lists, with the attribute of ``Trials`` that each contains and the type of its elements."""
 
-INDEX_COLUMNS = (*PARAMETER_NAMES, "trial")
-"""Columns that tell which trial of which experiment a row is."""
-
 RECORD_COLUMNS = {name: f"record_{name}" for name in QUANTITIES}
 """Name of the column of each recorded quantity."""
 
@@ -66,6 +62,8 @@ _VALUES_OF_ROBOTS = pa.list_(pa.field("element", pa.float64()))
 """Type of a list with a value of each robot."""
 _RECORD_OF_TRIAL = pa.list_(pa.field("element", _VALUES_OF_ROBOTS))
 """Type of a list with such a list for each recorded step."""
+FLAT_RECORD = _VALUES_OF_ROBOTS
+"""Type of a record in format 5."""
 
 _UNITS = {
     **dict.fromkeys(("width", "height", "radio_range", "tile"), "m"),
@@ -130,18 +128,6 @@ def column_types() -> dict[str, Any]:
     return types
 
 
-def column_types_of_format(table_format: int) -> dict[str, Any]:
-    """Return the pyarrow type of each column by its name in one of READABLE_FORMATS.
-
-    In FLAT_RECORDS_FORMAT a record is one list of numbers, in the present format a list of such lists.
-    """
-    types = dict(column_types())
-    if table_format == FLAT_RECORDS_FORMAT:
-        for record_name in RECORD_COLUMNS.values():
-            types[record_name] = _VALUES_OF_ROBOTS
-    return types
-
-
 def to_present_format(table: pa.Table, row_count: int) -> pa.Table:
     """Return a table of READABLE_FORMATS, with some columns or all, in the present format.
 
@@ -150,16 +136,18 @@ def to_present_format(table: pa.Table, row_count: int) -> pa.Table:
     5 with records must have a column ``robots``, unless all experiments have the default. Raises UsageError
     for a flat record that has not a value of each robot at each step.
     """
-    complete_table = _add_missing_parameters(table, row_count)
-    flat_columns = [
-        column
-        for column in RECORD_COLUMNS.values()
-        if column in complete_table.column_names and complete_table[column].type == _VALUES_OF_ROBOTS
-    ]
-    for column in flat_columns:
-        index = complete_table.column_names.index(column)
-        nested_record = _nest_flat_record(complete_table, column)
-        complete_table = complete_table.set_column(index, column, nested_record)
+    defaults = Experiment().parameters()
+    columns = {}
+    for name, column_type in column_types().items():
+        if name in table.column_names:
+            columns[name] = table[name]
+        elif name in defaults:
+            columns[name] = pa.repeat(pa.scalar(defaults[name], column_type), row_count)
+        if name in RECORD_COLUMNS.values() and name in columns and columns[name].type == FLAT_RECORD:
+            columns[name] = _nest_flat_records(name, columns[name], columns["robots"])
+    # Columns that this version does not know stay, behind the others.
+    columns |= {name: table[name] for name in table.column_names if name not in column_types()}
+    complete_table = pa.table(columns, metadata=table.schema.metadata)
     return _describe_as_present_format(complete_table)
 
 
@@ -175,67 +163,21 @@ def _describe_as_present_format(table: pa.Table) -> pa.Table:
     return table.replace_schema_metadata({**metadata, METADATA_KEY: json.dumps(present_description)})
 
 
-def _nest_flat_record(table: pa.Table, column: str) -> pa.ChunkedArray:
-    """Return a column of flat records, as in format 5, as lists with a list by robot for each recorded step.
+def _nest_flat_records(column: str, records: pa.ChunkedArray, robots: pa.ChunkedArray) -> pa.Array:
+    """Return flat records, as in format 5, as lists with a list by robot for each recorded step.
 
-    Raises UsageError for a record that has not a value of each robot at each step.
+    ``robots`` has the number of robots of each record, and ``column`` is the name for errors. Raises
+    UsageError for a record that has not a value of each robot at each step.
     """
-    nested_chunks: list[pa.Array] = []
-    # Chunk by chunk: the lists of a chunk have at most 2^31 values together, those of a column may have more.
-    for batch in table.select(["robots", column]).to_batches():
-        flat_records = batch[column]
-        robot_counts = _robot_counts(batch)
-        value_counts = pc.fill_null(pc.list_value_length(flat_records), 0).to_numpy()  # by trial
-        divisors = np.maximum(robot_counts, 1)  # so that none is 0
-        step_counts = value_counts // divisors  # complete steps, by trial
-        are_all_complete = np.array_equal(step_counts * robot_counts, value_counts)
-        if flat_records.null_count > 0 or not are_all_complete:
+    nested_records = []
+    for record, robot_count in zip(records, robots.to_pylist(), strict=True):
+        values = record.values  # None where the record is missing
+        is_complete = values is not None and values.null_count == 0
+        if not (is_complete and robot_count and len(values) % robot_count == 0):
             raise _damage_error(f"column {column} has gaps, or not a value of each robot at each step")
-        # The values become lists by robot for each step, and these become a list for each trial.
-        robot_counts_by_step = np.repeat(robot_counts, step_counts)
-        values_of_robots = _group_in_lists(flat_records.flatten(), robot_counts_by_step, _VALUES_OF_ROBOTS)
-        nested_chunks.append(_group_in_lists(values_of_robots, step_counts, _RECORD_OF_TRIAL))
-    return pa.chunked_array(nested_chunks, _RECORD_OF_TRIAL)
-
-
-def _robot_counts(batch: pa.RecordBatch) -> NDArray[np.int64]:
-    """Return the number of robots in each row of a batch of trials; 0 where it is missing.
-
-    In a damaged file any number of 64 bits may stand there. Numbers above 2**31 - 1 become 2**31 - 1, as the
-    results are signed.
-    """
-    stated_counts = pc.fill_null(batch["robots"], 0).to_numpy()
-    limited_counts: NDArray[np.int64] = np.clip(stated_counts, 0, np.iinfo(np.int32).max).astype(np.int64)
-    return limited_counts
-
-
-def _group_in_lists(values: pa.Array, lengths: NDArray[np.int64], list_type: Any) -> pa.Array:
-    """Return consecutive ``values`` as lists of these lengths, whose sum is the number of values."""
-    offsets = np.concatenate([[0], np.cumsum(lengths)])  # where each list begins, and the last one ends
-    return pa.ListArray.from_arrays(pa.array(offsets, pa.int32()), values, type=list_type)
-
-
-def _add_missing_parameters(table: pa.Table, row_count: int) -> pa.Table:
-    """Return a table with its columns in the usual order, in which missing parameters have their defaults.
-
-    Columns of other names come last.
-    """
-    defaults = Experiment().parameters()
-    arrays_by_column = {}
-    for column_name, column_type in column_types().items():
-        if column_name in table.column_names:
-            arrays_by_column[column_name] = table[column_name]
-        elif column_name in defaults:
-            arrays_by_column[column_name] = pa.repeat(
-                pa.scalar(defaults[column_name], column_type), row_count
-            )
-    # Columns that this version does not know stay, behind the others.
-    arrays_by_column |= {
-        column_name: table[column_name]
-        for column_name in table.column_names
-        if column_name not in column_types()
-    }
-    return pa.table(arrays_by_column, metadata=table.schema.metadata)
+        step_count = len(values) // robot_count
+        nested_records.append([*values.to_numpy().reshape(step_count, robot_count)])
+    return pa.array(nested_records, _RECORD_OF_TRIAL)
 
 
 def read_metadata(table: pa.Table) -> dict[str, Any]:
@@ -264,7 +206,7 @@ def trials_to_table(trials: Trials) -> pa.Table:
     }
     columns |= {"trial": trials.numbers, **trials.scores()}
     for name, (attribute, _element_type_name) in _LIST_COLUMNS.items():
-        columns[name] = _flatten_trials(getattr(trials, attribute))
+        columns[name] = [values_of_trial.ravel() for values_of_trial in getattr(trials, attribute)]
     # Files have the same columns whether anything was recorded or not.
     nothing_recorded = np.empty((trial_count, 0, trials.experiment.robots))
     for name, column in RECORD_COLUMNS.items():
@@ -282,19 +224,15 @@ def trials_to_table(trials: Trials) -> pa.Table:
     return pa.table(arrays, metadata={METADATA_KEY: json.dumps(metadata)})
 
 
-def _flatten_trials(values: NDArray[Any]) -> list[NDArray[Any]]:
-    """Return the values of each trial as a flat array; trials are the first axis of ``values``."""
-    return [values_of_trial.ravel() for values_of_trial in values]
-
-
 def _nest_records(values: NDArray[np.float64]) -> pa.Array:
     """Return records, shape (trials, samples, N), as an array with a list of lists for each trial."""
     trial_count, sample_count, robots = values.shape
-    # The values become lists by robot for each sample, and these become a list for each trial.
-    lengths_of_samples = np.full(trial_count * sample_count, robots)
-    lengths_of_trials = np.full(trial_count, sample_count)
-    values_of_robots = _group_in_lists(pa.array(values.ravel()), lengths_of_samples, _VALUES_OF_ROBOTS)
-    return _group_in_lists(values_of_robots, lengths_of_trials, _RECORD_OF_TRIAL)
+    # Where each list begins, and the last one ends: those of samples among values, those of trials among
+    # samples.
+    sample_offsets = pa.array(robots * np.arange(trial_count * sample_count + 1), pa.int32())
+    trial_offsets = pa.array(sample_count * np.arange(trial_count + 1), pa.int32())
+    samples = pa.ListArray.from_arrays(sample_offsets, pa.array(values.ravel()), type=_VALUES_OF_ROBOTS)
+    return pa.ListArray.from_arrays(trial_offsets, samples, type=_RECORD_OF_TRIAL)
 
 
 def experiments_in(table: pa.Table) -> list[Trials]:
@@ -333,77 +271,49 @@ def trials_from_rows(experiment: Experiment, table: pa.Table) -> Trials:
     of RECORD_COLUMNS a list of them for each recorded step. All rows must be of the experiment. Raises
     UsageError if a list has another length than it must have.
     """
-    _check_list_lengths(experiment, table)
     table = table.sort_by("trial")
+    _check_no_gaps("trial", table["trial"])
+    metadata = read_metadata(table)
 
     robots = experiment.robots
     filter_steps = experiment.steps // experiment.filter_period
-    metadata = read_metadata(table)
+    b_hat = _read_lists(table, "b_hat", (filter_steps * robots,))
+    # How often values were recorded is not a parameter. So the first list gives the length of all of them. If
+    # it is missing, which is refused when it is read, it has no length.
+    sample_count = pc.list_value_length(table[RECORD_COLUMNS["t"]])[0].as_py() or 0
+    records = {
+        name: _read_lists(table, column, (sample_count, robots)) for name, column in RECORD_COLUMNS.items()
+    }
     return Trials(
         experiment=experiment,
         numbers=table["trial"].to_pylist(),
         convergence_steps=_read_lists(table, "k", (robots,)),
         errors=_read_lists(table, "e", (robots,)),
-        b_hat=_read_lists(table, "b_hat", (filter_steps, robots)),
+        b_hat=b_hat.reshape(len(table), filter_steps, robots),
         tests=_read_lists(table, "tests", (robots,)),
         updates=_read_lists(table, "updates", (robots,)),
-        records=_read_records(table, robots),
+        records=records if sample_count else {},
         sampling_interval=metadata["sampling_interval"],
         source=metadata.get("source", ""),
     )
 
 
 def _read_lists(table: pa.Table, column: str, shape_of_trial: tuple[int, ...]) -> NDArray[Any]:
-    """Return the values in a column of lists, with an axis of the trials before those of a trial."""
-    flat_values: NDArray[Any] = pc.list_flatten(table[column]).to_numpy()
-    return flat_values.reshape(len(table), *shape_of_trial)
+    """Return the values in a column of lists, with an axis of the trials before those of a trial.
 
-
-def _read_records(table: pa.Table, robots: int) -> dict[str, NDArray[Any]]:
-    """Return the recorded values by quantity, shape (trials, samples, N) each; none if nothing was recorded.
-
-    The lists of all trials must be equally long.
+    Raises UsageError, with the name of the column, if values are missing, or lists have another length than
+    they must have. O(values).
     """
-    records: dict[str, NDArray[Any]] = {}
-    for name, column in RECORD_COLUMNS.items():
-        sample_count = len(table[column][0])
-        if sample_count > 0:
-            values_of_robots = pc.list_flatten(table[column])  # a list for each sample of each trial
-            values: NDArray[Any] = pc.list_flatten(values_of_robots).to_numpy()
-            records[name] = values.reshape(len(table), sample_count, robots)
-    return records
-
-
-def _check_list_lengths(experiment: Experiment, table: pa.Table) -> None:
-    """Raise UsageError if a column has missing values, or lists of another length than they must have.
-
-    O(values).
-    """
-    if table["trial"].null_count > 0:
-        raise _damage_error("column trial has gaps")
-    robots = experiment.robots
-    length_by_column = dict.fromkeys(_LIST_COLUMNS, robots)
-    length_by_column["b_hat"] = robots * (experiment.steps // experiment.filter_period)
-    for column, length in length_by_column.items():
-        _check_lists(column, table[column], length)
-        _check_no_gaps(column, pc.list_flatten(table[column]))
-    # How often values were recorded is not a parameter. So the first list gives the length of all of them. If
-    # it is missing, which the check below refuses, it has no length.
-    first_length = pc.list_value_length(table[RECORD_COLUMNS["t"]])[0].as_py()
-    sample_count = 0 if first_length is None else first_length
-    for column in RECORD_COLUMNS.values():
-        values_of_robots = pc.list_flatten(table[column])
-        _check_lists(column, table[column], sample_count)
-        _check_lists(column, values_of_robots, robots)
-        _check_no_gaps(column, pc.list_flatten(values_of_robots))
-
-
-def _check_lists(column: str, lists: pa.ChunkedArray, length: int) -> None:
-    """Raise UsageError, with the name of the column, if one of its lists is missing or has another length."""
-    _check_no_gaps(column, lists)
-    different_lengths = pc.list_value_length(lists).unique().to_pylist()
-    if any(list_length != length for list_length in different_lengths):
-        raise _damage_error(f"column {column} has lists that have not {length} values")
+    values = table[column]
+    for length in shape_of_trial:
+        _check_no_gaps(column, values)
+        different_lengths = pc.list_value_length(values).unique().to_pylist()
+        if any(list_length != length for list_length in different_lengths):
+            raise _damage_error(f"column {column} has lists that have not {length} values")
+        values = pc.list_flatten(values)
+    _check_no_gaps(column, values)
+    array: NDArray[Any] = values.to_numpy()
+    return array.reshape(len(table), *shape_of_trial)
 
 
 def _check_no_gaps(column: str, values: pa.ChunkedArray) -> None:

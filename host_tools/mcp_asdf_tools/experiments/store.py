@@ -3,7 +3,8 @@
 While the sweep goes on, results are collected in memory and written now and then as a part: a file in the
 folder ``OUTPUT.parts``. When all trials have run, all results are written to the file OUTPUT in the order of
 the experiments, and the folder is removed. A short sweep writes no part. So a sweep that was interrupted goes
-on where it stopped, and one with more trials runs only those that are new.
+on where it stopped, and one with more trials runs only those that are new. A store without an output writes
+nothing.
 """
 
 from __future__ import annotations
@@ -23,14 +24,19 @@ from mcp_asdf_tools.common.files import check_target, remove_abandoned_drafts
 from mcp_asdf_tools.common.versions import software_versions
 from mcp_asdf_tools.experiments.experiment import Experiment, without_repetitions
 from mcp_asdf_tools.experiments.output_lock import lock_file, unlock_file
-from mcp_asdf_tools.experiments.result_files import ROW_GROUP_BYTES, RowGroups, parts_folder, write_tables
+from mcp_asdf_tools.experiments.result_files import (
+    ROW_GROUP_BYTES,
+    RowGroups,
+    parts_folder,
+    read_table,
+    write_tables,
+)
 from mcp_asdf_tools.experiments.result_tables import (
-    INDEX_COLUMNS,
     read_metadata,
     rows_by_experiment,
     trials_to_table,
 )
-from mcp_asdf_tools.experiments.results import QUANTITIES, Trials
+from mcp_asdf_tools.experiments.results import PARAMETER_NAMES, QUANTITIES, Trials
 
 _MAX_ROWS = 20_000
 """Maximum number of rows in a part, and in a row group of the output. A row is a trial. They are fewer if
@@ -74,20 +80,20 @@ class Store:
     """The results of a sweep on disk and in memory, finished or not.
 
     Attributes:
-        output: File of all results, which exists when the sweep is finished.
-        parts: Folder of the results so far.
         experiments: The experiments of the sweep, each once.
         sampling_interval: Steps from one recorded value to the next; 0 if none is recorded.
     """
 
-    def __init__(self, output: Path, experiments: Iterable[Experiment], sampling_interval: int = 0) -> None:
+    def __init__(
+        self, output: Path | None, experiments: Iterable[Experiment], sampling_interval: int = 0
+    ) -> None:
         """Find the results of ``experiments`` that exist already.
 
-        An unfinished sweep is reserved for this process. Raises UsageError if the files have other results,
-        which would be lost, if they cannot be written, or if another process is at work on them.
+        An ``output`` of None keeps all results in memory. An unfinished sweep is reserved for this process.
+        Raises UsageError if the files have other results, which would be lost, if they cannot be written, or
+        if another process is at work on them.
         """
-        self.output = output
-        self.parts = parts_folder(output)
+        self._output = output
         self.experiments = without_repetitions(experiments)
         self.sampling_interval = sampling_interval
         # So few that the trials of any experiment fit a row group.
@@ -100,14 +106,8 @@ class Store:
         # For each trial, the number of its row. Rows are numbered consecutively, first those of all files,
         # then those of tables that are not written yet.
         self._row_of_trial = _rows_without_results(self.experiments)
-        check_target(output)
-        # A folder of parts means an unfinished sweep, which another process may be running right now.
-        if self.parts.is_dir():
-            self.reserve()
-        for path in [output, *sorted(self.parts.glob("*.parquet"))]:
-            if path.exists():
-                self._row_groups.add(path)
-        self._find_existing_trials()
+        if output is not None:
+            self._open_files()
 
     def _rows_that_fit(self, experiment: Experiment) -> int:
         """Return how many trials of an experiment fit ROW_GROUP_BYTES with their lists, at least 1."""
@@ -119,7 +119,32 @@ class Store:
         bytes_per_trial = _BYTES_PER_VALUE * experiment.robots * values_per_robot
         return max(1, ROW_GROUP_BYTES // bytes_per_trial)
 
+    @property
+    def output(self) -> Path:
+        """File of all results, which exists when the sweep is finished. The store must have an output."""
+        assert self._output is not None
+        return self._output
+
+    @property
+    def parts(self) -> Path:
+        """Folder of the results so far. The store must have an output."""
+        return parts_folder(self.output)
+
     # --- Existing results --------------------------------------------------------------------------------
+
+    def _open_files(self) -> None:
+        """Open the output and the parts that exist, and find out which trials have results there.
+
+        Raises UsageError as the constructor does.
+        """
+        check_target(self.output)
+        # A folder of parts means an unfinished sweep, which another process may be running right now.
+        if self.parts.is_dir():
+            self.reserve()
+        for path in [self.output, *sorted(self.parts.glob("*.parquet"))]:
+            if path.exists():
+                self._row_groups.add(path)
+        self._find_existing_trials()
 
     def _find_existing_trials(self) -> None:
         """Find out which trials have results in the files, and in which rows.
@@ -127,7 +152,7 @@ class Store:
         Raises UsageError if the files have results of other experiments, recordings or versions.
         """
         for row_group in self._row_groups:
-            table = row_group.read(INDEX_COLUMNS)
+            table = row_group.read([*PARAMETER_NAMES, "trial"])
             trial_numbers = table["trial"].to_numpy()
             is_comparable = self._can_continue(read_metadata(table))
             for experiment, rows in rows_by_experiment(table).items():
@@ -171,8 +196,11 @@ class Store:
     def reserve(self) -> None:
         """Create the folder of parts, and keep other processes from this output until it is finished.
 
-        Raises UsageError if another process is at work on it, or if the folder cannot be created.
+        Does nothing without an output. Raises UsageError if another process is at work on it, or if the
+        folder cannot be created.
         """
+        if self._output is None:
+            return
         try:
             # The folder may be left of an interrupted run: what keeps others out is the lock in it.
             self.parts.mkdir(exist_ok=True)
@@ -222,9 +250,10 @@ class Store:
     def flush(self) -> None:
         """Write the results that are only in memory, if any, into a file of their own: a part.
 
-        The time until the next part is due begins anew. Raises UsageError if writing fails.
+        The time until the next part is due begins anew. Without an output they stay in memory. Raises
+        UsageError if writing fails.
         """
-        if self._unwritten:
+        if self._unwritten and self._output is not None:
             self.reserve()  # creates the folder for this part, if it is the first
             part_table = pa.concat_tables(self._unwritten)
             # Sorted by their names, parts are in the order of their rows.
@@ -239,9 +268,11 @@ class Store:
     def finish(self) -> None:
         """Write the output file, remove the parts and release the output. Nothing can be added afterwards.
 
-        All trials must have results. Raises UsageError if the file cannot be written. The output is complete
-        before the first part is removed: a kill in between loses nothing.
+        All trials must have results. Does nothing without an output. Raises UsageError if the file cannot be
+        written. The output is complete before the first part is removed: a kill in between loses nothing.
         """
+        if self._output is None:
+            return
         write_tables(self.output, self._tables_in_order())
         self._unwritten = []
         for part_path in self.parts.glob("*.parquet"):
@@ -252,10 +283,19 @@ class Store:
         with suppress(OSError):  # there is no folder, or somebody has put other files into it
             self.parts.rmdir()
 
+    def read_table(self) -> pa.Table:
+        """Return all results of a finished sweep in the order of experiments and trials.
+
+        Raises UsageError if the output cannot be read.
+        """
+        if self._output is not None:
+            return read_table(self.output)
+        return pa.concat_tables(self._tables_in_order()).combine_chunks()
+
     def _tables_in_order(self) -> Iterator[pa.Table]:
         """Yield all results in the order of experiments and trials, in tables of the size of a row group."""
         if self._unwritten:
-            self._row_groups.add_table(pa.concat_tables(self._unwritten))
+            self._row_groups.add(pa.concat_tables(self._unwritten))
         rows = np.concatenate([self._rows_of(experiment) for experiment in self.experiments])
         # The column "trials" is written anew: a row from a sweep with fewer trials has another number there
         # than its experiment has now.

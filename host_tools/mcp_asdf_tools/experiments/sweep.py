@@ -8,7 +8,7 @@ from __future__ import annotations
 import logging
 import os
 import signal
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.signals import ENDING_SIGNALS, stopping
-from mcp_asdf_tools.experiments.experiment import Experiment, without_repetitions
+from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.results import Trials
 from mcp_asdf_tools.experiments.trials import Job
 
@@ -52,7 +52,7 @@ def _ignore_progress(finished_trials: int) -> None:
 def run_sweep(
     store: Store, workers: int, report: Report = _ignore_progress, scheduler: str | None = None
 ) -> None:
-    """Run the trials that are missing in the store, and write its output file.
+    """Run the trials that are missing in the store, and write its output file if it has one.
 
     They run on ``workers`` processes, 1 being this one, or with the address of a ``scheduler`` on that Dask
     cluster. ``report`` is called after each job with the number of its trials. KeyboardInterrupt ends it at
@@ -62,64 +62,22 @@ def run_sweep(
     """
     try:
         if store.missing_count:
-            _log_start(store.missing_count, workers, scheduler)
+            runners = f"{workers} processes" if workers > 1 else "this process"
+            if scheduler is not None:
+                runners = f"the cluster {scheduler}"
+            _logger.info("%d trials to run on %s", store.missing_count, runners)
             store.reserve()
             for trials in run_jobs(jobs_of(store), workers, scheduler):
                 with _interrupts_delayed():
                     store.add(trials)
-                _log_finished(trials)
+                first, last = trials.numbers[0], trials.numbers[-1]
+                _logger.debug("finished trials %d to %d of %s", first, last, trials.experiment)
                 report(len(trials.numbers))
         store.finish()
     except BaseException:  # Ctrl-C must not lose what was finished, either
         with _interrupts_delayed():
             store.flush()
         raise
-
-
-def run_in_memory(
-    experiments: Iterable[Experiment],
-    sampling_interval: int = 0,
-    workers: int = 1,
-    report: Report = _ignore_progress,
-) -> list[Trials]:
-    """Run all trials of experiments and return their results, in the order of experiments and trials.
-
-    There is one ``Trials`` for each job, so several for an experiment of more trials than fit one job.
-    Equal experiments are run once, in the place of the first. Values of robots are recorded every
-    ``sampling_interval`` steps, or never if it is 0. The jobs run on ``workers`` processes, 1 being this one,
-    and ``report`` is called after each with the number of its trials. Nothing is written to disk. Raises
-    UsageError if a job cannot be run or a worker process dies.
-    """
-    unique_experiments = without_repetitions(experiments)
-    _log_start(sum(experiment.trials for experiment in unique_experiments), workers)
-    results = []
-    for trials in run_jobs(_jobs_of_all_trials(unique_experiments, sampling_interval), workers):
-        results.append(trials)
-        _log_finished(trials)
-        report(len(trials.numbers))
-    # Worker processes finish jobs in any order.
-    position = {experiment: index for index, experiment in enumerate(unique_experiments)}
-
-    def experiment_and_trial(trials: Trials) -> tuple[int, int]:
-        """Return the position of the experiment, and the number of the first trial."""
-        return position[trials.experiment], trials.numbers[0]
-
-    return sorted(results, key=experiment_and_trial)
-
-
-def _log_start(trial_count: int, workers: int, scheduler: str | None = None) -> None:
-    """Log how many trials are to run, and where."""
-    if scheduler is not None:
-        runners = f"the cluster {scheduler}"
-    else:
-        runners = "this process" if workers == 1 else f"{workers} processes"
-    _logger.info("%d trials to run on %s", trial_count, runners)
-
-
-def _log_finished(trials: Trials) -> None:
-    """Log which trials of which experiment a job has finished."""
-    first, last = trials.numbers[0], trials.numbers[-1]
-    _logger.debug("finished trials %d to %d of %s", first, last, trials.experiment)
 
 
 # --- Jobs ------------------------------------------------------------------------------------------------
@@ -129,15 +87,6 @@ def jobs_of(store: Store) -> Iterator[Job]:
     """Yield jobs that together run the trials that are missing in the store, experiment by experiment."""
     for experiment in store.experiments:
         yield from jobs_of_experiment(experiment, store.missing(experiment), store.sampling_interval)
-
-
-def _jobs_of_all_trials(experiments: Iterable[Experiment], sampling_interval: int) -> Iterator[Job]:
-    """Yield jobs that together run all trials of experiments, experiment by experiment.
-
-    Values of robots are recorded every ``sampling_interval`` steps, or never if it is 0.
-    """
-    for experiment in experiments:
-        yield from jobs_of_experiment(experiment, range(experiment.trials), sampling_interval)
 
 
 def jobs_of_experiment(

@@ -153,28 +153,19 @@ def _schema_with(parameter_names: tuple[str, ...]) -> pa.Schema:
 # --- Results ---------------------------------------------------------------------------------------------
 
 
-def tidy_results(table: pa.Table) -> pa.Table:
-    """Return the recorded values in a table of results as a tidy table.
+def stream_tidy_results(source: Path | pa.Table) -> Iterator[pa.Table]:
+    """Yield the recorded values in a table or file of results, or all files in a folder, as tidy tables.
 
-    Raises UsageError, with the fix, if nothing was recorded.
+    They have the same columns, and are in the order of the rows. One row group of a file at a time is in
+    memory. Raises UsageError if a file cannot be read or has anything but results, and, with the fix, if
+    nothing was recorded.
     """
-    table = to_present_format(table, len(table))
-    parameter_names = _varying_parameters([table])
-    return pa.concat_tables(tidy_trials(trials, parameter_names) for trials in experiments_in(table))
-
-
-def stream_tidy_results(path: Path) -> Iterator[pa.Table]:
-    """Yield the recorded values in a file of results, or all files in a folder, as tidy tables.
-
-    They have the same columns, and are in the order of the files' rows. One row group at a time is in memory.
-    Raises UsageError if a file cannot be read or has anything but results, and, with the fix, if nothing was
-    recorded.
-    """
-    row_groups = RowGroups()
-    row_groups.add(path)
+    if isinstance(source, pa.Table):
+        source = to_present_format(source, len(source))  # another program may have read it
+    row_groups = RowGroups(source)
     parameter_names = _varying_parameters(row_group.read(PARAMETER_NAMES) for row_group in row_groups)
     for row_group in row_groups:
-        for trials in experiments_in(row_group.read()):
+        for trials in experiments_in(row_group.read(None)):
             yield tidy_trials(trials, parameter_names)
 
 

@@ -21,7 +21,6 @@ from typing import Any
 from unittest.mock import Mock
 
 import numpy as np
-import pyarrow as pa  # type: ignore[import-untyped]
 import pyarrow.parquet as pq  # type: ignore[import-untyped]
 import pytest
 
@@ -275,11 +274,12 @@ def test_worker_processes_started_from_a_thread_give_the_results_of_one_process(
 
 
 def test_a_sweep_in_memory_gives_the_table_that_one_into_a_file_gives(output: Path) -> None:
-    """In memory a sweep gives the trials of one experiment after the other. Their tables are joined."""
+    """Without an output a store keeps all results in memory, and writes no file."""
     run_sweep(Store(output, TWO_EXPERIMENTS), workers=1)
-    tables = [trials_to_table(trials) for trials in sweep.run_in_memory(TWO_EXPERIMENTS)]
+    store_in_memory = Store(None, TWO_EXPERIMENTS)
+    run_sweep(store_in_memory, workers=1)
 
-    table_in_memory = pa.concat_tables(tables)
+    table_in_memory = store_in_memory.read_table()
     table_in_file = read_table(output)
     # Tables may be cut into chunks of different sizes.
     assert table_in_memory.combine_chunks().equals(table_in_file.combine_chunks())
@@ -291,14 +291,12 @@ def test_experiments_that_are_given_twice_are_run_once(output: Path, jobs_run: l
     other_experiment = replace(OTHER_EXPERIMENT, trials=2)
     overlapping_experiments = [experiment, other_experiment, experiment]
 
-    in_memory = list(sweep.run_in_memory(overlapping_experiments))
     run_sweep(Store(output, overlapping_experiments), workers=1)
 
-    assert [trials.experiment for trials in in_memory] == [experiment, other_experiment]
     trials_of_experiment = [0, 1, 2]
     trials_of_other_experiment = [0, 1]
     assert read_table(output)["trial"].to_pylist() == trials_of_experiment + trials_of_other_experiment
-    assert len(jobs_run) == 2 * 2  # a job for each of two experiments, in memory and into the output
+    assert [job.experiment for job in jobs_run] == [experiment, other_experiment]
 
 
 class DeadlyJob(Job):

@@ -6,6 +6,7 @@ import shutil
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from unittest.mock import Mock
 
 import pyarrow as pa  # type: ignore[import-untyped]
 import pyarrow.csv  # type: ignore[import-untyped]
@@ -13,11 +14,12 @@ import pyarrow.parquet as pq  # type: ignore[import-untyped]
 import pytest
 
 from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.experiments import result_files
 from mcp_asdf_tools.experiments.experiment import Experiment
-from mcp_asdf_tools.experiments.result_files import RowGroup, write_tables
+from mcp_asdf_tools.experiments.result_files import write_tables
 from mcp_asdf_tools.experiments.result_tables import trials_to_table
 from mcp_asdf_tools.experiments.results import QUANTITIES, Trials
-from mcp_asdf_tools.experiments.tidy_tables import stream_tidy_results, tidy_results, write_tidy_tables
+from mcp_asdf_tools.experiments.tidy_tables import stream_tidy_results, write_tidy_tables
 from mcp_asdf_tools.experiments.trials import run_trials
 from support import limited_file_size
 
@@ -31,10 +33,15 @@ def trials() -> Trials:
     return run_trials(SHORT_EXPERIMENT, first=0, trials=2, sampling_interval=20)
 
 
+def tidied(table: pa.Table) -> pa.Table:
+    """Return the recorded values in a table of results as one tidy table."""
+    return pa.concat_tables(stream_tidy_results(table))
+
+
 @pytest.fixture(scope="module")
 def tidy(trials: Trials) -> pa.Table:
     """The table of these trials with a row for each trial, recorded step and robot."""
-    return tidy_results(trials_to_table(trials))
+    return tidied(trials_to_table(trials))
 
 
 # --- Rows and columns ------------------------------------------------------------------------------------
@@ -74,7 +81,7 @@ def test_parameters_that_differ_between_experiments_have_columns_behind_the_tria
     """
     two_unfiltered_robots = replace(SHORT_EXPERIMENT, filter="none", robots=2)
     other_trials = run_trials(two_unfiltered_robots, first=0, trials=1, sampling_interval=20)
-    tidy = tidy_results(pa.concat_tables([trials_to_table(trials), trials_to_table(other_trials)]))
+    tidy = tidied(pa.concat_tables([trials_to_table(trials), trials_to_table(other_trials)]))
 
     assert tidy.column_names[:5] == ["trial", "robots", "filter", "step", "robot"]
     row_count = 2 * 3 * 3  # trials * recorded steps * robots
@@ -95,7 +102,7 @@ def test_results_without_records_are_refused_with_the_option_that_records() -> N
     """Records are values of robots over time. A sampling interval of 0 makes none."""
     table = trials_to_table(run_trials(SHORT_EXPERIMENT, first=0, trials=1, sampling_interval=0))
     with pytest.raises(UsageError, match=r"no values of robots .* were recorded; run .* --record 100"):
-        tidy_results(table)
+        tidied(table)
 
 
 def test_results_of_an_earlier_version_become_tidy_tables() -> None:
@@ -136,20 +143,6 @@ def test_tables_of_a_folder_s_files_have_a_column_for_a_parameter_that_differs_b
     assert set(second_table["seed"].to_pylist()) == {2}
 
 
-def record_files_read_completely(monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """Return a list to which names of files of results are added when all of their columns are read."""
-    files_read = []
-    read = RowGroup.read
-
-    def read_and_record(row_group: RowGroup, columns: object = None) -> pa.Table:
-        if columns is None:  # all of them: the columns of parameters are read first
-            files_read.append(row_group.path.name)
-        return read(row_group, columns)  # type: ignore[arg-type]
-
-    monkeypatch.setattr(RowGroup, "read", read_and_record)
-    return files_read
-
-
 def test_a_file_of_results_is_not_read_before_its_rows_are_needed(
     folder_of_two: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -157,9 +150,15 @@ def test_a_file_of_results_is_not_read_before_its_rows_are_needed(
 
     When the first table is there, only the first of two files has been read with all of its columns.
     """
-    files_read = record_files_read_completely(monkeypatch)
+    read = Mock(side_effect=result_files._read_row_group)
+    monkeypatch.setattr(result_files, "_read_row_group", read)
     next(stream_tidy_results(folder_of_two))
-    assert files_read == ["1.parquet"]
+
+    files_read_completely = []
+    for path, _index, _row_count, columns in [call.args for call in read.call_args_list]:
+        if columns is None:  # all of them: the columns of parameters are read first
+            files_read_completely.append(path.name)
+    assert files_read_completely == ["1.parquet"]
 
 
 # --- Files -----------------------------------------------------------------------------------------------
