@@ -38,16 +38,33 @@ function runTrial(job, filter, trial, isRecorded = false) {
   return readArray(Float64Array, "errors", job.steps / job.interval + 1);
 }
 
+/** Returns receiver, sender, receiver, sender and so on of all pairs of robots for which `isLinked` is true. */
+function findLinks(robots, isLinked) {
+  const links = [];
+  for (let receiver = 0; receiver < robots; receiver++) {
+    for (let sender = 0; sender < robots; sender++) {
+      if (sender !== receiver && isLinked(receiver, sender)) links.push(receiver, sender);
+    }
+  }
+  return Uint16Array.from(links);
+}
+
 /** Returns sides, floor, links and positions of trial 0; robots that do not move have links alone. */
 function recordMotion(job) {
   const samples = job.steps / job.interval + 1;
-  const linkBytes = Math.ceil(job.robots ** 2 / 8);
   if (job.everybody) {
-    const allLinks = new Uint8Array(samples * linkBytes).fill(255);
-    return { sides: null, floor: null, links: allLinks, positions: {} };
+    const allLinks = findLinks(job.robots, () => true);
+    return { sides: null, floor: null, links: new Array(samples).fill(allLinks), positions: {} };
   }
   const pixels = engine.record_motion();
   const side = engine.arena_side();
+  const linkBytes = Math.ceil(job.robots ** 2 / 8);
+  const linkBits = readArray(Uint8Array, "links", samples * linkBytes);
+  const linksOfSample = (_, sample) =>
+    findLinks(job.robots, (receiver, sender) => {
+      const bit = receiver * job.robots + sender;
+      return (linkBits[sample * linkBytes + (bit >> 3)] >> (bit & 7)) & 1;
+    });
   const metres = readArray(Float64Array, "positions", 2 * samples * job.robots);
   const positionColumn = (axis) =>
     Uint16Array.from({ length: samples * job.robots }, (_, index) =>
@@ -56,7 +73,7 @@ function recordMotion(job) {
   return {
     sides: [side, side],
     floor: { rows: pixels, columns: pixels, bits: readArray(Uint8Array, "pixels", pixels ** 2 / 8) },
-    links: readArray(Uint8Array, "links", samples * linkBytes),
+    links: Array.from({ length: samples }, linksOfSample),
     positions: { position_x: positionColumn(0), position_y: positionColumn(1) },
   };
 }

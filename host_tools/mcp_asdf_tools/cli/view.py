@@ -255,6 +255,6 @@ def _serve_bus(args: argparse.Namespace) -> int:
                 recorder.record(should_stop)
     except CanError as error:
         return report_failure("mcp-asdf view", f"the bus failed: {error}", args.json)
-    if not recorder.has_telemetry:
+    if not recorder.roster.has_telemetry:
         warn("view", _NO_TELEMETRY)
     return 0

@@ -7,9 +7,9 @@ from collections.abc import Callable
 
 import can
 
-from mcp_asdf_tools.bus.frames import FrameFormat
+from mcp_asdf_tools.bus.frames import FrameFormat, decode_frame
 from mcp_asdf_tools.view.history import History, RunDescription
-from mcp_asdf_tools.view.robot_values import LatestRobotValues
+from mcp_asdf_tools.view.roster import Roster
 
 STATES_PER_SECOND = 10
 """States that a history has for each second on a bus; they are its ticks."""
@@ -24,6 +24,7 @@ class BusRecorder:
 
     Attributes:
         history: What was recorded so far; robots are in the order of their first estimate or telemetry.
+        roster: What an observer knows of all nodes, also of those that sent neither.
     """
 
     def __init__(
@@ -43,14 +44,10 @@ class BusRecorder:
         )
         self.history = History(description)
         self._bus = bus
-        self._robot_values = LatestRobotValues(frame_format, true_accuracy)
+        self.roster = Roster(true_accuracy)
+        self._frame_format = frame_format
         self._next_report_tick = 0
         self._start_time = 0.0
-
-    @property
-    def has_telemetry(self) -> bool:
-        """True if a robot has sent telemetry; without it x and b_hat stay unknown."""
-        return self._robot_values.has_telemetry
 
     def record(self, should_stop: Callable[[], bool]) -> None:
         """Receive frames and add states to the history until ``should_stop``, which is asked after each.
@@ -75,12 +72,13 @@ class BusRecorder:
                 tick = present_tick + 1
 
     def _receive(self, frame: can.Message) -> None:
-        """Take the values of a frame of any node, and add its robot to the history if it is new.
+        """Take a frame of any node, and add its robot to the history with its first values.
 
-        O(1), or O(states) for a new robot.
+        O(robots), or O(states) for a new robot.
         """
-        new_robot_id = self._robot_values.receive(frame, self._seconds_since_start())
-        if new_robot_id is not None:
+        self.roster.receive(frame, decode_frame(frame, self._frame_format), self._seconds_since_start())
+        robots_in_history = len(self.history.description.robots)
+        for new_robot_id in self.roster.ids_with_values[robots_in_history:]:
             self.history.add_robot(new_robot_id)
 
     def _seconds_since_start(self) -> float:
@@ -90,9 +88,9 @@ class BusRecorder:
     def _add_state(self, tick: int) -> None:
         """Add a state if there are robots, and every TICKS_PER_REPORT ticks replace the history's report."""
         now = self._seconds_since_start()
-        robot_ids = self._robot_values.robot_ids
+        robot_ids = self.roster.ids_with_values
         if robot_ids:
-            self.history.add(self._robot_values.make_state(tick, now, robot_ids))
+            self.history.add(self.roster.make_state(tick, now, robot_ids))
         if tick >= self._next_report_tick:
-            self.history.report = self._robot_values.roster.report(now)
+            self.history.report = self.roster.report(now)
             self._next_report_tick = tick + TICKS_PER_REPORT

@@ -9,12 +9,12 @@ from pathlib import Path
 
 import can
 
-from mcp_asdf_tools.bus.frames import FrameFormat
+from mcp_asdf_tools.bus.frames import FrameFormat, decode_frame
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.recording.frame_logs import LogSummary, read_log
 from mcp_asdf_tools.view.bus_recorder import STATES_PER_SECOND
 from mcp_asdf_tools.view.history import History, RunDescription, State, steps_between_states
-from mcp_asdf_tools.view.robot_values import LatestRobotValues
+from mcp_asdf_tools.view.roster import Roster
 
 _MAX_LOG_SECONDS = 366 * 24 * 3600.0
 """Longest time that a log may span. A longer one mixes clocks, and its ticks may not fit in 32 bits."""
@@ -67,14 +67,14 @@ def read_frame_history(
     history = History(
         RunDescription(log.name, extent.robot_ids, fill_ratio=fill_ratio, steps_per_second=STATES_PER_SECOND)
     )
-    robot_values = LatestRobotValues(frame_format, true_accuracy)
+    roster = Roster(true_accuracy)
     summary = LogSummary()
     timed_frames = _time_frames(read_log(log, channel, summary), extent.start_time)
-    for state in _make_states(timed_frames, robot_values, extent):
+    for state in _make_states(timed_frames, roster, frame_format, extent):
         history.add(state)
-    history.report = robot_values.roster.report(extent.seconds)
+    history.report = roster.report(extent.seconds)
     history.has_ended = True
-    return FrameLogHistory(history, robot_values.has_telemetry, summary)
+    return FrameLogHistory(history, roster.has_telemetry, summary)
 
 
 def _measure_log(log: Path, frame_format: FrameFormat, channel: str | None) -> _LogExtent:
@@ -83,15 +83,15 @@ def _measure_log(log: Path, frame_format: FrameFormat, channel: str | None) -> _
     Raises UsageError if it cannot be read, has no values of a robot, or if its times span nothing or more
     than a year.
     """
-    robot_values = LatestRobotValues(frame_format, true_accuracy=None)
+    roster = Roster()
     start_time = math.inf
     end_time = -math.inf
     for frame in read_log(log, channel):
-        robot_values.receive(frame, frame.timestamp)
+        roster.receive(frame, decode_frame(frame, frame_format), frame.timestamp)
         start_time = min(start_time, frame.timestamp)
         end_time = max(end_time, frame.timestamp)
     seconds = end_time - start_time
-    if not robot_values.robot_ids:
+    if not roster.ids_with_values:
         raise UsageError(
             f"{log} has no estimate and no telemetry of a robot, so there is nothing to see; is --subject "
             "right?"
@@ -101,13 +101,16 @@ def _measure_log(log: Path, frame_format: FrameFormat, channel: str | None) -> _
             f"the times of the frames in {log} span {seconds:g} s, so they cannot be shown; record them with "
             "absolute times of one clock: candump -L, or candump -t a"
         )
-    return _LogExtent(robot_values.robot_ids, start_time, seconds)
+    return _LogExtent(roster.ids_with_values, start_time, seconds)
 
 
 def _make_states(
-    timed_frames: Iterable[tuple[float, can.Message]], robot_values: LatestRobotValues, extent: _LogExtent
+    timed_frames: Iterable[tuple[float, can.Message]],
+    roster: Roster,
+    frame_format: FrameFormat,
+    extent: _LogExtent,
 ) -> Iterator[State]:
-    """Let ``robot_values`` receive all frames of a log, and yield states with what was sent up to each.
+    """Let ``roster`` receive all frames of a log, and yield states with what was sent up to each.
 
     States are evenly spaced, at most STATES_PER_SECOND a second, from the first frame on. The last one comes
     after the last frame, and shows the log's end.
@@ -118,13 +121,13 @@ def _make_states(
     for seconds, frame in timed_frames:
         # The states at all ticks before this frame
         while next_tick / STATES_PER_SECOND < seconds:
-            yield robot_values.make_state(next_tick, next_tick / STATES_PER_SECOND, extent.robot_ids)
+            yield roster.make_state(next_tick, next_tick / STATES_PER_SECOND, extent.robot_ids)
             next_tick += spacing
-        robot_values.receive(frame, seconds)
+        roster.receive(frame, decode_frame(frame, frame_format), seconds)
     # The remaining ticks have the state at the log's end. The last state is at ``last_tick`` or, if that is
     # between two states, at the next.
     for tick_after_frames in range(next_tick, last_tick + spacing, spacing):
-        yield robot_values.make_state(tick_after_frames, extent.seconds, extent.robot_ids)
+        yield roster.make_state(tick_after_frames, extent.seconds, extent.robot_ids)
 
 
 def _time_frames(frames: Iterable[can.Message], start_time: float) -> Iterator[tuple[float, can.Message]]:

@@ -19,10 +19,10 @@ sensor, and the sensor's true accuracy."""
 
 MAX_STATES = 10_000
 """Most states of a history: as many as a swarm has steps by default, more than a screen has columns."""
-_MAX_HISTORY_BITS = 4_000_000
-"""Bits of links between robots in all states, which bound the size of a page."""
-_BITS_PER_ROBOT_OF_MANY = 16
-"""Bits for a robot's values and links where more than MAX_ON_BUS robots have their links stored as pairs."""
+_MAX_LINKS = 4_000_000
+"""Links between robots in all states, which bound the size of a page."""
+_LINKS_PER_ROBOT_OF_MANY = 16
+"""Links that a robot is taken to have among more than MAX_ON_BUS robots, where few hear each other."""
 
 
 @dataclass(frozen=True)
@@ -66,14 +66,13 @@ class State(NamedTuple):
     Attributes:
         tick: Number of steps done.
         values: ``QUANTITIES`` of each robot, NaN where unknown, shape (quantities, N).
-        neighbours: Whether robot i receives from robot j, bool of shape (N, N). Of more than MAX_ON_BUS
-            robots, the pairs (i, j) for which that is so, indices of shape (pairs, 2).
+        links: Receiver and sender of each link between two robots, as indices, shape (links, 2).
         positions: Centres in metres from the middle of the arena, shape (N, 2); None if robots do not move.
     """
 
     tick: int
     values: NDArray[np.float64]
-    neighbours: NDArray[Any]
+    links: NDArray[np.uint16]
     positions: NDArray[np.float64] | None
 
 
@@ -137,7 +136,7 @@ class History:
     def add_robot(self, robot_id: int) -> None:
         """Add a robot as the last column of every state, without values or links in those so far. O(states).
 
-        A new generation begins, so that readers take all states anew. Only for at most MAX_ON_BUS robots.
+        A new generation begins, so that readers take all states anew.
         """
         with self._lock:
             robot_ids = [*self.description.robots, robot_id]
@@ -158,23 +157,27 @@ class History:
 
 
 def _with_unknown_robot(state: State) -> State:
-    """Return the state with one more robot: its values are NaN, and it has no neighbours."""
-    nothing_added, one_at_end = (0, 0), (0, 1)
-    # Values get a column, which has the robots, and no row. The matrix of links gets a row and a column.
-    values = np.pad(state.values, (nothing_added, one_at_end), constant_values=np.nan)
-    neighbours = np.pad(state.neighbours, one_at_end)
-    return state._replace(values=values, neighbours=neighbours)
+    """Return the state with one more robot: its values are NaN, and it has no links."""
+    unknown_values = np.full((len(QUANTITIES), 1), np.nan)
+    return state._replace(values=np.hstack([state.values, unknown_values]))
+
+
+def find_links(neighbours: NDArray[np.bool_]) -> NDArray[np.uint16]:
+    """Return the links of a state; ``neighbours`` says whether robot i receives from robot j."""
+    return np.argwhere(neighbours).astype(np.uint16)
+
+
+NO_LINKS = np.zeros((0, 2), np.uint16)
+"""Links of a state where nobody knows who receives from whom."""
 
 
 def steps_between_states(steps: int, robots: int) -> int:
     """Return how many steps a history leaves between two states that it keeps, so that its page stays small.
 
     ``steps`` is the length of the run. The result is the smallest number, at least 1, with which there are at
-    most MAX_STATES states, and with which the page of these ``robots`` has a few megabytes at most. The links
-    of a few robots are a matrix, with a bit for each pair of robots; those of many are a list.
+    most MAX_STATES states, and with which the page of these ``robots`` has a few megabytes at most.
     """
-    bits_per_robot = robots if robots <= MAX_ON_BUS else _BITS_PER_ROBOT_OF_MANY
-    bits_per_state = robots * bits_per_robot
-    affordable_states = _MAX_HISTORY_BITS // bits_per_state
+    links_per_robot = robots if robots <= MAX_ON_BUS else _LINKS_PER_ROBOT_OF_MANY
+    affordable_states = _MAX_LINKS // (robots * links_per_robot)
     states = min(MAX_STATES, affordable_states)
     return math.ceil(steps / states)

@@ -19,7 +19,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mcp_asdf_tools.view.history import QUANTITIES, History, RunDescription, State
-from mcp_asdf_tools.world.graph import MAX_ON_BUS
 
 _FOLDER = Path(__file__).parent / "page"
 _SAFE_IN_DATA_URL = " !\"$&'()*+,-./:;=>?@[\\]^_`{|}~"
@@ -139,12 +138,11 @@ def encode_description(description: RunDescription) -> dict[str, Any]:
 
 
 def encode_states(states: Sequence[State], description: RunDescription) -> dict[str, Any]:
-    """Return states as their "count" and their "data", compressed and in base64. O(states N^2).
+    """Return states as their "count" and their "data", compressed and in base64. O(states N + links).
 
     The data are, one after the other: the ticks (32 bits each); a series of each quantity, then of x and y of
-    the positions if robots move (differences of 16 bits from state to state); the links. For at most
-    MAX_ON_BUS robots the links have a bit for each pair of robots in each state; for more, the number of
-    links in each state (32 bits each), then receiver and sender of each link (16 bits each).
+    the positions if robots move (differences of 16 bits from state to state); the number of links in each
+    state (32 bits each), then receiver and sender of each link (differences of 16 bits from link to link).
     """
     ticks = np.array([state.tick for state in states], "<u4")
     sections = [ticks.tobytes()]
@@ -158,27 +156,12 @@ def encode_states(states: Sequence[State], description: RunDescription) -> dict[
         positions_in_arena = positions / np.array(description.sides) + 0.5
         sections.append(_encode_series(positions_in_arena[:, :, 0]))
         sections.append(_encode_series(positions_in_arena[:, :, 1]))
-    if len(description.robots) > MAX_ON_BUS:
-        sections.append(_encode_link_pairs(states))
-    else:
-        sections.append(_encode_link_bits(states))
+    link_counts = np.array([len(state.links) for state in states], "<u4")
+    links = np.concatenate([state.links for state in states])
+    # Modulo 65536. Where all robots receive from each other, nearly all differences are the same.
+    link_differences = np.diff(links, axis=0, prepend=np.zeros((1, 2), np.uint16))
+    sections += [link_counts.tobytes(), link_differences.astype("<u2").tobytes()]
     return {"count": len(states), "data": _compress_to_base64(b"".join(sections))}
-
-
-def _encode_link_bits(states: Sequence[State]) -> bytes:
-    """Return a bit for each pair of robots in each state, which begins at a new byte, lowest bit first.
-
-    Bit i * N + j of a state is 1 if robot i receives from robot j.
-    """
-    links = np.stack([state.neighbours.ravel() for state in states])
-    return np.packbits(links, axis=1, bitorder="little").tobytes()
-
-
-def _encode_link_pairs(states: Sequence[State]) -> bytes:
-    """Return the number of links in each state (32 bits), then receiver and sender of each link (16 bits)."""
-    link_counts = np.array([len(state.neighbours) for state in states], "<u4")
-    pairs = np.concatenate([state.neighbours for state in states]).astype("<u2")
-    return link_counts.tobytes() + pairs.tobytes()
 
 
 def _encode_series(values: NDArray[np.float64]) -> bytes:

@@ -5,14 +5,17 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import dataclass, field
 from enum import Enum
+from math import nan
 from typing import Any
 
 import can
+import numpy as np
 
 from mcp_asdf_tools.bus.alpha_words import float32_bits_from_alpha_word, float32_value
 from mcp_asdf_tools.bus.frame_layout import B_HAT_UNITS, Q23_ONE, TRANSFER_ID_MODULUS, Rejection
 from mcp_asdf_tools.bus.frames import Estimate, FrameContent, Heartbeat, Telemetry, format_frame
 from mcp_asdf_tools.robots.suspicion import AlphaWatch
+from mcp_asdf_tools.view.history import NO_LINKS, State
 
 SILENT_SECONDS = 3.0
 """Seconds without a frame after which a robot counts as silent: OpenCyphal's timeout of heartbeats."""
@@ -37,7 +40,8 @@ class RobotOnBus:
         conflicts: Number of heartbeats that show that two nodes send with this id.
         alpha_jumps: Number of estimates whose confidence alpha jumped (see ``AlphaWatch``).
         heartbeat: Its latest heartbeat; None before the first.
-        telemetry: Its latest telemetry; None before the first.
+        estimate: Its latest estimate; None before the first, also after a silence.
+        telemetry: Its latest telemetry; None before the first, also after a silence.
     """
 
     first_frame_time: float
@@ -48,6 +52,7 @@ class RobotOnBus:
     conflicts: int = 0
     alpha_jumps: int = 0
     heartbeat: Heartbeat | None = None
+    estimate: Estimate | None = None
     telemetry: Telemetry | None = None
     _previous_heartbeat: Heartbeat | None = None
     _alpha_watch: AlphaWatch = field(default_factory=AlphaWatch)
@@ -58,16 +63,18 @@ class RobotOnBus:
 
         Of all frames, those lost before it are counted, but not those lost in a silence of SILENT_SECONDS or
         more. Of estimates, jumps of their confidence are counted, and of heartbeats, those that show a second
-        node with this id. The latest heartbeat and telemetry are kept.
+        node with this id. The latest frame of each kind is kept.
         """
         if self.is_silent(now):
             # In a long silence transfer ids may have wrapped around any number of times, so a gap between
-            # them says nothing.
+            # them says nothing. Values from before it are old.
             self._last_transfer_ids.clear()
+            self.estimate = self.telemetry = None
         self.last_frame_time = now
         self._count_frame(content)
         if isinstance(content, Estimate):
             self.estimate_times.append(now)
+            self.estimate = content
             if self._alpha_watch.is_jump(content.sender, content.alpha):
                 self.alpha_jumps += 1
         elif isinstance(content, Heartbeat):
@@ -120,6 +127,16 @@ class RobotOnBus:
         """Return whether no frame was received in the last SILENT_SECONDS."""
         return now - self.last_frame_time >= SILENT_SECONDS
 
+    def values(self, now: float) -> tuple[float, float, float]:
+        """Return the latest x, x_hat and b_hat: NaN where unknown, and all of a robot that is silent."""
+        x = x_hat = b_hat = nan
+        if self.estimate is not None and not self.is_silent(now):
+            x_hat = self.estimate.x_hat / Q23_ONE
+        if self.telemetry is not None and not self.is_silent(now):
+            x = self.telemetry.x / Q23_ONE
+            b_hat = self.telemetry.b_hat / B_HAT_UNITS
+        return x, x_hat, b_hat
+
     def rate(self, now: float) -> float:
         """Return the robot's estimates per second over the last RATE_SECONDS, or since its first frame.
 
@@ -139,11 +156,19 @@ class Roster:
 
     Attributes:
         robots: The robots by id, in the order of their first frames.
+        ids_with_values: Ids of those that have sent estimates or telemetry, in the order in which they began.
+        has_telemetry: Whether a robot has sent telemetry: x and b_hat are in no other frame.
     """
 
-    def __init__(self) -> None:
-        """Create a roster without robots and frames."""
+    def __init__(self, true_accuracy: float | None = None) -> None:
+        """Create a roster without robots and frames.
+
+        ``true_accuracy`` is that of every robot's sensor, which no frame shows; None if it is unknown.
+        """
         self.robots: dict[int, RobotOnBus] = {}
+        self.ids_with_values: list[int] = []
+        self.has_telemetry = False
+        self._true_accuracy = nan if true_accuracy is None else true_accuracy
         self._frame_lines: deque[tuple[float, int | None, str]] = deque(maxlen=_MAX_REPORTED_FRAMES)
 
     def receive(self, frame: can.Message, content: FrameContent, now: float) -> None:
@@ -159,6 +184,23 @@ class Roster:
         if content.sender not in self.robots:
             self.robots[content.sender] = RobotOnBus(first_frame_time=now, last_frame_time=now)
         self.robots[content.sender].receive(content, now)
+        if isinstance(content, Telemetry):
+            self.has_telemetry = True
+        if not isinstance(content, Heartbeat) and content.sender not in self.ids_with_values:
+            self.ids_with_values.append(content.sender)
+
+    def make_state(self, tick: int, now: float, robot_ids: list[int]) -> State:
+        """Return the state at ``now`` seconds, with a column for each id in ``robot_ids``.
+
+        It has neither links nor positions, as no frame shows them. A robot that has sent nothing so far has
+        unknown values.
+        """
+        columns = []
+        for robot_id in robot_ids:
+            robot = self.robots.get(robot_id)
+            x_x_hat_b_hat = (nan, nan, nan) if robot is None else robot.values(now)
+            columns.append([*x_x_hat_b_hat, self._true_accuracy])
+        return State(tick, np.array(columns).T, NO_LINKS, positions=None)
 
     def report(self, now: float) -> dict[str, Any]:
         """Return what the page's table and list show, as plain values, and forget the frames that it lists.

@@ -7,13 +7,11 @@ computed again.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mcp_asdf_tools.view.history import State
-from mcp_asdf_tools.world.graph import MAX_ON_BUS
+from mcp_asdf_tools.view.history import State, find_links
 from mcp_asdf_tools.world.settings import WorldSettings
 from mcp_asdf_tools.world.world import Scene, World
 
@@ -27,7 +25,7 @@ def complete_states(
     """Yield a state for each of the robots' ``estimates``, with what is computed from its world again.
 
     ``estimates`` has x, x_hat and b_hat at ticks 0, ``spacing`` and so on, shape (states, 3, N). The rest is
-    true accuracies, neighbours and positions.
+    true accuracies, links and positions.
     """
     world = World(settings, trial)
     # The world has no state before the first step, so the state at tick 0 shows the world at tick 1.
@@ -39,13 +37,9 @@ def complete_states(
             scene = _scene_after(world, tick - world_tick)
             world_tick = tick
         # The scene is of one step, which is the first entry of each of its arrays.
-        if settings.robots <= MAX_ON_BUS:
-            neighbours: NDArray[Any] = scene.neighbours[0].copy()
-        else:  # of many robots a state has pairs in place of a matrix
-            neighbours = np.argwhere(scene.neighbours[0])
         positions = None if scene.positions is None else scene.positions[0]
         values = np.vstack([estimates_at_tick, scene.accuracy[0]])
-        yield State(tick, values, neighbours, positions)
+        yield State(tick, values, find_links(scene.neighbours[0]), positions)
 
 
 def _scene_after(world: World, steps: int) -> Scene:

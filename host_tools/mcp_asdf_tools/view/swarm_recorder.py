@@ -10,7 +10,7 @@ from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.swarm.log_replay import collect_values
 from mcp_asdf_tools.swarm.settings import SwarmSettings
 from mcp_asdf_tools.swarm.swarm import Swarm
-from mcp_asdf_tools.view.history import History, State, steps_between_states
+from mcp_asdf_tools.view.history import History, State, find_links, steps_between_states
 from mcp_asdf_tools.view.run_description import describe_run
 from mcp_asdf_tools.view.run_states import ESTIMATES
 
@@ -57,4 +57,4 @@ def _read_swarm_state(swarm: Swarm) -> State:
     estimates[:, is_robot_dead] = np.nan
     # The last row is the true accuracy of each robot's sensor.
     values = np.vstack([estimates, world.accuracy])
-    return State(swarm.ticks, values, world.current_neighbours.copy(), world.positions)
+    return State(swarm.ticks, values, find_links(world.current_neighbours), world.positions)

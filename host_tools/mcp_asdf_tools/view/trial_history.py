@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.experiments.results import Trials
 from mcp_asdf_tools.experiments.trials import run_trials
-from mcp_asdf_tools.view.history import History, RunDescription, State, steps_between_states
+from mcp_asdf_tools.view.history import NO_LINKS, History, RunDescription, State, steps_between_states
 from mcp_asdf_tools.view.run_description import describe_population, describe_run
 from mcp_asdf_tools.view.run_states import ESTIMATES, complete_states
 
@@ -62,7 +62,6 @@ def recorded_trial_history(trials: Trials, trial: int) -> History:
         )
     estimates = _recorded_estimates(trials, trial)
     true_accuracies = np.full(experiment.robots, experiment.true_accuracy)
-    unknown_neighbours = np.zeros((experiment.robots, experiment.robots), bool)
     # A page should have at most one state every ``spacing`` steps, so only every ``stride``-th recorded one
     # is taken.
     spacing = steps_between_states(experiment.steps, experiment.robots)
@@ -71,7 +70,7 @@ def recorded_trial_history(trials: Trials, trial: int) -> History:
         State(
             tick=sample * trials.sampling_interval,
             values=np.vstack([estimates[sample], true_accuracies]),
-            neighbours=unknown_neighbours,
+            links=NO_LINKS,
             positions=None,
         )
         for sample in range(0, len(estimates), stride)

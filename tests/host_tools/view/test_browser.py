@@ -18,7 +18,7 @@ from mcp_asdf_tools.swarm.carrier import Wiring
 from mcp_asdf_tools.swarm.run import run_swarm
 from mcp_asdf_tools.swarm.settings import SwarmSettings
 from mcp_asdf_tools.swarm.swarm import Swarm
-from mcp_asdf_tools.view.history import History, RunDescription, State
+from mcp_asdf_tools.view.history import NO_LINKS, History, RunDescription, State
 from mcp_asdf_tools.view.page import make_page
 from mcp_asdf_tools.view.roster import Roster
 from mcp_asdf_tools.view.server import serve_page
@@ -40,19 +40,10 @@ SETTINGS = SwarmSettings(
     density=4,
 )
 IS_DRAWN = "window.view && view.arena.centres.length > 0 && view.charts.drawnStateCount > 0"
-ALL_STATES = """[...Array(view.history.stateCount).keys()].map((state) => {
-    const { history } = view, robots = history.description.robots.map((_, robot) => robot);
-    return {
-        values: history.description.quantities.map((name) =>
-            robots.map((robot) => history.value(name, robot, state))),
-        neighbours: robots.map((receiver) => robots.map((sender) =>
-            history.links(state, receiver).some(([linked]) => linked === sender))),
-        positions: robots.map((robot) => history.position(robot, state)),
-    }; })"""
 PIXELS_OF_ARENA = (
     "view.arena.context.getImageData(0, 0, view.arena.canvas.width, view.arena.canvas.height).data"
 )
-"""These three are expressions of JavaScript, which the web page evaluates."""
+"""These two are expressions of JavaScript, which the web page evaluates."""
 
 
 @pytest.fixture(scope="module")
@@ -96,34 +87,6 @@ def wait_for_text(browser: Page, element_id: str, beginning: str) -> None:
 
 
 # --- A recording --------------------------------------------------------------------------------------
-
-
-def decode_states_in(browser: Page) -> list[Any]:
-    """Return values, neighbours and positions of all states, as the scripts of the web page decode them."""
-    states: list[Any] = browser.evaluate(ALL_STATES)
-    return states
-
-
-def largest_difference(first: Any, second: Any) -> float:
-    """Return the largest absolute difference between the numbers of two arrays or nested lists."""
-    return float(np.abs(np.array(first) - np.array(second)).max())
-
-
-def test_the_browser_decodes_the_values_links_and_positions_of_all_states(
-    browser: Page, page_file: Path, history: History
-) -> None:
-    """An exported web page holds 16-bit numbers from 0 to 65534 for values from 0 to 1, and for positions.
-
-    So decoding gives numbers that differ by one part in 65534 at most, of 1 or of the arena's longest side.
-    """
-    open_file(browser, page_file)
-    longest_side = max(SETTINGS.sides)
-    states = history.states_since().states
-
-    for decoded_state, state in zip(decode_states_in(browser), states, strict=True):
-        assert np.array_equal(decoded_state["neighbours"], state.neighbours)
-        assert largest_difference(decoded_state["values"], state.values) <= 1 / 65534
-        assert largest_difference(decoded_state["positions"], state.positions) <= longest_side / 65534
 
 
 def test_the_arena_is_drawn_in_many_colours(browser: Page, page_file: Path) -> None:
@@ -346,8 +309,7 @@ def page_with_faults(tmp_path_factory: pytest.TempPathFactory) -> Path:
     The fill ratio is 0.5, and so are all values, but that x of robot 3 is 0.75 in step 5. Robot 8 is dead in
     the steps 4 to 6. Frames are lost all the time, and a robot lies from step 2 to 8.
     """
-    no_links = np.zeros((2, 2), np.bool_)
-    states = [State(tick, np.full((4, 2), 0.5), no_links, positions=None) for tick in range(11)]
+    states = [State(tick, np.full((4, 2), 0.5), NO_LINKS, positions=None) for tick in range(11)]
     x, x_hat, b_hat, robot_3, robot_8 = 0, 1, 2, 0, 1  # indices in the values of a state
     for state in states[4:7]:
         state.values[[x, x_hat, b_hat], robot_8] = np.nan
@@ -461,7 +423,7 @@ def test_a_swarm_that_has_just_ended_is_shown_at_its_last_step(browser: Page, hi
 
 def make_state_of_one_robot(tick: int) -> State:
     """Return a state of a single robot, all of whose values are 0.5."""
-    return State(tick, np.full((4, 1), 0.5), np.zeros((1, 1), np.bool_), positions=None)
+    return State(tick, np.full((4, 1), 0.5), NO_LINKS, positions=None)
 
 
 def test_the_page_of_a_silent_bus_waits_until_a_robot_sends(browser: Page) -> None:

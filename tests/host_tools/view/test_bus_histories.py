@@ -134,7 +134,7 @@ def test_a_recorder_of_a_bus_knows_that_a_robot_sent_telemetry(bus: ScriptedBus)
 
     ``mcp-asdf view`` warns where no robot did, as x and b_hat are unknown then.
     """
-    assert record_bus(bus, seconds=0.5).has_telemetry
+    assert record_bus(bus, seconds=0.5).roster.has_telemetry
 
 
 def test_the_report_on_a_bus_is_made_once_a_second(bus: ScriptedBus) -> None:

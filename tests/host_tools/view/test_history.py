@@ -11,7 +11,7 @@ from mcp_asdf_tools.view.history import History, RunDescription, State, steps_be
 
 def make_state(tick: int) -> State:
     """Return a state of two robots that receive each other."""
-    return State(tick, np.full((4, 2), 0.5), np.ones((2, 2), np.bool_), positions=None)
+    return State(tick, np.full((4, 2), 0.5), np.array([(0, 1), (1, 0)], np.uint16), positions=None)
 
 
 @pytest.fixture
@@ -45,7 +45,7 @@ def test_a_reader_whose_states_are_of_another_generation_gets_all_states(history
 
 
 def test_a_robot_that_joins_has_neither_values_nor_links_in_earlier_states(history: History) -> None:
-    """Robot 7 joins the robots 0 and 1, which are marked as receiving from each other and from themselves.
+    """Robot 7 joins the robots 0 and 1, which receive from each other.
 
     Its unknown values are NaN. All readers read all states again, as there is a new generation.
     """
@@ -57,11 +57,7 @@ def test_a_robot_that_joins_has_neither_values_nor_links_in_earlier_states(histo
     assert history.generation == 1
     assert history.description.robots == [0, 1, 7]
     assert np.isnan(values_of_robot_7).all()
-    assert last_state.neighbours.tolist() == [
-        [True, True, False],
-        [True, True, False],
-        [False, False, False],
-    ]
+    assert last_state.links.tolist() == [[0, 1], [1, 0]]
 
 
 def test_a_swarm_without_an_end_keeps_at_most_a_hundred_states(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -87,10 +83,10 @@ def test_a_swarm_without_an_end_keeps_at_most_a_hundred_states(monkeypatch: pyte
         (1, 128, 1),
         (10_000, 20, 1),
         (40_000, 20, 4),  # there are at most 10,000 states
-        (20_000, 60, 19),  # links: 60 x 60 bits x 1111 states = 4 million bits
-        (10**6, 128, 4099),  # links: 128 x 128 bits x 244 states = 4 million bits
+        (20_000, 60, 19),  # links: 60 x 60 links x 1111 states = 4 million
+        (10**6, 128, 4099),  # links: 128 x 128 links x 244 states = 4 million
         (10**9, 1, 100_000),
-        (10_000, 2000, 80),  # 16 bits x 2000 robots x 125 states = 4 million bits
+        (10_000, 2000, 80),  # 16 links x 2000 robots x 125 states = 4 million
     ],
 )
 def test_a_web_page_keeps_fewer_states_of_a_swarm_with_more_steps_and_robots(
@@ -99,6 +95,6 @@ def test_a_web_page_keeps_fewer_states_of_a_swarm_with_more_steps_and_robots(
     """The spacing is the number of steps from one kept state to the next.
 
     Of 10,000 steps of 20 robots each is kept, for example, and of 40,000 steps every fourth: there are at
-    most 10,000 states, and the links between robots in them have at most four million bits.
+    most 10,000 states, with about four million links between robots in them.
     """
     assert steps_between_states(steps, robots) == expected_spacing

@@ -87,11 +87,11 @@ def ticks_of(history: History) -> list[int]:
 
 
 def are_equal(first: State, second: State) -> bool:
-    """Return whether two states have equal ticks, values, neighbours and positions."""
+    """Return whether two states have equal ticks, values, links and positions."""
     return (
         first.tick == second.tick
         and np.array_equal(first.values, second.values, equal_nan=True)
-        and np.array_equal(first.neighbours, second.neighbours)
+        and np.array_equal(first.links, second.links)
         and np.array_equal(first.positions, second.positions)  # type: ignore[arg-type]
     )
 
@@ -202,8 +202,8 @@ def test_links_between_more_robots_than_fit_a_bus_are_pairs_of_receiver_and_send
 
     *_, last_matrix = Arena(experiment).record(experiment.steps).adjacency
     pairs_of_receiver_and_sender = np.argwhere(last_matrix)
-    assert last_state.neighbours.tolist() == pairs_of_receiver_and_sender.tolist()
-    assert len(last_state.neighbours) > 0
+    assert last_state.links.tolist() == pairs_of_receiver_and_sender.tolist()
+    assert len(last_state.links) > 0
 
 
 # --- Descriptions -------------------------------------------------------------------------------------
@@ -514,7 +514,7 @@ def test_an_authors_trial_is_shown_without_an_arena_without_positions_and_withou
     assert authors_history.description.sides is None
     for state in states_of(authors_history):
         assert state.positions is None
-        assert not state.neighbours.any()
+        assert len(state.links) == 0
 
 
 def test_the_title_of_an_authors_trial_names_their_program_by_its_repository(

@@ -18,7 +18,7 @@ import pytest
 
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.view import server
-from mcp_asdf_tools.view.history import History, HistoryUpdate, RunDescription, State
+from mcp_asdf_tools.view.history import NO_LINKS, History, HistoryUpdate, RunDescription, State
 from mcp_asdf_tools.view.page import make_page
 from mcp_asdf_tools.view.server import serve_page
 from support import PATIENCE, wait_until
@@ -28,8 +28,7 @@ DESCRIPTION = RunDescription("two </script> robots", [0, 1], fill_ratio=0.5)
 
 def make_state(tick: int) -> State:
     """Return a state of robots 0 and 1, which do not receive each other."""
-    no_links = np.zeros((2, 2), np.bool_)
-    return State(tick, np.full((4, 2), 0.25), no_links, positions=None)
+    return State(tick, np.full((4, 2), 0.25), NO_LINKS, positions=None)
 
 
 def history_of_running_swarm() -> History:

@@ -2,7 +2,6 @@
 
 export const ONE = 65534; // the 16-bit number that stands for the value 1
 const UNKNOWN = 65535;
-const MAX_ROBOTS_WITH_LINK_BITS = 128; // of more robots, links come as pairs of indices
 const SMALLEST_B_HAT_CHANGE = 0.002; // rounding alone changes b_hat by less
 
 /** Returns the bytes that a base64 text encodes. */
@@ -27,16 +26,19 @@ function reserve(array, length) {
 }
 
 /** Returns arrays of receiver, sender, receiver, sender and so on, one for each of `count` states. */
-function readLinkPairs(buffer, offset, count) {
+function readLinks(buffer, offset, count) {
   // The offset may be no multiple of 4, so these 32-bit numbers are only readable from a copy.
-  const pairCounts = new Uint32Array(buffer.slice(offset, offset + 4 * count));
-  const pairsByState = [];
-  let start = offset + 4 * count;
-  for (const pairCount of pairCounts) {
-    pairsByState.push(new Uint16Array(buffer, start, 2 * pairCount));
-    start += 4 * pairCount;
-  }
-  return pairsByState;
+  const linkCounts = new Uint32Array(buffer.slice(offset, offset + 4 * count));
+  const links = new Uint16Array(buffer, offset + 4 * count);
+  // Differences to the link before become receivers and senders.
+  for (let index = 2; index < links.length; index++) links[index] += links[index - 2];
+  let start = 0;
+  return Array.from(linkCounts, (linkCount) => {
+    const end = start + 2 * linkCount;
+    const linksOfState = links.subarray(start, end);
+    start = end;
+    return linksOfState;
+  });
 }
 
 /** The states of a run so far. Methods name robots and states by their index. */
@@ -53,10 +55,7 @@ export class History {
     for (const name of [...description.quantities, ...positionColumns]) {
       this.columns[name] = new Uint16Array(0);
     }
-    this.hasLinkPairs = this.robotCount > MAX_ROBOTS_WITH_LINK_BITS;
-    this.linkPairs = [];
-    this.linkBits = new Uint8Array(0);
-    this.linkBytesPerState = Math.ceil(this.robotCount ** 2 / 8);
+    this.linksByState = [];
     this.events = [];
     this.robotsOnceLost = new Set();
   }
@@ -80,15 +79,14 @@ export class History {
       columns[name] = this.#sumDifferences(differences, count);
       offset += 2 * count * this.robotCount;
     }
-    const links = this.hasLinkPairs ? readLinkPairs(buffer, offset, count) : new Uint8Array(buffer, offset);
-    this.appendStates({ ticks, columns, links });
+    this.appendStates({ ticks, columns, links: readLinks(buffer, offset, count) });
   }
 
   /**
    * Appends states, and the events in them.
    *
-   * A column has 16-bit numbers, all robots of a state beside each other. Links are bits, of which number
-   * receiver * robots + sender of a state says whether they are linked; of many robots, arrays of pairs.
+   * A column has 16-bit numbers, all robots of a state beside each other. Links have an array for each state, of
+   * receiver, sender, receiver, sender and so on.
    */
   appendStates({ ticks, columns, links }) {
     const oldCount = this.stateCount;
@@ -99,12 +97,7 @@ export class History {
       this.columns[name] = reserve(this.columns[name], newCount * this.robotCount);
       this.columns[name].set(numbers, oldCount * this.robotCount);
     }
-    if (this.hasLinkPairs) {
-      this.linkPairs.push(...links);
-    } else {
-      this.linkBits = reserve(this.linkBits, newCount * this.linkBytesPerState);
-      this.linkBits.set(links, oldCount * this.linkBytesPerState);
-    }
+    this.linksByState.push(...links);
     this.stateCount = newCount;
     for (let state = Math.max(oldCount, 1); state < newCount; state++) {
       this.#addFaultEvents(state);
@@ -141,32 +134,12 @@ export class History {
 
   /** Returns [sender, receiver] of all links in a state, or of those of one receiver. */
   links(state, onlyReceiver = null) {
-    return this.hasLinkPairs
-      ? this.#linksFromPairs(state, onlyReceiver)
-      : this.#linksFromBits(state, onlyReceiver);
-  }
-
-  #linksFromPairs(state, onlyReceiver) {
     const links = [];
-    const pairs = this.linkPairs[state];
-    for (let index = 0; index < pairs.length; index += 2) {
-      const receiver = pairs[index];
-      const sender = pairs[index + 1];
+    const indices = this.linksByState[state];
+    for (let index = 0; index < indices.length; index += 2) {
+      const receiver = indices[index];
+      const sender = indices[index + 1];
       if (onlyReceiver === null || receiver === onlyReceiver) links.push([sender, receiver]);
-    }
-    return links;
-  }
-
-  #linksFromBits(state, onlyReceiver) {
-    const links = [];
-    const firstReceiver = onlyReceiver ?? 0;
-    const lastReceiver = onlyReceiver ?? this.robotCount - 1;
-    for (let receiver = firstReceiver; receiver <= lastReceiver; receiver++) {
-      for (let sender = 0; sender < this.robotCount; sender++) {
-        const bit = receiver * this.robotCount + sender;
-        const byte = this.linkBits[state * this.linkBytesPerState + (bit >> 3)];
-        if ((byte >> (bit & 7)) & 1) links.push([sender, receiver]);
-      }
     }
     return links;
   }

@@ -89,11 +89,10 @@ export function makeHistory({ robots, ticks, quantities, ...fields }) {
   const history = new History(description);
   const unknown = new Array(robots.length * ticks.length).fill(null);
   const columns = QUANTITIES.map((name) => [name, encode(quantities[name] ?? unknown)]);
-  const linkBytes = ticks.length * history.linkBytesPerState;
   history.appendStates({
     ticks: Uint32Array.from(ticks),
     columns: Object.fromEntries(columns),
-    links: new Uint8Array(linkBytes),
+    links: ticks.map(() => new Uint16Array(0)),
   });
   return history;
 }
