@@ -14,8 +14,8 @@ The format was read in github.com/NESTLab/sensor-degradation-filter at commit 7b
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -55,21 +55,8 @@ _KEY_BY_PARAMETER = {
 _MOVING_KEY_BY_PARAMETER = {
     "observation_period": "meas_period",
     "radio_range": "comms_range",
-    "density": "density",
-    "speed": "speed",
 }
-"""Their keys of the parameters that only files of moving robots have."""
-_WHOLE_NUMBER_PARAMETERS = (
-    "robots",
-    "flawed",
-    "steps",
-    "trials",
-    "comms_period",
-    "filter_period",
-    "observation_period",
-)
-_NUMBER_LIMIT = 1e300
-"""No parameter is larger; JSON may have whole numbers that no float can hold."""
+"""Their keys of the parameters that only files of moving robots have, with ``speed`` and ``density``."""
 _CM_PER_M = 100
 _DENSITY_DECIMALS = 3
 """Decimal places to which a density is rounded. The authors compute it from the positions of the walls, so
@@ -128,8 +115,8 @@ def _read_trial(path: Path, sampling_interval: int) -> Trials:
     """
     file = _TrialFile(path, _read_json(path))
     experiment = _experiment_of(file)
-    number = file.whole_number("trial_ind")
-    if not 0 <= number < experiment.trials:
+    number = file.value("trial_ind")
+    if number not in range(experiment.trials):
         raise file.error("trial_ind", f"it must be 0 to {experiment.trials - 1}, as num_trials says")
     series = _read_series(file, experiment)  # shape (N, steps + 1) each
     x_of_one_trial = series["x"][np.newaxis]  # shape (1, N, steps + 1)
@@ -141,7 +128,7 @@ def _read_trial(path: Path, sampling_interval: int) -> Trials:
         records = {name: _values_of_one_trial(series[name], every=sampling_interval) for name in QUANTITIES}
     return Trials(
         experiment=experiment,
-        numbers=[number],
+        numbers=[int(number)],
         convergence_steps=convergence_steps,
         errors=errors,
         b_hat=b_hat_after_filter_steps,
@@ -195,27 +182,22 @@ class _TrialFile:
     def error(self, key: str, fix: str) -> UsageError:
         """Return an error that names a key and its value, and then says ``fix``.
 
-        If the key is missing, the error says that instead.
+        Raises another error, as ``value`` does, if the key is missing.
         """
+        return UsageError(f"{self.path}: {key} is {self.value(key)!r}; {fix}")
+
+    def value(self, key: str) -> Any:
+        """Return what the file has under a key. Raises UsageError if it has nothing."""
         if key not in self.content:
-            return UsageError(f"{self.path}: it has no {key}; give a trial of {SOURCE}")
-        return UsageError(f"{self.path}: {key} is {self.content[key]!r}; {fix}")
+            raise UsageError(f"{self.path}: it has no {key}; give a trial of {SOURCE}")
+        return self.content[key]
 
     def number(self, key: str) -> float:
-        """Return the number under a key. Raises UsageError if there is none, or for NaN or a huge number."""
-        value = self.content.get(key)
-        if isinstance(value, bool) or not isinstance(value, int | float):
-            raise self.error(key, "it must be a number")
-        if not abs(value) < _NUMBER_LIMIT:  # a comparison with NaN is false
-            raise self.error(key, "it must be a smaller number")
-        return float(value)
-
-    def whole_number(self, key: str) -> int:
-        """Return the whole number under a key. Raises UsageError if there is none."""
-        value = self.content.get(key)
-        if isinstance(value, bool) or not isinstance(value, int):
-            raise self.error(key, "it must be a whole number")
-        return value
+        """Return the number under a key. Raises UsageError if there is none that a float can hold."""
+        try:
+            return float(self.value(key))
+        except (TypeError, ValueError, OverflowError) as error:
+            raise self.error(key, "it must be a number") from error
 
 
 def _read_json(path: Path) -> dict[str, Any]:
@@ -242,45 +224,29 @@ def _experiment_of(file: _TrialFile) -> Experiment:
     latency of 1, and their speed is converted from cm to m. Raises UsageError for parameters that no
     experiment here has.
     """
-    has_moving_robots = _has_moving_robots(file)
-    key_by_parameter = dict(_KEY_BY_PARAMETER)
-    if has_moving_robots:
-        key_by_parameter |= _MOVING_KEY_BY_PARAMETER
     parameters: dict[str, Any] = {"firmware": "reference", "conventions": "authors", "seed": 0}
-    parameters |= _read_numbers(file, key_by_parameter)
-    if has_moving_robots:
+    key_by_parameter = dict(_KEY_BY_PARAMETER)
+    if _has_moving_robots(file):
+        key_by_parameter |= _MOVING_KEY_BY_PARAMETER
         parameters["topology"] = "dynamic"
         parameters["latency"] = 1
         # Without rounding, 14.14 cm would be 0.14140000000000003 m or the like.
-        parameters["speed"] = round(parameters["speed"] / _CM_PER_M, 9)
-        # The authors compute it from positions of walls: further decimals are only rounding errors.
-        parameters["density"] = round(parameters["density"], _DENSITY_DECIMALS)
+        parameters["speed"] = round(file.number("speed") / _CM_PER_M, 9)
+        parameters["density"] = round(file.number("density"), _DENSITY_DECIMALS)
+    parameters |= {name: file.value(key) for name, key in key_by_parameter.items()}
     _check_sensors(file)
     parameters |= _filter_parameters(file)
-    # A period that never ends in a trial is their way to switch the filter off.
-    if parameters["filter_period"] > parameters["steps"]:
-        parameters["filter"] = "none"
     try:
-        return Experiment(**parameters)
+        experiment = Experiment(**parameters)
     except ParameterError as error:
         their_key = ""
         if error.key in key_by_parameter:
             their_key = f" (their {key_by_parameter[error.key]})"
         raise UsageError(f"{file.path}: {error}{their_key}") from error
-
-
-def _read_numbers(file: _TrialFile, key_by_parameter: Mapping[str, str]) -> dict[str, int | float]:
-    """Return numbers of a file by the names of our parameters, from the authors' key of each.
-
-    Raises UsageError if one is missing or no number, or if a parameter that must be whole is not.
-    """
-    numbers: dict[str, int | float] = {}
-    for parameter_name, key in key_by_parameter.items():
-        if parameter_name in _WHOLE_NUMBER_PARAMETERS:
-            numbers[parameter_name] = file.whole_number(key)
-        else:
-            numbers[parameter_name] = file.number(key)
-    return numbers
+    # A period that never ends in a trial is their way to switch the filter off.
+    if experiment.filter_period > experiment.steps:
+        return replace(experiment, filter="none")
+    return experiment
 
 
 def _has_moving_robots(file: _TrialFile) -> bool:

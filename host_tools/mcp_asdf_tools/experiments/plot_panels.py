@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import cycle
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
@@ -129,11 +129,6 @@ class Series:
     label: str
     colour: str
     experiments: list[Trials]
-
-    def select(self, is_selected: Callable[[Experiment], bool]) -> Series:
-        """Return the series with only those experiments for which ``is_selected`` returns true."""
-        selected = [trials for trials in self.experiments if is_selected(trials.experiment)]
-        return replace(self, experiments=selected)
 
 
 def colours_of_filters(filter_names: Sequence[str]) -> list[str]:

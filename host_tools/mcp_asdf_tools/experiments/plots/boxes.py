@@ -15,7 +15,6 @@ from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.plot_labels import flawed_share, make_caption
 from mcp_asdf_tools.experiments.plot_panels import (
     Results,
-    Series,
     SeriesName,
     accuracy_offset,
     create_panel_grid,
@@ -25,6 +24,7 @@ from mcp_asdf_tools.experiments.plot_panels import (
     legend_handle,
     sorted_attributes,
 )
+from mcp_asdf_tools.experiments.results import Trials
 from mcp_asdf_tools.experiments.scores import PAPER_LIMITS, Limits
 
 _MEANING_OF_MARKS = (
@@ -71,7 +71,16 @@ def plot_boxes(
     )
     for (row, column), axes in np.ndenumerate(grid):
         f, b = fill_ratios[row], accuracies[column]
-        _draw_box_panel(axes, [_select_panel(series, f, b) for series in all_series], limits)
+        experiments_by_series = [
+            [
+                trials
+                for trials in series.experiments
+                if trials.experiment.fill_ratio == f and trials.experiment.true_accuracy == b
+            ]
+            for series in all_series
+        ]
+        colours = [series.colour for series in all_series]
+        _draw_box_panel(axes, experiments_by_series, colours, limits)
         axes.set_title(f"$f = {f:g}$, $b = {b:g}$", fontsize=MEDIUM)
     x_label = r"$\hat{b} - b$ of flawed robots, and their proportion $P$"
     caption = make_caption(experiments, _MEANING_OF_MARKS, limits)
@@ -79,36 +88,27 @@ def plot_boxes(
     return label_figure(figure, x_label, "score $H$", caption, handles)
 
 
-def _select_panel(series: Series, f: float, b: float) -> Series:
-    """Return the series with only those experiments that have this f and this b."""
-
-    def belongs_to_panel(experiment: Experiment) -> bool:
-        """Return whether an experiment has this f and this b."""
-        return experiment.fill_ratio == f and experiment.true_accuracy == b
-
-    return series.select(belongs_to_panel)
-
-
-def _draw_box_panel(axes: Axes, series_of_panel: Sequence[Series], limits: Limits) -> None:
-    """Draw a box for each experiment of a panel.
+def _draw_box_panel(
+    axes: Axes, experiments_by_series: Sequence[Sequence[Trials]], colours: Sequence[str], limits: Limits
+) -> None:
+    """Draw a box for each experiment of a panel, in the colour of its series.
 
     Along the x axis there is a slot for each share P of flawed robots and offset of their b_hat from b, in
     which the boxes of the series stand side by side.
     """
-    different_slots: set[tuple[float, float]] = set()
-    for series in series_of_panel:
-        different_slots |= {_slot_of(trials.experiment) for trials in series.experiments}
-    slots = sorted(different_slots)
-    box_width = _SLOT_WIDTH / len(series_of_panel)
-    for series_index, series in enumerate(series_of_panel):
+    slots = sorted(
+        {_slot_of(trials.experiment) for experiments in experiments_by_series for trials in experiments}
+    )
+    box_width = _SLOT_WIDTH / len(colours)
+    drawn_width = _DRAWN_SHARE_OF_WIDTH * box_width
+    for series_index, experiments in enumerate(experiments_by_series):
         # In each slot the boxes stand beside each other.
         distance_from_left_end = (series_index + 0.5) * box_width
         distance_from_middle = distance_from_left_end - _SLOT_WIDTH / 2
-        for trials in series.experiments:
+        for trials in experiments:
             middle_of_slot = slots.index(_slot_of(trials.experiment))  # 0, 1, 2 and so on
             middle = middle_of_slot + distance_from_middle
-            drawn_width = _DRAWN_SHARE_OF_WIDTH * box_width
-            _draw_box(axes, trials.scores(limits)["H"], middle, drawn_width, series.colour)
+            _draw_box(axes, trials.scores(limits)["H"], middle, drawn_width, colours[series_index])
     # H is at most 100; above it is room for the outlines of boxes and points there.
     axes.set(ylim=(0, 103), xlim=(-0.5, len(slots) - 0.5))
     axes.set_xticks(range(len(slots)), [f"{offset:+.2g}\n{share:.0%}" for share, offset in slots])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Any, cast
 
@@ -106,11 +107,10 @@ def _series_by_hue(experiments: Sequence[Trials], hue: str) -> list[Series]:
     hue_values = _sorted_axis_values(experiments, hue)
     # Values of other parameters have an order, which their colours show.
     colours = colours_of_filters(hue_values) if hue == "filter" else ordered_colours(len(hue_values))
-    all_series = []
-    for value, colour in zip(hue_values, colours, strict=True):
-        series_of_all = Series(parameter_with_value(hue, value), colour, list(experiments))
-        all_series.append(_select_value(series_of_all, hue, value))
-    return all_series
+    return [
+        Series(parameter_with_value(hue, value), colour, _with_value(experiments, hue, value))
+        for value, colour in zip(hue_values, colours, strict=True)
+    ]
 
 
 def _split_into_panels(
@@ -124,14 +124,17 @@ def _split_into_panels(
         return [("", list(all_series))]
     panels = []
     for value in _sorted_axis_values(experiments, facet):
-        series_of_panel = [_select_value(series, facet, value) for series in all_series]
+        series_of_panel = [
+            replace(series, experiments=_with_value(series.experiments, facet, value))
+            for series in all_series
+        ]
         panels.append((parameter_with_value(facet, value), series_of_panel))
     return panels
 
 
-def _select_value(series: Series, parameter_name: str, value: Any) -> Series:
-    """Return the series with only those experiments whose parameter has this value."""
-    return series.select(lambda experiment: _axis_value(experiment, parameter_name) == value)
+def _with_value(experiments: Sequence[Trials], parameter_name: str, value: Any) -> list[Trials]:
+    """Return those experiments whose parameter has this value, as an axis shows it."""
+    return [trials for trials in experiments if _axis_value(trials.experiment, parameter_name) == value]
 
 
 def _draw_curves(

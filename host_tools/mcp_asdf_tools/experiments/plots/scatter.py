@@ -12,11 +12,9 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from mcp_asdf_tools.common.figures import INK, SMALL, style_panel
-from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.plot_labels import flawed_share, make_caption
 from mcp_asdf_tools.experiments.plot_panels import (
     Results,
-    Series,
     accuracy_offset,
     create_panel_grid,
     experiments_to_plot,
@@ -58,7 +56,9 @@ def plot_scatter(
     for (row, column), axes in np.ndenumerate(grid):
         series, f = rows[row]
         share = shares[column]
-        for trials in _select_panel(series, f, share).experiments:
+        for trials in series.experiments:
+            if trials.experiment.fill_ratio != f or flawed_share(trials.experiment) != share:
+                continue  # it is in another panel
             b = trials.experiment.true_accuracy
             offset = accuracy_offset(trials.experiment)  # of the flawed robots' b_hat from b
             colour = _colour_of_offset(offset)
@@ -75,16 +75,6 @@ def plot_scatter(
     caption = make_caption(experiments, _MEANING_OF_MARKS, limits)
     ordered_handles = [handles[key] for key in sorted(handles)]
     return label_figure(figure, "convergence score $h_K$", "accuracy score $h_e$", caption, ordered_handles)
-
-
-def _select_panel(series: Series, f: float, share: float) -> Series:
-    """Return the series with only those experiments that have this f and this share of flawed robots."""
-
-    def belongs_to_panel(experiment: Experiment) -> bool:
-        """Return whether an experiment has this f and this share of flawed robots."""
-        return experiment.fill_ratio == f and flawed_share(experiment) == share
-
-    return series.select(belongs_to_panel)
 
 
 def _describe_accuracy(b: float, offset: float) -> str:
