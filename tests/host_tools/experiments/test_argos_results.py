@@ -23,28 +23,6 @@ def shown_table() -> str:
     return table
 
 
-def shown_medians_in_argos() -> list[tuple[str, str, str]]:
-    """Return a filter, a quantity and its median in ARGoS3 for each row of the page's table."""
-    _heading, _rule, *lines = shown_table().splitlines()
-    rows = []
-    for line in lines:
-        # A line begins and ends with the separator, so its first and last cell are empty.
-        _, filter_name, quantity, median_in_argos, _simulated, _p_value, _ = line.split("|")
-        rows.append((filter_name.strip(), quantity.strip(), median_in_argos.strip()))
-    return rows
-
-
-def test_the_stored_results_of_argos_have_three_errors_of_40_seeds_for_each_filter() -> None:
-    """tests/data/argos_results.csv keeps what trials in the simulator ARGoS3 gave, which is seldom run."""
-    results_by_filter = argos.read_results()
-
-    assert {"none", "asdf-minus", "asdf-plus"} <= set(results_by_filter)
-    for errors_by_quantity in results_by_filter.values():
-        assert len(errors_by_quantity) == 3
-        for errors_of_seeds in errors_by_quantity.values():
-            assert len(errors_of_seeds) == 40
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("filter_name", ["none", "asdf-minus", "asdf-plus"])
 def test_errors_in_argos_and_in_mcp_asdf_simulate_have_one_distribution(filter_name: str) -> None:
@@ -65,17 +43,6 @@ def test_the_comparison_with_argos_notices_swarms_with_another_filter_period() -
     errors_of_another_swarm = argos.simulate("asdf-minus", trials=50, filter_period=3000)
     p_by_quantity = argos.p_values(errors_of_another_swarm, errors_in_argos)
     assert p_by_quantity["error_in_second_half"] < 0.0001
-
-
-def test_the_documentation_of_argos_shows_the_medians_of_the_stored_results() -> None:
-    """A row of its table has a filter, a quantity, and the median of this quantity over 40 seeds."""
-    expected_rows = []
-    for filter_name, errors_by_quantity in argos.read_results().items():
-        for quantity, quantity_on_the_page in argos.QUANTITIES.items():
-            median = np.median(errors_by_quantity[quantity])
-            expected_rows.append((filter_name, quantity_on_the_page, f"{median:.4f}"))
-
-    assert shown_medians_in_argos() == expected_rows
 
 
 @pytest.mark.slow

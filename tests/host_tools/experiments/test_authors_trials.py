@@ -14,7 +14,7 @@ from authors_files import trial_content, write_trial
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.experiments.authors_trials import find_trial_files, read_trials
 from mcp_asdf_tools.experiments.experiment import Experiment
-from mcp_asdf_tools.experiments.result_files import stream_experiments, write_tables
+from mcp_asdf_tools.experiments.result_files import write_tables
 from mcp_asdf_tools.experiments.result_tables import trials_to_table
 from mcp_asdf_tools.experiments.results import QUANTITIES, Trials
 from mcp_asdf_tools.experiments.store import Store
@@ -46,12 +46,6 @@ def test_a_trial_read_from_the_authors_format_has_its_parameters_and_number(
     trials = read_trial(path)
     assert trials.experiment == experiment
     assert trials.numbers == [2]
-
-
-def test_the_source_of_a_trial_says_that_the_authors_programs_have_run_it(tmp_path: Path) -> None:
-    """So nobody takes results of other programs for results of this program."""
-    path = write_trial(tmp_path / "trial.json", FIXED_NETWORK, number=2)
-    assert read_trial(path).source == "NESTLab/sensor-degradation-filter"
 
 
 @with_fixed_and_with_moving_robots
@@ -101,12 +95,6 @@ def test_a_trial_from_a_file_has_records_of_every_25th_step_if_asked_for(
     for quantity, expected_values in expected_trials.records.items():
         # Numbers in the file have six decimal places.
         assert trials_from_file.records[quantity] == pytest.approx(expected_values, abs=1e-6), quantity
-
-
-def test_a_trial_from_a_file_has_no_records_unless_they_are_asked_for(tmp_path: Path) -> None:
-    """A sampling interval of 0 asks for none."""
-    path = write_trial(tmp_path / "trial.json", FIXED_NETWORK, number=0)
-    assert read_trial(path, sampling_interval=0).records == {}
 
 
 def first_ten_numbers(text: str) -> str:
@@ -219,12 +207,6 @@ def test_a_sweep_does_not_take_results_of_the_authors_programs_for_its_own(autho
     """The file has a trial of the same experiment, which a sweep into this file would leave out."""
     with pytest.raises(UsageError, match="hold results of other experiments"):
         Store(authors_results, [FIXED_NETWORK])
-
-
-def test_a_file_of_results_keeps_that_the_authors_programs_have_run_them(authors_results: Path) -> None:
-    """The repository of the authors' programs is the source of their trials."""
-    [trials] = stream_experiments(authors_results)
-    assert trials.source == "NESTLab/sensor-degradation-filter"
 
 
 # --- What is refused -------------------------------------------------------------------------------------

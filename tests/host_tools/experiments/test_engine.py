@@ -132,69 +132,35 @@ EXTREMES_OF_THE_ROBUST_FILTER: dict[str, dict[str, Any]] = {
 }
 
 
-def varied(experiment: Experiment, changes_by_name: Mapping[str, dict[str, Any]]) -> pytest.MarkDecorator:
-    """Return a parametrisation over an experiment with each of these changes, by their names."""
-    experiments = [replace(experiment, **changes) for changes in changes_by_name.values()]
-    return pytest.mark.parametrize("experiment", experiments, ids=changes_by_name)
+def varied(experiment: Experiment, changes: Mapping[str, dict[str, Any]]) -> list[Experiment]:
+    """Return the experiment with each of these changes."""
+    return [replace(experiment, **parameters) for parameters in changes.values()]
 
 
-with_each_latency = pytest.mark.parametrize("latency", [0, 1])
+EXTREMES_OF_CONNECTED_ROBUST = EXTREME_PARAMETERS | EXTREMES_OF_THE_ROBUST_FILTER
+EXTREMES_OF_MOVING = EXTREME_PARAMETERS | EXTREMES_OF_MOVING_ROBOTS
+EXTREMES_OF_MOVING_ROBUST = EXTREMES_OF_MOVING | EXTREMES_OF_THE_ROBUST_FILTER
 
 
-@varied(FULLY_CONNECTED, EXTREME_PARAMETERS)
-def test_many_trials_computed_at_once_equal_the_firmware_to_the_bit(experiment: Experiment) -> None:
-    """There are 16 lanes with a trial in each, so 17 trials are more than the engine computes at once.
+@pytest.mark.parametrize(
+    "experiment",
+    [
+        *varied(FULLY_CONNECTED, EXTREME_PARAMETERS),
+        *slow(varied(FULLY_CONNECTED, EXTREMES_OF_LONG_TRIALS)),
+        *varied(FULLY_CONNECTED_ROBUST, EXTREMES_OF_CONNECTED_ROBUST),
+        *varied(MOVING, EXTREMES_OF_MOVING),
+        *varied(MOVING_WITH_LATENCY, EXTREMES_OF_MOVING),
+        *varied(MOVING_ROBUST, EXTREMES_OF_MOVING_ROBUST),
+        *varied(replace(MOVING_ROBUST, latency=1), EXTREMES_OF_MOVING_ROBUST),
+    ],
+)
+def test_robots_computed_at_once_equal_the_firmware_to_the_bit(experiment: Experiment) -> None:
+    """Fully connected swarms have a trial in each of 16 lanes: 17 trials are more than run at once.
 
-    They are the trials 4 to 20, as trials need not begin with number 0.
+    Of moving robots each lane has a robot. Trials need not begin with number 0.
     """
-    assert differences_between_lanes_and_firmware(experiment, trial_numbers=range(4, 21)) == []
-
-
-@pytest.mark.slow
-@varied(FULLY_CONNECTED, EXTREMES_OF_LONG_TRIALS)
-def test_long_trials_computed_at_once_equal_the_firmware_to_the_bit(experiment: Experiment) -> None:
-    """They have more than 200,000 steps. There are 16 lanes, so 17 trials are more than one in each.
-
-    They are the trials 4 to 20, as trials need not begin with number 0.
-    """
-    assert differences_between_lanes_and_firmware(experiment, trial_numbers=range(4, 21)) == []
-
-
-@with_each_latency
-@varied(MOVING, EXTREME_PARAMETERS | EXTREMES_OF_MOVING_ROBOTS)
-def test_moving_robots_computed_at_once_equal_the_firmware_to_the_bit(
-    experiment: Experiment, latency: int
-) -> None:
-    """With a latency of 1, messages arrive a step late. Each lane has a robot of the same trial.
-
-    They are the trials 4 to 6, as trials need not begin with number 0.
-    """
-    experiment_with_latency = replace(experiment, latency=latency)
-    assert differences_between_lanes_and_firmware(experiment_with_latency, trial_numbers=range(4, 7)) == []
-
-
-@varied(FULLY_CONNECTED_ROBUST, EXTREME_PARAMETERS | EXTREMES_OF_THE_ROBUST_FILTER)
-def test_trials_with_the_robust_filter_computed_at_once_equal_the_firmware_to_the_bit(
-    experiment: Experiment,
-) -> None:
-    """There are 16 lanes with a trial in each, so 17 trials are more than the engine computes at once.
-
-    They are the trials 4 to 20, as trials need not begin with number 0.
-    """
-    assert differences_between_lanes_and_firmware(experiment, trial_numbers=range(4, 21)) == []
-
-
-@with_each_latency
-@varied(MOVING_ROBUST, EXTREME_PARAMETERS | EXTREMES_OF_MOVING_ROBOTS | EXTREMES_OF_THE_ROBUST_FILTER)
-def test_moving_robots_with_the_robust_filter_computed_at_once_equal_the_firmware_to_the_bit(
-    experiment: Experiment, latency: int
-) -> None:
-    """With a latency of 1, messages arrive a step late. Each lane has a robot of the same trial.
-
-    They are the trials 4 to 6, as trials need not begin with number 0.
-    """
-    experiment_with_latency = replace(experiment, latency=latency)
-    assert differences_between_lanes_and_firmware(experiment_with_latency, trial_numbers=range(4, 7)) == []
+    trial_numbers = range(4, 7) if experiment.is_dynamic else range(4, 21)
+    assert differences_between_lanes_and_firmware(experiment, trial_numbers) == []
 
 
 def random_experiments(seed: int, count: int) -> Iterator[Experiment]:
@@ -443,27 +409,6 @@ def test_the_engine_in_c_measures_and_records_what_robots_in_python_compute(expe
         assert np.array_equal(trials_in_c.records[quantity], trials_in_python.records[quantity]), quantity
 
 
-def largest_change_of_x_by_rounding(experiment: Experiment, message_bits: str) -> float:
-    """Return the largest change of any robot's x in trial 0 that messages of fewer bits make."""
-    exact_x = run_trials(experiment, first=0, trials=1, sampling_interval=10).records["x"]
-    rounded = replace(experiment, message_bits=message_bits)
-    rounded_x = run_trials(rounded, first=0, trials=1, sampling_interval=10).records["x"]
-    return float(np.abs(exact_x - rounded_x).max())
-
-
-@pytest.mark.parametrize("experiment", [FULLY_CONNECTED, MOVING_WITH_LATENCY, MOVING_ROBUST])
-def test_messages_of_the_most_bits_change_estimates_by_less_than_a_hundred_thousandth(
-    experiment: Experiment,
-) -> None:
-    """They have 23 bits of x_hat and 25 of its confidence alpha. Compared are robots that round nothing."""
-    assert largest_change_of_x_by_rounding(experiment, message_bits="23+25") < 0.00001
-
-
-def test_messages_of_three_bits_change_estimates_by_more_than_a_tenth() -> None:
-    """They have two bits of x_hat and one of its confidence alpha. Compared are robots that round nothing."""
-    assert largest_change_of_x_by_rounding(MOVING_WITH_LATENCY, message_bits="2+1") > 0.1
-
-
 def test_a_robot_s_own_estimate_and_confidence_are_not_rounded_with_its_messages() -> None:
     """x_hat, its own estimate, and alpha, its confidence in it, are the same whatever messages have.
 
@@ -514,41 +459,6 @@ def test_the_reference_in_floats_stays_near_the_firmware_in_every_step(experimen
     assert np.array_equal(integer_trials.tests, float_trials.tests)
     for name in ("x_hat", "x_bar", "x", "b_hat"):
         assert float_trials.records[name] == pytest.approx(integer_trials.records[name], abs=1e-5), name
-
-
-def b_hat_by_the_conventions_of_the_authors(experiment: Experiment) -> Any:
-    """Return b_hat in trial 0 of the reference by the conventions of the paper's authors."""
-    return run_trials(
-        replace(experiment, firmware="reference", conventions="authors"), first=0, trials=1
-    ).b_hat
-
-
-@pytest.mark.parametrize(
-    "experiment",
-    [
-        FULLY_CONNECTED,
-        MOVING_WITH_LATENCY,
-        replace(FULLY_CONNECTED, fill_ratio=0.95, filter="asdf-minus", comms_period=5),
-    ],
-)
-def test_the_conventions_of_the_paper_s_authors_change_when_robots_recalibrate(
-    experiment: Experiment,
-) -> None:
-    """Their programs take the threshold of the test for another number of messages than the paper says.
-
-    So b_hat of some robots, which changes in a recalibration, is not as by the paper's conventions.
-    """
-    b_hat_by_the_paper = run_trial_in_floats(experiment).b_hat
-    b_hat_by_the_authors = b_hat_by_the_conventions_of_the_authors(experiment)
-    assert not np.array_equal(b_hat_by_the_authors, b_hat_by_the_paper)
-
-
-def test_the_conventions_of_the_paper_s_authors_change_nothing_without_the_test() -> None:
-    """With the activation "always", robots re-estimate b_hat without a test."""
-    experiment = replace(MOVING_WITH_LATENCY, fill_ratio=0.95, true_accuracy=0.75, activation="always")
-    b_hat_by_the_paper = run_trial_in_floats(experiment).b_hat
-    b_hat_by_the_authors = b_hat_by_the_conventions_of_the_authors(experiment)
-    assert np.array_equal(b_hat_by_the_authors, b_hat_by_the_paper)
 
 
 @pytest.mark.parametrize(("first", "trials", "sampling_interval"), [(0, 1, 0), (7, 5, 3), (19, 1, 0)])

@@ -25,19 +25,6 @@ def test_an_experiment_is_made_again_from_the_parameters_that_its_results_keep()
     assert Experiment(**experiment.parameters()) == experiment
 
 
-def test_parameters_given_without_a_decimal_point_make_the_same_experiment() -> None:
-    """The texts of both experiments are compared, as they show whether a number is a float."""
-    with_whole_numbers = Experiment(true_accuracy=1, fill_ratio=0)
-    with_floats = Experiment(true_accuracy=1.0, fill_ratio=0.0)
-    assert repr(with_whole_numbers) == repr(with_floats)
-
-
-def test_an_experiment_says_that_the_engine_in_c_lacks_its_firmware_in_python() -> None:
-    """So it is run message by message, which is limited to 128 robots, as a bus has 128 ids."""
-    experiment = Experiment(robots=128, firmware="mirror")
-    assert experiment.parameter_lacking_in_c == "firmware"
-
-
 def test_the_largest_grid_of_experiments_is_accepted() -> None:
     """A larger grid is refused, as test_an_error_in_a_file_of_experiments... shows."""
     all_combinations = list(combinations({"seed": [7] * MAX_EXPERIMENTS}))

@@ -33,13 +33,6 @@ def smallest_p_value_of_simulated_scores(
     return fidelity.smallest(p_values)
 
 
-def test_the_stored_scores_of_the_float64_program_are_of_46_experiments_with_30_trials() -> None:
-    """A stored experiment has the scores of each of its trials."""
-    assert len(FLOAT64_EXPERIMENTS) == 46
-    for stored in FLOAT64_EXPERIMENTS:
-        assert len(stored.scores) == 30
-
-
 def test_the_stored_scores_of_the_float64_program_follow_our_definition_of_scores() -> None:
     """All ten robots have the same estimate, so their quartiles are equal, and h_K is 100 (1 - K / 40,000).
 
@@ -56,14 +49,6 @@ def test_the_stored_scores_of_the_float64_program_follow_our_definition_of_score
             scores = score([steps_of_robots], [errors_of_robots], k_max=40_000, e_max=0.45)
             assert scores["h_K"] == pytest.approx([h_k], abs=1e-5)
             assert scores["H"] == pytest.approx([h], abs=1e-5)
-
-
-def test_the_stored_scores_of_the_authors_simulation_are_of_11_experiments_with_three_filters() -> None:
-    """Three of them have 12 trials, the others 30. The arena is their square of 5.5486 m."""
-    assert sorted(len(stored.scores) for stored in AUTHORS_EXPERIMENTS) == [12] * 3 + [30] * 8
-    assert {stored.experiment.filter for stored in AUTHORS_EXPERIMENTS} == {"none", "asdf-minus", "asdf-plus"}
-    for stored in AUTHORS_EXPERIMENTS:
-        assert stored.experiment.sides == pytest.approx((5.5486, 5.5486), abs=1e-4)
 
 
 @pytest.mark.slow

@@ -50,12 +50,6 @@ def filtered() -> Trials:
     return results_of(replace(SHORT_EXPERIMENT, filter="asdf-plus"))
 
 
-@pytest.fixture(scope="module")
-def flawed() -> Trials:
-    """Run the same swarm without a filter; two of its robots assume another accuracy."""
-    return results_of(replace(SHORT_EXPERIMENT, flawed=2, flawed_accuracy=0.75))
-
-
 def test_plot_series_refuses_two_experiments_and_says_how_to_choose_one(
     unfiltered: Trials, filtered: Trials
 ) -> None:
@@ -68,17 +62,6 @@ def test_plot_series_refuses_results_without_values_recorded_over_time(unfiltere
     """Nothing is recorded in a trial unless the user asks for it. It is what this plot would draw."""
     with pytest.raises(UsageError, match="nothing was recorded over time"):
         library.plot_series([unfiltered])
-
-
-def test_plot_curve_names_all_parameters_in_which_results_differ_and_that_are_not_shown(
-    unfiltered: Trials, flawed: Trials
-) -> None:
-    """One swarm has flawed robots, with an accuracy of their own, and the other has none.
-
-    The plot would show the effect of these parameters as if it were omega's alone.
-    """
-    with pytest.raises(UsageError, match="the results differ in flawed_accuracy, flawed too"):
-        library.plot_curve([unfiltered, flawed], x="omega")
 
 
 @pytest.mark.parametrize(

@@ -28,7 +28,6 @@ from host_tools.experiments.drawn_figures import (
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.figures import COLOURS, INK
 from mcp_asdf_tools.experiments.experiment import Experiment
-from mcp_asdf_tools.experiments.plot_panels import colours_of_filters
 from mcp_asdf_tools.experiments.plots.boxes import plot_boxes
 from mcp_asdf_tools.experiments.plots.curve import plot_curve
 from mcp_asdf_tools.experiments.plots.scatter import plot_scatter
@@ -173,13 +172,6 @@ def test_each_box_has_a_horizontal_line_at_the_median_of_its_scores(
 
     medians = [median(scores) for scores in expected_scores_of_boxes(results, fill_ratio=0.55)]
     assert sorted(heights) == sorted(medians)
-
-
-def test_no_box_is_drawn_twice(boxes: Figure) -> None:
-    """A panel has boxes of three filters for each of four kinds of swarms, which are drawn as lines."""
-    lines_of_box = 1 + 1 + 2 + 2  # edge, median, whiskers and caps
-    points_of_box = 1  # a line that shows only its points
-    assert len(boxes.axes[0].lines) == 3 * 4 * (lines_of_box + points_of_box)
 
 
 def test_boxes_are_labelled_by_how_wrong_flawed_robots_are_and_how_many_there_are(boxes: Figure) -> None:
@@ -393,16 +385,6 @@ def test_a_second_series_of_the_robust_filter_gets_a_colour_that_no_filter_has(
     colours = [handle.get_color() for handle in legend.get_lines()]
     asdf_minus_colour, asdf_plus_colour, _robust_colour, further_colour, *_ = COLOURS
     assert colours == [GREY, asdf_minus_colour, asdf_plus_colour, GREEN, further_colour]
-
-
-def test_several_series_of_one_filter_have_different_colours() -> None:
-    """The first series without a filter is grey, and the first with the robust filter green."""
-    colours = colours_of_filters(["none", "none", "asdf-plus", "robust", "robust"])
-    first_unfiltered, _second_unfiltered, _asdf_plus, first_robust, _second_robust = colours
-
-    assert first_unfiltered == GREY
-    assert first_robust == GREEN
-    assert len(set(colours)) == 5
 
 
 def test_the_caption_has_omega_only_if_a_filter_uses_it(results_by_filter: dict[str, Trials]) -> None:

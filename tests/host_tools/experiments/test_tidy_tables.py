@@ -98,25 +98,6 @@ def test_every_column_of_a_tidy_table_has_a_unit_and_a_meaning(tidy: pa.Table) -
         assert column.metadata[b"meaning"] != b""
 
 
-def test_results_without_records_are_refused_with_the_option_that_records() -> None:
-    """Records are values of robots over time. A sampling interval of 0 makes none."""
-    table = trials_to_table(run_trials(SHORT_EXPERIMENT, first=0, trials=1, sampling_interval=0))
-    with pytest.raises(UsageError, match=r"no values of robots .* were recorded; run .* --record 100"):
-        tidied(table)
-
-
-def test_results_of_an_earlier_version_become_tidy_tables() -> None:
-    """The file has two trials of 3 robots and two of 2, recorded after 0, 10 and 20 observations, t."""
-    tidy = pa.concat_tables(stream_tidy_results(FORMAT_5_FILE))
-
-    rows_of_3_robots = 2 * 3 * 3  # trials * recorded steps * robots
-    rows_of_2_robots = 2 * 3 * 2
-    assert tidy["robots"].to_pylist() == [3] * rows_of_3_robots + [2] * rows_of_2_robots
-    t_in_trial_of_3_robots = [0, 0, 0, 10, 10, 10, 20, 20, 20]
-    t_in_trial_of_2_robots = [0, 0, 10, 10, 20, 20]
-    assert tidy["t"].to_pylist() == t_in_trial_of_3_robots * 2 + t_in_trial_of_2_robots * 2
-
-
 # --- Streams ---------------------------------------------------------------------------------------------
 
 
@@ -207,11 +188,6 @@ def test_many_small_tidy_tables_become_one_row_group_of_a_parquet_file(
     rows_of_a_table = 2 * 3 * 3
     assert rows_written == 20 * rows_of_a_table
     assert pq.ParquetFile(tmp_path / "robots.parquet").num_row_groups == 1
-
-
-def test_a_table_is_exported_to_csv_or_parquet_and_nothing_else(tidy: pa.Table, tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match=r"cannot export to robots\.xlsx: .* \.csv or \.parquet"):
-        write_tidy_tables(tmp_path / "robots.xlsx", [tidy])
 
 
 def test_an_exported_table_does_not_replace_a_file_of_results(tidy: pa.Table, tmp_path: Path) -> None:
