@@ -51,6 +51,21 @@ class SentFrame:
 
 
 @dataclass(frozen=True)
+class BitFlips:
+    """Bits of a frame's data that are flipped on the way to one receiver.
+
+    Attributes:
+        index: Position of the frame among the deliveries.
+        receiver: The receiver.
+        mask: The flipped bits; bit 0 is the lowest of the first byte.
+    """
+
+    index: int
+    receiver: int
+    mask: int
+
+
+@dataclass(frozen=True)
 class Deliveries:
     """Frames on their way to robots, in the order in which robots receive them.
 
@@ -83,6 +98,23 @@ class Deliveries:
         corrupted_frame = copy.copy(sent_frame)
         corrupted_frame.data = bytearray(data.to_bytes(len(sent_frame.data), "little"))
         return corrupted_frame
+
+    def with_bits_flipped(self, all_flips: Sequence[BitFlips]) -> Deliveries:
+        """Return deliveries with an entry for each of ``all_flips``: the frame for this receiver alone.
+
+        A bit that is flipped already is flipped back.
+        """
+        indices = [flips.index for flips in all_flips]
+        receivers = np.zeros((len(all_flips), self.receivers.shape[1]), np.bool_)
+        for entry, flips in enumerate(all_flips):
+            receivers[entry, flips.receiver] = True
+        masks = np.array([flips.mask for flips in all_flips], np.uint64)
+        return replace(
+            self,
+            sent_frames=[self.sent_frames[index] for index in indices],
+            receivers=receivers,
+            bit_flips=self.bit_flips[np.array(indices, np.intp)] ^ masks,
+        )
 
     def frames_for(self, robot: int) -> list[can.Message]:
         """Return the frames that a robot receives, in order."""

@@ -33,6 +33,7 @@ from mcp_asdf_tools.bus.frames import (
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.swarm.delivery import DeliveryQueue, SentFrame
 from mcp_asdf_tools.swarm.fault_injection.fault import Fault
+from mcp_asdf_tools.swarm.fault_injection.fault_run import choose_bits
 from mcp_asdf_tools.swarm.fault_injection.faults import Faults
 from mcp_asdf_tools.swarm.fault_injection.kinds import (
     FAULT_KINDS,
@@ -51,7 +52,6 @@ from mcp_asdf_tools.swarm.fault_injection.kinds import (
     Sybil,
 )
 from mcp_asdf_tools.swarm.fault_injection.parsing import parse_fault
-from mcp_asdf_tools.swarm.fault_injection.random_words import choose_bits
 from messages import IdentifierAndData, identifier_and_data
 from support import draws
 
@@ -600,21 +600,20 @@ def test_each_choice_of_bits_to_flip_is_equally_likely(width: int, count: int) -
     """
     words_of_cases = words_with_all_remainders(width, count)
     number_of_cases = len(words_of_cases)
-    chosen_masks = choose_bits(np.full(number_of_cases, width), words_of_cases)
+    chosen_masks = [choose_bits(width, words) for words in words_of_cases]
 
     number_of_chosen_bits = min(count, width)
     possible_masks = []
     for bits in itertools.combinations(range(width), number_of_chosen_bits):
         possible_masks.append(sum(1 << bit for bit in bits))
     times_of_each_mask = number_of_cases // len(possible_masks)
-    assert Counter(chosen_masks.tolist()) == dict.fromkeys(possible_masks, times_of_each_mask)
+    assert Counter(chosen_masks) == dict.fromkeys(possible_masks, times_of_each_mask)
 
 
-def words_with_all_remainders(width: int, count: int) -> NDArray[np.uint64]:
+def words_with_all_remainders(width: int, count: int) -> list[tuple[int, ...]]:
     """Return rows of ``count`` words that have all combinations of remainders.
 
     The k-th last word counts modulo width - k + 1, the number of bits from which it chooses.
     """
     numbers_of_remainders = [max(width - turns_left + 1, 1) for turns_left in range(count, 0, -1)]
-    all_remainders = itertools.product(*(range(number) for number in numbers_of_remainders))
-    return np.array(list(all_remainders), np.uint64)
+    return list(itertools.product(*(range(number) for number in numbers_of_remainders)))

@@ -2,22 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field, fields
-from typing import TYPE_CHECKING, Any, ClassVar
+from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING, ClassVar
 
-from mcp_asdf_tools.bus.frames import FrameFormat
 from mcp_asdf_tools.common.parameters import parameter
 from mcp_asdf_tools.robots.robot_setup import format_ids
-from mcp_asdf_tools.swarm.fault_injection.random_words import FaultRandom, hit_threshold
 
 if TYPE_CHECKING:
     import can
-    import numpy as np
-    from numpy.typing import NDArray
 
     from mcp_asdf_tools.swarm.delivery import Deliveries, SentFrame
-    from mcp_asdf_tools.swarm.fault_injection.random_words import RandomWords
+    from mcp_asdf_tools.swarm.fault_injection.fault_run import FaultRun
 
 MAX_TICK = 2**32 - 1
 
@@ -136,65 +131,3 @@ def _option_text(value: object) -> str:
     if isinstance(value, frozenset):
         return format_ids(value)
     return value if isinstance(value, str) else repr(value)
-
-
-@dataclass(kw_only=True)
-class FaultRun:
-    """State of a fault in a run: decides when it hits, and remembers what the fault needs from call to call.
-
-    Attributes:
-        fault: The fault.
-        random: Its random words.
-        frame_format: Format of the robots' estimates.
-        hit_count: Hits so far: ticks for outages, frames for all other kinds.
-        memory: What the kind of fault remembers of each node, by id.
-    """
-
-    fault: Fault
-    random: FaultRandom
-    frame_format: FrameFormat
-    hit_count: int = 0
-    memory: dict[int, Any] = field(default_factory=dict)
-
-    def hits_node(self, node: int, tick: int) -> bool:
-        """Return whether the fault is active for a node and hits it in this tick. Counts nothing."""
-        if not self.fault.is_active(tick, node):
-            return False
-        return self.random.hit_word(node, tick) <= hit_threshold(self.fault.rate)
-
-    def hits_frame(self, sent_frame: SentFrame) -> bool:
-        """Return whether the fault is active for a frame's sender and hits the frame, and count the hit."""
-        if not self.fault.is_active(sent_frame.tick, sent_frame.sender):
-            return False
-        is_hit = self.random.word_for_frame(sent_frame) <= hit_threshold(self.fault.rate)
-        if is_hit:
-            self.hit_count += 1
-        return is_hit
-
-    def active_frames(self, sent_frames: Sequence[SentFrame]) -> NDArray[np.bool_]:
-        """Return for which frames the fault is active, shape (frames,)."""
-        import numpy as np  # noqa: PLC0415 (it loads slowly, and the help of faults needs none of it)
-
-        is_active = [self.fault.is_active(sent_frame.tick, sent_frame.sender) for sent_frame in sent_frames]
-        return np.array(is_active, np.bool_)
-
-    def words_for_deliveries(
-        self, deliveries: Deliveries, is_active: NDArray[np.bool_], words_per_receiver: int
-    ) -> RandomWords:
-        """Draw random words for each frame and receiver, shape (frames, receivers, words per receiver).
-
-        A copy of a frame that a fault has duplicated, which has another copy number, gets other words than
-        the frame itself. Frames for which the fault is not active get zeros; ``is_active`` is what
-        ``active_frames`` returns for them.
-        """
-        import numpy as np  # noqa: PLC0415 (it loads slowly, and the help of faults needs none of it)
-
-        frame_count, receiver_count = deliveries.receivers.shape
-        random_words = np.zeros((frame_count, receiver_count, words_per_receiver), np.uint64)
-        # Frames that cannot be hit need no words.
-        active_indices = np.flatnonzero(is_active)
-        for index in active_indices.tolist():
-            random_words[index] = self.random.words_for_receivers(
-                deliveries.sent_frames[index], deliveries.copy_number, receiver_count, words_per_receiver
-            )
-        return random_words

@@ -23,8 +23,8 @@ import numpy as np
 
 from mcp_asdf_tools.bus.frames import FrameFormat
 from mcp_asdf_tools.swarm.delivery import Deliveries, ReceiverMask, SentFrame
-from mcp_asdf_tools.swarm.fault_injection.fault import Fault, FaultRun, Outage
-from mcp_asdf_tools.swarm.fault_injection.random_words import FaultRandom
+from mcp_asdf_tools.swarm.fault_injection.fault import Fault, Outage
+from mcp_asdf_tools.swarm.fault_injection.fault_run import FaultRun
 
 
 class Faults:
@@ -41,9 +41,8 @@ class Faults:
         faults_of_kind = Counter[str]()
         for fault in self.faults:
             # Two faults of one kind have different numbers, and so draw different random words.
-            random = FaultRandom(seed, fault.name, fault_number=faults_of_kind[fault.name])
+            self._runs.append(FaultRun(fault, faults_of_kind[fault.name], seed, frame_format))
             faults_of_kind[fault.name] += 1
-            self._runs.append(FaultRun(fault=fault, random=random, frame_format=frame_format))
         self._tick = -1
         self._outages: dict[int, list[Outage]] = {}
         """The outages of this tick, by node; nodes that are on the bus have none."""

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, ClassVar, Literal
 from mcp_asdf_tools.bus.alpha_words import float32_bits, float32_value
 from mcp_asdf_tools.bus.frame_layout import (
     ESTIMATE,
-    FRAME_BYTES,
     MAX_FLOAT32_BITS,
     MAX_NODE_ID,
     Q23_ONE,
@@ -19,16 +18,13 @@ from mcp_asdf_tools.bus.frame_layout import (
 from mcp_asdf_tools.bus.frames import NODE_ID_MASK, Estimate, decode_estimate, encode_estimate, make_frame
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.parameters import parameter
-from mcp_asdf_tools.swarm.fault_injection.fault import MAX_TICK, Fault, FaultRun, Outage
-from mcp_asdf_tools.swarm.fault_injection.random_words import choose_bits, hit_threshold
+from mcp_asdf_tools.swarm.fault_injection.fault import MAX_TICK, Fault, Outage
 
 if TYPE_CHECKING:
     import can
-    import numpy as np
-    from numpy.typing import NDArray
 
     from mcp_asdf_tools.swarm.delivery import Deliveries, SentFrame
-    from mcp_asdf_tools.swarm.fault_injection.random_words import RandomWords
+    from mcp_asdf_tools.swarm.fault_injection.fault_run import FaultRun
 
 # --- Links: a frame on its way to one receiver ---
 
@@ -46,46 +42,24 @@ class LinkFault(Fault, ABC):
     def on_delivery(self, deliveries: Deliveries, run: FaultRun) -> list[Deliveries]:
         """Return the spared deliveries, and what ``change`` makes of the deliveries that are hit.
 
-        Deliveries are frames on their way, with the robots that receive each of them. Random words are drawn
-        for each frame and receiver. The first word decides whether the frame is hit on its way to the
-        receiver, and ``change`` gets the other words. The hits are counted. O(frames receivers).
+        Deliveries are frames on their way, with the robots that receive each of them. The first random word
+        of a frame and a receiver decides whether the frame is hit on its way there. The hits are counted.
+        O(frames receivers).
         """
-        import numpy as np  # noqa: PLC0415 (it loads slowly, and the help of faults needs none of it)
-
-        is_active = run.active_frames(deliveries.sent_frames)
-        random_words = run.words_for_deliveries(deliveries, is_active, 1 + self.extra_words)
-        # The axes are frames, receivers and words.
-        hit_words = random_words[:, :, 0]
-        extra_words = random_words[:, :, 1:]
-        is_hit = self._choose_hits(deliveries.receivers, is_active, hit_words)
-        run.hit_count += int(np.count_nonzero(is_hit))
-        spared_deliveries = replace(deliveries, receivers=deliveries.receivers & ~is_hit)
-        hit_deliveries = replace(deliveries, receivers=is_hit)
-        return [spared_deliveries, *self.change(hit_deliveries, extra_words, run)]
-
-    def _choose_hits(
-        self, is_received: NDArray[np.bool_], is_active: NDArray[np.bool_], hit_words: RandomWords
-    ) -> NDArray[np.bool_]:
-        """Return whether each frame is hit on its way to each receiver, shape (frames, receivers).
-
-        It is hit if the receiver would receive it (``is_received``), if the fault is active for the frame
-        (``is_active``, shape (frames,)) and affects the receiver, and if the random word is low enough for
-        the fault's rate. All other arrays have the shape of the result.
-        """
-        import numpy as np  # noqa: PLC0415 (it loads slowly, and the help of faults needs none of it)
-
-        is_hit = is_received & (hit_words <= hit_threshold(self.rate))
-        is_hit[~is_active] = False  # the words of inactive frames are zeros, which would be hits
+        is_hit = run.hits_receivers(deliveries, self.random_words)
         if self.receivers is not None:
             _, robot_count = is_hit.shape
-            is_affected = np.isin(np.arange(robot_count), list(self.receivers))  # by receiver's id
-            is_hit &= is_affected
-        return is_hit
+            spared_robots = [robot for robot in range(robot_count) if robot not in self.receivers]
+            is_hit[:, spared_robots] = False
+        run.hit_count += int(is_hit.sum())
+        spared_deliveries = replace(deliveries, receivers=deliveries.receivers & ~is_hit)
+        hit_deliveries = replace(deliveries, receivers=is_hit)
+        return [spared_deliveries, *self.change(hit_deliveries, run)]
 
     @property
-    def extra_words(self) -> int:
-        """Number of random words that ``change`` needs for each frame and receiver."""
-        return 0
+    def random_words(self) -> int:
+        """Number of random words for each frame and receiver, the first of which decides on a hit."""
+        return 1
 
     @property
     def named_robots(self) -> frozenset[int]:
@@ -93,13 +67,10 @@ class LinkFault(Fault, ABC):
         return super().named_robots | (self.receivers or frozenset())
 
     @abstractmethod
-    def change(self, hit: Deliveries, extra_words: RandomWords, run: FaultRun) -> list[Deliveries]:
-        """Return the deliveries that take the place of ``hit``, those that the fault hits.
+    def change(self, hit: Deliveries, run: FaultRun) -> list[Deliveries]:
+        """Return the deliveries that take the place of ``hit``: frames with the receivers for which it hits.
 
-        Args:
-            hit: The frames on their way, each with the receivers for which it is hit.
-            extra_words: Random words for the change, shape (frames, receivers, self.extra_words).
-            run: The state of the fault in this run.
+        ``run`` is the state of the fault in this run.
         """
 
 
@@ -110,7 +81,7 @@ class Loss(LinkFault):
     name = "loss"
     summary = "a frame does not reach a neighbour"
 
-    def change(self, hit: Deliveries, extra_words: RandomWords, run: FaultRun) -> list[Deliveries]:
+    def change(self, hit: Deliveries, run: FaultRun) -> list[Deliveries]:
         """Return nothing: the frames are lost."""
         return []
 
@@ -124,7 +95,7 @@ class Delay(LinkFault):
 
     ticks: int = parameter("how late", 1, MAX_TICK, default=1)
 
-    def change(self, hit: Deliveries, extra_words: RandomWords, run: FaultRun) -> list[Deliveries]:
+    def change(self, hit: Deliveries, run: FaultRun) -> list[Deliveries]:
         """Return the deliveries, later by ``ticks``."""
         return [replace(hit, delay=hit.delay + self.ticks)]
 
@@ -138,13 +109,13 @@ class Duplicate(LinkFault):
 
     ticks: int = parameter("by how much the copy is later", 0, MAX_TICK, default=1)
 
-    def change(self, hit: Deliveries, extra_words: RandomWords, run: FaultRun) -> list[Deliveries]:
+    def change(self, hit: Deliveries, run: FaultRun) -> list[Deliveries]:
         """Return the deliveries, and copies of them that are later by ``ticks``.
 
         Copy numbers have a bit for each duplicate fault, so that copies made by different faults have
         different ones.
         """
-        bit_of_this_fault = 1 << run.random.fault_number
+        bit_of_this_fault = 1 << run.fault_number
         copy_number = hit.copy_number | bit_of_this_fault
         copies = replace(hit, delay=hit.delay + self.ticks, copy_number=copy_number)
         return [hit, copies]
@@ -160,31 +131,13 @@ class Corrupt(LinkFault):
     bits: int = parameter("different bits of a frame that are flipped", 1, 64, default=1)
 
     @property
-    def extra_words(self) -> int:
-        """Number of random words: one for each bit to flip."""
-        return self.bits
+    def random_words(self) -> int:
+        """Number of random words for each frame and receiver: besides the first, one for each bit to flip."""
+        return 1 + self.bits
 
-    def change(self, hit: Deliveries, extra_words: RandomWords, run: FaultRun) -> list[Deliveries]:
-        """Return the deliveries in ``hit`` with bits of their data flipped, other bits for each receiver.
-
-        Therefore the result has an entry for each frame and receiver. ``extra_words``, shape (frames,
-        receivers, bits), are random, and each chooses one bit. ``run`` is not needed.
-        """
-        import numpy as np  # noqa: PLC0415 (it loads slowly, and the help of faults needs none of it)
-
-        # The new entries: the number of the frame in ``hit``, and of its only receiver
-        frame_indices, receivers = hit.receivers.nonzero()
-        sent_frames = [hit.sent_frames[index] for index in frame_indices.tolist()]
-        # A word of flips has 64 bits, so only the first 8 bytes (FRAME_BYTES) of a longer frame can be hit.
-        byte_counts = [min(len(sent_frame.frame.data), FRAME_BYTES) for sent_frame in sent_frames]
-        bit_counts = 8 * np.array(byte_counts, np.int64)
-        words_of_entries = extra_words[frame_indices, receivers]  # shape (entries, bits)
-        new_flips = choose_bits(bit_counts, words_of_entries)
-        # A bit that an earlier fault has flipped is flipped back.
-        bit_flips = hit.bit_flips[frame_indices] ^ new_flips
-        _, robot_count = hit.receivers.shape
-        receiver_mask = _mask_of_single_receivers(receivers, robot_count)
-        return [replace(hit, sent_frames=sent_frames, receivers=receiver_mask, bit_flips=bit_flips)]
+    def change(self, hit: Deliveries, run: FaultRun) -> list[Deliveries]:
+        """Return the deliveries in ``hit`` with bits of their data flipped, other bits for each receiver."""
+        return [hit.with_bits_flipped(run.choose_bit_flips(hit, self.bits))]
 
 
 # --- Outages: a node that is off the bus for some ticks ---
@@ -358,7 +311,7 @@ class Babble(Fault):
         run.hit_count += self.frames
         identifier = run.frame_format.identifier(node)
         # The subject is that of estimates, but with random tail bytes decoders refuse seven of eight frames.
-        contents = [run.random.content_word(node, tick, index) for index in range(self.frames)]
+        contents = [run.content_word(node, tick, index) for index in range(self.frames)]
         return [make_frame(identifier, content, timestamp) for content in contents]
 
 
@@ -398,16 +351,6 @@ class Sybil(Fault):
         # Sorted, as a set has no order that a repeated run could rely on.
         identifiers = [run.frame_format.identifier(robot) for robot in sorted(self.ids)]
         return [make_frame(identifier, payload, timestamp) for identifier in identifiers]
-
-
-def _mask_of_single_receivers(receivers: NDArray[np.intp], robot_count: int) -> NDArray[np.bool_]:
-    """Return a mask with a row for each of ``receivers``, in which only the column of that id is true."""
-    import numpy as np  # noqa: PLC0415 (it loads slowly, and the help of faults needs none of it)
-
-    entry_count = len(receivers)
-    mask = np.zeros((entry_count, robot_count), np.bool_)
-    mask[np.arange(entry_count), receivers] = True
-    return mask
 
 
 def _encode_claim(x: float, alpha: float, transfer_id: int) -> int:

@@ -1,0 +1,169 @@
+"""State of a fault in a run, and the random 64-bit words that decide when it hits, and whom.
+
+A word is the SHAKE-128 hash of the seed, the fault and what the word is for: the tick, the sender, the frame
+and the receiver. It is not the next one of a sequence, so that it depends neither on what else is on the bus
+nor on when frames arrive. Nor does it depend on the fault's rate: a fault with a larger rate hits wherever
+one with a smaller rate does.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import struct
+from collections.abc import Sequence
+from enum import IntEnum
+from fractions import Fraction
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mcp_asdf_tools.bus.frame_layout import FRAME_BYTES
+from mcp_asdf_tools.bus.frames import FrameFormat
+from mcp_asdf_tools.swarm.delivery import BitFlips, Deliveries, ReceiverMask, SentFrame
+from mcp_asdf_tools.swarm.fault_injection.fault import Fault
+
+RandomWords: TypeAlias = NDArray[np.uint64]
+
+_KEY_LAYOUT = struct.Struct("<IIIBBBx")
+"""Layout of a key of 16 bytes: tick, repetition, identifier, node, copy number and purpose of words."""
+_BYTES_IN_WORD = 8
+
+
+class _Purpose(IntEnum):
+    """Purposes of random words. The values are hashed, so other values would change every run."""
+
+    NODE = 0
+    FRAME = 2
+    RECEIVERS = 3
+
+
+class FaultRun:
+    """State of a fault in a run: decides when it hits, and remembers what the fault needs from call to call.
+
+    Attributes:
+        fault: The fault.
+        fault_number: Position among the faults of its kind, so that two faults of one kind draw different
+            words.
+        frame_format: Format of the robots' estimates.
+        hit_count: Hits so far: ticks for outages, frames for all other kinds.
+        memory: What the kind of fault remembers of each node, by id.
+    """
+
+    def __init__(self, fault: Fault, fault_number: int, seed: int, frame_format: FrameFormat) -> None:
+        """Begin a run whose random words differ from those of all other faults; ``seed`` has 128 bits."""
+        self.fault = fault
+        self.fault_number = fault_number
+        self.frame_format = frame_format
+        self.hit_count = 0
+        self.memory: dict[int, Any] = {}
+        self._seeded_hash = hashlib.shake_128(
+            seed.to_bytes(16, "little") + f"{fault.name} {fault_number}".encode()
+        )
+        self._largest_hit = math.ceil(Fraction(fault.rate) * 2**64) - 1
+        """Largest word that is a hit, so that this share of all 2**64 words are; below all at a rate of 0."""
+
+    def hits_node(self, node: int, tick: int) -> bool:
+        """Return whether the fault is active for a node and hits it in this tick. Counts nothing."""
+        if not self.fault.is_active(tick, node):
+            return False
+        [word] = self._words_for_node(1, tick, node)
+        return bool(word <= self._largest_hit)
+
+    def content_word(self, node: int, tick: int, index: int) -> int:
+        """Return the word that is the content of the frame of this index among a node's in a tick."""
+        # The first of the two words of index 0 decides whether the node is hit.
+        _hit_word, content_word = self._words_for_node(2, tick, node, repetition=index)
+        return int(content_word)
+
+    def hits_frame(self, sent_frame: SentFrame) -> bool:
+        """Return whether the fault is active for a frame's sender and hits the frame, and count the hit."""
+        if not self.fault.is_active(sent_frame.tick, sent_frame.sender):
+            return False
+        [word] = self._words_for_frame(1, _Purpose.FRAME, sent_frame)
+        is_hit = bool(word <= self._largest_hit)
+        if is_hit:
+            self.hit_count += 1
+        return is_hit
+
+    def hits_receivers(self, deliveries: Deliveries, words_per_receiver: int) -> ReceiverMask:
+        """Return for which of its receivers each frame is hit, by the first of the receiver's words.
+
+        No frame is hit for which the fault is not active. Counts nothing. O(frames receivers).
+        """
+        is_hit = np.zeros_like(deliveries.receivers)
+        for index, sent_frame in enumerate(deliveries.sent_frames):
+            if self.fault.is_active(sent_frame.tick, sent_frame.sender):
+                words = self._words_for_receivers(deliveries, index, words_per_receiver)
+                is_hit[index] = deliveries.receivers[index] & (words[:, 0] <= self._largest_hit)
+        return is_hit
+
+    def _words_for_receivers(
+        self, deliveries: Deliveries, index: int, words_per_receiver: int
+    ) -> RandomWords:
+        """Return random words of frame ``index`` for each receiver, shape (receivers, words per receiver).
+
+        A copy of a frame that a fault has duplicated gets other words than the frame itself, unless their
+        copy numbers are equal modulo 256.
+        """
+        _, receiver_count = deliveries.receivers.shape
+        words = self._words_for_frame(
+            receiver_count * words_per_receiver,
+            _Purpose.RECEIVERS,
+            deliveries.sent_frames[index],
+            deliveries.copy_number % 256,  # it has one byte in the key
+        )
+        return words.reshape(receiver_count, words_per_receiver)
+
+    def choose_bit_flips(self, hit: Deliveries, bits: int) -> list[BitFlips]:
+        """Choose ``bits`` bits of the data of each frame for each of its receivers.
+
+        The receiver has a word for each bit behind the word that has decided on the hit.
+        """
+        all_flips = []
+        for index, sent_frame in enumerate(hit.sent_frames):
+            # A word of flips has 64 bits, so only the first 8 bytes of a longer frame can be hit.
+            bit_count = 8 * min(len(sent_frame.frame.data), FRAME_BYTES)
+            words_by_receiver = self._words_for_receivers(hit, index, 1 + bits).tolist()
+            for receiver in np.flatnonzero(hit.receivers[index]).tolist():
+                _hit_word, *words = words_by_receiver[receiver]
+                all_flips.append(BitFlips(index, receiver, choose_bits(bit_count, words)))
+        return all_flips
+
+    def _words_for_node(self, count: int, tick: int, node: int, repetition: int = 0) -> RandomWords:
+        """Return ``count`` words for a node in a tick; other repetitions have other words."""
+        return self._words(count, tick, repetition, 0, node, 0, _Purpose.NODE)
+
+    def _words_for_frame(
+        self, count: int, purpose: _Purpose, sent_frame: SentFrame, copy_number: int = 0
+    ) -> RandomWords:
+        """Return ``count`` words for a frame, or for a copy of it that a fault has made."""
+        identifier = sent_frame.frame.arbitration_id
+        return self._words(
+            count,
+            *(sent_frame.tick, sent_frame.repetition, identifier, sent_frame.sender, copy_number, purpose),
+        )
+
+    def _words(self, count: int, *key: int) -> RandomWords:
+        """Return ``count`` words, which seed, fault and the values of the key (``_KEY_LAYOUT``) decide."""
+        keyed_hash = self._seeded_hash.copy()  # a copy, as the hash of seed and fault serves for every word
+        keyed_hash.update(_KEY_LAYOUT.pack(*key))
+        return np.frombuffer(keyed_hash.digest(_BYTES_IN_WORD * count), "<u8")
+
+
+def choose_bits(bit_count: int, random_words: Sequence[int]) -> int:
+    """Return a mask of as many different bits as there are random words, by Floyd's algorithm.
+
+    The bits are among the lowest ``bit_count``. If these are fewer than the words, the mask has all of them.
+    All choices are equally likely up to 2**-52.
+    """
+    mask = 0
+    for turn, word in enumerate(random_words, start=1):
+        # Candidates are the lowest bits: one more in each turn, and all bits in the last.
+        candidate_count = bit_count - (len(random_words) - turn)
+        if candidate_count > 0:
+            drawn_bit = 1 << (word % candidate_count)
+            highest_candidate = 1 << (candidate_count - 1)  # new in this turn
+            mask |= highest_candidate if mask & drawn_bit else drawn_bit
+    return mask
