@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Protocol, TypeAlias, cast
 
@@ -324,29 +325,6 @@ class BusRobot:
                 # The array decoder is fast but gives no reason: the few other frames are decoded again.
                 self.count_content(decode_frame(frame, self._estimate_format))
 
-    def receive(self, estimate: Estimate) -> None:
-        """Hand one estimate to the firmware, and count it and its refusal. O(1).
-
-        An estimate whose sender is not allowed is only counted, as the event UNKNOWN. One under the robot's
-        own id always reaches the firmware, which refuses it, and counts as the event CONFLICT. A robot that
-        has crashed receives nothing.
-        """
-        if not self.is_alive:
-            return
-        sender = estimate.sender
-        if self._is_allowed_by_sender is not None and not self._is_allowed_by_sender[sender]:
-            # The firmware never gets it, so a replay does not need it in the log.
-            self.reception.events[Suspicion.UNKNOWN, sender] += 1
-            return
-        if self.recorder is not None:
-            self.recorder.record_estimates([[sender, estimate.x_hat, estimate.alpha]])
-        self.reception.delivered += 1
-        # The firmware refuses its own id, a sender's second estimate in a round, and impossible values.
-        if self._integer_robot.receive_raw(sender, estimate.x_hat, estimate.alpha) is not Status.OK:
-            self.reception.refused += 1
-            if sender == self.id:
-                self._count_id_conflicts(1)
-
     def receive_all(self, estimates: EstimateRows) -> None:
         """Hand many estimates to the firmware in order, and count them and its refusals. O(estimates).
 
@@ -367,9 +345,9 @@ class BusRobot:
         received_count = len(estimates)
         accepted_count = self._integer_robot.receive_all(estimates)
         self.reception.delivered += received_count
+        # The firmware refuses a sender's second estimate in a round, impossible values, and its own id.
         if accepted_count < received_count:
             self.reception.refused += received_count - accepted_count
-            # The firmware refuses all that come under its own id.
             is_under_own_id = estimates[:, _SENDER_COLUMN] == self.id
             self._count_id_conflicts(int(np.count_nonzero(is_under_own_id)))
 
@@ -378,8 +356,8 @@ class BusRobot:
         if count > 0:  # An entry of 0 would be reported as an event.
             self.reception.events[Suspicion.CONFLICT, self.id] += count
 
-    def count_content(self, content: FrameContent, frame_count: int = 1) -> None:
-        """Add ``frame_count`` frames with this content to the counter of ``reception`` for their kind.
+    def count_content(self, content: FrameContent) -> None:
+        """Count a frame with this content in ``reception``, by its kind.
 
         Heartbeats, telemetry and error frames have one each, and rejected frames one for each reason.
         Estimates and commands are not counted here, and a robot that has crashed counts nothing.
@@ -387,14 +365,14 @@ class BusRobot:
         if not self.is_alive:
             return
         if isinstance(content, Heartbeat):
-            self.reception.heartbeats += frame_count
+            self.reception.heartbeats += 1
         elif isinstance(content, Telemetry):
-            self.reception.telemetry += frame_count
+            self.reception.telemetry += 1
         elif content is Rejection.ERROR_FRAME:
             # The bus has damaged a frame, whoever sent it: no node has sent a wrong one.
-            self.reception.errors += frame_count
+            self.reception.errors += 1
         elif isinstance(content, Rejection):
-            self.reception.rejected[content] += frame_count
+            self.reception.rejected[content] += 1
 
     def count_foreign_frame(self, frame: can.Message) -> None:
         """Count a frame that no robot of the swarm has sent. The firmware does not get it.
@@ -431,19 +409,12 @@ class IntegerAdapter:
         """Local confidence to broadcast, as an alpha word: mantissa and shift in 32 bits."""
         return alpha_word_from_float(self._robot.alpha)
 
-    def receive_raw(self, sender: int, x_hat: int, alpha: int) -> Status:
-        """Hand a neighbour's estimate to the robot, and return its status: OK, or why it was refused.
-
-        ``x_hat`` is in units of 2**-23, ``alpha`` in the firmware's form, a mantissa and a shift in 32 bits.
-        An invalid estimate raises no exception.
-        """
-        try:
-            # Invalid estimates are usual on a bus: as with ``FixedPointRobot`` they are no exceptions here.
-            return self._robot.receive(sender, x_hat / Q23_ONE, alpha_from_word(alpha))
-        except FirmwareError as error:
-            return error.status
-
     def receive_all(self, estimates: EstimateRows) -> int:
         """Hand neighbours' estimates to the robot in order, and return how many it accepted."""
-        statuses = [self.receive_raw(sender, x_hat, alpha) for sender, x_hat, alpha in estimates.tolist()]
-        return statuses.count(Status.OK)
+        accepted_count = 0
+        for sender, x_hat, alpha in estimates.tolist():
+            # Invalid estimates are usual on a bus: as with ``FixedPointRobot`` they are no exceptions here.
+            with suppress(FirmwareError):
+                status = self._robot.receive(sender, x_hat / Q23_ONE, alpha_from_word(alpha))
+                accepted_count += status is Status.OK
+        return accepted_count

@@ -14,6 +14,7 @@ from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import can
+import numpy as np
 from can.typechecking import CanFilters
 
 from mcp_asdf.robot import Counters, FixedPointRobot, Observation, Robot
@@ -272,7 +273,8 @@ class RobotNode:
         """
         if self._alpha_watch.is_jump(estimate.sender, estimate.alpha):
             self.reception.events[Suspicion.JUMP, estimate.sender] += 1
-        self.bus_robot.receive(estimate)
+        row = [estimate.sender, estimate.x_hat, estimate.alpha]
+        self.bus_robot.receive_all(np.array([row], np.uint32))
 
     def _follow_command(self, command: Command) -> list[can.Message]:
         """Follow a command, and return the frames that answer it.

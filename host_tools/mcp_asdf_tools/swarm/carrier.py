@@ -25,11 +25,9 @@ from itertools import groupby
 
 import can
 import numpy as np
-from numpy.typing import NDArray
 
 from mcp_asdf_tools.bus.frame_arrays import decode_estimates
-from mcp_asdf_tools.bus.frame_layout import Rejection
-from mcp_asdf_tools.bus.frames import FrameContent, FrameFormat, decode_frame
+from mcp_asdf_tools.bus.frames import FrameFormat, decode_frame
 from mcp_asdf_tools.robots.bus_robot import BusRobot
 from mcp_asdf_tools.robots.clock import RealTimeClock
 from mcp_asdf_tools.robots.node import FrameTaker
@@ -404,32 +402,12 @@ class Carrier:
         for robot in self._robots.values():
             is_received = receivers_of_estimates[:, robot.id]
             robot.receive_all(estimates[is_received])
-        other_indices = np.flatnonzero(~decoded.is_estimate)
-        self._count_other_frames(deliveries, other_indices)
-
-    def _count_other_frames(self, deliveries: Deliveries, indices: NDArray[np.intp]) -> None:
-        """Let each robot count the frames that it receives and that hold no estimate, by their kind.
-
-        ``indices`` are the positions of such frames among the deliveries. The kind of a frame is the type of
-        its content or, if it is rejected, the reason.
-        """
-        _, robot_count = deliveries.receivers.shape
-        example_by_kind: dict[Rejection | type, FrameContent] = {}
-        # Of each kind an array: the entry of a robot's id is how many of these frames it receives.
-        counts_by_kind: dict[Rejection | type, NDArray[np.int64]] = {}
-        for index in indices.tolist():
+        for index in np.flatnonzero(~decoded.is_estimate).tolist():
             content = decode_frame(deliveries.received_frame(index), self._frame_format)
-            kind = content if isinstance(content, Rejection) else type(content)
-            if kind not in example_by_kind:
-                example_by_kind[kind] = content
-                counts_by_kind[kind] = np.zeros(robot_count, np.int64)
-            counts_by_kind[kind] += deliveries.receivers[index]  # adds 1 for each receiver
-        # Robots count all frames of one kind at once, which is faster in a flood of them.
-        for kind, frame_counts in counts_by_kind.items():
+            is_receiver = deliveries.receivers[index].tolist()
             for robot in self._robots.values():
-                frame_count = int(frame_counts[robot.id])
-                if frame_count > 0:
-                    robot.count_content(example_by_kind[kind], frame_count)
+                if is_receiver[robot.id]:
+                    robot.count_content(content)
 
     @property
     def missed_count(self) -> int:

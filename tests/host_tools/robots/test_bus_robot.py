@@ -125,47 +125,6 @@ def test_telemetry_has_the_number_of_updates_modulo_256() -> None:
     assert robot.telemetry(now=0.0).data == encoded(expected_telemetry).data
 
 
-def receive_in_a_tick(setup: RobotSetup, senders: Sequence[int], *, as_array: bool) -> tuple[BusRobot, str]:
-    """Let a robot receive an estimate of 1/2 from each sender in a tick, in which it observes black.
-
-    Return the robot, and the lines of its recorded events.
-    """
-    lines: list[str] = []
-    half = 2**23 // 2  # in units of 2**-23
-    robot = BusRobot(setup, ESTIMATE_FORMAT, EventRecorder(setup.id, lines.append))
-    if as_array:
-        robot.receive_all(np.array([[sender, half, ALPHA_ONE] for sender in senders], np.uint32))
-    else:
-        for sender in senders:
-            robot.receive(Estimate(sender, half, ALPHA_ONE, transfer_id=0))
-    robot.observe(Observation.BLACK)
-    robot.settle()
-    return robot, "".join(lines)
-
-
-@pytest.mark.parametrize(
-    ("firmware", "allowed_ids"),
-    [("native", None), ("mirror", None), ("reference", None), ("native", frozenset({6}))],
-)
-def test_estimates_have_the_same_effect_one_by_one_as_in_an_array(
-    firmware: str, allowed_ids: frozenset[int] | None
-) -> None:
-    """The counts, the estimate x and the lines of recorded events are the same.
-
-    One of the estimates is under the robot's own id, 5. ``allowed_ids`` may let only robot 6 through; with
-    None all senders are allowed.
-    """
-    setup = replace(setup_of_robot(5, firmware), allow=allowed_ids)
-    senders = (6, 6, 5, 7)
-    one_by_one, events_of_one_by_one = receive_in_a_tick(setup, senders, as_array=False)
-    in_array, events_of_array = receive_in_a_tick(setup, senders, as_array=True)
-
-    assert one_by_one.reception == in_array.reception
-    assert one_by_one.counters == in_array.counters
-    assert one_by_one.robot.x == in_array.robot.x
-    assert events_of_one_by_one == events_of_array
-
-
 ESTIMATE_OF_6 = Estimate(sender=6, x_hat=9, alpha=0, transfer_id=0)
 ESTIMATE_OF_5 = replace(ESTIMATE_OF_6, sender=5)
 HEARTBEAT_OF_8 = Heartbeat(sender=8, uptime=1, transfer_id=0)
@@ -174,14 +133,13 @@ HEARTBEAT_OF_8 = Heartbeat(sender=8, uptime=1, transfer_id=0)
 def test_a_robot_that_has_crashed_receives_nothing() -> None:
     """It gets an estimate of robot 6, one under its own id, 5, and a heartbeat, and counts none of them.
 
-    Each comes as a frame of the swarm and as a frame of another program, and the first without a frame, too.
+    Each comes as a frame of the swarm and as a frame of another program.
     """
     robot = BusRobot(setup_of_robot(5), ESTIMATE_FORMAT)
     robot.crash(loses_state=False)
     for content in (ESTIMATE_OF_6, ESTIMATE_OF_5, HEARTBEAT_OF_8):
         robot.receive_frames([encoded(content)])
         robot.count_foreign_frame(encoded(content))
-    robot.receive(ESTIMATE_OF_6)
 
     nothing_received = Reception()
     assert robot.reception == nothing_received
@@ -235,18 +193,18 @@ def test_the_first_line_of_events_after_a_crash_that_lost_the_state_begins_with_
 
 
 def test_frames_without_an_estimate_are_counted_by_their_kind() -> None:
-    """Heartbeats, telemetry and frames that are rejected, for each of the reasons, come three times.
+    """A heartbeat, telemetry and frames that are rejected, for each of the reasons, come.
 
     An error frame is one of the reasons, but is counted apart. An estimate comes, too, and is not counted.
     """
     robot = BusRobot(setup_of_robot(5), ESTIMATE_FORMAT)
     telemetry = Telemetry(sender=8, x=9, b_hat=1 << 23, updates=1, transfer_id=0)
     for content in (HEARTBEAT_OF_8, telemetry, ESTIMATE_OF_6, *Rejection):
-        robot.count_content(content, frame_count=3)
+        robot.count_content(content)
 
     other_reasons = set(Rejection) - {Rejection.ERROR_FRAME}
-    rejections = Counter(dict.fromkeys(other_reasons, 3))
-    assert robot.reception == Reception(heartbeats=3, telemetry=3, errors=3, rejected=rejections)
+    rejections = Counter(dict.fromkeys(other_reasons, 1))
+    assert robot.reception == Reception(heartbeats=1, telemetry=1, errors=1, rejected=rejections)
 
 
 def test_estimates_from_outside_the_swarm_are_counted_as_strays() -> None:
