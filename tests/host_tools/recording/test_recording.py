@@ -230,16 +230,6 @@ def test_a_run_that_fails_before_its_first_frame_leaves_no_files(tmp_path: Path)
     assert names_in(tmp_path) == []
 
 
-def test_a_run_that_fails_raises_its_own_error_if_somebody_has_deleted_its_part_file(tmp_path: Path) -> None:
-    """The run's error is a ZeroDivisionError here.
-
-    At the end the recording would remove the part file, as it has no frames, but it is not there.
-    """
-    with pytest.raises(ZeroDivisionError), recording_frames(tmp_path / "run.log"):
-        (tmp_path / "run.log.part").unlink()
-        raise ZeroDivisionError
-
-
 def test_a_log_whose_name_a_folder_takes_during_the_run_keeps_its_part_name(tmp_path: Path) -> None:
     """Somebody makes a folder run.log while the run is recorded in run.log.part.
 
@@ -443,20 +433,6 @@ def unfinished_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     with limited_file_size(8000):
         main(["swarm", "--robots", "3", "--steps", "200", "--quiet", "--log", str(log)])
     return log
-
-
-def test_the_part_file_of_a_log_that_a_full_disk_cut_off_can_be_replayed(
-    unfinished_log: Path, capsys: Capture
-) -> None:
-    """Frames are reproduced as far as there are events; those beyond the last event cannot be checked.
-
-    The file has 8000 bytes. A line, which has a frame, has less than 80 bytes: there are over 100 frames.
-    """
-    assert main(["replay", f"{unfinished_log}.part", "--json"]) == 0
-    verdict = json.loads(capsys.readouterr().out)["verdict"]
-
-    assert verdict["difference"] is None
-    assert verdict["reproduced"] + verdict["beyond"] > 100
 
 
 def test_replay_names_the_part_of_a_log_that_is_not_there(unfinished_log: Path, capsys: Capture) -> None:

@@ -287,6 +287,8 @@ def test_a_setup_makes_a_robot_with_its_configuration() -> None:
         ({"table": {"omega": "0.05", "q": 20}}, "'checksum' is missing; add it"),
         ({"table": 20}, "table is 20; give an object in braces"),
         ({"memroy": 64}, "no setting 'memroy'; did you mean memory"),
+        ({"wheels": 2}, "no setting 'wheels'; its settings are id,"),
+        ({"b_hat": 7.0}, "b_hat is 7.0; choose one in"),
     ],
 )
 def test_a_robot_s_setup_in_json_with_a_wrong_value_is_refused_by_the_name_of_the_value(

@@ -6,35 +6,12 @@ import pytest
 
 from mcp_asdf.robot import Filter
 from mcp_asdf_tools.experiments.plot_panels import colours_of_filters
-from mcp_asdf_tools.robots.filters import FILTERS, Activation, describe_filters, filter_of_one_robot
-from mcp_asdf_tools.swarm.settings import SwarmSettings
+from mcp_asdf_tools.robots.filters import FILTERS, filter_of_one_robot
 
 
 def test_filters_are_listed_from_fewer_recalibrating_robots_to_more() -> None:
     """With no filter no robot recalibrates, with ASDF- the flawed ones do, and with the others all."""
     assert list(FILTERS) == ["none", "asdf-minus", "asdf-plus", "robust"]
-
-
-@pytest.mark.parametrize(
-    ("name", "is_flawed", "activation", "expected_filter"),
-    [
-        ("asdf-minus", True, "adaptive", Filter.ADAPTIVE),
-        ("asdf-minus", False, "adaptive", Filter.OFF),  # only flawed robots recalibrate
-        ("asdf-minus", True, "always", Filter.ALWAYS),
-        ("asdf-plus", True, "always", Filter.ALWAYS),
-        ("robust", False, "always", Filter.ROBUST),
-        ("none", True, "always", Filter.OFF),
-    ],
-)
-def test_a_filter_of_a_swarm_sets_the_filter_of_each_robot(
-    name: str, is_flawed: bool, activation: Activation, expected_filter: Filter
-) -> None:
-    """With the activation "always" the paper's filters recalibrate without a test; it changes no other.
-
-    The paper's filters are asdf-minus, which is for flawed robots alone, and asdf-plus, which is for all.
-    """
-    swarm_filter = FILTERS[name]
-    assert swarm_filter.firmware_filter_of(is_flawed, activation) is expected_filter
 
 
 def test_only_the_robust_filter_is_marked_as_depending_on_the_order_of_messages() -> None:
@@ -71,17 +48,3 @@ def test_the_filter_of_one_robot_has_the_name_of_the_swarm_s_filter_that_gives_i
 ) -> None:
     """The name is never asdf-minus, as ASDF- gives its filter to flawed robots alone."""
     assert filter_of_one_robot(firmware_filter).name == expected_name
-
-
-def test_robots_with_two_filters_are_described_by_the_names_of_both() -> None:
-    """One robot has the robust filter and one the paper's filter. No swarm would have both."""
-    description = describe_filters([Filter.ROBUST, Filter.ADAPTIVE])
-    assert description == "mixed: robots with the filters adaptive, robust"
-
-
-def test_a_swarm_with_an_unknown_filter_is_refused() -> None:
-    """The error lists the filters that there are."""
-    with pytest.raises(
-        ValueError, match="filter is 'asdf'; choose one of none, asdf-minus, asdf-plus, robust"
-    ):
-        SwarmSettings(filter="asdf")

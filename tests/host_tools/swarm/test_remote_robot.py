@@ -186,13 +186,15 @@ def test_the_frames_of_remote_robots_are_counted_like_those_of_robots_in_this_pr
 def test_what_is_reported_of_a_remote_robot_comes_from_its_telemetry(comparison: Comparison) -> None:
     """x and the number of updates are exact, and b_hat is rounded down to units of 2**-24.
 
-    The number of observations, t, is counted by the program that drives the robot.
+    Its x_hat is that of its last broadcast, which it makes in the last tick of the run here. The number of
+    observations, t, is counted by the program that drives the robot.
     """
     for robot_id in comparison.remote_robot_ids:
         reported_robot = comparison.remote_run.nodes[robot_id].robot
         local_robot = comparison.local_run.nodes[robot_id].robot
         assert reported_robot.t == local_robot.t
         assert reported_robot.x == local_robot.x
+        assert reported_robot.x_hat == local_robot.x_hat
         assert reported_robot.counters.updates == local_robot.counters.updates
         units_of_b_hat = int(local_robot.b_hat * 2**24)
         b_hat_rounded_down = units_of_b_hat / 2**24
@@ -219,17 +221,6 @@ def test_remote_robots_end_in_the_same_state_among_faults(
 
     assert comparison.saved_remote_robots == comparison.saved_local_robots
     assert x_with_remote_robots == x_of_local_robots
-
-
-def test_a_run_reports_the_last_broadcast_x_hat_of_a_remote_robot() -> None:
-    """Robot 1 is remote. It broadcasts x_hat, the estimate from its own observations, in each tick.
-
-    The report is compared with a run in which robot 1 is in this process.
-    """
-    comparison = compare_runs(small_swarm(robots=4), wiring_with_remote_robots(1))
-    reported_robot_1 = comparison.remote_run.nodes[1].robot
-    local_robot_1 = comparison.local_run.nodes[1].robot
-    assert reported_robot_1.x_hat == local_robot_1.x_hat
 
 
 def test_126_robots_with_one_in_another_program_are_accepted() -> None:

@@ -206,13 +206,6 @@ def test_a_fault_hits_as_many_frames_as_its_options_say_with_its_effect(
     assert frame_counts(run)["on_the_bus"] == len(frames)
 
 
-def test_robots_whose_frames_are_all_lost_know_their_own_estimates_alone() -> None:
-    """So their estimate x stays equal to x_hat, the estimate from their own observations."""
-    run, _frames = run_and_record(small_swarm("loss=1.0"))
-    for node in run.nodes:
-        assert node.robot.x == node.robot.x_hat
-
-
 class Broadcasts(NamedTuple):
     """Numbers of broadcasts that a replay counts; a run without faults has 5 robots * 60 ticks = 300.
 
@@ -338,15 +331,6 @@ def test_a_robot_that_rejoins_assumes_the_accuracy_of_its_start_unless_it_is_res
     expected_after_return = before_crash if rejoin == "restored" else 0.55
     assert before_crash > 0.9
     assert after_return == pytest.approx(expected_after_return, abs=1e-6)
-
-
-@pytest.mark.parametrize(("rejoin", "expected_observations"), [("new", 60 - 47), ("restored", 60 - 2)])
-def test_a_robot_that_rejoins_has_its_observations_only_if_it_is_restored(
-    rejoin: str, expected_observations: int
-) -> None:
-    """It is dead in ticks 45 and 46 of 60, and makes an observation in each of the others."""
-    run, _frames = run_and_record(settings_with_a_crash_in_ticks_45_and_46(rejoin))
-    assert run.nodes[0].robot.t == expected_observations
 
 
 @pytest.mark.parametrize(
