@@ -45,7 +45,7 @@ crosscheck: .venv/ready-to-run ## compare the C with its mirror, float64 and exa
 	@$(BIN)/mcp-asdf crosscheck
 
 cost: .venv/ready-to-test ## measure instructions, cycles, bytes and stack again and write them into the documentation
-	@PYTHONPATH=tests $(BIN)/python -m benchmarks.cost
+	@RENEW_GOLDEN_FILES=1 $(BIN)/pytest -m "slow or not slow" tests/benchmarks/test_cost.py -k documentation_have
 
 targets: .venv/ready-to-test ## run the golden vectors on every target, with every compiler and at every level
 	@$(PYTEST) tests/targets/test_targets.py

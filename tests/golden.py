@@ -1,4 +1,4 @@
-"""Results of an earlier commit, which must stay as they are: texts in the folder golden_files."""
+"""Results of an earlier commit, which must stay as they are: texts in golden_files and in pages."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 
 FOLDER = Path(__file__).with_name("golden_files")
 RENEW = "RENEW_GOLDEN_FILES"
-"""The environment variable with which a run writes the files instead of comparing with them."""
+"""The environment variable with which a run writes the files and pages instead of comparing with them."""
 
 
 def assert_equals_golden_file(name: str, lines: list[str]) -> None:
@@ -20,3 +20,19 @@ def assert_equals_golden_file(name: str, lines: list[str]) -> None:
     differences = list(difflib.unified_diff(expected_lines, lines, name, "this run", lineterm="", n=0))
     shown = "\n".join(differences[:40])
     assert lines == expected_lines, f"if this is on purpose, run it with {RENEW}=1:\n{shown}"
+
+
+def assert_equals_section(page: Path, name: str, text: str) -> None:
+    """Fail unless a page has the text between ``<!-- NAME -->`` and ``<!-- end of NAME -->``.
+
+    With RENEW the text is written there instead.
+    """
+    start, end = f"<!-- {name} -->\n", f"\n<!-- end of {name} -->"
+    before, found_start, behind_start = page.read_text(encoding="utf-8").partition(start)
+    section, found_end, after = behind_start.partition(end)
+    assert found_start, f"{page} has no {start}"
+    assert found_end, f"{page} has no {end}"
+    if RENEW in os.environ:
+        page.write_text(before + start + text + end + after, encoding="utf-8")
+    else:
+        assert section == text, f"if this is on purpose, run it with {RENEW}=1"

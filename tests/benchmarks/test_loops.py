@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.cost.loops import Bound, Graph, LongestPath, bounds_in
+from benchmarks.cost.loops import Bound, Graph, bounds_in, longest_path
 
 
 def count_longest_path(graph: Graph, places: dict[int, str], bounds: dict[str, Bound]) -> int:
@@ -17,7 +17,7 @@ def count_longest_path(graph: Graph, places: dict[int, str], bounds: dict[str, B
     often the loop of a line turns.
     """
     cost_by_instruction = dict.fromkeys(graph, 1)
-    return LongestPath(graph, cost_by_instruction, places, bounds).cost(0)
+    return longest_path(graph, cost_by_instruction, places, bounds, start=0)
 
 
 def test_bounds_are_read_from_the_comments_beside_loops(tmp_path: Path) -> None:

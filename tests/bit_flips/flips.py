@@ -1,15 +1,10 @@
-"""One flipped bit anywhere in a running robot's memory: whether a check finds it, and what it does to x.
-
-``python -m bit_flips.flips`` with ``PYTHONPATH=tests`` writes the table of ``docs/internals/trust.md`` again.
-"""
+"""One flipped bit anywhere in a running robot's memory: whether a check finds it, and what it does to x."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
-from benchmarks.cost.report import fill
 from mcp_asdf import Filter
 from support import CORE, ROOT, TABLE, run
 
@@ -67,15 +62,3 @@ def _format_share(member: Member, name: str) -> str:
     if share == 0:
         return ""
     return f"{share:.2g}" if share < 10 else f"{share:.0f}"
-
-
-def main() -> None:
-    """Write the table into the page."""
-    with TemporaryDirectory() as name:
-        counts = {kind: count_effects(Path(name), FLIPS_PER_BIT, kind) for kind in FILTERS}
-    page = fill(PAGE.read_text(encoding="utf-8"), {"bit flips": format_table(counts)})
-    PAGE.write_text(page, encoding="utf-8")
-
-
-if __name__ == "__main__":
-    main()

@@ -17,7 +17,6 @@ ROOT = HERE.parents[2]
 FIRMWARE = ROOT / "c_ref" / "src"
 PORTS = ROOT / "c_ref" / "ports"
 TABLE = ROOT / "tables" / "t_table_omega05_q30.c"
-LEVELS = ("-Os", "-O2")
 
 CLONE = re.compile(r"\.(constprop|part|isra|cold)(\.\d+)?")
 """What a compiler adds to the name of a function that it has changed."""
@@ -72,7 +71,6 @@ _RISCV = ("-march=rv32imc", "-mabi=ilp32", "-mcmodel=medany", *_WITHOUT_LIBRARY)
 TARGETS = (
     Target("ATmega328P", "avr-", ("-mmcu=atmega328p",), "gcc-avr avr-libc", ("-lm",)),
     _cortex_m("Cortex-M0+", "cortex-m0plus"),
-    _cortex_m("Cortex-M3", "cortex-m3"),
     _cortex_m("Cortex-M4", "cortex-m4"),
     Target("RV32IMC", "riscv64-unknown-elf-", _RISCV, "gcc-riscv64-unknown-elf"),
 )

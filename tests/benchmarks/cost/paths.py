@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import re
 from collections import defaultdict
-from collections.abc import Callable
 
 from .images import CLONE, FIRMWARE, Image, Instruction
-from .loops import LongestPath, bounds_in
+from .loops import bounds_in, longest_path
 
 _CALL = re.compile(r"bl|jal|call|rcall")
 _TARGET = re.compile(r"(?:0x)?([0-9a-f]+) <")
@@ -16,7 +15,6 @@ _INDIRECT_CALL = re.compile(r"blx|jalr|e?icall")
 _COMPUTED = re.compile(r"tb[bh]|ijmp|mov\s+pc|jr\s+(?!ra)|bx\s+(?!lr)|ldr(\.w)?\s+pc, \[(?!sp)")
 _END = re.compile(r"(ret|reti|jr|bx|udf)\b|(pop|ldm\w*).*\bpc\b|(ldr|mov)(\.w)?\s+pc")
 _JUMP = re.compile(r"b(\.[nw])?|j|r?jmp")
-_DIVISION = re.compile(r"[us]div|(div|rem)u?")
 _DOWN = (
     re.compile(r"(?:push|stmdb(?:\.w)? sp!,)(?:\.w)? \{(?P<list>.*)\}"),
     re.compile(r"sub(?:w|\.w)? sp, (?:sp, )?#(?P<bytes>\d+)"),
@@ -25,18 +23,6 @@ _DOWN = (
     re.compile(r"push (?P<list>r\d+)$"),
 )
 """Instructions that move the stack pointer down by a constant."""
-
-Weight = Callable[[Instruction], int]
-
-
-def instruction(_: Instruction) -> int:
-    """Return the weight that counts instructions."""
-    return 1
-
-
-def division(line: Instruction) -> int:
-    """Return the weight that counts divisions."""
-    return int(bool(_DIVISION.fullmatch(line.name)))
 
 
 class Paths:
@@ -51,34 +37,34 @@ class Paths:
         self._places = {number: line.place for number, line in enumerate(image.code)}
         self._loop_bounds = bounds_in(sorted(FIRMWARE.glob("*.[ch]")))
 
-    def longest(self, name: str, weight: Weight = instruction, without: str = "") -> int:
-        """Return the largest sum of weights on any path through a function and the functions that it calls.
+    def longest(self, name: str, without: str = "") -> int:
+        """Return the most instructions on any path through a function and the functions that it calls.
 
         Paths that call or jump to the function named ``without`` are left out.
         Raises ValueError if there is no bound: a loop that the source does not bound, recursion, a computed
         jump.
         """
-        largest_sums: dict[int, int] = {}
+        most_instructions: dict[int, int] = {}
         """Results by the first instruction of a function, which several others may call."""
 
-        def largest_sum(start: int, callers: tuple[int, ...]) -> int:
+        def count(start: int, callers: tuple[int, ...]) -> int:
             function = self._lines[start].function
             if start in callers:
                 raise ValueError(f"{function} calls itself")
-            if start in largest_sums:
-                return largest_sums[start]
+            if start in most_instructions:
+                return most_instructions[start]
             graph = self._graph(start, without)
             weights = {}
             for number in graph:
                 called = self._called(number)
-                weights[number] = weight(self._lines[number])
+                weights[number] = 1
                 if called is not None:
-                    weights[number] += largest_sum(called, (*callers, start))
-            path = LongestPath(graph, weights, self._places, self._loop_bounds)
-            largest_sums[start] = path.cost(start)
-            return largest_sums[start]
+                    weights[number] += count(called, (*callers, start))
+            most = longest_path(graph, weights, self._places, self._loop_bounds, start)
+            most_instructions[start] = most
+            return most
 
-        return largest_sum(self._start(name), ())
+        return count(self._start(name), ())
 
     def deepest(self, name: str) -> int:
         """Return the bytes of stack below the pointer before a call, with the return address if it is pushed.

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import random
+import struct
 from dataclasses import dataclass
-from statistics import mean
 
-from mcp_asdf import Config, Filter, NativeRobot, Observation
-from mcp_asdf_tools.tables.thresholds import generate, parse_omega
+from mcp_asdf import Filter
 
 from .machines import Argument, Cost, Machine
 
@@ -17,8 +16,6 @@ NEVER, MEMORY = 2**31, 2**31
 """A filtering period that no run reaches; the longest memory."""
 ROUNDS = (1, 2, 4, 8, 16, 32, 64, 96, 127)
 """Messages in the rounds that are looked at one by one."""
-PROBABILITY_OF_BLACK = 0.545
-"""Probability of a black reading for a fill ratio of 0.55 and sensors right 95 times out of 100."""
 _ONE = 2**23
 
 Message = tuple[int, int, int]
@@ -73,26 +70,13 @@ def situation(rng: random.Random, messages: int, t: int) -> Situation:
     return Situation(b_hat, MEMORY, t - 1, n, tuple(drawn_messages), rng.getrandbits(1))
 
 
-@dataclass(frozen=True)
-class RobustState:
-    """What a robot with the robust filter keeps, by the members' names in C; 32 estimates."""
+def robust_state(rng: random.Random, situation: Situation) -> list[int]:
+    """Draw what a robot with the robust filter keeps before the messages of a situation.
 
-    centre: int
-    spread: int
-    votes: int
-    turn: int
-    batch_t: int
-    batch_n: int
-    dispersion: int
-    filled_slots: int
-    estimates: tuple[int, ...]
+    It has the order of the last members of ``bench_state`` in firmware.c.
 
-
-def robust_state(rng: random.Random, situation: Situation) -> RobustState:
-    """Draw what the robot keeps before the messages of a situation.
-
-    Votes and estimates are beside these or anywhere. In half of the cases all slots have an estimate, in
-    descending order, which takes longest to sort.
+    Votes and estimates are beside the messages or anywhere. In half of the cases all slots have an estimate,
+    in descending order, which takes longest to sort.
     """
     centres = [x_hat * 2**7 + rng.randint(-(2**20), 2**20) for _, x_hat, _ in situation.messages]
     centre = _clamp(0, rng.choice((*centres, rng.randint(0, 2**30), 0, 2**30)), 2**30)
@@ -103,19 +87,13 @@ def robust_state(rng: random.Random, situation: Situation) -> RobustState:
         estimates.sort(reverse=True)
         filled_slots = 2**32 - 1
     batch_n = rng.randint(0, situation.n)
-    return RobustState(
-        centre=centre,
-        spread=_clamp(2**18, int(2 ** rng.uniform(17.9, 28.1)), 2**28),
-        votes=rng.choice((1, 2**9 - 1, 2**9, rng.randrange(1, 2**9))),
-        turn=rng.choice((0, 1, 31, 32)),
-        batch_t=batch_n + rng.randint(0, situation.t - situation.n),
-        batch_n=batch_n,
-        dispersion=rng.choice((2**8, 2**16 - 1, rng.randint(2**8, 2**16 - 1))),
-        filled_slots=filled_slots,
-        estimates=tuple(
-            estimate if filled_slots >> slot & 1 else 0 for slot, estimate in enumerate(estimates)
-        ),
-    )
+    spread = _clamp(2**18, int(2 ** rng.uniform(17.9, 28.1)), 2**28)
+    votes = rng.choice((1, 2**9 - 1, 2**9, rng.randrange(1, 2**9)))
+    turn = rng.choice((0, 1, 31, 32))
+    batch_t = batch_n + rng.randint(0, situation.t - situation.n)
+    dispersion = rng.choice((2**8, 2**16 - 1, rng.randint(2**8, 2**16 - 1)))
+    estimates = [estimate if filled_slots >> slot & 1 else 0 for slot, estimate in enumerate(estimates)]
+    return [centre, spread, votes, turn, batch_t, batch_n, dispersion, filled_slots, *estimates]
 
 
 def _clamp(smallest: int, value: int, largest: int) -> int:
@@ -147,7 +125,7 @@ class Robot:
         observed_calls: All calls so far.
     """
 
-    def __init__(self, machine: Machine, filter: Filter = Filter.ADAPTIVE) -> None:
+    def __init__(self, machine: Machine, filter: Filter) -> None:
         self.machine, self.filter = machine, filter
         self.observed_calls: list[ObservedCall] = []
         self._t = self._m = 0
@@ -159,58 +137,32 @@ class Robot:
         self.observed_calls.append(ObservedCall(name, self._t, self._m, cost))
         return cost
 
-    def start(self, b_hat: int, period: int, t: int = 0, n: int = 0, memory: int = MEMORY) -> None:
-        """Make it new, then give it a past; it filters every ``period`` rounds."""
-        self.machine.call("bench_start", (b_hat, 4), (self.filter.value, 4))
-        self.machine.call("bench_set", *((value, 4) for value in (period, memory, t, n)))
-        self._t, self._m = t, 0
+    def start(self, situation: Situation, period: int) -> None:
+        """Make the robot anew, let it filter every ``period`` rounds, and let it hear the messages."""
+        state = [situation.b_hat, self.filter.value, period, situation.memory, situation.t, situation.n]
+        if self.filter == Filter.ROBUST:
+            state += robust_state(random.Random(repr(situation)), situation)
+        words = struct.pack(f"<{len(state)}I", *state)
+        self.machine.write(self.machine.image.address("bench_state"), words)
+        self.machine.call("bench_start")
+        self._t, self._m = situation.t, 0
+        for sender, x_hat, alpha in situation.messages:
+            self.call("receive", (sender, 1), (x_hat, 4), (alpha, 4))
+            self._m += 1
 
-    def receive(self, message: Message) -> None:
-        """Take a message."""
-        sender, x_hat, alpha = message
-        self.call("receive", (sender, 1), (x_hat, 4), (alpha, 4))
-        self._m += 1
-
-    def step(self, observation: int, due: bool) -> None:
-        """Take a whole tick, whose kind depends on whether the filter is due and what it does."""
-        counts_before = self.machine.call("bench_filtered").value
-        cost = self.call("step", (observation, 2))
-        if due:
+    def tick(self, situation: Situation, period: int) -> None:
+        """Take the situation's tick, whose kind depends on what the filter does, and form x."""
+        self.start(situation, period)
+        cost = self.call("step", (situation.observation, 2))
+        if period == 1:  # the filter is due
             # The number of tests is in the upper half of the word, and that of updates in the lower one.
-            tests, updates = divmod(self.machine.call("bench_filtered").value - counts_before, 2**16)
+            tests, updates = divmod(self.machine.call("bench_filtered").value, 2**16)
             kind = SHORT
             if tests:
                 kind = UPDATED if updates else TESTED
             self.observed_calls[-1] = ObservedCall(kind, self._t, self._m, cost)
         self._m = 0
-
-    def run_usual_life(self, ticks: int = 240, period: int = 20) -> dict[str, float]:
-        """Let the robot run among ten neighbours, and return the mean instructions of each kind of call.
-
-        The robot assumes an accuracy of 0.55, the neighbours one of 0.95, which is right. The same firmware
-        runs on this machine, too. Raises RuntimeError if both do not have the same bits after each tick.
-        """
-        rng, config = random.Random(10), Config(filter=Filter.OFF)
-        neighbours = {sender: NativeRobot(config, sender, 0.95) for sender in senders(10)}
-        table = generate(parse_omega("0.05"), q=30) if self.filter == Filter.ADAPTIVE else None
-        native_robot = NativeRobot(
-            Config(table=table, filter_period=period, filter=self.filter), OWN_ID, 0.55
-        )
-        self.start(int(0.55 * 2**32), period)
-        for number in range(1, ticks + 1):
-            for sender, neighbour in neighbours.items():
-                neighbour.step(Observation(int(rng.random() < PROBABILITY_OF_BLACK)))
-                self.receive((sender, neighbour.x_hat_raw, neighbour.alpha_raw))
-                native_robot.receive_raw(sender, neighbour.x_hat_raw, neighbour.alpha_raw)
-            z = Observation(int(rng.random() < PROBABILITY_OF_BLACK))
-            self.step(z, number % period == 0)
-            native_robot.step(z)
-            if self.call("x").value != native_robot.x_raw:
-                raise RuntimeError(f"{self.machine.image.target.name} has other bits in tick {number}")
-        instructions_by_kind: dict[str, list[int]] = {}
-        for call in self.observed_calls:
-            instructions_by_kind.setdefault(call.kind, []).append(call.cost.instructions)
-        return {kind: mean(instructions) for kind, instructions in instructions_by_kind.items()}
+        self.call("x")
 
     def run_situations(self, seed: int, samples: int) -> None:
         """Run random situations of every age, the expensive ones, and rounds of every size."""
@@ -223,31 +175,5 @@ class Robot:
             for period in (NEVER, 1):
                 self.tick(expensive_situation, period)
         for messages in 4 * ROUNDS:
-            self._begin(situation(rng, messages, 2 ** rng.randrange(32)), NEVER)
+            self.start(situation(rng, messages, 2 ** rng.randrange(32)), NEVER)
             self.call("settle")
-
-    def tick(self, situation: Situation, period: int) -> None:
-        """Take the situation's tick, and form x."""
-        self._begin(situation, period)
-        self.step(situation.observation, period == 1)
-        self.call("x")
-
-    def _begin(self, situation: Situation, period: int) -> None:
-        self.start(situation.b_hat, period, situation.t, situation.n, situation.memory)
-        if self.filter == Filter.ROBUST:
-            self._set(robust_state(random.Random(repr(situation)), situation))
-        for message in situation.messages:
-            self.receive(message)
-
-    def _set(self, state: RobustState) -> None:
-        """Give the robot a state of the robust filter."""
-        self._call_bench("votes", state.centre, state.spread, state.turn << 16 | state.votes)
-        self._call_bench("batch", state.batch_t, state.batch_n, state.dispersion)
-        for group in range(8):
-            first, second, third, fourth = state.estimates[4 * group : 4 * group + 4]
-            first_two, last_two = second << 16 | first, fourth << 16 | third
-            self._call_bench("estimates", state.filled_slots, group, first_two, last_two)
-
-    def _call_bench(self, name: str, *words: int) -> None:
-        """Call one of the functions that set the robot's state, with words of 32 bits."""
-        self.machine.call(f"bench_{name}", *((word, 4) for word in words))
