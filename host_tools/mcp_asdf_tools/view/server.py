@@ -6,7 +6,6 @@ import json
 import selectors
 import sys
 import threading
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from http.server import BaseHTTPRequestHandler
@@ -23,10 +22,9 @@ _SECONDS_BETWEEN_BLOCKS = 0.1
 """Seconds from one look for new states to the next."""
 _REQUEST_TIMEOUT = 1.0
 """Seconds without a byte of the request after which a client is given up; browsers send it at once."""
-_ANSWER_TIMEOUT = 30.0
-"""Seconds after which a client is given up that does not read what was sent."""
-_SHUTDOWN_SECONDS = 2.0
-"""Longest time that the end of the server waits for the answers that are under way."""
+_ANSWER_TIMEOUT = 10.0
+"""Seconds after which a client is given up that does not read what was sent. The end of the server waits for
+all answers, so this is also the longest time that it takes."""
 _HEADERS = {
     "Cache-Control": "no-store",
     "Cross-Origin-Resource-Policy": "same-origin",
@@ -41,8 +39,8 @@ def serve_page(history: History, port: int | None = None) -> Iterator[str]:
     """Serve the page of a history on 127.0.0.1 until the context ends; yield its URL.
 
     Without ``port``, or with 0, it is any free one. The server runs in threads of its own. The end of the
-    context sets ``history.has_ended``, so that open pages learn of the end. Raises UsageError if the port is
-    out of range or taken.
+    context sets ``history.has_ended``, so that open pages learn of the end, and waits until they have. Raises
+    UsageError if the port is out of range or taken.
     """
     with _bind_server(history, port or 0) as server:
         # Between two looks for a request the server asks whether it is to end.
@@ -54,7 +52,6 @@ def serve_page(history: History, port: int | None = None) -> Iterator[str]:
             # Streams of events go on until the history ends.
             history.has_ended = True
             server.shutdown()
-            server.join_threads()
 
 
 def _bind_server(history: History, port: int) -> _PageServer:
@@ -73,7 +70,7 @@ def _bind_server(history: History, port: int) -> _PageServer:
 
 
 class _PageServer(ThreadingTCPServer):
-    """A TCP server that answers each connection in a thread of its own.
+    """A TCP server that answers each connection in a thread of its own, and at its end waits for all of them.
 
     Attributes:
         history: The history that its pages follow.
@@ -88,26 +85,6 @@ class _PageServer(ThreadingTCPServer):
         super().__init__((HOST, port), _PageRequestHandler)
         self.history = history
         self.port = int(self.server_address[1])
-        self._answering_threads: list[threading.Thread] = []
-
-    def process_request(self, request: Any, client_address: Any) -> None:
-        """Start a thread that answers a new connection, and keep it for ``join_threads``."""
-        arguments = (request, client_address)
-        new_thread = threading.Thread(target=self.process_request_thread, args=arguments, daemon=True)
-        # Threads that have ended are forgotten here, so that they do not fill the memory.
-        live_threads = [thread for thread in self._answering_threads if thread.is_alive()]
-        self._answering_threads = [*live_threads, new_thread]
-        new_thread.start()
-
-    def join_threads(self) -> None:
-        """Wait until all connections are answered, but for at most _SHUTDOWN_SECONDS.
-
-        The inherited server waits without a limit, so that a client that reads nothing could stop its end.
-        """
-        deadline = time.monotonic() + _SHUTDOWN_SECONDS
-        for thread in self._answering_threads:
-            thread.join(max(0.0, deadline - time.monotonic()))
-        self._answering_threads = []
 
     def handle_error(self, request: Any, client_address: Any) -> None:
         """Ignore that a client broke off or was too slow; print the traceback of any other error."""
