@@ -11,16 +11,10 @@ from dataclasses import asdict, replace
 from typing import TYPE_CHECKING, Any
 
 from mcp_asdf_tools.cli import options
-from mcp_asdf_tools.cli.output import (
-    exit_code_2_if_incomplete,
-    json_report,
-    print_again,
-    recording_for,
-    report_failure,
-)
+from mcp_asdf_tools.cli.output import exit_code_of_run, json_report, print_again, recording_for
 from mcp_asdf_tools.cli.parsing import typed_options
 from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.common.signals import INTERRUPTED, stopping
+from mcp_asdf_tools.common.signals import stopping
 from mcp_asdf_tools.common.standard_streams import has_input_ended, standard_input_descriptor
 from mcp_asdf_tools.robots.filters import describe_filters
 from mcp_asdf_tools.robots.population import Population
@@ -94,7 +88,8 @@ def run(args: argparse.Namespace) -> int:
     bus_choice = options.bus_of(args)
     if args.steps is not None and args.steps < 1:
         raise UsageError(f"steps is {args.steps}; it must be 1 or more")
-    steps_per_second = options.typed_value_or_default(args, Population, "steps_per_second")
+    clock_options = argparse.Namespace(steps_per_second=args.steps_per_second)
+    steps_per_second = options.settings_from(clock_options, Population).steps_per_second
     parameters = {"steps_per_second": steps_per_second, "steps": args.steps}
     # There is no seed, as the robot's observations come from the bus.
     events_header = EventsHeader([robot_setup], seed=None, frames=subjects.estimates, parameters=parameters)
@@ -115,12 +110,8 @@ def run(args: argparse.Namespace) -> int:
     elif not args.quiet:
         print(_format_summary(node, results, str(bus_choice)))
         print_again(args)
-    # A bus that failed matters more than a signal or a log that lacks its end.
-    if outcome.has_failed:
-        exit_code = report_failure("mcp-asdf node", outcome.ending, args.json)
-    else:
-        exit_code = INTERRUPTED if outcome.is_interrupted else 0
-    return exit_code_2_if_incomplete(recording, exit_code)
+    failure = outcome.ending if outcome.has_failed else None
+    return exit_code_of_run(args, failure, outcome.is_interrupted, recording)
 
 
 def setup_of(args: argparse.Namespace) -> RobotSetup:

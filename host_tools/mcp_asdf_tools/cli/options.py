@@ -162,21 +162,6 @@ def settings_from(
     return settings
 
 
-def typed_value_or_default(args: argparse.Namespace, settings_class: Any, parameter_name: str) -> Any:
-    """Return the value of one parameter of a class of settings: what the user gave, or else the default.
-
-    Raises UsageError, which names the option, for a value that the parameter alone cannot have.
-    """
-    parameter = parameters_of(settings_class)[parameter_name]
-    value = getattr(args, parameter_name)
-    if value is None:
-        return parameter.default
-    try:
-        return parameter.convert(value)
-    except ParameterError as error:
-        raise UsageError(_name_option(error)) from error
-
-
 def _name_option(error: ParameterError) -> str:
     """Return the message of ``error`` with the option's name at its start, in place of the parameter's."""
     message = str(error)

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from mcp_asdf_tools.cli.parsing import option_of, typed_options
+from mcp_asdf_tools.common.signals import INTERRUPTED
 
 if TYPE_CHECKING:
     from mcp_asdf_tools.bus.interfaces import BusChoice
@@ -105,14 +106,20 @@ def recording_for(
     return Recording(log_path, header, partial(warn, command_name), bus_name)
 
 
-def exit_code_2_if_incomplete(recording: Recording | NoRecording, exit_code: int) -> int:
-    """Return 2 if a recording is not complete, and otherwise ``exit_code``, with which the run has ended.
+def exit_code_of_run(
+    args: argparse.Namespace, failure: str | None, is_interrupted: bool, recording: Recording | NoRecording
+) -> int:
+    """Return the exit code of a run, and print its ``failure`` if there is one.
 
-    The exit code 1 stays in any case, since a failure of the run itself matters more.
+    It is 1 after a failure, which matters most, 2 if the recording is not complete, INTERRUPTED if a signal
+    has ended the run, and otherwise 0.
     """
-    if recording.failure is not None and exit_code != 1:
+    if failure is not None:
+        command_title = args.command_line[0]
+        return report_failure(command_title, failure, args.json)
+    if recording.failure is not None:
         return 2
-    return exit_code
+    return INTERRUPTED if is_interrupted else 0
 
 
 # --- Pages in a browser ----------------------------------------------------------------------------------

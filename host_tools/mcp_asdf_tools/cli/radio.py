@@ -11,15 +11,9 @@ from typing import TYPE_CHECKING, Any
 
 from mcp_asdf.robot import B_HAT_MARGIN, Filter
 from mcp_asdf_tools.cli import options
-from mcp_asdf_tools.cli.output import (
-    exit_code_2_if_incomplete,
-    json_report,
-    print_again,
-    recording_for,
-    report_failure,
-)
+from mcp_asdf_tools.cli.output import exit_code_of_run, json_report, print_again, recording_for
 from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.common.signals import INTERRUPTED, stopping
+from mcp_asdf_tools.common.signals import stopping
 from mcp_asdf_tools.robots.filters import FilteringRobots, describe_filters
 from mcp_asdf_tools.swarm.settings import SwarmSettings
 
@@ -239,10 +233,9 @@ def _verify(
             at_end.callback(_print_report, args, report_text, report)
         if args.report is not None:
             write_atomically(args.report, markdown(verdict, report))
-    exit_code = 0 if verdict.has_passed else 1
-    if verdict.is_interrupted:
-        exit_code = INTERRUPTED
-    return exit_code_2_if_incomplete(recording, exit_code)
+    if not verdict.has_passed and not verdict.is_interrupted:
+        return 1  # which counts more than a log that lacks its end
+    return exit_code_of_run(args, None, verdict.is_interrupted, recording)
 
 
 def _run_phases(
@@ -316,11 +309,8 @@ def _emulate_neighbours(
         if results_path is not None:
             write_atomically(results_path, json_report(report) + "\n")
     outcome = radio_run.outcome
-    if outcome.has_failed:
-        exit_code = report_failure("mcp-asdf radio", outcome.ending, args.json)
-    else:
-        exit_code = INTERRUPTED if outcome.is_interrupted else 0
-    return exit_code_2_if_incomplete(recording, exit_code)
+    failure = outcome.ending if outcome.has_failed else None
+    return exit_code_of_run(args, failure, outcome.is_interrupted, recording)
 
 
 def _run_with_progress(radio_run: RadioRun, console: Console) -> None:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, get_args
 from mcp_asdf_tools.cli import options
 from mcp_asdf_tools.cli.output import (
     announce_page,
-    exit_code_2_if_incomplete,
+    exit_code_of_run,
     json_report,
     print_again,
     recording_for,
@@ -23,7 +23,7 @@ from mcp_asdf_tools.cli.output import (
     warn,
 )
 from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.common.signals import INTERRUPTED, stopping
+from mcp_asdf_tools.common.signals import stopping
 from mcp_asdf_tools.robots.clock import ClockKind
 from mcp_asdf_tools.swarm.fault_injection.kinds import FAULT_KINDS
 from mcp_asdf_tools.swarm.settings import MAX_ROBOTS_AND_TOOLS, SwarmSettings
@@ -323,11 +323,9 @@ def run(args: argparse.Namespace) -> int:
     except (LockstepError, CanError) as error:
         # Robots elsewhere have not started, or their bus failed before they had.
         return report_failure("mcp-asdf swarm", str(error), args.json)
-    if result.outcome.failure is not None:
-        exit_code = report_failure("mcp-asdf swarm", f"failed in {result.outcome.failure}", args.json)
-    else:
-        exit_code = INTERRUPTED if result.outcome.interrupted else 0
-    return exit_code_2_if_incomplete(recording, exit_code)
+    outcome = result.outcome
+    failure = None if outcome.failure is None else f"failed in {outcome.failure}"
+    return exit_code_of_run(args, failure, outcome.interrupted, recording)
 
 
 def _run_and_record(

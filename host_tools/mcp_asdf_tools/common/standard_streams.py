@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import select
 import sys
-from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator
 from contextlib import ExitStack, contextmanager, redirect_stderr, redirect_stdout, suppress
 from typing import IO, Any, cast
@@ -32,22 +31,23 @@ class OutputError(Exception):
         self.is_broken_pipe = isinstance(cause, BrokenPipeError)
 
 
-class _CheckedStream(ABC):
-    """Text stream that passes everything on to another one; a subclass handles the OSErrors of its writes."""
+class _CheckedStream:
+    """Text stream that passes everything on to another one, and after a failed write discards all output."""
 
-    def __init__(self, stream: IO[str]) -> None:
-        """Take the stream to which all texts are passed on."""
+    def __init__(self, stream: IO[str], raises: bool) -> None:
+        """Take the stream to which all texts are passed on, and whether a failed write raises OutputError.
+
+        Otherwise it counts as done.
+        """
         self._stream = stream
+        self._raises = raises
 
     def __getattr__(self, name: str) -> Any:
         """Return an attribute of the other stream; Python calls this for attributes that the class lacks."""
         return getattr(self._stream, name)
 
     def write(self, text: str) -> int:
-        """Write a text, and return the number of its characters, as streams do.
-
-        A failed write counts as done if ``_handle`` does not raise.
-        """
+        """Write a text, and return the number of its characters, as streams do."""
         try:
             return self._stream.write(text)
         except OSError as error:
@@ -60,32 +60,21 @@ class _CheckedStream(ABC):
             self.write(line)
 
     def flush(self) -> None:
-        """Write all text that is buffered. A failure counts as success if ``_handle`` does not raise."""
+        """Write all text that is buffered."""
         try:
             self._stream.flush()
         except OSError as error:
             self._handle(error)
 
-    @abstractmethod
     def _handle(self, error: OSError) -> None:
-        """React to the failure of a write, which counts as done if this method returns."""
+        """Connect the stream to the null device, and raise OutputError unless errors are ignored.
 
-
-class _CheckedOutput(_CheckedStream):
-    """Standard output: a failed write raises OutputError."""
-
-    def _handle(self, error: OSError) -> None:
-        """Discard all further output, and raise OutputError."""
-        _discard_output(self._stream)
-        raise OutputError(error) from error
-
-
-class _CheckedErrors(_CheckedStream):
-    """Standard error: a failed write is ignored, since there is nowhere to report it."""
-
-    def _handle(self, error: OSError) -> None:
-        """Discard all further output."""
-        _discard_output(self._stream)
+        Without that the interpreter, which flushes its streams at its end, would report the failure again.
+        """
+        with suppress(OSError, ValueError), open(os.devnull, "w") as null_device:
+            os.dup2(null_device.fileno(), self._stream.fileno())
+        if self._raises:
+            raise OutputError(error) from error
 
 
 @contextmanager
@@ -100,18 +89,10 @@ def checked_streams() -> Iterator[None]:
         # its descriptor, and print(file=sys.stderr) would print to standard output.
         output = sys.stdout or stack.enter_context(open(os.devnull, "w"))
         errors = sys.stderr or stack.enter_context(open(os.devnull, "w"))
-        stack.enter_context(redirect_stdout(cast(IO[str], _CheckedOutput(output))))
-        stack.enter_context(redirect_stderr(cast(IO[str], _CheckedErrors(errors))))
+        stack.enter_context(redirect_stdout(cast(IO[str], _CheckedStream(output, raises=True))))
+        # There is nowhere to report that standard error fails.
+        stack.enter_context(redirect_stderr(cast(IO[str], _CheckedStream(errors, raises=False))))
         yield
-
-
-def _discard_output(stream: IO[str]) -> None:
-    """Connect a stream's file descriptor to the null device, so that all further output is discarded.
-
-    Without that the interpreter, which flushes its streams at its end, would report the same failure again.
-    """
-    with suppress(OSError, ValueError), open(os.devnull, "w") as null_device:
-        os.dup2(null_device.fileno(), stream.fileno())
 
 
 def standard_input_descriptor() -> int:
