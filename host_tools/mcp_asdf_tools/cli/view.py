@@ -166,27 +166,27 @@ def _read_frame_history(args: argparse.Namespace) -> History:
     telemetry.
     """
     from mcp_asdf_tools.recording.events import events_path
-    from mcp_asdf_tools.view.frame_log_history import read_frame_history
+    from mcp_asdf_tools.recording.frame_logs import LogSummary
+    from mcp_asdf_tools.view.frame_history import KnownTruth, read_frame_log
 
     # An option of the bus that was left out is no attribute.
     channel = getattr(args, "channel", None)
-    frame_history = read_frame_history(
-        args.file, _frame_format_of(args), channel, args.fill_ratio, args.true_accuracy
-    )
+    truth = KnownTruth(args.fill_ratio, args.true_accuracy)
+    summary = LogSummary()
+    recorder = read_frame_log(args.file, _frame_format_of(args), truth, summary, channel)
     warn(
         "view",
         f"there is no {events_path(args.file)}, which swarm, radio and node write beside their logs: the "
         "page shows what the frames say",
     )
-    summary = frame_history.summary
     # Each channel may be a bus of its own, with other robots of the same ids.
     if channel is None and len(summary.channels) > 1:
         warn("view", f"{args.file} has frames of {summary.channel_names}; choose one by --channel")
     if summary.warning is not None:
         warn("view", f"of {args.file} {summary.warning}")
-    if not frame_history.has_telemetry:
+    if not recorder.roster.has_telemetry:
         warn("view", _NO_TELEMETRY)
-    return frame_history.history
+    return recorder.history
 
 
 def _export_recording(args: argparse.Namespace, history: History) -> int:
@@ -230,7 +230,7 @@ def _serve_bus(args: argparse.Namespace) -> int:
     from can import CanError
 
     from mcp_asdf_tools.bus.interfaces import DEFAULT_INTERFACE
-    from mcp_asdf_tools.view.bus_recorder import BusRecorder
+    from mcp_asdf_tools.view.frame_history import FrameRecorder, KnownTruth, record_bus
     from mcp_asdf_tools.view.server import serve_page
 
     bus_choice = options.bus_of(args)
@@ -247,12 +247,11 @@ def _serve_bus(args: argparse.Namespace) -> int:
     frame_format = _frame_format_of(args)
     try:
         with bus_choice.open() as bus, stopping() as should_stop:
-            recorder = BusRecorder(
-                bus, frame_format, f"robots on {bus_choice}", args.fill_ratio, args.true_accuracy
-            )
+            truth = KnownTruth(args.fill_ratio, args.true_accuracy)
+            recorder = FrameRecorder(f"robots on {bus_choice}", frame_format, truth)
             with serve_page(recorder.history, args.port) as url:
                 announce_page(url, args.json)
-                recorder.record(should_stop)
+                record_bus(bus, recorder, should_stop)
     except CanError as error:
         return report_failure("mcp-asdf view", f"the bus failed: {error}", args.json)
     if not recorder.roster.has_telemetry:

@@ -25,7 +25,6 @@ from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.result_files import write_tables
 from mcp_asdf_tools.experiments.result_tables import trials_to_table
 from mcp_asdf_tools.experiments.trials import run_trials
-from mcp_asdf_tools.view.bus_recorder import BusRecorder
 
 Capture = pytest.CaptureFixture[str]
 
@@ -100,10 +99,10 @@ def test_view_exports_a_trial_of_the_experiment_that_is_chosen_by_where(tmp_path
     assert "5 robots, 2 flawed, no filter, fully connected, seed 1, trial 1" in page.read_text()
 
 
-def test_view_shows_61_states_of_a_log_without_events_and_warns_of_what_is_missing(
+def test_view_shows_60_states_of_a_log_without_events_and_warns_of_what_is_missing(
     tmp_path: Path, capsys: Capture
 ) -> None:
-    """The 60 steps take 6 s. The page shows a state every 0.1 s from 0 to 6 s, so 61 states.
+    """The last of 60 steps begins after 5.9 s. The page shows a state every 0.1 s, from 0 on.
 
     Frames show x and b_hat of a robot only if it sends telemetry.
     """
@@ -112,7 +111,7 @@ def test_view_shows_61_states_of_a_log_without_events_and_warns_of_what_is_missi
     assert main(["view", str(log), "--export", str(tmp_path / "run.html"), "--json"]) == 0
     output, warnings = capsys.readouterr()
 
-    assert json.loads(output)["states"] == 61
+    assert json.loads(output)["states"] == 60
     assert f"mcp-asdf view: there is no {log}.events, which swarm, radio and node write" in warnings
     assert "no robot sent telemetry" in warnings
 
@@ -231,7 +230,7 @@ def test_view_ends_with_exit_code_1_and_the_reason_when_the_bus_fails(
 ) -> None:
     """A bus fails, for example, when its adapter is unplugged. Here the first attempt to read it fails."""
     raise_bus_error = Mock(side_effect=can.CanOperationError("it is off"))
-    monkeypatch.setattr(BusRecorder, "record", raise_bus_error)
+    monkeypatch.setattr("mcp_asdf_tools.view.frame_history.record_bus", raise_bus_error)
 
     assert main(["view", "--interface", "udp_multicast", "--channel", "239.74.163.77"]) == 1
     assert "mcp-asdf view: the bus failed: it is off" in capsys.readouterr().err

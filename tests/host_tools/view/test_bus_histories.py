@@ -19,9 +19,9 @@ from mcp_asdf_tools.bus.frames import (
     format_frame,
 )
 from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.view import bus_recorder
-from mcp_asdf_tools.view.bus_recorder import BusRecorder
-from mcp_asdf_tools.view.frame_log_history import FrameLogHistory, read_frame_history
+from mcp_asdf_tools.recording.frame_logs import LogSummary
+from mcp_asdf_tools.view import frame_history as frame_history_module
+from mcp_asdf_tools.view.frame_history import FrameRecorder, KnownTruth, read_frame_log, record_bus
 from mcp_asdf_tools.view.history import History
 
 NAN = np.nan
@@ -71,23 +71,23 @@ def bus(monkeypatch: pytest.MonkeyPatch) -> ScriptedBus:
         }
     )
     monkeypatch.setattr(time, "monotonic", lambda: 1000 + bus.now)
-    monkeypatch.setattr(bus_recorder, "STATES_PER_SECOND", 8)
+    monkeypatch.setattr(frame_history_module, "STATES_PER_SECOND", 8)
     return bus
 
 
-def record_bus(bus: Any, seconds: float, true_accuracy: float = 0.9) -> BusRecorder:
+def record(bus: Any, seconds: float, true_accuracy: float = 0.9) -> FrameRecorder:
     """Record a bus for some seconds, and return the recorder, which has its history.
 
     The sensors' true accuracy is known from the command line, as no frame has it.
     """
-    recorder = BusRecorder(bus, FrameFormat(), "a bus", true_accuracy=true_accuracy)
-    recorder.record(lambda: bus.now >= seconds)
+    recorder = FrameRecorder("a bus", FrameFormat(), KnownTruth(true_accuracy=true_accuracy))
+    record_bus(bus, recorder, lambda: bus.now >= seconds)
     return recorder
 
 
 def test_robots_of_a_bus_are_in_the_order_of_their_first_values(bus: ScriptedBus) -> None:
     """Robot 7 is the first to send, and robot 3 the second."""
-    assert record_bus(bus, seconds=0.5).history.description.robots == [7, 3]
+    assert record(bus, seconds=0.5).history.description.robots == [7, 3]
 
 
 def test_the_last_state_of_a_bus_has_the_latest_values_that_each_robot_sent(bus: ScriptedBus) -> None:
@@ -96,7 +96,7 @@ def test_the_last_state_of_a_bus_has_the_latest_values_that_each_robot_sent(bus:
     Values are in the order of the robots, 7 and 3. A value that no frame has had is unknown, NAN. The true
     accuracy of the sensors is given, as no frame has it.
     """
-    history = record_bus(bus, seconds=0.5, true_accuracy=0.9).history
+    history = record(bus, seconds=0.5, true_accuracy=0.9).history
     *_, last_state = history.states_since().states
     x, x_hat, b_hat, true_accuracy = last_state.values
 
@@ -111,7 +111,7 @@ def test_a_robot_has_no_values_in_states_before_its_first_frame_on_the_bus(bus: 
 
     Robot 3 sends x = 0.25 at 0.3125 s, so it has this x in the last of these four states.
     """
-    states = record_bus(bus, seconds=0.5).history.states_since().states
+    states = record(bus, seconds=0.4).history.states_since().states
     x_of_robot_3_by_state = []
     for state in states:
         x, _x_hat, _b_hat, _true_accuracy = state.values
@@ -126,7 +126,7 @@ def test_each_of_two_robots_that_join_a_bus_makes_open_pages_load_all_states_aga
 
     The generation is a number that begins at 0. Robots 7 and 3 join, one after the other.
     """
-    assert record_bus(bus, seconds=0.5).history.generation == 2
+    assert record(bus, seconds=0.5).history.generation == 2
 
 
 def test_a_recorder_of_a_bus_knows_that_a_robot_sent_telemetry(bus: ScriptedBus) -> None:
@@ -134,15 +134,15 @@ def test_a_recorder_of_a_bus_knows_that_a_robot_sent_telemetry(bus: ScriptedBus)
 
     ``mcp-asdf view`` warns where no robot did, as x and b_hat are unknown then.
     """
-    assert record_bus(bus, seconds=0.5).roster.has_telemetry
+    assert record(bus, seconds=0.5).roster.has_telemetry
 
 
-def test_the_report_on_a_bus_is_made_once_a_second(bus: ScriptedBus) -> None:
-    """The report is made at 0 s, and not again before 1 s.
+def test_the_report_on_a_bus_is_made_twice_a_second(bus: ScriptedBus) -> None:
+    """The report is made at 0 s, and not again before 0.5 s.
 
-    So it has a row for robot 7, which has been seen 0 s ago, and none for robot 3, which joins later.
+    So it has a row for robot 7, which has been seen 0 s ago, and none for robot 3, which joins at 0.3125 s.
     """
-    report = record_bus(bus, seconds=0.5).history.report
+    report = record(bus, seconds=0.4).history.report
     assert report is not None
     (row,) = report["robots"]
     assert row["robot"] == 7
@@ -156,7 +156,7 @@ def test_robots_that_were_silent_for_3_s_are_marked_and_have_no_values_but_their
 
     The true accuracy is known from the command line.
     """
-    history = record_bus(bus, seconds=4.5, true_accuracy=0.9).history
+    history = record(bus, seconds=4.5, true_accuracy=0.9).history
     *_, last_state = history.states_since().states
     x, x_hat, b_hat, true_accuracy = last_state.values
 
@@ -169,15 +169,20 @@ def test_robots_that_were_silent_for_3_s_are_marked_and_have_no_values_but_their
 # --- A log without events -----------------------------------------------------------------------------
 
 
-def write_log(path: Path, frames: dict[float, can.Message], comment: str = "") -> Path:
+def write_log(path: Path, frames: dict[float, can.Message]) -> Path:
     """Write a log as candump does, with the frames by their times."""
     lines = [f"({seconds:.6f}) can0 {format_frame(frame)}\n" for seconds, frame in frames.items()]
-    path.write_text(comment + "".join(lines))
+    path.write_text("".join(lines))
     return path
 
 
+def record_log(log: Path) -> FrameRecorder:
+    """Record all frames of a log; the user has given a fill ratio of 0.4 and a true accuracy of 0.9."""
+    return read_frame_log(log, FrameFormat(), KnownTruth(0.4, 0.9), LogSummary())
+
+
 @pytest.fixture
-def frame_history(tmp_path: Path) -> FrameLogHistory:
+def log_history(tmp_path: Path) -> History:
     """The history of a log of 3.5 s: robot 7 sends x_hat = 0.25 at the start, and then nothing more.
 
     Robot 3 sends telemetry: x = b_hat = 0.25 after 0.25 s, and x = b_hat = 0.5 after 3.5 s.
@@ -187,8 +192,7 @@ def frame_history(tmp_path: Path) -> FrameLogHistory:
         1000.25: encode(Telemetry(3, x=X_ONE // 4, b_hat=B_HAT_ONE // 4, updates=0, transfer_id=0)),
         1003.5: encode(Telemetry(3, x=X_ONE // 2, b_hat=B_HAT_ONE // 2, updates=0, transfer_id=1)),
     }
-    log = write_log(tmp_path / "real.log", frames, comment="# of Tuesday\n")
-    return read_frame_history(log, FrameFormat(), fill_ratio=0.4, true_accuracy=0.9)
+    return record_log(write_log(tmp_path / "real.log", frames)).history
 
 
 def values_of_robots_7_and_3(history: History, tick: int) -> tuple[list[float], list[float]]:
@@ -198,67 +202,46 @@ def values_of_robots_7_and_3(history: History, tick: int) -> tuple[list[float], 
 
 
 def test_the_description_of_a_log_has_its_file_name_its_robots_and_the_fill_ratio(
-    frame_history: FrameLogHistory,
+    log_history: History,
 ) -> None:
     """Robot 7 is the first to send in real.log. The user has given the fill ratio, 0.4."""
-    description = frame_history.history.description
+    description = log_history.description
     assert description.title == "real.log"
     assert description.robots == [7, 3]
     assert description.fill_ratio == 0.4
 
 
-def test_a_log_of_frames_is_shown_with_ten_states_a_second(frame_history: FrameLogHistory) -> None:
-    """The log is 3.5 s long. The states 0 to 35 are from 0 to 3.5 s, and state 36 follows its last frame."""
-    states = frame_history.history.states_since().states
-    assert [state.tick for state in states] == list(range(36 + 1))
+def test_a_log_of_frames_is_shown_with_ten_states_a_second(log_history: History) -> None:
+    """The log is 3.5 s long. The states 0 to 35 are from 0 to 3.5 s."""
+    states = log_history.states_since().states
+    assert [state.tick for state in states] == list(range(35 + 1))
 
 
-def test_a_robot_has_the_values_of_its_last_telemetry(frame_history: FrameLogHistory) -> None:
+def test_a_robot_has_the_values_of_its_last_telemetry(log_history: History) -> None:
     """Robot 3 sends x = b_hat = 0.25 after 0.25 s, and x = b_hat = 0.5 after 3.5 s, but never an x_hat.
 
-    State 4 is at 0.4 s, and state 36 at 3.6 s. The true accuracy, 0.9, is given by the user.
+    State 4 is at 0.4 s, and state 35 at 3.5 s. The true accuracy, 0.9, is given by the user.
     """
-    _robot_7, robot_3_at_400_ms = values_of_robots_7_and_3(frame_history.history, tick=4)
+    _robot_7, robot_3_at_400_ms = values_of_robots_7_and_3(log_history, tick=4)
     x, x_hat, b_hat, true_accuracy = robot_3_at_400_ms
     assert (x, b_hat, true_accuracy) == (0.25, 0.25, 0.9)
     assert np.isnan(x_hat)
 
-    _robot_7, robot_3_at_3600_ms = values_of_robots_7_and_3(frame_history.history, tick=36)
-    x, x_hat, b_hat, true_accuracy = robot_3_at_3600_ms
+    _robot_7, robot_3_at_3500_ms = values_of_robots_7_and_3(log_history, tick=35)
+    x, x_hat, b_hat, true_accuracy = robot_3_at_3500_ms
     assert (x, b_hat, true_accuracy) == (0.5, 0.5, 0.9)
     assert np.isnan(x_hat)
 
 
-def test_a_robot_of_a_log_that_was_silent_for_3_s_has_no_values_but_its_true_accuracy(
-    frame_history: FrameLogHistory,
-) -> None:
-    """Robot 7 sent its only estimate at 0 s, and state 36 is at 3.6 s.
-
-    The true accuracy, 0.9, is given by the user.
-    """
-    robot_7, _robot_3 = values_of_robots_7_and_3(frame_history.history, tick=36)
-    x, x_hat, b_hat, true_accuracy = robot_7
-    assert np.isnan([x, x_hat, b_hat]).all()
-    assert true_accuracy == 0.9
-
-
-def test_a_log_of_frames_has_ended_and_has_a_report_on_its_robots(frame_history: FrameLogHistory) -> None:
+def test_a_log_of_frames_has_ended_and_has_a_report_on_its_robots(log_history: History) -> None:
     """The report is the table of robots that a web page shows below the charts.
 
     Its rows are in the order of the robots' ids, 3 and 7.
     """
-    history = frame_history.history
+    history = log_history
     assert history.has_ended
     assert history.report is not None
     assert [row["robot"] for row in history.report["robots"]] == [3, 7]
-
-
-def test_a_reader_of_a_log_knows_of_telemetry_and_of_lines_that_hold_no_frame(
-    frame_history: FrameLogHistory,
-) -> None:
-    """The log begins with a comment, "# of Tuesday"; two robots' frames follow, some of telemetry."""
-    assert frame_history.has_telemetry
-    assert frame_history.summary.skipped_lines == 1
 
 
 def test_a_frame_of_a_second_bus_that_stands_late_in_a_log_does_not_set_back_the_time_of_its_robot(
@@ -271,7 +254,7 @@ def test_a_frame_of_a_second_bus_that_stands_late_in_a_log_does_not_set_back_the
     """
     frame = encode(Estimate(sender=7, x_hat=0, alpha=1, transfer_id=0))
     log = write_log(tmp_path / "any.log", {1000.0: frame, 1003.0: frame, 1000.5: frame})
-    report = read_frame_history(log, FrameFormat()).history.report
+    report = record_log(log).history.report
     assert report is not None
     (row_of_robot_7,) = report["robots"]
     seconds_since_last_frame = row_of_robot_7["seen"]
@@ -281,12 +264,12 @@ def test_a_frame_of_a_second_bus_that_stands_late_in_a_log_does_not_set_back_the
 def test_a_log_of_eight_months_is_shown_with_a_limited_number_of_states(tmp_path: Path) -> None:
     """Eight months have 20 million seconds. With ten states a second there would be 200 million states.
 
-    There are at most 10,000, and the state at the start.
+    There are at most 10,000, and the states at the start and at the end.
     """
     frame = encode(Estimate(sender=7, x_hat=0, alpha=1, transfer_id=0))
     log = write_log(tmp_path / "real.log", {0.0: frame, 20_000_000.0: frame})
-    history = read_frame_history(log, FrameFormat()).history
-    assert len(history.states_since().states) <= 10_000 + 1
+    history = record_log(log).history
+    assert len(history.states_since().states) <= 10_000 + 2
 
 
 @pytest.mark.parametrize(
@@ -305,4 +288,4 @@ def test_a_log_without_robots_without_times_or_without_frames_is_refused_with_th
     log = tmp_path / "real.log"
     log.write_text(log_text)
     with pytest.raises(UsageError, match=expected_reason):
-        read_frame_history(log, FrameFormat())
+        record_log(log)

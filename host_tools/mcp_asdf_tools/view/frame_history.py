@@ -1,0 +1,175 @@
+"""Histories from frames alone: of robots on a bus as they send, and of logs without events.
+
+Neither shows positions or which robot receives from which, so the histories have none of these.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import can
+
+from mcp_asdf_tools.bus.frames import FrameFormat, decode_frame
+from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.recording.frame_logs import LogSummary, read_log
+from mcp_asdf_tools.view.history import History, RunDescription, steps_between_states
+from mcp_asdf_tools.view.roster import Roster
+
+STATES_PER_SECOND = 10
+"""States that a history has for each second, at most; they are its ticks."""
+SECONDS_BETWEEN_REPORTS = 0.5
+"""Seconds from one report on the robots of a bus to the next."""
+_MAX_LOG_SECONDS = 366 * 24 * 3600.0
+"""Longest time that a log may span. A longer one mixes clocks, and its ticks may not fit in 32 bits."""
+
+
+@dataclass(frozen=True)
+class KnownTruth:
+    """What no frame shows, for the page to draw; None if it is unknown.
+
+    Attributes:
+        fill_ratio: Share of black tiles of the floor, f.
+        true_accuracy: Share of right readings of every sensor, b.
+    """
+
+    fill_ratio: float | None = None
+    true_accuracy: float | None = None
+
+
+class FrameRecorder:
+    """Records a history from frames, each of which comes with its time in seconds since the start.
+
+    Attributes:
+        history: What was recorded so far; robots are in the order of their first estimate or telemetry.
+        roster: What an observer knows of all nodes, also of those that sent neither.
+    """
+
+    def __init__(self, title: str, frame_format: FrameFormat, truth: KnownTruth, spacing: int = 1) -> None:
+        """Prepare to record the estimates of ``frame_format``, heartbeats and telemetry.
+
+        There is a state every ``spacing`` ticks.
+        """
+        self.history = History(
+            RunDescription(title, robots=[], fill_ratio=truth.fill_ratio, steps_per_second=STATES_PER_SECOND)
+        )
+        self.roster = Roster(truth.true_accuracy)
+        self._frame_format = frame_format
+        self._spacing = spacing
+        self._next_tick = 0
+
+    def receive(self, frame: can.Message, now: float) -> None:
+        """Take a frame of any node, after the states of the time before it.
+
+        Its robot is added to the history with its first values, in O(states).
+        """
+        self.add_states(now)
+        self.roster.receive(frame, decode_frame(frame, self._frame_format), now)
+        robots_in_history = len(self.history.description.robots)
+        for new_robot_id in self.roster.ids_with_values[robots_in_history:]:
+            self.history.add_robot(new_robot_id)
+
+    def add_states(self, now: float) -> None:
+        """Add the states of all ticks before ``now`` that are missing."""
+        while self._next_tick / STATES_PER_SECOND < now:
+            self.add_state(self._next_tick / STATES_PER_SECOND)
+
+    def add_state(self, now: float) -> None:
+        """Add the state of the next tick, with the robots' values at ``now``, if there are robots."""
+        robot_ids = self.history.description.robots
+        if robot_ids:
+            self.history.add(self.roster.make_state(self._next_tick, now, robot_ids))
+        self._next_tick += self._spacing
+
+
+def record_bus(bus: can.BusABC, recorder: FrameRecorder, should_stop: Callable[[], bool]) -> None:
+    """Record the frames of a bus until ``should_stop``, which is asked after each and ten times a second.
+
+    Twice a second the history gets a new report. Raises can.CanError if the bus fails.
+    """
+    start_time = time.monotonic()
+    next_report_time = 0.0
+    while not should_stop():
+        frame = bus.recv(timeout=1 / STATES_PER_SECOND)
+        now = time.monotonic() - start_time
+        if frame is None:
+            recorder.add_states(now)
+        else:
+            recorder.receive(frame, now)
+        if now >= next_report_time:
+            recorder.history.report = recorder.roster.report(now)
+            next_report_time = now + SECONDS_BETWEEN_REPORTS
+
+
+def read_frame_log(
+    log: Path,
+    frame_format: FrameFormat,
+    truth: KnownTruth,
+    summary: LogSummary,
+    channel: str | None = None,
+) -> FrameRecorder:
+    """Record the frames of a log, and return the recorder, whose history has ended.
+
+    Only frames of ``channel`` count; None takes all channels. ``summary`` gets the log's channels and how
+    many of its lines were skipped. The log is read twice. Raises UsageError if it cannot be read, has no
+    values of a robot, or if its times span nothing or more than a year.
+    """
+    extent = _measure_log(log, frame_format, channel)
+    # The first pass has only been for this spacing, and for the errors.
+    spacing = steps_between_states(int(extent.seconds * STATES_PER_SECOND) + 1, extent.robots)
+    recorder = FrameRecorder(log.name, frame_format, truth, spacing)
+    now = 0.0
+    for frame in read_log(log, channel, summary):
+        # Frames of two buses may be out of order in a log, but the time of a history must not go back.
+        now = max(now, frame.timestamp - extent.start_time)
+        recorder.receive(frame, now)
+    recorder.add_states(now)
+    recorder.add_state(now)  # with what the last frames said
+    recorder.history.report = recorder.roster.report(now)
+    recorder.history.has_ended = True
+    return recorder
+
+
+@dataclass(frozen=True)
+class _LogExtent:
+    """What has to be known of a log before its history can be made.
+
+    Attributes:
+        robots: Number of robots that sent values.
+        start_time: Time of the earliest frame, in seconds of the log's clock.
+        seconds: Seconds from the earliest frame to the latest.
+    """
+
+    robots: int
+    start_time: float
+    seconds: float
+
+
+def _measure_log(log: Path, frame_format: FrameFormat, channel: str | None) -> _LogExtent:
+    """Read a log for its robots and its length, on which the spacing of the states depends.
+
+    Raises UsageError if it cannot be read, has no values of a robot, or if its times span nothing or more
+    than a year.
+    """
+    roster = Roster()
+    start_time = math.inf
+    end_time = -math.inf
+    for frame in read_log(log, channel):
+        roster.receive(frame, decode_frame(frame, frame_format), frame.timestamp)
+        start_time = min(start_time, frame.timestamp)
+        end_time = max(end_time, frame.timestamp)
+    seconds = end_time - start_time
+    if not roster.ids_with_values:
+        raise UsageError(
+            f"{log} has no estimate and no telemetry of a robot, so there is nothing to see; is --subject "
+            "right?"
+        )
+    if not 0 < seconds < _MAX_LOG_SECONDS:
+        raise UsageError(
+            f"the times of the frames in {log} span {seconds:g} s, so they cannot be shown; record them with "
+            "absolute times of one clock: candump -L, or candump -t a"
+        )
+    return _LogExtent(len(roster.ids_with_values), start_time, seconds)
