@@ -44,7 +44,11 @@ def connect_cluster(address: str) -> Iterator[tuple[Executor, Callable[[], int]]
 
     try:
         with _explaining_losses(dask, client, address):
-            _wait_for_a_worker(client, address)
+            try:
+                client.wait_for_workers(1, timeout=_TIMEOUT)
+            except TimeoutError as error:
+                message = f"the cluster at {address} has no workers; start some: dask worker {address}"
+                raise UsageError(message) from error
             # Dask runs pure jobs of equal arguments only once.
             yield client.get_executor(pure=False), count_threads
     finally:
@@ -77,15 +81,6 @@ def _lost_cluster_error(address: str, error: BaseException) -> UsageError:
     return UsageError(
         f"the cluster at {address} failed; what was finished is kept: run the same again ({reason})"
     )
-
-
-def _wait_for_a_worker(client: Any, address: str) -> None:
-    """Wait until the cluster has a worker. Raises UsageError if it gets none in time."""
-    try:
-        client.wait_for_workers(1, timeout=_TIMEOUT)
-    except TimeoutError as error:
-        message = f"the cluster at {address} has no workers; start some: dask worker {address}"
-        raise UsageError(message) from error
 
 
 def _connect_client(dask: Any, address: str) -> Any:

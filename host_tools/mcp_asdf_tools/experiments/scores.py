@@ -35,57 +35,30 @@ def convergence_step(series: NDArray[np.uint32] | NDArray[np.float64], delta: fl
     """
     import numpy as np  # noqa: PLC0415 (it loads slowly, and limits are needed without it)
 
-    chunk_starts = np.arange(0, len(series), _CHUNK_LENGTH)
+    starts = np.arange(0, len(series), _CHUNK_LENGTH)
     # A value is near all later ones if it is near the lowest and the highest of them. To find these for every
-    # step would take long: first they are found for chunks of steps.
-    lowest_after_chunk = _extreme_after_chunks(np.minimum, series, chunk_starts)
-    highest_after_chunk = _extreme_after_chunks(np.maximum, series, chunk_starts)
+    # step would take long: first they are found for chunks of steps. The values after a chunk begin with the
+    # next chunk; after the last one there are none, for which the last value of the series stands.
+    lowest_after = np.append(
+        _extremes_to_end(np.minimum, np.minimum.reduceat(series, starts))[1:], series[-1]
+    )
+    highest_after = np.append(
+        _extremes_to_end(np.maximum, np.maximum.reduceat(series, starts))[1:], series[-1]
+    )
     # Where the values after a chunk are 2 delta apart, no value in the chunk can be near all of them.
-    may_hold_k = highest_after_chunk - lowest_after_chunk < 2 * delta
-    for index in np.flatnonzero(may_hold_k):
-        start = chunk_starts[index]
-        chunk = series[start : start + _CHUNK_LENGTH]
-        stays_near = _stays_near(chunk, lowest_after_chunk[index], highest_after_chunk[index], delta)
-        if stays_near.any():
-            first_in_chunk = stays_near.argmax()
-            return int(start + first_in_chunk)
+    for index in np.flatnonzero(highest_after - lowest_after < 2 * delta):
+        chunk = series[starts[index] : starts[index] + _CHUNK_LENGTH]
+        # For each value of the chunk, the lowest and the highest value from it to the end of the series. The
+        # values may be unsigned; both differences are never negative.
+        lowest_to_end = _extremes_to_end(np.minimum, np.minimum(chunk, lowest_after[index]))
+        highest_to_end = _extremes_to_end(np.maximum, np.maximum(chunk, highest_after[index]))
+        is_near_all_later = (chunk - lowest_to_end < delta) & (highest_to_end - chunk < delta)
+        if is_near_all_later.any():
+            return int(starts[index] + is_near_all_later.argmax())
     return len(series) - 1
 
 
-def _stays_near(
-    chunk: NDArray[Any], lowest_after: Any, highest_after: Any, delta: float
-) -> NDArray[np.bool_]:
-    """Return for each value of a chunk whether all later values of its series are within ``delta`` of it.
-
-    ``lowest_after`` and ``highest_after`` are the extremes of all values after the chunk.
-    """
-    import numpy as np  # noqa: PLC0415 (it loads slowly, and limits are needed without it)
-
-    # For each value of the chunk, the lowest and the highest value from it to the end of the series.
-    lowest_to_end = _extreme_to_end(np.minimum, np.minimum(chunk, lowest_after))
-    highest_to_end = _extreme_to_end(np.maximum, np.maximum(chunk, highest_after))
-    # The values may be unsigned; both differences are never negative.
-    is_near: NDArray[np.bool_] = (chunk - lowest_to_end < delta) & (highest_to_end - chunk < delta)
-    return is_near
-
-
-def _extreme_after_chunks(
-    extreme: np.ufunc, series: NDArray[Any], chunk_starts: NDArray[np.int64]
-) -> NDArray[Any]:
-    """Return for each chunk of a series the extreme, np.minimum or np.maximum, of all values after it.
-
-    ``chunk_starts`` has the index of the first value of each chunk. The last chunk has no values after it;
-    the last value of the series stands for them.
-    """
-    import numpy as np  # noqa: PLC0415 (it loads slowly, and limits are needed without it)
-
-    extreme_of_chunk = extreme.reduceat(series, chunk_starts)
-    extreme_from_chunk = _extreme_to_end(extreme, extreme_of_chunk)
-    # The values after a chunk begin with the next chunk.
-    return np.append(extreme_from_chunk[1:], series[-1])
-
-
-def _extreme_to_end(extreme: np.ufunc, values: NDArray[Any]) -> NDArray[Any]:
+def _extremes_to_end(extreme: np.ufunc, values: NDArray[Any]) -> NDArray[Any]:
     """Return for each value the extreme, np.minimum or np.maximum, of it and all values after it."""
     extremes_from_last: NDArray[Any] = extreme.accumulate(values[::-1])
     return extremes_from_last[::-1]

@@ -177,10 +177,9 @@ class Store:
         has_same_version = metadata["versions"]["mcp-asdf"] == software_versions()["mcp-asdf"]
         return has_same_interval and has_same_version and "source" not in metadata
 
-    def missing(self, experiment: Experiment) -> list[int]:
+    def missing(self, experiment: Experiment) -> NDArray[np.int64]:
         """Return the numbers of the trials of an experiment that have no results yet."""
-        trial_numbers: list[int] = np.flatnonzero(self._rows_of(experiment) < 0).tolist()
-        return trial_numbers
+        return np.flatnonzero(self._rows_of(experiment) < 0)
 
     @property
     def missing_count(self) -> int:

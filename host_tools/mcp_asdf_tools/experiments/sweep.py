@@ -8,7 +8,7 @@ from __future__ import annotations
 import logging
 import os
 import signal
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
@@ -16,6 +16,9 @@ from itertools import islice
 from multiprocessing import active_children, get_context, parent_process
 from threading import Thread
 from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
 
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.signals import ENDING_SIGNALS, stopping
@@ -90,7 +93,7 @@ def jobs_of(store: Store) -> Iterator[Job]:
 
 
 def jobs_of_experiment(
-    experiment: Experiment, trial_numbers: Sequence[int], sampling_interval: int
+    experiment: Experiment, trial_numbers: NDArray[np.int64], sampling_interval: int
 ) -> Iterator[Job]:
     """Yield jobs that together run the trials of these numbers, which are ascending.
 
@@ -98,10 +101,11 @@ def jobs_of_experiment(
     ``sampling_interval`` steps, or never if it is 0.
     """
     max_count = _max_trials_of_job(experiment)
-    for first, end in _gapless_ranges(trial_numbers):
-        for job_first in range(first, end, max_count):
-            count = min(max_count, end - job_first)
-            yield Job(experiment, first=job_first, count=count, sampling_interval=sampling_interval)
+    first_after_gap = 1 + np.flatnonzero(np.diff(trial_numbers) != 1)  # as indices
+    for consecutive_numbers in np.split(trial_numbers, first_after_gap):
+        for start in range(0, len(consecutive_numbers), max_count):
+            numbers = consecutive_numbers[start : start + max_count]
+            yield Job(experiment, int(numbers[0]), len(numbers), sampling_interval)
 
 
 def _max_trials_of_job(experiment: Experiment) -> int:
@@ -119,22 +123,6 @@ def _max_trials_of_job(experiment: Experiment) -> int:
     preferred_trials = max(_TRIALS_OF_LONG_JOB, trials_of_short_job)
     allowed_trials = min(_MAX_TRIALS_OF_JOB, trials_in_memory)
     return max(1, min(preferred_trials, allowed_trials))
-
-
-def _gapless_ranges(numbers: Sequence[int]) -> Iterator[tuple[int, int]]:
-    """Yield first and end (exclusive) of each range without a gap in ascending numbers.
-
-    Of 3, 4, 7 these are (3, 5) and (7, 8).
-    """
-    if not numbers:
-        return
-    first = end = numbers[0]
-    for number in numbers:
-        if number != end:  # there is a gap before it
-            yield first, end
-            first = number
-        end = number + 1
-    yield first, end
 
 
 def run_jobs(jobs: Iterator[Job], workers: int, scheduler: str | None = None) -> Iterator[Trials]:

@@ -99,38 +99,27 @@ def tidy_table(
         steps: Numbers of the steps.
         values: QUANTITIES by name, shape (trials, steps, N); NaN where one is missing.
     """
-    columns: dict[str, NDArray[Any]] = _index_columns(population, trial_numbers, steps)
+    shape = (len(trial_numbers), len(steps), population.robots)
+    # Values are repeated along axes of the length 1. Values of robots have the last axis alone, and are
+    # repeated along both others.
+    columns: dict[str, Any] = {
+        "trial": np.reshape(trial_numbers, (-1, 1, 1)),
+        "step": np.reshape(steps, (1, -1, 1)),
+        "robot": np.arange(population.robots),
+        "is_flawed": [population.is_flawed(robot) for robot in range(population.robots)],
+    }
     columns |= {name: values[name] for name in QUANTITIES}
     schema = _schema_with(tuple(parameter_names))
-    row_count = columns["trial"].size
     parameters = population.parameters()
     arrays = []
     for field in schema:
         if field.name in parameter_names:
-            arrays.append(pa.repeat(pa.scalar(parameters[field.name], field.type), row_count))
+            arrays.append(pa.repeat(pa.scalar(parameters[field.name], field.type), np.prod(shape)))
         else:
+            column = np.broadcast_to(columns[field.name], shape).ravel()
             # With this option NaN becomes a missing value, which all programs know, also in CSV.
-            arrays.append(pa.array(columns[field.name].ravel(), field.type, from_pandas=True))
+            arrays.append(pa.array(column, field.type, from_pandas=True))
     return pa.table(arrays, schema=schema)
-
-
-def _index_columns(
-    population: Population, trial_numbers: Sequence[int], steps: NDArray[np.int64]
-) -> dict[str, NDArray[Any]]:
-    """Return the columns "trial", "step", "robot" and "is_flawed", shape (trials, steps, N) each."""
-    robot_ids = np.arange(population.robots)
-    is_flawed_by_robot = np.array([population.is_flawed(robot) for robot in range(population.robots)])
-    shape = (len(trial_numbers), len(steps), len(robot_ids))
-    # Values are repeated along axes of the length 1. Values of robots have the last axis alone, and are
-    # repeated along both others.
-    numbers_by_trial = np.reshape(trial_numbers, (len(trial_numbers), 1, 1))
-    numbers_by_step = np.reshape(steps, (1, len(steps), 1))
-    return {
-        "trial": np.broadcast_to(numbers_by_trial, shape),
-        "step": np.broadcast_to(numbers_by_step, shape),
-        "robot": np.broadcast_to(robot_ids, shape),
-        "is_flawed": np.broadcast_to(is_flawed_by_robot, shape),
-    }
 
 
 @cache

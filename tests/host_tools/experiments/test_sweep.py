@@ -85,7 +85,7 @@ def test_a_job_has_more_trials_the_shorter_these_are(
     Unless it is changed, the experiment has 40 trials of 8,000 steps of 4 robots.
     """
     experiment = replace(EXPERIMENT, **changes)
-    jobs = sweep.jobs_of_experiment(experiment, range(experiment.trials), sampling_interval=0)
+    jobs = sweep.jobs_of_experiment(experiment, np.arange(experiment.trials), sampling_interval=0)
     assert [job.count for job in jobs] == trial_counts_of_jobs
 
 
