@@ -467,12 +467,6 @@ def test_an_experiment_whose_robot_class_is_not_installed_can_be_read_but_not_ru
 # --- Wrong arguments are one kind of error ---------------------------------------------------------------
 
 
-@pytest.fixture(scope="module")
-def recorded_table() -> Any:
-    """The table of the small experiment, with values recorded at its last step, 120."""
-    return simulate(small_experiment(), record=120)
-
-
 @pytest.mark.parametrize(
     ("function", "arguments", "options"),
     [
@@ -492,18 +486,6 @@ def test_wrong_arguments_of_the_library_raise_a_usage_error(
     """A program can show its text to a user; Python's own errors, such as FileNotFoundError, are others."""
     with pytest.raises(UsageError):
         getattr(UNTYPED, function)(*arguments, **options)
-
-
-def test_plot_boxes_refuses_to_choose_experiments_by_an_unknown_parameter(recorded_table: Any) -> None:
-    """The parameter ``filtr`` is refused by a UsageError: it is called ``filter``."""
-    with pytest.raises(UsageError):
-        UNTYPED.plot_boxes(recorded_table, where={"filtr": "none"})
-
-
-def test_plot_curve_refuses_a_function_that_returns_one_value_for_three_trials(recorded_table: Any) -> None:
-    """It raises a UsageError, as the function has to return a value for each trial."""
-    with pytest.raises(UsageError):
-        UNTYPED.plot_curve(recorded_table, "flawed", lambda trials: [1.0])
 
 
 # --- Pictures --------------------------------------------------------------------------------------------
@@ -541,26 +523,10 @@ def test_plot_curve_draws_one_line_for_the_experiments_without_a_filter(grid_tab
     assert len(axes.lines) == 1
 
 
-def test_plot_curve_draws_into_axes_of_the_caller_and_returns_their_figure(grid_table: Any) -> None:
-    """The axes get a line for each of the two filters."""
-    figure = Figure()
-    axes = figure.subplots()
-    returned_figure = plot_curve(grid_table, "flawed", error_of_first_robot, hue="filter", ax=axes)
-
-    assert returned_figure is figure
-    assert len(axes.lines) == 2, "one for each filter"
-
-
 @pytest.fixture(scope="module")
 def figure_of_facets(grid_table: Any) -> Any:
     """A figure of curves with axes for each filter."""
     return plot_curve(grid_table, "flawed", facet="filter")
-
-
-def test_a_figure_has_axes_for_each_filter_titled_with_the_filter(figure_of_facets: Any) -> None:
-    """The figure is made by ``plot_curve(..., facet="filter")`` of experiments with two filters."""
-    titles = [axes.get_title() for axes in figure_of_facets.axes]
-    assert titles == ["filter none", "filter asdf-plus"]
 
 
 def test_a_figure_has_grid_lines_behind_its_curves_small_numbers_and_no_line_at_the_top(

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from mcp_asdf_tools.cli import options
-from mcp_asdf_tools.cli.output import json_report
 from mcp_asdf_tools.common.errors import UsageError
 
 if TYPE_CHECKING:
@@ -56,18 +55,15 @@ def run(args: argparse.Namespace) -> int:
     UsageError for options out of range, for a file that is no trial of the paper's method, and if the results
     cannot be written.
     """
-    from mcp_asdf_tools.cli.score_table import print_scores, summarize
+    from mcp_asdf_tools.cli.score_table import report_scores
     from mcp_asdf_tools.common.files import check_target
     from mcp_asdf_tools.common.progress_bar import progress
     from mcp_asdf_tools.experiments.authors_trials import find_trial_files
     from mcp_asdf_tools.experiments.result_files import (
         ROW_GROUP_BYTES,
         collect_rows,
-        read_table,
-        stream_experiments,
         write_tables,
     )
-    from mcp_asdf_tools.experiments.result_tables import read_metadata
     from mcp_asdf_tools.experiments.scores import PAPER_LIMITS
 
     # Path and options are checked before the trials are read, which may take long.
@@ -80,13 +76,7 @@ def run(args: argparse.Namespace) -> int:
         tables = _read_tables(files, args.record, report_progress)
         # A row group for each trial would make the time to read them grow with the square of their number.
         write_tables(args.output, collect_rows(tables, min_bytes=ROW_GROUP_BYTES))
-    rows = summarize(stream_experiments(args.output), PAPER_LIMITS)
-    if args.json:
-        # The metadata come with any column, so that a single small one is read.
-        metadata = read_metadata(read_table(args.output, ["trial"]))
-        print(json_report({**metadata, "output": str(args.output), "experiments": rows}))
-    else:
-        print_scores(rows, str(args.output))
+    report_scores(args.output, PAPER_LIMITS, args.json, output=str(args.output))
     return 0
 
 

@@ -6,7 +6,6 @@ import argparse
 from pathlib import Path
 
 from mcp_asdf_tools.cli import options
-from mcp_asdf_tools.cli.output import json_report
 
 EPILOG = """\
 examples:
@@ -37,20 +36,13 @@ def run(args: argparse.Namespace) -> int:
     With --json the scores are printed as JSON, with the metadata. Raises UsageError if the results cannot be
     read, the CSV file cannot be written, or a limit is out of range.
     """
-    from mcp_asdf_tools.cli.score_table import print_scores, summarize
-    from mcp_asdf_tools.experiments.result_files import read_table, stream_experiments
-    from mcp_asdf_tools.experiments.result_tables import read_metadata
+    from mcp_asdf_tools.cli.score_table import report_scores
+    from mcp_asdf_tools.experiments.result_files import stream_experiments
     from mcp_asdf_tools.experiments.results import write_csv
 
-    # The metadata come with any column, so that a single small one is read.
-    metadata = read_metadata(read_table(args.file, ["trial"]))
     limits = options.limits_of(args)
     if args.csv is not None:
         write_csv(args.csv, stream_experiments(args.file), limits)
     # Read a second time rather than kept, as a large file does not fit in memory.
-    rows = summarize(stream_experiments(args.file), limits)
-    if args.json:
-        print(json_report({**metadata, "experiments": rows}))
-    else:
-        print_scores(rows, str(args.file))
+    report_scores(args.file, limits, args.json)
     return 0

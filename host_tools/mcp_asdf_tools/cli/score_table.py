@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from mcp_asdf_tools.cli.output import json_report
+from mcp_asdf_tools.experiments.result_files import read_table, stream_experiments
+from mcp_asdf_tools.experiments.result_tables import read_metadata
 from mcp_asdf_tools.experiments.results import Trials
 from mcp_asdf_tools.experiments.scores import Limits
 
@@ -17,6 +21,21 @@ _FORMAT_OF_MEASURE = {"h_K": ".2f", "h_e": ".2f", "K": "g", "e": ".5f", "updates
 
 _WIDER_THAN_ANY_TABLE = 10_000
 """Characters."""
+
+
+def report_scores(path: Path, limits: Limits, as_json: bool, **details: object) -> None:
+    """Print the scores of the experiments in a file of results, as a table or as JSON.
+
+    The JSON has the metadata of the results and the ``details``, too. Raises UsageError if the file cannot be
+    read.
+    """
+    rows = summarize(stream_experiments(path), limits)
+    if as_json:
+        # The metadata come with any column, so that a single small one is read.
+        metadata = read_metadata(read_table(path, ["trial"]))
+        print(json_report({**metadata, **details, "experiments": rows}))
+    else:
+        print_scores(rows, str(path))
 
 
 def summarize(experiments: Iterable[Trials], limits: Limits) -> list[dict[str, Any]]:

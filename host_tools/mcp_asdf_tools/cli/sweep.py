@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 
 from mcp_asdf_tools.cli import options
-from mcp_asdf_tools.cli.output import json_report, print_again, reporting_missing_trials
+from mcp_asdf_tools.cli.output import print_again, reporting_missing_trials
 
 EPILOG = """\
 examples:
@@ -38,10 +38,8 @@ def run(args: argparse.Namespace) -> int:
     printed, and the command that makes the same run again. If the run is cut off, a message says how many
     trials are missing.
     """
-    from mcp_asdf_tools.cli.score_table import print_scores, summarize
+    from mcp_asdf_tools.cli.score_table import report_scores
     from mcp_asdf_tools.common.progress_bar import progress
-    from mcp_asdf_tools.experiments.result_files import read_table, stream_experiments
-    from mcp_asdf_tools.experiments.result_tables import read_metadata
     from mcp_asdf_tools.experiments.store import Store
     from mcp_asdf_tools.experiments.sweep import run_sweep
 
@@ -58,13 +56,9 @@ def run(args: argparse.Namespace) -> int:
         progress("trials", missing_count, args.json) as report_progress,
     ):
         run_sweep(store, workers, report_progress, args.scheduler)
-    rows = summarize(stream_experiments(output), limits)
+    report_scores(output, limits, args.json, run=missing_count, output=str(output))
     if args.json:
-        # The metadata come with any column, so that a single small one is read.
-        metadata = read_metadata(read_table(output, ["trial"]))
-        print(json_report({**metadata, "run": missing_count, "output": str(output), "experiments": rows}))
         return 0
-    print_scores(rows, str(output))
     seeds = {experiment.seed for experiment in experiments}
     if len(seeds) == 1:
         print_again(args, seed=seeds.pop())

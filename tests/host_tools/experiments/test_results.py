@@ -254,14 +254,6 @@ def test_a_condition_that_no_experiment_meets_is_refused_with_what_could_be_mean
         select_experiments(experiments, condition)
 
 
-def test_several_experiments_in_place_of_one_are_refused_with_their_differences(
-    experiments: list[Trials],
-) -> None:
-    """The two experiments differ in their seeds, 1 and 2^64 - 1, and in their filters."""
-    with pytest.raises(UsageError, match=r"2 experiments match; choose one with where seed=1\|"):
-        single_experiment(experiments)
-
-
 def test_a_single_experiment_is_chosen_and_has_no_parameters_that_differ(experiments: list[Trials]) -> None:
     trials, _trials_of_other_experiment = experiments
     assert single_experiment([trials]) is trials
