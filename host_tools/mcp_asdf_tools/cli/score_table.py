@@ -13,7 +13,7 @@ from rich.table import Table
 from mcp_asdf_tools.cli.output import json_report
 from mcp_asdf_tools.experiments.result_files import read_table, stream_experiments
 from mcp_asdf_tools.experiments.result_tables import read_metadata
-from mcp_asdf_tools.experiments.results import Trials
+from mcp_asdf_tools.experiments.results import Trials, find_differences
 from mcp_asdf_tools.experiments.scores import Limits
 
 _FORMAT_OF_MEASURE = {"h_K": ".2f", "h_e": ".2f", "K": "g", "e": ".5f", "updates": "g"}
@@ -75,7 +75,7 @@ def print_scores(rows: Sequence[dict[str, Any]], title: str) -> None:
     quartiles over the trials, and the medians of h_K, h_e, K, e and the number of updates.
     """
     # What all experiments have in common would only make the table wide.
-    varying_parameters = _find_varying_parameters(rows)
+    varying_parameters = find_differences(row["parameters"] for row in rows)
     table = Table(title=title, title_justify="left", caption=_caption(rows), caption_justify="left")
     # _FORMAT_OF_MEASURE has the other measures by name, each with the format of its medians.
     for name in (*varying_parameters, "trials", "H", *_FORMAT_OF_MEASURE):
@@ -90,16 +90,6 @@ def print_scores(rows: Sequence[dict[str, Any]], title: str) -> None:
     # As wide as the table is: lines longer than a terminal wrap, but columns that shrink would lose figures.
     width = Console(width=_WIDER_THAN_ANY_TABLE).measure(table).maximum
     Console(width=width).print(table)
-
-
-def _find_varying_parameters(rows: Sequence[dict[str, Any]]) -> list[str]:
-    """Return the names of the parameters of which rows of ``summarize`` have more than one value."""
-    varying_parameters = []
-    for name in rows[0]["parameters"]:
-        values = {row["parameters"][name] for row in rows}
-        if len(values) > 1:
-            varying_parameters.append(name)
-    return varying_parameters
 
 
 def _describe_trial_count(row: dict[str, Any]) -> str:

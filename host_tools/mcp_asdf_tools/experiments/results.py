@@ -154,13 +154,21 @@ def describe_differences(experiments: Sequence[Trials]) -> str:
 
     Returns "no parameters" if they do not differ.
     """
-    all_parameters = [trials.experiment.parameters() for trials in experiments]
-    differences = []
-    for parameter_name in PARAMETER_NAMES:
-        values = sorted({str(parameters[parameter_name]) for parameters in all_parameters})
-        if len(values) > 1:
-            differences.append(f"{parameter_name}={'|'.join(values)}")
+    differing_values = find_differences(trials.experiment.parameters() for trials in experiments)
+    differences = [
+        f"{parameter_name}={'|'.join(sorted(map(str, values)))}"
+        for parameter_name, values in differing_values.items()
+    ]
     return ", ".join(differences) or "no parameters"
+
+
+def find_differences(parameters_of_experiments: Iterable[Mapping[str, Any]]) -> dict[str, set[Any]]:
+    """Return the parameters of which experiments have more than one value, with all values of each."""
+    values_by_parameter: dict[str, set[Any]] = {name: set() for name in PARAMETER_NAMES}
+    for parameters in parameters_of_experiments:
+        for name, value in parameters.items():
+            values_by_parameter[name].add(value)
+    return {name: values for name, values in values_by_parameter.items() if len(values) > 1}
 
 
 def _is_same_value(parameter_value: object, requested_value: Any) -> bool:

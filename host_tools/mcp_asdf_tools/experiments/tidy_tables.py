@@ -20,7 +20,6 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa  # type: ignore[import-untyped]
-import pyarrow.compute as pc  # type: ignore[import-untyped]
 import pyarrow.csv  # type: ignore[import-untyped]
 import pyarrow.parquet as pq  # type: ignore[import-untyped]
 from numpy.typing import NDArray
@@ -33,9 +32,10 @@ from mcp_asdf_tools.experiments.result_tables import (
     column_types,
     describe_columns,
     experiments_in,
+    rows_by_experiment,
     to_present_format,
 )
-from mcp_asdf_tools.experiments.results import PARAMETER_NAMES, QUANTITIES, Trials
+from mcp_asdf_tools.experiments.results import PARAMETER_NAMES, QUANTITIES, Trials, find_differences
 from mcp_asdf_tools.robots.population import Population
 
 SUFFIXES = (".csv", ".parquet")
@@ -152,19 +152,14 @@ def stream_tidy_results(source: Path | pa.Table) -> Iterator[pa.Table]:
     if isinstance(source, pa.Table):
         source = to_present_format(source, len(source))  # another program may have read it
     row_groups = RowGroups(source)
-    parameter_names = _varying_parameters(row_group.read(PARAMETER_NAMES) for row_group in row_groups)
+    parameter_names = find_differences(
+        experiment.parameters()
+        for row_group in row_groups
+        for experiment in rows_by_experiment(row_group.read(PARAMETER_NAMES))
+    )
     for row_group in row_groups:
         for trials in experiments_in(row_group.read(None)):
-            yield tidy_trials(trials, parameter_names)
-
-
-def _varying_parameters(tables: Iterable[pa.Table]) -> list[str]:
-    """Return the names of the parameters that have more than one value in tables of results together."""
-    values_by_parameter: dict[str, set[Any]] = {name: set() for name in PARAMETER_NAMES}
-    for table in tables:
-        for name, values in values_by_parameter.items():
-            values.update(pc.unique(table[name]).to_pylist())
-    return [name for name, values in values_by_parameter.items() if len(values) > 1]
+            yield tidy_trials(trials, list(parameter_names))
 
 
 # --- Files -----------------------------------------------------------------------------------------------
