@@ -174,8 +174,8 @@ class RowGroups:
     def add(self, source: Path | pa.Table) -> None:
         """Append rows: those of a table, of a file, or of all Parquet files in a folder in name order.
 
-        Of files only what describes the rows is read here. Raises UsageError if a file cannot be read, has
-        anything but results in one of READABLE_FORMATS, or trials that this version cannot repeat.
+        Of files only what describes the rows is read here. Raises UsageError if a file cannot be read, or has
+        anything but results in one of READABLE_FORMATS.
         """
         if isinstance(source, pa.Table):
             self._append(len(source), partial(_select_columns, source))
@@ -185,7 +185,6 @@ class RowGroups:
         for path in files_in_folder or [source]:
             file = _open_checked(path)
             for index in range(file.num_row_groups):
-                _check_former_parameters(path, file, index)
                 row_count = file.metadata.row_group(index).num_rows
                 self._append(row_count, partial(_read_row_group, path, index, row_count))
 
@@ -231,19 +230,20 @@ def _select_columns(table: pa.Table, columns: Sequence[str] | None) -> pa.Table:
 def _read_row_group(path: Path, index: int, row_count: int, columns: Sequence[str] | None) -> pa.Table:
     """Return the rows of a file's row group in the present format, with some columns or all.
 
-    A parameter without a column has its default. Raises UsageError if the file cannot be read, or has records
-    that cannot be converted to the present format.
+    A parameter without a column has its default. Raises UsageError if the file cannot be read, has records
+    that cannot be converted to the present format, or trials that this version cannot repeat.
     """
     file = _open_checked(path)
     stored_columns = None
     if columns is not None:
         # The number of robots is needed to convert records of an earlier format.
-        needed_columns = {*columns, "robots"}
+        needed_columns = {*columns, "robots", *FORMER_PARAMETERS}
         stored_columns = [name for name in file.schema_arrow.names if name in needed_columns]
     with _name_file_in_errors(path):
         table = file.read_row_group(index, columns=stored_columns)
         # A damaged or hostile file may hold lists that end beyond their values.
         table.validate(full=True)
+        _check_former_parameters(path, table)
     # A file has its metadata twice, and the two may differ; these are the ones that were checked.
     table = table.replace_schema_metadata(file.schema_arrow.metadata)
     return _select_columns(to_present_format(table, row_count), columns)
@@ -305,20 +305,17 @@ def _check_metadata(path: Path, file_metadata: dict[bytes, bytes]) -> None:
         raise UsageError(f"{path} is damaged: source in its metadata is no text; make the file again")
 
 
-def _check_former_parameters(path: Path, file: pq.ParquetFile, row_group_index: int) -> None:
-    """Raise UsageError if a parameter that only earlier versions had changed trials of a row group.
+def _check_former_parameters(path: Path, table: pa.Table) -> None:
+    """Raise UsageError if a parameter that only earlier versions had changed trials in a table from ``path``.
 
     FORMER_PARAMETERS names these parameters, and the value with which each had no effect. Trials that have
-    another value cannot be repeated by this version. ``file`` is the open file at ``path``.
+    another value cannot be repeated by this version.
     """
     for parameter_name, value_without_effect in FORMER_PARAMETERS.items():
-        if parameter_name not in file.schema_arrow.names:
+        if parameter_name not in table.column_names:
             continue
-        with _name_file_in_errors(path):
-            column = file.read_row_group(row_group_index, columns=[parameter_name])[parameter_name]
-            values = column.unique().to_pylist()
         # An old file may have the column, as long as the parameter did nothing in any row.
-        if values != [value_without_effect]:
+        if table[parameter_name].unique().to_pylist() != [value_without_effect]:
             raise UsageError(
                 f"{path} has results with {parameter_name}, a parameter of earlier versions; "
                 "use one of these versions"

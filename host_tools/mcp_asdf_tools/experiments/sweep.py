@@ -141,13 +141,8 @@ def run_jobs(jobs: Iterator[Job], workers: int, scheduler: str | None = None) ->
         for job in jobs:
             yield job.run()
     else:
-
-        def count_workers() -> int:
-            """Return the number of processes, which is always the same."""
-            return workers
-
         with _worker_processes(workers) as executor:
-            yield from _run_on_executor(executor, count_workers, jobs)
+            yield from _run_on_executor(executor, lambda: workers, jobs)
 
 
 def _run_on_executor(

@@ -69,14 +69,6 @@ def test_score_prints_of_converted_results_what_convert_has_printed(capsys: Capt
     assert capsys.readouterr().out == printed_by_convert
 
 
-def test_score_writes_converted_results_as_csv() -> None:
-    """The file has a line of titles, and three lines for the three trials of the folder data."""
-    main(["convert", "data", "--output", "theirs.parquet"])
-    main(["score", "theirs.parquet", "--csv", "theirs.csv"])
-    lines = Path("theirs.csv").read_text(encoding="utf-8").splitlines()
-    assert len(lines) == 1 + 3
-
-
 @pytest.mark.parametrize("kind", ["boxes", *slow(["bands", "series"])])
 def test_plot_draws_converted_results_as_a_picture(kind: str) -> None:
     """``kind`` is a kind of plot. A picture as a PNG file begins with the byte 0x89 and these letters."""

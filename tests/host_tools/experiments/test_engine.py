@@ -21,8 +21,7 @@ import numpy as np
 import pytest
 
 from golden import assert_equals_golden_file
-from mcp_asdf.native import NativeRobot
-from mcp_asdf.robot import B_HAT_MARGIN, Config, Filter, FirmwareError, Observation, Status
+from mcp_asdf.robot import B_HAT_MARGIN, Config, Filter, FirmwareError, Status
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.experiments import _engine
 from mcp_asdf_tools.experiments.engine import native
@@ -38,7 +37,6 @@ from mcp_asdf_tools.swarm.swarm import Swarm
 from mcp_asdf_tools.world import arena
 from mcp_asdf_tools.world.arena import Arena
 from mcp_asdf_tools.world.settings import WorldSettings
-from mcp_asdf_tools.world.world import World
 from support import CORE, ROOT, require, run, slow
 from trials import images_by_message
 
@@ -607,67 +605,6 @@ def test_127_robots_end_in_the_states_that_earlier_versions_gave_them(filter_nam
     for robot in range(0, 127, 6):
         lines.append(f"robot {robot}: b_hat {b_hat_at_end[robot]}, image {states[robot].hex()}")
     assert_equals_golden_file(f"engine_{filter_name}.txt", lines)
-
-
-def graph_in_which_all_ids_of_7_bits_collide() -> str:
-    """Return a graph of 260 robots in which 0, 128 and 256 hear each other: all have id 0 in 7 bits.
-
-    Each robot is also connected to the next robot, and sends to the robot three places further on.
-    """
-    triangle = ["0 128", "128 256", "0 256"]
-    chain = [f"{robot} {robot + 1}; {robot} > {robot + 3}" for robot in range(257)]
-    return "; ".join(triangle + chain)
-
-
-def run_with_ids_that_differ(experiment: Experiment) -> list[NativeRobot]:
-    """Run 60 steps of trial 0 with robots that know their neighbours by different ids, and return the robots.
-
-    Votes look only at ids modulo 32, and these stay as in the experiment. The upper part of an id is a
-    number that differs among the neighbours of a robot.
-    """
-    robot_indices = range(experiment.robots)
-    robots = [NativeRobot(experiment.config(i), i % 32, experiment.b_hat(i)) for i in robot_indices]
-    links = experiment.graph.links
-    senders = [sorted(sender for sender, receiver in links if receiver == i) for i in robot_indices]
-    for is_black in World(experiment).advance(60).black.tolist():
-        for robot, observation in zip(robots, is_black, strict=True):
-            robot.observe(Observation(observation))
-        broadcasts = [(robot.x_hat_raw, robot.alpha_raw) for robot in robots]
-        for robot, senders_of_robot in zip(robots, senders, strict=True):
-            for neighbour_index, sender in enumerate(senders_of_robot):
-                x_hat, alpha = broadcasts[sender]
-                number_of_neighbour = neighbour_index % 3 + 1
-                sender_id = 32 * number_of_neighbour + sender % 32
-                robot.receive_raw(sender_id, x_hat, alpha)
-            robot.settle()
-    return robots
-
-
-@pytest.mark.parametrize("filter_name", ["asdf-plus", "robust"])
-def test_neighbours_whose_ids_have_the_same_7_bits_are_told_apart_in_a_graph(filter_name: Any) -> None:
-    """Messages on a bus have ids of 7 bits, and swarms in a graph may have more than 128 robots.
-
-    Here these are 260, of which three hear each other and have the same id. The engine computes what robots
-    do that know all of their neighbours by different ids.
-    """
-    experiment = Experiment(
-        topology="graph",
-        graph=graph_in_which_all_ids_of_7_bits_collide(),
-        robots=260,
-        flawed=80,
-        filter=filter_name,
-        steps=60,
-        filter_period=20,
-    )
-    robots_with_different_ids = run_with_ids_that_differ(experiment)
-    trials = run_trials(experiment, first=0, trials=1, sampling_interval=60)
-
-    [x_by_step_and_robot] = trials.records["x"].tolist()  # of the only trial, at steps 0 and 60
-    _x_at_start, x_at_end = x_by_step_and_robot
-    [b_hat_by_filter_step_and_robot] = trials.b_hat.tolist()
-    *_, b_hat_at_end = b_hat_by_filter_step_and_robot
-    assert x_at_end == [robot.x for robot in robots_with_different_ids]
-    assert b_hat_at_end == [robot.b_hat for robot in robots_with_different_ids]
 
 
 def engine_bytes_per_robot(robots: int) -> float:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from mcp_asdf.fixed_point import HALF, ONE, alpha_word_from_float
+from mcp_asdf.fixed_point import ONE, alpha_word_from_float
 from mcp_asdf_tools.common.parameters import ParameterError
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.message_codes import MessageCode, parse_message_bits
@@ -55,9 +55,3 @@ def test_an_estimate_between_two_codes_is_rounded_to_the_nearest_and_alpha_is_ro
     assert alpha_word == alpha_word_from_float(2.0)
     assert x_hat == units_nearest_to_a_third / ONE
     assert alpha == 2.0
-
-
-def test_an_estimate_of_one_half_is_rounded_up_to_1_by_a_code_of_one_bit() -> None:
-    """HALF and ONE are 0.5 and 1 in the firmware's units. A code of one bit has only 0 and 1."""
-    x_hat, _alpha = MessageCode(x_hat_bits=1, alpha_bits=1).round_raw(HALF, 0)
-    assert x_hat == ONE

@@ -758,21 +758,6 @@ def test_the_command_simulate_runs_only_a_short_experiment_in_its_own_process(
 A_THOUSAND_ROBOTS = "--robots 1000 --trials 1 --steps 20"
 
 
-@pytest.mark.parametrize("topology", ["dynamic", "graph --graph ring"])
-def test_the_command_simulate_runs_a_thousand_robots_that_move_or_are_in_a_graph(
-    topology: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """In the graph, which is a file, each of them is connected to the next one, and the last to the first."""
-    monkeypatch.chdir(tmp_path)
-    lines_of_ring = [f"{robot} {(robot + 1) % 1000}\n" for robot in range(1000)]
-    Path("ring").write_text("".join(lines_of_ring))
-    command = f"simulate --robots 1000 --trials 1 --steps 20 --topology {topology} --filter-period 20"
-    answer = run_for_json(*command.split())
-
-    assert answer["parameters"]["robots"] == 1000
-    assert answer["trials"] == 1
-
-
 @pytest.mark.parametrize(
     ("arguments", "expected_message"),
     [
