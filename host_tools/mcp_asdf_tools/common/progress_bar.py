@@ -1,14 +1,14 @@
-"""Progress of a long task on standard error: its count, its rate, and the time left at that rate."""
+"""Progress of a long task on standard error: its count, and the time left at its rate."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from datetime import timedelta
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, Task, TextColumn
-from rich.text import Text
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 _SECONDS_BETWEEN_LINES = 60.0
 """Shortest time from one line of progress to the next where there is no terminal."""
@@ -30,7 +30,7 @@ def progress(unit: str, total: float, quiet: bool = False) -> Iterator[Callable[
     can_show_bar = console.is_terminal or console.is_jupyter
     prints_lines = not can_show_bar and not quiet
     # A disabled bar is made, too, but never shown.
-    columns = (TextColumn(unit), BarColumn(), MofNCompleteColumn(), _Rate())
+    columns = (TextColumn(unit), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     start_time = time.monotonic()
     last_line_time = start_time
     done_count = 0.0
@@ -45,28 +45,8 @@ def progress(unit: str, total: float, quiet: bool = False) -> Iterator[Callable[
             now = time.monotonic()
             if prints_lines and now - last_line_time >= _SECONDS_BETWEEN_LINES:
                 last_line_time = now
-                rate = format_rate(done_count, total, now - start_time)
-                console.print(f"{unit}: {done_count:g} of {total:g}, {rate}")
+                seconds_left = (total - done_count) * (now - start_time) / done_count
+                time_left = timedelta(seconds=round(seconds_left))
+                console.print(f"{unit}: {done_count:g} of {total:g}, {time_left} left")
 
         yield add
-
-
-class _Rate(ProgressColumn):
-    """Column of a progress bar with the rate and the time left, such as ``2.5/s, 0:01:20 left``."""
-
-    def render(self, task: Task) -> Text:
-        """Return the present text of the column; rich calls this."""
-        return Text(format_rate(task.completed, task.total or 0.0, task.elapsed or 0.0))
-
-
-def format_rate(done_count: float, total: float, seconds: float) -> str:
-    """Return the rate so far and the time left at that rate, such as ``2.5/s, 0:01:20 left``.
-
-    The text is empty as long as nothing is done, or no time has passed.
-    """
-    if done_count == 0 or seconds == 0:
-        return ""
-    seconds_left = round((total - done_count) * seconds / done_count)
-    minutes, remaining_seconds = divmod(seconds_left, 60)
-    hours, minutes = divmod(minutes, 60)
-    return f"{done_count / seconds:.3g}/s, {hours}:{minutes:02}:{remaining_seconds:02} left"

@@ -5,7 +5,6 @@ Neither shows positions or which robot receives from which, so the histories hav
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -16,7 +15,7 @@ import can
 from mcp_asdf_tools.bus.frames import FrameFormat, decode_frame
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.recording.frame_logs import LogSummary, read_log
-from mcp_asdf_tools.view.history import History, RunDescription, steps_between_states
+from mcp_asdf_tools.view.history import History, RunDescription
 from mcp_asdf_tools.view.roster import Roster
 
 STATES_PER_SECOND = 10
@@ -48,17 +47,13 @@ class FrameRecorder:
         roster: What an observer knows of all nodes, also of those that sent neither.
     """
 
-    def __init__(self, title: str, frame_format: FrameFormat, truth: KnownTruth, spacing: int = 1) -> None:
-        """Prepare to record the estimates of ``frame_format``, heartbeats and telemetry.
-
-        There is a state every ``spacing`` ticks.
-        """
+    def __init__(self, title: str, frame_format: FrameFormat, truth: KnownTruth) -> None:
+        """Prepare to record the estimates of ``frame_format``, heartbeats and telemetry."""
         self.history = History(
             RunDescription(title, robots=[], fill_ratio=truth.fill_ratio, steps_per_second=STATES_PER_SECOND)
         )
         self.roster = Roster(truth.true_accuracy)
         self._frame_format = frame_format
-        self._spacing = spacing
         self._next_tick = 0
 
     def receive(self, frame: can.Message, now: float) -> None:
@@ -73,7 +68,7 @@ class FrameRecorder:
             self.history.add_robot(new_robot_id)
 
     def add_states(self, now: float) -> None:
-        """Add the states of all ticks before ``now`` that are missing."""
+        """Add the states of all ticks before ``now`` that the history keeps and that are missing."""
         while self._next_tick / STATES_PER_SECOND < now:
             self.add_state(self._next_tick / STATES_PER_SECOND)
 
@@ -82,7 +77,8 @@ class FrameRecorder:
         robot_ids = self.history.description.robots
         if robot_ids:
             self.history.add(self.roster.make_state(self._next_tick, now, robot_ids))
-        self._next_tick += self._spacing
+        spacing = self.history.ticks_between_states  # which grows with the number of states
+        self._next_tick = (self._next_tick // spacing + 1) * spacing
 
 
 def record_bus(bus: can.BusABC, recorder: FrameRecorder, should_stop: Callable[[], bool]) -> None:
@@ -114,18 +110,27 @@ def read_frame_log(
     """Record the frames of a log, and return the recorder, whose history has ended.
 
     Only frames of ``channel`` count; None takes all channels. ``summary`` gets the log's channels and how
-    many of its lines were skipped. The log is read twice. Raises UsageError if it cannot be read, has no
-    values of a robot, or if its times span nothing or more than a year.
+    many of its lines were skipped. Raises UsageError if it cannot be read, has no values of a robot, or if
+    its times span nothing or more than a year.
     """
-    extent = _measure_log(log, frame_format, channel)
-    # The first pass has only been for this spacing, and for the errors.
-    spacing = steps_between_states(int(extent.seconds * STATES_PER_SECOND) + 1, extent.robots)
-    recorder = FrameRecorder(log.name, frame_format, truth, spacing)
+    recorder = FrameRecorder(log.name, frame_format, truth)
+    start_time: float | None = None
     now = 0.0
     for frame in read_log(log, channel, summary):
+        if start_time is None:
+            start_time = frame.timestamp
         # Frames of two buses may be out of order in a log, but the time of a history must not go back.
-        now = max(now, frame.timestamp - extent.start_time)
+        now = max(now, frame.timestamp - start_time)
+        if now >= _MAX_LOG_SECONDS:
+            raise _span_error(log, now)
         recorder.receive(frame, now)
+    if not recorder.roster.ids_with_values:
+        raise UsageError(
+            f"{log} has no estimate and no telemetry of a robot, so there is nothing to see; is --subject "
+            "right?"
+        )
+    if now == 0:
+        raise _span_error(log, now)
     recorder.add_states(now)
     recorder.add_state(now)  # with what the last frames said
     recorder.history.report = recorder.roster.report(now)
@@ -133,43 +138,9 @@ def read_frame_log(
     return recorder
 
 
-@dataclass(frozen=True)
-class _LogExtent:
-    """What has to be known of a log before its history can be made.
-
-    Attributes:
-        robots: Number of robots that sent values.
-        start_time: Time of the earliest frame, in seconds of the log's clock.
-        seconds: Seconds from the earliest frame to the latest.
-    """
-
-    robots: int
-    start_time: float
-    seconds: float
-
-
-def _measure_log(log: Path, frame_format: FrameFormat, channel: str | None) -> _LogExtent:
-    """Read a log for its robots and its length, on which the spacing of the states depends.
-
-    Raises UsageError if it cannot be read, has no values of a robot, or if its times span nothing or more
-    than a year.
-    """
-    roster = Roster()
-    start_time = math.inf
-    end_time = -math.inf
-    for frame in read_log(log, channel):
-        roster.receive(frame, decode_frame(frame, frame_format), frame.timestamp)
-        start_time = min(start_time, frame.timestamp)
-        end_time = max(end_time, frame.timestamp)
-    seconds = end_time - start_time
-    if not roster.ids_with_values:
-        raise UsageError(
-            f"{log} has no estimate and no telemetry of a robot, so there is nothing to see; is --subject "
-            "right?"
-        )
-    if not 0 < seconds < _MAX_LOG_SECONDS:
-        raise UsageError(
-            f"the times of the frames in {log} span {seconds:g} s, so they cannot be shown; record them with "
-            "absolute times of one clock: candump -L, or candump -t a"
-        )
-    return _LogExtent(len(roster.ids_with_values), start_time, seconds)
+def _span_error(log: Path, seconds: float) -> UsageError:
+    """Return the error for a log whose times span nothing or more than a year."""
+    return UsageError(
+        f"the times of the frames in {log} span {seconds:g} s, so they cannot be shown; record them with "
+        "absolute times of one clock: candump -L, or candump -t a"
+    )

@@ -98,6 +98,7 @@ class History:
         description: What stays the same. It is replaced when a robot joins.
         generation: Number of times that the states so far were changed, because they were thinned out or a
             robot joined. Indices into the states of an earlier generation mean nothing.
+        ticks_between_states: Ticks from one state that is kept to the next.
         has_ended: Whether the run is over, so that no more states come.
         report: Plain values that the page shows beside the latest state (see ``Roster.report``). It is
             replaced, never changed; None if there is none.
@@ -110,7 +111,7 @@ class History:
         self.has_ended = states is not None
         self.report: dict[str, Any] | None = None
         self._states = list(states or ())
-        self._ticks_between_states = 1
+        self.ticks_between_states = 1
         self._lock = threading.Lock()
 
     def add(self, state: State) -> None:
@@ -119,17 +120,17 @@ class History:
         With more than MAX_STATES the spacing doubles, states between are removed, and a new generation
         begins, so that readers take all states anew.
         """
-        if state.tick % self._ticks_between_states != 0:
+        if state.tick % self.ticks_between_states != 0:
             return
         with self._lock:
             self._states.append(state)
             if len(self._states) > MAX_STATES:
                 # A run without an end must not fill the memory; the page still shows all of it, coarser.
-                self._ticks_between_states *= 2
+                self.ticks_between_states *= 2
                 self._states = [
                     kept_state
                     for kept_state in self._states
-                    if kept_state.tick % self._ticks_between_states == 0
+                    if kept_state.tick % self.ticks_between_states == 0
                 ]
                 self.generation += 1
 
