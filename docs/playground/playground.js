@@ -6,14 +6,13 @@ import {
   addLiar,
   describeRun,
   FILTER_WORDS,
-  FILTER_WORDS_OF_FIGURES,
   formatCommand,
   limitLiars,
   MAX_SAMPLES,
   makeJob,
   miscalibrateMore,
 } from "playground/settings";
-import { chartsOf } from "view/charts";
+import { chartsOf, FILTER_LABELS } from "view/charts";
 import { decodeBase64, History, ONE } from "view/history";
 import { createElement, findElement, meanEstimate, writeText } from "view/panels";
 import { View } from "view/view";
@@ -89,7 +88,6 @@ class Playground {
         this.#changeSettings(ADDRESS_FORMAT.parse(button.dataset.address)),
       );
     }
-    findElement("command").lastElementChild.addEventListener("click", () => this.#copyCommand());
     addEventListener("hashchange", () => this.#changeSettings(ADDRESS_FORMAT.parse(location.hash)));
   }
 
@@ -118,17 +116,6 @@ class Playground {
       choice.addEventListener("change", () => this.#changeSettings({ ...this.settings, filter: name }));
       label.append(choice, createElement("span", text), createElement("output"));
       findElement("filters").append(label);
-    }
-  }
-
-  /** Copies the command; where a browser does not let a page in a frame do that, the command is selected. */
-  async #copyCommand() {
-    const [, code, button] = findElement("command").children;
-    try {
-      await navigator.clipboard.writeText(code.textContent);
-      button.textContent = "copied";
-    } catch {
-      getSelection().selectAllChildren(code);
     }
   }
 
@@ -170,10 +157,9 @@ class Playground {
     for (const choice of findElement("filters").querySelectorAll("input")) {
       choice.checked = choice.value === job.filter;
     }
-    const [, code, copyButton] = findElement("command").children;
+    const [, code] = findElement("command").children;
     const words = formatCommand(this.settings).split(" ");
     code.replaceChildren(...words.flatMap((word) => [" ", createElement("span", word)]).slice(1));
-    copyButton.textContent = "copy";
     findElement("liars").hidden = job.liars === 0;
     const isDefault =
       ADDRESS_FORMAT.format(this.settings) === ADDRESS_FORMAT.format(ADDRESS_FORMAT.parse(""));
@@ -226,7 +212,7 @@ class Playground {
       const [title, error, note] = box.children;
       box.style.setProperty("--colour", `var(--${name})`);
       box.hidden = filter === "none" && box.dataset.name === undefined;
-      writeText(title, `${FILTER_WORDS_OF_FIGURES[name]}, at the end`);
+      writeText(title, `${FILTER_LABELS[name]}, at the end`);
       writeText(error, `off by ${value}`);
       writeText(note, `points, ${runs}`);
       error.classList.toggle("unfinished", !isComplete);

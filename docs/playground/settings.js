@@ -17,14 +17,6 @@ export const FILTER_WORDS = {
   robust: "robust filter",
 };
 
-/** The same, where there is little room. */
-export const FILTER_WORDS_OF_FIGURES = {
-  none: "no filter",
-  "asdf-minus": "paper's filter",
-  "asdf-plus": "paper's filter in all",
-  robust: "robust filter",
-};
-
 /** Returns the settings with more robots that misjudge their sensors. */
 export function miscalibrateMore(settings) {
   return { ...settings, flawed: Math.min(settings.flawed + 10, 100) };

@@ -529,20 +529,6 @@ def figure_of_facets(grid_table: Any) -> Any:
     return plot_curve(grid_table, "flawed", facet="filter")
 
 
-def test_a_figure_has_grid_lines_behind_its_curves_small_numbers_and_no_line_at_the_top(
-    figure_of_facets: Any,
-) -> None:
-    """Numbers at an axis have a size of 8 points."""
-    axes, _ = figure_of_facets.axes
-    first_grid_line, *_ = axes.yaxis.get_gridlines()
-    first_number, *_ = axes.yaxis.get_ticklabels()
-
-    assert first_grid_line.get_visible()
-    assert axes.get_axisbelow()
-    assert first_number.get_fontsize() == 8
-    assert not axes.spines["top"].get_visible()
-
-
 def test_a_notebook_shows_a_figure_with_150_pixels_an_inch(figure_of_facets: Any) -> None:
     """It shows the PNG file that ``_repr_png_`` returns, which has its width in the bytes 16 to 19."""
     picture = figure_of_facets._repr_png_()

@@ -251,20 +251,6 @@ def contents_of(folder: Path) -> dict[str, str]:
     return {path.name: path.read_text() for path in sorted(folder.iterdir())}
 
 
-def test_two_files_are_written_with_these_system_calls(tmp_path: Path) -> None:
-    """The files "a" and "b" are replaced. "open 2" is the second call of open; replace renames a file.
-
-    The other tests let such a call fail.
-    """
-    system_calls = replace_files_a_and_b(tmp_path)
-
-    calls_of_drafts = ["open 1", "write 1", "close 1", "open 2", "write 2", "close 2", "fsync 1", "fsync 2"]
-    renamings = ["replace 1", "replace 2"]
-    sync_of_folder = "fsync 3"
-    assert system_calls.numbered_calls == [*calls_of_drafts, *renamings, sync_of_folder]
-    assert contents_of(tmp_path) == {"a": "new", "b": "new"}
-
-
 with_each_failing_call = pytest.mark.parametrize("failing_call", CALLS_UP_TO_THE_FIRST_RENAMING)
 """Let each system call fail, one at a time, up to the renaming of the first file."""
 

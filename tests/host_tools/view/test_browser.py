@@ -361,26 +361,6 @@ def test_faults_deaths_and_returns_of_robots_are_events(browser: Page, page_with
     assert events == ["1 fault: loss=0.2", "2 fault: liar=1.0", "4 dead", "7 back", "9 fault over: liar=1.0"]
 
 
-def test_events_are_marked_on_the_time_line(browser: Page, page_with_faults: Path) -> None:
-    """The events are in the steps 1, 2, 4, 7 and 9 of ten, so their marks are at these tenths of the line.
-
-    A mark is two pixels wide, and between marks the line is transparent.
-    """
-    open_file(browser, page_with_faults)
-    width = browser.evaluate("document.getElementById('marks').width")
-    top_row = f"document.getElementById('marks').getContext('2d').getImageData(0, 0, {width}, 1).data"
-    colours_of_pixels = np.array(browser.evaluate(f"[...{top_row}]")).reshape(width, 4)
-    marked_pixels = []
-    for pixel, (_red, _green, _blue, opacity) in enumerate(colours_of_pixels):
-        if opacity > 0:
-            marked_pixels.append(pixel)
-    left_pixels_of_marks = marked_pixels[::2]  # every second one, as a mark has two
-
-    left_pixel_of_last_step = width - 2
-    positions_of_marks = [pixel / left_pixel_of_last_step for pixel in left_pixels_of_marks]
-    assert positions_of_marks == pytest.approx([0.1, 0.2, 0.4, 0.7, 0.9], abs=0.01)
-
-
 # --- A swarm as it runs -------------------------------------------------------------------------------
 
 

@@ -176,8 +176,8 @@ export class History {
       // Faults from tick 0 on are events of the second state, as the first has none before it.
       (faultTick > previousTick || (faultTick === 0 && state === 1));
     for (const [text, start, stop] of this.description.faults ?? []) {
-      if (isNew(start)) this.events.push({ tick, state, isMark: true, text: `fault: ${text}` });
-      if (isNew(stop)) this.events.push({ tick, state, isMark: true, text: `fault over: ${text}` });
+      if (isNew(start)) this.events.push({ tick, state, text: `fault: ${text}` });
+      if (isNew(stop)) this.events.push({ tick, state, text: `fault over: ${text}` });
     }
   }
 
@@ -191,10 +191,10 @@ export class History {
       const wasLost = Number.isNaN(before);
       const isLost = Number.isNaN(after);
       if (isLost && !wasLost) {
-        this.events.push({ tick, state, robot, isMark: true, text: lostText });
+        this.events.push({ tick, state, robot, text: lostText });
         this.robotsOnceLost.add(robot);
       } else if (wasLost && !isLost && this.robotsOnceLost.has(robot)) {
-        this.events.push({ tick, state, robot, isMark: true, text: "back" });
+        this.events.push({ tick, state, robot, text: "back" });
       } else if (Math.abs(after - before) > SMALLEST_B_HAT_CHANGE) {
         this.events.push({ tick, state, robot, before, after });
       }

@@ -111,23 +111,6 @@ function describeEvent(history, { robot, state, before, after, text }) {
   return [dot, prefix + formatChange(before, after)];
 }
 
-/** Marks on the time line, of `totalSteps` steps, where faults began or ended and robots were lost or back. */
-export function showMarks(history, totalSteps) {
-  const canvas = findElement("marks");
-  const key = `${history.events.length} ${totalSteps} ${canvas.clientWidth}`;
-  if (canvas.dataset.key === key) return; // they are drawn already
-  canvas.dataset.key = key;
-  canvas.width = canvas.clientWidth;
-  const context = canvas.getContext("2d");
-  context.fillStyle = getComputedStyle(canvas).color;
-  for (const { isMark, tick } of history.events) {
-    if (isMark) {
-      const left = Math.round((tick / totalSteps) * (canvas.width - 2));
-      context.fillRect(left, 0, 2, canvas.height);
-    }
-  }
-}
-
 /** Lists the last events up to a tick, the latest first; `onSeek` is called with one that a user clicks. */
 export function showEvents(history, tick, onSeek) {
   const { events } = history;
@@ -149,7 +132,7 @@ export function showEvents(history, tick, onSeek) {
     item.append(button);
     list.append(item);
   }
-  const kinds = shownEvents.some(({ isMark }) => isMark)
+  const kinds = shownEvents.some(({ text }) => text)
     ? "Recalibrations (b_hat), faults"
     : "Recalibrations (b_hat)";
   const heading = eventCount === 0 ? "No recalibration yet" : `${kinds}: ${eventCount}`;

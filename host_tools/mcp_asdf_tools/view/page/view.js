@@ -4,7 +4,7 @@ import { Arena } from "view/arena";
 import { Bus } from "view/bus";
 import { Charts, chartsOf } from "view/charts";
 import { clearColours } from "view/colours";
-import { findElement, showEvents, showFigures, showMarks, showRobot, writeText } from "view/panels";
+import { findElement, showEvents, showFigures, showRobot, writeText } from "view/panels";
 import { Player } from "view/player";
 import { describeWaiting, formatPercent, introduceRun } from "view/words";
 
@@ -46,7 +46,6 @@ export class View {
     this.#showIntroduction();
     const faults = history.description.faults ?? [];
     findElement("faults").textContent = faults.map(([text]) => text).join("; ");
-    findElement("marks").dataset.key = "";
     findElement("events").dataset.end = "";
   }
 
@@ -94,7 +93,6 @@ export class View {
   /** Draws everything in the colours of a light or a dark page. */
   recolour() {
     clearColours();
-    findElement("marks").dataset.key = "";
     this.arena.recolour();
     this.charts.recolour();
   }
@@ -205,7 +203,6 @@ export class View {
     showFigures(history, state);
     showRobot(history, state, followedRobot);
     showEvents(history, tick, (event) => this.#openEvent(event));
-    showMarks(history, this.totalSteps);
     this.#showTime(tick);
     this.onDraw(state);
   }
