@@ -16,12 +16,18 @@ robots have to be there, everything else has a default. Every other line is eith
     - ``"restart"``: the robot started again in the state of the header
 
 - ``"186BB92A#0000603333F307E5"``: a frame on the bus that no robot sent, but a fault; as candump writes it.
+
+Versions 3 and 4 of the format are read, too, unless a robot has the robust filter: it was another filter
+then. Version 3 is not compressed, and may have a hexadecimal mask such as ``"1b"`` in place of estimates. It
+stands for the last estimate in the file of each sender whose bit is set, here of robots 0, 1, 3 and 4 in this
+order.
 """
 
 from __future__ import annotations
 
 import gzip
 import json
+import re
 import zlib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field
@@ -31,17 +37,22 @@ from typing import IO, Any
 
 import can
 
-from mcp_asdf.robot import Observation
+from mcp_asdf.robot import MAX_ID, Filter, Observation
 from mcp_asdf_tools.bus.frame_layout import Action
 from mcp_asdf_tools.bus.frames import FrameFormat, format_frame
 from mcp_asdf_tools.common.errors import UsageError, refusing_wrong_values
 from mcp_asdf_tools.common.versions import software_versions
 from mcp_asdf_tools.recording.frame_logs import PART_SUFFIX
-from mcp_asdf_tools.robots.robot_setup import RobotSetup
+from mcp_asdf_tools.robots.robot_setup import RobotSetup, format_ids
 
 FORMAT = "mcp-asdf events"
 VERSION = 5
-"""The only version that is read: a robot does not repeat what it did under an earlier firmware."""
+_READABLE_VERSIONS = (3, 4, VERSION)
+"""Version 1 had alpha as the bits of an IEEE number and t-tables of another format. Version 2 repeated each
+estimate for every receiver, without compression. Version 4 has the form of version 5."""
+_FIRST_VERSION_OF_ROBUST_FILTER = 5
+"""First version in which robots with the robust filter keep the latest estimate of each sender. Before, every
+message was a vote, so such a robot would not repeat its run."""
 
 Event = int | str | list[int]
 """One event of a robot as the file has it; the list above has the forms."""
@@ -59,6 +70,8 @@ _MAX_EVENTS_PER_LINE = 100_000
 received a flood of frames is short enough to be read."""
 _MAX_INTEGER = 2**32 - 1
 """Maximum of the integers in an event: all of them have at most 32 bits in the firmware."""
+_SENDER_MASK = re.compile(r"[0-9a-f]{1,32}")
+_USE_OTHER_VERSION = "replay the log with the mcp-asdf that wrote it, or record the run again"
 _GZIP_MAGIC = b"\x1f\x8b"
 """First two bytes of every file that is compressed by gzip."""
 
@@ -230,6 +243,8 @@ class EventsReader:
         self._path = Path(path)
         self.is_part = self._path.suffix == PART_SUFFIX
         self._line_number = 1
+        self._last_estimates: dict[int, list[int]] = {}
+        """The last estimate of each sender in the lines read so far, by the sender's id."""
         try:
             self._file = _open_text(self._path)
         except OSError as error:
@@ -253,7 +268,9 @@ class EventsReader:
     def entries(self) -> Iterator[RobotEvents | InjectedFrame]:
         """Yield what each line after the header holds: the next events of a robot, or an injected frame.
 
-        Raises UsageError, which names the line, for a malformed one.
+        All received estimates are in the events, also those that a file of version 3 only refers to: it may
+        have a mask of senders in place of estimates that it has told before. Raises UsageError, which names
+        the line, for a malformed one.
         """
         robot_ids = {robot.id for robot in self.header.robots}
         for value in self._values:
@@ -266,14 +283,42 @@ class EventsReader:
             robot_id, *plain_events = value
             if robot_id not in robot_ids:
                 raise self.error_in_line(f"robot {robot_id} is not in the first line")
-            for plain_event in plain_events:
-                if not _is_event(plain_event):
-                    raise self.error_in_line(f"{plain_event!r} is no event")
-            yield RobotEvents(robot_id, plain_events)
+            yield RobotEvents(robot_id, self._parse_events(plain_events))
 
     def error_in_line(self, text: str) -> UsageError:
         """Return a UsageError that names the line read last, and then says ``text``; the caller raises it."""
         return UsageError(f"{self._path}, line {self._line_number}: {text}")
+
+    def _parse_events(self, plain_events: Sequence[Any]) -> list[Event]:
+        """Return the events in the JSON values of a line, with estimates in place of a mask of senders.
+
+        Remembers the last estimate of each sender, to which a mask in this line or a later one may refer.
+        Raises UsageError for a value that is no event, and for a mask of a sender without an estimate.
+        """
+        events: list[Event] = []
+        for plain_event in plain_events:
+            if isinstance(plain_event, str) and _SENDER_MASK.fullmatch(plain_event):
+                events += self._estimates_of_mask(plain_event)
+                continue
+            if not _is_event(plain_event):
+                raise self.error_in_line(f"{plain_event!r} is no event")
+            if is_received_estimate(plain_event):
+                sender, _x_hat, _alpha = plain_event
+                self._last_estimates[sender] = plain_event
+            events.append(plain_event)
+        return events
+
+    def _estimates_of_mask(self, mask_text: str) -> Sequence[Event]:
+        """Return the last estimates of the senders in a mask of version 3, by rising id.
+
+        Bit k of the hexadecimal number stands for the robot with id k. Raises UsageError if one of these
+        robots has sent no estimate before.
+        """
+        mask = int(mask_text, 16)
+        senders = [sender for sender in range(MAX_ID + 1) if (mask >> sender) & 1]
+        if not all(sender in self._last_estimates for sender in senders):
+            raise self.error_in_line(f"{mask_text!r} refers to a robot of which no message is told before")
+        return [self._last_estimates[sender] for sender in senders]
 
     def _read_values(self) -> Iterator[Any]:
         """Yield the JSON value of each line, the header included. Raises UsageError if a line is not JSON."""
@@ -324,17 +369,18 @@ class EventsReader:
         """Return the description of a run in the JSON value of the first line.
 
         Settings of robots and frames that are missing have their defaults: the file was written before they
-        existed. Raises UsageError for another format or version, for robots that are no list or share an id,
-        and for a value that is missing without a default, unknown or impossible.
+        existed. Raises UsageError for another format; for a version that cannot be read, or one that had
+        another robust filter, if a robot has that filter; for robots that are no list or share an id; and for
+        a value that is missing without a default, unknown or impossible.
         """
         # Format and version come first: in another one all else may have another meaning.
         if not isinstance(plain_header, dict) or plain_header.get("format") != FORMAT:
             raise self.error_in_line(f'"format": "{FORMAT}" is missing')
         version = plain_header.get("version")
-        if version != VERSION:
+        if version not in _READABLE_VERSIONS:
             raise self.error_in_line(
-                f"the format is version {version}, and version {VERSION} is read here; replay the log with "
-                "the mcp-asdf that wrote it, or record the run again"
+                f"the format is version {version}, and versions {_READABLE_VERSIONS[0]} to {VERSION} "
+                f"are read here; {_USE_OTHER_VERSION}"
             )
         if not isinstance(plain_header.get("robots"), list):
             raise self.error_in_line(
@@ -349,6 +395,8 @@ class EventsReader:
             raise self.error_in_line(str(error)) from error
         if len({robot.id for robot in robots}) < len(robots):
             raise self.error_in_line("two robots have the same id")
+        if version < _FIRST_VERSION_OF_ROBUST_FILTER:
+            self._check_without_robust_filter(robots)
         return EventsHeader(
             robots,
             plain_header.get("seed"),
@@ -356,6 +404,17 @@ class EventsReader:
             parameters=self._object_in(plain_header, "parameters"),
             versions=self._object_in(plain_header, "versions"),
         )
+
+    def _check_without_robust_filter(self, robots: Sequence[RobotSetup]) -> None:
+        """Raise UsageError if one of the robots of an earlier version has that version's robust filter."""
+        ids_with_robust_filter = frozenset(
+            robot.id for robot in robots if robot.config.filter == Filter.ROBUST
+        )
+        if ids_with_robust_filter:
+            raise self.error_in_line(
+                f"robots {format_ids(ids_with_robust_filter)} have the robust filter of an earlier mcp-asdf, "
+                f"which cannot be repeated here; {_USE_OTHER_VERSION}"
+            )
 
     def _object_in(self, plain_header: dict[str, Any], key: str) -> dict[str, Any]:
         """Return the JSON object at a key of the header, or an empty one. Raises UsageError if it is none."""

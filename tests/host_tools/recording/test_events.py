@@ -1,4 +1,4 @@
-"""Files of events give back what was recorded, and malformed lines are named."""
+"""Files of events give back what was recorded, older versions are read, and malformed lines are named."""
 
 from __future__ import annotations
 
@@ -23,6 +23,8 @@ from mcp_asdf_tools.recording.events import (
     RobotEvents,
     events_path,
 )
+from mcp_asdf_tools.recording.frame_logs import read_log
+from mcp_asdf_tools.recording.replay import ReplayVerdict, verify
 from mcp_asdf_tools.tables.thresholds import generate
 from messages import FRAMES
 from wire import setup_of_robot
@@ -157,6 +159,68 @@ def test_a_flood_of_estimates_is_written_in_several_lines(
     assert read_entries(tmp_path / "x") == [line_of_six, line_of_six]
 
 
+# --- Earlier versions -----------------------------------------------------------------------------------
+
+
+def test_a_mask_in_a_file_of_version_3_is_read_as_the_last_estimates_of_its_senders(tmp_path: Path) -> None:
+    """Such files do not repeat an estimate: the mask "9" (bits 0 and 3) stands for robots 0 and 3.
+
+    Robot 7 received both, a list of sender, x_hat and alpha each; then robot 0 received the same two. Before,
+    each observed black (1), and at last it ended the tick (3).
+    """
+    first_line_of_version_3 = FIRST_LINE_OF_ROBOTS_0_AND_7.replace('"version": 5', '"version": 3')
+    line_of_robot_7 = "[7,1,[3,9,8],[0,1,2],3]"
+    line_of_robot_0 = '[0,1,"9",3]'  # the estimates are received in the order of their senders
+    (tmp_path / "x").write_text(f"{first_line_of_version_3}{line_of_robot_7}\n{line_of_robot_0}\n")
+
+    assert read_entries(tmp_path / "x") == [
+        RobotEvents(7, [BLACK, [3, 9, 8], [0, 1, 2], END_OF_TICK]),
+        RobotEvents(0, [BLACK, [0, 1, 2], [3, 9, 8], END_OF_TICK]),
+    ]
+
+
+def test_a_log_that_an_earlier_program_wrote_is_replayed_without_a_difference() -> None:
+    """Its events are in version 3 of the format. The verdict has the number of frames of each kind.
+
+    The log has 66 frames. A fault of that run gave five broadcasts false values, and sent two frames under a
+    robot's id. The other 51 broadcasts come out again, and eight frames are heartbeats.
+    """
+    log = Path(__file__).parent / "version_3.log"
+    with EventsReader(events_path(log)) as reader:
+        verdict = verify(read_log(log), reader)
+    assert verdict == ReplayVerdict(difference=None, reproduced=51, falsified=5, foreign=2, other=8)
+
+
+def test_events_of_version_4_are_read(tmp_path: Path) -> None:
+    """The present version is 5. In the only line robot 7 observes black (1) and ends the tick (3)."""
+    first_line_of_version_4 = FIRST_LINE_OF_ROBOTS_0_AND_7.replace('"version": 5', '"version": 4')
+    (tmp_path / "x").write_text(f"{first_line_of_version_4}[7,1,3]\n")
+    assert read_entries(tmp_path / "x") == [RobotEvents(7, [BLACK, END_OF_TICK])]
+
+
+@pytest.mark.parametrize("version", [3, 4])
+def test_robots_with_an_earlier_robust_filter_are_refused_by_their_ids(version: int, tmp_path: Path) -> None:
+    """The earlier filter computed other numbers, so a replay would report differences that are no faults.
+
+    The robots 3, 4 and 7 of the file have the robust filter, and robot 0 has another one.
+    """
+    robots = [
+        setup_of_robot(0, filter=Filter.ALWAYS),
+        setup_of_robot(3, filter=Filter.ROBUST),
+        setup_of_robot(4, filter=Filter.ROBUST),
+        setup_of_robot(7, filter=Filter.ROBUST),
+    ]
+    first_line = EventsHeader(robots, seed=5, frames=FrameFormat()).to_line()
+    (tmp_path / "x").write_text(first_line.replace('"version": 5', f'"version": {version}'))
+    message = (
+        r"x, line 1: robots 3-4\+7 have the robust filter of an earlier mcp-asdf, which cannot be repeated "
+        "here; replay the log with the mcp-asdf that wrote it, or record the run again"
+    )
+
+    with pytest.raises(UsageError, match=message):
+        EventsReader(tmp_path / "x")
+
+
 # --- Files that were cut or damaged -------------------------------------------------------------------
 
 
@@ -263,8 +327,8 @@ def changed_header(key: str, value: Any) -> str:
         ("(1.0) vcan0 1#00", "not JSON"),
         ("[" * 100_000, "not JSON"),
         ("\xff\xfe", "not JSON"),
-        (changed_header("version", 4), "the format is version 4, and version 5 is read here; replay the log"),
-        (changed_header("version", 6), "the format is version 6, and version 5 is read here"),
+        (changed_header("version", 2), "the format is version 2, and versions 3 to 5 are read here; replay"),
+        (changed_header("version", 6), "the format is version 6, and versions 3 to 5 are read here"),
         (changed_header("robots", 5), "robots is 5; it must be a list in brackets"),
         (header_of(7, 7).to_line(), "two robots have the same id"),
         (changed_header("frames", {"subject": 6144, "priority": 4}), "subject is 6144"),
@@ -293,6 +357,7 @@ def test_a_malformed_header_is_refused(first_line: str, expected_message: str, t
         ("[]", "line 2: neither a robot with its events nor a frame"),
         ("[true,1]", "line 2: neither a robot with its events nor a frame"),
         ("[5,1]", "line 2: robot 5 is not in the first line"),
+        ('[0,1,[1,2,3],"2"]\n[7,"6"]', "line 3: '6' refers to a robot of which no message is told before"),
         ("[0,4]", "line 2: 4 is no event"),
         ("[0,1.0]", "line 2: 1.0 is no event"),
         ("[0,[1]]", "line 2: [1] is no event"),
@@ -301,6 +366,7 @@ def test_a_malformed_header_is_refused(first_line: str, expected_message: str, t
         ("[0,[1,2,4294967296]]", "line 2: [1, 2, 4294967296] is no event"),
         ('[0,"lost"]', "line 2: 'lost' is no event"),
         ('[0,""]', "line 2: '' is no event"),
+        (f'[0,"{"1" * 33}"]', f"line 2: '{'1' * 33}' is no event"),
     ],
 )
 def test_a_malformed_line_is_refused_with_its_number(
