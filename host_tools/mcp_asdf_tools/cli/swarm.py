@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from mcp_asdf_tools.swarm.run import SwarmRun
     from mcp_asdf_tools.swarm.swarm import Swarm
     from mcp_asdf_tools.view.history import History
-    from mcp_asdf_tools.view.swarm_recorder import SwarmRecorder
+    from mcp_asdf_tools.view.run_histories import SwarmRecorder
 
 EPILOG = """\
 examples:
@@ -432,8 +432,8 @@ def _start_view(plan: _RunPlan, at_end: ExitStack) -> SwarmRecorder | None:
     """
     if not plan.args.view:
         return None
+    from mcp_asdf_tools.view.run_histories import SwarmRecorder
     from mcp_asdf_tools.view.server import serve_page
-    from mcp_asdf_tools.view.swarm_recorder import SwarmRecorder
 
     pace = _DEFAULT_PACE if plan.args.pace is None else plan.args.pace
     recorder = SwarmRecorder(plan.settings, pace)

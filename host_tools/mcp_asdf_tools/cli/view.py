@@ -139,8 +139,11 @@ def _read_recording(args: argparse.Namespace) -> History:
     """
     from mcp_asdf_tools.experiments.results import is_results_path, single_experiment
     from mcp_asdf_tools.recording.events import events_path
-    from mcp_asdf_tools.view.swarm_log_history import recompute_swarm_history
-    from mcp_asdf_tools.view.trial_history import recompute_trial_history, recorded_trial_history
+    from mcp_asdf_tools.view.run_histories import (
+        recompute_swarm_history,
+        recompute_trial_history,
+        recorded_trial_history,
+    )
 
     # No file holds all that the page draws: the rest is computed again from seed and parameters, unless
     # another program has run the trial.

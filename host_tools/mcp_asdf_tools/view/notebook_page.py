@@ -15,7 +15,7 @@ from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.results import select_experiments, single_experiment
 from mcp_asdf_tools.experiments.trials import run_trials
 from mcp_asdf_tools.view.page import make_page
-from mcp_asdf_tools.view.trial_history import recompute_trial_history
+from mcp_asdf_tools.view.run_histories import recompute_trial_history
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,6 @@ import json
 import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cache
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -23,8 +22,6 @@ from mcp_asdf_tools.view.history import QUANTITIES, History, RunDescription, Sta
 _FOLDER = Path(__file__).parent / "page"
 _SAFE_IN_DATA_URL = " !\"$&'()*+,-./:;=>?@[\\]^_`{|}~"
 """Characters that need no escape in a data URL inside HTML."""
-_SCRIPTS = ("arena", "bus", "charts", "colours", "history", "main", "panels", "player", "view", "words")
-"""Scripts of the folder ``page``, which import each other as ``view/NAME``."""
 
 
 def make_page(history: History | None = None) -> str:
@@ -33,7 +30,7 @@ def make_page(history: History | None = None) -> str:
     Without a history the page asks the server that it comes from for one.
     """
     if history is None:
-        return _make_page_of_server()
+        return assemble_page(None)
     update = history.states_since()
     content = {
         "description": encode_description(update.description),
@@ -63,8 +60,10 @@ class PageAdditions:
 
 def assemble_page(content: object, additions: PageAdditions = PageAdditions()) -> str:
     """Return the page, and ``additions`` to it, with ``content`` as JSON: HTML that needs no other file."""
-    more_urls = {name: _encode_script_url(script) for name, script in additions.scripts.items()}
-    script_urls = _encode_view_scripts() | more_urls
+    # Scripts import each other as view/NAME.
+    view_scripts = {f"view/{path.stem}": _read_file(path.name) for path in sorted(_FOLDER.glob("*.js"))}
+    scripts = view_scripts | dict(additions.scripts)
+    script_urls = {name: _encode_script_url(script) for name, script in scripts.items()}
     content_by_placeholder = {
         "__POLICY__": additions.script_policy,
         "__STYLE__": _read_file("uplot/uPlot.min.css") + _read_file("page.css") + additions.style,
@@ -83,19 +82,6 @@ def assemble_page(content: object, additions: PageAdditions = PageAdditions()) -
     return html
 
 
-@cache
-def _make_page_of_server() -> str:
-    """Return the page that asks its server for a history. It is always the same, and put together once."""
-    return assemble_page(None)
-
-
-@cache
-def _encode_view_scripts() -> dict[str, str]:
-    """Return the URLs of the scripts of the folder ``page`` by the names under which they are imported."""
-    return {f"view/{name}": _encode_script_url(_read_file(f"{name}.js")) for name in _SCRIPTS}
-
-
-@cache
 def _read_file(name: str) -> str:
     """Return the text of a file of the folder ``page``."""
     return (_FOLDER / name).read_text(encoding="utf-8")

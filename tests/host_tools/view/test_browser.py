@@ -21,8 +21,8 @@ from mcp_asdf_tools.swarm.swarm import Swarm
 from mcp_asdf_tools.view.history import NO_LINKS, History, RunDescription, State
 from mcp_asdf_tools.view.page import make_page
 from mcp_asdf_tools.view.roster import Roster
+from mcp_asdf_tools.view.run_histories import SwarmRecorder
 from mcp_asdf_tools.view.server import serve_page
-from mcp_asdf_tools.view.swarm_recorder import SwarmRecorder
 from support import ROOT
 
 if TYPE_CHECKING:

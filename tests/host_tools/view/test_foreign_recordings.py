@@ -18,7 +18,7 @@ from mcp_asdf_tools.cli.main import main
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.recording.events import events_path
 from mcp_asdf_tools.robots.population import Population
-from mcp_asdf_tools.view.swarm_log_history import recompute_swarm_history
+from mcp_asdf_tools.view.run_histories import recompute_swarm_history
 
 pytestmark = pytest.mark.usefixtures("private_setup")
 

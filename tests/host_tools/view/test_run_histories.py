@@ -28,9 +28,12 @@ from mcp_asdf_tools.view import history as history_module
 from mcp_asdf_tools.view import run_description
 from mcp_asdf_tools.view.history import History, State
 from mcp_asdf_tools.view.page import encode_description
-from mcp_asdf_tools.view.swarm_log_history import recompute_swarm_history
-from mcp_asdf_tools.view.swarm_recorder import SwarmRecorder
-from mcp_asdf_tools.view.trial_history import recompute_trial_history, recorded_trial_history
+from mcp_asdf_tools.view.run_histories import (
+    SwarmRecorder,
+    recompute_swarm_history,
+    recompute_trial_history,
+    recorded_trial_history,
+)
 from mcp_asdf_tools.world.arena import Arena
 from support import slow
 
