@@ -39,26 +39,17 @@ def lock_file(path: Path) -> str | None:
             # Any other error means that there are no locks.
             has_owner = error.errno in (errno.EACCES, errno.EAGAIN)
             return owner_id if has_owner else None
-        if _is_still_at(path, descriptor):
-            _write_own_id(descriptor)
+        is_still_there = path.exists() and os.path.samestat(os.fstat(descriptor), path.stat())
+        if is_still_there:
+            # A process that was killed leaves its file, whose id may be longer.
+            os.ftruncate(descriptor, 0)
+            os.write(descriptor, str(os.getpid()).encode())
             _DESCRIPTOR_OF_LOCKED_FILE[path] = descriptor
         else:
             # Between opening and locking, the process that had the lock removed the file: try again with the
             # file that is there now, which others try to lock, too.
             os.close(descriptor)
     return None
-
-
-def _write_own_id(descriptor: int) -> None:
-    """Write this process's id into an open file, in place of what the file has contained."""
-    # A process that was killed leaves its file, whose id may be longer.
-    os.ftruncate(descriptor, 0)
-    os.write(descriptor, str(os.getpid()).encode())
-
-
-def _is_still_at(path: Path, descriptor: int) -> bool:
-    """Return whether an open file still has the name ``path``, and was not removed."""
-    return path.exists() and os.path.samestat(os.fstat(descriptor), path.stat())
 
 
 def unlock_file(path: Path) -> None:

@@ -20,7 +20,6 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from golden import assert_equals_golden_file
 from mcp_asdf.robot import B_HAT_MARGIN, Config, Filter, FirmwareError, Status
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.experiments import _engine
@@ -588,23 +587,6 @@ GRAPH_OF_2100 = replace(
 def test_hundreds_of_robots_computed_at_once_equal_the_firmware_to_the_bit(experiment: Experiment) -> None:
     """There are 300 that move, or 2100 in a graph, which take many rows of vectors."""
     assert differences_between_lanes_and_firmware(experiment, trial_numbers=range(1)) == []
-
-
-@pytest.mark.parametrize("filter_name", ["robust", "asdf-plus"])
-def test_127_robots_end_in_the_states_that_earlier_versions_gave_them(filter_name: Any) -> None:
-    """A golden file, which an earlier version wrote, has b_hat and the saved state of every sixth robot."""
-    experiment = replace(
-        MOVING_WITH_LATENCY, robots=127, flawed=38, density=1, steps=600, filter_period=100, seed=5
-    )
-    trials = native.run(replace(experiment, filter=filter_name), first=0, trials=1)
-    states = trials.images()
-    [b_hat_by_filter_step_and_robot] = trials.b_hat  # of the only trial
-    *_, b_hat_at_end = b_hat_by_filter_step_and_robot
-
-    lines = []
-    for robot in range(0, 127, 6):
-        lines.append(f"robot {robot}: b_hat {b_hat_at_end[robot]}, image {states[robot].hex()}")
-    assert_equals_golden_file(f"engine_{filter_name}.txt", lines)
 
 
 def engine_bytes_per_robot(robots: int) -> float:

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.figures import (
@@ -60,7 +59,7 @@ def plot_bands(results: Results, *, where: Mapping[str, Any] | None = None) -> F
     for trials that are too short for a filter step.
     """
     experiments = experiments_to_plot(results, where)
-    if any(_filter_step_count(trials) == 0 for trials in experiments):
+    if any(trials.experiment.steps < trials.experiment.filter_period for trials in experiments):
         raise UsageError("these trials have no filter step; run more steps, or a shorter filter_period")
     max_columns = 2 if len(experiments) == 4 else 3  # four make a square
     figure, panels = create_panels(len(experiments), panel_height=2.1, max_columns=max_columns)
@@ -73,11 +72,6 @@ def plot_bands(results: Results, *, where: Mapping[str, Any] | None = None) -> F
     handles = [legend_handle(label, colour, marker="", line="-") for label, colour in colours.items()]
     caption = make_caption(experiments, _MEANING_OF_MARKS, PAPER_LIMITS)
     return label_figure(figure, "step", r"assumed accuracy $\hat{b}$", caption, handles)
-
-
-def _filter_step_count(trials: Trials) -> int:
-    """Return how many filter steps each trial has."""
-    return int(trials.b_hat.shape[1])
 
 
 def _panel_titles(experiments: Sequence[Trials]) -> list[str]:
@@ -126,9 +120,12 @@ def _draw_accuracy_bands(axes: Axes, trials: Trials) -> None:
     robots has none.
     """
     experiment = trials.experiment
+    _trials, filter_step_count, _robots = trials.b_hat.shape
     # The first filter step is at step filter_period, not at step 0.
-    steps = experiment.filter_period * np.arange(1, _filter_step_count(trials) + 1)
-    flawed, healthy = _flawed_and_healthy(trials)
+    steps = experiment.filter_period * np.arange(1, filter_step_count + 1)
+    # The flawed robots come first.
+    flawed = trials.b_hat[:, :, : experiment.flawed]
+    healthy = trials.b_hat[:, :, experiment.flawed :]
     for colour, b_hat in ((COLOUR_OF_FLAWED_ROBOTS, flawed), (COLOUR_OF_HEALTHY_ROBOTS, healthy)):
         if b_hat.size:
             trial_axis, robot_axis = 0, 2  # of the shape (trials, filter steps, robots)
@@ -136,15 +133,6 @@ def _draw_accuracy_bands(axes: Axes, trials: Trials) -> None:
             draw_band(axes, steps, band, colour)
     axes.axhline(experiment.true_accuracy, color=INK, linewidth=1.2, linestyle="--")
     style_panel(axes)
-
-
-def _flawed_and_healthy(trials: Trials) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return b_hat of the flawed robots, which come first, and of the others.
-
-    Both have the shape (trials, filter steps, robots of that kind).
-    """
-    flawed_count = trials.experiment.flawed
-    return trials.b_hat[:, :, :flawed_count], trials.b_hat[:, :, flawed_count:]
 
 
 def _describe_harmed(trials: Trials) -> str:
