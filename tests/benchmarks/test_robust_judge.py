@@ -51,7 +51,7 @@ def test_a_case_that_is_simulated_again_gives_its_rows_of_docs_robust_study_csv(
     [case] = [case for case in ALL_CASES if (case.name, case.flaw) == (name, flaw)]
     expected_rows = rows_with(read_rows(STUDY), case=name, flaw=flaw)
 
-    results = run_case(compile_judge(tmp_path), case, case.trials)
+    results = run_case(compile_judge(tmp_path), case)
 
     assert list(rows_of(case, results)) == expected_rows
 
@@ -120,7 +120,7 @@ def test_a_variant_that_is_simulated_again_gives_its_row_of_docs_robust_variants
     write_variant(CORE, tmp_path, variant)
     simulator = compile_judge(tmp_path, tmp_path)
 
-    results = run_case(simulator, case, case.trials, ["robust"])
+    results = run_case(simulator, case, ["robust"])
 
     rows = rows_of(case, results, labels={"robust": variant})
     stored_rows = rows_with(read_rows(VARIANT_STUDY), case=case.name, flaw=case.flaw, filter=variant)

@@ -148,7 +148,7 @@ def cases_of_swarms() -> Iterator[Case]:
             "E", f"moving, 1000 robots, {share} flawed", f"top=1 N=1000 share={share} steps=10000"
         )
         name = f"all hear all, {share} flawed, a robot restarts in 1 of 1000 steps"
-        yield from with_flaws("E", name, f"top=0 share={share} restart=.001 reinit=1")
+        yield from with_flaws("E", name, f"top=0 share={share} restart=.001")
     for topology, top in TOPOLOGIES.items():
         for name, death in (("a flawed and a sound robot die", 1), ("all flawed robots die", 2)):
             yield from with_flaws("E", f"{topology}, .3 flawed, {name}", f"{top} share=.3 death={death}")
@@ -231,11 +231,11 @@ def compile_judge(folder: Path, core: Path = CORE) -> Path:
 
 
 def run_case(
-    program: Path, case: Case, trials: int, filters: Sequence[str] = tuple(FILTERS)
+    program: Path, case: Case, filters: Sequence[str] = tuple(FILTERS)
 ) -> dict[str, dict[str, list[float]]]:
     """Run a case with each filter, and return lists with a number for each trial, by filter and quantity."""
     world = zlib.crc32(f"{case.group} {case.name} {case.flaw}".encode())
-    arguments = [f"seed={SEED}", f"world={world}", f"trials={trials}", *case.settings.split()]
+    arguments = [f"seed={SEED}", f"world={world}", f"trials={case.trials}", *case.settings.split()]
     command = [str(program), *arguments, *(f"filter={name}" for name in filters)]
     result: dict[str, Any] = json.loads(subprocess.run(command, check=True, capture_output=True).stdout)
     return result
@@ -277,31 +277,29 @@ def read_rows(path: Path) -> list[dict[str, str]]:
         return list(csv.DictReader(file))
 
 
-def generate_study_rows(
-    finished: set[tuple[str, ...]], name_part: str, trials: int | None
+def generate_rows(
+    finished: set[tuple[str, ...]], cases: Sequence[Case], labels: Mapping[str, str], core: Path = CORE
 ) -> Iterator[dict[str, str]]:
-    """Yield the rows of all cases with each filter, but for the finished ones."""
+    """Yield the rows of cases, but for the finished ones.
+
+    ``labels`` are what the table calls the filters, by their names in judge.c, and ``core`` is the folder of
+    the firmware that is judged.
+    """
+    *_others, last_label = labels.values()
     with tempfile.TemporaryDirectory() as folder:
-        program = compile_judge(Path(folder))
-        for number, case in enumerate(ALL_CASES, 1):
-            if name_part in case.name and (case.group, case.name, case.flaw, "robust") not in finished:
-                yield from rows_of(case, run_case(program, case, trials or case.trials))
-                print(f"{number} of {len(ALL_CASES)}: {case.name} {case.flaw}", file=sys.stderr)
+        program = compile_judge(Path(folder), core)
+        for number, case in enumerate(cases, 1):
+            if (case.group, case.name, case.flaw, last_label) not in finished:
+                yield from rows_of(case, run_case(program, case, list(labels)), labels)
+                print(f"{last_label}, {number} of {len(cases)}: {case.name} {case.flaw}", file=sys.stderr)
 
 
-def generate_variant_rows(
-    finished: set[tuple[str, ...]], name_part: str, trials: int | None
-) -> Iterator[dict[str, str]]:
+def generate_variant_rows(finished: set[tuple[str, ...]]) -> Iterator[dict[str, str]]:
     """Yield the rows of the cases of variants with each variant, but for the finished ones."""
     for variant in VARIANTS:
-        with tempfile.TemporaryDirectory() as core, tempfile.TemporaryDirectory() as folder:
+        with tempfile.TemporaryDirectory() as core:
             write_variant(CORE, Path(core), variant)
-            program = compile_judge(Path(folder), Path(core))
-            for number, case in enumerate(VARIANT_CASES, 1):
-                if name_part in case.name and (case.group, case.name, case.flaw, variant) not in finished:
-                    results = run_case(program, case, trials or case.trials, ["robust"])
-                    yield from rows_of(case, results, {"robust": variant})
-                    print(f"{variant}, {number} of {len(VARIANT_CASES)}: {case.name}", file=sys.stderr)
+            yield from generate_rows(finished, VARIANT_CASES, {"robust": variant}, Path(core))
 
 
 def main() -> None:
@@ -310,20 +308,21 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("table", type=Path, help="the CSV file to make or to complete")
-    parser.add_argument("--trials", type=int, help="trials of each case (default: 40, of large swarms fewer)")
-    parser.add_argument("--match", default="", help="run only cases whose name contains this")
     parser.add_argument("--variants", action="store_true", help="judge variants of the robust filter")
     arguments = parser.parse_args()
     finished: set[tuple[str, ...]] = {
         (row["group"], row["case"], row["flaw"], row["filter"]) for row in read_rows(arguments.table)
     }
     print(f"seed {SEED}", file=sys.stderr)
-    generate_rows = generate_variant_rows if arguments.variants else generate_study_rows
+    if arguments.variants:
+        rows = generate_variant_rows(finished)
+    else:
+        rows = generate_rows(finished, ALL_CASES, FILTERS)
     with arguments.table.open("a", newline="", encoding="utf-8") as file:
         writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
         if not finished:
             writer.writeheader()
-        for row in generate_rows(finished, arguments.match, arguments.trials):
+        for row in rows:
             writer.writerow(row)
             file.flush()
 

@@ -49,8 +49,7 @@ static setting_t settings[] = {
     {"liars", 0},     {"strat", 0}, /* 0: liars say 0, 1: they say r + dir s */
     {"dir", -1},      {"evict", 0}, /* 1: each liar's id is a sound robot's plus 32, and its messages come
                                        last */
-    {"restart", 0},                 /* probability that a robot restarts in a step */
-    {"reinit", 0},                  /* 0: it keeps its phase of tau, 1: tau counts anew */
+    {"restart", 0},                 /* probability that a robot restarts in a step; its tau counts anew */
     {"age", 0},                     /* sensors age, 1: all alike, 2: each in its own way */
     {"death", 0},                   /* at half time die, 1: a flawed and a sound robot, 2: all flawed ones */
     {"ids", 0},                     /* 1: ids are 0 .. N/2-1 and 32 .. 32+N/2-1 */
@@ -373,7 +372,7 @@ static result_t run_filter(const char *filter, uint64_t seed, uint64_t world, in
 {
     const int is_robust = strcmp(filter, "robust") == 0, is_minus = strcmp(filter, "minus") == 0;
     const double restart = get("restart"), hrate = get("hrate");
-    const int evict = get("evict") != 0, reinit = get("reinit") != 0, has_deaths = get("death") != 0;
+    const int evict = get("evict") != 0, has_deaths = get("death") != 0;
     const long hper = (long)get("hper");
     const uint32_t memory = (uint32_t)get("memory");
     config_filter = (mcp_asdf_config_t){mcp_asdf_t_table_omega05_q30, (uint32_t)tau, memory,
@@ -399,11 +398,7 @@ static result_t run_filter(const char *filter, uint64_t seed, uint64_t world, in
         }
         for (int i = 0; i < N; ++i) {
             if (restart > 0 && uniform(&restarts) < restart) {
-                const uint32_t left = robots[i].filter_left;
                 start_robot(i, configs[i]);
-                if (!reinit) {
-                    robots[i].filter_left = left;
-                }
             }
             (void)mcp_asdf_observe(&robots[i], black[t * N + i] ? MCP_ASDF_BLACK : MCP_ASDF_WHITE);
         }
