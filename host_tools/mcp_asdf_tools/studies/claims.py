@@ -11,7 +11,6 @@ from __future__ import annotations
 import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -68,10 +67,10 @@ class Contrast:
         than_measure: Measure of the other cell, if it differs.
         size: Smallest difference that counts: a number, or a name in SIZES.
         panels: Names of pairs of f, the share of black floor, and b, the sensors' accuracy.
-        flawed_accuracies: b_hat of the flawed robots, the accuracy that they assume at the start.
-        flawed_percents: P, the percentage of robots that are flawed.
-        filters: Which robots filter: values of ``Experiment.filter``.
-        filter_periods: tau, the steps from one filter step to the next.
+        flawed_accuracy: b_hat of the flawed robots, the accuracy that they assume at the start.
+        flawed_percent: P, the percentage of robots that are flawed.
+        filter: Which robots filter: values of ``Experiment.filter``.
+        filter_period: tau, the steps from one filter step to the next.
         than: How the other cell differs: attributes of ``Cell``, or the name of such a table.
         level: What is compared with where there is no other cell: a number, or a name in LEVELS.
     """
@@ -81,10 +80,10 @@ class Contrast:
     than_measure: str = ""
     size: str | float = "seen"
     panels: str | Sequence[str] = "everywhere"
-    flawed_accuracies: float | Sequence[float] = FLAWED_ACCURACIES
-    flawed_percents: int | Sequence[int] = (10, 30, 50)
-    filters: str | Sequence[str] = "none"
-    filter_periods: int | Sequence[int] = SHORTEST_FILTER_PERIOD
+    flawed_accuracy: float | Sequence[float] = FLAWED_ACCURACIES
+    flawed_percent: int | Sequence[int] = (10, 30, 50)
+    filter: str | Sequence[str] = "none"
+    filter_period: int | Sequence[int] = SHORTEST_FILTER_PERIOD
     than: str | Mapping[str, Any] | None = None
     level: str | float | None = None
 
@@ -109,29 +108,31 @@ class Contrast:
         Combinations in which b_hat, the accuracy that flawed robots assume, equals b, the true one, are left
         out: their "flawed" robots would be right.
         """
-        value_combinations = product(
-            _as_list(self.filters),
-            _fill_ratios_and_accuracies(self.panels, study_part),
-            _as_list(self.flawed_accuracies),
-            _as_list(self.flawed_percents),
-            _as_list(self.filter_periods),
+        values_of_cells = combinations(
+            {
+                "panels": self._panels(study_part),
+                "filter": self.filter,
+                "flawed_accuracy": self.flawed_accuracy,
+                "flawed_percent": self.flawed_percent,
+                "filter_period": self.filter_period,
+            }
         )
-        cells: list[Cell] = []
-        for filter_name, (fill_ratio, accuracy), flawed_accuracy, percent, period in value_combinations:
-            # These robots would be right, and not flawed.
-            if flawed_accuracy == accuracy:
-                continue
-            cell = Cell(
-                study_part=study_part,
-                fill_ratio=fill_ratio,
-                true_accuracy=accuracy,
-                flawed_accuracy=flawed_accuracy,
-                flawed_percent=percent,
-                filter=filter_name,
-                filter_period=period,
-            )
-            cells.append(cell)
-        return cells
+        cells = [Cell(study_part=study_part, **values) for values in values_of_cells]
+        return [cell for cell in cells if cell.flawed_accuracy != cell.true_accuracy]
+
+    def _panels(self, study_part: StudyPart) -> list[dict[str, float]]:
+        """Return f, the share of black floor, and b, the sensors' accuracy, of each of the contrast's panels.
+
+        A panel is a plot of the paper's figures. Some names have other panels in each part of the study.
+        """
+        names = [self.panels] if isinstance(self.panels, str) else self.panels
+        panels: list[dict[str, float]] = []
+        for name in names:
+            pairs = _CLAIMS_FILE["panels"][name]
+            if isinstance(pairs, dict):  # which has the pairs by the part of the study
+                pairs = pairs[study_part.value]
+            panels += [{"fill_ratio": f, "true_accuracy": b} for f, b in pairs]
+        return panels
 
     def _references(self, cell: Cell) -> list[Cell] | list[None]:
         """Return the cells with which a cell is compared: like it, but for what ``than`` changes.
@@ -170,30 +171,6 @@ class Contrast:
         if isinstance(self.level, str):
             return LEVELS[self.level]
         return self.level
-
-
-def _as_list(value_or_values: Any) -> list[Any]:
-    """Return the values of a list or tuple as a list, and a single value as a list of one."""
-    if isinstance(value_or_values, list | tuple):
-        return list(value_or_values)
-    return [value_or_values]
-
-
-def _fill_ratios_and_accuracies(
-    panels: str | Sequence[str], study_part: StudyPart
-) -> list[tuple[float, float]]:
-    """Return the pairs of f, the share of black floor, and b, the sensors' accuracy, that panels stand for.
-
-    A panel is a plot of the paper's figures; ``claims.toml`` lists the pairs by the panels' names. Some names
-    have other pairs in each part of the study.
-    """
-    pairs: list[tuple[float, float]] = []
-    for panel_name in _as_list(panels):
-        pairs_of_panel = _CLAIMS_FILE["panels"][panel_name]
-        if isinstance(pairs_of_panel, dict):  # which has the pairs by the part of the study
-            pairs_of_panel = pairs_of_panel[study_part.value]
-        pairs += pairs_of_panel
-    return pairs
 
 
 @dataclass(frozen=True)
@@ -323,16 +300,7 @@ class Claim:
 
 
 def _claim_from(name: str, row: Mapping[str, Any]) -> Claim:
-    """Make the claim called ``name`` from its table in ``claims.toml``.
-
-    A row of contrasts that has a list of measures becomes one contrast for each measure.
-    """
-    contrasts: list[Contrast] = []
-    for contrast_row in row.get("contrasts", []):
-        default_measure = Contrast.measure
-        for measure in _as_list(contrast_row.get("measure", default_measure)):
-            attributes = {**contrast_row, "measure": measure}
-            contrasts.append(Contrast(**attributes))
+    """Make the claim called ``name`` from its table in ``claims.toml``."""
     # None stands for the equations, which need no trials.
     parts: tuple[StudyPart | None, ...] = (None,)
     if name not in EQUATION_CLAIMS:
@@ -344,7 +312,7 @@ def _claim_from(name: str, row: Mapping[str, Any]) -> Claim:
         compared=row["compared"],
         parts=parts,
         scope=Scope(row.get("scope", "all")),
-        contrasts=tuple(contrasts),
+        contrasts=tuple(Contrast(**contrast_row) for contrast_row in row.get("contrasts", [])),
     )
 
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 from matplotlib.figure import Figure
 
 from mcp_asdf_tools.experiments.experiment import Experiment
-from mcp_asdf_tools.experiments.plots import bands, boxes, scatter, series
+from mcp_asdf_tools.experiments.plots import boxes, scatter, series
 from mcp_asdf_tools.experiments.results import Trials
 from mcp_asdf_tools.experiments.trials import run_trials
 from mcp_asdf_tools.robots.filters import FILTERS
@@ -131,7 +131,6 @@ def draw_pictures(study_results: StudyResults, study_size: StudySize) -> Iterato
             yield _draw_score_boxes(study_results, study_part, ASDF_MINUS)
             yield _draw_score_boxes(study_results, study_part, ASDF_PLUS)
             yield from _draw_score_scatters(study_results, study_part)
-            yield _draw_b_hat_bands(study_results, study_part)
     if StudyPart.DYNAMIC in parts and StudyPart.FULLY_CONNECTED in parts:
         yield _draw_boxes_by_topology(study_results, ASDF_MINUS)
         yield _draw_boxes_by_topology(study_results, ASDF_PLUS)
@@ -234,23 +233,6 @@ def _draw_score_scatters(study_results: StudyResults, study_part: StudyPart) -> 
             title=f"The same with {users_name}",
             figure=scatter.plot_scatter(users_trials),
         )
-
-
-def _draw_b_hat_bands(study_results: StudyResults, study_part: StudyPart) -> Picture:
-    """Draw b_hat, the accuracy that robots assume for their sensors, over time in a part's swarms with ASDF+.
-
-    It shows the swarms in which some robots are flawed, but not all, with the shortest filter period tau.
-    """
-    all_filter = _select_with_shortest_period(study_results, study_part, [ASDF_PLUS])
-    # With ASDF+ healthy robots filter, too, and may change a b_hat that was right.
-    experiments = [
-        trials for trials in all_filter if trials.experiment.flawed > 0 and not _all_flawed(trials.experiment)
-    ]
-    return _make_picture(
-        name=f"{study_part.value}_bands",
-        title=f"b_hat of all robots of {study_part.label} swarms with ASDF+, tau = {SHORTEST_FILTER_PERIOD}",
-        figure=bands.plot_bands(experiments),
-    )
 
 
 def _draw_boxes_by_topology(study_results: StudyResults, filter_name: str) -> Picture:

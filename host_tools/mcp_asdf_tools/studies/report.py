@@ -262,42 +262,14 @@ def format_difference(comparison: Comparison) -> str:
 
 
 def summarize(decision: Decision) -> str:
-    """Return how many comparisons of a claim hold, fail and are open, and the best and the worst difference.
-
-    "3 of 4 hold, 1 open; best 12.3 [10.1, 14.0], worst 1.2 [0.5, 3.0]" is an example. The best difference
-    lies farthest on the side that the claim expects, in multiples of the smallest difference that counts. If
-    there is only one comparison, its difference stands there without a word.
-    """
-    total = len(decision.comparisons)
-    counts = f"{decision.count(True)} of {total} hold"
+    """Return how many comparisons of a claim hold, fail and are open, such as "3 of 4 hold, 1 open"."""
+    counts = f"{decision.count(True)} of {len(decision.comparisons)} hold"
     # Numbers of zero are left out.
     if decision.count(False):
         counts += f", {decision.count(False)} fail"
     if decision.count(None):
         counts += f", {decision.count(None)} open"
-    # From the comparison that contradicts the claim most to the comparison that supports it most.
-    ranked = sorted(decision.comparisons, key=_relative_agreement)
-    worst = format_difference(ranked[0])
-    best = format_difference(ranked[-1])
-    if total == 1:
-        return f"{counts}; {best}"
-    return f"{counts}; best {best}, worst {worst}"
-
-
-def _relative_agreement(comparison: Comparison) -> float:
-    """Return how far a difference lies on the expected side of 0, in multiples of the smallest that counts.
-
-    It is below 0 on the other side. Where no difference is expected, it is minus the distance from 0. In such
-    multiples a difference of scores can be compared with one of b_hat.
-    """
-    relative_difference = comparison.interval.value / comparison.size
-    match comparison.expectation:
-        case Expectation.SAME:
-            return -abs(relative_difference)
-        case Expectation.ABOVE | Expectation.NOT_BELOW:
-            return relative_difference
-        case Expectation.BELOW | Expectation.NOT_ABOVE:
-            return -relative_difference
+    return counts
 
 
 def comparisons_as_csv(decisions: Sequence[Decision], study_size: StudySize) -> str:

@@ -8,7 +8,6 @@ import numpy as np
 
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.results import Trials
-from mcp_asdf_tools.experiments.scores import SCORES
 from mcp_asdf_tools.studies.bootstrap import (
     Resampled,
     Sample,
@@ -18,16 +17,6 @@ from mcp_asdf_tools.studies.bootstrap import (
     resample_rank_correlation,
 )
 from mcp_asdf_tools.studies.cells import PAPERS_FILTERS, PAPERS_FIRMWARE, Cell, StudyPart
-
-SAMPLES = (*SCORES, "b_hat")
-"""Values of a trial: its scores, and the final b_hat, averaged over the robots that are not flawed.
-
-The scores are from 0 to 100: h_K for speed of convergence, h_e for accuracy, and H, their mean. b_hat is the
-accuracy that a robot assumes for its sensor.
-"""
-
-MEASURES = (*SAMPLES, "spread of H", "best H of 30", "loss of H", "rank correlation of h_K and h_e")
-"""Measures of a cell: medians of SAMPLES, and four more, which ``StudyResults.measure`` describes."""
 
 BEST_OF_30_QUANTILE = 0.5 ** (1 / 30)
 """Quantile that the best of 30 independent trials, as many as the paper has, exceeds in half of all cases."""
@@ -80,8 +69,9 @@ class StudyResults:
     def sample(self, cell: Cell, name: str) -> Sample:
         """Return a value for each trial of a cell, which is one kind of swarm.
 
-        ``name`` says which value: a score, H, h_K or h_e, or "b_hat", the accuracy that robots which are not
-        flawed assume at the end, averaged over them. Raises KeyError if the cell has not been run.
+        ``name`` says which value: a score from 0 to 100, which is h_K for speed of convergence, h_e for
+        accuracy, or H, their mean; or "b_hat", the accuracy that robots which are not flawed assume at the
+        end, averaged over them. Raises KeyError if the cell has not been run, and for another name.
         """
         if name == "b_hat":
             return final_b_hat_of_healthy_robots(self._trials_by_cell[cell.normal])

@@ -15,11 +15,12 @@ import pytest
 import mcp_asdf_tools as m
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.results import Trials
+from mcp_asdf_tools.experiments.scores import SCORES
 from mcp_asdf_tools.experiments.trials import run_trials
 from mcp_asdf_tools.studies import bootstrap
 from mcp_asdf_tools.studies.bootstrap import Sample
 from mcp_asdf_tools.studies.cells import Cell, StudyPart, cells_of
-from mcp_asdf_tools.studies.study_results import SAMPLES, StudyResults
+from mcp_asdf_tools.studies.study_results import StudyResults
 from support import ROOT
 
 PLANTED_TRIALS = 30
@@ -62,7 +63,7 @@ class PlantedResults(StudyResults):
         cell = cell.normal
         assert cell in STUDY_CELLS, f"the study does not run {cell}"
         assert cell.study_part in self._parts, f"the claim needs {cell.study_part}, which it does not say"
-        assert name in SAMPLES
+        assert name in (*SCORES, "b_hat")
         values: dict[str, Any] = {
             "f": cell.fill_ratio,
             "b": cell.true_accuracy,

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from mcp_asdf_tools.experiments.experiment import Experiment
-from mcp_asdf_tools.experiments.plots import bands, boxes, scatter, series
+from mcp_asdf_tools.experiments.plots import boxes, scatter, series
 from mcp_asdf_tools.studies.cells import StudyPart, StudySize, cells_of, experiment_of, users_experiments_of
 from mcp_asdf_tools.studies.figures import Picture, draw_pictures
 from mcp_asdf_tools.studies.study_results import StudyResults
@@ -97,7 +97,6 @@ def pictures_of(
         for module, function in (
             (boxes, "plot_boxes"),
             (scatter, "plot_scatter"),
-            (bands, "plot_bands"),
             (series, "plot_runs"),
         ):
             patch.setattr(module, function, record_drawn_swarms)
@@ -115,16 +114,16 @@ def swarms_in_picture(name: str, firmware: str = "native", own_filter: str | Non
 @pytest.mark.parametrize(
     ("parts", "count"),
     [
-        ([StudyPart.DYNAMIC], 4),
-        ([StudyPart.FULLY_CONNECTED], 5),
+        ([StudyPart.DYNAMIC], 3),
+        ([StudyPart.FULLY_CONNECTED], 4),
         ([StudyPart.PHYSICAL], 2),
-        (list(StudyPart), 13),
+        (list(StudyPart), 11),
     ],
 )
 def test_a_study_of_some_parts_of_the_papers_has_the_pictures_of_these_parts(
     parts: list[StudyPart], count: int
 ) -> None:
-    """Two of the 13 pictures compare fully connected swarms with dynamic ones, so they need both parts."""
+    """Two of the 11 pictures compare fully connected swarms with dynamic ones, so they need both parts."""
     pictures_by_name = pictures_of(*parts)
     assert len(pictures_by_name) == count
 
@@ -159,7 +158,6 @@ SHORTEST_PERIOD = {1000}
     ("name", "filters", "periods", "percents"),
     [
         ("dynamic_asdf-minus", {"none", "asdf-minus"}, ALL_PERIODS, {0, 10, 30, 50}),
-        ("fully_connected_bands", {"asdf-plus"}, SHORTEST_PERIOD, {10, 30, 50}),
         ("dynamic_asdf-plus", {"none", "asdf-plus"}, ALL_PERIODS, {0, 10, 30, 50, 100}),
         ("dynamic_scatter", {"none", "asdf-minus", "asdf-plus"}, SHORTEST_PERIOD, {0, 10, 30, 50, 100}),
         ("topologies_asdf-minus", {"none", "asdf-minus"}, SHORTEST_PERIOD, {0, 10, 30, 50, 100}),

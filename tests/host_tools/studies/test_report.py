@@ -223,10 +223,7 @@ def test_a_line_of_comparisons_csv_has_claim_verdict_expectation_and_interval(
 
 
 def test_decisions_for_json_have_claim_part_verdict_and_a_summary(planted_report: WrittenReport) -> None:
-    """The part of the study is None for a claim that equations decide, and its name for other claims.
-
-    This claim is about the growth of (2 b_hat - 1)^2, which is (0.99 / 0.98)^2 - 1 = 0.0205 at least.
-    """
+    """The part of the study is None for a claim that equations decide, and its name for other claims."""
     decisions = report.decisions_as_json(planted_report.decisions, PAPER_SIZE)
     [decision_by_equations] = [
         decision for decision in decisions if decision["claim"] == "confidence_increases_with_b_hat"
@@ -236,7 +233,7 @@ def test_decisions_for_json_have_claim_part_verdict_and_a_summary(planted_report
         "claim": "confidence_increases_with_b_hat",
         "part": None,
         "verdict": "agree",
-        "numbers": "3 of 3 hold; best 0.0205, worst 0.0205",
+        "numbers": "3 of 3 hold",
     }
     assert {decision["part"] for decision in decisions} == {None, "dynamic", "physical"}
 
@@ -270,48 +267,39 @@ def test_the_heading_of_a_claim_is_its_name_with_the_papers_symbols(name: str, h
     assert report.heading_of(name) == heading
 
 
-def expect_above(value: float, size: float = 2) -> Comparison:
-    """Compare a value that is not subject to chance. It should be above 0, by at least ``size`` to count."""
-    return exact_comparison("row", "column", value, Expectation.ABOVE, size)
-
-
-def expect_below(value: float) -> Comparison:
-    """Compare a value that is not subject to chance. It should be below 0, by at least 2 to count."""
-    return exact_comparison("row", "column", value, Expectation.BELOW, size=2)
-
-
-OPEN_COMPARISON = Comparison(
-    "row", "column", Interval(0.1, low=-0.25, high=3), Expectation.NOT_BELOW, size=0.2
-)
-DIFFERENCE_OF_1_SHOULD_BE_0 = exact_comparison("row", "column", 1, Expectation.SAME, size=2)
+HOLDS = exact_comparison("row", "column", 9, Expectation.ABOVE, size=2)
+FAILS = exact_comparison("row", "column", -9, Expectation.ABOVE, size=2)
+OPEN = Comparison("row", "column", Interval(0.1, low=-0.25, high=3), Expectation.NOT_BELOW, size=0.2)
 
 
 @pytest.mark.parametrize(
     ("comparisons", "summary"),
     [
-        (
-            [expect_above(9), expect_above(-9), expect_below(-4), DIFFERENCE_OF_1_SHOULD_BE_0],
-            f"3 of 4 hold, 1 fail; best 9.0, worst {MINUS}9.0",
-        ),
-        (
-            [expect_above(-9), expect_below(-4), DIFFERENCE_OF_1_SHOULD_BE_0],
-            f"2 of 3 hold, 1 fail; best {MINUS}4.0, worst {MINUS}9.0",
-        ),
-        ([OPEN_COMPARISON], f"0 of 1 hold, 1 open; 0.1 [{MINUS}0.25, 3]"),
-        ([expect_above(9, size=2), expect_above(3, size=0.2)], "2 of 2 hold; best 3, worst 9.0"),
-        (
-            [OPEN_COMPARISON, DIFFERENCE_OF_1_SHOULD_BE_0],
-            f"1 of 2 hold, 1 open; best 0.1 [{MINUS}0.25, 3], worst 1.0",
-        ),
+        ([HOLDS, HOLDS], "2 of 2 hold"),
+        ([HOLDS, FAILS, HOLDS, FAILS], "2 of 4 hold, 2 fail"),
+        ([HOLDS, FAILS, OPEN], "1 of 3 hold, 1 fail, 1 open"),
     ],
 )
-def test_the_summary_of_a_claim_counts_what_holds_and_has_its_best_and_its_worst_difference(
+def test_the_summary_of_a_claim_counts_what_holds_and_what_fails_or_is_open_if_anything_does(
     comparisons: list[Comparison], summary: str
 ) -> None:
-    """The best one is farthest on the expected side, in multiples of the smallest one that counts."""
     any_claim, *_others = CLAIMS
     decision = Decision(any_claim, StudyPart.DYNAMIC, tuple(comparisons))
     assert report.summarize(decision) == summary
+
+
+@pytest.mark.parametrize(
+    ("comparison", "text"),
+    [
+        (HOLDS, "9.0"),
+        (Comparison("", "", Interval(1.26, -2.5, 3), Expectation.ABOVE, size=2), f"1.3 [{MINUS}2.5, 3.0]"),
+        (OPEN, f"0.1 [{MINUS}0.25, 3]"),  # of a size below those of scores: three significant digits
+    ],
+)
+def test_a_difference_has_one_decimal_if_it_is_of_scores_and_an_interval_if_it_is_subject_to_chance(
+    comparison: Comparison, text: str
+) -> None:
+    assert report.format_difference(comparison) == text
 
 
 def test_the_table_of_a_claim_has_a_row_for_each_swarm_and_a_column_for_each_expectation() -> None:

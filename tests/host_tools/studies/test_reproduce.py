@@ -292,36 +292,6 @@ def test_a_filter_of_the_user_s_adds_a_file_of_results_and_changes_no_claim(copi
     assert sentence in files["report.md"]
 
 
-@pytest.fixture
-def reported_results(monkeypatch: pytest.MonkeyPatch) -> list[StudyResults]:
-    """A list to which the results are added of each report that is made."""
-    reported_results: list[StudyResults] = []
-    render_markdown = report.render_markdown
-
-    def record_and_render(study_results: StudyResults, *others: Any) -> str:
-        reported_results.append(study_results)
-        return render_markdown(study_results, *others)
-
-    monkeypatch.setattr(report, "render_markdown", record_and_render)
-    return reported_results
-
-
-@pytest.mark.slow
-def test_the_report_is_made_with_the_trials_that_ran_with_a_filter_of_the_user_s(
-    copied_study: Path, reported_results: list[StudyResults]
-) -> None:
-    """The results that the report gets have the filter as ``users_name``, and trials of its experiments."""
-    run_short_study(copied_study, "--filter", "robust")
-
-    [results_of_report] = reported_results
-    assert results_of_report.users_name == "robust"
-    users_trials = results_of_report.users_trials_of(StudyPart.PHYSICAL)
-    size_of_short_study = StudySize(trials=2, steps=4000)
-    assert [trials.experiment for trials in users_trials] == users_experiments_of(
-        StudyPart.PHYSICAL, size_of_short_study, firmware="native", filter_name="robust"
-    )
-
-
 # --- Options ---------------------------------------------------------------------------------------------
 
 

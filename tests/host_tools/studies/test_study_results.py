@@ -139,10 +139,3 @@ def test_results_have_the_parts_of_the_study_of_which_cells_were_run() -> None:
         trials_without_flawed_robots,
     ]
     assert results.trials_of(StudyPart.DYNAMIC) == []
-
-
-def test_the_largest_difference_between_robots_of_a_trial_is_0_if_all_are_alike() -> None:
-    """The two trials differ, but all robots of a trial converge at the same step K with the same error e."""
-    results = StudyResults({CELL_WITH_FLAWED_ROBOTS: trials_with_h(75, 50)})
-    differences = results.largest_differences_between_robots(StudyPart.FULLY_CONNECTED)
-    assert differences == {"K": 0, "e": 0}
