@@ -33,17 +33,15 @@ from mcp_asdf_tools.studies.peers import (
 from mcp_asdf_tools.studies.study_program import (
     ALL_FILTERS,
     FILTERS_OF_HEALTHY_SWARMS,
+    LATE_ERROR_HEAD,
     MOVING_SWARM,
-    PLAIN_NOTE,
     Rows,
+    late_error_text,
     markdown_table,
     parse_arguments,
-    plain_error_text,
     run_rows,
     write_tables,
 )
-
-TABLE_HEAD = "error of the last quarter"
 
 LONGEST_MEMORY = ", longest memory"
 MEMORIES = {LONGEST_MEMORY: 2**31, ", short memory": 4096}
@@ -135,10 +133,10 @@ def main() -> None:
     ageing = run_rows("ageing", ageing_rows(), arguments)
     peers = run_rows("ageing_peers", peer_rows(), arguments)
     tables = {
-        "filters": markdown_table(TABLE_HEAD, ageing, plain_error_text),
-        "peers": markdown_table(TABLE_HEAD, peers, plain_error_text),
+        "filters": markdown_table(LATE_ERROR_HEAD, ageing, late_error_text),
+        "peers": markdown_table(LATE_ERROR_HEAD, peers, late_error_text),
     }
-    write_tables(arguments.folder / "ageing.md", "Sensors that age", tables, PLAIN_NOTE)
+    write_tables(arguments.folder / "ageing.md", "Sensors that age", tables)
     save_figure(draw_errors(ageing), arguments.folder / "ageing.png")
 
 

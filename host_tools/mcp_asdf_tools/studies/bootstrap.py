@@ -1,4 +1,4 @@
-"""Bootstrap intervals of medians, quartiles, means and rank correlations over the trials of an experiment.
+"""Bootstrap intervals of medians, quartiles and rank correlations over the trials of an experiment.
 
 A sample has a value for each trial. A resample draws as many of its trials again, with replacement; the
 spread of a statistic over many resamples shows how much of it is chance.
@@ -95,12 +95,6 @@ def resample_median(sample: Sample) -> Resampled:
 def resample_interquartile_range(sample: Sample) -> Resampled:
     """Return the upper less the lower quartile of a sample and of its resamples."""
     return resample_quantile(sample, 0.75) - resample_quantile(sample, 0.25)
-
-
-def resample_mean(sample: Sample) -> Resampled:
-    """Return the mean of a sample and of its resamples."""
-    resamples = sample.astype(np.float32)[resample_indices(len(sample))]  # shape (RESAMPLES, trials)
-    return Resampled(float(sample.mean()), resamples.mean(axis=1))
 
 
 def resample_rank_correlation(first: Sample, second: Sample) -> Resampled:

@@ -1,4 +1,4 @@
-"""Robots with which the robust filter is compared, and robots and sensors that make a world hard for it.
+"""Robots with which the studies compare the project's own, and robots that lie.
 
 docs/platforms/extending.md says how to write such classes; experiments take them in place of a name.
 docs/internals/related_work.md compares the methods from which some of them come.
@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import random
 from collections.abc import Sequence
-from statistics import NormalDist, fmean
+from statistics import fmean
 
 import numpy as np
 
@@ -20,27 +20,14 @@ from mcp_asdf.robot import B_HAT_MARGIN, Filter, Observation, Robot
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.robots.firmwares import RobotMaker
 from mcp_asdf_tools.studies.ageing_sensors import DIFFUSION, DRIFT_RATE
-from mcp_asdf_tools.world.sensors import Accuracies
-from mcp_asdf_tools.world.settings import WorldSettings
 
 ROBOTS_WITH_LIARS = 20
 """Number of robots of the swarms with liars."""
 
-LIAR_COUNT_BY_FIRMWARE = {
-    "one_liar": 1,
-    "two_liars": 2,
-    "five_liars": 5,
-    "wmsr_robots_and_five_liars": 5,
-    "trimmed_mean_robots_and_five_liars": 5,
-    "majority_robots_and_five_liars": 5,
-}
-"""How many of the robots lie, by the firmware's name."""
-
-FLOOR_AFTER_CHANGE = 0.95
-"""f of a ``ChangingFloor`` from the middle of a trial on."""
+LIAR_COUNT = 5
+"""Number of robots that lie in these swarms: the last ones."""
 
 _LABEL_BY_PEER = {
-    "BayesCpfRobot": "BayesCPF",
     "DriftingBayesCpfRobot": "BayesCPF",
     "WanderingBayesCpfRobot": "BayesCPF",
     "KnownAccuracyRobot": "knows b now",
@@ -56,74 +43,26 @@ _LABEL_BY_PEER = {
 """Heads of the columns of peers, by the firmware's name."""
 
 
-def firmware_name(experiment: Experiment) -> str:
+def column_label(experiment: Experiment) -> str:
+    """Return the head of an experiment's column: its filter, or the peer that stands for one."""
+    return _LABEL_BY_PEER.get(_firmware_name(experiment), experiment.swarm_filter.term)
+
+
+def has_liars(experiment: Experiment) -> bool:
+    """Return whether the last LIAR_COUNT robots of an experiment lie, as its firmware makes them do."""
+    return _firmware_name(experiment).endswith("five_liars")
+
+
+def _firmware_name(experiment: Experiment) -> str:
     """Return the name of an experiment's firmware without its module."""
     return experiment.firmware.rpartition(".")[2]
-
-
-def column_label(experiment: Experiment) -> str:
-    """Return the head of an experiment's column: its filter, or the peer that stands for one.
-
-    RememberingRobot is a peer that runs with several filters: its heads are such as "ASDF- with memory".
-    """
-    name = firmware_name(experiment)
-    filter_name = experiment.swarm_filter.term
-    if name == "RememberingRobot":
-        return f"{filter_name} with memory"
-    return _LABEL_BY_PEER.get(name, filter_name)
 
 
 # --- Other filters ---------------------------------------------------------------------------------------
 
 
-class RememberingRobot(ReferenceRobot):
-    """The paper's filter, or none, with a memory instead of rounds.
-
-    x_bar and x are running means of all that was received, weighted by alpha per observation. Their gain
-    falls with the number of messages, from 2^-3 down to 2^-12.
-    """
-
-    _messages = 0
-    _mean_weight = 0.0
-    _mean_weighted_x_hat = 0.0
-
-    def receive(self, sender: int, x_hat: float, alpha: float) -> Status:
-        """Receive a neighbour's estimate, and add it to the running means unless it has no confidence.
-
-        An estimate has the weight alpha / t. The gain of the means is 2^-3 at first, and falls with the
-        number of messages to 2^-12. Returns OK, or REPEATED if there is one of this sender in the round
-        already. Raises FirmwareError for a sender or an x_hat that is impossible.
-        """
-        status = super().receive(sender, x_hat, alpha)
-        if status is Status.OK and alpha > 0:
-            self._messages += 1
-            # The gain is 2^-3 up to 63 messages, 2^-4 from 64 on, 2^-5 from 128 on, and so on down to 2^-12.
-            halvings = self._messages.bit_length() - 3
-            limited_halvings = min(max(halvings, 3), 12)
-            gain = 2.0**-limited_halvings
-            # The sender's t is not in the message; robots of a swarm have observed equally often.
-            weight = alpha / max(self.t, 1)
-            self._mean_weight += gain * (weight - self._mean_weight)
-            self._mean_weighted_x_hat += gain * (weight * x_hat - self._mean_weighted_x_hat)
-        return status
-
-    @property
-    def x_bar(self) -> float:
-        """The running mean of the received estimates; 1/2 before the first one."""
-        if self._mean_weight == 0:
-            return 0.5
-        return self._mean_weighted_x_hat / self._mean_weight
-
-    @property
-    def x(self) -> float:
-        """The running mean of the received estimates; the own estimate before the first one."""
-        if self._mean_weight == 0:
-            return self.x_hat
-        return self._mean_weighted_x_hat / self._mean_weight
-
-
 class BayesCpfRobot(ReferenceRobot):
-    """BayesCPF (Chin and Pinciroli 2025, arXiv 2504.04774) for sensors that do not age.
+    """BayesCPF (Chin and Pinciroli 2025, arXiv 2504.04774); its subclasses say how sensors age.
 
     An extended Kalman filter over b. It measures how many of the tiles since the last update were black,
     given the mean of the informed estimates since then, in which older ones weigh more. The estimate is cut
@@ -215,21 +154,17 @@ class BayesCpfRobot(ReferenceRobot):
     def _truncated_mean(self) -> float:
         """Return the mean of the estimate of b, moved into the range from 1/2 to 1 if it is outside.
 
-        It moves to the mean of the estimate's normal distribution when this is cut to the range. If next to
-        nothing of the distribution is there, the mean stays as it is.
+        It moves to the mean of the estimate's normal distribution when this is cut to the range.
         """
+        from scipy.stats import truncnorm  # type: ignore[import-untyped]  # noqa: PLC0415 (loads slowly)
+
         if 0.5 < self._mean < 1:
             return self._mean
         deviation = math.sqrt(self._variance)
         # The limits 1/2 and 1, in deviations from the mean, as the standard normal distribution takes them.
         low = (0.5 - self._mean) / deviation
         high = (1 - self._mean) / deviation
-        standard_normal = NormalDist()
-        share_within = standard_normal.cdf(high) - standard_normal.cdf(low)
-        if share_within < 5e-13:  # the quotient below would be noise
-            return self._mean
-        density_difference = standard_normal.pdf(low) - standard_normal.pdf(high)
-        return self._mean + deviation * density_difference / share_within
+        return float(truncnorm.mean(low, high, loc=self._mean, scale=deviation))
 
 
 # --- Resilient consensus ---------------------------------------------------------------------------------
@@ -493,31 +428,7 @@ class KnownMeanAccuracyRobot(KnownAccuracyRobot):
         return mean_accuracy
 
 
-# --- Hard worlds -----------------------------------------------------------------------------------------
-
-
-LOST_SHARE = 0.3
-"""Share of messages that the radio of a ``LossyRobot`` loses."""
-
-
-class LossyRobot(NativeRobot):
-    """The firmware behind a radio that loses three messages in ten."""
-
-    def __init__(self, config: Config, robot_id: int, b_hat: float) -> None:
-        """Start with a random sequence that belongs to the robot's id."""
-        super().__init__(config, robot_id, b_hat)
-        # Seeded, so that a study gives the same results each time.
-        self._random = random.Random(robot_id)
-
-    def receive_raw(self, sender: int, x_hat: int, alpha: int) -> Status:
-        """Receive a neighbour's estimate in the firmware's integers, or lose it as if it had never arrived.
-
-        Returns the firmware's status, and OK for a lost message.
-        """
-        is_lost = self._random.random() < LOST_SHARE
-        if is_lost:
-            return Status.OK
-        return super().receive_raw(sender, x_hat, alpha)
+# --- Liars -----------------------------------------------------------------------------------------------
 
 
 class Liar(NativeRobot):
@@ -534,71 +445,28 @@ class Liar(NativeRobot):
         return ALPHA_MAX
 
 
-def one_liar(config: Config, robot_id: int, b_hat: float) -> Robot:
-    """Make a robot of a swarm whose last robot lies."""
-    return _make_robot(config, robot_id, b_hat, liar_count=1)
-
-
-def two_liars(config: Config, robot_id: int, b_hat: float) -> Robot:
-    """Make a robot of a swarm whose last two robots lie."""
-    return _make_robot(config, robot_id, b_hat, liar_count=2)
-
-
 def five_liars(config: Config, robot_id: int, b_hat: float) -> Robot:
-    """Make a robot of a swarm whose last five robots lie."""
-    return _make_robot(config, robot_id, b_hat, liar_count=5)
+    """Make a robot of a swarm with the project's firmware, whose last five robots lie."""
+    return _make_robot(config, robot_id, b_hat, NativeRobot)
 
 
 def wmsr_robots_and_five_liars(config: Config, robot_id: int, b_hat: float) -> Robot:
     """Make a robot of a swarm that uses W-MSR, and whose last five robots lie."""
-    return _make_robot(config, robot_id, b_hat, liar_count=5, honest_robot=WmsrRobot)
+    return _make_robot(config, robot_id, b_hat, WmsrRobot)
 
 
 def trimmed_mean_robots_and_five_liars(config: Config, robot_id: int, b_hat: float) -> Robot:
     """Make a robot of a swarm that uses trimmed means, and whose last five robots lie."""
-    return _make_robot(config, robot_id, b_hat, liar_count=5, honest_robot=TrimmedMeanRobot)
+    return _make_robot(config, robot_id, b_hat, TrimmedMeanRobot)
 
 
 def majority_robots_and_five_liars(config: Config, robot_id: int, b_hat: float) -> Robot:
     """Make a robot of a swarm that votes by DMMD, and whose last five robots lie."""
-    return _make_robot(config, robot_id, b_hat, liar_count=5, honest_robot=MajorityRobot)
+    return _make_robot(config, robot_id, b_hat, MajorityRobot)
 
 
-def _make_robot(
-    config: Config, robot_id: int, b_hat: float, liar_count: int, honest_robot: RobotMaker = NativeRobot
-) -> Robot:
-    """Make a liar if the id is one of the last ``liar_count`` of the swarm, or else an honest robot."""
-    first_liar = ROBOTS_WITH_LIARS - liar_count
+def _make_robot(config: Config, robot_id: int, b_hat: float, honest_robot: RobotMaker) -> Robot:
+    """Make a liar if the id is one of the last ones of the swarm, or else an honest robot."""
+    first_liar = ROBOTS_WITH_LIARS - LIAR_COUNT
     make_robot = Liar if robot_id >= first_liar else honest_robot
     return make_robot(config, robot_id, b_hat)
-
-
-class ChangingFloor:
-    """A floor of which FLOOR_AFTER_CHANGE is black from the middle of the trial on.
-
-    A sensor cannot change the floor, but it can make its colours as frequent: white tiles are called black as
-    often as it takes.
-    """
-
-    def __init__(self, settings: WorldSettings, trial: int) -> None:
-        """Start before the first step of a trial; all trials are alike."""
-        self._settings = settings
-        self._next_step = 0
-
-    def advance(self, steps: int) -> Accuracies:
-        """Return the accuracies of the next steps on black and on white tiles.
-
-        On black tiles they stay as they are. Those on white tiles change in the middle of the trial, so that
-        as many readings are black as a floor with FLOOR_AFTER_CHANGE black would give.
-        """
-        f, b = self._settings.fill_ratio, self._settings.true_accuracy  # in the paper's letters
-        black_readings_after = FLOOR_AFTER_CHANGE * b + (1 - FLOOR_AFTER_CHANGE) * (1 - b)
-        # A share of f b of all readings is black on black tiles; white tiles have to give the rest.
-        black_readings_on_white = black_readings_after - f * b
-        white_accuracy_after = 1 - black_readings_on_white / (1 - f)
-        step_numbers = np.arange(self._next_step, self._next_step + steps)
-        self._next_step += steps
-        is_before_change = step_numbers < self._settings.steps // 2
-        on_white = np.where(is_before_change, b, white_accuracy_after)
-        # The shape is (steps, robots). A length of 1 says that all steps, or all robots, have the same value.
-        return np.full((1, 1), b), on_white[:, np.newaxis]

@@ -23,14 +23,13 @@ from mcp_asdf_tools.experiments.message_codes import EXACT, MessageCode
 from mcp_asdf_tools.robots.filters import FILTERS
 from mcp_asdf_tools.studies.bootstrap import Interval, Resampled, mean_of_resampled, resample_median
 from mcp_asdf_tools.studies.study_program import (
-    CONFIDENCE,
     MOVING_SWARM,
     PARAMETERS_BY_FLAW,
     Rows,
+    late_error_text,
     late_errors,
     markdown_table,
     parse_arguments,
-    plain_error_text,
     run_rows,
     write_tables,
 )
@@ -58,6 +57,7 @@ SWARMS: dict[str, dict[str, Any]] = {
 }
 """Parameters of the four kinds of swarms."""
 
+CONFIDENCE = 0.95
 TOLERANCE = 1.1
 """A code suffices if errors are at most so many times the errors with exact messages, with its interval."""
 
@@ -165,7 +165,7 @@ def exact_table(rows_by_filter: Mapping[str, Rows]) -> str:
         label = row_label(EXACT, swarm)
         # The filters are the columns of this table: all their experiments with this swarm make one row.
         exact_rows[swarm] = [trials for rows in rows_by_filter.values() for trials in rows[label]]
-    return markdown_table("error with exact messages", exact_rows, plain_error_text)
+    return markdown_table("error with exact messages", exact_rows, late_error_text)
 
 
 def interval_table(ratios: RatiosByCode) -> str:

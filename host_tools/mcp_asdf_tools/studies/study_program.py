@@ -1,4 +1,4 @@
-"""What this project's own studies share: their options, measures of errors, and tables with intervals.
+"""What this project's own studies share: their options, the error that they measure, and tables.
 
 Each study is a program. It runs the experiments of labelled rows, or resumes them, and writes tables with
 these rows and a picture into a folder. In a trial each robot estimates f, the share of black floor, as x;
@@ -24,15 +24,8 @@ from mcp_asdf_tools.common.files import make_folder, write_atomically
 from mcp_asdf_tools.experiments.error_plot import plot_errors_over_time
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.results import Trials
-from mcp_asdf_tools.studies.bootstrap import (
-    Interval,
-    Resampled,
-    Sample,
-    mean_of_resampled,
-    resample_mean,
-    resample_median,
-)
-from mcp_asdf_tools.studies.peers import column_label
+from mcp_asdf_tools.studies.bootstrap import Sample
+from mcp_asdf_tools.studies.peers import LIAR_COUNT, column_label, has_liars
 
 MOVING_SWARM: dict[str, Any] = {"topology": "dynamic", "latency": 1}
 """Parameters of swarms that move; without them, every robot receives from all others."""
@@ -43,23 +36,14 @@ PARAMETERS_BY_FLAW: dict[str, dict[str, Any]] = {
 }
 """Parameters of the two kinds of flawed robots, which assume a far worse or a far better accuracy than b."""
 
-BOTH_FLAWS = list(PARAMETERS_BY_FLAW.values())
 ALL_FILTERS = ["none", "asdf-minus", "asdf-plus", "robust"]
 FILTERS_OF_HEALTHY_SWARMS = ["none", "asdf-plus", "robust"]
 """The filters that differ where no robot is flawed: only flawed robots filter with ASDF-."""
 
-CONFIDENCE = 0.95
 QUICK_TRIALS, QUICK_STEPS = 2, 4000
 
-INTERVAL_NOTE = (
-    "Medians over trials. A 95 % interval stands in brackets where it reaches farther than 0.5 from H, a "
-    "tenth from an error, or 1 % from a share of robots."
-)
-
-PLAIN_NOTE = "Errors are medians over trials, and percentages means; the picture has the errors' intervals."
-
-Measure = Callable[[Trials], Sample]
-"""Returns a value for each trial of an experiment."""
+LATE_ERROR_HEAD = "error of the last quarter"
+"""Head of a table of errors: what its numbers are."""
 
 Rows = Mapping[str, Sequence[Trials]]
 """The results of a table's rows, by the label that a row begins with."""
@@ -76,6 +60,19 @@ def parse_arguments(description: str | None) -> argparse.Namespace:
     quick = f"{QUICK_TRIALS} trials of at most {QUICK_STEPS} steps, to see that it works"
     parser.add_argument("--quick", action="store_true", help=quick)
     return parser.parse_args()
+
+
+def rows_of_swarms(swarms: Mapping[str, Mapping[str, Any]], **common: Any) -> dict[str, list[Experiment]]:
+    """Return the experiments of each swarm with each kind of flaws, by labels such as "swarm, overconfident".
+
+    ``swarms`` are the parameters of each swarm by its label, and ``common`` those that all have. A list among
+    them makes an experiment of each of its values.
+    """
+    rows: dict[str, list[Experiment]] = {}
+    for label, swarm in swarms.items():
+        for flaw, flaw_parameters in PARAMETERS_BY_FLAW.items():
+            rows[f"{label}, {flaw}"] = m.grid(**swarm, **flaw_parameters, **common)
+    return rows
 
 
 def run_rows(
@@ -132,106 +129,35 @@ def late_estimates(trials: Trials) -> NDArray[np.float64]:
     return late_x
 
 
-def harmed_percents(trials: Trials) -> Sample:
-    """Return for each trial the percentage of the healthy robots that the filter has harmed, shape (trials,).
+def without_liars(rows: Rows) -> dict[str, list[Trials]]:
+    """Return the results of rows with the estimates of the honest robots alone.
 
-    A robot is harmed if its b_hat ends far from where it began. The percentages are NaN if all robots are
-    flawed.
+    Other records are dropped, and results other than x still cover all robots.
     """
-    is_harmed = trials.find_harmed_robots()  # shape (trials, healthy robots), empty if none is healthy
-    if not is_harmed.size:
-        return np.full(len(trials.numbers), np.nan)
-    return np.asarray(100 * is_harmed.mean(axis=1))
+    return {
+        label: [_of_honest_robots(trials) for trials in experiments] for label, experiments in rows.items()
+    }
 
 
-def mean_over_experiments(
-    measure: Measure,
-    experiments: Sequence[Trials],
-    resample: Callable[[Sample], Resampled] = resample_median,
-) -> Interval:
-    """Return the median of a measure over the trials of each experiment, averaged over the experiments.
-
-    The result has its interval of CONFIDENCE. ``resample`` computes another statistic than the median. All
-    experiments are resampled by the same trials, which had the same floors and random numbers.
-    """
-    statistics = [resample(measure(trials)) for trials in experiments]
-    return mean_of_resampled(statistics).interval(CONFIDENCE)
-
-
-def mean_harmed_percent(experiments: Sequence[Trials]) -> Interval | None:
-    """Return the mean percentage of healthy robots that a filter harmed, or None if all are flawed.
-
-    It is the mean over trials and experiments: so few robots are harmed that most medians would be 0.
-    """
-    harmed_percent = mean_over_experiments(harmed_percents, experiments, resample_mean)
-    has_healthy_robots = not np.isnan(harmed_percent.value)
-    return harmed_percent if has_healthy_robots else None
+def _of_honest_robots(trials: Trials) -> Trials:
+    """Return trials without the estimates of robots that lie, if there are any."""
+    x = trials.records["x"]  # shape (trials, steps, robots)
+    if has_liars(trials.experiment):
+        x = x[:, :, :-LIAR_COUNT]  # the last robots of a swarm lie
+    return replace(trials, records={"x": x})
 
 
 # --- Text ------------------------------------------------------------------------------------------------
 
 
-def format_error(value: float) -> str:
-    """Format an error with four decimals if it is below 0.01, otherwise with three."""
-    return f"{value:.4f}" if value < 0.01 else f"{value:.3f}"
-
-
-def format_tenths(value: float) -> str:
-    """Format a score or a percentage with one decimal."""
-    return f"{value:.1f}"
-
-
-def format_interval(interval: Interval, format_value: Callable[[float], str], tolerance: float) -> str:
-    """Format a number and, if an end of its interval is farther than ``tolerance`` from it, the interval.
-
-    "95.1" and "95.1 (93.0..96.2)" are examples. An interval whose ends have the same text is left out, too.
-    """
-    value_text = format_value(interval.value)
-    low_text = format_value(interval.low)
-    high_text = format_value(interval.high)
-    # A narrow interval would only make the table harder to read.
-    reach = max(interval.high - interval.value, interval.value - interval.low)
-    if reach <= tolerance or low_text == high_text:
-        return value_text
-    return f"{value_text} ({low_text}..{high_text})"
-
-
-def plain_error_text(experiments: Sequence[Trials], measure: Measure = late_errors) -> str:
-    """Format an error of experiments that share a cell of a table, without an interval, such as "0.012"."""
-    return format_error(mean_over_experiments(measure, experiments).value)
-
-
 def late_error_text(experiments: Sequence[Trials]) -> str:
-    """Format the late error of experiments that share a cell of a table, such as "0.012 (0.010..0.015)"."""
-    interval = mean_over_experiments(late_errors, experiments)
-    return format_interval(interval, format_error, tolerance=interval.value / 10)
+    """Format the late error of experiments that share a cell of a table, such as "0.012".
 
-
-def score_text(experiments: Sequence[Trials]) -> str:
-    """Format H, the score from 0 to 100, of experiments that share a cell of a table, such as "95.1"."""
-    interval = mean_over_experiments(h_scores, experiments)
-    return format_interval(interval, format_tenths, tolerance=0.5)
-
-
-def h_scores(trials: Trials) -> Sample:
-    """Return H of each trial, the paper's score from 0 to 100 for accuracy and speed together."""
-    return trials.scores()["H"]
-
-
-def under_and_over_text(experiments: Sequence[Trials]) -> str:
-    """Format two late errors of experiments that share a cell of a table, such as "0.012, 0.034".
-
-    The first is the error of the underconfident swarms, the second the error of the overconfident swarms. An
-    error is left out if there are no such swarms.
+    It is the median over the trials of each experiment, averaged over the experiments. An error below 0.01
+    has four decimals, any other has three.
     """
-    texts: list[str] = []
-    # b alone tells the two kinds apart: it is high only where robots are underconfident.
-    for flaw_parameters in BOTH_FLAWS:
-        b = flaw_parameters["true_accuracy"]
-        swarms_with_flaw = [trials for trials in experiments if trials.experiment.true_accuracy == b]
-        if swarms_with_flaw:
-            texts.append(late_error_text(swarms_with_flaw))
-    return ", ".join(texts)
+    error = np.mean([np.median(late_errors(trials)) for trials in experiments])
+    return f"{error:.4f}" if error < 0.01 else f"{error:.3f}"
 
 
 # --- Pictures --------------------------------------------------------------------------------------------
@@ -276,11 +202,8 @@ def markdown_table(head: str, rows: Rows, text_of: Callable[[Sequence[Trials]], 
     return "\n".join(lines)
 
 
-def write_tables(path: Path, title: str, tables: Mapping[str, str], note: str = INTERVAL_NOTE) -> None:
-    """Write tables into a Markdown file, each between its mark and ``<!-- end -->``, as docs/ has them.
-
-    ``note`` says above the tables what their numbers are.
-    """
+def write_tables(path: Path, title: str, tables: Mapping[str, str]) -> None:
+    """Write tables into a Markdown file, each between its mark and ``<!-- end -->``, as docs/ has them."""
     marked_tables = [f"<!-- {mark} -->\n{table}\n<!-- end -->" for mark, table in tables.items()]
-    paragraphs = [f"# {title}", note, *marked_tables]
+    paragraphs = [f"# {title}", *marked_tables]
     write_atomically(path, "\n\n".join(paragraphs) + "\n")

@@ -12,9 +12,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from matplotlib.figure import Figure
+import numpy as np
 
-import mcp_asdf_tools as m
 from mcp_asdf_tools.common.figures import save_figure
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.results import Trials
@@ -26,21 +25,17 @@ from mcp_asdf_tools.studies.reading_pairs import (
     TwoReadingsRobot,
 )
 from mcp_asdf_tools.studies.study_program import (
+    LATE_ERROR_HEAD,
     MOVING_SWARM,
-    PARAMETERS_BY_FLAW,
-    PLAIN_NOTE,
-    Rows,
-    format_tenths,
+    late_error_text,
     markdown_table,
-    mean_harmed_percent,
     parse_arguments,
-    plain_error_text,
     plot_errors_of_swarms,
+    rows_of_swarms,
     run_rows,
     write_tables,
 )
 
-ERROR_HEAD = "error of the last quarter"
 HARM_HEAD = "healthy robots harmed, in percent"
 
 SWARMS: dict[str, dict[str, Any]] = {
@@ -56,7 +51,7 @@ DRAWN_SWARMS = ("half flawed", "all flawed", "none flawed, half repeated")
 
 
 def two_readings_rows() -> dict[str, list[Experiment]]:
-    """Return the experiments of each row by its label: swarms of SWARMS with one kind of flawed robots.
+    """Return the experiments of each row by its label: SWARMS with one kind of flawed robots.
 
     In each row, robots with two readings stand beside robots with the usual filters, which read each tile
     once.
@@ -66,36 +61,27 @@ def two_readings_rows() -> dict[str, list[Experiment]]:
         {"filter": ["none", "asdf-minus", "robust"], "observation_period": READINGS_OF_TILE},
         {"firmware": TwoReadingsRobot, "filter": "robust"},
     ]
-    rows: dict[str, list[Experiment]] = {}
-    for flaw, flaw_parameters in PARAMETERS_BY_FLAW.items():
-        for label, swarm in SWARMS.items():
-            rows[f"{label}, {flaw}"] = m.grid(
-                **MOVING_SWARM,
-                **flaw_parameters,
-                **swarm,
-                robots_and_filters=robots_and_filters,
-                # A step is a reading: with these periods and steps there are as many tiles as usual.
-                comms_period=READINGS_OF_TILE,
-                filter_period=READINGS_OF_TILE * 1000,
-                steps=READINGS_OF_TILE * 10_000,
-                trials=6,
-                seed=4715,  # which no tuning has seen
-            )
-    return rows
+    return rows_of_swarms(
+        SWARMS,
+        **MOVING_SWARM,
+        robots_and_filters=robots_and_filters,
+        # A step is a reading: with these periods and steps there are as many tiles as usual.
+        comms_period=READINGS_OF_TILE,
+        filter_period=READINGS_OF_TILE * 1000,
+        steps=READINGS_OF_TILE * 10_000,
+        trials=6,
+        seed=4715,  # which no tuning has seen
+    )
 
 
 def harm_text(experiments: Sequence[Trials]) -> str:
     """Format the percentage of healthy robots that a filter harmed, such as "12.5"; empty if all are flawed.
 
-    It is the mean over the trials.
+    A robot is harmed if its b_hat ends far from where it began. The percentage is the mean over all trials.
     """
-    harmed_percent = mean_harmed_percent(experiments)
-    return "" if harmed_percent is None else format_tenths(harmed_percent.value)
-
-
-def draw_errors(rows: Rows) -> Figure:
-    """Draw the errors over time in DRAWN_SWARMS: a line for each filter, and one for two readings."""
-    return plot_errors_of_swarms(rows, DRAWN_SWARMS)
+    is_harmed = np.concatenate([trials.find_harmed_robots() for trials in experiments])
+    # The shape is (trials, healthy robots), so it is empty if no robot is healthy.
+    return f"{100 * is_harmed.mean():.1f}" if is_harmed.size else ""
 
 
 def main() -> None:
@@ -103,11 +89,11 @@ def main() -> None:
     arguments = parse_arguments(__doc__)
     rows = run_rows("two_readings", two_readings_rows(), arguments, record=500)
     tables = {
-        "errors": markdown_table(ERROR_HEAD, rows, plain_error_text),
+        "errors": markdown_table(LATE_ERROR_HEAD, rows, late_error_text),
         "harm": markdown_table(HARM_HEAD, rows, harm_text),
     }
-    write_tables(arguments.folder / "two_readings.md", "Two readings of a tile", tables, PLAIN_NOTE)
-    save_figure(draw_errors(rows), arguments.folder / "two_readings.png")
+    write_tables(arguments.folder / "two_readings.md", "Two readings of a tile", tables)
+    save_figure(plot_errors_of_swarms(rows, DRAWN_SWARMS), arguments.folder / "two_readings.png")
 
 
 if __name__ == "__main__":

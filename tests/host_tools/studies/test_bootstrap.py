@@ -15,7 +15,6 @@ from mcp_asdf_tools.studies.bootstrap import (
     mean_of_resampled,
     resample_indices,
     resample_interquartile_range,
-    resample_mean,
     resample_median,
     resample_quantile,
     resample_rank_correlation,
@@ -43,7 +42,6 @@ def quantile_of_90_percent(values: Sample, axis: int) -> Sample:
     [
         (resample_median, np.median),
         (resample_interquartile_range, iqr),
-        (resample_mean, np.mean),
         (resample_quantile_of_90_percent, quantile_of_90_percent),
     ],
 )

@@ -144,10 +144,8 @@ def test_a_table_shows_a_ratio_and_both_ends_of_its_interval_with_two_decimals()
 # --- The program -----------------------------------------------------------------------------------------
 
 
-@pytest.fixture(scope="module")
-def folder_of_short_study(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Run the program with codes of 4 or 16 bits of x_hat, one floor and short trials; return its folder."""
-    folder = tmp_path_factory.mktemp("small_messages")
+def run_short_study(folder: Path) -> None:
+    """Run the program with codes of 4 or 16 bits of x_hat, one floor and short trials."""
     with rare_resampling(), pytest.MonkeyPatch.context() as patch:
         patch.setattr(small_messages, "X_HAT_BITS", (4, 16))
         patch.setattr(small_messages, "ALPHA_BITS", {"asdf-minus": (4, 9), "robust": (1,)})
@@ -156,37 +154,25 @@ def folder_of_short_study(tmp_path_factory: pytest.TempPathFactory) -> Path:
         patch.setattr(study_program, "QUICK_STEPS", 500)
         patch.setattr("sys.argv", ["study", str(folder), "--quick"])
         small_messages.main()
-    return folder
 
 
-def test_the_program_writes_its_tables_of_both_filters_with_a_row_for_each_number_of_bits_and_a_png(
-    folder_of_short_study: Path,
-) -> None:
-    """The short study has codes with 4 or 16 bits of x_hat.
+def test_the_program_writes_its_tables_of_both_filters_its_picture_and_its_results(tmp_path: Path) -> None:
+    """The short study has codes with 4 or 16 bits of x_hat. Results have the estimates of each 250th step.
 
     If 30 trials decide nothing about a code, it runs with more trials, and enters the table "close".
     """
-    tables = tables_in(folder_of_short_study / "small_messages.md")
+    run_short_study(tmp_path)
+
+    tables = tables_in(tmp_path / "small_messages.md")
 
     assert list(tables) == ["exact", "asdf_minus", "robust", "close"]
     assert list(tables["asdf_minus"].rows) == ["x_hat 4", "x_hat 16"]
     assert list(tables["robust"].rows) == ["x_hat 4", "x_hat 16"]
-    assert (folder_of_short_study / "small_messages.png").read_bytes().startswith(b"\x89PNG")
-
-
-@pytest.mark.parametrize(
-    ("file", "filter_name"), [("asdf-minus", "asdf-minus"), ("robust", "robust"), ("close", "asdf-minus")]
-)
-def test_the_program_keeps_the_results_of_a_filter_with_values_every_250_steps(
-    file: str, filter_name: str, folder_of_short_study: Path
-) -> None:
-    """The file "close" has the codes that 30 trials cannot decide. They run with ASDF-."""
-    results = m.experiments_in(m.read_table(folder_of_short_study / f"small_messages_{file}.parquet"))
-
-    assert results != []
-    for trials in results:
-        assert trials.experiment.filter == filter_name
-        assert trials.sampling_interval == 250
+    assert (tmp_path / "small_messages.png").read_bytes().startswith(b"\x89PNG")
+    for file, filter_name in (("asdf-minus", "asdf-minus"), ("robust", "robust"), ("close", "asdf-minus")):
+        results = m.experiments_in(m.read_table(tmp_path / f"small_messages_{file}.parquet"))
+        assert {trials.experiment.filter for trials in results} == {filter_name}
+        assert {trials.sampling_interval for trials in results} == {250}
 
 
 # --- The page --------------------------------------------------------------------------------------------

@@ -22,14 +22,12 @@ def experiment_of(row: str, column: str) -> Experiment:
     return experiment
 
 
-@pytest.mark.usefixtures("few_resamples")
 def test_the_table_of_harm_has_the_percentage_of_healthy_robots_that_were_harmed() -> None:
     """The first of four robots is flawed. One of three healthy ones ends with 0.5 instead of 0.9."""
     trials = two_trials_with(robots=4, flawed=1, true_accuracy=0.9, b_hat=[0.9, 0.9, 0.9, 0.5])
     assert two_readings.harm_text([trials]) == "33.3"
 
 
-@pytest.mark.usefixtures("few_resamples")
 def test_the_table_of_harm_is_empty_for_a_swarm_without_healthy_robots() -> None:
     """All four robots are flawed, so nobody can be harmed."""
     trials = two_trials_with(robots=4, flawed=4)
@@ -56,11 +54,11 @@ def test_robots_that_are_all_flawed_estimate_the_floor_well_if_they_read_each_ti
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("row", "percent_harmed"),
-    [("none flawed, overconfident", 0), ("none flawed, half repeated, overconfident", 100)],
+    [("none flawed, overconfident", "0.0"), ("none flawed, half repeated, overconfident", "100.0")],
 )
 def test_two_readings_harm_healthy_robots_only_if_sensors_repeat_their_readings(
-    row: str, percent_harmed: float
+    row: str, percent_harmed: str
 ) -> None:
     """A sensor that repeats half of its readings disagrees less often with itself, and seems better."""
     trial = run_trial_with_two_readings(row)
-    assert study_program.harmed_percents(trial).tolist() == [percent_harmed]
+    assert two_readings.harm_text([trial]) == percent_harmed
