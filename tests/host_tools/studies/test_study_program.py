@@ -141,7 +141,7 @@ def test_the_quick_form_of_a_study_has_two_trials_of_at_most_4000_steps(
     experiment = Experiment(robots=3, flawed=1, steps=steps, filter_period=100, trials=30)
     arguments = argparse.Namespace(folder=tmp_path / "new folder", workers=1, quick=True)
 
-    [trials] = study_program.run_rows("a", {"row": [experiment]}, arguments)["row"]
+    [trials] = study_program.run_rows("a", {"row": [experiment]}, arguments, record=50)["row"]
 
     assert trials.experiment.trials == 2
     assert len(trials.numbers) == 2
