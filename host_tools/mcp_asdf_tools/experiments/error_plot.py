@@ -1,4 +1,4 @@
-"""Errors of swarms over time, for the studies: a panel for each title, and a line for each filter."""
+"""Errors of swarms over time, for the studies: a panel for each title, and a line for each filter or peer."""
 
 from __future__ import annotations
 
@@ -9,11 +9,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from mcp_asdf_tools.common.figures import SMALL, style_panel
-from mcp_asdf_tools.experiments.plot_labels import filter_name, make_caption
+from mcp_asdf_tools.experiments.plot_labels import make_caption
 from mcp_asdf_tools.experiments.plot_panels import (
-    Series,
     SeriesName,
-    colours_of_filters,
     create_panels,
     describe_intervals,
     draw_band,
@@ -23,29 +21,19 @@ from mcp_asdf_tools.experiments.plot_panels import (
     median_intervals,
 )
 from mcp_asdf_tools.experiments.results import Trials
-from mcp_asdf_tools.experiments.scores import PAPER_LIMITS, Limits
-from mcp_asdf_tools.robots.filters import FILTERS
+from mcp_asdf_tools.experiments.scores import PAPER_LIMITS
 
 
-def plot_errors_over_time(
-    panels: Mapping[str, Sequence[Trials]],
-    limits: Limits = PAPER_LIMITS,
-    series_name: SeriesName | None = None,
-) -> Figure:
-    """Plot the mean error |x - f| of a swarm over time: a panel for each title, in it a line for each filter.
+def plot_errors_over_time(panels: Mapping[str, Sequence[Trials]], series_name: SeriesName) -> Figure:
+    """Plot the mean error |x - f| of a swarm over time: a panel for each title, in it a line for each name.
 
     x is a robot's informed estimate and f the true share of black tiles, so this is the mean over the robots
-    of a trial; the line is the median over the trials. Trials of one panel and filter are taken together. All
-    must have been recorded, with the same interval. With ``series_name`` there is a line for each name that
-    it returns, in place of a line for each filter. Only the caption has the ``limits``. Raises UsageError if
+    of a trial; the line is the median over the trials. Trials of one panel to which ``series_name`` gives the
+    same name are taken together. All must have been recorded, with the same interval. Raises UsageError if
     there are too many panels.
     """
     all_experiments = [trials for experiments in panels.values() for trials in experiments]
-    if series_name is None:
-        series_name = filter_name
-        all_series = _series_of_filters(all_experiments)
-    else:
-        all_series = group_into_series(all_experiments, series_name)
+    all_series = group_into_series(all_experiments, series_name)
     figure, grid = create_panels(len(panels), panel_height=1.9, series_count=len(all_series))
     for axes, (title, experiments) in zip(grid, panels.items(), strict=True):
         axes.set_title(title, fontsize=SMALL, loc="left")
@@ -60,20 +48,8 @@ def plot_errors_over_time(
     handles = [legend_handle(series.label, series.colour, marker="", line="-") for series in all_series]
     intervals = describe_intervals(all_experiments)
     marks = f"lines are medians over the trials of a swarm's mean error, {intervals}"
-    caption = make_caption(all_experiments, marks, limits)
+    caption = make_caption(all_experiments, marks, PAPER_LIMITS)
     return label_figure(figure, "step", "error |x \u2212 f|", caption, handles)
-
-
-def _series_of_filters(experiments: Sequence[Trials]) -> list[Series]:
-    """Return the experiments of each filter as a series, in the order of FILTERS."""
-    all_series = []
-    # All filters get their colours first: a filter then has the same colour in every picture, whichever
-    # others are there.
-    for name, colour in zip(FILTERS, colours_of_filters([*FILTERS]), strict=True):
-        experiments_of_filter = [trials for trials in experiments if trials.experiment.filter == name]
-        if experiments_of_filter:
-            all_series.append(Series(FILTERS[name].typeset_term, colour, experiments_of_filter))
-    return all_series
 
 
 def _draw_errors(axes: Axes, experiments: Sequence[Trials], colour: str) -> None:

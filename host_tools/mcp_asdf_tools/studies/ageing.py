@@ -29,6 +29,7 @@ from mcp_asdf_tools.studies.peers import (
     KnownAccuracyRobot,
     KnownMeanAccuracyRobot,
     WanderingBayesCpfRobot,
+    column_label,
 )
 from mcp_asdf_tools.studies.study_program import (
     ALL_FILTERS,
@@ -124,7 +125,7 @@ def draw_errors(rows: Rows) -> Figure:
         for label, experiments in rows.items()
         if label.endswith(LONGEST_MEMORY)
     }
-    return plot_errors_over_time(panels)
+    return plot_errors_over_time(panels, column_label)
 
 
 def main() -> None:

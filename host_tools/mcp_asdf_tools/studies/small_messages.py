@@ -26,6 +26,7 @@ from mcp_asdf_tools.studies.study_program import (
     MOVING_SWARM,
     PARAMETERS_BY_FLAW,
     Rows,
+    format_table,
     late_error_text,
     late_errors,
     markdown_table,
@@ -148,11 +149,11 @@ def ratio_table(ratios: RatiosByCode) -> str:
     """
     all_alpha_bits = sorted({code.alpha_bits for code in ratios})
     heads = ["bits", *(f"alpha {alpha_bits}" for alpha_bits in all_alpha_bits)]
-    lines = [f"| {' | '.join(heads)} |", "|---" * len(heads) + "|"]
+    rows: list[list[str]] = []
     for x_hat_bits in X_HAT_BITS:
         cells = [ratio_text(ratios[MessageCode(x_hat_bits, alpha_bits)]) for alpha_bits in all_alpha_bits]
-        lines.append(f"| x_hat {x_hat_bits} | {' | '.join(cells)} |")
-    return "\n".join(lines)
+        rows.append([f"x_hat {x_hat_bits}", *cells])
+    return format_table(heads, rows)
 
 
 def exact_table(rows_by_filter: Mapping[str, Rows]) -> str:
@@ -170,11 +171,12 @@ def exact_table(rows_by_filter: Mapping[str, Rows]) -> str:
 
 def interval_table(ratios: RatiosByCode) -> str:
     """Return a table in Markdown of ratios and the ends of their intervals, with a row for each code."""
-    lines = ["| bits of x_hat | bits of alpha | ratio | at least | at most |", "|---" * 5 + "|"]
-    for code, ratio in ratios.items():
-        numbers = f"{ratio.value:.2f} | {ratio.low:.2f} | {ratio.high:.2f}"
-        lines.append(f"| {code.x_hat_bits} | {code.alpha_bits} | {numbers} |")
-    return "\n".join(lines)
+    heads = ["bits of x_hat", "bits of alpha", "ratio", "at least", "at most"]
+    rows = [
+        [f"{code.x_hat_bits}", f"{code.alpha_bits}", *(f"{number:.2f}" for number in ratio)]
+        for code, ratio in ratios.items()
+    ]
+    return format_table(heads, rows)
 
 
 def draw_ratios(ratios_by_filter: Mapping[str, RatiosByCode]) -> Figure:

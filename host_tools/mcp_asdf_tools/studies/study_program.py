@@ -9,7 +9,7 @@ b_hat, a healthy one with the right one.
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from itertools import chain
 from pathlib import Path
@@ -171,7 +171,7 @@ def plot_errors_of_swarms(rows: Rows, swarms: Sequence[str]) -> Figure:
     """
     labels = [f"{swarm}, {flaw}" for flaw in PARAMETERS_BY_FLAW for swarm in swarms]
     panels = {label: rows[label] for label in labels}
-    return plot_errors_over_time(panels, series_name=column_label)
+    return plot_errors_over_time(panels, column_label)
 
 
 # --- Tables ----------------------------------------------------------------------------------------------
@@ -192,14 +192,17 @@ def markdown_table(head: str, rows: Rows, text_of: Callable[[Sequence[Trials]], 
             if column not in columns:
                 columns.append(column)
             cells.setdefault((row, column), []).append(trials)
-    lines = [f"| {head} | {' | '.join(columns)} |", "|---" * (len(columns) + 1) + "|"]
+    rows_of_texts: list[list[str]] = []
     for row in rows:
-        texts: list[str] = []
-        for column in columns:
-            is_empty = (row, column) not in cells
-            texts.append("" if is_empty else text_of(cells[row, column]))
-        lines.append(f"| {row} | {' | '.join(texts)} |")
-    return "\n".join(lines)
+        texts = [text_of(cells[row, column]) if (row, column) in cells else "" for column in columns]
+        rows_of_texts.append([row, *texts])
+    return format_table([head, *columns], rows_of_texts)
+
+
+def format_table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """Return a table in Markdown with these heads of columns, and a line for each row of texts."""
+    lines = [f"| {' | '.join(texts)} |" for texts in rows]
+    return "\n".join([f"| {' | '.join(heads)} |", "|---" * len(heads) + "|", *lines])
 
 
 def write_tables(path: Path, title: str, tables: Mapping[str, str]) -> None:

@@ -28,6 +28,7 @@ from host_tools.experiments.drawn_figures import (
 )
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.figures import COLOUR_OF_FLAWED_ROBOTS, COLOUR_OF_HEALTHY_ROBOTS, INK
+from mcp_asdf_tools.experiments import plot_labels
 from mcp_asdf_tools.experiments.error_plot import plot_errors_over_time
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.plots.bands import plot_bands
@@ -60,7 +61,7 @@ def errors_over_time(recorded_swarms: dict[str, list[Trials]]) -> Figure:
         "robust": robust,
         "one experiment": unfiltered[:1],
     }
-    return plot_errors_over_time(panels)
+    return plot_errors_over_time(panels, series_name=plot_labels.filter_name)
 
 
 def name_by_fill_ratio(experiment: Experiment) -> str:

@@ -84,21 +84,6 @@ def test_the_report_counts_the_verdicts_on_the_claims_that_equations_decide(
     assert "| equations | 7 | 1 | 0 | 0 |\n" in planted_report.markdown
 
 
-def test_the_report_counts_the_verdicts_on_the_claims_about_dynamic_swarms(
-    planted_report: WrittenReport,
-) -> None:
-    """A line of its table has the numbers of claims that agree, are mixed, disagree or are undecided."""
-    verdicts = [
-        decision.verdict for decision in planted_report.decisions if decision.study_part is StudyPart.DYNAMIC
-    ]
-    agree = verdicts.count(Verdict.AGREE)
-    mixed = verdicts.count(Verdict.MIXED)
-    disagree = verdicts.count(Verdict.DISAGREE)
-    undecided = verdicts.count(Verdict.UNDECIDED)
-
-    assert f"| dynamic | {agree} | {mixed} | {disagree} | {undecided} |\n" in planted_report.markdown
-
-
 def test_the_report_answers_a_question_of_a_user_with_a_link_to_the_claim(
     planted_report: WrittenReport,
 ) -> None:
