@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import operator
 import struct
-from dataclasses import dataclass, field, fields
+from dataclasses import astuple, dataclass, field, fields
 
 from mcp_asdf.arithmetic import (
     Q32_HALF,
@@ -49,7 +49,6 @@ from mcp_asdf.image_format import (
     IMPOSSIBLE_STATE,
     find_image_error,
     first_image_word,
-    image_word_count,
 )
 from mcp_asdf.robot import (
     MAX_ID,
@@ -863,22 +862,24 @@ class MirrorRobot(FixedPointView):
         )
 
     def save(self) -> bytes:
-        """Return the state as ``mcp_asdf_save`` writes it: little-endian words, the last a checksum.
+        """Return the state as ``mcp_asdf_save`` writes it: little-endian numbers, the last a checksum.
 
-        Word 0 marks the version. Words 1 to 6 are about the robot's own estimate and filter. Then come the
-        sums of the rounds, in 16 words, or what the robust filter remembers, in 24; four words with the
-        senders of the open round; and three with counters, the flag ``updated`` and the id.
+        The first word marks the version. Then come the robot's own estimate and filter, the sums of the
+        rounds or what the robust filter remembers, the senders of the open round, and counters, the flag
+        ``updated`` and the id.
         """
         s = self.s
-        image_words = [first_image_word(self.config.filter), s.accuracy.b_hat, s.t, s.n]
-        image_words += [s.x_hat, s.alpha, s.filter_left]
-        image_words += _encode_robust_filter(s) if self.is_robust else _encode_rounds(s)
-        image_words += s.heard
-        # Counters have 16 bits, so two of them share a word; the id and ``updated`` have 8.
-        image_words.append(_word_of_halves(s.accepted, s.repeated))
-        image_words.append(_word_of_halves(s.rejected, s.tests))
-        image_words.append(s.updates | (s.updated << 16) | (s.id << 24))
-        return _image_struct(self.config).pack(*image_words, checksum(image_words))
+        first_word = first_image_word(self.config.filter)
+        image = _BEGINNING.pack(first_word, s.accuracy.b_hat, s.t, s.n, s.x_hat, s.alpha, s.filter_left)
+        # The members of these three classes are declared in the order of the image.
+        if self.is_robust:
+            image += _ROBUST_FILTER.pack(*astuple(s.robust), *s.estimates)
+        else:
+            image += _ROUNDS.pack(*astuple(s.closed), *astuple(s.open))
+        counters = (s.accepted, s.repeated, s.rejected, s.tests, s.updates)
+        image += _ENDING.pack(*s.heard, *counters, s.updated, s.id)
+        image_words = [word for (word,) in _CHECKSUM.iter_unpack(image)]
+        return image + _CHECKSUM.pack(checksum(image_words))
 
     @classmethod
     def restore(cls, config: Config, image: bytes) -> MirrorRobot:
@@ -894,15 +895,14 @@ class MirrorRobot(FixedPointView):
         error = find_image_error(image_bytes, config.filter)
         if error is not None:
             raise FirmwareError(Status.ERR_IMAGE, error)
-        image_words = _image_struct(config).unpack(image_bytes)
-        # b_hat, word 1, is checked before all else, because values of the state are computed from it.
-        b_hat = image_words[1]
+        # b_hat is checked before all else, because values of the state are computed from it.
+        _first_word, b_hat, *_rest = _BEGINNING.unpack_from(image_bytes)
         if not B_HAT_MIN <= b_hat <= B_HAT_MAX:
             raise FirmwareError(Status.ERR_IMAGE, f"b_hat = {b_hat} is out of range")
         # Without __init__, which would make a new robot, and needs an id and a b_hat that are valid.
         robot = cls.__new__(cls)
         robot.config = config
-        robot.s = _decode_state(config, image_words)
+        robot.s = _decode_state(config, image_bytes)
         if not robot.holds_invariants():
             raise FirmwareError(Status.ERR_IMAGE, IMPOSSIBLE_STATE)
         return robot
@@ -910,115 +910,57 @@ class MirrorRobot(FixedPointView):
 
 # ---- Images ----
 
+# The parts of an image, as little-endian numbers: I has 32 bits, Q 64, H 16, and B 8.
+_BEGINNING = struct.Struct("<7I")
+"""The word that marks the version; b_hat, t, n, x_hat, alpha and filter_left."""
+_ROUNDS = struct.Struct("<7Q2I")
+"""The sums of the closed and of the open round, which every filter but the robust one keeps.
 
-def _image_struct(config: Config) -> struct.Struct:
-    """Return the format of an image: little-endian words, as many as the filter of the robot needs."""
-    return struct.Struct(f"<{image_word_count(config.filter)}I")
-
-
-def _word_of_halves(low_half: int, high_half: int) -> int:
-    """Return a word with one number of 16 bits in its lower half and another in its upper half."""
-    return low_half | (high_half << 16)
-
-
-def _halves_of_word(word: int) -> tuple[int, int]:
-    """Return the numbers of 16 bits in the lower and in the upper half of a word."""
-    return word & 0xFFFF, word >> 16
-
-
-def _encode_rounds(s: State) -> list[int]:
-    """Return the sums of the closed and of the open round in ``s``, a robot's state, as 16 words.
-
-    Three sums of the closed and four of the open round have 64 bits and take two words each, the lower one
-    first; then come the open round's sum of x_hat and its number of messages. A closed round has no sum of
-    x_hat**2: only the test needs it, which runs before the sums of the open round are cleared.
-    """
-    closed_sums = [s.closed.alpha, s.closed.alpha_x_low, s.closed.alpha_x_high]
-    open_sums = [s.open.alpha, s.open.alpha_x_low, s.open.alpha_x_high, s.open.x_squared]
-    sum_words = []
-    for long_sum in closed_sums + open_sums:
-        sum_words += [long_sum & MAX_WORD, long_sum >> 32]
-    return [*sum_words, s.open.x, s.open.count]
+A closed round has no sum of x_hat**2: only the test needs it, which runs before the sums of the open round
+are cleared.
+"""
+_ROBUST_FILTER = struct.Struct("<6I2HI32H")
+"""What the robust filter keeps instead: its members, and the estimates in the slots."""
+_ENDING = struct.Struct("<4I5H2B")
+"""The senders of the open round, the counters, the flag ``updated`` and the id."""
+_CHECKSUM = struct.Struct("<I")
+"""The checksum of all words before it."""
 
 
-def _encode_robust_filter(s: State) -> list[int]:
-    """Return what the robust filter remembers of ``s``, a robot's state, as 24 words.
+def _decode_state(config: Config, image: bytes) -> State:
+    """Return the state that an image of `MirrorRobot.save` holds.
 
-    These are centre, spread, initial_b_hat, filled_slots, batch_t and batch_n; votes and dispersion, which
-    share a word; turn; and the 32 estimates, two in a word. Where two numbers share a word, the lower half
-    has the number that is named first, or the estimate with the lower slot.
-    """
-    robust = s.robust
-    filter_words = [robust.centre, robust.spread, robust.initial_b_hat, robust.filled_slots]
-    votes_and_dispersion = _word_of_halves(robust.votes, robust.dispersion)
-    filter_words += [robust.batch_t, robust.batch_n, votes_and_dispersion, robust.turn]
-    filter_words += [_word_of_halves(*s.estimates[slot : slot + 2]) for slot in range(0, SLOTS, 2)]
-    return filter_words
-
-
-def _decode_state(config: Config, image_words: tuple[int, ...]) -> State:
-    """Return the state that the words of an image, as `MirrorRobot.save` writes them, hold.
-
-    ``config.filter`` says whether they have the sums of the rounds or what the robust filter remembers. It is
+    ``config.filter`` says whether it has the sums of the rounds or what the robust filter remembers. It is
     not checked whether a robot can have this state.
     """
-    _, b_hat, t, n, x_hat, alpha, filter_left = image_words[:7]
-    # What a filter keeps differs in length, so the words behind it are counted from the end.
-    filter_words = image_words[7:-8]
-    sender_words = image_words[-8:-4]
-    accepted_and_repeated, rejected_and_tests, updates_and_rest, _checksum = image_words[-4:]
-    accepted, repeated = _halves_of_word(accepted_and_repeated)
-    rejected, tests = _halves_of_word(rejected_and_tests)
-    updates, updated_and_id = _halves_of_word(updates_and_rest)
+    _first_word, b_hat, t, n, x_hat, alpha, filter_left = _BEGINNING.unpack_from(image)
+    end_of_filter = len(image) - _ENDING.size - _CHECKSUM.size
+    *heard, accepted, repeated, rejected, tests, updates, updated, robot_id = _ENDING.unpack_from(
+        image, end_of_filter
+    )
     state = State(
-        id=updated_and_id >> 8,  # the upper 8 bits of this half
+        id=robot_id,
         accuracy=accuracy_of(b_hat),
         t=t,
         n=n,
         x_hat=x_hat,
         alpha=alpha,
         filter_left=filter_left,
-        heard=list(sender_words),
+        heard=heard,
         accepted=accepted,
         repeated=repeated,
         rejected=rejected,
         tests=tests,
         updates=updates,
-        updated=updated_and_id & 0xFF,  # the lower 8 bits
+        updated=updated,
     )
     if config.filter == Filter.ROBUST:
-        state.robust, state.estimates = _decode_robust_filter(filter_words)
+        numbers = _ROBUST_FILTER.unpack_from(image, _BEGINNING.size)
+        state.robust = RobustFilter(*numbers[:-SLOTS])
+        state.estimates = list(numbers[-SLOTS:])
     else:
-        state.closed, state.open = _decode_rounds(filter_words)
+        numbers = _ROUNDS.unpack_from(image, _BEGINNING.size)
+        closed_sum_count = len(fields(Closed))
+        state.closed = Closed(*numbers[:closed_sum_count])
+        state.open = Sums(*numbers[closed_sum_count:])
     return state
-
-
-def _decode_rounds(round_words: tuple[int, ...]) -> tuple[Closed, Sums]:
-    """Return the sums of the closed and of the open round that the 16 words of `_encode_rounds` hold."""
-    *sum_words, open_x, open_count = round_words
-    # Pairs of words, the lower one first, become seven numbers of 64 bits.
-    long_sums = struct.unpack("<7Q", struct.pack("<14I", *sum_words))
-    closed = Closed(*long_sums[:3])
-    alpha, alpha_x_low, alpha_x_high, x_squared = long_sums[3:]
-    return closed, Sums(alpha, alpha_x_low, alpha_x_high, x_squared, open_x, open_count)
-
-
-def _decode_robust_filter(filter_words: tuple[int, ...]) -> tuple[RobustFilter, list[int]]:
-    """Return what the 24 words of `_encode_robust_filter` hold: the filter's members, and the slots."""
-    centre, spread, initial_b_hat, filled_slots = filter_words[:4]
-    batch_t, batch_n, votes_and_dispersion, turn = filter_words[4:8]
-    votes, dispersion = _halves_of_word(votes_and_dispersion)
-    robust = RobustFilter(
-        centre=centre,
-        spread=spread,
-        initial_b_hat=initial_b_hat,
-        filled_slots=filled_slots,
-        batch_t=batch_t,
-        batch_n=batch_n,
-        votes=votes,
-        dispersion=dispersion,
-        turn=turn,
-    )
-    # A word has the estimates of two slots, the lower slot in its lower half.
-    estimates = struct.unpack("<32H", struct.pack("<16I", *filter_words[8:]))
-    return robust, list(estimates)
