@@ -1,8 +1,8 @@
 """The layout of every kind of frame: which bits of the data hold which field, and which values it may have.
 
-This is the one table of the frames in Python. The codecs (``frames`` for one frame, ``frame_arrays`` for
-many), the DBC file and the comparison of a controller with its model all read it. ``docs/design.md`` shows
-the same layout to people, and ``c_ref/src/mcp_asdf_frame.h`` is the same codec in C.
+This is the one table of the frames in Python. The codec (``frames``), the DBC file and the comparison of a
+controller with its model all read it. ``docs/design.md`` shows the same layout to people, and
+``c_ref/src/mcp_asdf_frame.h`` is the same codec in C.
 """
 
 from __future__ import annotations

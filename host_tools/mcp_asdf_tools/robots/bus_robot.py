@@ -9,7 +9,7 @@ differ in when heartbeats and telemetry are due, and in what carries the frames.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Protocol, TypeAlias, cast
@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 
 from mcp_asdf.fixed_point import alpha_from_word, alpha_word_from_float
 from mcp_asdf.robot import Counters, FirmwareError, FixedPointRobot, Observation, Robot, Status
-from mcp_asdf_tools.bus.frame_arrays import decode_estimates
 from mcp_asdf_tools.bus.frame_layout import (
     B_HAT_UNITS,
     MAX_B_HAT,
@@ -58,6 +57,17 @@ _COUNTER_MODULUS = 2**16
 
 _TICKS_BETWEEN_COUNTS = 64
 """Few enough for 1000 messages a tick: 64 * 1000 is below 2**16, which a counter must not gain unseen."""
+
+
+def estimate_rows(contents: Iterable[FrameContent]) -> EstimateRows:
+    """Return the estimates among the contents of frames as rows for a firmware, in their order."""
+    rows = [
+        (content.sender, content.x_hat, content.alpha)
+        for content in contents
+        if isinstance(content, Estimate)
+    ]
+    # Without an estimate there are no rows, but three columns nevertheless.
+    return np.array(rows, np.uint32).reshape(-1, 3)
 
 
 class Recorder(Protocol):
@@ -317,13 +327,11 @@ class BusRobot:
         All estimates are handed over before the other frames are counted. A robot that has crashed receives
         nothing.
         """
-        no_bit_flips = np.zeros(len(frames), np.uint64)  # the data arrived as it is, without injected faults
-        decoded = decode_estimates(frames, self._estimate_format, no_bit_flips)
-        self.receive_all(decoded.rows[decoded.is_estimate])
-        for frame, is_estimate in zip(frames, decoded.is_estimate.tolist(), strict=True):
-            if not is_estimate:
-                # The array decoder is fast but gives no reason: the few other frames are decoded again.
-                self.count_content(decode_frame(frame, self._estimate_format))
+        contents = [decode_frame(frame, self._estimate_format) for frame in frames]
+        self.receive_all(estimate_rows(contents))
+        for content in contents:
+            if not isinstance(content, Estimate):
+                self.count_content(content)
 
     def receive_all(self, estimates: EstimateRows) -> None:
         """Hand many estimates to the firmware in order, and count them and its refusals. O(estimates).

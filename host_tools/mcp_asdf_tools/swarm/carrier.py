@@ -26,9 +26,8 @@ from itertools import groupby
 import can
 import numpy as np
 
-from mcp_asdf_tools.bus.frame_arrays import decode_estimates
-from mcp_asdf_tools.bus.frames import FrameFormat, decode_frame
-from mcp_asdf_tools.robots.bus_robot import BusRobot
+from mcp_asdf_tools.bus.frames import Estimate, FrameFormat, decode_frame
+from mcp_asdf_tools.robots.bus_robot import BusRobot, estimate_rows
 from mcp_asdf_tools.robots.clock import RealTimeClock
 from mcp_asdf_tools.robots.node import FrameTaker
 from mcp_asdf_tools.swarm.delivery import Deliveries, DeliveryQueue, SentFrame
@@ -394,17 +393,20 @@ class Carrier:
 
         A frame is decoded once, however many robots receive it.
         """
-        frames = [sent_frame.frame for sent_frame in deliveries.sent_frames]
-        decoded = decode_estimates(frames, self._frame_format, deliveries.bit_flips)
-        estimates = decoded.rows[decoded.is_estimate]
+        contents = [
+            decode_frame(deliveries.received_frame(index), self._frame_format)
+            for index in range(len(deliveries.sent_frames))
+        ]
+        is_estimate = np.array([isinstance(content, Estimate) for content in contents], np.bool_)
+        estimates = estimate_rows(contents)
         # Shape (estimates, robots): the column of a robot says which of the estimates it receives.
-        receivers_of_estimates = deliveries.receivers[decoded.is_estimate]
+        receivers_of_estimates = deliveries.receivers[is_estimate]
         for robot in self._robots.values():
             is_received = receivers_of_estimates[:, robot.id]
             robot.receive_all(estimates[is_received])
-        for index in np.flatnonzero(~decoded.is_estimate).tolist():
-            content = decode_frame(deliveries.received_frame(index), self._frame_format)
-            is_receiver = deliveries.receivers[index].tolist()
+        for content, is_receiver in zip(contents, deliveries.receivers.tolist(), strict=True):
+            if isinstance(content, Estimate):
+                continue
             for robot in self._robots.values():
                 if is_receiver[robot.id]:
                     robot.count_content(content)

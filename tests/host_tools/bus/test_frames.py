@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import random
 import re
-from copy import copy
 from dataclasses import astuple, fields, replace
 from enum import Enum
 from fractions import Fraction
@@ -22,14 +21,13 @@ from cffi import FFI
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from mcp_asdf.fixed_point import ALPHA_MAX, alpha_from_word, alpha_word_from_float
+from mcp_asdf.fixed_point import ALPHA_MAX, alpha_from_word
 from mcp_asdf_tools.bus.alpha_words import (
     alpha_word_from_float32_bits,
     float32_bits,
     float32_bits_from_alpha_word,
     float32_value,
 )
-from mcp_asdf_tools.bus.frame_arrays import decode_estimates
 from mcp_asdf_tools.bus.frame_layout import (
     EVERY_ROBOT,
     MAX_FLOAT32_BITS,
@@ -47,7 +45,6 @@ from mcp_asdf_tools.bus.frames import (
     FrameFormat,
     Heartbeat,
     Telemetry,
-    decode_estimate,
     decode_frame,
     encode_estimate,
     encode_telemetry,
@@ -424,103 +421,6 @@ def test_damaged_frames_are_refused_for_every_reason_and_taken_for_every_kind_of
     assert decoded_types == {Estimate, Heartbeat, Telemetry, Command}
 
 
-def flipped(frame: can.Message, bit_flips: int) -> can.Message:
-    """Return a copy of a frame with these bits of its 8 bytes inverted; other lengths stay as they are."""
-    copied_frame = copy(frame)
-    if len(frame.data) == 8:
-        data_as_number = int.from_bytes(frame.data, "little")
-        copied_frame.data = bytearray((data_as_number ^ bit_flips).to_bytes(8, "little"))
-    return copied_frame
-
-
-ALPHA_BITS_AT_LIMITS = {
-    "zero": 0,
-    "smallest of a robot": float32_bits(2.0**-24),
-    "largest of a robot": float32_bits(2.0**31) - 1,
-    "above the largest of a robot": float32_bits(2.0**31),
-    "largest float": MAX_FLOAT32_BITS,
-    "infinity": MAX_FLOAT32_BITS + 1,
-}
-
-
-def estimate_frame(x_hat: int, alpha_bits: int) -> can.Message:
-    """Return an estimate's frame with these 24 and 32 bits, which may be illegal."""
-    data = x_hat.to_bytes(3, "little") + alpha_bits.to_bytes(4, "little") + b"\xe0"
-    return altered(LEGAL_ESTIMATE_FRAME, data=data)
-
-
-EstimateRow = list[int] | None
-"""Sender, x_hat and alpha of an estimate; None for a frame that holds none."""
-
-
-def decode_in_an_array(frames: list[can.Message], bit_flips: list[int]) -> list[EstimateRow]:
-    """Decode frames, in which these bits of the data are flipped, as one array."""
-    decoded = decode_estimates(frames, DEFAULT_FORMAT, np.array(bit_flips, np.uint64))
-    return [
-        row if is_estimate else None
-        for row, is_estimate in zip(decoded.rows.tolist(), decoded.is_estimate, strict=True)
-    ]
-
-
-def decode_alone(frames: list[can.Message], bit_flips: list[int]) -> list[EstimateRow]:
-    """Decode frames, in which these bits of the data are flipped, one after the other."""
-    rows: list[EstimateRow] = []
-    for frame, flips in zip(frames, bit_flips, strict=True):
-        estimate = decode_estimate(flipped(frame, flips), DEFAULT_FORMAT)
-        if isinstance(estimate, Estimate):
-            rows.append([estimate.sender, estimate.x_hat, estimate.alpha])
-        else:
-            rows.append(None)
-    return rows
-
-
-@pytest.mark.parametrize("alpha_bits", ALPHA_BITS_AT_LIMITS.values(), ids=ALPHA_BITS_AT_LIMITS)
-def test_estimates_with_values_at_a_limit_are_decoded_the_same_in_an_array_and_alone(alpha_bits: int) -> None:
-    """An x_hat of 2**23, which is 1, is legal, and a larger one is not. No bit is flipped.
-
-    Alpha is 0, infinity, or at a limit of a robot's or of any confidence.
-    """
-    frames = [estimate_frame(x_hat, alpha_bits) for x_hat in (2**23, 2**23 + 1)]
-    no_bit_flips = [0, 0]
-    assert decode_in_an_array(frames, no_bit_flips) == decode_alone(frames, no_bit_flips)
-
-
-def test_damaged_frames_are_decoded_the_same_in_an_array_and_alone() -> None:
-    """In half of the frames, one or some bits are flipped besides, as by a fault on the bus.
-
-    There are 4000 frames in ``make verify``, and a tenth in ``make test``. A number with 64 bits says which
-    of a frame's 64 bits are flipped.
-    """
-    rng = random.Random(SEED)
-    frames = [mutated(rng) for _ in range(draws(4000))]
-    bit_flips = []
-    for _ in frames:
-        no_bit = 0
-        one_bit = 1 << rng.randrange(64)
-        some_bits = rng.getrandbits(64)
-        bit_flips.append(rng.choice((no_bit, no_bit, one_bit, some_bits)))
-
-    assert decode_in_an_array(frames, bit_flips) == decode_alone(frames, bit_flips)
-
-
-@pytest.mark.parametrize("alpha_bits", ALPHA_BITS_AT_LIMITS.values(), ids=ALPHA_BITS_AT_LIMITS)
-def test_an_estimate_with_any_bit_flipped_is_decoded_the_same_in_an_array_and_alone(alpha_bits: int) -> None:
-    """There are 64 equal frames of 64 bits. In frame number n a fault flips bit n.
-
-    Alpha is 0, infinity, or at a limit of a robot's or of any confidence.
-    """
-    frames = [estimate_frame(x_hat=2**23, alpha_bits=alpha_bits)] * 64
-    bit_flips = [1 << bit for bit in range(64)]
-    assert decode_in_an_array(frames, bit_flips) == decode_alone(frames, bit_flips)
-
-
-def test_an_empty_array_of_frames_is_decoded_to_an_empty_array() -> None:
-    """The result has no rows, but the three columns sender, x_hat and alpha."""
-    decoded = decode_estimates([], DEFAULT_FORMAT, np.zeros(0, np.uint64))
-    assert decoded.rows.shape == (0, 3)
-    assert decoded.is_estimate.shape == (0,)
-
-
 # Alpha: the firmware's word and binary32
 
 
@@ -557,48 +457,13 @@ def test_any_confidence_of_a_robot_is_sent_without_rounding(word: int) -> None:
 @example(float32_bits(2.0**31) - 1)
 @example(float32_bits(2.0**-24))
 def test_a_received_confidence_is_rounded_down_to_one_that_a_robot_can_have(bits: int) -> None:
-    """Another program may send any float; a robot has multiples of 2**-24 up to a largest one.
-
-    The firmware's own conversion from a float gives the same word.
-    """
+    """Another program may send any float; a robot has multiples of 2**-24 up to a largest one."""
     float_of_frame = float(np.uint32(bits).view(np.float32))  # the same bits, taken as a float
     unit = Fraction(1, 2**24)
     rounded_down = Fraction(float_of_frame) // unit * unit
     word = alpha_word_from_float32_bits(bits)
 
     assert value_of_word(word) == min(rounded_down, value_of_word(ALPHA_MAX))
-    assert word == alpha_word_from_float(float_of_frame)
-
-
-@fixed_examples
-@given(st.integers(0, MAX_FLOAT32_BITS))
-def test_equal_confidences_are_decoded_to_equal_words(bits: int) -> None:
-    """Two words of one value could differ in spare bits, or in mantissa and shift.
-
-    So the spare bits are 0, and the shift is the smallest possible: the mantissa begins with a 1, or the
-    shift is 0.
-    """
-    word = alpha_word_from_float32_bits(bits)
-    # A word has 24 bits of mantissa, then 3 spare bits, then 5 bits of shift.
-    top_bit_of_mantissa = word >> 31
-    spare_bits = word & 0b1110_0000
-    shift = word & 0b0001_1111
-    assert spare_bits == 0
-    assert shift == 0 or top_bit_of_mantissa == 1
-
-
-def test_a_float_becomes_the_nearest_binary32_number_ties_to_even() -> None:
-    """Next to 1, binary32 has steps of 2**-23; both floats lie in the middle between two of its numbers."""
-    bits_of_1 = 0x3F800000  # an even number; the next binary32 numbers have odd and even bits in turn
-    step = 2**-23
-    assert float32_bits(1 + 0.5 * step) == bits_of_1
-    assert float32_bits(1 + 1.5 * step) == bits_of_1 + 2
-
-
-def test_a_float_beyond_binary32_is_an_error() -> None:
-    """The largest number is a little below 2**128."""
-    with pytest.raises(OverflowError):
-        float32_bits(2.0**128)
 
 
 # One numbering in Python and in C
