@@ -39,7 +39,7 @@ size_t multicast_pack(uint8_t datagram[MULTICAST_SIZE], const struct can_frame *
 
 /* Read a frame from a datagram. Returns whether the datagram is one classic data frame as python-can writes
  * it, field by field in its order, and nothing else. If not, *frame is of no use.
- * mcp_asdf_tools/bus/datagrams.py accepts and refuses the same datagrams. */
+ * mcp_asdf_tools/bus/datagrams.py reads the same frames. */
 bool multicast_unpack(struct canfd_frame *frame, const uint8_t *datagram, size_t size);
 
 #endif
