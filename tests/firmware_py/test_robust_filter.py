@@ -1,4 +1,4 @@
-"""The robust filter in mirror and C: what it keeps, how it votes, and when it re-estimates b_hat.
+"""The robust filter in mirror, C and float64: what it keeps, how it votes, and when it re-estimates b_hat.
 
 docs/design.md, section 13, specifies it. Slot i keeps the estimate of the senders whose id is i modulo 32.
 """
@@ -6,7 +6,7 @@ docs/design.md, section 13, specifies it. Slot i keeps the estimate of the sende
 from __future__ import annotations
 
 import struct
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import pytest
@@ -21,9 +21,12 @@ from robots import (
     ONE,
     OWN_ID,
     ROBUST,
+    Firmware,
     FixedPoint,
     FixedPointFirmware,
+    for_every_firmware,
     for_fixed_point_firmwares,
+    make_robot,
     observe_tiles,
     receive_estimates,
     restore_robust_robot,
@@ -187,10 +190,10 @@ def test_without_the_robust_filter_no_estimates_of_neighbours_are_remembered(
 
 
 # design: R36
-@for_fixed_point_firmwares
-def test_before_the_first_vote_a_robot_believes_its_own_estimate(firmware: FixedPointFirmware) -> None:
+@for_every_firmware
+def test_before_the_first_vote_a_robot_believes_its_own_estimate(firmware: Firmware) -> None:
     """Votes are counted when a round ends: a neighbour whose message has just come has not voted."""
-    robot = make_robust_robot(firmware, b_hat=0.95, filter_period=1)
+    robot = make_robot(firmware, ROBUST, b_hat=0.95)
     observe_tiles(robot, black=9, white=1)
 
     receive_estimates(robot, 0.25)
@@ -309,16 +312,16 @@ def test_a_new_neighbour_votes_as_soon_as_its_slot_is_reached(firmware: FixedPoi
     assert voters_of_rounds(robot, rounds=3) == [7, 9, 6]
 
 
-@for_fixed_point_firmwares
+@for_every_firmware
 def test_a_robot_s_own_vote_moves_what_it_believes_towards_what_it_has_seen(
-    firmware: FixedPointFirmware,
+    firmware: Firmware,
 ) -> None:
     """It has seen black alone, and its neighbour says that half is black, as the robot believes at first.
 
     A vote far away moves what it believes by an eighth of the spread of the votes. That is 1/4 at first, and
     shrinks by a sixteenth with the neighbour's vote, which is where the robot expects it.
     """
-    robot = make_robust_robot(firmware, b_hat=0.95, filter_period=1000)
+    robot = make_robot(firmware, replace(ROBUST, filter_period=1000), b_hat=0.95)
     observe_tiles(robot, black=9, white=0)
     receive_estimates(robot, 0.5)
     robot.settle()  # the neighbour votes
@@ -330,20 +333,20 @@ def test_a_robot_s_own_vote_moves_what_it_believes_towards_what_it_has_seen(
     assert robot.x == 0.5 + spread / 8
 
 
-@for_fixed_point_firmwares
+@for_every_firmware
 @pytest.mark.parametrize(
     ("vote", "counted_distance"),
     [(1.0, 1 / 4), (0.75, 1 / 4), (0.625, 1 / 8), (0.5, 0.0), (0.375, -1 / 8), (0.0, -1 / 4)],
 )
 def test_a_vote_far_away_moves_what_the_robot_believes_no_further_than_one_at_a_limit(
-    firmware: FixedPointFirmware, vote: float, counted_distance: float
+    firmware: Firmware, vote: float, counted_distance: float
 ) -> None:
     """A vote moves x, what the robot believes and 1/2 at first, by an eighth of the vote's distance from it.
 
     A longer distance than the limit, the spread, which is 1/4 at first, counts as 1/4. So the greatest lie, 0
     or 1, moves a robot no more than an error of a quarter.
     """
-    robot = make_robust_robot(firmware, b_hat=0.95, filter_period=1)
+    robot = make_robot(firmware, ROBUST, b_hat=0.95)
     receive_estimates(robot, vote)
 
     robot.settle()  # the neighbour votes
@@ -440,10 +443,10 @@ def test_no_more_than_512_votes_are_counted(firmware: FixedPointFirmware) -> Non
     assert vote_count == 512
 
 
-@for_fixed_point_firmwares
-def test_a_neighbour_that_sends_more_often_has_no_more_influence(firmware: FixedPointFirmware) -> None:
+@for_every_firmware
+def test_a_neighbour_that_sends_more_often_has_no_more_influence(firmware: Firmware) -> None:
     """Robot 6 sends in every round that 3/4 are black. Robots 7 and 8, a majority, have sent 1/4 once."""
-    robot = make_robust_robot(firmware, b_hat=0.95, filter_period=1000)
+    robot = make_robot(firmware, replace(ROBUST, filter_period=1000), b_hat=0.95)
     robot.receive(sender=7, x_hat=0.25, alpha=1.0)
     robot.receive(sender=8, x_hat=0.25, alpha=1.0)
 
@@ -457,16 +460,16 @@ def test_a_neighbour_that_sends_more_often_has_no_more_influence(firmware: Fixed
 # --- The filter ------------------------------------------------------------------------------------------
 
 
-@for_fixed_point_firmwares
+@for_every_firmware
 @pytest.mark.parametrize(("estimate_count", "expected_tests"), [(4, 0), (5, 1)])
 def test_a_robot_tests_itself_only_against_five_neighbours_or_more(
-    firmware: FixedPointFirmware, estimate_count: int, expected_tests: int
+    firmware: Firmware, estimate_count: int, expected_tests: int
 ) -> None:
     """In a test it compares what it has observed with what its neighbours estimate.
 
     Four neighbours lead to no test, and five to one.
     """
-    robot = make_robust_robot(firmware, b_hat=0.95, filter_period=1)
+    robot = make_robot(firmware, ROBUST, b_hat=0.95)
     observe_tiles(robot, black=9, white=1)
     receive_estimates(robot, *[0.25] * estimate_count)
 
@@ -476,16 +479,16 @@ def test_a_robot_tests_itself_only_against_five_neighbours_or_more(
 
 
 # design: R37
-@for_fixed_point_firmwares
+@for_every_firmware
 def test_a_robot_whose_observations_contradict_the_others_estimates_its_accuracy_anew(
-    firmware: FixedPointFirmware,
+    firmware: Firmware,
 ) -> None:
     """It sees a share of 0.545 black, but all others estimate that the share is 0.95.
 
     With its b_hat of 0.95 it would see 0.95 * 0.95 + 0.05 * 0.05 = 0.905 black. Its new b_hat is the
     accuracy that explains what it sees (eq. 8 of the paper): (0.545 + 0.95 - 1) / (2 * 0.95 - 1) = 0.55.
     """
-    robot = make_robust_robot(firmware, b_hat=0.95, filter_period=1)
+    robot = make_robot(firmware, ROBUST, b_hat=0.95)
     observe_tiles(robot, black=545, white=455)
     receive_estimates(robot, 0.95, 0.95, 0.95, 0.95, 0.95)
 
@@ -498,36 +501,36 @@ def test_a_robot_whose_observations_contradict_the_others_estimates_its_accuracy
 
 
 # design: R37
-@for_fixed_point_firmwares
+@for_every_firmware
 def test_a_robot_that_was_misled_trusts_its_sensor_again_when_the_others_agree_with_it(
-    firmware: FixedPointFirmware,
+    firmware: Firmware,
 ) -> None:
     """Estimates of 0.25 mislead it to another b_hat, and estimates of 0.95 bring the initial b_hat back.
 
     0.905 of its observations are black. A sensor with an accuracy of 0.95 sees that where 0.95 of the tiles
     are black: 0.95 * 0.95 + 0.05 * 0.05.
     """
-    initial_b_hat = round(0.95 * 2**32)  # in units of 2**-32
-    robot = make_robust_robot(firmware, b_hat=0.95, filter_period=1)
+    robot = make_robot(firmware, ROBUST, b_hat=0.95)
+    initial_b_hat = robot.b_hat
     observe_tiles(robot, black=905, white=95)
     receive_estimates(robot, 0.25, 0.25, 0.25, 0.25, 0.25)
     assert robot.settle() == Status.UPDATED
-    assert robot.b_hat_raw != initial_b_hat
+    assert robot.b_hat != initial_b_hat
 
     receive_estimates(robot, 0.95, 0.95, 0.95, 0.95, 0.95)
     status = robot.settle()
 
     assert status == Status.UPDATED
-    assert robot.b_hat_raw == initial_b_hat
+    assert robot.b_hat == initial_b_hat
 
 
-@for_fixed_point_firmwares
-def test_a_robot_tests_the_accuracy_that_it_had_at_the_start(firmware: FixedPointFirmware) -> None:
+@for_every_firmware
+def test_a_robot_tests_the_accuracy_that_it_had_at_the_start(firmware: Firmware) -> None:
     """It sees a share of 0.545 black, and all others estimate 0.95. An accuracy of 0.55 explains both.
 
     If it tested that one in the next round, it would return to the old one, and so forth and back for ever.
     """
-    robot = make_robust_robot(firmware, b_hat=0.95, filter_period=1)
+    robot = make_robot(firmware, ROBUST, b_hat=0.95)
     observe_tiles(robot, black=545, white=455)
     receive_estimates(robot, 0.95, 0.95, 0.95, 0.95, 0.95)
     robot.settle()  # the filter runs, and finds another accuracy
@@ -541,12 +544,12 @@ def test_a_robot_tests_the_accuracy_that_it_had_at_the_start(firmware: FixedPoin
 
 
 # design: R25
-@for_fixed_point_firmwares
+@for_every_firmware
 def test_others_that_estimate_a_half_say_nothing_about_a_robot_s_accuracy(
-    firmware: FixedPointFirmware,
+    firmware: Firmware,
 ) -> None:
     """Where half of the tiles are black, every sensor, good or bad, sees half of them black."""
-    robot = make_robust_robot(firmware, b_hat=0.95, filter_period=1)
+    robot = make_robot(firmware, ROBUST, b_hat=0.95)
     observe_tiles(robot, black=100, white=0)
     receive_estimates(robot, 0.5, 0.5, 0.5, 0.5, 0.5)
 
@@ -554,10 +557,10 @@ def test_others_that_estimate_a_half_say_nothing_about_a_robot_s_accuracy(
 
     assert status == Status.OK
     assert robot.counters.tests == 1
-    assert robot.b_hat_raw == round(0.95 * 2**32)  # in units of 2**-32
+    assert robot.b_hat == pytest.approx(0.95)
 
 
-@for_fixed_point_firmwares
+@for_every_firmware
 @pytest.mark.parametrize(
     ("supporters", "opponents", "expected_status"),
     [
@@ -567,14 +570,14 @@ def test_others_that_estimate_a_half_say_nothing_about_a_robot_s_accuracy(
     ],
 )
 def test_a_robot_that_more_than_two_fifths_support_keeps_its_accuracy(
-    firmware: FixedPointFirmware, supporters: int, opponents: int, expected_status: Status
+    firmware: Firmware, supporters: int, opponents: int, expected_status: Status
 ) -> None:
     """It sees a share of 0.545 black, and 0.95 * 0.55 + 0.05 * 0.45 is 0.545.
 
     So with its b_hat of 0.95 it infers that 0.55 of the tiles are black, which supporters estimate, too, and
     opponents estimate 0.95. The status is UPDATED where it changes its accuracy, and OK where it does not.
     """
-    robot = make_robust_robot(firmware, b_hat=0.95, filter_period=1)
+    robot = make_robot(firmware, ROBUST, b_hat=0.95)
     observe_tiles(robot, black=545, white=455)
     receive_estimates(robot, *[0.55] * supporters, *[0.95] * opponents)
 
@@ -583,15 +586,15 @@ def test_a_robot_that_more_than_two_fifths_support_keeps_its_accuracy(
     assert status == expected_status
 
 
-@for_fixed_point_firmwares
+@for_every_firmware
 def test_one_liar_among_five_neighbours_does_not_make_a_robot_doubt_its_sensor(
-    firmware: FixedPointFirmware,
+    firmware: Firmware,
 ) -> None:
     """It sees a share of 0.905 black: what a sensor with an accuracy of 0.95 sees where 0.95 are black.
 
     For 0.95 * 0.95 + 0.05 * 0.05 is 0.905. Four neighbours agree with that.
     """
-    robot = make_robust_robot(firmware, b_hat=0.95, filter_period=1)
+    robot = make_robot(firmware, ROBUST, b_hat=0.95)
     observe_tiles(robot, black=905, white=95)
     receive_estimates(robot, 0.94, 0.95, 0.95, 0.96, 0.0)  # 0.0 is a lie
 
@@ -630,13 +633,13 @@ def test_a_robot_keeps_its_accuracy_at_the_very_limit_of_its_test(
     assert status == expected_status
 
 
-@for_fixed_point_firmwares
+@for_every_firmware
 @pytest.mark.parametrize(("filter_period", "expected_tests"), [(1, 3), (2, 1), (3, 1), (4, 0)])
 def test_a_robot_tests_itself_once_in_each_filter_period(
-    firmware: FixedPointFirmware, filter_period: int, expected_tests: int
+    firmware: Firmware, filter_period: int, expected_tests: int
 ) -> None:
     """The period is a number of rounds; here three rounds end."""
-    robot = make_robust_robot(firmware, b_hat=0.95, filter_period=filter_period)
+    robot = make_robot(firmware, replace(ROBUST, filter_period=filter_period), b_hat=0.95)
     observe_tiles(robot, black=9, white=1)
     receive_estimates(robot, 0.9, 0.9, 0.9, 0.9, 0.9)
 
