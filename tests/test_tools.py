@@ -82,7 +82,7 @@ WASM = ("--target=wasm32", "-ffreestanding")
 RISC_V = ("-march=rv32imc", "-mabi=ilp32", "-ffreestanding")
 GROUPS = (
     FileGroup("core", ("c_ref/src/*.c",)),
-    FileGroup("tables", ("tables/*.c", "c_ref/examples/MinimalRobot/*.c")),
+    FileGroup("tables", ("tables/*.c",)),
     FileGroup("arena and engine", (f"{ARENA}/*.c", f"{ENGINE}/*.c")),
     FileGroup("linux", ("c_ref/ports/linux/*.c",), ("-D_GNU_SOURCE", "-DMCP_ASDF_NODE_TABLE=some_table")),
     FileGroup(

@@ -5,25 +5,22 @@ from __future__ import annotations
 import re
 import shlex
 import shutil
-from decimal import Decimal
 from pathlib import Path
 
 import pytest
 
-from mcp_asdf.fixed_point import alpha_word_from_float
 from mcp_asdf.mirror import MirrorRobot
-from mcp_asdf.robot import Config, Observation
+from mcp_asdf.robot import Config, Filter, Observation
 from mcp_asdf_tools.bus import frames
 from mcp_asdf_tools.bus.frames import Estimate, FrameFormat
 from mcp_asdf_tools.cli.main import main
-from mcp_asdf_tools.tables.thresholds import generate
 from packets import PACKET_SIZE, packet_of
+from robots import ALPHA_ONE
 from simulated_avr import Board, require_simavr
-from support import ROOT, TABLE, block_with, made_once, require, run
+from support import ROOT, block_with, made_once, require, run
 
 pytestmark = pytest.mark.slow
 
-SKETCH = ROOT / "c_ref/examples/MinimalRobot"
 PAGE = ROOT / "docs/porting.md"
 SKETCH_S_ROBOT_ID = 7
 CLOCK = 16_000_000
@@ -87,9 +84,8 @@ def robot(built_sketch: Path, sent_packets: list[bytes]) -> Board:
 
 
 def make_sketch_s_robot_in_python() -> MirrorRobot:
-    """Return the robot that the sketch makes: the paper's filter, a sensor that is right 95 times in 100."""
-    table = generate(Decimal("0.05"), q=30)
-    return MirrorRobot(Config(table=table), SKETCH_S_ROBOT_ID, b_hat=0.95)
+    """Return the robot that the sketch makes: the robust filter, a sensor that is right 95 times in 100."""
+    return MirrorRobot(Config(filter=Filter.ROBUST), SKETCH_S_ROBOT_ID, b_hat=0.95)
 
 
 def send_to(robot: Board, received: bytes) -> None:
@@ -109,11 +105,6 @@ def run_tick(robot: Board, tile: int) -> None:
 
 def is_led_lit(robot: Board) -> bool:
     return bool(ord(robot.registers[PORT_B]) >> LED_BIT & 1)
-
-
-def test_the_table_of_the_sketch_is_the_shipped_one() -> None:
-    """Arduino takes no file from outside the sketch's folder, so there is a copy."""
-    assert (SKETCH / TABLE.name).read_bytes() == TABLE.read_bytes()
 
 
 def test_the_sketch_builds_without_a_warning(built_sketch: Path) -> None:
@@ -165,12 +156,10 @@ def test_the_arduino_broadcasts_the_same_bytes_as_the_robot_in_python(
 
 
 BLACK_TILE = 1
-CERTAIN = alpha_word_from_float(1e6)
-"""A confidence that outweighs a robot's own after one tile."""
 PACKET_THAT_MAKES_THE_LED_DARK = packet_of(
-    frames.encode_estimate(Estimate(sender=9, x_hat=0, alpha=CERTAIN, transfer_id=0), FrameFormat())
+    frames.encode_estimate(Estimate(sender=9, x_hat=0, alpha=ALPHA_ONE, transfer_id=0), FrameFormat())
 )
-"""The packet of a robot that is certain that all tiles are white: x_hat, the share of black ones, is 0."""
+"""The packet of a robot that estimates that all tiles are white: x_hat, the share of black ones, is 0."""
 
 
 def test_the_led_is_lit_once_the_robot_has_seen_a_black_tile(robot: Board) -> None:
@@ -182,7 +171,7 @@ def test_the_led_is_lit_once_the_robot_has_seen_a_black_tile(robot: Board) -> No
 def test_the_robot_ignores_a_packet_with_a_wrong_checksum(robot: Board) -> None:
     """The LED is lit, as the robot has seen a black tile and nothing else.
 
-    Had it received the packet, whose sender is certain that all tiles are white, the LED would be dark.
+    Had it received the packet, whose sender estimates that all tiles are white, the LED would be dark.
     """
     *bytes_before, checksum = PACKET_THAT_MAKES_THE_LED_DARK
     wrong_checksum = checksum ^ 1
@@ -194,7 +183,7 @@ def test_the_robot_ignores_a_packet_with_a_wrong_checksum(robot: Board) -> None:
 
 
 def test_the_robot_finds_the_packet_after_noise(robot: Board) -> None:
-    """The packet's sender is certain that all tiles are white, and so outweighs the black tile of the robot.
+    """The packet's sender estimates that all tiles are white, and is the first to vote.
 
     So the LED, which would be lit without the packet, is dark.
     """

@@ -340,7 +340,7 @@ def test_platformio_packs_sources_example_manifests_and_licence(tmp_path: Path) 
 
     run(sys.executable, "-c", PLATFORMIO, PACKAGE, archive, PLATFORMIO_CORE_DIR=str(tmp_path / "home"))
 
-    example = {"examples/MinimalRobot/MinimalRobot.ino", "examples/MinimalRobot/t_table_omega05_q30.c"}
+    example = {"examples/MinimalRobot/MinimalRobot.ino"}
     others = {"library.json", "library.properties", "README.md", "LICENSE"}
     assert files_in(archive) - {".piopm"} == SOURCE_FILES | example | others
 

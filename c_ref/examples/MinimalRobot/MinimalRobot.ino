@@ -12,10 +12,9 @@ const int BLACK_BELOW = 512;           // reading of A0, 0 to 1023, below which 
 const unsigned long TICK = 500;        // milliseconds
 const unsigned long MODEM_BAUD = 9600; // bits a second
 
-// The table is in another tab of this sketch; `mcp-asdf table` makes others.
-extern "C" const uint32_t mcp_asdf_t_table_omega05_q30[];
-// For a sensor that you doubt. MCP_ASDF_CONFIG_ROBUST is for a swarm in which nobody knows whose is wrong.
-const mcp_asdf_config_t config = MCP_ASDF_CONFIG_ASDF(mcp_asdf_t_table_omega05_q30);
+// For a swarm in which nobody knows whose sensor is wrong. MCP_ASDF_CONFIG_ASDF(table) is for a sensor that
+// you doubt, with the array that `mcp-asdf table` writes, in another tab of this sketch.
+const mcp_asdf_config_t config = MCP_ASDF_CONFIG_ROBUST;
 const mcp_asdf_frame_format_t estimate_format = MCP_ASDF_FORMAT_ESTIMATE;
 mcp_asdf_t robot;
 
