@@ -1,10 +1,10 @@
-"""The frames as OpenCyphal sees them: pycyphal reads ours by our DSDL, and we read what it sends."""
+"""The frames as OpenCyphal sees them: pycyphal reads ours by our DSDL, and sends the same ones."""
 
 from __future__ import annotations
 
 import asyncio
 import importlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,11 +15,18 @@ from hypothesis import strategies as st
 
 from mcp_asdf.fixed_point import ALPHA_MAX, alpha_from_word
 from mcp_asdf_tools.bus import frames
-from mcp_asdf_tools.bus.alpha_words import float32_value
 from mcp_asdf_tools.bus.frame_layout import EVERY_ROBOT, MAX_B_HAT, Action, Health, Mode, Rejection
 from mcp_asdf_tools.bus.frames import Command, Estimate, Heartbeat, Telemetry
-from messages import DEFAULT_FORMAT, KINDS, encoded, estimates, messages, write_regulated_types
-from robots import ALPHA_MIN, ALPHA_ONE
+from messages import (
+    DEFAULT_FORMAT,
+    KINDS,
+    encoded,
+    estimates,
+    identifier_and_data,
+    messages,
+    write_regulated_types,
+)
+from robots import ALPHA_ONE
 from support import PATIENCE, ROOT, draws
 
 pytestmark = [
@@ -197,11 +204,11 @@ def test_pycyphal_takes_a_frame_with_a_flipped_bit_for_an_estimate_exactly_if_we
     assert is_estimate_for_pycyphal == is_estimate_for_us
 
 
-# --- We read what pycyphal sends -------------------------------------------------------------------------
+# --- pycyphal sends our frames ---------------------------------------------------------------------------
 
 
-async def frames_sent_by_pycyphal(subject: int, dsdl_objects: Sequence[Any]) -> list[can.Message]:
-    """Return the frames that pycyphal's node 42 sends for objects, with transfer ids 0, 1, ..."""
+async def frame_sent_by_pycyphal(subject: int, dsdl_object: Any) -> can.Message:
+    """Return the frame that pycyphal's node 42 sends for an object, with the transfer id 0."""
     channel = f"pycyphal {subject}"
     node = cyphal_can.CANTransport(pythoncan.PythonCANMedia(f"virtual:{channel}", 0, 8), 42)
     session = node.get_output_session(
@@ -209,89 +216,36 @@ async def frames_sent_by_pycyphal(subject: int, dsdl_objects: Sequence[Any]) -> 
         transport.PayloadMetadata(7),
     )
     with can.Bus(interface="virtual", channel=channel) as bus:
-        for transfer_id, dsdl_object in enumerate(dsdl_objects):
-            transfer = transport.Transfer(
-                timestamp=transport.Timestamp.now(),
-                priority=transport.Priority(4),
-                transfer_id=transfer_id,
-                fragmented_payload=list(pycyphal.dsdl.serialize(dsdl_object)),
-            )
-            deadline = asyncio.get_running_loop().time() + PATIENCE
-            assert await session.send(transfer, deadline)
-        received_frames = [bus.recv(timeout=PATIENCE) for _ in dsdl_objects]
+        transfer = transport.Transfer(
+            timestamp=transport.Timestamp.now(),
+            priority=transport.Priority(4),
+            transfer_id=0,
+            fragmented_payload=list(pycyphal.dsdl.serialize(dsdl_object)),
+        )
+        deadline = asyncio.get_running_loop().time() + PATIENCE
+        assert await session.send(transfer, deadline)
+        frame = bus.recv(timeout=PATIENCE)
         node.close()
-    assert None not in received_frames
-    return [frame for frame in received_frames if frame is not None]
+    assert frame is not None
+    return frame
 
 
-def frames_of_estimates(
-    dsdl_types: dict[type, Any], contents: Sequence[tuple[int, float]]
-) -> list[can.Message]:
-    """Return the frames that pycyphal's node 42 sends for estimates with these x_hat and alpha."""
-    dsdl_objects = [dsdl_types[Estimate](x_hat, alpha) for x_hat, alpha in contents]
-    return asyncio.run(frames_sent_by_pycyphal(subject=3000, dsdl_objects=dsdl_objects))
+def test_pycyphal_sends_the_same_frame_for_an_estimate(dsdl_types: dict[type, Any]) -> None:
+    """Its node 42 sends a pair of x_hat and alpha by our DSDL file. The identifier is the same, too."""
+    half_and_one = dsdl_types[Estimate](2**22, 1.0)
+    frame = asyncio.run(frame_sent_by_pycyphal(subject=3000, dsdl_object=half_and_one))
+
+    our_frame = encoded(Estimate(sender=42, x_hat=2**22, alpha=ALPHA_ONE, transfer_id=0))
+    assert identifier_and_data(frame) == identifier_and_data(our_frame)
 
 
-def decode_estimates(received_frames: Sequence[can.Message]) -> list[Estimate]:
-    """Return the estimates that our decoder reads in frames. Each frame must hold an estimate."""
-    decoded = [frames.decode_estimate(frame, DEFAULT_FORMAT) for frame in received_frames]
-    estimates_of_frames = [estimate for estimate in decoded if isinstance(estimate, Estimate)]
-    assert len(estimates_of_frames) == len(received_frames)
-    return estimates_of_frames
-
-
-def test_we_decode_the_estimates_of_pycyphal(dsdl_types: dict[type, Any]) -> None:
-    """Pycyphal's node 42 sends three pairs of x_hat and alpha, and we read them again from its frames."""
-    x_hat_and_alpha = [(2**23, 0.0), (5, 2.0**-24), (0, 1.0)]
-    received_frames = frames_of_estimates(dsdl_types, x_hat_and_alpha)
-    assert decode_estimates(received_frames) == [
-        Estimate(sender=42, x_hat=2**23, alpha=0, transfer_id=0),
-        Estimate(sender=42, x_hat=5, alpha=ALPHA_MIN, transfer_id=1),
-        Estimate(sender=42, x_hat=0, alpha=ALPHA_ONE, transfer_id=2),
-    ]
-
-
-def test_an_alpha_of_pycyphal_that_robots_cannot_have_is_rounded_down(dsdl_types: dict[type, Any]) -> None:
-    """Robots have multiples of 2**-24 up to a largest alpha; pycyphal may send any binary32 number."""
-    largest_float = float32_value(bits=0x7F7FFFFF)
-    smallest_float = float32_value(bits=1)
-    expected_words_by_alpha = {
-        alpha_from_word(ALPHA_MAX): ALPHA_MAX,
-        largest_float: ALPHA_MAX,
-        smallest_float: 0,
-        1.5 * 2.0**-24: ALPHA_MIN,  # which is 2**-24
-    }
-    any_x_hat = 5
-    x_hat_and_alpha = [(any_x_hat, alpha) for alpha in expected_words_by_alpha]
-    received_frames = frames_of_estimates(dsdl_types, x_hat_and_alpha)
-
-    received_words = [estimate.alpha for estimate in decode_estimates(received_frames)]
-    assert received_words == list(expected_words_by_alpha.values())
-
-
-def test_the_transfer_ids_of_pycyphal_wrap_as_ours_do(dsdl_types: dict[type, Any]) -> None:
-    """A sender numbers its transfers from 0 to 31, and then from 0 again. Here it sends 35."""
-    x_hat_and_alpha = (5, 1.0)
-    received_frames = frames_of_estimates(dsdl_types, [x_hat_and_alpha] * 35)
-    transfer_ids = [estimate.transfer_id for estimate in decode_estimates(received_frames)]
-    assert transfer_ids == [*range(32), 0, 1, 2]
-
-
-def test_the_frames_of_pycyphal_have_our_identifiers(dsdl_types: dict[type, Any]) -> None:
-    """A message of node 42 with the same subject and priority has all 29 bits alike."""
-    x_hat_and_alpha = (5, 1.0)
-    [frame_of_pycyphal] = frames_of_estimates(dsdl_types, [x_hat_and_alpha])
-    our_frame = encoded(Estimate(sender=42, x_hat=5, alpha=ALPHA_ONE, transfer_id=0))
-    assert frame_of_pycyphal.arbitration_id == our_frame.arbitration_id
-
-
-def test_we_decode_the_heartbeat_of_pycyphal(dsdl_types: dict[type, Any]) -> None:
-    """Health 2 and mode 1, which Cyphal calls CAUTION and INITIALIZATION, are read as our values."""
+def test_pycyphal_sends_the_same_frame_for_a_heartbeat(dsdl_types: dict[type, Any]) -> None:
+    """Health 2 and mode 1, which Cyphal calls CAUTION and INITIALIZATION, are our values of these names."""
     health, mode = dsdl_types[Health](value=2), dsdl_types[Mode](value=1)
     heartbeat = dsdl_types[Heartbeat](uptime=12345, health=health, mode=mode, vendor_specific_status_code=77)
-    [frame] = asyncio.run(frames_sent_by_pycyphal(subject=7509, dsdl_objects=[heartbeat]))
+    frame = asyncio.run(frame_sent_by_pycyphal(subject=7509, dsdl_object=heartbeat))
 
-    assert frames.decode_heartbeat(frame) == Heartbeat(
+    our_heartbeat = Heartbeat(
         sender=42,
         uptime=12345,
         transfer_id=0,
@@ -299,3 +253,4 @@ def test_we_decode_the_heartbeat_of_pycyphal(dsdl_types: dict[type, Any]) -> Non
         mode=Mode.INITIALIZATION,
         vendor_status=77,
     )
+    assert identifier_and_data(frame) == identifier_and_data(encoded(our_heartbeat))
