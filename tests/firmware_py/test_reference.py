@@ -417,24 +417,6 @@ def test_the_neighbours_confidence_is_the_rounded_sum_of_their_confidences() -> 
         assert social_confidence(estimates) == float(exact_sum)
 
 
-def test_robots_that_all_receive_each_other_s_estimates_believe_the_same_to_the_last_bit() -> None:
-    """Each robot has a different estimate as its own, and receives the others in a different order.
-
-    ``informed_estimate`` computes what a robot believes from its own estimate and the others.
-    """
-    rng = random.Random(0)
-    for _ in range(100):
-        estimates = draw_estimates(rng)
-        own_estimate, *received_estimates = estimates
-        # For another robot of the swarm another estimate is its own, and the order is another.
-        own_of_another, *received_by_another = rng.sample(estimates, len(estimates))
-
-        x = informed_estimate(own_estimate, received_estimates)
-        x_of_another = informed_estimate(own_of_another, received_by_another)
-
-        assert x == x_of_another
-
-
 # --- The hypothesis test -----------------------------------------------------------------------------
 
 

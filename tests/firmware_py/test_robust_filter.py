@@ -12,8 +12,8 @@ from typing import Any
 import pytest
 
 from mcp_asdf.mirror import MirrorRobot
-from mcp_asdf.robot import Config, Counters, Filter, FirmwareError, Observation, Status
-from mcp_asdf.robust_filter import RobustFilter, centre_after_huber_step, huber_centre, median_of, spread_of
+from mcp_asdf.robot import Config, Counters, Filter, FirmwareError, Status
+from mcp_asdf.robust_filter import RobustFilter, centre_after_huber_step
 from robots import (
     ALPHA_MIN,
     ALPHA_ONE,
@@ -100,18 +100,6 @@ def test_a_neighbour_s_newer_estimate_replaces_its_older_one(firmware: FixedPoin
 
 
 @for_fixed_point_firmwares
-def test_a_second_message_of_a_neighbour_in_the_same_round_is_ignored(firmware: FixedPointFirmware) -> None:
-    """A robot keeps the first estimate of neighbour 1 in a round, in slot 1 and in units of 2**-16."""
-    robot = make_robust_robot(firmware, b_hat=0.95, filter_period=1)
-    robot.receive(sender=1, x_hat=0.25, alpha=1.0)
-
-    status = robot.receive(sender=1, x_hat=0.5, alpha=1.0)
-
-    assert status == Status.REPEATED
-    assert filled_slots(robot) == {1: round(0.25 * 2**16)}
-
-
-@for_fixed_point_firmwares
 def test_a_robot_remembers_its_neighbours_while_it_hears_nobody(firmware: FixedPointFirmware) -> None:
     """It keeps the latest estimate of neighbour 1 in slot 1, in units of 2**-16."""
     robot = make_robust_robot(firmware, b_hat=0.95, filter_period=1)
@@ -152,38 +140,6 @@ def test_a_neighbour_without_confidence_is_accepted_but_not_remembered(
 
     assert filled_slots(robot) == {}
     assert robot.counters == Counters(accepted=1)
-
-
-@for_fixed_point_firmwares
-def test_the_robust_filter_does_not_sum_the_estimates_of_a_round(firmware: FixedPointFirmware) -> None:
-    """Sums are for the paper's filter; a sum gives a single liar too much weight.
-
-    The sums of the round that goes on are called open, those of the last one closed.
-    """
-    robot = make_robust_robot(firmware, b_hat=0.95, filter_period=1)
-    receive_estimates(robot, 0.25, 0.5)
-    robot.settle()  # ends a round with two messages
-    receive_estimates(robot, 0.25, 0.5)  # in the next round, which goes on
-
-    sums = [value for name, value in robot.state().items() if name.startswith(("open_", "closed_"))]
-    nine_zeros = [0] * 9
-    assert sums == nine_zeros
-    assert robot.beta == 0, "the sum of the neighbours' confidences"
-
-
-@for_fixed_point_firmwares
-def test_without_the_robust_filter_no_estimates_of_neighbours_are_remembered(
-    firmware: FixedPointFirmware,
-) -> None:
-    """Its 32 slots for estimates of neighbours, which only the robust filter needs, stay empty."""
-    robot = firmware(Config(filter=Filter.OFF), OWN_ID, b_hat=0.95)
-
-    receive_estimates(robot, 0.25, 0.5)
-    robot.settle()  # ends the round
-
-    slots = [value for name, value in robot.state().items() if name.startswith("estimates_")]
-    assert slots == [0] * 32
-    assert filled_slots(robot) == {}
 
 
 # --- Votes -----------------------------------------------------------------------------------------------
@@ -228,15 +184,6 @@ def test_a_round_has_one_vote_however_many_neighbours_were_received(firmware: Fi
 
     vote_count = filter_memory(robot)["votes"]
     assert vote_count == 1
-
-
-@for_fixed_point_firmwares
-def test_without_estimates_of_others_there_is_no_vote(firmware: FixedPointFirmware) -> None:
-    """A robot that is alone believes its own estimate anyway."""
-    robot = make_robust_robot(firmware, b_hat=0.95, filter_period=1)
-    robot.step(Observation.BLACK)  # observes a tile and ends a round
-    vote_count = filter_memory(robot)["votes"]
-    assert vote_count == 0
 
 
 def voters_of_rounds(robot: FixedPoint, rounds: int) -> list[int | str]:
@@ -406,29 +353,6 @@ def test_a_vote_outside_the_spread_widens_it_by_a_sixteenth_and_one_inside_narro
     robot.settle()  # the neighbour votes
 
     assert filter_memory(robot)["spread"] == new_spread
-
-
-@for_fixed_point_firmwares
-@pytest.mark.parametrize(
-    ("limit", "slot_estimate"),
-    [
-        pytest.param(2**18, 2**15, id="narrowed by a vote in the middle"),
-        pytest.param(2**28, 0, id="widened by a vote at the end"),
-    ],
-)
-def test_no_vote_brings_the_spread_beyond_its_limits(
-    firmware: FixedPointFirmware, limit: int, slot_estimate: int
-) -> None:
-    """The limits are 2**-12 and 1/4. A vote at the centre would narrow the spread, and one far away widen it.
-
-    Centre and spread are in units of 2**-30, and estimates of neighbours in units of 2**-16.
-    """
-    half = 2**29
-    robot = restore_robust_robot(firmware, estimates=[slot_estimate], votes=1, centre=half, spread=limit)
-
-    robot.settle()  # the neighbour votes
-
-    assert filter_memory(robot)["spread"] == limit
 
 
 @for_fixed_point_firmwares
@@ -652,55 +576,6 @@ def test_a_robot_tests_itself_once_in_each_filter_period(
 # --- Centre and spread of the estimates ------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("values", "median"),
-    [([1, 2, 9], 2), ([1, 2, 6, 9], 4), ([1, 2, 5, 9], 3), ([0, 1, 7, 8, 9, 9], 7)],
-)
-def test_the_median_of_an_even_number_is_the_mean_of_the_middle_two_rounded_down(
-    values: list[int], median: int
-) -> None:
-    """The values are in ascending order. If their number is odd, the median is the middle value."""
-    assert median_of(values) == median
-
-
-@pytest.mark.parametrize(
-    ("sixteenths", "median", "expected_spread"),
-    [
-        ([1, 2, 4, 5, 15], 4, 2 * 2**20),
-        ([0, 0, 4, 15, 15], 4, 4 * 2**20),
-        pytest.param([4, 4, 4, 4, 4], 4, 2**12, id="all distances are 0, but 2**-12 is the least"),
-        pytest.param([0, 0, 8, 15, 15], 8, 4 * 2**20, id="the median distance is 7/16, but 1/4 is the most"),
-    ],
-)
-def test_the_spread_is_the_median_distance_from_the_median_within_limits(
-    sixteenths: list[int], median: int, expected_spread: int
-) -> None:
-    """Estimates and their median are given in sixteenths, and the spread in the filter's units of 2**-24.
-
-    Its limits are 2**-12 and 1/4.
-    """
-    sixteenth = 2**20
-    estimates = [number * sixteenth for number in sixteenths]
-    assert spread_of(estimates, median * sixteenth) == expected_spread
-
-
-def test_an_estimate_far_away_counts_as_one_at_the_distance_of_the_spread() -> None:
-    """Two estimates lie below the median by a spread or more, and two above. They balance, at any distance.
-
-    So the centre is the median. All are in units of 2**-24.
-    """
-    estimates = [256_000, 512_000, 768_000, 1_024_000, 15_360_000]
-    assert huber_centre(estimates, median=768_000, spread=256_000) == 768_000
-
-
-def test_the_centre_of_estimates_within_the_spread_is_their_mean() -> None:
-    """The centre is computed in steps, and may be wrong by two units of 2**-24, in which all numbers are."""
-    estimates = [256_000, 512_000, 1_536_000]
-    mean = (256_000 + 512_000 + 1_536_000) / 3
-    centre = huber_centre(estimates, median=512_000, spread=1_280_000)
-    assert centre == pytest.approx(mean, abs=2)
-
-
 @pytest.mark.parametrize(("end", "centre"), [(0xFFFF00, 0xFFFF00 - 5000), (0, 5000)])
 def test_the_centre_of_neighbours_at_an_end_of_the_range_stays_within_it(end: int, centre: int) -> None:
     """Estimates are 16 bits in units of 2**-16, so 0 to 0xFFFF00 in the filter's units of 2**-24.
@@ -723,17 +598,6 @@ def dispersion_after_batch(robot: FixedPoint, black: int, white: int) -> int:
     observe_tiles(robot, black, white)
     robot.settle()
     return filter_memory(robot)["dispersion"]
-
-
-@for_fixed_point_firmwares
-def test_batches_with_equal_shares_of_black_keep_the_dispersion_at_1(firmware: FixedPointFirmware) -> None:
-    """The dispersion says how much more batches vary than independent tiles would; it is at least 1."""
-    robot = make_robust_robot(firmware, b_hat=0.95, filter_period=1)
-    dispersion_after_batch(robot, black=60, white=40)  # the first batch
-
-    dispersion = dispersion_after_batch(robot, black=60, white=40)  # the second one
-
-    assert dispersion == 2**8  # 1 in units of 2**-8
 
 
 @for_fixed_point_firmwares
@@ -770,51 +634,6 @@ def test_a_batch_that_is_far_off_counts_as_12_times_the_dispersion(firmware: Fix
     expected_dispersion = 7 / 8 * 1 + 1 / 8 * 12
     rounding = 1  # integers are rounded down
     assert dispersion == expected_dispersion * 2**8 - rounding  # in units of 2**-8
-
-
-@for_fixed_point_firmwares
-def test_the_dispersion_falls_by_an_eighth_with_each_batch_that_is_as_expected(
-    firmware: FixedPointFirmware,
-) -> None:
-    """The dispersion says how much more batches vary than independent tiles would, in units of 2**-8.
-
-    Half of 100 tiles were black so far, and half of the next 100 are black, too.
-    """
-    robot = restore_robust_robot(firmware, t=100, n=50, batch_t=100, batch_n=50, dispersion=1000)
-
-    dispersion = dispersion_after_batch(robot, black=50, white=50)
-
-    assert dispersion == 1000 * 7 / 8
-
-
-@for_fixed_point_firmwares
-def test_the_dispersion_does_not_overflow_its_16_bits(firmware: FixedPointFirmware) -> None:
-    """The dispersion says how much more batches vary than independent tiles would; here it is the largest.
-
-    Of a million tiles all were black but the last one, and 5000 white ones follow, which would raise it.
-    """
-    largest_dispersion = 2**16 - 1
-    robot = restore_robust_robot(
-        firmware, t=10**6, n=999_999, batch_t=999_999, batch_n=999_999, dispersion=largest_dispersion
-    )
-
-    dispersion = dispersion_after_batch(robot, black=0, white=5000)
-
-    assert dispersion == largest_dispersion
-
-
-@for_fixed_point_firmwares
-def test_a_batch_without_observations_does_not_change_the_dispersion(firmware: FixedPointFirmware) -> None:
-    """The dispersion says how much more batches of tiles vary than independent tiles would."""
-    robot = restore_robust_robot(firmware, t=100, n=50, batch_t=100, batch_n=50, dispersion=1000)
-    assert dispersion_after_batch(robot, black=0, white=0) == 1000
-
-
-@for_fixed_point_firmwares
-def test_white_observations_alone_do_not_change_the_dispersion(firmware: FixedPointFirmware) -> None:
-    """No black tile is expected, and none was seen, so there is no deviation to be measured."""
-    robot = restore_robust_robot(firmware, t=100, n=0, batch_t=50, batch_n=0, dispersion=1000)
-    assert dispersion_after_batch(robot, black=0, white=10) == 1000
 
 
 @for_fixed_point_firmwares
@@ -881,19 +700,6 @@ def test_a_robot_whose_observations_vary_more_than_chance_forgives_a_larger_devi
 
 
 # --- Images ----------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(("mode", "word_count"), [(Filter.ROBUST, 39), (Filter.OFF, 31), (Filter.ALWAYS, 31)])
-@for_fixed_point_firmwares
-def test_an_image_has_39_words_with_the_robust_filter_and_31_with_another(
-    firmware: FixedPointFirmware, mode: Filter, word_count: int
-) -> None:
-    """An image is a saved robot, and a word has 4 bytes."""
-    robot = firmware(Config(filter=mode), OWN_ID, b_hat=0.95)
-
-    image = robot.save()
-
-    assert len(image) == 4 * word_count
 
 
 # design: R29

@@ -9,10 +9,13 @@ from __future__ import annotations
 import random
 from fractions import Fraction
 
+import pytest
+
 from mcp_asdf.robust_reference import (
     Observations,
     RobustReference,
     Votes,
+    dispersion_after_batch,
     huber_centre,
     huber_step,
     is_supported,
@@ -71,6 +74,30 @@ def test_a_robot_without_confidence_does_not_vote() -> None:
 
     assert robust.votes.centre == 0.5 - 0.25 / 8
     assert robust.turn == 3
+
+
+# --- Dispersion ------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("batch_black_count", "expected_dispersion"),
+    [
+        (50, 7 / 8 * 2),  # what was to be expected
+        (60, 7 / 8 * 2 + 2**2 / 8),  # two standard deviations more
+        (100, 7 / 8 * 2 + 12 * 2 / 8),  # ten standard deviations, which count as 12 times the dispersion
+    ],
+)
+def test_a_batch_moves_the_dispersion_by_an_eighth(
+    batch_black_count: int, expected_dispersion: float
+) -> None:
+    """The dispersion says how much more batches of tiles vary than independent ones would; here it is 2.
+
+    Half of 1000 tiles are black. The batch is the last 100 of them, so that their standard deviation is 5.
+    The new dispersion has 7/8 of the old one and 1/8 of the batch's squared deviation in variances.
+    """
+    observations = Observations(n=500, t=1000, dispersion=2.0)
+    dispersion = dispersion_after_batch(observations, batch_black_count, batch_count=100)
+    assert dispersion == expected_dispersion
 
 
 # --- The estimates in the slots --------------------------------------------------------------------------

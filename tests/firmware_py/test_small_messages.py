@@ -1,23 +1,21 @@
-"""The codec of small messages, in Python and in C: the same codes, and exact ways back."""
+"""The codec of small messages: in Python the same as in C, which tests/c_ref compares with its rules."""
 
 from __future__ import annotations
 
 import ctypes
 import random
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import pytest
 
 from mcp_asdf import small_messages
-from mcp_asdf.fixed_point import ALPHA_MAX, HALF, ONE, alpha_from_word, alpha_units, alpha_word_from_float
+from mcp_asdf.fixed_point import HALF, ONE, alpha_from_word, alpha_word_from_float
 from mcp_asdf.small_messages import (
     MAX_ALPHA_BITS,
     MAX_X_HAT_BITS,
     decode_alpha,
     decode_message,
-    decode_x_hat,
     encode_alpha,
     encode_message,
     encode_x_hat,
@@ -56,10 +54,15 @@ def test_a_message_is_decoded_to_sender_x_hat_and_alpha() -> None:
 
 
 def test_encoding_what_was_decoded_gives_the_same_bytes() -> None:
-    """So a message loses nothing where a gateway decodes it and encodes it again."""
-    source = random.Random(1)
-    for _ in range(20_000):
-        message = source.randbytes(4)
+    """So a message loses nothing where a gateway decodes it and encodes it again.
+
+    A message is a word of three fields, which do not affect each other. Each takes all of its values.
+    """
+    all_ids = [robot_id << 25 for robot_id in range(2**7)]
+    all_codes_of_x_hat = [code << 9 for code in range(2**16)]
+    all_codes_of_alpha = list(range(2**9))
+    for word in (*all_ids, *all_codes_of_x_hat, *all_codes_of_alpha):
+        message = word.to_bytes(4, "little")
 
         sender, x_hat, alpha = decode_message(message)
 
@@ -90,53 +93,6 @@ def test_a_message_of_another_length_is_refused(length: int) -> None:
         decode_message(bytes(length))
 
 
-# --- Codes of x_hat --------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("bits", range(1, MAX_X_HAT_BITS + 1))
-def test_the_smallest_and_the_largest_code_of_x_hat_stand_for_exactly_0_and_1(bits: int) -> None:
-    """x_hat is a share of black tiles, and ONE is 1.0 in its units. Codes may have 1 to 16 bits."""
-    largest_code = 2**bits - 1
-    assert decode_x_hat(0, bits) == 0
-    assert decode_x_hat(largest_code, bits) == ONE
-
-
-def test_x_hat_is_rounded_to_the_nearest_of_four_numbers() -> None:
-    """In 2 bits these are 0, 1/3, 2/3 and 1, so the boundaries between them are 1/6, 1/2 and 5/6.
-
-    1/6 and 5/6 are no whole numbers of units, of which ONE is 8388608. 1/2 is one, and is rounded up.
-    """
-    assert encode_x_hat(1398101, bits=2) == 0  # 1/6 is 1398101.3
-    assert encode_x_hat(1398102, bits=2) == 1
-    assert encode_x_hat(HALF - 1, bits=2) == 1
-    assert encode_x_hat(HALF, bits=2) == 2
-    assert encode_x_hat(6990506, bits=2) == 2  # 5/6 is 6990506.7
-    assert encode_x_hat(6990507, bits=2) == 3
-
-
-@pytest.mark.parametrize("x_hat", [0, 1, HALF - 1, 1_234_567, ONE])
-def test_the_share_of_white_has_the_code_that_mirrors_that_of_the_share_of_black(x_hat: int) -> None:
-    """Codes of 16 bits go from 0 to 0xFFFF. Otherwise one colour would be rounded in its favour."""
-    share_of_white = ONE - x_hat
-    code_of_black = encode_x_hat(x_hat, bits=16)
-    code_of_white = encode_x_hat(share_of_white, bits=16)
-    assert code_of_white == 0xFFFF - code_of_black
-
-
-def test_an_estimate_in_16_bits_is_wrong_by_half_a_step_at_most() -> None:
-    """A step is what two neighbouring codes differ by. The decoded estimate is also rounded to a whole unit.
-
-    ONE is 1.0 in these units.
-    """
-    half_step = ONE / 0xFFFF / 2
-    rounding_to_whole_units = 0.5
-    for x_hat in random.Random(2).sample(range(ONE + 1), 20_000):
-        code = encode_x_hat(x_hat, bits=16)
-        decoded_x_hat = decode_x_hat(code, bits=16)
-
-        assert abs(decoded_x_hat - x_hat) <= half_step + rounding_to_whole_units, x_hat
-
-
 # --- Codes of alpha --------------------------------------------------------------------------------------
 
 
@@ -153,43 +109,6 @@ def test_a_code_of_9_bits_stands_for_the_confidence_that_the_specification_state
     """
     alpha_word = decode_alpha(code, bits=9)
     assert alpha_from_word(alpha_word) == alpha
-
-
-def test_codes_of_4_bits_are_powers_of_four() -> None:
-    """Code 0 is no confidence, code 1 is 1/8, and each further code stands for four times the code before."""
-    confidences = [alpha_from_word(decode_alpha(code, bits=4)) for code in range(16)]
-    powers_of_four = [4.0**exponent for exponent in range(15)]
-    assert confidences == [0.0, *(power / 8 for power in powers_of_four)]
-
-
-@pytest.mark.parametrize("bits", range(1, MAX_ALPHA_BITS + 1))
-def test_only_a_confidence_of_0_has_the_code_0_and_the_largest_one_has_the_largest_code(bits: int) -> None:
-    """A confidence is a word: a mantissa above 8 bits of shift. The smallest above 0 has a mantissa of 1.
-
-    That one has the code 1, although it is far smaller than what code 1 stands for.
-    """
-    smallest_confidence_above_0 = 1 << 8
-    largest_code = 2**bits - 1
-    assert encode_alpha(0, bits) == 0
-    assert encode_alpha(smallest_confidence_above_0, bits) == 1
-    assert encode_alpha(ALPHA_MAX, bits) == largest_code
-
-
-def test_a_confidence_in_9_bits_is_rounded_down_by_less_than_a_seventeenth_of_itself() -> None:
-    """Codes stand for 16 to 31 times a power of two. The longest way to the next code is from 16 to 17.
-
-    That holds for confidences from 2**-4, the code 16, to the largest code, 31 * 2**22, which is 2**26.95.
-    """
-    source = random.Random(3)
-    for _ in range(20_000):
-        confidence = 2 ** source.uniform(-4, 26.9)
-        word = alpha_word_from_float(confidence)  # as the firmware has it
-
-        code = encode_alpha(word, bits=9)
-        decoded_word = decode_alpha(code, bits=9)
-
-        units, decoded_units = alpha_units(word), alpha_units(decoded_word)
-        assert 16 / 17 * units < decoded_units <= units, hex(word)
 
 
 # --- The codec in C --------------------------------------------------------------------------------------
@@ -220,7 +139,10 @@ def c_code_function(c_library: Any, name: str) -> Any:
 def test_c_and_python_decode_codes_alike(
     c_library: Any, c_name: str, python_name: str, max_bits: int
 ) -> None:
-    """The functions are for x_hat or alpha. They get every code of up to 9 bits, or else 1000 random ones."""
+    """The functions are for x_hat or alpha. They get every code of up to 9 bits, and of 16, as messages have.
+
+    Of other lengths they get 1000 random codes.
+    """
     c_function = c_code_function(c_library, c_name)
     python_function = getattr(small_messages, python_name)
     for bits in range(1, max_bits + 1):
@@ -229,9 +151,11 @@ def test_c_and_python_decode_codes_alike(
 
 
 def all_or_1000_codes(bits: int) -> Sequence[int]:
-    """Return all codes of so many bits, or 1000 random ones if they are more than 9 bits."""
+    """Return all codes of so many bits if they are at most 9 or are 16, else 1000 random ones."""
+    if bits <= 9 or bits == 16:
+        return range(1 << bits)
     rng = random.Random(bits)
-    return range(1 << bits) if bits <= 9 else [rng.getrandbits(bits) for _ in range(1000)]
+    return [rng.getrandbits(bits) for _ in range(1000)]
 
 
 def test_c_and_python_encode_x_hat_alike(c_library: Any) -> None:
@@ -259,16 +183,3 @@ def test_c_and_python_encode_alpha_alike(c_library: Any) -> None:
             alpha = (mantissa << 8) | shift
 
             assert c_function(alpha, bits) == encode_alpha(alpha, bits), (alpha, bits)
-
-
-@pytest.mark.slow
-def test_every_word_of_32_bits_is_decoded_and_encoded_to_itself(tmp_path: Path) -> None:
-    """A small message has 32 bits, and a program in C tries all of them."""
-    source = Path(__file__).with_name("every_small_message.c")
-    program = tmp_path / "every_small_message"
-    include = f"-I{CORE.parent}"
-    run(require("gcc", "gcc"), "-std=c99", "-O2", include, source, C_SOURCE, "-o", program)
-
-    output = run(program)
-
-    assert output == f"{2**32} words, 0 wrong\n"
