@@ -404,12 +404,11 @@ class Carrier:
         for robot in self._robots.values():
             is_received = receivers_of_estimates[:, robot.id]
             robot.receive_all(estimates[is_received])
-        for content, is_receiver in zip(contents, deliveries.receivers.tolist(), strict=True):
-            if isinstance(content, Estimate):
-                continue
+        for index in np.flatnonzero(~is_estimate).tolist():
+            is_receiver = deliveries.receivers[index].tolist()
             for robot in self._robots.values():
                 if is_receiver[robot.id]:
-                    robot.count_content(content)
+                    robot.count_content(contents[index])
 
     @property
     def missed_count(self) -> int:
