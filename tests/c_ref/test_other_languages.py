@@ -186,22 +186,6 @@ def test_a_robot_that_ctypes_steps_has_the_bits_of_the_robot_in_python(library: 
     assert robot.read("beta", ctypes.c_uint64) == in_python.beta_raw  # the only number of 64 bits
 
 
-def test_a_robot_with_the_paper_s_filter_raises_its_accuracy_if_ctypes_passes_the_table(
-    library: Path,
-) -> None:
-    """It raises the accuracy b_hat from 0.55; units of b_hat are 2^-32.
-
-    It sees 3/4 of the tiles black, and its neighbours estimate that x_bar of them are. Equation 8 of the
-    paper makes an accuracy of the two shares.
-    """
-    robot = run_robot_by_ctypes(library, PAPER_S_FILTER)
-
-    share_seen = 3 / 4
-    x_bar = 0.8345  # what three neighbours broadcast: 7,000,000 units of 2^-23, and a bit more
-    expected_b_hat = (share_seen + x_bar - 1) / (2 * x_bar - 1)
-    assert robot.read("b_hat") / 2**32 == pytest.approx(expected_b_hat, abs=0.01)
-
-
 def test_the_rust_program_reserves_a_robot_s_memory() -> None:
     """It cannot read the C header. So if a robot needs more memory in C, the Rust program has to change."""
     assert f"const ROBOT_SIZE: usize = {robot_size()};" in RUST_PROGRAM.read_text(encoding="utf-8")

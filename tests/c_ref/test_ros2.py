@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from importlib.machinery import SourceFileLoader
 from importlib.util import module_from_spec, spec_from_loader
 from pathlib import Path
@@ -71,58 +71,26 @@ def end_round(node: Any) -> None:
 # --- The node --------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class NodeWithTwin:
-    """A node, and a robot in Python that gets the same tiles and messages.
+def test_a_node_passes_tiles_and_estimates_to_its_robot_and_publishes_what_that_estimates() -> None:
+    """A robot in Python that gets the same tiles and the same estimate ends with the same bits.
 
-    Attributes:
-        robot_id: The id of both.
-        node: The node.
-        twin: The robot.
+    The node has no filter. It publishes its own estimate before the round ends.
     """
+    node = start_node(3, initial_b_hat=0.9)
+    robot_in_python = MirrorRobot(Config(filter=Filter.OFF), 3, 0.9)
+    estimate_of_robot_4 = Estimate(sender=4, x_hat=2**22, alpha=ALPHA_100)
 
-    robot_id: int
-    node: Any
-    twin: MirrorRobot
+    for is_black in (True, True, False):
+        environment.publish("/robot_3/black", Bool(is_black))
+        robot_in_python.observe(Observation(is_black))
+    environment.publish("/estimates", estimate_of_robot_4)
+    robot_in_python.receive_raw(4, 2**22, ALPHA_100)
+    end_round(node)
+    own_estimate = Estimate(sender=3, x_hat=robot_in_python.x_hat_raw, alpha=robot_in_python.alpha_raw)
+    robot_in_python.settle()
 
-    def observe(self, is_black: bool) -> None:
-        """Let both observe a tile."""
-        environment.publish(f"/robot_{self.robot_id}/black", Bool(is_black))
-        self.twin.observe(Observation(is_black))
-
-    def end_round(self, other_twin: MirrorRobot) -> None:
-        """Let both broadcast and end their round.
-
-        The other node receives the node's estimate by its topic, and ``other_twin`` the twin's right here.
-        """
-        end_round(self.node)
-        other_twin.receive_raw(self.robot_id, self.twin.x_hat_raw, self.twin.alpha_raw)
-        self.twin.settle()
-
-
-def start_with_twin(robot_id: int) -> NodeWithTwin:
-    """Start a node without a filter, and make the robot in Python that is like it."""
-    twin = MirrorRobot(Config(filter=Filter.OFF), robot_id, 0.9)
-    return NodeWithTwin(robot_id, start_node(robot_id, initial_b_hat=0.9), twin)
-
-
-def test_two_nodes_compute_the_same_bits_as_two_robots_in_python() -> None:
-    """In three rounds, each node receives the other node's estimate at the end of that node's round.
-
-    Nodes exchange estimates by a topic of the stub of ROS. The robots in Python, their twins, do so directly.
-    ``start_with_twin`` starts both without a filter.
-    """
-    first, second = start_with_twin(robot_id=1), start_with_twin(robot_id=2)
-    for first_sees_black, second_sees_black in [(True, False), (True, True), (False, True)]:
-        first.observe(first_sees_black)
-        second.observe(second_sees_black)
-        first.end_round(other_twin=second.twin)
-        second.end_round(other_twin=first.twin)
-
-    assert first.node.robot.state() == first.twin.state()
-    assert second.node.robot.state() == second.twin.state()
-    assert first.node.robot.counters.accepted == 3, "estimates, one in each round"
-    assert second.node.robot.counters.accepted == 3, "estimates, one in each round"
+    assert node.robot.state() == robot_in_python.state()
+    assert environment.published["/estimates"] == [estimate_of_robot_4, own_estimate]
 
 
 def test_a_node_publishes_its_state_after_each_round() -> None:

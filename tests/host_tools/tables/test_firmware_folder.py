@@ -80,14 +80,6 @@ def test_a_compiler_makes_a_robot_that_starts_of_all_sources_in_the_folder(tmp_p
     run_robot(tmp_path / "robot")
 
 
-@pytest.mark.slow
-def test_a_project_builds_the_folder_with_cmake_and_a_robot_starts(tmp_path: Path) -> None:
-    """The robot's program uses the table in the folder."""
-    write_firmware_folder(tmp_path / "vendor/mcp_asdf", *OPTIONS_FOR_TABLE_OF_PROGRAM)
-    build_project(tmp_path, PROGRAM_THAT_STARTS_A_ROBOT, folders=("vendor/mcp_asdf",))
-    run_robot(tmp_path / "build/robot")
-
-
 def test_the_folder_has_all_sources_of_the_core_unchanged(tmp_path: Path) -> None:
     """The core is the C firmware without its ports. Each file is compared byte for byte."""
     write_firmware_folder(tmp_path)

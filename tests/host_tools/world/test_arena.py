@@ -480,21 +480,6 @@ def test_a_picture_of_a_floor_like_a_qr_code_is_the_code() -> None:
     assert np.array_equal(picture, make_floor_code(fill_ratio=0.448))
 
 
-def test_a_floor_like_a_qr_code_lies_with_its_first_row_in_the_north() -> None:
-    """The floor has the colour of each of 100 x 100 modules at its middle.
-
-    The origin is in the middle of the floor, and y grows to the north.
-    """
-    code = make_floor_code(fill_ratio=0.448)  # by row and column
-    width, height = 3, 2
-    floor = floor_like_a_qr_code(width, height)
-    for row in range(100):
-        for column in range(100):
-            x = (column + 0.5) / 100 * width - width / 2
-            y = height / 2 - (row + 0.5) / 100 * height
-            assert floor.is_black(x, y) == code[row, column], (row, column)
-
-
 @pytest.mark.parametrize(
     ("x", "y", "row", "column"), [(-1.5, 1, 0, 0), (1.5, 1, 0, 99), (-1.5, -1, 99, 0), (1.5, -1, 99, 99)]
 )

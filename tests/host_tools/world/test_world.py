@@ -453,33 +453,6 @@ def test_a_floor_like_a_qr_code_has_exactly_the_chosen_share_of_black_and_a_whit
     assert not middle_of_code.any()
 
 
-@pytest.mark.parametrize("fill_ratio", FILL_RATIOS_OF_CODES)
-def test_a_floor_like_a_qr_code_has_finder_patterns_in_three_corners(fill_ratio: float) -> None:
-    """A reader finds the corners by these squares of 7 x 7 modules.
-
-    The 24 modules of a square's frame are black, and the 9 in its middle.
-    """
-    is_black = make_floor_code(fill_ratio)  # by row and column
-    corners = [is_black[:7, :7], is_black[:7, -7:], is_black[-7:, :7]]
-    for corner in corners:
-        assert corner.sum() == 24 + 9
-
-
-@pytest.mark.parametrize("fill_ratio", FILL_RATIOS_OF_CODES)
-def test_a_floor_like_a_qr_code_has_two_lines_of_black_and_white_in_turn(fill_ratio: float) -> None:
-    """A row and a column run from one finder pattern to the next. Readers count modules by them.
-
-    A pattern is in the first and the last 7 of 100 modules, and has a white module beside it.
-    """
-    is_black = make_floor_code(fill_ratio)  # by row and column
-    row_between_patterns = is_black[6, 8:92]
-    column_between_patterns = is_black[8:92, 6]
-
-    black_and_white = [True, False] * 42
-    assert row_between_patterns.tolist() == black_and_white
-    assert column_between_patterns.tolist() == black_and_white
-
-
 def test_a_floor_like_a_qr_code_is_always_the_same() -> None:
     """It equals the golden file, in which each character is a module: # is black."""
     lines = []
