@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.common.files import read_at_most
+from mcp_asdf_tools.common.files import read_text
 from mcp_asdf_tools.common.parameters import ParameterError
 from mcp_asdf_tools.experiments.experiment import MAX_EXPERIMENTS, Experiment, combinations
 from mcp_asdf_tools.world.graph import is_text_of_edges
@@ -42,7 +42,7 @@ def read_experiments(path: Path | str) -> list[Experiment]:
         path = _shipped_file(path)
     if path.suffix != ".toml":
         raise UsageError(f"{path}: unknown format; describe experiments in TOML and name it .toml")
-    text = _read_toml_text(path)
+    text = read_text(path)
     common_parameters, grids = _parse_grids(path, text)
     key_lines = _KeyLines(path, text)
     experiments: list[Experiment] = []
@@ -58,17 +58,6 @@ def read_experiments(path: Path | str) -> list[Experiment]:
         except ParameterError as error:
             raise key_lines.error_at(grid_number, error.key, str(error)) from error
     return experiments
-
-
-def _read_toml_text(path: Path) -> str:
-    """Return the text of a file. Raises UsageError if it cannot be read, is too long or is not UTF-8."""
-    try:
-        # This codec drops the byte order mark with which some editors begin a file.
-        return read_at_most(path).decode("utf-8-sig")
-    except OSError as error:
-        raise UsageError(f"cannot read {path}: {error.strerror}") from error
-    except ValueError as error:  # bad UTF-8, or too long
-        raise UsageError(f"{path}: {error}") from error
 
 
 def _parse_grids(path: Path, text: str) -> tuple[dict[str, Any], list[dict[str, Any]]]:
