@@ -44,7 +44,6 @@ def read_experiments(path: Path | str) -> list[Experiment]:
         raise UsageError(f"{path}: unknown format; describe experiments in TOML and name it .toml")
     text = read_text(path)
     common_parameters, grids = _parse_grids(path, text)
-    key_lines = _KeyLines(path, text)
     experiments: list[Experiment] = []
     for grid_number, grid in enumerate(grids, start=1):
         try:
@@ -56,7 +55,7 @@ def read_experiments(path: Path | str) -> list[Experiment]:
                 if fewest_experiments > MAX_EXPERIMENTS:
                     raise UsageError(f"{path} makes more than {MAX_EXPERIMENTS} experiments; give fewer")
         except ParameterError as error:
-            raise key_lines.error_at(grid_number, error.key, str(error)) from error
+            raise _error_with_line(path, text, grid_number, error) from error
     return experiments
 
 
@@ -91,35 +90,24 @@ def _shipped_file(name: Path) -> Path:
     return shipped_files[str(name)]
 
 
-class _KeyLines:
-    """Line numbers of the keys in a TOML file, for error messages.
+def _error_with_line(path: Path, text: str, grid_number: int, error: ParameterError) -> UsageError:
+    """Return an error that names the lines of its key in a grid, or above the grids if it is not there.
 
-    The parser of TOML does not give them, so they are found by a search for ``key =``. Such a text within a
-    string is found, too; then a message names one line too many.
+    Grids are numbered from 1; a key above them holds in each of them. The parser of TOML does not give lines,
+    so they are found by a search for ``key =``. Such a text within a string is found, too; then the error
+    names one line too many. It names no line for a key that has none.
     """
-
-    def __init__(self, path: Path, text: str) -> None:
-        """Find the lines of all keys. Grids are numbered from 1; the keys above them belong to grid 0."""
-        self._path = path
-        self._line_numbers: dict[tuple[int, str], list[str]] = {}
-        grid_number = 0
-        for line_number, line in enumerate(text.splitlines(), start=1):
-            if _GRID_LINE_PATTERN.match(line):
-                grid_number += 1
-            for key in _KEY_PATTERN.findall(line):
-                self._line_numbers.setdefault((grid_number, key), []).append(str(line_number))
-
-    def error_at(self, grid_number: int, key: str, message: str) -> UsageError:
-        """Return an error that names the lines of a key in a grid, or above the grids if it is not there.
-
-        A key above the grids holds in each of them. The error names no line for a key that has none.
-        """
-        above_grids = 0
-        line_numbers = self._line_numbers.get((grid_number, key))
-        if line_numbers is None:
-            line_numbers = self._line_numbers.get((above_grids, key), [])
-        position = f", line {' or '.join(line_numbers)}" if line_numbers else ""
-        return UsageError(f"{self._path}{position}: {message}")
+    above_grids = 0
+    line_numbers_by_grid: dict[int, list[str]] = {}
+    current_grid = above_grids
+    for line_number, line in enumerate(text.splitlines(), start=1):
+        if _GRID_LINE_PATTERN.match(line):
+            current_grid += 1
+        if error.key in _KEY_PATTERN.findall(line):
+            line_numbers_by_grid.setdefault(current_grid, []).append(str(line_number))
+    line_numbers = line_numbers_by_grid.get(grid_number) or line_numbers_by_grid.get(above_grids, [])
+    position = f", line {' or '.join(line_numbers)}" if line_numbers else ""
+    return UsageError(f"{path}{position}: {error}")
 
 
 def _with_graph_from_folder(parameters: dict[str, Any], folder: Path) -> dict[str, Any]:
