@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -14,6 +15,7 @@ from mcp_asdf_tools.experiments.plots import boxes, scatter, series
 from mcp_asdf_tools.studies.cells import StudyPart, StudySize, cells_of, experiment_of, users_experiments_of
 from mcp_asdf_tools.studies.figures import Picture, draw_pictures
 from mcp_asdf_tools.studies.study_results import StudyResults
+from support import ROOT
 
 SHORT_STUDY = StudySize(trials=2, steps=100)
 
@@ -128,26 +130,22 @@ def test_a_study_of_some_parts_of_the_papers_has_the_pictures_of_these_parts(
     assert len(pictures_by_name) == count
 
 
-@pytest.mark.parametrize(
-    ("name", "figure"),
-    [
-        ("dynamic_asdf-minus", "3a"),
-        ("dynamic_asdf-plus", "3b"),
-        ("dynamic_scatter", "4"),
-        ("topologies_asdf-minus", "5a"),
-        ("topologies_asdf-plus", "5b"),
-        ("series", "6"),
-        ("physical_asdf-plus", "8a"),
-        ("physical_scatter", "8b"),
-    ],
-)
-def test_the_title_of_a_picture_ends_with_the_number_of_the_papers_figure_that_shows_the_same(
-    name: str, figure: str
-) -> None:
-    """A title ends with "(the paper's figure 3a)", for example."""
-    pictures_of_whole_study = pictures_of(*StudyPart)
-    picture = pictures_of_whole_study[name]
-    assert picture.title.endswith(f" (the paper's figure {figure})")
+def test_the_pictures_that_docs_reproduce_md_names_have_the_number_of_the_papers_figure_in_their_title() -> (
+    None
+):
+    """A row of its table has a figure, a command and its pictures. A title ends "(the paper's figure 3a)".
+
+    The last row is of all figures.
+    """
+    page = (ROOT / "docs/reproduce.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| (\d) \| .* \| (`.*`) \| \d+ \|$", page, re.MULTILINE)
+    assert [figure for figure, _pictures in rows] == ["3", "4", "5", "6", "8"]
+    for figure, pictures in rows:
+        names = re.findall(r"`([^`]+)\.png`", pictures)
+        # Where a figure of the paper has two parts as pictures, these are "a" and "b".
+        numbers = [figure] if len(names) == 1 else [f"{figure}a", f"{figure}b"]
+        for name, number in zip(names, numbers, strict=True):
+            assert pictures_of(*StudyPart)[name].title.endswith(f" (the paper's figure {number})")
 
 
 ALL_PERIODS = {1000, 2000, 4000}

@@ -182,17 +182,6 @@ def test_an_interrupted_study_says_how_many_trials_are_left_and_runs_only_these_
     assert count_trials(jobs_of_next_time) == 24
 
 
-@pytest.mark.slow
-def test_an_interrupted_study_ends_in_the_same_files_as_one_that_was_not(
-    finished_study: FinishedStudy, tmp_path: Path
-) -> None:
-    """The command that was interrupted runs again, and goes on. Its files are compared byte for byte."""
-    interrupt_short_study_after_16_of_40_trials(tmp_path)
-    run_short_study(tmp_path)
-
-    assert read_files(tmp_path) == read_files(finished_study.folder)
-
-
 def test_the_report_of_a_finished_study_is_made_again_without_running_trials(
     copied_study: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

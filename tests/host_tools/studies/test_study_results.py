@@ -62,15 +62,6 @@ def test_the_measure_of_b_hat_is_the_mean_of_the_healthy_robots_after_the_last_f
     assert results.measure(CELL_WITH_FLAWED_ROBOTS, "b_hat").value == pytest.approx(mean_of_healthy_robots)
 
 
-def test_the_spread_of_h_is_its_interquartile_range() -> None:
-    """Of five trials the second lowest H is the lower quartile, and the second highest the upper one."""
-    results = StudyResults({CELL_WITH_FLAWED_ROBOTS: trials_with_h(75, 70, 65, 55, 50)})
-
-    spread = results.measure(CELL_WITH_FLAWED_ROBOTS, "spread of H").value
-
-    assert spread == pytest.approx(70 - 55)
-
-
 def test_the_best_h_of_30_is_missed_by_all_of_30_trials_in_half_of_the_cases() -> None:
     """If one trial misses it with the probability q, 30 trials do so with q^30, which is to be 1/2."""
     h_of_trials = [75, 70, 65, 55, 50]
@@ -80,19 +71,6 @@ def test_the_best_h_of_30_is_missed_by_all_of_30_trials_in_half_of_the_cases() -
 
     q = 0.5 ** (1 / 30)
     assert best == pytest.approx(np.quantile(h_of_trials, q))
-
-
-def test_the_loss_of_h_is_the_median_h_of_the_same_swarm_without_flawed_robots_less_its_own() -> None:
-    results = StudyResults(
-        {
-            CELL_WITH_FLAWED_ROBOTS: trials_with_h(75, 70, 65, 55, 50),
-            CELL_WITHOUT_FLAWED_ROBOTS: trials_with_h(100, 95, 90, 85, 80),
-        }
-    )
-
-    loss = results.measure(CELL_WITH_FLAWED_ROBOTS, "loss of H").value
-
-    assert loss == pytest.approx(90 - 65)
 
 
 def test_a_measure_that_is_asked_for_twice_is_computed_once() -> None:
