@@ -70,11 +70,49 @@ def test_robots_are_described_by_the_filters_they_have(configs: list[Config], de
     assert describe_filters(config.filter for config in configs) == description
 
 
-@pytest.mark.parametrize("command", [f"swarm {SWARM}", f"simulate --trials 2 {SWARM}"])
-def test_swarm_and_simulate_print_that_only_the_flawed_robots_recalibrate(
-    command: str, capsys: pytest.CaptureFixture[str]
+@pytest.fixture
+def recordings(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> Iterator[None]:
+    """Work in a folder with run.log of a swarm with ASDF-, and results of two filters in grid.parquet.
+
+    The standard input of ``mcp-asdf node --until-eof`` is empty, so that it stops at once.
+    """
+    monkeypatch.chdir(tmp_path)
+    printed_by(f"swarm {SWARM} --quiet --log run.log", capsys)
+    simulate(grid(robots=4, flawed=1, steps=20, trials=1, filter=["none", "asdf-minus"]), "grid.parquet")
+    with Path(os.devnull).open("rb") as empty:
+        monkeypatch.setattr("mcp_asdf_tools.cli.node.standard_input_descriptor", empty.fileno)
+        yield
+
+
+NO_FILTER = "no filter: no robot recalibrates"
+RADIO = "radio --interface virtual --id 3 --robots 3 --steps 2 --steps-per-second 1000"
+
+
+@pytest.mark.usefixtures("recordings")
+@pytest.mark.parametrize("output", ["", "--json"])
+@pytest.mark.parametrize(
+    ("command", "descriptions"),
+    [
+        (f"swarm {SWARM}", [ASDF_MINUS]),
+        (f"simulate --trials 2 {SWARM}", [ASDF_MINUS]),
+        ("score grid.parquet", [NO_FILTER, ASDF_MINUS]),
+        ("replay run.log", [ASDF_MINUS]),
+        (
+            "node --id 3 --filter robust --until-eof",
+            ["robust: the robot recalibrates, by this"],
+        ),
+        (RADIO, [ASDF_MINUS]),
+    ],
+)
+def test_a_command_describes_the_filters_of_its_robots_as_text_and_in_json(
+    command: str, descriptions: list[str], output: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert "ASDF-: only the flawed robots recalibrate" in printed_by(command, capsys)
+    """For example ``replay run.log``: "ASDF-: only the flawed robots recalibrate"."""
+    printed_text = printed_by(f"{command} {output}", capsys)
+    for description in descriptions:
+        assert description in printed_text
 
 
 def test_swarm_with_quiet_prints_the_name_of_its_filter(capsys: pytest.CaptureFixture[str]) -> None:
@@ -87,78 +125,8 @@ def test_swarm_with_compare_and_json_reports_the_filter_of_each_compared_swarm(
 ) -> None:
     """``--compare`` also runs the same robots without a filter and with the robust one."""
     report = json.loads(printed_by(f"swarm {SWARM} --compare --json", capsys))
-    assert report["results"]["filter"] == "ASDF-: only the flawed robots recalibrate"
-    assert report["compared"]["none"]["filter"] == "no filter: no robot recalibrates"
+    assert report["compared"]["none"]["filter"] == NO_FILTER
     assert report["compared"]["robust"]["filter"].startswith("robust: all robots")
-
-
-def test_simulate_with_json_reports_that_only_the_flawed_robots_recalibrate(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    report = json.loads(printed_by(f"simulate --trials 2 {SWARM} --json", capsys))
-    assert report["filter"] == "ASDF-: only the flawed robots recalibrate"
-
-
-@pytest.fixture(scope="module")
-def results_of_two_filters(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Results of an experiment without a filter and of one with ASDF-."""
-    path = tmp_path_factory.mktemp("results") / "grid.parquet"
-    simulate(grid(robots=4, flawed=1, steps=20, trials=1, filter=["none", "asdf-minus"]), path)
-    return path
-
-
-def test_score_prints_and_reports_the_filter_of_each_experiment(
-    results_of_two_filters: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """One experiment has no filter, and the other has ASDF-. They are printed as text and in JSON."""
-    text = printed_by(f"score '{results_of_two_filters}'", capsys)
-    report = json.loads(printed_by(f"score '{results_of_two_filters}' --json", capsys))
-
-    assert "no filter: no robot" in text
-    assert "ASDF-: only the flawed robots recalibrate" in text
-    assert [experiment["filter"] for experiment in report["experiments"]] == [
-        "no filter: no robot recalibrates",
-        "ASDF-: only the flawed robots recalibrate",
-    ]
-
-
-def test_replay_prints_and_reports_the_filter_of_a_logged_swarm(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """The swarm has the default filter, ASDF-, which is printed as text and in JSON."""
-    printed_by(f"swarm {SWARM} --quiet --log '{tmp_path}/run.log'", capsys)
-    text = printed_by(f"replay '{tmp_path}/run.log'", capsys)
-    report = json.loads(printed_by(f"replay '{tmp_path}/run.log' --json", capsys))
-
-    assert "ASDF-: only the flawed robots recalibrate" in text
-    assert report["filter"] == "ASDF-: only the flawed robots recalibrate"
-
-
-@pytest.fixture
-def standard_input_at_its_end(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """Let ``mcp-asdf node --until-eof`` stop at once, as its standard input is empty."""
-    with Path(os.devnull).open("rb") as empty:
-        monkeypatch.setattr("mcp_asdf_tools.cli.node.standard_input_descriptor", empty.fileno)
-        yield
-
-
-@pytest.mark.usefixtures("standard_input_at_its_end")
-@pytest.mark.parametrize("output", ["", "--json"])
-def test_node_prints_the_filter_of_its_robot_as_text_and_in_json(
-    output: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """The robot ends at once, as its standard input is empty."""
-    text = printed_by(f"node --id 3 --filter robust --until-eof {output}", capsys)
-    assert "robust: the robot recalibrates, by this project's own filter" in text
-
-
-@pytest.mark.parametrize("output", ["", "--json"])
-def test_radio_prints_the_filter_of_the_neighbours_that_it_emulates_as_text_and_in_json(
-    output: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """It emulates two neighbours of robot 3, with the default filter, ASDF-."""
-    command = f"radio --interface virtual --id 3 --robots 3 --steps 2 --steps-per-second 1000 {output}"
-    assert "ASDF-: only the flawed robots recalibrate" in printed_by(command, capsys)
 
 
 @pytest.mark.parametrize(

@@ -11,8 +11,6 @@ from mcp_asdf_tools.cli.output import json_report, print_again, warn
 from mcp_asdf_tools.common.errors import UsageError
 
 if TYPE_CHECKING:
-    from rich.table import Table
-
     from mcp_asdf_tools.recording.frame_logs import LogSummary
     from mcp_asdf_tools.recording.replay import ReplayVerdict
 
@@ -71,9 +69,8 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         print(json_report(_report(args, events_path, summary, verdict, filter_description)))
     else:
-        console = Console(soft_wrap=True)
-        console.print(_table_of(verdict))
-        console.print(filter_description, highlight=False)
+        print(_format_counts(verdict))
+        print(filter_description)
         print_again(args)
     if summary.warning is not None:
         warn("replay", f"of {args.log} {summary.warning}")
@@ -143,20 +140,15 @@ def _report(
     }
 
 
-def _table_of(verdict: ReplayVerdict) -> Table:
-    """Return a table with the number of frames of each kind."""
-    from rich.table import Table
-
-    table = Table(box=None, padding=(0, 1), show_header=False)
-    table.add_column(justify="right", style="bold")
-    table.add_column()
-    for count, meaning in (
+def _format_counts(verdict: ReplayVerdict) -> str:
+    """Return a line for each kind of frame: the number of frames, and what they are."""
+    counts = (
         (verdict.reproduced, "broadcasts reproduced bit for bit"),
         (verdict.falsified, "broadcasts that a fault had given other values"),
         (verdict.foreign, "frames under a robot's id that it did not send"),
         (verdict.not_logged, "broadcasts that the log lacks"),
         (verdict.beyond, "broadcasts after the events were cut off"),
         (verdict.other, "other frames"),
-    ):
-        table.add_row(str(count), meaning)
-    return table
+    )
+    width = max(len(str(count)) for count, _ in counts)
+    return "\n".join(f" {count:{width}}  {meaning}" for count, meaning in counts)

@@ -19,7 +19,6 @@ import pytest
 from mcp_asdf_tools.bus.interfaces import BusChoice
 from mcp_asdf_tools.cli import view
 from mcp_asdf_tools.cli.main import main
-from mcp_asdf_tools.cli.output import sleep_until
 from mcp_asdf_tools.common.signals import INTERRUPTED
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.result_files import write_tables
@@ -185,19 +184,6 @@ def test_a_command_serves_the_states_of_a_swarm_while_it_waits_for_ctrl_c(
     assert served_events.startswith("event: description\n")
     assert "\nevent: block\n" in served_events, "a block of states"
     assert served_events.endswith("event: end\ndata: null\n\n")
-
-
-def test_a_waiting_command_looks_five_times_a_second_whether_it_should_stop(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """It is asked to stop when it looks for the third time, so it sleeps twice for a fifth of a second."""
-    slept_seconds: list[float] = []
-    monkeypatch.setattr("time.sleep", slept_seconds.append)
-    should_stop = Mock(side_effect=[False, False, True])
-
-    sleep_until(should_stop)
-
-    assert slept_seconds == [1 / 5, 1 / 5]
 
 
 @pytest.fixture
