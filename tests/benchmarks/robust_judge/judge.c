@@ -318,7 +318,8 @@ static double quantile(const double *values, int count, double share_below)
     return low + 1 < count ? sorted[low] + (place - low) * (sorted[low + 1] - sorted[low]) : sorted[low];
 }
 
-/* The project's score H, of x read every READING_STEPS steps. */
+/* The paper's score H, of x read every READING_STEPS steps. Its quartiles are interpolated between two
+ * robots, where the tools' score takes the middle of both. */
 static double score(double fill)
 {
     static double settled[MAX_ROBOTS], errors[MAX_ROBOTS];
