@@ -287,7 +287,6 @@ def _emulate_neighbours(
     INTERRUPTED if a signal came before the end, and 2 if the log is not complete.
     """
     from mcp_asdf_tools.common.files import results_beside, write_atomically
-    from mcp_asdf_tools.radio.neighbourhood import Neighbourhood
     from mcp_asdf_tools.radio.real_time import RadioRun
     from mcp_asdf_tools.robots.node import BusLink, filters_for
 
@@ -299,7 +298,7 @@ def _emulate_neighbours(
             bus.set_filters(filters_for(settings.subjects.estimates, settings.subjects.telemetry))
             # In real time a run goes on while the bus fails, as a controller does.
             link = BusLink(bus, should_stop, tolerates_failures=True, log=log)
-            radio_run = RadioRun(Neighbourhood(settings), link, args.steps)
+            radio_run = RadioRun(settings, link, args.steps)
             _run_with_progress(radio_run, console)
             report = _make_report(args, settings, bus_choice)
             report["results"] = radio_run.figures()
@@ -320,7 +319,7 @@ def _run_with_progress(radio_run: RadioRun, console: Console) -> None:
         def show_progress() -> None:
             """Show the tick and how many frames were sent and heard; called in every tick."""
             status.update(
-                f"tick {radio_run.neighbours.tick}   frames sent {radio_run.sent_count}, "
+                f"tick {radio_run.neighbours.ticks}   frames sent {radio_run.sent_count}, "
                 f"estimates heard {radio_run.estimate_count}"
             )
 

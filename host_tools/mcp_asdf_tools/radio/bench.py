@@ -14,7 +14,7 @@ from mcp_asdf_tools.bus.frame_layout import TRANSFER_ID_MODULUS, Action
 from mcp_asdf_tools.bus.frames import Command, Estimate, encode_estimate
 from mcp_asdf_tools.crosscheck.crafted_rounds import NeighbourEstimate, RobotState
 from mcp_asdf_tools.radio.controller_link import BenchOptions, ControllerLink
-from mcp_asdf_tools.radio.neighbourhood import Neighbourhood, RadioSettings
+from mcp_asdf_tools.radio.neighbourhood import RadioSettings, create_neighbours
 from mcp_asdf_tools.robots.lockstep import DRIVER_ID
 
 BURST = 16
@@ -41,7 +41,7 @@ class Bench(ControllerLink):
         are the cases that phases could not bring about.
         """
         super().__init__(settings, options)
-        self.neighbours = Neighbourhood(settings)
+        self.neighbours = create_neighbours(settings)
         self.rng = random.Random(settings.swarm.seed)
         self.activity = ""
         self.not_exercised: list[str] = []
@@ -119,8 +119,8 @@ class Bench(ControllerLink):
 
     def play_tick_among_neighbours(self) -> None:
         """Run a tick in which the controller and the emulated neighbours receive each other's frames."""
-        observation = self.neighbours.begin_tick()
-        self.observe(observation)
+        observation_by_robot = self.neighbours.begin_tick()
+        self.observe(observation_by_robot[self.setup.id])
         controller_frames = list(self._received)  # those since the last comparison, which are of this tick
         neighbour_frames = self.neighbours.finish_tick(controller_frames)
         self.send(neighbour_frames)

@@ -1,24 +1,14 @@
-"""The neighbours of one real controller: a swarm in which the controller is the external robot.
-
-``Neighbourhood`` needs no bus. It takes the frames that the controller has sent, and returns those that the
-controller is to receive, from neighbours in range and after the faults.
-"""
+"""The neighbours of one real controller: a swarm without a bus, in which it is the external robot."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-import can
-
-from mcp_asdf.robot import Observation
 from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.robots.bus_robot import BusRobot
 from mcp_asdf_tools.robots.node import Subjects
 from mcp_asdf_tools.robots.robot_setup import RobotSetup
 from mcp_asdf_tools.swarm.carrier import Wiring
 from mcp_asdf_tools.swarm.fault_injection.fault import Fault
-from mcp_asdf_tools.swarm.fault_injection.faults import Faults
 from mcp_asdf_tools.swarm.settings import MAX_ROBOTS_AND_TOOLS, SwarmSettings
 from mcp_asdf_tools.swarm.swarm import Members, Swarm
 
@@ -59,45 +49,19 @@ class RadioSettings:
     faults: tuple[Fault, ...] = ()
 
 
-class Neighbourhood:
-    """Emulated robots around a controller.
+def create_neighbours(settings: RadioSettings) -> Swarm:
+    """Return the neighbours, in a swarm to which the controller belongs as a robot from outside.
 
-    The controller takes its part of a tick between ``begin_tick`` and ``finish_tick``.
-
-    Attributes:
-        settings: The surroundings of the controller.
-        nodes: The neighbours by id, crashed ones included.
-        faults: The faults between the robots.
+    In each tick ``begin_tick`` returns the observations of all robots, the controller's among them, and
+    ``finish_tick`` takes the frames that the controller has sent, and returns those that it is to receive.
+    The faults are those of ``settings`` alone: the swarm's own parameter is left out.
     """
-
-    def __init__(self, settings: RadioSettings) -> None:
-        """Make the neighbours, in a swarm to which the controller belongs as a robot from outside.
-
-        The faults between them are those of ``settings`` alone: the swarm's own parameter is left out.
-        """
-        self.settings = settings
-        robots = [settings.controller, *settings.neighbours]
-        self._swarm = Swarm(
-            replace(settings.swarm, frames=settings.subjects.estimates, faults=(), clock="lockstep"),
-            Wiring(),
-            members=Members(robots, settings.faults, external_robot=settings.controller.id),
-        )
-        self.nodes: dict[int, BusRobot] = {node.id: node for node in self._swarm.nodes}
-        self.faults: Faults = self._swarm.faults
-
-    @property
-    def tick(self) -> int:
-        """Number of the tick that has begun or, between ticks, of the next one; the first is 0."""
-        return self._swarm.ticks
-
-    def begin_tick(self) -> Observation | None:
-        """Let all neighbours observe and send, and return the observation of the controller, or None."""
-        observation_by_robot = self._swarm.begin_tick()
-        return observation_by_robot[self.settings.controller.id]
-
-    def finish_tick(self, controller_frames: Sequence[can.Message]) -> list[can.Message]:
-        """Let all neighbours receive and settle, with the frames that the controller has sent.
-
-        Returns the frames that the controller receives, in order. O(neighbours**2).
-        """
-        return self._swarm.finish_tick(controller_frames)
+    return Swarm(
+        replace(settings.swarm, frames=settings.subjects.estimates, faults=(), clock="lockstep"),
+        Wiring(),
+        members=Members(
+            [settings.controller, *settings.neighbours],
+            settings.faults,
+            external_robot=settings.controller.id,
+        ),
+    )

@@ -10,7 +10,7 @@ from typing import Any
 import can
 
 from mcp_asdf_tools.bus.frames import Estimate, decode_estimate
-from mcp_asdf_tools.radio.neighbourhood import Neighbourhood
+from mcp_asdf_tools.radio.neighbourhood import RadioSettings, create_neighbours
 from mcp_asdf_tools.robots.clock import RealTimeClock
 from mcp_asdf_tools.robots.node import BusLink, RunOutcome, Stopped
 
@@ -19,7 +19,8 @@ class RadioRun:
     """Emulated neighbours around a controller that has its own clock.
 
     Attributes:
-        neighbours: The neighbours.
+        settings: The surroundings of the controller.
+        neighbours: The neighbours, in a swarm to which the controller belongs.
         link: The connection to the controller.
         outcome: How the run has ended.
         sent_count: Frames sent to the controller.
@@ -30,9 +31,10 @@ class RadioRun:
         on_tick: Called after each tick.
     """
 
-    def __init__(self, neighbours: Neighbourhood, link: BusLink, ticks: int | None = None) -> None:
+    def __init__(self, settings: RadioSettings, link: BusLink, ticks: int | None = None) -> None:
         """Prepare a run of ``ticks`` ticks; None for one that goes on until it is stopped."""
-        self.neighbours = neighbours
+        self.settings = settings
+        self.neighbours = create_neighbours(settings)
         self.link = link
         self.outcome = RunOutcome("all ticks done")
         self.sent_count = 0
@@ -52,12 +54,11 @@ class RadioRun:
         tick, and it gets theirs. The bus may fail for a time in between: the run has failed only if the last
         attempt to use it did. Ctrl-C stops a run, too; one with a number of ticks is then interrupted.
         """
-        settings = self.neighbours.settings
         # The clock does not just sleep until a tick: it receives frames in this time.
-        clock = RealTimeClock(settings.swarm.steps_per_second, sleep=self._receive_while_waiting)
+        clock = RealTimeClock(self.settings.swarm.steps_per_second, sleep=self._receive_while_waiting)
         try:
-            while self._ticks is None or self.neighbours.tick < self._ticks:
-                clock.wait_for_tick(self.neighbours.tick)
+            while self._ticks is None or self.neighbours.ticks < self._ticks:
+                clock.wait_for_tick(self.neighbours.ticks)
                 self.link.handle_waiting_frames(self._handle_frame)
                 self._run_tick()
                 self.on_tick()
@@ -80,9 +81,9 @@ class RadioRun:
         neighbours' estimates of the share of black tiles. In reports a tick is a step, and nodes that are
         neither the controller nor emulated are strangers.
         """
-        x = [node.robot.x for node in self.neighbours.nodes.values()]
+        x = [node.robot.x for node in self.neighbours.nodes]
         return {
-            "steps": self.neighbours.tick,
+            "steps": self.neighbours.ticks,
             "ending": self.outcome.ending,
             "is_interrupted": self.outcome.is_interrupted,
             "has_failed": self.outcome.has_failed,
@@ -122,14 +123,14 @@ class RadioRun:
 
         Other frames, such as heartbeats, are ignored.
         """
-        estimate = decode_estimate(frame, self.neighbours.settings.subjects.estimates)
+        estimate = decode_estimate(frame, self.settings.subjects.estimates)
         if not isinstance(estimate, Estimate):
             if frame.is_error_frame:
                 self.error_frame_count += 1
-        elif estimate.sender == self.neighbours.settings.controller.id:
+        elif estimate.sender == self.settings.controller.id:
             self.estimate_count += 1
             self._controller_frames.append(frame)
-        elif estimate.sender in self.neighbours.nodes:
+        elif estimate.sender in [neighbour.id for neighbour in self.settings.neighbours]:
             self.id_conflicts[estimate.sender] += 1
         else:
             self.foreign_count += 1

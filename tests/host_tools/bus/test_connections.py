@@ -19,7 +19,6 @@ from mcp_asdf_tools.bus.bus_errors import BusGoneError
 from mcp_asdf_tools.bus.frames import Estimate, FrameFormat, decode_estimate
 from mcp_asdf_tools.bus.interfaces import BusChoice, Connection, SerialAdapter
 from mcp_asdf_tools.cli.main import main
-from mcp_asdf_tools.radio.neighbourhood import Neighbourhood
 from mcp_asdf_tools.radio.real_time import RadioRun
 from mcp_asdf_tools.robots.node import BusLink
 from support import PATIENCE
@@ -281,8 +280,8 @@ def options_of_bus(bus_choice: BusChoice, command_line: str) -> list[str]:
 
 def radio_run_on(bus: can.BusABC, ticks: int) -> RadioRun:
     """Return a run of ticks of 1 ms with emulated robots as neighbours of a controller on a bus."""
-    neighbours = Neighbourhood(settings_with_four_neighbours(steps_per_second=1000))
-    return RadioRun(neighbours, BusLink(bus, tolerates_failures=True), ticks)
+    settings = settings_with_four_neighbours(steps_per_second=1000)
+    return RadioRun(settings, BusLink(bus, tolerates_failures=True), ticks)
 
 
 def test_neighbours_in_real_time_end_before_their_first_tick_when_the_bus_is_gone() -> None:
@@ -293,7 +292,7 @@ def test_neighbours_in_real_time_end_before_their_first_tick_when_the_bus_is_gon
 
     assert run.outcome.has_failed
     assert run.outcome.ending == "the bus failed: [Errno 19] No such device"
-    assert run.neighbours.tick == 0
+    assert run.neighbours.ticks == 0
 
 
 def test_neighbours_in_real_time_take_all_ticks_on_a_bus_that_fails_and_may_come_back() -> None:
@@ -305,7 +304,7 @@ def test_neighbours_in_real_time_take_all_ticks_on_a_bus_that_fails_and_may_come
     run.run()
 
     assert run.outcome.ending == "the bus failed: bus-off"
-    assert run.neighbours.tick == 20
+    assert run.neighbours.ticks == 20
 
 
 def test_an_error_of_the_driver_keeps_the_cause_that_the_driver_gave_it() -> None:

@@ -19,15 +19,13 @@ from mcp_asdf.robot import FixedPointRobot
 from mcp_asdf_tools.bus.frames import (
     Estimate,
     FrameFormat,
-    Heartbeat,
-    decode_heartbeat,
     encode_estimate,
     sender_of,
 )
 from mcp_asdf_tools.cli import radio as radio_command
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.radio.bench import Bench
-from mcp_asdf_tools.radio.neighbourhood import Neighbourhood, RadioSettings, choose_ids
+from mcp_asdf_tools.radio.neighbourhood import RadioSettings, choose_ids, create_neighbours
 from mcp_asdf_tools.radio.real_time import RadioRun
 from mcp_asdf_tools.robots.node import BusLink, RobotNode, Subjects
 from mcp_asdf_tools.swarm.carrier import Wiring
@@ -75,15 +73,15 @@ def last_states_around_a_controller(world: SwarmSettings, faults: str) -> list[d
     """Run 120 ticks of a controller and its neighbours, and return their last states in the order of IDS."""
     controller_setup, *neighbour_setups = (replace(setup, id=IDS[setup.id]) for setup in world.robot_setups())
     parsed_faults = tuple(map(parse_fault, faults.split()))
-    neighbourhood = Neighbourhood(
-        RadioSettings(controller_setup, tuple(neighbour_setups), world, Subjects(), parsed_faults)
-    )
+    settings = RadioSettings(controller_setup, tuple(neighbour_setups), world, Subjects(), parsed_faults)
+    neighbours = create_neighbours(settings)
     controller = RobotNode(controller_setup)
     for _ in range(120):
-        for frame in neighbourhood.finish_tick(controller.observe(neighbourhood.begin_tick())):
+        observation = neighbours.begin_tick()[controller.id]
+        for frame in neighbours.finish_tick(controller.observe(observation)):
             controller.receive_frame(frame)
         controller.settle()
-    robots = (controller.bus_robot, *neighbourhood.nodes.values())
+    robots = (controller.bus_robot, *neighbours.nodes)
     return [state_of(node.robot) for node in robots]
 
 
@@ -104,69 +102,6 @@ def test_a_controller_and_its_neighbours_compute_what_an_emulated_swarm_of_as_ma
     assert states_around_controller == states_in_swarm
     number_of_updates = sum(state["updates"] for state in states_in_swarm)
     assert number_of_updates > 0, "no robot has re-estimated its accuracy"
-
-
-def test_neighbours_that_crash_miss_observations_and_send_no_estimates() -> None:
-    """In 120 ticks robot 10 is dead for 5, and begins anew. Robot 11 is dead for 20, and goes on.
-
-    Each of the controller's four neighbours broadcasts an estimate in each tick in which it is not dead.
-    """
-    crashes = "crash,robots=10,from=30,to=35 crash,robots=11,from=40,to=60,rejoin=restored"
-    controller, robot_10, robot_11, _, _ = last_states_around_a_controller(FIVE_ROBOTS_IN_RANGE, crashes)
-
-    ticks_in_which_neighbours_are_dead = 5 + 20
-    assert controller["accepted"] == 4 * 120 - ticks_in_which_neighbours_are_dead, "received estimates"
-    assert robot_10["t"] == 120 - 35, "observations since it has begun anew, without a memory, in tick 35"
-    assert robot_11["t"] == 120 - 20, "observations before and after its crash"
-
-
-def test_a_controller_receives_only_from_neighbours_in_range() -> None:
-    """Its four neighbours move, and broadcast in each of 120 ticks. It receives some of the 480 estimates."""
-    controller, *_neighbours = last_states_around_a_controller(FIVE_MOVING_ROBOTS, faults="")
-    assert 120 < controller["accepted"] < 4 * 120, "more estimates than one neighbour sends, but not all"
-
-
-def test_frames_of_neighbours_are_stamped_with_the_time_of_their_tick() -> None:
-    """Their times are 0.0 s, 0.1 s and so on, as a second has 10 ticks. The controller sends nothing."""
-    neighbourhood = Neighbourhood(settings_with_four_neighbours(steps_per_second=10))
-    for tick in range(20):
-        neighbourhood.begin_tick()
-        frames = neighbourhood.finish_tick(controller_frames=[])
-        assert {frame.timestamp for frame in frames} == {tick / 10}
-
-
-def heartbeats_of_crashing_robot_1(rejoin: str) -> list[tuple[int, int]]:
-    """Return tick and uptime of each heartbeat in 60 ticks of a neighbour that is dead in ticks 45 and 46."""
-    crash = parse_fault(f"crash,robots=1,from=45,to=47,rejoin={rejoin}")
-    neighbourhood = Neighbourhood(replace(settings_with_four_neighbours(), faults=(crash,)))
-    ticks_and_uptimes = []
-    for tick in range(60):
-        neighbourhood.begin_tick()
-        for frame in neighbourhood.finish_tick([]):
-            heartbeat = decode_heartbeat(frame)
-            if isinstance(heartbeat, Heartbeat) and heartbeat.sender == 1:
-                ticks_and_uptimes.append((tick, heartbeat.uptime))
-    return ticks_and_uptimes
-
-
-def test_a_neighbour_that_rejoins_as_a_new_robot_begins_with_uptime_0() -> None:
-    """It crashes, and is dead in ticks 45 and 46. A pair has a heartbeat's tick and uptime in seconds.
-
-    A second has 10 ticks.
-    """
-    heartbeats = heartbeats_of_crashing_robot_1(rejoin="new")
-    heartbeats_before_crash = [(0, 0), (10, 1), (20, 2), (30, 3), (40, 4)]
-    assert heartbeats == [*heartbeats_before_crash, (47, 0), (57, 1)]
-
-
-def test_the_uptime_of_a_neighbour_that_rejoins_restored_goes_on_where_it_was() -> None:
-    """A pair is a heartbeat's tick and uptime in seconds (10 ticks). It is dead in ticks 45 and 46.
-
-    So its next heartbeat, of uptime 5 s, comes two ticks late, in tick 52.
-    """
-    heartbeats = heartbeats_of_crashing_robot_1(rejoin="restored")
-    heartbeats_before_crash = [(0, 0), (10, 1), (20, 2), (30, 3), (40, 4)]
-    assert heartbeats == [*heartbeats_before_crash, (52, 5)]
 
 
 @pytest.mark.parametrize(
@@ -214,7 +149,7 @@ def run_four_neighbours(
 ) -> RadioRun:
     """Run four neighbours of robot 3 in real time, and return the run when it has ended."""
     settings = settings_with_four_neighbours(faults=faults, steps_per_second=steps_per_second)
-    run = RadioRun(Neighbourhood(settings), link, ticks)
+    run = RadioRun(settings, link, ticks)
     run.run()
     return run
 
@@ -284,7 +219,7 @@ def test_each_neighbour_receives_the_estimates_of_the_controller_and_of_the_othe
     run_beside_others: RadioRun,
 ) -> None:
     """In 5 ticks each of 4 neighbours accepts 5 estimates of each other one, and one of the controller."""
-    nodes = run_beside_others.neighbours.nodes.values()
+    nodes = run_beside_others.neighbours.nodes
     accepted_counts = [node.counters.accepted for node in nodes]
     of_three_others, of_controller = 3 * 5, 1
     assert accepted_counts == [of_three_others + of_controller] * 4
@@ -297,7 +232,7 @@ def test_the_figures_of_a_run_have_the_mean_and_the_range_of_the_neighbours_x() 
     """
     quiet_bus = Wire()
     run = run_four_neighbours(BusLink(quiet_bus), ticks=5, faults="loss=0.5")
-    x_of_neighbours = [node.robot.x for node in run.neighbours.nodes.values()]
+    x_of_neighbours = [node.robot.x for node in run.neighbours.nodes]
 
     figures = run.figures()
     assert figures["mean_x"] == sum(x_of_neighbours) / 4
@@ -313,17 +248,16 @@ def test_neighbours_in_real_time_that_are_asked_to_stop_end_in_that_tick(
 
     An endless run (None) does not, as it has no other end.
     """
-    neighbourhood = Neighbourhood(settings_with_four_neighbours(steps_per_second=1000))
+    settings = settings_with_four_neighbours(steps_per_second=1000)
 
     def is_tick_3_reached() -> bool:
-        return neighbourhood.tick >= 3
+        return run.neighbours.ticks >= 3
 
     quiet_bus = Wire()
-    link = BusLink(quiet_bus, should_stop=is_tick_3_reached)
-    run = RadioRun(neighbourhood, link, ticks=ticks)
+    run = RadioRun(settings, BusLink(quiet_bus, should_stop=is_tick_3_reached), ticks=ticks)
     run.run()
 
-    assert neighbourhood.tick == 3
+    assert run.neighbours.ticks == 3
     assert run.outcome.ending == "stopped"
     assert run.outcome.is_interrupted == is_interrupted
 
