@@ -280,78 +280,32 @@ def _first_different_field(kind: str, received: can.Message, expected: can.Messa
 
 # --- Hints ---
 
-# With both limits a wrong value gets a hint by accident in at most one of 10,000 cases.
 _MIN_BITS_FOR_HINT = 24
-"""Length of the shortest field whose wrong values get a hint."""
-_MIN_DIGITS_FOR_HINT = 1 << 14
-"""Smallest significant digits, read as an integer, of a value that may be called a multiple of another."""
+"""Length of the shortest field whose wrong values get a hint: few get one by accident."""
 
 
 def _hint(
     kind: str, field_name: str, received: Sequence[can.Message], expected: Sequence[can.Message]
 ) -> str:
-    """Return a guess at how the first wrong value of a data field came about; "" without a good guess.
+    """Return that the first wrong value of a data field has its bytes in reverse order; "" if it has not.
 
-    ``field_name`` is where the two lists differ. There is no guess for fields of less than 24 bits, nor for a
-    difference that is not in a data field.
+    ``field_name`` is where the two lists differ. The result is "" for fields of less than 24 bits, too, and
+    for a difference that is not in a data field.
     """
     field_by_name = {field.name: field for field in FIELDS_BY_KIND[kind]}
     field = field_by_name.get(field_name)
     if field is None or field.bit_count < _MIN_BITS_FOR_HINT:
         return ""
+    byte_count = field.bit_count // 8
     # The lists may have different lengths; the first difference comes before the shorter one ends.
     for received_frame, expected_frame in zip(received, expected, strict=False):
         received_value = field.extract(payload_of(received_frame))
         expected_value = field.extract(payload_of(expected_frame))
         if received_value != expected_value:
-            return _hint_for_value(field, received_value, expected_value)
+            reversed_bytes = expected_value.to_bytes(byte_count, "big")
+            is_reversed = received_value.to_bytes(byte_count, "little") == reversed_bytes
+            return f"its {byte_count} bytes are in reverse order" if is_reversed else ""
     return ""
-
-
-def _hint_for_value(field: Field, received: int, expected: int) -> str:
-    """Return in words if a wrong value has its bytes reversed or is off by a power of two; "" if not.
-
-    It is "", too, for a value of few significant digits, which are equal by accident too often.
-    """
-    byte_count = field.bit_count // 8
-    has_reversed_bytes = received.to_bytes(byte_count, "little") == expected.to_bytes(byte_count, "big")
-    if has_reversed_bytes:
-        return f"its {byte_count} bytes are in reverse order"
-    # Two numbers have the same significant digits if one is the other times a power of two.
-    received_digits = _significant_digits(field, received)
-    expected_digits = _significant_digits(field, expected)
-    if received_digits < _MIN_DIGITS_FOR_HINT or received_digits != expected_digits:
-        return ""
-    to_number = float32_value if field.is_float else float
-    ratio = to_number(received) / to_number(expected)
-    return f"it is {ratio:g} times what it should be"
-
-
-def _significant_digits(field: Field, value: int) -> int:
-    """Return a field's value without the power of two in it, as an odd integer or a mantissa.
-
-    Of 12 and of 48 that is 3. It is 0 for 0, and for bits of a binary32 number that is not positive, finite
-    and normal.
-    """
-    if field.is_float:
-        return _mantissa_of_float32(value)
-    if value == 0:
-        return 0
-    largest_power_of_two = value & -value  # the lowest bit that is set, which divides all of the value
-    return value // largest_power_of_two
-
-
-def _mantissa_of_float32(float32_bits: int) -> int:
-    """Return the 24 bits of the mantissa of a binary32 number; 0 if it is not positive, finite and normal."""
-    # Sign and exponent are in bits 23 to 31. The exponent is 0 for subnormal numbers and 0xFF for infinity
-    # and NaN, and the sign would be 0x100.
-    sign_and_exponent = float32_bits >> 23
-    is_positive_and_normal = 0 < sign_and_exponent < 0xFF
-    if not is_positive_and_normal:
-        return 0
-    stored_digits = float32_bits & 0x7F_FFFF  # bits 0 to 22
-    leading_digit = 0x80_0000  # bit 23, a 1 that is not stored
-    return leading_digit | stored_digits
 
 
 # --- Frames as text ---
