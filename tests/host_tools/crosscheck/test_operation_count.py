@@ -128,24 +128,6 @@ def test_workloads_with_64_observations_have_all_kinds_of_accuracies_and_counts(
     assert workloads == expected_workloads
 
 
-@pytest.mark.parametrize("t", [32, 63, 127])
-def test_no_workload_halves_counts_that_fill_no_memory(t: int) -> None:
-    """A full memory halves the counts, and a memory is for 64 observations or a larger multiple of four.
-
-    32 observations are too few, and 63 and 127 are no multiples of four.
-    """
-    for workload in workloads_at("t", t):
-        assert not workload.halves
-
-
-def test_workloads_have_a_power_of_two_of_observations_or_one_less() -> None:
-    """Counts t go from 1 to 2**31. A loop over the bits of t would show, and a loop up to t even more."""
-    expected_counts = {1}
-    for exponent in range(1, 32):
-        expected_counts |= {2**exponent - 1, 2**exponent}
-    assert {workload.t for workload in workloads_along("t")} == expected_counts
-
-
 def test_workloads_with_9_messages_have_tests_of_both_outcomes_and_the_largest_sums() -> None:
     """``agrees`` says whether the messages agree with the robot. If they do not, the filter's test rejects.
 
@@ -171,24 +153,6 @@ def test_workloads_with_a_table_of_q_entries_use_its_first_and_its_last_ones(
     """
     expected_workloads = [Workload(q=q, m=m) for m in m_values]
     assert workloads_at("q", q) == expected_workloads
-
-
-def test_a_robot_whose_calls_are_counted_runs_its_filter_at_the_end_of_the_present_round() -> None:
-    """So the most expensive call is counted, and no user's robot takes longer.
-
-    A round is the time between two broadcasts. The filter runs every ``filter_period`` rounds, and
-    ``filter_left`` of them are left.
-    """
-    robot = Workload().make_robot(MirrorRobot)
-    assert robot.config.filter_period == 1
-    assert robot.s.filter_left == 1
-
-
-def test_a_robot_whose_calls_are_counted_has_a_table_of_the_size_q_of_its_workload() -> None:
-    """The table has the thresholds of the filter's test, and a search in it would take longer with more."""
-    robot = Workload(q=30).make_robot(MirrorRobot)
-    assert robot.config.table is not None
-    assert robot.config.table.q == 30
 
 
 def test_a_robot_whose_calls_are_counted_has_observed_all_but_one_of_its_t_tiles() -> None:
@@ -221,22 +185,6 @@ def test_a_workload_has_messages_in_its_open_round_and_as_many_in_the_closed_rou
     assert sums_of_closed_round.alpha == sums_of_open_round.alpha
     assert sums_of_closed_round.alpha_x > 0
     assert robot.id == 127  # none of the senders
-
-
-def test_a_workload_without_messages_has_an_x_hat_of_1() -> None:
-    """A robot that ``agrees`` has the mean of its messages as x_hat. Without messages it has 1 (2**23)."""
-    robot = Workload(m=0, agrees=True).make_robot(MirrorRobot)
-    assert robot.s.x_hat == 2**23
-
-
-def test_a_robust_workload_has_an_estimate_of_each_message_in_a_slot() -> None:
-    """Robots 0, 1 and 2 send 0, 1000 and 2000 units of 2**-23.
-
-    A slot keeps the estimate of one robot in units of 2**-16, which are 2**7 times as large.
-    """
-    robot = RobustWorkload(m=3).make_robot(MirrorRobot)
-    assert robot.s.robust.filled_slots == 0b111, "a bit for each of the slots 0, 1 and 2"
-    assert robot.s.estimates[:4] == [0, round(1000 / 2**7), round(2000 / 2**7), 0]
 
 
 def test_a_robust_workload_has_as_many_votes_as_are_counted() -> None:
