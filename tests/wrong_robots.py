@@ -424,7 +424,6 @@ ROBUST_CHANGES: dict[str, str] = {
     "rejects at 3 sigma": "SIGMAS_SQUARED = {12 => 9}",
     "forgets the spread in its test": "{g_spread**2 => 0}",
     "spread without a floor in the test": "smallest, largest = {q24_from_q30(SPREAD_MIN) => 0}",
-    "variance of the prediction alone": "variance = max({multiply_high(share, Q32_ONE - share) => 0},",
     "variance of the count alone": "share), {multiply_high(p, Q32_ONE - p) => 0})",
     "tests the present b_hat": (
         "return robust_test_rejects({self.s.robust => "
@@ -518,9 +517,7 @@ WRONG: dict[str, Wrong] = {
     ),
     "alpha of 20 bits": with_firmware("alone", "s.updated = 0{ => ; s.alpha &= 0xFFFF_F01F}"),
     "halves down": with_firmware("stray commands", "s.n = {round(s.n / 2) => s.n // 2}", config=HALVED),
-    "halves up": with_firmware(
-        "threshold of 3 messages", "s.n = {round(s.n / 2) => (s.n + 1) // 2}", config=HALVED
-    ),
+    "halves up": with_firmware("large sums", "s.n = {round(s.n / 2) => (s.n + 1) // 2}", config=HALVED),
     "broadcasts x": with_firmware("nothing seen", "return {self.s.x_hat => self.x_raw}\n"),
     # Ends of ranges
     "x_hat at least 0.01": with_firmware(
@@ -575,7 +572,7 @@ WRONG: dict[str, Wrong] = {
         "few observations", "return reestimate(s.t, s.n{ =>  + (100 < s.t < 500)}, round_mean("
     ),
     "eq. 8 wrong for sums of alpha below 1": with_firmware(
-        "threshold of 30 messages",
+        "threshold of 3 messages",
         "return q32_quotient(closed.alpha_x{ =>  + ((closed.alpha < 1 << 24) << 22)}, closed.alpha * ONE)",
     ),
     "eq. 8 never shifts up": with_firmware(
@@ -636,8 +633,11 @@ WRONG: dict[str, Wrong] = {
         config=ROBUST_FILTER | {"b_hat": B_HAT},
     ),
     "robust test in float32": with_robust_test_in_float32("first estimates"),
+    "variance of the prediction alone": with_robust_firmware(
+        "dependent observations", "variance = max({multiply_high(share, Q32_ONE - share) => 0},"
+    ),
     "t of 14 bits in the test": with_robust_firmware(
-        "test of the least spread", "scaled_excess = ({t => t % (1 << 14)} * excess) >> 32"
+        "long run", "scaled_excess = ({t => t % (1 << 14)} * excess) >> 32"
     ),
     "a centre is uninformative up to 2^-11": with_robust_firmware(
         "estimates of 1/2", "minus_one < {INFORMATIVE_G => INFORMATIVE_G << 1}:"

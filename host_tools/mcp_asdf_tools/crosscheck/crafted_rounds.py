@@ -161,12 +161,10 @@ _ROOT_BITS = 100
 """Fraction bits of a square root, more than any fraction with a denominator of 24 bits can be near to it."""
 _MANY_ESTIMATES = 100
 """Size of a round from which on its sums have more bits than a float64."""
-_MAX_DRAWS, _MAX_DRAWS_OF_MANY = 300, 1500
-"""Rounds that are drawn to find one that serves, and the same for rounds of many estimates."""
-_ENOUGH_DRAWS = 60
-"""Rounds of few estimates that are drawn to find one about which tests in float64 err.
+_MAX_DRAWS = 1500
+"""Pairs of rounds that are drawn to find one that serves.
 
-Of many estimates one or two of a hundred rounds do, and all draws are made to find one."""
+A test in float64 errs about one or two of a hundred pairs of many estimates, and about none of few."""
 _MIN_GAP_SHARE, _MIN_GAP_SHARE_OF_MANY = 0.05, 0.8
 """Smallest distance between two groups of x_hat, as a share of the largest possible one, and the same for
 rounds of many estimates. These are wide, so that their large sums have bits that floats lose."""
@@ -176,53 +174,30 @@ _MIN_RANGE = 1 << 13
 One unit of 2**-23 then moves it so little that a threshold that is wrong by a millionth shows."""
 
 
-@dataclass(frozen=True)
-class RoundsAtThreshold:
-    """Two rounds that differ by so little that only the first one passes a robot's test.
-
-    Attributes:
-        inside: Estimates of the round that passes.
-        outside: Estimates of the round that is rejected.
-        update: What becomes of b_hat after that one.
-    """
-
-    inside: list[NeighbourEstimate]
-    outside: list[NeighbourEstimate]
-    update: Update
+RoundsAtThreshold = tuple[list[NeighbourEstimate], list[NeighbourEstimate]]
+"""Two rounds that differ by so little that a robot's test passes the first and rejects the second."""
 
 
-def draw_rounds_at_threshold(
-    robot: RobotState, m: int, preferred_update: Update, rng: Random
-) -> RoundsAtThreshold:
+def draw_rounds_at_threshold(robot: RobotState, m: int, rng: Random) -> RoundsAtThreshold:
     """Draw two rounds of ``m`` estimates: the robot's test just rejects the second, and not the first.
 
-    They are as close to the test's threshold as x_hat in units of 2**-23 can be. Many pairs are drawn, and
-    the best is returned. Best are those about which two tests in float64 err, then those about which one
-    does. Among equally good pairs those are best whose second round leads to ``preferred_update``; it leads
-    to some update in any case. The search ends early with a pair that is best in both respects. For fewer
-    than a hundred estimates it ends after 60 draws if the best pair leads to the preferred update. The robot
-    must have a table.
+    They are as close to the test's threshold as x_hat in units of 2**-23 can be, and the second one changes
+    b_hat. A test in float64 errs about one of two rounds of a hundred estimates or more, unless it errs about
+    none of many pairs that are drawn. The robot must have a table.
     """
-    assert robot.table is not None
     has_many_estimates = m >= _MANY_ESTIMATES
-    max_draws = _MAX_DRAWS_OF_MANY if has_many_estimates else _MAX_DRAWS
     min_gap_share = _MIN_GAP_SHARE_OF_MANY if has_many_estimates else _MIN_GAP_SHARE
-    best_rounds: RoundsAtThreshold | None = None
-    best_rank = (-1, False)  # below the rank of any pair
-    for draw_index in range(max_draws):
+    first_rounds: RoundsAtThreshold | None = None
+    for _ in range(_MAX_DRAWS):
         rounds = _draw_useful_rounds(robot, m, min_gap_share, rng)
         if rounds is None:
             continue
-        # The number of tests that err is compared first, and the update if that number is equal.
-        rank = (_count_wrong_float_tests(robot, rounds), rounds.update is preferred_update)
-        if rank > best_rank:
-            best_rounds, best_rank = rounds, rank
-        wrong_float_tests, has_preferred_update = best_rank
-        has_drawn_enough = draw_index >= _ENOUGH_DRAWS and not has_many_estimates
-        if has_preferred_update and (wrong_float_tests == 2 or has_drawn_enough):
-            break
-    assert best_rounds is not None, f"no round of {m} estimates lies at the threshold of {robot}"
-    return best_rounds
+        if not has_many_estimates or _is_float_test_wrong(robot, rounds):
+            return rounds
+        if first_rounds is None:
+            first_rounds = rounds
+    assert first_rounds is not None, f"no round of {m} estimates lies at the threshold of {robot}"
+    return first_rounds
 
 
 def _draw_useful_rounds(
@@ -245,11 +220,9 @@ def _draw_useful_rounds(
     alphas = draw_alphas_of_one_scale(rng, m)
     inside = list(map(NeighbourEstimate, inside_x_hats, alphas))
     outside = list(map(NeighbourEstimate, outside_x_hats, alphas))
-    update = robot.update_after(outside)
-    assert update is not None  # as the test rejects
-    if update is Update.KEPT:
+    if robot.update_after(outside) is Update.KEPT:
         return None  # A b_hat that is kept would not show that the test has rejected.
-    return RoundsAtThreshold(inside, outside, update)
+    return inside, outside
 
 
 @dataclass(frozen=True)
@@ -435,35 +408,21 @@ def _move_apart_in_pairs(x_hats: Sequence[int], pair_count: int, target: int, is
     return changed_x_hats
 
 
-def _count_wrong_float_tests(robot: RobotState, rounds: RoundsAtThreshold) -> int:
-    """Return how many of two tests in float64 decide wrongly about one of these rounds: 0, 1 or 2.
+def _is_float_test_wrong(robot: RobotState, rounds: RoundsAtThreshold) -> bool:
+    """Return whether eq. 12, the test, decides wrongly about one of these rounds if computed in float64.
 
-    The right test passes the round ``inside`` and rejects the round ``outside``. One of the two tests
-    computes all of eq. 12 in float64, the other its right side alone.
+    The right test passes the first round and rejects the second.
     """
     assert robot.table is not None
-    is_float_test_wrong = is_float_limit_wrong = False
-    for estimates, should_reject in ((rounds.inside, False), (rounds.outside, True)):
+    for estimates, should_reject in zip(rounds, (False, True), strict=True):
         x_hats = [estimate.x_hat for estimate in estimates]
         m = len(x_hats)
         difference = sum(x_hats) - m * robot.x_hat
-        float_limit = limit_in_float64(robot.table, m, scatter_of(x_hats))
-        float_test_rejects = float(difference) ** 2 > float_limit
-        test_with_float_limit_rejects = difference**2 > int(float_limit)
-        if float_test_rejects != should_reject:
-            is_float_test_wrong = True
-        if test_with_float_limit_rejects != should_reject:
-            is_float_limit_wrong = True
-    return int(is_float_test_wrong) + int(is_float_limit_wrong)
-
-
-def limit_in_float64(table: Table, m: int, scatter: int) -> float:
-    """Return the right side of eq. 12, which the squared difference must not exceed, in float64.
-
-    The round has ``m`` estimates of this scatter, as `scatter_of` returns it.
-    """
-    threshold: float = table.entry(m) / 2**FRACTION_BITS
-    return threshold * float(scatter)
+        threshold = robot.table.entry(m) / 2**FRACTION_BITS
+        is_rejected = float(difference) ** 2 > threshold * float(scatter_of(x_hats))
+        if is_rejected != should_reject:
+            return True
+    return False
 
 
 # --- Rounds with another purpose ---

@@ -9,7 +9,7 @@ Estimates in slots are in units of 2**-16, probabilities and shares in units of 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
@@ -25,9 +25,6 @@ from mcp_asdf.robust_filter import (
     q24_from_q16,
     robust_test_rejects,
 )
-
-RobustTest = Callable[[RobustFilter, int, int, int, int], bool]
-"""A test as ``robust_test_rejects``: of the filter's memory, t, n, and centre and spread of the estimates."""
 
 SLOT_ONE = SLOT_ESTIMATE_MAX + 1
 """1.0 in the unit of slots, which no estimate reaches."""
@@ -54,10 +51,23 @@ class SlotsAtTest:
     t: int
     n: int
 
-    def is_rejected(self, test: RobustTest = robust_test_rejects) -> bool:
-        """Return whether a test, by default the firmware's, rejects the initial b_hat."""
+    @property
+    def is_rejected(self) -> bool:
+        """Whether the test rejects the initial b_hat."""
         centre, spread = self._centre_and_spread
-        return test(self.robust, self.t, self.n, centre, spread)
+        return robust_test_rejects(self.robust, self.t, self.n, centre, spread)
+
+    @property
+    def is_decided_by_last_bit(self) -> bool:
+        """Whether the test would decide otherwise if the centre of the estimates were a unit of 2**-24 off.
+
+        Then a test in other arithmetic, such as float32, is likely to decide otherwise, too.
+        """
+        centre, spread = self._centre_and_spread
+        decisions = set()
+        for neighbouring_centre in (centre - 1, centre, centre + 1):
+            decisions.add(robust_test_rejects(self.robust, self.t, self.n, neighbouring_centre, spread))
+        return len(decisions) > 1
 
     @property
     def is_supported(self) -> bool:
@@ -68,7 +78,7 @@ class SlotsAtTest:
 
     @cached_property
     def _centre_and_spread(self) -> tuple[int, int]:
-        """Centre and spread of the estimates, computed once for all tests of them."""
+        """Centre and spread of the estimates, in units of 2**-24."""
         return centre_and_spread(self.estimates)
 
 
@@ -146,12 +156,12 @@ def draw_slots_at_threshold(
 
     accepted_steps = 0
     rejected_steps = count * SLOT_ONE  # moves all estimates to the end of the range
-    if slots_after(accepted_steps).is_rejected() or not slots_after(rejected_steps).is_rejected():
+    if slots_after(accepted_steps).is_rejected or not slots_after(rejected_steps).is_rejected:
         return None
     # Bisection: the test does not reject after the smaller number of steps, and does after the larger.
     while rejected_steps - accepted_steps > 1:
         middle_steps = (accepted_steps + rejected_steps) // 2
-        if slots_after(middle_steps).is_rejected():
+        if slots_after(middle_steps).is_rejected:
             rejected_steps = middle_steps
         else:
             accepted_steps = middle_steps
@@ -175,7 +185,7 @@ def slots_with_supporters(robot: MirrorRobot, count: int, supporter_count: int) 
     estimates = (supporter,) * supporter_count + (other,) * (count - supporter_count)
     slots = SlotsAtTest(estimates, robust, state.t, state.n)
     should_be_supported = 5 * supporter_count > 2 * count  # more than two in five
-    if not slots.is_rejected() or slots.is_supported != should_be_supported:
+    if not slots.is_rejected or slots.is_supported != should_be_supported:
         return None
     return slots
 

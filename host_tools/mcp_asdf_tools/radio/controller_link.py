@@ -13,19 +13,11 @@ from dataclasses import dataclass
 
 import can
 
+from mcp_asdf.mirror import MirrorRobot
 from mcp_asdf.robot import Observation
 from mcp_asdf_tools.bus.frame_layout import EVERY_ROBOT
-from mcp_asdf_tools.bus.frames import (
-    Command,
-    Estimate,
-    Telemetry,
-    decode_command,
-    decode_estimate,
-    decode_telemetry,
-    sender_of,
-)
+from mcp_asdf_tools.bus.frames import Command, Estimate, decode_command, decode_estimate, sender_of
 from mcp_asdf_tools.radio.comparison import Comparison, Difference, is_from
-from mcp_asdf_tools.radio.known_mistakes import MistakenModels, RightModel, TelemetryFields
 from mcp_asdf_tools.radio.neighbourhood import RadioSettings
 from mcp_asdf_tools.robots.bus_robot import Recorder
 from mcp_asdf_tools.robots.lockstep import Lockstep
@@ -38,24 +30,7 @@ _LATE_FRAMES_SECONDS = 0.1
 
 
 class ControllerDiffers(Exception):  # noqa: N818 (an outcome, no error)
-    """The controller has sent other frames than the model. The text of the exception describes how.
-
-    Attributes:
-        difference: The first difference between their frames.
-    """
-
-    def __init__(self, difference: Difference, mistakes: Sequence[str] = ()) -> None:
-        """Describe the difference, and the known mistakes with which a controller would send the same.
-
-        Args:
-            difference: The first difference.
-            mistakes: What a controller with each of these mistakes does, as a verb phrase.
-        """
-        explanation = ""
-        if mistakes:
-            explanation = f"; so would answer a controller that {', or one that '.join(mistakes)}"
-        super().__init__(f"{difference}{explanation}")
-        self.difference = difference
+    """The controller has sent other frames than the model. The text of the exception describes how."""
 
 
 class BusDisturbed(Exception):  # noqa: N818 (an outcome, no error)
@@ -99,8 +74,6 @@ class ControllerLink:
         setup: Initial state of the controller.
         config: Configuration of the controller's firmware.
         model_robot: The mirror robot that the controller's firmware must equal, bit for bit.
-        mistaken_models: Robots with one known mistake each, which would have sent the same as ``model_robot``
-            so far.
         model_node: The node around ``model_robot``; it returns the frames that the controller must send.
         comparison: Comparison of the controller's frames with the model's, with the number of equal ones.
         lockstep: Sends the commands of each tick and waits for the controller's answers.
@@ -108,17 +81,12 @@ class ControllerLink:
     """
 
     def __init__(self, settings: RadioSettings, options: BenchOptions) -> None:
-        """Start the model, and beside it a model for each known mistake of controllers.
-
-        Nothing is sent to the controller yet.
-        """
+        """Start the model. Nothing is sent to the controller yet."""
         self.settings = settings
         self.options = options
         self.setup = settings.controller
         self.config = self.setup.config
-        self.model_robot = RightModel(self.config, self.setup.id, self.setup.b_hat)
-        self.mistaken_models = MistakenModels.beside(self.model_robot, self.setup)
-        self.model_robot.mistaken_models = self.mistaken_models  # which it calls as it is called itself
+        self.model_robot = MirrorRobot(self.config, self.setup.id, self.setup.b_hat)
         self.model_node = RobotNode(
             self.setup,
             settings.subjects,
@@ -163,16 +131,12 @@ class ControllerLink:
     def _send_observe_command(self, observation: Observation | None) -> bool:
         """Command an observation, or none, and return whether the controller must broadcast in this tick.
 
-        It must if its model does. Then what the models with a known mistake broadcast is kept, too, to be
-        compared when the tick ends.
+        It must if its model does.
         """
         broadcasts_before = self.model_node.sent.estimates
         # Lockstep passes the command to _handle_frame, by which the model gets it and answers at once.
         self.lockstep.observe({self.setup.id: observation})
-        has_model_broadcast = self.model_node.sent.estimates != broadcasts_before
-        if has_model_broadcast:
-            self.mistaken_models.keep_broadcasts(self.model_robot)
-        return has_model_broadcast
+        return self.model_node.sent.estimates != broadcasts_before
 
     def send(self, frames: Sequence[can.Message]) -> None:
         """Send frames to the controller and to the model, in order.
@@ -212,18 +176,10 @@ class ControllerLink:
     # --- Comparison ---
 
     def compare(self) -> None:
-        """Compare all frames since the last comparison, and raise ControllerDiffers if they are not equal.
-
-        If they are, every model with a known mistake that would have sent other frames is dropped: the
-        controller does not have this mistake.
-        """
-        telemetry_fields = self._last_telemetry_fields()  # read before the frames are forgotten
+        """Compare all frames since the last comparison, and raise ControllerDiffers if they are not equal."""
         difference = self.pop_difference()
         if difference is not None:
-            # For the report: the mistakes with which a model would have sent this telemetry.
-            mistakes = self.mistaken_models.mistakes_with_telemetry(telemetry_fields, self.model_robot)
-            raise ControllerDiffers(difference, mistakes)
-        self.mistaken_models.drop_different(self.model_robot)
+            raise ControllerDiffers(str(difference))
 
     def pop_difference(self) -> Difference | None:
         """Return the first difference among the frames since the last comparison, and forget these frames.
@@ -249,17 +205,6 @@ class ControllerLink:
             seconds_left = end - time.monotonic()
             frame = self.options.bus.recv(seconds_left) if seconds_left >= 0 else None
         self.compare()
-
-    def _last_telemetry_fields(self) -> TelemetryFields | None:
-        """Return x, b_hat and the count of updates in the controller's last telemetry.
-
-        Returns None if none has come since the last comparison.
-        """
-        for frame in reversed(self._received):
-            telemetry = decode_telemetry(frame, self.settings.subjects.telemetry)
-            if isinstance(telemetry, Telemetry):
-                return TelemetryFields(telemetry.x, telemetry.b_hat, telemetry.updates)
-        return None
 
     # --- Frames on the bus ---
 

@@ -42,15 +42,8 @@ _EARLY_COUNTS = (250, 350, 480)
 _MAX_PERIOD_FOR_MANY_UPDATES = 50
 """Largest number of ticks between tests with which a run has time for more than 2**8 updates."""
 
-UPDATES_BY_CRAFTED_SIZE = {
-    2: Update.ABOVE,
-    3: Update.BELOW,
-    5: Update.MAXIMUM,
-    10: Update.MINIMUM,
-    30: Update.ABOVE,
-    126: Update.BELOW,
-}
-"""Sizes of the rounds that lie just inside and just outside the threshold, with the updates of the latter."""
+SIZES_AT_THRESHOLD = (2, 3, 5, 10, 30, 126)
+"""Numbers of estimates of the rounds that lie just inside and just outside the threshold."""
 _MAX_ATTEMPTS_TO_UPDATE = 4
 """Tests after which it is given up to bring a robot to a kind of update."""
 _NEAR_HALF = (Update.HALF, Update.FAINT)
@@ -176,23 +169,20 @@ def test_large_sums(bench: Bench) -> None:
 def threshold_phase(m: int) -> Callable[[Bench], None]:
     """Return a phase that plays two tests of ``m`` estimates: one just passes, and the other just rejects.
 
-    The estimates are drawn so that both are as near as possible to k_m, the threshold of the test for m. The
-    test that rejects leads to the kind of update in ``UPDATES_BY_CRAFTED_SIZE`` if such estimates are found,
-    and otherwise to another one.
+    The estimates are drawn so that both are as near as possible to k_m, the threshold of the test for m.
     """
 
     def play(bench: Bench) -> None:
         """Play a test inside the threshold, and one outside."""
-        update = UPDATES_BY_CRAFTED_SIZE[m]
         _observe_until_filter_runs(bench)
         bench.activity = f"{m} messages just inside the threshold"
-        rounds = draw_rounds_at_threshold(bench.robot_state, m, update, bench.rng)
-        _play_test_round(bench, rounds.inside)
+        passing_estimates, _ = draw_rounds_at_threshold(bench.robot_state, m, bench.rng)
+        _play_test_round(bench, passing_estimates)
         # These observations have changed the robot's state, so new rounds are drawn for it.
         _observe_until_filter_runs(bench)
         bench.activity = f"{m} messages just outside the threshold"
-        rounds = draw_rounds_at_threshold(bench.robot_state, m, update, bench.rng)
-        _play_test_round(bench, rounds.outside)
+        _, rejected_estimates = draw_rounds_at_threshold(bench.robot_state, m, bench.rng)
+        _play_test_round(bench, rejected_estimates)
 
     return play
 

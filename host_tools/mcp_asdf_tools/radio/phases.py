@@ -93,7 +93,7 @@ PHASES: tuple[Phase, ...] = (
     Phase("rounds without a test", filtering.play_rounds_without_test, applies=_has_asdf_filter),
     *(
         Phase(f"threshold of {m} messages", filtering.threshold_phase(m), applies=_has_adaptive_filter)
-        for m in filtering.UPDATES_BY_CRAFTED_SIZE
+        for m in filtering.SIZES_AT_THRESHOLD
     ),
     Phase("large sums", filtering.test_large_sums, applies=_has_adaptive_filter),
     Phase("re-estimates without a test", filtering.re_estimate_without_test, applies=_re_estimates_always),

@@ -32,7 +32,6 @@ from mcp_asdf_tools.crosscheck.crafted_rounds import ALPHA_LEAST, NeighbourEstim
 from mcp_asdf_tools.crosscheck.crafted_slots import (
     SLOT_HALF,
     SLOT_INFORMATIVE_DISTANCE,
-    RobustTest,
     SlotsAtTest,
     draw_slots_at_threshold,
     estimate_that_predicts,
@@ -58,8 +57,10 @@ _FILL_RATIO_BEFORE_TEST = 0.75
 _MIN_INFORMATION = 0.05
 """|2 b_hat - 1| of the initial b_hat below which estimates move the threshold too little to be shown."""
 
-_MAX_DRAWS = 400
-"""Number of draws of estimates at a test's threshold. One draw is chosen."""
+_MAX_DRAWS_BY_WIDTH = {NARROW_WIDTH: 20, WIDE_WIDTH: 400}
+"""Number of draws of estimates at a test's threshold, of which one is chosen.
+
+Close to their middle, all estimates have the same spread, so that further draws come no nearer to it."""
 _MAX_BURSTS = 500
 """Number of bursts of observations after which a test that has not come about is given up."""
 _OBSERVATIONS_TO_KNOW_SHARE = 64
@@ -230,8 +231,7 @@ def threshold_phase(width: int) -> Callable[[Bench], None]:
             return
         _observe_as_at_three_quarters(bench)
         _play_tests_on_both_sides_of_threshold(bench, count=SLOTS, width=width)
-        # Estimates are chosen that show a known mistake in the arithmetic of the test. These may show another
-        # one than those before.
+        # Other arithmetic does not err about all estimates at the threshold. So there are others, too.
         _play_tests_on_both_sides_of_threshold(bench, count=SLOTS, width=width)
 
     return play
@@ -548,7 +548,7 @@ def _would_reject(bench: Bench, estimates: Sequence[int]) -> bool:
     """Return whether a test before the next observation would reject with these estimates in the slots."""
     state = bench.model_state
     slots = SlotsAtTest(tuple(estimates), filter_at_test(state), state.t, state.n)
-    return slots.is_rejected()
+    return slots.is_rejected
 
 
 # --- Tests that are decided by a hair, or by supporters ---
@@ -591,36 +591,22 @@ def _choose_slots_at_threshold(
 ) -> SlotsAtTest | None:
     """Return ``count`` estimates with which the next test just rejects if ``is_rejection``, or else just not.
 
-    They differ by up to ``width`` from their middle, in units of 2**-16. They are drawn until some show a
-    known mistake in the arithmetic of the test that no frame has shown yet. If none of many draws does, the
-    first estimates at the threshold are returned, and None if no draw reaches the threshold.
+    They differ by up to ``width`` from their middle, in units of 2**-16. They are drawn until the last bit of
+    their centre decides the test. If none of many draws is so near to the threshold, the first estimates with
+    which the test just rejects, or just not, are returned, and None if there are none.
     """
-    wrong_tests = bench.mistaken_models.robust_tests
-    draw_count = _MAX_DRAWS if wrong_tests else 1  # without mistakes left, any estimates will do
     first_slots: SlotsAtTest | None = None
-    for _ in range(draw_count):
+    for _ in range(_MAX_DRAWS_BY_WIDTH[width]):
         slots_on_both_sides = draw_slots_at_threshold(bench.model_robot, count, width, bench.rng)
         if slots_on_both_sides is None:
             continue
         accepted_slots, rejected_slots = slots_on_both_sides
         slots = rejected_slots if is_rejection else accepted_slots
-        if _shows_wrong_test(slots, wrong_tests):
+        if slots.is_decided_by_last_bit:
             return slots
         if first_slots is None:
             first_slots = slots
     return first_slots
-
-
-def _shows_wrong_test(slots: SlotsAtTest, wrong_tests: Sequence[RobustTest]) -> bool:
-    """Return whether a controller with one of these wrong tests would show it by these estimates.
-
-    It would if that test decides otherwise than the firmware's, and if the decision has an effect.
-    """
-    if slots.is_supported:
-        return False  # b_hat goes back to the initial one, whatever the test decides
-    right_decision = slots.is_rejected()
-    wrong_decisions = [slots.is_rejected(wrong_test) for wrong_test in wrong_tests]
-    return any(decision != right_decision for decision in wrong_decisions)
 
 
 def _play_test_with_supporters(bench: Bench, count: int, supporter_count: int) -> None:

@@ -18,7 +18,7 @@ from mcp_asdf.robot import Filter
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.radio.bench import Bench
 from mcp_asdf_tools.radio.controller_link import BenchOptions, BusDisturbed, ControllerDiffers
-from mcp_asdf_tools.radio.filter_phases import UPDATES_BY_CRAFTED_SIZE, required_updates
+from mcp_asdf_tools.radio.filter_phases import SIZES_AT_THRESHOLD, required_updates
 from mcp_asdf_tools.radio.neighbourhood import RadioSettings
 from mcp_asdf_tools.radio.phases import PHASES, Phase, can_fill_memory, can_wait_for_tests
 from mcp_asdf_tools.radio.protocol_phases import CROWDED_MESSAGES
@@ -177,7 +177,7 @@ def not_checked(setup: RobotSetup) -> list[str]:
     has_filter = config.filter is not Filter.OFF
     has_asdf_filter = config.filter in (Filter.ADAPTIVE, Filter.ALWAYS)
     has_robust_filter = config.filter is Filter.ROBUST
-    sizes = ", ".join(map(str, UPDATES_BY_CRAFTED_SIZE))
+    sizes = ", ".join(map(str, SIZES_AT_THRESHOLD))
     # Each phrase stands behind the condition under which it applies to this controller.
     phrases_by_condition = (
         (config.filter is Filter.ADAPTIVE, f"thresholds of rounds of other sizes than {sizes}"),
@@ -296,8 +296,7 @@ class Verification:
         """Add to the verdict, after all phases, the cases that they did not bring about or could not check.
 
         ``not_exercised`` gets those that the bench has listed, and the filter if its period is too long.
-        ``not_checked`` gets larger counts of observations than this run has reached, and every known mistake
-        that would not have changed any frame of this run.
+        ``not_checked`` gets larger counts of observations than this run has reached.
         """
         verdict, bench = self.verdict, self.bench
         has_filter = bench.config.filter is not Filter.OFF
@@ -307,10 +306,6 @@ class Verification:
 
         model_state = bench.model_state
         verdict.not_checked.append(f"counts above t = {model_state.t} and n = {model_state.n}")
-        # A model with a mistake is dropped at its first frame that differs from the right model's.
-        undetected_mistakes = bench.mistaken_models.models.keys()
-        for mistake in undetected_mistakes:
-            verdict.not_checked.append(f"whether it {mistake}: no frame of this run would have shown it")
 
     def _describe_time(self) -> str:
         """Return phase, activity and tick at present, as a difference is reported with them.

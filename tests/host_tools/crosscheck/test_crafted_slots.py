@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from copy import deepcopy
 from random import Random
-from unittest.mock import Mock
 
 import pytest
 
@@ -88,7 +87,7 @@ def test_a_robot_keeps_its_b_hat_by_the_first_estimates_of_a_pair(count: int, wi
     kept, _rejected = draw_kept_and_rejected_slots(robot, count, width, seed)
 
     assert copy_after_round_with(robot, kept.estimates).counters.updates == 0
-    assert not kept.is_rejected()
+    assert not kept.is_rejected
 
 
 @for_pairs
@@ -103,7 +102,7 @@ def test_a_robot_re_estimates_b_hat_by_the_second_estimates_of_a_pair(
     _kept, rejected = draw_kept_and_rejected_slots(robot, count, width, seed)
 
     assert copy_after_round_with(robot, rejected.estimates).counters.updates == 1
-    assert rejected.is_rejected()
+    assert rejected.is_rejected
     assert not rejected.is_supported, "more than two fifths agree with the robot, which would keep its b_hat"
 
 
@@ -148,7 +147,7 @@ def test_a_robot_re_estimates_b_hat_unless_more_than_two_fifths_of_its_neighbour
     assert slots is not None
     two_thirds = round(2 / 3 * 2**16)  # in units of 2**-16
     assert slots.estimates == (two_thirds,) * supporters + (0,) * opponents
-    assert slots.is_rejected(), "the test itself, which does not count supporters"
+    assert slots.is_rejected, "the test itself, which does not count supporters"
 
     assert copy_after_round_with(robot, slots.estimates).counters.updates == expected_updates
 
@@ -211,21 +210,3 @@ def test_asking_for_the_filter_at_the_test_does_not_end_the_robot_s_batch() -> N
     robot = robot_that_observed(black=50, white=50, b_hat=0.8)
     filter_at_test(robot.s)
     assert robot.s.robust.batch_t == 0
-
-
-def test_a_test_in_place_of_the_filter_s_own_gets_counts_centre_and_spread_of_the_estimates() -> None:
-    """Three estimates are 1/4, the median, and two are 1/2; the spread is the least one, 2**-12.
-
-    The two at 1/2 count as if they were one spread above the centre. So the centre ends 2/3 of a spread above
-    1/4, where the three at 1/4, each 2/3 below it, balance these two. Centre and spread are in units of
-    2**-24, estimates in units of 2**-16.
-    """
-    quarter, half = 2**16 // 4, 2**16 // 2  # in units of 2**-16
-    robust = RobustFilter()
-    slots = SlotsAtTest((quarter, quarter, quarter, half, half), robust, t=500, n=300)
-    test_that_rejects = Mock(return_value=True)
-
-    assert slots.is_rejected(test_that_rejects)
-    expected_spread = 2**24 // 2**12
-    expected_centre = 2**24 // 4 + expected_spread * 2 // 3
-    test_that_rejects.assert_called_once_with(robust, 500, 300, expected_centre, expected_spread)

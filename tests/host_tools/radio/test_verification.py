@@ -10,7 +10,6 @@ import json
 import math
 import random
 import re
-from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
@@ -23,7 +22,6 @@ import can
 import pytest
 
 from golden import assert_equals_golden_file
-from mcp_asdf.mirror import MirrorRobot
 from mcp_asdf.robot import Filter, FixedPointRobot, Observation
 from mcp_asdf_tools.bus.frame_layout import EVERY_ROBOT, Action, Health, Mode
 from mcp_asdf_tools.bus.frames import Command, Estimate, Heartbeat, Telemetry, decode_command
@@ -33,7 +31,6 @@ from mcp_asdf_tools.crosscheck import crafted_rounds
 from mcp_asdf_tools.radio import controller_link, robust_phases
 from mcp_asdf_tools.radio.bench import Bench
 from mcp_asdf_tools.radio.controller_link import BenchOptions
-from mcp_asdf_tools.radio.known_mistakes import KNOWN_MISTAKES, KnownMistake
 from mcp_asdf_tools.radio.neighbourhood import RadioSettings
 from mcp_asdf_tools.radio.phases import PHASES, Phase, can_wait_for_tests
 from mcp_asdf_tools.radio.verification import (
@@ -44,7 +41,6 @@ from mcp_asdf_tools.radio.verification import (
     plan_phases,
 )
 from mcp_asdf_tools.robots.node import RobotNode
-from mcp_asdf_tools.robots.robot_setup import RobotSetup
 from messages import encoded
 from support import blocks, slow
 from wire import CLOCK, EndlessWire, Wire, frozen_clock, node_in_a_thread, radio, setup_of_robot
@@ -132,7 +128,7 @@ class ObservedRun:
         wire: The wire between the tool and the controller.
         verification: The verification.
         settled_ticks: Numbers of ticks that it reported as done.
-        activities: What it was doing whenever a tick was done, a text for each of these ticks.
+        frame_counts: Number of frames that the tool had sent at the end of each phase, by index of the phase.
     """
 
     name: str
@@ -141,7 +137,7 @@ class ObservedRun:
     wire: Wire
     verification: Verification
     settled_ticks: list[int]
-    activities: list[str]
+    frame_counts: dict[int, int]
 
     @property
     def verdict(self) -> ControllerVerdict:
@@ -154,33 +150,36 @@ def observe_run(name: str, config: dict[str, Any], phases: Sequence[Phase]) -> O
     controller = right_controller(**config)
     wire = Wire(controller)
     settled_ticks: list[int] = []
-    activities: list[str] = []
+    frame_counts: dict[int, int] = {}
 
     def progress(tick: int) -> None:
         settled_ticks.append(tick)
-        activities.append(verification.bench.activity)
+        outcomes = [phase.outcome for phase in verification.verdict.phases]
+        frame_counts[outcomes.index("not run")] = len(wire.sent)  # so it is the phase that is running
 
     options = BenchOptions(wire, TICKS, timeout=0.05, progress=progress)
     with frozen_clock():
         verification = Verification(settings_with_four_neighbours(right_setup(**config)), options, phases)
         verification.run()
-    return ObservedRun(name, config, controller, wire, verification, settled_ticks, activities)
+    return ObservedRun(name, config, controller, wire, verification, settled_ticks, frame_counts)
 
 
 def describe_run(run: ObservedRun) -> Iterator[str]:
-    """Yield lines that tell other sequences of frames from the sequence that the tool has sent.
+    """Yield a line for each phase that tells other frames from those that the tool has sent in it.
 
-    They are the activities with their numbers of ticks, every thousandth frame, and two sums over all frames.
+    It has the number of ticks, and two sums over the frames.
     """
-    for activity, ticks in Counter(run.activities).items():
-        yield f"{ticks} ticks: {activity}"
-    frames = run.wire.sent
-    for index in range(0, len(frames), 1000):
-        frame = frames[index]
-        yield f"frame {index}: {frame.arbitration_id:08X}#{frame.data.hex().upper()}"
-    byte_sum = sum(sum(frame.data) for frame in frames)
-    sum_by_place = sum(place * sum(frame.data) for place, frame in enumerate(frames))
-    yield f"{len(frames)} frames; sum of all bytes {byte_sum}; times the place of their frame {sum_by_place}"
+    first_frame = 0
+    for phase_index, result in enumerate(run.verdict.phases):
+        next_frame = run.frame_counts.get(phase_index, first_frame)
+        frames = run.wire.sent[first_frame:next_frame]
+        byte_sum = sum(sum(frame.data) for frame in frames)
+        sum_by_place = sum(place * sum(frame.data) for place, frame in enumerate(frames))
+        yield (
+            f"{result.name}: {result.ticks} ticks, {len(frames)} frames; "
+            f"sum of all bytes {byte_sum}, times the place of their frame {sum_by_place}"
+        )
+        first_frame = next_frame
 
 
 ALL_PHASES_CONFIGS: dict[str, dict[str, Any]] = {
@@ -264,7 +263,6 @@ def test_a_run_of_all_phases_sends_the_same_frames_as_at_an_earlier_commit(run: 
 
 
 SLOW_CONFIG = {"comms_period": 5, "filter_period": 20, "memory": 512, **FILTER_WITHOUT_TEST}
-FIRST_ROBUST_PHASES = phases_named("first black tiles", "first estimates", "test of a wide spread")
 
 
 @pytest.mark.parametrize(
@@ -273,13 +271,7 @@ FIRST_ROBUST_PHASES = phases_named("first black tiles", "first estimates", "test
         ("no_filter", NO_FILTER, phases_named("first black tiles", "no filter")),
         ("memory_80", {"memory": 80}, phases_named("alone", "messages and silence", "halvings")),
         ("memory_76", {"memory": 76}, phases_named("first black tiles", "halvings")),
-        *slow(
-            [
-                ("always", SLOW_CONFIG, CRAFTED_PHASES),
-                ("robust_first_phases", {"b_hat": 0.4, **ROBUST_FILTER}, FIRST_ROBUST_PHASES),
-                ("crafted_phases_no_filter", NO_FILTER, CRAFTED_PHASES),
-            ]
-        ),
+        *slow([("always", SLOW_CONFIG, CRAFTED_PHASES)]),
     ],
     ids=lambda value: value if isinstance(value, str) else "",
 )
@@ -513,13 +505,12 @@ def test_a_verdict_lists_what_was_not_checked(
 ) -> None:
     """Lines about this configuration come first, then the lines of every verdict.
 
-    Only their beginnings are compared. Lines about known mistakes, "whether it ...", are left out here.
+    Only their beginnings are compared.
     """
     verdict = verify_right_controller(config, phases_named("nothing seen"))
 
-    lines = [line for line in verdict.not_checked if not line.startswith("whether it ")]
     expected_beginnings = beginnings_for_config + NEVER_CHECKED
-    for line, beginning in zip(lines, expected_beginnings, strict=True):
+    for line, beginning in zip(verdict.not_checked, expected_beginnings, strict=True):
         assert line.startswith(beginning)
 
 
@@ -560,72 +551,14 @@ b_hat of 0.55 few observations do not contradict four estimates."""
 def test_a_wrong_controller_is_found_with_any_seed() -> None:
     """The verdict on each controller has a difference, whatever observations and neighbours are drawn.
 
-    The seed is new each time. Few mistakes need the default configuration, with which a verification is long.
+    The seed is new each time, and so is the choice of 60 of the controllers: each has its turn in some run.
+    Few mistakes need the default configuration, with which a verification is long.
     """
     seed = random.randrange(2**32)
-    for mistake, wrong_controller in WRONG.items():
+    for mistake in random.sample(sorted(WRONG), 60):
         config = DEFAULT_CONFIG if mistake in SHOWN_WITH_DEFAULTS_ALONE else SHORT_RUN_CONFIG
-        verdict = verify_wrong_controller(wrong_controller, seed, config)
+        verdict = verify_wrong_controller(WRONG[mistake], seed, config)
         assert verdict.difference is not None, (seed, mistake)
-
-
-# --- Known mistakes ---
-
-
-PHASE_BY_MISTAKE = {
-    "re-estimates without a test": "rounds without a test",
-    "never re-estimates": "all white",
-    "tests in float64": "threshold of 126 messages",
-    "tests in float32": "first estimates",
-    "tests a prediction of 23 bits": "first estimates",
-    "tests a share n/t of 23 bits": "first estimates",
-}
-"""A phase that shows a known mistake by itself; "tests with a t of 14 bits" needs all phases before, too."""
-SHOWN_BY_A_PHASE = [mistake for mistake in KNOWN_MISTAKES if mistake.name in PHASE_BY_MISTAKE]
-SHOWN_BY_ALL_PHASES = [mistake for mistake in KNOWN_MISTAKES if mistake.name not in PHASE_BY_MISTAKE]
-
-
-def phases_that_show(mistake: KnownMistake) -> Sequence[Phase]:
-    phase = PHASE_BY_MISTAKE.get(mistake.name)
-    return PHASES if phase is None else phases_named(phase)
-
-
-def controller_that_makes(mistake: KnownMistake, setup: RobotSetup) -> RobotNode:
-    wrong_robot = mistake.make_model(MirrorRobot(setup.config, setup.id, setup.b_hat))
-    return RobotNode(setup, make=lambda: wrong_robot)
-
-
-@pytest.mark.parametrize(
-    "mistake", [*SHOWN_BY_A_PHASE, *slow(SHOWN_BY_ALL_PHASES)], ids=lambda mistake: mistake.name
-)
-def test_a_verdict_names_the_known_mistake_that_a_controller_makes(mistake: KnownMistake) -> None:
-    """The text of the difference ends with the known mistakes that would lead to the same frames.
-
-    The controller is verified in the phases in which the mistake shows.
-    """
-    is_about_the_paper_s_filter = Filter.ADAPTIVE in mistake.filters
-    setup = right_setup() if is_about_the_paper_s_filter else right_setup(**ROBUST_FILTER)
-    controller = controller_that_makes(mistake, setup)
-
-    verdict = verify(controller, settings_with_four_neighbours(setup), phases_that_show(mistake))
-
-    _, _, named_mistakes = str(verdict.difference).partition("so would answer a controller that ")
-    assert mistake.name in named_mistakes.split(", or one that ")
-
-
-def test_a_verdict_lists_the_mistakes_that_no_frame_would_have_shown() -> None:
-    """``not_checked`` has a line for a test in float32, since a controller that is alone makes no test."""
-    verdict = verify_right_controller(ROBUST_FILTER, phases_named("alone"))
-    line = "whether it tests in float32: no frame of this run would have shown it"
-    assert line in verdict.not_checked
-
-
-@pytest.mark.slow
-def test_a_run_of_all_phases_would_have_shown_every_known_mistake_of_the_robust_filter() -> None:
-    """For a mistake that no frame would have shown, the verdict has a line that begins with "whether it"."""
-    verdict = verify_right_controller(ROBUST_FILTER, PHASES)
-    lines_about_mistakes = [line for line in verdict.not_checked if line.startswith("whether it ")]
-    assert lines_about_mistakes == []
 
 
 DIFFERENCE_BY_MISTAKE = {
@@ -760,13 +693,6 @@ def test_a_controller_must_not_report_the_health_advisory_before_a_tick_was_left
     controller = controller_with_health(Health.ADVISORY, from_tick=30)
     verdict = verify(controller, phases=phases_named("alone"))
     assert controller.unsettled == 0, "ticks left open"
-    assert "heartbeat, health: expected" in str(verdict.difference)
-
-
-def test_a_controller_must_not_report_the_health_caution_after_a_tick_that_was_left_open() -> None:
-    """The verdict has a difference. Only advisory, the next health after nominal, is allowed then."""
-    controller = controller_with_health(Health.CAUTION)
-    verdict = verify(controller, phases=phases_named("nothing seen", "alone"))
     assert "heartbeat, health: expected" in str(verdict.difference)
 
 
