@@ -141,9 +141,9 @@ def with_robust_test_in_float32(phase: str) -> Wrong:
     """Return a controller whose robust filter tests in float32."""
     return with_robust_firmware(
         phase,
-        """        {return robust_test_rejects( => def fit(value):
+        """        {is_rejected = robust_test_rejects(robust, s.t, s.n, centre, spread) => def fit(value):
             return struct.unpack('<f', struct.pack('<f', value))[0]
-        robust, t, n = self.s.robust, self.s.t, self.s.n
+        t, n = s.t, s.n
         b_hat, r = fit(robust.initial_b_hat / 2**32), fit(centre / 2**24)
         p = fit(fit(b_hat * r) + fit(fit(1 - b_hat) * fit(1 - r)))
         share = fit(n / t)
@@ -151,8 +151,8 @@ def with_robust_test_in_float32(phase: str) -> Wrong:
         dispersed_variance = fit(robust.dispersion / 2**8 * variance)
         g_spread = fit(fit(fit(2 * b_hat) - 1) * fit(spread / 2**24))
         limit = fit(12 * fit(fit(dispersed_variance / t) + fit(g_spread * g_spread)))
-        return fit(fit(share - p) * fit(share - p)) > limit
-        return robust_test_rejects(}self.s.robust, self.s.t, self.s.n, centre, spread)""",
+        is_rejected = fit(fit(share - p) * fit(share - p)) > limit}
+        if is_rejected""",
     )
 
 
@@ -418,16 +418,18 @@ ROBUST_CHANGES: dict[str, str] = {
     "tests against the median": "HUBER_STEPS = {3 => 0}",
     "mean of all estimates": "[{max(-spread, min(spread, difference)) => difference} for",
     "tests against the centre of the votes": (
-        "self._rejects_initial_b_hat({centre => min(robust.centre >> 6, 0xFFFF00)}, spread)"
+        "robust_test_rejects(robust, s.t, s.n, {centre => min(robust.centre >> 6, 0xFFFF00)}, spread)"
     ),
-    "spread of the votes in the test": "self._rejects_initial_b_hat(centre, {spread => robust.spread >> 6})",
+    "spread of the votes in the test": (
+        "robust_test_rejects(robust, s.t, s.n, centre, {spread => robust.spread >> 6})"
+    ),
     "rejects at 3 sigma": "SIGMAS_SQUARED = {12 => 9}",
     "forgets the spread in its test": "{g_spread**2 => 0}",
     "spread without a floor in the test": "smallest, largest = {q24_from_q30(SPREAD_MIN) => 0}",
     "variance of the count alone": "share), {multiply_high(p, Q32_ONE - p) => 0})",
     "tests the present b_hat": (
-        "return robust_test_rejects({self.s.robust => "
-        "RobustFilter(**vars(self.s.robust) | {'initial_b_hat': self.s.accuracy.b_hat})}, self.s.t"
+        "is_rejected = robust_test_rejects({robust => "
+        "RobustFilter(**vars(robust) | {'initial_b_hat': s.accuracy.b_hat})}, s.t"
     ),
     "n/t of 23 bits": "b_hat = robust.initial_b_hat\n    share = q32_quotient(n, t){ =>  >> 9 << 9}",
     "p of 23 bits": (

@@ -738,21 +738,13 @@ class MirrorRobot(FixedPointView):
             return None
         centre, spread = centre_and_spread_of(estimates)
         s.tests = (s.tests + 1) & COUNTER_MASK
-        is_rejected = self._rejects_initial_b_hat(centre, spread)
+        is_rejected = robust_test_rejects(robust, s.t, s.n, centre, spread)
         if is_rejected and not is_supported(robust, s.t, s.n, estimates, centre):
             # The centre takes the place of x_bar.
             return reestimate(s.t, s.n, q32_from_q24(centre))
         # An earlier test may have replaced the initial b_hat, and then it comes back.
         is_initial = s.accuracy.b_hat == robust.initial_b_hat
         return None if is_initial else robust.initial_b_hat
-
-    def _rejects_initial_b_hat(self, centre: int, spread: int) -> bool:
-        """Return whether the robot's observations contradict its initial b_hat, by the robust filter's test.
-
-        ``centre`` and ``spread`` describe the estimates that it keeps, in units of 2**-24. Subclasses may
-        have another test.
-        """
-        return robust_test_rejects(self.s.robust, self.s.t, self.s.n, centre, spread)
 
     @property
     def id(self) -> int:
