@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import struct
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from typing import cast
 
 from mcp_asdf.image_format import image_word_count
@@ -88,14 +87,8 @@ class TableChoice:
         return f"table:{self.omega}:{self.q}"
 
     def build(self) -> Table:
-        """Return the table of thresholds; it is generated only once for an omega and q."""
-        return _generate_table(self.omega, self.q)
-
-
-@lru_cache(maxsize=64)
-def _generate_table(omega: str, q: int) -> Table:
-    """Return the table of thresholds for an omega, as text, and q."""
-    return generate(parse_omega(omega), q)
+        """Return the table of thresholds."""
+        return generate(parse_omega(self.omega), self.q)
 
 
 @dataclass(frozen=True)
