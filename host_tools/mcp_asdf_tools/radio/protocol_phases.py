@@ -11,7 +11,7 @@ any three robots but the controller.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from random import Random
 from typing import Literal
@@ -22,6 +22,7 @@ from mcp_asdf.robot import MAX_ID, Observation
 from mcp_asdf_tools.bus.frame_layout import EVERY_ROBOT, Q23_ONE, Action
 from mcp_asdf_tools.bus.frames import (
     MAX_PRIORITY,
+    NODE_ID_MASK,
     PRIORITY_SHIFT,
     Command,
     Heartbeat,
@@ -47,8 +48,8 @@ _ALONE_TICKS = 72
 """Ticks of observations without messages: more than the shortest memory, 64."""
 _STRAY_REPEATS = 3
 """Number of times that each kind of stray command is sent."""
-_SPARE_BYTE_OF_COMMAND = 6
-"""Index of the byte of a command's data that has no meaning."""
+_TARGET_BYTE_OF_COMMAND, _SPARE_BYTE_OF_COMMAND = 4, 6
+"""Index of the byte of a command's data that has the target, and of the byte that has no meaning."""
 _ROUND_SIZES = (2, 3, 5, 10, 30, 33, 64, 126)
 """Numbers of estimates in rounds, up to all other robots."""
 _SMALLEST_B_HAT, _HALF_B_HAT = 2**4, 2**23
@@ -65,7 +66,7 @@ CROWDED_MESSAGES = _CROWDED_REPEATS * (MAX_ID - 1) + 1
 # --- Frames that are no estimates ---
 
 ChangeFrame = Callable[[can.Message, Random], None]
-"""Changes an estimate's frame in place so that it is none, and draws what is arbitrary about the change."""
+"""Changes a frame in place, and draws what is arbitrary about the change."""
 
 
 def _write_number(first_byte: int, length: int, minimum: int, maximum: int) -> ChangeFrame:
@@ -164,58 +165,38 @@ FOREIGN_ALPHAS = {
 # --- Bits and bytes that a receiver must ignore ---
 
 
-@dataclass(frozen=True)
-class IdentifierBits:
-    """Bits of an identifier that a receiver must ignore, and their values.
+def _write_identifier_bits(mask: int, value: int) -> ChangeFrame:
+    """Return a function that gives the bits of ``mask`` in a frame's identifier these values, in place.
 
-    Attributes:
-        mask: The bits.
-        value: Their values, at the positions that they have in the identifier.
+    The values are at the positions that they have in the identifier.
     """
 
-    mask: int
-    value: int
+    def change(frame: can.Message, rng: Random) -> None:
+        """Write the bits into the identifier."""
+        frame.arbitration_id = (frame.arbitration_id & ~mask) | value
 
-    def write_to(self, frame: can.Message) -> None:
-        """Set the bits in the identifier of a frame, which is changed."""
-        frame.arbitration_id = (frame.arbitration_id & ~self.mask) | self.value
+    return change
+
+
+def _write_byte(index: int, value: int) -> ChangeFrame:
+    """Return a function that writes a value into a byte of a frame's data, which it changes in place."""
+
+    def change(frame: can.Message, rng: Random) -> None:
+        """Write the byte into the data."""
+        frame.data[index] = value
+
+    return change
 
 
 _PRIORITY_MASK = MAX_PRIORITY << PRIORITY_SHIFT
-UNUSUAL_IDENTIFIERS = {
+UNUSUAL_IDENTIFIERS: dict[str, ChangeFrame] = {
     **{
-        f"with priority {priority}": IdentifierBits(_PRIORITY_MASK, priority << PRIORITY_SHIFT)
+        f"with priority {priority}": _write_identifier_bits(_PRIORITY_MASK, priority << PRIORITY_SHIFT)
         for priority in range(MAX_PRIORITY + 1)
     },
-    "with identifier bits 22 and 21 clear": IdentifierBits(0b11 << 21, 0),
+    "with identifier bits 22 and 21 clear": _write_identifier_bits(0b11 << 21, 0),
 }
 """Identifiers of any priority, and with the two reserved bits clear that senders set, by name."""
-
-
-@dataclass(frozen=True)
-class CommandVariant:
-    """What is unusual about a command that a robot must obey like the usual one.
-
-    Attributes:
-        is_for_every_robot: Whether the target is every robot, not this one alone.
-        is_from_another_node: Whether the sender is a node that does not command otherwise.
-        spare_byte: Content of the byte that has no meaning.
-        identifier: Unusual bits of the identifier; None for the usual ones.
-    """
-
-    is_for_every_robot: bool = False
-    is_from_another_node: bool = False
-    spare_byte: int = 0
-    identifier: IdentifierBits | None = None
-
-
-UNUSUAL_COMMANDS = {
-    "for every robot": CommandVariant(is_for_every_robot=True),
-    "of another node": CommandVariant(is_from_another_node=True),
-    "whose spare byte is not 0": CommandVariant(spare_byte=0xFF),
-    **{name: CommandVariant(identifier=bits) for name, bits in UNUSUAL_IDENTIFIERS.items()},
-}
-"""Unusual commands by what is unusual about each."""
 
 
 @dataclass(frozen=True)
@@ -366,21 +347,32 @@ def send_unusual_commands(bench: Bench) -> None:
     misses an observation, or counts a message in the wrong round. At the end the number of the tick jumps up
     and down, by up to 2**31.
     """
-    for name, variant in UNUSUAL_COMMANDS.items():
+    for name, change_command in _unusual_commands(bench):
         # Two rounds, because the last message comes after the settle and is one of the next round.
         bench.wait_for_round_without_test(rounds=2)
         bench.activity = f"commands {name}"
-        other_robot = _draw_other_robot(bench) if variant.is_from_another_node else None
-        observe_action = Action.to_observe(bench.draw_observation())
-        unusual_observe = bench.make_command(observe_action)
-        bench.send([_encode_variant(bench, unusual_observe, variant, other_robot)])
+        unusual_observe = _encode(bench, bench.make_command(Action.to_observe(bench.draw_observation())))
+        change_command(unusual_observe, bench.rng)
+        bench.send([unusual_observe])
         bench.observe(None)  # the usual command, which must not undo the observation
         _send_random_estimates(bench, bench.other_ids[:2])
-        unusual_settle = bench.make_command(Action.SETTLE)
-        bench.send([_encode_variant(bench, unusual_settle, variant, other_robot)])
+        unusual_settle = _encode(bench, bench.make_command(Action.SETTLE))
+        change_command(unusual_settle, bench.rng)
+        bench.send([unusual_settle])
         _send_random_estimates(bench, bench.other_ids[2:3])
         bench.settle_and_compare()
     _let_tick_number_jump(bench)
+
+
+def _unusual_commands(bench: Bench) -> Iterator[tuple[str, ChangeFrame]]:
+    """Yield what is unusual about commands that must be obeyed, and the change that makes a command so.
+
+    The node that sends a command in place of the usual one is drawn.
+    """
+    yield "for every robot", _write_byte(_TARGET_BYTE_OF_COMMAND, EVERY_ROBOT)
+    yield "of another node", _write_identifier_bits(NODE_ID_MASK, _draw_other_robot(bench))
+    yield "whose spare byte is not 0", _write_byte(_SPARE_BYTE_OF_COMMAND, 0xFF)
+    yield from UNUSUAL_IDENTIFIERS.items()
 
 
 def _let_tick_number_jump(bench: Bench) -> None:
@@ -400,11 +392,11 @@ def _let_tick_number_jump(bench: Bench) -> None:
 
 def receive_unusual_identifiers(bench: Bench) -> None:
     """Send estimates of every priority, and with reserved bits clear, which the controller must count."""
-    for name, identifier in UNUSUAL_IDENTIFIERS.items():
+    for name, change_identifier in UNUSUAL_IDENTIFIERS.items():
         bench.wait_for_round_without_test()
         bench.activity = f"messages {name}"
         frames = _encode_random_estimates(bench, bench.other_ids[:3])
-        identifier.write_to(frames[0])
+        change_identifier(frames[0], bench.rng)
         bench.play_round_of_frames(frames)
 
 
@@ -598,23 +590,3 @@ def _draw_other_robot(bench: Bench) -> int:
 def _encode(bench: Bench, command: Command) -> can.Message:
     """Return the frame of a command under the controller's subject."""
     return encode_command(command, bench.settings.subjects.commands)
-
-
-def _encode_variant(
-    bench: Bench, command: Command, variant: CommandVariant, other_robot: int | None
-) -> can.Message:
-    """Return the frame of a command, changed as ``variant`` describes.
-
-    The target, the spare byte and bits of the identifier may change. The sender becomes ``other_robot``; if
-    that is None, it stays.
-    """
-    if other_robot is not None:
-        command = replace(command, sender=other_robot)
-    if variant.is_for_every_robot:
-        command = replace(command, target=EVERY_ROBOT)
-    frame = _encode(bench, command)
-    if variant.spare_byte:
-        frame.data[_SPARE_BYTE_OF_COMMAND] = variant.spare_byte
-    if variant.identifier is not None:
-        variant.identifier.write_to(frame)
-    return frame
