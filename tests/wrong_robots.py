@@ -181,7 +181,7 @@ def with_sent_frames(
             sent_frames += replacement if isinstance(replacement, list) else [frame]
         return sent_frames
 
-    return with_node("nothing seen", observe=send_wrongly, settle=send_wrongly)
+    return with_node("nothing seen", begin_tick=send_wrongly, end_tick=send_wrongly)
 
 
 def with_tick_numbers_of(bits: int) -> Wrong:
@@ -321,8 +321,8 @@ def stay_in_tick(node: Any, usual: Override, command: Command) -> Any:
 
 def tick_before_start(node: Any, usual: Override) -> Any:
     """Make a tick before the start."""
-    node.observe(Observation.BLACK)
-    node.settle()
+    node.begin_tick(Observation.BLACK)
+    node.end_tick()
     return usual()
 
 
@@ -701,10 +701,11 @@ WRONG: dict[str, Wrong] = {
     "leaves out bit 8 of subjects": without_check(Rejection.SUBJECT, as_estimate_if_equal_in(0x1EFF)),
     # Commands
     "takes no observation for white": with_node(
-        "nothing seen", observe=with_changed_argument(lambda z: Observation.WHITE if z is None else z)
+        "nothing seen", begin_tick=with_changed_argument(lambda z: Observation.WHITE if z is None else z)
     ),
     "answers late": with_node(
-        "nothing seen", observe=lambda node, usual, z: ([] if node.is_settled else node.settle()) + usual(z)
+        "nothing seen",
+        begin_tick=lambda node, usual, z: ([] if node.is_settled else node.end_tick()) + usual(z),
     ),
     "obeys others": with_node(
         "stray commands", _follow_command=with_changed_argument(lambda command: replace(command, target=ID))
@@ -738,7 +739,7 @@ WRONG: dict[str, Wrong] = {
             [] if command.tick < (node._tick_of_command or 0) else usual(command)
         ),
     ),
-    "estimate before heartbeat": with_node("nothing seen", observe=lambda node, usual, z: usual(z)[::-1]),
+    "estimate before heartbeat": with_node("nothing seen", begin_tick=lambda node, usual, z: usual(z)[::-1]),
     "hangs": with_node(
         "nothing seen", receive_frame=lambda node, usual, frame: usual(frame) if node.ticks < 200 else []
     ),
@@ -764,6 +765,6 @@ WRONG: dict[str, Wrong] = {
     "mode maintenance": with_sent_frames(HEARTBEATS, change_byte(5, lambda byte: byte | 2)),
     "heartbeats twice as often": with_node(
         "nothing seen",
-        observe=lambda node, usual, z: (node.start() if node.ticks % 10 == 5 else []) + usual(z),
+        begin_tick=lambda node, usual, z: (node.start() if node.ticks % 10 == 5 else []) + usual(z),
     ),
 }

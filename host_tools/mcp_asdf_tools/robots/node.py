@@ -17,7 +17,7 @@ import can
 import numpy as np
 from can.typechecking import CanFilters
 
-from mcp_asdf.robot import Counters, FixedPointRobot, Observation, Robot
+from mcp_asdf.robot import FixedPointRobot, Observation, Robot
 from mcp_asdf_tools.bus.bus_errors import BusGoneError
 from mcp_asdf_tools.bus.frame_layout import EVERY_ROBOT, Action, Rejection
 from mcp_asdf_tools.bus.frames import (
@@ -32,7 +32,7 @@ from mcp_asdf_tools.bus.frames import (
     decode_estimate,
 )
 from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.robots.bus_robot import BusRobot, FramesSent, Reception, Recorder
+from mcp_asdf_tools.robots.bus_robot import BusRobot, Recorder
 from mcp_asdf_tools.robots.robot_setup import RobotSetup
 from mcp_asdf_tools.robots.suspicion import AlphaWatch, Suspicion
 
@@ -101,14 +101,13 @@ def filters_for(*formats: FrameFormat) -> CanFilters:
     ]
 
 
-class RobotNode:
-    """A robot that follows commands: its methods return the frames to send now, in order.
+class RobotNode(BusRobot):
+    """A robot on a bus that follows commands: its methods return the frames to send now, in order.
 
-    A tick begins when the robot observes, and ends when it settles. In the last tick of a round settling also
-    makes the robot use the estimates of its neighbours that it has received in the round.
+    A tick is ``begin_tick``, any number of frames received, and ``end_tick``. The end of the last tick of a
+    round also makes the robot use the estimates of its neighbours that it has received in the round.
 
     Attributes:
-        bus_robot: The robot, which the node drives.
         subjects: Formats of the messages.
         is_settled: Whether the last tick has ended; true before the first.
         obeyed: Number of commands followed.
@@ -139,7 +138,7 @@ class RobotNode:
             FirmwareError: If the firmware refuses the setup.
         """
         self.subjects = subjects or Subjects()
-        self.bus_robot = BusRobot(
+        super().__init__(
             setup, self.subjects.estimates, recorder, self.subjects.telemetry, make_firmware=make
         )
         self.is_settled = True
@@ -151,41 +150,11 @@ class RobotNode:
         self._tick_of_command: int | None = None
         """Number of the tick that the last command began; None before the first."""
 
-    @property
-    def id(self) -> int:
-        """Robot id and node id."""
-        return self.bus_robot.id
-
-    @property
-    def robot(self) -> Robot:
-        """The firmware."""
-        return self.bus_robot.robot
-
-    @property
-    def ticks(self) -> int:
-        """Control ticks begun."""
-        return self.bus_robot.ticks
-
-    @property
-    def sent(self) -> FramesSent:
-        """Numbers of frames sent."""
-        return self.bus_robot.sent
-
-    @property
-    def reception(self) -> Reception:
-        """Counts of the frames received."""
-        return self.bus_robot.reception
-
-    @property
-    def counters(self) -> Counters:
-        """The firmware's diagnostics, in numbers that do not wrap."""
-        return self.bus_robot.counters
-
     def start(self) -> list[can.Message]:
         """Return the heartbeat that announces the node."""
-        return [self.bus_robot.heartbeat(self._now)]
+        return [self.heartbeat(self._now)]
 
-    def observe(self, observation: Observation | None) -> list[can.Message]:
+    def begin_tick(self, observation: Observation | None) -> list[can.Message]:
         """Begin a tick, with this observation or, if it is None, without one.
 
         Returns a heartbeat if a second of ticks has passed since the last, then the robot's estimate if its
@@ -194,24 +163,24 @@ class RobotNode:
         """
         if not self.is_settled:
             self.unsettled += 1
-            self.bus_robot.settle()
+            self.settle()
         self.is_settled = False
         frames = []
         # The heartbeat that is due before the first tick has been sent by start().
-        if self.ticks > 0 and self.bus_robot.is_heartbeat_due(self._steps_per_second):
-            frames.append(self.bus_robot.heartbeat(self._now))
+        if self.ticks > 0 and self.is_heartbeat_due(self._steps_per_second):
+            frames.append(self.heartbeat(self._now))
         # Beginning a tick advances the node's time: frames of this tick are stamped with its start.
         time_before_tick = self._now
-        is_broadcast_due = self.bus_robot.observe(observation)
+        is_broadcast_due = self.observe(observation)
         if is_broadcast_due:
-            frames.append(self.bus_robot.broadcast(time_before_tick))
+            frames.append(self.broadcast(time_before_tick))
         return frames
 
-    def settle(self) -> list[can.Message]:
+    def end_tick(self) -> list[can.Message]:
         """End the tick, and return one frame, the telemetry of the state after it."""
-        self.bus_robot.settle()
+        self.settle()
         self.is_settled = True
-        return [self.bus_robot.telemetry(self._now)]
+        return [self.telemetry(self._now)]
 
     def receive_frame(self, frame: can.Message) -> list[can.Message]:
         """Receive any frame that this node has not sent itself, and return the frames that answer it.
@@ -228,8 +197,8 @@ class RobotNode:
             return self._follow_command(content)
         if isinstance(content, Estimate):
             # A replay knows what the robot has sent itself, but not what another sends under its id.
-            if content.sender == self.id and self.bus_robot.recorder is not None:
-                self.bus_robot.recorder.record_foreign_frame(frame)
+            if content.sender == self.id and self.recorder is not None:
+                self.recorder.record_foreign_frame(frame)
             self._receive(content)
         else:
             self.reception.rejected[content] += 1
@@ -274,7 +243,7 @@ class RobotNode:
         if self._alpha_watch.is_jump(estimate.sender, estimate.alpha):
             self.reception.events[Suspicion.JUMP, estimate.sender] += 1
         row = [estimate.sender, estimate.x_hat, estimate.alpha]
-        self.bus_robot.receive_all(np.array([row], np.uint32))
+        self.receive_all(np.array([row], np.uint32))
 
     def _follow_command(self, command: Command) -> list[can.Message]:
         """Follow a command, and return the frames that answer it.
@@ -294,9 +263,9 @@ class RobotNode:
             return []
         self.obeyed += 1
         if is_settle:
-            return self.settle()
+            return self.end_tick()
         self._tick_of_command = command.tick
-        return self.observe(command.action.observation)
+        return self.begin_tick(command.action.observation)
 
     @property
     def _now(self) -> float:

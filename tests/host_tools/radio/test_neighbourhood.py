@@ -78,10 +78,10 @@ def last_states_around_a_controller(world: SwarmSettings, faults: str) -> list[d
     controller = RobotNode(controller_setup)
     for _ in range(120):
         observation = neighbours.begin_tick()[controller.id]
-        for frame in neighbours.finish_tick(controller.observe(observation)):
+        for frame in neighbours.finish_tick(controller.begin_tick(observation)):
             controller.receive_frame(frame)
-        controller.settle()
-    robots = (controller.bus_robot, *neighbours.nodes)
+        controller.end_tick()
+    robots = (controller, *neighbours.nodes)
     return [state_of(node.robot) for node in robots]
 
 

@@ -663,15 +663,15 @@ def test_a_verdict_names_another_node_that_the_controller_acts_on_and_does_not_b
 def controller_with_health(health: Health, from_tick: float = math.inf) -> RobotNode:
     """Return a controller whose heartbeats have this health after a tick left open, or from some tick on."""
 
-    def observe(node: RobotNode, usual_observe: Any, observation: Observation | None) -> Any:
-        *heartbeats, estimate = usual_observe(observation)
+    def begin_tick(node: RobotNode, usual_begin_tick: Any, observation: Observation | None) -> Any:
+        *heartbeats, estimate = usual_begin_tick(observation)
         for frame in heartbeats:
             has_health = node.unsettled > 0 or node.ticks >= from_tick
             reported_health = health if has_health else Health.NOMINAL
             frame.data[4] = reported_health.value  # byte 4 is the health
         return [*heartbeats, estimate]
 
-    return controller_with(observe=observe)
+    return controller_with(begin_tick=begin_tick)
 
 
 def test_a_controller_may_report_the_health_advisory_after_a_tick_that_was_left_open() -> None:
@@ -705,10 +705,10 @@ def test_a_controller_that_sends_frames_of_another_subject_too_passes() -> None:
     identifier = (4 << 26) | (3 << 21) | (7510 << 8) | 3
     frame = can.Message(arbitration_id=identifier, data=b"any")
 
-    def settle_with_one_more_frame(node: RobotNode, usual_settle: Any) -> list[can.Message]:
-        return [*usual_settle(), frame]
+    def end_tick_with_one_more_frame(node: RobotNode, usual_end_tick: Any) -> list[can.Message]:
+        return [*usual_end_tick(), frame]
 
-    controller = controller_with(settle=settle_with_one_more_frame)
+    controller = controller_with(end_tick=end_tick_with_one_more_frame)
     assert verify(controller, phases=phases_named("nothing seen")).has_passed
 
 
@@ -726,7 +726,7 @@ class WireWithLateFrame(Wire):
         is_over = self._controller.ticks == self._last_tick and self._controller.is_settled
         if frame is None and timeout and is_over and not self._has_sent_late:
             self._has_sent_late = True
-            (telemetry,) = self._controller.settle()
+            (telemetry,) = self._controller.end_tick()
             self.send_from(self._controller, [telemetry])
             frame = super().recv(timeout)
         return frame

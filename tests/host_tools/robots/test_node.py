@@ -93,7 +93,7 @@ def frames_of_200_ticks(subject: int) -> list[can.Message]:
     node = RobotNode(setup_of_robot(5, comms_period=2), steps_per_second=3)
     frames = node.start()
     for _ in range(200):
-        frames += node.observe(None) + node.settle()
+        frames += node.begin_tick(None) + node.end_tick()
     subject_mask = 0x1FFF  # the 13 bits above the lowest 8
     return [frame for frame in frames if (frame.arbitration_id >> 8) & subject_mask == subject]
 
@@ -293,7 +293,7 @@ def drive_robot_5(model: RobotNode, bus: can.BusABC) -> None:
     for tick in range(40):
         observation = WHITE if tick % 3 == 0 else BLACK
         lockstep.observe({5: observation})
-        model.observe(observation)
+        model.begin_tick(observation)
         if tick in (7, 8, 9):
             estimate = encode_estimate(Estimate(5, tick, 0, tick), FrameFormat())
             short_frame = can.Message(arbitration_id=estimate.arbitration_id, data=estimate.data[:7])
@@ -301,7 +301,7 @@ def drive_robot_5(model: RobotNode, bus: can.BusABC) -> None:
                 bus.send(frame, timeout=PATIENCE)
                 model.receive_frame(frame)
         lockstep.settle({5})
-        model.settle()
+        model.end_tick()
 
 
 def run_robot_5_for_40_ticks(*options: str, command: Sequence[str] = ROBOT_5.split()) -> RobotNode:

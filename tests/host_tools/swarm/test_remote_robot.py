@@ -103,7 +103,7 @@ class Comparison:
     @property
     def saved_remote_robots(self) -> dict[int, bytes]:
         """The saved state of each remote robot itself, by id."""
-        nodes = [node.bus_robot for node in self.remote_nodes.values()]
+        nodes = list(self.remote_nodes.values())
         return dict(zip(self.remote_nodes, saved_robots(nodes), strict=True))
 
     @property
