@@ -24,11 +24,11 @@ _LOG_LINE = re.compile(
     {_ID}\#
     (?:
         (?P<remote>R)(?P<remote_length>[0-8])?              # a remote frame: 123#R5
-        | \#(?P<fd_flags>[0-9A-F])(?P<fd_data>[0-9A-F.]*)   # a frame of CAN FD: 123##1AB
+        | (?P<fd>\#[0-9A-F])(?P<fd_data>[0-9A-F.]*)         # a frame of CAN FD, with flags: 123##1AB
         | (?P<data>[0-9A-F.]*)                              # a classic frame: 123#AB or 123#AB.CD
     )
     (?:_[9A-F])?                                            # a raw length beyond 8
-    (?:\s+(?P<direction>[RT]))?
+    (?:\s+[RT])?                                            # received or sent
     """,
     re.VERBOSE | re.IGNORECASE | re.ASCII,
 )
@@ -36,7 +36,7 @@ _CONSOLE_LINE = re.compile(
     rf"""
     {_TIME}
     (?P<channel>\S+)\s+
-    (?:(?P<direction>[RT])X\s+(?P<fd_flags>\S\s\S)\s+)?     # only with candump -x: RX B E
+    (?:[RT]X\s+\S\s\S\s+)?                                  # only with candump -x: RX B E
     {_ID}\s+
     (?:\[(?P<length>[0-9]{{1,2}})\]|\{{[9A-F]\}})           # a length, or a raw length beyond 8
     (?:\s+(?P<remote>remote\ request)|(?P<data>(?:\s+[0-9A-F]{{2}})*))
@@ -46,9 +46,6 @@ _CONSOLE_LINE = re.compile(
 )
 _ERROR_FLAG = 0x20000000
 """Bit of the identifier that marks an error frame."""
-_BIT_RATE_SWITCH = 1
-_ERROR_STATE = 2
-"""Flags of a CAN FD frame in a log."""
 _MAX_CLASSIC_BYTES = 8
 _MAX_FD_BYTES = 64
 
@@ -56,6 +53,7 @@ _MAX_FD_BYTES = 64
 def parse_line(line: str) -> can.Message | None:
     """Return the frame in a line of candump, or None if the line holds no complete and possible frame.
 
+    Flags of a CAN FD frame are ignored, and so is whether this computer has sent the frame.
     The frame's time is 0 if the line has none, and counts from 1970 in UTC if the line has a date. A raw
     length beyond 8 (``_B``) is ignored, as such a frame has 8 bytes of data.
     """
@@ -78,8 +76,8 @@ def _frame_of_log_line(match: re.Match[str]) -> can.Message | None:
     """
     if match["remote"] is not None:
         return _make_frame(match, remote_length=int(match["remote_length"] or 0))
-    if match["fd_flags"] is not None:
-        return _make_frame(match, match["fd_data"], fd_flags=int(match["fd_flags"], 16))
+    if match["fd"] is not None:
+        return _make_frame(match, match["fd_data"], is_fd=True)
     return _make_frame(match, match["data"])
 
 
@@ -97,32 +95,20 @@ def _frame_of_console_line(match: re.Match[str]) -> can.Message | None:
     if length_text and int(length_text) != byte_count:
         return None  # the line was cut
     is_fd = len(length_text) == 2  # candump writes [8] for a classic frame, [08] for one of CAN FD
-    fd_flags = _parse_console_flags(match) if is_fd else None
-    return _make_frame(match, hex_digits, fd_flags)
-
-
-def _parse_console_flags(match: re.Match[str]) -> int:
-    """Return the flags of a CAN FD frame: B in the line stands for a bit rate switch, E for an error state.
-
-    They are 0 if the line lacks them, as only candump -x shows them.
-    """
-    letters = match["fd_flags"] or ""
-    bit_rate_switch = _BIT_RATE_SWITCH if "B" in letters else 0
-    error_state = _ERROR_STATE if "E" in letters else 0
-    return bit_rate_switch | error_state
+    return _make_frame(match, hex_digits, is_fd)
 
 
 def _make_frame(
-    match: re.Match[str], data_text: str = "", fd_flags: int | None = None, remote_length: int | None = None
+    match: re.Match[str], data_text: str = "", is_fd: bool = False, remote_length: int | None = None
 ) -> can.Message | None:
     """Return the frame of a line, or None if it has an impossible time, identifier or amount of data.
 
     A frame whose identifier says that it is an error frame becomes one without data.
 
     Args:
-        match: The groups time, channel, id and direction of the line.
+        match: The groups time, channel and id of the line.
         data_text: Hexadecimal digits of the data; points between bytes are ignored.
-        fd_flags: Flags of a CAN FD frame; None for a classic frame.
+        is_fd: Whether it is a frame of CAN FD.
         remote_length: Length that a remote frame asks for; None for any other frame.
     """
     timestamp = _parse_time(match["time"])
@@ -130,7 +116,7 @@ def _make_frame(
         return None
     hex_digits = data_text.replace(".", "")
     byte_count, left_over_digits = divmod(len(hex_digits), 2)
-    max_bytes = _MAX_CLASSIC_BYTES if fd_flags is None else _MAX_FD_BYTES
+    max_bytes = _MAX_FD_BYTES if is_fd else _MAX_CLASSIC_BYTES
     if left_over_digits > 0 or byte_count > max_bytes:
         return None
     arbitration_id = int(match["id"], 16)
@@ -140,8 +126,6 @@ def _make_frame(
     id_bits = 29 if is_extended_id else 11
     if arbitration_id.bit_length() > id_bits:
         return None
-    flags = fd_flags or 0  # a classic frame has none
-    direction = match["direction"] or "R"  # a line without a direction counts as received
     length = byte_count if remote_length is None else remote_length
     return can.Message(
         timestamp=timestamp,
@@ -151,10 +135,7 @@ def _make_frame(
         is_remote_frame=remote_length is not None,
         dlc=length,
         data=bytes.fromhex(hex_digits),
-        is_fd=fd_flags is not None,
-        bitrate_switch=bool(flags & _BIT_RATE_SWITCH),
-        error_state_indicator=bool(flags & _ERROR_STATE),
-        is_rx=direction.upper() == "R",
+        is_fd=is_fd,
     )
 
 

@@ -59,6 +59,7 @@ class Lockstep:
     Attributes:
         tick: Number of the tick that is open or, between ticks, of the next.
         repeated: Number of commands sent a second time because no answer had come.
+        check: Called several times per second of waiting; it may raise an error that ends the wait.
     """
 
     def __init__(
@@ -76,7 +77,7 @@ class Lockstep:
             subjects: Formats of the messages; None for the default ones.
             timeout: Seconds that robots have to answer. After half of them a command is repeated once.
             on_frame: Called with every frame that comes in and, with ``is_rx`` false, every command sent.
-            check: Called several times per second of waiting; it may raise an error that ends the wait.
+            check: Called several times per second of waiting, see the attribute.
         """
         self.tick = 0
         self.repeated = 0
@@ -84,7 +85,7 @@ class Lockstep:
         self._subjects = subjects or Subjects()
         self._timeout = timeout
         self._on_frame = on_frame
-        self._check = check
+        self.check = check
         self._sent_command_count = 0
         self._estimates: dict[int, Estimate] = {}
         """First estimate of each robot in this tick, by id."""
@@ -237,7 +238,7 @@ class Lockstep:
             frame = self._bus.recv(min(_SECONDS_BETWEEN_CHECKS, seconds_left))
             # On a bus that is never quiet frames come without end: then the time decides.
             if frame is None or now >= next_check:
-                self._check()
+                self.check()
                 next_check = now + _SECONDS_BETWEEN_CHECKS
             if frame is not None and frame.is_rx:  # some buses return the commands sent here
                 self._on_frame(frame)

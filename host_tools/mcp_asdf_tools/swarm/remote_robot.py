@@ -7,11 +7,10 @@ robot sends (``RemoteFirmware``). A ``Driver`` commands the remote robots on one
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
-from typing import cast
 
 import can
 
-from mcp_asdf.robot import Counters, Observation, Robot
+from mcp_asdf.robot import Counters, Observation
 from mcp_asdf_tools.bus.frame_layout import B_HAT_UNITS, Q23_ONE, UPDATE_COUNT_MODULUS
 from mcp_asdf_tools.bus.frames import (
     Estimate,
@@ -22,7 +21,7 @@ from mcp_asdf_tools.bus.frames import (
     sender_of,
 )
 from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.robots.bus_robot import BusRobot, EstimateRows, Recorder
+from mcp_asdf_tools.robots.bus_robot import BusRobot, EstimateRows
 from mcp_asdf_tools.robots.lockstep import DRIVER_ID, Lockstep
 from mcp_asdf_tools.robots.node import FrameTaker, Subjects
 from mcp_asdf_tools.robots.robot_setup import RobotSetup
@@ -91,6 +90,7 @@ def _check_remote_on_shared_bus(settings: SwarmSettings, *, is_every_robot_remot
 class RemoteFirmware:
     """State of a remote robot as far as its commands and frames reveal it, in place of a firmware.
 
+    It has all that a ``BusRobot`` uses of a firmware, so that one can count the robot's ticks and frames.
     b_hat is known to 24 bits and x to 23, as telemetry has them.
 
     Attributes:
@@ -140,19 +140,6 @@ class RemoteFirmware:
         self.counters = Counters(updates=updates + new_updates)
 
 
-def remote_robot(setup: RobotSetup, frames: FrameFormat, recorder: Recorder | None = None) -> BusRobot:
-    """Create the counterpart in this process of a remote robot; ``recorder`` takes its events.
-
-    It counts the robot's ticks and frames, and knows of its firmware what a ``RemoteFirmware`` knows.
-    """
-
-    def make_firmware() -> Robot:
-        """Return the known state of the robot, which has all that a ``BusRobot`` uses of a ``Robot``."""
-        return cast(Robot, RemoteFirmware(setup))
-
-    return BusRobot(setup, frames, recorder, make_firmware=make_firmware)
-
-
 class Driver:
     """Commands the remote robots on one bus, tick by tick: ``observe``, then ``settle``.
 
@@ -182,19 +169,15 @@ class Driver:
         self._frame_format = frame_format
         self._on_frame = on_frame
         self._order_matters = order_matters
-        self._check: Callable[[], None] = lambda: None
-        """Called during waits; it may raise an error that ends them."""
         self._frames_for_next_tick: list[can.Message] = []
         """Frames of the robots that are neither estimates nor answers to commands."""
         self._estimate_frames: dict[int, can.Message] = {}
         """Frames of the estimates of this tick, by sender."""
-        # The check is a method that looks up the present one: ``wait_until_up`` may replace it later.
         self._lockstep = Lockstep(
             bus,
             Subjects(estimates=frame_format),
             ANSWER_TIMEOUT,
             on_frame=self._handle_frame,
-            check=self._call_check,
         )
 
     def wait_until_up(self, timeout: float, check: Callable[[], None]) -> None:
@@ -203,7 +186,7 @@ class Driver:
         ``check`` is called during this wait and all later ones; it may raise an error that ends them. Raises
         LockstepError after ``timeout`` seconds.
         """
-        self._check = check
+        self._lockstep.check = check
         self._lockstep.wait_until_up(self.nodes, timeout)
 
     def observe(self, observations: Mapping[int, Observation | None]) -> list[tuple[BusRobot, can.Message]]:
@@ -254,10 +237,6 @@ class Driver:
             self.nodes[robot].settle()
         # Frames of different robots come in any order: sorted, a run does not depend on it.
         self._frames_for_next_tick.sort(key=sender_of)
-
-    def _call_check(self) -> None:
-        """Call the ``check`` of the last ``wait_until_up``, which may raise an error."""
-        self._check()
 
     def _firmware(self, robot: int) -> RemoteFirmware:
         """Return the known state of a robot."""

@@ -14,12 +14,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
+from typing import cast
 
 import can
 import numpy as np
 from numpy.typing import NDArray
 
-from mcp_asdf.robot import MAX_ID, Observation
+from mcp_asdf.robot import MAX_ID, Observation, Robot
 from mcp_asdf_tools.bus.frames import Estimate, alpha_float32_bits, decode_estimate
 from mcp_asdf_tools.recording.events import EventsWriter
 from mcp_asdf_tools.robots.bus_robot import BusRobot, Recorder
@@ -30,7 +32,7 @@ from mcp_asdf_tools.swarm.carrier import Carrier, Wiring
 from mcp_asdf_tools.swarm.delivery import DeliveryQueue, SentFrame
 from mcp_asdf_tools.swarm.fault_injection.fault import Fault
 from mcp_asdf_tools.swarm.fault_injection.faults import Faults
-from mcp_asdf_tools.swarm.remote_robot import Driver, check_remote, remote_robot
+from mcp_asdf_tools.swarm.remote_robot import Driver, RemoteFirmware, check_remote
 from mcp_asdf_tools.swarm.settings import SwarmSettings
 from mcp_asdf_tools.swarm.traffic import Traffic
 from mcp_asdf_tools.world.world import SteppedWorld
@@ -147,9 +149,10 @@ class Swarm:
         recorder: Recorder | None = None
         if self._events_writer is not None:
             recorder = self._events_writer.recorders.get(setup.id)
+        make_firmware: Callable[[], Robot] | None = None
         if setup.id in self.remote_robots:
-            return remote_robot(setup, self.settings.frames, recorder)
-        return BusRobot(setup, self.settings.frames, recorder)
+            make_firmware = cast(Callable[[], Robot], partial(RemoteFirmware, setup))
+        return BusRobot(setup, self.settings.frames, recorder, make_firmware=make_firmware)
 
     def _create_drivers(self, wiring: Wiring, on_frame: FrameTaker | None) -> list[Driver]:
         """Create the drivers of remote robots, one for each bus.

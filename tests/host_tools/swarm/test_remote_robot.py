@@ -30,6 +30,7 @@ from mcp_asdf_tools.bus.frames import Estimate, FrameFormat, decode_estimate
 from mcp_asdf_tools.cli import swarm
 from mcp_asdf_tools.cli.main import main
 from mcp_asdf_tools.recording.events import EventsReader, events_path
+from mcp_asdf_tools.robots.bus_robot import BusRobot
 from mcp_asdf_tools.robots.node import BusLink, RobotNode, run_node
 from mcp_asdf_tools.swarm import remote_robot
 from mcp_asdf_tools.swarm.carrier import Wiring
@@ -383,7 +384,7 @@ def test_an_error_frame_is_counted_and_is_no_frame_of_a_robot() -> None:
     So the program that drives the remote robot 8 keeps no frame for the next tick, and the robot counts the
     error.
     """
-    robot_8 = remote_robot.remote_robot(setup_of_robot(8), FrameFormat())
+    robot_8 = BusRobot(setup_of_robot(8), FrameFormat())
     driver = remote_robot.Driver(Mock(), [robot_8], FrameFormat())
     # A bus has no error frames unless its hardware reports some, so one is handed to the driver.
     driver._handle_frame(can.Message(arbitration_id=8, is_error_frame=True))
