@@ -50,23 +50,17 @@ class Broadcast:
     is_false: bool = False
 
 
-class RepeatedRobot:
+class RepeatedRobot(BusRobot):
     """A robot that repeats its recorded run.
 
     Attributes:
-        robot: The robot.
         broadcasts: Its broadcasts that have not been found in the log yet, in order.
     """
 
     def __init__(self, setup: RobotSetup) -> None:
         """Start the robot in its recorded initial state."""
-        self.robot = BusRobot(setup, FrameFormat())
+        super().__init__(setup, FrameFormat())
         self.broadcasts: deque[Broadcast] = deque()
-
-    @property
-    def algorithm(self) -> Robot:
-        """The robot without its interface to a bus."""
-        return self.robot.robot
 
     def apply_events(self, events: Iterable[Event]) -> None:
         """Repeat events in their order, and append to ``broadcasts`` those that follow from them. O(events).
@@ -79,15 +73,15 @@ class RepeatedRobot:
             if is_received_estimate(event):
                 estimates.append(event)
                 continue
-            self._receive(estimates)
+            self._receive_events(estimates)
             estimates = []
             self._apply_event(event)
-        self._receive(estimates)
+        self._receive_events(estimates)
 
-    def _receive(self, estimates: list[Event]) -> None:
+    def _receive_events(self, estimates: list[Event]) -> None:
         """Pass received estimates to the robot, each a list of sender, x_hat and alpha."""
         if estimates:
-            self.robot.receive_all(np.array(estimates, np.uint32))
+            self.receive_all(np.array(estimates, np.uint32))
 
     def _apply_event(self, event: Event) -> None:
         """Repeat an event that is not an estimate. Raises ValueError if it needs a broadcast before it."""
@@ -98,9 +92,9 @@ class RepeatedRobot:
         elif event == SILENT:  # a fault kept the robot's last broadcast from the bus
             self._remove_last_broadcast(SILENT)
         elif event == RESTART:
-            self.robot.restart()
+            self.restart()
         elif event == SETTLE:
-            self.robot.settle()
+            self.settle()
         else:  # one of the actions with which a tick begins
             self._observe_and_broadcast(Action(event).observation)
 
@@ -109,12 +103,12 @@ class RepeatedRobot:
 
         If the robot broadcasts in this tick, its broadcast is appended to ``broadcasts``.
         """
-        makes_broadcast = self.robot.observe(observation)
+        makes_broadcast = self.observe(observation)
         if makes_broadcast:
-            estimate = self.robot.next_estimate()
+            estimate = self.next_estimate()
             self.broadcasts.append(
                 Broadcast(
-                    tick=self.robot.ticks,
+                    tick=self.ticks,
                     transfer_id=estimate.transfer_id,
                     x_hat=estimate.x_hat,
                     alpha_bits=float32_bits_from_alpha_word(estimate.alpha),
@@ -128,7 +122,7 @@ class RepeatedRobot:
         happened to the broadcast in the recorded run.
         """
         if not self.broadcasts:
-            raise ValueError(f"robot {self.robot.id} has a broadcast {description} before it made one")
+            raise ValueError(f"robot {self.id} has a broadcast {description} before it made one")
         return self.broadcasts.pop()
 
 
@@ -192,7 +186,7 @@ def rerun(events: EventsReader) -> Iterator[tuple[int, Robot]]:
             repeated_robot = robots[entry.robot_id]
             # Nothing compares the broadcasts here, so they must not fill the memory.
             repeated_robot.broadcasts.clear()
-            yield entry.robot_id, repeated_robot.algorithm
+            yield entry.robot_id, repeated_robot.robot
 
 
 def _start_robots(events: EventsReader) -> dict[int, RepeatedRobot]:
