@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 import zlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import nullcontext
 from copy import copy
 from functools import partial
@@ -89,7 +89,7 @@ class Recording:
     stay parts. A problem such as a full disk ends the recording but not the run.
 
     Events are written before the frames that followed from them. So the events on disk explain the frames
-    on disk, except those of ticks that have not ended, as long as the disk has room for both.
+    on disk, except those of ticks that have not ended.
 
     Attributes:
         failure: Reason why the recording is not complete; None as long as nothing is wrong.
@@ -223,11 +223,13 @@ class Recording:
 
     def _flush_files(self) -> None:
         """Flush the events, then the log. Raises OSError if the disk refuses one of them."""
-        _call_all([file.flush for file in reversed(self._files)])
+        for file in reversed(self._files):
+            file.flush()
 
     def _close_files(self) -> None:
         """Close the events, then the log. Raises OSError if the disk refuses one of them."""
-        _call_all([file.close for file in reversed(self._files)])
+        for file in reversed(self._files):
+            file.close()
 
     def _do_or_end_recording(self, action: Callable[[], object]) -> None:
         """Call ``action`` unless the recording has ended; an OSError or UsageError in it ends that."""
@@ -263,15 +265,3 @@ def _part_of(path: Path) -> Path:
     """
     target = check_target(path)
     return target.with_name(f"{target.name}{PART_SUFFIX}")
-
-
-def _call_all(calls: Sequence[Callable[[], None]]) -> None:
-    """Call functions in order, all of them even if one fails. Raises the first OSError at the end."""
-    errors: list[OSError] = []
-    for call in calls:
-        try:
-            call()
-        except OSError as error:  # the other file may still have room, or less to write
-            errors.append(error)
-    if errors:
-        raise errors[0]

@@ -245,100 +245,30 @@ def test_a_log_whose_name_a_folder_takes_during_the_run_keeps_its_part_name(tmp_
     assert frame_numbers(tmp_path / "run.log.part") == [1]
 
 
-class ProcessDied(BaseException):
-    """Stands for the death of a process."""
-
-
-def die_at_call(monkeypatch: pytest.MonkeyPatch, calls_before: int) -> None:
-    """Let this process die instead of renaming or removing a file, after this many such calls."""
-    calls_made: list[str] = []
-
-    def count_calls(function: Callable[..., Any]) -> Callable[..., Any]:
-        def call(*arguments: Any, **keywords: Any) -> Any:
-            if len(calls_made) == calls_before:
-                raise ProcessDied
-            calls_made.append(function.__name__)
-            return function(*arguments, **keywords)
-
-        return call
-
-    monkeypatch.setattr(os, "replace", count_calls(os.replace))
-    monkeypatch.setattr(Path, "unlink", count_calls(Path.unlink))
-
-
-@pytest.fixture(params=range(5))
-def folder_of_dead_process(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
-    """A folder with run.log and run.log.events, which both were "old" when a process replaced them and died.
-
-    The process made 0 to 4 of the four renamings and removals by which it would have given the new files
-    their names.
-    """
-    (tmp_path / "run.log").write_text("old")
-    (tmp_path / "run.log.events").write_text("old")
-    with (
-        pytest.MonkeyPatch.context() as patch,
-        suppress(ProcessDied),
-        recording_frames(tmp_path / "run.log", with_events=True) as record_frame,
-    ):
-        record_frame(1)
-        die_at_call(patch, calls_before=request.param)
-    return tmp_path
-
-
-def is_old(path: Path) -> bool:
-    """Return whether a file is there and has the content "old"."""
-    return path.exists() and path.read_bytes() == b"old"
-
-
 def test_a_killed_process_leaves_no_log_beside_the_events_of_another_run(
-    folder_of_dead_process: Path,
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     """Replay would take such a pair for one run and report differences that do not exist.
 
-    The process dies between the system calls that remove an old log and its events and give the new ones
-    their names. So if there is a log, the events are as old as the log.
+    So the old files go before the new ones get their names, and of these the log is the last. A process may
+    be killed between any two of the system calls.
     """
-    log = folder_of_dead_process / "run.log"
-    events = folder_of_dead_process / "run.log.events"
-    if log.exists():
-        assert is_old(events) == is_old(log)
-
-
-def test_a_killed_process_leaves_its_frames_and_its_events_under_their_names_or_as_parts(
-    folder_of_dead_process: Path,
-) -> None:
-    """The process has recorded frame 1 and the events of robot 5.
-
-    It dies between the system calls that give the log and its events their names.
-    """
-    log_part = folder_of_dead_process / "run.log.part"
-    log = log_part if log_part.exists() else folder_of_dead_process / "run.log"
-    assert frame_numbers(log) == [1]
-
-    events_part = folder_of_dead_process / "run.log.events.part"
-    events = events_part if events_part.exists() else folder_of_dead_process / "run.log.events"
-    with EventsReader(events) as reader:
-        assert reader.header == HEADER_OF_ROBOT_5
-
-
-def test_files_get_their_names_only_when_their_contents_are_on_disk(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    """After a power cut, too, a file with its final name is complete: fsync waits for the disk.
-
-    The run has two files, a log and its events. ``os.replace`` renames a file.
-    """
-    system_calls = Mock(fsync=Mock(wraps=os.fsync), replace=Mock(wraps=os.replace))
-    monkeypatch.setattr(os, "fsync", system_calls.fsync)
-    monkeypatch.setattr(os, "replace", system_calls.replace)
+    (tmp_path / "run.log").write_text("old frames")
+    (tmp_path / "run.log.events").write_text("old events")
+    system_calls = Mock(unlink=Mock(wraps=os.unlink), replace=Mock(wraps=os.replace))
     with recording_frames(tmp_path / "run.log", with_events=True) as record_frame:
         record_frame(1)
-    call_names = [name for name, _arguments, _keywords in system_calls.mock_calls]
+        monkeypatch.setattr(os, "unlink", system_calls.unlink)
+        monkeypatch.setattr(os, "replace", system_calls.replace)
+    # The last argument of either call is the file that goes, or that gets its name.
+    calls = [(name, Path(arguments[-1]).name) for name, arguments, _keywords in system_calls.mock_calls]
 
-    sync_of_both_contents = ["fsync", "fsync"]
-    renaming_of_both_files = ["replace", "replace"]
-    sync_of_folder = ["fsync"]
-    assert call_names == sync_of_both_contents + renaming_of_both_files + sync_of_folder
+    assert calls == [
+        ("unlink", "run.log"),
+        ("unlink", "run.log.events"),
+        ("replace", "run.log.events"),
+        ("replace", "run.log"),
+    ]
 
 
 # --- Names of logs ------------------------------------------------------------------------------------

@@ -23,7 +23,6 @@ from mcp_asdf.fixed_point import alpha_word_from_float
 from mcp_asdf.robot import FixedPointRobot, Observation
 from mcp_asdf_tools.bus.frames import COMMAND_FORMAT, Estimate, FrameFormat, decode_estimate, encode_estimate
 from mcp_asdf_tools.cli.main import main
-from mcp_asdf_tools.common.signals import ENDING_SIGNALS
 from mcp_asdf_tools.robots.lockstep import Lockstep
 from mcp_asdf_tools.robots.node import BusLink, RobotNode, RunOutcome, filters_for, run_node, send_all
 from mcp_asdf_tools.robots.suspicion import MEANINGS, AlphaWatch, Suspicion
@@ -265,18 +264,6 @@ def test_a_bus_that_fails_ends_the_run_of_a_node() -> None:
 
 
 # The command
-
-
-def test_the_command_node_fails_with_the_reason_if_its_bus_fails(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """The exit code is 1, and nothing is printed but the reason. A failed run replaces the real one."""
-    failed_run = RunOutcome("the bus failed: no luck", has_failed=True)
-    monkeypatch.setattr("mcp_asdf_tools.robots.node.run_node", Mock(return_value=failed_run))
-    assert main(["node", "--id", "5", "--quiet"]) == 1
-    output = capsys.readouterr()
-    assert output.out == ""
-    assert output.err == "mcp-asdf node: the bus failed: no luck\n"
 
 
 ROBOT_5 = "node --id 5 --b-hat 0.7 --comms-period 2 --filter-period 10 --neighbours 20 --steps 40 --json"
@@ -574,18 +561,6 @@ def test_a_node_that_is_asked_to_end_stops_after_its_tick_and_its_log_can_be_rep
     output_in_one_line = " ".join(capsys.readouterr().out.split())  # it may be wrapped at any space
     assert "1 ticks as robot 3; stopped" in output_in_one_line
     assert main(["replay", f"{tmp_path}/run.log"]) == 0
-
-
-@interruptible()
-def test_a_node_that_has_ended_says_how_to_run_it_again_and_has_restored_the_handlers_of_signals(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    """It ends by SIGINT, and prints its command. Then signals have the handlers that they had before."""
-    handlers_before = [signal.getsignal(number) for number in ENDING_SIGNALS]
-    run_robot_3_until_it_is_asked_to_end(["--b-hat", "0.7"], signal.SIGINT)
-
-    assert "again: mcp-asdf node --id 3 --b-hat 0.7\n" in capsys.readouterr().out
-    assert [signal.getsignal(number) for number in ENDING_SIGNALS] == handlers_before
 
 
 MESSAGES_BY_WRONG_OPTIONS = {

@@ -154,15 +154,6 @@ def test_a_terminal_gets_a_progress_bar_from_the_first_step_to_the_last() -> Non
     assert last_picture.count("━") == 10
 
 
-def test_the_progress_bar_of_a_swarm_without_baselines_ends_with_its_mean_error_alone() -> None:
-    """Baselines, the same swarm with other filters, would follow, as in "no filter 0.0300"."""
-    viewed_run = view_run_on_terminal(steps=20, with_baselines=False, width=80)
-    *_, last_picture = pictures_of_bar(viewed_run.output)
-    swarm_error = viewed_run.mean_errors[20]  # after step 20
-    assert f"mean error {swarm_error:.4f}" in last_picture
-    assert "no filter" not in viewed_run.output
-
-
 def test_the_progress_bar_of_a_swarm_with_baselines_ends_with_the_mean_error_of_each() -> None:
     """Baselines are the same swarm without a filter and with the robust one."""
     viewed_run = view_run_on_terminal(steps=20, with_baselines=True, width=200)
