@@ -8,18 +8,15 @@ The words "firmware filter" mean a value of ``mcp_asdf.robot.Filter``, which one
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import Literal
+from typing import Literal, get_args
 
 from mcp_asdf.robot import Filter
 
 Activation = Literal["adaptive", "always"]
 """When a robot re-estimates b_hat, every ``filter_period`` steps: if the test rejects (eq. 12), or always."""
-
-_WITHOUT_TEST = ", in every filter step without a test"
-"""What a description adds if ``activation`` is always."""
 
 
 class FilteringRobots(Enum):
@@ -76,17 +73,6 @@ class SwarmFilter:
         """True if any robot re-estimates b_hat."""
         return self.filtering_robots is not FilteringRobots.NONE
 
-    @property
-    def active_firmware_filters(self) -> set[Filter]:
-        """Firmware filters that a robot which re-estimates b_hat may have: one or two.
-
-        The second one re-estimates without a test. Only the paper's filters have it.
-        """
-        firmware_filters = {self.firmware_filter}
-        if self.firmware_filter_without_test is not None:
-            firmware_filters.add(self.firmware_filter_without_test)
-        return firmware_filters
-
     def applies_to(self, is_flawed: bool) -> bool:
         """Return whether a robot re-estimates b_hat: with ASDF- only one that is flawed does.
 
@@ -119,15 +105,16 @@ class SwarmFilter:
             unused_parameters["omega"] = "activation is always, without a test"
         return unused_parameters
 
-    def describe(self, activation: Activation) -> str:
-        """Return the filter's line for reports, which says so if it re-estimates without a test.
+    def describe(self, activation: Activation, *, is_single_robot: bool = False) -> str:
+        """Return the line for reports of a swarm with the filter, or of a single robot.
 
-        The paper's filters re-estimate without a test if ``activation`` is "always".
+        It says so if the filter re-estimates without a test, as the paper's do if ``activation`` is "always".
         """
+        description = self.robot_description if is_single_robot else self.description
         has_no_test = activation == "always" and self.firmware_filter_without_test is not None
         if has_no_test:
-            return self.description + _WITHOUT_TEST
-        return self.description
+            return f"{description}, in every filter step without a test"
+        return description
 
 
 _NO_FILTER = SwarmFilter(
@@ -191,12 +178,11 @@ def filter_of_one_robot(firmware_filter: Filter) -> SwarmFilter:
 
     That is never ASDF-, which leaves some robots without a filter. Raises ValueError if there is none.
     """
-    for swarm_filter in FILTERS.values():
-        # With ASDF- the robots that are not flawed have Filter.OFF: it has no value for every robot.
-        has_one_value = swarm_filter.filtering_robots is not FilteringRobots.FLAWED
-        if has_one_value and firmware_filter in swarm_filter.active_firmware_filters:
-            return swarm_filter
-    raise ValueError(f"no filter of a swarm sets {firmware_filter!r}; add it to FILTERS")
+    match = _filter_that_sets({firmware_filter})
+    if match is None:
+        raise ValueError(f"no filter of a swarm sets {firmware_filter!r}; add it to FILTERS")
+    swarm_filter, _activation = match
+    return swarm_filter
 
 
 def describe_filters(firmware_filters: Iterable[Filter]) -> str:
@@ -206,30 +192,21 @@ def describe_filters(firmware_filters: Iterable[Filter]) -> str:
     can have ASDF- or ASDF+. If no filter of a swarm sets such a mixture, the result lists it as mixed.
     """
     filter_by_robot = list(firmware_filters)
-    # A robot with Filter.ALWAYS re-estimates without a test.
-    ending = _WITHOUT_TEST if Filter.ALWAYS in filter_by_robot else ""
-    if len(filter_by_robot) == 1:
-        swarm_filter = filter_of_one_robot(filter_by_robot[0])
-        return swarm_filter.robot_description + ending
-    distinct_filters = set(filter_by_robot)
+    match = _filter_that_sets(set(filter_by_robot))
+    if match is None:
+        names = sorted(firmware_filter.name.lower() for firmware_filter in set(filter_by_robot))
+        return f"mixed: robots with the filters {', '.join(names)}"
+    swarm_filter, activation = match
+    return swarm_filter.describe(activation, is_single_robot=len(filter_by_robot) == 1)
+
+
+def _filter_that_sets(firmware_filters: set[Filter]) -> tuple[SwarmFilter, Activation] | None:
+    """Return the filter and the activation with which a swarm's robots have just these; None if none does."""
+    activations: tuple[Activation, ...] = get_args(Activation)
     for swarm_filter in FILTERS.values():
-        if _could_set(swarm_filter, distinct_filters):
-            return swarm_filter.description + ending
-    names = sorted(firmware_filter.name.lower() for firmware_filter in distinct_filters)
-    return f"mixed: robots with the filters {', '.join(names)}"
-
-
-def _could_set(swarm_filter: SwarmFilter, distinct_filters: Collection[Filter]) -> bool:
-    """Return whether robots of a swarm with this filter may have exactly these firmware filters.
-
-    ``distinct_filters`` has the firmware filters of all robots, each once.
-    """
-    active_filters = set(distinct_filters) - {Filter.OFF}
-    if not swarm_filter.is_on:
-        return not active_filters
-    if not active_filters or not active_filters <= swarm_filter.active_firmware_filters:
-        return False
-    # With ASDF- some robots filter and others do not; with ASDF+ and the robust filter all do.
-    has_idle_robots = Filter.OFF in distinct_filters
-    needs_idle_robots = swarm_filter.filtering_robots is FilteringRobots.FLAWED
-    return has_idle_robots == needs_idle_robots
+        for activation in activations:
+            filter_of_flawed_robots = swarm_filter.firmware_filter_of(True, activation)
+            filter_of_other_robots = swarm_filter.firmware_filter_of(False, activation)
+            if {filter_of_flawed_robots, filter_of_other_robots} == firmware_filters:
+                return swarm_filter, activation
+    return None
