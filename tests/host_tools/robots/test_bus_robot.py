@@ -28,7 +28,6 @@ from mcp_asdf_tools.robots.bus_robot import BusRobot, Reception
 from mcp_asdf_tools.robots.filters import Activation
 from mcp_asdf_tools.robots.population import Population
 from mcp_asdf_tools.robots.robot_setup import RobotSetup
-from mcp_asdf_tools.robots.suspicion import Suspicion
 from mcp_asdf_tools.tables.thresholds import generate
 from messages import encoded
 from robots import ALPHA_ONE
@@ -105,14 +104,6 @@ def test_the_counts_of_received_estimates_in_reports_go_on_where_the_firmware_s_
     assert robot.counters == Counters(
         accepted=65_535 + 2, repeated=65_535 + 2, rejected=65_535 + 1, tests=65_535, updates=65_535
     )
-
-
-def test_estimates_under_the_robot_s_own_id_are_refused_and_counted_as_conflicts() -> None:
-    """The robot has the id 5. Of three estimates two are under this id."""
-    robot = make_robot_5(comms_period=1)
-    robot.receive_all(estimates_from([5, 5, 6]))
-    two_conflicts_under_id_5 = Counter({(Suspicion.CONFLICT, 5): 2})
-    assert robot.reception == Reception(delivered=3, refused=2, events=two_conflicts_under_id_5)
 
 
 def test_telemetry_has_the_number_of_updates_modulo_256() -> None:
@@ -207,16 +198,6 @@ def test_frames_without_an_estimate_are_counted_by_their_kind() -> None:
     assert robot.reception == Reception(heartbeats=1, telemetry=1, errors=1, rejected=rejections)
 
 
-def test_estimates_from_outside_the_swarm_are_counted_as_strays() -> None:
-    """Two estimates and a heartbeat come. The estimate under the robot's own id, 5, is a conflict, too."""
-    robot = BusRobot(setup_of_robot(5), ESTIMATE_FORMAT)
-    for content in (ESTIMATE_OF_5, ESTIMATE_OF_6, HEARTBEAT_OF_8):
-        robot.count_foreign_frame(encoded(content))
-
-    conflict_under_id_5 = Counter({(Suspicion.CONFLICT, 5): 1})
-    assert robot.reception == Reception(strays=2, heartbeats=1, events=conflict_under_id_5)
-
-
 # How a robot starts
 
 
@@ -233,12 +214,6 @@ def test_a_robot_s_setup_written_as_json_is_read_as_the_same_setup(setup: RobotS
     """A setup has the id of a robot, its firmware, its b_hat at the start and its parameters."""
     text = json.dumps(setup.plain())
     assert RobotSetup.from_plain(json.loads(text)) == setup
-
-
-def test_a_setup_in_json_has_the_allowed_ids_as_ranges() -> None:
-    """The ids 0, 2, 3 and 127 are written as "0+2-3+127"."""
-    setup = replace(setup_of_robot(5), allow=frozenset((0, 2, 3, 127)))
-    assert setup.plain()["allow"] == "0+2-3+127"
 
 
 def test_a_table_that_was_not_made_here_cannot_be_put_into_json() -> None:
