@@ -14,7 +14,6 @@ from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import can
-import numpy as np
 from can.typechecking import CanFilters
 
 from mcp_asdf.robot import FixedPointRobot, Observation, Robot
@@ -32,7 +31,7 @@ from mcp_asdf_tools.bus.frames import (
     decode_estimate,
 )
 from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.robots.bus_robot import BusRobot, Recorder
+from mcp_asdf_tools.robots.bus_robot import BusRobot, Recorder, estimate_rows
 from mcp_asdf_tools.robots.robot_setup import RobotSetup
 from mcp_asdf_tools.robots.suspicion import AlphaWatch, Suspicion
 
@@ -242,8 +241,7 @@ class RobotNode(BusRobot):
         """
         if self._alpha_watch.is_jump(estimate.sender, estimate.alpha):
             self.reception.events[Suspicion.JUMP, estimate.sender] += 1
-        row = [estimate.sender, estimate.x_hat, estimate.alpha]
-        self.receive_all(np.array([row], np.uint32))
+        self.receive_all(estimate_rows([estimate]))
 
     def _follow_command(self, command: Command) -> list[can.Message]:
         """Follow a command, and return the frames that answer it.
