@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from unittest.mock import Mock
@@ -227,19 +226,3 @@ def test_an_export_to_a_full_disk_fails_and_leaves_the_earlier_file_alone(
 
     assert [file.name for file in tmp_path.iterdir()] == [path.name]
     assert path.read_bytes() == b"earlier"
-
-
-@pytest.mark.parametrize("suffix", [".csv", ".parquet"])
-def test_ctrl_c_while_a_tidy_table_is_written_leaves_no_file(
-    suffix: str, tidy: pa.Table, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """It comes after the first table, which is written at once, as the least number of rows is set to 1."""
-
-    def tables_until_ctrl_c() -> Iterator[pa.Table]:
-        yield tidy
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr("mcp_asdf_tools.experiments.tidy_tables._MIN_ROWS_WRITTEN", 1)
-    with pytest.raises(KeyboardInterrupt):
-        write_tidy_tables(tmp_path / f"robots{suffix}", tables_until_ctrl_c())
-    assert list(tmp_path.iterdir()) == []
