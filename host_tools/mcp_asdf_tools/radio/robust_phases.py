@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Sequence
+from functools import partial
 
 from mcp_asdf.fixed_point import ALPHA_MAX, HALF, ONE
 from mcp_asdf.robot import Observation
@@ -572,12 +573,8 @@ def _play_test_at_threshold(bench: Bench, count: int, width: int, is_rejection: 
     from their middle. Returns whether the test was played: if no observations bring it about, this is noted
     as not exercised, and the result is False.
     """
-
-    def craft_slots() -> SlotsAtTest | None:
-        """Return estimates at the threshold, or None if the present observations allow none."""
-        return _choose_slots_at_threshold(bench, count, width, is_rejection)
-
     bench.activity = f"observations before a test of {count} estimates"
+    craft_slots = partial(_choose_slots_at_threshold, bench, count, width, is_rejection)
     slots = _observe_until_slots_can_be_crafted(bench, craft_slots)
     if slots is None:
         return False
@@ -615,12 +612,8 @@ def _play_test_with_supporters(bench: Bench, count: int, supporter_count: int) -
     Supporters are estimates that agree with the robot's observations. If no observations bring the test
     about, this is noted as not exercised.
     """
-
-    def craft_slots() -> SlotsAtTest | None:
-        """Return estimates with supporters, or None if the test does not reject by them."""
-        return slots_with_supporters(bench.model_robot, count, supporter_count)
-
     bench.activity = f"observations that {supporter_count} of {count} estimates support"
+    craft_slots = partial(slots_with_supporters, bench.model_robot, count, supporter_count)
     slots = _observe_until_slots_can_be_crafted(bench, craft_slots)
     if slots is not None:
         bench.activity = f"a test in which {supporter_count} of {count} estimates support the robot"
