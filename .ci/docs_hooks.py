@@ -25,7 +25,6 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path += [str(ROOT / ".ci"), str(ROOT / "tests")]
 
 import generated_pages  # noqa: E402
-import line_breaks  # noqa: E402
 
 import requirements  # noqa: E402
 
@@ -88,8 +87,7 @@ def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
 
 
 def on_page_content(content: str, page: Any, **_: Any) -> str:
-    """Mark in the HTML of a page where lines may break, and put its formulas in."""
-    content = line_breaks.mark_line_breaks(content)
+    """Put the formulas into the HTML of a page."""
     # A formula stays on one line with the brackets and the punctuation around it.
     content = re.sub(r"\(?formula\d+formula[),.;:]*", r'<span class="formula">\g<0></span>', content)
     for number, formula in enumerate(page.formulas):

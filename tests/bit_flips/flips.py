@@ -10,7 +10,7 @@ from support import CORE, ROOT, TABLE, run
 
 HERE = Path(__file__).parent
 PAGE = ROOT / "docs/internals/trust.md"
-FLIPS_PER_BIT = 50
+FLIPS_PER_BIT = 10
 """For the published table."""
 FILTERS = (Filter.ADAPTIVE, Filter.ROBUST)
 OUTCOMES = ("in_time", "late", "no_effect", "less", "more")

@@ -62,7 +62,7 @@ def counted(request: pytest.FixtureRequest) -> CountedFlips:
 def test_every_bit_of_a_robot_s_memory_flips_and_each_flip_has_one_effect(counted: CountedFlips) -> None:
     """Its memory has members, such as t and b_hat. An effect is, say, that a check finds the flip in time.
 
-    Each bit is flipped once or 50 times. ``counted`` has the number of flips, and that of each effect, for
+    Each bit is flipped once or ten times. ``counted`` has the number of flips, and that of each effect, for
     each member.
     """
     effects_of_all_members = sum_of_members(counted.members.values())
@@ -110,7 +110,7 @@ def test_every_flip_of_the_robust_filter_s_memory_is_found_in_time_with_another_
 
 @pytest.mark.slow
 def test_the_docs_have_the_table_of_what_flipped_bits_do_to_the_last_digit() -> None:
-    """Each bit flips 50 times with either filter. With RENEW_GOLDEN_FILES=1 this writes the table again."""
+    """Each bit flips ten times with either filter. With RENEW_GOLDEN_FILES=1 this writes the table again."""
     table = format_table({kind: count_flips(kind, FLIPS_PER_BIT).members for kind in FILTERS})
     number_of_flips = len(FILTERS) * FLIPS_PER_BIT * BITS_OF_A_ROBOT
 

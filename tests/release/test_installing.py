@@ -1,4 +1,4 @@
-"""How to install the project is said in one way everywhere, and workflows pin what they use of others."""
+"""Messages say how to install the project as the pages do; workflows pin what they use of others."""
 
 from __future__ import annotations
 
@@ -15,58 +15,13 @@ from mcp_asdf_tools.common.extras import EXTRAS, install_command, install_instru
 from mcp_asdf_tools.experiments import trials
 from mcp_asdf_tools.experiments.cluster import connect_cluster
 from mcp_asdf_tools.robots.firmwares import load_firmware
-from support import ROOT, run
+from support import ROOT
 
 INSTALLING = ROOT / "docs/installing.md"
 PYPROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
 
-# "pip install", options, and this project: its folder or its name, perhaps with extras.
-INSTALLS_PROJECT = re.compile(
-    r"pip (?:-\S+ )*install (?:-\S+ )*['\"]?(?:\.|mcp[-_]asdf)(?:\[[^\]]*\])?(?=['\"`\s]|$)"
-)
-OTHER_MENTIONS = {
-    ".github/CONTRIBUTING.md": "the set-up of developers, who always have a clone",
-    "docs/platforms/extending.md": "installs the reader's own package",
-    "CHANGELOG.md": "tells what was once written",
-}
-
 ACTION_OR_CONTAINER = re.compile(r"^\s*(?:- )?(?:uses|container|image): +(.+)$", re.MULTILINE)
 PINNED_BY_HASH = re.compile(r"[\w./-]+@(?:[0-9a-f]{40} # v\d+\.\d+\.\d+|sha256:[0-9a-f]{64} # \d+)")
-
-
-def listed_texts() -> dict[str, str]:
-    """Return the text of each file that git lists, by its path, but for tests and files that are no text."""
-    texts = dict[str, str]()
-    for name in run("git", "ls-files", "-z", "--", ":!tests").split("\0"):
-        path = ROOT / name
-        if path.is_file():
-            content = path.read_bytes()
-            if b"\0" not in content:
-                texts[name] = content.decode("utf-8")
-    return texts
-
-
-def test_only_two_pages_have_the_command_that_installs_the_project() -> None:
-    """So it is changed in few places. Messages take it from a function, and other pages lead to these.
-
-    OTHER_MENTIONS lists files that write it for developers, or about the past, with the reason.
-    """
-    names = {name for name, text in listed_texts().items() if INSTALLS_PROJECT.search(text)}
-    assert names - set(OTHER_MENTIONS) == {"docs/installing.md", "docs/radio.md"}
-
-
-@pytest.mark.parametrize(
-    "command",
-    [
-        "pip install mcp-asdf",
-        "pip install 'mcp-asdf[study]'",
-        "`pip install .`",
-        "pip -q install -e '.[all]'",
-    ],
-)
-def test_each_form_of_the_command_is_recognised(command: str) -> None:
-    """The test that only two pages have the command has to find it, however a page writes it."""
-    assert INSTALLS_PROJECT.search(command)
 
 
 def test_the_table_of_extras_has_the_commands_that_messages_give() -> None:
@@ -118,14 +73,6 @@ def test_workflows_pin_actions_and_containers_by_hash() -> None:
     for name, pins in pins_by_file.items():
         for pin in pins:
             assert PINNED_BY_HASH.fullmatch(pin), f"{name}: {pin}"
-
-
-@pytest.mark.parametrize(
-    "unsafe_pin", ["actions/checkout@v4", "debian:12", "debian@sha256:813017f3 # 12", "a/b@main"]
-)
-def test_what_is_pinned_by_a_tag_or_half_a_hash_is_refused(unsafe_pin: str) -> None:
-    """A full hash has 40 or 64 digits, and the tag stands behind it in a comment."""
-    assert not PINNED_BY_HASH.fullmatch(unsafe_pin)
 
 
 @pytest.mark.parametrize(
