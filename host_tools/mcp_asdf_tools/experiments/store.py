@@ -101,6 +101,7 @@ class Store:
         self._rows_per_part = min([_MAX_ROWS, *rows_that_fit])
         self._row_groups = RowGroups()
         self._unwritten: list[pa.Table] = []
+        self._unwritten_row_count = 0
         self._start_time = time.monotonic()
         self._last_write_time = self._start_time
         # For each trial, the number of its row. Rows are numbered consecutively, first those of all files,
@@ -223,17 +224,14 @@ class Store:
         Raises UsageError if the part cannot be written.
         """
         table = trials_to_table(trials)
-        first_row = self._row_groups.row_count + self._unwritten_row_count()
+        first_row = self._row_groups.row_count + self._unwritten_row_count
         new_rows = np.arange(first_row, first_row + len(table))
         row_of_trial = self._row_of_trial[_result_key(trials.experiment)]
         row_of_trial[trials.numbers] = new_rows
         self._unwritten.append(table)
-        if self._unwritten_row_count() >= self._rows_per_part or self._is_part_due():
+        self._unwritten_row_count += len(table)
+        if self._unwritten_row_count >= self._rows_per_part or self._is_part_due():
             self.flush()
-
-    def _unwritten_row_count(self) -> int:
-        """Return the number of results that are only in memory."""
-        return sum(len(table) for table in self._unwritten)
 
     def _is_part_due(self) -> bool:
         """Return whether the last part is so old that results since then have to be written.
@@ -260,6 +258,7 @@ class Store:
             write_tables(part_path, [part_table])
             self._row_groups.add(part_path)
             self._unwritten = []
+            self._unwritten_row_count = 0
         self._last_write_time = time.monotonic()
 
     # --- The finished file -------------------------------------------------------------------------------
