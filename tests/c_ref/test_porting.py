@@ -742,7 +742,7 @@ def test_the_robot_sets_its_serial_port_to_the_speed_of_the_line(avr_image: tupl
     assert bits_per_second == pytest.approx(board.baud, rel=0.025)
 
 
-# --- Two Kilobots ------------------------------------------------------------------------------------------
+# --- A Kilobot --------------------------------------------------------------------------------------------
 
 READ_X = "uint32_t read_x(void) { return mcp_asdf_x(&robot); }\n"
 """Function behind the page's robot; kilobot/kilolib.h declares it."""
@@ -815,37 +815,9 @@ def receive_kilobot_message(robot: MirrorRobot, message: bytes) -> None:
         robot.receive_raw(estimate.sender, estimate.x_hat, estimate.alpha)
 
 
-@dataclass(frozen=True)
-class KilobotWithTwin:
-    """A Kilobot, and the robot in Python that it has to equal."""
-
-    kilobot: Kilobot
-    twin: MirrorRobot
-
-    def expected_message(self, round_number: int) -> bytes:
-        """Return the message that the twin would send."""
-        twin = self.twin
-        return kilobot_message(Estimate(twin.id, twin.x_hat_raw, twin.alpha_raw, round_number % 32))
-
-    def receive(self, messages: list[bytes]) -> None:
-        """Let both receive messages. A Kilobot keeps the first eight until its loop runs."""
-        for message in messages:
-            self.kilobot.receive(message)
-        for message in messages[:KEPT_MESSAGES]:
-            receive_kilobot_message(self.twin, message)
-
-    def end_round(self, round_number: int, light: int) -> int:
-        """Let both end the round and observe the floor in a light. Returns x of the Kilobot."""
-        self.twin.settle()
-        if light != NO_LIGHT:
-            is_black = light < 512
-            self.twin.observe(Observation(is_black))
-        return self.kilobot.run_loop(TICKS_OF_A_ROUND * (round_number + 1), light)
-
-
 @pytest.fixture
-def kilobots(tmp_path: Path) -> list[KilobotWithTwin]:
-    """Two Kilobots with the page's program, and their twins in Python."""
+def kilobot(tmp_path: Path) -> Kilobot:
+    """A Kilobot with the page's program and the id 5."""
     machines = pytest.importorskip("benchmarks.cost.machines", reason="unicorn is not installed: make setup")
     require("avr-gcc", AVR_PACKAGES)
     require_simavr()
@@ -854,50 +826,48 @@ def kilobots(tmp_path: Path) -> list[KilobotWithTwin]:
     include = (f"-I{CORE.parent}", f"-I{Path(__file__).parent / 'kilobot'}")
     sources = [*CORE.parent.glob("*.c"), TABLE, tmp_path / "kilobot.c"]
     run("avr-gcc", *flags.split(), *WARNINGS.split(), *include, *sources, "-o", tmp_path / "kilobot.elf")
-    image = Image(AVR, tmp_path / "kilobot.elf")
-    return [
-        KilobotWithTwin(
-            Kilobot(machines.AvrMachine(image), robot_id),
-            MirrorRobot(Config(filter=Filter.ROBUST), robot_id, B_HAT / 2**32),
-        )
-        for robot_id in (5, 6)
-    ]
+    return Kilobot(machines.AvrMachine(Image(AVR, tmp_path / "kilobot.elf")), robot_id=5)
 
 
 @pytest.mark.slow
-def test_two_kilobots_send_and_believe_what_their_twins_in_python_do(kilobots: list[KilobotWithTwin]) -> None:
-    """There are 40 rounds. In each, a Kilobot receives the other's message, and messages of made-up robots.
+def test_a_kilobot_sends_and_believes_what_the_robot_in_python_does(kilobot: Kilobot) -> None:
+    """There are 40 rounds, in each of which both receive the same messages of made-up robots.
 
-    At the end of a round it measures the light. Below 512 the floor is black. Some measurements fail.
-    x is what a robot believes.
+    A Kilobot keeps the first eight until its loop runs. At the end of a round it measures the light. Below
+    512 the floor is black. Some measurements fail. x is what a robot believes.
     """
     stream = random.Random(9)
-    first, second = kilobots
+    twin = MirrorRobot(Config(filter=Filter.ROBUST), 5, B_HAT / 2**32)
     for round_number in range(40):
-        for robot, other_robot in ((first, second), (second, first)):
-            assert robot.kilobot.broadcast() == robot.expected_message(round_number)
+        estimate = Estimate(twin.id, twin.x_hat_raw, twin.alpha_raw, round_number % 32)
+        assert kilobot.broadcast() == kilobot_message(estimate)
 
-            message_of_other_robot = other_robot.kilobot.broadcast()
-            robot.receive([message_of_other_robot, *draw_messages(stream)])
-            light = stream.choice((NO_LIGHT, 511, 511, 512, 1023))
-            x = robot.end_round(round_number, light)
+        messages = draw_messages(stream)
+        for message in messages:
+            kilobot.receive(message)
+        for message in messages[:KEPT_MESSAGES]:
+            receive_kilobot_message(twin, message)
+        light = stream.choice((NO_LIGHT, 511, 511, 512, 1023))
+        x = kilobot.run_loop(TICKS_OF_A_ROUND * (round_number + 1), light)
+        twin.settle()
+        if light != NO_LIGHT:
+            is_black = light < 512
+            twin.observe(Observation(is_black))
 
-            assert x == robot.twin.x_raw
-    for robot in (first, second):
-        assert robot.twin.counters.accepted > 40, "one in each round is the other Kilobot's"
+        assert x == twin.x_raw
+    assert twin.counters.accepted > 40, "of rounds with one and with nine messages"
 
 
 @pytest.mark.slow
-def test_a_kilobot_ends_a_round_after_32_ticks(kilobots: list[KilobotWithTwin]) -> None:
+def test_a_kilobot_ends_a_round_after_32_ticks(kilobot: Kilobot) -> None:
     """Only then it looks at the floor, and estimates which share is black: 1/2 at first.
 
     ``run_loop`` returns that share, in units of 2^-23. The second round ends after 64 ticks.
     """
-    robot, _other_robot = kilobots
     half, one = 2**22, 2**23  # in units of 2^-23
     black, white = 0, 1023
 
-    assert robot.kilobot.run_loop(tick=31, light=black) == half
-    assert robot.kilobot.run_loop(tick=32, light=black) == one
-    assert robot.kilobot.run_loop(tick=63, light=white) == one
-    assert robot.kilobot.run_loop(tick=64, light=white) < one
+    assert kilobot.run_loop(tick=31, light=black) == half
+    assert kilobot.run_loop(tick=32, light=black) == one
+    assert kilobot.run_loop(tick=63, light=white) == one
+    assert kilobot.run_loop(tick=64, light=white) < one
