@@ -156,36 +156,6 @@ def _format_edges(graph: Any) -> list[str]:
         raise UsageError(f"graph is {graph!r}; {fix}") from None
 
 
-@dataclass(frozen=True)
-class _Edge:
-    """An edge as it is written.
-
-    Attributes:
-        sender: Id that is written first.
-        receiver: Id that is written second.
-        is_one_way: Whether ``>`` stands between the ids, so that only the receiver receives from the sender.
-        line_number: Number of its line, from 1, or of the edge in a text of one line.
-    """
-
-    sender: int
-    receiver: int
-    is_one_way: bool
-    line_number: int
-
-    @property
-    def links(self) -> list[tuple[int, int]]:
-        """The (sender, receiver) pairs that the edge stands for: one, or both directions."""
-        link = (self.sender, self.receiver)
-        reverse_link = (self.receiver, self.sender)
-        return [link] if self.is_one_way else [link, reverse_link]
-
-    def is_reverse_of(self, other_edge: _Edge) -> bool:
-        """Return whether both are the same edge of both directions, written from either end."""
-        if self.is_one_way or other_edge.is_one_way:
-            return False
-        return self.sender == other_edge.receiver and self.receiver == other_edge.sender
-
-
 def _parse_lines(lines: Iterable[str], unit: str, source: str) -> Graph:
     """Return the graph of the edges in ``lines``.
 
@@ -194,44 +164,44 @@ def _parse_lines(lines: Iterable[str], unit: str, source: str) -> Graph:
     that is no edge, if there is none at all, and for an edge that is there already. One of both directions
     may come again from its other end, as in an adjacency list.
     """
-    first_edge_of_link: dict[tuple[int, int], _Edge] = {}
+    line_of_link: dict[tuple[int, int], int] = {}
+    two_way_edges = set()
     for line_number, line in enumerate(lines, start=1):
         edge_text = line.partition("#")[0].strip()
         if not edge_text:
             continue
-        edge = _parse_edge(edge_text, f"{source}, {unit} {line_number}", line_number)
-        for sender, receiver in edge.links:
-            # A link that is there already is an error, unless both are one edge, written from either end.
-            earlier_edge = first_edge_of_link.get((sender, receiver))
-            if earlier_edge is None:
-                first_edge_of_link[sender, receiver] = edge
-            elif not edge.is_reverse_of(earlier_edge):
+        first_id, second_id, is_one_way = _parse_edge(edge_text, f"{source}, {unit} {line_number}")
+        links = [(first_id, second_id)]
+        if not is_one_way:
+            if (second_id, first_id) in two_way_edges:
+                continue  # the same edge, written from its other end
+            two_way_edges.add((first_id, second_id))
+            links.append((second_id, first_id))
+        for sender, receiver in links:
+            if (sender, receiver) in line_of_link:
                 raise UsageError(
                     f"{source}, {unit} {line_number}: that robot {receiver} hears {sender} is in {unit} "
-                    f"{earlier_edge.line_number} already; remove one of them"
+                    f"{line_of_link[sender, receiver]} already; remove one of them"
                 )
-    if not first_edge_of_link:
+            line_of_link[sender, receiver] = line_number
+    if not line_of_link:
         raise UsageError(f"{source} has no edge, so no robot would hear another; write edges such as '3 5'")
-    return Graph(frozenset(first_edge_of_link), source)
+    return Graph(frozenset(line_of_link), source)
 
 
-def _parse_edge(edge_text: str, position: str, line_number: int) -> _Edge:
-    """Return the edge that a line without its comment holds: ``3 5`` of both directions, or ``3 > 5``.
+def _parse_edge(edge_text: str, position: str) -> tuple[int, int, bool]:
+    """Return both ids of an edge, and whether it is one-way, from the first to the second, as in ``3 > 5``.
 
-    ``position`` says where the line stands, such as "a.txt, line 7", and begins messages. Raises UsageError
-    for a text that is no edge, an id that is too large, and an edge from a robot to itself.
+    ``edge_text`` is a line without its comment. ``position`` says where the line stands, such as "a.txt, line
+    7", and begins messages. Raises UsageError for a text that is no edge, an id that is too large, and an
+    edge from a robot to itself.
     """
     match = _EDGE.fullmatch(edge_text)
     if match is None or max(int(match["first_id"]), int(match["second_id"])) >= MAX_ROBOTS:
         fix = f"write two ids, 0 to {MAX_ROBOTS - 1}, such as '3 5' or '3 > 5'"
         raise UsageError(f"{position}: {edge_text!r} is not an edge; {fix}")
-    edge = _Edge(
-        sender=int(match["first_id"]),
-        receiver=int(match["second_id"]),
-        # Without an arrow the group has not taken part in the match, and is None.
-        is_one_way=match["arrow"] is not None,
-        line_number=line_number,
-    )
-    if edge.sender == edge.receiver:
-        raise UsageError(f"{position}: robot {edge.sender} cannot be its own neighbour; remove the edge")
-    return edge
+    first_id, second_id = int(match["first_id"]), int(match["second_id"])
+    if first_id == second_id:
+        raise UsageError(f"{position}: robot {first_id} cannot be its own neighbour; remove the edge")
+    # Without an arrow the group has not taken part in the match, and is None.
+    return first_id, second_id, match["arrow"] is not None
