@@ -394,8 +394,7 @@ class Carrier:
         A frame is decoded once, however many robots receive it.
         """
         contents = [
-            decode_frame(deliveries.received_frame(index), self._frame_format)
-            for index in range(len(deliveries.sent_frames))
+            decode_frame(sent_frame.frame, self._frame_format) for sent_frame in deliveries.sent_frames
         ]
         is_estimate = np.array([isinstance(content, Estimate) for content in contents], np.bool_)
         estimates = estimate_rows(contents)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 from collections import defaultdict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -51,75 +50,26 @@ class SentFrame:
 
 
 @dataclass(frozen=True)
-class BitFlips:
-    """Bits of a frame's data that are flipped on the way to one receiver.
-
-    Attributes:
-        index: Position of the frame among the deliveries.
-        receiver: The receiver.
-        mask: The flipped bits; bit 0 is the lowest of the first byte.
-    """
-
-    index: int
-    receiver: int
-    mask: int
-
-
-@dataclass(frozen=True)
 class Deliveries:
     """Frames on their way to robots, in the order in which robots receive them.
 
-    Entry i of ``sent_frames``, ``receivers`` and ``bit_flips`` describes frame i. A frame that is corrupted
-    differently for each receiver has one entry per receiver.
-
     Attributes:
-        sent_frames: The frames as they were sent.
+        sent_frames: The frames. One that is corrupted on the way, in another manner for each receiver, is
+            here as often as it has receivers.
         receivers: The robots that receive each frame.
-        bit_flips: Bits of a frame's data that are flipped on the way, shape (frames,); bit 0 is the lowest of
-            the first byte.
         delay: Ticks by which faults delay all of these frames.
         copy_number: Distinguishes copies of one frame for the same receiver.
     """
 
     sent_frames: Sequence[SentFrame]
     receivers: ReceiverMask
-    bit_flips: NDArray[np.uint64]
     delay: int = 0
     copy_number: int = 0
-
-    def received_frame(self, index: int) -> can.Message:
-        """Return frame ``index`` as its receivers get it, with bits flipped."""
-        sent_frame = self.sent_frames[index].frame
-        bit_flips = int(self.bit_flips[index])
-        if bit_flips == 0:
-            return sent_frame
-        data = int.from_bytes(sent_frame.data, "little") ^ bit_flips
-        # A copy, since other receivers get the frame as it was sent.
-        corrupted_frame = copy.copy(sent_frame)
-        corrupted_frame.data = bytearray(data.to_bytes(len(sent_frame.data), "little"))
-        return corrupted_frame
-
-    def with_bits_flipped(self, all_flips: Sequence[BitFlips]) -> Deliveries:
-        """Return deliveries with an entry for each of ``all_flips``: the frame for this receiver alone.
-
-        A bit that is flipped already is flipped back.
-        """
-        indices = [flips.index for flips in all_flips]
-        receivers = np.zeros((len(all_flips), self.receivers.shape[1]), np.bool_)
-        for entry, flips in enumerate(all_flips):
-            receivers[entry, flips.receiver] = True
-        masks = np.array([flips.mask for flips in all_flips], np.uint64)
-        return replace(
-            self,
-            sent_frames=[self.sent_frames[index] for index in indices],
-            receivers=receivers,
-            bit_flips=self.bit_flips[np.array(indices, np.intp)] ^ masks,
-        )
 
     def frames_for(self, robot: int) -> list[can.Message]:
         """Return the frames that a robot receives, in order."""
         indices = np.flatnonzero(self.receivers[:, robot])
-        return [self.received_frame(index) for index in indices.tolist()]
+        return [self.sent_frames[index].frame for index in indices.tolist()]
 
 
 LinkFaults: TypeAlias = Callable[[Sequence[SentFrame], ReceiverMask], list[Deliveries]]
@@ -187,13 +137,10 @@ class DeliveryQueue:
 def _concatenate(all_deliveries: Sequence[Deliveries], robot_count: int) -> Deliveries:
     """Return several deliveries as one, in order, without their delays and copy numbers."""
     sent_frames: list[SentFrame] = []
-    # With an empty array at the front the results have their shape and type even if nothing is delivered.
+    # With an empty array at the front the result has its shape and type even if nothing is delivered.
     no_receivers = np.zeros((0, robot_count), np.bool_)
-    no_bit_flips = np.zeros(0, np.uint64)
     receivers = [no_receivers]
-    bit_flips = [no_bit_flips]
     for deliveries in all_deliveries:
         sent_frames += deliveries.sent_frames
         receivers.append(deliveries.receivers)
-        bit_flips.append(deliveries.bit_flips)
-    return Deliveries(sent_frames, np.concatenate(receivers), np.concatenate(bit_flips))
+    return Deliveries(sent_frames, np.concatenate(receivers))

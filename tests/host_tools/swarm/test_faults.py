@@ -355,7 +355,7 @@ def test_all_bits_of_a_frame_that_has_fewer_are_flipped() -> None:
     sent_frame = faults.on_send(can.Message(arbitration_id=5, data=b"\x0f"), sender=0)
     assert sent_frame is not None
     [hit] = faults.on_delivery([sent_frame], np.array([[False, True]]))
-    assert hit.received_frame(0).data == b"\xf0"
+    assert hit.sent_frames[0].frame.data == b"\xf0"
 
 
 def test_a_bit_that_two_faults_flip_is_as_it_was() -> None:

@@ -12,6 +12,8 @@ import hashlib
 import math
 import struct
 from collections.abc import Sequence
+from copy import copy
+from dataclasses import replace
 from enum import IntEnum
 from fractions import Fraction
 from typing import Any, TypeAlias
@@ -19,9 +21,8 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from mcp_asdf_tools.bus.frame_layout import FRAME_BYTES
 from mcp_asdf_tools.bus.frames import FrameFormat
-from mcp_asdf_tools.swarm.delivery import BitFlips, Deliveries, ReceiverMask, SentFrame
+from mcp_asdf_tools.swarm.delivery import Deliveries, ReceiverMask, SentFrame
 from mcp_asdf_tools.swarm.fault_injection.fault import Fault
 
 RandomWords: TypeAlias = NDArray[np.uint64]
@@ -116,20 +117,22 @@ class FaultRun:
         )
         return words.reshape(receiver_count, words_per_receiver)
 
-    def choose_bit_flips(self, hit: Deliveries, bits: int) -> list[BitFlips]:
-        """Choose ``bits`` bits of the data of each frame for each of its receivers.
+    def corrupt(self, hit: Deliveries, bits: int) -> Deliveries:
+        """Return deliveries with each frame once for each of its receivers, and ``bits`` of its bits flipped.
 
         The receiver has a word for each bit behind the word that has decided on the hit.
         """
-        all_flips = []
+        corrupted_frames: list[SentFrame] = []
+        receivers: list[int] = []
         for index, sent_frame in enumerate(hit.sent_frames):
-            # A word of flips has 64 bits, so only the first 8 bytes of a longer frame can be hit.
-            bit_count = 8 * min(len(sent_frame.frame.data), FRAME_BYTES)
             words_by_receiver = self._words_for_receivers(hit, index, 1 + bits).tolist()
             for receiver in np.flatnonzero(hit.receivers[index]).tolist():
                 _hit_word, *words = words_by_receiver[receiver]
-                all_flips.append(BitFlips(index, receiver, choose_bits(bit_count, words)))
-        return all_flips
+                corrupted_frames.append(_with_bits_flipped(sent_frame, words))
+                receivers.append(receiver)
+        single_receivers = np.zeros((len(receivers), hit.receivers.shape[1]), np.bool_)
+        single_receivers[np.arange(len(receivers)), receivers] = True
+        return replace(hit, sent_frames=corrupted_frames, receivers=single_receivers)
 
     def _words_for_node(self, count: int, tick: int, node: int, repetition: int = 0) -> RandomWords:
         """Return ``count`` words for a node in a tick; other repetitions have other words."""
@@ -150,6 +153,17 @@ class FaultRun:
         keyed_hash = self._seeded_hash.copy()  # a copy, as the hash of seed and fault serves for every word
         keyed_hash.update(_KEY_LAYOUT.pack(*key))
         return np.frombuffer(keyed_hash.digest(_BYTES_IN_WORD * count), "<u8")
+
+
+def _with_bits_flipped(sent_frame: SentFrame, random_words: Sequence[int]) -> SentFrame:
+    """Return a frame with as many bits of its data flipped as there are random words, which choose them."""
+    data = sent_frame.frame.data
+    flips = choose_bits(8 * len(data), random_words)
+    # A copy, since other receivers get the frame as it was sent.
+    corrupted_frame = copy(sent_frame.frame)
+    corrupted_data = int.from_bytes(data, "little") ^ flips
+    corrupted_frame.data = bytearray(corrupted_data.to_bytes(len(data), "little"))
+    return replace(sent_frame, frame=corrupted_frame)
 
 
 def choose_bits(bit_count: int, random_words: Sequence[int]) -> int:

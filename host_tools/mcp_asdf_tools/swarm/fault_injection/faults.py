@@ -19,7 +19,6 @@ from collections.abc import Iterable, Sequence
 from typing import Any
 
 import can
-import numpy as np
 
 from mcp_asdf_tools.bus.frames import FrameFormat
 from mcp_asdf_tools.swarm.delivery import Deliveries, ReceiverMask, SentFrame
@@ -116,8 +115,7 @@ class Faults:
         receivers = in_range.copy()
         nodes_off_bus = list(self._outages)
         receivers[:, nodes_off_bus] = False
-        no_bit_flips = np.zeros(len(sent_frames), np.uint64)
-        deliveries = [Deliveries(sent_frames, receivers, no_bit_flips)]
+        deliveries = [Deliveries(sent_frames, receivers)]
         for run in self._runs:
             changed_deliveries: list[Deliveries] = []
             for earlier in deliveries:

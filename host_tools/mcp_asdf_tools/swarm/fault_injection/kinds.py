@@ -137,7 +137,7 @@ class Corrupt(LinkFault):
 
     def change(self, hit: Deliveries, run: FaultRun) -> list[Deliveries]:
         """Return the deliveries in ``hit`` with bits of their data flipped, other bits for each receiver."""
-        return [hit.with_bits_flipped(run.choose_bit_flips(hit, self.bits))]
+        return [run.corrupt(hit, self.bits)]
 
 
 # --- Outages: a node that is off the bus for some ticks ---
