@@ -124,17 +124,6 @@ def test_a_log_without_events_cannot_be_exported(tmp_path: Path) -> None:
         to_frame(tmp_path / "run.log")
 
 
-def test_a_log_of_a_single_robot_cannot_be_exported(swarm_log: Path, tmp_path: Path) -> None:
-    """``mcp-asdf node`` writes it, with a header that has no parameters of a swarm. The error says so."""
-    first_line, *lines = lines_of(events_path(swarm_log))
-    header_of_node = json.loads(first_line) | {"parameters": {}}
-    with gzip.open(tmp_path / "node.log.events", "wt") as file:
-        file.write("".join([json.dumps(header_of_node) + "\n", *lines]))
-
-    with pytest.raises(UsageError, match=r"node\.log is not the log of a swarm; give one of"):
-        to_frame(tmp_path / "node.log")
-
-
 # --- The command -----------------------------------------------------------------------------------------
 
 
