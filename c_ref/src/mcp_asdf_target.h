@@ -145,7 +145,7 @@ ALWAYS_INLINE uint32_t multiply_high(uint32_t a, uint32_t b) { return high_word(
  * rest stays in [0, 2 d) and arithmetic modulo 2^32 gives it exactly. The last rest corrects the quotient: it
  * is the exact floor however the digits were estimated. prepare(d) is computed once for all digits; d is in
  * [2^29, 2^31], or in [2^30, 2^31] where prepare() takes a reciprocal from the table. Lemmas prepare,
- * estimate_digit. */
+ * take_digit. */
 #if MCP_ASDF_DIVIDE == MCP_ASDF_DIVIDE_BY_HARDWARE
 /* Returns what estimate_digit() divides by: a number above d / 2^15, so that no digit is too large. */
 ALWAYS_INLINE uint32_t prepare(uint32_t d) { return (d >> 15) + 1U; }

@@ -5,100 +5,60 @@ changes no more than its own lemma says.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import Any
 
 import z3
 
-from proofs import arithmetic, formulas, robust
-from proofs.arithmetic import EXACT_RESULTS, zero_extend
-from proofs.formulas import (
-    LEMMA_SUMMARIES,
-    ONE,
-    alpha_in_units,
-    function_terms,
-    is_same,
-    result_of,
-    returns_code_of_first,
-    zeros_like,
-)
-from proofs.machine import Machine, Summary, choose_terms
-from proofs.numbers import IntegerArithmetic, Number
-from proofs.prove import Claim, Contract, Formula, always, any_result
-from proofs.robust import VOTE, may_vote
-from proofs.source import Program, Variant
+from proofs import arithmetic, robust
+from proofs.arithmetic import high_word, low_word, wide, zero_extend
+from proofs.machine import Machine
+from proofs.numbers import IntegerType, Number
+from proofs.prove import Contract, result_of, uninterpreted
+from proofs.robust import ONE, choose_terms, is_same, may_run, may_vote
+from proofs.source import Variant
 
 ROBUST = 3
 """The configuration's value for the robust filter."""
 UPDATED, REPEATED, ERR_OBSERVATION, ERR_SENDER, ERR_X_HAT = 2, 1, -5, -6, -7
 
-SUM_NAMES = ("alpha", "alpha_x_low", "alpha_x_high", "x_squared", "x", "count")
-ALPHA_MAX = 2**55 - 2**31
-
-# --- Called functions that may compute anything -----------------------------------------------------------
-
-
-def iterate_terms(value: Any) -> Iterator[Any]:
-    """Yield all terms in a value."""
-    if isinstance(value, dict):
-        for member in value.values():
-            yield from iterate_terms(member)
-    elif isinstance(value, z3.ExprRef):
-        yield value
-
-
-def uninterpreted_result(name: str, shape: Any, *arguments: Any) -> Any:
-    """Return terms, in the same structure as ``shape``, that an unknown function makes of these arguments.
-
-    Equal arguments give equal results.
-    """
-    if isinstance(shape, dict):
-        return {
-            member_name: uninterpreted_result(f"{name} {member_name}", member, *arguments)
-            for member_name, member in shape.items()
-        }
-    # A function of the solver, of which nothing is known: it takes all words of all arguments.
-    argument_terms = [term for argument in arguments for term in iterate_terms(argument)]
-    argument_sorts = [term.sort() for term in argument_terms]
-    return z3.Function(name, *argument_sorts, shape.sort())(*argument_terms)
-
-
-def uninterpreted_summary(name: str, *changed_members: str, requires: Formula = always) -> Summary:
-    """Return a stand-in for a function whose result depends on its arguments alone.
-
-    It changes only these members of what the first argument points to, as its lemma says; if none are named,
-    it may write to anything.
-    """
-
-    def call_uninterpreted(machine: Machine, *arguments: Any) -> Any:
-        argument_terms = [machine.terms_of(argument) for argument in arguments]
-        machine.require(requires(*argument_terms), f"what {name} requires")
-        for member_name in changed_members:
-            location = arguments[0].select(member_name)
-            old_terms = machine.terms_of(machine.load(location))
-            new_terms = uninterpreted_result(f"{name} {member_name}", old_terms, *argument_terms)
-            machine.store(location, numbers_like(machine.load(location), new_terms))
-        if not changed_members:
-            any_result(name)(machine, *arguments)
-        result = machine.fresh_value(machine.program.signatures[name].type, name)
-        if result is None:
-            return None
-        result_terms = uninterpreted_result(name, machine.terms_of(result), *argument_terms)
-        return numbers_like(result, result_terms)
-
-    return call_uninterpreted
-
-
-def numbers_like(value: Any, terms: Any) -> Any:
-    """Return terms as numbers that have the types, and the structure, of a value."""
-    if isinstance(value, dict):
-        return {name: numbers_like(member, terms[name]) for name, member in value.items()}
-    return Number(terms, value.type)
-
 
 def is_robust(config: Any) -> Any:
     """Return that a configuration has the robust filter."""
     return config["filter"] == ROBUST
+
+
+def alpha_in_units(alpha: Any) -> Any:
+    """Return the 64 bits of an alpha word in units of 2^-24."""
+    mantissa, exponent = z3.LShR(alpha, 8), alpha & 31
+    return zero_extend(mantissa) << zero_extend(exponent)
+
+
+def _call_alpha_units(_machine: Machine, alpha: Number) -> dict[str, Number]:
+    """Stand in for alpha_units() by its lemma."""
+    units = alpha_in_units(alpha.term)
+    halves = {"high": high_word(units), "low": low_word(units)}
+    return {name: Number(half, alpha.type) for name, half in halves.items()}
+
+
+def _call_multiply(_machine: Machine, a: Number, b: Number) -> Number:
+    """Stand in for multiply() by its lemma."""
+    return Number(zero_extend(a.term) * zero_extend(b.term), IntegerType(64))
+
+
+def zeros_like(structure: Any) -> Any:
+    """Return a structure like this one in which all members are 0."""
+    if isinstance(structure, dict):
+        return {name: zeros_like(member) for name, member in structure.items()}
+    return z3.BitVecVal(0, structure.size())
+
+
+def returns_code_of_first(status: Any, *cases: tuple[Any, int]) -> Any:
+    """Return the formula that a status is the code of the first case whose condition holds, or else 0."""
+    expected_status = z3.BitVecVal(0, status.size())
+    # From the last case to the first, so that the first one is asked first.
+    for condition, code in reversed(cases):
+        expected_status = z3.If(condition, z3.BitVecVal(code, status.size()), expected_status)
+    return status == expected_status
 
 
 # --- observe ---------------------------------------------------------------------------------------------
@@ -122,7 +82,7 @@ def _is_observed(status: Any, robot_after: Any, robot: Any, z: Any) -> Any:
     new_t = z3.If(has_reached_memory, z3.UDiv(counted_t, 2), counted_t)
     new_n = z3.If(has_reached_memory, halved_n, counted_n)
     t, n = z3.Extract(31, 0, new_t), z3.Extract(31, 0, new_n)
-    estimate = uninterpreted_result("estimate", {"x_hat": t, "alpha": t}, t, n, robot["accuracy"])
+    estimate = result_of("estimate", {"x_hat": t, "alpha": t}, t, n, robot["accuracy"])
     # Where t and n are halved, the robust filter begins a batch of observations anew.
     begins_batch = z3.And(has_reached_memory, is_robust(robot["config"]))
     new_batch = {**robot["robust"], "batch_t": t, "batch_n": n}
@@ -141,9 +101,7 @@ def _is_observed(status: Any, robot_after: Any, robot: Any, z: Any) -> Any:
 
 
 # design: R1, R2, R3, R29
-OBSERVE = Contract(
-    _is_observed, requires=_may_observe, stand_ins={"estimate": uninterpreted_summary("estimate")}
-)
+OBSERVE = Contract(_is_observed, _may_observe, stand_ins={"estimate": uninterpreted("estimate")})
 
 # --- receive ---------------------------------------------------------------------------------------------
 
@@ -184,7 +142,7 @@ def _is_received(status: Any, robot_after: Any, robot: Any, *message: Any) -> An
     slot = zero_extend(sender & 31, 32)
     filled_slots = robot["robust"]["filled_slots"] | z3.BitVecVal(1, 32) << slot
     estimates = {
-        index: z3.If(z3.And(enters_slot, slot == int(index)), _to_slot_estimate(x_hat), estimate)
+        index: z3.If(z3.And(enters_slot, slot == index), _to_slot_estimate(x_hat), estimate)
         for index, estimate in received["estimates"].items()
     }
     expected_robot = {
@@ -215,12 +173,12 @@ def _sums_with_message(sums: Any, x_hat: Any, alpha: Any) -> Any:
     """Return the sums of a round with one more message, as section 6 adds it."""
 
     def times_x_hat(word: Any) -> Any:
-        return uninterpreted_result("multiply", alpha, word, x_hat)
+        return result_of("multiply", 64, word, x_hat)
 
     message_terms = {
         "alpha": alpha,
-        "alpha_x_low": times_x_hat(EXACT_RESULTS["low_word"](alpha)),
-        "alpha_x_high": times_x_hat(EXACT_RESULTS["high_word"](alpha)),
+        "alpha_x_low": times_x_hat(low_word(alpha)),
+        "alpha_x_high": times_x_hat(high_word(alpha)),
         "x_squared": times_x_hat(x_hat),
         "x": x_hat,
         "count": 1,
@@ -229,39 +187,14 @@ def _sums_with_message(sums: Any, x_hat: Any, alpha: Any) -> Any:
 
 
 # design: R4, R5, R6, R7, R13
-RECEIVE = Contract(_is_received, stand_ins={**LEMMA_SUMMARIES, "multiply": uninterpreted_summary("multiply")})
-
-
-# design: R20
-def one_more_message_claims() -> Iterator[Claim]:
-    """Claim that one more message keeps the sums of a round possible and in their ranges.
-
-    There are no more messages in a round than senders.
-    """
-    own_id, sender, x_hat, low, high = z3.Ints("own sender x_hat low high")
-    is_heard = z3.Bools([f"heard_{id_}" for id_ in range(128)])
-    assumptions = [own_id >= 0, own_id <= 127, sender >= 0, sender <= 127, own_id != sender]
-    for id_, is_id_heard in enumerate(is_heard):
-        assumptions.append(z3.Implies(z3.Or(own_id == id_, sender == id_), z3.Not(is_id_heard)))
-    yield Claim("126 others were heard at most (I9)", z3.AtMost(*is_heard, 126), assumptions)
-
-    sums = dict(zip(SUM_NAMES, z3.Ints(SUM_NAMES), strict=True))
-    alpha = 2**32 * high + low
-    assumptions = [is_possible_round(sums), sums["count"] <= 126]
-    assumptions += [x_hat >= 0, x_hat <= ONE, low >= 0, low < 2**32]
-    assumptions += [alpha >= 1, alpha <= ALPHA_MAX, high >= 0, high < 2**23]
-    message_terms = (alpha, low * x_hat, high * x_hat, x_hat * x_hat, x_hat, 1)
-    new_sums = {name: sums[name] + term for name, term in zip(SUM_NAMES, message_terms, strict=True)}
-    yield Claim("sums with another message (I7)", is_possible_round(new_sums), assumptions)
-    bits_by_sum = {"alpha": 62, "alpha_x_low": 62, "alpha_x_high": 53, "x_squared": 53, "x": 30}
-    are_in_range = z3.And([sums[name] < 2**bits for name, bits in bits_by_sum.items()])
-    yield Claim("ranges", are_in_range, [is_possible_round(sums)])
-
+RECEIVE = Contract(
+    _is_received, stand_ins={"alpha_units": _call_alpha_units, "multiply": uninterpreted("multiply")}
+)
 
 # --- settle ----------------------------------------------------------------------------------------------
 
 FILTER_CHANGES = ("accuracy", "counters", "updated", "robust")
-"""Members of a robot that a run of its filter may change; ``update_b_hat_claims`` say how."""
+"""Members of a robot that a run of its filter may change; the contract of update_b_hat() says how."""
 
 
 def _may_settle(robot: Any) -> Any:
@@ -280,7 +213,7 @@ def _is_settled(status: Any, robot_after: Any, robot: Any) -> Any:
     filter_runs, takes_vote = filter_left == 0, is_robust(robot["config"])
     sums = robot["received"]["sums"]
     published_sums = {**sums, "closed": {name: sums["open"][name] for name in sums["closed"]}}
-    robust_after_vote = uninterpreted_result("take_vote robust", robot["robust"], robot)
+    robust_after_vote = result_of("take_vote robust", robot["robust"], robot)
     robot_after_round = {
         **robot,
         "robust": choose_terms(takes_vote, robust_after_vote, robot["robust"]),
@@ -288,10 +221,9 @@ def _is_settled(status: Any, robot_after: Any, robot: Any) -> Any:
         "filter_left": period,
     }
     changes_of_filter = {
-        name: uninterpreted_result(f"update_b_hat {name}", robot[name], robot_after_round)
-        for name in FILTER_CHANGES
+        name: result_of(f"update_b_hat {name}", robot[name], robot_after_round) for name in FILTER_CHANGES
     }
-    status_of_filter = uninterpreted_result("update_b_hat", status, robot_after_round)
+    status_of_filter = result_of("update_b_hat", status, robot_after_round)
     expected_robot = choose_terms(
         filter_runs,
         {**robot_after_round, **changes_of_filter},
@@ -312,140 +244,212 @@ SETTLE = Contract(
     _is_settled,
     requires=_may_settle,
     stand_ins={
-        "update_b_hat": uninterpreted_summary("update_b_hat", *FILTER_CHANGES),
-        "take_vote": uninterpreted_summary("take_vote", "robust", requires=VOTE.requires),
+        "update_b_hat": uninterpreted("update_b_hat", *FILTER_CHANGES),
+        "take_vote": uninterpreted("take_vote", "robust", requires=may_vote),
     },
 )
 
 # --- The filter ------------------------------------------------------------------------------------------
 
 
-def _b_hat_of_paper_filters(robot: Any) -> tuple[Any, Any]:
-    """Return the b_hat that the paper's filters find, 0 if it stays; and whether a test is counted."""
-    sums, filter_ = robot["received"]["sums"], robot["config"]["filter"]
+def _may_update(robot: Any) -> Any:
+    """Return that the filter is one that init admits, and may run after an observation."""
+    runs_robust_filter = z3.And(is_robust(robot["config"]), robot["t"] != 0)
+    return z3.And(z3.ULE(robot["config"]["filter"], ROBUST), z3.Implies(runs_robust_filter, may_run(robot)))
+
+
+def _with_test_counted(robot: Any, is_tested: Any) -> Any:
+    """Return a robot whose counter of tests is one higher where the condition holds."""
+    return {
+        **robot,
+        "counters": {**robot["counters"], "tests": _count_if(robot["counters"]["tests"], is_tested)},
+    }
+
+
+def _is_b_hat_updated(status: Any, robot_after: Any, robot: Any) -> Any:
+    """Return that the b_hat that the robot's filter finds becomes its b_hat, if there was an observation.
+
+    A b_hat of 0 stands for none. Nothing else changes but what counts it, and what the run of the robust
+    filter may change.
+    """
+    filter_, sums = robot["config"]["filter"], robot["received"]["sums"]
+    # Without an observation there is no estimate that a filter could test.
+    has_observed, has_robust_filter = robot["t"] != 0, is_robust(robot["config"])
+    robust_runs = z3.And(has_observed, has_robust_filter)
+    robot_after_run = {
+        **robot,
+        "robust": result_of("run_robust_filter robust", robot["robust"], robot),
+        "counters": result_of("run_robust_filter counters", robot["counters"], robot),
+    }
+    # The filter ADAPTIVE tests from two estimates on, and ALWAYS takes one without a test.
     count = sums["open"]["count"]
-    closed_sums = [sums["closed"][name] for name in ("alpha", "alpha_x_low", "alpha_x_high")]
-    mean = result_of("round_mean", *closed_sums)
-    is_tested = z3.And(filter_ == 0, z3.UGE(count, 2))
-    is_rejected = z3.And(is_tested, result_of("asdf_test_rejects") != 0)
-    is_reestimated = z3.Or(is_rejected, z3.And(filter_ == 1, z3.UGE(count, 1)))
-    return z3.If(is_reestimated, result_of("reestimate", mean), 0), is_tested
+    is_tested = z3.And(has_observed, filter_ == 0, z3.UGE(count, 2))
+    tested_robot = _with_test_counted(robot, is_tested)
+    is_rejected = z3.And(is_tested, result_of("asdf_test_rejects", 1, tested_robot) == 1)
+    is_reestimated = z3.Or(is_rejected, z3.And(has_observed, filter_ == 1, z3.UGE(count, 1)))
+    mean = result_of(
+        "round_mean", 32, *(sums["closed"][name] for name in ("alpha", "alpha_x_low", "alpha_x_high"))
+    )
+    b_hat_of_paper = z3.If(is_reestimated, result_of("reestimate", 32, tested_robot, mean), 0)
+    b_hat = z3.If(robust_runs, result_of("run_robust_filter", 32, robot), b_hat_of_paper)
+
+    is_updated = b_hat != 0
+    expected_robot = choose_terms(robust_runs, robot_after_run, tested_robot)
+    accuracy = result_of("set_b_hat accuracy", robot["accuracy"], expected_robot, b_hat)
+    updates = _count_if(expected_robot["counters"]["updates"], is_updated)
+    updated_robot = {
+        **expected_robot,
+        "accuracy": accuracy,
+        "counters": {**expected_robot["counters"], "updates": updates},
+        "updated": z3.BitVecVal(1, 8),
+    }
+    return z3.And(
+        status == z3.If(is_updated, z3.BitVecVal(UPDATED, status.size()), 0),
+        is_same(robot_after, choose_terms(is_updated, updated_robot, expected_robot)),
+    )
 
 
 # design: R10, R13, R23, R29
-def update_b_hat_claims(program: Program) -> Iterator[Claim]:
-    """Claim that the b_hat that the robot's filter finds becomes its b_hat, if there was an observation.
-
-    A b_hat of 0 stands for none. Nothing else changes but what counts it. Of the robust filter's run only its
-    result is known here; what the run changes is the subject of its own contract.
-    """
-    robot, status, robot_after = function_terms(program, "update_b_hat")
-    counters, accuracy = robot["counters"], robot["accuracy"]
-    # Without an observation there is no estimate that a filter could test.
-    has_observed, has_robust_filter = robot["t"] != 0, is_robust(robot["config"])
-    b_hat_of_paper, counts_test = _b_hat_of_paper_filters(robot)
-    b_hat = z3.If(has_robust_filter, result_of("run_robust_filter"), b_hat_of_paper)
-    is_updated = z3.And(has_observed, b_hat != 0)
-    is_tested = z3.And(has_observed, counts_test)
-    expected_robot = {
-        **robot,
-        "accuracy": {**accuracy, "b_hat": z3.If(is_updated, b_hat, accuracy["b_hat"])},
-        "counters": {
-            **counters,
-            "tests": _count_if(counters["tests"], is_tested),
-            "updates": _count_if(counters["updates"], is_updated),
-        },
-        "updated": z3.If(is_updated, z3.BitVecVal(1, 8), robot["updated"]),
-    }
-    is_filter = z3.ULE(robot["config"]["filter"], ROBUST)
-    expected_status = z3.If(is_updated, z3.BitVecVal(UPDATED, status.size()), 0)
-    yield Claim("updated", status == expected_status, [is_filter])
-    has_paper_filter = [is_filter, z3.Not(has_robust_filter)]
-    yield Claim(
-        "the robot with a filter of the paper", is_same(robot_after, expected_robot), has_paper_filter
-    )
-    new_b_hat = z3.If(is_updated, b_hat, robot_after["accuracy"]["b_hat"])
-    yield Claim("b_hat with the robust filter", robot_after["accuracy"]["b_hat"] == new_b_hat, [is_filter])
-
+UPDATE_B_HAT = Contract(
+    _is_b_hat_updated,
+    _may_update,
+    stand_ins={
+        "run_robust_filter": uninterpreted("run_robust_filter", "robust", "counters", requires=may_run),
+        "set_b_hat": uninterpreted("set_b_hat", "accuracy"),
+        **{name: uninterpreted(name) for name in ("asdf_test_rejects", "round_mean", "reestimate")},
+    },
+)
 
 # --- The test --------------------------------------------------------------------------------------------
 
 
-def is_possible_round(sums: Any) -> Any:
-    """Return that integers are sums of a round that are possible (I7, section 10)."""
-    alpha, low, high, _, x, m = (sums[name] for name in SUM_NAMES)
-    alpha_range = [m <= alpha, alpha <= m * ALPHA_MAX]
-    word_ranges = [low >= 0, low <= (2**32 - 1) * x, high >= 0, high <= (2**23 - 1) * x]
-    mean_is_at_most_one = 2**32 * high + low <= ONE * alpha
-    return z3.And(are_possible_estimates(sums), *alpha_range, *word_ranges, mean_is_at_most_one)
-
-
-def are_possible_estimates(sums: Any) -> Any:
-    """Return the part of ``is_possible_round`` that is about x_hat alone."""
-    m, x, x_squared = (sums[name] for name in ("count", "x", "x_squared"))
-    in_range = (m >= 0, m <= 127, x >= 0, x <= ONE * m, x_squared >= 0, x_squared <= ONE * x)
-    return z3.And(*in_range, x * x <= m * x_squared)
-
-
 def _may_test(robot: Any) -> Any:
-    """Return what the test needs: a possible round of at least two estimates, and an x_hat of at most 1."""
-    return z3.And(
-        are_possible_estimates(robot["received"]["sums"]["open"]),
-        robot["received"]["sums"]["open"]["count"] >= 2,
-        robot["x_hat"] <= ONE,
-    )
+    """Return what the test needs: a possible round of two estimates or more, and an x_hat of at most 1.
+
+    The sums of m estimates x from 0 to 1 are possible if sum x^2 <= sum x, and (sum x)^2 <= m sum x^2
+    (I7; Cauchy).
+    """
+    sums = robot["received"]["sums"]["open"]
+    m, x, x_squared = (wide(sums[name]) for name in ("count", "x", "x_squared"))
+    in_range = (z3.UGE(m, 2), z3.ULE(m, 127), z3.ULE(x, ONE * m), z3.ULE(x_squared, ONE * x))
+    return z3.And(*in_range, z3.ULE(x * x, m * x_squared), z3.ULE(robot["x_hat"], ONE))
 
 
-def _test_terms(robot: Any) -> tuple[Any, Any, Any]:
-    """Return (sum x - m x_hat)^2; k_m, the entry for m > q where m > q; and m sum x^2 - (sum x)^2."""
+def _is_test_of_paper(rejects: Any, _robot_after: Any, robot: Any) -> list[Any]:
+    """Return that the test is eq. 12 multiplied out, with k in units of 2^-26, and what leads to it."""
     sums, word_at = robot["received"]["sums"]["open"], robot["config"]["table"].word_at
-    # The lowest byte of the table's first word is q, its number of thresholds.
-    m, x, q = sums["count"], sums["x"], word_at(0) % 256
-    difference = x - m * robot["x_hat"]
-    k = word_at(z3.If(m <= q, m, q + 1))
-    spread = m * sums["x_squared"] - x * x
-    return difference * difference, k, spread
-
-
-def _spread_fits(_rejects: Any, _robot_after: Any, robot: Any) -> Any:
-    _, _, spread = _test_terms(robot)
-    return z3.And(spread >= 0, spread < 2**58)
-
-
-def _m_x_hat_fits(_rejects: Any, _robot_after: Any, robot: Any) -> Any:
-    m_x_hat = robot["received"]["sums"]["open"]["count"] * robot["x_hat"]
-    return z3.And(m_x_hat >= 0, m_x_hat < 2**30)
-
-
-def _product_is_sum_of_two(_rejects: Any, _robot_after: Any, robot: Any) -> Any:
-    """Return that the products of k_m and the spread's two words add up to that of k_m and the spread."""
-    _, k, spread = _test_terms(robot)
-    return k * spread == 2**32 * (k * (spread / 2**32)) + k * (spread % 2**32)
-
-
-def _is_test_of_paper(rejects: Any, _robot_after: Any, robot: Any) -> Any:
-    """Return that the test is eq. 12 multiplied out, with k in units of 2^-26."""
-    square, k, spread = _test_terms(robot)
-    return (rejects != 0) == (2**26 * square > k * spread)
+    # The lowest byte of the table's first word is q, its number of thresholds. Beyond q all k_m are the same.
+    m, x, q = sums["count"], sums["x"], word_at(z3.BitVecVal(0, 32)) & 0xFF
+    k, m_x_hat = word_at(z3.If(z3.ULE(m, q), m, q + 1)), m * robot["x_hat"]
+    difference = z3.If(z3.UGT(x, m_x_hat), x - m_x_hat, m_x_hat - x)
+    spread = zero_extend(m) * sums["x_squared"] - zero_extend(x) * zero_extend(x)
+    spread_is_exact = wide(spread) + wide(x) * wide(x) == wide(m) * wide(sums["x_squared"])
+    spread_fits = z3.And(spread_is_exact, z3.ULT(spread, 2**58))
+    m_x_hat_fits = z3.ULT(wide(m) * wide(robot["x_hat"]), 2**30)
+    # The products of k and the spread's two words add up to that of k and the spread.
+    upper_product, lower_product = wide(k) * wide(high_word(spread)), wide(k) * wide(low_word(spread))
+    product = wide(k) * wide(spread)
+    is_sum_of_two = z3.And(product == (upper_product << 32) + lower_product, z3.ULT(upper_product, 2**58))
+    is_rejected = z3.UGT(wide(difference) * wide(difference) * 2**26, product)
+    return [spread_fits, m_x_hat_fits, is_sum_of_two, (rejects != 0) == is_rejected]
 
 
 # design: R24
-TEST = Contract(
-    _is_test_of_paper,
-    IntegerArithmetic,
-    requires=_may_test,
-    proof_steps=(_spread_fits, _m_x_hat_fits, _product_is_sum_of_two),
-    used_lemmas=("multiply",),
+TEST = Contract(_is_test_of_paper, _may_test, stand_ins={"multiply": _call_multiply})
+
+# --- Alpha, and the means over a round -------------------------------------------------------------------
+
+
+def _is_in_units(result: Any, alpha: Any) -> Any:
+    return z3.Concat(result["high"], result["low"]) == alpha_in_units(alpha)
+
+
+def _is_normal(mantissa: Any, exponent: Any) -> Any:
+    """Return that the mantissa has 24 bits; and the exponent, modulo 2^32, is at least -31."""
+    return z3.And(z3.LShR(mantissa, 23) == 1, exponent >= -31)
+
+
+def _is_rounded_alpha(result: Any, mantissa: Any, exponent: Any) -> Any:
+    """Return that the result is the largest confidence if the exponent is too large for it.
+
+    Otherwise it is the number itself, or whole units of it, rounded down, with shift 0.
+    """
+    # An alpha word has the mantissa in its upper 24 bits, and the shift, up to 31, below it.
+    largest_alpha, exact_alpha = 0xFFFFFF1F, mantissa << 8 | exponent
+    whole_units = z3.LShR(mantissa, -exponent) << 8
+    return z3.If(
+        exponent > 31, result == largest_alpha, result == z3.If(exponent >= 0, exact_alpha, whole_units)
+    )
+
+
+def _is_possible_sum(alpha: Any, low: Any, high: Any) -> Any:
+    """Return that sums of a round are in their ranges (I7), and that their mean is at most 1."""
+    ranges = [alpha != 0, z3.ULT(alpha, 2**62), z3.ULT(low, 2**62), z3.ULT(high, 2**53)]
+    return z3.And(*ranges, z3.ULE((wide(high) << 32) + wide(low), wide(alpha) << 23))
+
+
+def _is_mean(mean: Any, alpha: Any, low: Any, high: Any) -> Any:
+    """Return that the mean is the quotient of the sums as they are, less a fraction below 2^-32 of alpha.
+
+    Where alpha is short, both have 32 bits more, and no fraction is lost. With the 7 units of quotient() the
+    mean is less than 8 units of 2^-32 too small.
+    """
+    total = (wide(high) << 32) + wide(low)
+    long_mean = result_of("quotient", 32, z3.Extract(63, 0, z3.LShR(total, 23)), alpha)
+    short_mean = result_of("quotient", 32, z3.Extract(63, 0, total << 9), alpha << 32)
+    return mean == z3.If(z3.ULT(alpha, 2**32), short_mean, long_mean)
+
+
+ROUND_MEAN = Contract(
+    _is_mean,
+    _is_possible_sum,
+    stand_ins={"quotient": uninterpreted("quotient", requires=arithmetic.QUOTIENT.requires)},
 )
-OF_THE_CODE = (update_b_hat_claims,)
+
+
+def _is_informed_estimate(result: Any, _sums_after: Any, sums: Any, x_hat: Any, own_alpha: Any) -> Any:
+    """Return that the result is eq. 7, with the robot's own message: the exact quotient, rounded down.
+
+    quotient() makes the mean less than 8 units of 2^-32 too small, so that its upper 23 bits, x, are right or
+    one too small. The rest of the division shows which: S - x alpha is below alpha, or from there to below
+    2 alpha. It has less than 64 bits, so that it may be formed modulo 2^64.
+    """
+    own_units = alpha_in_units(own_alpha)
+    alpha = sums["alpha"] + own_units
+    low = sums["alpha_x_low"] + result_of("multiply", 64, low_word(own_units), x_hat)
+    high = sums["alpha_x_high"] + result_of("multiply", 64, high_word(own_units), x_hat)
+    # The mean is in units of 2^-32, and x in units of 2^-23.
+    x = z3.LShR(result_of("round_mean", 32, alpha, low, high), 9)
+    zero_word = z3.BitVecVal(0, 32)
+    upper_product = z3.Concat(x * high_word(alpha), zero_word)
+    product = result_of("multiply", 64, x, low_word(alpha)) + upper_product
+    rest = low + z3.Concat(low_word(high), zero_word) - product
+    correction = z3.If(z3.UGE(rest, alpha), z3.BitVecVal(1, 32), z3.BitVecVal(0, 32))
+    return result == z3.If(alpha == 0, x_hat, x + correction)
+
+
+# design: R21
+INFORMED_ESTIMATE = Contract(
+    _is_informed_estimate,
+    stand_ins={
+        "alpha_units": _call_alpha_units,
+        **{name: uninterpreted(name) for name in ("round_mean", "multiply")},
+    },
+)
+
 CONTRACTS = {
     "mcp_asdf_observe": OBSERVE,
     "mcp_asdf_receive": RECEIVE,
     "mcp_asdf_settle": SETTLE,
+    "update_b_hat": UPDATE_B_HAT,
     "asdf_test_rejects": TEST,
+    "alpha_units": Contract(_is_in_units),
+    "alpha_word_from_mantissa": Contract(_is_rounded_alpha, _is_normal),
+    "round_mean": ROUND_MEAN,
+    "informed_estimate": INFORMED_ESTIMATE,
 }
 
 
 def contracts(variant: Variant) -> dict[str, Contract]:
     """Return the contracts of all functions that have one, for one variant."""
-    return {**arithmetic.contracts(variant), **formulas.CONTRACTS, **robust.CONTRACTS, **CONTRACTS}
+    return {**arithmetic.contracts(variant), **robust.CONTRACTS, **CONTRACTS}

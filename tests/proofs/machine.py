@@ -1,32 +1,33 @@
-"""Symbolic execution: run a function of the firmware on unknown numbers, on all paths at once.
+"""Symbolic execution: run a function of the firmware on unknown numbers, on one path after the other.
 
 A value is a term of the solver instead of a number. The machine knows the small part of C that the firmware
 uses; anything else raises an error. A value in memory is one of these:
 
 - a ``Number``
-- a ``Location``, which stands for a pointer
+- a ``Pointer``
 - a ``ConstantTable``
-- a dictionary for a structure or an array: values by the names of members, or by the indices of elements as
-  text. A union has its first member alone.
+- a dictionary for a structure or an array: values by the names of members, or by the indices of elements. A
+  union has its first member alone.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import z3
 from pycparser import c_ast
 
 from proofs.numbers import (
-    BitVectorArithmetic,
-    IntegerArithmetic,
     IntegerType,
     Number,
+    apply_operator,
+    compare,
+    constant,
     constant_value,
-    is_constant,
+    convert,
 )
 from proofs.source import Program, documented_max_shift, documented_max_turns, nodes
 
@@ -36,28 +37,6 @@ INTEGER_TYPES = {
     **{f"uint{bits}_t": IntegerType(bits) for bits in (8, 16, 32, 64)},
     **{f"int{bits}_t": IntegerType(bits, signed=True) for bits in (8, 16, 32, 64)},
 }
-
-
-@dataclass(frozen=True)
-class Location:
-    """The location of a value in memory: a variable, or a member or element of it.
-
-    Attributes:
-        variable: The number of the call that declares the variable, and its name.
-        path: Members and elements on the way down from the variable. The index of an element is text, or a
-            number if it is not a constant.
-    """
-
-    variable: tuple[int, str]
-    path: tuple[str | Number, ...] = ()
-
-    def select(self, *steps: str | Number) -> Location:
-        """Return the location of a member or element, some steps further down."""
-        return Location(self.variable, (*self.path, *steps))
-
-    def enclosing_array(self) -> Location:
-        """Return the array of which this is an element."""
-        return Location(self.variable, self.path[:-1])
 
 
 @dataclass(frozen=True)
@@ -73,39 +52,41 @@ class ConstantTable:
     word_type: IntegerType
 
 
+@dataclass(frozen=True, eq=False)
+class Pointer:
+    """A pointer to a value in memory.
+
+    Attributes:
+        container: What has the value: a structure, an array, a table, or the variables of a function.
+        key: Name of the member or variable, or index of the element: a number if it is not a constant.
+    """
+
+    container: Any
+    key: str | int | Number
+
+    def select(self, *names: str) -> Pointer:
+        """Return a pointer to a member, some members further down, of what this one points to."""
+        pointer = self
+        for name in names:
+            pointer = Pointer(pointer.container[pointer.key], name)
+        return pointer
+
+
 @dataclass(frozen=True)
 class Obligation:
     """A claim that must hold under everything that is known where the program makes it."""
 
-    assumptions: tuple[Any, ...]
+    facts: tuple[Any, ...]
     claim: Any
     description: str
 
 
-@dataclass(frozen=True)
-class Return:
-    """A return statement that the program reached: under which condition, with which result and memory."""
-
-    path_condition: Any
-    result: Any
-    memory: dict[tuple[int, str], Any]
+class Return(Exception):  # noqa: N818 - it is no error
+    """Ends the function that runs, with its result."""
 
 
-@dataclass
-class CallFrame:
-    """A call of a function.
-
-    Attributes:
-        call_number: Tells the variables of this call from those of other calls.
-        function: The definition of the called function.
-        declared_types: The types of its variables by name, as declared.
-        returns: The return statements that were reached.
-    """
-
-    call_number: int
-    function: Any = None
-    declared_types: dict[str, Any] = field(default_factory=dict)
-    returns: list[Return] = field(default_factory=list)
+class PathEndsError(Exception):
+    """Ends the path: what follows is executed on another one."""
 
 
 Summary = Callable[..., Any]
@@ -116,48 +97,47 @@ A caller then relies on what the function's contract says, and the proof does no
 
 
 class Machine:
-    """A symbolic execution of one function.
+    """A symbolic execution of one function on one path.
 
-    The machine keeps one memory for all paths, and the path condition: the conditions under which the program
-    gets to where it is. A branch whose condition is open runs both ways, each with its condition added to the
-    path condition. Where the two meet, each variable becomes a choice between its two values. So the number
-    of paths does not double with every branch.
+    Where a condition is open the path forks: the machine takes the condition for true, and ``other_paths``
+    gets the decisions that lead to the other side. ``all_paths`` executes those in turn.
 
     Attributes:
-        facts: What is known of the unknown numbers.
-        obligations: The claims that were met on the way and must be proved.
-        argument_terms: Terms of the function's arguments, by name.
+        facts: What is known: of the unknown numbers, and the conditions under which the program gets here.
+        obligations: The claims that were met for the first time on this path, and must be proved.
+        argument_terms: Terms of the function's arguments before the call, by name.
         after_loop_turn: Called after each turn of an innermost loop.
+        decisions: What was decided at each fork so far, or will be.
+        other_paths: Decisions of the paths that leave this one.
     """
 
     def __init__(
         self,
         program: Program,
-        arithmetic: type[BitVectorArithmetic | IntegerArithmetic],
         summaries: Mapping[str, Summary] | None = None,
+        decisions: tuple[bool, ...] = (),
     ) -> None:
         self.program = program
-        self.arithmetic = arithmetic(self.require)
         self.summaries = summaries or {}
         self.int_type = IntegerType(program.variant.int_bits, signed=True)
         self.facts: list[Any] = []
         self.obligations: list[Obligation] = []
         self.argument_terms: dict[str, Any] = {}
         self.after_loop_turn: Callable[[Machine], None] | None = None
-        self._path_condition: list[Any] = []
-        self._memory: dict[tuple[int, str], Any] = {}
-        # The outermost frame belongs to no function, and is never left.
-        self._call_frames: list[CallFrame] = [CallFrame(0)]
+        self.decisions = list(decisions)
+        self.other_paths: list[tuple[bool, ...]] = []
+        self._forks_passed = 0
         self._name_count = 0  # makes the names of the solver's variables unique
+        # Variables of the function that runs, by name, and its definition. No function runs at first.
+        self.variables: dict[str, Any] = {}
+        self._function: Any = None
 
     # --- Unknown values ---
 
     def fresh_number(self, name: str, type_: IntegerType) -> Number:
         """Return a number of this type with any value."""
         self._name_count += 1
-        number, is_in_range = self.arithmetic.fresh_number(f"{name}_{self._name_count}", type_)
-        self.facts.append(is_in_range)
-        return number
+        return Number(z3.BitVec(f"{name}_{self._name_count}", type_.bits), type_)
 
     def fresh_value(self, declaration: Any, name: str) -> Any:
         """Return an unknown value of a declared type: a number, or a structure of them."""
@@ -176,158 +156,99 @@ class Machine:
             return self._pointer_to_fresh_target(type_.type, name)
         if isinstance(type_, c_ast.ArrayDecl):
             length = constant_value(self.evaluate(type_.dim).term)
-            return {str(index): self._build_value(type_.type, name, make_number) for index in range(length)}
-        # A structure has all its members here, and a union its first one.
-        members = type_.decls
-        if isinstance(type_, c_ast.Union) and not self._has_separate_members(type_):
-            members = type_.decls[:1]
+            assert length is not None
+            return {index: self._build_value(type_.type, name, make_number) for index in range(length)}
+        # A structure has all its members here, and a union its first one. Estimates and sums of a round are
+        # kept apart as if their union were a structure: a call uses one of them, by the robot's filter, and
+        # never reads the one after writing the other. The contracts of receive and settle say so.
+        names = [member.name for member in type_.decls]
+        members = type_.decls[:1] if isinstance(type_, c_ast.Union) and "sums" not in names else type_.decls
         return {member.name: self._build_value(member.type, member.name, make_number) for member in members}
 
-    @staticmethod
-    def _has_separate_members(union: Any) -> bool:
-        """Return whether the members of a union are kept apart here, as if it were a structure.
-
-        This is so for mcp_asdf_received_t alone. A call uses its estimates or its sums, by the robot's
-        filter, and never reads the one after writing the other: the contracts of receive and settle say so.
-        """
-        return "sums" in [member.name for member in union.decls]
-
-    def _pointer_to_fresh_target(self, declaration: Any, name: str) -> Location:
+    def _pointer_to_fresh_target(self, declaration: Any, name: str) -> Pointer:
         """Return a pointer to an unknown value. Constant words become a table of any length."""
         target_type = self._resolve_type(declaration)
         if not isinstance(target_type, IntegerType) or "const" not in declaration.quals:
-            return self.new_variable(name, self.fresh_value(declaration, name))
-        word_sort = self.arithmetic.constant(0, target_type).term.sort()
+            return Pointer({name: self.fresh_value(declaration, name)}, name)
+        word_sort = z3.BitVecSort(target_type.bits)
         # An uninterpreted function: any word for each index, and always the same one.
-        word_at = z3.Function(f"{name}_{self._name_count}", word_sort, word_sort)
-        return self.new_variable(name, ConstantTable(word_at, target_type)).select("0")
+        return Pointer(ConstantTable(z3.Function(f"{name} words", word_sort, word_sort), target_type), 0)
 
     def fresh_argument(self, parameter: Any) -> Any:
         """Return an unknown argument: for an array, a pointer to its first element."""
         value = self.fresh_value(parameter.type, parameter.name)
-        if isinstance(parameter.type, c_ast.ArrayDecl):
-            return self.new_variable(parameter.name, value).select("0")
-        return value
+        return Pointer(value, 0) if isinstance(parameter.type, c_ast.ArrayDecl) else value
 
     def constant_argument(self, parameter: Any, value: int) -> Number:
         """Return an argument with a known value."""
-        return self.arithmetic.constant(value, self._resolve_type(parameter.type))
+        return constant(value, self._resolve_type(parameter.type))
 
-    def terms_of(self, value: Any) -> Any:
-        """Return the solver's terms in a value and in what its pointers point to, by name."""
-        if isinstance(value, Location):
-            # A pointer to the first element stands for the array.
-            points_to_array = value.path[-1:] == ("0",)
-            return self.terms_of(self.load(value.enclosing_array() if points_to_array else value))
-        if isinstance(value, dict):
-            return {name: self.terms_of(member) for name, member in value.items()}
-        return value.term if isinstance(value, Number) else value
+    # --- Paths, assumptions and claims ---
 
-    # --- Assumptions and claims ---
-
-    def assume(self, formula: Any) -> None:
-        """Add something that holds wherever the program gets here."""
-        # Facts are global, so one that holds on this path alone has the path condition as its premise.
-        path_condition = self._path_condition
-        self.facts.append(z3.Implies(z3.And(path_condition), formula) if path_condition else formula)
+    def holds(self, condition: Any) -> bool:
+        """Return whether a condition holds on this path; where both is possible, the path forks here."""
+        condition = z3.simplify(condition)
+        opposite = z3.simplify(z3.Not(condition))
+        if z3.is_true(condition) or any(condition.eq(fact) for fact in self.facts):
+            return True
+        if z3.is_true(opposite) or any(opposite.eq(fact) for fact in self.facts):
+            return False
+        if self._forks_passed == len(self.decisions):
+            self.other_paths.append((*self.decisions, False))
+            self.decisions.append(True)
+        decision = self.decisions[self._forks_passed]
+        self._forks_passed += 1
+        self.facts.append(condition if decision else opposite)
+        return decision
 
     def require(self, formula: Any, description: str) -> None:
         """Add an obligation: the formula must hold here."""
+        # Up to its last known decision, this path is the same as an earlier one, which has the obligations.
+        is_repetition = self._forks_passed < len(self.decisions)
         # What simplifies to true needs no proof.
-        if not z3.is_true(z3.simplify(formula)):
-            self.obligations.append(Obligation(self.assumptions_here(), formula, description))
+        if not is_repetition and not z3.is_true(z3.simplify(formula)):
+            self.obligations.append(Obligation(tuple(self.facts), formula, description))
 
-    def assumptions_here(self) -> tuple[Any, ...]:
-        """Return the facts, and the conditions under which the program gets here."""
-        return (*self.facts, *self._path_condition)
+    @contextmanager
+    def _supposing(self, condition: Any) -> Iterator[None]:
+        """Evaluate, in the block, an expression that is only evaluated where the condition holds."""
+        position = len(self.facts)
+        self.facts.append(condition)
+        yield
+        del self.facts[position]
 
     # --- Memory ---
 
-    def new_variable(self, name: str, value: Any) -> Location:
-        """Return a pointer to a new variable with this value."""
-        self._name_count += 1
-        location = Location((0, f"{name}_{self._name_count}"))
-        self._memory[location.variable] = value
-        return location
-
-    def local_variable(self, name: str) -> Location:
-        """Return the location of a variable of the function that runs."""
-        return Location((self._call_frames[-1].call_number, name))
-
-    def declare_unknown(self, declaration: Any) -> None:
-        """Declare a variable that may have any value."""
-        value = self.fresh_value(declaration.type, declaration.name)
-        self._declare(declaration.name, declaration.type, value)
-
-    def _declare(self, name: str, declaration: Any, value: Any) -> None:
-        """Declare a variable of the function that runs, with a value converted to its type."""
-        self._call_frames[-1].declared_types[name] = declaration
-        location = self.local_variable(name)
-        self._memory[location.variable] = self._convert(value, self._resolve_type(declaration))
-
-    def load(self, location: Location) -> Any:
-        """Return the value at a location."""
-        value = self._memory[location.variable]
-        for step in location.path:
-            value = self._load_element(value, step)
-        return value
-
-    def _load_element(self, container: Any, step: str | Number) -> Any:
-        """Return a member or element of a value."""
+    def load(self, pointer: Pointer) -> Any:
+        """Return the value that a pointer points to."""
+        container, key = pointer.container, pointer.key
         if isinstance(container, ConstantTable):
-            word_type = container.word_type
-            index = step if isinstance(step, Number) else self.arithmetic.constant(int(step), word_type)
-            word = Number(container.word_at(self._convert(index, word_type).term), word_type)
-            self.facts.append(self.arithmetic.is_in_range(word))
-            return word
-        if isinstance(step, str):
-            return container[step]
+            index = key if isinstance(key, Number) else constant(int(key), container.word_type)
+            return Number(container.word_at(convert(index, container.word_type).term), container.word_type)
+        if not isinstance(key, Number):
+            return container[key]
         # The index is not a constant: choose among all elements. It is claimed elsewhere to be one of them.
-        first_item, *other_items = container.items()
-        _, loaded_value = first_item
-        for index_text, element in other_items:
-            loaded_value = merge_values(self._is_index(step, index_text), element, loaded_value)
-        return loaded_value
+        _, loaded = next(iter(container.items()))
+        for index, element in container.items():
+            loaded = Number(z3.If(key.term == index, element.term, loaded.term), element.type)
+        return loaded
 
-    def _is_index(self, index: Number, index_text: str) -> Any:
-        """Return the formula that an index is this constant one."""
-        return index.term == self.arithmetic.constant(int(index_text), index.type).term
-
-    def store(self, location: Location, value: Any) -> Any:
+    def store(self, pointer: Pointer, value: Any) -> Any:
         """Store a value, converted to the type of what it replaces. Return the stored value."""
-        if location.path[-2:-1] == ("all",):
-            return self._clear_eight_bytes(location, value)
-        old_value = self.load(location)
-        if isinstance(old_value, Number):
-            value = self._convert(value, old_value.type)
-        # Values are shared between paths, so the variable gets a new value instead of a changed one.
-        variable = location.variable
-        self._memory[variable] = self._replace_element(self._memory[variable], location.path, value)
+        container, key = pointer.container, pointer.key
+        old_value = self.load(pointer)
+        value = copy_value(convert(value, old_value.type) if isinstance(old_value, Number) else value)
+        if isinstance(key, Number):
+            # The index is not a constant: each element becomes the new value if the index is its own.
+            for index, element in container.items():
+                container[index] = Number(z3.If(key.term == index, value.term, element.term), element.type)
+        else:
+            container[key] = value
         return value
 
-    def _clear_eight_bytes(self, location: Location, value: Any) -> Any:
-        """Store 0 in a long word of the union of senders heard, which has its bytes in ``of`` alone."""
-        assert constant_value(value.term) == 0, "long words of a union of bytes are cleared, nothing else"
-        *union_path, _all, word_index = location.path
-        first_byte = 8 * int(str(word_index))
-        for byte_index in range(first_byte, first_byte + 8):
-            self.store(Location(location.variable, (*union_path, "of", str(byte_index))), value)
-        return value
-
-    def _replace_element(self, container: Any, path: tuple[str | Number, ...], value: Any) -> Any:
-        """Return a copy of a value in which the member or element at the end of a path is another one."""
-        if not path:
-            return value
-        step, *remaining_steps = path
-        remaining_path = tuple(remaining_steps)
-        if isinstance(step, str):
-            return {**container, step: self._replace_element(container[step], remaining_path, value)}
-        # The index is not a constant: each element becomes the new value if the index is its own.
-        new_elements = {}
-        for index_text, element in container.items():
-            new_element = self._replace_element(element, remaining_path, value)
-            new_elements[index_text] = merge_values(self._is_index(step, index_text), new_element, element)
-        return new_elements
+    def declare(self, name: str, declaration: Any, value: Any) -> None:
+        """Declare a variable of the function that runs, with a value converted to its type."""
+        self.variables[name] = copy_value(self._convert(value, self._resolve_type(declaration)))
 
     # --- Calls ---
 
@@ -335,34 +256,16 @@ class Machine:
         """Call a function, or its summary if there is one. Return its result, or None without one."""
         if name in self.summaries:
             return self.summaries[name](self, *arguments)
-        function = self.program.functions[name]
-        self._name_count += 1
-        frame = CallFrame(self._name_count, function)
-        # When the function has returned, its own variables are out of scope.
-        variables_of_callers = list(self._memory)
-        self._call_frames.append(frame)
+        caller = self._function, self.variables
+        self._function, self.variables = self.program.functions[name], {}
         for parameter, argument in zip(self.program.parameters(name), arguments, strict=True):
-            self._declare(parameter.name, parameter.type, argument)
-        path_length = len(self._path_condition)
-        self.execute(function.body)
-        # A return ends its path within the function, and the caller goes on after each of them.
-        del self._path_condition[path_length:]
-        self._call_frames.pop()
-        return self._merge_returns(frame.returns, variables_of_callers)
-
-    def _merge_returns(self, returns: list[Return], variables_of_callers: list[tuple[int, str]]) -> Any:
-        """Make memory and result a choice between those of all returns. Return the result."""
-        for return_ in reversed(returns):
-            for variable in variables_of_callers:
-                self._memory[variable] = merge_values(
-                    return_.path_condition, return_.memory[variable], self._memory[variable]
-                )
-        if not returns:
-            return None
-        # On a path that reaches none of the others, the last return is the one.
-        result = returns[-1].result
-        for return_ in reversed(returns[:-1]):
-            result = merge_values(return_.path_condition, return_.result, result)
+            self.declare(parameter.name, parameter.type, argument)
+        result = None
+        try:
+            self.execute(self._function.body)
+        except Return as return_:
+            (result,) = return_.args
+        self._function, self.variables = caller
         return result
 
     # --- Statements ---
@@ -381,121 +284,47 @@ class Machine:
             self.execute(declaration)
 
     def _execute_decl(self, node: Any) -> None:
-        """Declare a variable. Without an initial value an array is unknown, and others have no value."""
-        initial_value = None
+        """Declare a variable, which may have any value if the program gives it none."""
         if isinstance(node.init, c_ast.InitList):
             initial_value = self._evaluate_initializer(self._resolve_type(node.type), node.init)
         elif node.init is not None:
             initial_value = self.evaluate(node.init)
-        elif isinstance(node.type, c_ast.ArrayDecl):
-            # Elements are stored one by one, into an array that must exist and may hold anything.
+        else:
             initial_value = self.fresh_value(node.type, node.name)
-        self._declare(node.name, node.type, initial_value)
+        self.declare(node.name, node.type, initial_value)
 
     def _execute_return(self, node: Any) -> None:
-        """Record the result and the memory of this path for the caller, and end the path."""
-        frame = self._call_frames[-1]
         result = None if node.expr is None else self.evaluate(node.expr)
-        result = self._convert(result, self._resolve_type(frame.function.decl.type.type))
-        frame.returns.append(Return(z3.And(self._path_condition), result, dict(self._memory)))
-        # Nothing behind a return is reached on this path, so anything may be claimed there.
-        self._path_condition.append(z3.BoolVal(False))
+        raise Return(self._convert(result, self._resolve_type(self._function.decl.type.type)))
 
     def _execute_if(self, node: Any) -> None:
-        def execute_else() -> None:
-            if node.iffalse is not None:
-                self.execute(node.iffalse)
-
-        condition = self.evaluate_condition(node.cond)
-        self._execute_branches(condition, lambda: self.execute(node.iftrue), execute_else)
+        if self.holds(self.evaluate_condition(node.cond)):
+            self.execute(node.iftrue)
+        elif node.iffalse is not None:
+            self.execute(node.iffalse)
 
     def _execute_for(self, node: Any) -> None:
         if node.init is not None:
             self.execute(node.init)
-        self._execute_turns(node, 0)
+        self._execute_while(node)
 
     def _execute_while(self, node: Any) -> None:
-        self._execute_turns(node, 0)
+        """Execute the turns of a loop: after the documented number its condition must be false."""
+        max_turns = documented_max_turns(node)
+        for _turn in range(max_turns):
+            if not self.holds(self.evaluate_condition(node.cond)):
+                return
+            self.execute(node.stmt)
+            # An invariant replaces what is known after the turn, before the counter moves.
+            if self.after_loop_turn is not None and not any(nodes(node.stmt, c_ast.For)):
+                self.after_loop_turn(self)
+            if isinstance(node, c_ast.For):
+                self.evaluate(node.next)
+        description = f"at most {max_turns} turns of the loop in line {node.coord.line}"
+        self.require(z3.Not(self.evaluate_condition(node.cond)), description)
 
     def _execute_emptystatement(self, node: Any) -> None:
         """Do nothing."""
-
-    def _execute_turns(self, loop: Any, turns_before: int) -> None:
-        """Execute what remains of a loop after some turns.
-
-        The loop is unrolled: a turn is a branch within the turn before. It ends when the condition simplifies
-        to false. After the documented number of turns it must be false, which becomes an obligation.
-        """
-        condition = z3.simplify(self.evaluate_condition(loop.cond))
-        max_turns = documented_max_turns(loop)
-        if z3.is_false(condition):
-            return
-        if turns_before == max_turns:
-            description = f"at most {max_turns} turns of the loop in line {loop.coord.line}"
-            self.require(z3.Not(condition), description)
-            return
-
-        def execute_next_turn() -> None:
-            self.execute(loop.stmt)
-            # An invariant replaces what is known after the turn, before the counter moves.
-            if self.after_loop_turn is not None and not any(nodes(loop.stmt, c_ast.For)):
-                self.after_loop_turn(self)
-            if isinstance(loop, c_ast.For):
-                self.evaluate(loop.next)
-            self._execute_turns(loop, turns_before + 1)
-
-        self._execute_branches(condition, execute_next_turn, lambda: None)
-
-    def _execute_branches(
-        self, condition: Any, execute_then: Callable[[], None], execute_else: Callable[[], None]
-    ) -> None:
-        """Execute one branch if the condition is a constant, else both, and merge the two memories."""
-        condition = z3.simplify(condition)
-        if z3.is_true(condition):
-            execute_then()
-            return
-        if z3.is_false(condition):
-            execute_else()
-            return
-        # The condition is open, so both branches begin with the same memory.
-        memory_before = dict(self._memory)
-        with self._path_under(condition) as assumptions_after_then:
-            execute_then()
-        memory_after_then, self._memory = self._memory, memory_before
-        with self._path_under(z3.Not(condition)) as assumptions_after_else:
-            execute_else()
-        # The join: a variable becomes a choice between what the two branches left in it. Variables that only
-        # one branch has declared are out of scope.
-        self._memory = {
-            variable: merge_values(condition, memory_after_then[variable], value)
-            for variable, value in self._memory.items()
-            if variable in memory_after_then
-        }
-        self._path_condition += assumptions_after_then + assumptions_after_else
-
-    @contextmanager
-    def _path_under(self, condition: Any) -> Iterator[list[Any]]:
-        """Execute the block under a path condition that is longer by this condition.
-
-        Yields an empty list. When the block ends, the list has the formulas that then hold on all paths: if
-        the condition was true, no return has ended the path within the block.
-        """
-        path_length = len(self._path_condition)
-        assumptions_afterwards = list[Any]()
-        self._path_condition.append(condition)
-        yield assumptions_afterwards
-        conditions_of_block = self._path_condition[path_length + 1 :]
-        assumptions_afterwards += [z3.Implies(condition, added) for added in conditions_of_block]
-        del self._path_condition[path_length:]
-
-    @contextmanager
-    def _effects_only_if(self, condition: Any) -> Iterator[None]:
-        """Evaluate a part of an expression in the block: it changes memory only where the condition holds."""
-        memory_before = dict(self._memory)
-        with self._path_under(condition):
-            yield
-        for variable, old_value in memory_before.items():
-            self._memory[variable] = merge_values(condition, self._memory[variable], old_value)
 
     # --- Expressions ---
 
@@ -510,15 +339,18 @@ class Machine:
             left_condition = self.evaluate_condition(node.left)
             # The right operand is only evaluated if the left one does not settle the result.
             needs_right = left_condition if node.op == "&&" else z3.Not(left_condition)
-            with self._effects_only_if(needs_right):
-                right_condition = self.evaluate_condition(node.right)
             combine = z3.And if node.op == "&&" else z3.Or
-            return combine(left_condition, right_condition)
+            if _has_effects(node.right):
+                if self.holds(needs_right):
+                    return self.evaluate_condition(node.right)
+                return left_condition
+            with self._supposing(needs_right):
+                return combine(left_condition, self.evaluate_condition(node.right))
         if isinstance(node, c_ast.UnaryOp) and node.op == "!":
             return z3.Not(self.evaluate_condition(node.expr))
         if isinstance(node, c_ast.BinaryOp) and node.op in _COMPARISON_SYMBOLS:
             left_operand, right_operand = self.evaluate(node.left), self.evaluate(node.right)
-            return self.arithmetic.compare(node.op, *self._to_common_type(left_operand, right_operand))
+            return compare(node.op, *self._to_common_type(left_operand, right_operand))
         return self.evaluate(node).term != 0
 
     def _evaluate_constant(self, node: Any) -> Number:
@@ -533,7 +365,7 @@ class Machine:
                 is_allowed = not is_unsigned_only if signed else may_be_unsigned
                 type_ = IntegerType(bits, signed)
                 if is_allowed and value <= type_.maximum:
-                    return self.arithmetic.constant(value, type_)
+                    return constant(value, type_)
         raise NotImplementedError(node.value)
 
     def _evaluate_id(self, node: Any) -> Any:
@@ -541,7 +373,7 @@ class Machine:
         enumeration_value = self.program.constants.get(node.name)
         if enumeration_value is not None:
             return self.evaluate(enumeration_value)
-        return self.load(self.local_variable(node.name))
+        return self.variables[node.name]
 
     def _evaluate_structref(self, node: Any) -> Any:
         """Return a member of a structure, or of one that a pointer points to."""
@@ -551,34 +383,28 @@ class Machine:
         return structure[node.field.name]
 
     def _evaluate_arrayref(self, node: Any) -> Any:
-        """Return an element of an array, or of one that a pointer points into."""
-        array = self.evaluate(node.name)
-        index = z3.simplify(self.evaluate(node.subscript).term)
-        # An array that is a value is a dictionary, of which a constant index needs no location.
-        if isinstance(array, Location) or not is_constant(index):
-            return self.load(self._locate(node))
-        return array[str(index.as_long())]
+        return self.load(self._locate(node))
 
     def _evaluate_cast(self, node: Any) -> Any:
         """Return a value converted to another type; the only other one than an integer type is float."""
         type_ = self._resolve_type(node.to_type.type)
         value = self.evaluate(node.expr)
-        return round_to_binary32(value) if type_ == "float" else self._convert(value, type_)
+        if type_ == "float":
+            return z3.fpSignedToFP(z3.RNE(), value.term, z3.Float32())  # to nearest
+        return self._convert(value, type_)
 
     def _evaluate_ternaryop(self, node: Any) -> Any:
         condition = z3.simplify(self.evaluate_condition(node.cond))
-        if z3.is_true(condition):
-            return self.evaluate(node.iftrue)
-        if z3.is_false(condition):
-            return self.evaluate(node.iffalse)
-        # C evaluates one of the two, so each may change memory on its own path alone.
-        with self._effects_only_if(condition):
+        is_constant = z3.is_true(condition) or z3.is_false(condition)
+        if is_constant or _has_effects(node.iftrue) or _has_effects(node.iffalse):
+            return self.evaluate(node.iftrue if self.holds(condition) else node.iffalse)
+        # Without effects the two values become one term, and the path need not fork.
+        with self._supposing(condition):
             value_if_true = self.evaluate(node.iftrue)
-        with self._effects_only_if(z3.Not(condition)):
+        with self._supposing(z3.Not(condition)):
             value_if_false = self.evaluate(node.iffalse)
-        if isinstance(value_if_true, Number):
-            value_if_true, value_if_false = self._to_common_type(value_if_true, value_if_false)
-        return merge_values(condition, value_if_true, value_if_false)
+        value_if_true, value_if_false = self._to_common_type(value_if_true, value_if_false)
+        return Number(z3.If(condition, value_if_true.term, value_if_false.term), value_if_true.type)
 
     def _evaluate_unaryop(self, node: Any) -> Any:
         if node.op == "&":
@@ -587,14 +413,14 @@ class Machine:
             return self.load(self.evaluate(node.expr))
         if node.op in ("++", "--", "p++", "p--"):
             old_value = self.evaluate(node.expr)
-            new_value = self._update(node.expr, node.op[-1], self.arithmetic.constant(1, self.int_type))
+            new_value = self._update(node.expr, node.op[-1], constant(1, self.int_type))
             return old_value if node.op.startswith("p") else new_value  # p: the operator stands behind
         if node.op == "!":
             return self._to_int(self.evaluate_condition(node))
         number = self._promote(self.evaluate(node.expr))
         # -x is 0 - x, and ~x is x with all bits of -1 flipped.
         symbol, left_value = {"-": ("-", 0), "~": ("^", -1)}[node.op]
-        return self.arithmetic.binary(symbol, self.arithmetic.constant(left_value, number.type), number)
+        return apply_operator(symbol, constant(left_value, number.type), number, self.require)
 
     def _evaluate_binaryop(self, node: Any) -> Number:
         if node.op in ("&&", "||", *_COMPARISON_SYMBOLS):
@@ -604,108 +430,105 @@ class Machine:
         return self._apply_operator(node.op, left_operand, right_operand)
 
     def _evaluate_assignment(self, node: Any) -> Any:
-        if node.op == "=":
-            value = self.evaluate(node.rvalue)
-            return self.store(self._locate(node.lvalue), value)
-        symbol = node.op.removesuffix("=")
         right_operand = self.evaluate(node.rvalue)
+        if node.op == "=":
+            if _is_long_word_of_bytes(node.lvalue):
+                return self._clear_eight_bytes(node.lvalue, right_operand)
+            return self.store(self._locate(node.lvalue), right_operand)
+        symbol = node.op.removesuffix("=")
         self._require_documented_shift(node, symbol, right_operand)
         return self._update(node.lvalue, symbol, right_operand)
 
+    def _clear_eight_bytes(self, target: Any, value: Number) -> Number:
+        """Store 0 in a long word of the union of senders heard, which has its bytes in ``of`` alone."""
+        word_index = constant_value(self.evaluate(target.subscript).term)
+        assert constant_value(value.term) == 0, "long words of a union of bytes are cleared, nothing else"
+        assert word_index is not None
+        heard = self.evaluate(target.name.name)
+        for byte_index in range(8 * word_index, 8 * word_index + 8):
+            self.store(Pointer(heard["of"], byte_index), value)
+        return value
+
     def _evaluate_funccall(self, node: Any) -> Any:
         """Call a function with its arguments converted to the types of its parameters."""
-        arguments = [self._evaluate_argument(argument) for argument in node.args.exprs]
+        arguments = [self.evaluate(argument) for argument in node.args.exprs]
         name = node.name.name
         if name == "__builtin_clz":
-            return self._count_leading_zeros(arguments[0])
-        types = [self._resolve_type(parameter.type) for parameter in self.program.parameters(name)]
-        return self.call(name, *map(self._convert, arguments, types))
+            return self.count_leading_zeros(arguments[0])
+        converted_arguments = []
+        for parameter, argument in zip(self.program.parameters(name), arguments, strict=True):
+            type_ = self._resolve_type(parameter.type)
+            is_array = isinstance(type_, (c_ast.PtrDecl, c_ast.ArrayDecl)) and isinstance(argument, dict)
+            # An array as an argument is a pointer to its first element.
+            converted_arguments.append(Pointer(argument, 0) if is_array else self._convert(argument, type_))
+        return self.call(name, *converted_arguments)
 
-    def _evaluate_argument(self, node: Any) -> Any:
-        """Return the value of an argument: for a local array, a pointer to its first element."""
-        if isinstance(node, c_ast.ID):
-            declaration = self._call_frames[-1].declared_types.get(node.name)
-            location = self.local_variable(node.name)
-            if isinstance(declaration, c_ast.ArrayDecl) and isinstance(self.load(location), dict):
-                return location.select("0")
-        return self.evaluate(node)
-
-    def _count_leading_zeros(self, number: Number) -> Number:
+    def count_leading_zeros(self, number: Number) -> Number:
         """Return what __builtin_clz() of gcc and clang does. It is undefined for 0."""
         self.require(number.term != 0, "leading zeros of 0")
-        count = self.arithmetic.constant(31, self.int_type).term
+        count = z3.BitVecVal(31, self.int_type.bits)
         for bit in range(32):  # from the lowest, so that the highest bit that is set decides
-            count_if_set = self.arithmetic.constant(31 - bit, self.int_type).term
-            count = z3.If(z3.Extract(bit, bit, number.term) == 1, count_if_set, count)
+            is_set = z3.Extract(bit, bit, number.term) == 1
+            count = z3.If(is_set, z3.BitVecVal(31 - bit, self.int_type.bits), count)
         return Number(count, self.int_type)
 
     # --- Locations of expressions ---
 
-    def _locate(self, node: Any) -> Location:
-        """Return the location that an expression names; one that names none is an error."""
+    def _locate(self, node: Any) -> Pointer:
+        """Return a pointer to what an expression names; one that names nothing is an error."""
         if isinstance(node, c_ast.ID):
-            return self.local_variable(node.name)
+            return Pointer(self.variables, node.name)
         if isinstance(node, c_ast.StructRef):
-            structure = self._locate(node.name) if node.type == "." else self.evaluate(node.name)
-            assert isinstance(structure, Location)
-            return structure.select(node.field.name)
+            structure = self.evaluate(node.name)
+            return Pointer(self.load(structure) if node.type == "->" else structure, node.field.name)
         if isinstance(node, c_ast.ArrayRef):
             return self._locate_element(node)
         if isinstance(node, c_ast.UnaryOp) and node.op == "*":
-            # The value of a pointer is the location that it points to.
-            target = self.evaluate(node.expr)
-            assert isinstance(target, Location)
-            return target
+            pointer = self.evaluate(node.expr)
+            assert isinstance(pointer, Pointer)
+            return pointer
         raise NotImplementedError(f"{type(node).__name__} as a place")
 
-    def _locate_element(self, node: Any) -> Location:
-        """Return the location of an element: of an array, or counted from where a pointer points to."""
+    def _locate_element(self, node: Any) -> Pointer:
+        """Return a pointer to an element: of an array, or of one that a pointer points to the begin of."""
         index = self.evaluate(node.subscript)
-        if isinstance(node.name, c_ast.StructRef) and node.name.field.name == "all":
-            return self._locate(node.name).select(str(constant_value(index.term)))
         array = self.evaluate(node.name)
+        if isinstance(array, Pointer):
+            assert array.key == 0, "a pointer into an array"
+            array = array.container
+        constant_index = constant_value(index.term)
+        if constant_index is not None:
+            return Pointer(array, constant_index)
         if isinstance(array, dict):
-            array_location, start_index = self._locate(node.name), 0
-        else:
-            # A pointer into an array ends with the index of the element that it points to.
-            array_location, start_index = array.enclosing_array(), int(array.path[-1])
-        simplified_index = z3.simplify(index.term)
-        if is_constant(simplified_index):
-            return array_location.select(str(start_index + simplified_index.as_long()))
-        assert start_index == 0, "a pointer into an array, and an unknown distance"
-        elements = self.load(array_location)
-        if isinstance(elements, dict):
-            zero, length = (self.arithmetic.constant(bound, index.type) for bound in (0, len(elements)))
-            is_at_least_0 = self.arithmetic.compare(">=", index, zero)
-            is_below_length = self.arithmetic.compare("<", index, length)
-            self.require(z3.And(is_at_least_0, is_below_length), "an element of the array")
-        return array_location.select(index)
+            type_ = IntegerType(index.type.bits)
+            self.require(compare("<", Number(index.term, type_), constant(len(array), type_)), "an element")
+        return Pointer(array, index)
 
     # --- Operators and types ---
 
     def _update(self, target: Any, symbol: str, right_operand: Number) -> Any:
         """Execute ``target symbol= right``, and return the new value."""
-        location = self._locate(target)
-        return self.store(location, self._apply_operator(symbol, self.load(location), right_operand))
+        pointer = self._locate(target)
+        return self.store(pointer, self._apply_operator(symbol, self.load(pointer), right_operand))
 
     def _apply_operator(self, symbol: str, left_operand: Number, right_operand: Number) -> Number:
         """Return the result of an arithmetic operator, after C's usual conversions."""
         if symbol in ("<<", ">>"):  # the count does not change the type of the result
-            return self.arithmetic.binary(symbol, self._promote(left_operand), self._promote(right_operand))
-        return self.arithmetic.binary(symbol, *self._to_common_type(left_operand, right_operand))
+            operands = self._promote(left_operand), self._promote(right_operand)
+        else:
+            operands = self._to_common_type(left_operand, right_operand)
+        return apply_operator(symbol, *operands, self.require)
 
     def _require_documented_shift(self, node: Any, symbol: str, count: Number) -> None:
         """Require that a shift's count is at most the bound in the comment beside it."""
         max_shift = documented_max_shift(node) if symbol in ("<<", ">>") else None
         if max_shift is not None:
-            limit = self.arithmetic.constant(max_shift, count.type)
-            self.require(self.arithmetic.compare("<=", count, limit), f"a shift by at most {max_shift}")
+            limit = constant(max_shift, count.type)
+            self.require(compare("<=", count, limit), f"a shift by at most {max_shift}")
 
     def _promote(self, number: Number) -> Number:
         """Return a number as an int, if its type is shorter."""
-        if number.type.bits >= self.int_type.bits:
-            return number
-        return self.arithmetic.convert(number, self.int_type)
+        return number if number.type.bits >= self.int_type.bits else convert(number, self.int_type)
 
     def _to_common_type(self, left_operand: Number, right_operand: Number) -> tuple[Number, Number]:
         """Return two numbers as ones of the type in which C computes: the longer one, or the unsigned one."""
@@ -714,18 +537,17 @@ class Machine:
         # A longer signed type can hold all values of a shorter unsigned one.
         longest_types = [number.type for number in (left_operand, right_operand) if number.type.bits == bits]
         common_type = IntegerType(bits, signed=all(type_.signed for type_ in longest_types))
-        return self._convert(left_operand, common_type), self._convert(right_operand, common_type)
+        return convert(left_operand, common_type), convert(right_operand, common_type)
 
     def _convert(self, value: Any, type_: Any) -> Any:
         """Return a number as one of an integer type, and anything else unchanged."""
-        if not isinstance(type_, IntegerType) or not isinstance(value, Number) or value.type == type_:
-            return value
-        return self.arithmetic.convert(value, type_)
+        is_conversion = isinstance(type_, IntegerType) and isinstance(value, Number) and value.type != type_
+        return convert(value, type_) if is_conversion else value
 
     def _to_int(self, condition: Any) -> Number:
         """Return 1 where a condition holds, and 0 elsewhere."""
-        true_term, false_term = (self.arithmetic.constant(value, self.int_type).term for value in (1, 0))
-        return Number(z3.If(condition, true_term, false_term), self.int_type)
+        bits = self.int_type.bits
+        return Number(z3.If(condition, z3.BitVecVal(1, bits), z3.BitVecVal(0, bits)), self.int_type)
 
     def _evaluate_initializer(self, type_: Any, node: Any) -> Any:
         """Return the value of a structure or union that is declared with a list of values."""
@@ -733,9 +555,7 @@ class Machine:
             return self._evaluate_union_initializer(node)
         member_types = {member.name: self._resolve_type(member.type) for member in type_.decls}
         # Members that the list leaves out are 0.
-        members = self._build_value(
-            type_, "", lambda _, number_type: self.arithmetic.constant(0, number_type)
-        )
+        members = self._build_value(type_, "", lambda _, number_type: constant(0, number_type))
         for (name, member_type), expression in zip(member_types.items(), node.exprs, strict=False):
             if isinstance(member_type, (IntegerType, c_ast.PtrDecl)):
                 members[name] = self._convert(self.evaluate(expression), member_type)
@@ -749,14 +569,12 @@ class Machine:
         (initializer,) = node.exprs
         if isinstance(initializer, c_ast.Cast):
             return {"bits": Number(z3.fpToIEEEBV(self.evaluate(initializer)), INTEGER_TYPES["int32_t"])}
-        long_type, half_bits = INTEGER_TYPES["uint64_t"], self.arithmetic.constant(32, self.int_type)
         if initializer.name[0].name == "both":
-            both = self.evaluate(initializer.expr)
-            halves = (both, self.arithmetic.binary(">>", both, half_bits))
-            low, high = (self._convert(half, INTEGER_TYPES["uint32_t"]) for half in halves)
-            return {"word": {"0": low, "1": high}}
-        low, high = (self._convert(self.evaluate(half), long_type) for half in initializer.expr.exprs)
-        return {"both": self.arithmetic.binary("+", self.arithmetic.binary("<<", high, half_bits), low)}
+            both, word_type = self.evaluate(initializer.expr).term, INTEGER_TYPES["uint32_t"]
+            low, high = z3.Extract(31, 0, both), z3.Extract(63, 32, both)
+            return {"word": {0: Number(low, word_type), 1: Number(high, word_type)}}
+        low, high = (self.evaluate(half).term for half in initializer.expr.exprs)
+        return {"both": Number(z3.Concat(high, low), INTEGER_TYPES["uint64_t"])}
 
     def _resolve_type(self, declaration: Any) -> Any:
         """Return the integer type, structure, union, array or pointer that is declared.
@@ -775,43 +593,48 @@ class Machine:
         return self.int_type if isinstance(declaration, c_ast.Enum) else declaration
 
 
-def round_to_binary32(number: Number) -> Any:
-    """Return a signed word rounded to binary32, to nearest."""
-    return z3.fpSignedToFP(z3.RNE(), number.term, z3.Float32())
+def all_paths(
+    make_machine: Callable[[tuple[bool, ...]], Machine], run: Callable[[Machine], Any]
+) -> Iterator[tuple[Machine, Any]]:
+    """Execute ``run`` on every path, and yield the machine of each path with its result, None if it ended.
 
-
-def merge_values(condition: Any, value_if_true: Any, value_if_false: Any) -> Any:
-    """Return a value of memory that is the first one where the condition holds, and the second elsewhere.
-
-    A value that does not exist on one of the two paths is the one of the other path.
+    ``make_machine`` takes the decisions that lead to a path.
     """
-    if value_if_true is value_if_false or value_if_false is None:
-        return value_if_true
-    if value_if_true is None:
-        return value_if_false
-    if isinstance(value_if_true, Number):
-        if value_if_true.term.eq(value_if_false.term):
-            return value_if_true
-        return Number(z3.If(condition, value_if_true.term, value_if_false.term), value_if_true.type)
-    if isinstance(value_if_true, dict):
-        return {
-            name: merge_values(condition, member, value_if_false[name])
-            for name, member in value_if_true.items()
-        }
-    assert value_if_true == value_if_false, "a pointer that depends on a condition"
-    return value_if_true
+    waiting_paths: list[tuple[bool, ...]] = [()]
+    while waiting_paths:
+        machine = make_machine(waiting_paths.pop())
+        try:
+            result = run(machine)
+        except PathEndsError:
+            result = None
+        waiting_paths += machine.other_paths
+        yield machine, result
 
 
-def choose_terms(condition: Any, terms_if_true: Any, terms_if_false: Any) -> Any:
-    """Return, in a formula, the first terms where the condition holds, and the second elsewhere."""
-    if isinstance(terms_if_true, dict):
-        return {
-            name: choose_terms(condition, member, terms_if_false[name])
-            for name, member in terms_if_true.items()
-        }
-    if isinstance(terms_if_true, ConstantTable):
-        return ConstantTable(
-            lambda index: z3.If(condition, terms_if_true.word_at(index), terms_if_false.word_at(index)),
-            terms_if_true.word_type,
-        )
-    return z3.If(condition, terms_if_true, terms_if_false)
+def terms_of(value: Any) -> Any:
+    """Return the solver's terms in a value and in what its pointers point to, by name."""
+    if isinstance(value, Pointer):
+        # A pointer to the first element stands for the array.
+        return terms_of(value.container if value.key == 0 else value.container[value.key])
+    if isinstance(value, dict):
+        return {name: terms_of(member) for name, member in value.items()}
+    return value.term if isinstance(value, Number) else value
+
+
+def copy_value(value: Any) -> Any:
+    """Return a copy of a value; what its pointers point to is the same."""
+    if isinstance(value, dict):
+        return {name: copy_value(member) for name, member in value.items()}
+    return value
+
+
+def _is_long_word_of_bytes(target: Any) -> bool:
+    """Return whether an assignment is to a long word of the union of senders heard."""
+    is_element_of_member = isinstance(target, c_ast.ArrayRef) and isinstance(target.name, c_ast.StructRef)
+    return is_element_of_member and target.name.field.name == "all"
+
+
+def _has_effects(node: Any) -> bool:
+    """Return whether an expression may change memory or call a function."""
+    changes = any(unary.op in ("++", "--", "p++", "p--") for unary in nodes(node, c_ast.UnaryOp))
+    return changes or any(nodes(node, c_ast.FuncCall)) or any(nodes(node, c_ast.Assignment))

@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from functools import partial
+from typing import Any
 
 import z3
 
-from proofs.machine import Location, Machine, Summary
-from proofs.numbers import BitVectorArithmetic, IntegerArithmetic
+from proofs.integers import as_integers
+from proofs.machine import Machine, Pointer, Summary, all_paths, terms_of
+from proofs.numbers import Number
 from proofs.source import Program
 
-STEP_LIMITS = (10**6, 8 * 10**6, 64 * 10**6)
-"""The solver's steps for one query, in one attempt after the other. With ten seeds none needed more than 5
-million: the last attempt gives twelve times as many."""
-SOLVER_KINDS = (z3.SimpleSolver, z3.Solver)
-"""The solvers of each attempt. The first settles integers within moments, the second long bit vectors."""
+STEP_LIMITS = (4 * 10**6, 64 * 10**6)
+"""The solver's steps for one query, in one attempt after the other."""
 Formula = Callable[..., Any]
 """Takes terms, and returns a formula of them."""
 
@@ -25,32 +25,17 @@ class UnprovenError(AssertionError):
     """Some values break a claim, or the solver cannot settle it."""
 
 
-class Claim(NamedTuple):
-    """A formula to prove, with its name, for all values for which the assumptions hold."""
-
-    name: str
-    formula: Any
-    assumptions: list[Any]
-
-
-def prove(formula: Any, *assumptions: Any, description: str = "") -> None:
-    """Prove that the formula holds for all values for which the assumptions hold.
+def prove(formula: Any, *facts: Any, description: str = "") -> None:
+    """Prove that the formula holds for all values for which the facts hold.
 
     Raises UnprovenError, with values that break the formula or with the reason why the solver gave up.
     """
-    # There is a proof if nothing satisfies the assumptions and the opposite.
-    answer, solver = _check_satisfiable(*assumptions, z3.Not(formula))
+    # There is a proof if nothing satisfies the facts and the opposite.
+    answer, solver = _check_satisfiable(*facts, z3.Not(formula))
     if answer == z3.sat:
         raise UnprovenError(f"{description}: broken by {solver.model()}")
     if answer == z3.unknown:
         raise UnprovenError(f"{description}: not settled, {solver.reason_unknown()}")
-
-
-def _solver_text(formulas: Iterable[Any]) -> str:
-    """Return the text that the solver reads: the formulas, and the sort of each name in them."""
-    solver = z3.Solver()
-    solver.add(*formulas)
-    return str(solver.sexpr())
 
 
 def _check_satisfiable(*formulas: Any) -> tuple[Any, Any]:
@@ -59,11 +44,18 @@ def _check_satisfiable(*formulas: Any) -> tuple[Any, Any]:
     Each attempt has a context of its own and counts steps, not time. So the answer depends on the text of the
     formulas alone, and not on queries before or on the load of the machine.
     """
-    query_text = _solver_text(formulas)
+    bit_text, integer_text = _solver_text(formulas), None
+    if "bvmul" in bit_text or "bvudiv" in bit_text:
+        with suppress(NotImplementedError):
+            integer_text = _solver_text(as_integers(formulas))
     # Another seed and more steps may settle what an attempt has not: the solver's search is a heuristic.
     for seed, step_limit in enumerate(STEP_LIMITS):
-        for make_solver in SOLVER_KINDS:
-            solver = make_solver(ctx=z3.Context())
+        for query_text in (integer_text, bit_text):
+            if query_text is None:
+                continue
+            context = z3.Context()
+            # The first settles integers within moments, the second bits.
+            solver = z3.SimpleSolver(ctx=context) if query_text is integer_text else z3.Solver(ctx=context)
             solver.set(random_seed=seed, rlimit=step_limit)
             solver.from_string(query_text)
             answer = solver.check()
@@ -72,25 +64,11 @@ def _check_satisfiable(*formulas: Any) -> tuple[Any, Any]:
     return answer, solver
 
 
-def require_satisfiable(assumptions: Iterable[Any], description: str) -> None:
-    """Require that something satisfies the assumptions of a proof: anything follows from a contradiction."""
-    answer, _solver = _check_satisfiable(*assumptions)
-    if answer != z3.sat:
-        raise UnprovenError(f"{description}: nothing is found that satisfies what is taken for known")
-
-
-def prove_all(claims: Iterable[Claim]) -> None:
-    """Prove each claim, and that its assumptions can be satisfied. No claims at all are an error."""
-    satisfiable_texts = set[str]()
-    for claim in claims:
-        query_text = _solver_text(claim.assumptions)
-        # Many claims share their assumptions, which need one check.
-        if query_text not in satisfiable_texts:
-            require_satisfiable(claim.assumptions, claim.name)
-        satisfiable_texts.add(query_text)
-        prove(claim.formula, *claim.assumptions, description=claim.name)
-    if not satisfiable_texts:
-        raise UnprovenError("nothing is claimed")
+def _solver_text(formulas: Iterable[Any]) -> str:
+    """Return the text that the solver reads: the formulas, and the sort of each name in them."""
+    solver = z3.SimpleSolver()
+    solver.add(*formulas)
+    return str(solver.sexpr())
 
 
 def always(*_terms: Any) -> Any:
@@ -104,44 +82,24 @@ class Contract:
 
     Attributes:
         ensures: What holds of the result, the first argument, if ``requires`` did. Of a pointer, the argument
-            is what it pointed to, and what it then points to stands behind the result.
-        arithmetic: The kind of terms with which ``ensures`` is proved.
+            is what it pointed to, and what it then points to stands behind the result. It may return several
+            formulas: each is proved with those before it, and the last one is the promise.
         requires: What a caller has to fulfil.
         constant_parameter: A parameter that is a constant in all calls, or "".
         constant_values: The values of that parameter. Each has a proof of its own.
         used_lemmas: Called functions of which the proof of ``ensures`` knows their contracts alone.
         stand_ins: Summaries of other called functions in that proof.
-        proof_steps: Claims that lead to ``ensures``. Each is proved with the claims before it.
-        make_loop_invariant: Makes what is called after each turn of the function's loops, for one run: it
+        make_loop_invariant: Makes what is called after each turn of the function's loops, for one path: it
             claims what holds after the turn, and lets nothing else be known of what the turn did.
     """
 
     ensures: Formula
-    arithmetic: type[BitVectorArithmetic | IntegerArithmetic] = BitVectorArithmetic
     requires: Formula = always
     constant_parameter: str = ""
     constant_values: tuple[int, ...] = (0,)
     used_lemmas: tuple[str, ...] = ()
     stand_ins: Mapping[str, Summary] = field(default_factory=dict)
-    proof_steps: tuple[Formula, ...] = ()
     make_loop_invariant: Callable[[], Callable[[Machine], None]] | None = None
-
-    def as_summary(self, name: str) -> Summary:
-        """Return a stand-in for the function ``name`` that knows its contract alone.
-
-        Each call becomes an obligation to fulfil ``requires``. The result is any that fulfils ``ensures``.
-        """
-
-        def call_by_contract(machine: Machine, *arguments: Any) -> Any:
-            # The contract speaks of arguments as they were before the call, which may change their targets.
-            argument_terms = [machine.terms_of(argument) for argument in arguments]
-            machine.require(self.requires(*argument_terms), f"what {name} requires")
-            result = any_result(name)(machine, *arguments)
-            result_terms = _result_terms(machine, result, arguments)
-            machine.assume(self.ensures(*result_terms, *argument_terms))
-            return result
-
-        return call_by_contract
 
 
 Contracts = Mapping[str, Contract]
@@ -149,29 +107,37 @@ Contracts = Mapping[str, Contract]
 
 
 def prove_contract(program: Program, name: str, contracts: Contracts) -> None:
-    """Prove that the function keeps its contract, and what its code relies on.
+    """Prove that the function keeps its contract, and what its code relies on, on each of its paths.
 
     Raises UnprovenError if the function breaks its contract for some arguments.
     """
     contract = contracts[name]
-    lemmas = {lemma: contracts[lemma].as_summary(lemma) for lemma in contract.used_lemmas}
-    if not contract.constant_values:
-        raise UnprovenError(f"{name}: there is no case")
-    for constant_value in contract.constant_values:
-        machine = Machine(program, contract.arithmetic, {**lemmas, **contract.stand_ins})
+    summaries = dict(contract.stand_ins)
+    for lemma in contract.used_lemmas:
+        summaries[lemma] = any_result(lemma, contracts[lemma].requires, contracts[lemma].ensures)
+
+    def make_machine(decisions: tuple[bool, ...]) -> Machine:
+        machine = Machine(program, summaries, decisions)
         if contract.make_loop_invariant is not None:
             machine.after_loop_turn = contract.make_loop_invariant()
+        return machine
+
+    for constant_value in contract.constant_values:
         constants = {contract.constant_parameter: constant_value}
-        argument_terms, result_terms = _run_function(machine, name, contract.requires, constants)
-        prove_obligations(machine, name)
+        run = partial(_run_function, name=name, requires=contract.requires, constants=constants)
+        is_possible = False
+        for machine, terms in all_paths(make_machine, run):
+            for obligation in machine.obligations:
+                prove(obligation.claim, *obligation.facts, description=f"{name}: {obligation.description}")
+            if terms is None:
+                continue
+            is_possible = is_possible or _check_satisfiable(*machine.facts)[0] == z3.sat
+            for formula in _each(contract.ensures(*terms)):
+                prove(formula, *machine.facts, description=name)
+                machine.facts.append(formula)
         # If no arguments fulfilled the facts, any result would.
-        require_satisfiable(machine.facts, name)
-        proved_formulas: list[Any] = []
-        for step_number, make_formula in enumerate((*contract.proof_steps, contract.ensures), start=1):
-            formula = make_formula(*result_terms, *argument_terms)
-            description = f"{name}: step {step_number}"
-            prove(formula, *machine.facts, *proved_formulas, description=description)
-            proved_formulas.append(formula)
+        if not is_possible:
+            raise UnprovenError(f"{name}: nothing is found that satisfies what is taken for known")
 
 
 def prove_lemma(
@@ -186,67 +152,126 @@ def prove_lemma(
     # The code of functions with a stand-in is not executed, so it does not belong to the key.
     code_text = program.definition_text(name, {*contract.used_lemmas, *contract.stand_ins})
     proof_key = (code_text, contract, *(contracts[lemma] for lemma in contract.used_lemmas))
-    if done_proofs is not None and proof_key in done_proofs:
-        return
-    prove_contract(program, name, contracts)
+    if done_proofs is None or proof_key not in done_proofs:
+        prove_contract(program, name, contracts)
     if done_proofs is not None:
         done_proofs.add(proof_key)
 
 
-def any_result(name: str) -> Summary:
-    """Return a stand-in for a function. It may return anything, and write anything where it may write.
-
-    Only pointers in structures stay as they are: no function writes one.
-    """
-
-    def call_anything(machine: Machine, *arguments: Any) -> Any:
-        for parameter, argument in zip(machine.program.parameters(name), arguments, strict=True):
-            if not isinstance(argument, Location):
-                continue
-            target_type = parameter.type.type
-            # A function only reads through a pointer to constants.
-            if "const" in target_type.quals:
-                continue
-            old_value, new_value = machine.load(argument), machine.fresh_value(target_type, name)
-            if isinstance(old_value, dict):
-                pointers = {key: member for key, member in old_value.items() if isinstance(member, Location)}
-                new_value |= pointers
-            machine.store(argument, new_value)
-        return machine.fresh_value(machine.program.signatures[name].type, name)
-
-    return call_anything
+def _each(formulas: Any) -> list[Any]:
+    """Return one formula or several as a list."""
+    return list(formulas) if isinstance(formulas, (list, tuple)) else [formulas]
 
 
-def _run_function(
-    machine: Machine, name: str, requires: Formula, constants: Mapping[str, int]
-) -> tuple[list[Any], list[Any]]:
+def _run_function(machine: Machine, name: str, requires: Formula, constants: Mapping[str, int]) -> list[Any]:
     """Run a function on unknown arguments that fulfil ``requires``, and on some constants by parameter.
 
-    Return the terms of the arguments before the call, and the result terms of ``Contract.ensures`` after it.
+    Return the terms that ``Contract.ensures`` takes.
     """
-    parameters = machine.program.parameters(name)
     arguments: list[Any] = []
-    for parameter in parameters:
+    for parameter in machine.program.parameters(name):
         if parameter.name in constants:
             arguments.append(machine.constant_argument(parameter, constants[parameter.name]))
         else:
             arguments.append(machine.fresh_argument(parameter))
-    argument_terms = [machine.terms_of(argument) for argument in arguments]
-    parameter_names = [parameter.name for parameter in parameters]
-    machine.argument_terms = dict(zip(parameter_names, argument_terms, strict=True))
+        machine.argument_terms[parameter.name] = terms_of(arguments[-1])
+    argument_terms = list(machine.argument_terms.values())
     machine.facts.append(requires(*argument_terms))
     result = machine.call(name, *arguments)
-    return argument_terms, _result_terms(machine, result, arguments)
+    return [*_result_terms(result, arguments), *argument_terms]
 
 
-def _result_terms(machine: Machine, result: Any, arguments: Iterable[Any]) -> list[Any]:
+def _result_terms(result: Any, arguments: Iterable[Any]) -> list[Any]:
     """Return the terms of a result, if there is one, and of what pointers among the arguments point to."""
-    targets = [machine.terms_of(argument) for argument in arguments if isinstance(argument, Location)]
-    return targets if result is None else [machine.terms_of(result), *targets]
+    targets = [terms_of(argument) for argument in arguments if isinstance(argument, Pointer)]
+    return targets if result is None else [terms_of(result), *targets]
 
 
-def prove_obligations(machine: Machine, name: str) -> None:
-    """Prove the claims that the machine met in a function, each from what was known there."""
-    for obligation in machine.obligations:
-        description = f"{name}: {obligation.description}"
-        prove(obligation.claim, *obligation.assumptions, description=description)
+# --- Stand-ins for called functions ------------------------------------------------------------------------
+
+
+def any_result(name: str, requires: Formula = always, ensures: Formula = always) -> Summary:
+    """Return a stand-in for a function of which these formulas alone are known, as those of a ``Contract``.
+
+    It may return anything, and write anything where it may write. Only pointers in structures stay as they
+    are: no function writes one.
+    """
+
+    def call_anything(machine: Machine, *arguments: Any) -> Any:
+        # The contract speaks of arguments as they were before the call, which may change their targets.
+        argument_terms = [terms_of(argument) for argument in arguments]
+        machine.require(requires(*argument_terms), f"what {name} requires")
+        for parameter, argument in zip(machine.program.parameters(name), arguments, strict=True):
+            # A function only reads through a pointer to constants.
+            if not isinstance(argument, Pointer) or "const" in parameter.type.type.quals:
+                continue
+            targets = argument.container if argument.key == 0 else {argument.key: machine.load(argument)}
+            for key, target in targets.items():
+                argument.container[key] = _fresh_like(machine, name, target)
+        result = machine.fresh_value(machine.program.signatures[name].type, name)
+        machine.facts.append(_each(ensures(*_result_terms(result, arguments), *argument_terms))[-1])
+        return result
+
+    return call_anything
+
+
+def _fresh_like(machine: Machine, name: str, value: Any) -> Any:
+    """Return an unknown value with the structure of this one; pointers are the same."""
+    if isinstance(value, dict):
+        return {key: _fresh_like(machine, name, member) for key, member in value.items()}
+    return machine.fresh_number(name, value.type) if isinstance(value, Number) else value
+
+
+def uninterpreted(
+    name: str, *changed_members: str, requires: Formula = always, ensures: Formula = always
+) -> Summary:
+    """Return a stand-in for a function whose result depends on its arguments alone: see ``result_of``.
+
+    It changes these members of what the first argument points to, also depending on its arguments alone, and
+    nothing else. ``requires`` and ``ensures`` are as those of a ``Contract``.
+    """
+
+    def call_uninterpreted(machine: Machine, *arguments: Any) -> Any:
+        argument_terms = [terms_of(argument) for argument in arguments]
+        machine.require(requires(*argument_terms), f"what {name} requires")
+        for member_name in changed_members:
+            pointer = arguments[0].select(member_name)
+            old_member = machine.load(pointer)
+            new_terms = result_of(f"{name} {member_name}", terms_of(old_member), *argument_terms)
+            machine.store(pointer, _with_terms(old_member, new_terms))
+        result = machine.fresh_value(machine.program.signatures[name].type, name)
+        if result is not None:
+            result = _with_terms(result, result_of(name, terms_of(result), *argument_terms))
+        machine.facts.append(_each(ensures(*_result_terms(result, arguments), *argument_terms))[-1])
+        return result
+
+    return call_uninterpreted
+
+
+def result_of(name: str, shape: Any, *arguments: Any) -> Any:
+    """Return terms, in the same structure as ``shape``, that an unknown function makes of these arguments.
+
+    Equal arguments give equal results. ``shape`` may also be the number of bits of a result.
+    """
+    if isinstance(shape, dict):
+        return {key: result_of(f"{name} {key}", member, *arguments) for key, member in shape.items()}
+    # A function of the solver, of which nothing is known: it takes all words of all arguments.
+    words = [word for argument in arguments for word in _iterate_words(argument)]
+    result_sort = z3.BitVecSort(shape) if isinstance(shape, int) else shape.sort()
+    return z3.Function(name, *(word.sort() for word in words), result_sort)(*words)
+
+
+def _iterate_words(terms: Any) -> Iterator[Any]:
+    """Yield all words in the terms of a value; a table has none, as no function writes one."""
+    if isinstance(terms, dict):
+        for member in terms.values():
+            yield from _iterate_words(member)
+    elif isinstance(terms, z3.ExprRef):
+        yield terms
+
+
+def _with_terms(value: Any, terms: Any) -> Any:
+    """Return terms as numbers that have the types, and the structure, of a value."""
+    if isinstance(value, dict):
+        return {key: _with_terms(member, terms[key]) for key, member in value.items()}
+    return Number(terms, value.type)

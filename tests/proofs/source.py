@@ -14,6 +14,7 @@ from pycparser import c_ast, c_generator, c_parser
 from support import ROOT, matching_files, run
 
 SOURCES = ROOT / "c_ref/src"
+CORE = SOURCES / "mcp_asdf.c"
 HEADER = SOURCES / "mcp_asdf_arithmetic.h"
 ARITHMETIC = (HEADER, *matching_files(SOURCES, "mcp_asdf_target*.h"))
 """The private headers. The first includes all others."""

@@ -11,8 +11,8 @@ import pytest
 import z3
 
 from proofs.arithmetic import RECIPROCAL_LIMITS
-from proofs.machine import INTEGER_TYPES, Machine
-from proofs.numbers import BitVectorArithmetic, IntegerType, Number
+from proofs.machine import INTEGER_TYPES, Machine, terms_of
+from proofs.numbers import IntegerType, Number
 from proofs.source import ARITHMETIC, HEADER, HERE, Program, Variant, program
 from support import run, slow
 
@@ -84,8 +84,7 @@ def interpret(code: Program, name: str, arguments: list[int]) -> int:
     numbers = []
     for argument, type_ in zip(arguments, types, strict=True):
         numbers.append(Number(z3.BitVecVal(argument, type_.bits), type_))
-    machine = Machine(code, BitVectorArithmetic)
-    result = machine.terms_of(machine.call(name, *numbers))
+    result = terms_of(Machine(code).call(name, *numbers))
     if isinstance(result, dict):  # a pair of words
         result = z3.Concat(result["high"], result["low"])
     return int(z3.simplify(result).as_long())
