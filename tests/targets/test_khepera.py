@@ -222,19 +222,3 @@ def test_a_khepera_that_runs_as_its_service_says_observes_and_broadcasts(robot: 
     assert last_estimate.sender == 7
     assert last_estimate.x_hat == khepera.summary["x_hat"]
     assert (robot / "robot.state").exists()
-
-
-def test_a_node_for_a_khepera_that_is_linked_dynamically_would_need_glibc_2_34(tmp_path: Path) -> None:
-    """Debian's compiler makes it so, and docs/platforms/khepera.md names that version.
-
-    A Khepera has an older C library, so its node is linked statically.
-    """
-    require(*CORTEX_A8.compiler)
-    (tmp_path / "main.c").write_text("int main(void) { return 0; }\n", encoding="ascii")
-
-    run("arm-linux-gnueabihf-gcc", tmp_path / "main.c", "-o", tmp_path / "main")
-
-    symbols = run("arm-linux-gnueabihf-objdump", "-T", tmp_path / "main")
-    minor_versions = re.findall(r"GLIBC_2\.(\d+)", symbols)
-    assert max(minor_versions, key=int) == "34"
-    assert "GLIBC_2.34" in PAGE.read_text(encoding="utf-8")
