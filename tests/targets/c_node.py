@@ -71,6 +71,12 @@ SANITIZED_BUILD = NodeBuild(
 """For this machine, with sanitizers: the usual build of these tests."""
 PLAIN_BUILD = NodeBuild("plain")
 """For this machine, as users build it."""
+COVERAGE_BUILD = NodeBuild(
+    "covered",
+    ("gcov", "gcc"),
+    " --coverage -O0 -Dalways_inline=unused",  # each function once
+    settings=("-DCMAKE_BUILD_TYPE=Debug",),
+)
 CORTEX_A8 = NodeBuild(
     "cortex-a8",
     ("arm-linux-gnueabihf-gcc", "gcc-arm-linux-gnueabihf libc6-dev-armhf-cross"),
@@ -88,6 +94,29 @@ def node_command(kind: NodeBuild, tmp_path_factory: pytest.TempPathFactory) -> l
     if not folder.exists():
         folder = made_once(tmp_path_factory, f"node {kind.name}", kind.build)
     return [*kind.runner, str(folder / "mcp_asdf_node")]
+
+
+def unexecuted_lines(folder: Path) -> set[str]:
+    """Return the lines of the core that a coverage build has not executed, or only in one way.
+
+    Each is "file: text of the line".
+    """
+    least_count_by_line = dict[str, int]()  # executions of the line, or of its rarest branch
+    for data in folder.glob("core/**/*.gcda"):
+        report = run("gcov", "--branch-probabilities", "--json-format", "--stdout", data, cwd=folder)
+        for file in json.loads(report)["files"]:
+            path = Path(file["file"])
+            if path.parent != ROOT / "c_ref/src" or path.stem == "mcp_asdf_image":  # which saves and restores
+                continue
+            source_lines = path.read_text(encoding="utf-8").splitlines()
+            for line in file["lines"]:
+                code, *_comment = source_lines[line["line_number"] - 1].split("/*")
+                text = f"{path.name}: {code.strip()}"
+                least_count = min([line["count"], *(branch["count"] for branch in line["branches"])])
+                if path.suffix == ".h":  # several files include it; it is enough if the line runs in one file
+                    least_count = max(least_count, least_count_by_line.get(text, 0))
+                least_count_by_line[text] = least_count
+    return {text for text, least_count in least_count_by_line.items() if least_count == 0}
 
 
 class CNode:

@@ -27,7 +27,7 @@ from typing import Any
 import can
 import pytest
 
-from mcp_asdf.robot import Filter, Observation
+from mcp_asdf.robot import Config, Filter, Observation
 from mcp_asdf_tools.bus.frame_layout import EVERY_ROBOT, Action, Health
 from mcp_asdf_tools.bus.frames import (
     Command,
@@ -38,12 +38,17 @@ from mcp_asdf_tools.bus.frames import (
     encode_command,
     encode_estimate,
 )
+from mcp_asdf_tools.radio.controller_link import BenchOptions
+from mcp_asdf_tools.radio.verification import Verification
 from mcp_asdf_tools.robots.lockstep import Lockstep
 from mcp_asdf_tools.robots.node import RobotNode, Subjects
+from mcp_asdf_tools.robots.robot_setup import RobotSetup
 from support import PATIENCE, interruptible, names_in, require, slow
 from targets.c_node import (
     CORTEX_A8,
+    COVERAGE_BUILD,
     SANITIZED_BUILD,
+    TABLE,
     CNode,
     NodeBuild,
     StartNode,
@@ -52,8 +57,10 @@ from targets.c_node import (
     numbers_of_robot,
     python_node,
     run_lockstep,
+    unexecuted_lines,
 )
 from targets.unix_bus import UnixBus
+from wrong_robots import settings_with_four_neighbours
 
 ID = 101
 CONTROLLER_STATE, GARBLED_FRAME, BUS_OFF, RESTARTED = 0x4, 0x8, 0x40, 0x100
@@ -1046,3 +1053,69 @@ def test_a_folder_that_cannot_be_closed_after_a_save_does_no_harm(
 
     assert error_lines == []
     assert state.read_bytes() == state_after_the_run
+
+
+# ---- The verdict ----
+
+NOT_EXECUTED = {
+    "configurations that the node refuses before it is there": r"mcp_asdf\.c: (.*config->(filter|memory).*"
+    r"|return (MCP_ASDF_ERR_(CONFIG|TABLE|ID|B_HAT)|false);"
+    r"|if \((filters_from_first|id|b_hat|head|word|status) .*"
+    r"|.*(THRESHOLD_ONE|TABLE_OMEGA_MAX).*)",
+    "arguments that its codec refuses before": r"mcp_asdf\.c: (if \((\(uint32_t\)z|x_hat|sender) .*"
+    r"|return MCP_ASDF_ERR_(OBSERVATION|X_HAT);|\+\+robot->counters\.rejected;)",
+    "error frames, CAN FD, and frames that no node makes": r"mcp_asdf_frame\.c: (return status;"
+    r"|if \((status|node|target|format->subject|action|message->\w+) .*"
+    r"|if \(\(frame->flags & MCP_ASDF_FRAME_(ERROR|FD)\) .*"
+    r"|return MCP_ASDF_FRAME_ERR_(ACTION|B_HAT|(ERROR|FD)_FRAME|FORMAT|HEALTH|MODE|NODE|TARGET|X|X_HAT);)",
+    "step(), which the node does not call": r"mcp_asdf\.c: (.*_(step|observe)\(.*|return status == .*)",
+    "other configurations: another filter, table or memory, b_hat below 1/2": r"mcp_asdf\.c: "
+    r"(if \(filter == .*|const uint32_t k = .*|if \(is_halved\) .*|begin_batch\(robot\);|t >>= 1;|n = \(n .*"
+    r"|const uint32_t (rounded_down|is_rounded_down_odd) = .*)"
+    r"|mcp_asdf_robust\.h: (return b_hat < UINT32_C\(1\) .*|if \(mcp_asdf_is_robust\(robot->config\)\) .*)",
+    "46,341 observations or more: the largest alpha": r"mcp_asdf\.c: return exponent <= ALPHA_SHIFT_MAX .*"
+    r"|mcp_asdf_arithmetic\.h: (if \(\(count & 32U\).*|value = high_word\(value\);)",
+    "2^21 observations in a filter period": r"mcp_asdf_robust\.h: high_word\(short_deviation\) .*",
+    "slots whose lower half is nearer to their median than all others": r"mcp_asdf_robust\.h: "
+    r"(const uint32_t distance_below = .*|if \(below > 0U .*)",
+}
+"""What a verification leaves out of the core, and why: patterns of "file: text of a line"."""
+
+
+@pytest.fixture
+def folder_of_verified_node(bus: UnixBus, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a coverage build of the node that has passed two verifications, with either filter.
+
+    They are those of ``mcp-asdf radio --verify``, and all other settings are the default ones.
+    """
+    command = node_command(COVERAGE_BUILD, tmp_path_factory)
+    for filter_name, config in (("asdf-plus", Config(TABLE)), ("robust", Config(filter=Filter.ROBUST))):
+        with CNode(command, bus.channel_info, ID, "--lockstep", "--filter", filter_name) as node:
+            bus.accept_node()
+            setup = RobotSetup(ID, "mirror", 0.95, config)
+            verdict = Verification(
+                settings_with_four_neighbours(setup), BenchOptions(bus, ticks=25, timeout=PATIENCE)
+            ).run()
+            assert verdict.has_passed, verdict.headline
+            node.stop()
+    return Path(command[-1]).parent
+
+
+@pytest.mark.slow
+def test_the_radio_command_s_verdict_executes_every_line_and_branch_of_the_firmware(
+    folder_of_verified_node: Path,
+) -> None:
+    """So a robot that passes has no untried code but the lines that NOT_EXECUTED lists with reasons.
+
+    NOT_EXECUTED has reasons, and for each the pattern of the lines of C that it holds for.
+    """
+    lines_without_reason = []
+    used_reasons = set()
+    for line in unexecuted_lines(folder_of_verified_node):
+        reasons = {reason for reason, pattern in NOT_EXECUTED.items() if re.fullmatch(pattern, line)}
+        used_reasons |= reasons
+        if not reasons:
+            lines_without_reason.append(line)
+
+    assert lines_without_reason == []
+    assert used_reasons == set(NOT_EXECUTED), "a reason that is not needed any more is to be removed"
