@@ -8,7 +8,10 @@ import shutil
 from pathlib import Path
 
 import pytest
+import z3
 
+from proofs.arithmetic import are_leading_zeros
+from proofs.prove import prove
 from proofs.source import AVR, INCLUDE, SOURCES, VARIANTS, Variant
 from support import CORE, require, run
 
@@ -58,6 +61,12 @@ def test_no_call_can_trap_or_reach_foreign_memory_in_a_build_of_one_filter(
     assert UNKNOWN_FUNCTION not in report
     reached_functions, _functions_reached_in_part = functions_in(report)
     assert reached_functions >= FUNCTIONS_CALLED
+
+
+def test_a_word_of_32_or_more_has_at_most_26_leading_zeros() -> None:
+    """Eva takes this for granted, as any_calls.c admits it. It follows from the lemma of leading_zeros()."""
+    zeros, value = z3.BitVecs("zeros value", 32)
+    prove(z3.ULE(zeros, 26), are_leading_zeros(zeros, value), z3.UGE(value, 32))
 
 
 @pytest.mark.slow
