@@ -587,6 +587,16 @@ def test_the_centre_of_neighbours_at_an_end_of_the_range_stays_within_it(end: in
     assert centre_after_huber_step(estimates, centre, spread=4096) == end
 
 
+def test_an_estimate_at_the_distance_of_the_spread_is_inside() -> None:
+    """So a step of the search for the centre, the sum of all distances, is divided by 2, the number inside.
+
+    The distances are 1/8, which is the spread, and 0. All are in units of 2**-24, and the step is rounded.
+    """
+    half, eighth = 2**23, 2**21
+    centre = centre_after_huber_step([half + eighth, half], centre=half, spread=eighth)
+    assert centre == pytest.approx(half + eighth / 2, abs=2)
+
+
 # --- The dispersion --------------------------------------------------------------------------------------
 
 
