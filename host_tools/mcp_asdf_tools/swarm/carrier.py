@@ -29,7 +29,7 @@ import numpy as np
 from mcp_asdf_tools.bus.frames import Estimate, FrameFormat, decode_frame
 from mcp_asdf_tools.robots.bus_robot import BusRobot, estimate_rows
 from mcp_asdf_tools.robots.clock import RealTimeClock
-from mcp_asdf_tools.robots.node import FrameTaker
+from mcp_asdf_tools.robots.node import FrameTaker, send_all
 from mcp_asdf_tools.swarm.delivery import Deliveries, DeliveryQueue, SentFrame
 
 FRAME_TIMEOUT = 2.0
@@ -301,7 +301,7 @@ class Carrier:
         # There is no connection without a bus, and none for a remote sender.
         robot_connection = self._robot_connections.get(sent_frame.sender)
         if robot_connection is not None:
-            robot_connection.bus.send(sent_frame.frame, timeout=FRAME_TIMEOUT)
+            send_all(robot_connection.bus, [sent_frame.frame], FRAME_TIMEOUT)
         self._frames_to_read_back.append(sent_frame)
         if len(self._frames_to_read_back) == _BATCH_SIZE:
             self._read_back(sent_frame.tick)  # which empties ``_frames_to_read_back``
@@ -375,8 +375,7 @@ class Carrier:
         take a frame, and SwarmError if a frame is lost in a swarm without a clock, where none may be missing.
         """
         carrier_connection = self.bus_connections[robot]
-        for frame in frames:
-            carrier_connection.bus.send(frame, timeout=FRAME_TIMEOUT)
+        send_all(carrier_connection.bus, frames, FRAME_TIMEOUT)
         robot_connection = self._robot_connections.get(robot)
         if robot_connection is None:
             return frames

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
@@ -278,6 +279,33 @@ def test_of_more_than_eight_lost_frames_eight_are_reported(
     run = run_that_loses_all_frames_after_tick_2(robots, monkeypatch)
     assert run.failure is not None
     assert f"frame 106BB806, {expected_end_of_list} within" in run.failure
+
+
+class BusWithFullQueue(virtual.VirtualBus):
+    """A virtual bus whose queue is full whenever a frame is sent for the first time."""
+
+    is_full = False
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        """Send a frame, or raise what SocketCAN raises if the queue is full."""
+        self.is_full = not self.is_full
+        if self.is_full:
+            raise can.CanOperationError("No buffer space available", errno.ENOBUFS)
+        super().send(msg, timeout)
+
+
+@pytest.mark.parametrize("is_shared", [True, False])
+def test_a_swarm_on_a_slow_bus_sends_its_frames_when_the_queue_has_room(is_shared: bool) -> None:
+    """The run is that on a bus that takes each frame at once. Robots share a bus, or have one each."""
+
+    def join_slow_bus(robot: int) -> can.BusABC:
+        name = "slow" if is_shared else f"slow, of {robot}"
+        return BusWithFullQueue(name, receive_own_messages=is_shared, preserve_timestamps=True)
+
+    slow_run, slow_frames = run_and_record(small_swarm(steps=20), Wiring(join_slow_bus, is_shared))
+    run, frames = run_and_record(small_swarm(steps=20))
+    assert identifiers_and_data(slow_frames) == identifiers_and_data(frames)
+    assert saved_robots(slow_run.nodes) == saved_robots(run.nodes)
 
 
 def sent_estimate(sender: int, tick: int) -> SentFrame:
