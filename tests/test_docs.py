@@ -395,6 +395,12 @@ def test_the_c_program_of_the_readme_builds_with_firmware_that_was_copied_by_han
     assert printed == README_OUTPUT
 
 
+def test_the_readme_shows_what_its_first_command_prints_as_the_page_on_swarms_does() -> None:
+    """The page compares the filters in the same swarm, and a test compares its text with what is printed."""
+    [line] = block_with(README, "Mean error on the same seed", "text").splitlines()
+    assert line in (ROOT / "docs/swarm.md").read_text(encoding="utf-8").splitlines()
+
+
 def test_the_output_in_the_readme_is_what_the_paper_s_equation_gives() -> None:
     """n of t tiles seem black, 2 of 3, and a sensor with the accuracy b is right in 95 of 100 cases.
 

@@ -487,10 +487,17 @@ def add_worker_option(parser: argparse.ArgumentParser) -> None:
         "--workers",
         type=int,
         metavar="N",
-        # Processors that this process may use, which may be fewer than the machine has.
-        default=len(os.sched_getaffinity(0)),
+        default=_count_processors(),
         help="run N processes (default %(default)s: one per processor)",
     )
+
+
+def _count_processors() -> int:
+    """Return how many processors this process may use: all, where the system does not say."""
+    if hasattr(os, "sched_getaffinity"):  # macOS and Windows do not have it
+        this_process = 0
+        return len(os.sched_getaffinity(this_process))
+    return os.cpu_count() or 1
 
 
 def workers_of(args: argparse.Namespace) -> int:

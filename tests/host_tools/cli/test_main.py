@@ -617,6 +617,15 @@ def run_swarm_and_return_log(*options: str, capsys: Capture) -> list[str]:
     return messages_of(capsys.readouterr().err)
 
 
+def test_a_system_that_cannot_say_which_processors_a_process_may_use_runs_a_worker_on_each(
+    monkeypatch: pytest.MonkeyPatch, capsys: Capture
+) -> None:
+    """Such a system is macOS. Here it has three processors."""
+    monkeypatch.delattr(os, "sched_getaffinity")
+    monkeypatch.setattr(os, "cpu_count", lambda: 3)
+    assert "(default 3: one per processor)" in " ".join(help_of("sweep", capsys).split())
+
+
 def test_a_command_logs_nothing_without_the_option_v(capsys: Capture) -> None:
     """The first swarm logs. The second one must not go on with that, although it is in the same process.
 
