@@ -40,11 +40,7 @@ def failure_of_bus(error: Exception, bus: can.BusABC) -> can.CanError | None:
     # An error of the operating system decides, also where a driver has wrapped it in one of its own.
     system_error = _system_error_among(causes)
     if system_error is not None:
-        if not _is_temporary(system_error):
-            return _create_bus_gone_error(error, system_error)
-        if isinstance(error, can.CanError):
-            return error
-        return can.CanOperationError(str(error))
+        return _failure_by_system_error(error, system_error)
     decoding_errors = [cause for cause in causes if isinstance(cause, _DECODING_ERRORS)]
     if decoding_errors:
         # Operations on a closed port or socket raise these errors, too.
@@ -54,6 +50,18 @@ def failure_of_bus(error: Exception, bus: can.BusABC) -> can.CanError | None:
     if isinstance(error, can.CanError):
         return error  # A driver's own error may be a state that passes, such as bus-off or a full queue.
     return _create_bus_gone_error(error, error)
+
+
+def _failure_by_system_error(error: Exception, system_error: OSError) -> can.CanError:
+    """Return the failure that ``error`` stands for, which the operating system has caused.
+
+    It is a BusGoneError unless the bus may work again, then ``error`` itself if that is a can.CanError.
+    """
+    if not _is_temporary(system_error):
+        return _create_bus_gone_error(error, system_error)
+    if isinstance(error, can.CanError):
+        return error
+    return can.CanOperationError(str(error))
 
 
 def _causes(error: BaseException | None) -> Iterator[BaseException]:

@@ -60,13 +60,7 @@ def dbc_text(estimate_format: FrameFormat, nodes: Sequence[int] | None = None) -
             f"subject {estimate_format.subject} is that of telemetry or commands; "
             "choose another for estimates"
         )
-    if nodes is None:
-        # One entry for any node: it has the identifier of node 0, and names without the id of a node. Whoever
-        # reads the file leaves out the bits of the node (ANY_NODE_MASK).
-        suffix_by_node = {0: ""}
-    else:
-        _check_unique(nodes)
-        suffix_by_node = {node: f"_{node}" for node in nodes}
+    suffix_by_node = _suffix_by_node(nodes)
     entries = []
     for node, suffix in suffix_by_node.items():
         for kind, identifier in _identified_kinds(estimate_format, node):
@@ -84,11 +78,19 @@ def dbc_text(estimate_format: FrameFormat, nodes: Sequence[int] | None = None) -
     return "\n".join(sections)
 
 
-def _check_unique(nodes: Sequence[int]) -> None:
-    """Raise UsageError if a node is listed twice."""
+def _suffix_by_node(nodes: Sequence[int] | None) -> dict[int, str]:
+    """Return what follows the names in each node's entries: ``_`` and its id.
+
+    If ``nodes`` is None, the result is node 0 with an empty suffix, for entries that serve any node. Raises
+    UsageError if a node is listed twice.
+    """
+    if nodes is None:
+        # Whoever reads the file leaves out the bits of the node (ANY_NODE_MASK).
+        return {0: ""}
     for node in nodes:
         if nodes.count(node) > 1:
             raise UsageError(f"node {node} is listed twice; each id belongs to one node")
+    return {node: f"_{node}" for node in nodes}
 
 
 def _identified_kinds(estimate_format: FrameFormat, node: int) -> list[tuple[FrameKind, int]]:

@@ -246,13 +246,13 @@ class Connection(can.BusABC):
         except Exception as error:  # an interface may raise anything
             self._raise_if_bus_failed(error)
             is_undecodable = True
-        if is_undecodable:
-            if self._was_undecodable:
-                time.sleep(_PAUSE_AFTER_FAILURE)  # an interface that always fails would keep the CPU busy
-            frame = self._create_error_frame(time.time())
-            has_passed_filters = True
+        was_undecodable = self._was_undecodable
         self._was_undecodable = is_undecodable
-        return frame, has_passed_filters
+        if not is_undecodable:
+            return frame, has_passed_filters
+        if was_undecodable:
+            time.sleep(_PAUSE_AFTER_FAILURE)  # an interface that always fails would keep the CPU busy
+        return self._create_error_frame(time.time()), True
 
     def _raise_if_bus_failed(self, error: Exception) -> None:
         """Raise can.CanError if ``error``, which the interface has raised, means that the bus has failed.
@@ -383,13 +383,15 @@ class Multicast(Connection):
                 return None, False
             datagram, _sender_address, timestamp = packet
             own_frame = self._pop_own_frame(datagram)
-            if own_frame is None:
+            if own_frame is None:  # another node has sent the datagram
                 return self._decode(datagram, timestamp)
             if self._returns_own:
                 own_frame.timestamp = timestamp
                 own_frame.channel = self.channel_info
                 return own_frame, True
-            timeout = 0.0  # the caller waits again for the rest of its time
+            # An own frame is skipped. Only what is there already is read now: if there is nothing, the caller
+            # waits again for the rest of its time.
+            timeout = 0.0
 
     def _pop_own_frame(self, datagram: bytes) -> can.Message | None:
         """Remove and return the own frame that was sent as ``datagram``, or None if none was."""

@@ -342,12 +342,7 @@ class BusRobot:
         """
         if not self.is_alive:
             return
-        if self._is_allowed_by_sender is not None:
-            senders = estimates[:, _SENDER_COLUMN]
-            is_allowed = self._is_allowed_by_sender[senders]  # of each estimate
-            for sender in senders[~is_allowed].tolist():
-                self.reception.events[Suspicion.UNKNOWN, sender] += 1
-            estimates = estimates[is_allowed]
+        estimates = self._drop_unknown(estimates)
         if self.recorder is not None and len(estimates):
             self.recorder.record_estimates(estimates.tolist())
         received_count = len(estimates)
@@ -358,6 +353,16 @@ class BusRobot:
             self.reception.refused += received_count - accepted_count
             is_under_own_id = estimates[:, _SENDER_COLUMN] == self.id
             self._count_id_conflicts(int(np.count_nonzero(is_under_own_id)))
+
+    def _drop_unknown(self, estimates: EstimateRows) -> EstimateRows:
+        """Return the estimates whose sender is allowed, and count each of the others as the event UNKNOWN."""
+        if self._is_allowed_by_sender is None:  # all senders are allowed
+            return estimates
+        senders = estimates[:, _SENDER_COLUMN]
+        is_allowed = self._is_allowed_by_sender[senders]  # of each estimate
+        for sender in senders[~is_allowed].tolist():
+            self.reception.events[Suspicion.UNKNOWN, sender] += 1
+        return estimates[is_allowed]
 
     def _count_id_conflicts(self, count: int) -> None:
         """Count ``count`` estimates that another node sent under the robot's id, unless there are none."""
@@ -424,5 +429,6 @@ class IntegerAdapter:
             # Invalid estimates are usual on a bus: as with ``FixedPointRobot`` they are no exceptions here.
             with suppress(FirmwareError):
                 status = self._robot.receive(sender, x_hat / Q23_ONE, alpha_from_word(alpha))
-                accepted_count += status is Status.OK
+                if status is Status.OK:
+                    accepted_count += 1
         return accepted_count

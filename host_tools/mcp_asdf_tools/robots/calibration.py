@@ -144,10 +144,11 @@ def _candidates(
         if has_whole_numbers:
             # Sensors with whole numbers compare with whole numbers: the threshold is one, too.
             threshold = math.ceil((reading + next_reading) / 2)
-        # The shares of right readings if black is below the threshold; if it is above, the others are right.
+        # If readings below the threshold are taken for black, these shares are right.
         black_accuracy = black_below / reading_counts["black"]
         white_accuracy = 1 - white_below / reading_counts["white"]
-        below = {"black": black_accuracy, "white": white_accuracy}
-        above = {"black": 1 - black_accuracy, "white": 1 - white_accuracy}
-        yield Calibration(threshold, "below", below, reading_counts), gap
-        yield Calibration(threshold, "above", above, reading_counts), gap
+        accuracy_if_below = {"black": black_accuracy, "white": white_accuracy}
+        yield Calibration(threshold, "below", accuracy_if_below, reading_counts), gap
+        # If readings above it are taken for black, the others are right.
+        accuracy_if_above = {"black": 1 - black_accuracy, "white": 1 - white_accuracy}
+        yield Calibration(threshold, "above", accuracy_if_above, reading_counts), gap

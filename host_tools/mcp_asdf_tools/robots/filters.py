@@ -205,8 +205,10 @@ def _filter_that_sets(firmware_filters: set[Filter]) -> tuple[SwarmFilter, Activ
     activations: tuple[Activation, ...] = get_args(Activation)
     for swarm_filter in FILTERS.values():
         for activation in activations:
-            filter_of_flawed_robots = swarm_filter.firmware_filter_of(True, activation)
-            filter_of_other_robots = swarm_filter.firmware_filter_of(False, activation)
-            if {filter_of_flawed_robots, filter_of_other_robots} == firmware_filters:
+            filters_of_swarm = {
+                swarm_filter.firmware_filter_of(is_flawed=True, activation=activation),
+                swarm_filter.firmware_filter_of(is_flawed=False, activation=activation),
+            }
+            if filters_of_swarm == firmware_filters:
                 return swarm_filter, activation
     return None

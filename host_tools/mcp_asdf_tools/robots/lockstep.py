@@ -201,8 +201,8 @@ class Lockstep:
             missing_robots, expected_answer, self._timeout, self._last_actions
         )
         for _frame in received_frames:
-            # The answer in this frame, if it has one, is in ``answers`` by now. ``received_frames`` ends when
-            # this set is empty.
+            # If this frame is an answer, it has been stored in ``answers``. The set is changed in place, as
+            # ``received_frames`` watches it, and ends when it is empty.
             missing_robots.difference_update(answers)
         return {robot: answers[robot] for robot in robots}
 
@@ -233,19 +233,24 @@ class Lockstep:
                 actions_to_repeat = {}
                 # However long sending took, robots have the second half of the time for the repetition.
                 deadline = time.monotonic() + seconds / 2
+
+            # Wait for a frame, but not beyond what is due next: a check, the repetition or the end.
             next_event = repetition_time if actions_to_repeat else deadline
-            seconds_left = max(0.0, next_event - now)
-            frame = self._bus.recv(min(_SECONDS_BETWEEN_CHECKS, seconds_left))
+            seconds_to_wait = min(_SECONDS_BETWEEN_CHECKS, max(0.0, next_event - now))
+            frame = self._bus.recv(seconds_to_wait)
+            is_bus_quiet = frame is None
+
             # On a bus that is never quiet frames come without end: then the time decides.
-            if frame is None or now >= next_check:
+            if is_bus_quiet or now >= next_check:
                 self.check()
                 next_check = now + _SECONDS_BETWEEN_CHECKS
             if frame is not None and frame.is_rx:  # some buses return the commands sent here
                 self._on_frame(frame)
                 self._store_answer(frame)
-                yield frame
+                yield frame  # the caller may remove its sender from ``missing_robots``
+
             # While frames keep coming, those in the receive buffer still count: for as long once more.
-            last_moment = deadline if frame is None else deadline + seconds
+            last_moment = deadline if is_bus_quiet else deadline + seconds
             if missing_robots and now > last_moment:
                 raise self._missing_error(missing_robots, expected_answer, seconds)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
 from mcp_asdf_tools.common.errors import UsageError
@@ -49,15 +49,8 @@ def parse_readings(readings_text: str, name: str) -> Readings:
     readings = Readings()
     header: Sequence[str] | None = None
     columns: _Columns | None = None
-    for line_number, line in enumerate(readings_text.splitlines(), start=1):
-        position = f"{name}, line {line_number}: {line.strip()!r}"
-        if not line.strip() or line.lower().startswith(_EXCEL_SEPARATOR_LINE):
-            continue
-        if line.lstrip().startswith("#"):
-            readings.left_out["comment"] += 1
-            continue
-        fields = _split(line)
-        if columns is None:  # this is the first line that is not empty and no comment
+    for position, fields in _lines_with_fields(readings_text, name, readings):
+        if columns is None:  # this is the first line
             columns = _columns_of_header(fields, position)
             if columns is not None:
                 header = fields
@@ -69,6 +62,24 @@ def parse_readings(readings_text: str, name: str) -> Readings:
         reading_text, colour_text = columns.choose(fields, position)
         _add_reading(readings, reading_text, colour_text, position)
     return readings
+
+
+def _lines_with_fields(
+    readings_text: str, name: str, readings: Readings
+) -> Iterator[tuple[str, Sequence[str]]]:
+    """Yield for each line of a text its position, by which errors begin, and its fields.
+
+    Empty lines and Excel's line with the separator are skipped. So are comments, which ``readings`` counts as
+    left out. The position has the text's ``name``, the number of the line and the line.
+    """
+    for line_number, line in enumerate(readings_text.splitlines(), start=1):
+        stripped_line = line.strip()
+        if not stripped_line or line.lower().startswith(_EXCEL_SEPARATOR_LINE):
+            continue
+        if stripped_line.startswith("#"):
+            readings.left_out["comment"] += 1
+            continue
+        yield f"{name}, line {line_number}: {stripped_line!r}", _split(line)
 
 
 def _add_reading(readings: Readings, reading_text: str, colour_text: str, position: str) -> None:

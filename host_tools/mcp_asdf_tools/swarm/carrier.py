@@ -26,7 +26,7 @@ from itertools import groupby
 import can
 import numpy as np
 
-from mcp_asdf_tools.bus.frames import Estimate, FrameFormat, decode_frame
+from mcp_asdf_tools.bus.frames import Estimate, FrameFormat, decode_frame, sender_of
 from mcp_asdf_tools.robots.bus_robot import BusRobot, estimate_rows
 from mcp_asdf_tools.robots.clock import RealTimeClock
 from mcp_asdf_tools.robots.node import FrameTaker, send_all
@@ -118,13 +118,14 @@ class ExpectingConnection:
         awaited = [*self._overdue, *expected]
         seconds = FRAME_TIMEOUT if timeout is None else timeout
         received = self._read_awaited(awaited, seconds)
-        missing = [sent_frame for index, sent_frame in enumerate(awaited) if index not in received]
+        missing_indices = [index for index in range(len(awaited)) if index not in received]
+        missing = [awaited[index] for index in missing_indices]
         # In lockstep every frame has to arrive, since the run could not be repeated otherwise.
         if missing and timeout is None:
             raise self._loss_error(missing)
         # The overdue frames are the first in ``awaited``, and an earlier call has counted them as missed.
         overdue_count = len(self._overdue)
-        newly_missed = [index for index in range(overdue_count, len(awaited)) if index not in received]
+        newly_missed = [index for index in missing_indices if index >= overdue_count]
         self.missed_count += len(newly_missed)
         self._overdue = missing
         return [received[index] for index in sorted(received)]
@@ -255,23 +256,25 @@ class Carrier:
                 self._on_frame_without_bus = on_frame
             return
         self._has_bus_per_robot = not wiring.is_shared
-        robot_ids = list(self._robots)
+        robots = list(self._robots)
         with ExitStack() as open_buses:  # which closes those that are open if a later one fails
-            if wiring.is_shared:
-                any_robot = robot_ids[0]  # all have the same bus, so that any of them gives it
-                shared_bus = open_buses.enter_context(open_bus(any_robot))
-                self._connect_carrier(robot_ids, shared_bus, on_frame)
+
+            def enter_bus(robot: int) -> can.BusABC:
+                """Open a connection to the bus of a robot, by id, to be closed with the others."""
+                return open_buses.enter_context(open_bus(robot))
+
+            if self._has_bus_per_robot:
+                for robot in robots:
+                    self._connect_carrier([robot], enter_bus(robot), on_frame)
+                    if robot not in wiring.remote:
+                        robot_connection = ExpectingConnection(enter_bus(robot), f"robot {robot}")
+                        self._robot_connections[robot] = robot_connection
+            else:
+                any_robot = robots[0]  # all have the same bus, so that any of them gives it
+                self._connect_carrier(robots, enter_bus(any_robot), on_frame)
                 are_robots_local = not wiring.remote  # on a shared bus all robots are remote, or none
                 if are_robots_local:
                     self._robot_connections.update(self.bus_connections)
-            else:
-                for robot in robot_ids:
-                    carrier_bus = open_buses.enter_context(open_bus(robot))
-                    self._connect_carrier([robot], carrier_bus, on_frame)
-                    if robot not in wiring.remote:
-                        robot_bus = open_buses.enter_context(open_bus(robot))
-                        listener = f"robot {robot}"
-                        self._robot_connections[robot] = ExpectingConnection(robot_bus, listener)
             # All could be opened: from here on close() closes them, not the end of this block.
             self._open_buses = open_buses.pop_all()
 
@@ -368,22 +371,24 @@ class Carrier:
                 robot.receive_frames(self._pass_over_bus(robot_id, batch, tick))
 
     def _pass_over_bus(self, robot: int, frames: Sequence[can.Message], tick: int) -> Sequence[can.Message]:
-        """Write ``frames`` on the bus of a robot, and return those that it reads there.
+        """Write ``frames`` on a robot's bus by the carrier's connection, and return those the robot's reads.
 
         Late ones are missing, and follow in a later call. A remote robot reads for itself: for its
-        counterpart in this process all of ``frames`` are returned. Raises can.CanError if the bus does not
-        take a frame, and SwarmError if a frame is lost in a swarm without a clock, where none may be missing.
+        counterpart in this process all of ``frames`` are returned. After a full batch the carrier's receive
+        buffer is emptied of the echoes of these frames. Raises can.CanError if the bus does not take a frame,
+        and SwarmError if a frame is lost in a swarm without a clock, where none may be missing.
         """
         carrier_connection = self.bus_connections[robot]
         send_all(carrier_connection.bus, frames, FRAME_TIMEOUT)
-        robot_connection = self._robot_connections.get(robot)
-        if robot_connection is None:
+        is_remote = robot not in self._robot_connections
+        if is_remote:
             return frames
-        # The connection compares frames alone, so that the sender given here does not matter.
-        expected = [SentFrame(frame, robot, tick) for frame in frames]
+        robot_connection = self._robot_connections[robot]
+        expected = [SentFrame(frame, sender_of(frame), tick) for frame in frames]
         received = robot_connection.receive_expected(expected, self._timeout(tick))
-        if len(frames) == _BATCH_SIZE:
-            # The bus returns what the carrier sends there, too: after a full batch its buffer is emptied.
+        is_full_batch = len(frames) == _BATCH_SIZE
+        if is_full_batch:
+            # Fewer echoes do no harm: the carrier skips them when it reads there next.
             carrier_connection.discard_echoes()
         return [sent_frame.frame for sent_frame in received]
 
@@ -395,6 +400,7 @@ class Carrier:
         contents = [
             decode_frame(sent_frame.frame, self._frame_format) for sent_frame in deliveries.sent_frames
         ]
+        # The estimates first
         is_estimate = np.array([isinstance(content, Estimate) for content in contents], np.bool_)
         estimates = estimate_rows(contents)
         # Shape (estimates, robots): the column of a robot says which of the estimates it receives.
@@ -402,8 +408,10 @@ class Carrier:
         for robot in self._robots.values():
             is_received = receivers_of_estimates[:, robot.id]
             robot.receive_all(estimates[is_received])
-        for index in np.flatnonzero(~is_estimate).tolist():
-            is_receiver = deliveries.receivers[index].tolist()
+        # Then the others, such as heartbeats: few, so that they are handed over one by one
+        indices_of_others = np.flatnonzero(~is_estimate).tolist()
+        for index in indices_of_others:
+            is_receiver = deliveries.receivers[index].tolist()  # by robot id
             for robot in self._robots.values():
                 if is_receiver[robot.id]:
                     robot.count_content(contents[index])

@@ -90,21 +90,12 @@ def comparison(results_by_filter: dict[str, dict[str, Any]], settings: SwarmSett
     sentences = [f"Mean error on the same seed: {', '.join(errors)}."]
     if settings.flawed == 0:
         return " ".join(sentences)
-
     b_hat_changes = {
         swarm_filter.term: results_by_filter[swarm_filter.name]["b_hat"]["flawed"]
         for swarm_filter in compared_filters
         if swarm_filter.is_on
     }
-    # All swarms begin with the same robots: any swarm shows what the flawed robots assumed at the start.
-    any_change, *_ = b_hat_changes.values()
-    present_b_hats = [f"{term} {change['after']:.2f}" for term, change in b_hat_changes.items()]
-    # Sensors that age have no one true accuracy.
-    truth = f" (true: {settings.true_accuracy:.2f})" if settings.drift == "none" else ""
-    sentences.append(
-        f"The flawed robots first assumed an accuracy of {any_change['before']:.2f}{truth}, now: "
-        f"{', '.join(present_b_hats)}."
-    )
+    sentences.append(_sentence_on_flawed_robots(b_hat_changes, settings))
     # The nearer an assumed accuracy is to 1/2, the smaller is the confidence that the robot broadcasts.
     is_underconfident = abs(settings.flawed_accuracy - 0.5) < abs(settings.true_accuracy - 0.5)
     if settings.topology == "fully-connected" and is_underconfident:
@@ -113,6 +104,22 @@ def comparison(results_by_filter: dict[str, dict[str, Any]], settings: SwarmSett
             "outvoted anyway; with --topology dynamic they do harm (docs/advice.md)."
         )
     return " ".join(sentences)
+
+
+def _sentence_on_flawed_robots(changes: dict[str, dict[str, float]], settings: SwarmSettings) -> str:
+    """Return the sentence on what flawed robots assumed of their sensors at first, and assume now.
+
+    ``changes`` has their mean b_hat before and after, by the term of each filter that recalibrates.
+    """
+    # All swarms begin with the same robots, so any of them has the same b_hat before.
+    any_change, *_ = changes.values()
+    present_b_hats = [f"{term} {change['after']:.2f}" for term, change in changes.items()]
+    # Sensors that age have no one true accuracy.
+    truth = f" (true: {settings.true_accuracy:.2f})" if settings.drift == "none" else ""
+    return (
+        f"The flawed robots first assumed an accuracy of {any_change['before']:.2f}{truth}, now: "
+        f"{', '.join(present_b_hats)}."
+    )
 
 
 def load_warning(results: dict[str, Any]) -> str | None:

@@ -16,7 +16,7 @@ from copy import copy
 from dataclasses import replace
 from enum import IntEnum
 from fractions import Fraction
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,7 +28,7 @@ from mcp_asdf_tools.swarm.fault_injection.fault import Fault
 RandomWords: TypeAlias = NDArray[np.uint64]
 
 _KEY_LAYOUT = struct.Struct("<IIIBBBx")
-"""Layout of a key of 16 bytes: tick, repetition, identifier, node, copy number and purpose of words."""
+"""Layout of a ``_Key`` in 16 bytes."""
 _BYTES_IN_WORD = 8
 
 
@@ -38,6 +38,17 @@ class _Purpose(IntEnum):
     NODE = 0
     FRAME = 2
     RECEIVERS = 3
+
+
+class _Key(NamedTuple):
+    """What random words are for. The values are hashed in this order."""
+
+    tick: int
+    repetition: int
+    identifier: int
+    node: int
+    copy_number: int
+    purpose: _Purpose
 
 
 class FaultRun:
@@ -62,8 +73,10 @@ class FaultRun:
         self._seeded_hash = hashlib.shake_128(
             seed.to_bytes(16, "little") + f"{fault.name} {fault_number}".encode()
         )
-        self._largest_hit = math.ceil(Fraction(fault.rate) * 2**64) - 1
-        """Largest word that is a hit, so that this share of all 2**64 words are; below all at a rate of 0."""
+        # The lowest words are hits, so many that their share of all 2**64 words is the rate.
+        hit_word_count = math.ceil(Fraction(fault.rate) * 2**64)
+        self._largest_hit = hit_word_count - 1
+        """Largest word that is a hit; -1, below all words, at a rate of 0."""
 
     def hits_node(self, node: int, tick: int) -> bool:
         """Return whether the fault is active for a node and hits it in this tick. Counts nothing."""
@@ -97,7 +110,8 @@ class FaultRun:
         for index, sent_frame in enumerate(deliveries.sent_frames):
             if self.fault.is_active(sent_frame.tick, sent_frame.sender):
                 words = self._words_for_receivers(deliveries, index, words_per_receiver)
-                is_hit[index] = deliveries.receivers[index] & (words[:, 0] <= self._largest_hit)
+                first_words = words[:, 0]  # one for each robot of the swarm, receiver or not
+                is_hit[index] = deliveries.receivers[index] & (first_words <= self._largest_hit)
         return is_hit
 
     def _words_for_receivers(
@@ -127,29 +141,38 @@ class FaultRun:
         for index, sent_frame in enumerate(hit.sent_frames):
             words_by_receiver = self._words_for_receivers(hit, index, 1 + bits).tolist()
             for receiver in np.flatnonzero(hit.receivers[index]).tolist():
-                _hit_word, *words = words_by_receiver[receiver]
-                corrupted_frames.append(_with_bits_flipped(sent_frame, words))
+                _hit_word, *words_for_bits = words_by_receiver[receiver]
+                corrupted_frames.append(_with_bits_flipped(sent_frame, words_for_bits))
                 receivers.append(receiver)
-        single_receivers = np.zeros((len(receivers), hit.receivers.shape[1]), np.bool_)
-        single_receivers[np.arange(len(receivers)), receivers] = True
+        # Row k has a single receiver, that of corrupted frame k.
+        _, robot_count = hit.receivers.shape
+        rows = np.arange(len(corrupted_frames))
+        single_receivers = np.zeros((len(rows), robot_count), np.bool_)
+        single_receivers[rows, receivers] = True
         return replace(hit, sent_frames=corrupted_frames, receivers=single_receivers)
 
     def _words_for_node(self, count: int, tick: int, node: int, repetition: int = 0) -> RandomWords:
         """Return ``count`` words for a node in a tick; other repetitions have other words."""
-        return self._words(count, tick, repetition, 0, node, 0, _Purpose.NODE)
+        # The words are for no frame that is there already, so that it has no identifier and no copies.
+        key = _Key(tick, repetition, identifier=0, node=node, copy_number=0, purpose=_Purpose.NODE)
+        return self._words(count, key)
 
     def _words_for_frame(
         self, count: int, purpose: _Purpose, sent_frame: SentFrame, copy_number: int = 0
     ) -> RandomWords:
         """Return ``count`` words for a frame, or for a copy of it that a fault has made."""
-        identifier = sent_frame.frame.arbitration_id
-        return self._words(
-            count,
-            *(sent_frame.tick, sent_frame.repetition, identifier, sent_frame.sender, copy_number, purpose),
+        key = _Key(
+            tick=sent_frame.tick,
+            repetition=sent_frame.repetition,
+            identifier=sent_frame.frame.arbitration_id,
+            node=sent_frame.sender,
+            copy_number=copy_number,
+            purpose=purpose,
         )
+        return self._words(count, key)
 
-    def _words(self, count: int, *key: int) -> RandomWords:
-        """Return ``count`` words, which seed, fault and the values of the key (``_KEY_LAYOUT``) decide."""
+    def _words(self, count: int, key: _Key) -> RandomWords:
+        """Return ``count`` words, which follow from the seed, the fault and the key."""
         keyed_hash = self._seeded_hash.copy()  # a copy, as the hash of seed and fault serves for every word
         keyed_hash.update(_KEY_LAYOUT.pack(*key))
         return np.frombuffer(keyed_hash.digest(_BYTES_IN_WORD * count), "<u8")
@@ -175,9 +198,13 @@ def choose_bits(bit_count: int, random_words: Sequence[int]) -> int:
     mask = 0
     for turn, word in enumerate(random_words, start=1):
         # Candidates are the lowest bits: one more in each turn, and all bits in the last.
-        candidate_count = bit_count - (len(random_words) - turn)
-        if candidate_count > 0:
-            drawn_bit = 1 << (word % candidate_count)
-            highest_candidate = 1 << (candidate_count - 1)  # new in this turn
-            mask |= highest_candidate if mask & drawn_bit else drawn_bit
+        turns_left = len(random_words) - turn
+        candidate_count = bit_count - turns_left
+        if candidate_count <= 0:  # there are more words than bits
+            continue
+        drawn_bit = 1 << (word % candidate_count)
+        newest_candidate = 1 << (candidate_count - 1)
+        # In place of a bit that is in the mask already the newest candidate joins, which cannot be in it.
+        is_in_mask = mask & drawn_bit != 0
+        mask |= newest_candidate if is_in_mask else drawn_bit
     return mask
