@@ -194,16 +194,22 @@ def confidence_at_end(accuracy: Accuracy, t: int, rare_count: int) -> tuple[int,
     """
     rare_term = rare_count * accuracy.rare
     common_term = (t - rare_count) * accuracy.common
-    exponent = -6 - 2 * accuracy.g_shift  # from units of 2**-30 to 2**-24, and without the shift of g
+    # A unit of 2**-30 is 2**-6 units of 2**-24. The rest undoes the shift of g, which is squared.
+    exponent = -6 - 2 * accuracy.g_shift
     if rare_count == 0:
-        scaled_alpha = common_term
-    else:
-        # The common term becomes as small as the rare one is, and the exponent makes up for both.
-        scaled_alpha = rare_term + (common_term >> accuracy.rare_shift)
-        exponent += accuracy.rare_shift
-    # The upper 24 bits become the mantissa.
-    excess_bits = scaled_alpha.bit_length() - MANTISSA_BITS
-    return scaled_alpha >> excess_bits, exponent + excess_bits
+        return upper_24_bits(common_term, exponent)
+    # The common term becomes as small as the rare one is, and the exponent makes up for both.
+    sum_of_terms = rare_term + (common_term >> accuracy.rare_shift)
+    return upper_24_bits(sum_of_terms, exponent + accuracy.rare_shift)
+
+
+def upper_24_bits(number: int, exponent: int) -> tuple[int, int]:
+    """Return number * 2**exponent, rounded down, as a mantissa of 24 bits and its exponent.
+
+    ``number`` has at least 24 bits.
+    """
+    excess_bits = number.bit_length() - MANTISSA_BITS
+    return number >> excess_bits, exponent + excess_bits
 
 
 def upper_31_bits(number: int) -> tuple[int, int]:
@@ -236,15 +242,13 @@ def confidence_inside(
     denominator = rarer * (total - rarer)  # n (t - n), a number of up to 64 bits
     upper_numerator, numerator_exponent = upper_31_bits(numerator)
     upper_denominator, denominator_exponent = upper_31_bits(denominator)
-    # The exponents make up for the 64 bits that the numerator has lost, and for the shifts: the numerator has
-    # g squared and three shifted counts, and the denominator has two.
-    numerator_exponent += 64 - 2 * accuracy.g_shift - 3 * count_shift
-    denominator_exponent -= 2 * count_shift
     quotient = divide_24(upper_numerator, upper_denominator)  # in units of 2**-24, as alpha; 24 or 25 bits
-    exponent = numerator_exponent - denominator_exponent
-    # The mantissa has 24 bits, so a quotient of 25 loses the lowest one.
-    excess_bits = quotient.bit_length() - MANTISSA_BITS
-    return quotient >> excess_bits, exponent + excess_bits
+    # The exponents make up for the 64 bits that the numerator has lost, and for the shifts.
+    numerator_shift = 2 * accuracy.g_shift + 3 * count_shift  # of g squared and of three counts
+    denominator_shift = 2 * count_shift  # of two counts
+    numerator_exponent += 64 - numerator_shift
+    denominator_exponent -= denominator_shift
+    return upper_24_bits(quotient, numerator_exponent - denominator_exponent)
 
 
 def estimate(t: int, n: int, accuracy: Accuracy) -> tuple[int, int]:
@@ -292,7 +296,8 @@ def estimate_of_rarer_colour(t: int, rare_count: int, accuracy: Accuracy) -> tup
     errors = multiply_high(accuracy.c, total)  # c total
     if rarer <= errors:
         # The rarer colour has not come more often than errors explain.
-        return 0, *confidence_at_end(accuracy, t, rare_count)
+        mantissa, exponent = confidence_at_end(accuracy, t, rare_count)
+        return 0, mantissa, exponent
     # Dividend and divisor of (p - c) / g are multiplied by ``total``, and shifted as far as the divisor's
     # highest bit allows: it has 32 bits then.
     excess_total = (rarer - errors) << accuracy.g_shift  # (p - c) total
@@ -300,7 +305,8 @@ def estimate_of_rarer_colour(t: int, rare_count: int, accuracy: Accuracy) -> tup
     # divide_24 takes numbers of 31 bits. By half of the divisor the quotient is twice the estimate.
     doubled_estimate = divide_24(excess_total, g_total >> 1)  # units of 2**-24
     x_hat_of_rarer = doubled_estimate >> 2  # one bit halves it, and one changes the unit to 2**-23
-    return x_hat_of_rarer, *confidence_inside(accuracy, total, rarer, g_total, count_shift)
+    mantissa, exponent = confidence_inside(accuracy, total, rarer, g_total, count_shift)
+    return x_hat_of_rarer, mantissa, exponent
 
 
 # ---- The round: eq. 5 to 7, and 12 ----

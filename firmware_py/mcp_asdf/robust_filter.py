@@ -113,6 +113,11 @@ def q24_from_q16(estimate: int) -> int:
     return estimate << 8
 
 
+def q24_from_q32(step: int) -> int:
+    """Convert a step of the centre from units of 2**-32 to units of 2**-24, rounded down."""
+    return step >> 8
+
+
 def q32_from_q24(value: int) -> int:
     """Convert an estimate of the test, or their spread, from units of 2**-24 to units of 2**-32. Exact."""
     return value << 8
@@ -193,8 +198,8 @@ def count_vote(robust: RobustFilter, x_hat: int) -> None:
     and so on to 1/128 from 512 votes on. ``robust``, the filter's memory, changes.
     """
     robust.votes = min(robust.votes + 1, VOTES_MAX)
-    # The gain is 2**-gain_shift. It halves at each power of two: 32 votes, a number of 6 bits, shift by 3,
-    # and 64 votes, a number of 7 bits, by 4.
+    # The gain is 2**-gain_shift. A number of votes of 6 bits, such as 32, gives a shift by 3, one of 7 bits,
+    # from 64 on, a shift by 4, and so on. Fewer votes than 32 count as 32 here.
     gain_shift = max(robust.votes, VOTES_OF_MAX_GAIN).bit_length() - 3
 
     position = q30_from_q23(x_hat)
@@ -241,7 +246,7 @@ def end_batch(robust: RobustFilter, t: int, n: int) -> None:
     ratio = ratio_of_batch(robust, count, black_count, share)
     if ratio is None:
         return
-    # The weights of 7/8 and 1/8 are 7 and 1 before the division.
+    # (7 * dispersion + ratio) / 8
     old_weight = (1 << DISPERSION_SHIFT) - 1
     average = (old_weight * robust.dispersion + ratio) >> DISPERSION_SHIFT
     robust.dispersion = min(max(average, DISPERSION_MIN), DISPERSION_MAX)
@@ -257,16 +262,17 @@ def ratio_of_batch(robust: RobustFilter, count: int, black_count: int, share: in
     """
     variance = count * multiply_high(share, Q32_ONE - share)  # units of 2**-32
     largest_ratio = REJECTED_SIGMAS_SQUARED * robust.dispersion  # units of 2**-8
-    # The square of the deviation at which the ratio is the largest. Squares are in units of 2**-22, so that
-    # they fit 64 bits in the C.
-    largest_square = (largest_ratio * variance) >> 18  # from units of 2**-8 * 2**-32
+    # The square of the deviation at which the ratio is the largest. Both squares are in units of 2**-22, so
+    # that they fit 64 bits in the C.
+    largest_square_q40 = largest_ratio * variance  # the product of both units: 2**-8 * 2**-32
+    largest_square = largest_square_q40 >> 18
     if largest_square == 0:
         return None
-    expected_black_count = count * share  # units of 2**-32
-    deviation = abs(black_count * Q32_ONE - expected_black_count) >> 21  # to units of 2**-11
+    deviation_q32 = abs(black_count * Q32_ONE - count * share)
+    deviation = deviation_q32 >> 21  # units of 2**-11, so that the square has the unit 2**-22
     limited_square = min(deviation * deviation, largest_square)
-    # The ratio grows in proportion to the square. Unlike limited_square / variance, this quotient is at most
-    # 1, as the C needs it.
+    # The ratio is as large a part of the largest ratio as the square is of the largest square. This quotient
+    # is at most 1, as the C needs it, and limited_square / variance would not be.
     fraction_of_largest = q32_quotient(limited_square, largest_square)
     return multiply_high(largest_ratio, fraction_of_largest)
 
@@ -333,15 +339,26 @@ def centre_after_huber_step(estimates: Sequence[int], centre: int, spread: int) 
     limited_differences = [max(-spread, min(spread, difference)) for difference in differences]
     balance = sum(limited_differences)
     # Where the centre moves up by 1, the balance falls by 1 for each estimate whose difference is not
-    # limited.
+    # limited: their number is the slope.
     inside_count = sum(abs(difference) <= spread for difference in differences)
-    divisor = max(inside_count, 1) << 24  # in units of 2**-24, as the balance
-    # Limited to a step of 1.0, so that the quotient fits 32 bits, as in the firmware in C.
-    limited_balance = min(abs(balance), divisor)
-    step = q32_quotient(limited_balance, divisor) >> 8  # from units of 2**-32 to 2**-24
+    slope = max(inside_count, 1)
+    step = huber_step_size(abs(balance), slope)
     if balance < 0:
         return max(centre - step, 0)
-    return min(centre + step, q24_from_q16(SLOT_ESTIMATE_MAX))
+    largest_estimate = q24_from_q16(SLOT_ESTIMATE_MAX)
+    return min(centre + step, largest_estimate)
+
+
+def huber_step_size(balance: int, slope: int) -> int:
+    """Return balance / slope, which is how far a step moves the Huber centre, but at most 1.0.
+
+    ``balance``, without its sign, and the result are in units of 2**-24. ``slope`` is a number of estimates.
+    """
+    divisor = slope << 24  # in units of 2**-24, as the balance
+    # At most the divisor, so that the quotient is at most 1.0 and fits 32 bits in the C.
+    limited_balance = min(balance, divisor)
+    step_q32 = q32_quotient(limited_balance, divisor)
+    return q24_from_q32(step_q32)
 
 
 def probability_of_black(b_hat: int, fill_ratio: int) -> int:
@@ -372,13 +389,15 @@ def robust_test_rejects(robust: RobustFilter, t: int, n: int, centre: int, sprea
     b_hat = robust.initial_b_hat
     share = q32_quotient(n, t)
     p = probability_of_black(b_hat, q32_from_q24(centre))
-    # Shares and variances are in units of 2**-32, squares in units of 2**-64.
+    # v. Shares and variances are in units of 2**-32, squares in units of 2**-64.
     variance = max(multiply_high(share, Q32_ONE - share), multiply_high(p, Q32_ONE - p))
 
     g = abs(2 * b_hat - Q32_ONE)
     g_spread = multiply_high(g, q32_from_q24(spread))
-    excess = (share - p) ** 2 - REJECTED_SIGMAS_SQUARED * g_spread**2
-    # Both sides are multiplied by t, so that v needs no division: t * excess > 12 * dispersion * v.
+    # Multiplied by t, so that v needs no division, and with g * spread on the left side, the inequality is
+    #     t * ((n / t - p)**2 - 12 (g * spread)**2) > 12 * dispersion * v
+    squared_difference = (share - p) ** 2
+    excess = squared_difference - REJECTED_SIGMAS_SQUARED * g_spread**2
     scaled_excess = (t * excess) >> 32  # from units of 2**-64 to 2**-32
     # The dispersion has the unit 2**-8 and v 2**-32, so that their product has 2**-40 before the shift.
     limit = (REJECTED_SIGMAS_SQUARED * robust.dispersion * variance) >> 8
