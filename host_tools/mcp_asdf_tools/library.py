@@ -253,10 +253,10 @@ def _replay_to_tidy_tables(log: Path) -> Iterator[pa.Table]:
         )
     with EventsReader(events_file) as events:
         settings = read_swarm_settings(log, events.header)
-        values_by_tick = replay_values(events, settings.steps, QUANTITIES)
+        values_by_tick = replay_values(events, settings.steps, QUANTITIES)  # shape (quantities, N) each
         ticks_at_once = max(1, _ROWS_AT_ONCE // settings.robots)
         first_tick = 0
-        # The values of the next ticks, of shape (quantities, N) each; an empty list at the end ends the loop
+        # In each turn the next ticks are taken; when none is left, the list is empty and ends the loop.
         while values_of_ticks := list(islice(values_by_tick, ticks_at_once)):
             ticks = first_tick + np.arange(len(values_of_ticks))
             series_by_quantity = np.stack(values_of_ticks, axis=1)  # shape (quantities, ticks, N)

@@ -88,6 +88,7 @@ def run(args: argparse.Namespace) -> int:
     bus_choice = options.bus_of(args)
     if args.steps is not None and args.steps < 1:
         raise UsageError(f"steps is {args.steps}; it must be 1 or more")
+    # The clock is the only parameter of a population here: the other options describe the robot alone.
     clock_options = argparse.Namespace(steps_per_second=args.steps_per_second)
     steps_per_second = options.settings_from(clock_options, Population).steps_per_second
     parameters = {"steps_per_second": steps_per_second, "steps": args.steps}

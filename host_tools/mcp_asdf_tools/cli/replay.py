@@ -61,9 +61,10 @@ def run(args: argparse.Namespace) -> int:
     progress = Console(stderr=True)
     with EventsReader(events_path) as events_reader, progress.status("running the robots again"):
         verdict = verify(frames, events_reader)
-        # The rest of the log is read to its end for the summary alone, which counts frames by channel.
+        # After a difference the rest of the log is read for the summary alone, which counts frames by
+        # channel. An error in the rest changes nothing about the verdict.
         with suppress(UsageError):
-            for _ in frames:
+            for _frame in frames:
                 pass
     filter_description = describe_filters(robot.config.filter for robot in events_reader.header.robots)
     if args.json:
@@ -77,8 +78,9 @@ def run(args: argparse.Namespace) -> int:
     if verdict.difference is not None:
         _warn_of_difference(args, verdict.difference, summary)
         return 1
-    # No broadcast differs, but none was compared, either.
-    if verdict.reproduced + verdict.falsified == 0:
+    # No broadcast differs, but perhaps none was compared.
+    compared_broadcasts = verdict.reproduced + verdict.falsified
+    if compared_broadcasts == 0:
         raise UsageError(
             f"{args.log} holds no estimate of the robots in {events_path}; do they belong together?"
         )

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from mcp_asdf_tools.recording.recording import LogOutputs, NoRecording, Recording
     from mcp_asdf_tools.robots.processes import NodeProcesses
     from mcp_asdf_tools.swarm.carrier import Wiring
-    from mcp_asdf_tools.swarm.run import SwarmRun
+    from mcp_asdf_tools.swarm.run import Baselines, SwarmRun
     from mcp_asdf_tools.swarm.swarm import Swarm
     from mcp_asdf_tools.view.history import History
     from mcp_asdf_tools.view.run_histories import SwarmRecorder
@@ -179,15 +179,13 @@ def wiring_of(args: argparse.Namespace, settings: SwarmSettings, bus_choice: Bus
 
     # With --processes all robots are remote, otherwise the devices alone.
     remote_robots = frozenset(range(settings.robots)) if args.processes else frozenset(devices)
+    # Robots here that share one bus share a connection, which has to return what they send.
+    share_connection = not bus_choice.has_bus_per_robot and not remote_robots
 
     def open_bus(robot: int) -> can.BusABC:
-        """Open a connection to a robot's bus: its device's, its own, or the bus that all share.
-
-        Robots here that share one bus share this connection, so it has to return what they send.
-        """
-        returns_own = not bus_choice.has_bus_per_robot and not remote_robots
+        """Open a connection to a robot's bus: its device's, its own, or the bus that all share."""
         robot_bus = devices.get(robot, bus_choice.of_robot(robot))
-        return robot_bus.open(returns_own)
+        return robot_bus.open(returns_own=share_connection)
 
     # Without any of these nobody else can be on a bus, and frames go from robot to robot in memory.
     needs_bus = (
@@ -359,7 +357,7 @@ def _emulate(plan: _RunPlan, log_outputs: LogOutputs, recorder: SwarmRecorder | 
     start, and can.CanError if their bus fails before they have.
     """
     from mcp_asdf_tools.swarm.live_view import LiveView
-    from mcp_asdf_tools.swarm.run import Baselines, results_of, run_swarm
+    from mcp_asdf_tools.swarm.run import Baselines, run_swarm
     from mcp_asdf_tools.swarm.swarm import Swarm
 
     settings = plan.settings
@@ -377,21 +375,39 @@ def _emulate(plan: _RunPlan, log_outputs: LogOutputs, recorder: SwarmRecorder | 
             hooks = [hook for hook in (baselines, recorder, live_view) if hook is not None]
             outcome = run_swarm(swarm, hooks, should_stop)
 
+    seconds = time.monotonic() - start_time
+    if baselines is not None:
+        # The baselines took their ticks between the ticks of the swarm. Their time does not count.
+        seconds -= baselines.seconds
     # A process reports when it ends, and all have ended with the context of ``processes``.
+    report = _report_of(plan, outcome, slcan_port, processes, baselines)
+    return _RunResult(outcome, report, seconds)
+
+
+def _report_of(
+    plan: _RunPlan,
+    outcome: SwarmRun,
+    slcan_port: int | None,
+    processes: NodeProcesses,
+    baselines: Baselines | None,
+) -> dict[str, Any]:
+    """Return parameters and results of a run as plain values, for JSON.
+
+    "processes" has the report of each robot that ran in a process of its own, and "compared" the results of
+    the ``baselines`` by their filters. There is no "compared" without baselines, or if the run has failed.
+    """
+    from mcp_asdf_tools.swarm.run import results_of
+
     bus_choice = plan.bus_choice
     bus = {"interface": bus_choice.interface, "channel": bus_choice.channel, "slcan": slcan_port}
     report = outcome.report(bus)
     reports_by_robot = sorted(processes.reports.items())
     report["processes"] = {str(robot): node_report for robot, node_report in reports_by_robot}
-    seconds = time.monotonic() - start_time
-    if baselines is not None:
-        # The baselines took their ticks between the ticks of the swarm. Their time does not count.
-        seconds -= baselines.seconds
-        if outcome.failure is None:
-            report["compared"] = {
-                filter_name: results_of(baseline) for filter_name, baseline in baselines.swarms.items()
-            }
-    return _RunResult(outcome, report, seconds)
+    if baselines is not None and outcome.failure is None:
+        report["compared"] = {
+            filter_name: results_of(baseline) for filter_name, baseline in baselines.swarms.items()
+        }
+    return report
 
 
 def _prepare_processes(plan: _RunPlan) -> NodeProcesses:

@@ -40,15 +40,15 @@ def lock_file(path: Path) -> str | None:
             has_owner = error.errno in (errno.EACCES, errno.EAGAIN)
             return owner_id if has_owner else None
         is_still_there = path.exists() and os.path.samestat(os.fstat(descriptor), path.stat())
-        if is_still_there:
-            # A process that was killed leaves its file, whose id may be longer.
-            os.ftruncate(descriptor, 0)
-            os.write(descriptor, str(os.getpid()).encode())
-            _DESCRIPTOR_OF_LOCKED_FILE[path] = descriptor
-        else:
+        if not is_still_there:
             # Between opening and locking, the process that had the lock removed the file: try again with the
             # file that is there now, which others try to lock, too.
             os.close(descriptor)
+            continue
+        # A process that was killed leaves its file, whose id may be longer.
+        os.ftruncate(descriptor, 0)
+        os.write(descriptor, str(os.getpid()).encode())
+        _DESCRIPTOR_OF_LOCKED_FILE[path] = descriptor  # which ends the loop
     return None
 
 

@@ -143,7 +143,9 @@ def to_present_format(table: pa.Table, row_count: int) -> pa.Table:
             columns[name] = table[name]
         elif name in defaults:
             columns[name] = pa.repeat(pa.scalar(defaults[name], column_type), row_count)
-        if name in RECORD_COLUMNS.values() and name in columns and columns[name].type == FLAT_RECORD:
+    # Records are the only columns that format 5 had in another form.
+    for name in RECORD_COLUMNS.values():
+        if name in columns and columns[name].type == FLAT_RECORD:
             columns[name] = _nest_flat_records(name, columns[name], columns["robots"])
     # Columns that this version does not know stay, behind the others.
     columns |= {name: table[name] for name in table.column_names if name not in column_types()}
@@ -172,11 +174,13 @@ def _nest_flat_records(column: str, records: pa.ChunkedArray, robots: pa.Chunked
     nested_records = []
     for record, robot_count in zip(records, robots.to_pylist(), strict=True):
         values = record.values  # None where the record is missing
-        is_complete = values is not None and values.null_count == 0
-        if not (is_complete and robot_count and len(values) % robot_count == 0):
+        has_all_values = values is not None and values.null_count == 0
+        fits_robots = has_all_values and robot_count and len(values) % robot_count == 0
+        if not fits_robots:
             raise _damage_error(f"column {column} has gaps, or not a value of each robot at each step")
         step_count = len(values) // robot_count
-        nested_records.append([*values.to_numpy().reshape(step_count, robot_count)])
+        values_by_step = values.to_numpy().reshape(step_count, robot_count)
+        nested_records.append(list(values_by_step))
     return pa.array(nested_records, _RECORD_OF_TRIAL)
 
 
@@ -227,11 +231,13 @@ def trials_to_table(trials: Trials) -> pa.Table:
 def _nest_records(values: NDArray[np.float64]) -> pa.Array:
     """Return records, shape (trials, samples, N), as an array with a list of lists for each trial."""
     trial_count, sample_count, robots = values.shape
-    # Where each list begins, and the last one ends: those of samples among values, those of trials among
-    # samples.
-    sample_offsets = pa.array(robots * np.arange(trial_count * sample_count + 1), pa.int32())
-    trial_offsets = pa.array(sample_count * np.arange(trial_count + 1), pa.int32())
+    # pyarrow makes lists of one long array and of offsets: where each list begins, and where the last ends.
+    # A list for each sample, of N values each.
+    list_count = trial_count * sample_count
+    sample_offsets = pa.array(robots * np.arange(list_count + 1), pa.int32())
     samples = pa.ListArray.from_arrays(sample_offsets, pa.array(values.ravel()), type=_VALUES_OF_ROBOTS)
+    # A list of these lists for each trial.
+    trial_offsets = pa.array(sample_count * np.arange(trial_count + 1), pa.int32())
     return pa.ListArray.from_arrays(trial_offsets, samples, type=_RECORD_OF_TRIAL)
 
 

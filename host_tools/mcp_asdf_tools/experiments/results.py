@@ -155,10 +155,10 @@ def describe_differences(experiments: Sequence[Trials]) -> str:
     Returns "no parameters" if they do not differ.
     """
     differing_values = find_differences(trials.experiment.parameters() for trials in experiments)
-    differences = [
-        f"{parameter_name}={'|'.join(sorted(map(str, values)))}"
-        for parameter_name, values in differing_values.items()
-    ]
+    differences = []
+    for parameter_name, values in differing_values.items():
+        value_texts = sorted(str(value) for value in values)
+        differences.append(f"{parameter_name}={'|'.join(value_texts)}")
     return ", ".join(differences) or "no parameters"
 
 

@@ -35,27 +35,42 @@ def convergence_step(series: NDArray[np.uint32] | NDArray[np.float64], delta: fl
     """
     import numpy as np  # noqa: PLC0415 (it loads slowly, and limits are needed without it)
 
-    starts = np.arange(0, len(series), _CHUNK_LENGTH)
     # A value is near all later ones if it is near the lowest and the highest of them. To find these for every
-    # step would take long: first they are found for chunks of steps. The values after a chunk begin with the
-    # next chunk; after the last one there are none, for which the last value of the series stands.
-    lowest_after = np.append(
-        _extremes_to_end(np.minimum, np.minimum.reduceat(series, starts))[1:], series[-1]
-    )
-    highest_after = np.append(
-        _extremes_to_end(np.maximum, np.maximum.reduceat(series, starts))[1:], series[-1]
-    )
+    # step would take long, so they are found for chunks of steps first.
+    chunk_starts = np.arange(0, len(series), _CHUNK_LENGTH)
+    lowest_after = _extremes_after_chunks(np.minimum, series, chunk_starts)
+    highest_after = _extremes_after_chunks(np.maximum, series, chunk_starts)
     # Where the values after a chunk are 2 delta apart, no value in the chunk can be near all of them.
-    for index in np.flatnonzero(highest_after - lowest_after < 2 * delta):
-        chunk = series[starts[index] : starts[index] + _CHUNK_LENGTH]
-        # For each value of the chunk, the lowest and the highest value from it to the end of the series. The
-        # values may be unsigned; both differences are never negative.
-        lowest_to_end = _extremes_to_end(np.minimum, np.minimum(chunk, lowest_after[index]))
-        highest_to_end = _extremes_to_end(np.maximum, np.maximum(chunk, highest_after[index]))
+    may_have_k = highest_after - lowest_after < 2 * delta
+    for chunk_index in np.flatnonzero(may_have_k):
+        chunk_start = chunk_starts[chunk_index]
+        chunk = series[chunk_start : chunk_start + _CHUNK_LENGTH]
+        # For each value of the chunk, the lowest and the highest value from it to the end of the series.
+        lowest_to_end = _extremes_to_end(np.minimum, np.minimum(chunk, lowest_after[chunk_index]))
+        highest_to_end = _extremes_to_end(np.maximum, np.maximum(chunk, highest_after[chunk_index]))
+        # Unsigned values do not wrap around here, as neither difference is ever negative.
         is_near_all_later = (chunk - lowest_to_end < delta) & (highest_to_end - chunk < delta)
         if is_near_all_later.any():
-            return int(starts[index] + is_near_all_later.argmax())
-    return len(series) - 1
+            first_in_chunk = is_near_all_later.argmax()
+            return int(chunk_start + first_in_chunk)
+    last_step = len(series) - 1
+    return last_step
+
+
+def _extremes_after_chunks(
+    extreme: np.ufunc, series: NDArray[Any], chunk_starts: NDArray[np.int64]
+) -> NDArray[Any]:
+    """Return for each chunk of a series the extreme, np.minimum or np.maximum, of all values after the chunk.
+
+    After the last chunk there are none, for which the last value of the series stands.
+    """
+    import numpy as np  # noqa: PLC0415 (it loads slowly, and limits are needed without it)
+
+    extremes_of_chunks = extreme.reduceat(series, chunk_starts)
+    extremes_from_chunks = _extremes_to_end(extreme, extremes_of_chunks)
+    # What comes after a chunk begins with the next chunk.
+    last_value = series[-1]
+    return np.append(extremes_from_chunks[1:], last_value)
 
 
 def _extremes_to_end(extreme: np.ufunc, values: NDArray[Any]) -> NDArray[Any]:

@@ -157,16 +157,19 @@ class Store:
             trial_numbers = table["trial"].to_numpy()
             is_comparable = self._can_continue(read_metadata(table))
             for experiment, rows in rows_by_experiment(table).items():
-                no_trials = np.empty(0, np.int64)  # of an experiment that is not in the sweep
+                numbers = trial_numbers[rows]
+                # An experiment that is not in the sweep has none of its trials there.
+                no_trials = np.empty(0, np.int64)
                 row_of_trial = self._row_of_trial.get(_result_key(experiment), no_trials)
-                has_other_trials = trial_numbers[rows].max() >= len(row_of_trial)
-                if has_other_trials or not is_comparable:
+                are_in_sweep = numbers.max() < len(row_of_trial)
+                if not (are_in_sweep and is_comparable):
                     raise UsageError(
                         f"{self.output} or its parts hold results of other experiments, recordings or "
                         "versions; choose another name or move it away"
                     )
                 # This changes the array in ``_row_of_trial``.
-                row_of_trial[trial_numbers[rows]] = row_group.first_row + rows
+                rows_in_all_files = row_group.first_row + rows
+                row_of_trial[numbers] = rows_in_all_files
 
     def _can_continue(self, metadata: Mapping[str, Any]) -> bool:
         """Return whether this sweep can continue the results in a file with this metadata.

@@ -101,8 +101,11 @@ def jobs_of_experiment(
     ``sampling_interval`` steps, or never if it is 0.
     """
     max_count = _max_trials_of_job(experiment)
-    first_after_gap = 1 + np.flatnonzero(np.diff(trial_numbers) != 1)  # as indices
-    for consecutive_numbers in np.split(trial_numbers, first_after_gap):
+    # Where the difference of two neighbours is not 1, numbers are missing between them, and the second of the
+    # two begins a new piece.
+    has_gap_behind = np.diff(trial_numbers) != 1
+    piece_starts = np.flatnonzero(has_gap_behind) + 1  # as indices
+    for consecutive_numbers in np.split(trial_numbers, piece_starts):
         for start in range(0, len(consecutive_numbers), max_count):
             numbers = consecutive_numbers[start : start + max_count]
             yield Job(experiment, int(numbers[0]), len(numbers), sampling_interval)

@@ -99,14 +99,16 @@ def tidy_table(
         steps: Numbers of the steps.
         values: QUANTITIES by name, shape (trials, steps, N); NaN where one is missing.
     """
-    shape = (len(trial_numbers), len(steps), population.robots)
-    # Values are repeated along axes of the length 1. Values of robots have the last axis alone, and are
-    # repeated along both others.
+    robots = range(population.robots)
+    shape = (len(trial_numbers), len(steps), len(robots))  # a row of the table for each element
+    row_count = np.prod(shape)
+    # Values that are the same along an axis have the length 1 there, and are repeated below to the full
+    # shape.
     columns: dict[str, Any] = {
         "trial": np.reshape(trial_numbers, (-1, 1, 1)),
         "step": np.reshape(steps, (1, -1, 1)),
-        "robot": np.arange(population.robots),
-        "is_flawed": [population.is_flawed(robot) for robot in range(population.robots)],
+        "robot": np.reshape(robots, (1, 1, -1)),
+        "is_flawed": np.reshape([population.is_flawed(robot) for robot in robots], (1, 1, -1)),
     }
     columns |= {name: values[name] for name in QUANTITIES}
     schema = _schema_with(tuple(parameter_names))
@@ -114,7 +116,8 @@ def tidy_table(
     arrays = []
     for field in schema:
         if field.name in parameter_names:
-            arrays.append(pa.repeat(pa.scalar(parameters[field.name], field.type), np.prod(shape)))
+            # A parameter is the same in all rows.
+            arrays.append(pa.repeat(pa.scalar(parameters[field.name], field.type), row_count))
         else:
             column = np.broadcast_to(columns[field.name], shape).ravel()
             # With this option NaN becomes a missing value, which all programs know, also in CSV.

@@ -252,13 +252,10 @@ def format_difference(comparison: Comparison) -> str:
     # correlations and b_hat have smaller sizes.
     is_score = comparison.size >= SIZES["seen"]
     layout = ".1f" if is_score else ".3g"
-    numbers = (interval.value, interval.low, interval.high)
-    value_text, low_text, high_text = (
-        format(number, layout).replace("-", "\N{MINUS SIGN}") for number in numbers
-    )
-    if interval.low == interval.high:
-        return value_text
-    return f"{value_text} [{low_text}, {high_text}]"
+    text = f"{interval.value:{layout}}"
+    if interval.low != interval.high:
+        text += f" [{interval.low:{layout}}, {interval.high:{layout}}]"
+    return text.replace("-", "\N{MINUS SIGN}")
 
 
 def summarize(decision: Decision) -> str:

@@ -172,10 +172,10 @@ def exact_table(rows_by_filter: Mapping[str, Rows]) -> str:
 def interval_table(ratios: RatiosByCode) -> str:
     """Return a table in Markdown of ratios and the ends of their intervals, with a row for each code."""
     heads = ["bits of x_hat", "bits of alpha", "ratio", "at least", "at most"]
-    rows = [
-        [f"{code.x_hat_bits}", f"{code.alpha_bits}", *(f"{number:.2f}" for number in ratio)]
-        for code, ratio in ratios.items()
-    ]
+    rows: list[list[str]] = []
+    for code, (ratio, at_least, at_most) in ratios.items():
+        bits = [f"{code.x_hat_bits}", f"{code.alpha_bits}"]
+        rows.append([*bits, f"{ratio:.2f}", f"{at_least:.2f}", f"{at_most:.2f}"])
     return format_table(heads, rows)
 
 

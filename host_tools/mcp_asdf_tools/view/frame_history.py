@@ -70,6 +70,7 @@ class FrameRecorder:
     def add_states(self, now: float) -> None:
         """Add the states of all ticks before ``now`` that the history keeps and that are missing."""
         while self._next_tick / STATES_PER_SECOND < now:
+            # This also moves the next tick on.
             self.add_state(self._next_tick / STATES_PER_SECOND)
 
     def add_state(self, now: float) -> None:
@@ -77,8 +78,11 @@ class FrameRecorder:
         robot_ids = self.history.description.robots
         if robot_ids:
             self.history.add(self.roster.make_state(self._next_tick, now, robot_ids))
-        spacing = self.history.ticks_between_states  # which grows with the number of states
-        self._next_tick = (self._next_tick // spacing + 1) * spacing
+        # The history keeps the multiples of its spacing, which grows with the number of states. So the next
+        # tick is the first multiple above the present one.
+        spacing = self.history.ticks_between_states
+        multiples_passed = self._next_tick // spacing
+        self._next_tick = (multiples_passed + 1) * spacing
 
 
 def record_bus(bus: can.BusABC, recorder: FrameRecorder, should_stop: Callable[[], bool]) -> None:

@@ -140,14 +140,25 @@ def encode_states(states: Sequence[State], description: RunDescription) -> dict[
         positions = np.stack([state.positions for state in states if state.positions is not None])
         # Metres from the middle of the arena become shares of its sides, 0 to 1 like all other values.
         positions_in_arena = positions / np.array(description.sides) + 0.5
-        sections.append(_encode_series(positions_in_arena[:, :, 0]))
-        sections.append(_encode_series(positions_in_arena[:, :, 1]))
+        xs = positions_in_arena[:, :, 0]
+        ys = positions_in_arena[:, :, 1]
+        sections += [_encode_series(xs), _encode_series(ys)]
     link_counts = np.array([len(state.links) for state in states], "<u4")
-    links = np.concatenate([state.links for state in states])
-    # Modulo 65536. Where all robots receive from each other, nearly all differences are the same.
-    link_differences = np.diff(links, axis=0, prepend=np.zeros((1, 2), np.uint16))
-    sections += [link_counts.tobytes(), link_differences.astype("<u2").tobytes()]
+    sections.append(link_counts.tobytes())
+    links = np.concatenate([state.links for state in states])  # shape (links of all states, 2)
+    sections.append(_encode_links(links))
     return {"count": len(states), "data": _compress_to_base64(b"".join(sections))}
+
+
+def _encode_links(links: NDArray[np.uint16]) -> bytes:
+    """Encode links, rows of receiver and sender, as 16-bit differences from link to link.
+
+    The first difference is from 0, and all are modulo 65536. Where all robots receive from each other, nearly
+    all are the same, so that they compress well.
+    """
+    before_first_link = np.zeros((1, 2), np.uint16)
+    differences = np.diff(links, axis=0, prepend=before_first_link)
+    return differences.astype("<u2").tobytes()
 
 
 def _encode_series(values: NDArray[np.float64]) -> bytes:

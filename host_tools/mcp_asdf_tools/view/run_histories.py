@@ -142,18 +142,20 @@ def _complete_states(
     true accuracies, links and positions.
     """
     world = World(settings, trial)
-    # The world has no state before the first step, so the state at tick 0 shows the world at tick 1.
+    # The world has no scene before its first step, so the state at tick 0 shows that of tick 1.
     scene = world.advance(1)
-    world_tick = 1
+    scene_tick = 1
     for index, estimates_at_tick in enumerate(estimates):
         tick = index * spacing
-        if tick > world_tick:
-            scene = _scene_after(world, tick - world_tick)
-            world_tick = tick
-        # The scene is of one step, which is the first entry of each of its arrays.
+        # The scene of tick 1 is there already, for tick 0 and for tick 1.
+        if tick > scene_tick:
+            scene = _scene_after(world, tick - scene_tick)
+            scene_tick = tick
+        # The arrays of the scene have an entry for each of its steps, and it is of one step alone.
         positions = None if scene.positions is None else scene.positions[0]
-        values = np.vstack([estimates_at_tick, scene.accuracy[0]])
-        yield State(tick, values, find_links(scene.neighbours[0]), positions)
+        true_accuracies = scene.accuracy[0]
+        links = find_links(scene.neighbours[0])
+        yield State(tick, np.vstack([estimates_at_tick, true_accuracies]), links, positions)
 
 
 def _scene_after(world: World, steps: int) -> Scene:

@@ -164,23 +164,28 @@ def _parse_lines(lines: Iterable[str], unit: str, source: str) -> Graph:
     that is no edge, if there is none at all, and for an edge that is there already. One of both directions
     may come again from its other end, as in an adjacency list.
     """
-    line_of_link: dict[tuple[int, int], int] = {}
+    line_of_link: dict[tuple[int, int], int] = {}  # links are pairs of sender and receiver
     two_way_edges = set()
     for line_number, line in enumerate(lines, start=1):
-        edge_text = line.partition("#")[0].strip()
+        line_without_comment, _, _comment = line.partition("#")
+        edge_text = line_without_comment.strip()
         if not edge_text:
             continue
-        first_id, second_id, is_one_way = _parse_edge(edge_text, f"{source}, {unit} {line_number}")
-        links = [(first_id, second_id)]
-        if not is_one_way:
-            if (second_id, first_id) in two_way_edges:
-                continue  # the same edge, written from its other end
-            two_way_edges.add((first_id, second_id))
-            links.append((second_id, first_id))
-        for sender, receiver in links:
+        position = f"{source}, {unit} {line_number}"
+        first_id, second_id, is_one_way = _parse_edge(edge_text, position)
+        forward_link = (first_id, second_id)
+        backward_link = (second_id, first_id)
+        if is_one_way:
+            new_links = [forward_link]
+        elif backward_link in two_way_edges:
+            continue  # the edge is there already, written from its other end
+        else:
+            two_way_edges.add(forward_link)
+            new_links = [forward_link, backward_link]
+        for sender, receiver in new_links:
             if (sender, receiver) in line_of_link:
                 raise UsageError(
-                    f"{source}, {unit} {line_number}: that robot {receiver} hears {sender} is in {unit} "
+                    f"{position}: that robot {receiver} hears {sender} is in {unit} "
                     f"{line_of_link[sender, receiver]} already; remove one of them"
                 )
             line_of_link[sender, receiver] = line_number

@@ -102,16 +102,18 @@ def _draw_box_panel(
     box_width = _SLOT_WIDTH / len(colours)
     drawn_width = _DRAWN_SHARE_OF_WIDTH * box_width
     for series_index, experiments in enumerate(experiments_by_series):
-        # In each slot the boxes stand beside each other.
+        # The boxes of a slot begin at its left end, and a box is drawn around its middle.
         distance_from_left_end = (series_index + 0.5) * box_width
-        distance_from_middle = distance_from_left_end - _SLOT_WIDTH / 2
+        distance_from_middle_of_slot = distance_from_left_end - _SLOT_WIDTH / 2
         for trials in experiments:
             middle_of_slot = slots.index(_slot_of(trials.experiment))  # 0, 1, 2 and so on
-            middle = middle_of_slot + distance_from_middle
-            _draw_box(axes, trials.scores(limits)["H"], middle, drawn_width, colours[series_index])
+            middle_of_box = middle_of_slot + distance_from_middle_of_slot
+            scores = trials.scores(limits)["H"]
+            _draw_box(axes, scores, middle_of_box, drawn_width, colours[series_index])
     # H is at most 100; above it is room for the outlines of boxes and points there.
     axes.set(ylim=(0, 103), xlim=(-0.5, len(slots) - 0.5))
-    axes.set_xticks(range(len(slots)), [f"{offset:+.2g}\n{share:.0%}" for share, offset in slots])
+    slot_labels = [f"{offset:+.2g}\n{share:.0%}" for share, offset in slots]
+    axes.set_xticks(range(len(slots)), slot_labels)
     style_panel(axes)
 
 

@@ -79,16 +79,15 @@ def plot_curve(  # noqa: PLR0913 (each is given by name)
     if hue:  # without a hue there is a single curve, which needs no legend
         handles = [legend_handle(series.label, series.colour, line="-") for series in all_series]
     measure = partial(_measured_values, y=y, limits=limits)
-    # Either all is drawn into the caller's axes, and the caller labels their figure ...
+    if ax is not None and facet:
+        raise UsageError("facet makes panels and ax is one; give one of them")
     if ax is not None:
-        if facet:
-            raise UsageError("facet makes panels and ax is one; give one of them")
+        # Without a caption, as the figure is the caller's.
         _draw_curves(ax, all_series, x, x_values, measure)
         ax.set(xlabel=parameter_in_words(x), ylabel=y_label)
         if hue:
             ax.legend(handles=handles, frameon=False, fontsize=SMALL)
         return cast(Figure, ax.get_figure(root=True))
-    # ... or into a new figure, with a panel for each value of ``facet``.
     titles_and_series = _split_into_panels(experiments, all_series, facet)
     panel_height = 2.6 if len(titles_and_series) > 1 else 3.8
     figure, panels = create_panels(len(titles_and_series), panel_height, len(all_series))

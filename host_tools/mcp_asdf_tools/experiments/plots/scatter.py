@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from itertools import cycle
 from typing import Any
 
 import numpy as np
@@ -48,6 +49,8 @@ def plot_scatter(
     fill_ratios = sorted_attributes(experiments, "fill_ratio")
     accuracies = sorted_attributes(experiments, "true_accuracy")
     shares = sorted({flawed_share(trials.experiment) for trials in experiments})
+    # With more than five b, markers are used again.
+    marker_of_accuracy = dict(zip(accuracies, cycle(_MARKERS), strict=False))
     # A row of panels for each series and f, a column for each P.
     rows = [(series, f) for series in all_series for f in fill_ratios]
     figure, grid = create_panel_grid(len(rows), len(shares), panel_height=1.7, series_count=len(all_series))
@@ -56,17 +59,19 @@ def plot_scatter(
     for (row, column), axes in np.ndenumerate(grid):
         series, f = rows[row]
         share = shares[column]
-        for trials in series.experiments:
-            if trials.experiment.fill_ratio != f or flawed_share(trials.experiment) != share:
-                continue  # it is in another panel
+        experiments_of_panel = [
+            trials
+            for trials in series.experiments
+            if trials.experiment.fill_ratio == f and flawed_share(trials.experiment) == share
+        ]
+        for trials in experiments_of_panel:
             b = trials.experiment.true_accuracy
             offset = accuracy_offset(trials.experiment)  # of the flawed robots' b_hat from b
             colour = _colour_of_offset(offset)
-            # With more than five b, markers are used again.
-            marker = _MARKERS[accuracies.index(b) % len(_MARKERS)]
+            marker = marker_of_accuracy[b]
             scores = trials.scores(limits)
             axes.plot(scores["h_K"], scores["h_e"], marker, color=colour, markersize=3, alpha=0.6)
-            # Trials of the same b and offset have equal entries, which replace each other.
+            # Experiments of the same b and offset have equal entries, which replace each other.
             handles[b, offset] = legend_handle(_describe_accuracy(b, offset), colour, marker)
         axes.set_title(f"{series.label}\n$f = {f:g}$, $P$ = {share:.0%}", fontsize=SMALL)
         # Scores are 0 to 100; the margin keeps markers at the ends from being cut.
