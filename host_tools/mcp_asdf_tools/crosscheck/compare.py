@@ -258,16 +258,16 @@ def _generate_scenario(seed: int, index: int) -> Scenario:
     The scenarios of each filter are numbered by themselves: indexes 0 to 3 are the scenarios 0, 1 and 2 of
     robots with the paper's filters, and scenario 0 of those with the robust filter.
     """
-    # The filter of each scenario of a round, in which every filter has its turn
+    # The filter of each scenario in a round, in which every filter has its turn
     filters_of_round: list[CheckedFilter] = []
     for checked_filter in CHECKED_FILTERS:
         filters_of_round += [checked_filter] * checked_filter.scenarios_in_turn
     round_index, index_in_round = divmod(index, len(filters_of_round))
     checked_filter = filters_of_round[index_in_round]
-    first_index_in_round = filters_of_round.index(checked_filter)
-    index_in_turn = index_in_round - first_index_in_round
-    index_of_filter = round_index * checked_filter.scenarios_in_turn + index_in_turn
-    return checked_filter.make_scenario(seed, index_of_filter)
+    # Scenarios of this filter before this one: in earlier rounds, and in this round
+    count_in_earlier_rounds = round_index * checked_filter.scenarios_in_turn
+    count_in_this_round = filters_of_round[:index_in_round].count(checked_filter)
+    return checked_filter.make_scenario(seed, count_in_earlier_rounds + count_in_this_round)
 
 
 def shrink(failure: Failure, check_scenario: CheckScenario) -> Failure:

@@ -332,6 +332,7 @@ def draw_x_hats_at_threshold(
     outside = groups.make_x_hats(ratio_above, max_gap)
     pair_count = groups.near_count // 2 + groups.far_count // 2
     if pair_count > 0:
+        # Both rounds are made of the rejected one, by two different moves of its pairs.
         inside, outside = _bring_scatter_to_threshold(outside, pair_count, own_x_hat, table_entry)
     smallest_x_hat, largest_x_hat = min(inside + outside), max(inside + outside)
     if smallest_x_hat < 0 or largest_x_hat > ONE:
@@ -361,19 +362,25 @@ def fractions_around(value: Fraction, max_denominator: int) -> tuple[Fraction, F
     Their denominators are at most ``max_denominator``.
     """
     nearest = value.limit_denominator(max_denominator)
-    is_nearest_below = nearest <= value
-    # The other one is the neighbour c/d of a/b, the nearest, on the other side of the value. Fractions with
-    # b c - a d = 1 or -1 are neighbours: all fractions between them have larger denominators.
-    a, b = nearest.numerator, nearest.denominator
-    side = 1 if is_nearest_below else -1
-    # c = (a d + side) / b must be a whole number, so that d is -side / a modulo b. All such d differ by
-    # multiples of b, and the largest gives the nearest neighbour.
-    inverse_of_a = pow(a, -1, b)
-    smallest_d = (-side * inverse_of_a) % b
-    d = smallest_d + (max_denominator - smallest_d) // b * b
-    c = (a * d + side) // b
-    neighbour = Fraction(c, d)
-    return (nearest, neighbour) if is_nearest_below else (neighbour, nearest)
+    if nearest <= value:
+        return nearest, _next_fraction(nearest, max_denominator, direction=1)
+    return _next_fraction(nearest, max_denominator, direction=-1), nearest
+
+
+def _next_fraction(fraction: Fraction, max_denominator: int, direction: int) -> Fraction:
+    """Return the next larger fraction for a ``direction`` of 1, and the next smaller one for -1.
+
+    It is the next among the fractions with denominators of at most ``max_denominator``, and ``fraction`` must
+    be one of these.
+    """
+    # The next fraction c/d to a/b has b c - a d = direction. So c = (a d + direction) / b, and for c to be a
+    # whole number d must be -direction / a modulo b. The largest d up to the limit gives the nearest c/d.
+    a, b = fraction.numerator, fraction.denominator
+    inverse_of_a = pow(a, -1, b)  # modulo b
+    d_modulo_b = (-direction * inverse_of_a) % b
+    d = max_denominator - (max_denominator - d_modulo_b) % b
+    c = (a * d + direction) // b
+    return Fraction(c, d)
 
 
 def scatter_of(x_hats: Sequence[int]) -> int:
@@ -397,11 +404,12 @@ def _move_apart_in_pairs(x_hats: Sequence[int], pair_count: int, target: int, is
     missing_scatter = target - scatter_of(x_hats)
     for pair_index in range(pair_count):
         # Two equal values add 2 m move**2 to the scatter if one is moved down and the other up by ``move``.
+        # This is the largest move that adds no more than is missing.
         move = isqrt(missing_scatter // (2 * m))
         is_last_pair = pair_index == pair_count - 1
         is_below_target = 2 * m * move**2 < missing_scatter
         if is_at_least and is_last_pair and is_below_target:
-            move += 1
+            move += 1  # no other pair can add the rest
         changed_x_hats[2 * pair_index] -= move
         changed_x_hats[2 * pair_index + 1] += move
         missing_scatter -= 2 * m * move**2
@@ -528,6 +536,7 @@ def draw_round_of_large_scatter(robot: RobotState, rng: Random) -> list[Neighbou
         # In units of ONE**2, that is 2**46, the scatter of 0 and 1 is this product. Its bits from 2**56 on
         # are those from 2**10 on in these units.
         scatter = count_of_ones * (m - count_of_ones)
+        # Where these two would be 0, nothing could be divided by them: there they are 1.
         scatter_without_bits = max(scatter % (1 << 10), 1)
         difference_squared = max((count_of_ones - m * robot.x_hat / ONE) ** 2, 1)
         # The test rejects if the squared difference is above threshold * scatter. The right scatter must

@@ -145,14 +145,9 @@ def draw_slots_at_threshold(
     direction = rng.choice((-1, 1))
 
     def slots_after(steps: int) -> SlotsAtTest:
-        """Return the estimates after so many steps; each step moves one of them by a unit, in turn."""
-        full_rounds, remaining_steps = divmod(steps, count)
-        estimates = []
-        for index, estimate in enumerate(start_estimates):
-            has_step_of_last_round = index < remaining_steps
-            move = full_rounds + 1 if has_step_of_last_round else full_rounds
-            estimates.append(_limit_estimate(estimate + direction * move))
-        return SlotsAtTest(tuple(estimates), robust, state.t, state.n)
+        """Return the slots after so many steps in the direction."""
+        estimates = _move_in_turn(start_estimates, direction, steps)
+        return SlotsAtTest(estimates, robust, state.t, state.n)
 
     accepted_steps = 0
     rejected_steps = count * SLOT_ONE  # moves all estimates to the end of the range
@@ -169,6 +164,20 @@ def draw_slots_at_threshold(
     if rejected_slots.is_supported:
         return None
     return slots_after(accepted_steps), rejected_slots
+
+
+def _move_in_turn(estimates: Sequence[int], direction: int, steps: int) -> tuple[int, ...]:
+    """Return estimates after so many steps, each of which moves one of them by a unit of 2**-16, in turn.
+
+    They move up for a ``direction`` of 1 and down for -1, and stop at the ends of a slot's range.
+    """
+    full_rounds, remaining_steps = divmod(steps, len(estimates))
+    moved_estimates = []
+    for index, estimate in enumerate(estimates):
+        has_step_of_last_round = index < remaining_steps
+        distance = full_rounds + 1 if has_step_of_last_round else full_rounds
+        moved_estimates.append(_limit_estimate(estimate + direction * distance))
+    return tuple(moved_estimates)
 
 
 def slots_with_supporters(robot: MirrorRobot, count: int, supporter_count: int) -> SlotsAtTest | None:

@@ -90,14 +90,16 @@ def dispersion_bounds(
     if batch_count == 0 or share == 0:
         return old_dispersion, old_dispersion
     ratio_limit = REJECTED_SIGMAS_SQUARED * old_dispersion  # a batch of a larger ratio counts with this one
-    # The share of black is a quotient, and may be too small.
-    smallest_share = max(share * (1 - Q30) - Q32, Fraction(0))
-    smallest_ratio, largest_ratio = _ratio_bounds(
-        (smallest_share, share), batch_black_count, batch_count, ratio_limit
-    )
+    share_bounds = _smallest_quotient(share), share
+    smallest_ratio, largest_ratio = _ratio_bounds(share_bounds, batch_black_count, batch_count, ratio_limit)
     smallest_dispersion = _rounded_dispersion(old_dispersion, smallest_ratio)
     largest_dispersion = _rounded_dispersion(old_dispersion, largest_ratio)
     return smallest_dispersion, largest_dispersion
+
+
+def _smallest_quotient(exact: Fraction) -> Fraction:
+    """Return the smallest number that the firmware may have in place of an exact quotient of 0 or more."""
+    return max(exact * (1 - Q30) - Q32, Fraction(0))
 
 
 def _ratio_bounds(
@@ -119,13 +121,12 @@ def _ratio_bounds(
         # The firmware finds a variance of 0, and keeps the dispersion. Or it finds one that is near to 0, so
         # that the ratio may have any size up to its limit.
         return Fraction(0), ratio_limit
-    # It divides the square of the deviation by its limit, and multiplies the ratio's limit by this quotient,
-    # which may be too small as well.
-    smallest_quotient = smallest_deviation**2 / largest_square_limit * (1 - Q30) - Q32
-    largest_quotient = largest_deviation**2 / smallest_square_limit
-    # A square above its limit counts as the limit: the quotient is 1, or hardly less in the firmware.
-    smallest_ratio = ratio_limit * min(max(smallest_quotient, Fraction(0)), 1 - Q30 - Q32)
-    largest_ratio = ratio_limit * min(largest_quotient, Fraction(1))
+    # It divides the square of the deviation by its limit, and multiplies the ratio's limit by this quotient.
+    # A square above its limit counts as the limit, so that the quotient is at most 1.
+    smallest_exact_quotient = min(smallest_deviation**2 / largest_square_limit, Fraction(1))
+    largest_quotient = min(largest_deviation**2 / smallest_square_limit, Fraction(1))
+    smallest_ratio = ratio_limit * _smallest_quotient(smallest_exact_quotient)
+    largest_ratio = ratio_limit * largest_quotient
     return smallest_ratio, largest_ratio
 
 

@@ -199,7 +199,8 @@ class RobustScenarioWriter(ScenarioWriter):
         count = rng.randint(TESTED_ESTIMATES_MIN, SLOTS)
         # Among several estimates some are one unit higher, so that their centre lies between two units.
         raised_count = rng.choice([0, 0, 1, rng.randint(0, count)])
-        robot.fill_slots((middle,) * (count - raised_count) + (middle + 1,) * raised_count, rng)
+        estimates = (middle,) * (count - raised_count) + (middle + 1,) * raised_count
+        robot.fill_slots(estimates, rng)
         # With observations of one colour, none or all of t, the test rejects.
         robot.n = rng.choice([0, robot.t, robot.n])
         # The next batch of observations is empty, so that it does not change their dispersion.
@@ -342,22 +343,32 @@ class RobustScenarioWriter(ScenarioWriter):
         if t == 0:
             return
         robust.dispersion = self._draw_dispersion()
-        white_count = t - n
-        # Number of observations in the batch
         count_of_any_size = min(draw_number_of_any_size(rng, 1, 31), t)
-        count = rng.choice([0, 1, count_of_any_size, rng.randint(0, t), t])
-        smallest_black_count = max(count - white_count, 0)
-        largest_black_count = min(count, n)
-        expected_black_count = count * n // t
-        largest_deviation = _largest_usual_deviation(robust.dispersion, count, t, n)
-        deviation = rng.choice([0, draw_number_of_any_size(rng, 0, 8), largest_deviation])
-        deviating_black_count = expected_black_count + rng.choice([-1, 1]) * deviation + rng.randint(-1, 1)
-        black_count = rng.choice([deviating_black_count, smallest_black_count, largest_black_count])
-        robust.batch_t = t - count
-        robust.batch_n = n - clamp(black_count, smallest_black_count, largest_black_count)
+        batch_count = rng.choice([0, 1, count_of_any_size, rng.randint(0, t), t])
+        batch_black_count = self._draw_black_count_of_batch(robust.dispersion, batch_count, t, n)
+        robust.batch_t = t - batch_count
+        robust.batch_n = n - batch_black_count
         if robust.batch_t == 0:
             # No batch has ended yet.
             robust.batch_n, robust.dispersion = 0, DISPERSION_MIN
+
+    def _draw_black_count_of_batch(self, dispersion: int, batch_count: int, t: int, n: int) -> int:
+        """Draw how many of the last ``batch_count`` of t observations were black, if n of all t were.
+
+        It is the smallest or the largest possible number, or lies near the expected one, or so far from it
+        that the batch is just an outlier, or just not. ``dispersion`` is in units of 2**-8.
+        """
+        rng = self._rng
+        white_count = t - n
+        smallest_black_count = max(batch_count - white_count, 0)
+        largest_black_count = min(batch_count, n)
+        expected_black_count = batch_count * n // t
+        largest_deviation = _largest_usual_deviation(dispersion, batch_count, t, n)
+        deviation = rng.choice([0, draw_number_of_any_size(rng, 0, 8), largest_deviation])
+        direction = rng.choice([-1, 1])
+        deviating_black_count = expected_black_count + direction * deviation + rng.randint(-1, 1)
+        black_count = rng.choice([deviating_black_count, smallest_black_count, largest_black_count])
+        return clamp(black_count, smallest_black_count, largest_black_count)
 
     def _draw_dispersion(self) -> int:
         """Draw a dispersion of observations, in units of 2**-8: at either limit, or of any size between."""

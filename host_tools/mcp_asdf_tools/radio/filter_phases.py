@@ -289,15 +289,24 @@ def play_rounds_without_test(bench: Bench) -> None:
     bench.activity = "a round before that of the test"
     bench.play_round(*draw_distant_estimates(bench.robot_state, bench.rng))
     bench.activity = "too few messages with a confidence above 0 for a test"
-    distant_estimates = draw_distant_estimates(bench.robot_state, bench.rng)
-    estimates = [NeighbourEstimate(x_hat, alpha=0) for x_hat, _ in distant_estimates]
-    if bench.config.filter is Filter.ADAPTIVE:
-        estimates = draw_distant_estimates(bench.robot_state, bench.rng, m=1) + estimates
-    bench.play_round(*estimates)
+    bench.play_round(*_draw_too_few_estimates(bench))
     for _ in range(2):
         bench.wait_for_round_without_test()
         bench.activity = "a round after that of the test"
         bench.play_round(*draw_distant_estimates(bench.robot_state, bench.rng))
+
+
+def _draw_too_few_estimates(bench: Bench) -> list[NeighbourEstimate]:
+    """Draw distant estimates for a round in which the controller's filter must not test or re-estimate.
+
+    They have no confidence but, for the adaptive filter, a single one, which comes first.
+    """
+    distant_estimates = draw_distant_estimates(bench.robot_state, bench.rng)
+    without_confidence = [NeighbourEstimate(x_hat, alpha=0) for x_hat, _ in distant_estimates]
+    if bench.config.filter is Filter.ADAPTIVE:
+        with_confidence = draw_distant_estimates(bench.robot_state, bench.rng, m=1)
+        return with_confidence + without_confidence
+    return without_confidence
 
 
 def re_estimate_to_each_kind(bench: Bench) -> None:

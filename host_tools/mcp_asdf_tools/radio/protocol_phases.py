@@ -381,8 +381,9 @@ def _let_tick_number_jump(bench: Bench) -> None:
     A controller may keep too few bits of it. The settle command before each jump is left out.
     """
     for bit in (8, 16, 24, 31):
-        # Without a jump the distance from one tick to the next is 1, so a jump downwards is the power less 1.
-        for direction, distance in (("higher", 2**bit), ("lower", 1 - 2**bit)):
+        distance_up = 2**bit
+        distance_down = 1 - distance_up  # to the number that would have come without both jumps
+        for direction, distance in (("higher", distance_up), ("lower", distance_down)):
             bench.wait_for_round_without_test()
             bench.activity = f"an observe of a number {direction} by about 2^{bit} than that of the open tick"
             bench.observe(bench.draw_observation())

@@ -124,7 +124,7 @@ def _play_first_votes(bench: Bench) -> None:
     # Before the first vote the centre is 1/2 and the spread is 1/4.
     centre, spread = HALF, HALF // 2
     bench.play_round(NeighbourEstimate(centre + spread, ALPHA_MAX), senders=[first_sender])
-    _let_rounds_vote(bench, 3)
+    _let_rounds_vote(bench, 3)  # by turns, its own estimate and the one that it keeps
     bench.activity = "a sender whose id is equal modulo 32"
     bench.play_round(NeighbourEstimate(0, ALPHA_LEAST), senders=[sender_of_same_slot])
     _let_rounds_vote(bench, 3)
@@ -137,30 +137,39 @@ def vote_with_every_slot(bench: Bench) -> None:
     """Let the controller keep as many estimates as it can, and pass rounds in which each of them is a vote.
 
     These are 32 estimates, one in each slot. A vote moves the controller's answer x, and after all 32 its own
-    estimate votes. Then some estimates are replaced, and at the end all of them, by estimates that show how a
-    slot rounds.
+    estimate votes. Then the estimate of every fifth slot is replaced, one after the other, and at the end all
+    are replaced by estimates that show how a slot rounds.
     """
     bench.activity = "estimates of the extremes in all slots"
     _set_slots(bench, [0, SLOT_ESTIMATE_MAX] * (SLOTS // 2))
-    _let_rounds_vote(bench, SLOTS + 3)  # all slots, its own estimate, and the first two slots again
+    rounds_of_all_votes = SLOTS + 1  # one for each slot, and one for its own estimate
+    _let_rounds_vote(bench, rounds_of_all_votes + 2)  # and the first two slots again
     for slot in range(0, SLOTS, 5):
         bench.activity = f"a new estimate in slot {slot}"
-        sender = _draw_sender(bench, slot)
+        sender = _draw_sender(bench, slot)  # one of the ids whose estimates this slot keeps
         estimate = NeighbourEstimate(HALF + slot, draw_normal_alpha(bench.rng))
         bench.play_round(estimate, senders=[sender])
         _let_rounds_vote(bench, 2)
+    _play_estimates_between_slot_units(bench)
+    _let_rounds_vote(bench, rounds_of_all_votes)
 
+
+def _play_estimates_between_slot_units(bench: Bench) -> None:
+    """Play a round of estimates for all slots that lie about halfway between two units of a slot.
+
+    In slots of odd numbers the controller must round them up, and in the others down.
+    """
     bench.activity = "estimates that are halfway between two units of a slot"
     half_unit = _X_HAT_PER_SLOT_UNIT // 2
     estimates = []
     for slot in range(SLOTS):
-        # Half a unit of a slot is rounded up, and the next smaller fraction down.
-        fraction = half_unit if slot % 2 == 1 else half_unit - 1
-        x_hat = HALF + slot * _X_HAT_PER_SLOT_UNIT + fraction
-        estimates.append(NeighbourEstimate(x_hat, draw_normal_alpha(bench.rng)))
+        is_rounded_up = slot % 2 == 1
+        # Half a unit is rounded up, and the next smaller fraction down.
+        fraction = half_unit if is_rounded_up else half_unit - 1
+        whole_units = HALF + slot * _X_HAT_PER_SLOT_UNIT  # units of 2**-23, as x_hat
+        estimates.append(NeighbourEstimate(whole_units + fraction, draw_normal_alpha(bench.rng)))
     senders = [_draw_sender(bench, slot) for slot in range(SLOTS)]
     bench.play_round(*estimates, senders=senders)
-    _let_rounds_vote(bench, SLOTS + 1)
 
 
 def vote_without_own_confidence(bench: Bench) -> None:
@@ -246,18 +255,21 @@ def test_estimates_far_apart(bench: Bench) -> None:
     b_hat is far from 1/2 there are no such observations, and with a short memory too few. If it is next to
     1/2, estimates cannot decide the test. In these three cases no test is played.
     """
+    if not _can_estimates_decide_test(bench):
+        return
     # Many observations are rejected if their share of black deviates from the prediction by more than
     # sqrt(12) g spread, with g the information: 0.87 g with a spread of 1/4, 1.3 g with one of 3/8. So they
     # are to deviate by 1.1 g.
     deviation = 1.1 * _initial_information(bench)
-    black_share = _predict_black_share(bench, fill_ratio=3 / 8) + deviation
-    is_share_possible = black_share < 1
-    if not _can_estimates_decide_test(bench) or not is_share_possible:
+    black_share_of_centre = _predict_black_share(bench, fill_ratio=3 / 8)
+    black_share = black_share_of_centre + deviation
+    if black_share >= 1:
         return
-    bench.activity = "observations that estimates far apart contradict"
-    three_quarters = 3 * SLOT_HALF // 2
+    three_quarters = 3 * SLOT_HALF // 2  # in units of 2**-16
     estimates = [0, three_quarters] * (SLOTS // 2)
-    can_test = _observe_until_black_share(bench, black_share, lambda: _would_reject(bench, estimates))
+    would_be_rejected = partial(_would_reject, bench, estimates)
+    bench.activity = "observations that estimates far apart contradict"
+    can_test = _observe_until_black_share(bench, black_share, would_be_rejected)
     if can_test:
         bench.activity = "a test with estimates that are far apart"
         _play_test_with_estimates(bench, estimates)
@@ -293,11 +305,14 @@ def re_estimate_near_half(bench: Bench) -> None:
     or too close to it the robot keeps its b_hat. In each test all slots have the same estimate. If no
     observations make a test reject, this is noted as not exercised, and the tests after it are left out.
     """
+    # Offsets of estimates from 1/2, in units of 2**-16
     nearest_above = SLOT_INFORMATIVE_DISTANCE
+    too_close_above = nearest_above - 1
     # Below 1/2 the firmware computes with 1 - x, which becomes one unit of 2**-32 too small. So an estimate
     # at the exact limit is too close to 1/2 there, and the nearest far enough is one unit of a slot below.
-    nearest_below = -SLOT_INFORMATIVE_DISTANCE - 1
-    for offset in (nearest_above, nearest_above - 1, nearest_below + 1, nearest_below, 0):
+    too_close_below = -SLOT_INFORMATIVE_DISTANCE
+    nearest_below = too_close_below - 1
+    for offset in (nearest_above, too_close_above, too_close_below, nearest_below, 0):
         bench.activity = f"observations that contradict estimates {offset:+} units from 1/2"
         estimate = SLOT_HALF + offset
         if not _observe_until_rejection(bench, estimate):
@@ -479,11 +494,11 @@ def _observe_until_slots_can_be_crafted(
         slots = craft_slots()
         if slots is not None:
             return slots
-        is_black = _more_frequent_colour(bench) is Observation.BLACK
+        colour = _more_frequent_colour(bench)
         can_test_reject = _would_reject(bench, [_most_contradicting_estimate(bench)] * SLOTS)
         if can_test_reject:
-            is_black = not is_black
-        _observe_in_order(bench, [Observation(is_black)] * BURST)
+            colour = Observation.WHITE if colour is Observation.BLACK else Observation.BLACK
+        _observe_in_order(bench, [colour] * BURST)
     bench.not_exercised.append(bench.activity)
     return None
 
