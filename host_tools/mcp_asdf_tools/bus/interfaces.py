@@ -118,15 +118,7 @@ class BusChoice:
         sets. It returns the frames that it has sent itself, once they have been on the bus, if
         ``returns_own``, and else never.
         """
-        settings = dict(self.settings)
-        # `Multicast` decides by itself, since python-can's multicast always returns own frames.
-        if returns_own and self.interface != "udp_multicast":
-            settings["receive_own_messages"] = True
-        # single_handle is for Kvaser alone: one handle reads and writes, as in the tools of python-can.
-        try:
-            bus = can.Bus(interface=self.interface, single_handle=True, **settings)
-        except Exception as error:  # an interface may raise anything
-            raise UsageError(f"cannot open the bus {self}: {self._explain_failure(error)}") from error
+        bus = self._open_with_python_can(returns_own)
         if bus.channel_info == can.BusABC.channel_info:  # the interface gave it no name
             bus.channel_info = self.channel or self.interface
         _logger.info("opened the bus %s", self)
@@ -136,6 +128,21 @@ class BusChoice:
         if self.interface == "slcan":
             return SerialAdapter(bus, returns_own)
         return Connection(bus, returns_own)
+
+    def _open_with_python_can(self, returns_own: bool) -> can.BusABC:
+        """Return python-can's connection to the bus, which returns own frames if ``returns_own``.
+
+        On UDP multicast it returns them in any case. Raises UsageError if the bus cannot be opened.
+        """
+        settings = dict(self.settings)
+        # `Multicast` decides by itself, since python-can's multicast always returns own frames.
+        if returns_own and self.interface != "udp_multicast":
+            settings["receive_own_messages"] = True
+        # single_handle is for Kvaser alone: one handle reads and writes, as in the tools of python-can.
+        try:
+            return can.Bus(interface=self.interface, single_handle=True, **settings)
+        except Exception as error:  # an interface may raise anything
+            raise UsageError(f"cannot open the bus {self}: {self._explain_failure(error)}") from error
 
     def arguments(self) -> list[str]:
         """Return the options with which a command in another process joins the same bus.

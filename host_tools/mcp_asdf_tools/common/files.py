@@ -124,6 +124,7 @@ def rename_drafts(draft_by_path: Mapping[Path, Path], obsolete: Iterable[Path] =
     for path, draft in draft_by_path.items():
         with explaining_write_errors(path):
             _sync(draft)
+    # All targets are checked before anything is changed.
     target_by_path = {path: check_target(path) for path in draft_by_path}
     for path in obsolete:
         with explaining_write_errors(path):

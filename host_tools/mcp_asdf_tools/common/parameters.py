@@ -87,12 +87,13 @@ class Parameter:
         if isinstance(value, bool | str | bytes):
             raise self._error(value, "give a number")
         try:
-            if not math.isfinite(value):
-                raise ValueError("it is infinite or NaN")  # which is caught below
+            is_finite = math.isfinite(value)
             number: float = self.kind(value)
         except (TypeError, ValueError, ArithmeticError) as error:
             # Such an error may mean that the value is no number, or an integer too large for a float.
             raise self._error(value, "give a number") from error
+        if not is_finite:
+            raise self._error(value, "give a number")
         # int() has cut off the fraction.
         if self.kind is int and number != value:
             raise self._error(value, "give a whole number")

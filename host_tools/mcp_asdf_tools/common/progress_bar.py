@@ -28,13 +28,14 @@ def progress(unit: str, total: float, quiet: bool = False) -> Iterator[Callable[
     """
     console = Console(stderr=True)
     can_show_bar = console.is_terminal or console.is_jupyter
+    shows_bar = can_show_bar and not quiet
     prints_lines = not can_show_bar and not quiet
     # A disabled bar is made, too, but never shown.
     columns = (TextColumn(unit), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     start_time = time.monotonic()
     last_line_time = start_time
     done_count = 0.0
-    with Progress(*columns, console=console, disable=quiet or not can_show_bar, transient=True) as bar:
+    with Progress(*columns, console=console, disable=not shows_bar, transient=True) as bar:
         task = bar.add_task(unit, total=total)
 
         def add(count: float) -> None:
@@ -45,7 +46,8 @@ def progress(unit: str, total: float, quiet: bool = False) -> Iterator[Callable[
             now = time.monotonic()
             if prints_lines and now - last_line_time >= _SECONDS_BETWEEN_LINES:
                 last_line_time = now
-                seconds_left = (total - done_count) * (now - start_time) / done_count
+                seconds_so_far = now - start_time
+                seconds_left = (total - done_count) * seconds_so_far / done_count
                 time_left = timedelta(seconds=round(seconds_left))
                 console.print(f"{unit}: {done_count:g} of {total:g}, {time_left} left")
 

@@ -60,10 +60,16 @@ def stopping(interrupt: bool = False) -> Iterator[Callable[[], bool]]:
         for number, handler in previous_handlers.items():
             signal.signal(number, handler)
         if interrupt:
-            # This does nothing but make Python forget a KeyboardInterrupt that has passed through the exec()
-            # of a text, which dataclasses use. Otherwise a program that was started by "python -m" would end
-            # by SIGINT, whatever its exit code.
-            exec("")
+            _let_python_forget_interrupt()
+
+
+def _let_python_forget_interrupt() -> None:
+    """Let the program end with its exit code, even if it runs by "python -m" and was interrupted.
+
+    Python remembers a KeyboardInterrupt that has passed through the exec() of a text, which dataclasses use,
+    until the next exec(). It would end such a program by SIGINT, whatever the exit code.
+    """
+    exec("")
 
 
 def _replace_handlers(new_handler: Callable[[int, FrameType | None], None]) -> dict[signal.Signals, Any]:

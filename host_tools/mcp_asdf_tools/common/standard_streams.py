@@ -51,7 +51,7 @@ class _CheckedStream:
         try:
             return self._stream.write(text)
         except OSError as error:
-            self._handle(error)
+            self._discard_output_after(error)
             return len(text)
 
     def writelines(self, lines: Iterable[str]) -> None:
@@ -64,13 +64,14 @@ class _CheckedStream:
         try:
             self._stream.flush()
         except OSError as error:
-            self._handle(error)
+            self._discard_output_after(error)
 
-    def _handle(self, error: OSError) -> None:
+    def _discard_output_after(self, error: OSError) -> None:
         """Connect the stream to the null device, and raise OutputError unless errors are ignored.
 
-        Without that the interpreter, which flushes its streams at its end, would report the failure again.
+        A stream without a file descriptor stays as it is.
         """
+        # Otherwise the interpreter, which flushes its streams at its end, would report the failure again.
         with suppress(OSError, ValueError), open(os.devnull, "w") as null_device:
             os.dup2(null_device.fileno(), self._stream.fileno())
         if self._raises:

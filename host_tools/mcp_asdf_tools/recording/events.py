@@ -374,14 +374,7 @@ class EventsReader:
         a value that is missing without a default, unknown or impossible.
         """
         # Format and version come first: in another one all else may have another meaning.
-        if not isinstance(plain_header, dict) or plain_header.get("format") != FORMAT:
-            raise self.error_in_line(f'"format": "{FORMAT}" is missing')
-        version = plain_header.get("version")
-        if version not in _READABLE_VERSIONS:
-            raise self.error_in_line(
-                f"the format is version {version}, and versions {_READABLE_VERSIONS[0]} to {VERSION} "
-                f"are read here; {_USE_OTHER_VERSION}"
-            )
+        version = self._version_of(plain_header)
         if not isinstance(plain_header.get("robots"), list):
             raise self.error_in_line(
                 f"robots is {plain_header.get('robots')!r}; it must be a list in brackets"
@@ -404,6 +397,18 @@ class EventsReader:
             parameters=self._object_in(plain_header, "parameters"),
             versions=self._object_in(plain_header, "versions"),
         )
+
+    def _version_of(self, plain_header: Any) -> int:
+        """Return the version of the format. Raises UsageError for another format or unreadable version."""
+        if not isinstance(plain_header, dict) or plain_header.get("format") != FORMAT:
+            raise self.error_in_line(f'"format": "{FORMAT}" is missing')
+        version: Any = plain_header.get("version")
+        if version not in _READABLE_VERSIONS:
+            raise self.error_in_line(
+                f"the format is version {version}, and versions {_READABLE_VERSIONS[0]} to {VERSION} "
+                f"are read here; {_USE_OTHER_VERSION}"
+            )
+        return int(version)
 
     def _check_without_robust_filter(self, robots: Sequence[RobotSetup]) -> None:
         """Raise UsageError if one of the robots of an earlier version has that version's robust filter."""

@@ -127,6 +127,7 @@ class Recording:
         if header is not None:
             self._part_by_path[events_path(path)] = _part_of(events_path(path))
         self._files: list[_PartFile] = []
+        """The open files: the log, then the events if there is a header."""
         self._is_empty = True
         """Whether neither a frame nor an event was recorded."""
         self._has_failed = False
@@ -145,18 +146,16 @@ class Recording:
                 raise UsageError(
                     f"{part} is there: another program writes it, or its run was cut off; rename or remove it"
                 )
-        # The log's part comes first. There is one part for events, or none without a header.
-        log_part, *events_parts = self._part_by_path.values()
         with explaining_write_errors(self._path):
-            log_file = _PartFile(log_part, is_compressed=False)
+            log_file = _PartFile(self._part_by_path[self._path], is_compressed=False)
             self._files = [log_file]
-            for events_part in events_parts:
-                self._files.append(_PartFile(events_part, is_compressed=True))
+            if self._header is not None:
+                events_part = self._part_by_path[events_path(self._path)]
+                events_file = _PartFile(events_part, is_compressed=True)
+                self._files.append(events_file)
+                events_file.write(self._header.to_line())
         # The writer uses no method of a file but "write".
         self._log_writer = can.CanutilsLogWriter(log_file)  # type: ignore[arg-type]
-        if self._header is not None:
-            _, events_file = self._files
-            events_file.write(self._header.to_line())
         return self._write_frame, self._events
 
     def __exit__(self, error_type: type[BaseException] | None, *_: object) -> None:
@@ -204,7 +203,7 @@ class Recording:
         """
         self._flush_if_due()
         if not self._has_failed:
-            _, events_file = self._files
+            _log_file, events_file = self._files
             events_file.write(line)
 
     def _flush_if_due(self) -> None:

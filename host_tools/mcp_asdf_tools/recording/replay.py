@@ -251,21 +251,23 @@ class _Comparison:
             self.verdict.other += 1
             return
         broadcasts = self._robots[estimate.sender].broadcasts
+        # The robot's broadcast with the frame's transfer_id, if any, may have other values than the frame.
         index = _index_of_broadcast(estimate.transfer_id, broadcasts)
-        is_reproduced = False
+        index_of_equal: int | None = None
         if index is not None:
             has_equal_x_hat = broadcasts[index].x_hat == estimate.x_hat
             has_equal_alpha = broadcasts[index].alpha_bits == alpha_float32_bits(frame)
-            is_reproduced = has_equal_x_hat and has_equal_alpha
+            if has_equal_x_hat and has_equal_alpha:
+                index_of_equal = index
         # A fault may have sent the same frame as a robot. Then the frame is the robot's if the broadcast is
         # the robot's next one: one that comes later is equal by chance.
-        is_next_broadcast = is_reproduced and index == 0
+        is_next_broadcast = index_of_equal == 0
         frame_text = format_frame(frame)
         if self._foreign_frames[frame_text] > 0 and not is_next_broadcast:
             self._foreign_frames[frame_text] -= 1  # each of the fault's frames is in the log once
             self.verdict.foreign += 1
-        elif index is not None and is_reproduced:  # whatever is reproduced has an index
-            self._count_reproduced(broadcasts, index)
+        elif index_of_equal is not None:
+            self._count_reproduced(broadcasts, index_of_equal)
         elif self._are_events_cut_off and not broadcasts:
             self.verdict.beyond += 1
         else:

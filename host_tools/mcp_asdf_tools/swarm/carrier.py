@@ -139,7 +139,7 @@ class ExpectingConnection:
         the receive buffer are still read.
         """
         received: dict[int, SentFrame] = {}
-        # The indices of frames that have not arrived, by what a bus preserves of a frame
+        # The indices of frames that have not arrived, by identifier and data
         missing_indices: defaultdict[tuple[int, bytes], deque[int]] = defaultdict(deque)
         for index, sent_frame in enumerate(awaited):
             missing_indices[_identifier_and_data(sent_frame.frame)].append(index)
@@ -147,12 +147,12 @@ class ExpectingConnection:
         deadline = time.monotonic() + seconds
         reads_after_deadline = 0
         while len(received) < len(awaited) and reads_after_deadline < _MAX_READS_AFTER_DEADLINE:
-            # After the deadline the timeout is 0: what waits in the receive buffer already is still read.
-            seconds_left = max(0.0, deadline - time.monotonic())
-            if seconds_left == 0.0:
+            seconds_left = deadline - time.monotonic()
+            if seconds_left <= 0.0:
+                seconds_left = 0.0  # What waits in the receive buffer already is still read.
                 reads_after_deadline += 1
             frame = self._read_frame(seconds_left)
-            if frame is None:
+            if frame is None:  # The time is over, and the buffer empty.
                 break
             # get() does not add an entry for a frame that nobody expects, of which there may be many.
             indices = missing_indices.get(_identifier_and_data(frame))

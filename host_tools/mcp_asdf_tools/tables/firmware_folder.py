@@ -136,9 +136,9 @@ def write_firmware(omega: Decimal, q: int, folder: Path, force: bool = False) ->
     # The folder is for one table: tables of an earlier run with another omega or q are deleted.
     other_tables = [path for path in sorted(folder.glob("t_table_*.c")) if path.name not in texts]
     if not force:
-        names = [path.name for path in other_tables] + list(texts)
+        names_to_replace_or_delete = [path.name for path in other_tables] + list(texts)
         old_checksums = _read_checksums(folder / _CHECKSUMS_FILE)
-        _check_unchanged(folder, names, old_checksums, new_checksums=checksums)
+        _check_unchanged(folder, names_to_replace_or_delete, old_checksums, new_checksums=checksums)
     # The file of checksums cannot hold its own, so it is added when all others have theirs.
     texts[_CHECKSUMS_FILE] = "".join(f"{checksum}  {name}\n" for name, checksum in checksums.items())
     text_by_path = {folder / name: content for name, content in texts.items()}

@@ -182,19 +182,26 @@ def check_file(path: Path) -> TableCheck:
         raise UsageError(f"{path} is neither .c nor .json; give a file that --output has written")
     file_text = _read_text(path)
     # The file may come from anyone: what it claims to be is all that is taken from it.
-    match = _ARRAY_NAME.search(file_text)
-    if match is None:
-        raise UsageError(f"{path} names no array mcp_asdf_t_table_omega.._q..; make it anew with --output")
-    try:
-        # The name holds the decimal places of omega: omega05 stands for 0.05.
-        decimal_places, q_text = match.groups()
-        omega = parse_omega(f"0.{decimal_places}")
-        q = check_q(int(q_text))
-    except UsageError as error:
-        raise UsageError(f"{path}: {error}") from error
+    omega, q = _claimed_omega_and_q(path, file_text)
     # Omega and q determine every byte, so the right file is the one that is generated from them now.
     generated_text = formatters[path.suffix](omega, q)
     return TableCheck(str(path), omega, q, _describe_first_difference(file_text, generated_text))
+
+
+def _claimed_omega_and_q(path: Path, file_text: str) -> tuple[Decimal, int]:
+    """Return the omega and q in the name of the array in a file's text.
+
+    Raises UsageError, naming the path, if the text has no such name, or no table can have this omega and q.
+    """
+    match = _ARRAY_NAME.search(file_text)
+    if match is None:
+        raise UsageError(f"{path} names no array mcp_asdf_t_table_omega.._q..; make it anew with --output")
+    # The name holds the decimal places of omega: omega05 stands for 0.05.
+    decimal_places, q_text = match.groups()
+    try:
+        return parse_omega(f"0.{decimal_places}"), check_q(int(q_text))
+    except UsageError as error:
+        raise UsageError(f"{path}: {error}") from error
 
 
 def _read_text(path: Path) -> str:

@@ -7,6 +7,7 @@ before tick 500, with probability 0.2 on its way to each neighbour.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 from mcp_asdf_tools.common.errors import UsageError, did_you_mean
@@ -37,25 +38,33 @@ def parse_fault(fault_text: str) -> Fault:
     values: dict[str, Any] = {}
     if equals_sign:
         values["rate"] = _parse_option(fault_text, kind, "rate", rate)
+    values |= _parse_options(fault_text, kind, items)
+    fault = kind(**values)
+    # The options must go together.
+    fault.check()
+    if fault.stop is not None and fault.stop <= fault.start:
+        raise _option_error(fault_text, "to", fault.stop, f"above from, {fault.start}")
+    return fault
 
-    # The options, such as ticks=3
+
+def _parse_options(fault_text: str, kind: type[Fault], items: Sequence[str]) -> dict[str, Any]:
+    """Return the values of a fault's options, such as ``ticks=3``, by the name of their field.
+
+    Raises UsageError for an option that the kind does not have, or that is given twice, and for a wrong
+    value.
+    """
+    values: dict[str, Any] = {}
     options = [*_COMMON_OPTIONS, *kind.own_options()]
     for item in items:
         option, _, value = item.partition("=")
         if option not in options:
             ending = did_you_mean(option, options) or f"; its options are {', '.join(options)}"
-            raise UsageError(f"fault {fault_text!r}: {name} has no option {option!r}{ending}")
+            raise UsageError(f"fault {fault_text!r}: {kind.name} has no option {option!r}{ending}")
         field_name = _FIELD_OF_OPTION.get(option, option)
         if field_name in values:
             raise UsageError(f"fault {fault_text!r}: {option} is given twice; give it once")
         values[field_name] = _parse_option(fault_text, kind, option, value)
-
-    # The fault, whose options must go together
-    fault = kind(**values)
-    fault.check()
-    if fault.stop is not None and fault.stop <= fault.start:
-        raise _option_error(fault_text, "to", fault.stop, f"above from, {fault.start}")
-    return fault
+    return values
 
 
 def _parse_option(fault_text: str, kind: type[Fault], option: str, value: str) -> Any:
