@@ -474,7 +474,7 @@ def test_the_large_figure_above_the_floor_is_the_mean_estimate_of_all_robots_in_
 
     small_browser.evaluate("view.player.seek(100)")
 
-    until(small_browser, f"document.getElementById('belief').textContent === '{percent:.0f} %'")
+    until(small_browser, f"document.getElementById('belief').textContent === '{percent:.0f}\u00a0%'")
 
 
 @dataclass(frozen=True)

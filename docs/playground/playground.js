@@ -13,7 +13,7 @@ import {
   miscalibrateMore,
 } from "playground/settings";
 import { chartsOf, FILTER_LABELS } from "view/charts";
-import { decodeBase64, History, ONE } from "view/history";
+import { decodeBase64, History } from "view/history";
 import { createElement, findElement, meanEstimate, writeText } from "view/panels";
 import { View } from "view/view";
 import { formatPercent } from "view/words";
@@ -223,21 +223,15 @@ class Playground {
   #showBelief(state) {
     const { history } = this.view;
     writeText(findElement("truth"), formatPercent(history.description.fill_ratio));
-    writeText(findElement("belief"), `${Math.round(100 * meanEstimate(history, state))} %`);
+    writeText(findElement("belief"), formatPercent(meanEstimate(history, state), 0));
   }
 
   /** Shows a run of the worker in the view; the first one is played. */
-  #showRun({ columns, links, ...world }) {
+  #showRun({ ticks, columns, links, ...world }) {
     const { view } = this;
     const job = makeJob(this.settings);
     const history = new History(describeRun(job, world));
-    const stateCount = job.steps / job.interval + 1;
-    const trueAccuracies = new Uint16Array(columns.x.length).fill(Math.round(job.accuracy * ONE));
-    history.appendStates({
-      ticks: Uint32Array.from({ length: stateCount }, (_, state) => state * job.interval),
-      columns: { ...columns, b: trueAccuracies },
-      links,
-    });
+    history.appendStates({ ticks, columns, links });
     view.arena.specialColours = new Map(history.description.liars.map((robot) => [robot, "liar"]));
     const isFirst = view.history === null;
     const bHatChart = chartsOf(history).find(({ quantity }) => quantity === "b_hat");

@@ -78,7 +78,7 @@ function recordMotion(job) {
   };
 }
 
-/** Returns x, x_hat and b_hat of all robots as columns of a history: first their start, then the records. */
+/** Returns the values of all robots as columns of a history: first their start, then the records. */
 function estimateColumns(job, records) {
   const recordCount = records.length / WORDS_PER_RECORD;
   const column = (initialValues, word, unit) => {
@@ -91,10 +91,12 @@ function estimateColumns(job, records) {
   const robots = Array.from({ length: job.robots }, (_, robot) => robot);
   const initialEstimates = robots.map(() => 0.5);
   const initialBHats = robots.map((robot) => (robot < job.flawedCount ? job.wrong : job.accuracy));
+  const valueCount = job.robots * (job.steps / job.interval + 1);
   return {
     x: column(initialEstimates, RECORD_WORDS.x, X_UNIT),
     x_hat: column(initialEstimates, RECORD_WORDS.x_hat, X_UNIT),
     b_hat: column(initialBHats, RECORD_WORDS.b_hat, B_HAT_UNIT),
+    b: new Uint16Array(valueCount).fill(Math.round(job.accuracy * ONE)),
   };
 }
 
@@ -106,7 +108,11 @@ function* computeResults(job) {
   const recordWords = (job.steps / job.interval) * job.robots * WORDS_PER_RECORD;
   const records = readArray(Uint32Array, "records", recordWords);
   const columns = { ...estimateColumns(job, records), ...positions };
-  yield { run: { ...motion, columns }, records, filter: job.filter, trial: 0, errors: firstErrors };
+  const ticks = Uint32Array.from(
+    { length: job.steps / job.interval + 1 },
+    (_, sample) => sample * job.interval,
+  );
+  yield { run: { ...motion, ticks, columns }, records, filter: job.filter, trial: 0, errors: firstErrors };
   // Those of which the page shows large figures come first.
   const isFirst = (filter) => filter === "none" || filter === job.filter;
   for (const filters of [FILTERS.filter(isFirst), FILTERS.filter((filter) => !isFirst(filter))]) {

@@ -69,6 +69,8 @@ class FrameRecorder:
 
     def add_states(self, now: float) -> None:
         """Add the states of all ticks before ``now`` that the history keeps and that are missing."""
+        if not self.history.description.robots:  # nothing is kept, however long that is
+            self._next_tick = int(now * STATES_PER_SECOND)
         while self._next_tick / STATES_PER_SECOND < now:
             # This also moves the next tick on.
             self.add_state(self._next_tick / STATES_PER_SECOND)

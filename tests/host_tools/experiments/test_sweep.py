@@ -622,6 +622,13 @@ def test_the_command_score_reports_the_scores_that_sweep_does(
     assert score_answer["experiments"] == sweep_answer["experiments"]
 
 
+def test_the_command_score_takes_limits_that_the_user_chooses(results_file: Path) -> None:
+    """Scores are relative to a limit of convergence, K_max, and one of errors, e_max."""
+    answer = run_for_json("score", results_file, "--k-max", "300", "--e-max", "0.5")
+    for experiment in answer["experiments"]:
+        assert experiment["limits"] == {"k_max": 300, "e_max": 0.5}
+
+
 def test_the_command_score_writes_scores_for_limits_that_the_user_chooses_into_the_csv(
     results_file: Path, tmp_path: Path
 ) -> None:
@@ -703,6 +710,19 @@ def test_options_of_the_command_simulate_change_the_experiment_of_a_file(
     assert parameters["flawed"] == 3  # 50 % of 6
     assert parameters["omega"] == 0.1
     assert answer["trials"] == 4
+
+
+@pytest.mark.parametrize(
+    ("options", "expected_limits"),
+    [("", {"k_max": 100, "e_max": 0.45}), ("--k-max 50 --e-max 0.5", {"k_max": 50, "e_max": 0.5})],
+    ids=["paper", "user"],
+)
+def test_the_command_simulate_scores_with_the_paper_s_limits_or_with_those_of_the_user(
+    options: str, expected_limits: dict[str, float], file_of_one_experiment: Path
+) -> None:
+    """The paper's limits are the length of a trial, here 100 steps, and an error of 0.45."""
+    answer = run_for_json("simulate", file_of_one_experiment, "--trials", "1", *options.split())
+    assert answer["limits"] == expected_limits
 
 
 def test_the_command_simulate_writes_results_only_if_it_is_given_an_output(

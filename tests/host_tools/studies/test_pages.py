@@ -104,3 +104,16 @@ def test_the_tool_puts_the_beginning_of_a_report_into_the_page_of_the_study_and_
     assert page == study_page(results=beginning_of_report)
     recorded_verdicts = (project / "tests/data/study_verdicts.csv").read_text()
     assert recorded_verdicts == "claim,part,verdict,holds,of\nfirst,dynamic,mixed,1,2\n"
+
+
+def test_the_tool_changes_no_page_by_a_study_that_is_too_short_for_verdicts(
+    project: Path, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    """The report says so, and the tool ends with exit code 1."""
+    page = project / "docs/internals/study.md"
+    page.write_text(study_page(results="old"))
+    folder = tmp_path_factory.mktemp("report")
+    (folder / "report.md").write_text("# The study\n\n**Too short for verdicts**")
+
+    assert run_tool("study", folder_of_results=folder) == 1
+    assert page.read_text() == study_page(results="old")

@@ -62,6 +62,15 @@ def test_the_measure_of_b_hat_is_the_mean_of_the_healthy_robots_after_the_last_f
     assert results.measure(CELL_WITH_FLAWED_ROBOTS, "b_hat").value == pytest.approx(mean_of_healthy_robots)
 
 
+def test_the_spread_of_h_is_its_interquartile_range() -> None:
+    """Of five trials the second lowest H is the lower quartile, and the second highest the upper one."""
+    results = StudyResults({CELL_WITH_FLAWED_ROBOTS: trials_with_h(75, 70, 65, 55, 50)})
+
+    spread = results.measure(CELL_WITH_FLAWED_ROBOTS, "spread of H").value
+
+    assert spread == pytest.approx(70 - 55)
+
+
 def test_the_best_h_of_30_is_missed_by_all_of_30_trials_in_half_of_the_cases() -> None:
     """If one trial misses it with the probability q, 30 trials do so with q^30, which is to be 1/2."""
     h_of_trials = [75, 70, 65, 55, 50]

@@ -272,6 +272,16 @@ def test_a_log_of_eight_months_is_shown_with_a_limited_number_of_states(tmp_path
     assert len(history.states_since().states) <= 10_000 + 2
 
 
+def test_months_of_a_log_before_its_first_robot_have_no_states(tmp_path: Path) -> None:
+    """Eight months after a foreign frame a robot sends an estimate, and another one a second later."""
+    foreign_frame = can.Message(arbitration_id=1, is_extended_id=False)
+    estimate = encode(Estimate(sender=7, x_hat=0, alpha=1, transfer_id=0))
+    frames = {0.0: foreign_frame, 20_000_000.0: estimate, 20_000_001.0: estimate}
+    history = record_log(write_log(tmp_path / "real.log", frames)).history
+    ticks = [state.tick for state in history.states_since().states]
+    assert ticks == list(range(200_000_000, 200_000_010 + 1))
+
+
 @pytest.mark.parametrize(
     ("log_text", "expected_reason"),
     [

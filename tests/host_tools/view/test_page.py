@@ -29,6 +29,26 @@ def decompress(text: str) -> bytes:
 # --- Descriptions as JSON -----------------------------------------------------------------------------
 
 
+def test_a_description_becomes_a_json_object_with_the_names_of_its_attributes() -> None:
+    """The scripts of the web page read it; "quantities" are the values that each state has of a robot."""
+    description = RunDescription("a run", [3, 8], flawed=range(1), fill_ratio=0.5, unfiltered_errors=[0.1])
+    assert encode_description(description) == {
+        "title": "a run",
+        "robots": [3, 8],
+        "flawed": [0],
+        "fill_ratio": 0.5,
+        "steps": None,
+        "steps_per_second": 10,
+        "sides": None,
+        "radio_range": None,
+        "floor": None,
+        "filter": None,
+        "unfiltered_errors": [0.1],
+        "faults": (),
+        "quantities": ("x", "x_hat", "b_hat", "b"),
+    }
+
+
 def test_a_floor_is_encoded_as_a_bit_for_each_pixel_and_each_row_begins_at_a_byte() -> None:
     """Two rows of nine pixels take two bytes each, and 1 is black."""
     first_row = [1, 0, 0, 0, 0, 0, 0, 0, 1]

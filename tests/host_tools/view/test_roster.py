@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import can
+import numpy as np
 import pytest
 
 from mcp_asdf.fixed_point import alpha_word_from_float
@@ -224,6 +225,15 @@ def test_a_robot_that_has_only_sent_an_estimate_has_unknown_state_and_values(ros
     row = roster.row(now=0.0)
     for name in ("health", "mode", "x", "b_hat", "updates"):
         assert row[name] is None, name
+
+
+def test_a_robot_that_was_silent_has_unknown_values_until_it_sends_them_again(roster: RosterOfRobot3) -> None:
+    """It sends all of its values, and after a silence of 5 s only a heartbeat."""
+    roster.receive_estimate(transfer_id=0, now=0.0, x_hat=0.75)
+    roster.receive_telemetry(transfer_id=0, now=0.0, x=0.5)
+    roster.receive_heartbeat(uptime=5, transfer_id=5, now=5.0)
+    x, x_hat, b_hat, _true_accuracy = roster.make_state(tick=50, now=5.0, robot_ids=[3]).values
+    assert np.isnan([x, x_hat, b_hat]).all()
 
 
 def test_robots_are_in_the_table_in_the_order_of_their_ids(roster: RosterOfRobot3) -> None:

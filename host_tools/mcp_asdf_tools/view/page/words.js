@@ -1,8 +1,8 @@
 // What a run shows, in words that need no knowledge of the method.
 
-/** Returns a share, 0 to 1, as text in percent. */
-export function formatPercent(share) {
-  return `${+(100 * share).toFixed(1)}\u00a0%`; // no line begins with the sign
+/** Returns a share, 0 to 1, as text in percent, with at most so many digits after the point. */
+export function formatPercent(share, digits = 1) {
+  return `${+(100 * share).toFixed(digits)}\u00a0%`; // no line begins with the sign
 }
 
 /** Returns who of `total` robots misjudges its sensor at the start, as a sentence. */

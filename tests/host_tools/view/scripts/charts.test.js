@@ -51,6 +51,12 @@ test("the truth about x_hat and x is the fill ratio", () => {
   assert.deepEqual(truths.slice(1), [0.9, 0.75, 0.75]);
 });
 
+test("a truth that is unknown has no line", () => {
+  const history = makeHistory({ robots: [0], ticks: [0], quantities: {} });
+  const truths = dataOf(history).map((series) => series.at(-1)[0]);
+  assert.deepEqual(truths, [null, null, null]);
+});
+
 test("a column of a long run has its extremes, in the order in which they came", () => {
   // 960 states are 480 columns of two.
   const states = Array.from({ length: 960 }, (_, state) => state);
@@ -73,9 +79,10 @@ test("the mean error is that of all robots whose x is known", () => {
     fill_ratio: 0.5,
     quantities: { x: [0.25, 0.75, 1, 0.5, 0.5, null, null, null, null] },
   });
-  const [ticks, errors] = dataOf(history)[0];
+  const [ticks, errors, unfilteredErrors] = dataOf(history)[0];
   assert.deepEqual(ticks, [0, 10, 20]);
   assert.deepEqual(errors, [0.3333, 0, null]);
+  assert.deepEqual(unfilteredErrors, [null, null, null]);
 });
 
 test("the mean error of a column of a long run is that of all its states", () => {

@@ -3,11 +3,12 @@
 import { History, ONE } from "view/history";
 
 /** An element of a page, as far as the scripts fill in texts and lists. */
-class FakeElement {
+export class FakeElement {
   constructor(name) {
     this.name = name;
     this.textContent = "";
     this.className = "";
+    this.classes = new Set();
     this.children = [];
     this.dataset = {};
     this.style = {};
@@ -21,7 +22,31 @@ class FakeElement {
     this.children = children;
   }
 
+  insertBefore(child, next) {
+    this.children.splice(next === null ? this.children.length : this.children.indexOf(next), 0, child);
+  }
+
   addEventListener() {}
+
+  get classList() {
+    const { classes } = this;
+    return {
+      add: (name) => classes.add(name),
+      toggle: (name, isOn) => (isOn ? classes.add(name) : classes.delete(name)),
+    };
+  }
+
+  get firstChild() {
+    return this.children[0];
+  }
+
+  get rows() {
+    return this.children; // of a table
+  }
+
+  get cells() {
+    return this.children; // of a row
+  }
 
   matches() {
     return false; // no mouse is over it
@@ -67,12 +92,13 @@ export function encode(values) {
 }
 
 /**
- * Returns a history of robots that do not move and hear nobody.
+ * Returns a history of robots that do not move and, without links, hear nobody.
  *
  * A quantity has the values of all robots in the first state, then those in the second, and so on, with null for
- * what is unknown; a quantity that is left out is unknown. Further fields replace those of the description.
+ * what is unknown; a quantity that is left out is unknown. Links, the same in all states, are receiver, sender,
+ * receiver, sender and so on. Further fields replace those of the description.
  */
-export function makeHistory({ robots, ticks, quantities, ...fields }) {
+export function makeHistory({ robots, ticks, quantities, links = [], ...fields }) {
   const description = {
     title: "a run",
     robots,
@@ -92,7 +118,7 @@ export function makeHistory({ robots, ticks, quantities, ...fields }) {
   history.appendStates({
     ticks: Uint32Array.from(ticks),
     columns: Object.fromEntries(columns),
-    links: ticks.map(() => new Uint16Array(0)),
+    links: ticks.map(() => Uint16Array.from(links)),
   });
   return history;
 }

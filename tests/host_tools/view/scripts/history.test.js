@@ -31,6 +31,22 @@ test("blocks that come later are appended", () => {
   assert.deepEqual(values, [0.1, 0.2, 0, 1]);
 });
 
+test("the beginning and the end of a fault are events of the states that they come before", () => {
+  const history = makeHistory({
+    robots: [3],
+    ticks: [0, 10, 20],
+    quantities: {},
+    faults: [
+      ["loss=0.2", 0, null],
+      ["liar", 3, 15],
+    ],
+  });
+  assert.deepEqual(
+    history.events.map(({ tick, text }) => `${tick} ${text}`),
+    ["10 fault: loss=0.2", "10 fault: liar", "20 fault over: liar"],
+  );
+});
+
 test("a robot that is lost, comes back and changes its b_hat makes events", () => {
   const history = makeHistory({
     robots: [3],

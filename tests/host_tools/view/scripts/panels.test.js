@@ -73,6 +73,7 @@ test("the numbers of a robot are those of the robot and the state that are shown
     robots: [3, 8],
     ticks: [0, 10],
     flawed: [1],
+    links: [1, 0],
     fill_ratio: 0.25,
     quantities: {
       x: [0.1, 0.2, 0.3, 0.4],
@@ -87,7 +88,7 @@ test("the numbers of a robot are those of the robot and the state that are shown
   assert.deepEqual(texts, [
     ...["trusts its sensor (b_hat)", "0.9300", "true accuracy (b)", "–"],
     ...["sees by itself (x_hat)", "0.8000", "believes (x)", "0.4000"],
-    ...["true share of black (f)", "0.2500", "hears", "–"],
+    ...["true share of black (f)", "0.2500", "hears", "3"],
   ]);
 });
 

@@ -115,6 +115,13 @@ test("the chart has median, quartiles and the first trial of each filter in poin
   assert.deepEqual(others, new Array(12).fill([null, null]));
 });
 
+test("the chart has no first trial of a filter before it is there", () => {
+  const comparison = new Comparison(1, 30);
+  comparison.addErrors("none", 1, new Float64Array(8).fill(0.01));
+  const [, median, , , first] = comparison.computeData();
+  assert.deepEqual([median, first], [[1], [null]]);
+});
+
 test("an address has the settings that are not defaults", () => {
   const format = new AddressFormat(LIMITS);
   const settings = format.parse("#robots=9&filter=robust");

@@ -52,12 +52,11 @@ test("of robots elsewhere the introduction has what is known", () => {
 });
 
 test("a share is a percentage with a digit after the point if it needs one", () => {
-  assert.deepEqual([0.55, 0.125, 0, 1].map(formatPercent), [
-    "55\u00a0%",
-    "12.5\u00a0%",
-    "0\u00a0%",
-    "100\u00a0%",
-  ]);
+  assert.deepEqual(
+    [0.55, 0.125, 0, 1].map((share) => formatPercent(share)),
+    ["55\u00a0%", "12.5\u00a0%", "0\u00a0%", "100\u00a0%"],
+  );
+  assert.equal(formatPercent(0.556, 0), "56\u00a0%");
 });
 
 test("a page without data waits for the bus or for the swarm", () => {
