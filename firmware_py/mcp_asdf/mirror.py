@@ -709,9 +709,10 @@ class MirrorRobot(FixedPointView):
         """
         s = self.s
         config = self.config
-        # The round that is ending is in the state twice.
-        ending_round = s.open  # still has all of its sums, those of the test among them
-        sums_for_x_bar = s.closed  # has the copy of some that stays, from which x_bar is computed
+        # The round that is ending is in the state twice: with all of its sums, among them those of the test,
+        # and with a copy of those that stay, from which x_bar is computed.
+        ending_round = s.open
+        sums_for_x_bar = s.closed
         # The variance in eq. 12 takes two estimates, a re-estimate without a test takes one.
         messages_needed = 2 if config.filter == Filter.ADAPTIVE else 1
         if config.filter == Filter.OFF or ending_round.count < messages_needed:
@@ -954,8 +955,9 @@ def _decode_state(config: Config, image: bytes) -> State:
     )
     if config.filter == Filter.ROBUST:
         numbers = _ROBUST_FILTER.unpack_from(image, _BEGINNING.size)
-        state.robust = RobustFilter(*numbers[:-SLOTS])
-        state.estimates = list(numbers[-SLOTS:])
+        members, estimates = numbers[:-SLOTS], numbers[-SLOTS:]
+        state.robust = RobustFilter(*members)
+        state.estimates = list(estimates)
     else:
         numbers = _ROUNDS.unpack_from(image, _BEGINNING.size)
         closed_sum_count = len(fields(Closed))

@@ -77,15 +77,16 @@ def votes_after(votes: Votes[Number], x_hat: Number) -> Votes[Number]:
     This is Robbins and Monro's stochastic approximation of Huber's M-estimate.
     """
     count = min(votes.count + 1, VOTES_MAX)
-    # The gain is a power of two, so that the firmware shifts. 32 votes, a number of 6 bits, give 2**-3, and
-    # 64 votes, a number of 7 bits, give 2**-4.
-    inverse_gain = 1 << (max(count, VOTES_OF_MAX_GAIN).bit_length() - 3)
+    # The gain is a power of two, so that the firmware shifts. A count of 6 bits, such as 32, gives 2**-3, one
+    # of 7 bits, from 64 on, gives 2**-4, and so on. A count below 32 gives the same as 32.
+    bits_of_count = max(count, VOTES_OF_MAX_GAIN).bit_length()
+    inverse_gain = 2 ** (bits_of_count - 3)
 
     difference = x_hat - votes.centre
     # A vote farther away than the spread moves the centre no more than one at that distance.
     limited_difference = max(-votes.spread, min(difference, votes.spread))
-    spread_step = votes.spread / (2 * inverse_gain)
     is_outside = abs(difference) > votes.spread
+    spread_step = votes.spread / (2 * inverse_gain)
     new_spread = votes.spread + (spread_step if is_outside else -spread_step)
     return Votes(
         centre=votes.centre + limited_difference / inverse_gain,

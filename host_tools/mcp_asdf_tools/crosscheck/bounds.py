@@ -80,14 +80,25 @@ def alpha_error(n: int, t: int, b: Fraction) -> tuple[Fraction, Fraction]:
     k = min(n, t - n)  # observations of the rarer colour
     c = min(b, 1 - b)
     is_estimate_at_end = Fraction(k, t) <= c  # x_hat is 0 or 1
-    if is_estimate_at_end:
-        # With g = 1 - 2 c the firmware computes alpha as k (g / c)**2 + (t - k) (g / (1 - c))**2. Both ratios
-        # lose up to 2**-23 of themselves, both squares 2**-28, and the second term 2**-28 of the first. So at
-        # least (1 - 2**-23)**2 (1 - 2**-28)**2 is left, which is a little more than 1 less this sum.
-        too_small = 2 * Q23 + 2 * Q28
-        # 1 - c may lose half a unit of 2**-31, which makes the square in the second term larger.
-        too_large = Q30
-        return too_small, too_large
+    return _alpha_error_at_end() if is_estimate_at_end else _alpha_error_inside(c)
+
+
+def _alpha_error_at_end() -> tuple[Fraction, Fraction]:
+    """Return what `alpha_error` returns where x_hat is 0 or 1: about 2**-22, and 2**-30."""
+    # With g = 1 - 2 c the firmware computes alpha as k (g / c)**2 + (t - k) (g / (1 - c))**2. Both ratios
+    # lose up to 2**-23 of themselves, both squares 2**-28, and the second term 2**-28 of the first. So at
+    # least (1 - 2**-23)**2 (1 - 2**-28)**2 is left, which is a little more than 1 less this sum.
+    too_small = 2 * Q23 + 2 * Q28
+    # 1 - c may lose half a unit of 2**-31, which makes the square in the second term larger.
+    too_large = Q30
+    return too_small, too_large
+
+
+def _alpha_error_inside(c: Fraction) -> tuple[Fraction, Fraction]:
+    """Return what `alpha_error` returns where 0 < x_hat < 1: about 2**-26, and (1 + 2 / (1 - 2 c)) 2**-30.
+
+    ``c`` is the probability of an error of a sensor that is right more often than not, below 1/2.
+    """
     # The firmware computes alpha as (g T)**2 T / (K (T - K)) 2**-s, with the T, K and s of `x_hat_bounds`.
     # Squaring, multiplying, and cutting the dividend to 31 bits make alpha smaller.
     smallest_share_left = (1 - Q28) * (1 - Q27) * (1 - Q31)
@@ -96,7 +107,9 @@ def alpha_error(n: int, t: int, b: Fraction) -> tuple[Fraction, Fraction]:
     g = 1 - 2 * c
     largest_square = (1 + Q30 / g) ** 2
     smallest_divisor = 1 - Q30
-    return 1 - smallest_share_left, largest_square / smallest_divisor - 1
+    too_small = 1 - smallest_share_left
+    too_large = largest_square / smallest_divisor - 1
+    return too_small, too_large
 
 
 def alpha_bounds(n: int, t: int, b: Fraction) -> Bounds:

@@ -174,15 +174,16 @@ class ScenarioWriter:
             self._b_hat = draw_b_hat(rng)
         t = draw_t(rng, setup.memory)
         n = draw_n(rng, t, self._b_hat)
-        # The image must be legal: x_hat and alpha have to follow from t, n and b_hat ...
-        x_hat, alpha = HALF, 0  # as before the first observation
-        if t > 0:
-            x_hat, alpha = estimate(t, n, accuracy_of(self._b_hat))
         updates = rng.choice([0, 0, 1, MAX_16_BITS])
+        # The image must be legal: x_hat and alpha have to follow from t, n and b_hat, unless b_hat was
+        # re-estimated after they were computed.
         is_b_hat_newer = rng.random() < 0.3
         if is_b_hat_newer:
-            # ... unless b_hat was re-estimated after they were computed.
             x_hat, alpha = self._draw_x_hat(), draw_alpha(rng)
+        elif t > 0:
+            x_hat, alpha = estimate(t, n, accuracy_of(self._b_hat))
+        else:
+            x_hat, alpha = HALF, 0  # before the first observation
         words = {
             B_HAT_WORD: self._b_hat,
             T_WORD: t,

@@ -172,20 +172,29 @@ def draw_extreme_sums(rng: Random) -> Sums:
     )
     largest_alpha_x = alpha * ONE  # where all x_hat are 1
     alpha_x = rng.choice([0, rng.randint(0, largest_alpha_x), largest_alpha_x, largest_alpha_x])
-    # The sum of alpha x_hat is kept in two sums: of the bits of alpha from 32 up, and of the 32 bits below.
-    # As much as fits goes into the upper one; what is left there is cut to the lower one's limits.
-    largest_alpha_x_high = x * (LARGEST_ALPHA_UNITS >> 32)  # where every alpha is the largest
-    alpha_x_high = min(alpha_x >> 32, largest_alpha_x_high)
-    alpha_x_left = alpha_x - (alpha_x_high << 32)
-    largest_alpha_x_low = min(x * MAX_32_BITS, (1 << 62) - 1)  # the firmware allows it 62 bits
+    alpha_x_low, alpha_x_high = _split_alpha_x(alpha_x, x)
     # The squares are smallest where all x_hat are alike, and largest where each is 0 or 1.
     smallest_x_squared = (x * x + count - 1) // count  # the quotient, rounded up
     largest_x_squared = x * ONE
     return Sums(
         alpha=alpha,
-        alpha_x_low=min(alpha_x_left, largest_alpha_x_low),
+        alpha_x_low=alpha_x_low,
         alpha_x_high=alpha_x_high,
         x_squared=rng.choice([smallest_x_squared, largest_x_squared]),
         x=x,
         count=count,
     )
+
+
+def _split_alpha_x(alpha_x: int, x: int) -> tuple[int, int]:
+    """Return the lower and the upper one of the two sums in which a firmware keeps the sum of alpha x_hat.
+
+    The upper sum is of x_hat times the bits of alpha from 32 up, and the lower sum of x_hat times the 32 bits
+    below. As much as fits goes into the upper one, and what is left is cut to the limit of the lower one.
+    ``x`` is the sum of x_hat.
+    """
+    largest_upper_sum = x * (LARGEST_ALPHA_UNITS >> 32)  # where every alpha is the largest
+    upper_sum = min(alpha_x >> 32, largest_upper_sum)
+    rest = alpha_x - (upper_sum << 32)
+    largest_lower_sum = min(x * MAX_32_BITS, (1 << 62) - 1)  # the firmware allows it 62 bits
+    return min(rest, largest_lower_sum), upper_sum

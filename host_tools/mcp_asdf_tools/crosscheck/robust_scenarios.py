@@ -526,16 +526,18 @@ def _limits_by_name(robot: DrawnRobot) -> dict[str, tuple[int, ...]]:
     there may be the present value.
     """
     robust = robot.robust
+    slots_without_first = robust.filled_slots & (robust.filled_slots - 1)  # the lowest bit is cleared
+    # When the batch began there were no more observations of either colour than now.
     white_count = robot.t - robot.n
+    largest_batch_t = robust.batch_n + white_count
+    smallest_batch_n = max(robust.batch_t - white_count, 0)
     return {
         "centre": (0, _CENTRE_ONE, CENTRE_START),
         "spread": (SPREAD_MIN, SPREAD_MAX),
         "initial_b_hat": (B_HAT_MIN, B_HAT_MAX, robot.b_hat),
-        # The same slots, and without the first of them: the lowest bit is cleared.
-        "filled_slots": (robust.filled_slots, robust.filled_slots & (robust.filled_slots - 1)),
-        # No more observations of either colour at the beginning of the batch than now.
-        "batch_t": (0, robust.batch_n, robust.batch_n + white_count),
-        "batch_n": (0, robot.n, robust.batch_t, max(robust.batch_t - white_count, 0)),
+        "filled_slots": (robust.filled_slots, slots_without_first),
+        "batch_t": (0, robust.batch_n, largest_batch_t),
+        "batch_n": (0, robot.n, robust.batch_t, smallest_batch_n),
         "votes": (0, VOTES_MAX),
         "dispersion": (DISPERSION_MIN, DISPERSION_MAX),
         "turn": (0, SLOTS, robust.turn),
@@ -592,9 +594,11 @@ def _find_b_hat_of_tie(robot: DrawnRobot, estimate: int, centre: int) -> int | N
     b_hat_of_point = reestimate(robot.t, robot.n, q32_from_q24(opposite_point))
     if b_hat_of_point is None:
         return None
-    # The prediction is rounded, so that a b_hat a few units beside may be the one.
     share = q32_quotient(robot.n, robot.t)
-    for b_hat in range(max(b_hat_of_point - 8, B_HAT_MIN), min(b_hat_of_point + 8, B_HAT_MAX)):
+    # The prediction is rounded, so that a b_hat a few units beside may be the one.
+    first_b_hat = max(b_hat_of_point - 8, B_HAT_MIN)
+    end_of_b_hats = min(b_hat_of_point + 8, B_HAT_MAX)
+    for b_hat in range(first_b_hat, end_of_b_hats):
         prediction = probability_of_black(b_hat, q32_from_q24(estimate))
         prediction_of_centre = probability_of_black(b_hat, q32_from_q24(centre))
         if abs(prediction - share) == abs(prediction - prediction_of_centre):

@@ -351,7 +351,8 @@ def send_unusual_commands(bench: Bench) -> None:
         # Two rounds, because the last message comes after the settle and is one of the next round.
         bench.wait_for_round_without_test(rounds=2)
         bench.activity = f"commands {name}"
-        unusual_observe = _encode(bench, bench.make_command(Action.to_observe(bench.draw_observation())))
+        observe_action = Action.to_observe(bench.draw_observation())
+        unusual_observe = _encode(bench, bench.make_command(observe_action))
         change_command(unusual_observe, bench.rng)
         bench.send([unusual_observe])
         bench.observe(None)  # the usual command, which must not undo the observation

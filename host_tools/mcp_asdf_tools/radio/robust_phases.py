@@ -98,7 +98,7 @@ def receive_first_estimates(bench: Bench) -> None:
         bench.play_tick(bench.draw_observation())
     if not _can_estimates_decide_test(bench):
         return
-    for count in (5, 6):
+    for count in (5, 6):  # the smallest odd and the smallest even number of estimates that are tested
         _play_tests_on_both_sides_of_threshold(bench, count, WIDE_WIDTH)
         _play_tests_on_both_sides_of_threshold(bench, count, NARROW_WIDTH)
     if _can_contradict_extreme_estimate(bench):
