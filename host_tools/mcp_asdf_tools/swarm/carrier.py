@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import time
 from collections import defaultdict, deque
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from functools import partial
@@ -135,8 +135,7 @@ class ExpectingConnection:
 
         Returns those that have arrived, with the frame as it was received, by their index in ``awaited``.
         Others that arrive meanwhile are reported as unexpected. Of frames that are alike, those sent first
-        count as received first. When the time is over, up to _MAX_READS_AFTER_DEADLINE frames that wait in
-        the receive buffer are still read.
+        count as received first.
         """
         received: dict[int, SentFrame] = {}
         # The indices of frames that have not arrived, by identifier and data
@@ -144,15 +143,10 @@ class ExpectingConnection:
         for index, sent_frame in enumerate(awaited):
             missing_indices[_identifier_and_data(sent_frame.frame)].append(index)
 
-        deadline = time.monotonic() + seconds
-        reads_after_deadline = 0
-        while len(received) < len(awaited) and reads_after_deadline < _MAX_READS_AFTER_DEADLINE:
-            seconds_left = deadline - time.monotonic()
-            if seconds_left <= 0.0:
-                seconds_left = 0.0  # What waits in the receive buffer already is still read.
-                reads_after_deadline += 1
-            frame = self._read_frame(seconds_left)
-            if frame is None:  # The time is over, and the buffer empty.
+        frames = self._frames_within(seconds)
+        while len(received) < len(awaited):
+            frame = next(frames, None)
+            if frame is None:  # the time is over
                 break
             # get() does not add an entry for a frame that nobody expects, of which there may be many.
             indices = missing_indices.get(_identifier_and_data(frame))
@@ -162,6 +156,22 @@ class ExpectingConnection:
             else:
                 self._on_unexpected(frame)
         return received
+
+    def _frames_within(self, seconds: float) -> Iterator[can.Message]:
+        """Yield frames as they arrive, until the time is over.
+
+        Then up to _MAX_READS_AFTER_DEADLINE frames that wait in the receive buffer are still read.
+        """
+        deadline = time.monotonic() + seconds
+        reads_after_deadline = 0
+        while reads_after_deadline < _MAX_READS_AFTER_DEADLINE:
+            seconds_left = max(0.0, deadline - time.monotonic())
+            if seconds_left == 0.0:
+                reads_after_deadline += 1
+            frame = self._read_frame(seconds_left)
+            if frame is None:
+                return
+            yield frame
 
     def discard_echoes(self) -> None:
         """Empty the receive buffer, which echoes of frames sent here have filled, while nothing is expected.
@@ -300,7 +310,9 @@ class Carrier:
         buffers overflow; ``deliver`` reads the others. Raises can.CanError if the bus does not take the
         frame, and SwarmError if a frame is lost in a swarm without a clock, where none may be missing.
         """
-        self._on_frame_without_bus(sent_frame.frame)  # with a bus nothing: the frame will be read from it
+        has_bus = len(self.bus_connections) > 0
+        if not has_bus:  # frames on a bus are reported when the carrier reads them
+            self._on_frame_without_bus(sent_frame.frame)
         # There is no connection without a bus, and none for a remote sender.
         robot_connection = self._robot_connections.get(sent_frame.sender)
         if robot_connection is not None:

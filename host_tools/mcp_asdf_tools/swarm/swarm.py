@@ -334,12 +334,14 @@ class Swarm:
         sent under another id is recorded as injected.
         """
         recorder = events_writer.recorders[robot]
-        if sent_frame is None or not sent_frame.is_under_own_id:
-            # A replay makes the robot's own estimate, which the log lacks, and no frame under another id.
-            if isinstance(decode_estimate(frame, self.settings.frames), Estimate):
-                recorder.record_silence()
-            if sent_frame is not None:
-                events_writer.record_injected_frame(sent_frame.frame)
+        is_own_frame_missing = sent_frame is None or not sent_frame.is_under_own_id
+        # A replay makes the robot's own estimates again, so it has to know which of them the log lacks.
+        if is_own_frame_missing and isinstance(decode_estimate(frame, self.settings.frames), Estimate):
+            recorder.record_silence()
+        if sent_frame is None:
+            return
+        if not sent_frame.is_under_own_id:
+            events_writer.record_injected_frame(sent_frame.frame)
         elif sent_frame.is_falsified:
             false_estimate = decode_estimate(sent_frame.frame, self.settings.frames)
             assert isinstance(false_estimate, Estimate)  # faults falsify nothing else
