@@ -311,10 +311,11 @@ def _read_lists(table: pa.Table, column: str, shape_of_trial: tuple[int, ...]) -
     they must have. O(values).
     """
     values = table[column]
+    # Each turn checks the lists of one level, beginning with the outermost, and goes on with what they hold.
     for length in shape_of_trial:
         _check_no_gaps(column, values)
-        different_lengths = pc.list_value_length(values).unique().to_pylist()
-        if any(list_length != length for list_length in different_lengths):
+        existing_lengths = pc.list_value_length(values).unique().to_pylist()
+        if any(existing_length != length for existing_length in existing_lengths):
             raise _damage_error(f"column {column} has lists that have not {length} values")
         values = pc.list_flatten(values)
     _check_no_gaps(column, values)

@@ -155,14 +155,17 @@ def stream_tidy_results(source: Path | pa.Table) -> Iterator[pa.Table]:
     if isinstance(source, pa.Table):
         source = to_present_format(source, len(source))  # another program may have read it
     row_groups = RowGroups(source)
-    parameter_names = find_differences(
+    # The tables have a column for each parameter in which any experiments differ, so all parameters are read
+    # before the first table.
+    parameters_of_experiments = (
         experiment.parameters()
         for row_group in row_groups
         for experiment in rows_by_experiment(row_group.read(PARAMETER_NAMES))
     )
+    differing_names = list(find_differences(parameters_of_experiments))
     for row_group in row_groups:
-        for trials in experiments_in(row_group.read(None)):
-            yield tidy_trials(trials, list(parameter_names))
+        for trials in experiments_in(row_group.read(None)):  # with all columns
+            yield tidy_trials(trials, differing_names)
 
 
 # --- Files -----------------------------------------------------------------------------------------------

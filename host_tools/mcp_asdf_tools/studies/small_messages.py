@@ -186,7 +186,8 @@ def draw_ratios(ratios_by_filter: Mapping[str, RatiosByCode]) -> Figure:
     TOLERANCE, the largest ratio that is good enough.
     """
     figure = empty_figure(WIDTH, 3.2)
-    [panels] = figure.subplots(nrows=1, ncols=len(ratios_by_filter), sharey=True, squeeze=False)  # the row
+    rows_of_panels = figure.subplots(nrows=1, ncols=len(ratios_by_filter), sharey=True, squeeze=False)
+    [panels] = rows_of_panels  # there is a single row
     for axes, (filter_name, ratios) in zip(panels, ratios_by_filter.items(), strict=True):
         for alpha_bits in ALPHA_BITS[filter_name]:
             ratio_values = [ratios[MessageCode(x_hat_bits, alpha_bits)].value for x_hat_bits in X_HAT_BITS]

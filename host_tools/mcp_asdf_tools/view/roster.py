@@ -111,7 +111,8 @@ class RobotOnBus:
         previous = self._previous_heartbeat
         if latest is None:
             return False
-        if (heartbeat.uptime, heartbeat.transfer_id) == (latest.uptime, latest.transfer_id):
+        equals_latest = heartbeat.uptime == latest.uptime and heartbeat.transfer_id == latest.transfer_id
+        if equals_latest:
             return True
         if previous is None:
             return False
@@ -195,12 +196,14 @@ class Roster:
         It has neither links nor positions, as no frame shows them. A robot that has sent nothing so far has
         unknown values.
         """
-        columns = []
+        values_by_robot = []
         for robot_id in robot_ids:
             robot = self.robots.get(robot_id)
-            x_x_hat_b_hat = (nan, nan, nan) if robot is None else robot.values(now)
-            columns.append([*x_x_hat_b_hat, self._true_accuracy])
-        return State(tick, np.array(columns).T, NO_LINKS, positions=None)
+            x, x_hat, b_hat = (nan, nan, nan) if robot is None else robot.values(now)
+            values_by_robot.append([x, x_hat, b_hat, self._true_accuracy])
+        # A state has a row for each of the four quantities, and a column for each robot.
+        values = np.transpose(values_by_robot)
+        return State(tick, values, NO_LINKS, positions=None)
 
     def report(self, now: float) -> dict[str, Any]:
         """Return what the page's table and list show, as plain values, and forget the frames that it lists.

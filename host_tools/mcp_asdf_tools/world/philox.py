@@ -89,18 +89,18 @@ class Stream(NamedTuple):
         """
         first_block, words_to_skip = divmod(first_step, _WORDS_IN_BLOCK)
         end_block = math.ceil((first_step + steps) / _WORDS_IN_BLOCK)
-        block, robot = np.meshgrid(
-            np.arange(first_block, end_block, dtype=np.uint64),
-            np.arange(self.robots, dtype=np.uint64),
-            indexing="ij",
-        )
+        blocks = np.arange(first_block, end_block, dtype=np.uint64)
+        robots = np.arange(self.robots, dtype=np.uint64)
+        # The counter of a block of a robot is these four numbers; all arrays have the shape (blocks, robots).
+        block, robot = np.meshgrid(blocks, robots, indexing="ij")
         trial = np.full_like(block, self.trial)
         stream = np.full_like(block, self.number)
         key = (self.seed & _LOW_WORD, self.seed >> 32)  # the lower and the upper 32 bits
-        block_words = philox((block, robot, trial, stream), key)
-        # Four arrays of shape (blocks, robots) are stacked to (blocks, 4, robots): the four words of a block
-        # are those of four consecutive steps, so that blocks and words become one axis of steps.
-        words_by_step = np.stack(block_words, axis=1).reshape(-1, self.robots)
+        four_words = philox((block, robot, trial, stream), key)
+        # The four words of a block are those of four consecutive steps. So the four arrays are stacked to the
+        # shape (blocks, 4, robots), whose first two axes become one of steps.
+        words_by_block = np.stack(four_words, axis=1)
+        words_by_step = words_by_block.reshape(-1, self.robots)
         return words_by_step[words_to_skip : words_to_skip + steps].astype(np.uint32)
 
     def draw_uniforms(self, steps: int, first_step: int = 0) -> NDArray[np.float64]:

@@ -15,6 +15,7 @@ from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.plot_labels import flawed_share, make_caption
 from mcp_asdf_tools.experiments.plot_panels import (
     Results,
+    Series,
     SeriesName,
     accuracy_offset,
     create_panel_grid,
@@ -71,14 +72,7 @@ def plot_boxes(
     )
     for (row, column), axes in np.ndenumerate(grid):
         f, b = fill_ratios[row], accuracies[column]
-        experiments_by_series = [
-            [
-                trials
-                for trials in series.experiments
-                if trials.experiment.fill_ratio == f and trials.experiment.true_accuracy == b
-            ]
-            for series in all_series
-        ]
+        experiments_by_series = [_select_experiments(series, f, b) for series in all_series]
         colours = [series.colour for series in all_series]
         _draw_box_panel(axes, experiments_by_series, colours, limits)
         axes.set_title(f"$f = {f:g}$, $b = {b:g}$", fontsize=MEDIUM)
@@ -86,6 +80,15 @@ def plot_boxes(
     caption = make_caption(experiments, _MEANING_OF_MARKS, limits)
     handles = [legend_handle(series.label, series.colour, "s") for series in all_series]
     return label_figure(figure, x_label, "score $H$", caption, handles)
+
+
+def _select_experiments(series: Series, fill_ratio: float, true_accuracy: float) -> list[Trials]:
+    """Return the experiments of a series with this share of black tiles and this accuracy of sensors."""
+    return [
+        trials
+        for trials in series.experiments
+        if trials.experiment.fill_ratio == fill_ratio and trials.experiment.true_accuracy == true_accuracy
+    ]
 
 
 def _draw_box_panel(

@@ -63,9 +63,9 @@ class Arena:
     @property
     def positions(self) -> NDArray[np.float64]:
         """Centres, shape (N, 2), in metres from the middle of the floor."""
-        # These are members of the C struct.
-        x, y = (self._values_now(name, np.dtype(np.float64)) for name in ("x", "y"))
-        return np.stack([x, y], axis=1)
+        xs = self._values_now("x", np.dtype(np.float64))
+        ys = self._values_now("y", np.dtype(np.float64))
+        return np.stack([xs, ys], axis=1)
 
     def is_black(self, x: float, y: float) -> bool:
         """Return whether the floor is black at (x, y), in metres from its middle, which must be on it."""
