@@ -309,14 +309,14 @@ class BusRobot:
         It holds x, the robot's informed estimate of the share of black tiles, b_hat, the accuracy that it
         assumes of its sensor, and modulo 256 the number of times it has re-estimated b_hat.
         """
-        x = int(self.robot.x * Q23_ONE)
-        b_hat_units = int(self.robot.b_hat * B_HAT_UNITS)
+        x_units = int(self.robot.x * Q23_ONE)  # of 2**-23
+        b_hat_units = int(self.robot.b_hat * B_HAT_UNITS)  # of 2**-24
         # A robot that computes in float64 may be nearer to 0 or 1 than telemetry allows.
-        b_hat = min(max(b_hat_units, MIN_B_HAT), MAX_B_HAT)
+        legal_b_hat_units = min(max(b_hat_units, MIN_B_HAT), MAX_B_HAT)
         updates = self.robot.counters.updates % UPDATE_COUNT_MODULUS
         transfer_id = self.sent.telemetry % TRANSFER_ID_MODULUS
         self.sent.telemetry += 1
-        telemetry = Telemetry(self.id, x, b_hat, updates, transfer_id)
+        telemetry = Telemetry(self.id, x_units, legal_b_hat_units, updates, transfer_id)
         return encode_telemetry(telemetry, self._telemetry_format, now)
 
     # --- Frames received ---
@@ -425,10 +425,12 @@ class IntegerAdapter:
     def receive_all(self, estimates: EstimateRows) -> int:
         """Hand neighbours' estimates to the robot in order, and return how many it accepted."""
         accepted_count = 0
-        for sender, x_hat, alpha in estimates.tolist():
+        for sender, x_hat_units, alpha_word in estimates.tolist():
+            x_hat = x_hat_units / Q23_ONE
+            alpha = alpha_from_word(alpha_word)
             # Invalid estimates are usual on a bus: as with ``FixedPointRobot`` they are no exceptions here.
             with suppress(FirmwareError):
-                status = self._robot.receive(sender, x_hat / Q23_ONE, alpha_from_word(alpha))
+                status = self._robot.receive(sender, x_hat, alpha)
                 if status is Status.OK:
                     accepted_count += 1
         return accepted_count

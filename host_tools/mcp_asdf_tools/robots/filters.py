@@ -100,7 +100,7 @@ class SwarmFilter:
         With the ``activation`` "always" the paper's filters make no test, so omega has no effect, either.
         """
         unused_parameters = dict(self.unused_parameters)
-        if activation == "always" and self.firmware_filter_without_test is not None:
+        if self._has_no_test(activation):
             # Omega is the tolerance of the test that is left out.
             unused_parameters["omega"] = "activation is always, without a test"
         return unused_parameters
@@ -111,10 +111,13 @@ class SwarmFilter:
         It says so if the filter re-estimates without a test, as the paper's do if ``activation`` is "always".
         """
         description = self.robot_description if is_single_robot else self.description
-        has_no_test = activation == "always" and self.firmware_filter_without_test is not None
-        if has_no_test:
+        if self._has_no_test(activation):
             return f"{description}, in every filter step without a test"
         return description
+
+    def _has_no_test(self, activation: Activation) -> bool:
+        """Return whether robots re-estimate b_hat without a test: by "always", if the filter has it."""
+        return activation == "always" and self.firmware_filter_without_test is not None
 
 
 _NO_FILTER = SwarmFilter(

@@ -110,7 +110,8 @@ def true_thresholds(omega: Decimal) -> tuple[mpf, ...]:
         quantile = _normal_quantile(omega)
         thresholds = []
         for m in range(MAX_MESSAGES, 1, -1):
-            quantile = _t_quantile(mpf(str(omega)), m - 1, quantile)
+            degrees_of_freedom = m - 1
+            quantile = _t_quantile(mpf(str(omega)), degrees_of_freedom, start=quantile)
             thresholds.append(_threshold(quantile, m))
         return tuple(reversed(thresholds))
 
