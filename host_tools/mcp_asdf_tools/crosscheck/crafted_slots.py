@@ -9,7 +9,7 @@ Estimates in slots are in units of 2**-16, probabilities and shares in units of 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
@@ -149,21 +149,33 @@ def draw_slots_at_threshold(
         estimates = _move_in_turn(start_estimates, direction, steps)
         return SlotsAtTest(estimates, robust, state.t, state.n)
 
-    accepted_steps = 0
-    rejected_steps = count * SLOT_ONE  # moves all estimates to the end of the range
-    if slots_after(accepted_steps).is_rejected or not slots_after(rejected_steps).is_rejected:
+    def is_rejected_after(steps: int) -> bool:
+        """Return whether the test rejects after so many steps."""
+        return slots_after(steps).is_rejected
+
+    steps_to_end = count * SLOT_ONE  # after them all estimates are at the end of the range
+    if is_rejected_after(0) or not is_rejected_after(steps_to_end):
         return None
-    # Bisection: the test does not reject after the smaller number of steps, and does after the larger.
+    accepted_steps = _last_steps_accepted(is_rejected_after, steps_to_end)
+    accepted_slots, rejected_slots = slots_after(accepted_steps), slots_after(accepted_steps + 1)
+    if rejected_slots.is_supported:
+        return None
+    return accepted_slots, rejected_slots
+
+
+def _last_steps_accepted(is_rejected_after: Callable[[int], bool], rejected_steps: int) -> int:
+    """Return a number of steps after which a test does not reject, though it does after one step more.
+
+    It must not reject after 0 steps, and must after ``rejected_steps``. The number is found by bisection.
+    """
+    accepted_steps = 0
     while rejected_steps - accepted_steps > 1:
         middle_steps = (accepted_steps + rejected_steps) // 2
-        if slots_after(middle_steps).is_rejected:
+        if is_rejected_after(middle_steps):
             rejected_steps = middle_steps
         else:
             accepted_steps = middle_steps
-    rejected_slots = slots_after(rejected_steps)
-    if rejected_slots.is_supported:
-        return None
-    return slots_after(accepted_steps), rejected_slots
+    return accepted_steps
 
 
 def _move_in_turn(estimates: Sequence[int], direction: int, steps: int) -> tuple[int, ...]:

@@ -102,9 +102,20 @@ class Audit:
         b_hat = Fraction(units_of_b_hat, 2**32)
         x_hat = Fraction(state["x_hat"], ONE)
         alpha = Fraction(alpha_units(state["alpha"]), 2**24)
-        region = region_of(2 * b_hat - 1)
+        self._collect_errors_of_estimate(n, t, b_hat, x_hat, alpha)
+        problems = check_bounds("x_hat", x_hat, x_hat_bounds(n, t, b_hat))
+        problems += check_bounds("alpha", alpha, alpha_bounds(n, t, b_hat))
+        return problems
 
-        # Errors against exact numbers and, as users compare the firmware with it, against float64
+    def _collect_errors_of_estimate(
+        self, n: int, t: int, b_hat: Fraction, x_hat: Fraction, alpha: Fraction
+    ) -> None:
+        """Add the errors of x_hat and alpha, after n black of t observations, to ``errors``.
+
+        They are errors against exact numbers and, as users compare the firmware with it, against float64. An
+        alpha below 1/2 is left out.
+        """
+        region = region_of(2 * b_hat - 1)
         exact_error = x_hat - local_estimate(n, t, b_hat)
         float64_error = float(x_hat) - local_estimate(n, t, float(b_hat))
         self.errors["x_hat", region].add(exact_error, float64_error)
@@ -115,9 +126,6 @@ class Audit:
             exact_error = alpha / right_alpha - 1  # relative
             float64_error = float(alpha) / float64_alpha - 1
             self.errors["alpha", region].add(exact_error, float64_error)
-        problems = check_bounds("x_hat", x_hat, x_hat_bounds(n, t, b_hat))
-        problems += check_bounds("alpha", alpha, alpha_bounds(n, t, b_hat))
-        return problems
 
     def check_b_hat(self, state: State, x_bar: Fraction, is_updated: bool) -> list[str]:
         """Return a line if b_hat is wrong after the filter had to re-estimate it from this exact x_bar.

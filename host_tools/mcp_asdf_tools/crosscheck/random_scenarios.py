@@ -415,8 +415,22 @@ class ScenarioWriter:
         The robot's observations are drawn, and in one of three cases its counter of tests is at its maximum.
         The estimates come from different robots, in random order.
         """
-        rng, setup = self._rng, self._setup
-        t = max(draw_t(rng, setup.memory), 1)  # without an observation the filter does not run
+        words = self._draw_words_before_filter_run(own_x_hat)
+        self._add_call("settle")  # The end of a round empties the open one.
+        self._add_restore(words)
+        other_ids = [sender for sender in range(MAX_ID + 1) if sender != self._setup.robot_id]
+        senders = self._rng.sample(other_ids, len(estimates))
+        for sender, (x_hat, alpha) in zip(senders, estimates, strict=True):
+            self._add_call("receive", sender, x_hat, alpha)
+        self._add_call("settle")  # at which the filter runs
+
+    def _draw_words_before_filter_run(self, own_x_hat: int) -> dict[int, int]:
+        """Draw words of an image, by index, of a robot with this x_hat whose filter runs at the next settle.
+
+        Its observations are drawn, and in one of three cases its counter of tests is at its maximum.
+        """
+        rng = self._rng
+        t = max(draw_t(rng, self._setup.memory), 1)  # without an observation the filter does not run
         words = {
             T_WORD: t,
             N_WORD: draw_n(rng, t, self._b_hat),
@@ -429,13 +443,7 @@ class ScenarioWriter:
         # As if b_hat had just changed: otherwise x_hat and alpha would have to follow from t, n and b_hat.
         words[self._layout.updates_and_id_word] = self._pack_updates(updated=1)
         words[FILTER_LEFT_WORD] = 1  # rounds until the filter runs: at the end of this one
-        self._add_call("settle")
-        self._add_restore(words)
-        other_ids = [sender for sender in range(MAX_ID + 1) if sender != setup.robot_id]
-        senders = rng.sample(other_ids, len(estimates))
-        for sender, (x_hat, alpha) in zip(senders, estimates, strict=True):
-            self._add_call("receive", sender, x_hat, alpha)
-        self._add_call("settle")
+        return words
 
     # --- Values ---
 

@@ -284,15 +284,18 @@ def _expected_decision(state: State) -> tuple[Decision, Fraction | None]:
     initial_b_hat = Fraction(state["robust_initial_b_hat"], _B_HAT_UNITS)
     dispersion = Fraction(state["robust_dispersion"], _DISPERSION_UNITS)
     observations = Observations(state["n"], state["t"], dispersion)
-    # Either is None if rounding may decide.
     is_rejected = robust_test_outcome(observations, initial_b_hat, centre, spread)
     is_supported = support_outcome(observations, initial_b_hat, estimates, centre)
+    return _decision_by(is_rejected, is_supported), centre
+
+
+def _decision_by(is_rejected: bool | None, is_supported: bool | None) -> Decision:
+    """Return what a run of the filter must decide, by the outcome of its test and by who supports the robot.
+
+    Either is None if rounding may decide it. Support counts only if the test rejects.
+    """
     if is_rejected is False:
-        decision = Decision.TEST_ACCEPTS
-    elif is_rejected is None or is_supported is None:
-        decision = Decision.ROUNDING_DECIDES
-    elif is_supported:
-        decision = Decision.REJECTED_BUT_SUPPORTED
-    else:
-        decision = Decision.REJECTED
-    return decision, centre
+        return Decision.TEST_ACCEPTS
+    if is_rejected is None or is_supported is None:
+        return Decision.ROUNDING_DECIDES
+    return Decision.REJECTED_BUT_SUPPORTED if is_supported else Decision.REJECTED
