@@ -61,10 +61,7 @@ def dbc_text(estimate_format: FrameFormat, nodes: Sequence[int] | None = None) -
             "choose another for estimates"
         )
     suffix_by_node = _suffix_by_node(nodes)
-    entries = []
-    for node, suffix in suffix_by_node.items():
-        for kind, identifier in _identified_kinds(estimate_format, node):
-            entries.append(_Entry(kind, identifier | _EXTENDED_IDENTIFIER, suffix))
+    entries = _create_entries(estimate_format, suffix_by_node)
     node_names = " ".join(f"Robot{suffix}" for suffix in suffix_by_node.values())
     # NS_ (new symbols) and BS_ (bit rate) are empty, but have to be there.
     sections = ['VERSION ""\n', "NS_ :\n", "BS_:\n", f"BU_: {node_names}\n"]
@@ -91,6 +88,15 @@ def _suffix_by_node(nodes: Sequence[int] | None) -> dict[int, str]:
         if nodes.count(node) > 1:
             raise UsageError(f"node {node} is listed twice; each id belongs to one node")
     return {node: f"_{node}" for node in nodes}
+
+
+def _create_entries(estimate_format: FrameFormat, suffix_by_node: dict[int, str]) -> list[_Entry]:
+    """Return an entry for each kind of frame of each node: all of the first node, then those of the next."""
+    entries = []
+    for node, suffix in suffix_by_node.items():
+        for kind, identifier in _identified_kinds(estimate_format, node):
+            entries.append(_Entry(kind, identifier | _EXTENDED_IDENTIFIER, suffix))
+    return entries
 
 
 def _identified_kinds(estimate_format: FrameFormat, node: int) -> list[tuple[FrameKind, int]]:

@@ -49,6 +49,10 @@ class Broadcast:
     alpha_bits: int
     is_false: bool = False
 
+    def has_values(self, x_hat: int, alpha_bits: int) -> bool:
+        """Return whether the broadcast has exactly these values, in the units of its own."""
+        return self.x_hat == x_hat and self.alpha_bits == alpha_bits
+
 
 class RepeatedRobot(BusRobot):
     """A robot that repeats its recorded run.
@@ -254,11 +258,8 @@ class _Comparison:
         # The robot's broadcast with the frame's transfer_id, if any, may have other values than the frame.
         index = _index_of_broadcast(estimate.transfer_id, broadcasts)
         index_of_equal: int | None = None
-        if index is not None:
-            has_equal_x_hat = broadcasts[index].x_hat == estimate.x_hat
-            has_equal_alpha = broadcasts[index].alpha_bits == alpha_float32_bits(frame)
-            if has_equal_x_hat and has_equal_alpha:
-                index_of_equal = index
+        if index is not None and broadcasts[index].has_values(estimate.x_hat, alpha_float32_bits(frame)):
+            index_of_equal = index
         # A fault may have sent the same frame as a robot. Then the frame is the robot's if the broadcast is
         # the robot's next one: one that comes later is equal by chance.
         is_next_broadcast = index_of_equal == 0

@@ -130,9 +130,7 @@ def write_firmware(omega: Decimal, q: int, folder: Path, force: bool = False) ->
     written or, without ``force``, if one has been changed since it was written.
     """
     texts = _folder_texts(omega, q)
-    checksums = {}
-    for name, content in sorted(texts.items()):
-        checksums[name] = sha256(content.encode()).hexdigest()
+    checksums = {name: sha256(texts[name].encode()).hexdigest() for name in sorted(texts)}
     # The folder is for one table: tables of an earlier run with another omega or q are deleted.
     other_tables = [path for path in sorted(folder.glob("t_table_*.c")) if path.name not in texts]
     if not force:
