@@ -105,8 +105,12 @@ def _error_with_line(path: Path, text: str, grid_number: int, error: ParameterEr
             current_grid += 1
         if error.key in _KEY_PATTERN.findall(line):
             line_numbers_by_grid.setdefault(current_grid, []).append(str(line_number))
-    line_numbers = line_numbers_by_grid.get(grid_number) or line_numbers_by_grid.get(above_grids, [])
-    position = f", line {' or '.join(line_numbers)}" if line_numbers else ""
+    line_numbers = line_numbers_by_grid.get(grid_number, [])
+    if not line_numbers:
+        line_numbers = line_numbers_by_grid.get(above_grids, [])
+    position = ""
+    if line_numbers:
+        position = f", line {' or '.join(line_numbers)}"
     return UsageError(f"{path}{position}: {error}")
 
 

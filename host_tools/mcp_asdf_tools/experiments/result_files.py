@@ -202,16 +202,16 @@ class RowGroups:
         first_rows = [row_group.first_row for row_group in self._row_groups]
         # A row is in the last row group that begins at or before it.
         group_of_row = np.searchsorted(first_rows, rows, side="right") - 1
-        # Row groups are read one after the other, so their rows come sorted by row groups ...
         tables = []
-        requested_positions = []
+        positions_of_tables = []  # those in ``rows`` at which the rows of each table were requested
         for group_index in np.unique(group_of_row):
-            positions = np.flatnonzero(group_of_row == group_index)  # in ``rows``
+            positions = np.flatnonzero(group_of_row == group_index)
             rows_in_group = rows[positions] - first_rows[group_index]
-            tables.append(self._read_cached(group_index, column_names).take(rows_in_group))
-            requested_positions.append(positions)
-        # ... and are then sorted by the positions at which they were requested.
-        requested_order = np.argsort(np.concatenate(requested_positions))
+            row_group = self._read_cached(group_index, column_names)
+            tables.append(row_group.take(rows_in_group))
+            positions_of_tables.append(positions)
+        # The rows are in the order of the row groups now, and get that in which they were requested.
+        requested_order = np.argsort(np.concatenate(positions_of_tables))
         return pa.concat_tables(tables).combine_chunks().take(requested_order)
 
     def _read(self, group_index: int, columns: tuple[str, ...] | None) -> pa.Table:

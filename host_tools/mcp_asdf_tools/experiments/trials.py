@@ -162,12 +162,13 @@ def _records_in_paper_units(experiment: Experiment, raw_records: NDArray[Any]) -
     records = {}
     for quantity in QUANTITIES:
         raw_values = raw_records[quantity]
+        if quantity == "alpha":
+            recorded_values = _alpha_of_words(raw_values)
+        else:
+            recorded_values = raw_values / integer_of_one[quantity]
         values = np.empty((trial_count, sample_count + 1, robots))
         values[:, 0] = initial_values[quantity]
-        if quantity == "alpha":
-            values[:, 1:] = _alpha_of_words(raw_values)
-        else:
-            values[:, 1:] = raw_values / integer_of_one[quantity]
+        values[:, 1:] = recorded_values
         records[quantity] = values
     return records
 

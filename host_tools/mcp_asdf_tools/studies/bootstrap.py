@@ -65,8 +65,10 @@ class Resampled:
         if are_all_equal:
             # The resamples are float32, so they may differ from the value by rounding.
             return Interval(self.value, low=self.value, high=self.value)
-        share_below = (1 - confidence) / 2
-        low, high = np.quantile(self.resamples, [share_below, (1 + confidence) / 2])
+        # As many resamples lie below the range as above it.
+        share_below_low = (1 - confidence) / 2
+        share_below_high = (1 + confidence) / 2
+        low, high = np.quantile(self.resamples, [share_below_low, share_below_high])
         return Interval(self.value, float(low), float(high))
 
 

@@ -119,14 +119,12 @@ def _holds_above(interval: Interval, size: float, is_strong: bool) -> bool | Non
     If the claim ``is_strong``, the whole interval must be at least the size; otherwise it is enough that the
     difference is, and that its interval is above 0.
     """
-    if is_strong and interval.low >= size:
+    surely_holds = interval.low >= size if is_strong else _is_surely_above(interval, size)
+    if surely_holds:
         return True
-    if not is_strong and _is_surely_above(interval, size):
-        return True
-    # Not even the upper end of the interval is large enough.
-    if interval.high < size:
-        return False
-    return None
+    # It fails if not even the upper end of the interval is large enough.
+    surely_fails = interval.high < size
+    return False if surely_fails else None
 
 
 def _holds_not_below(interval: Interval, size: float) -> bool | None:

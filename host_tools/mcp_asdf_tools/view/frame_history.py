@@ -63,6 +63,7 @@ class FrameRecorder:
         """
         self.add_states(now)
         self.roster.receive(frame, decode_frame(frame, self._frame_format), now)
+        # History and roster list robots in the same order, so those behind the history's are the new ones.
         robots_in_history = len(self.history.description.robots)
         for new_robot_id in self.roster.ids_with_values[robots_in_history:]:
             self.history.add_robot(new_robot_id)

@@ -56,13 +56,10 @@ def philox(
         # Products have 64 bits; their upper and lower words go different ways.
         product0 = c0 * c0_multiplier
         product2 = c2 * c2_multiplier
+        upper0, lower0 = product0 >> _WORD_BITS, product0 & _LOW_WORD_MASK
+        upper2, lower2 = product2 >> _WORD_BITS, product2 & _LOW_WORD_MASK
         # All four change at once, as each new word is made of old ones.
-        c0, c1, c2, c3 = (
-            (product2 >> _WORD_BITS) ^ c1 ^ k0,
-            product2 & _LOW_WORD_MASK,
-            (product0 >> _WORD_BITS) ^ c3 ^ k1,
-            product0 & _LOW_WORD_MASK,
-        )
+        c0, c1, c2, c3 = upper2 ^ c1 ^ k0, lower2, upper0 ^ c3 ^ k1, lower0
     return c0, c1, c2, c3
 
 

@@ -84,10 +84,12 @@ class EngineTrials:
             members["alpha_bits"] = experiment.message_code.alpha_bits
         members |= self._make_probabilities(experiment, first, trials)
         if experiment.is_dynamic:
-            arenas = [make_config(experiment, first + index, _engine.ffi) for index in range(trials)]
-            self._referenced_memory.append(arenas)
-            arena_members = [members_of_arena for members_of_arena, _image in arenas]
-            members["arenas"] = self._array("mcp_asdf_arena_config_t", arena_members)
+            configs_of_arenas = []
+            for trial in range(first, first + trials):
+                members_of_arena, floor_image = make_config(experiment, trial, _engine.ffi)
+                configs_of_arenas.append(members_of_arena)
+                self._referenced_memory.append(floor_image)  # to which the config points
+            members["arenas"] = self._array("mcp_asdf_arena_config_t", configs_of_arenas)
         if isinstance(experiment.graph, Graph):
             # The order of arcs is that in which C delivers, which has to be by ascending senders.
             arcs = self._array("mcp_asdf_pair_t", sorted(experiment.graph.links))

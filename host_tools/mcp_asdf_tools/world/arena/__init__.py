@@ -107,7 +107,8 @@ class Arena:
         wheels = np.empty(shape, np.uint8)
         avoids = np.empty(shape, np.uint8)
         adjacency = np.zeros((*shape, self.settings.robots), np.bool_)
-        # The arrays of the C struct have the values of the present tick, which are copied to a row each tick.
+        # Each of these members of the C struct has the present values of all robots, which are copied to a
+        # row of an array in every tick.
         rows_by_member: dict[str, NDArray[Any]] = {
             "x": position[:, :, 0],
             "y": position[:, :, 1],
@@ -117,7 +118,7 @@ class Arena:
             "wheels": wheels,
             "avoids": avoids,
         }
-        # Views of these arrays, which show the new values after every step
+        # Views of the members' memory, which show the new values after every step.
         current_values = {name: self._values_now(name, rows.dtype) for name, rows in rows_by_member.items()}
         for tick in range(ticks):
             self.step()
