@@ -250,9 +250,10 @@ def test_the_quick_form_of_a_program_measures_something_in_all_its_experiments(
         (ageing.ageing_rows, "six age alike, longest memory", 1000, "ageing", "filters"),
         (two_readings.two_readings_rows, "half flawed, underconfident", 500, "two_readings", "errors"),
         (related_work.resilience_rows, "moving, 5 liars, overconfident", 100, "related_work", "late"),
+        (related_work.colour_rows, "moving, 5 liars, underconfident", 500, "related_work", "colour"),
     ],
 )
-def test_a_row_that_is_simulated_again_gives_the_errors_on_the_page_of_its_study(
+def test_a_row_that_is_simulated_again_gives_the_numbers_on_the_page_of_its_study(
     rows_of_study: Callable[[], dict[str, Any]], row: str, sampling_interval: int, page: str, mark: str
 ) -> None:
     """Robots with two readings are left out, as their trials would take minutes."""
@@ -263,7 +264,8 @@ def test_a_row_that_is_simulated_again_gives_the_errors_on_the_page_of_its_study
             trials = run_trials(experiment, 0, experiment.trials, sampling_interval=sampling_interval)
             results_of_columns.setdefault(column, []).append(trials)
 
+    text_of = related_work.right_text if mark == "colour" else study_program.late_error_text
     table = tables_in(page_path(page))[mark]
-    errors_on_page = dict(zip(table.columns, table.rows[row], strict=True))
+    texts_on_page = dict(zip(table.columns, table.rows[row], strict=True))
     for column, results in study_program.without_liars(results_of_columns).items():
-        assert study_program.late_error_text(results) == errors_on_page[column]
+        assert text_of(results) == texts_on_page[column]

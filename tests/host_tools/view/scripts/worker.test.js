@@ -5,8 +5,12 @@ import { test } from "node:test";
 import { encode, round } from "./fake_page.js";
 
 const JOB = {
+  seed: 7,
   robots: 2,
   flawedCount: 1,
+  liars: 0,
+  density: 4,
+  fill: 0.3,
   wrong: 0.55,
   accuracy: 0.95,
   steps: 10,
@@ -41,13 +45,14 @@ function makeEngine() {
   };
 }
 
+const engine = makeEngine();
 let handleMessage; // by the worker, which imports nothing and is told what to do by messages
 let receiveResult;
 globalThis.addEventListener = (_, handler) => {
   handleMessage = handler;
 };
 globalThis.postMessage = (result) => receiveResult(result);
-WebAssembly.instantiate = async () => ({ instance: { exports: makeEngine() } });
+WebAssembly.instantiate = async () => ({ instance: { exports: engine } });
 await import("playground/worker");
 await handleMessage({ data: { module: "the compiled program" } });
 
@@ -64,6 +69,13 @@ async function resultsOf(job) {
   await areAllReceived;
   return results;
 }
+
+test("the settings of a job are written in the order of settings_t in playground.c", async () => {
+  await resultsOf(JOB);
+  const { buffer } = engine.memory;
+  assert.deepEqual(Array.from(new Float64Array(buffer, PLACES.settings, 4)), [0.3, 0.95, 0.55, 4]);
+  assert.deepEqual(Array.from(new Uint32Array(buffer, PLACES.settings + 32, 6)), [7, 2, 1, 0, 10, 10]);
+});
 
 test("a run begins with what robots assume, and goes on with x, x_hat and b_hat of the records", async () => {
   const [{ run }] = await resultsOf(JOB);
