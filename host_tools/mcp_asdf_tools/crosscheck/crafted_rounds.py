@@ -273,11 +273,11 @@ class _TwoGroups:
             room_ahead, room_behind = room_above, room_below
         else:
             room_ahead, room_behind = room_below, room_above
-        # In units of the gap the far group is ratio + 1 ahead of the own x_hat.
+        # The far group is u + gap = (ratio + 1) gap ahead of the own x_hat.
         gap_of_room_ahead = room_ahead / (ratio + 1)
         if ratio >= 0:
-            return gap_of_room_ahead
-        # The near group is -ratio gaps behind the own x_hat.
+            return gap_of_room_ahead  # no group is behind the own x_hat
+        # The near group is -u = -ratio gap behind the own x_hat.
         gap_of_room_behind = room_behind / -ratio
         return min(gap_of_room_ahead, gap_of_room_behind)
 

@@ -162,21 +162,18 @@ def _check_memory(call: Call, before: CallResult, after: CallResult, events: Cou
         has_confidence = alpha_units(alpha) > 0
         if after.outcome == "OK" and has_confidence:
             expected |= _slot_after(old_state, sender, x_hat)
+    new_batch = {"robust_batch_t": new_state["t"], "robust_batch_n": new_state["n"]}
     if is_observation(call, after):
         is_memory_halved = new_state["t"] != old_state["t"] + 1
         if is_memory_halved:
             # The old counts cannot be compared with the halved ones, so a new batch begins.
-            expected |= {"robust_batch_t": new_state["t"], "robust_batch_n": new_state["n"]}
+            expected |= new_batch
     if ends_round(call, after):
         expected |= _votes_after_round(old_state, new_state, events)
         if had_to_run_filter(old_state, new_state):
             problems += _check_dispersion(expected, new_state)
             # The run ends the batch. The dispersion has been checked, and has no single right value.
-            expected |= {
-                "robust_batch_t": new_state["t"],
-                "robust_batch_n": new_state["n"],
-                "robust_dispersion": new_state["robust_dispersion"],
-            }
+            expected |= new_batch | {"robust_dispersion": new_state["robust_dispersion"]}
     return problems + check_exact(new_state, expected)
 
 

@@ -267,15 +267,17 @@ def re_estimate_often(bench: Bench) -> None:
     for index in range(round_count):
         bench.skip_to_test_round(bench.draw_observation)
         bench.activity = "one of many re-estimates"
-        distant_estimates = draw_distant_estimates(bench.robot_state, bench.rng)
         scale = ALPHA_SCALES[index % len(ALPHA_SCALES)]
-        alphas = draw_alphas_of_one_scale(bench.rng, len(distant_estimates), scale)
-        estimates = [
-            NeighbourEstimate(distant.x_hat, alpha)
-            for distant, alpha in zip(distant_estimates, alphas, strict=True)
-        ]
-        bench.play_round(*estimates)
+        bench.play_round(*_draw_distant_estimates_of_scale(bench, scale))
         bench.play_tick(bench.draw_observation())
+
+
+def _draw_distant_estimates_of_scale(bench: Bench, scale: tuple[int, int]) -> list[NeighbourEstimate]:
+    """Draw estimates far from the controller's own, with confidences of a scale, as in ``ALPHA_SCALES``."""
+    distant_estimates = draw_distant_estimates(bench.robot_state, bench.rng)
+    alphas = draw_alphas_of_one_scale(bench.rng, len(distant_estimates), scale)
+    x_hats = [estimate.x_hat for estimate in distant_estimates]
+    return [NeighbourEstimate(x_hat, alpha) for x_hat, alpha in zip(x_hats, alphas, strict=True)]
 
 
 def play_rounds_without_test(bench: Bench) -> None:

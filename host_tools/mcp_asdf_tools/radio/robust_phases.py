@@ -149,7 +149,7 @@ def vote_with_every_slot(bench: Bench) -> None:
         sender = _draw_sender(bench, slot)  # one of the ids whose estimates this slot keeps
         estimate = NeighbourEstimate(HALF + slot, draw_normal_alpha(bench.rng))
         bench.play_round(estimate, senders=[sender])
-        _let_rounds_vote(bench, 2)
+        _let_rounds_vote(bench, 2)  # the turn goes on from where it was
     _play_estimates_between_slot_units(bench)
     _let_rounds_vote(bench, rounds_of_all_votes)
 
@@ -183,17 +183,17 @@ def vote_without_own_confidence(bench: Bench) -> None:
         return
     bench.activity = "observations, half of them black"
     observe_until_excess_of_black(bench, 0)
-    estimate = _most_contradicting_estimate(bench)
-    if not _observe_equal_colours_until_rejection(bench, estimate):
+    contradicting_estimate = _most_contradicting_estimate(bench)
+    if not _observe_equal_colours_until_rejection(bench, contradicting_estimate):
         bench.not_exercised.append("a re-estimate of b_hat as 1/2")
         return
     bench.activity = "a re-estimate of b_hat as 1/2"
     bench.skip_to_test_round()
-    _set_slots(bench, [estimate] * SLOTS)
+    _set_slots(bench, [contradicting_estimate] * SLOTS)
     bench.play_tick(Observation.BLACK)  # An observation forms x_hat and alpha from the new b_hat.
     bench.activity = "votes of a robot without confidence"
     _set_slots(bench, [0, SLOT_ESTIMATE_MAX] * (SLOTS // 2))
-    _let_rounds_vote(bench, 2 * SLOTS)
+    _let_rounds_vote(bench, 2 * SLOTS)  # each slot twice
 
 
 def vote_until_spread_is_smallest(bench: Bench) -> None:
