@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -35,7 +36,14 @@ def progress(unit: str, total: float, quiet: bool = False) -> Iterator[Callable[
     start_time = time.monotonic()
     last_line_time = start_time
     done_count = 0.0
-    with Progress(*columns, console=console, disable=not shows_bar, transient=True) as bar:
+    bar = Progress(
+        *columns,
+        console=console,
+        disable=not shows_bar,
+        transient=True,
+        speed_estimate_period=math.inf,  # by default a rate is that of 30 s, in which no unit may be done
+    )
+    with bar:
         task = bar.add_task(unit, total=total)
 
         def add(count: float) -> None:

@@ -90,11 +90,16 @@ def test_a_damaged_line_is_one_error_frame_and_the_frame_behind_it_is_received(l
     assert isinstance(decode_estimate(frame, FrameFormat()), Estimate)
 
 
+def test_a_line_that_never_ends_is_an_error_frame_as_soon_as_it_is_too_long() -> None:
+    """A broken adapter would fill the memory, unnoticed. So a line may have at most 1024 characters."""
+    with adapter_that_sends([b"T" * 3000]) as adapter, adapter.open() as bus:
+        assert receive(bus).is_error_frame
+
+
 def test_a_line_without_an_end_is_dropped() -> None:
     """A serial adapter sends 3000 characters without the end of a line, and then the same estimate twice.
 
-    A broken adapter would fill the memory, unnoticed. So a line may have at most 1024 characters. The others
-    become error frames and may cost the first estimate. The second one is received.
+    The characters become error frames and may cost the first estimate. The second one is received.
     """
     lines = [b"T" * 3000, LINE_OF_ESTIMATE, LINE_OF_ESTIMATE]
     with adapter_that_sends(lines) as adapter, adapter.open() as bus:

@@ -505,6 +505,23 @@ def report_six_of_eight_trials_in_two_minutes(monkeypatch: pytest.MonkeyPatch, *
             report(1.5)
 
 
+def test_a_progress_bar_shows_the_time_left_of_trials_that_take_minutes(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Two of eight trials have ended after 60 and 120 s: the other six take 6 minutes.
+
+    With FORCE_COLOR rich, which draws the bar by a clock of its own, takes any output for a terminal.
+    """
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    monkeypatch.setenv("TERM", "xterm")
+    clock = Mock(return_value=0.0)
+    monkeypatch.setattr("rich.console.monotonic", clock)
+    with progress_bar.progress("trials", 8) as report:
+        for clock.return_value in (60.0, 120.0):
+            report(1)
+    assert "2/8 0:06:00" in re.sub(r"\x1b\[[^A-Za-z]*[A-Za-z]", "", capsys.readouterr().err)
+
+
 def test_progress_is_a_line_a_minute_where_there_is_no_terminal(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -230,6 +230,16 @@ def test_a_run_that_fails_before_its_first_frame_leaves_no_files(tmp_path: Path)
     assert names_in(tmp_path) == []
 
 
+def test_a_run_that_fails_raises_its_own_error_if_somebody_has_deleted_its_part_file(tmp_path: Path) -> None:
+    """The run's error is a ZeroDivisionError here.
+
+    At the end the recording would remove the part file, as it has no frames, but it is not there.
+    """
+    with pytest.raises(ZeroDivisionError), recording_frames(tmp_path / "run.log"):
+        (tmp_path / "run.log.part").unlink()
+        raise ZeroDivisionError
+
+
 def test_a_log_whose_name_a_folder_takes_during_the_run_keeps_its_part_name(tmp_path: Path) -> None:
     """Somebody makes a folder run.log while the run is recorded in run.log.part.
 
@@ -269,6 +279,22 @@ def test_a_killed_process_leaves_no_log_beside_the_events_of_another_run(
         ("replace", "run.log.events"),
         ("replace", "run.log"),
     ]
+
+
+def test_files_get_their_names_only_when_their_contents_are_on_disk(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """After a power cut, too, a file with its final name is complete: fsync waits for the disk.
+
+    The run has two files, a log and its events. The last fsync is that of the names in the folder.
+    """
+    system_calls = Mock(fsync=Mock(wraps=os.fsync), replace=Mock(wraps=os.replace))
+    monkeypatch.setattr(os, "fsync", system_calls.fsync)
+    monkeypatch.setattr(os, "replace", system_calls.replace)
+    with recording_frames(tmp_path / "run.log", with_events=True) as record_frame:
+        record_frame(1)
+    names_of_calls = [name for name, _arguments, _keywords in system_calls.mock_calls]
+    assert names_of_calls == ["fsync", "fsync", "replace", "replace", "fsync"]
 
 
 # --- Names of logs ------------------------------------------------------------------------------------

@@ -28,6 +28,7 @@ from mcp_asdf_tools.robots.bus_robot import BusRobot, Reception
 from mcp_asdf_tools.robots.filters import Activation
 from mcp_asdf_tools.robots.population import Population
 from mcp_asdf_tools.robots.robot_setup import RobotSetup
+from mcp_asdf_tools.robots.suspicion import Suspicion
 from mcp_asdf_tools.tables.thresholds import generate
 from messages import encoded
 from robots import ALPHA_ONE
@@ -104,6 +105,15 @@ def test_the_counts_of_received_estimates_in_reports_go_on_where_the_firmware_s_
     assert robot.counters == Counters(
         accepted=65_535 + 2, repeated=65_535 + 2, rejected=65_535 + 1, tests=65_535, updates=65_535
     )
+
+
+@pytest.mark.parametrize("firmware", ["native", "mirror", "reference"])
+def test_repeated_estimates_and_those_under_the_robot_s_own_id_are_counted_as_refused(firmware: str) -> None:
+    """Robot 5 refuses one of the two estimates of robot 6, and one under its own id, which is a conflict."""
+    robot = BusRobot(setup_of_robot(5, firmware), ESTIMATE_FORMAT)
+    robot.receive_all(estimates_from([6, 6, 5, 7]))
+    conflict_under_id_5 = Counter({(Suspicion.CONFLICT, 5): 1})
+    assert robot.reception == Reception(delivered=4, refused=2, events=conflict_under_id_5)
 
 
 def test_telemetry_has_the_number_of_updates_modulo_256() -> None:

@@ -23,6 +23,7 @@ from mcp_asdf_tools.bus.frames import (
     decode_estimate,
     encode_estimate,
     encode_heartbeat,
+    sender_of,
 )
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.swarm.delivery import DeliveryQueue
@@ -297,6 +298,15 @@ def test_each_copy_of_a_frame_is_hit_by_itself(duplicates: int, ticks: int) -> N
     assert any(0 < number < 2**duplicates for number in numbers_left)
 
 
+def test_copies_that_two_faults_have_made_are_hit_one_by_one() -> None:
+    """Robot 1 would get four copies of a frame, 0 to 3 ticks late. Each set of them is left of some frame."""
+    duplicates = [f"duplicate,ticks={ticks},robots=0,receivers=1" for ticks in (1, 2)]
+    run = run_under(*duplicates, "loss=0.5", ticks=200)
+    numbers_by_tick = [run.estimates_received(tick, robot=1) for tick in range(200)]
+    subsets = {tuple(number in numbers_by_tick[number + late] for late in range(4)) for number in range(196)}
+    assert len(subsets) == 2**4
+
+
 def test_a_fault_acts_on_its_senders_and_receivers_between_its_ticks_only() -> None:
     """In ticks 1 and 2 the frames of robot 0 do not reach robot 1. All others arrive."""
     run = run_under("loss,robots=0,receivers=1,from=1,to=3", ticks=4)
@@ -329,9 +339,35 @@ def test_copies_come_by_their_number_of_ticks_later() -> None:
     assert [run.estimates_received(tick, 1) for tick in range(2)] == [[2000, 3000, 0], [0, 2001, 3001, 1]]
 
 
+def test_delays_of_several_faults_add_up() -> None:
+    """A frame of robot 0 is late by two ticks, and its copy by three."""
+    run = run_under("delay,robots=0", "duplicate,robots=0", "delay,robots=0", ticks=4)
+    assert [run.estimates_received(tick, 1) for tick in range(4)] == [
+        [2000, 3000],
+        [2001, 3001],
+        [0, 2002, 3002],
+        [0, 1, 2003, 3003],
+    ]
+
+
 def flipped_bits(frame: can.Message, sent_frame: can.Message) -> int:
     """Return the bits in which the data of two frames differ, as a mask."""
     return int.from_bytes(frame.data, "little") ^ int.from_bytes(sent_frame.data, "little")
+
+
+def test_flipped_bits_and_random_data_of_a_seed_are_the_same_in_every_version_of_the_program() -> None:
+    """A fault corrupts the frames of robot 0 for robot 1 in three of eight ticks; then robot 3 babbles."""
+    run = run_under("corrupt=0.5,bits=2,robots=0", ticks=8)
+    masks = [
+        flipped_bits(frame, estimate_of(0, tick))
+        for tick, frames_by_robot in enumerate(run.received)
+        for frame in frames_by_robot[1]
+        if sender_of(frame) == 0
+    ]
+    assert masks == [0, 0, 0, 0, 0, 0x84000000, 0x44000000, 0x1000200000]
+
+    babble = run_under("babble,robots=3,frames=2").sent[0][ROBOTS:]
+    assert [frame.data.hex() for frame in babble] == ["4b7b79c8633e28b1", "703afc5a25666e89"]
 
 
 @pytest.mark.parametrize("bits", [1, 3, 64])
@@ -366,15 +402,20 @@ def test_a_bit_that_two_faults_flip_is_as_it_was() -> None:
 
 @pytest.mark.parametrize("kind", ["crash", "busoff"])
 def test_an_outage_lasts_for_its_ticks_in_which_it_cannot_begin_anew(kind: str) -> None:
-    """Robot 1 is hit in ticks 1, 2 and 3, and an outage lasts for two ticks: it is off until tick 5.
+    """Robot 1 is hit in ticks 1 and 2, and an outage lasts for two ticks: it is on again in tick 3.
 
     A robot that is off neither sends nor receives. Each of its ticks counts as a hit.
     """
-    run = run_under(f"{kind},ticks=2,from=1,to=4,robots=1", ticks=6)
-    is_on = [True, False, False, False, False, True]
+    run = run_under(f"{kind},ticks=2,from=1,to=3,robots=1", ticks=4)
+    is_on = [True, False, False, True]
     assert [any(decoded(frame).sender == 1 for frame in frames) for frames in run.sent] == is_on
     assert [len(frames_by_robot[1]) > 0 for frames_by_robot in run.received] == is_on
-    assert run.hit_counts == [4]
+    assert run.hit_counts == [2]
+
+
+def test_a_robot_that_is_off_the_bus_adds_no_frames() -> None:
+    """So it is counted as crashed, and its random frames are not counted."""
+    assert run_under("crash,robots=2", "babble,robots=2").hit_counts == [1, 0]
 
 
 def test_only_a_crash_stops_the_robot_of_a_node_that_is_off_the_bus() -> None:
@@ -398,10 +439,11 @@ def test_a_frozen_robot_repeats_its_last_regular_estimate_with_new_numbers() -> 
     assert run.hit_counts == [2]
 
 
-def test_a_robot_that_is_frozen_from_the_start_repeats_its_first_estimate() -> None:
-    run = run_under("freeze,robots=0", ticks=3)
-    assert [decoded(frames[0]).x_hat for frames in run.sent] == [0, 0, 0]
-    assert run.hit_counts == [2], "the first one is no repetition"
+def test_each_robot_that_is_frozen_from_the_start_repeats_its_first_estimate() -> None:
+    run = run_under("freeze", ticks=3)
+    x_hat_by_tick = [[decoded(frame).x_hat for frame in frames] for frames in run.sent]
+    assert x_hat_by_tick == [[0, 1000, 2000, 3000]] * 3
+    assert run.hit_counts == [2 * ROBOTS], "the first ones are no repetitions"
 
 
 def test_a_liar_claims_what_it_is_told_to_under_the_id_that_its_frame_has() -> None:
@@ -411,6 +453,13 @@ def test_a_liar_claims_what_it_is_told_to_under_the_id_that_its_frame_has() -> N
     estimate = decoded(frame_of_robot_0)
     assert (estimate.sender, estimate.x_hat, estimate.transfer_id) == (3, Q23_ONE // 2, 0)
     assert float32_value(alpha_float32_bits(frame_of_robot_0)) == 1e6
+
+
+def test_faults_act_in_the_order_in_which_they_are_given() -> None:
+    """In tick 1 robot 0 is frozen at the 0 of tick 0, and lies that all is black: the last fault decides."""
+    frozen, liar = "freeze,robots=0,from=1", "liar,robots=0,from=1,x=1"
+    last_frames = [run_under(*faults, ticks=2).sent[1][0] for faults in ((frozen, liar), (liar, frozen))]
+    assert [decoded(frame).x_hat for frame in last_frames] == [Q23_ONE, 0]
 
 
 @pytest.mark.parametrize("fault", ["freeze", "liar"])
