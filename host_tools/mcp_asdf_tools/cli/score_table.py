@@ -109,7 +109,9 @@ def _caption(rows: Sequence[dict[str, Any]]) -> str:
     filter_lines = sorted({row["filter"] for row in rows})
     # Without --k-max each experiment's limit is the length of its own trials.
     k_maxima = {row["limits"]["k_max"] for row in rows}
-    k_max = f"{k_maxima.pop():g}" if len(k_maxima) == 1 else "the length of a trial"
+    k_max_text = "the length of a trial"
+    if len(k_maxima) == 1:
+        k_max_text = f"{k_maxima.pop():g}"
     e_max = rows[0]["limits"]["e_max"]  # the same for all experiments
-    limit_text = f"K_max {k_max}, e_max {e_max:.6g}; medians over the trials, H with quartiles"
+    limit_text = f"K_max {k_max_text}, e_max {e_max:.6g}; medians over the trials, H with quartiles"
     return "\n".join([*filter_lines, limit_text])

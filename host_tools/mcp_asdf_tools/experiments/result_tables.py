@@ -208,9 +208,11 @@ def trials_to_table(trials: Trials) -> pa.Table:
     columns: dict[str, Any] = {
         name: [value] * trial_count for name, value in trials.experiment.parameters().items()
     }
-    columns |= {"trial": trials.numbers, **trials.scores()}
+    columns["trial"] = trials.numbers
+    columns |= trials.scores()
     for name, (attribute, _element_type_name) in _LIST_COLUMNS.items():
-        columns[name] = [values_of_trial.ravel() for values_of_trial in getattr(trials, attribute)]
+        values = getattr(trials, attribute)  # such as b_hat, whose first axis is the trial
+        columns[name] = [values_of_trial.ravel() for values_of_trial in values]
     # Files have the same columns whether anything was recorded or not.
     nothing_recorded = np.empty((trial_count, 0, trials.experiment.robots))
     for name, column in RECORD_COLUMNS.items():

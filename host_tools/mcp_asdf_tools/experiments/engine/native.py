@@ -201,13 +201,13 @@ def run(
     if lanes is None:
         lanes = _engine.lib.mcp_asdf_engine_has_lanes(engine_trials.experiment)
     status = engine_trials.execute(lanes)
-    if status is not Status.OK:
-        if experiment.is_dynamic:
-            for index in range(trials):
-                # Made only for its exception: UsageError with a reason, where robots find no room.
-                Arena(experiment, first + index)
-        raise FirmwareError(status, "the firmware refuses the experiment's settings")
-    return engine_trials
+    if status is Status.OK:
+        return engine_trials
+    if experiment.is_dynamic:
+        for trial in range(first, first + trials):
+            # Made only for its exception: UsageError with a reason, where robots find no room.
+            Arena(experiment, trial)
+    raise FirmwareError(status, "the firmware refuses the experiment's settings")
 
 
 def _black_probabilities(experiment: Experiment, first: int, trials: int) -> NDArray[np.uint32]:
