@@ -204,7 +204,7 @@ class DivisionInvariant:
             self.facts_before_loop = machine.facts[:1]  # what the function requires
         self.turns, self.turns_in_byte = self.turns + 1, self.turns_in_byte + 1
         machine.require(self._formula(machine), f"turn {self.turns}")
-        if not machine.decisions[-1]:
+        if not machine.last_decision:
             # Whether d was subtracted or not, what follows is the same.
             raise PathEndsError
         # Forget what the turn did: the variables may hold anything that fulfils the invariant. So the

@@ -78,7 +78,7 @@ class IntegerTranslator:
             raise NotImplementedError(f"{word.decl()} of integers")
         integer = self._integer(children[0])
         is_positive = integer.largest < 2 ** (children[0].size() - 1)
-        if kind in (z3.Z3_OP_ZERO_EXT, z3.Z3_OP_SIGN_EXT) or (kind == z3.Z3_OP_SIGN_EXT and is_positive):
+        if kind == z3.Z3_OP_ZERO_EXT or (kind == z3.Z3_OP_SIGN_EXT and is_positive):
             return integer
         if kind == z3.Z3_OP_EXTRACT:
             _highest_bit, lowest_bit = word.params()

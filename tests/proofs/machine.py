@@ -201,6 +201,11 @@ class Machine:
         self.facts.append(condition if decision else opposite)
         return decision
 
+    @property
+    def last_decision(self) -> bool:
+        """What was decided at the last fork that the path has passed."""
+        return self.decisions[self._forks_passed - 1]
+
     def require(self, formula: Any, description: str) -> None:
         """Add an obligation: the formula must hold here."""
         # Up to its last known decision, this path is the same as an earlier one, which has the obligations.

@@ -41,6 +41,9 @@ MISTAKES = (
     Mistake("shift_left_by", "count >= 8U;", "count >= 9U;", Variant("1010")),
     Mistake("divide_by_bits", "at most 4 */", "at most 3 */", Variant("3000")),
     Mistake("divide_by_bits", "if (a >= d)", "if (a > d)", Variant("3000")),
+    Mistake(
+        "divide_by_bits", "}\n            a <<= 1;", "} else { byte &= 127U; } a <<= 1;", Variant("3000")
+    ),
     Mistake("multiply", "both_middles << 16 |", "both_middles << 15 |", Variant("1100")),
     Mistake("prepare", "(d >> 15) + 1U", "(d >> 15)"),
     Mistake("take_digit", "- digit * d", "- (digit + 1) * d"),
@@ -69,7 +72,8 @@ MISTAKES = (
     Mistake("robust_test_rejects", "multiply_high(~b_hat, ~x)", "multiply_high(~b_hat, x)"),
     Mistake("update_b_hat", "    robot->updated = 1;", "    robot->alpha = robot->updated = 1;"),
 )
-"""For each contract a mistake or two, among them mistakes at one value of 2^32 and at one pair of ids."""
+"""For each contract a mistake or two, among them mistakes at one value of 2^32, at one pair of ids, and on
+one side of a branch in a later turn of a loop."""
 
 QUICK_FUNCTIONS = ("shift_left_wide", "multiply", "mcp_asdf_settle")
 """Functions whose broken code is tried in ``make test``."""

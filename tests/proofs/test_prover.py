@@ -41,6 +41,13 @@ def test_words_are_not_taken_for_integers_without_a_limit() -> None:
         prove(p * q != 1, p == 3)
 
 
+def test_a_negative_word_is_not_taken_for_a_positive_one() -> None:
+    """Extended by its sign, a word of 32 bits may exceed 2^32, as only a negative one does."""
+    p, q = z3.BitVec("p", 32), z3.BitVec("q", 64)
+    with pytest.raises(UnprovenError, match="broken by"):
+        prove(z3.ULT(z3.SignExt(32, p) * q, 2**32), q == 1)
+
+
 def test_a_contract_that_no_argument_meets_has_no_proof() -> None:
     """A claim about all arguments of an empty set says nothing about a function."""
     for_no_argument = Contract(always, requires=never)
