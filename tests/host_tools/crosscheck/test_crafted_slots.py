@@ -106,6 +106,25 @@ def test_a_robot_re_estimates_b_hat_by_the_second_estimates_of_a_pair(
     assert not rejected.is_supported, "more than two fifths agree with the robot, which would keep its b_hat"
 
 
+@pytest.mark.parametrize(
+    ("seed", "is_kept_decided", "is_rejected_decided"),
+    [
+        pytest.param(21, True, False, id="it rejects if the centre is lower"),
+        pytest.param(55, True, False, id="it rejects if the centre is higher"),
+        pytest.param(103, False, True, id="it does not reject if the centre is higher"),
+        pytest.param(113, False, True, id="it does not reject if the centre is lower"),
+    ],
+)
+def test_few_tests_at_the_threshold_are_decided_by_the_last_bit_of_the_centre(
+    seed: int, is_kept_decided: bool, is_rejected_decided: bool
+) -> None:
+    """The centre of the estimates is in units of 2**-24, and is moved by one. Such estimates are rare."""
+    robot = robot_that_observed(black=300, white=200, b_hat=0.8)
+    kept, rejected = draw_kept_and_rejected_slots(robot, count=32, width=8192, seed=seed)
+    assert kept.is_decided_by_last_bit == is_kept_decided
+    assert rejected.is_decided_by_last_bit == is_rejected_decided
+
+
 def test_there_is_no_pair_if_no_estimates_contradict_the_robot() -> None:
     """With b_hat = 1/2 a robot predicts half black on any floor, so its test never rejects."""
     robot = robot_that_observed(black=250, white=250, b_hat=0.5)

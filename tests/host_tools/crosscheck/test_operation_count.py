@@ -128,6 +128,14 @@ def test_workloads_with_64_observations_have_all_kinds_of_accuracies_and_counts(
     assert workloads == expected_workloads
 
 
+def test_workloads_have_a_power_of_two_of_observations_or_one_less() -> None:
+    """Counts t go from 1 to 2**31. A loop over the bits of t would show, and a loop up to t even more."""
+    expected_counts = {1}
+    for exponent in range(1, 32):
+        expected_counts |= {2**exponent - 1, 2**exponent}
+    assert {workload.t for workload in workloads_along("t")} == expected_counts
+
+
 def test_workloads_with_9_messages_have_tests_of_both_outcomes_and_the_largest_sums() -> None:
     """``agrees`` says whether the messages agree with the robot. If they do not, the filter's test rejects.
 
