@@ -261,6 +261,16 @@ def test_a_frame_of_a_second_bus_that_stands_late_in_a_log_does_not_set_back_the
     assert seconds_since_last_frame == 0.0
 
 
+def test_of_a_log_with_frames_of_two_buses_those_of_the_chosen_one_are_shown(tmp_path: Path) -> None:
+    """Robot 7 sends on can0, twice, and robot 3 on can3."""
+    frame_of_7 = format_frame(encode(Estimate(sender=7, x_hat=0, alpha=1, transfer_id=0)))
+    frame_of_3 = format_frame(encode(Estimate(sender=3, x_hat=0, alpha=1, transfer_id=0)))
+    log = tmp_path / "any.log"
+    log.write_text(f"(1.0) can0 {frame_of_7}\n(1.5) can3 {frame_of_3}\n(2.0) can0 {frame_of_7}\n")
+    recorder = read_frame_log(log, FrameFormat(), KnownTruth(), LogSummary(), channel="can0")
+    assert recorder.history.description.robots == [7]
+
+
 def test_a_log_of_eight_months_is_shown_with_a_limited_number_of_states(tmp_path: Path) -> None:
     """Eight months have 20 million seconds. With ten states a second there would be 200 million states.
 
