@@ -38,6 +38,17 @@ def test_a_remote_frame_an_error_frame_and_a_frame_of_can_fd_are_refused(kind: s
     assert unpack_data_frame(pack_message(frame)) is None
 
 
+def test_a_datagram_with_a_flag_as_its_identifier_is_refused() -> None:
+    """To Python, True is the number 1, too."""
+    assert unpack_data_frame(packed(arbitration_id=1)) is not None
+    assert unpack_data_frame(packed(arbitration_id=True)) is None
+
+
+def test_the_name_of_the_sender_s_channel_may_be_no_text() -> None:
+    """It means nothing to a receiver. The byte 0xff is in no text in UTF-8."""
+    assert unpack_data_frame(packed(channel="can0").replace(b"can0", b"can\xff")) is not None
+
+
 def test_a_datagram_with_a_number_as_its_data_does_not_fill_the_memory() -> None:
     """A short datagram has 2**30 in place of data; ``bytes`` would make 1 GiB of zeros of that number.
 

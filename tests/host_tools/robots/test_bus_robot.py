@@ -323,6 +323,7 @@ ROBUST_CONFIG = replace(OFF_CONFIG, filter=Filter.ROBUST)
         ("asdf-plus", "adaptive", ADAPTIVE_CONFIG, ADAPTIVE_CONFIG),
         ("asdf-plus", "always", ALWAYS_CONFIG, ALWAYS_CONFIG),
         ("robust", "adaptive", ROBUST_CONFIG, ROBUST_CONFIG),
+        ("robust", "always", ROBUST_CONFIG, ROBUST_CONFIG),  # it has no other mode
     ],
 )
 def test_the_filter_of_a_swarm_decides_on_the_filter_of_flawed_and_of_other_robots(

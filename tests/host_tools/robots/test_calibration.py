@@ -229,6 +229,14 @@ def test_the_command_calibrate_prints_threshold_and_accuracy(tmp_path: Path, cap
     assert expected in capsys.readouterr().out
 
 
+def test_readings_may_have_an_encoding_of_excel(tmp_path: Path, capsys: Capture) -> None:
+    """Excel saves text as UTF-16, with tabs between the columns."""
+    readings_file = tmp_path / "readings.txt"
+    readings_file.write_text("reading\tcolour\n" + "700\twhite\n300\tblack\n" * 90, encoding="utf-16")
+    assert run_calibrate(readings_file) == 0
+    assert "threshold 500" in capsys.readouterr().out
+
+
 def test_the_command_calibrate_reports_in_json_what_it_also_prints(tmp_path: Path, capsys: Capture) -> None:
     """The printed text ends with the option ``--b-hat``, which tells a robot the accuracy of its sensor."""
     readings_file = write_readings(tmp_path, "700,white\n300,black\n" * 90)
