@@ -515,6 +515,8 @@ def test_a_log_with_a_changed_bit_is_reported_with_line_and_tick(
         ("start,7,4080218931,0,1000,2147483648\ntable,1,2,3\n", "no robot can start so: a table has"),
         (f"{LOG_OF_ONE_BLACK_TILE}observe,2\n", "line 4 is no call"),
         (f"{LOG_OF_ONE_BLACK_TILE}receive,1,2\n", "line 4 is no call"),
+        (f"{LOG_OF_ONE_BLACK_TILE}receive,1,2,-3,0\n", "line 4 is no call"),
+        (f"{LOG_OF_ONE_BLACK_TILE}settle,8388608", "line 4 is no call"),
         (f"{LOG_OF_ONE_BLACK_TILE}receive,1,2,99999999999,0\n", "line 4 is no call"),
         (
             f"{LOG_OF_ONE_BLACK_TILE}dance,1\n",

@@ -120,6 +120,7 @@ def play_call(robot: MirrorRobot, word: str, numbers: list[int]) -> tuple[list[i
         sender, x_hat, alpha, logged_status = numbers
         return [logged_status], [int(robot.receive_raw(sender, x_hat, alpha))]
     if word == "settle":
+        _x, _x_hat, _alpha, _b_hat, _status = numbers  # a line that was cut has fewer
         status = robot.settle()
         return numbers, [robot.x_raw, robot.x_hat_raw, robot.alpha_raw, robot.b_hat_raw, int(status)]
     raise ValueError(f"it begins with {word!r}")
