@@ -226,6 +226,12 @@ def test_a_robot_s_setup_written_as_json_is_read_as_the_same_setup(setup: RobotS
     assert RobotSetup.from_plain(json.loads(text)) == setup
 
 
+def test_a_setup_in_json_has_the_allowed_ids_as_ranges() -> None:
+    """The ids 0, 2, 3 and 127 are written as "0+2-3+127"."""
+    setup = replace(setup_of_robot(5), allow=frozenset((0, 2, 3, 127)))
+    assert setup.plain()["allow"] == "0+2-3+127"
+
+
 def test_a_table_that_was_not_made_here_cannot_be_put_into_json() -> None:
     """JSON has only the numbers from which a table is computed: omega and the number of neighbours.
 
