@@ -197,7 +197,7 @@ def confidence_at_end(accuracy: Accuracy, t: int, rare_count: int) -> tuple[int,
     # A unit of 2**-30 is 2**-6 units of 2**-24. The rest undoes the shift of g, which is squared.
     exponent = -6 - 2 * accuracy.g_shift
     if rare_count == 0:
-        return upper_24_bits(common_term, exponent)
+        return upper_24_bits(common_term, exponent)  # the only term, which keeps all of its bits until here
     # The common term becomes as small as the rare one is, and the exponent makes up for both.
     sum_of_terms = rare_term + (common_term >> accuracy.rare_shift)
     return upper_24_bits(sum_of_terms, exponent + accuracy.rare_shift)
