@@ -168,13 +168,25 @@ def test_every_loop_of_the_firmware_ends(path: Path, variant: Variant) -> None:
     """It does within the turns that a comment beside it states: so no call hangs.
 
     The variables beside a loop's counter may hold anything, in each turn anew. ``prove_ends`` raises
-    UnprovenError if the loop might go on. No function calls itself (rule 17.2 of MISRA).
+    UnprovenError if the loop might go on.
     """
     code = program(variant, path)
     for name in code.defined_in(path):
         function = code.functions[name]
         for loop in (*nodes(function, c_ast.For), *nodes(function, c_ast.While)):
             prove_ends(code, name, loop)
+
+
+# design: R34
+@pytest.mark.parametrize("variant", [VARIANTS[0], *slow(VARIANTS[1:])], ids=str)
+@pytest.mark.parametrize("path", FIRMWARE, ids=lambda path: path.name)
+def test_no_function_calls_itself(path: Path, variant: Variant) -> None:
+    """Nor does one through others: so the stack that the firmware needs has a limit."""
+    code = program(variant, path)
+    for name in code.functions:
+        for callee in code.callees(name):
+            called_from_there = code.closure(callee)  # directly and through others
+            assert name not in called_from_there, f"{name} calls {callee}, from which it is called again"
 
 
 def test_a_table_whose_length_is_accepted_has_at_most_129_words() -> None:
