@@ -6,6 +6,8 @@ They run under the choices of every target, compiled by tcc, which takes millise
 from __future__ import annotations
 
 import atexit
+import os
+import resource
 import shutil
 import subprocess
 from dataclasses import dataclass
@@ -22,6 +24,8 @@ PORTS = ROOT / "c_ref/ports"
 COUNT_LEADING_ZEROS = Path(__file__).with_name("clz.h")
 BUILDS = tuple(Variant("1001", f"MCP_ASDF_WITH_{filter}=0") for filter in ("ROBUST", "ASDF"))
 """Builds without a filter; only the independent implementation is run with them."""
+ALL_VARIANTS = (*VARIANTS, *BUILDS)
+"""The arithmetic of every target with both filters, and these builds."""
 VARIANTS_OF = {
     "mcp_asdf_target_avr.h": (AVR, Variant("3010")),
     "mcp_asdf_target_small.h": tuple(map(Variant, ("2100", "2000", "4000"))),
@@ -69,28 +73,20 @@ class Try:
 
 def passes(folder: Path, attempt: Try) -> bool:
     """Return whether the test passes with the sources in the folder."""
-    variant = attempt.variant
-    flags: list[str | Path] = [
-        "-w",
-        "-DCHECK_ONCE",
-        "-include",
-        COUNT_LEADING_ZEROS,
-        f"-I{folder}",
-        f"-I{PORTS}",
-    ]
-    flags += _flags(variant)
+    flags = ["-w", "-DCHECK_ONCE", f"-I{folder}", f"-I{PORTS}", *_flags(attempt.variant)]
+    flags += ["-include", str(COUNT_LEADING_ZEROS)]
     if attempt.test != THIRD:
         linked_sources = [folder / name for name in LINKED.get(attempt.test, ())]
         ports = PORTS.glob("node/*.c") if attempt.test == "node" else ()
         test_source = TESTS / f"test_{attempt.test}.c"
-        return _limited("tcc", *flags, *linked_sources, *ports, TABLE, "-run", test_source)
+        return _succeeds("tcc", *flags, *linked_sources, *ports, TABLE, "-run", test_source)
+    core = (folder / "mcp_asdf.c", folder / "mcp_asdf_image.c")
+    third = _third(*([f"-D{attempt.variant.target}"] if attempt.variant in BUILDS else []))
     with TemporaryDirectory() as library_folder:
-        core = (folder / "mcp_asdf.c", folder / "mcp_asdf_image.c")
-        third = _third(*([f"-D{variant.target}"] if variant in BUILDS else []))
         library = Path(library_folder) / CORE_LIBRARY
-        run_third = ("env", f"LD_LIBRARY_PATH={library_folder}", third, "1", str(attempt.calls))
-        is_built = _limited("tcc", *flags, "-shared", *core, "-o", library)
-        return is_built and _limited(*run_third, seconds=SECONDS_BY_CALLS[attempt.calls])
+        run_third, seconds = (third, "1", str(attempt.calls)), SECONDS_BY_CALLS[attempt.calls]
+        is_built = _succeeds("tcc", *flags, "-shared", *core, "-o", library)
+        return is_built and _succeeds(*run_third, seconds=seconds, LD_LIBRARY_PATH=library_folder)
 
 
 @cache
@@ -125,12 +121,13 @@ def _flags(variant: Variant) -> list[str]:
     return flags
 
 
-def _limited(*command: str | Path, seconds: int = SECONDS) -> bool:
+def _succeeds(*command: str | Path, seconds: int = SECONDS, **environment: str) -> bool:
     """Return whether the command succeeds before its processor time is over."""
-    limits = f'ulimit -c 0; ulimit -t {seconds}; exec "$@"'
-    return (
-        subprocess.run(("sh", "-c", limits, "sh", *command), capture_output=True, check=False).returncode == 0
-    )
+    no_output = subprocess.DEVNULL
+    process = subprocess.Popen(command, env={**os.environ, **environment}, stdout=no_output, stderr=no_output)
+    resource.prlimit(process.pid, resource.RLIMIT_CORE, (0, 0))  # a crash leaves no file
+    resource.prlimit(process.pid, resource.RLIMIT_CPU, (seconds, seconds))
+    return process.wait() == 0
 
 
 def plant(mutant: Mutant, folder: Path) -> None:
@@ -140,24 +137,21 @@ def plant(mutant: Mutant, folder: Path) -> None:
     (folder / mutant.file).write_text(mutant.source(), encoding="utf-8")
 
 
-def quick_tries(file: str) -> list[Try]:
-    """Return the tests that take less than a second, for mutants of this source, the quickest first."""
-    variants = VARIANTS_OF.get(file, VARIANTS)
-    if file in CODEC_TESTS:
-        return [Try(test, variant) for test in CODEC_TESTS[file] for variant in variants]
-    third_tries = [Try(THIRD, variant) for variant in (*variants, *BUILDS)]
-    return third_tries + [Try("core", variant) for variant in variants]
+def tries(file: str) -> tuple[list[Try], list[Try], list[Try]]:
+    """Return the tests for mutants of this file: quick ones, repeated ones, and those that take seconds.
 
-
-def patient_tries(file: str) -> list[Try]:
-    """Return the tests that take seconds, for mutants of this source that pass the quick ones."""
+    The test of the core is quick with one variant, and is repeated with the others.
+    """
+    variants = VARIANTS_OF.get(file, ALL_VARIANTS)
     if file in CODEC_TESTS:
-        return []
-    variants = VARIANTS_OF.get(file, VARIANTS)
-    return [
-        *(Try(THIRD, variant, MANY_CALLS) for variant in (*variants, *BUILDS)),
-        Try(THIRD, variants[0], MOST_CALLS),
-    ]
+        return [Try(test, variants[0]) for test in CODEC_TESTS[file]], [], []
+    core_tries = [Try("core", variant) for variant in variants if variant not in BUILDS]
+    patient_tries = [Try(THIRD, variant, MANY_CALLS) for variant in variants]
+    return (
+        [*(Try(THIRD, variant) for variant in variants), core_tries[0]],
+        core_tries[1:],
+        [*patient_tries, Try(THIRD, variants[0], MOST_CALLS)],
+    )
 
 
 def first_failing_test(mutant: Mutant, folder: Path, is_patient: bool = True) -> str:
@@ -172,17 +166,18 @@ def first_failing_test(mutant: Mutant, folder: Path, is_patient: bool = True) ->
         is_patient: Whether a mutant that passes the quick tests is tried with those that take seconds.
     """
     plant(mutant, folder)
-    for attempt in quick_tries(mutant.file):
-        if not passes(folder, attempt):
-            return str(attempt)
-    if not is_patient:
-        return ""
-    if has_same_code(mutant, folder):
+    quick_tries, repetitions, patient_tries = tries(mutant.file)
+    failing_test = _first_failing(folder, quick_tries)
+    # To compile a mutant takes less time than to repeat the test of the core with each variant.
+    if failing_test == "" and is_patient and has_same_code(mutant, folder):
         return SAME_CODE
-    for attempt in patient_tries(mutant.file):
-        if not passes(folder, attempt):
-            return f"{attempt}, after {attempt.calls} calls"
-    return ""
+    later_tries = repetitions + patient_tries if is_patient else repetitions
+    return failing_test or _first_failing(folder, later_tries)
+
+
+def _first_failing(folder: Path, attempts: list[Try]) -> str:
+    """Return the first of these tests that the sources in the folder fail, or nothing if they pass all."""
+    return next((str(attempt) for attempt in attempts if not passes(folder, attempt)), "")
 
 
 def has_same_code(mutant: Mutant, folder: Path) -> bool:
@@ -190,7 +185,7 @@ def has_same_code(mutant: Mutant, folder: Path) -> bool:
     source = "mcp_asdf.c" if mutant.file.endswith(".h") else mutant.file
     return all(
         _code_without_mistake(SOURCES / source, variant) == _code(folder / source, variant, folder)
-        for variant in VARIANTS_OF.get(mutant.file, (*VARIANTS, *BUILDS))
+        for variant in VARIANTS_OF.get(mutant.file, ALL_VARIANTS)
     )
 
 
@@ -204,5 +199,5 @@ def _code(source: Path, variant: Variant, folder: Path) -> bytes:
     """Compile a source with optimisation, and return the bytes of the object file."""
     object_file = folder / "object.o"
     flags = ("-O1", "-w", f"-I{source.parent}", *_flags(variant))
-    assert _limited("gcc", *flags, "-c", source, "-o", object_file)
+    assert _succeeds("gcc", *flags, "-c", source, "-o", object_file)
     return object_file.read_bytes()
