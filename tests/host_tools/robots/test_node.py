@@ -563,6 +563,13 @@ def test_a_node_that_is_asked_to_end_stops_after_its_tick_and_its_log_can_be_rep
     assert main(["replay", f"{tmp_path}/run.log"]) == 0
 
 
+@interruptible()
+def test_a_node_that_has_ended_says_how_to_run_it_again(capsys: pytest.CaptureFixture[str]) -> None:
+    """The node ends by SIGINT, and prints its command."""
+    run_robot_3_until_it_is_asked_to_end(["--b-hat", "0.7"], signal.SIGINT)
+    assert "again: mcp-asdf node --id 3 --b-hat 0.7\n" in capsys.readouterr().out
+
+
 MESSAGES_BY_WRONG_OPTIONS = {
     "": "--id",
     "--id 128": "robot id is 128; choose 0 .. 127",
