@@ -536,3 +536,13 @@ def test_results_have_mean_and_limits_of_b_hat_of_flawed_and_of_other_robots(
     assert result["after"] == pytest.approx(sum(b_hat_at_end) / len(robots), abs=1e-15)
     assert result["after_min"] == min(b_hat_at_end)
     assert result["after_max"] == max(b_hat_at_end)
+
+
+def test_results_have_the_sums_of_the_robots_tests_and_updates() -> None:
+    """A robot's filter tests the assumed accuracy, and updates it if the test rejects it."""
+    run = run_of_disagreeing_robots()
+    tests_by_robot = [node.robot.counters.tests for node in run.nodes]
+    updates_by_robot = [node.robot.counters.updates for node in run.nodes]
+    assert run.results["tests"] == sum(tests_by_robot)
+    assert run.results["updates"] == sum(updates_by_robot)
+    assert sum(tests_by_robot) > sum(updates_by_robot) > 0
