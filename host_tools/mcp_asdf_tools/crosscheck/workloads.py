@@ -60,7 +60,8 @@ class Workload:
         state.t = self.t - 1  # before the observation that is to come
         state.n = min(self.n, self.t - 1)
         for sender in range(self.m):
-            # All messages differ: alpha in the lower bits of the mantissa, and x_hat by 1000 units.
+            # All messages differ: alpha in the lowest bits of its mantissa, which begins at bit 8, and x_hat
+            # by 1000 units of 2**-23. ``receive_raw`` adds each to the sums of the open round.
             alpha = self.alpha ^ (sender << 8)
             x_hat = self._smallest_x_hat + 1000 * sender
             robot.receive_raw(sender, x_hat, alpha)

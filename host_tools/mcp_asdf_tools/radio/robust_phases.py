@@ -230,9 +230,10 @@ def vote_often(bench: Bench) -> None:
 def threshold_phase(width: int) -> Callable[[Bench], None]:
     """Return a phase that plays the robust filter's test on both sides of its threshold.
 
-    It plays a test that just rejects and a test that just does not, and then both kinds once more. All slots
-    are filled with estimates that differ by up to ``width`` from their middle, in units of 2**-16. The phase
-    plays nothing if the initial b_hat is so close to 1/2 that estimates cannot decide the test.
+    After observations as on a floor of which 3/4 are black, it plays a test that just rejects and a test that
+    just does not, and then both kinds once more. All slots are filled with estimates that differ by up to
+    ``width`` from their middle, in units of 2**-16. The phase plays nothing if the initial b_hat is so close
+    to 1/2 that estimates cannot decide the test.
     """
 
     def play(bench: Bench) -> None:
@@ -241,7 +242,8 @@ def threshold_phase(width: int) -> Callable[[Bench], None]:
             return
         _observe_as_at_three_quarters(bench)
         _play_tests_on_both_sides_of_threshold(bench, count=SLOTS, width=width)
-        # Other arithmetic does not err about all estimates at the threshold. So there are others, too.
+        # Again with other estimates: a controller whose arithmetic is wrong errs about some at the threshold,
+        # and not about all.
         _play_tests_on_both_sides_of_threshold(bench, count=SLOTS, width=width)
 
     return play
