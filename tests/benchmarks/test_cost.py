@@ -72,6 +72,23 @@ def test_the_tables_of_the_documentation_have_the_costs_that_are_measured(measur
     assert_equals_section(report.PAGE, "compilers", compilers)
 
 
+def test_the_first_lines_of_the_page_have_the_figures_of_a_cortex_m4_in_its_tables() -> None:
+    """The figures are of a build with both filters at -O2; a KB has 1000 bytes."""
+    page = report.PAGE.read_text(encoding="utf-8")
+    summary = page.partition("\n## ")[0]
+    rows = [line for line in page.splitlines() if line.startswith("| Cortex-M4 -O2, both |")]
+    [memory, calls] = [[cell.strip() for cell in row.strip("|").split("|")] for row in rows]
+    _build, code, _with_save_and_restore, ram, stack_of_tick, _stack_of_restore = memory
+    _build, _receive, _x, _step, updated_step, bound = calls
+
+    kilobytes = f"{int(code) / 1000:.1f}"
+    assert (
+        f"takes {kilobytes} KB of flash, {ram} bytes of RAM for a robot and {stack_of_tick} of stack"
+        in summary
+    )
+    assert f"took at most {updated_step} instructions, and the bound is {bound}" in summary
+
+
 @pytest.mark.slow
 def test_each_chip_of_the_readme_needs_at_most_15_kb_of_flash_and_500_bytes_of_ram(
     measurements: Measurements,
