@@ -28,7 +28,7 @@ _MAX_LOG_SECONDS = 366 * 24 * 3600.0
 
 @dataclass(frozen=True)
 class KnownTruth:
-    """What no frame shows, for the page to draw; None if it is unknown.
+    """Facts of a run that no frame shows. The page draws those that are known; the others are None.
 
     Attributes:
         fill_ratio: Share of black tiles of the floor, f.
@@ -57,9 +57,9 @@ class FrameRecorder:
         self._next_tick = 0
 
     def receive(self, frame: can.Message, now: float) -> None:
-        """Take a frame of any node, after the states of the time before it.
+        """Add the states of the time before ``now``, and then take a frame of any node that came at ``now``.
 
-        Its robot is added to the history with its first values, in O(states).
+        A robot is added to the history when its first values come, in O(states).
         """
         self.add_states(now)
         self.roster.receive(frame, decode_frame(frame, self._frame_format), now)
@@ -78,9 +78,8 @@ class FrameRecorder:
 
     def add_state(self, now: float) -> None:
         """Add the state of the next tick, with the robots' values at ``now``, if there are robots."""
-        robot_ids = self.history.description.robots
-        if robot_ids:
-            self.history.add(self.roster.make_state(self._next_tick, now, robot_ids))
+        if self.history.description.robots:
+            self.history.add(self.roster.make_state(self._next_tick, now))
         # The history keeps the multiples of its spacing, which grows with the number of states. So the next
         # tick is the first multiple above the present one.
         spacing = self.history.ticks_between_states

@@ -129,11 +129,13 @@ class RobotOnBus:
         return now - self.last_frame_time >= SILENT_SECONDS
 
     def values(self, now: float) -> tuple[float, float, float]:
-        """Return the latest x, x_hat and b_hat: NaN where unknown, and all of a robot that is silent."""
+        """Return the latest x, x_hat and b_hat; unknown values and those of a silent robot are NaN."""
         x = x_hat = b_hat = nan
-        if self.estimate is not None and not self.is_silent(now):
+        if self.is_silent(now):
+            return x, x_hat, b_hat
+        if self.estimate is not None:
             x_hat = self.estimate.x_hat / Q23_ONE
-        if self.telemetry is not None and not self.is_silent(now):
+        if self.telemetry is not None:
             x = self.telemetry.x / Q23_ONE
             b_hat = self.telemetry.b_hat / B_HAT_UNITS
         return x, x_hat, b_hat
@@ -190,17 +192,14 @@ class Roster:
         if not isinstance(content, Heartbeat) and content.sender not in self.ids_with_values:
             self.ids_with_values.append(content.sender)
 
-    def make_state(self, tick: int, now: float, robot_ids: list[int]) -> State:
-        """Return the state at ``now`` seconds, with a column for each id in ``robot_ids``.
+    def make_state(self, tick: int, now: float) -> State:
+        """Return the state at ``now`` seconds, with a column for each id in ``ids_with_values``.
 
-        It has neither links nor positions, as no frame shows them. A robot that has sent nothing so far has
-        unknown values.
+        It has neither links nor positions, as no frame shows them.
         """
-        values_by_robot = []
-        for robot_id in robot_ids:
-            robot = self.robots.get(robot_id)
-            x, x_hat, b_hat = (nan, nan, nan) if robot is None else robot.values(now)
-            values_by_robot.append([x, x_hat, b_hat, self._true_accuracy])
+        values_by_robot = [
+            [*self.robots[robot_id].values(now), self._true_accuracy] for robot_id in self.ids_with_values
+        ]
         # A state has a row for each of the four quantities, and a column for each robot.
         values = np.transpose(values_by_robot)
         return State(tick, values, NO_LINKS, positions=None)
