@@ -31,11 +31,16 @@ function readArray(ArrayType, name, length) {
   return new ArrayType(engine.memory.buffer, engine[name].value, length).slice();
 }
 
+/** Returns how many samples a trial of a job has: one of its start, and one after every interval. */
+function countSamples(job) {
+  return job.steps / job.interval + 1;
+}
+
 /** Runs a trial; returns the robots' mean error in each sample. */
 function runTrial(job, filter, trial, isRecorded = false) {
   const status = engine.run_trial(FILTERS.indexOf(filter), trial, isRecorded);
   if (status !== 0) throw new Error(`the firmware refuses these settings, status ${status}`);
-  return readArray(Float64Array, "errors", job.steps / job.interval + 1);
+  return readArray(Float64Array, "errors", countSamples(job));
 }
 
 /** Returns receiver, sender, receiver, sender and so on of all pairs of robots for which `isLinked` is true. */
@@ -51,7 +56,7 @@ function findLinks(robots, isLinked) {
 
 /** Returns sides, floor, links and positions of trial 0; robots that do not move have links alone. */
 function recordMotion(job) {
-  const samples = job.steps / job.interval + 1;
+  const samples = countSamples(job);
   if (job.everybody) {
     const allLinks = findLinks(job.robots, () => true);
     return { sides: null, floor: null, links: new Array(samples).fill(allLinks), positions: {} };
@@ -91,7 +96,7 @@ function estimateColumns(job, records) {
   const robots = Array.from({ length: job.robots }, (_, robot) => robot);
   const initialEstimates = robots.map(() => 0.5);
   const initialBHats = robots.map((robot) => (robot < job.flawedCount ? job.wrong : job.accuracy));
-  const valueCount = job.robots * (job.steps / job.interval + 1);
+  const valueCount = job.robots * countSamples(job);
   return {
     x: column(initialEstimates, RECORD_WORDS.x, X_UNIT),
     x_hat: column(initialEstimates, RECORD_WORDS.x_hat, X_UNIT),
@@ -108,10 +113,7 @@ function* computeResults(job) {
   const recordWords = (job.steps / job.interval) * job.robots * WORDS_PER_RECORD;
   const records = readArray(Uint32Array, "records", recordWords);
   const columns = { ...estimateColumns(job, records), ...positions };
-  const ticks = Uint32Array.from(
-    { length: job.steps / job.interval + 1 },
-    (_, sample) => sample * job.interval,
-  );
+  const ticks = Uint32Array.from({ length: countSamples(job) }, (_, sample) => sample * job.interval);
   yield { run: { ...motion, ticks, columns }, records, filter: job.filter, trial: 0, errors: firstErrors };
   // Those of which the page shows large figures come first.
   const isFirst = (filter) => filter === "none" || filter === job.filter;
