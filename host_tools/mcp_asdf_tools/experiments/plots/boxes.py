@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -72,9 +73,10 @@ def plot_boxes(
     )
     for (row, column), axes in np.ndenumerate(grid):
         f, b = fill_ratios[row], accuracies[column]
-        experiments_by_series = [_select_experiments(series, f, b) for series in all_series]
-        colours = [series.colour for series in all_series]
-        _draw_box_panel(axes, experiments_by_series, colours, limits)
+        series_of_panel = [
+            replace(series, experiments=_select_experiments(series, f, b)) for series in all_series
+        ]
+        _draw_box_panel(axes, series_of_panel, limits)
         axes.set_title(f"$f = {f:g}$, $b = {b:g}$", fontsize=MEDIUM)
     x_label = r"$\hat{b} - b$ of flawed robots, and their proportion $P$"
     caption = make_caption(experiments, _MEANING_OF_MARKS, limits)
@@ -91,28 +93,26 @@ def _select_experiments(series: Series, fill_ratio: float, true_accuracy: float)
     ]
 
 
-def _draw_box_panel(
-    axes: Axes, experiments_by_series: Sequence[Sequence[Trials]], colours: Sequence[str], limits: Limits
-) -> None:
+def _draw_box_panel(axes: Axes, series_of_panel: Sequence[Series], limits: Limits) -> None:
     """Draw a box for each experiment of a panel, in the colour of its series.
 
     Along the x axis there is a slot for each share P of flawed robots and offset of their b_hat from b, in
     which the boxes of the series stand side by side.
     """
     slots = sorted(
-        {_slot_of(trials.experiment) for experiments in experiments_by_series for trials in experiments}
+        {_slot_of(trials.experiment) for series in series_of_panel for trials in series.experiments}
     )
-    box_width = _SLOT_WIDTH / len(colours)
+    box_width = _SLOT_WIDTH / len(series_of_panel)
     drawn_width = _DRAWN_SHARE_OF_WIDTH * box_width
-    for series_index, experiments in enumerate(experiments_by_series):
+    for series_index, series in enumerate(series_of_panel):
         # The boxes of a slot begin at its left end, and a box is drawn around its middle.
         distance_from_left_end = (series_index + 0.5) * box_width
         distance_from_middle_of_slot = distance_from_left_end - _SLOT_WIDTH / 2
-        for trials in experiments:
+        for trials in series.experiments:
             middle_of_slot = slots.index(_slot_of(trials.experiment))  # 0, 1, 2 and so on
             middle_of_box = middle_of_slot + distance_from_middle_of_slot
             scores = trials.scores(limits)["H"]
-            _draw_box(axes, scores, middle_of_box, drawn_width, colours[series_index])
+            _draw_box(axes, scores, middle_of_box, drawn_width, series.colour)
     # H is at most 100; above it is room for the outlines of boxes and points there.
     axes.set(ylim=(0, 103), xlim=(-0.5, len(slots) - 0.5))
     slot_labels = [f"{offset:+.2g}\n{share:.0%}" for share, offset in slots]
