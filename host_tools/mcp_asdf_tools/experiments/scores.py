@@ -62,7 +62,7 @@ def _extremes_after_chunks(
 ) -> NDArray[Any]:
     """Return for each chunk of a series the extreme, np.minimum or np.maximum, of all values after the chunk.
 
-    After the last chunk there are none, for which the last value of the series stands.
+    No values come after the last chunk; for it the last value of the series is returned.
     """
     import numpy as np  # noqa: PLC0415 (it loads slowly, and limits are needed without it)
 

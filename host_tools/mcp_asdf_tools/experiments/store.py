@@ -301,7 +301,7 @@ class Store:
         # The column "trials" is written anew: a row from a sweep with fewer trials has another number there
         # than its experiment has now.
         trial_counts = [experiment.trials for experiment in self.experiments]
-        # Each of an experiment's rows has the number of its trials, and so that number comes as often.
+        # An experiment has as many rows as trials, and this number stands in each of them.
         trials_column = np.repeat(np.array(trial_counts, np.uint64), repeats=trial_counts)
         for start in range(0, len(rows), self._rows_per_part):
             stop = start + self._rows_per_part

@@ -126,7 +126,7 @@ def _shipped_experiments(study_part: StudyPart) -> list[Experiment]:
 def cells_of(study_part: StudyPart) -> tuple[Cell, ...]:
     """Return the cells of a part of the study, its kinds of swarms, in the order of the part's file.
 
-    If several cells are the same experiment, only the cell is returned that ``Cell.normal`` chooses.
+    If several cells are the same experiment, only the one that ``Cell.normal`` chooses is returned.
     """
     cells: list[Cell] = []
     for experiment in _shipped_experiments(study_part):

@@ -106,7 +106,7 @@ class BayesCpfRobot(ReferenceRobot):
     def _is_update_needed(self) -> bool:
         """Return whether b_hat is to be estimated anew in a filter step.
 
-        It is if there are readings since the last update, whichever filter runs; without a filter it is not.
+        With any filter it is needed if there are readings since the last update, and without one never.
         """
         return self._config.filter != Filter.OFF and self._t_since_update > 0
 

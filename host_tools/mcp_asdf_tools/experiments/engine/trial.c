@@ -232,7 +232,7 @@ void trial_record(const mcp_asdf_experiment_t *experiment, const trial_t *trial,
     }
     if (trial->records != NULL && step % interval == 0) {
         const size_t earlier_samples = step / interval - 1;
-        mcp_asdf_record_t *const records = trial->records + earlier_samples * count; /* behind them, too */
+        mcp_asdf_record_t *const records = trial->records + earlier_samples * count; /* one for each robot */
         for (uint32_t robot = 0; robot < count; ++robot) {
             records[robot] = record_of_robot(&trial->robots[robot]);
         }

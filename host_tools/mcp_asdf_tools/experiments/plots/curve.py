@@ -82,7 +82,7 @@ def plot_curve(  # noqa: PLR0913 (each is given by name)
     if ax is not None and facet:
         raise UsageError("facet makes panels and ax is one; give one of them")
     if ax is not None:
-        # Without a caption, as the figure is the caller's.
+        # The figure is the caller's, so it gets no caption.
         _draw_curves(ax, all_series, x, x_values, measure)
         ax.set(xlabel=parameter_in_words(x), ylabel=y_label)
         if hue:

@@ -1,6 +1,6 @@
 // What a run shows, in words that need no knowledge of the method.
 
-/** Returns a share, 0 to 1, as text in percent, with at most so many digits after the point. */
+/** Returns a share, 0 to 1, as text in percent, with at most `digits` digits after the point. */
 export function formatPercent(share, digits = 1) {
   return `${+(100 * share).toFixed(digits)}\u00a0%`; // no line begins with the sign
 }
