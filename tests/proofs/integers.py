@@ -93,7 +93,10 @@ class IntegerTranslator:
         """Return an unknown number, or the result of an unknown function, within the range of its word."""
         arguments, largest = [self._integer(child).term for child in word.children()], 2 ** word.size() - 1
         sorts = [z3.IntSort()] * (len(arguments) + 1)
-        name = word.decl().name()
+        # Words of one name but of different sizes are different unknowns. Integers have no size, so that the
+        # name has to tell them apart.
+        sizes = [part.size() for part in (*word.children(), word)]
+        name = f"{word.decl().name()} {sizes}"
         term = z3.Function(name, *sorts)(*arguments) if arguments else z3.Int(name)
         self.ranges.append(z3.And(term >= 0, term <= largest))
         return Integer(term, largest)
