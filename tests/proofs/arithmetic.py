@@ -204,8 +204,12 @@ class DivisionInvariant:
             self.facts_before_loop = machine.facts[:1]  # what the function requires
         self.turns, self.turns_in_byte = self.turns + 1, self.turns_in_byte + 1
         machine.require(self._formula(machine), f"turn {self.turns}")
+        machine.require(
+            self._are_others_kept(machine), f"variables that turn {self.turns} leaves as they are"
+        )
         if not machine.last_decision:
-            # Whether d was subtracted or not, what follows is the same.
+            # Whether d was subtracted or not, what follows is the same: of the three variables that a turn
+            # changes only the invariant stays known, and all others are as claimed.
             raise PathEndsError
         # Forget what the turn did: the variables may hold anything that fulfils the invariant. So the
         # formulas stay as short as for one turn.
@@ -214,6 +218,21 @@ class DivisionInvariant:
         machine.facts[:] = [*self.facts_before_loop, self._formula(machine)]
         if constant_value(machine.variables["turns"].term) == 1:
             self.turns_in_byte = 0  # the inner loop ends here, and its byte joins the quotient
+
+    def _are_others_kept(self, machine: Machine) -> Any:
+        """Return that the variables that a turn may not change have the values that the rest needs."""
+        bits = constant_value(machine.argument_terms["bits"])
+        assert bits is not None
+        turns_left = bits + 1 - self.turns
+        # The counters are decremented only after this. All bytes but the first one have 8 turns.
+        expected_terms = {
+            "d": machine.argument_terms["d"],
+            "bits": bits,
+            "turns": turns_left % 8 + 1,
+            "bytes": turns_left // 8 + 1,
+        }
+        assert machine.variables.keys() == {"a", "byte", "quotient", *expected_terms}
+        return z3.And([machine.variables[name].term == term for name, term in expected_terms.items()])
 
     def _formula(self, machine: Machine) -> Any:
         """Return the invariant, with the present values of the loop's variables."""

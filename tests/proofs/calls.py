@@ -197,9 +197,23 @@ FILTER_CHANGES = ("accuracy", "counters", "updated", "robust")
 """Members of a robot that a run of its filter may change; the contract of update_b_hat() says how."""
 
 
+def _may_update(robot: Any) -> Any:
+    """Return that the filter is one that init admits, and may run after an observation."""
+    runs_robust_filter = z3.And(is_robust(robot["config"]), robot["t"] != 0)
+    return z3.And(z3.ULE(robot["config"]["filter"], ROBUST), z3.Implies(runs_robust_filter, may_run(robot)))
+
+
 def _may_settle(robot: Any) -> Any:
-    """Return what a vote needs, with the robust filter."""
-    return z3.Implies(is_robust(robot["config"]), may_vote(robot))
+    """Return what a vote needs, with the robust filter, and what the filter needs where it is due."""
+    return z3.And(
+        z3.Implies(is_robust(robot["config"]), may_vote(robot)),
+        z3.Implies(robot["filter_left"] == 1, _may_update(robot)),
+    )
+
+
+def _keeps_initial_b_hat(robot_after: Any, robot: Any) -> Any:
+    """Return what the contract of take_vote() says of the member that a run of the robust filter needs."""
+    return robot_after["robust"]["initial_b_hat"] == robot["robust"]["initial_b_hat"]
 
 
 def _is_settled(status: Any, robot_after: Any, robot: Any) -> Any:
@@ -244,18 +258,12 @@ SETTLE = Contract(
     _is_settled,
     requires=_may_settle,
     stand_ins={
-        "update_b_hat": uninterpreted("update_b_hat", *FILTER_CHANGES),
-        "take_vote": uninterpreted("take_vote", "robust", requires=may_vote),
+        "update_b_hat": uninterpreted("update_b_hat", *FILTER_CHANGES, requires=_may_update),
+        "take_vote": uninterpreted("take_vote", "robust", requires=may_vote, ensures=_keeps_initial_b_hat),
     },
 )
 
 # --- The filter ------------------------------------------------------------------------------------------
-
-
-def _may_update(robot: Any) -> Any:
-    """Return that the filter is one that init admits, and may run after an observation."""
-    runs_robust_filter = z3.And(is_robust(robot["config"]), robot["t"] != 0)
-    return z3.And(z3.ULE(robot["config"]["filter"], ROBUST), z3.Implies(runs_robust_filter, may_run(robot)))
 
 
 def _with_test_counted(robot: Any, is_tested: Any) -> Any:

@@ -46,6 +46,7 @@ def _check_satisfiable(*formulas: Any) -> tuple[Any, Any]:
     """
     bit_text, integer_text = _solver_text(formulas), None
     if "bvmul" in bit_text or "bvudiv" in bit_text:
+        # Where the integers fail, nothing is left out: the words are asked about all of the formulas.
         with suppress(NotImplementedError):
             integer_text = _solver_text(as_integers(formulas))
     # Another seed and more steps may settle what an attempt has not: the solver's search is a heuristic.
@@ -114,7 +115,8 @@ def prove_contract(program: Program, name: str, contracts: Contracts) -> None:
     contract = contracts[name]
     summaries = dict(contract.stand_ins)
     for lemma in contract.used_lemmas:
-        summaries[lemma] = any_result(lemma, contracts[lemma].requires, contracts[lemma].ensures)
+        requires = _requires_proved_constant(program, lemma, contracts[lemma])
+        summaries[lemma] = any_result(lemma, requires, contracts[lemma].ensures)
 
     def make_machine(decisions: tuple[bool, ...]) -> Machine:
         machine = Machine(program, summaries, decisions)
@@ -138,6 +140,19 @@ def prove_contract(program: Program, name: str, contracts: Contracts) -> None:
         # If no arguments fulfilled the facts, any result would.
         if not is_possible:
             raise UnprovenError(f"{name}: nothing is found that satisfies what is taken for known")
+
+
+def _requires_proved_constant(program: Program, name: str, contract: Contract) -> Formula:
+    """Return what a caller has to fulfil: ``requires``, and a constant for which there is a proof."""
+    if not contract.constant_parameter:
+        return contract.requires
+    position = [parameter.name for parameter in program.parameters(name)].index(contract.constant_parameter)
+
+    def requires(*terms: Any) -> Any:
+        is_proved_constant = z3.Or([terms[position] == value for value in contract.constant_values])
+        return z3.And(contract.requires(*terms), is_proved_constant)
+
+    return requires
 
 
 def prove_lemma(

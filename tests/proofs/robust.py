@@ -171,7 +171,9 @@ VOTE = Contract(
     _is_vote,
     requires=may_vote,
     stand_ins={
-        "next_slot": uninterpreted("next_slot", ensures=lambda slot, *_: z3.ULE(slot, SLOTS)),
+        "next_slot": uninterpreted(
+            "next_slot", requires=_has_filled_slot, ensures=lambda slot, *_: z3.ULE(slot, SLOTS)
+        ),
         "statistics_after_vote": uninterpreted("statistics_after_vote", requires=_may_count_vote),
     },
 )

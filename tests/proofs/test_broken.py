@@ -44,6 +44,7 @@ MISTAKES = (
     Mistake(
         "divide_by_bits", "}\n            a <<= 1;", "} else { byte &= 127U; } a <<= 1;", Variant("3000")
     ),
+    Mistake("divide_by_bits", "}\n            a <<= 1;", "} else { --d; } a <<= 1;", Variant("3000")),
     Mistake("multiply", "both_middles << 16 |", "both_middles << 15 |", Variant("1100")),
     Mistake("prepare", "(d >> 15) + 1U", "(d >> 15)"),
     Mistake("take_digit", "- digit * d", "- (digit + 1) * d"),

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import pytest
 import z3
 
+from proofs import arithmetic
 from proofs import prove as prover
 from proofs.prove import Contract, UnprovenError, always, prove, prove_lemma
 from proofs.source import CORE, VARIANTS, program
@@ -48,6 +50,24 @@ def test_a_negative_word_is_not_taken_for_a_positive_one() -> None:
         prove(z3.ULT(z3.SignExt(32, p) * q, 2**32), q == 1)
 
 
+@pytest.mark.parametrize("is_function", [False, True])
+def test_unknowns_of_one_name_and_two_sizes_are_not_taken_for_one(is_function: bool) -> None:
+    """Where words become integers they lose their size. A product is needed for that, and zero is one here.
+
+    A function of a word of 8 bits is another one than that of a word of 16 bits, too.
+    """
+    p, q = z3.BitVecs("p q", 32)
+    byte_sort, half_sort = z3.BitVecSort(8), z3.BitVecSort(16)
+    if is_function:
+        byte = z3.Function("same", byte_sort, byte_sort)(z3.BitVecVal(1, 8))
+        half = z3.Function("same", half_sort, half_sort)(z3.BitVecVal(1, 16))
+    else:
+        byte, half = z3.BitVec("same", 8), z3.BitVec("same", 16)
+
+    with pytest.raises(UnprovenError, match="broken by"):
+        prove(z3.ZeroExt(8, byte) == half, p * q == 0)
+
+
 def test_a_contract_that_no_argument_meets_has_no_proof() -> None:
     """A claim about all arguments of an empty set says nothing about a function."""
     for_no_argument = Contract(always, requires=never)
@@ -64,6 +84,15 @@ def test_a_call_that_breaks_what_the_called_function_requires_has_no_proof() -> 
 
     with pytest.raises(UnprovenError, match="what multiply requires"):
         prove_lemma(CODE, "multiply_high", contracts)
+
+
+def test_a_call_with_a_constant_for_which_a_lemma_has_no_proof_is_refused() -> None:
+    """divide_24() calls take_digit() for 12 bits. Here the contract of take_digit() is proved for 7 alone."""
+    lemmas = arithmetic.contracts(VARIANTS[0])
+    contracts = {**lemmas, "take_digit": replace(lemmas["take_digit"], constant_values=(7,))}
+
+    with pytest.raises(UnprovenError, match="what take_digit requires"):
+        prove_lemma(CODE, "divide_24", contracts)
 
 
 def test_a_function_that_was_proved_for_one_contract_is_not_taken_as_proved_for_another() -> None:
