@@ -86,7 +86,7 @@ class FaultRun:
         return bool(word <= self._largest_hit)
 
     def content_word(self, node: int, tick: int, index: int) -> int:
-        """Return the word that is the content of the frame of this index among a node's in a tick."""
+        """Return the content of a random frame, with this index among those that a node sends in a tick."""
         # The first of the two words of index 0 decides whether the node is hit.
         _hit_word, content_word = self._words_for_node(2, tick, node, repetition=index)
         return int(content_word)
@@ -102,9 +102,9 @@ class FaultRun:
         return is_hit
 
     def hits_receivers(self, deliveries: Deliveries, words_per_receiver: int) -> ReceiverMask:
-        """Return for which of its receivers each frame is hit, by the first of the receiver's words.
+        """Return a mask of the receivers for which each frame is hit, as the first word of each decides.
 
-        No frame is hit for which the fault is not active. Counts nothing. O(frames receivers).
+        Frames for which the fault is not active are not hit. Counts nothing. O(frames receivers).
         """
         is_hit = np.zeros_like(deliveries.receivers)
         for index, sent_frame in enumerate(deliveries.sent_frames):
@@ -131,18 +131,18 @@ class FaultRun:
         )
         return words.reshape(receiver_count, words_per_receiver)
 
-    def corrupt(self, hit: Deliveries, bits: int) -> Deliveries:
-        """Return deliveries with each frame once for each of its receivers, and ``bits`` of its bits flipped.
+    def corrupt(self, hit: Deliveries, words_per_receiver: int) -> Deliveries:
+        """Return deliveries with each frame once for each of its receivers, and with bits of it flipped.
 
-        The receiver has a word for each bit behind the word that has decided on the hit.
+        The first of a receiver's words has decided on the hit, and each of the others chooses a bit.
         """
         corrupted_frames: list[SentFrame] = []
         receivers: list[int] = []
-        for index, sent_frame in enumerate(hit.sent_frames):
-            words_by_receiver = self._words_for_receivers(hit, index, 1 + bits).tolist()
+        for index in np.flatnonzero(hit.receivers.any(axis=1)).tolist():  # frames that have a receiver
+            words_by_receiver = self._words_for_receivers(hit, index, words_per_receiver).tolist()
             for receiver in np.flatnonzero(hit.receivers[index]).tolist():
                 _hit_word, *words_for_bits = words_by_receiver[receiver]
-                corrupted_frames.append(_with_bits_flipped(sent_frame, words_for_bits))
+                corrupted_frames.append(_with_bits_flipped(hit.sent_frames[index], words_for_bits))
                 receivers.append(receiver)
         # Row k has a single receiver, that of corrupted frame k.
         _, robot_count = hit.receivers.shape

@@ -137,7 +137,7 @@ class Corrupt(LinkFault):
 
     def change(self, hit: Deliveries, run: FaultRun) -> list[Deliveries]:
         """Return the deliveries in ``hit`` with bits of their data flipped, other bits for each receiver."""
-        return [run.corrupt(hit, self.bits)]
+        return [run.corrupt(hit, self.random_words)]
 
 
 # --- Outages: a node that is off the bus for some ticks ---
