@@ -240,7 +240,7 @@ class Carrier:
         self._frame_format = frame_format
         self._clock = clock
         self._on_frame_without_bus: FrameTaker = lambda frame: None
-        """Called with frames that are sent without a bus; those on a bus are reported when they are read."""
+        """Called with every frame that is sent; with a bus it does nothing."""
         self._has_bus_per_robot = False
         self._robot_connections: dict[int, ExpectingConnection] = {}
         """The connections of robots in this process, by id: on a shared bus the carrier's."""
@@ -310,9 +310,8 @@ class Carrier:
         buffers overflow; ``deliver`` reads the others. Raises can.CanError if the bus does not take the
         frame, and SwarmError if a frame is lost in a swarm without a clock, where none may be missing.
         """
-        has_bus = len(self.bus_connections) > 0
-        if not has_bus:  # frames on a bus are reported when the carrier reads them
-            self._on_frame_without_bus(sent_frame.frame)
+        # With a bus this does nothing: a frame on a bus is reported when the carrier reads it.
+        self._on_frame_without_bus(sent_frame.frame)
         # There is no connection without a bus, and none for a remote sender.
         robot_connection = self._robot_connections.get(sent_frame.sender)
         if robot_connection is not None:
