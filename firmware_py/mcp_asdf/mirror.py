@@ -870,7 +870,7 @@ class MirrorRobot(FixedPointView):
         s = self.s
         first_word = first_image_word(self.config.filter)
         image = _BEGINNING.pack(first_word, s.accuracy.b_hat, s.t, s.n, s.x_hat, s.alpha, s.filter_left)
-        # The members of these three classes are declared in the order of the image.
+        # RobustFilter, Closed and Sums declare their members in the order of the image.
         if self.is_robust:
             image += _ROBUST_FILTER.pack(*astuple(s.robust), *s.estimates)
         else:

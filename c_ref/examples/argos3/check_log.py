@@ -62,7 +62,10 @@ def main(paths: list[str]) -> int:
 
 
 def check_log(path: Path) -> Verdict:
-    """Play a log to the mirror up to the first difference. Raises ValueError, or OSError, if it cannot be."""
+    """Play a log to the mirror up to the first difference.
+
+    Raises OSError if the log cannot be read, and ValueError if it is not the log of a robot.
+    """
     lines = [line.split(",") for line in path.read_text(encoding="ascii").splitlines()]
     has_table = len(lines) > 1 and lines[1][0] == "table"
     start_line_count = 2 if has_table else 1

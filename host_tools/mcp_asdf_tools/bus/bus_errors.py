@@ -53,9 +53,10 @@ def failure_of_bus(error: Exception, bus: can.BusABC) -> can.CanError | None:
 
 
 def _failure_by_system_error(error: Exception, system_error: OSError) -> can.CanError:
-    """Return the failure that ``error`` stands for, which the operating system has caused.
+    """Return the failure that ``error`` stands for; the operating system's ``system_error`` has caused it.
 
-    It is a BusGoneError unless the bus may work again, then ``error`` itself if that is a can.CanError.
+    The failure is a BusGoneError if the bus will not work again. Otherwise it is ``error`` itself if that is
+    a can.CanError, and a can.CanOperationError with the same text if not.
     """
     if not _is_temporary(system_error):
         return _create_bus_gone_error(error, system_error)

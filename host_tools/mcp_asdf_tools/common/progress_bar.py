@@ -41,7 +41,8 @@ def progress(unit: str, total: float, quiet: bool = False) -> Iterator[Callable[
         console=console,
         disable=not shows_bar,
         transient=True,
-        speed_estimate_period=math.inf,  # by default a rate is that of 30 s, in which no unit may be done
+        # By default the rate is that of the last 30 s, in which no unit may have been done.
+        speed_estimate_period=math.inf,
     )
     with bar:
         task = bar.add_task(unit, total=total)

@@ -164,7 +164,8 @@ _MANY_ESTIMATES = 100
 _MAX_DRAWS = 1500
 """Pairs of rounds that are drawn to find one that serves.
 
-A test in float64 errs about one or two of a hundred pairs of many estimates, and about none of few."""
+Of a hundred pairs with many estimates, a test in float64 decides wrongly about one or two, and of pairs with
+few estimates about none."""
 _MIN_GAP_SHARE, _MIN_GAP_SHARE_OF_MANY = 0.05, 0.8
 """Smallest distance between two groups of x_hat, as a share of the largest possible one, and the same for
 rounds of many estimates. These are wide, so that their large sums have bits that floats lose."""
@@ -182,8 +183,9 @@ def draw_rounds_at_threshold(robot: RobotState, m: int, rng: Random) -> RoundsAt
     """Draw two rounds of ``m`` estimates: the robot's test just rejects the second, and not the first.
 
     They are as close to the test's threshold as x_hat in units of 2**-23 can be, and the second one changes
-    b_hat. A test in float64 errs about one of two rounds of a hundred estimates or more, unless it errs about
-    none of many pairs that are drawn. The robot must have a table.
+    b_hat. For a hundred estimates or more, pairs of rounds are drawn until a test in float64 would decide
+    wrongly about one of the two. If none of many pairs is like that, the first pair is returned. The robot
+    must have a table.
     """
     has_many_estimates = m >= _MANY_ESTIMATES
     min_gap_share = _MIN_GAP_SHARE_OF_MANY if has_many_estimates else _MIN_GAP_SHARE

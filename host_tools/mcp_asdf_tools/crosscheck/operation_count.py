@@ -169,7 +169,7 @@ def _copy_robot(robot: MirrorRobot) -> MirrorRobot:
 
 
 def find_growth(counts: Counts) -> list[str]:
-    """Return which calls take more instructions in the upper half of an axis than below, one line a call.
+    """Return a line for each call that takes more instructions in an axis's upper half than in its lower.
 
     Calls that were cut short in the upper half are among them. An axis without counts is left out.
     """

@@ -287,9 +287,11 @@ def _expected_decision(state: State) -> tuple[Decision, Fraction | None]:
 
 
 def _decision_by(is_rejected: bool | None, is_supported: bool | None) -> Decision:
-    """Return what a run of the filter must decide, by the outcome of its test and by who supports the robot.
+    """Return what a run of the filter must decide.
 
-    Either is None if rounding may decide it. Support counts only if the test rejects.
+    ``is_rejected`` says whether its test rejects the initial b_hat, and ``is_supported`` whether enough
+    estimates support the robot, which counts only if the test rejects. Either is None if rounding may decide
+    it.
     """
     if is_rejected is False:
         return Decision.TEST_ACCEPTS

@@ -287,7 +287,7 @@ _MIN_BITS_FOR_HINT = 24
 def _hint(
     kind: str, field_name: str, received: Sequence[can.Message], expected: Sequence[can.Message]
 ) -> str:
-    """Return that the first wrong value of a data field has its bytes in reverse order; "" if it has not.
+    """Return a hint if the first wrong value of a data field has its bytes in reverse order, and else "".
 
     ``field_name`` is where the two lists differ. The result is "" for fields of less than 24 bits, too, and
     for a difference that is not in a data field.

@@ -366,9 +366,9 @@ def send_unusual_commands(bench: Bench) -> None:
 
 
 def _unusual_commands(bench: Bench) -> Iterator[tuple[str, ChangeFrame]]:
-    """Yield what is unusual about commands that must be obeyed, and the change that makes a command so.
+    """Yield for each kind of unusual command that must be obeyed its name, and what changes a usual one so.
 
-    The node that sends a command in place of the usual one is drawn.
+    The node from which a command of another node comes is drawn.
     """
     yield "for every robot", _write_byte(_TARGET_BYTE_OF_COMMAND, EVERY_ROBOT)
     yield "of another node", _write_identifier_bits(NODE_ID_MASK, _draw_other_robot(bench))

@@ -53,9 +53,9 @@ _MAX_FD_BYTES = 64
 def parse_line(line: str) -> can.Message | None:
     """Return the frame in a line of candump, or None if the line holds no complete and possible frame.
 
-    Flags of a CAN FD frame are ignored, and so is whether this computer has sent the frame.
-    The frame's time is 0 if the line has none, and counts from 1970 in UTC if the line has a date. A raw
-    length beyond 8 (``_B``) is ignored, as such a frame has 8 bytes of data.
+    The frame's time is 0 if the line has none, and counts from 1970 in UTC if the line has a date. The flags
+    of a CAN FD frame are ignored, and so are whether this computer has sent the frame, and a raw length
+    beyond 8 (``_B``), as a frame with that has 8 bytes of data.
     """
     if len(line) > LONGEST_LINE:
         return None

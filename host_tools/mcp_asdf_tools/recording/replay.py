@@ -50,7 +50,7 @@ class Broadcast:
     is_false: bool = False
 
     def has_values(self, x_hat: int, alpha_bits: int) -> bool:
-        """Return whether the broadcast has exactly these values, in the units of its own."""
+        """Return whether the broadcast has exactly these values, which have the units of its attributes."""
         return self.x_hat == x_hat and self.alpha_bits == alpha_bits
 
 

@@ -116,7 +116,7 @@ class SwarmFilter:
         return description
 
     def _has_no_test(self, activation: Activation) -> bool:
-        """Return whether robots re-estimate b_hat without a test: by "always", if the filter has it."""
+        """Return whether robots re-estimate b_hat without a test, as the paper's filters do by "always"."""
         return activation == "always" and self.firmware_filter_without_test is not None
 
 
@@ -204,7 +204,7 @@ def describe_filters(firmware_filters: Iterable[Filter]) -> str:
 
 
 def _filter_that_sets(firmware_filters: set[Filter]) -> tuple[SwarmFilter, Activation] | None:
-    """Return the filter and the activation with which a swarm's robots have just these; None if none does."""
+    """Return the filter and activation of a swarm whose robots have exactly these filters, or None."""
     activations: tuple[Activation, ...] = get_args(Activation)
     for swarm_filter in FILTERS.values():
         for activation in activations:

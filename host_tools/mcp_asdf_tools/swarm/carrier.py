@@ -382,7 +382,7 @@ class Carrier:
                 robot.receive_frames(self._pass_over_bus(robot_id, batch, tick))
 
     def _pass_over_bus(self, robot: int, frames: Sequence[can.Message], tick: int) -> Sequence[can.Message]:
-        """Write ``frames`` on a robot's bus by the carrier's connection, and return those the robot's reads.
+        """Write ``frames`` on the bus of a robot, and return those that the robot's connection reads there.
 
         Late ones are missing, and follow in a later call. A remote robot reads for itself: for its
         counterpart in this process all of ``frames`` are returned. After a full batch the carrier's receive

@@ -54,8 +54,8 @@ class Deliveries:
     """Frames on their way to robots, in the order in which robots receive them.
 
     Attributes:
-        sent_frames: The frames. One that is corrupted on the way, in another manner for each receiver, is
-            here as often as it has receivers.
+        sent_frames: The frames. A frame that faults corrupt, which flip other bits for each receiver, is
+            here once for each of its receivers.
         receivers: The robots that receive each frame.
         delay: Ticks by which faults delay all of these frames.
         copy_number: Distinguishes copies of one frame for the same receiver.

@@ -90,8 +90,8 @@ def _check_remote_on_shared_bus(settings: SwarmSettings, *, is_every_robot_remot
 class RemoteFirmware:
     """State of a remote robot as far as its commands and frames reveal it, in place of a firmware.
 
-    It has all that a ``BusRobot`` uses of a firmware, so that one can count the robot's ticks and frames.
-    b_hat is known to 24 bits and x to 23, as telemetry has them.
+    It has all that a ``BusRobot`` uses of a firmware, so that a ``BusRobot`` made with it can count the ticks
+    and frames of the remote robot. b_hat is known to 24 bits and x to 23, as telemetry has them.
 
     Attributes:
         id: Robot id.

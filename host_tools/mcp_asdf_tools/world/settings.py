@@ -284,7 +284,7 @@ def _check_neighbours_of_many(settings: WorldSettings) -> None:
         return
     if settings.topology == "graph":
         return  # Graph.check has counted the neighbours already.
-    # Any other topology is refused, and what follows is its message.
+    # Every other topology is refused; the rest composes the message.
     if settings.topology == "fully-connected":
         neighbour_count = settings.robots - 1
         reason = (
