@@ -208,11 +208,11 @@ class RowGroups:
             positions = np.flatnonzero(group_of_row == group_index)
             rows_in_group = rows[positions] - first_rows[group_index]
             row_group = self._read_cached(group_index, column_names)
-            tables.append(row_group.take(rows_in_group))
+            tables.append(_take_rows(row_group, rows_in_group))
             positions_of_tables.append(positions)
         # The rows are in the order of the row groups now, and get that in which they were requested.
         requested_order = np.argsort(np.concatenate(positions_of_tables))
-        return pa.concat_tables(tables).combine_chunks().take(requested_order)
+        return _take_rows(pa.concat_tables(tables).combine_chunks(), requested_order)
 
     def _read(self, group_index: int, columns: tuple[str, ...] | None) -> pa.Table:
         """Return a row group with some columns or all; ``_read_cached`` calls this and keeps the result.
@@ -220,6 +220,15 @@ class RowGroups:
         It is in one chunk of memory, since rows are taken slowly from many.
         """
         return self._row_groups[group_index].read(columns).combine_chunks()
+
+
+def _take_rows(table: pa.Table, rows: NDArray[np.int64]) -> pa.Table:
+    """Return the rows of these numbers, at least one, in the order of ``rows``."""
+    first = rows[0]
+    if np.array_equal(rows, np.arange(first, first + len(rows))):
+        # Consecutive rows, such as those of a sweep on one process, need no copy, which would be slow.
+        return table.slice(first, len(rows))
+    return table.take(rows)
 
 
 def _select_columns(table: pa.Table, columns: Sequence[str] | None) -> pa.Table:
