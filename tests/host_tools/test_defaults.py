@@ -1,7 +1,7 @@
-"""All defaults of commands and library stand in defaults.txt, where a change of one is seen.
+"""All defaults of commands and library stand in golden_files/defaults.txt, where a change of one is seen.
 
-A page may state the same number, and nobody compares the two. After a change on purpose, write the file again
-by ``.venv/bin/python tests/host_tools/test_defaults.py``, and look for pages that state the old default.
+A page may state the same number, and nobody compares the two. After a change on purpose, look for pages that
+state the old default.
 """
 
 from __future__ import annotations
@@ -10,16 +10,14 @@ import dataclasses
 import inspect
 import re
 from collections.abc import Iterator
-from pathlib import Path
 from types import ModuleType
 
 import pytest
 
 import mcp_asdf
 import mcp_asdf_tools
+from golden import assert_equals_golden_file
 from mcp_asdf_tools.cli import main as cli
-
-FILE = Path(__file__).with_name("defaults.txt")
 
 
 def defaults_stated_in_help(command: str) -> Iterator[tuple[str, str, str | None]]:
@@ -62,15 +60,10 @@ def describe_library(module: ModuleType) -> list[str]:
     return lines
 
 
-def describe_all_defaults() -> str:
-    lines = [*describe_options(), *describe_library(mcp_asdf), *describe_library(mcp_asdf_tools)]
-    return "\n".join([*lines, ""])
-
-
 def test_the_defaults_of_options_and_of_the_library_are_those_of_the_file() -> None:
     """For example "--b-hat 0.95: node radio" and "Config.filter_period 1000"."""
-    renew = "if this is on purpose, run .venv/bin/python tests/host_tools/test_defaults.py"
-    assert describe_all_defaults() == FILE.read_text(encoding="utf-8"), renew
+    lines = [*describe_options(), *describe_library(mcp_asdf), *describe_library(mcp_asdf_tools)]
+    assert_equals_golden_file("defaults.txt", lines)
 
 
 @pytest.mark.parametrize("command", cli.COMMANDS)
@@ -78,7 +71,3 @@ def test_the_default_in_the_help_of_an_option_is_the_option_s_default(command: s
     """For example, the help of ``node --b-hat`` ends with "(default 0.95)"."""
     for option, default_in_help, parsers_default in defaults_stated_in_help(command):
         assert parsers_default in (None, default_in_help), option
-
-
-if __name__ == "__main__":
-    FILE.write_text(describe_all_defaults(), encoding="utf-8")
