@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -98,8 +98,8 @@ def run_two_short_trials(**parameters: Any) -> list[Trials]:
 def two_trials_with(*, x: Any = 0.5, b_hat: Any = 0.9, **changes: Any) -> Trials:
     """Make two trials with these values of x and b_hat, without running them: f = 0.5 and b = 0.9.
 
-    There are four robots, the first of them flawed. ``x`` is a number, a list of one for each robot, a list
-    of such lists for each sample, or a list of those for each trial; likewise ``b_hat``, by filter steps.
+    There are four robots, the first of them flawed. ``x`` is a number, a list of one for each robot, or a
+    list of such lists for each sample; likewise ``b_hat``, by filter steps. Both trials have these values.
     All robots have converged at step 0, without an error.
     """
     settings = {"robots": 4, "flawed": 1, "steps": 4000, "fill_ratio": 0.5, "true_accuracy": 0.9, "trials": 2}
@@ -118,10 +118,9 @@ def two_trials_with(*, x: Any = 0.5, b_hat: Any = 0.9, **changes: Any) -> Trials
 
 
 def _of_two_trials(values: Any, robots: int) -> Sample:
-    """Return values by trial, sample and robot; what is missing of these axes is repeated."""
-    array = np.asarray(values, np.float64)
-    samples = array.shape[-2] if array.ndim >= 2 else 1
-    return np.broadcast_to(array, (2, samples, robots)).copy()
+    """Return values by trial, sample and robot: both trials have the values, of one sample or of several."""
+    array = np.atleast_2d(np.asarray(values, np.float64))
+    return np.broadcast_to(array, (2, len(array), robots)).copy()
 
 
 # --- Experiments of a study's rows -----------------------------------------------------------------------
@@ -130,11 +129,6 @@ def _of_two_trials(values: Any, robots: int) -> Sample:
 def values_of(experiments: Iterable[Experiment], parameter: str) -> set[Any]:
     """Return the different values that experiments have for a parameter."""
     return {getattr(experiment, parameter) for experiment in experiments}
-
-
-def all_experiments(*tables: Mapping[str, Sequence[Experiment]]) -> list[Experiment]:
-    """Return the experiments of all rows of tables."""
-    return [experiment for rows in tables for experiments in rows.values() for experiment in experiments]
 
 
 # --- Tables in Markdown ----------------------------------------------------------------------------------
