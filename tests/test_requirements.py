@@ -39,7 +39,7 @@ def test_the_table_has_a_row_for_every_statement() -> None:
 
 
 def contracts_that_are_proved() -> set[str]:
-    """Return the contracts that tests/proofs proves, as a trace has them: by the names of variables."""
+    """Return the contracts that tests/proofs proves, in the form of a trace: "proofs/FILE.py: VARIABLE"."""
     places = set[str]()
     for module_name in ("calls", "robust"):
         module = import_module(f"proofs.{module_name}")
@@ -50,7 +50,7 @@ def contracts_that_are_proved() -> set[str]:
 
 
 def test_every_contract_that_is_named_beside_a_statement_is_proved() -> None:
-    """Other places below ``proofs`` are tests."""
+    """A place below ``proofs`` that is named beside a statement is a contract or a test."""
     _statements, tests_by_statement = read_project()
     places = itertools.chain.from_iterable(tests_by_statement.values())  # such as "a.py: test_it"
     named_contracts = {place for place in places if place.startswith("proofs/") and ": test_" not in place}

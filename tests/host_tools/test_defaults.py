@@ -35,7 +35,7 @@ def defaults_stated_in_help(command: str) -> Iterator[tuple[str, str, str | None
 
 
 def describe_options() -> list[str]:
-    """Return a line for each option and default, with the commands, such as "--b-hat 0.95: node radio"."""
+    """Return a line for each option and default, with the commands, such as "--b-hat 0.95: radio node"."""
     commands_by_default: dict[str, list[str]] = {}
     for command in cli.COMMANDS:
         for option, default, _ in defaults_stated_in_help(command):
@@ -61,7 +61,7 @@ def describe_library(module: ModuleType) -> list[str]:
 
 
 def test_the_defaults_of_options_and_of_the_library_are_those_of_the_file() -> None:
-    """For example "--b-hat 0.95: node radio" and "Config.filter_period 1000"."""
+    """The file has lines such as "--b-hat 0.95: radio node" and "Config.filter_period 1000"."""
     lines = [*describe_options(), *describe_library(mcp_asdf), *describe_library(mcp_asdf_tools)]
     assert_equals_golden_file("defaults.txt", lines)
 

@@ -109,7 +109,7 @@ RADIO = "radio --interface virtual --id 3 --robots 3 --steps 2 --steps-per-secon
 def test_a_command_describes_the_filters_of_its_robots_as_text_and_in_json(
     command: str, descriptions: list[str], output: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """For example ``replay run.log``: "ASDF-: only the flawed robots recalibrate"."""
+    """``replay run.log``, for example, prints "ASDF-: only the flawed robots recalibrate"."""
     printed_text = printed_by(f"{command} {output}", capsys)
     for description in descriptions:
         assert description in printed_text

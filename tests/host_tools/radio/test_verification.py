@@ -165,9 +165,9 @@ def observe_run(name: str, config: dict[str, Any], phases: Sequence[Phase]) -> O
 
 
 def describe_run(run: ObservedRun) -> Iterator[str]:
-    """Yield a line for each phase that tells other frames from those that the tool has sent in it.
+    """Yield a line for each phase: its ticks, how many frames the tool has sent in it, and two sums of these.
 
-    It has the number of ticks, and two sums over the frames.
+    A line changes if the tool sends other frames in that phase, or the same ones in another order.
     """
     first_frame = 0
     for phase_index, result in enumerate(run.verdict.phases):

@@ -194,7 +194,7 @@ def test_the_first_line_of_events_after_a_crash_that_lost_the_state_begins_with_
 
 
 def test_frames_without_an_estimate_are_counted_by_their_kind() -> None:
-    """A heartbeat, telemetry and frames that are rejected, for each of the reasons, come.
+    """A robot gets a heartbeat, telemetry, and a frame that is rejected for each of the possible reasons.
 
     An error frame is one of the reasons, but is counted apart. An estimate comes, too, and is not counted.
     """

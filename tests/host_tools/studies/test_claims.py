@@ -223,9 +223,7 @@ def plan_comparisons(**row: Any) -> list[PlannedComparison]:
     return contrast.plan(StudyPart.DYNAMIC)
 
 
-def test_lists_in_a_row_of_a_claim_make_all_combinations_which_differ_from_their_reference_as_it_says() -> (
-    None
-):
+def test_lists_in_a_row_of_a_claim_make_all_combinations_each_with_the_reference_of_the_row() -> None:
     """The row compares ASDF+ with no filter for two accuracies b_hat and two percentages of flawed robots.
 
     "no filter" is the filter "none" of a swarm.

@@ -130,12 +130,11 @@ def test_a_study_of_some_parts_of_the_papers_has_the_pictures_of_these_parts(
     assert len(pictures_by_name) == count
 
 
-def test_the_pictures_that_docs_reproduce_md_names_have_the_number_of_the_papers_figure_in_their_title() -> (
-    None
-):
-    """A row of its table has a figure, a command and its pictures. A title ends "(the paper's figure 3a)".
+def test_titles_of_pictures_have_the_number_of_the_papers_figure_that_docs_reproduce_md_says() -> None:
+    """A row of the page's table has a figure, a command and its pictures.
 
-    The last row is of all figures.
+    The title of a picture ends in a text such as "(the paper's figure 3a)". The page's last row, of all
+    figures, is left out.
     """
     page = (ROOT / "docs/reproduce.md").read_text(encoding="utf-8")
     rows = re.findall(r"^\| (\d) \| .* \| (`.*`) \| \d+ \|$", page, re.MULTILINE)

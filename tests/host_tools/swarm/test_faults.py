@@ -256,7 +256,10 @@ def test_liars_and_outages_of_a_seed_are_the_same_in_every_version_of_the_progra
     ],
 )
 def test_two_faults_hit_independently_of_each_other(faults: tuple[str, str]) -> None:
-    """If they hit the same frames, a half would be left of all, and so a quarter is."""
+    """A quarter of the frames is left. If both hit the same frames, a half of them would be left.
+
+    A frame that is 100 ticks late does not arrive in this run, as if it were lost.
+    """
     run = run_under(*faults, ticks=100)
     share_left = run.copies_by_path.total() / (100 * PATHS)
     assert 0.2 < share_left < 0.3
@@ -290,7 +293,7 @@ def test_equal_frames_of_a_robot_in_a_tick_are_hit_one_by_one() -> None:
 
 @pytest.mark.parametrize(("duplicates", "ticks"), [(1, 100), (3, 100), (10, 2)])
 def test_each_copy_of_a_frame_is_hit_by_itself(duplicates: int, ticks: int) -> None:
-    """Each fault doubles the copies of a frame. Half of them are lost, which is not the same for all."""
+    """Each fault doubles the copies of a frame. Half of all copies are lost, of some frame only a part."""
     faults = ["duplicate,ticks=0,robots=0,receivers=1"] * duplicates
     copies = run_under(*faults, "loss=0.5", ticks=ticks).copies_by_path
     numbers_left = [copies[tick, 1] for tick in range(ticks)]  # of the frames of robot 0, for robot 1
@@ -299,7 +302,10 @@ def test_each_copy_of_a_frame_is_hit_by_itself(duplicates: int, ticks: int) -> N
 
 
 def test_copies_that_two_faults_have_made_are_hit_one_by_one() -> None:
-    """Robot 1 would get four copies of a frame, 0 to 3 ticks late. Each set of them is left of some frame."""
+    """Without losses robot 1 gets each frame four times, 0 to 3 ticks late.
+
+    Half of these copies are lost. For each set of the four there is a frame of which that set arrives.
+    """
     duplicates = [f"duplicate,ticks={ticks},robots=0,receivers=1" for ticks in (1, 2)]
     run = run_under(*duplicates, "loss=0.5", ticks=200)
     numbers_by_tick = [run.estimates_received(tick, robot=1) for tick in range(200)]
@@ -414,7 +420,7 @@ def test_an_outage_lasts_for_its_ticks_in_which_it_cannot_begin_anew(kind: str) 
 
 
 def test_a_robot_that_is_off_the_bus_adds_no_frames() -> None:
-    """So it is counted as crashed, and its random frames are not counted."""
+    """The figures count the crash of robot 2, and none of the random frames that it would send."""
     assert run_under("crash,robots=2", "babble,robots=2").hit_counts == [1, 0]
 
 

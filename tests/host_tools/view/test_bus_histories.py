@@ -238,10 +238,9 @@ def test_a_log_of_frames_has_ended_and_has_a_report_on_its_robots(log_history: H
 
     Its rows are in the order of the robots' ids, 3 and 7.
     """
-    history = log_history
-    assert history.has_ended
-    assert history.report is not None
-    assert [row["robot"] for row in history.report["robots"]] == [3, 7]
+    assert log_history.has_ended
+    assert log_history.report is not None
+    assert [row["robot"] for row in log_history.report["robots"]] == [3, 7]
 
 
 def test_a_frame_of_a_second_bus_that_stands_late_in_a_log_does_not_set_back_the_time_of_its_robot(

@@ -1,4 +1,4 @@
-// The history of a run: its states and its events. That blocks of states are decoded, tests test_scripts.py.
+// The history of a run: its states and its events. A test in test_scripts.py has it decode blocks of states.
 
 import assert from "node:assert/strict";
 import { test } from "node:test";

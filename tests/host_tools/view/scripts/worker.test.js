@@ -19,10 +19,10 @@ const JOB = {
   filter: "robust",
 };
 
-/** Places of arrays in the engine's memory, each of which has room for the next. */
+/** Places of arrays in the engine's memory. Each array has the 256 bytes up to the next one. */
 const PLACES = { settings: 0, errors: 256, records: 512, links: 768, positions: 1024, pixels: 1280 };
 
-/** Returns exports of playground.c for two robots and one recorded step. */
+/** Returns what playground.c exports, with a memory that holds a trial of two robots and one recorded step. */
 function makeEngine() {
   const memory = { buffer: new ArrayBuffer(2048) };
   const write = (ArrayType, name, values) => new ArrayType(memory.buffer, PLACES[name]).set(values);
