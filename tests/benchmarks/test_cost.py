@@ -37,8 +37,8 @@ def measurements(tmp_path_factory: pytest.TempPathFactory) -> Measurements:
         for target in TARGETS:
             for level in LEVELS[target.name]:
                 for build in BUILDS:
-                    place = folder / target.name / level / build.name
-                    measurements[target.name, level, build] = measure(target, level, place, build)
+                    build_folder = folder / target.name / level / build.name
+                    measurements[target.name, level, build] = measure(target, level, build_folder, build)
         (folder / "measurements").write_bytes(pickle.dumps(measurements))
 
     folder = made_once(tmp_path_factory, "cost", measure_and_keep)

@@ -9,15 +9,15 @@ import pytest
 from benchmarks.cost.loops import Bound, Graph, bounds_in, longest_path
 
 
-def count_longest_path(graph: Graph, places: dict[int, str], bounds: dict[str, Bound]) -> int:
+def count_longest_path(graph: Graph, source_lines: dict[int, str], bounds: dict[str, Bound]) -> int:
     """Return the number of instructions on the longest path from instruction 0 on.
 
-    ``graph`` lists the instructions that may follow each instruction. ``places`` says which line of the
+    ``graph`` lists the instructions that may follow each instruction. ``source_lines`` says which line of the
     source an instruction comes from, such as "a.c:7", if that is the line of a loop. ``bounds`` says how
     often the loop of a line turns.
     """
     cost_by_instruction = dict.fromkeys(graph, 1)
-    return longest_path(graph, cost_by_instruction, places, bounds, start=0)
+    return longest_path(graph, cost_by_instruction, source_lines, bounds, start=0)
 
 
 def test_bounds_are_read_from_the_comments_beside_loops(tmp_path: Path) -> None:
@@ -44,7 +44,7 @@ def test_without_a_loop_the_longer_branch_counts() -> None:
     A graph lists the instructions that may follow each instruction.
     """
     graph = {0: [1, 3], 1: [2], 2: [3], 3: []}
-    assert count_longest_path(graph, places={}, bounds={}) == 4
+    assert count_longest_path(graph, source_lines={}, bounds={}) == 4
 
 
 def test_a_loop_that_is_left_at_its_end_counts_as_often_as_it_turns() -> None:
@@ -55,7 +55,7 @@ def test_a_loop_that_is_left_at_its_end_counts_as_often_as_it_turns() -> None:
     graph = {0: [1], 1: [2], 2: [1, 3], 3: []}
     bounds = {"a.c:7": Bound(turns=10, in_all=None)}
 
-    count = count_longest_path(graph, places={2: "a.c:7"}, bounds=bounds)
+    count = count_longest_path(graph, source_lines={2: "a.c:7"}, bounds=bounds)
 
     before, after = 1, 1
     assert count == before + 10 * 2 + after
@@ -66,7 +66,7 @@ def test_a_loop_that_is_left_at_its_beginning_tests_once_more_than_it_turns() ->
     graph = {0: [1], 1: [2, 3], 2: [1], 3: []}
     bounds = {"a.c:7": Bound(turns=10, in_all=None)}
 
-    count = count_longest_path(graph, places={1: "a.c:7"}, bounds=bounds)
+    count = count_longest_path(graph, source_lines={1: "a.c:7"}, bounds=bounds)
 
     before, last_test, after = 1, 1, 1
     assert count == before + 10 * 2 + last_test + after
@@ -75,10 +75,10 @@ def test_a_loop_that_is_left_at_its_beginning_tests_once_more_than_it_turns() ->
 def test_an_inner_loop_turns_in_every_turn_of_the_outer_one() -> None:
     """Instruction 2, of line 8, repeats itself within the loop of instructions 1 to 3, of line 7."""
     graph = {0: [1], 1: [2], 2: [2, 3], 3: [1, 4], 4: []}
-    places = {2: "a.c:8", 3: "a.c:7"}
+    source_lines = {2: "a.c:8", 3: "a.c:7"}
     bounds = {"a.c:8": Bound(turns=5, in_all=None), "a.c:7": Bound(turns=10, in_all=None)}
 
-    count = count_longest_path(graph, places, bounds)
+    count = count_longest_path(graph, source_lines, bounds)
 
     turn_of_outer_loop = 1 + 5 + 1
     before, after = 1, 1
@@ -91,10 +91,10 @@ def test_an_inner_loop_with_a_bound_on_all_its_turns_adds_these_once() -> None:
     Instruction 2, of line 8, repeats itself within the loop of instructions 1 to 3, of line 7.
     """
     graph = {0: [1], 1: [2], 2: [2, 3], 3: [1, 4], 4: []}
-    places = {2: "a.c:8", 3: "a.c:7"}
+    source_lines = {2: "a.c:8", 3: "a.c:7"}
     bounds = {"a.c:8": Bound(turns=5, in_all=20), "a.c:7": Bound(turns=10, in_all=None)}
 
-    count = count_longest_path(graph, places, bounds)
+    count = count_longest_path(graph, source_lines, bounds)
 
     turn_of_outer_loop = 1 + 1 + 1
     before, after = 1, 1
@@ -106,7 +106,7 @@ def test_the_cost_of_a_loop_with_two_entries_is_at_most_twice_that_of_its_longes
     graph = {0: [1, 2], 1: [2, 3], 2: [1], 3: []}
     bounds = {"a.c:7": Bound(turns=10, in_all=None)}
 
-    count = count_longest_path(graph, places={1: "a.c:7", 2: "a.c:7"}, bounds=bounds)
+    count = count_longest_path(graph, source_lines={1: "a.c:7", 2: "a.c:7"}, bounds=bounds)
 
     before, last_test, after = 1, 1, 1
     longest_walk = before + 10 * 2 + last_test + after
@@ -117,4 +117,4 @@ def test_a_loop_without_a_bound_in_the_source_is_refused() -> None:
     """Instruction 1 may be repeated for ever, so there is no longest path."""
     graph = {0: [1], 1: [1, 2], 2: []}
     with pytest.raises(ValueError, match=r"without a bound in the source: \['a.c:7'\]"):
-        count_longest_path(graph, places={1: "a.c:7"}, bounds={})
+        count_longest_path(graph, source_lines={1: "a.c:7"}, bounds={})

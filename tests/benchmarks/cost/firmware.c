@@ -1,5 +1,5 @@
-/* The firmware under measurement; main() is the least that a robot uses of it, and with WHOLE all there is.
- */
+/* A program with the firmware whose cost is measured. main() calls the few functions that every robot needs;
+ * where WHOLE is defined it calls all others, too. */
 #include "mcp_asdf_image.h"
 
 /* A robot's settings and its past, all in words of 32 bits. The program that measures writes them here. */

@@ -23,10 +23,11 @@ CLONE = re.compile(r"\.(constprop|part|isra|cold)(\.\d+)?")
 _LINE = re.compile(
     r"^\s*(?P<address>[0-9a-f]+):\t(?P<name>\S+)[ \t]*(?P<operands>.*)$"
     r"|^[0-9a-f]+ <(?P<function>.+)>:$"
-    r"|^/\S*/(?P<place>[^/\s]+:\d+)( \(discriminator \d+\))?$",
+    r"|^/\S*/(?P<source_line>[^/\s]+:\d+)( \(discriminator \d+\))?$",
     re.MULTILINE,
 )
-"""A line of a disassembly: an instruction, a function, or the source of what follows."""
+"""Matches a line of a disassembly: an instruction, the name of a function, or the line of the source that the
+instructions below it come from."""
 _COMMON = ("-std=c99", "-ffunction-sections", "-fdata-sections", "-fstack-usage", "-g", "-Wl,--gc-sections")
 _WITHOUT_LIBRARY = ("-ffreestanding", "-nostdlib", "-Wl,-Ttext=0x10000", "-Wl,-e,main")
 
@@ -78,14 +79,21 @@ TARGETS = (
 
 @dataclass(frozen=True)
 class Instruction:
-    """One line of a disassembly: address, name, operands, comment and function, and the line of the source
-    (``file.c:12``, or nothing if the line is not known)."""
+    """An instruction of a disassembly.
+
+    Attributes:
+        address: The address of the instruction.
+        name: The mnemonic.
+        operands: The text behind the mnemonic, which may end with a comment.
+        function: The name of the function that the instruction belongs to.
+        source_line: The line of the source that it comes from, such as "a.c:12", or "" if it is not known.
+    """
 
     address: int
     name: str
     operands: str
     function: str
-    place: str
+    source_line: str
 
 
 @dataclass(frozen=True)
@@ -97,7 +105,7 @@ class Image:
 
     @cached_property
     def symbols(self) -> dict[str, Symbol]:
-        """Functions and variables by name."""
+        """The symbols of the functions and variables by name."""
         with self.path.open("rb") as stream:
             table = ELFFile(stream).get_section_by_name(".symtab")
             assert isinstance(table, SymbolTableSection)
@@ -111,7 +119,7 @@ class Image:
         return int(symbol["st_value"]) & (~1 if symbol["st_info"]["type"] == "STT_FUNC" else 0x7FFFFF)
 
     def segments(self) -> Iterator[tuple[int, bytes]]:
-        """Loaded segments: address at run time, bytes."""
+        """Yield the address at run time and the bytes of each segment that is loaded."""
         with self.path.open("rb") as stream:
             for segment in ELFFile(stream).iter_segments("PT_LOAD"):
                 yield segment["p_vaddr"], segment.data()
@@ -132,27 +140,29 @@ class Image:
 
     @cached_property
     def code(self) -> list[Instruction]:
-        """The disassembly, by address."""
+        """The instructions of the disassembly in the order of their addresses."""
         instructions = []
-        function, place = "", ""
+        function, source_line = "", ""
         for line in _LINE.finditer(self._run_tool("objdump", "-d", "-l", "--no-show-raw-insn")):
             if line["function"]:
-                function, place = line["function"], ""
-            elif line["place"]:
-                place = line["place"]
+                function, source_line = line["function"], ""
+            elif line["source_line"]:
+                source_line = line["source_line"]
             else:
                 address = int(line["address"], 16)
-                instructions.append(Instruction(address, line["name"], line["operands"], function, place))
+                instructions.append(
+                    Instruction(address, line["name"], line["operands"], function, source_line)
+                )
         return instructions
 
     @cached_property
     def frames(self) -> dict[str, int]:
-        """Stack of every function in bytes, as the compiler reports it. Its own library is not included."""
+        """The bytes of stack of each function as the compiler reports them. Its library reports none."""
         frames: dict[str, int] = {}
         for file in self.path.parent.glob("*.su"):
             for line in file.read_text(encoding="utf-8").splitlines():
-                place, size, kind = line.rsplit("\t", 2)
-                name = CLONE.sub("", place.rsplit(":", 1)[1])
+                location, size, kind = line.rsplit("\t", 2)
+                name = CLONE.sub("", location.rsplit(":", 1)[1])
                 if kind not in ("static", "dynamic,bounded"):
                     raise ValueError(f"{file.name}: the stack of {name} has no bound ({kind})")
                 frames[name] = max(frames.get(name, 0), int(size))
@@ -174,7 +184,7 @@ def build(target: Target, folder: Path, sources: Iterable[Path], *flags: str) ->
 
 AVR = TARGETS[0]
 KILOBOT_CLOCK, KILOBOT_BAUD = 8_000_000, 38_400
-"""Hertz, and the speed of its serial line: 115200 is out of an 8 MHz UART's reach."""
+"""The clock of a Kilobot in hertz, and the baud rate of its serial line: at 8 MHz 115200 is out of reach."""
 
 
 def kilobot_image(folder: Path, *flags: str) -> Image:

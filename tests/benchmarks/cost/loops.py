@@ -23,18 +23,22 @@ from scipy.sparse.csgraph import connected_components  # type: ignore[import-unt
 
 _STATEMENT = re.compile(r"\b(?:for|while) \(.*/\* (?:at most )?(\d+) turns(?:, (\d+) in all)?")
 _CALLER = -1
-"""Number of a node before the first instruction: the call enters the graph from there, once."""
+"""The number of a node before the first instruction. A call enters the graph from this node, once."""
 
 Graph = Mapping[int, Iterable[int]]
-"""Which instructions may follow each instruction of a function, by their numbers."""
+"""For the number of each instruction of a function, the numbers of the instructions that may follow it."""
 Edge = tuple[int, int]
 """The numbers of an instruction and of one that may follow it."""
 
 
 @dataclass(frozen=True)
 class Bound:
-    """How often a loop turns: at most ``turns`` times whenever it is entered, and at most ``in_all`` times in
-    a call of the function, if that is known to be fewer."""
+    """The bound that the source states for a loop.
+
+    Attributes:
+        turns: How often the loop turns at most, each time that it is entered.
+        in_all: How often it turns at most in a whole call of the function, or None if nothing is stated.
+    """
 
     turns: int
     in_all: int | None
@@ -42,14 +46,22 @@ class Bound:
 
 @dataclass(frozen=True)
 class Loop:
-    """Instructions from each of which every other one can be reached, and those at which they are entered."""
+    """A loop of a graph.
+
+    Attributes:
+        members: The numbers of its instructions. From each of them every other one can be reached.
+        entries: The members that may follow an instruction outside of the loop.
+    """
 
     members: set[int]
     entries: set[int]
 
 
 def bounds_in(sources: Iterable[Path]) -> dict[str, Bound]:
-    """Return the bounds of the loops in C sources, by place: a file's name, a colon and the line's number."""
+    """Return the bounds of the loops in C sources by their lines.
+
+    A line is a file's name, a colon and the line's number, such as "a.c:7".
+    """
     bounds = {}
     for source in sources:
         for number, line in enumerate(source.read_text(encoding="utf-8").splitlines(), 1):
@@ -62,35 +74,35 @@ def bounds_in(sources: Iterable[Path]) -> dict[str, Bound]:
 def longest_path(
     graph: Graph,
     weights: Mapping[int, int],
-    places: Mapping[int, str],
+    source_lines: Mapping[int, str],
     bounds: Mapping[str, Bound],
     start: int,
 ) -> int:
     """Return the largest possible cost of one call of a function, for any data.
 
     Args:
-        graph: The order of its instructions.
-        weights: What each of them costs, with what it calls.
-        places: The source line that each belongs to, by number.
-        bounds: Bounds of loops by their places.
-        start: The first instruction.
+        graph: The instructions that may follow each instruction of the function.
+        weights: The cost of each instruction, which includes that of the function that it calls.
+        source_lines: The line of the source that an instruction comes from, such as "a.c:7", if it is known.
+        bounds: The bounds of loops by their lines.
+        start: The number of the first instruction.
 
     Raises ValueError for a loop without a bound in the source.
     """
-    edges = [(_CALLER, start)] + [(number, after) for number in graph for after in graph[number]]
+    edges = [(_CALLER, start)] + [(number, end) for number in graph for end in graph[number]]
     origins, ends = np.array(edges).T
     # Each row of the matrix, times the numbers of takes of all edges, is at most its limit.
     rows = [1.0 * (origins == number) - (ends == number) for number in graph]
     limits = [0] * len(rows)
-    bounded_places: set[str] = set()
+    bounded_lines: set[str] = set()
     for loop in _find_loops(set(edges), edges):
-        lines = {places[number] for number in loop.members if number in places}
-        own_places = (lines & bounds.keys()) - bounded_places
-        if not own_places:
+        lines = {source_lines[number] for number in loop.members if number in source_lines}
+        lines_of_loop_bounds = (lines & bounds.keys()) - bounded_lines
+        if not lines_of_loop_bounds:
             raise ValueError(f"there is a loop without a bound in the source: {sorted(lines)}")
-        bounded_places |= own_places
+        bounded_lines |= lines_of_loop_bounds
         # Instructions of other lines may have been moved into the loop: the largest of their bounds is safe.
-        bound = max((bounds[place] for place in own_places), key=lambda bound: bound.turns)
+        bound = max((bounds[line] for line in lines_of_loop_bounds), key=lambda bound: bound.turns)
         from_inside = np.isin(origins, list(loop.members))
         entrances = np.isin(ends, list(loop.entries)) & ~from_inside
         for entry in loop.entries:
@@ -109,31 +121,34 @@ def longest_path(
 
 
 def _most_returns_to_an_entry(loop: Loop, edges: Iterable[Edge], bound: Bound) -> int:
-    """Return how often each entry of a loop is reached from inside it, whenever the loop is entered."""
+    """Return how often an entry is reached from inside the loop at most, each time it is entered."""
     if len(loop.entries) > 1:
         # A compiler may copy a loop's body, and jump between the copies. After the last turn, what is not
         # the entry that was entered may be reached once more.
         return bound.turns + 1
-    ends_of_turn = {origin for origin, after in edges if origin in loop.members and after in loop.entries}
-    exits = {origin for origin, after in edges if origin in loop.members and after not in loop.members}
+    ends_of_turn = {origin for origin, end in edges if origin in loop.members and end in loop.entries}
+    exits = {origin for origin, end in edges if origin in loop.members and end not in loop.members}
     # A loop that can be left only at the end of a turn never begins a turn in vain.
     return bound.turns - 1 if exits <= ends_of_turn else bound.turns
 
 
 def _find_loops(edges: set[Edge], all_edges: Iterable[Edge]) -> list[Loop]:
-    """Return the loops that some edges of a graph form, each behind the loops inside it."""
+    """Return the loops that ``edges`` form, where a loop stands behind those inside it.
+
+    ``all_edges`` are those of the whole graph, by which a loop is entered.
+    """
     numbers = sorted({number for edge in edges for number in edge})
     index_of = {number: index for index, number in enumerate(numbers)}
     matrix = np.zeros((len(numbers), len(numbers)), bool)
-    for origin, after in edges:
-        matrix[index_of[origin], index_of[after]] = True
+    for origin, end in edges:
+        matrix[index_of[origin], index_of[end]] = True
     _count, labels = connected_components(csr_array(matrix), connection="strong")
     loops = []
     for label in np.unique(labels):
         members = {number for number in numbers if labels[index_of[number]] == label}
-        inner_edges = {(origin, after) for origin, after in edges if origin in members and after in members}
+        inner_edges = {(origin, end) for origin, end in edges if origin in members and end in members}
         if inner_edges:  # else it is a single instruction that does not follow itself
-            entries = {after for origin, after in all_edges if after in members and origin not in members}
+            entries = {end for origin, end in all_edges if end in members and origin not in members}
             loops += _find_loops({edge for edge in inner_edges if edge[1] not in entries}, all_edges)
             loops.append(Loop(members, entries))
     return loops

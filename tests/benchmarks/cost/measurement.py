@@ -18,7 +18,7 @@ from .robots import UPDATED, ObservedCall, Robot
 TICK_CALLS = ("observe", "receive", "settle", "step", "x")
 STACK_CALLS = (*TICK_CALLS, "init", "save", "restore", "invariants_hold")
 SEED, SAMPLES = 1, 10
-"""Of the random situations, and how many of them there are for a robot of each age."""
+"""The seed of the random situations, and how often two of them are drawn for a robot of each age."""
 _SYMBOL_OF_PROGRAM = re.compile(r"(main|config|mcp_asdf_t_table_\w+)$")
 
 
@@ -27,9 +27,9 @@ class Build:
     """A build of the firmware.
 
     Attributes:
-        name: As the tables show it.
-        flags: Which filters it has.
-        filter: The filter of its robot.
+        name: The name that the tables show.
+        flags: The compiler's flags that choose the filters of the build.
+        filter: The filter with which its robot is measured.
     """
 
     name: str
@@ -45,15 +45,15 @@ BUILDS = (PAPER, ROBUST, BOTH)
 
 @dataclass
 class Figures:
-    """Cost of a build on a target at a level.
+    """The cost of a build on a target at a level of optimisation.
 
     Attributes:
-        observed_calls: All calls of the robot.
-        bound: The longest path of a call through the machine code; not on an AVR. In a "step" the filter is
-            not due.
-        stack: Bytes by function.
-        code: Bytes of flash of init, observe, receive, settle and x, and of all functions.
-        ram: Bytes of a robot.
+        observed_calls: All calls of the robot, each with its cost.
+        bound: The number of instructions on the longest path through the machine code, by the kind of call.
+            In a call of the kind "step" the filter is not due. An AVR has no bounds.
+        stack: The bytes of stack that a call of a function needs at most, by the function's name.
+        code: The bytes of flash of init, observe, receive, settle and x, and those of all functions.
+        ram: The bytes of RAM of a robot.
     """
 
     observed_calls: list[ObservedCall]
@@ -63,7 +63,10 @@ class Figures:
     ram: int
 
     def largest(self, kind: str, unit: str = "instructions") -> int:
-        """Return the largest cost of a call of this kind: "instructions", "cycles" (on an AVR) or "stack"."""
+        """Return the largest cost of a call of this kind, in "instructions", "cycles" or "stack".
+
+        Cycles are known of an AVR only, and "stack" is in bytes.
+        """
         return max(int(getattr(call.cost, unit)) for call in self.observed_calls if call.kind == kind)
 
     def tick_stack(self) -> int:

@@ -34,7 +34,7 @@ class Paths:
         self._functions: dict[str, list[int]] = defaultdict(list)
         for number, line in enumerate(image.code):
             self._functions[line.function].append(number)
-        self._places = {number: line.place for number, line in enumerate(image.code)}
+        self._source_lines = {number: line.source_line for number, line in enumerate(image.code)}
         self._loop_bounds = bounds_in(sorted(FIRMWARE.glob("*.[ch]")))
 
     def longest(self, name: str, without: str = "") -> int:
@@ -60,7 +60,7 @@ class Paths:
                 weights[number] = 1
                 if called is not None:
                     weights[number] += count(called, (*callers, start))
-            most = longest_path(graph, weights, self._places, self._loop_bounds, start)
+            most = longest_path(graph, weights, self._source_lines, self._loop_bounds, start)
             most_instructions[start] = most
             return most
 

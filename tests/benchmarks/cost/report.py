@@ -1,4 +1,4 @@
-"""The tables of docs/internals/cost.md and of the README, from what was measured."""
+"""Makes the tables of docs/internals/cost.md and of the README from the figures that were measured."""
 
 from __future__ import annotations
 
@@ -8,21 +8,21 @@ from .robots import UPDATED
 
 README, PAGE = ROOT / "README.md", ROOT / "docs/internals/cost.md"
 FLASH, RAM = 32 * 1024, 2 * 1024
-"""Bytes of an ATmega328P."""
+"""The bytes of flash and of RAM that an ATmega328P has."""
 CHIPS = {"ATmega328P": 8, "Cortex-M0+": 48, "Cortex-M4": 64}
 """The targets of the README's table, and the megahertz at which it has their times."""
 NEIGHBOURS = 10
 """How many neighbours a robot of the README's table hears in a round."""
 CYCLES_PER_INSTRUCTION = 2
-"""Assumed for a Cortex-M, whose instructions alone are counted."""
+"""The cycles that an instruction of a Cortex-M is assumed to take. Only its instructions are counted."""
 Measurements = dict[tuple[str, str, Build], Figures]
-"""What was measured, by the names of target and level and by the build."""
+"""The figures of each build that was measured. The key has the target's name, the level and the build."""
 Row = dict[str, str | int]
-"""Cells by the titles of their columns."""
+"""The cells of a row of a table by the titles of their columns."""
 
 
 def sections(measurements: Measurements) -> dict[str, str]:
-    """Return the tables by the names under which they stand in the pages."""
+    """Return the tables by the names of the pages' sections that they stand in."""
     memory, calls = [], []
     for (target, level, build), figures in measurements.items():
         name = f"{target} {level}, {build.name}"
@@ -33,12 +33,12 @@ def sections(measurements: Measurements) -> dict[str, str]:
 
 
 def compilers() -> str:
-    """Return the sentence with the versions of the compilers, of which the tables are."""
+    """Return the sentence that names the compilers of the tables and their versions."""
     return f"The compilers are {', '.join(sorted({target.version() for target in TARGETS}))}."
 
 
 def chip_row(name: str, figures: Figures) -> Row:
-    """Return the row of the README's table for a chip: what a robot with the robust filter takes there."""
+    """Return the row of the README's table that has what a robot with the robust filter takes on a chip."""
     calls = {"step": 1, "receive": NEIGHBOURS, "x": 1}
     observation = sum(number * _microseconds(name, figures, call) for call, number in calls.items())
     return {

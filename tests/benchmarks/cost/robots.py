@@ -13,18 +13,27 @@ from .machines import Argument, Cost, Machine
 OWN_ID = 5
 SHORT, TESTED, UPDATED = "step, filter due, m < 2", "step with test", "step with test and update"
 NEVER, MEMORY = 2**31, 2**31
-"""A filtering period that no run reaches; the longest memory."""
+"""A filter period that no run reaches, and the longest memory that a robot may have."""
 ROUNDS = (1, 2, 4, 8, 16, 32, 64, 96, 127)
-"""Messages in the rounds that are looked at one by one."""
+"""The numbers of messages in the rounds whose end is measured by itself."""
 _ONE = 2**23
 
 Message = tuple[int, int, int]
-"""Sender, x_hat in units of 2**-23, alpha as the firmware's word."""
+"""A sender's id, its x_hat in units of 2**-23, and its alpha as the firmware's word."""
 
 
 @dataclass(frozen=True)
 class Situation:
-    """A robot before an observation: b_hat (unit 2**-32), memory, t, n, open round, and what it sees next."""
+    """The state of a robot, and what happens to it next.
+
+    Attributes:
+        b_hat: Its b_hat in units of 2**-32.
+        memory: The number of observations at which t and n are halved.
+        t: The number of its observations.
+        n: The number of black ones among them.
+        messages: The messages that it receives in the open round.
+        observation: What it observes at the end of the round, 0 or 1.
+    """
 
     b_hat: int
     memory: int
@@ -47,7 +56,10 @@ EXPENSIVE_SITUATIONS = (
     Situation(2145728125, 266560, 266559, 133270, ((0, 2**23, 0x100), (1, 8374204, 0x100)), 1),
     Situation(2149672830, 88, 87, 43, ((0, 4200436, 0x100), (1, 4200365, 0x100), (2, 5114038, 0)), 1),
 )
-"""Results of long searches: a memory halved, b_hat beside 1/2 or at a clamp, n beside t/2 or c t."""
+"""Situations that long searches for the largest cost have found.
+
+In them t and n are halved, b_hat is beside 1/2 or at an end of its range, or n is beside t/2 or c t.
+"""
 
 
 def situation(rng: random.Random, messages: int, t: int) -> Situation:
@@ -108,7 +120,14 @@ def senders(count: int) -> list[int]:
 
 @dataclass(frozen=True)
 class ObservedCall:
-    """A call: the function or kind of step, observations and messages before it, and its cost."""
+    """A call of the firmware that was measured.
+
+    Attributes:
+        kind: The name of the function, or the kind of a step in which the filter was due.
+        t: The number of observations before the call.
+        m: The number of messages that the round had before the call.
+        cost: The cost of the call.
+    """
 
     kind: str
     t: int
@@ -120,9 +139,9 @@ class Robot:
     """The robot of an image.
 
     Attributes:
-        machine: Where it runs.
-        filter: The filter of its config.
-        observed_calls: All calls so far.
+        machine: The processor that the image runs on.
+        filter: The filter of the robot's configuration.
+        observed_calls: All calls of the robot so far.
     """
 
     def __init__(self, machine: Machine, filter: Filter) -> None:
