@@ -14,11 +14,10 @@ from pathlib import Path
 
 import pytest
 
+from paper_figures import REPRODUCE, rows_by_figure_of_the_paper
 from support import FENCED, PATH, ROOT, block_with, blocks, names_in, run
 
-TUTORIAL, GUIDE, REPRODUCE = (
-    ROOT / f"docs/{name}.md" for name in ("experiment_tutorial", "experiments", "reproduce")
-)
+TUTORIAL, GUIDE = ROOT / "docs/experiment_tutorial.md", ROOT / "docs/experiments.md"
 CLUSTER = re.compile("dask|tcp://")
 """A cluster's commands want several machines: tests/host_tools/experiments/test_sweep_cluster.py."""
 
@@ -148,27 +147,6 @@ def test_the_command_with_the_reader_s_own_filter_on_the_page_about_the_paper_s_
 # --- The paper's figures ---------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class PaperFigures:
-    """A row of the page's table: a command, and the pictures that it makes like figures of the paper."""
-
-    command: str
-    pictures: set[str]
-
-
-def rows_by_figure_of_the_paper() -> dict[str, PaperFigures]:
-    """Return the rows of the page's table, by the number of the paper's figure or "all".
-
-    A row is a line: | figure | `command` | `picture`, `picture` |.
-    """
-    page = REPRODUCE.read_text("utf-8")
-    rows = re.findall(r"^\| ([^|]+) \| `([^`]+)` \| ([^|]+) \|", page, re.MULTILINE)
-    return {
-        figures: PaperFigures(command, set(re.findall(r"`([^`]+)`", pictures)))
-        for figures, command, pictures in rows
-    }
-
-
 def test_the_page_about_the_paper_s_figures_has_a_command_for_each_of_them_and_for_all() -> None:
     """A row of its table has the number of a figure, or "all", and the command that makes it."""
     rows = rows_by_figure_of_the_paper()
@@ -185,7 +163,7 @@ def test_the_command_for_figure_8_of_the_paper_makes_its_pictures(tmp_path: Path
 
     run(*shlex.split(row.command), *SHORT_RUN_OPTIONS, cwd=tmp_path, **ENVIRONMENT)
 
-    assert row.pictures <= set(names_in(tmp_path / "reproduction/figures"))
+    assert set(row.pictures) <= set(names_in(tmp_path / "reproduction/figures"))
 
 
 @pytest.mark.slow

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -15,7 +14,7 @@ from mcp_asdf_tools.experiments.plots import boxes, scatter, series
 from mcp_asdf_tools.studies.cells import StudyPart, StudySize, cells_of, experiment_of, users_experiments_of
 from mcp_asdf_tools.studies.figures import Picture, draw_pictures
 from mcp_asdf_tools.studies.study_results import StudyResults
-from support import ROOT
+from paper_figures import rows_by_figure_of_the_paper
 
 SHORT_STUDY = StudySize(trials=2, steps=100)
 
@@ -136,15 +135,15 @@ def test_titles_of_pictures_have_the_number_of_the_papers_figure_that_docs_repro
     The title of a picture ends in a text such as "(the paper's figure 3a)". The page's last row, of all
     figures, is left out.
     """
-    page = (ROOT / "docs/reproduce.md").read_text(encoding="utf-8")
-    rows = re.findall(r"^\| (\d) \| .* \| (`.*`) \| \d+ \|$", page, re.MULTILINE)
-    assert [figure for figure, _pictures in rows] == ["3", "4", "5", "6", "8"]
-    for figure, pictures in rows:
-        names = re.findall(r"`([^`]+)\.png`", pictures)
+    rows = rows_by_figure_of_the_paper()
+    assert list(rows) == ["3", "4", "5", "6", "8", "all"]
+    del rows["all"]
+    titles = {f"{picture.name}.png": picture.title for picture in pictures_of(*StudyPart).values()}
+    for figure, row in rows.items():
         # Where a figure of the paper has two parts as pictures, these are "a" and "b".
-        numbers = [figure] if len(names) == 1 else [f"{figure}a", f"{figure}b"]
-        for name, number in zip(names, numbers, strict=True):
-            assert pictures_of(*StudyPart)[name].title.endswith(f" (the paper's figure {number})")
+        numbers = [figure] if len(row.pictures) == 1 else [f"{figure}a", f"{figure}b"]
+        for file_name, number in zip(row.pictures, numbers, strict=True):
+            assert titles[file_name].endswith(f" (the paper's figure {number})")
 
 
 ALL_PERIODS = {1000, 2000, 4000}
