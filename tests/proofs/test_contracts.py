@@ -124,16 +124,27 @@ def test_the_reciprocal_of_every_divisor_is_as_good_as_the_proofs_assume(divide:
 
 # --- Loops -------------------------------------------------------------------------------------------------
 
-FIRMWARE = (CORE, SOURCES / "mcp_asdf_image.c", SOURCES / "mcp_asdf_frame.c", SOURCES / "mcp_asdf_small.c")
+FIRMWARE = (
+    CORE,
+    SOURCES / "mcp_asdf_robust.h",
+    *(SOURCES / f"mcp_asdf_{part}.c" for part in ("image", "frame", "small")),
+)
+"""The firmware, but for the arithmetic, whose contracts say that its loops end."""
 LIMITS = {
     ("is_valid_table", "hash_index"): (0, 129),
     ("mcp_asdf_x_hat_from_code", "bits"): (1, 23),  # what its header asks of a caller
+    # The number of estimates kept is that of sort_estimates(), which counts once in each of 32 turns at most.
+    **{(name, "count"): (0, 32) for name in ("median_distance", "huber_step", "is_supported")},
+    ("sort_estimates", "i"): (0, 31),  # the count before it is incremented
 }
-"""Lowest and highest value of what counters are compared with or start from, by function and variable."""
-REQUIREMENTS = {"long_code_from_alpha": lambda alpha: z3.LShR(alpha, 8) != 0}
-"""What must hold of a function's argument for its loop to end, by the function's name.
+"""The lowest and the highest value of a variable that a loop's counter starts from or is compared with.
 
-The function's callers see to it.
+The key has the names of the function and of the variable.
+"""
+REQUIREMENTS = {"long_code_from_alpha": lambda alpha: z3.LShR(alpha, 8) != 0}
+"""The condition under which a function's loop ends, by the function's name.
+
+A condition takes the term of the function's argument. The function's callers see to it.
 """
 
 
@@ -148,11 +159,15 @@ def prove_ends(code: Program, name: str, loop: Any) -> None:
         return
 
     def execute_empty_loop(machine: Machine) -> None:
+        names_in_condition = {identifier.name for identifier in nodes(loop.cond, c_ast.ID)}
         for declaration in nodes(code.functions[name], c_ast.Decl):
-            if (name, declaration.name) in LIMITS:
-                lowest, highest = LIMITS[name, declaration.name]
-                value = machine.fresh_value(declaration.type, declaration.name)
-                machine.declare(declaration.name, declaration.type, value)
+            limits = LIMITS.get((name, declaration.name))
+            if limits is None and declaration.name not in names_in_condition:
+                continue
+            value = machine.fresh_argument(declaration)
+            machine.declare(declaration.name, declaration.type, value)
+            if limits is not None:
+                lowest, highest = limits
                 machine.facts.append(z3.And(z3.UGE(value.term, lowest), z3.ULE(value.term, highest)))
         machine.execute(c_ast.For(loop.init, loop.cond, loop.next, c_ast.EmptyStatement(), loop.coord))
 
