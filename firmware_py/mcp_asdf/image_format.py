@@ -35,6 +35,11 @@ def image_size(filter_number: int) -> int:
     return 4 * image_word_count(filter_number)
 
 
+def unpack_image(image: bytes) -> list[int]:
+    """Return the words of an image, or of the beginning of one. Its length must be a multiple of 4 bytes."""
+    return [word for (word,) in struct.iter_unpack("<I", image)]
+
+
 def first_image_word(filter_number: int) -> int:
     """Return the first word of an image of a robot with this filter, a number of `Filter`."""
     robust_bit = ROBUST_IMAGE if filter_number == Filter.ROBUST else 0
@@ -60,9 +65,9 @@ def find_image_error(image: bytes, filter_number: int) -> str | None:
         is_robust = bool(first_word & ROBUST_IMAGE)
         other_filter = "the robust filter" if is_robust else "a filter other than the robust one"
         return f"the image is that of a robot with {other_filter}; restore it with that"
-    image_words = [word for (word,) in struct.iter_unpack("<I", image)]
-    *checked_words, stated_checksum = image_words
-    has_right_length = len(image_words) == image_word_count(filter_number)
+    words = unpack_image(image)
+    *checked_words, stated_checksum = words
+    has_right_length = len(words) == image_word_count(filter_number)
     if not has_right_length or checksum(checked_words) != stated_checksum:
         return "the image is damaged"
     return None

@@ -49,6 +49,7 @@ from mcp_asdf.image_format import (
     IMPOSSIBLE_STATE,
     find_image_error,
     first_image_word,
+    unpack_image,
 )
 from mcp_asdf.robot import (
     MAX_ID,
@@ -877,8 +878,7 @@ class MirrorRobot(FixedPointView):
             image += _ROUNDS.pack(*astuple(s.closed), *astuple(s.open))
         counters = (s.accepted, s.repeated, s.rejected, s.tests, s.updates)
         image += _ENDING.pack(*s.heard, *counters, s.updated, s.id)
-        image_words = [word for (word,) in _CHECKSUM.iter_unpack(image)]
-        return image + _CHECKSUM.pack(checksum(image_words))
+        return image + _CHECKSUM.pack(checksum(unpack_image(image)))
 
     @classmethod
     def restore(cls, config: Config, image: bytes) -> MirrorRobot:

@@ -11,11 +11,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from mcp_asdf.image_format import unpack_image
 from mcp_asdf.mirror import MirrorRobot
 from mcp_asdf.native import NativeRobot
 from mcp_asdf.robot import Config, Counters, Filter, FirmwareError, Observation, Robot, Status
 from mcp_asdf.table import MAX_OMEGA_WORD, Table, TableError, checksum
-from mcp_asdf_tools.crosscheck.scenario import Call, edit_image, unpack_image
+from mcp_asdf_tools.crosscheck.scenario import Call, edit_image
 from robots import (
     ALPHA_MAX,
     ALPHA_ONE,

@@ -22,6 +22,7 @@ import struct
 from functools import cache
 from pathlib import Path
 
+from mcp_asdf.image_format import unpack_image
 from mcp_asdf.mirror import MirrorRobot
 from mcp_asdf.robot import Config, FirmwareError, Status
 from mcp_asdf_tools.crosscheck.random_scenarios import random_scenario
@@ -33,7 +34,6 @@ from mcp_asdf_tools.crosscheck.scenario import (
     TableChoice,
     edit_image,
     make_call,
-    unpack_image,
 )
 
 HERE = Path(__file__).parent

@@ -7,6 +7,7 @@ from dataclasses import asdict, dataclass
 from functools import partial
 from typing import Any, Protocol
 
+from mcp_asdf.image_format import unpack_image
 from mcp_asdf.robot import Config, FirmwareError, FixedPointRobot, Status
 from mcp_asdf_tools.crosscheck.checked_filters import CHECKED_FILTERS, CheckedFilter
 from mcp_asdf_tools.crosscheck.scenario import (
@@ -18,7 +19,6 @@ from mcp_asdf_tools.crosscheck.scenario import (
     State,
     edit_image,
     make_call,
-    unpack_image,
 )
 
 

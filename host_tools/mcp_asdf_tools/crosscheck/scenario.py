@@ -15,7 +15,7 @@ import struct
 from dataclasses import dataclass, replace
 from typing import cast
 
-from mcp_asdf.image_format import image_word_count
+from mcp_asdf.image_format import image_word_count, unpack_image
 from mcp_asdf.robot import Config, Filter, FixedPointRobot, Observation, Status
 from mcp_asdf.table import Table, checksum
 from mcp_asdf_tools.common.errors import UsageError
@@ -264,12 +264,6 @@ def _parse_integer(text: str, item: str) -> int:
 
 
 # --- Calls ---
-
-
-def unpack_image(image: bytes) -> list[int]:
-    """Return the image of a saved robot as words of 32 bits. The last one is a checksum."""
-    word_count = len(image) // 4
-    return list(struct.unpack(f"<{word_count}I", image))
 
 
 def edit_image(image: bytes, call: Call) -> bytes:
