@@ -352,17 +352,20 @@ def send_unusual_commands(bench: Bench) -> None:
         bench.wait_for_round_without_test(rounds=2)
         bench.activity = f"commands {name}"
         observe_action = Action.to_observe(bench.draw_observation())
-        unusual_observe = _encode(bench, bench.make_command(observe_action))
-        change_command(unusual_observe, bench.rng)
-        bench.send([unusual_observe])
+        _send_changed_command(bench, observe_action, change_command)
         bench.observe(None)  # the usual command, which must not undo the observation
         _send_random_estimates(bench, bench.other_ids[:2])
-        unusual_settle = _encode(bench, bench.make_command(Action.SETTLE))
-        change_command(unusual_settle, bench.rng)
-        bench.send([unusual_settle])
+        _send_changed_command(bench, Action.SETTLE, change_command)
         _send_random_estimates(bench, bench.other_ids[2:3])
         bench.settle_and_compare()
     _let_tick_number_jump(bench)
+
+
+def _send_changed_command(bench: Bench, action: Action, change_command: ChangeFrame) -> None:
+    """Send the controller a command with this action, whose frame has been changed."""
+    frame = _encode(bench, bench.make_command(action))
+    change_command(frame, bench.rng)
+    bench.send([frame])
 
 
 def _unusual_commands(bench: Bench) -> Iterator[tuple[str, ChangeFrame]]:
