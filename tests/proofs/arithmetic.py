@@ -18,8 +18,11 @@ from proofs.prove import Contract, Formula
 from proofs.source import BITS, HARDWARE, LANES, TABLE, Variant
 
 RECIPROCAL_LIMITS = {TABLE: (2**30, Fraction(710, 1000)), LANES: (2**29, Fraction(252, 1000))}
-"""The least divisor that prepare() is given, and how much of it 2^46 / d may be too small, in units of 2^-13;
-the solver takes this for granted, and ``every_divisor.c`` tries all divisors."""
+"""By the way to divide, the least divisor that prepare() is given, and by how much its result may be smaller
+than 2^46 / d, as a share of that quotient in units of 2^-13.
+
+The solver takes these limits for granted. ``every_divisor.c`` tries all divisors, d.
+"""
 
 
 def zero_extend(word: Any, bits: int = 64) -> Any:
