@@ -5,17 +5,19 @@ Neither shows positions or which robot receives from which, so the histories hav
 
 from __future__ import annotations
 
+import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 import can
+import numpy as np
 
-from mcp_asdf_tools.bus.frames import FrameFormat, decode_frame
+from mcp_asdf_tools.bus.frames import Estimate, FrameFormat, Telemetry, decode_frame
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.recording.frame_logs import LogSummary, read_log
-from mcp_asdf_tools.view.history import History, RunDescription
+from mcp_asdf_tools.view.history import NO_LINKS, History, RunDescription, State
 from mcp_asdf_tools.view.roster import Roster
 
 STATES_PER_SECOND = 10
@@ -52,8 +54,9 @@ class FrameRecorder:
         self.history = History(
             RunDescription(title, robots=[], fill_ratio=truth.fill_ratio, steps_per_second=STATES_PER_SECOND)
         )
-        self.roster = Roster(truth.true_accuracy)
+        self.roster = Roster()
         self._frame_format = frame_format
+        self._true_accuracy = math.nan if truth.true_accuracy is None else truth.true_accuracy
         self._next_tick = 0
 
     def receive(self, frame: can.Message, now: float) -> None:
@@ -62,11 +65,11 @@ class FrameRecorder:
         A robot is added to the history when its first values come, in O(states).
         """
         self.add_states(now)
-        self.roster.receive(frame, decode_frame(frame, self._frame_format), now)
-        # History and roster list robots in the same order, so those behind the history's are the new ones.
-        robots_in_history = len(self.history.description.robots)
-        for new_robot_id in self.roster.ids_with_values[robots_in_history:]:
-            self.history.add_robot(new_robot_id)
+        content = decode_frame(frame, self._frame_format)
+        self.roster.receive(frame, content, now)
+        known_ids = self.history.description.robots
+        if isinstance(content, Estimate | Telemetry) and content.sender not in known_ids:
+            self.history.add_robot(content.sender)
 
     def add_states(self, now: float) -> None:
         """Add the states of all ticks before ``now`` that the history keeps and that are missing."""
@@ -74,17 +77,36 @@ class FrameRecorder:
             self._next_tick = int(now * STATES_PER_SECOND)
         while self._next_tick / STATES_PER_SECOND < now:
             # This also moves the next tick on.
-            self.add_state(self._next_tick / STATES_PER_SECOND)
+            self._add_next_state(self._next_tick / STATES_PER_SECOND)
 
-    def add_state(self, now: float) -> None:
-        """Add the state of the next tick, with the robots' values at ``now``, if there are robots."""
+    def finish(self, now: float) -> None:
+        """End the history: add all missing states, a last one with the latest values, and a report."""
+        self.add_states(now)
+        self._add_next_state(now)
+        self.history.report = self.roster.report(now)
+        self.history.has_ended = True
+
+    def _add_next_state(self, now: float) -> None:
+        """Add a state with the values at ``now``, if there are robots, and move the next tick on."""
         if self.history.description.robots:
-            self.history.add(self.roster.make_state(self._next_tick, now))
+            self.history.add(self._make_state(now))
         # The history keeps the multiples of its spacing, which grows with the number of states. So the next
         # tick is the first multiple above the present one.
         spacing = self.history.ticks_between_states
         multiples_passed = self._next_tick // spacing
         self._next_tick = (multiples_passed + 1) * spacing
+
+    def _make_state(self, now: float) -> State:
+        """Return the state of the next tick, with the robots' values at ``now``.
+
+        It has neither links nor positions, as no frame shows them.
+        """
+        values_by_robot = []
+        for robot_id in self.history.description.robots:
+            x, x_hat, b_hat = self.roster.robots[robot_id].values(now)
+            values_by_robot.append([x, x_hat, b_hat, self._true_accuracy])
+        # A state has a row for each of the four quantities, and a column for each robot.
+        return State(self._next_tick, np.transpose(values_by_robot), NO_LINKS, positions=None)
 
 
 def record_bus(bus: can.BusABC, recorder: FrameRecorder, should_stop: Callable[[], bool]) -> None:
@@ -120,28 +142,38 @@ def read_frame_log(
     its times span nothing or more than a year.
     """
     recorder = FrameRecorder(log.name, frame_format, truth)
-    start_time: float | None = None
-    now = 0.0
-    for frame in read_log(log, channel, summary):
-        if start_time is None:
-            start_time = frame.timestamp
-        # Frames of two buses may be out of order in a log, but the time of a history must not go back.
-        now = max(now, frame.timestamp - start_time)
-        if now >= _MAX_LOG_SECONDS:
-            raise _span_error(log, now)
+    end_time = 0.0
+    for frame, now in _read_timed_frames(log, channel, summary):
         recorder.receive(frame, now)
-    if not recorder.roster.ids_with_values:
+        end_time = now
+    if not recorder.history.description.robots:
         raise UsageError(
             f"{log} has no estimate and no telemetry of a robot, so there is nothing to see; is --subject "
             "right?"
         )
-    if now == 0:
-        raise _span_error(log, now)
-    recorder.add_states(now)
-    recorder.add_state(now)  # with what the last frames said
-    recorder.history.report = recorder.roster.report(now)
-    recorder.history.has_ended = True
+    if end_time == 0:
+        raise _span_error(log, end_time)
+    recorder.finish(end_time)
     return recorder
+
+
+def _read_timed_frames(
+    log: Path, channel: str | None, summary: LogSummary
+) -> Iterator[tuple[can.Message, float]]:
+    """Yield the frames of a log, each with the seconds since the first frame, which never get fewer.
+
+    Raises UsageError if the log cannot be read, or if its times span more than a year.
+    """
+    first_time: float | None = None
+    now = 0.0
+    for frame in read_log(log, channel, summary):
+        if first_time is None:
+            first_time = frame.timestamp
+        # Frames of two buses may be out of order in a log, but the time of a history must not go back.
+        now = max(now, frame.timestamp - first_time)
+        if now >= _MAX_LOG_SECONDS:
+            raise _span_error(log, now)
+        yield frame, now
 
 
 def _span_error(log: Path, seconds: float) -> UsageError:

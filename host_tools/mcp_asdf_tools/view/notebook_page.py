@@ -13,9 +13,8 @@ from mcp_asdf_tools.common.extras import naming_extras
 from mcp_asdf_tools.common.files import write_atomically
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.results import select_experiments, single_experiment
-from mcp_asdf_tools.experiments.trials import run_trials
 from mcp_asdf_tools.view.page import make_page
-from mcp_asdf_tools.view.run_histories import recompute_trial_history
+from mcp_asdf_tools.view.run_histories import recompute_trial_history, run_trial_history
 
 
 @dataclass(frozen=True)
@@ -49,10 +48,8 @@ def show(results: Any, *, trial: int = 0, where: Mapping[str, Any] | None = None
     if trial < 0:
         raise UsageError(f"trial is {trial}; give 0 or more")
     if isinstance(results, Experiment):
-        trials = run_trials(results, first=trial, trials=1)
-    else:
-        from mcp_asdf_tools.experiments.result_tables import experiments_in  # noqa: PLC0415 (pyarrow is slow)
+        return NotebookPage(make_page(run_trial_history(results, trial)))
+    from mcp_asdf_tools.experiments.result_tables import experiments_in  # noqa: PLC0415 (pyarrow is slow)
 
-        trials = single_experiment(select_experiments(experiments_in(results), where or {}))
-    history = recompute_trial_history(trials, trial)
-    return NotebookPage(make_page(history))
+    trials = single_experiment(select_experiments(experiments_in(results), where or {}))
+    return NotebookPage(make_page(recompute_trial_history(trials, trial)))

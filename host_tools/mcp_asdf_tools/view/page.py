@@ -60,14 +60,10 @@ class PageAdditions:
 
 def assemble_page(content: object, additions: PageAdditions = PageAdditions()) -> str:
     """Return the page, and ``additions`` to it, with ``content`` as JSON: HTML that needs no other file."""
-    # Scripts import each other as view/NAME.
-    view_scripts = {f"view/{path.stem}": _read_file(path.name) for path in sorted(_FOLDER.glob("*.js"))}
-    scripts = view_scripts | dict(additions.scripts)
-    script_urls = {name: _encode_script_url(script) for name, script in scripts.items()}
     content_by_placeholder = {
         "__POLICY__": additions.script_policy,
         "__STYLE__": _read_file("uplot/uPlot.min.css") + _read_file("page.css") + additions.style,
-        "__MODULES__": json.dumps({"imports": script_urls}),
+        "__MODULES__": json.dumps({"imports": _encode_scripts(additions.scripts)}),
         "__ENTRY_SCRIPT__": additions.entry_script,
         "__UPLOT_LICENSE__": _read_file("uplot/LICENSE"),
         "__UPLOT__": _read_file("uplot/uPlot.iife.min.js"),
@@ -87,12 +83,17 @@ def _read_file(name: str) -> str:
     return (_FOLDER / name).read_text(encoding="utf-8")
 
 
-def _encode_script_url(script: str) -> str:
-    """Return a URL that contains a script, since a page opened as a file may load no other files.
+def _encode_scripts(further_scripts: Mapping[str, str]) -> dict[str, str]:
+    """Return the URLs of the page's scripts and of further ones, by name; they import each other by name.
 
-    Most characters of a script may stand in such a URL as they are, which is shorter than base64.
+    A URL contains its script, since a page opened as a file may load no other files. Most characters of a
+    script may stand in such a URL as they are, which is shorter than base64.
     """
-    return "data:text/javascript;charset=utf-8," + quote(script, safe=_SAFE_IN_DATA_URL)
+    view_scripts = {f"view/{path.stem}": _read_file(path.name) for path in sorted(_FOLDER.glob("*.js"))}
+    urls = {}
+    for name, script in (view_scripts | dict(further_scripts)).items():
+        urls[name] = "data:text/javascript;charset=utf-8," + quote(script, safe=_SAFE_IN_DATA_URL)
+    return urls
 
 
 # --- Histories as JSON --------------------------------------------------------------------------------
@@ -131,34 +132,41 @@ def encode_states(states: Sequence[State], description: RunDescription) -> dict[
     state (32 bits each), then receiver and sender of each link (differences of 16 bits from link to link).
     """
     ticks = np.array([state.tick for state in states], "<u4")
-    sections = [ticks.tobytes()]
-    values = np.stack([state.values for state in states])  # of shape (states, quantities, N)
-    for quantity in range(len(QUANTITIES)):
-        sections.append(_encode_series(values[:, quantity]))
+    sections = [ticks.tobytes(), *_encode_quantities(states)]
     if description.sides is not None:
-        # Where robots move, every state has positions: the condition is for mypy alone.
-        positions = np.stack([state.positions for state in states if state.positions is not None])
-        # Metres from the middle of the arena become shares of its sides, 0 to 1 like all other values.
-        positions_in_arena = positions / np.array(description.sides) + 0.5
-        xs = positions_in_arena[:, :, 0]
-        ys = positions_in_arena[:, :, 1]
-        sections += [_encode_series(xs), _encode_series(ys)]
-    link_counts = np.array([len(state.links) for state in states], "<u4")
-    sections.append(link_counts.tobytes())
-    links = np.concatenate([state.links for state in states])  # shape (links of all states, 2)
-    sections.append(_encode_links(links))
+        sections += _encode_positions(states, description.sides)
+    sections += _encode_links(states)
     return {"count": len(states), "data": _compress_to_base64(b"".join(sections))}
 
 
-def _encode_links(links: NDArray[np.uint16]) -> bytes:
-    """Encode links, rows of receiver and sender, as 16-bit differences from link to link.
+def _encode_quantities(states: Sequence[State]) -> list[bytes]:
+    """Return the series of x, x_hat, b_hat and b, each with the values of all robots in all states."""
+    values = np.stack([state.values for state in states])  # of shape (states, quantities, N)
+    return [_encode_series(values[:, index]) for index in range(len(QUANTITIES))]
 
-    The first difference is from 0, and all are modulo 65536. Where all robots receive from each other, nearly
-    all are the same, so that they compress well.
+
+def _encode_positions(states: Sequence[State], sides: tuple[float, float]) -> list[bytes]:
+    """Return the series of x and of y, as shares of an arena with these sides in metres."""
+    # Where robots move, every state has positions: the condition is for mypy alone.
+    positions = np.stack([state.positions for state in states if state.positions is not None])
+    # Metres from the middle of the arena become shares of its sides, 0 to 1 like all other values.
+    positions_in_arena = positions / np.array(sides) + 0.5
+    xs = positions_in_arena[:, :, 0]
+    ys = positions_in_arena[:, :, 1]
+    return [_encode_series(xs), _encode_series(ys)]
+
+
+def _encode_links(states: Sequence[State]) -> list[bytes]:
+    """Return the number of links in each state, and the links of all states: receivers and senders.
+
+    Links are 16-bit differences to the link before, the first one to 0, all modulo 65536. Where all robots
+    receive from each other, nearly all are the same, so that they compress well.
     """
+    link_counts = np.array([len(state.links) for state in states], "<u4")
+    links = np.concatenate([state.links for state in states])  # of shape (links of all states, 2)
     before_first_link = np.zeros((1, 2), np.uint16)
     differences = np.diff(links, axis=0, prepend=before_first_link)
-    return differences.astype("<u2").tobytes()
+    return [link_counts.tobytes(), differences.astype("<u2").tobytes()]
 
 
 def _encode_series(values: NDArray[np.float64]) -> bytes:

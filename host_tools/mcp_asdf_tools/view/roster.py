@@ -9,13 +9,11 @@ from math import nan
 from typing import Any
 
 import can
-import numpy as np
 
 from mcp_asdf_tools.bus.alpha_words import float32_bits_from_alpha_word, float32_value
 from mcp_asdf_tools.bus.frame_layout import B_HAT_UNITS, Q23_ONE, TRANSFER_ID_MODULUS, Rejection
 from mcp_asdf_tools.bus.frames import Estimate, FrameContent, Heartbeat, Telemetry, format_frame
 from mcp_asdf_tools.robots.suspicion import AlphaWatch
-from mcp_asdf_tools.view.history import NO_LINKS, State
 
 SILENT_SECONDS = 3.0
 """Seconds without a frame after which a robot counts as silent: OpenCyphal's timeout of heartbeats."""
@@ -59,31 +57,44 @@ class RobotOnBus:
     _last_transfer_ids: dict[type, int] = field(default_factory=dict)
 
     def receive(self, content: Estimate | Heartbeat | Telemetry, now: float) -> None:
-        """Update all attributes by the content of one of the robot's frames, received at ``now``. O(1).
+        """Take the content of one of the robot's frames, which was received at ``now``. O(1).
 
-        Of all frames, those lost before it are counted, but not those lost in a silence of SILENT_SECONDS or
-        more. Of estimates, jumps of their confidence are counted, and of heartbeats, those that show a second
-        node with this id. The latest frame of each kind is kept.
+        It becomes the latest of its kind. Lost frames before it, jumps of alpha and conflicts are counted.
+        After a silence of SILENT_SECONDS, estimate, telemetry and transfer ids from before are forgotten, so
+        that no frame counts as lost in the silence.
         """
         if self.is_silent(now):
-            # In a long silence transfer ids may have wrapped around any number of times, so a gap between
-            # them says nothing. Values from before it are old.
-            self._last_transfer_ids.clear()
-            self.estimate = self.telemetry = None
+            self._forget_values()
         self.last_frame_time = now
         self._count_frame(content)
         if isinstance(content, Estimate):
-            self.estimate_times.append(now)
-            self.estimate = content
-            if self._alpha_watch.is_jump(content.sender, content.alpha):
-                self.alpha_jumps += 1
+            self._receive_estimate(content, now)
         elif isinstance(content, Heartbeat):
-            if self._shows_conflict(content):
-                self.conflicts += 1
-            self._previous_heartbeat = self.heartbeat
-            self.heartbeat = content
+            self._receive_heartbeat(content)
         else:
             self.telemetry = content
+
+    def _forget_values(self) -> None:
+        """Forget the latest estimate and telemetry, which are old, and all transfer ids."""
+        self.estimate = None
+        self.telemetry = None
+        # In a long silence transfer ids may have wrapped around any number of times, so a gap between them
+        # says nothing.
+        self._last_transfer_ids.clear()
+
+    def _receive_estimate(self, estimate: Estimate, now: float) -> None:
+        """Keep an estimate and its time, and count it if its alpha has jumped."""
+        self.estimate = estimate
+        self.estimate_times.append(now)
+        if self._alpha_watch.is_jump(estimate.sender, estimate.alpha):
+            self.alpha_jumps += 1
+
+    def _receive_heartbeat(self, heartbeat: Heartbeat) -> None:
+        """Keep a heartbeat and the one before it, and count it if it shows a second node with this id."""
+        if self._shows_conflict(heartbeat):
+            self.conflicts += 1
+        self._previous_heartbeat = self.heartbeat
+        self.heartbeat = heartbeat
 
     def _count_frame(self, content: Estimate | Heartbeat | Telemetry) -> None:
         """Count a received frame, and the lost frames between it and the one before of its kind.
@@ -159,19 +170,13 @@ class Roster:
 
     Attributes:
         robots: The robots by id, in the order of their first frames.
-        ids_with_values: Ids of those that have sent estimates or telemetry, in the order in which they began.
         has_telemetry: Whether a robot has sent telemetry: x and b_hat are in no other frame.
     """
 
-    def __init__(self, true_accuracy: float | None = None) -> None:
-        """Create a roster without robots and frames.
-
-        ``true_accuracy`` is that of every robot's sensor, which no frame shows; None if it is unknown.
-        """
+    def __init__(self) -> None:
+        """Create a roster without robots and frames."""
         self.robots: dict[int, RobotOnBus] = {}
-        self.ids_with_values: list[int] = []
         self.has_telemetry = False
-        self._true_accuracy = nan if true_accuracy is None else true_accuracy
         self._frame_lines: deque[tuple[float, int | None, str]] = deque(maxlen=_MAX_REPORTED_FRAMES)
 
     def receive(self, frame: can.Message, content: FrameContent, now: float) -> None:
@@ -180,29 +185,17 @@ class Roster:
         The frame is listed in the next report, and counts for its sender, who is added to ``robots`` with its
         first frame. A rejected frame is listed, but counts for no robot.
         """
-        sender = None if isinstance(content, Rejection) else content.sender
-        self._frame_lines.append((round(now, 3), sender, format_content(frame, content)))
+        line = format_content(frame, content)
         if isinstance(content, Rejection):
+            self._frame_lines.append((round(now, 3), None, line))
             return
-        if content.sender not in self.robots:
-            self.robots[content.sender] = RobotOnBus(first_frame_time=now, last_frame_time=now)
-        self.robots[content.sender].receive(content, now)
+        sender = content.sender
+        self._frame_lines.append((round(now, 3), sender, line))
+        if sender not in self.robots:
+            self.robots[sender] = RobotOnBus(first_frame_time=now, last_frame_time=now)
+        self.robots[sender].receive(content, now)
         if isinstance(content, Telemetry):
             self.has_telemetry = True
-        if not isinstance(content, Heartbeat) and content.sender not in self.ids_with_values:
-            self.ids_with_values.append(content.sender)
-
-    def make_state(self, tick: int, now: float) -> State:
-        """Return the state at ``now`` seconds, with a column for each id in ``ids_with_values``.
-
-        It has neither links nor positions, as no frame shows them.
-        """
-        values_by_robot = [
-            [*self.robots[robot_id].values(now), self._true_accuracy] for robot_id in self.ids_with_values
-        ]
-        # A state has a row for each of the four quantities, and a column for each robot.
-        values = np.transpose(values_by_robot)
-        return State(tick, values, NO_LINKS, positions=None)
 
     def report(self, now: float) -> dict[str, Any]:
         """Return what the page's table and list show, as plain values, and forget the frames that it lists.

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -13,7 +12,7 @@ from mcp_asdf_tools.common.parameters import parameters_of
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.trials import run_trials
 from mcp_asdf_tools.robots.population import Population
-from mcp_asdf_tools.swarm.fault_injection.fault import Fault
+from mcp_asdf_tools.swarm.settings import SwarmSettings
 from mcp_asdf_tools.view.history import RunDescription, steps_between_states
 from mcp_asdf_tools.world.arena import Arena
 from mcp_asdf_tools.world.floor_code import make_floor_code
@@ -26,34 +25,32 @@ _MAX_UNFILTERED_ROBOT_STEPS = 20_000_000
 """Robots times steps of a run that is computed only for that line: it takes a second or two."""
 
 
-def describe_run(
-    settings: Population, trial: int = 0, faults: Sequence[Fault] = (), allow: str = ""
-) -> RunDescription:
-    """Return the description of a run, for a page that shows it: all that stays the same during the run.
+def describe_swarm(settings: SwarmSettings) -> RunDescription:
+    """Return the description of a swarm's run on an emulated bus, which is trial 0 of its world.
 
-    For a run without faults and ``allow`` the page also shows how large the robots' errors would be without
-    the filter. To compute these, the same trial is run here with the filter off, unless that would take more
-    than about two seconds. With robots that move, the floor is computed, too.
-
-    The run without a filter has neither faults nor refused ids: with them it would be no fair comparison.
-
-    Args:
-        settings: The swarm or the experiment.
-        trial: Number of the trial.
-        faults: Faults that are injected in the run.
-        allow: Text of --allow: the ids whose estimates robots accept; "" accepts all.
-
-    Raises:
-        UsageError: The arena cannot be made.
+    A swarm that has faults, or accepts estimates of some ids only, lacks the errors without a filter: these
+    are computed without both, so that they would be no fair comparison. Raises UsageError if the arena cannot
+    be made.
     """
-    unfiltered_errors = []
-    if not faults and not allow:
-        unfiltered_errors = _compute_unfiltered_errors(settings, trial)
-    description = replace(
-        describe_population(settings, _format_title(settings, trial)),
-        unfiltered_errors=unfiltered_errors,
-        faults=[(str(fault), fault.start, fault.stop) for fault in faults],
-    )
+    faults = tuple((str(fault), fault.start, fault.stop) for fault in settings.faults)
+    description = replace(_describe_emulated_run(settings, trial=0), faults=faults)
+    if settings.faults or settings.allow:
+        return description
+    return replace(description, unfiltered_errors=_compute_unfiltered_errors(settings, trial=0))
+
+
+def describe_trial(experiment: Experiment, trial: int) -> RunDescription:
+    """Return the description of an experiment's trial. Raises UsageError if the arena cannot be made."""
+    description = _describe_emulated_run(experiment, trial)
+    return replace(description, unfiltered_errors=_compute_unfiltered_errors(experiment, trial))
+
+
+def _describe_emulated_run(settings: Population, trial: int) -> RunDescription:
+    """Return the description of a run, but for faults and the errors without a filter.
+
+    With robots that move, the floor is computed, too. Raises UsageError if the arena cannot be made.
+    """
+    description = describe_population(settings, _format_title(settings, trial))
     if not settings.is_dynamic:
         return description
     floor = draw_floor(Arena(settings, trial))
@@ -74,19 +71,16 @@ def describe_population(settings: Population, title: str) -> RunDescription:
 
 
 def _compute_unfiltered_errors(settings: Population, trial: int) -> list[float]:
-    """Run a trial without a filter; return the robots' mean error at up to _MAX_ERROR_POINTS points.
+    """Run a trial without a filter, and return the mean error of its robots as the run goes on.
 
-    The error is the distance of the informed estimate x from the fill ratio f. Each point is the mean over
-    one of consecutive parts of nearly equal length. The list is empty if the robots have no filter anyway, or
-    the trial is too long or cannot be run by the fast engine in C.
+    The error of a robot is the distance of its informed estimate x from the fill ratio f. The list is empty
+    if the robots have no filter anyway, or if the trial would take more than about two seconds, or cannot be
+    run by the fast engine in C.
     """
     robot_steps = settings.robots * settings.steps
     if not settings.swarm_filter.is_on or robot_steps > _MAX_UNFILTERED_ROBOT_STEPS:
         return []
-    # ``settings`` may have more parameters than an experiment takes.
-    parameters = {name: getattr(settings, name) for name in parameters_of(Population)}
-    parameters["filter"] = "none"
-    experiment = Experiment(**parameters, trials=trial + 1)
+    experiment = _remove_filter(settings, trials=trial + 1)
     if experiment.parameter_lacking_in_c:
         return []
     sampling_interval = steps_between_states(settings.steps, settings.robots)
@@ -94,9 +88,21 @@ def _compute_unfiltered_errors(settings: Population, trial: int) -> list[float]:
     (estimates,) = trials.records["x"]  # those of the only trial, shape (samples, N)
     errors = abs(estimates - settings.fill_ratio)
     robot_axis = 1
-    mean_errors = errors.mean(axis=robot_axis)
-    point_count = min(_MAX_ERROR_POINTS, len(mean_errors))
-    parts = np.array_split(mean_errors, point_count)
+    return _average_parts(errors.mean(axis=robot_axis))
+
+
+def _remove_filter(settings: Population, trials: int) -> Experiment:
+    """Return the experiment of so many trials whose robots are those of ``settings``, without a filter."""
+    # ``settings`` may have more parameters than an experiment takes.
+    parameters = {name: getattr(settings, name) for name in parameters_of(Population)}
+    parameters["filter"] = "none"
+    return Experiment(**parameters, trials=trials)
+
+
+def _average_parts(values: NDArray[np.float64]) -> list[float]:
+    """Cut a series into up to _MAX_ERROR_POINTS parts of nearly equal length, and return their means."""
+    part_count = min(_MAX_ERROR_POINTS, len(values))
+    parts = np.array_split(values, part_count)
     return [round(float(part.mean()), 5) for part in parts]
 
 

@@ -9,13 +9,14 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.results import Trials
 from mcp_asdf_tools.experiments.trials import run_trials
 from mcp_asdf_tools.recording.events import EventsReader, events_path
@@ -30,7 +31,7 @@ from mcp_asdf_tools.view.history import (
     find_links,
     steps_between_states,
 )
-from mcp_asdf_tools.view.run_description import describe_population, describe_run
+from mcp_asdf_tools.view.run_description import describe_population, describe_swarm, describe_trial
 from mcp_asdf_tools.world.settings import WorldSettings
 from mcp_asdf_tools.world.world import Scene, World
 
@@ -56,7 +57,7 @@ class SwarmRecorder:
         """
         if not pace >= 0:  # written as "not >=", since NaN is refused, too
             raise UsageError(f"--pace is {pace:g}; give steps a second, or 0 for as many as it can")
-        self.history = History(describe_run(settings, faults=settings.faults, allow=settings.allow))
+        self.history = History(describe_swarm(settings))
         self._spacing = steps_between_states(settings.steps, settings.robots)
         self._seconds_per_step = 0.0 if pace == 0 else 1 / pace
         self._next_step_time = 0.0
@@ -99,11 +100,10 @@ def recompute_swarm_history(log: Path) -> History:
     with EventsReader(events_path(log)) as events:
         settings = read_swarm_settings(log, events.header)
         spacing = steps_between_states(settings.steps, settings.robots)
-        estimates = np.stack(list(replay_values(events, settings.steps, _ESTIMATES, spacing)))
-    # A swarm's run is trial 0 of its world. The estimates, shape (states, 3, N), are completed by accuracies,
-    # neighbours and positions, which are not recorded.
-    description = describe_run(settings, trial=0, faults=settings.faults, allow=settings.allow)
-    return History(description, _complete_states(settings, 0, estimates, spacing))
+        estimates_by_state = list(replay_values(events, settings.steps, _ESTIMATES, spacing))
+    # A swarm's run is trial 0 of its world.
+    states = _complete_states(settings, 0, estimates_by_state, spacing)
+    return History(describe_swarm(settings), states)
 
 
 def recompute_trial_history(trials: Trials, trial: int) -> History:
@@ -112,16 +112,8 @@ def recompute_trial_history(trials: Trials, trial: int) -> History:
     ``trial`` is the trial's number, one of ``trials.numbers``. Raises UsageError if there is no such trial,
     if it is too long, or if its errors differ from those in ``trials``.
     """
-    experiment = trials.experiment
     recorded_errors = trials.errors[trials.index_of(trial)]
-    if experiment.robots * experiment.steps > _MAX_TRIAL_ROBOT_STEPS:
-        raise UsageError(
-            f"a trial of {experiment.robots} robots and {experiment.steps} steps is too long to be run "
-            f"again, which view has to do; take one of at most {_MAX_TRIAL_ROBOT_STEPS // experiment.robots} "
-            "steps"
-        )
-    spacing = steps_between_states(experiment.steps, experiment.robots)
-    rerun_trials = run_trials(experiment, first=trial, trials=1, sampling_interval=spacing)
+    rerun_trials = _run_with_records(trials.experiment, trial)
     # The results hold no states. Equal errors are the evidence that this run has the states of the first.
     (rerun_errors,) = rerun_trials.errors  # of the only trial
     if not np.array_equal(rerun_errors, recorded_errors):
@@ -129,33 +121,62 @@ def recompute_trial_history(trials: Trials, trial: int) -> History:
             f"trial {trial} does not come out again as in the results, which another version or extension "
             "made: run mcp-asdf simulate again"
         )
-    estimates = _recorded_estimates(rerun_trials, trial)
-    return History(describe_run(experiment, trial), _complete_states(experiment, trial, estimates, spacing))
+    return _complete_history(rerun_trials)
+
+
+def run_trial_history(experiment: Experiment, trial: int) -> History:
+    """Run one trial of an experiment, by its number, and return its history, which has ended.
+
+    Raises UsageError if the trial is too long.
+    """
+    return _complete_history(_run_with_records(experiment, trial))
+
+
+def _run_with_records(experiment: Experiment, trial: int) -> Trials:
+    """Run one trial, by its number, and record the robots in each step of which a history has a state.
+
+    Raises UsageError if the trial is too long.
+    """
+    if experiment.robots * experiment.steps > _MAX_TRIAL_ROBOT_STEPS:
+        raise UsageError(
+            f"a trial of {experiment.robots} robots and {experiment.steps} steps is too long to be run "
+            f"again, which view has to do; take one of at most {_MAX_TRIAL_ROBOT_STEPS // experiment.robots} "
+            "steps"
+        )
+    spacing = steps_between_states(experiment.steps, experiment.robots)
+    return run_trials(experiment, first=trial, trials=1, sampling_interval=spacing)
+
+
+def _complete_history(trials: Trials) -> History:
+    """Return the history of a trial that was run with records; ``trials`` has no other one."""
+    [trial] = trials.numbers
+    estimates = _recorded_estimates(trials, trial)
+    states = _complete_states(trials.experiment, trial, estimates, trials.sampling_interval)
+    return History(describe_trial(trials.experiment, trial), states)
 
 
 def _complete_states(
-    settings: WorldSettings, trial: int, estimates: NDArray[np.float64], spacing: int
+    settings: WorldSettings, trial: int, estimates_by_state: Iterable[NDArray[np.float64]], spacing: int
 ) -> Iterator[State]:
-    """Yield a state for each of the robots' ``estimates``, with what is computed from its world again.
+    """Yield a state for each of the robots' estimates, with what is computed from their world again.
 
-    ``estimates`` has x, x_hat and b_hat at ticks 0, ``spacing`` and so on, shape (states, 3, N). The rest is
-    true accuracies, links and positions.
+    Estimates are x, x_hat and b_hat at ticks 0, ``spacing`` and so on, each of shape (3, N). The rest is true
+    accuracies, links and positions.
     """
     world = World(settings, trial)
     # The world has no scene before its first step, so the state at tick 0 shows that of tick 1.
     scene = world.advance(1)
-    scene_tick = 1
-    for index, estimates_at_tick in enumerate(estimates):
+    steps_done = 1
+    for index, estimates in enumerate(estimates_by_state):
         tick = index * spacing
-        # The scene of tick 1 is there already, for tick 0 and for tick 1.
-        if tick > scene_tick:
-            scene = _scene_after(world, tick - scene_tick)
-            scene_tick = tick
+        if tick > steps_done:
+            scene = _scene_after(world, tick - steps_done)
+            steps_done = tick
         # The arrays of the scene have an entry for each of its steps, and it is of one step alone.
-        positions = None if scene.positions is None else scene.positions[0]
         true_accuracies = scene.accuracy[0]
         links = find_links(scene.neighbours[0])
-        yield State(tick, np.vstack([estimates_at_tick, true_accuracies]), links, positions)
+        positions = None if scene.positions is None else scene.positions[0]
+        yield State(tick, np.vstack([estimates, true_accuracies]), links, positions)
 
 
 def _scene_after(world: World, steps: int) -> Scene:
@@ -176,28 +197,29 @@ def recorded_trial_history(trials: Trials, trial: int) -> History:
     It has the robots' values, but neither places nor neighbours. ``trial`` is the trial's number, one of
     ``trials.numbers``. Raises UsageError if there is no such trial, or if nothing is recorded.
     """
-    experiment = trials.experiment
     if not trials.records:
         raise UsageError(
             f"nothing is recorded of the trials of {trials.source}; run mcp-asdf convert again, without "
             "--record 0"
         )
-    estimates = _recorded_estimates(trials, trial)
+    return History(_describe_recorded_trial(trials, trial), _recorded_states(trials, trial))
+
+
+def _recorded_states(trials: Trials, trial: int) -> Iterator[State]:
+    """Yield the states that are recorded of a trial, or only every so many, to keep its page small.
+
+    The true accuracy of all sensors is a parameter of the experiment. Raises UsageError if there is no such
+    trial.
+    """
+    experiment = trials.experiment
     true_accuracies = np.full(experiment.robots, experiment.true_accuracy)
-    # A page should have at most one state every ``spacing`` steps, so only every ``stride``-th recorded one
-    # is taken.
-    spacing = steps_between_states(experiment.steps, experiment.robots)
-    stride = math.ceil(spacing / trials.sampling_interval)
-    states = [
-        State(
-            tick=sample * trials.sampling_interval,
-            values=np.vstack([estimates[sample], true_accuracies]),
-            links=NO_LINKS,
-            positions=None,
-        )
-        for sample in range(0, len(estimates), stride)
-    ]
-    return History(_describe_recorded_trial(trials, trial), states)
+    least_spacing = steps_between_states(experiment.steps, experiment.robots)
+    samples_between_states = math.ceil(least_spacing / trials.sampling_interval)
+    ticks_between_states = samples_between_states * trials.sampling_interval
+    estimates_by_state = _recorded_estimates(trials, trial)[::samples_between_states]
+    for index, estimates in enumerate(estimates_by_state):
+        values = np.vstack([estimates, true_accuracies])
+        yield State(index * ticks_between_states, values, NO_LINKS, positions=None)
 
 
 def _describe_recorded_trial(trials: Trials, trial: int) -> RunDescription:

@@ -232,7 +232,7 @@ def test_a_robot_that_was_silent_has_unknown_values_until_it_sends_them_again(ro
     roster.receive_estimate(transfer_id=0, now=0.0, x_hat=0.75)
     roster.receive_telemetry(transfer_id=0, now=0.0, x=0.5)
     roster.receive_heartbeat(uptime=5, transfer_id=5, now=5.0)
-    x, x_hat, b_hat, _true_accuracy = roster.make_state(tick=50, now=5.0).values
+    x, x_hat, b_hat = roster.robots[3].values(now=5.0)
     assert np.isnan([x, x_hat, b_hat]).all()
 
 
