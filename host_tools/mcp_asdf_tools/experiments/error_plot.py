@@ -7,8 +7,9 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
-from mcp_asdf_tools.common.figures import SMALL, style_panel
+from mcp_asdf_tools.common.figures import SMALL
 from mcp_asdf_tools.experiments.plot_labels import make_caption
 from mcp_asdf_tools.experiments.plot_panels import (
     SeriesName,
@@ -17,7 +18,7 @@ from mcp_asdf_tools.experiments.plot_panels import (
     draw_band,
     group_into_series,
     label_figure,
-    legend_handle,
+    legend_of_series,
     median_intervals,
 )
 from mcp_asdf_tools.experiments.results import Trials
@@ -38,36 +39,34 @@ def plot_errors_over_time(panels: Mapping[str, Sequence[Trials]], series_name: S
     for axes, (title, experiments) in zip(grid, panels.items(), strict=True):
         axes.set_title(title, fontsize=SMALL, loc="left")
         for series in all_series:
-            experiments_of_line = [
+            trials_of_line = [
                 trials for trials in experiments if series_name(trials.experiment) == series.label
             ]
-            _draw_errors(axes, experiments_of_line, series.colour)
+            if trials_of_line:
+                _draw_errors(axes, trials_of_line, series.colour)
         # The errors of the filters differ by more than a factor of ten.
         axes.set_yscale("log")
-        style_panel(axes)
-    handles = [legend_handle(series.label, series.colour, marker="", line="-") for series in all_series]
     intervals = describe_intervals(all_experiments)
     marks = f"lines are medians over the trials of a swarm's mean error, {intervals}"
     caption = make_caption(all_experiments, marks, PAPER_LIMITS)
-    return label_figure(figure, "step", "error |x \u2212 f|", caption, handles)
+    legend = legend_of_series(all_series, marker="", line="-")
+    return label_figure(figure, "step", "error |x \u2212 f|", caption, legend)
 
 
 def _draw_errors(axes: Axes, experiments: Sequence[Trials], colour: str) -> None:
-    """Draw the median over all trials of a swarm's mean error, in its interval; nothing without trials.
+    """Draw the median over all trials of a swarm's mean error, in its interval.
 
-    The time axis is that of the first experiment: all must have been recorded with the same interval.
+    There is at least one experiment, whose time axis holds for all.
     """
-    if not experiments:
-        return
+    errors = np.concatenate([_mean_errors(trials) for trials in experiments])  # shape (trials, samples)
+    errors_by_sample = errors.T
+    steps = np.arange(len(errors_by_sample)) * experiments[0].sampling_interval
+    draw_band(axes, steps, median_intervals(errors_by_sample), colour)
+
+
+def _mean_errors(trials: Trials) -> NDArray[np.float64]:
+    """Return the mean error |x - f| over the robots at each recorded step, shape (trials, samples)."""
     robot_axis = 2  # of the shape (trials, samples, N)
-    errors = [
-        abs(trials.records["x"] - trials.experiment.fill_ratio).mean(axis=robot_axis)
-        for trials in experiments
-    ]
-    error_by_trial_and_sample = np.concatenate(errors)
-    # A median over the trials is wanted for each sample, so samples come first: shape (samples, trials).
-    error_by_sample_and_trial = error_by_trial_and_sample.T
-    band = median_intervals(error_by_sample_and_trial)
-    sample_count = error_by_trial_and_sample.shape[1]
-    steps = np.arange(sample_count) * experiments[0].sampling_interval
-    draw_band(axes, steps, band, colour)
+    errors = abs(trials.records["x"] - trials.experiment.fill_ratio)
+    mean_errors: NDArray[np.float64] = errors.mean(axis=robot_axis)
+    return mean_errors

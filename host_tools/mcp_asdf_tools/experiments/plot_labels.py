@@ -32,11 +32,19 @@ def flawed_share(experiment: Experiment) -> float:
     return float(experiment.flawed / experiment.robots)
 
 
-def sort_key(parameter_name: str, value: Any) -> Any:
-    """Return the key that sorts a parameter's value: a filter's position in FILTERS, or the value itself."""
+def shown_value(experiment: Experiment, parameter_name: str) -> Any:
+    """Return the value of a parameter as pictures show it: of ``flawed`` the share of the robots."""
+    if parameter_name == "flawed":
+        return flawed_share(experiment)
+    return experiment.parameters()[parameter_name]
+
+
+def shown_values(experiments: Sequence[Trials], parameter_name: str) -> list[Any]:
+    """Return the different values of a parameter as pictures show them, sorted; filters as in FILTERS."""
+    values = {shown_value(trials.experiment, parameter_name) for trials in experiments}
     if parameter_name == "filter":
-        return list(FILTERS).index(value)
-    return value
+        return [name for name in FILTERS if name in values]
+    return sorted(values)
 
 
 def sorted_by_filter(experiments: Sequence[Trials]) -> list[Trials]:
@@ -124,16 +132,15 @@ def make_caption(experiments: Sequence[Trials], marks: str, limits: Limits) -> s
         if len(values) == 1:
             details.append(f"{parameter_name.replace('_', ' ')} {format_for_legend(values.pop())}")
     details.append(f"{_describe_trial_counts(experiments)} trials of each experiment")
-    k_limits: set[float] = set()
-    e_limits: set[float] = set()
-    for trials in experiments:
-        k_max, e_max = limits.of(trials.experiment)
-        k_limits.add(k_max)
-        e_limits.add(e_max)
-    for symbol, different_limits in (("K", k_limits), ("e", e_limits)):
-        limit_text = " and ".join(format_for_legend(limit) for limit in sorted(different_limits))
-        details.append(f"${symbol}_{{max}}$ = {limit_text}")
+    details.append(_describe_limits(experiments, limits))
     return f"{', '.join(details)}; {marks}."
+
+
+def _describe_limits(experiments: Sequence[Trials], limits: Limits) -> str:
+    """Return the limits K_max and e_max of the experiments' scores; of K_max all that occur."""
+    k_limits = {limits.of(trials.experiment)[0] for trials in experiments}
+    k_text = " and ".join(format_for_legend(k_max) for k_max in sorted(k_limits))
+    return f"$K_{{max}}$ = {k_text}, $e_{{max}}$ = {format_for_legend(limits.e_max)}"
 
 
 def _describe_trial_counts(experiments: Sequence[Trials]) -> str:

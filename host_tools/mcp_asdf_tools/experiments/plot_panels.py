@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import cycle
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
@@ -15,11 +15,20 @@ from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
 from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.common.figures import COLOURS, MEDIUM, WIDTH, add_caption, add_legend, empty_figure
+from mcp_asdf_tools.common.figures import (
+    COLOURS,
+    MEDIUM,
+    WIDTH,
+    add_caption,
+    add_legend,
+    empty_figure,
+    style_panel,
+)
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.plot_labels import (
     ALWAYS_SHOWN_PARAMETERS,
     name_series,
+    shown_value,
     sorted_by_filter,
     varying_parameters,
 )
@@ -54,44 +63,34 @@ def experiments_to_plot(results: Results, where: Mapping[str, Any] | None) -> li
     return selected
 
 
-def create_panel_grid(
-    row_count: int, column_count: int, panel_height: float, series_count: int, sharex: bool = True
-) -> tuple[Figure, NDArray[Any]]:
-    """Create a figure with rows and columns of empty panels, each ``panel_height`` inches high.
-
-    Returns the figure and its panels, shape (row_count, column_count). They have the same y axis, and unless
-    ``sharex`` is false the same x axis. ``series_count`` is the number of entries that the legend will have.
-    Raises UsageError for more than 32 panels or 8 series, which do not fit a picture.
-    """
-    panel_count = row_count * column_count
-    if panel_count > _MAX_PANELS or series_count > _MAX_SERIES:
-        raise UsageError(
-            f"{panel_count} panels with {series_count} series do not fit a picture; plot at most "
-            f"{_MAX_PANELS} with {_MAX_SERIES}, or a parameter along an axis: --kind curve --x NAME"
-        )
-    # A single panel across the page would be too wide for its height.
-    width = WIDTH if column_count > 1 else 0.7 * WIDTH
-    figure = empty_figure(width, _LEGEND_AND_CAPTION_HEIGHT + panel_height * row_count)
-    # Without squeeze=False a single row would have another shape.
-    panels = figure.subplots(row_count, column_count, sharex=sharex, sharey=True, squeeze=False)
-    return figure, panels
-
-
 def create_panels(
-    count: int, panel_height: float, series_count: int = 1, max_columns: int = 3
+    count: int, panel_height: float, series_count: int = 1, max_columns: int = 3, sharex: bool = True
 ) -> tuple[Figure, list[Axes]]:
     """Create a figure with ``count`` empty panels in rows, of which the last may be shorter.
 
     Returns the figure and its panels, row by row. A panel is ``panel_height`` inches high, and a row has up
-    to ``max_columns`` of them. ``series_count`` is the number of entries that the legend will have. Raises
-    UsageError for more than 32 panels or 8 series, which do not fit a picture.
+    to ``max_columns`` of them. They have the same y axis, and unless ``sharex`` is false the same x axis.
+    ``series_count`` is the number of series that the legend will have. Raises UsageError for more than 32
+    panels or 8 series, which do not fit a picture.
     """
+    if count > _MAX_PANELS or series_count > _MAX_SERIES:
+        raise UsageError(
+            f"{count} panels with {series_count} series do not fit a picture; plot at most "
+            f"{_MAX_PANELS} with {_MAX_SERIES}, or a parameter along an axis: --kind curve --x NAME"
+        )
     column_count = min(count, max_columns)
     row_count = math.ceil(count / column_count)
-    figure, grid = create_panel_grid(row_count, column_count, panel_height, series_count)
+    # A single panel across the page would be too wide for its height.
+    width = WIDTH if column_count > 1 else 0.7 * WIDTH
+    figure = empty_figure(width, _LEGEND_AND_CAPTION_HEIGHT + panel_height * row_count)
+    # Without squeeze=False a single row would have another shape.
+    grid = figure.subplots(row_count, column_count, sharex=sharex, sharey=True, squeeze=False)
+    panels = [*grid.flat[:count]]
+    for axes in panels:
+        style_panel(axes)
     for unused_axes in grid.flat[count:]:
         unused_axes.set_axis_off()
-    return figure, [*grid.flat[:count]]
+    return figure, panels
 
 
 def label_figure(
@@ -130,6 +129,23 @@ class Series:
     colour: str
     experiments: list[Trials]
 
+    def select(self, **values: Any) -> Series:
+        """Return this series with only the experiments whose parameters have these values in pictures.
+
+        The value of ``flawed`` is the share of the robots.
+        """
+        selected = self.experiments
+        for name, value in values.items():
+            selected = [trials for trials in selected if shown_value(trials.experiment, name) == value]
+        return replace(self, experiments=selected)
+
+
+def legend_of_series(
+    all_series: Sequence[Series], marker: str = "o", line: Literal["", "-"] = ""
+) -> list[Line2D]:
+    """Return an entry of a legend for each series, with a marker, a line or both in the series' colour."""
+    return [legend_handle(series.label, series.colour, marker, line) for series in all_series]
+
 
 def colours_of_filters(filter_names: Sequence[str]) -> list[str]:
     """Return a colour for each series, by the name of its filter.
@@ -141,7 +157,7 @@ def colours_of_filters(filter_names: Sequence[str]) -> list[str]:
     remaining_colours = {
         name: swarm_filter.colour for name, swarm_filter in FILTERS.items() if swarm_filter.colour is not None
     }
-    # After the last colour the first one comes again: ``create_panel_grid`` refuses too many series.
+    # After the last colour the first one comes again: ``create_panels`` refuses too many series.
     free_colours = cycle([colour for colour in COLOURS if colour not in remaining_colours.values()])
     colours: list[str] = []
     for name in filter_names:
@@ -181,11 +197,6 @@ def _common_filter(experiments: Sequence[Trials]) -> str:
     """Return the name of the filter that all experiments have, or an empty name if they have several."""
     different_names = {trials.experiment.filter for trials in experiments}
     return different_names.pop() if len(different_names) == 1 else ""
-
-
-def sorted_attributes(experiments: Sequence[Trials], name: str) -> list[float]:
-    """Return the different values of an attribute of the experiments, in order."""
-    return sorted({getattr(trials.experiment, name) for trials in experiments})
 
 
 def accuracy_offset(experiment: Experiment) -> float:

@@ -16,7 +16,6 @@ from mcp_asdf_tools.common.figures import (
     COLOUR_OF_HEALTHY_ROBOTS,
     INK,
     SMALL,
-    style_panel,
 )
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.plot_labels import (
@@ -43,7 +42,13 @@ from mcp_asdf_tools.experiments.scores import PAPER_LIMITS
 _MEDIAN_AND_BAND_PERCENTILES = (50, 5, 95)
 """Percentiles of the line, the lower and the upper edge of a band."""
 
+_TRIAL_AXIS, _ROBOT_AXIS = 0, 2
+"""Axes of ``Trials.b_hat``, whose shape is (trials, filter steps, robots)."""
+
 _MEANING_OF_MARKS = "lines are medians over robots and trials, bands the middle 90 %"
+
+_LEGEND = {"flawed": COLOUR_OF_FLAWED_ROBOTS, "healthy": COLOUR_OF_HEALTHY_ROBOTS, "true": INK}
+"""Colours of robots, and of the true accuracy, by their label in the legend."""
 
 _TITLE_WIDTH = 56
 """Characters in a line of a title. Those of formulas, which are drawn shorter, count in full."""
@@ -58,19 +63,16 @@ def plot_bands(results: Results, *, where: Mapping[str, Any] | None = None) -> F
     parameters. Raises UsageError if no experiment is left, if there are more panels than fit a picture, and
     for trials that are too short for a filter step.
     """
-    experiments = experiments_to_plot(results, where)
+    experiments = sorted_by_filter(experiments_to_plot(results, where))
     if any(trials.experiment.steps < trials.experiment.filter_period for trials in experiments):
         raise UsageError("these trials have no filter step; run more steps, or a shorter filter_period")
     max_columns = 2 if len(experiments) == 4 else 3  # four make a square
     figure, panels = create_panels(len(experiments), panel_height=2.1, max_columns=max_columns)
-    ordered_experiments = sorted_by_filter(experiments)
-    titles = _panel_titles(ordered_experiments)
-    for axes, trials, title in zip(panels, ordered_experiments, titles, strict=True):
+    for axes, trials, title in zip(panels, experiments, _panel_titles(experiments), strict=True):
         _draw_accuracy_bands(axes, trials)
-        axes.set_title(f"{title}\n{_describe_harmed(trials)}", fontsize=SMALL)
-    colours = {"flawed": COLOUR_OF_FLAWED_ROBOTS, "healthy": COLOUR_OF_HEALTHY_ROBOTS, "true": INK}
-    handles = [legend_handle(label, colour, marker="", line="-") for label, colour in colours.items()]
+        axes.set_title(title, fontsize=SMALL)
     caption = make_caption(experiments, _MEANING_OF_MARKS, PAPER_LIMITS)
+    handles = [legend_handle(label, colour, marker="", line="-") for label, colour in _LEGEND.items()]
     return label_figure(figure, "step", r"assumed accuracy $\hat{b}$", caption, handles)
 
 
@@ -78,9 +80,9 @@ def _panel_titles(experiments: Sequence[Trials]) -> list[str]:
     """Return a title for each experiment: the parameters in which experiments differ, then f, b, b_hat and P.
 
     These letters are the paper's: f is the share of black tiles, b the true accuracy of a sensor, b_hat the
-    accuracy that flawed robots assume at first, and P the share of flawed robots. If experiments have
-    different filters, a title begins with a line that names the filter. f, b, b_hat and P, which every
-    title has, are not named among the differences, too.
+    accuracy that flawed robots assume at first, and P the share of flawed robots. f, b, b_hat and P, which
+    every title has, are not named among the differences, too. If experiments have different filters, a title
+    begins with a line that names the filter; the last line is the share of harmed robots.
     """
     varying_names = varying_parameters(experiments, excluded=ALWAYS_SHOWN_PARAMETERS)
     has_several_filters = len({trials.experiment.filter for trials in experiments}) > 1
@@ -89,6 +91,7 @@ def _panel_titles(experiments: Sequence[Trials]) -> list[str]:
         lines = _title_lines(trials.experiment, varying_names)
         if has_several_filters:
             lines.insert(0, filter_name(trials.experiment))
+        lines.append(_describe_harmed(trials))
         titles.append("\n".join(lines))
     return titles
 
@@ -120,19 +123,15 @@ def _draw_accuracy_bands(axes: Axes, trials: Trials) -> None:
     robots has none.
     """
     experiment = trials.experiment
-    _trials, filter_step_count, _robots = trials.b_hat.shape
-    # The first filter step is at step filter_period, not at step 0.
-    steps = experiment.filter_period * np.arange(1, filter_step_count + 1)
-    # The flawed robots come first.
-    flawed = trials.b_hat[:, :, : experiment.flawed]
-    healthy = trials.b_hat[:, :, experiment.flawed :]
+    flawed, healthy = np.split(trials.b_hat, [experiment.flawed], axis=_ROBOT_AXIS)  # the flawed come first
     for colour, b_hat in ((COLOUR_OF_FLAWED_ROBOTS, flawed), (COLOUR_OF_HEALTHY_ROBOTS, healthy)):
         if b_hat.size:
-            trial_axis, robot_axis = 0, 2  # of the shape (trials, filter steps, robots)
-            band = np.percentile(b_hat, _MEDIAN_AND_BAND_PERCENTILES, axis=(trial_axis, robot_axis))
+            band = np.percentile(b_hat, _MEDIAN_AND_BAND_PERCENTILES, axis=(_TRIAL_AXIS, _ROBOT_AXIS))
+            _lines, filter_step_count = band.shape
+            # The first filter step is at step filter_period, not at step 0.
+            steps = experiment.filter_period * np.arange(1, filter_step_count + 1)
             draw_band(axes, steps, band, colour)
     axes.axhline(experiment.true_accuracy, color=INK, linewidth=1.2, linestyle="--")
-    style_panel(axes)
 
 
 def _describe_harmed(trials: Trials) -> str:

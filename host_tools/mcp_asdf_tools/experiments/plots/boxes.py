@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -11,22 +11,20 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from mcp_asdf_tools.common.figures import INK, MEDIUM, style_panel
+from mcp_asdf_tools.common.figures import INK, MEDIUM
 from mcp_asdf_tools.experiments.experiment import Experiment
-from mcp_asdf_tools.experiments.plot_labels import flawed_share, make_caption
+from mcp_asdf_tools.experiments.plot_labels import flawed_share, make_caption, shown_values
 from mcp_asdf_tools.experiments.plot_panels import (
     Results,
     Series,
     SeriesName,
     accuracy_offset,
-    create_panel_grid,
+    create_panels,
     experiments_to_plot,
     group_into_series,
     label_figure,
-    legend_handle,
-    sorted_attributes,
+    legend_of_series,
 )
-from mcp_asdf_tools.experiments.results import Trials
 from mcp_asdf_tools.experiments.scores import PAPER_LIMITS, Limits
 
 _MEANING_OF_MARKS = (
@@ -34,7 +32,7 @@ _MEANING_OF_MARKS = (
     "1.5 of their length"
 )
 _SLOT_WIDTH = 0.86
-"""Width that the boxes of a slot share, where slots are 1 apart."""
+"""Width that the boxes of a slot share; slots are 1 apart."""
 
 _DRAWN_SHARE_OF_WIDTH = 0.85
 """Share of a box's width that it is drawn with, so that neighbouring boxes do not touch."""
@@ -62,35 +60,20 @@ def plot_boxes(
     """
     experiments = experiments_to_plot(results, where)
     all_series = group_into_series(experiments, series_name)
-    fill_ratios = sorted_attributes(experiments, "fill_ratio")
-    accuracies = sorted_attributes(experiments, "true_accuracy")
-    figure, grid = create_panel_grid(
-        row_count=len(fill_ratios),
-        column_count=len(accuracies),
-        panel_height=2.6,
-        series_count=len(all_series),
-        sharex=False,  # panels have different slots along x, as not every b goes with every b_hat
+    fill_ratios = shown_values(experiments, "fill_ratio")
+    accuracies = shown_values(experiments, "true_accuracy")
+    panel_keys = list(product(fill_ratios, accuracies))
+    # Panels have different slots along x, as not every b goes with every b_hat.
+    figure, panels = create_panels(
+        len(panel_keys), 2.6, len(all_series), max_columns=len(accuracies), sharex=False
     )
-    for (row, column), axes in np.ndenumerate(grid):
-        f, b = fill_ratios[row], accuracies[column]
-        series_of_panel = [
-            replace(series, experiments=_select_experiments(series, f, b)) for series in all_series
-        ]
+    for axes, (f, b) in zip(panels, panel_keys, strict=True):
+        series_of_panel = [series.select(fill_ratio=f, true_accuracy=b) for series in all_series]
         _draw_box_panel(axes, series_of_panel, limits)
         axes.set_title(f"$f = {f:g}$, $b = {b:g}$", fontsize=MEDIUM)
     x_label = r"$\hat{b} - b$ of flawed robots, and their proportion $P$"
     caption = make_caption(experiments, _MEANING_OF_MARKS, limits)
-    handles = [legend_handle(series.label, series.colour, "s") for series in all_series]
-    return label_figure(figure, x_label, "score $H$", caption, handles)
-
-
-def _select_experiments(series: Series, fill_ratio: float, true_accuracy: float) -> list[Trials]:
-    """Return the experiments of a series with this share of black tiles and this accuracy of sensors."""
-    return [
-        trials
-        for trials in series.experiments
-        if trials.experiment.fill_ratio == fill_ratio and trials.experiment.true_accuracy == true_accuracy
-    ]
+    return label_figure(figure, x_label, "score $H$", caption, legend_of_series(all_series, "s"))
 
 
 def _draw_box_panel(axes: Axes, series_of_panel: Sequence[Series], limits: Limits) -> None:
@@ -103,21 +86,25 @@ def _draw_box_panel(axes: Axes, series_of_panel: Sequence[Series], limits: Limit
         {_slot_of(trials.experiment) for series in series_of_panel for trials in series.experiments}
     )
     box_width = _SLOT_WIDTH / len(series_of_panel)
-    drawn_width = _DRAWN_SHARE_OF_WIDTH * box_width
     for series_index, series in enumerate(series_of_panel):
-        # The boxes of a slot begin at its left end, and a box is drawn around its middle.
-        distance_from_left_end = (series_index + 0.5) * box_width
-        distance_from_middle_of_slot = distance_from_left_end - _SLOT_WIDTH / 2
+        # Boxes begin at the left end of a slot, and a slot's position along x is its middle.
+        middle_of_box_in_slot = (series_index + 0.5) * box_width - _SLOT_WIDTH / 2
         for trials in series.experiments:
-            middle_of_slot = slots.index(_slot_of(trials.experiment))  # 0, 1, 2 and so on
-            middle_of_box = middle_of_slot + distance_from_middle_of_slot
+            slot_position = slots.index(_slot_of(trials.experiment))
             scores = trials.scores(limits)["H"]
-            _draw_box(axes, scores, middle_of_box, drawn_width, series.colour)
+            _draw_box(axes, scores, slot_position + middle_of_box_in_slot, box_width, series.colour)
+    _label_slots(axes, slots)  # after the boxes, which set limits and labels of their own
+
+
+def _label_slots(axes: Axes, slots: Sequence[tuple[float, float]]) -> None:
+    """Set the limits of a panel, and write offset and share of each slot below it.
+
+    Slots stand at 0, 1, 2 and so on along the x axis.
+    """
     # H is at most 100; above it is room for the outlines of boxes and points there.
     axes.set(ylim=(0, 103), xlim=(-0.5, len(slots) - 0.5))
     slot_labels = [f"{offset:+.2g}\n{share:.0%}" for share, offset in slots]
     axes.set_xticks(range(len(slots)), slot_labels)
-    style_panel(axes)
 
 
 def _slot_of(experiment: Experiment) -> tuple[float, float]:
@@ -126,12 +113,16 @@ def _slot_of(experiment: Experiment) -> tuple[float, float]:
 
 
 def _draw_box(axes: Axes, scores: NDArray[np.float64], middle: float, width: float, colour: str) -> None:
-    """Draw a box of the trials' scores, and a point for each trial, spread evenly over the box's width."""
+    """Draw a box of the trials' scores, and a point for each trial, spread evenly over the box's width.
+
+    The box takes _DRAWN_SHARE_OF_WIDTH of ``width``, in the middle of it.
+    """
+    drawn_width = _DRAWN_SHARE_OF_WIDTH * width
     line = {"color": colour, "linewidth": 0.8}
     axes.boxplot(
         scores,
         positions=[middle],
-        widths=width,
+        widths=drawn_width,
         showfliers=False,
         medianprops={"color": INK, "linewidth": 1.2},
         boxprops=line,
@@ -140,5 +131,5 @@ def _draw_box(axes: Axes, scores: NDArray[np.float64], middle: float, width: flo
     )
     # Points are moved sideways, without a pattern, since equal scores would hide each other.
     shares_of_width = (np.arange(len(scores)) * _GOLDEN_RATIO) % 1
-    distances = (shares_of_width - 0.5) * width  # from the middle of the box
+    distances = (shares_of_width - 0.5) * drawn_width  # from the middle of the box
     axes.plot(middle + distances, scores, ".", color=colour, markersize=3.5, alpha=0.6, markeredgewidth=0)

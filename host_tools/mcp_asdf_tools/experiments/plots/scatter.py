@@ -2,28 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from itertools import cycle
+from collections.abc import Mapping, Sequence
+from itertools import cycle, product
 from typing import Any
 
-import numpy as np
 from matplotlib import colormaps
+from matplotlib.axes import Axes
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from mcp_asdf_tools.common.figures import INK, SMALL, style_panel
-from mcp_asdf_tools.experiments.plot_labels import flawed_share, make_caption
+from mcp_asdf_tools.common.figures import INK, SMALL
+from mcp_asdf_tools.experiments.experiment import Experiment
+from mcp_asdf_tools.experiments.plot_labels import make_caption, shown_values
 from mcp_asdf_tools.experiments.plot_panels import (
     Results,
     accuracy_offset,
-    create_panel_grid,
+    create_panels,
     experiments_to_plot,
     group_into_series,
     label_figure,
     legend_handle,
-    sorted_attributes,
 )
+from mcp_asdf_tools.experiments.results import Trials
 from mcp_asdf_tools.experiments.scores import PAPER_LIMITS, Limits
 
 _MEANING_OF_MARKS = (
@@ -46,40 +47,52 @@ def plot_scatter(
     """
     experiments = experiments_to_plot(results, where)
     all_series = group_into_series(experiments)
-    fill_ratios = sorted_attributes(experiments, "fill_ratio")
-    accuracies = sorted_attributes(experiments, "true_accuracy")
-    shares = sorted({flawed_share(trials.experiment) for trials in experiments})
-    # With more than five b, markers are used again.
-    marker_of_accuracy = dict(zip(accuracies, cycle(_MARKERS), strict=False))
-    # A row of panels for each series and f, a column for each P.
-    rows = [(series, f) for series in all_series for f in fill_ratios]
-    figure, grid = create_panel_grid(len(rows), len(shares), panel_height=1.7, series_count=len(all_series))
-    # An entry of the legend for each b and offset of b_hat that occurs.
-    handles: dict[tuple[float, float], Line2D] = {}
-    for (row, column), axes in np.ndenumerate(grid):
-        series, f = rows[row]
-        share = shares[column]
-        experiments_of_panel = [
-            trials
-            for trials in series.experiments
-            if trials.experiment.fill_ratio == f and flawed_share(trials.experiment) == share
-        ]
-        for trials in experiments_of_panel:
-            b = trials.experiment.true_accuracy
-            offset = accuracy_offset(trials.experiment)  # of the flawed robots' b_hat from b
-            colour = _colour_of_offset(offset)
-            marker = marker_of_accuracy[b]
-            scores = trials.scores(limits)
-            axes.plot(scores["h_K"], scores["h_e"], marker, color=colour, markersize=3, alpha=0.6)
-            # Experiments of the same b and offset have equal entries, which replace each other.
-            handles[b, offset] = legend_handle(_describe_accuracy(b, offset), colour, marker)
+    fill_ratios = shown_values(experiments, "fill_ratio")
+    shares = shown_values(experiments, "flawed")
+    panel_keys = list(product(all_series, fill_ratios, shares))
+    figure, panels = create_panels(len(panel_keys), 1.7, len(all_series), max_columns=len(shares))
+    legend = _legend_by_accuracies(experiments)
+    for axes, (series, f, share) in zip(panels, panel_keys, strict=True):
+        experiments_of_panel = series.select(fill_ratio=f, flawed=share).experiments
+        _draw_points(axes, experiments_of_panel, limits, legend)
         axes.set_title(f"{series.label}\n$f = {f:g}$, $P$ = {share:.0%}", fontsize=SMALL)
-        # Scores are 0 to 100; the margin keeps markers at the ends from being cut.
-        axes.set(xlim=(-4, 104), ylim=(-4, 104))
-        style_panel(axes)
     caption = make_caption(experiments, _MEANING_OF_MARKS, limits)
-    ordered_handles = [handles[key] for key in sorted(handles)]
-    return label_figure(figure, "convergence score $h_K$", "accuracy score $h_e$", caption, ordered_handles)
+    x_label, y_label = "convergence score $h_K$", "accuracy score $h_e$"
+    return label_figure(figure, x_label, y_label, caption, list(legend.values()))
+
+
+def _accuracies_of(experiment: Experiment) -> tuple[float, float]:
+    """Return b, the true accuracy of sensors, and the offset of the flawed robots' b_hat from b."""
+    return experiment.true_accuracy, accuracy_offset(experiment)
+
+
+def _legend_by_accuracies(experiments: Sequence[Trials]) -> dict[tuple[float, float], Line2D]:
+    """Return an entry of the legend for each b and offset of b_hat that occurs, sorted by them.
+
+    The marker shows b, and the colour the offset. With more than five b, markers are used again.
+    """
+    marker_of_accuracy = dict(zip(shown_values(experiments, "true_accuracy"), cycle(_MARKERS), strict=False))
+    legend = {}
+    for b, offset in sorted({_accuracies_of(trials.experiment) for trials in experiments}):
+        label = _describe_accuracy(b, offset)
+        legend[b, offset] = legend_handle(label, _colour_of_offset(offset), marker_of_accuracy[b])
+    return legend
+
+
+def _draw_points(
+    axes: Axes,
+    experiments: Sequence[Trials],
+    limits: Limits,
+    legend: Mapping[tuple[float, float], Line2D],
+) -> None:
+    """Draw a point for each trial at its scores h_K and h_e, with marker and colour of its legend entry."""
+    for trials in experiments:
+        entry = legend[_accuracies_of(trials.experiment)]
+        scores = trials.scores(limits)
+        (points,) = axes.plot(scores["h_K"], scores["h_e"], linestyle="", markersize=3, alpha=0.6)
+        points.set(marker=entry.get_marker(), color=entry.get_color())
+    # Scores are 0 to 100; the margin keeps markers at the ends from being cut.
+    axes.set(xlim=(-4, 104), ylim=(-4, 104))
 
 
 def _describe_accuracy(b: float, offset: float) -> str:

@@ -53,6 +53,9 @@ _QUANTITIES = (
     _Quantity("x", r"informed estimate $x$", "f", "fill_ratio"),
 )
 _FLAWED_LABEL, _HEALTHY_LABEL, _TRUE_LABEL = "flawed robots", "healthy robots", "true value"
+_FLAWED_LINE = {"color": COLOUR_OF_FLAWED_ROBOTS, "label": _FLAWED_LABEL}
+_HEALTHY_LINE = {"color": COLOUR_OF_HEALTHY_ROBOTS, "label": _HEALTHY_LABEL}
+"""Properties of the lines of robots; a line's label is its text in the legend."""
 
 
 def plot_series(results: Results, *, trial: int = 0, where: Mapping[str, Any] | None = None) -> Figure:
@@ -75,37 +78,36 @@ def plot_runs(runs: Sequence[Trials], trial_number: int) -> Figure:
         raise UsageError("nothing was recorded over time; run mcp-asdf simulate with --record")
     figure = empty_figure(WIDTH, 7.5)
     grid = figure.subplots(len(_QUANTITIES), len(runs), sharex=True, sharey="row", squeeze=False)
-    last_step = max(trials.experiment.steps for trials in runs)
     for row, quantity in zip(grid, _QUANTITIES, strict=True):
-        for axes, trials in zip(row, runs, strict=True):
-            _draw_quantity(axes, trials, trial_number, quantity)
-        # The panels of a row share their axes, so what is set for the leftmost one holds for all.
-        leftmost_axes = row[0]
-        leftmost_axes.set(xlim=(0, last_step), ylim=_limits_of_quantity(runs, trial_number, quantity))
-        leftmost_axes.set_ylabel(quantity.label, fontsize=MEDIUM)
-    columns_of_panels = grid.T  # shape (runs, quantities)
-    for trials, column in zip(runs, columns_of_panels, strict=True):
-        top_axes, bottom_axes = column[0], column[-1]
-        top_axes.set_title(_series_title(trials.experiment, trial_number), fontsize=SMALL, loc="left")
-        bottom_axes.set_xlabel("step", fontsize=MEDIUM)
-    # Every robot has drawn a line: the legend needs one of each kind.
-    add_legend(figure, _lines_for_legend(grid))
+        _draw_row(row, runs, trial_number, quantity)
+    top_row, bottom_row = grid[0], grid[-1]
+    top_row[0].set_xlim(0, max(trials.experiment.steps for trials in runs))  # all panels share it
+    for axes, trials in zip(top_row, runs, strict=True):
+        axes.set_title(_series_title(trials.experiment, trial_number), fontsize=SMALL, loc="left")
+    for axes in bottom_row:
+        axes.set_xlabel("step", fontsize=MEDIUM)
+    add_legend(figure, _lines_for_legend(figure))
     return figure
 
 
-def _lines_for_legend(panels: NDArray[Any]) -> list[Line2D]:
+def _draw_row(row: NDArray[Any], runs: Sequence[Trials], trial_number: int, quantity: _Quantity) -> None:
+    """Draw a quantity of each run into a row of panels, with its label and limits at the left."""
+    for axes, trials in zip(row, runs, strict=True):
+        _draw_quantity(axes, trials, trial_number, quantity)
+    # The panels of a row share their y axis, so what is set for the leftmost one holds for all.
+    row[0].set_ylim(_limits_of_quantity(runs, trial_number, quantity))
+    row[0].set_ylabel(quantity.label, fontsize=MEDIUM)
+
+
+def _lines_for_legend(figure: Figure) -> list[Line2D]:
     """Return a line of each kind that some panel has: of flawed robots, of healthy ones, and the truth.
 
-    The kind of a line is its label.
+    The kind of a line is its label. A kind may have no lines: the healthy robots, if all are flawed.
     """
-    lines = [line for axes in panels.flat for line in axes.lines]
-    lines_for_legend = []
-    for label in (_FLAWED_LABEL, _HEALTHY_LABEL, _TRUE_LABEL):
-        lines_of_kind = [line for line in lines if line.get_label() == label]
-        # A kind may have no lines: the healthy robots, for example, if all are flawed.
-        if lines_of_kind:
-            lines_for_legend.append(lines_of_kind[-1])
-    return lines_for_legend
+    # Of the many lines with one label, the last one stays in the dictionary.
+    line_by_label = {line.get_label(): line for axes in figure.axes for line in axes.lines}
+    labels = (_FLAWED_LABEL, _HEALTHY_LABEL, _TRUE_LABEL)
+    return [line_by_label[label] for label in labels if label in line_by_label]
 
 
 def _values_of(trials: Trials, trial_number: int, quantity: _Quantity) -> NDArray[np.float64]:
@@ -125,16 +127,14 @@ def _limits_of_quantity(
     The true value lies within them, and so do all values but those of the first moments, a fiftieth of the
     samples, when estimates still jump between 0 and 1.
     """
-    lows: list[float] = []
-    highs: list[float] = []
+    visible_values: list[float] = []
     for trials in runs:
         values = _values_of(trials, trial_number, quantity)
         unsettled_samples = len(values) // 50
         settled_values = values[unsettled_samples:]
         true_value = _true_value(trials.experiment, quantity)
-        lows.append(min(float(settled_values.min()), true_value))
-        highs.append(max(float(settled_values.max()), true_value))
-    low, high = min(lows), max(highs)
+        visible_values += [settled_values.min(), settled_values.max(), true_value]
+    low, high = min(visible_values), max(visible_values)
     margin = max(0.06 * (high - low), 0.01)
     return low - margin, high + margin
 
@@ -168,29 +168,17 @@ def _draw_quantity(axes: Axes, trials: Trials, trial_number: int, quantity: _Qua
     draw_style = "steps-post" if quantity.name == "b_hat" else "default"  # b_hat is constant between updates
     # Flawed robots have the lowest ids, and what is drawn last lies on top.
     for robot in reversed(range(experiment.robots)):
-        if experiment.is_flawed(robot):
-            colour, label = COLOUR_OF_FLAWED_ROBOTS, _FLAWED_LABEL
-        else:
-            colour, label = COLOUR_OF_HEALTHY_ROBOTS, _HEALTHY_LABEL
-        axes.plot(
-            steps,
-            values[:, robot],
-            color=colour,
-            label=label,
-            linewidth=1.1,
-            alpha=0.75,
-            drawstyle=draw_style,
-        )
-    true_value = _true_value(experiment, quantity)
-    axes.axhline(true_value, color=INK, label=_TRUE_LABEL, linewidth=1.2, linestyle="--")
-    true_value_text = f" {quantity.true_symbol} = {true_value:g}"
-    right_edge = 1  # in this transform x is a share of the panel's width
-    axes.text(
-        right_edge,
-        true_value,
-        true_value_text,
-        transform=axes.get_yaxis_transform(),
-        va="center",
-        fontsize=SMALL,
-    )
+        (line,) = axes.plot(steps, values[:, robot], drawstyle=draw_style, linewidth=1.1, alpha=0.75)
+        line_of_kind = _FLAWED_LINE if experiment.is_flawed(robot) else _HEALTHY_LINE
+        line.set(**line_of_kind)
+    _draw_true_value(axes, _true_value(experiment, quantity), quantity.true_symbol)
     style_panel(axes)
+
+
+def _draw_true_value(axes: Axes, true_value: float, symbol: str) -> None:
+    """Draw a dashed line at the true value of a quantity, and its symbol and value at the right."""
+    axes.axhline(true_value, color=INK, label=_TRUE_LABEL, linewidth=1.2, linestyle="--")
+    right_edge = 1  # in this transform x is a share of the panel's width
+    transform = axes.get_yaxis_transform()
+    text = f" {symbol} = {true_value:g}"
+    axes.text(right_edge, true_value, text, transform=transform, va="center", fontsize=SMALL)
