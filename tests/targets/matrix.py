@@ -8,18 +8,11 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from elftools.elf.constants import SH_FLAGS
-from elftools.elf.elffile import ELFFile
-from elftools.elf.sections import SymbolTableSection
-
 from support import ROOT, require, run
 from targets.golden_vectors import FILES
 
 HERE = Path(__file__).resolve().parent
 _ANSI = re.compile(r"\x1b\[\d+m")
-_BY_COMPILERS = r"memcpy|memset"
-_ON_CORTEX_M = r"|__aeabi_lmul|__gnu_thumb1_case_\w+"
-_ON_AVR = r"|__(ashl|lshr|add|sub|mul)di3|__cmpdi2(_s8)?|__mul(ohi|uhi)?si3|__umulsidi3"
 
 
 @dataclass(frozen=True)
@@ -30,17 +23,15 @@ class Target:
         name: Of the preset and of the toolchain file.
         tools: Its compiler and its emulator, and what else building takes.
         packages: Debian packages with what it needs.
-        helpers: Regular expression of what the core may leave to the compiler's own library: integer helpers.
     """
 
     name: str
     tools: tuple[str, ...]
     packages: str
-    helpers: str = _BY_COMPILERS
 
 
 _ARM = (("arm-none-eabi-gcc", "qemu-system-arm"), "gcc-arm-none-eabi qemu-system-arm")
-AVR = Target("avr", ("avr-gcc", "simavr"), "gcc-avr avr-libc simavr", _BY_COMPILERS + _ON_AVR)
+AVR = Target("avr", ("avr-gcc", "simavr"), "gcc-avr avr-libc simavr")
 BIG_ENDIAN = Target(
     "s390x-linux-gnu",
     ("s390x-linux-gnu-gcc", "qemu-s390x"),
@@ -52,7 +43,7 @@ HOST = Target("host", ("gcc", "cmake"), "gcc cmake")
 """This computer."""
 TARGETS = (
     AVR,
-    Target("cortex-m0", *_ARM, _BY_COMPILERS + _ON_CORTEX_M),
+    Target("cortex-m0", *_ARM),
     Target("cortex-m4", *_ARM),
     Target(
         "rv32imc",
@@ -183,41 +174,3 @@ def play(build: ImageBuild, folder: Path, *files: Path) -> str:
     lines = [line.removeprefix("1: ") for line in done.stdout.splitlines() if line.startswith("1: ")]
     lines.append("" if done.returncode == 0 else "a test of the image failed")
     return _ANSI.sub("", "\n".join(lines))
-
-
-# ---- What is in an image ----
-
-
-def core_objects(folder: Path) -> list[Path]:
-    """Return the object files of the core in a folder: the method, and saving and restoring."""
-    [method] = folder.glob("core/**/mcp_asdf.c.o*")
-    [image] = folder.glob("core/**/mcp_asdf_image.c.o*")
-    return [method, image]
-
-
-def needed_symbols(objects: list[Path]) -> set[str]:
-    """Return the symbols that objects use and no object defines."""
-    undefined, defined = set[str](), set[str]()
-    for elf in objects:
-        with elf.open("rb") as stream:
-            table = ELFFile(stream).get_section_by_name(".symtab")
-            assert isinstance(table, SymbolTableSection)
-            for symbol in table.iter_symbols():
-                if symbol["st_shndx"] == "SHN_UNDEF":
-                    undefined.add(symbol.name)
-                else:
-                    defined.add(symbol.name)
-    return undefined - defined - {""}
-
-
-def variables(elf: Path) -> int:
-    """Return the bytes of variables in a file. On an AVR constants are in RAM, so they count, too."""
-    byte_count = 0
-    with elf.open("rb") as stream:
-        file = ELFFile(stream)
-        are_constants_in_ram = file["e_machine"] == "EM_AVR"
-        for section in file.iter_sections():
-            is_writable = section["sh_flags"] & SH_FLAGS.SHF_WRITE
-            if is_writable or (are_constants_in_ram and section.name.startswith(".rodata")):
-                byte_count += section["sh_size"]
-    return byte_count

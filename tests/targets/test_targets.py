@@ -1,24 +1,22 @@
 """The C firmware computes the same bits on every target, with every compiler at every level.
 
 Files in this folder hold calls of robots, and a digest of what MirrorRobot, the robot in Python, answers to
-them. On each target an image plays them: it makes the calls, and compares digests. Each must also do without
-a library.
+them. On each target an image plays them: it makes the calls, and compares digests.
 """
 
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, replace
-from functools import partial
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from mcp_asdf_tools.crosscheck.scenario import Scenario
-from support import made_once, slow
+from support import slow
 from targets import matrix
 from targets.golden_vectors import FILES, HERE, Player, content_made_anew, expected_verdict, played
-from targets.matrix import HOST, TARGETS, WASM, ImageBuild, further_builds, usual_build
+from targets.matrix import HOST, TARGETS, ImageBuild, further_builds, usual_build
 
 QUICK_FILES = ("golden_few.bin", "golden_robust.bin")
 SLOW_FILES = [name for name in FILES if name not in QUICK_FILES]
@@ -34,42 +32,6 @@ SLOW_BUILDS = [*map(usual_build, TARGETS), *further_builds()]
 FIRST_FILE = next(iter(FILES))
 
 
-def has_objects(build: ImageBuild) -> bool:
-    """Return whether the compiled core can be looked into; with an optimising linker it is no machine code.
-
-    Of WebAssembly the linker refuses an image that lacks something.
-    """
-    return "LTO" not in build.level and build.target != WASM
-
-
-@dataclass(frozen=True)
-class PlayedImages:
-    """What the images of a build printed, each with the files that it plays, and where they were built."""
-
-    build: ImageBuild
-    outputs: list[tuple[list[str], str]]
-    folder: Path
-
-
-def play_images(build: ImageBuild, folder: Path) -> None:
-    """Build the images in a folder and play them, and write what each prints to a file there."""
-    for number, files in enumerate(build.images()):
-        printed = matrix.play(build, folder, *(HERE / name for name in files))
-        (folder / f"printed_{number}.txt").write_text(printed, encoding="utf-8")
-
-
-@pytest.fixture(scope="module")
-def played_images(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> PlayedImages:
-    build: ImageBuild = request.param
-    build.require_tools()
-    folder = made_once(tmp_path_factory, f"image {build}", partial(play_images, build))
-    outputs = [
-        (files, (folder / f"printed_{number}.txt").read_text(encoding="utf-8"))
-        for number, files in enumerate(build.images())
-    ]
-    return PlayedImages(build, outputs, folder)
-
-
 @pytest.mark.parametrize("name", [*QUICK_FILES, *slow(SLOW_FILES)])
 def test_the_files_of_calls_are_what_the_robot_in_python_gives(name: str) -> None:
     """A file has calls of robots, and a digest of what the robot in Python answers to them.
@@ -80,39 +42,17 @@ def test_the_files_of_calls_are_what_the_robot_in_python_gives(name: str) -> Non
     assert content_made_anew(name) == stored_content, "write it again and say why in the changelog"
 
 
-@pytest.mark.parametrize("played_images", [*QUICK_BUILDS, *slow(SLOW_BUILDS)], ids=str, indirect=True)
-def test_a_target_computes_the_same_bits_as_the_robot_in_python(played_images: PlayedImages) -> None:
+@pytest.mark.parametrize("build", [*QUICK_BUILDS, *slow(SLOW_BUILDS)], ids=str)
+def test_a_target_computes_the_same_bits_as_the_robot_in_python(build: ImageBuild, tmp_path: Path) -> None:
     """An image plays files of calls on the target, and compares answers with those of the robot in Python.
 
     It prints "PASS" and the numbers of calls in the files if all are the same.
     """
-    for files, printed in played_images.outputs:
-        assert expected_verdict(files) in printed, printed
+    build.require_tools()
+    for file_names in build.images():
+        printed = matrix.play(build, tmp_path, *(HERE / name for name in file_names))
+        assert expected_verdict(file_names) in printed, printed
         assert "failed" not in printed, printed
-
-
-@pytest.mark.parametrize(
-    "played_images",
-    [*filter(has_objects, QUICK_BUILDS), *slow(filter(has_objects, SLOW_BUILDS))],
-    ids=str,
-    indirect=True,
-)
-def test_the_firmware_needs_no_library_and_no_variables_on_a_target(
-    played_images: PlayedImages,
-) -> None:
-    """It may call the helpers with which the target's compiler computes with integers.
-
-    The image of the target was built of the compiled files that are looked into here.
-    """
-    pattern_of_helpers = played_images.build.target.helpers
-    compiled_files = matrix.core_objects(played_images.folder)
-
-    symbols = matrix.needed_symbols(compiled_files)
-    foreign_symbols = {name for name in symbols if not re.fullmatch(pattern_of_helpers, name)}
-
-    assert foreign_symbols == set()
-    bytes_of_variables = sum(matrix.variables(compiled) for compiled in compiled_files)
-    assert bytes_of_variables == 0
 
 
 def longest_scenario() -> tuple[int, Scenario]:
