@@ -12,7 +12,7 @@ import subprocess
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +23,6 @@ from can.interfaces.udp_multicast.utils import pack_message, unpack_message
 
 from datagrams import odd_datagrams
 from mcp_asdf_tools.bus.datagrams import unpack_data_frame
-from mcp_asdf_tools.bus.frame_layout import Action
 from mcp_asdf_tools.cli.main import main
 from mcp_asdf_tools.robots.node import RobotNode
 from multicast import multicast
@@ -41,7 +40,7 @@ from targets.c_node import (
     python_node,
     without_repeated_greetings,
 )
-from targets.test_node import ID, OPTIONS_OF_SUBJECTS, SUBJECTS, any_frame, command_frame
+from targets.test_node import ID, OPTIONS_OF_SUBJECTS, SUBJECTS, any_frame, commands_that_are_answered
 
 PORT = 20000 + os.getpid() % 12000
 """Below those that the kernel gives senders. Other processes that run this have others."""
@@ -65,78 +64,50 @@ def interface(address: str) -> str:
     return f"udp:[{address}]:{PORT}" if ":" in address else f"udp:{address}:{PORT}"
 
 
-def datagrams_on_wifi(
-    frames: list[can.Message], rng: random.Random
-) -> list[tuple[can.Message | None, bytes]]:
-    """Return datagrams as they arrive, each with its frame, or None if it has none.
+Arrival = tuple[can.Message | None, bytes]
+"""A datagram that arrives, with its frame, or None if it has no frame of classic CAN."""
 
-    Some frames are lost, some come twice or late, and between them are datagrams that are no frames.
-    """
-    arrivals: list[tuple[can.Message | None, bytes]] = []
+
+def arrival_of(frame: can.Message) -> Arrival:
+    """Return the datagram that python-can packs of a frame."""
+    is_classic = not (frame.is_fd or frame.is_remote_frame or frame.is_error_frame)
+    return frame if is_classic else None, pack_message(frame)
+
+
+def datagrams_on_wifi(frames: list[can.Message], rng: random.Random) -> list[Arrival]:
+    """Return datagrams as they arrive: some are lost, some come twice or late, and some are garbage."""
+    arrivals: list[Arrival] = []
     for frame in frames:
-        datagram = pack_message(frame)
+        arrival = arrival_of(frame)
         copies = rng.choice((0, 1, 1, 1, 1, 1, 2))
-        arrivals += [(frame, datagram)] * copies
+        arrivals += [arrival] * copies
         if rng.random() < 0.1:
             arrivals[-2:] = reversed(arrivals[-2:])  # the last two change places
         if rng.random() < 0.1:
+            _frame, datagram = arrival
             garbage = (b"", datagram[:-1], datagram + b"\0", bytes(3000), b"\x8b" * 150)
             arrivals.append((None, rng.choice(garbage)))
     return arrivals
 
 
-@dataclass
-class NodesInGroup:
-    """The robot's program in C in a multicast group, and its twin in Python, which gets the same frames.
+def exchange(
+    group: Group, twin: RobotNode, arrivals: list[Arrival]
+) -> tuple[list[can.Message], list[can.Message]]:
+    """Send datagrams to the C node in a group, and their frames to its twin in Python.
 
-    Attributes:
-        group: This test's connection to the group.
-        twin: The Python robot.
-        expected_answers: What the twin has answered, its first heartbeat included.
-        received_frames: What the C program has answered.
-        sent_count: Number of datagrams that were sent to the group.
-        odd_count: Datagrams without a frame of classic CAN.
+    Returns what the C node has answered, and what the twin has, each with its first heartbeat.
     """
-
-    group: Group
-    twin: RobotNode
-    expected_answers: list[can.Message] = field(default_factory=list)
-    received_frames: list[can.Message] = field(default_factory=list)
-    sent_count: int = 0
-    odd_count: int = 0
-
-    def __post_init__(self) -> None:
-        self.expected_answers += self.twin.start()
-        self.wait_for_answers()
-
-    def send(self, frame: can.Message | None, datagram: bytes) -> None:
-        """Send a datagram to the C program, and the frame that it has, if any, to the twin."""
-        self.group.send(datagram)
-        self.sent_count += 1
-        if frame is not None and is_classic(frame):
-            self.expected_answers += self.twin.receive_frame(frame)
-        else:
-            self.odd_count += 1
-        if self.sent_count % 20 == 0:  # more answers might overflow the socket
-            self.wait_for_answers()
-
-    def send_commands_that_are_answered(self) -> None:
-        """Send commands. The last is answered for certain, after all earlier datagrams have been handled."""
-        for action in (Action.SETTLE, Action.OBSERVE_BLACK, Action.SETTLE):
-            tick_of_last_command = self.twin._tick_of_command
-            tick = 0 if tick_of_last_command is None else tick_of_last_command
-            command = command_frame(tick, ID, action)
-            self.send(command, pack_message(command))
-        self.wait_for_answers()
-
-    def wait_for_answers(self) -> None:
-        """Receive until the C program has answered as often as the twin."""
-        receive_until(self.group, self.received_frames, len(self.expected_answers))
-
-    def expected_numbers(self) -> dict[str, int]:
-        """Return numbers that the C program has to print when it ends."""
-        numbers_of_datagrams = {"received": self.sent_count, "odd_packets": self.odd_count}
-        return {**numbers_of_robot(self.twin), **numbers_of_datagrams, "overflowed": 0, "downs": 0}
+    answers: list[can.Message] = []
+    expected_answers = list(twin.start())
+    receive_until(group, answers, len(expected_answers))
+    for number, (frame, datagram) in enumerate(arrivals, start=1):
+        group.send(datagram)
+        if frame is not None:
+            expected_answers += twin.receive_frame(frame)
+        if number % 20 == 0:  # more answers might overflow the socket
+            receive_until(group, answers, len(expected_answers))
+    receive_until(group, answers, len(expected_answers))
+    return answers, expected_answers
 
 
 @pytest.mark.slow
@@ -155,32 +126,30 @@ def test_c_and_python_node_answer_the_datagrams_of_a_bad_network_alike(
     prints its state and counters in the end, as a summary.
     """
     rng = random.Random(address)
-    frames_to_send = [any_frame(rng) for _ in range(600)]
-    arrivals = datagrams_on_wifi(frames_to_send, rng)
+    arrivals = datagrams_on_wifi([any_frame(rng) for _ in range(600)], rng)
+    arrivals += map(arrival_of, commands_that_are_answered())  # after all datagrams have been handled
     twin = python_node(ID, b_hat=0.75, subjects=SUBJECTS, steps_per_second=3, filter_period=4)
     same_options = f"--b-hat 0.75 {OPTIONS_OF_SUBJECTS} --steps-per-second 3 --filter-period 4"
     options = f"--lockstep --hop-limit 0 {same_options}".split()
     command = node_command(kind, tmp_path_factory)
     with joined(address) as group, CNode(command, interface(address), ID, *options) as node:
-        nodes = NodesInGroup(group, twin)
-        for frame, datagram in arrivals:
-            nodes.send(frame, datagram)
-        nodes.send_commands_that_are_answered()  # the answer shows that all datagrams have been handled
+        answers, expected_answers = exchange(group, twin, arrivals)
         summary = node.stop()
 
-    assert candump_lines(nodes.received_frames) == candump_lines(nodes.expected_answers)
-    expected_numbers = nodes.expected_numbers()
-    numbers_of_c_node = {name: summary[name] for name in expected_numbers}
-    assert numbers_of_c_node == expected_numbers
-    # The C node counts damaged frames and frames for others apart. The twin counts both together.
-    assert summary["refused"] + summary["others"] == twin.reception.rejected.total()
+    assert candump_lines(answers) == candump_lines(expected_answers)
+    assert_same_numbers(summary, twin, arrivals)
     for event in ("odd_packets", "repeated", "collisions", "obeyed"):
         assert summary[event] > 10, f"{event}: too rare to be tested"
 
 
-def is_classic(frame: can.Message) -> bool:
-    """Return whether a frame is a data frame of classic CAN."""
-    return not (frame.is_fd or frame.is_remote_frame or frame.is_error_frame)
+def assert_same_numbers(summary: dict[str, Any], twin: RobotNode, arrivals: list[Arrival]) -> None:
+    """Check that a C node's summary has the twin's numbers, and counts all datagrams."""
+    odd_count = sum(frame is None for frame, _datagram in arrivals)
+    numbers_of_datagrams = {"received": len(arrivals), "odd_packets": odd_count, "overflowed": 0, "downs": 0}
+    expected_numbers = {**numbers_of_robot(twin), **numbers_of_datagrams}
+    assert {name: summary[name] for name in expected_numbers} == expected_numbers
+    # The C node counts damaged frames and frames for others apart. The twin counts both together.
+    assert summary["refused"] + summary["others"] == twin.reception.rejected.total()
 
 
 def receive_until(group: Group, received_frames: list[can.Message], count: int) -> None:

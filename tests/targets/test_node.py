@@ -136,18 +136,13 @@ class BothNodes:
         self.sent_frames.append(frame)
         self.expected_answers += self.twin.receive_frame(frame)
 
-    def add_commands_that_are_answered(self) -> None:
-        """Add three commands. At least one is answered, after any other frames.
-
-        The answer shows that the C program has handled all frames.
-        """
-        tick_of_last_command = self.twin._tick_of_command
-        tick = 0 if tick_of_last_command is None else tick_of_last_command
-        for action in (Action.SETTLE, Action.OBSERVE_BLACK, Action.SETTLE):
-            self.add(command_frame(tick, ID, action))
-
     def send_all_to_c_program(self) -> dict[str, Any]:
-        """Send the frames to the C program, receive all answers, stop it, and return its summary."""
+        """Send the frames to the C program, receive all answers, stop it, and return its summary.
+
+        Commands that are answered come last: the answer shows that all frames before have been handled.
+        """
+        for command in commands_that_are_answered():
+            self.add(command)
         for number, frame in enumerate(self.sent_frames, start=1):
             self.bus.send(frame)
             if number % 20 == 0:  # so that the answers do not fill the socket
@@ -198,7 +193,6 @@ def test_c_and_python_node_answer_thousands_of_legal_and_broken_frames_alike(
     rng = random.Random(firmware_filter)
     for _ in range(3000):
         both.add(any_frame(rng))
-    both.add_commands_that_are_answered()  # the answer shows that all frames before have been handled
 
     summary = both.send_all_to_c_program()
 
@@ -242,7 +236,6 @@ def test_a_node_reports_once_that_another_node_sends_under_its_id(
     both = make_both_nodes(Filter.ROBUST)
     for x_hat in (1000, 2000):
         both.add(encode_estimate(Estimate(ID, x_hat, alpha=0, transfer_id=0), SUBJECTS.estimates))
-    both.add_commands_that_are_answered()  # the answer shows that the estimates before have been handled
 
     summary = both.send_all_to_c_program()
 
@@ -255,6 +248,12 @@ def test_a_node_reports_once_that_another_node_sends_under_its_id(
 def command_frame(tick: int, target: int, action: Action, subjects: Subjects = SUBJECTS) -> can.Message:
     """Return a command of the node with id 126."""
     return encode_command(Command(126, tick, target, action, transfer_id=0), subjects.commands)
+
+
+def commands_that_are_answered() -> list[can.Message]:
+    """Return two commands that begin and end a tick, whatever tick of ``any_frame`` is open."""
+    other_tick = 7
+    return [command_frame(other_tick, ID, action) for action in (Action.OBSERVE_BLACK, Action.SETTLE)]
 
 
 def any_frame(rng: random.Random, robot_id: int = ID, subjects: Subjects = SUBJECTS) -> can.Message:
