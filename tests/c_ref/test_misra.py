@@ -47,22 +47,33 @@ Findings = defaultdict[str, set[str]]
 
 
 def find(target: str, sources: Path, *build_options: str) -> Findings:
-    """Return what cppcheck finds in the sources under a target's choices."""
+    """Return what cppcheck finds under a target's choices. Fails if it prints anything else."""
+    printed = run_cppcheck(target, sources, *build_options)
+    text_beside_findings = FINDING.sub("", printed).strip()
+    assert text_beside_findings == "", printed
+    places_by_rule: Findings = defaultdict(set)
+    for file_name, line_number, rule in FINDING.findall(printed):
+        path = sources / Path(file_name).name
+        code = code_of_line(path, int(line_number))
+        places_by_rule[rule].add(f"{path.name}: {code}")
+    return places_by_rule
+
+
+def run_cppcheck(target: str, sources: Path, *build_options: str) -> str:
+    """Run cppcheck on the sources under a target's choices, and return its messages."""
     files = sorted(sources.glob("*.c")) if target in TARGETS_OF_ALL_FILES else [sources / CORE.name]
     command = ["cppcheck", "--addon=misra", "--std=c99", "--quiet", "--template={file}:{line} {id}"]
     options = [*SYSTEM_HEADERS, *Variant(target).flags(), *build_options, *TARGETS[target]]
-    done = subprocess.run(
+    result = subprocess.run(
         [*command, *options, *map(str, files)], capture_output=True, text=True, check=True, timeout=120
     )
-    places_by_rule: Findings = defaultdict(set)
-    for name, line_number, rule in FINDING.findall(done.stderr):
-        path = sources / Path(name).name
-        line = path.read_text(encoding="utf-8").splitlines()[int(line_number) - 1]
-        code = " ".join(COMMENT.sub("", line).split())
-        places_by_rule[rule].add(f"{path.name}: {code}")
-    text_beside_findings = FINDING.sub("", done.stderr).strip()
-    assert text_beside_findings == "", done.stderr
-    return places_by_rule
+    return result.stderr
+
+
+def code_of_line(path: Path, line_number: int) -> str:
+    """Return a line of a file, by its number from 1, without comments and with single spaces."""
+    line = path.read_text(encoding="utf-8").splitlines()[line_number - 1]
+    return " ".join(COMMENT.sub("", line).split())
 
 
 def recorded_places() -> Findings:

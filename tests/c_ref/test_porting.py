@@ -129,26 +129,28 @@ def expected_output(script: list[ScriptedTick]) -> bytes:
     """
     robot = MirrorRobot(Config(filter=Filter.ROBUST), ROBOT_ID, B_HAT / 2**32)
     assert robot.b_hat_raw == B_HAT
-    output, lost = b"", 0
+    output, lost_packets = b"", 0
     for tick_number, tick in enumerate(script):
-        lost += receive_packets(robot, tick.packets)
+        lost_packets += receive_packets(robot, tick.packets)
         if tick.tile != NO_TILE:
             robot.observe(Observation(tick.tile))
-        transfer_id = tick_number % 32
-        estimate = Estimate(ROBOT_ID, robot.x_hat_raw, robot.alpha_raw, transfer_id)
+        estimate = Estimate(ROBOT_ID, robot.x_hat_raw, robot.alpha_raw, transfer_id=tick_number % 32)
         output += packet_of(frames.encode_estimate(estimate, FORMAT))
         robot.settle()
-        tick_count = tick_number + 1
-        if tick_count % 10 == 0:
-            seconds = tick_count // 10
-            transfer_id = (seconds - 1) % 32
-            heartbeat = Heartbeat(ROBOT_ID, seconds, transfer_id, vendor_status=lost % 256)
-            updates = robot.counters.updates % 256
-            b_hat_in_24_bits = robot.b_hat_raw >> 8
-            telemetry = Telemetry(ROBOT_ID, robot.x_raw, b_hat_in_24_bits, updates, transfer_id)
-            output += packet_of(frames.encode_heartbeat(heartbeat))
-            output += packet_of(frames.encode_telemetry(telemetry))
+        seconds, tick_of_second = divmod(tick_number + 1, 10)
+        if tick_of_second == 0:
+            output += packets_of_report(robot, seconds, lost_packets)
     return output
+
+
+def packets_of_report(robot: MirrorRobot, seconds: int, lost_packets: int) -> bytes:
+    """Return the heartbeat and the telemetry that the demonstration robot sends after so many seconds."""
+    transfer_id = (seconds - 1) % 32
+    heartbeat = Heartbeat(ROBOT_ID, seconds, transfer_id, vendor_status=lost_packets % 256)
+    updates = robot.counters.updates % 256
+    b_hat_in_24_bits = robot.b_hat_raw >> 8
+    telemetry = Telemetry(ROBOT_ID, robot.x_raw, b_hat_in_24_bits, updates, transfer_id)
+    return packet_of(frames.encode_heartbeat(heartbeat)) + packet_of(frames.encode_telemetry(telemetry))
 
 
 # --- The compiled core -----------------------------------------------------------------------------------
@@ -806,6 +808,16 @@ def draw_messages(stream: random.Random) -> list[bytes]:
     return [*map(kilobot_message, estimates), NOISE_MESSAGE]
 
 
+def step_twin(robot: MirrorRobot, messages: list[bytes], light: int) -> None:
+    """Let the robot in Python do what a Kilobot does in a round with these messages and this light."""
+    for message in messages[:KEPT_MESSAGES]:
+        receive_kilobot_message(robot, message)
+    robot.settle()
+    if light != NO_LIGHT:
+        is_black = light < 512
+        robot.observe(Observation(is_black))
+
+
 def receive_kilobot_message(robot: MirrorRobot, message: bytes) -> None:
     """Let the robot in Python receive a Kilobot's message, if it is an estimate."""
     empty_frame = frames.encode_estimate(Estimate(0, 0, 0, 0), FORMAT)
@@ -845,15 +857,10 @@ def test_a_kilobot_sends_and_believes_what_the_robot_in_python_does(kilobot: Kil
         messages = draw_messages(stream)
         for message in messages:
             kilobot.receive(message)
-        for message in messages[:KEPT_MESSAGES]:
-            receive_kilobot_message(twin, message)
         light = stream.choice((NO_LIGHT, 511, 511, 512, 1023))
         x = kilobot.run_loop(TICKS_OF_A_ROUND * (round_number + 1), light)
-        twin.settle()
-        if light != NO_LIGHT:
-            is_black = light < 512
-            twin.observe(Observation(is_black))
 
+        step_twin(twin, messages, light)
         assert x == twin.x_raw
     assert twin.counters.accepted > 40, "of rounds with one and with nine messages"
 

@@ -23,6 +23,9 @@ PORTS = ROOT / "c_ref/ports"
 OTHER_BYTE = b"\xa5"
 """What RAM is full of before the start."""
 MAX_INSTRUCTIONS = 100_000
+REGISTERS_OF_ARM = (unicorn.arm_const.UC_ARM_REG_SP, unicorn.arm_const.UC_ARM_REG_PC)
+REGISTERS_OF_RISCV = (unicorn.riscv_const.UC_RISCV_REG_SP, unicorn.riscv_const.UC_RISCV_REG_PC)
+"""Unicorn's numbers of the stack pointer and the program counter."""
 
 PROGRAM = """
 unsigned char first_byte = 1; /* so that the words behind it need not be at the start of .data */
@@ -124,30 +127,44 @@ def run_to_main(board: Board, elf: ELFFile) -> Any:
 
     Returns Unicorn's processor. Fails if main() is not reached, or if its stack is not at the end of RAM.
     """
+    processor = make_processor(board)
+    stack_pointer, program_counter = REGISTERS_OF_ARM if board.is_arm else REGISTERS_OF_RISCV
+    load_image(processor, board, elf)
+    entry = elf["e_entry"]
+    if board.is_arm:  # which reads two addresses from the vector table: its stack and its first instruction
+        processor.reg_write(stack_pointer, word_at(processor, 0))
+        entry = word_at(processor, 4)
+    main_address = address_of(elf, "main")
+    processor.emu_start(entry, main_address, count=MAX_INSTRUCTIONS)
+    assert processor.reg_read(program_counter) == main_address, "main() is not reached"
+    ram_address, ram_size = board.memories["ram"]
+    used_stack = ram_address + ram_size - processor.reg_read(stack_pointer)
+    assert 0 <= used_stack < 64, "bytes: no more than a few registers that the start-up code has saved"
+    return processor
+
+
+def make_processor(board: Board) -> Any:
+    """Return Unicorn's processor of a board, with all its memories."""
     if board.is_arm:
         processor = unicorn.Uc(unicorn.UC_ARCH_ARM, unicorn.UC_MODE_THUMB | unicorn.UC_MODE_MCLASS)
-        stack_pointer, program_counter = unicorn.arm_const.UC_ARM_REG_SP, unicorn.arm_const.UC_ARM_REG_PC
     else:
         processor = unicorn.Uc(unicorn.UC_ARCH_RISCV, unicorn.UC_MODE_RISCV32)
-        stack_pointer, program_counter = (
-            unicorn.riscv_const.UC_RISCV_REG_SP,
-            unicorn.riscv_const.UC_RISCV_REG_PC,
-        )
     for address, size in board.memories.values():
         processor.mem_map(address, size)
+    return processor
+
+
+def load_image(processor: Any, board: Board, elf: ELFFile) -> None:
+    """Fill RAM with other bytes, and write the segments of an image over them and into flash."""
     ram_address, ram_size = board.memories["ram"]
     processor.mem_write(ram_address, OTHER_BYTE * ram_size)
     for segment in elf.iter_segments("PT_LOAD"):
         processor.mem_write(segment["p_paddr"], segment.data())
-    entry = elf["e_entry"]
-    if board.is_arm:  # which reads its stack's and its first instruction's addresses from the vector table
-        stack, entry = (int.from_bytes(processor.mem_read(4 * i, 4), "little") for i in range(2))
-        processor.reg_write(stack_pointer, stack)
-    processor.emu_start(entry, address_of(elf, "main"), count=MAX_INSTRUCTIONS)
-    assert processor.reg_read(program_counter) == address_of(elf, "main"), "main() is not reached"
-    used_stack = ram_address + ram_size - processor.reg_read(stack_pointer)
-    assert 0 <= used_stack < 64, "bytes: no more than a few registers that the start-up code has saved"
-    return processor
+
+
+def word_at(processor: Any, address: int) -> int:
+    """Return the little-endian word of 32 bits at an address."""
+    return int.from_bytes(processor.mem_read(address, 4), "little")
 
 
 def sections_of_variables(elf: ELFFile) -> dict[str, Any]:

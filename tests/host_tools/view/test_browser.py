@@ -351,16 +351,6 @@ def test_the_first_chart_draws_the_mean_error_in_each_step(browser: Page, page_w
     assert mean_errors == pytest.approx([0, 0, 0, 0, 0, error_in_step_5, 0, 0, 0, 0, 0], abs=1e-4)
 
 
-def test_faults_deaths_and_returns_of_robots_are_events(browser: Page, page_with_faults: Path) -> None:
-    """The list of events has the step and a text of each, such as "4 dead".
-
-    Frames are lost (loss) all the time. A robot lies (liar) from step 2 to 8, and one is dead from 4 to 6.
-    """
-    open_file(browser, page_with_faults)
-    events = browser.evaluate("view.history.events.map(({ tick, text }) => `${tick} ${text}`)")
-    assert events == ["1 fault: loss=0.2", "2 fault: liar=1.0", "4 dead", "7 back", "9 fault over: liar=1.0"]
-
-
 # --- A swarm as it runs -------------------------------------------------------------------------------
 
 
@@ -461,11 +451,6 @@ def test_the_table_of_robots_has_a_row_for_each_robot_of_a_bus(bus_browser: Page
         "5 1.0 s warning operational 1.0/s 0.0 % 0 – – – 0",  # noqa: RUF001
         "9 10.0 s warning operational 0.0/s 0.0 % 0 – – – 0",  # noqa: RUF001
     ]
-
-
-def test_the_table_of_robots_has_a_robot_in_grey_that_was_silent_for_ten_seconds(bus_browser: Page) -> None:
-    """Robot 9 sent its last frame ten seconds ago, and robot 5 one second ago."""
-    assert bus_browser.locator("#roster tr.silent button").all_inner_texts() == ["9"]
 
 
 def test_the_button_in_a_row_of_the_table_selects_its_robot(bus_browser: Page) -> None:
