@@ -195,7 +195,6 @@ def wiring_of(args: argparse.Namespace, settings: SwarmSettings, bus_choice: Bus
         open_bus=open_bus if needs_bus else None,
         is_shared=not bus_choice.has_bus_per_robot,
         remote=remote_robots,
-        channel=bus_choice.channel or "",
     )
     check_remote(settings, wiring)
     return wiring

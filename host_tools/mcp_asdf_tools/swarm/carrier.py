@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import time
 from collections import defaultdict, deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from functools import partial
@@ -25,12 +25,13 @@ from itertools import groupby
 
 import can
 import numpy as np
+from numpy.typing import NDArray
 
-from mcp_asdf_tools.bus.frames import Estimate, FrameFormat, decode_frame, sender_of
-from mcp_asdf_tools.robots.bus_robot import BusRobot, estimate_rows
+from mcp_asdf_tools.bus.frames import Estimate, FrameContent, FrameFormat, decode_frame
+from mcp_asdf_tools.robots.bus_robot import BusRobot, EstimateRows, estimate_rows
 from mcp_asdf_tools.robots.clock import RealTimeClock
 from mcp_asdf_tools.robots.node import FrameTaker, send_all
-from mcp_asdf_tools.swarm.delivery import Deliveries, DeliveryQueue, SentFrame
+from mcp_asdf_tools.swarm.delivery import Deliveries, DeliveryQueue, ReceiverMask, SentFrame
 
 FRAME_TIMEOUT = 2.0
 """Seconds after which a frame that has not arrived counts as lost."""
@@ -62,13 +63,11 @@ class Wiring:
             sends, unless the robots are remote. None if there is no bus.
         is_shared: Whether all robots share one bus. Otherwise each has its own.
         remote: Remote robots: all robots on a shared bus, or any of those that have their own.
-        channel: Name of the bus in logs if there is no bus.
     """
 
     open_bus: OpenBus | None = None
     is_shared: bool = True
     remote: frozenset[int] = frozenset()
-    channel: str = ""
 
 
 class ExpectingConnection:
@@ -84,7 +83,7 @@ class ExpectingConnection:
         bus: can.BusABC,
         listener: str,
         on_unexpected: FrameTaker = lambda frame: None,
-        on_frame: FrameTaker | None = None,
+        on_frame: FrameTaker = lambda frame: None,
     ) -> None:
         """Wrap a bus.
 
@@ -118,15 +117,14 @@ class ExpectingConnection:
         awaited = [*self._overdue, *expected]
         seconds = FRAME_TIMEOUT if timeout is None else timeout
         received = self._read_awaited(awaited, seconds)
-        missing_indices = [index for index in range(len(awaited)) if index not in received]
-        missing = [awaited[index] for index in missing_indices]
+        missing = [sent_frame for index, sent_frame in enumerate(awaited) if index not in received]
         # In lockstep every frame has to arrive, since the run could not be repeated otherwise.
         if missing and timeout is None:
             raise self._loss_error(missing)
-        # The overdue frames are the first in ``awaited``, and an earlier call has counted them as missed.
-        overdue_count = len(self._overdue)
-        newly_missed = [index for index in missing_indices if index >= overdue_count]
-        self.missed_count += len(newly_missed)
+        # An earlier call has counted the overdue frames, which are the first of those awaited.
+        for index in range(len(self._overdue), len(awaited)):
+            if index not in received:
+                self.missed_count += 1
         self._overdue = missing
         return [received[index] for index in sorted(received)]
 
@@ -138,23 +136,19 @@ class ExpectingConnection:
         count as received first.
         """
         received: dict[int, SentFrame] = {}
-        # The indices of frames that have not arrived, by identifier and data
-        missing_indices: defaultdict[tuple[int, bytes], deque[int]] = defaultdict(deque)
-        for index, sent_frame in enumerate(awaited):
-            missing_indices[_identifier_and_data(sent_frame.frame)].append(index)
-
-        frames = self._frames_within(seconds)
-        while len(received) < len(awaited):
-            frame = next(frames, None)
-            if frame is None:  # the time is over
-                break
+        if not awaited:  # nothing is read then
+            return received
+        missing_indices = _indices_by_content(awaited)
+        for frame in self._frames_within(seconds):
             # get() does not add an entry for a frame that nobody expects, of which there may be many.
             indices = missing_indices.get(_identifier_and_data(frame))
-            if indices:
-                index = indices.popleft()
-                received[index] = replace(awaited[index], frame=frame)
-            else:
+            if not indices:
                 self._on_unexpected(frame)
+                continue
+            index = indices.popleft()
+            received[index] = replace(awaited[index], frame=frame)
+            if len(received) == len(awaited):
+                break
         return received
 
     def _frames_within(self, seconds: float) -> Iterator[can.Message]:
@@ -186,7 +180,7 @@ class ExpectingConnection:
     def _read_frame(self, timeout: float) -> can.Message | None:
         """Return the next frame, reported to ``on_frame``; None if there is none in time."""
         frame = self.bus.recv(timeout)
-        if frame is not None and self._on_frame is not None:
+        if frame is not None:
             self._on_frame(frame)
         return frame
 
@@ -209,6 +203,14 @@ class ExpectingConnection:
 def _identifier_and_data(frame: can.Message) -> tuple[int, bytes]:
     """Return the identifier and the data: a bus preserves both, and they tell frames apart."""
     return frame.arbitration_id, bytes(frame.data)
+
+
+def _indices_by_content(sent_frames: Sequence[SentFrame]) -> defaultdict[tuple[int, bytes], deque[int]]:
+    """Return the indices of frames, in rising order, by the identifier and data that they have."""
+    indices: defaultdict[tuple[int, bytes], deque[int]] = defaultdict(deque)
+    for index, sent_frame in enumerate(sent_frames):
+        indices[_identifier_and_data(sent_frame.frame)].append(index)
+    return indices
 
 
 class Carrier:
@@ -250,7 +252,7 @@ class Carrier:
         """Frames of this tick that the carrier has read."""
         self._open_buses = ExitStack()
 
-    def join(self, wiring: Wiring, on_frame: FrameTaker | None = None) -> None:
+    def join(self, wiring: Wiring, on_frame: FrameTaker) -> None:
         """Open the buses of ``wiring``, which may be one for all robots, one for each, or none.
 
         The carrier gets a connection to each bus. A robot in this process gets a second connection to a bus
@@ -260,43 +262,51 @@ class Carrier:
         ``on_frame`` is called with every frame that a robot sends: without a bus when it is sent, otherwise
         when the carrier reads it. Raises what ``wiring.open_bus`` raises; no bus is left open then.
         """
-        open_bus = wiring.open_bus
-        if open_bus is None:
-            if on_frame is not None:
-                self._on_frame_without_bus = on_frame
+        if wiring.open_bus is None:
+            self._on_frame_without_bus = on_frame
             return
         self._has_bus_per_robot = not wiring.is_shared
-        robots = list(self._robots)
-        with ExitStack() as open_buses:  # which closes those that are open if a later one fails
-
-            def enter_bus(robot: int) -> can.BusABC:
-                """Open a connection to the bus of a robot, by id, to be closed with the others."""
-                return open_buses.enter_context(open_bus(robot))
-
-            if self._has_bus_per_robot:
-                for robot in robots:
-                    self._connect_carrier([robot], enter_bus(robot), on_frame)
-                    if robot not in wiring.remote:
-                        robot_connection = ExpectingConnection(enter_bus(robot), f"robot {robot}")
-                        self._robot_connections[robot] = robot_connection
+        try:
+            if wiring.is_shared:
+                are_robots_remote = len(wiring.remote) > 0  # on a shared bus all of them are, or none
+                self._join_shared_bus(wiring.open_bus, are_robots_remote, on_frame)
             else:
-                any_robot = robots[0]  # all have the same bus, so that any of them gives it
-                self._connect_carrier(robots, enter_bus(any_robot), on_frame)
-                are_robots_local = not wiring.remote  # on a shared bus all robots are remote, or none
-                if are_robots_local:
-                    self._robot_connections.update(self.bus_connections)
-            # All could be opened: from here on close() closes them, not the end of this block.
-            self._open_buses = open_buses.pop_all()
+                self._join_bus_of_each_robot(wiring.open_bus, wiring.remote, on_frame)
+        except BaseException:
+            self.close()  # the buses that were opened before another could not be
+            raise
 
-    def _connect_carrier(self, robots: Sequence[int], bus: can.BusABC, on_frame: FrameTaker | None) -> None:
-        """Connect the carrier to the bus of ``robots``, which count the frames of other nodes there.
+    def _join_shared_bus(self, open_bus: OpenBus, are_robots_remote: bool, on_frame: FrameTaker) -> None:
+        """Open the carrier's connection to the bus of all robots, over which those in this process send."""
+        robots = list(self._robots)
+        any_robot = robots[0]  # all have the same bus
+        bus = self._open_buses.enter_context(open_bus(any_robot))
+        carrier_connection = self._connect_carrier(robots, bus, on_frame)
+        for robot in robots:
+            self.bus_connections[robot] = carrier_connection
+            if not are_robots_remote:
+                self._robot_connections[robot] = carrier_connection
+
+    def _join_bus_of_each_robot(
+        self, open_bus: OpenBus, remote_robots: Collection[int], on_frame: FrameTaker
+    ) -> None:
+        """Open the carrier's connection to the bus of each robot, and that of each robot in this process."""
+        for robot in self._robots:
+            bus_of_carrier = self._open_buses.enter_context(open_bus(robot))
+            self.bus_connections[robot] = self._connect_carrier([robot], bus_of_carrier, on_frame)
+            if robot not in remote_robots:
+                bus_of_robot = self._open_buses.enter_context(open_bus(robot))
+                self._robot_connections[robot] = ExpectingConnection(bus_of_robot, f"robot {robot}")
+
+    def _connect_carrier(
+        self, robots: Sequence[int], bus: can.BusABC, on_frame: FrameTaker
+    ) -> ExpectingConnection:
+        """Return the carrier's connection to the bus of ``robots``, which count other nodes' frames there.
 
         ``on_frame`` is called with every frame that the carrier reads there.
         """
         on_unexpected = partial(self._count_foreign_frame, robots)
-        connection = ExpectingConnection(bus, "the carrier", on_unexpected, on_frame)
-        for robot in robots:
-            self.bus_connections[robot] = connection
+        return ExpectingConnection(bus, "the carrier", on_unexpected, on_frame)
 
     def _count_foreign_frame(self, robots: Sequence[int], frame: can.Message) -> None:
         """Let robots count a frame from outside the swarm."""
@@ -375,57 +385,61 @@ class Carrier:
         Raises can.CanError and SwarmError as ``deliver`` says.
         """
         for robot_id, robot in self._robots.items():
-            frames = deliveries.frames_for(robot_id)
+            sent_frames = deliveries.frames_for(robot_id)
             # In batches, so that the frames for one robot fit into the receive buffer of its connection.
-            for start in range(0, len(frames), _BATCH_SIZE):
-                batch = frames[start : start + _BATCH_SIZE]
-                robot.receive_frames(self._pass_over_bus(robot_id, batch, tick))
+            for start in range(0, len(sent_frames), _BATCH_SIZE):
+                batch = sent_frames[start : start + _BATCH_SIZE]
+                received = self._pass_over_bus(robot_id, batch, tick)
+                robot.receive_frames([sent_frame.frame for sent_frame in received])
 
-    def _pass_over_bus(self, robot: int, frames: Sequence[can.Message], tick: int) -> Sequence[can.Message]:
-        """Write ``frames`` on the bus of a robot, and return those that the robot's connection reads there.
+    def _pass_over_bus(self, robot: int, batch: Sequence[SentFrame], tick: int) -> Sequence[SentFrame]:
+        """Write frames on the bus of a robot, and return those that the robot's connection reads there.
 
         Late ones are missing, and follow in a later call. A remote robot reads for itself: for its
-        counterpart in this process all of ``frames`` are returned. After a full batch the carrier's receive
+        counterpart in this process the whole batch is returned. After a full batch the carrier's receive
         buffer is emptied of the echoes of these frames. Raises can.CanError if the bus does not take a frame,
         and SwarmError if a frame is lost in a swarm without a clock, where none may be missing.
         """
         carrier_connection = self.bus_connections[robot]
+        frames = [sent_frame.frame for sent_frame in batch]
         send_all(carrier_connection.bus, frames, FRAME_TIMEOUT)
-        is_remote = robot not in self._robot_connections
-        if is_remote:
-            return frames
-        robot_connection = self._robot_connections[robot]
-        expected = [SentFrame(frame, sender_of(frame), tick) for frame in frames]
-        received = robot_connection.receive_expected(expected, self._timeout(tick))
-        is_full_batch = len(frames) == _BATCH_SIZE
+        robot_connection = self._robot_connections.get(robot)
+        if robot_connection is None:  # the robot is remote
+            return batch
+        received = robot_connection.receive_expected(batch, self._timeout(tick))
+        is_full_batch = len(batch) == _BATCH_SIZE
         if is_full_batch:
             # Fewer echoes do no harm: the carrier skips them when it reads there next.
             carrier_connection.discard_echoes()
-        return [sent_frame.frame for sent_frame in received]
+        return received
 
     def _deliver_in_process(self, deliveries: Deliveries) -> None:
-        """Hand each robot its estimates in one array, and let it count its other frames.
+        """Hand each robot its estimates in one array, and then let it count its other frames.
 
         A frame is decoded once, however many robots receive it.
         """
         contents = [
             decode_frame(sent_frame.frame, self._frame_format) for sent_frame in deliveries.sent_frames
         ]
-        # The estimates first
         is_estimate = np.array([isinstance(content, Estimate) for content in contents], np.bool_)
-        estimates = estimate_rows(contents)
-        # Shape (estimates, robots): the column of a robot says which of the estimates it receives.
-        receivers_of_estimates = deliveries.receivers[is_estimate]
-        for robot in self._robots.values():
-            is_received = receivers_of_estimates[:, robot.id]
-            robot.receive_all(estimates[is_received])
-        # Then the others, such as heartbeats: few, so that they are handed over one by one
+        self._hand_over_estimates(estimate_rows(contents), deliveries.receivers[is_estimate])
+        # The others, such as heartbeats, are few, so that they are handed over one by one.
         indices_of_others = np.flatnonzero(~is_estimate).tolist()
         for index in indices_of_others:
-            is_receiver = deliveries.receivers[index].tolist()  # by robot id
-            for robot in self._robots.values():
-                if is_receiver[robot.id]:
-                    robot.count_content(contents[index])
+            self._count_content(contents[index], deliveries.receivers[index])
+
+    def _hand_over_estimates(self, estimates: EstimateRows, receivers: ReceiverMask) -> None:
+        """Let each robot receive its estimates; ``receivers`` has a row for each estimate."""
+        for robot in self._robots.values():
+            is_received = receivers[:, robot.id]
+            robot.receive_all(estimates[is_received])
+
+    def _count_content(self, content: FrameContent, is_receiver: NDArray[np.bool_]) -> None:
+        """Let the receivers of a frame count it by its content; ``is_receiver`` has an entry for each id."""
+        is_receiver_by_id = is_receiver.tolist()  # which takes less time than to index the array
+        for robot in self._robots.values():
+            if is_receiver_by_id[robot.id]:
+                robot.count_content(content)
 
     @property
     def missed_count(self) -> int:

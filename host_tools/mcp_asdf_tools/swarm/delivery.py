@@ -66,10 +66,10 @@ class Deliveries:
     delay: int = 0
     copy_number: int = 0
 
-    def frames_for(self, robot: int) -> list[can.Message]:
+    def frames_for(self, robot: int) -> list[SentFrame]:
         """Return the frames that a robot receives, in order."""
         indices = np.flatnonzero(self.receivers[:, robot])
-        return [self.sent_frames[index].frame for index in indices.tolist()]
+        return [self.sent_frames[index] for index in indices.tolist()]
 
 
 LinkFaults: TypeAlias = Callable[[Sequence[SentFrame], ReceiverMask], list[Deliveries]]
@@ -113,17 +113,22 @@ class DeliveryQueue:
         O(faults frames robots).
         """
         arriving_frames = self._exchange_for_arriving(sent_frames)
-        senders = np.array([sent_frame.sender for sent_frame in arriving_frames], np.intp)
-        receivers_by_sender = self._current_neighbours().T  # row j: whether each robot receives from j
-        in_range = receivers_by_sender[senders]  # shape (frames, robots)
+        in_range = self._robots_in_range(arriving_frames)
         self.in_range_count += int(np.count_nonzero(in_range))
         # Faults may delay frames: everything goes through the queue, also what arrives in this tick.
         for deliveries in self._apply_link_faults(arriving_frames, in_range):
             self._pending[tick + deliveries.delay].append(deliveries)
 
-        arriving_now = _concatenate(self._pending.pop(tick, []), robot_count=len(receivers_by_sender))
+        _, robot_count = in_range.shape
+        arriving_now = _concatenate(self._pending.pop(tick, []), robot_count)
         self.delivered_count += int(np.count_nonzero(arriving_now.receivers))
         return arriving_now
+
+    def _robots_in_range(self, sent_frames: Sequence[SentFrame]) -> ReceiverMask:
+        """Return the robots that are in range of the sender of each frame at present."""
+        senders = np.array([sent_frame.sender for sent_frame in sent_frames], np.intp)
+        receivers_by_sender = self._current_neighbours().T  # row j: whether each robot receives from j
+        return receivers_by_sender[senders]
 
     def _exchange_for_arriving(self, sent_frames: Sequence[SentFrame]) -> Sequence[SentFrame]:
         """Return ``sent_frames``; with latency keep them for the next tick, and return those of the last."""

@@ -152,7 +152,7 @@ class Driver:
         bus: can.BusABC,
         nodes: Sequence[BusRobot],
         frame_format: FrameFormat,
-        on_frame: FrameTaker | None = None,
+        on_frame: FrameTaker = lambda frame: None,
         order_matters: bool = False,
     ) -> None:
         """Prepare to command robots; nothing is sent yet.
@@ -251,8 +251,7 @@ class Driver:
         answer to *settle*; any other frame is kept for the next tick. An error frame is counted by all
         robots.
         """
-        if self._on_frame is not None:
-            self._on_frame(frame)
+        self._on_frame(frame)
         if frame.is_error_frame:  # its identifier describes the error, and has no sender
             for node in self.nodes.values():
                 node.count_foreign_frame(frame)

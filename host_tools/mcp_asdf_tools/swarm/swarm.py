@@ -131,15 +131,12 @@ class Swarm:
     def _open_buses(self, wiring: Wiring, on_frame: FrameTaker | None) -> list[Driver]:
         """Open the buses of ``wiring``, and return the drivers of remote robots, one for each bus.
 
-        ``on_frame`` is called with every frame, which is marked as received before that.
+        ``on_frame``, if it is not None, is called with every frame, which is marked as received before that.
         """
-        if on_frame is not None:
-            # Without a bus frames have no channel, so they get the name that logs are to have.
-            channel = wiring.channel if wiring.open_bus is None else None
-            on_frame = _mark_as_received(on_frame, channel)
+        report_frame = _ignore_frame if on_frame is None else partial(_report_as_received, on_frame)
         # The drivers command over connections that the carrier opens.
-        self._carrier.join(wiring, on_frame)
-        return self._create_drivers(wiring, on_frame)
+        self._carrier.join(wiring, report_frame)
+        return self._create_drivers(wiring, report_frame)
 
     def _create_robot(self, setup: RobotSetup) -> BusRobot:
         """Create a robot that starts as ``setup`` says or, if it is remote, its counterpart in this process.
@@ -154,7 +151,7 @@ class Swarm:
             make_firmware = cast(Callable[[], Robot], partial(RemoteFirmware, setup))
         return BusRobot(setup, self.settings.frames, recorder, make_firmware=make_firmware)
 
-    def _create_drivers(self, wiring: Wiring, on_frame: FrameTaker | None) -> list[Driver]:
+    def _create_drivers(self, wiring: Wiring, on_frame: FrameTaker) -> list[Driver]:
         """Create the drivers of remote robots, one for each bus.
 
         ``on_frame`` is called with every frame on these buses, commands included.
@@ -210,11 +207,7 @@ class Swarm:
         if self.clock is not None:
             self.clock.wait_for_tick(self.ticks)
         observations = dict(zip(self._ids, self.world.step(), strict=True))
-        self.faults.begin_tick(self.ticks, self._ids)
-        for node in self._local_nodes:
-            self._crash_or_rejoin(node)
-        self._alive_nodes = [node for node in self._local_nodes if node.is_alive]
-
+        self._begin_outages()
         # Telemetry has the state before this tick, so that it is made before robots observe.
         reports = self._make_reports()
         estimates = self._observe_locally(observations) + self._observe_remotely(observations)
@@ -235,23 +228,42 @@ class Swarm:
         is counted. Raises SwarmError if the bus loses a frame in lockstep, LockstepError if a remote robot
         does not answer, and can.CanError if the bus does not take a frame. O(robots**2).
         """
-        if self._external_robot is not None:
-            for index, frame in enumerate(external_frames):
-                # The frame has been on a bus: faults of senders cannot change it any more. Its index serves
-                # as the repetition, so that faults of links draw different random words for each frame.
-                self._carrier.send(SentFrame(frame, self._external_robot, self.ticks, repetition=index))
+        for index, frame in enumerate(external_frames):
+            assert self._external_robot is not None  # nobody else has external frames
+            # The frame has been on a bus: faults of senders cannot change it any more. Its index serves as
+            # the repetition, so that faults of links draw different random words for each frame.
+            self._carrier.send(SentFrame(frame, self._external_robot, self.ticks, repetition=index))
         deliveries = self._carrier.deliver(self.ticks)
-        # A robot that has crashed has no tick to end.
+        self._settle()
+        self.ticks += 1
+        self._count_traffic()
+        if self._external_robot is None:
+            return []
+        return [sent_frame.frame for sent_frame in deliveries.frames_for(self._external_robot)]
+
+    def _settle(self) -> None:
+        """Let the robots that take part in the tick end it. Raises errors as ``finish_tick`` says."""
         for node in self._alive_nodes:
             node.settle()
         for driver in self._drivers:
             driver.settle(driver.nodes)
-        self.ticks += 1
+
+    def _count_traffic(self) -> None:
+        """Count the frames of this tick, and take over the counts of the queue and the carrier so far."""
         self.traffic.add(self._frames_of_tick)
         self.traffic.in_range = self._delivery_queue.in_range_count
         self.traffic.arrived = self._delivery_queue.delivered_count
         self.traffic.missed = self._carrier.missed_count
-        return [] if self._external_robot is None else deliveries.frames_for(self._external_robot)
+
+    def _begin_outages(self) -> None:
+        """Let the faults decide which robots are off the bus in this tick; crash and rejoin local robots.
+
+        Those that live afterwards take part in the tick.
+        """
+        self.faults.begin_tick(self.ticks, self._ids)
+        for node in self._local_nodes:
+            self._crash_or_rejoin(node)
+        self._alive_nodes = [node for node in self._local_nodes if node.is_alive]
 
     def _crash_or_rejoin(self, node: BusRobot) -> None:
         """Let a robot crash or rejoin if the faults require it in this tick."""
@@ -387,18 +399,11 @@ def _sender_id(robot_frame: RobotFrame) -> int:
     return robot.id
 
 
-def _mark_as_received(on_frame: FrameTaker, channel: str | None) -> FrameTaker:
-    """Return a callback that marks a frame as received, and passes it on to ``on_frame``.
+def _report_as_received(on_frame: FrameTaker, frame: can.Message) -> None:
+    """Mark a frame as received, and call ``on_frame`` with it."""
+    frame.is_rx = True  # SocketCAN marks frames from this computer as sent.
+    on_frame(frame)
 
-    It also sets the frame's channel to ``channel``, unless that is None.
-    """
 
-    def mark_and_pass_on(frame: can.Message) -> None:
-        """Change the frame in place, and call ``on_frame`` with it."""
-        # SocketCAN marks frames from this computer as sent.
-        frame.is_rx = True
-        if channel is not None:
-            frame.channel = channel
-        on_frame(frame)
-
-    return mark_and_pass_on
+def _ignore_frame(frame: can.Message) -> None:
+    """Do nothing with a frame."""

@@ -188,7 +188,10 @@ def run_under(*fault_texts: str, ticks: int = 1, seed: int = 7) -> DisturbedRun:
         sent_frames = [sent_frame for sent_frame in all_sent if sent_frame is not None]
         deliveries = queue.deliver(tick, sent_frames)
         run.sent.append([sent_frame.frame for sent_frame in sent_frames])
-        run.received.append([deliveries.frames_for(robot) for robot in range(ROBOTS)])
+        frames_by_robot = []
+        for robot in range(ROBOTS):
+            frames_by_robot.append([sent_frame.frame for sent_frame in deliveries.frames_for(robot)])
+        run.received.append(frames_by_robot)
     return run
 
 

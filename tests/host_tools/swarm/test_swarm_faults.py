@@ -50,7 +50,7 @@ def udp(port: int, returns_own: bool = False) -> can.BusABC:
 
 WIRINGS = {
     "one bus": ON_ONE_BUS,
-    "no bus": Wiring(channel="none"),
+    "no bus": Wiring(),
     "a bus for each": ON_OWN_BUSES,
     "one group": Wiring(lambda robot: udp(UDP_PORT, returns_own=True)),
     "a group for each": Wiring(lambda robot: udp(UDP_PORT + 1 + robot), is_shared=False),
@@ -113,13 +113,6 @@ def test_frames_have_the_same_times_on_several_buses_as_on_one(wiring: Wiring) -
     _run, frames = run_and_record(small_swarm(), wiring)
     times_on_one_bus = [frame.timestamp for frame in frames_on_one_bus]
     assert [frame.timestamp for frame in frames] == times_on_one_bus
-
-
-def test_frames_of_a_swarm_without_a_bus_have_the_chosen_channel_in_the_log() -> None:
-    """The channel is a name that a user may choose, here "mine"."""
-    wiring_without_bus = Wiring(channel="mine")
-    _run, frames = run_and_record(small_swarm(), wiring_without_bus)
-    assert {frame.channel for frame in frames} == {"mine"}
 
 
 def waiting_frames(bus: can.BusABC) -> list[can.Message]:
