@@ -213,7 +213,8 @@ def test_the_tools_unpack_every_odd_datagram_that_the_c_node_unpacks_to_the_same
 ) -> None:
     """The datagrams are a list of odd ones, most of which both refuse.
 
-    The tools also take some that the C node refuses: those with an odd time or channel, which nobody reads.
+    The tools also take some that the C node refuses: those with a large or negative number as their time or
+    channel, which nobody reads.
     """
     for datagram in odd_datagrams():
         frame = unpack_by_c(library, datagram)

@@ -22,6 +22,8 @@ _FLAGS_OF_OTHER_FRAMES = (
 """Fields that are true in frames that are no classic data frame."""
 _IGNORED_FIELDS = ("timestamp", "channel")
 """Fields that are those of the sender, and mean nothing to a receiver."""
+_TYPES_OF_IGNORED_FIELDS = (int, float, str, type(None))
+"""A time is a number, and a channel a name, a number or nothing. The C node allows them all in both fields."""
 _FIELDS = {*_TYPE_BY_FIELD, *_FLAGS_OF_OTHER_FRAMES, *_IGNORED_FIELDS}
 
 
@@ -49,6 +51,11 @@ def _are_fields_of_data_frame(fields: object) -> bool:
     """Return whether an unpacked datagram is a map of all fields, with the types of a classic data frame."""
     if not isinstance(fields, dict) or fields.keys() != _FIELDS:
         return False
-    # Compared by identity, since a flag would pass for an integer otherwise.
-    has_right_types = all(type(fields[name]) is kind for name, kind in _TYPE_BY_FIELD.items())
-    return has_right_types and all(fields[name] is False for name in _FLAGS_OF_OTHER_FRAMES)
+    # Types are compared, not asked for by isinstance(), for which a flag is an integer, too.
+    for name, kind in _TYPE_BY_FIELD.items():
+        if type(fields[name]) is not kind:
+            return False
+    for name in _IGNORED_FIELDS:
+        if type(fields[name]) not in _TYPES_OF_IGNORED_FIELDS:
+            return False
+    return all(fields[name] is False for name in _FLAGS_OF_OTHER_FRAMES)

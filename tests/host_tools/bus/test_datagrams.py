@@ -49,6 +49,15 @@ def test_the_name_of_the_sender_s_channel_may_be_no_text() -> None:
     assert unpack_data_frame(packed(channel="can0").replace(b"can0", b"can\xff")) is not None
 
 
+@pytest.mark.parametrize("field", ["timestamp", "channel"])
+@pytest.mark.parametrize("value", [True, b"can0", [0], {"a": 1}])
+def test_a_datagram_whose_time_or_channel_is_neither_a_number_nor_a_text_is_refused(
+    field: str, value: object
+) -> None:
+    """No frame of python-can has such a time or channel, so somebody has made up the datagram."""
+    assert unpack_data_frame(packed(**{field: value})) is None
+
+
 def test_a_datagram_with_a_number_as_its_data_does_not_fill_the_memory() -> None:
     """A short datagram has 2**30 in place of data; ``bytes`` would make 1 GiB of zeros of that number.
 
