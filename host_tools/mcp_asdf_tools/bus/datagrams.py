@@ -23,7 +23,7 @@ _FLAGS_OF_OTHER_FRAMES = (
 _IGNORED_FIELDS = ("timestamp", "channel")
 """Fields that are those of the sender, and mean nothing to a receiver."""
 _TYPES_OF_IGNORED_FIELDS = (int, float, str, type(None))
-"""A time is a number, and a channel a name, a number or nothing. The C node allows them all in both fields."""
+"""A time is a number, and a channel a name, a number or nothing; either field may have any, as in C."""
 _FIELDS = {*_TYPE_BY_FIELD, *_FLAGS_OF_OTHER_FRAMES, *_IGNORED_FIELDS}
 
 

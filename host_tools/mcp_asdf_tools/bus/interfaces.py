@@ -86,6 +86,10 @@ class BusChoice:
             return None
         return str(channel)
 
+    def plain(self) -> dict[str, Any]:
+        """Return the interface and the channel as plain values, for JSON."""
+        return {"interface": self.interface, "channel": self.channel}
+
     @property
     def has_bus_per_robot(self) -> bool:
         """True if each robot has a bus of its own: the channel has a place for the id, as in vcan{robot}."""

@@ -5,8 +5,8 @@ from __future__ import annotations
 import argparse
 import json
 import logging
-from collections.abc import Callable
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import asdict, replace
 from typing import TYPE_CHECKING, Any
 
@@ -79,40 +79,53 @@ def run(args: argparse.Namespace) -> int:
     1 if the bus failed, INTERRUPTED if a signal came, and 2 if the log is not complete. Raises UsageError for
     wrong options, and if the bus or the log cannot be opened.
     """
-    from mcp_asdf_tools.common.versions import software_versions
     from mcp_asdf_tools.recording.events import EventsHeader
     from mcp_asdf_tools.robots.node import RobotNode
 
     robot_setup = setup_of(args)
     subjects = options.subjects_of(args)
     bus_choice = options.bus_of(args)
+    parameters = _parameters_of_run(args)
+    # There is no seed, as the robot's observations come from the bus.
+    events_header = EventsHeader([robot_setup], seed=None, frames=subjects.estimates, parameters=parameters)
+    recording = recording_for("node", args.log, events_header, bus_choice)
+    with recording as log_outputs:
+        recorder = log_outputs.recorder_of(robot_setup.id)
+        node = RobotNode(robot_setup, subjects, parameters["steps_per_second"], recorder)
+        outcome = _run_on_bus(args, node, bus_choice, log_outputs.record_frame)
+    results = _results_of(node, robot_setup, outcome)
+    if args.json:
+        all_parameters = parameters | {"robot": robot_setup.plain(), "subjects": asdict(subjects)}
+        print(json_report(_report_of(all_parameters, bus_choice, results)))
+    elif not args.quiet:
+        print(_format_summary(node, results, str(bus_choice)))
+        print_again(args)
+    return exit_code_of_run(args, outcome.failure, outcome.is_interrupted, recording)
+
+
+def _parameters_of_run(args: argparse.Namespace) -> dict[str, Any]:
+    """Return the steps per second and the number of steps, which is None for a run without end.
+
+    Raises UsageError for one that is out of range.
+    """
     if args.steps is not None and args.steps < 1:
         raise UsageError(f"steps is {args.steps}; it must be 1 or more")
     # The clock is the only parameter of a population here: the other options describe the robot alone.
     clock_options = argparse.Namespace(steps_per_second=args.steps_per_second)
     steps_per_second = options.settings_from(clock_options, Population).steps_per_second
-    parameters = {"steps_per_second": steps_per_second, "steps": args.steps}
-    # There is no seed, as the robot's observations come from the bus.
-    events_header = EventsHeader([robot_setup], seed=None, frames=subjects.estimates, parameters=parameters)
-    recording = recording_for("node", args.log, events_header, bus_choice)
-    with recording as (log, events):
-        recorder = None if events is None else events.recorders[robot_setup.id]
-        node = RobotNode(robot_setup, subjects, steps_per_second, recorder)
-        outcome = _run_on_bus(args, node, bus_choice, log)
-    results = _results_of(node, robot_setup, outcome)
-    if args.json:
-        report = {
-            "parameters": parameters | {"robot": robot_setup.plain(), "subjects": asdict(subjects)},
-            "bus": {"interface": bus_choice.interface, "channel": bus_choice.channel},
-            "versions": software_versions(),
-            "results": results,
-        }
-        print(json_report(report))
-    elif not args.quiet:
-        print(_format_summary(node, results, str(bus_choice)))
-        print_again(args)
-    failure = outcome.ending if outcome.has_failed else None
-    return exit_code_of_run(args, failure, outcome.is_interrupted, recording)
+    return {"steps_per_second": steps_per_second, "steps": args.steps}
+
+
+def _report_of(parameters: dict[str, Any], bus_choice: BusChoice, results: dict[str, Any]) -> dict[str, Any]:
+    """Return parameters, bus, versions of software and results as plain values, for JSON."""
+    from mcp_asdf_tools.common.versions import software_versions
+
+    return {
+        "parameters": parameters,
+        "bus": bus_choice.plain(),
+        "versions": software_versions(),
+        "results": results,
+    }
 
 
 def setup_of(args: argparse.Namespace) -> RobotSetup:
@@ -141,34 +154,43 @@ def setup_of(args: argparse.Namespace) -> RobotSetup:
 
 
 def _run_on_bus(
-    args: argparse.Namespace, node: RobotNode, bus_choice: BusChoice, log: FrameTaker | None
+    args: argparse.Namespace, node: RobotNode, bus_choice: BusChoice, record_frame: FrameTaker
 ) -> RunOutcome:
     """Join the bus and run the node until its steps are done, it is stopped or the bus fails.
 
-    The result says how it has ended. Raises UsageError if the bus cannot be opened, or if standard input is
-    to end the run and there is none.
+    The result says how it has ended. ``record_frame`` is called with every frame sent and received. Raises
+    UsageError if the bus cannot be opened, or if standard input is to end the run and there is none.
     """
     from rich.console import Console
 
     from mcp_asdf_tools.robots.node import BusLink, filters_for, run_node
 
     console = Console(stderr=True, quiet=args.quiet)
-    with ExitStack() as stack:
-        bus = stack.enter_context(bus_choice.open())
+    with bus_choice.open() as bus, _stopping_at_signal_or_end_of_input(args.until_eof) as should_stop:
         # Other frames do not concern the node, and need not reach this process.
         bus.set_filters(filters_for(node.subjects.estimates, node.subjects.commands))
-        was_interrupted = stack.enter_context(stopping())
-        input_descriptor = standard_input_descriptor() if args.until_eof else None
+        link = BusLink(bus, should_stop, log=record_frame)
+        _logger.info("robot %d is up", node.id)
+        return run_node(node, link, args.steps, _suspicion_printer(node, console))
+
+
+@contextmanager
+def _stopping_at_signal_or_end_of_input(until_eof: bool) -> Iterator[Callable[[], bool]]:
+    """Context in which signals end nothing; it yields a function that tells whether the run should stop.
+
+    It should when a signal has come and, with ``until_eof``, when the standard input has ended. Raises
+    UsageError if there is no standard input with ``until_eof``.
+    """
+    with stopping() as was_interrupted:
+        input_descriptor = standard_input_descriptor() if until_eof else None
 
         def should_stop() -> bool:
-            """Return whether a signal came or, with --until-eof, standard input has ended."""
+            """Return whether a signal came or the standard input has ended, if that is watched."""
             if was_interrupted():
                 return True
             return input_descriptor is not None and has_input_ended(input_descriptor)
 
-        link = BusLink(bus, should_stop, log=log)
-        _logger.info("robot %d is up", node.id)
-        return run_node(node, link, args.steps, _suspicion_printer(node, console))
+        yield should_stop
 
 
 def _suspicion_printer(node: RobotNode, console: Console) -> Callable[[], None]:

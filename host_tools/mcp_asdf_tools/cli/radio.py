@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-from contextlib import ExitStack
 from dataclasses import asdict, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -224,15 +223,15 @@ def _verify(
         [settings.controller], settings.swarm.seed, settings.subjects.estimates, report["parameters"]
     )
     recording = recording_for("radio", args.log, events_header, bus_choice)
-    with ExitStack() as at_end:
-        with recording as log_outputs, bus_choice.open() as bus:
-            verdict = _run_phases(args, settings, bus, log_outputs, console)
-            report["verdict"] = verdict.plain()
-            report_text = f"filter: {report['filter']}\n\n{details(verdict)}\n{verdict.headline}\n"
-            # Printed when both files are closed, and also if one of them cannot be completed.
-            at_end.callback(_print_report, args, report_text, report)
+    with recording as log_outputs, bus_choice.open() as bus:
+        verdict = _run_phases(args, settings, bus, log_outputs, console)
+    report["verdict"] = verdict.plain()
+    try:
         if args.report is not None:
             write_atomically(args.report, markdown(verdict, report))
+    finally:  # also if the file cannot be written
+        report_text = f"filter: {report['filter']}\n\n{details(verdict)}\n{verdict.headline}\n"
+        _print_report(args, report_text, report)
     if not verdict.has_passed and not verdict.is_interrupted:
         return 1  # which counts more than a log that lacks its end
     return exit_code_of_run(args, None, verdict.is_interrupted, recording)
@@ -253,28 +252,24 @@ def _run_phases(
     from mcp_asdf_tools.radio.controller_link import BenchOptions
     from mcp_asdf_tools.radio.verification import Verification
 
-    log, events = log_outputs
-    recorder = None if events is None else events.recorders[settings.controller.id]
     with stopping() as should_stop, console.status("") as status:
-
-        def show_progress(ticks: int) -> None:
-            """Show how far the phases are; called while ``verification``, which is created below, runs."""
-            present_phase = verification.bench.activity  # in words
-            status.update(f"tick {ticks}   {present_phase}")
-
         bench_options = BenchOptions(
             bus,
             # Neither can be 0, as _check_run_options has seen to it.
             ticks=args.steps or _DEFAULT_PHASE_TICKS,
             timeout=args.timeout or _DEFAULT_TIMEOUT,
             wait=args.wait,
-            recorder=recorder,
-            progress=show_progress,
+            recorder=log_outputs.recorder_of(settings.controller.id),
+            log=log_outputs.record_frame,
             should_stop=should_stop,
         )
-        if log is not None:  # otherwise the default stays, which records nothing
-            bench_options.log = log
         verification = Verification(settings, bench_options)
+
+        def show_progress(ticks: int) -> None:
+            """Show how many ticks are done, and what the present phase does."""
+            status.update(f"tick {ticks}   {verification.bench.activity}")
+
+        bench_options.progress = show_progress
         return verification.run()
 
 
@@ -287,29 +282,44 @@ def _emulate_neighbours(
     INTERRUPTED if a signal came before the end, and 2 if the log is not complete.
     """
     from mcp_asdf_tools.common.files import results_beside, write_atomically
-    from mcp_asdf_tools.radio.real_time import RadioRun
-    from mcp_asdf_tools.robots.node import BusLink, filters_for
 
     results_path = None if args.log is None else results_beside(args.log)
     recording = recording_for("radio", args.log, None, bus_choice)
-    with ExitStack() as at_end:
-        with recording as (log, _), bus_choice.open() as bus, stopping() as should_stop:
-            # Other frames do not concern the neighbours, and need not reach this process.
-            bus.set_filters(filters_for(settings.subjects.estimates, settings.subjects.telemetry))
-            # In real time a run goes on while the bus fails, as a controller does.
-            link = BusLink(bus, should_stop, tolerates_failures=True, log=log)
-            radio_run = RadioRun(settings, link, args.steps)
-            _run_with_progress(radio_run, console)
-            report = _make_report(args, settings, bus_choice)
-            report["results"] = radio_run.figures()
-            report_text = _format_results(report["results"], report["filter"])
-            # Printed when both files are closed, and also if one of them cannot be completed.
-            at_end.callback(_print_report, args, report_text, report)
+    with recording as log_outputs, bus_choice.open() as bus:
+        radio_run = _run_in_real_time(args, settings, bus, log_outputs, console)
+    report = _make_report(args, settings, bus_choice)
+    report["results"] = radio_run.figures()
+    try:
         if results_path is not None:
             write_atomically(results_path, json_report(report) + "\n")
+    finally:  # also if the file cannot be written
+        _print_report(args, _format_results(report["results"], report["filter"]), report)
     outcome = radio_run.outcome
-    failure = outcome.ending if outcome.has_failed else None
-    return exit_code_of_run(args, failure, outcome.is_interrupted, recording)
+    return exit_code_of_run(args, outcome.failure, outcome.is_interrupted, recording)
+
+
+def _run_in_real_time(
+    args: argparse.Namespace,
+    settings: RadioSettings,
+    bus: can.BusABC,
+    log_outputs: LogOutputs,
+    console: Console,
+) -> RadioRun:
+    """Run the neighbours of the controller on ``bus``, showing the progress, and return the run at its end.
+
+    The end is that of --steps, a signal, or a failure of the bus.
+    """
+    from mcp_asdf_tools.radio.real_time import RadioRun
+    from mcp_asdf_tools.robots.node import BusLink, filters_for
+
+    # Other frames do not concern the neighbours, and need not reach this process.
+    bus.set_filters(filters_for(settings.subjects.estimates, settings.subjects.telemetry))
+    with stopping() as should_stop:
+        # In real time a run goes on while the bus fails, as a controller does.
+        link = BusLink(bus, should_stop, tolerates_failures=True, log=log_outputs.record_frame)
+        radio_run = RadioRun(settings, link, args.steps)
+        _run_with_progress(radio_run, console)
+    return radio_run
 
 
 def _run_with_progress(radio_run: RadioRun, console: Console) -> None:
@@ -338,24 +348,28 @@ def _make_report(args: argparse.Namespace, settings: RadioSettings, bus_choice: 
     from mcp_asdf_tools.common.versions import software_versions
 
     robots = [settings.controller, *settings.neighbours]
-    world_parameters = settings.swarm.parameters()
     return {
         "time": datetime.now(UTC).isoformat(timespec="seconds"),
         "filter": describe_filters(robot.config.filter for robot in robots),
-        "parameters": {
-            "controller": settings.controller.plain(),
-            "neighbours": [neighbour.plain() for neighbour in settings.neighbours],
-            "subjects": {
-                name: asdict(frame_format) for name, frame_format in vars(settings.subjects).items()
-            },
-            **{name: world_parameters[name] for name in _WORLD_PARAMETERS},
-            "faults": [str(fault) for fault in settings.faults],
-            "verify": args.verify,
-            "steps": args.steps,
-            "timeout": args.timeout,
-        },
-        "bus": {"interface": bus_choice.interface, "channel": bus_choice.channel},
+        "parameters": _parameters_of(args, settings),
+        "bus": bus_choice.plain(),
         "versions": software_versions(),
+    }
+
+
+def _parameters_of(args: argparse.Namespace, settings: RadioSettings) -> dict[str, Any]:
+    """Return the parameters of a run as plain values: robots, formats of frames, world, faults and limits."""
+    subjects = {name: asdict(frame_format) for name, frame_format in vars(settings.subjects).items()}
+    world_parameters = settings.swarm.parameters()
+    return {
+        "controller": settings.controller.plain(),
+        "neighbours": [neighbour.plain() for neighbour in settings.neighbours],
+        "subjects": subjects,
+        **{name: world_parameters[name] for name in _WORLD_PARAMETERS},
+        "faults": [str(fault) for fault in settings.faults],
+        "verify": args.verify,
+        "steps": args.steps,
+        "timeout": args.timeout,
     }
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import logging
 import sys
-import time
+from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -172,32 +172,35 @@ def wiring_of(args: argparse.Namespace, settings: SwarmSettings, bus_choice: Bus
     from mcp_asdf_tools.swarm.carrier import Wiring
     from mcp_asdf_tools.swarm.remote_robot import check_remote
 
-    devices = dict(_parse_device(device) for device in args.device)
-    # In the dictionary devices with the same id are one.
-    if len(devices) < len(args.device):
-        raise UsageError(f"two devices are one robot: {', '.join(args.device)}; give each an id of its own")
-
+    devices = _parse_devices(args.device)
     # With --processes all robots are remote, otherwise the devices alone.
     remote_robots = frozenset(range(settings.robots)) if args.processes else frozenset(devices)
+    is_shared = not bus_choice.has_bus_per_robot
     # Robots here that share one bus share a connection, which has to return what they send.
-    share_connection = not bus_choice.has_bus_per_robot and not remote_robots
+    returns_own = is_shared and not remote_robots
 
     def open_bus(robot: int) -> can.BusABC:
         """Open a connection to a robot's bus: its device's, its own, or the bus that all share."""
         robot_bus = devices.get(robot, bus_choice.of_robot(robot))
-        return robot_bus.open(returns_own=share_connection)
+        return robot_bus.open(returns_own)
 
     # Without any of these nobody else can be on a bus, and frames go from robot to robot in memory.
-    needs_bus = (
-        remote_robots or args.slcan is not None or bus_choice.has_bus_per_robot or not bus_choice.is_private
-    )
-    wiring = Wiring(
-        open_bus=open_bus if needs_bus else None,
-        is_shared=not bus_choice.has_bus_per_robot,
-        remote=remote_robots,
-    )
+    needs_bus = remote_robots or args.slcan is not None or not is_shared or not bus_choice.is_private
+    wiring = Wiring(open_bus if needs_bus else None, is_shared, remote_robots)
     check_remote(settings, wiring)
     return wiring
+
+
+def _parse_devices(device_texts: Sequence[str]) -> dict[int, BusChoice]:
+    """Return the bus of each device, by the id of its robot.
+
+    Raises UsageError for a text that names no device, and for two devices with the same id.
+    """
+    devices = dict(_parse_device(device) for device in device_texts)
+    # In the dictionary devices with the same id are one.
+    if len(devices) < len(device_texts):
+        raise UsageError(f"two devices are one robot: {', '.join(device_texts)}; give each an id of its own")
+    return devices
 
 
 def _parse_device(device: str) -> tuple[int, BusChoice]:
@@ -233,6 +236,7 @@ class _RunPlan:
         settings: Settings of the swarm.
         bus_choice: The bus of all robots that have none of their own.
         wiring: Which robots are on which bus.
+        results_path: Where the results are written, as JSON; None without --log.
         console: Where progress is shown; quiet with --quiet or --json.
     """
 
@@ -240,21 +244,33 @@ class _RunPlan:
     settings: SwarmSettings
     bus_choice: BusChoice
     wiring: Wiring
+    results_path: Path | None
     console: Console
 
 
 def _plan_run(args: argparse.Namespace) -> _RunPlan:
     """Return the run that the options describe, with a console that is silent with --quiet or --json.
 
-    Raises UsageError for options that contradict each other, or that would do nothing: --pace or --port
-    without --view, --compare with robots elsewhere, and --slcan with a bus for each robot or with so many
-    robots that tools have no ids.
+    Raises UsageError for options that contradict each other, or that would do nothing, and if results cannot
+    be written beside the log.
     """
     from rich.console import Console
+
+    from mcp_asdf_tools.common.files import results_beside
 
     settings = settings_of(args)
     bus_choice = options.bus_of(args)
     wiring = wiring_of(args, settings, bus_choice)
+    _check_output_options(args, wiring)
+    if args.slcan is not None:
+        _check_slcan(settings, bus_choice)
+    results_path = None if args.log is None else results_beside(args.log)
+    console = Console(quiet=args.quiet or args.json)
+    return _RunPlan(args, settings, bus_choice, wiring, results_path, console)
+
+
+def _check_output_options(args: argparse.Namespace, wiring: Wiring) -> None:
+    """Raise UsageError for --pace or --port without --view, and for --compare with robots elsewhere."""
     for option in ("pace", "port"):
         if getattr(args, option) is not None and not args.view:
             raise UsageError(f"--{option} is for the page of --view; add --view, or leave it out")
@@ -262,34 +278,25 @@ def _plan_run(args: argparse.Namespace) -> _RunPlan:
         raise UsageError(
             "--compare runs the swarm again with other filters, but robots elsewhere run once; leave it out"
         )
-    if args.slcan is not None and bus_choice.has_bus_per_robot:
+
+
+def _check_slcan(settings: SwarmSettings, bus_choice: BusChoice) -> None:
+    """Raise UsageError if other programs cannot join the swarm by --slcan.
+
+    They need one bus for all, and the two ids of tools.
+    """
+    if bus_choice.has_bus_per_robot:
         raise UsageError(
             f"--slcan needs one bus for all, and {bus_choice} is one for each robot; choose one of them"
         )
-    if args.slcan is not None and settings.robots > MAX_ROBOTS_AND_TOOLS:
+    if settings.robots > MAX_ROBOTS_AND_TOOLS:
         raise UsageError(
             f"robots is {settings.robots}; with --slcan take at most {MAX_ROBOTS_AND_TOOLS}, since tools use "
             "the ids 126 and 127"
         )
-    return _RunPlan(args, settings, bus_choice, wiring, Console(quiet=args.quiet or args.json))
 
 
 # --- The run ---------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class _RunResult:
-    """How a run has ended.
-
-    Attributes:
-        outcome: The swarm after its last step.
-        report: Parameters and results as plain values, for JSON.
-        seconds: How long this swarm took, without its baselines.
-    """
-
-    outcome: SwarmRun
-    report: dict[str, Any]
-    seconds: float
 
 
 def run(args: argparse.Namespace) -> int:
@@ -301,86 +308,93 @@ def run(args: argparse.Namespace) -> int:
     """
     from can import CanError
 
-    from mcp_asdf_tools.common.files import results_beside
-    from mcp_asdf_tools.recording.events import EventsHeader
     from mcp_asdf_tools.robots.lockstep import LockstepError
 
     plan = _plan_run(args)
-    settings = plan.settings
-    results_path = None if args.log is None else results_beside(args.log)
-    events_header = EventsHeader(settings.robot_setups(), settings.seed, settings.frames, settings.plain())
-    recording = recording_for("swarm", args.log, events_header, plan.bus_choice)
+    recording = _prepare_recording(plan)
     try:
         with ExitStack() as page_stack:
             recorder = _start_view(plan, page_stack)
-            result = _run_and_record(plan, recording, results_path, recorder)
+            outcome = _run_and_record(plan, recording, recorder)
             # The page stays until Ctrl-C, unless that has ended the run already.
-            if recorder is not None and not result.outcome.interrupted:
+            if recorder is not None and not outcome.interrupted:
                 _keep_page(recorder.history)
     except (LockstepError, CanError) as error:
         # Robots elsewhere have not started, or their bus failed before they had.
         return report_failure("mcp-asdf swarm", str(error), args.json)
-    outcome = result.outcome
     failure = None if outcome.failure is None else f"failed in {outcome.failure}"
     return exit_code_of_run(args, failure, outcome.interrupted, recording)
 
 
+def _prepare_recording(plan: _RunPlan) -> Recording | NoRecording:
+    """Return the recording of a run with --log, and one that keeps nothing without."""
+    from mcp_asdf_tools.recording.events import EventsHeader
+
+    settings = plan.settings
+    header = EventsHeader(settings.robot_setups(), settings.seed, settings.frames, settings.plain())
+    return recording_for("swarm", plan.args.log, header, plan.bus_choice)
+
+
 def _run_and_record(
-    plan: _RunPlan,
-    recording: Recording | NoRecording,
-    results_path: Path | None,
-    recorder: SwarmRecorder | None,
-) -> _RunResult:
-    """Run the swarm, write its log and results, print the results, and return how it has ended.
+    plan: _RunPlan, recording: Recording | NoRecording, recorder: SwarmRecorder | None
+) -> SwarmRun:
+    """Run the swarm, write its log and results, print the results, and return the run at its end.
 
     Raises UsageError if a file cannot be written, and what ``_emulate`` raises.
     """
     from mcp_asdf_tools.common.files import write_atomically
 
-    with ExitStack() as at_end:
-        with recording as log_outputs:
-            result = _emulate(plan, log_outputs, recorder)
-            # Printed when both files are closed, and also if one of them cannot be completed.
-            at_end.callback(_print_result, plan, result)
-        if results_path is not None:
-            write_atomically(results_path, json_report(result.report) + "\n")
-    return result
+    with recording as log_outputs:
+        outcome, report = _emulate(plan, log_outputs, recorder)
+    try:
+        if plan.results_path is not None:
+            write_atomically(plan.results_path, json_report(report) + "\n")
+    finally:  # also if the file cannot be written
+        _print_result(plan, outcome, report)
+    return outcome
 
 
-def _emulate(plan: _RunPlan, log_outputs: LogOutputs, recorder: SwarmRecorder | None) -> _RunResult:
-    """Run the swarm to its end or Ctrl-C, and return how it has ended, with the report for JSON.
+def _emulate(
+    plan: _RunPlan, log_outputs: LogOutputs, recorder: SwarmRecorder | None
+) -> tuple[SwarmRun, dict[str, Any]]:
+    """Run the swarm to its end or Ctrl-C, and return the run with its report for JSON.
 
     With --compare the same swarm also runs with other filters, its baselines, whose results are in the report
     unless the run has failed. ``log_outputs`` get frames and events for the log, and ``recorder``, if there
     is one, states for the web page. Raises LockstepError if robots in other processes or at devices do not
     start, and can.CanError if their bus fails before they have.
     """
-    from mcp_asdf_tools.swarm.live_view import LiveView
-    from mcp_asdf_tools.swarm.run import Baselines, run_swarm
+    from mcp_asdf_tools.swarm.run import Baselines
     from mcp_asdf_tools.swarm.swarm import Swarm
 
-    settings = plan.settings
-    start_time = time.monotonic()
-    baselines = Baselines(settings) if plan.args.compare else None
+    baselines = Baselines(plan.settings) if plan.args.compare else None
     with ExitStack() as stack:
         slcan_port = _serve_slcan(plan, stack)
-        record_frame, events_writer = log_outputs
-        swarm = stack.enter_context(Swarm(settings, plan.wiring, record_frame, events_writer))
+        swarm = stack.enter_context(
+            Swarm(plan.settings, plan.wiring, log_outputs.record_frame, log_outputs.events_writer)
+        )
         processes = stack.enter_context(_prepare_processes(plan))
         _wait_for_robots(plan, swarm, processes)
-        # A signal counts between two ticks, so that log and results end on a whole one.
-        with LiveView(plan.console, baselines) as live_view, stopping() as should_stop:
-            # Baselines come first, since the live view shows their errors after the same tick.
-            hooks = [hook for hook in (baselines, recorder, live_view) if hook is not None]
-            outcome = run_swarm(swarm, hooks, should_stop)
-
-    seconds = time.monotonic() - start_time
-    if baselines is not None:
-        # The baselines took their ticks between the ticks of the swarm. Their time does not count.
-        seconds -= baselines.seconds
+        outcome = _run_with_progress(plan, swarm, baselines, recorder)
     # A process reports when it ends, and all have ended with the context of ``processes``.
-    report = _report_of(plan, outcome, slcan_port, processes, baselines)
-    return _RunResult(outcome, report, seconds)
+    return outcome, _report_of(plan, outcome, slcan_port, processes, baselines)
+
+
+def _run_with_progress(
+    plan: _RunPlan, swarm: Swarm, baselines: Baselines | None, recorder: SwarmRecorder | None
+) -> SwarmRun:
+    """Run the swarm until its last step or a signal, show how far it is, and return the run at its end.
+
+    The ``baselines`` run beside it, and the ``recorder`` gets its states, if there are any.
+    """
+    from mcp_asdf_tools.swarm.live_view import LiveView
+    from mcp_asdf_tools.swarm.run import run_swarm
+
+    # A signal counts between two ticks, so that log and results end on a whole one.
+    with LiveView(plan.console, baselines) as live_view, stopping() as should_stop:
+        # Baselines come first, since the live view shows their errors after the same tick.
+        hooks = [hook for hook in (baselines, recorder, live_view) if hook is not None]
+        return run_swarm(swarm, hooks, should_stop)
 
 
 def _report_of(
@@ -397,9 +411,7 @@ def _report_of(
     """
     from mcp_asdf_tools.swarm.run import results_of
 
-    bus_choice = plan.bus_choice
-    bus = {"interface": bus_choice.interface, "channel": bus_choice.channel, "slcan": slcan_port}
-    report = outcome.report(bus)
+    report = outcome.report(bus=plan.bus_choice.plain() | {"slcan": slcan_port})
     reports_by_robot = sorted(processes.reports.items())
     report["processes"] = {str(robot): node_report for robot, node_report in reports_by_robot}
     if baselines is not None and outcome.failure is None:
@@ -481,34 +493,44 @@ def _serve_slcan(plan: _RunPlan, stack: ExitStack) -> int | None:
 # --- The summary -----------------------------------------------------------------------------------------
 
 
-def _print_result(plan: _RunPlan, result: _RunResult) -> None:
+def _print_result(plan: _RunPlan, outcome: SwarmRun, report: dict[str, Any]) -> None:
     """Print the results: as JSON, in one line (--quiet), as a table on a terminal, else in lines with tabs.
 
     The sentence that compares filters follows in any case but JSON.
     """
     from rich.console import Console
 
-    from mcp_asdf_tools.swarm.summary import comparison, load_warning, one_line, summary, summary_table
+    from mcp_asdf_tools.swarm.summary import comparison, one_line
 
     if plan.args.json:
-        print(json_report(result.report))
+        print(json_report(report))
         return
     console = Console()  # unlike the plan's console it prints with --quiet, too
-    settings, report = plan.settings, result.report
-    rows = summary(result.outcome, str(plan.bus_choice), result.seconds)
     if plan.args.quiet:
-        print(one_line(result.outcome))
-    elif console.is_terminal:
+        print(one_line(outcome))
+    else:
+        _print_summary(plan, outcome, console)
+    if "compared" in report:
+        results_by_filter = {plan.settings.filter: report["results"], **report["compared"]}
+        sentence = comparison(results_by_filter, plan.settings)
+        console.print(sentence, soft_wrap=not console.is_terminal, markup=False, highlight=False)
+
+
+def _print_summary(plan: _RunPlan, outcome: SwarmRun, console: Console) -> None:
+    """Print the summary of a run, and the line that makes the same run again.
+
+    The summary is a table on a terminal, and otherwise lines with tabs. A warning goes to standard error if a
+    real bus would be too busy.
+    """
+    from mcp_asdf_tools.swarm.summary import load_warning, summary, summary_table
+
+    rows = summary(outcome, str(plan.bus_choice))
+    if console.is_terminal:
         console.print(summary_table(rows))
     else:
         # For programs that read the output: a line is the name of a row, a tab and its text.
         print("\n".join("\t".join(row) for row in rows))
-    if not plan.args.quiet:
-        warning = load_warning(result.outcome.results)
-        if warning is not None:
-            warn("swarm", warning)
-        print_again(plan.args, seed=settings.seed)
-    if "compared" in report:
-        results_by_filter = {settings.filter: report["results"], **report["compared"]}
-        sentence = comparison(results_by_filter, settings)
-        console.print(sentence, soft_wrap=not console.is_terminal, markup=False, highlight=False)
+    warning = load_warning(outcome.results)
+    if warning is not None:
+        warn("swarm", warning)
+    print_again(plan.args, seed=plan.settings.seed)

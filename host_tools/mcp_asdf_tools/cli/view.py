@@ -15,6 +15,7 @@ from mcp_asdf_tools.common.signals import stopping
 
 if TYPE_CHECKING:
     from mcp_asdf_tools.bus.frames import FrameFormat
+    from mcp_asdf_tools.bus.interfaces import BusChoice
     from mcp_asdf_tools.view.history import History
 
 EPILOG = """\
@@ -232,9 +233,31 @@ def _serve_bus(args: argparse.Namespace) -> int:
     """
     from can import CanError
 
-    from mcp_asdf_tools.bus.interfaces import DEFAULT_INTERFACE
     from mcp_asdf_tools.view.frame_history import FrameRecorder, KnownTruth, record_bus
     from mcp_asdf_tools.view.server import serve_page
+
+    bus_choice = _bus_to_show(args)
+    frame_format = _frame_format_of(args)
+    truth = KnownTruth(args.fill_ratio, args.true_accuracy)
+    recorder = FrameRecorder(f"robots on {bus_choice}", frame_format, truth)
+    try:
+        with (
+            bus_choice.open() as bus,
+            stopping() as should_stop,
+            serve_page(recorder.history, args.port) as url,
+        ):
+            announce_page(url, args.json)
+            record_bus(bus, recorder, should_stop)
+    except CanError as error:
+        return report_failure("mcp-asdf view", f"the bus failed: {error}", args.json)
+    if not recorder.roster.has_telemetry:
+        warn("view", _NO_TELEMETRY)
+    return 0
+
+
+def _bus_to_show(args: argparse.Namespace) -> BusChoice:
+    """Return the bus that the options name. Raises UsageError without one, and for options of recordings."""
+    from mcp_asdf_tools.bus.interfaces import DEFAULT_INTERFACE
 
     bus_choice = options.bus_of(args)
     if bus_choice.interface == DEFAULT_INTERFACE:
@@ -247,16 +270,4 @@ def _serve_bus(args: argparse.Namespace) -> int:
     for option in ("export", "where", "trial"):
         if getattr(args, option):
             raise UsageError(f"--{option} is for recordings, and there is none; leave it out")
-    frame_format = _frame_format_of(args)
-    try:
-        with bus_choice.open() as bus, stopping() as should_stop:
-            truth = KnownTruth(args.fill_ratio, args.true_accuracy)
-            recorder = FrameRecorder(f"robots on {bus_choice}", frame_format, truth)
-            with serve_page(recorder.history, args.port) as url:
-                announce_page(url, args.json)
-                record_bus(bus, recorder, should_stop)
-    except CanError as error:
-        return report_failure("mcp-asdf view", f"the bus failed: {error}", args.json)
-    if not recorder.roster.has_telemetry:
-        warn("view", _NO_TELEMETRY)
-    return 0
+    return bus_choice

@@ -9,16 +9,14 @@ from contextlib import nullcontext
 from copy import copy
 from functools import partial
 from pathlib import Path
+from typing import NamedTuple
 
 import can
 
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.files import check_target, explaining_write_errors, rename_drafts
-from mcp_asdf_tools.recording.events import EventsHeader, EventsWriter, events_path
+from mcp_asdf_tools.recording.events import EventRecorder, EventsHeader, EventsWriter, events_path
 from mcp_asdf_tools.recording.frame_logs import PART_SUFFIX
-
-LogOutputs = tuple[Callable[[can.Message], None] | None, EventsWriter | None]
-"""The function that records a frame, and the writer of events; None for what is not recorded."""
 
 _FLUSH_PERIOD = 1.0
 """Seconds after which frames and events are on disk."""
@@ -71,14 +69,30 @@ class _PartFile:
             del self._unwritten[:written_count]
 
 
+class LogOutputs(NamedTuple):
+    """What takes the frames and the events of a run.
+
+    Attributes:
+        record_frame: Called with each frame.
+        events_writer: Writer of the events; None if they are not recorded.
+    """
+
+    record_frame: Callable[[can.Message], None]
+    events_writer: EventsWriter | None
+
+    def recorder_of(self, robot_id: int) -> EventRecorder | None:
+        """Return the recorder of a robot's events; None if they are not recorded."""
+        return None if self.events_writer is None else self.events_writer.recorders[robot_id]
+
+
 class NoRecording(nullcontext[LogOutputs]):
     """Context manager with the interface of ``Recording`` that records nothing."""
 
     failure: str | None = None
 
     def __init__(self) -> None:
-        """Create a context that yields None in place of both outputs: nothing takes frames or events."""
-        super().__init__((None, None))
+        """Create a context that yields outputs which keep nothing."""
+        super().__init__(LogOutputs(lambda frame: None, None))
 
 
 class Recording:
@@ -156,7 +170,7 @@ class Recording:
                 events_file.write(self._header.to_line())
         # The writer uses no method of a file but "write".
         self._log_writer = can.CanutilsLogWriter(log_file)  # type: ignore[arg-type]
-        return self._write_frame, self._events
+        return LogOutputs(self._write_frame, self._events)
 
     def __exit__(self, error_type: type[BaseException] | None, *_: object) -> None:
         """Close the files, and rename them after a regular end.

@@ -396,6 +396,11 @@ class RunOutcome:
     has_failed: bool = False
     lateness: dict[str, Any] | None = None
 
+    @property
+    def failure(self) -> str | None:
+        """Why the bus ended the run, in words; None if it did not."""
+        return self.ending if self.has_failed else None
+
 
 def run_node(
     node: RobotNode, link: BusLink, ticks: int | None = None, watch: Callable[[], None] = lambda: None

@@ -31,6 +31,7 @@ class SwarmRun:
         settings: Parameters of the swarm.
         nodes: The robots in their last state.
         results: Results as plain values, for JSON.
+        seconds: Time that its ticks took, without the hooks between them.
         interrupted: Whether the run was asked to stop before its end.
         failure: Why the bus or a remote robot ended the run, with the tick; None if it did not.
     """
@@ -38,6 +39,7 @@ class SwarmRun:
     settings: SwarmSettings
     nodes: Sequence[BusRobot]
     results: dict[str, Any] = field(default_factory=dict)
+    seconds: float = 0.0
     interrupted: bool = False
     failure: str | None = None
 
@@ -69,7 +71,9 @@ def run_swarm(
     run = SwarmRun(swarm.settings, swarm.nodes)
     try:
         while swarm.ticks < swarm.settings.steps and not run.interrupted:
+            start_time = time.monotonic()
             swarm.tick()
+            run.seconds += time.monotonic() - start_time
             for hook in hooks:
                 hook(swarm)
             run.interrupted = should_stop()
@@ -89,7 +93,6 @@ class Baselines:
 
     Attributes:
         swarms: The baselines by filter.
-        seconds: Time spent on them so far.
     """
 
     def __init__(self, settings: SwarmSettings) -> None:
@@ -99,7 +102,6 @@ class Baselines:
         the robots' firmware is not available here.
         """
         self.swarms: dict[str, Swarm] = {}
-        self.seconds = 0.0
         for swarm_filter in FILTERS.values():
             if swarm_filter.is_baseline and swarm_filter.name != settings.filter:
                 # In lockstep, whatever the clock of the swarm: without a bus there is nothing to wait for.
@@ -107,11 +109,9 @@ class Baselines:
                 self.swarms[swarm_filter.name] = Swarm(baseline, Wiring())
 
     def __call__(self, swarm: Swarm) -> None:
-        """Let all baselines take a tick, and add the time that this takes to ``seconds``."""
-        start = time.monotonic()
+        """Let all baselines take a tick."""
         for baseline in self.swarms.values():
             baseline.tick()
-        self.seconds += time.monotonic() - start
 
     def mean_errors(self) -> dict[str, float]:
         """Return the present mean error of each baseline, by filter."""

@@ -17,12 +17,11 @@ Row = tuple[str, str]
 """The name of a line of a summary, and its text."""
 
 
-def summary(run: SwarmRun, bus: str, seconds: float) -> list[Row]:
+def summary(run: SwarmRun, bus: str) -> list[Row]:
     """Return a summary of a run as lines, each a pair of its name and its text.
 
     They are about the run, the robots' estimates and b_hat, the filter, the frames, faults, robots that
-    rejected frames, the clock and the load of the bus. ``bus`` is a description of the bus, ``seconds`` the
-    time that the run took.
+    rejected frames, the clock and the load of the bus. ``bus`` is a description of the bus.
     """
     settings = run.settings
     results = run.results
@@ -31,7 +30,7 @@ def summary(run: SwarmRun, bus: str, seconds: float) -> list[Row]:
     # Remote robots do not report their tests.
     tests = "an unknown number of" if results["tests"] is None else results["tests"]
     return [
-        ("run", f"{results['steps']} of {settings.steps} steps in {seconds:.1f} s{_ending(run)}"),
+        ("run", f"{results['steps']} of {settings.steps} steps in {run.seconds:.1f} s{_ending(run)}"),
         (
             "estimate",
             f"mean x {results['mean_x']:.5f}, f {settings.fill_ratio:g}, mean error "

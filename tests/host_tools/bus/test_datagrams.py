@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tracemalloc
+from typing import Any
 
 import can
 import pytest
@@ -52,7 +53,7 @@ def test_the_name_of_the_sender_s_channel_may_be_no_text() -> None:
 @pytest.mark.parametrize("field", ["timestamp", "channel"])
 @pytest.mark.parametrize("value", [True, b"can0", [0], {"a": 1}])
 def test_a_datagram_whose_time_or_channel_is_neither_a_number_nor_a_text_is_refused(
-    field: str, value: object
+    field: str, value: Any
 ) -> None:
     """No frame of python-can has such a time or channel, so somebody has made up the datagram."""
     assert unpack_data_frame(packed(**{field: value})) is None

@@ -159,11 +159,11 @@ def test_the_name_of_any_bus_becomes_one_word_in_the_log(
     assert frame.channel == channel
 
 
-def test_a_run_without_a_log_gets_no_outputs_for_frames_and_events() -> None:
+def test_a_run_without_a_log_gets_no_recorders_of_events() -> None:
     """A ``NoRecording`` stands in for the recording of a run that the user does not want recorded."""
-    with NoRecording() as (write_frame, events_writer):
-        assert write_frame is None
-        assert events_writer is None
+    with NoRecording() as outputs:
+        outputs.record_frame(can.Message())
+        assert outputs.recorder_of(0) is None
 
 
 # --- Runs that do not end regularly -------------------------------------------------------------------

@@ -158,7 +158,8 @@ def test_a_summary_has_faults_conflicts_the_clock_and_robots_in_trouble() -> Non
     run.results["tests"] = None  # no frame of a robot elsewhere has this number
     run.results["clock"] = {"mean_lateness": 0.001, "max_lateness": 0.02, "drift": -0.0005, "late_ticks": 3}
 
-    assert summary(run, bus="vcan0", seconds=1.26) == [
+    run.seconds = 1.26
+    assert summary(run, bus="vcan0") == [
         ("run", "60 of 60 steps in 1.3 s; interrupted"),
         ("estimate", "mean x 0.50078, f 0.55, mean error 0.04922, spread of x 0.05334, of x_hat 0.15370"),
         ("b_hat, flawed", "no such robots"),
@@ -198,7 +199,8 @@ def test_a_summary_of_a_run_without_faults_has_no_lines_about_faults_and_says_wh
     """The line "run" ends with the tick and the error. The other lines are those of every run."""
     run, _frames = run_and_record(small_swarm(robots=3))
     run.failure = "tick 41: bus off"
-    text_by_name = dict(summary(run, bus="vcan0", seconds=1.26))
+    run.seconds = 1.26
+    text_by_name = dict(summary(run, bus="vcan0"))
     usual_results = ["run", "estimate", "b_hat, flawed", "b_hat, other", "filter", "frames", "bus load"]
     assert list(text_by_name) == usual_results
     assert text_by_name["run"] == "60 of 60 steps in 1.3 s; failed in tick 41: bus off"
