@@ -11,6 +11,7 @@ from mcp_asdf_tools.cli.output import json_report, print_again, warn
 from mcp_asdf_tools.common.errors import UsageError
 
 if TYPE_CHECKING:
+    from mcp_asdf_tools.recording.events import EventsReader
     from mcp_asdf_tools.recording.frame_logs import LogSummary
     from mcp_asdf_tools.recording.replay import ReplayVerdict
 
@@ -47,25 +48,14 @@ def run(args: argparse.Namespace) -> int:
     frames, are reported on standard error. Returns exit code 1 if a broadcast differs, and otherwise 0.
     Raises UsageError if there is nothing to compare.
     """
-    from rich.console import Console
-
     from mcp_asdf_tools.recording.events import EventsReader
-    from mcp_asdf_tools.recording.frame_logs import LogSummary, read_log
-    from mcp_asdf_tools.recording.replay import verify
+    from mcp_asdf_tools.recording.frame_logs import LogSummary
     from mcp_asdf_tools.robots.filters import describe_filters
 
     events_path = _find_events(args)
     summary = LogSummary()
-    # Frames are read one by one below, and the summary counts them then.
-    frames = read_log(args.log, args.channel, summary)
-    progress = Console(stderr=True)
-    with EventsReader(events_path) as events_reader, progress.status("running the robots again"):
-        verdict = verify(frames, events_reader)
-        # After a difference the rest of the log is read for the summary alone, which counts frames by
-        # channel. An error in the rest changes nothing about the verdict.
-        with suppress(UsageError):
-            for _frame in frames:
-                pass
+    with EventsReader(events_path) as events_reader:
+        verdict = _verify(args, events_reader, summary)
     filter_description = describe_filters(robot.config.filter for robot in events_reader.header.robots)
     if args.json:
         print(json_report(_report(args, events_path, summary, verdict, filter_description)))
@@ -85,6 +75,28 @@ def run(args: argparse.Namespace) -> int:
             f"{args.log} holds no estimate of the robots in {events_path}; do they belong together?"
         )
     return 0
+
+
+def _verify(args: argparse.Namespace, events_reader: EventsReader, summary: LogSummary) -> ReplayVerdict:
+    """Run the robots again, showing that on a terminal, and return the verdict on the log.
+
+    ``summary`` counts the frames of the whole log. Raises UsageError if the log or the events cannot be read.
+    """
+    from rich.console import Console
+
+    from mcp_asdf_tools.recording.frame_logs import read_log
+    from mcp_asdf_tools.recording.replay import verify
+
+    # Frames are read one by one, and the summary counts them then.
+    frames = read_log(args.log, args.channel, summary)
+    with Console(stderr=True).status("running the robots again"):
+        verdict = verify(frames, events_reader)
+        # After a difference the rest of the log is read for the summary alone, which counts frames by
+        # channel. An error in the rest changes nothing about the verdict.
+        with suppress(UsageError):
+            for _frame in frames:
+                pass
+    return verdict
 
 
 def _find_events(args: argparse.Namespace) -> Path:

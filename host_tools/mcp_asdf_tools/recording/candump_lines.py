@@ -112,12 +112,8 @@ def _make_frame(
         remote_length: Length that a remote frame asks for; None for any other frame.
     """
     timestamp = _parse_time(match["time"])
-    if timestamp is None:
-        return None
-    hex_digits = data_text.replace(".", "")
-    byte_count, left_over_digits = divmod(len(hex_digits), 2)
-    max_bytes = _MAX_FD_BYTES if is_fd else _MAX_CLASSIC_BYTES
-    if left_over_digits > 0 or byte_count > max_bytes:
+    data = _parse_data(data_text, max_bytes=_MAX_FD_BYTES if is_fd else _MAX_CLASSIC_BYTES)
+    if timestamp is None or data is None:
         return None
     arbitration_id = int(match["id"], 16)
     is_extended_id = len(match["id"]) == 8  # candump writes the 11 bits of a standard one in 3 digits
@@ -126,17 +122,28 @@ def _make_frame(
     id_bits = 29 if is_extended_id else 11
     if arbitration_id.bit_length() > id_bits:
         return None
-    length = byte_count if remote_length is None else remote_length
     return can.Message(
         timestamp=timestamp,
         channel=match["channel"],
         arbitration_id=arbitration_id,
         is_extended_id=is_extended_id,
         is_remote_frame=remote_length is not None,
-        dlc=length,
-        data=bytes.fromhex(hex_digits),
+        dlc=len(data) if remote_length is None else remote_length,
+        data=data,
         is_fd=is_fd,
     )
+
+
+def _parse_data(data_text: str, max_bytes: int) -> bytes | None:
+    """Return the bytes in hexadecimal digits; None if there is half a byte or more than ``max_bytes``.
+
+    Points between the digits are ignored.
+    """
+    hex_digits = data_text.replace(".", "")
+    byte_count, left_over_digits = divmod(len(hex_digits), 2)
+    if left_over_digits > 0 or byte_count > max_bytes:
+        return None
+    return bytes.fromhex(hex_digits)
 
 
 def _parse_time(text: str | None) -> float | None:

@@ -375,19 +375,13 @@ class EventsReader:
         """
         # Format and version come first: in another one all else may have another meaning.
         version = self._version_of(plain_header)
-        if not isinstance(plain_header.get("robots"), list):
-            raise self.error_in_line(
-                f"robots is {plain_header.get('robots')!r}; it must be a list in brackets"
-            )
         try:
-            robots = tuple(RobotSetup.from_plain(plain_robot) for plain_robot in plain_header["robots"])
+            robots = self._parse_robots(plain_header.get("robots"))
             # An unknown key gives a TypeError, which becomes a UsageError.
             with refusing_wrong_values():
                 frames = FrameFormat(**plain_header.get("frames", {}))
         except UsageError as error:
             raise self.error_in_line(str(error)) from error
-        if len({robot.id for robot in robots}) < len(robots):
-            raise self.error_in_line("two robots have the same id")
         if version < _FIRST_VERSION_OF_ROBUST_FILTER:
             self._check_without_robust_filter(robots)
         return EventsHeader(
@@ -409,6 +403,21 @@ class EventsReader:
                 f"are read here; {_USE_OTHER_VERSION}"
             )
         return int(version)
+
+    @staticmethod
+    def _parse_robots(plain_robots: Any) -> tuple[RobotSetup, ...]:
+        """Return the robots in the JSON value of the header.
+
+        Raises UsageError, without the line, if the value is no list, if one of its entries is no robot, and
+        if two robots have the same id.
+        """
+        if not isinstance(plain_robots, list):
+            raise UsageError(f"robots is {plain_robots!r}; it must be a list in brackets")
+        robots = tuple(RobotSetup.from_plain(plain_robot) for plain_robot in plain_robots)
+        ids = {robot.id for robot in robots}
+        if len(ids) < len(robots):
+            raise UsageError("two robots have the same id")
+        return robots
 
     def _check_without_robust_filter(self, robots: Sequence[RobotSetup]) -> None:
         """Raise UsageError if one of the robots of an earlier version has that version's robust filter."""

@@ -160,10 +160,9 @@ def verify(log: Iterable[can.Message], events: EventsReader) -> ReplayVerdict:
     if the log or the events cannot be read, or if the events contradict each other.
     """
     robots = _start_robots(events)
-    foreign_frames: Counter[str] = Counter()
-    for entry in _apply_entries(events, robots):
-        if isinstance(entry, InjectedFrame):
-            foreign_frames[entry.text] += 1
+    foreign_frames = Counter(
+        entry.text for entry in _apply_entries(events, robots) if isinstance(entry, InjectedFrame)
+    )
     comparison = _Comparison(robots, foreign_frames, events)
     for frame_number, frame in enumerate(log, start=1):
         comparison.compare_frame(frame_number, frame)
@@ -229,7 +228,8 @@ class _Comparison:
 
         Args:
             robots: The robots, which have repeated all events.
-            foreign_frames: How often each frame was on the bus that a fault sent, as candump writes it.
+            foreign_frames: How often a fault has sent each frame, as candump writes it. Those that are found
+                in the log are removed.
             events: The events, for the format of estimates and whether the run was cut off.
         """
         self.verdict = ReplayVerdict()
@@ -255,27 +255,27 @@ class _Comparison:
             self.verdict.other += 1
             return
         broadcasts = self._robots[estimate.sender].broadcasts
-        # The robot's broadcast with the frame's transfer_id, if any, may have other values than the frame.
-        index = _index_of_broadcast(estimate.transfer_id, broadcasts)
-        index_of_equal: int | None = None
-        if index is not None and broadcasts[index].has_values(estimate.x_hat, alpha_float32_bits(frame)):
-            index_of_equal = index
+        index = _index_of_equal_broadcast(frame, estimate, broadcasts)
         # A fault may have sent the same frame as a robot. Then the frame is the robot's if the broadcast is
         # the robot's next one: one that comes later is equal by chance.
-        is_next_broadcast = index_of_equal == 0
-        frame_text = format_frame(frame)
-        if self._foreign_frames[frame_text] > 0 and not is_next_broadcast:
-            self._foreign_frames[frame_text] -= 1  # each of the fault's frames is in the log once
+        is_next_broadcast = index == 0
+        if not is_next_broadcast and self._remove_foreign_frame(frame):
             self.verdict.foreign += 1
-        elif index_of_equal is not None:
-            self._count_reproduced(broadcasts, index_of_equal)
+        elif index is not None:
+            self._count_reproduced(broadcasts, index)
         elif self._are_events_cut_off and not broadcasts:
             self.verdict.beyond += 1
         else:
-            # If no broadcast has the frame's transfer_id, the next one should be in its place.
-            index_of_expected = 0 if index is None else index
-            expected = broadcasts[index_of_expected] if broadcasts else None
+            expected = _broadcast_in_place_of(estimate, broadcasts)
             self.verdict.difference = _describe_difference(frame_number, frame, estimate, expected)
+
+    def _remove_foreign_frame(self, frame: can.Message) -> bool:
+        """Remove a frame from those that a fault has sent; return whether there was one like it."""
+        frame_text = format_frame(frame)
+        if self._foreign_frames[frame_text] == 0:
+            return False
+        self._foreign_frames[frame_text] -= 1
+        return True
 
     def _count_reproduced(self, broadcasts: deque[Broadcast], index: int) -> None:
         """Remove and count the broadcast at ``index``, and those before it, which count as not logged.
@@ -311,6 +311,31 @@ def _describe_difference(
         f"frame {frame_number} at {frame.timestamp:.6f} s: robot {estimate.sender} broadcast "
         f"{values}, but {expectation}"
     )
+
+
+def _index_of_equal_broadcast(
+    frame: can.Message, estimate: Estimate, broadcasts: deque[Broadcast]
+) -> int | None:
+    """Return the index of the broadcast with the transfer_id and the values of a frame; None if none has.
+
+    ``estimate`` is the decoded frame.
+    """
+    index = _index_of_broadcast(estimate.transfer_id, broadcasts)
+    if index is None:
+        return None
+    is_equal = broadcasts[index].has_values(estimate.x_hat, alpha_float32_bits(frame))
+    return index if is_equal else None
+
+
+def _broadcast_in_place_of(estimate: Estimate, broadcasts: deque[Broadcast]) -> Broadcast | None:
+    """Return the broadcast that should be in the log in place of ``estimate``; None if there are no more.
+
+    That is the one with its transfer_id or, if there is none, the robot's next one.
+    """
+    if not broadcasts:
+        return None
+    index = _index_of_broadcast(estimate.transfer_id, broadcasts)
+    return broadcasts[0 if index is None else index]
 
 
 def _index_of_broadcast(transfer_id: int, broadcasts: deque[Broadcast]) -> int | None:

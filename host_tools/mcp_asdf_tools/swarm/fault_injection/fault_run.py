@@ -137,19 +137,19 @@ class FaultRun:
         The first of a receiver's words has decided on the hit, and each of the others chooses a bit.
         """
         corrupted_frames: list[SentFrame] = []
-        receivers: list[int] = []
-        for index in np.flatnonzero(hit.receivers.any(axis=1)).tolist():  # frames that have a receiver
+        receiver_of_frame: list[int] = []  # the one receiver of each corrupted frame
+        for index, sent_frame in enumerate(hit.sent_frames):
+            receivers = np.flatnonzero(hit.receivers[index]).tolist()
+            if not receivers:  # nobody needs the words, which take long to draw
+                continue
             words_by_receiver = self._words_for_receivers(hit, index, words_per_receiver).tolist()
-            for receiver in np.flatnonzero(hit.receivers[index]).tolist():
+            for receiver in receivers:
                 _hit_word, *words_for_bits = words_by_receiver[receiver]
-                corrupted_frames.append(_with_bits_flipped(hit.sent_frames[index], words_for_bits))
-                receivers.append(receiver)
-        # Row k has a single receiver, that of corrupted frame k.
+                corrupted_frames.append(_with_bits_flipped(sent_frame, words_for_bits))
+                receiver_of_frame.append(receiver)
         _, robot_count = hit.receivers.shape
-        rows = np.arange(len(corrupted_frames))
-        single_receivers = np.zeros((len(rows), robot_count), np.bool_)
-        single_receivers[rows, receivers] = True
-        return replace(hit, sent_frames=corrupted_frames, receivers=single_receivers)
+        only_receiver = np.eye(robot_count, dtype=np.bool_)  # row i is true for robot i alone
+        return replace(hit, sent_frames=corrupted_frames, receivers=only_receiver[receiver_of_frame])
 
     def _words_for_node(self, count: int, tick: int, node: int, repetition: int = 0) -> RandomWords:
         """Return ``count`` words for a node in a tick; other repetitions have other words."""

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from mcp_asdf_tools.common.errors import UsageError, did_you_mean
-from mcp_asdf_tools.common.parameters import parameters_of
+from mcp_asdf_tools.common.parameters import Parameter, parameters_of
 from mcp_asdf_tools.robots.robot_setup import parse_ids
 from mcp_asdf_tools.swarm.fault_injection.fault import OPTION_OF_FIELD, Fault
 from mcp_asdf_tools.swarm.fault_injection.kinds import FAULT_KINDS
@@ -30,21 +30,25 @@ def parse_fault(fault_text: str) -> Fault:
     first_item, *items = (item.strip() for item in fault_text.split(","))
     # The first item is the kind, with its rate if there is one.
     name, equals_sign, rate = first_item.partition("=")
-    if name not in _KINDS_BY_NAME:
-        # Either text continues the message, and begins with a semicolon.
-        ending = did_you_mean(name, _KINDS_BY_NAME) or f"; choose one of {', '.join(_KINDS_BY_NAME)}"
-        raise UsageError(f"fault {fault_text!r}: no kind is called {name!r}{ending}")
-    kind = _KINDS_BY_NAME[name]
-    values: dict[str, Any] = {}
+    kind = _kind_called(name, fault_text)
+    values = _parse_options(fault_text, kind, items)
     if equals_sign:
         values["rate"] = _parse_option(fault_text, kind, "rate", rate)
-    values |= _parse_options(fault_text, kind, items)
     fault = kind(**values)
     # The options must go together.
     fault.check()
     if fault.stop is not None and fault.stop <= fault.start:
         raise _option_error(fault_text, "to", fault.stop, f"above from, {fault.start}")
     return fault
+
+
+def _kind_called(name: str, fault_text: str) -> type[Fault]:
+    """Return the kind of faults with this name. Raises UsageError, with the names, if there is none."""
+    if name not in _KINDS_BY_NAME:
+        # Either text continues the message, and begins with a semicolon.
+        ending = did_you_mean(name, _KINDS_BY_NAME) or f"; choose one of {', '.join(_KINDS_BY_NAME)}"
+        raise UsageError(f"fault {fault_text!r}: no kind is called {name!r}{ending}")
+    return _KINDS_BY_NAME[name]
 
 
 def _parse_options(fault_text: str, kind: type[Fault], items: Sequence[str]) -> dict[str, Any]:
@@ -76,10 +80,18 @@ def _parse_option(fault_text: str, kind: type[Fault], option: str, value: str) -
     parameter = parameters_of(kind).get(field_name)
     if parameter is None:  # all options that are no declared parameters are sets of ids
         return parse_ids(value, f"fault {fault_text!r}: {option}")
-    if parameter.choices:
-        if value not in parameter.choices:
-            raise _option_error(fault_text, option, value, " or ".join(parameter.choices))
-        return value
+    if not parameter.choices:
+        return _parse_number(fault_text, parameter, option, value)
+    if value not in parameter.choices:
+        raise _option_error(fault_text, option, value, " or ".join(parameter.choices))
+    return value
+
+
+def _parse_number(fault_text: str, parameter: Parameter, option: str, value: str) -> float:
+    """Return the number in the text ``value``, an integer unless the parameter takes floats.
+
+    Raises UsageError if the text is no such number, or the number is out of the parameter's range.
+    """
     is_float = parameter.kind is float
     limits = f"{parameter.minimum:g} to {parameter.maximum:g}"
     requirement = f"a number, {limits}" if is_float else f"a whole number, {limits}"
