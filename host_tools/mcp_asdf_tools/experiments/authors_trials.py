@@ -115,7 +115,7 @@ def _read_trial(path: Path, sampling_interval: int) -> Trials:
     """
     file = _TrialFile(path, _read_json(path))
     experiment = _experiment_of(file)
-    number = file.value("trial_ind")
+    number = file.number("trial_ind")
     if number not in range(experiment.trials):
         raise file.error("trial_ind", f"it must be 0 to {experiment.trials - 1}, as num_trials says")
     series = _read_series(file, experiment)  # shape (N, steps + 1) each
@@ -193,10 +193,17 @@ class _TrialFile:
         return self.content[key]
 
     def number(self, key: str) -> float:
-        """Return the number under a key. Raises UsageError if there is none that a float can hold."""
+        """Return the number under a key.
+
+        Raises UsageError if there is none that a float can hold. A text is no number, although float() would
+        read it, and neither are true and false.
+        """
+        value = self.value(key)
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise self.error(key, "it must be a number")
         try:
-            return float(self.value(key))
-        except (TypeError, ValueError, OverflowError) as error:
+            return float(value)
+        except OverflowError as error:  # a number of hundreds of digits
             raise self.error(key, "it must be a number") from error
 
 

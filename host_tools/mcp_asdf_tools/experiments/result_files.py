@@ -265,8 +265,9 @@ def _open_checked(path: Path) -> pq.ParquetFile:
     """Open a file of results. Raises UsageError unless it is one in READABLE_FORMATS, and has rows."""
     with _name_file_in_errors(path):
         file = pq.ParquetFile(path)
-        _check_metadata(path, file.schema_arrow.metadata or {})
-        _check_schema(path, file.schema_arrow)
+        schema = file.schema_arrow
+        file_format = _check_metadata(path, schema.metadata or {})
+        _check_schema(path, schema, file_format)
         if not file.metadata.num_rows:
             raise UsageError(f"{path} holds no trials; run mcp-asdf sweep again")
     return file
@@ -290,8 +291,11 @@ def _name_file_in_errors(path: Path) -> Iterator[None]:
         raise UsageError(f"cannot read {path}: {reason}{hint}") from error
 
 
-def _check_metadata(path: Path, file_metadata: dict[bytes, bytes]) -> None:
-    """Raise UsageError if the metadata of a file are not those of results in one of READABLE_FORMATS."""
+def _check_metadata(path: Path, file_metadata: dict[bytes, bytes]) -> int:
+    """Return the format of a file, one of READABLE_FORMATS, by its metadata.
+
+    Raises UsageError if they are not those of results in such a format.
+    """
     try:
         metadata = json.loads(file_metadata.get(METADATA_KEY, b"{}"))
     except (ValueError, RecursionError):  # another program may use the same key
@@ -312,6 +316,8 @@ def _check_metadata(path: Path, file_metadata: dict[bytes, bytes]) -> None:
         raise UsageError(f"{path} is damaged: its metadata lack versions or sampling_interval; run it again")
     if not isinstance(metadata.get("source", ""), str):
         raise UsageError(f"{path} is damaged: source in its metadata is no text; make the file again")
+    file_format: int = metadata["format"]
+    return file_format
 
 
 def _check_former_parameters(path: Path, table: pa.Table) -> None:
@@ -331,23 +337,23 @@ def _check_former_parameters(path: Path, table: pa.Table) -> None:
             )
 
 
-def _check_schema(path: Path, schema: Any) -> None:
-    """Raise UsageError if columns of results are missing, there twice or of another type than they have.
+def _check_schema(path: Path, schema: pa.Schema, file_format: int) -> None:
+    """Raise UsageError if columns of results are missing, there twice or not of their type in a format.
 
-    A parameter may be missing, since it may be newer than the file. Records may be flat, as in format 5.
+    A parameter may be missing, since it may be newer than the file.
     """
     missing_columns = set(column_types()) - set(PARAMETER_NAMES) - set(schema.names)
     if missing_columns:
         missing_names = ", ".join(sorted(missing_columns))
         raise UsageError(f"{path} is damaged: it has no {missing_names}; run mcp-asdf sweep again")
-    for column_name, column_type in column_types().items():
-        allowed_types = [column_type]
-        if column_name in RECORD_COLUMNS.values():
-            allowed_types.append(FLAT_RECORD)
+    types = column_types()
+    if file_format != PRESENT_FORMAT:
+        types = types | dict.fromkeys(RECORD_COLUMNS.values(), FLAT_RECORD)
+    for column_name, column_type in types.items():
         column_count = schema.names.count(column_name)
         if column_count == 0:
             continue  # a parameter that is newer than the file
         # Parquet allows two columns of one name, which could not be told apart.
-        if column_count > 1 or schema.field(column_name).type not in allowed_types:
+        if column_count > 1 or schema.field(column_name).type != column_type:
             problem = f"column {column_name} is not {column_type}"
             raise UsageError(f"{path} is damaged: {problem}; run mcp-asdf sweep again")

@@ -225,6 +225,7 @@ def test_a_sweep_does_not_take_results_of_the_authors_programs_for_its_own(autho
         ({"tfr": 10**400}, "; give a number (their tfr)"),
         ({"comms_period": 7}, "filter_period is 20; it must be a multiple of comms_period, 7"),
         ({"trial_ind": 3}, "trial_ind is 3; it must be 0 to 2, as num_trials says"),
+        ({"trial_ind": "1"}, "trial_ind is '1'; it must be a number"),
         ({"sim_type": None}, "it has no sim_type; give a trial of"),
         ({"sim_type": "real_robot_dynamic_deg_1d"}, "sim_type is 'real_robot_dynamic_deg_1d'; it must be"),
         ({"fully_connected": False}, "fully_connected is False; neighbours that are drawn anew"),
@@ -254,7 +255,9 @@ def test_a_trial_with_a_parameter_that_cannot_be_run_is_refused_with_its_name(
         ("obs_queue_size", 1000, "a queue of observations is not the paper's"),
         ("comms_range", -1.0, "radio_range is -1.0"),
         ("density", -1.0, "density is -1.0"),
-        ("speed", "fast", "speed is 'fast'; it must be a number"),
+        ("speed", "14.14", "speed is '14.14'; it must be a number"),
+        ("density", True, "density is True; it must be a number"),
+        ("speed", 10**400, "; it must be a number"),
     ],
 )
 def test_a_trial_with_a_parameter_that_moving_robots_cannot_have_is_refused_with_its_name(

@@ -361,6 +361,16 @@ def test_a_record_in_format_5_that_has_not_a_value_of_each_robot_at_each_step_is
         read_table(path)
 
 
+def test_a_file_in_the_present_format_with_records_as_in_format_5_is_refused(path: Path) -> None:
+    """No version has written such a file: in format 6 a record is a list for each step."""
+    table = valid_results_table()
+    flat_records = pa.array([[0.5] * 6] * len(table))
+    pq.write_table(replace_column(table, "record_x", flat_records), path)
+
+    with pytest.raises(UsageError, match="is damaged: column record_x is not list<element: list<element"):
+        read_table(path)
+
+
 def with_column(name: str, values: object) -> pa.Table:
     """Return results in which a column has other values."""
     return replace_column(valid_results_table(), name, values)
