@@ -115,9 +115,7 @@ def _read_trial(path: Path, sampling_interval: int) -> Trials:
     """
     file = _TrialFile(path, _read_json(path))
     experiment = _experiment_of(file)
-    number = file.number("trial_ind")
-    if number not in range(experiment.trials):
-        raise file.error("trial_ind", f"it must be 0 to {experiment.trials - 1}, as num_trials says")
+    number = _trial_number(file, experiment)
     series = _read_series(file, experiment)  # shape (N, steps + 1) each
     x_of_one_trial = series["x"][np.newaxis]  # shape (1, N, steps + 1)
     convergence_steps, errors = convergence_and_errors(experiment, x_of_one_trial, unit=1.0)
@@ -128,7 +126,7 @@ def _read_trial(path: Path, sampling_interval: int) -> Trials:
         records = {name: _values_of_one_trial(series[name], every=sampling_interval) for name in QUANTITIES}
     return Trials(
         experiment=experiment,
-        numbers=[int(number)],
+        numbers=[number],
         convergence_steps=convergence_steps,
         errors=errors,
         b_hat=b_hat_after_filter_steps,
@@ -138,6 +136,14 @@ def _read_trial(path: Path, sampling_interval: int) -> Trials:
         sampling_interval=sampling_interval,
         source=SOURCE,
     )
+
+
+def _trial_number(file: _TrialFile, experiment: Experiment) -> int:
+    """Return the number of the trial in a file. Raises UsageError if the experiment has no such trial."""
+    number = file.number("trial_ind")
+    if number not in range(experiment.trials):
+        raise file.error("trial_ind", f"it must be 0 to {experiment.trials - 1}, as num_trials says")
+    return int(number)
 
 
 def _count_updates(b_hat: NDArray[np.float64]) -> NDArray[np.int64]:
@@ -232,28 +238,33 @@ def _experiment_of(file: _TrialFile) -> Experiment:
     experiment here has.
     """
     parameters: dict[str, Any] = {"firmware": "reference", "conventions": "authors", "seed": 0}
-    key_by_parameter = dict(_KEY_BY_PARAMETER)
     if _has_moving_robots(file):
-        key_by_parameter |= _MOVING_KEY_BY_PARAMETER
-        parameters["topology"] = "dynamic"
-        parameters["latency"] = 1
-        # Without rounding, 14.14 cm would be 0.14140000000000003 m or the like.
-        parameters["speed"] = round(file.number("speed") / _CM_PER_M, 9)
-        parameters["density"] = round(file.number("density"), _DENSITY_DECIMALS)
-    parameters |= {name: file.value(key) for name, key in key_by_parameter.items()}
+        parameters |= _parameters_of_motion(file)
+    parameters |= {name: file.value(key) for name, key in _KEY_BY_PARAMETER.items()}
     _check_sensors(file)
     parameters |= _filter_parameters(file)
     try:
         experiment = Experiment(**parameters)
     except ParameterError as error:
-        their_key = ""
-        if error.key in key_by_parameter:
-            their_key = f" (their {key_by_parameter[error.key]})"
-        raise UsageError(f"{file.path}: {error}{their_key}") from error
+        their_key = (_KEY_BY_PARAMETER | _MOVING_KEY_BY_PARAMETER).get(error.key)
+        hint = f" (their {their_key})" if their_key else ""
+        raise UsageError(f"{file.path}: {error}{hint}") from error
     # A period that never ends in a trial is their way to switch the filter off.
     if experiment.filter_period > experiment.steps:
         return replace(experiment, filter="none")
     return experiment
+
+
+def _parameters_of_motion(file: _TrialFile) -> dict[str, Any]:
+    """Return the parameters that only moving robots have. Raises UsageError if the file lacks one."""
+    return {
+        "topology": "dynamic",
+        "latency": 1,
+        # Without rounding, 14.14 cm would be 0.14140000000000003 m or the like.
+        "speed": round(file.number("speed") / _CM_PER_M, 9),
+        "density": round(file.number("density"), _DENSITY_DECIMALS),
+        **{name: file.value(key) for name, key in _MOVING_KEY_BY_PARAMETER.items()},
+    }
 
 
 def _has_moving_robots(file: _TrialFile) -> bool:

@@ -39,17 +39,26 @@ def lock_file(path: Path) -> str | None:
             # Any other error means that there are no locks.
             has_owner = error.errno in (errno.EACCES, errno.EAGAIN)
             return owner_id if has_owner else None
-        is_still_there = path.exists() and os.path.samestat(os.fstat(descriptor), path.stat())
-        if not is_still_there:
+        if _is_open_file(path, descriptor):
+            _write_own_id(descriptor)
+            _DESCRIPTOR_OF_LOCKED_FILE[path] = descriptor  # which ends the loop
+        else:
             # Between opening and locking, the process that had the lock removed the file: try again with the
             # file that is there now, which others try to lock, too.
             os.close(descriptor)
-            continue
-        # A process that was killed leaves its file, whose id may be longer.
-        os.ftruncate(descriptor, 0)
-        os.write(descriptor, str(os.getpid()).encode())
-        _DESCRIPTOR_OF_LOCKED_FILE[path] = descriptor  # which ends the loop
     return None
+
+
+def _is_open_file(path: Path, descriptor: int) -> bool:
+    """Return whether a path names the file that is open under a descriptor, not another one or none."""
+    return path.exists() and os.path.samestat(os.fstat(descriptor), path.stat())
+
+
+def _write_own_id(descriptor: int) -> None:
+    """Write this process's id into an open file, in place of what it contains."""
+    # A process that was killed leaves its file, whose id may be longer.
+    os.ftruncate(descriptor, 0)
+    os.write(descriptor, str(os.getpid()).encode())
 
 
 def unlock_file(path: Path) -> None:

@@ -116,17 +116,10 @@ def stream_experiments(path: Path) -> Iterator[Trials]:
     results in one of READABLE_FORMATS.
     """
     row_groups = RowGroups(path)
-    # Parameters are read first: they say which rows an experiment has. All else, which is far more, is read
-    # for one experiment at a time.
-    row_arrays: dict[Experiment, list[NDArray[np.int64]]] = {}
-    for row_group in row_groups:
-        parameters = row_group.read(PARAMETER_NAMES)
-        for experiment, rows_in_group in rows_by_experiment(parameters).items():
-            rows_in_all_files = row_group.first_row + rows_in_group
-            row_arrays.setdefault(experiment, []).append(rows_in_all_files)
     result_columns = [name for name in column_types() if name not in PARAMETER_NAMES]
-    for experiment, arrays_of_experiment in row_arrays.items():
-        rows = np.concatenate(arrays_of_experiment)
+    # Parameters, which say what rows an experiment has, are read first. All else, which is far more, is read
+    # for one experiment at a time.
+    for experiment, rows in row_groups.rows_by_experiment().items():
         yield trials_from_rows(experiment, row_groups.take(rows, result_columns))
 
 
@@ -193,6 +186,18 @@ class RowGroups:
         self._row_groups.append(RowGroup(self.row_count, row_count, read))
         self.row_count += row_count
 
+    def rows_by_experiment(self) -> dict[Experiment, NDArray[np.int64]]:
+        """Return the numbers of the rows of each experiment, in the order of the experiments' first rows.
+
+        Only columns of parameters are read. Raises UsageError if a file cannot be read.
+        """
+        row_arrays: dict[Experiment, list[NDArray[np.int64]]] = {}
+        for row_group in self._row_groups:
+            parameters = row_group.read(PARAMETER_NAMES)
+            for experiment, rows_in_group in rows_by_experiment(parameters).items():
+                row_arrays.setdefault(experiment, []).append(row_group.first_row + rows_in_group)
+        return {experiment: np.concatenate(arrays) for experiment, arrays in row_arrays.items()}
+
     def take(self, rows: NDArray[np.int64], columns: Sequence[str] | None = None) -> pa.Table:
         """Return the rows of these numbers, in the order of ``rows``, with some columns or all.
 
@@ -200,19 +205,15 @@ class RowGroups:
         """
         column_names = None if columns is None else tuple(columns)  # hashable, for the cache
         first_rows = [row_group.first_row for row_group in self._row_groups]
+        sorted_rows = np.sort(rows)
         # A row is in the last row group that begins at or before it.
-        group_of_row = np.searchsorted(first_rows, rows, side="right") - 1
+        group_of_row = np.searchsorted(first_rows, sorted_rows, side="right") - 1
         tables = []
-        positions_of_tables = []  # those in ``rows`` at which the rows of each table were requested
         for group_index in np.unique(group_of_row):
-            positions = np.flatnonzero(group_of_row == group_index)
-            rows_in_group = rows[positions] - first_rows[group_index]
-            row_group = self._read_cached(group_index, column_names)
-            tables.append(_take_rows(row_group, rows_in_group))
-            positions_of_tables.append(positions)
-        # The rows are in the order of the row groups now, and get that in which they were requested.
-        requested_order = np.argsort(np.concatenate(positions_of_tables))
-        return _take_rows(pa.concat_tables(tables).combine_chunks(), requested_order)
+            rows_in_group = sorted_rows[group_of_row == group_index] - first_rows[group_index]
+            tables.append(_take_rows(self._read_cached(group_index, column_names), rows_in_group))
+        sorted_table = pa.concat_tables(tables).combine_chunks()
+        return _take_rows(sorted_table, np.searchsorted(sorted_rows, rows))
 
     def _read(self, group_index: int, columns: tuple[str, ...] | None) -> pa.Table:
         """Return a row group with some columns or all; ``_read_cached`` calls this and keeps the result.

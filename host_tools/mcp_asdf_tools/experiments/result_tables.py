@@ -44,26 +44,36 @@ next recorded step, and so on."""
 
 METADATA_KEY = b"mcp-asdf"
 
-_LIST_COLUMNS = {
-    "k": ("convergence_steps", "int32"),
-    "e": ("errors", "float64"),
-    "b_hat": ("b_hat", "float64"),
-    "tests": ("tests", "int32"),
-    "updates": ("updates", "int32"),
-}
-"""Columns of lists, with the attribute of ``Trials`` that each contains and the type of its elements."""
 
-RECORD_COLUMNS = {name: f"record_{name}" for name in QUANTITIES}
-"""Name of the column of each recorded quantity."""
+def _list_of(element_type: pa.DataType) -> pa.DataType:
+    """Return the type of lists of an element type.
 
-# In tables read from files pyarrow calls the elements of lists "element". New tables use the same name, so
-# that equal rows give equal files.
-_VALUES_OF_ROBOTS = pa.list_(pa.field("element", pa.float64()))
+    In tables read from files pyarrow calls the elements of lists "element". New tables use the same name, so
+    that equal rows give equal files.
+    """
+    return pa.list_(pa.field("element", element_type))
+
+
+_COUNTS_OF_ROBOTS = _list_of(pa.int32())
+"""Type of a list with a whole number of each robot."""
+_VALUES_OF_ROBOTS = _list_of(pa.float64())
 """Type of a list with a value of each robot."""
-_RECORD_OF_TRIAL = pa.list_(pa.field("element", _VALUES_OF_ROBOTS))
+_RECORD_OF_TRIAL = _list_of(_VALUES_OF_ROBOTS)
 """Type of a list with such a list for each recorded step."""
 FLAT_RECORD = _VALUES_OF_ROBOTS
 """Type of a record in format 5."""
+
+_ATTRIBUTE_BY_LIST_COLUMN = {
+    "k": "convergence_steps",
+    "e": "errors",
+    "b_hat": "b_hat",
+    "tests": "tests",
+    "updates": "updates",
+}
+"""Columns of lists without records, with the attribute of ``Trials`` that each contains."""
+
+RECORD_COLUMNS = {name: f"record_{name}" for name in QUANTITIES}
+"""Name of the column of each recorded quantity."""
 
 _UNITS = {
     **dict.fromkeys(("width", "height", "radio_range", "tile"), "m"),
@@ -118,13 +128,10 @@ def column_types() -> dict[str, Any]:
         default = getattr(default_experiment, name)
         types[name] = number_types.get(type(default), pa.string())  # what is no number is a text
     types["trial"] = pa.int64()
-    for score_name in SCORES:
-        types[score_name] = pa.float64()
-    for name, (_attribute, element_type_name) in _LIST_COLUMNS.items():
-        make_element_type = getattr(pa, element_type_name)  # such as pa.float64
-        types[name] = pa.list_(pa.field("element", make_element_type()))
-    for record_name in RECORD_COLUMNS.values():
-        types[record_name] = _RECORD_OF_TRIAL
+    types |= dict.fromkeys(SCORES, pa.float64())
+    types |= {"k": _COUNTS_OF_ROBOTS, "e": _VALUES_OF_ROBOTS, "b_hat": _VALUES_OF_ROBOTS}
+    types |= {"tests": _COUNTS_OF_ROBOTS, "updates": _COUNTS_OF_ROBOTS}
+    types |= dict.fromkeys(RECORD_COLUMNS.values(), _RECORD_OF_TRIAL)
     return types
 
 
@@ -137,10 +144,11 @@ def to_present_format(table: pa.Table, row_count: int) -> pa.Table:
     for a flat record that has not a value of each robot at each step.
     """
     defaults = Experiment().parameters()
+    existing_columns = {name: table[name] for name in table.column_names}
     columns = {}
     for name, column_type in column_types().items():
-        if name in table.column_names:
-            columns[name] = table[name]
+        if name in existing_columns:
+            columns[name] = existing_columns.pop(name)
         elif name in defaults:
             columns[name] = pa.repeat(pa.scalar(defaults[name], column_type), row_count)
     # Records are the only columns that format 5 had in another form.
@@ -148,8 +156,7 @@ def to_present_format(table: pa.Table, row_count: int) -> pa.Table:
         if name in columns and columns[name].type == FLAT_RECORD:
             columns[name] = _nest_flat_records(name, columns[name], columns["robots"])
     # Columns that this version does not know stay, behind the others.
-    columns |= {name: table[name] for name in table.column_names if name not in column_types()}
-    complete_table = pa.table(columns, metadata=table.schema.metadata)
+    complete_table = pa.table(columns | existing_columns, metadata=table.schema.metadata)
     return _describe_as_present_format(complete_table)
 
 
@@ -205,18 +212,24 @@ def trials_to_table(trials: Trials) -> pa.Table:
     values were recorded.
     """
     trial_count = len(trials.numbers)
-    columns: dict[str, Any] = {
-        name: [value] * trial_count for name, value in trials.experiment.parameters().items()
-    }
+    columns: dict[str, Any] = {}
+    for name, value in trials.experiment.parameters().items():
+        columns[name] = [value] * trial_count
     columns["trial"] = trials.numbers
     columns |= trials.scores()
-    for name, (attribute, _element_type_name) in _LIST_COLUMNS.items():
+    for name, attribute in _ATTRIBUTE_BY_LIST_COLUMN.items():
         values = getattr(trials, attribute)  # such as b_hat, whose first axis is the trial
         columns[name] = [values_of_trial.ravel() for values_of_trial in values]
     # Files have the same columns whether anything was recorded or not.
     nothing_recorded = np.empty((trial_count, 0, trials.experiment.robots))
     for name, column in RECORD_COLUMNS.items():
         columns[column] = _nest_records(trials.records.get(name, nothing_recorded))
+    arrays = {name: pa.array(columns[name], column_type) for name, column_type in column_types().items()}
+    return pa.table(arrays, metadata={METADATA_KEY: json.dumps(_metadata_of(trials))})
+
+
+def _metadata_of(trials: Trials) -> dict[str, Any]:
+    """Return the metadata of a table of trials: format, versions, recording, columns, and source if any."""
     metadata = {
         "format": PRESENT_FORMAT,
         "versions": software_versions(),
@@ -226,8 +239,7 @@ def trials_to_table(trials: Trials) -> pa.Table:
     }
     if trials.source:
         metadata["source"] = trials.source
-    arrays = {name: pa.array(columns[name], column_type) for name, column_type in column_types().items()}
-    return pa.table(arrays, metadata={METADATA_KEY: json.dumps(metadata)})
+    return metadata
 
 
 def _nest_records(values: NDArray[np.float64]) -> pa.Array:
@@ -263,12 +275,12 @@ def rows_by_experiment(table: pa.Table) -> dict[Experiment, NDArray[np.int64]]:
     # A group has the rows of equal parameters, with their indices under "row_list". With threads, pyarrow
     # returns groups in any order; without, in that of their first rows.
     groups = numbered_rows.group_by([*PARAMETER_NAMES], use_threads=False).aggregate([("row", "list")])
-    rows: dict[Experiment, list[NDArray[np.int64]]] = {}
+    rows: dict[Experiment, list[int]] = {}
     for group in groups.to_pylist():
         # pyarrow tells 0.0 from -0.0, which are equal parameters: so two groups may be one experiment.
         experiment = Experiment.from_recording(group)
-        rows.setdefault(experiment, []).append(np.array(group["row_list"]))
-    return {experiment: np.concatenate(row_lists) for experiment, row_lists in rows.items()}
+        rows.setdefault(experiment, []).extend(group["row_list"])
+    return {experiment: np.array(indices) for experiment, indices in rows.items()}
 
 
 def trials_from_rows(experiment: Experiment, table: pa.Table) -> Trials:

@@ -154,22 +154,29 @@ class Store:
         """
         for row_group in self._row_groups:
             table = row_group.read([*PARAMETER_NAMES, "trial"])
+            if not self._can_continue(read_metadata(table)):
+                raise self._other_results_error()
             trial_numbers = table["trial"].to_numpy()
-            is_comparable = self._can_continue(read_metadata(table))
             for experiment, rows in rows_by_experiment(table).items():
-                numbers = trial_numbers[rows]
-                # An experiment that is not in the sweep has none of its trials there.
-                no_trials = np.empty(0, np.int64)
-                row_of_trial = self._row_of_trial.get(_result_key(experiment), no_trials)
-                are_in_sweep = numbers.max() < len(row_of_trial)
-                if not (are_in_sweep and is_comparable):
-                    raise UsageError(
-                        f"{self.output} or its parts hold results of other experiments, recordings or "
-                        "versions; choose another name or move it away"
-                    )
-                # This changes the array in ``_row_of_trial``.
                 rows_in_all_files = row_group.first_row + rows
-                row_of_trial[numbers] = rows_in_all_files
+                self._set_rows(experiment, trial_numbers[rows], rows_in_all_files)
+
+    def _set_rows(self, experiment: Experiment, numbers: NDArray[np.int64], rows: NDArray[np.int64]) -> None:
+        """Note the row in which each trial of these numbers has its results.
+
+        Raises UsageError if the sweep does not have the experiment, or so many trials of it.
+        """
+        row_of_trial = self._row_of_trial.get(_result_key(experiment))
+        if row_of_trial is None or numbers.max() >= len(row_of_trial):
+            raise self._other_results_error()
+        row_of_trial[numbers] = rows
+
+    def _other_results_error(self) -> UsageError:
+        """Return the error for an output that holds results that this sweep would not have."""
+        return UsageError(
+            f"{self.output} or its parts hold results of other experiments, recordings or "
+            "versions; choose another name or move it away"
+        )
 
     def _can_continue(self, metadata: Mapping[str, Any]) -> bool:
         """Return whether this sweep can continue the results in a file with this metadata.
@@ -229,8 +236,7 @@ class Store:
         table = trials_to_table(trials)
         first_row = self._row_groups.row_count + self._unwritten_row_count
         new_rows = np.arange(first_row, first_row + len(table))
-        row_of_trial = self._row_of_trial[_result_key(trials.experiment)]
-        row_of_trial[trials.numbers] = new_rows
+        self._set_rows(trials.experiment, np.array(trials.numbers), new_rows)
         self._unwritten.append(table)
         self._unwritten_row_count += len(table)
         if self._unwritten_row_count >= self._rows_per_part or self._is_part_due():
@@ -298,13 +304,12 @@ class Store:
         if self._unwritten:
             self._row_groups.add(pa.concat_tables(self._unwritten))
         rows = np.concatenate([self._rows_of(experiment) for experiment in self.experiments])
-        # The column "trials" is written anew: a row from a sweep with fewer trials has another number there
-        # than its experiment has now.
+        # An experiment has as many rows as trials, and this number stands in each of them. It is written
+        # anew, since a row from a sweep with fewer trials has another number there.
         trial_counts = [experiment.trials for experiment in self.experiments]
-        # An experiment has as many rows as trials, and this number stands in each of them.
         trials_column = np.repeat(np.array(trial_counts, np.uint64), repeats=trial_counts)
         for start in range(0, len(rows), self._rows_per_part):
-            stop = start + self._rows_per_part
-            table = self._row_groups.take(rows[start:stop])
+            rows_of_table = slice(start, start + self._rows_per_part)
+            table = self._row_groups.take(rows[rows_of_table])
             column_index = table.column_names.index("trials")
-            yield table.set_column(column_index, "trials", pa.array(trials_column[start:stop]))
+            yield table.set_column(column_index, "trials", pa.array(trials_column[rows_of_table]))

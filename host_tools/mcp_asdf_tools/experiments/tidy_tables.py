@@ -32,10 +32,9 @@ from mcp_asdf_tools.experiments.result_tables import (
     column_types,
     describe_columns,
     experiments_in,
-    rows_by_experiment,
     to_present_format,
 )
-from mcp_asdf_tools.experiments.results import PARAMETER_NAMES, QUANTITIES, Trials, find_differences
+from mcp_asdf_tools.experiments.results import QUANTITIES, Trials, find_differences
 from mcp_asdf_tools.robots.population import Population
 
 SUFFIXES = (".csv", ".parquet")
@@ -99,27 +98,24 @@ def tidy_table(
         steps: Numbers of the steps.
         values: QUANTITIES by name, shape (trials, steps, N); NaN where one is missing.
     """
-    robots = range(population.robots)
-    shape = (len(trial_numbers), len(steps), len(robots))  # a row of the table for each element
-    row_count = np.prod(shape)
-    # Values that are the same along an axis have the length 1 there, and are repeated below to the full
-    # shape.
-    columns: dict[str, Any] = {
-        "trial": np.reshape(trial_numbers, (-1, 1, 1)),
-        "step": np.reshape(steps, (1, -1, 1)),
-        "robot": np.reshape(robots, (1, 1, -1)),
-        "is_flawed": np.reshape([population.is_flawed(robot) for robot in robots], (1, 1, -1)),
+    robots = np.arange(population.robots)
+    # A row of the table for each element of arrays of the shape (trials, steps, N).
+    trial_column, step_column, robot_column = np.meshgrid(trial_numbers, steps, robots, indexing="ij")
+    columns: dict[str, NDArray[Any]] = {
+        **values,
+        "trial": trial_column,
+        "step": step_column,
+        "robot": robot_column,
+        "is_flawed": robot_column < population.flawed,  # the flawed robots come first
     }
-    columns |= {name: values[name] for name in QUANTITIES}
     schema = _schema_with(tuple(parameter_names))
-    parameters = population.parameters()
     arrays = []
     for field in schema:
         if field.name in parameter_names:
-            # A parameter is the same in all rows.
-            arrays.append(pa.repeat(pa.scalar(parameters[field.name], field.type), row_count))
+            parameter = pa.scalar(population.parameters()[field.name], field.type)
+            arrays.append(pa.repeat(parameter, robot_column.size))
         else:
-            column = np.broadcast_to(columns[field.name], shape).ravel()
+            column = columns[field.name].ravel()
             # With this option NaN becomes a missing value, which all programs know, also in CSV.
             arrays.append(pa.array(column, field.type, from_pandas=True))
     return pa.table(arrays, schema=schema)
@@ -157,12 +153,8 @@ def stream_tidy_results(source: Path | pa.Table) -> Iterator[pa.Table]:
     row_groups = RowGroups(source)
     # The tables have a column for each parameter in which any experiments differ, so all parameters are read
     # before the first table.
-    parameters_of_experiments = (
-        experiment.parameters()
-        for row_group in row_groups
-        for experiment in rows_by_experiment(row_group.read(PARAMETER_NAMES))
-    )
-    differing_names = list(find_differences(parameters_of_experiments))
+    experiments = row_groups.rows_by_experiment()
+    differing_names = list(find_differences(experiment.parameters() for experiment in experiments))
     for row_group in row_groups:
         for trials in experiments_in(row_group.read(None)):  # with all columns
             yield tidy_trials(trials, differing_names)

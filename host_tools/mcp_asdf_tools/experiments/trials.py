@@ -51,12 +51,17 @@ def run_trials(experiment: Experiment, first: int, trials: int, sampling_interva
         # Most of these swarms have the same x in all robots, so that a trial has a single series.
         return _run_native(experiment, numbers, sampling_interval)
     # Elsewhere a trial has a series of x for each robot: a few trials at a time bound the memory.
+    batch_size = _trials_at_once(experiment)
+    batches = [numbers[start : start + batch_size] for start in range(0, trials, batch_size)]
+    return _concatenate([_run_native(experiment, batch, sampling_interval) for batch in batches])
+
+
+def _trials_at_once(experiment: Experiment) -> int:
+    """Return how many trials with a series of x for each robot may run at once, at least one."""
     bytes_in_value = 4
     bytes_of_trial = bytes_in_value * experiment.robots * (experiment.steps + 1)
     trials_in_memory = max(1, MAX_SERIES_BYTES // bytes_of_trial)
-    batch_size = min(trials_in_memory, MAX_TRIALS_AT_ONCE)
-    batches = [numbers[start : start + batch_size] for start in range(0, trials, batch_size)]
-    return _concatenate([_run_native(experiment, batch, sampling_interval) for batch in batches])
+    return min(trials_in_memory, MAX_TRIALS_AT_ONCE)
 
 
 def _concatenate(batches: Sequence[Trials]) -> Trials:
@@ -83,16 +88,13 @@ def convergence_and_errors(
     robots of a trial have the same x its shape is (trials, 1, steps + 1), and all get the same K and error.
     """
     delta = DELTA / unit  # in the unit of the series
-    trial_count, series_count, _ = x_series.shape
-    convergence_steps = np.empty((trial_count, series_count), np.int64)
-    errors = np.empty((trial_count, series_count))
-    for trial_index, series_index in np.ndindex(trial_count, series_count):
-        series = x_series[trial_index, series_index]
-        step = convergence_step(series, delta)
-        convergence_steps[trial_index, series_index] = step
-        errors[trial_index, series_index] = abs(float(series[step]) * unit - experiment.fill_ratio)
+    step_axis = 2
+    convergence_steps = np.apply_along_axis(convergence_step, step_axis, x_series, delta)
+    # The steps are indices into a series here, so they get an axis in the place of the steps.
+    x_then = np.take_along_axis(x_series, convergence_steps[:, :, np.newaxis], axis=step_axis)
+    errors = abs(x_then[:, :, 0] * unit - experiment.fill_ratio)
     # Where one series stands for all robots, so do its K and its error.
-    shape = (trial_count, experiment.robots)
+    shape = (len(x_series), experiment.robots)
     return np.broadcast_to(convergence_steps, shape).copy(), np.broadcast_to(errors, shape).copy()
 
 
@@ -206,23 +208,18 @@ def _run_by_message(experiment: Experiment, number: int, sampling_interval: int)
             snapshots.append(swarm.snapshot())
     # The first axis of all arrays is the trial. There is one here, so its values are an array's only element.
     x_by_robot = np.transpose(x_by_step)  # from shape (steps + 1, N) to shape (N, steps + 1)
-    x_series = np.array([x_by_robot])
-    convergence_steps, errors = convergence_and_errors(experiment, x_series, unit=1.0)
+    convergence_steps, errors = convergence_and_errors(experiment, np.array([x_by_robot]), unit=1.0)
     # The shape is given, as the list of a trial without a filter step does not tell the number of robots.
     b_hat_shape = (1, len(b_hat_by_filter_step), experiment.robots)
-    b_hat = np.reshape(b_hat_by_filter_step, b_hat_shape)
-    tests_by_robot = [robot.counters.tests for robot in swarm.robots]
-    updates_by_robot = [robot.counters.updates for robot in swarm.robots]
-    records = _records_of_snapshots(snapshots) if sampling_interval else {}
     return Trials(
         experiment=experiment,
         numbers=[number],
         convergence_steps=convergence_steps,
         errors=errors,
-        b_hat=b_hat,
-        tests=np.array([tests_by_robot]),
-        updates=np.array([updates_by_robot]),
-        records=records,
+        b_hat=np.reshape(b_hat_by_filter_step, b_hat_shape),
+        tests=np.array([[robot.counters.tests for robot in swarm.robots]]),
+        updates=np.array([[robot.counters.updates for robot in swarm.robots]]),
+        records=_records_of_snapshots(snapshots) if sampling_interval else {},
         sampling_interval=sampling_interval,
     )
 

@@ -84,12 +84,7 @@ class EngineTrials:
             members["alpha_bits"] = experiment.message_code.alpha_bits
         members |= self._make_probabilities(experiment, first, trials)
         if experiment.is_dynamic:
-            configs_of_arenas = []
-            for trial in range(first, first + trials):
-                members_of_arena, floor_image = make_config(experiment, trial, _engine.ffi)
-                configs_of_arenas.append(members_of_arena)
-                self._referenced_memory.append(floor_image)  # to which the config points
-            members["arenas"] = self._array("mcp_asdf_arena_config_t", configs_of_arenas)
+            members["arenas"] = self._make_arenas(experiment, first, trials)
         if isinstance(experiment.graph, Graph):
             # The order of arcs is that in which C delivers, which has to be by ascending senders.
             arcs = self._array("mcp_asdf_pair_t", sorted(experiment.graph.links))
@@ -106,6 +101,15 @@ class EngineTrials:
             # The struct points to the table, and the array below to the struct.
             self._referenced_memory += [struct, table]
         return self._array("mcp_asdf_config_t *", [struct_by_config[config] for config in configs])
+
+    def _make_arenas(self, experiment: Experiment, first: int, trials: int) -> Any:
+        """Return the C array of the configs of each trial's arena, in which the robots move."""
+        configs_of_arenas = []
+        for trial in range(first, first + trials):
+            members_of_arena, floor_image = make_config(experiment, trial, _engine.ffi)
+            configs_of_arenas.append(members_of_arena)
+            self._referenced_memory.append(floor_image)  # to which the config points
+        return self._array("mcp_asdf_arena_config_t", configs_of_arenas)
 
     def _make_probabilities(self, experiment: Experiment, first: int, trials: int) -> dict[str, Any]:
         """Return the members of the C struct that hold the probabilities of a black observation.
@@ -132,13 +136,12 @@ class EngineTrials:
         # A trial has a series of x for each robot, or one if all its robots always have the same x.
         series_of_trial = engine.mcp_asdf_engine_columns(self.experiment)
         self.x = np.empty((self.experiment.trials, series_of_trial, self.experiment.steps + 1), np.uint32)
-        # In the order of the members of mcp_asdf_outcome_t.
-        result_arrays = (
-            self.robots,
-            self._array("uint32_t", self.x),
-            self._array("uint32_t", self.b_hat),
-            self._array("mcp_asdf_record_t", self.records),
-        )
+        result_arrays = {
+            "robots": self.robots,
+            "x": self._array("uint32_t", self.x),
+            "b_hat": self._array("uint32_t", self.b_hat),
+            "records": self._array("mcp_asdf_record_t", self.records),
+        }
         outcome = _engine.ffi.new("mcp_asdf_outcome_t *", result_arrays)
         memory_size = engine.mcp_asdf_engine_bytes(self.experiment)
         memory = _engine.ffi.from_buffer(allocate_memory(memory_size))
