@@ -166,15 +166,20 @@ def _run_command(command_name: str, arguments: Sequence[str]) -> int:
     with log_to_standard_error(args.verbose):
         if args.verbose:
             _log_start(args)
-        start_time = time.monotonic()
-        try:
-            exit_code = command.run(args)
-        except BaseException as error:
-            # The error itself is printed later in one line; a bug report needs the place that raised it.
-            _logger.debug("ended by %s", type(error).__name__, exc_info=True)
-            raise
-        _logger.info("exit code %d after %.1f s", exit_code, time.monotonic() - start_time)
-        return exit_code
+        return _run_and_log_end(command, args)
+
+
+def _run_and_log_end(command: Command, args: argparse.Namespace) -> int:
+    """Run a command, return its exit code, and log that with the seconds; log and raise what it raises."""
+    start_time = time.monotonic()
+    try:
+        exit_code = command.run(args)
+    except BaseException as error:
+        # The error itself is printed later in one line; a bug report needs the place that raised it.
+        _logger.debug("ended by %s", type(error).__name__, exc_info=True)
+        raise
+    _logger.info("exit code %d after %.1f s", exit_code, time.monotonic() - start_time)
+    return exit_code
 
 
 def _log_start(args: argparse.Namespace) -> None:

@@ -7,7 +7,7 @@ import json
 import logging
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 from mcp_asdf_tools.cli import options
@@ -24,7 +24,8 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from mcp_asdf_tools.bus.interfaces import BusChoice
-    from mcp_asdf_tools.robots.node import FrameTaker, RobotNode, RunOutcome
+    from mcp_asdf_tools.recording.events import EventsHeader
+    from mcp_asdf_tools.robots.node import FrameTaker, RobotNode, RunOutcome, Subjects
     from mcp_asdf_tools.robots.suspicion import Suspicion
 
 EPILOG = """\
@@ -79,50 +80,84 @@ def run(args: argparse.Namespace) -> int:
     1 if the bus failed, INTERRUPTED if a signal came, and 2 if the log is not complete. Raises UsageError for
     wrong options, and if the bus or the log cannot be opened.
     """
-    from mcp_asdf_tools.recording.events import EventsHeader
     from mcp_asdf_tools.robots.node import RobotNode
 
-    robot_setup = setup_of(args)
-    subjects = options.subjects_of(args)
-    bus_choice = options.bus_of(args)
-    parameters = _parameters_of_run(args)
-    # There is no seed, as the robot's observations come from the bus.
-    events_header = EventsHeader([robot_setup], seed=None, frames=subjects.estimates, parameters=parameters)
-    recording = recording_for("node", args.log, events_header, bus_choice)
+    plan = _plan_run(args)
+    recording = recording_for("node", args.log, _events_header_of(plan), plan.bus_choice)
     with recording as log_outputs:
-        recorder = log_outputs.recorder_of(robot_setup.id)
-        node = RobotNode(robot_setup, subjects, parameters["steps_per_second"], recorder)
-        outcome = _run_on_bus(args, node, bus_choice, log_outputs.record_frame)
-    results = _results_of(node, robot_setup, outcome)
+        recorder = log_outputs.recorder_of(plan.robot_setup.id)
+        node = RobotNode(plan.robot_setup, plan.subjects, plan.steps_per_second, recorder)
+        outcome = _run_on_bus(args, node, plan.bus_choice, log_outputs.record_frame)
+    results = _results_of(node, plan.robot_setup, outcome)
     if args.json:
-        all_parameters = parameters | {"robot": robot_setup.plain(), "subjects": asdict(subjects)}
-        print(json_report(_report_of(all_parameters, bus_choice, results)))
+        print(json_report(_report_of(plan, results)))
     elif not args.quiet:
-        print(_format_summary(node, results, str(bus_choice)))
+        print(_format_summary(node, results, str(plan.bus_choice)))
         print_again(args)
     return exit_code_of_run(args, outcome.failure, outcome.is_interrupted, recording)
 
 
-def _parameters_of_run(args: argparse.Namespace) -> dict[str, Any]:
-    """Return the steps per second and the number of steps, which is None for a run without end.
+@dataclass(frozen=True)
+class _RunPlan:
+    """Everything that a run needs to know.
 
-    Raises UsageError for one that is out of range.
+    Attributes:
+        robot_setup: Initial state of the robot.
+        subjects: Formats of the frames that it sends and receives.
+        bus_choice: The bus that it joins.
+        steps_per_second: Ticks that make a second of its own time.
+        steps: Ticks after which the run ends; None if it goes on.
     """
+
+    robot_setup: RobotSetup
+    subjects: Subjects
+    bus_choice: BusChoice
+    steps_per_second: int
+    steps: int | None
+
+    @property
+    def clock_parameters(self) -> dict[str, Any]:
+        """The parameters that are not of the robot or its bus, by name."""
+        return {"steps_per_second": self.steps_per_second, "steps": self.steps}
+
+
+def _plan_run(args: argparse.Namespace) -> _RunPlan:
+    """Return the run that the options describe.
+
+    Raises UsageError for a value out of range, and for options that contradict each other.
+    """
+    robot_setup = setup_of(args)
+    subjects = options.subjects_of(args)
+    bus_choice = options.bus_of(args)
     if args.steps is not None and args.steps < 1:
         raise UsageError(f"steps is {args.steps}; it must be 1 or more")
     # The clock is the only parameter of a population here: the other options describe the robot alone.
     clock_options = argparse.Namespace(steps_per_second=args.steps_per_second)
     steps_per_second = options.settings_from(clock_options, Population).steps_per_second
-    return {"steps_per_second": steps_per_second, "steps": args.steps}
+    return _RunPlan(robot_setup, subjects, bus_choice, steps_per_second, args.steps)
 
 
-def _report_of(parameters: dict[str, Any], bus_choice: BusChoice, results: dict[str, Any]) -> dict[str, Any]:
+def _events_header_of(plan: _RunPlan) -> EventsHeader:
+    """Return the first line of the events of a run."""
+    from mcp_asdf_tools.recording.events import EventsHeader
+
+    # There is no seed, as the robot's observations come from the bus.
+    return EventsHeader(
+        [plan.robot_setup], seed=None, frames=plan.subjects.estimates, parameters=plan.clock_parameters
+    )
+
+
+def _report_of(plan: _RunPlan, results: dict[str, Any]) -> dict[str, Any]:
     """Return parameters, bus, versions of software and results as plain values, for JSON."""
     from mcp_asdf_tools.common.versions import software_versions
 
     return {
-        "parameters": parameters,
-        "bus": bus_choice.plain(),
+        "parameters": {
+            **plan.clock_parameters,
+            "robot": plan.robot_setup.plain(),
+            "subjects": asdict(plan.subjects),
+        },
+        "bus": plan.bus_choice.plain(),
         "versions": software_versions(),
         "results": results,
     }

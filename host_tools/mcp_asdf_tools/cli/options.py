@@ -222,19 +222,14 @@ def robot_of(args: argparse.Namespace) -> RobotSetup:
     for a value out of range and for options that contradict each other.
     """
     from mcp_asdf.robot import MAX_ID, FirmwareError
-    from mcp_asdf_tools.robots.population import Population
     from mcp_asdf_tools.robots.robot_setup import RobotSetup
 
     neighbours = MAX_ID if args.neighbours is None else args.neighbours
     if not 2 <= neighbours <= MAX_ID:
         raise UsageError(f"--neighbours is {neighbours}; it must be 2 to {MAX_ID}")
-    robot_args = argparse.Namespace(**{name: getattr(args, name) for name in _ROBOT_PARAMETERS})
-    # Options and checks are those of a population, so the robot is taken from a population in which it has
-    # all the neighbours that its t-table is made for. It is the flawed robot, since asdf-minus is for flawed
-    # robots alone.
-    population = settings_from(robot_args, Population, robots=neighbours + 1, flawed=1)
-    flawed_robot = 0  # the flawed ones are the first by id
-    config = population.config(flawed_robot)
+    population = _population_around_robot(args, neighbours)
+    robot_in_population = 0  # the flawed robot: flawed ones are the first by id
+    config = population.config(robot_in_population)
     if config.table is None and args.neighbours is not None:
         raise UsageError("--neighbours would do nothing: the robot uses no t-table; leave it out")
     robot_setup = RobotSetup(args.id, args.firmware, args.b_hat, config, population.comms_period)
@@ -243,6 +238,18 @@ def robot_of(args: argparse.Namespace) -> RobotSetup:
     except FirmwareError as error:
         raise UsageError(str(error)) from error
     return robot_setup
+
+
+def _population_around_robot(args: argparse.Namespace, neighbours: int) -> Population:
+    """Return the population of one flawed robot, which the options describe, and its neighbours.
+
+    Options and checks of a robot are those of a population. The robot is flawed since the filter asdf-minus
+    is for flawed robots alone. Raises UsageError for a value out of range.
+    """
+    from mcp_asdf_tools.robots.population import Population
+
+    robot_args = argparse.Namespace(**{name: getattr(args, name) for name in _ROBOT_PARAMETERS})
+    return settings_from(robot_args, Population, robots=neighbours + 1, flawed=1)
 
 
 # --- T-tables --------------------------------------------------------------------------------------------

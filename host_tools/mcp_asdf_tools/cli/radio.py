@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from mcp_asdf_tools.radio.neighbourhood import RadioSettings
     from mcp_asdf_tools.radio.real_time import RadioRun
     from mcp_asdf_tools.radio.verification import ControllerVerdict
+    from mcp_asdf_tools.recording.events import EventsHeader
     from mcp_asdf_tools.recording.recording import LogOutputs
     from mcp_asdf_tools.robots.robot_setup import RobotSetup
 
@@ -216,12 +217,9 @@ def _verify(
     """
     from mcp_asdf_tools.common.files import write_atomically
     from mcp_asdf_tools.radio.verification import details, markdown
-    from mcp_asdf_tools.recording.events import EventsHeader
 
     report = _make_report(args, settings, bus_choice)
-    events_header = EventsHeader(
-        [settings.controller], settings.swarm.seed, settings.subjects.estimates, report["parameters"]
-    )
+    events_header = _events_header_of(settings, report["parameters"])
     recording = recording_for("radio", args.log, events_header, bus_choice)
     with recording as log_outputs, bus_choice.open() as bus:
         verdict = _run_phases(args, settings, bus, log_outputs, console)
@@ -235,6 +233,13 @@ def _verify(
     if not verdict.has_passed and not verdict.is_interrupted:
         return 1  # which counts more than a log that lacks its end
     return exit_code_of_run(args, None, verdict.is_interrupted, recording)
+
+
+def _events_header_of(settings: RadioSettings, parameters: dict[str, Any]) -> EventsHeader:
+    """Return the first line of the controller's events; ``parameters`` are all those of the run."""
+    from mcp_asdf_tools.recording.events import EventsHeader
+
+    return EventsHeader([settings.controller], settings.swarm.seed, settings.subjects.estimates, parameters)
 
 
 def _run_phases(

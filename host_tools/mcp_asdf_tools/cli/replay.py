@@ -63,10 +63,8 @@ def run(args: argparse.Namespace) -> int:
         print(_format_counts(verdict))
         print(filter_description)
         print_again(args)
-    if summary.warning is not None:
-        warn("replay", f"of {args.log} {summary.warning}")
+    _warn_of_differences(args, summary, verdict)
     if verdict.difference is not None:
-        _warn_of_difference(args, verdict.difference, summary)
         return 1
     # No broadcast differs, but perhaps none was compared.
     compared_broadcasts = verdict.reproduced + verdict.falsified
@@ -121,9 +119,17 @@ def _find_events(args: argparse.Namespace) -> Path:
     return events_file
 
 
-def _warn_of_difference(args: argparse.Namespace, difference: str, summary: LogSummary) -> None:
-    """Print what is not reproduced, and a likely reason if the log has frames of several buses."""
-    warn("replay", f"not reproduced: {difference}")
+def _warn_of_differences(args: argparse.Namespace, summary: LogSummary, verdict: ReplayVerdict) -> None:
+    """Print to standard error what is no frame in the log, and what is not reproduced.
+
+    If frames of several buses may be the reason for a difference, that is said, too. Nothing is printed if
+    all is well.
+    """
+    if summary.warning is not None:
+        warn("replay", f"of {args.log} {summary.warning}")
+    if verdict.difference is None:
+        return
+    warn("replay", f"not reproduced: {verdict.difference}")
     if args.channel is None and len(summary.channels) > 1:
         warn(
             "replay",

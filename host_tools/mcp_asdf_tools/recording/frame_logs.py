@@ -133,10 +133,7 @@ def _read_frames(path: Path, summary: LogSummary) -> Iterator[can.Message]:
     UsageError if the log cannot be read, if its suffix is of no format, or if it is in another format than
     candump's and has a malformed frame.
     """
-    name = path.name.lower().removesuffix(".gz")
-    # Behind the format stands the mark of a run that was cut off.
-    is_cut_off = name.endswith(PART_SUFFIX)
-    format_suffix = Path(name.removesuffix(PART_SUFFIX)).suffix
+    format_suffix, is_cut_off = _parse_suffixes(path)
     try:
         if format_suffix == ".log":
             with _open_text(path) as lines:
@@ -152,6 +149,16 @@ def _read_frames(path: Path, summary: LogSummary) -> Iterator[can.Message]:
         raise UsageError(f"cannot read the log {path}: {error.strerror or error}") from error
     except (EOFError, zlib.error) as error:  # a compressed file was cut or is damaged
         raise UsageError(f"cannot read the log {path}: {error}") from error
+
+
+def _parse_suffixes(path: Path) -> tuple[str, bool]:
+    """Return the suffix that gives the format of a log, such as ".log", and whether its run was cut off.
+
+    Of ``run.log.part.gz`` they are ".log" and True.
+    """
+    name = path.name.lower().removesuffix(".gz")
+    is_cut_off = name.endswith(PART_SUFFIX)
+    return Path(name.removesuffix(PART_SUFFIX)).suffix, is_cut_off
 
 
 class _NumberedLines:

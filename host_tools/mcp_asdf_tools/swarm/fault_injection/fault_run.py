@@ -139,17 +139,26 @@ class FaultRun:
         corrupted_frames: list[SentFrame] = []
         receiver_of_frame: list[int] = []  # the one receiver of each corrupted frame
         for index, sent_frame in enumerate(hit.sent_frames):
-            receivers = np.flatnonzero(hit.receivers[index]).tolist()
-            if not receivers:  # nobody needs the words, which take long to draw
-                continue
-            words_by_receiver = self._words_for_receivers(hit, index, words_per_receiver).tolist()
-            for receiver in receivers:
-                _hit_word, *words_for_bits = words_by_receiver[receiver]
+            words_by_receiver = self._words_by_receiver(hit, index, words_per_receiver)
+            for receiver, (_hit_word, *words_for_bits) in words_by_receiver.items():
                 corrupted_frames.append(_with_bits_flipped(sent_frame, words_for_bits))
                 receiver_of_frame.append(receiver)
         _, robot_count = hit.receivers.shape
         only_receiver = np.eye(robot_count, dtype=np.bool_)  # row i is true for robot i alone
         return replace(hit, sent_frames=corrupted_frames, receivers=only_receiver[receiver_of_frame])
+
+    def _words_by_receiver(
+        self, deliveries: Deliveries, index: int, words_per_receiver: int
+    ) -> dict[int, list[int]]:
+        """Return random words of frame ``index`` for the robots that receive it, by id, in rising order.
+
+        They are those of ``_words_for_receivers``, which are not drawn if nobody receives the frame.
+        """
+        receivers = np.flatnonzero(deliveries.receivers[index]).tolist()
+        if not receivers:
+            return {}
+        words = self._words_for_receivers(deliveries, index, words_per_receiver)
+        return {receiver: words[receiver].tolist() for receiver in receivers}
 
     def _words_for_node(self, count: int, tick: int, node: int, repetition: int = 0) -> RandomWords:
         """Return ``count`` words for a node in a tick; other repetitions have other words."""
