@@ -16,6 +16,7 @@ from mcp_asdf_tools.common.signals import stopping
 if TYPE_CHECKING:
     from mcp_asdf_tools.bus.frames import FrameFormat
     from mcp_asdf_tools.bus.interfaces import BusChoice
+    from mcp_asdf_tools.recording.frame_logs import LogSummary
     from mcp_asdf_tools.view.history import History
 
 EPILOG = """\
@@ -163,13 +164,7 @@ def _read_recording(args: argparse.Namespace) -> History:
 
 
 def _read_frame_history(args: argparse.Namespace) -> History:
-    """Return the history of a log without events, and warn on standard error of what it cannot show.
-
-    One warning always comes: the page shows only what frames hold. Others follow for a log of several
-    channels if none was chosen, for frames that the summary of the log warns of, and for a log without
-    telemetry.
-    """
-    from mcp_asdf_tools.recording.events import events_path
+    """Return the history of a log without events, and warn on standard error of what it cannot show."""
     from mcp_asdf_tools.recording.frame_logs import LogSummary
     from mcp_asdf_tools.view.frame_history import KnownTruth, read_frame_log
 
@@ -178,19 +173,30 @@ def _read_frame_history(args: argparse.Namespace) -> History:
     truth = KnownTruth(args.fill_ratio, args.true_accuracy)
     summary = LogSummary()
     recorder = read_frame_log(args.file, _frame_format_of(args), truth, summary, channel)
+    _warn_of_frame_log(args.file, channel, summary)
+    if not recorder.roster.has_telemetry:
+        warn("view", _NO_TELEMETRY)
+    return recorder.history
+
+
+def _warn_of_frame_log(log: Path, channel: str | None, summary: LogSummary) -> None:
+    """Warn on standard error of what the page of a log without events may lack or mix up.
+
+    One warning always comes: the page shows only what frames hold. Others follow for a log of several
+    channels if none was chosen, and for lines that are no frames.
+    """
+    from mcp_asdf_tools.recording.events import events_path
+
     warn(
         "view",
-        f"there is no {events_path(args.file)}, which swarm, radio and node write beside their logs: the "
+        f"there is no {events_path(log)}, which swarm, radio and node write beside their logs: the "
         "page shows what the frames say",
     )
     # Each channel may be a bus of its own, with other robots of the same ids.
     if channel is None and len(summary.channels) > 1:
-        warn("view", f"{args.file} has frames of {summary.channel_names}; choose one by --channel")
+        warn("view", f"{log} has frames of {summary.channel_names}; choose one by --channel")
     if summary.warning is not None:
-        warn("view", f"of {args.file} {summary.warning}")
-    if not recorder.roster.has_telemetry:
-        warn("view", _NO_TELEMETRY)
-    return recorder.history
+        warn("view", f"of {log} {summary.warning}")
 
 
 def _export_recording(args: argparse.Namespace, history: History) -> int:

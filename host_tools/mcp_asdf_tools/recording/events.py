@@ -256,6 +256,7 @@ class EventsReader:
         except UsageError:
             self._file.close()
             raise
+        self._robot_ids = {robot.id for robot in self.header.robots}
 
     def __enter__(self) -> EventsReader:
         """Return the reader, whose file is open since it was made."""
@@ -272,22 +273,26 @@ class EventsReader:
         have a mask of senders in place of estimates that it has told before. Raises UsageError, which names
         the line, for a malformed one.
         """
-        robot_ids = {robot.id for robot in self.header.robots}
         for value in self._values:
-            if isinstance(value, str):
-                yield InjectedFrame(value)
-                continue
-            begins_with_id = isinstance(value, list) and len(value) > 0 and _is_whole_number(value[0])
-            if not begins_with_id:
-                raise self.error_in_line("neither a robot with its events nor a frame")
-            robot_id, *plain_events = value
-            if robot_id not in robot_ids:
-                raise self.error_in_line(f"robot {robot_id} is not in the first line")
-            yield RobotEvents(robot_id, self._parse_events(plain_events))
+            yield InjectedFrame(value) if isinstance(value, str) else self._parse_robot_events(value)
 
     def error_in_line(self, text: str) -> UsageError:
         """Return a UsageError that names the line read last, and then says ``text``; the caller raises it."""
         return UsageError(f"{self._path}, line {self._line_number}: {text}")
+
+    def _parse_robot_events(self, value: Any) -> RobotEvents:
+        """Return the events of a robot in the JSON value of a line, which has to begin with the robot's id.
+
+        Raises UsageError for any other value, for a robot that is not in the header, and as ``_parse_events``
+        does.
+        """
+        begins_with_id = isinstance(value, list) and len(value) > 0 and _is_whole_number(value[0])
+        if not begins_with_id:
+            raise self.error_in_line("neither a robot with its events nor a frame")
+        robot_id, *plain_events = value
+        if robot_id not in self._robot_ids:
+            raise self.error_in_line(f"robot {robot_id} is not in the first line")
+        return RobotEvents(robot_id, self._parse_events(plain_events))
 
     def _parse_events(self, plain_events: Sequence[Any]) -> list[Event]:
         """Return the events in the JSON values of a line, with estimates in place of a mask of senders.

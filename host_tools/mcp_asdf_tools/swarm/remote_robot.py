@@ -66,8 +66,7 @@ def check_remote(settings: SwarmSettings, wiring: Wiring) -> None:
                 f"fault {fault} cannot affect robots that run elsewhere; name others, or use busoff"
             )
     if wiring.is_shared:
-        is_every_robot_remote = remote == all_robots
-        _check_remote_on_shared_bus(settings, is_every_robot_remote=is_every_robot_remote)
+        _check_remote_on_shared_bus(settings, is_every_robot_remote=remote == all_robots)
 
 
 def _check_remote_on_shared_bus(settings: SwarmSettings, *, is_every_robot_remote: bool) -> None:

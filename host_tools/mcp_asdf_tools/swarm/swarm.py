@@ -157,17 +157,18 @@ class Swarm:
         ``on_frame`` is called with every frame on these buses, commands included.
         """
         remote_nodes = [node for node in self.nodes if node.id in wiring.remote]
+        if not remote_nodes:
+            return []
         # Each remote robot has a bus of its own, unless one is shared by all.
-        nodes_by_bus = [[node] for node in remote_nodes]
-        if wiring.is_shared and remote_nodes:
-            nodes_by_bus = [remote_nodes]
+        nodes_by_bus = [remote_nodes] if wiring.is_shared else [[node] for node in remote_nodes]
+        return [self._create_driver(nodes, on_frame) for nodes in nodes_by_bus]
+
+    def _create_driver(self, nodes: Sequence[BusRobot], on_frame: FrameTaker) -> Driver:
+        """Create the driver of remote robots that are on the same bus."""
+        any_node = nodes[0]
+        bus = self._carrier.bus_connections[any_node.id].bus
         order_matters = self.settings.swarm_filter.order_matters
-        drivers = []
-        for nodes in nodes_by_bus:
-            any_node = nodes[0]  # all of them are on the same bus
-            bus = self._carrier.bus_connections[any_node.id].bus
-            drivers.append(Driver(bus, nodes, self.settings.frames, on_frame, order_matters))
-        return drivers
+        return Driver(bus, nodes, self.settings.frames, on_frame, order_matters)
 
     def __enter__(self) -> Swarm:
         """Return the swarm, whose buses are open since it was made."""
@@ -312,16 +313,18 @@ class Swarm:
         """
         robot_frames: list[RobotFrame] = []
         for driver in self._drivers:
-            observations_of_driver = {robot: observations[robot] for robot in driver.nodes}
-            for node, frame in driver.observe(observations_of_driver):
-                # The driver leaves out telemetry, and by docs/design.md a robot sends nothing else but
-                # heartbeats.
-                if isinstance(decode_estimate(frame, self.settings.frames), Estimate):
-                    self.traffic.sent += 1
-                else:
-                    self.traffic.heartbeats_sent += 1
-                robot_frames.append((node, frame))
+            robot_frames += driver.observe({robot: observations[robot] for robot in driver.nodes})
+        for _node, frame in robot_frames:
+            if self._is_estimate(frame):
+                self.traffic.sent += 1
+            else:
+                # The driver leaves out telemetry, and by docs/design.md a robot sends nothing else.
+                self.traffic.heartbeats_sent += 1
         return robot_frames
+
+    def _is_estimate(self, frame: can.Message) -> bool:
+        """Return whether a frame holds a legal estimate."""
+        return isinstance(decode_estimate(frame, self.settings.frames), Estimate)
 
     def _send(self, node: BusRobot, frame: can.Message) -> None:
         """Send a robot's frame as the faults of its sender let it, and record what they have changed.
@@ -348,7 +351,7 @@ class Swarm:
         recorder = events_writer.recorders[robot]
         is_own_frame_missing = sent_frame is None or not sent_frame.is_under_own_id
         # A replay makes the robot's own estimates again, so it has to know which of them the log lacks.
-        if is_own_frame_missing and isinstance(decode_estimate(frame, self.settings.frames), Estimate):
+        if is_own_frame_missing and self._is_estimate(frame):
             recorder.record_silence()
         if sent_frame is None:
             return
