@@ -539,6 +539,21 @@ def test_progress_is_a_line_a_minute_where_there_is_no_terminal(
     ]
 
 
+def test_a_line_of_progress_has_no_time_left_before_the_first_trial_is_finished(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """After a minute nothing of the trials is done, so there is no rate. FORCE_COLOR is emptied as above."""
+    monkeypatch.setenv("FORCE_COLOR", "")
+    now = Mock(return_value=0.0)
+    monkeypatch.setattr(progress_bar, "time", SimpleNamespace(monotonic=now))
+
+    with progress_bar.progress("trials", 8) as report:
+        now.return_value = 60.0
+        report(0)
+
+    assert capsys.readouterr().err == "trials: 0 of 8\n"
+
+
 def test_progress_is_a_bar_in_a_terminal_and_is_erased_in_the_end(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
