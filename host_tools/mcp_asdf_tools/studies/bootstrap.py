@@ -10,6 +10,7 @@ statistics.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -104,27 +105,23 @@ def resample_rank_correlation(first: Sample, second: Sample) -> Resampled:
 
     It is 0 where a sample does not vary.
     """
-    batch_count = 50  # to rank all resamples at once needs several arrays of RESAMPLES x trials float64
-    batches = np.array_split(resample_indices(len(first)), batch_count)
-    resamples = np.concatenate([_spearman(first[indices], second[indices]) for indices in batches])
+    indices = resample_indices(len(first))  # the same for both, so that pairs stay together
+    resamples = _spearman(first[indices], second[indices])
     # The sample itself is a single row.
-    (value,) = _spearman(first[np.newaxis], second[np.newaxis])
+    [value] = _spearman(first[np.newaxis], second[np.newaxis])
     return Resampled(float(value), resamples.astype(np.float32))
 
 
 def _spearman(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return Spearman's coefficient of each row of two arrays; 0 for a row that does not vary."""
-    from scipy.stats import rankdata  # type: ignore[import-untyped]  # noqa: PLC0415 (loads slowly)
+    from scipy import stats  # type: ignore[import-untyped]  # noqa: PLC0415 (loads slowly)
 
-    first_ranks, second_ranks = rankdata(first, axis=-1), rankdata(second, axis=-1)
-    # Deviations from the mean rank of the row.
-    x = first_ranks - first_ranks.mean(axis=-1, keepdims=True)
-    y = second_ranks - second_ranks.mean(axis=-1, keepdims=True)
-    # Spearman's coefficient is Pearson's coefficient of the ranks, which is 0/0 where all values are equal.
-    scale = np.sqrt((x * x).sum(axis=-1) * (y * y).sum(axis=-1))
-    divisor = np.where(scale == 0, 1, scale)
-    coefficients: NDArray[np.float64] = (x * y).sum(axis=-1) / divisor
-    return coefficients
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", stats.ConstantInputWarning)
+        coefficients = stats.spearmanrho(first, second, axis=-1).statistic
+    # Where all values of a row are equal, the coefficient is not defined, and scipy returns NaN.
+    defined_coefficients: NDArray[np.float64] = np.nan_to_num(coefficients, nan=0.0)
+    return defined_coefficients
 
 
 def mean_of_resampled(statistics: Sequence[Resampled]) -> Resampled:

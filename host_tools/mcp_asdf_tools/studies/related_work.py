@@ -37,7 +37,6 @@ from mcp_asdf_tools.studies.study_program import (
     plot_errors_of_swarms,
     rows_of_swarms,
     run_rows,
-    without_liars,
     write_tables,
 )
 
@@ -112,12 +111,11 @@ def right_text(experiments: Sequence[Trials]) -> str:
 def main() -> None:
     """Run the experiments, or resume them, and write related_work.md and related_work.png into the folder."""
     arguments = parse_arguments(__doc__)
-    all_resilience = run_rows("related_resilience", resilience_rows(), arguments, record=100)
-    all_colour = run_rows("related_colour", colour_rows(), arguments, record=500)
-    resilience = without_liars(all_resilience)
+    resilience = run_rows("related_resilience", resilience_rows(), arguments, record=100)
+    colour = run_rows("related_colour", colour_rows(), arguments, record=500)
     tables = {
         "late": markdown_table(LATE_ERROR_HEAD, resilience, late_error_text),
-        "colour": markdown_table(COLOUR_HEAD, without_liars(all_colour), right_text),
+        "colour": markdown_table(COLOUR_HEAD, colour, right_text),
     }
     write_tables(arguments.folder / "related_work.md", "Related work", tables)
     save_figure(plot_errors_of_swarms(resilience, DRAWN_SWARMS), arguments.folder / "related_work.png")

@@ -6,7 +6,6 @@ import base64
 import csv
 import io
 import re
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -26,6 +25,7 @@ from mcp_asdf_tools.studies.cells import (
 from mcp_asdf_tools.studies.claims import LEVELS, QUESTIONS, SIZES, Decision
 from mcp_asdf_tools.studies.figures import Picture, draw_pictures
 from mcp_asdf_tools.studies.study_results import StudyResults
+from mcp_asdf_tools.studies.text_tables import format_cells, format_table
 from mcp_asdf_tools.studies.verdicts import (
     CONFIDENCE,
     MOST_SHARE,
@@ -87,9 +87,10 @@ def write_report(
 
 
 def _fill_template(name: str, **context: Any) -> str:
-    """Return the text of one of the templates of this folder with ``context``, its variables by name.
+    """Return the text of one of the templates of this folder.
 
-    Raises jinja2's UndefinedError if the template has a variable that ``context`` lacks.
+    Its variables are those of ``context`` and of _TEMPLATE_GLOBALS, by name. Raises jinja2's UndefinedError
+    for any other.
     """
     from jinja2 import Environment, FileSystemLoader, StrictUndefined  # noqa: PLC0415 (loads slowly)
 
@@ -101,7 +102,7 @@ def _fill_template(name: str, **context: Any) -> str:
         keep_trailing_newline=True,
         autoescape=False,  # the templates are Markdown, and all that is filled in is our own
     )
-    return environment.get_template(name).render(context)
+    return environment.get_template(name, globals=_TEMPLATE_GLOBALS).render(context)
 
 
 def render_markdown(
@@ -111,37 +112,17 @@ def render_markdown(
     pictures: Sequence[Picture],
 ) -> str:
     """Return the report in Markdown, with links to the pictures in ``figures/``."""
-    answers_by_question: dict[str, list[Decision]] = {}
-    for claim_name, question in QUESTIONS.items():
-        answers = [decision for decision in decisions if decision.claim.name == claim_name]
-        if answers:
-            answers_by_question[question] = answers
     markdown = _fill_template(
         "report.md.j2",
         study_size=study_size,
         decisions=decisions,
         decisions_by_part=_decisions_by_part(decisions),
-        verdict_counts=Counter((decision.part_label, decision.verdict) for decision in decisions),
-        answers=answers_by_question,
+        answers_by_question=_answers_by_question(decisions),
         parts=study_results.parts,
-        runs=[_describe_run(study_part, study_size) for study_part in study_results.parts],
+        table_of_runs=_table_of_runs(study_results.parts, study_size),
         versions=", ".join(f"{name} {version}" for name, version in software_versions().items()),
         pictures=pictures,
         users_name=study_results.users_name,
-        users_period=SHORTEST_FILTER_PERIOD,  # that of a filter or firmware of the user's
-        # Functions and constants that the template uses: how claims are shown, and the limits of verdicts
-        Verdict=Verdict,
-        heading_of=heading_of,
-        summarize=summarize,
-        comparison_table=comparison_table,
-        marks=MARK_OF_OUTCOME,
-        sizes=SIZES,
-        levels=LEVELS,
-        confidence=CONFIDENCE,
-        most_share=MOST_SHARE,
-        refuted_share=REFUTED_SHARE,
-        resamples=RESAMPLES,
-        e_max=E_MAX,
     )
     # Empty cells of the template leave spaces at the ends of lines.
     return re.sub(r" +$", "", markdown, flags=re.MULTILINE)
@@ -178,23 +159,30 @@ def _decisions_by_part(decisions: Sequence[Decision]) -> dict[str, list[Decision
     return groups
 
 
-def _describe_run(study_part: StudyPart, study_size: StudySize) -> list[object]:
-    """Return a row of the report's table of what was run.
+def _answers_by_question(decisions: Sequence[Decision]) -> dict[str, list[Decision]]:
+    """Return the decisions that answer each of the QUESTIONS of users, one for each part of the study.
 
-    The row has the part's name, its number of experiments, their robots and steps, the trials of each, and
-    the seed.
+    Questions without an answer are left out.
     """
-    cells = cells_of(study_part)
-    # All experiments of a part have as many robots and steps as its first one.
-    experiment = experiment_of(cells[0], study_size)
-    return [
-        study_part.label,
-        len(cells),
-        experiment.robots,
-        experiment.steps,
-        study_size.trials,
-        study_size.seed,
-    ]
+    answers_by_question: dict[str, list[Decision]] = {}
+    for claim_name, question in QUESTIONS.items():
+        answers = [decision for decision in decisions if decision.claim.name == claim_name]
+        if answers:
+            answers_by_question[question] = answers
+    return answers_by_question
+
+
+def _table_of_runs(parts: Sequence[StudyPart], study_size: StudySize) -> str:
+    """Return the report's table of what was run, with a row for each part of the study."""
+    rows: list[list[object]] = []
+    for study_part in parts:
+        cells = cells_of(study_part)
+        # All experiments of a part have as many robots and steps as its first one.
+        first = experiment_of(cells[0], study_size)
+        rows.append(
+            [study_part.label, len(cells), first.robots, first.steps, study_size.trials, study_size.seed]
+        )
+    return format_table(["part", "experiments", "robots", "steps", "trials of each", "seed"], rows)
 
 
 def heading_of(claim_name: str) -> str:
@@ -210,29 +198,18 @@ def heading_of(claim_name: str) -> str:
     return heading[0].upper() + heading[1:]  # capitalize() would make b_hat and P lower-case
 
 
-def comparison_table(decision: Decision) -> list[list[str]]:
-    """Return a claim's comparisons as a table: rows of texts, the first of them with the columns' heads.
+def comparison_table(decision: Decision) -> str:
+    """Return a claim's comparisons as a table in Markdown, by the labels of their rows and columns.
 
-    The first column has the labels of the rows. The other cells have a mark of MARK_OF_OUTCOME and the
-    difference with its interval; they are empty where the claim has no comparison.
+    A cell has a mark of MARK_OF_OUTCOME and the difference with its interval; it is empty where the claim has
+    no comparison.
     """
-    row_labels: list[str] = []
-    column_heads: list[str] = []
-    cell_texts: dict[tuple[str, str], str] = {}
+    text_by_cell: dict[tuple[str, str], str] = {}
     for comparison in decision.comparisons:
-        row_label, column_head = comparison.row, _column_head(comparison)
-        if row_label not in row_labels:
-            row_labels.append(row_label)
-        if column_head not in column_heads:
-            column_heads.append(column_head)
-        cell_texts[row_label, column_head] = (
-            f"{MARK_OF_OUTCOME[comparison.holds]} {format_difference(comparison)}"
-        )
-    table = [["", *column_heads]]
-    for row_label in row_labels:
-        cells_of_row = [cell_texts.get((row_label, column_head), "") for column_head in column_heads]
-        table.append([row_label, *cells_of_row])
-    return table
+        mark = MARK_OF_OUTCOME[comparison.holds]
+        text = f"{mark} {format_difference(comparison)}"
+        text_by_cell[comparison.row, _column_head(comparison)] = text
+    return format_cells("", text_by_cell)
 
 
 def _column_head(comparison: Comparison) -> str:
@@ -269,6 +246,27 @@ def summarize(decision: Decision) -> str:
     return counts
 
 
+_TEMPLATE_GLOBALS: dict[str, Any] = {
+    "Verdict": Verdict,
+    "heading_of": heading_of,
+    "summarize": summarize,
+    "comparison_table": comparison_table,
+    "marks": MARK_OF_OUTCOME,
+    "users_period": SHORTEST_FILTER_PERIOD,  # of a filter or firmware of the user's
+    "sizes": SIZES,
+    "levels": LEVELS,
+    "confidence": CONFIDENCE,
+    "most_share": MOST_SHARE,
+    "refuted_share": REFUTED_SHARE,
+    "resamples": RESAMPLES,
+    "e_max": E_MAX,
+}
+"""What the templates use in any report: how claims are shown, and the limits of verdicts."""
+
+
+# --- Other formats ---------------------------------------------------------------------------------------
+
+
 def comparisons_as_csv(decisions: Sequence[Decision], study_size: StudySize) -> str:
     """Return the text of ``comparisons.csv``: CSV_COLUMNS, then a line for every comparison of every claim.
 
@@ -278,24 +276,25 @@ def comparisons_as_csv(decisions: Sequence[Decision], study_size: StudySize) -> 
     writer = csv.writer(csv_text, lineterminator="\n")
     writer.writerow(CSV_COLUMNS)
     for decision in decisions:
-        # The columns of the claim are repeated in each line, so that any line can be read alone.
+        claim = decision.claim
         verdict = decision.verdict.value if study_size.allows_verdicts else ""
-        claim_columns = (
-            study_size.seed,
-            decision.claim.name,
-            decision.claim.where,
-            decision.part_label,
-            verdict,
-        )
+        # The columns of the claim are repeated in each line, so that any line can be read alone.
+        claim_columns = [study_size.seed, claim.name, claim.where, decision.part_label, verdict]
         for comparison in decision.comparisons:
-            interval = comparison.interval
-            numbers = (comparison.size, interval.value, interval.low, interval.high)
-            number_texts = [f"{number:.6g}" for number in numbers]
-            text_by_outcome = {True: "yes", False: "no", None: "open"}
-            holds_text = text_by_outcome[comparison.holds]
-            expected = comparison.expectation.value
-            writer.writerow([*claim_columns, comparison.label, expected, *number_texts, holds_text])
+            writer.writerow([*claim_columns, *_csv_columns_of(comparison)])
     return csv_text.getvalue()
+
+
+def _csv_columns_of(comparison: Comparison) -> list[str]:
+    """Return the texts of a comparison in CSV_COLUMNS, from "cells" to "holds"."""
+    text_of_outcome = {True: "yes", False: "no", None: "open"}
+    numbers = (comparison.size, *comparison.interval)  # value, low and high
+    return [
+        comparison.label,
+        comparison.expectation.value,
+        *(f"{number:.6g}" for number in numbers),
+        text_of_outcome[comparison.holds],
+    ]
 
 
 def decisions_as_json(decisions: Sequence[Decision], study_size: StudySize) -> list[dict[str, object]]:

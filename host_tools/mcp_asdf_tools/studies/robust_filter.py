@@ -25,7 +25,6 @@ from mcp_asdf_tools.studies.study_program import (
     plot_errors_of_swarms,
     rows_of_swarms,
     run_rows,
-    without_liars,
     write_tables,
 )
 
@@ -49,7 +48,7 @@ def robust_rows() -> dict[str, list[Experiment]]:
 def main() -> None:
     """Run the experiments, or resume them, and write robust.md and robust.png into the folder."""
     arguments = parse_arguments(__doc__)
-    rows = without_liars(run_rows("robust", robust_rows(), arguments))
+    rows = run_rows("robust", robust_rows(), arguments)
     tables = {"errors": markdown_table(LATE_ERROR_HEAD, rows, late_error_text)}
     write_tables(arguments.folder / "robust.md", "The robust filter", tables)
     save_figure(plot_errors_of_swarms(rows, list(SWARMS)), arguments.folder / "robust.png")

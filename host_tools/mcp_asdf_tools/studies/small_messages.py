@@ -26,7 +26,6 @@ from mcp_asdf_tools.studies.study_program import (
     MOVING_SWARM,
     PARAMETERS_BY_FLAW,
     Rows,
-    format_table,
     late_error_text,
     late_errors,
     markdown_table,
@@ -34,6 +33,7 @@ from mcp_asdf_tools.studies.study_program import (
     run_rows,
     write_tables,
 )
+from mcp_asdf_tools.studies.text_tables import format_cells, format_table
 
 X_HAT_BITS = (4, 5, 6, 7, 8, 16)
 ALPHA_BITS = {"asdf-minus": (1, 2, 3, 4, 9), "robust": (1,)}
@@ -147,13 +147,11 @@ def ratio_table(ratios: RatiosByCode) -> str:
 
     It has a row for each number of bits of x_hat, and a column for each number of bits of alpha.
     """
-    all_alpha_bits = sorted({code.alpha_bits for code in ratios})
-    heads = ["bits", *(f"alpha {alpha_bits}" for alpha_bits in all_alpha_bits)]
-    rows: list[list[str]] = []
-    for x_hat_bits in X_HAT_BITS:
-        cells = [ratio_text(ratios[MessageCode(x_hat_bits, alpha_bits)]) for alpha_bits in all_alpha_bits]
-        rows.append([f"x_hat {x_hat_bits}", *cells])
-    return format_table(heads, rows)
+    text_by_cell: dict[tuple[str, str], str] = {}
+    for code, ratio in ratios.items():
+        row, column = f"x_hat {code.x_hat_bits}", f"alpha {code.alpha_bits}"
+        text_by_cell[row, column] = ratio_text(ratio)
+    return format_cells("bits", text_by_cell)
 
 
 def exact_table(rows_by_filter: Mapping[str, Rows]) -> str:

@@ -9,7 +9,7 @@ b_hat, a healthy one with the right one.
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from itertools import chain
 from pathlib import Path
@@ -26,6 +26,7 @@ from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.results import Trials
 from mcp_asdf_tools.studies.bootstrap import Sample
 from mcp_asdf_tools.studies.peers import LIAR_COUNT, column_label, has_liars
+from mcp_asdf_tools.studies.text_tables import format_cells
 
 MOVING_SWARM: dict[str, Any] = {"topology": "dynamic", "latency": 1}
 """Parameters of swarms that move; without them, every robot receives from all others."""
@@ -85,27 +86,32 @@ def run_rows(
 
     ``arguments`` are the options of the program; with ``--quick`` all experiments are shortened first. The
     trials are also written into ``FOLDER/name.parquet``, with x, every robot's estimate, at every
-    ``record``-th step. If an earlier call was interrupted, only what the file lacks is run.
+    ``record``-th step. If an earlier call was interrupted, only what the file lacks is run. The trials that
+    are returned lack the estimates of liars.
     """
-    experiments_to_run: dict[str, Sequence[Experiment]] = dict(experiments_by_row)
     if arguments.quick:
-        for label, experiments in experiments_by_row.items():
-            experiments_to_run[label] = [_shorten(experiment) for experiment in experiments]
+        experiments_by_row = _shorten(experiments_by_row)
     # One call for all rows, so that no worker waits at the end of each row.
-    all_experiments = list(chain.from_iterable(experiments_to_run.values()))
+    all_experiments = list(chain.from_iterable(experiments_by_row.values()))
     make_folder(arguments.folder)
     output = arguments.folder / f"{name}.parquet"
     table = m.simulate(all_experiments, output, workers=arguments.workers, record=record)
-    trials_by_experiment = {trials.experiment: trials for trials in m.experiments_in(table)}
-    rows: dict[str, list[Trials]] = {}
-    for label, experiments in experiments_to_run.items():
-        rows[label] = [trials_by_experiment[experiment] for experiment in experiments]
-    return rows
+    trials_of = {trials.experiment: without_liars(trials) for trials in m.experiments_in(table)}
+    return {
+        label: [trials_of[experiment] for experiment in experiments]
+        for label, experiments in experiments_by_row.items()
+    }
 
 
-def _shorten(experiment: Experiment) -> Experiment:
-    """Return the experiment with the trials and steps of the quick form."""
-    return replace(experiment, trials=QUICK_TRIALS, steps=min(experiment.steps, QUICK_STEPS))
+def _shorten(experiments_by_row: Mapping[str, Sequence[Experiment]]) -> dict[str, list[Experiment]]:
+    """Return the experiments of rows with the trials and steps of the quick form."""
+    return {
+        label: [
+            replace(experiment, trials=QUICK_TRIALS, steps=min(experiment.steps, QUICK_STEPS))
+            for experiment in experiments
+        ]
+        for label, experiments in experiments_by_row.items()
+    }
 
 
 # --- Measures --------------------------------------------------------------------------------------------
@@ -129,18 +135,11 @@ def late_estimates(trials: Trials) -> NDArray[np.float64]:
     return late_x
 
 
-def without_liars(rows: Rows) -> dict[str, list[Trials]]:
-    """Return the results of rows with the estimates of the honest robots alone.
+def without_liars(trials: Trials) -> Trials:
+    """Return trials with x, the recorded estimates, of the honest robots alone.
 
-    Other records are dropped, and results other than x still cover all robots.
+    Other records are dropped, and results other than records still cover all robots.
     """
-    return {
-        label: [_of_honest_robots(trials) for trials in experiments] for label, experiments in rows.items()
-    }
-
-
-def _of_honest_robots(trials: Trials) -> Trials:
-    """Return trials without the estimates of robots that lie, if there are any."""
     x = trials.records["x"]  # shape (trials, steps, robots)
     if has_liars(trials.experiment):
         x = x[:, :, :-LIAR_COUNT]  # the last robots of a swarm lie
@@ -184,25 +183,13 @@ def markdown_table(head: str, rows: Rows, text_of: Callable[[Sequence[Trials]], 
     experiments is empty. The columns are in the order in which they first come in the rows. ``head`` is the
     text of the upper left corner, which says what the numbers are.
     """
-    cells: dict[tuple[str, str], list[Trials]] = {}
-    columns: list[str] = []
+    trials_by_cell: dict[tuple[str, str], list[Trials]] = {}
     for row, experiments in rows.items():
         for trials in experiments:
-            column = column_label(trials.experiment)
-            if column not in columns:
-                columns.append(column)
-            cells.setdefault((row, column), []).append(trials)
-    rows_of_texts: list[list[str]] = []
-    for row in rows:
-        texts = [text_of(cells[row, column]) if (row, column) in cells else "" for column in columns]
-        rows_of_texts.append([row, *texts])
-    return format_table([head, *columns], rows_of_texts)
-
-
-def format_table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """Return a table in Markdown with these heads of columns, and a line for each row of texts."""
-    lines = [f"| {' | '.join(texts)} |" for texts in rows]
-    return "\n".join([f"| {' | '.join(heads)} |", "|---" * len(heads) + "|", *lines])
+            cell = (row, column_label(trials.experiment))
+            trials_by_cell.setdefault(cell, []).append(trials)
+    text_by_cell = {cell: text_of(trials) for cell, trials in trials_by_cell.items()}
+    return format_cells(head, text_by_cell)
 
 
 def write_tables(path: Path, title: str, tables: Mapping[str, str]) -> None:

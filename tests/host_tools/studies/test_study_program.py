@@ -12,7 +12,7 @@ import pytest
 from matplotlib.figure import Figure
 
 import mcp_asdf_tools as m
-from host_tools.studies.conftest import page_path, tables_in, two_trials_with
+from host_tools.studies.conftest import page_path, parse_table, tables_in, two_trials_with
 from mcp_asdf_tools.experiments.experiment import Experiment, grid
 from mcp_asdf_tools.experiments.results import Trials
 from mcp_asdf_tools.experiments.trials import run_trials
@@ -24,6 +24,7 @@ from mcp_asdf_tools.studies import (
     study_program,
     two_readings,
 )
+from mcp_asdf_tools.studies.two_readings import two_readings_rows
 
 # --- Measures ------------------------------------------------------------------------------------------
 
@@ -56,9 +57,7 @@ def test_liars_are_not_counted_in_the_error_of_a_swarm() -> None:
     x = [0.5] * 15 + [0.0] * 5
     trials = two_trials_with(robots=20, firmware=peers.five_liars, fill_ratio=0.5, x=x)
 
-    [trials_of_honest_robots] = study_program.without_liars({"a row": [trials]})["a row"]
-
-    assert study_program.late_errors(trials_of_honest_robots).tolist() == [0, 0]
+    assert study_program.late_errors(study_program.without_liars(trials)).tolist() == [0, 0]
 
 
 def test_all_robots_of_a_swarm_without_liars_are_counted_in_its_error() -> None:
@@ -66,10 +65,10 @@ def test_all_robots_of_a_swarm_without_liars_are_counted_in_its_error() -> None:
     x = [0.5] * 15 + [0.0] * 5
     trials = two_trials_with(robots=20, firmware=peers.WmsrRobot, fill_ratio=0.5, x=x)
 
-    [trials_of_honest_robots] = study_program.without_liars({"a row": [trials]})["a row"]
+    late_errors = study_program.late_errors(study_program.without_liars(trials))
 
     mean_error = 5 * 0.5 / 20
-    assert study_program.late_errors(trials_of_honest_robots) == pytest.approx([mean_error, mean_error])
+    assert late_errors == pytest.approx([mean_error, mean_error])
 
 
 # --- Text ----------------------------------------------------------------------------------------------
@@ -245,12 +244,23 @@ def test_the_quick_form_of_a_program_measures_something_in_all_its_experiments(
     assert (tmp_path / f"{name}.png").read_bytes().startswith(b"\x89PNG")
 
 
+def texts_on_page(page: str, mark: str, row: str) -> dict[str, str]:
+    """Return the cells of a row of a table on a page of docs/internals/, by the heads of their columns."""
+    table = tables_in(page_path(page))[mark]
+    return dict(zip(table.columns, table.rows[row], strict=True))
+
+
+TEXT_OF_CELL = {"colour": related_work.right_text, "harm": two_readings.harm_text}
+"""What formats the cells of tables that show something else than errors, by the mark of the table."""
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("rows_of_study", "row", "sampling_interval", "page", "mark"),
     [
         (ageing.ageing_rows, "six age alike, longest memory", 1000, "ageing", "filters"),
-        (two_readings.two_readings_rows, "half flawed, underconfident", 500, "two_readings", "errors"),
+        (two_readings_rows, "half flawed, underconfident", 500, "two_readings", "errors"),
+        (two_readings_rows, "none flawed, tenth repeated, overconfident", 500, "two_readings", "harm"),
         (related_work.resilience_rows, "moving, 5 liars, overconfident", 100, "related_work", "late"),
         (related_work.colour_rows, "moving, 5 liars, underconfident", 500, "related_work", "colour"),
     ],
@@ -259,15 +269,42 @@ def test_a_row_that_is_simulated_again_gives_the_numbers_on_the_page_of_its_stud
     rows_of_study: Callable[[], dict[str, Any]], row: str, sampling_interval: int, page: str, mark: str
 ) -> None:
     """Robots with two readings are left out, as their trials would take minutes."""
-    results_of_columns: dict[str, list[Trials]] = {}
-    for experiment in rows_of_study()[row]:
-        column = peers.column_label(experiment)
-        if column != "two readings":
-            trials = run_trials(experiment, 0, experiment.trials, sampling_interval=sampling_interval)
-            results_of_columns.setdefault(column, []).append(trials)
+    text_of_cell = TEXT_OF_CELL.get(mark, study_program.late_error_text)
+    results = [
+        study_program.without_liars(
+            run_trials(experiment, 0, experiment.trials, sampling_interval=sampling_interval)
+        )
+        for experiment in rows_of_study()[row]
+        if peers.column_label(experiment) != "two readings"
+    ]
 
-    text_of = related_work.right_text if mark == "colour" else study_program.late_error_text
-    table = tables_in(page_path(page))[mark]
-    texts_on_page = dict(zip(table.columns, table.rows[row], strict=True))
-    for column, results in study_program.without_liars(results_of_columns).items():
-        assert text_of(results) == texts_on_page[column]
+    simulated = parse_table(study_program.markdown_table("", {row: results}, text_of_cell))
+
+    cells_on_page = texts_on_page(page, mark, row)
+    for column, text in zip(simulated.columns, simulated.rows[row], strict=True):
+        assert text == cells_on_page[column]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("kind", "column"),
+    [
+        ("all age alike", "knows b now"),
+        ("all age alike", "knows its mean"),
+        ("all age alike", "BayesCPF"),
+        ("each ages in its own way", "BayesCPF"),
+    ],
+)
+def test_a_trial_with_a_robot_that_knows_how_it_ages_has_about_the_error_on_the_page_about_ageing(
+    kind: str, column: str
+) -> None:
+    """The page has the median over four trials, which take minutes. This is the first of them."""
+    row = f"{kind}, longest memory"
+    [experiment] = [
+        experiment for experiment in ageing.peer_rows()[row] if peers.column_label(experiment) == column
+    ]
+
+    trial = run_trials(experiment, first=0, trials=1, sampling_interval=1000)
+
+    error_on_page = float(texts_on_page("ageing", "peers", row)[column])
+    assert study_program.late_errors(trial) == pytest.approx([error_on_page], rel=0.5)

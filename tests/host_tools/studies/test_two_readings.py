@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from host_tools.studies.conftest import two_trials_with
+from host_tools.studies.conftest import page_path, tables_in, two_trials_with
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.results import Trials
 from mcp_asdf_tools.experiments.trials import run_trials
@@ -52,13 +52,18 @@ def test_robots_that_are_all_flawed_estimate_the_floor_well_if_they_read_each_ti
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("row", "percent_harmed"),
-    [("none flawed, overconfident", "0.0"), ("none flawed, half repeated, overconfident", "100.0")],
-)
-def test_two_readings_harm_healthy_robots_only_if_sensors_repeat_their_readings(
-    row: str, percent_harmed: str
-) -> None:
-    """A sensor that repeats half of its readings disagrees less often with itself, and seems better."""
-    trial = run_trial_with_two_readings(row)
-    assert two_readings.harm_text([trial]) == percent_harmed
+def test_two_independent_readings_harm_no_healthy_robot() -> None:
+    """All sensors are poor, with b = 0.55, and no robot is flawed."""
+    trial = run_trial_with_two_readings("none flawed, overconfident")
+    assert two_readings.harm_text([trial]) == "0.0"
+
+
+@pytest.mark.slow
+def test_sensors_that_repeat_a_tenth_of_their_readings_harm_as_many_healthy_robots_as_the_page_says() -> None:
+    """Such a sensor disagrees less often with itself, and seems better. The page has six such trials."""
+    row = "none flawed, tenth repeated, overconfident"
+    table = tables_in(page_path("two_readings"))["harm"]
+
+    percent_harmed = two_readings.harm_text([run_trial_with_two_readings(row)])
+
+    assert percent_harmed == dict(zip(table.columns, table.rows[row], strict=True))["two readings"]

@@ -1,0 +1,31 @@
+"""Tables of texts in Markdown, for the studies' pages and the report."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+
+
+def format_table(heads: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
+    """Return a table in Markdown with these heads of columns, and a line for each row of values."""
+    lines = [f"| {' | '.join(heads)} |", "|---" * len(heads) + "|"]
+    for values in rows:
+        texts = [str(value) for value in values]
+        lines.append(f"| {' | '.join(texts)} |")
+    return "\n".join(lines)
+
+
+def format_cells(corner: str, text_by_cell: Mapping[tuple[str, str], str]) -> str:
+    """Return a table in Markdown of texts by their row and column; other cells are empty.
+
+    Rows and columns are in the order in which they first come in ``text_by_cell``. ``corner`` is the text in
+    the upper left corner.
+    """
+    rows: list[str] = []
+    columns: list[str] = []
+    for row, column in text_by_cell:
+        if row not in rows:
+            rows.append(row)
+        if column not in columns:
+            columns.append(column)
+    lines = [[row, *(text_by_cell.get((row, column), "") for column in columns)] for row in rows]
+    return format_table([corner, *columns], lines)
