@@ -21,7 +21,7 @@ from mcp_asdf_tools.cli.output import log_to_standard_error, report_failure
 from mcp_asdf_tools.cli.parsing import Parser
 from mcp_asdf_tools.common.errors import UsageError, did_you_mean
 from mcp_asdf_tools.common.extras import naming_extras
-from mcp_asdf_tools.common.signals import INTERRUPTED, exit_code_of_signal, stopping
+from mcp_asdf_tools.common.signals import INTERRUPTED, exit_code_of_signal, raising_on_signals, stopping
 from mcp_asdf_tools.common.standard_streams import OutputError, checked_streams
 
 _logger = logging.getLogger("mcp_asdf_tools.cli")
@@ -98,7 +98,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         command_title = PROGRAM
         work = partial(_show_overview, arguments)
     # In this context a signal raises KeyboardInterrupt, and a failing print raises OutputError.
-    with checked_streams(), stopping(interrupt=True):
+    with checked_streams(), raising_on_signals():
         exit_code = _attempt(command_title, work, as_json)
         # Flushed here and not at exit, where a closed pipe or a full disk could not change the exit code. It
         # gives 0 if all went well, and otherwise a code that counts more, since the result has not arrived.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -26,8 +27,10 @@ from mcp_asdf_tools.studies.cells import (
 )
 
 if TYPE_CHECKING:
+    from mcp_asdf_tools.experiments.experiment import Experiment
     from mcp_asdf_tools.experiments.results import Trials
     from mcp_asdf_tools.experiments.store import Store
+    from mcp_asdf_tools.studies.study_results import StudyResults
 
 EPILOG = """\
 examples:
@@ -43,7 +46,8 @@ was finished is kept)"""
 LIBRARIES = ("numpy", "matplotlib", "pyarrow", "rich.progress")
 
 StoreKey = tuple[StudyPart, str]
-"""Part of a store, and the name of the user's firmware or filter in it; empty in the paper's study."""
+"""Which file of results: the part of the study, and the name of the user's firmware or filter in it; the name
+is empty for the paper's study."""
 
 PAPER_SIZE = StudySize()
 QUICK_SIZE = StudySize(trials=10, steps=10_000)
@@ -103,32 +107,26 @@ def run(args: argparse.Namespace) -> int:
     """
     from mcp_asdf_tools.studies import report
     from mcp_asdf_tools.studies.claims import decide
-    from mcp_asdf_tools.studies.study_results import StudyResults
 
     workers = options.workers_of(args)
     study_size = study_size_from(args)
     default_folder = "reproduction-quick" if args.quick else "reproduction"
     output_folder = args.output or Path(default_folder)
-    # In the paper's order, whichever the options have. Without --part, which is None then, all of them.
-    study_parts = [
-        study_part for study_part in StudyPart if args.part is None or study_part.value in args.part
-    ]
-    users_firmware, users_filter = firmware_and_filter_of_user(args)
-    stores = open_stores(output_folder, study_parts, study_size, users_firmware, users_filter)
-    trials_by_cell, users_trials = _run_missing_trials(stores, workers, args)
-    study_results = StudyResults(trials_by_cell, users_trials)
+    stores = open_stores(output_folder, experiments_by_store(args, study_size))
+    _run_missing_trials(stores, workers, args)
+    study_results = _read_results(stores)
     decisions = decide(study_results)
     report.write_report(output_folder, study_results, decisions, study_size)
-
     claims = report.decisions_as_json(decisions, study_size)
+    report_path = output_folder / "report.html"
     if args.json:
-        print(json_report({"report": str(output_folder / "report.html"), "claims": claims}))
+        print(json_report({"report": str(report_path), "claims": claims}))
         return 0
     for claim in claims:
         verdict = claim["verdict"] or "too short"  # as trials are with --quick, which have no verdicts
         subject = claim["part"] or "equations"  # which are no part of the study
         print(f"{verdict:10} {subject:16} {claim['claim']}")
-    print(output_folder / "report.html")
+    print(report_path)
     print_again(args, seed=study_size.seed)
     return 0
 
@@ -168,29 +166,23 @@ def firmware_and_filter_of_user(args: argparse.Namespace) -> tuple[str, str | No
     return args.firmware or PAPERS_FIRMWARE, args.filter
 
 
-def open_stores(
-    folder: Path,
-    parts: list[StudyPart],
-    study_size: StudySize,
-    users_firmware: str = PAPERS_FIRMWARE,
-    users_filter: str | None = None,
-) -> dict[StoreKey, Store]:
-    """Open the results of each part in a folder, which is made if need be; those that exist are kept.
+def experiments_by_store(args: argparse.Namespace, study_size: StudySize) -> dict[StoreKey, list[Experiment]]:
+    """Return the experiments of each file of results: of the chosen parts of the study, in the paper's order.
 
-    With a firmware or a filter of the user's each part has a second store. Raises UsageError for a size out
-    of range, results of another study, and a folder that cannot be written.
+    If the user has chosen a firmware or a filter, a second file of each part follows, for experiments with
+    that. Raises UsageError for a wrong choice, and for a size of the study that is out of range.
     """
-    from mcp_asdf_tools.common.files import make_folder
-    from mcp_asdf_tools.experiments.store import Store
     from mcp_asdf_tools.studies.study_results import users_name_of
 
+    users_firmware, users_filter = firmware_and_filter_of_user(args)
+    has_users_choice = users_firmware != PAPERS_FIRMWARE or users_filter is not None
+    # Without --part, which is None then, all parts are chosen.
+    parts = [study_part for study_part in StudyPart if args.part is None or study_part.value in args.part]
+    experiments_by_key = {}
     try:
-        # All experiments are made first: a wrong option must leave no folder behind.
-        experiments_by_key = {}
         for study_part in parts:
             papers_experiments = [experiment_of(cell, study_size) for cell in cells_of(study_part)]
             experiments_by_key[study_part, ""] = papers_experiments
-        has_users_choice = users_firmware != PAPERS_FIRMWARE or users_filter is not None
         if has_users_choice:
             for study_part in parts:
                 users_experiments = users_experiments_of(study_part, study_size, users_firmware, users_filter)
@@ -198,6 +190,19 @@ def open_stores(
                 experiments_by_key[study_part, users_name_of(any_experiment)] = users_experiments
     except ParameterError as error:
         raise UsageError(f"--{error.key}: {error}") from error
+    return experiments_by_key
+
+
+def open_stores(
+    folder: Path, experiments_by_key: Mapping[StoreKey, Sequence[Experiment]]
+) -> dict[StoreKey, Store]:
+    """Open the files of results in a folder, which is made if need be; results that exist are kept.
+
+    Raises UsageError for results of another study, and for a folder that cannot be written.
+    """
+    from mcp_asdf_tools.common.files import make_folder
+    from mcp_asdf_tools.experiments.store import Store
+
     make_folder(folder)
     stores = {}
     for (study_part, users_name), experiments in experiments_by_key.items():
@@ -206,33 +211,37 @@ def open_stores(
     return stores
 
 
-def _run_missing_trials(
-    stores: dict[StoreKey, Store], workers: int, args: argparse.Namespace
-) -> tuple[dict[Cell, Trials], dict[StudyPart, list[Trials]]]:
-    """Run the trials that the stores lack, part by part, and return all trials that they have then.
+def _run_missing_trials(stores: Mapping[StoreKey, Store], workers: int, args: argparse.Namespace) -> None:
+    """Run the trials that the stores lack, one store after the other.
 
-    The first dictionary has the trials of the paper's study by cell, a kind of swarm. The second has the
-    trials of the user's firmware or filter by part of the study. Progress goes to standard error, unless
-    --json is given. Raises UsageError if trials cannot be run or written.
+    Progress goes to standard error, unless --json is given. Raises UsageError if trials cannot be run or
+    written.
     """
     from mcp_asdf_tools.common.progress_bar import progress
-    from mcp_asdf_tools.experiments.result_files import stream_experiments
     from mcp_asdf_tools.experiments.sweep import run_sweep
 
     if not args.json:
         missing_count = sum(store.missing_count for store in stores.values())
         print(f"{missing_count} trials to run", file=sys.stderr)
-    trials_by_cell: dict[Cell, Trials] = {}
-    users_trials: dict[StudyPart, list[Trials]] = {}
     with reporting_missing_trials(list(stores.values())):
         for (study_part, users_name), store in stores.items():
             label = f"{study_part.value} {users_name}".rstrip()
             with progress(f"{label}: trials", store.missing_count, args.json) as report_progress:
                 run_sweep(store, workers, report_progress, args.scheduler)
-            # Read from the file, which also has the trials of earlier runs.
-            for trials in stream_experiments(store.output):
-                if users_name:  # the store is that of the user's firmware or filter
-                    users_trials.setdefault(study_part, []).append(trials)
-                else:
-                    trials_by_cell[cell_of(study_part, trials.experiment)] = trials
-    return trials_by_cell, users_trials
+
+
+def _read_results(stores: Mapping[StoreKey, Store]) -> StudyResults:
+    """Read the trials of finished stores: those of the paper's study, and those of the user's choice."""
+    from mcp_asdf_tools.experiments.result_files import stream_experiments
+    from mcp_asdf_tools.studies.study_results import StudyResults
+
+    trials_by_cell: dict[Cell, Trials] = {}
+    users_trials: dict[StudyPart, list[Trials]] = {}
+    for (study_part, users_name), store in stores.items():
+        trials_of_store = list(stream_experiments(store.output))
+        if users_name:
+            users_trials[study_part] = trials_of_store
+            continue
+        for trials in trials_of_store:
+            trials_by_cell[cell_of(study_part, trials.experiment)] = trials
+    return StudyResults(trials_by_cell, users_trials)

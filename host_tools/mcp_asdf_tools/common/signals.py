@@ -16,75 +16,93 @@ INTERRUPTED = 130
 """Exit code of work that a signal has ended; ``exit_code_of_signal`` makes it more precise."""
 
 _received_signals: list[int] = []
-"""The signals that came since the last ``stopping(interrupt=True)`` began, in their order."""
+"""The signals that came since the last ``raising_on_signals`` began, in their order."""
 
 
 @contextmanager
-def stopping(interrupt: bool = False) -> Iterator[Callable[[], bool]]:
-    """Context manager that handles ENDING_SIGNALS, and yields a function: has one of them come?
+def raising_on_signals() -> Iterator[None]:
+    """Context manager around a whole program, in which one of ENDING_SIGNALS raises KeyboardInterrupt.
 
-    Work that is done in steps calls the function between them, and ends by itself. With ``interrupt`` the
-    first signal raises KeyboardInterrupt instead, wherever the program is. (Modules written in C may drop an
-    exception that is raised while they are imported. So imports are such steps, and use the function.)
-
-    After the first signal, Ctrl-C raises KeyboardInterrupt in either case, since a step may not end; other
-    signals do nothing then. Signals that this process was started to ignore, as by nohup, stay ignored.
-    Outside the main thread, where Python delivers no signals, the function always returns False.
+    After the first signal only Ctrl-C raises it again: terminals and service managers may send two, and the
+    second one must not disturb the saving. Signals that this process was started to ignore, as by nohup, stay
+    ignored. Outside the main thread, where Python delivers no signals, nothing changes.
     """
-    if threading.current_thread() is not threading.main_thread():
+    if not _is_main_thread():
+        yield
+        return
+    _received_signals.clear()
+
+    def handle_signal(signal_number: int, frame: FrameType | None) -> None:
+        """Note that a signal has come, and raise KeyboardInterrupt if it is the first one or Ctrl-C."""
+        is_first = not _received_signals
+        _received_signals.append(signal_number)
+        if is_first or signal_number == signal.SIGINT:
+            raise KeyboardInterrupt
+
+    with _handling_signals(handle_signal):
+        try:
+            yield
+        finally:
+            # Python remembers a KeyboardInterrupt that has passed through the exec() of a text, which
+            # dataclasses use, until the next exec(). It would end a program that runs by "python -m" by
+            # SIGINT, whatever its exit code.
+            exec("")
+
+
+@contextmanager
+def stopping() -> Iterator[Callable[[], bool]]:
+    """Context manager for work in steps: it yields a function that says whether one of ENDING_SIGNALS came.
+
+    The work calls the function between its steps, and ends by itself. A signal interrupts nothing; only
+    Ctrl-C after another signal raises KeyboardInterrupt, since a step may not end. Signals that this process
+    was started to ignore, as by nohup, stay ignored. Outside the main thread, where Python delivers no
+    signals, the function always returns False.
+
+    Importing modules is such work, too: those written in C may drop an exception that is raised meanwhile.
+    """
+    if not _is_main_thread():
         yield lambda: False
         return
-    # The context with ``interrupt`` is the outermost one of a program, whose exit code depends on the record.
-    if interrupt:
-        _received_signals.clear()
-    count_at_start = len(_received_signals)
+    signals_before = len(_received_signals)
 
     def has_signal_come() -> bool:
         """Return whether a signal has come since the context began."""
-        return len(_received_signals) > count_at_start
+        return len(_received_signals) > signals_before
 
     def handle_signal(signal_number: int, frame: FrameType | None) -> None:
-        """Note that a signal has come, and raise KeyboardInterrupt where ``stopping`` says so."""
+        """Note that a signal has come, and raise KeyboardInterrupt if it is Ctrl-C and not the first one."""
         is_first = not has_signal_come()
         _received_signals.append(signal_number)
-        if is_first and interrupt:
-            raise KeyboardInterrupt
-        # Terminals and service managers may send two signals: the second must not disturb the saving.
         if not is_first and signal_number == signal.SIGINT:
             raise KeyboardInterrupt
 
-    previous_handlers = _replace_handlers(handle_signal)
-    try:
+    with _handling_signals(handle_signal):
         yield has_signal_come
-    finally:
-        for number, handler in previous_handlers.items():
-            signal.signal(number, handler)
-        if interrupt:
-            _let_python_forget_interrupt()
 
 
-def _let_python_forget_interrupt() -> None:
-    """Let the program end with its exit code, even if it runs by "python -m" and was interrupted.
-
-    Python remembers a KeyboardInterrupt that has passed through the exec() of a text, which dataclasses use,
-    until the next exec(). It would end such a program by SIGINT, whatever the exit code.
-    """
-    exec("")
+def _is_main_thread() -> bool:
+    """Return whether this code runs in the main thread, the only one in which Python handles signals."""
+    return threading.current_thread() is threading.main_thread()
 
 
-def _replace_handlers(new_handler: Callable[[int, FrameType | None], None]) -> dict[signal.Signals, Any]:
-    """Let ``new_handler`` handle ENDING_SIGNALS, and return the handlers that it has replaced, by signal.
+@contextmanager
+def _handling_signals(new_handler: Callable[[int, FrameType | None], None]) -> Iterator[None]:
+    """Context manager in which ``new_handler`` handles ENDING_SIGNALS; before and after, others do.
 
     Signals that are ignored stay so, and those whose handler was not set by Python keep it.
     """
-    previous_handlers = {}
+    previous_handlers: dict[signal.Signals, Any] = {}
     for number in ENDING_SIGNALS:
         handler = signal.getsignal(number)
         # The handler is None if it was not set by Python.
         if handler is not None and handler != signal.SIG_IGN:
             previous_handlers[number] = handler
             signal.signal(number, new_handler)
-    return previous_handlers
+    try:
+        yield
+    finally:
+        for number, previous_handler in previous_handlers.items():
+            signal.signal(number, previous_handler)
 
 
 def exit_code_of_signal(code: int) -> int:

@@ -95,23 +95,22 @@ def ageing_rows() -> dict[str, list[Experiment]]:
 def peer_rows() -> dict[str, list[Experiment]]:
     """Return the experiments, by row, with robots that know how their sensors age: of two kinds of ageing.
 
-    Each kind is there with the longest and with a short memory.
+    All have the longest memory.
     """
     rows: dict[str, list[Experiment]] = {}
     for kind, peers in PEERS_BY_KIND.items():
         # Each of the peers has a filter, which replaces any filter here.
         parameters = {**MOVING_SWARM, **KINDS_OF_AGEING[kind], "filter": "none"}
-        for memory_label, memory in MEMORIES.items():
-            rows[kind + memory_label] = m.grid(
-                **parameters,
-                flawed_accuracy=0.95,
-                fill_ratio=0.75,
-                memory=memory,
-                steps=40_000,
-                trials=4,
-                seed=90126,
-                peers=peers,
-            )
+        rows[kind + LONGEST_MEMORY] = m.grid(
+            **parameters,
+            flawed_accuracy=0.95,
+            fill_ratio=0.75,
+            memory=MEMORIES[LONGEST_MEMORY],
+            steps=40_000,
+            trials=4,
+            seed=90126,
+            peers=peers,
+        )
     return rows
 
 

@@ -18,6 +18,7 @@ from mcp_asdf_tools.world.sensors import Accuracies
 from mcp_asdf_tools.world.settings import WorldSettings
 
 READINGS_OF_TILE = 2
+DRAWS_OF_TILE = 4
 
 REJECTED_SIGMAS_SQUARED = 12
 """The test rejects beyond sqrt(12) standard deviations, as the robust filter's test does."""
@@ -66,12 +67,7 @@ class IndependentReadings:
 
         A second reading repeats the first one with the probability ``repeated_share``.
         """
-        draws_of_tile = 4  # for its colour, for an error of either reading, and for a repetition
-        # The stream counts draws as steps. Each tile takes four draws.
-        uniforms = self._draws.draw_uniforms(draws_of_tile * tiles, draws_of_tile * first_tile)
-        draws = uniforms.reshape(tiles, draws_of_tile, self._settings.robots)
-        draws_by_purpose = draws.swapaxes(0, 1)  # shape (4, tiles, robots)
-        colour_draws, first_draws, second_draws, repetition_draws = draws_by_purpose
+        colour_draws, first_draws, second_draws, repetition_draws = self._draw_tiles(first_tile, tiles)
         tile_is_black = colour_draws < self._settings.fill_ratio
         first_is_right = first_draws < self._settings.true_accuracy
         second_is_right = second_draws < self._settings.true_accuracy
@@ -83,6 +79,17 @@ class IndependentReadings:
         # The readings of a tile follow each other.
         readings = np.stack([first_is_black, second_is_black], axis=1)  # shape (tiles, 2, robots)
         return readings.reshape(READINGS_OF_TILE * tiles, self._settings.robots)
+
+    def _draw_tiles(self, first_tile: int, tiles: int) -> NDArray[np.float64]:
+        """Return random numbers for some tiles, shape (4, tiles, robots).
+
+        The four are for a tile's colour, for an error of the first reading and of the second one, and for a
+        repetition.
+        """
+        # The stream counts draws as steps. Each tile takes four draws.
+        uniforms = self._draws.draw_uniforms(DRAWS_OF_TILE * tiles, DRAWS_OF_TILE * first_tile)
+        draws_by_tile = uniforms.reshape(tiles, DRAWS_OF_TILE, self._settings.robots)
+        return draws_by_tile.swapaxes(0, 1)
 
 
 class TenthRepeated(IndependentReadings):

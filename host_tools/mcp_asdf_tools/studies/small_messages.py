@@ -201,18 +201,21 @@ def main() -> None:
     """Run the experiments, or resume them, and write small_messages.md and small_messages.png."""
     arguments = parse_arguments(__doc__)
     rows_by_filter: dict[str, Rows] = {}
+    ratios_by_filter: dict[str, RatiosByCode] = {}
     for filter_name in ALPHA_BITS:
         file_name = f"small_messages_{filter_name}"
-        rows_by_filter[filter_name] = run_rows(file_name, experiments_of(filter_name), arguments, record=250)
-    tables = {"exact": exact_table(rows_by_filter)}
-    ratios_by_filter: dict[str, RatiosByCode] = {}
-    for filter_name, rows in rows_by_filter.items():
+        rows = run_rows(file_name, experiments_of(filter_name), arguments, record=250)
+        rows_by_filter[filter_name] = rows
         ratios_by_filter[filter_name] = worst_ratios(rows, codes_of(filter_name))
-        tables[filter_name.replace("-", "_")] = ratio_table(ratios_by_filter[filter_name])
     # Of these codes 30 trials leave open whether they suffice, so they run again in more trials.
     close_experiments = experiments_of(CLOSE_FILTER, CLOSE_CODES, CLOSE_TRIALS)
     close_rows = run_rows("small_messages_close", close_experiments, arguments, record=250)
-    tables["close"] = interval_table(worst_ratios(close_rows, CLOSE_CODES))
+    tables = {
+        "exact": exact_table(rows_by_filter),
+        "asdf_minus": ratio_table(ratios_by_filter["asdf-minus"]),
+        "robust": ratio_table(ratios_by_filter["robust"]),
+        "close": interval_table(worst_ratios(close_rows, CLOSE_CODES)),
+    }
     write_tables(arguments.folder / "small_messages.md", "How few bits suffice", tables)
     save_figure(draw_ratios(ratios_by_filter), arguments.folder / "small_messages.png")
 

@@ -86,6 +86,14 @@ class Stream(NamedTuple):
         """
         first_block, words_to_skip = divmod(first_step, _WORDS_IN_BLOCK)
         end_block = math.ceil((first_step + steps) / _WORDS_IN_BLOCK)
+        words = self._draw_blocks(first_block, end_block)
+        return words[words_to_skip : words_to_skip + steps].astype(np.uint32)
+
+    def _draw_blocks(self, first_block: int, end_block: int) -> WordArray:
+        """Return the random words of the blocks of all robots from ``first_block`` to before ``end_block``.
+
+        A block has the words of four consecutive steps, so the shape is (4 blocks, robots).
+        """
         blocks = np.arange(first_block, end_block, dtype=np.uint64)
         robots = np.arange(self.robots, dtype=np.uint64)
         # The counter of a block of a robot is these four numbers; all arrays have the shape (blocks, robots).
@@ -94,11 +102,8 @@ class Stream(NamedTuple):
         stream = np.full_like(block, self.number)
         key = (self.seed & _LOW_WORD, self.seed >> 32)  # the lower and the upper 32 bits
         four_words = philox((block, robot, trial, stream), key)
-        # The four words of a block are those of four consecutive steps. So the four arrays are stacked to the
-        # shape (blocks, 4, robots), whose first two axes become one of steps.
-        words_by_block = np.stack(four_words, axis=1)
-        words_by_step = words_by_block.reshape(-1, self.robots)
-        return words_by_step[words_to_skip : words_to_skip + steps].astype(np.uint32)
+        words_by_block = np.stack(four_words, axis=1)  # shape (blocks, 4, robots)
+        return words_by_block.reshape(-1, self.robots)
 
     def draw_uniforms(self, steps: int, first_step: int = 0) -> NDArray[np.float64]:
         """Return random numbers in (0, 1) for ``steps`` steps from ``first_step`` on, one for each robot.

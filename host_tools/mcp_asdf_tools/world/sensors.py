@@ -155,25 +155,28 @@ def make_sensor_model(settings: WorldSettings, trial: int) -> SensorModel:
     return CheckedSensors(model, settings, has_one_accuracy=has_one_accuracy(settings))
 
 
-def black_probabilities(
-    accuracies: Accuracies, fill_ratio: float | None
-) -> tuple[NDArray[np.uint32], NDArray[np.uint32]]:
+def black_probabilities_by_colour(accuracies: Accuracies) -> tuple[NDArray[np.uint32], NDArray[np.uint32]]:
     """Return the probability that a robot reports black, on black and on white tiles.
 
-    Both are in units of 2**-31 and have the shapes of the accuracies. With a ``fill_ratio`` f a robot does
-    not stand on a tile of a known colour, but on one that is black with probability f: both probabilities are
-    then f b + (1 - f)(1 - w), the paper's equation 1, where b is the accuracy on black and w that on white.
+    Both are in units of 2**-31 and have the shapes of the accuracies.
     """
     accuracy_on_black, accuracy_on_white = accuracies
-    if fill_ratio is not None:
-        black_and_correct = fill_ratio * accuracy_on_black
-        white_and_mistaken = (1 - fill_ratio) * (1 - accuracy_on_white)
-        probability = _to_integer_units(black_and_correct + white_and_mistaken)
-        return probability, probability
-    # On white a robot reports black by mistake: with the probability that is left.
     black_on_black = _to_integer_units(accuracy_on_black)
+    # On white a robot reports black by mistake: with the probability that is left.
     black_on_white = np.uint32(PROBABILITY_ONE) - _to_integer_units(accuracy_on_white)
     return black_on_black, black_on_white
+
+
+def black_probabilities_anywhere(accuracies: Accuracies, fill_ratio: float) -> NDArray[np.uint32]:
+    """Return the probability that a robot reports black on a tile that is black with probability f.
+
+    It is f b + (1 - f)(1 - w), the paper's equation 1, where f is the ``fill_ratio``, b the accuracy on black
+    and w that on white. It is in units of 2**-31 and has the shape of the accuracies.
+    """
+    accuracy_on_black, accuracy_on_white = accuracies
+    black_and_correct = fill_ratio * accuracy_on_black
+    white_and_mistaken = (1 - fill_ratio) * (1 - accuracy_on_white)
+    return _to_integer_units(black_and_correct + white_and_mistaken)
 
 
 def _to_integer_units(probabilities: NDArray[np.float64]) -> NDArray[np.uint32]:

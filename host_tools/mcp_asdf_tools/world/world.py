@@ -19,7 +19,12 @@ from mcp_asdf_tools.common import extensions
 from mcp_asdf_tools.world.arena import Arena
 from mcp_asdf_tools.world.graph import Graph
 from mcp_asdf_tools.world.philox import OBSERVATION_STREAM, Stream
-from mcp_asdf_tools.world.sensors import black_probabilities, make_sensor_model
+from mcp_asdf_tools.world.sensors import (
+    Accuracies,
+    black_probabilities_anywhere,
+    black_probabilities_by_colour,
+    make_sensor_model,
+)
 from mcp_asdf_tools.world.settings import WorldSettings
 from mcp_asdf_tools.world.topology import CheckedTopology, FixedTopology, Topology, graph_topology
 
@@ -75,37 +80,46 @@ class World:
         The Scene holds what sensors report, which steps have an observation, who receives from whom, where
         the robots are (None if they do not move), and how accurate their sensors are.
         """
-        settings = self.settings
         first_step = self._next_step
         self._next_step += steps
-        random_words = self._observation_draws.draw_words(steps, first_step)
-        draws = random_words >> _BITS_BELOW_PROBABILITY_UNIT  # units of 2**-31, as the probabilities below
         accuracies = self._sensors.advance(steps)
-        accuracy_on_black, accuracy_on_white = accuracies
-        # Accuracies that do not change, or are the same for all robots, have an axis of length 1.
-        mean_accuracy = np.broadcast_to((accuracy_on_black + accuracy_on_white) / 2, draws.shape)
-        # Robots observe at the end of every period: with period 3 in the third step, the sixth, and so on.
-        step_numbers_from_1 = np.arange(first_step, first_step + steps) + 1
-        observes = step_numbers_from_1 % settings.observation_period == 0
         if isinstance(self._topology, Arena):
             motion = self._topology.record(steps)
-            # The arena gives the colour under each robot, so no fill ratio stands in for it.
-            on_black, on_white = black_probabilities(accuracies, fill_ratio=None)
+            on_black, on_white = black_probabilities_by_colour(accuracies)
             black_probability = np.where(motion.black, on_black, on_white)
             neighbours = motion.adjacency
             positions = motion.position
         else:
-            # The floor is not modelled: any tile is black with probability f, and both results are equal.
-            black_probability, _ = black_probabilities(accuracies, settings.fill_ratio)
+            # The floor is not modelled: any tile is black with probability f.
+            black_probability = black_probabilities_anywhere(accuracies, self.settings.fill_ratio)
             neighbours = self._topology.advance(steps)
             positions = None
+        random_words = self._observation_draws.draw_words(steps, first_step)
         return Scene(
-            black=draws < black_probability,
-            observes=observes,
+            black=(random_words >> _BITS_BELOW_PROBABILITY_UNIT) < black_probability,
+            observes=self._has_observation(first_step, steps),
             neighbours=neighbours,
             positions=positions,
-            accuracy=mean_accuracy,
+            accuracy=self._mean_of_colours(accuracies, steps),
         )
+
+    def _has_observation(self, first_step: int, steps: int) -> NDArray[np.bool_]:
+        """Return whether robots observe in each of some steps from ``first_step`` on, shape (steps,).
+
+        They observe at the end of every period: with period 3 in the third step, the sixth, and so on.
+        """
+        step_numbers_from_1 = np.arange(first_step, first_step + steps) + 1
+        observes: NDArray[np.bool_] = step_numbers_from_1 % self.settings.observation_period == 0
+        return observes
+
+    def _mean_of_colours(self, accuracies: Accuracies, steps: int) -> NDArray[np.float64]:
+        """Return the mean of the accuracies on black and on white tiles, shape (steps, N).
+
+        Accuracies that do not change, or are the same for all robots, have an axis of length 1. They are
+        repeated along it, as a view to be read only.
+        """
+        on_black, on_white = accuracies
+        return np.broadcast_to((on_black + on_white) / 2, (steps, self.settings.robots))
 
     def skip(self, steps: int) -> None:
         """Let 1 or more steps pass without computing their Scene.

@@ -13,7 +13,7 @@ from support import interruptible
 
 PROGRAM_THAT_RUNS_WORK = """\
 import sys
-from mcp_asdf_tools.common.signals import INTERRUPTED, exit_code_of_signal, stopping
+from mcp_asdf_tools.common.signals import INTERRUPTED, exit_code_of_signal, raising_on_signals
 
 def work():
     try:
@@ -22,7 +22,7 @@ def work():
         return INTERRUPTED
     return 0
 
-with stopping(interrupt=True):
+with raising_on_signals():
     code = exit_code_of_signal(work())
 sys.exit(code)
 """

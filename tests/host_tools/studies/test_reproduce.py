@@ -105,9 +105,9 @@ def opened_stores(monkeypatch: pytest.MonkeyPatch) -> OpenedStores:
     """What the command opens its results with; the command ends then, before any trial."""
     opened_stores = OpenedStores()
 
-    def record_and_end(folder: Path, parts: list[StudyPart], *_others: Any) -> None:
+    def record_and_end(folder: Path, experiments_by_key: dict[tuple[StudyPart, str], Any]) -> None:
         opened_stores.folder = folder
-        opened_stores.parts = parts
+        opened_stores.parts = [study_part for study_part, _users_name in experiments_by_key]
         raise UsageError("no trial is to be run")
 
     monkeypatch.setattr(reproduce, "open_stores", record_and_end)

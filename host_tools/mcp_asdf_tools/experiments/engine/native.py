@@ -15,7 +15,11 @@ from mcp_asdf_tools.experiments import _engine
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.world.arena import Arena, allocate_memory, make_config
 from mcp_asdf_tools.world.graph import Graph
-from mcp_asdf_tools.world.sensors import black_probabilities, make_sensor_model
+from mcp_asdf_tools.world.sensors import (
+    black_probabilities_anywhere,
+    black_probabilities_by_colour,
+    make_sensor_model,
+)
 
 RECORD_DTYPE = np.dtype(
     [("beta", "u8"), *((name, "u4") for name in ("t", "n", "x_hat", "alpha", "x_bar", "x", "b_hat"))],
@@ -221,17 +225,18 @@ def _black_probabilities(experiment: Experiment, first: int, trials: int) -> NDA
     along which all values are alike has the length 1. Raises UsageError if a sensor extension answers
     otherwise than it should.
     """
-    # A moving robot's tile has a colour; robots that do not move get black with the probability fill_ratio.
-    fill_ratio = None if experiment.is_dynamic else experiment.fill_ratio
     # Built-in sensors are alike in all trials, so that one trial stands for all.
     distinct_trial_count = trials if experiment.sensor else 1
     probabilities = []
     for index in range(distinct_trial_count):
         accuracies = make_sensor_model(experiment, first + index).advance(experiment.steps)
-        # The engine derives the probability on white tiles: trials run in C only where the accuracies on both
-        # colours are equal.
-        on_black, _on_white = black_probabilities(accuracies, fill_ratio)
-        probabilities.append(on_black)
+        if experiment.is_dynamic:
+            # The engine derives the probability on white tiles: trials run in C only where the accuracies on
+            # both colours are equal.
+            on_black, _on_white = black_probabilities_by_colour(accuracies)
+            probabilities.append(on_black)
+        else:
+            probabilities.append(black_probabilities_anywhere(accuracies, experiment.fill_ratio))
     return np.stack(probabilities)
 
 

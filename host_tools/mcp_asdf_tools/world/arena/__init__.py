@@ -20,6 +20,18 @@ from mcp_asdf_tools.world.floor_code import make_floor_code
 from mcp_asdf_tools.world.philox import arena_seed
 from mcp_asdf_tools.world.settings import WorldSettings
 
+_KIND_OF_MEMBER: dict[str, type[np.generic]] = {
+    "x": np.float64,
+    "y": np.float64,
+    "cx": np.float64,
+    "cy": np.float64,
+    "black": np.uint8,
+    "wheels": np.uint8,
+    "avoids": np.uint8,
+}
+"""Members of the C struct that have a value for each robot, and the type of the values; (cx, cy) is the
+heading."""
+
 
 @dataclass(frozen=True, eq=False)
 class Motion:
@@ -63,8 +75,8 @@ class Arena:
     @property
     def positions(self) -> NDArray[np.float64]:
         """Centres, shape (N, 2), in metres from the middle of the floor."""
-        xs = self._values_now("x", np.dtype(np.float64))
-        ys = self._values_now("y", np.dtype(np.float64))
+        xs = self._values_now("x")
+        ys = self._values_now("y")
         return np.stack([xs, ys], axis=1)
 
     def is_black(self, x: float, y: float) -> bool:
@@ -100,52 +112,43 @@ class Arena:
         The result has arrays whose first axis is the tick: positions and headings, the colour under each
         robot, how wheels turn, who avoids an obstacle, and who receives from whom.
         """
-        shape = (ticks, self.settings.robots)
-        position = np.empty((*shape, 2))  # x and y along the last axis, as in the next array
-        heading = np.empty((*shape, 2))
-        black = np.empty(shape, np.uint8)
-        wheels = np.empty(shape, np.uint8)
-        avoids = np.empty(shape, np.uint8)
-        adjacency = np.zeros((*shape, self.settings.robots), np.bool_)
-        # Each of these members of the C struct has the present values of all robots, which are copied to a
-        # row of an array in every tick.
-        rows_by_member: dict[str, NDArray[Any]] = {
-            "x": position[:, :, 0],
-            "y": position[:, :, 1],
-            "cx": heading[:, :, 0],
-            "cy": heading[:, :, 1],
-            "black": black,
-            "wheels": wheels,
-            "avoids": avoids,
-        }
-        # Views of the members' memory, which show the new values after every step.
-        current_values = {name: self._values_now(name, rows.dtype) for name, rows in rows_by_member.items()}
+        robots = self.settings.robots
+        # Views of the C struct's members, which show the new values after every step.
+        values_now = {name: self._values_now(name) for name in _KIND_OF_MEMBER}
+        rows = {name: np.empty((ticks, robots), kind) for name, kind in _KIND_OF_MEMBER.items()}
+        adjacency = np.zeros((ticks, robots, robots), np.bool_)
         for tick in range(ticks):
             self.step()
-            for name, rows in rows_by_member.items():
-                rows[tick] = current_values[name]
+            for name, values in values_now.items():
+                rows[name][tick] = values
+            lower_ids, higher_ids = self._linked_pairs()
             # Robots in range of each other receive both ways.
-            pairs = self._linked_pairs()
-            lower_ids = pairs[:, 0]
-            higher_ids = pairs[:, 1]
             adjacency[tick, lower_ids, higher_ids] = True
             adjacency[tick, higher_ids, lower_ids] = True
-        return Motion(position, heading, black, wheels, avoids, adjacency)
+        return Motion(
+            position=np.stack([rows["x"], rows["y"]], axis=2),
+            heading=np.stack([rows["cx"], rows["cy"]], axis=2),
+            black=rows["black"],
+            wheels=rows["wheels"],
+            avoids=rows["avoids"],
+            adjacency=adjacency,
+        )
 
-    def _linked_pairs(self) -> NDArray[np.uint16]:
-        """Return the pairs of robots that receive from each other now, shape (pairs, 2), lower id first.
+    def _linked_pairs(self) -> tuple[NDArray[np.uint16], NDArray[np.uint16]]:
+        """Return the pairs of robots that receive from each other now: the lower ids, and the higher ones.
 
-        It is a view of the C memory, which holds until the next step.
+        They are views of the C memory, which hold until the next step.
         """
         bytes_in_pair = 4  # two ids of 16 bits
         links = _arena.ffi.buffer(self._arena.links, bytes_in_pair * self._arena.link_count)
-        return np.frombuffer(links, np.uint16).reshape(-1, 2)
+        pairs = np.frombuffer(links, np.uint16).reshape(-1, 2)
+        return pairs[:, 0], pairs[:, 1]
 
-    def _values_now(self, name: str, kind: np.dtype[Any]) -> NDArray[Any]:
+    def _values_now(self, name: str) -> NDArray[Any]:
         """Return a view of a member of the C struct, shape (N,), with the values of the present tick."""
-        pointer = getattr(self._arena, name)
+        kind = np.dtype(_KIND_OF_MEMBER[name])
         byte_count = self.settings.robots * kind.itemsize
-        return np.frombuffer(_arena.ffi.buffer(pointer, byte_count), kind)
+        return np.frombuffer(_arena.ffi.buffer(getattr(self._arena, name), byte_count), kind)
 
 
 def allocate_memory(size: int) -> NDArray[np.float64]:
