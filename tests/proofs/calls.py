@@ -14,17 +14,23 @@ from proofs.arithmetic import high_word, low_word, wide, zero_extend
 from proofs.machine import Machine
 from proofs.numbers import IntegerType, Number
 from proofs.prove import Contract, result_of, uninterpreted
-from proofs.robust import ONE, choose_terms, is_same, may_run, may_vote
+from proofs.robust import (
+    B_HAT_RANGE,
+    ONE,
+    ROBUST,
+    choose_terms,
+    has_observed,
+    is_b_hat_or_zero,
+    is_robust,
+    is_same,
+    keeps_initial_b_hat,
+    may_run,
+    may_vote,
+    minimum_of,
+)
 from proofs.source import Variant
 
-ROBUST = 3
-"""The configuration's value for the robust filter."""
 UPDATED, REPEATED, ERR_OBSERVATION, ERR_SENDER, ERR_X_HAT = 2, 1, -5, -6, -7
-
-
-def is_robust(config: Any) -> Any:
-    """Return that a configuration has the robust filter."""
-    return config["filter"] == ROBUST
 
 
 def alpha_in_units(alpha: Any) -> Any:
@@ -211,11 +217,6 @@ def _may_settle(robot: Any) -> Any:
     )
 
 
-def _keeps_initial_b_hat(robot_after: Any, robot: Any) -> Any:
-    """Return what the contract of take_vote() says of the member that a run of the robust filter needs."""
-    return robot_after["robust"]["initial_b_hat"] == robot["robust"]["initial_b_hat"]
-
-
 def _is_settled(status: Any, robot_after: Any, robot: Any) -> Any:
     """Return what settle promises.
 
@@ -259,7 +260,7 @@ SETTLE = Contract(
     requires=_may_settle,
     stand_ins={
         "update_b_hat": uninterpreted("update_b_hat", *FILTER_CHANGES, requires=_may_update),
-        "take_vote": uninterpreted("take_vote", "robust", requires=may_vote, ensures=_keeps_initial_b_hat),
+        "take_vote": uninterpreted("take_vote", "robust", requires=may_vote, ensures=keeps_initial_b_hat),
     },
 )
 
@@ -365,6 +366,44 @@ def _is_test_of_paper(rejects: Any, _robot_after: Any, robot: Any) -> list[Any]:
 # design: R24
 TEST = Contract(_is_test_of_paper, _may_test, stand_ins={"multiply": _call_multiply})
 
+# --- The re-estimate -------------------------------------------------------------------------------------
+
+
+def _is_reestimated(b_hat: Any, _robot_after: Any, robot: Any, x_bar: Any) -> list[Any]:
+    """Return that b_hat is eq. 8 within its range, or 0 if x_bar says nothing. It is a quotient of any value.
+
+    Where x_bar is below 1/2 the colours are exchanged, and x is 1 - x_bar, and 2^-32 less.
+    """
+    t = robot["t"]
+    is_mirrored = z3.ULT(x_bar, 2**31)
+    x, n = z3.If(is_mirrored, ~x_bar, x_bar), z3.If(is_mirrored, t - robot["n"], robot["n"])
+    # Both sides of eq. 8 are multiplied by t: t (2 x - 1), and n - t (1 - x), in units of 2^-32.
+    g = 2 * x  # the 1 is 2^32, which is lost in 32 bits
+    divisor = result_of("multiply", 64, t, g)
+    dividend = z3.Concat(n, z3.BitVecVal(0, 32)) - result_of("multiply", 64, t, -x)
+    positive_dividend = z3.If(dividend < 0, z3.BitVecVal(0, 64), dividend)
+    quotient = result_of("quotient", 32, minimum_of(positive_dividend, divisor), divisor)
+    least, largest = (z3.BitVecVal(limit, 32) for limit in B_HAT_RANGE)
+    limited_quotient = z3.If(z3.ULT(quotient, least), least, minimum_of(quotient, largest))
+    is_eq_8 = b_hat == z3.If(z3.ULT(g, 2**20), z3.BitVecVal(0, 32), limited_quotient)
+    return [is_b_hat_or_zero(b_hat), is_eq_8]
+
+
+def _is_zero_only_for_zero(product: Any, a: Any, b: Any) -> Any:
+    """Return what follows from the lemma of multiply(): a product is 0 only if one of its factors is."""
+    return z3.Implies(product == 0, z3.Or(a == 0, b == 0))
+
+
+# design: R23
+REESTIMATE = Contract(
+    _is_reestimated,
+    requires=has_observed,
+    stand_ins={
+        "multiply": uninterpreted("multiply", ensures=_is_zero_only_for_zero),
+        "quotient": uninterpreted("quotient", requires=arithmetic.QUOTIENT.requires),
+    },
+)
+
 # --- Alpha, and the means over a round -------------------------------------------------------------------
 
 
@@ -451,6 +490,7 @@ CONTRACTS = {
     "mcp_asdf_settle": SETTLE,
     "update_b_hat": UPDATE_B_HAT,
     "asdf_test_rejects": TEST,
+    "reestimate": REESTIMATE,
     "alpha_units": Contract(_is_in_units),
     "alpha_word_from_mantissa": Contract(_is_rounded_alpha, _is_normal),
     "round_mean": ROUND_MEAN,

@@ -129,8 +129,7 @@ def prove_contract(program: Program, name: str, contracts: Contracts) -> None:
         run = partial(_run_function, name=name, requires=contract.requires, constants=constants)
         is_possible = False
         for machine, terms in all_paths(make_machine, run):
-            for obligation in machine.obligations:
-                prove(obligation.claim, *obligation.facts, description=f"{name}: {obligation.description}")
+            prove_obligations(machine, name)
             if terms is None:
                 continue
             is_possible = is_possible or _check_satisfiable(*machine.facts)[0] == z3.sat
@@ -140,6 +139,12 @@ def prove_contract(program: Program, name: str, contracts: Contracts) -> None:
         # If no arguments fulfilled the facts, any result would.
         if not is_possible:
             raise UnprovenError(f"{name}: nothing is found that satisfies what is taken for known")
+
+
+def prove_obligations(machine: Machine, name: str) -> None:
+    """Prove what the code of a function relies on, as far as the machine met it for the first time."""
+    for obligation in machine.obligations:
+        prove(obligation.claim, *obligation.facts, description=f"{name}: {obligation.description}")
 
 
 def _requires_proved_constant(program: Program, name: str, contract: Contract) -> Formula:

@@ -1,9 +1,10 @@
 """Contracts of the robust filter (docs/design.md, section 13), for all inputs.
 
 A vote moves the centre and the spread as that section says, keeps both in their ranges, and never moves the
-centre beyond the vote. The test of the initial b_hat is formed as that section says. A run of the filter
-changes nothing but what it may change. ``test_overflow.py`` shows that no product of the test wraps; how near
-its decision is to the exact one, ``mcp-asdf crosscheck`` tries with fractions.
+centre beyond the vote. The dispersion after a batch and the test of the initial b_hat are formed as that
+section says, and a run of the filter calls all this with the right arguments and changes nothing else.
+``test_overflow.py`` shows that no product of the test wraps; how near its decision is to the exact one,
+``mcp-asdf crosscheck`` tries with fractions.
 """
 
 from __future__ import annotations
@@ -14,15 +15,22 @@ from typing import Any
 import z3
 
 from proofs.arithmetic import QUOTIENT, high_word, low_word, zero_extend
-from proofs.machine import ConstantTable, Machine, Summary
-from proofs.numbers import Number, convert
-from proofs.prove import Contract, any_result, result_of, uninterpreted
+from proofs.machine import ConstantTable, Machine, Pointer
+from proofs.numbers import IntegerType, Number, convert
+from proofs.prove import Contract, result_of, uninterpreted
 
+ROBUST = 3
+"""The configuration's value for the robust filter."""
 ONE = 2**23
 """An x_hat of 1."""
 B_HAT_RANGE = (2**12, 2**32 - 2**12)
 SLOTS = 32
 VOTES_MAX = 2**9
+
+
+def is_robust(config: Any) -> Any:
+    """Return that a configuration has the robust filter."""
+    return config["filter"] == ROBUST
 
 
 def is_same(actual: Any, expected: Any) -> Any:
@@ -212,80 +220,151 @@ ROBUST_TEST = Contract(
 
 # --- A run of the filter ------------------------------------------------------------------------------------
 
-RUN_CHANGES = ("batch_t", "batch_n", "dispersion")
-"""Members of the robust filter that a run of it may change."""
+
+def _is_robust_robot(robot: dict[str, Any], *_arguments: Any) -> Any:
+    return is_robust(robot["config"])
+
+
+def keeps_initial_b_hat(robot_after: dict[str, Any], robot: dict[str, Any], *_arguments: Any) -> Any:
+    """Return what the contracts of take_vote() and end_batch() say of a member that is needed after them."""
+    return robot_after["robust"]["initial_b_hat"] == robot["robust"]["initial_b_hat"]
+
+
+def _is_batch_ended(robot_after: dict[str, Any], robot: dict[str, Any], share: Any) -> Any:
+    """Return that the dispersion follows the ratio of the batch, and that the next batch begins."""
+    product, upper_product = partial(result_of, "multiply", 64), partial(result_of, "multiply_high", 32)
+    robust = robot["robust"]
+    count, black_count = robot["t"] - robust["batch_t"], robot["n"] - robust["batch_n"]
+    dispersion = zero_extend(robust["dispersion"], 32)
+    # The largest ratio is 12 times the dispersion. Its square in variances is shifted from 2^-40 to 2^-22.
+    variance = product(count, upper_product(share, -share))
+    largest_ratio = low_word(product(z3.BitVecVal(12, 32), dispersion))
+    largest_square = (product(largest_ratio, high_word(variance)) << 14) + z3.LShR(
+        product(largest_ratio, low_word(variance)), 18
+    )
+    # The deviation is shifted from 2^-32 to 2^-11, and may then be too long for a word.
+    observed, expected = z3.Concat(black_count, z3.BitVecVal(0, 32)), product(count, share)
+    deviation = z3.LShR(z3.If(z3.UGT(observed, expected), observed - expected, expected - observed), 21)
+    limited_deviation = z3.If(high_word(deviation) == 0, low_word(deviation), z3.BitVecVal(-1, 32))
+    square = minimum_of(product(limited_deviation, limited_deviation), largest_square)
+    # The ratio is as large a part of the largest ratio as the square is of the largest square.
+    ratio = upper_product(largest_ratio, result_of("quotient", 32, square, largest_square))
+    average = z3.LShR(low_word(product(z3.BitVecVal(7, 32), dispersion)) + ratio, 3)
+    limited_average = minimum_of(average, z3.BitVecVal(2**16 - 1, 32))
+    new_dispersion = z3.If(z3.ULT(limited_average, 2**8), z3.BitVecVal(2**8, 32), limited_average)
+    new_members = {
+        "batch_t": robot["t"],
+        "batch_n": robot["n"],
+        "dispersion": z3.If(largest_square == 0, robust["dispersion"], z3.Extract(15, 0, new_dispersion)),
+    }
+    return is_same(robot_after, {**robot, "robust": {**robust, **new_members}})
+
+
+# design: R37
+END_BATCH = Contract(
+    _is_batch_ended,
+    requires=_is_robust_robot,
+    stand_ins={
+        "quotient": uninterpreted("quotient", requires=QUOTIENT.requires),
+        **{name: uninterpreted(name) for name in ("multiply", "multiply_high")},
+    },
+)
 
 ESTIMATE_COUNT = z3.BitVec("estimate_count", 32)
-"""Number of the estimates that a robot keeps. It stands for the result of sort_estimates()."""
-REJECTS, IS_SUPPORTED = z3.BitVecs("rejects is_supported", 1)
-"""Whether the test rejects, and whether two fifths support the robot: 1 for yes, 0 for no.
-
-They stand for the results of robust_test_rejects() and is_supported(), of which nothing is known.
-"""
-NEW_B_HAT = z3.BitVec("new_b_hat", 32)
-"""The re-estimated b_hat, or 0 if there is none. It stands for the result of reestimate()."""
+SORTED_ESTIMATES = {index: z3.BitVec(f"sorted_estimate_{index}", 16) for index in range(SLOTS)}
+"""How many estimates sort_estimates() writes, and which: they may be any numbers."""
 
 
-def _is_b_hat_or_zero(b_hat: Any, *_arguments: Any) -> Any:
+def _call_sort_estimates(machine: Machine, _robot: Any, sorted_estimates: Pointer) -> Number:
+    """Stand in for sort_estimates(), which fills an array, and returns a count of at most 32."""
+    for index, estimate in SORTED_ESTIMATES.items():
+        sorted_estimates.container[index] = Number(estimate, IntegerType(16))
+    machine.facts.append(z3.ULE(ESTIMATE_COUNT, SLOTS))
+    return Number(ESTIMATE_COUNT, IntegerType(32))
+
+
+def is_b_hat_or_zero(b_hat: Any, *_arguments: Any) -> Any:
+    """Return that the result of a function is in the range of b_hat, or 0 for none."""
     return z3.Or(b_hat == 0, z3.And(z3.UGE(b_hat, B_HAT_RANGE[0]), z3.ULE(b_hat, B_HAT_RANGE[1])))
 
 
+def has_observed(robot: dict[str, Any], *_arguments: Any) -> Any:
+    """Return that the robot has an observation."""
+    return robot["t"] != 0
+
+
 def may_run(robot: dict[str, Any]) -> Any:
-    """Return what a run of the filter needs: an observation, and an initial b_hat in its range."""
-    b_hat, t = robot["robust"]["initial_b_hat"], robot["t"]
-    return z3.And(t != 0, z3.ULE(robot["n"], t), b_hat != 0, _is_b_hat_or_zero(b_hat))
+    """Return what a run needs: the robust filter, an observation, and an initial b_hat in its range."""
+    b_hat = robot["robust"]["initial_b_hat"]
+    has_b_hat = z3.And(b_hat != 0, is_b_hat_or_zero(b_hat))
+    return z3.And(_is_robust_robot(robot), has_observed(robot), z3.ULE(robot["n"], robot["t"]), has_b_hat)
+
+
+def _median_of_estimates() -> Any:
+    """Return the median of the sorted estimates, the mean of the middle one or two, in units of 2^-24."""
+
+    def estimate_at(position: Any) -> Any:
+        estimate = SORTED_ESTIMATES[0]
+        for index, other_estimate in SORTED_ESTIMATES.items():
+            estimate = z3.If(position == index, other_estimate, estimate)
+        return zero_extend(estimate, 32)
+
+    sum_of_middle_two = estimate_at(z3.UDiv(ESTIMATE_COUNT - 1, 2)) + estimate_at(z3.UDiv(ESTIMATE_COUNT, 2))
+    # Shifted by 8, a unit of 2^-16 has the unit 2^-24; the mean of two takes one bit less.
+    return sum_of_middle_two << 7
 
 
 def _is_run_of_filter(b_hat: Any, robot_after: dict[str, Any], robot: dict[str, Any]) -> Any:
     """Return that a run gives the b_hat of section 13, and counts its test.
 
-    Beside that it changes the batch and the dispersion at most.
+    The functions that it calls are any functions of their arguments: the claim is that each gets the right
+    ones. Beside the counter, the run changes only what end_batch() does.
     """
-    robust_before = robot["robust"]
-    initial_b_hat, tests = robust_before["initial_b_hat"], robot["counters"]["tests"]
+    initial_b_hat, tests = robot["robust"]["initial_b_hat"], robot["counters"]["tests"]
+    estimates = (SORTED_ESTIMATES, ESTIMATE_COUNT)
+    share = result_of("quotient", 32, zero_extend(robot["n"]), zero_extend(robot["t"]))
+    centre = _median_of_estimates()
+    spread = result_of("median_distance", 32, *estimates, centre)
+    for _ in range(3):
+        centre = result_of("huber_step", 32, *estimates, centre, spread)
+    # The test takes units of 2^-32. Before it the batch has ended, and after it the robot stays as it is.
+    centre, spread = centre << 8, spread << 8
+    rejects = result_of("robust_test_rejects", 1, robot_after, share, centre, spread)
+    is_supported = result_of("is_supported", 1, robot_after, *estimates, share, centre)
+    new_b_hat = result_of("reestimate", 32, robot_after, centre)
+
     is_tested = z3.UGE(ESTIMATE_COUNT, 5)
-    is_updated = z3.And(REJECTS != 0, IS_SUPPORTED == 0)
+    is_updated = z3.And(rejects != 0, is_supported == 0)
     # 0 means that b_hat stays as it is.
     kept_b_hat = z3.If(robot["accuracy"]["b_hat"] == initial_b_hat, z3.BitVecVal(0, 32), initial_b_hat)
-    expected_b_hat = z3.If(is_updated, NEW_B_HAT, kept_b_hat)
-    kept_members = {name: member for name, member in robust_before.items() if name not in RUN_CHANGES}
-    other_members = {name: member for name, member in robot.items() if name not in ("robust", "counters")}
-    expected_counters = {**robot["counters"], "tests": z3.If(is_tested, tests + 1, tests)}
+    expected_b_hat = z3.If(is_updated, new_b_hat, kept_b_hat)
+    expected_robot = {
+        **robot,
+        "robust": result_of("end_batch robust", robot["robust"], robot, share),
+        "counters": {**robot["counters"], "tests": z3.If(is_tested, tests + 1, tests)},
+    }
     return z3.And(
         b_hat == z3.If(is_tested, expected_b_hat, z3.BitVecVal(0, 32)),
-        _is_b_hat_or_zero(b_hat),
-        is_same(robot_after["robust"], kept_members),
-        is_same(robot_after["counters"], expected_counters),
-        is_same(robot_after, other_members),
+        is_b_hat_or_zero(b_hat),
+        is_same(robot_after, expected_robot),
     )
 
-
-def _returns(name: str, term: Any, fact: Any = True) -> Summary:
-    """Return a stand-in for a function that is called once: it returns a term of which a fact is known."""
-
-    def return_term(machine: Machine, *arguments: Any) -> Number:
-        result = any_result(name)(machine, *arguments)
-        machine.facts.append(z3.And(fact))
-        return Number(term, result.type)
-
-    return return_term
-
-
-REESTIMATE = Contract(
-    _is_b_hat_or_zero, stand_ins={name: any_result(name) for name in ("multiply", "quotient")}
-)
 
 # design: R37
 RUN = Contract(
     _is_run_of_filter,
     requires=may_run,
     stand_ins={
-        "quotient": any_result("quotient", requires=QUOTIENT.requires),
-        "sort_estimates": _returns("sort_estimates", ESTIMATE_COUNT, z3.ULE(ESTIMATE_COUNT, SLOTS)),
-        "robust_test_rejects": _returns("robust_test_rejects", REJECTS),
-        "is_supported": _returns("is_supported", IS_SUPPORTED),
-        "reestimate": _returns("reestimate", NEW_B_HAT, _is_b_hat_or_zero(NEW_B_HAT)),
-        **{name: any_result(name) for name in ("multiply", "multiply_high", "median_distance", "huber_step")},
+        "sort_estimates": _call_sort_estimates,
+        "quotient": uninterpreted("quotient", requires=QUOTIENT.requires),
+        "end_batch": uninterpreted(
+            "end_batch", "robust", requires=_is_robust_robot, ensures=keeps_initial_b_hat
+        ),
+        "reestimate": uninterpreted("reestimate", requires=has_observed, ensures=is_b_hat_or_zero),
+        **{
+            name: uninterpreted(name)
+            for name in ("median_distance", "huber_step", "robust_test_rejects", "is_supported")
+        },
     },
 )
 
@@ -294,6 +373,6 @@ CONTRACTS = {
     "statistics_after_vote": VOTE_STATISTICS,
     "take_vote": VOTE,
     "robust_test_rejects": ROBUST_TEST,
-    "reestimate": REESTIMATE,
+    "end_batch": END_BATCH,
     "run_robust_filter": RUN,
 }

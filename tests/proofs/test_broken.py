@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from proofs import calls
+from proofs.loops import prove_loops_end
 from proofs.prove import Contract, UnprovenError, always, any_result, prove_contract, prove_lemma
 from proofs.source import ARITHMETIC, CORE, SOURCES, VARIANTS, Program, Variant, program
 from support import slow
@@ -54,6 +55,10 @@ MISTAKES = (
     Mistake("alpha_units", "alpha >> 8, alpha)", "alpha >> 7, alpha)"),
     Mistake("alpha_word_from_mantissa", "(0U - exponent) & 31U", "(1U - exponent) & 31U"),
     Mistake("reestimate", "b_hat > MCP_ASDF_B_HAT_MIN ? b_hat", "b_hat > 0U ? b_hat"),
+    Mistake("reestimate", "if (x_bar < Q32_HALF)", "if (x_bar >= Q32_HALF)"),
+    Mistake("reestimate", "dividend < divisor ? dividend : divisor;", "dividend;"),
+    Mistake("end_batch", "robot->n - robust->batch_n", "robot->n - robust->batch_t"),
+    Mistake("run_robust_filter", "sorted[(count - 1U) / 2U]", "sorted[count / 2U]"),
     Mistake("next_slot", "shift_left(UINT32_MAX, turn)", "shift_left(UINT32_MAX, turn + 1U)"),
     Mistake("statistics_after_vote", "if (distance > spread)", "if (distance >= spread)"),
     Mistake("take_vote", "is_own ? robot->x_hat", "!is_own ? robot->x_hat"),
@@ -119,6 +124,29 @@ def test_a_function_with_a_mistake_has_no_proof_of_its_contract(mistake: Mistake
 
     with pytest.raises(UnprovenError):
         prove_lemma(code, mistake.function, calls.contracts(mistake.variant))
+
+
+# --- Loops -----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("function", "original_code", "mistaken_code"),
+    [
+        pytest.param("huber_step", "i < count; ++i) { /* at most 32", "i <= count; ++i) { /* at most 32"),
+        pytest.param("median_distance", "at most 17 turns", "at most 16 turns"),
+        pytest.param("sort_estimates", "++slot)", "slot += 0U)"),
+        pytest.param("is_supported", "supporters += ", "--i; supporters += ", id="moves the counter back"),
+        pytest.param("huber_step", "++inside;", "++inside; ++count;", id="moves the limit away"),
+    ],
+)
+def test_a_loop_with_a_mistake_is_not_taken_to_end(
+    function: str, original_code: str, mistaken_code: str, tmp_path: Path
+) -> None:
+    """It may have more turns than the comment beside it says, or its body may change what the loop counts."""
+    code = parse_with_mistake(tmp_path, Mistake(function, original_code, mistaken_code))
+
+    with pytest.raises(AssertionError):  # of which UnprovenError is a kind
+        prove_loops_end(code, function)
 
 
 # --- Contracts that promise nothing -----------------------------------------------------------------------

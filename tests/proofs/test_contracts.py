@@ -8,14 +8,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import z3
-from pycparser import c_ast
 
 from proofs.arithmetic import RECIPROCAL_LIMITS, is_tried
 from proofs.arithmetic import contracts as contracts_of_arithmetic
 from proofs.calls import contracts
-from proofs.machine import Machine, all_paths
-from proofs.prove import Contract, always, prove, prove_contract, prove_lemma
+from proofs.loops import prove_loops_end
+from proofs.prove import prove_lemma
 from proofs.source import (
     ARITHMETIC,
     CORE,
@@ -24,9 +22,7 @@ from proofs.source import (
     LANES_HEADER,
     SOURCES,
     VARIANTS,
-    Program,
     Variant,
-    nodes,
     program,
 )
 from support import require, run, slow
@@ -130,50 +126,6 @@ FIRMWARE = (
     *(SOURCES / f"mcp_asdf_{part}.c" for part in ("image", "frame", "small")),
 )
 """The firmware, but for the arithmetic, whose contracts say that its loops end."""
-LIMITS = {
-    ("is_valid_table", "hash_index"): (0, 129),
-    ("mcp_asdf_x_hat_from_code", "bits"): (1, 23),  # what its header asks of a caller
-    # The number of estimates kept is that of sort_estimates(), which counts once in each of 32 turns at most.
-    **{(name, "count"): (0, 32) for name in ("median_distance", "huber_step", "is_supported")},
-    ("sort_estimates", "i"): (0, 31),  # the count before it is incremented
-}
-"""The lowest and the highest value of a variable that a loop's counter starts from or is compared with.
-
-The key has the names of the function and of the variable.
-"""
-REQUIREMENTS = {"long_code_from_alpha": lambda alpha: z3.LShR(alpha, 8) != 0}
-"""The condition under which a function's loop ends, by the function's name.
-
-A condition takes the term of the function's argument. The function's callers see to it.
-"""
-
-
-def prove_ends(code: Program, name: str, loop: Any) -> None:
-    """Prove that a loop ends, whatever memory holds.
-
-    Of a ``for`` the counter is enough, as its body does not change it (rule 14.2 of MISRA). A ``while`` needs
-    the whole function, with unknown arguments.
-    """
-    if isinstance(loop, c_ast.While):
-        prove_contract(code, name, {name: Contract(always, REQUIREMENTS.get(name, always))})
-        return
-
-    def execute_empty_loop(machine: Machine) -> None:
-        names_in_condition = {identifier.name for identifier in nodes(loop.cond, c_ast.ID)}
-        for declaration in nodes(code.functions[name], c_ast.Decl):
-            limits = LIMITS.get((name, declaration.name))
-            if limits is None and declaration.name not in names_in_condition:
-                continue
-            value = machine.fresh_argument(declaration)
-            machine.declare(declaration.name, declaration.type, value)
-            if limits is not None:
-                lowest, highest = limits
-                machine.facts.append(z3.And(z3.UGE(value.term, lowest), z3.ULE(value.term, highest)))
-        machine.execute(c_ast.For(loop.init, loop.cond, loop.next, c_ast.EmptyStatement(), loop.coord))
-
-    for machine, _result in all_paths(lambda path: Machine(code, decisions=path), execute_empty_loop):
-        for obligation in machine.obligations:
-            prove(obligation.claim, *obligation.facts, description=f"{name}: {obligation.description}")
 
 
 # design: R34
@@ -182,14 +134,11 @@ def prove_ends(code: Program, name: str, loop: Any) -> None:
 def test_every_loop_of_the_firmware_ends(path: Path, variant: Variant) -> None:
     """It does within the turns that a comment beside it states: so no call hangs.
 
-    The variables beside a loop's counter may hold anything, in each turn anew. ``prove_ends`` raises
-    UnprovenError if the loop might go on.
+    ``prove_loops_end`` raises UnprovenError if a loop of a function might go on.
     """
     code = program(variant, path)
     for name in code.defined_in(path):
-        function = code.functions[name]
-        for loop in (*nodes(function, c_ast.For), *nodes(function, c_ast.While)):
-            prove_ends(code, name, loop)
+        prove_loops_end(code, name)
 
 
 # design: R34
