@@ -54,34 +54,45 @@ static void broadcast(void)
     }
 }
 
-/* Send a heartbeat, with the number of lost packets as its vendor status, and telemetry for observers. Called
- * once a second. */
-static void report(void)
+/* Send a heartbeat, with the seconds since the start, and the number of lost packets as its vendor status. */
+static void send_heartbeat(uint32_t seconds, uint8_t transfer_id)
 {
-    static uint32_t seconds;                      /* since the start, and so the number of reports */
-    const uint8_t transfer_id = (uint8_t)seconds; /* the number of earlier reports, modulo 256 */
-    ++seconds;
     const uint8_t health =
         mcp_asdf_invariants_hold(&robot) ? MCP_ASDF_HEALTH_NOMINAL : MCP_ASDF_HEALTH_WARNING;
-    const uint8_t updates = (uint8_t)mcp_asdf_counters(&robot).updates; /* modulo 256 */
     const mcp_asdf_heartbeat_t heartbeat = {.node = DEMO_ID,
                                             .transfer_id = transfer_id,
                                             .health = health,
                                             .mode = MCP_ASDF_MODE_OPERATIONAL,
                                             .vendor_status = radio_lost_packets(),
                                             .uptime = seconds};
-    const mcp_asdf_telemetry_t telemetry = {.node = DEMO_ID,
-                                            .transfer_id = transfer_id,
-                                            .updates = updates,
-                                            .x = mcp_asdf_x(&robot),
-                                            .b_hat = mcp_asdf_b_hat(&robot) >> 8}; /* Q32 to Q24 */
     mcp_asdf_frame_t frame;
     if (mcp_asdf_encode_heartbeat(&frame, estimate_format.priority, &heartbeat) == MCP_ASDF_FRAME_OK) {
         radio_send(&frame);
     }
+}
+
+/* Send x, b_hat and the number of updates, modulo 256, for observers. */
+static void send_telemetry(uint8_t transfer_id)
+{
+    const mcp_asdf_telemetry_t telemetry = {.node = DEMO_ID,
+                                            .transfer_id = transfer_id,
+                                            .updates = (uint8_t)mcp_asdf_counters(&robot).updates,
+                                            .x = mcp_asdf_x(&robot),
+                                            .b_hat = mcp_asdf_b_hat(&robot) >> 8}; /* Q32 to Q24 */
+    mcp_asdf_frame_t frame;
     if (mcp_asdf_encode_telemetry(&frame, &telemetry_format, &telemetry) == MCP_ASDF_FRAME_OK) {
         radio_send(&frame);
     }
+}
+
+/* Send a heartbeat and telemetry. Called once a second. */
+static void report(void)
+{
+    static uint32_t seconds;                      /* since the start, and so the number of reports */
+    const uint8_t transfer_id = (uint8_t)seconds; /* the number of earlier reports, modulo 256 */
+    ++seconds;
+    send_heartbeat(seconds, transfer_id);
+    send_telemetry(transfer_id);
 }
 
 /* Run a control tick: pass the colour of the tile to the firmware, if the sensor recognises it, send the

@@ -37,6 +37,38 @@ uint8_t IdOfName(const std::string &name)
     return static_cast<uint8_t>(id);
 }
 
+/* Return the packet of an estimate. Throws CARGoSException for an estimate that no robot can have. */
+CByteArray EncodePacket(const mcp_asdf_estimate_t &estimate)
+{
+    mcp_asdf_frame_t frame;
+    const mcp_asdf_frame_status_t status = mcp_asdf_encode_estimate(&frame, &ESTIMATE_FORMAT, &estimate);
+    if (status != MCP_ASDF_FRAME_OK) {
+        THROW_ARGOSEXCEPTION("mcp_asdf_encode_estimate() returned " << status);
+    }
+    CByteArray packet(PACKET_SIZE);
+    packet[0] = estimate.node;
+    for (size_t index = 0; index < FRAME_SIZE; ++index) {
+        packet[1 + index] = frame.data[index];
+    }
+    return packet;
+}
+
+/* Decode the estimate in a packet. Returns false if there is none. A robot that has not broadcast yet sends
+ * zeros, which are no frame: its last byte cannot be 0. */
+bool DecodePacket(mcp_asdf_estimate_t &estimate, const CByteArray &packet)
+{
+    if (packet.Size() != PACKET_SIZE || packet[0] > MCP_ASDF_NODE_MAX) {
+        return false;
+    }
+    mcp_asdf_frame_t frame = {};
+    frame.id = MCP_ASDF_FRAME_FILTER(ESTIMATE_FORMAT.subject) | packet[0];
+    frame.length = FRAME_SIZE;
+    for (size_t index = 0; index < FRAME_SIZE; ++index) {
+        frame.data[index] = packet[1 + index];
+    }
+    return mcp_asdf_decode_estimate(&estimate, ESTIMATE_FORMAT.subject, &frame) == MCP_ASDF_FRAME_OK;
+}
+
 mcp_asdf_config_t ConfigOfFilter(const std::string &filter)
 {
     if (filter == "off") {
@@ -144,18 +176,8 @@ void AsdfController::Broadcast()
 {
     const mcp_asdf_estimate_t estimate = {mcp_asdf_id(&firmware_), broadcast_count_,
                                           mcp_asdf_x_hat(&firmware_), mcp_asdf_alpha(&firmware_)};
-    mcp_asdf_frame_t frame;
-    const mcp_asdf_frame_status_t status = mcp_asdf_encode_estimate(&frame, &ESTIMATE_FORMAT, &estimate);
-    if (status != MCP_ASDF_FRAME_OK) {
-        THROW_ARGOSEXCEPTION("mcp_asdf_encode_estimate() returned " << status);
-    }
     ++broadcast_count_;
-    CByteArray packet(PACKET_SIZE);
-    packet[0] = estimate.node;
-    for (size_t index = 0; index < FRAME_SIZE; ++index) {
-        packet[1 + index] = frame.data[index];
-    }
-    transmitter_->SetData(packet);
+    transmitter_->SetData(EncodePacket(estimate));
 }
 
 void AsdfController::Receive()
@@ -169,21 +191,12 @@ void AsdfController::Receive()
     }
 }
 
-/* Give the estimate in a packet to the firmware. Returns false if there is none, or if the firmware refuses
- * it. A robot that has not broadcast yet sends zeros, which are no frame: its last byte cannot be 0. */
+/* Give the estimate in a packet to the firmware, and log it. Returns false if there is none, or if the
+ * firmware refuses it. */
 bool AsdfController::ReceivePacket(const CByteArray &packet)
 {
-    if (packet.Size() != PACKET_SIZE || packet[0] > MCP_ASDF_NODE_MAX) {
-        return false;
-    }
-    mcp_asdf_frame_t frame = {};
-    frame.id = MCP_ASDF_FRAME_FILTER(ESTIMATE_FORMAT.subject) | packet[0];
-    frame.length = FRAME_SIZE;
-    for (size_t index = 0; index < FRAME_SIZE; ++index) {
-        frame.data[index] = packet[1 + index];
-    }
     mcp_asdf_estimate_t estimate;
-    if (mcp_asdf_decode_estimate(&estimate, ESTIMATE_FORMAT.subject, &frame) != MCP_ASDF_FRAME_OK) {
+    if (!DecodePacket(estimate, packet)) {
         return false;
     }
     const mcp_asdf_status_t status =

@@ -260,6 +260,12 @@ static bus_event_t decode_packet(bus_t *bus, mcp_asdf_frame_t *frame, const uint
     return BUS_FRAME;
 }
 
+/* Whether the sender of a packet is this node itself: a multicast group returns its datagrams. */
+static bool is_own_datagram(const bus_t *bus, const struct sockaddr_storage *sender)
+{
+    return bus->is_multicast && memcmp(sender, &bus->group.own_address, COMPARED_ADDRESS_SIZE) == 0;
+}
+
 /* Read one packet without waiting, count it as received, and decode it. Own datagrams, which a multicast
  * group returns, are not counted: they are BUS_OTHER. */
 bus_event_t bus_receive(bus_t *bus, mcp_asdf_frame_t *frame)
@@ -284,9 +290,7 @@ bus_event_t bus_receive(bus_t *bus, mcp_asdf_frame_t *frame)
     if (size == 0 && !bus->is_multicast) { /* the end of a connection; but a datagram may be empty */
         return BUS_CLOSED;
     }
-    const bool is_own_datagram =
-        bus->is_multicast && memcmp(&sender, &bus->group.own_address, COMPARED_ADDRESS_SIZE) == 0;
-    if (is_own_datagram) {
+    if (is_own_datagram(bus, &sender)) {
         return BUS_OTHER;
     }
     ++bus->counts.received;
@@ -312,6 +316,16 @@ static ssize_t try_send(const bus_t *bus, const struct can_frame *frame)
     return send(bus->group.send_fd, datagram, size, MSG_DONTWAIT | MSG_NOSIGNAL);
 }
 
+/* Close a multicast group that cannot be reached: it is joined again when there may be another address. Other
+ * buses stay open. */
+static void leave_lost_group(bus_t *bus)
+{
+    if (bus->is_multicast) {
+        mark_down(bus);
+        bus_close(bus);
+    }
+}
+
 /* Send a frame, and return whether it was sent. While the send queue is full, wait a millisecond and try
  * again, until the timeout. Counts each wait in queue_full, and closes a multicast group that cannot be
  * reached. */
@@ -327,12 +341,11 @@ bool bus_send(void *context, const mcp_asdf_frame_t *frame)
             return true;
         }
         const bool is_queue_full = errno == ENOBUFS || errno == EAGAIN;
-        if (!is_queue_full && bus->is_multicast) {
-            /* The group cannot be reached: it is joined again when there may be another address. */
-            mark_down(bus);
-            bus_close(bus);
+        if (!is_queue_full) {
+            leave_lost_group(bus);
+            return false;
         }
-        if (!is_queue_full || waited_ms == BUS_SEND_TIMEOUT_MS) {
+        if (waited_ms == BUS_SEND_TIMEOUT_MS) {
             return false;
         }
         ++bus->counts.queue_full;

@@ -306,14 +306,14 @@ static void run_tick(run_t *run)
     }
 }
 
-/* Sleep until a packet arrives, a signal comes, or it is time for the next tick, for an attempt to open a
- * closed bus again, or in lockstep before the first tick for the next heartbeat. */
-static void wait_for_event(run_t *run)
+/* Returns when the first timer that the node waits for expires: for the next tick, for an attempt to open a
+ * closed bus again, or in lockstep before the first tick for the next heartbeat. Returns INT64_MAX if it
+ * waits for none: in lockstep a frame begins the next tick. */
+static int64_t next_wake_time(const run_t *run)
 {
-    const bool is_bus_open = run->bus.fd >= 0, in_lockstep = run->options.node.lockstep;
-    struct pollfd bus = {.fd = run->bus.fd, .events = POLLIN}; /* ppoll() ignores a negative fd */
-    int64_t wake_time = INT64_MAX;                             /* in lockstep a frame begins the next tick */
-    if (!in_lockstep) {
+    const bool is_bus_open = run->bus.fd >= 0;
+    int64_t wake_time = INT64_MAX;
+    if (!run->options.node.lockstep) {
         wake_time = run->tick_timer.next_expiry;
     } else if (run->node.ticks == 0) {
         wake_time = run->start_timer.next_expiry;
@@ -321,20 +321,37 @@ static void wait_for_event(run_t *run)
     if (!is_bus_open && run->reopen_timer.next_expiry < wake_time) {
         wake_time = run->reopen_timer.next_expiry;
     }
-    const int64_t now = now_ns(), duration = wake_time > now ? wake_time - now : 0;
+    return wake_time;
+}
+
+/* Sleep until a packet arrives, a signal comes, or a timer expires that the node waits for. */
+static void wait_for_event(run_t *run)
+{
+    struct pollfd bus = {.fd = run->bus.fd, .events = POLLIN}; /* ppoll() ignores a negative fd */
+    const int64_t wake_time = next_wake_time(run);
+    const int64_t now = now_ns();
+    const int64_t duration = wake_time > now ? wake_time - now : 0;
     const struct timespec timeout = {.tv_sec = (time_t)(duration / NS_PER_SECOND),
                                      .tv_nsec = (long)(duration % NS_PER_SECOND)};
-    (void)ppoll(&bus, 1, wake_time == INT64_MAX ? NULL : &timeout, &run->signals_when_idle);
+    const struct timespec *const timeout_if_any = wake_time == INT64_MAX ? NULL : &timeout;
+    (void)ppoll(&bus, 1, timeout_if_any, &run->signals_when_idle);
+}
+
+/* Let all timers expire now and periodically from now on. */
+static void start_timers(run_t *run)
+{
+    const int64_t tick_duration = NS_PER_SECOND / run->options.node.ticks_per_second;
+    const int64_t now = now_ns();
+    run->tick_timer = (periodic_timer_t){.period = tick_duration, .next_expiry = now};
+    run->reopen_timer = (periodic_timer_t){.period = NS_PER_SECOND, .next_expiry = now};
+    run->start_timer = (periodic_timer_t){.period = NS_PER_SECOND, .next_expiry = now};
 }
 
 /* Run the node until its last tick, the end of its observations, a signal, or a failure. */
 static void run_until_end(run_t *run)
 {
     const bool in_lockstep = run->options.node.lockstep;
-    const int64_t tick_duration = NS_PER_SECOND / run->options.node.ticks_per_second;
-    run->reopen_timer = (periodic_timer_t){.period = NS_PER_SECOND, .next_expiry = now_ns()};
-    run->tick_timer = (periodic_timer_t){.period = tick_duration, .next_expiry = now_ns()};
-    run->start_timer = run->reopen_timer; /* every second, too */
+    start_timers(run);
     while (run->end_reason == NULL) {
         /* The first heartbeat is repeated until the first tick: whoever commands this node in lockstep may
          * have joined the bus later. */

@@ -19,11 +19,23 @@ typedef union {
     struct sockaddr_storage storage;
 } address_t;
 
+/* Read a port, 1 to 65535, from a text that has nothing else. Returns false if the text is no such number;
+ * *port is then of no use. */
+static bool parse_port(uint16_t *port, const char *text)
+{
+    char *end = NULL;
+    /* strtoul() reads a negative number as a very large one, which is refused below. */
+    const unsigned long value = strtoul(text, &end, 10);
+    *port = (uint16_t)value;
+    return *end == '\0' && value != 0 && value <= UINT16_MAX;
+}
+
 /* Read the name of a group, GROUP:PORT or [GROUP]:PORT, into *address. Returns whether it is a multicast
  * address with a port from 1 to 65535; if not, *address is of no use. */
 static bool parse_group_name(address_t *address, const char *name)
 {
-    char host[INET6_ADDRSTRLEN] = {0}, *end_of_port = NULL;
+    char host[INET6_ADDRSTRLEN] = {0};
+    uint16_t port;
     const bool is_ipv6 = name[0] == '[';
     const char *const separator = is_ipv6 ? "]:" : ":"; /* the address is in brackets, as it has colons */
     const char *const host_start = is_ipv6 ? name + 1 : name;
@@ -32,20 +44,18 @@ static bool parse_group_name(address_t *address, const char *name)
         return false;
     }
     memcpy(host, host_start, (size_t)(host_end - host_start));
-    /* strtoul() reads a negative number as a very large one, which is refused below. */
-    const unsigned long port = strtoul(host_end + strlen(separator), &end_of_port, 10);
-    if (*end_of_port != '\0' || port == 0 || port > UINT16_MAX) {
+    if (!parse_port(&port, host_end + strlen(separator))) {
         return false;
     }
     memset(address, 0, sizeof *address);
     if (is_ipv6) {
         address->ipv6.sin6_family = AF_INET6;
-        address->ipv6.sin6_port = htons((uint16_t)port);
+        address->ipv6.sin6_port = htons(port);
         const bool is_address = inet_pton(AF_INET6, host, &address->ipv6.sin6_addr) == 1;
         return is_address && IN6_IS_ADDR_MULTICAST(&address->ipv6.sin6_addr);
     }
     address->ipv4.sin_family = AF_INET;
-    address->ipv4.sin_port = htons((uint16_t)port);
+    address->ipv4.sin_port = htons(port);
     const bool is_address = inet_pton(AF_INET, host, &address->ipv4.sin_addr) == 1;
     return is_address && IN_MULTICAST(ntohl(address->ipv4.sin_addr.s_addr));
 }
@@ -54,6 +64,20 @@ static bool parse_group_name(address_t *address, const char *name)
 static socklen_t address_size(const address_t *address)
 {
     return address->any.sa_family == AF_INET6 ? sizeof address->ipv6 : sizeof address->ipv4;
+}
+
+/* Join the group with a socket, through the interface of that index, or if it is 0 through one that the
+ * kernel chooses. Returns whether that worked; if not, errno says why. */
+static bool join_group(int fd, const address_t *address, unsigned interface_index)
+{
+    if (address->any.sa_family == AF_INET6) {
+        const struct ipv6_mreq request = {.ipv6mr_multiaddr = address->ipv6.sin6_addr,
+                                          .ipv6mr_interface = interface_index};
+        return setsockopt(fd, IPPROTO_IPV6, IPV6_JOIN_GROUP, &request, sizeof request) == 0;
+    }
+    const struct ip_mreqn request = {.imr_multiaddr = address->ipv4.sin_addr,
+                                     .imr_ifindex = (int)interface_index};
+    return setsockopt(fd, IPPROTO_IP, IP_ADD_MEMBERSHIP, &request, sizeof request) == 0;
 }
 
 /* Open the socket that receives, group->receive_fd, and join the group through the interface of that index,
@@ -68,55 +92,51 @@ static bool open_receiver(multicast_t *group, const address_t *address, unsigned
      * this one receives no datagrams of other groups on the same port. */
     const bool is_bound = fd >= 0 && setsockopt(fd, SOL_SOCKET, SO_REUSEADDR, &on, sizeof on) == 0 &&
                           bind(fd, &address->any, address_size(address)) == 0;
-    if (!is_bound) {
-        return false;
-    }
-    if (address->any.sa_family == AF_INET6) {
-        const struct ipv6_mreq request = {.ipv6mr_multiaddr = address->ipv6.sin6_addr,
-                                          .ipv6mr_interface = interface_index};
-        return setsockopt(fd, IPPROTO_IPV6, IPV6_JOIN_GROUP, &request, sizeof request) == 0;
-    }
-    const struct ip_mreqn request = {.imr_multiaddr = address->ipv4.sin_addr,
-                                     .imr_ifindex = (int)interface_index};
-    return setsockopt(fd, IPPROTO_IP, IP_ADD_MEMBERSHIP, &request, sizeof request) == 0;
+    return is_bound && join_group(fd, address, interface_index);
 }
 
-/* Let a socket send datagrams to the group, through the interface of that index, or if it is 0 through one
- * that the kernel chooses; they may cross `hop_limit` networks. Connects the socket to the group's address.
- * Returns whether all calls worked; if not, errno says why, and the caller closes the socket. */
-static bool prepare_to_send(int fd, const address_t *address, unsigned interface_index, int hop_limit)
+/* Let a socket send its datagrams through the interface of that index, or if it is 0 through one that the
+ * kernel chooses. Returns whether that worked; if not, errno says why. */
+static bool choose_interface(int fd, bool is_ipv6, unsigned interface_index)
 {
-    const bool is_ipv6 = address->any.sa_family == AF_INET6;
-    int result = 0; /* of setsockopt(): 0, or -1 if it failed */
-    if (interface_index != 0 && is_ipv6) {
-        result = setsockopt(fd, IPPROTO_IPV6, IPV6_MULTICAST_IF, &interface_index, sizeof interface_index);
-    } else if (interface_index != 0) {
-        const struct ip_mreqn interface = {.imr_ifindex = (int)interface_index};
-        result = setsockopt(fd, IPPROTO_IP, IP_MULTICAST_IF, &interface, sizeof interface);
-    }
-    if (result != 0) {
-        return false;
+    if (interface_index == 0) {
+        return true;
     }
     if (is_ipv6) {
-        result = setsockopt(fd, IPPROTO_IPV6, IPV6_MULTICAST_HOPS, &hop_limit, sizeof hop_limit);
-    } else {
-        result = setsockopt(fd, IPPROTO_IP, IP_MULTICAST_TTL, &hop_limit, sizeof hop_limit);
+        return setsockopt(fd, IPPROTO_IPV6, IPV6_MULTICAST_IF, &interface_index, sizeof interface_index) == 0;
     }
-    /* By connect() the kernel chooses the sender's address now, so that own datagrams can be recognised. */
-    return result == 0 && connect(fd, &address->any, address_size(address)) == 0;
+    const struct ip_mreqn interface = {.imr_ifindex = (int)interface_index};
+    return setsockopt(fd, IPPROTO_IP, IP_MULTICAST_IF, &interface, sizeof interface) == 0;
 }
 
-/* Open the socket that sends, group->send_fd, and store the address of its datagrams in group->own_address.
- * Returns whether that worked; if not, errno says why, and the socket may be open: the caller closes it. */
+/* Let the datagrams of a socket cross `hop_limit` networks. Returns whether that worked; if not, errno says
+ * why. */
+static bool limit_hops(int fd, bool is_ipv6, int hop_limit)
+{
+    if (is_ipv6) {
+        return setsockopt(fd, IPPROTO_IPV6, IPV6_MULTICAST_HOPS, &hop_limit, sizeof hop_limit) == 0;
+    }
+    return setsockopt(fd, IPPROTO_IP, IP_MULTICAST_TTL, &hop_limit, sizeof hop_limit) == 0;
+}
+
+/* Open the socket that sends to the group, group->send_fd, through the interface of that index, or if it is 0
+ * through one that the kernel chooses, and store the address of its datagrams in group->own_address. Returns
+ * whether that worked; if not, errno says why, and the socket may be open: the caller closes it. */
 static bool open_sender(multicast_t *group, const address_t *address, unsigned interface_index)
 {
-    socklen_t own_address_size = sizeof group->own_address;
-    group->send_fd = socket(address->any.sa_family, SOCK_DGRAM | SOCK_CLOEXEC | SOCK_NONBLOCK, 0);
-    if (group->send_fd < 0 || !prepare_to_send(group->send_fd, address, interface_index, group->hop_limit)) {
+    const bool is_ipv6 = address->any.sa_family == AF_INET6;
+    const int fd = socket(address->any.sa_family, SOCK_DGRAM | SOCK_CLOEXEC | SOCK_NONBLOCK, 0);
+    group->send_fd = fd;
+    /* By connect() the kernel chooses the sender's address now, so that own datagrams can be recognised. */
+    const bool is_connected = fd >= 0 && choose_interface(fd, is_ipv6, interface_index) &&
+                              limit_hops(fd, is_ipv6, group->hop_limit) &&
+                              connect(fd, &address->any, address_size(address)) == 0;
+    if (!is_connected) {
         return false;
     }
+    socklen_t own_address_size = sizeof group->own_address;
     memset(&group->own_address, 0, sizeof group->own_address); /* it is compared byte by byte */
-    return getsockname(group->send_fd, (struct sockaddr *)&group->own_address, &own_address_size) == 0;
+    return getsockname(fd, (struct sockaddr *)&group->own_address, &own_address_size) == 0;
 }
 
 /* Open both sockets of the group that `name` names. Returns 0, or an errno with both closed: EINVAL if the

@@ -98,39 +98,60 @@ static bool parse_data(uint8_t *data, const char *digits, uint8_t byte_count)
     return true;
 }
 
-/* Convert a line of `length` characters, without the carriage return at its end, to a frame: a letter for its
- * kind, the id in 3 or 8 hexadecimal digits, a digit for the number of bytes, and two digits for each byte.
- * Returns false, and leaves *frame as it was, if the line is no frame. */
-bool slcan_parse_frame(mcp_asdf_frame_t *frame, const char *line, uint8_t length)
+/* Returns the flags of a frame by the letter with which its line begins. */
+static uint8_t flags_of_kind(char kind)
+{
+    uint8_t flags = 0;
+    if (kind == 't' || kind == 'r') {
+        flags |= MCP_ASDF_FRAME_STANDARD;
+    }
+    if (kind == 'r' || kind == 'R') {
+        flags |= MCP_ASDF_FRAME_REMOTE;
+    }
+    return flags;
+}
+
+/* Convert the header of a line of `length` characters, and write it to the flags, the id and the length of
+ * *frame: a letter for the kind, the id in 3 or 8 hexadecimal digits, and a digit for the number of bytes.
+ * Returns the number of characters of the header; 0 if the line does not begin with one, and *frame is then
+ * of no use. */
+static uint8_t parse_header(mcp_asdf_frame_t *frame, const char *line, uint8_t length)
 {
     if (length == 0) {
-        return false;
+        return 0;
     }
-    mcp_asdf_frame_t parsed = {0, 0, 0, {0}};
     const char kind = line[0];
-    const bool is_standard = kind == 't' || kind == 'r', is_remote = kind == 'r' || kind == 'R';
+    frame->flags = flags_of_kind(kind);
+    if (frame->flags == 0 && kind != 'T') { /* a data frame with a 29-bit identifier has no flags */
+        return 0;
+    }
+    const bool is_standard = (frame->flags & MCP_ASDF_FRAME_STANDARD) != 0;
     const uint8_t id_digits = is_standard ? STANDARD_ID_DIGITS : EXTENDED_ID_DIGITS;
     const uint32_t id_max = is_standard ? STANDARD_ID_MAX : EXTENDED_ID_MAX;
-    const bool is_kind_of_frame = is_standard || is_remote || kind == 'T';
-    const uint8_t header_length = 1 + id_digits + 1; /* the kind, the id, and a digit for the length */
-    const bool has_header = is_kind_of_frame && length >= header_length &&
-                            parse_hex(&parsed.id, line + 1, id_digits) && parsed.id <= id_max;
-    if (!has_header) {
-        return false;
+    const uint8_t header_length = 1 + id_digits + 1;
+    const bool has_id =
+        length >= header_length && parse_hex(&frame->id, line + 1, id_digits) && frame->id <= id_max;
+    if (!has_id) {
+        return 0;
     }
-    if (is_standard) {
-        parsed.flags |= MCP_ASDF_FRAME_STANDARD;
-    }
-    if (is_remote) {
-        parsed.flags |= MCP_ASDF_FRAME_REMOTE;
-    }
-    parsed.length = parse_digit(line[header_length - 1]);
-    const uint8_t byte_count = is_remote ? 0 : parsed.length;   /* remote frames have a length, but no data */
-    const int expected_length = header_length + 2 * byte_count; /* two digits a byte */
+    frame->length = parse_digit(line[header_length - 1]);
     /* NO_DIGIT, for a length that is no digit, is above the maximum, too. */
-    const bool has_data = parsed.length <= DATA_LENGTH_MAX && length == expected_length &&
+    return frame->length <= DATA_LENGTH_MAX ? header_length : 0;
+}
+
+/* Convert a line of `length` characters, without the carriage return at its end, to a frame: its header, then
+ * two hexadecimal digits for each byte of the data. Returns false, and leaves *frame as it was, if the line
+ * is no frame. */
+bool slcan_parse_frame(mcp_asdf_frame_t *frame, const char *line, uint8_t length)
+{
+    mcp_asdf_frame_t parsed = {0, 0, 0, {0}};
+    const uint8_t header_length = parse_header(&parsed, line, length);
+    const bool is_remote = (parsed.flags & MCP_ASDF_FRAME_REMOTE) != 0;
+    const uint8_t byte_count = is_remote ? 0 : parsed.length; /* remote frames have a length, but no data */
+    const int expected_length = header_length + 2 * byte_count;
+    const bool is_frame = header_length != 0 && length == expected_length &&
                           parse_data(parsed.data, line + header_length, byte_count);
-    if (!has_data) {
+    if (!is_frame) {
         return false;
     }
     *frame = parsed;
