@@ -346,11 +346,13 @@ def _read_series(file: _TrialFile, experiment: Experiment) -> dict[str, NDArray[
             numbers_by_robot.append(_parse_texts(texts, experiment.steps))
         except ValueError as error:
             raise UsageError(f"{file.path}: data_str of robot {index}: {error}") from error
+    numbers = np.stack(numbers_by_robot)  # shape (N, steps + 1, columns)
     # In the authors' files the flawed robots are the last ones. Rolled on by their number, they are the
     # first.
-    flawed_robots_first = np.roll(np.stack(numbers_by_robot), experiment.flawed, axis=0)
-    # The shape is (N, steps + 1, columns), with the columns in the order of _COLUMN_NAMES.
-    return {name: flawed_robots_first[:, :, column] for column, name in enumerate(_COLUMN_NAMES)}
+    robot_axis, column_axis = 0, 2
+    numbers = np.roll(numbers, experiment.flawed, axis=robot_axis)
+    columns = np.moveaxis(numbers, column_axis, 0)  # in the order of _COLUMN_NAMES
+    return dict(zip(_COLUMN_NAMES, columns, strict=True))
 
 
 def _parse_texts(texts: Any, steps: int) -> NDArray[np.float64]:

@@ -39,11 +39,7 @@ def plot_errors_over_time(panels: Mapping[str, Sequence[Trials]], series_name: S
     for axes, (title, experiments) in zip(grid, panels.items(), strict=True):
         axes.set_title(title, fontsize=SMALL, loc="left")
         for series in all_series:
-            trials_of_line = [
-                trials for trials in experiments if series_name(trials.experiment) == series.label
-            ]
-            if trials_of_line:
-                _draw_errors(axes, trials_of_line, series.colour)
+            _draw_errors(axes, _with_name(experiments, series_name, series.label), series.colour)
         # The errors of the filters differ by more than a factor of ten.
         axes.set_yscale("log")
     intervals = describe_intervals(all_experiments)
@@ -53,11 +49,18 @@ def plot_errors_over_time(panels: Mapping[str, Sequence[Trials]], series_name: S
     return label_figure(figure, "step", "error |x \u2212 f|", caption, legend)
 
 
-def _draw_errors(axes: Axes, experiments: Sequence[Trials], colour: str) -> None:
-    """Draw the median over all trials of a swarm's mean error, in its interval.
+def _with_name(experiments: Sequence[Trials], series_name: SeriesName, name: str) -> list[Trials]:
+    """Return the experiments to which ``series_name`` gives a name."""
+    return [trials for trials in experiments if series_name(trials.experiment) == name]
 
-    There is at least one experiment, whose time axis holds for all.
+
+def _draw_errors(axes: Axes, experiments: Sequence[Trials], colour: str) -> None:
+    """Draw the median over all trials of a swarm's mean error, in its interval; nothing without trials.
+
+    The time axis is that of the first experiment: all must have been recorded with the same interval.
     """
+    if not experiments:
+        return
     errors = np.concatenate([_mean_errors(trials) for trials in experiments])  # shape (trials, samples)
     errors_by_sample = errors.T
     steps = np.arange(len(errors_by_sample)) * experiments[0].sampling_interval

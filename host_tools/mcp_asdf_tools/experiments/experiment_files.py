@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import re
 import tomllib
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +25,8 @@ from mcp_asdf_tools.world.graph import is_text_of_edges
 
 SHIPPED_STUDIES = Path(__file__).with_name("studies")
 GRID_KEY = "grid"
+_ABOVE_GRIDS = 0
+"""Stands for the lines above the first grid; grids are numbered from 1."""
 
 _GRID_LINE_PATTERN = re.compile(r"\s*\[\[\s*grid\s*\]\]")
 # A key stands at the beginning of a line, or in an inline table behind its brace or a comma.
@@ -47,9 +50,8 @@ def read_experiments(path: Path | str) -> list[Experiment]:
     experiments: list[Experiment] = []
     for grid_number, grid in enumerate(grids, start=1):
         try:
-            for combination in combinations({**common_parameters, **grid}):
-                parameters = _with_graph_from_folder(combination, path.parent)
-                experiments.append(Experiment.from_parameters(parameters))
+            for experiment in _experiments_of_grid({**common_parameters, **grid}, path.parent):
+                experiments.append(experiment)
                 # Each grid makes at least one experiment, so too many grids are refused at the first one.
                 fewest_experiments = max(len(grids), len(experiments))
                 if fewest_experiments > MAX_EXPERIMENTS:
@@ -57,6 +59,15 @@ def read_experiments(path: Path | str) -> list[Experiment]:
         except ParameterError as error:
             raise _error_with_line(path, text, grid_number, error) from error
     return experiments
+
+
+def _experiments_of_grid(grid: dict[str, Any], folder: Path) -> Iterator[Experiment]:
+    """Yield the experiments of a grid, whose paths of graphs begin at ``folder``.
+
+    Raises ParameterError for anything invalid.
+    """
+    for combination in combinations(grid):
+        yield Experiment.from_parameters(_with_graph_from_folder(combination, folder))
 
 
 def _parse_grids(path: Path, text: str) -> tuple[dict[str, Any], list[dict[str, Any]]]:
@@ -97,21 +108,24 @@ def _error_with_line(path: Path, text: str, grid_number: int, error: ParameterEr
     so they are found by a search for ``key =``. Such a text within a string is found, too; then the error
     names one line too many. It names no line for a key that has none.
     """
-    above_grids = 0
-    line_numbers_by_grid: dict[int, list[str]] = {}
-    current_grid = above_grids
-    for line_number, line in enumerate(text.splitlines(), start=1):
-        if _GRID_LINE_PATTERN.match(line):
-            current_grid += 1
-        if error.key in _KEY_PATTERN.findall(line):
-            line_numbers_by_grid.setdefault(current_grid, []).append(str(line_number))
-    line_numbers = line_numbers_by_grid.get(grid_number, [])
-    if not line_numbers:
-        line_numbers = line_numbers_by_grid.get(above_grids, [])
+    line_numbers_by_grid = _lines_with_key(text, error.key)
+    line_numbers = line_numbers_by_grid.get(grid_number) or line_numbers_by_grid.get(_ABOVE_GRIDS)
     position = ""
     if line_numbers:
         position = f", line {' or '.join(line_numbers)}"
     return UsageError(f"{path}{position}: {error}")
+
+
+def _lines_with_key(text: str, key: str) -> dict[int, list[str]]:
+    """Return the numbers of the lines that have a key, by the number of their grid, or _ABOVE_GRIDS."""
+    line_numbers_by_grid: dict[int, list[str]] = {}
+    current_grid = _ABOVE_GRIDS
+    for line_number, line in enumerate(text.splitlines(), start=1):
+        if _GRID_LINE_PATTERN.match(line):
+            current_grid += 1
+        if key in _KEY_PATTERN.findall(line):
+            line_numbers_by_grid.setdefault(current_grid, []).append(str(line_number))
+    return line_numbers_by_grid
 
 
 def _with_graph_from_folder(parameters: dict[str, Any], folder: Path) -> dict[str, Any]:

@@ -73,11 +73,7 @@ def create_panels(
     ``series_count`` is the number of series that the legend will have. Raises UsageError for more than 32
     panels or 8 series, which do not fit a picture.
     """
-    if count > _MAX_PANELS or series_count > _MAX_SERIES:
-        raise UsageError(
-            f"{count} panels with {series_count} series do not fit a picture; plot at most "
-            f"{_MAX_PANELS} with {_MAX_SERIES}, or a parameter along an axis: --kind curve --x NAME"
-        )
+    _check_fits_picture(count, series_count)
     column_count = min(count, max_columns)
     row_count = math.ceil(count / column_count)
     # A single panel across the page would be too wide for its height.
@@ -91,6 +87,15 @@ def create_panels(
     for unused_axes in grid.flat[count:]:
         unused_axes.set_axis_off()
     return figure, panels
+
+
+def _check_fits_picture(panel_count: int, series_count: int) -> None:
+    """Raise UsageError, with the limits, for more panels or series than fit a picture."""
+    if panel_count > _MAX_PANELS or series_count > _MAX_SERIES:
+        raise UsageError(
+            f"{panel_count} panels with {series_count} series do not fit a picture; plot at most "
+            f"{_MAX_PANELS} with {_MAX_SERIES}, or a parameter along an axis: --kind curve --x NAME"
+        )
 
 
 def label_figure(
@@ -184,12 +189,10 @@ def group_into_series(experiments: Sequence[Trials], series_name: SeriesName | N
         else:
             series_label = series_name(trials.experiment)
         experiments_by_name.setdefault(series_label, []).append(trials)
-    series_labels = list(experiments_by_name)
-    filter_names = [_common_filter(experiments_by_name[label]) for label in series_labels]
-    colours = colours_of_filters(filter_names)
+    colours = colours_of_filters([_common_filter(group) for group in experiments_by_name.values()])
     return [
-        Series(label, colour, experiments_by_name[label])
-        for label, colour in zip(series_labels, colours, strict=True)
+        Series(label, colour, group)
+        for (label, group), colour in zip(experiments_by_name.items(), colours, strict=True)
     ]
 
 

@@ -343,18 +343,19 @@ def _check_schema(path: Path, schema: pa.Schema, file_format: int) -> None:
 
     A parameter may be missing, since it may be newer than the file.
     """
-    missing_columns = set(column_types()) - set(PARAMETER_NAMES) - set(schema.names)
-    if missing_columns:
-        missing_names = ", ".join(sorted(missing_columns))
-        raise UsageError(f"{path} is damaged: it has no {missing_names}; run mcp-asdf sweep again")
     types = column_types()
     if file_format != PRESENT_FORMAT:
         types = types | dict.fromkeys(RECORD_COLUMNS.values(), FLAT_RECORD)
-    for column_name, column_type in types.items():
-        column_count = schema.names.count(column_name)
-        if column_count == 0:
-            continue  # a parameter that is newer than the file
-        # Parquet allows two columns of one name, which could not be told apart.
-        if column_count > 1 or schema.field(column_name).type != column_type:
-            problem = f"column {column_name} is not {column_type}"
+    missing_columns = set(types) - set(PARAMETER_NAMES) - set(schema.names)
+    if missing_columns:
+        missing_names = ", ".join(sorted(missing_columns))
+        raise UsageError(f"{path} is damaged: it has no {missing_names}; run mcp-asdf sweep again")
+    # Parquet allows two columns of one name, which could not be told apart.
+    types_in_file: dict[str, list[pa.DataType]] = {}
+    for field in schema:
+        types_in_file.setdefault(field.name, []).append(field.type)
+    for name, column_type in types.items():
+        is_newer_than_file = name not in types_in_file
+        if not is_newer_than_file and types_in_file[name] != [column_type]:
+            problem = f"column {name} is not {column_type}"
             raise UsageError(f"{path} is damaged: {problem}; run mcp-asdf sweep again")

@@ -211,21 +211,29 @@ def trials_to_table(trials: Trials) -> pa.Table:
     robots' values. The metadata have, as JSON, versions, units and meanings of the columns, and how often
     values were recorded.
     """
-    trial_count = len(trials.numbers)
     columns: dict[str, Any] = {}
     for name, value in trials.experiment.parameters().items():
-        columns[name] = [value] * trial_count
+        columns[name] = [value] * len(trials.numbers)  # the same in all rows
     columns["trial"] = trials.numbers
     columns |= trials.scores()
+    columns |= _lists_of_robots(trials)
+    arrays = {name: pa.array(columns[name], column_type) for name, column_type in column_types().items()}
+    return pa.table(arrays, metadata={METADATA_KEY: json.dumps(_metadata_of(trials))})
+
+
+def _lists_of_robots(trials: Trials) -> dict[str, Any]:
+    """Return the columns of lists by name: those of results, and those of records.
+
+    Tables have columns of records, with empty lists, even if nothing was recorded.
+    """
+    columns: dict[str, Any] = {}
     for name, attribute in _ATTRIBUTE_BY_LIST_COLUMN.items():
         values = getattr(trials, attribute)  # such as b_hat, whose first axis is the trial
         columns[name] = [values_of_trial.ravel() for values_of_trial in values]
-    # Files have the same columns whether anything was recorded or not.
-    nothing_recorded = np.empty((trial_count, 0, trials.experiment.robots))
+    nothing_recorded = np.empty((len(trials.numbers), 0, trials.experiment.robots))
     for name, column in RECORD_COLUMNS.items():
         columns[column] = _nest_records(trials.records.get(name, nothing_recorded))
-    arrays = {name: pa.array(columns[name], column_type) for name, column_type in column_types().items()}
-    return pa.table(arrays, metadata={METADATA_KEY: json.dumps(_metadata_of(trials))})
+    return columns
 
 
 def _metadata_of(trials: Trials) -> dict[str, Any]:
@@ -356,10 +364,15 @@ def score_table(table: pa.Table, limits: Limits) -> pa.Table:
     table = to_present_format(table, len(table))
     rows = table.select([*PARAMETER_NAMES, "k", "e"]).to_pylist()
     scores_by_row = [_score_row(row, limits) for row in rows]
-    for score_name in SCORES:
-        column = pa.array([scores[score_name] for scores in scores_by_row], pa.float64())
-        table = table.set_column(table.column_names.index(score_name), score_name, column)
+    for name in SCORES:
+        table = replace_column(table, name, [scores[name] for scores in scores_by_row])
     return table
+
+
+def replace_column(table: pa.Table, name: str, values: Any) -> pa.Table:
+    """Return a table with other values, of the type of results, in the column of this name."""
+    column = pa.array(values, column_types()[name])
+    return table.set_column(table.column_names.index(name), name, column)
 
 
 def _score_row(row: dict[str, Any], limits: Limits) -> dict[str, float]:

@@ -122,19 +122,27 @@ def select_experiments(experiments: Sequence[Trials], where: Mapping[str, Any]) 
                 f"where {parameter_name}={value}: no parameter is called so{nearest}; "
                 f"the experiments differ in {describe_differences(selected)}"
             )
-        existing_texts: set[str] = set()  # for the message if no experiment is left
-        still_selected = []
-        for trials in selected:
-            existing_value = trials.experiment.parameters()[parameter_name]
-            existing_texts.add(str(existing_value))
-            if _is_same_value(existing_value, value):
-                still_selected.append(trials)
-        selected = still_selected
-        if not selected:
-            alternatives = " or ".join(sorted(existing_texts))
-            raise UsageError(
-                f"where {parameter_name}={value}: no experiment has it; {parameter_name} is {alternatives}"
-            )
+        selected = _select_by_value(selected, parameter_name, value)
+    return selected
+
+
+def _select_by_value(experiments: Sequence[Trials], parameter_name: str, value: Any) -> list[Trials]:
+    """Return the experiments whose parameter has a value, as a text or as a number.
+
+    Raises UsageError, with the existing values, if there is none.
+    """
+    existing_texts: set[str] = set()
+    selected = []
+    for trials in experiments:
+        existing_value = trials.experiment.parameters()[parameter_name]
+        existing_texts.add(str(existing_value))
+        if _is_same_value(existing_value, value):
+            selected.append(trials)
+    if not selected:
+        alternatives = " or ".join(sorted(existing_texts))
+        raise UsageError(
+            f"where {parameter_name}={value}: no experiment has it; {parameter_name} is {alternatives}"
+        )
     return selected
 
 

@@ -33,6 +33,7 @@ from mcp_asdf_tools.experiments.result_files import (
 )
 from mcp_asdf_tools.experiments.result_tables import (
     read_metadata,
+    replace_column,
     rows_by_experiment,
     trials_to_table,
 )
@@ -307,9 +308,8 @@ class Store:
         # An experiment has as many rows as trials, and this number stands in each of them. It is written
         # anew, since a row from a sweep with fewer trials has another number there.
         trial_counts = [experiment.trials for experiment in self.experiments]
-        trials_column = np.repeat(np.array(trial_counts, np.uint64), repeats=trial_counts)
+        trials_column = np.repeat(trial_counts, repeats=trial_counts)
         for start in range(0, len(rows), self._rows_per_part):
             rows_of_table = slice(start, start + self._rows_per_part)
             table = self._row_groups.take(rows[rows_of_table])
-            column_index = table.column_names.index("trials")
-            yield table.set_column(column_index, "trials", pa.array(trials_column[rows_of_table]))
+            yield replace_column(table, "trials", trials_column[rows_of_table])

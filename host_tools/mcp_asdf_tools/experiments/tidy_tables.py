@@ -98,27 +98,32 @@ def tidy_table(
         steps: Numbers of the steps.
         values: QUANTITIES by name, shape (trials, steps, N); NaN where one is missing.
     """
-    robots = np.arange(population.robots)
-    # A row of the table for each element of arrays of the shape (trials, steps, N).
-    trial_column, step_column, robot_column = np.meshgrid(trial_numbers, steps, robots, indexing="ij")
-    columns: dict[str, NDArray[Any]] = {
-        **values,
-        "trial": trial_column,
-        "step": step_column,
-        "robot": robot_column,
-        "is_flawed": robot_column < population.flawed,  # the flawed robots come first
-    }
+    columns = {**_columns_of_rows(population, trial_numbers, steps), **values}
+    row_count = columns["robot"].size
+    parameters = population.parameters()
     schema = _schema_with(tuple(parameter_names))
     arrays = []
     for field in schema:
-        if field.name in parameter_names:
-            parameter = pa.scalar(population.parameters()[field.name], field.type)
-            arrays.append(pa.repeat(parameter, robot_column.size))
+        if field.name in parameter_names:  # the same in all rows
+            arrays.append(pa.repeat(pa.scalar(parameters[field.name], field.type), row_count))
         else:
             column = columns[field.name].ravel()
             # With this option NaN becomes a missing value, which all programs know, also in CSV.
             arrays.append(pa.array(column, field.type, from_pandas=True))
     return pa.table(arrays, schema=schema)
+
+
+def _columns_of_rows(
+    population: Population, trial_numbers: Sequence[int], steps: NDArray[np.int64]
+) -> dict[str, NDArray[Any]]:
+    """Return what tells the rows of a tidy table apart: trial, step, robot and is_flawed, by name.
+
+    Arrays have the shape (trials, steps, N), with an element for each row.
+    """
+    robots = np.arange(population.robots)
+    trial_column, step_column, robot_column = np.meshgrid(trial_numbers, steps, robots, indexing="ij")
+    is_flawed = robot_column < population.flawed  # the flawed robots come first
+    return {"trial": trial_column, "step": step_column, "robot": robot_column, "is_flawed": is_flawed}
 
 
 @cache

@@ -157,22 +157,24 @@ def _records_in_paper_units(experiment: Experiment, raw_records: NDArray[Any]) -
     initial_b_hat = [b_hat_to_raw(experiment.b_hat(robot)) / 2**32 for robot in range(experiment.robots)]
     initial_values: dict[str, Any] = {"t": 0, "n": 0, "alpha": 0, "beta": 0}
     initial_values |= {"x_hat": 0.5, "x_bar": 0.5, "x": 0.5, "b_hat": initial_b_hat}
-    # The integer that stands for 1. Alpha has none: its word is a mantissa and a shift.
-    integer_of_one = {"t": 1, "n": 1, "beta": UNITS_PER_ALPHA}
-    integer_of_one |= {"x_hat": ONE, "x_bar": ONE, "x": ONE, "b_hat": 2**32}
     trial_count, sample_count, robots = raw_records.shape
     records = {}
     for quantity in QUANTITIES:
-        raw_values = raw_records[quantity]
-        if quantity == "alpha":
-            recorded_values = _alpha_of_words(raw_values)
-        else:
-            recorded_values = raw_values / integer_of_one[quantity]
         values = np.empty((trial_count, sample_count + 1, robots))
         values[:, 0] = initial_values[quantity]
-        values[:, 1:] = recorded_values
+        values[:, 1:] = _in_paper_units(quantity, raw_records[quantity])
         records[quantity] = values
     return records
+
+
+def _in_paper_units(quantity: str, raw_values: NDArray[Any]) -> Floats:
+    """Return recorded integers of a quantity as floats in the units of the paper, in the same shape."""
+    if quantity == "alpha":  # its word is a mantissa and a shift
+        return _alpha_of_words(raw_values)
+    integer_of_one = {"t": 1, "n": 1, "beta": UNITS_PER_ALPHA}  # the integer that stands for 1
+    integer_of_one |= {"x_hat": ONE, "x_bar": ONE, "x": ONE, "b_hat": 2**32}
+    values: Floats = raw_values / integer_of_one[quantity]
+    return values
 
 
 def _alpha_of_words(alpha_words: NDArray[np.uint32]) -> Floats:
