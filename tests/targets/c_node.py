@@ -101,22 +101,31 @@ def unexecuted_lines(folder: Path) -> set[str]:
 
     Each is "file: text of the line".
     """
-    least_count_by_line = dict[str, int]()  # executions of the line, or of its rarest branch
+    least_count_by_line: dict[str, int] = {}
     for data in folder.glob("core/**/*.gcda"):
         report = run("gcov", "--branch-probabilities", "--json-format", "--stdout", data, cwd=folder)
         for file in json.loads(report)["files"]:
             path = Path(file["file"])
             if path.parent != ROOT / "c_ref/src" or path.stem == "mcp_asdf_image":  # which saves and restores
                 continue
-            source_lines = path.read_text(encoding="utf-8").splitlines()
-            for line in file["lines"]:
-                code, *_comment = source_lines[line["line_number"] - 1].split("/*")
-                text = f"{path.name}: {code.strip()}"
-                least_count = min([line["count"], *(branch["count"] for branch in line["branches"])])
-                if path.suffix == ".h":  # several files include it; it is enough if the line runs in one file
-                    least_count = max(least_count, least_count_by_line.get(text, 0))
-                least_count_by_line[text] = least_count
+            for text, least_count in count_executions(path, file["lines"]).items():
+                # Several files include a header; it is enough if the line runs in one of them.
+                least_count_by_line[text] = max(least_count, least_count_by_line.get(text, 0))
     return {text for text, least_count in least_count_by_line.items() if least_count == 0}
+
+
+def count_executions(path: Path, lines: list[dict[str, Any]]) -> dict[str, int]:
+    """Return how often gcov counts each line of a file, or its rarest branch, by "file: text of the line".
+
+    Of lines with the same text the last one counts.
+    """
+    source_lines = path.read_text(encoding="utf-8").splitlines()
+    counts = {}
+    for line in lines:
+        code, *_comment = source_lines[line["line_number"] - 1].split("/*")
+        counts_of_branches = [branch["count"] for branch in line["branches"]]
+        counts[f"{path.name}: {code.strip()}"] = min([line["count"], *counts_of_branches])
+    return counts
 
 
 class CNode:

@@ -258,20 +258,29 @@ def commands_that_are_answered() -> list[can.Message]:
 
 def any_frame(rng: random.Random, robot_id: int = ID, subjects: Subjects = SUBJECTS) -> can.Message:
     """Return an estimate or a command that a robot may receive: legal, or in 3 of 10 cases damaged."""
-    if rng.random() < 0.5:
-        sender = rng.choice((robot_id, *range(7)))
-        alpha = rng.choice((0, 0xFF, rng.getrandbits(32)))
-        x_hat = rng.randrange(2**23 + 1)
-        frame = encode_estimate(Estimate(sender, x_hat, alpha, transfer_id=0), subjects.estimates)
-    else:
-        target = rng.choice((robot_id, robot_id, EVERY_ROBOT, 4))
-        action = rng.choice(list(Action))
-        frame = command_frame(rng.randrange(2), target, action, subjects)
+    is_estimate = rng.random() < 0.5
+    draw_frame = draw_estimate if is_estimate else draw_command
+    frame = draw_frame(rng, robot_id, subjects)
     if rng.random() < 0.7:
         return frame
     change_frame = rng.choice(DAMAGES)
     fields: dict[str, Any] = {"arbitration_id": frame.arbitration_id, "data": frame.data}
     return can.Message(**fields | change_frame(frame, rng))
+
+
+def draw_estimate(rng: random.Random, robot_id: int, subjects: Subjects) -> can.Message:
+    """Return an estimate of robots 0 to 6, or of one with the receiver's own id; its alpha may be illegal."""
+    sender = rng.choice((robot_id, *range(7)))
+    alpha = rng.choice((0, 0xFF, rng.getrandbits(32)))
+    x_hat = rng.randrange(2**23 + 1)
+    return encode_estimate(Estimate(sender, x_hat, alpha, transfer_id=0), subjects.estimates)
+
+
+def draw_command(rng: random.Random, robot_id: int, subjects: Subjects) -> can.Message:
+    """Return a command of tick 0 or 1, for the robot, for every robot or for robot 4."""
+    target = rng.choice((robot_id, robot_id, EVERY_ROBOT, 4))
+    action = rng.choice(list(Action))
+    return command_frame(rng.randrange(2), target, action, subjects)
 
 
 DAMAGES: tuple[Callable[[can.Message, random.Random], dict[str, Any]], ...] = (
@@ -591,13 +600,7 @@ def test_the_node_s_heartbeat_says_how_the_bus_is(start_node: StartNode, bus: Un
         (error_frame(RESTARTED), Health.NOMINAL),
     ]
     node = start_node("--lockstep", "--steps-per-second", 1, "--steps", 8)
-    lockstep = Lockstep(bus, timeout=PATIENCE)
-    lockstep.wait_until_up([ID], PATIENCE)
-    for frame, _health in frame_and_health_by_tick:
-        bus.send(frame)
-        lockstep.observe({ID: Observation.BLACK})
-        lockstep.wait_for_estimates([ID])
-        lockstep.settle([ID])
+    send_one_in_each_tick(bus, [frame for frame, _health in frame_and_health_by_tick])
 
     summary = node.summary()
 
@@ -605,6 +608,17 @@ def test_the_node_s_heartbeat_says_how_the_bus_is(start_node: StartNode, bus: Un
     assert received_health == [health for _frame, health in frame_and_health_by_tick]
     assert summary["error_frames"] == 8
     assert summary["bus_off"] == 1
+
+
+def send_one_in_each_tick(bus: UnixBus, frames: list[can.Message]) -> None:
+    """Send each frame to the node on the bus, and command a tick after it."""
+    lockstep = Lockstep(bus, timeout=PATIENCE)
+    lockstep.wait_until_up([ID], PATIENCE)
+    for frame in frames:
+        bus.send(frame)
+        lockstep.observe({ID: Observation.BLACK})
+        lockstep.wait_for_estimates([ID])
+        lockstep.settle([ID])
 
 
 def test_a_bus_that_closes_ends_the_run_with_a_failure(start_node: StartNode, bus: UnixBus) -> None:
@@ -1091,13 +1105,17 @@ def folder_of_verified_node(bus: UnixBus, tmp_path_factory: pytest.TempPathFacto
     for filter_name, config in (("asdf-plus", Config(TABLE)), ("robust", Config(filter=Filter.ROBUST))):
         with CNode(command, bus.channel_info, ID, "--lockstep", "--filter", filter_name) as node:
             bus.accept_node()
-            setup = RobotSetup(ID, "mirror", 0.95, config)
-            verdict = Verification(
-                settings_with_four_neighbours(setup), BenchOptions(bus, ticks=25, timeout=PATIENCE)
-            ).run()
-            assert verdict.has_passed, verdict.headline
+            assert_passes_verification(bus, config)
             node.stop()
     return Path(command[-1]).parent
+
+
+def assert_passes_verification(bus: UnixBus, config: Config) -> None:
+    """Check that the node on the bus passes the verification of a robot with these settings."""
+    setup = RobotSetup(ID, "mirror", 0.95, config)
+    bench = BenchOptions(bus, ticks=25, timeout=PATIENCE)
+    verdict = Verification(settings_with_four_neighbours(setup), bench).run()
+    assert verdict.has_passed, verdict.headline
 
 
 @pytest.mark.slow

@@ -34,6 +34,15 @@ class Verdict:
     updates: int = 0
     difference: str | None = None
 
+    def count_call(self, word: str, results: list[int]) -> None:
+        """Count a call of the log that the mirror has reproduced with these results."""
+        if word == "receive":
+            self.messages += 1
+        elif word == "settle":
+            self.ticks += 1
+            status = results[-1]
+            self.updates += status == Status.UPDATED
+
     def __str__(self) -> str:
         """Return the verdict as a line of text."""
         if self.difference is not None:
@@ -82,12 +91,7 @@ def check_log(path: Path) -> Verdict:
                 f"and in the mirror {computed_results}"
             )
             break
-        if word == "receive":
-            verdict.messages += 1
-        elif word == "settle":
-            verdict.ticks += 1
-            status = computed_results[-1]
-            verdict.updates += status == Status.UPDATED
+        verdict.count_call(word, computed_results)
     return verdict
 
 

@@ -21,15 +21,20 @@ void RobotLog::Start(const std::string &folder, const std::string &robot_name, c
     file_ << "start," << unsigned{mcp_asdf_id(&firmware)} << ',' << mcp_asdf_b_hat(&firmware) << ','
           << unsigned{config.filter} << ',' << config.filter_period << ',' << config.memory << '\n';
     if (config.filter == MCP_ASDF_ADAPTIVE) {
-        /* Two words and q thresholds, q being the lowest byte of the first word, and a checksum. */
-        const uint32_t word_count = (config.table[0] & 0xFFU) + 3U;
-        file_ << "table";
-        for (uint32_t index = 0; index < word_count; ++index) {
-            file_ << ',' << config.table[index];
-        }
-        file_ << '\n';
+        WriteTable(config.table);
     }
     CheckFile();
+}
+
+void RobotLog::WriteTable(const uint32_t *table)
+{
+    /* Two words and q thresholds, q being the lowest byte of the first word, and a checksum. */
+    const uint32_t word_count = (table[0] & 0xFFU) + 3U;
+    file_ << "table";
+    for (uint32_t index = 0; index < word_count; ++index) {
+        file_ << ',' << table[index];
+    }
+    file_ << '\n';
 }
 
 void RobotLog::Observe(mcp_asdf_observation_t colour)

@@ -33,6 +33,7 @@ class RobotLog
     void Close();
 
   private:
+    void WriteTable(const uint32_t *table);
     void CheckFile() const;
 
     std::string path_;

@@ -30,6 +30,23 @@ static bool parse_port(uint16_t *port, const char *text)
     return *end == '\0' && value != 0 && value <= UINT16_MAX;
 }
 
+/* Read the numeric address `host` into *address, with a port. Returns whether it is a multicast address of
+ * the family; if not, *address is of no use. */
+static bool parse_group(address_t *address, bool is_ipv6, const char *host, uint16_t port)
+{
+    memset(address, 0, sizeof *address);
+    if (is_ipv6) {
+        struct sockaddr_in6 *const ipv6 = &address->ipv6;
+        ipv6->sin6_family = AF_INET6;
+        ipv6->sin6_port = htons(port);
+        return inet_pton(AF_INET6, host, &ipv6->sin6_addr) == 1 && IN6_IS_ADDR_MULTICAST(&ipv6->sin6_addr);
+    }
+    struct sockaddr_in *const ipv4 = &address->ipv4;
+    ipv4->sin_family = AF_INET;
+    ipv4->sin_port = htons(port);
+    return inet_pton(AF_INET, host, &ipv4->sin_addr) == 1 && IN_MULTICAST(ntohl(ipv4->sin_addr.s_addr));
+}
+
 /* Read the name of a group, GROUP:PORT or [GROUP]:PORT, into *address. Returns whether it is a multicast
  * address with a port from 1 to 65535; if not, *address is of no use. */
 static bool parse_group_name(address_t *address, const char *name)
@@ -44,20 +61,7 @@ static bool parse_group_name(address_t *address, const char *name)
         return false;
     }
     memcpy(host, host_start, (size_t)(host_end - host_start));
-    if (!parse_port(&port, host_end + strlen(separator))) {
-        return false;
-    }
-    memset(address, 0, sizeof *address);
-    if (is_ipv6) {
-        address->ipv6.sin6_family = AF_INET6;
-        address->ipv6.sin6_port = htons(port);
-        const bool is_address = inet_pton(AF_INET6, host, &address->ipv6.sin6_addr) == 1;
-        return is_address && IN6_IS_ADDR_MULTICAST(&address->ipv6.sin6_addr);
-    }
-    address->ipv4.sin_family = AF_INET;
-    address->ipv4.sin_port = htons(port);
-    const bool is_address = inet_pton(AF_INET, host, &address->ipv4.sin_addr) == 1;
-    return is_address && IN_MULTICAST(ntohl(address->ipv4.sin_addr.s_addr));
+    return parse_port(&port, host_end + strlen(separator)) && parse_group(address, is_ipv6, host, port);
 }
 
 /* Returns the size of an address in bytes, by its family. */
