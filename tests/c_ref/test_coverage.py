@@ -31,6 +31,12 @@ Place = tuple[str, str, Span]
 """Function, file and span."""
 
 
+def span_of(record: list[Any]) -> Span:
+    """Return the span with which a record of llvm-cov begins."""
+    first_line, first_column, last_line, last_column, *_ = record
+    return first_line, first_column, last_line, last_column
+
+
 @dataclass
 class Coverage:
     """What some programs together have covered of the conditions of some functions.
@@ -49,15 +55,21 @@ class Coverage:
         name = function["name"].replace(";", ":").rpartition(":")[2]
         path = function["filenames"][0]
         for branch in function["branches"]:
-            first_line, first_column, last_line, last_column, true_count, false_count, *_ = branch
-            place = (name, path, (first_line, first_column, last_line, last_column))
-            earlier_true, earlier_false = self.outcome_counts.get(place, (0, 0))
-            self.outcome_counts[place] = (earlier_true + true_count, earlier_false + false_count)
+            *span, true_count, false_count = branch[:6]
+            self._add_outcomes((name, path, span_of(span)), true_count, false_count)
         for record in function["mcdc_records"]:
-            first_line, first_column, last_line, last_column, *_, effects = record
-            place = (name, path, (first_line, first_column, last_line, last_column))
-            earlier_effects = self.effects.get(place, [False] * len(effects))
-            self.effects[place] = [a or b for a, b in zip(earlier_effects, effects, strict=True)]
+            *_, effects = record
+            self._add_effects((name, path, span_of(record)), effects)
+
+    def _add_outcomes(self, place: Place, true_count: int, false_count: int) -> None:
+        """Add how often the condition at a place was true and was false in one program."""
+        earlier_true, earlier_false = self.outcome_counts.get(place, (0, 0))
+        self.outcome_counts[place] = (earlier_true + true_count, earlier_false + false_count)
+
+    def _add_effects(self, place: Place, effects: list[bool]) -> None:
+        """Add whether each condition of the decision at a place has changed its result in one program."""
+        earlier_effects = self.effects.get(place, [False] * len(effects))
+        self.effects[place] = [a or b for a, b in zip(earlier_effects, effects, strict=True)]
 
     def missing(self) -> list[tuple[str, str, str]]:
         """Return function, text and missing outcome of each condition that is not covered.

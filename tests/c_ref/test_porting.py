@@ -833,12 +833,19 @@ def kilobot(tmp_path: Path) -> Kilobot:
     machines = pytest.importorskip("benchmarks.cost.machines", reason="unicorn is not installed: make setup")
     require("avr-gcc", AVR_PACKAGES)
     require_simavr()
-    (tmp_path / "kilobot.c").write_text(block_with(KILOBOT_PAGE, "kilolib.h", "c") + READ_X, encoding="utf-8")
+    image = build_kilobot(tmp_path)
+    return Kilobot(machines.AvrMachine(Image(AVR, image)), robot_id=5)
+
+
+def build_kilobot(folder: Path) -> Path:
+    """Build the page's program and READ_X with the firmware in a folder, and return the image."""
+    program, image = folder / "kilobot.c", folder / "kilobot.elf"
+    program.write_text(block_with(KILOBOT_PAGE, "kilolib.h", "c") + READ_X, encoding="utf-8")
     flags = "-mmcu=atmega328p -Os -std=gnu99 -ffunction-sections -Wl,--gc-sections -Wl,-u,read_x"
     include = (f"-I{CORE.parent}", f"-I{Path(__file__).parent / 'kilobot'}")
-    sources = [*CORE.parent.glob("*.c"), TABLE, tmp_path / "kilobot.c"]
-    run("avr-gcc", *flags.split(), *WARNINGS.split(), *include, *sources, "-o", tmp_path / "kilobot.elf")
-    return Kilobot(machines.AvrMachine(Image(AVR, tmp_path / "kilobot.elf")), robot_id=5)
+    sources = [*CORE.parent.glob("*.c"), TABLE, program]
+    run("avr-gcc", *flags.split(), *WARNINGS.split(), *include, *sources, "-o", image)
+    return image
 
 
 @pytest.mark.slow

@@ -62,16 +62,19 @@ class RadioRobot:
 def libraries(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     """Each radio with its stub and the firmware, as a shared library."""
     folder = tmp_path_factory.mktemp("radios")
-    core = [CORE, CORE.with_name("mcp_asdf_accessors.c"), CORE.with_name("mcp_asdf_frame.c")]
-    paths = {}
-    for radio, header_folders in INCLUDES.items():
-        include = [option for path in header_folders for option in ("-isystem", str(path))]
-        stubs = [*(STUBS / radio).glob("*.c"), *(STUBS / "freertos").glob("*.c")]
-        flags = ["-std=c99", *WARNINGS.split(), "-shared", "-fPIC", f"-I{CORE.parent}", *include]
-        paths[radio] = folder / f"{radio}.so"
-        sources = [EXAMPLES / f"{radio}.c", *stubs, *core]
-        run(require("gcc", "gcc"), *flags, *sources, "-o", paths[radio])
+    paths = {radio: folder / f"{radio}.so" for radio in INCLUDES}
+    for radio, path in paths.items():
+        build_radio(radio, path)
     return paths
+
+
+def build_radio(radio: str, path: Path) -> None:
+    """Build a radio, a key of INCLUDES, with its stub and the firmware, as a shared library."""
+    core = [CORE, CORE.with_name("mcp_asdf_accessors.c"), CORE.with_name("mcp_asdf_frame.c")]
+    stubs = [*(STUBS / radio).glob("*.c"), *(STUBS / "freertos").glob("*.c")]
+    include = [option for folder in INCLUDES[radio] for option in ("-isystem", str(folder))]
+    flags = ["-std=c99", *WARNINGS.split(), "-shared", "-fPIC", f"-I{CORE.parent}", *include]
+    run(require("gcc", "gcc"), *flags, EXAMPLES / f"{radio}.c", *stubs, *core, "-o", path)
 
 
 @pytest.fixture(params=INCLUDES)

@@ -129,11 +129,18 @@ def played(name: str) -> list[tuple[Scenario, bytes]]:
     room = max_bytes - _HEAD.size
     for number in range(tried_count):
         scenario = _playable(draw_scenario(seed, number))
-        size = _SCENARIO.size + sum(len(_encode_call(call)) for call in scenario.calls) + 1
-        if scenario.setup.table in TABLES and size <= room:
+        has_table = scenario.setup.table in TABLES
+        size = _size_of(scenario)
+        if has_table and size <= room:
             chosen.append((scenario, _encode(scenario)))
             room -= size
     return chosen
+
+
+def _size_of(scenario: Scenario) -> int:
+    """Return the bytes of a scenario in a file: its head, its calls and a 0."""
+    bytes_of_calls = sum(len(_encode_call(call)) for call in scenario.calls)
+    return _SCENARIO.size + bytes_of_calls + 1
 
 
 def _playable(scenario: Scenario) -> Scenario:

@@ -168,9 +168,17 @@ def play(build: ImageBuild, folder: Path, *files: Path) -> str:
     settings = (f"-D{setting}" for setting in (vectors, *build.settings()))
     run("cmake", "--preset", build.target.name, "-B", folder, *settings, cwd=HERE)
     run("cmake", "--build", folder)
+    return run_image(folder)
+
+
+def run_image(folder: Path) -> str:
+    """Run the image that was built in a folder, as its only test, and return what it prints.
+
+    If it fails, a last line says so.
+    """
     command = ["ctest", "--test-dir", str(folder), "--verbose"]
-    done = subprocess.run(command, capture_output=True, text=True, errors="replace", check=False)
-    # With --verbose ctest puts the number of the test, which is the only one, before each line of it.
-    lines = [line.removeprefix("1: ") for line in done.stdout.splitlines() if line.startswith("1: ")]
-    lines.append("" if done.returncode == 0 else "a test of the image failed")
+    result = subprocess.run(command, capture_output=True, text=True, errors="replace", check=False)
+    # With --verbose ctest puts the number of the test before each line of it.
+    lines = [line.removeprefix("1: ") for line in result.stdout.splitlines() if line.startswith("1: ")]
+    lines.append("" if result.returncode == 0 else "a test of the image failed")
     return _ANSI.sub("", "\n".join(lines))

@@ -11,6 +11,17 @@ from can.interfaces.socketcan.socketcan import build_can_frame, dissect_can_fram
 
 from support import PATIENCE
 
+PACKET_ROOM = 128
+"""Bytes, more than any frame has."""
+
+
+def unpack_frame(packet: bytes) -> can.Message:
+    """Return the frame in a packet of a node; fails unless it is a classic data frame with 29 bits."""
+    assert len(packet) == 16, "a struct can_frame; a frame of CAN FD is longer"
+    identifier, length, _, data = dissect_can_frame(packet)
+    assert identifier >> 29 == 0b100, "29 bits, no remote frame and no error frame"
+    return can.Message(arbitration_id=identifier & 0x1FFF_FFFF, data=data[:length])
+
 
 class UnixBus(can.BusABC):
     """A bus of python-can with one C node at a time at its other end.
@@ -65,17 +76,14 @@ class UnixBus(can.BusABC):
         """
         self.node.settimeout(timeout)
         try:
-            packet = self.node.recv(128)  # bytes, more than any frame has
+            packet = self.node.recv(PACKET_ROOM)
         except (TimeoutError, BlockingIOError):
             return None, False
         except ConnectionResetError:  # it left frames of ours unread; its own last ones follow
-            packet = self.node.recv(128)
+            packet = self.node.recv(PACKET_ROOM)
         if not packet:
             raise EOFError
-        assert len(packet) == 16, "a struct can_frame; a frame of CAN FD is longer"
-        identifier, length, _, data = dissect_can_frame(packet)
-        assert identifier >> 29 == 0b100, "29 bits, no remote frame and no error frame"
-        frame = can.Message(arbitration_id=identifier & 0x1FFF_FFFF, data=data[:length])
+        frame = unpack_frame(packet)
         is_first = not self.received_frames
         is_repeated_greeting = len(self.received_frames) == 1 and frame.data == self.received_frames[0].data
         if is_first or is_repeated_greeting:

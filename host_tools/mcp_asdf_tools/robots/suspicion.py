@@ -38,8 +38,8 @@ class AlphaWatch:
     An honest alpha is nearly proportional to the observations behind it, so after k of them it grows by a
     k-th with the next. It doubles at once only if b_hat is re-estimated, or if as many estimates were missed
     as came before. An alpha of at most half the last one is no jump: the sender has begun anew, and its
-    estimates are counted from there on. Nodes and the page of a bus count by this rule, as does ``watch()``
-    of ``c_ref/ports/node``; ``docs/threats.md`` states it.
+    estimates are counted from there on. Nodes and the page of a bus count by this rule, as does
+    ``check_alpha_jump()`` of ``c_ref/ports/node``; ``docs/threats.md`` states it.
     """
 
     def __init__(self) -> None:

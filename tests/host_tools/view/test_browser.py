@@ -407,24 +407,29 @@ def test_the_page_of_a_silent_bus_waits_until_a_robot_sends(browser: Page) -> No
         until(browser, "view.history.stateCount === 1 && document.getElementById('waiting').hidden")
 
 
-@pytest.fixture
-def bus_browser(browser: Page) -> Iterator[Page]:
-    """The web page of a bus at 10 s: robot 9 sent two frames at 0 s, and robot 5 at 9 s.
-
-    The page was opened when only robot 5 had sent values.
-    """
-    history_of_bus = History(RunDescription("a bus", [5]))
-    history_of_bus.add(make_state_of_one_robot(tick=1))
+def roster_of_two_robots() -> Roster:
+    """Return the roster of a bus: robot 9 sent an estimate and a heartbeat at 0 s, and robot 5 at 9 s."""
     roster = Roster()
     for robot, now in ((9, 0.0), (5, 9.0)):
         roster.receive(can.Message(), Estimate(robot, x_hat=0, alpha=0, transfer_id=3), now)
         heartbeat = Heartbeat(robot, uptime=60, transfer_id=4, health=Health.WARNING)
         roster.receive(can.Message(), heartbeat, now)
+    return roster
+
+
+@pytest.fixture
+def bus_browser(browser: Page) -> Iterator[Page]:
+    """The web page of a bus at 10 s with two robots, 9 and 5, which each sent two frames.
+
+    The page was opened when only robot 5 had sent values.
+    """
+    history_of_bus = History(RunDescription("a bus", [5]))
+    history_of_bus.add(make_state_of_one_robot(tick=1))
     with serve_page(history_of_bus) as url:
         browser.goto(url)
         until(browser, f"{IS_DRAWN} && view.history.robotCount === 1")
         history_of_bus.add_robot(9)
-        history_of_bus.report = roster.report(10.0)
+        history_of_bus.report = roster_of_two_robots().report(now=10.0)
         until(browser, "document.querySelectorAll('#roster tbody tr').length === 2")
         yield browser
 

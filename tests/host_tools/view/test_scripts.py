@@ -6,6 +6,7 @@ import json
 import re
 import shutil
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -70,6 +71,17 @@ console.log(JSON.stringify({ states, linksToRobot0: history.links(1, 0) }));
 """A script that reads page.json and prints its states; JSON has null for NaN."""
 
 
+def decode_by_scripts(description: RunDescription, states: list[State], folder: Path) -> Any:
+    """Encode two states in Python, decode them by the scripts in a folder, and return what these find."""
+    page = {
+        "description": encode_description(description),
+        "block": encode_states(states, description),
+    }
+    (folder / "page.json").write_text(json.dumps(page))
+    (folder / "decode.js").write_text(DECODE_TWO_STATES)
+    return json.loads(run(require("node", "nodejs"), "decode.js", cwd=folder))
+
+
 def test_the_scripts_of_the_page_decode_the_states_that_python_encodes(folder_with_scripts: Path) -> None:
     """Values below 0 and above 1 become these limits, and unknown ones stay unknown.
 
@@ -84,13 +96,7 @@ def test_the_scripts_of_the_page_decode_the_states_that_python_encodes(folder_wi
         State(5, first_values, NO_LINKS, np.array([(0.0, 0.0), (0.0, 0.0), (2.0, -0.5)])),
         State(300, second_values, links, np.array([(0.0, 0.0), (0.0, 0.0), (-2.0, 1.0)])),
     ]
-    page = {
-        "description": encode_description(description),
-        "block": encode_states(states, description),
-    }
-    (folder_with_scripts / "page.json").write_text(json.dumps(page))
-    (folder_with_scripts / "decode.js").write_text(DECODE_TWO_STATES)
-    decoded = json.loads(run(require("node", "nodejs"), "decode.js", cwd=folder_with_scripts))
+    decoded = decode_by_scripts(description, states, folder_with_scripts)
 
     first_state, second_state = decoded["states"]
     one_unit = 1 / 65534  # of the 16-bit numbers in which values are stored
