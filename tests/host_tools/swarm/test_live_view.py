@@ -1,4 +1,4 @@
-"""The view of a running swarm: a bar on a terminal, and lines with fields in a pipe.
+"""The view of a running swarm: a bar on a terminal.
 
 Baselines are copies of the swarm with other filters, which run beside it for comparison.
 """
@@ -37,13 +37,11 @@ class ViewedRun:
         output: All that was written on the console.
         mean_errors: Mean error of the swarm, after each tick; by tick, from 1.
         mean_errors_of_baselines: Mean error of each baseline after the last tick.
-        b_hat: Assumed accuracies of the robots, at the start and after each tick.
     """
 
     output: str = ""
     mean_errors: dict[int, float] = field(default_factory=dict)
     mean_errors_of_baselines: list[float] = field(default_factory=list)
-    b_hat: list[list[float]] = field(default_factory=list)
 
 
 def view_run(steps: int, with_baselines: bool, **console_options: Any) -> ViewedRun:
@@ -58,73 +56,20 @@ def view_run(steps: int, with_baselines: bool, **console_options: Any) -> Viewed
     viewed_run = ViewedRun()
 
     def record(swarm: Swarm) -> None:
-        """Keep the present errors and accuracies; called after each tick."""
+        """Keep the present errors; called after each tick."""
         viewed_run.mean_errors[swarm.ticks] = mean_error(swarm)
         if baselines is not None:
             viewed_run.mean_errors_of_baselines = [
                 mean_error(baseline) for baseline in baselines.swarms.values()
             ]
-        viewed_run.b_hat.append([node.robot.b_hat for node in swarm.nodes])
 
     with Swarm(settings, Wiring()) as swarm, LiveView(console, baselines) as view:
-        viewed_run.b_hat.append(swarm.b_hat_at_start)
         callbacks: list[Callable[[Swarm], None]] = [record, view]
         if baselines is not None:
             callbacks.insert(0, baselines)  # first, so that the other two meet them after the same tick
         run_swarm(swarm, callbacks)
     viewed_run.output = console_file.getvalue()
     return viewed_run
-
-
-def lines_that_begin_with(word: str, output: str) -> list[str]:
-    """Return the lines of an output that begin with a word."""
-    return [line for line in output.splitlines() if line.startswith(word)]
-
-
-def test_a_pipe_gets_the_mean_error_of_the_swarm_twenty_times_in_a_run() -> None:
-    """A run of 100 steps has a line after step 5, 10, 15 and so on to 100."""
-    viewed_run = view_run(steps=100, with_baselines=False)
-    expected_lines = []
-    for step in range(5, 101, 5):
-        expected_lines.append(f"step\t{step}\tmean_error\t{viewed_run.mean_errors[step]:.5f}")
-
-    assert lines_that_begin_with("step", viewed_run.output) == expected_lines
-
-
-def test_a_pipe_gets_no_mean_error_at_the_end_of_an_incomplete_twentieth() -> None:
-    """A twentieth of 98 steps is rounded up to 5 steps, so the last line shows step 95."""
-    viewed_run = view_run(steps=98, with_baselines=False)
-    *_, last_line = lines_that_begin_with("step", viewed_run.output)
-    assert last_line.startswith("step\t95\t")
-
-
-def test_a_pipe_gets_the_mean_errors_of_baselines_behind_the_swarm_s_mean_error() -> None:
-    """Baselines are the same swarm without a filter and with the robust one. The last line is compared."""
-    viewed_run = view_run(steps=20, with_baselines=True)
-    swarm_error = viewed_run.mean_errors[20]  # after step 20
-    error_without_filter, error_with_robust_filter = viewed_run.mean_errors_of_baselines
-
-    *_, last_line = viewed_run.output.splitlines()
-    assert last_line == (
-        f"step\t20\tmean_error\t{swarm_error:.5f}\tnone\t{error_without_filter:.5f}"
-        f"\trobust\t{error_with_robust_filter:.5f}"
-    )
-
-
-def test_a_pipe_gets_each_change_of_b_hat_that_is_more_than_a_correction() -> None:
-    """b_hat is the accuracy that a robot assumes of its sensor; changes up to 0.002 are corrections."""
-    viewed_run = view_run(steps=390, with_baselines=False)
-    b_hat = viewed_run.b_hat  # by step and robot; before the first step at index 0
-    expected_lines = []
-    for step in range(1, 391):
-        for robot in range(8):
-            before = b_hat[step - 1][robot]
-            after = b_hat[step][robot]
-            if abs(after - before) > 0.002:
-                expected_lines.append(f"robot\t{robot}\tstep\t{step}\tb_hat\t{before:.4f}\t{after:.4f}")
-
-    assert expected_lines != []
-    assert lines_that_begin_with("robot", viewed_run.output) == expected_lines
 
 
 def pictures_of_bar(output: str) -> list[str]:
@@ -167,10 +112,10 @@ def test_the_progress_bar_of_a_swarm_with_baselines_ends_with_the_mean_error_of_
     ) in last_picture
 
 
-@pytest.mark.parametrize("is_terminal", [False, True])
-def test_a_quiet_console_stays_empty(is_terminal: bool) -> None:
-    """Neither a pipe nor a terminal gets anything of a run with baselines."""
-    viewed_run = view_run(steps=20, with_baselines=True, quiet=True, force_terminal=is_terminal)
+@pytest.mark.parametrize(("is_terminal", "is_quiet"), [(False, False), (True, True)])
+def test_a_pipe_and_a_quiet_terminal_stay_empty(is_terminal: bool, is_quiet: bool) -> None:
+    """They get nothing of a run with baselines while it goes on."""
+    viewed_run = view_run(steps=20, with_baselines=True, quiet=is_quiet, force_terminal=is_terminal)
     assert viewed_run.output == ""
 
 
