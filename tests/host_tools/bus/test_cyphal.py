@@ -207,6 +207,16 @@ def test_pycyphal_takes_a_frame_with_a_flipped_bit_for_an_estimate_exactly_if_we
 # --- pycyphal sends our frames ---------------------------------------------------------------------------
 
 
+def first_transfer_of(dsdl_object: Any) -> Any:
+    """Return a transfer of pycyphal with an object, the priority 4 and the transfer id 0."""
+    return transport.Transfer(
+        timestamp=transport.Timestamp.now(),
+        priority=transport.Priority(4),
+        transfer_id=0,
+        fragmented_payload=list(pycyphal.dsdl.serialize(dsdl_object)),
+    )
+
+
 async def frame_sent_by_pycyphal(subject: int, dsdl_object: Any) -> can.Message:
     """Return the frame that pycyphal's node 42 sends for an object, with the transfer id 0."""
     channel = f"pycyphal {subject}"
@@ -216,14 +226,8 @@ async def frame_sent_by_pycyphal(subject: int, dsdl_object: Any) -> can.Message:
         transport.PayloadMetadata(7),
     )
     with can.Bus(interface="virtual", channel=channel) as bus:
-        transfer = transport.Transfer(
-            timestamp=transport.Timestamp.now(),
-            priority=transport.Priority(4),
-            transfer_id=0,
-            fragmented_payload=list(pycyphal.dsdl.serialize(dsdl_object)),
-        )
         deadline = asyncio.get_running_loop().time() + PATIENCE
-        assert await session.send(transfer, deadline)
+        assert await session.send(first_transfer_of(dsdl_object), deadline)
         frame = bus.recv(timeout=PATIENCE)
         node.close()
     assert frame is not None

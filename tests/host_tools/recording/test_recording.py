@@ -71,11 +71,10 @@ def recording_frames(
     Yields a function that records the frame with a number.
     """
     header = HEADER_OF_ROBOT_5 if with_events else None
-    with Recording(log, header, warn) as (write_frame, _events_writer):
-        assert write_frame is not None
+    with Recording(log, header, warn) as outputs:
 
         def record_frame(number: int) -> None:
-            write_frame(make_frame(number))
+            outputs.record_frame(make_frame(number))
 
         yield record_frame
 
@@ -150,9 +149,8 @@ def test_the_name_of_any_bus_becomes_one_word_in_the_log(
     frame = make_frame(1)
     frame.channel = channel
     recording = Recording(tmp_path / "run.log", header=None, warn=fail_on_warning, channel="my bus")
-    with recording as (write_frame, _events_writer):
-        assert write_frame is not None
-        write_frame(frame)
+    with recording as outputs:
+        outputs.record_frame(frame)
     (logged_frame,) = read_log(tmp_path / "run.log")
 
     assert logged_frame.channel == logged_channel
@@ -200,9 +198,9 @@ def test_a_run_that_fails_leaves_the_events_of_its_last_tick(tmp_path: Path) -> 
     The file run.log.events.part has the observation as the number 1, which stands for black.
     """
     recording = Recording(tmp_path / "run.log", HEADER_OF_ROBOT_5, warn=print)
-    with pytest.raises(ZeroDivisionError), recording as (_write_frame, events_writer):
-        assert events_writer is not None
-        recorder_of_robot_5 = events_writer.recorders[5]
+    with pytest.raises(ZeroDivisionError), recording as outputs:
+        recorder_of_robot_5 = outputs.recorder_of(5)
+        assert recorder_of_robot_5 is not None
         recorder_of_robot_5.record_observation(Observation.BLACK)
         raise ZeroDivisionError  # stands for any error
 
@@ -419,13 +417,11 @@ def disk_of_size(max_bytes: int, folder: Path) -> Iterator[None]:
 def warnings_of_record_of_16_broadcasts(log: Path) -> list[str]:
     """Record robot 5 as it observes 16 black tiles and broadcasts 16 estimates; return the warnings."""
     warnings: list[str] = []
-    with Recording(log, HEADER_OF_ROBOT_5, warnings.append) as (write_frame, events_writer):
-        assert write_frame is not None and events_writer is not None
-        robot = BusRobot(setup_of_robot(robot=5), FrameFormat())
-        robot.recorder = events_writer.recorders[5]
+    with Recording(log, HEADER_OF_ROBOT_5, warnings.append) as outputs:
+        robot = BusRobot(setup_of_robot(robot=5), FrameFormat(), outputs.recorder_of(5))
         for tick in range(16):
             robot.observe(Observation.BLACK)
-            write_frame(robot.broadcast(float(tick)))
+            outputs.record_frame(robot.broadcast(float(tick)))
             robot.settle()
     return warnings
 

@@ -179,11 +179,8 @@ def run_under(*fault_texts: str, ticks: int = 1, seed: int = 7) -> DisturbedRun:
     run = DisturbedRun(faults)
     for tick in range(ticks):
         faults.begin_tick(tick, range(ROBOTS))
-        frames = [
-            *[(node, frame) for node in range(ROBOTS) for frame in extra_frames(faults, node, tick, True)],
-            *[(node, estimate_of(node, tick)) for node in range(ROBOTS)],
-            *[(node, frame) for node in range(ROBOTS) for frame in extra_frames(faults, node, tick, False)],
-        ]
+        estimates = [(node, estimate_of(node, tick)) for node in range(ROBOTS)]
+        frames = extra_frames(faults, tick, True) + estimates + extra_frames(faults, tick, False)
         all_sent = [faults.on_send(frame, node) for node, frame in frames]
         sent_frames = [sent_frame for sent_frame in all_sent if sent_frame is not None]
         deliveries = queue.deliver(tick, sent_frames)
@@ -195,9 +192,16 @@ def run_under(*fault_texts: str, ticks: int = 1, seed: int = 7) -> DisturbedRun:
     return run
 
 
-def extra_frames(faults: Faults, node: int, tick: int, before_others: bool) -> list[can.Message]:
-    """Return what a node sends besides its estimate; a second has ten ticks."""
-    return faults.extra_frames(node, tick / 10, before_others=before_others)
+def extra_frames(faults: Faults, tick: int, before_others: bool) -> list[tuple[int, can.Message]]:
+    """Return the frames that nodes send besides their estimates, each with its node; a second has ten ticks.
+
+    ``before_others`` asks for those that precede the estimates, otherwise for those that follow them.
+    """
+    frames = []
+    for node in range(ROBOTS):
+        for frame in faults.extra_frames(node, tick / 10, before_others=before_others):
+            frames.append((node, frame))
+    return frames
 
 
 @pytest.mark.parametrize(

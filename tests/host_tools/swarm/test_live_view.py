@@ -8,8 +8,7 @@ from __future__ import annotations
 import io
 import itertools
 import re
-from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from types import SimpleNamespace
 from typing import Any
 from unittest.mock import Mock
@@ -29,19 +28,19 @@ MOVING_SWARM = SwarmSettings(
 )
 
 
-@dataclass
+@dataclass(frozen=True)
 class ViewedRun:
-    """What a run has shown, and what it did.
+    """What a run has shown, and how it has ended.
 
     Attributes:
         output: All that was written on the console.
-        mean_errors: Mean error of the swarm, after each tick; by tick, from 1.
+        mean_error: Mean error of the swarm after the last tick.
         mean_errors_of_baselines: Mean error of each baseline after the last tick.
     """
 
-    output: str = ""
-    mean_errors: dict[int, float] = field(default_factory=dict)
-    mean_errors_of_baselines: list[float] = field(default_factory=list)
+    output: str
+    mean_error: float
+    mean_errors_of_baselines: list[float]
 
 
 def view_run(steps: int, with_baselines: bool, **console_options: Any) -> ViewedRun:
@@ -51,25 +50,14 @@ def view_run(steps: int, with_baselines: bool, **console_options: Any) -> Viewed
     """
     settings = replace(MOVING_SWARM, steps=steps)
     baselines = Baselines(settings) if with_baselines else None
-    console_file = io.StringIO()
-    console = Console(file=console_file, **console_options)
-    viewed_run = ViewedRun()
-
-    def record(swarm: Swarm) -> None:
-        """Keep the present errors; called after each tick."""
-        viewed_run.mean_errors[swarm.ticks] = mean_error(swarm)
-        if baselines is not None:
-            viewed_run.mean_errors_of_baselines = [
-                mean_error(baseline) for baseline in baselines.swarms.values()
-            ]
-
+    output = io.StringIO()
+    console = Console(file=output, **console_options)
     with Swarm(settings, Wiring()) as swarm, LiveView(console, baselines) as view:
-        callbacks: list[Callable[[Swarm], None]] = [record, view]
-        if baselines is not None:
-            callbacks.insert(0, baselines)  # first, so that the other two meet them after the same tick
-        run_swarm(swarm, callbacks)
-    viewed_run.output = console_file.getvalue()
-    return viewed_run
+        # Baselines come first, so that the view meets them after the same tick.
+        hooks = [hook for hook in (baselines, view) if hook is not None]
+        run_swarm(swarm, hooks)
+        mean_errors = {} if baselines is None else baselines.mean_errors()
+        return ViewedRun(output.getvalue(), mean_error(swarm), list(mean_errors.values()))
 
 
 def pictures_of_bar(output: str) -> list[str]:
@@ -102,12 +90,11 @@ def test_a_terminal_gets_a_progress_bar_from_the_first_step_to_the_last() -> Non
 def test_the_progress_bar_of_a_swarm_with_baselines_ends_with_the_mean_error_of_each() -> None:
     """Baselines are the same swarm without a filter and with the robust one."""
     viewed_run = view_run_on_terminal(steps=20, with_baselines=True, width=200)
-    swarm_error = viewed_run.mean_errors[20]  # after step 20
     error_without_filter, error_with_robust_filter = viewed_run.mean_errors_of_baselines
 
     *_, last_picture = pictures_of_bar(viewed_run.output)
     assert (
-        f"mean error {swarm_error:.4f}, no filter {error_without_filter:.4f}, "
+        f"mean error {viewed_run.mean_error:.4f}, no filter {error_without_filter:.4f}, "
         f"robust {error_with_robust_filter:.4f}"
     ) in last_picture
 
