@@ -5,7 +5,7 @@ The build files are for CMake, ESP-IDF, Meson, Arduino, PlatformIO and Zephyr.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from decimal import Decimal
 from hashlib import sha256
 from pathlib import Path
@@ -107,7 +107,7 @@ config MCP_ASDF
     help
       Builds the firmware core and its t-table.
 """
-_BUILD_FILES = {
+_BUILD_FILE_TEMPLATES = {
     "CMakeLists.txt": _CMAKE,
     "meson.build": _MESON,
     "library.json": _LIBRARY_JSON,
@@ -130,17 +130,14 @@ def write_firmware(omega: Decimal, q: int, folder: Path, force: bool = False) ->
     written or, without ``force``, if one has been changed since it was written.
     """
     texts = _folder_texts(omega, q)
-    checksums = {name: sha256(texts[name].encode()).hexdigest() for name in sorted(texts)}
     # The folder is for one table: tables of an earlier run with another omega or q are deleted.
     other_tables = [path for path in sorted(folder.glob("t_table_*.c")) if path.name not in texts]
     if not force:
-        names_to_replace_or_delete = [path.name for path in other_tables] + list(texts)
-        old_checksums = _read_checksums(folder / _CHECKSUMS_FILE)
-        _check_unchanged(folder, names_to_replace_or_delete, old_checksums, new_checksums=checksums)
-    # The file of checksums cannot hold its own, so it is added when all others have theirs.
-    texts[_CHECKSUMS_FILE] = "".join(f"{checksum}  {name}\n" for name, checksum in checksums.items())
-    text_by_path = {folder / name: content for name, content in texts.items()}
+        _check_unchanged(folder, [*(path.name for path in other_tables), *texts], new_texts=texts)
+    # The file of checksums cannot hold its own, so it is made of all others.
+    texts[_CHECKSUMS_FILE] = _format_checksums(texts)
     make_folder(folder / "zephyr")  # the only folder inside, and with it ``folder`` itself
+    text_by_path = {folder / name: text for name, text in texts.items()}
     write_together(text_by_path)
     # Only now that the new files are complete: if writing them fails, the old tables stay.
     for path in other_tables:
@@ -153,8 +150,13 @@ def _folder_texts(omega: Decimal, q: int) -> dict[str, str]:
     core_folder = Path(_native.__file__).parent / "core"  # installed beside the compiled firmware
     texts = {path.name: path.read_text(encoding="utf-8") for path in sorted(core_folder.iterdir())}
     sources = sorted(name for name in texts if name.endswith(".c"))
+    texts[f"{table_name(omega, q)}.c"] = format_c_source(omega, q)
+    return texts | _build_files(omega, q, sources)
+
+
+def _build_files(omega: Decimal, q: int, sources: Sequence[str]) -> dict[str, str]:
+    """Return the texts of the files by which build systems find the sources and the t-table, by name."""
     table_file = f"{table_name(omega, q)}.c"
-    texts[table_file] = format_c_source(omega, q)
     compiled_files = [*sources, table_file]
     values = {
         "version": own_version(),
@@ -165,26 +167,36 @@ def _folder_texts(omega: Decimal, q: int) -> dict[str, str]:
         "quoted_sources": ", ".join(f"'{name}'" for name in compiled_files),
         "parent_sources": " ".join(f"../{name}" for name in compiled_files),
     }
-    texts |= {name: template.format_map(values) for name, template in _BUILD_FILES.items()}
-    return texts
+    return {name: template.format_map(values) for name, template in _BUILD_FILE_TEMPLATES.items()}
 
 
-def _check_unchanged(
-    folder: Path, names: Iterable[str], old_checksums: Mapping[str, str], new_checksums: Mapping[str, str]
-) -> None:
-    """Raise UsageError for the first file whose checksum is neither the old nor the new one of its name.
+def _checksum(data: bytes) -> str:
+    """Return the checksum of a file's content as sha256sum writes it."""
+    return sha256(data).hexdigest()
 
-    Names are relative to the folder. Files that do not exist are unchanged.
+
+def _check_unchanged(folder: Path, names: Iterable[str], new_texts: Mapping[str, str]) -> None:
+    """Raise UsageError for the first file that is neither as it was written nor as it is about to be.
+
+    The files are those with these names in the folder, if they exist. How they were written is known from the
+    checksums in the folder.
     """
+    old_checksums = _read_checksums(folder / _CHECKSUMS_FILE)
     for name in names:
         path = folder / name
         if not path.is_file():
             continue
-        # Either the file is as it was written, or it is what is about to be written anyway.
-        checksum = sha256(path.read_bytes()).hexdigest()
-        if checksum not in (old_checksums.get(name), new_checksums.get(name)):
+        data = path.read_bytes()
+        is_as_written = _checksum(data) == old_checksums.get(name)
+        is_as_new = name in new_texts and data == new_texts[name].encode()
+        if not is_as_written and not is_as_new:
             fix = "keep it elsewhere, or give --force to replace it"
             raise UsageError(f"{path} is not as mcp-asdf firmware wrote it; {fix}")
+
+
+def _format_checksums(texts: Mapping[str, str]) -> str:
+    """Return the checksums of texts in sha256sum's format, a line for each, in the order of their names."""
+    return "".join(f"{_checksum(texts[name].encode())}  {name}\n" for name in sorted(texts))
 
 
 def _read_checksums(path: Path) -> dict[str, str]:

@@ -14,6 +14,8 @@ CODE_MODULES = 100
 
 _FINDER_MODULES = 7
 """Modules along a side of a finder pattern."""
+_LAST_FINDER = CODE_MODULES - _FINDER_MODULES
+"""First row of the finder pattern at the lower edge, and first column of the one at the right edge."""
 _LOGO_MODULES = 32
 """Modules along a side of the logo. At this size half of the modules outside the fixed patterns are black
 where the fill ratio is 0.448."""
@@ -30,21 +32,14 @@ def make_floor_code(fill_ratio: float) -> NDArray[np.bool_]:
     the same ones. Equal calls return the same array, so do not change it. Raises ParameterError if that share
     is no whole number of modules, or fewer or more than the fixed patterns leave open. O(modules).
     """
-    modules = CODE_MODULES**2
-    black_modules = round(fill_ratio * modules)
-    # A share such as 0.448 is no exact float, so its product may be a little off the whole number.
-    if abs(black_modules - fill_ratio * modules) > 1e-9 * modules:
-        raise ParameterError(
-            "fill_ratio",
-            f"fill_ratio is {fill_ratio}; a floor of {modules} modules needs a multiple of {1 / modules:g}",
-        )
+    black_modules = _count_black_modules(fill_ratio)
     pattern, is_fixed = _fixed_patterns()
     free_modules = np.flatnonzero(~is_fixed)
     fixed_black_modules = int(pattern.sum())
     missing_modules = black_modules - fixed_black_modules
     if not 0 <= missing_modules <= len(free_modules):
-        minimum = fixed_black_modules / modules
-        maximum = (fixed_black_modules + len(free_modules)) / modules
+        minimum = fixed_black_modules / pattern.size
+        maximum = (fixed_black_modules + len(free_modules)) / pattern.size
         message = f"fill_ratio is {fill_ratio}; this floor can have {minimum:g} to {maximum:g}"
         raise ParameterError("fill_ratio", message)
     # A seed of its own, so that every trial of an experiment has the same floor.
@@ -54,40 +49,51 @@ def make_floor_code(fill_ratio: float) -> NDArray[np.bool_]:
     return pattern
 
 
+def _count_black_modules(fill_ratio: float) -> int:
+    """Return how many modules are black. Raises ParameterError if the share is no whole number of them."""
+    modules = CODE_MODULES**2
+    black_modules = round(fill_ratio * modules)
+    # A share such as 0.448 is no exact float, so its product may be a little off the whole number.
+    if abs(black_modules - fill_ratio * modules) > 1e-9 * modules:
+        raise ParameterError(
+            "fill_ratio",
+            f"fill_ratio is {fill_ratio}; a floor of {modules} modules needs a multiple of {1 / modules:g}",
+        )
+    return black_modules
+
+
 def _fixed_patterns() -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """Return which modules are black in the patterns that every code has, and which belong to them.
 
     The patterns are three finders, two timing lines and the logo. Both arrays have the shape (CODE_MODULES,
     CODE_MODULES).
     """
-    side = CODE_MODULES
-    is_black = np.zeros((side, side), np.bool_)
-    is_fixed = np.zeros((side, side), np.bool_)
+    is_black = np.zeros((CODE_MODULES, CODE_MODULES), np.bool_)
+    is_fixed = np.zeros((CODE_MODULES, CODE_MODULES), np.bool_)
+    for row, column in ((0, 0), (0, _LAST_FINDER), (_LAST_FINDER, 0)):
+        end_row = row + _FINDER_MODULES
+        end_column = column + _FINDER_MODULES
+        is_black[row:end_row, column:end_column] = _finder()
+        # With the margin, which the edge of the code cuts off on two sides.
+        is_fixed[max(0, row - 1) : end_row + 1, max(0, column - 1) : end_column + 1] = True
+    # A timing line leads from margin to margin of two finders, level with their inner edges. Its modules are
+    # black and white in turn, the first one black.
+    inner_edge = _FINDER_MODULES - 1
+    line = slice(_FINDER_MODULES + 1, _LAST_FINDER - 1)
+    timing_line = np.arange(line.stop - line.start) % 2 == 0
+    is_black[inner_edge, line] = timing_line
+    is_black[line, inner_edge] = timing_line
+    is_fixed[inner_edge, line] = True
+    is_fixed[line, inner_edge] = True
+    # The logo is white, as modules are from the start.
+    logo = slice((CODE_MODULES - _LOGO_MODULES) // 2, (CODE_MODULES + _LOGO_MODULES) // 2)
+    is_fixed[logo, logo] = True
+    return is_black, is_fixed
 
-    # A finder pattern is a black frame around a black square, with a white margin of one module.
+
+def _finder() -> NDArray[np.bool_]:
+    """Return a finder pattern, True where black: a frame around a square, with a white line between them."""
     finder = np.ones((_FINDER_MODULES, _FINDER_MODULES), np.bool_)
     finder[1:-1, 1:-1] = False
     finder[2:-2, 2:-2] = True
-    first_of_last_finder = side - _FINDER_MODULES
-    for row, column in ((0, 0), (0, first_of_last_finder), (first_of_last_finder, 0)):
-        end_row = row + _FINDER_MODULES
-        end_column = column + _FINDER_MODULES
-        is_black[row:end_row, column:end_column] = finder
-        # With the margin, which the edge of the code cuts off on two sides.
-        is_fixed[max(0, row - 1) : end_row + 1, max(0, column - 1) : end_column + 1] = True
-
-    # A timing line leads from margin to margin of two finders, level with their inner edges. Its modules are
-    # black and white in turn, the first one black.
-    timing_row = timing_column = _FINDER_MODULES - 1
-    line_start = _FINDER_MODULES + 1
-    line_end = first_of_last_finder - 1
-    timing_line = np.arange(line_end - line_start) % 2 == 0
-    is_black[timing_row, line_start:line_end] = timing_line
-    is_black[line_start:line_end, timing_column] = timing_line
-    is_fixed[timing_row, line_start:line_end] = True
-    is_fixed[line_start:line_end, timing_column] = True
-
-    # The logo is white, as modules are from the start.
-    logo_span = slice((side - _LOGO_MODULES) // 2, (side + _LOGO_MODULES) // 2)
-    is_fixed[logo_span, logo_span] = True
-    return is_black, is_fixed
+    return finder

@@ -135,25 +135,47 @@ def _format_edges(graph: Any) -> list[str]:
     """
     import numpy as np  # noqa: PLC0415 (it loads slowly, and texts and files need none of it)
 
-    id_pairs = graph
-    is_directed = False
-    # A boolean array has a link for each True, and a graph of networkx knows whether its edges have a
-    # direction. Anything else is iterated as pairs, below.
     if isinstance(graph, np.ndarray) and graph.dtype == np.bool_:
         if graph.ndim != 2 or graph.shape[0] != graph.shape[1]:
             raise UsageError(f"graph has shape {graph.shape}; give a square array, [receiver, sender]")
-        id_pairs = [(sender, receiver) for receiver, sender in np.argwhere(graph)]
-        is_directed = True
-    elif hasattr(graph, "is_directed") and hasattr(graph, "edges"):
+        return [f"{sender} > {receiver}" for receiver, sender in np.argwhere(graph)]
+    id_pairs = graph
+    sign = ""
+    is_of_networkx = hasattr(graph, "is_directed") and hasattr(graph, "edges")
+    if is_of_networkx:
         id_pairs = list(graph.edges())
-        is_directed = graph.is_directed()
-    sign = "> " if is_directed else ""
+        sign = "> " if graph.is_directed() else ""
     # ``index`` is that of the module operator: it takes integers of any kind, and refuses all that is none.
     try:
         return [f"{index(first)} {sign}{index(second)}" for first, second in id_pairs]
     except (TypeError, ValueError):
         fix = "give a file, edges such as '3 5; 5 > 7', pairs of ids, a boolean array, or a networkx graph"
         raise UsageError(f"graph is {graph!r}; {fix}") from None
+
+
+@dataclass(frozen=True)
+class _Edge:
+    """An edge of a text.
+
+    Attributes:
+        first_id: Id that stands first; with an arrow, that of the sender.
+        second_id: Id that stands second.
+        is_one_way: Whether only the second robot receives from the first, as in ``3 > 5``.
+    """
+
+    first_id: int
+    second_id: int
+    is_one_way: bool
+
+    @property
+    def forward_link(self) -> tuple[int, int]:
+        """The link on which the first robot sends and the second one receives."""
+        return self.first_id, self.second_id
+
+    @property
+    def backward_link(self) -> tuple[int, int]:
+        """The link on which the second robot sends and the first one receives."""
+        return self.second_id, self.first_id
 
 
 def _parse_lines(lines: Iterable[str], unit: str, source: str) -> Graph:
@@ -172,16 +194,13 @@ def _parse_lines(lines: Iterable[str], unit: str, source: str) -> Graph:
         if not edge_text:
             continue
         position = f"{source}, {unit} {line_number}"
-        first_id, second_id, is_one_way = _parse_edge(edge_text, position)
-        forward_link = (first_id, second_id)
-        backward_link = (second_id, first_id)
-        if is_one_way:
-            new_links = [forward_link]
-        elif backward_link in two_way_edges:
+        edge = _parse_edge(edge_text, position)
+        if edge.backward_link in two_way_edges and not edge.is_one_way:
             continue  # the edge is there already, written from its other end
-        else:
-            two_way_edges.add(forward_link)
-            new_links = [forward_link, backward_link]
+        new_links = [edge.forward_link]
+        if not edge.is_one_way:
+            new_links.append(edge.backward_link)
+            two_way_edges.add(edge.forward_link)
         for sender, receiver in new_links:
             if (sender, receiver) in line_of_link:
                 raise UsageError(
@@ -194,19 +213,18 @@ def _parse_lines(lines: Iterable[str], unit: str, source: str) -> Graph:
     return Graph(frozenset(line_of_link), source)
 
 
-def _parse_edge(edge_text: str, position: str) -> tuple[int, int, bool]:
-    """Return both ids of an edge, and whether it is one-way, from the first to the second, as in ``3 > 5``.
+def _parse_edge(edge_text: str, position: str) -> _Edge:
+    """Return the edge of a line without its comment.
 
-    ``edge_text`` is a line without its comment. ``position`` says where the line stands, such as "a.txt, line
-    7", and begins messages. Raises UsageError for a text that is no edge, an id that is too large, and an
-    edge from a robot to itself.
+    ``position`` says where the line stands, such as "a.txt, line 7", and begins messages. Raises UsageError
+    for a text that is no edge, an id that is too large, and an edge from a robot to itself.
     """
     match = _EDGE.fullmatch(edge_text)
     if match is None or max(int(match["first_id"]), int(match["second_id"])) >= MAX_ROBOTS:
         fix = f"write two ids, 0 to {MAX_ROBOTS - 1}, such as '3 5' or '3 > 5'"
         raise UsageError(f"{position}: {edge_text!r} is not an edge; {fix}")
-    first_id, second_id = int(match["first_id"]), int(match["second_id"])
-    if first_id == second_id:
-        raise UsageError(f"{position}: robot {first_id} cannot be its own neighbour; remove the edge")
     # Without an arrow the group has not taken part in the match, and is None.
-    return first_id, second_id, match["arrow"] is not None
+    edge = _Edge(int(match["first_id"]), int(match["second_id"]), is_one_way=match["arrow"] is not None)
+    if edge.first_id == edge.second_id:
+        raise UsageError(f"{position}: robot {edge.first_id} cannot be its own neighbour; remove the edge")
+    return edge

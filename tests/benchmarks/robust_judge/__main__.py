@@ -23,7 +23,7 @@ import subprocess
 import sys
 import tempfile
 import zlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -46,6 +46,9 @@ COLUMNS = (
 """error: median over trials of the mean |x - f| of honest robots in the last quarter, with its 95 % interval
 by order statistics; worst: the largest. score: median of H. harmed: percentage of healthy robots whose b_hat
 is more than 0.05 off, mean over the last quarter and all trials; unfixed: the same of the flawed ones."""
+
+RowKey = tuple[str, str, str, str]
+"""Which row of a table: its group, case, flaw and filter."""
 
 FLAWS = {"underconfident": "f=.55 b=.95 fb=.55", "overconfident": "f=.95 b=.55 fb=.95"}
 TOPOLOGIES = {"moving": "top=1", "all hear all": "top=0"}
@@ -246,27 +249,32 @@ def rows_of(
 ) -> Iterator[dict[str, str]]:
     """Yield the rows of the table for the results of a case; labels are what the table calls the filters."""
     for name, label in labels.items():
-        values = results[name]
-        median_error, low, high = median_interval(np.array(values["error"]))
-        numbers = {
-            "error": median_error,
-            "error_low": low,
-            "error_high": high,
-            "worst": max(values["error"]),
-            "score": statistics.median(values["score"]),
-            "harmed": statistics.fmean(values["harmed"]),
-            "unfixed": statistics.fmean(values["unfixed"]),
-        }
-        texts = {column: f"{number:.4g}" for column, number in numbers.items()}
-        trials = str(len(values["error"]))
         yield {
             "group": case.group,
             "case": case.name,
             "flaw": case.flaw,
             "filter": label,
-            "trials": trials,
-            **texts,
+            **summarize(results[name]),
         }
+
+
+def summarize(values: Mapping[str, Sequence[float]]) -> dict[str, str]:
+    """Return the columns from "trials" to "unfixed" for a case with a filter.
+
+    ``values`` has a number for each trial, by the quantity.
+    """
+    errors = values["error"]
+    median_error, low, high = median_interval(np.array(errors))
+    numbers = {
+        "error": median_error,
+        "error_low": low,
+        "error_high": high,
+        "worst": max(errors),
+        "score": statistics.median(values["score"]),
+        "harmed": statistics.fmean(values["harmed"]),
+        "unfixed": statistics.fmean(values["unfixed"]),
+    }
+    return {"trials": str(len(errors))} | {column: f"{number:.4g}" for column, number in numbers.items()}
 
 
 def read_rows(path: Path) -> list[dict[str, str]]:
@@ -277,10 +285,22 @@ def read_rows(path: Path) -> list[dict[str, str]]:
         return list(csv.DictReader(file))
 
 
+def append_rows(path: Path, rows: Iterator[dict[str, str]]) -> None:
+    """Append rows to a table, each as soon as it is made; a new table begins with the COLUMNS."""
+    with path.open("a", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
+        is_empty = file.tell() == 0  # the position in a file that is opened to append is its end
+        if is_empty:
+            writer.writeheader()
+        for row in rows:
+            writer.writerow(row)
+            file.flush()
+
+
 def generate_rows(
-    finished: set[tuple[str, ...]], cases: Sequence[Case], labels: Mapping[str, str], core: Path = CORE
+    finished: Set[RowKey], cases: Sequence[Case], labels: Mapping[str, str], core: Path = CORE
 ) -> Iterator[dict[str, str]]:
-    """Yield the rows of cases, but for the finished ones.
+    """Run cases and yield their rows, but not the cases of which there are finished rows.
 
     ``labels`` are what the table calls the filters, by their names in judge.c, and ``core`` is the folder of
     the firmware that is judged.
@@ -294,7 +314,7 @@ def generate_rows(
                 print(f"{last_label}, {number} of {len(cases)}: {case.name} {case.flaw}", file=sys.stderr)
 
 
-def generate_variant_rows(finished: set[tuple[str, ...]]) -> Iterator[dict[str, str]]:
+def generate_variant_rows(finished: Set[RowKey]) -> Iterator[dict[str, str]]:
     """Yield the rows of the cases of variants with each variant, but for the finished ones."""
     for variant in VARIANTS:
         with tempfile.TemporaryDirectory() as core:
@@ -310,21 +330,12 @@ def main() -> None:
     parser.add_argument("table", type=Path, help="the CSV file to make or to complete")
     parser.add_argument("--variants", action="store_true", help="judge variants of the robust filter")
     arguments = parser.parse_args()
-    finished: set[tuple[str, ...]] = {
-        (row["group"], row["case"], row["flaw"], row["filter"]) for row in read_rows(arguments.table)
-    }
     print(f"seed {SEED}", file=sys.stderr)
+    finished = {(row["group"], row["case"], row["flaw"], row["filter"]) for row in read_rows(arguments.table)}
     if arguments.variants:
-        rows = generate_variant_rows(finished)
+        append_rows(arguments.table, generate_variant_rows(finished))
     else:
-        rows = generate_rows(finished, ALL_CASES, FILTERS)
-    with arguments.table.open("a", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
-        if not finished:
-            writer.writeheader()
-        for row in rows:
-            writer.writerow(row)
-            file.flush()
+        append_rows(arguments.table, generate_rows(finished, ALL_CASES, FILTERS))
 
 
 if __name__ == "__main__":
