@@ -117,6 +117,11 @@ def section_of(page: Path, heading: str) -> str:
     return section
 
 
+def cells_of_line(line: str) -> list[str]:
+    """Return the cells in a line of a table in Markdown, which stand between vertical bars."""
+    return [cell.strip() for cell in line.strip("|").split("|")]
+
+
 def replace_each(text: str, replacements: dict[str, str]) -> str:
     """Replace old texts by new texts. Fails if an old text is not there."""
     for old, new in replacements.items():

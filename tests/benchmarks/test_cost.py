@@ -11,7 +11,7 @@ import pytest
 
 from golden import RENEW, assert_equals_section
 from simulated_avr import require_simavr
-from support import made_once, require
+from support import cells_of_line, made_once, require
 
 pytest.importorskip("unicorn", reason="the emulator that counts instructions is not installed: make setup")
 
@@ -77,7 +77,7 @@ def test_the_first_lines_of_the_page_have_the_figures_of_a_cortex_m4_in_its_tabl
     page = report.PAGE.read_text(encoding="utf-8")
     summary = page.partition("\n## ")[0]
     rows = [line for line in page.splitlines() if line.startswith("| Cortex-M4 -O2, both |")]
-    [memory, calls] = [[cell.strip() for cell in row.strip("|").split("|")] for row in rows]
+    [memory, calls] = [cells_of_line(row) for row in rows]
     _build, code, _with_save_and_restore, ram, stack_of_tick, _stack_of_restore = memory
     _build, _receive, _x, _step, updated_step, bound = calls
 

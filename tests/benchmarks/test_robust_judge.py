@@ -17,7 +17,7 @@ from benchmarks.robust_judge.__main__ import (
     run_case,
 )
 from benchmarks.robust_judge.variants import VARIANTS, write_variant
-from support import ROOT
+from support import ROOT, cells_of_line
 
 Row = dict[str, str]
 STUDY = ROOT / "docs/robust_study.csv"
@@ -65,7 +65,7 @@ def cells_of_page(beginning: str) -> list[list[str]]:
     _before, _beginning, after = page.partition(beginning)
     table, _, _ = after.partition("\n\n")
     _titles, _rule, *lines = table.removesuffix("\n<!-- end -->").splitlines()
-    return [[cell.strip() for cell in line.strip("|").split("|")] for line in lines]
+    return [cells_of_line(line) for line in lines]
 
 
 def test_docs_internals_robust_md_shows_errors_of_ten_cases_as_docs_robust_study_csv_has_them() -> None:

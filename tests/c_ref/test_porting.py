@@ -27,7 +27,7 @@ from mcp_asdf_tools.bus import frames
 from mcp_asdf_tools.bus.frames import Estimate, FrameFormat, Heartbeat, Telemetry
 from packets import frame_of_packet, packet_of
 from simulated_avr import Board, require_simavr
-from support import CORE, ROOT, TABLE, WARNINGS, block_with, require, run, slow
+from support import CORE, ROOT, TABLE, WARNINGS, block_with, cells_of_line, require, run, slow
 
 PAGE = ROOT / "docs/porting.md"
 KILOBOT_PAGE = ROOT / "docs/platforms/kilobot.md"
@@ -275,18 +275,13 @@ def flash_budgets() -> dict[tuple[str, str], float]:
     text_from_table_on = TEXT[TEXT.index("| flash | ") :]
     table, _, _ = text_from_table_on.partition("\n\n")
     title_line, _rule, *lines = table.splitlines()
-    _flash, *targets = cells_of(title_line)
+    _flash, *targets = cells_of_line(title_line)
     budgets = {}
     for line in lines:
-        part, *cells = cells_of(line)
+        part, *cells = cells_of_line(line)
         for target, cell in zip(targets, cells, strict=True):
             budgets[part, target] = float(cell.removesuffix(" KB"))
     return budgets
-
-
-def cells_of(line: str) -> list[str]:
-    """Return the cells of a line of a table."""
-    return [cell.strip() for cell in line.strip("|").split("|")]
 
 
 def test_each_part_of_the_firmware_takes_the_flash_that_docs_porting_states(

@@ -124,6 +124,12 @@ def _spearman(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArra
     return defined_coefficients
 
 
+def largest_of_resampled(statistics: Sequence[Resampled]) -> Resampled:
+    """Return the largest of several statistics: of their values, and again of each of their resamples."""
+    value = max(statistic.value for statistic in statistics)
+    return Resampled(value, np.max([statistic.resamples for statistic in statistics], axis=0))
+
+
 def mean_of_resampled(statistics: Sequence[Resampled]) -> Resampled:
     """Return the mean of several statistics: of their values, and of each of their resamples."""
     value = float(np.mean([statistic.value for statistic in statistics]))

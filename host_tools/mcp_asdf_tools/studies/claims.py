@@ -231,22 +231,29 @@ class PlannedComparison:
         With a reference it ends in the attributes in which this differs: "H, P 30 %, ASDF+, tau 1000 less no
         filter". With a level it begins with the difference: "H less 95, P 30 %, no filter".
         """
-        cell_labels = labels_of(self.cell)
-        reference_labels = labels_of(self.reference) if self.reference else cell_labels
-        measured_value = self.contrast.measure
-        if self.contrast.level_in_points is not None:
-            measured_value += f" less {self.contrast.level_in_points:g}"
-        attributes = ["flawed_percent", "filter", "filter_period"]
-        # The part of the study is named only where the reference is of another part.
-        if reference_labels["study_part"] != cell_labels["study_part"]:
-            attributes.insert(0, "study_part")
-        shown_labels = [cell_labels[name] for name in attributes if name in cell_labels]
-        minuend = ", ".join([measured_value, *shown_labels])
         if self.reference is None:
-            return minuend
+            return self._minuend_label()
+        cell_labels = labels_of(self.cell)
+        reference_labels = labels_of(self.reference)
         changed_labels = [label for name, label in reference_labels.items() if label != cell_labels.get(name)]
         subtrahend = ", ".join(changed_labels)
-        return f"{minuend} less {subtrahend}"
+        return f"{self._minuend_label()} less {subtrahend}"
+
+    def _minuend_label(self) -> str:
+        """Return what is measured in which cell, such as "H, P 30 %, ASDF+, tau 1000".
+
+        With a level it begins with the difference, such as "H less 95". The part of the study is named only
+        where the reference is of another part.
+        """
+        texts = [self.contrast.measure]
+        if self.contrast.level_in_points is not None:
+            texts = [f"{self.contrast.measure} less {self.contrast.level_in_points:g}"]
+        attributes = ["flawed_percent", "filter", "filter_period"]
+        if len(self.parts) > 1:
+            attributes.insert(0, "study_part")
+        cell_labels = labels_of(self.cell)
+        texts += [cell_labels[name] for name in attributes if name in cell_labels]
+        return ", ".join(texts)
 
 
 def labels_of(cell: Cell) -> dict[str, str]:

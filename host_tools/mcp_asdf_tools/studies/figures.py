@@ -267,15 +267,10 @@ def _draw_single_trials(study_results: StudyResults, study_size: StudySize) -> P
     and recorded every SERIES_SAMPLING_INTERVAL steps.
     """
     experiments = [
-        experiment_of(replace(SERIES_CELL, filter=filter_name), study_size)
-        for filter_name in (NO_FILTER, ASDF_PLUS)
+        experiment_of(SERIES_CELL, study_size),
+        experiment_of(replace(SERIES_CELL, filter=ASDF_PLUS), study_size),
+        *_users_experiments_of_series(study_results),
     ]
-    for trials in _trials_of_users_filter(study_results, StudyPart.FULLY_CONNECTED, ASDF_PLUS):
-        cell = cell_of(StudyPart.FULLY_CONNECTED, trials.experiment)
-        # SERIES_CELL has no filter, so swarms are compared with it without theirs.
-        is_swarm_of_series = replace(cell, filter=NO_FILTER) == SERIES_CELL
-        if is_swarm_of_series:
-            experiments.append(trials.experiment)
     # The study keeps no values over time, but a trial that is run again gives the same values.
     recorded = [
         run_trials(experiment, SERIES_TRIAL, trials=1, sampling_interval=SERIES_SAMPLING_INTERVAL)
@@ -286,3 +281,16 @@ def _draw_single_trials(study_results: StudyResults, study_size: StudySize) -> P
         title="A trial without filter and one with ASDF+: f = 0.95, b = 0.55, b_hat = 0.95, P = 50 %",
         figure=series.plot_runs(recorded, SERIES_TRIAL),
     )
+
+
+def _users_experiments_of_series(study_results: StudyResults) -> list[Experiment]:
+    """Return the experiments of the user's firmware or filter with the swarm of SERIES_CELL, if any."""
+    users_trials = _trials_of_users_filter(study_results, SERIES_CELL.study_part, ASDF_PLUS)
+    experiments = []
+    for trials in users_trials:
+        cell = cell_of(SERIES_CELL.study_part, trials.experiment)
+        # SERIES_CELL has no filter, so swarms are compared with it without theirs.
+        is_swarm_of_series = replace(cell, filter=NO_FILTER) == SERIES_CELL
+        if is_swarm_of_series:
+            experiments.append(trials.experiment)
+    return experiments

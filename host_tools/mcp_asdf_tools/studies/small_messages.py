@@ -13,7 +13,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import numpy as np
 from matplotlib.figure import Figure
 
 import mcp_asdf_tools as m
@@ -21,7 +20,13 @@ from mcp_asdf_tools.common.figures import WIDTH, empty_figure, save_figure
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.message_codes import EXACT, MessageCode
 from mcp_asdf_tools.robots.filters import FILTERS
-from mcp_asdf_tools.studies.bootstrap import Interval, Resampled, mean_of_resampled, resample_median
+from mcp_asdf_tools.studies.bootstrap import (
+    Interval,
+    Resampled,
+    largest_of_resampled,
+    mean_of_resampled,
+    resample_median,
+)
 from mcp_asdf_tools.studies.study_program import (
     MOVING_SWARM,
     PARAMETERS_BY_FLAW,
@@ -125,11 +130,7 @@ def worst_ratios(rows: Rows, codes: Sequence[MessageCode]) -> RatiosByCode:
     worst: dict[MessageCode, Interval] = {}
     for code in codes:
         ratios = [late_error(rows, str(code), swarm) / exact_errors[swarm] for swarm in SWARMS]
-        # The largest is taken of the values, and again of each resample, so that its interval is known, too.
-        largest_value = max(ratio.value for ratio in ratios)
-        resamples_by_swarm = np.stack([ratio.resamples for ratio in ratios])  # shape (swarms, resamples)
-        largest_of_each_resample = resamples_by_swarm.max(axis=0)
-        worst[code] = Resampled(largest_value, largest_of_each_resample).interval(CONFIDENCE)
+        worst[code] = largest_of_resampled(ratios).interval(CONFIDENCE)
     return worst
 
 

@@ -21,7 +21,7 @@ from mcp_asdf_tools.studies import bootstrap
 from mcp_asdf_tools.studies.bootstrap import Sample
 from mcp_asdf_tools.studies.cells import Cell, StudyPart, cells_of
 from mcp_asdf_tools.studies.study_results import StudyResults
-from support import ROOT
+from support import ROOT, cells_of_line
 
 PLANTED_TRIALS = 30
 STUDY_CELLS = {cell for study_part in StudyPart for cell in cells_of(study_part)}
@@ -47,7 +47,7 @@ def few_resamples() -> Iterator[None]:
 class PlantedResults(StudyResults):
     """Results of parts of the study by an expression: the median of a cell's trials, or (median, spread).
 
-    Names in the expression are f, b, b_hat, P, filter, tau, part and measure.
+    ``names_in_expression`` says which names it may have.
     """
 
     def __init__(self, expression: str, parts: Collection[StudyPart] = tuple(StudyPart)) -> None:
@@ -60,27 +60,30 @@ class PlantedResults(StudyResults):
         return self._parts
 
     def sample(self, cell: Cell, name: str) -> Sample:
+        """Return values of trials that spread evenly around the planted median of a cell."""
         cell = cell.normal
         assert cell in STUDY_CELLS, f"the study does not run {cell}"
         assert cell.study_part in self._parts, f"the claim needs {cell.study_part}, which it does not say"
         assert name in (*SCORES, "b_hat")
-        values: dict[str, Any] = {
-            "f": cell.fill_ratio,
-            "b": cell.true_accuracy,
-            "b_hat": cell.flawed_accuracy,
-            "P": cell.flawed_percent,
-            "filter": cell.filter,
-            "tau": cell.filter_period,
-            "part": cell.study_part.value,
-            "measure": name,
-        }
-        planted = eval(self._expression, values)
+        planted = eval(self._expression, names_in_expression(cell, name))
         median, spread = planted if isinstance(planted, tuple) else (planted, 0.01)
+        values = np.linspace(median - spread, median + spread, PLANTED_TRIALS)
         # Cells with another P have another order of trials, so that differences vary.
-        order = np.random.default_rng(cell.flawed_percent).permutation(PLANTED_TRIALS)
-        # The trials spread evenly from the median less the spread to the median plus the spread.
-        shares_of_range = order / (PLANTED_TRIALS - 1)
-        return np.asarray(median - spread + 2 * spread * shares_of_range)
+        return np.random.default_rng(cell.flawed_percent).permutation(values)
+
+
+def names_in_expression(cell: Cell, measure: str) -> dict[str, Any]:
+    """Return what an expression of ``PlantedResults`` may contain, by the names that it uses."""
+    return {
+        "f": cell.fill_ratio,
+        "b": cell.true_accuracy,
+        "b_hat": cell.flawed_accuracy,
+        "P": cell.flawed_percent,
+        "filter": cell.filter,
+        "tau": cell.filter_period,
+        "part": cell.study_part.value,
+        "measure": measure,
+    }
 
 
 # --- Trials ----------------------------------------------------------------------------------------------
@@ -151,9 +154,7 @@ def tables_in(path: Path) -> dict[str, Table]:
 
 def parse_table(markdown: str) -> Table:
     """Read a table: a line with the heads of its columns, a line that only separates, and lines with rows."""
-    head, _separator, *rows = [
-        [cell.strip() for cell in line.strip("|").split("|")] for line in markdown.splitlines()
-    ]
+    head, _separator, *rows = [cells_of_line(line) for line in markdown.splitlines()]
     return Table(columns=head[1:], rows={label: cells for label, *cells in rows})
 
 

@@ -34,7 +34,7 @@ from mcp_asdf_tools.swarm.run import SwarmRun, run_swarm
 from mcp_asdf_tools.swarm.settings import SwarmSettings
 from mcp_asdf_tools.swarm.swarm import Swarm
 from multicast import multicast
-from support import ROOT, block_with, slow
+from support import ROOT, block_with, cells_of_line, slow
 
 pytestmark = pytest.mark.usefixtures("no_bus_is_left")
 
@@ -516,8 +516,7 @@ def rows_of_threats_page() -> list[list[str]]:
     page = THREATS_PAGE.read_text(encoding="utf-8")
     _, _, after_heading = page.partition("|---|---|---|---|---|\n")
     table, _, _ = after_heading.partition("\n\n")
-    rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in table.splitlines()]
-    return [row[:-1] for row in rows]
+    return [cells_of_line(line)[:-1] for line in table.splitlines()]
 
 
 def test_the_page_of_threats_puts_the_errors_of_six_attacks_in_words() -> None:

@@ -22,7 +22,7 @@ from mcp_asdf_tools.tables.thresholds import (
     parse_omega,
     worst_threshold_error,
 )
-from support import ROOT
+from support import ROOT, cells_of_line
 
 SHIPPED = [("0.05", 127), ("0.05", 30)]
 EDGES = [("0.9", 127), ("0.9", 2), ("0.000000001", 127), ("0.5", 3)]
@@ -173,11 +173,6 @@ def page_rows(heading: str) -> list[dict[str, str]]:
     assert first_table is not None
     titles, _ruler, *rows = [cells_of_line(line) for line in first_table[0].splitlines()]
     return [dict(zip(titles, row, strict=True)) for row in rows]
-
-
-def cells_of_line(line: str) -> list[str]:
-    """Return the cells in a line of a table, which stand between vertical bars."""
-    return [cell.strip() for cell in line.strip("|").split("|")]
 
 
 def test_the_page_t_tables_has_the_thresholds_that_scipy_computes() -> None:
