@@ -90,6 +90,16 @@ def datagrams_on_wifi(frames: list[can.Message], rng: random.Random) -> list[Arr
     return arrivals
 
 
+OPTIONS = (
+    f"--lockstep --hop-limit 0 --b-hat 0.75 {OPTIONS_OF_SUBJECTS} --steps-per-second 3 --filter-period 4"
+).split()
+
+
+def make_twin() -> RobotNode:
+    """Return the Python node that does what the C node does with OPTIONS."""
+    return python_node(ID, b_hat=0.75, subjects=SUBJECTS, steps_per_second=3, filter_period=4)
+
+
 def exchange(
     group: Group, twin: RobotNode, arrivals: list[Arrival]
 ) -> tuple[list[can.Message], list[can.Message]]:
@@ -128,11 +138,9 @@ def test_c_and_python_node_answer_the_datagrams_of_a_bad_network_alike(
     rng = random.Random(address)
     arrivals = datagrams_on_wifi([any_frame(rng) for _ in range(600)], rng)
     arrivals += map(arrival_of, commands_that_are_answered())  # after all datagrams have been handled
-    twin = python_node(ID, b_hat=0.75, subjects=SUBJECTS, steps_per_second=3, filter_period=4)
-    same_options = f"--b-hat 0.75 {OPTIONS_OF_SUBJECTS} --steps-per-second 3 --filter-period 4"
-    options = f"--lockstep --hop-limit 0 {same_options}".split()
+    twin = make_twin()
     command = node_command(kind, tmp_path_factory)
-    with joined(address) as group, CNode(command, interface(address), ID, *options) as node:
+    with joined(address) as group, CNode(command, interface(address), ID, *OPTIONS) as node:
         answers, expected_answers = exchange(group, twin, arrivals)
         summary = node.stop()
 
@@ -293,9 +301,8 @@ def calls_of_sending_node(tmp_path_factory: pytest.TempPathFactory) -> list[str]
     tiles, trace = folder / "tiles", folder / "trace"
     tiles.write_text("10" * 40, encoding="ascii")
     strace = [require("strace", "strace"), "-o", str(trace), "-e", "trace=%memory,sendto,setsockopt"]
-    options = ("--network", "lo", "--hop-limit", 0, "--observations", tiles, "--steps-per-second", 1000)
-
     command = [*strace, *node_command(PLAIN_BUILD, tmp_path_factory)]
+    options = ("--network", "lo", "--hop-limit", 0, "--observations", tiles, "--steps-per-second", 1000)
     with CNode(command, interface(IPV4), ID, *options) as node:
         summary = node.summary()
     assert summary["unsent"] == 0

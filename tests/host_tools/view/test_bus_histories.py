@@ -121,14 +121,6 @@ def test_a_robot_has_no_values_in_states_before_its_first_frame_on_the_bus(bus: 
     assert np.array_equal(x_of_robot_3_by_state, [NAN, NAN, NAN, 0.25], equal_nan=True)
 
 
-def test_each_of_two_robots_that_join_a_bus_makes_open_pages_load_all_states_again(bus: ScriptedBus) -> None:
-    """A web page that shows the bus loads all states again when the history's generation changes.
-
-    The generation is a number that begins at 0. Robots 7 and 3 join, one after the other.
-    """
-    assert record(bus, seconds=0.5).history.generation == 2
-
-
 def test_a_recorder_of_a_bus_knows_that_a_robot_sent_telemetry(bus: ScriptedBus) -> None:
     """Both robots of this bus send telemetry.
 

@@ -103,8 +103,13 @@ class RobotNode(Node):
         estimate = Estimate(sender=robot.id, x_hat=robot.x_hat_raw, alpha=robot.alpha_raw)
         self._estimates.publish(estimate)
         robot.settle()
+        self._states.publish(self._read_state())
+
+    def _read_state(self) -> State:
+        """Return the message of what the robot knows now."""
+        robot = self.robot
         counters = robot.counters
-        state = State(
+        return State(
             x=robot.x,
             x_hat=robot.x_hat,
             b_hat=robot.b_hat,
@@ -113,7 +118,6 @@ class RobotNode(Node):
             rejected=counters.rejected,
             updates=counters.updates,
         )
-        self._states.publish(state)
 
 
 def main() -> int:
