@@ -104,7 +104,7 @@ FAULTS = {
     "vote: gain": "VOTES_OF_MAX_GAIN = {32 => 16}",
     "vote: smallest gain": "VOTES_MAX = 1 << {9 => 10}",
     "vote: clamp": "step = {min(distance, robust.spread) => distance} >> gain_shift",
-    "vote: spread": "if distance {> => >=} robust.spread else",
+    "vote: spread": "is_outside = distance {> => >=} robust.spread",
     "vote: smallest spread": "robust.spread = min(max(new_spread, {SPREAD_MIN => 0}), SPREAD_MAX)",
     "vote: largest spread": "robust.spread = min(max(new_spread, SPREAD_MIN), {SPREAD_MAX => 1 << 29})",
     "vote: order": "return {lowest_bit(remaining_slots) => remaining_slots.bit_length() - 1}",
@@ -124,17 +124,17 @@ FAULTS = {
     "table: two steps": "HUBER_STEPS = {3 => 2}",
     "table: four steps": "HUBER_STEPS = {3 => 4}",
     "table: inside": "sum(abs(difference) {<= => <} spread for",
-    "robust test: sigmas": "limit = ({REJECTED_SIGMAS_SQUARED => 13} * robust.dispersion * variance)",
+    "robust test: sigmas": "q32_from_q40({REJECTED_SIGMAS_SQUARED => 13} * robust.dispersion",
     "robust test: sigmas of the centre": "- {REJECTED_SIGMAS_SQUARED => 13} * g_spread**2",
     "robust test: variance": "variance = {max => min}(",
-    "robust test: dispersion": "(REJECTED_SIGMAS_SQUARED * {robust.dispersion => DISPERSION_MIN} * variance)",
+    "robust test: dispersion": "{robust.dispersion => DISPERSION_MIN} * variance)",
     "robust test: present b_hat": "{s.accuracy => s.robust.initial_b_hat = new_b_hat; s.accuracy} = "
     "accuracy_of(new_b_hat)",
-    "supporters: tie": "if abs(p - share) {< => <=} abs(p - p_of_centre)",
+    "supporters: tie": "if distance_from_robot {< => <=} distance_from_centre",
     "supporters: two fifths": "return 5 * supporter_count {> => >=} 2 * len(estimates)",
     "supporters: the other way": "return 5 * supporter_count {> => <=} 2 * len(estimates)",
     "robust: way back": "return None if is_initial else {robust.initial_b_hat => None}",
-    "restore": "repeated=repeated{ =>  & 0x7FFF}",
+    "restore": "last_members, strict=True)){ => ; members['repeated'] &= 0x7FFF}",
 }
 """Faults by name, as `mirror_with` reads them: places in SOURCES and what is wrong there, often one bit."""
 

@@ -393,14 +393,14 @@ ROBUST_CHANGES: dict[str, str] = {
     ),
     "does not clamp": "step = {min(distance, robust.spread) => distance} >> gain_shift",
     "clamps at 2 s": "min(distance, {robust.spread => 2 * robust.spread}) >> gain_shift",
-    "constant gain": "gain_shift = {max(robust.votes, VOTES_OF_MAX_GAIN).bit_length() - 3 => 3}",
+    "constant gain": "return {max(votes, VOTES_OF_MAX_GAIN).bit_length() - 3 => 3}",
     "gain without end": "VOTES_MAX = 1 << {9 => 14}",
     "gain down to 1/64": "VOTES_MAX = 1 << {9 => 8}",
     "starts at the first vote": (
         "position = q30_from_q23(x_hat){ => \n    if robust.votes == 1: robust.centre = position}"
     ),
-    "s never shrinks": "if distance > robust.spread else {-spread_step => 0})",
-    "s grows at equality": "spread_step if distance {> => >=} robust.spread",
+    "s never shrinks": "if is_outside else {-spread_step => 0})",
+    "s grows at equality": "is_outside = distance {> => >=} robust.spread",
     "s without a floor": "max(new_spread, {SPREAD_MIN => 0}), SPREAD",
     "s without a ceiling": "max(new_spread, SPREAD_MIN), {SPREAD_MAX => 1 << 30})",
     "sends its centre as x_hat": "return {self.s.x_hat => self.x_raw}\n",
@@ -426,12 +426,12 @@ ROBUST_CHANGES: dict[str, str] = {
     "rejects at 3 sigma": "SIGMAS_SQUARED = {12 => 9}",
     "forgets the spread in its test": "{g_spread**2 => 0}",
     "spread without a floor in the test": "smallest, largest = {q24_from_q30(SPREAD_MIN) => 0}",
-    "variance of the count alone": "share), {multiply_high(p, Q32_ONE - p) => 0})",
+    "variance of the count alone": "max(variance_of_observation(share), {variance_of_observation(p) => 0})",
     "tests the present b_hat": (
         "is_rejected = robust_test_rejects({robust => "
         "RobustFilter(**vars(robust) | {'initial_b_hat': s.accuracy.b_hat})}, s.t"
     ),
-    "n/t of 23 bits": "b_hat = robust.initial_b_hat\n    share = q32_quotient(n, t){ =>  >> 9 << 9}",
+    "n/t of 23 bits": "share = q32_quotient(n, t){ =>  >> 9 << 9}\n    p = ",
     "p of 23 bits": (
         "return {black_observed_as_black + white_observed_as_black => "
         "(black_observed_as_black + white_observed_as_black) >> 9 << 9}"
@@ -530,7 +530,7 @@ WRONG: dict[str, Wrong] = {
         "mirrored else {x_hat_of_rarer => x_hat_of_rarer ^ (0 < x_hat_of_rarer < ONE // 5)}\n",
     ),
     "alpha wrong without a black tile": with_firmware(
-        "alone", "from_mantissa({mantissa => mantissa ^ (n == 0)}, exp"
+        "alone", "from_mantissa({confidence.mantissa => confidence.mantissa ^ (n == 0)}, "
     ),
     "alpha wrong where x_hat is clamped": with_firmware(
         "no information", "rare_term + {(common_term => 0 * (common_term} >> acc"
@@ -636,10 +636,10 @@ WRONG: dict[str, Wrong] = {
     ),
     "robust test in float32": with_robust_test_in_float32("first estimates"),
     "variance of the prediction alone": with_robust_firmware(
-        "dependent observations", "variance = max({multiply_high(share, Q32_ONE - share) => 0},"
+        "dependent observations", "variance = max({variance_of_observation(share) => 0},"
     ),
     "t of 14 bits in the test": with_robust_firmware(
-        "long run", "scaled_excess = ({t => t % (1 << 14)} * excess) >> 32"
+        "long run", "scaled_excess = q32_from_q64({t => t % (1 << 14)} * excess)"
     ),
     "a centre is uninformative up to 2^-11": with_robust_firmware(
         "estimates of 1/2", "minus_one < {INFORMATIVE_G => INFORMATIVE_G << 1}:"

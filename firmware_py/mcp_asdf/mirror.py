@@ -18,7 +18,9 @@ from __future__ import annotations
 
 import operator
 import struct
+from collections.abc import Sequence
 from dataclasses import astuple, dataclass, field, fields
+from typing import Any, NamedTuple
 
 from mcp_asdf.arithmetic import (
     Q32_HALF,
@@ -130,9 +132,11 @@ def square_of_ratio(g: int, p: int) -> int:
     # divide_24 takes numbers of 31 bits. The ratio of the halves is the same.
     half_of_g = g >> 1
     half_of_p = p >> 1
-    ratio_24 = divide_24(half_of_g, half_of_p)  # units of 2**-24
-    ratio = ratio_24 << 7  # units of 2**-31
-    return multiply_high(ratio, ratio)  # the square's unit is 2**-62, and that of its upper word 2**-30
+    ratio_q24 = divide_24(half_of_g, half_of_p)
+    ratio_q31 = ratio_q24 << 7  # the same ratio in units of 2**-31
+    # The whole square has the unit 2**-62, 2**-31 squared. Its upper word has a unit 2**32 times as large.
+    square_q30 = multiply_high(ratio_q31, ratio_q31)
+    return square_q30
 
 
 def accuracy_of(b_hat: int) -> Accuracy:
@@ -181,8 +185,32 @@ def alpha_word_from_mantissa(mantissa: int, exponent: int) -> int:
     return (mantissa << MANTISSA_POSITION) | exponent
 
 
-def confidence_at_end(accuracy: Accuracy, t: int, rare_count: int) -> tuple[int, int]:
-    """Return alpha, the confidence, where x_hat is 0 or 1 (eq. 4, first two cases), as mantissa and exponent.
+class Confidence(NamedTuple):
+    """A confidence alpha of mantissa * 2**exponent units of 2**-24. The mantissa has 24 bits."""
+
+    mantissa: int
+    exponent: int
+
+
+def upper_bits(number: int, bits: int) -> tuple[int, int]:
+    """Return the upper ``bits`` bits of a number above 0, and their exponent: the number of bits below them.
+
+    The number is upper * 2**exponent, rounded down. A shorter number gets zeros as its lowest bits, and the
+    exponent is negative.
+    """
+    exponent = number.bit_length() - bits
+    upper = number >> exponent if exponent >= 0 else number << -exponent
+    return upper, exponent
+
+
+def confidence_of(number: int, exponent: int) -> Confidence:
+    """Return number * 2**exponent units of 2**-24, rounded down, as a confidence. The number is above 0."""
+    mantissa, bits_below = upper_bits(number, MANTISSA_BITS)
+    return Confidence(mantissa, exponent + bits_below)
+
+
+def confidence_at_end(accuracy: Accuracy, t: int, rare_count: int) -> Confidence:
+    """Return alpha, the confidence, where x_hat is 0 or 1 (eq. 4, first two cases).
 
     The paper's numerators, multiplied out, leave a sum without a difference:
 
@@ -191,43 +219,23 @@ def confidence_at_end(accuracy: Accuracy, t: int, rare_count: int) -> tuple[int,
     where ``rare_count`` of t > 0 observations are of the rarer colour, c is the probability of an error and
     g = 1 - 2 c. The squares are ``accuracy.rare`` and ``accuracy.common``, in units of 2**-30. Both are
     2**(2 g_shift) times too large, as g was shifted up before, and ``rare`` is 2**rare_shift times too small,
-    as c was. The result stands for mantissa * 2**exponent units of 2**-24, with a mantissa of 24 bits.
+    as c was.
     """
     rare_term = rare_count * accuracy.rare
     common_term = (t - rare_count) * accuracy.common
     # A unit of 2**-30 is 2**-6 units of 2**-24. The rest undoes the shift of g, which is squared.
     exponent = -6 - 2 * accuracy.g_shift
     if rare_count == 0:
-        return upper_24_bits(common_term, exponent)  # the only term, which keeps all of its bits until here
+        return confidence_of(common_term, exponent)  # the only term, which keeps all of its bits until here
     # The common term becomes as small as the rare one is, and the exponent makes up for both.
     sum_of_terms = rare_term + (common_term >> accuracy.rare_shift)
-    return upper_24_bits(sum_of_terms, exponent + accuracy.rare_shift)
-
-
-def upper_24_bits(number: int, exponent: int) -> tuple[int, int]:
-    """Return number * 2**exponent, rounded down, as a mantissa of 24 bits and its exponent.
-
-    ``number`` has at least 24 bits.
-    """
-    excess_bits = number.bit_length() - MANTISSA_BITS
-    return number >> excess_bits, exponent + excess_bits
-
-
-def upper_31_bits(number: int) -> tuple[int, int]:
-    """Return the upper 31 bits of a number above 0, and their exponent: the number of bits below them.
-
-    The number is upper * 2**exponent, rounded down. A number of fewer than 31 bits gets zeros as its lowest
-    bits, and the exponent is negative.
-    """
-    exponent = number.bit_length() - 31
-    upper = number >> exponent if exponent >= 0 else number << -exponent
-    return upper, exponent
+    return confidence_of(sum_of_terms, exponent + accuracy.rare_shift)
 
 
 def confidence_inside(
     accuracy: Accuracy, total: int, rarer: int, g_total: int, count_shift: int
-) -> tuple[int, int]:
-    """Return alpha, the confidence, where 0 < x_hat < 1 (eq. 4, last case), as mantissa and exponent.
+) -> Confidence:
+    """Return alpha, the confidence, where 0 < x_hat < 1 (eq. 4, last case).
 
     With d = g**2, and with n of t observations of the rarer colour, which changes nothing, that case is
 
@@ -235,21 +243,21 @@ def confidence_inside(
 
     The caller has shifted all numbers up, so that products keep their upper bits: ``total`` is t, and
     ``rarer`` is n, shifted by ``count_shift`` bits; ``g_total`` is g t, shifted by the same and by the
-    ``g_shift`` of ``accuracy``. The result stands for mantissa * 2**exponent units of 2**-24, with a mantissa
-    of 24 bits.
+    ``g_shift`` of ``accuracy``.
     """
     square = multiply_high(g_total, g_total)  # (g t)**2 without its lower 32 bits
     numerator = multiply_high(square, total)  # (g t)**2 t without its lower 64 bits
     denominator = rarer * (total - rarer)  # n (t - n), a number of up to 64 bits
-    upper_numerator, numerator_exponent = upper_31_bits(numerator)
-    upper_denominator, denominator_exponent = upper_31_bits(denominator)
-    quotient = divide_24(upper_numerator, upper_denominator)  # in units of 2**-24, as alpha; 24 or 25 bits
+    # divide_24 takes numbers of 31 bits, which have exponents of their own.
+    upper_numerator, numerator_exponent = upper_bits(numerator, 31)
+    upper_denominator, denominator_exponent = upper_bits(denominator, 31)
+    quotient = divide_24(upper_numerator, upper_denominator)  # in units of 2**-24, as alpha
     # The exponents make up for the 64 bits that the numerator has lost, and for the shifts.
     numerator_shift = 2 * accuracy.g_shift + 3 * count_shift  # of g squared and of three counts
     denominator_shift = 2 * count_shift  # of two counts
     numerator_exponent += 64 - numerator_shift
     denominator_exponent -= denominator_shift
-    return upper_24_bits(quotient, numerator_exponent - denominator_exponent)
+    return confidence_of(quotient, numerator_exponent - denominator_exponent)
 
 
 def estimate(t: int, n: int, accuracy: Accuracy) -> tuple[int, int]:
@@ -267,17 +275,17 @@ def estimate(t: int, n: int, accuracy: Accuracy) -> tuple[int, int]:
     if accuracy.c == C_WITHOUT_INFORMATION:
         return HALF, 0
     rare_count = min(n, t - n)
-    x_hat_of_rarer, mantissa, exponent = estimate_of_rarer_colour(t, rare_count, accuracy)
+    x_hat_of_rarer, confidence = estimate_of_rarer_colour(t, rare_count, accuracy)
     # x_hat is the share of black. Two things make it the share of the other colour, and both together do not:
     # white is the rarer colour, or the sensor takes most black tiles for white ones and the reverse.
     is_white_rarer = n >= t - n
     is_mostly_wrong = accuracy.b_hat < Q32_HALF
     is_mirrored = is_white_rarer != is_mostly_wrong
     x_hat = ONE - x_hat_of_rarer if is_mirrored else x_hat_of_rarer
-    return x_hat, alpha_word_from_mantissa(mantissa, exponent)
+    return x_hat, alpha_word_from_mantissa(confidence.mantissa, confidence.exponent)
 
 
-def estimate_of_rarer_colour(t: int, rare_count: int, accuracy: Accuracy) -> tuple[int, int, int]:
+def estimate_of_rarer_colour(t: int, rare_count: int, accuracy: Accuracy) -> tuple[int, Confidence]:
     """Return the estimated share of the colour that was observed less often, and its confidence.
 
     ``rare_count`` of ``t`` > 0 observations are of this colour, a share p of at most 1/2. The sensor is taken
@@ -286,8 +294,7 @@ def estimate_of_rarer_colour(t: int, rare_count: int, accuracy: Accuracy) -> tup
 
         (p - c) / g     or 0 if p <= c
 
-    The result is the estimate in units of 2**-23, and the mantissa, a number of 24 bits, and the exponent of
-    the confidence, which is mantissa * 2**exponent units of 2**-24.
+    The result is the estimate in units of 2**-23, and its confidence.
     """
     count_shift = leading_zeros(t)
     # Both counts are shifted by as many bits, so that t has 32 bits and products keep their upper bits.
@@ -297,17 +304,17 @@ def estimate_of_rarer_colour(t: int, rare_count: int, accuracy: Accuracy) -> tup
     errors = multiply_high(accuracy.c, total)  # c total
     if rarer <= errors:
         # The rarer colour has not come more often than errors explain.
-        mantissa, exponent = confidence_at_end(accuracy, t, rare_count)
-        return 0, mantissa, exponent
+        return 0, confidence_at_end(accuracy, t, rare_count)
     # Dividend and divisor of (p - c) / g are multiplied by ``total``, and shifted as far as the divisor's
     # highest bit allows: it has 32 bits then.
     excess_total = (rarer - errors) << accuracy.g_shift  # (p - c) total
     g_total = (total - 2 * errors) << accuracy.g_shift  # g = 1 - 2 c
     # divide_24 takes numbers of 31 bits. By half of the divisor the quotient is twice the estimate.
-    doubled_estimate = divide_24(excess_total, g_total >> 1)  # units of 2**-24
-    x_hat_of_rarer = doubled_estimate >> 2  # one bit halves it, and one changes the unit to 2**-23
-    mantissa, exponent = confidence_inside(accuracy, total, rarer, g_total, count_shift)
-    return x_hat_of_rarer, mantissa, exponent
+    half_of_g_total = g_total >> 1
+    doubled_estimate_q24 = divide_24(excess_total, half_of_g_total)
+    doubled_x_hat = doubled_estimate_q24 >> 1  # from units of 2**-24 to units of 2**-23
+    confidence = confidence_inside(accuracy, total, rarer, g_total, count_shift)
+    return doubled_x_hat >> 1, confidence
 
 
 # ---- The round: eq. 5 to 7, and 12 ----
@@ -868,16 +875,7 @@ class MirrorRobot(FixedPointView):
         rounds or what the robust filter remembers, the senders of the open round, and counters, the flag
         ``updated`` and the id.
         """
-        s = self.s
-        first_word = first_image_word(self.config.filter)
-        image = _BEGINNING.pack(first_word, s.accuracy.b_hat, s.t, s.n, s.x_hat, s.alpha, s.filter_left)
-        # RobustFilter, Closed and Sums declare their members in the order of the image.
-        if self.is_robust:
-            image += _ROBUST_FILTER.pack(*astuple(s.robust), *s.estimates)
-        else:
-            image += _ROUNDS.pack(*astuple(s.closed), *astuple(s.open))
-        counters = (s.accepted, s.repeated, s.rejected, s.tests, s.updates)
-        image += _ENDING.pack(*s.heard, *counters, s.updated, s.id)
+        image = _encode_state(self.config, self.s)
         return image + _CHECKSUM.pack(checksum(unpack_image(image)))
 
     @classmethod
@@ -891,13 +889,9 @@ class MirrorRobot(FixedPointView):
         readable_image = memoryview(image)  # raises TypeError for a number, from which bytes would make zeros
         image_bytes = bytes(readable_image)
         check_config(config)
-        error = find_image_error(image_bytes, config.filter)
+        error = find_image_error(image_bytes, config.filter) or _find_b_hat_error(image_bytes)
         if error is not None:
             raise FirmwareError(Status.ERR_IMAGE, error)
-        # b_hat is checked before all else, because values of the state are computed from it.
-        _first_word, b_hat, *_rest = _BEGINNING.unpack_from(image_bytes)
-        if not B_HAT_MIN <= b_hat <= B_HAT_MAX:
-            raise FirmwareError(Status.ERR_IMAGE, f"b_hat = {b_hat} is out of range")
         # Without __init__, which would make a new robot, and needs an id and a b_hat that are valid.
         robot = cls.__new__(cls)
         robot.config = config
@@ -911,7 +905,7 @@ class MirrorRobot(FixedPointView):
 
 # The parts of an image, as little-endian numbers: I has 32 bits, Q 64, H 16, and B 8.
 _BEGINNING = struct.Struct("<7I")
-"""The word that marks the version; b_hat, t, n, x_hat, alpha and filter_left."""
+"""The word that marks the version, b_hat, and the members of `_FIRST_MEMBERS`."""
 _ROUNDS = struct.Struct("<7Q2I")
 """The sums of the closed and of the open round, which every filter but the robust one keeps.
 
@@ -920,10 +914,41 @@ are cleared.
 """
 _ROBUST_FILTER = struct.Struct("<6I2HI32H")
 """What the robust filter keeps instead: its members, and the estimates in the slots."""
-_ENDING = struct.Struct("<4I5H2B")
-"""The senders of the open round, the counters, the flag ``updated`` and the id."""
+_SENDERS = struct.Struct("<4I")
+"""The senders of the open round."""
+_ENDING = struct.Struct("<5H2B")
+"""The members of `_LAST_MEMBERS`."""
 _CHECKSUM = struct.Struct("<I")
 """The checksum of all words before it."""
+
+_FIRST_MEMBERS = ("t", "n", "x_hat", "alpha", "filter_left")
+_LAST_MEMBERS = ("accepted", "repeated", "rejected", "tests", "updates", "updated", "id")
+"""Members of `State` in the order of an image. Sums, Closed and RobustFilter declare theirs in that order."""
+
+
+def _members_of(s: State, names: tuple[str, ...]) -> list[int]:
+    """Return the members of a state that have these names."""
+    return [getattr(s, name) for name in names]
+
+
+def _encode_state(config: Config, s: State) -> bytes:
+    """Return the image of a state without its checksum."""
+    beginning = _BEGINNING.pack(
+        first_image_word(config.filter), s.accuracy.b_hat, *_members_of(s, _FIRST_MEMBERS)
+    )
+    if config.filter == Filter.ROBUST:
+        memory_of_filter = _ROBUST_FILTER.pack(*astuple(s.robust), *s.estimates)
+    else:
+        memory_of_filter = _ROUNDS.pack(*astuple(s.closed), *astuple(s.open))
+    ending = _SENDERS.pack(*s.heard) + _ENDING.pack(*_members_of(s, _LAST_MEMBERS))
+    return beginning + memory_of_filter + ending
+
+
+def _find_b_hat_error(image: bytes) -> str | None:
+    """Return what is wrong with b_hat in an image, or None. Other values of a state are computed from it."""
+    _first_word, b_hat, *_first_members = _BEGINNING.unpack_from(image)
+    is_in_range = B_HAT_MIN <= b_hat <= B_HAT_MAX
+    return None if is_in_range else f"b_hat = {b_hat} is out of range"
 
 
 def _decode_state(config: Config, image: bytes) -> State:
@@ -932,35 +957,28 @@ def _decode_state(config: Config, image: bytes) -> State:
     ``config.filter`` says whether it has the sums of the rounds or what the robust filter remembers. It is
     not checked whether a robot can have this state.
     """
-    _first_word, b_hat, t, n, x_hat, alpha, filter_left = _BEGINNING.unpack_from(image)
-    end_of_filter = len(image) - _ENDING.size - _CHECKSUM.size
-    *heard, accepted, repeated, rejected, tests, updates, updated, robot_id = _ENDING.unpack_from(
-        image, end_of_filter
-    )
-    state = State(
-        id=robot_id,
-        accuracy=accuracy_of(b_hat),
-        t=t,
-        n=n,
-        x_hat=x_hat,
-        alpha=alpha,
-        filter_left=filter_left,
-        heard=heard,
-        accepted=accepted,
-        repeated=repeated,
-        rejected=rejected,
-        tests=tests,
-        updates=updates,
-        updated=updated,
-    )
-    if config.filter == Filter.ROBUST:
-        numbers = _ROBUST_FILTER.unpack_from(image, _BEGINNING.size)
-        members, estimates = numbers[:-SLOTS], numbers[-SLOTS:]
-        state.robust = RobustFilter(*members)
-        state.estimates = list(estimates)
-    else:
-        numbers = _ROUNDS.unpack_from(image, _BEGINNING.size)
-        closed_sum_count = len(fields(Closed))
-        state.closed = Closed(*numbers[:closed_sum_count])
-        state.open = Sums(*numbers[closed_sum_count:])
+    filter_format = _ROBUST_FILTER if config.filter == Filter.ROBUST else _ROUNDS
+    filter_position = _BEGINNING.size
+    senders_position = filter_position + filter_format.size
+    ending_position = senders_position + _SENDERS.size
+
+    _first_word, b_hat, *first_members = _BEGINNING.unpack_from(image)
+    senders = _SENDERS.unpack_from(image, senders_position)
+    last_members = _ENDING.unpack_from(image, ending_position)
+    members: dict[str, Any] = dict(zip(_FIRST_MEMBERS, first_members, strict=True))
+    members.update(zip(_LAST_MEMBERS, last_members, strict=True))
+    state = State(accuracy=accuracy_of(b_hat), heard=list(senders), **members)
+    _set_memory_of_filter(state, config, filter_format.unpack_from(image, filter_position))
     return state
+
+
+def _set_memory_of_filter(s: State, config: Config, numbers: Sequence[int]) -> None:
+    """Set what only the filter of ``config`` remembers to the numbers that an image has for it."""
+    if config.filter == Filter.ROBUST:
+        s.robust = RobustFilter(*numbers[:-SLOTS])  # an estimate for each slot follows
+        s.estimates = list(numbers[-SLOTS:])
+    else:
+        closed_sums = numbers[: len(fields(Closed))]
+        open_sums = numbers[len(fields(Closed)) :]
+        s.closed = Closed(*closed_sums)
+        s.open = Sums(*open_sums)

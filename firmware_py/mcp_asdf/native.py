@@ -29,8 +29,6 @@ _MAX_BYTE = 2**8 - 1
 _STATUS_BY_VALUE = {int(status): status for status in Status}
 _ZEROS_RECEIVED = ffi.new("mcp_asdf_received_t *")
 """What a robot has received before the first message, for ``state``: sums of 0, or estimates of 0."""
-_COUNTERS_TYPE = ffi.typeof("mcp_asdf_counters_t")
-_SENDERS_TYPE = ffi.typeof("mcp_asdf_senders_t")
 
 _ERROR_MESSAGES = {
     Status.ERR_CONFIG: "the firmware refuses the filter, the filter_period or the memory of {config}",
@@ -83,23 +81,19 @@ class NativeRobot(FixedPointView):
         damaged, of another version or impossible with ``config`` (ERR_IMAGE). Raises TypeError for an
         ``image`` that is not bytes-like.
         """
-        robot = cls.__new__(cls)  # without __init__, which would initialise it as a new robot
-        robot._allocate(config)
         # memoryview raises TypeError for a number, from which bytes alone would make zeros.
         image_bytes = bytes(memoryview(image))
+        robot = cls.__new__(cls)  # without __init__, which would initialise it as a new robot
+        robot._allocate(config)
         # The C reads as many bytes as an image with this filter has, whatever it is given. Zeros, which it
         # refuses, take the place of an image of another size.
         size = image_size(config.filter)
-        has_right_size = len(image_bytes) == size
-        c_image = image_bytes if has_right_size else bytes(size)
+        c_image = image_bytes if len(image_bytes) == size else bytes(size)
         status = lib.mcp_asdf_restore(robot.pointer, robot._c_config.pointer, c_image)
         if status == Status.ERR_IMAGE:
-            # The C does not say what is wrong. If the outer form is right, it is the state that is
-            # impossible.
-            error = find_image_error(image_bytes, config.filter)
-            if error is None:
-                error = IMPOSSIBLE_STATE
-            raise FirmwareError(Status.ERR_IMAGE, error)
+            # The C does not say what is wrong: the outer form, or the state that the image holds.
+            error_in_form = find_image_error(image_bytes, config.filter)
+            raise FirmwareError(Status.ERR_IMAGE, error_in_form or IMPOSSIBLE_STATE)
         _raise_for_error(status, config=config)
         return robot
 
@@ -223,8 +217,11 @@ class NativeRobot(FixedPointView):
         else:
             estimates = _ZEROS_RECEIVED.estimates
             sums = c_robot.received.sums
+        # The set of senders heard is a union, too: 128 bits, one an id, here in words as in an image.
+        words_of_senders = struct.unpack("<4I", ffi.buffer(ffi.addressof(c_robot.heard)))
         return {
-            **_numbers_in_struct(c_robot),  # without its pointer ``config`` and its union ``received``
+            **_numbers_in_struct(c_robot),  # without its pointer ``config`` and its two unions
+            **_numbers_in_array("heard", words_of_senders),
             **_numbers_in_array("estimates", estimates),
             **_numbers_in_struct(sums),
         }
@@ -298,28 +295,19 @@ def _raise_for_error(status: int, **settings: object) -> None:
 
 
 def _numbers_in_struct(c_struct: Any, prefix: str = "") -> dict[str, int]:
-    """Return all numbers in a C struct, each by the name of its member after ``prefix``.
+    """Return the numbers in a C struct, each by the name of its member after ``prefix``.
 
-    The name of a nested struct becomes a prefix, as in ``open_alpha``, but the name of the counters does not.
-    Elements of an array are named by their index, as in ``heard_3``: this is also how a set of senders is
-    named, which is divided into words of 32 bits as in an image. Pointers and all other unions are left out.
+    The name of a nested struct becomes a prefix, as in ``open_alpha``, but the name ``counters`` does not.
+    Pointers and unions are left out: what a union means only its owner knows.
     """
     numbers: dict[str, int] = {}
-    for member_name, field in ffi.typeof(c_struct).fields:
-        member = getattr(c_struct, member_name)
-        name = prefix + member_name
-        if field.type == _COUNTERS_TYPE:
-            numbers.update(_numbers_in_struct(member))
-        elif field.type == _SENDERS_TYPE:
-            # A set of senders has 128 bits, one an id.
-            sender_words = struct.unpack("<4I", ffi.buffer(ffi.addressof(member)))
-            numbers.update(_numbers_in_array(name, sender_words))
+    for name, field in ffi.typeof(c_struct).fields:
+        member = getattr(c_struct, name)
+        if field.type.kind == "primitive":
+            numbers[prefix + name] = int(member)
         elif field.type.kind == "struct":
-            numbers.update(_numbers_in_struct(member, prefix=f"{name}_"))
-        elif field.type.kind == "array":
-            numbers.update(_numbers_in_array(name, member))
-        elif field.type.kind == "primitive":
-            numbers[name] = int(member)
+            prefix_of_members = "" if name == "counters" else f"{name}_"
+            numbers.update(_numbers_in_struct(member, prefix_of_members))
     return numbers
 
 

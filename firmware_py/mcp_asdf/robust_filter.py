@@ -123,6 +123,26 @@ def q32_from_q24(value: int) -> int:
     return value << 8
 
 
+def q32_from_q40(variance: int) -> int:
+    """Convert a dispersion times a variance from units of 2**-40 to units of 2**-32, rounded down."""
+    return variance >> 8
+
+
+def q32_from_q64(square: int) -> int:
+    """Convert the square of a difference of shares from units of 2**-64 to units of 2**-32, rounded down."""
+    return square >> 32
+
+
+def q22_from_q40(square: int) -> int:
+    """Convert the square of a deviation from units of 2**-40 to units of 2**-22, rounded down."""
+    return square >> 18
+
+
+def q11_from_q32(deviation: int) -> int:
+    """Convert a deviation of a batch from units of 2**-32 to units of 2**-11, rounded down."""
+    return deviation >> 21
+
+
 # ---- Receive: the latest estimate of each sender ----
 
 
@@ -189,6 +209,15 @@ def take_vote(robust: RobustFilter, estimates: Sequence[int], x_hat: int, alpha:
         robust.turn = voter + 1
 
 
+def gain_shift_after(votes: int) -> int:
+    """Return the shift that multiplies by the gain of a vote: 3 up to 63 votes, 4 up to 127, and so on.
+
+    ``votes``, with this one, is at most VOTES_MAX, for which the shift is 7.
+    """
+    # 32 to 63 are the numbers of 6 bits, and each doubling takes one bit more. Fewer votes count as 32.
+    return max(votes, VOTES_OF_MAX_GAIN).bit_length() - 3
+
+
 def count_vote(robust: RobustFilter, x_hat: int) -> None:
     """Move the centre and the spread of the votes by one more vote, an x_hat in units of 2**-23.
 
@@ -198,9 +227,7 @@ def count_vote(robust: RobustFilter, x_hat: int) -> None:
     and so on to 1/128 from 512 votes on. ``robust``, the filter's memory, changes.
     """
     robust.votes = min(robust.votes + 1, VOTES_MAX)
-    # The gain is 2**-gain_shift. A number of votes of 6 bits, such as 32, gives a shift by 3, one of 7 bits,
-    # from 64 on, a shift by 4, and so on. Fewer votes than 32 count as 32 here.
-    gain_shift = max(robust.votes, VOTES_OF_MAX_GAIN).bit_length() - 3
+    gain_shift = gain_shift_after(robust.votes)  # the gain is 2**-gain_shift
 
     position = q30_from_q23(x_hat)
     distance = abs(position - robust.centre)
@@ -211,7 +238,8 @@ def count_vote(robust: RobustFilter, x_hat: int) -> None:
 
     # Votes outside widen the spread, votes inside narrow it: it converges to the median of the distances.
     spread_step = robust.spread >> (gain_shift + 1)
-    new_spread = robust.spread + (spread_step if distance > robust.spread else -spread_step)
+    is_outside = distance > robust.spread
+    new_spread = robust.spread + (spread_step if is_outside else -spread_step)
     robust.spread = min(max(new_spread, SPREAD_MIN), SPREAD_MAX)
 
 
@@ -260,17 +288,16 @@ def ratio_of_batch(robust: RobustFilter, count: int, black_count: int, share: in
     and the result, as the dispersion, in units of 2**-8. It is None where the variance is 0, in a batch
     without observations or for a share of 0, and where it is so small that it is rounded to 0.
     """
-    variance = count * multiply_high(share, Q32_ONE - share)  # units of 2**-32
+    variance = count * variance_of_observation(share)  # units of 2**-32
     largest_ratio = REJECTED_SIGMAS_SQUARED * robust.dispersion  # units of 2**-8
     # The square of the deviation at which the ratio is the largest. Both squares are in units of 2**-22, so
     # that they fit 64 bits in the C.
-    largest_square_q40 = largest_ratio * variance  # the product of both units: 2**-8 * 2**-32
-    largest_square = largest_square_q40 >> 18
+    largest_square = q22_from_q40(largest_ratio * variance)  # 2**-40 is 2**-8 times 2**-32
     if largest_square == 0:
         return None
-    deviation_q32 = abs(black_count * Q32_ONE - count * share)
-    deviation = deviation_q32 >> 21  # units of 2**-11, so that the square has the unit 2**-22
-    limited_square = min(deviation * deviation, largest_square)
+    deviation = q11_from_q32(abs(black_count * Q32_ONE - count * share))
+    square = deviation * deviation  # units of 2**-22, twice the exponent of the deviation's
+    limited_square = min(square, largest_square)
     # The ratio is as large a part of the largest ratio as the square is of the largest square. This quotient
     # is at most 1, as the C needs it, and limited_square / variance would not be.
     fraction_of_largest = q32_quotient(limited_square, largest_square)
@@ -373,6 +400,22 @@ def probability_of_black(b_hat: int, fill_ratio: int) -> int:
     return black_observed_as_black + white_observed_as_black
 
 
+def variance_of_observation(p: int) -> int:
+    """Return p (1 - p), the variance of an observation that is black with probability p, in units of 2**-32.
+
+    ``p`` is in the same units, and may also be a share of observations.
+    """
+    return multiply_high(p, Q32_ONE - p)
+
+
+def slope_of_probability(b_hat: int) -> int:
+    """Return g = |2 b_hat - 1|, by which a probability of black changes where the fill ratio changes by 1.
+
+    Both are in units of 2**-32. See `probability_of_black`.
+    """
+    return abs(2 * b_hat - Q32_ONE)
+
+
 def robust_test_rejects(robust: RobustFilter, t: int, n: int, centre: int, spread: int) -> bool:
     """Return whether n black of t > 0 observations contradict the initial b_hat, by the robust filter's test.
 
@@ -386,21 +429,18 @@ def robust_test_rejects(robust: RobustFilter, t: int, n: int, centre: int, sprea
     of p (1 - p) and n / t (1 - n / t), as either may be 0. And g * spread, with g = |2 b_hat - 1|, is the
     uncertainty of p, which changes by g where the centre changes by 1.
     """
-    b_hat = robust.initial_b_hat
+    # Shares and variances are in units of 2**-32, squares in units of 2**-64.
     share = q32_quotient(n, t)
-    p = probability_of_black(b_hat, q32_from_q24(centre))
-    # v. Shares and variances are in units of 2**-32, squares in units of 2**-64.
-    variance = max(multiply_high(share, Q32_ONE - share), multiply_high(p, Q32_ONE - p))
-
-    g = abs(2 * b_hat - Q32_ONE)
-    g_spread = multiply_high(g, q32_from_q24(spread))
+    p = probability_of_black(robust.initial_b_hat, q32_from_q24(centre))
+    variance = max(variance_of_observation(share), variance_of_observation(p))  # v
+    g_spread = multiply_high(slope_of_probability(robust.initial_b_hat), q32_from_q24(spread))
     # Multiplied by t, so that v needs no division, and with g * spread on the left side, the inequality is
     #     t * ((n / t - p)**2 - 12 (g * spread)**2) > 12 * dispersion * v
     squared_difference = (share - p) ** 2
     excess = squared_difference - REJECTED_SIGMAS_SQUARED * g_spread**2
-    scaled_excess = (t * excess) >> 32  # from units of 2**-64 to 2**-32
-    # The dispersion has the unit 2**-8 and v 2**-32, so that their product has 2**-40 before the shift.
-    limit = (REJECTED_SIGMAS_SQUARED * robust.dispersion * variance) >> 8
+    scaled_excess = q32_from_q64(t * excess)
+    # The dispersion has the unit 2**-8 and v the unit 2**-32, so that their product has 2**-40.
+    limit = q32_from_q40(REJECTED_SIGMAS_SQUARED * robust.dispersion * variance)
     return scaled_excess > limit
 
 
@@ -417,7 +457,9 @@ def is_supported(robust: RobustFilter, t: int, n: int, estimates: Sequence[int],
     supporter_count = 0
     for estimate in estimates:
         p = probability_of_black(robust.initial_b_hat, q32_from_q24(estimate))  # by the estimate
-        if abs(p - share) < abs(p - p_of_centre):
+        distance_from_robot = abs(p - share)
+        distance_from_centre = abs(p - p_of_centre)
+        if distance_from_robot < distance_from_centre:
             supporter_count += 1
     # supporter_count / len(estimates) > 2 / 5, without a division
     return 5 * supporter_count > 2 * len(estimates)
