@@ -133,32 +133,19 @@ def _is_received(status: Any, robot_after: Any, robot: Any, *message: Any) -> An
     is_new = heard_senders & sender_bit == 0
     is_accepted = z3.And(is_valid, is_new)
 
-    counters = dict(robot["counters"])
-    counters["accepted"] = _count_if(counters["accepted"], is_accepted)
-    counters["repeated"] = _count_if(counters["repeated"], z3.And(is_valid, z3.Not(is_new)))
-    counters["rejected"] = _count_if(counters["rejected"], z3.Not(is_valid))
-
     # A message without confidence only counts. Another one enters the sums, or a slot of the robust filter.
     has_confidence = z3.And(is_accepted, alpha_in_units(alpha) != 0)
-    enters_sums = z3.And(has_confidence, z3.Not(is_robust(robot["config"])))
     enters_slot = z3.And(has_confidence, is_robust(robot["config"]))
-    received, sums = robot["received"], robot["received"]["sums"]
-    new_sums = _sums_with_message(sums["open"], x_hat, alpha_in_units(alpha))
-    open_sums = choose_terms(enters_sums, new_sums, sums["open"])
-    slot = zero_extend(sender & 31, 32)
-    filled_slots = robot["robust"]["filled_slots"] | z3.BitVecVal(1, 32) << slot
-    estimates = {
-        index: z3.If(z3.And(enters_slot, slot == index), _to_slot_estimate(x_hat), estimate)
-        for index, estimate in received["estimates"].items()
-    }
+    enters_sums = z3.And(has_confidence, z3.Not(is_robust(robot["config"])))
     expected_robot = {
         **robot,
-        "counters": counters,
-        "received": {"sums": {**sums, "open": open_sums}, "estimates": estimates},
-        "robust": choose_terms(
-            enters_slot, {**robot["robust"], "filled_slots": filled_slots}, robot["robust"]
-        ),
+        **_members_with_estimate_in_slot(robot, sender, x_hat, enters_slot),
+        "counters": _counters_after_message(robot["counters"], is_valid, is_new),
     }
+    sums = robot["received"]["sums"]
+    new_sums = _sums_with_message(sums["open"], x_hat, alpha_in_units(alpha))
+    open_sums = choose_terms(enters_sums, new_sums, sums["open"])
+    expected_robot["received"]["sums"] = {**sums, "open": open_sums}
     del expected_robot["heard"]  # compared as a set of senders instead
     return z3.And(
         returns_code_of_first(
@@ -167,6 +154,29 @@ def _is_received(status: Any, robot_after: Any, robot: Any, *message: Any) -> An
         _heard_senders(robot_after) == z3.If(is_accepted, heard_senders | sender_bit, heard_senders),
         is_same(robot_after, expected_robot),
     )
+
+
+def _counters_after_message(counters: Any, is_valid: Any, is_new: Any) -> dict[str, Any]:
+    """Return the counters after a message, which counts as accepted, repeated or rejected."""
+    is_repeated = z3.And(is_valid, z3.Not(is_new))
+    return {
+        **counters,
+        "accepted": _count_if(counters["accepted"], z3.And(is_valid, is_new)),
+        "repeated": _count_if(counters["repeated"], is_repeated),
+        "rejected": _count_if(counters["rejected"], z3.Not(is_valid)),
+    }
+
+
+def _members_with_estimate_in_slot(robot: Any, sender: Any, x_hat: Any, enters_slot: Any) -> dict[str, Any]:
+    """Return the members of a robot that has x_hat in the sender's slot, if the condition holds."""
+    slot = zero_extend(sender & 31, 32)
+    estimates = {
+        index: z3.If(z3.And(enters_slot, slot == index), _to_slot_estimate(x_hat), estimate)
+        for index, estimate in robot["received"]["estimates"].items()
+    }
+    filled_slots = robot["robust"]["filled_slots"] | z3.BitVecVal(1, 32) << slot
+    robust = choose_terms(enters_slot, {**robot["robust"], "filled_slots": filled_slots}, robot["robust"])
+    return {"received": {**robot["received"], "estimates": estimates}, "robust": robust}
 
 
 def _to_slot_estimate(x_hat: Any) -> Any:
@@ -281,29 +291,18 @@ def _is_b_hat_updated(status: Any, robot_after: Any, robot: Any) -> Any:
     A b_hat of 0 stands for none. Nothing else changes but what counts it, and what the run of the robust
     filter may change.
     """
-    filter_, sums = robot["config"]["filter"], robot["received"]["sums"]
     # Without an observation there is no estimate that a filter could test.
-    has_observed, has_robust_filter = robot["t"] != 0, is_robust(robot["config"])
-    robust_runs = z3.And(has_observed, has_robust_filter)
+    robust_runs = z3.And(has_observed(robot), is_robust(robot["config"]))
     robot_after_run = {
         **robot,
         "robust": result_of("run_robust_filter robust", robot["robust"], robot),
         "counters": result_of("run_robust_filter counters", robot["counters"], robot),
     }
-    # The filter ADAPTIVE tests from two estimates on, and ALWAYS takes one without a test.
-    count = sums["open"]["count"]
-    is_tested = z3.And(has_observed, filter_ == 0, z3.UGE(count, 2))
-    tested_robot = _with_test_counted(robot, is_tested)
-    is_rejected = z3.And(is_tested, result_of("asdf_test_rejects", 1, tested_robot) == 1)
-    is_reestimated = z3.Or(is_rejected, z3.And(has_observed, filter_ == 1, z3.UGE(count, 1)))
-    mean = result_of(
-        "round_mean", 32, *(sums["closed"][name] for name in ("alpha", "alpha_x_low", "alpha_x_high"))
-    )
-    b_hat_of_paper = z3.If(is_reestimated, result_of("reestimate", 32, tested_robot, mean), 0)
+    b_hat_of_paper, robot_after_test = _run_of_paper(robot)
     b_hat = z3.If(robust_runs, result_of("run_robust_filter", 32, robot), b_hat_of_paper)
+    expected_robot = choose_terms(robust_runs, robot_after_run, robot_after_test)
 
     is_updated = b_hat != 0
-    expected_robot = choose_terms(robust_runs, robot_after_run, tested_robot)
     accuracy = result_of("set_b_hat accuracy", robot["accuracy"], expected_robot, b_hat)
     updates = _count_if(expected_robot["counters"]["updates"], is_updated)
     updated_robot = {
@@ -316,6 +315,22 @@ def _is_b_hat_updated(status: Any, robot_after: Any, robot: Any) -> Any:
         status == z3.If(is_updated, z3.BitVecVal(UPDATED, status.size()), 0),
         is_same(robot_after, choose_terms(is_updated, updated_robot, expected_robot)),
     )
+
+
+def _run_of_paper(robot: Any) -> tuple[Any, dict[str, Any]]:
+    """Return the b_hat that the paper's filter finds, or 0 for none, and the robot with its test counted."""
+    filter_, sums = robot["config"]["filter"], robot["received"]["sums"]
+    # The filter ADAPTIVE tests from two estimates on, and ALWAYS takes one without a test.
+    count = sums["open"]["count"]
+    is_tested = z3.And(has_observed(robot), filter_ == 0, z3.UGE(count, 2))
+    tested_robot = _with_test_counted(robot, is_tested)
+    is_rejected = z3.And(is_tested, result_of("asdf_test_rejects", 1, tested_robot) == 1)
+    is_due_without_test = z3.And(has_observed(robot), filter_ == 1, z3.UGE(count, 1))
+    mean = result_of(
+        "round_mean", 32, *(sums["closed"][name] for name in ("alpha", "alpha_x_low", "alpha_x_high"))
+    )
+    new_b_hat = result_of("reestimate", 32, tested_robot, mean)
+    return z3.If(z3.Or(is_rejected, is_due_without_test), new_b_hat, 0), tested_robot
 
 
 # design: R10, R13, R23, R29

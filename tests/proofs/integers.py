@@ -76,18 +76,23 @@ class IntegerTranslator:
             return Integer(z3.If(condition, first.term, second.term), max(first.largest, second.largest))
         if not all(map(z3.is_bv, children)):
             raise NotImplementedError(f"{word.decl()} of integers")
+        if len(children) == 1:
+            return self._resize(word, children[0])
         integer = self._integer(children[0])
-        is_positive = integer.largest < 2 ** (children[0].size() - 1)
+        for operand in children[1:]:
+            integer = self._apply_operator(word, integer, operand)
+        return integer
+
+    def _resize(self, word: Any, part: Any) -> Integer:
+        """Return the integer of a word that is another one, made longer or cut out of it."""
+        kind, integer = word.decl().kind(), self._integer(part)
+        is_positive = integer.largest < 2 ** (part.size() - 1)
         if kind == z3.Z3_OP_ZERO_EXT or (kind == z3.Z3_OP_SIGN_EXT and is_positive):
             return integer
         if kind == z3.Z3_OP_EXTRACT:
             _highest_bit, lowest_bit = word.params()
             return Integer(integer.term / 2**lowest_bit, integer.largest >> lowest_bit)
-        if len(children) == 1:
-            raise NotImplementedError(f"{word.decl()} of integers")
-        for operand in children[1:]:
-            integer = self._apply_operator(word, integer, operand)
-        return integer
+        raise NotImplementedError(f"{word.decl()} of integers")
 
     def _unknown_integer(self, word: Any) -> Integer:
         """Return an unknown number, or the result of an unknown function, within the range of its word."""
@@ -119,14 +124,19 @@ class IntegerTranslator:
         is_join = is_join and right.largest < 2 ** _trailing_zeros(word.arg(0))
         if kind == z3.Z3_OP_BADD or is_join:
             return Integer(left.term + right.term, left.largest + right.largest)
-        constant = constant_value(operand)
-        if constant is not None and kind == z3.Z3_OP_BSHL:
-            return Integer(left.term * 2**constant, left.largest << constant)
-        if constant is not None and kind == z3.Z3_OP_BLSHR:
-            return Integer(left.term / 2**constant, left.largest >> constant)
-        if constant is not None and kind == z3.Z3_OP_BAND and constant & (constant + 1) == 0:
-            return Integer(left.term % (constant + 1), constant)
-        raise NotImplementedError(f"{word.decl()} of integers")
+        return _shift_or_mask(word, left, constant_value(operand))
+
+
+def _shift_or_mask(word: Any, integer: Integer, constant: int | None) -> Integer:
+    """Return an integer shifted by a constant, or its lowest bits by a mask of ones."""
+    kind = word.decl().kind()
+    if constant is not None and kind == z3.Z3_OP_BSHL:
+        return Integer(integer.term * 2**constant, integer.largest << constant)
+    if constant is not None and kind == z3.Z3_OP_BLSHR:
+        return Integer(integer.term / 2**constant, integer.largest >> constant)
+    if constant is not None and kind == z3.Z3_OP_BAND and constant & (constant + 1) == 0:
+        return Integer(integer.term % (constant + 1), constant)
+    raise NotImplementedError(f"{word.decl()} of integers")
 
 
 def _trailing_zeros(word: Any) -> int:

@@ -158,12 +158,10 @@ class Machine:
             length = constant_value(self.evaluate(type_.dim).term)
             assert length is not None
             return {index: self._build_value(type_.type, name, make_number) for index in range(length)}
-        # A structure has all its members here, and a union its first one. Estimates and sums of a round are
-        # kept apart as if their union were a structure: a call uses one of them, by the robot's filter, and
-        # never reads the one after writing the other. The contracts of receive and settle say so.
-        names = [member.name for member in type_.decls]
-        members = type_.decls[:1] if isinstance(type_, c_ast.Union) and "sums" not in names else type_.decls
-        return {member.name: self._build_value(member.type, member.name, make_number) for member in members}
+        return {
+            member.name: self._build_value(member.type, member.name, make_number)
+            for member in _members_of(type_)
+        }
 
     def _pointer_to_fresh_target(self, declaration: Any, name: str) -> Pointer:
         """Return a pointer to an unknown value. Constant words become a table of any length."""
@@ -341,22 +339,26 @@ class Machine:
     def evaluate_condition(self, node: Any) -> Any:
         """Return the formula that an expression is not 0."""
         if isinstance(node, c_ast.BinaryOp) and node.op in ("&&", "||"):
-            left_condition = self.evaluate_condition(node.left)
-            # The right operand is only evaluated if the left one does not settle the result.
-            needs_right = left_condition if node.op == "&&" else z3.Not(left_condition)
-            combine = z3.And if node.op == "&&" else z3.Or
-            if _has_effects(node.right):
-                if self.holds(needs_right):
-                    return self.evaluate_condition(node.right)
-                return left_condition
-            with self._supposing(needs_right):
-                return combine(left_condition, self.evaluate_condition(node.right))
+            return self._evaluate_logical(node)
         if isinstance(node, c_ast.UnaryOp) and node.op == "!":
             return z3.Not(self.evaluate_condition(node.expr))
         if isinstance(node, c_ast.BinaryOp) and node.op in _COMPARISON_SYMBOLS:
             left_operand, right_operand = self.evaluate(node.left), self.evaluate(node.right)
             return compare(node.op, *self._to_common_type(left_operand, right_operand))
         return self.evaluate(node).term != 0
+
+    def _evaluate_logical(self, node: Any) -> Any:
+        """Return the formula of an && or ||, whose right operand counts if the left one settles nothing."""
+        left_condition = self.evaluate_condition(node.left)
+        needs_right = left_condition if node.op == "&&" else z3.Not(left_condition)
+        if _has_effects(node.right):
+            if self.holds(needs_right):
+                return self.evaluate_condition(node.right)
+            return left_condition
+        with self._supposing(needs_right):
+            right_condition = self.evaluate_condition(node.right)
+        combine = z3.And if node.op == "&&" else z3.Or
+        return combine(left_condition, right_condition)
 
     def _evaluate_constant(self, node: Any) -> Number:
         """Return a literal number, whose type is the first of C's list that holds its value."""
@@ -460,13 +462,17 @@ class Machine:
         name = node.name.name
         if name == "__builtin_clz":
             return self.count_leading_zeros(arguments[0])
-        converted_arguments = []
-        for parameter, argument in zip(self.program.parameters(name), arguments, strict=True):
-            type_ = self._resolve_type(parameter.type)
-            is_array = isinstance(type_, (c_ast.PtrDecl, c_ast.ArrayDecl)) and isinstance(argument, dict)
-            # An array as an argument is a pointer to its first element.
-            converted_arguments.append(Pointer(argument, 0) if is_array else self._convert(argument, type_))
+        parameters = self.program.parameters(name)
+        pairs = zip(arguments, parameters, strict=True)
+        converted_arguments = [self._convert_argument(argument, parameter) for argument, parameter in pairs]
         return self.call(name, *converted_arguments)
+
+    def _convert_argument(self, argument: Any, parameter: Any) -> Any:
+        """Return an argument as the parameter has it: an array is then a pointer to its first element."""
+        type_ = self._resolve_type(parameter.type)
+        if isinstance(argument, dict) and isinstance(type_, (c_ast.PtrDecl, c_ast.ArrayDecl)):
+            return Pointer(argument, 0)
+        return self._convert(argument, type_)
 
     def count_leading_zeros(self, number: Number) -> Number:
         """Return what __builtin_clz() of gcc and clang does. It is undefined for 0."""
@@ -562,8 +568,11 @@ class Machine:
         # Members that the list leaves out are 0.
         members = self._build_value(type_, "", lambda _, number_type: constant(0, number_type))
         for (name, member_type), expression in zip(member_types.items(), node.exprs, strict=False):
-            if isinstance(member_type, (IntegerType, c_ast.PtrDecl)):
-                members[name] = self._convert(self.evaluate(expression), member_type)
+            if not isinstance(member_type, (IntegerType, c_ast.PtrDecl)):
+                raise NotImplementedError(
+                    f"a list with a value for {name}, which is no number and no pointer"
+                )
+            members[name] = self._convert(self.evaluate(expression), member_type)
         return members
 
     def _evaluate_union_initializer(self, node: Any) -> dict[str, Any]:
@@ -631,6 +640,18 @@ def copy_value(value: Any) -> Any:
     if isinstance(value, dict):
         return {name: copy_value(member) for name, member in value.items()}
     return value
+
+
+def _members_of(type_: Any) -> list[Any]:
+    """Return the members that a value of a structure has here, or the first one of a union.
+
+    Estimates and sums of a round are kept apart as if their union were a structure: a call uses one of them,
+    by the robot's filter, and never reads the one after writing the other. The contracts of receive and
+    settle say so.
+    """
+    members: list[Any] = type_.decls
+    has_sums = any(member.name == "sums" for member in members)
+    return members if isinstance(type_, c_ast.Struct) or has_sums else members[:1]
 
 
 def _is_long_word_of_bytes(target: Any) -> bool:

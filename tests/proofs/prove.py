@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
@@ -113,10 +113,7 @@ def prove_contract(program: Program, name: str, contracts: Contracts) -> None:
     Raises UnprovenError if the function breaks its contract for some arguments.
     """
     contract = contracts[name]
-    summaries = dict(contract.stand_ins)
-    for lemma in contract.used_lemmas:
-        requires = _requires_proved_constant(program, lemma, contracts[lemma])
-        summaries[lemma] = any_result(lemma, requires, contracts[lemma].ensures)
+    summaries = _summaries_of_callees(program, contract, contracts)
 
     def make_machine(decisions: tuple[bool, ...]) -> Machine:
         machine = Machine(program, summaries, decisions)
@@ -130,15 +127,28 @@ def prove_contract(program: Program, name: str, contracts: Contracts) -> None:
         is_possible = False
         for machine, terms in all_paths(make_machine, run):
             prove_obligations(machine, name)
-            if terms is None:
-                continue
-            is_possible = is_possible or _check_satisfiable(*machine.facts)[0] == z3.sat
-            for formula in _each(contract.ensures(*terms)):
-                prove(formula, *machine.facts, description=name)
-                machine.facts.append(formula)
+            if terms is not None:
+                is_possible |= _check_satisfiable(*machine.facts)[0] == z3.sat
+                _prove_each(_each(contract.ensures(*terms)), machine, name)
         # If no arguments fulfilled the facts, any result would.
         if not is_possible:
             raise UnprovenError(f"{name}: nothing is found that satisfies what is taken for known")
+
+
+def _summaries_of_callees(program: Program, contract: Contract, contracts: Contracts) -> dict[str, Summary]:
+    """Return what stands for called functions in a proof: the stand-ins and the lemmas of a contract."""
+    summaries = dict(contract.stand_ins)
+    for lemma in contract.used_lemmas:
+        requires = _requires_proved_constant(program, lemma, contracts[lemma])
+        summaries[lemma] = any_result(lemma, requires, contracts[lemma].ensures)
+    return summaries
+
+
+def _prove_each(formulas: Iterable[Any], machine: Machine, name: str) -> None:
+    """Prove formulas at the end of a path, each with those before it."""
+    for formula in formulas:
+        prove(formula, *machine.facts, description=name)
+        machine.facts.append(formula)
 
 
 def prove_obligations(machine: Machine, name: str) -> None:
@@ -210,6 +220,10 @@ def _result_terms(result: Any, arguments: Iterable[Any]) -> list[Any]:
 # --- Stand-ins for called functions ------------------------------------------------------------------------
 
 
+Writer = Callable[[Machine, Sequence[Any], Sequence[Any]], Any]
+"""Takes a machine, and arguments and their terms. Writes what the call does, and returns its result."""
+
+
 def any_result(name: str, requires: Formula = always, ensures: Formula = always) -> Summary:
     """Return a stand-in for a function of which these formulas alone are known, as those of a ``Contract``.
 
@@ -217,10 +231,7 @@ def any_result(name: str, requires: Formula = always, ensures: Formula = always)
     are: no function writes one.
     """
 
-    def call_anything(machine: Machine, *arguments: Any) -> Any:
-        # The contract speaks of arguments as they were before the call, which may change their targets.
-        argument_terms = [terms_of(argument) for argument in arguments]
-        machine.require(requires(*argument_terms), f"what {name} requires")
+    def write_anything(machine: Machine, arguments: Sequence[Any], _terms: Sequence[Any]) -> Any:
         for parameter, argument in zip(machine.program.parameters(name), arguments, strict=True):
             # A function only reads through a pointer to constants.
             if not isinstance(argument, Pointer) or "const" in parameter.type.type.quals:
@@ -228,18 +239,9 @@ def any_result(name: str, requires: Formula = always, ensures: Formula = always)
             targets = argument.container if argument.key == 0 else {argument.key: machine.load(argument)}
             for key, target in targets.items():
                 argument.container[key] = _fresh_like(machine, name, target)
-        result = machine.fresh_value(machine.program.signatures[name].type, name)
-        machine.facts.append(_each(ensures(*_result_terms(result, arguments), *argument_terms))[-1])
-        return result
+        return machine.fresh_value(machine.program.signatures[name].type, name)
 
-    return call_anything
-
-
-def _fresh_like(machine: Machine, name: str, value: Any) -> Any:
-    """Return an unknown value with the structure of this one; pointers are the same."""
-    if isinstance(value, dict):
-        return {key: _fresh_like(machine, name, member) for key, member in value.items()}
-    return machine.fresh_number(name, value.type) if isinstance(value, Number) else value
+    return _stand_in(name, requires, ensures, write_anything)
 
 
 def uninterpreted(
@@ -251,21 +253,38 @@ def uninterpreted(
     nothing else. ``requires`` and ``ensures`` are as those of a ``Contract``.
     """
 
-    def call_uninterpreted(machine: Machine, *arguments: Any) -> Any:
-        argument_terms = [terms_of(argument) for argument in arguments]
-        machine.require(requires(*argument_terms), f"what {name} requires")
+    def write_results(machine: Machine, arguments: Sequence[Any], terms: Sequence[Any]) -> Any:
         for member_name in changed_members:
             pointer = arguments[0].select(member_name)
             old_member = machine.load(pointer)
-            new_terms = result_of(f"{name} {member_name}", terms_of(old_member), *argument_terms)
+            new_terms = result_of(f"{name} {member_name}", terms_of(old_member), *terms)
             machine.store(pointer, _with_terms(old_member, new_terms))
         result = machine.fresh_value(machine.program.signatures[name].type, name)
-        if result is not None:
-            result = _with_terms(result, result_of(name, terms_of(result), *argument_terms))
-        machine.facts.append(_each(ensures(*_result_terms(result, arguments), *argument_terms))[-1])
+        return None if result is None else _with_terms(result, result_of(name, terms_of(result), *terms))
+
+    return _stand_in(name, requires, ensures, write_results)
+
+
+def _stand_in(name: str, requires: Formula, ensures: Formula, write: Writer) -> Summary:
+    """Return a stand-in that owes what the function requires, and of whose effects ``ensures`` is known."""
+
+    def call(machine: Machine, *arguments: Any) -> Any:
+        # The contract speaks of arguments as they were before the call, which may change their targets.
+        argument_terms = [terms_of(argument) for argument in arguments]
+        machine.require(requires(*argument_terms), f"what {name} requires")
+        result = write(machine, arguments, argument_terms)
+        promise = _each(ensures(*_result_terms(result, arguments), *argument_terms))[-1]
+        machine.facts.append(promise)
         return result
 
-    return call_uninterpreted
+    return call
+
+
+def _fresh_like(machine: Machine, name: str, value: Any) -> Any:
+    """Return an unknown value with the structure of this one; pointers are the same."""
+    if isinstance(value, dict):
+        return {key: _fresh_like(machine, name, member) for key, member in value.items()}
+    return machine.fresh_number(name, value.type) if isinstance(value, Number) else value
 
 
 def result_of(name: str, shape: Any, *arguments: Any) -> Any:

@@ -28,6 +28,10 @@ SLOTS = 32
 VOTES_MAX = 2**9
 
 
+product, upper_product = partial(result_of, "multiply", 64), partial(result_of, "multiply_high", 32)
+"""Any functions of two words in place of their products, as the code calls them."""
+
+
 def is_robust(config: Any) -> Any:
     """Return that a configuration has the robust filter."""
     return config["filter"] == ROBUST
@@ -191,7 +195,6 @@ VOTE = Contract(
 
 def _is_robust_test(rejects: Any, _robot_after: Any, robot: Any, share: Any, centre: Any, spread: Any) -> Any:
     """Return that the code forms the section's test, of products that may be any."""
-    product, upper_product = partial(result_of, "multiply", 64), partial(result_of, "multiply_high", 32)
     robust, t = robot["robust"], robot["t"]
     b_hat = robust["initial_b_hat"]
     p = upper_product(b_hat, centre) + upper_product(~b_hat, ~centre)
@@ -232,21 +235,14 @@ def keeps_initial_b_hat(robot_after: dict[str, Any], robot: dict[str, Any], *_ar
 
 def _is_batch_ended(robot_after: dict[str, Any], robot: dict[str, Any], share: Any) -> Any:
     """Return that the dispersion follows the ratio of the batch, and that the next batch begins."""
-    product, upper_product = partial(result_of, "multiply", 64), partial(result_of, "multiply_high", 32)
     robust = robot["robust"]
     count, black_count = robot["t"] - robust["batch_t"], robot["n"] - robust["batch_n"]
     dispersion = zero_extend(robust["dispersion"], 32)
-    # The largest ratio is 12 times the dispersion. Its square in variances is shifted from 2^-40 to 2^-22.
     variance = product(count, upper_product(share, -share))
+    # The largest ratio is 12 times the dispersion, and the largest square is the one that leads to it.
     largest_ratio = low_word(product(z3.BitVecVal(12, 32), dispersion))
-    largest_square = (product(largest_ratio, high_word(variance)) << 14) + z3.LShR(
-        product(largest_ratio, low_word(variance)), 18
-    )
-    # The deviation is shifted from 2^-32 to 2^-11, and may then be too long for a word.
-    observed, expected = z3.Concat(black_count, z3.BitVecVal(0, 32)), product(count, share)
-    deviation = z3.LShR(z3.If(z3.UGT(observed, expected), observed - expected, expected - observed), 21)
-    limited_deviation = z3.If(high_word(deviation) == 0, low_word(deviation), z3.BitVecVal(-1, 32))
-    square = minimum_of(product(limited_deviation, limited_deviation), largest_square)
+    largest_square = _ratio_times_variance(largest_ratio, variance)
+    square = minimum_of(_square_of_deviation(black_count, product(count, share)), largest_square)
     # The ratio is as large a part of the largest ratio as the square is of the largest square.
     ratio = upper_product(largest_ratio, result_of("quotient", 32, square, largest_square))
     average = z3.LShR(low_word(product(z3.BitVecVal(7, 32), dispersion)) + ratio, 3)
@@ -258,6 +254,26 @@ def _is_batch_ended(robot_after: dict[str, Any], robot: dict[str, Any], share: A
         "dispersion": z3.If(largest_square == 0, robust["dispersion"], z3.Extract(15, 0, new_dispersion)),
     }
     return is_same(robot_after, {**robot, "robust": {**robust, **new_members}})
+
+
+def _ratio_times_variance(ratio: Any, variance: Any) -> Any:
+    """Return the product in units of 2^-22, from 2^-40. It is formed of the two words of the variance."""
+    upper_part = product(ratio, high_word(variance)) << 14
+    return upper_part + z3.LShR(product(ratio, low_word(variance)), 18)
+
+
+def _square_of_deviation(black_count: Any, expected: Any) -> Any:
+    """Return the squared difference of two counts in units of 2^-22; ``expected`` has the unit 2^-32.
+
+    Where the difference, in units of 2^-11, has more than 32 bits, it counts as the largest word.
+    """
+    observed = z3.Concat(black_count, z3.BitVecVal(0, 32))
+    deviation = z3.If(z3.UGT(observed, expected), observed - expected, expected - observed)
+    short_deviation = z3.LShR(deviation, 21)
+    limited_deviation = z3.If(
+        high_word(short_deviation) == 0, low_word(short_deviation), z3.BitVecVal(-1, 32)
+    )
+    return product(limited_deviation, limited_deviation)
 
 
 # design: R37

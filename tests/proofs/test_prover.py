@@ -50,6 +50,17 @@ def test_a_negative_word_is_not_taken_for_a_positive_one() -> None:
         prove(z3.ULT(z3.SignExt(32, p) * q, 2**32), q == 1)
 
 
+def test_a_word_cut_out_of_a_shifted_one_is_not_taken_to_end_with_its_zeros() -> None:
+    """Where words become integers, | is taken for the sum if the zeros at an end leave room for a number.
+
+    The 8 zeros of a shift are cut off here, so that the lowest bit of the rest may be 1.
+    """
+    p, q = z3.BitVecs("p q", 32)
+    without_zeros = z3.Extract(39, 8, z3.ZeroExt(8, p) << 8)
+    with pytest.raises(UnprovenError, match="broken by"):
+        prove(without_zeros | 1 == without_zeros + 1, p * q == 1)
+
+
 @pytest.mark.parametrize("is_function", [False, True])
 def test_unknowns_of_one_name_and_two_sizes_are_not_taken_for_one(is_function: bool) -> None:
     """Where words become integers they lose their size. A product is needed for that, and zero is one here.
