@@ -82,10 +82,9 @@ def print_scores(rows: Sequence[dict[str, Any]], title: str) -> None:
         table.add_column(name, justify="right", no_wrap=True)
     for row in rows:
         parameter_texts = [str(row["parameters"][name]) for name in varying_parameters]
-        medians = []
-        for name, number_format in _FORMAT_OF_MEASURE.items():
-            quartiles = row[name]
-            medians.append(format(quartiles["median"], number_format))
+        medians = [
+            format(row[name]["median"], number_format) for name, number_format in _FORMAT_OF_MEASURE.items()
+        ]
         table.add_row(*parameter_texts, _describe_trial_count(row), _describe_score(row["H"]), *medians)
     # As wide as the table is: lines longer than a terminal wrap, but columns that shrink would lose figures.
     width = Console(width=_WIDER_THAN_ANY_TABLE).measure(table).maximum

@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from mcp_asdf_tools.cli import options
 from mcp_asdf_tools.cli.output import json_report, print_again
 from mcp_asdf_tools.common.errors import UsageError
+
+if TYPE_CHECKING:
+    from mcp_asdf_tools.experiments.experiment import Experiment
 
 EPILOG = """\
 examples:
@@ -59,9 +63,7 @@ def run(args: argparse.Namespace) -> int:
     experiment = experiments[0]
     workers = options.workers_of(args)
     limits = options.limits_of(args)
-    robot_steps = experiment.trials * experiment.robots * experiment.steps
-    # Trials of other firmwares, which run in Python, take far longer than starting a process.
-    if experiment.firmware == "native" and robot_steps < _ROBOT_STEPS_FOR_PROCESSES:
+    if _is_short(experiment):
         workers = 1
     if args.output is not None:
         options.check_results_path(args.output)
@@ -73,3 +75,12 @@ def run(args: argparse.Namespace) -> int:
         print_scores(rows, "one experiment")
         print_again(args, seed=experiment.seed)
     return 0
+
+
+def _is_short(experiment: Experiment) -> bool:
+    """Return whether an experiment takes so little time that starting processes would not pay.
+
+    Trials of other firmwares than the native one run in Python, and take far longer than starting a process.
+    """
+    robot_steps = experiment.trials * experiment.robots * experiment.steps
+    return experiment.firmware == "native" and robot_steps < _ROBOT_STEPS_FOR_PROCESSES

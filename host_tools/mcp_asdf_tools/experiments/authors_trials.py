@@ -349,10 +349,8 @@ def _read_series(file: _TrialFile, experiment: Experiment) -> dict[str, NDArray[
     numbers = np.stack(numbers_by_robot)  # shape (N, steps + 1, columns)
     # In the authors' files the flawed robots are the last ones. Rolled on by their number, they are the
     # first.
-    robot_axis, column_axis = 0, 2
-    numbers = np.roll(numbers, experiment.flawed, axis=robot_axis)
-    columns = np.moveaxis(numbers, column_axis, 0)  # in the order of _COLUMN_NAMES
-    return dict(zip(_COLUMN_NAMES, columns, strict=True))
+    flawed_robots_first = np.roll(numbers, experiment.flawed, axis=0)
+    return {name: flawed_robots_first[:, :, column] for column, name in enumerate(_COLUMN_NAMES)}
 
 
 def _parse_texts(texts: Any, steps: int) -> NDArray[np.float64]:
@@ -379,22 +377,27 @@ def _check_numbers(series: dict[str, NDArray[np.float64]]) -> None:
     Counts must be 0 <= n <= t <= step. Estimates and accuracies are 0 to 1, and confidences 0 or more and
     finite. The b_hat on white must equal the b_hat on black. Only the counts must not be NaN.
     """
+    for name, is_wrong in _wrong_numbers(series).items():
+        if is_wrong.any():
+            step = int(is_wrong.argmax())  # the first one
+            raise ValueError(
+                f"{name} is {series[name][step]:g} in step {step}, which no robot of the paper has"
+            )
+
+
+def _wrong_numbers(series: dict[str, NDArray[np.float64]]) -> dict[str, NDArray[np.bool_]]:
+    """Return for each quantity in which steps its number is wrong, as ``_check_numbers`` says."""
     n, t = series["n"], series["t"]
     steps = np.arange(len(t))
     # Comparisons with NaN are false: a count of NaN is wrong, and any other value of NaN is not.
     is_possible_n = (n >= 0) & (n <= t)
     is_possible_t = (t >= 0) & (t <= steps)
-    is_wrong_by_name = {"n": ~is_possible_n, "t": ~is_possible_t}  # a truth value for each step
+    is_wrong = {"n": ~is_possible_n, "t": ~is_possible_t}
     for name in _QUANTITIES_FROM_0_TO_1:
-        is_wrong_by_name[name] = (series[name] < 0) | (series[name] > 1)
+        is_wrong[name] = (series[name] < 0) | (series[name] > 1)
     for name in _CONFIDENCES:
-        is_wrong_by_name[name] = (series[name] < 0) | np.isinf(series[name])
-    on_white = series["b_hat on white"]
-    is_nan_in_both = np.isnan(on_white) & np.isnan(series["b_hat"])
-    is_wrong_by_name["b_hat on white"] = (on_white != series["b_hat"]) & ~is_nan_in_both
-    for name, is_wrong in is_wrong_by_name.items():
-        if is_wrong.any():
-            step = int(is_wrong.argmax())
-            raise ValueError(
-                f"{name} is {series[name][step]:g} in step {step}, which no robot of the paper has"
-            )
+        is_wrong[name] = (series[name] < 0) | np.isinf(series[name])
+    on_black, on_white = series["b_hat"], series["b_hat on white"]
+    is_nan_in_both = np.isnan(on_white) & np.isnan(on_black)
+    is_wrong["b_hat on white"] = (on_white != on_black) & ~is_nan_in_both
+    return is_wrong

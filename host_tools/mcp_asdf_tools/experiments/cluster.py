@@ -44,15 +44,20 @@ def connect_cluster(address: str) -> Iterator[tuple[Executor, Callable[[], int]]
 
     try:
         with _explaining_losses(dask, client, address):
-            try:
-                client.wait_for_workers(1, timeout=_TIMEOUT)
-            except TimeoutError as error:
-                message = f"the cluster at {address} has no workers; start some: dask worker {address}"
-                raise UsageError(message) from error
+            _wait_for_worker(client, address)
             # Dask runs pure jobs of equal arguments only once.
             yield client.get_executor(pure=False), count_threads
     finally:
         client.close()
+
+
+def _wait_for_worker(client: Any, address: str) -> None:
+    """Wait until the cluster has a worker. Raises UsageError, with the fix, if it gets none in time."""
+    try:
+        client.wait_for_workers(1, timeout=_TIMEOUT)
+    except TimeoutError as error:
+        message = f"the cluster at {address} has no workers; start some: dask worker {address}"
+        raise UsageError(message) from error
 
 
 @contextmanager

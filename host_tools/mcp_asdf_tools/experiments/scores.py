@@ -42,19 +42,30 @@ def convergence_step(series: NDArray[np.uint32] | NDArray[np.float64], delta: fl
     highest_after = _extremes_after_chunks(np.maximum, series, chunk_starts)
     # Where the values after a chunk are 2 delta apart, no value in the chunk can be near all of them.
     may_have_k = highest_after - lowest_after < 2 * delta
-    for chunk_index in np.flatnonzero(may_have_k):
-        chunk_start = chunk_starts[chunk_index]
-        chunk = series[chunk_start : chunk_start + _CHUNK_LENGTH]
-        # For each value of the chunk, the lowest and the highest value from it to the end of the series.
-        lowest_to_end = _extremes_to_end(np.minimum, np.minimum(chunk, lowest_after[chunk_index]))
-        highest_to_end = _extremes_to_end(np.maximum, np.maximum(chunk, highest_after[chunk_index]))
-        # Unsigned values do not wrap around here, as neither difference is ever negative.
-        is_near_all_later = (chunk - lowest_to_end < delta) & (highest_to_end - chunk < delta)
-        if is_near_all_later.any():
-            first_in_chunk = is_near_all_later.argmax()
-            return int(chunk_start + first_in_chunk)
+    for index in np.flatnonzero(may_have_k):
+        chunk = series[chunk_starts[index] : chunk_starts[index] + _CHUNK_LENGTH]
+        is_near = _is_near_all_later(chunk, lowest_after[index], highest_after[index], delta)
+        if is_near.any():
+            return int(chunk_starts[index] + is_near.argmax())  # argmax finds the first one
     last_step = len(series) - 1
     return last_step
+
+
+def _is_near_all_later(
+    chunk: NDArray[Any], lowest_after: float, highest_after: float, delta: float
+) -> NDArray[np.bool_]:
+    """Return for each value of a chunk whether it is within ``delta`` of all values after it.
+
+    ``lowest_after`` and ``highest_after`` are the extremes of the values after the chunk.
+    """
+    import numpy as np  # noqa: PLC0415 (it loads slowly, and limits are needed without it)
+
+    # For each value of the chunk, the lowest and the highest value from it to the end of the series.
+    lowest_to_end = _extremes_to_end(np.minimum, np.minimum(chunk, lowest_after))
+    highest_to_end = _extremes_to_end(np.maximum, np.maximum(chunk, highest_after))
+    # Unsigned values do not wrap around here, as neither difference is ever negative.
+    is_near: NDArray[np.bool_] = (chunk - lowest_to_end < delta) & (highest_to_end - chunk < delta)
+    return is_near
 
 
 def _extremes_after_chunks(
