@@ -92,23 +92,36 @@ def _trials_of_users_filter(
     """Return the trials of the user's firmware or filter that stand beside the paper's filter in a picture.
 
     ``filter_name`` is the paper's filter, ASDF- or ASDF+. A filter of the user's stands beside either, a
-    firmware of the user's only beside the filter that it ran with. Where all robots are flawed, ASDF- is
-    ASDF+: if ``filter_name`` is ASDF-, trials with ASDF+ are then returned as ones with ASDF-.
+    firmware of the user's only beside the filter that it ran with.
     """
-    selected = []
+    selected: list[Trials] = []
     for trials in study_results.users_trials_of(study_part):
-        filter_of_trials = trials.experiment.filter
-        is_users_filter = filter_of_trials not in (ASDF_MINUS, ASDF_PLUS)
-        if is_users_filter or filter_of_trials == filter_name:
+        is_users_filter = trials.experiment.filter not in (ASDF_MINUS, ASDF_PLUS)
+        if is_users_filter:
             selected.append(trials)
-        elif filter_name == ASDF_MINUS and _all_flawed(trials.experiment):
-            selected.append(_as_asdf_minus(trials))
+        elif _counts_as(trials.experiment, filter_name):
+            selected.append(_with_filter(trials, filter_name))
     return selected
 
 
-def _as_asdf_minus(trials: Trials) -> Trials:
-    """Return trials as ones with ASDF-, which would have the same results: no robot is flawed, or all are."""
-    return replace(trials, experiment=replace(trials.experiment, filter=ASDF_MINUS))
+def _counts_as(experiment: Experiment, filter_name: str) -> bool:
+    """Return whether an experiment has a filter of the paper's, or would have the same results with it.
+
+    With ASDF- only flawed robots filter. So it is no filter where no robot is flawed, and it is ASDF+ where
+    all are: the study has run these swarms once, under the name of the other filter.
+    """
+    if experiment.filter == filter_name:
+        return True
+    if filter_name != ASDF_MINUS:
+        return False
+    nobody_filters = experiment.filter == NO_FILTER and experiment.flawed == 0
+    everybody_filters = experiment.filter == ASDF_PLUS and _all_flawed(experiment)
+    return nobody_filters or everybody_filters
+
+
+def _with_filter(trials: Trials, filter_name: str) -> Trials:
+    """Return trials as ones of an experiment with this filter, as which it counts."""
+    return replace(trials, experiment=replace(trials.experiment, filter=filter_name))
 
 
 def _name_in_words(experiment: Experiment) -> str:
@@ -156,25 +169,17 @@ def _select_by_filter(
 def _select_with_shortest_period(
     study_results: StudyResults, study_part: StudyPart, filter_names: Sequence[str]
 ) -> list[Trials]:
-    """Return the trials of a part's experiments that have one of these filters, with its shortest period.
+    """Return the trials of a part that count as ones with these filters, as ``_counts_as`` says.
 
-    Experiments without a filter, which have no period, are returned if ``filter_names`` has NO_FILTER. If it
-    has ASDF-, two kinds of experiments are returned as ones with ASDF-, too: those without a filter and
-    without flawed robots, and those with ASDF+ in which all robots are flawed.
+    Of experiments with a filter only those with its shortest period are returned.
     """
-    unfiltered = _select_by_filter(study_results, study_part, [NO_FILTER])
-    filtered = [
-        trials
-        for trials in _select_by_filter(study_results, study_part, [ASDF_MINUS, ASDF_PLUS])
-        if trials.experiment.filter_period == SHORTEST_FILTER_PERIOD
-    ]
-    selected = [trials for trials in [*unfiltered, *filtered] if trials.experiment.filter in filter_names]
-    # With ASDF- only flawed robots filter. So without flawed robots it is no filter, and if all are flawed it
-    # is ASDF+: the study has run these swarms once, under the name of the other filter.
-    if ASDF_MINUS in filter_names:
-        same_as_asdf_minus = [trials for trials in unfiltered if trials.experiment.flawed == 0]
-        same_as_asdf_minus += [trials for trials in filtered if _all_flawed(trials.experiment)]
-        selected += [_as_asdf_minus(trials) for trials in same_as_asdf_minus]
+    selected: list[Trials] = []
+    for filter_name in filter_names:
+        for trials in study_results.trials_of(study_part):
+            # Experiments without a filter state the shortest period, too.
+            has_shortest_period = trials.experiment.filter_period == SHORTEST_FILTER_PERIOD
+            if has_shortest_period and _counts_as(trials.experiment, filter_name):
+                selected.append(_with_filter(trials, filter_name))
     return selected
 
 

@@ -118,9 +118,7 @@ class BayesCpfRobot(ReferenceRobot):
         """
         n = self._n_since_update  # black readings
         t = self._t_since_update  # all readings
-        # The oldest of the informed estimates weighs most, the newest has the weight 1.
-        weights = range(len(self._x_since_update), 0, -1)
-        x = float(np.average(self._x_since_update, weights=weights))
+        x = self._mean_x_since_update()
         self._n_since_update = 0
         self._t_since_update = 0
         self._x_since_update = []
@@ -135,6 +133,11 @@ class BayesCpfRobot(ReferenceRobot):
         # b_hat stays off these ends, since at 1/2 the local estimate would divide by 0.
         lowest, highest = 0.5 + 1e-6, 1 - 1e-6
         return min(max(self._truncated_mean(), lowest), highest)
+
+    def _mean_x_since_update(self) -> float:
+        """Return the mean of the informed estimates: the oldest weighs most, the newest has the weight 1."""
+        weights = range(len(self._x_since_update), 0, -1)
+        return float(np.average(self._x_since_update, weights=weights))
 
     def _correct_by_count(self, n: int, t: int, x: float) -> None:
         """Correct mean and variance of the estimate of b: ``n`` of ``t`` readings were black.

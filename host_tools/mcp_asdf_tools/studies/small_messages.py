@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 import mcp_asdf_tools as m
@@ -188,14 +189,19 @@ def draw_ratios(ratios_by_filter: Mapping[str, RatiosByCode]) -> Figure:
     rows_of_panels = figure.subplots(nrows=1, ncols=len(ratios_by_filter), sharey=True, squeeze=False)
     [panels] = rows_of_panels  # there is a single row
     for axes, (filter_name, ratios) in zip(panels, ratios_by_filter.items(), strict=True):
-        for alpha_bits in ALPHA_BITS[filter_name]:
-            ratio_values = [ratios[MessageCode(x_hat_bits, alpha_bits)].value for x_hat_bits in X_HAT_BITS]
-            axes.plot(X_HAT_BITS, ratio_values, marker=".", label=f"alpha {alpha_bits}")
-        axes.axhline(TOLERANCE, color="grey", linestyle=":")
-        axes.set(title=FILTERS[filter_name].term, xlabel="bits of x_hat", yscale="log")
+        _draw_ratios_of_filter(axes, filter_name, ratios)
     panels[0].set_ylabel("error by that of exact messages")
     panels[0].legend(title="bits of")
     return figure
+
+
+def _draw_ratios_of_filter(axes: Axes, filter_name: str, ratios: RatiosByCode) -> None:
+    """Draw a filter's ratios of errors over the bits of x_hat, a line for each number of bits of alpha."""
+    for alpha_bits in ALPHA_BITS[filter_name]:
+        ratio_values = [ratios[MessageCode(x_hat_bits, alpha_bits)].value for x_hat_bits in X_HAT_BITS]
+        axes.plot(X_HAT_BITS, ratio_values, marker=".", label=f"alpha {alpha_bits}")
+    axes.axhline(TOLERANCE, color="grey", linestyle=":")
+    axes.set(title=FILTERS[filter_name].term, xlabel="bits of x_hat", yscale="log")
 
 
 def main() -> None:

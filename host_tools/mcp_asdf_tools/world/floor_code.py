@@ -35,17 +35,15 @@ def make_floor_code(fill_ratio: float) -> NDArray[np.bool_]:
     black_modules = _count_black_modules(fill_ratio)
     pattern, is_fixed = _fixed_patterns()
     free_modules = np.flatnonzero(~is_fixed)
-    fixed_black_modules = int(pattern.sum())
-    missing_modules = black_modules - fixed_black_modules
-    if not 0 <= missing_modules <= len(free_modules):
-        minimum = fixed_black_modules / pattern.size
-        maximum = (fixed_black_modules + len(free_modules)) / pattern.size
-        message = f"fill_ratio is {fill_ratio}; this floor can have {minimum:g} to {maximum:g}"
-        raise ParameterError("fill_ratio", message)
+    fewest_black = int(pattern.sum())
+    most_black = fewest_black + len(free_modules)
+    if not fewest_black <= black_modules <= most_black:
+        limits = f"{fewest_black / pattern.size:g} to {most_black / pattern.size:g}"
+        raise ParameterError("fill_ratio", f"fill_ratio is {fill_ratio}; this floor can have {limits}")
     # A seed of its own, so that every trial of an experiment has the same floor.
     random_generator = np.random.Generator(np.random.PCG64(_SEED))
     shuffled_modules = random_generator.permutation(free_modules)
-    pattern.flat[shuffled_modules[:missing_modules]] = True
+    pattern.flat[shuffled_modules[: black_modules - fewest_black]] = True
     return pattern
 
 

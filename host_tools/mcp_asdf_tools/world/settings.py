@@ -328,11 +328,7 @@ def _check_arena(settings: WorldSettings) -> None:
     width, height = settings.sides
     size_text = f"{width:.4g} x {height:.4g} m"
     size_parameter = "width" if settings.width else "density"
-    # Robots are placed at random so that none overlap, which fails if they cover too much of the floor.
-    covered_area = settings.robots * math.pi * (_BODY_DIAMETER / 2) ** 2
-    max_covered_area = _MAX_COVERED_SHARE * width * height
-    has_room = min(width, height) > _BODY_DIAMETER and covered_area <= max_covered_area
-    if not has_room:
+    if not _has_room_for_robots(settings):
         message = (
             f"{settings.robots} robots of {_BODY_DIAMETER} m are too many for {size_text}; "
             "take a larger arena"
@@ -344,6 +340,17 @@ def _check_arena(settings: WorldSettings) -> None:
     if settings.tile * _MAX_TILES_PER_SIDE < max(width, height):
         message = f"tile is {settings.tile}; choose one with at most {_MAX_TILES_PER_SIDE} along {size_text}"
         raise ParameterError("tile", message)
+
+
+def _has_room_for_robots(settings: WorldSettings) -> bool:
+    """Return whether robots can be placed in the arena at random so that none overlap.
+
+    They cannot if a side is no longer than a robot, or if they cover too much of the floor.
+    """
+    width, height = settings.sides
+    covered_area = settings.robots * math.pi * (_BODY_DIAMETER / 2) ** 2
+    max_covered_area = _MAX_COVERED_SHARE * width * height
+    return min(width, height) > _BODY_DIAMETER and covered_area <= max_covered_area
 
 
 def _check_speed(settings: WorldSettings) -> None:
