@@ -391,7 +391,7 @@ def _run_with_progress(
     from mcp_asdf_tools.swarm.run import run_swarm
 
     # A signal counts between two ticks, so that log and results end on a whole one.
-    with LiveView(plan.console, baselines) as live_view, stopping() as should_stop:
+    with LiveView(plan.console, swarm.settings.steps, baselines) as live_view, stopping() as should_stop:
         # Baselines come first, since the live view shows their errors after the same tick.
         hooks = [hook for hook in (baselines, recorder, live_view) if hook is not None]
         return run_swarm(swarm, hooks, should_stop)

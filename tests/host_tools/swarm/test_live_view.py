@@ -1,4 +1,4 @@
-"""The view of a running swarm: a bar on a terminal.
+"""The progress of a running swarm: a bar on a terminal, and a line a minute elsewhere.
 
 Baselines are copies of the swarm with other filters, which run beside it for comparison.
 """
@@ -16,6 +16,7 @@ from unittest.mock import Mock
 import pytest
 from rich.console import Console
 
+from mcp_asdf_tools.common import progress_bar
 from mcp_asdf_tools.swarm import run as run_module
 from mcp_asdf_tools.swarm.carrier import Wiring
 from mcp_asdf_tools.swarm.live_view import LiveView
@@ -52,7 +53,7 @@ def view_run(steps: int, with_baselines: bool, **console_options: Any) -> Viewed
     baselines = Baselines(settings) if with_baselines else None
     output = io.StringIO()
     console = Console(file=output, **console_options)
-    with Swarm(settings, Wiring()) as swarm, LiveView(console, baselines) as view:
+    with Swarm(settings, Wiring()) as swarm, LiveView(console, steps, baselines) as view:
         # Baselines come first, so that the view meets them after the same tick.
         hooks = [hook for hook in (baselines, view) if hook is not None]
         run_swarm(swarm, hooks)
@@ -99,11 +100,28 @@ def test_the_progress_bar_of_a_swarm_with_baselines_ends_with_the_mean_error_of_
     ) in last_picture
 
 
-@pytest.mark.parametrize(("is_terminal", "is_quiet"), [(False, False), (True, True)])
-def test_a_pipe_and_a_quiet_terminal_stay_empty(is_terminal: bool, is_quiet: bool) -> None:
-    """They get nothing of a run with baselines while it goes on."""
-    viewed_run = view_run(steps=20, with_baselines=True, quiet=is_quiet, force_terminal=is_terminal)
+def test_a_swarm_in_a_pipe_reports_its_ticks_on_standard_error(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Lines come once a minute; here after each tick. The pipe itself gets the results alone, at the end."""
+    monkeypatch.setattr(progress_bar, "_SECONDS_BETWEEN_LINES", 0.0)
+    viewed_run = view_run(steps=20, with_baselines=True)
+
     assert viewed_run.output == ""
+    first_line, *_, last_line = capsys.readouterr().err.splitlines()
+    assert first_line.startswith("ticks: 1 of 20, ")
+    assert last_line.startswith("ticks: 20 of 20, ")
+
+
+@pytest.mark.parametrize("is_terminal", [False, True])
+def test_a_quiet_swarm_shows_nothing_while_it_runs(
+    is_terminal: bool, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Neither a terminal nor a pipe, nor standard error, gets anything of a run with baselines."""
+    monkeypatch.setattr(progress_bar, "_SECONDS_BETWEEN_LINES", 0.0)
+    viewed_run = view_run(steps=20, with_baselines=True, quiet=True, force_terminal=is_terminal)
+    assert viewed_run.output == ""
+    assert capsys.readouterr().err == ""
 
 
 def test_the_baselines_of_a_swarm_with_asdf_minus_have_no_filter_and_the_robust_one() -> None:
