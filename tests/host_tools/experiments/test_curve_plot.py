@@ -24,7 +24,6 @@ from host_tools.experiments.drawn_figures import (
     x_values_of,
     y_values_of,
 )
-from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.figures import COLOURS
 from mcp_asdf_tools.experiments.experiment import grid
 from mcp_asdf_tools.experiments.plot_panels import median_interval
@@ -260,14 +259,6 @@ def test_axes_of_the_user_get_a_legend_if_several_curves_are_drawn(
     assert legend is not None
     assert [text.get_text() for text in legend.get_texts()] == ["filter none", "filter robust"]
     assert not legend.get_frame_on()
-
-
-def test_a_facet_makes_several_panels_so_axes_of_the_user_are_refused(
-    swarms_of_four_robots: list[Trials],
-) -> None:
-    axes = Figure().subplots()
-    with pytest.raises(UsageError, match="give one of them"):
-        plot_curve(swarms_of_four_robots, x="flawed", hue="filter", facet="robots", ax=axes)
 
 
 # --- Parameters ------------------------------------------------------------------------------------------

@@ -74,11 +74,7 @@ def differences_between_lanes_and_firmware(experiment: Experiment, trial_numbers
     pairs = {"x": (by_calls.x, in_lanes.x), "b_hat": (by_calls.b_hat, in_lanes.b_hat)}
     for name in native.COUNTERS:
         pairs[name] = (by_calls.counters[name], in_lanes.counters[name])
-    names = [
-        name
-        for name, (first_array, second_array) in pairs.items()
-        if not np.array_equal(first_array, second_array)
-    ]
+    names = [name for name, arrays in pairs.items() if not np.array_equal(*arrays)]
     if by_calls.images() != in_lanes.images():
         names.append("states at the end")
     replay = f"replay: {experiment.parameters()}, first {first}, trials {trials}"
@@ -247,28 +243,41 @@ def test_trials_are_computed_at_once_if_only_their_results_are_wanted_and_lanes_
     assert uses_lanes(experiment, sampling_interval) == are_computed_at_once
 
 
+CORE_FOLDER = CORE.parent
+ENGINE_FOLDER = ROOT / "host_tools/mcp_asdf_tools/experiments/engine"
+ARENA_FOLDER = ROOT / "host_tools/mcp_asdf_tools/world/arena"
+C_HEADERS_OF_TOOLS = (ARENA_FOLDER / "arena.h", ENGINE_FOLDER / "engine.h")
+OPTIONS_OF_COMPILER = (
+    *("-std=gnu99", "-O3", "-fPIC", "-shared"),
+    *("-ffp-contract=off", "-fno-trapping-math", "-fno-math-errno"),
+    "-DFOR_EACH_TARGET=",  # one target only, that of -march
+)
+
+
 def build_engine(architecture: str, folder: Path, *more_options: str) -> Any:
     """Build the engine's extension module for the vectors of one architecture, and return it, imported.
 
     More options of the C compiler may be given.
     """
-    tools = ROOT / "host_tools/mcp_asdf_tools"
-    arena, engine, core = tools / "world/arena", tools / "experiments/engine", CORE.parent
-    glue, module = folder / "_engine.c", folder / "_engine.so"
-    headers = (core / "mcp_asdf.h", core / "mcp_asdf_image.h", arena / "arena.h", engine / "engine.h")
+    glue, module_path = folder / "_engine.c", folder / "_engine.so"
+    headers = [*(CORE_FOLDER / name for name in ("mcp_asdf.h", "mcp_asdf_image.h")), *C_HEADERS_OF_TOOLS]
     run(sys.executable, ROOT / "firmware_py/build_native.py", _engine.__name__, glue, *headers)
-    includes = [f"-I{path}" for path in (core, arena, engine, sysconfig.get_path("include"))]
-    options_of_core = (core / "mcp_asdf_image.c", core / "mcp_asdf_small.c")
-    sources = (glue, *sorted(engine.glob("*.c")), *sorted(arena.glob("*.c")), *options_of_core)
-    floats = ("-ffp-contract=off", "-fno-trapping-math", "-fno-math-errno")
-    options = ("-std=gnu99", "-O3", "-fPIC", "-shared", *floats)
-    target = ("-DFOR_EACH_TARGET=", f"-march={architecture}")
-    run(require("gcc", "gcc"), *options, *more_options, *target, *includes, *sources, "-o", module, "-lm")
-    spec = importlib.util.spec_from_file_location(_engine.__name__, module)
+    sources = [glue, *sorted(ENGINE_FOLDER.glob("*.c")), *sorted(ARENA_FOLDER.glob("*.c"))]
+    sources += [CORE_FOLDER / name for name in ("mcp_asdf_image.c", "mcp_asdf_small.c")]
+    include_folders = (CORE_FOLDER, ARENA_FOLDER, ENGINE_FOLDER, sysconfig.get_path("include"))
+    includes = [f"-I{path}" for path in include_folders]
+    options = [*OPTIONS_OF_COMPILER, f"-march={architecture}", *more_options, *includes]
+    run(require("gcc", "gcc"), *options, *sources, "-o", module_path, "-lm")
+    return import_module_from(module_path)
+
+
+def import_module_from(path: Path) -> Any:
+    """Import the engine's extension module from a file, and return it; the installed one stays as it is."""
+    spec = importlib.util.spec_from_file_location(_engine.__name__, path)
     assert spec is not None and spec.loader is not None
-    built_module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(built_module)
-    return built_module
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
 
 
 def processor_has(flag: str) -> bool:

@@ -407,23 +407,28 @@ def tables_with_damaged_column(table: pa.Table, name: str) -> Iterator[tuple[pa.
     may_be_empty = name in ("omega", *SCORES)  # it may be left out, or is computed again
     if not may_be_empty:
         yield with_column(name, pa.array([None] * len(table), column_type)), ""
-    if pa.types.is_list(column_type):
-        lists = table[name].to_pylist()
-        too_short = [*lists[1:], lists[0][:-1]]
-        gaps = [[None] * len(values) for values in lists]
-        empty: list[Any] = [[]] * len(lists)
-        damages = [too_short, gaps, empty]
-        if name.startswith("record_"):
-            # The damage is in the list of a single step, which has a value of each robot.
-            *other_steps, last_step = lists[0]
-            damages.append([[*other_steps, last_step[:-1]], *lists[1:]])
-            damages.append([[*other_steps, [None] * len(last_step)], *lists[1:]])
-        for damaged_lists in damages:
-            expected_word = f"column {'record_' if name == 'record_t' else name}"
-            yield with_column(name, pa.array(damaged_lists, column_type)), expected_word
-    elif column_type == pa.uint64():
+    if column_type == pa.uint64():
         for number in (0, 2**64 - 1):
             yield with_column(name, pa.array([number] * len(table), pa.uint64())), ""
+    if pa.types.is_list(column_type):
+        expected_words = f"column {'record_' if name == 'record_t' else name}"
+        for damaged_lists in damages_of_lists(table[name].to_pylist(), is_record=name.startswith("record_")):
+            yield with_column(name, pa.array(damaged_lists, column_type)), expected_words
+
+
+def damages_of_lists(lists: list[Any], *, is_record: bool) -> Iterator[list[Any]]:
+    """Yield the lists of a column with one that is too short, with gaps in all, and with all empty.
+
+    A record is a list for each step, with a value of each robot; two damages are in the last step's alone.
+    """
+    first_list, *other_lists = lists
+    yield [*other_lists, first_list[:-1]]
+    yield [[None] * len(values) for values in lists]
+    yield [[]] * len(lists)
+    if is_record:
+        *other_steps, last_step = first_list
+        yield [[*other_steps, last_step[:-1]], *other_lists]
+        yield [[*other_steps, [None] * len(last_step)], *other_lists]
 
 
 def damaged_tables_to_try() -> list[tuple[pa.Table, str]]:
