@@ -731,12 +731,16 @@ def test_the_robot_sets_its_serial_port_to_the_speed_of_the_line(avr_image: tupl
 
     robot.run_until(board.clock // 10)  # a tenth of a second, in which it starts
 
-    low_byte, high_byte = robot.registers[UART_DIVISOR : UART_DIVISOR + 2]
-    divisor = low_byte + 256 * high_byte + 1
-    has_double_speed = ord(robot.registers[UART_STATE]) & DOUBLE_SPEED_BIT
-    cycles_of_a_bit = (8 if has_double_speed else 16) * divisor
-    bits_per_second = board.clock / cycles_of_a_bit
+    bits_per_second = board.clock / cycles_of_a_bit(robot)
     assert bits_per_second == pytest.approx(board.baud, rel=0.025)
+
+
+def cycles_of_a_bit(robot: Board) -> int:
+    """Return how many cycles of the clock a bit takes on the robot's serial line, by its registers."""
+    low_byte, high_byte = robot.registers[UART_DIVISOR : UART_DIVISOR + 2]
+    divisor = int(low_byte) + 256 * int(high_byte) + 1
+    has_double_speed = ord(robot.registers[UART_STATE]) & DOUBLE_SPEED_BIT
+    return (8 if has_double_speed else 16) * divisor
 
 
 # --- A Kilobot --------------------------------------------------------------------------------------------

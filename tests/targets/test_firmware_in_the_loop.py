@@ -232,22 +232,31 @@ class SerialTalk:
 
 
 def talk_to(command: list[str], pieces: list[bytes], lengths_of_answers: list[int]) -> SerialTalk:
-    """Run a program, send it the pieces, and read an answer of the given length after each."""
+    """Run a program, send it the pieces, and read an answer of the given length after each.
+
+    If the program ends, its last answer is shorter, and the pieces that are left are not sent.
+    """
     answers = []
     with subprocess.Popen(command, stdin=PIPE, stdout=PIPE, stderr=PIPE) as robot:
-        assert robot.stdin and robot.stdout
         # Before it has started, what it is sent may be lost.
-        assert robot.stdout.read(len(GREETING)) == GREETING
+        assert exchange(robot, b"", len(GREETING)) == GREETING
         for piece, length in zip(pieces, lengths_of_answers, strict=True):
-            robot.stdin.write(piece)
-            robot.stdin.flush()
-            answers.append(robot.stdout.read(length))
-            if len(answers[-1]) < length:  # it has ended
+            answer = exchange(robot, piece, length)
+            answers.append(answer)
+            if len(answer) < length:
                 break
         if "-kernel" in command:  # a board, which does not end with its input
             robot.terminate()
         rest, _ = robot.communicate()
     return SerialTalk(answers, rest, robot.returncode)
+
+
+def exchange(robot: subprocess.Popen[bytes], piece: bytes, length_of_answer: int) -> bytes:
+    """Send a piece to a program, and return its answer, which is shorter if the program ends."""
+    assert robot.stdin and robot.stdout
+    robot.stdin.write(piece)
+    robot.stdin.flush()
+    return robot.stdout.read(length_of_answer)
 
 
 CONVERSATIONS = [

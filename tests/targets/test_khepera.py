@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import can
 import pytest
 
 from mcp_asdf_tools.bus.frames import Estimate, FrameFormat, decode_estimate
@@ -193,12 +194,18 @@ def run_as_service_says(folder: Path) -> Khepera:
     )
     with choice.open() as bus:
         printed = run("sh", "-c", command, cwd=folder)
-        contents = []
-        one_second = 1
-        while (frame := bus.recv(one_second)) is not None:
-            contents.append(decode_estimate(frame, FrameFormat()))
-    estimates = [content for content in contents if isinstance(content, Estimate)]
-    return Khepera(json.loads(printed), estimates)
+        return Khepera(json.loads(printed), receive_estimates(bus))
+
+
+def receive_estimates(bus: can.BusABC) -> list[Estimate]:
+    """Receive all frames of a bus until none comes for a second, and return the estimates among them."""
+    estimates = []
+    one_second = 1
+    while (frame := bus.recv(one_second)) is not None:
+        content = decode_estimate(frame, FrameFormat())
+        if isinstance(content, Estimate):
+            estimates.append(content)
+    return estimates
 
 
 @pytest.mark.slow

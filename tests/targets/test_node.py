@@ -419,8 +419,8 @@ def test_a_node_computes_what_its_twin_in_python_does_from_the_same_observations
     bus.receive_until_node_ends()
 
     twin = python_node(ID).robot
-    for z in [Observation.BLACK, Observation.WHITE, Observation.BLACK, Observation.BLACK] * 50:
-        twin.step(z)
+    for is_black in [True, False, True, True] * 50:
+        twin.step(Observation(is_black))
     summary = node.summary()
     assert summary["ended"] == "observations"
     assert summary["ticks"] == 300

@@ -302,18 +302,26 @@ def test_each_chart_has_a_vertical_line_at_the_shown_step(browser: Page, page_fi
 # --- Faults and deaths --------------------------------------------------------------------------------
 
 
+def states_with_a_death() -> list[State]:
+    """Return states of two robots in steps 0 to 10, of which the second is dead in the steps 4 to 6.
+
+    All values are 0.5, but x of the first robot is 0.75 in step 5.
+    """
+    states = [State(tick, np.full((4, 2), 0.5), NO_LINKS, positions=None) for tick in range(11)]
+    x, x_hat, b_hat, first_robot, second_robot = 0, 1, 2, 0, 1  # indices in the values of a state
+    for state in states[4:7]:
+        state.values[[x, x_hat, b_hat], second_robot] = np.nan
+    states[5].values[x, first_robot] = 0.75
+    return states
+
+
 @pytest.fixture(scope="module")
 def page_with_faults(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The web page of robots 3 and 8, which run ten steps with two faults.
 
-    The fill ratio is 0.5, and so are all values, but that x of robot 3 is 0.75 in step 5. Robot 8 is dead in
-    the steps 4 to 6. Frames are lost all the time, and a robot lies from step 2 to 8.
+    The fill ratio is 0.5. Frames are lost all the time, and a robot lies from step 2 to 8.
     """
-    states = [State(tick, np.full((4, 2), 0.5), NO_LINKS, positions=None) for tick in range(11)]
-    x, x_hat, b_hat, robot_3, robot_8 = 0, 1, 2, 0, 1  # indices in the values of a state
-    for state in states[4:7]:
-        state.values[[x, x_hat, b_hat], robot_8] = np.nan
-    states[5].values[x, robot_3] = 0.75
+    states = states_with_a_death()
     faults = [("loss=0.2", 0, None), ("liar=1.0", 2, 9)]
     description = RunDescription("two", [3, 8], fill_ratio=0.5, steps=10, faults=faults)
     file = tmp_path_factory.mktemp("faults") / "faults.html"
