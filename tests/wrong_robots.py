@@ -585,7 +585,9 @@ WRONG: dict[str, Wrong] = {
     "t of 14 bits in eq. 8": with_firmware(
         "re-estimates", "return reestimate(s.t{ =>  % (1 << 14)}, s.n, round_mean("
     ),
-    "an update counter of 5 bits": with_firmware("many updates", "(s.updates + 1) & {COUNTER_MASK => 31}"),
+    "an update counter of 5 bits": with_firmware(
+        "many updates", "s.updates = {next_count(s.updates) => (s.updates + 1) & 31}"
+    ),
     "tests in float64": with_firmware(
         "threshold of 126 messages",
         "return {difference * difference => float(difference) * difference} > limit",
@@ -651,7 +653,7 @@ WRONG: dict[str, Wrong] = {
         "estimates of 1/2", "minus_one {< => <=} INFORMATIVE_G:"
     ),
     "an update counter of 5 bits, robust": with_robust_firmware(
-        "long run", "(s.updates + 1) & {COUNTER_MASK => 31}"
+        "long run", "s.updates = {next_count(s.updates) => (s.updates + 1) & 31}"
     ),
     # What it hears
     "compares the priority of estimates": with_node(

@@ -463,6 +463,11 @@ def are_valid_senders(s: State) -> bool:
     return s.open.count <= sender_count and not has_heard_itself
 
 
+def next_count(count: int) -> int:
+    """Return a counter of events after one more event; it has 16 bits, so that 0 follows 2**16 - 1."""
+    return (count + 1) & COUNTER_MASK
+
+
 def bit_of_sender(sender: int) -> tuple[int, int]:
     """Return where the set of a round's senders, ``State.heard``, has its bit for this id.
 
@@ -621,16 +626,16 @@ class MirrorRobot(FixedPointView):
         s = self.s
         status = self._check_message(sender, x_hat)
         if status != Status.OK:
-            s.rejected = (s.rejected + 1) & COUNTER_MASK
+            s.rejected = next_count(s.rejected)
             return status
         word_index, sender_bit = bit_of_sender(sender)
         # Clocks of robots are not aligned, so a sender may broadcast twice in a round of this robot.
         has_sent_before = s.heard[word_index] & sender_bit != 0
         if has_sent_before:
-            s.repeated = (s.repeated + 1) & COUNTER_MASK
+            s.repeated = next_count(s.repeated)
             return Status.REPEATED
         s.heard[word_index] |= sender_bit
-        s.accepted = (s.accepted + 1) & COUNTER_MASK
+        s.accepted = next_count(s.accepted)
         has_confidence = alpha_units(alpha) > 0
         if not self.is_robust:
             add_estimate(s.open, x_hat, alpha)
@@ -697,7 +702,7 @@ class MirrorRobot(FixedPointView):
         if new_b_hat is None:
             return False
         s.accuracy = accuracy_of(new_b_hat)  # b_hat, with the values that are computed from it in advance
-        s.updates = (s.updates + 1) & COUNTER_MASK
+        s.updates = next_count(s.updates)
         s.updated = 1
         return True
 
@@ -726,7 +731,7 @@ class MirrorRobot(FixedPointView):
         if config.filter == Filter.OFF or ending_round.count < messages_needed:
             return None
         if config.filter == Filter.ADAPTIVE:
-            s.tests = (s.tests + 1) & COUNTER_MASK
+            s.tests = next_count(s.tests)
             assert config.table is not None
             if not asdf_test_rejects(config.table, ending_round, s.x_hat):
                 return None
@@ -752,7 +757,7 @@ class MirrorRobot(FixedPointView):
         if len(estimates) < TESTED_ESTIMATES_MIN:
             return None
         centre, spread = centre_and_spread_of(estimates)
-        s.tests = (s.tests + 1) & COUNTER_MASK
+        s.tests = next_count(s.tests)
         is_rejected = robust_test_rejects(robust, s.t, s.n, centre, spread)
         if is_rejected and not is_supported(robust, s.t, s.n, estimates, centre):
             # The centre takes the place of x_bar.
