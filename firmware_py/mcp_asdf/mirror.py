@@ -308,7 +308,7 @@ def estimate_of_rarer_colour(t: int, rare_count: int, accuracy: Accuracy) -> tup
     # Dividend and divisor of (p - c) / g are multiplied by ``total``, and shifted as far as the divisor's
     # highest bit allows: it has 32 bits then.
     excess_total = (rarer - errors) << accuracy.g_shift  # (p - c) total
-    g_total = (total - 2 * errors) << accuracy.g_shift  # g = 1 - 2 c
+    g_total = (total - 2 * errors) << accuracy.g_shift  # g total, as g is 1 - 2 c
     # divide_24 takes numbers of 31 bits. By half of the divisor the quotient is twice the estimate.
     half_of_g_total = g_total >> 1
     doubled_estimate_q24 = divide_24(excess_total, half_of_g_total)

@@ -193,27 +193,40 @@ VOTE = Contract(
 # --- The test ----------------------------------------------------------------------------------------------
 
 
+def _variance_of_observation(p: Any) -> Any:
+    """Return p (1 - p) of a share or a probability; both are in units of 2^-32."""
+    return upper_product(p, -p)
+
+
+def _slope_of_probability(b_hat: Any) -> Any:
+    """Return |2 b_hat - 1| in units of 2^-32."""
+    twice_b_hat = 2 * zero_extend(b_hat)
+    is_negative = z3.ULT(b_hat, 2**31)
+    return low_word(z3.If(is_negative, 2**32 - twice_b_hat, twice_b_hat - 2**32))
+
+
 def _is_robust_test(rejects: Any, _robot_after: Any, robot: Any, share: Any, centre: Any, spread: Any) -> Any:
     """Return that the code forms the section's test, of products that may be any."""
-    robust, t = robot["robust"], robot["t"]
-    b_hat = robust["initial_b_hat"]
+    b_hat, t = robot["robust"]["initial_b_hat"], robot["t"]
     p = upper_product(b_hat, centre) + upper_product(~b_hat, ~centre)
-    v_of_p, v_of_share = upper_product(p, -p), upper_product(share, -share)
-    # g is |2 b_hat - 1| in units of 2^-32; the first bit of b_hat tells whether 2 b_hat - 1 is negative.
-    twice_b_hat = 2 * zero_extend(b_hat)
-    g = low_word(z3.If(z3.ULT(b_hat, 2**31), 2**32 - twice_b_hat, twice_b_hat - 2**32))
-    # Squares have 64 bits and are in units of 2^-64.
-    g_spread = upper_product(g, spread)
     deviation = z3.If(z3.UGT(share, p), share - p, p - share)
+    g_spread = upper_product(_slope_of_probability(b_hat), spread)
+    # Squares have 64 bits and are in units of 2^-64. The left side of the test is t times what they differ.
     square, least_square = product(deviation, deviation), 12 * product(g_spread, g_spread)
     excess = square - least_square
     t_excess = product(t, high_word(excess)) + zero_extend(high_word(product(t, low_word(excess))))
+    # The right side is 12 times the dispersion, a product that fits in a word, times v.
+    v_of_share, v_of_p = _variance_of_observation(share), _variance_of_observation(p)
     v = z3.If(z3.UGT(v_of_share, v_of_p), v_of_share, v_of_p)
-    # The product of a constant and a half word fits in the lower word.
-    dispersion_product = product(z3.BitVecVal(12, 32), zero_extend(robust["dispersion"], 32))
-    limit = z3.LShR(product(low_word(dispersion_product), v), 8)
+    limit = z3.LShR(product(_twelve_dispersions(robot), v), 8)
     is_rejected = z3.And(z3.UGT(square, least_square), z3.UGT(t_excess, limit))
     return (rejects == 1) == is_rejected
+
+
+def _twelve_dispersions(robot: Any) -> Any:
+    """Return 12 times the dispersion of a robot's observations: the lower word of a product."""
+    dispersion = zero_extend(robot["robust"]["dispersion"], 32)
+    return low_word(product(z3.BitVecVal(12, 32), dispersion))
 
 
 # design: R38
@@ -237,15 +250,16 @@ def _is_batch_ended(robot_after: dict[str, Any], robot: dict[str, Any], share: A
     """Return that the dispersion follows the ratio of the batch, and that the next batch begins."""
     robust = robot["robust"]
     count, black_count = robot["t"] - robust["batch_t"], robot["n"] - robust["batch_n"]
-    dispersion = zero_extend(robust["dispersion"], 32)
-    variance = product(count, upper_product(share, -share))
+    variance = product(count, _variance_of_observation(share))
     # The largest ratio is 12 times the dispersion, and the largest square is the one that leads to it.
-    largest_ratio = low_word(product(z3.BitVecVal(12, 32), dispersion))
+    largest_ratio = _twelve_dispersions(robot)
     largest_square = _ratio_times_variance(largest_ratio, variance)
     square = minimum_of(_square_of_deviation(black_count, product(count, share)), largest_square)
     # The ratio is as large a part of the largest ratio as the square is of the largest square.
     ratio = upper_product(largest_ratio, result_of("quotient", 32, square, largest_square))
-    average = z3.LShR(low_word(product(z3.BitVecVal(7, 32), dispersion)) + ratio, 3)
+    # The new dispersion is 7/8 of the old one and 1/8 of the ratio, within the range of the member.
+    seven_dispersions = low_word(product(z3.BitVecVal(7, 32), zero_extend(robust["dispersion"], 32)))
+    average = z3.LShR(seven_dispersions + ratio, 3)
     limited_average = minimum_of(average, z3.BitVecVal(2**16 - 1, 32))
     new_dispersion = z3.If(z3.ULT(limited_average, 2**8), z3.BitVecVal(2**8, 32), limited_average)
     new_members = {
