@@ -10,6 +10,7 @@ import sys
 import tarfile
 import tomllib
 import zipfile
+from functools import partial
 from importlib import metadata
 from pathlib import Path
 
@@ -73,17 +74,20 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-@pytest.fixture
-def environment(wheel: Path, tmp_path: Path) -> Path:
-    """A fresh virtual environment with the wheel. Libraries come from the tests' own environment."""
-    folder = tmp_path / "environment"
+def install_wheel(wheel: Path, folder: Path) -> None:
+    """Make a virtual environment with the wheel in a folder. Libraries come from the tests' own environment."""
     run(sys.executable, "-m", "venv", folder)
     python = folder / "bin/python"
     (packages,) = folder.glob("lib/python*/site-packages")
     # A path in a .pth file is searched last, and .pth files in it, such as that of this tree, are ignored.
     (packages / "libraries_of_the_tests.pth").write_text("\n".join(site.getsitepackages()))
     run(python, "-m", "pip", "install", "--quiet", "--no-index", "--no-deps", wheel)
-    return folder
+
+
+@pytest.fixture(scope="session")
+def environment(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A fresh virtual environment with the wheel, made once for all tests; none changes it."""
+    return made_once(tmp_path_factory, "environment", partial(install_wheel, wheel))
 
 
 def listed_package_files() -> set[str]:
