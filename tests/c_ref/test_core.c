@@ -301,17 +301,16 @@ static void configurations_have_the_filter_that_their_name_says(void)
     CHECK(robust.filter_period == 1000 && robust.memory == MCP_ASDF_MEMORY_MAX);
 }
 
+/* The tests of most values come last: most mistakes fail another one, and tests/mutation plants many. */
 int main(void)
 {
     beta_is_the_sum_of_alpha_in_the_closed_round();
     beta_is_zero_with_the_robust_filter();
-    thousandths_are_rounded_to_nearest();
     probabilities_are_rounded_to_nearest();
     certainty_is_refused_as_an_accuracy();
     configurations_have_the_filter_that_their_name_says();
     only_the_lower_6_bits_of_a_shift_count();
     leading_zeros_are_counted_for_every_highest_bit();
-    products_are_exact();
     reciprocals_follow_their_formula();
     quotients_follow_their_formula_for_divisors_of_every_length();
     a_table_has_entries_for_2_to_127();
@@ -324,5 +323,7 @@ int main(void)
     members_of_the_robust_filter_that_changed_without_it_break_an_invariant();
     a_turn_beyond_the_last_slot_breaks_an_invariant();
     a_turn_beyond_the_last_slot_lets_the_robot_itself_vote();
+    thousandths_are_rounded_to_nearest();
+    products_are_exact();
     return check_report();
 }

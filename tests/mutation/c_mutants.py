@@ -53,9 +53,11 @@ UNARY_OPERATORS = ("-", "~", "!")
 TYPE_CAST = re.compile(r"\(\s*(?:const\s+)?(?:\w+_t|bool|float|char|int|void)\s*\**\s*\)$")
 TYPE_BEFORE_POINTER = re.compile(r"(?:\b\w+_t|\bconst|\bvoid|\*)\s*$")
 STATEMENT = re.compile(
-    r"(?<=[;{}:])\s*((?:\+\+|--|\*|\(void\))?[a-z][\w>.\[\]\-]*\s*(?:(?:[-+|&<>^]*=|\()[^;{}]*)?;)"
+    r"(?<=[;{}:])\s*((?:\+\+|--|\*|\(void\)(?=\w+\())?[a-z][\w>.\[\]\-]*\s*(?:(?:[-+|&<>^]*=|\()[^;{}]*)?;)"
 )
 CONDITION = re.compile(r"\b(if|while) \(")
+SMALLER_OR_LARGER = re.compile(r"\b(\w+) ([<>]=?) (\w+) \? \1 : \3\b(?! [-+])")
+"""A choice of the smaller or larger of two numbers: it is the same for equal ones, with "<" or "<="."""
 
 
 def path_of(file: str) -> Path:
@@ -198,6 +200,7 @@ def _changes_of_statements(code: str) -> Iterator[Change]:
 
 def _changes_of_tokens(code: str) -> Iterator[Change]:
     """Yield changes that replace an operator or a truth value, drop a unary one, or move a number by 1."""
+    choices = {choice.start(2) for choice in SMALLER_OR_LARGER.finditer(code)}
     previous_token = ""
     for match in TOKEN.finditer(code):
         token, (start, end) = match[0], match.span()
@@ -213,6 +216,8 @@ def _changes_of_tokens(code: str) -> Iterator[Change]:
             yield Change(start, end, "")
         elif not is_pointer:
             for replacement in REPLACEMENTS.get(token, ()):
+                if start in choices and replacement[0] == token[0]:
+                    continue  # such as "<=" for "<"
                 yield Change(start, end, replacement)
         previous_token = "" if token == "return" else token  # no operand, though it is a word
 

@@ -51,7 +51,6 @@ LINKED = {
 FEW_CALLS, MANY_CALLS, MOST_CALLS = 20_000, 1_000_000, 8_000_000
 """Numbers of calls of the independent implementation. Few calls take a fiftieth of a second and show most
 mistakes. Some mistakes show only once in many million calls."""
-SAME_CODE = "none is needed: a compiler makes the same code of it"
 SECONDS_BY_CALLS = {FEW_CALLS: 1, MANY_CALLS: 10, MOST_CALLS: 80}
 """Processor time that the independent implementation may take: over ten times its usual time."""
 SECONDS = 2
@@ -137,28 +136,19 @@ def plant(mutant: Mutant, folder: Path) -> None:
     (folder / mutant.file).write_text(mutant.source(), encoding="utf-8")
 
 
-def tries(file: str) -> tuple[list[Try], list[Try], list[Try]]:
-    """Return the tests for mutants of this file: quick ones, repeated ones, and those that take seconds.
-
-    The test of the core is quick with one variant, and is repeated with the others.
-    """
+def tries(file: str) -> tuple[list[Try], list[Try]]:
+    """Return the tests for mutants of this file: quick ones, and those that take seconds."""
     variants = VARIANTS_OF.get(file, ALL_VARIANTS)
     if file in CODEC_TESTS:
-        return [Try(test, variants[0]) for test in CODEC_TESTS[file]], [], []
+        return [Try(test, variants[0]) for test in CODEC_TESTS[file]], []
+    few_calls = [Try(THIRD, variant) for variant in variants]
     core_tries = [Try("core", variant) for variant in variants if variant not in BUILDS]
-    patient_tries = [Try(THIRD, variant, MANY_CALLS) for variant in variants]
-    return (
-        [*(Try(THIRD, variant) for variant in variants), core_tries[0]],
-        core_tries[1:],
-        [*patient_tries, Try(THIRD, variants[0], MOST_CALLS)],
-    )
+    many_calls = [Try(THIRD, variant, MANY_CALLS) for variant in variants]
+    return few_calls + core_tries, [*many_calls, Try(THIRD, variants[0], MOST_CALLS)]
 
 
 def first_failing_test(mutant: Mutant, folder: Path, is_patient: bool = True) -> str:
     """Return the test and the variant that the mutant fails first, or nothing if it passes all.
-
-    Returns SAME_CODE for a mutant that passes the quick tests and of which a compiler makes the same code: it
-    is no mistake, and needs no place on the list of harmless changes.
 
     Args:
         mutant: Of the firmware.
@@ -166,38 +156,9 @@ def first_failing_test(mutant: Mutant, folder: Path, is_patient: bool = True) ->
         is_patient: Whether a mutant that passes the quick tests is tried with those that take seconds.
     """
     plant(mutant, folder)
-    quick_tries, repetitions, patient_tries = tries(mutant.file)
-    failing_test = _first_failing(folder, quick_tries)
-    # To compile a mutant takes less time than to repeat the test of the core with each variant.
-    if failing_test == "" and is_patient and has_same_code(mutant, folder):
-        return SAME_CODE
-    later_tries = repetitions + patient_tries if is_patient else repetitions
-    return failing_test or _first_failing(folder, later_tries)
-
-
-def _first_failing(folder: Path, attempts: list[Try]) -> str:
-    """Return the first of these tests that the sources in the folder fail, or nothing if they pass all."""
-    return next((str(attempt) for attempt in attempts if not passes(folder, attempt)), "")
-
-
-def has_same_code(mutant: Mutant, folder: Path) -> bool:
-    """Return whether an optimiser makes the same machine code of the mutant, which is in the folder."""
-    source = "mcp_asdf.c" if mutant.file.endswith(".h") else mutant.file
-    return all(
-        _code_without_mistake(SOURCES / source, variant) == _code(folder / source, variant, folder)
-        for variant in VARIANTS_OF.get(mutant.file, ALL_VARIANTS)
-    )
-
-
-@cache
-def _code_without_mistake(source: Path, variant: Variant) -> bytes:
-    with TemporaryDirectory() as folder:
-        return _code(source, variant, Path(folder))
-
-
-def _code(source: Path, variant: Variant, folder: Path) -> bytes:
-    """Compile a source with optimisation, and return the bytes of the object file."""
-    object_file = folder / "object.o"
-    flags = ("-O1", "-w", f"-I{source.parent}", *_flags(variant))
-    assert _succeeds("gcc", *flags, "-c", source, "-o", object_file)
-    return object_file.read_bytes()
+    quick_tries, patient_tries = tries(mutant.file)
+    attempts = quick_tries + patient_tries if is_patient else quick_tries
+    for attempt in attempts:
+        if not passes(folder, attempt):
+            return str(attempt)
+    return ""

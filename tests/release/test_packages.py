@@ -75,7 +75,7 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def install_wheel(wheel: Path, folder: Path) -> None:
-    """Make a virtual environment with the wheel in a folder. Libraries come from the tests' own environment."""
+    """Make a virtual environment with the wheel in a folder; libraries come from that of the tests."""
     run(sys.executable, "-m", "venv", folder)
     python = folder / "bin/python"
     (packages,) = folder.glob("lib/python*/site-packages")
