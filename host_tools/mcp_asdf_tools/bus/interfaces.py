@@ -177,10 +177,13 @@ class BusChoice:
         is_missing = isinstance(cause, OSError) and cause.errno in (errno.ENODEV, errno.EAFNOSUPPORT)
         if self.interface != "socketcan" or not is_missing:
             return f"{cause}; see --interface, --channel and --bus-kwargs"
-        channel = self.channel or "can0"
-        commands = _SETUP_OF_VIRTUAL_BUS if channel.startswith("vcan") else _SETUP_OF_REAL_BUS
-        command_line = " && ".join(command.format(channel) for command in commands)
-        return f"{cause}; as root, create it with: {command_line}"
+        return f"{cause}; as root, create it with: {_command_line_of_setup(self.channel or 'can0')}"
+
+
+def _command_line_of_setup(channel: str) -> str:
+    """Return the command line that creates a bus of SocketCAN: a virtual one if its name says so."""
+    commands = _SETUP_OF_VIRTUAL_BUS if channel.startswith("vcan") else _SETUP_OF_REAL_BUS
+    return " && ".join(command.format(channel) for command in commands)
 
 
 class Connection(can.BusABC):

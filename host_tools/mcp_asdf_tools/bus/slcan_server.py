@@ -89,23 +89,26 @@ class SlcanServer:
         self._bus.shutdown()
 
     def _serve_clients(self) -> None:
-        """Serve one client after the other, until the listener is closed."""
+        """Serve one client after the other, until the server is closing."""
         with suppress(OSError):  # accept() fails once the listener is closed
-            while True:
+            while not self._is_closing:
                 client, _ = self._listener.accept()
                 with client, suppress(ConnectionError):
-                    client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, True)
-                    client.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER_BYTES)
-                    self._client = client
-                    # ``__exit__`` may have missed this client, whose socket was not known to it yet.
-                    if self._is_closing:
-                        return
-                    self._answer_lines(client)
+                    self._serve_client(client)
                 self._is_channel_open = False
                 self._client = None
 
-    def _answer_lines(self, client: socket.socket) -> None:
-        """Answer each line of the client, until it leaves."""
+    def _serve_client(self, client: socket.socket) -> None:
+        """Answer each line of a client, until it leaves; nothing if the server is closing.
+
+        Meanwhile frames of the bus are forwarded to it. Raises ConnectionError if the connection breaks.
+        """
+        client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, True)
+        client.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER_BYTES)
+        self._client = client
+        # ``__exit__`` may have missed this client, whose socket was not known to it yet.
+        if self._is_closing:
+            return
         for line in _read_lines(client):
             # The notifier writes frames to the same client: an answer must not cut one of these lines in two.
             answer = self._handle_line(line)

@@ -175,11 +175,16 @@ def setup_of(args: argparse.Namespace) -> RobotSetup:
     for option in (*options.ROBOT_OPTIONS, "--allow"):
         if option in all_typed_options:
             raise UsageError(f"--setup and {option} both describe the robot; leave out one of them")
+    return _parse_setup(args.setup)
+
+
+def _parse_setup(setup_text: str) -> RobotSetup:
+    """Return the robot in the JSON text of --setup. Raises UsageError if it describes none."""
     try:
-        plain_setup = json.loads(args.setup)
+        plain_setup = json.loads(setup_text)
     except (ValueError, RecursionError) as error:
         raise UsageError(
-            f"--setup is no JSON ({error}): {args.setup!r}; give one such as "
+            f"--setup is no JSON ({error}): {setup_text!r}; give one such as "
             """'{"id": 3, "b_hat": 0.8, "filter": "robust"}'"""
         ) from error
     try:

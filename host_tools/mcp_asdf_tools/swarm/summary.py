@@ -87,22 +87,29 @@ def comparison(results_by_filter: dict[str, dict[str, Any]], settings: SwarmSett
         for swarm_filter in compared_filters
     ]
     sentences = [f"Mean error on the same seed: {', '.join(errors)}."]
-    if settings.flawed == 0:
-        return " ".join(sentences)
-    b_hat_changes = {
-        swarm_filter.term: results_by_filter[swarm_filter.name]["b_hat"]["flawed"]
-        for swarm_filter in compared_filters
-        if swarm_filter.is_on
-    }
-    sentences.append(_sentence_on_flawed_robots(b_hat_changes, settings))
-    # The nearer an assumed accuracy is to 1/2, the smaller is the confidence that the robot broadcasts.
-    is_underconfident = abs(settings.flawed_accuracy - 0.5) < abs(settings.true_accuracy - 0.5)
-    if settings.topology == "fully-connected" and is_underconfident:
+    if settings.flawed > 0:
+        b_hat_changes = {
+            swarm_filter.term: results_by_filter[swarm_filter.name]["b_hat"]["flawed"]
+            for swarm_filter in compared_filters
+            if swarm_filter.is_on
+        }
+        sentences.append(_sentence_on_flawed_robots(b_hat_changes, settings))
+    if _needs_no_filter(settings):
         sentences.append(
             "This swarm needs no filter: where all hear all, robots that trust their sensors too little are "
             "outvoted anyway; with --topology dynamic they do harm (docs/advice.md)."
         )
     return " ".join(sentences)
+
+
+def _needs_no_filter(settings: SwarmSettings) -> bool:
+    """Return whether flawed robots trust their sensors too little, in a swarm where all hear all.
+
+    Without flawed robots there is no such swarm.
+    """
+    # The nearer an assumed accuracy is to 1/2, the smaller is the confidence that the robot broadcasts.
+    is_underconfident = abs(settings.flawed_accuracy - 0.5) < abs(settings.true_accuracy - 0.5)
+    return settings.flawed > 0 and settings.topology == "fully-connected" and is_underconfident
 
 
 def _sentence_on_flawed_robots(changes: dict[str, dict[str, float]], settings: SwarmSettings) -> str:
