@@ -97,19 +97,47 @@ FAULTS = {
     "halving: ties to even": "s.n = {round(s.n / 2) => s.n // 2}",
     "counters": "COUNTER_MASK = {0xFFFF => 0xFFFE}",
     "filter period": "if s.filter_left {== 0 => <= 1}:",
-    "slot: ids modulo 32": "slot = {sender % SLOTS => min(sender, SLOTS - 1)}",
+    "restore": "last_members, strict=True)){ => ; members['repeated'] &= 0x7FFF}",
+    # The robust filter: its slots
+    "slot: ids up to 31": "slot = {sender % SLOTS => min(sender, SLOTS - 1)}",
+    "slot: ids modulo 16": "slot = sender % {SLOTS => 16}\n",
+    "slot: the next one": "slot = {sender => (sender + 1)} % SLOTS\n    estimates",
     "slot: rounding": "return min({(x_hat + 64) => x_hat} >> 7, SLOT_ESTIMATE_MAX)",
     "slot: 1.0 wraps": "return {min((x_hat + 64) >> 7, SLOT_ESTIMATE_MAX) => (x_hat + 64) >> 7 & 0xFFFF}",
-    "slot: without confidence": "elif {has_confidence => alpha}:",
+    "slot: without confidence": "elif {has_confidence => True}:",
+    "slot: without confidence, with a shift": "elif {has_confidence => alpha}:",
+    "slot: first estimate of a sender": (
+        "estimates[slot] = {slot => estimates[slot] or slot}_estimate(x_hat)\n"
+    ),
+    "slot: average of a sender": (
+        "estimates[slot] = slot_estimate({x_hat) => x_hat) if not robust.is_filled(slot) else "
+        "(estimates[slot] + slot_estimate(x_hat)) // 2}\n"
+    ),
+    # Its votes
+    "vote: every message": "robust.filled_slots |= 1 << slot{ => ; count_vote(robust, x_hat)}",
+    "vote: the turn stays": "robust.turn = voter + {1 => 0}\n",
+    "vote: the turn does not go back to 0": "robust.turn = {0 => 1}\n",
+    "vote: not in the round of a test": (
+        "            { => if s.filter_left > 1: }take_vote(s.robust, s.estimates"
+    ),
     "vote: gain": "VOTES_OF_MAX_GAIN = {32 => 16}",
-    "vote: smallest gain": "VOTES_MAX = 1 << {9 => 10}",
+    "vote: constant gain": "return {max(votes, VOTES_OF_MAX_GAIN).bit_length() - 3 => 3}",
+    "vote: smallest gain 1/256": "VOTES_MAX = 1 << {9 => 10}",
+    "vote: smallest gain 1/64": "VOTES_MAX = 1 << {9 => 8}",
+    "vote: the first is the centre": (
+        "position = q30_from_q23(x_hat){ => \n    if robust.votes == 1: robust.centre = position}"
+    ),
     "vote: clamp": "step = {min(distance, robust.spread) => distance} >> gain_shift",
+    "vote: clamp at two spreads": "min(distance, {robust.spread => 2 * robust.spread}) >> gain_shift",
     "vote: spread": "is_outside = distance {> => >=} robust.spread",
+    "vote: the spread never shrinks": "if is_outside else {-spread_step => 0})",
     "vote: smallest spread": "robust.spread = min(max(new_spread, {SPREAD_MIN => 0}), SPREAD_MAX)",
     "vote: largest spread": "robust.spread = min(max(new_spread, SPREAD_MIN), {SPREAD_MAX => 1 << 29})",
     "vote: order": "return {lowest_bit(remaining_slots) => remaining_slots.bit_length() - 1}",
     "vote: own estimate": "return OWN_ESTIMATE if {has_confidence => False} else",
     "vote: own estimate without confidence": "return OWN_ESTIMATE if {has_confidence => True} else",
+    "broadcast: the centre of the votes": "return {self.s.x_hat => self.x_raw}\n",
+    # The dispersion of its own observations
     "batch: halving": "{begin_batch(s.robust, s.t, s.n) => pass}",
     "batch: begins anew": "{begin_batch(robust, t, n) => pass}",
     "batch: begins too early": "count = t - {robust.batch_t => t}",
@@ -117,26 +145,60 @@ FAULTS = {
     "dispersion: outlier": "largest_ratio = {REJECTED_SIGMAS_SQUARED => 13} * robust.dispersion",
     "dispersion: smallest": "min(max(average, {DISPERSION_MIN => 0}), DISPERSION_MAX)",
     "dispersion: largest": "min(max(average, DISPERSION_MIN), {DISPERSION_MAX => DISPERSION_MAX - 1})",
-    "table: fewest estimates": "TESTED_ESTIMATES_MIN = {5 => 4}",
+    "dispersion: none": (
+        "robust.dispersion = {min(max(average, DISPERSION_MIN), DISPERSION_MAX) => DISPERSION_MIN}"
+    ),
+    # Its test
+    "table: four estimates": "TESTED_ESTIMATES_MIN = {5 => 4}",
+    "table: five estimates are too few": "TESTED_ESTIMATES_MIN = {5 => 6}",
     "table: median": "return {(lower_middle + upper_middle) // 2 => lower_middle}",
     "table: smallest spread": "return min(max(median_of(distances), {smallest => 0}), largest)",
     "table: largest spread": "return min(max(median_of(distances), smallest), {largest => MAX_WORD})",
+    "table: no steps": "HUBER_STEPS = {3 => 0}",
     "table: two steps": "HUBER_STEPS = {3 => 2}",
     "table: four steps": "HUBER_STEPS = {3 => 4}",
     "table: inside": "sum(abs(difference) {<= => <} spread for",
+    "table: mean of all estimates": "[{max(-spread, min(spread, difference)) => difference} for",
+    "robust test: centre of the votes": (
+        "robust_test_rejects(robust, s.t, s.n, {centre => min(robust.centre >> 6, 0xFFFF00)}, spread)"
+    ),
+    "robust test: spread of the votes": (
+        "robust_test_rejects(robust, s.t, s.n, centre, {spread => robust.spread >> 6})"
+    ),
+    "robust test: three sigmas": "SIGMAS_SQUARED = {12 => 9}",
     "robust test: sigmas": "q32_from_q40({REJECTED_SIGMAS_SQUARED => 13} * robust.dispersion",
     "robust test: sigmas of the centre": "- {REJECTED_SIGMAS_SQUARED => 13} * g_spread**2",
+    "robust test: no spread": "{g_spread**2 => 0}",
     "robust test: variance": "variance = {max => min}(",
+    "robust test: variance of the count alone": "max(variance_of_observation(share), {variance_of_observation(p) => 0})",
     "robust test: dispersion": "{robust.dispersion => DISPERSION_MIN} * variance)",
-    "robust test: present b_hat": "{s.accuracy => s.robust.initial_b_hat = new_b_hat; s.accuracy} = "
-    "accuracy_of(new_b_hat)",
+    "robust test: tests the present b_hat": (
+        "is_rejected = robust_test_rejects({robust => "
+        "RobustFilter(**vars(robust) | {'initial_b_hat': s.accuracy.b_hat})}, s.t"
+    ),
+    "robust test: n/t of 23 bits": "share = q32_quotient(n, t){ =>  >> 9 << 9}\n    p = ",
+    "robust test: p of 23 bits": (
+        "return {black_observed_as_black + white_observed_as_black => "
+        "(black_observed_as_black + white_observed_as_black) >> 9 << 9}"
+    ),
+    # What follows a rejection
+    "robust: present b_hat is the initial one": (
+        "{s.accuracy => s.robust.initial_b_hat = new_b_hat; s.accuracy} = accuracy_of(new_b_hat)"
+    ),
+    "robust: eq. 8 from its own estimate": "s.n, {q32_from_q24(centre) => s.x_hat << 9})",
+    "robust: eq. 8 from the centre of the votes": (
+        "s.n, {q32_from_q24(centre) => min(robust.centre << 2, 0xFFFFFFFF)})"
+    ),
+    "robust: way back": "return None if is_initial else {robust.initial_b_hat => None}",
+    "supporters: none": "return 5 * supporter_count > {2 => 5} * len(estimates)",
+    "supporters: half": "return {5 * => 4 *} supporter_count > 2 * len(estimates)",
     "supporters: tie": "if distance_from_robot {< => <=} distance_from_centre",
     "supporters: two fifths": "return 5 * supporter_count {> => >=} 2 * len(estimates)",
     "supporters: the other way": "return 5 * supporter_count {> => <=} 2 * len(estimates)",
-    "robust: way back": "return None if is_initial else {robust.initial_b_hat => None}",
-    "restore": "last_members, strict=True)){ => ; members['repeated'] &= 0x7FFF}",
 }
-"""Faults by name, as `mirror_with` reads them: places in SOURCES and what is wrong there, often one bit."""
+"""Faults by name, as `mirror_with` reads them: places in SOURCES and what is wrong there, often one bit.
+
+The cross-check finds all of them, and the verification of a controller most (`wrong_robots`)."""
 
 
 def changed_sources(*changes: str) -> dict[str, str]:

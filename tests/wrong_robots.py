@@ -13,7 +13,7 @@ from typing import Any
 
 import can
 
-from crosschecks import changed_sources, mirror_with
+from crosschecks import FAULTS, changed_sources, mirror_with
 from mcp_asdf.fixed_point import ONE
 from mcp_asdf.mirror import MirrorRobot
 from mcp_asdf.robot import Filter, Observation
@@ -365,88 +365,72 @@ def as_estimate_if_equal_in(mask: int) -> Callable[[can.Message], None]:
 
 # --- The wrong controllers ---
 
-ROBUST_CHANGES: dict[str, str] = {
-    # Slots
-    "keeps estimates of alpha = 0": "elif {has_confidence => True}:",
-    "slots modulo 16": "slot = sender % {SLOTS => 16}\n",
-    "estimates in the next slot": "slot = {sender => (sender + 1)} % SLOTS\n    estimates",
-    "rounds slots down": "min((x_hat{ + 64 => }) >> 7, SLOT",
-    "1.0 becomes 0 in a slot": (
-        "return {min((x_hat + 64) >> 7, SLOT_ESTIMATE_MAX) => (x_hat + 64) >> 7 & 0xFFFF}"
+ROBUST_FAULTS_BY_PHASE: dict[str, tuple[str, ...]] = {
+    "first estimates": (
+        "slot: ids up to 31",
+        "slot: ids modulo 16",
+        "slot: the next one",
+        "slot: without confidence",
+        "slot: first estimate of a sender",
+        "vote: every message",
+        "vote: the turn stays",
+        "vote: the turn does not go back to 0",
+        "vote: gain",
+        "vote: the first is the centre",
+        "vote: clamp",
+        "vote: clamp at two spreads",
+        "vote: spread",
+        "vote: the spread never shrinks",
+        "vote: largest spread",
+        "vote: order",
+        "vote: own estimate",
+        "broadcast: the centre of the votes",
     ),
-    "keeps the first estimate of a sender": (
-        "estimates[slot] = {slot => estimates[slot] or slot}_estimate(x_hat)\n"
+    "threshold of few estimates": (
+        "slot: rounding",
+        "batch: begins anew",
+        "batch: begins too early",
+        "dispersion: weight",
+        "dispersion: smallest",
+        "dispersion: none",
+        "table: median",
+        "table: smallest spread",
+        "table: no steps",
+        "table: mean of all estimates",
+        "robust test: centre of the votes",
+        "robust test: spread of the votes",
+        "robust test: three sigmas",
+        "robust test: no spread",
+        "robust test: variance of the count alone",
+        "robust test: tests the present b_hat",
+        "robust test: p of 23 bits",
+        "robust: way back",
     ),
-    "averages the estimates of a sender": (
-        "estimates[slot] = slot_estimate({x_hat) => x_hat) if not robust.is_filled(slot) else "
-        "(estimates[slot] + slot_estimate(x_hat)) // 2}\n"
+    "extreme messages": ("slot: 1.0 wraps",),
+    "test of few estimates": (
+        "slot: average of a sender",
+        "vote: not in the round of a test",
+        "vote: constant gain",
+        "vote: smallest gain 1/256",
+        "vote: smallest gain 1/64",
+        "table: four estimates",
+        "table: five estimates are too few",
+        "robust: eq. 8 from its own estimate",
+        "robust: eq. 8 from the centre of the votes",
     ),
-    # Votes
-    "its own estimate does not vote": (
-        "return {OWN_ESTIMATE if has_confidence else => } lowest_bit(filled_slots)"
+    "estimates of 1/2": ("vote: smallest spread",),
+    "no confidence of its own": ("vote: own estimate without confidence",),
+    "test of a wide spread": (
+        "dispersion: outlier",
+        "robust test: n/t of 23 bits",
     ),
-    "takes every message for a vote": "robust.filled_slots |= 1 << slot{ => ; count_vote(robust, x_hat)}",
-    "the turn stays": "robust.turn = voter + {1 => 0}\n",
-    "the turn does not go back to 0": "robust.turn = {0 => 1}\n",
-    "no vote in the round of a test": (
-        "            { => if s.filter_left > 1: }take_vote(s.robust, s.estimates"
+    "supporters": (
+        "supporters: none",
+        "supporters: half",
+        "supporters: two fifths",
     ),
-    "does not clamp": "step = {min(distance, robust.spread) => distance} >> gain_shift",
-    "clamps at 2 s": "min(distance, {robust.spread => 2 * robust.spread}) >> gain_shift",
-    "constant gain": "return {max(votes, VOTES_OF_MAX_GAIN).bit_length() - 3 => 3}",
-    "gain without end": "VOTES_MAX = 1 << {9 => 14}",
-    "gain down to 1/64": "VOTES_MAX = 1 << {9 => 8}",
-    "starts at the first vote": (
-        "position = q30_from_q23(x_hat){ => \n    if robust.votes == 1: robust.centre = position}"
-    ),
-    "s never shrinks": "if is_outside else {-spread_step => 0})",
-    "s grows at equality": "is_outside = distance {> => >=} robust.spread",
-    "s without a floor": "max(new_spread, {SPREAD_MIN => 0}), SPREAD",
-    "s without a ceiling": "max(new_spread, SPREAD_MIN), {SPREAD_MAX => 1 << 30})",
-    "sends its centre as x_hat": "return {self.s.x_hat => self.x_raw}\n",
-    # Dispersion of its own observations
-    "assumes independent observations": (
-        "robust.dispersion = {min(max(average, DISPERSION_MIN), DISPERSION_MAX) => DISPERSION_MIN}"
-    ),
-    "dispersion below 1": "max(average, {DISPERSION_MIN => 0})",
-    "dispersion of about 4 batches": "DISPERSION_SHIFT = {3 => 2}",
-    "one batch of all observations": "    {begin_batch(robust, t, n) => pass}\n\n    share",
-    # Its test
-    "four estimates are enough": "TESTED_ESTIMATES_MIN = {5 => 4}",
-    "five estimates are too few": "TESTED_ESTIMATES_MIN = {5 => 6}",
-    "the lower median": "return (lower_middle + {upper_middle => lower_middle}) // 2",
-    "tests against the median": "HUBER_STEPS = {3 => 0}",
-    "mean of all estimates": "[{max(-spread, min(spread, difference)) => difference} for",
-    "tests against the centre of the votes": (
-        "robust_test_rejects(robust, s.t, s.n, {centre => min(robust.centre >> 6, 0xFFFF00)}, spread)"
-    ),
-    "spread of the votes in the test": (
-        "robust_test_rejects(robust, s.t, s.n, centre, {spread => robust.spread >> 6})"
-    ),
-    "rejects at 3 sigma": "SIGMAS_SQUARED = {12 => 9}",
-    "forgets the spread in its test": "{g_spread**2 => 0}",
-    "spread without a floor in the test": "smallest, largest = {q24_from_q30(SPREAD_MIN) => 0}",
-    "variance of the count alone": "max(variance_of_observation(share), {variance_of_observation(p) => 0})",
-    "tests the present b_hat": (
-        "is_rejected = robust_test_rejects({robust => "
-        "RobustFilter(**vars(robust) | {'initial_b_hat': s.accuracy.b_hat})}, s.t"
-    ),
-    "n/t of 23 bits": "share = q32_quotient(n, t){ =>  >> 9 << 9}\n    p = ",
-    "p of 23 bits": (
-        "return {black_observed_as_black + white_observed_as_black => "
-        "(black_observed_as_black + white_observed_as_black) >> 9 << 9}"
-    ),
-    # What follows a rejection
-    "eq. 8 from its own estimate": "s.n, {q32_from_q24(centre) => s.x_hat << 9})",
-    "eq. 8 from the centre of the votes": (
-        "s.n, {q32_from_q24(centre) => min(robust.centre << 2, 0xFFFFFFFF)})"
-    ),
-    "no way back": "return None if is_initial else {robust.initial_b_hat => None}",
-    "no party": "return 5 * supporter_count > {2 => 5} * len(estimates)",
-    "half is a party": "return {5 * => 4 *} supporter_count > 2 * len(estimates)",
-    "two fifths are a party": "supporter_count {> => >=} 2 * len",
 }
-"""Mistakes in the robust filter that the phase "first estimates" finds: names, and changes of the mirror."""
+"""Faults of the robust filter by the phase that finds them. ``crosschecks.FAULTS`` has each by its name."""
 
 WRONG: dict[str, Wrong] = {
     "a buffer of 4 commands": with_node("nothing seen", _follow_command=buffer_4_commands),
@@ -463,7 +447,7 @@ WRONG: dict[str, Wrong] = {
     "filters though it should not": with_setup(
         "no filter", {"filter": Filter.OFF, "table": None}, filter=Filter.ALWAYS
     ),
-    "memory 8192": with_setup("threshold of 10 messages", memory=8192),
+    "memory 8192": with_setup("large sums", memory=8192),
     "memory 64": with_setup("alone", memory=64),
     "t-table of omega 0.04": with_setup("threshold of 2 messages", table=generate(parse_omega("0.04"), 127)),
     **{
@@ -475,7 +459,7 @@ WRONG: dict[str, Wrong] = {
     "rejects its own estimate": with_firmware(
         "own estimate", "return {diff => difference == 0 or diff}erence *"
     ),
-    "tests its informed estimate": with_firmware("all white", "ending_round, {s.x_hat => self.x_raw})"),
+    "tests its informed estimate": with_firmware("no information", "ending_round, {s.x_hat => self.x_raw})"),
     "tests one message": with_firmware(
         "rounds without a test",
         "= {2 => 1} if config.filter ==",
@@ -499,7 +483,7 @@ WRONG: dict[str, Wrong] = {
     ),
     "divides by 2 b - 1 = 0": with_firmware("no information", "return {HALF => ONE}, 0"),
     "keeps x_bar in silence": with_firmware("nothing seen", "{ => if s.open.count: }s.closed = Closed(s."),
-    "a bitmap of 32 senders": with_firmware("few observations", "return {word_index => 0}, 1 << bit"),
+    "a bitmap of 32 senders": with_firmware("alike ids", "return {word_index => 0}, 1 << bit"),
     "does not hear robot 127": with_firmware("every sender", "0 <= sender {<= => <} MAX_ID"),
     "at most 100 messages": with_firmware(
         "growing rounds", "status != Status.OK{ =>  or s.open.count > 99}:"
@@ -518,8 +502,10 @@ WRONG: dict[str, Wrong] = {
         "first black tiles", "s.updated = 0{ => ; s.x_hat += 0 < s.x_hat < HALF}"
     ),
     "alpha of 20 bits": with_firmware("alone", "s.updated = 0{ => ; s.alpha &= 0xFFFF_F01F}"),
-    "halves down": with_firmware("stray commands", "s.n = {round(s.n / 2) => s.n // 2}", config=HALVED),
-    "halves up": with_firmware("large sums", "s.n = {round(s.n / 2) => (s.n + 1) // 2}", config=HALVED),
+    "halves down": with_firmware("rounds without a test", FAULTS["halving: ties to even"], config=HALVED),
+    "halves up": with_firmware(
+        "rounds without a test", "s.n = {round(s.n / 2) => (s.n + 1) // 2}", config=HALVED
+    ),
     "broadcasts x": with_firmware("nothing seen", "return {self.s.x_hat => self.x_raw}\n"),
     # Ends of ranges
     "x_hat at least 0.01": with_firmware(
@@ -533,7 +519,7 @@ WRONG: dict[str, Wrong] = {
         "alone", "from_mantissa({confidence.mantissa => confidence.mantissa ^ (n == 0)}, "
     ),
     "alpha wrong where x_hat is clamped": with_firmware(
-        "no information", "rare_term + {(common_term => 0 * (common_term} >> acc"
+        "stray commands", "rare_term + {(common_term => 0 * (common_term} >> acc"
     ),
     "alpha wrong there after 100 tiles": with_firmware(
         "all white", "at_end(accuracy, {t => t ^ (t > 100)}, rare_count)"
@@ -566,7 +552,9 @@ WRONG: dict[str, Wrong] = {
     "a square of 54 bits": with_firmware(
         "threshold of 126 messages", "return {difference => (1 << 54) - 1 & difference} * difference >"
     ),
-    "a spread of 56 bits": with_firmware("large sums", "sum_x_squared - sum_x * sum_x{ =>  & (1 << 56) - 1}"),
+    "a spread of 56 bits": with_firmware(
+        "threshold of 126 messages", "sum_x_squared - sum_x * sum_x{ =>  & (1 << 56) - 1}"
+    ),
     "b_hat wrong for t below 500": with_firmware(
         "few observations", "return reestimate(s.t, s.n{ =>  + (s.t < 500)}, round_mean("
     ),
@@ -574,16 +562,16 @@ WRONG: dict[str, Wrong] = {
         "few observations", "return reestimate(s.t, s.n{ =>  + (100 < s.t < 500)}, round_mean("
     ),
     "eq. 8 wrong for sums of alpha below 1": with_firmware(
-        "threshold of 3 messages",
+        "few observations",
         "return q32_quotient(closed.alpha_x{ =>  + ((closed.alpha < 1 << 24) << 22)}, closed.alpha * ONE)",
     ),
     "eq. 8 never shifts up": with_firmware(
-        "no information",
+        "few observations",
         "denominator.bit_length() - 32{ => \n    if shift < 0:\n"
         "        return (numerator << 16) // denominator << 16}",
     ),
     "t of 14 bits in eq. 8": with_firmware(
-        "re-estimates", "return reestimate(s.t{ =>  % (1 << 14)}, s.n, round_mean("
+        "estimates of 0 and 1", "return reestimate(s.t{ =>  % (1 << 14)}, s.n, round_mean("
     ),
     "an update counter of 5 bits": with_firmware(
         "many updates", "s.updates = {next_count(s.updates) => (s.updates + 1) & 31}"
@@ -613,32 +601,29 @@ WRONG: dict[str, Wrong] = {
         for most in (200, 256, 500)
     },
     # The robust filter
-    **{name: with_robust_firmware("first estimates", change) for name, change in ROBUST_CHANGES.items()},
+    **{
+        fault: with_robust_firmware(phase, FAULTS[fault])
+        for phase, faults in ROBUST_FAULTS_BY_PHASE.items()
+        for fault in faults
+    },
     "keeps later estimates of a sender in a round": with_robust_firmware(
-        "a crowded tick",
+        "same sender",
         "            { => keep_estimate(s.robust, s.estimates, sender, x_hat); }return Status.REPEATED",
     ),
-    "votes without confidence of its own": with_robust_firmware(
-        "no confidence of its own",
-        "return {OWN_ESTIMATE if has_confidence else lowest_bit(filled_slots) => OWN_ESTIMATE}",
-    ),
     "x is 1/2 before the first vote": with_robust_firmware("alone", "estimate({self.s.x_hat => HALF}, self"),
-    "dispersion counts outliers up to 24 times": with_robust_firmware(
-        "test of a wide spread", "largest_ratio = {REJECTED_SIGMAS_SQUARED => 24} * robust.dispersion"
-    ),
     "the batch goes on at a halving": with_firmware(
         "test of a wide spread",
-        "{begin_batch(s.robust, s.t, s.n) => pass}",
+        FAULTS["batch: halving"],
         config=ROBUST_FILTER | HALVED | {"b_hat": B_HAT, "filter_period": 50},
     ),
     "spread without a ceiling in the test": with_firmware(
         "estimates far apart",
-        "{q24_from_q30(SPREAD_MAX) => 1 << 24}",
+        FAULTS["table: largest spread"],
         config=ROBUST_FILTER | {"b_hat": B_HAT},
     ),
-    "robust test in float32": with_robust_test_in_float32("first estimates"),
+    "robust test in float32": with_robust_test_in_float32("test of a wide spread"),
     "variance of the prediction alone": with_robust_firmware(
-        "dependent observations", "variance = max({variance_of_observation(share) => 0},"
+        "threshold of few estimates", "variance = max({variance_of_observation(share) => 0},"
     ),
     "t of 14 bits in the test": with_robust_firmware(
         "long run", "scaled_excess = q32_from_q64({t => t % (1 << 14)} * excess)"

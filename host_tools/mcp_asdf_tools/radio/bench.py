@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import random
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 
 import can
 
@@ -81,16 +81,18 @@ class Bench(ControllerLink):
         return Observation(is_black)
 
     def encode_estimates(
-        self, estimates: dict[int, NeighbourEstimate] | Iterable[tuple[int, NeighbourEstimate]]
+        self, estimates: Sequence[NeighbourEstimate], senders: Sequence[int] | None = None
     ) -> list[can.Message]:
         """Return a frame for each of these estimates, in order.
 
-        They are given by sender or as pairs of sender and estimate; pairs may name a sender several times.
-        Every sender numbers its frames by a transfer_id that goes on from one call to the next.
+        ``senders`` are as many ids as there are estimates, and may name a robot several times; by default
+        they are different robots that are drawn. Every sender numbers its frames by a transfer_id that goes
+        on from one call to the next.
         """
-        pairs = estimates.items() if isinstance(estimates, dict) else estimates
+        if senders is None:
+            senders = self.rng.sample(self.other_ids, len(estimates))
         frames = []
-        for sender, (x_hat, alpha) in pairs:
+        for sender, (x_hat, alpha) in zip(senders, estimates, strict=True):
             transfer_id = self._estimate_count_by_sender[sender] % TRANSFER_ID_MODULUS
             self._estimate_count_by_sender[sender] += 1
             estimate = Estimate(sender, x_hat, alpha, transfer_id)
@@ -118,10 +120,13 @@ class Bench(ControllerLink):
         self.settle_and_compare()
 
     def play_tick_among_neighbours(self) -> None:
-        """Run a tick in which the controller and the emulated neighbours receive each other's frames."""
+        """Run a tick in which the controller and the emulated neighbours receive each other's frames.
+
+        At the end the controller's frames are compared with the model's.
+        """
         observation_by_robot = self.neighbours.begin_tick()
         self.observe(observation_by_robot[self.setup.id])
-        controller_frames = list(self._received)  # those since the last comparison, which are of this tick
+        controller_frames = list(self._received_frames)  # the last comparison took those before this tick
         neighbour_frames = self.neighbours.finish_tick(controller_frames)
         self.send(neighbour_frames)
         self.settle_and_compare()
@@ -146,22 +151,48 @@ class Bench(ControllerLink):
 
     # --- Rounds ---
 
-    def play_round(self, *estimates: NeighbourEstimate, senders: Sequence[int] | None = None) -> None:
-        """Run a round in which the controller receives these estimates.
+    def play_round(
+        self,
+        activity: str,
+        estimates: Sequence[NeighbourEstimate],
+        senders: Sequence[int] | None = None,
+    ) -> None:
+        """Wait for a round without a test, and run it with these estimates.
 
-        They come from ``senders``, as many as estimates; by default from random ones.
+        ``senders`` are theirs, as for ``encode_estimates``. A difference in this round is reported with
+        ``activity``.
         """
-        if senders is None:
-            senders = self.rng.sample(self.other_ids, len(estimates))
-        estimate_by_sender = dict(zip(senders, estimates, strict=True))
-        self.play_round_of_frames(self.encode_estimates(estimate_by_sender))
+        self.play_round_of_frames(activity, self.encode_estimates(estimates, senders))
 
-    def play_round_of_frames(self, frames: Sequence[can.Message]) -> None:
-        """Wait for the next round, and run it without observations.
+    def play_round_of_frames(self, activity: str, frames: Sequence[can.Message]) -> None:
+        """Wait for a round without a test, and run it with these frames.
+
+        A difference in this round is reported with ``activity``.
+        """
+        self.skip_to_round()
+        self.wait_for_round_without_test()
+        self.activity = activity
+        self._run_round(frames)
+
+    def play_test_round(
+        self,
+        activity: str,
+        estimates: Sequence[NeighbourEstimate],
+        senders: Sequence[int] | None = None,
+    ) -> None:
+        """Wait for the round at whose end the filter tests next, and run it with these estimates.
+
+        The controller observes nothing while it waits. ``senders`` and ``activity`` are as in ``play_round``.
+        """
+        self.skip_to_test_round()
+        self.activity = activity
+        self._run_round(self.encode_estimates(estimates, senders))
+
+    def _run_round(self, frames: Sequence[can.Message]) -> None:
+        """Run a round without observations, which begins now.
 
         Half of these frames come in its first tick, the others in its last; all in a round of a single tick.
         """
-        self.skip_to_round()
         ticks_in_round = self.setup.comms_period
         if ticks_in_round == 1:
             self.play_tick(None, frames)
@@ -198,9 +229,9 @@ class Bench(ControllerLink):
         self.skip_ticks(missing_ticks, choose_observation)
 
     def wait_for_round_without_test(self, rounds: int = 1) -> None:
-        """Play rounds without messages until the controller's filter has no test in the next ``rounds`` ones.
+        """Let rounds pass until the controller's filter has no test in the next ``rounds`` ones.
 
-        None is played if they have no test anyway, if a round is under way, if the filter is off, or if it
+        None passes if they have no test anyway, if a round is under way, if the filter is off, or if it
         tests in every round, which cannot be avoided.
         """
         ticks_in_round, filter_period = self.setup.comms_period, self.setup.filter_period
@@ -210,7 +241,5 @@ class Bench(ControllerLink):
         if has_no_test or has_test_in_every_round or is_within_round:
             return
         ticks_to_test = filter_period - self.model_node.ticks % filter_period
-        rounds_to_test = ticks_to_test // ticks_in_round  # the round with the test included
-        if rounds_to_test <= rounds:
-            for _ in range(rounds_to_test):
-                self.play_round()
+        if ticks_to_test <= rounds * ticks_in_round:
+            self.skip_ticks(ticks_to_test)

@@ -296,16 +296,22 @@ def _hint(
     field = field_by_name.get(field_name)
     if field is None or field.bit_count < _MIN_BITS_FOR_HINT:
         return ""
-    byte_count = field.bit_count // 8
     # The lists may have different lengths; the first difference comes before the shorter one ends.
     for received_frame, expected_frame in zip(received, expected, strict=False):
         received_value = field.extract(payload_of(received_frame))
         expected_value = field.extract(payload_of(expected_frame))
         if received_value != expected_value:
-            reversed_bytes = expected_value.to_bytes(byte_count, "big")
-            is_reversed = received_value.to_bytes(byte_count, "little") == reversed_bytes
-            return f"its {byte_count} bytes are in reverse order" if is_reversed else ""
+            return _byte_order_hint(field.bit_count // 8, received_value, expected_value)
     return ""
+
+
+def _byte_order_hint(byte_count: int, received_value: int, expected_value: int) -> str:
+    """Return a hint if the received value has the bytes of the expected one in reverse order, and else ""."""
+    received_bytes = received_value.to_bytes(byte_count, "little")
+    reversed_bytes = expected_value.to_bytes(byte_count, "big")
+    if received_bytes != reversed_bytes:
+        return ""
+    return f"its {byte_count} bytes are in reverse order"
 
 
 # --- Frames as text ---

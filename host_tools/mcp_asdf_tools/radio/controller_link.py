@@ -105,9 +105,9 @@ class ControllerLink:
         )
         self.tick_index = 0
         self._tick_numbers_skipped = 0
-        # Frames since the last comparison.
-        self._received: list[can.Message] = []
-        self._expected: list[can.Message] = []
+        # Frames that the controller and its model have sent since the last comparison.
+        self._received_frames: list[can.Message] = []
+        self._expected_frames: list[can.Message] = []
 
     @property
     def ticks(self) -> int:
@@ -186,8 +186,8 @@ class ControllerLink:
 
         Returns None if all are equal.
         """
-        received, expected = self._received, self._expected
-        self._received, self._expected = [], []
+        received, expected = self._received_frames, self._expected_frames
+        self._received_frames, self._expected_frames = [], []
         return self.comparison.check(received, expected)
 
     def compare_late_frames(self) -> None:
@@ -217,12 +217,12 @@ class ControllerLink:
         is_sent_to_controller = not frame.is_rx  # is_rx marks frames that were received from the bus
         if is_sent_to_controller:
             frame.timestamp = time.time()
-            self._expected += self.model_node.receive_frame(frame)
+            self._expected_frames += self.model_node.receive_frame(frame)
             self.options.log(frame)
             return
         self.options.log(frame)
         if is_from(frame, self.setup.id):
-            self._received.append(frame)
+            self._received_frames.append(frame)
         else:
             self._check_other_node(frame)
 

@@ -11,13 +11,15 @@ after each tick.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
+from random import Random
 
 from mcp_asdf.fixed_point import HALF, ONE
 from mcp_asdf.robot import Filter, Observation
 from mcp_asdf_tools.crosscheck.crafted_rounds import (
-    ALPHA_ONE,
     ALPHA_SCALES,
     NeighbourEstimate,
+    RobotState,
     Update,
     draw_alphas_of_one_scale,
     draw_distant_estimates,
@@ -77,16 +79,17 @@ def re_estimate_to_half(bench: Bench) -> None:
 
 
 def _test_with_divisor_below_1(bench: Bench) -> None:
-    """Play a test of three estimates whose mean is about 2**-13 above 1/2.
+    """Play a test of five equal estimates that are slightly more than 2**-13 above 1/2.
 
     The robot must have made fewer than 2**12 observations. Then the divisor of eq. 8, t (2 x_bar - 1), is
     below 1.
     """
-    bench.skip_to_test_round()
-    bench.activity = "a mean so close to 1/2 that the divisor of eq. 8 is below 1"
-    distance = 2**10  # 2**-13 in units of 2**-23
-    x_hats = [HALF + distance + offset for offset in (1, 2, 3)]
-    _play_test_round(bench, [NeighbourEstimate(x_hat, ALPHA_ONE) for x_hat in x_hats])
+    x_hat = HALF + 2**10 + 2  # in units of 2**-23, of which 2**10 are 2**-13
+    _play_test_round(
+        bench,
+        "a mean so close to 1/2 that the divisor of eq. 8 is below 1",
+        draw_equal_estimates(x_hat, bench.rng),
+    )
 
 
 def _observe_three_times_without_knowledge(bench: Bench) -> None:
@@ -100,36 +103,29 @@ def observe_until_excess_of_black(bench: Bench, excess: int) -> None:
     """Observe until the robot has observed ``excess`` more black tiles than white ones."""
     state = bench.model_state
 
-    def present_excess() -> int:
-        """Return how many more black tiles than white ones have been observed."""
+    def missing_black() -> int:
+        """Return how many more black tiles are needed; below 0 if more white ones are."""
         white_count = state.t - state.n
-        return state.n - white_count
+        return excess - (state.n - white_count)
 
-    def choose_colour() -> Observation:
-        """Return the colour that brings the excess nearer to the one to reach."""
-        needs_black = present_excess() < excess
-        return Observation(needs_black)
-
-    while present_excess() != excess:
-        # At most half of the way to 0 at once: the excess to reach is near 0 and is not to be passed by much.
-        ticks = max(abs(present_excess()) // 2, 1)
-        bench.skip_ticks(ticks, choose_colour)
+    while missing_black() != 0:
+        needs_black = missing_black() > 0
+        # At most half of the way at once: a memory that is full halves the excess on the way.
+        ticks = max(abs(missing_black()) // 2, 1)
+        bench.skip_ticks(ticks, partial(Observation, needs_black))
 
 
 def re_estimate_without_black(bench: Bench) -> None:
     """Let the controller observe a few white tiles, and re-estimate b_hat before its first black one.
 
-    It re-estimates from five estimates near 1/4. After the white tiles it observes nothing until the test.
+    It re-estimates from five estimates of 1/4. After the white tiles it observes nothing until the test.
     """
     bench.activity = "white tiles, and then none until the test"
     # So few that t is still small in the next phases.
     bench.skip_ticks(_WHITE_TILES, lambda: Observation.WHITE)
-    bench.skip_to_test_round()
-    bench.activity = "a re-estimate without a black tile"
-    alphas = draw_alphas_of_one_scale(bench.rng, _ROUND_SIZE)
     quarter = HALF // 2
-    estimates = [NeighbourEstimate(quarter + index, alpha) for index, alpha in enumerate(alphas)]
-    _play_test_round(bench, estimates)
+    estimates = draw_equal_estimates(quarter, bench.rng)
+    _play_test_round(bench, "a re-estimate without a black tile", estimates)
 
 
 def re_estimate_from_ends(bench: Bench) -> None:
@@ -141,29 +137,56 @@ def re_estimate_from_ends(bench: Bench) -> None:
     """
     is_own_estimate_high = bench.model_state.x_hat > HALF
     ends = (0, ONE) if is_own_estimate_high else (ONE, 0)
-    three_of_each_colour = [Observation.WHITE] * 3 + [Observation.BLACK] * 3
     for end in ends:
         _observe_until_filter_runs(bench)
-        bench.activity = f"estimates of {end // ONE}"
-        alphas = draw_alphas_of_one_scale(bench.rng, _ROUND_SIZE)
-        _play_test_round(bench, [NeighbourEstimate(end, alpha) for alpha in alphas])
+        _play_test_round(bench, f"estimates of {end // ONE}", draw_equal_estimates(end, bench.rng))
         bench.activity = f"tiles of one colour, then of the other, after estimates of {end // ONE}"
-        for observation in three_of_each_colour * 2:
-            bench.play_tick(observation)
+        for colour in (Observation.WHITE, Observation.BLACK) * 2:
+            for _ in range(3):
+                bench.play_tick(colour)
 
 
-def test_large_sums(bench: Bench) -> None:
-    """Let the controller's filter test two rounds with the longest numbers in eq. 12, the test.
+DrawRound = Callable[[RobotState, Random], Sequence[NeighbourEstimate]]
+"""Draws the estimates of a round for the state of the robot that is to receive them."""
 
-    A controller may compute them in too few bits. In the first round the spread of x_hat has more than 56
-    bits. In the second the sum of all m x_hat is 2**27 or more away from m times its own x_hat.
+
+def draw_equal_estimates(x_hat: int, rng: Random) -> list[NeighbourEstimate]:
+    """Draw five estimates of this x_hat, whose confidences differ but are of similar size."""
+    return [NeighbourEstimate(x_hat, alpha) for alpha in draw_alphas_of_one_scale(rng, _ROUND_SIZE)]
+
+
+def draw_own_estimates(robot: RobotState, rng: Random) -> list[NeighbourEstimate]:
+    """Draw five estimates whose x_hat is the robot's own. They must pass a test."""
+    return draw_equal_estimates(robot.x_hat, rng)
+
+
+LONGEST_NUMBERS: dict[str, DrawRound] = {
+    "a spread of 2^57": draw_round_of_large_scatter,
+    "a distance of the sum above 2^27": draw_round_of_distant_sum,
+}
+"""Rounds with the longest numbers in eq. 12, the test, by their activity: a controller may cut them short."""
+OWN_ESTIMATES: dict[str, DrawRound] = {"messages equal to its own estimate": draw_own_estimates}
+NOT_REJECTED_BY_A_TEST: dict[str, DrawRound] = {
+    "a re-estimate from a single message": partial(draw_distant_estimates, m=1),  # a test needs two
+    "a re-estimate from messages equal to its own estimate": draw_own_estimates,
+}
+"""Rounds that change b_hat by a filter that re-estimates without a test alone, by their activity."""
+
+
+def tests_of(draw_by_activity: dict[str, DrawRound]) -> Callable[[Bench], None]:
+    """Return a phase that plays a test of each of these rounds.
+
+    Before each of them the controller observes, at least once, and the round is drawn for the state that it
+    has then. A difference is reported with the activity.
     """
-    _observe_until_filter_runs(bench)
-    bench.activity = "a spread of 2^57"
-    _play_test_round(bench, draw_round_of_large_scatter(bench.robot_state, bench.rng))
-    _observe_until_filter_runs(bench)
-    bench.activity = "a distance of the sum above 2^27"
-    _play_test_round(bench, draw_round_of_distant_sum(bench.robot_state, bench.rng))
+
+    def play(bench: Bench) -> None:
+        """Play the tests in order."""
+        for activity, draw_round in draw_by_activity.items():
+            _observe_until_filter_runs(bench)
+            _play_test_round(bench, activity, draw_round(bench.robot_state, bench.rng))
+
+    return play
 
 
 def threshold_phase(m: int) -> Callable[[Bench], None]:
@@ -175,46 +198,12 @@ def threshold_phase(m: int) -> Callable[[Bench], None]:
     def play(bench: Bench) -> None:
         """Play a test inside the threshold, and one outside."""
         _observe_until_filter_runs(bench)
-        bench.activity = f"{m} messages just inside the threshold"
-        passing_estimates, _ = draw_rounds_at_threshold(bench.robot_state, m, bench.rng)
-        _play_test_round(bench, passing_estimates)
-        # These observations have changed the robot's state, so new rounds are drawn for it.
-        _observe_until_filter_runs(bench)
-        bench.activity = f"{m} messages just outside the threshold"
-        _, rejected_estimates = draw_rounds_at_threshold(bench.robot_state, m, bench.rng)
-        _play_test_round(bench, rejected_estimates)
+        passing, rejected = draw_rounds_at_threshold(bench.robot_state, m, bench.rng)
+        _play_test_round(bench, f"{m} messages just inside the threshold", passing)
+        # It observes nothing between the two, so that its x_hat is still the one for which both are drawn.
+        _play_test_round(bench, f"{m} messages just outside the threshold", rejected)
 
     return play
-
-
-def test_own_estimate(bench: Bench) -> None:
-    """Let the controller's filter test estimates that all equal the controller's own, and so must pass."""
-    _observe_until_filter_runs(bench)
-    bench.activity = "messages equal to its own estimate"
-    _play_test_round(bench, _draw_own_estimates(bench))
-
-
-def re_estimate_without_test(bench: Bench) -> None:
-    """Play two rounds from which the controller must re-estimate b_hat, though a test would not reject them.
-
-    The controller's filter must be one that re-estimates without a test. In the first round the controller
-    receives a single estimate, where a test needs two; in the second one all estimates equal its own, so that
-    a test would pass.
-    """
-    _observe_until_filter_runs(bench)
-    bench.activity = "a re-estimate from a single message"
-    single_estimate = draw_distant_estimates(bench.robot_state, bench.rng, m=1)
-    bench.play_round(*single_estimate)
-    _observe_until_filter_runs(bench)
-    bench.activity = "a re-estimate from messages equal to its own estimate"
-    own_estimates = _draw_own_estimates(bench)
-    bench.play_round(*own_estimates)
-
-
-def _draw_own_estimates(bench: Bench) -> list[NeighbourEstimate]:
-    """Draw five estimates whose x_hat is the controller's own, with confidences of one size."""
-    alphas = draw_alphas_of_one_scale(bench.rng, _ROUND_SIZE)
-    return [NeighbourEstimate(bench.robot_state.x_hat, alpha) for alpha in alphas]
 
 
 def re_estimate_early(bench: Bench) -> None:
@@ -224,23 +213,16 @@ def re_estimate_early(bench: Bench) -> None:
     and re-estimates for which no estimates are drawn, are left out.
     """
     state = bench.model_state
-
-    def choose_colour() -> Observation:
-        """Return the colour that brings the share of black nearer to 3/5."""
-        is_black = 5 * state.n < 3 * state.t  # as the share of black ones, n / t, is below 3/5
-        return Observation(is_black)
-
     for t in _EARLY_COUNTS:
         if state.t > t:
             continue
         bench.activity = f"{t} observations"
-        bench.skip_ticks(t - state.t, choose_colour)
+        bench.skip_ticks(t - state.t, bench.draw_observation)
         for update in (Update.ABOVE, Update.BELOW):
             bench.skip_to_test_round()
             estimates = draw_round_for_update(bench.robot_state, update, bench.rng)
             if estimates is not None:
-                bench.activity = f"a re-estimate after {state.t} observations"
-                bench.play_round(*estimates)
+                bench.play_test_round(f"a re-estimate after {state.t} observations", estimates)
                 bench.play_tick(None)
 
 
@@ -266,9 +248,8 @@ def re_estimate_often(bench: Bench) -> None:
     round_count = max(missing_updates, len(ALPHA_SCALES))
     for index in range(round_count):
         bench.skip_to_test_round(bench.draw_observation)
-        bench.activity = "one of many re-estimates"
         scale = ALPHA_SCALES[index % len(ALPHA_SCALES)]
-        bench.play_round(*_draw_distant_estimates_of_scale(bench, scale))
+        bench.play_test_round("one of many re-estimates", _draw_distant_estimates_of_scale(bench, scale))
         bench.play_tick(bench.draw_observation())
 
 
@@ -276,8 +257,7 @@ def _draw_distant_estimates_of_scale(bench: Bench, scale: tuple[int, int]) -> li
     """Draw estimates far from the controller's own, with confidences of a scale, as in ``ALPHA_SCALES``."""
     distant_estimates = draw_distant_estimates(bench.robot_state, bench.rng)
     alphas = draw_alphas_of_one_scale(bench.rng, len(distant_estimates), scale)
-    x_hats = [estimate.x_hat for estimate in distant_estimates]
-    return [NeighbourEstimate(x_hat, alpha) for x_hat, alpha in zip(x_hats, alphas, strict=True)]
+    return [estimate._replace(alpha=alpha) for estimate, alpha in zip(distant_estimates, alphas, strict=True)]
 
 
 def play_rounds_without_test(bench: Bench) -> None:
@@ -287,27 +267,29 @@ def play_rounds_without_test(bench: Bench) -> None:
     messages, shows. Estimates with a confidence of 0 do not count; the adaptive filter needs two others, and
     the filter that re-estimates always needs one.
     """
-    _observe_until_filter_runs(bench, rounds_before=1)
-    bench.activity = "a round before that of the test"
-    bench.play_round(*draw_distant_estimates(bench.robot_state, bench.rng))
-    bench.activity = "too few messages with a confidence above 0 for a test"
-    bench.play_round(*_draw_too_few_estimates(bench))
+    bench.activity = _MANY_OBSERVATIONS
+    bench.skip_to_test_round(bench.draw_observation, rounds_before=1)
+    bench.play_round("a round before that of the test", _draw_distant_estimates(bench))
+    too_few_estimates = _draw_too_few_estimates(bench)
+    bench.play_test_round("too few messages with a confidence above 0 for a test", too_few_estimates)
     for _ in range(2):
-        bench.wait_for_round_without_test()
-        bench.activity = "a round after that of the test"
-        bench.play_round(*draw_distant_estimates(bench.robot_state, bench.rng))
+        bench.play_round("a round after that of the test", _draw_distant_estimates(bench))
+
+
+def _draw_distant_estimates(bench: Bench) -> list[NeighbourEstimate]:
+    """Draw four estimates so far from the controller's own that a test rejects them."""
+    return draw_distant_estimates(bench.robot_state, bench.rng)
 
 
 def _draw_too_few_estimates(bench: Bench) -> list[NeighbourEstimate]:
     """Draw distant estimates for a round in which the controller's filter must not test or re-estimate.
 
-    They have no confidence but, for the adaptive filter, a single one, which comes first.
+    They have no confidence but, for the adaptive filter, the first one.
     """
-    distant_estimates = draw_distant_estimates(bench.robot_state, bench.rng)
-    without_confidence = [NeighbourEstimate(x_hat, alpha=0) for x_hat, _ in distant_estimates]
+    with_confidence = _draw_distant_estimates(bench)
+    without_confidence = [estimate._replace(alpha=0) for estimate in _draw_distant_estimates(bench)]
     if bench.config.filter is Filter.ADAPTIVE:
-        with_confidence = draw_distant_estimates(bench.robot_state, bench.rng, m=1)
-        return with_confidence + without_confidence
+        return [with_confidence[0], *without_confidence]
     return without_confidence
 
 
@@ -335,9 +317,8 @@ def play_without_filter(bench: Bench) -> None:
     if bench.setup.filter_period <= LONG_RUN:
         bench.activity = _MANY_OBSERVATIONS
         bench.skip_to_test_round(bench.draw_observation)
-    bench.activity = "messages far away"
     for _ in range(5):
-        bench.play_round(*draw_distant_estimates(bench.robot_state, bench.rng))
+        bench.play_round("messages far away", _draw_distant_estimates(bench))
 
 
 def halve_memory(bench: Bench) -> None:
@@ -374,28 +355,23 @@ def observe_long(bench: Bench) -> None:
 # --- Steps ---
 
 
-def _observe_until_filter_runs(bench: Bench, rounds_before: int = 0) -> None:
-    """Let the controller observe until the round begins at whose end its filter runs next, but at least once.
-
-    ``rounds_before`` says how many rounds earlier to stop.
-    """
+def _observe_until_filter_runs(bench: Bench) -> None:
+    """Let the controller observe, at least once, until the round begins at whose end its filter runs next."""
     bench.activity = _MANY_OBSERVATIONS
     # A b_hat that the last round has changed enters x_hat with the next observation, so that it shows.
     bench.play_tick(bench.draw_observation())
-    bench.skip_to_test_round(bench.draw_observation, rounds_before)
+    bench.skip_to_test_round(bench.draw_observation)
 
 
-def _play_test_round(bench: Bench, estimates: Sequence[NeighbourEstimate]) -> None:
+def _play_test_round(bench: Bench, activity: str, estimates: Sequence[NeighbourEstimate]) -> None:
     """Play the round of the next test with these estimates, and then a round of others without a test.
 
     The other estimates are drawn, and come from the same senders. A new round must count these senders again.
     """
     senders = bench.rng.sample(bench.other_ids, len(estimates))
-    bench.play_round(*estimates, senders=senders)
-    bench.wait_for_round_without_test()
-    bench.activity = f"{bench.activity}; then others of the same senders"
+    bench.play_test_round(activity, estimates, senders)
     other_estimates = [draw_estimate(bench.rng) for _ in senders]
-    bench.play_round(*other_estimates, senders=senders)
+    bench.play_round(f"{activity}; then others of the same senders", other_estimates, senders)
 
 
 def _play_update(bench: Bench, update: Update) -> None:
@@ -405,15 +381,15 @@ def _play_update(bench: Bench, update: Update) -> None:
     estimates brings about another re-estimate, which changes the robot's state. If all searches are in vain,
     this is noted as a case that was not exercised.
     """
+    activity = f"a round for a re-estimate: {update.value}"
     for _ in range(_MAX_ATTEMPTS_TO_UPDATE):
         if update in _NEAR_HALF:
             bench.skip_to_test_round()  # observations would change the share of black tiles
         else:
             _observe_until_filter_runs(bench)
         estimates = draw_round_for_update(bench.robot_state, update, bench.rng)
-        bench.activity = f"a round for a re-estimate: {update.value}"
         if estimates is not None:
-            _play_test_round(bench, estimates)
+            _play_test_round(bench, activity, estimates)
             return
-        bench.play_round(*draw_distant_estimates(bench.robot_state, bench.rng))
+        bench.play_test_round(activity, _draw_distant_estimates(bench))
     bench.not_exercised.append(f"a re-estimate: {update.value}")

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from functools import partial
 
 from mcp_asdf.robot import Filter
+from mcp_asdf.robust_filter import SLOTS
 from mcp_asdf_tools.radio import filter_phases as filtering
 from mcp_asdf_tools.radio import protocol_phases as protocol
 from mcp_asdf_tools.radio import robust_phases as robust
@@ -61,6 +62,16 @@ def _has_filter(filters: Collection[Filter], setup: RobotSetup) -> bool:
 
 _has_adaptive_filter = partial(_has_filter, {Filter.ADAPTIVE})
 _has_robust_filter = partial(_has_filter, {Filter.ROBUST})
+
+
+def _has_robust_filter_and(condition: Callable[[RobotSetup], bool], setup: RobotSetup) -> bool:
+    """Return whether a controller has the robust filter, tests often enough, and meets the condition, too."""
+    return _has_robust_filter(setup) and condition(setup)
+
+
+_can_estimates_decide = partial(_has_robust_filter_and, robust.can_estimates_decide_test)
+_can_contradict_extremes = partial(_has_robust_filter_and, robust.can_contradict_extreme_estimate)
+_can_largest_spread_decide = partial(_has_robust_filter_and, robust.can_largest_spread_decide_test)
 _re_estimates_always = partial(_has_filter, {Filter.ALWAYS})
 _has_asdf_filter = partial(_has_filter, {Filter.ADAPTIVE, Filter.ALWAYS})
 
@@ -71,6 +82,14 @@ PHASES: tuple[Phase, ...] = (
     Phase("first black tiles", protocol.observe_first_black),
     Phase("few observations", filtering.re_estimate_early, applies=_has_asdf_filter),
     Phase("first estimates", robust.receive_first_estimates, applies=_has_robust_filter),
+    Phase("test of few estimates", robust.test_few_estimates, applies=_has_robust_filter),
+    Phase(
+        "threshold of few estimates",
+        # The smallest odd and the smallest even number of estimates that are tested.
+        robust.threshold_phase(5, 6, widths=[robust.WIDE_WIDTH, robust.NARROW_WIDTH]),
+        applies=_can_estimates_decide,
+    ),
+    Phase("supporters", robust.test_with_supporters, applies=_can_contradict_extremes),
     Phase("messages and silence", protocol.receive_and_wait),
     Phase("lost commands", protocol.lose_settles),
     Phase("stray commands", protocol.send_stray_commands),
@@ -95,26 +114,36 @@ PHASES: tuple[Phase, ...] = (
         Phase(f"threshold of {m} messages", filtering.threshold_phase(m), applies=_has_adaptive_filter)
         for m in filtering.SIZES_AT_THRESHOLD
     ),
-    Phase("large sums", filtering.test_large_sums, applies=_has_adaptive_filter),
-    Phase("re-estimates without a test", filtering.re_estimate_without_test, applies=_re_estimates_always),
-    Phase("own estimate", filtering.test_own_estimate, applies=_has_adaptive_filter),
+    Phase("large sums", filtering.tests_of(filtering.LONGEST_NUMBERS), applies=_has_adaptive_filter),
+    Phase(
+        "re-estimates without a test",
+        filtering.tests_of(filtering.NOT_REJECTED_BY_A_TEST),
+        applies=_re_estimates_always,
+    ),
+    Phase("own estimate", filtering.tests_of(filtering.OWN_ESTIMATES), applies=_has_adaptive_filter),
     Phase("re-estimates", filtering.re_estimate_to_each_kind, applies=_has_asdf_filter),
     Phase("estimates of 0 and 1", filtering.re_estimate_from_ends, applies=_has_asdf_filter),
     Phase("many updates", filtering.re_estimate_often, applies=_has_asdf_filter),
     Phase("votes by turns", robust.vote_with_every_slot, applies=_has_robust_filter),
-    Phase("no confidence of its own", robust.vote_without_own_confidence, applies=_has_robust_filter),
-    Phase("test of a wide spread", robust.threshold_phase(robust.WIDE_WIDTH), applies=_has_robust_filter),
-    Phase("estimates far apart", robust.test_estimates_far_apart, applies=_has_robust_filter),
+    Phase("no confidence of its own", robust.vote_without_own_confidence, applies=_can_contradict_extremes),
+    Phase(
+        "test of a wide spread",
+        # Twice: a controller whose arithmetic is wrong errs about some estimates at the threshold, not all.
+        robust.threshold_phase(SLOTS, SLOTS, widths=[robust.WIDE_WIDTH]),
+        applies=_can_estimates_decide,
+    ),
+    Phase("estimates far apart", robust.test_estimates_far_apart, applies=_can_largest_spread_decide),
     Phase("estimates of 1/2", robust.re_estimate_near_half, applies=_has_robust_filter),
-    Phase("dependent observations", robust.test_dependent_observations, applies=_has_robust_filter),
+    Phase("dependent observations", robust.test_dependent_observations, applies=_can_estimates_decide),
     Phase("halvings", filtering.halve_memory, applies=can_fill_memory),
     Phase("long run", filtering.observe_long, applies=lambda setup: not can_fill_memory(setup)),
     Phase(
-        "test of the least spread", robust.threshold_phase(robust.NARROW_WIDTH), applies=_has_robust_filter
+        "test of the least spread",
+        robust.threshold_phase(SLOTS, widths=[robust.NARROW_WIDTH]),
+        applies=_can_estimates_decide,
     ),
     Phase("many rejections", robust.re_estimate_often, applies=_has_robust_filter),
     Phase("votes that agree", robust.vote_until_spread_is_smallest, applies=_has_robust_filter),
-    Phase("many votes", robust.vote_often, applies=_has_robust_filter),
     Phase("among neighbours"),
     Phase("loss", fault="loss=0.5,receivers={me}"),
     Phase("delay", fault="delay=0.5,ticks=3,receivers={me}"),

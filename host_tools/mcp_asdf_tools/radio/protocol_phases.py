@@ -11,8 +11,9 @@ any three robots but the controller.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from random import Random
 from typing import Literal
 
@@ -54,8 +55,6 @@ _ROUND_SIZES = (2, 3, 5, 10, 30, 33, 64, 126)
 """Numbers of estimates in rounds, up to all other robots."""
 _SMALLEST_B_HAT, _HALF_B_HAT = 2**4, 2**23
 """Smallest b_hat, 2**-20, and 1/2, in the units of telemetry, 2**-24."""
-_ALPHA_BYTES = slice(3, 7)
-"""Bytes of an estimate's data that hold alpha as a binary32 number."""
 _TAIL_BYTE = 7
 """Index of the last byte of a frame's data, in which Cyphal marks the beginning and the end of a transfer."""
 _CROWDED_REPEATS = 4
@@ -69,50 +68,36 @@ ChangeFrame = Callable[[can.Message, Random], None]
 """Changes a frame in place, and draws what is arbitrary about the change."""
 
 
-def _write_number(first_byte: int, length: int, minimum: int, maximum: int) -> ChangeFrame:
-    """Return a function that draws a number and writes it into a frame's data, which it changes in place.
+def _write_number(
+    frame: can.Message, rng: Random, *, numbers: Sequence[int], first_byte: int, length: int = 1
+) -> None:
+    """Draw one of these numbers, and write it into a frame's data.
 
-    The number is from ``minimum`` to ``maximum``, and drawn at each call. It is written into ``length`` bytes
-    from ``first_byte`` on, the lowest one first.
+    It is written into ``length`` bytes from ``first_byte`` on, the lowest one first.
     """
-
-    def change(frame: can.Message, rng: Random) -> None:
-        """Write a number that is drawn now into the data."""
-        number = rng.randint(minimum, maximum)
-        frame.data[first_byte : first_byte + length] = number.to_bytes(length, "little")
-
-    return change
+    number = rng.choice(numbers)
+    frame.data[first_byte : first_byte + length] = number.to_bytes(length, "little")
 
 
-def _clear_tail_bit(bit: int) -> ChangeFrame:
-    """Return a function that clears a bit of a frame's tail byte, the last one, in place."""
-
-    def change(frame: can.Message, rng: Random) -> None:
-        """Clear the bit in the last byte of the data."""
-        frame.data[_TAIL_BYTE] &= ~(1 << bit)
-
-    return change
+def _clear_tail_bit(frame: can.Message, rng: Random, *, bit: int) -> None:
+    """Clear a bit of a frame's tail byte, which is the last byte of its data."""
+    frame.data[_TAIL_BYTE] &= ~(1 << bit)
 
 
-def _flip_identifier_bit(bit: int) -> ChangeFrame:
-    """Return a function that flips a bit of a frame's identifier in place."""
-
-    def change(frame: can.Message, rng: Random) -> None:
-        """Flip the bit of the identifier."""
-        frame.arbitration_id ^= 1 << bit
-
-    return change
+def _flip_identifier_bit(frame: can.Message, rng: Random, *, bit: int) -> None:
+    """Flip a bit of a frame's identifier."""
+    frame.arbitration_id ^= 1 << bit
 
 
-def _cut_to_length(minimum: int, maximum: int) -> ChangeFrame:
-    """Return a function that draws a length of this range, and cuts a frame's data to so many bytes."""
+def _write_identifier_bits(frame: can.Message, rng: Random, *, mask: int, value: int) -> None:
+    """Give the bits of ``mask`` in a frame's identifier the values that they have in ``value``."""
+    frame.arbitration_id = (frame.arbitration_id & ~mask) | value
 
-    def change(frame: can.Message, rng: Random) -> None:
-        """Cut the data to a length that is drawn now."""
-        frame.dlc = rng.randint(minimum, maximum)
-        frame.data = frame.data[: frame.dlc]
 
-    return change
+def _cut_data(frame: can.Message, rng: Random, *, min_length: int, max_length: int) -> None:
+    """Draw a length of this range, and cut a frame's data to so many bytes."""
+    frame.dlc = rng.randint(min_length, max_length)
+    frame.data = frame.data[: frame.dlc]
 
 
 def _use_short_identifier(frame: can.Message, rng: Random) -> None:
@@ -127,29 +112,33 @@ def _make_remote(frame: can.Message, rng: Random) -> None:
     frame.data = bytearray()
 
 
-# x_hat is in the first 3 bytes of an estimate, in units of 2**-23, and alpha in the next 4, as binary32.
+_write_x_hat = partial(_write_number, first_byte=0, length=3)
+"""Writes an x_hat into an estimate, in units of 2**-23."""
+_write_alpha = partial(_write_number, first_byte=3, length=4)
+"""Writes a confidence into an estimate, as the bits of a binary32 number."""
+
 MALFORMED: dict[str, ChangeFrame] = {
     "an 11-bit identifier": _use_short_identifier,
     "a remote frame": _make_remote,
-    "7 bytes": _cut_to_length(7, 7),
-    "fewer than 7 bytes": _cut_to_length(0, 6),
-    "no single-frame tail byte": _write_number(_TAIL_BYTE, 1, 0, 0xDF),
-    "a tail byte without the start bit": _clear_tail_bit(7),
-    "a tail byte without the end bit": _clear_tail_bit(6),
-    "a tail byte without the toggle bit": _clear_tail_bit(5),
-    "x_hat above 1": _write_number(0, 3, Q23_ONE + 2, 0xFF_FFFF),
-    "x_hat one unit above 1": _write_number(0, 3, Q23_ONE + 1, Q23_ONE + 1),
-    "alpha infinite": _write_number(3, 4, 0x7F80_0000, 0x7F80_0000),
-    "alpha not a number": _write_number(3, 4, 0x7F80_0001, 0x7FFF_FFFF),
-    "alpha -0": _write_number(3, 4, 0x8000_0000, 0x8000_0000),
-    "alpha negative": _write_number(3, 4, 0x8000_0001, 0xFFFF_FFFF),
-    "a service transfer": _flip_identifier_bit(25),
-    "an anonymous sender": _flip_identifier_bit(24),
-    "reserved bit 23 set": _flip_identifier_bit(23),
-    "reserved bit 7 set": _flip_identifier_bit(7),
-    "another subject": _flip_identifier_bit(20),
-    "another subject of the same upper bits": _flip_identifier_bit(12),
-    "another subject of the same lower bits": _flip_identifier_bit(16),
+    "7 bytes": partial(_cut_data, min_length=7, max_length=7),
+    "fewer than 7 bytes": partial(_cut_data, min_length=0, max_length=6),
+    "no single-frame tail byte": partial(_write_number, first_byte=_TAIL_BYTE, numbers=range(0xE0)),
+    "a tail byte without the start bit": partial(_clear_tail_bit, bit=7),
+    "a tail byte without the end bit": partial(_clear_tail_bit, bit=6),
+    "a tail byte without the toggle bit": partial(_clear_tail_bit, bit=5),
+    "x_hat above 1": partial(_write_x_hat, numbers=range(Q23_ONE + 2, 2**24)),
+    "x_hat one unit above 1": partial(_write_x_hat, numbers=[Q23_ONE + 1]),
+    "alpha infinite": partial(_write_alpha, numbers=[0x7F80_0000]),
+    "alpha not a number": partial(_write_alpha, numbers=range(0x7F80_0001, 0x8000_0000)),
+    "alpha -0": partial(_write_alpha, numbers=[0x8000_0000]),
+    "alpha negative": partial(_write_alpha, numbers=range(0x8000_0001, 2**32)),
+    "a service transfer": partial(_flip_identifier_bit, bit=25),
+    "an anonymous sender": partial(_flip_identifier_bit, bit=24),
+    "reserved bit 23 set": partial(_flip_identifier_bit, bit=23),
+    "reserved bit 7 set": partial(_flip_identifier_bit, bit=7),
+    "another subject": partial(_flip_identifier_bit, bit=20),
+    "another subject of the same upper bits": partial(_flip_identifier_bit, bit=12),
+    "another subject of the same lower bits": partial(_flip_identifier_bit, bit=16),
 }
 """Ways for a frame not to be an estimate, each by itself."""
 
@@ -162,39 +151,17 @@ FOREIGN_ALPHAS = {
 """Confidences that an alpha word cannot hold, as binary32 bits: a receiver must round or limit them."""
 
 
-# --- Bits and bytes that a receiver must ignore ---
-
-
-def _write_identifier_bits(mask: int, value: int) -> ChangeFrame:
-    """Return a function that gives the bits of ``mask`` in a frame's identifier these values, in place.
-
-    The values are at the positions that they have in the identifier.
-    """
-
-    def change(frame: can.Message, rng: Random) -> None:
-        """Write the bits into the identifier."""
-        frame.arbitration_id = (frame.arbitration_id & ~mask) | value
-
-    return change
-
-
-def _write_byte(index: int, value: int) -> ChangeFrame:
-    """Return a function that writes a value into a byte of a frame's data, which it changes in place."""
-
-    def change(frame: can.Message, rng: Random) -> None:
-        """Write the byte into the data."""
-        frame.data[index] = value
-
-    return change
-
+# --- Bits and commands that are unusual ---
 
 _PRIORITY_MASK = MAX_PRIORITY << PRIORITY_SHIFT
 UNUSUAL_IDENTIFIERS: dict[str, ChangeFrame] = {
     **{
-        f"with priority {priority}": _write_identifier_bits(_PRIORITY_MASK, priority << PRIORITY_SHIFT)
+        f"with priority {priority}": partial(
+            _write_identifier_bits, mask=_PRIORITY_MASK, value=priority << PRIORITY_SHIFT
+        )
         for priority in range(MAX_PRIORITY + 1)
     },
-    "with identifier bits 22 and 21 clear": _write_identifier_bits(0b11 << 21, 0),
+    "with identifier bits 22 and 21 clear": partial(_write_identifier_bits, mask=0b11 << 21, value=0),
 }
 """Identifiers of any priority, and with the two reserved bits clear that senders set, by name."""
 
@@ -242,12 +209,8 @@ def receive_before_observing(bench: Bench) -> None:
         receive_extremes(bench)
     if bench.setup.filter_period <= _MAX_SKIPPED_TICKS:
         bench.activity = "commands in a row"
-        bench.skip_to_test_round()
-        bench.activity = "a test before the first observation"
-        if keeps_estimates:
-            bench.play_round()
-        else:
-            bench.play_round(*draw_distant_estimates(bench.robot_state, bench.rng))
+        estimates = [] if keeps_estimates else draw_distant_estimates(bench.robot_state, bench.rng)
+        bench.play_test_round("a test before the first observation", estimates)
 
 
 def observe_alone(bench: Bench) -> None:
@@ -286,7 +249,7 @@ def receive_and_wait(bench: Bench) -> None:
     for _ in range(6):
         bench.wait_for_round_without_test()
         bench.activity = "a few messages"
-        estimates = {robot: draw_estimate(bench.rng, max_shift=3) for robot in bench.other_ids[:3]}
+        estimates = [draw_estimate(bench.rng, max_shift=3) for _ in range(3)]
         bench.play_tick(bench.draw_observation(), bench.encode_estimates(estimates))
         bench.wait_for_round_without_test()
         bench.activity = "no messages"
@@ -347,7 +310,7 @@ def send_unusual_commands(bench: Bench) -> None:
     misses an observation, or counts a message in the wrong round. At the end the number of the tick jumps up
     and down, by up to 2**31.
     """
-    for name, change_command in _unusual_commands(bench):
+    for name, change_command in _unusual_commands(bench).items():
         # Two rounds, because the last message comes after the settle and is one of the next round.
         bench.wait_for_round_without_test(rounds=2)
         bench.activity = f"commands {name}"
@@ -368,15 +331,20 @@ def _send_changed_command(bench: Bench, action: Action, change_command: ChangeFr
     bench.send([frame])
 
 
-def _unusual_commands(bench: Bench) -> Iterator[tuple[str, ChangeFrame]]:
-    """Yield for each kind of unusual command that must be obeyed its name, and what changes a usual one so.
+def _unusual_commands(bench: Bench) -> dict[str, ChangeFrame]:
+    """Return by name what makes a usual command unusual in such a way that it must be obeyed all the same.
 
     The node from which a command of another node comes is drawn.
     """
-    yield "for every robot", _write_byte(_TARGET_BYTE_OF_COMMAND, EVERY_ROBOT)
-    yield "of another node", _write_identifier_bits(NODE_ID_MASK, _draw_other_robot(bench))
-    yield "whose spare byte is not 0", _write_byte(_SPARE_BYTE_OF_COMMAND, 0xFF)
-    yield from UNUSUAL_IDENTIFIERS.items()
+    write_target = partial(_write_number, first_byte=_TARGET_BYTE_OF_COMMAND)
+    write_spare_byte = partial(_write_number, first_byte=_SPARE_BYTE_OF_COMMAND)
+    other_node = _draw_other_robot(bench)
+    return {
+        "for every robot": partial(write_target, numbers=[EVERY_ROBOT]),
+        "of another node": partial(_write_identifier_bits, mask=NODE_ID_MASK, value=other_node),
+        "whose spare byte is not 0": partial(write_spare_byte, numbers=range(1, 2**8)),
+        **UNUSUAL_IDENTIFIERS,
+    }
 
 
 def _let_tick_number_jump(bench: Bench) -> None:
@@ -398,11 +366,9 @@ def _let_tick_number_jump(bench: Bench) -> None:
 def receive_unusual_identifiers(bench: Bench) -> None:
     """Send estimates of every priority, and with reserved bits clear, which the controller must count."""
     for name, change_identifier in UNUSUAL_IDENTIFIERS.items():
-        bench.wait_for_round_without_test()
-        bench.activity = f"messages {name}"
         frames = _encode_random_estimates(bench, bench.other_ids[:3])
         change_identifier(frames[0], bench.rng)
-        bench.play_round_of_frames(frames)
+        bench.play_round_of_frames(f"messages {name}", frames)
 
 
 def wait_for_heartbeats(bench: Bench) -> None:
@@ -421,13 +387,10 @@ def receive_malformed(bench: Bench) -> None:
     """
     for _ in range(2):
         for name, change_frame in MALFORMED.items():
-            bench.wait_for_round_without_test()
-            bench.activity = name
             sender, other_sender = bench.rng.sample(bench.other_ids, 2)
-            [malformed_frame] = _encode_random_estimates(bench, [sender])
-            change_frame(malformed_frame, bench.rng)
-            valid_frames = _encode_random_estimates(bench, [sender, other_sender])
-            bench.play_round_of_frames([malformed_frame, *valid_frames])
+            frames = _encode_random_estimates(bench, [sender, sender, other_sender])
+            change_frame(frames[0], bench.rng)
+            bench.play_round_of_frames(name, frames)
     _send_telemetry_and_heartbeats(bench)
 
 
@@ -438,30 +401,22 @@ def _send_telemetry_and_heartbeats(bench: Bench) -> None:
     """
     subjects, rng = bench.settings.subjects, bench.rng
     for sender in rng.sample(bench.other_ids, 3):
-        bench.wait_for_round_without_test()
-        bench.activity = "telemetry and a heartbeat of another robot"
-        telemetry = Telemetry(
-            sender,
-            x=rng.randint(0, Q23_ONE),
-            b_hat=rng.randint(_SMALLEST_B_HAT, _HALF_B_HAT),
-            updates=rng.randrange(256),
-            transfer_id=0,
-        )
+        x, updates = rng.randint(0, Q23_ONE), rng.randrange(256)
+        b_hat = rng.randint(_SMALLEST_B_HAT, _HALF_B_HAT)
+        telemetry = Telemetry(sender, x=x, b_hat=b_hat, updates=updates, transfer_id=0)
         heartbeat = Heartbeat(sender, uptime=rng.randrange(2**32), transfer_id=0)
         frames = [
             encode_telemetry(telemetry, subjects.telemetry),
             encode_heartbeat(heartbeat),
             *_encode_random_estimates(bench, [sender]),
         ]
-        bench.play_round_of_frames(frames)
+        bench.play_round_of_frames("telemetry and a heartbeat of another robot", frames)
 
 
 def receive_from_every_sender(bench: Bench) -> None:
     """Play a round for every other id, in which the controller receives one estimate of this sender."""
     for sender in bench.other_ids:
-        bench.wait_for_round_without_test()
-        bench.activity = f"one message, of robot {sender}"
-        bench.play_round(draw_estimate(bench.rng), senders=[sender])
+        bench.play_round(f"one message, of robot {sender}", [draw_estimate(bench.rng)], [sender])
 
 
 def receive_from_alike_ids(bench: Bench) -> None:
@@ -469,64 +424,55 @@ def receive_from_alike_ids(bench: Bench) -> None:
 
     A controller that leaves out this bit takes the second estimate for a repetition of the first.
     """
-    other_ids = set(bench.other_ids)
     for bit_index in range(MAX_ID.bit_length()):
-        bit = 1 << bit_index
-        pairs = []
-        for robot in other_ids:
-            robot_with_bit = robot | bit
-            # If the bit is set already, that is the same robot; or it is the controller, which sends nothing.
-            if robot_with_bit != robot and robot_with_bit in other_ids:
-                pairs.append((robot, robot_with_bit))
-        for first, second in bench.rng.sample(pairs, 2):
-            bench.wait_for_round_without_test()
-            bench.activity = f"messages of the robots {first} and {second}"
+        pairs = _pairs_of_ids_that_differ_in(1 << bit_index, bench.other_ids)
+        for senders in bench.rng.sample(pairs, 2):
             estimates = [draw_estimate(bench.rng), draw_estimate(bench.rng)]
-            bench.play_round(*estimates, senders=[first, second])
+            bench.play_round(f"messages of the robots {senders[0]} and {senders[1]}", estimates, senders)
+
+
+def _pairs_of_ids_that_differ_in(bit: int, ids: list[int]) -> list[tuple[int, int]]:
+    """Return all pairs of these ids that differ in nothing but this bit, a power of 2. The first lacks it."""
+    ids_without_bit = [robot for robot in ids if robot & bit == 0]
+    return [(robot, robot | bit) for robot in ids_without_bit if robot | bit in ids]
 
 
 def receive_growing_rounds(bench: Bench) -> None:
     """Play rounds of 2 to 126 estimates, each round larger than the one before."""
     for size in _ROUND_SIZES:
-        bench.wait_for_round_without_test()
-        bench.activity = f"a round of {size} messages"
         estimates = [draw_estimate(bench.rng) for _ in range(size)]
-        bench.play_round(*estimates)
+        bench.play_round(f"a round of {size} messages", estimates)
 
 
 def receive_crowded_tick(bench: Bench) -> None:
     """Send hundreds of estimates in a tick, four per sender. The last sender sends one, which must count."""
     *first_senders, last_sender = bench.other_ids
+    bench.skip_to_round()
     bench.wait_for_round_without_test()
     bench.activity = f"a tick with {CROWDED_MESSAGES} messages"
     senders = first_senders * _CROWDED_REPEATS + [last_sender]
-    frames = _encode_random_estimates(bench, senders)
-    bench.skip_to_round()
-    bench.play_tick(bench.draw_observation(), frames)
+    bench.play_tick(bench.draw_observation(), _encode_random_estimates(bench, senders))
     bench.skip_to_round()  # plays the rest of the round
 
 
 def receive_extremes(bench: Bench) -> None:
-    """Play rounds of estimates at the ends of their ranges, and of confidences that robots never send.
-
-    The latter are legal numbers of 32 bits that the firmware cannot hold exactly, and must round or limit.
-    Each comes together with an estimate of the smallest confidence.
-    """
+    """Play rounds of estimates at the ends of their ranges, and of confidences that robots never send."""
     for name, estimates in EXTREME_ROUNDS.items():
-        bench.wait_for_round_without_test()
-        bench.activity = name
-        bench.play_round(*estimates)
+        bench.play_round(name, estimates)
     for name, alpha_bits in FOREIGN_ALPHAS.items():
-        bench.wait_for_round_without_test()
-        bench.activity = name
-        estimate_by_sender = {}
-        for sender in bench.other_ids[:2]:
-            x_hat = draw_estimate(bench.rng).x_hat
-            estimate_by_sender[sender] = NeighbourEstimate(x_hat, ALPHA_LEAST)
-        frames = bench.encode_estimates(estimate_by_sender)
-        # The first alpha is written into its frame, as NeighbourEstimate cannot hold such an alpha.
-        frames[0].data[_ALPHA_BYTES] = alpha_bits.to_bytes(4, "little")
-        bench.play_round_of_frames(frames)
+        _play_round_with_foreign_alpha(bench, name, alpha_bits)
+
+
+def _play_round_with_foreign_alpha(bench: Bench, activity: str, alpha_bits: int) -> None:
+    """Play a round of two estimates, one of this confidence, and the other of the smallest one.
+
+    ``alpha_bits`` is a legal binary32 number that the firmware cannot hold exactly, and must round or limit.
+    """
+    estimates = [NeighbourEstimate(draw_estimate(bench.rng).x_hat, ALPHA_LEAST) for _ in range(2)]
+    frames = bench.encode_estimates(estimates)
+    # Written into the frame, as NeighbourEstimate cannot hold such an alpha.
+    _write_alpha(frames[0], bench.rng, numbers=[alpha_bits])
+    bench.play_round_of_frames(activity, frames)
 
 
 def receive_repeated_sender(bench: Bench) -> None:
@@ -535,11 +481,10 @@ def receive_repeated_sender(bench: Bench) -> None:
     After the first comes an estimate of another sender, which must count, too.
     """
     for repeats in (1, 2, 5):
-        bench.wait_for_round_without_test()
-        bench.activity = "different messages of one sender in a round"
         repeating_sender, other_sender = bench.rng.sample(bench.other_ids, 2)
         senders = [repeating_sender, other_sender] + [repeating_sender] * repeats
-        bench.play_round_of_frames(_encode_random_estimates(bench, senders))
+        frames = _encode_random_estimates(bench, senders)
+        bench.play_round_of_frames("different messages of one sender in a round", frames)
 
 
 def receive_own_id(bench: Bench) -> None:
@@ -547,14 +492,11 @@ def receive_own_id(bench: Bench) -> None:
 
     In four rounds one comes before, between and after the estimates of three other robots.
     """
-    own_id = bench.settings.controller.id
     for index in range(4):  # index of the estimate under the own id among the four
-        bench.wait_for_round_without_test()
-        bench.activity = f"a message under its own id, {own_id}"
-        frames = _encode_random_estimates(bench, bench.other_ids[3:6])
-        [own_frame] = _encode_random_estimates(bench, [own_id])
-        frames.insert(index, own_frame)
-        bench.play_round_of_frames(frames)
+        senders = bench.other_ids[3:6]
+        senders.insert(index, bench.setup.id)
+        frames = _encode_random_estimates(bench, senders)
+        bench.play_round_of_frames(f"a message under its own id, {bench.setup.id}", frames)
 
 
 def receive_between_ticks(bench: Bench) -> None:
@@ -564,13 +506,14 @@ def receive_between_ticks(bench: Bench) -> None:
     with the estimate of a fourth robot, which comes after the *observe*. This is done three times.
     """
     for _ in range(3):
+        bench.skip_to_round()
         bench.wait_for_round_without_test()
         bench.activity = "messages between a settle and the next observe"
         # Any four robots: a second estimate of one of them would be ignored.
         early_senders = bench.other_ids[7:10]
         late_sender = bench.other_ids[11]
         _send_random_estimates(bench, early_senders)
-        bench.play_round(draw_estimate(bench.rng), senders=[late_sender])
+        bench.play_round(bench.activity, [draw_estimate(bench.rng)], [late_sender])
 
 
 # --- Steps ---
@@ -578,7 +521,8 @@ def receive_between_ticks(bench: Bench) -> None:
 
 def _encode_random_estimates(bench: Bench, senders: list[int]) -> list[can.Message]:
     """Draw an estimate for each of these senders, and return the frames. A sender may be named repeatedly."""
-    return bench.encode_estimates([(sender, draw_estimate(bench.rng)) for sender in senders])
+    estimates = [draw_estimate(bench.rng) for _ in senders]
+    return bench.encode_estimates(estimates, senders)
 
 
 def _send_random_estimates(bench: Bench, senders: list[int]) -> None:

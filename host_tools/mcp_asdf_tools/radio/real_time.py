@@ -57,11 +57,7 @@ class RadioRun:
         # The clock does not just sleep until a tick: it receives frames in this time.
         clock = RealTimeClock(self.settings.swarm.steps_per_second, sleep=self._receive_while_waiting)
         try:
-            while self._ticks is None or self.neighbours.ticks < self._ticks:
-                clock.wait_for_tick(self.neighbours.ticks)
-                self.link.handle_waiting_frames(self._handle_frame)
-                self._run_tick()
-                self.on_tick()
+            self._run_ticks(clock)
         except (Stopped, KeyboardInterrupt):
             self.outcome.ending = "stopped"
             # A run without a number of ticks can end in no other way, and so is complete.
@@ -73,6 +69,17 @@ class RadioRun:
         if self.link.last_failure is not None:
             self.outcome.ending = f"the bus failed: {self.link.last_failure}"
             self.outcome.has_failed = True
+
+    def _run_ticks(self, clock: RealTimeClock) -> None:
+        """Run all ticks, each at its time.
+
+        Raises Stopped if the link asks to stop, and can.CanError if the bus is gone.
+        """
+        while self._ticks is None or self.neighbours.ticks < self._ticks:
+            clock.wait_for_tick(self.neighbours.ticks)
+            self.link.handle_waiting_frames(self._handle_frame)
+            self._run_tick()
+            self.on_tick()
 
     def figures(self) -> dict[str, Any]:
         """Return the results by name, as plain values for JSON: counts, how the run has ended, and mean x.

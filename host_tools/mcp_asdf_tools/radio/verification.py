@@ -137,14 +137,7 @@ def plan_phases(
             f"set the controller up with at most {_MAX_COMMS_PERIOD} ticks"
         )
     chosen_phases = _choose_phases(settings, phases)
-    phases_among_neighbours = [phase for phase in chosen_phases if phase.play is None]
-    faults = []
-    for index, phase in enumerate(phases_among_neighbours):
-        first_tick = index * ticks
-        for fault_text in phase.fault.split():
-            fault = parse_fault(fault_text)
-            faults.append(replace(fault, start=first_tick, stop=first_tick + ticks))
-    return chosen_phases, faults
+    return chosen_phases, _schedule_faults(chosen_phases, ticks)
 
 
 def _choose_phases(settings: RadioSettings, phases: Sequence[Phase]) -> list[Phase]:
@@ -154,18 +147,29 @@ def _choose_phases(settings: RadioSettings, phases: Sequence[Phase]) -> list[Pha
     {one} the id of the first neighbour.
     """
     neighbour_ids = [str(neighbour.id) for neighbour in settings.neighbours]
-    ids_by_placeholder = {
-        "me": settings.controller.id,
-        "them": "+".join(neighbour_ids),
-        "one": neighbour_ids[0],
-    }
+    all_neighbours = "+".join(neighbour_ids)
     chosen_phases = []
     for phase in phases:
         if phase.applies(settings.controller):
-            fault_with_ids = phase.fault.format(**ids_by_placeholder)
-            chosen_phases.append(replace(phase, fault=fault_with_ids))
+            fault = phase.fault.format(me=settings.controller.id, them=all_neighbours, one=neighbour_ids[0])
+            chosen_phases.append(replace(phase, fault=fault))
     phases_of_settings = [Phase(fault.name, fault=str(fault)) for fault in settings.faults]
     return chosen_phases + phases_of_settings
+
+
+def _schedule_faults(phases: Sequence[Phase], ticks: int) -> list[Fault]:
+    """Return the faults of all phases, each with the ticks of the neighbours at which it begins and stops.
+
+    Only the phases among neighbours count, which have ``ticks`` ticks each, one after the other.
+    """
+    phases_among_neighbours = [phase for phase in phases if phase.play is None]
+    faults = []
+    for index, phase in enumerate(phases_among_neighbours):
+        first_tick = index * ticks
+        for fault_text in phase.fault.split():
+            fault = parse_fault(fault_text)
+            faults.append(replace(fault, start=first_tick, stop=first_tick + ticks))
+    return faults
 
 
 def not_checked(setup: RobotSetup) -> list[str]:
@@ -232,27 +236,35 @@ class Verification:
         A disturbed bus, a request to stop or a missing answer ends the run, too. If a wrong frame has come in
         place of the answer, the verdict names the frame. The controller's failures are never raised.
         """
-        verdict, bench = self.verdict, self.bench
+        verdict = self.verdict
         try:
             self._run_phases()
             self._add_untested_cases()
         except KeyboardInterrupt:
             verdict.is_interrupted = True
         except (BusDisturbed, can.CanError) as error:
-            self._result.outcome = DISTURBED
-            verdict.disturbance = f"{self._describe_time()}: {error}"
+            verdict.disturbance = self._end_phase(DISTURBED, str(error))
         except ControllerDiffers as error:
-            self._result.outcome = FAILED
-            verdict.difference = f"{self._describe_time()}: {error}"
+            verdict.difference = self._end_phase(FAILED, str(error))
         except LockstepError as error:
-            self._result.outcome = FAILED
-            # A wrong frame in place of the answer says more than that the answer is missing.
-            difference = bench.pop_difference()
-            has_sent_wrong_frame = difference is not None and difference.field != "missing"
-            description = str(difference) if has_sent_wrong_frame else str(error)
-            verdict.difference = f"{self._describe_time()}: {description}"
-        verdict.repeated = bench.lockstep.repeated
+            verdict.difference = self._end_phase(FAILED, self._describe_missing_answer(error))
+        verdict.repeated = self.bench.lockstep.repeated
         return verdict
+
+    def _end_phase(self, outcome: str, reason: str) -> str:
+        """Set the outcome of the present phase, and return the reason with phase, activity and tick."""
+        self._result.outcome = outcome
+        return f"{self._describe_time()}: {reason}"
+
+    def _describe_missing_answer(self, error: LockstepError) -> str:
+        """Return why an answer is missing: the wrong frame that came in its place, or else the error's text.
+
+        A wrong frame says more than that the answer is missing.
+        """
+        difference = self.bench.pop_difference()
+        if difference is None or difference.field == "missing":
+            return str(error)
+        return str(difference)
 
     def _run_phases(self) -> None:
         """Wait for the controller if asked to, run all phases, and compare what comes after the last."""
@@ -271,7 +283,6 @@ class Verification:
         """
         bench = self.bench
         bench.activity = phase.fault or phase.name
-        ticks_before, injected_before, equal_before = self._totals()
         try:
             if phase.play is not None:
                 phase.play(bench)
@@ -279,18 +290,18 @@ class Verification:
                 for _ in range(self._phase_ticks):
                     bench.play_tick_among_neighbours()
         finally:
-            ticks, injected, equal = self._totals()
-            result.ticks = ticks - ticks_before
-            result.injected = injected - injected_before
-            result.equal = equal - equal_before
+            self._fill_in_figures(result)
         has_fault = phase.fault != ""
         result.outcome = NOT_EXERCISED if has_fault and result.injected == 0 else PASSED
 
-    def _totals(self) -> tuple[int, int, int]:
-        """Return the numbers of ticks, injected faults and equal frames of all phases together so far."""
-        bench = self.bench
+    def _fill_in_figures(self, result: PhaseResult) -> None:
+        """Set the ticks, injected faults and equal frames of a phase: those that no phase before it has."""
+        bench, phases = self.bench, self.verdict.phases
         injected = sum(figures["injected"] for figures in bench.neighbours.faults.figures())
-        return bench.ticks, injected, bench.comparison.equal_frames.total()
+        equal = bench.comparison.equal_frames.total()
+        result.ticks = bench.ticks - sum(phase.ticks for phase in phases)
+        result.injected = injected - sum(phase.injected for phase in phases)
+        result.equal = equal - sum(phase.equal for phase in phases)
 
     def _add_untested_cases(self) -> None:
         """Add to the verdict, after all phases, the cases that they did not bring about or could not check.
@@ -348,16 +359,17 @@ def _format_phases(phases: Sequence[PhaseResult]) -> list[str]:
 
     The columns are name, ticks, injected faults, equal frames, outcome and fault.
     """
-    attribute_names = list(_HEADINGS)
-    headings = list(_HEADINGS.values())
     rows = []
     for phase in phases:
-        values = [getattr(phase, name) for name in attribute_names]
+        values = [getattr(phase, attribute) for attribute in _HEADINGS]
         rows.append([str(value or "") for value in values])  # 0 and None are left blank
-    widths = []
-    for cells_of_column in zip(headings, *rows, strict=True):
-        widths.append(max(len(cell) for cell in cells_of_column))
-    # Faults are long and in the last column, so they are not padded.
+    return _format_table(list(_HEADINGS.values()), rows)
+
+
+def _format_table(headings: list[str], rows: list[list[str]]) -> list[str]:
+    """Return the lines of a Markdown table. The columns are aligned, but for long cells of the last one."""
+    columns = zip(headings, *rows, strict=True)
+    widths = [max(len(cell) for cell in column) for column in columns]
     widths[-1] = len(headings[-1])
     rule = ["-" * width for width in widths]
     lines = []

@@ -304,20 +304,23 @@ class BusRobot:
         return encode_heartbeat(Heartbeat(self.id, uptime, uptime % TRANSFER_ID_MODULUS), timestamp=now)
 
     def telemetry(self, now: float) -> can.Message:
-        """Return a frame with the robot's present state, stamped ``now`` (seconds), and count it.
+        """Return a frame with the robot's present state, stamped ``now`` (seconds), and count it."""
+        return encode_telemetry(self.next_telemetry(), self._telemetry_format, now)
+
+    def next_telemetry(self) -> Telemetry:
+        """Return the robot's present state with the next transfer_id, and count it as sent.
 
         It holds x, the robot's informed estimate of the share of black tiles, b_hat, the accuracy that it
         assumes of its sensor, and modulo 256 the number of times it has re-estimated b_hat.
         """
-        x_units = int(self.robot.x * Q23_ONE)  # of 2**-23
-        b_hat_units = int(self.robot.b_hat * B_HAT_UNITS)  # of 2**-24
+        x = int(self.robot.x * Q23_ONE)  # units of 2**-23
+        b_hat = int(self.robot.b_hat * B_HAT_UNITS)  # units of 2**-24
         # A robot that computes in float64 may be nearer to 0 or 1 than telemetry allows.
-        legal_b_hat_units = min(max(b_hat_units, MIN_B_HAT), MAX_B_HAT)
+        legal_b_hat = min(max(b_hat, MIN_B_HAT), MAX_B_HAT)
         updates = self.robot.counters.updates % UPDATE_COUNT_MODULUS
         transfer_id = self.sent.telemetry % TRANSFER_ID_MODULUS
         self.sent.telemetry += 1
-        telemetry = Telemetry(self.id, x_units, legal_b_hat_units, updates, transfer_id)
-        return encode_telemetry(telemetry, self._telemetry_format, now)
+        return Telemetry(self.id, x, legal_b_hat, updates, transfer_id)
 
     # --- Frames received ---
 

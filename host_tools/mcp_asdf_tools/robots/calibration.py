@@ -96,11 +96,7 @@ def calibrate(rows: Sequence[tuple[float, bool]]) -> Calibration:
     """
     black_count = sum(is_black for _, is_black in rows)
     reading_counts = {"black": black_count, "white": len(rows) - black_count}
-    for colour, count in reading_counts.items():
-        if count < _MIN_READINGS:
-            raise UsageError(
-                f"{count} readings over {colour} tiles; take {_MIN_READINGS} or more, better 1000"
-            )
+    _check_reading_counts(reading_counts)
     candidates = _candidates(sorted(rows), reading_counts)
     best_candidate = max(candidates, key=_rank, default=None)  # None if all readings are equal
     if best_candidate is not None:
@@ -109,6 +105,15 @@ def calibrate(rows: Sequence[tuple[float, bool]]) -> Calibration:
         if mean_accuracy >= _MIN_ACCURACY:
             return calibration
     raise UsageError("the readings do not tell black from white; does the sensor look at the floor?")
+
+
+def _check_reading_counts(reading_counts: dict[str, int]) -> None:
+    """Raise UsageError if there are fewer than 10 readings over a colour."""
+    for colour, count in reading_counts.items():
+        if count < _MIN_READINGS:
+            raise UsageError(
+                f"{count} readings over {colour} tiles; take {_MIN_READINGS} or more, better 1000"
+            )
 
 
 def _rank(candidate: tuple[Calibration, float]) -> tuple[float, float, float]:
@@ -140,10 +145,9 @@ def _candidates(
         gap = next_reading - reading
         if gap == 0.0:  # No threshold fits between equal readings.
             continue
-        threshold = reading + gap / 2
-        if has_whole_numbers:
-            # Sensors with whole numbers compare with whole numbers: the threshold is one, too.
-            threshold = math.ceil((reading + next_reading) / 2)
+        middle = reading + gap / 2
+        # Sensors with whole numbers compare with whole numbers: the threshold is one, too.
+        threshold = math.ceil(middle) if has_whole_numbers else middle
         # If readings below the threshold are taken for black, these shares are right.
         black_accuracy = black_below / reading_counts["black"]
         white_accuracy = 1 - white_below / reading_counts["white"]

@@ -15,7 +15,7 @@ QUICK_FAULTS = (
     "mean",
     "test",
     "counters",
-    "slot: ids modulo 32",
+    "slot: ids up to 31",
     "vote: clamp",
     "dispersion: weight",
     "table: median",

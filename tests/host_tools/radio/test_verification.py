@@ -332,6 +332,15 @@ ROBUST_PHASES = phases_of_module("robust_phases")
 ASDF_PHASES = phases_of_module("filter_phases") - {"no filter", "halvings", "long run"}
 """Names of the phases of the paper's filters, with or without a test."""
 THRESHOLD_PHASES = {name for name in ASDF_PHASES if name.startswith("threshold of")}
+PHASES_OF_INFORMATION = {
+    "threshold of few estimates",
+    "test of a wide spread",
+    "dependent observations",
+    "test of the least spread",
+}
+"""Names of the phases in which estimates decide a test of the robust filter."""
+PHASES_OF_LONG_MEMORY = {"supporters", "no confidence of its own", "estimates far apart"}
+"""Names of the phases in which many observations contradict estimates, with a b_hat that is not near 1."""
 TEST_PHASES = THRESHOLD_PHASES | {"large sums", "own estimate"}
 """Names of the phases of the test of the paper's filter."""
 
@@ -343,13 +352,23 @@ TEST_PHASES = THRESHOLD_PHASES | {"large sums", "own estimate"}
         ({}, {"no filter", "re-estimates without a test", "halvings"} | ROBUST_PHASES),
         (FILTER_WITHOUT_TEST, {"no filter", "halvings"} | TEST_PHASES | ROBUST_PHASES),
         (ROBUST_FILTER, {"no filter", "halvings"} | ASDF_PHASES),
+        (ROBUST_FILTER | {"b_hat": 0.95}, {"no filter", "halvings", "estimates far apart"} | ASDF_PHASES),
+        (
+            ROBUST_FILTER | {"b_hat": 0.5},
+            {"no filter", "halvings"} | ASDF_PHASES | PHASES_OF_INFORMATION | PHASES_OF_LONG_MEMORY,
+        ),
+        (ROBUST_FILTER | {"memory": 64}, {"no filter", "long run"} | ASDF_PHASES | PHASES_OF_LONG_MEMORY),
         (NO_FILTER, {"halvings"} | ASDF_PHASES | ROBUST_PHASES),
     ],
 )
 def test_phases_that_do_not_apply_to_a_controller_are_left_out(
     config: dict[str, Any], omitted_phases: set[str]
 ) -> None:
-    """Left out are those of other filters, "halvings" for a long memory, or "long run" for a short one."""
+    """Left out are those of other filters, "halvings" for a long memory, or "long run" for a short one.
+
+    With the robust filter, tests are left out that no observations can bring about. With a b_hat of 1/2
+    estimates decide no test. With one of 0.95, those that are far apart contradict no observations.
+    """
     settings = settings_with_four_neighbours(right_setup(**config))
     planned_phases, _faults = plan_phases(settings, PHASES, ticks=25)
 
@@ -425,12 +444,12 @@ def test_a_verdict_lists_the_observations_before_a_test_of_the_robust_filter_tha
     none, and ``not_exercised`` has an entry for each search.
     """
     monkeypatch.setattr(robust_phases, "_MAX_BURSTS", 0)  # the largest number of bursts of observations
-    phases = phases_named("first estimates", "test of a wide spread", "many rejections")
+    phases = phases_named("alone", "threshold of few estimates", "test of a wide spread", "many rejections")
     verdict = verify_right_controller(ROBUST_FILTER, phases)
 
     assert verdict.difference is None
-    # Two searches for each test: one that just rejects, and one that just does not. The phase "many
-    # rejections" searches once, for any rejection.
+    # Two searches for each number of estimates: of two widths, or of the same one twice. The phase "many
+    # rejections" searches once.
     assert verdict.not_exercised == [
         "observations before a test of 5 estimates",
         "observations before a test of 5 estimates",
@@ -539,7 +558,7 @@ def test_a_wrong_controller_fails_in_the_phase_that_is_about_its_mistake(mistake
 SHOWN_WITH_DEFAULTS_ALONE = {
     "variance of the prediction alone",
     "t of 14 bits in eq. 8",
-    "four estimates are enough",
+    "table: four estimates",
 }
 """Mistakes that some seeds show with the default configuration alone.
 
