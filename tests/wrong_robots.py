@@ -404,6 +404,11 @@ ROBUST_FAULTS_BY_PHASE: dict[str, tuple[str, ...]] = {
         "robust test: variance of the count alone",
         "robust test: tests the present b_hat",
         "robust test: p of 23 bits",
+        "robust test: sigmas",
+        "robust test: sigmas of the centre",
+        "robust test: variance",
+        "robust test: dispersion",
+        "robust: present b_hat is the initial one",
         "robust: way back",
     ),
     "extreme messages": ("slot: 1.0 wraps",),
@@ -626,7 +631,7 @@ WRONG: dict[str, Wrong] = {
         "threshold of few estimates", "variance = max({variance_of_observation(share) => 0},"
     ),
     "t of 14 bits in the test": with_robust_firmware(
-        "long run", "scaled_excess = q32_from_q64({t => t % (1 << 14)} * excess)"
+        "test of the least spread", "scaled_excess = q32_from_q64({t => t % (1 << 14)} * excess)"
     ),
     "a centre is uninformative up to 2^-11": with_robust_firmware(
         "estimates of 1/2", "minus_one < {INFORMATIVE_G => INFORMATIVE_G << 1}:"

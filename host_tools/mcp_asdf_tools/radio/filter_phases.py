@@ -173,7 +173,7 @@ NOT_REJECTED_BY_A_TEST: dict[str, DrawRound] = {
 """Rounds that change b_hat by a filter that re-estimates without a test alone, by their activity."""
 
 
-def tests_of(draw_by_activity: dict[str, DrawRound]) -> Callable[[Bench], None]:
+def phase_of_tests(draw_by_activity: dict[str, DrawRound]) -> Callable[[Bench], None]:
     """Return a phase that plays a test of each of these rounds.
 
     Before each of them the controller observes, at least once, and the round is drawn for the state that it

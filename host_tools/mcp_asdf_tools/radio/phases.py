@@ -114,13 +114,13 @@ PHASES: tuple[Phase, ...] = (
         Phase(f"threshold of {m} messages", filtering.threshold_phase(m), applies=_has_adaptive_filter)
         for m in filtering.SIZES_AT_THRESHOLD
     ),
-    Phase("large sums", filtering.tests_of(filtering.LONGEST_NUMBERS), applies=_has_adaptive_filter),
+    Phase("large sums", filtering.phase_of_tests(filtering.LONGEST_NUMBERS), applies=_has_adaptive_filter),
     Phase(
         "re-estimates without a test",
-        filtering.tests_of(filtering.NOT_REJECTED_BY_A_TEST),
+        filtering.phase_of_tests(filtering.NOT_REJECTED_BY_A_TEST),
         applies=_re_estimates_always,
     ),
-    Phase("own estimate", filtering.tests_of(filtering.OWN_ESTIMATES), applies=_has_adaptive_filter),
+    Phase("own estimate", filtering.phase_of_tests(filtering.OWN_ESTIMATES), applies=_has_adaptive_filter),
     Phase("re-estimates", filtering.re_estimate_to_each_kind, applies=_has_asdf_filter),
     Phase("estimates of 0 and 1", filtering.re_estimate_from_ends, applies=_has_asdf_filter),
     Phase("many updates", filtering.re_estimate_often, applies=_has_asdf_filter),

@@ -399,18 +399,26 @@ def _send_telemetry_and_heartbeats(bench: Bench) -> None:
 
     The controller must count the estimate alone: robots send the other two for those who watch the swarm.
     """
-    subjects, rng = bench.settings.subjects, bench.rng
-    for sender in rng.sample(bench.other_ids, 3):
-        x, updates = rng.randint(0, Q23_ONE), rng.randrange(256)
-        b_hat = rng.randint(_SMALLEST_B_HAT, _HALF_B_HAT)
-        telemetry = Telemetry(sender, x=x, b_hat=b_hat, updates=updates, transfer_id=0)
-        heartbeat = Heartbeat(sender, uptime=rng.randrange(2**32), transfer_id=0)
+    for sender in bench.rng.sample(bench.other_ids, 3):
+        telemetry = _draw_telemetry(sender, bench.rng)
+        heartbeat = Heartbeat(sender, uptime=bench.rng.randrange(2**32), transfer_id=0)
         frames = [
-            encode_telemetry(telemetry, subjects.telemetry),
+            encode_telemetry(telemetry, bench.settings.subjects.telemetry),
             encode_heartbeat(heartbeat),
             *_encode_random_estimates(bench, [sender]),
         ]
         bench.play_round_of_frames("telemetry and a heartbeat of another robot", frames)
+
+
+def _draw_telemetry(sender: int, rng: Random) -> Telemetry:
+    """Draw telemetry with any legal values, the first of its sender."""
+    return Telemetry(
+        sender,
+        x=rng.randint(0, Q23_ONE),
+        updates=rng.randrange(256),
+        b_hat=rng.randint(_SMALLEST_B_HAT, _HALF_B_HAT),
+        transfer_id=0,
+    )
 
 
 def receive_from_every_sender(bench: Bench) -> None:
