@@ -170,7 +170,9 @@ FAULTS = {
     "robust test: sigmas of the centre": "- {REJECTED_SIGMAS_SQUARED => 13} * g_spread**2",
     "robust test: no spread": "{g_spread**2 => 0}",
     "robust test: variance": "variance = {max => min}(",
-    "robust test: variance of the count alone": "max(variance_of_observation(share), {variance_of_observation(p) => 0})",
+    "robust test: variance of the count alone": (
+        "max(variance_of_observation(share), {variance_of_observation(p) => 0})"
+    ),
     "robust test: dispersion": "{robust.dispersion => DISPERSION_MIN} * variance)",
     "robust test: tests the present b_hat": (
         "is_rejected = robust_test_rejects({robust => "
