@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from mcp_asdf_tools.cli import options
 from mcp_asdf_tools.cli.output import print_again, reporting_missing_trials
+
+if TYPE_CHECKING:
+    from mcp_asdf_tools.experiments.experiment import Experiment
 
 EPILOG = """\
 examples:
@@ -57,11 +62,15 @@ def run(args: argparse.Namespace) -> int:
     ):
         run_sweep(store, workers, report_progress, args.scheduler)
     report_scores(output, limits, args.json, run=missing_count, output=str(output))
-    if args.json:
-        return 0
+    if not args.json:
+        _print_command(args, experiments)
+    return 0
+
+
+def _print_command(args: argparse.Namespace, experiments: Sequence[Experiment]) -> None:
+    """Print the command that makes the same run again, with the seed of all experiments if they have one."""
     seeds = {experiment.seed for experiment in experiments}
     if len(seeds) == 1:
         print_again(args, seed=seeds.pop())
     else:
         print_again(args)  # without a seed: the file names several, and --seed would replace them all
-    return 0

@@ -132,13 +132,11 @@ class RowGroup:
 
     Attributes:
         first_row: Number of rows before it in ``RowGroups``.
-        row_count: Its number of rows.
         read: Returns the rows in the present format, with the columns of these names, or all for None.
             Raises UsageError if the file cannot be read.
     """
 
     first_row: int
-    row_count: int
     read: Callable[[Sequence[str] | None], pa.Table]
 
 
@@ -149,8 +147,8 @@ class RowGroups:
         row_count: Number of rows.
     """
 
-    def __init__(self, *sources: Path | pa.Table) -> None:
-        """Create a sequence of the rows of some files, folders or tables, in their order, as ``add`` does.
+    def __init__(self, source: Path | pa.Table | None = None) -> None:
+        """Create a sequence of the rows of a file, folder or table, as ``add`` does; for None it is empty.
 
         Its cache is for the row groups that ``take`` read last.
         """
@@ -158,7 +156,7 @@ class RowGroups:
         # A cache of this object alone: one that decorates the method would keep every object alive.
         self._read_cached = lru_cache(maxsize=_ROW_GROUPS_IN_MEMORY)(self._read)
         self.row_count = 0
-        for source in sources:
+        if source is not None:
             self.add(source)
 
     def __iter__(self) -> Iterator[RowGroup]:
@@ -179,11 +177,11 @@ class RowGroups:
             file = _open_checked(path)
             for index in range(file.num_row_groups):
                 row_count = file.metadata.row_group(index).num_rows
-                self._append(row_count, partial(_read_row_group, path, index, row_count))
+                self._append(row_count, partial(_read_row_group, path, index))
 
     def _append(self, row_count: int, read: Callable[[Sequence[str] | None], pa.Table]) -> None:
         """Append ``row_count`` rows, which ``read`` returns; they begin where the sequence has ended."""
-        self._row_groups.append(RowGroup(self.row_count, row_count, read))
+        self._row_groups.append(RowGroup(self.row_count, read))
         self.row_count += row_count
 
     def rows_by_experiment(self) -> dict[Experiment, NDArray[np.int64]]:
@@ -237,7 +235,7 @@ def _select_columns(table: pa.Table, columns: Sequence[str] | None) -> pa.Table:
     return table if columns is None else table.select(columns)
 
 
-def _read_row_group(path: Path, index: int, row_count: int, columns: Sequence[str] | None) -> pa.Table:
+def _read_row_group(path: Path, index: int, columns: Sequence[str] | None) -> pa.Table:
     """Return the rows of a file's row group in the present format, with some columns or all.
 
     A parameter without a column has its default. Raises UsageError if the file cannot be read, has records
@@ -246,8 +244,8 @@ def _read_row_group(path: Path, index: int, row_count: int, columns: Sequence[st
     file = _open_checked(path)
     stored_columns = None
     if columns is not None:
-        # The number of robots is needed to convert records of an earlier format.
-        needed_columns = {*columns, "robots", *FORMER_PARAMETERS}
+        # To convert an earlier format the number of robots is needed, and that of rows, which any column has.
+        needed_columns = {*columns, "robots", "trial", *FORMER_PARAMETERS}
         stored_columns = [name for name in file.schema_arrow.names if name in needed_columns]
     with _name_file_in_errors(path):
         table = file.read_row_group(index, columns=stored_columns)
@@ -256,7 +254,7 @@ def _read_row_group(path: Path, index: int, row_count: int, columns: Sequence[st
         _check_former_parameters(path, table)
     # A file has its metadata twice, and the two may differ; these are the ones that were checked.
     table = table.replace_schema_metadata(file.schema_arrow.metadata)
-    return _select_columns(to_present_format(table, row_count), columns)
+    return _select_columns(to_present_format(table), columns)
 
 
 # --- Checks ----------------------------------------------------------------------------------------------
@@ -350,12 +348,11 @@ def _check_schema(path: Path, schema: pa.Schema, file_format: int) -> None:
     if missing_columns:
         missing_names = ", ".join(sorted(missing_columns))
         raise UsageError(f"{path} is damaged: it has no {missing_names}; run mcp-asdf sweep again")
-    # Parquet allows two columns of one name, which could not be told apart.
-    types_in_file: dict[str, list[pa.DataType]] = {}
-    for field in schema:
-        types_in_file.setdefault(field.name, []).append(field.type)
-    for name, column_type in types.items():
-        is_newer_than_file = name not in types_in_file
-        if not is_newer_than_file and types_in_file[name] != [column_type]:
-            problem = f"column {name} is not {column_type}"
+    for column in schema:
+        if column.name not in types:
+            continue  # another program may have added it
+        # Parquet allows two columns of one name, which could not be told apart.
+        is_there_twice = schema.names.count(column.name) > 1
+        if is_there_twice or column.type != types[column.name]:
+            problem = f"column {column.name} is not {types[column.name]}"
             raise UsageError(f"{path} is damaged: {problem}; run mcp-asdf sweep again")

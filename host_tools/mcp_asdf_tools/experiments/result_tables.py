@@ -135,13 +135,12 @@ def column_types() -> dict[str, Any]:
     return types
 
 
-def to_present_format(table: pa.Table, row_count: int) -> pa.Table:
+def to_present_format(table: pa.Table) -> pa.Table:
     """Return a table of READABLE_FORMATS, with some columns or all, in the present format.
 
     Missing parameters have their defaults, and columns are in the usual order; those of other names come
-    last. ``row_count`` is the number of rows, which a table without columns does not know. A table in format
-    5 with records must have a column ``robots``, unless all experiments have the default. Raises UsageError
-    for a flat record that has not a value of each robot at each step.
+    last. A table in format 5 with records must have a column ``robots``, unless all experiments have the
+    default. Raises UsageError for a flat record that has not a value of each robot at each step.
     """
     defaults = Experiment().parameters()
     existing_columns = {name: table[name] for name in table.column_names}
@@ -150,7 +149,7 @@ def to_present_format(table: pa.Table, row_count: int) -> pa.Table:
         if name in existing_columns:
             columns[name] = existing_columns.pop(name)
         elif name in defaults:
-            columns[name] = pa.repeat(pa.scalar(defaults[name], column_type), row_count)
+            columns[name] = pa.repeat(pa.scalar(defaults[name], column_type), len(table))
     # Records are the only columns that format 5 had in another form.
     for name in RECORD_COLUMNS.values():
         if name in columns and columns[name].type == FLAT_RECORD:
@@ -265,7 +264,7 @@ def _nest_records(values: NDArray[np.float64]) -> pa.Array:
 
 def experiments_in(table: pa.Table) -> list[Trials]:
     """Return the trials in a table by experiment, in the order of the experiments' first rows. O(rows)."""
-    complete_table = to_present_format(table, len(table)).combine_chunks()
+    complete_table = to_present_format(table).combine_chunks()
     return [
         trials_from_rows(experiment, complete_table.take(rows))
         for experiment, rows in rows_by_experiment(complete_table).items()
@@ -361,7 +360,7 @@ def score_table(table: pa.Table, limits: Limits) -> pa.Table:
 
     O(rows).
     """
-    table = to_present_format(table, len(table))
+    table = to_present_format(table)
     rows = table.select([*PARAMETER_NAMES, "k", "e"]).to_pylist()
     scores_by_row = [_score_row(row, limits) for row in rows]
     for name in SCORES:

@@ -154,7 +154,7 @@ def stream_tidy_results(source: Path | pa.Table) -> Iterator[pa.Table]:
     nothing was recorded.
     """
     if isinstance(source, pa.Table):
-        source = to_present_format(source, len(source))  # another program may have read it
+        source = to_present_format(source)  # another program may have read it
     row_groups = RowGroups(source)
     # The tables have a column for each parameter in which any experiments differ, so all parameters are read
     # before the first table.

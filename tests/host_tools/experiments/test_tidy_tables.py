@@ -135,7 +135,7 @@ def test_a_file_of_results_is_not_read_before_its_rows_are_needed(
     next(stream_tidy_results(folder_of_two))
 
     files_read_completely = []
-    for path, _index, _row_count, columns in [call.args for call in read.call_args_list]:
+    for path, _index, columns in [call.args for call in read.call_args_list]:
         if columns is None:  # all of them: the columns of parameters are read first
             files_read_completely.append(path.name)
     assert files_read_completely == ["1.parquet"]
