@@ -230,18 +230,6 @@ def test_the_tools_unpack_every_odd_datagram_that_the_c_node_unpacks_to_the_same
             assert frame == unpack_by_tools(datagram), datagram
 
 
-def test_the_c_node_unpacks_a_frame_whose_time_is_a_float_of_32_bits(library: ctypes.CDLL) -> None:
-    """python-can writes a time in 64 bits, after the byte 0xCB. Another sender may write it in 32."""
-    frame = can.Message(arbitration_id=0x10006BB8, data=b"any")
-    before_time, time_of_64_bits, after_time = b"timestamp\xcb", bytes(8), b"\xaearbitration_id"
-    datagram = pack_message(frame)
-    assert before_time + time_of_64_bits + after_time in datagram
-
-    datagram = datagram.replace(before_time + time_of_64_bits, b"timestamp\xca" + bytes(4))
-
-    assert unpack_by_c(library, datagram) == RawFrame(0x10006BB8 | 1 << 31, b"any")
-
-
 def test_the_c_node_and_the_tools_unpack_random_and_damaged_datagrams_to_the_same_frames(
     library: ctypes.CDLL,
 ) -> None:

@@ -215,7 +215,6 @@ void multicast_close(multicast_t *group)
 #define MSGPACK_FALSE 0xC2
 #define MSGPACK_TRUE 0xC3
 /* after these a number follows, big-endian, */
-#define MSGPACK_FLOAT32 0xCA
 #define MSGPACK_FLOAT64 0xCB
 #define MSGPACK_UINT8 0xCC
 #define MSGPACK_UINT32 0xCE
@@ -335,8 +334,8 @@ static bool read_number(reader_t *reader, uint32_t *number)
     return true;
 }
 
-/* Skip a time or the name of a channel: nil, a number or a text, in any of msgpack's forms of up to 255
- * characters. Returns false if something else is there; the reader's position is then of no use. */
+/* Skip a time or the name of a channel: nil, a number or a text, in the forms that python-can writes, of up
+ * to 255 characters. Returns false if something else is there; the reader's position is then of no use. */
 static bool skip_value(reader_t *reader)
 {
     if (reader->bytes_left == 0) {
@@ -347,9 +346,6 @@ static bool skip_value(reader_t *reader)
     if (is_short_text) {
         const uint32_t text_length = first_byte & 0x1FU; /* in the lower 5 bits */
         return skip(reader, 1 + text_length);
-    }
-    if (first_byte == MSGPACK_FLOAT32) {
-        return skip(reader, 1 + sizeof(uint32_t));
     }
     if (first_byte == MSGPACK_FLOAT64) {
         return skip(reader, 1 + sizeof(uint64_t));

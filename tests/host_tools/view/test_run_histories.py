@@ -128,13 +128,6 @@ def recordings(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPath
 # --- Equal states -------------------------------------------------------------------------------------
 
 
-def test_the_history_of_a_running_swarm_has_a_state_after_each_of_its_110_steps(
-    recordings: Recordings,
-) -> None:
-    """The first state is that after step 1, and the last one is that after step 110."""
-    assert ticks_of(recordings.live) == list(range(1, 110 + 1))
-
-
 def test_a_log_and_a_trial_are_shown_with_the_states_and_the_title_of_the_running_swarm(
     recordings: Recordings,
 ) -> None:
@@ -145,6 +138,7 @@ def test_a_log_and_a_trial_are_shown_with_the_states_and_the_title_of_the_runnin
     history_of_log = recompute_swarm_history(recordings.log)
     history_of_trial = recompute_trial_history(recordings.trials, trial=0)
     history_of_swarm = recordings.live
+    assert ticks_of(history_of_swarm) == list(range(1, 110 + 1))
 
     for history in (history_of_log, history_of_trial):
         initial_state, *states_after_steps = states_of(history)
