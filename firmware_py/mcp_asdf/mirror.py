@@ -963,18 +963,25 @@ def _decode_state(config: Config, image: bytes) -> State:
     not checked whether a robot can have this state.
     """
     filter_format = _ROBUST_FILTER if config.filter == Filter.ROBUST else _ROUNDS
-    filter_position = _BEGINNING.size
-    senders_position = filter_position + filter_format.size
-    ending_position = senders_position + _SENDERS.size
-
-    _first_word, b_hat, *first_members = _BEGINNING.unpack_from(image)
-    senders = _SENDERS.unpack_from(image, senders_position)
-    last_members = _ENDING.unpack_from(image, ending_position)
+    beginning, memory_of_filter, senders, last_members = _unpack_parts(
+        image, _BEGINNING, filter_format, _SENDERS, _ENDING
+    )
+    _first_word, b_hat, *first_members = beginning
     members: dict[str, Any] = dict(zip(_FIRST_MEMBERS, first_members, strict=True))
     members.update(zip(_LAST_MEMBERS, last_members, strict=True))
     state = State(accuracy=accuracy_of(b_hat), heard=list(senders), **members)
-    _set_memory_of_filter(state, config, filter_format.unpack_from(image, filter_position))
+    _set_memory_of_filter(state, config, memory_of_filter)
     return state
+
+
+def _unpack_parts(image: bytes, *formats: struct.Struct) -> list[tuple[int, ...]]:
+    """Return the numbers of the parts that follow each other from the begin of an image, by their formats."""
+    parts = []
+    position = 0
+    for part_format in formats:
+        parts.append(part_format.unpack_from(image, position))
+        position += part_format.size
+    return parts
 
 
 def _set_memory_of_filter(s: State, config: Config, numbers: Sequence[int]) -> None:

@@ -172,12 +172,10 @@ def _digit_division_contracts(divide: int) -> dict[str, Contract]:
     def is_digit(digit: Any, new_rest: Any, rest: Any, d: Any, _prepared: Any, bits: Any) -> list[Any]:
         """Return that a digit is never too large and less than 2 too small, so the rest stays below 2 d."""
         product, dividend = wide(digit) * wide(d), wide(rest) << wide(bits)
-        is_not_too_large, is_not_too_small = (
-            z3.ULE(product, dividend),
-            z3.ULT(dividend, product + 2 * wide(d)),
-        )
-        is_exact = product + wide(new_rest) == dividend
-        return [is_not_too_large, is_not_too_small, z3.And(is_exact, z3.ULT(wide(new_rest), 2 * wide(d)))]
+        is_not_too_large = z3.ULE(product, dividend)
+        is_not_too_small = z3.ULT(dividend, product + 2 * wide(d))
+        is_rest = z3.And(product + wide(new_rest) == dividend, z3.ULT(wide(new_rest), 2 * wide(d)))
+        return [is_not_too_large, is_not_too_small, is_rest]
 
     return {
         "prepare": Contract(is_prepared, lambda d: z3.And(z3.UGE(d, least_divisor), z3.ULE(d, 2**31))),
